@@ -1,0 +1,5 @@
+//! Where detections come from: recordings of every known format, training windows, and generated scenes.
+
+mod recording;
+
+pub use recording::{Ego, Frame, Recording};
