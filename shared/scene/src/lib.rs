@@ -1,6 +1,12 @@
 //! The scene around the robot: agent states, their frames of reference, features, interaction graph and context maps.
 
+mod features;
+mod graph;
+mod motion;
 mod state;
 
-pub use state::State;
+pub use features::{AgentFrame, FeatureScales, MOVING_MPS, agent_frame, relation_features, state_features};
+pub use graph::{EdgeRule, NEIGHBOURS_MAX, Vertex};
+pub use motion::states_from_positions;
+pub use state::{State, track_history};
 pub use wire::AgentType;

@@ -1,0 +1,53 @@
+//! Velocities and headings of agents that are known by their positions alone.
+
+use crate::{MOVING_MPS, State};
+
+/// Fills `states` with the velocities and headings that follow from `positions_m`, a row per step of `dt_s`.
+///
+///     v^k = (p^k − p^j) / ((k − j) Δt),  j the last present step before k          ψ^k = atan2(vy, vx) if |v| ≥ 0.1 m/s
+///
+/// Backward differences only: row k depends on rows up to k. The first present row copies the velocity of the second,
+/// unless that lies beyond the first `observed_len` rows while the first does not; it is then at rest. So no row of the
+/// first `observed_len` depends on a later one. The heading of an agent at rest is the last defined one, 0 where none
+/// is. \[model §1\]
+///
+/// # Panics
+/// Where the slices differ in length.
+pub fn states_from_positions(
+    positions_m: &[Option<[f32; 2]>],
+    observed_len: usize,
+    dt_s: f32,
+    states: &mut [Option<State>],
+) {
+    assert_eq!(positions_m.len(), states.len(), "a state for each position");
+    let mut rows = positions_m.iter().enumerate().filter_map(|(step, p)| p.map(|p| (step, p)));
+    let first = rows.next();
+    let second = rows.next().filter(|(step, _)| {
+        let split = first.is_some_and(|(first, _)| first < observed_len);
+        !split || *step < observed_len
+    });
+    let mut heading_rad = 0.0;
+    let mut last = None;
+    for (step, (position, state)) in positions_m.iter().zip(states).enumerate() {
+        let Some(position_m) = *position else {
+            *state = None;
+            continue;
+        };
+        let here = (step, position_m);
+        let velocity_mps = match (last, second) {
+            (Some(last), _) => velocity(last, here, dt_s),
+            (None, Some(second)) => velocity(here, second, dt_s),
+            (None, None) => [0.0; 2],
+        };
+        if velocity_mps[0].hypot(velocity_mps[1]) >= MOVING_MPS {
+            heading_rad = velocity_mps[1].atan2(velocity_mps[0]);
+        }
+        last = Some(here);
+        *state = Some(State { position_m, velocity_mps, heading_rad });
+    }
+}
+
+fn velocity(from: (usize, [f32; 2]), to: (usize, [f32; 2]), dt_s: f32) -> [f32; 2] {
+    let elapsed_s = (to.0 - from.0) as f32 * dt_s;
+    [0, 1].map(|axis| (to.1[axis] - from.1[axis]) / elapsed_s)
+}
