@@ -1,0 +1,279 @@
+use scene::State;
+
+use crate::{Point, constant_velocity, kmeans};
+
+/// Anchors per speed bin.
+pub const ANCHORS: usize = 20;
+/// Speed bins of the anchors.
+pub const SPEED_BINS: usize = 8;
+/// Borders of the speed bins of vehicles and cyclists.
+pub const VEHICLE_SPEED_CUTS_MPS: [f32; SPEED_BINS - 1] = [0.5, 1.5, 3.0, 4.5, 6.0, 7.5, 9.5];
+/// Borders of the speed bins of pedestrians.
+pub const PEDESTRIAN_SPEED_CUTS_MPS: [f32; SPEED_BINS - 1] = [0.2, 0.5, 0.8, 1.0, 1.2, 1.4, 1.7];
+
+/// Speed below which the heading of a state tells nothing.
+const STILL_MPS: f32 = 0.1;
+/// A bin with fewer windows takes the anchors of its nearest neighbour.
+const WINDOWS_MIN: usize = 60;
+const KMEANS_ITERATIONS: usize = 50;
+
+/// Borders of the speed bins for an agent type.
+#[must_use]
+pub const fn speed_cuts_mps(agent_type: scene::AgentType) -> [f32; SPEED_BINS - 1] {
+    match agent_type {
+        scene::AgentType::Vehicle | scene::AgentType::Cyclist => VEHICLE_SPEED_CUTS_MPS,
+        scene::AgentType::Pedestrian => PEDESTRIAN_SPEED_CUTS_MPS,
+    }
+}
+
+/// What an agent did before and after one time.
+#[derive(Clone, Copy, Debug)]
+pub struct Window<'a> {
+    /// States up to that time, oldest first.
+    pub history: &'a [Option<State>],
+    /// Positions after it.
+    pub future: &'a [Option<Point>],
+}
+
+/// The table of typical deviations from constant velocity: 20 per speed bin, the cheapest forecast with modes.
+///
+/// A window's residual is its future less the constant-velocity forecast, in the agent frame of the newest state; every
+/// residual counts a second time mirrored to the other side. k-means per speed bin makes the anchors. A forecast is
+/// constant velocity plus each anchor of the bin.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Anchors {
+    dt_s: f32,
+    horizon: usize,
+    speed_cuts_mps: [f32; SPEED_BINS - 1],
+    /// Per speed bin; all the same bin where training had too few windows to fill more than one.
+    bins: Vec<Bin>,
+}
+
+#[derive(Clone, Debug, PartialEq)]
+struct Bin {
+    /// Residuals, likeliest first.
+    residuals: Vec<Vec<Point>>,
+    probability: Vec<f32>,
+}
+
+impl Anchors {
+    /// Clusters the residuals of the windows whose newest state and whole future (of `horizon` steps, `dt_s` apart) are
+    /// known; `None` where there is no such window. The same windows in the same order give the same anchors.
+    #[must_use]
+    pub fn fit(
+        windows: &[Window<'_>],
+        dt_s: f32,
+        horizon: usize,
+        speed_cuts_mps: [f32; SPEED_BINS - 1],
+        seed: u64,
+    ) -> Option<Self> {
+        let mut residuals: [Vec<f32>; SPEED_BINS] = std::array::from_fn(|_| Vec::new());
+        for window in windows {
+            if let Some((speed_mps, residual)) = residual(window, dt_s, horizon) {
+                let bin = &mut residuals[speed_bin(&speed_cuts_mps, speed_mps)];
+                bin.extend(residual.iter().flatten());
+                bin.extend(residual.iter().flat_map(|[x, y]| [*x, -*y]));
+            }
+        }
+        let row = horizon * 2;
+        let enough = |bin: &[f32]| bin.len() >= 2 * WINDOWS_MIN * row;
+        // Where no bin has enough, all windows together are the one bin.
+        if !residuals.iter().any(|bin| enough(bin)) {
+            let all = residuals.concat();
+            let bin = (!all.is_empty()).then(|| Bin::cluster(&all, row, seed))?;
+            return Some(Self { dt_s, horizon, speed_cuts_mps, bins: vec![bin; SPEED_BINS] });
+        }
+        let own: Vec<Option<Bin>> =
+            residuals.iter().map(|bin| enough(bin).then(|| Bin::cluster(bin, row, seed))).collect();
+        let bins = (0..SPEED_BINS).map(|i| nearest_bin(&own, i)).collect::<Option<Vec<Bin>>>()?;
+        Some(Self { dt_s, horizon, speed_cuts_mps, bins })
+    }
+
+    /// The forecasts of an agent, likeliest first; `None` where the newest state is absent.
+    #[must_use]
+    pub fn predict(&self, history: &[Option<State>]) -> Option<Vec<Vec<Point>>> {
+        let base = constant_velocity(history, self.dt_s, self.horizon)?;
+        let [cos, sin] = direction(history, self.dt_s)?;
+        let world = |[x, y]: Point| [cos * x - sin * y, sin * x + cos * y];
+        let bin = self.bin(history)?;
+        let shifted = |residual: &Vec<Point>| {
+            let steps = base.iter().zip(residual);
+            steps.map(|(b, r)| (*b, world(*r))).map(|(b, r)| [b[0] + r[0], b[1] + r[1]]).collect()
+        };
+        Some(bin.residuals.iter().map(shifted).collect())
+    }
+
+    /// The probability of each forecast of [`Anchors::predict`]: the share of training residuals in its cluster.
+    #[must_use]
+    pub fn probability(&self, history: &[Option<State>]) -> Option<&[f32]> {
+        self.bin(history).map(|bin| &bin.probability[..])
+    }
+
+    fn bin(&self, history: &[Option<State>]) -> Option<&Bin> {
+        let newest = (*history.last()?)?;
+        Some(&self.bins[speed_bin(&self.speed_cuts_mps, speed_mps(&newest))])
+    }
+}
+
+impl Bin {
+    fn cluster(residuals: &[f32], row: usize, seed: u64) -> Self {
+        let found = kmeans(residuals, row, ANCHORS, seed, KMEANS_ITERATIONS);
+        let mut order: Vec<usize> = (0..ANCHORS).collect();
+        order.sort_by_key(|&k| std::cmp::Reverse(found.sizes[k]));
+        let points_len = (residuals.len() / row) as f32;
+        let residual = |k: &usize| found.centres[k * row..][..row].as_chunks::<2>().0.to_vec();
+        Self {
+            residuals: order.iter().map(residual).collect(),
+            probability: order.iter().map(|&k| found.sizes[k] as f32 / points_len).collect(),
+        }
+    }
+}
+
+fn speed_mps(state: &State) -> f32 {
+    state.velocity_mps[0].hypot(state.velocity_mps[1])
+}
+
+fn speed_bin(cuts_mps: &[f32], speed_mps: f32) -> usize {
+    cuts_mps.iter().filter(|cut| speed_mps >= **cut).count()
+}
+
+fn nearest_bin(bins: &[Option<Bin>], wanted: usize) -> Option<Bin> {
+    let by_distance = |i: &usize| i.abs_diff(wanted);
+    (0..bins.len()).filter(|&i| bins[i].is_some()).min_by_key(by_distance).and_then(|i| bins[i].clone())
+}
+
+/// The x-axis (cos, sin) of the agent frame: the heading of the newest state, of the mean motion where it stands still.
+fn direction(history: &[Option<State>], dt_s: f32) -> Option<[f32; 2]> {
+    let newest = (*history.last()?)?;
+    let heading_rad = if speed_mps(&newest) >= STILL_MPS {
+        newest.heading_rad
+    } else {
+        mean_motion(history, dt_s)
+            .filter(|[vx, vy]| vx.hypot(*vy) > STILL_MPS)
+            .map_or(newest.heading_rad, |[vx, vy]| vy.atan2(vx))
+    };
+    Some([heading_rad.cos(), heading_rad.sin()])
+}
+
+fn mean_motion(history: &[Option<State>], dt_s: f32) -> Option<[f32; 2]> {
+    let newest = (*history.last()?)?;
+    let (first, oldest) = history.iter().enumerate().find_map(|(i, state)| state.map(|s| (i, s)))?;
+    let elapsed_s = (history.len() - 1 - first) as f32 * dt_s;
+    let moved = |axis: usize| (newest.position_m[axis] - oldest.position_m[axis]) / elapsed_s;
+    (elapsed_s > 0.0).then(|| [moved(0), moved(1)])
+}
+
+/// A window's speed and its residual to constant velocity in the agent frame.
+fn residual(window: &Window<'_>, dt_s: f32, horizon: usize) -> Option<(f32, Vec<Point>)> {
+    let base = constant_velocity(window.history, dt_s, horizon)?;
+    let [cos, sin] = direction(window.history, dt_s)?;
+    let newest = (*window.history.last()?)?;
+    let future: Vec<Point> = window.future.get(..horizon)?.iter().copied().collect::<Option<_>>()?;
+    let steps = future.iter().zip(&base).map(|(f, b)| [f[0] - b[0], f[1] - b[1]]);
+    let residual = steps.map(|[x, y]| [cos * x + sin * y, cos * y - sin * x]).collect();
+    Some((speed_mps(&newest), residual))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{best_of, displacement};
+
+    const DT_S: f32 = 0.4;
+    const HORIZON: usize = 4;
+
+    /// An agent at `heading` and `speed` that turns with `rate` after its newest state.
+    fn window(heading: f32, speed: f32, rate: f32) -> (Vec<Option<State>>, Vec<Option<Point>>) {
+        let velocity = [speed * heading.cos(), speed * heading.sin()];
+        let at = |t: f32| {
+            Some(State {
+                position_m: [3.0 + velocity[0] * t, velocity[1] * t],
+                velocity_mps: velocity,
+                heading_rad: heading,
+            })
+        };
+        let history = vec![at(-DT_S), at(0.0)];
+        let mut position = [3.0, 0.0];
+        let future = (1..=HORIZON)
+            .map(|k| {
+                let course = heading + rate * DT_S * k as f32;
+                position =
+                    [position[0] + speed * course.cos() * DT_S, position[1] + speed * course.sin() * DT_S];
+                Some(position)
+            })
+            .collect();
+        (history, future)
+    }
+
+    fn fitted(speeds: &[f32]) -> Anchors {
+        let mut owned = Vec::new();
+        for i in 0..200 {
+            let rate = [0.0, 0.5][i % 2];
+            owned.push(window(i as f32 * 0.1, speeds[i % speeds.len()], rate));
+        }
+        let windows: Vec<Window<'_>> =
+            owned.iter().map(|(history, future)| Window { history, future }).collect();
+        Anchors::fit(&windows, DT_S, HORIZON, VEHICLE_SPEED_CUTS_MPS, 7).expect("windows")
+    }
+
+    #[test]
+    fn anchors_cover_what_training_showed_in_any_direction_and_mirrored() {
+        let anchors = fitted(&[5.0]);
+        for (heading, rate) in [(0.3, 0.0), (-2.0, 0.5), (1.0, -0.5)] {
+            let (history, future) = window(heading, 5.0, rate);
+            let modes = anchors.predict(&history).expect("present");
+            assert_eq!(modes.len(), ANCHORS);
+            let ade_m = best_of(&modes, &future).ade_m.expect("known");
+            assert!(ade_m < 1e-3, "heading {heading}, rate {rate}: {ade_m}");
+        }
+    }
+
+    #[test]
+    fn probabilities_fall_and_sum_to_one() {
+        let anchors = fitted(&[5.0]);
+        let (history, straight) = window(0.0, 5.0, 0.0);
+        let modes = anchors.predict(&history).expect("present");
+        let probability = anchors.probability(&history).expect("present");
+        assert!((probability.iter().sum::<f32>() - 1.0).abs() < 1e-5);
+        assert!(probability.is_sorted_by(|a, b| a >= b));
+        let near = |mode: &[Point]| displacement(mode, &straight).ade_m.expect("known") < 1e-3;
+        let straight_share: f32 =
+            modes.iter().zip(probability).filter(|(m, _)| near(m)).map(|(_, p)| p).sum();
+        assert!((straight_share - 0.5).abs() < 1e-5, "half of the windows went straight: {probability:?}");
+    }
+
+    #[test]
+    fn a_bin_without_windows_takes_its_neighbours() {
+        let anchors = fitted(&[5.0]);
+        let slow = anchors.predict(&window(0.0, 0.2, 0.0).0).expect("present");
+        let fast = anchors.predict(&window(0.0, 5.0, 0.0).0).expect("present");
+        let residual = |modes: &[Vec<Point>], speed: f32| modes[5][3][0] - (3.0 + speed * 4.0 * DT_S);
+        assert!((residual(&slow, 0.2) - residual(&fast, 5.0)).abs() < 1e-4);
+    }
+
+    #[test]
+    fn too_few_windows_share_one_bin_and_none_give_no_anchors() {
+        let (history, future) = window(0.0, 5.0, 0.5);
+        let windows = [Window { history: &history, future: &future }];
+        let anchors = Anchors::fit(&windows, DT_S, HORIZON, VEHICLE_SPEED_CUTS_MPS, 1).expect("one window");
+        assert!(best_of(&anchors.predict(&history).expect("present"), &future).ade_m.expect("known") < 1e-4);
+        let unknown = [Window { history: &history, future: &[None; HORIZON] }];
+        assert_eq!(Anchors::fit(&unknown, DT_S, HORIZON, VEHICLE_SPEED_CUTS_MPS, 1), None);
+    }
+
+    #[test]
+    fn the_frame_of_a_standing_agent_is_its_mean_motion() {
+        let at =
+            |y: f32, vy: f32| Some(State { position_m: [0.0, y], velocity_mps: [0.0, vy], heading_rad: 0.0 });
+        let [cos, sin] = direction(&[at(0.0, 1.0), at(0.4, 0.0)], DT_S).expect("present");
+        assert!(cos.abs() < 1e-6 && (sin - 1.0).abs() < 1e-6);
+        assert_eq!(direction(&[at(0.0, 0.0), at(0.01, 0.0)], DT_S), Some([1.0, 0.0]));
+    }
+
+    #[test]
+    fn bins_are_closed_below() {
+        assert_eq!(speed_bin(&VEHICLE_SPEED_CUTS_MPS, 0.0), 0);
+        assert_eq!(speed_bin(&VEHICLE_SPEED_CUTS_MPS, 0.5), 1);
+        assert_eq!(speed_bin(&VEHICLE_SPEED_CUTS_MPS, 99.0), 7);
+    }
+}

@@ -1,0 +1,167 @@
+//! Forecasts without learning: the agent goes on as it did.
+//!
+//! A history holds one entry per step, oldest first, `None` where the agent was absent. All forecasts start from the
+//! newest entry and are `None` where that one is absent. Rates of change come from the newest two states present, over
+//! the time that really lies between them; with a single state they are 0.
+
+use rand::Rng;
+use rand_distr::{Distribution, StandardNormal};
+use scene::State;
+
+use crate::Point;
+
+/// Draws of [`sampled_constant_velocity`] in the published comparison.
+pub const CVM_DRAWS: usize = 20;
+/// Standard deviation of its headings in the published comparison: 25°.
+pub const CVM_SIGMA_RAD: f32 = 25.0 * std::f32::consts::PI / 180.0;
+
+/// The agent keeps its velocity.
+#[must_use]
+pub fn constant_velocity(history: &[Option<State>], dt_s: f32, horizon: usize) -> Option<Vec<Point>> {
+    let State { position_m: [x, y], velocity_mps: [vx, vy], .. } = (*history.last()?)?;
+    Some(times(dt_s, horizon).map(|t| [x + vx * t, y + vy * t]).collect())
+}
+
+/// The agent keeps its acceleration.
+#[must_use]
+pub fn constant_acceleration(history: &[Option<State>], dt_s: f32, horizon: usize) -> Option<Vec<Point>> {
+    let State { position_m: [x, y], velocity_mps: [vx, vy], .. } = (*history.last()?)?;
+    let [ax, ay] = before_newest(history, dt_s).map_or([0.0; 2], |(before, elapsed_s)| {
+        [(vx - before.velocity_mps[0]) / elapsed_s, (vy - before.velocity_mps[1]) / elapsed_s]
+    });
+    let half = 0.5;
+    Some(times(dt_s, horizon).map(|t| [x + (vx + half * ax * t) * t, y + (vy + half * ay * t) * t]).collect())
+}
+
+/// The agent keeps its speed and its turn rate (CTRV): it drives on a circle.
+#[must_use]
+pub fn constant_turn_rate(history: &[Option<State>], dt_s: f32, horizon: usize) -> Option<Vec<Point>> {
+    let State { position_m: [x, y], velocity_mps: [vx, vy], heading_rad } = (*history.last()?)?;
+    let rate_radps = before_newest(history, dt_s)
+        .map_or(0.0, |(before, elapsed_s)| wrapped(heading_rad - before.heading_rad) / elapsed_s);
+    // ∫ R(ωτ) v dτ = [s −c; c s] v with s = sin(ωt) / ω and c = (1 − cos ωt) / ω, by series near ω = 0.
+    let turned = |t: f32| {
+        let angle = rate_radps * t;
+        let (s, c) = if angle.abs() < 1e-3 {
+            (t * (1.0 - angle * angle / 6.0), t * angle / 2.0)
+        } else {
+            (angle.sin() / rate_radps, (1.0 - angle.cos()) / rate_radps)
+        };
+        [x + s * vx - c * vy, y + c * vx + s * vy]
+    };
+    Some(times(dt_s, horizon).map(turned).collect())
+}
+
+/// Constant velocity in `draws` directions, turned from the true one by N(0, `sigma_rad`²) (CVM-S).
+#[must_use]
+pub fn sampled_constant_velocity(
+    history: &[Option<State>],
+    dt_s: f32,
+    horizon: usize,
+    draws: usize,
+    sigma_rad: f32,
+    rng: &mut impl Rng,
+) -> Option<Vec<Vec<Point>>> {
+    let state = (*history.last()?)?;
+    let mut draw = || {
+        let noise: f32 = StandardNormal.sample(rng);
+        let [vx, vy] = state.velocity_mps;
+        let (sin, cos) = (sigma_rad * noise).sin_cos();
+        let turned = State { velocity_mps: [cos * vx - sin * vy, sin * vx + cos * vy], ..state };
+        constant_velocity(&[Some(turned)], dt_s, horizon)
+    };
+    (0..draws).map(|_| draw()).collect()
+}
+
+fn times(dt_s: f32, horizon: usize) -> impl Iterator<Item = f32> {
+    (1..=horizon).map(move |step| step as f32 * dt_s)
+}
+
+/// The newest state but one, and the time from it to the newest.
+fn before_newest(history: &[Option<State>], dt_s: f32) -> Option<(State, f32)> {
+    let mut backwards = history.iter().rev().enumerate().skip(1);
+    backwards.find_map(|(steps, state)| state.map(|state| (state, steps as f32 * dt_s)))
+}
+
+fn wrapped(angle_rad: f32) -> f32 {
+    use std::f32::consts::{PI, TAU};
+    (angle_rad + PI).rem_euclid(TAU) - PI
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+    use rand::SeedableRng;
+    use rand_chacha::ChaCha8Rng;
+
+    fn state(position_m: Point, velocity_mps: Point, heading_rad: f32) -> Option<State> {
+        Some(State { position_m, velocity_mps, heading_rad })
+    }
+
+    fn close(a: &[Point], b: &[Point]) -> bool {
+        a.len() == b.len() && a.iter().zip(b).all(|(a, b)| (a[0] - b[0]).hypot(a[1] - b[1]) < 1e-4)
+    }
+
+    #[test]
+    fn constant_velocity_by_hand() {
+        let history = [None, state([1.0, 2.0], [2.0, -1.0], 0.0)];
+        assert_eq!(constant_velocity(&history, 0.5, 2), Some(vec![[2.0, 1.5], [3.0, 1.0]]));
+        assert_eq!(constant_velocity(&[history[1], None], 0.5, 2), None);
+        assert_eq!(constant_velocity(&[], 0.5, 2), None);
+    }
+
+    #[test]
+    fn constant_acceleration_by_hand() {
+        // 2 m/s gained over two steps of 0.5 s, one of them unseen: 2 m/s².
+        let history = [state([0.0; 2], [1.0, 0.0], 0.0), None, state([2.0, 0.0], [3.0, 0.0], 0.0)];
+        let forecast = constant_acceleration(&history, 0.5, 2).expect("present");
+        assert!(close(&forecast, &[[3.75, 0.0], [6.0, 0.0]]), "{forecast:?}");
+    }
+
+    #[test]
+    fn constant_turn_rate_drives_a_quarter_circle() {
+        use std::f32::consts::{FRAC_PI_2, FRAC_PI_4};
+        // π/4 per second at speed π/4: radius 1 around (0, 1).
+        let rate = FRAC_PI_4;
+        let history = [state([-1.0, 0.0], [rate, 0.0], -rate), state([0.0; 2], [rate, 0.0], 0.0)];
+        let forecast = constant_turn_rate(&history, 1.0, 2).expect("present");
+        let eighth = [FRAC_PI_4.sin(), 1.0 - FRAC_PI_4.cos()];
+        assert!(close(&forecast, &[eighth, [FRAC_PI_2.sin(), 1.0]]), "{forecast:?}");
+    }
+
+    #[test]
+    fn turn_rate_is_wrapped() {
+        let history = [state([0.0; 2], [-1.0, 0.0], 3.1), state([0.0; 2], [-1.0, 0.0], -3.1)];
+        let forecast = constant_turn_rate(&history, 1.0, 1).expect("present");
+        assert!((forecast[0][0] + 1.0).abs() < 0.01, "{forecast:?}");
+    }
+
+    #[test]
+    fn sampled_headings_repeat_by_seed_and_spread_as_told() {
+        let history = [state([0.0; 2], [1.0, 0.0], 0.0)];
+        let draw = |seed| {
+            let mut rng = ChaCha8Rng::seed_from_u64(seed);
+            sampled_constant_velocity(&history, 1.0, 1, 4_000, CVM_SIGMA_RAD, &mut rng).expect("present")
+        };
+        assert_eq!(draw(1), draw(1));
+        assert_ne!(draw(1), draw(2));
+        let angles: Vec<f64> = draw(1).iter().map(|t| f64::from(t[0][1].atan2(t[0][0]))).collect();
+        let variance = angles.iter().map(|a| a * a).sum::<f64>() / angles.len() as f64;
+        assert!((variance.sqrt().to_degrees() - 25.0).abs() < 1.0, "{}", variance.sqrt().to_degrees());
+    }
+
+    proptest! {
+        #[test]
+        fn all_agree_on_straight_motion_at_constant_speed(
+            x in -50.0f32..50.0, y in -50.0f32..50.0, heading in -3.0f32..3.0, speed in 0.0f32..20.0,
+        ) {
+            let velocity = [speed * heading.cos(), speed * heading.sin()];
+            let at = |t: f32| state([x + velocity[0] * t, y + velocity[1] * t], velocity, heading);
+            let history = [at(-0.8), at(-0.4), at(0.0)];
+            let expected = constant_velocity(&history, 0.4, 12).expect("present");
+            prop_assert!(close(&constant_acceleration(&history, 0.4, 12).expect("present"), &expected));
+            prop_assert!(close(&constant_turn_rate(&history, 0.4, 12).expect("present"), &expected));
+        }
+    }
+}

@@ -1,0 +1,120 @@
+//! How much probability a forecast puts where the agent really went.
+
+use crate::Point;
+
+/// Densities below e^−20 per m² count as this: one far outlier must not outweigh a thousand good forecasts.
+pub const LOG_DENSITY_MIN: f64 = -20.0;
+/// Smallest bandwidth: samples that coincide still have the extent of a measurement.
+const BANDWIDTH_MIN_M: f64 = 0.01;
+
+/// Log density at `truth` of the weighted samples of one step: a product of Gaussian kernels with Silverman's bandwidth
+///
+/// ```text
+/// h_d = σ_d (4 / (n (D + 2)))^(1 / (D + 4)),   D = 2,   n = (Σ w)² / Σ w²
+/// ```
+///
+/// where σ_d is the samples' weighted standard deviation on axis d. At least [`LOG_DENSITY_MIN`], also where no weight
+/// is positive.
+///
+/// # Panics
+/// Where there are not as many weights as samples.
+#[must_use]
+pub fn kde_log_density(samples: &[Point], weights: &[f32], truth: Point) -> f64 {
+    assert_eq!(samples.len(), weights.len(), "one weight per sample");
+    let total: f64 = weights.iter().map(|&w| f64::from(w)).sum();
+    let squares: f64 = weights.iter().map(|&w| f64::from(w) * f64::from(w)).sum();
+    if total <= 0.0 {
+        return LOG_DENSITY_MIN;
+    }
+    let shrink = (total * total / squares).powf(-1.0 / 6.0);
+    let bandwidths_m =
+        [0, 1].map(|axis| (deviation(samples, weights, total, axis) * shrink).max(BANDWIDTH_MIN_M));
+    let exponents = samples.iter().map(|sample| {
+        let scaled = |axis: usize| (f64::from(truth[axis]) - f64::from(sample[axis])) / bandwidths_m[axis];
+        -0.5 * (scaled(0).powi(2) + scaled(1).powi(2))
+    });
+    // Factored by the largest exponent so that far truths do not underflow.
+    let largest = exponents.clone().fold(f64::NEG_INFINITY, f64::max);
+    let sum: f64 = exponents.zip(weights).map(|(e, &w)| f64::from(w) / total * (e - largest).exp()).sum();
+    let volume = std::f64::consts::TAU * bandwidths_m[0] * bandwidths_m[1];
+    (largest + sum.ln() - volume.ln()).max(LOG_DENSITY_MIN)
+}
+
+fn deviation(samples: &[Point], weights: &[f32], total: f64, axis: usize) -> f64 {
+    let weighted = |value: &dyn Fn(f64) -> f64| -> f64 {
+        samples.iter().zip(weights).map(|(s, &w)| f64::from(w) * value(f64::from(s[axis]))).sum::<f64>()
+            / total
+    };
+    let mean = weighted(&|x| x);
+    weighted(&|x| (x - mean).powi(2)).sqrt()
+}
+
+/// Whether the ellipse that holds `probability` of a Gaussian contains `truth`.
+///
+/// `covariance` is (xx, xy, yy) in m². In two dimensions the squared Mahalanobis distance exceeds q with probability
+/// e^(−q/2). A covariance that is not positive definite covers nothing.
+#[must_use]
+pub fn covers(mean: Point, covariance: [f32; 3], truth: Point, probability: f64) -> bool {
+    let [xx, xy, yy] = covariance.map(f64::from);
+    let determinant = xx * yy - xy * xy;
+    let [x, y] = [0, 1].map(|axis| f64::from(truth[axis]) - f64::from(mean[axis]));
+    let squared = (yy * x * x - 2.0 * xy * x * y + xx * y * y) / determinant;
+    xx > 0.0 && determinant > 0.0 && squared <= -2.0 * (1.0 - probability).ln()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    #[test]
+    fn density_of_four_samples_by_hand() {
+        // σ = 1 on both axes, n = 4: h = 4^(−1/6); every sample is one h-scaled unit per axis from the centre.
+        let samples = [[1.0, 1.0], [1.0, -1.0], [-1.0, 1.0], [-1.0, -1.0]];
+        let h = 4.0_f64.powf(-1.0 / 6.0);
+        let expected = -1.0 / (h * h) - (std::f64::consts::TAU * h * h).ln();
+        let found = kde_log_density(&samples, &[1.0; 4], [0.0, 0.0]);
+        assert!((found - expected).abs() < 1e-12, "{found} {expected}");
+    }
+
+    #[test]
+    fn weights_count_as_repetitions_of_samples_do_in_the_spread() {
+        let near = kde_log_density(&[[0.0, 0.0], [4.0, 4.0]], &[0.9, 0.1], [0.0, 0.0]);
+        let even = kde_log_density(&[[0.0, 0.0], [4.0, 4.0]], &[0.5, 0.5], [0.0, 0.0]);
+        assert!(near > even);
+    }
+
+    #[test]
+    fn far_truths_and_missing_weights_are_floored() {
+        assert_eq!(kde_log_density(&[[0.0, 0.0]], &[1.0], [1e4, 0.0]), LOG_DENSITY_MIN);
+        assert_eq!(kde_log_density(&[[0.0, 0.0]], &[0.0], [0.0, 0.0]), LOG_DENSITY_MIN);
+        assert_eq!(kde_log_density(&[], &[], [0.0, 0.0]), LOG_DENSITY_MIN);
+    }
+
+    #[test]
+    fn the_half_ellipse_ends_at_its_radius() {
+        // Standard deviations 2 and 1; the 50 % radius is √(2 ln 2) = 1.1774 deviations.
+        let covariance = [4.0, 0.0, 1.0];
+        assert!(covers([1.0, 0.0], covariance, [1.0 + 2.0 * 1.177, 0.0], 0.5));
+        assert!(!covers([1.0, 0.0], covariance, [1.0 + 2.0 * 1.178, 0.0], 0.5));
+        assert!(covers([1.0, 0.0], covariance, [1.0 + 2.0 * 1.178, 0.0], 0.9));
+        assert!(!covers([0.0; 2], [1.0, 1.0, 1.0], [0.0; 2], 0.9), "singular");
+    }
+
+    proptest! {
+        #[test]
+        fn the_density_integrates_to_one(
+            samples in prop::collection::vec([-2.0f32..2.0, -2.0f32..2.0], 5..20),
+        ) {
+            let weights = vec![1.0; samples.len()];
+            let cell = 0.1_f32;
+            let mut sum = 0.0;
+            for i in -80..80 {
+                for j in -80..80 {
+                    sum += kde_log_density(&samples, &weights, [i as f32 * cell, j as f32 * cell]).exp();
+                }
+            }
+            prop_assert!((sum * f64::from(cell * cell) - 1.0).abs() < 0.02, "{}", sum * 0.01);
+        }
+    }
+}

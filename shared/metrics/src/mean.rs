@@ -1,0 +1,113 @@
+/// A running mean that can be merged with others.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Mean {
+    sum: f64,
+    len: u64,
+}
+
+impl Mean {
+    /// Counts one value.
+    pub fn add(&mut self, value: f64) {
+        self.sum += value;
+        self.len += 1;
+    }
+
+    /// Counts all that `other` counted.
+    pub fn merge(&mut self, other: &Self) {
+        self.sum += other.sum;
+        self.len += other.len;
+    }
+
+    /// Values counted.
+    #[must_use]
+    pub const fn len(&self) -> u64 {
+        self.len
+    }
+
+    /// Whether nothing was counted.
+    #[must_use]
+    pub const fn is_empty(&self) -> bool {
+        self.len == 0
+    }
+
+    /// The mean; `None` where nothing was counted.
+    #[must_use]
+    pub fn value(&self) -> Option<f64> {
+        (self.len > 0).then(|| self.sum / self.len as f64)
+    }
+}
+
+/// How many of the counted cases had a property; can be merged with others.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Share {
+    hits: u64,
+    len: u64,
+}
+
+impl Share {
+    /// Counts one case.
+    pub fn add(&mut self, hit: bool) {
+        self.hits += u64::from(hit);
+        self.len += 1;
+    }
+
+    /// Counts all that `other` counted.
+    pub fn merge(&mut self, other: &Self) {
+        self.hits += other.hits;
+        self.len += other.len;
+    }
+
+    /// Cases counted.
+    #[must_use]
+    pub const fn len(&self) -> u64 {
+        self.len
+    }
+
+    /// Whether nothing was counted.
+    #[must_use]
+    pub const fn is_empty(&self) -> bool {
+        self.len == 0
+    }
+
+    /// The share, 0 to 1; `None` where nothing was counted.
+    #[must_use]
+    pub fn value(&self) -> Option<f64> {
+        (self.len > 0).then(|| self.hits as f64 / self.len as f64)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn merged_parts_equal_the_whole() {
+        let (mut left, mut right, mut whole) = (Mean::default(), Mean::default(), Mean::default());
+        for x in [1.0, 2.0, 6.0] {
+            left.add(x);
+            whole.add(x);
+        }
+        right.add(7.0);
+        whole.add(7.0);
+        left.merge(&right);
+        assert_eq!(left, whole);
+        assert_eq!(left.value(), Some(4.0));
+        assert_eq!(left.len(), 4);
+    }
+
+    #[test]
+    fn nothing_counted_has_no_value() {
+        assert_eq!(Mean::default().value(), None);
+        assert_eq!(Share::default().value(), None);
+        assert!(Share::default().is_empty());
+    }
+
+    #[test]
+    fn share_counts_hits() {
+        let mut share = Share::default();
+        for hit in [true, false, false, true, true] {
+            share.add(hit);
+        }
+        assert_eq!(share.value(), Some(0.6));
+    }
+}
