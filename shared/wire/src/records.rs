@@ -2,7 +2,7 @@ use bytemuck::{Pod, Zeroable};
 
 use crate::{
     AgentType, EDGE_ATTRIBUTES, HISTORY_MAX, HORIZON_MAX, MODES_MAX, NODE_ATTRIBUTES, POSITION_MAX_M,
-    Rejected, SPEED_MAX_MPS, STATE_EMBEDDING, STATE_FEATURES, TEMPORAL, UnknownAgentType, finite,
+    Rejected, SPEED_MAX_MPS, STATE_FEATURES, TEMPORAL, UnknownAgentType, finite,
 };
 
 /// Bits of [`Detection::flags`].
@@ -160,10 +160,8 @@ pub struct AgentEncoding {
     pub present: u32,
     /// Length where known, else 0.
     pub length_m: f32,
-    /// State features s as in [`AgentFeatures`]: the base control reads them.
+    /// State features s as in [`AgentFeatures`]: the decoder's burn-in and the base control read them.
     pub state: [[f32; STATE_FEATURES]; HISTORY_MAX],
-    /// State embeddings SE: the decoder's burn-in reads them.
-    pub state_embedding: [[f32; STATE_EMBEDDING]; HISTORY_MAX],
     /// The temporal summary ṽ_h.
     pub temporal: [f32; TEMPORAL],
 }
@@ -349,7 +347,7 @@ const _: () = {
     assert!(size_of::<HistoryState>() == 24);
     assert!(size_of::<Track>() == 448);
     assert!(size_of::<AgentFeatures>() == 2304);
-    assert!(size_of::<AgentEncoding>() == 1496);
+    assert!(size_of::<AgentEncoding>() == 472);
     assert!(size_of::<ControlGaussian>() == 20);
     assert!(size_of::<AgentControls>() == 5136);
     assert!(size_of::<Forecast>() == 2408);
@@ -463,7 +461,6 @@ impl AgentEncoding {
         agent_type(self.agent_type)?;
         finite("length_m", &[self.length_m])?;
         finite("state features", self.state.as_flattened())?;
-        finite("state embedding", self.state_embedding.as_flattened())?;
         finite("temporal summary", &self.temporal)
     }
 }

@@ -1,13 +1,13 @@
 use bytemuck::Pod;
 
 use crate::{
-    AGENTS_MAX, AgentControls, AgentEncoding, ContextShape, DETECTIONS_MAX, Detection, EDGES_MAX,
+    AGENTS_MAX, AgentControls, AgentEncoding, ContextShape, Counts, DETECTIONS_MAX, Detection, EDGES_MAX,
     FeatureShape, Forecast, HISTORY_MAX, Heartbeat, PATCH_SIDE_MAX, Row, Track, Truth, context_rows,
     feature_rows,
 };
 
 /// A stream of frames with one element type and bounded queues.
-pub trait Topic: 'static {
+pub trait Topic: std::fmt::Debug + 'static {
     /// Element of the payload slice.
     type Element: Pod + Send + Sync + std::fmt::Debug;
     /// The topic's name, as in pipeline.toml.
@@ -24,10 +24,16 @@ pub trait Topic: 'static {
     const SUBSCRIBERS_MAX: usize = 4;
     /// Deepest queue that a subscriber may ask for.
     const DEPTH_MAX: usize = 2;
+
+    /// Elements of a frame whose header tells these sizes.
+    #[must_use]
+    fn elements_len(counts: &Counts) -> usize {
+        counts.agents_len as usize
+    }
 }
 
 macro_rules! topic {
-    ($(#[$doc:meta])* $topic:ident, $name:literal, $element:ty, $max:expr, $start:expr $(, $limit:ident = $value:expr)*) => {
+    ($(#[$doc:meta])* $topic:ident, $name:literal, $element:ty, $max:expr, $start:expr $(, $limit:ident = $value:expr)* $(; $len:expr)?) => {
         $(#[$doc])*
         #[derive(Clone, Copy, Debug)]
         pub enum $topic {}
@@ -39,6 +45,7 @@ macro_rules! topic {
             const ELEMENTS_MAX: usize = $max;
             const ELEMENTS_START: usize = $start;
             $(const $limit: usize = $value;)*
+            $(fn elements_len(counts: &Counts) -> usize { ($len)(counts) })?
         }
     };
 }
@@ -55,13 +62,15 @@ topic!(
     /// Localiser → extractor: tracks and their local patches of the context map.
     ContextTopic, "context", Row,
     context_rows(&ContextShape { agents_len: AGENTS_MAX, history_len: HISTORY_MAX, patch_side: PATCH_SIDE_MAX }),
-    context_rows(&ContextShape { agents_len: 16, history_len: HISTORY_MAX, patch_side: 16 })
+    context_rows(&ContextShape { agents_len: 16, history_len: HISTORY_MAX, patch_side: 16 });
+    |counts| context_rows(&ContextShape::of(counts))
 );
 topic!(
     /// Extractor → encoder: node and edge attributes of the history graph.
     FeaturesTopic, "features", Row,
     feature_rows(&FeatureShape { agents_len: AGENTS_MAX, edges_len: EDGES_MAX }),
-    feature_rows(&FeatureShape { agents_len: 16, edges_len: 2_048 })
+    feature_rows(&FeatureShape { agents_len: 16, edges_len: 2_048 });
+    |counts| feature_rows(&FeatureShape::of(counts))
 );
 topic!(
     /// Encoder → decoder: the temporal summary of each agent.
