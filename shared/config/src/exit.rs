@@ -1,0 +1,57 @@
+/// How a program of this project ends; the numbers follow sysexits.h where it has one.
+///
+/// | code | meaning |
+/// |---|---|
+/// | 0 | done |
+/// | 2 | wrong usage of the command line |
+/// | 65 | a recording, map or weights file can't be used |
+/// | 69 | a resource is missing: shared memory, space, a port |
+/// | 70 | a stage died, or a check came out wrong |
+/// | 78 | pipeline.toml or the run's record can't be used |
+/// | 130 | ended by SIGINT (Ctrl-C) |
+/// | 143 | ended by SIGTERM |
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[repr(u8)]
+pub enum Exit {
+    /// Done.
+    Done = 0,
+    /// Wrong usage of the command line.
+    Usage = 2,
+    /// A recording, map or weights file can't be used.
+    Data = 65,
+    /// A resource is missing: shared memory, space, a port.
+    Unavailable = 69,
+    /// A stage died, or a check came out wrong.
+    Failed = 70,
+    /// pipeline.toml or the run's record can't be used.
+    Config = 78,
+    /// Ended by SIGINT.
+    Interrupted = 130,
+    /// Ended by SIGTERM.
+    Terminated = 143,
+}
+
+impl Exit {
+    /// The exit code that stands for it, where it is one of these.
+    #[must_use]
+    pub fn from_code(code: i32) -> Option<Self> {
+        [
+            Self::Done,
+            Self::Usage,
+            Self::Data,
+            Self::Unavailable,
+            Self::Failed,
+            Self::Config,
+            Self::Interrupted,
+            Self::Terminated,
+        ]
+        .into_iter()
+        .find(|&exit| exit as i32 == code)
+    }
+}
+
+impl From<Exit> for std::process::ExitCode {
+    fn from(exit: Exit) -> Self {
+        Self::from(exit as u8)
+    }
+}

@@ -1,0 +1,77 @@
+use std::path::PathBuf;
+use std::str::FromStr;
+
+use serde::{Deserialize, Serialize};
+use thiserror::Error;
+
+/// Where the localiser's context map comes from.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub enum MapChoice {
+    /// Gathered from the tracks while the pipeline runs, the past only.
+    #[default]
+    Online,
+    /// No map: every patch is zero.
+    None,
+    /// A file that `stgdat map` wrote.
+    File(PathBuf),
+}
+
+/// An empty name for a map.
+#[derive(Debug, Error, PartialEq, Eq)]
+#[error("expected `online`, `none` or the path of a map")]
+pub struct UnknownMap;
+
+impl FromStr for MapChoice {
+    type Err = UnknownMap;
+
+    fn from_str(text: &str) -> Result<Self, UnknownMap> {
+        match text {
+            "online" => Ok(Self::Online),
+            "none" => Ok(Self::None),
+            "" => Err(UnknownMap),
+            path => Ok(Self::File(path.into())),
+        }
+    }
+}
+
+/// How the sampler carries the spread of the controls on to positions.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub enum Propagation {
+    /// Gaussians through the derivatives of the motion model.
+    #[default]
+    Linearised,
+    /// Particles through the motion model itself.
+    MonteCarlo,
+}
+
+/// A name that stands for no propagation.
+#[derive(Debug, Error, PartialEq, Eq)]
+#[error("unknown propagation \"{0}\": expected linearised or monte-carlo")]
+pub struct UnknownPropagation(String);
+
+impl FromStr for Propagation {
+    type Err = UnknownPropagation;
+
+    fn from_str(name: &str) -> Result<Self, UnknownPropagation> {
+        match name {
+            "linearised" => Ok(Self::Linearised),
+            "monte-carlo" => Ok(Self::MonteCarlo),
+            _ => Err(UnknownPropagation(name.to_owned())),
+        }
+    }
+}
+
+/// Settings of the stages; each stage reads its own and pipeline.toml may set no others.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Options {
+    /// Sampler: how long after its release a tick waits for its controls.
+    pub deadline_ms: Option<f64>,
+    /// Extractor, decoder: threads that share a tick's rows.
+    pub workers: Option<usize>,
+    /// Localiser: where the context map comes from.
+    pub map: Option<MapChoice>,
+    /// Sampler: how the spread of the controls is carried on.
+    pub propagation: Option<Propagation>,
+    /// Sampler: particles per mode of the Monte Carlo propagation.
+    pub particles: Option<usize>,
+}

@@ -1,0 +1,67 @@
+//! The graph of stages, as pipeline.toml tells it.
+
+mod check;
+mod error;
+mod file;
+
+use std::path::PathBuf;
+
+pub use check::{BUDGET_MAX_MS, built_in_topics};
+pub use error::PipelineError;
+use wire::StageId;
+
+use crate::Options;
+
+/// A process of the pipeline.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Stage {
+    /// Which of the stages it is.
+    pub id: StageId,
+    /// The program that plays it and its arguments; this project's own where none.
+    pub command: Option<Vec<String>>,
+    /// Names of the topics that it reads.
+    pub reads: Vec<String>,
+    /// Names of the topics that it writes.
+    pub writes: Vec<String>,
+    /// Its share of the 80 ms of a tick; none for stages that no forecast waits for.
+    pub budget_ms: Option<f64>,
+    /// Its settings.
+    pub options: Options,
+}
+
+/// A checked graph of stages, in the order of the file.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Pipeline {
+    /// The weights; the embedded ones where none.
+    pub weights: Option<PathBuf>,
+    /// The stages.
+    pub stages: Vec<Stage>,
+}
+
+impl Pipeline {
+    /// Reads and checks the text of a pipeline.toml; `name` is the file's name in errors.
+    ///
+    /// # Errors
+    /// [`PipelineError`] points to the first place in the text that is wrong.
+    pub fn parse(name: &str, text: &str) -> Result<Self, PipelineError> {
+        let file: file::File = toml::from_str(text).map_err(|e| PipelineError::syntax(name, text, &e))?;
+        check::check(&file).map_err(|fault| fault.at(name, text))
+    }
+
+    /// The edges of the graph as (producer, topic, consumer), in the order of the file.
+    #[must_use]
+    pub fn edges(&self) -> Vec<(StageId, &str, StageId)> {
+        let mut edges = Vec::new();
+        for producer in &self.stages {
+            for topic in &producer.writes {
+                for consumer in self.stages.iter().filter(|s| s.reads.contains(topic)) {
+                    edges.push((producer.id, topic.as_str(), consumer.id));
+                }
+            }
+        }
+        edges
+    }
+}
+
+#[cfg(test)]
+mod tests;

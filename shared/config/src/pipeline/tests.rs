@@ -1,0 +1,135 @@
+use miette::{GraphicalReportHandler, GraphicalTheme};
+
+use super::*;
+
+const FULL: &str = include_str!("../../../../launch/pipeline.toml");
+
+fn error(text: &str) -> String {
+    let error = Pipeline::parse("pipeline.toml", text).expect_err("the text is faulty");
+    let mut rendered = String::new();
+    GraphicalReportHandler::new_themed(GraphicalTheme::unicode_nocolor())
+        .with_width(100)
+        .render_report(&mut rendered, &error)
+        .unwrap();
+    rendered
+}
+
+/// The shipped file with one text replaced; the replaced text must be there.
+fn with(from: &str, to: &str) -> String {
+    assert!(FULL.contains(from), "the shipped pipeline.toml has no {from:?}");
+    FULL.replacen(from, to, 1)
+}
+
+#[test]
+fn the_shipped_file_is_accepted_and_wires_the_loop() {
+    let pipeline = Pipeline::parse("pipeline.toml", FULL).unwrap();
+    assert_eq!(pipeline.stages.iter().map(|s| s.id).collect::<Vec<_>>(), StageId::ALL);
+    let edges = pipeline.edges();
+    assert!(edges.contains(&(StageId::Sampler, "forecasts", StageId::Tracker)));
+    assert_eq!(edges.len(), 10);
+    for stage in &pipeline.stages {
+        let (reads, writes) = built_in_topics(stage.id);
+        assert!(stage.reads.iter().eq(reads) && stage.writes.iter().eq(writes), "{stage:?}");
+    }
+}
+
+#[test]
+fn one_line_swaps_a_stage() {
+    let text = with("name = \"encoder\"", "name = \"encoder\"\ncommand = [\"./mine\", \"--fast\"]");
+    let pipeline = Pipeline::parse("pipeline.toml", &text).unwrap();
+    let encoder = pipeline.stages.iter().find(|s| s.id == StageId::Encoder).unwrap();
+    assert_eq!(encoder.command.as_deref(), Some(&["./mine".to_owned(), "--fast".to_owned()][..]));
+}
+
+#[test]
+fn unknown_key() {
+    insta::assert_snapshot!(error(&with(
+        "[[stage]]\nname = \"encoder\"",
+        "[[stage]]\npriority = 3\nname = \"encoder\""
+    )));
+}
+
+#[test]
+fn syntax() {
+    insta::assert_snapshot!(error("[[stage]\nname = 3"));
+}
+
+#[test]
+fn unknown_stage() {
+    insta::assert_snapshot!(error(&with("\"encoder\"", "\"enkoder\"")));
+}
+
+#[test]
+fn unknown_topic() {
+    insta::assert_snapshot!(error(&with("reads = [\"features\"]", "reads = [\"feature\"]")));
+}
+
+#[test]
+fn duplicate_stage() {
+    insta::assert_snapshot!(error(&format!(
+        "{FULL}\n[[stage]]\nname = \"recorder\"\nreads = [\"forecasts\", \"truth\"]\n"
+    )));
+}
+
+#[test]
+fn two_producers() {
+    let text = with("name = \"encoder\"", "name = \"encoder\"\ncommand = [\"./mine\"]");
+    insta::assert_snapshot!(error(&text.replacen(
+        "writes = [\"encodings\"]",
+        "writes = [\"encodings\", \"tracks\"]",
+        1
+    )));
+}
+
+#[test]
+fn missing_producer() {
+    let start = FULL.find("[[stage]]\nname = \"encoder\"").unwrap();
+    let end = FULL.find("[[stage]]\nname = \"decoder\"").unwrap();
+    insta::assert_snapshot!(error(&format!("{}{}", &FULL[..start], &FULL[end..])));
+}
+
+#[test]
+fn wrong_topics_of_a_built_in_stage() {
+    insta::assert_snapshot!(error(&with("reads = [\"features\"]", "reads = [\"features\", \"tracks\"]")));
+    insta::assert_snapshot!(error(&with("reads = [\"tracks\", \"controls\"]", "reads = [\"controls\"]")));
+}
+
+#[test]
+fn cycle() {
+    let text = with("name = \"localiser\"", "name = \"localiser\"\ncommand = [\"./mine\"]");
+    insta::assert_snapshot!(error(&text.replacen(
+        "reads = [\"tracks\"]",
+        "reads = [\"tracks\", \"forecasts\"]",
+        1
+    )));
+}
+
+#[test]
+fn budgets_over_a_tick() {
+    insta::assert_snapshot!(error(&with(
+        "writes = [\"encodings\"]\nbudget_ms = ",
+        "writes = [\"encodings\"]\nbudget_ms = 7"
+    )));
+    insta::assert_snapshot!(error(&with(
+        "writes = [\"encodings\"]\nbudget_ms = ",
+        "writes = [\"encodings\"]\nbudget_ms = -"
+    )));
+}
+
+#[test]
+fn options_of_another_stage_or_out_of_range() {
+    insta::assert_snapshot!(error(&with("deadline_ms = 72", "deadline_ms = 95")));
+    insta::assert_snapshot!(error(&with("deadline_ms = 72", "workers = 2")));
+    insta::assert_snapshot!(error(&with("deadline_ms = 72", "propagation = \"guess\"")));
+}
+
+#[test]
+fn no_recorder() {
+    let start = FULL.find("[[stage]]\nname = \"recorder\"").unwrap();
+    insta::assert_snapshot!(error(&FULL[..start]));
+}
+
+#[test]
+fn empty_command() {
+    insta::assert_snapshot!(error(&with("name = \"encoder\"", "name = \"encoder\"\ncommand = []")));
+}

@@ -1,0 +1,244 @@
+//! The run's record: written by the launcher, read by every stage.
+//!
+//! The one module that knows how it is encoded. The file starts with [`MAGIC`] and the schema as text, so that a stage
+//! of another version says so instead of misreading it.
+
+use std::path::{Path, PathBuf};
+
+use bincode::config::standard;
+use serde::{Deserialize, Serialize};
+use thiserror::Error;
+use wire::StageId;
+
+use crate::{MapChoice, Options};
+
+/// First bytes of a record's file, before the schema's number and a line break.
+pub const MAGIC: &str = "stgdat-run ";
+/// Version of the record; counts up with every change of [`Run`].
+pub const SCHEMA: u32 = 1;
+/// Largest record that is read; real ones have a few kilobytes.
+const BYTES_MAX: u64 = 1 << 20;
+
+/// Where the detections come from.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub enum Scene {
+    /// A recording's file or folder.
+    Recording {
+        /// Where it lies.
+        path: PathBuf,
+        /// Its format's name; found out from the file where not given.
+        format: Option<String>,
+    },
+    /// The generated intersection.
+    Generated {
+        /// Agents in the scene, as many as have room.
+        agents_len: usize,
+    },
+}
+
+/// How one stage is run.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct StageRun {
+    /// [`StageId`] as a number.
+    pub stage: u32,
+    /// The stage's share of the tick; none for stages that no forecast waits for.
+    pub budget_ms: Option<f64>,
+    /// Whether it is this project's own program, which tells of itself by heartbeats.
+    pub built_in: bool,
+    /// Its settings.
+    pub options: Options,
+}
+
+/// Everything that one run has settled on.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Run {
+    /// Tells the frames of this run from all others.
+    pub id: u64,
+    /// What the names of the run's shared memory start with.
+    pub prefix: String,
+    /// The run's own directory.
+    pub root: PathBuf,
+    /// Interval between frames.
+    pub interval_ns: u64,
+    /// Whether each tick waits for the end of the one before, and no stage gives up waiting.
+    pub lockstep: bool,
+    /// Seed of all that is random.
+    pub seed: u64,
+    /// Where the detections come from.
+    pub scene: Scene,
+    /// Ticks after which the run ends; the whole recording where none.
+    pub ticks: Option<u64>,
+    /// Whether the tracker associates even where the detections carry identities.
+    pub associate: bool,
+    /// The weights; the embedded ones where none.
+    pub weights: Option<PathBuf>,
+    /// Where the context map comes from.
+    pub map: MapChoice,
+    /// Where the recorder writes the report for the launcher and `--report`.
+    pub report: PathBuf,
+    /// Where the recorder writes the forecasts as JSON lines.
+    pub forecasts: Option<PathBuf>,
+    /// The stages, in the order in which a tick passes them.
+    pub stages: Vec<StageRun>,
+}
+
+/// Why a run's record can't be used.
+#[derive(Debug, Error)]
+pub enum RecordError {
+    /// The file can't be read or written.
+    #[error("{}: {source}", path.display())]
+    File {
+        /// The record's file.
+        path: PathBuf,
+        /// What the system says.
+        source: std::io::Error,
+    },
+    /// The file is no record.
+    #[error("{}: not the record of a run", path.display())]
+    Foreign {
+        /// The file.
+        path: PathBuf,
+    },
+    /// The launcher and the stage are of different versions.
+    #[error("{}: record of schema {found}, this program reads {SCHEMA}: launcher and stage must be of one version", path.display())]
+    Schema {
+        /// The record's file.
+        path: PathBuf,
+        /// The schema that it tells.
+        found: String,
+    },
+    /// The record does not decode.
+    #[error("{}: damaged record: {reason}", path.display())]
+    Damaged {
+        /// The record's file.
+        path: PathBuf,
+        /// What the decoder says.
+        reason: String,
+    },
+}
+
+impl Run {
+    /// How a stage is run, where the pipeline has it.
+    #[must_use]
+    pub fn stage(&self, stage: StageId) -> Option<&StageRun> {
+        self.stages.iter().find(|s| s.stage == stage as u32)
+    }
+
+    /// A stage's settings; the defaults where the pipeline does not have it.
+    #[must_use]
+    pub fn options(&self, stage: StageId) -> Options {
+        self.stage(stage).map(|s| s.options.clone()).unwrap_or_default()
+    }
+
+    /// Writes the record.
+    ///
+    /// # Errors
+    /// [`RecordError::File`] where the file can't be written, [`RecordError::Damaged`] where a path is not UTF-8.
+    pub fn write(&self, path: &Path) -> Result<(), RecordError> {
+        let mut bytes = format!("{MAGIC}{SCHEMA}\n").into_bytes();
+        let body = bincode::serde::encode_to_vec(self, standard())
+            .map_err(|e| RecordError::Damaged { path: path.to_owned(), reason: e.to_string() })?;
+        bytes.extend(body);
+        std::fs::write(path, bytes).map_err(|source| RecordError::File { path: path.to_owned(), source })
+    }
+
+    /// Reads a record that [`Run::write`] wrote.
+    ///
+    /// # Errors
+    /// [`RecordError`] where the file can't be read, is no record, is of another schema or damaged.
+    pub fn read(path: &Path) -> Result<Self, RecordError> {
+        let file = |source| RecordError::File { path: path.to_owned(), source };
+        let foreign = || RecordError::Foreign { path: path.to_owned() };
+        if std::fs::metadata(path).map_err(file)?.len() > BYTES_MAX {
+            return Err(foreign());
+        }
+        let bytes = std::fs::read(path).map_err(file)?;
+        let line_end = bytes.iter().position(|&b| b == b'\n').ok_or_else(foreign)?;
+        let (first, body) = bytes.split_at(line_end);
+        let found =
+            std::str::from_utf8(first).ok().and_then(|line| line.strip_prefix(MAGIC)).ok_or_else(foreign)?;
+        if found != SCHEMA.to_string() {
+            return Err(RecordError::Schema { path: path.to_owned(), found: found.to_owned() });
+        }
+        let damaged = |reason: String| RecordError::Damaged { path: path.to_owned(), reason };
+        let (run, used) =
+            bincode::serde::decode_from_slice(&body[1..], standard()).map_err(|e| damaged(e.to_string()))?;
+        if used != body.len() - 1 {
+            return Err(damaged(format!("{} bytes too many", body.len() - 1 - used)));
+        }
+        Ok(run)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn run(root: &Path) -> Run {
+        Run {
+            id: 7,
+            prefix: "stgdat_00000007_".into(),
+            root: root.to_owned(),
+            interval_ns: 80_000_000,
+            lockstep: true,
+            seed: 3,
+            scene: Scene::Recording { path: "a.csv".into(), format: Some("own".into()) },
+            ticks: Some(20),
+            associate: false,
+            weights: None,
+            map: MapChoice::File("b.map".into()),
+            report: root.join("report.json"),
+            forecasts: None,
+            stages: vec![StageRun {
+                stage: StageId::Sampler as u32,
+                budget_ms: Some(8.0),
+                built_in: true,
+                options: Options { deadline_ms: Some(72.0), ..Options::default() },
+            }],
+        }
+    }
+
+    fn in_temporary_file<T>(name: &str, check: impl FnOnce(&Path) -> T) -> T {
+        let path = std::env::temp_dir().join(format!("stgdat_record_{name}_{}", std::process::id()));
+        let result = check(&path);
+        let _ = std::fs::remove_file(&path);
+        result
+    }
+
+    #[test]
+    fn a_record_reads_back_as_written() {
+        in_temporary_file("same", |path| {
+            let written = run(Path::new("/tmp/stgdat_00000007"));
+            written.write(path).unwrap();
+            let read = Run::read(path).unwrap();
+            assert_eq!(read, written);
+            assert_eq!(read.options(StageId::Sampler).deadline_ms, Some(72.0));
+            assert_eq!(read.options(StageId::Tracker), Options::default());
+        });
+    }
+
+    #[test]
+    fn another_schema_is_told_as_such() {
+        in_temporary_file("schema", |path| {
+            std::fs::write(path, format!("{MAGIC}99\nabc")).unwrap();
+            let error = Run::read(path).unwrap_err().to_string();
+            assert!(error.contains("schema 99") && error.contains("one version"), "{error}");
+        });
+    }
+
+    #[test]
+    fn foreign_truncated_and_overlong_files_are_refused() {
+        in_temporary_file("damaged", |path| {
+            std::fs::write(path, b"\x7fELF without a line").unwrap();
+            assert!(matches!(Run::read(path), Err(RecordError::Foreign { .. })));
+            run(Path::new("/tmp/x")).write(path).unwrap();
+            let whole = std::fs::read(path).unwrap();
+            for len in [MAGIC.len() + 2, whole.len() / 2, whole.len() - 1] {
+                std::fs::write(path, &whole[..len]).unwrap();
+                assert!(matches!(Run::read(path), Err(RecordError::Damaged { .. })), "cut to {len} bytes");
+            }
+            std::fs::write(path, [&whole[..], b"x"].concat()).unwrap();
+            assert!(matches!(Run::read(path), Err(RecordError::Damaged { .. })), "one byte more");
+        });
+    }
+}

@@ -1,0 +1,225 @@
+use std::time::Duration;
+
+use config::Run;
+use iceoryx2::prelude::*;
+use iceoryx2::service::port_factory::{event, publish_subscribe};
+use iceoryx2::waitset::WaitSetRunResult;
+use wire::{HeartbeatsTopic, Topic};
+
+use crate::element::{Element, Head};
+use crate::{HEARTBEAT, PortError, Publisher, Stop, Subscriber};
+
+/// Frames that one reader may hold at a time.
+const BORROWED_MAX: usize = 2;
+/// Frames that a publisher may prepare at a time.
+pub(crate) const LOANED_MAX: usize = 1;
+/// Frames that a reader who comes late still gets.
+const HISTORY: usize = 1;
+/// Processes of a run that may use a topic: all stages, the launcher, and spares for tools.
+const NODES_MAX: usize = 20;
+/// A payload starts at a cache line, wide enough for every vector load.
+const ALIGNMENT: usize = 64;
+
+/// Meanings of the events that wake a topic's readers.
+mod event_id {
+    pub const FRAME: usize = 0;
+    pub const CREATED: usize = 1;
+    pub const DROPPED: usize = 2;
+    pub const DEAD: usize = 3;
+}
+
+/// This process's place in a run's shared memory.
+#[derive(Debug)]
+pub struct Node {
+    node: iceoryx2::node::Node<ipc::Service>,
+    run_id: u64,
+    interval: Duration,
+    stop: Stop,
+}
+
+/// The two services of one topic.
+type Services<T> =
+    (publish_subscribe::PortFactory<ipc::Service, [Element<T>], Head>, event::PortFactory<ipc::Service>);
+
+impl Node {
+    /// Joins a run under a name that tools show.
+    ///
+    /// # Errors
+    /// [`PortError`] where the run's files can't be made or the signals not be taken over.
+    pub fn open(run: &Run, name: &str) -> Result<Self, PortError> {
+        set_log_level(LogLevel::Error);
+        let whole = "(all)";
+        let node_name = NodeName::new(name).map_err(PortError::of("node name", whole))?;
+        let config = transport_config(run).map_err(PortError::of("paths", whole))?;
+        let node = NodeBuilder::new()
+            .name(&node_name)
+            .config(&config)
+            .create::<ipc::Service>()
+            .map_err(PortError::of("node", whole))?;
+        // The transport sets its signal handlers at the first wait; ours come after them, so that they stay.
+        let waited = node.wait(Duration::ZERO);
+        let stop = Stop::on_signals().map_err(PortError::of("signal handlers", whole))?;
+        waited.map_err(PortError::of("start", whole))?;
+        Ok(Self { node, run_id: run.id, interval: Duration::from_nanos(run.interval_ns), stop })
+    }
+
+    /// Whether the process has been asked to end.
+    #[must_use]
+    pub const fn stop(&self) -> &Stop {
+        &self.stop
+    }
+
+    /// The run's number.
+    #[must_use]
+    pub const fn run_id(&self) -> u64 {
+        self.run_id
+    }
+
+    /// Opens a topic for writing.
+    ///
+    /// # Errors
+    /// [`PortError`] where the topic has its writers already or shared memory is short.
+    pub fn publisher<T: Topic>(&self) -> Result<Publisher<T>, PortError> {
+        let (frames, events) = self.services::<T>()?;
+        let publisher = frames
+            .publisher_builder()
+            .max_loaned_samples(LOANED_MAX)
+            .initial_max_slice_len(T::ELEMENTS_START)
+            .allocation_strategy(AllocationStrategy::PowerOfTwo)
+            .backpressure_strategy(BackpressureStrategy::DiscardData)
+            .create()
+            .map_err(PortError::of("publisher", T::NAME))?;
+        let notifier = events
+            .notifier_builder()
+            .default_event_id(EventId::new(event_id::FRAME))
+            .create()
+            .map_err(PortError::of("notifier", T::NAME))?;
+        Ok(Publisher::new(publisher, notifier))
+    }
+
+    /// Opens a topic for reading with a queue of `depth` frames; the oldest is dropped when it is full.
+    ///
+    /// # Errors
+    /// [`PortError`] where the topic has its most readers already, shared memory is short, or `depth` is more than
+    /// [`Topic::DEPTH_MAX`].
+    pub fn subscriber<T: Topic>(&self, depth: usize) -> Result<Subscriber<T>, PortError> {
+        let (frames, events) = self.services::<T>()?;
+        let subscriber = frames
+            .subscriber_builder()
+            .buffer_size(depth)
+            .create()
+            .map_err(PortError::of("subscriber", T::NAME))?;
+        let listener = events.listener_builder().create().map_err(PortError::of("listener", T::NAME))?;
+        Ok(Subscriber::new(subscriber, listener, self.run_id))
+    }
+
+    /// Opens or makes the two services of a topic; all processes pass through here, so all ask for the same.
+    fn services<T: Topic>(&self) -> Result<Services<T>, PortError> {
+        let name: ServiceName = format!("stgdat/{}", T::NAME)
+            .as_str()
+            .try_into()
+            .map_err(PortError::of("service name", T::NAME))?;
+        let alignment = Alignment::new(ALIGNMENT).expect("64 is a power of two");
+        let frames = self
+            .node
+            .service_builder(&name)
+            .publish_subscribe::<[Element<T>]>()
+            .user_header::<Head>()
+            .payload_alignment(alignment)
+            .max_publishers(T::PUBLISHERS_MAX)
+            .max_subscribers(T::SUBSCRIBERS_MAX)
+            .max_nodes(NODES_MAX)
+            .subscriber_max_buffer_size(T::DEPTH_MAX)
+            .subscriber_max_borrowed_samples(BORROWED_MAX)
+            .history_size(HISTORY)
+            .enable_safe_overflow(true)
+            .open_or_create()
+            .map_err(PortError::of("frames", T::NAME))?;
+        let interval = if T::NAME == HeartbeatsTopic::NAME { HEARTBEAT } else { self.interval };
+        let events = self
+            .node
+            .service_builder(&name)
+            .event()
+            .deadline(2 * interval)
+            .max_notifiers(T::PUBLISHERS_MAX)
+            .max_listeners(T::SUBSCRIBERS_MAX)
+            .max_nodes(NODES_MAX)
+            .notifier_created_event(EventId::new(event_id::CREATED))
+            .notifier_dropped_event(EventId::new(event_id::DROPPED))
+            .notifier_dead_event(EventId::new(event_id::DEAD))
+            .open_or_create()
+            .map_err(PortError::of("events", T::NAME))?;
+        Ok((frames, events))
+    }
+}
+
+/// The transport's settings for a run: its own names and directory, and no clean-up by the stages, which could hang on
+/// what a killed process left half made.
+fn transport_config(run: &Run) -> Result<Config, SemanticStringError> {
+    let mut config = Config::global_config().clone();
+    config.global.prefix = FileName::new(run.prefix.as_bytes())?;
+    config.global.set_root_path(&Path::new(run.root.as_os_str().as_encoded_bytes())?);
+    config.global.node.cleanup_dead_nodes_on_creation = false;
+    config.global.node.cleanup_dead_nodes_on_destruction = false;
+    config.global.service.cleanup_dead_nodes_on_open = false;
+    Ok(config)
+}
+
+/// Sleeps until one of several topics has something to read.
+#[derive(Debug)]
+pub struct Waiter(WaitSet<ipc::Service>);
+
+/// A topic that can wake a [`Waiter`].
+pub(crate) trait Wakes {
+    /// What its events come in by.
+    fn listener(&self) -> &iceoryx2::port::listener::Listener<ipc::Service>;
+}
+
+impl Waiter {
+    /// A waiter for any topics of this process.
+    ///
+    /// # Errors
+    /// [`PortError`] where the system has no more descriptors.
+    pub fn new() -> Result<Self, PortError> {
+        WaitSetBuilder::new()
+            .signal_handling_mode(SignalHandlingMode::Disabled)
+            .create()
+            .map(Self)
+            .map_err(PortError::of("wait set", "(all)"))
+    }
+
+    /// Sleeps until a topic wakes it, a signal comes or the time is up. May return early; queues tell what came.
+    pub(crate) fn wait(&self, topics: &[&dyn Wakes], timeout: Duration) -> Result<(), PortError> {
+        let failed = |reason: String| PortError { what: "waiting", topic: "(several)", reason };
+        if topics.is_empty() {
+            std::thread::sleep(timeout);
+            return Ok(());
+        }
+        let mut guards = Vec::with_capacity(topics.len());
+        for topic in topics {
+            let guard = self.0.attach_notification(topic.listener()).map_err(|e| failed(format!("{e:?}")))?;
+            guards.push(guard);
+        }
+        let woken = |_| CallbackProgression::Continue;
+        match self.0.wait_and_process_once_with_timeout(woken, timeout) {
+            // A signal ends the wait too; whether it asks to end the process, `Stop` tells.
+            Ok(WaitSetRunResult::AllEventsHandled | WaitSetRunResult::Interrupt) => {}
+            Ok(other) => return Err(failed(format!("unexpected {other:?}"))),
+            Err(error) => return Err(failed(format!("{error:?}"))),
+        }
+        drop(guards);
+        for topic in topics {
+            // Events that stay would wake the next wait at once, for ever.
+            drain(topic.listener()).map_err(failed)?;
+        }
+        Ok(())
+    }
+}
+
+fn drain(listener: &iceoryx2::port::listener::Listener<ipc::Service>) -> Result<(), String> {
+    use iceoryx2::port::listener::ListenerWaitError;
+    match listener.try_wait(|_| ()) {
+        Ok(_) | Err(ListenerWaitError::InterruptSignal) => Ok(()),
+        Err(error) => Err(format!("{error:?}")),
+    }
+}

@@ -1,0 +1,83 @@
+#![expect(unsafe_code, reason = "a loan hands out shared memory that was never written by this process")]
+
+use std::ops::{Deref, DerefMut};
+
+use bytemuck::TransparentWrapper;
+use iceoryx2::port::notifier::Notifier;
+use iceoryx2::prelude::ipc;
+use iceoryx2::sample_mut::SampleMut;
+use wire::{Header, Topic};
+
+use crate::PortError;
+use crate::element::{Element, Head};
+
+/// The writing end of a topic.
+#[derive(Debug)]
+pub struct Publisher<T: Topic> {
+    publisher: iceoryx2::port::publisher::Publisher<ipc::Service, [Element<T>], Head>,
+    notifier: Notifier<ipc::Service>,
+}
+
+/// Room for one frame in shared memory, to be written and sent.
+#[derive(Debug)]
+pub struct Loan<T: Topic>(SampleMut<ipc::Service, [Element<T>], Head>);
+
+impl<T: Topic> Publisher<T> {
+    pub(crate) const fn new(
+        publisher: iceoryx2::port::publisher::Publisher<ipc::Service, [Element<T>], Head>,
+        notifier: Notifier<ipc::Service>,
+    ) -> Self {
+        Self { publisher, notifier }
+    }
+
+    /// Room for `len` elements; what they hold until written is any earlier frame or zeros.
+    ///
+    /// # Errors
+    /// [`PortError`] where `len` is beyond [`Topic::ELEMENTS_MAX`] or shared memory is full.
+    pub fn loan(&self, len: usize) -> Result<Loan<T>, PortError> {
+        if len > T::ELEMENTS_MAX {
+            let reason = format!("{len} elements, at most {}", T::ELEMENTS_MAX);
+            return Err(PortError { what: "loan", topic: T::NAME, reason });
+        }
+        let sample = self.publisher.loan_slice_uninit(len).map_err(PortError::of("loan", T::NAME))?;
+        // SAFETY: the memory is a mapping that the kernel zeroed, or holds an earlier frame: its bytes are defined, and
+        // any bit pattern is a value of a `Pod` element.
+        Ok(Loan(unsafe { sample.assume_init() }))
+    }
+
+    /// Sends a frame to all readers and wakes them.
+    ///
+    /// # Errors
+    /// [`PortError`] where the transport fails.
+    pub fn send(&self, mut loan: Loan<T>, header: Header) -> Result<(), PortError> {
+        *loan.0.user_header_mut() = Head(header);
+        loan.0.send().map_err(PortError::of("sending", T::NAME))?;
+        // Errors here are late notifications, which were still delivered, and readers that have gone.
+        let _ = self.notifier.notify();
+        Ok(())
+    }
+
+    /// Sends a copy of `elements`, where their number was not known before they were made.
+    ///
+    /// # Errors
+    /// As [`Publisher::loan`] and [`Publisher::send`].
+    pub fn send_copy(&self, elements: &[T::Element], header: Header) -> Result<(), PortError> {
+        let mut loan = self.loan(elements.len())?;
+        loan.copy_from_slice(elements);
+        self.send(loan, header)
+    }
+}
+
+impl<T: Topic> Deref for Loan<T> {
+    type Target = [T::Element];
+
+    fn deref(&self) -> &[T::Element] {
+        Element::<T>::peel_slice(self.0.payload())
+    }
+}
+
+impl<T: Topic> DerefMut for Loan<T> {
+    fn deref_mut(&mut self) -> &mut [T::Element] {
+        Element::<T>::peel_slice_mut(self.0.payload_mut())
+    }
+}

@@ -1,0 +1,227 @@
+//! The files of a run: names in shared memory, a directory for sockets and records, and a lock that tells whether the
+//! run is alive.
+//!
+//! Everything in shared memory starts with the run's prefix. The lock lies there too: whoever can see a run's shared
+//! memory can see whether its launcher lives, which a process number could not tell across containers.
+
+use std::fs::File;
+use std::io;
+use std::path::{Path, PathBuf};
+
+use rustix::fs::{FlockOperation, Mode, OFlags, StatVfs, flock, fstat, open, statvfs};
+use thiserror::Error;
+
+/// Where POSIX shared memory shows as files.
+const SHARED_MEMORY: &str = "/dev/shm";
+/// Where the runs' directories lie. Not `TMPDIR`: a socket's path must stay under 108 bytes, and `stgdat clean` must
+/// find the directories of runs that were started with another one.
+const ROOTS: &str = "/tmp";
+/// What all names of all runs start with.
+const FAMILY: &str = "stgdat_";
+/// Digits of a run's name after [`FAMILY`].
+const DIGITS: usize = 8;
+const LOCK_SUFFIX: &str = "lock";
+
+/// Why a run's files can't be made.
+#[derive(Debug, Error)]
+pub enum SpaceError {
+    /// A file or directory can't be made.
+    #[error("{}: {source}", path.display())]
+    File {
+        /// Which.
+        path: PathBuf,
+        /// What the system says.
+        source: io::Error,
+    },
+    /// Shared memory has too little room.
+    #[error(
+        "{SHARED_MEMORY} has {free_mib} MiB free, a run needs {needed_mib} MiB: free some (`stgdat clean` removes \
+         leftovers) or give it more (`mount -o remount,size=1G {SHARED_MEMORY}`, `docker run --shm-size=1g`)"
+    )]
+    Full {
+        /// What is free.
+        free_mib: u64,
+        /// What is needed.
+        needed_mib: u64,
+    },
+}
+
+/// The files of one run; dropping it removes them all.
+#[derive(Debug)]
+pub struct Space {
+    prefix: String,
+    root: PathBuf,
+    /// Locked for as long as the launcher lives, whatever it dies of.
+    lock: File,
+}
+
+/// What a run left behind whose launcher is gone.
+#[derive(Debug)]
+pub struct Leftover {
+    /// The run's prefix.
+    pub prefix: String,
+    /// Its files in shared memory.
+    pub files_len: usize,
+    /// Their size.
+    pub bytes: u64,
+    root: PathBuf,
+    /// Held so that no two processes clean up the same run. None where the lock's file was gone.
+    _lock: Option<File>,
+}
+
+impl Space {
+    /// Takes names for a run whose number is `run_id`.
+    ///
+    /// # Errors
+    /// [`SpaceError`] where shared memory has less than `needed_bytes` free, or the files can't be made.
+    pub fn create(run_id: u64, needed_bytes: u64) -> Result<Self, SpaceError> {
+        let free = free_bytes().map_err(|source| SpaceError::File { path: SHARED_MEMORY.into(), source })?;
+        if free < needed_bytes {
+            return Err(SpaceError::Full {
+                free_mib: free >> 20,
+                needed_mib: needed_bytes.div_ceil(1 << 20),
+            });
+        }
+        let prefix = format!("{FAMILY}{:0DIGITS$x}_", run_id as u32);
+        let lock_path = lock_path(&prefix);
+        let lock = take_lock(&lock_path, OFlags::CREATE | OFlags::EXCL)
+            .map_err(|source| SpaceError::File { path: lock_path, source })?;
+        let root = root_of(&prefix);
+        let space = Self { prefix, root, lock };
+        std::fs::create_dir(&space.root)
+            .map_err(|source| SpaceError::File { path: space.root.clone(), source })?;
+        Ok(space)
+    }
+
+    /// What the names of the run's shared memory start with.
+    #[must_use]
+    pub fn prefix(&self) -> &str {
+        &self.prefix
+    }
+
+    /// The run's directory.
+    #[must_use]
+    pub fn root(&self) -> &Path {
+        &self.root
+    }
+
+    /// Bytes that the run takes in shared memory now.
+    #[must_use]
+    pub fn shared_bytes(&self) -> u64 {
+        files_of(&self.prefix).iter().map(|file| allocated(file)).sum()
+    }
+}
+
+impl Drop for Space {
+    fn drop(&mut self) {
+        remove(&self.prefix, &self.root);
+        // The lock goes last, with its file's name already gone.
+        let _ = &self.lock;
+    }
+}
+
+impl Leftover {
+    /// Removes everything that the run left.
+    pub fn remove(self) {
+        remove(&self.prefix, &self.root);
+    }
+}
+
+/// Bytes free in shared memory.
+///
+/// # Errors
+/// Where there is no shared memory.
+pub fn free_bytes() -> io::Result<u64> {
+    let StatVfs { f_bavail, f_frsize, .. } = statvfs(SHARED_MEMORY)?;
+    Ok(f_bavail * f_frsize)
+}
+
+/// The runs of this user whose launcher is gone and whose files are still there.
+///
+/// # Errors
+/// Where the directories can't be read.
+pub fn leftovers() -> io::Result<Vec<Leftover>> {
+    let mut prefixes = Vec::new();
+    for directory in [SHARED_MEMORY, ROOTS] {
+        for entry in std::fs::read_dir(directory)? {
+            let name = entry?.file_name();
+            prefixes.extend(name.to_str().and_then(prefix_of));
+        }
+    }
+    prefixes.sort();
+    prefixes.dedup();
+    Ok(prefixes.into_iter().filter_map(leftover).collect())
+}
+
+/// The leftover of a run, where it is dead and ours.
+fn leftover(prefix: String) -> Option<Leftover> {
+    let lock = match take_lock(&lock_path(&prefix), OFlags::empty()) {
+        Ok(lock) => Some(lock),
+        Err(error) if error.kind() == io::ErrorKind::NotFound => None,
+        // Locked: the run lives. Not permitted: another user's.
+        Err(_) => return None,
+    };
+    let (files, root) = (files_of(&prefix), root_of(&prefix));
+    if files.is_empty() && !is_ours(&root) {
+        return None;
+    }
+    let bytes = files.iter().map(|file| allocated(file)).sum();
+    Some(Leftover { files_len: files.len(), bytes, root, _lock: lock, prefix })
+}
+
+fn take_lock(path: &Path, how: OFlags) -> io::Result<File> {
+    let descriptor =
+        open(path, OFlags::RDWR | OFlags::CLOEXEC | OFlags::NOFOLLOW | how, Mode::RUSR | Mode::WUSR)?;
+    flock(&descriptor, FlockOperation::NonBlockingLockExclusive)?;
+    if fstat(&descriptor)?.st_nlink == 0 {
+        // Removed between opening and locking.
+        return Err(io::ErrorKind::NotFound.into());
+    }
+    Ok(descriptor.into())
+}
+
+fn lock_path(prefix: &str) -> PathBuf {
+    Path::new(SHARED_MEMORY).join(format!("{prefix}{LOCK_SUFFIX}"))
+}
+
+fn root_of(prefix: &str) -> PathBuf {
+    Path::new(ROOTS).join(prefix.trim_end_matches('_'))
+}
+
+/// The prefix of the run that a file or directory belongs to, by its name.
+fn prefix_of(name: &str) -> Option<String> {
+    let digits = name.strip_prefix(FAMILY)?.get(..DIGITS)?;
+    digits.bytes().all(|b| b.is_ascii_hexdigit()).then(|| format!("{FAMILY}{digits}_"))
+}
+
+fn files_of(prefix: &str) -> Vec<PathBuf> {
+    let Ok(entries) = std::fs::read_dir(SHARED_MEMORY) else { return Vec::new() };
+    let ours = entries
+        .filter_map(Result::ok)
+        .filter(|e| e.file_name().to_str().is_some_and(|n| n.starts_with(prefix)));
+    let mut files: Vec<PathBuf> = ours.map(|entry| entry.path()).filter(|path| is_ours(path)).collect();
+    files.sort();
+    files
+}
+
+fn is_ours(path: &Path) -> bool {
+    use std::os::unix::fs::MetadataExt;
+    std::fs::symlink_metadata(path).is_ok_and(|m| m.uid() == rustix::process::geteuid().as_raw())
+}
+
+fn allocated(path: &Path) -> u64 {
+    use std::os::unix::fs::MetadataExt;
+    std::fs::symlink_metadata(path).map_or(0, |m| m.blocks() * 512)
+}
+
+/// Removes a run's files, the lock last: until then the run counts as being looked after.
+fn remove(prefix: &str, root: &Path) {
+    let lock = lock_path(prefix);
+    for file in files_of(prefix).into_iter().filter(|file| *file != lock) {
+        let _ = std::fs::remove_file(file);
+    }
+    if is_ours(root) {
+        let _ = std::fs::remove_dir_all(root);
+    }
+    let _ = std::fs::remove_file(lock);
+}

@@ -1,0 +1,330 @@
+use std::rc::Rc;
+use std::time::Duration;
+
+use config::Run;
+use wire::{Counts, Header, Heartbeat, HeartbeatsTopic, Hop, Rejected, StageId, Topic, flags};
+
+use crate::error::Refused;
+use crate::node::Wakes;
+use crate::subscriber::Input;
+use crate::{Frame, Loan, Node, PortError, Publisher, Stop, Subscriber, Waiter, monotonic_ns};
+
+/// Time between the heartbeats of a stage, whether it has work or not.
+pub const HEARTBEAT: Duration = Duration::from_millis(80);
+/// Queue depth of a stage's input: the tick at hand and the next.
+const DEPTH: usize = 2;
+
+/// One process of the pipeline: what all stages do alike, on one thread.
+#[derive(Debug)]
+pub struct Stage {
+    id: StageId,
+    incarnation: u32,
+    node: Node,
+    waiter: Waiter,
+    heartbeats: Publisher<HeartbeatsTopic>,
+    inputs: Vec<Rc<dyn Input>>,
+    /// Whether anything has been passed on, or nothing needs to be.
+    passed: bool,
+    next_beat_ns: u64,
+    beat: u64,
+    seq: u64,
+    frames_len: u64,
+    rejected_len: u64,
+}
+
+/// A tick on its way through a stage.
+#[derive(Debug)]
+#[must_use = "a tick that is not finished is lost for all stages that follow"]
+pub struct Passage {
+    /// The header of the frame to be sent: the input's, until the stage says otherwise.
+    pub header: Header,
+    hop: Hop,
+}
+
+/// What came of waiting for one tick's frame.
+#[derive(Debug)]
+pub enum Awaited<T: Topic> {
+    /// The frame.
+    Frame(Frame<T>),
+    /// The frame of a tick that an earlier stage refused.
+    Void(Frame<T>),
+    /// Nothing until the deadline.
+    Late,
+    /// The process has been asked to end.
+    Stopped,
+}
+
+impl Stage {
+    /// Joins the run as one of its stages.
+    ///
+    /// # Errors
+    /// [`PortError`] where the run's shared memory can't be used.
+    pub fn open(run: &Run, id: StageId) -> Result<Self, PortError> {
+        let node = Node::open(run, id.name())?;
+        let heartbeats = node.publisher()?;
+        let (waiter, inputs) = (Waiter::new()?, Vec::new());
+        let (seq, frames_len, rejected_len, beat) = (0, 0, 0, 0);
+        let (passed, next_beat_ns, incarnation) = (true, 0, 0);
+        Ok(Self {
+            id,
+            incarnation,
+            node,
+            waiter,
+            heartbeats,
+            inputs,
+            passed,
+            next_beat_ns,
+            beat,
+            seq,
+            frames_len,
+            rejected_len,
+        })
+    }
+
+    /// Opens an input. The stage is linked only once a frame has come in on it.
+    ///
+    /// # Errors
+    /// As [`Node::subscriber`].
+    pub fn subscribe<T: Topic>(&mut self) -> Result<Subscriber<T>, PortError> {
+        self.subscribe_deep(DEPTH)
+    }
+
+    /// Opens an input with a queue of `depth` frames.
+    ///
+    /// # Errors
+    /// As [`Node::subscriber`].
+    pub fn subscribe_deep<T: Topic>(&mut self, depth: usize) -> Result<Subscriber<T>, PortError> {
+        let subscriber = self.node.subscriber::<T>(depth)?;
+        self.inputs.push(subscriber.input());
+        Ok(subscriber)
+    }
+
+    /// Opens an output. The stage is linked only once a frame has gone out.
+    ///
+    /// # Errors
+    /// As [`Node::publisher`].
+    pub fn publish<T: Topic>(&mut self) -> Result<Publisher<T>, PortError> {
+        self.passed = false;
+        self.node.publisher()
+    }
+
+    /// The heartbeats of all stages; they do not count as an input.
+    ///
+    /// # Errors
+    /// As [`Node::subscriber`].
+    pub fn heartbeats(&self) -> Result<Subscriber<HeartbeatsTopic>, PortError> {
+        self.node.subscriber(HeartbeatsTopic::DEPTH_MAX)
+    }
+
+    /// The signals that ask the process to end.
+    #[must_use]
+    pub const fn stop(&self) -> &Stop {
+        self.node.stop()
+    }
+
+    /// The next tick to work on; none once the process has been asked to end.
+    ///
+    /// Frames that are no work (warm-up, end, refused by an earlier stage) go straight on to `output`.
+    ///
+    /// # Errors
+    /// [`PortError`] where the transport fails.
+    pub fn next<I: Topic, O: Topic>(
+        &mut self,
+        input: &Subscriber<I>,
+        output: &Publisher<O>,
+    ) -> Result<Option<Frame<I>>, PortError> {
+        while let Some(frame) = self.take(input)? {
+            if frame.header().is_tick() && !frame.header().has(flags::VOID) {
+                return Ok(Some(frame));
+            }
+            let passage = self.begin(&frame);
+            self.pass_empty(passage, output)?;
+        }
+        Ok(None)
+    }
+
+    /// The next frame of any kind, asleep until it comes; none once the process has been asked to end.
+    ///
+    /// # Errors
+    /// [`PortError`] where the transport fails.
+    pub fn take<I: Topic>(&mut self, input: &Subscriber<I>) -> Result<Option<Frame<I>>, PortError> {
+        while !self.stop().requested() {
+            if let Some(frame) = input.receive()? {
+                return Ok(Some(frame));
+            }
+            self.sleep(&[input], None)?;
+        }
+        Ok(None)
+    }
+
+    /// Waits for the frame of tick `seq`, until `deadline_ns` on `CLOCK_MONOTONIC` where there is one.
+    ///
+    /// # Errors
+    /// [`PortError`] where the transport fails.
+    pub fn wait_for<I: Topic>(
+        &mut self,
+        input: &Subscriber<I>,
+        seq: u64,
+        deadline_ns: Option<u64>,
+    ) -> Result<Awaited<I>, PortError> {
+        while !self.stop().requested() {
+            match input.of_tick(seq)? {
+                Some(frame) if frame.header().has(flags::VOID) => return Ok(Awaited::Void(frame)),
+                Some(frame) => return Ok(Awaited::Frame(frame)),
+                None if deadline_ns.is_some_and(|deadline_ns| monotonic_ns() >= deadline_ns) => {
+                    return Ok(Awaited::Late);
+                }
+                None => self.sleep(&[input], deadline_ns)?,
+            }
+        }
+        Ok(Awaited::Stopped)
+    }
+
+    /// Sleeps until `until_ns` on `CLOCK_MONOTONIC`; false where the process has been asked to end.
+    ///
+    /// # Errors
+    /// [`PortError`] where the transport fails.
+    pub fn sleep_until(&mut self, until_ns: u64) -> Result<bool, PortError> {
+        while !self.stop().requested() && monotonic_ns() < until_ns {
+            self.sleep(&[], Some(until_ns))?;
+        }
+        Ok(!self.stop().requested())
+    }
+
+    /// Sleeps until a frame of `input` comes, at most until `until_ns`; false where the process has been asked to end.
+    ///
+    /// # Errors
+    /// [`PortError`] where the transport fails.
+    pub fn sleep_on<I: Topic>(&mut self, input: &Subscriber<I>, until_ns: u64) -> Result<bool, PortError> {
+        self.sleep(&[input], Some(until_ns))?;
+        Ok(!self.stop().requested())
+    }
+
+    /// Starts the work on a tick.
+    pub fn begin<I: Topic>(&self, frame: &Frame<I>) -> Passage {
+        let hop = Hop {
+            stage: self.id as u32,
+            incarnation: self.incarnation,
+            received_ns: frame.received_ns(),
+            started_ns: monotonic_ns(),
+            ..Hop::default()
+        };
+        Passage { header: *frame.header(), hop }
+    }
+
+    /// Starts a tick that has no input: at the source.
+    pub fn release(&self, header: Header) -> Passage {
+        let now_ns = monotonic_ns();
+        let hop = Hop {
+            stage: self.id as u32,
+            incarnation: self.incarnation,
+            received_ns: now_ns,
+            started_ns: now_ns,
+            ..Hop::default()
+        };
+        Passage { header: Header { released_ns: now_ns, ..header }, hop }
+    }
+
+    /// Ends the work on a tick: sends the output or, where the input was refused, says so to the stages that follow.
+    ///
+    /// # Errors
+    /// [`PortError`] where the transport fails.
+    pub fn finish<O: Topic>(
+        &mut self,
+        mut passage: Passage,
+        output: &Publisher<O>,
+        result: Result<Loan<O>, Rejected>,
+    ) -> Result<(), PortError> {
+        passage.hop.finished_ns = monotonic_ns();
+        match result {
+            Ok(loan) => {
+                self.done(passage.header.seq);
+                self.send(passage, output, loan)
+            }
+            Err(why) => {
+                self.refuse(passage.header.seq, O::NAME, why);
+                passage.header.flags |= flags::VOID;
+                self.pass_empty(passage, output)
+            }
+        }
+    }
+
+    /// Counts and tells of a frame that was refused, where something else takes the tick's place.
+    pub fn refuse(&mut self, seq: u64, topic: &'static str, why: Rejected) {
+        self.rejected_len += 1;
+        Refused { seq, topic, why }.log();
+    }
+
+    /// Counts a tick as finished.
+    pub fn done(&mut self, seq: u64) {
+        self.seq = seq;
+        self.frames_len += 1;
+    }
+
+    /// Sends a frame without elements.
+    ///
+    /// # Errors
+    /// [`PortError`] where the transport fails.
+    pub fn pass_empty<O: Topic>(
+        &mut self,
+        mut passage: Passage,
+        output: &Publisher<O>,
+    ) -> Result<(), PortError> {
+        passage.header.counts = Counts::default();
+        passage.hop.finished_ns = monotonic_ns();
+        let loan = output.loan(0)?;
+        self.send(passage, output, loan)
+    }
+
+    fn send<O: Topic>(
+        &mut self,
+        mut passage: Passage,
+        output: &Publisher<O>,
+        loan: Loan<O>,
+    ) -> Result<(), PortError> {
+        passage.hop.sent_ns = monotonic_ns();
+        passage.header.push_hop(passage.hop);
+        output.send(loan, passage.header)?;
+        self.passed = true;
+        self.beat_if_due()
+    }
+
+    /// Sends a heartbeat now.
+    ///
+    /// # Errors
+    /// [`PortError`] where the transport fails.
+    pub fn beat(&mut self) -> Result<(), PortError> {
+        let now_ns = monotonic_ns();
+        self.next_beat_ns = now_ns + HEARTBEAT.as_nanos() as u64;
+        let inputs = || self.inputs.iter();
+        let linked = self.passed && inputs().all(|input| input.linked());
+        let heartbeat = Heartbeat {
+            stage: self.id as u32,
+            incarnation: self.incarnation,
+            pid: std::process::id(),
+            linked: u32::from(linked),
+            beat: self.beat,
+            seq: self.seq,
+            frames_len: self.frames_len,
+            rejected_len: self.rejected_len + inputs().map(|input| input.rejected_len()).sum::<u64>(),
+            dropped_len: inputs().map(|input| input.dropped_len()).sum(),
+            sent_ns: now_ns,
+        };
+        let mut header = Header::new(self.node.run_id(), self.beat, 0);
+        header.counts.agents_len = 1;
+        self.beat += 1;
+        self.heartbeats.send_copy(&[heartbeat], header)
+    }
+
+    fn beat_if_due(&mut self) -> Result<(), PortError> {
+        if monotonic_ns() >= self.next_beat_ns { self.beat() } else { Ok(()) }
+    }
+
+    /// Sleeps until a topic wakes the stage, a heartbeat is due or `until_ns` has come.
+    fn sleep(&mut self, topics: &[&dyn Wakes], until_ns: Option<u64>) -> Result<(), PortError> {
+        self.beat_if_due()?;
+        let end_ns = until_ns.map_or(self.next_beat_ns, |until_ns| until_ns.min(self.next_beat_ns));
+        let left = Duration::from_nanos(end_ns.saturating_sub(monotonic_ns()));
+        if left.is_zero() { Ok(()) } else { self.waiter.wait(topics, left) }
+    }
+}

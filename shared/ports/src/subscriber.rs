@@ -1,0 +1,198 @@
+use std::cell::{Cell, RefCell};
+use std::ops::Deref;
+use std::rc::Rc;
+
+use bytemuck::TransparentWrapper;
+use iceoryx2::port::listener::Listener;
+use iceoryx2::prelude::ipc;
+use iceoryx2::sample::Sample;
+use wire::{Header, Rejected, Topic};
+
+use crate::element::{Element, Head};
+use crate::error::Refused;
+use crate::node::Wakes;
+use crate::{PortError, monotonic_ns};
+
+/// The reading end of a topic.
+#[derive(Debug)]
+pub struct Subscriber<T: Topic>(Rc<Port<T>>);
+
+#[derive(Debug)]
+struct Port<T: Topic> {
+    subscriber: iceoryx2::port::subscriber::Subscriber<ipc::Service, [Element<T>], Head>,
+    listener: Listener<ipc::Service>,
+    run_id: u64,
+    /// Number of the newest tick received.
+    newest: Cell<Option<u64>>,
+    /// A frame that came before it was asked for.
+    early: RefCell<Option<Frame<T>>>,
+    seen: Cell<bool>,
+    rejected_len: Cell<u64>,
+    dropped_len: Cell<u64>,
+}
+
+/// One frame, where it lies in shared memory; dropping it gives the memory back.
+#[derive(Debug)]
+pub struct Frame<T: Topic> {
+    sample: Sample<ipc::Service, [Element<T>], Head>,
+    received_ns: u64,
+}
+
+impl<T: Topic> Frame<T> {
+    /// The frame's header, checked.
+    #[must_use]
+    pub fn header(&self) -> &Header {
+        &self.sample.user_header().0
+    }
+
+    /// When the frame was taken from its queue, `CLOCK_MONOTONIC`.
+    #[must_use]
+    pub const fn received_ns(&self) -> u64 {
+        self.received_ns
+    }
+}
+
+impl<T: Topic> Deref for Frame<T> {
+    type Target = [T::Element];
+
+    fn deref(&self) -> &[T::Element] {
+        Element::<T>::peel_slice(self.sample.payload())
+    }
+}
+
+impl<T: Topic> Subscriber<T> {
+    pub(crate) fn new(
+        subscriber: iceoryx2::port::subscriber::Subscriber<ipc::Service, [Element<T>], Head>,
+        listener: Listener<ipc::Service>,
+        run_id: u64,
+    ) -> Self {
+        let (newest, early) = (Cell::new(None), RefCell::new(None));
+        let (seen, rejected_len, dropped_len) = (Cell::new(false), Cell::new(0), Cell::new(0));
+        Self(Rc::new(Port { subscriber, listener, run_id, newest, early, seen, rejected_len, dropped_len }))
+    }
+
+    /// The oldest frame of the queue, if there is one. Frames that can't be trusted are counted and left out.
+    ///
+    /// # Errors
+    /// [`PortError`] where the transport fails.
+    pub fn receive(&self) -> Result<Option<Frame<T>>, PortError> {
+        if let Some(frame) = self.0.early.take() {
+            return Ok(Some(frame));
+        }
+        while let Some(sample) = self.0.subscriber.receive().map_err(PortError::of("receiving", T::NAME))? {
+            let frame = Frame { sample, received_ns: monotonic_ns() };
+            match self.0.check(&frame) {
+                Ok(()) => {
+                    self.0.count(frame.header());
+                    return Ok(Some(frame));
+                }
+                Err(why) => {
+                    self.0.rejected_len.set(self.0.rejected_len.get() + 1);
+                    Refused { seq: frame.header().seq, topic: T::NAME, why }.log();
+                }
+            }
+        }
+        Ok(None)
+    }
+
+    /// The newest tick of the queue, if there is one; older ones and frames that are no ticks are let go.
+    ///
+    /// # Errors
+    /// [`PortError`] where the transport fails.
+    pub fn newest(&self) -> Result<Option<Frame<T>>, PortError> {
+        let mut newest = None;
+        while let Some(frame) = self.receive()? {
+            if frame.header().is_tick() {
+                newest = Some(frame);
+            }
+        }
+        Ok(newest)
+    }
+
+    /// The frame of tick `seq`, if it is in the queue; older ones are let go, newer ones stay for later.
+    ///
+    /// # Errors
+    /// [`PortError`] where the transport fails.
+    pub fn of_tick(&self, seq: u64) -> Result<Option<Frame<T>>, PortError> {
+        while let Some(frame) = self.receive()? {
+            match (frame.header().is_tick(), frame.header().seq) {
+                (true, found) if found == seq => return Ok(Some(frame)),
+                (true, found) if found > seq => {
+                    self.0.early.replace(Some(frame));
+                    return Ok(None);
+                }
+                _ => {}
+            }
+        }
+        Ok(None)
+    }
+
+    /// What the stage asks of each of its inputs.
+    pub(crate) fn input(&self) -> Rc<dyn Input> {
+        self.0.clone()
+    }
+}
+
+/// An input as its stage sees it, whatever its elements are.
+pub(crate) trait Input: std::fmt::Debug {
+    /// Whether a frame has come, taken from the queue or not.
+    fn linked(&self) -> bool;
+    /// Frames refused so far.
+    fn rejected_len(&self) -> u64;
+    /// Frames that never arrived, so far.
+    fn dropped_len(&self) -> u64;
+}
+
+impl<T: Topic> Input for Port<T> {
+    fn linked(&self) -> bool {
+        self.seen.get() || self.subscriber.has_samples().unwrap_or(false)
+    }
+
+    fn rejected_len(&self) -> u64 {
+        self.rejected_len.get()
+    }
+
+    fn dropped_len(&self) -> u64 {
+        self.dropped_len.get()
+    }
+}
+
+impl<T: Topic> Wakes for Subscriber<T> {
+    fn listener(&self) -> &Listener<ipc::Service> {
+        &self.0.listener
+    }
+}
+
+impl<T: Topic> Port<T> {
+    fn check(&self, frame: &Frame<T>) -> Result<(), Rejected> {
+        let header = frame.header();
+        header.check()?;
+        if header.run_id != self.run_id {
+            return Err(Rejected::Impossible { field: "run_id", value: header.run_id as f64 });
+        }
+        let expected = T::elements_len(&header.counts);
+        if frame.len() != expected {
+            return Err(Rejected::Length { found: frame.len(), expected });
+        }
+        Ok(())
+    }
+
+    /// Ticks come in order of their numbers, without gaps at the source: a gap is what the queue dropped. A reader
+    /// that comes in the midst of a run, without a warm-up frame before, counts from the first tick that it sees.
+    fn count(&self, header: &Header) {
+        let linked = self.seen.replace(true);
+        if !header.is_tick() {
+            return;
+        }
+        let expected = match self.newest.get() {
+            Some(newest) => newest + 1,
+            None if linked => 0,
+            None => header.seq,
+        };
+        // Writers of a topic that has several count each for themselves.
+        if T::PUBLISHERS_MAX == 1 {
+            self.dropped_len.set(self.dropped_len.get() + header.seq.saturating_sub(expected));
+        }
+        self.newest.set(Some(header.seq));
+    }
+}

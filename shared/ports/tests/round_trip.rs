@@ -1,0 +1,249 @@
+//! Frames between two ends of a topic, in one process and across two.
+
+use std::path::Path;
+
+use config::{MapChoice, Run, Scene};
+use ports::{Awaited, Node, Space, Stage, StageError, leftovers, monotonic_ns};
+use wire::{
+    FeaturesTopic, ForecastsTopic, Header, HeartbeatsTopic, StageId, Topic, Track, TracksTopic, flags,
+};
+
+/// A run of its own for each test, so that they can go side by side.
+fn run() -> (Space, Run) {
+    static COUNT: std::sync::atomic::AtomicU32 = std::sync::atomic::AtomicU32::new(0);
+    let count = COUNT.fetch_add(1, std::sync::atomic::Ordering::Relaxed);
+    let id = u64::from(std::process::id()) << 8 | u64::from(count);
+    let space = Space::create(id, 1 << 20).expect("shared memory has room");
+    let run = Run {
+        id,
+        prefix: space.prefix().into(),
+        root: space.root().into(),
+        interval_ns: 80_000_000,
+        lockstep: false,
+        seed: 1,
+        scene: Scene::Generated { agents_len: 1 },
+        ticks: None,
+        associate: false,
+        weights: None,
+        map: MapChoice::Online,
+        report: space.root().join("report.json"),
+        forecasts: None,
+        stages: Vec::new(),
+    };
+    (space, run)
+}
+
+fn header(run: &Run, seq: u64, len: usize) -> Header {
+    let mut header = Header::new(run.id, seq, seq as i64 * 80_000_000);
+    header.counts.agents_len = len as u32;
+    header
+}
+
+fn track(id: u64) -> Track {
+    Track { id, x_m: id as f32, ..bytemuck::Zeroable::zeroed() }
+}
+
+#[test]
+fn a_frame_is_read_where_it_was_written() {
+    let (_space, run) = run();
+    let node = Node::open(&run, "both").unwrap();
+    let subscriber = node.subscriber::<TracksTopic>(2).unwrap();
+    let publisher = node.publisher::<TracksTopic>().unwrap();
+    let mut loan = publisher.loan(3).unwrap();
+    for (i, element) in loan.iter_mut().enumerate() {
+        *element = track(i as u64 + 10);
+    }
+    publisher.send(loan, header(&run, 0, 3)).unwrap();
+    let frame = subscriber.receive().unwrap().expect("the frame is in the queue");
+    assert_eq!(frame.header(), &header(&run, 0, 3));
+    assert_eq!(frame[..], [track(10), track(11), track(12)]);
+    assert_eq!(frame.as_ptr().addr() % 64, 0, "payloads start at a cache line");
+    assert!(subscriber.receive().unwrap().is_none());
+}
+
+#[test]
+fn payloads_grow_beyond_the_first_size_and_may_be_empty() {
+    let (_space, run) = run();
+    let node = Node::open(&run, "both").unwrap();
+    let subscriber = node.subscriber::<FeaturesTopic>(2).unwrap();
+    let publisher = node.publisher::<FeaturesTopic>().unwrap();
+    for (seq, edges_len) in [0, 100, 30_000, 7].into_iter().enumerate() {
+        let mut head = header(&run, seq as u64, 0);
+        head.counts.edges_len = edges_len;
+        let rows = FeaturesTopic::elements_len(&head.counts);
+        let mut loan = publisher.loan(rows).unwrap();
+        for (i, row) in loan.iter_mut().enumerate() {
+            row.0 = [i as f32; 16];
+        }
+        publisher.send(loan, head).unwrap();
+        let frame = subscriber.receive().unwrap().unwrap();
+        assert_eq!(frame.len(), rows);
+        assert!(frame.iter().enumerate().all(|(i, row)| row.0 == [i as f32; 16]), "{edges_len} edges");
+    }
+    assert!(publisher.loan(FeaturesTopic::ELEMENTS_MAX + 1).is_err());
+}
+
+#[test]
+fn the_oldest_frames_are_dropped_and_counted() {
+    let (_space, run) = run();
+    let mut reader = Stage::open(&run, StageId::Localiser).unwrap();
+    let tracks = reader.subscribe::<TracksTopic>().unwrap();
+    let node = Node::open(&run, "tool").unwrap();
+    let publisher = node.publisher::<TracksTopic>().unwrap();
+    let heartbeats = node.subscriber::<HeartbeatsTopic>(2).unwrap();
+    let warm_up = Header { flags: flags::WARM_UP, ..header(&run, 0, 0) };
+    publisher.send_copy(&[], warm_up).unwrap();
+    assert!(tracks.receive().unwrap().is_some_and(|frame| !frame.header().is_tick()));
+    for seq in 0..5 {
+        publisher.send_copy(&[track(seq)], header(&run, seq, 1)).unwrap();
+    }
+    let seqs: Vec<u64> = std::iter::from_fn(|| tracks.receive().unwrap()).map(|f| f.header().seq).collect();
+    assert_eq!(seqs, [3, 4]);
+    reader.beat().unwrap();
+    let beat = heartbeats.newest().unwrap().unwrap();
+    assert_eq!((beat[0].dropped_len, beat[0].rejected_len, beat[0].linked), (3, 0, 1));
+}
+
+#[test]
+fn frames_of_other_runs_schemas_and_lengths_are_refused_and_counted() {
+    let (_space, run) = run();
+    let mut reader = Stage::open(&run, StageId::Localiser).unwrap();
+    let tracks = reader.subscribe::<TracksTopic>().unwrap();
+    let node = Node::open(&run, "tool").unwrap();
+    let publisher = node.publisher::<TracksTopic>().unwrap();
+    let heartbeats = node.subscriber::<HeartbeatsTopic>(2).unwrap();
+    let good = header(&run, 0, 1);
+    let wrong = [
+        Header { run_id: run.id + 1, ..good },
+        Header { schema: 77, ..good },
+        header(&run, 0, 2),
+        Header { ego_heading_rad: f32::NAN, ..good },
+        Header { hops_len: 99, ..good },
+    ];
+    for head in wrong {
+        publisher.send_copy(&[track(1)], head).unwrap();
+        assert!(tracks.receive().unwrap().is_none(), "{head:?}");
+    }
+    publisher.send_copy(&[track(1)], good).unwrap();
+    assert!(tracks.receive().unwrap().is_some());
+    reader.beat().unwrap();
+    assert_eq!(heartbeats.newest().unwrap().unwrap()[0].rejected_len, 5);
+}
+
+#[test]
+fn waiting_for_a_tick_lets_go_of_older_ones_and_keeps_newer_ones() {
+    let (_space, run) = run();
+    let mut stage = Stage::open(&run, StageId::Sampler).unwrap();
+    let forecasts = stage.subscribe_deep::<ForecastsTopic>(8).unwrap();
+    let node = Node::open(&run, "tool").unwrap();
+    let publisher = node.publisher::<ForecastsTopic>().unwrap();
+    for seq in [3, 4, 6, 7] {
+        let void = if seq == 7 { flags::VOID } else { 0 };
+        publisher.send_copy(&[], Header { flags: void, ..header(&run, seq, 0) }).unwrap();
+    }
+    let soon = || Some(monotonic_ns() + 1_000_000);
+    assert!(
+        matches!(stage.wait_for(&forecasts, 4, soon()).unwrap(), Awaited::Frame(f) if f.header().seq == 4)
+    );
+    assert!(matches!(stage.wait_for(&forecasts, 5, soon()).unwrap(), Awaited::Late));
+    assert!(
+        matches!(stage.wait_for(&forecasts, 6, soon()).unwrap(), Awaited::Frame(f) if f.header().seq == 6)
+    );
+    assert!(matches!(stage.wait_for(&forecasts, 7, soon()).unwrap(), Awaited::Void(_)));
+    assert!(matches!(stage.wait_for(&forecasts, 8, soon()).unwrap(), Awaited::Late));
+}
+
+/// A stage of its own process: passes tracks on as forecasts of nobody.
+fn echo(run: &Run) -> Result<(), StageError> {
+    let mut stage = Stage::open(run, StageId::Sampler)?;
+    let tracks = stage.subscribe::<TracksTopic>()?;
+    let forecasts = stage.publish::<ForecastsTopic>()?;
+    while let Some(frame) = stage.next(&tracks, &forecasts)? {
+        let mut passage = stage.begin(&frame);
+        if frame[0].id == 13 {
+            stage.finish(passage, &forecasts, Err(wire::Rejected::NotFinite { field: "thirteen" }))?;
+            continue;
+        }
+        let mut output = forecasts.loan(1)?;
+        output[0] = bytemuck::Zeroable::zeroed();
+        output[0].id = frame[0].id * 2;
+        passage.header.counts.agents_len = 1;
+        stage.finish(passage, &forecasts, Ok(output))?;
+    }
+    Ok(())
+}
+
+/// Not a test of its own: the process that the next test starts.
+#[test]
+fn echo_process() {
+    let Some(record) = std::env::var_os("STGDAT_TEST_ECHO") else { return };
+    echo(&Run::read(Path::new(&record)).unwrap()).unwrap();
+}
+
+#[test]
+fn a_stage_in_another_process_links_answers_refuses_and_ends_on_sigterm() {
+    let (space, run) = run();
+    let record = space.root().join("run");
+    run.write(&record).unwrap();
+    let mut child = std::process::Command::new(std::env::current_exe().unwrap())
+        .args(["--exact", "echo_process", "--nocapture"])
+        .env("STGDAT_TEST_ECHO", &record)
+        .spawn()
+        .unwrap();
+    let mut here = Stage::open(&run, StageId::Tracker).unwrap();
+    let tracks = here.publish::<TracksTopic>().unwrap();
+    let forecasts = here.subscribe::<ForecastsTopic>().unwrap();
+    let limit_ns = monotonic_ns() + 20_000_000_000;
+
+    let warm_up = Header { flags: flags::WARM_UP, ..header(&run, 0, 0) };
+    loop {
+        assert!(monotonic_ns() < limit_ns, "the other process does not link");
+        let passage = here.release(warm_up);
+        here.pass_empty(passage, &tracks).unwrap();
+        here.sleep_on(&forecasts, monotonic_ns() + 20_000_000).unwrap();
+        if forecasts.receive().unwrap().is_some_and(|frame| frame.header().has(flags::WARM_UP)) {
+            break;
+        }
+    }
+    for (seq, id) in [5, 13, 6].into_iter().enumerate() {
+        let passage = here.release(header(&run, seq as u64, 1));
+        let mut loan = tracks.loan(1).unwrap();
+        loan[0] = track(id);
+        here.finish(passage, &tracks, Ok(loan)).unwrap();
+        match here.wait_for(&forecasts, seq as u64, Some(limit_ns)).unwrap() {
+            Awaited::Frame(frame) => {
+                assert_eq!(frame[0].id, id * 2);
+                let stages: Vec<u32> = frame.header().hops().iter().map(|hop| hop.stage).collect();
+                assert_eq!(stages, [StageId::Tracker as u32, StageId::Sampler as u32]);
+                let hop = frame.header().hop(StageId::Sampler).unwrap();
+                assert!(hop.received_ns <= hop.started_ns && hop.finished_ns <= hop.sent_ns);
+                assert!(
+                    frame.header().hops[0].sent_ns <= hop.received_ns && hop.sent_ns <= frame.received_ns()
+                );
+            }
+            Awaited::Void(frame) => assert_eq!((id, frame.len()), (13, 0)),
+            other => panic!("no answer to {id}: {other:?}"),
+        }
+    }
+    let pid = rustix::process::Pid::from_child(&child);
+    rustix::process::kill_process(pid, rustix::process::Signal::TERM).unwrap();
+    assert!(child.wait().unwrap().success(), "a stage that is asked to end returns from its loop");
+}
+
+#[test]
+fn a_dropped_space_leaves_nothing_and_a_living_one_is_no_leftover() {
+    let (space, run) = run();
+    let stage = Stage::open(&run, StageId::Encoder).unwrap();
+    assert!(space.shared_bytes() > 0);
+    assert!(leftovers().unwrap().iter().all(|leftover| leftover.prefix != run.prefix));
+    let (prefix, root) = (run.prefix.clone(), run.root.clone());
+    drop(stage);
+    drop(space);
+    assert!(!root.exists());
+    let left: Vec<_> = std::fs::read_dir("/dev/shm")
+        .unwrap()
+        .filter_map(|entry| entry.unwrap().file_name().into_string().ok())
+        .filter(|name| name.starts_with(&prefix))
+        .collect();
+    assert!(left.is_empty(), "{left:?}");
+}
