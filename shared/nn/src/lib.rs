@@ -1,1 +1,33 @@
-//! Placeholder.
+//! The network: weights, layers and the kernels that run them.
+//!
+//! Layers are built once from [`Weights`]: the constructor checks every shape, folds what is constant and packs the
+//! matrices in the order in which the kernels read them. A layer is then immutable; what a call needs besides its
+//! inputs lies in a *memory* of its own (`ContextMemory`, `GdatMemory`, …) that grows when a larger input is seen first,
+//! so that a steady caller never allocates.
+//!
+//! Each row of a result depends on its own inputs alone and is summed in one fixed order. Rows may therefore be split
+//! over workers or batched in any way without changing a bit.
+
+pub mod base;
+pub mod kernels;
+
+mod attention;
+mod buffer;
+mod config;
+mod context;
+mod decoder;
+mod embedding;
+mod encoding;
+mod linear;
+mod weights;
+mod workers;
+
+pub use attention::{Gdat, GdatMemory, Graph, GraphTrace, RoundTrace};
+pub use config::{ConfigError, Displacement, Feedback, Integrator, Latents, ModelConfig, Stem, Temporal};
+pub use context::{ContextCnn, ContextMemory};
+pub use decoder::{BurnIn, Decoder, DecoderMemory, Draws, RAW_CONTROL, TypeDecoder, control_gaussian};
+pub use embedding::{RelationMlp, StateMlp};
+pub use encoding::EncodingFunction;
+pub use linear::MlpMemory;
+pub use weights::{Weights, WeightsError};
+pub use workers::{Job, Workers};

@@ -1,0 +1,166 @@
+//! Graph dual attention: who matters to an agent at a step (topological), then which steps matter (temporal).
+//!
+//! The graph is sparse. Its edges come sorted by (step, receiver, sender), so that the edges that an agent receives at a
+//! step are neighbours in memory and softmax and sums run along the list. Nodes are rows \[step, agent\].
+
+mod temporal;
+mod topological;
+
+use wire::{EDGE_ATTRIBUTES, Edge, NODE_ATTRIBUTES, TEMPORAL};
+
+use crate::buffer::Buffer;
+use crate::weights::{Weights, WeightsError};
+use temporal::{TemporalAttention, TemporalMemory};
+use topological::{Round, RoundMemory};
+
+/// A scene graph over several steps.
+#[derive(Clone, Copy, Debug)]
+pub struct Graph<'a> {
+    /// Agents, the same at all steps.
+    pub agents_len: usize,
+    /// Whether an agent has a state at a step, \[step, agent\].
+    pub present: &'a [bool],
+    /// Node attributes v, \[step, agent\]; rows of absent agents are ignored.
+    pub nodes: &'a [[f32; NODE_ATTRIBUTES]],
+    /// Edges between present agents, sorted by (step, receiver, sender), each present agent's self edge among them.
+    pub edges: &'a [Edge],
+    /// Edge attributes e, in the order of `edges`.
+    pub attributes: &'a [[f32; EDGE_ATTRIBUTES]],
+}
+
+/// What a round of topological attention computed.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct RoundTrace {
+    /// Attention α, \[edge, head\].
+    pub alpha: Vec<f32>,
+    /// Node attributes v̄, \[step, agent\]; zero rows where absent.
+    pub nodes: Vec<[f32; NODE_ATTRIBUTES]>,
+    /// Edge attributes after the round's update, in the order of the edges; none after the last round.
+    pub attributes: Vec<[f32; EDGE_ATTRIBUTES]>,
+}
+
+/// Every intermediate tensor of a graph's attention, for comparison with a reference.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct GraphTrace {
+    /// The rounds of topological attention.
+    pub rounds: Vec<RoundTrace>,
+    /// Temporal attention β, \[step, agent, head\]; zeros where absent.
+    pub beta: Vec<f32>,
+    /// Heads of `beta`.
+    pub temporal_heads: usize,
+}
+
+/// The graph dual attention network.
+pub struct Gdat {
+    rounds: Vec<Round>,
+    temporal: TemporalAttention,
+}
+
+/// Scratch memory of [`Gdat`].
+#[derive(Default)]
+pub struct GdatMemory {
+    nodes: [Buffer; 2],
+    attributes: Vec<[f32; EDGE_ATTRIBUTES]>,
+    round: RoundMemory,
+    temporal: TemporalMemory,
+}
+
+impl Gdat {
+    /// The layers `gdat.*`.
+    ///
+    /// # Errors
+    /// Where a tensor is missing or has another shape.
+    pub fn new(weights: &Weights) -> Result<Self, WeightsError> {
+        let rounds = weights.config().rounds;
+        let rounds =
+            (0..rounds).map(|r| Round::read(weights, r, r + 1 == rounds)).collect::<Result<_, _>>()?;
+        Ok(Self { rounds, temporal: TemporalAttention::read(weights)? })
+    }
+
+    /// Temporal summaries ṽ of all agents, a row each; zeros for agents that are present at no step.
+    ///
+    /// # Panics
+    /// Where the parts of the graph do not fit one another, or `out` has not a row per agent.
+    pub fn summarise(&self, graph: &Graph<'_>, memory: &mut GdatMemory, out: &mut [[f32; TEMPORAL]]) {
+        self.run(graph, memory, out, None);
+    }
+
+    /// The same, and every intermediate tensor into `trace`.
+    ///
+    /// # Panics
+    /// As [`Gdat::summarise`].
+    pub fn summarise_traced(
+        &self,
+        graph: &Graph<'_>,
+        memory: &mut GdatMemory,
+        out: &mut [[f32; TEMPORAL]],
+        trace: &mut GraphTrace,
+    ) {
+        *trace = GraphTrace::default();
+        self.run(graph, memory, out, Some(trace));
+    }
+
+    fn run(
+        &self,
+        graph: &Graph<'_>,
+        memory: &mut GdatMemory,
+        out: &mut [[f32; TEMPORAL]],
+        mut trace: Option<&mut GraphTrace>,
+    ) {
+        graph.assert_fits();
+        assert_eq!(out.len(), graph.agents_len, "a row per agent");
+        let GdatMemory { nodes: [from, to], attributes, round: scratch, temporal } = memory;
+        let len = graph.nodes.len() * NODE_ATTRIBUTES;
+        from.reserve(len);
+        to.reserve(len);
+        from[..len].copy_from_slice(graph.nodes.as_flattened());
+        attributes.clear();
+        attributes.extend_from_slice(graph.attributes);
+        for round in &self.rounds {
+            round.attend(graph, &from[..len], attributes, scratch, &mut to[..len]);
+            round.update_edges(graph, &to[..len], attributes, scratch);
+            if let Some(trace) = &mut trace {
+                trace.rounds.push(RoundTrace {
+                    alpha: scratch.alpha().to_vec(),
+                    nodes: to[..len].as_chunks().0.to_vec(),
+                    attributes: if round.is_last() { Vec::new() } else { attributes.clone() },
+                });
+            }
+            std::mem::swap(from, to);
+        }
+        self.temporal.attend(graph, &from[..len], temporal, out);
+        if let Some(trace) = trace {
+            trace.temporal_heads = self.temporal.heads();
+            trace.beta = temporal.beta().to_vec();
+        }
+    }
+}
+
+impl Graph<'_> {
+    fn assert_fits(&self) {
+        assert_eq!(self.present.len(), self.nodes.len(), "presence of each node");
+        assert_eq!(self.edges.len(), self.attributes.len(), "attributes of each edge");
+        assert!(self.agents_len > 0 || self.nodes.is_empty(), "agents of the nodes");
+        assert!(self.agents_len == 0 || self.nodes.len().is_multiple_of(self.agents_len), "whole steps");
+        let known = |agent: u16| usize::from(agent) < self.agents_len;
+        let fits = |e: &Edge| {
+            known(e.receiver) && known(e.sender) && self.row(e.step, e.receiver) < self.nodes.len()
+        };
+        assert!(self.edges.iter().all(fits), "ends of each edge");
+    }
+
+    /// A node's row.
+    fn row(&self, step: u16, agent: u16) -> usize {
+        usize::from(step) * self.agents_len + usize::from(agent)
+    }
+
+    /// The rows of an edge's receiver and sender.
+    fn ends(&self, edge: &Edge) -> [usize; 2] {
+        [self.row(edge.step, edge.receiver), self.row(edge.step, edge.sender)]
+    }
+}
+
+/// f_act: LeakyReLU.
+fn leaky(slope: f32, x: f32) -> f32 {
+    if x > 0.0 { x } else { slope * x }
+}

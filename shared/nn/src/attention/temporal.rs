@@ -1,0 +1,127 @@
+use wire::{NODE_ATTRIBUTES, TEMPORAL};
+
+use super::{Graph, leaky};
+use crate::buffer::Buffer;
+use crate::config::Temporal;
+use crate::kernels::exp_in_place;
+use crate::linear::{Activation, Linear};
+use crate::weights::{Weights, WeightsError};
+
+/// Temporal attention: which steps of an agent matter.
+///
+/// ```text
+/// β^k = softmax over present k of f_act(w_h · v̄^k)        ṽ^(h) = Σ_k β^k f_act(V^(h) v̄^k)        [model §3]
+/// ```
+///
+/// In the literal reading V^(h) = w_hᵀ: 64 heads of one number.
+pub(super) struct TemporalAttention {
+    scores: Linear,
+    /// None in the literal reading.
+    values: Option<Linear>,
+    heads: usize,
+    slope: f32,
+}
+
+#[derive(Default)]
+pub(super) struct TemporalMemory {
+    /// \[node, heads padded\].
+    scores: Buffer,
+    /// Activated values, \[node, 64\].
+    values: Buffer,
+    /// \[node, head\]; zeros where absent.
+    beta: Buffer,
+    beta_len: usize,
+}
+
+impl TemporalMemory {
+    /// Attention of the last call, \[step, agent, head\].
+    pub(super) fn beta(&self) -> &[f32] {
+        &self.beta[..self.beta_len]
+    }
+}
+
+impl TemporalAttention {
+    pub(super) fn read(weights: &Weights) -> Result<Self, WeightsError> {
+        let config = weights.config();
+        let (heads, values) = match config.temporal {
+            Temporal::ValueMatrix => {
+                let values =
+                    Linear::read_unbiased(weights, "gdat.temporal.value", TEMPORAL, NODE_ATTRIBUTES)?;
+                (config.temporal_heads, Some(values))
+            }
+            Temporal::Literal => (TEMPORAL, None),
+        };
+        let scores = Linear::read_unbiased(weights, "gdat.temporal.score", heads, NODE_ATTRIBUTES)?;
+        Ok(Self { scores, values, heads, slope: config.leaky_slope })
+    }
+
+    pub(super) const fn heads(&self) -> usize {
+        self.heads
+    }
+
+    /// Computes ṽ of all agents.
+    pub(super) fn attend(
+        &self,
+        graph: &Graph<'_>,
+        nodes: &[f32],
+        memory: &mut TemporalMemory,
+        out: &mut [[f32; TEMPORAL]],
+    ) {
+        let (nodes_len, stride) = (graph.nodes.len(), self.scores.out_stride());
+        let TemporalMemory { scores, values, beta, beta_len } = memory;
+        scores.reserve(nodes_len * stride);
+        values.reserve(nodes_len * TEMPORAL);
+        *beta_len = nodes_len * self.heads;
+        beta.reserve(*beta_len);
+        let scores = &mut scores[..nodes_len * stride];
+        let values = &mut values[..nodes_len * TEMPORAL];
+        self.scores.run(nodes, NODE_ATTRIBUTES, Activation::None, scores);
+        scores.iter_mut().for_each(|x| *x = leaky(self.slope, *x));
+        match &self.values {
+            Some(layer) => {
+                layer.run(nodes, NODE_ATTRIBUTES, Activation::None, values);
+                values.iter_mut().for_each(|x| *x = leaky(self.slope, *x));
+            }
+            None => values.copy_from_slice(scores),
+        }
+        let beta = &mut beta[..*beta_len];
+        self.weigh(graph, scores, beta);
+        out.as_flattened_mut().fill(0.0);
+        let section = TEMPORAL / self.heads;
+        let rows = values.chunks_exact(TEMPORAL).zip(beta.chunks_exact(self.heads));
+        for (row, (values, beta)) in rows.enumerate() {
+            let out = &mut out[row % graph.agents_len];
+            for (i, (sum, value)) in out.iter_mut().zip(values).enumerate() {
+                *sum += beta[i / section] * value;
+            }
+        }
+    }
+
+    /// Softmax over each agent's present steps into `beta`, \[node, head\].
+    fn weigh(&self, graph: &Graph<'_>, scores: &[f32], beta: &mut [f32]) {
+        let stride = self.scores.out_stride();
+        beta.fill(0.0);
+        for agent in 0..graph.agents_len {
+            let rows =
+                || (agent..graph.present.len()).step_by(graph.agents_len).filter(|&row| graph.present[row]);
+            for head in 0..self.heads {
+                let most = rows().fold(f32::NEG_INFINITY, |most, row| most.max(scores[row * stride + head]));
+                for row in rows() {
+                    beta[row * self.heads + head] = scores[row * stride + head] - most;
+                }
+            }
+        }
+        exp_in_place(beta);
+        for agent in 0..graph.agents_len {
+            let rows = || (agent..graph.present.len()).step_by(graph.agents_len);
+            for row in rows().filter(|&row| !graph.present[row]) {
+                beta[row * self.heads..][..self.heads].fill(0.0);
+            }
+            for head in 0..self.heads {
+                let sum: f32 = rows().map(|row| beta[row * self.heads + head]).sum();
+                let share = if sum > 0.0 { 1.0 / sum } else { 0.0 };
+                rows().for_each(|row| beta[row * self.heads + head] *= share);
+            }
+        }
+    }
+}

@@ -1,0 +1,266 @@
+use wire::{EDGE_ATTRIBUTES, NODE_ATTRIBUTES};
+
+use super::{Graph, leaky};
+use crate::buffer::Buffer;
+use crate::kernels::exp_in_place;
+use crate::linear::{Activation, Linear};
+use crate::weights::{Weights, WeightsError};
+
+/// Hidden units of the edge update.
+const UPDATE_HIDDEN: usize = 128;
+/// Edges that pass a layer together.
+const BLOCK: usize = 48;
+
+/// A round r of topological attention with the edge update behind it.
+///
+/// ```text
+/// α_ij = softmax_j∈N(i) of −(λ_h ‖v_i − v_j‖² + μ_h ‖e_ij‖²)
+/// v̄_i  = Σ_j α_ij f_act(W v_j + U e_ij)          (α ≥ 0: f_act(α x) = α f_act(x))
+/// e'_ij = MLP([v̄_i ‖ v̄_j ‖ e_ij])                                                   [model §3]
+/// ```
+pub(super) struct Round {
+    values: Linear,
+    /// U of the option `edge_in_message`.
+    edge_values: Option<Linear>,
+    /// λ_h over the dimension of v (option `distance_scale`) and μ_h over that of e.
+    factors: Vec<[f32; 2]>,
+    update: Option<EdgeUpdate>,
+    slope: f32,
+}
+
+/// The MLP of the edge update, its first matrix split into the parts of receiver, sender and edge: what depends on a
+/// node alone is computed once per node.
+struct EdgeUpdate {
+    receiver: Linear,
+    sender: Linear,
+    edge: Linear,
+    out: Linear,
+}
+
+#[derive(Default)]
+pub(super) struct RoundMemory {
+    /// \[edge, head\].
+    alpha: Buffer,
+    alpha_len: usize,
+    /// W v, activated unless the message carries the edge, \[node, 64\].
+    values: Buffer,
+    /// The node parts of the edge update, \[node, 128\].
+    receivers: Buffer,
+    senders: Buffer,
+    /// A block of edges.
+    wide: Buffer,
+    hidden: Buffer,
+}
+
+impl RoundMemory {
+    /// Attention of the last round, \[edge, head\].
+    pub(super) fn alpha(&self) -> &[f32] {
+        &self.alpha[..self.alpha_len]
+    }
+}
+
+/// ln(1 + e^x) without overflow.
+fn softplus(x: f32) -> f32 {
+    x.max(0.0) + (-x.abs()).exp().ln_1p()
+}
+
+impl Round {
+    pub(super) fn read(weights: &Weights, round: usize, last: bool) -> Result<Self, WeightsError> {
+        let config = weights.config();
+        let heads = config.topological_heads;
+        let name = |part: &str| format!("gdat.topological.{round}.{part}");
+        let lambda = weights.tensor(&name("lambda_raw"), &[heads])?;
+        let mu = weights.tensor(&name("mu_raw"), &[heads])?;
+        let [of_node, of_edge] = if config.distance_scale {
+            [NODE_ATTRIBUTES, EDGE_ATTRIBUTES].map(|dimension| 1.0 / dimension as f32)
+        } else {
+            [1.0; 2]
+        };
+        let factors = lambda.iter().zip(mu).map(|(l, m)| [softplus(*l) * of_node, softplus(*m) * of_edge]);
+        let edge_values = config
+            .edge_in_message
+            .then(|| Linear::read_unbiased(weights, &name("u_e"), NODE_ATTRIBUTES, EDGE_ATTRIBUTES))
+            .transpose()?;
+        Ok(Self {
+            values: Linear::read_unbiased(weights, &name("w_n"), NODE_ATTRIBUTES, NODE_ATTRIBUTES)?,
+            edge_values,
+            factors: factors.collect(),
+            update: (!last).then(|| EdgeUpdate::read(weights, &name("edge"))).transpose()?,
+            slope: config.leaky_slope,
+        })
+    }
+
+    pub(super) const fn is_last(&self) -> bool {
+        self.update.is_none()
+    }
+
+    /// Computes v̄ of all nodes into `out`; rows of absent agents are 0.
+    pub(super) fn attend(
+        &self,
+        graph: &Graph<'_>,
+        nodes: &[f32],
+        attributes: &[[f32; EDGE_ATTRIBUTES]],
+        memory: &mut RoundMemory,
+        out: &mut [f32],
+    ) {
+        self.weigh(graph, nodes, attributes, memory);
+        memory.values.reserve(nodes.len());
+        self.values.run(nodes, NODE_ATTRIBUTES, Activation::None, &mut memory.values[..nodes.len()]);
+        out.fill(0.0);
+        let heads = self.factors.len();
+        if let Some(edge_values) = &self.edge_values {
+            self.sum_with_edges(edge_values, graph, attributes, memory, out);
+            return;
+        }
+        let values = &mut memory.values[..nodes.len()];
+        values.iter_mut().for_each(|x| *x = leaky(self.slope, *x));
+        for (edge, alpha) in graph.edges.iter().zip(memory.alpha.chunks_exact(heads)) {
+            let [receiver, sender] = graph.ends(edge);
+            accumulate(alpha, row(values, sender), row_mut(out, receiver));
+        }
+    }
+
+    /// α of all edges, \[edge, head\].
+    fn weigh(
+        &self,
+        graph: &Graph<'_>,
+        nodes: &[f32],
+        attributes: &[[f32; EDGE_ATTRIBUTES]],
+        memory: &mut RoundMemory,
+    ) {
+        let heads = self.factors.len();
+        memory.alpha_len = graph.edges.len() * heads;
+        memory.alpha.reserve(memory.alpha_len);
+        let alpha = &mut memory.alpha[..memory.alpha_len];
+        for ((edge, attribute), scores) in
+            graph.edges.iter().zip(attributes).zip(alpha.chunks_exact_mut(heads))
+        {
+            let [receiver, sender] = graph.ends(edge).map(|end| row(nodes, end));
+            let apart = squared_distance(receiver, sender);
+            let length = squared_distance(attribute, &[0.0; EDGE_ATTRIBUTES]);
+            for (score, [lambda, mu]) in scores.iter_mut().zip(&self.factors) {
+                *score = -(lambda * apart + mu * length);
+            }
+        }
+        let mut start = 0;
+        for received in graph.edges.chunk_by(|a, b| (a.step, a.receiver) == (b.step, b.receiver)) {
+            let end = start + received.len() * heads;
+            softmax_columns(&mut alpha[start..end], heads);
+            start = end;
+        }
+    }
+
+    /// v̄ where the messages carry the edges: activated per edge, in blocks.
+    fn sum_with_edges(
+        &self,
+        edge_values: &Linear,
+        graph: &Graph<'_>,
+        attributes: &[[f32; EDGE_ATTRIBUTES]],
+        memory: &mut RoundMemory,
+        out: &mut [f32],
+    ) {
+        let heads = self.factors.len();
+        memory.wide.reserve(BLOCK * NODE_ATTRIBUTES);
+        let blocks = graph.edges.chunks(BLOCK).zip(attributes.chunks(BLOCK));
+        for ((edges, attributes), alpha) in blocks.zip(memory.alpha.chunks(BLOCK * heads)) {
+            let messages = &mut memory.wide[..edges.len() * NODE_ATTRIBUTES];
+            edge_values.run(attributes.as_flattened(), EDGE_ATTRIBUTES, Activation::None, messages);
+            let messages = messages.chunks_exact_mut(NODE_ATTRIBUTES);
+            for ((edge, message), alpha) in edges.iter().zip(messages).zip(alpha.chunks_exact(heads)) {
+                let [receiver, sender] = graph.ends(edge);
+                for (x, value) in message.iter_mut().zip(row(&memory.values, sender)) {
+                    *x = leaky(self.slope, *x + value);
+                }
+                accumulate(alpha, message, row_mut(out, receiver));
+            }
+        }
+    }
+
+    /// Replaces the edge attributes by the updated ones; nothing after the last round.
+    pub(super) fn update_edges(
+        &self,
+        graph: &Graph<'_>,
+        nodes: &[f32],
+        attributes: &mut [[f32; EDGE_ATTRIBUTES]],
+        memory: &mut RoundMemory,
+    ) {
+        let Some(update) = &self.update else { return };
+        let len = nodes.len() / NODE_ATTRIBUTES * UPDATE_HIDDEN;
+        let RoundMemory { receivers, senders, wide, hidden, .. } = memory;
+        receivers.reserve(len);
+        senders.reserve(len);
+        wide.reserve(BLOCK * UPDATE_HIDDEN);
+        hidden.reserve(BLOCK * UPDATE_HIDDEN);
+        update.receiver.run(nodes, NODE_ATTRIBUTES, Activation::None, &mut receivers[..len]);
+        update.sender.run(nodes, NODE_ATTRIBUTES, Activation::None, &mut senders[..len]);
+        for (edges, attributes) in graph.edges.chunks(BLOCK).zip(attributes.chunks_mut(BLOCK)) {
+            let len = edges.len() * UPDATE_HIDDEN;
+            for (edge, sum) in edges.iter().zip(wide.chunks_exact_mut(UPDATE_HIDDEN)) {
+                let [receiver, sender] = graph.ends(edge).map(|end| end * UPDATE_HIDDEN);
+                let parts = receivers[receiver..].iter().zip(&senders[sender..]);
+                sum.iter_mut().zip(parts).for_each(|(sum, (r, s))| *sum = r + s);
+            }
+            let from = attributes.as_flattened();
+            update.edge.run_onto(from, EDGE_ATTRIBUTES, &wide[..len], Activation::Relu, &mut hidden[..len]);
+            update.out.run(&hidden[..len], UPDATE_HIDDEN, Activation::None, attributes.as_flattened_mut());
+        }
+    }
+}
+
+impl EdgeUpdate {
+    fn read(weights: &Weights, name: &str) -> Result<Self, WeightsError> {
+        let in_len = 2 * NODE_ATTRIBUTES + EDGE_ATTRIBUTES;
+        let shape = [UPDATE_HIDDEN, in_len];
+        let matrix = weights.tensor(&format!("{name}.0.weight"), &shape)?;
+        let bias = weights.tensor(&format!("{name}.0.bias"), &[UPDATE_HIDDEN])?;
+        Ok(Self {
+            receiver: Linear::pack(matrix, Some(bias), shape, 0..NODE_ATTRIBUTES),
+            sender: Linear::pack(matrix, None, shape, NODE_ATTRIBUTES..2 * NODE_ATTRIBUTES),
+            edge: Linear::pack(matrix, None, shape, 2 * NODE_ATTRIBUTES..in_len),
+            out: Linear::read(weights, &format!("{name}.1"), EDGE_ATTRIBUTES, UPDATE_HIDDEN)?,
+        })
+    }
+}
+
+fn row(nodes: &[f32], index: usize) -> &[f32] {
+    &nodes[index * NODE_ATTRIBUTES..][..NODE_ATTRIBUTES]
+}
+
+fn row_mut(nodes: &mut [f32], index: usize) -> &mut [f32] {
+    &mut nodes[index * NODE_ATTRIBUTES..][..NODE_ATTRIBUTES]
+}
+
+/// ‖a − b‖² in 16 partial sums, so that it vectorises.
+fn squared_distance(a: &[f32], b: &[f32]) -> f32 {
+    let mut sums = [0.0_f32; 16];
+    for (a, b) in a.as_chunks::<16>().0.iter().zip(b.as_chunks::<16>().0) {
+        for i in 0..16 {
+            let d = a[i] - b[i];
+            sums[i] += d * d;
+        }
+    }
+    sums.iter().sum()
+}
+
+/// Softmax down each column of \[row, column\].
+fn softmax_columns(scores: &mut [f32], columns: usize) {
+    for column in 0..columns {
+        let most = scores[column..].iter().step_by(columns).fold(f32::NEG_INFINITY, |most, &x| most.max(x));
+        scores[column..].iter_mut().step_by(columns).for_each(|x| *x -= most);
+    }
+    exp_in_place(scores);
+    for column in 0..columns {
+        let sum: f32 = scores[column..].iter().step_by(columns).sum();
+        let share = 1.0 / sum;
+        scores[column..].iter_mut().step_by(columns).for_each(|x| *x *= share);
+    }
+}
+
+/// Adds α_h · message to the section of each head h.
+fn accumulate(alpha: &[f32], message: &[f32], out: &mut [f32]) {
+    let section = NODE_ATTRIBUTES / alpha.len();
+    let sections = message.chunks_exact(section).zip(out.chunks_exact_mut(section));
+    for (alpha, (message, out)) in alpha.iter().zip(sections) {
+        out.iter_mut().zip(message).for_each(|(sum, x)| *sum += alpha * x);
+    }
+}

@@ -1,0 +1,266 @@
+//! The base control: what a linear rule makes of the newest steps, plus a typical deviation per mode.
+//!
+//! A *ridge* regression per history class and speed bin gives the control sequence from 26 features of the last four
+//! steps. *Anchors* are typical residuals to it, a set per bin of speed, acceleration and yaw rate. The network's output
+//! is a residual to both:
+//!
+//! ```text
+//! control of mode m at step t = ridge(features)\[t\] + anchors\[bin\]\[m\]\[t\] + μ\[m\]\[t\]
+//! ```
+//!
+//! The best forecast has no anchor.
+
+use std::f32::consts::{PI, TAU};
+
+use wire::{AgentType, STATE_FEATURES};
+
+use crate::config::ModelConfig;
+use crate::weights::{Weights, WeightsError};
+
+/// Features of the ridge regression.
+pub const FEATURES: usize = 26;
+/// Newest steps that the features see.
+pub const STEPS: usize = 4;
+/// Classes of histories: 2, 3, and 4 or more newest steps in a row.
+pub const CLASSES: usize = 3;
+/// Bins of the speed.
+pub const SPEED_BINS: usize = 8;
+/// Bins of speed, acceleration and yaw rate.
+pub const BINS: usize = SPEED_BINS * 9;
+/// Cuts between the bins of the acceleration, m/s².
+pub const ACCEL_CUTS_MPS2: [f32; 2] = [-0.7, 0.5];
+/// Cuts between the bins of the yaw rate, rad/s.
+pub const YAW_RATE_CUTS_RADPS: [f32; 2] = [-0.06, 0.06];
+
+/// What the base control reads of a history, in metres and seconds.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct BaseFeatures {
+    /// The inputs of the ridge regression.
+    pub values: [f32; FEATURES],
+    /// Class of the history, below [`CLASSES`].
+    pub class: usize,
+    /// Speed at the last step.
+    pub speed_mps: f32,
+    /// Change of speed over the last step.
+    pub accel_mps2: f32,
+    /// Change of heading over the last step.
+    pub yaw_rate_radps: f32,
+}
+
+/// A step as the features see it.
+#[derive(Clone, Copy)]
+struct Step {
+    position_m: [f32; 2],
+    velocity_mps: [f32; 2],
+    speed_mps: f32,
+    heading_rad: f32,
+}
+
+/// An angle within half a turn of 0.
+fn wrap(angle_rad: f32) -> f32 {
+    let turns = ((angle_rad + PI) / TAU).floor();
+    angle_rad - turns * TAU
+}
+
+impl BaseFeatures {
+    /// The features of a history of state features s, oldest first, scaled as the model wants them.
+    ///
+    /// ```text
+    /// positions of steps 1-3 · velocities of steps 1-4 · headings of steps 1-3 relative to step 4
+    /// v ω₁, v ω₂, a₁, a₂, v² ω₁, v |ω₁|, v², v min(a₁, 0) · 1
+    /// ```
+    ///
+    /// Step 4 is the newest, v its speed; ω₁, a₁ are the changes of heading and speed over the last step, ω₂, a₂ over the
+    /// one before. Steps that are missing, that lie before a missing one, and what depends on them count as 0.
+    #[must_use]
+    pub fn new(
+        states: &[[f32; STATE_FEATURES]],
+        present: impl Fn(usize) -> bool,
+        config: &ModelConfig,
+    ) -> Self {
+        let mut steps = [None; STEPS];
+        for back in 0..STEPS.min(states.len()) {
+            let step = states.len() - 1 - back;
+            if !present(step) {
+                break;
+            }
+            steps[STEPS - 1 - back] = Some(Step::new(&states[step], config));
+        }
+        let rows = steps.iter().flatten().count();
+        let change = |newer: Option<Step>, older: Option<Step>| match (newer, older) {
+            (Some(newer), Some(older)) => {
+                let dt_s = config.dt_s as f32;
+                let turn_rad = wrap(newer.heading_rad - older.heading_rad);
+                [turn_rad / dt_s, (newer.speed_mps - older.speed_mps) / dt_s]
+            }
+            _ => [0.0; 2],
+        };
+        let [_, second, third, newest] = steps;
+        let [yaw_rate, accel] = change(newest, third);
+        let [yaw_rate_before, accel_before] = change(third, second);
+        let speed = newest.map_or(0.0, |step| step.speed_mps);
+        let mut values = [0.0; FEATURES];
+        for (i, step) in steps.iter().enumerate() {
+            let Some(step) = step else { continue };
+            if i < STEPS - 1 {
+                values[2 * i..2 * i + 2].copy_from_slice(&step.position_m);
+                let newest_rad = newest.map_or(0.0, |newest| newest.heading_rad);
+                values[14 + i] = wrap(step.heading_rad - newest_rad);
+            }
+            values[6 + 2 * i..8 + 2 * i].copy_from_slice(&step.velocity_mps);
+        }
+        values[17..].copy_from_slice(&[
+            speed * yaw_rate,
+            speed * yaw_rate_before,
+            accel,
+            accel_before,
+            speed * speed * yaw_rate,
+            yaw_rate.abs() * speed,
+            speed * speed,
+            accel.min(0.0) * speed,
+            1.0,
+        ]);
+        Self {
+            values,
+            class: rows.clamp(2, STEPS) - 2,
+            speed_mps: speed,
+            accel_mps2: accel,
+            yaw_rate_radps: yaw_rate,
+        }
+    }
+
+    /// The bin of the speed, given the cuts between bins.
+    #[must_use]
+    pub fn speed_bin(&self, cuts_mps: &[f32]) -> usize {
+        bin(self.speed_mps, cuts_mps)
+    }
+
+    /// The bin of speed, acceleration and yaw rate, below [`BINS`].
+    #[must_use]
+    pub fn anchor_bin(&self, speed_cuts_mps: &[f32]) -> usize {
+        let accel = bin(self.accel_mps2, &ACCEL_CUTS_MPS2);
+        let yaw_rate = bin(self.yaw_rate_radps, &YAW_RATE_CUTS_RADPS);
+        (self.speed_bin(speed_cuts_mps) * 3 + accel) * 3 + yaw_rate
+    }
+}
+
+fn bin(value: f32, cuts: &[f32]) -> usize {
+    cuts.iter().filter(|&&cut| value >= cut).count()
+}
+
+impl Step {
+    fn new(&[x, y, vx, vy, cos, sin]: &[f32; STATE_FEATURES], config: &ModelConfig) -> Self {
+        let velocity_mps = [vx / config.velocity_scale, vy / config.velocity_scale];
+        Self {
+            position_m: [x / config.position_scale, y / config.position_scale],
+            velocity_mps,
+            speed_mps: velocity_mps[0].hypot(velocity_mps[1]),
+            heading_rad: sin.atan2(cos),
+        }
+    }
+}
+
+/// The base control of an agent type.
+#[derive(Debug)]
+pub struct Base {
+    /// \[class, speed bin, feature, step, component\].
+    ridge: Vec<f32>,
+    /// \[bin, mode, step\].
+    anchors: Vec<[f32; 2]>,
+    speed_cuts_mps: Vec<f32>,
+    horizon_len: usize,
+    modes_len: usize,
+}
+
+impl Base {
+    /// The tensors `base.{type}.*`.
+    ///
+    /// # Errors
+    /// Where a tensor is missing or has another shape.
+    pub fn read(weights: &Weights, agent_type: AgentType) -> Result<Self, WeightsError> {
+        let ModelConfig { horizon_len, modes: modes_len, .. } = *weights.config();
+        let name = |part: &str| format!("base.{}.{part}", agent_type.name());
+        let ridge = weights.tensor(&name("ridge"), &[CLASSES, SPEED_BINS, FEATURES, 2 * horizon_len])?;
+        let anchors = weights.tensor(&name("anchors"), &[BINS, modes_len, horizon_len, 2])?;
+        let speed_cuts_mps = weights.tensor(&name("speed_cuts"), &[SPEED_BINS - 1])?;
+        Ok(Self {
+            ridge: ridge.to_vec(),
+            anchors: anchors.as_chunks().0.to_vec(),
+            speed_cuts_mps: speed_cuts_mps.to_vec(),
+            horizon_len,
+            modes_len,
+        })
+    }
+
+    /// Adds the ridge regression's controls to the step means of a trajectory.
+    pub fn add_ridge<'a>(&self, features: &BaseFeatures, means: impl Iterator<Item = &'a mut [f32; 2]>) {
+        let row_len = 2 * self.horizon_len;
+        let table = (features.class * SPEED_BINS + features.speed_bin(&self.speed_cuts_mps)) * FEATURES;
+        for (step, mean) in means.take(self.horizon_len).enumerate() {
+            for (component, mean) in mean.iter_mut().enumerate() {
+                let weights = self.ridge[table * row_len + 2 * step + component..].iter().step_by(row_len);
+                *mean += features.values.iter().zip(weights).map(|(x, w)| x * w).sum::<f32>();
+            }
+        }
+    }
+
+    /// The anchor of a mode: a control residual for each step.
+    #[must_use]
+    pub fn anchor(&self, features: &BaseFeatures, mode: usize) -> &[[f32; 2]] {
+        let bin = features.anchor_bin(&self.speed_cuts_mps);
+        &self.anchors[(bin * self.modes_len + mode) * self.horizon_len..][..self.horizon_len]
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn config() -> ModelConfig {
+        let mut config = Weights::onboard().config().clone();
+        (config.position_scale, config.velocity_scale, config.dt_s) = (0.1, 0.2, 0.4);
+        config
+    }
+
+    /// A left turn at growing speed, in the frame of the last step.
+    fn turn(len: usize) -> Vec<[f32; STATE_FEATURES]> {
+        let state = |back: usize| {
+            let (heading, speed) = (-0.04 * back as f32, 6.0 - 0.2 * back as f32);
+            let (sin, cos) = heading.sin_cos();
+            [-0.24 * back as f32, 0.01, speed * cos * 0.2, speed * sin * 0.2, cos, sin]
+        };
+        (0..len).rev().map(state).collect()
+    }
+
+    #[test]
+    fn a_turn_has_the_features_of_its_formula() {
+        let f = BaseFeatures::new(&turn(6), |_| true, &config());
+        let close = |a: f32, b: f32| assert!((a - b).abs() < 1e-4, "{a} is not {b}");
+        close(f.values[0], -7.2);
+        close(f.values[12], 6.0);
+        close(f.values[14], -0.12);
+        close(f.values[17], 6.0 * 0.1);
+        close(f.values[19], 0.5);
+        close(f.values[23], 36.0);
+        assert_eq!((f.values[24], f.values[25], f.class), (0.0, 1.0, 2));
+        assert_eq!(f.anchor_bin(&[0.5, 1.5, 3.0, 4.5, 6.0, 7.5, 9.5]), (5 * 3 + 2) * 3 + 2);
+    }
+
+    #[test]
+    fn steps_before_a_gap_count_for_nothing() {
+        let (states, config) = (turn(6), config());
+        let gap = BaseFeatures::new(&states, |step| step != 3, &config);
+        let short = BaseFeatures::new(&states[4..], |_| true, &config);
+        assert_eq!(gap, short);
+        assert_eq!(gap.class, 0);
+        assert!(gap.values[..4].iter().chain(&gap.values[6..10]).all(|&x| x == 0.0));
+    }
+
+    #[test]
+    fn angles_are_wrapped_to_half_a_turn() {
+        for angle in [-9.0_f32, -3.2, -0.1, 0.0, 3.1, 3.2, 12.0] {
+            assert!(wrap(angle).abs() <= PI + 1e-6);
+            assert!((wrap(angle).sin() - angle.sin()).abs() < 1e-5);
+        }
+    }
+}

@@ -1,0 +1,262 @@
+use serde::{Deserialize, Serialize};
+use thiserror::Error;
+
+/// First layers of the context CNN.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Stem {
+    /// Convolution 7×7/2, batch norm, ReLU, max-pool 3×3/2: for patches of 32 cells and more.
+    Imagenet,
+    /// Convolution 3×3/2, batch norm, ReLU: for patches of 16 cells.
+    Compact,
+}
+
+/// The two readings of the temporal attention's values.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Temporal {
+    /// Each head has a matrix of values.
+    ValueMatrix,
+    /// 64 heads, each with its scores as values: the paper's formula to the letter.
+    Literal,
+}
+
+/// How the bicycle is integrated.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Integrator {
+    /// All right-hand sides from before the step: the paper's.
+    Euler,
+    /// Speed, slip and course from the middle of the step.
+    Midpoint,
+}
+
+/// What the control of a cyclist or pedestrian is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Displacement {
+    /// The step's displacement less that of constant velocity.
+    Residual,
+    /// The step's displacement: the paper's.
+    Absolute,
+}
+
+/// Where latent variables come from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Latents {
+    /// Draws from N(0, I).
+    Normal,
+    /// A learned set of points per agent type.
+    Points,
+}
+
+/// What the decoder is fed after the first forecast step.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Feedback {
+    /// Nothing: zeros.
+    Zeros,
+}
+
+/// A configuration that no model can have.
+#[derive(Debug, Error, PartialEq)]
+#[error("{key} = {value}: {reason}")]
+pub struct ConfigError {
+    /// The key.
+    pub key: &'static str,
+    /// Its value.
+    pub value: f64,
+    /// What is wrong with it.
+    pub reason: &'static str,
+}
+
+/// The options of a model, as the JSON that its weights carry under the metadata key `config`.
+///
+/// Unknown keys are refused. Keys that later models added have defaults which leave earlier ones as they were.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ModelConfig {
+    /// Channels of the CNN's first stage, w.
+    pub width: usize,
+    /// First layers of the CNN.
+    pub stem: Stem,
+    /// Side of the context patches, P, in cells.
+    pub patch_size: usize,
+    /// Side of a patch cell.
+    pub patch_cell_m: f32,
+    /// Largest distance between neighbours, d.
+    pub edge_radius_m: f32,
+    /// Largest distance where both are pedestrians; `edge_radius_m` where it is null.
+    #[serde(default)]
+    pub pedestrian_edge_radius_m: Option<f32>,
+    /// Steps of the history, T_h.
+    pub history_len: usize,
+    /// Steps of the forecast, T_f.
+    pub horizon_len: usize,
+    /// Spacing of the steps, Δt.
+    pub dt_s: f64,
+    /// Rounds of topological attention, R.
+    pub rounds: usize,
+    /// Heads of the topological attention, H.
+    pub topological_heads: usize,
+    /// Heads of the temporal attention, H_t; the literal reading has 64 whatever stands here.
+    pub temporal_heads: usize,
+    /// Reading of the temporal attention.
+    pub temporal: Temporal,
+    /// Whether the messages carry the edge attributes.
+    pub edge_in_message: bool,
+    /// Whether squared distances are divided by their dimension.
+    pub distance_scale: bool,
+    /// Factor of position-like features.
+    pub position_scale: f32,
+    /// Factor of velocity-like features.
+    pub velocity_scale: f32,
+    /// Slope of the LeakyReLU f_act below 0.
+    pub leaky_slope: f32,
+    /// Integrator of the bicycle.
+    #[serde(default = "euler")]
+    pub integrator: Integrator,
+    /// Limit of the acceleration.
+    #[serde(default = "accel_limit_mps2")]
+    pub accel_limit_mps2: f32,
+    /// Limit of the slip rate.
+    #[serde(default = "slip_rate_limit_radps")]
+    pub slip_rate_limit_radps: f32,
+    /// Limit of the slip angle; none where it is null.
+    #[serde(default = "slip_limit_rad")]
+    pub slip_limit_rad: Option<f32>,
+    /// Whether the first slip is read off the headings; 0 otherwise.
+    #[serde(default = "yes")]
+    pub initial_slip: bool,
+    /// Distance of the rear axle over the length.
+    #[serde(default = "rear_axle_ratio")]
+    pub rear_axle_ratio: f32,
+    /// Length of vehicles whose length is unknown.
+    #[serde(default = "default_length_m")]
+    pub default_length_m: f32,
+    /// What the control of a cyclist or pedestrian is.
+    #[serde(default = "residual")]
+    pub displacement: Displacement,
+    /// Where latent variables come from.
+    #[serde(default = "normal")]
+    pub latents: Latents,
+    /// Latent draws per agent, K.
+    #[serde(default = "modes")]
+    pub modes: usize,
+    /// Whether a head tells the modes' probabilities; they are equal otherwise.
+    #[serde(default)]
+    pub mode_head: bool,
+    /// Whether the single best forecast has a latent point of its own.
+    #[serde(default)]
+    pub best_latent: bool,
+    /// Whether controls are residuals to the base control.
+    #[serde(default)]
+    pub base: bool,
+    /// Whether nodes carry a context embedding.
+    #[serde(default = "yes")]
+    pub context: bool,
+    /// What the decoder is fed after the first forecast step.
+    #[serde(default = "zeros")]
+    pub feedback: Feedback,
+}
+
+const fn euler() -> Integrator {
+    Integrator::Euler
+}
+const fn accel_limit_mps2() -> f32 {
+    6.0
+}
+const fn slip_rate_limit_radps() -> f32 {
+    1.0
+}
+#[expect(clippy::unnecessary_wraps, reason = "serde wants the field's type")]
+const fn slip_limit_rad() -> Option<f32> {
+    Some(0.5)
+}
+const fn yes() -> bool {
+    true
+}
+const fn rear_axle_ratio() -> f32 {
+    0.26
+}
+const fn default_length_m() -> f32 {
+    4.5
+}
+const fn residual() -> Displacement {
+    Displacement::Residual
+}
+const fn normal() -> Latents {
+    Latents::Normal
+}
+const fn modes() -> usize {
+    20
+}
+const fn zeros() -> Feedback {
+    Feedback::Zeros
+}
+
+impl ModelConfig {
+    /// Refuses values that no model can have.
+    ///
+    /// # Errors
+    /// [`ConfigError`] names the first key that is off.
+    pub fn check(&self) -> Result<(), ConfigError> {
+        let counts = [
+            ("width", self.width, 1, 512),
+            ("patch_size", self.patch_size, 4, 128),
+            ("history_len", self.history_len, 1, 64),
+            ("horizon_len", self.horizon_len, 1, 64),
+            ("rounds", self.rounds, 1, 3),
+            ("modes", self.modes, 1, 64),
+        ];
+        for (key, value, least, most) in counts {
+            if value < least || value > most {
+                return Err(ConfigError { key, value: value as f64, reason: "is out of range" });
+            }
+        }
+        for (key, heads) in
+            [("topological_heads", self.topological_heads), ("temporal_heads", self.temporal_heads)]
+        {
+            if heads == 0 || !wire::TEMPORAL.is_multiple_of(heads) {
+                return Err(ConfigError { key, value: heads as f64, reason: "does not divide 64" });
+            }
+        }
+        let positive = [
+            ("patch_cell_m", self.patch_cell_m),
+            ("edge_radius_m", self.edge_radius_m),
+            ("pedestrian_edge_radius_m", self.pedestrian_edge_radius_m.unwrap_or(1.0)),
+            ("dt_s", self.dt_s as f32),
+            ("position_scale", self.position_scale),
+            ("velocity_scale", self.velocity_scale),
+            ("accel_limit_mps2", self.accel_limit_mps2),
+            ("slip_rate_limit_radps", self.slip_rate_limit_radps),
+            ("slip_limit_rad", self.slip_limit_rad.unwrap_or(1.0)),
+            ("rear_axle_ratio", self.rear_axle_ratio),
+            ("default_length_m", self.default_length_m),
+        ];
+        match positive.into_iter().find(|(_, value)| !(value.is_finite() && *value > 0.0)) {
+            Some((key, value)) => {
+                Err(ConfigError { key, value: f64::from(value), reason: "is not positive" })
+            }
+            None if !self.leaky_slope.is_finite() => Err(ConfigError {
+                key: "leaky_slope",
+                value: f64::from(self.leaky_slope),
+                reason: "is not finite",
+            }),
+            None => Ok(()),
+        }
+    }
+
+    /// Components of the state embedding: half of a node attribute, or all of it without context.
+    #[must_use]
+    pub const fn state_embedding_len(&self) -> usize {
+        if self.context { wire::STATE_EMBEDDING } else { wire::NODE_ATTRIBUTES }
+    }
+
+    /// Spacing of the steps in nanoseconds.
+    #[must_use]
+    pub fn step_ns(&self) -> u64 {
+        (self.dt_s * 1e9).round() as u64
+    }
+}

@@ -1,0 +1,345 @@
+//! The decoder: a gated recurrent unit per agent type, from history and latent variable to control Gaussians.
+//!
+//! What does not depend on the draw is computed once: the burn-in and ṽ·W per agent, z·W per latent point. From the
+//! second forecast step on the input is zero, so only its bias is left.
+
+use wire::{AGENT_TYPES, AgentType, ControlGaussian, LATENT, STATE_FEATURES, TEMPORAL};
+
+use crate::base::Base;
+use crate::buffer::Buffer;
+use crate::config::Latents;
+use crate::kernels::exp_in_place;
+use crate::kernels::gates::{GATES, HIDDEN, gru_step};
+use crate::linear::{Activation, Linear};
+use crate::weights::{Weights, WeightsError};
+
+/// Numbers of the head: (μ_1, μ_2, ln l_11, ln l_22, l_21).
+pub const RAW_CONTROL: usize = 5;
+/// Bounds of ln l.
+const LOG_SCALE: [f32; 2] = [-5.0, 2.0];
+/// Rows that are decoded together.
+const BLOCK: usize = 48;
+/// Hidden units of the mode head.
+const MODE_HIDDEN: usize = 64;
+
+/// The control Gaussian of a row of the decoder's head.
+#[must_use]
+pub fn control_gaussian([mean_1, mean_2, log_11, log_22, l_21]: [f32; RAW_CONTROL]) -> ControlGaussian {
+    let scale = |log: f32| log.clamp(LOG_SCALE[0], LOG_SCALE[1]).exp();
+    ControlGaussian { mean: [mean_1, mean_2], cholesky: [scale(log_11), l_21, scale(log_22)] }
+}
+
+/// The decoders of all agent types.
+pub struct Decoder {
+    types: [TypeDecoder; 3],
+}
+
+/// The decoder of one agent type.
+pub struct TypeDecoder {
+    state: Linear,
+    context: Linear,
+    latent: Linear,
+    hidden: Linear,
+    /// b_ih: the gates' input after the first forecast step.
+    idle: Buffer,
+    head: Linear,
+    points: Option<Points>,
+    modes: Option<ModeHead>,
+    base: Option<Base>,
+}
+
+/// Learned latent points, as what they add to the gates: z·W, the point of the best forecast last.
+struct Points {
+    gates: Buffer,
+    len: usize,
+}
+
+struct ModeHead {
+    first: Linear,
+    second: Linear,
+    modes_len: usize,
+}
+
+/// The history of agents of one type, as the burn-in reads it.
+#[derive(Clone, Copy, Debug)]
+pub struct BurnIn<'a> {
+    /// Agents.
+    pub agents_len: usize,
+    /// State features s, \[step, agent\].
+    pub states: &'a [[f32; STATE_FEATURES]],
+    /// Whether an agent has a state at a step, \[step, agent\].
+    pub present: &'a [bool],
+}
+
+/// Where the latent variables of a forecast come from.
+#[derive(Clone, Copy, Debug)]
+pub enum Draws<'a> {
+    /// The learned points of the type, the same for all agents.
+    Points,
+    /// These, \[agent, draw\].
+    Given(&'a [[f32; LATENT]]),
+}
+
+/// Scratch memory of [`TypeDecoder`].
+#[derive(Default)]
+pub struct DecoderMemory {
+    /// W_i x + b_i and W_h h + b_h, \[row, gate\].
+    input: Buffer,
+    gates: Buffer,
+    /// h, \[row, 128\].
+    state: Buffer,
+    /// Head's output, \[row, 16\].
+    raw: Buffer,
+    /// ṽ·W, \[agent, gate\], and z·W of given draws, \[agent, draw, gate\].
+    context: Buffer,
+    latent: Buffer,
+    /// \[ṽ ‖ h\] and the two layers of the mode head.
+    joined: Buffer,
+    mode_hidden: Buffer,
+    mode_scores: Buffer,
+}
+
+impl Decoder {
+    /// The layers `decoder.*` and, where the configuration has them, latent points, mode head and base control.
+    ///
+    /// # Errors
+    /// Where a tensor is missing or has another shape.
+    pub fn new(weights: &Weights) -> Result<Self, WeightsError> {
+        let [vehicle, cyclist, pedestrian] = AGENT_TYPES;
+        let read = |agent_type| TypeDecoder::read(weights, agent_type);
+        Ok(Self { types: [read(vehicle)?, read(cyclist)?, read(pedestrian)?] })
+    }
+
+    /// The decoder of a type.
+    #[must_use]
+    pub const fn of(&self, agent_type: AgentType) -> &TypeDecoder {
+        &self.types[agent_type.index()]
+    }
+}
+
+impl TypeDecoder {
+    fn read(weights: &Weights, agent_type: AgentType) -> Result<Self, WeightsError> {
+        let config = weights.config();
+        let name = |part: &str| format!("decoder.{}.{part}", agent_type.name());
+        let shape = [GATES, STATE_FEATURES + TEMPORAL + LATENT];
+        let input = weights.tensor(&name("gru.weight_ih"), &shape)?;
+        let input_bias = weights.tensor(&name("gru.bias_ih"), &[GATES])?;
+        let recurrent = weights.tensor(&name("gru.weight_hh"), &[GATES, HIDDEN])?;
+        let recurrent_bias = weights.tensor(&name("gru.bias_hh"), &[GATES])?;
+        let section = |start, len, bias| Linear::pack(input, bias, shape, start..start + len);
+        let latent = section(STATE_FEATURES + TEMPORAL, LATENT, None);
+        let points = (config.latents == Latents::Points || config.best_latent)
+            .then(|| Points::read(weights, &name(""), &latent))
+            .transpose()?;
+        let mut idle = Buffer::zeroed(GATES);
+        idle.copy_from_slice(input_bias);
+        Ok(Self {
+            state: section(0, STATE_FEATURES, Some(input_bias)),
+            context: section(STATE_FEATURES, TEMPORAL, Some(input_bias)),
+            latent,
+            hidden: Linear::pack(recurrent, Some(recurrent_bias), [GATES, HIDDEN], 0..HIDDEN),
+            idle,
+            head: Linear::read(weights, &name("head"), RAW_CONTROL, HIDDEN)?,
+            points,
+            modes: config.mode_head.then(|| ModeHead::read(weights, &name("mode"))).transpose()?,
+            base: config.base.then(|| Base::read(weights, agent_type)).transpose()?,
+        })
+    }
+
+    /// The base control, where the model has one.
+    #[must_use]
+    pub const fn base(&self) -> Option<&Base> {
+        self.base.as_ref()
+    }
+
+    /// Hidden states h after the present history steps, a row per agent.
+    ///
+    /// # Panics
+    /// Where states, presence and `hidden` do not fit one another.
+    pub fn burn_in(&self, agents: &BurnIn<'_>, memory: &mut DecoderMemory, hidden: &mut [[f32; HIDDEN]]) {
+        let rows_len = agents.agents_len;
+        assert_eq!(agents.states.len(), agents.present.len(), "presence of each state");
+        assert_eq!(hidden.len(), rows_len, "a row per agent");
+        hidden.as_flattened_mut().fill(0.0);
+        if rows_len == 0 {
+            return;
+        }
+        memory.reserve(rows_len);
+        for (states, present) in
+            agents.states.chunks_exact(rows_len).zip(agents.present.chunks_exact(rows_len))
+        {
+            let input = &mut memory.input[..rows_len * GATES];
+            let gates = &mut memory.gates[..rows_len * GATES];
+            let next = &mut memory.state[..rows_len * HIDDEN];
+            self.state.run(states.as_flattened(), STATE_FEATURES, Activation::None, input);
+            self.hidden.run(hidden.as_flattened(), HIDDEN, Activation::None, gates);
+            next.copy_from_slice(hidden.as_flattened());
+            gru_step(input, gates, next);
+            for ((row, next), _) in
+                hidden.iter_mut().zip(next.as_chunks().0).zip(present).filter(|(_, present)| **present)
+            {
+                *row = *next;
+            }
+        }
+    }
+
+    /// The head's outputs, \[agent, draw, step\], of agents with hidden states and temporal summaries as given.
+    ///
+    /// With [`Draws::Points`] the draws are the learned points, and behind them the point of the best forecast where the
+    /// model has one.
+    ///
+    /// # Panics
+    /// Where the parts do not fit one another, or where points are asked for and the model has none.
+    pub fn forecast(
+        &self,
+        hidden: &[[f32; HIDDEN]],
+        temporal: &[[f32; TEMPORAL]],
+        draws: Draws<'_>,
+        memory: &mut DecoderMemory,
+        out: &mut [[f32; RAW_CONTROL]],
+    ) {
+        let agents_len = hidden.len();
+        assert_eq!(temporal.len(), agents_len, "a summary per agent");
+        if agents_len == 0 {
+            return;
+        }
+        memory.reserve(BLOCK);
+        memory.context.reserve(agents_len * GATES);
+        let context = &mut memory.context[..agents_len * GATES];
+        self.context.run(temporal.as_flattened(), TEMPORAL, Activation::None, context);
+        let (draws_len, shared) = match draws {
+            Draws::Points => (self.points_len(), true),
+            Draws::Given(latents) => {
+                memory.latent.reserve(latents.len() * GATES);
+                let gates = &mut memory.latent[..latents.len() * GATES];
+                self.latent.run(latents.as_flattened(), LATENT, Activation::None, gates);
+                (latents.len() / agents_len, false)
+            }
+        };
+        let rows_len = agents_len * draws_len;
+        assert!(rows_len > 0 && out.len().is_multiple_of(rows_len), "whole steps");
+        let horizon_len = out.len() / rows_len;
+        for first in (0..rows_len).step_by(BLOCK) {
+            let len = BLOCK.min(rows_len - first);
+            for block_row in 0..len {
+                let (agent, draw) = ((first + block_row) / draws_len, (first + block_row) % draws_len);
+                memory.state[block_row * HIDDEN..][..HIDDEN].copy_from_slice(&hidden[agent]);
+                let latent = match &self.points {
+                    Some(points) if shared => &points.gates[draw * GATES..][..GATES],
+                    _ => &memory.latent[(first + block_row) * GATES..][..GATES],
+                };
+                let context = &memory.context[agent * GATES..][..GATES];
+                let input = &mut memory.input[block_row * GATES..][..GATES];
+                let sums = context.iter().zip(latent).map(|(c, z)| c + z);
+                input.iter_mut().zip(sums).for_each(|(input, sum)| *input = sum);
+            }
+            self.unroll(len, horizon_len, memory, &mut out[first * horizon_len..][..len * horizon_len]);
+        }
+    }
+
+    /// Runs the rows whose state and first input lie in `memory` over the horizon.
+    fn unroll(
+        &self,
+        len: usize,
+        horizon_len: usize,
+        memory: &mut DecoderMemory,
+        out: &mut [[f32; RAW_CONTROL]],
+    ) {
+        let DecoderMemory { input, gates, state, raw, .. } = memory;
+        let (gates, state) = (&mut gates[..len * GATES], &mut state[..len * HIDDEN]);
+        let stride = self.head.out_stride();
+        for step in 0..horizon_len {
+            self.hidden.run(state, HIDDEN, Activation::None, gates);
+            let input = if step == 0 { &input[..len * GATES] } else { &self.idle[..] };
+            gru_step(input, gates, state);
+            self.head.run(state, HIDDEN, Activation::None, &mut raw[..len * stride]);
+            for (row, raw) in raw[..len * stride].chunks_exact(stride).enumerate() {
+                out[row * horizon_len + step].copy_from_slice(&raw[..RAW_CONTROL]);
+            }
+        }
+    }
+
+    /// Learned latent points, that of the best forecast included.
+    ///
+    /// # Panics
+    /// Where the model has none.
+    #[must_use]
+    pub fn points_len(&self) -> usize {
+        self.points.as_ref().expect("the model has latent points").len
+    }
+
+    /// Probabilities of the modes, \[agent, mode\], or `false` where the model has no mode head and `out` is left.
+    ///
+    /// # Panics
+    /// Where the parts do not fit one another.
+    pub fn mode_probabilities(
+        &self,
+        hidden: &[[f32; HIDDEN]],
+        temporal: &[[f32; TEMPORAL]],
+        memory: &mut DecoderMemory,
+        out: &mut [f32],
+    ) -> bool {
+        let Some(head) = &self.modes else { return false };
+        assert_eq!(temporal.len(), hidden.len(), "a summary per agent");
+        assert_eq!(out.len(), hidden.len() * head.modes_len, "a probability per agent and mode");
+        let (len, width) = (hidden.len(), TEMPORAL + HIDDEN);
+        let stride = head.second.out_stride();
+        let DecoderMemory { joined, mode_hidden, mode_scores, .. } = memory;
+        joined.reserve(len * width);
+        mode_hidden.reserve(len * MODE_HIDDEN);
+        mode_scores.reserve(len * stride);
+        for (joined, (temporal, hidden)) in joined.chunks_exact_mut(width).zip(temporal.iter().zip(hidden)) {
+            joined[..TEMPORAL].copy_from_slice(temporal);
+            joined[TEMPORAL..].copy_from_slice(hidden);
+        }
+        let mode_hidden = &mut mode_hidden[..len * MODE_HIDDEN];
+        head.first.run(joined, width, Activation::Relu, mode_hidden);
+        let scores = &mut mode_scores[..len * stride];
+        head.second.run(mode_hidden, MODE_HIDDEN, Activation::None, scores);
+        for (scores, out) in scores.chunks_exact(stride).zip(out.chunks_exact_mut(head.modes_len)) {
+            let most = scores[..head.modes_len].iter().fold(f32::NEG_INFINITY, |most, &x| most.max(x));
+            out.iter_mut().zip(scores).for_each(|(p, score)| *p = score - most);
+            exp_in_place(out);
+            let share = 1.0 / out.iter().sum::<f32>();
+            out.iter_mut().for_each(|p| *p *= share);
+        }
+        true
+    }
+}
+
+impl Points {
+    fn read(weights: &Weights, name: &str, latent: &Linear) -> Result<Self, WeightsError> {
+        let config = weights.config();
+        let mut points = Vec::new();
+        if config.latents == Latents::Points {
+            points.extend_from_slice(weights.tensor(&format!("{name}latents"), &[config.modes, LATENT])?);
+        }
+        if config.best_latent {
+            points.extend_from_slice(weights.tensor(&format!("{name}latent_best"), &[LATENT])?);
+        }
+        let len = points.len() / LATENT;
+        let mut gates = Buffer::zeroed(len * GATES);
+        latent.run(&points, LATENT, Activation::None, &mut gates);
+        Ok(Self { gates, len })
+    }
+}
+
+impl ModeHead {
+    fn read(weights: &Weights, name: &str) -> Result<Self, WeightsError> {
+        let modes_len = weights.config().modes;
+        Ok(Self {
+            first: Linear::read(weights, &format!("{name}.0"), MODE_HIDDEN, TEMPORAL + HIDDEN)?,
+            second: Linear::read(weights, &format!("{name}.1"), modes_len, MODE_HIDDEN)?,
+            modes_len,
+        })
+    }
+}
+
+impl DecoderMemory {
+    fn reserve(&mut self, rows_len: usize) {
+        self.input.reserve(rows_len * GATES);
+        self.gates.reserve(rows_len * GATES);
+        self.state.reserve(rows_len * HIDDEN);
+        self.raw.reserve(rows_len * RAW_CONTROL.next_multiple_of(16));
+    }
+}

@@ -1,0 +1,48 @@
+#![expect(unsafe_code, reason = "vector loads and stores")]
+
+/// The operations of one instruction set on vectors of `LEN` floats, as a token: who holds one may use the set.
+///
+/// All methods are `#[inline(always)]`, see [`super::Kernel`].
+pub(crate) trait Lanes: Copy {
+    /// A vector.
+    type V: Copy;
+    /// Its floats; divides 16.
+    const LEN: usize;
+
+    fn splat(self, x: f32) -> Self::V;
+    fn add(self, a: Self::V, b: Self::V) -> Self::V;
+    fn sub(self, a: Self::V, b: Self::V) -> Self::V;
+    fn mul(self, a: Self::V, b: Self::V) -> Self::V;
+    fn div(self, a: Self::V, b: Self::V) -> Self::V;
+    fn min(self, a: Self::V, b: Self::V) -> Self::V;
+    fn max(self, a: Self::V, b: Self::V) -> Self::V;
+    /// a · b + c, with one rounding where the set can.
+    fn fma(self, a: Self::V, b: Self::V, c: Self::V) -> Self::V;
+    /// The nearest whole number.
+    fn round(self, a: Self::V) -> Self::V;
+    /// 2^n for whole n in −126..=127.
+    fn pow2(self, n: Self::V) -> Self::V;
+
+    /// # Safety
+    /// `from` is good for reading `LEN` floats.
+    unsafe fn load_from(self, from: *const f32) -> Self::V;
+    /// # Safety
+    /// `to` is good for writing `LEN` floats.
+    unsafe fn store_to(self, to: *mut f32, v: Self::V);
+
+    /// The first `LEN` floats of a slice.
+    #[inline(always)]
+    fn load(self, from: &[f32]) -> Self::V {
+        assert!(from.len() >= Self::LEN);
+        // SAFETY: the slice is long enough.
+        unsafe { self.load_from(from.as_ptr()) }
+    }
+
+    /// Sets the first `LEN` floats of a slice.
+    #[inline(always)]
+    fn store(self, to: &mut [f32], v: Self::V) {
+        assert!(to.len() >= Self::LEN);
+        // SAFETY: the slice is long enough.
+        unsafe { self.store_to(to.as_mut_ptr(), v) }
+    }
+}

@@ -1,0 +1,62 @@
+#![expect(unsafe_code, reason = "the trait's loads and stores take pointers")]
+
+use super::{Kernel, Lanes};
+
+/// Plain Rust on four floats, which compilers turn into what the target's base set has.
+#[derive(Clone, Copy)]
+pub(crate) struct Portable;
+
+pub(super) fn run<K: Kernel>(kernel: K) -> K::Output {
+    kernel.run(Portable)
+}
+
+macro_rules! operations {
+    ($($name:ident($($a:ident),+) = $value:expr;)+) => {
+        $(
+            #[inline(always)]
+            fn $name(self, $($a: [f32; 4]),+) -> [f32; 4] {
+                let mut out = [0.0; 4];
+                for (i, out) in out.iter_mut().enumerate() {
+                    $(let $a = $a[i];)+
+                    *out = $value;
+                }
+                out
+            }
+        )+
+    };
+}
+
+impl Lanes for Portable {
+    type V = [f32; 4];
+    const LEN: usize = 4;
+
+    operations! {
+        add(a, b) = a + b;
+        sub(a, b) = a - b;
+        mul(a, b) = a * b;
+        div(a, b) = a / b;
+        min(a, b) = if a < b { a } else { b };
+        max(a, b) = if a > b { a } else { b };
+        // Two roundings: without the instruction `mul_add` is a slow library call.
+        fma(a, b, c) = a * b + c;
+        round(a) = a.round_ties_even();
+        pow2(n) = f32::from_bits(((n as i32 + 127) as u32) << 23);
+    }
+
+    #[inline(always)]
+    fn splat(self, x: f32) -> [f32; 4] {
+        [x; 4]
+    }
+
+    #[inline(always)]
+    unsafe fn load_from(self, from: *const f32) -> [f32; 4] {
+        // SAFETY: the caller vouches for the pointer; arrays of f32 are as aligned as one f32.
+        unsafe { *from.cast::<[f32; 4]>() }
+    }
+
+    #[inline(always)]
+    unsafe fn store_to(self, to: *mut f32, v: [f32; 4]) {
+        // SAFETY: as above.
+        unsafe { *to.cast::<[f32; 4]>() = v }
+    }
+}

@@ -1,0 +1,362 @@
+//! The product of gathered rows with packed panels: one kernel for linear layers and convolutions.
+//!
+//! ```text
+//! out[q, o] = ( Σ_tap Σ_c  input[row(q, tap), c] · W[o, tap, c] + bias[o] + residual[q, o] )⁺
+//! ```
+//!
+//! A linear layer has one tap, and row q of its output reads row q of its input. A convolution has a tap for each cell of
+//! its kernel and reads the input *in place* (indirect convolution: no im2col copy). A tap that sees only padding is
+//! *dead* for that output and is skipped; where a register tile mixes outputs for which a tap is live and dead, the dead
+//! ones read a shared row of zeros.
+//!
+//! W is packed as `[⌈out / 16⌉][tap][in][16]`, so that the innermost loop reads it front to back. Each output is one chain
+//! of multiply-adds in the order of (tap, c): neither the tile's shape nor the other rows of a batch change a bit of it.
+
+#![expect(unsafe_code, reason = "the register tile reads through pointers")]
+
+use super::{Kernel, Lanes, dispatch};
+use crate::buffer::Buffer;
+
+/// Columns of a panel.
+pub(crate) const PANEL: usize = 16;
+/// Most taps of a convolution: 7 × 7.
+pub(crate) const TAPS_MAX: usize = 49;
+/// Marks a tap that sees padding.
+const DEAD: u32 = u32::MAX;
+
+/// A matrix in the order in which the kernel reads it, with a bias.
+pub(crate) struct Panels {
+    values: Buffer,
+    bias: Buffer,
+    taps_len: usize,
+    in_len: usize,
+    panels_len: usize,
+}
+
+impl Panels {
+    /// Packs the matrix whose entry for (out, tap, in) is `weight(out, tap, in)`. Outputs are padded to whole panels
+    /// with zeros.
+    pub(crate) fn pack(
+        [out_len, taps_len, in_len]: [usize; 3],
+        weight: impl Fn(usize, usize, usize) -> f32,
+        bias: impl Fn(usize) -> f32,
+    ) -> Self {
+        assert!((1..=TAPS_MAX).contains(&taps_len) && in_len > 0 && out_len > 0);
+        let panels_len = out_len.div_ceil(PANEL);
+        let mut values = Buffer::zeroed(panels_len * taps_len * in_len * PANEL);
+        let mut padded_bias = Buffer::zeroed(panels_len * PANEL);
+        for out in 0..out_len {
+            let (panel, column) = (out / PANEL, out % PANEL);
+            padded_bias[out] = bias(out);
+            for tap in 0..taps_len {
+                for c in 0..in_len {
+                    let place = ((panel * taps_len + tap) * in_len + c) * PANEL + column;
+                    values[place] = weight(out, tap, c);
+                }
+            }
+        }
+        Self { values, bias: padded_bias, taps_len, in_len, panels_len }
+    }
+
+    /// Length of an output row: a multiple of 16.
+    pub(crate) const fn out_stride(&self) -> usize {
+        self.panels_len * PANEL
+    }
+
+    const fn panel_len(&self) -> usize {
+        self.taps_len * self.in_len * PANEL
+    }
+}
+
+/// Where each output position of a convolution finds the input of each tap.
+pub(crate) struct Taps {
+    /// \[output position, tap\]: input position or [`DEAD`].
+    sources: Vec<u32>,
+    taps_len: usize,
+    in_positions: usize,
+}
+
+impl Taps {
+    /// The taps of a square kernel over a square map.
+    pub(crate) fn new(side: usize, kernel: usize, stride: usize, padding: usize) -> Self {
+        let out_side = (side + 2 * padding - kernel) / stride + 1;
+        let mut sources = Vec::with_capacity(out_side * out_side * kernel * kernel);
+        let inside = |out: usize, tap: usize| (out * stride + tap).checked_sub(padding).filter(|&i| i < side);
+        for position in 0..out_side * out_side {
+            for tap in 0..kernel * kernel {
+                let row = inside(position / out_side, tap / kernel);
+                let column = inside(position % out_side, tap % kernel);
+                sources.push(match (row, column) {
+                    (Some(row), Some(column)) => (row * side + column) as u32,
+                    _ => DEAD,
+                });
+            }
+        }
+        Self { sources, taps_len: kernel * kernel, in_positions: side * side }
+    }
+
+    /// Positions of the output map.
+    pub(crate) fn out_positions(&self) -> usize {
+        self.sources.len() / self.taps_len
+    }
+
+    /// The input row that a tap of an output position sees in an image, or `None` where it sees padding.
+    #[inline(always)]
+    fn row(&self, position: usize, tap: usize, image: usize, images_len: usize) -> Option<usize> {
+        let source = self.sources[position * self.taps_len + tap];
+        (source != DEAD).then(|| source as usize * images_len + image)
+    }
+
+    /// Pairs of output position and tap that see input.
+    pub(crate) fn live_len(&self) -> usize {
+        self.sources.iter().filter(|&&source| source != DEAD).count()
+    }
+}
+
+/// How output rows find their input.
+#[derive(Clone, Copy)]
+pub(crate) enum Gather<'a> {
+    /// Row q lies at q · stride.
+    Rows {
+        /// Floats from one row to the next.
+        stride: usize,
+    },
+    /// Row q is output position q / images of image q % images; the input is \[position, image, channel\].
+    Taps {
+        /// The convolution's table.
+        taps: &'a Taps,
+        /// Images in the batch.
+        images_len: usize,
+        /// A row of zeros, as long as an input row.
+        zeros: &'a [f32],
+    },
+}
+
+/// One product; see the module.
+pub(crate) struct Product<'a> {
+    pub(crate) input: &'a [f32],
+    pub(crate) gather: Gather<'a>,
+    pub(crate) panels: &'a Panels,
+    /// Added before the ReLU; the layout of `out`.
+    pub(crate) residual: Option<&'a [f32]>,
+    pub(crate) relu: bool,
+    /// \[row, `panels.out_stride()`\].
+    pub(crate) out: &'a mut [f32],
+}
+
+impl Product<'_> {
+    /// Computes all rows of `out`.
+    ///
+    /// # Panics
+    /// Where the slices do not fit one another.
+    pub(crate) fn run(self) {
+        let stride = self.panels.out_stride();
+        let rows_len = self.out.len() / stride;
+        assert_eq!(self.out.len(), rows_len * stride, "whole rows of output");
+        assert!(self.residual.is_none_or(|r| r.len() == self.out.len()), "residual like output");
+        if rows_len == 0 {
+            return;
+        }
+        match self.gather {
+            Gather::Rows { stride } => {
+                assert_eq!(self.panels.taps_len, 1);
+                assert!((rows_len - 1) * stride + self.panels.in_len <= self.input.len(), "rows of input");
+            }
+            Gather::Taps { taps, images_len, zeros } => {
+                assert_eq!(self.panels.taps_len, taps.taps_len);
+                assert_eq!(rows_len, taps.out_positions() * images_len, "rows of output");
+                assert!(
+                    taps.in_positions * images_len * self.panels.in_len <= self.input.len(),
+                    "input maps"
+                );
+                assert!(zeros.len() >= self.panels.in_len);
+            }
+        }
+        dispatch(Checked { product: self, rows_len });
+    }
+}
+
+/// A product whose slices fit one another.
+struct Checked<'a> {
+    product: Product<'a>,
+    rows_len: usize,
+}
+
+/// The live taps of a register tile of R rows.
+struct Tile<const R: usize> {
+    /// Input rows of each live tap.
+    rows: [[*const f32; R]; TAPS_MAX],
+    /// The live taps.
+    taps: [usize; TAPS_MAX],
+    live_len: usize,
+}
+
+impl<const R: usize> Tile<R> {
+    const fn new() -> Self {
+        Self { rows: [[std::ptr::null(); R]; TAPS_MAX], taps: [0; TAPS_MAX], live_len: 0 }
+    }
+}
+
+impl Kernel for Checked<'_> {
+    type Output = ();
+
+    /// The tile keeps R × V vectors in registers: enough to hide the latency of the multiply-adds, and few enough loads
+    /// for each of them.
+    #[inline(always)]
+    fn run<L: Lanes>(mut self, lanes: L) {
+        let panels_len = self.product.panels.panels_len;
+        let mut panel = 0;
+        if L::LEN == PANEL {
+            while panel + 2 <= panels_len {
+                self.columns::<L, 12, 2>(lanes, panel);
+                panel += 2;
+            }
+            if panel < panels_len {
+                self.columns::<L, 12, 1>(lanes, panel);
+            }
+        } else {
+            for panel in 0..panels_len {
+                if L::LEN == 8 {
+                    self.columns::<L, 6, 2>(lanes, panel);
+                } else {
+                    self.columns::<L, 6, 4>(lanes, panel);
+                }
+            }
+        }
+    }
+}
+
+impl Checked<'_> {
+    /// All rows of V vectors of columns, from `panel` on.
+    #[inline(always)]
+    fn columns<L: Lanes, const R: usize, const V: usize>(&mut self, lanes: L, panel: usize) {
+        let mut row = 0;
+        row = self.tiles::<L, R, V>(lanes, panel, row);
+        row = self.tiles::<L, 8, V>(lanes, panel, row);
+        row = self.tiles::<L, 4, V>(lanes, panel, row);
+        row = self.tiles::<L, 2, V>(lanes, panel, row);
+        self.tiles::<L, 1, V>(lanes, panel, row);
+    }
+
+    /// As many whole tiles of R rows as there are from `row` on; returns the first row that is left.
+    #[inline(always)]
+    fn tiles<L: Lanes, const R: usize, const V: usize>(
+        &mut self,
+        lanes: L,
+        panel: usize,
+        mut row: usize,
+    ) -> usize {
+        if row + R > self.rows_len {
+            return row;
+        }
+        let mut tile = Tile::<R>::new();
+        while row + R <= self.rows_len {
+            self.gather(row, &mut tile);
+            // SAFETY: `Product::run` has checked that input, panels and output hold what the tile addresses.
+            unsafe { self.multiply::<L, R, V>(lanes, panel, row, &tile) };
+            row += R;
+        }
+        row
+    }
+
+    /// Finds the input rows of a tile.
+    #[inline(always)]
+    fn gather<const R: usize>(&self, row: usize, tile: &mut Tile<R>) {
+        let input = self.product.input.as_ptr();
+        let in_len = self.product.panels.in_len;
+        match self.product.gather {
+            Gather::Rows { stride } => {
+                tile.rows[0] = rows_from(input.wrapping_add(row * stride), stride);
+                tile.live_len = 1;
+            }
+            Gather::Taps { taps, images_len, zeros } => {
+                tile.live_len = 0;
+                let (position, image) = (row / images_len, row % images_len);
+                let one_position = image + R <= images_len;
+                for tap in 0..taps.taps_len {
+                    let rows = &mut tile.rows[tile.live_len];
+                    let live = if one_position {
+                        let start = taps.row(position, tap, image, images_len).map(|row| row * in_len);
+                        *rows = rows_from(input.wrapping_add(start.unwrap_or(0)), in_len);
+                        start.is_some()
+                    } else {
+                        let mut live = false;
+                        for (r, from) in rows.iter_mut().enumerate() {
+                            let (position, image) = ((row + r) / images_len, (row + r) % images_len);
+                            let row = taps.row(position, tap, image, images_len);
+                            *from = row.map_or(zeros.as_ptr(), |row| input.wrapping_add(row * in_len));
+                            live |= row.is_some();
+                        }
+                        live
+                    };
+                    tile.taps[tile.live_len] = tap;
+                    tile.live_len += usize::from(live);
+                }
+            }
+        }
+    }
+
+    /// # Safety
+    /// The tile's rows hold `in_len` floats each; panels, residual and output hold the columns and rows addressed.
+    #[inline(always)]
+    unsafe fn multiply<L: Lanes, const R: usize, const V: usize>(
+        &mut self,
+        l: L,
+        panel: usize,
+        row: usize,
+        tile: &Tile<R>,
+    ) {
+        let Panels { values, bias, in_len, .. } = self.product.panels;
+        let panel_len = self.product.panels.panel_len();
+        let stride = self.product.panels.out_stride();
+        let per_panel = PANEL / L::LEN;
+        let weights = values.as_ptr().wrapping_add(panel * panel_len);
+        let mut sums = [[l.splat(0.0); V]; R];
+        for live in 0..tile.live_len {
+            let rows = tile.rows[live];
+            let weights = weights.wrapping_add(tile.taps[live] * in_len * PANEL);
+            for c in 0..*in_len {
+                let mut w = [l.splat(0.0); V];
+                for (v, w) in w.iter_mut().enumerate() {
+                    let offset = (v / per_panel) * panel_len + c * PANEL + (v % per_panel) * L::LEN;
+                    // SAFETY: within the panels.
+                    *w = unsafe { l.load_from(weights.wrapping_add(offset)) };
+                }
+                for (row, sums) in rows.iter().zip(&mut sums) {
+                    // SAFETY: the caller vouches for `in_len` floats in each row.
+                    let x = l.splat(unsafe { *row.wrapping_add(c) });
+                    for (sum, w) in sums.iter_mut().zip(&w) {
+                        *sum = l.fma(x, *w, *sum);
+                    }
+                }
+            }
+        }
+        for (r, sums) in sums.iter().enumerate() {
+            for (v, sum) in sums.iter().enumerate() {
+                let column = panel * PANEL + v * L::LEN;
+                let place = (row + r) * stride + column;
+                // SAFETY: within the bias, which has a value for each column.
+                let mut y = l.add(*sum, unsafe { l.load_from(bias.as_ptr().wrapping_add(column)) });
+                if let Some(residual) = self.product.residual {
+                    // SAFETY: the residual has the output's length.
+                    y = l.add(y, unsafe { l.load_from(residual.as_ptr().wrapping_add(place)) });
+                }
+                if self.product.relu {
+                    y = l.max(y, l.splat(0.0));
+                }
+                // SAFETY: within the output.
+                unsafe { l.store_to(self.product.out.as_mut_ptr().wrapping_add(place), y) };
+            }
+        }
+    }
+}
+
+/// R rows that lie `stride` floats apart.
+#[inline(always)]
+fn rows_from<const R: usize>(start: *const f32, stride: usize) -> [*const f32; R] {
+    let mut rows = [start; R];
+    for (r, row) in rows.iter_mut().enumerate() {
+        *row = start.wrapping_add(r * stride);
+    }
+    rows
+}

@@ -1,0 +1,227 @@
+//! Weights files: safetensors with the model's configuration in their metadata.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+
+use safetensors::{Dtype, SafeTensors};
+use sha2::{Digest, Sha256};
+use thiserror::Error;
+
+use crate::{ConfigError, ModelConfig};
+
+const ONBOARD: &[u8] = include_bytes!("../../weights/onboard.safetensors");
+/// Bytes that tell the length of a safetensors header.
+const LENGTH_BYTES: usize = 8;
+
+/// Why weights can't be used.
+#[derive(Debug, Error)]
+pub enum WeightsError {
+    /// The file can't be read.
+    #[error("{path}: {source}")]
+    Unreadable {
+        /// The file.
+        path: String,
+        /// The operating system's reason.
+        source: std::io::Error,
+    },
+    /// The file is shorter than its header tells.
+    #[error("weights are truncated: {found} bytes of {expected}")]
+    Truncated {
+        /// Bytes that are there.
+        found: usize,
+        /// Bytes that the header promises.
+        expected: usize,
+    },
+    /// The file is something else.
+    #[error("not a safetensors file: {0}")]
+    NotSafetensors(String),
+    /// The metadata holds no usable configuration.
+    #[error("model configuration in the weights: {0}")]
+    Config(String),
+    /// A value of the configuration is impossible.
+    #[error("model configuration in the weights: {0}")]
+    ConfigValue(#[from] ConfigError),
+    /// A tensor that the model needs is not there.
+    #[error("tensor {name} is missing")]
+    Missing {
+        /// The tensor.
+        name: String,
+    },
+    /// A tensor has another shape than the model needs.
+    #[error("tensor {name} has shape {found:?}, the model needs {expected:?}")]
+    Shape {
+        /// The tensor.
+        name: String,
+        /// Its shape.
+        found: Vec<usize>,
+        /// The model's.
+        expected: Vec<usize>,
+    },
+    /// A tensor holds other numbers than f32 or f16.
+    #[error("tensor {name} holds {dtype}, expected F32 or F16")]
+    Type {
+        /// The tensor.
+        name: String,
+        /// The type of its values.
+        dtype: String,
+    },
+    /// A tensor holds an infinite value or NaN.
+    #[error("tensor {name}: value {index} is {value}")]
+    NotFinite {
+        /// The tensor.
+        name: String,
+        /// Place in row-major order.
+        index: usize,
+        /// The value.
+        value: f32,
+    },
+}
+
+struct Tensor {
+    shape: Vec<usize>,
+    values: Vec<f32>,
+}
+
+/// The tensors of a model with its configuration; every value is finite.
+pub struct Weights {
+    tensors: BTreeMap<String, Tensor>,
+    config: ModelConfig,
+    card: Option<serde_json::Value>,
+    sha256: String,
+}
+
+impl std::fmt::Debug for Weights {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("Weights").field("sha256", &self.sha256).field("tensors", &self.tensors.len()).finish()
+    }
+}
+
+impl Weights {
+    /// Reads a weights file.
+    ///
+    /// # Errors
+    /// [`WeightsError`] tells what is wrong and, where one is to blame, names the tensor.
+    pub fn open(path: &Path) -> Result<Self, WeightsError> {
+        let bytes = std::fs::read(path)
+            .map_err(|source| WeightsError::Unreadable { path: path.display().to_string(), source })?;
+        Self::from_bytes(&bytes)
+    }
+
+    /// The weights that the executable carries.
+    ///
+    /// # Panics
+    /// Never in a build whose tests pass: they parse the same bytes.
+    #[must_use]
+    pub fn onboard() -> Self {
+        Self::from_bytes(ONBOARD).expect("the embedded weights are checked by a test")
+    }
+
+    /// Parses the bytes of a weights file.
+    ///
+    /// # Errors
+    /// As [`Weights::open`].
+    pub fn from_bytes(bytes: &[u8]) -> Result<Self, WeightsError> {
+        let file = parse(bytes)?;
+        let (_, header) =
+            SafeTensors::read_metadata(bytes).map_err(|e| WeightsError::NotSafetensors(e.to_string()))?;
+        let metadata = header.metadata().as_ref();
+        let text = |key| metadata.and_then(|m| m.get(key));
+        let config = text("config")
+            .ok_or_else(|| WeightsError::Config("the metadata key \"config\" is missing".into()))?;
+        let config: ModelConfig =
+            serde_json::from_str(config).map_err(|e| WeightsError::Config(e.to_string()))?;
+        config.check()?;
+        let card = text("card")
+            .map(|card| serde_json::from_str(card))
+            .transpose()
+            .map_err(|e| WeightsError::Config(format!("model card: {e}")))?;
+        let mut tensors = BTreeMap::new();
+        for (name, view) in file.iter() {
+            let values = floats(name, view.dtype(), view.data())?;
+            if let Some(index) = values.iter().position(|x| !x.is_finite()) {
+                return Err(WeightsError::NotFinite { name: name.into(), index, value: values[index] });
+            }
+            tensors.insert(name.to_owned(), Tensor { shape: view.shape().to_vec(), values });
+        }
+        let sha256 = Sha256::digest(bytes).iter().map(|byte| format!("{byte:02x}")).collect();
+        Ok(Self { tensors, config, card, sha256 })
+    }
+
+    /// The model's options.
+    #[must_use]
+    pub const fn config(&self) -> &ModelConfig {
+        &self.config
+    }
+
+    /// The model card: data, split, options and validation figures, where the trainer wrote one.
+    #[must_use]
+    pub const fn card(&self) -> Option<&serde_json::Value> {
+        self.card.as_ref()
+    }
+
+    /// Fingerprint of the file, in hexadecimal.
+    #[must_use]
+    pub fn sha256(&self) -> &str {
+        &self.sha256
+    }
+
+    /// Names and shapes of all tensors, in the order of their names.
+    pub fn shapes(&self) -> impl Iterator<Item = (&str, &[usize])> {
+        self.tensors.iter().map(|(name, tensor)| (name.as_str(), tensor.shape.as_slice()))
+    }
+
+    /// A tensor's values in row-major order.
+    ///
+    /// # Errors
+    /// [`WeightsError::Missing`], or [`WeightsError::Shape`] where the shape is not `shape`.
+    pub fn tensor(&self, name: &str, shape: &[usize]) -> Result<&[f32], WeightsError> {
+        let tensor = self.tensors.get(name).ok_or_else(|| WeightsError::Missing { name: name.into() })?;
+        if tensor.shape == shape {
+            Ok(&tensor.values)
+        } else {
+            Err(WeightsError::Shape {
+                name: name.into(),
+                found: tensor.shape.clone(),
+                expected: shape.to_vec(),
+            })
+        }
+    }
+}
+
+fn parse(bytes: &[u8]) -> Result<SafeTensors<'_>, WeightsError> {
+    let header_len = match bytes.first_chunk::<LENGTH_BYTES>() {
+        Some(len) => u64::from_le_bytes(*len),
+        None => return Err(WeightsError::Truncated { found: bytes.len(), expected: LENGTH_BYTES }),
+    };
+    let begins_like_one = bytes.get(LENGTH_BYTES).is_none_or(|&first| first == b'{');
+    if begins_like_one && header_len < 100_000_000 {
+        let header_end = LENGTH_BYTES + header_len as usize;
+        if bytes.len() < header_end {
+            return Err(WeightsError::Truncated { found: bytes.len(), expected: header_end });
+        }
+        let expected = header_end.saturating_add(data_len(&bytes[LENGTH_BYTES..header_end]));
+        if bytes.len() < expected {
+            return Err(WeightsError::Truncated { found: bytes.len(), expected });
+        }
+    }
+    SafeTensors::deserialize(bytes).map_err(|e| WeightsError::NotSafetensors(e.to_string()))
+}
+
+/// Bytes of data that a header tells of; 0 where it can't be understood.
+fn data_len(header: &[u8]) -> usize {
+    let Ok(serde_json::Value::Object(tensors)) = serde_json::from_slice(header) else {
+        return 0;
+    };
+    let ends = tensors.values().filter_map(|tensor| tensor.get("data_offsets")?.get(1)?.as_u64());
+    ends.max().unwrap_or(0) as usize
+}
+
+fn floats(name: &str, dtype: Dtype, data: &[u8]) -> Result<Vec<f32>, WeightsError> {
+    match dtype {
+        Dtype::F32 => Ok(data.as_chunks().0.iter().map(|&bytes| f32::from_le_bytes(bytes)).collect()),
+        Dtype::F16 => {
+            Ok(data.as_chunks().0.iter().map(|&bytes| half::f16::from_le_bytes(bytes).to_f32()).collect())
+        }
+        other => Err(WeightsError::Type { name: name.into(), dtype: format!("{other:?}") }),
+    }
+}
