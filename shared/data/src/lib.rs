@@ -1,5 +1,30 @@
 //! Where detections come from: recordings of every known format, training windows, and generated scenes.
+//!
+//! A *recording* is a list of [`Frame`]s: what a sensor saw, and where known what was really there, at each time.
+//! [`open`] reads one from a file together with the files that belong to it; [`parse`] does the same from bytes.
+//! Positions come out in metres in one world frame, headings counter-clockwise in radians, stamps in nanoseconds on
+//! the recording's own clock. What a row of a file means is told by the module of its format in [`formats`].
+//!
+//! [`tracks`] turns a recording with identities into trajectories, [`windows`](windows()) cuts those into strictly causal
+//! histories and their futures, and [`sets`] names the files of the train, validation and test parts.
 
+mod error;
+mod format;
+pub mod formats;
+mod input;
+mod open;
 mod recording;
+mod rows;
+pub mod sets;
+mod text;
+mod tracks;
+mod windows;
 
-pub use recording::{Ego, Frame, Recording};
+pub use error::ReadError;
+pub use format::{Format, UnknownFormat};
+pub use input::{FILE_BYTES_MAX, Input, Role};
+pub use open::{open, parse};
+pub use recording::{Ego, Frame, LeftOut, Recording};
+pub use rows::ROWS_MAX;
+pub use tracks::{RecordedTrack, tracks, tracks_from_positions};
+pub use windows::{Window, WindowAgent, WindowOptions, windows};

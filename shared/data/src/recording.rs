@@ -24,8 +24,17 @@ pub struct Frame {
     pub truth: Vec<Truth>,
 }
 
+/// Rows of a file that by the rules of its format stand for no detection.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct LeftOut {
+    /// Why, in the format's words.
+    pub reason: String,
+    /// How many rows.
+    pub rows_len: usize,
+}
+
 /// A recording or a generated scene: frames in time order.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct Recording {
     /// Name for reports.
     pub name: String,
@@ -37,4 +46,8 @@ pub struct Recording {
     pub has_identities: bool,
     /// The frames, strictly increasing in `stamp_ns`.
     pub frames: Vec<Frame>,
+    /// What the format told to leave out, so that nothing is skipped in silence.
+    pub left_out: Vec<LeftOut>,
+    /// Metres per pixel of the video where the recording comes from one whose errors are published in pixels.
+    pub pixel_m: Option<f64>,
 }

@@ -1,0 +1,114 @@
+use std::path::PathBuf;
+
+use thiserror::Error;
+
+/// Why a recording could not be read.
+#[derive(Debug, Error)]
+pub enum ReadError {
+    /// The file or its folder can't be opened or read.
+    #[error("{}: {error}", path.display())]
+    Io {
+        /// The file.
+        path: PathBuf,
+        /// What the operating system says.
+        error: std::io::Error,
+    },
+    /// The file is larger than any recording.
+    #[error("{path}: {bytes} bytes, at most {most} are read")]
+    TooLarge {
+        /// The file.
+        path: String,
+        /// Its size.
+        bytes: u64,
+        /// The limit.
+        most: u64,
+    },
+    /// The file has more rows than are kept.
+    #[error("{path}:{line}: more than {most} rows")]
+    TooManyRows {
+        /// The file.
+        path: String,
+        /// The first line beyond the limit, from 1.
+        line: usize,
+        /// The limit.
+        most: usize,
+    },
+    /// The file is binary.
+    #[error("{path}:{line}: not text: byte {byte} of the line is not UTF-8")]
+    NotText {
+        /// The file.
+        path: String,
+        /// The line, from 1.
+        line: usize,
+        /// The offending byte's place in its line, from 1.
+        byte: usize,
+    },
+    /// A row has too few or too many columns.
+    #[error("{path}:{line}:1: {found} columns, expected {expected}: \"{text}\"")]
+    Columns {
+        /// The file.
+        path: String,
+        /// The line, from 1.
+        line: usize,
+        /// Columns of the row.
+        found: usize,
+        /// Columns of the format.
+        expected: usize,
+        /// The row, shortened.
+        text: String,
+    },
+    /// A value is not what its column asks for.
+    #[error("{path}:{line}:{column}: {field} = \"{value}\": {problem}")]
+    Value {
+        /// The file.
+        path: String,
+        /// The line, from 1.
+        line: usize,
+        /// Where the value begins in its line, in bytes from 1.
+        column: usize,
+        /// The column's name.
+        field: &'static str,
+        /// The value as it stands there, shortened.
+        value: String,
+        /// What is wrong with it.
+        problem: String,
+    },
+    /// One object is told twice at the same time.
+    #[error("{path}:{line}: id {id} stands in this frame already, in {first_path}:{first_line}")]
+    Duplicate {
+        /// The file.
+        path: String,
+        /// The line of the second row, from 1.
+        line: usize,
+        /// The object.
+        id: u64,
+        /// The file of the first row.
+        first_path: String,
+        /// The line of the first row, from 1.
+        first_line: usize,
+    },
+    /// The file has no row.
+    #[error("{path}: no rows")]
+    Empty {
+        /// The file.
+        path: String,
+    },
+    /// A file that belongs to the recording is not there.
+    #[error("{path}: needs {role}, and there is none{searched}")]
+    Missing {
+        /// The file that was opened.
+        path: String,
+        /// What is missing.
+        role: &'static str,
+        /// Where it was looked for, as ` at PATH`, or nothing.
+        searched: String,
+    },
+    /// The format can't be told from the content.
+    #[error("{path}: {problem}; name the format (one of {known})", known = crate::Format::names())]
+    UnknownFormat {
+        /// The file.
+        path: String,
+        /// What was seen.
+        problem: String,
+    },
+}

@@ -1,0 +1,150 @@
+use std::fmt;
+use std::str::FromStr;
+
+use thiserror::Error;
+
+use crate::formats::{csv, interaction, vci_dut};
+use crate::text::{self, Line, Separator};
+use crate::{Input, ReadError};
+
+/// How a recording is written.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Format {
+    /// [`crate::formats::positions`], ETH/UCY.
+    EthUcy,
+    /// [`crate::formats::obsmat`].
+    Obsmat,
+    /// [`crate::formats::positions`], Stanford Drone.
+    SddTrajnet,
+    /// [`crate::formats::sdd_raw`].
+    SddRaw,
+    /// [`crate::formats::interaction`].
+    Interaction,
+    /// [`crate::formats::vci_dut`].
+    VciDut,
+    /// [`crate::formats::kitti`], a detector's output.
+    KittiDetections,
+    /// [`crate::formats::kitti`], true tracks.
+    KittiLabels,
+    /// [`crate::formats::csv`], the project's own.
+    Csv,
+}
+
+/// A name that stands for no format.
+#[derive(Debug, Error, PartialEq, Eq)]
+#[error("unknown format \"{0}\": expected one of {known}", known = Format::names())]
+pub struct UnknownFormat(pub String);
+
+/// Lines after which no more is looked at to tell the format.
+const LINES_MAX: usize = 2_000;
+
+impl Format {
+    /// All formats.
+    pub const ALL: [Self; 9] = [
+        Self::EthUcy,
+        Self::Obsmat,
+        Self::SddTrajnet,
+        Self::SddRaw,
+        Self::Interaction,
+        Self::VciDut,
+        Self::KittiDetections,
+        Self::KittiLabels,
+        Self::Csv,
+    ];
+
+    /// The name used on the command line.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::EthUcy => "eth-ucy",
+            Self::Obsmat => "obsmat",
+            Self::SddTrajnet => "sdd-trajnet",
+            Self::SddRaw => "sdd-raw",
+            Self::Interaction => "interaction",
+            Self::VciDut => "vci-dut",
+            Self::KittiDetections => "kitti-detections",
+            Self::KittiLabels => "kitti-labels",
+            Self::Csv => "csv",
+        }
+    }
+
+    /// All names, with commas between them.
+    #[must_use]
+    pub fn names() -> String {
+        Self::ALL.map(Self::name).join(", ")
+    }
+
+    /// The format of a file, told from its content; its name decides nothing.
+    ///
+    /// # Errors
+    /// [`ReadError::UnknownFormat`] where the content fits none, [`ReadError::NotText`], [`ReadError::Empty`].
+    pub fn detect(input: &Input) -> Result<Self, ReadError> {
+        let mut lines =
+            text::lines(input).filter(|line| !matches!(line, Ok(line) if line.text.starts_with('#')));
+        let first = lines.next().ok_or_else(|| ReadError::Empty { path: input.path.clone() })??;
+        if interaction::role_of(&first).is_some() {
+            return Ok(Self::Interaction);
+        }
+        if vci_dut::role_of(&first).is_some() {
+            return Ok(Self::VciDut);
+        }
+        if csv::is_header(&first) {
+            return Ok(Self::Csv);
+        }
+        let commas = first.pieces(Separator::Comma).count();
+        let spaces = first.pieces(Separator::Space).count();
+        match (commas, spaces) {
+            (15, _) => Ok(Self::KittiDetections),
+            (1, 17) => Ok(Self::KittiLabels),
+            (1, 10) => Ok(Self::SddRaw),
+            (1, 8) => Ok(Self::Obsmat),
+            (1, 4) => by_frames(&first, lines),
+            _ => Err(unknown(&first, format!("the first row has {} columns", commas.max(spaces)))),
+        }
+    }
+}
+
+/// Tells the formats of four columns apart by the spacing of their frames: tens or dozens.
+fn by_frames<'a>(
+    first: &Line<'a>,
+    rest: impl Iterator<Item = Result<Line<'a>, ReadError>>,
+) -> Result<Format, ReadError> {
+    let (mut tens, mut dozens, mut all_zero) = (true, true, true);
+    for line in std::iter::once(Ok(*first)).chain(rest).take(LINES_MAX) {
+        let line = line?;
+        let Some((column, text)) = line.pieces(Separator::Space).next() else { continue };
+        let frame = line.field("frame", column, text).frame()?;
+        tens &= frame % 10 == 0;
+        dozens &= frame % 12 == 0;
+        all_zero &= frame == 0;
+    }
+    match (tens, dozens) {
+        (true, false) => Ok(Format::EthUcy),
+        (false, true) => Ok(Format::SddTrajnet),
+        // One and the same to the reader but for the axes: what little there is fits both.
+        (true, true) if all_zero => {
+            Ok(if first.text.contains('\t') { Format::EthUcy } else { Format::SddTrajnet })
+        }
+        (true, true) => Err(unknown(first, "all frames are multiples of 60".to_owned())),
+        (false, false) => Err(unknown(first, "frames are neither tens nor dozens".to_owned())),
+    }
+}
+
+fn unknown(line: &Line<'_>, problem: String) -> ReadError {
+    ReadError::UnknownFormat { path: line.path.to_owned(), problem }
+}
+
+impl fmt::Display for Format {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.pad(self.name())
+    }
+}
+
+impl FromStr for Format {
+    type Err = UnknownFormat;
+
+    fn from_str(name: &str) -> Result<Self, UnknownFormat> {
+        let format = Self::ALL.into_iter().find(|format| format.name() == name);
+        format.ok_or_else(|| UnknownFormat(name.to_owned()))
+    }
+}

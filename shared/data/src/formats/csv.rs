@@ -1,0 +1,231 @@
+//! The project's own format, for recordings of one's own: comma-separated, with a header line.
+//!
+//! ```csv
+//! stamp_s,id,type,x_m,y_m,heading_rad,speed_mps,length_m,width_m,score,sigma_m
+//! 0.00,,ego,0.0,0.0,1.57,,,,,
+//! 0.00,7,vehicle,12.5,-3.2,3.10,8.4,4.5,1.8,0.97,0.2
+//! 0.00,8,pedestrian,4.0,2.1,,,,,,
+//! 0.08,7,vehicle,11.8,-3.2,3.10,8.4,4.5,1.8,0.98,0.2
+//! ```
+//!
+//! | column | | meaning |
+//! |---|---|---|
+//! | `stamp_s` | needed | time of validity in seconds on any clock, to the nanosecond; no exponent |
+//! | `type` | needed | `vehicle`, `cyclist`, `pedestrian`; or `ego`, whose row places the sensor |
+//! | `x_m`, `y_m` | needed | position in a right-handed world frame (z up) whose origin is near: within 32,768 m |
+//! | `id` | | identity, a whole number from 0; where all rows have one the tracker may trust them |
+//! | `heading_rad` | | counter-clockwise from +x |
+//! | `speed_mps` | | along the heading, negative in reverse |
+//! | `length_m`, `width_m` | | extent along and across the heading; both or neither |
+//! | `score` | | the detector's confidence, greater is surer |
+//! | `sigma_m` | | standard deviation of the position per axis |
+//!
+//! Columns stand in any order, those that are not needed may be missing or empty, lines that begin with `#` are
+//! comments, rows stand in any order. All rows of one stamp are a frame that looked for all types; an `ego` row alone
+//! makes a frame in which nothing was seen. Without ego rows the sensor is taken to be fixed at the middle of all
+//! positions, and between ego rows it is taken to stand where the last one put it.
+
+use std::collections::BTreeMap;
+
+use wire::{AgentType, Detection, detection_flags};
+
+use crate::input::need;
+use crate::rows::{self, ALL_TYPES, Rows};
+use crate::text::{self, Field, Line, Separator};
+use crate::{Ego, Frame, Input, ReadError, Recording, Role};
+
+const NAMES: [&str; 11] = [
+    "stamp_s",
+    "id",
+    "type",
+    "x_m",
+    "y_m",
+    "heading_rad",
+    "speed_mps",
+    "length_m",
+    "width_m",
+    "score",
+    "sigma_m",
+];
+const STAMP: usize = 0;
+const NEEDED: [usize; 4] = [STAMP, 2, 3, 4];
+/// Greatest stamp: three centuries, which leave room for arithmetic in nanoseconds.
+const SECONDS_MAX: i64 = 4_000_000_000;
+/// The interval that is taken for granted where there is one frame.
+const INTERVAL_NS: u64 = 80_000_000;
+
+/// A row: a detection, or the place of the sensor.
+enum Told {
+    Seen(Detection),
+    Ego(Ego),
+}
+
+/// Where the columns stand: for each of [`NAMES`] its place in the file.
+struct Header([Option<usize>; NAMES.len()]);
+
+/// Whether the line is a header of this format.
+pub(crate) fn is_header(line: &Line<'_>) -> bool {
+    line.pieces(Separator::Comma).any(|(_, name)| name == NAMES[STAMP])
+}
+
+/// Reads such a file.
+///
+/// # Errors
+/// [`ReadError`] with file, line, column and value.
+pub fn parse(inputs: &[Input]) -> Result<Recording, ReadError> {
+    let input = need(inputs, Role::Rows)?;
+    let mut lines = text::lines(input).filter(|line| !matches!(line, Ok(line) if line.text.starts_with('#')));
+    let empty = || ReadError::Empty { path: input.path.clone() };
+    let header = Header::parse(&lines.next().ok_or_else(empty)??)?;
+
+    let mut rows = Rows::default();
+    let mut egos: BTreeMap<i64, (Ego, usize)> = BTreeMap::new();
+    for line in lines {
+        let line = line?;
+        let fields = header.fields(&line)?;
+        let stamp_ns = stamp_ns(fields[STAMP])?;
+        match told(&fields)? {
+            Told::Seen(detection) => rows.push(&line, stamp_ns, detection)?,
+            Told::Ego(ego) => match egos.insert(stamp_ns, (ego, line.number)) {
+                Some((_, first)) => {
+                    return Err(fields[STAMP].error(format!("has an ego row already, in line {first}")));
+                }
+                None => continue,
+            },
+        }
+    }
+    let frames = with_egos(rows::frames(&rows.sorted_or_none()?, ALL_TYPES), &egos);
+    if frames.is_empty() {
+        return Err(empty());
+    }
+    let has_id = |detection: &Detection| detection.has(detection_flags::HAS_ID);
+    let has_identities = frames.iter().flat_map(|frame| &frame.detections).all(has_id);
+    Ok(Recording { interval_ns: interval_ns(&frames), has_identities, frames, ..Recording::default() })
+}
+
+impl Header {
+    fn parse(line: &Line<'_>) -> Result<Self, ReadError> {
+        let mut places = [None; NAMES.len()];
+        for (place, (column, name)) in line.pieces(Separator::Comma).enumerate() {
+            let field = line.field("header", column, name);
+            let known = NAMES.iter().position(|&known| known == name);
+            let known =
+                known.ok_or_else(|| field.error(format!("no such column; known are {}", NAMES.join(","))))?;
+            if places[known].replace(place).is_some() {
+                return Err(field.error("stands twice"));
+            }
+        }
+        match NEEDED.into_iter().find(|&needed| places[needed].is_none()) {
+            Some(needed) => {
+                Err(line.field("header", 1, line.text).error(format!("needs a column {}", NAMES[needed])))
+            }
+            None => Ok(Self(places)),
+        }
+    }
+
+    /// The values of a row by column name; empty where the file has no such column.
+    fn fields<'a>(&self, line: &Line<'a>) -> Result<[Field<'a>; NAMES.len()], ReadError> {
+        let mut found = 0;
+        let mut fields = NAMES.map(|name| line.field(name, 1, ""));
+        for (place, (column, text)) in line.pieces(Separator::Comma).enumerate() {
+            if let Some(known) = self.0.iter().position(|&at| at == Some(place)) {
+                fields[known] = line.field(NAMES[known], column, text);
+            }
+            found += 1;
+        }
+        let expected = self.0.iter().flatten().count();
+        if found == expected { Ok(fields) } else { Err(line.columns_error(found, expected)) }
+    }
+}
+
+fn told(fields: &[Field<'_>; NAMES.len()]) -> Result<Told, ReadError> {
+    let &[_, id, kind, x, y, heading, speed, length, width, score, sigma] = fields;
+    let position_m = [x.position_m()?, y.position_m()?];
+    let heading_rad = given(heading, Field::angle_rad)?;
+    if kind.text == "ego" {
+        return Ok(Told::Ego(Ego { position_m, heading_rad: heading_rad.unwrap_or(0.0) }));
+    }
+    let agent_type: AgentType =
+        kind.text.parse().map_err(|_| kind.error("expected vehicle, cyclist, pedestrian or ego"))?;
+    let id = given(id, |id| id.id_below(u64::MAX))?;
+    let speed_mps = given(speed, Field::speed_mps)?;
+    let size = match (given(length, Field::extent_m)?, given(width, Field::extent_m)?) {
+        (Some(length_m), Some(width_m)) => Some((length_m, width_m)),
+        (None, None) => None,
+        (Some(_), None) => return Err(width.error("stands empty beside a length_m")),
+        (None, Some(_)) => return Err(length.error("stands empty beside a width_m")),
+    };
+    let flags = [
+        (id.is_some(), detection_flags::HAS_ID),
+        (heading_rad.is_some(), detection_flags::HAS_HEADING),
+        (speed_mps.is_some(), detection_flags::HAS_SPEED),
+        (size.is_some(), detection_flags::HAS_SIZE),
+    ];
+    let (length_m, width_m) = size.unwrap_or_default();
+    Ok(Told::Seen(Detection {
+        id: id.unwrap_or(0),
+        heading_rad: heading_rad.unwrap_or(0.0),
+        speed_mps: speed_mps.unwrap_or(0.0),
+        length_m,
+        width_m,
+        score: given(score, |score| score.number_in(-1e6..=1e6))?.map_or(1.0, |score| score as f32),
+        sigma_m: given(sigma, Field::extent_m)?.unwrap_or(0.0),
+        flags: flags.into_iter().filter(|(is_given, _)| *is_given).fold(0, |bits, (_, bit)| bits | bit),
+        ..rows::detection(agent_type, position_m)
+    }))
+}
+
+/// The value of a field that may be empty.
+fn given<'a, T>(
+    field: Field<'a>,
+    read: impl Fn(&Field<'a>) -> Result<T, ReadError>,
+) -> Result<Option<T>, ReadError> {
+    if field.text.is_empty() { Ok(None) } else { read(&field).map(Some) }
+}
+
+/// Decimal seconds as whole nanoseconds, without a float in between.
+fn stamp_ns(field: Field<'_>) -> Result<i64, ReadError> {
+    let wrong = || field.error("expected seconds like 12.08, with at most 9 decimals");
+    let (negative, digits) = match field.text.strip_prefix('-') {
+        Some(digits) => (true, digits),
+        None => (false, field.text),
+    };
+    let (whole, decimals) = digits.split_once('.').unwrap_or((digits, ""));
+    let all_digits = |text: &str| text.bytes().all(|byte| byte.is_ascii_digit());
+    if !all_digits(whole) || !all_digits(decimals) || whole.is_empty() || decimals.len() > 9 {
+        return Err(wrong());
+    }
+    let seconds: i64 = whole.parse().map_err(|_| wrong())?;
+    if seconds > SECONDS_MAX {
+        return Err(field.error(format!("beyond ±{SECONDS_MAX} s")));
+    }
+    let nanoseconds: i64 = format!("{decimals:0<9}").parse().map_err(|_| wrong())?;
+    let stamp_ns = seconds * 1_000_000_000 + nanoseconds;
+    Ok(if negative { -stamp_ns } else { stamp_ns })
+}
+
+/// Places the sensor, and adds the frames that have an ego row alone.
+fn with_egos(mut frames: Vec<Frame>, egos: &BTreeMap<i64, (Ego, usize)>) -> Vec<Frame> {
+    let Some((first, _)) = egos.values().next() else { return frames };
+    let known =
+        |frames: &[Frame], stamp_ns| frames.binary_search_by_key(&stamp_ns, |frame| frame.stamp_ns).is_ok();
+    let alone: Vec<i64> = egos.keys().copied().filter(|&stamp_ns| !known(&frames, stamp_ns)).collect();
+    frames.extend(alone.into_iter().map(|stamp_ns| Frame {
+        stamp_ns,
+        observed_types: ALL_TYPES,
+        ..Frame::default()
+    }));
+    frames.sort_by_key(|frame| frame.stamp_ns);
+    for frame in &mut frames {
+        frame.ego = egos.range(..=frame.stamp_ns).next_back().map_or(*first, |(_, (ego, _))| *ego);
+    }
+    frames
+}
+
+/// The median time from frame to frame.
+fn interval_ns(frames: &[Frame]) -> u64 {
+    let mut intervals: Vec<u64> =
+        frames.windows(2).map(|pair| pair[1].stamp_ns.abs_diff(pair[0].stamp_ns)).collect();
+    intervals.sort_unstable();
+    intervals.get(intervals.len() / 2).copied().unwrap_or(INTERVAL_NS)
+}

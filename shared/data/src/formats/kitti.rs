@@ -1,0 +1,239 @@
+//! KITTI tracking: a detector's output or the true tracks, 10 Hz, from a moving car.
+//!
+//! * detections, one file per class: `frame,type,x1,y1,x2,y2,score,h,w,l,x,y,z,rot_y,alpha`, type 1 pedestrian, 2 car,
+//!   3 cyclist; without identities. Labels of the same sequence, where there are any, become the truth.
+//! * labels: `frame id type truncated occluded alpha x1 y1 x2 y2 h w l x y z rot_y`. `DontCare` marks regions of the
+//!   image and `Misc` what is none of the agents (trailers and the like): left out and counted. Vans, trucks and trams
+//!   are vehicles, sitting people pedestrians.
+//!
+//! Both are told in the frame of the camera; [`WorldFromCamera`] takes them to a world frame with x to the east, y to
+//! the north and its origin at the car's first position, by way of `oxts` and `calib` of the same sequence. There is
+//! a frame for each row of `oxts`, also where nothing was seen.
+
+mod geometry;
+
+use wire::{AgentType, Detection, Truth, detection_flags};
+
+pub use geometry::WorldFromCamera;
+
+use crate::input::{find, need};
+use crate::rows::{self, ALL_TYPES, PEDESTRIAN_IDS, Rows};
+use crate::text::{self, Field, Line, Separator};
+use crate::{Frame, Input, LeftOut, ReadError, Recording, Role};
+
+const DETECTION_NAMES: [&str; 15] =
+    ["frame", "type", "x1", "y1", "x2", "y2", "score", "h", "w", "l", "x", "y", "z", "rot_y", "alpha"];
+const LABEL_NAMES: [&str; 17] = [
+    "frame",
+    "id",
+    "type",
+    "truncated",
+    "occluded",
+    "alpha",
+    "x1",
+    "y1",
+    "x2",
+    "y2",
+    "h",
+    "w",
+    "l",
+    "x",
+    "y",
+    "z",
+    "rot_y",
+];
+const INTERVAL_NS: u64 = 100_000_000;
+
+/// An object's box as the camera sees it: the seven columns that both files share.
+struct CameraBox<'a> {
+    length: Field<'a>,
+    width: Field<'a>,
+    centre: [Field<'a>; 3],
+    rotation: Field<'a>,
+}
+
+/// Reads the detectors' output.
+///
+/// # Errors
+/// [`ReadError`] with file, line, column and value, and where calibration or ego motion are not to be had.
+pub fn parse_detections(inputs: &[Input]) -> Result<Recording, ReadError> {
+    let poses = WorldFromCamera::parse(need(inputs, Role::Calibration)?, need(inputs, Role::EgoMotion)?)?;
+    let classes = [
+        (Role::Vehicles, AgentType::Vehicle),
+        (Role::Pedestrians, AgentType::Pedestrian),
+        (Role::Cyclists, AgentType::Cyclist),
+    ];
+    let present = classes.into_iter().filter(|(role, _)| find(inputs, *role).is_some());
+    let observed_types = present.fold(0, |bits, (_, agent_type)| bits | agent_type.bit());
+    if observed_types == 0 {
+        need(inputs, Role::Vehicles)?;
+    }
+    let mut frames = empty_frames(&poses, observed_types);
+    let mut rows_len = 0;
+    for (input, agent_type) in classes.into_iter().filter_map(|(role, t)| Some((find(inputs, role)?, t))) {
+        for line in text::lines(input) {
+            let line = line?;
+            let (frame, detection) =
+                detection(line.split(Separator::Comma, &DETECTION_NAMES)?, agent_type, &poses)?;
+            rows_len += 1;
+            limit(rows_len, &line)?;
+            frames[frame].detections.push(detection);
+        }
+    }
+    let mut left_out = Vec::new();
+    if let Some(input) = find(inputs, Role::Labels) {
+        let labels = Labels::parse(input, &poses)?;
+        for row in labels.rows.sorted_or_none()? {
+            frames[(row.stamp_ns / INTERVAL_NS as i64) as usize].truth.push(rows::truth_of(&row.detection));
+        }
+        left_out = labels.left_out;
+    }
+    Ok(recording(frames, false, left_out))
+}
+
+/// Reads the true tracks.
+///
+/// # Errors
+/// [`ReadError`] with file, line, column and value, and where calibration or ego motion are not to be had.
+pub fn parse_labels(inputs: &[Input]) -> Result<Recording, ReadError> {
+    let input = need(inputs, Role::Rows)?;
+    let poses = WorldFromCamera::parse(need(inputs, Role::Calibration)?, need(inputs, Role::EgoMotion)?)?;
+    let labels = Labels::parse(input, &poses)?;
+    let mut frames = empty_frames(&poses, ALL_TYPES);
+    for row in labels.rows.sorted_or_none()? {
+        let frame = &mut frames[(row.stamp_ns / INTERVAL_NS as i64) as usize];
+        frame.detections.push(row.detection);
+        frame.truth.push(rows::truth_of(&row.detection));
+    }
+    Ok(recording(frames, true, labels.left_out))
+}
+
+fn recording(mut frames: Vec<Frame>, has_identities: bool, left_out: Vec<LeftOut>) -> Recording {
+    for frame in &mut frames {
+        rows::sort(&mut frame.detections);
+        frame.truth.sort_by_key(|truth: &Truth| (truth.agent_type, truth.id));
+    }
+    Recording { interval_ns: INTERVAL_NS, has_identities, frames, left_out, ..Recording::default() }
+}
+
+fn empty_frames(poses: &WorldFromCamera, observed_types: u32) -> Vec<Frame> {
+    let frame = |(index, ego)| Frame {
+        stamp_ns: index as i64 * INTERVAL_NS as i64,
+        observed_types,
+        ego,
+        ..Frame::default()
+    };
+    poses.egos().enumerate().map(frame).collect()
+}
+
+fn limit(rows_len: usize, line: &Line<'_>) -> Result<(), ReadError> {
+    if rows_len <= crate::ROWS_MAX {
+        return Ok(());
+    }
+    Err(ReadError::TooManyRows { path: line.path.to_owned(), line: line.number, most: crate::ROWS_MAX })
+}
+
+/// The index of a frame that has a pose.
+fn frame_index(field: Field<'_>, poses: &WorldFromCamera) -> Result<usize, ReadError> {
+    let frames_len = poses.frames_len();
+    let frame = usize::try_from(field.frame()?).ok().filter(|&frame| frame < frames_len);
+    frame.ok_or_else(|| field.error(format!("ego motion is known of frames 0 to {}", frames_len - 1)))
+}
+
+fn detection(
+    fields: [Field<'_>; 15],
+    agent_type: AgentType,
+    poses: &WorldFromCamera,
+) -> Result<(usize, Detection), ReadError> {
+    let [frame, kind, x1, y1, x2, y2, score, h, width, length, x, y, z, rotation, alpha] = fields;
+    let expected = match agent_type {
+        AgentType::Pedestrian => 1,
+        AgentType::Vehicle => 2,
+        AgentType::Cyclist => 3,
+    };
+    if kind.integer()? != expected {
+        return Err(kind.error(format!("expected {expected}, as in every row for a {}", agent_type.name())));
+    }
+    for unused in [x1, y1, x2, y2, h, alpha] {
+        unused.number()?;
+    }
+    let frame = frame_index(frame, poses)?;
+    let seen = CameraBox { length, width, centre: [x, y, z], rotation };
+    let score = score.number_in(-1e6..=1e6)? as f32;
+    Ok((frame, Detection { score, ..seen.in_world(frame, agent_type, poses)? }))
+}
+
+impl CameraBox<'_> {
+    /// The object in the world frame.
+    fn in_world(
+        &self,
+        frame: usize,
+        agent_type: AgentType,
+        poses: &WorldFromCamera,
+    ) -> Result<Detection, ReadError> {
+        let [x, y, z] = self.centre;
+        let centre_m = [x.number()?, y.number()?, z.number()?];
+        let (position_m, heading_rad) = poses.object(frame, centre_m, self.rotation.angle_rad()?);
+        // Not-a-number fails the comparison as well.
+        let near = position_m.iter().all(|x| x.abs() <= f64::from(wire::POSITION_MAX_M));
+        if !near || !heading_rad.is_finite() {
+            return Err(x.error("stands nowhere near the car's first position"));
+        }
+        let extents = detection_flags::HAS_HEADING | detection_flags::HAS_SIZE;
+        Ok(Detection {
+            heading_rad: heading_rad as f32,
+            length_m: self.length.extent_m()?,
+            width_m: self.width.extent_m()?,
+            flags: extents,
+            ..rows::detection(agent_type, position_m.map(|x| x as f32))
+        })
+    }
+}
+
+/// A label file.
+struct Labels<'a> {
+    rows: Rows<'a>,
+    left_out: Vec<LeftOut>,
+}
+
+impl<'a> Labels<'a> {
+    fn parse(input: &'a Input, poses: &WorldFromCamera) -> Result<Self, ReadError> {
+        let mut rows = Rows::default();
+        let mut left_out = ["DontCare", "Misc"].map(|kind| (kind, 0));
+        for line in text::lines(input) {
+            let line = line?;
+            let fields = line.split(Separator::Space, &LABEL_NAMES)?;
+            if let Some((_, rows_len)) = left_out.iter_mut().find(|(kind, _)| *kind == fields[2].text) {
+                for number in fields[..2].iter().chain(&fields[3..]) {
+                    number.number()?;
+                }
+                *rows_len += 1;
+                continue;
+            }
+            let (frame, detection) = label(fields, poses)?;
+            rows.push(&line, frame as i64 * INTERVAL_NS as i64, detection)?;
+        }
+        let told = left_out.into_iter().filter(|(_, rows_len)| *rows_len > 0);
+        let left_out = told.map(|(kind, rows_len)| LeftOut { reason: kind.to_owned(), rows_len }).collect();
+        Ok(Self { rows, left_out })
+    }
+}
+
+fn label(fields: [Field<'_>; 17], poses: &WorldFromCamera) -> Result<(usize, Detection), ReadError> {
+    let [frame, id, kind, truncated, occluded, alpha, x1, y1, x2, y2, h, width, length, x, y, z, rotation] =
+        fields;
+    for unused in [truncated, occluded, alpha, x1, y1, x2, y2, h] {
+        unused.number()?;
+    }
+    let agent_type = match kind.text {
+        "Car" | "Van" | "Truck" | "Tram" => AgentType::Vehicle,
+        "Pedestrian" | "Person_sitting" | "Person" => AgentType::Pedestrian,
+        "Cyclist" => AgentType::Cyclist,
+        _ => return Err(kind.error("not a class of KITTI tracking")),
+    };
+    let frame = frame_index(frame, poses)?;
+    let seen = CameraBox { length, width, centre: [x, y, z], rotation };
+    let detection = seen.in_world(frame, agent_type, poses)?;
+    let id = id.id_below(PEDESTRIAN_IDS)?;
+    Ok((frame, Detection { id, flags: detection.flags | detection_flags::HAS_ID, ..detection }))
+}

@@ -1,0 +1,38 @@
+//! The ETH scene in its true time base: `frame id x z y vx vz vy`, 6 frames in 0.4 s, metres.
+//!
+//! The velocities are checked but not used: they are central differences of the positions, so they tell of the next
+//! row.
+
+use wire::AgentType;
+
+use super::positions::{STEP_NS, stamp_ns};
+use crate::input::need;
+use crate::rows::{self, Rows};
+use crate::text::{self, Separator};
+use crate::{Input, ReadError, Recording, Role};
+
+const NAMES: [&str; 8] = ["frame", "id", "x", "z", "y", "vx", "vz", "vy"];
+
+/// Reads such a file.
+///
+/// # Errors
+/// [`ReadError`] with file, line, column and value.
+pub fn parse(inputs: &[Input]) -> Result<Recording, ReadError> {
+    let input = need(inputs, Role::Rows)?;
+    let mut rows = Rows::default();
+    for line in text::lines(input) {
+        let line = line?;
+        let [frame, id, x, z, y, vx, vz, vy] = line.split(Separator::Space, &NAMES)?;
+        for unused in [z, vx, vz, vy] {
+            unused.number()?;
+        }
+        let detection = rows::identified(
+            AgentType::Pedestrian,
+            [x.position_m()?, y.position_m()?],
+            id.id_below(u64::MAX)?,
+        );
+        rows.push(&line, stamp_ns(frame.frame()?, 6), detection)?;
+    }
+    let frames = rows::frames(&rows.sorted(input)?, AgentType::Pedestrian.bit());
+    Ok(Recording { interval_ns: STEP_NS, has_identities: true, frames, ..Recording::default() })
+}

@@ -1,0 +1,154 @@
+//! Stanford Drone's own annotations: `id xmin ymin xmax ymax frame lost occluded generated "label"`, pixels, 30 Hz.
+//!
+//! An agent stands at the middle of its box. Pixels become metres by the scale of the video in
+//! `estimated_scales.yaml`, two folders up; y is negated, since the image's y points down and the world is
+//! right-handed. Rows with `lost = 1` are outside the picture: left out and counted. Pedestrians and skaters are
+//! pedestrians, bikers cyclists, carts, cars and buses vehicles.
+
+use std::path::Path;
+
+use wire::{AgentType, Detection};
+
+use crate::input::need;
+use crate::rows::{self, ALL_TYPES, PEDESTRIAN_IDS, Rows};
+use crate::text::{self, Field, Line, Separator};
+use crate::{Input, LeftOut, ReadError, Recording, Role};
+
+const NAMES: [&str; 10] =
+    ["id", "xmin", "ymin", "xmax", "ymax", "frame", "lost", "occluded", "generated", "label"];
+const TABLE_NAMES: [&str; 13] = [
+    "File",
+    "Dataset",
+    "Nr",
+    "Version",
+    "Feet",
+    "Inch",
+    "Meters",
+    "Pixel X",
+    "Pixel Y",
+    "Pixel Dist",
+    "Average",
+    "Diff",
+    "Ratio",
+];
+/// Frames a second.
+const HERTZ: i64 = 30;
+/// Greatest pixel coordinate that is believed.
+const PIXEL_MAX: f64 = 100_000.0;
+/// Scales that are believed, m.
+const PIXEL_M: std::ops::RangeInclusive<f64> = 1e-4..=1.0;
+
+/// Reads the annotations of a video.
+///
+/// # Errors
+/// [`ReadError`] with file, line, column and value, and where the scale of the video is not to be had.
+pub fn parse(inputs: &[Input]) -> Result<Recording, ReadError> {
+    let input = need(inputs, Role::Rows)?;
+    let pixel_m = video_pixel_m(need(inputs, Role::Scales)?, &input.path)?;
+    let mut rows = Rows::default();
+    let mut lost_len = 0;
+    for line in text::lines(input) {
+        let line = line?;
+        let fields = line.split(Separator::Space, &NAMES)?;
+        match row(fields, pixel_m)? {
+            Some((stamp_ns, detection)) => rows.push(&line, stamp_ns, detection)?,
+            None => lost_len += 1,
+        }
+    }
+    let frames = rows::frames(&rows.sorted(input)?, ALL_TYPES);
+    Ok(Recording {
+        interval_ns: (1_000_000_000 / HERTZ) as u64,
+        has_identities: true,
+        frames,
+        left_out: vec![LeftOut { reason: "lost = 1".to_owned(), rows_len: lost_len }],
+        pixel_m: Some(pixel_m),
+        ..Recording::default()
+    })
+}
+
+fn row(fields: [Field<'_>; 10], pixel_m: f64) -> Result<Option<(i64, Detection)>, ReadError> {
+    let [id, xmin, ymin, xmax, ymax, frame, lost, occluded, generated, label] = fields;
+    let middle = |low: Field<'_>, high: Field<'_>| {
+        let [from, to] = [low.number_in(-PIXEL_MAX..=PIXEL_MAX)?, high.number_in(-PIXEL_MAX..=PIXEL_MAX)?];
+        if from > to { Err(high.error("less than the box's other side")) } else { Ok((from + to) / 2.0) }
+    };
+    let position_m = [middle(xmin, xmax)? * pixel_m, -middle(ymin, ymax)? * pixel_m].map(|x| x as f32);
+    let agent_type = match label.text {
+        "\"Pedestrian\"" | "\"Skater\"" => AgentType::Pedestrian,
+        "\"Biker\"" => AgentType::Cyclist,
+        "\"Cart\"" | "\"Car\"" | "\"Bus\"" => AgentType::Vehicle,
+        _ => {
+            return Err(
+                label.error("expected \"Pedestrian\", \"Biker\", \"Skater\", \"Cart\", \"Car\" or \"Bus\"")
+            );
+        }
+    };
+    let stamp_ns =
+        ((i128::from(frame.frame()?) * 1_000_000_000 + i128::from(HERTZ / 2)) / i128::from(HERTZ)) as i64;
+    let id = id.id_below(PEDESTRIAN_IDS)?;
+    for bit in [occluded, generated] {
+        flag(bit)?;
+    }
+    Ok(if flag(lost)? { None } else { Some((stamp_ns, rows::identified(agent_type, position_m, id))) })
+}
+
+fn flag(field: Field<'_>) -> Result<bool, ReadError> {
+    match field.text {
+        "0" => Ok(false),
+        "1" => Ok(true),
+        _ => Err(field.error("expected 0 or 1")),
+    }
+}
+
+/// The scale of the video whose annotations lie at `path`, from `estimated_scales.yaml`: for each scene and video two
+/// levels of names that end with a colon, then `scale: NUMBER` and `certainty: NUMBER`.
+fn video_pixel_m(scales: &Input, path: &str) -> Result<f64, ReadError> {
+    let folder = |depth: usize| Path::new(path).ancestors().nth(depth)?.file_name()?.to_str();
+    let video = folder(2).zip(folder(1));
+    let (mut scene, mut name, mut pixel_m) = ("", "", None);
+    for line in text::lines(scales) {
+        let line = line?;
+        let key = line.text.trim();
+        if let Some(key) = key.strip_suffix(':') {
+            if line.text.starts_with(char::is_whitespace) {
+                name = key;
+            } else {
+                (scene, name) = (key, "");
+            }
+            continue;
+        }
+        let value = scale_value(&line)?;
+        if key.starts_with("scale") && video == Some((scene, name)) {
+            pixel_m = Some(value);
+        }
+    }
+    pixel_m.ok_or_else(|| ReadError::Missing {
+        path: path.to_owned(),
+        role: "the scale of its scene and video",
+        searched: format!(" in {}", scales.path),
+    })
+}
+
+/// The number of `scale: NUMBER` or `certainty: NUMBER`.
+fn scale_value(line: &Line<'_>) -> Result<f64, ReadError> {
+    let [key, value] = line.split(Separator::Space, &["key", "value"])?;
+    match key.text {
+        "scale:" => value.number_in(PIXEL_M),
+        "certainty:" => value.number_in(0.0..=1.0),
+        _ => Err(key.error("expected scale: or certainty:")),
+    }
+}
+
+/// The scale of a scene of the TrajNet split from the table `H_SDD.txt`: the first of the two measurements, which is
+/// the one that the split was made with. None where the table does not have the scene.
+pub(crate) fn table_pixel_m(table: &Input, scene: &str) -> Result<Option<f64>, ReadError> {
+    for line in text::lines(table).skip(1) {
+        let line = line?;
+        let fields = line.split(Separator::Space, &TABLE_NAMES)?;
+        let pixel_m = fields[12].number_in(PIXEL_M)?;
+        if fields[0].text.strip_suffix(".jpg") == Some(scene) {
+            return Ok(Some(pixel_m));
+        }
+    }
+    Ok(None)
+}

@@ -1,0 +1,106 @@
+//! VCI-DUT: vehicles and dense crowds on a campus, as a pair of files at 23.98 frames a second, metres.
+//!
+//! `id,frame,label,x_est,y_est,psi_est,vel_est` for vehicles, `…,vx_est,vy_est` for pedestrians. Both count frames
+//! on one clock and identities from 0, so pedestrians come out with 1,000,000,000 added. The positions are the data
+//! set's own causal filter's. A pedestrian slower than 0.1 m/s has no heading.
+
+use wire::{AgentType, Detection, detection_flags};
+
+use crate::input::find;
+use crate::rows::{self, PEDESTRIAN_IDS, Rows};
+use crate::text::{self, Field, Line, Separator};
+use crate::{Input, ReadError, Recording, Role};
+
+/// First line of a vehicle file.
+pub(crate) const VEHICLE_HEADER: &str = "id,frame,label,x_est,y_est,psi_est,vel_est";
+/// First line of a pedestrian file.
+pub(crate) const PEDESTRIAN_HEADER: &str = "id,frame,label,x_est,y_est,vx_est,vy_est";
+const VEHICLE_NAMES: [&str; 7] = ["id", "frame", "label", "x_est", "y_est", "psi_est", "vel_est"];
+const PEDESTRIAN_NAMES: [&str; 7] = ["id", "frame", "label", "x_est", "y_est", "vx_est", "vy_est"];
+/// 100 times the frame rate.
+const CENTIHERTZ: i64 = 2_398;
+/// Speed from which a direction of motion is a heading.
+const HEADING_SPEED_MPS: f32 = 0.1;
+
+/// Reads a pair, or one file of it.
+///
+/// # Errors
+/// [`ReadError`] with file, line, column and value.
+pub fn parse(inputs: &[Input]) -> Result<Recording, ReadError> {
+    let mut rows = Rows::default();
+    let mut observed_types = 0;
+    let kinds = [(Role::Vehicles, AgentType::Vehicle), (Role::Pedestrians, AgentType::Pedestrian)];
+    for (role, agent_type) in kinds {
+        if let Some(input) = find(inputs, role) {
+            observed_types |= agent_type.bit();
+            read(input, agent_type, &mut rows)?;
+        }
+    }
+    let first = match inputs.first() {
+        Some(first) => first,
+        None => crate::input::need(inputs, Role::Vehicles)?,
+    };
+    let frames = rows::frames(&rows.sorted(first)?, observed_types);
+    let interval_ns = (100_000_000_000 / CENTIHERTZ) as u64;
+    Ok(Recording { interval_ns, has_identities: true, frames, ..Recording::default() })
+}
+
+fn read<'a>(input: &'a Input, agent_type: AgentType, rows: &mut Rows<'a>) -> Result<(), ReadError> {
+    let vehicle = agent_type == AgentType::Vehicle;
+    let (header, names) = match vehicle {
+        true => (VEHICLE_HEADER, &VEHICLE_NAMES),
+        false => (PEDESTRIAN_HEADER, &PEDESTRIAN_NAMES),
+    };
+    for (index, line) in text::lines(input).enumerate() {
+        let line = line?;
+        if index == 0 {
+            text::expect_header(&line, header)?;
+            continue;
+        }
+        let fields = line.split(Separator::Comma, names)?;
+        let (stamp_ns, detection) = row(fields, agent_type)?;
+        rows.push(&line, stamp_ns, detection)?;
+    }
+    Ok(())
+}
+
+fn row(
+    [id, frame, label, x, y, a, b]: [Field<'_>; 7],
+    agent_type: AgentType,
+) -> Result<(i64, Detection), ReadError> {
+    let expected = if agent_type == AgentType::Vehicle { "veh" } else { "ped" };
+    if label.text != expected {
+        return Err(label.error(format!("expected {expected}")));
+    }
+    let mut detection =
+        rows::identified(agent_type, [x.position_m()?, y.position_m()?], id.id_below(PEDESTRIAN_IDS)?);
+    let (heading_rad, speed_mps) = match agent_type {
+        AgentType::Vehicle => (a.angle_rad()?, b.speed_mps()?),
+        _ => {
+            detection.id += PEDESTRIAN_IDS;
+            let [vx, vy] = [a.speed_mps()?, b.speed_mps()?];
+            (vy.atan2(vx), a.speed_of(vx.hypot(vy))?)
+        }
+    };
+    detection.speed_mps = speed_mps;
+    detection.flags |= detection_flags::HAS_SPEED;
+    if agent_type == AgentType::Vehicle || speed_mps >= HEADING_SPEED_MPS {
+        detection.heading_rad = heading_rad;
+        detection.flags |= detection_flags::HAS_HEADING;
+    }
+    Ok((stamp_ns(frame.frame()?), detection))
+}
+
+/// The time of a frame, rounded to the nanosecond.
+fn stamp_ns(frame: i64) -> i64 {
+    ((i128::from(frame) * 100_000_000_000 + i128::from(CENTIHERTZ / 2)) / i128::from(CENTIHERTZ)) as i64
+}
+
+/// Which of the pair a file is, by its first line.
+pub(crate) fn role_of(first: &Line<'_>) -> Option<Role> {
+    match first.text.trim() {
+        VEHICLE_HEADER => Some(Role::Vehicles),
+        PEDESTRIAN_HEADER => Some(Role::Pedestrians),
+        _ => None,
+    }
+}

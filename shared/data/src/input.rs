@@ -1,0 +1,67 @@
+use crate::ReadError;
+
+/// Largest file that is read.
+pub const FILE_BYTES_MAX: u64 = 256 << 20;
+
+/// What a file tells about a recording.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Role {
+    /// The rows of a format that has one file.
+    Rows,
+    /// The vehicles of a pair of files.
+    Vehicles,
+    /// The pedestrians (and cyclists) of a pair of files.
+    Pedestrians,
+    /// The output of the detector for cyclists.
+    Cyclists,
+    /// True positions beside a detector's output.
+    Labels,
+    /// Position and attitude of the ego vehicle.
+    EgoMotion,
+    /// Places of the sensors on the ego vehicle.
+    Calibration,
+    /// Metres per pixel.
+    Scales,
+}
+
+impl Role {
+    /// The role in words.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Rows => "rows",
+            Self::Vehicles => "vehicles",
+            Self::Pedestrians => "pedestrians",
+            Self::Cyclists => "cyclists",
+            Self::Labels => "labels",
+            Self::EgoMotion => "ego motion",
+            Self::Calibration => "calibration",
+            Self::Scales => "scales",
+        }
+    }
+}
+
+/// A file of a recording, read.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Input {
+    /// What the file tells.
+    pub role: Role,
+    /// The path, for names and errors.
+    pub path: String,
+    /// The content.
+    pub bytes: Vec<u8>,
+}
+
+/// The file with that role.
+pub(crate) fn find(inputs: &[Input], role: Role) -> Option<&Input> {
+    inputs.iter().find(|input| input.role == role)
+}
+
+/// The file with that role, without which the recording can't be read.
+pub(crate) fn need(inputs: &[Input], role: Role) -> Result<&Input, ReadError> {
+    find(inputs, role).ok_or_else(|| ReadError::Missing {
+        path: inputs.first().map_or_else(|| "recording".to_owned(), |input| input.path.clone()),
+        role: role.name(),
+        searched: String::new(),
+    })
+}

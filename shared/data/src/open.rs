@@ -1,0 +1,197 @@
+//! From a path to a recording: finds and reads the files that belong together.
+
+use std::fs::File;
+use std::io::{self, Read};
+use std::path::{Path, PathBuf};
+
+use sha2::{Digest, Sha256};
+
+use crate::formats::{csv, interaction, kitti, obsmat, positions, sdd_raw, vci_dut};
+use crate::{FILE_BYTES_MAX, Format, Input, ReadError, Recording, Role, text};
+
+/// Reads the recording of which `path` is a file, together with the other files that belong to it. Without a format
+/// it is told from the content.
+///
+/// # Errors
+/// [`ReadError`] with file, line, column and value.
+pub fn open(path: &Path, format: Option<Format>) -> Result<Recording, ReadError> {
+    let opened = read(path, Role::Rows)?;
+    let format = match format {
+        Some(format) => format,
+        None => Format::detect(&opened)?,
+    };
+    parse(format, &with_companions(path, opened, format)?)
+}
+
+/// Reads a recording from the content of its files.
+///
+/// The fingerprint is the SHA-256 of the files' contents one after the other, in the order given.
+///
+/// # Errors
+/// [`ReadError`] with file, line, column and value.
+pub fn parse(format: Format, inputs: &[Input]) -> Result<Recording, ReadError> {
+    let recording = match format {
+        Format::EthUcy => positions::parse_eth_ucy(inputs),
+        Format::Obsmat => obsmat::parse(inputs),
+        Format::SddTrajnet => positions::parse_trajnet(inputs),
+        Format::SddRaw => sdd_raw::parse(inputs),
+        Format::Interaction => interaction::parse(inputs),
+        Format::VciDut => vci_dut::parse(inputs),
+        Format::KittiDetections => kitti::parse_detections(inputs),
+        Format::KittiLabels => kitti::parse_labels(inputs),
+        Format::Csv => csv::parse(inputs),
+    }?;
+    let mut hasher = Sha256::new();
+    for input in inputs {
+        hasher.update(&input.bytes);
+    }
+    let sha256 = hasher.finalize().iter().map(|byte| format!("{byte:02x}")).collect();
+    Ok(Recording {
+        name: inputs.first().map_or_else(String::new, |input| name(&input.path)),
+        sha256,
+        ..recording
+    })
+}
+
+/// The last folder and the file's name without its ending: `GL/vehicle_tracks_000`.
+fn name(path: &str) -> String {
+    let folder = Path::new(path).parent().and_then(Path::file_name).map(|folder| folder.to_string_lossy());
+    match folder {
+        Some(folder) => format!("{folder}/{}", stem(path)),
+        None => stem(path),
+    }
+}
+
+/// A file's name without its ending.
+pub(crate) fn stem(path: &str) -> String {
+    Path::new(path).file_stem().map_or_else(String::new, |stem| stem.to_string_lossy().into_owned())
+}
+
+fn read(path: &Path, role: Role) -> Result<Input, ReadError> {
+    let failed = |error| ReadError::Io { path: path.to_owned(), error };
+    let file = File::open(path).map_err(failed)?;
+    if !file.metadata().map_err(failed)?.is_file() {
+        return Err(failed(io::Error::new(io::ErrorKind::InvalidInput, "not a regular file")));
+    }
+    let mut bytes = Vec::new();
+    file.take(FILE_BYTES_MAX + 1).read_to_end(&mut bytes).map_err(failed)?;
+    let path = path.to_string_lossy().into_owned();
+    if bytes.len() as u64 > FILE_BYTES_MAX {
+        return Err(ReadError::TooLarge { path, bytes: bytes.len() as u64, most: FILE_BYTES_MAX });
+    }
+    Ok(Input { role, path, bytes })
+}
+
+/// The file at `path` if it exists.
+fn read_if_there(path: &Path, role: Role) -> Result<Option<Input>, ReadError> {
+    if path.exists() { read(path, role).map(Some) } else { Ok(None) }
+}
+
+/// The file at `path`, without which `opened` can't be read.
+fn read_needed(path: &Path, role: Role, opened: &Input) -> Result<Input, ReadError> {
+    read_if_there(path, role)?.ok_or_else(|| ReadError::Missing {
+        path: opened.path.clone(),
+        role: role.name(),
+        searched: format!(" at {}", path.display()),
+    })
+}
+
+/// The opened file with its right role, and what belongs to it.
+fn with_companions(path: &Path, mut opened: Input, format: Format) -> Result<Vec<Input>, ReadError> {
+    let up = |depth: usize| path.ancestors().nth(depth).unwrap_or(Path::new(""));
+    match format {
+        Format::EthUcy | Format::Obsmat | Format::Csv => Ok(vec![opened]),
+        Format::SddTrajnet => {
+            let table = read_if_there(&up(2).join("H_SDD.txt"), Role::Scales)?;
+            Ok(std::iter::once(opened).chain(table).collect())
+        }
+        Format::SddRaw => {
+            let scales = read_needed(&up(3).join("estimated_scales.yaml"), Role::Scales, &opened)?;
+            Ok(vec![opened, scales])
+        }
+        Format::Interaction => {
+            opened.role = role(&opened, interaction::role_of)?;
+            let other = (opened.role == Role::Vehicles).then(|| pedestrian_tracks(path)).flatten();
+            let other = other.map(|other| read(&other, Role::Pedestrians)).transpose()?;
+            Ok(std::iter::once(opened).chain(other).collect())
+        }
+        Format::VciDut => {
+            opened.role = role(&opened, vci_dut::role_of)?;
+            let (from, to, other_role) = match opened.role {
+                Role::Vehicles => ("_veh_", "_ped_", Role::Pedestrians),
+                _ => ("_ped_", "_veh_", Role::Vehicles),
+            };
+            let file = path.file_name().map_or_else(String::new, |file| file.to_string_lossy().into_owned());
+            let other = file.contains(from).then(|| path.with_file_name(file.replace(from, to)));
+            let other = other.map(|other| read_if_there(&other, other_role)).transpose()?.flatten();
+            Ok(in_order(std::iter::once(opened).chain(other).collect()))
+        }
+        Format::KittiDetections => kitti_detections(path, &opened),
+        Format::KittiLabels => {
+            let root = up(2);
+            let mut inputs = vec![opened];
+            sensors(root, path, &mut inputs)?;
+            Ok(inputs)
+        }
+    }
+}
+
+/// Which file of a pair it is; one that is neither is read as vehicles, which names what is wrong with its first line.
+fn role(input: &Input, role_of: fn(&text::Line<'_>) -> Option<Role>) -> Result<Role, ReadError> {
+    let first = text::lines(input).next().transpose()?;
+    Ok(first.as_ref().and_then(role_of).unwrap_or(Role::Vehicles))
+}
+
+/// `pedestrian_tracks_000*.csv` beside `vehicle_tracks_000.csv`, the first by name.
+fn pedestrian_tracks(vehicles: &Path) -> Option<PathBuf> {
+    let file = vehicles.file_name()?.to_str()?;
+    let number = file.strip_prefix("vehicle_tracks_")?.strip_suffix(".csv")?;
+    let wanted = format!("pedestrian_tracks_{number}");
+    let folder = vehicles.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    let entries = std::fs::read_dir(folder).ok()?;
+    let names = entries.filter_map(|entry| entry.ok()?.file_name().into_string().ok());
+    let belongs = |name: &String| {
+        let rest = name.strip_prefix(&wanted).and_then(|rest| rest.strip_suffix(".csv"));
+        rest.is_some_and(|rest| rest.is_empty() || rest.starts_with('_'))
+    };
+    names.filter(belongs).min().map(|name| folder.join(name))
+}
+
+/// The outputs of the detectors for the three classes, and what puts them into the world.
+fn kitti_detections(path: &Path, opened: &Input) -> Result<Vec<Input>, ReadError> {
+    let folder = path.ancestors().nth(2).unwrap_or(Path::new(""));
+    let root = path.ancestors().nth(3).unwrap_or(Path::new(""));
+    let file = path.file_name().unwrap_or_default();
+    let classes = [("Car", Role::Vehicles), ("Pedestrian", Role::Pedestrians), ("Cyclist", Role::Cyclists)];
+    let mut inputs = Vec::new();
+    for (class, role) in classes {
+        inputs.extend(read_if_there(&folder.join(class).join(file), role)?);
+    }
+    if inputs.is_empty() {
+        let searched = format!(" in {}", folder.display());
+        return Err(ReadError::Missing {
+            path: opened.path.clone(),
+            role: "Car, Pedestrian or Cyclist",
+            searched,
+        });
+    }
+    sensors(root, path, &mut inputs)?;
+    inputs.extend(read_if_there(&root.join("label").join(file), Role::Labels)?);
+    Ok(inputs)
+}
+
+/// Appends calibration and ego motion of the sequence to which `path` belongs.
+fn sensors(root: &Path, path: &Path, inputs: &mut Vec<Input>) -> Result<(), ReadError> {
+    let file = path.file_name().unwrap_or_default();
+    for (folder, role) in [("calib", Role::Calibration), ("oxts", Role::EgoMotion)] {
+        let input = read_needed(&root.join(folder).join(file), role, &inputs[0])?;
+        inputs.push(input);
+    }
+    Ok(())
+}
+
+/// The files by role, so that it does not matter which of them was opened.
+fn in_order(mut inputs: Vec<Input>) -> Vec<Input> {
+    inputs.sort_by_key(|input| input.role);
+    inputs
+}

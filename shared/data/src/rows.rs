@@ -1,0 +1,147 @@
+//! From the rows of files, in any order, to frames.
+
+use wire::{AgentType, Detection, Truth, detection_flags};
+
+use crate::text::Line;
+use crate::{Ego, Frame, Input, ReadError};
+
+/// Most rows of a recording.
+pub const ROWS_MAX: usize = 8_000_000;
+/// In formats whose vehicles and pedestrians count their identities apart, the first identity of a pedestrian.
+pub(crate) const PEDESTRIAN_IDS: u64 = 1_000_000_000;
+/// Bits of all agent types.
+pub(crate) const ALL_TYPES: u32 =
+    AgentType::Vehicle.bit() | AgentType::Cyclist.bit() | AgentType::Pedestrian.bit();
+
+/// A detection and where it was read.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Row<'a> {
+    pub stamp_ns: i64,
+    pub detection: Detection,
+    pub path: &'a str,
+    pub line: usize,
+}
+
+/// The rows read so far.
+#[derive(Debug, Default)]
+pub(crate) struct Rows<'a> {
+    rows: Vec<Row<'a>>,
+}
+
+impl<'a> Rows<'a> {
+    /// Keeps one more row.
+    pub fn push(&mut self, line: &Line<'a>, stamp_ns: i64, detection: Detection) -> Result<(), ReadError> {
+        if self.rows.len() == ROWS_MAX {
+            return Err(ReadError::TooManyRows {
+                path: line.path.to_owned(),
+                line: line.number,
+                most: ROWS_MAX,
+            });
+        }
+        self.rows.push(Row { stamp_ns, detection, path: line.path, line: line.number });
+        Ok(())
+    }
+
+    /// Whether no row was read.
+    pub fn is_empty(&self) -> bool {
+        self.rows.is_empty()
+    }
+
+    /// The rows by time and identity, however they were ordered in the file.
+    ///
+    /// # Errors
+    /// [`ReadError::Duplicate`] where an identity stands twice at one time, [`ReadError::Empty`] where there is no row.
+    pub fn sorted(self, input: &Input) -> Result<Vec<Row<'a>>, ReadError> {
+        match self.is_empty() {
+            true => Err(ReadError::Empty { path: input.path.clone() }),
+            false => self.sorted_or_none(),
+        }
+    }
+
+    /// As [`Rows::sorted`], where it is no error to have no row.
+    pub fn sorted_or_none(mut self) -> Result<Vec<Row<'a>>, ReadError> {
+        self.rows.sort_by_key(|row| (row.stamp_ns, row.detection.id, row.line));
+        let twice = self.rows.windows(2).find(|pair| {
+            let same_time = pair[0].stamp_ns == pair[1].stamp_ns;
+            let [a, b] = [pair[0].detection, pair[1].detection];
+            same_time && a.id == b.id && a.has(detection_flags::HAS_ID) && b.has(detection_flags::HAS_ID)
+        });
+        match twice {
+            None => Ok(self.rows),
+            Some(pair) => Err(ReadError::Duplicate {
+                path: pair[1].path.to_owned(),
+                line: pair[1].line,
+                id: pair[1].detection.id,
+                first_path: pair[0].path.to_owned(),
+                first_line: pair[0].line,
+            }),
+        }
+    }
+}
+
+/// A detection at a place, with nothing else known of it.
+pub(crate) fn detection(agent_type: AgentType, position_m: [f32; 2]) -> Detection {
+    Detection {
+        id: 0,
+        x_m: position_m[0],
+        y_m: position_m[1],
+        heading_rad: 0.0,
+        speed_mps: 0.0,
+        length_m: 0.0,
+        width_m: 0.0,
+        score: 1.0,
+        sigma_m: 0.0,
+        agent_type: agent_type as u32,
+        flags: 0,
+    }
+}
+
+/// A detection with an identity.
+pub(crate) fn identified(agent_type: AgentType, position_m: [f32; 2], id: u64) -> Detection {
+    Detection { id, flags: detection_flags::HAS_ID, ..detection(agent_type, position_m) }
+}
+
+/// Frames of rows that are sorted by time, seen by a fixed sensor that looked for `observed_types` all the time.
+/// The rows are their own truth.
+pub(crate) fn frames(rows: &[Row<'_>], observed_types: u32) -> Vec<Frame> {
+    let ego = Ego { position_m: centre_m(rows), heading_rad: 0.0 };
+    rows.chunk_by(|a, b| a.stamp_ns == b.stamp_ns)
+        .map(|rows| {
+            let mut detections: Vec<Detection> = rows.iter().map(|row| row.detection).collect();
+            sort(&mut detections);
+            let truth = detections.iter().map(truth_of).collect();
+            Frame { stamp_ns: rows[0].stamp_ns, observed_types, ego, detections, truth }
+        })
+        .collect()
+}
+
+/// Sorts by type and identity, and where there is none by score and place, so that the order of rows never matters.
+pub(crate) fn sort(detections: &mut [Detection]) {
+    detections.sort_by(|a, b| {
+        let numbers = |d: &Detection| [-d.score, d.x_m, d.y_m, d.heading_rad, d.length_m];
+        (a.agent_type, a.id).cmp(&(b.agent_type, b.id)).then_with(|| {
+            let by_number = numbers(a).into_iter().zip(numbers(b)).map(|(a, b)| a.total_cmp(&b));
+            by_number.fold(std::cmp::Ordering::Equal, std::cmp::Ordering::then)
+        })
+    });
+}
+
+/// What a row tells of the truth, where the rows are the truth.
+pub(crate) fn truth_of(detection: &Detection) -> Truth {
+    Truth {
+        id: detection.id,
+        agent_type: detection.agent_type,
+        x_m: detection.x_m,
+        y_m: detection.y_m,
+        reserved: 0,
+    }
+}
+
+/// The middle of all positions: where a fixed sensor is taken to look at.
+fn centre_m(rows: &[Row<'_>]) -> [f32; 2] {
+    let mean = |of: fn(&Detection) -> f32| {
+        let sum: f64 = rows.iter().map(|row| f64::from(of(&row.detection))).sum();
+        (sum / rows.len().max(1) as f64) as f32
+    };
+    [mean(|d| d.x_m), mean(|d| d.y_m)]
+}

@@ -1,0 +1,223 @@
+//! Lines and columns of text files, with their places for errors.
+
+use std::ops::RangeInclusive;
+
+use wire::{POSITION_MAX_M, SPEED_MAX_MPS};
+
+use crate::{Input, ReadError};
+
+/// Longest piece of a file that an error repeats.
+const SHOWN_MAX: usize = 60;
+/// Greatest frame number: at 2.5 frames a second a century of recording fits.
+const FRAME_MAX: i64 = 10_000_000_000;
+/// Largest integer below which every integer is an f64.
+const INTEGER_MAX: f64 = 9_007_199_254_740_992.0;
+
+/// What stands between the columns of a row.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Separator {
+    /// One comma; spaces around a value do not count.
+    Comma,
+    /// Any run of spaces and tabs.
+    Space,
+}
+
+/// A line of a file.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Line<'a> {
+    pub path: &'a str,
+    /// From 1.
+    pub number: usize,
+    pub text: &'a str,
+}
+
+/// A value in a row.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Field<'a> {
+    line: Line<'a>,
+    name: &'static str,
+    /// In bytes from 1.
+    column: usize,
+    pub text: &'a str,
+}
+
+/// The lines of a file that are not blank.
+pub(crate) fn lines(input: &Input) -> impl Iterator<Item = Result<Line<'_>, ReadError>> {
+    let content = input.bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(&input.bytes);
+    content.split(|&byte| byte == b'\n').enumerate().filter_map(|(index, bytes)| {
+        let number = index + 1;
+        match str::from_utf8(bytes) {
+            Ok(text) if text.trim().is_empty() => None,
+            Ok(text) => Some(Ok(Line { path: &input.path, number, text: text.trim_end() })),
+            Err(error) => {
+                let path = input.path.clone();
+                Some(Err(ReadError::NotText { path, line: number, byte: error.valid_up_to() + 1 }))
+            }
+        }
+    })
+}
+
+/// The file's first line, which must be exactly `header`.
+pub(crate) fn expect_header(line: &Line<'_>, header: &'static str) -> Result<(), ReadError> {
+    if line.text.trim() == header {
+        return Ok(());
+    }
+    let field = Field { line: *line, name: "header", column: 1, text: line.text };
+    Err(field.error(format!("expected \"{header}\"")))
+}
+
+impl<'a> Line<'a> {
+    /// The values of a row with the given columns.
+    pub fn split<const N: usize>(
+        &self,
+        separator: Separator,
+        names: &[&'static str; N],
+    ) -> Result<[Field<'a>; N], ReadError> {
+        let mut fields = [Field { line: *self, name: "", column: 1, text: "" }; N];
+        let mut found = 0;
+        for (column, text) in self.pieces(separator) {
+            if let (Some(field), Some(name)) = (fields.get_mut(found), names.get(found)) {
+                *field = Field { line: *self, name, column, text };
+            }
+            found += 1;
+        }
+        if found == N { Ok(fields) } else { Err(self.columns_error(found, N)) }
+    }
+
+    /// Each value with its place in bytes from 1.
+    pub fn pieces(&self, separator: Separator) -> impl Iterator<Item = (usize, &'a str)> {
+        let text = self.text;
+        let place = move |piece: &str| piece.as_ptr().addr() - text.as_ptr().addr() + 1;
+        let mut by_comma = (separator == Separator::Comma).then(|| text.split(','));
+        let mut by_space = (separator == Separator::Space).then(|| text.split_whitespace());
+        std::iter::from_fn(move || match &mut by_comma {
+            Some(pieces) => pieces.next().map(str::trim),
+            None => by_space.as_mut()?.next(),
+        })
+        .map(move |piece| (place(piece), piece))
+    }
+
+    /// A value of this line under a name that is known at run time only to the caller.
+    pub fn field(&self, name: &'static str, column: usize, text: &'a str) -> Field<'a> {
+        Field { line: *self, name, column, text }
+    }
+
+    /// The error of a row with the wrong number of columns.
+    pub fn columns_error(&self, found: usize, expected: usize) -> ReadError {
+        ReadError::Columns {
+            path: self.path.to_owned(),
+            line: self.number,
+            found,
+            expected,
+            text: shown(self.text),
+        }
+    }
+}
+
+impl<'a> Field<'a> {
+    /// The error that this value is.
+    pub fn error(&self, problem: impl Into<String>) -> ReadError {
+        ReadError::Value {
+            path: self.line.path.to_owned(),
+            line: self.line.number,
+            column: self.column,
+            field: self.name,
+            value: shown(self.text),
+            problem: problem.into(),
+        }
+    }
+
+    /// A finite number.
+    pub fn number(&self) -> Result<f64, ReadError> {
+        let value: f64 = self.text.parse().map_err(|_| self.error("not a number"))?;
+        if value.is_finite() { Ok(value) } else { Err(self.error("not finite")) }
+    }
+
+    /// A finite number within limits.
+    pub fn number_in(&self, range: RangeInclusive<f64>) -> Result<f64, ReadError> {
+        let value = self.number()?;
+        if range.contains(&value) {
+            return Ok(value);
+        }
+        Err(self.error(format!("expected {} to {}", range.start(), range.end())))
+    }
+
+    /// A world coordinate in metres.
+    pub fn position_m(&self) -> Result<f32, ReadError> {
+        let value = self.number()?;
+        if value.abs() <= f64::from(POSITION_MAX_M) {
+            return Ok(value as f32);
+        }
+        Err(self.error(format!("beyond ±{POSITION_MAX_M} m: subtract a local origin from all coordinates")))
+    }
+
+    /// A speed or a component of one.
+    pub fn speed_mps(&self) -> Result<f32, ReadError> {
+        let most = f64::from(SPEED_MAX_MPS);
+        self.number_in(-most..=most).map(|value| value as f32)
+    }
+
+    /// A speed computed from this value and others.
+    pub fn speed_of(&self, speed_mps: f32) -> Result<f32, ReadError> {
+        if speed_mps.abs() <= SPEED_MAX_MPS {
+            return Ok(speed_mps);
+        }
+        Err(self.error(format!("a speed of {speed_mps} m/s, at most {SPEED_MAX_MPS} expected")))
+    }
+
+    /// An extent of an agent.
+    pub fn extent_m(&self) -> Result<f32, ReadError> {
+        self.number_in(0.0..=100.0).map(|value| value as f32)
+    }
+
+    /// An angle, wrapped to (−π, π].
+    pub fn angle_rad(&self) -> Result<f32, ReadError> {
+        self.number().map(|value| wrapped(value) as f32)
+    }
+
+    /// An integer, which may be written as `780.0` or `7.8e+02`.
+    pub fn integer(&self) -> Result<i64, ReadError> {
+        if let Ok(value) = self.text.parse() {
+            return Ok(value);
+        }
+        let value = self.number()?;
+        if value.fract() == 0.0 && value.abs() < INTEGER_MAX {
+            return Ok(value as i64);
+        }
+        Err(self.error("not a whole number"))
+    }
+
+    /// A frame number.
+    pub fn frame(&self) -> Result<i64, ReadError> {
+        let frame = self.integer()?;
+        if (0..=FRAME_MAX).contains(&frame) {
+            return Ok(frame);
+        }
+        Err(self.error(format!("expected 0 to {FRAME_MAX}")))
+    }
+
+    /// An identity below `limit`.
+    pub fn id_below(&self, limit: u64) -> Result<u64, ReadError> {
+        let id = self.integer()?;
+        match u64::try_from(id) {
+            Ok(id) if id < limit => Ok(id),
+            _ => Err(self.error(format!("expected an id from 0 to {}", limit - 1))),
+        }
+    }
+}
+
+/// The angle in (−π, π].
+pub(crate) fn wrapped(angle_rad: f64) -> f64 {
+    use std::f64::consts::{PI, TAU};
+    let turned = (angle_rad + PI).rem_euclid(TAU) - PI;
+    if turned <= -PI { PI } else { turned }
+}
+
+/// At most [`SHOWN_MAX`] characters of a text, control characters escaped.
+fn shown(text: &str) -> String {
+    let mut short: String = text.chars().take(SHOWN_MAX).flat_map(char::escape_debug).collect();
+    if text.chars().nth(SHOWN_MAX).is_some() {
+        short.push('…');
+    }
+    short
+}

@@ -1,0 +1,151 @@
+//! From frames with identities to trajectories.
+
+use std::collections::BTreeMap;
+
+use scene::State;
+use wire::{AgentType, Detection, detection_flags};
+
+use crate::{Frame, Recording, text};
+
+/// Speed from which a direction of motion is a heading.
+const HEADING_SPEED_MPS: f32 = 0.1;
+/// What a detection tells of its motion at most.
+const MOTION: u32 = detection_flags::HAS_HEADING | detection_flags::HAS_SPEED;
+
+/// One agent over all frames that saw it.
+#[derive(Clone, Debug, PartialEq)]
+pub struct RecordedTrack {
+    /// Identity in the recording.
+    pub id: u64,
+    /// The type that the recording ends with; see [`RecordedTrack::type_at`].
+    pub agent_type: AgentType,
+    /// Length where known, else 0.
+    pub length_m: f32,
+    /// Width where known, else 0.
+    pub width_m: f32,
+    /// Stamps and states in time order. A state depends on nothing later than its stamp.
+    pub states: Vec<(i64, State)>,
+    /// Whether the first state has no velocity and heading because no position came before it. Once the second state
+    /// is known, [`RecordedTrack::state_at`] gives it those.
+    pub starts_unmoved: bool,
+    /// From when on which type held, in time order: a recording may learn what it sees.
+    pub types: Vec<(i64, AgentType)>,
+}
+
+impl RecordedTrack {
+    /// What the agent was taken for at that time.
+    #[must_use]
+    pub fn type_at(&self, stamp_ns: i64) -> AgentType {
+        let known = self.types.partition_point(|(from_ns, _)| *from_ns <= stamp_ns);
+        self.types.get(known.saturating_sub(1)).map_or(self.agent_type, |(_, agent_type)| *agent_type)
+    }
+
+    /// The state at a time as it could be told at `now_ns`, from states up to then alone: a recorded state as it is,
+    /// in between two of them at most `gap_max_ns` apart an interpolated one, else none.
+    #[must_use]
+    pub fn state_at(&self, stamp_ns: i64, now_ns: i64, gap_max_ns: i64) -> Option<State> {
+        let next = self.states.partition_point(|(at_ns, _)| *at_ns < stamp_ns);
+        let (next_ns, to) = self.told(next, now_ns)?;
+        if next_ns == stamp_ns {
+            return Some(to);
+        }
+        let (last_ns, from) = self.told(next.checked_sub(1)?, now_ns)?;
+        let gap_ns = next_ns - last_ns;
+        (gap_ns <= gap_max_ns).then(|| between(from, to, (stamp_ns - last_ns) as f32 / gap_ns as f32))
+    }
+
+    /// A recorded state as it could be told at `now_ns`.
+    fn told(&self, index: usize, now_ns: i64) -> Option<(i64, State)> {
+        let &(stamp_ns, state) = self.states.get(index).filter(|(stamp_ns, _)| *stamp_ns <= now_ns)?;
+        match self.states.get(1) {
+            Some((second_ns, second)) if index == 0 && self.starts_unmoved && *second_ns <= now_ns => {
+                Some((stamp_ns, State { position_m: state.position_m, ..*second }))
+            }
+            _ => Some((stamp_ns, state)),
+        }
+    }
+}
+
+/// The trajectories of a recording, by identity. Velocities and headings are the recording's where it has them, else
+/// backward differences; detections without identity are in none.
+#[must_use]
+pub fn tracks(recording: &Recording) -> Vec<RecordedTrack> {
+    follow(recording, true)
+}
+
+/// As [`tracks`], with velocities and headings from the positions alone: what one gets whose sensor measures neither.
+#[must_use]
+pub fn tracks_from_positions(recording: &Recording) -> Vec<RecordedTrack> {
+    follow(recording, false)
+}
+
+fn follow(recording: &Recording, motion_is_given: bool) -> Vec<RecordedTrack> {
+    let mut tracks: BTreeMap<u64, RecordedTrack> = BTreeMap::new();
+    for frame in &recording.frames {
+        for detection in frame.detections.iter().filter(|detection| detection.has(detection_flags::HAS_ID)) {
+            let Ok(agent_type) = detection.agent_type() else { continue };
+            let track = tracks.entry(detection.id).or_insert_with(|| RecordedTrack {
+                id: detection.id,
+                agent_type,
+                length_m: 0.0,
+                width_m: 0.0,
+                states: Vec::new(),
+                starts_unmoved: !(motion_is_given && detection.has(MOTION)),
+                types: Vec::new(),
+            });
+            append(track, frame, detection, agent_type, motion_is_given);
+        }
+    }
+    tracks.into_values().collect()
+}
+
+fn append(
+    track: &mut RecordedTrack,
+    frame: &Frame,
+    detection: &Detection,
+    agent_type: AgentType,
+    motion_is_given: bool,
+) {
+    if track.types.is_empty() || track.agent_type != agent_type {
+        track.agent_type = agent_type;
+        track.types.push((frame.stamp_ns, agent_type));
+    }
+    if detection.has(detection_flags::HAS_SIZE) {
+        [track.length_m, track.width_m] = [detection.length_m, detection.width_m];
+    }
+    let state = state(track.states.last(), frame.stamp_ns, detection, motion_is_given);
+    track.states.push((frame.stamp_ns, state));
+}
+
+fn state(last: Option<&(i64, State)>, stamp_ns: i64, detection: &Detection, motion_is_given: bool) -> State {
+    let position_m = [detection.x_m, detection.y_m];
+    let difference_mps = last.map_or([0.0; 2], |(last_ns, last)| {
+        let dt_s = (stamp_ns - last_ns) as f32 * 1e-9;
+        [0, 1].map(|axis| (position_m[axis] - last.position_m[axis]) / dt_s)
+    });
+    let last_heading_rad = last.map_or(0.0, |(_, last)| last.heading_rad);
+    let course_rad = |velocity_mps: [f32; 2]| {
+        let moves = velocity_mps[0].hypot(velocity_mps[1]) >= HEADING_SPEED_MPS;
+        if moves { velocity_mps[1].atan2(velocity_mps[0]) } else { last_heading_rad }
+    };
+    let heading_rad = match motion_is_given && detection.has(detection_flags::HAS_HEADING) {
+        true => detection.heading_rad,
+        false => course_rad(difference_mps),
+    };
+    let velocity_mps = match motion_is_given && detection.has(detection_flags::HAS_SPEED) {
+        true => [heading_rad.cos(), heading_rad.sin()].map(|direction| direction * detection.speed_mps),
+        false => difference_mps,
+    };
+    State { position_m, velocity_mps, heading_rad }
+}
+
+/// The state at `share` of the way from one to the other; the heading goes the shorter way round.
+fn between(from: State, to: State, share: f32) -> State {
+    let mix = |a: f32, b: f32| a + (b - a) * share;
+    let turn_rad = text::wrapped(f64::from(to.heading_rad - from.heading_rad)) as f32;
+    State {
+        position_m: [0, 1].map(|axis| mix(from.position_m[axis], to.position_m[axis])),
+        velocity_mps: [0, 1].map(|axis| mix(from.velocity_mps[axis], to.velocity_mps[axis])),
+        heading_rad: text::wrapped(f64::from(from.heading_rad + turn_rad * share)) as f32,
+    }
+}

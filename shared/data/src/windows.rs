@@ -1,0 +1,157 @@
+//! Windows of a recording: what a forecaster may know at a time, and what came after.
+
+use scene::State;
+use wire::AgentType;
+
+use crate::{RecordedTrack, Recording, tracks, tracks_from_positions};
+
+/// How a recording is cut into windows.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct WindowOptions {
+    /// Steps of the history, T_h, the window's own time included.
+    pub history_len: usize,
+    /// Steps of the future, T_f.
+    pub horizon_len: usize,
+    /// Time between steps, Δt.
+    pub step_ns: i64,
+    /// Least time from one window to the next.
+    pub stride_ns: i64,
+    /// Longest gap between recorded states over which is interpolated.
+    pub gap_max_ns: i64,
+    /// Least history steps at which an agent must be present to be in the window; it must be at the newest anyway.
+    pub history_present_min: usize,
+    /// Whether velocities and headings come from the positions even where the recording has its own.
+    pub from_positions: bool,
+}
+
+impl WindowOptions {
+    /// Windows one step apart, of all agents that are present at the window's time.
+    #[must_use]
+    pub const fn new(history_len: usize, horizon_len: usize, step_ns: i64) -> Self {
+        Self {
+            history_len,
+            horizon_len,
+            step_ns,
+            stride_ns: step_ns,
+            gap_max_ns: step_ns,
+            history_present_min: 1,
+            from_positions: false,
+        }
+    }
+}
+
+/// An agent in a window.
+#[derive(Clone, Debug, PartialEq)]
+pub struct WindowAgent {
+    /// Identity in the recording.
+    pub id: u64,
+    /// What it was taken for at the window's time.
+    pub agent_type: AgentType,
+    /// Length where known, else 0.
+    pub length_m: f32,
+    /// States at `stamp_ns − (T_h − 1 − k) Δt`, oldest first; none where absent.
+    pub history: Vec<Option<State>>,
+    /// Positions at `stamp_ns + (k + 1) Δt`; none where absent.
+    pub future: Vec<Option<[f32; 2]>>,
+}
+
+impl WindowAgent {
+    /// Whether the agent is present at every step of history and future.
+    #[must_use]
+    pub fn is_complete(&self) -> bool {
+        self.history.iter().all(Option::is_some) && self.future.iter().all(Option::is_some)
+    }
+
+    /// History steps at which the agent is present.
+    #[must_use]
+    pub fn history_present_len(&self) -> usize {
+        self.history.iter().flatten().count()
+    }
+}
+
+/// A moment of a recording.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Window {
+    /// The stamp of a frame: the newest time that the histories know of.
+    pub stamp_ns: i64,
+    /// The agents, by identity.
+    pub agents: Vec<WindowAgent>,
+}
+
+/// Cuts a recording into windows, in time order.
+///
+/// A window stands at a frame that looked for every type of agent that the recording ever looked for. Histories are
+/// interpolated only between states recorded at or before the window's time; steps at recorded times are the
+/// recorded states themselves. Windows without agents are left out.
+///
+/// # Panics
+/// If a length or the step of `options` is 0 or negative.
+#[must_use]
+pub fn windows(recording: &Recording, options: &WindowOptions) -> Vec<Window> {
+    assert!(options.history_len > 0 && options.step_ns > 0 && options.stride_ns > 0, "empty window");
+    let tracks = if options.from_positions { tracks_from_positions(recording) } else { tracks(recording) };
+    let ever_observed = recording.frames.iter().fold(0, |bits, frame| bits | frame.observed_types);
+    let whole = recording.frames.iter().filter(|frame| frame.observed_types == ever_observed);
+
+    let mut alive = Alive::new(&tracks);
+    let mut windows: Vec<Window> = Vec::new();
+    let mut earliest_ns = i64::MIN;
+    for frame in whole {
+        if frame.stamp_ns < earliest_ns {
+            continue;
+        }
+        earliest_ns = frame.stamp_ns.saturating_add(options.stride_ns);
+        let agents: Vec<WindowAgent> =
+            alive.at(frame.stamp_ns).filter_map(|track| agent(track, frame.stamp_ns, options)).collect();
+        if !agents.is_empty() {
+            windows.push(Window { stamp_ns: frame.stamp_ns, agents });
+        }
+    }
+    windows
+}
+
+fn agent(track: &RecordedTrack, stamp_ns: i64, options: &WindowOptions) -> Option<WindowAgent> {
+    let steps = options.history_len as i64;
+    let state_at = |step: i64, now_ns: i64| {
+        let at_ns = stamp_ns.checked_add(step.checked_mul(options.step_ns)?)?;
+        track.state_at(at_ns, now_ns, options.gap_max_ns)
+    };
+    state_at(0, stamp_ns)?;
+    let agent = WindowAgent {
+        id: track.id,
+        agent_type: track.type_at(stamp_ns),
+        length_m: track.length_m,
+        history: (1 - steps..=0).map(|step| state_at(step, stamp_ns)).collect(),
+        future: (1..=options.horizon_len as i64)
+            .map(|step| state_at(step, i64::MAX).map(|state| state.position_m))
+            .collect(),
+    };
+    (agent.history_present_len() >= options.history_present_min).then_some(agent)
+}
+
+/// Finds the tracks that span a time, for times that only grow.
+struct Alive<'a> {
+    /// The tracks that have not begun, the next one last.
+    waiting: Vec<&'a RecordedTrack>,
+    /// The tracks that have begun and not ended, by identity.
+    begun: Vec<&'a RecordedTrack>,
+}
+
+impl<'a> Alive<'a> {
+    fn new(tracks: &'a [RecordedTrack]) -> Self {
+        let mut waiting: Vec<&RecordedTrack> = tracks.iter().collect();
+        waiting.sort_by_key(|track| std::cmp::Reverse(track.states.first().map(|state| state.0)));
+        Self { waiting, begun: Vec::new() }
+    }
+
+    fn at(&mut self, stamp_ns: i64) -> impl Iterator<Item = &'a RecordedTrack> {
+        while let Some(track) =
+            self.waiting.pop_if(|track| track.states.first().is_some_and(|s| s.0 <= stamp_ns))
+        {
+            self.begun.push(track);
+        }
+        self.begun.retain(|track| track.states.last().is_some_and(|state| state.0 >= stamp_ns));
+        self.begun.sort_by_key(|track| track.id);
+        self.begun.iter().copied()
+    }
+}

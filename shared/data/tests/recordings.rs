@@ -1,0 +1,134 @@
+//! The readers and windows against the real recordings, where they are at hand.
+
+use std::path::{Path, PathBuf};
+
+use data::sets::{DataSet, Fold, Part};
+use data::{Format, Recording, WindowOptions, open, windows};
+
+/// Where the recordings lie: `STGDAT_DATA`, else beside the workspace. None, and said so, where they are not.
+fn recordings() -> Option<PathBuf> {
+    let beside = || PathBuf::from(concat!(env!("CARGO_MANIFEST_DIR"), "/../../../shared/data"));
+    let root = std::env::var_os("STGDAT_DATA").map_or_else(beside, PathBuf::from);
+    if root.join("eth_ucy").is_dir() {
+        return Some(root);
+    }
+    println!("skipped: no recordings at {}", root.display());
+    None
+}
+
+fn read(path: &Path) -> Recording {
+    open(path, None).unwrap_or_else(|error| panic!("{error}"))
+}
+
+fn files(set: DataSet, root: &Path, part: Part) -> Vec<PathBuf> {
+    set.files(root, part).unwrap_or_else(|error| panic!("{error}"))
+}
+
+/// What every recording must hold to.
+fn assert_sound(recording: &Recording) {
+    assert!(!recording.frames.is_empty(), "{}", recording.name);
+    assert_eq!(recording.sha256.len(), 64);
+    assert!(recording.interval_ns > 0);
+    assert!(recording.frames.is_sorted_by(|a, b| a.stamp_ns < b.stamp_ns), "{}", recording.name);
+    for frame in &recording.frames {
+        for detection in &frame.detections {
+            detection.check().unwrap_or_else(|error| panic!("{}: {error}", recording.name));
+            assert!(frame.observed_types & (1 << detection.agent_type) != 0, "{}", recording.name);
+        }
+    }
+}
+
+fn rows_len(recording: &Recording) -> usize {
+    recording.frames.iter().map(|frame| frame.detections.len()).sum()
+}
+
+/// Windows and pedestrians in them, counted as the literature does: present at all 20 steps, alone or not.
+fn eth_ucy_counts(root: &Path, fold: Fold) -> [usize; 4] {
+    let options = WindowOptions::new(8, 12, 400_000_000);
+    let mut counts = [0; 4];
+    for file in files(DataSet::EthUcyFold(fold), root, Part::Test) {
+        for window in windows(&read(&file), &options) {
+            let pedestrians = window.agents.iter().filter(|agent| agent.is_complete()).count();
+            if pedestrians > 1 {
+                counts[0] += 1;
+                counts[1] += pedestrians;
+            }
+            counts[2] += usize::from(pedestrians > 0);
+            counts[3] += pedestrians;
+        }
+    }
+    counts
+}
+
+#[test]
+fn windows_of_eth_ucy_are_those_of_the_literature() {
+    let Some(root) = recordings() else { return };
+    assert_eq!(eth_ucy_counts(&root, Fold::Eth), [70, 181, 253, 364]);
+    assert_eq!(eth_ucy_counts(&root, Fold::Hotel), [301, 1_053, 445, 1_197]);
+    assert_eq!(eth_ucy_counts(&root, Fold::Univ)[..2], [947, 24_334]);
+    assert_eq!(eth_ucy_counts(&root, Fold::Zara1), [602, 2_253, 705, 2_356]);
+    assert_eq!(eth_ucy_counts(&root, Fold::Zara2), [921, 5_833, 998, 5_910]);
+}
+
+#[test]
+fn eth_in_true_time_has_the_frames_of_its_table() {
+    let Some(root) = recordings() else { return };
+    let path = root.join("eth_ucy/obsmat/eth_0.4s.txt");
+    let recording = read(&path);
+    assert_sound(&recording);
+    assert_eq!(rows_len(&recording), 8_908);
+    assert_eq!(recording.frames[0].stamp_ns, 52_000_000_000);
+    assert_eq!(recording.frames[1].stamp_ns, 52_400_000_000);
+}
+
+#[test]
+fn every_format_is_told_by_its_content_and_read_whole() {
+    let Some(root) = recordings() else { return };
+    let cases = [
+        ("eth_ucy/raw/students003.txt", Format::EthUcy, 17_953),
+        ("eth_ucy/hotel/train/biwi_eth_train.txt", Format::EthUcy, 3_666),
+        ("eth_ucy/obsmat/eth_0.4s.txt", Format::Obsmat, 8_908),
+        ("sdd/trajnet/test/coupa_0.txt", Format::SddTrajnet, 6_460),
+        ("sdd/raw/hyang/video7/annotations.txt", Format::SddRaw, 14_637),
+        (
+            "interaction/recorded_trackfiles/DR_USA_Roundabout_SR/vehicle_tracks_000.csv",
+            Format::Interaction,
+            43_189 + 1_052,
+        ),
+        ("vci_dut/intersection_01_traj_veh_filtered.csv", Format::VciDut, 290 + 1_750),
+        ("vci_dut/intersection_01_traj_ped_filtered.csv", Format::VciDut, 290 + 1_750),
+        ("kitti_tracking/detection/Cyclist/0000.txt", Format::KittiDetections, 1_054 + 259 + 525),
+        ("kitti_tracking/label/0000.txt", Format::KittiLabels, 711),
+    ];
+    for (file, format, expected) in cases {
+        let path = root.join(file);
+        let recording = read(&path);
+        assert_sound(&recording);
+        assert_eq!(rows_len(&recording), expected, "{file}");
+        let named = open(&path, Some(format)).unwrap();
+        assert!(named == recording, "{file} is not read as {format}");
+    }
+}
+
+#[test]
+fn every_file_of_every_part_is_read() {
+    let Some(root) = recordings() else { return };
+    let parts = [
+        (DataSet::EthUcy, [8, 8, 0]),
+        (DataSet::SddTrajnet, [15, 15, 17]),
+        (DataSet::SddRaw, [4, 7, 0]),
+        (DataSet::Interaction, [43, 14, 14]),
+        (DataSet::VciDut, [10, 2, 0]),
+        (DataSet::KittiLabels, [8, 3, 0]),
+        (DataSet::KittiDetections, [8, 3, 0]),
+    ];
+    for (set, expected) in parts {
+        for (part, files_len) in [Part::Train, Part::Validation, Part::Test].into_iter().zip(expected) {
+            let files = files(set, &root, part);
+            assert_eq!(files.len(), files_len, "{} {}", set.name(), part.name());
+            for file in files {
+                assert_sound(&open(&file, Some(set.format())).unwrap_or_else(|error| panic!("{error}")));
+            }
+        }
+    }
+}
