@@ -1,5 +1,7 @@
 //! `verify` on the four golden folders, and on folders that are off.
 
+#![expect(clippy::unwrap_used, reason = "a test that cannot go on should panic")]
+
 use std::path::{Path, PathBuf};
 
 use evaluator::{VerifyError, verify};
