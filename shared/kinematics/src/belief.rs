@@ -1,0 +1,77 @@
+use nalgebra::{SMatrix, SVector};
+
+use crate::{ControlGaussian, Moments, Motion, Normals};
+
+/// A Gaussian over the state of an agent.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Belief<const N: usize> {
+    /// Mean.
+    pub mean: SVector<f32, N>,
+    /// Covariance, symmetric.
+    pub covariance: SMatrix<f32, N, N>,
+}
+
+impl<const N: usize> Belief<N> {
+    /// A state known for certain.
+    #[must_use]
+    pub fn certain(mean: SVector<f32, N>) -> Self {
+        Self { mean, covariance: SMatrix::zeros() }
+    }
+
+    /// Carries the belief one step further: the linearised Gaussian.
+    ///
+    /// ```text
+    /// m' = f(m, u)      Σ' = F_s Σ F_sᵀ + F_u S F_uᵀ,  S = J L Lᵀ J
+    /// ```
+    ///
+    /// u is the saturated mean of `control` and J the saturation's slope there. \[model §4\]
+    ///
+    /// Differs from \[paper\]: the mean goes through f itself; its product with the Jacobian drops the affine term.
+    pub fn advance(&mut self, motion: &impl Motion<N>, control: &ControlGaussian) {
+        let (acting, slope) = motion.saturate(&control.mean);
+        let at = motion.linearise(&self.mean, &acting);
+        let mut factor = control.cholesky;
+        for row in 0..2 {
+            factor.row_mut(row).scale_mut(slope[row]);
+        }
+        let noise = at.by_control * factor;
+        let covariance = at.by_state * self.covariance * at.by_state.transpose() + noise * noise.transpose();
+        self.covariance = (covariance + covariance.transpose()) * 0.5;
+        self.mean = at.next;
+    }
+
+    /// Mean and covariance of the position.
+    #[must_use]
+    pub fn position(&self) -> Moments {
+        Moments {
+            mean: [self.mean[0], self.mean[1]],
+            covariance: [self.covariance[(0, 0)], self.covariance[(0, 1)], self.covariance[(1, 1)]],
+        }
+    }
+
+    /// A state drawn from the belief. Directions without variance keep the mean.
+    #[must_use]
+    pub fn sample(&self, normals: &mut Normals) -> SVector<f32, N> {
+        let noise = SVector::from_fn(|_, _| normals.draw());
+        self.mean + semidefinite_cholesky(&self.covariance) * noise
+    }
+}
+
+/// The lower factor of a positive semidefinite matrix; a pivot that is not positive leaves its column zero.
+fn semidefinite_cholesky<const N: usize>(matrix: &SMatrix<f32, N, N>) -> SMatrix<f32, N, N> {
+    let mut factor = SMatrix::<f32, N, N>::zeros();
+    for column in 0..N {
+        let known: f32 = (0..column).map(|k| factor[(column, k)] * factor[(column, k)]).sum();
+        let pivot = matrix[(column, column)] - known;
+        if pivot <= 0.0 {
+            continue;
+        }
+        let root = pivot.sqrt();
+        factor[(column, column)] = root;
+        for row in column + 1..N {
+            let known: f32 = (0..column).map(|k| factor[(row, k)] * factor[(column, k)]).sum();
+            factor[(row, column)] = (matrix[(row, column)] - known) / root;
+        }
+    }
+    factor
+}

@@ -1,0 +1,49 @@
+use nalgebra::{Matrix2, RealField, SMatrix, SVector, Vector2};
+
+/// The Gaussian of a control u = μ + L ε, before saturation.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ControlGaussian {
+    /// Mean μ.
+    pub mean: Vector2<f32>,
+    /// Lower Cholesky factor L of the covariance.
+    pub cholesky: Matrix2<f32>,
+}
+
+impl ControlGaussian {
+    /// From μ and L = \[l11, l21, l22\].
+    #[must_use]
+    pub fn new(mean: [f32; 2], [l11, l21, l22]: [f32; 3]) -> Self {
+        Self { mean: Vector2::from(mean), cholesky: Matrix2::new(l11, 0.0, l21, l22) }
+    }
+
+    /// Zero mean and independent components.
+    #[must_use]
+    pub fn centred(deviation: [f32; 2]) -> Self {
+        Self::new([0.0; 2], [deviation[0], 0.0, deviation[1]])
+    }
+}
+
+/// A step and its derivatives.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Linearised<T: RealField, const N: usize> {
+    /// The state after the step.
+    pub next: SVector<T, N>,
+    /// Derivative of the next state by the state, F_s.
+    pub by_state: SMatrix<T, N, N>,
+    /// Derivative of the next state by the control, F_u.
+    pub by_control: SMatrix<T, N, 2>,
+}
+
+/// A motion model of `N` state components, whose first two are the position, driven by two control components.
+pub trait Motion<const N: usize> {
+    /// The control that acts where `control` is asked for, and the derivative of each component by itself.
+    fn saturate(&self, control: &Vector2<f32>) -> (Vector2<f32>, Vector2<f32>);
+
+    /// The state one step later under a control that acts.
+    #[must_use]
+    fn step(&self, state: &SVector<f32, N>, control: &Vector2<f32>) -> SVector<f32, N>;
+
+    /// As [`Motion::step`], with derivatives.
+    #[must_use]
+    fn linearise(&self, state: &SVector<f32, N>, control: &Vector2<f32>) -> Linearised<f32, N>;
+}

@@ -1,0 +1,207 @@
+//! What must hold for any state and control.
+
+use kinematics::{
+    Belief, Bicycle, BicycleState, ControlGaussian, ControlLimits, Displacement, DisplacementKind,
+    DisplacementState, Integrator, KernelDensity, Moments, Motion, Normals, Vehicle, advance_particles,
+    initial_slip, mixture, saturate, spread, wrap_angle,
+};
+use nalgebra::{SVector, Vector2};
+use proptest::prelude::*;
+
+const DT_S: f32 = 0.4;
+
+fn vehicle(integrator: Integrator) -> Vehicle {
+    Vehicle {
+        bicycle: Bicycle { rear_axle_m: 1.2, slip_limit_rad: Some(0.5), integrator },
+        limits: ControlLimits { accel_mps2: 6.0, slip_rate_radps: 1.0 },
+        dt_s: DT_S,
+    }
+}
+
+fn integrators() -> impl Strategy<Value = Integrator> {
+    prop_oneof![Just(Integrator::Euler), Just(Integrator::Midpoint)]
+}
+
+fn states() -> impl Strategy<Value = BicycleState<f64>> {
+    [-50.0..50.0, -50.0..50.0, -3.0..3.0, -5.0..25.0, -0.45..0.45_f64].prop_map(BicycleState::from)
+}
+
+fn controls() -> impl Strategy<Value = Vector2<f64>> {
+    [-6.0..6.0, -1.0..1.0_f64].prop_map(Vector2::from)
+}
+
+proptest! {
+    #[test]
+    fn jacobians_are_the_finite_differences(
+        state in states(), control in controls(), integrator in integrators(), limited in any::<bool>(),
+    ) {
+        let slip_limit_rad = limited.then_some(0.3);
+        let bicycle = Bicycle { rear_axle_m: 1.4, slip_limit_rad, integrator };
+        // At the very limit the derivative is one-sided, and a slip outside jumps to it: neither has a derivative.
+        let next = state[4] + control[1] * 0.5;
+        prop_assume!(slip_limit_rad.is_none_or(|limit: f64| (next.abs() - limit).abs() > 1e-3));
+        let at = bicycle.linearise(&state, &control, 0.5);
+        prop_assert_eq!(at.next, bicycle.step(&state, &control, 0.5));
+        let h = 1e-5;
+        for column in 0..5 {
+            let nudge = SVector::<f64, 5>::from_fn(|row, _| if row == column { h } else { 0.0 });
+            let [up, down] = [nudge, -nudge].map(|n| bicycle.step(&(state + n), &control, 0.5));
+            let off = ((up - down) / (2.0 * h) - at.by_state.column(column)).amax();
+            prop_assert!(off < 1e-6, "by state {}: off by {}", column, off);
+        }
+        for column in 0..2 {
+            let nudge = Vector2::from_fn(|row, _| if row == column { h } else { 0.0 });
+            let [up, down] = [nudge, -nudge].map(|n| bicycle.step(&state, &(control + n), 0.5));
+            let off = ((up - down) / (2.0 * h) - at.by_control.column(column)).amax();
+            prop_assert!(off < 1e-6, "by control {}: off by {}", column, off);
+        }
+    }
+
+    #[test]
+    fn covariances_stay_symmetric_and_positive(
+        speed in -5.0_f32..25.0, accel in -20.0_f32..20.0, rate in -3.0_f32..3.0, integrator in integrators(),
+    ) {
+        let control = ControlGaussian::new([accel, rate], [1.0, 0.3, 0.2]);
+        let mut belief = Belief::certain(BicycleState::from([3.0, -2.0, 0.7, speed, 0.05]));
+        for _ in 0..12 {
+            belief.advance(&vehicle(integrator), &control);
+            prop_assert_eq!(belief.covariance, belief.covariance.transpose());
+            let least = belief.covariance.map(f64::from).symmetric_eigenvalues().min();
+            prop_assert!(least > -1e-5 * f64::from(belief.covariance.amax()), "eigenvalue {}", least);
+            prop_assert!(belief.mean[4].abs() <= 0.5);
+        }
+    }
+
+    #[test]
+    fn saturation_keeps_its_limit_and_its_slope(value in -100.0_f32..100.0, limit in 0.1_f32..10.0) {
+        let (limited, slope) = saturate(value, limit);
+        prop_assert!(limited.abs() <= limit);
+        let h = 1e-2 * limit;
+        let difference = (saturate(value + h, limit).0 - saturate(value - h, limit).0) / (2.0 * h);
+        prop_assert!((slope - difference).abs() < 2e-4, "{} {}", slope, difference);
+    }
+
+    #[test]
+    fn wrapped_angles_point_the_same_way(angle in -50.0_f32..50.0) {
+        let wrapped = wrap_angle(angle);
+        prop_assert!(wrapped.abs() <= std::f32::consts::PI);
+        prop_assert!((wrapped.cos() - angle.cos()).abs() < 1e-4 && (wrapped.sin() - angle.sin()).abs() < 1e-4);
+    }
+}
+
+#[test]
+fn a_steady_turn_keeps_its_circle_under_midpoint() {
+    let bicycle = Bicycle { rear_axle_m: 1.5, slip_limit_rad: None, integrator: Integrator::Midpoint };
+    let (speed, slip) = (8.0_f64, 0.15_f64);
+    let turn_rate = speed * slip.sin() / 1.5;
+    let radius_m = speed / turn_rate;
+    let mut state = BicycleState::from([0.0, 0.0, -slip, speed, slip]);
+    for step in 1..=12 {
+        state = bicycle.step(&state, &Vector2::zeros(), 0.1);
+        let angle = turn_rate * 0.1 * f64::from(step);
+        // The course starts along +x, so the circle's centre lies at (0, radius).
+        let expected = Vector2::new(radius_m * angle.sin(), radius_m * (1.0 - angle.cos()));
+        assert!((state.xy() - expected).norm() < 5e-3, "step {step}: {state:?}");
+    }
+}
+
+#[test]
+fn initial_slip_makes_the_turn_that_was_observed() {
+    let slip = initial_slip(1.3, 9.0, [0.4, 0.4]);
+    assert!((9.0 * slip.sin() / 1.3 - 0.4).abs() < 1e-5);
+    assert_eq!(initial_slip(1.3, 0.0, [0.4, 0.4]), 0.0);
+    assert_eq!(initial_slip(1.3, 0.1, [4.0, 0.0]), 0.45_f32.asin());
+    let reversing = initial_slip(1.3, -3.0, [0.2, 0.2]);
+    assert!((-3.0 * reversing.sin() / 1.3 - 0.2).abs() < 1e-5, "{reversing}");
+}
+
+#[test]
+fn displacements_add_to_constant_velocity_in_the_agents_axes() {
+    let start = DisplacementState::from([1.0, 2.0, 0.5, -1.0]);
+    let control = Vector2::new(0.3, 0.1);
+    let residual = Displacement::new(DisplacementKind::Residual, std::f32::consts::FRAC_PI_2, DT_S);
+    let next = residual.step(&start, &control);
+    assert!((next.xy() - Vector2::new(1.0 + 0.2 - 0.1, 2.0 - 0.4 + 0.3)).norm() < 1e-6);
+    let absolute = Displacement::new(DisplacementKind::Absolute, std::f32::consts::FRAC_PI_2, DT_S);
+    let next = absolute.step(&start, &control);
+    assert!((next.xy() - Vector2::new(0.9, 2.3)).norm() < 1e-6);
+
+    // An uncertain velocity spreads with time; the displacements' own noise adds up in the world's axes.
+    let mut belief = Belief::certain(start);
+    belief.covariance[(2, 2)] = 0.04;
+    for _ in 0..5 {
+        belief.advance(&residual, &ControlGaussian::centred([0.2, 0.0]));
+    }
+    let [xx, xy, yy] = belief.position().covariance;
+    assert!((xx - 0.04 * (5.0 * DT_S).powi(2)).abs() < 1e-5, "{xx}");
+    assert!((yy - 5.0 * 0.04).abs() < 1e-5 && xy.abs() < 1e-6, "{yy} {xy}");
+}
+
+#[test]
+fn particles_agree_with_the_linearised_gaussian_where_the_motion_is_nearly_linear() {
+    let motion = vehicle(Integrator::Midpoint);
+    let control = ControlGaussian::new([0.8, 0.001], [0.3, 0.002, 0.004]);
+    let mut belief = Belief::certain(BicycleState::from([5.0, -3.0, 0.4, 9.0, 0.01]));
+    belief.covariance[(0, 0)] = 0.09;
+    belief.covariance[(1, 1)] = 0.04;
+    let mut normals = Normals::new(7, 1, 2);
+    let mut particles: Vec<_> = (0..20_000).map(|_| belief.sample(&mut normals)).collect();
+    for _ in 0..8 {
+        belief.advance(&motion, &control);
+        advance_particles(&motion, &control, &mut particles, &mut normals);
+    }
+    let (exact, drawn) = (belief.position(), spread(particles.iter().map(|p| [p[0], p[1]])));
+    let scale = exact.covariance[0] + exact.covariance[2];
+    for axis in 0..2 {
+        assert!((exact.mean[axis] - drawn.mean[axis]).abs() < 0.1 * scale.sqrt(), "{exact:?} {drawn:?}");
+    }
+    for entry in 0..3 {
+        let off = (exact.covariance[entry] - drawn.covariance[entry]).abs();
+        assert!(off < 0.08 * scale, "{exact:?} {drawn:?}");
+    }
+}
+
+#[test]
+fn normals_are_standard_and_depend_on_every_part_of_their_key() {
+    let mut normals = Normals::new(1, 2, 3);
+    let drawn: Vec<f64> = (0..100_000).map(|_| f64::from(normals.draw())).collect();
+    let moment = |power: i32| drawn.iter().map(|x| x.powi(power)).sum::<f64>() / drawn.len() as f64;
+    assert!(moment(1).abs() < 0.01 && (moment(2) - 1.0).abs() < 0.02 && (moment(4) - 3.0).abs() < 0.1);
+    let neighbours: f64 = drawn.windows(2).map(|w| w[0] * w[1]).sum::<f64>() / drawn.len() as f64;
+    assert!(neighbours.abs() < 0.01, "{neighbours}");
+
+    let first = |seed, id, seq| Normals::new(seed, id, seq).draw();
+    assert_eq!(first(1, 2, 3), first(1, 2, 3));
+    for other in [first(2, 2, 3), first(1, 3, 3), first(1, 2, 4), first(2, 1, 3)] {
+        assert_ne!(first(1, 2, 3), other);
+    }
+}
+
+#[test]
+fn a_mixture_has_the_moments_of_its_parts_and_of_their_spread() {
+    let parts = [
+        (0.25, Moments { mean: [0.0, 0.0], covariance: [1.0, 0.5, 1.0] }),
+        (0.75, Moments { mean: [4.0, 2.0], covariance: [2.0, 0.0, 1.0] }),
+    ];
+    let mixed = mixture(parts.into_iter());
+    assert_eq!(mixed.mean, [3.0, 1.5]);
+    assert_eq!(mixed.covariance, [1.75 + 3.0, 0.125 + 1.5, 1.0 + 0.75]);
+    assert_eq!(spread([[1.0, 5.0], [3.0, 5.0]].into_iter()).covariance, [1.0, 0.0, 0.0]);
+}
+
+#[test]
+fn a_kernel_density_integrates_to_one_and_peaks_at_its_points() {
+    let mut normals = Normals::new(3, 0, 0);
+    let points: Vec<[f32; 2]> = (0..32).map(|_| [normals.draw() * 2.0, 1.0 + normals.draw()]).collect();
+    let density = KernelDensity::new(&points, 0.01).unwrap();
+    let [hx, hy] = density.bandwidth_m();
+    assert!(hx > 0.7 && hx < 1.8 && hy > 0.3 && hy < 0.9, "{hx} {hy}");
+    let cells = (-100..100).flat_map(|x| (-100..100).map(move |y| [x as f32 * 0.15, y as f32 * 0.15]));
+    let sum: f32 = cells.map(|cell| density.at(cell)).sum();
+    assert!((sum * 0.15 * 0.15 - 1.0).abs() < 1e-2, "{sum}");
+    assert!(density.at([0.0, 1.0]) > 10.0 * density.at([8.0, 1.0]));
+
+    assert!(KernelDensity::new(&[], 0.01).is_none());
+    let single = [[1.0, 1.0]];
+    assert_eq!(KernelDensity::new(&single, 0.2).unwrap().bandwidth_m(), [0.2, 0.2]);
+}
