@@ -4,7 +4,9 @@ use crate::{MOVING_MPS, State};
 
 /// Fills `states` with the velocities and headings that follow from `positions_m`, a row per step of `dt_s`.
 ///
-///     v^k = (p^k − p^j) / ((k − j) Δt),  j the last present step before k          ψ^k = atan2(vy, vx) if |v| ≥ 0.1 m/s
+/// ```text
+/// v^k = (p^k − p^j) / ((k − j) Δt),  j the last present step before k          ψ^k = atan2(vy, vx) if |v| ≥ 0.1 m/s
+/// ```
 ///
 /// Backward differences only: row k depends on rows up to k. The first present row copies the velocity of the second,
 /// unless that lies beyond the first `observed_len` rows while the first does not; it is then at rest. So no row of the
