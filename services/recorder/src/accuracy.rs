@@ -1,0 +1,245 @@
+//! How far the published forecasts were from what came to pass.
+//!
+//! Forecasts wait until the recording's truth has passed their horizon. A forecast belongs to the truth of the same
+//! identity where its detections carried one, else to the truth of the same type that was nearest to it at its stamp,
+//! at most 2 m away. The truth at step k is taken at exactly stamp + (k + 1) Δt, on the line between the two truths
+//! around it.
+//!
+//! An agent counts when its truth covers *all* steps of the horizon: a forecast of an agent that leaves the scene early
+//! would count only its easy first steps. Those are counted as uncovered, not scored.
+
+mod truth;
+
+use std::collections::{BTreeMap, VecDeque};
+
+use metrics::{Displacement, DisplacementMean, Point, best_of, displacement};
+use wire::{AGENT_TYPES, AgentType, Forecast, HORIZON_MAX, Header, MODES_MAX, Quality, Rejected, Truth};
+
+use crate::report::{Accuracy, Errors};
+use truth::{GAP_MAX_NS, Paths};
+
+/// Farthest that a truth without identity may lie from the forecast it belongs to.
+const MATCH_RADIUS_M: f32 = 2.0;
+/// How long the truth of a tick may lag behind its forecasts, or the other way round.
+const LAG_MAX_NS: i64 = 2_000_000_000;
+/// Most ticks whose forecasts wait for truth; the oldest are given up beyond.
+const WAITING_MAX: usize = 256;
+
+/// The forecasts of one tick.
+#[derive(Clone, Debug, Default)]
+struct Waiting {
+    stamp_ns: i64,
+    step_ns: i64,
+    horizon_len: usize,
+    forecasts: Vec<Forecast>,
+}
+
+impl Waiting {
+    const fn step_stamp_ns(&self, step: usize) -> i64 {
+        self.stamp_ns.saturating_add(self.step_ns.saturating_mul(step as i64 + 1))
+    }
+
+    /// Stamp of the last step.
+    const fn end_ns(&self) -> i64 {
+        self.stamp_ns.saturating_add(self.step_ns.saturating_mul(self.horizon_len as i64))
+    }
+}
+
+/// Compares forecasts with truth that comes later. Memory is bounded, whatever comes or fails to come.
+#[derive(Clone, Debug, Default)]
+pub struct Judge {
+    paths: Paths,
+    waiting: VecDeque<Waiting>,
+    /// Empty buffers of ticks already judged.
+    spare: Vec<Vec<Forecast>>,
+    tally: Tally,
+}
+
+impl Judge {
+    /// Takes what was really there at the frame's stamp, and judges the forecasts whose horizon has passed.
+    ///
+    /// # Errors
+    /// [`Rejected`] where a number is impossible or the frame is not newer than the last; nothing changes then.
+    pub fn truth(&mut self, header: &Header, truths: &[Truth]) -> Result<(), Rejected> {
+        self.paths.add(header.stamp_ns, truths)?;
+        // Truths of one agent may be a whole gap apart: only then is the position at the horizon's end settled.
+        while self
+            .waiting
+            .front()
+            .is_some_and(|tick| tick.end_ns().saturating_add(GAP_MAX_NS) <= header.stamp_ns)
+        {
+            self.judge_oldest();
+        }
+        let oldest_ns = self.waiting.front().map_or(i64::MAX, |tick| tick.stamp_ns);
+        self.paths.forget_before(oldest_ns.min(header.stamp_ns.saturating_sub(LAG_MAX_NS)));
+        Ok(())
+    }
+
+    /// Keeps the forecasts of a tick until their horizon has passed.
+    pub fn forecasts(&mut self, header: &Header, forecasts: &[Forecast]) {
+        let horizon_len = (header.counts.horizon_len as usize).min(HORIZON_MAX);
+        let step_ns = i64::try_from(header.step_ns).unwrap_or(i64::MAX);
+        if forecasts.is_empty() || horizon_len == 0 || step_ns == 0 {
+            return;
+        }
+        let mut kept = self.spare.pop().unwrap_or_default();
+        kept.extend_from_slice(forecasts);
+        let tick = Waiting { stamp_ns: header.stamp_ns, step_ns, horizon_len, forecasts: kept };
+        // Where truth stays away, a tick is given up once truth would have been due long ago.
+        let due =
+            |oldest: &Waiting| oldest.end_ns().saturating_add(GAP_MAX_NS + LAG_MAX_NS) < header.stamp_ns;
+        while self.waiting.len() >= WAITING_MAX || self.waiting.front().is_some_and(due) {
+            self.judge_oldest();
+        }
+        self.waiting.push_back(tick);
+    }
+
+    fn judge_oldest(&mut self) {
+        if let Some(mut tick) = self.waiting.pop_front() {
+            self.tally.judge(&tick, &self.paths);
+            tick.forecasts.clear();
+            self.spare.push(tick.forecasts);
+        }
+    }
+
+    /// What is known by now, with the forecasts whose horizon the truth covers already. All null without truth.
+    #[must_use]
+    pub fn accuracy(&self) -> Accuracy {
+        let Some(newest_ns) = self.paths.newest_ns() else {
+            return Accuracy::default();
+        };
+        let mut tally = self.tally.clone();
+        let (covered, open): (Vec<_>, Vec<_>) =
+            self.waiting.iter().partition(|tick| tick.end_ns() <= newest_ns);
+        covered.iter().for_each(|tick| tally.judge(tick, &self.paths));
+        tally.uncovered_len += open.iter().map(|tick| tick.forecasts.len() as u64).sum::<u64>();
+        tally.accuracy()
+    }
+
+    /// Forecasts that wait for truth.
+    #[cfg(test)]
+    fn waiting_len(&self) -> usize {
+        self.waiting.len()
+    }
+}
+
+/// Sums of the errors of one group of forecasts.
+#[derive(Clone, Copy, Debug, Default)]
+struct Group {
+    best_of_draws: DisplacementMean,
+    single: DisplacementMean,
+    constant_velocity: DisplacementMean,
+}
+
+impl Group {
+    fn add(&mut self, [best_of_draws, single, constant_velocity]: [Displacement; 3]) {
+        self.best_of_draws.add(best_of_draws);
+        self.single.add(single);
+        self.constant_velocity.add(constant_velocity);
+    }
+
+    fn errors(&self) -> Errors {
+        let rounded = |value: Option<f64>| value.map(|v| (v * 1e4).round() / 1e4);
+        Errors {
+            forecasts: self.best_of_draws.ade_m.len(),
+            ade_m: rounded(self.best_of_draws.ade_m.value()),
+            fde_m: rounded(self.best_of_draws.fde_m.value()),
+            miss_rate: rounded(self.best_of_draws.misses.value()),
+            single_ade_m: rounded(self.single.ade_m.value()),
+            single_fde_m: rounded(self.single.fde_m.value()),
+            single_miss_rate: rounded(self.single.misses.value()),
+            cv_ade_m: rounded(self.constant_velocity.ade_m.value()),
+            cv_fde_m: rounded(self.constant_velocity.fde_m.value()),
+            cv_miss_rate: rounded(self.constant_velocity.misses.value()),
+        }
+    }
+}
+
+/// All that was judged so far.
+#[derive(Clone, Debug, Default)]
+struct Tally {
+    all: Group,
+    learned: Group,
+    by_type: [Group; AGENT_TYPES.len()],
+    draws: u32,
+    horizon_ns: i64,
+    uncovered_len: u64,
+    unmatched_len: u64,
+}
+
+impl Tally {
+    fn judge(&mut self, tick: &Waiting, paths: &Paths) {
+        for forecast in &tick.forecasts {
+            let Some(id) = agent_of(forecast, tick.stamp_ns, paths) else {
+                self.unmatched_len += 1;
+                continue;
+            };
+            let mut truth = [None; HORIZON_MAX];
+            let truth = &mut truth[..tick.horizon_len];
+            for (step, position) in truth.iter_mut().enumerate() {
+                *position = paths.at(id, tick.step_stamp_ns(step));
+            }
+            if truth.contains(&None) {
+                self.uncovered_len += 1;
+                continue;
+            }
+            self.add(tick, forecast, truth);
+        }
+    }
+
+    fn add(&mut self, tick: &Waiting, forecast: &Forecast, truth: &[Option<Point>]) {
+        let modes_len = (forecast.modes_len as usize).min(MODES_MAX);
+        let displacements = [
+            best_of(&forecast.modes[..modes_len], truth),
+            displacement(&forecast.best, truth),
+            displacement(&constant_velocity(forecast, tick.step_ns), truth),
+        ];
+        self.all.add(displacements);
+        if forecast.quality == Quality::Learned as u32 {
+            self.learned.add(displacements);
+        }
+        if let Ok(agent_type) = AgentType::try_from(forecast.agent_type) {
+            self.by_type[agent_type.index()].add(displacements);
+        }
+        self.draws = self.draws.max(forecast.modes_len);
+        self.horizon_ns = self.horizon_ns.max(tick.end_ns() - tick.stamp_ns);
+    }
+
+    fn accuracy(&self) -> Accuracy {
+        let judged = !self.all.best_of_draws.ade_m.is_empty();
+        let by_type: BTreeMap<String, Errors> = AGENT_TYPES
+            .iter()
+            .map(|agent_type| (agent_type.name().to_owned(), self.by_type[agent_type.index()].errors()))
+            .filter(|(_, errors)| errors.forecasts > 0)
+            .collect();
+        Accuracy {
+            errors: self.all.errors(),
+            draws: judged.then_some(self.draws),
+            horizon_s: judged.then_some(self.horizon_ns as f64 / 1e9),
+            miss_radius_m: metrics::MISS_RADIUS_M,
+            learned: self.learned.errors(),
+            by_type,
+            uncovered: self.uncovered_len,
+            unmatched: self.unmatched_len,
+        }
+    }
+}
+
+fn agent_of(forecast: &Forecast, stamp_ns: i64, paths: &Paths) -> Option<u64> {
+    if forecast.source_id != 0 {
+        return Some(forecast.source_id).filter(|&id| paths.knows(id));
+    }
+    paths.nearest(forecast.agent_type, [forecast.x_m, forecast.y_m], stamp_ns, MATCH_RADIUS_M)
+}
+
+/// The agent keeps the velocity that its forecast starts from.
+fn constant_velocity(forecast: &Forecast, step_ns: i64) -> [Point; HORIZON_MAX] {
+    std::array::from_fn(|step| {
+        let t_s = ((step as i64 + 1) * step_ns) as f64 / 1e9;
+        let along = |start_m: f32, v_mps: f32| (f64::from(start_m) + f64::from(v_mps) * t_s) as f32;
+        [along(forecast.x_m, forecast.vx_mps), along(forecast.y_m, forecast.vy_mps)]
+    })
+}
+
+#[cfg(test)]
+mod tests;

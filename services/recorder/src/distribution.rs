@@ -1,0 +1,97 @@
+use hdrhistogram::Histogram;
+
+use crate::report::Percentiles;
+
+/// Longest time that is told apart; longer ones count as this.
+const LONGEST_NS: u64 = 60_000_000_000;
+/// Fewest values that make the 99.9th percentile more than the greatest few.
+const P999_LEAST_LEN: u64 = 10_000;
+
+/// How often a time took how long, to three digits and in bounded memory.
+#[derive(Clone, Debug)]
+pub(crate) struct Distribution {
+    histogram: Histogram<u32>,
+    least_ns: u64,
+    most_ns: u64,
+}
+
+impl Default for Distribution {
+    fn default() -> Self {
+        let histogram = Histogram::new_with_bounds(1, LONGEST_NS, 3)
+            .expect("the bounds are constants that hdrhistogram takes");
+        Self { histogram, least_ns: u64::MAX, most_ns: 0 }
+    }
+}
+
+impl Distribution {
+    pub fn record(&mut self, time_ns: u64) {
+        self.histogram.saturating_record(time_ns);
+        self.least_ns = self.least_ns.min(time_ns);
+        self.most_ns = self.most_ns.max(time_ns);
+    }
+
+    /// Times recorded.
+    pub fn len(&self) -> u64 {
+        self.histogram.len()
+    }
+
+    pub fn is_empty(&self) -> bool {
+        self.histogram.is_empty()
+    }
+
+    /// The percentiles in ms; `None` all where nothing was recorded.
+    pub fn percentiles_ms(&self) -> Percentiles {
+        if self.is_empty() {
+            return Percentiles::default();
+        }
+        // The histogram answers with the upper end of a bucket, which may lie beyond the greatest value seen.
+        let quantile_ms = |q| ms(self.histogram.value_at_quantile(q).clamp(self.least_ns, self.most_ns));
+        Percentiles {
+            p50: Some(quantile_ms(0.5)),
+            p99: Some(quantile_ms(0.99)),
+            p999: (self.histogram.len() >= P999_LEAST_LEN).then(|| quantile_ms(0.999)),
+            max: Some(ms(self.most_ns)),
+        }
+    }
+}
+
+/// Milliseconds to 0.1 µs, as far as a clock across processes can be believed.
+pub(crate) fn ms(time_ns: u64) -> f64 {
+    (time_ns as f64 / 100.0).round() / 10_000.0
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn of(times_ns: impl IntoIterator<Item = u64>) -> Percentiles {
+        let mut distribution = Distribution::default();
+        times_ns.into_iter().for_each(|t| distribution.record(t));
+        distribution.percentiles_ms()
+    }
+
+    #[test]
+    fn nothing_recorded_is_unknown() {
+        assert_eq!(of([]), Percentiles::default());
+    }
+
+    #[test]
+    fn a_constant_is_told_exactly() {
+        let p = of([1_000_000; 7]);
+        assert_eq!(p, Percentiles { p50: Some(1.0), p99: Some(1.0), p999: None, max: Some(1.0) });
+    }
+
+    #[test]
+    fn percentiles_are_right_to_three_digits() {
+        let p = of((1..=10_000).map(|i| i * 1_000));
+        for (found, expected_ms) in [(p.p50, 5.0), (p.p99, 9.9), (p.p999, 9.99), (p.max, 10.0)] {
+            let found_ms = found.expect("10,000 values give all percentiles");
+            assert!((found_ms / expected_ms - 1.0).abs() < 1e-3, "{found_ms} ms, expected {expected_ms} ms");
+        }
+    }
+
+    #[test]
+    fn one_value_short_of_ten_thousand_has_no_p999() {
+        assert_eq!(of((1..10_000).map(|i| i * 1_000)).p999, None);
+    }
+}

@@ -1,0 +1,277 @@
+//! Forecasts as JSON lines: `stgdat predict --out FILE` and `stgdat run --forecasts FILE`.
+//!
+//! One line per tick, in time order, also where there is no agent. Nothing in a line depends on when or by whom it was
+//! computed (no clock, run id or incarnation), so the same recording, seed and weights give the same bytes.
+//! Version 1:
+//!
+//! | field | meaning |
+//! |---|---|
+//! | `version` | [`FORECASTS_VERSION`] |
+//! | `seq` | number of the tick, from 0 |
+//! | `stamp_ns` | time of validity on the recording's clock |
+//! | `step_s` | Δt: step k of a forecast lies at stamp + (k + 1) Δt |
+//! | `agents` | one object per track, in the order of the frame |
+//!
+//! | field of an agent | meaning |
+//! |---|---|
+//! | `id` | the track, never reused within a run (64 bits) |
+//! | `source_id` | the recording's own identity, 0 where it carries none (64 bits) |
+//! | `type` | `vehicle`, `cyclist`, `pedestrian` |
+//! | `quality` | `learned`, `held` (from an earlier tick), `kinematic` (constant control) |
+//! | `cause` | why it is not learned: `late`, `rejected`, `missing`, `young`; else `none` |
+//! | `age_s` | age of a held forecast, else 0 |
+//! | `x_m`, `y_m` | position at the stamp, world frame |
+//! | `vx_mps`, `vy_mps` | velocity at the stamp, world frame |
+//! | `heading_rad` | heading at the stamp, counter-clockwise from +x |
+//! | `length_m`, `width_m` | extent along and across the heading, 0 where unknown |
+//! | `probability` | of each mode; they sum to 1 |
+//! | `modes_m` | \[mode\]\[step\] = \[x, y\], world frame |
+//! | `best_m` | \[step\] = \[x, y\]: the single best forecast |
+//! | `mean_m` | \[step\] = \[x, y\]: mean of the mixture of all modes |
+//! | `covariance_m2` | \[step\] = \[xx, xy, yy\] of the mixture |
+//!
+//! Numbers are rounded to four decimals (0.1 mm, well below what f32 resolves at the edge of the world frame), and
+//! probabilities and covariances to six.
+
+use std::io::{self, Write};
+use std::path::Path;
+
+use serde::{Serialize, Serializer};
+use wire::{AgentType, Cause, Forecast, HORIZON_MAX, Header, MODES_MAX, Quality};
+
+use crate::whole_file::WholeFile;
+
+/// Version of the lines' fields.
+pub const FORECASTS_VERSION: u32 = 1;
+
+/// Writes a line per tick. The file takes its name when it is finished; until then it lies beside it as
+/// `NAME.partial`. Pipes and devices are written directly.
+#[derive(Debug)]
+pub struct ForecastWriter {
+    file: WholeFile,
+}
+
+impl ForecastWriter {
+    /// Starts a file, in place of one that has the name already.
+    ///
+    /// # Errors
+    /// What the file system says.
+    pub fn create(path: &Path) -> io::Result<Self> {
+        Ok(Self { file: WholeFile::create(path)? })
+    }
+
+    /// Writes the forecasts of a tick; frames that link or end a pipeline have no line.
+    ///
+    /// # Errors
+    /// What the file system says, such as a full disk.
+    pub fn write(&mut self, header: &Header, forecasts: &[Forecast]) -> io::Result<()> {
+        if header.is_tick() { write_line(&mut self.file, header, forecasts) } else { Ok(()) }
+    }
+
+    /// Writes what is buffered and gives the file its name.
+    ///
+    /// # Errors
+    /// What the file system says, such as a full disk.
+    pub fn finish(self) -> io::Result<()> {
+        self.file.finish()
+    }
+}
+
+fn write_line(output: &mut impl Write, header: &Header, forecasts: &[Forecast]) -> io::Result<()> {
+    let horizon_len = (header.counts.horizon_len as usize).min(HORIZON_MAX);
+    let line = Line {
+        version: FORECASTS_VERSION,
+        seq: header.seq,
+        stamp_ns: header.stamp_ns,
+        step_s: header.step_ns as f64 / 1e9,
+        agents: Each(forecasts, |forecast| Agent::of(forecast, horizon_len)),
+    };
+    serde_json::to_writer(&mut *output, &line)?;
+    output.write_all(b"\n")
+}
+
+#[derive(Serialize)]
+struct Line<A> {
+    version: u32,
+    seq: u64,
+    stamp_ns: i64,
+    step_s: f64,
+    agents: A,
+}
+
+#[derive(Serialize)]
+struct Agent<'a> {
+    id: u64,
+    source_id: u64,
+    r#type: &'static str,
+    quality: &'static str,
+    cause: &'static str,
+    age_s: f64,
+    x_m: Rounded<4>,
+    y_m: Rounded<4>,
+    vx_mps: Rounded<4>,
+    vy_mps: Rounded<4>,
+    heading_rad: Rounded<4>,
+    length_m: Rounded<4>,
+    width_m: Rounded<4>,
+    probability: Numbers<'a, 6>,
+    modes_m: Modes<'a>,
+    best_m: Rows<'a, 2, 4>,
+    mean_m: Rows<'a, 2, 4>,
+    covariance_m2: Rows<'a, 3, 6>,
+}
+
+impl<'a> Agent<'a> {
+    fn of(forecast: &'a Forecast, horizon_len: usize) -> Self {
+        let modes_len = (forecast.modes_len as usize).min(MODES_MAX);
+        Self {
+            id: forecast.id,
+            source_id: forecast.source_id,
+            r#type: AgentType::try_from(forecast.agent_type).map_or("unknown", AgentType::name),
+            quality: Quality::ALL.get(forecast.quality as usize).map_or("unknown", |quality| quality.name()),
+            cause: Cause::ALL.get(forecast.cause as usize).map_or("unknown", |cause| cause.name()),
+            age_s: forecast.age_ns as f64 / 1e9,
+            x_m: Rounded(forecast.x_m),
+            y_m: Rounded(forecast.y_m),
+            vx_mps: Rounded(forecast.vx_mps),
+            vy_mps: Rounded(forecast.vy_mps),
+            heading_rad: Rounded(forecast.heading_rad),
+            length_m: Rounded(forecast.length_m),
+            width_m: Rounded(forecast.width_m),
+            probability: Numbers(&forecast.probability[..modes_len]),
+            modes_m: Modes { modes: &forecast.modes[..modes_len], horizon_len },
+            best_m: Rows(&forecast.best[..horizon_len]),
+            mean_m: Rows(&forecast.mean[..horizon_len]),
+            covariance_m2: Rows(&forecast.covariance[..horizon_len]),
+        }
+    }
+}
+
+/// A number of `DECIMALS` decimals.
+struct Rounded<const DECIMALS: i32>(f32);
+
+impl<const DECIMALS: i32> Serialize for Rounded<DECIMALS> {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        let scale = 10_f64.powi(DECIMALS);
+        // The quotient is the f64 nearest to the decimal number, so its shortest form is that number. Adding 0 turns
+        // -0 to 0.
+        serializer.serialize_f64((f64::from(self.0) * scale).round() / scale + 0.0)
+    }
+}
+
+/// A list made while it is written.
+struct Each<'a, T, F>(&'a [T], F);
+
+impl<'a, T, U: Serialize, F: Fn(&'a T) -> U> Serialize for Each<'a, T, F> {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        serializer.collect_seq(self.0.iter().map(&self.1))
+    }
+}
+
+/// A list of numbers.
+struct Numbers<'a, const DECIMALS: i32>(&'a [f32]);
+
+impl<const DECIMALS: i32> Serialize for Numbers<'_, DECIMALS> {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        serializer.collect_seq(self.0.iter().map(|&x| Rounded::<DECIMALS>(x)))
+    }
+}
+
+/// A list of rows of `WIDTH` numbers.
+struct Rows<'a, const WIDTH: usize, const DECIMALS: i32>(&'a [[f32; WIDTH]]);
+
+impl<const WIDTH: usize, const DECIMALS: i32> Serialize for Rows<'_, WIDTH, DECIMALS> {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        serializer.collect_seq(self.0.iter().map(|row| Numbers::<DECIMALS>(row)))
+    }
+}
+
+/// The trajectories of all modes.
+struct Modes<'a> {
+    modes: &'a [[[f32; 2]; HORIZON_MAX]],
+    horizon_len: usize,
+}
+
+impl Serialize for Modes<'_> {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        serializer.collect_seq(self.modes.iter().map(|mode| Rows::<2, 4>(&mode[..self.horizon_len])))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use bytemuck::Zeroable;
+    use wire::{Counts, flags};
+
+    fn header(agents_len: u32) -> Header {
+        let counts = Counts { agents_len, horizon_len: 2, ..Counts::default() };
+        Header { counts, step_ns: 400_000_000, released_ns: 77, ..Header::new(99, 5, 1_200_000_000) }
+    }
+
+    fn forecast() -> Forecast {
+        let mut forecast = Forecast {
+            id: 7,
+            source_id: 3,
+            age_ns: 80_000_000,
+            agent_type: 2,
+            quality: Quality::Held as u32,
+            cause: Cause::Late as u32,
+            modes_len: 2,
+            x_m: 1.234_56,
+            y_m: -0.000_01,
+            vx_mps: 0.1,
+            heading_rad: std::f32::consts::PI,
+            ..Forecast::zeroed()
+        };
+        forecast.probability[..2].copy_from_slice(&[0.75, 0.25]);
+        forecast.modes[1][1] = [10.0, 20.125];
+        forecast.best[0] = [1.0 / 3.0, 1e4];
+        forecast.covariance[1] = [1e-5, 0.0, 2.0];
+        forecast
+    }
+
+    fn line(header: &Header, forecasts: &[Forecast]) -> String {
+        let mut bytes = Vec::new();
+        write_line(&mut bytes, header, forecasts).unwrap();
+        String::from_utf8(bytes).unwrap()
+    }
+
+    #[test]
+    fn a_line_has_the_documented_fields() {
+        insta::assert_snapshot!(line(&header(1), &[forecast()]));
+    }
+
+    #[test]
+    fn who_computed_it_and_when_leaves_no_trace() {
+        let mut other = Header { run_id: 1, released_ns: 1, interval_ns: 5, ..header(1) };
+        other.push_hop(wire::Hop { stage: 7, incarnation: 2, sent_ns: 9, ..wire::Hop::default() });
+        assert_eq!(line(&other, &[forecast()]), line(&header(1), &[forecast()]));
+    }
+
+    #[test]
+    fn only_ticks_have_lines_and_the_file_is_whole() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("f.jsonl");
+        let mut writer = ForecastWriter::create(&path).unwrap();
+        writer.write(&Header { flags: flags::WARM_UP, ..header(0) }, &[]).unwrap();
+        writer.write(&header(0), &[]).unwrap();
+        writer.write(&header(1), &[forecast()]).unwrap();
+        writer.write(&Header { flags: flags::END, ..header(0) }, &[]).unwrap();
+        writer.finish().unwrap();
+        let text = std::fs::read_to_string(&path).unwrap();
+        assert_eq!(text.lines().count(), 2);
+        assert!(text.ends_with("}\n"));
+        for line in text.lines() {
+            let value: serde_json::Value = serde_json::from_str(line).unwrap();
+            assert_eq!(value["version"], FORECASTS_VERSION);
+        }
+    }
+
+    #[test]
+    fn a_full_disk_is_an_error() {
+        let mut writer = ForecastWriter::create(Path::new("/dev/full")).unwrap();
+        let outcome = (0..100).try_for_each(|_| writer.write(&header(1), &[forecast()]));
+        assert!(outcome.and_then(|()| writer.finish()).is_err());
+    }
+}

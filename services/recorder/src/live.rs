@@ -1,0 +1,235 @@
+//! The run while it runs: what a table of stages, or a line a second, needs to know.
+//!
+//! [`LiveView`] keeps the last ten seconds and some counts; [`draw`] shows it on a terminal, [`LiveView::plain_line`]
+//! where the output is none. Who drives them reads the topics and the clock.
+
+mod draw;
+
+use std::collections::{BTreeMap, VecDeque};
+
+use wire::{Forecast, Header, Heartbeat, Quality, StageId};
+
+pub use draw::draw;
+
+use crate::losses::Losses;
+use crate::passage::{Passage, STAGES_LEN, Timeline, place};
+use crate::record::TICK_LIMIT_NS;
+use crate::text::{count, number};
+
+/// Ticks in the window that the view shows: ten seconds at 12.5 Hz.
+const WINDOW_LEN: usize = 125;
+/// A stage is silent when its last heartbeat is older than two of its intervals and some.
+const SILENT_NS: u64 = 200_000_000;
+
+/// What the view is told of the run.
+#[derive(Clone, Debug)]
+pub struct LiveOptions {
+    /// What runs, in a few words.
+    pub title: String,
+    /// Each stage's part of the tick limit; the stages that have a row from the start.
+    pub budgets_ms: BTreeMap<StageId, f64>,
+    /// A tick is late beyond this or the frame interval, whichever is shorter.
+    pub tick_limit_ns: u64,
+    /// Ticks after which the run ends, if that is known.
+    pub ticks_limit: Option<u64>,
+}
+
+impl Default for LiveOptions {
+    fn default() -> Self {
+        Self {
+            title: String::new(),
+            budgets_ms: BTreeMap::new(),
+            tick_limit_ns: TICK_LIMIT_NS,
+            ticks_limit: None,
+        }
+    }
+}
+
+/// One stage's row.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct LiveStage {
+    /// Median of compute within the window.
+    pub compute_ms_p50: Option<f64>,
+    /// 99th percentile of compute within the window.
+    pub compute_ms_p99: Option<f64>,
+    /// Its part of the tick limit.
+    pub budget_ms: Option<f64>,
+    /// Frames that it finished.
+    pub frames: u64,
+    /// Ticks whose compute exceeded the budget.
+    pub late: u64,
+    /// Frames lost in it.
+    pub lost: u64,
+    /// How often it was started again.
+    pub restarts: u32,
+    /// Whether it gives a sign of life; `None` before the first.
+    pub alive: Option<bool>,
+}
+
+/// The last seconds of a run.
+#[derive(Clone, Debug)]
+pub struct LiveView {
+    options: LiveOptions,
+    timeline: Timeline,
+    losses: Losses,
+    window: VecDeque<Passage>,
+    beats: [Option<Heartbeat>; STAGES_LEN],
+    late_by_stage: [u64; STAGES_LEN],
+    first_released_ns: Option<u64>,
+    now_ns: u64,
+    limit_ns: u64,
+    next_seq: u64,
+    ticks: u64,
+    late_ticks: u64,
+    /// Forecasts of the newest tick by quality.
+    newest: [u64; Quality::ALL.len()],
+    /// Forecasts of all ticks by quality.
+    total: [u64; Quality::ALL.len()],
+}
+
+impl LiveView {
+    /// A view of a run that has not begun.
+    #[must_use]
+    pub fn new(options: LiveOptions) -> Self {
+        Self {
+            limit_ns: options.tick_limit_ns,
+            options,
+            timeline: Timeline::default(),
+            losses: Losses::default(),
+            window: VecDeque::with_capacity(WINDOW_LEN),
+            beats: [None; STAGES_LEN],
+            late_by_stage: [0; STAGES_LEN],
+            first_released_ns: None,
+            now_ns: 0,
+            next_seq: 0,
+            ticks: 0,
+            late_ticks: 0,
+            newest: [0; Quality::ALL.len()],
+            total: [0; Quality::ALL.len()],
+        }
+    }
+
+    /// Takes the forecasts of a tick; frames that are no ticks are passed over.
+    pub fn forecasts(&mut self, header: &Header, forecasts: &[Forecast]) {
+        if !header.is_tick() {
+            return;
+        }
+        self.losses.forecast_gap(header.seq.saturating_sub(self.next_seq));
+        self.next_seq = header.seq.saturating_add(1);
+        self.ticks += 1;
+        self.first_released_ns.get_or_insert(header.released_ns);
+        if header.interval_ns > 0 {
+            self.limit_ns = header.interval_ns.min(self.options.tick_limit_ns);
+        }
+        let passage = self.timeline.pass(header);
+        self.late_ticks += u64::from(passage.end_to_end_ns.is_some_and(|t| t > self.limit_ns));
+        for (&stage, &budget_ms) in &self.options.budgets_ms {
+            let late = passage.phases(stage).is_some_and(|p| p.compute_ns as f64 > budget_ms * 1e6);
+            self.late_by_stage[place(stage)] += u64::from(late);
+        }
+        if self.window.len() == WINDOW_LEN {
+            self.window.pop_front();
+        }
+        self.window.push_back(passage);
+        self.newest = [0; Quality::ALL.len()];
+        for forecast in forecasts {
+            let quality = forecast.quality as usize;
+            if quality < Quality::ALL.len() {
+                self.newest[quality] += 1;
+                self.total[quality] += 1;
+            }
+        }
+    }
+
+    /// Takes a stage's sign of life.
+    pub fn heartbeat(&mut self, heartbeat: &Heartbeat) {
+        self.losses.heartbeat(heartbeat);
+        if let Some(stage) = StageId::from_number(heartbeat.stage) {
+            self.beats[place(stage)] = Some(*heartbeat);
+        }
+    }
+
+    /// Takes the time, `CLOCK_MONOTONIC`: it tells how long the run lasts and which stage is silent.
+    pub const fn clock(&mut self, now_ns: u64) {
+        self.now_ns = now_ns;
+    }
+
+    /// Ticks whose forecasts came.
+    #[must_use]
+    pub const fn ticks(&self) -> u64 {
+        self.ticks
+    }
+
+    /// Time since the release of the first tick, in s.
+    #[must_use]
+    pub fn elapsed_s(&self) -> f64 {
+        self.first_released_ns.map_or(0.0, |first| self.now_ns.saturating_sub(first) as f64 / 1e9)
+    }
+
+    /// The stages that have a budget, gave a sign of life or had a tick in hand, in the order of the chain.
+    #[must_use]
+    pub fn stages(&self) -> Vec<(StageId, LiveStage)> {
+        let drops = self.losses.by_stage();
+        StageId::ALL
+            .into_iter()
+            .filter(|stage| {
+                self.options.budgets_ms.contains_key(stage)
+                    || self.beats[place(*stage)].is_some()
+                    || self.window.back().is_some_and(|tick| tick.phases(*stage).is_some())
+            })
+            .map(|stage| {
+                let beat = self.beats[place(stage)];
+                let [p50, p99] = percentiles(
+                    self.window.iter().filter_map(|tick| tick.phases(stage)).map(|phases| phases.compute_ns),
+                );
+                let row = LiveStage {
+                    compute_ms_p50: p50,
+                    compute_ms_p99: p99,
+                    budget_ms: self.options.budgets_ms.get(&stage).copied(),
+                    frames: beat.map_or(0, |beat| beat.frames_len),
+                    late: self.late_by_stage[place(stage)],
+                    lost: drops[place(stage)].total(),
+                    restarts: self.losses.restarts(stage),
+                    alive: beat.map(|beat| self.now_ns.saturating_sub(beat.sent_ns) <= SILENT_NS),
+                };
+                (stage, row)
+            })
+            .collect()
+    }
+
+    /// One line for an output that is no terminal: ticks, latency of the last ten seconds, and what went wrong so far.
+    #[must_use]
+    pub fn plain_line(&self) -> String {
+        let of = self.options.ticks_limit.map_or_else(String::new, |limit| format!("/{limit}"));
+        let [p50, p99] = self.end_to_end_ms();
+        let [learned, held, kinematic] = self.newest;
+        let lost: u64 = self.losses.by_stage().iter().map(|drops| drops.total()).sum();
+        format!(
+            "tick {}{of}  {:.1} s  end to end p50 {} ms, p99 {} ms  forecasts {learned} learned, {held} held, \
+             {kinematic} kinematic  late {}, lost {lost}",
+            self.ticks,
+            self.elapsed_s(),
+            number(p50),
+            number(p99),
+            count(self.late_ticks),
+        )
+    }
+
+    /// Median and 99th percentile of the window.
+    fn end_to_end_ms(&self) -> [Option<f64>; 2] {
+        percentiles(self.window.iter().filter_map(|tick| tick.end_to_end_ns))
+    }
+}
+
+/// Median and 99th percentile of a few values, in ms.
+fn percentiles(times_ns: impl Iterator<Item = u64>) -> [Option<f64>; 2] {
+    let mut sorted: Vec<u64> = times_ns.collect();
+    sorted.sort_unstable();
+    [0.5, 0.99].map(|quantile| {
+        let rank = (quantile * sorted.len() as f64).ceil() as usize;
+        sorted.get(rank.saturating_sub(1)).map(|&t| t as f64 / 1e6)
+    })
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,182 @@
+use ratatui::Frame;
+use ratatui::layout::{Alignment, Constraint, Layout, Rect};
+use ratatui::style::{Color, Modifier, Style};
+use ratatui::text::{Line, Span};
+use ratatui::widgets::{Paragraph, RenderDirection, Sparkline};
+
+use super::{LiveStage, LiveView};
+use crate::text::{bar, count, number, percent};
+
+/// Fewest and most cells of a budget bar.
+const BAR_WIDTHS: [usize; 2] = [8, 24];
+/// Cells of a line without its bar.
+const FIXED_WIDTH: usize = 62;
+/// Fewest and most rows of the latency curve, with its caption and the row above.
+const CURVE_HEIGHTS: [u16; 2] = [4, 6];
+
+const DIM: Style = Style::new().fg(Color::DarkGray);
+const BOLD: Style = Style::new().add_modifier(Modifier::BOLD);
+
+/// Draws the view into `area`.
+pub fn draw(view: &LiveView, frame: &mut Frame<'_>, area: Rect) {
+    let stages = view.stages();
+    let table_height = u16::try_from(stages.len()).unwrap_or(u16::MAX).saturating_add(2);
+    // Where the terminal is low, the curve gives way first.
+    let [least, most] = CURVE_HEIGHTS;
+    let left = area.height.saturating_sub(table_height.saturating_add(4)).min(most);
+    let [title, table, curve, forecasts] = Layout::vertical([
+        Constraint::Length(2),
+        Constraint::Length(table_height),
+        Constraint::Length(if left < least { 0 } else { left }),
+        Constraint::Length(2),
+    ])
+    .areas(area);
+    let cells = (area.width as usize).saturating_sub(FIXED_WIDTH).clamp(BAR_WIDTHS[0], BAR_WIDTHS[1]);
+    draw_title(view, frame, title);
+    let mut lines = vec![heading(cells)];
+    lines.extend(stages.iter().map(|(stage, row)| stage_line(stage.name(), row, cells)));
+    lines.push(end_to_end_line(view, cells));
+    frame.render_widget(Paragraph::new(lines), table);
+    draw_curve(view, frame, curve);
+    draw_forecasts(view, frame, forecasts);
+}
+
+fn draw_title(view: &LiveView, frame: &mut Frame<'_>, area: Rect) {
+    let tick = match view.options.ticks_limit {
+        Some(limit) => format!("tick {} of {}", count(view.ticks), count(limit)),
+        None => format!("tick {}", count(view.ticks)),
+    };
+    let elapsed_s = view.elapsed_s();
+    let (minutes, seconds) = ((elapsed_s / 60.0) as u64, elapsed_s % 60.0);
+    let time = format!("{tick}   {minutes:02}:{seconds:04.1} ");
+    let [left, right] =
+        Layout::horizontal([Constraint::Fill(1), Constraint::Length(time.len() as u16)]).areas(area);
+    let name = Line::from(vec![
+        Span::styled(" stgdat ", BOLD.fg(Color::Black).bg(Color::Cyan)),
+        Span::raw(format!(" {}", view.options.title)),
+    ]);
+    frame.render_widget(Paragraph::new(name), left);
+    frame.render_widget(Paragraph::new(time).alignment(Alignment::Right), right);
+}
+
+fn heading(cells: usize) -> Line<'static> {
+    let text = format!(
+        "   {:8}{:>11}{:>8}  {:bars$}{:>10}{:>6}{:>6}",
+        "stage",
+        "compute p50",
+        "p99 ms",
+        "p99 of budget",
+        "frames",
+        "late",
+        "lost",
+        bars = cells + 7
+    );
+    Line::styled(text, DIM)
+}
+
+fn stage_line(name: &str, stage: &LiveStage, cells: usize) -> Line<'static> {
+    let (mark, colour) = match stage.alive {
+        None => ("○", Color::DarkGray),
+        Some(true) => ("●", Color::Green),
+        Some(false) => ("●", Color::Red),
+    };
+    let mut spans = vec![
+        Span::styled(format!(" {mark} "), colour),
+        Span::raw(format!(
+            "{name:11}{:>8}{:>8}  ",
+            number(stage.compute_ms_p50),
+            number(stage.compute_ms_p99)
+        )),
+    ];
+    let share = stage.compute_ms_p99.zip(stage.budget_ms).map(|(p99, budget)| p99 / budget);
+    spans.extend(budget_spans(share, cells));
+    spans.push(Span::raw(format!("{:>10}", count(stage.frames))));
+    spans.extend([fault(stage.late, 6), fault(stage.lost, 6)]);
+    if stage.restarts > 0 {
+        spans.push(Span::styled(format!("  restarted {}×", stage.restarts), Color::Yellow));
+    }
+    Line::from(spans)
+}
+
+fn end_to_end_line(view: &LiveView, cells: usize) -> Line<'static> {
+    let [p50, p99] = view.end_to_end_ms();
+    let limit_ms = view.limit_ns as f64 / 1e6;
+    let mut spans = vec![
+        Span::raw("   "),
+        Span::styled(format!("{:11}{:>8}{:>8}  ", "end to end", number(p50), number(p99)), BOLD),
+    ];
+    spans.extend(budget_spans(p99.map(|p99| p99 / limit_ms), cells));
+    spans.push(Span::styled(format!("{:>10}", count(view.ticks)), BOLD));
+    let lost = view.losses.by_stage().iter().map(|drops| drops.total()).sum();
+    spans.extend([fault(view.late_ticks, 6), fault(lost, 6)]);
+    Line::from(spans)
+}
+
+fn budget_spans(share: Option<f64>, cells: usize) -> [Span<'static>; 2] {
+    let colour = match share {
+        None => Color::DarkGray,
+        Some(share) if share > 1.0 => Color::Red,
+        Some(share) if share > 0.75 => Color::Yellow,
+        Some(_) => Color::Green,
+    };
+    [Span::styled(bar(share.unwrap_or(0.0), cells), colour), Span::raw(format!("{:>7}", percent(share)))]
+}
+
+/// A count that ought to be 0.
+fn fault(n: u64, width: usize) -> Span<'static> {
+    Span::styled(format!("{:>width$}", count(n)), if n > 0 { BOLD.fg(Color::Red) } else { DIM })
+}
+
+fn draw_curve(view: &LiveView, frame: &mut Frame<'_>, area: Rect) {
+    let [_, caption, curve] =
+        Layout::vertical([Constraint::Length(1), Constraint::Length(1), Constraint::Fill(1)]).areas(area);
+    if area.height == 0 {
+        return;
+    }
+    // Newest on the right: the sparkline draws its data from there.
+    let width = curve.width.saturating_sub(6) as usize;
+    let newest_us: Vec<u64> = view
+        .window
+        .iter()
+        .rev()
+        .take(width)
+        .map(|tick| tick.end_to_end_ns.unwrap_or(view.limit_ns) / 1_000)
+        .collect();
+    let limit_us = view.limit_ns / 1_000;
+    let most_us = newest_us.iter().copied().max().unwrap_or(limit_us);
+    // Small latencies fill the curve too: its height is the limit, halved while that leaves room above.
+    let mut scale_us = limit_us;
+    while scale_us / 2 > most_us && scale_us > 2_000 {
+        scale_us /= 2;
+    }
+    let text = format!("   end to end, newest right, full height {} ms", number(Some(scale_us as f64 / 1e3)));
+    frame.render_widget(Paragraph::new(Line::styled(text, DIM)), caption);
+    let late = most_us > limit_us;
+    let sparkline = Sparkline::default()
+        .data(newest_us)
+        .max(scale_us)
+        .direction(RenderDirection::RightToLeft)
+        .style(if late { Color::Red } else { Color::Cyan });
+    let inner = Rect { x: curve.x + 3.min(curve.width), width: curve.width.saturating_sub(6), ..curve };
+    frame.render_widget(sparkline, inner);
+}
+
+fn draw_forecasts(view: &LiveView, frame: &mut Frame<'_>, area: Rect) {
+    let [learned, held, kinematic] = view.newest;
+    let quality = |n: u64, name: &str, colour: Color| {
+        Span::styled(format!("{n} {name}   "), if n > 0 { Style::new().fg(colour) } else { DIM })
+    };
+    let total: u64 = view.total.iter().sum();
+    let share = (total > 0).then(|| view.total[0] as f64 / total as f64);
+    let lines = vec![
+        Line::raw(""),
+        Line::from(vec![
+            Span::raw("   forecasts  "),
+            quality(learned, "learned", Color::Green),
+            quality(held, "held", Color::Yellow),
+            quality(kinematic, "kinematic", Color::Yellow),
+            Span::styled(format!("{} so far, {} learned", count(total), percent(share)), DIM),
+        ]),
+    ];
+    frame.render_widget(Paragraph::new(lines), area);
+}

@@ -1,0 +1,111 @@
+use bytemuck::Zeroable;
+use ratatui::Terminal;
+use ratatui::backend::TestBackend;
+use wire::{Counts, Hop};
+
+use super::*;
+
+const MS: u64 = 1_000_000;
+
+fn view() -> LiveView {
+    let budgets_ms = StageId::ALL[..7].iter().map(|&stage| (stage, 8.0)).collect();
+    LiveView::new(LiveOptions {
+        title: "intersection, 32 agents".to_owned(),
+        budgets_ms,
+        ticks_limit: Some(500),
+        ..LiveOptions::default()
+    })
+}
+
+/// A tick whose stages compute a little longer each, the decoder longest.
+fn tick(seq: u64) -> Header {
+    let released_ns = 1_000 * MS + seq * 80 * MS;
+    let counts = Counts { agents_len: 3, ..Counts::default() };
+    let mut header =
+        Header { counts, released_ns, interval_ns: 80 * MS, ..Header::new(1, seq, (seq * 80 * MS) as i64) };
+    let mut now_ns = released_ns;
+    for stage in &StageId::ALL[..7] {
+        let compute_ns = if *stage == StageId::Decoder { 9 * MS } else { (1 + seq % 5) * MS / 2 };
+        header.push_hop(Hop {
+            stage: *stage as u32,
+            incarnation: 0,
+            received_ns: now_ns,
+            started_ns: now_ns,
+            finished_ns: now_ns + compute_ns,
+            sent_ns: now_ns + compute_ns,
+        });
+        now_ns += compute_ns;
+    }
+    header
+}
+
+fn running() -> LiveView {
+    let mut view = view();
+    let held = Forecast { quality: Quality::Held as u32, ..Forecast::zeroed() };
+    for seq in 0..155 {
+        view.forecasts(&tick(seq), &[Forecast::zeroed(), Forecast::zeroed(), held]);
+    }
+    for stage in [StageId::Source, StageId::Tracker] {
+        let sent_ns = if stage == StageId::Source { 13_390 * MS } else { 13_000 * MS };
+        view.heartbeat(&Heartbeat { stage: stage as u32, frames_len: 155, sent_ns, ..Heartbeat::zeroed() });
+    }
+    view.heartbeat(&Heartbeat {
+        stage: StageId::Encoder as u32,
+        incarnation: 1,
+        dropped_len: 2,
+        sent_ns: 13_390 * MS,
+        ..Heartbeat::zeroed()
+    });
+    view.clock(13_400 * MS);
+    view
+}
+
+fn drawn(view: &LiveView, width: u16, height: u16) -> Terminal<TestBackend> {
+    let mut terminal = Terminal::new(TestBackend::new(width, height)).unwrap();
+    terminal.draw(|frame| draw(view, frame, frame.area())).unwrap();
+    terminal
+}
+
+#[test]
+fn the_table_shows_what_happens() {
+    insta::assert_snapshot!(drawn(&running(), 104, 20).backend());
+}
+
+#[test]
+fn a_run_that_has_not_begun_has_rows() {
+    insta::assert_snapshot!(drawn(&view(), 80, 14).backend());
+}
+
+#[test]
+fn any_size_of_terminal_is_served() {
+    let view = running();
+    for (width, height) in [(1, 1), (5, 40), (20, 3), (200, 60)] {
+        drawn(&view, width, height);
+    }
+}
+
+#[test]
+fn a_plain_line_tells_the_same() {
+    assert_eq!(
+        running().plain_line(),
+        "tick 155/500  12.4 s  end to end p50 18.0 ms, p99 24.0 ms  forecasts 2 learned, 1 held, 0 kinematic  \
+         late 0, lost 2"
+    );
+}
+
+#[test]
+fn the_window_is_bounded() {
+    let mut view = view();
+    for seq in 0..10_000 {
+        view.forecasts(&tick(seq), &[]);
+    }
+    assert_eq!((view.window.len(), view.ticks()), (WINDOW_LEN, 10_000));
+}
+
+#[test]
+fn stages_that_fell_silent_are_told_from_living_ones() {
+    let alive = |stage| running().stages().into_iter().find(|(s, _)| *s == stage).map(|(_, row)| row.alive);
+    assert_eq!(alive(StageId::Source), Some(Some(true)));
+    assert_eq!(alive(StageId::Tracker), Some(Some(false)));
+    assert_eq!(alive(StageId::Decoder), Some(None));
+}

@@ -1,0 +1,189 @@
+//! The way of one tick through the pipeline, read from the hops of its header.
+//!
+//! Every stage stamps when it took its input, began and ended to compute, and sent its output. From the moment in
+//! which a stage's predecessor sent, four phases follow one another without gap or overlap:
+//!
+//! * *waiting*: the stage was busy with an earlier tick, or had its input in hand and did not begin yet (a sampler that
+//!   waits for controls until its deadline);
+//! * *wake-up*: transport, scheduler, and the check of the frame;
+//! * *compute*;
+//! * *publish*: writing the header and handing the frame over.
+//!
+//! So the phases of all stages add up to the time from release to forecast, and what is not compute is *overhead*.
+
+use wire::{Header, Hop, StageId};
+
+/// Stages that a tick can pass.
+pub const STAGES_LEN: usize = StageId::ALL.len();
+
+/// The place of a stage in tables by stage.
+pub(crate) const fn place(stage: StageId) -> usize {
+    stage as usize - 1
+}
+
+/// Where the time of one tick went in one stage.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Phases {
+    /// The input had been sent, but the stage was busy or waited for other input.
+    pub waiting_ns: u64,
+    /// From the input's sending to its being taken up by a stage that was free.
+    pub wake_up_ns: u64,
+    /// From the beginning to the end of the computation.
+    pub compute_ns: u64,
+    /// From the end of the computation to the output's sending.
+    pub publish_ns: u64,
+}
+
+impl Phases {
+    /// Reads the phases of `hop`, whose input was sent at `ready_ns` and whose stage was free from `free_ns` on.
+    fn of(hop: &Hop, ready_ns: u64, free_ns: u64) -> Self {
+        // A stage with two inputs may have taken the one before the other was sent: the rest is wake-up.
+        let taken_ns = if hop.received_ns < ready_ns { hop.started_ns } else { hop.received_ns };
+        let begin_ns = ready_ns.max(free_ns.min(taken_ns));
+        Self {
+            waiting_ns: (begin_ns - ready_ns) + hop.started_ns.saturating_sub(taken_ns),
+            wake_up_ns: taken_ns.saturating_sub(begin_ns),
+            compute_ns: hop.finished_ns.saturating_sub(hop.started_ns),
+            publish_ns: hop.sent_ns.saturating_sub(hop.finished_ns),
+        }
+    }
+}
+
+/// One tick's way from release to forecast.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Passage {
+    stages: [Option<Phases>; STAGES_LEN],
+    /// From release at the source to the sending of the forecasts; `None` for a tick that did not pass the sampler.
+    pub end_to_end_ns: Option<u64>,
+    /// Whether the tick passed every stage up to the sampler, so that its forecasts rest on its own controls.
+    pub complete: bool,
+}
+
+impl Passage {
+    /// The phases in one stage, if the tick passed it.
+    #[must_use]
+    pub fn phases(&self, stage: StageId) -> Option<&Phases> {
+        self.stages[place(stage)].as_ref()
+    }
+
+    /// Compute of all stages passed: a tick passes them one after the other, so all of it lies on the critical path.
+    #[must_use]
+    pub fn compute_ns(&self) -> u64 {
+        self.stages.iter().flatten().map(|phases| phases.compute_ns).sum()
+    }
+
+    /// What is not compute between release and forecast. `None` where the sampler gave up waiting: that is a deadline,
+    /// not a cost of handing over.
+    #[must_use]
+    pub fn overhead_ns(&self) -> Option<u64> {
+        self.end_to_end_ns
+            .filter(|_| self.complete)
+            .map(|total_ns| total_ns.saturating_sub(self.compute_ns()))
+    }
+}
+
+/// Reads passages, tick after tick: when a stage became free is known from the tick before.
+#[derive(Clone, Debug, Default)]
+pub struct Timeline {
+    free_ns: [u64; STAGES_LEN],
+}
+
+impl Timeline {
+    /// The passage that `header` tells. Hops of unknown stages are left out.
+    pub fn pass(&mut self, header: &Header) -> Passage {
+        let mut passage = Passage::default();
+        let mut ready_ns = header.released_ns;
+        for hop in header.hops() {
+            if let Some(stage) = StageId::from_number(hop.stage) {
+                let free_ns = &mut self.free_ns[place(stage)];
+                passage.stages[place(stage)] = Some(Phases::of(hop, ready_ns, *free_ns));
+                *free_ns = hop.sent_ns;
+            }
+            ready_ns = hop.sent_ns;
+        }
+        passage.end_to_end_ns =
+            header.hop(StageId::Sampler).map(|hop| hop.sent_ns.saturating_sub(header.released_ns));
+        passage.complete = StageId::ALL[..place(StageId::Recorder)]
+            .iter()
+            .all(|&stage| passage.stages[place(stage)].is_some());
+        passage
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn hop(stage: StageId, times_ns: [u64; 4]) -> Hop {
+        let [received_ns, started_ns, finished_ns, sent_ns] = times_ns;
+        Hop { stage: stage as u32, incarnation: 0, received_ns, started_ns, finished_ns, sent_ns }
+    }
+
+    fn header(released_ns: u64, hops: &[Hop]) -> Header {
+        let mut header = Header { released_ns, ..Header::new(1, 0, 0) };
+        hops.iter().for_each(|&h| header.push_hop(h));
+        header
+    }
+
+    #[test]
+    fn phases_add_up_to_the_end_to_end_latency() {
+        let hops = [
+            hop(StageId::Source, [100, 100, 130, 140]),
+            hop(StageId::Tracker, [160, 165, 265, 270]),
+            hop(StageId::Sampler, [200, 300, 350, 360]),
+        ];
+        let passage = Timeline::default().pass(&header(100, &hops));
+        let total: u64 = StageId::ALL
+            .iter()
+            .filter_map(|&stage| passage.phases(stage))
+            .map(|p| p.waiting_ns + p.wake_up_ns + p.compute_ns + p.publish_ns)
+            .sum();
+        assert_eq!(passage.end_to_end_ns, Some(260));
+        assert_eq!(total, 260);
+        assert_eq!(passage.compute_ns(), 30 + 100 + 50);
+        assert_eq!(
+            passage.phases(StageId::Tracker),
+            Some(&Phases { waiting_ns: 5, wake_up_ns: 20, compute_ns: 100, publish_ns: 5 })
+        );
+        assert_eq!(passage.phases(StageId::Decoder), None);
+    }
+
+    #[test]
+    fn a_tick_without_controls_has_no_overhead() {
+        let hops = [hop(StageId::Source, [0, 0, 1, 2]), hop(StageId::Sampler, [3, 80, 81, 82])];
+        let passage = Timeline::default().pass(&header(0, &hops));
+        assert!(!passage.complete);
+        assert_eq!(passage.overhead_ns(), None);
+    }
+
+    #[test]
+    fn overhead_is_what_is_left_of_a_complete_tick() {
+        let hops: Vec<Hop> = StageId::ALL[..7]
+            .iter()
+            .zip(0..)
+            .map(|(&stage, i)| hop(stage, [10 * i + 1, 10 * i + 2, 10 * i + 8, 10 * i + 10]))
+            .collect();
+        let passage = Timeline::default().pass(&header(0, &hops));
+        assert_eq!((passage.end_to_end_ns, passage.overhead_ns()), (Some(70), Some(70 - 7 * 6)));
+    }
+
+    #[test]
+    fn a_frame_that_finds_its_stage_busy_waits() {
+        let mut timeline = Timeline::default();
+        timeline
+            .pass(&header(0, &[hop(StageId::Source, [0, 0, 0, 0]), hop(StageId::Tracker, [5, 5, 90, 100])]));
+        let second = [hop(StageId::Source, [40, 40, 40, 40]), hop(StageId::Tracker, [103, 104, 110, 111])];
+        let passage = timeline.pass(&header(40, &second));
+        assert_eq!(
+            passage.phases(StageId::Tracker),
+            Some(&Phases { waiting_ns: 60 + 1, wake_up_ns: 3, compute_ns: 6, publish_ns: 1 })
+        );
+    }
+
+    #[test]
+    fn clocks_that_run_backwards_give_zeros_not_panics() {
+        let hops = [hop(StageId::Source, [9, 8, 7, 6]), hop(StageId::Sampler, [5, 4, 3, 2])];
+        let passage = Timeline::default().pass(&header(10, &hops));
+        assert_eq!((passage.end_to_end_ns, passage.compute_ns()), (Some(0), 0));
+    }
+}

@@ -1,0 +1,371 @@
+use std::collections::BTreeMap;
+
+use wire::{Cause, Forecast, Header, Heartbeat, Quality, Rejected, StageId, Truth, flags};
+
+use crate::accuracy::Judge;
+use crate::distribution::{Distribution, ms};
+use crate::losses::Losses;
+use crate::passage::{Passage, Phases, Timeline, place};
+use crate::report::{
+    Agents, ForecastCounts, Percentiles, REPORT_VERSION, Report, RunInfo, StageDrops, StageReport, Status,
+    Verdict,
+};
+
+/// The time that a tick may take from release to forecast at 12.5 Hz.
+pub const TICK_LIMIT_NS: u64 = 80_000_000;
+
+/// What the recorder is told of the run.
+#[derive(Clone, Debug)]
+pub struct RecorderOptions {
+    /// Stands in the report; what the recorder can tell itself (interval, durations, lockstep) may be left out.
+    pub run: RunInfo,
+    /// Each stage's part of the tick limit.
+    pub budgets_ms: BTreeMap<StageId, f64>,
+    /// A tick is late beyond this or the frame interval, whichever is shorter.
+    pub tick_limit_ns: u64,
+    /// Whether an earlier incarnation saw the run's beginning, so that a first tick after 0 is no loss.
+    pub resumed: bool,
+}
+
+impl Default for RecorderOptions {
+    fn default() -> Self {
+        Self {
+            run: RunInfo::default(),
+            budgets_ms: BTreeMap::new(),
+            tick_limit_ns: TICK_LIMIT_NS,
+            resumed: false,
+        }
+    }
+}
+
+/// How long one stage's phases took.
+#[derive(Clone, Debug, Default)]
+struct StageTimes {
+    waiting: Distribution,
+    wake_up: Distribution,
+    compute: Distribution,
+    publish: Distribution,
+    late_ticks: u64,
+}
+
+impl StageTimes {
+    fn record(&mut self, phases: &Phases, budget_ms: Option<f64>) {
+        self.waiting.record(phases.waiting_ns);
+        self.wake_up.record(phases.wake_up_ns);
+        self.compute.record(phases.compute_ns);
+        self.publish.record(phases.publish_ns);
+        let late = budget_ms.is_some_and(|budget_ms| phases.compute_ns as f64 > budget_ms * 1e6);
+        self.late_ticks += u64::from(late);
+    }
+}
+
+/// First and last of an increasing clock.
+#[derive(Clone, Copy, Debug)]
+struct Span {
+    stamp_ns: [i64; 2],
+    released_ns: [u64; 2],
+}
+
+/// Listens to a run and reports on it.
+#[derive(Clone, Debug)]
+pub struct Recorder {
+    options: RecorderOptions,
+    timeline: Timeline,
+    end_to_end: Distribution,
+    overhead: Distribution,
+    stages: BTreeMap<StageId, StageTimes>,
+    losses: Losses,
+    judge: Judge,
+    span: Option<Span>,
+    next_seq: Option<u64>,
+    interval_ns: u64,
+    lockstep: bool,
+    ticks: u64,
+    late_ticks: u64,
+    agents_left_out: u64,
+    agents_max: u64,
+    forecasts_by_quality: [u64; Quality::ALL.len()],
+    fallbacks_by_cause: [u64; Cause::ALL.len()],
+    degraded_ticks: u64,
+    age_ns_max: Option<u64>,
+}
+
+impl Recorder {
+    /// A recorder that has heard nothing yet.
+    #[must_use]
+    pub fn new(options: RecorderOptions) -> Self {
+        Self {
+            next_seq: (!options.resumed).then_some(0),
+            options,
+            timeline: Timeline::default(),
+            end_to_end: Distribution::default(),
+            overhead: Distribution::default(),
+            stages: BTreeMap::new(),
+            losses: Losses::default(),
+            judge: Judge::default(),
+            span: None,
+            interval_ns: 0,
+            lockstep: false,
+            ticks: 0,
+            late_ticks: 0,
+            agents_left_out: 0,
+            agents_max: 0,
+            forecasts_by_quality: [0; Quality::ALL.len()],
+            fallbacks_by_cause: [0; Cause::ALL.len()],
+            degraded_ticks: 0,
+            age_ns_max: None,
+        }
+    }
+
+    /// Takes what was really there at the frame's stamp. Frames that are no ticks are passed over.
+    ///
+    /// # Errors
+    /// [`Rejected`] where a number is impossible or the frame is not newer than the last; nothing changes then.
+    pub fn truth(&mut self, header: &Header, truths: &[Truth]) -> Result<(), Rejected> {
+        header.check()?;
+        if header.is_tick() { self.judge.truth(header, truths) } else { Ok(()) }
+    }
+
+    /// Takes the forecasts of a tick and, from their header, its whole way through the pipeline. The frame that ends a
+    /// recording tells of ticks lost before it.
+    ///
+    /// # Errors
+    /// [`Rejected`] where the frame is impossible or not newer than the last; it is counted as refused.
+    pub fn forecasts(&mut self, header: &Header, forecasts: &[Forecast]) -> Result<(), Rejected> {
+        if header.has(flags::WARM_UP) {
+            return Ok(());
+        }
+        if let Err(rejected) = self.check(header, forecasts) {
+            self.losses.forecast_refused();
+            return Err(rejected);
+        }
+        let gap = self.next_seq.map_or(0, |expected| header.seq.saturating_sub(expected));
+        self.losses.forecast_gap(gap);
+        self.next_seq = Some(header.seq.saturating_add(1));
+        if header.is_tick() {
+            self.latency(header);
+            self.qualities(forecasts);
+            self.judge.forecasts(header, forecasts);
+        }
+        Ok(())
+    }
+
+    /// Takes a stage's sign of life.
+    pub fn heartbeat(&mut self, heartbeat: &Heartbeat) {
+        self.losses.heartbeat(heartbeat);
+    }
+
+    fn check(&self, header: &Header, forecasts: &[Forecast]) -> Result<(), Rejected> {
+        header.check()?;
+        let expected = header.counts.agents_len as usize;
+        if forecasts.len() != expected {
+            return Err(Rejected::Length { found: forecasts.len(), expected });
+        }
+        if let Some(last_ns) = self.span.map(|span| span.stamp_ns[1])
+            && header.is_tick()
+            && header.stamp_ns <= last_ns
+        {
+            return Err(Rejected::NotNewer { stamp_ns: header.stamp_ns, last_ns });
+        }
+        forecasts.iter().try_for_each(Forecast::check)
+    }
+
+    fn latency(&mut self, header: &Header) {
+        self.ticks += 1;
+        self.interval_ns = header.interval_ns;
+        self.lockstep |= header.has(flags::LOCKSTEP);
+        let span = self
+            .span
+            .get_or_insert(Span { stamp_ns: [header.stamp_ns; 2], released_ns: [header.released_ns; 2] });
+        span.stamp_ns[1] = header.stamp_ns;
+        span.released_ns[1] = header.released_ns;
+
+        let limit_ns = self.late_limit_ns();
+        let passage: Passage = self.timeline.pass(header);
+        if let Some(end_to_end_ns) = passage.end_to_end_ns {
+            self.end_to_end.record(end_to_end_ns);
+            self.late_ticks += u64::from(end_to_end_ns > limit_ns);
+        }
+        if let Some(overhead_ns) = passage.overhead_ns() {
+            self.overhead.record(overhead_ns);
+        }
+        for stage in StageId::ALL {
+            if let Some(phases) = passage.phases(stage) {
+                let budget_ms = self.options.budgets_ms.get(&stage).copied();
+                self.stages.entry(stage).or_default().record(phases, budget_ms);
+            }
+        }
+        self.agents_left_out += u64::from(header.left_out_len);
+    }
+
+    fn qualities(&mut self, forecasts: &[Forecast]) {
+        self.agents_max = self.agents_max.max(forecasts.len() as u64);
+        let mut degraded = false;
+        for forecast in forecasts {
+            if let Some(count) = self.forecasts_by_quality.get_mut(forecast.quality as usize) {
+                *count += 1;
+            }
+            if forecast.quality == Quality::Learned as u32 {
+                continue;
+            }
+            if let Some(count) = self.fallbacks_by_cause.get_mut(forecast.cause as usize) {
+                *count += 1;
+            }
+            degraded |= forecast.cause != Cause::Young as u32;
+            if forecast.quality == Quality::Held as u32 {
+                self.age_ns_max = self.age_ns_max.max(Some(forecast.age_ns));
+            }
+        }
+        self.degraded_ticks += u64::from(degraded);
+    }
+
+    fn late_limit_ns(&self) -> u64 {
+        match self.interval_ns {
+            0 => self.options.tick_limit_ns,
+            interval_ns => interval_ns.min(self.options.tick_limit_ns),
+        }
+    }
+
+    /// What is known by now. May be asked at any time; nothing is used up.
+    #[must_use]
+    pub fn report(&self) -> Report {
+        let stages = self.stage_reports();
+        let mut report = Report {
+            version: REPORT_VERSION,
+            stgdat_version: env!("CARGO_PKG_VERSION").to_owned(),
+            verdict: Verdict::default(),
+            run: self.run(),
+            ticks: self.ticks,
+            late_ticks: self.late_ticks,
+            late_limit_ms: (self.ticks > 0).then(|| ms(self.late_limit_ns())),
+            drops: stages.iter().map(|stage| stage.drops.total()).sum(),
+            agents_left_out: self.agents_left_out,
+            agents: self.agents(),
+            forecasts: self.forecast_counts(),
+            end_to_end_ms: self.end_to_end.percentiles_ms(),
+            overhead_ms: self.overhead.percentiles_ms(),
+            stages,
+            accuracy: self.judge.accuracy(),
+        };
+        report.verdict = verdict(&report);
+        report
+    }
+
+    fn run(&self) -> RunInfo {
+        let mut run = self.options.run.clone();
+        if let Some(span) = self.span {
+            let [first, last] = span.stamp_ns;
+            run.played_s.get_or_insert(ms(last.abs_diff(first)) / 1e3);
+            let [first, last] = span.released_ns;
+            run.elapsed_s.get_or_insert(ms(last.abs_diff(first)) / 1e3);
+            run.lockstep.get_or_insert(self.lockstep);
+            if self.interval_ns > 0 {
+                run.interval_ms.get_or_insert(ms(self.interval_ns));
+            }
+        }
+        run
+    }
+
+    fn agents(&self) -> Agents {
+        if self.ticks == 0 {
+            return Agents::default();
+        }
+        let total: u64 = self.forecasts_by_quality.iter().sum();
+        let mean = (total as f64 / self.ticks as f64 * 1e2).round() / 1e2;
+        Agents { mean: Some(mean), max: Some(self.agents_max) }
+    }
+
+    fn forecast_counts(&self) -> ForecastCounts {
+        let [learned, held, kinematic] = self.forecasts_by_quality;
+        let causes = Cause::ALL
+            .iter()
+            .zip(self.fallbacks_by_cause)
+            .filter(|&(&cause, count)| cause != Cause::None || count > 0)
+            .map(|(cause, count)| (cause.name().to_owned(), count))
+            .collect();
+        let age_ms_max = self.age_ns_max.map(ms);
+        ForecastCounts { learned, held, kinematic, causes, degraded_ticks: self.degraded_ticks, age_ms_max }
+    }
+
+    fn stage_reports(&self) -> Vec<StageReport> {
+        let drops = self.losses.by_stage();
+        StageId::ALL
+            .into_iter()
+            .map(|stage| self.stage_report(stage, drops[place(stage)]))
+            .filter(|report| report.ticks > 0 || report.budget_ms.is_some() || report.drops.total() > 0)
+            .collect()
+    }
+
+    fn stage_report(&self, stage: StageId, drops: StageDrops) -> StageReport {
+        let times = self.stages.get(&stage);
+        let percentiles = |of: fn(&StageTimes) -> &Distribution| {
+            times.map_or_else(Percentiles::default, |times| of(times).percentiles_ms())
+        };
+        let compute_ms = percentiles(|times| &times.compute);
+        let budget_ms = self.options.budgets_ms.get(&stage).copied();
+        let share = |value_ms: Option<f64>| Some((value_ms? / budget_ms? * 1e4).round() / 1e4);
+        StageReport {
+            name: stage.name().to_owned(),
+            budget_ms,
+            budget_share_p50: share(compute_ms.p50),
+            budget_share_p99: share(compute_ms.p99),
+            waiting_ms: percentiles(|times| &times.waiting),
+            wake_up_ms: percentiles(|times| &times.wake_up),
+            compute_ms,
+            publish_ms: percentiles(|times| &times.publish),
+            ticks: times.map_or(0, |times| times.compute.len()),
+            late_ticks: times.map_or(0, |times| times.late_ticks),
+            drops,
+            restarts: self.losses.restarts(stage),
+        }
+    }
+}
+
+/// Judges a report: everything that a user of the forecasts should know of is a reason.
+fn verdict(report: &Report) -> Verdict {
+    let mut reasons = Vec::new();
+    let by_stage = |count: fn(&StageReport) -> u64| {
+        let named = report.stages.iter().map(|stage| (stage.name.as_str(), count(stage)));
+        list(named)
+    };
+    if report.drops > 0 {
+        reasons.push(format!("frames lost: {} ({})", report.drops, by_stage(|stage| stage.drops.total())));
+    }
+    let restarts: u64 = report.stages.iter().map(|stage| u64::from(stage.restarts)).sum();
+    if restarts > 0 {
+        reasons.push(format!("restarts: {restarts} ({})", by_stage(|stage| u64::from(stage.restarts))));
+    }
+    // In lockstep the source waits for every tick, so none can be late for anybody.
+    if let Some(limit_ms) = report.late_limit_ms
+        && report.late_ticks > 0
+        && report.run.lockstep != Some(true)
+    {
+        reasons.push(format!("late ticks: {} of {} (over {limit_ms} ms)", report.late_ticks, report.ticks));
+    }
+    let faults = || {
+        let causes = report.forecasts.causes.iter().map(|(cause, &count)| (cause.as_str(), count));
+        causes.filter(|&(cause, _)| cause != Cause::Young.name())
+    };
+    let fallbacks: u64 = faults().map(|(_, count)| count).sum();
+    if fallbacks > 0 {
+        let ticks = format!("in {} of {} ticks", report.forecasts.degraded_ticks, report.ticks);
+        reasons.push(format!("forecasts not learned: {fallbacks} {ticks} ({})", list(faults())));
+    }
+    if report.agents_left_out > 0 {
+        reasons.push(format!("agents left out of full frames: {}", report.agents_left_out));
+    }
+    let status = match (report.ticks, reasons.is_empty()) {
+        (0, _) => Status::Empty,
+        (_, true) => Status::Ok,
+        (_, false) => Status::Degraded,
+    };
+    Verdict { status, reasons }
+}
+
+/// `name count` of all that are not 0.
+fn list<'a>(counts: impl Iterator<Item = (&'a str, u64)>) -> String {
+    counts.filter(|&(_, n)| n > 0).map(|(name, n)| format!("{name} {n}")).collect::<Vec<_>>().join(", ")
+}
+
+#[cfg(test)]
+pub(crate) mod tests;

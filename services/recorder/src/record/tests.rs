@@ -1,0 +1,219 @@
+use bytemuck::Zeroable;
+use wire::{AgentType, Counts, Hop};
+
+use super::*;
+
+const TICK_NS: u64 = 80_000_000;
+const MS: u64 = 1_000_000;
+
+/// Wake-up of every stage, and time to publish.
+const WAKE_UP_NS: u64 = 50_000;
+const PUBLISH_NS: u64 = 10_000;
+
+/// The header of a tick that passed `stages` with a compute of so many ms each.
+fn header(seq: u64, agents_len: u32, stages: &[(StageId, u64)]) -> Header {
+    let counts = Counts { agents_len, horizon_len: 12, ..Counts::default() };
+    let released_ns = 1_000 * MS + seq * TICK_NS;
+    let mut header = Header {
+        counts,
+        released_ns,
+        interval_ns: TICK_NS,
+        step_ns: 400 * MS,
+        ..Header::new(1, seq, (seq * TICK_NS) as i64)
+    };
+    let mut now_ns = released_ns;
+    for &(stage, compute_ms) in stages {
+        let received_ns = now_ns + WAKE_UP_NS;
+        let finished_ns = received_ns + compute_ms * MS;
+        now_ns = finished_ns + PUBLISH_NS;
+        header.push_hop(Hop {
+            stage: stage as u32,
+            incarnation: 0,
+            received_ns,
+            started_ns: received_ns,
+            finished_ns,
+            sent_ns: now_ns,
+        });
+    }
+    header
+}
+
+fn whole_chain(compute_ms: u64) -> Vec<(StageId, u64)> {
+    StageId::ALL[..7].iter().map(|&stage| (stage, compute_ms)).collect()
+}
+
+fn forecast(quality: Quality, cause: Cause) -> Forecast {
+    Forecast {
+        id: 1,
+        agent_type: AgentType::Pedestrian as u32,
+        quality: quality as u32,
+        cause: cause as u32,
+        modes_len: 1,
+        age_ns: if quality == Quality::Held { 160 * MS } else { 0 },
+        ..Forecast::zeroed()
+    }
+}
+
+fn learned() -> Forecast {
+    forecast(Quality::Learned, Cause::None)
+}
+
+fn recorder() -> Recorder {
+    let budgets_ms = StageId::ALL[..7].iter().map(|&stage| (stage, 10.0)).collect();
+    let run = RunInfo {
+        recording: Some("intersection".to_owned()),
+        seed: Some(3),
+        speed: Some("real".to_owned()),
+        ..RunInfo::default()
+    };
+    Recorder::new(RecorderOptions { run, budgets_ms, ..RecorderOptions::default() })
+}
+
+fn truth_header(seq: u64) -> Header {
+    Header::new(1, seq, (seq * TICK_NS) as i64)
+}
+
+/// A run with one of everything that can go wrong; the agent stands still at the origin.
+pub(crate) fn eventful() -> Report {
+    let mut recorder = recorder();
+    let truth = Truth { id: 5, agent_type: AgentType::Pedestrian as u32, ..Truth::zeroed() };
+    for seq in 0..100 {
+        recorder.truth(&truth_header(seq), &[truth]).unwrap();
+        let (stages, forecast) = match seq {
+            0..4 => (whole_chain(2), forecast(Quality::Kinematic, Cause::Young)),
+            40 => (whole_chain(12), learned()),
+            41 => (StageId::ALL[..7].iter().copied().zip([1, 2, 3, 8, 4, 9, 2]).collect(), learned()),
+            50 => (
+                vec![(StageId::Source, 2), (StageId::Tracker, 2), (StageId::Sampler, 2)],
+                forecast(Quality::Held, Cause::Late),
+            ),
+            60 | 61 => continue,
+            _ => (whole_chain(2), learned()),
+        };
+        // At rest in truth, but believed to drift: constant velocity errs by 0.3 m a second.
+        let forecast = Forecast { vx_mps: 0.3, best: [[0.5, 0.0]; 12], ..forecast };
+        recorder.forecasts(&header(seq, 1, &stages), &[forecast]).unwrap();
+    }
+    recorder.heartbeat(&Heartbeat {
+        stage: StageId::Encoder as u32,
+        incarnation: 1,
+        dropped_len: 1,
+        rejected_len: 1,
+        ..Heartbeat::zeroed()
+    });
+    recorder.report()
+}
+
+#[test]
+fn known_hops_give_exact_percentiles() {
+    let mut recorder = recorder();
+    for seq in 0..100 {
+        recorder.forecasts(&header(seq, 1, &whole_chain(2)), &[learned()]).unwrap();
+    }
+    let report = recorder.report();
+    assert_eq!((report.ticks, report.late_ticks, report.drops), (100, 0, 0));
+    let exactly = |ms| Percentiles { p50: Some(ms), p99: Some(ms), p999: None, max: Some(ms) };
+    assert_eq!(report.end_to_end_ms, exactly(7.0 * 2.06));
+    assert_eq!(report.overhead_ms, exactly(0.42));
+    assert_eq!(report.stages.len(), 7);
+    for stage in &report.stages {
+        assert_eq!(stage.compute_ms, exactly(2.0));
+        assert_eq!(stage.wake_up_ms, exactly(0.05));
+        assert_eq!(stage.publish_ms, exactly(0.01));
+        assert_eq!(stage.waiting_ms, exactly(0.0));
+        assert_eq!((stage.budget_share_p50, stage.budget_share_p99), (Some(0.2), Some(0.2)));
+        assert_eq!((stage.ticks, stage.late_ticks), (100, 0));
+    }
+    assert_eq!(report.verdict, Verdict { status: Status::Ok, reasons: Vec::new() });
+    assert_eq!(report.run.played_s, Some(7.92));
+}
+
+#[test]
+fn the_report_has_the_keys_that_scripts_rely_on() {
+    insta::assert_snapshot!(eventful().to_json());
+}
+
+#[test]
+fn what_is_unknown_is_null() {
+    let json: serde_json::Value =
+        serde_json::from_str(&Recorder::new(RecorderOptions::default()).report().to_json()).unwrap();
+    assert_eq!(json["ticks"], 0);
+    assert_eq!(json["verdict"]["status"], "empty");
+    for pointer in
+        ["/end_to_end_ms/p50", "/overhead_ms/p99", "/accuracy/ade_m", "/accuracy/draws", "/agents/mean"]
+    {
+        assert_eq!(json.pointer(pointer), Some(&serde_json::Value::Null), "{pointer}");
+    }
+}
+
+#[test]
+fn a_report_comes_back_from_its_file() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("report.json");
+    let report = eventful();
+    report.write(&path).unwrap();
+    assert_eq!(Report::read(&path).unwrap(), report);
+    std::fs::write(&path, "{\"version\": 1,\n \"ticks\": -3}").unwrap();
+    let error = Report::read(&path).unwrap_err().to_string();
+    assert!(error.contains("report.json") && error.contains("line 2"), "{error}");
+}
+
+#[test]
+fn late_is_beyond_the_interval_or_the_limit() {
+    let mut recorder = recorder();
+    let mut fast = header(0, 0, &whole_chain(7));
+    fast.interval_ns = 40 * MS;
+    recorder.forecasts(&fast, &[]).unwrap();
+    assert_eq!(recorder.report().late_ticks, 1, "49 ms at a frame every 40 ms");
+    let mut slow = header(1, 0, &whole_chain(7));
+    slow.interval_ns = 400 * MS;
+    recorder.forecasts(&slow, &[]).unwrap();
+    recorder.forecasts(&header(2, 0, &whole_chain(12)), &[]).unwrap();
+    assert_eq!(recorder.report().late_ticks, 2, "49 ms is in time, 84 ms is not");
+}
+
+#[test]
+fn gaps_are_drops_and_the_end_tells_of_the_last() {
+    let mut recorder = recorder();
+    for seq in [1, 2, 5] {
+        recorder.forecasts(&header(seq, 0, &whole_chain(1)), &[]).unwrap();
+    }
+    assert_eq!(recorder.report().drops, 3);
+    let end = Header { flags: flags::END, ..header(7, 0, &[]) };
+    recorder.forecasts(&end, &[]).unwrap();
+    let report = recorder.report();
+    assert_eq!((report.drops, report.ticks), (4, 3));
+    assert_eq!(report.verdict.reasons, ["frames lost: 4 (recorder 4)"]);
+}
+
+#[test]
+fn a_recorder_started_again_does_not_blame_what_it_missed() {
+    let mut recorder = Recorder::new(RecorderOptions { resumed: true, ..RecorderOptions::default() });
+    recorder.forecasts(&header(500, 0, &whole_chain(1)), &[]).unwrap();
+    assert_eq!(recorder.report().drops, 0);
+}
+
+#[test]
+fn impossible_frames_change_nothing_but_a_count() {
+    let mut recorder = recorder();
+    recorder.forecasts(&header(0, 1, &whole_chain(1)), &[learned()]).unwrap();
+    let short = recorder.forecasts(&header(1, 2, &whole_chain(1)), &[learned()]);
+    assert_eq!(short, Err(Rejected::Length { found: 1, expected: 2 }));
+    let mut broken = learned();
+    broken.mean[3][0] = f32::NAN;
+    assert!(recorder.forecasts(&header(1, 1, &whole_chain(1)), &[broken]).is_err());
+    assert!(recorder.forecasts(&header(0, 1, &whole_chain(1)), &[learned()]).is_err(), "the same tick again");
+    let report = recorder.report();
+    assert_eq!((report.ticks, report.forecasts.learned, report.drops), (1, 1, 3));
+}
+
+#[test]
+fn the_link_before_the_first_tick_counts_nowhere() {
+    let mut recorder = recorder();
+    let link = Header { flags: flags::WARM_UP, ..header(0, 0, &whole_chain(70)) };
+    recorder.forecasts(&link, &[]).unwrap();
+    recorder.truth(&link, &[]).unwrap();
+    recorder.forecasts(&header(0, 0, &whole_chain(1)), &[]).unwrap();
+    let report = recorder.report();
+    assert_eq!((report.ticks, report.late_ticks, report.drops), (1, 0, 0));
+}

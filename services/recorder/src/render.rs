@@ -1,0 +1,248 @@
+//! The report as text for a terminal.
+
+use std::fmt::{self, Write};
+
+use crate::report::{Errors, Percentiles, Report, StageReport, Status};
+use crate::text::{bar, count, number, percent};
+
+/// Narrowest and widest line that the tables are laid out for.
+const WIDTHS: std::ops::RangeInclusive<usize> = 80..=120;
+/// From this width on the stages' table shows every phase.
+const ALL_PHASES_WIDTH: usize = 96;
+const LABEL_WIDTH: usize = 12;
+
+impl Report {
+    /// The report as plain text, laid out for lines of `width` characters, at least 80 and at most 120.
+    #[must_use]
+    pub fn render(&self, width: usize) -> String {
+        let width = width.clamp(*WIDTHS.start(), *WIDTHS.end());
+        let mut text = String::new();
+        let write = |text: &mut String| -> fmt::Result {
+            self.headline(text, width)?;
+            self.facts(text)?;
+            if self.ticks > 0 {
+                self.latency(text, width)?;
+            }
+            self.stages(text, width)?;
+            self.forecasts(text, width)?;
+            self.accuracy(text, width)
+        };
+        write(&mut text).expect("writing to a string can't fail");
+        text
+    }
+
+    fn headline(&self, text: &mut String, width: usize) -> fmt::Result {
+        let rule = "─".repeat(width);
+        writeln!(text, "{rule}")?;
+        match self.verdict.status {
+            Status::Ok => {
+                let ticks = if self.run.lockstep == Some(true) { "forecast" } else { "in time" };
+                writeln!(text, " OK          every tick {ticks}, nothing lost, no fallback")?;
+            }
+            Status::Degraded => {
+                writeln!(text, " DEGRADED    {}", self.verdict.reasons.join("\n             "))?;
+            }
+            Status::Empty => {
+                writeln!(text, " EMPTY       no forecast came")?;
+                for reason in &self.verdict.reasons {
+                    writeln!(text, "             {reason}")?;
+                }
+            }
+        }
+        writeln!(text, "{rule}")
+    }
+
+    fn facts(&self, text: &mut String) -> fmt::Result {
+        let run = &self.run;
+        if let Some(recording) = &run.recording {
+            let agents = run.scene_agents.map(|n| format!("{n} agents"));
+            let seed = run.seed.map(|seed| format!("seed {seed}"));
+            fact(text, "recording", &[Some(recording.clone()), agents, seed])?;
+        }
+        if run.weights.is_some() || run.weights_sha256.is_some() {
+            let hash = run.weights_sha256.as_ref().map(|hash| hash.chars().take(12).collect());
+            let seen = run.seen_in_training.map(|seen| match seen {
+                true => "trained on this recording: its accuracy flatters".to_owned(),
+                false => "not trained on this recording".to_owned(),
+            });
+            fact(text, "weights", &[run.weights.clone(), hash, seen])?;
+        }
+        let rate = run.interval_ms.map(|ms| format!("{} Hz", trimmed(1e3 / ms)));
+        let thinned = run.thinned_by.filter(|&n| n > 1).map(|n| format!("every {n}. frame of the recording"));
+        let time = run.played_s.zip(run.elapsed_s).map(|(played_s, elapsed_s)| match run.lockstep {
+            Some(true) => format!("{played_s:.1} s in {elapsed_s:.1} s, lockstep"),
+            _ => format!("{played_s:.1} s"),
+        });
+        fact(text, "played", &[Some(format!("{} ticks", count(self.ticks))), rate, time, thinned])?;
+        if let (Some(mean), Some(max)) = (self.agents.mean, self.agents.max) {
+            fact(text, "agents", &[Some(format!("{mean:.1} per tick, at most {max}"))])?;
+        }
+        Ok(())
+    }
+
+    fn latency(&self, text: &mut String, width: usize) -> fmt::Result {
+        let p999 = self.end_to_end_ms.p999.is_some();
+        let heading = if p999 { "    p99.9" } else { "" };
+        writeln!(text, "\n {:LABEL_WIDTH$}{:>8}{:>9}{heading}{:>9}", "LATENCY ms", "p50", "p99", "max")?;
+        let row = |text: &mut String, name: &str, times: &Percentiles| {
+            write!(text, " {name:LABEL_WIDTH$}{:>8}{:>9}", number(times.p50), number(times.p99))?;
+            if p999 {
+                write!(text, "{:>9}", number(times.p999))?;
+            }
+            write!(text, "{:>9}", number(times.max))
+        };
+        row(text, "end to end", &self.end_to_end_ms)?;
+        if let (Some(p99), Some(limit_ms)) = (self.end_to_end_ms.p99, self.late_limit_ms) {
+            let share = p99 / limit_ms;
+            let cells = (width - 72).min(24);
+            let limit = trimmed(limit_ms);
+            write!(text, "   {} p99 is {} of {limit} ms", bar(share, cells), percent(Some(share)))?;
+        }
+        writeln!(text)?;
+        row(text, "overhead", &self.overhead_ms)?;
+        writeln!(text, "   end to end less compute")?;
+        let note = if self.run.lockstep == Some(true) { " (nobody waited: lockstep)" } else { "" };
+        writeln!(
+            text,
+            " {:LABEL_WIDTH$}{:>8} of {}{note}",
+            "late ticks",
+            count(self.late_ticks),
+            count(self.ticks)
+        )
+    }
+
+    fn stages(&self, text: &mut String, width: usize) -> fmt::Result {
+        if self.stages.is_empty() {
+            return Ok(());
+        }
+        let all = width >= ALL_PHASES_WIDTH;
+        let cells = (if all { width - 86 } else { width - 71 }).min(24);
+        let (max, publish) = if all { ("    max", " publish") } else { ("", "") };
+        writeln!(
+            text,
+            "\n {:LABEL_WIDTH$}    p50    p99{max} budget  {:bars$} waiting wake-up{publish}  late  lost",
+            "COMPUTE ms",
+            "p99 of budget",
+            bars = cells + 7,
+        )?;
+        self.stages.iter().try_for_each(|stage| stage_row(text, stage, all, cells))?;
+        let publish = if all { ", publish" } else { "" };
+        writeln!(text, " {:LABEL_WIDTH$}waiting, wake-up{publish}: ms at p99; late: ticks; lost: frames", "")
+    }
+
+    fn forecasts(&self, text: &mut String, width: usize) -> fmt::Result {
+        let forecasts = &self.forecasts;
+        let total = forecasts.learned + forecasts.held + forecasts.kinematic;
+        if total == 0 {
+            return Ok(());
+        }
+        let cells = (width - 60).min(24);
+        writeln!(text, "\n {:LABEL_WIDTH$}{:>10}", "FORECASTS", count(total))?;
+        let age = forecasts.age_ms_max.map(|age_ms| format!("at most {} ms old", trimmed(age_ms)));
+        let rows = [
+            ("learned", forecasts.learned, None),
+            ("held", forecasts.held, age),
+            ("kinematic", forecasts.kinematic, None),
+        ];
+        for (name, n, note) in rows {
+            let share = n as f64 / total as f64;
+            let (bar, percent) = (bar(share, cells), percent(Some(share)));
+            let note = note.map_or_else(String::new, |note| format!("  {note}"));
+            writeln!(text, " {name:LABEL_WIDTH$}{:>10}{percent:>9}   {bar}{note}", count(n))?;
+        }
+        let mut causes: Vec<_> = forecasts.causes.iter().filter(|&(_, &n)| n > 0).collect();
+        causes.sort_by_key(|&(_, &n)| std::cmp::Reverse(n));
+        causes.iter().try_for_each(|&(cause, &n)| {
+            writeln!(text, " {:LABEL_WIDTH$}{:>10}   not learned: {}", "", count(n), meaning(cause))
+        })
+    }
+
+    fn accuracy(&self, text: &mut String, width: usize) -> fmt::Result {
+        let accuracy = &self.accuracy;
+        let (Some(draws), Some(horizon_s)) = (accuracy.draws, accuracy.horizon_s) else {
+            return match self.ticks {
+                0 => Ok(()),
+                _ => writeln!(text, "\n ACCURACY    unknown: no truth covers the horizon of any forecast"),
+            };
+        };
+        let group = if width >= ALL_PHASES_WIDTH { 22 } else { 18 };
+        let best = format!("best of {draws}");
+        writeln!(
+            text,
+            "\n {:LABEL_WIDTH$}{:>10}{best:>group$}{:>group$}{:>group$}",
+            "ACCURACY m", "forecasts", "single best", "const. velocity"
+        )?;
+        let column = group / 2;
+        let pair = || format!("{:>w$}{:>column$}", "ADE", "FDE", w = group - column);
+        writeln!(text, " {:LABEL_WIDTH$}{:>10}{}{}{}", "", "", pair(), pair(), pair())?;
+        let row = |text: &mut String, name: &str, errors: &Errors| {
+            write!(text, " {name:LABEL_WIDTH$}{:>10}", count(errors.forecasts))?;
+            let pairs = [
+                (errors.ade_m, errors.fde_m),
+                (errors.single_ade_m, errors.single_fde_m),
+                (errors.cv_ade_m, errors.cv_fde_m),
+            ];
+            for (ade_m, fde_m) in pairs {
+                write!(text, "{:>w$}{:>column$}", number(ade_m), number(fde_m), w = group - column)?;
+            }
+            writeln!(text)
+        };
+        row(text, "all", &accuracy.errors)?;
+        accuracy.by_type.iter().try_for_each(|(name, errors)| row(text, name, errors))?;
+        row(text, "learned", &accuracy.learned)?;
+        let misses =
+            [accuracy.errors.miss_rate, accuracy.errors.single_miss_rate, accuracy.errors.cv_miss_rate];
+        write!(text, " {:LABEL_WIDTH$}{:>10}", "missed", format!("> {} m", accuracy.miss_radius_m))?;
+        misses.iter().try_for_each(|&share| write!(text, "{:>group$}", percent(share)))?;
+        writeln!(text)?;
+        let uncovered = format!("{} without truth to the end", count(accuracy.uncovered));
+        let unmatched = format!("{} of no known agent", count(accuracy.unmatched));
+        fact(text, "horizon", &[Some(format!("{horizon_s:.1} s"))])?;
+        fact(text, "left out", &[Some(uncovered), Some(unmatched)])
+    }
+}
+
+fn stage_row(text: &mut String, stage: &StageReport, all: bool, cells: usize) -> fmt::Result {
+    let StageReport { compute_ms, waiting_ms, wake_up_ms, publish_ms, .. } = stage;
+    write!(text, " {:LABEL_WIDTH$}{:>7}{:>7}", stage.name, number(compute_ms.p50), number(compute_ms.p99))?;
+    if all {
+        write!(text, "{:>7}", number(compute_ms.max))?;
+    }
+    let budget = stage.budget_ms.map_or_else(|| "–".to_owned(), trimmed);
+    let filled = stage.budget_share_p99.map_or_else(|| " ".repeat(cells), |share| bar(share, cells));
+    write!(text, "{budget:>7}  {filled}{:>7}", percent(stage.budget_share_p99))?;
+    write!(text, "{:>8}{:>8}", number(waiting_ms.p99), number(wake_up_ms.p99))?;
+    if all {
+        write!(text, "{:>8}", number(publish_ms.p99))?;
+    }
+    write!(text, "{:>6}{:>6}", count(stage.late_ticks), count(stage.drops.total()))?;
+    if stage.restarts > 0 {
+        write!(text, "  restarted {}×", stage.restarts)?;
+    }
+    writeln!(text)
+}
+
+/// `label  part · part`, leaving out what is unknown.
+fn fact(text: &mut String, label: &str, parts: &[Option<String>]) -> fmt::Result {
+    let known: Vec<&str> = parts.iter().flatten().map(String::as_str).collect();
+    writeln!(text, " {label:LABEL_WIDTH$}{}", known.join(" · "))
+}
+
+/// At most two decimals, without zeros at the end.
+fn trimmed(value: f64) -> String {
+    let fixed = format!("{value:.2}");
+    fixed.trim_end_matches('0').trim_end_matches('.').to_owned()
+}
+
+fn meaning(cause: &str) -> &str {
+    match cause {
+        "late" => "the controls came too late",
+        "rejected" => "the controls were refused",
+        "missing" => "the controls do not name the track",
+        "young" => "the track is still too young",
+        other => other,
+    }
+}
+
+#[cfg(test)]
+mod tests;
