@@ -1,0 +1,133 @@
+//! Which detection belongs to which track: the cheapest pairing, where leaving a track unpaired has a price too.
+//!
+//! Gating leaves few possible pairs, so the problem falls apart into *connected components* that share no track and no
+//! detection. Each is solved on its own: a component with a single track or detection by looking, any other by the
+//! optimal assignment of the `lsap` crate. Five hundred agents are then hundreds of tiny problems, not one dense one.
+
+/// A pairing that the gate lets through.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Candidate {
+    /// Number of the track.
+    pub track: u32,
+    /// Number of the detection.
+    pub detection: u32,
+    /// Price of the pairing; finite.
+    pub cost: f64,
+}
+
+/// Solves assignments; holds only scratch memory.
+#[derive(Clone, Debug, Default)]
+pub struct Assigner {
+    /// Union-find over tracks, then detections.
+    parent: Vec<u32>,
+    /// Column of each detection in the component at hand.
+    column: Vec<u32>,
+    detections: Vec<u32>,
+    costs: Vec<f64>,
+}
+
+impl Assigner {
+    /// Scratch for so many tracks and detections.
+    #[must_use]
+    pub fn with_capacity(tracks_len: usize, detections_len: usize) -> Self {
+        Self {
+            parent: Vec::with_capacity(tracks_len + detections_len),
+            column: Vec::with_capacity(detections_len),
+            detections: Vec::with_capacity(detections_len),
+            costs: Vec::new(),
+        }
+    }
+
+    /// Writes to `paired[track]` the detection of each track, minimising the sum of the candidates' costs and of
+    /// `miss_cost` for each track without detection.
+    ///
+    /// `paired` has one entry per track. Candidates are sorted in place; one whose cost is not finite is left out.
+    /// Allocates only for components of two and more tracks and detections (inside `lsap`).
+    ///
+    /// # Panics
+    /// If a candidate names a track or detection beyond the given numbers.
+    pub fn solve(
+        &mut self,
+        candidates: &mut Vec<Candidate>,
+        detections_len: usize,
+        miss_cost: f64,
+        paired: &mut [Option<u32>],
+    ) {
+        paired.fill(None);
+        candidates.retain(|c| c.cost.is_finite() && c.cost < miss_cost);
+        let tracks_len = paired.len();
+        self.parent.clear();
+        self.parent.extend(0..(tracks_len + detections_len) as u32);
+        self.column.clear();
+        self.column.resize(detections_len, u32::MAX);
+        for c in candidates.iter() {
+            self.join(c.track, tracks_len as u32 + c.detection);
+        }
+        for node in 0..self.parent.len() as u32 {
+            let root = self.root(node);
+            self.parent[node as usize] = root;
+        }
+        let parent = &self.parent;
+        candidates.sort_unstable_by_key(|c| (parent[c.track as usize], c.track, c.detection));
+        let mut rest = candidates.as_slice();
+        while let Some(first) = rest.first() {
+            let root = self.parent[first.track as usize];
+            let len = rest.partition_point(|c| self.parent[c.track as usize] == root);
+            let (component, others) = rest.split_at(len);
+            self.solve_component(component, miss_cost, paired);
+            rest = others;
+        }
+    }
+
+    fn solve_component(&mut self, component: &[Candidate], miss_cost: f64, paired: &mut [Option<u32>]) {
+        let (first, last) = (component[0], component[component.len() - 1]);
+        let one_detection = component.iter().all(|c| c.detection == first.detection);
+        if first.track == last.track || one_detection {
+            let cheapest = component.iter().min_by(|a, b| a.cost.total_cmp(&b.cost)).unwrap_or(&first);
+            paired[cheapest.track as usize] = Some(cheapest.detection);
+            return;
+        }
+        self.detections.clear();
+        for c in component {
+            if self.column[c.detection as usize] == u32::MAX {
+                self.column[c.detection as usize] = self.detections.len() as u32;
+                self.detections.push(c.detection);
+            }
+        }
+        let rows_len = 1 + component.windows(2).filter(|pair| pair[0].track != pair[1].track).count();
+        // One more column per track stands for "no detection". A pair beyond the gate costs a miss as well: choosing
+        // it and missing are the same, so all costs stay of one magnitude.
+        let columns_len = self.detections.len() + rows_len;
+        self.costs.clear();
+        self.costs.resize(rows_len * columns_len, miss_cost);
+        let by_track = || component.chunk_by(|a, b| a.track == b.track);
+        for (row, of_track) in by_track().enumerate() {
+            for c in of_track {
+                self.costs[row * columns_len + self.column[c.detection as usize] as usize] = c.cost;
+            }
+        }
+        // Every cost is finite and there are more columns than rows: the solver has no cause to refuse.
+        let Ok((rows, columns)) = lsap::solve(rows_len, columns_len, &self.costs, false) else { return };
+        let mut chosen = rows.into_iter().zip(columns);
+        for (row, of_track) in by_track().enumerate() {
+            let Some((_, column)) = chosen.next().filter(|&(r, _)| r == row) else { return };
+            let detection = self.detections.get(column).copied();
+            let gated = of_track.iter().find(|c| Some(c.detection) == detection);
+            paired[of_track[0].track as usize] = gated.map(|c| c.detection);
+        }
+    }
+
+    fn root(&mut self, mut node: u32) -> u32 {
+        while self.parent[node as usize] != node {
+            let above = self.parent[self.parent[node as usize] as usize];
+            self.parent[node as usize] = above;
+            node = above;
+        }
+        node
+    }
+
+    fn join(&mut self, a: u32, b: u32) {
+        let (a, b) = (self.root(a), self.root(b));
+        self.parent[a.max(b) as usize] = a.min(b);
+    }
+}

@@ -1,0 +1,147 @@
+use wire::{AgentType, Detection};
+
+use crate::assignment::{Assigner, Candidate};
+use crate::options::{InputModel, TrackerOptions};
+use crate::target::{Target, position_sigma_m};
+
+/// 99 % of a chi-squared variable of two degrees of freedom: the gate for positions.
+const GATE: f64 = 9.210_340_371_976_18;
+/// A detection that carries an identity belongs to its track unless it would have had to move faster than this allows.
+const JUMP_MIN_M: f64 = 5.0;
+
+/// Finds the target of each detection; holds only scratch memory.
+#[derive(Clone, Debug)]
+pub struct Association {
+    /// Numbers of the detections in an order that does not depend on how they came.
+    order: Vec<u32>,
+    /// (identity, target), sorted.
+    identities: Vec<(u64, u32)>,
+    candidates: Vec<Candidate>,
+    assigner: Assigner,
+    /// Detection of each target.
+    paired: Vec<Option<u32>>,
+    /// Whether each detection has a target, or is refused one.
+    taken: Vec<bool>,
+}
+
+impl Association {
+    /// Scratch for so many targets and detections.
+    #[must_use]
+    pub fn with_capacity(targets_len: usize, detections_len: usize) -> Self {
+        Self {
+            order: Vec::with_capacity(detections_len),
+            identities: Vec::with_capacity(targets_len),
+            candidates: Vec::with_capacity(8 * targets_len),
+            assigner: Assigner::with_capacity(targets_len, detections_len),
+            paired: Vec::with_capacity(targets_len),
+            taken: Vec::with_capacity(detections_len),
+        }
+    }
+
+    /// The detection of each target, as last found.
+    #[must_use]
+    pub fn paired(&self) -> &[Option<u32>] {
+        &self.paired
+    }
+
+    /// The detections that start targets of their own, in an order that does not depend on how they came.
+    pub fn unpaired(&self) -> impl Iterator<Item = usize> + '_ {
+        self.order.iter().map(|&d| d as usize).filter(|&d| !self.taken[d])
+    }
+
+    /// Pairs by identity: a detection belongs to the target that the last detection of its identity belonged to.
+    ///
+    /// Returns how many detections were left aside because another one of the frame carries the same identity.
+    pub fn by_identity(&mut self, targets: &[Target], detections: &[Detection]) -> usize {
+        self.start(targets, detections);
+        self.order.sort_unstable_by_key(|&d| {
+            let d = &detections[d as usize];
+            (d.id, d.agent_type, d.x_m.to_bits(), d.y_m.to_bits())
+        });
+        self.identities.clear();
+        self.identities.extend(targets.iter().zip(0..).map(|(target, t)| (target.source_id, t)));
+        self.identities.sort_unstable();
+        let mut duplicates_len = 0;
+        let mut last = None;
+        for &d in &self.order {
+            let detection = &detections[d as usize];
+            if last.replace(detection.id) == Some(detection.id) {
+                self.taken[d as usize] = true;
+                duplicates_len += 1;
+                continue;
+            }
+            // Of several targets that had the identity the newest holds it.
+            let end = self.identities.partition_point(|&(id, _)| id <= detection.id);
+            let Some(&(id, t)) = end.checked_sub(1).and_then(|i| self.identities.get(i)) else { continue };
+            if id == detection.id && !jumped(&targets[t as usize], detection) {
+                self.paired[t as usize] = Some(d);
+                self.taken[d as usize] = true;
+            }
+        }
+        duplicates_len
+    }
+
+    /// Pairs by position and type: the cheapest assignment of all pairs within the gate.
+    ///
+    /// A pair costs d² + ln |S| and what the detection's type tells against it; d² and S are those of the position,
+    /// so that a heading or speed that is off does not cost a track its detection.
+    pub fn by_position(
+        &mut self,
+        targets: &[Target],
+        detections: &[Detection],
+        types: &[AgentType],
+        input: &InputModel,
+        options: &TrackerOptions,
+    ) {
+        self.start(targets, detections);
+        self.order.sort_unstable_by(|&a, &b| {
+            let (a, b) = (&detections[a as usize], &detections[b as usize]);
+            a.x_m.total_cmp(&b.x_m).then(a.y_m.total_cmp(&b.y_m)).then(a.agent_type.cmp(&b.agent_type))
+        });
+        let largest = detections.iter().zip(types).map(|(d, &t)| position_sigma_m(d, t, input));
+        let largest_m = largest.fold(0.0, f64::max);
+        self.candidates.clear();
+        for (target, t) in targets.iter().zip(0..) {
+            let ([x, y], [xx, _, yy]) = target.filter.position();
+            let reach = |variance: f64| (GATE * (variance + largest_m.powi(2))).sqrt();
+            let (reach_x, reach_y) = (reach(xx), reach(yy));
+            let from = self.order.partition_point(|&d| f64::from(detections[d as usize].x_m) < x - reach_x);
+            for &d in &self.order[from..] {
+                let detection = &detections[d as usize];
+                let position_m = [f64::from(detection.x_m), f64::from(detection.y_m)];
+                if position_m[0] > x + reach_x {
+                    break;
+                }
+                if (position_m[1] - y).abs() > reach_y {
+                    continue;
+                }
+                let agent_type = types[d as usize];
+                let sigma_m = position_sigma_m(detection, agent_type, input);
+                let fit = target.fit(position_m, sigma_m.powi(2));
+                if fit.distance2 <= GATE {
+                    let cost = fit.distance2 + fit.log_det + target.class.disagreement(agent_type);
+                    self.candidates.push(Candidate { track: t, detection: d, cost });
+                }
+            }
+        }
+        self.assigner.solve(&mut self.candidates, detections.len(), options.miss_cost, &mut self.paired);
+        for &d in self.paired.iter().flatten() {
+            self.taken[d as usize] = true;
+        }
+    }
+
+    fn start(&mut self, targets: &[Target], detections: &[Detection]) {
+        self.order.clear();
+        self.order.extend(0..detections.len() as u32);
+        self.taken.clear();
+        self.taken.resize(detections.len(), false);
+        self.paired.clear();
+        self.paired.resize(targets.len(), None);
+    }
+}
+
+fn jumped(target: &Target, detection: &Detection) -> bool {
+    let ([x, y], _) = target.filter.position();
+    let distance_m = (f64::from(detection.x_m) - x).hypot(f64::from(detection.y_m) - y);
+    distance_m > JUMP_MIN_M + f64::from(wire::SPEED_MAX_MPS) * target.since_seen_s()
+}

@@ -1,0 +1,66 @@
+use wire::AgentType;
+
+/// Share of detections that name the right type.
+const RIGHT: f64 = 0.9;
+/// Share that name one of the two wrong ones.
+const WRONG: f64 = 0.05;
+/// Log-odds between two types are held within this, so that a handful of detections can change the belief.
+const LOG_ODDS_MAX: f64 = 6.0;
+/// A track changes its type when another is so much more probable than its own.
+const CHANGE_LOG_ODDS: f64 = 2.0;
+
+/// What type an agent is: belief gathered from the types that its detections name.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Class {
+    current: AgentType,
+    /// Natural logarithms of the probabilities, the largest 0.
+    log_weight: [f64; 3],
+}
+
+impl Class {
+    /// The belief after one detection.
+    #[must_use]
+    pub fn new(detected: AgentType) -> Self {
+        let mut class = Self { current: detected, log_weight: [0.0; 3] };
+        class.observe(detected);
+        class
+    }
+
+    /// The type that the track has.
+    #[must_use]
+    pub const fn current(&self) -> AgentType {
+        self.current
+    }
+
+    /// Takes in the type that a detection names; returns whether the track's type changed by it.
+    pub fn observe(&mut self, detected: AgentType) -> bool {
+        for (index, log_weight) in self.log_weight.iter_mut().enumerate() {
+            *log_weight += if index == detected.index() { RIGHT.ln() } else { WRONG.ln() };
+        }
+        let most = self.log_weight.iter().fold(f64::NEG_INFINITY, |most, &w| most.max(w));
+        for log_weight in &mut self.log_weight {
+            *log_weight = (*log_weight - most).max(-LOG_ODDS_MAX);
+        }
+        let lead = self.log_weight[detected.index()] - self.log_weight[self.current.index()];
+        let changed = detected != self.current && lead > CHANGE_LOG_ODDS;
+        if changed {
+            self.current = detected;
+        }
+        changed
+    }
+
+    /// Probability of each type.
+    #[must_use]
+    pub fn probability(&self) -> [f64; 3] {
+        let weight = self.log_weight.map(f64::exp);
+        let sum: f64 = weight.iter().sum();
+        weight.map(|w| w / sum)
+    }
+
+    /// −2 ln of the probability that a detection of this agent names that type.
+    #[must_use]
+    pub fn disagreement(&self, detected: AgentType) -> f64 {
+        let right = self.probability()[detected.index()];
+        -2.0 * (right * RIGHT + (1.0 - right) * WRONG).ln()
+    }
+}

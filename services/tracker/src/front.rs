@@ -1,0 +1,66 @@
+use std::f64::consts::{FRAC_PI_2, PI};
+
+use crate::filter::wrapped;
+
+/// Each detected heading that agrees with the estimated front, or contradicts it, weighs as if 30 % were turned.
+const HEADING_WEIGHT: f64 = 0.85;
+/// A frame of driving forwards, or backwards, weighs less: agents do reverse.
+const MOTION_WEIGHT: f64 = 0.2;
+/// Before anybody has seen the track it weighs more: few agents come into view in reverse.
+const FIRST_MOTION_WEIGHT: f64 = 1.0;
+/// Slower motion tells nothing, nor does one of fewer standard deviations.
+const MOTION_MIN_MPS: f64 = 1.0;
+const MOTION_MIN_SIGMAS: f64 = 3.0;
+/// Belief is held within this, so that it can change.
+const LOG_ODDS_MAX: f64 = 8.0;
+/// At this much evidence against it, the front of a published track is where its back was.
+const TURN_LOG_ODDS: f64 = -6.0;
+
+/// Which end of an agent is its front: evidence gathered over frames.
+///
+/// Detectors often can't tell front from back and turn a heading by π. A turned heading still tells the axis, so it is
+/// *folded* onto the estimated front for the filter, and only counted here: one frame never turns an agent round.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Front {
+    /// Log-odds that the estimated front is the front.
+    log_odds: f64,
+}
+
+impl Front {
+    /// The belief after the detection that set the estimate.
+    #[must_use]
+    pub const fn new() -> Self {
+        Self { log_odds: HEADING_WEIGHT }
+    }
+
+    /// Folds a detected heading to within π/2 of the estimated one and counts which way it pointed.
+    #[must_use]
+    pub fn fold(&mut self, detected_rad: f64, estimated_rad: f64) -> f64 {
+        let agrees = wrapped(detected_rad - estimated_rad).abs() <= FRAC_PI_2;
+        self.add(if agrees { HEADING_WEIGHT } else { -HEADING_WEIGHT });
+        if agrees { detected_rad } else { wrapped(detected_rad + PI) }
+    }
+
+    /// Counts a frame of motion along the estimated heading, at a speed that is known to within `sigma_mps`.
+    pub fn moved(&mut self, speed_mps: f64, sigma_mps: f64, published: bool) {
+        if speed_mps.abs() > MOTION_MIN_MPS.max(MOTION_MIN_SIGMAS * sigma_mps) {
+            let weight = if published { MOTION_WEIGHT } else { FIRST_MOTION_WEIGHT };
+            self.add(weight.copysign(speed_mps));
+        }
+    }
+
+    /// Whether the agent points the other way: for a track that nobody has seen yet by any majority of the evidence,
+    /// else by a clear one. Taking the turn starts the count for the new front.
+    #[must_use]
+    pub fn take_turn(&mut self, published: bool) -> bool {
+        let turned = if published { self.log_odds <= TURN_LOG_ODDS } else { self.log_odds < 0.0 };
+        if turned {
+            self.log_odds = -self.log_odds;
+        }
+        turned
+    }
+
+    fn add(&mut self, weight: f64) {
+        self.log_odds = (self.log_odds + weight).clamp(-LOG_ODDS_MAX, LOG_ODDS_MAX);
+    }
+}

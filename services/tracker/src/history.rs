@@ -1,0 +1,110 @@
+use wire::HistoryState;
+
+/// States kept per track: 5 s at 80 ms, more than the longest window.
+const STATES_MAX: usize = 64;
+
+/// The filtered states of one track, in time order, as they were told to the other stages.
+///
+/// A state that has been published is never rewritten: the window at a later time shows the very same bits, so that
+/// whatever was computed for (track, stamp) stays valid. Where the window asks for a time between two states, it shows
+/// their interpolation, which depends on these two alone and so stays the same as well.
+#[derive(Clone, Copy, Debug)]
+pub struct History {
+    stamps_ns: [i64; STATES_MAX],
+    states: [HistoryState; STATES_MAX],
+    /// States pushed so far; the newest lies at (len − 1) modulo the ring's size.
+    len: usize,
+}
+
+impl History {
+    /// A history without states.
+    #[must_use]
+    pub const fn new() -> Self {
+        const ABSENT: HistoryState =
+            HistoryState { x_m: 0.0, y_m: 0.0, vx_mps: 0.0, vy_mps: 0.0, heading_rad: 0.0, present: 0 };
+        Self { stamps_ns: [0; STATES_MAX], states: [ABSENT; STATES_MAX], len: 0 }
+    }
+
+    /// Appends the state of `stamp_ns`, which lies after all others; the oldest gives way in a full ring.
+    pub fn push(&mut self, stamp_ns: i64, state: HistoryState) {
+        let slot = self.len % STATES_MAX;
+        self.stamps_ns[slot] = stamp_ns;
+        self.states[slot] = HistoryState { present: 1, ..state };
+        self.len += 1;
+    }
+
+    /// Gives all states the velocity and heading of `known`: for states that nobody has seen yet.
+    ///
+    /// The first state of a track that was seen at a position only has no velocity of its own.
+    pub fn backfill(&mut self, known: &HistoryState) {
+        for state in &mut self.states[..self.len.min(STATES_MAX)] {
+            (state.vx_mps, state.vy_mps) = (known.vx_mps, known.vy_mps);
+            state.heading_rad = known.heading_rad;
+        }
+    }
+
+    /// Writes the states at now − (len − 1 − k) Δt, oldest first; absent ones are zero.
+    ///
+    /// A time without a state of its own takes the interpolation between its neighbours unless these lie more than
+    /// `gap_max_ns` apart.
+    pub fn window(&self, now_ns: i64, step_ns: u64, gap_max_ns: u64, window: &mut [HistoryState]) {
+        let held = self.len.min(STATES_MAX);
+        // Steps back from the newest state; the window is filled from its newest end, so this only grows.
+        let mut back = 0;
+        for (k, entry) in window.iter_mut().rev().enumerate() {
+            let wanted_ns = now_ns.saturating_sub_unsigned(step_ns.saturating_mul(k as u64));
+            while back < held && self.stamp_ns(back) > wanted_ns {
+                back += 1;
+            }
+            *entry = if back == held {
+                HistoryState::default()
+            } else if self.stamp_ns(back) == wanted_ns {
+                *self.state(back)
+            } else if back == 0 {
+                HistoryState::default()
+            } else {
+                self.between(back, wanted_ns, gap_max_ns)
+            };
+        }
+    }
+
+    /// The state between the one `back` steps ago and the next.
+    fn between(&self, back: usize, wanted_ns: i64, gap_max_ns: u64) -> HistoryState {
+        let (before_ns, after_ns) = (self.stamp_ns(back), self.stamp_ns(back - 1));
+        let gap_ns = after_ns.abs_diff(before_ns);
+        if gap_ns > gap_max_ns {
+            return HistoryState::default();
+        }
+        let share = (wanted_ns.abs_diff(before_ns) as f64 / gap_ns as f64) as f32;
+        let (before, after) = (self.state(back), self.state(back - 1));
+        let mix = |a: f32, b: f32| a + (b - a) * share;
+        let turn = crate::filter::wrapped(f64::from(after.heading_rad) - f64::from(before.heading_rad));
+        let heading = f64::from(before.heading_rad) + turn * f64::from(share);
+        HistoryState {
+            x_m: mix(before.x_m, after.x_m),
+            y_m: mix(before.y_m, after.y_m),
+            vx_mps: mix(before.vx_mps, after.vx_mps),
+            vy_mps: mix(before.vy_mps, after.vy_mps),
+            heading_rad: crate::filter::wrapped(heading) as f32,
+            present: 1,
+        }
+    }
+
+    fn slot(&self, back: usize) -> usize {
+        (self.len - 1 - back) % STATES_MAX
+    }
+
+    fn stamp_ns(&self, back: usize) -> i64 {
+        self.stamps_ns[self.slot(back)]
+    }
+
+    fn state(&self, back: usize) -> &HistoryState {
+        &self.states[self.slot(back)]
+    }
+}
+
+impl Default for History {
+    fn default() -> Self {
+        Self::new()
+    }
+}

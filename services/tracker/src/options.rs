@@ -1,0 +1,130 @@
+use wire::{AgentType, HISTORY_MAX};
+
+use crate::filter::BicycleModel;
+
+/// Standard deviations of what a detector measures, where the detection itself tells none.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SensorNoise {
+    /// Position per axis.
+    pub position_m: f64,
+    /// Heading.
+    pub heading_rad: f64,
+    /// Speed along the heading.
+    pub speed_mps: f64,
+}
+
+/// How agents of one type are expected to move.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct MotionNoise {
+    /// Spectral density of the acceleration per axis, m²/s³: the constant-velocity filter.
+    pub density: f64,
+    /// Standard deviation of the acceleration in 80 ms: the bicycle.
+    pub acceleration_mps2: f64,
+    /// Standard deviation of the slip rate in 80 ms: the bicycle.
+    pub slip_rate_radps: f64,
+}
+
+/// What the tracker assumes of one kind of input, by agent type.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct InputModel {
+    /// Measurement noise.
+    pub sensor: [SensorNoise; 3],
+    /// Process noise.
+    pub motion: [MotionNoise; 3],
+    /// A track without a detection for so long, over frames that observed its type, ends.
+    pub coast_ns: u64,
+}
+
+/// Settings of a tracker.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct TrackerOptions {
+    /// Steps of the history window, T_h, at most [`HISTORY_MAX`].
+    pub history_len: usize,
+    /// Spacing of the window's steps, Δt.
+    pub step_ns: u64,
+    /// Most tracks held at once, tentative ones included; detections beyond it start none.
+    pub tracks_max: usize,
+    /// Associates by position even where the detections carry identities.
+    pub associate: bool,
+    /// Inputs of a detector, to be associated.
+    pub detector: InputModel,
+    /// Inputs that carry identities: annotated or smoothed recordings, whose positions are nearly without noise.
+    pub recorded: InputModel,
+    /// Probability that an agent in view is detected.
+    pub detection_probability: f64,
+    /// False detections per m² and frame.
+    pub clutter_density: f64,
+    /// Price of leaving a track without detection, on the scale of −2 ln of a likelihood per m².
+    pub miss_cost: f64,
+    /// A track ends when it has not been seen for so long, whatever else: the forecast's horizon.
+    pub horizon_ns: u64,
+    /// History is not interpolated over longer gaps between states.
+    pub gap_max_ns: u64,
+}
+
+const DETECTOR: InputModel = InputModel {
+    sensor: [
+        SensorNoise { position_m: 0.25, heading_rad: 0.12, speed_mps: 1.0 },
+        SensorNoise { position_m: 0.2, heading_rad: 0.25, speed_mps: 0.7 },
+        SensorNoise { position_m: 0.15, heading_rad: 0.5, speed_mps: 0.5 },
+    ],
+    motion: [
+        MotionNoise { density: 4.0, acceleration_mps2: 4.0, slip_rate_radps: 0.3 },
+        MotionNoise { density: 2.0, acceleration_mps2: 2.0, slip_rate_radps: 0.5 },
+        MotionNoise { density: 0.5, acceleration_mps2: 1.0, slip_rate_radps: 0.5 },
+    ],
+    coast_ns: 2_000_000_000,
+};
+
+const RECORDED: InputModel = InputModel {
+    sensor: [
+        SensorNoise { position_m: 0.03, heading_rad: 0.03, speed_mps: 0.1 },
+        SensorNoise { position_m: 0.03, heading_rad: 0.05, speed_mps: 0.1 },
+        SensorNoise { position_m: 0.03, heading_rad: 0.1, speed_mps: 0.1 },
+    ],
+    motion: [
+        MotionNoise { density: 4.0, acceleration_mps2: 4.0, slip_rate_radps: 0.5 },
+        MotionNoise { density: 2.0, acceleration_mps2: 3.0, slip_rate_radps: 0.7 },
+        MotionNoise { density: 1.0, acceleration_mps2: 1.0, slip_rate_radps: 0.5 },
+    ],
+    coast_ns: 1_000_000_000,
+};
+
+impl Default for TrackerOptions {
+    fn default() -> Self {
+        Self {
+            history_len: HISTORY_MAX,
+            step_ns: 400_000_000,
+            tracks_max: 512,
+            associate: false,
+            detector: DETECTOR,
+            recorded: RECORDED,
+            detection_probability: 0.9,
+            clutter_density: 1e-3,
+            miss_cost: 14.5,
+            horizon_ns: 4_800_000_000,
+            gap_max_ns: 2_000_000_000,
+        }
+    }
+}
+
+/// Share of the length that lies between reference point and rear axle.
+const REAR_AXLE_RATIO: f64 = 0.26;
+/// Lengths where none is known.
+const LENGTH_M: [f64; 3] = [4.5, 1.8, 1.8];
+
+impl InputModel {
+    /// The bicycle of an agent of that type and length; 0 stands for an unknown length.
+    #[must_use]
+    pub fn bicycle(&self, agent_type: AgentType, length_m: f64) -> BicycleModel {
+        let noise = &self.motion[agent_type.index()];
+        let length_m = if length_m > 0.0 { length_m } else { LENGTH_M[agent_type.index()] };
+        BicycleModel {
+            rear_axle_m: REAR_AXLE_RATIO * length_m.clamp(1.0, 25.0),
+            acceleration_mps2: noise.acceleration_mps2,
+            slip_rate_radps: noise.slip_rate_radps,
+            floor: [1e-4, 1e-4, 1e-5, 0.0, 0.0],
+            slip_max_rad: 0.5,
+        }
+    }
+}

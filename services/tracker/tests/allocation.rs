@@ -1,0 +1,72 @@
+//! A steady step takes no memory.
+#![expect(unsafe_code, reason = "a counting allocator")]
+
+use std::alloc::{GlobalAlloc, Layout, System};
+use std::sync::atomic::{AtomicUsize, Ordering};
+
+use bytemuck::Zeroable;
+use tracker::{Tracker, TrackerOptions};
+use wire::{AGENTS_MAX, AgentType, Detection, Header, Track, detection_flags, flags};
+
+struct Counting;
+
+static ALLOCATIONS: AtomicUsize = AtomicUsize::new(0);
+
+// SAFETY: every call goes to the system's allocator unchanged.
+unsafe impl GlobalAlloc for Counting {
+    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
+        ALLOCATIONS.fetch_add(1, Ordering::Relaxed);
+        // SAFETY: the caller's promises are those that the system's allocator asks for.
+        unsafe { System.alloc(layout) }
+    }
+
+    unsafe fn dealloc(&self, pointer: *mut u8, layout: Layout) {
+        // SAFETY: as above; the pointer came from `alloc`.
+        unsafe { System.dealloc(pointer, layout) }
+    }
+}
+
+#[global_allocator]
+static ALLOCATOR: Counting = Counting;
+
+/// A hundred agents of all types, 4 m apart, each on a small circle of its own.
+fn detections(k: u32, out: &mut Vec<Detection>) {
+    out.clear();
+    for i in 0..100_u32 {
+        let turn = f64::from(k) * 0.02 + f64::from(i);
+        out.push(Detection {
+            id: u64::from(i),
+            x_m: (f64::from(i % 10) * 4.0 + turn.cos()) as f32,
+            y_m: (f64::from(i / 10) * 4.0 + turn.sin()) as f32,
+            heading_rad: ((turn + std::f64::consts::FRAC_PI_2).rem_euclid(std::f64::consts::TAU)) as f32,
+            agent_type: i % 3,
+            flags: detection_flags::HAS_ID | detection_flags::HAS_HEADING,
+            ..Detection::zeroed()
+        });
+    }
+}
+
+// One test only: another in this process would count as well.
+#[test]
+fn a_thousand_steady_steps_allocate_nothing() {
+    for (identities, name) in [(flags::HAS_IDENTITIES, "by identity"), (0, "by position")] {
+        let mut tracker = Tracker::new(TrackerOptions::default());
+        let mut out = vec![Track::zeroed(); AGENTS_MAX];
+        let mut seen = Vec::with_capacity(100);
+        let mut before = 0;
+        for k in 0..1_100 {
+            if k == 100 {
+                before = ALLOCATIONS.load(Ordering::Relaxed);
+            }
+            detections(k, &mut seen);
+            let stamp_ns = i64::from(k) * 80_000_000;
+            let observed_types =
+                AgentType::Vehicle.bit() | AgentType::Cyclist.bit() | AgentType::Pedestrian.bit();
+            let header =
+                Header { flags: identities, observed_types, ..Header::new(1, u64::from(k), stamp_ns) };
+            let tracked = tracker.step(&header, &seen, None, &mut out).unwrap();
+            assert!(k < 5 || tracked.tracks_len == 100, "{name}, frame {k}: {tracked:?}");
+        }
+        assert_eq!(ALLOCATIONS.load(Ordering::Relaxed) - before, 0, "{name}");
+    }
+}
