@@ -1,1 +1,8 @@
-//! Placeholder.
+//! The source: plays a recording tick by tick, as a sensor would have seen it.
+//!
+//! [`Playback`] decides what goes out in which tick; when it goes out is for the caller, who has a clock and knows
+//! from [`Tick::due_ns`] how long after the first tick each one is due at the recording's own rate.
+
+mod playback;
+
+pub use playback::{INTERVAL_MIN_NS, Playback, PlaybackOptions, Tick};
