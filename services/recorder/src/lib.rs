@@ -17,6 +17,7 @@ pub mod passage;
 mod record;
 mod render;
 pub mod report;
+pub mod stage;
 mod text;
 mod whole_file;
 

@@ -7,7 +7,7 @@ mod draw;
 
 use std::collections::{BTreeMap, VecDeque};
 
-use wire::{Forecast, Header, Heartbeat, Quality, StageId};
+use wire::{Forecast, Header, Heartbeat, Quality, StageId, flags};
 
 pub use draw::draw;
 
@@ -78,7 +78,8 @@ pub struct LiveView {
     first_released_ns: Option<u64>,
     now_ns: u64,
     limit_ns: u64,
-    next_seq: u64,
+    /// Number of the tick that comes next, once that is known.
+    next_seq: Option<u64>,
     ticks: u64,
     late_ticks: u64,
     /// Forecasts of the newest tick by quality.
@@ -101,7 +102,7 @@ impl LiveView {
             late_by_stage: [0; STAGES_LEN],
             first_released_ns: None,
             now_ns: 0,
-            next_seq: 0,
+            next_seq: None,
             ticks: 0,
             late_ticks: 0,
             newest: [0; Quality::ALL.len()],
@@ -109,13 +110,16 @@ impl LiveView {
         }
     }
 
-    /// Takes the forecasts of a tick; frames that are no ticks are passed over.
+    /// Takes the forecasts of a tick. Losses are counted as by [`crate::Recorder::forecasts`].
     pub fn forecasts(&mut self, header: &Header, forecasts: &[Forecast]) {
+        if header.has(flags::WARM_UP) {
+            self.next_seq.get_or_insert(0);
+        }
         if !header.is_tick() {
             return;
         }
-        self.losses.forecast_gap(header.seq.saturating_sub(self.next_seq));
-        self.next_seq = header.seq.saturating_add(1);
+        self.losses.forecast_gap(self.next_seq.map_or(0, |expected| header.seq.saturating_sub(expected)));
+        self.next_seq = Some(header.seq.saturating_add(1));
         self.ticks += 1;
         self.first_released_ns.get_or_insert(header.released_ns);
         if header.interval_ns > 0 {

@@ -1,1 +1,5 @@
-fn main() {}
+//! The recorder as a program of its own.
+
+fn main() -> std::process::ExitCode {
+    ports::stage_main(recorder::stage::run)
+}

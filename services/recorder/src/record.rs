@@ -23,18 +23,11 @@ pub struct RecorderOptions {
     pub budgets_ms: BTreeMap<StageId, f64>,
     /// A tick is late beyond this or the frame interval, whichever is shorter.
     pub tick_limit_ns: u64,
-    /// Whether an earlier incarnation saw the run's beginning, so that a first tick after 0 is no loss.
-    pub resumed: bool,
 }
 
 impl Default for RecorderOptions {
     fn default() -> Self {
-        Self {
-            run: RunInfo::default(),
-            budgets_ms: BTreeMap::new(),
-            tick_limit_ns: TICK_LIMIT_NS,
-            resumed: false,
-        }
+        Self { run: RunInfo::default(), budgets_ms: BTreeMap::new(), tick_limit_ns: TICK_LIMIT_NS }
     }
 }
 
@@ -77,6 +70,7 @@ pub struct Recorder {
     losses: Losses,
     judge: Judge,
     span: Option<Span>,
+    /// Number of the tick that comes next, once that is known.
     next_seq: Option<u64>,
     interval_ns: u64,
     lockstep: bool,
@@ -95,7 +89,6 @@ impl Recorder {
     #[must_use]
     pub fn new(options: RecorderOptions) -> Self {
         Self {
-            next_seq: (!options.resumed).then_some(0),
             options,
             timeline: Timeline::default(),
             end_to_end: Distribution::default(),
@@ -104,6 +97,7 @@ impl Recorder {
             losses: Losses::default(),
             judge: Judge::default(),
             span: None,
+            next_seq: None,
             interval_ns: 0,
             lockstep: false,
             ticks: 0,
@@ -126,13 +120,16 @@ impl Recorder {
         if header.is_tick() { self.judge.truth(header, truths) } else { Ok(()) }
     }
 
-    /// Takes the forecasts of a tick and, from their header, its whole way through the pipeline. The frame that ends a
-    /// recording tells of ticks lost before it.
+    /// Takes the forecasts of a tick and, from their header, its whole way through the pipeline.
+    ///
+    /// Ticks that never come are told by gaps: after a warm-up frame from tick 0 on, else from the first tick seen (a
+    /// recorder that comes in the midst of a run). The frame that ends a recording tells of ticks lost before it.
     ///
     /// # Errors
     /// [`Rejected`] where the frame is impossible or not newer than the last; it is counted as refused.
     pub fn forecasts(&mut self, header: &Header, forecasts: &[Forecast]) -> Result<(), Rejected> {
         if header.has(flags::WARM_UP) {
+            self.next_seq.get_or_insert(0);
             return Ok(());
         }
         if let Err(rejected) = self.check(header, forecasts) {
