@@ -18,6 +18,7 @@ pub mod filter;
 mod front;
 mod history;
 mod options;
+pub mod stage;
 mod target;
 mod tracker;
 

@@ -6,6 +6,7 @@
 use std::path::{Path, PathBuf};
 
 use bincode::config::standard;
+use nn::{ModelConfig, Weights, WeightsError};
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 use wire::StageId;
@@ -72,9 +73,11 @@ pub struct Run {
     pub associate: bool,
     /// The weights; the embedded ones where none.
     pub weights: Option<PathBuf>,
+    /// The configuration that these weights carry.
+    pub model: ModelConfig,
     /// Where the context map comes from.
     pub map: MapChoice,
-    /// Where the recorder writes the report for the launcher and `--report`.
+    /// Where the recorder writes its report for the launcher.
     pub report: PathBuf,
     /// Where the recorder writes the forecasts as JSON lines.
     pub forecasts: Option<PathBuf>,
@@ -128,6 +131,14 @@ impl Run {
     #[must_use]
     pub fn options(&self, stage: StageId) -> Options {
         self.stage(stage).map(|s| s.options.clone()).unwrap_or_default()
+    }
+
+    /// Opens the run's weights.
+    ///
+    /// # Errors
+    /// [`WeightsError`] where their file can't be used.
+    pub fn open_weights(&self) -> Result<Weights, WeightsError> {
+        self.weights.as_deref().map_or_else(|| Ok(Weights::onboard()), Weights::open)
     }
 
     /// Writes the record.
@@ -186,6 +197,7 @@ mod tests {
             ticks: Some(20),
             associate: false,
             weights: None,
+            model: Weights::onboard().config().clone(),
             map: MapChoice::File("b.map".into()),
             report: root.join("report.json"),
             forecasts: None,

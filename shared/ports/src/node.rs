@@ -47,19 +47,16 @@ impl Node {
     /// # Errors
     /// [`PortError`] where the run's files can't be made or the signals not be taken over.
     pub fn open(run: &Run, name: &str) -> Result<Self, PortError> {
-        set_log_level(LogLevel::Error);
         let whole = "(all)";
+        let stop = Stop::on_signals().map_err(PortError::of("signal handlers", whole))?;
         let node_name = NodeName::new(name).map_err(PortError::of("node name", whole))?;
         let config = transport_config(run).map_err(PortError::of("paths", whole))?;
         let node = NodeBuilder::new()
             .name(&node_name)
             .config(&config)
+            .signal_handling_mode(SignalHandlingMode::Disabled)
             .create::<ipc::Service>()
             .map_err(PortError::of("node", whole))?;
-        // The transport sets its signal handlers at the first wait; ours come after them, so that they stay.
-        let waited = node.wait(Duration::ZERO);
-        let stop = Stop::on_signals().map_err(PortError::of("signal handlers", whole))?;
-        waited.map_err(PortError::of("start", whole))?;
         Ok(Self { node, run_id: run.id, interval: Duration::from_nanos(run.interval_ns), stop })
     }
 
@@ -186,6 +183,14 @@ impl Waiter {
             .create()
             .map(Self)
             .map_err(PortError::of("wait set", "(all)"))
+    }
+
+    /// Sleeps until something comes on a topic, a signal comes or the time is up.
+    ///
+    /// # Errors
+    /// [`PortError`] where the transport fails.
+    pub fn sleep<T: Topic>(&self, topic: &Subscriber<T>, timeout: Duration) -> Result<(), PortError> {
+        self.wait(&[topic], timeout)
     }
 
     /// Sleeps until a topic wakes it, a signal comes or the time is up. May return early; queues tell what came.

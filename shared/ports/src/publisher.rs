@@ -57,14 +57,22 @@ impl<T: Topic> Publisher<T> {
         Ok(())
     }
 
-    /// Sends a copy of `elements`, where their number was not known before they were made.
+    /// A frame with a copy of `elements`, where their number was not known before they were made.
+    ///
+    /// # Errors
+    /// As [`Publisher::loan`].
+    pub fn copy(&self, elements: &[T::Element]) -> Result<Loan<T>, PortError> {
+        let mut loan = self.loan(elements.len())?;
+        loan.copy_from_slice(elements);
+        Ok(loan)
+    }
+
+    /// Sends a copy of `elements`.
     ///
     /// # Errors
     /// As [`Publisher::loan`] and [`Publisher::send`].
     pub fn send_copy(&self, elements: &[T::Element], header: Header) -> Result<(), PortError> {
-        let mut loan = self.loan(elements.len())?;
-        loan.copy_from_slice(elements);
-        self.send(loan, header)
+        self.send(self.copy(elements)?, header)
     }
 }
 

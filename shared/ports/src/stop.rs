@@ -1,7 +1,9 @@
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
+use std::time::Duration;
 
 use config::Exit;
+use iceoryx2::prelude::*;
 use signal_hook::consts::{SIGINT, SIGTERM};
 
 /// Whether SIGTERM or SIGINT has asked the process to end.
@@ -11,11 +13,12 @@ use signal_hook::consts::{SIGINT, SIGTERM};
 pub struct Stop(Arc<AtomicUsize>);
 
 impl Stop {
-    /// Takes over SIGTERM and SIGINT, after handlers that are there already.
+    /// Takes over SIGTERM and SIGINT.
     ///
     /// # Errors
     /// Where the system refuses the handlers.
     pub fn on_signals() -> std::io::Result<Self> {
+        take_transport_handlers();
         let signal = Arc::new(AtomicUsize::new(0));
         for number in [SIGTERM, SIGINT] {
             signal_hook::flag::register_usize(number, signal.clone(), number as usize)?;
@@ -37,5 +40,16 @@ impl Stop {
             SIGTERM => Some(Exit::Terminated),
             _ => None,
         }
+    }
+}
+
+/// The transport sets handlers of its own when it first looks for a signal, in place of any that are there; let it do so
+/// before ours come, which call the earlier ones and stay.
+fn take_transport_handlers() {
+    set_log_level(LogLevel::Error);
+    if let Ok(nothing_attached) = WaitSetBuilder::new().create::<ipc::Service>() {
+        // Looks for a signal, then refuses to wait for nothing.
+        let _ = nothing_attached
+            .wait_and_process_once_with_timeout(|_| CallbackProgression::Continue, Duration::ZERO);
     }
 }

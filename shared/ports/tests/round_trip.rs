@@ -25,6 +25,7 @@ fn run() -> (Space, Run) {
         ticks: None,
         associate: false,
         weights: None,
+        model: nn::Weights::onboard().config().clone(),
         map: MapChoice::Online,
         report: space.root().join("report.json"),
         forecasts: None,

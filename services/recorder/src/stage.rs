@@ -1,0 +1,68 @@
+//! The recorder as a process: `forecasts` and `truth` in, a report and a file of forecasts out.
+
+use std::collections::BTreeMap;
+
+use config::Run;
+use ports::{Stage, StageError};
+use wire::{ForecastsTopic, Header, Rejected, StageId, Topic, TruthTopic, flags};
+
+use crate::{ForecastWriter, Recorder, RecorderOptions};
+
+/// Runs the stage until the recording ends or the process is asked to end; then writes the report.
+///
+/// # Errors
+/// [`StageError`] where the run's shared memory can't be used or a file can't be written.
+pub fn run(run: &Run) -> Result<(), StageError> {
+    let mut recorder = Recorder::new(options(run));
+    let mut writer =
+        run.forecasts.as_deref().map(ForecastWriter::create).transpose().map_err(StageError::data)?;
+
+    let mut stage = Stage::open(run, StageId::Recorder)?;
+    let forecasts = stage.subscribe_deep::<ForecastsTopic>(ForecastsTopic::DEPTH_MAX)?;
+    let truth = stage.subscribe_deep::<TruthTopic>(TruthTopic::DEPTH_MAX)?;
+    let heartbeats = stage.heartbeats()?;
+
+    while let Some(frame) = stage.take(&forecasts)? {
+        // The truth of a tick is sent before its detections, so it is there when the forecasts come.
+        while let Some(frame) = truth.receive()? {
+            let result = recorder.truth(frame.header(), &frame);
+            count(&mut stage, frame.header(), TruthTopic::NAME, result);
+        }
+        while let Some(frame) = heartbeats.receive()? {
+            frame.iter().for_each(|heartbeat| recorder.heartbeat(heartbeat));
+        }
+        let result = recorder.forecasts(frame.header(), &frame);
+        if let (Ok(()), Some(writer)) = (&result, &mut writer) {
+            writer.write(frame.header(), &frame).map_err(StageError::data)?;
+        }
+        count(&mut stage, frame.header(), ForecastsTopic::NAME, result);
+        if frame.header().has(flags::END) {
+            break;
+        }
+        // In lockstep the source waits for this sign before it releases the next tick.
+        if frame.header().has(flags::LOCKSTEP) && frame.header().is_tick() {
+            stage.beat()?;
+        }
+    }
+    if let Some(writer) = writer {
+        writer.finish().map_err(StageError::data)?;
+    }
+    recorder.report().write(&run.report).map_err(StageError::data)
+}
+
+fn count(stage: &mut Stage, header: &Header, topic: &'static str, result: Result<(), Rejected>) {
+    match result {
+        Ok(()) if topic == ForecastsTopic::NAME && header.is_tick() => stage.done(header.seq),
+        Ok(()) => {}
+        Err(why) => stage.refuse(header.seq, topic, why),
+    }
+}
+
+fn options(run: &Run) -> RecorderOptions {
+    let budgets_ms: BTreeMap<StageId, f64> = run
+        .stages
+        .iter()
+        .filter_map(|stage| Some((StageId::from_number(stage.stage)?, stage.budget_ms?)))
+        .collect();
+    RecorderOptions { budgets_ms, ..RecorderOptions::default() }
+}

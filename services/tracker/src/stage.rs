@@ -1,0 +1,63 @@
+//! The tracker as a process: `detections` and earlier `forecasts` in, `tracks` out.
+
+use bytemuck::Zeroable;
+use config::Run;
+use ports::{Awaited, Frame, Stage, StageError, Subscriber};
+use wire::{AGENTS_MAX, DetectionsTopic, ForecastsTopic, Header, StageId, Topic, Track, TracksTopic, flags};
+
+use crate::{Tracker, TrackerOptions};
+
+/// Runs the stage until the process is asked to end.
+///
+/// # Errors
+/// [`StageError`] where the run's shared memory can't be used.
+pub fn run(run: &Run) -> Result<(), StageError> {
+    let mut tracker = Tracker::new(options(run));
+    let mut tracks = vec![Track::zeroed(); AGENTS_MAX];
+
+    let mut stage = Stage::open(run, StageId::Tracker)?;
+    let detections = stage.subscribe::<DetectionsTopic>()?;
+    let forecasts = stage.subscribe_deep::<ForecastsTopic>(ForecastsTopic::DEPTH_MAX)?;
+    let output = stage.publish::<TracksTopic>()?;
+
+    while let Some(input) = stage.next(&detections, &output)? {
+        let prior = prior(&mut stage, &forecasts, input.header())?;
+        let mut passage = stage.begin(&input);
+        let prior = prior.as_ref().map(|frame| (frame.header(), &frame[..]));
+        let tracked = tracker.step(input.header(), &input, prior, &mut tracks);
+        passage.header = tracker.header(&passage.header);
+        // How many tracks there are is known only now, so they are copied into shared memory.
+        let loan = match tracked {
+            Ok(tracked) => Ok(output.copy(&tracks[..tracked.tracks_len])?),
+            Err(rejected) => Err(rejected),
+        };
+        stage.finish(passage, &output, loan)?;
+    }
+    Ok(())
+}
+
+/// The newest forecasts at hand. In lockstep they are those of the tick before, whoever is the faster.
+fn prior(
+    stage: &mut Stage,
+    forecasts: &Subscriber<ForecastsTopic>,
+    header: &Header,
+) -> Result<Option<Frame<ForecastsTopic>>, StageError> {
+    if !header.has(flags::LOCKSTEP) || header.seq == 0 {
+        return Ok(forecasts.newest()?);
+    }
+    match stage.wait_for(forecasts, header.seq - 1, None)? {
+        Awaited::Frame(frame) => Ok(Some(frame)),
+        Awaited::Void(_) | Awaited::Late | Awaited::Stopped => Ok(None),
+    }
+}
+
+fn options(run: &Run) -> TrackerOptions {
+    let horizon_s = run.model.dt_s * run.model.horizon_len as f64;
+    TrackerOptions {
+        history_len: run.model.history_len,
+        step_ns: run.model.step_ns(),
+        horizon_ns: (horizon_s * 1e9) as u64,
+        associate: run.associate,
+        ..TrackerOptions::default()
+    }
+}
