@@ -55,7 +55,8 @@ pub struct Passage {
     stages: [Option<Phases>; STAGES_LEN],
     /// From release at the source to the sending of the forecasts; `None` for a tick that did not pass the sampler.
     pub end_to_end_ns: Option<u64>,
-    /// Whether the tick passed every stage up to the sampler, so that its forecasts rest on its own controls.
+    /// Whether the tick passed every stage from the tracker to the sampler, so that its forecasts rest on its own
+    /// controls. A sensor of one's own in the source's place need not stamp its passage.
     pub complete: bool,
 }
 
@@ -103,7 +104,7 @@ impl Timeline {
         }
         passage.end_to_end_ns =
             header.hop(StageId::Sampler).map(|hop| hop.sent_ns.saturating_sub(header.released_ns));
-        passage.complete = StageId::ALL[..place(StageId::Recorder)]
+        passage.complete = StageId::ALL[place(StageId::Tracker)..place(StageId::Recorder)]
             .iter()
             .all(|&stage| passage.stages[place(stage)].is_some());
         passage

@@ -1,0 +1,35 @@
+"""Prints the forecasts of a run, tick by tick: `python3 consumer.py` beside `stgdat run`, or as a stage of it.
+
+Positions are metres in the world frame; step k of a forecast lies at `stamp_ns` + (k + 1) `step_ns`. See
+`stgdat_topics.py` for the whole contract. A planner does the same: wait, take the newest frame, use it while it is held.
+"""
+
+import iceoryx2 as iox2
+from stgdat_topics import END, WARM_UP, Forecast, join, topic
+
+TYPES = ["vehicle", "cyclist", "pedestrian"]
+QUALITIES = ["learned", "held", "kinematic"]
+
+node = join("consumer")
+frames, events = topic(node, "forecasts", Forecast)
+subscriber = frames.subscriber_builder().buffer_size(2).create()
+listener = events.listener_builder().create()
+
+ended = False
+while not ended:
+    # Asleep until a frame comes; the events are drained, the queue tells what there is.
+    listener.timed_wait(lambda event_id, count: None, iox2.Duration.from_secs(2))
+    while (sample := subscriber.receive()) is not None:
+        header = sample.user_header().contents
+        ended = ended or bool(header.flags & END)
+        if header.flags & (WARM_UP | END):
+            continue
+        # `payload()` is a view of shared memory, valid until the sample is deleted; it tells its length in bytes.
+        payload, last = sample.payload(), header.counts.horizon_len - 1
+        print(f"tick {header.seq} at {header.stamp_ns / 1e9:.2f} s: {sample.header.number_of_elements} agents")
+        for i in range(sample.header.number_of_elements):
+            agent = payload[i]
+            x_m, y_m = agent.best[last]
+            print(f"  {TYPES[agent.agent_type]} {agent.id} at ({agent.x_m:.1f}, {agent.y_m:.1f}) goes to "
+                  f"({x_m:.1f}, {y_m:.1f}), {agent.modes_len} modes, {QUALITIES[agent.quality]}")
+        sample.delete()

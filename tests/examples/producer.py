@@ -1,0 +1,58 @@
+"""A detector in Python: in pipeline.toml, `command = ["python3", "producer.py"]` in the source's table.
+
+Here it sees a car and someone on foot; put your detector in the place of `detect`. Positions are metres in the world
+frame, the stamp is the sensor's time of validity, and the ego pose belongs to each frame: see `stgdat_topics.py` for the
+whole contract. The launcher tells the run by environment: STGDAT_RUN_ID, STGDAT_PREFIX, STGDAT_ROOT, STGDAT_INTERVAL_NS.
+"""
+
+import ctypes
+import os
+import sys
+import time
+
+import iceoryx2 as iox2
+from stgdat_topics import (DETECTIONS_MAX, END, HAS_HEADING, HAS_SIZE, HAS_SPEED, PEDESTRIAN, SCHEMA, SOURCE, VEHICLE,
+                           WARM_UP, Counts, Detection, Forecast, Header, Hop, join, topic)
+
+
+def detect(t_s):
+    """What the sensor sees at `t_s`: type, position, and what else it knows."""
+    yield Detection(agent_type=VEHICLE, x_m=-20 + 6 * t_s, y_m=2, heading_rad=0, speed_mps=6, length_m=4.5, width_m=1.8,
+                    score=0.9, flags=HAS_HEADING | HAS_SPEED | HAS_SIZE)
+    yield Detection(agent_type=PEDESTRIAN, x_m=5, y_m=-8 + 1.4 * t_s, score=0.8)
+
+
+def send(seq, stamp_ns, detections=(), flags=0):
+    """Writes a frame into shared memory and wakes the tracker."""
+    now_ns = time.monotonic_ns()
+    hop = Hop(stage=SOURCE, received_ns=now_ns, started_ns=now_ns, finished_ns=now_ns, sent_ns=now_ns)
+    sample = publisher.loan_slice_uninit(len(detections))
+    header = Header(schema=SCHEMA, flags=flags, run_id=run_id, seq=seq, stamp_ns=stamp_ns, released_ns=now_ns,
+                    interval_ns=interval_ns, observed_types=1 << VEHICLE | 1 << PEDESTRIAN, hops_len=1,
+                    counts=Counts(agents_len=len(detections)))
+    header.hops[0] = hop
+    ctypes.memmove(sample.user_header_ptr, ctypes.byref(header), ctypes.sizeof(header))
+    ctypes.memmove(sample.payload_ptr, (Detection * len(detections))(*detections), 48 * len(detections))
+    sample.assume_init().send()
+    notifier.notify()
+
+
+run_id, interval_ns = int(os.environ["STGDAT_RUN_ID"]), int(os.environ["STGDAT_INTERVAL_NS"])
+ticks = int(sys.argv[1]) if len(sys.argv) > 1 else 125
+node = join("producer")
+frames, events = topic(node, "detections", Detection)
+publisher = frames.publisher_builder().initial_max_slice_len(DETECTIONS_MAX).create()
+notifier = events.notifier_builder().create()
+
+# Frames reach a reader once it has mapped the connection: warm-up frames pass until one has come out at the end.
+returned = topic(node, "forecasts", Forecast)[0].subscriber_builder().create()
+while not returned.has_samples():
+    send(0, 0, flags=WARM_UP)
+    time.sleep(0.05)
+
+begin_ns = time.monotonic_ns()
+for seq in range(ticks):
+    time.sleep(max(0, begin_ns + seq * interval_ns - time.monotonic_ns()) / 1e9)
+    send(seq, seq * interval_ns, list(detect(seq * interval_ns / 1e9)))
+send(ticks, ticks * interval_ns, flags=END)
+time.sleep(1)
