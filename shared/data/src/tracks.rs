@@ -120,7 +120,7 @@ fn append(
 fn state(last: Option<&(i64, State)>, stamp_ns: i64, detection: &Detection, motion_is_given: bool) -> State {
     let position_m = [detection.x_m, detection.y_m];
     let difference_mps = last.map_or([0.0; 2], |(last_ns, last)| {
-        let dt_s = (stamp_ns - last_ns) as f32 * 1e-9;
+        let dt_s = ((stamp_ns - last_ns) as f64 * 1e-9) as f32;
         [0, 1].map(|axis| (position_m[axis] - last.position_m[axis]) / dt_s)
     });
     let last_heading_rad = last.map_or(0.0, |(_, last)| last.heading_rad);

@@ -132,3 +132,67 @@ fn every_file_of_every_part_is_read() {
         }
     }
 }
+
+#[test]
+fn parked_cars_of_kitti_stand_still_in_the_world() {
+    let Some(root) = recordings() else { return };
+    // Tracks of 5 to 20 s that the moving car passes; what is left is the labels' own wobble.
+    for (sequence, id) in [("0002", 18), ("0002", 19), ("0010", 7), ("0010", 18), ("0010", 19), ("0020", 42)]
+    {
+        let recording = read(&root.join(format!("kitti_tracking/label/{sequence}.txt")));
+        let tracks = data::tracks(&recording);
+        let states = &tracks.iter().find(|track| track.id == id).expect("is in the labels").states;
+        for axis in [0, 1] {
+            let coordinates = || states.iter().map(|(_, state)| state.position_m[axis]);
+            let mean_m = coordinates().sum::<f32>() / states.len() as f32;
+            let variance_m2 =
+                coordinates().map(|x_m| (x_m - mean_m).powi(2)).sum::<f32>() / states.len() as f32;
+            assert!(variance_m2.sqrt() < 0.1, "{sequence} {id}: {} m", variance_m2.sqrt());
+        }
+    }
+}
+
+#[test]
+fn sure_detections_of_kitti_lie_on_their_labels() {
+    let Some(root) = recordings() else { return };
+    for file in files(DataSet::KittiDetections, &root, Part::Train) {
+        let recording = read(&file);
+        let mut misses_m = Vec::new();
+        for frame in &recording.frames {
+            for detection in frame.detections.iter().filter(|detection| detection.score > 5.0) {
+                let miss_m =
+                    |truth: &wire::Truth| (truth.x_m - detection.x_m).hypot(truth.y_m - detection.y_m);
+                misses_m.push(frame.truth.iter().map(miss_m).fold(f32::INFINITY, f32::min));
+            }
+        }
+        misses_m.sort_by(f32::total_cmp);
+        let median_m = misses_m[misses_m.len() / 2];
+        assert!(median_m < 0.3, "{}: {median_m} m", recording.name);
+    }
+}
+
+#[test]
+fn stanford_drone_gives_the_scale_of_its_pixels() {
+    let Some(root) = recordings() else { return };
+    for part in [Part::Train, Part::Test] {
+        for file in files(DataSet::SddTrajnet, &root, part) {
+            assert!(read(&file).pixel_m.is_some_and(|pixel_m| (0.02..0.06).contains(&pixel_m)));
+        }
+    }
+    let lost = read(&root.join("sdd/raw/hyang/video7/annotations.txt")).left_out;
+    assert_eq!((lost[0].reason.as_str(), lost[0].rows_len), ("lost = 1", 18_534 - 14_637));
+}
+
+#[test]
+fn cyclists_are_told_from_pedestrians() {
+    let Some(root) = recordings() else { return };
+    let mut tracks_len = [0; 3];
+    for part in [Part::Train, Part::Validation, Part::Test] {
+        for file in files(DataSet::Interaction, &root, part) {
+            for track in data::tracks(&read(&file)).iter().filter(|track| track.id >= 1_000_000_000) {
+                tracks_len[track.agent_type.index()] += 1;
+            }
+        }
+    }
+    assert_eq!(tracks_len, [0, 10, 235]);
+}

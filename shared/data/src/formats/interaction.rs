@@ -210,7 +210,7 @@ impl Gait {
         if let Some((last_ns, last_m)) = self.last.replace((stamp_ns, position_m))
             && !self.rides
         {
-            let dt_s = (stamp_ns - last_ns) as f32 * 1e-9;
+            let dt_s = ((stamp_ns - last_ns) as f64 * 1e-9) as f32;
             self.keep((position_m[0] - last_m[0]).hypot(position_m[1] - last_m[1]) / dt_s);
             let enough = self.slower.len() + self.faster.len() >= CYCLIST_SPEEDS_MIN;
             self.rides = enough && self.median_mps() > CYCLIST_SPEED_MPS;

@@ -1,0 +1,350 @@
+//! Broken files of every format: each is an error that names file, line, column and value, never a panic and never a
+//! row that is skipped.
+
+use data::{Format, Input, ReadError, Recording, Role, parse};
+
+const INTERACTION: &str = "track_id,frame_id,timestamp_ms,agent_type,x,y,vx,vy,psi_rad,length,width\n\
+    1,1,100,car,981.284,1018.604,-4.36,-5.41,-2.249,9.61,2.6\n\
+    1,2,200,car,980.876,1018.042,-4.315,-5.457,-2.24,9.61,2.6\n";
+const RIDERS: &str = "track_id,frame_id,timestamp_ms,agent_type,x,y\n\
+    P1,2,200,pedestrian/bicycle,980.56,1052.15\n";
+const VEHICLES: &str = "id,frame,label,x_est,y_est,psi_est,vel_est\n0,22,veh,12.52,3.64,1.64,3.34\n";
+const WALKERS: &str = "id,frame,label,x_est,y_est,vx_est,vy_est\n0,22,ped,5.55,7.73,1.66,-0.01\n";
+const VIDEO: &str = "0 789 399 815 436 0 0 0 0 \"Cart\"\n0 787 391 815 432 1 1 0 1 \"Cart\"\n";
+const SCALES: &str = "deathCircle:\n   video2:\n      scale: 0.04\n      certainty: 1.0\n";
+const CALIBRATION: &str = "P0: 1 0 0 0 0 1 0 0 0 0 1 0\n\
+    R_rect 1 0 0 0 1 0 0 0 1\nTr_velo_cam 0 -1 0 0 0 0 -1 0 1 0 0 0\nTr_imu_velo 1 0 0 0 0 1 0 0 0 0 1 0\n";
+const EGO_MOTION: &str = "49.0 8.4 112.8 0 0 0.5 0 0 0 0 0 0 0 0 0 0 0 0 0 0 0 0 0 0.1 0.1 4 10 4 4 0\n";
+const CARS: &str = "0,2,298.3,165.1,458.2,293.4,8.29,1.96,1.81,4.75,-4.57,1.84,13.53,-2.11,-1.78\n";
+const LABELS: &str = "0 -1 DontCare -1 -1 -10 219 188 245 218 -1000 -1000 -1000 -10 -1 -1 -1\n\
+    0 0 Van 0 0 -1.79 296.7 161.7 455.2 292.3 2.0 1.82 4.43 -4.55 1.85 13.41 -2.11\n";
+const OWN: &str = "stamp_s,id,type,x_m,y_m,heading_rad,speed_mps,length_m,width_m,score,sigma_m\n\
+    0.08,7,vehicle,12.5,-3.2,3.1,8.4,4.5,1.8,0.97,0.2\n0.00,,ego,1.0,2.0,0.5,,,,,\n";
+
+fn input(role: Role, path: &str, text: impl Into<Vec<u8>>) -> Input {
+    Input { role, path: path.to_owned(), bytes: text.into() }
+}
+
+fn rows(text: impl Into<Vec<u8>>) -> Vec<Input> {
+    vec![input(Role::Rows, "a.txt", text)]
+}
+
+/// A small good recording of each format, the file with the rows first.
+fn good() -> Vec<(Format, Vec<Input>)> {
+    let sensors = || {
+        [input(Role::Calibration, "calib.txt", CALIBRATION), input(Role::EgoMotion, "oxts.txt", EGO_MOTION)]
+    };
+    let scales = input(Role::Scales, "scales.yaml", SCALES);
+    vec![
+        (Format::EthUcy, rows("780\t1.0\t8.46\t3.59\n790\t1.0\t9.57\t3.79\n")),
+        (Format::Obsmat, rows("7.8e+02 1.0 8.45 0.0 3.58 1.67 0.0 0.17\n")),
+        (Format::SddTrajnet, rows("0 28.0 43.09 16.18\n12 28.0 41.55 16.12\n")),
+        (Format::SddRaw, vec![input(Role::Rows, "deathCircle/video2/a.txt", VIDEO), scales]),
+        (
+            Format::Interaction,
+            vec![input(Role::Vehicles, "a.txt", INTERACTION), input(Role::Pedestrians, "p.txt", RIDERS)],
+        ),
+        (
+            Format::VciDut,
+            vec![input(Role::Vehicles, "a.txt", VEHICLES), input(Role::Pedestrians, "p.txt", WALKERS)],
+        ),
+        (Format::KittiDetections, [vec![input(Role::Vehicles, "a.txt", CARS)], sensors().to_vec()].concat()),
+        (Format::KittiLabels, [rows(LABELS), sensors().to_vec()].concat()),
+        (Format::Csv, rows(OWN)),
+    ]
+}
+
+fn with_rows(format: Format, text: impl Into<Vec<u8>>) -> Result<Recording, ReadError> {
+    let (_, mut inputs) =
+        good().into_iter().find(|(known, _)| *known == format).expect("all formats are known");
+    inputs[0].bytes = text.into();
+    parse(format, &inputs)
+}
+
+fn message(format: Format, text: impl Into<Vec<u8>>) -> String {
+    match with_rows(format, text) {
+        Ok(_) => panic!("{format}: read without an error"),
+        Err(error) => error.to_string(),
+    }
+}
+
+#[test]
+fn the_samples_are_read_and_told_apart() {
+    for (format, inputs) in good() {
+        let recording = parse(format, &inputs).unwrap();
+        assert!(!recording.frames.is_empty(), "{format}");
+        // One row of VCI-DUT's pedestrians is as good as any; four columns need their frames.
+        assert_eq!(Format::detect(&inputs[0]).unwrap(), format);
+    }
+}
+
+#[test]
+fn a_value_that_is_none_is_told_with_file_line_column_and_value() {
+    let cases = [
+        (Format::EthUcy, "780\t1.0\t8.46\tabc\n", "a.txt:1:14: y = \"abc\": not a number"),
+        (Format::EthUcy, "780\t1.0\tnan\t3\n", "a.txt:1:9: x = \"nan\": not finite"),
+        (Format::EthUcy, "780\t1\t2\t3\n\n790\t1\tinf\t3\n", "a.txt:3:7: x = \"inf\": not finite"),
+        (
+            Format::EthUcy,
+            "780\t1\t5412345\t3\n",
+            "a.txt:1:7: x = \"5412345\": beyond ±32768 m: subtract a local origin from all coordinates",
+        ),
+        (Format::EthUcy, "7.5\t1\t2\t3\n", "a.txt:1:1: frame = \"7.5\": not a whole number"),
+        (Format::EthUcy, "-10\t1\t2\t3\n", "a.txt:1:1: frame = \"-10\": expected 0 to 10000000000"),
+        (
+            Format::EthUcy,
+            "10\t-1\t2\t3\n",
+            "a.txt:1:4: id = \"-1\": expected an id from 0 to 18446744073709551614",
+        ),
+        (Format::Obsmat, "780 1 8 0 3 1.6 x 0.1\n", "a.txt:1:17: vz = \"x\": not a number"),
+        (Format::SddTrajnet, "0 28.0 4e999 16.1\n", "a.txt:1:8: x = \"4e999\": not finite"),
+        (
+            Format::SddRaw,
+            "0 789 399 815 436 0 0 0 0 \"Dog\"\n",
+            "deathCircle/video2/a.txt:1:27: label = \"\\\"Dog\\\"\": expected \"Pedestrian\", \"Biker\", \"Skater\", \
+             \"Cart\", \"Car\" or \"Bus\"",
+        ),
+        (
+            Format::SddRaw,
+            "0 789 399 15 436 0 0 0 0 \"Car\"\n",
+            "deathCircle/video2/a.txt:1:11: xmax = \"15\": less than the box's other side",
+        ),
+        (
+            Format::SddRaw,
+            "0 789 399 815 436 0 2 0 0 \"Car\"\n",
+            "deathCircle/video2/a.txt:1:21: lost = \"2\": expected 0 or 1",
+        ),
+        (
+            Format::KittiDetections,
+            "0,1,298,165,458,293,8,1.9,1.8,4.7,-4.5,1.8,13,-2,-1\n",
+            "a.txt:1:3: type = \"1\": expected 2, as in every row for a vehicle",
+        ),
+        (
+            Format::KittiDetections,
+            "7,2,298,165,458,293,8,1.9,1.8,4.7,-4.5,1.8,13,-2,-1\n",
+            "a.txt:1:1: frame = \"7\": ego motion is known of frames 0 to 0",
+        ),
+        (
+            Format::KittiDetections,
+            "0,2,298,165,458,293,8,1.9,1.8,4.7,-4.5,1.8,1e300,-2,-1\n",
+            "a.txt:1:35: x = \"-4.5\": stands nowhere near the car's first position",
+        ),
+        (
+            Format::KittiLabels,
+            "0 0 Ship 0 0 -1.7 296 161 455 292 2 1.8 4.4 -4.5 1.8 13 -2\n",
+            "a.txt:1:5: type = \"Ship\": not a class of KITTI tracking",
+        ),
+    ];
+    for (format, text, expected) in cases {
+        assert_eq!(message(format, text), expected, "{format}");
+    }
+}
+
+#[test]
+fn a_value_that_is_none_is_told_in_files_with_a_header() {
+    let interaction = |row: &str| message(Format::Interaction, format!("{}{row}\n", header(INTERACTION)));
+    assert_eq!(
+        interaction("1,1,100,car,981,1018,-4,-540,-2.2,9.6,2.6"),
+        "a.txt:2:25: vy = \"-540\": expected -120 to 120"
+    );
+    assert_eq!(
+        interaction("1,1,100,ship,9,1,-4,-5,-2,9,2"),
+        "a.txt:2:9: agent_type = \"ship\": expected car"
+    );
+    assert_eq!(
+        interaction("1,1,-3,car,9,1,-4,-5,-2,9,2"),
+        "a.txt:2:5: timestamp_ms = \"-3\": expected 0 to 1000000000000"
+    );
+    assert_eq!(
+        interaction("1,1,100,car,9,1,-4,-5,-2,-9,2"),
+        "a.txt:2:26: length = \"-9\": expected 0 to 100"
+    );
+    let vci_dut = |row: &str| message(Format::VciDut, format!("{}{row}\n", header(VEHICLES)));
+    assert_eq!(vci_dut("0,22,ped,12.5,3.6,1.6,3.3"), "a.txt:2:6: label = \"ped\": expected veh");
+    assert_eq!(vci_dut("0,22,veh,12.5,3.6,,3.3"), "a.txt:2:19: psi_est = \"\": not a number");
+    let own = |row: &str| message(Format::Csv, format!("{}{row}\n", header(OWN)));
+    assert_eq!(
+        own("1e3,7,vehicle,1,2,,,,,,"),
+        "a.txt:2:1: stamp_s = \"1e3\": expected seconds like 12.08, with at most 9 decimals"
+    );
+    assert_eq!(
+        own("0.1,7,boat,1,2,,,,,,"),
+        "a.txt:2:7: type = \"boat\": expected vehicle, cyclist, pedestrian or ego"
+    );
+    assert_eq!(
+        own("0.1,7,vehicle,1,2,,,4.5,,,"),
+        "a.txt:2:25: width_m = \"\": stands empty beside a length_m"
+    );
+    assert_eq!(
+        own("99999999999,7,vehicle,1,2,,,,,,"),
+        "a.txt:2:1: stamp_s = \"99999999999\": beyond ±4000000000 s"
+    );
+    assert_eq!(
+        own("0.1,7,vehicle,1,2,,,,,,\n0,,ego,0,0,,,,,,\n0,,ego,1,1,,,,,,"),
+        "a.txt:4:1: stamp_s = \"0\": has an ego row already, in line 3"
+    );
+}
+
+fn header(sample: &str) -> String {
+    format!("{}\n", sample.lines().next().expect("samples have lines"))
+}
+
+#[test]
+fn a_header_that_is_none_is_told() {
+    assert_eq!(
+        message(Format::VciDut, "id,frame,x\n0,22,1\n"),
+        "a.txt:1:1: header = \"id,frame,x\": expected \"id,frame,label,x_est,y_est,psi_est,vel_est\""
+    );
+    let own = |header: &str| message(Format::Csv, format!("{header}\n"));
+    assert_eq!(own("stamp_s,type,x_m"), "a.txt:1:1: header = \"stamp_s,type,x_m\": needs a column y_m");
+    assert_eq!(own("stamp_s,type,x_m,y_m,x_m"), "a.txt:1:22: header = \"x_m\": stands twice");
+    assert!(
+        own("stamp_s,type,x_m,y_m,z")
+            .starts_with("a.txt:1:22: header = \"z\": no such column; known are stamp_s,id")
+    );
+}
+
+#[test]
+fn truncated_rows_are_errors_wherever_they_are_cut() {
+    for (format, inputs) in good() {
+        let text = inputs[0].bytes.clone();
+        let whole = parse(format, &inputs).unwrap();
+        let detections = |recording: &Recording| -> usize {
+            recording.frames.iter().map(|frame| frame.detections.len()).sum()
+        };
+        for cut in 0..text.len() {
+            // A cut may fall where the rest is still a row with a shorter number; it must never be a panic, and what
+            // is read must never be more than the whole.
+            if let Ok(read) = with_rows(format, &text[..cut]) {
+                assert!(detections(&read) <= detections(&whole), "{format} cut at {cut}");
+            }
+        }
+        let last_row = String::from_utf8(text).unwrap();
+        let separators: &[char] = if last_row.contains(',') { &[','] } else { &[' ', '\t'] };
+        let cut = last_row.rfind(separators).unwrap();
+        let error = message(format, &last_row.as_bytes()[..cut]);
+        assert!(error.contains("columns, expected"), "{format}: {error}");
+    }
+}
+
+#[test]
+fn binary_and_empty_files_are_errors() {
+    for (format, inputs) in good() {
+        let name = &inputs[0].path;
+        assert_eq!(
+            message(format, b"\x7fELF\xff\xfe".as_slice()),
+            format!("{name}:1: not text: byte 5 of the line is not UTF-8")
+        );
+        let mut tail = inputs[0].bytes.clone();
+        let lines_len = tail.iter().filter(|&&byte| byte == b'\n').count();
+        tail.extend(b"\x80");
+        assert_eq!(
+            message(format, tail),
+            format!("{name}:{}: not text: byte 1 of the line is not UTF-8", lines_len + 1)
+        );
+        let zeros = message(format, vec![0_u8; 64]);
+        assert!(zeros.starts_with(&format!("{name}:1:")), "{format}: {zeros}");
+        // Without detections a sequence of KITTI still has frames.
+        if !matches!(
+            format,
+            Format::KittiDetections | Format::KittiLabels | Format::VciDut | Format::Interaction
+        ) {
+            assert_eq!(message(format, ""), format!("{name}: no rows"), "{format}");
+        }
+    }
+}
+
+#[test]
+fn rows_may_stand_in_any_order_but_not_twice() {
+    for (format, inputs) in good().into_iter().filter(|(format, _)| *format != Format::KittiDetections) {
+        let text = String::from_utf8(inputs[0].bytes.clone()).unwrap();
+        let has_header = matches!(format, Format::Interaction | Format::VciDut | Format::Csv);
+        let (top, body) =
+            if has_header { text.split_at(text.find('\n').unwrap() + 1) } else { ("", text.as_str()) };
+        let mut reversed: Vec<&str> = body.lines().collect();
+        reversed.reverse();
+        let read = with_rows(format, format!("{top}{}\n", reversed.join("\n"))).unwrap();
+        assert_eq!(read.frames, parse(format, &inputs).unwrap().frames, "{format}");
+
+        let row = body.lines().find(|row| !row.contains("DontCare")).unwrap();
+        let error = with_rows(format, format!("{text}{row}\n")).unwrap_err();
+        assert!(matches!(error, ReadError::Duplicate { .. }), "{format}: {error}");
+    }
+    assert_eq!(
+        message(Format::EthUcy, "780\t1\t8\t3\n790\t1\t9\t3\n780\t1\t8\t3\n"),
+        "a.txt:3: id 1 stands in this frame already, in a.txt:1"
+    );
+}
+
+#[test]
+fn what_belongs_to_a_file_is_checked_as_well() {
+    let broken = |format: Format, role: Role, text: &str| {
+        let (_, mut inputs) = good().into_iter().find(|(known, _)| *known == format).expect("known");
+        let companion = inputs.iter_mut().find(|input| input.role == role).expect("has that file");
+        companion.bytes = text.into();
+        parse(format, &inputs).expect_err("broken").to_string()
+    };
+    let kitti = |role, text: &str| broken(Format::KittiDetections, role, text);
+    assert_eq!(
+        kitti(Role::Calibration, "R_rect 1 0 0\n"),
+        "calib.txt:1:1: 4 columns, expected 10: \"R_rect 1 0 0\""
+    );
+    assert_eq!(
+        kitti(Role::Calibration, "Q 1\n"),
+        "calib.txt:1:1: key = \"Q\": not a key of a KITTI calibration"
+    );
+    assert_eq!(
+        kitti(Role::Calibration, "R_rect 1 0 0 0 1 0 0 0 1\n"),
+        "calib.txt: needs Tr_velo_cam, and there is none"
+    );
+    let singular = CALIBRATION.replace("R_rect 1", "R_rect 0");
+    assert!(kitti(Role::Calibration, &singular).ends_with("the matrices have no inverse"));
+    assert_eq!(kitti(Role::EgoMotion, ""), "oxts.txt: no rows");
+    assert_eq!(
+        kitti(Role::EgoMotion, &EGO_MOTION.replace("49.0", "149.0")),
+        "oxts.txt:1:1: lat = \"149.0\": expected -85 to 85"
+    );
+    let sdd = |text: &str| broken(Format::SddRaw, Role::Scales, text);
+    assert_eq!(
+        sdd("gates:\n video2:\n  scale: 0.04\n"),
+        "deathCircle/video2/a.txt: needs the scale of its scene and video, and there is none in scales.yaml"
+    );
+    assert_eq!(
+        sdd("gates:\n video2:\n  scale: -1\n"),
+        "scales.yaml:3:10: value = \"-1\": expected 0.0001 to 1"
+    );
+}
+
+#[test]
+fn an_unknown_format_is_told_with_the_known_ones() {
+    let unknown = |text: &str| Format::detect(&rows(text)[0]).expect_err("fits none").to_string();
+    assert_eq!(
+        unknown("1 2 3\n"),
+        "a.txt: the first row has 3 columns; name the format (one of eth-ucy, obsmat, sdd-trajnet, sdd-raw, \
+         interaction, vci-dut, kitti-detections, kitti-labels, csv)"
+    );
+    assert!(unknown("7 1 2 3\n").starts_with("a.txt: frames are neither tens nor dozens;"));
+    assert!(unknown("60 1 2 3\n").starts_with("a.txt: all frames are multiples of 60;"));
+    assert_eq!(
+        "kitti".parse::<Format>().unwrap_err().to_string(),
+        format!("unknown format \"kitti\": expected one of {}", Format::names())
+    );
+    for format in Format::ALL {
+        assert_eq!(format.to_string().parse(), Ok(format));
+    }
+}
+
+#[test]
+fn files_that_are_not_there_are_named() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("a/b/annotations.txt");
+    let error = data::open(&path, None).unwrap_err().to_string();
+    assert!(error.starts_with(&path.display().to_string()), "{error}");
+    std::fs::create_dir_all(path.parent().unwrap()).unwrap();
+    std::fs::write(&path, VIDEO).unwrap();
+    let error = data::open(&path, None).unwrap_err().to_string();
+    let scales = folder.path().join("estimated_scales.yaml");
+    assert_eq!(error, format!("{}: needs scales, and there is none at {}", path.display(), scales.display()));
+    let error = data::open(folder.path(), None).unwrap_err().to_string();
+    assert!(error.ends_with("not a regular file"), "{error}");
+}

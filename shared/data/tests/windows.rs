@@ -1,0 +1,178 @@
+//! Trajectories and windows: nothing of a history depends on what came later.
+
+use data::{
+    Format, Input, Recording, Role, Window, WindowOptions, parse, tracks, tracks_from_positions, windows,
+};
+use proptest::prelude::*;
+use wire::{AgentType, detection_flags};
+
+const STEP_NS: i64 = 400_000_000;
+
+fn read(format: Format, text: &str) -> Recording {
+    let input = Input { role: Role::Rows, path: "a.csv".to_owned(), bytes: text.into() };
+    parse(format, &[input]).unwrap_or_else(|error| panic!("{error}"))
+}
+
+fn csv(rows: &str) -> Recording {
+    read(Format::Csv, &format!("stamp_s,id,type,x_m,y_m,heading_rad,speed_mps\n{rows}"))
+}
+
+/// Pedestrians that wander at 2.5 Hz: `steps[k][i]` is the displacement of agent i in frame k, none where unseen.
+fn wandering(steps: &[Vec<Option<[f32; 2]>>]) -> Recording {
+    let mut text = String::new();
+    let agents_len = steps.first().map_or(0, Vec::len);
+    let mut positions = vec![[0.0_f32; 2]; agents_len];
+    for (frame, moves) in steps.iter().enumerate() {
+        for (id, displacement) in moves.iter().enumerate() {
+            if let Some([dx, dy]) = displacement {
+                positions[id] = [positions[id][0] + dx, positions[id][1] + dy];
+                text += &format!("{}\t{id}\t{}\t{}\n", frame * 10, positions[id][0], positions[id][1]);
+            }
+        }
+    }
+    read(Format::EthUcy, &text)
+}
+
+fn steps() -> impl Strategy<Value = Vec<Vec<Option<[f32; 2]>>>> {
+    let step = prop::option::weighted(0.9, prop::array::uniform2(-0.8_f32..0.8));
+    prop::collection::vec(prop::collection::vec(step, 3), 4..24)
+        .prop_filter("somebody is seen in the first frame", |steps| steps[0].iter().any(Option::is_some))
+}
+
+fn histories(windows: &[Window], until_ns: i64) -> String {
+    let known = windows.iter().filter(|window| window.stamp_ns <= until_ns);
+    let told =
+        known.flat_map(|window| &window.agents).map(|agent| (agent.id, agent.agent_type, &agent.history));
+    format!("{:?}", told.collect::<Vec<_>>())
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { failure_persistence: None, ..ProptestConfig::default() })]
+
+    #[test]
+    fn what_comes_later_changes_no_history(steps in steps(), now in 1_usize..20, kick in -30.0_f32..30.0) {
+        let now = now.min(steps.len() - 1);
+        let mut changed = steps.clone();
+        for displacement in changed.iter_mut().skip(now + 1).flatten().flatten() {
+            displacement[0] += kick;
+        }
+        let now_ns = now as i64 * STEP_NS;
+        for step_ns in [STEP_NS, 300_000_000, 500_000_000] {
+            let options = WindowOptions { gap_max_ns: 800_000_000, ..WindowOptions::new(4, 6, step_ns) };
+            let [a, b] = [&steps, &changed].map(|steps| histories(&windows(&wandering(steps), &options), now_ns));
+            prop_assert_eq!(a, b);
+        }
+    }
+
+    #[test]
+    fn steps_at_recorded_times_are_the_recorded_rows(steps in steps()) {
+        let recording = wandering(&steps);
+        let row = |stamp_ns: i64, id: u64| {
+            let frame = recording.frames.iter().find(|frame| frame.stamp_ns == stamp_ns)?;
+            frame.detections.iter().find(|detection| detection.id == id).map(|d| [d.x_m, d.y_m])
+        };
+        for window in windows(&recording, &WindowOptions::new(3, 4, STEP_NS)) {
+            for agent in window.agents {
+                for (k, state) in agent.history.iter().enumerate() {
+                    let stamp_ns = window.stamp_ns + (k as i64 - 2) * STEP_NS;
+                    prop_assert_eq!(state.map(|state| state.position_m), row(stamp_ns, agent.id));
+                }
+                for (k, position_m) in agent.future.iter().enumerate() {
+                    prop_assert_eq!(*position_m, row(window.stamp_ns + (k as i64 + 1) * STEP_NS, agent.id));
+                }
+            }
+        }
+    }
+}
+
+#[test]
+fn velocities_are_backward_differences_and_the_first_copies_the_second_once_that_is_known() {
+    let recording = csv("0,1,pedestrian,0,0,,\n0.4,1,pedestrian,0.4,0,,\n0.8,1,pedestrian,0.4,0.8,,\n");
+    let track = &tracks(&recording)[0];
+    let velocities: Vec<[f32; 2]> = track.states.iter().map(|(_, state)| state.velocity_mps).collect();
+    assert_eq!(velocities, [[0.0, 0.0], [1.0, 0.0], [0.0, 2.0]]);
+    assert_eq!(track.states[2].1.heading_rad, std::f32::consts::FRAC_PI_2);
+
+    let windows = windows(&recording, &WindowOptions::new(3, 1, STEP_NS));
+    let first_known =
+        |window: &Window| window.agents[0].history.iter().flatten().next().map(|s| s.velocity_mps);
+    assert_eq!(first_known(&windows[0]), Some([0.0, 0.0]));
+    assert_eq!(first_known(&windows[1]), Some([1.0, 0.0]));
+    assert_eq!(first_known(&windows[2]), Some([1.0, 0.0]));
+}
+
+#[test]
+fn a_heading_outlasts_a_stop() {
+    let recording = csv("0,1,pedestrian,0,0,,\n0.4,1,pedestrian,0,1,,\n0.8,1,pedestrian,0,1.01,,\n");
+    let headings: Vec<f32> =
+        tracks(&recording)[0].states.iter().map(|(_, state)| state.heading_rad).collect();
+    assert_eq!(headings, [0.0, std::f32::consts::FRAC_PI_2, std::f32::consts::FRAC_PI_2]);
+}
+
+#[test]
+fn recorded_motion_is_used_unless_positions_alone_are_asked_for() {
+    let recording = csv("0,1,vehicle,0,0,1.5,3\n0.1,1,vehicle,0.4,0,1.5,3\n");
+    let given = tracks(&recording)[0].states[1].1;
+    assert_eq!((given.heading_rad, given.velocity_mps), (1.5, [3.0 * 1.5_f32.cos(), 3.0 * 1.5_f32.sin()]));
+    let told = tracks_from_positions(&recording)[0].states[1].1;
+    assert_eq!((told.heading_rad, told.velocity_mps), (0.0, [4.0, 0.0]));
+}
+
+#[test]
+fn in_between_states_are_interpolated_over_short_gaps_alone() {
+    let rows =
+        "0,1,vehicle,0,0,3.1,1\n0.3,1,vehicle,3,0,-3.1,2\n0.6,1,vehicle,6,0,-3.1,2\n3.6,1,vehicle,9,0,0,0\n";
+    let options = WindowOptions::new(4, 4, 200_000_000);
+    let windows = windows(&csv(rows), &options);
+    let at_600 = windows.iter().find(|window| window.stamp_ns == 600_000_000).unwrap();
+    let x_m: Vec<Option<f32>> = at_600.agents[0].history.iter().map(|s| s.map(|s| s.position_m[0])).collect();
+    // 0.2 s and 0.4 s lie in gaps of 0.3 s, longer than one step.
+    assert_eq!(x_m, [Some(0.0), None, None, Some(6.0)]);
+
+    let options = WindowOptions { gap_max_ns: 300_000_000, ..options };
+    let windows = data::windows(&csv(rows), &options);
+    let agent = &windows.iter().find(|window| window.stamp_ns == 600_000_000).unwrap().agents[0];
+    let state = agent.history[1].unwrap();
+    assert!((state.position_m[0] - 2.0).abs() < 1e-6);
+    // From 3.1 to −3.1 the short way round passes π.
+    assert!(
+        (state.heading_rad.abs()
+            - (3.1 + (std::f32::consts::TAU - 6.2) * 2.0 / 3.0 - std::f32::consts::TAU).abs())
+        .abs()
+            < 1e-5
+    );
+    assert_eq!(agent.future, [None; 4]);
+}
+
+#[test]
+fn windows_stand_where_every_type_was_looked_for() {
+    let vehicles = "track_id,frame_id,timestamp_ms,agent_type,x,y,vx,vy,psi_rad,length,width\n".to_owned()
+        + &(1..=12).map(|k| format!("1,{k},{k}00,car,{k},0,10,0,0,4,2\n")).collect::<String>();
+    let riders = "track_id,frame_id,timestamp_ms,agent_type,x,y\n".to_owned()
+        + &[4, 8, 12].map(|k| format!("P1,{k},{k}00,pedestrian/bicycle,{k},5\n")).concat();
+    let input = |role, text: String| Input { role, path: "a.csv".to_owned(), bytes: text.into() };
+    let inputs = [input(Role::Vehicles, vehicles), input(Role::Pedestrians, riders)];
+    let recording = parse(Format::Interaction, &inputs).unwrap();
+    let stamps: Vec<i64> = windows(&recording, &WindowOptions::new(2, 1, STEP_NS))
+        .iter()
+        .map(|w| w.stamp_ns / 100_000_000)
+        .collect();
+    assert_eq!(stamps, [4, 8, 12]);
+    assert_eq!(recording.frames[0].observed_types, AgentType::Vehicle.bit());
+    assert_eq!(recording.frames[3].observed_types.count_ones(), 3);
+    assert!(recording.frames[3].detections[0].has(detection_flags::HAS_SIZE));
+    assert_eq!(recording.frames[3].detections[1].id, 1_000_000_001);
+}
+
+#[test]
+fn someone_who_turns_out_to_ride_was_a_pedestrian_before() {
+    let riders = "track_id,frame_id,timestamp_ms,agent_type,x,y\n".to_owned()
+        + &(0..6).map(|k| format!("P1,{k},{}00,pedestrian/bicycle,{},5\n", 4 * k, 2 * k)).collect::<String>();
+    let inputs = [Input { role: Role::Pedestrians, path: "a.csv".to_owned(), bytes: riders.into() }];
+    let recording = parse(Format::Interaction, &inputs).unwrap();
+    let track = &tracks(&recording)[0];
+    assert_eq!(track.agent_type, AgentType::Cyclist);
+    let types = [0, 1, 2, 3, 5].map(|k| track.type_at(k * STEP_NS));
+    use AgentType::{Cyclist, Pedestrian};
+    assert_eq!(types, [Pedestrian, Pedestrian, Pedestrian, Cyclist, Cyclist]);
+}
