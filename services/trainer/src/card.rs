@@ -1,0 +1,111 @@
+//! The model card that travels with the weights.
+
+use std::collections::HashMap;
+
+use crate::TrainError;
+use crate::checkpoint::RunProgress;
+use crate::options::TrainOptions;
+use crate::parameters::{Parameters, Precision};
+use crate::samples::Source;
+use crate::validate::SetScore;
+
+/// What is known of a set of weights.
+#[derive(Clone, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
+pub struct ModelCard {
+    /// What the model does.
+    pub about: String,
+    /// Options of the training run.
+    pub options: TrainOptions,
+    /// Update whose averaged weights these are.
+    pub step: u64,
+    /// Time that training took.
+    pub wall_s: f64,
+    /// Numbers in the weights.
+    pub parameters: usize,
+    /// Windows and agents that training saw.
+    pub training: Seen,
+    /// Validation with the online map, by data set.
+    pub validation: Vec<SetScore>,
+    /// Validation without a map, by data set.
+    pub validation_without_map: Vec<SetScore>,
+    /// How much better than the baselines, by data set: share of their error that is gone.
+    pub gains: Vec<Gain>,
+    /// Every recording that training saw.
+    pub recordings: Vec<Source>,
+}
+
+/// How much data training had.
+#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
+pub struct Seen {
+    /// Windows.
+    pub windows: usize,
+    /// Agents in them whose future is known.
+    pub agents: usize,
+}
+
+/// Share of a baseline's error that is gone, from the validation with the map.
+#[derive(Clone, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
+pub struct Gain {
+    /// Name of the set.
+    pub set: String,
+    /// ADE and FDE of the single forecast against constant velocity.
+    pub single_over_constant_velocity: [f64; 2],
+    /// ADE and FDE of the best mode against the best of 20 residual anchors.
+    pub best_of_modes_over_anchors: [f64; 2],
+}
+
+impl Gain {
+    /// The gains of a set.
+    #[must_use]
+    pub fn of(score: &SetScore) -> Self {
+        let gone = |ours: f64, theirs: f64| 1.0 - ours / theirs.max(1e-9);
+        let (single, cv) = (score.single, score.constant_velocity);
+        let (best, anchors) = (score.best_of_modes, score.anchors_best_of_20);
+        Self {
+            set: score.set.clone(),
+            single_over_constant_velocity: [gone(single.ade_m, cv.ade_m), gone(single.fde_m, cv.fde_m)],
+            best_of_modes_over_anchors: [gone(best.ade_m, anchors.ade_m), gone(best.fde_m, anchors.fde_m)],
+        }
+    }
+}
+
+impl ModelCard {
+    pub(crate) fn new(
+        options: &TrainOptions,
+        progress: &RunProgress,
+        parameters: &Parameters,
+        training: Seen,
+        recordings: Vec<Source>,
+        [validation, validation_without_map]: [Vec<SetScore>; 2],
+    ) -> Self {
+        // Where things lay is nobody's business and says nothing about the model.
+        let options = TrainOptions {
+            data: "data".into(),
+            out: "weights.safetensors".into(),
+            checkpoints: "checkpoints".into(),
+            ..options.clone()
+        };
+        Self {
+            about: "STG-DAT: forecasts of vehicles, cyclists and pedestrians from their last 3.2 s".to_owned(),
+            options,
+            step: progress.best_step,
+            wall_s: progress.seconds.round(),
+            parameters: parameters.values_len(),
+            training,
+            gains: validation.iter().map(Gain::of).collect(),
+            validation,
+            validation_without_map,
+            recordings,
+        }
+    }
+
+    /// The bytes of a weights file with this card.
+    pub(crate) fn weights_file(&self, parameters: &Parameters, precision: Precision) -> Result<Vec<u8>, TrainError> {
+        let json = |value: serde_json::Result<String>| value.map_err(|error| TrainError::Options(error.to_string()));
+        let metadata = HashMap::from([
+            ("config".to_owned(), json(serde_json::to_string(&self.options.model))?),
+            ("card".to_owned(), json(serde_json::to_string(self))?),
+        ]);
+        parameters.to_safetensors(precision, metadata)
+    }
+}

@@ -1,0 +1,148 @@
+//! The state of a run on disk, so that it can go on where it stopped.
+
+use std::collections::HashMap;
+use std::path::{Path, PathBuf};
+
+use burn::tensor::Device;
+use safetensors::SafeTensors;
+
+use crate::TrainError;
+use crate::model::layout;
+use crate::optimiser::{Adam, Moments};
+use crate::options::TrainOptions;
+use crate::parameters::{Parameters, Precision, Role};
+
+/// Name of the file in the checkpoint folder.
+const FILE: &str = "checkpoint.safetensors";
+
+/// A run between two updates.
+pub(crate) struct State {
+    pub(crate) parameters: Parameters,
+    pub(crate) adam: Adam,
+    /// The averaged weights that validated best.
+    pub(crate) best: Parameters,
+    pub(crate) progress: RunProgress,
+}
+
+/// The numbers of a [`State`].
+#[derive(Clone, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(crate) struct RunProgress {
+    /// Updates tried.
+    pub(crate) step: u64,
+    /// Updates that moved the weights.
+    pub(crate) adam_steps: u64,
+    /// Figure of the best validation, `None` before the first.
+    pub(crate) best_figure: Option<f64>,
+    /// Update of the best validation.
+    pub(crate) best_step: u64,
+    /// Validations since the best.
+    pub(crate) stale: u32,
+    /// Time spent so far.
+    pub(crate) seconds: f64,
+    /// Seed and model that the run began with.
+    pub(crate) seed: u64,
+    pub(crate) model: nn::ModelConfig,
+}
+
+impl State {
+    /// A run that has made no update.
+    pub(crate) fn new(parameters: Parameters, options: &TrainOptions) -> Self {
+        let adam = Adam::new(options.optimiser.clone(), &parameters);
+        let progress = RunProgress {
+            step: 0,
+            adam_steps: 0,
+            best_figure: None,
+            best_step: 0,
+            stale: 0,
+            seconds: 0.0,
+            seed: options.seed,
+            model: options.model.clone(),
+        };
+        Self { best: parameters.clone(), parameters, adam, progress }
+    }
+
+    /// Writes the checkpoint; an older one is replaced only by a complete new one.
+    pub(crate) fn save(&self, folder: &Path) -> Result<(), TrainError> {
+        let mut all = Parameters::default();
+        let mut add = |prefix: &str, parameters: &Parameters| {
+            let named = parameters.tensors.iter();
+            all.tensors.extend(named.map(|(name, parameter)| (format!("{prefix}/{name}"), parameter.clone())));
+        };
+        add("value", &self.parameters);
+        add("average", self.adam.average());
+        add("best", &self.best);
+        let moments = |value: fn(&Moments) -> burn::tensor::Tensor<1>| {
+            let mut parameters = Parameters::default();
+            for (name, moments) in &self.adam.moments {
+                if let Some(parameter) = self.parameters.tensors.get(name) {
+                    let mut parameter = parameter.clone();
+                    parameter.value = value(moments);
+                    parameters.tensors.insert(name.clone(), parameter);
+                }
+            }
+            parameters
+        };
+        add("first", &moments(|moments| moments.first.clone()));
+        add("second", &moments(|moments| moments.second.clone()));
+        let run = serde_json::to_string(&self.progress).expect("numbers and strings are JSON");
+        let bytes = all.to_safetensors(Precision::F32, HashMap::from([("run".to_owned(), run)]))?;
+        let io = |source| TrainError::Io { path: folder.to_owned(), source };
+        std::fs::create_dir_all(folder).map_err(io)?;
+        write_whole(&folder.join(FILE), &bytes)
+    }
+
+    /// Reads the checkpoint of a run with the same seed and model; `None` where there is none.
+    pub(crate) fn load(options: &TrainOptions, device: &Device) -> Result<Option<Self>, TrainError> {
+        let path = options.checkpoints.join(FILE);
+        if !path.exists() {
+            return Ok(None);
+        }
+        let bytes = std::fs::read(&path).map_err(|source| TrainError::Io { path: path.clone(), source })?;
+        let progress = read_progress(&bytes, &path)?;
+        if progress.seed != options.seed || progress.model != options.model {
+            return Err(refused(&path, "it was made with another seed or model"));
+        }
+        let read = |prefix: &str, roles: &[Role]| {
+            let mut entries = layout(&options.model);
+            entries.retain(|entry| roles.contains(&entry.role));
+            entries.iter_mut().for_each(|entry| entry.name = format!("{prefix}/{}", entry.name));
+            let mut parameters = Parameters::from_safetensors(&bytes, &entries, device)?;
+            let named = std::mem::take(&mut parameters.tensors).into_iter();
+            parameters.tensors = named.map(|(name, value)| (name[prefix.len() + 1..].to_owned(), value)).collect();
+            Ok::<Parameters, TrainError>(parameters)
+        };
+        let all = [Role::Learned, Role::Statistic, Role::Fixed];
+        let parameters = read("value", &all)?;
+        let mut adam = Adam::new(options.optimiser.clone(), &parameters);
+        adam.steps = progress.adam_steps;
+        adam.average = read("average", &all)?;
+        let (first, second) = (read("first", &[Role::Learned])?, read("second", &[Role::Learned])?);
+        for (name, moments) in &mut adam.moments {
+            if let (Some(first), Some(second)) = (first.tensors.get(name), second.tensors.get(name)) {
+                *moments = Moments { first: first.value.clone(), second: second.value.clone() };
+            }
+        }
+        Ok(Some(Self { parameters, adam, best: read("best", &all)?, progress }))
+    }
+}
+
+fn read_progress(bytes: &[u8], path: &Path) -> Result<RunProgress, TrainError> {
+    let (_, header) = SafeTensors::read_metadata(bytes)?;
+    let run = header.metadata().as_ref().and_then(|metadata| metadata.get("run"));
+    let run = run.ok_or_else(|| refused(path, "it is no checkpoint: the metadata lack `run`"))?;
+    serde_json::from_str(run).map_err(|error| refused(path, &format!("metadata `run`: {error}")))
+}
+
+fn refused(path: &Path, reason: &str) -> TrainError {
+    TrainError::Checkpoint { path: path.to_owned(), reason: reason.to_owned() }
+}
+
+/// Writes a file beside its place and moves it there.
+pub(crate) fn write_whole(path: &Path, bytes: &[u8]) -> Result<(), TrainError> {
+    let mut partial: PathBuf = path.to_owned();
+    partial.set_extension("partial");
+    let io = |source| TrainError::Io { path: path.to_owned(), source };
+    std::fs::write(&partial, bytes).map_err(io)?;
+    std::fs::rename(&partial, path).map_err(io)
+}

@@ -1,0 +1,211 @@
+//! Which tensors a model has: names, shapes, and how training begins with them.
+
+use burn::tensor::Device;
+use nn::{Latents, ModelConfig, Stem, Temporal};
+use rand::SeedableRng;
+use rand_chacha::ChaCha8Rng;
+use rand_distr::{Distribution, StandardNormal, Uniform};
+
+use super::layers::PERCEPTRON_LAYERS;
+use crate::parameters::{Parameters, Role};
+
+/// The agent types, as the names of tensors spell them; vehicle, cyclist, pedestrian.
+pub const TYPE_NAMES: [&str; 3] = ["vehicle", "cyclist", "pedestrian"];
+
+/// Components of a state or relation feature vector.
+pub(crate) const FEATURES: usize = 6;
+const HIDDEN: usize = 128;
+const NODE: usize = 64;
+const EDGE: usize = 16;
+const CONTEXT: usize = 32;
+pub(crate) const LATENT: usize = 32;
+const CONTROL: usize = 5;
+/// Initial softplus argument of λ and μ: both are then 1.
+const SOFTPLUS_OF_ONE: f32 = 0.541_324_9;
+/// The last layers that add to a base start this much smaller, so that training starts from the base.
+const SMALL: f32 = 0.02;
+
+/// How a tensor is filled before training.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Fill {
+    Constant(f32),
+    /// Uniform in ± the value.
+    Uniform(f32),
+    /// Normal with the value as deviation.
+    Normal(f32),
+}
+
+/// One tensor of a model.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Entry {
+    /// Name in the safetensors file.
+    pub name: String,
+    /// Shape.
+    pub shape: Vec<usize>,
+    /// What training does to it.
+    pub role: Role,
+    fill: Fill,
+}
+
+/// All tensors of a model with this configuration, base control included.
+#[must_use]
+pub fn layout(config: &ModelConfig) -> Vec<Entry> {
+    let mut entries = Entries::default();
+    for agent_type in TYPE_NAMES {
+        entries.perceptron(&format!("fe.state.{agent_type}"), FEATURES, config.state_embedding_len());
+    }
+    entries.perceptron("fe.relation", FEATURES, EDGE);
+    if config.context {
+        entries.context(config);
+    }
+    entries.attention(config);
+    entries.dense("encoder.0", 2 * NODE, HIDDEN);
+    entries.dense("encoder.1", HIDDEN, HIDDEN);
+    entries.dense("encoder.2", HIDDEN, LATENT);
+    for agent_type in TYPE_NAMES {
+        entries.decoder(config, agent_type);
+    }
+    entries.0
+}
+
+/// Weights to start training from; the same seed gives the same weights.
+#[must_use]
+pub fn initial(config: &ModelConfig, seed: u64, device: &Device) -> Parameters {
+    let mut random = ChaCha8Rng::seed_from_u64(seed);
+    let mut parameters = Parameters::default();
+    for entry in layout(config) {
+        let len = entry.shape.iter().product();
+        let values = match entry.fill {
+            Fill::Constant(value) => vec![value; len],
+            Fill::Uniform(bound) => {
+                let uniform = Uniform::new_inclusive(-bound, bound).expect("the bound is positive and finite");
+                (0..len).map(|_| uniform.sample(&mut random)).collect()
+            }
+            Fill::Normal(deviation) => {
+                (0..len).map(|_| deviation * Distribution::<f32>::sample(&StandardNormal, &mut random)).collect()
+            }
+        };
+        parameters.insert(&entry.name, &entry.shape, values, entry.role, device);
+    }
+    parameters
+}
+
+#[derive(Default)]
+struct Entries(Vec<Entry>);
+
+impl Entries {
+    fn push(&mut self, name: String, shape: &[usize], role: Role, fill: Fill) {
+        self.0.push(Entry { name, shape: shape.to_vec(), role, fill });
+    }
+
+    fn learned(&mut self, name: String, shape: &[usize], fill: Fill) {
+        self.push(name, shape, Role::Learned, fill);
+    }
+
+    /// A linear layer whose initial values are `scale` times PyTorch's.
+    fn scaled_dense(&mut self, name: &str, inputs: usize, outputs: usize, scale: f32) {
+        let bound = Fill::Uniform(scale / (inputs as f32).sqrt());
+        self.learned(format!("{name}.weight"), &[outputs, inputs], bound);
+        self.learned(format!("{name}.bias"), &[outputs], bound);
+    }
+
+    fn dense(&mut self, name: &str, inputs: usize, outputs: usize) {
+        self.scaled_dense(name, inputs, outputs, 1.0);
+    }
+
+    fn perceptron(&mut self, name: &str, inputs: usize, outputs: usize) {
+        for layer in 0..PERCEPTRON_LAYERS {
+            let from = if layer == 0 { inputs } else { HIDDEN };
+            let to = if layer + 1 == PERCEPTRON_LAYERS { outputs } else { HIDDEN };
+            self.dense(&format!("{name}.{layer}"), from, to);
+        }
+    }
+
+    fn context(&mut self, config: &ModelConfig) {
+        let width = config.width;
+        let kernel = if config.stem == Stem::Imagenet { 7 } else { 3 };
+        self.convolution("conv1", "bn1", 3, width, kernel);
+        let mut from = width;
+        for stage in 1..=4_usize {
+            let to = width << (stage - 1);
+            for block in 0..2 {
+                let name = format!("layer{stage}.{block}");
+                self.convolution(&format!("{name}.conv1"), &format!("{name}.bn1"), from, to, 3);
+                self.convolution(&format!("{name}.conv2"), &format!("{name}.bn2"), to, to, 3);
+                if stage > 1 && block == 0 {
+                    let name = format!("{name}.downsample");
+                    self.convolution(&format!("{name}.0"), &format!("{name}.1"), from, to, 1);
+                }
+                from = to;
+            }
+        }
+        let scale = if config.base { 0.1 } else { 1.0 };
+        self.scaled_dense("fe.context.fc", from, CONTEXT, scale);
+    }
+
+    fn convolution(&mut self, convolution: &str, norm: &str, from: usize, to: usize, kernel: usize) {
+        let deviation = (2.0 / (to * kernel * kernel) as f32).sqrt();
+        let shape = [to, from, kernel, kernel];
+        self.learned(format!("fe.context.{convolution}.weight"), &shape, Fill::Normal(deviation));
+        let name = format!("fe.context.{norm}");
+        self.learned(format!("{name}.weight"), &[to], Fill::Constant(1.0));
+        self.learned(format!("{name}.bias"), &[to], Fill::Constant(0.0));
+        self.push(format!("{name}.running_mean"), &[to], Role::Statistic, Fill::Constant(0.0));
+        self.push(format!("{name}.running_var"), &[to], Role::Statistic, Fill::Constant(1.0));
+    }
+
+    fn attention(&mut self, config: &ModelConfig) {
+        let bound = |inputs: usize| Fill::Uniform(1.0 / (inputs as f32).sqrt());
+        for round in 0..config.rounds {
+            let name = format!("gdat.topological.{round}");
+            let heads = [config.topological_heads];
+            self.learned(format!("{name}.w_n.weight"), &[NODE, NODE], bound(NODE));
+            self.learned(format!("{name}.lambda_raw"), &heads, Fill::Constant(SOFTPLUS_OF_ONE));
+            self.learned(format!("{name}.mu_raw"), &heads, Fill::Constant(SOFTPLUS_OF_ONE));
+            if config.edge_in_message {
+                self.learned(format!("{name}.u_e.weight"), &[NODE, EDGE], bound(EDGE));
+            }
+            if round + 1 < config.rounds {
+                self.dense(&format!("{name}.edge.0"), 2 * NODE + EDGE, HIDDEN);
+                self.dense(&format!("{name}.edge.1"), HIDDEN, EDGE);
+            }
+        }
+        let literal = config.temporal == Temporal::Literal;
+        let heads = if literal { NODE } else { config.temporal_heads };
+        self.learned("gdat.temporal.score.weight".to_owned(), &[heads, NODE], bound(NODE));
+        if !literal {
+            self.learned("gdat.temporal.value.weight".to_owned(), &[NODE, NODE], bound(NODE));
+        }
+    }
+
+    fn decoder(&mut self, config: &ModelConfig, agent_type: &str) {
+        let name = format!("decoder.{agent_type}");
+        let bound = Fill::Uniform(1.0 / (HIDDEN as f32).sqrt());
+        self.learned(format!("{name}.gru.weight_ih"), &[3 * HIDDEN, FEATURES + NODE + LATENT], bound);
+        self.learned(format!("{name}.gru.weight_hh"), &[3 * HIDDEN, HIDDEN], bound);
+        self.learned(format!("{name}.gru.bias_ih"), &[3 * HIDDEN], bound);
+        self.learned(format!("{name}.gru.bias_hh"), &[3 * HIDDEN], bound);
+        let scale = if config.base { SMALL } else { 1.0 };
+        self.scaled_dense(&format!("{name}.head"), HIDDEN, CONTROL, scale);
+        if config.latents == Latents::Points {
+            self.learned(format!("{name}.latents"), &[config.modes, LATENT], Fill::Normal(1.0));
+        }
+        if config.best_latent {
+            self.learned(format!("{name}.latent_best"), &[LATENT], Fill::Normal(1.0));
+        }
+        if config.mode_head {
+            self.dense(&format!("{name}.mode.0"), NODE + HIDDEN, NODE);
+            self.dense(&format!("{name}.mode.1"), NODE, config.modes);
+        }
+        if config.base {
+            let base = format!("base.{agent_type}");
+            let controls = 2 * config.horizon_len;
+            let mut fixed = |tensor: &str, shape: &[usize]| {
+                self.push(format!("{base}.{tensor}"), shape, Role::Fixed, Fill::Constant(0.0));
+            };
+            fixed("ridge", &[nn::base::CLASSES, nn::base::SPEED_BINS, nn::base::FEATURES, controls]);
+            fixed("anchors", &[nn::base::BINS, config.modes, config.horizon_len, 2]);
+            fixed("speed_cuts", &[nn::base::SPEED_BINS - 1]);
+        }
+    }
+}

@@ -1,0 +1,156 @@
+use std::path::PathBuf;
+
+use data::sets::DataSet;
+use nn::{Displacement, Feedback, Integrator, Latents, ModelConfig, Stem, Temporal};
+
+use crate::TrainError;
+use crate::objective::Objective;
+use crate::optimiser::OptimiserOptions;
+
+/// What to train, on what, and for how long.
+#[derive(Clone, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct TrainOptions {
+    /// Folder that holds the data sets.
+    pub data: PathBuf,
+    /// Names of the data sets to learn from, see [`DataSet::name`].
+    pub sets: Vec<String>,
+    /// Names of the data sets to validate on.
+    pub validation_sets: Vec<String>,
+    /// Of every recording, each how-manieth window is used.
+    pub stride: usize,
+    /// Safetensors file to write.
+    pub out: PathBuf,
+    /// Folder for checkpoints.
+    pub checkpoints: PathBuf,
+    /// Whether to go on from the newest checkpoint.
+    pub resume: bool,
+    /// Seed of everything random.
+    pub seed: u64,
+    /// Updates to make.
+    pub steps: u64,
+    /// Agents in a batch, at least; a batch is filled with whole scenes.
+    pub batch_agents: usize,
+    /// Agents of a scene that are shown, at most.
+    pub scene_agents: usize,
+    /// Neighbours of an agent, itself included, at most.
+    pub neighbours: usize,
+    /// Share of the batches that see no map.
+    pub without_map: f64,
+    /// Share of the agents whose history is cut to a random length of two steps or more.
+    pub short_history: f64,
+    /// Updates between two validations.
+    pub validate_every: u64,
+    /// Agents of each set in a validation during training, at most.
+    pub validation_agents: usize,
+    /// Validations without improvement after which training stops.
+    pub patience: u32,
+    /// The loss.
+    pub objective: Objective,
+    /// The optimiser.
+    pub optimiser: OptimiserOptions,
+    /// The model.
+    pub model: ModelConfig,
+}
+
+impl Default for TrainOptions {
+    fn default() -> Self {
+        let names = |sets: &[DataSet]| sets.iter().map(|set| set.name().to_owned()).collect();
+        let validated = [
+            DataSet::EthUcy,
+            DataSet::SddTrajnet,
+            DataSet::Interaction,
+            DataSet::VciDut,
+            DataSet::KittiLabels,
+        ];
+        let learned = [&validated[..], &[DataSet::SddRaw]].concat();
+        Self {
+            data: PathBuf::from("data"),
+            sets: names(&learned),
+            validation_sets: names(&validated),
+            stride: 2,
+            out: PathBuf::from("weights.safetensors"),
+            checkpoints: PathBuf::from("checkpoints"),
+            resume: false,
+            seed: 1,
+            steps: 20_000,
+            batch_agents: 96,
+            scene_agents: 12,
+            neighbours: 8,
+            without_map: 0.3,
+            short_history: 0.3,
+            validate_every: 500,
+            validation_agents: 400,
+            patience: 12,
+            objective: Objective::plus(),
+            optimiser: OptimiserOptions::default(),
+            model: onboard_config(),
+        }
+    }
+}
+
+impl TrainOptions {
+    /// Refuses options that cannot be trained.
+    ///
+    /// # Errors
+    /// [`TrainError::Options`] names what is wrong.
+    pub fn check(&self) -> Result<(), TrainError> {
+        self.model.check().map_err(|error| TrainError::Options(format!("model.{error}")))?;
+        let refuse = |reason: &str| Err(TrainError::Options(reason.to_owned()));
+        let points = self.model.latents == Latents::Points;
+        match self.objective {
+            Objective::Plus { .. } if !(points && self.model.best_latent && self.model.mode_head) => {
+                refuse("the plus objective needs model.latents = \"points\", model.best_latent and model.mode_head")
+            }
+            Objective::Paper { .. } if points || self.model.base => {
+                refuse("the paper objective needs model.latents = \"normal\" and no model.base")
+            }
+            _ if self.model.history_len < 2 => refuse("model.history_len must be 2 or more"),
+            _ if self.batch_agents == 0 || self.scene_agents == 0 || self.neighbours == 0 => {
+                refuse("batch_agents, scene_agents and neighbours must be 1 or more")
+            }
+            _ if self.steps == 0 || self.validate_every == 0 => refuse("steps and validate_every must be 1 or more"),
+            _ => Ok(()),
+        }
+    }
+}
+
+/// The model that the pipeline runs: all agent types in one, at 0.4 s.
+#[must_use]
+pub fn onboard_config() -> ModelConfig {
+    ModelConfig {
+        width: 16,
+        stem: Stem::Compact,
+        patch_size: 16,
+        patch_cell_m: 2.0,
+        edge_radius_m: 30.0,
+        pedestrian_edge_radius_m: Some(10.0),
+        history_len: 8,
+        horizon_len: 12,
+        dt_s: 0.4,
+        rounds: 2,
+        topological_heads: 4,
+        temporal_heads: 4,
+        temporal: Temporal::ValueMatrix,
+        edge_in_message: true,
+        distance_scale: true,
+        position_scale: 0.1,
+        velocity_scale: 0.2,
+        leaky_slope: 0.01,
+        integrator: Integrator::Midpoint,
+        accel_limit_mps2: 6.0,
+        slip_rate_limit_radps: 1.0,
+        slip_limit_rad: Some(0.5),
+        initial_slip: true,
+        rear_axle_ratio: 0.26,
+        default_length_m: 4.5,
+        displacement: Displacement::Residual,
+        latents: Latents::Points,
+        modes: 20,
+        mode_head: true,
+        best_latent: true,
+        base: true,
+        context: true,
+        feedback: Feedback::Zeros,
+    }
+}

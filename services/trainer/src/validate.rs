@@ -1,0 +1,268 @@
+//! How good the weights are on scenes that training never sees, beside forecasts without a network.
+
+use std::collections::BTreeMap;
+
+use burn::tensor::{Device, Tensor};
+use data::sets::DataSet;
+use metrics::{Anchors, DisplacementMean, Point, best_of, constant_velocity, displacement};
+use nn::{Latents, ModelConfig};
+use rand::SeedableRng;
+use rand_chacha::ChaCha8Rng;
+use rand_distr::{Distribution, StandardNormal};
+use scene::AgentType;
+
+use crate::base::BaseControl;
+use crate::batch::{Batch, BatchOptions, SceneView, floats};
+use crate::model::{self, LATENT, Normalisation, Statistics};
+use crate::parameters::{Weights, host};
+use crate::rollout::TypeForecast;
+use crate::samples::{Agent, Patches, Samples, Scene, SetSamples};
+use crate::view;
+
+/// Agents of a crowd that a validation shows at most.
+const SCENE_AGENTS: usize = 48;
+/// Agents of a batch.
+const BATCH_AGENTS: usize = 96;
+/// Windows that the anchors of a set and type are fitted to, at most.
+const ANCHOR_WINDOWS: usize = 20_000;
+
+/// Mean errors in metres.
+#[derive(Clone, Copy, Debug, Default, PartialEq, serde::Serialize, serde::Deserialize)]
+pub struct Errors {
+    /// Mean distance over the forecast.
+    pub ade_m: f64,
+    /// Distance at its end.
+    pub fde_m: f64,
+}
+
+/// Validation figures of one data set.
+#[derive(Clone, Debug, Default, PartialEq, serde::Serialize, serde::Deserialize)]
+pub struct SetScore {
+    /// Name of the set.
+    pub set: String,
+    /// Windows forecast.
+    pub windows: usize,
+    /// Agents forecast.
+    pub agents: usize,
+    /// The best of the network's modes.
+    pub best_of_modes: Errors,
+    /// The network's single best forecast.
+    pub single: Errors,
+    /// The best of the base control's modes, without the network.
+    pub base_best_of_modes: Errors,
+    /// The single base control, without the network.
+    pub base_single: Errors,
+    /// Constant velocity.
+    pub constant_velocity: Errors,
+    /// The best of 20 residual anchors, fitted to the set's own training part.
+    pub anchors_best_of_20: Errors,
+}
+
+impl SetScore {
+    /// Errors relative to the baselines: below 1 is better than they are.
+    #[must_use]
+    pub fn relative(&self) -> f64 {
+        let sum = |errors: Errors| errors.ade_m + 0.5 * errors.fde_m;
+        let ratio = |ours: Errors, theirs: Errors| sum(ours) / sum(theirs).max(1e-9);
+        (ratio(self.best_of_modes, self.anchors_best_of_20) + 0.3 * ratio(self.single, self.constant_velocity)) / 1.3
+    }
+}
+
+/// Figure by which checkpoints are chosen: the mean of [`SetScore::relative`] over the sets.
+#[must_use]
+pub fn choose_by(scores: &[SetScore]) -> f64 {
+    scores.iter().map(SetScore::relative).sum::<f64>() / scores.len().max(1) as f64
+}
+
+/// The 20 residual anchors of every (set, type), fitted to training windows.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Baselines {
+    of_set: BTreeMap<(DataSet, AgentType), Anchors>,
+    pooled: BTreeMap<AgentType, Anchors>,
+}
+
+impl Baselines {
+    pub(crate) fn fit(training: &Samples, config: &ModelConfig, seed: u64) -> Self {
+        let mut baselines = Self::default();
+        for agent_type in wire::AGENT_TYPES {
+            let fit = |agents: Vec<&Agent>| fit_anchors(&agents, agent_type, config, seed);
+            let of_type = |agent: &&Agent| agent.agent_type == agent_type;
+            for set in &training.sets {
+                if let Some(anchors) = fit(set.counted().filter(of_type).collect()) {
+                    baselines.of_set.insert((set.set, agent_type), anchors);
+                }
+            }
+            if let Some(anchors) = fit(training.counted().filter(of_type).collect()) {
+                baselines.pooled.insert(agent_type, anchors);
+            }
+        }
+        baselines
+    }
+
+    /// The anchors of the set, or of all sets where training knows none of the type in this one.
+    fn of(&self, set: DataSet, agent_type: AgentType) -> Option<&Anchors> {
+        self.of_set.get(&(set, agent_type)).or_else(|| self.pooled.get(&agent_type))
+    }
+}
+
+fn fit_anchors(agents: &[&Agent], agent_type: AgentType, config: &ModelConfig, seed: u64) -> Option<Anchors> {
+    let agents = agents.iter().step_by(agents.len().div_ceil(ANCHOR_WINDOWS).max(1));
+    let windows: Vec<_> = agents.map(|agent| (&agent.history, agent.future_m())).collect();
+    let windows: Vec<metrics::Window<'_>> =
+        windows.iter().map(|(history, future)| metrics::Window { history, future }).collect();
+    let cuts_mps = metrics::speed_cuts_mps(agent_type);
+    Anchors::fit(&windows, config.dt_s as f32, config.horizon_len, cuts_mps, seed)
+}
+
+/// What a validation needs besides the samples.
+#[derive(Clone, Copy)]
+pub(crate) struct Validation<'a> {
+    pub(crate) config: &'a ModelConfig,
+    pub(crate) base: &'a BaseControl,
+    pub(crate) baselines: &'a Baselines,
+    /// Whether the network sees the online map.
+    pub(crate) with_map: bool,
+    /// Agents of each set, at most.
+    pub(crate) agents_max: usize,
+    pub(crate) device: &'a Device,
+}
+
+/// Sums over the agents of a set.
+#[derive(Default)]
+struct Sums {
+    best: DisplacementMean,
+    single: DisplacementMean,
+    base_best: DisplacementMean,
+    base_single: DisplacementMean,
+    constant_velocity: DisplacementMean,
+    anchors: DisplacementMean,
+}
+
+impl Validation<'_> {
+    /// Figures of every set of `samples` that has windows.
+    pub(crate) fn scores(&self, weights: &Weights, samples: &Samples) -> Vec<SetScore> {
+        let sets = samples.sets.iter().filter(|set| !set.scenes.is_empty());
+        sets.map(|set| self.score(weights, set, &samples.patches)).collect()
+    }
+
+    fn score(&self, weights: &Weights, set: &SetSamples, patches: &[Patches]) -> SetScore {
+        let stride = set.counted().count().div_ceil(self.agents_max).max(1);
+        let scenes: Vec<&Scene> = set.scenes.iter().step_by(stride).collect();
+        let mut sums = Sums::default();
+        let mut batch: Vec<SceneView<'_>> = Vec::new();
+        for (number, scene) in scenes.iter().enumerate() {
+            let patches = self.with_map.then(|| &patches[scene.recording]);
+            batch.push(view::plain(scene, patches, SCENE_AGENTS));
+            let agents_len: usize = batch.iter().map(|view| view.agents.len()).sum();
+            if agents_len >= BATCH_AGENTS || number + 1 == scenes.len() {
+                self.add(weights, set.set, &batch, &mut sums);
+                batch.clear();
+            }
+        }
+        let errors = |mean: DisplacementMean| Errors {
+            ade_m: mean.ade_m.value().unwrap_or_default(),
+            fde_m: mean.fde_m.value().unwrap_or_default(),
+        };
+        SetScore {
+            set: set.set.name().to_owned(),
+            windows: scenes.len(),
+            agents: usize::try_from(sums.single.ade_m.len()).unwrap_or(usize::MAX),
+            best_of_modes: errors(sums.best),
+            single: errors(sums.single),
+            base_best_of_modes: errors(sums.base_best),
+            base_single: errors(sums.base_single),
+            constant_velocity: errors(sums.constant_velocity),
+            anchors_best_of_20: errors(sums.anchors),
+        }
+    }
+
+    fn add(&self, weights: &Weights, set: DataSet, scenes: &[SceneView<'_>], sums: &mut Sums) {
+        let config = self.config;
+        let options = BatchOptions {
+            config,
+            base: self.base,
+            neighbours_max: scene::NEIGHBOURS_MAX,
+            normalisation: Normalisation::Running,
+            with_future: false,
+            device: self.device,
+        };
+        let batch = Batch::new(scenes, options);
+        let encoded = model::encode(weights, config, &batch.graph, &mut Statistics::new());
+        for agent_type in 0..3 {
+            let Some(forecast) = TypeForecast::new(weights, config, &batch, &encoded, agent_type) else { continue };
+            let [modes, single] = self.trajectories(&forecast);
+            let [base_modes, base_single] = self.base_trajectories(&forecast);
+            for (i, position) in forecast.agents.clone().enumerate() {
+                let (scene, agent) = batch.origin[position];
+                let view = &scenes[scene].agents[agent];
+                if !view.agent.counts {
+                    continue;
+                }
+                let truth: Vec<Option<Point>> = view.truth().collect();
+                sums.best.add(best_of(modes.of(i), &truth));
+                sums.single.add(displacement(&single.of(i)[0], &truth));
+                sums.base_best.add(best_of(base_modes.of(i), &truth));
+                sums.base_single.add(displacement(&base_single.of(i)[0], &truth));
+                self.add_baselines(set, view.agent, sums);
+            }
+        }
+    }
+
+    fn add_baselines(&self, set: DataSet, agent: &Agent, sums: &mut Sums) {
+        let truth = agent.future_m();
+        let dt_s = self.config.dt_s as f32;
+        if let Some(forecast) = constant_velocity(&agent.history, dt_s, self.config.horizon_len) {
+            sums.constant_velocity.add(displacement(&forecast, &truth));
+        }
+        let anchors = self.baselines.of(set, agent.agent_type);
+        if let Some(modes) = anchors.and_then(|anchors| anchors.predict(&agent.history)) {
+            sums.anchors.add(best_of(&modes, &truth));
+        }
+    }
+
+    /// All modes, and the single best forecast.
+    fn trajectories(&self, forecast: &TypeForecast<'_>) -> [Trajectories; 2] {
+        let (agents_len, modes_len) = (forecast.agents.len(), self.config.modes);
+        if self.config.latents == Latents::Points {
+            let modes: Vec<usize> = (0..agents_len).flat_map(|_| 0..modes_len).collect();
+            let single = vec![modes_len; agents_len];
+            return [(modes, modes_len), (single, 1)]
+                .map(|(modes, len)| Trajectories::new(forecast.by_points(&modes, len).positions, len));
+        }
+        // The same draws at every validation, so that figures of two checkpoints can be compared.
+        let mut random = ChaCha8Rng::seed_from_u64(0);
+        let mut normal = |draws: usize| {
+            let values = (0..agents_len * draws * LATENT).map(|_| StandardNormal.sample(&mut random));
+            floats(values.collect(), [agents_len, draws, LATENT], self.device)
+        };
+        let modes = forecast.with_latent(normal(modes_len), None).positions;
+        let mean = Tensor::zeros([agents_len, 1, LATENT], self.device);
+        [Trajectories::new(modes, modes_len), Trajectories::new(forecast.with_latent(mean, None).positions, 1)]
+    }
+
+    fn base_trajectories(&self, forecast: &TypeForecast<'_>) -> [Trajectories; 2] {
+        let (agents_len, modes_len) = (forecast.agents.len(), self.config.modes);
+        let modes: Vec<usize> = (0..agents_len).flat_map(|_| 0..modes_len).collect();
+        [(modes, modes_len), (vec![modes_len; agents_len], 1)]
+            .map(|(modes, len)| Trajectories::new(forecast.by_base(&modes, len), len))
+    }
+}
+
+/// Trajectories on the host, some per agent.
+struct Trajectories {
+    positions: Vec<Vec<Point>>,
+    per_agent: usize,
+}
+
+impl Trajectories {
+    fn new(positions: Tensor<3>, per_agent: usize) -> Self {
+        let steps_len = positions.dims()[1];
+        let values = host(positions);
+        let trajectories = values.as_chunks::<2>().0.chunks_exact(steps_len);
+        Self { positions: trajectories.map(<[Point]>::to_vec).collect(), per_agent }
+    }
+
+    fn of(&self, agent: usize) -> &[Vec<Point>] {
+        &self.positions[agent * self.per_agent..][..self.per_agent]
+    }
+}
