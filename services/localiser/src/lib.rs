@@ -1,1 +1,17 @@
-//! Placeholder.
+//! Tells every agent what lies around it: the stage between tracker and extractor.
+//!
+//! The [`Localiser`] keeps the global context map and cuts from it the local patch of each agent at each step of its
+//! history. The map is a fixed one of the site, or grows online, or there is none and all patches are zero.
+//!
+//! An online map is causal in the strict sense: the patches of a tick show what was observed *before* it, and the tick's
+//! own tracks are added once all its patches are cut. One visit is added per tick and confirmed track; a coasting track
+//! was not observed and adds none.
+//!
+//! A patch belongs to an agent and a time, not to the tick that asks for it: the patch of (track, stamp) is cut when
+//! that state is the newest, kept, and told again as the state grows old. Where it is not known, after a restart or for
+//! a step between two ticks, it is cut from the map as it is now.
+
+mod cache;
+mod localiser;
+
+pub use localiser::{Localiser, LocaliserOptions, MapSource};

@@ -9,7 +9,6 @@
 
 mod belief;
 mod bicycle;
-mod density;
 mod displacement;
 mod mixture;
 mod motion;
@@ -19,7 +18,6 @@ mod vehicle;
 
 pub use belief::Belief;
 pub use bicycle::{Bicycle, BicycleState, Integrator, initial_slip, wrap_angle};
-pub use density::KernelDensity;
 pub use displacement::{Displacement, DisplacementKind, DisplacementState};
 pub use mixture::{Moments, mixture, spread};
 pub use motion::{ControlGaussian, Linearised, Motion};

@@ -2,7 +2,7 @@
 
 use kinematics::{
     Belief, Bicycle, BicycleState, ControlGaussian, ControlLimits, Displacement, DisplacementKind,
-    DisplacementState, Integrator, KernelDensity, Moments, Motion, Normals, Vehicle, advance_particles,
+    DisplacementState, Integrator, Moments, Motion, Normals, Vehicle, advance_particles,
     initial_slip, mixture, saturate, spread, wrap_angle,
 };
 use nalgebra::{SVector, Vector2};
@@ -187,21 +187,4 @@ fn a_mixture_has_the_moments_of_its_parts_and_of_their_spread() {
     assert_eq!(mixed.mean, [3.0, 1.5]);
     assert_eq!(mixed.covariance, [1.75 + 3.0, 0.125 + 1.5, 1.0 + 0.75]);
     assert_eq!(spread([[1.0, 5.0], [3.0, 5.0]].into_iter()).covariance, [1.0, 0.0, 0.0]);
-}
-
-#[test]
-fn a_kernel_density_integrates_to_one_and_peaks_at_its_points() {
-    let mut normals = Normals::new(3, 0, 0);
-    let points: Vec<[f32; 2]> = (0..32).map(|_| [normals.draw() * 2.0, 1.0 + normals.draw()]).collect();
-    let density = KernelDensity::new(&points, 0.01).unwrap();
-    let [hx, hy] = density.bandwidth_m();
-    assert!(hx > 0.7 && hx < 1.8 && hy > 0.3 && hy < 0.9, "{hx} {hy}");
-    let cells = (-100..100).flat_map(|x| (-100..100).map(move |y| [x as f32 * 0.15, y as f32 * 0.15]));
-    let sum: f32 = cells.map(|cell| density.at(cell)).sum();
-    assert!((sum * 0.15 * 0.15 - 1.0).abs() < 1e-2, "{sum}");
-    assert!(density.at([0.0, 1.0]) > 10.0 * density.at([8.0, 1.0]));
-
-    assert!(KernelDensity::new(&[], 0.01).is_none());
-    let single = [[1.0, 1.0]];
-    assert_eq!(KernelDensity::new(&single, 0.2).unwrap().bandwidth_m(), [0.2, 0.2]);
 }

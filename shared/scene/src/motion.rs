@@ -53,3 +53,19 @@ fn velocity(from: (usize, [f32; 2]), to: (usize, [f32; 2]), dt_s: f32) -> [f32; 
     let elapsed_s = (to.0 - from.0) as f32 * dt_s;
     [0, 1].map(|axis| (to.1[axis] - from.1[axis]) / elapsed_s)
 }
+
+/// Turn rates of the newest two history intervals, newest first, rad/s; 0 where either end is absent.
+#[must_use]
+pub fn turn_rates(history: &[Option<State>], dt_s: f32) -> [f32; 2] {
+    let back = |steps: usize| history.len().checked_sub(steps).and_then(|step| history[step]);
+    [1, 2].map(|steps| match (back(steps), back(steps + 1)) {
+        (Some(after), Some(before)) => wrapped(after.heading_rad - before.heading_rad) / dt_s,
+        _ => 0.0,
+    })
+}
+
+/// The angle in [−π, π) that points the same way.
+fn wrapped(angle_rad: f32) -> f32 {
+    use std::f32::consts::{PI, TAU};
+    (angle_rad + PI).rem_euclid(TAU) - PI
+}

@@ -6,6 +6,7 @@ use proptest::prelude::*;
 use scene::{
     AgentType, ContextMap, EdgeRule, FeatureScales, MapBuilder, MapFileError, ONLINE_SIDE, OnlineMap,
     PatchOptions, State, Vertex, agent_frame, relation_features, state_features, states_from_positions,
+    turn_rates,
 };
 
 const PATCH: PatchOptions = PatchOptions { side: 16, cell_m: 2.0 };
@@ -173,6 +174,19 @@ fn velocities_are_backward_differences_across_gaps_too() {
     assert_eq!(states[2].unwrap().heading_rad, std::f32::consts::FRAC_PI_2);
     states_from_positions(&[Some([3.0, 3.0]), None, None, None, None], 5, 0.4, &mut states);
     assert_eq!(states[0], Some(State { position_m: [3.0, 3.0], ..State::default() }));
+}
+
+#[test]
+fn turn_rates_take_the_short_way_round_and_skip_gaps() {
+    let heading = |heading_rad| Some(State { heading_rad, ..State::default() });
+    let near = |found: [f32; 2], expected: [f32; 2]| {
+        assert!((found[0] - expected[0]).abs() < 1e-5 && (found[1] - expected[1]).abs() < 1e-5, "{found:?}");
+    };
+    near(turn_rates(&[heading(0.1), heading(0.2), heading(0.4)], 0.5), [0.4, 0.2]);
+    let pi = std::f32::consts::PI;
+    near(turn_rates(&[heading(pi - 0.1), heading(0.1 - pi)], 0.4), [0.5, 0.0]);
+    near(turn_rates(&[heading(0.1), None, heading(0.4)], 0.5), [0.0, 0.0]);
+    near(turn_rates(&[heading(0.1)], 0.5), [0.0, 0.0]);
 }
 
 #[test]

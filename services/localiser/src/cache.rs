@@ -1,0 +1,87 @@
+use wire::AGENTS_MAX;
+
+/// Patches kept per track: a history of 2.8 s at 12.5 Hz has 36 stamps.
+const STAMPS_MAX: usize = 40;
+
+/// The patches of the newest stamps of each track.
+///
+/// Holds as many tracks as a frame can have; a new one takes the place of the one that was not asked for the longest.
+pub(crate) struct PatchCache {
+    patch_len: usize,
+    entries: Vec<Entry>,
+    /// \[entry, stamp, patch\]; untouched parts cost no memory.
+    patches: Vec<f32>,
+}
+
+#[derive(Clone, Copy)]
+struct Entry {
+    id: u64,
+    used_ns: i64,
+    stamps_ns: [i64; STAMPS_MAX],
+    /// Stamps written so far; the next goes to `len` modulo the ring's size.
+    len: usize,
+}
+
+/// Where a track's patches lie.
+#[derive(Clone, Copy)]
+pub(crate) struct Slot(usize);
+
+impl PatchCache {
+    pub(crate) fn new(patch_len: usize) -> Self {
+        Self {
+            patch_len,
+            entries: Vec::with_capacity(AGENTS_MAX),
+            patches: vec![0.0; AGENTS_MAX * STAMPS_MAX * patch_len],
+        }
+    }
+
+    /// Saves the slots of tracks from eviction until a later stamp.
+    pub(crate) fn touch(&mut self, ids: impl Iterator<Item = u64>, now_ns: i64) {
+        for id in ids {
+            if let Some(entry) = self.entries.iter_mut().find(|entry| entry.id == id) {
+                entry.used_ns = now_ns;
+            }
+        }
+    }
+
+    /// The slot of a track, its own if it has one.
+    pub(crate) fn claim(&mut self, id: u64, now_ns: i64) -> Slot {
+        let slot = match self.entries.iter().position(|entry| entry.id == id) {
+            Some(slot) => slot,
+            None => self.free(id),
+        };
+        self.entries[slot].used_ns = now_ns;
+        Slot(slot)
+    }
+
+    /// An empty entry for a new track.
+    fn free(&mut self, id: u64) -> usize {
+        let fresh = Entry { id, used_ns: i64::MIN, stamps_ns: [0; STAMPS_MAX], len: 0 };
+        if self.entries.len() < AGENTS_MAX {
+            self.entries.push(fresh);
+            return self.entries.len() - 1;
+        }
+        let oldest = (0..AGENTS_MAX).min_by_key(|slot| self.entries[*slot].used_ns).unwrap_or(0);
+        self.entries[oldest] = fresh;
+        oldest
+    }
+
+    /// The patch of a track at a stamp, if it is still held.
+    pub(crate) fn get(&self, slot: Slot, stamp_ns: i64) -> Option<&[f32]> {
+        let entry = &self.entries[slot.0];
+        let held = &entry.stamps_ns[..entry.len.min(STAMPS_MAX)];
+        let place = held.iter().position(|held| *held == stamp_ns)?;
+        let start = (slot.0 * STAMPS_MAX + place) * self.patch_len;
+        Some(&self.patches[start..start + self.patch_len])
+    }
+
+    /// Keeps the patch of a track at a stamp; the oldest gives way.
+    pub(crate) fn put(&mut self, slot: Slot, stamp_ns: i64, patch: &[f32]) {
+        let entry = &mut self.entries[slot.0];
+        let place = entry.len % STAMPS_MAX;
+        entry.stamps_ns[place] = stamp_ns;
+        entry.len += 1;
+        let start = (slot.0 * STAMPS_MAX + place) * self.patch_len;
+        self.patches[start..start + self.patch_len].copy_from_slice(patch);
+    }
+}

@@ -1,0 +1,76 @@
+//! A steady step takes no memory.
+#![expect(unsafe_code, reason = "a counting allocator")]
+
+use std::alloc::{GlobalAlloc, Layout, System};
+use std::sync::atomic::{AtomicUsize, Ordering};
+
+use bytemuck::Zeroable;
+use localiser::{Localiser, LocaliserOptions, MapSource};
+use scene::PatchOptions;
+use wire::{ContextMut, Header, HistoryState, Row, Track, context_rows};
+
+struct Counting;
+
+static ALLOCATIONS: AtomicUsize = AtomicUsize::new(0);
+
+// SAFETY: every call goes to the system's allocator unchanged.
+unsafe impl GlobalAlloc for Counting {
+    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
+        ALLOCATIONS.fetch_add(1, Ordering::Relaxed);
+        // SAFETY: the caller's promises are those that the system's allocator asks for.
+        unsafe { System.alloc(layout) }
+    }
+
+    unsafe fn dealloc(&self, pointer: *mut u8, layout: Layout) {
+        // SAFETY: as above; the pointer came from `alloc`.
+        unsafe { System.dealloc(pointer, layout) }
+    }
+}
+
+#[global_allocator]
+static ALLOCATOR: Counting = Counting;
+
+/// 32 agents that drive away from the first ego position for kilometres; one in eight is new at every tick.
+fn write_tracks(tick: u64, tracks: &mut [Track]) {
+    for (i, track) in tracks.iter_mut().enumerate() {
+        let i = i as u64;
+        let x_m = |tick: f32| tick * 0.8 + i as f32;
+        *track = Track { id: if i % 8 == 0 { i + tick * 64 } else { i }, ..Track::zeroed() };
+        (track.x_m, track.y_m, track.vx_mps) = (x_m(tick as f32), (i % 6) as f32 * 3.0, 10.0);
+        for (step, entry) in track.history.iter_mut().enumerate() {
+            let then = tick as f32 - (7 - step) as f32 * 5.0;
+            *entry = HistoryState {
+                x_m: x_m(then),
+                y_m: track.y_m,
+                vx_mps: 10.0,
+                present: 1,
+                ..HistoryState::default()
+            };
+        }
+    }
+}
+
+// One test only: another in this process would count as well.
+#[test]
+fn a_thousand_steady_steps_allocate_nothing() {
+    let patch = PatchOptions { side: 16, cell_m: 2.0 };
+    let mut localiser = Localiser::new(LocaliserOptions { history_len: 8, patch, map: MapSource::Online });
+    let mut tracks = [Track::zeroed(); 32];
+    let shape = localiser.shape(tracks.len());
+    let mut rows = vec![Row::zeroed(); context_rows(&shape)];
+    let mut before = 0;
+    for tick in 0..1_050 {
+        if tick == 50 {
+            before = ALLOCATIONS.load(Ordering::Relaxed);
+        }
+        write_tracks(tick, &mut tracks);
+        let mut header = Header::new(1, tick, tick as i64 * 80_000_000);
+        header.step_ns = 400_000_000;
+        header.counts.history_len = 8;
+        header.ego_m = [tracks[1].x_m, 0.0];
+        let mut out = ContextMut::over(&mut rows, shape).expect("rows of the shape");
+        localiser.step(&header, &tracks, &mut out).expect("a good frame");
+        assert!(tick == 0 || out.patches.iter().any(|x| *x > 0.0));
+    }
+    assert_eq!(ALLOCATIONS.load(Ordering::Relaxed) - before, 0);
+}
