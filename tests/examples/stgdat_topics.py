@@ -57,8 +57,10 @@ Forecast = layout("stgdat.forecasts.v1", 2408, id=c.c_uint64, source_id=c.c_uint
 
 def join(name):
     """A node in the run that `stgdat run` tells of by environment, else in the newest run of this machine."""
-    roots = sorted(glob.glob("/tmp/stgdat_????????"), key=os.path.getmtime)
-    root = os.environ.get("STGDAT_ROOT") or (roots[-1] if roots else exit("no run of stgdat is to be found"))
+    roots = [os.environ.get("STGDAT_ROOT"), *sorted(glob.glob("/tmp/stgdat_????????"), key=os.path.getmtime)[::-1]]
+    root = next(filter(None, roots), None)
+    if root is None:
+        raise SystemExit("no run of stgdat is to be found: start one with `stgdat run`")
     iox2.set_log_level(iox2.LogLevel.Error)
     config = iox2.config.global_config()
     config.global_cfg.prefix = iox2.FileName.new(os.environ.get("STGDAT_PREFIX") or os.path.basename(root) + "_")
