@@ -7,10 +7,13 @@
 //!
 //! [`tracks`] turns a recording with identities into trajectories, [`windows`](windows()) cuts those into strictly causal
 //! histories and their futures, and [`sets`] names the files of the train, validation and test parts.
+//!
+//! [`GeneratedScene`] needs no file: an intersection that lives for ever, with truth and a sensor's detections.
 
 mod error;
 mod format;
 pub mod formats;
+mod generated;
 mod input;
 mod open;
 mod recording;
@@ -22,6 +25,7 @@ mod windows;
 
 pub use error::ReadError;
 pub use format::{Format, UnknownFormat};
+pub use generated::{FRAME_INTERVAL_NS, GeneratedScene, OptionError, SceneOptions};
 pub use input::{FILE_BYTES_MAX, Input, Role};
 pub use open::{open, parse};
 pub use recording::{Ego, Frame, LeftOut, Recording};
