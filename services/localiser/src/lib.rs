@@ -13,5 +13,6 @@
 
 mod cache;
 mod localiser;
+pub mod stage;
 
 pub use localiser::{Localiser, LocaliserOptions, MapSource};

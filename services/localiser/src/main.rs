@@ -1,1 +1,5 @@
-fn main() {}
+//! The localiser as a program of its own.
+
+fn main() -> std::process::ExitCode {
+    ports::stage_main(localiser::stage::run)
+}

@@ -34,7 +34,7 @@ fn options(run: &Run) -> Result<LocaliserOptions, StageError> {
     let map = match &run.map {
         MapChoice::Online => MapSource::Online,
         MapChoice::None => MapSource::None,
-        MapChoice::File(path) => MapSource::Fixed(ContextMap::open(path).map_err(StageError::data)?),
+        MapChoice::File(path) => MapSource::Fixed(ContextMap::load(path).map_err(StageError::data)?),
     };
     let patch = PatchOptions { side: run.model.patch_size, cell_m: run.model.patch_cell_m };
     Ok(LocaliserOptions { history_len: run.model.history_len, patch, map })

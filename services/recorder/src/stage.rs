@@ -20,7 +20,7 @@ pub fn run(run: &Run) -> Result<(), StageError> {
     let mut stage = Stage::open(run, StageId::Recorder)?;
     let forecasts = stage.subscribe_deep::<ForecastsTopic>(ForecastsTopic::DEPTH_MAX)?;
     let truth = stage.subscribe_deep::<TruthTopic>(TruthTopic::DEPTH_MAX)?;
-    let heartbeats = stage.heartbeats()?;
+    let mut peers = stage.peers(run)?;
 
     while let Some(frame) = stage.take(&forecasts)? {
         // The truth of a tick is sent before its detections, so it is there when the forecasts come.
@@ -28,9 +28,7 @@ pub fn run(run: &Run) -> Result<(), StageError> {
             let result = recorder.truth(frame.header(), &frame);
             count(&mut stage, frame.header(), TruthTopic::NAME, result);
         }
-        while let Some(frame) = heartbeats.receive()? {
-            frame.iter().for_each(|heartbeat| recorder.heartbeat(heartbeat));
-        }
+        peers.listen()?.iter().for_each(|heartbeat| recorder.heartbeat(heartbeat));
         let result = recorder.forecasts(frame.header(), &frame);
         if let (Ok(()), Some(writer)) = (&result, &mut writer) {
             writer.write(frame.header(), &frame).map_err(StageError::data)?;

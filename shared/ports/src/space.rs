@@ -75,7 +75,8 @@ impl Space {
     /// # Errors
     /// [`SpaceError`] where shared memory has less than `needed_bytes` free, or the files can't be made.
     pub fn create(run_id: u64, needed_bytes: u64) -> Result<Self, SpaceError> {
-        let free = free_bytes().map_err(|source| SpaceError::File { path: SHARED_MEMORY.into(), source })?;
+        let free =
+            shared_memory_free().map_err(|source| SpaceError::File { path: SHARED_MEMORY.into(), source })?;
         if free < needed_bytes {
             return Err(SpaceError::Full {
                 free_mib: free >> 20,
@@ -131,7 +132,7 @@ impl Leftover {
 ///
 /// # Errors
 /// Where there is no shared memory.
-pub fn free_bytes() -> io::Result<u64> {
+pub fn shared_memory_free() -> io::Result<u64> {
     let StatVfs { f_bavail, f_frsize, .. } = statvfs(SHARED_MEMORY)?;
     Ok(f_bavail * f_frsize)
 }

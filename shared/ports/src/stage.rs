@@ -7,7 +7,7 @@ use wire::{Counts, Header, Heartbeat, HeartbeatsTopic, Hop, Rejected, StageId, T
 use crate::error::Refused;
 use crate::node::Wakes;
 use crate::subscriber::Input;
-use crate::{Frame, Loan, Node, PortError, Publisher, Stop, Subscriber, Waiter, monotonic_ns};
+use crate::{Frame, Loan, Node, Peers, PortError, Publisher, Stop, Subscriber, Waiter, monotonic_ns};
 
 /// Time between the heartbeats of a stage, whether it has work or not.
 pub const HEARTBEAT: Duration = Duration::from_millis(80);
@@ -112,8 +112,8 @@ impl Stage {
     ///
     /// # Errors
     /// As [`Node::subscriber`].
-    pub fn heartbeats(&self) -> Result<Subscriber<HeartbeatsTopic>, PortError> {
-        self.node.subscriber(HeartbeatsTopic::DEPTH_MAX)
+    pub fn peers(&self, run: &Run) -> Result<Peers, PortError> {
+        Ok(Peers::new(self.node.subscriber(HeartbeatsTopic::DEPTH_MAX)?, run))
     }
 
     /// The signals that ask the process to end.
@@ -251,6 +251,7 @@ impl Stage {
 
     /// Counts and tells of a frame that was refused, where something else takes the tick's place.
     pub fn refuse(&mut self, seq: u64, topic: &'static str, why: Rejected) {
+        self.seq = seq;
         self.rejected_len += 1;
         Refused { seq, topic, why }.log();
     }

@@ -1,0 +1,107 @@
+use config::Run;
+use ports::{Peers, PortError, Publisher, Stage, StageError, monotonic_ns};
+use wire::{Detection, DetectionsTopic, Header, StageId, Topic, Truth, TruthTopic};
+
+use crate::Tick;
+
+/// Time between the frames that link the pipeline, and between those that end it.
+pub(crate) const REPEAT_NS: u64 = 25_000_000;
+
+/// The source's ends of its topics, and what it hears of the stages that follow.
+#[derive(Debug)]
+pub(crate) struct Outputs {
+    detections: Publisher<DetectionsTopic>,
+    truth: Publisher<TruthTopic>,
+    peers: Peers,
+}
+
+impl Outputs {
+    pub fn open(stage: &mut Stage, run: &Run) -> Result<Self, PortError> {
+        Ok(Self { detections: stage.publish()?, truth: stage.publish()?, peers: stage.peers(run)? })
+    }
+
+    /// Releases a tick, the truth first: it is there when the forecasts come.
+    pub fn send(&self, stage: &mut Stage, tick: &Tick<'_>) -> Result<(), PortError> {
+        self.release(stage, tick.header, tick.detections, tick.truth_header(), tick.truth)
+    }
+
+    fn release(
+        &self,
+        stage: &mut Stage,
+        header: Header,
+        detections: &[Detection],
+        truth_header: Header,
+        truth: &[Truth],
+    ) -> Result<(), PortError> {
+        self.truth.send_copy(truth, truth_header)?;
+        let passage = stage.release(header);
+        let loan = self.detections.copy(detections)?;
+        stage.finish(passage, &self.detections, Ok(loan))
+    }
+
+    /// Sends an empty frame again and again until the peers have answered it.
+    ///
+    /// # Errors
+    /// [`StageError::Stuck`] where they have not within `limit_ns`. A request to end ends the wait without an error.
+    pub fn repeat(
+        &mut self,
+        stage: &mut Stage,
+        header: Header,
+        limit_ns: u64,
+        answered: impl Fn(&Peers) -> bool,
+    ) -> Result<(), StageError> {
+        let limit_ns = monotonic_ns() + limit_ns;
+        while monotonic_ns() < limit_ns && !stage.stop().requested() {
+            self.truth.send_copy(&[], header)?;
+            let passage = stage.release(header);
+            stage.pass_empty(passage, &self.detections)?;
+            if self.wait_until(stage, monotonic_ns() + REPEAT_NS, &answered)? {
+                return Ok(());
+            }
+        }
+        if stage.stop().requested() { Ok(()) } else { Err(self.stuck("the start or end of the run")) }
+    }
+
+    /// Waits until the recorder has the forecasts of a tick.
+    ///
+    /// # Errors
+    /// As [`Outputs::repeat`].
+    pub fn wait_for_forecasts(
+        &mut self,
+        stage: &mut Stage,
+        seq: u64,
+        limit_ns: u64,
+    ) -> Result<(), StageError> {
+        let reached = |peers: &Peers| peers.reached(StageId::Recorder, seq);
+        if self.wait_until(stage, monotonic_ns() + limit_ns, reached)? || stage.stop().requested() {
+            return Ok(());
+        }
+        Err(self.stuck(&format!("tick {seq}")))
+    }
+
+    fn wait_until(
+        &mut self,
+        stage: &mut Stage,
+        until_ns: u64,
+        answered: impl Fn(&Peers) -> bool,
+    ) -> Result<bool, PortError> {
+        loop {
+            self.peers.listen()?;
+            if answered(&self.peers) {
+                return Ok(true);
+            }
+            if monotonic_ns() >= until_ns || !stage.sleep_on(self.peers.heartbeats(), until_ns)? {
+                return Ok(false);
+            }
+        }
+    }
+
+    fn stuck(&self, what: &str) -> StageError {
+        let names: Vec<&str> = self.peers.unlinked().into_iter().map(StageId::name).collect();
+        let who = if names.is_empty() { "a stage".to_owned() } else { names.join(", ") };
+        StageError::Stuck(format!(
+            "no answer to {what} of \"{}\": {who} did not pass it on",
+            DetectionsTopic::NAME
+        ))
+    }
+}

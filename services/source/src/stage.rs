@@ -1,0 +1,48 @@
+//! The source as a process: a recording or generated scene in, `detections` and `truth` out.
+
+use config::Run;
+use ports::{Stage, StageError, monotonic_ns};
+use wire::StageId;
+
+use crate::outputs::{Outputs, REPEAT_NS};
+use crate::{Pace, Playback, PlaybackOptions, recording};
+
+/// Longest wait for the stages to link, and in lockstep for a tick's forecasts.
+const ANSWER_LIMIT_NS: u64 = 60_000_000_000;
+/// Longest wait for the last tick to pass, and then for the end to be heard.
+const END_LIMIT_NS: u64 = 2_000_000_000;
+
+/// Runs the stage until the scene has ended or the process is asked to end.
+///
+/// # Errors
+/// [`StageError`] where the scene or the run's shared memory can't be used, or the other stages do not answer.
+pub fn run(run: &Run) -> Result<(), StageError> {
+    let scene = recording(&run.scene, run.seed, run.ticks)?;
+    let options = PlaybackOptions { run_id: run.id, ticks_max: run.ticks, lockstep: run.lockstep };
+    let mut playback = Playback::new(scene, options);
+
+    let mut stage = Stage::open(run, StageId::Source)?;
+    let mut outputs = Outputs::open(&mut stage, run)?;
+
+    let warm_up = playback.warm_up();
+    outputs.repeat(&mut stage, warm_up, ANSWER_LIMIT_NS, |peers| peers.unlinked().is_empty())?;
+    // What is left of the warm-up frames passes before the first tick comes.
+    let mut pace = Pace::new(monotonic_ns() + 2 * REPEAT_NS, playback.interval_ns());
+
+    while let Some(tick) = playback.next_tick() {
+        let due_ns = if run.lockstep { 0 } else { tick.due_ns };
+        if !stage.sleep_until(pace.release_ns(due_ns, monotonic_ns()))? {
+            return Ok(());
+        }
+        outputs.send(&mut stage, &tick)?;
+        if run.lockstep {
+            outputs.wait_for_forecasts(&mut stage, tick.header.seq, ANSWER_LIMIT_NS)?;
+        }
+    }
+
+    let end = playback.end();
+    // The end must not push the last tick out of a queue; where a stage is too slow for it, the end comes all the same.
+    let _ = outputs.wait_for_forecasts(&mut stage, end.seq.saturating_sub(1), END_LIMIT_NS);
+    let _ = outputs.repeat(&mut stage, end, END_LIMIT_NS, |_| false);
+    Ok(())
+}

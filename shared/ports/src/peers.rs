@@ -1,0 +1,59 @@
+use std::collections::BTreeMap;
+
+use config::Run;
+use wire::{Heartbeat, HeartbeatsTopic, StageId};
+
+use crate::{PortError, Subscriber};
+
+/// What the stages of a run last said of themselves.
+#[derive(Debug)]
+pub struct Peers {
+    heartbeats: Subscriber<HeartbeatsTopic>,
+    newest: BTreeMap<u32, Heartbeat>,
+    /// Stages that tell of themselves.
+    expected: Vec<StageId>,
+}
+
+impl Peers {
+    /// Listens to all stages of a run that send heartbeats. Programs put in a stage's place need not: when those that
+    /// read from it are linked, it is.
+    #[must_use]
+    pub fn new(heartbeats: Subscriber<HeartbeatsTopic>, run: &Run) -> Self {
+        let built_in = run.stages.iter().filter(|stage| stage.built_in);
+        let expected = built_in.filter_map(|stage| StageId::from_number(stage.stage)).collect();
+        Self { heartbeats, newest: BTreeMap::new(), expected }
+    }
+
+    /// Takes the heartbeats that have come; returns them.
+    ///
+    /// # Errors
+    /// [`PortError`] where the transport fails.
+    pub fn listen(&mut self) -> Result<Vec<Heartbeat>, PortError> {
+        let mut came = Vec::new();
+        while let Some(frame) = self.heartbeats.receive()? {
+            came.extend_from_slice(&frame);
+        }
+        self.newest.extend(came.iter().map(|heartbeat| (heartbeat.stage, *heartbeat)));
+        Ok(came)
+    }
+
+    /// The topic that wakes who waits for them.
+    #[must_use]
+    pub const fn heartbeats(&self) -> &Subscriber<HeartbeatsTopic> {
+        &self.heartbeats
+    }
+
+    /// Stages that are not linked to their neighbours yet.
+    #[must_use]
+    pub fn unlinked(&self) -> Vec<StageId> {
+        let linked = |stage: &StageId| self.newest.get(&(*stage as u32)).is_some_and(|h| h.linked == 1);
+        self.expected.iter().copied().filter(|stage| !linked(stage)).collect()
+    }
+
+    /// Whether a stage has had tick `seq` in hand.
+    #[must_use]
+    pub fn reached(&self, stage: StageId, seq: u64) -> bool {
+        let newest = self.newest.get(&(stage as u32));
+        newest.is_some_and(|h| h.seq >= seq && h.frames_len + h.rejected_len > 0)
+    }
+}
