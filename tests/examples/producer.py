@@ -12,7 +12,7 @@ import time
 
 import iceoryx2 as iox2
 from stgdat_topics import (DETECTIONS_MAX, END, HAS_HEADING, HAS_SIZE, HAS_SPEED, PEDESTRIAN, SCHEMA, SOURCE, VEHICLE,
-                           WARM_UP, Counts, Detection, Forecast, Header, Hop, join, topic)
+                           WARM_UP, Counts, Detection, Forecast, Header, Hop, Truth, join, topic)
 
 
 def detect(t_s):
@@ -22,37 +22,45 @@ def detect(t_s):
     yield Detection(agent_type=PEDESTRIAN, x_m=5, y_m=-8 + 1.4 * t_s, score=0.8)
 
 
-def send(seq, stamp_ns, detections=(), flags=0):
-    """Writes a frame into shared memory and wakes the tracker."""
+def send(topic, seq, stamp_ns, elements=(), flags=0):
+    """Writes a frame into shared memory and wakes its readers."""
+    publisher, notifier, element = topic
     now_ns = time.monotonic_ns()
-    hop = Hop(stage=SOURCE, received_ns=now_ns, started_ns=now_ns, finished_ns=now_ns, sent_ns=now_ns)
-    sample = publisher.loan_slice_uninit(len(detections))
     header = Header(schema=SCHEMA, flags=flags, run_id=run_id, seq=seq, stamp_ns=stamp_ns, released_ns=now_ns,
                     interval_ns=interval_ns, observed_types=1 << VEHICLE | 1 << PEDESTRIAN, hops_len=1,
-                    counts=Counts(agents_len=len(detections)))
-    header.hops[0] = hop
+                    counts=Counts(agents_len=len(elements)))
+    header.hops[0] = Hop(stage=SOURCE, received_ns=now_ns, started_ns=now_ns, finished_ns=now_ns, sent_ns=now_ns)
+    sample = publisher.loan_slice_uninit(len(elements))
     ctypes.memmove(sample.user_header_ptr, ctypes.byref(header), ctypes.sizeof(header))
-    ctypes.memmove(sample.payload_ptr, (Detection * len(detections))(*detections), 48 * len(detections))
+    payload = (element * len(elements))(*elements)
+    ctypes.memmove(sample.payload_ptr, payload, ctypes.sizeof(payload))
     sample.assume_init().send()
     notifier.notify()
+
+
+def output(name, element):
+    """The writing end of a topic."""
+    frames, events = topic(node, name, element)
+    publisher = frames.publisher_builder().initial_max_slice_len(DETECTIONS_MAX).create()
+    return publisher, events.notifier_builder().create(), element
 
 
 run_id, interval_ns = int(os.environ["STGDAT_RUN_ID"]), int(os.environ["STGDAT_INTERVAL_NS"])
 ticks = int(sys.argv[1]) if len(sys.argv) > 1 else 125
 node = join("producer")
-frames, events = topic(node, "detections", Detection)
-publisher = frames.publisher_builder().initial_max_slice_len(DETECTIONS_MAX).create()
-notifier = events.notifier_builder().create()
+# A sensor knows no truth: that topic carries the frames that link and end the run, and no others.
+detections, truth = output("detections", Detection), output("truth", Truth)
 
 # Frames reach a reader once it has mapped the connection: warm-up frames pass until one has come out at the end.
 returned = topic(node, "forecasts", Forecast)[0].subscriber_builder().create()
 while not returned.has_samples():
-    send(0, 0, flags=WARM_UP)
+    send(truth, 0, 0, flags=WARM_UP)
+    send(detections, 0, 0, flags=WARM_UP)
     time.sleep(0.05)
 
 begin_ns = time.monotonic_ns()
 for seq in range(ticks):
     time.sleep(max(0, begin_ns + seq * interval_ns - time.monotonic_ns()) / 1e9)
-    send(seq, seq * interval_ns, list(detect(seq * interval_ns / 1e9)))
-send(ticks, ticks * interval_ns, flags=END)
+    send(detections, seq, seq * interval_ns, list(detect(seq * interval_ns / 1e9)))
+send(detections, ticks, ticks * interval_ns, flags=END)
 time.sleep(1)

@@ -47,6 +47,8 @@ Header = layout("stgdat.header.v1", 424, schema=c.c_uint32, flags=c.c_uint32, ru
 Detection = layout("stgdat.detections.v1", 48, id=c.c_uint64, x_m=c.c_float, y_m=c.c_float, heading_rad=c.c_float,
                    speed_mps=c.c_float, length_m=c.c_float, width_m=c.c_float, score=c.c_float, sigma_m=c.c_float,
                    agent_type=c.c_uint32, flags=c.c_uint32)
+Truth = layout("stgdat.truth.v1", 24, id=c.c_uint64, agent_type=c.c_uint32, x_m=c.c_float, y_m=c.c_float,
+               reserved=c.c_uint32)
 Path = c.c_float * 2 * HORIZON_MAX
 Forecast = layout("stgdat.forecasts.v1", 2408, id=c.c_uint64, source_id=c.c_uint64, age_ns=c.c_uint64,
                   agent_type=c.c_uint32, quality=c.c_uint32, cause=c.c_uint32, modes_len=c.c_uint32, x_m=c.c_float,
