@@ -1,0 +1,183 @@
+//! Fuzz targets, one per reader of recordings.
+//!
+//! Each target starts from a small good recording and lets the fuzzer edit it: bytes overwritten, inserted and
+//! removed, lines repeated, words put in that break number parsers; and hands the reader the fuzzer's bytes as they
+//! are. Nothing may panic, and what is read must hold to what the pipeline relies on.
+//!
+//! A test run does a bounded number of iterations. To search for longer:
+//!
+//! ```sh
+//! BOLERO_RANDOM_ITERATIONS=10000000 cargo test --release -p stgdat-tests --test fuzz_readers csv
+//! cargo bolero test -p stgdat-tests csv --engine libfuzzer     # coverage-guided; needs cargo-bolero and nightly
+//! ```
+
+use data::{Format, Input, Recording, Role, WindowOptions, parse, tracks, windows};
+
+/// Iterations of a target in an ordinary test run.
+const ITERATIONS: usize = 20_000;
+/// Longest list of edits, in bytes.
+const EDITS_BYTES_MAX: usize = 64;
+/// What tends to break parsers.
+const WORDS: [&[u8]; 16] = [
+    b"nan",
+    b"-inf",
+    b"1e999",
+    b"1e-999",
+    b"99999999999999999999",
+    b"-0",
+    b"32769",
+    b"0x10",
+    b"\"",
+    b",",
+    b"\t",
+    b"\r\n",
+    b"\n",
+    b"\0",
+    b"\xff",
+    b"\xef\xbb\xbf",
+];
+
+const CALIBRATION: &str = "P0: 1 0 0 0 0 1 0 0 0 0 1 0\n\
+    R_rect 1 0 0 0 1 0 0 0 1\nTr_velo_cam 0 -1 0 0 0 0 -1 0 1 0 0 0\nTr_imu_velo 1 0 0 0 0 1 0 0 0 0 1 0\n";
+const EGO_MOTION: &str = "49.0 8.4 112.8 0 0 0.5 0 0 0 0 0 0 0 0 0 0 0 0 0 0 0 0 0 0.1 0.1 4 10 4 4 0\n\
+    49.00001 8.4 112.8 0 0 0.5 0 0 0 0 0 0 0 0 0 0 0 0 0 0 0 0 0 0.1 0.1 4 10 4 4 0\n";
+const LABELS: &str = "0 -1 DontCare -1 -1 -10 219 188 245 218 -1000 -1000 -1000 -10 -1 -1 -1\n\
+    0 0 Van 0 0 -1.79 296.7 161.7 455.2 292.3 2.0 1.82 4.43 -4.55 1.85 13.41 -2.11\n\
+    1 0 Van 0 0 -1.79 296.7 161.7 455.2 292.3 2.0 1.82 4.43 -4.50 1.85 13.01 -2.11\n";
+
+#[test]
+fn eth_ucy() {
+    fuzz(Format::EthUcy, &[(Role::Rows, "780\t1.0\t8.46\t3.59\n790\t1.0\t9.57\t3.79\n790\t2\t-1e0\t4\n")]);
+}
+
+#[test]
+fn obsmat() {
+    fuzz(
+        Format::Obsmat,
+        &[(Role::Rows, "7.8e+02 1.0 8.45 0.0 3.58 1.67 0.0 0.17\n786 1 9.1 0 3.6 1.66 0 0.3\n")],
+    );
+}
+
+#[test]
+fn sdd_trajnet() {
+    let scales = "File\tRatio\ncoupa_0.jpg\tCoupa\t0\tA\t44\t11\t13.6\t489\t5\t489.0\t489.0\t0.01\t0.0279\n";
+    fuzz(
+        Format::SddTrajnet,
+        &[
+            (Role::Rows, "0 28.0 43.09 16.18\n12 28.0 41.55 16.12\n24 28.0 40.1 16.1\n"),
+            (Role::Scales, scales),
+        ],
+    );
+}
+
+#[test]
+fn sdd_raw() {
+    let rows = "0 789 399 815 436 0 0 0 0 \"Cart\"\n0 787 391 815 432 1 0 0 1 \"Cart\"\n1 1 1 9 9 1 1 0 1 \"Biker\"\n";
+    let scales = "coupa:\n   video0:\n      scale: 0.04\n      certainty: 1.0\n";
+    fuzz(Format::SddRaw, &[(Role::Rows, rows), (Role::Scales, scales)]);
+}
+
+#[test]
+fn interaction() {
+    let vehicles = "track_id,frame_id,timestamp_ms,agent_type,x,y,vx,vy,psi_rad,length,width\n\
+        1,1,100,car,981.284,1018.604,-4.36,-5.41,-2.249,9.61,2.6\n1,2,200,car,980.876,1018.042,-4.3,-5.4,-2.2,9.6,2.6\n";
+    let riders = "track_id,frame_id,timestamp_ms,agent_type,x,y\n\
+        P1,2,200,pedestrian/bicycle,980.56,1052.15\nP1,6,600,pedestrian/bicycle,981,1052\n";
+    fuzz(Format::Interaction, &[(Role::Vehicles, vehicles), (Role::Pedestrians, riders)]);
+}
+
+#[test]
+fn vci_dut() {
+    let vehicles = "id,frame,label,x_est,y_est,psi_est,vel_est\n0,22,veh,12.52,3.64,1.64,3.34\n";
+    let walkers =
+        "id,frame,label,x_est,y_est,vx_est,vy_est\n0,22,ped,5.55,7.73,1.66,-0.01\n0,23,ped,5.6,7.73,1.6,0\n";
+    fuzz(Format::VciDut, &[(Role::Vehicles, vehicles), (Role::Pedestrians, walkers)]);
+}
+
+#[test]
+fn kitti_detections() {
+    let cars = "0,2,298.3,165.1,458.2,293.4,8.29,1.96,1.81,4.75,-4.57,1.84,13.53,-2.11,-1.78\n";
+    let files = [
+        (Role::Vehicles, cars),
+        (Role::Calibration, CALIBRATION),
+        (Role::EgoMotion, EGO_MOTION),
+        (Role::Labels, LABELS),
+    ];
+    fuzz(Format::KittiDetections, &files);
+}
+
+#[test]
+fn kitti_labels() {
+    let files = [(Role::Rows, LABELS), (Role::Calibration, CALIBRATION), (Role::EgoMotion, EGO_MOTION)];
+    fuzz(Format::KittiLabels, &files);
+}
+
+#[test]
+fn csv() {
+    let rows = "stamp_s,id,type,x_m,y_m,heading_rad,speed_mps,length_m,width_m,score,sigma_m\n\
+        0.08,7,vehicle,12.5,-3.2,3.1,8.4,4.5,1.8,0.97,0.2\n0.16,7,vehicle,12.1,-3.2,3.1,8.4,,,,\n\
+        # a comment\n0.00,,ego,1.0,2.0,0.5,,,,,\n-0.5,,pedestrian,1,2,,,,,,\n";
+    fuzz(Format::Csv, &[(Role::Rows, rows)]);
+}
+
+fn fuzz(format: Format, files: &[(Role, &str)]) {
+    let input = |&(role, text): &(Role, &str)| Input {
+        role,
+        path: "coupa/video0/coupa_0.txt".into(),
+        bytes: text.into(),
+    };
+    let sample: Vec<Input> = files.iter().map(input).collect();
+    check(&parse(format, &sample).unwrap_or_else(|error| panic!("the sample: {error}")));
+    bolero::check!().with_iterations(ITERATIONS).with_max_len(EDITS_BYTES_MAX).for_each(|bytes: &[u8]| {
+        let mut edited = sample.clone();
+        let (which, edits) = bytes.split_first().unwrap_or((&0, &[]));
+        let file = usize::from(*which) % edited.len();
+        edit(&mut edited[file].bytes, edits);
+        let mut replaced = sample.clone();
+        replaced[file].bytes = bytes.to_vec();
+        for inputs in [edited, replaced] {
+            // What a file is told to be must not matter for its safety, only for its meaning.
+            let _ = Format::detect(&inputs[file]);
+            if let Ok(recording) = parse(format, &inputs) {
+                check(&recording);
+            }
+        }
+    });
+}
+
+/// Applies edits of four bytes each: where (two bytes), what, and with which byte or word.
+fn edit(text: &mut Vec<u8>, edits: &[u8]) {
+    for edit in edits.chunks_exact(4) {
+        let place = usize::from(u16::from_le_bytes([edit[0], edit[1]])) % (text.len() + 1);
+        let word = WORDS[usize::from(edit[3]) % WORDS.len()];
+        match edit[2] % 6 {
+            0 => text.insert(place, edit[3]),
+            1 if place < text.len() => text[place] = edit[3],
+            2 => drop(text.drain(place..(place + usize::from(edit[3] % 8)).min(text.len()))),
+            3 => text.truncate(place),
+            4 => {
+                let line = text[place..].split(|&byte| byte == b'\n').next().unwrap_or_default().to_vec();
+                text.extend(line);
+            }
+            _ => drop(text.splice(place..place, word.iter().copied())),
+        }
+    }
+}
+
+/// What the pipeline relies on.
+fn check(recording: &Recording) {
+    assert!(!recording.frames.is_empty());
+    assert_eq!(recording.sha256.len(), 64);
+    assert!(recording.frames.is_sorted_by(|a, b| a.stamp_ns < b.stamp_ns));
+    for frame in &recording.frames {
+        assert!(frame.ego.heading_rad.is_finite() && frame.ego.position_m.iter().all(|x| x.is_finite()));
+        assert!(frame.detections.iter().all(|detection| detection.check().is_ok()));
+        assert!(frame.truth.iter().all(|truth| truth.x_m.is_finite() && truth.y_m.is_finite()));
+    }
+    for track in tracks(recording) {
+        assert!(track.states.is_sorted_by(|a, b| a.0 < b.0));
+    }
+    for window in windows(recording, &WindowOptions::new(8, 12, 400_000_000)) {
+        assert!(window.agents.iter().all(|agent| agent.history.last().is_some_and(Option::is_some)));
+    }
+}
