@@ -1,1 +1,131 @@
-//! Placeholder.
+//! Graph dual attention on the features of a frame: the temporal summary ṽ_h of each agent.
+
+pub mod stage;
+
+use nn::{Gdat, GdatMemory, Graph, ModelConfig, Weights, WeightsError};
+use wire::{
+    AGENTS_MAX, AgentEncoding, AgentFeatures, Features, Header, NODE_ATTRIBUTES, Rejected, TEMPORAL, finite,
+};
+
+/// The encoder: its network and scratch memory.
+pub struct Encoder {
+    config: ModelConfig,
+    gdat: Gdat,
+    memory: GdatMemory,
+    /// \[step, agent\].
+    present: Vec<bool>,
+    nodes: Vec<[f32; NODE_ATTRIBUTES]>,
+    summaries: Vec<[f32; TEMPORAL]>,
+}
+
+impl Encoder {
+    /// An encoder with the model's graph attention.
+    ///
+    /// # Errors
+    /// [`WeightsError`] where the weights do not hold the model.
+    pub fn new(weights: &Weights) -> Result<Self, WeightsError> {
+        let config = weights.config().clone();
+        config.check_frames()?;
+        let nodes = AGENTS_MAX * config.history_len;
+        Ok(Self {
+            config,
+            gdat: Gdat::new(weights)?,
+            memory: GdatMemory::default(),
+            present: Vec::with_capacity(nodes),
+            nodes: Vec::with_capacity(nodes),
+            summaries: Vec::with_capacity(AGENTS_MAX),
+        })
+    }
+
+    /// Encodes the agents of a frame into `out`, in their order.
+    ///
+    /// # Errors
+    /// [`Rejected`] where the frame does not fit the model or holds impossible numbers; `out` is left as it is then.
+    pub fn step(
+        &mut self,
+        header: &Header,
+        features: &Features<'_>,
+        out: &mut [AgentEncoding],
+    ) -> Result<(), Rejected> {
+        self.check(header, features, out.len())?;
+        let agents = features.agents;
+        self.present.clear();
+        self.nodes.clear();
+        for step in 0..self.config.history_len {
+            self.present.extend(agents.iter().map(|agent| is_present(agent, step)));
+            self.nodes.extend(agents.iter().map(|agent| agent.node[step]));
+        }
+        self.summaries.resize(agents.len(), [0.0; TEMPORAL]);
+        let graph = Graph {
+            agents_len: agents.len(),
+            present: &self.present,
+            nodes: &self.nodes,
+            edges: features.edges,
+            attributes: features.attributes,
+        };
+        self.gdat.summarise(&graph, &mut self.memory, &mut self.summaries);
+        finite("temporal summary", self.summaries.as_flattened())?;
+        for ((out, agent), temporal) in out.iter_mut().zip(agents).zip(&self.summaries) {
+            *out = AgentEncoding {
+                id: agent.id,
+                agent_type: agent.agent_type,
+                forecastable: agent.forecastable,
+                present: agent.present,
+                length_m: agent.length_m,
+                state: agent.state,
+                temporal: *temporal,
+            };
+        }
+        Ok(())
+    }
+
+    fn check(&self, header: &Header, features: &Features<'_>, out_len: usize) -> Result<(), Rejected> {
+        header.check()?;
+        let agents = features.agents;
+        if agents.len() > AGENTS_MAX {
+            let (found, most) = (agents.len() as u64, AGENTS_MAX as u64);
+            return Err(Rejected::TooMany { field: "agents_len", found, most });
+        }
+        if out_len != agents.len() {
+            return Err(Rejected::Length { found: out_len, expected: agents.len() });
+        }
+        let history_len = self.config.history_len;
+        if !agents.is_empty() && header.counts.history_len as usize != history_len {
+            let found = header.counts.history_len as usize;
+            return Err(Rejected::Mismatch { field: "history_len", found, expected: history_len });
+        }
+        for agent in agents {
+            agent.check()?;
+            if agent.present >> history_len != 0 {
+                return Err(Rejected::Impossible { field: "presence", value: f64::from(agent.present) });
+            }
+        }
+        finite("edge attributes", features.attributes.as_flattened())?;
+        let joins_present = |edge: &wire::Edge| {
+            let present = |agent: u16| {
+                agents.get(usize::from(agent)).is_some_and(|agent| is_present(agent, usize::from(edge.step)))
+            };
+            present(edge.receiver) && present(edge.sender)
+        };
+        if features.attributes.len() != features.edges.len() {
+            return Err(Rejected::Length {
+                found: features.attributes.len(),
+                expected: features.edges.len(),
+            });
+        }
+        match features.edges.iter().find(|edge| !joins_present(edge)) {
+            Some(edge) => {
+                Err(Rejected::Impossible { field: "edge of an absent agent", value: f64::from(edge.step) })
+            }
+            None if !features.edges.is_sorted_by(|a, b| a < b) => {
+                Err(Rejected::Impossible { field: "order of the edges", value: features.edges.len() as f64 })
+            }
+            None => Ok(()),
+        }
+    }
+}
+
+/// Whether an agent has a state at a history step.
+fn is_present(agent: &AgentFeatures, step: usize) -> bool {
+    agent.present.checked_shr(step as u32).is_some_and(|bits| bits & 1 == 1)
+}

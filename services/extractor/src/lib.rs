@@ -1,1 +1,356 @@
-//! Placeholder.
+//! Node and edge attributes of the history graph, from tracks and their context patches.
+//!
+//! A node is an agent at a history step, its attribute v = \[SE ‖ CE\]: the state embedding and the context embedding. An
+//! edge joins two agents that are near each other at a step, its attribute e is the relation embedding.
+//!
+//! SE is relative to the agent's newest state and is computed anew each tick. CE and e depend on states of their own step
+//! alone, which the tracker never rewrites once it has published them: they are kept by (track, stamp) and (pair, stamp),
+//! and in a steady run only those of the newest step are computed. After a restart the window refills the cache.
+
+mod cache;
+mod embed;
+pub mod stage;
+
+use nn::{MlpMemory, ModelConfig, StateMlp, Weights, WeightsError, Workers};
+use scene::{AgentFrame, EdgeRule, FeatureScales, NEIGHBOURS_MAX, State, Vertex};
+use thiserror::Error;
+use wire::{
+    AGENT_TYPES, AGENTS_MAX, AgentFeatures, AgentType, CONTEXT_EMBEDDING, Context, ContextShape,
+    EDGE_ATTRIBUTES, EDGES_MAX, Edge, FeatureShape, FeaturesMut, HISTORY_MAX, Header, NODE_ATTRIBUTES,
+    Rejected, STATE_FEATURES, finite,
+};
+
+use cache::StampCache;
+use embed::{Embedder, Embedding, Wanted};
+
+/// How the extractor shares its work.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct ExtractorOptions {
+    /// Threads that run the networks, the stage's own among them; results do not depend on it.
+    pub workers: usize,
+}
+
+/// Why an extractor can't start.
+#[derive(Debug, Error)]
+pub enum StartError {
+    /// The weights do not hold the model.
+    #[error(transparent)]
+    Weights(#[from] WeightsError),
+    /// The operating system refused a thread.
+    #[error("can't start a worker: {0}")]
+    Thread(#[from] std::io::Error),
+}
+
+/// What was computed for a frame, and what was taken from the cache.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Effort {
+    /// Patches that went through the CNN.
+    pub patches_len: usize,
+    /// Pairs that went through the relation MLP.
+    pub relations_len: usize,
+    /// Edges left out because the frame was full: those of the farthest neighbours.
+    pub edges_dropped: usize,
+}
+
+/// The extractor: its networks, its cache and the frame in hand.
+pub struct Extractor {
+    config: ModelConfig,
+    rule: EdgeRule,
+    scales: FeatureScales,
+    state_mlp: StateMlp,
+    memory: MlpMemory,
+    embedders: Workers<Embedder>,
+    cache: StampCache,
+    last: Option<(u64, i64)>,
+    frame: Frame,
+    effort: Effort,
+}
+
+/// The frame in hand.
+#[derive(Default)]
+struct Frame {
+    agents: Vec<AgentFeatures>,
+    edges: Vec<Edge>,
+    attributes: Vec<[f32; EDGE_ATTRIBUTES]>,
+    /// States, \[agent, step\].
+    states: Vec<[Option<State>; HISTORY_MAX]>,
+    vertices: Vec<Option<Vertex>>,
+    /// Present (agent, step) of one type with their features and embeddings.
+    rows: Vec<(usize, usize)>,
+    features: Vec<[f32; STATE_FEATURES]>,
+    embedded: Vec<f32>,
+    wanted: Wanted,
+}
+
+impl Frame {
+    /// A frame with room for the largest scene.
+    fn with_room() -> Self {
+        let nodes = AGENTS_MAX * HISTORY_MAX;
+        Self {
+            agents: Vec::with_capacity(AGENTS_MAX),
+            edges: Vec::with_capacity(EDGES_MAX),
+            attributes: Vec::with_capacity(EDGES_MAX),
+            states: Vec::with_capacity(AGENTS_MAX),
+            vertices: Vec::with_capacity(AGENTS_MAX),
+            rows: Vec::with_capacity(nodes),
+            features: Vec::with_capacity(nodes),
+            embedded: Vec::with_capacity(nodes * NODE_ATTRIBUTES),
+            wanted: Wanted::default(),
+        }
+    }
+
+    fn clear(&mut self) {
+        self.agents.clear();
+        self.edges.clear();
+        self.attributes.clear();
+    }
+}
+
+impl Extractor {
+    /// An extractor with an empty cache.
+    ///
+    /// # Errors
+    /// [`StartError`] where the weights do not hold the model or a thread can't be had.
+    pub fn new(weights: &Weights, options: ExtractorOptions) -> Result<Self, StartError> {
+        let config = weights.config().clone();
+        config.check_frames().map_err(WeightsError::from)?;
+        let rule = EdgeRule {
+            radius_m: config.edge_radius_m,
+            pedestrian_radius_m: config.pedestrian_edge_radius_m.unwrap_or(config.edge_radius_m),
+            neighbours_max: usize::MAX,
+        };
+        Ok(Self {
+            rule,
+            scales: FeatureScales { position: config.position_scale, velocity: config.velocity_scale },
+            state_mlp: StateMlp::new(weights)?,
+            memory: MlpMemory::default(),
+            embedders: Embedder::pool(weights, options.workers.max(1))?,
+            cache: StampCache::default(),
+            last: None,
+            frame: Frame::with_room(),
+            effort: Effort::default(),
+            config,
+        })
+    }
+
+    /// What the last frame took.
+    #[must_use]
+    pub const fn effort(&self) -> Effort {
+        self.effort
+    }
+
+    /// Computes the features of a frame and tells their size; [`Extractor::write`] hands them over. A frame that is no
+    /// tick has none.
+    ///
+    /// # Errors
+    /// [`Rejected`] where the frame is not newer than the last, does not fit the model or holds impossible numbers.
+    /// Nothing is computed or remembered then.
+    pub fn prepare(&mut self, header: &Header, context: &Context<'_>) -> Result<FeatureShape, Rejected> {
+        if !header.is_tick() {
+            header.check()?;
+            self.frame.clear();
+            return Ok(FeatureShape { agents_len: 0, edges_len: 0 });
+        }
+        self.check(header, context)?;
+        if self.last.is_some_and(|(run_id, _)| run_id != header.run_id) {
+            self.cache.clear();
+        }
+        self.last = Some((header.run_id, header.stamp_ns));
+        self.place_agents(context);
+        self.find_edges();
+        self.embed_states();
+        self.embed_history(header, context);
+        Ok(FeatureShape { agents_len: self.frame.agents.len(), edges_len: self.frame.edges.len() })
+    }
+
+    /// Writes the features that [`Extractor::prepare`] computed.
+    ///
+    /// # Panics
+    /// Where `out` has another shape than `prepare` told.
+    pub fn write(&mut self, out: &mut FeaturesMut<'_>) {
+        out.agents.copy_from_slice(&self.frame.agents);
+        out.edges.copy_from_slice(&self.frame.edges);
+        out.attributes.copy_from_slice(&self.frame.attributes);
+    }
+
+    fn check(&self, header: &Header, context: &Context<'_>) -> Result<(), Rejected> {
+        header.check()?;
+        if let Some((run_id, last_ns)) = self.last
+            && run_id == header.run_id
+            && header.stamp_ns <= last_ns
+        {
+            return Err(Rejected::NotNewer { stamp_ns: header.stamp_ns, last_ns });
+        }
+        let ContextShape { agents_len, history_len, patch_side } = context.shape;
+        if agents_len > AGENTS_MAX {
+            let (found, most) = (agents_len as u64, AGENTS_MAX as u64);
+            return Err(Rejected::TooMany { field: "agents_len", found, most });
+        }
+        let sizes = [
+            ("agents_len", context.tracks.len(), agents_len),
+            ("history_len", history_len, self.config.history_len),
+            ("patch_side", patch_side, if self.config.context { self.config.patch_size } else { patch_side }),
+            ("step_ns", header.step_ns as usize, self.config.step_ns() as usize),
+        ];
+        if let Some((field, found, expected)) =
+            sizes.into_iter().find(|(_, found, expected)| found != expected)
+        {
+            return Err(Rejected::Mismatch { field, found, expected });
+        }
+        for (i, track) in context.tracks.iter().enumerate() {
+            track.check()?;
+            if context.tracks[..i].iter().any(|other| other.id == track.id) {
+                return Err(Rejected::Impossible { field: "track id given twice", value: track.id as f64 });
+            }
+        }
+        finite("context patches", context.patches)
+    }
+
+    /// States and state features of all agents.
+    fn place_agents(&mut self, context: &Context<'_>) {
+        let Frame { agents, states, .. } = &mut self.frame;
+        agents.clear();
+        states.clear();
+        for track in context.tracks {
+            let mut history = scene::track_history(track);
+            history[self.config.history_len..].fill(None);
+            let frame = scene::agent_frame(&history);
+            agents.push(describe(track, &history, frame.as_ref(), self.scales));
+            states.push(history);
+        }
+    }
+
+    /// The edges of all steps. Where they do not fit the frame, each agent keeps its nearest neighbours.
+    fn find_edges(&mut self) {
+        self.append_edges(self.rule);
+        self.effort = Effort::default();
+        let found = self.frame.edges.len();
+        if found > EDGES_MAX {
+            self.append_edges(EdgeRule { neighbours_max: NEIGHBOURS_MAX, ..self.rule });
+            self.effort.edges_dropped = found - self.frame.edges.len();
+        }
+    }
+
+    fn append_edges(&mut self, rule: EdgeRule) {
+        let Frame { agents, edges, states, vertices, .. } = &mut self.frame;
+        edges.clear();
+        for step in 0..self.config.history_len {
+            vertices.clear();
+            vertices.extend(states.iter().zip(agents.iter()).map(|(states, agent)| {
+                let agent_type = agent_type(agent);
+                states[step].map(|state| Vertex { position_m: state.position_m, agent_type })
+            }));
+            rule.append(step as u16, vertices, edges);
+        }
+    }
+
+    /// State embeddings of all present nodes, one network after the other.
+    fn embed_states(&mut self) {
+        let Frame { agents, rows, features, embedded, .. } = &mut self.frame;
+        let len = self.config.state_embedding_len();
+        for of_type in AGENT_TYPES {
+            rows.clear();
+            features.clear();
+            for (i, agent) in agents.iter().enumerate().filter(|(_, agent)| agent_type(agent) == of_type) {
+                let steps = (0..self.config.history_len).filter(|step| agent.present >> step & 1 == 1);
+                rows.extend(steps.clone().map(|step| (i, step)));
+                features.extend(steps.map(|step| agent.state[step]));
+            }
+            embedded.resize(rows.len() * len, 0.0);
+            self.state_mlp.embed(of_type, features, &mut self.memory, embedded);
+            for (&(agent, step), row) in rows.iter().zip(embedded.chunks_exact(len)) {
+                agents[agent].node[step][..len].copy_from_slice(row);
+            }
+        }
+    }
+
+    /// Context and relation embeddings of all steps: from the cache, or computed and then kept.
+    fn embed_history(&mut self, header: &Header, context: &Context<'_>) {
+        let Frame { agents, edges, attributes, states, wanted, .. } = &mut self.frame;
+        let history_len = self.config.history_len;
+        attributes.clear();
+        attributes.resize(edges.len(), [0.0; EDGE_ATTRIBUTES]);
+        wanted.clear();
+        let stamp_ns = |step: usize| {
+            let back = (history_len - 1 - step) as i64;
+            header.stamp_ns.saturating_sub(back.saturating_mul(header.step_ns as i64))
+        };
+        for step in 0..history_len {
+            let kept = self.cache.at(stamp_ns(step), agents);
+            if self.config.context {
+                for (i, agent) in agents.iter_mut().enumerate().filter(|(_, a)| a.present >> step & 1 == 1) {
+                    match kept.as_ref().and_then(|kept| kept.context(i)) {
+                        Some(context) => *context_of(&mut agent.node[step]) = *context,
+                        None => wanted.patch(i, step),
+                    }
+                }
+            }
+            for edge in span(edges, step) {
+                match kept.as_ref().and_then(|kept| kept.relation(&edges[edge])) {
+                    Some(relation) => attributes[edge] = *relation,
+                    None => wanted.relation(edge, step),
+                }
+            }
+        }
+        let scales = self.scales;
+        let relation = |edge: usize| {
+            let Edge { step, receiver, sender, .. } = edges[edge];
+            let state = |agent: u16| states[usize::from(agent)][usize::from(step)].unwrap_or_default();
+            scene::relation_features(&state(receiver), &state(sender), scales)
+        };
+        embed::run(&mut self.embedders, wanted, context, relation, |embedding| match embedding {
+            Embedding::Context { agent, step, values } => {
+                *context_of(&mut agents[agent].node[step]) = *values;
+            }
+            Embedding::Relation { edge, values } => attributes[edge] = *values,
+        });
+        for step in wanted.steps() {
+            let of_step = span(edges, step);
+            self.cache.keep(stamp_ns(step), step, agents, &edges[of_step.clone()], &attributes[of_step]);
+        }
+        self.effort.patches_len = wanted.patches_len();
+        self.effort.relations_len = wanted.relations_len();
+    }
+}
+
+/// The places of a step's edges.
+fn span(edges: &[Edge], step: usize) -> std::ops::Range<usize> {
+    let step = step as u16;
+    edges.partition_point(|edge| edge.step < step)..edges.partition_point(|edge| edge.step <= step)
+}
+
+/// The second half of a node attribute: CE.
+fn context_of(node: &mut [f32; NODE_ATTRIBUTES]) -> &mut [f32; CONTEXT_EMBEDDING] {
+    node.last_chunk_mut().expect("a node holds a context embedding")
+}
+
+/// An agent with its state features; its node attributes are yet to come.
+fn describe(
+    track: &wire::Track,
+    history: &[Option<State>; HISTORY_MAX],
+    frame: Option<&AgentFrame>,
+    scales: FeatureScales,
+) -> AgentFeatures {
+    let mut agent = AgentFeatures {
+        id: track.id,
+        agent_type: track.agent_type,
+        forecastable: track.forecastable,
+        present: 0,
+        length_m: track.length_m,
+        state: [[0.0; STATE_FEATURES]; HISTORY_MAX],
+        node: [[0.0; NODE_ATTRIBUTES]; HISTORY_MAX],
+        reserved: [0; 10],
+    };
+    for (step, state) in history.iter().enumerate() {
+        if let (Some(frame), Some(state)) = (frame, state) {
+            agent.present |= 1 << step;
+            agent.state[step] = scene::state_features(frame, state, scales);
+        }
+    }
+    agent
+}
+
+/// The type of an agent whose track has been checked.
+fn agent_type(agent: &AgentFeatures) -> AgentType {
+    AgentType::try_from(agent.agent_type).expect("the track's type was checked")
+}

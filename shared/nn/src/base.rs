@@ -192,15 +192,18 @@ impl Base {
         })
     }
 
-    /// Adds the ridge regression's controls to the step means of a trajectory.
-    pub fn add_ridge<'a>(&self, features: &BaseFeatures, means: impl Iterator<Item = &'a mut [f32; 2]>) {
+    /// The ridge regression's controls, one for each step of the horizon.
+    ///
+    /// # Panics
+    /// Where `controls` is shorter than the horizon.
+    pub fn ridge(&self, features: &BaseFeatures, controls: &mut [[f32; 2]]) {
         let row_len = 2 * self.horizon_len;
         let table = (features.class * SPEED_BINS + features.speed_bin(&self.speed_cuts_mps)) * FEATURES;
-        for (step, mean) in means.take(self.horizon_len).enumerate() {
-            for (component, mean) in mean.iter_mut().enumerate() {
-                let weights = self.ridge[table * row_len + 2 * step + component..].iter().step_by(row_len);
-                *mean += features.values.iter().zip(weights).map(|(x, w)| x * w).sum::<f32>();
-            }
+        let rows = self.ridge[table * row_len..].chunks_exact(row_len);
+        let sums = controls[..self.horizon_len].as_flattened_mut();
+        sums.fill(0.0);
+        for (x, row) in features.values.iter().zip(rows) {
+            sums.iter_mut().zip(row).for_each(|(sum, w)| *sum += x * w);
         }
     }
 

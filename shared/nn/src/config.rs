@@ -248,6 +248,27 @@ impl ModelConfig {
         }
     }
 
+    /// Refuses a model whose tensors do not fit the pipeline's frames.
+    ///
+    /// # Errors
+    /// [`ConfigError`] names the first key that is off.
+    pub fn check_frames(&self) -> Result<(), ConfigError> {
+        let limits = [
+            ("patch_size", self.patch_size, wire::PATCH_SIDE_MAX),
+            ("history_len", self.history_len, wire::HISTORY_MAX),
+            ("horizon_len", self.horizon_len, wire::HORIZON_MAX),
+            ("modes", self.modes, wire::MODES_MAX),
+        ];
+        match limits.into_iter().find(|(_, value, most)| value > most) {
+            Some((key, value, _)) => Err(ConfigError {
+                key,
+                value: value as f64,
+                reason: "is more than the pipeline's frames can carry",
+            }),
+            None => Ok(()),
+        }
+    }
+
     /// Components of the state embedding: half of a node attribute, or all of it without context.
     #[must_use]
     pub const fn state_embedding_len(&self) -> usize {

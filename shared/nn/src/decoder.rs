@@ -44,6 +44,7 @@ pub struct TypeDecoder {
     idle: Buffer,
     head: Linear,
     points: Option<Points>,
+    best_latent: Option<[f32; LATENT]>,
     modes: Option<ModeHead>,
     base: Option<Base>,
 }
@@ -128,9 +129,15 @@ impl TypeDecoder {
         let recurrent_bias = weights.tensor(&name("gru.bias_hh"), &[GATES])?;
         let section = |start, len, bias| Linear::pack(input, bias, shape, start..start + len);
         let latent = section(STATE_FEATURES + TEMPORAL, LATENT, None);
-        let points = (config.latents == Latents::Points || config.best_latent)
-            .then(|| Points::read(weights, &name(""), &latent))
-            .transpose()?;
+        let mut best_latent = None;
+        if config.best_latent {
+            best_latent = weights.tensor(&name("latent_best"), &[LATENT])?.first_chunk().copied();
+        }
+        let mut points = None;
+        if config.latents == Latents::Points {
+            let learned = weights.tensor(&name("latents"), &[config.modes, LATENT])?;
+            points = Some(Points::new(learned, best_latent.as_ref(), &latent));
+        }
         let mut idle = Buffer::zeroed(GATES);
         idle.copy_from_slice(input_bias);
         Ok(Self {
@@ -141,6 +148,7 @@ impl TypeDecoder {
             idle,
             head: Linear::read(weights, &name("head"), RAW_CONTROL, HIDDEN)?,
             points,
+            best_latent,
             modes: config.mode_head.then(|| ModeHead::read(weights, &name("mode"))).transpose()?,
             base: config.base.then(|| Base::read(weights, agent_type)).transpose()?,
         })
@@ -259,13 +267,16 @@ impl TypeDecoder {
         }
     }
 
-    /// Learned latent points, that of the best forecast included.
-    ///
-    /// # Panics
-    /// Where the model has none.
+    /// Learned latent points, that of the best forecast included; 0 where the model draws from N(0, I).
     #[must_use]
     pub fn points_len(&self) -> usize {
-        self.points.as_ref().expect("the model has latent points").len
+        self.points.as_ref().map_or(0, |points| points.len)
+    }
+
+    /// The latent point of the best forecast, where the model has one.
+    #[must_use]
+    pub const fn best_latent(&self) -> Option<&[f32; LATENT]> {
+        self.best_latent.as_ref()
     }
 
     /// Probabilities of the modes, \[agent, mode\], or `false` where the model has no mode head and `out` is left.
@@ -308,19 +319,12 @@ impl TypeDecoder {
 }
 
 impl Points {
-    fn read(weights: &Weights, name: &str, latent: &Linear) -> Result<Self, WeightsError> {
-        let config = weights.config();
-        let mut points = Vec::new();
-        if config.latents == Latents::Points {
-            points.extend_from_slice(weights.tensor(&format!("{name}latents"), &[config.modes, LATENT])?);
-        }
-        if config.best_latent {
-            points.extend_from_slice(weights.tensor(&format!("{name}latent_best"), &[LATENT])?);
-        }
-        let len = points.len() / LATENT;
+    fn new(learned: &[f32], best: Option<&[f32; LATENT]>, latent: &Linear) -> Self {
+        let rows: Vec<f32> = learned.iter().chain(best.into_iter().flatten()).copied().collect();
+        let len = rows.len() / LATENT;
         let mut gates = Buffer::zeroed(len * GATES);
-        latent.run(&points, LATENT, Activation::None, &mut gates);
-        Ok(Self { gates, len })
+        latent.run(&rows, LATENT, Activation::None, &mut gates);
+        Self { gates, len }
     }
 }
 

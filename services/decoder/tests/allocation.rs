@@ -1,0 +1,20 @@
+//! A steady step takes no memory.
+
+#[path = "../../../tests/support/counting.rs"]
+mod counting;
+#[path = "support/frames.rs"]
+mod frames;
+
+use decoder::{Decoder, DecoderOptions};
+
+#[test]
+fn a_thousand_steady_steps_allocate_nothing() {
+    let mut decoder = Decoder::new(&nn::Weights::onboard(), DecoderOptions { workers: 2, seed: 1 }).unwrap();
+    let frames = [frames::encodings(6), frames::encodings(4)];
+    let mut outs = frames.each_ref().map(|encodings| frames::room(encodings));
+    let mut step = |i: usize| {
+        decoder.step(&frames::header(i as u64), &frames[i % 2], &mut outs[i % 2]).unwrap();
+    };
+    (0..4).for_each(&mut step);
+    assert_eq!(counting::allocations(|| (4..1_004).for_each(&mut step)), 0);
+}

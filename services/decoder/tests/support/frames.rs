@@ -1,0 +1,35 @@
+//! Encodings of agents of all types.
+
+use bytemuck::Zeroable;
+use wire::{AgentControls, AgentEncoding, Header};
+
+fn value(i: usize) -> f32 {
+    ((i * 37) % 101) as f32 * 0.01 - 0.5
+}
+
+/// Encodings of agents with full histories; every fifth is too young to be forecast.
+pub fn encodings(agents_len: usize) -> Vec<AgentEncoding> {
+    let encoding = |i: usize| {
+        let mut agent = AgentEncoding {
+            id: 100 + i as u64,
+            agent_type: (i % 3) as u32,
+            forecastable: u32::from(i % 5 != 4),
+            present: 0xff,
+            ..AgentEncoding::zeroed()
+        };
+        agent.state.as_flattened_mut().iter_mut().enumerate().for_each(|(k, x)| *x = value(i * 48 + k));
+        agent.temporal.iter_mut().enumerate().for_each(|(k, x)| *x = value(i * 64 + k + 7));
+        agent
+    };
+    (0..agents_len).map(encoding).collect()
+}
+
+/// The header of a tick.
+pub fn header(seq: u64) -> Header {
+    Header::new(1, seq, seq as i64 * 80_000_000)
+}
+
+/// Room for the controls.
+pub fn room(encodings: &[AgentEncoding]) -> Vec<AgentControls> {
+    vec![AgentControls::zeroed(); decoder::Decoder::len(encodings)]
+}

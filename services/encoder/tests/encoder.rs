@@ -1,0 +1,68 @@
+//! The encoder's refusals; its numbers are held to the golden vectors with the layers.
+
+#[path = "support/frames.rs"]
+mod frames;
+
+use encoder::Encoder;
+use frames::Frame;
+use nn::Weights;
+use wire::{Edge, Rejected};
+
+#[test]
+fn every_agent_is_summarised() {
+    let frame = Frame::new(5);
+    let mut encoder = Encoder::new(&Weights::onboard()).unwrap();
+    let mut out = frame.out();
+    encoder.step(&frame.header, &frame.features(), &mut out).unwrap();
+    for (agent, encoding) in frame.agents.iter().zip(&out) {
+        assert_eq!((encoding.id, encoding.present), (agent.id, agent.present));
+        assert!(encoding.temporal.iter().any(|x| *x != 0.0));
+    }
+}
+
+#[test]
+fn the_order_of_the_agents_changes_rounding_alone() {
+    let (frame, mut turned) = (Frame::new(6), Frame::new(6));
+    turned.agents.reverse();
+    turned.attributes.chunks_exact_mut(6 * 6).for_each(<[_]>::reverse);
+    let mut encoder = Encoder::new(&Weights::onboard()).unwrap();
+    let (mut out, mut turned_out) = (frame.out(), frame.out());
+    encoder.step(&frame.header, &frame.features(), &mut out).unwrap();
+    encoder.step(&turned.header, &turned.features(), &mut turned_out).unwrap();
+    for (a, b) in out.iter().zip(turned_out.iter().rev()) {
+        assert_eq!(a.id, b.id);
+        let largest = a.temporal.iter().fold(0.0_f32, |most, x| most.max(x.abs()));
+        for (a, b) in a.temporal.iter().zip(&b.temporal) {
+            assert!((a - b).abs() <= 1e-5 * largest, "{a} and {b}");
+        }
+    }
+}
+
+#[test]
+fn a_bad_frame_is_refused_and_leaves_the_output() {
+    let mut encoder = Encoder::new(&Weights::onboard()).unwrap();
+    let good = Frame::new(4);
+    let mut out = good.out();
+    let mut refuse = |edit: &dyn Fn(&mut Frame)| {
+        let mut frame = Frame::new(4);
+        edit(&mut frame);
+        let rejected = encoder.step(&frame.header, &frame.features(), &mut out).unwrap_err();
+        assert_eq!(out, good.out());
+        rejected
+    };
+    let nan = refuse(&|frame| frame.agents[1].node[2][3] = f32::NAN);
+    assert_eq!(nan, Rejected::NotFinite { field: "node attributes" });
+    let nan = refuse(&|frame| frame.attributes[3][3] = f32::INFINITY);
+    assert_eq!(nan, Rejected::NotFinite { field: "edge attributes" });
+    let absent = refuse(&|frame| frame.agents[0].present = 0b1111_1110);
+    assert!(matches!(absent, Rejected::Impossible { field: "edge of an absent agent", .. }));
+    let dangling = refuse(&|frame| frame.edges[0].sender = 9);
+    assert!(matches!(dangling, Rejected::Impossible { .. }));
+    let unsorted = refuse(&|frame| frame.edges.swap(0, 1));
+    assert!(matches!(unsorted, Rejected::Impossible { field: "order of the edges", .. }));
+    let late = Edge { step: 8, ..Edge::default() };
+    let late = refuse(&|frame| *frame.edges.last_mut().unwrap() = late);
+    assert!(matches!(late, Rejected::Impossible { .. }));
+    let history = refuse(&|frame| frame.header.counts.history_len = 4);
+    assert!(matches!(history, Rejected::Mismatch { field: "history_len", found: 4, expected: 8 }));
+}
