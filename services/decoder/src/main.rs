@@ -1,1 +1,5 @@
-fn main() {}
+//! The decoder as a program of its own.
+
+fn main() -> std::process::ExitCode {
+    ports::stage_main(decoder::stage::run)
+}

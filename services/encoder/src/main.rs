@@ -1,1 +1,5 @@
-fn main() {}
+//! The encoder as a program of its own.
+
+fn main() -> std::process::ExitCode {
+    ports::stage_main(encoder::stage::run)
+}

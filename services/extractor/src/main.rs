@@ -1,1 +1,5 @@
-fn main() {}
+//! The extractor as a program of its own.
+
+fn main() -> std::process::ExitCode {
+    ports::stage_main(extractor::stage::run)
+}

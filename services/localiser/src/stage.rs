@@ -30,7 +30,11 @@ pub fn run(run: &Run) -> Result<(), StageError> {
     Ok(())
 }
 
-fn options(run: &Run) -> Result<LocaliserOptions, StageError> {
+/// The run's settings of the localiser, its map opened.
+///
+/// # Errors
+/// [`StageError::Data`] where the map can't be used.
+pub fn options(run: &Run) -> Result<LocaliserOptions, StageError> {
     let map = match &run.map {
         MapChoice::Online => MapSource::Online,
         MapChoice::None => MapSource::None,

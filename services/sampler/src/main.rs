@@ -1,1 +1,5 @@
-fn main() {}
+//! The sampler as a program of its own.
+
+fn main() -> std::process::ExitCode {
+    ports::stage_main(sampler::stage::run)
+}

@@ -51,7 +51,9 @@ fn prior(
     }
 }
 
-fn options(run: &Run) -> TrackerOptions {
+/// The run's settings of the tracker.
+#[must_use]
+pub fn options(run: &Run) -> TrackerOptions {
     let horizon_s = run.model.dt_s * run.model.horizon_len as f64;
     TrackerOptions {
         history_len: run.model.history_len,

@@ -120,6 +120,29 @@ pub enum RecordError {
     },
 }
 
+impl Default for Run {
+    /// A generated scene through the embedded model, in real time, by no stage at all.
+    fn default() -> Self {
+        Self {
+            id: 0,
+            prefix: String::new(),
+            root: PathBuf::new(),
+            interval_ns: 80_000_000,
+            lockstep: false,
+            seed: 1,
+            scene: Scene::Generated { agents_len: 32 },
+            ticks: None,
+            associate: false,
+            weights: None,
+            model: Weights::onboard().config().clone(),
+            map: MapChoice::Online,
+            report: PathBuf::new(),
+            forecasts: None,
+            stages: Vec::new(),
+        }
+    }
+}
+
 impl Run {
     /// How a stage is run, where the pipeline has it.
     #[must_use]

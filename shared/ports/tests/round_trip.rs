@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use config::{MapChoice, Run, Scene};
+use config::Run;
 use ports::{Awaited, Node, Space, Stage, StageError, leftovers, monotonic_ns};
 use wire::{
     FeaturesTopic, ForecastsTopic, Header, HeartbeatsTopic, StageId, Topic, Track, TracksTopic, flags,
@@ -14,23 +14,7 @@ fn run() -> (Space, Run) {
     let count = COUNT.fetch_add(1, std::sync::atomic::Ordering::Relaxed);
     let id = u64::from(std::process::id()) << 8 | u64::from(count);
     let space = Space::create(id, 1 << 20).expect("shared memory has room");
-    let run = Run {
-        id,
-        prefix: space.prefix().into(),
-        root: space.root().into(),
-        interval_ns: 80_000_000,
-        lockstep: false,
-        seed: 1,
-        scene: Scene::Generated { agents_len: 1 },
-        ticks: None,
-        associate: false,
-        weights: None,
-        model: nn::Weights::onboard().config().clone(),
-        map: MapChoice::Online,
-        report: space.root().join("report.json"),
-        forecasts: None,
-        stages: Vec::new(),
-    };
+    let run = Run { id, prefix: space.prefix().into(), root: space.root().into(), ..Run::default() };
     (space, run)
 }
 

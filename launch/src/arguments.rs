@@ -1,0 +1,66 @@
+//! What several verbs are asked alike: the scene and the model.
+
+use std::path::{Path, PathBuf};
+
+use clap::Args;
+use config::{MapChoice, Scene};
+use data::Format;
+use nn::Weights;
+
+use crate::failure::Failure;
+
+/// Where the detections come from.
+#[derive(Clone, Debug, Args)]
+pub struct SceneArguments {
+    /// Play a recording: its file or folder
+    #[arg(long, value_name = "PATH")]
+    pub recording: Option<PathBuf>,
+    /// The recording's format; found out where not given
+    #[arg(long, requires = "recording")]
+    pub format: Option<Format>,
+    /// Generate an intersection with so many agents, where no recording is played
+    #[arg(long, value_name = "N", default_value_t = 32, conflicts_with = "recording",
+          value_parser = clap::value_parser!(u16).range(1..=wire::AGENTS_MAX as i64))]
+    pub agents: u16,
+    /// Seed of all that is random
+    #[arg(long, default_value_t = 1)]
+    pub seed: u64,
+    /// End after so many ticks
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..))]
+    pub ticks: Option<u64>,
+    /// Associate detections by position even where they carry identities
+    #[arg(long)]
+    pub associate: bool,
+}
+
+/// What forecasts are made with.
+#[derive(Clone, Debug, Args)]
+pub struct ModelArguments {
+    /// Weights other than the embedded ones
+    #[arg(long, value_name = "FILE")]
+    pub weights: Option<PathBuf>,
+    /// Context map: `online`, `none` or a file that `stgdat map` wrote
+    #[arg(long, value_name = "MAP")]
+    pub map: Option<MapChoice>,
+}
+
+impl SceneArguments {
+    /// The scene as the run's record tells it; paths are made absolute, as stages may run elsewhere.
+    pub fn scene(&self) -> Result<Scene, Failure> {
+        let Some(path) = &self.recording else {
+            return Ok(Scene::Generated { agents_len: usize::from(self.agents) });
+        };
+        let path = path.canonicalize().map_err(|error| Failure::file(path, &error))?;
+        Ok(Scene::Recording { path, format: self.format.map(|format| format.name().to_owned()) })
+    }
+}
+
+impl ModelArguments {
+    /// Opens the weights: the ones asked for, else the pipeline's, else the embedded ones.
+    pub fn open_weights(&self, pipeline: Option<&Path>) -> Result<(Option<PathBuf>, Weights), Failure> {
+        let Some(path) = self.weights.as_deref().or(pipeline) else { return Ok((None, Weights::onboard())) };
+        let path = path.canonicalize().map_err(|error| Failure::file(path, &error))?;
+        let weights = Weights::open(&path).map_err(Failure::data)?;
+        Ok((Some(path), weights))
+    }
+}

@@ -1,0 +1,146 @@
+use std::collections::VecDeque;
+use std::io::{BufRead, BufReader, Read};
+use std::os::unix::process::{CommandExt, ExitStatusExt};
+use std::path::Path;
+use std::process::{Child as Process, Command, ExitStatus, Stdio};
+use std::sync::mpsc::Sender;
+use std::sync::{Arc, Mutex, PoisonError};
+use std::thread::JoinHandle;
+
+use config::{Exit, Run};
+use ports::RUN_VARIABLE;
+use rustix::process::{Pid, Signal, kill_process};
+use wire::StageId;
+
+use crate::failure::{Failure, StageDeath};
+
+/// Lines of a stage's output that are kept for the case that it dies.
+const LAST_WORDS_MAX: usize = 12;
+/// Longest line that is kept whole.
+const LINE_BYTES_MAX: u64 = 4096;
+
+/// A line that a stage wrote.
+pub type Line = (StageId, String);
+
+/// A stage's process.
+#[derive(Debug)]
+pub struct Child {
+    /// Which stage it plays.
+    pub stage: StageId,
+    process: Process,
+    ended: Option<ExitStatus>,
+    last_words: Arc<Mutex<VecDeque<String>>>,
+    readers: Vec<JoinHandle<()>>,
+}
+
+impl Child {
+    /// Starts a stage: its own command, or this very program. Its output comes line by line through `lines`.
+    pub fn start(
+        stage: StageId,
+        own: Option<&[String]>,
+        run: &Run,
+        record: &Path,
+        lines: &Sender<Line>,
+    ) -> Result<Self, Failure> {
+        let mut command = match own {
+            Some([program, arguments @ ..]) => {
+                let mut command = Command::new(program);
+                command.args(arguments);
+                command
+            }
+            _ => {
+                let this = std::env::current_exe().map_err(|e| Failure::Unavailable(e.to_string()))?;
+                let mut command = Command::new(this);
+                command.args(["stage", stage.name(), "--run"]).arg(record);
+                command
+            }
+        };
+        command
+            .env(RUN_VARIABLE, record)
+            .env("STGDAT_RUN_ID", run.id.to_string())
+            .env("STGDAT_PREFIX", &run.prefix)
+            .env("STGDAT_ROOT", &run.root)
+            .env("STGDAT_INTERVAL_NS", run.interval_ns.to_string())
+            .stdin(Stdio::null())
+            .stdout(Stdio::piped())
+            .stderr(Stdio::piped())
+            // A group of its own: Ctrl-C in a terminal reaches the launcher alone, which ends all in order.
+            .process_group(0);
+        let mut process = command.spawn().map_err(|error| {
+            let program = own.and_then(<[String]>::first).map_or("stgdat", String::as_str);
+            Failure::Config(format!("the {} can't be started: {program}: {error}", stage.name()))
+        })?;
+        let last_words = Arc::new(Mutex::new(VecDeque::new()));
+        let outputs: [Option<Box<dyn Read + Send>>; 2] = [
+            process.stdout.take().map(|pipe| Box::new(pipe) as _),
+            process.stderr.take().map(|pipe| Box::new(pipe) as _),
+        ];
+        let readers = outputs
+            .into_iter()
+            .flatten()
+            .map(|output| {
+                let (words, lines) = (last_words.clone(), lines.clone());
+                std::thread::spawn(move || read_lines(output, stage, &words, &lines))
+            })
+            .collect();
+        Ok(Self { stage, process, ended: None, last_words, readers })
+    }
+
+    /// How it ended, where it has.
+    pub fn ended(&mut self) -> Option<ExitStatus> {
+        if self.ended.is_none() {
+            // Fails only for processes that are no children.
+            self.ended = self.process.try_wait().unwrap_or(None);
+        }
+        self.ended
+    }
+
+    /// Asks it to end (`TERM`) or ends it (`KILL`); nothing where it has ended.
+    pub fn signal(&mut self, signal: Signal) {
+        if self.ended().is_none() {
+            // It may end at this moment; until it is waited for, its number is nobody else's.
+            let _ = kill_process(Pid::from_child(&self.process), signal);
+        }
+    }
+
+    /// What to say of a child that ended by itself.
+    pub fn death(&mut self, status: ExitStatus) -> StageDeath {
+        // The pipes close with the process, so what it wrote is soon all there; a grandchild may hold them open.
+        let until = std::time::Instant::now() + std::time::Duration::from_millis(200);
+        while !self.readers.iter().all(JoinHandle::is_finished) && std::time::Instant::now() < until {
+            std::thread::sleep(std::time::Duration::from_millis(5));
+        }
+        let how = match (status.code(), status.signal()) {
+            (Some(code), _) => format!("ended with exit code {code}"),
+            (None, Some(signal)) => format!("was killed by signal {signal}"),
+            (None, None) => status.to_string(),
+        };
+        let words = self.last_words.lock().unwrap_or_else(PoisonError::into_inner);
+        StageDeath {
+            stage: self.stage,
+            how,
+            exit: status.code().and_then(Exit::from_code),
+            last_words: words.iter().cloned().collect(),
+        }
+    }
+}
+
+fn read_lines(output: impl Read, stage: StageId, words: &Mutex<VecDeque<String>>, lines: &Sender<Line>) {
+    let mut output = BufReader::new(output);
+    let mut bytes = Vec::new();
+    loop {
+        bytes.clear();
+        match (&mut output).take(LINE_BYTES_MAX).read_until(b'\n', &mut bytes) {
+            Ok(0) | Err(_) => return,
+            Ok(_) => {}
+        }
+        let line = String::from_utf8_lossy(&bytes).trim_end().to_owned();
+        let mut words = words.lock().unwrap_or_else(PoisonError::into_inner);
+        if words.len() == LAST_WORDS_MAX {
+            words.pop_front();
+        }
+        words.push_back(line.clone());
+        // Nobody listens any more once the run has ended.
+        let _ = lines.send((stage, line));
+    }
+}

@@ -1,0 +1,82 @@
+use std::path::Path;
+use std::process::ExitStatus;
+use std::sync::mpsc::{Receiver, channel};
+use std::time::{Duration, Instant};
+
+use config::{Pipeline, Run};
+use rustix::process::Signal;
+use wire::StageId;
+
+use crate::child::{Child, Line};
+use crate::failure::{Failure, StageDeath};
+
+/// Time that the stages have to end once they are asked to.
+const END_LIMIT: Duration = Duration::from_secs(3);
+/// Time between looks at processes that are about to end.
+const LOOK: Duration = Duration::from_millis(5);
+
+/// The processes of a run; dropping it ends them all.
+#[derive(Debug)]
+pub struct Fleet {
+    children: Vec<Child>,
+    lines: Receiver<Line>,
+}
+
+impl Fleet {
+    /// Starts all stages of a pipeline.
+    pub fn start(pipeline: &Pipeline, run: &Run, record: &Path) -> Result<Self, Failure> {
+        let (sender, lines) = channel();
+        let mut fleet = Self { children: Vec::new(), lines };
+        for stage in &pipeline.stages {
+            fleet.children.push(Child::start(stage.id, stage.command.as_deref(), run, record, &sender)?);
+        }
+        Ok(fleet)
+    }
+
+    /// Lines that the stages wrote since the last look.
+    pub fn lines(&self) -> impl Iterator<Item = Line> {
+        self.lines.try_iter()
+    }
+
+    /// Whether a stage has ended well.
+    pub fn done(&mut self, stage: StageId) -> bool {
+        self.children.iter_mut().any(|c| c.stage == stage && c.ended().is_some_and(|status| status.success()))
+    }
+
+    /// The first stage that ended though the run goes on. The source and the recorder may end well: their work can be
+    /// done.
+    pub fn death(&mut self) -> Option<StageDeath> {
+        let unexpected = |child: &mut Child| {
+            let may_end = matches!(child.stage, StageId::Source | StageId::Recorder);
+            child.ended().filter(|status| !(may_end && status.success()))
+        };
+        let (child, status): (&mut Child, ExitStatus) =
+            self.children.iter_mut().find_map(|child| unexpected(child).map(|status| (child, status)))?;
+        Some(child.death(status))
+    }
+
+    /// Asks all stages to end, waits, and kills those that do not.
+    pub fn end(&mut self) {
+        for child in &mut self.children {
+            child.signal(Signal::TERM);
+            // One that is stopped takes the request only when it goes on.
+            child.signal(Signal::CONT);
+        }
+        let start = Instant::now();
+        let running = |children: &mut Vec<Child>| children.iter_mut().any(|child| child.ended().is_none());
+        while running(&mut self.children) {
+            if start.elapsed() > END_LIMIT {
+                for child in &mut self.children {
+                    child.signal(Signal::KILL);
+                }
+            }
+            std::thread::sleep(LOOK);
+        }
+    }
+}
+
+impl Drop for Fleet {
+    fn drop(&mut self) {
+        self.end();
+    }
+}

@@ -1,0 +1,27 @@
+use std::path::PathBuf;
+
+use clap::Args;
+use config::{BUDGET_MAX_MS, Exit};
+
+use crate::failure::Failure;
+use crate::pipeline_file;
+
+/// Arguments of `stgdat check`.
+#[derive(Debug, Args)]
+pub struct Arguments {
+    /// The pipeline.toml; the shipped one where none is named
+    pipeline: Option<PathBuf>,
+}
+
+/// Checks a pipeline.toml and says what it holds.
+pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
+    let pipeline = pipeline_file::load(arguments.pipeline.as_deref())?;
+    let budget_ms: f64 = pipeline.stages.iter().filter_map(|stage| stage.budget_ms).sum();
+    let own = pipeline.stages.iter().filter(|stage| stage.command.is_some()).count();
+    println!(
+        "ok: {} stages ({own} by programs of their own), {} connections, budgets {budget_ms} of {BUDGET_MAX_MS} ms",
+        pipeline.stages.len(),
+        pipeline.edges().len()
+    );
+    Ok(Exit::Done)
+}

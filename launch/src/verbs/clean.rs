@@ -1,0 +1,27 @@
+use clap::Args;
+use config::Exit;
+
+use crate::failure::Failure;
+
+/// Arguments of `stgdat clean`.
+#[derive(Debug, Args)]
+pub struct Arguments {
+    /// Only tell what would be removed
+    #[arg(long)]
+    dry_run: bool,
+}
+
+/// Removes the files of runs whose launcher is gone; living runs are left alone.
+pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
+    let leftovers = ports::leftovers().map_err(|error| Failure::Unavailable(error.to_string()))?;
+    let verb = if arguments.dry_run { "would remove" } else { "removed" };
+    for leftover in leftovers {
+        let run = leftover.prefix.trim_end_matches('_').to_owned();
+        let (files_len, kib) = (leftover.files_len, leftover.bytes >> 10);
+        if !arguments.dry_run {
+            leftover.remove();
+        }
+        println!("{verb} {run}: {files_len} files in shared memory, {kib} KiB");
+    }
+    Ok(Exit::Done)
+}

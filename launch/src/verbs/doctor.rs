@@ -1,0 +1,115 @@
+use std::fmt::Display;
+use std::os::unix::fs::PermissionsExt;
+use std::path::Path;
+
+use clap::Args;
+use config::Exit;
+use rustix::process::{Resource, Rlimit, getrlimit};
+
+use crate::failure::Failure;
+
+/// Shared memory below which a run of many agents may not fit.
+const SHARED_BYTES: u64 = 128 << 20;
+/// Open files below which the transport may run out.
+const FILES: u64 = 1024;
+
+/// Arguments of `stgdat doctor`.
+#[derive(Debug, Args)]
+pub struct Arguments {}
+
+/// One look at the machine.
+struct Finding {
+    what: &'static str,
+    found: String,
+    /// What to do about it, where it is not as it should be.
+    advice: Option<String>,
+}
+
+/// Looks at what a run needs of this machine, and says what to do where something is short.
+pub fn execute(_: &Arguments) -> Result<Exit, Failure> {
+    let findings =
+        [shared_memory(), rights(), leftovers(), files(), locked_memory(), cores(), kernels(), weights()];
+    let mut well = true;
+    for Finding { what, found, advice } in findings {
+        well &= advice.is_none();
+        println!("{} {what:<16} {found}", if advice.is_none() { "ok  " } else { "look" });
+        if let Some(advice) = advice {
+            println!("     {:<16} {advice}", "");
+        }
+    }
+    if well {
+        Ok(Exit::Done)
+    } else {
+        Err(Failure::Unavailable("this machine wants a look, see above".into()))
+    }
+}
+
+fn finding(what: &'static str, found: impl Display, advice: Option<String>) -> Finding {
+    Finding { what, found: found.to_string(), advice }
+}
+
+fn shared_memory() -> Finding {
+    match ports::shared_memory_free() {
+        Ok(free) => {
+            let advice = (free < SHARED_BYTES).then(|| {
+                format!(
+                    "a run may need {} MiB: docker run --shm-size=1g, mount -o remount,size=1G",
+                    SHARED_BYTES >> 20
+                )
+            });
+            finding("shared memory", format!("{} MiB free", free >> 20), advice)
+        }
+        Err(error) => finding("shared memory", error, Some("mount a tmpfs on /dev/shm".into())),
+    }
+}
+
+fn rights() -> Finding {
+    let path = Path::new("/dev/shm");
+    let mode = std::fs::metadata(path).map_or(0, |metadata| metadata.permissions().mode() & 0o7777);
+    let writable = rustix::fs::access(path, rustix::fs::Access::WRITE_OK).is_ok();
+    let advice = (!writable).then(|| format!("this user can't write there: chmod 1777 {}", path.display()));
+    finding("rights", format!("{} has mode {mode:o}", path.display()), advice)
+}
+
+fn leftovers() -> Finding {
+    match ports::leftovers() {
+        Ok(leftovers) => {
+            let bytes: u64 = leftovers.iter().map(|leftover| leftover.bytes).sum();
+            let found = format!("{} dead runs, {} MiB", leftovers.len(), bytes >> 20);
+            finding("leftovers", found, (!leftovers.is_empty()).then(|| "stgdat clean removes them".into()))
+        }
+        Err(error) => finding("leftovers", error, Some("can't be looked for".into())),
+    }
+}
+
+fn files() -> Finding {
+    let Rlimit { current, .. } = getrlimit(Resource::Nofile);
+    let advice = current.is_some_and(|n| n < FILES).then(|| format!("ulimit -n {FILES}"));
+    finding("open files", limit(current), advice)
+}
+
+fn locked_memory() -> Finding {
+    // Told only: nothing is locked unless real-time priority is asked for.
+    finding("locked memory", limit(getrlimit(Resource::Memlock).current), None)
+}
+
+fn limit(current: Option<u64>) -> String {
+    current.map_or("no limit".into(), |n| n.to_string())
+}
+
+fn cores() -> Finding {
+    let cores = std::thread::available_parallelism().map_or(1, usize::from);
+    finding("cores", cores, (cores < 2).then(|| "the stages will wait for one another: 2 at least".into()))
+}
+
+fn kernels() -> Finding {
+    let (active, available) =
+        (nn::kernels::active(), nn::kernels::Isa::ALL.into_iter().filter(|isa| isa.available()));
+    let available: Vec<&str> = available.map(nn::kernels::Isa::name).collect();
+    finding("kernels", format!("{} (this CPU has {})", active.name(), available.join(", ")), None)
+}
+
+fn weights() -> Finding {
+    let weights = nn::Weights::onboard();
+    finding("weights", format!("onboard, SHA-256 {}", weights.sha256()), None)
+}

@@ -1,0 +1,86 @@
+use std::path::PathBuf;
+
+use clap::{Args, ValueEnum};
+use config::{Exit, Pipeline, Stage};
+
+use crate::failure::Failure;
+use crate::pipeline_file;
+
+/// Arguments of `stgdat graph`.
+#[derive(Debug, Args)]
+pub struct Arguments {
+    /// The pipeline.toml; the shipped one where none is named
+    pipeline: Option<PathBuf>,
+    /// Language of the graph
+    #[arg(long, value_enum, default_value = "mermaid")]
+    format: Format,
+}
+
+#[derive(Clone, Copy, Debug, ValueEnum)]
+enum Format {
+    Mermaid,
+    Dot,
+}
+
+/// Prints the graph of a pipeline.toml.
+pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
+    let pipeline = pipeline_file::load(arguments.pipeline.as_deref())?;
+    print!(
+        "{}",
+        match arguments.format {
+            Format::Mermaid => mermaid(&pipeline),
+            Format::Dot => dot(&pipeline),
+        }
+    );
+    Ok(Exit::Done)
+}
+
+fn mermaid(pipeline: &Pipeline) -> String {
+    let mut text = String::from("flowchart LR\n");
+    for stage in &pipeline.stages {
+        text += &format!("    {}[\"{}\"]\n", stage.id.name(), label(stage, "<br/>"));
+    }
+    for (producer, topic, consumer) in pipeline.edges() {
+        text += &format!("    {} -->|{topic}| {}\n", producer.name(), consumer.name());
+    }
+    text
+}
+
+fn dot(pipeline: &Pipeline) -> String {
+    let mut text = String::from("digraph stgdat {\n    rankdir = LR;\n    node [shape = box];\n");
+    for stage in &pipeline.stages {
+        text += &format!("    {} [label = \"{}\"];\n", stage.id.name(), label(stage, "\\n"));
+    }
+    for (producer, topic, consumer) in pipeline.edges() {
+        text += &format!("    {} -> {} [label = \"{topic}\"];\n", producer.name(), consumer.name());
+    }
+    text + "}\n"
+}
+
+/// Name, budget and, where it is not this project's own, program of a stage.
+fn label(stage: &Stage, line_break: &str) -> String {
+    let mut label = stage.id.name().to_owned();
+    if let Some(budget_ms) = stage.budget_ms {
+        label += &format!("{line_break}{budget_ms} ms");
+    }
+    if let Some(program) = stage.command.as_ref().and_then(|command| command.first()) {
+        label += &format!("{line_break}{}", program.replace(['"', '\\'], "'"));
+    }
+    label
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_stage_and_connection_is_drawn() {
+        let pipeline = pipeline_file::load(None).unwrap();
+        for text in [mermaid(&pipeline), dot(&pipeline)] {
+            assert!(pipeline.stages.iter().all(|stage| text.contains(stage.id.name())), "{text}");
+            assert_eq!(text.matches("->").count(), pipeline.edges().len(), "{text}");
+        }
+        assert!(mermaid(&pipeline).contains("sampler -->|forecasts| tracker\n"));
+        assert!(dot(&pipeline).contains("sampler -> tracker [label = \"forecasts\"];\n"));
+    }
+}

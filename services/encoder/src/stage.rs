@@ -1,0 +1,31 @@
+//! The encoder as a process: `features` in, `encodings` out.
+
+use config::Run;
+use ports::{Stage, StageError};
+use wire::{EncodingsTopic, FeatureShape, Features, FeaturesTopic, StageId};
+
+use crate::Encoder;
+
+/// Runs the stage until the process is asked to end.
+///
+/// # Errors
+/// [`StageError`] where the weights or the run's shared memory can't be used.
+pub fn run(run: &Run) -> Result<(), StageError> {
+    let weights = run.open_weights().map_err(StageError::data)?;
+    let mut encoder = Encoder::new(&weights).map_err(StageError::data)?;
+    drop(weights);
+
+    let mut stage = Stage::open(run, StageId::Encoder)?;
+    let features = stage.subscribe::<FeaturesTopic>()?;
+    let output = stage.publish::<EncodingsTopic>()?;
+
+    while let Some(input) = stage.next(&features, &output)? {
+        let passage = stage.begin(&input);
+        let counts = &input.header().counts;
+        let mut loan = output.loan(counts.agents_len as usize)?;
+        let result = Features::read(&input, FeatureShape::of(counts), counts.history_len as usize)
+            .and_then(|features| encoder.step(input.header(), &features, &mut loan));
+        stage.finish(passage, &output, result.map(|()| loan))?;
+    }
+    Ok(())
+}

@@ -1,0 +1,90 @@
+//! The sampler as a process: `tracks` and `controls` in, `forecasts` out, whatever becomes of the controls.
+
+use config::Run;
+use kinematics::{ControlLimits, DisplacementKind, Integrator};
+use ports::{Awaited, Stage, StageError};
+use wire::{Cause, ControlsTopic, ForecastsTopic, Header, StageId, Topic, TracksTopic, flags};
+
+use crate::{Propagation, Sampler, SamplerOptions};
+
+/// How long after its release a tick waits for its controls, where the pipeline does not say.
+const DEADLINE_MS: f64 = 72.0;
+/// Particles of each mode, where the pipeline does not say.
+const PARTICLES: usize = 16;
+
+/// Runs the stage until the process is asked to end.
+///
+/// # Errors
+/// [`StageError`] where the run's shared memory can't be used.
+pub fn run(run: &Run) -> Result<(), StageError> {
+    let mut sampler = Sampler::new(options(run));
+    let deadline_ms = run.options(StageId::Sampler).deadline_ms.unwrap_or(DEADLINE_MS);
+    let deadline_ns = run.interval_ns.min((deadline_ms * 1e6) as u64);
+
+    let mut stage = Stage::open(run, StageId::Sampler)?;
+    let tracks = stage.subscribe::<TracksTopic>()?;
+    let controls = stage.subscribe::<ControlsTopic>()?;
+    let output = stage.publish::<ForecastsTopic>()?;
+
+    while let Some(input) = stage.next(&tracks, &output)? {
+        let header = input.header();
+        let until_ns = (!header.has(flags::LOCKSTEP)).then_some(header.released_ns + deadline_ns);
+        let awaited = stage.wait_for(&controls, header.seq, until_ns)?;
+        let mut loan = output.loan(input.len())?;
+        let (mut passage, learned) = match awaited {
+            Awaited::Frame(controls) => {
+                let passage = stage.begin(&controls);
+                let learned = sampler.learned(header, &input, &controls, &mut loan);
+                (passage, learned.map_err(|why| stage.refuse(header.seq, ControlsTopic::NAME, why)))
+            }
+            Awaited::Void(controls) => (stage.begin(&controls), Err(())),
+            Awaited::Late => {
+                let passage = stage.begin(&input);
+                let late = sampler.fallback(header, &input, Cause::Late, &mut loan);
+                (passage, late.map_err(|why| stage.refuse(header.seq, TracksTopic::NAME, why)))
+            }
+            Awaited::Stopped => break,
+        };
+        let result = learned.or_else(|()| sampler.fallback(header, &input, Cause::Rejected, &mut loan));
+        // The forecasts are of the tracks; the way through the pipeline is that of the controls.
+        let Header { hops, hops_len, .. } = passage.header;
+        passage.header = Header { hops, hops_len, ..*header };
+        passage.header.counts.horizon_len = run.model.horizon_len as u32;
+        passage.header.counts.modes_len = run.model.modes as u32;
+        stage.finish(passage, &output, result.map(|()| loan))?;
+    }
+    Ok(())
+}
+
+/// The run's settings of the sampler.
+#[must_use]
+pub fn options(run: &Run) -> SamplerOptions {
+    let (model, settings) = (&run.model, run.options(StageId::Sampler));
+    let particles = settings.particles.unwrap_or(PARTICLES);
+    SamplerOptions {
+        history_len: model.history_len,
+        horizon_len: model.horizon_len,
+        integrator: match model.integrator {
+            nn::Integrator::Euler => Integrator::Euler,
+            nn::Integrator::Midpoint => Integrator::Midpoint,
+        },
+        limits: ControlLimits {
+            accel_mps2: model.accel_limit_mps2,
+            slip_rate_radps: model.slip_rate_limit_radps,
+        },
+        slip_limit_rad: model.slip_limit_rad,
+        initial_slip: model.initial_slip,
+        rear_axle_ratio: model.rear_axle_ratio,
+        default_length_m: model.default_length_m,
+        displacement: match model.displacement {
+            nn::Displacement::Residual => DisplacementKind::Residual,
+            nn::Displacement::Absolute => DisplacementKind::Absolute,
+        },
+        propagation: match settings.propagation.unwrap_or_default() {
+            config::Propagation::Linearised => Propagation::Linearised,
+            config::Propagation::MonteCarlo => Propagation::MonteCarlo { particles },
+        },
+        seed: run.seed,
+        ..SamplerOptions::default()
+    }
+}
