@@ -1,0 +1,42 @@
+use kinematics::{ControlGaussian, Moments, Normals};
+use scene::AgentType;
+use wire::{Forecast, HORIZON_MAX, POSITION_MAX_M};
+
+use crate::Propagation;
+use crate::mover::Mover;
+
+/// What an agent may do of which nothing is known.
+struct Freedom {
+    /// Standard deviations of the controls: m/s² and rad/s of a vehicle, else m a step.
+    control: [f32; 2],
+    /// Standard deviation of the velocity of those who move by displacements.
+    velocity_mps: f32,
+}
+
+const fn freedom(agent_type: AgentType) -> Freedom {
+    match agent_type {
+        AgentType::Vehicle => Freedom { control: [1.0, 0.01], velocity_mps: 0.0 },
+        AgentType::Cyclist => Freedom { control: [0.2, 0.2], velocity_mps: 0.4 },
+        AgentType::Pedestrian => Freedom { control: [0.12, 0.12], velocity_mps: 0.15 },
+    }
+}
+
+/// Writes a single mode: the agent goes on without control, and ever less is known of where.
+pub(crate) fn forecast(mover: Mover, agent_type: AgentType, horizon_len: usize, out: &mut Forecast) {
+    let freedom = freedom(agent_type);
+    let controls = std::iter::repeat_n(ControlGaussian::centred(freedom.control), horizon_len);
+    let mut moments = [Moments::default(); HORIZON_MAX];
+    // A Gaussian needs no random numbers, whichever key they have.
+    let mut unused = Normals::new(0, 0, 0);
+    let mover = mover.with_velocity_deviation(freedom.velocity_mps);
+    mover.spread(controls, Propagation::Linearised, &mut unused, &mut moments);
+    out.modes_len = 1;
+    out.probability[0] = 1.0;
+    for (step, moments) in moments[..horizon_len].iter().enumerate() {
+        let position_m = moments.mean.map(|x| x.clamp(-POSITION_MAX_M, POSITION_MAX_M));
+        out.modes[0][step] = position_m;
+        out.best[step] = position_m;
+        out.mean[step] = position_m;
+        out.covariance[step] = moments.covariance;
+    }
+}

@@ -1,0 +1,78 @@
+use kinematics::{ControlGaussian, Moments, Normals, mixture};
+use wire::{AgentControls, Forecast, HORIZON_MAX, MODES_MAX, Rejected};
+
+use crate::Propagation;
+use crate::mover::Mover;
+
+/// The probabilities of an agent's modes may miss 1 by this much.
+const PROBABILITY_SLACK: f32 = 1e-3;
+
+/// The controls of an agent that a forecast can be made of.
+pub(crate) struct LearnedControls<'a> {
+    controls: &'a AgentControls,
+    horizon_len: usize,
+}
+
+/// The covariance of each step within the modes: the mixture's without the spread of its means.
+pub(crate) type Within = [[f32; 3]; HORIZON_MAX];
+
+impl<'a> LearnedControls<'a> {
+    /// Refuses controls that are not finite, or modes whose probabilities are none.
+    pub(crate) fn new(controls: &'a AgentControls, horizon_len: usize) -> Result<Self, Rejected> {
+        controls.check()?;
+        let probability = &controls.probability[..controls.modes_len as usize];
+        let sum: f32 = probability.iter().sum();
+        let impossible =
+            |value: f32| Rejected::Impossible { field: "mode probability", value: f64::from(value) };
+        if let Some(negative) = probability.iter().find(|p| **p < 0.0) {
+            return Err(impossible(*negative));
+        }
+        if (sum - 1.0).abs() > PROBABILITY_SLACK {
+            return Err(impossible(sum));
+        }
+        Ok(Self { controls, horizon_len })
+    }
+
+    /// Writes modes, best forecast and moments, and tells the covariance within the modes.
+    pub(crate) fn forecast(
+        &self,
+        mover: &Mover,
+        propagation: Propagation,
+        normals: &mut Normals,
+        out: &mut Forecast,
+    ) -> Within {
+        let modes_len = self.controls.modes_len as usize;
+        let mut moments = [[Moments::default(); HORIZON_MAX]; MODES_MAX];
+        for (controls, moments) in self.controls.modes.iter().zip(&mut moments).take(modes_len) {
+            mover.spread(self.steps(controls), propagation, normals, &mut moments[..self.horizon_len]);
+        }
+        mover.follow(self.steps(&self.controls.best), &mut out.best[..self.horizon_len]);
+        out.modes_len = self.controls.modes_len;
+        out.probability[..modes_len].copy_from_slice(&self.controls.probability[..modes_len]);
+
+        let mut within = Within::default();
+        for step in 0..self.horizon_len {
+            let parts =
+                out.probability.iter().zip(&moments).take(modes_len).map(|(p, mode)| (*p, mode[step]));
+            let mixed = mixture(parts.clone());
+            (out.mean[step], out.covariance[step]) = (mixed.mean, mixed.covariance);
+            for (mode, (weight, part)) in out.modes.iter_mut().zip(parts) {
+                mode[step] = part.mean;
+                for (sum, own) in within[step].iter_mut().zip(part.covariance) {
+                    *sum += weight * own;
+                }
+            }
+        }
+        within
+    }
+
+    fn steps<'b>(
+        &self,
+        controls: &'b [wire::ControlGaussian; HORIZON_MAX],
+    ) -> impl Iterator<Item = ControlGaussian> + use<'b> {
+        controls
+            .iter()
+            .take(self.horizon_len)
+            .map(|control| ControlGaussian::new(control.mean, control.cholesky))
+    }
+}

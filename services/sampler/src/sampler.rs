@@ -1,0 +1,199 @@
+use bytemuck::Zeroable;
+use kinematics::{Normals, PARTICLES_MAX};
+use scene::AgentType;
+use wire::{
+    AGENTS_MAX, AgentControls, Cause, Forecast, HISTORY_MAX, HORIZON_MAX, Header, POSITION_MAX_M, Quality,
+    Rejected, SPEED_MAX_MPS, Track,
+};
+
+use crate::held::HeldForecasts;
+use crate::learned::LearnedControls;
+use crate::mover::Mover;
+use crate::{Propagation, SamplerOptions, kinematic};
+
+/// Makes a forecast for every track.
+pub struct Sampler {
+    options: SamplerOptions,
+    held: HeldForecasts,
+}
+
+/// What is the same for all tracks of a frame.
+#[derive(Clone, Copy)]
+struct Tick {
+    stamp_ns: i64,
+    seq: u64,
+    step_ns: u64,
+}
+
+impl Tick {
+    fn dt_s(&self) -> f32 {
+        (self.step_ns as f64 * 1e-9) as f32
+    }
+}
+
+impl Sampler {
+    /// A sampler that holds no forecasts yet.
+    ///
+    /// # Panics
+    /// Where history, horizon or particles are more than the payloads can hold.
+    #[must_use]
+    pub fn new(options: SamplerOptions) -> Self {
+        assert!((1..=HISTORY_MAX).contains(&options.history_len), "history of {} steps", options.history_len);
+        assert!((1..=HORIZON_MAX).contains(&options.horizon_len), "horizon of {} steps", options.horizon_len);
+        if let Propagation::MonteCarlo { particles } = options.propagation {
+            assert!((1..=PARTICLES_MAX).contains(&particles), "{particles} particles");
+        }
+        Self { options, held: HeldForecasts::new() }
+    }
+
+    /// Writes a forecast per track, in the tracks' order, by the controls of the same tick.
+    ///
+    /// A track that the controls do not name, or whose controls are refused or lead out of the world, gets a held or
+    /// kinematic forecast with its cause; the other tracks are not touched by it. Controls that name no track are left
+    /// out. Calling it later with an older tick is allowed: the forecasts are held where none newer is.
+    ///
+    /// # Errors
+    /// [`Rejected`] where header or tracks are impossible; nothing was written or changed.
+    ///
+    /// # Panics
+    /// Where `out` has not one place per track.
+    pub fn learned(
+        &mut self,
+        header: &Header,
+        tracks: &[Track],
+        controls: &[AgentControls],
+        out: &mut [Forecast],
+    ) -> Result<(), Rejected> {
+        let tick = check(header, tracks, out)?;
+        let mut next = 0;
+        for (track, out) in tracks.iter().zip(out) {
+            // Controls come in the tracks' order: the search mostly ends where it begins.
+            let found = (next..controls.len())
+                .chain(0..next.min(controls.len()))
+                .find(|i| controls[*i].id == track.id);
+            let cause = match found {
+                Some(found) => {
+                    next = found + 1;
+                    self.learned_one(tick, track, &controls[found], out).err()
+                }
+                None => Some(Cause::Missing),
+            };
+            if let Some(cause) = cause {
+                self.fall_back(tick, track, cause, out)?;
+            }
+        }
+        Ok(())
+    }
+
+    /// Writes a forecast per track, in the tracks' order, without controls.
+    ///
+    /// # Errors
+    /// [`Rejected`] where header or tracks are impossible; nothing was written or changed.
+    ///
+    /// # Panics
+    /// Where `out` has not one place per track.
+    pub fn fallback(
+        &mut self,
+        header: &Header,
+        tracks: &[Track],
+        cause: Cause,
+        out: &mut [Forecast],
+    ) -> Result<(), Rejected> {
+        let tick = check(header, tracks, out)?;
+        tracks.iter().zip(out).try_for_each(|(track, out)| self.fall_back(tick, track, cause, out))
+    }
+
+    fn learned_one(
+        &mut self,
+        tick: Tick,
+        track: &Track,
+        controls: &AgentControls,
+        out: &mut Forecast,
+    ) -> Result<(), Cause> {
+        let agent_type = track.agent_type().map_err(|_| Cause::Rejected)?;
+        let controls =
+            LearnedControls::new(controls, self.options.horizon_len).map_err(|_| Cause::Rejected)?;
+        let mut mover = Mover::certain(track, agent_type, &self.options, tick.dt_s());
+        if self.options.initial_covariance {
+            mover = mover.with_track_covariance(track);
+        }
+        let mut normals = Normals::new(self.options.seed, track.id, tick.seq);
+        *out = blank(track, Quality::Learned, Cause::None);
+        let within = controls.forecast(&mover, self.options.propagation, &mut normals, out);
+        if !is_within_the_world(out) {
+            return Err(Cause::Rejected);
+        }
+        self.held.keep(tick.stamp_ns, out, &within);
+        Ok(())
+    }
+
+    /// Held where there is a young enough learned forecast, else kinematic.
+    fn fall_back(&self, tick: Tick, track: &Track, cause: Cause, out: &mut Forecast) -> Result<(), Rejected> {
+        let agent_type = track.agent_type()?;
+        let cause = if track.forecastable == 0 { Cause::Young } else { cause };
+        if let Some((held, age_ns)) = self.held.find(track.id, tick.stamp_ns, self.options.max_age_ns) {
+            *out = blank(track, Quality::Held, cause);
+            out.age_ns = age_ns;
+            held.tell((age_ns as f64 / tick.step_ns as f64) as f32, self.options.horizon_len, out);
+            if is_within_the_world(out) {
+                return Ok(());
+            }
+        }
+        *out = blank(track, Quality::Kinematic, cause);
+        self.write_kinematic(tick, track, agent_type, out);
+        Ok(())
+    }
+
+    fn write_kinematic(&self, tick: Tick, track: &Track, agent_type: AgentType, out: &mut Forecast) {
+        let options = SamplerOptions { displacement: kinematics::DisplacementKind::Residual, ..self.options };
+        let mover = Mover::certain(track, agent_type, &options, tick.dt_s()).along_its_course();
+        let mover = mover.with_track_covariance(track);
+        kinematic::forecast(mover, agent_type, self.options.horizon_len, out);
+    }
+}
+
+/// What a forecast tells of its track.
+fn blank(track: &Track, quality: Quality, cause: Cause) -> Forecast {
+    Forecast {
+        id: track.id,
+        source_id: track.source_id,
+        agent_type: track.agent_type,
+        quality: quality as u32,
+        cause: cause as u32,
+        x_m: track.x_m,
+        y_m: track.y_m,
+        vx_mps: track.vx_mps,
+        vy_mps: track.vy_mps,
+        heading_rad: track.heading_rad,
+        length_m: track.length_m,
+        width_m: track.width_m,
+        ..Forecast::zeroed()
+    }
+}
+
+fn is_within_the_world(forecast: &Forecast) -> bool {
+    let inside = |points: &[[f32; 2]]| points.as_flattened().iter().all(|x| x.abs() <= POSITION_MAX_M);
+    inside(forecast.modes.as_flattened())
+        && inside(&forecast.best)
+        && forecast.covariance.as_flattened().iter().all(|x| x.is_finite())
+}
+
+fn check(header: &Header, tracks: &[Track], out: &[Forecast]) -> Result<Tick, Rejected> {
+    assert_eq!(out.len(), tracks.len(), "a place per track");
+    header.check()?;
+    if tracks.len() > AGENTS_MAX {
+        let (found, most) = (tracks.len() as u64, AGENTS_MAX as u64);
+        return Err(Rejected::TooMany { field: "tracks", found, most });
+    }
+    if header.step_ns == 0 && !tracks.is_empty() {
+        return Err(Rejected::Impossible { field: "step_ns", value: 0.0 });
+    }
+    for track in tracks {
+        track.check()?;
+        let speed_mps = track.vx_mps.hypot(track.vy_mps);
+        if speed_mps > SPEED_MAX_MPS {
+            return Err(Rejected::Impossible { field: "track velocity", value: f64::from(speed_mps) });
+        }
+    }
+    Ok(Tick { stamp_ns: header.stamp_ns, seq: header.seq, step_ns: header.step_ns })
+}
