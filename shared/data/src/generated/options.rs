@@ -43,7 +43,7 @@ impl Default for SceneOptions {
     fn default() -> Self {
         Self {
             agents: 32,
-            vehicle_share: 0.4,
+            vehicle_share: 0.3,
             cyclist_share: 0.15,
             seed: 1,
             identities: false,

@@ -11,11 +11,11 @@ use super::road_user::{RoadUser, TurnTaking};
 /// Users claim their turn from here, before the stop line.
 const CLAIM_WITHIN_M: f32 = 35.0;
 /// Users decide to go from here, before the stop line, or farther where they need more to stop.
-const DECIDE_WITHIN_M: f32 = 6.0;
+const DECIDE_WITHIN_M: f32 = 8.0;
 /// A user passes at least so long behind another.
-const BEHIND_S: f32 = 0.5;
+const BEHIND_S: f32 = 0.3;
 /// A user accepts a gap that leaves so much time before the arrival of another.
-const AHEAD_S: f32 = 1.5;
+const AHEAD_S: f32 = 1.2;
 /// Stretch of a shared exit lane that has to be free before the next may enter it.
 const MERGE_M: f32 = 7.0;
 /// Whoever has stood on the intersection for so long no longer waits for those who are merely due.

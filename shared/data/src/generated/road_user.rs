@@ -186,7 +186,7 @@ impl Temper {
             Kind::Vehicle => Self {
                 speed_share: drawn(rng, 0.95, 0.08, 0.15),
                 speed_max_mps: 13.0,
-                acceleration_mps2: drawn(rng, 1.6, 0.2, 0.5),
+                acceleration_mps2: drawn(rng, 1.8, 0.2, 0.5),
                 braking_mps2: drawn(rng, 2.0, 0.2, 0.5),
                 headway_s: drawn(rng, 1.3, 0.2, 0.4),
                 standstill_m: drawn(rng, 2.0, 0.3, 0.6),

@@ -13,7 +13,7 @@ use super::walker::{BODY_M, Walker};
 use super::yielding::{avoid, for_walkers_mps2, may_step_out};
 
 /// Most vehicles that the lanes take before queues fill them.
-const VEHICLES_MAX: usize = 26;
+const VEHICLES_MAX: usize = 22;
 /// Most cyclists that the lanes take.
 const CYCLISTS_MAX: usize = 14;
 /// Free lane that an entering user needs.
