@@ -59,9 +59,15 @@ pub(crate) fn find(inputs: &[Input], role: Role) -> Option<&Input> {
 
 /// The file with that role, without which the recording can't be read.
 pub(crate) fn need(inputs: &[Input], role: Role) -> Result<&Input, ReadError> {
-    find(inputs, role).ok_or_else(|| ReadError::Missing {
+    need_any(inputs, &[role])
+}
+
+/// The first file with one of those roles, without any of which the recording can't be read.
+pub(crate) fn need_any<'a>(inputs: &'a [Input], roles: &[Role]) -> Result<&'a Input, ReadError> {
+    let found = inputs.iter().find(|input| roles.contains(&input.role));
+    found.ok_or_else(|| ReadError::Missing {
         path: inputs.first().map_or_else(|| "recording".to_owned(), |input| input.path.clone()),
-        role: role.name(),
+        role: roles.first().map_or("rows", |role| role.name()),
         searched: String::new(),
     })
 }

@@ -60,11 +60,12 @@ impl<'a> Rows<'a> {
 
     /// As [`Rows::sorted`], where it is no error to have no row.
     pub fn sorted_or_none(mut self) -> Result<Vec<Row<'a>>, ReadError> {
-        self.rows.sort_by_key(|row| (row.stamp_ns, row.detection.id, row.line));
+        let has_id = |row: &Row<'_>| row.detection.has(detection_flags::HAS_ID);
+        self.rows.sort_by_key(|row| (row.stamp_ns, has_id(row), row.detection.id, row.line));
         let twice = self.rows.windows(2).find(|pair| {
-            let same_time = pair[0].stamp_ns == pair[1].stamp_ns;
-            let [a, b] = [pair[0].detection, pair[1].detection];
-            same_time && a.id == b.id && a.has(detection_flags::HAS_ID) && b.has(detection_flags::HAS_ID)
+            let same =
+                |a: &Row<'_>, b: &Row<'_>| (a.stamp_ns, a.detection.id) == (b.stamp_ns, b.detection.id);
+            has_id(&pair[0]) && has_id(&pair[1]) && same(&pair[0], &pair[1])
         });
         match twice {
             None => Ok(self.rows),

@@ -57,8 +57,18 @@ pub(crate) fn lines(input: &Input) -> impl Iterator<Item = Result<Line<'_>, Read
     })
 }
 
-/// The file's first line, which must be exactly `header`.
-pub(crate) fn expect_header(line: &Line<'_>, header: &'static str) -> Result<(), ReadError> {
+/// The lines below the first, which must be exactly `header`.
+pub(crate) fn lines_below<'a>(
+    input: &'a Input,
+    header: &'static str,
+) -> impl Iterator<Item = Result<Line<'a>, ReadError>> {
+    lines(input).enumerate().filter_map(move |(index, line)| match line {
+        Ok(line) if index == 0 => expect_header(&line, header).err().map(Err),
+        line => Some(line),
+    })
+}
+
+fn expect_header(line: &Line<'_>, header: &'static str) -> Result<(), ReadError> {
     if line.text.trim() == header {
         return Ok(());
     }

@@ -73,7 +73,6 @@ fn the_samples_are_read_and_told_apart() {
     for (format, inputs) in good() {
         let recording = parse(format, &inputs).unwrap();
         assert!(!recording.frames.is_empty(), "{format}");
-        // One row of VCI-DUT's pedestrians is as good as any; four columns need their frames.
         assert_eq!(Format::detect(&inputs[0]).unwrap(), format);
     }
 }
@@ -270,6 +269,8 @@ fn rows_may_stand_in_any_order_but_not_twice() {
         let error = with_rows(format, format!("{text}{row}\n")).unwrap_err();
         assert!(matches!(error, ReadError::Duplicate { .. }), "{format}: {error}");
     }
+    let mixed = "stamp_s,id,type,x_m,y_m\n0,0,vehicle,1,1\n0,,vehicle,2,2\n0,0,vehicle,3,3\n";
+    assert_eq!(message(Format::Csv, mixed), "a.txt:4: id 0 stands in this frame already, in a.txt:2");
     assert_eq!(
         message(Format::EthUcy, "780\t1\t8\t3\n790\t1\t9\t3\n780\t1\t8\t3\n"),
         "a.txt:3: id 1 stands in this frame already, in a.txt:1"

@@ -99,7 +99,8 @@ pub fn parse(inputs: &[Input]) -> Result<Recording, ReadError> {
         return Err(empty());
     }
     let has_id = |detection: &Detection| detection.has(detection_flags::HAS_ID);
-    let has_identities = frames.iter().flat_map(|frame| &frame.detections).all(has_id);
+    let mut seen = frames.iter().flat_map(|frame| &frame.detections).peekable();
+    let has_identities = seen.peek().is_some() && seen.all(has_id);
     Ok(Recording { interval_ns: interval_ns(&frames), has_identities, frames, ..Recording::default() })
 }
 

@@ -11,7 +11,7 @@ use std::collections::{BTreeMap, BinaryHeap};
 
 use wire::{AgentType, Detection, detection_flags};
 
-use crate::input::find;
+use crate::input::{find, need_any};
 use crate::rows::{self, PEDESTRIAN_IDS, Row, Rows};
 use crate::text::{self, Field, Line, Separator};
 use crate::{Input, ReadError, Recording, Role};
@@ -54,6 +54,7 @@ type ReadRow = Result<(i64, Detection), ReadError>;
 /// # Errors
 /// [`ReadError`] with file, line, column and value.
 pub fn parse(inputs: &[Input]) -> Result<Recording, ReadError> {
+    let first = need_any(inputs, &[Role::Vehicles, Role::Pedestrians])?;
     let mut rows = Rows::default();
     let vehicles = find(inputs, Role::Vehicles);
     let pedestrians = find(inputs, Role::Pedestrians);
@@ -63,10 +64,6 @@ pub fn parse(inputs: &[Input]) -> Result<Recording, ReadError> {
     if let Some(input) = pedestrians {
         read(input, PEDESTRIAN_HEADER, &PEDESTRIAN_NAMES, pedestrian, &mut rows)?;
     }
-    let first = match vehicles.or(pedestrians) {
-        Some(first) => first,
-        None => crate::input::need(inputs, Role::Vehicles)?,
-    };
     let mut rows = rows.sorted(first)?;
     tell_cyclists(&mut rows);
     let observed = if vehicles.is_some() { AgentType::Vehicle.bit() } else { 0 };
@@ -96,12 +93,8 @@ fn read<'a, const N: usize>(
     row: fn([Field<'a>; N]) -> ReadRow,
     rows: &mut Rows<'a>,
 ) -> Result<(), ReadError> {
-    for (index, line) in text::lines(input).enumerate() {
+    for line in text::lines_below(input, header) {
         let line = line?;
-        if index == 0 {
-            text::expect_header(&line, header)?;
-            continue;
-        }
         let (stamp_ns, detection) = row(line.split(Separator::Comma, names)?)?;
         rows.push(&line, stamp_ns, detection)?;
     }

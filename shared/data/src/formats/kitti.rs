@@ -16,7 +16,7 @@ use wire::{AgentType, Detection, Truth, detection_flags};
 
 pub use geometry::WorldFromCamera;
 
-use crate::input::{find, need};
+use crate::input::{find, need, need_any};
 use crate::rows::{self, ALL_TYPES, PEDESTRIAN_IDS, Rows};
 use crate::text::{self, Field, Line, Separator};
 use crate::{Frame, Input, LeftOut, ReadError, Recording, Role};
@@ -58,6 +58,7 @@ struct CameraBox<'a> {
 /// [`ReadError`] with file, line, column and value, and where calibration or ego motion are not to be had.
 pub fn parse_detections(inputs: &[Input]) -> Result<Recording, ReadError> {
     let poses = WorldFromCamera::parse(need(inputs, Role::Calibration)?, need(inputs, Role::EgoMotion)?)?;
+    need_any(inputs, &[Role::Vehicles, Role::Pedestrians, Role::Cyclists])?;
     let classes = [
         (Role::Vehicles, AgentType::Vehicle),
         (Role::Pedestrians, AgentType::Pedestrian),
@@ -65,9 +66,6 @@ pub fn parse_detections(inputs: &[Input]) -> Result<Recording, ReadError> {
     ];
     let present = classes.into_iter().filter(|(role, _)| find(inputs, *role).is_some());
     let observed_types = present.fold(0, |bits, (_, agent_type)| bits | agent_type.bit());
-    if observed_types == 0 {
-        need(inputs, Role::Vehicles)?;
-    }
     let mut frames = empty_frames(&poses, observed_types);
     let mut rows_len = 0;
     for (input, agent_type) in classes.into_iter().filter_map(|(role, t)| Some((find(inputs, role)?, t))) {

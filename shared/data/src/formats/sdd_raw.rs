@@ -33,8 +33,8 @@ const TABLE_NAMES: [&str; 13] = [
 ];
 /// Frames a second.
 const HERTZ: i64 = 30;
-/// Greatest pixel coordinate that is believed.
-const PIXEL_MAX: f64 = 100_000.0;
+/// Greatest pixel coordinate that is believed: at the largest scale it is still within the world.
+const PIXEL_MAX: f64 = wire::POSITION_MAX_M as f64;
 /// Scales that are believed, m.
 const PIXEL_M: std::ops::RangeInclusive<f64> = 1e-4..=1.0;
 
@@ -56,11 +56,13 @@ pub fn parse(inputs: &[Input]) -> Result<Recording, ReadError> {
         }
     }
     let frames = rows::frames(&rows.sorted(input)?, ALL_TYPES);
+    let lost = LeftOut { reason: "lost = 1".to_owned(), rows_len: lost_len };
+    let left_out = Vec::from_iter((lost_len > 0).then_some(lost));
     Ok(Recording {
         interval_ns: (1_000_000_000 / HERTZ) as u64,
         has_identities: true,
         frames,
-        left_out: vec![LeftOut { reason: "lost = 1".to_owned(), rows_len: lost_len }],
+        left_out,
         pixel_m: Some(pixel_m),
         ..Recording::default()
     })

@@ -6,7 +6,7 @@
 
 use wire::{AgentType, Detection, detection_flags};
 
-use crate::input::find;
+use crate::input::{find, need_any};
 use crate::rows::{self, PEDESTRIAN_IDS, Rows};
 use crate::text::{self, Field, Line, Separator};
 use crate::{Input, ReadError, Recording, Role};
@@ -27,6 +27,7 @@ const HEADING_SPEED_MPS: f32 = 0.1;
 /// # Errors
 /// [`ReadError`] with file, line, column and value.
 pub fn parse(inputs: &[Input]) -> Result<Recording, ReadError> {
+    let first = need_any(inputs, &[Role::Vehicles, Role::Pedestrians])?;
     let mut rows = Rows::default();
     let mut observed_types = 0;
     let kinds = [(Role::Vehicles, AgentType::Vehicle), (Role::Pedestrians, AgentType::Pedestrian)];
@@ -36,10 +37,6 @@ pub fn parse(inputs: &[Input]) -> Result<Recording, ReadError> {
             read(input, agent_type, &mut rows)?;
         }
     }
-    let first = match inputs.first() {
-        Some(first) => first,
-        None => crate::input::need(inputs, Role::Vehicles)?,
-    };
     let frames = rows::frames(&rows.sorted(first)?, observed_types);
     let interval_ns = (100_000_000_000 / CENTIHERTZ) as u64;
     Ok(Recording { interval_ns, has_identities: true, frames, ..Recording::default() })
@@ -51,12 +48,8 @@ fn read<'a>(input: &'a Input, agent_type: AgentType, rows: &mut Rows<'a>) -> Res
         true => (VEHICLE_HEADER, &VEHICLE_NAMES),
         false => (PEDESTRIAN_HEADER, &PEDESTRIAN_NAMES),
     };
-    for (index, line) in text::lines(input).enumerate() {
+    for line in text::lines_below(input, header) {
         let line = line?;
-        if index == 0 {
-            text::expect_header(&line, header)?;
-            continue;
-        }
         let fields = line.split(Separator::Comma, names)?;
         let (stamp_ns, detection) = row(fields, agent_type)?;
         rows.push(&line, stamp_ns, detection)?;
