@@ -1,0 +1,44 @@
+//! A planner's ear: prints the forecasts of a run, tick by tick. `consumer --run /tmp/stgdat_*/run`, beside `stgdat run`.
+//!
+//! Positions are metres in the world frame; step k of a forecast lies at the frame's stamp + (k + 1) Δt. A planner does
+//! the same: wait, take the newest frame, use it where it lies in shared memory, let it go.
+
+use std::process::ExitCode;
+use std::time::Duration;
+
+use config::Run;
+use ports::{Node, StageError, Waiter, stage_main};
+use wire::{AGENT_TYPES, ForecastsTopic, Quality, flags};
+
+fn run(run: &Run) -> Result<(), StageError> {
+    let node = Node::open(run, "consumer")?;
+    let forecasts = node.subscriber::<ForecastsTopic>(2)?;
+    let waiter = Waiter::new()?;
+    while !node.stop().requested() {
+        // Asleep until a frame comes; the subscriber lets through only what can be trusted.
+        waiter.sleep(&forecasts, Duration::from_secs(2))?;
+        while let Some(frame) = forecasts.receive()? {
+            let header = frame.header();
+            if header.has(flags::END) {
+                return Ok(());
+            }
+            if !header.is_tick() {
+                continue;
+            }
+            println!("tick {} at {:.2} s: {} agents", header.seq, header.stamp_ns as f64 / 1e9, frame.len());
+            let last = (header.counts.horizon_len as usize).saturating_sub(1);
+            for agent in frame.iter() {
+                let name = AGENT_TYPES.get(agent.agent_type as usize).map_or("unknown", |t| t.name());
+                let quality = Quality::ALL.get(agent.quality as usize).map_or("unknown", |q| q.name());
+                let (x_m, y_m, [end_x_m, end_y_m]) = (agent.x_m, agent.y_m, agent.best[last]);
+                let way = format!("at ({x_m:.1}, {y_m:.1}) goes to ({end_x_m:.1}, {end_y_m:.1})");
+                println!("  {name} {} {way}, {} modes, {quality}", agent.id, agent.modes_len);
+            }
+        }
+    }
+    Ok(())
+}
+
+fn main() -> ExitCode {
+    stage_main(run)
+}

@@ -1,0 +1,77 @@
+//! A detector in the source's place: `command = ["target/release/examples/producer"]` in its table of pipeline.toml.
+//!
+//! Positions are metres in the world frame (right-handed, z up, fixed to the ground), headings counter-clockwise from
+//! +x. The header of each frame tells the ego pose in that frame, and the stamp: the time at which the detections are
+//! valid, on the sensor's clock, strictly increasing. Put your detector in the place of [`detect`].
+
+use std::process::ExitCode;
+
+use bytemuck::Zeroable;
+use config::Run;
+use ports::{Stage, StageError, monotonic_ns, stage_main};
+use wire::detection_flags::{HAS_HEADING, HAS_SIZE, HAS_SPEED};
+use wire::{AgentType, Detection, DetectionsTopic, Header, StageId, TruthTopic, flags};
+
+const TICKS: u64 = 125;
+
+/// What the sensor sees at `t_s`: a car that passes, and someone on foot.
+fn detect(t_s: f32) -> [Detection; 2] {
+    let car = Detection {
+        agent_type: AgentType::Vehicle as u32,
+        flags: HAS_HEADING | HAS_SPEED | HAS_SIZE,
+        x_m: -20.0 + 6.0 * t_s,
+        y_m: 2.0,
+        speed_mps: 6.0,
+        length_m: 4.5,
+        width_m: 1.8,
+        score: 0.9,
+        ..Detection::zeroed()
+    };
+    let on_foot = AgentType::Pedestrian as u32;
+    let walker =
+        Detection { agent_type: on_foot, x_m: 5.0, y_m: -8.0 + 1.4 * t_s, score: 0.8, ..Detection::zeroed() };
+    [car, walker]
+}
+
+fn run(run: &Run) -> Result<(), StageError> {
+    let mut stage = Stage::open(run, StageId::Source)?;
+    let detections = stage.publish::<DetectionsTopic>()?;
+    // A sensor knows no truth: that topic carries the frames that link the run, and no others.
+    let truth = stage.publish::<TruthTopic>()?;
+    let mut peers = stage.peers(run)?;
+    let observed_types = AgentType::Vehicle.bit() | AgentType::Pedestrian.bit();
+    let header = |seq: u64, flags: u32| Header {
+        flags,
+        interval_ns: run.interval_ns,
+        observed_types,
+        ..Header::new(run.id, seq, (seq * run.interval_ns) as i64)
+    };
+
+    // Frames reach a reader once it has mapped the connection: warm-up frames pass until every stage has had one.
+    while !peers.unlinked().is_empty() {
+        truth.send_copy(&[], header(0, flags::WARM_UP))?;
+        stage.pass_empty(stage.release(header(0, flags::WARM_UP)), &detections)?;
+        if !stage.sleep_on(peers.heartbeats(), monotonic_ns() + 25_000_000)? {
+            return Ok(());
+        }
+        peers.listen()?;
+    }
+
+    let begin_ns = monotonic_ns();
+    for seq in 0..TICKS {
+        if !stage.sleep_until(begin_ns + seq * run.interval_ns)? {
+            return Ok(());
+        }
+        let mut passage = stage.release(header(seq, 0));
+        let seen = detect((seq * run.interval_ns) as f32 / 1e9);
+        passage.header.counts.agents_len = seen.len() as u32;
+        let loan = detections.copy(&seen)?;
+        stage.finish(passage, &detections, Ok(loan))?;
+    }
+    stage.sleep_until(begin_ns + TICKS * run.interval_ns)?;
+    Ok(stage.pass_empty(stage.release(header(TICKS, flags::END)), &detections)?)
+}
+
+fn main() -> ExitCode {
+    stage_main(run)
+}
