@@ -35,7 +35,7 @@ fn write_tracks(tick: u64, tracks: &mut [Track]) {
     for (i, track) in tracks.iter_mut().enumerate() {
         let i = i as u64;
         let x_m = |tick: f32| tick * 0.8 + i as f32;
-        *track = Track { id: if i % 8 == 0 { i + tick * 64 } else { i }, ..Track::zeroed() };
+        *track = Track { id: if i.is_multiple_of(8) { i + tick * 64 } else { i }, ..Track::zeroed() };
         (track.x_m, track.y_m, track.vx_mps) = (x_m(tick as f32), (i % 6) as f32 * 3.0, 10.0);
         for (step, entry) in track.history.iter_mut().enumerate() {
             let then = tick as f32 - (7 - step) as f32 * 5.0;

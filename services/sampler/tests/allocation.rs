@@ -1,0 +1,71 @@
+//! A steady step takes no memory.
+#![expect(unsafe_code, reason = "a counting allocator")]
+
+use std::alloc::{GlobalAlloc, Layout, System};
+use std::sync::atomic::{AtomicUsize, Ordering};
+
+use bytemuck::Zeroable;
+use sampler::{Propagation, Sampler, SamplerOptions};
+use wire::{AgentControls, Cause, ControlGaussian, Forecast, Header, Track};
+
+struct Counting;
+
+static ALLOCATIONS: AtomicUsize = AtomicUsize::new(0);
+
+// SAFETY: every call goes to the system's allocator unchanged.
+unsafe impl GlobalAlloc for Counting {
+    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
+        ALLOCATIONS.fetch_add(1, Ordering::Relaxed);
+        // SAFETY: the caller's promises are those that the system's allocator asks for.
+        unsafe { System.alloc(layout) }
+    }
+
+    unsafe fn dealloc(&self, pointer: *mut u8, layout: Layout) {
+        // SAFETY: as above; the pointer came from `alloc`.
+        unsafe { System.dealloc(pointer, layout) }
+    }
+}
+
+#[global_allocator]
+static ALLOCATOR: Counting = Counting;
+
+/// 32 agents of all types; one in eight is new at every tick.
+fn write_tick(tick: u64, tracks: &mut [Track], controls: &mut [AgentControls]) {
+    for (i, (track, controls)) in tracks.iter_mut().zip(controls).enumerate() {
+        let (i, agent_type) = (i as u64, i as u32 % 3);
+        let id = if i.is_multiple_of(8) { i + tick * 64 } else { i };
+        *track = Track { id, agent_type, forecastable: 1, state_len: 5, ..Track::zeroed() };
+        (track.x_m, track.vx_mps, track.speed_mps) = (i as f32 + tick as f32 * 0.08, 1.0, 1.0);
+        let control = ControlGaussian { mean: [0.1, 0.01], cholesky: [0.1, 0.0, 0.1] };
+        *controls = AgentControls { id, agent_type, modes_len: 20, ..AgentControls::zeroed() };
+        (controls.probability, controls.modes, controls.best) =
+            ([0.05; 20], [[control; 12]; 20], [control; 12]);
+    }
+}
+
+// One test only: another in this process would count as well.
+#[test]
+fn a_thousand_steady_steps_allocate_nothing() {
+    for propagation in [Propagation::Linearised, Propagation::MonteCarlo { particles: 4 }] {
+        let mut sampler = Sampler::new(SamplerOptions { propagation, ..SamplerOptions::default() });
+        let mut tracks = vec![Track::zeroed(); 32];
+        let mut controls = vec![AgentControls::zeroed(); 32];
+        let mut out = vec![Forecast::zeroed(); 32];
+        let mut before = 0;
+        for tick in 0..1_050 {
+            if tick == 50 {
+                before = ALLOCATIONS.load(Ordering::Relaxed);
+            }
+            write_tick(tick, &mut tracks, &mut controls);
+            let mut header = Header::new(1, tick, tick as i64 * 80_000_000);
+            header.step_ns = 400_000_000;
+            let told = match tick % 4 {
+                3 => sampler.fallback(&header, &tracks, Cause::Late, &mut out),
+                _ => sampler.learned(&header, &tracks, &controls[..30], &mut out),
+            };
+            told.expect("a good frame");
+            assert!(out.iter().all(|forecast| forecast.modes_len > 0));
+        }
+        assert_eq!(ALLOCATIONS.load(Ordering::Relaxed) - before, 0, "{propagation:?}");
+    }
+}

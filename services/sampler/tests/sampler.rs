@@ -1,0 +1,419 @@
+//! What the sampler tells of tracks with good, bad, late and missing controls.
+
+#![expect(clippy::unwrap_used, reason = "a broken fixture should fail at once")]
+
+use bytemuck::Zeroable;
+use kinematics::DisplacementKind;
+use proptest::prelude::*;
+use sampler::{Propagation, Sampler, SamplerOptions};
+use wire::{
+    AGENTS_MAX, AgentControls, AgentType, Cause, ControlGaussian, Forecast, Header, HistoryState, Quality,
+    Rejected, Track,
+};
+
+const STEP_NS: u64 = 400_000_000;
+const DT_S: f32 = 0.4;
+const TYPES: [AgentType; 3] = [AgentType::Vehicle, AgentType::Cyclist, AgentType::Pedestrian];
+
+fn header(stamp_ns: i64) -> Header {
+    Header { step_ns: STEP_NS, ..Header::new(1, (stamp_ns / 80_000_000) as u64, stamp_ns) }
+}
+
+/// A track that has moved straight along `heading_rad` at `speed_mps` for its whole history.
+fn track(id: u64, agent_type: AgentType, position_m: [f32; 2], heading_rad: f32, speed_mps: f32) -> Track {
+    let (sin, cos) = heading_rad.sin_cos();
+    let mut track = Track {
+        id,
+        source_id: id + 100,
+        agent_type: agent_type as u32,
+        forecastable: 1,
+        x_m: position_m[0],
+        y_m: position_m[1],
+        heading_rad,
+        speed_mps,
+        vx_mps: speed_mps * cos,
+        vy_mps: speed_mps * sin,
+        length_m: 4.0,
+        ..Track::zeroed()
+    };
+    for (step, entry) in track.history.iter_mut().enumerate() {
+        let back_m = speed_mps * DT_S * (7 - step) as f32;
+        *entry = HistoryState {
+            x_m: position_m[0] - back_m * cos,
+            y_m: position_m[1] - back_m * sin,
+            vx_mps: track.vx_mps,
+            vy_mps: track.vy_mps,
+            heading_rad,
+            present: 1,
+        };
+    }
+    track
+}
+
+fn with_covariance(mut track: Track, state_len: usize, variance: f32) -> Track {
+    track.state_len = state_len as u32;
+    (0..state_len).for_each(|i| track.covariance[i * state_len + i] = variance);
+    track
+}
+
+/// Modes whose first control component differs; all steps alike.
+fn controls(id: u64, agent_type: AgentType, means: &[[f32; 2]], deviation: f32) -> AgentControls {
+    let step = |mean| [ControlGaussian { mean, cholesky: [deviation, 0.2 * deviation, deviation] }; 12];
+    let mut controls = AgentControls { id, agent_type: agent_type as u32, ..AgentControls::zeroed() };
+    controls.modes_len = means.len() as u32;
+    for (mode, mean) in means.iter().enumerate() {
+        controls.probability[mode] = 1.0 / means.len() as f32;
+        controls.modes[mode] = step(*mean);
+    }
+    controls.best = step(means[0]);
+    controls
+}
+
+fn learned(
+    sampler: &mut Sampler,
+    stamp_ns: i64,
+    tracks: &[Track],
+    controls: &[AgentControls],
+) -> Vec<Forecast> {
+    let mut out = vec![Forecast::zeroed(); tracks.len()];
+    sampler.learned(&header(stamp_ns), tracks, controls, &mut out).unwrap();
+    out.iter().for_each(|forecast| forecast.check().unwrap());
+    out
+}
+
+fn fallback(sampler: &mut Sampler, stamp_ns: i64, tracks: &[Track]) -> Vec<Forecast> {
+    let mut out = vec![Forecast::zeroed(); tracks.len()];
+    sampler.fallback(&header(stamp_ns), tracks, Cause::Late, &mut out).unwrap();
+    out.iter().for_each(|forecast| forecast.check().unwrap());
+    out
+}
+
+fn told(forecast: &Forecast) -> (u32, u32) {
+    (forecast.quality, forecast.cause)
+}
+
+fn is(quality: Quality, cause: Cause) -> (u32, u32) {
+    (quality as u32, cause as u32)
+}
+
+fn assert_near(found: [f32; 2], expected: [f32; 2], tolerance_m: f32, what: &str) {
+    let off = (found[0] - expected[0]).hypot(found[1] - expected[1]);
+    assert!(off <= tolerance_m, "{what}: {found:?}, expected {expected:?}");
+}
+
+#[test]
+fn walkers_take_their_displacements_in_their_own_axes() {
+    let heading_rad = std::f32::consts::FRAC_PI_2;
+    for agent_type in [AgentType::Pedestrian, AgentType::Cyclist] {
+        let track = track(1, agent_type, [3.0, 4.0], heading_rad, 1.5);
+        let controls = controls(1, agent_type, &[[0.1, 0.05], [0.0, 0.0]], 0.1);
+        let residual = &learned(&mut Sampler::new(SamplerOptions::default()), 0, &[track], &[controls])[0];
+        assert_eq!(told(residual), is(Quality::Learned, Cause::None));
+        assert_eq!((residual.modes_len, residual.age_ns, residual.source_id), (2, 0, 101));
+        for step in 0..12 {
+            let k = (step + 1) as f32;
+            // Forwards is +y, leftwards is −x.
+            let expected = [3.0 - 0.05 * k, 4.0 + (1.5 * DT_S + 0.1) * k];
+            assert_near(residual.modes[0][step], expected, 1e-4, "mode 0");
+            assert_near(residual.best[step], expected, 1e-4, "best");
+            assert_near(residual.modes[1][step], [3.0, 4.0 + 1.5 * DT_S * k], 1e-4, "constant velocity");
+            let mean = [0, 1].map(|a| (residual.modes[0][step][a] + residual.modes[1][step][a]) / 2.0);
+            assert_near(residual.mean[step], mean, 1e-4, "mean of the mixture");
+            // Within: k displacements of variance (across) 0.01; between: a quarter of the squared distance.
+            let [xx, _, yy] = residual.covariance[step];
+            assert!((xx - (0.0104 * k + (0.025 * k).powi(2))).abs() < 1e-4, "{xx}");
+            assert!((yy - (0.01 * k + (0.05 * k).powi(2))).abs() < 1e-4, "{yy}");
+        }
+        let options =
+            SamplerOptions { displacement: DisplacementKind::Absolute, ..SamplerOptions::default() };
+        let absolute = &learned(&mut Sampler::new(options), 0, &[track], &[controls])[0];
+        assert_near(absolute.best[11], [3.0 - 0.6, 4.0 + 1.2], 1e-4, "absolute");
+    }
+}
+
+#[test]
+fn vehicles_obey_their_controls_within_limits() {
+    let track = track(1, AgentType::Vehicle, [0.0, 0.0], 0.0, 10.0);
+    let controls = controls(1, AgentType::Vehicle, &[[-0.5, 0.0], [500.0, 0.0], [0.0, 0.05]], 0.05);
+    let forecast = &learned(&mut Sampler::new(SamplerOptions::default()), 0, &[track], &[controls])[0];
+    let (time_s, accel_mps2) = (12.0 * DT_S, -6.0 * (0.5_f32 / 6.0).tanh());
+    assert_near(
+        forecast.modes[0][11],
+        [10.0 * time_s + accel_mps2 * time_s * time_s / 2.0, 0.0],
+        1e-2,
+        "braking",
+    );
+    assert_near(forecast.modes[1][11], [10.0 * time_s + 6.0 * time_s * time_s / 2.0, 0.0], 1e-2, "saturated");
+    assert!(forecast.modes[2][11][1] > 3.0, "slip to the left turns left: {:?}", forecast.modes[2][11]);
+}
+
+#[test]
+fn a_vehicle_in_a_turn_begins_with_the_slip_of_its_turn() {
+    let (speed_mps, turn_rate) = (8.0_f32, 0.4_f32);
+    let radius_m = speed_mps / turn_rate;
+    let mut turning = track(1, AgentType::Vehicle, [0.0, 0.0], 0.0, speed_mps);
+    for (step, entry) in turning.history.iter_mut().enumerate() {
+        entry.heading_rad = -turn_rate * DT_S * (7 - step) as f32;
+    }
+    // A circle to the left whose first direction is `course_rad`.
+    let on_circle = |step: usize, course_rad: f32| {
+        let angle = turn_rate * DT_S * (step + 1) as f32;
+        let (x, y) = (radius_m * angle.sin(), radius_m * (1.0 - angle.cos()));
+        let (sin, cos) = course_rad.sin_cos();
+        [cos * x - sin * y, sin * x + cos * y]
+    };
+    let controls = controls(1, AgentType::Vehicle, &[[0.0, 0.0]], 0.01);
+    let mut sampler = Sampler::new(SamplerOptions::default());
+    let kinematic = fallback(&mut sampler, 0, &[turning])[0];
+    let learned_one = learned(&mut sampler, 0, &[turning], &[controls])[0];
+    let slip_rad = (0.26 * turning.length_m * turn_rate / speed_mps).asin();
+    for step in 0..12 {
+        assert_near(
+            kinematic.best[step],
+            on_circle(step, 0.0),
+            0.05,
+            "kinematic: the course is the observed one",
+        );
+        assert_near(learned_one.best[step], on_circle(step, slip_rad), 0.05, "learned: the heading is");
+    }
+    let straight = SamplerOptions { initial_slip: false, ..SamplerOptions::default() };
+    let forecast = &learned(&mut Sampler::new(straight), 0, &[turning], &[controls])[0];
+    assert_near(forecast.best[11], [speed_mps * 12.0 * DT_S, 0.0], 1e-2, "straight on");
+}
+
+#[test]
+fn reversing_vehicles_go_backwards() {
+    let mut reversing = track(1, AgentType::Vehicle, [0.0, 0.0], 0.0, -2.0);
+    (reversing.vx_mps, reversing.vy_mps) = (-2.0, 0.0);
+    let controls = controls(1, AgentType::Vehicle, &[[0.0, 0.0]], 0.01);
+    let forecast = &learned(&mut Sampler::new(SamplerOptions::default()), 0, &[reversing], &[controls])[0];
+    assert_near(forecast.best[11], [-2.0 * 12.0 * DT_S, 0.0], 1e-3, "backwards");
+}
+
+#[test]
+fn the_tracks_covariance_is_where_the_forecasts_begins() {
+    let certain = SamplerOptions { initial_covariance: false, ..SamplerOptions::default() };
+    for agent_type in TYPES {
+        for state_len in [4, 5] {
+            let track = with_covariance(track(1, agent_type, [0.0; 2], 0.3, 6.0), state_len, 0.04);
+            let controls = controls(1, agent_type, &[[0.0, 0.0]], 0.01);
+            let trace = |options| {
+                let forecast = &learned(&mut Sampler::new(options), 0, &[track], &[controls])[0];
+                forecast.covariance.map(|[xx, _, yy]| xx + yy)
+            };
+            let (with, without) = (trace(SamplerOptions::default()), trace(certain));
+            for step in 0..12 {
+                assert!(
+                    with[step] > without[step] + 0.08 - 1e-4,
+                    "{agent_type:?} {state_len} {with:?} {without:?}"
+                );
+                assert!(step == 0 || with[step] > with[step - 1], "it grows: {with:?}");
+            }
+            // Position 2 × 0.04; the speed's 0.04 after 4.8 s, at least.
+            assert!(
+                with[11] - without[11] > 0.08 + 0.04 * 4.8 * 4.8 - 1e-2,
+                "{agent_type:?} {state_len}: {with:?}"
+            );
+        }
+    }
+}
+
+#[test]
+fn particles_tell_what_gaussians_tell_and_the_same_twice() {
+    let tracks: Vec<_> = TYPES
+        .into_iter()
+        .enumerate()
+        .map(|(i, t)| with_covariance(track(i as u64, t, [10.0 * i as f32, 0.0], 0.3, 5.0), 5, 0.0))
+        .collect();
+    let controls: Vec<_> = TYPES
+        .into_iter()
+        .enumerate()
+        .map(|(i, t)| controls(i as u64, t, &[[0.05, 0.0]; 20], if i == 0 { 0.004 } else { 0.1 }))
+        .collect();
+    let run = |propagation, seed| {
+        let options = SamplerOptions { propagation, seed, ..SamplerOptions::default() };
+        learned(&mut Sampler::new(options), 800_000_000, &tracks, &controls)
+    };
+    let particles = Propagation::MonteCarlo { particles: 32 };
+    let (gaussian, drawn) = (run(Propagation::Linearised, 3), run(particles, 3));
+    assert_eq!(drawn, run(particles, 3));
+    assert_ne!(drawn, run(particles, 4));
+    for (g, d) in gaussian.iter().zip(&drawn) {
+        assert_eq!(g.best, d.best);
+        let scale = g.covariance[11][0] + g.covariance[11][2];
+        assert_near(d.mean[11], g.mean[11], 0.2 * scale.sqrt(), "mean of 640 particles");
+        for entry in 0..3 {
+            let off = (g.covariance[11][entry] - d.covariance[11][entry]).abs();
+            assert!(off < 0.15 * scale, "{:?} {:?}", g.covariance[11], d.covariance[11]);
+        }
+    }
+}
+
+#[test]
+fn a_held_forecast_goes_on_from_where_the_agent_is_now() {
+    let mut sampler = Sampler::new(SamplerOptions::default());
+    let start = track(1, AgentType::Pedestrian, [0.0, 0.0], 0.0, 1.0);
+    let controls = controls(1, AgentType::Pedestrian, &[[0.1, 0.0], [0.0, 0.1]], 0.05);
+    let first = learned(&mut sampler, 0, &[start], &[controls])[0];
+    let within = first.covariance[0][2] - 0.05_f32.powi(2);
+    // 0.6 s later: one and a half steps; the agent is 0.2 m left of where the first mode saw it.
+    let later = track(1, AgentType::Pedestrian, [0.75, 0.2], 0.0, 1.0);
+    let held = fallback(&mut sampler, 600_000_000, &[later])[0];
+    assert_eq!((told(&held), held.age_ns), (is(Quality::Held, Cause::Late), 600_000_000));
+    assert_eq!((held.modes_len, held.probability), (2, first.probability));
+    assert_eq!((held.x_m, held.y_m), (0.75, 0.2));
+    for step in 0..12 {
+        // The modes move at constant speed, so beyond the horizon as well: 0.5 and 0.4 m a step.
+        let k = (step + 1) as f32;
+        assert_near(held.modes[0][step], [0.75 + 0.5 * k, 0.2], 1e-4, "first mode");
+        assert_near(held.modes[1][step], [0.75 + 0.4 * k, 0.2 + 0.1 * k], 1e-4, "second mode");
+        assert_near(held.best[step], held.modes[0][step], 1e-6, "best");
+        let between = (0.05 * k).powi(2);
+        let least = within * (k + 1.5).min(12.0) + between - 1e-4;
+        assert!(held.covariance[step][2] >= least, "{step}: {:?}", held.covariance[step]);
+    }
+    // As the same tick has it, it is the very forecast.
+    let same = fallback(&mut sampler, 0, &[start])[0];
+    for step in 0..12 {
+        assert_near(same.modes[1][step], first.modes[1][step], 1e-5, "same");
+        assert!((same.covariance[step][0] - first.covariance[step][0]).abs() < 1e-5);
+    }
+}
+
+#[test]
+fn too_old_a_forecast_gives_way_to_the_kinematic_one() {
+    let mut sampler = Sampler::new(SamplerOptions::default());
+    let walker = track(1, AgentType::Pedestrian, [0.0, 0.0], 0.0, 1.0);
+    learned(&mut sampler, 0, &[walker], &[controls(1, AgentType::Pedestrian, &[[0.1, 0.0]], 0.05)]);
+    let last = fallback(&mut sampler, 1_600_000_000, &[walker])[0];
+    assert_eq!(told(&last), is(Quality::Held, Cause::Late));
+    let gone = fallback(&mut sampler, 1_680_000_000, &[walker])[0];
+    assert_eq!((told(&gone), gone.age_ns, gone.modes_len), (is(Quality::Kinematic, Cause::Late), 0, 1));
+    // Controls that come late renew what is held, but never replace what is newer.
+    learned(&mut sampler, 800_000_000, &[walker], &[controls(1, AgentType::Pedestrian, &[[0.2, 0.0]], 0.05)]);
+    learned(&mut sampler, 400_000_000, &[walker], &[controls(1, AgentType::Pedestrian, &[[0.9, 0.0]], 0.05)]);
+    let renewed = fallback(&mut sampler, 1_680_000_000, &[walker])[0];
+    assert_eq!((told(&renewed), renewed.age_ns), (is(Quality::Held, Cause::Late), 880_000_000));
+    assert_near(renewed.best[0], [0.6, 0.0], 1e-4, "the newer one");
+}
+
+#[test]
+fn kinematic_forecasts_go_straight_on_with_growing_covariance() {
+    let mut sampler = Sampler::new(SamplerOptions::default());
+    for agent_type in TYPES {
+        let young = Track { forecastable: 0, ..track(1, agent_type, [5.0, -3.0], 2.0, 4.0) };
+        let forecast = fallback(&mut sampler, 0, &[young])[0];
+        assert_eq!(told(&forecast), is(Quality::Kinematic, Cause::Young));
+        assert_eq!((forecast.modes_len, forecast.probability[0]), (1, 1.0));
+        for step in 0..12 {
+            let travelled_m = 4.0 * DT_S * (step + 1) as f32;
+            let expected = [5.0 + travelled_m * 2.0_f32.cos(), -3.0 + travelled_m * 2.0_f32.sin()];
+            assert_near(forecast.mean[step], expected, 1e-3, "straight");
+            assert_eq!(
+                (forecast.mean[step], forecast.best[step]),
+                (forecast.modes[0][step], forecast.modes[0][step])
+            );
+            let trace = |step: usize| forecast.covariance[step][0] + forecast.covariance[step][2];
+            assert!(step == 0 || trace(step) > trace(step - 1), "{agent_type:?} at {step}");
+        }
+    }
+}
+
+#[test]
+fn one_agents_bad_controls_leave_the_others_alone() {
+    let tracks: Vec<_> =
+        (0..6).map(|id| track(id, TYPES[id as usize % 3], [10.0 * id as f32, 0.0], 0.0, 2.0)).collect();
+    let good: Vec<_> =
+        (0..6).map(|id| controls(id, TYPES[id as usize % 3], &[[0.1, 0.0]; 20], 0.05)).collect();
+    let expected = learned(&mut Sampler::new(SamplerOptions::default()), 0, &tracks, &good);
+    let mut bad = good.clone();
+    bad[0].modes[19][11].mean[1] = f32::NAN;
+    bad[1].modes[0][0].cholesky[0] = f32::INFINITY;
+    bad[2].probability = [-0.05; 20];
+    bad[4].modes[3] = [ControlGaussian { mean: [1e6, 0.0], cholesky: [0.0; 3] }; 12];
+    bad.remove(3);
+    bad.reverse();
+    bad.push(controls(99, AgentType::Vehicle, &[[0.0, 0.0]], 0.1));
+    let mut sampler = Sampler::new(SamplerOptions::default());
+    let found = learned(&mut sampler, 0, &tracks, &bad);
+    let causes: Vec<_> = found.iter().map(told).collect();
+    let refused = is(Quality::Kinematic, Cause::Rejected);
+    let missing = is(Quality::Kinematic, Cause::Missing);
+    let fine = is(Quality::Learned, Cause::None);
+    assert_eq!(causes, [refused, refused, refused, missing, refused, fine]);
+    assert_eq!(found[5], expected[5]);
+    // Once there is a learned forecast, it is held for the refused ones.
+    learned(&mut sampler, 80_000_000, &tracks, &good);
+    let found = learned(&mut sampler, 160_000_000, &tracks, &bad);
+    assert_eq!(told(&found[0]), is(Quality::Held, Cause::Rejected));
+    assert_eq!(told(&found[3]), is(Quality::Held, Cause::Missing));
+}
+
+#[test]
+fn impossible_frames_are_refused_whole() {
+    let mut sampler = Sampler::new(SamplerOptions::default());
+    let good = track(1, AgentType::Vehicle, [0.0; 2], 0.0, 2.0);
+    let mut refused = |header: Header, track: Track| {
+        let mut out = [Forecast { id: 7, ..Forecast::zeroed() }];
+        let error = sampler.fallback(&header, &[track], Cause::Late, &mut out).unwrap_err();
+        assert_eq!(out[0].id, 7, "nothing was written");
+        error
+    };
+    assert!(matches!(refused(Header { schema: 9, ..header(0) }, good), Rejected::Schema { .. }));
+    assert!(matches!(refused(Header { step_ns: 0, ..header(0) }, good), Rejected::Impossible { .. }));
+    assert!(matches!(refused(header(0), Track { x_m: f32::NAN, ..good }), Rejected::NotFinite { .. }));
+    assert!(matches!(refused(header(0), Track { vx_mps: 1e9, ..good }), Rejected::Impossible { .. }));
+    assert!(matches!(refused(header(0), Track { agent_type: 3, ..good }), Rejected::Impossible { .. }));
+    let mut out = vec![Forecast::zeroed(); AGENTS_MAX + 1];
+    let error = sampler.fallback(&header(0), &vec![good; AGENTS_MAX + 1], Cause::Late, &mut out);
+    assert!(matches!(error, Err(Rejected::TooMany { .. })));
+}
+
+#[test]
+fn many_more_tracks_than_places_keep_the_newest_held() {
+    let mut sampler = Sampler::new(SamplerOptions::default());
+    for tick in 0..5_i64 {
+        let ids = tick as u64 * 128..(tick as u64 + 1) * 128;
+        let tracks: Vec<_> =
+            ids.clone().map(|id| track(id, AgentType::Pedestrian, [id as f32, 0.0], 0.0, 1.0)).collect();
+        let controls: Vec<_> =
+            ids.map(|id| controls(id, AgentType::Pedestrian, &[[0.1, 0.0]], 0.05)).collect();
+        learned(&mut sampler, tick * 80_000_000, &tracks, &controls);
+        let held = fallback(&mut sampler, tick * 80_000_000 + 40_000_000, &tracks);
+        assert!(held.iter().all(|forecast| forecast.quality == Quality::Held as u32));
+    }
+}
+
+proptest! {
+    #[test]
+    fn any_finite_input_gives_a_forecast_within_the_world(
+        kind in 0_usize..3,
+        position_m in [-32_768.0_f32..32_768.0, -32_768.0_f32..32_768.0],
+        heading_rad in -10.0_f32..10.0, speed_mps in -80.0_f32..80.0,
+        mean in [-1e3_f32..1e3, -1e3_f32..1e3], deviation in 0.0_f32..10.0,
+        state_len in 0_usize..7, variance in prop_oneof![-1.0_f32..100.0, Just(f32::MAX)],
+        particles in prop::option::of(1_usize..=32), age_ns in 0_i64..3_000_000_000,
+    ) {
+        let agent_type = TYPES[kind];
+        let mut track = track(1, agent_type, position_m, heading_rad, speed_mps);
+        track.state_len = state_len as u32;
+        track.covariance = [variance; 25];
+        prop_assume!(track.check().is_ok());
+        let propagation = particles.map_or(Propagation::Linearised, |particles| Propagation::MonteCarlo { particles });
+        let mut sampler = Sampler::new(SamplerOptions { propagation, ..SamplerOptions::default() });
+        let controls = controls(1, agent_type, &[mean, [0.0, 0.0]], deviation);
+        for forecast in [
+            learned(&mut sampler, 0, &[track], &[controls])[0],
+            fallback(&mut sampler, age_ns, &[track])[0],
+        ] {
+            let points = forecast.modes.as_flattened().iter().chain(&forecast.best).chain(&forecast.mean);
+            prop_assert!(points.flatten().all(|x| x.abs() <= wire::POSITION_MAX_M * 1.0001));
+            let sum: f32 = forecast.probability[..forecast.modes_len as usize].iter().sum();
+            prop_assert!((sum - 1.0).abs() < 1e-3);
+            for [xx, xy, yy] in forecast.covariance {
+                let slack = 1e-3 * (xx + yy);
+                prop_assert!(xx >= -slack && yy >= -slack && xy * xy <= xx * yy + slack * slack + slack, "{xx} {xy} {yy}");
+            }
+        }
+    }
+}
