@@ -1,4 +1,4 @@
-use scene::State;
+use scene::{AgentType, State, agent_frame};
 
 use crate::{Point, constant_velocity, kmeans};
 
@@ -11,18 +11,16 @@ pub const VEHICLE_SPEED_CUTS_MPS: [f32; SPEED_BINS - 1] = [0.5, 1.5, 3.0, 4.5, 6
 /// Borders of the speed bins of pedestrians.
 pub const PEDESTRIAN_SPEED_CUTS_MPS: [f32; SPEED_BINS - 1] = [0.2, 0.5, 0.8, 1.0, 1.2, 1.4, 1.7];
 
-/// Speed below which the heading of a state tells nothing.
-const STILL_MPS: f32 = 0.1;
 /// A bin with fewer windows takes the anchors of its nearest neighbour.
 const WINDOWS_MIN: usize = 60;
 const KMEANS_ITERATIONS: usize = 50;
 
 /// Borders of the speed bins for an agent type.
 #[must_use]
-pub const fn speed_cuts_mps(agent_type: scene::AgentType) -> [f32; SPEED_BINS - 1] {
+pub const fn speed_cuts_mps(agent_type: AgentType) -> [f32; SPEED_BINS - 1] {
     match agent_type {
-        scene::AgentType::Vehicle | scene::AgentType::Cyclist => VEHICLE_SPEED_CUTS_MPS,
-        scene::AgentType::Pedestrian => PEDESTRIAN_SPEED_CUTS_MPS,
+        AgentType::Vehicle | AgentType::Cyclist => VEHICLE_SPEED_CUTS_MPS,
+        AgentType::Pedestrian => PEDESTRIAN_SPEED_CUTS_MPS,
     }
 }
 
@@ -93,12 +91,11 @@ impl Anchors {
     #[must_use]
     pub fn predict(&self, history: &[Option<State>]) -> Option<Vec<Vec<Point>>> {
         let base = constant_velocity(history, self.dt_s, self.horizon)?;
-        let [cos, sin] = direction(history, self.dt_s)?;
-        let world = |[x, y]: Point| [cos * x - sin * y, sin * x + cos * y];
+        let frame = agent_frame(history)?;
         let bin = self.bin(history)?;
         let shifted = |residual: &Vec<Point>| {
             let steps = base.iter().zip(residual);
-            steps.map(|(b, r)| (*b, world(*r))).map(|(b, r)| [b[0] + r[0], b[1] + r[1]]).collect()
+            steps.map(|(b, r)| (*b, frame.rotate_out(*r))).map(|(b, r)| [b[0] + r[0], b[1] + r[1]]).collect()
         };
         Some(bin.residuals.iter().map(shifted).collect())
     }
@@ -111,7 +108,7 @@ impl Anchors {
 
     fn bin(&self, history: &[Option<State>]) -> Option<&Bin> {
         let newest = (*history.last()?)?;
-        Some(&self.bins[speed_bin(&self.speed_cuts_mps, speed_mps(&newest))])
+        Some(&self.bins[speed_bin(&self.speed_cuts_mps, newest.speed_mps())])
     }
 }
 
@@ -129,10 +126,6 @@ impl Bin {
     }
 }
 
-fn speed_mps(state: &State) -> f32 {
-    state.velocity_mps[0].hypot(state.velocity_mps[1])
-}
-
 fn speed_bin(cuts_mps: &[f32], speed_mps: f32) -> usize {
     cuts_mps.iter().filter(|cut| speed_mps >= **cut).count()
 }
@@ -142,36 +135,15 @@ fn nearest_bin(bins: &[Option<Bin>], wanted: usize) -> Option<Bin> {
     (0..bins.len()).filter(|&i| bins[i].is_some()).min_by_key(by_distance).and_then(|i| bins[i].clone())
 }
 
-/// The x-axis (cos, sin) of the agent frame: the heading of the newest state, of the mean motion where it stands still.
-fn direction(history: &[Option<State>], dt_s: f32) -> Option<[f32; 2]> {
-    let newest = (*history.last()?)?;
-    let heading_rad = if speed_mps(&newest) >= STILL_MPS {
-        newest.heading_rad
-    } else {
-        mean_motion(history, dt_s)
-            .filter(|[vx, vy]| vx.hypot(*vy) > STILL_MPS)
-            .map_or(newest.heading_rad, |[vx, vy]| vy.atan2(vx))
-    };
-    Some([heading_rad.cos(), heading_rad.sin()])
-}
-
-fn mean_motion(history: &[Option<State>], dt_s: f32) -> Option<[f32; 2]> {
-    let newest = (*history.last()?)?;
-    let (first, oldest) = history.iter().enumerate().find_map(|(i, state)| state.map(|s| (i, s)))?;
-    let elapsed_s = (history.len() - 1 - first) as f32 * dt_s;
-    let moved = |axis: usize| (newest.position_m[axis] - oldest.position_m[axis]) / elapsed_s;
-    (elapsed_s > 0.0).then(|| [moved(0), moved(1)])
-}
-
 /// A window's speed and its residual to constant velocity in the agent frame.
 fn residual(window: &Window<'_>, dt_s: f32, horizon: usize) -> Option<(f32, Vec<Point>)> {
     let base = constant_velocity(window.history, dt_s, horizon)?;
-    let [cos, sin] = direction(window.history, dt_s)?;
+    let frame = agent_frame(window.history)?;
     let newest = (*window.history.last()?)?;
     let future: Vec<Point> = window.future.get(..horizon)?.iter().copied().collect::<Option<_>>()?;
     let steps = future.iter().zip(&base).map(|(f, b)| [f[0] - b[0], f[1] - b[1]]);
-    let residual = steps.map(|[x, y]| [cos * x + sin * y, cos * y - sin * x]).collect();
-    Some((speed_mps(&newest), residual))
+    let residual = steps.map(|residual| frame.rotate_into(residual)).collect();
+    Some((newest.speed_mps(), residual))
 }
 
 #[cfg(test)]
@@ -259,15 +231,6 @@ mod tests {
         assert!(best_of(&anchors.predict(&history).expect("present"), &future).ade_m.expect("known") < 1e-4);
         let unknown = [Window { history: &history, future: &[None; HORIZON] }];
         assert_eq!(Anchors::fit(&unknown, DT_S, HORIZON, VEHICLE_SPEED_CUTS_MPS, 1), None);
-    }
-
-    #[test]
-    fn the_frame_of_a_standing_agent_is_its_mean_motion() {
-        let at =
-            |y: f32, vy: f32| Some(State { position_m: [0.0, y], velocity_mps: [0.0, vy], heading_rad: 0.0 });
-        let [cos, sin] = direction(&[at(0.0, 1.0), at(0.4, 0.0)], DT_S).expect("present");
-        assert!(cos.abs() < 1e-6 && (sin - 1.0).abs() < 1e-6);
-        assert_eq!(direction(&[at(0.0, 0.0), at(0.01, 0.0)], DT_S), Some([1.0, 0.0]));
     }
 
     #[test]

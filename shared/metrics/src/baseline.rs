@@ -4,6 +4,7 @@
 //! newest entry and are `None` where that one is absent. Rates of change come from the newest two states present, over
 //! the time that really lies between them; with a single state they are 0.
 
+use kinematics::wrap_angle;
 use rand::Rng;
 use rand_distr::{Distribution, StandardNormal};
 use scene::State;
@@ -38,7 +39,7 @@ pub fn constant_acceleration(history: &[Option<State>], dt_s: f32, horizon: usiz
 pub fn constant_turn_rate(history: &[Option<State>], dt_s: f32, horizon: usize) -> Option<Vec<Point>> {
     let State { position_m: [x, y], velocity_mps: [vx, vy], heading_rad } = (*history.last()?)?;
     let rate_radps = before_newest(history, dt_s)
-        .map_or(0.0, |(before, elapsed_s)| wrapped(heading_rad - before.heading_rad) / elapsed_s);
+        .map_or(0.0, |(before, elapsed_s)| wrap_angle(heading_rad - before.heading_rad) / elapsed_s);
     // ∫ R(ωτ) v dτ = [s −c; c s] v with s = sin(ωt) / ω and c = (1 − cos ωt) / ω, by series near ω = 0.
     let turned = |t: f32| {
         let angle = rate_radps * t;
@@ -81,11 +82,6 @@ fn times(dt_s: f32, horizon: usize) -> impl Iterator<Item = f32> {
 fn before_newest(history: &[Option<State>], dt_s: f32) -> Option<(State, f32)> {
     let mut backwards = history.iter().rev().enumerate().skip(1);
     backwards.find_map(|(steps, state)| state.map(|state| (state, steps as f32 * dt_s)))
-}
-
-fn wrapped(angle_rad: f32) -> f32 {
-    use std::f32::consts::{PI, TAU};
-    (angle_rad + PI).rem_euclid(TAU) - PI
 }
 
 #[cfg(test)]
