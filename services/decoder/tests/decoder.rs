@@ -3,11 +3,15 @@
 
 #[path = "support/frames.rs"]
 mod frames;
+#[path = "../../../tests/support/model.rs"]
+mod model;
 
 use decoder::{Decoder, DecoderOptions};
 use frames::{encodings, header, room};
+use model::Model;
 use nn::Weights;
-use wire::{AgentControls, AgentEncoding, Rejected};
+use nn::base::{Base, BaseFeatures};
+use wire::{AgentControls, AgentEncoding, ControlGaussian, Rejected};
 
 fn decode(workers: usize, seed: u64, seq: u64, encodings: &[AgentEncoding]) -> Vec<AgentControls> {
     let mut decoder = Decoder::new(&Weights::onboard(), DecoderOptions { workers, seed }).unwrap();
@@ -61,4 +65,45 @@ fn a_bad_frame_is_refused_and_leaves_the_output() {
     assert_eq!(out, before);
     decoder.step(&header(0), &good, &mut out).unwrap();
     assert_ne!(out, before);
+}
+
+fn close(a: [f32; 2], b: [f32; 2]) {
+    assert!((a[0] - b[0]).abs() < 1e-4 && (a[1] - b[1]).abs() < 1e-4, "{a:?} is not {b:?}");
+}
+
+/// Ridge and anchors are added to the network's means, the best forecast gets no anchor.
+#[test]
+fn the_base_control_is_added_to_the_means() {
+    let mut model = Model::with_all_options();
+    let based = model.weights();
+    model.config["base"] = false.into();
+    let plain = model.weights();
+    let encodings = encodings(6);
+    let controls = |weights: &Weights| {
+        let mut decoder = Decoder::new(weights, DecoderOptions { workers: 1, seed: 0 }).unwrap();
+        let mut out = room(&encodings);
+        decoder.step(&header(0), &encodings, &mut out).unwrap();
+        out
+    };
+    let (with, without) = (controls(&based), controls(&plain));
+    let forecastable = encodings.iter().filter(|agent| agent.forecastable != 0);
+    for (agent, (with, without)) in forecastable.zip(with.iter().zip(&without)) {
+        let base = Base::read(&based, agent.agent_type.try_into().unwrap()).unwrap();
+        let features = BaseFeatures::new(&agent.state[..8], |_| true, based.config());
+        let mut ridge = [[0.0; 2]; 12];
+        base.ridge(&features, &mut ridge);
+        assert!(ridge.as_flattened().iter().any(|x| *x != 0.0));
+        for (step, (ridge, anchor)) in ridge.iter().zip(base.anchor(&features, 7)).enumerate() {
+            let moved = |with: &ControlGaussian, without: &ControlGaussian| {
+                [0, 1].map(|c| with.mean[c] - without.mean[c])
+            };
+            close(moved(&with.best[step], &without.best[step]), *ridge);
+            close(
+                moved(&with.modes[7][step], &without.modes[7][step]),
+                [ridge[0] + anchor[0], ridge[1] + anchor[1]],
+            );
+        }
+        assert_eq!(with.probability, without.probability);
+        assert!(with.probability[..20].iter().any(|p| (p - 0.05).abs() > 1e-4), "the mode head speaks");
+    }
 }

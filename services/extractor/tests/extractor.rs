@@ -65,7 +65,7 @@ fn a_crowd_keeps_its_nearest_neighbours() {
         for (i, track) in context.tracks.iter_mut().enumerate() {
             track.id = 1_000 + i as u64;
             for state in &mut track.history[..8] {
-                (state.x_m, state.y_m) = (i as f32 * 0.1, 0.0);
+                (state.x_m, state.y_m) = (i as f32 * 0.05, 0.0);
             }
         }
     });

@@ -1,0 +1,132 @@
+//! Weights files that are whole, halved, cut short, spoilt or something else.
+#![expect(clippy::unwrap_used, reason = "a test ends at what it can't do")]
+
+#[path = "../../../tests/support/model.rs"]
+mod model;
+
+use model::Model;
+use nn::{
+    ContextCnn, ContextMemory, Decoder, EncodingFunction, Gdat, RelationMlp, StateMlp, Weights, WeightsError,
+};
+use proptest::prelude::*;
+use safetensors::Dtype;
+
+/// Builds every layer.
+fn build(weights: &Weights) -> Result<(), WeightsError> {
+    StateMlp::new(weights)?;
+    RelationMlp::new(weights)?;
+    ContextCnn::new(weights)?;
+    Gdat::new(weights)?;
+    Decoder::new(weights)?;
+    Ok(())
+}
+
+#[test]
+fn the_embedded_weights_hold_the_whole_model() {
+    let weights = Weights::onboard();
+    weights.config().check_frames().unwrap();
+    build(&weights).unwrap();
+    assert_eq!(weights.sha256().len(), 64);
+}
+
+#[test]
+fn every_option_has_its_tensors() {
+    let model = Model::with_all_options();
+    build(&model.weights()).unwrap();
+    for name in ["decoder.cyclist.latents", "decoder.vehicle.mode.0.bias", "base.pedestrian.anchors"] {
+        let mut lacking = Model::with_all_options();
+        lacking.tensors.retain(|(known, ..)| known != name);
+        let error = build(&lacking.weights()).unwrap_err();
+        assert!(matches!(&error, WeightsError::Missing { name: missing } if missing == name), "{error}");
+    }
+}
+
+#[test]
+fn half_precision_changes_embeddings_by_its_rounding_alone() {
+    let mut model = Model::onboard();
+    model.set("fe.context.fc.weight", &[32, 128]);
+    let halved = Weights::from_bytes(&model.bytes(Dtype::F16)).unwrap();
+    let embed = |weights: &Weights| {
+        let cnn = ContextCnn::new(weights).unwrap();
+        let patch: Vec<f32> = (0..cnn.patch_len()).map(model::value).collect();
+        let mut out = [[0.0; 32]];
+        cnn.embed(&patch, &mut ContextMemory::default(), &mut out);
+        out[0]
+    };
+    let (full, half) = (embed(&model.weights()), embed(&halved));
+    let largest = full.iter().fold(0.0_f32, |most, x| most.max(x.abs()));
+    assert_ne!(full, half);
+    assert!(full.iter().zip(&half).all(|(a, b)| (a - b).abs() < 0.02 * largest), "{full:?} and {half:?}");
+}
+
+#[test]
+fn a_short_file_is_told_from_another_kind_of_file() {
+    let bytes = Model::onboard().bytes(Dtype::F32);
+    for len in [0, 7, 8, 100, 9_000, bytes.len() / 2, bytes.len() - 1] {
+        let error = Weights::from_bytes(&bytes[..len]).unwrap_err();
+        assert!(matches!(error, WeightsError::Truncated { found, .. } if found == len), "{len}: {error}");
+    }
+    for other in
+        ["PK\u{3}\u{4} a zip archive of weights", "{\"a\": 1, \"json\": \"file\", \"of\": \"weights\"}"]
+    {
+        let error = Weights::from_bytes(other.as_bytes()).unwrap_err();
+        assert!(matches!(error, WeightsError::NotSafetensors(_)), "{error}");
+    }
+    let error = Weights::open(std::path::Path::new("no/such/file")).unwrap_err();
+    assert!(matches!(error, WeightsError::Unreadable { .. }) && error.to_string().contains("no/such/file"));
+}
+
+#[test]
+fn errors_name_the_tensor_and_both_shapes() {
+    let mut model = Model::onboard();
+    model.set("fe.relation.1.weight", &[128, 64]);
+    let error = build(&model.weights()).unwrap_err().to_string();
+    assert_eq!(error, "tensor fe.relation.1.weight has shape [128, 64], the model needs [128, 128]");
+
+    let mut model = Model::onboard();
+    model.tensors.retain(|(name, ..)| name != "gdat.temporal.score.weight");
+    let error = build(&model.weights()).unwrap_err().to_string();
+    assert_eq!(error, "tensor gdat.temporal.score.weight is missing");
+
+    let mut model = Model::onboard();
+    let (name, _, values) = &mut model.tensors[5];
+    values[3] = f32::NAN;
+    let expected = format!("tensor {name}: value 3 is NaN");
+    let error = Weights::from_bytes(&model.bytes(Dtype::F32)).unwrap_err().to_string();
+    assert_eq!(error, expected);
+
+    let error = Weights::from_bytes(&Model::onboard().bytes(Dtype::I32)).unwrap_err().to_string();
+    assert!(error.ends_with("holds I32, expected F32 or F16"), "{error}");
+}
+
+#[test]
+fn strange_configurations_are_refused() {
+    let refuse = |key: &str, value: serde_json::Value| {
+        let mut model = Model::onboard();
+        model.config[key] = value;
+        Weights::from_bytes(&model.bytes(Dtype::F32)).unwrap_err().to_string()
+    };
+    assert!(refuse("depth", 3.into()).contains("unknown field `depth`"));
+    assert!(refuse("stem", "resnet".into()).contains("unknown variant `resnet`"));
+    assert!(refuse("topological_heads", 5.into()).contains("topological_heads = 5: does not divide 64"));
+    assert!(refuse("dt_s", (-0.4).into()).contains("dt_s = -0.4"));
+    assert!(refuse("rounds", 9.into()).contains("rounds = 9: is out of range"));
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(64))]
+
+    #[test]
+    fn no_damage_to_the_header_panics(at in 0_usize..12_000, byte: u8) {
+        let mut bytes = BYTES.with(Clone::clone);
+        bytes[at] = byte;
+        if let Ok(weights) = Weights::from_bytes(&bytes) {
+            let _ = build(&weights);
+            let _ = EncodingFunction::new(&weights);
+        }
+    }
+}
+
+thread_local! {
+    static BYTES: Vec<u8> = Model::onboard().bytes(Dtype::F32);
+}
