@@ -46,7 +46,6 @@ fn tick(c: &mut Criterion) {
                     sampler.learned(&header, &tracks, controls, &mut out).unwrap();
                 });
             });
-            });
             if propagation == Propagation::Linearised {
                 c.bench_function(&format!("{AGENTS} {name}, held"), |b| {
                     b.iter(|| sampler.fallback(&header, &tracks, Cause::Late, &mut out).unwrap());
