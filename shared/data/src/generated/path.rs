@@ -1,5 +1,7 @@
 //! Lines that road users drive along.
 
+use kinematics::wrap_angle;
+
 use super::Point;
 
 /// Distance between two samples of a path.
@@ -48,7 +50,7 @@ impl Path {
     pub(super) fn pose(&self, along_m: f32, aside_m: f32) -> Pose {
         let (i, share) = self.place(along_m);
         let (a, b) = (self.poses[i], self.poses[i + 1]);
-        let heading_rad = a.heading_rad + share * wrapped(b.heading_rad - a.heading_rad);
+        let heading_rad = a.heading_rad + share * wrap_angle(b.heading_rad - a.heading_rad);
         let between = |axis: usize| a.position_m[axis] + share * (b.position_m[axis] - a.position_m[axis]);
         let (sin, cos) = heading_rad.sin_cos();
         Pose { position_m: [between(0) - aside_m * sin, between(1) + aside_m * cos], heading_rad }
@@ -93,11 +95,6 @@ pub(super) fn curve(a: Point, out: Point, b: Point, into: Point) -> impl Iterato
     })
 }
 
-pub(super) fn wrapped(angle_rad: f32) -> f32 {
-    use std::f32::consts::{PI, TAU};
-    (angle_rad + PI).rem_euclid(TAU) - PI
-}
-
 fn resampled(line: &[Point]) -> Vec<Point> {
     let mut positions = vec![line[0]];
     let mut left_m = STEP_M;
@@ -118,7 +115,7 @@ fn resampled(line: &[Point]) -> Vec<Point> {
 fn allowed_speeds(poses: &[Pose]) -> Vec<f32> {
     let mut speeds = vec![STRAIGHT_SPEED_MPS; poses.len()];
     for i in 1..poses.len() - 1 {
-        let turned_rad = wrapped(poses[i + 1].heading_rad - poses[i - 1].heading_rad).abs();
+        let turned_rad = wrap_angle(poses[i + 1].heading_rad - poses[i - 1].heading_rad).abs();
         let curvature = turned_rad / (2.0 * STEP_M);
         speeds[i] = speeds[i].min((LATERAL_MPS2 / curvature.max(1e-6)).sqrt());
     }

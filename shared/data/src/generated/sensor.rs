@@ -1,11 +1,11 @@
 //! What a fixed sensor reports of the scene: noise, misses, hidden agents, clutter.
 
+use kinematics::wrap_angle;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, Poisson, StandardNormal};
 use wire::{AGENT_TYPES, AgentType, DETECTIONS_MAX, Detection, detection_flags};
 
-use super::path::wrapped;
 use super::{Agent, SceneOptions};
 
 /// Clutter appears within this square around the centre.
@@ -74,7 +74,7 @@ impl Sensor {
         let flipped = self.rng.random_bool(f64::from(options.yaw_flip_probability));
         let turned_rad = if flipped { std::f32::consts::PI } else { 0.0 };
         let on_wheels = agent.agent_type != AgentType::Pedestrian;
-        let heading_rad = wrapped(agent.heading_rad + turned_rad + self.noise(options.heading_sigma_rad));
+        let heading_rad = wrap_angle(agent.heading_rad + turned_rad + self.noise(options.heading_sigma_rad));
         let speed_mps = agent.speed_mps + self.noise(options.speed_sigma_mps);
         let has_speed = on_wheels && options.speeds;
         let flag = |has: bool, flag: u32| if has { flag } else { 0 };
@@ -144,7 +144,7 @@ impl Shadow {
         let (bearing_rad, distance_m) = bearing(agent.position_m, options);
         agent.id != self.id
             && distance_m > self.distance_m
-            && wrapped(bearing_rad - self.bearing_rad).abs() < self.half_width_rad
+            && wrap_angle(bearing_rad - self.bearing_rad).abs() < self.half_width_rad
     }
 }
 
@@ -160,7 +160,7 @@ fn shadow(vehicle: &Agent, options: &SceneOptions) -> Shadow {
     let [x, y] = vehicle.position_m;
     let corner = |along_m: f32, aside_m: f32| {
         let position = [x + cos * along_m - sin * aside_m, y + sin * along_m + cos * aside_m];
-        wrapped(bearing(position, options).0 - bearing_rad).abs()
+        wrap_angle(bearing(position, options).0 - bearing_rad).abs()
     };
     let half_width_rad = [1.0, -1.0]
         .into_iter()
@@ -238,7 +238,7 @@ mod tests {
             for detection in sensor.detect(&agents, &options) {
                 if detection.id == 1 {
                     seen += 1;
-                    flips += u32::from(wrapped(detection.heading_rad - 0.5).abs() > 1.0);
+                    flips += u32::from(wrap_angle(detection.heading_rad - 0.5).abs() > 1.0);
                     squares += f64::from((detection.x_m - 10.0).powi(2));
                 } else {
                     clutter += 1;
