@@ -1,1 +1,123 @@
-//! Placeholder.
+//! Makes the context map of a site from recordings of it, for `stgdat map`.
+//!
+//! A *visit* is an agent at a place at a time. Every trajectory gives one per tick of the pipeline, however fast its
+//! recording is, so that a map made here and one gathered online weigh the same ground alike. Velocities are those of
+//! the recording where it has them, else backward differences; what has neither identity nor velocity is left out and
+//! counted.
+//!
+//! A map knows whole recordings: use recordings of the training part, never the one that is to be forecast.
+
+use data::{RecordedTrack, Recording};
+use scene::{CELLS_MAX, ContextMap, MapBuilder};
+use thiserror::Error;
+use wire::detection_flags::{HAS_HEADING, HAS_ID, HAS_SPEED};
+
+/// Least time between visits of one trajectory: a tick of the pipeline.
+pub const VISIT_INTERVAL_NS: i64 = 80_000_000;
+
+/// A map and what went into it.
+#[derive(Clone, Debug)]
+pub struct SiteMap {
+    /// The map, as large as the ground that was visited.
+    pub map: ContextMap,
+    /// Visits counted.
+    pub visits_len: usize,
+    /// Detections left out because nothing tells their velocity.
+    pub left_out_len: usize,
+}
+
+/// Recordings that no map can be made of.
+#[derive(Debug, Error, PartialEq, Eq)]
+pub enum MapError {
+    /// Nothing in them has a velocity.
+    #[error("no visits: the recordings hold no trajectories and no detections with heading and speed")]
+    NoVisits,
+    /// They lie too far apart.
+    #[error(
+        "the visits span {rows} × {cols} cells of 1 m, at most {CELLS_MAX} cells allowed: map one site at a time"
+    )]
+    TooLarge {
+        /// Cells along y.
+        rows: usize,
+        /// Cells along x.
+        cols: usize,
+    },
+}
+
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Visit {
+    position_m: [f32; 2],
+    velocity_mps: [f32; 2],
+}
+
+/// The map of all visits in recordings that share one world frame.
+///
+/// # Errors
+/// [`MapError`] where there are no visits, or they span more than a map can hold.
+pub fn build(recordings: &[Recording]) -> Result<SiteMap, MapError> {
+    let mut visits = Vec::new();
+    let mut left_out_len = 0;
+    for recording in recordings {
+        for track in data::tracks(recording) {
+            left_out_len += visit_track(&track, &mut visits);
+        }
+        left_out_len += visit_loose_detections(recording, &mut visits);
+    }
+    let (origin_m, [cols, rows]) = extent(&visits).ok_or(MapError::NoVisits)?;
+    let mut builder = MapBuilder::new(origin_m, rows, cols).ok_or(MapError::TooLarge { rows, cols })?;
+    let visits_len =
+        visits.iter().filter(|visit| builder.visit(visit.position_m, visit.velocity_mps)).count();
+    Ok(SiteMap { map: builder.build(), visits_len, left_out_len })
+}
+
+/// Appends a trajectory's visits; tells how many states had no velocity.
+fn visit_track(track: &RecordedTrack, visits: &mut Vec<Visit>) -> usize {
+    if track.starts_unmoved && track.states.len() == 1 {
+        return 1;
+    }
+    let mut last_ns = None;
+    for (stamp_ns, _) in &track.states {
+        if last_ns.is_some_and(|last_ns| stamp_ns - last_ns < VISIT_INTERVAL_NS) {
+            continue;
+        }
+        // With all states known, the first has the velocity of the second.
+        if let Some(state) = track.state_at(*stamp_ns, i64::MAX, 0) {
+            visits.push(Visit { position_m: state.position_m, velocity_mps: state.velocity_mps });
+            last_ns = Some(*stamp_ns);
+        }
+    }
+    0
+}
+
+/// Appends the visits of detections without identity; tells how many had no velocity.
+fn visit_loose_detections(recording: &Recording, visits: &mut Vec<Visit>) -> usize {
+    let mut left_out_len = 0;
+    for detection in recording.frames.iter().flat_map(|frame| &frame.detections) {
+        if detection.has(HAS_ID) {
+            continue;
+        }
+        if !detection.has(HAS_HEADING | HAS_SPEED) {
+            left_out_len += 1;
+            continue;
+        }
+        let (sin, cos) = detection.heading_rad.sin_cos();
+        visits.push(Visit {
+            position_m: [detection.x_m, detection.y_m],
+            velocity_mps: [cos * detection.speed_mps, sin * detection.speed_mps],
+        });
+    }
+    left_out_len
+}
+
+/// Lower left corner on whole metres, and cells along x and y.
+fn extent(visits: &[Visit]) -> Option<([f32; 2], [usize; 2])> {
+    let first = visits.first()?.position_m;
+    let (low, high) = visits.iter().fold((first, first), |(low, high), visit| {
+        let extreme = |of: [f32; 2], pick: fn(f32, f32) -> f32| {
+            [0, 1].map(|axis| pick(of[axis], visit.position_m[axis]))
+        };
+        (extreme(low, f32::min), extreme(high, f32::max))
+    });
+    let origin_m = low.map(f32::floor);
+    Some((origin_m, [0, 1].map(|axis| (high[axis] - origin_m[axis]) as usize + 1)))
+}

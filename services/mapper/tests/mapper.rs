@@ -1,0 +1,111 @@
+//! Maps of made-up and of real recordings.
+
+use std::path::{Path, PathBuf};
+
+use data::{Frame, Recording};
+use mapper::{MapError, build};
+use wire::Detection;
+use wire::detection_flags::{HAS_HEADING, HAS_ID, HAS_SPEED};
+
+/// Frames `dt_ns` apart, each with the detections that `seen` tells at its time in seconds.
+fn recording(frames_len: i64, dt_ns: i64, seen: impl Fn(f32) -> Vec<Detection>) -> Recording {
+    let frames = (0..frames_len).map(|k| Frame {
+        stamp_ns: k * dt_ns,
+        detections: seen((k * dt_ns) as f32 * 1e-9),
+        ..Frame::default()
+    });
+    Recording { interval_ns: dt_ns as u64, frames: frames.collect(), ..Recording::default() }
+}
+
+fn detection(id: u64, x_m: f32, y_m: f32) -> Detection {
+    Detection {
+        id,
+        x_m,
+        y_m,
+        heading_rad: 0.0,
+        speed_mps: 0.0,
+        length_m: 0.0,
+        width_m: 0.0,
+        score: 1.0,
+        sigma_m: 0.0,
+        agent_type: 2,
+        flags: HAS_ID,
+    }
+}
+
+#[test]
+fn a_walk_is_mapped_with_its_velocity() {
+    // 2 m/s along y = −0.5 from x = −3.75, and one that stands.
+    let site = build(&[recording(25, 100_000_000, |t| {
+        vec![detection(1, -3.75 + 2.0 * t, -0.5), detection(2, 0.5, 2.5)]
+    })])
+    .unwrap();
+    assert_eq!((site.visits_len, site.left_out_len), (50, 0));
+    assert_eq!(site.map.origin_m(), [-4.0, -1.0]);
+    assert_eq!((site.map.rows(), site.map.cols()), (4, 6));
+    let density: Vec<f32> = site.map.density().collect();
+    let velocity: Vec<[f32; 2]> = site.map.velocity_mps().collect();
+    assert!((density.iter().sum::<f32>() - 1.0).abs() < 1e-6);
+    // The walk crosses the lowest row, five visits a cell; the first visit has the velocity of the second.
+    assert!((density[1] - 5.0 / 50.0).abs() < 1e-6, "{density:?}");
+    assert!((velocity[0][0] - 2.0).abs() < 1e-3 && velocity[0][1].abs() < 1e-3, "{velocity:?}");
+    assert!((density[3 * 6 + 4] - 0.5).abs() < 1e-6);
+    assert_eq!(velocity[3 * 6 + 4], [0.0, 0.0]);
+}
+
+#[test]
+fn a_faster_recording_weighs_no_more() {
+    let walk =
+        |dt_ns: i64, y_m: f32| recording(8_000_000_000 / dt_ns, dt_ns, move |t| vec![detection(1, t, y_m)]);
+    let site = build(&[walk(100_000_000, 0.5), walk(10_000_000, 2.5)]).unwrap();
+    let density: Vec<f32> = site.map.density().collect();
+    let rows: Vec<f32> = density.chunks_exact(site.map.cols()).map(|row| row.iter().sum()).collect();
+    assert!((rows[2] / rows[0] - 100.0 / 80.0).abs() < 1e-3, "10 Hz against a tick of 12.5 Hz: {rows:?}");
+}
+
+#[test]
+fn detections_without_identity_count_where_they_tell_their_motion() {
+    let heading_rad = std::f32::consts::FRAC_PI_2;
+    let moving =
+        Detection { flags: HAS_HEADING | HAS_SPEED, heading_rad, speed_mps: 3.0, ..detection(0, 0.5, 0.5) };
+    let silent = Detection { flags: HAS_HEADING, ..moving };
+    let site = build(&[recording(10, 100_000_000, |_| vec![moving, silent])]).unwrap();
+    assert_eq!((site.visits_len, site.left_out_len), (10, 10));
+    let velocity = site.map.velocity_mps().next().unwrap();
+    assert!(velocity[0].abs() < 1e-6 && (velocity[1] - 3.0).abs() < 1e-6);
+}
+
+#[test]
+fn recordings_that_make_no_map_are_refused() {
+    assert_eq!(build(&[]).unwrap_err(), MapError::NoVisits);
+    let glimpse = recording(1, 100_000_000, |_| vec![detection(1, 0.0, 0.0)]);
+    assert_eq!(build(&[glimpse]).unwrap_err(), MapError::NoVisits);
+    let apart = recording(2, 100_000_000, |_| vec![detection(1, 0.0, 0.0), detection(2, 9_000.0, 9_000.0)]);
+    assert_eq!(build(&[apart]).unwrap_err(), MapError::TooLarge { rows: 9_001, cols: 9_001 });
+}
+
+/// The folder of recordings, where there is one.
+fn recordings() -> PathBuf {
+    let beside = Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../../../shared/data"));
+    std::env::var_os("STGDAT_DATA").map_or_else(|| beside.to_path_buf(), PathBuf::from)
+}
+
+#[test]
+fn real_recordings_make_plausible_maps() {
+    let folder = recordings();
+    let sets = [data::sets::DataSet::EthUcy, data::sets::DataSet::Interaction];
+    for set in sets {
+        let files = set.files(&folder, data::sets::Part::Train).unwrap_or_default();
+        let Some(path) = files.first() else {
+            println!("skipped: no recordings at {}", folder.display());
+            return;
+        };
+        let recording = data::open(path, Some(set.format())).unwrap();
+        let states: usize = data::tracks(&recording).iter().map(|track| track.states.len()).sum();
+        let site = build(&[recording]).unwrap();
+        assert!(site.visits_len <= states && site.visits_len > states / 2, "{} of {states}", site.visits_len);
+        assert!((site.map.density().sum::<f32>() - 1.0).abs() < 1e-3);
+        let fastest = site.map.velocity_mps().map(|[x, y]| x.hypot(y)).fold(0.0, f32::max);
+        assert!(fastest > 0.5 && fastest < 40.0, "{fastest} m/s");
+    }
+}
