@@ -8,7 +8,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::JoinHandle;
 
 use config::{Exit, Run};
-use ports::RUN_VARIABLE;
+use ports::{LAUNCHER_VARIABLE, RUN_VARIABLE};
 use rustix::process::{Pid, Signal, kill_process};
 use wire::StageId;
 
@@ -18,6 +18,9 @@ use crate::failure::{Failure, StageDeath};
 const LAST_WORDS_MAX: usize = 12;
 /// Longest line that is kept whole.
 const LINE_BYTES_MAX: u64 = 4096;
+
+/// The signal that comes where shared memory has no page left.
+const BUS_ERROR: i32 = Signal::BUS.as_raw();
 
 /// A line that a stage wrote.
 pub type Line = (StageId, String);
@@ -57,6 +60,7 @@ impl Child {
         };
         command
             .env(RUN_VARIABLE, record)
+            .env(LAUNCHER_VARIABLE, std::process::id().to_string())
             .env("STGDAT_RUN_ID", run.id.to_string())
             .env("STGDAT_PREFIX", &run.prefix)
             .env("STGDAT_ROOT", &run.root)
@@ -112,6 +116,7 @@ impl Child {
         }
         let how = match (status.code(), status.signal()) {
             (Some(code), _) => format!("ended with exit code {code}"),
+            (None, Some(BUS_ERROR)) => format!("was killed by signal {BUS_ERROR}: shared memory may be full"),
             (None, Some(signal)) => format!("was killed by signal {signal}"),
             (None, None) => status.to_string(),
         };

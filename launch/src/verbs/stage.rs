@@ -21,7 +21,7 @@ pub struct Arguments {
 
 /// Is one stage of a run until told to end; the same as the stage's own program.
 pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
-    ports::die_with_parent();
+    ports::die_with_launcher()?;
     let stage = StageId::from_name(&arguments.name)
         .ok_or_else(|| Failure::Usage(format!("there is no stage \"{}\"", arguments.name)))?;
     let run = Run::read(&arguments.run).map_err(StageError::config)?;

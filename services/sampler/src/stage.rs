@@ -31,21 +31,18 @@ pub fn run(run: &Run) -> Result<(), StageError> {
         let until_ns = (!header.has(flags::LOCKSTEP)).then_some(header.released_ns + deadline_ns);
         let awaited = stage.wait_for(&controls, header.seq, until_ns)?;
         let mut loan = output.loan(input.len())?;
-        let (mut passage, learned) = match awaited {
+        let (mut passage, cause) = match awaited {
             Awaited::Frame(controls) => {
                 let passage = stage.begin(&controls);
                 let learned = sampler.learned(header, &input, &controls, &mut loan);
-                (passage, learned.map_err(|why| stage.refuse(header.seq, ControlsTopic::NAME, why)))
+                let refused = learned.map_err(|why| stage.refuse(header.seq, ControlsTopic::NAME, why));
+                (passage, refused.is_err().then_some(Cause::Rejected))
             }
-            Awaited::Void(controls) => (stage.begin(&controls), Err(())),
-            Awaited::Late => {
-                let passage = stage.begin(&input);
-                let late = sampler.fallback(header, &input, Cause::Late, &mut loan);
-                (passage, late.map_err(|why| stage.refuse(header.seq, TracksTopic::NAME, why)))
-            }
+            Awaited::Void(controls) => (stage.begin(&controls), Some(Cause::Rejected)),
+            Awaited::Late => (stage.begin(&input), Some(Cause::Late)),
             Awaited::Stopped => break,
         };
-        let result = learned.or_else(|()| sampler.fallback(header, &input, Cause::Rejected, &mut loan));
+        let result = cause.map_or(Ok(()), |cause| sampler.fallback(header, &input, cause, &mut loan));
         // The forecasts are of the tracks; the way through the pipeline is that of the controls.
         let Header { hops, hops_len, .. } = passage.header;
         passage.header = Header { hops, hops_len, ..*header };

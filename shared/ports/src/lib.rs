@@ -28,7 +28,7 @@ pub use clock::monotonic_ns;
 pub use error::{PortError, StageError};
 pub use node::{Node, Waiter};
 pub use peers::Peers;
-pub use program::{RUN_VARIABLE, begin_logging, die_with_parent, stage_main};
+pub use program::{LAUNCHER_VARIABLE, RUN_VARIABLE, begin_logging, die_with_launcher, stage_main};
 pub use publisher::{Loan, Publisher};
 pub use space::{Leftover, Space, SpaceError, leftovers, shared_memory_free};
 pub use stage::{Awaited, HEARTBEAT, Passage, Stage};

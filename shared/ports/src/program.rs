@@ -2,13 +2,16 @@ use std::path::PathBuf;
 use std::process::ExitCode;
 
 use config::{Exit, Run};
-use rustix::process::{Signal, getppid, set_parent_process_death_signal};
+use rustix::process::{Pid, Signal, getppid, set_parent_process_death_signal};
 use tracing_subscriber::EnvFilter;
 
 use crate::StageError;
 
 /// The environment variable that names the run's record, for stages that get no `--run`.
 pub const RUN_VARIABLE: &str = "STGDAT_RUN";
+
+/// The environment variable in which the launcher tells its process number.
+pub const LAUNCHER_VARIABLE: &str = "STGDAT_LAUNCHER";
 
 /// The main function of a stage's own program: `program [--run FILE]`.
 pub fn stage_main(stage: fn(&Run) -> Result<(), StageError>) -> ExitCode {
@@ -25,8 +28,8 @@ pub fn stage_main(stage: fn(&Run) -> Result<(), StageError>) -> ExitCode {
         );
         return Exit::Usage.into();
     };
-    die_with_parent();
-    let outcome = Run::read(&path).map_err(StageError::config).and_then(|run| stage(&run));
+    let run = || Run::read(&path).map_err(StageError::config);
+    let outcome = die_with_launcher().and_then(|()| stage(&run()?));
     match outcome {
         Ok(()) => Exit::Done.into(),
         Err(error) => {
@@ -36,14 +39,18 @@ pub fn stage_main(stage: fn(&Run) -> Result<(), StageError>) -> ExitCode {
     }
 }
 
-/// Asks the kernel to kill this process when its parent dies, so that no stage outlives its launcher.
-pub fn die_with_parent() {
+/// Asks the kernel to kill this process when its launcher dies, so that no stage outlives it.
+///
+/// # Errors
+/// [`StageError::Stuck`] where the launcher has died already.
+pub fn die_with_launcher() -> Result<(), StageError> {
+    let launcher = std::env::var(LAUNCHER_VARIABLE).ok().and_then(|pid| Pid::from_raw(pid.parse().ok()?));
+    if launcher.is_none() {
+        return Ok(());
+    }
     // Refused only for signals that do not exist.
     let _ = set_parent_process_death_signal(Some(Signal::KILL));
-    // A parent that died before the call leaves the process to init.
-    if getppid().is_none_or(|parent| parent.is_init()) {
-        tracing::warn!("the launcher is gone, or this stage was started without one");
-    }
+    if getppid() == launcher { Ok(()) } else { Err(StageError::Stuck("the launcher is gone".into())) }
 }
 
 /// Writes the process's log to standard error: warnings, or what `RUST_LOG` asks for.

@@ -232,3 +232,10 @@ fn a_dropped_space_leaves_nothing_and_a_living_one_is_no_leftover() {
         .collect();
     assert!(left.is_empty(), "{left:?}");
 }
+
+#[test]
+fn too_little_shared_memory_is_told_before_anything_is_made() {
+    let error =
+        Space::create(u64::from(std::process::id()) << 8 | 0xff, u64::MAX).expect_err("nobody has that much");
+    assert!(error.to_string().contains("MiB free"), "{error}");
+}
