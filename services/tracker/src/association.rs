@@ -6,6 +6,9 @@ use crate::target::{Target, position_sigma_m};
 
 /// 99 % of a chi-squared variable of two degrees of freedom: the gate for positions.
 const GATE: f64 = 9.210_340_371_976_18;
+/// The gate for a confirmed track that got none of the detections within the first gate, and a detection that no track
+/// got: five standard deviations. A vehicle that brakes hard leaves the first gate, and would meet itself as a new track.
+const WIDE_GATE: f64 = 25.0;
 /// A detection that carries an identity belongs to its track unless it would have had to move faster than this allows.
 const JUMP_MIN_M: f64 = 5.0;
 
@@ -20,6 +23,8 @@ pub struct Association {
     assigner: Assigner,
     /// Detection of each target.
     paired: Vec<Option<u32>>,
+    /// As `paired`, of one round alone.
+    round: Vec<Option<u32>>,
     /// Whether each detection has a target, or is refused one.
     taken: Vec<bool>,
 }
@@ -34,6 +39,7 @@ impl Association {
             candidates: Vec::with_capacity(8 * targets_len),
             assigner: Assigner::with_capacity(targets_len, detections_len),
             paired: Vec::with_capacity(targets_len),
+            round: Vec::with_capacity(targets_len),
             taken: Vec::with_capacity(detections_len),
         }
     }
@@ -84,7 +90,8 @@ impl Association {
     /// Pairs by position and type: the cheapest assignment of all pairs within the gate.
     ///
     /// A pair costs d² + ln |S| and what the detection's type tells against it; d² and S are those of the position,
-    /// so that a heading or speed that is off does not cost a track its detection.
+    /// so that a heading or speed that is off does not cost a track its detection. A second round with a wider gate
+    /// pairs what is left of confirmed tracks and detections.
     pub fn by_position(
         &mut self,
         targets: &[Target],
@@ -98,12 +105,37 @@ impl Association {
             let (a, b) = (&detections[a as usize], &detections[b as usize]);
             a.x_m.total_cmp(&b.x_m).then(a.y_m.total_cmp(&b.y_m)).then(a.agent_type.cmp(&b.agent_type))
         });
-        let largest = detections.iter().zip(types).map(|(d, &t)| position_sigma_m(d, t, input));
-        let largest_m = largest.fold(0.0, f64::max);
+        for gate in [GATE, WIDE_GATE] {
+            self.find_candidates(targets, detections, types, input, gate);
+            let miss_cost = options.miss_cost + (gate - GATE);
+            self.assigner.solve(&mut self.candidates, detections.len(), miss_cost, &mut self.round);
+            for (paired, &found) in self.paired.iter_mut().zip(&self.round) {
+                if let Some(d) = found {
+                    *paired = found;
+                    self.taken[d as usize] = true;
+                }
+            }
+        }
+    }
+
+    /// All pairs within the gate of targets and detections that are still alone.
+    fn find_candidates(
+        &mut self,
+        targets: &[Target],
+        detections: &[Detection],
+        types: &[AgentType],
+        input: &InputModel,
+        gate: f64,
+    ) {
+        let sigmas_m = detections.iter().zip(types).map(|(d, &t)| position_sigma_m(d, t, input));
+        let largest_m = sigmas_m.fold(0.0, f64::max);
         self.candidates.clear();
-        for (target, t) in targets.iter().zip(0..) {
+        for ((target, t), paired) in targets.iter().zip(0..).zip(&self.paired) {
+            if paired.is_some() || (gate > GATE && !target.is_ready()) {
+                continue;
+            }
             let ([x, y], [xx, _, yy]) = target.filter.position();
-            let reach = |variance: f64| (GATE * (variance + largest_m.powi(2))).sqrt();
+            let reach = |variance: f64| (gate * (variance + largest_m.powi(2))).sqrt();
             let (reach_x, reach_y) = (reach(xx), reach(yy));
             let from = self.order.partition_point(|&d| f64::from(detections[d as usize].x_m) < x - reach_x);
             for &d in &self.order[from..] {
@@ -112,21 +144,17 @@ impl Association {
                 if position_m[0] > x + reach_x {
                     break;
                 }
-                if (position_m[1] - y).abs() > reach_y {
+                if self.taken[d as usize] || (position_m[1] - y).abs() > reach_y {
                     continue;
                 }
                 let agent_type = types[d as usize];
                 let sigma_m = position_sigma_m(detection, agent_type, input);
                 let fit = target.fit(position_m, sigma_m.powi(2));
-                if fit.distance2 <= GATE {
+                if fit.distance2 <= gate {
                     let cost = fit.distance2 + fit.log_det + target.class.disagreement(agent_type);
                     self.candidates.push(Candidate { track: t, detection: d, cost });
                 }
             }
-        }
-        self.assigner.solve(&mut self.candidates, detections.len(), options.miss_cost, &mut self.paired);
-        for &d in self.paired.iter().flatten() {
-            self.taken[d as usize] = true;
         }
     }
 
@@ -137,6 +165,8 @@ impl Association {
         self.taken.resize(detections.len(), false);
         self.paired.clear();
         self.paired.resize(targets.len(), None);
+        self.round.clear();
+        self.round.resize(targets.len(), None);
     }
 }
 

@@ -92,8 +92,8 @@ impl Tracker {
         out: &mut [Track],
     ) -> Result<Tracked, Rejected> {
         assert!(out.len() >= AGENTS_MAX, "room for {AGENTS_MAX} tracks");
+        self.last = Tracked { held_len: self.targets.len(), ..Tracked::default() };
         if !header.is_tick() {
-            self.last = Tracked { held_len: self.targets.len(), ..Tracked::default() };
             return Ok(self.last);
         }
         self.check(header, detections)?;
@@ -115,7 +115,8 @@ impl Tracker {
         Ok(tracked)
     }
 
-    /// The header of the tracks that the last frame gave: that of its detections with our sizes and Δt.
+    /// The header of the tracks that the last frame gave, none if it was refused: that of its detections with our
+    /// sizes and Δt.
     #[must_use]
     pub fn header(&self, detections: &Header) -> Header {
         Header {

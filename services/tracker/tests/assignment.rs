@@ -115,7 +115,7 @@ proptest! {
 
 #[test]
 fn costs_that_are_no_numbers_pair_nothing() {
-    let costs = vec![vec![f64::NAN, 1.0], vec![2.0, f64::NEG_INFINITY]];
+    let costs = [[f64::NAN, 1.0], [2.0, f64::NEG_INFINITY]];
     let mut candidates: Vec<Candidate> = (0..2)
         .flat_map(|track| (0..2).map(move |detection| (track, detection)))
         .map(|(track, detection)| Candidate {

@@ -1,0 +1,219 @@
+//! The tracker on real recordings, where there are any.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::{Path, PathBuf};
+
+use bytemuck::Zeroable;
+use data::{Frame, Recording};
+use rand::SeedableRng;
+use rand_chacha::ChaCha8Rng;
+use rand_distr::{Distribution, Normal};
+use tracker::{Tracker, TrackerOptions};
+use wire::{AGENTS_MAX, AgentType, Header, Track, detection_flags, flags};
+
+/// The recording at `path` of the folder with recordings; says so where there is none.
+fn recording(path: &str) -> Option<Recording> {
+    let root = std::env::var_os("STGDAT_DATA")
+        .map_or_else(|| Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared/data"), PathBuf::from);
+    let path = root.join(path);
+    if !path.exists() {
+        println!("skipped: no recordings at {}", path.display());
+        return None;
+    }
+    Some(data::open(&path, None).expect("a readable recording"))
+}
+
+/// Tracks a recording and shows each frame with its tracks.
+fn track(recording: &Recording, options: TrackerOptions, mut show: impl FnMut(&Frame, &[Track])) {
+    let mut tracker = Tracker::new(options);
+    let mut out = vec![Track::zeroed(); AGENTS_MAX];
+    let identities = if recording.has_identities { flags::HAS_IDENTITIES } else { 0 };
+    for (frame, seq) in recording.frames.iter().zip(0..) {
+        let header = Header {
+            flags: identities,
+            observed_types: frame.observed_types,
+            interval_ns: recording.interval_ns,
+            ego_m: frame.ego.position_m,
+            ..Header::new(1, seq, frame.stamp_ns)
+        };
+        let tracked = tracker.step(&header, &frame.detections, None, &mut out).expect("a good frame");
+        assert_eq!(tracked.faults_len, 0);
+        for track in &out[..tracked.tracks_len] {
+            track.check().expect("a track fit for the wire");
+        }
+        show(frame, &out[..tracked.tracks_len]);
+    }
+}
+
+/// Root mean square of what was added.
+#[derive(Default)]
+struct Rms {
+    sum: f64,
+    len: usize,
+}
+
+impl Rms {
+    fn add(&mut self, error: f64) {
+        self.sum += error * error;
+        self.len += 1;
+    }
+
+    fn value(&self) -> f64 {
+        (self.sum / self.len.max(1) as f64).sqrt()
+    }
+}
+
+/// How steadily agents keep their tracks.
+#[derive(Debug, Default)]
+struct Identities {
+    track_of: BTreeMap<u64, u64>,
+    switches_len: usize,
+}
+
+impl Identities {
+    fn see(&mut self, agent: u64, track: u64) {
+        let before = self.track_of.insert(agent, track);
+        self.switches_len += usize::from(before.is_some_and(|before| before != track));
+    }
+}
+
+/// Every agent that was seen twice is published, as itself, and the filtered state tells better where it is going than
+/// the velocities in the recording do.
+fn follows_identities(path: &str, agent_type: AgentType) {
+    let Some(recording) = recording(path) else { return };
+    let ahead_ns = 800_000_000;
+    let mut positions = BTreeMap::new();
+    let mut seen_len: BTreeMap<u64, usize> = BTreeMap::new();
+    for frame in &recording.frames {
+        for d in &frame.detections {
+            positions.insert((d.id, frame.stamp_ns), (f64::from(d.x_m), f64::from(d.y_m)));
+            *seen_len.entry(d.id).or_default() += 1;
+        }
+    }
+    let mut published: BTreeSet<u64> = BTreeSet::new();
+    let (mut position, mut filtered, mut told) = (Rms::default(), Rms::default(), Rms::default());
+    track(&recording, TrackerOptions::default(), |frame, tracks| {
+        published.extend(tracks.iter().map(|t| t.source_id));
+        for d in frame.detections.iter().filter(|d| d.agent_type == agent_type as u32) {
+            let Some(t) = tracks.iter().find(|t| t.source_id == d.id) else { continue };
+            let (x, y) = (f64::from(d.x_m), f64::from(d.y_m));
+            position.add((f64::from(t.x_m) - x).hypot(f64::from(t.y_m) - y));
+            let before = positions.get(&(d.id, frame.stamp_ns - 400_000_000));
+            let after = positions.get(&(d.id, frame.stamp_ns + ahead_ns));
+            let (Some(before), Some(after)) = (before, after) else { continue };
+            let forecast = |rms: &mut Rms, x: f64, y: f64, vx: f64, vy: f64| {
+                let ahead_s = ahead_ns as f64 / 1e9;
+                rms.add((x + vx * ahead_s - after.0).hypot(y + vy * ahead_s - after.1));
+            };
+            forecast(&mut filtered, t.x_m.into(), t.y_m.into(), t.vx_mps.into(), t.vy_mps.into());
+            if d.has(detection_flags::HAS_SPEED) {
+                let (sin, cos) = f64::from(d.heading_rad).sin_cos();
+                let speed_mps = f64::from(d.speed_mps);
+                forecast(&mut told, x, y, speed_mps * cos, speed_mps * sin);
+            } else {
+                forecast(&mut told, x, y, (x - before.0) / 0.4, (y - before.1) / 0.4);
+            }
+        }
+    });
+    let missing = seen_len.iter().filter(|&(id, &len)| len > 1 && !published.contains(id)).count();
+    println!(
+        "{path}: {} agents, {missing} unpublished; position {:.4} m off; 0.8 s on at the filtered velocity {:.4} m, \
+         at the recording's {:.4} m",
+        seen_len.len(),
+        position.value(),
+        filtered.value(),
+        told.value()
+    );
+    assert_eq!(missing, 0);
+    assert!(filtered.len > 100);
+    assert!(position.value() < 0.05 && filtered.value() < 1.02 * told.value());
+}
+
+#[test]
+fn interaction_is_followed_by_its_identities() {
+    let folder = "interaction/recorded_trackfiles";
+    follows_identities(
+        &format!("{folder}/DR_USA_Intersection_GL/vehicle_tracks_000.csv"),
+        AgentType::Vehicle,
+    );
+    follows_identities(
+        &format!("{folder}/DR_USA_Roundabout_SR/vehicle_tracks_000.csv"),
+        AgentType::Pedestrian,
+    );
+}
+
+#[test]
+fn walkers_at_two_and_a_half_frames_a_second_are_followed() {
+    follows_identities("eth_ucy/raw/biwi_hotel.txt", AgentType::Pedestrian);
+}
+
+/// Positions that were made noisy come out of the filter nearer to the truth than they went in.
+#[test]
+fn filtering_takes_noise_away() {
+    let path = "interaction/recorded_trackfiles/DR_USA_Intersection_GL/vehicle_tracks_000.csv";
+    let Some(mut recording) = recording(path) else { return };
+    let mut rng = ChaCha8Rng::seed_from_u64(1);
+    let sigma_m = 0.2_f32;
+    let noise = Normal::new(0.0, sigma_m).expect("a finite sigma");
+    let mut truth = BTreeMap::new();
+    recording.has_identities = false;
+    recording.frames.truncate(600);
+    for frame in &mut recording.frames {
+        for d in &mut frame.detections {
+            truth.insert((frame.stamp_ns, d.id), (f64::from(d.x_m), f64::from(d.y_m)));
+            d.x_m += noise.sample(&mut rng);
+            d.y_m += noise.sample(&mut rng);
+            d.sigma_m = sigma_m;
+            d.flags &= !detection_flags::HAS_SPEED;
+        }
+    }
+    let (mut raw, mut filtered, mut identities) = (Rms::default(), Rms::default(), Identities::default());
+    track(&recording, TrackerOptions::default(), |frame, tracks| {
+        for d in &frame.detections {
+            let (x, y) = truth[&(frame.stamp_ns, d.id)];
+            let Some(t) = tracks.iter().find(|t| t.source_id == d.id && t.unseen_ns == 0) else { continue };
+            raw.add((f64::from(d.x_m) - x).hypot(f64::from(d.y_m) - y));
+            filtered.add((f64::from(t.x_m) - x).hypot(f64::from(t.y_m) - y));
+            identities.see(d.id, t.id);
+        }
+    });
+    let (raw_m, filtered_m) = (raw.value(), filtered.value());
+    println!("{path}: raw {raw_m:.3} m, filtered {filtered_m:.3} m, {identities:?}");
+    assert!(raw.len > 5_000 && filtered_m < 0.75 * raw_m);
+    assert!(identities.switches_len * 1_000 < raw.len, "{identities:?}");
+}
+
+/// A detector's output: how many of the agents that are there are followed, how steadily, and how near.
+#[test]
+fn a_detectors_output_is_followed() {
+    let Some(recording) = recording("kitti_tracking/detection/Car/0000.txt") else { return };
+    let (mut identities, mut truths_len, mut found_len, mut tracks_len) = (Identities::default(), 0, 0, 0);
+    let (mut raw, mut filtered) = (Rms::default(), Rms::default());
+    track(&recording, TrackerOptions::default(), |frame, tracks| {
+        tracks_len += tracks.len();
+        for truth in frame.truth.iter().filter(|t| t.agent_type == AgentType::Vehicle as u32) {
+            truths_len += 1;
+            let distance = |x_m: f32, y_m: f32| f64::from(x_m - truth.x_m).hypot(f64::from(y_m - truth.y_m));
+            let near = |d: &f64| *d < 2.0;
+            let nearest =
+                tracks.iter().map(|t| (distance(t.x_m, t.y_m), t.id)).min_by(|a, b| a.0.total_cmp(&b.0));
+            let detected = frame.detections.iter().map(|d| distance(d.x_m, d.y_m)).min_by(f64::total_cmp);
+            if let Some((_, id)) = nearest.filter(|(d, _)| near(d)) {
+                found_len += 1;
+                identities.see(truth.id, id);
+            }
+            if let (Some((d, _)), Some(r)) = (nearest.filter(|(d, _)| near(d)), detected.filter(near)) {
+                filtered.add(d);
+                raw.add(r);
+            }
+        }
+    });
+    println!(
+        "{}: {truths_len} true cars, {found_len} found by {tracks_len} tracks, raw {:.3} m, filtered {:.3} m, {identities:?}",
+        recording.name,
+        raw.value(),
+        filtered.value()
+    );
+    assert!(found_len * 10 > truths_len * 7, "{found_len} of {truths_len}");
+    assert!(identities.switches_len * 50 < found_len, "{identities:?}");
+}
