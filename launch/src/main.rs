@@ -3,10 +3,12 @@
 //! Each verb is a module of [`verbs`]. `stgdat` without a verb is `stgdat run`.
 
 mod arguments;
+mod chain;
 mod child;
 mod failure;
 mod fleet;
 mod pipeline_file;
+mod readme;
 mod verbs;
 mod version;
 mod watch;

@@ -1,12 +1,18 @@
 //! What can be asked of `stgdat`, one module each.
 
+pub mod bench;
+pub mod card;
 pub mod check;
 pub mod clean;
 pub mod completions;
 pub mod doctor;
 pub mod graph;
+pub mod map;
+pub mod predict;
 pub mod run;
 pub mod stage;
+pub mod train;
+pub mod verify;
 
 use clap::Subcommand;
 use config::Exit;
@@ -18,12 +24,24 @@ use crate::failure::Failure;
 pub enum Verb {
     /// Start the pipeline, play a recording or a generated scene, report
     Run(run::Arguments),
+    /// Run a recording through the same stages in one process; forecasts as JSON lines
+    Predict(predict::Arguments),
     /// Be one stage of a run (`run` starts these)
     Stage(stage::Arguments),
     /// Check a pipeline.toml
     Check(check::Arguments),
     /// Print the graph of stages and topics
     Graph(graph::Arguments),
+    /// Make a context map of a site from its recordings
+    Map(map::Arguments),
+    /// Train weights on recordings
+    Train(train::Arguments),
+    /// Print the model card of weights
+    Card(card::Arguments),
+    /// Recompute golden vectors on this machine, a row per tensor
+    Verify(verify::Arguments),
+    /// Measure compute per stage and the overhead of the chain
+    Bench(bench::Arguments),
     /// Look at this machine: shared memory, limits, CPU, leftovers
     Doctor(doctor::Arguments),
     /// Remove what dead runs left in shared memory
@@ -37,9 +55,15 @@ impl Verb {
     pub fn execute(self) -> Result<Exit, Failure> {
         match self {
             Self::Run(arguments) => run::execute(&arguments),
+            Self::Predict(arguments) => predict::execute(&arguments),
             Self::Stage(arguments) => stage::execute(&arguments),
             Self::Check(arguments) => check::execute(&arguments),
             Self::Graph(arguments) => graph::execute(&arguments),
+            Self::Map(arguments) => map::execute(&arguments),
+            Self::Train(arguments) => train::execute(&arguments),
+            Self::Card(arguments) => card::execute(&arguments),
+            Self::Verify(arguments) => verify::execute(&arguments),
+            Self::Bench(arguments) => bench::execute(&arguments),
             Self::Doctor(arguments) => doctor::execute(&arguments),
             Self::Clean(arguments) => clean::execute(&arguments),
             Self::Completions(arguments) => completions::execute(&arguments),

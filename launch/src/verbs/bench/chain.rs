@@ -1,0 +1,118 @@
+//! The whole pipeline as it is used: separate processes at 12.5 Hz, and what they cost beside their compute.
+
+use std::path::Path;
+use std::process::{Child, Command, Stdio};
+use std::time::Duration;
+
+use recorder::Report;
+
+use super::{percentile, pipe};
+use crate::arguments::ModelArguments;
+use crate::failure::Failure;
+
+/// Ticks in a second.
+const RATE: u64 = 25;
+/// Agents of the scene.
+const AGENTS: u64 = 32;
+/// Time between two looks at the memory of the processes.
+const LOOK: Duration = Duration::from_millis(500);
+
+/// Largest memory seen.
+#[derive(Default)]
+struct Memory {
+    processes: usize,
+    resident_kib: u64,
+    /// Shared pages divided among those who share them.
+    proportional_kib: u64,
+    shared_kib: u64,
+}
+
+/// Latency, overhead and memory of `seconds` at real-time rate, and a pipe's hop in the same run.
+pub(super) fn table(model: &ModelArguments, seconds: u64) -> Result<String, Failure> {
+    let unavailable = |error: std::io::Error| Failure::Unavailable(error.to_string());
+    let report = std::env::temp_dir().join(format!("stgdat_bench_{}.json", std::process::id()));
+    let mut command = Command::new(std::env::current_exe().map_err(unavailable)?);
+    let ticks = (seconds * RATE).div_ceil(2).to_string();
+    command
+        .args(["run", "--quiet", "--agents", &AGENTS.to_string(), "--ticks", &ticks, "--report"])
+        .arg(&report);
+    if let Some(weights) = &model.weights {
+        command.arg("--weights").arg(weights);
+    }
+    let mut launcher = command.stdin(Stdio::null()).stdout(Stdio::null()).spawn().map_err(unavailable)?;
+    let memory = watch(&mut launcher).map_err(unavailable)?;
+    let status = launcher.wait().map_err(unavailable)?;
+    if !status.success() {
+        return Err(Failure::Failed(format!("stgdat run: {status}")));
+    }
+    let told = Report::read(&report).map_err(Failure::data);
+    std::fs::remove_file(&report).map_err(unavailable)?;
+    let mut hops_ms = pipe::hops_ms(100)?;
+    Ok(text(&told?, &memory, [percentile(&mut hops_ms, 0.5), percentile(&mut hops_ms, 0.99)]))
+}
+
+fn text(report: &Report, memory: &Memory, [hop_p50, hop_p99]: [f64; 2]) -> String {
+    let ms = |value: Option<f64>| value.map_or("–".to_owned(), |v| format!("{v:.2}"));
+    let mib = |kib: u64| format!("{:.0}", kib as f64 / 1024.0);
+    let mut text = format!(
+        "\n| {AGENTS} agents, 12.5 Hz, {} processes | p50 | p99 |\n|---|---:|---:|\n",
+        memory.processes
+    );
+    let rows = [
+        ("end to end, ms", ms(report.end_to_end_ms.p50), ms(report.end_to_end_ms.p99)),
+        ("overhead (end to end less compute), ms", ms(report.overhead_ms.p50), ms(report.overhead_ms.p99)),
+        ("a pipe's hop in the same run, ms", format!("{hop_p50:.3}"), format!("{hop_p99:.3}")),
+    ];
+    for (name, p50, p99) in rows {
+        text += &format!("| {name} | {p50} | {p99} |\n");
+    }
+    text + &format!(
+        "\n{} ticks, {} late. Resident memory of all processes {} MiB ({} MiB with shared pages counted once), files in \
+         /dev/shm {} MiB.\n",
+        report.ticks,
+        report.late_ticks,
+        mib(memory.resident_kib),
+        mib(memory.proportional_kib),
+        mib(memory.shared_kib),
+    )
+}
+
+/// Looks at the run's processes until it ends.
+fn watch(launcher: &mut Child) -> std::io::Result<Memory> {
+    let mut most = Memory::default();
+    while launcher.try_wait()?.is_none() {
+        std::thread::sleep(LOOK);
+        let now = look(launcher.id());
+        most.processes = most.processes.max(now.processes);
+        most.resident_kib = most.resident_kib.max(now.resident_kib);
+        most.proportional_kib = most.proportional_kib.max(now.proportional_kib);
+        most.shared_kib = most.shared_kib.max(now.shared_kib);
+    }
+    Ok(most)
+}
+
+/// Memory of a launcher's stages and of the shared memory that they map, now. What has just ended counts for nothing.
+fn look(launcher: u32) -> Memory {
+    let mut memory = Memory::default();
+    let mut files = std::collections::BTreeMap::new();
+    let path = format!("/proc/{launcher}/task/{launcher}/children");
+    for pid in std::fs::read_to_string(path).unwrap_or_default().split_whitespace() {
+        let process = Path::new("/proc").join(pid);
+        let rollup = std::fs::read_to_string(process.join("smaps_rollup")).unwrap_or_default();
+        let kib = |key: &str| {
+            let line = rollup.lines().find_map(|line| line.strip_prefix(key));
+            line.and_then(|rest| rest.split_whitespace().next()?.parse::<u64>().ok()).unwrap_or(0)
+        };
+        memory.processes += 1;
+        memory.resident_kib += kib("Rss:");
+        memory.proportional_kib += kib("Pss:");
+        let maps = std::fs::read_to_string(process.join("maps")).unwrap_or_default();
+        for file in maps.lines().filter_map(|line| line.find("/dev/shm/").map(|at| line[at..].to_owned())) {
+            let blocks =
+                std::fs::metadata(&file).map_or(0, |meta| std::os::unix::fs::MetadataExt::blocks(&meta));
+            files.insert(file, blocks);
+        }
+    }
+    memory.shared_kib = files.values().sum::<u64>() / 2;
+    memory
+}

@@ -1,0 +1,40 @@
+use std::path::PathBuf;
+
+use clap::Args;
+use config::Exit;
+use data::Format;
+
+use crate::failure::Failure;
+
+/// Arguments of `stgdat map`.
+#[derive(Debug, Args)]
+pub struct Arguments {
+    /// Recordings of one site, in one world frame. Leave out the ones that you want to forecast
+    #[arg(required = true, value_name = "RECORDING")]
+    recordings: Vec<PathBuf>,
+    /// The recordings' format; found out from each file where not given
+    #[arg(long)]
+    format: Option<Format>,
+    /// The map to write, for `--map FILE`
+    #[arg(long, value_name = "FILE")]
+    out: PathBuf,
+}
+
+/// Makes the context map of a site: how often and how fast agents passed each square metre.
+pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
+    let open = |path: &PathBuf| data::open(path, arguments.format).map_err(Failure::data);
+    let recordings = arguments.recordings.iter().map(open).collect::<Result<Vec<_>, _>>()?;
+    let site = mapper::build(&recordings).map_err(Failure::data)?;
+    site.map.save(&arguments.out).map_err(Failure::data)?;
+    let (rows, cols) = (site.map.rows(), site.map.cols());
+    let [x_m, y_m] = site.map.origin_m();
+    println!(
+        "{}: {cols} × {rows} m from ({x_m}, {y_m}), {} visits",
+        arguments.out.display(),
+        site.visits_len
+    );
+    if site.left_out_len > 0 {
+        println!("{} detections left out: nothing tells their velocity", site.left_out_len);
+    }
+    Ok(Exit::Done)
+}

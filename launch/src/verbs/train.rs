@@ -1,0 +1,74 @@
+use std::path::PathBuf;
+
+use clap::Args;
+use config::Exit;
+use trainer::{Device, TrainOptions};
+
+use super::card;
+use crate::failure::Failure;
+
+/// Arguments of `stgdat train`.
+#[derive(Debug, Args)]
+pub struct Arguments {
+    /// Folder with the data sets, laid out as published
+    #[arg(long, value_name = "DIR")]
+    data: Option<PathBuf>,
+    /// Options as JSON, those of a model card for example; what is left out takes its default
+    #[arg(long, value_name = "FILE")]
+    options: Option<PathBuf>,
+    /// Weights to write, whenever a validation is the best so far
+    #[arg(long, value_name = "FILE")]
+    out: Option<PathBuf>,
+    /// Folder for checkpoints
+    #[arg(long, value_name = "DIR")]
+    checkpoints: Option<PathBuf>,
+    /// Go on from the newest checkpoint
+    #[arg(long)]
+    resume: bool,
+    /// Seed of everything random
+    #[arg(long)]
+    seed: Option<u64>,
+    /// Updates to make
+    #[arg(long, value_name = "N")]
+    steps: Option<u64>,
+    /// Print the options and end
+    #[arg(long)]
+    print_options: bool,
+}
+
+/// Trains weights and prints their card.
+pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
+    let options = options(arguments)?;
+    if arguments.print_options {
+        println!("{}", serde_json::to_string_pretty(&options).map_err(Failure::data)?);
+        return Ok(Exit::Done);
+    }
+    let summary = trainer::train(&options, &Device::flex()).map_err(Failure::data)?;
+    print!("{}", card::text(&summary.card));
+    println!("\n{} updates: {}", summary.steps, options.out.display());
+    Ok(Exit::Done)
+}
+
+/// The file's options, or the defaults, as the command line changes them.
+fn options(arguments: &Arguments) -> Result<TrainOptions, Failure> {
+    let mut options = TrainOptions::default();
+    if let Some(path) = &arguments.options {
+        let text = std::fs::read_to_string(path).map_err(|error| Failure::file(path, &error))?;
+        options = serde_json::from_str(&text)
+            .map_err(|error| Failure::Data(format!("{}: {error}", path.display())))?;
+    }
+    options.resume |= arguments.resume;
+    let paths = [
+        (&mut options.data, &arguments.data),
+        (&mut options.out, &arguments.out),
+        (&mut options.checkpoints, &arguments.checkpoints),
+    ];
+    for (option, asked) in paths {
+        if let Some(path) = asked {
+            option.clone_from(path);
+        }
+    }
+    options.seed = arguments.seed.unwrap_or(options.seed);
+    options.steps = arguments.steps.unwrap_or(options.steps);
+    Ok(options)
+}
