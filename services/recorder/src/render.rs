@@ -55,9 +55,8 @@ impl Report {
     fn facts(&self, text: &mut String) -> fmt::Result {
         let run = &self.run;
         if let Some(recording) = &run.recording {
-            let agents = run.scene_agents.map(|n| format!("{n} agents"));
             let seed = run.seed.map(|seed| format!("seed {seed}"));
-            fact(text, "recording", &[Some(recording.clone()), agents, seed])?;
+            fact(text, "recording", &[Some(recording.clone()), seed])?;
         }
         if run.weights.is_some() || run.weights_sha256.is_some() {
             let hash = run.weights_sha256.as_ref().map(|hash| hash.chars().take(12).collect());

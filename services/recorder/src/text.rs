@@ -17,10 +17,11 @@ pub(crate) fn bar(share: f64, width: usize) -> String {
     bar + &"·".repeat(rest)
 }
 
-/// Three significant digits, or `–` where unknown.
+/// Three significant digits and at most three decimals, or `–` where unknown.
 pub(crate) fn number(value: Option<f64>) -> String {
     match value {
         None => "–".to_owned(),
+        Some(v) if v.abs() < 0.0995 => format!("{v:.3}"),
         Some(v) if v.abs() < 9.995 => format!("{v:.2}"),
         Some(v) if v.abs() < 99.95 => format!("{v:.1}"),
         Some(v) => format!("{v:.0}"),
@@ -69,7 +70,7 @@ mod tests {
     #[test]
     fn numbers_have_three_digits() {
         let shown = [0.0, 0.052, 9.994, 9.996, 12.34, 99.96, 1234.5].map(|v| number(Some(v)));
-        assert_eq!(shown, ["0.00", "0.05", "9.99", "10.0", "12.3", "100", "1234"]);
+        assert_eq!(shown, ["0.000", "0.052", "9.99", "10.0", "12.3", "100", "1234"]);
         assert_eq!(number(None), "–");
     }
 

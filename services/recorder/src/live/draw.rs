@@ -119,7 +119,10 @@ fn budget_spans(share: Option<f64>, cells: usize) -> [Span<'static>; 2] {
         Some(share) if share > 0.75 => Color::Yellow,
         Some(_) => Color::Green,
     };
-    [Span::styled(bar(share.unwrap_or(0.0), cells), colour), Span::raw(format!("{:>7}", percent(share)))]
+    [
+        Span::styled(share.map_or_else(|| " ".repeat(cells), |share| bar(share, cells)), colour),
+        Span::raw(format!("{:>7}", percent(share))),
+    ]
 }
 
 /// A count that ought to be 0.
