@@ -95,15 +95,14 @@ impl Watch {
         self.shown = Instant::now();
     }
 
-    /// Shows the last lines and picture and leaves the terminal as it was.
+    /// Shows the last lines and leaves the terminal as it was, the cursor where the table began.
     pub fn close(mut self, lines: impl Iterator<Item = Line>) {
         for (stage, line) in lines {
             self.display.tell(&format!("{}: {line}", stage.name()));
         }
         if let Display::Table(terminal) = &mut self.display {
-            let _ = terminal.draw(|frame| draw(&self.view, frame, frame.area()));
+            let _ = terminal.clear();
             let _ = terminal.show_cursor();
-            println!();
         }
     }
 }
