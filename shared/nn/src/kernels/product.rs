@@ -100,11 +100,9 @@ impl Taps {
         self.sources.len() / self.taps_len
     }
 
-    /// The input row that a tap of an output position sees in an image, or `None` where it sees padding.
-    #[inline(always)]
-    fn row(&self, position: usize, tap: usize, image: usize, images_len: usize) -> Option<usize> {
-        let source = self.sources[position * self.taps_len + tap];
-        (source != DEAD).then(|| source as usize * images_len + image)
+    /// The input positions of an output position's taps.
+    fn sources(&self, position: usize) -> &[u32] {
+        &self.sources[position * self.taps_len..][..self.taps_len]
     }
 
     /// Pairs of output position and tap that see input.
@@ -195,6 +193,13 @@ impl<const R: usize> Tile<R> {
     const fn new() -> Self {
         Self { rows: [[std::ptr::null(); R]; TAPS_MAX], taps: [0; TAPS_MAX], live_len: 0 }
     }
+
+    #[inline(always)]
+    fn push(&mut self, tap: usize, rows: [*const f32; R]) {
+        self.rows[self.live_len] = rows;
+        self.taps[self.live_len] = tap;
+        self.live_len += 1;
+    }
 }
 
 impl Kernel for Checked<'_> {
@@ -266,31 +271,34 @@ impl Checked<'_> {
         let in_len = self.product.panels.in_len;
         match self.product.gather {
             Gather::Rows { stride } => {
-                tile.rows[0] = rows_from(input.wrapping_add(row * stride), stride);
-                tile.live_len = 1;
+                tile.live_len = 0;
+                tile.push(0, rows_from(input.wrapping_add(row * stride), stride));
             }
             Gather::Taps { taps, images_len, zeros } => {
                 tile.live_len = 0;
                 let (position, image) = (row / images_len, row % images_len);
-                let one_position = image + R <= images_len;
+                if image + R <= images_len {
+                    let sources = taps.sources(position).iter().enumerate().filter(|(_, s)| **s != DEAD);
+                    for (tap, &source) in sources {
+                        let first = (source as usize * images_len + image) * in_len;
+                        tile.push(tap, rows_from(input.wrapping_add(first), in_len));
+                    }
+                    return;
+                }
+                let places = places::<R>(position, image, images_len);
                 for tap in 0..taps.taps_len {
-                    let rows = &mut tile.rows[tile.live_len];
-                    let live = if one_position {
-                        let start = taps.row(position, tap, image, images_len).map(|row| row * in_len);
-                        *rows = rows_from(input.wrapping_add(start.unwrap_or(0)), in_len);
-                        start.is_some()
-                    } else {
-                        let mut live = false;
-                        for (r, from) in rows.iter_mut().enumerate() {
-                            let (position, image) = ((row + r) / images_len, (row + r) % images_len);
-                            let row = taps.row(position, tap, image, images_len);
-                            *from = row.map_or(zeros.as_ptr(), |row| input.wrapping_add(row * in_len));
-                            live |= row.is_some();
+                    let mut rows = [zeros.as_ptr(); R];
+                    let mut live = false;
+                    for (from, (position, image)) in rows.iter_mut().zip(places) {
+                        let source = taps.sources[position * taps.taps_len + tap];
+                        if source != DEAD {
+                            *from = input.wrapping_add((source as usize * images_len + image) * in_len);
+                            live = true;
                         }
-                        live
-                    };
-                    tile.taps[tile.live_len] = tap;
-                    tile.live_len += usize::from(live);
+                    }
+                    if live {
+                        tile.push(tap, rows);
+                    }
                 }
             }
         }
@@ -349,6 +357,20 @@ impl Checked<'_> {
             }
         }
     }
+}
+
+/// Position and image of R consecutive rows.
+#[inline(always)]
+fn places<const R: usize>(mut position: usize, mut image: usize, images_len: usize) -> [(usize, usize); R] {
+    let mut places = [(0, 0); R];
+    for place in &mut places {
+        *place = (position, image);
+        image += 1;
+        if image == images_len {
+            (position, image) = (position + 1, 0);
+        }
+    }
+    places
 }
 
 /// R rows that lie `stride` floats apart.
