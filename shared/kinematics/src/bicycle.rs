@@ -51,7 +51,8 @@ struct Evaluation<T> {
     slip_sin: T,
     slip_cos: T,
     turn_rate: T,
-    course: T,
+    course_sin: T,
+    course_cos: T,
     next_speed: T,
     next_slip: T,
     slip_is_free: bool,
@@ -77,7 +78,7 @@ impl<T: RealField + Copy> Bicycle<T> {
         };
         let turn_by_speed = at.slip_sin / self.rear_axle_m;
         let turn_by_slip = at.speed * at.slip_cos / self.rear_axle_m;
-        let (sin, cos) = at.course.sin_cos();
+        let (sin, cos) = (at.course_sin, at.course_cos);
         let (along, across) = ([cos * dt_s, sin * dt_s], [-at.speed * sin * dt_s, at.speed * cos * dt_s]);
 
         let mut by_state = SMatrix::<T, 5, 5>::identity();
@@ -117,15 +118,25 @@ impl<T: RealField + Copy> Bicycle<T> {
             Integrator::Euler => heading + slip,
             Integrator::Midpoint => heading + turn_rate * dt_s * half + slip,
         };
+        let (course_sin, course_cos) = course.sin_cos();
         let slip_is_free = next_slip == asked_slip;
-        Evaluation { speed, slip_sin, slip_cos, turn_rate, course, next_speed, next_slip, slip_is_free }
+        Evaluation {
+            speed,
+            slip_sin,
+            slip_cos,
+            turn_rate,
+            course_sin,
+            course_cos,
+            next_speed,
+            next_slip,
+            slip_is_free,
+        }
     }
 
     fn advance(state: &BicycleState<T>, at: &Evaluation<T>, dt_s: T) -> BicycleState<T> {
-        let (sin, cos) = at.course.sin_cos();
         BicycleState::<T>::from([
-            state[0] + at.speed * cos * dt_s,
-            state[1] + at.speed * sin * dt_s,
+            state[0] + at.speed * at.course_cos * dt_s,
+            state[1] + at.speed * at.course_sin * dt_s,
             state[HEADING] + at.turn_rate * dt_s,
             at.next_speed,
             at.next_slip,

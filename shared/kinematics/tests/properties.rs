@@ -2,8 +2,8 @@
 
 use kinematics::{
     Belief, Bicycle, BicycleState, ControlGaussian, ControlLimits, Displacement, DisplacementKind,
-    DisplacementState, Integrator, Moments, Motion, Normals, Vehicle, advance_particles,
-    initial_slip, mixture, saturate, spread, wrap_angle,
+    DisplacementState, Integrator, Moments, Motion, Normals, Vehicle, advance_particles, initial_slip,
+    mixture, saturate, spread, wrap_angle,
 };
 use nalgebra::{SVector, Vector2};
 use proptest::prelude::*;
