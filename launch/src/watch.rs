@@ -101,7 +101,9 @@ impl Watch {
             self.display.tell(&format!("{}: {line}", stage.name()));
         }
         if let Display::Table(terminal) = &mut self.display {
+            let top = terminal.get_frame().area().as_position();
             let _ = terminal.clear();
+            let _ = terminal.set_cursor_position(top);
             let _ = terminal.show_cursor();
         }
     }
