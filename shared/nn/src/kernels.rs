@@ -1,11 +1,11 @@
 //! Hand-written f32 kernels on packed weights, chosen at run time by what the processor has.
 //!
-//! A kernel is written once, generic over [`Lanes`]: the operations of an instruction set, as a token that exists only
-//! where the processor has that set. [`dispatch`] hands a [`Kernel`] the token of the set in use, inside a function
+//! A kernel is written once, generic over `Lanes`: the operations of an instruction set, as a token that exists only
+//! where the processor has that set. `dispatch` hands a `Kernel` the token of the set in use, inside a function
 //! that is compiled for it.
 //!
-//! Three kernels carry the network: the [`product`] of gathered rows with packed panels (linear layers and
-//! convolutions alike), the [`gates`] of the GRU and the exponential function.
+//! Three kernels carry the network: the `product` of gathered rows with packed panels (linear layers and
+//! convolutions alike), the `gates` of the GRU and the exponential function.
 
 use std::sync::atomic::{AtomicU8, Ordering};
 
