@@ -55,7 +55,8 @@ impl Report {
     fn facts(&self, text: &mut String) -> fmt::Result {
         let run = &self.run;
         if let Some(recording) = &run.recording {
-            let seed = run.seed.map(|seed| format!("seed {seed}"));
+            // A generated scene has its agents and seed in its name.
+            let seed = run.seed.filter(|_| run.scene_agents.is_none()).map(|seed| format!("seed {seed}"));
             fact(text, "recording", &[Some(recording.clone()), seed])?;
         }
         if run.weights.is_some() || run.weights_sha256.is_some() {

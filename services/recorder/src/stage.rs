@@ -1,7 +1,5 @@
 //! The recorder as a process: `forecasts` and `truth` in, a report and a file of forecasts out.
 
-use std::collections::BTreeMap;
-
 use config::Run;
 use ports::{Stage, StageError};
 use wire::{ForecastsTopic, Header, Rejected, StageId, Topic, TruthTopic, flags};
@@ -52,15 +50,10 @@ fn count(stage: &mut Stage, header: &Header, topic: &'static str, result: Result
     match result {
         Ok(()) if topic == ForecastsTopic::NAME && header.is_tick() => stage.done(header.seq),
         Ok(()) => {}
-        Err(why) => stage.refuse(header.seq, topic, why),
+        Err(why) => stage.refuse(header.seq, topic, &why),
     }
 }
 
 fn options(run: &Run) -> RecorderOptions {
-    let budgets_ms: BTreeMap<StageId, f64> = run
-        .stages
-        .iter()
-        .filter_map(|stage| Some((StageId::from_number(stage.stage)?, stage.budget_ms?)))
-        .collect();
-    RecorderOptions { budgets_ms, ..RecorderOptions::default() }
+    RecorderOptions { budgets_ms: run.budgets_ms(), ..RecorderOptions::default() }
 }
