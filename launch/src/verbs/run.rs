@@ -1,4 +1,3 @@
-use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
@@ -180,15 +179,10 @@ fn seen_in_training(weights: &Weights, sha256: &str) -> bool {
 fn live_options(run: &Run, info: &RunInfo, ticks_len: u64) -> LiveOptions {
     LiveOptions {
         title: info.recording.clone().unwrap_or_default(),
-        budgets_ms: budgets_ms(run),
+        budgets_ms: run.budgets_ms(),
         ticks_limit: Some(ticks_len),
         ..LiveOptions::default()
     }
-}
-
-fn budgets_ms(run: &Run) -> BTreeMap<StageId, f64> {
-    let budgets = run.stages.iter();
-    budgets.filter_map(|stage| Some((StageId::from_number(stage.stage)?, stage.budget_ms?))).collect()
 }
 
 fn stage_run(stage: &Stage) -> StageRun {

@@ -16,6 +16,7 @@ mod learned;
 mod mover;
 mod options;
 mod sampler;
+mod settings;
 pub mod stage;
 
 pub use options::{Propagation, SamplerOptions};

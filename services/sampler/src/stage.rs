@@ -1,16 +1,14 @@
 //! The sampler as a process: `tracks` and `controls` in, `forecasts` out, whatever becomes of the controls.
 
 use config::Run;
-use kinematics::{ControlLimits, DisplacementKind, Integrator};
 use ports::{Awaited, Stage, StageError};
 use wire::{Cause, ControlsTopic, ForecastsTopic, Header, StageId, Topic, TracksTopic, flags};
 
-use crate::{Propagation, Sampler, SamplerOptions};
+use crate::Sampler;
+pub use crate::settings::options;
 
 /// How long after its release a tick waits for its controls, where the pipeline does not say.
 const DEADLINE_MS: f64 = 72.0;
-/// Particles of each mode, where the pipeline does not say.
-const PARTICLES: usize = 16;
 
 /// Runs the stage until the process is asked to end.
 ///
@@ -35,7 +33,7 @@ pub fn run(run: &Run) -> Result<(), StageError> {
             Awaited::Frame(controls) => {
                 let passage = stage.begin(&controls);
                 let learned = sampler.learned(header, &input, &controls, &mut loan);
-                let refused = learned.map_err(|why| stage.refuse(header.seq, ControlsTopic::NAME, why));
+                let refused = learned.map_err(|why| stage.refuse(header.seq, ControlsTopic::NAME, &why));
                 (passage, refused.is_err().then_some(Cause::Rejected))
             }
             Awaited::Void(controls) => (stage.begin(&controls), Some(Cause::Rejected)),
@@ -51,37 +49,4 @@ pub fn run(run: &Run) -> Result<(), StageError> {
         stage.finish(passage, &output, result.map(|()| loan))?;
     }
     Ok(())
-}
-
-/// The run's settings of the sampler.
-#[must_use]
-pub fn options(run: &Run) -> SamplerOptions {
-    let (model, settings) = (&run.model, run.options(StageId::Sampler));
-    let particles = settings.particles.unwrap_or(PARTICLES);
-    SamplerOptions {
-        history_len: model.history_len,
-        horizon_len: model.horizon_len,
-        integrator: match model.integrator {
-            nn::Integrator::Euler => Integrator::Euler,
-            nn::Integrator::Midpoint => Integrator::Midpoint,
-        },
-        limits: ControlLimits {
-            accel_mps2: model.accel_limit_mps2,
-            slip_rate_radps: model.slip_rate_limit_radps,
-        },
-        slip_limit_rad: model.slip_limit_rad,
-        initial_slip: model.initial_slip,
-        rear_axle_ratio: model.rear_axle_ratio,
-        default_length_m: model.default_length_m,
-        displacement: match model.displacement {
-            nn::Displacement::Residual => DisplacementKind::Residual,
-            nn::Displacement::Absolute => DisplacementKind::Absolute,
-        },
-        propagation: match settings.propagation.unwrap_or_default() {
-            config::Propagation::Linearised => Propagation::Linearised,
-            config::Propagation::MonteCarlo => Propagation::MonteCarlo { particles },
-        },
-        seed: run.seed,
-        ..SamplerOptions::default()
-    }
 }

@@ -3,6 +3,7 @@
 //! The one module that knows how it is encoded. The file starts with [`MAGIC`] and the schema as text, so that a stage
 //! of another version says so instead of misreading it.
 
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use bincode::config::standard;
@@ -154,6 +155,13 @@ impl Run {
     #[must_use]
     pub fn options(&self, stage: StageId) -> Options {
         self.stage(stage).map(|s| s.options.clone()).unwrap_or_default()
+    }
+
+    /// Each stage's share of the tick, of those that have one.
+    #[must_use]
+    pub fn budgets_ms(&self) -> BTreeMap<StageId, f64> {
+        let stages = self.stages.iter();
+        stages.filter_map(|stage| Some((StageId::from_number(stage.stage)?, stage.budget_ms?))).collect()
     }
 
     /// Opens the run's weights.

@@ -33,7 +33,7 @@ pub enum StageError {
     /// The run's record or a setting can't be used.
     #[error("{0}")]
     Config(String),
-    /// The first empty frame was refused, or another stage does not answer.
+    /// Another stage does not answer, or the launcher is gone.
     #[error("{0}")]
     Stuck(String),
 }
@@ -61,16 +61,7 @@ impl StageError {
     }
 }
 
-/// A frame that a stage refused, with the reason.
-#[derive(Debug)]
-pub(crate) struct Refused {
-    pub seq: u64,
-    pub topic: &'static str,
-    pub why: Rejected,
-}
-
-impl Refused {
-    pub fn log(&self) {
-        tracing::warn!(topic = self.topic, seq = self.seq, "frame refused: {}", self.why);
-    }
+/// Tells of a frame that was refused; nobody else will.
+pub(crate) fn log_refused(topic: &'static str, seq: u64, why: &Rejected) {
+    tracing::warn!(topic, seq, "frame refused: {why}");
 }

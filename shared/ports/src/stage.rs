@@ -4,7 +4,7 @@ use std::time::Duration;
 use config::Run;
 use wire::{Counts, Header, Heartbeat, HeartbeatsTopic, Hop, Rejected, StageId, Topic, flags};
 
-use crate::error::Refused;
+use crate::error::log_refused;
 use crate::node::Wakes;
 use crate::subscriber::Input;
 use crate::{Frame, Loan, Node, Peers, PortError, Publisher, Stop, Subscriber, Waiter, monotonic_ns};
@@ -242,7 +242,7 @@ impl Stage {
                 self.send(passage, output, loan)
             }
             Err(why) => {
-                self.refuse(passage.header.seq, O::NAME, why);
+                self.refuse(passage.header.seq, O::NAME, &why);
                 passage.header.flags |= flags::VOID;
                 self.pass_empty(passage, output)
             }
@@ -250,10 +250,10 @@ impl Stage {
     }
 
     /// Counts and tells of a frame that was refused, where something else takes the tick's place.
-    pub fn refuse(&mut self, seq: u64, topic: &'static str, why: Rejected) {
+    pub fn refuse(&mut self, seq: u64, topic: &'static str, why: &Rejected) {
         self.seq = seq;
         self.rejected_len += 1;
-        Refused { seq, topic, why }.log();
+        log_refused(topic, seq, why);
     }
 
     /// Counts a tick as finished.

@@ -9,7 +9,7 @@ use iceoryx2::sample::Sample;
 use wire::{Header, Rejected, Topic};
 
 use crate::element::{Element, Head};
-use crate::error::Refused;
+use crate::error::log_refused;
 use crate::node::Wakes;
 use crate::{PortError, monotonic_ns};
 
@@ -88,7 +88,7 @@ impl<T: Topic> Subscriber<T> {
                 }
                 Err(why) => {
                     self.0.rejected_len.set(self.0.rejected_len.get() + 1);
-                    Refused { seq: frame.header().seq, topic: T::NAME, why }.log();
+                    log_refused(T::NAME, frame.header().seq, &why);
                 }
             }
         }
