@@ -12,7 +12,7 @@ use crate::failure::Failure;
 /// Where the detections come from.
 #[derive(Clone, Debug, Args)]
 pub struct SceneArguments {
-    /// Play a recording: its file or folder
+    /// Play a recording
     #[arg(long, value_name = "PATH")]
     pub recording: Option<PathBuf>,
     /// The recording's format; found out where not given
@@ -60,7 +60,7 @@ impl ModelArguments {
     pub fn open_weights(&self, pipeline: Option<&Path>) -> Result<(Option<PathBuf>, Weights), Failure> {
         let Some(path) = self.weights.as_deref().or(pipeline) else { return Ok((None, Weights::onboard())) };
         let path = path.canonicalize().map_err(|error| Failure::file(path, &error))?;
-        let weights = Weights::open(&path).map_err(Failure::data)?;
+        let weights = Weights::open(&path).map_err(|error| Failure::weights(&path, &error))?;
         Ok((Some(path), weights))
     }
 }

@@ -3,6 +3,7 @@ use std::path::Path;
 
 use config::{Exit, PipelineError};
 use miette::GraphicalReportHandler;
+use nn::WeightsError;
 use ports::{PortError, SpaceError, StageError};
 use thiserror::Error;
 use wire::StageId;
@@ -59,6 +60,14 @@ impl Failure {
     /// A file can't be read or written.
     pub fn file(path: &Path, error: &std::io::Error) -> Self {
         Self::Data(format!("{}: {error}", path.display()))
+    }
+
+    /// Weights can't be used.
+    pub fn weights(path: &Path, error: &WeightsError) -> Self {
+        match error {
+            WeightsError::Unreadable { .. } => Self::data(error),
+            _ => Self::Data(format!("{}: {error}", path.display())),
+        }
     }
 
     /// The exit code that stands for it.

@@ -9,6 +9,7 @@ mod failure;
 mod fleet;
 mod pipeline_file;
 mod readme;
+mod show;
 mod verbs;
 mod version;
 mod watch;

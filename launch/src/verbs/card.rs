@@ -7,6 +7,7 @@ use trainer::{Errors, ModelCard};
 
 use crate::failure::Failure;
 use crate::readme;
+use crate::show::show;
 
 /// Arguments of `stgdat card`.
 #[derive(Debug, Args)]
@@ -24,25 +25,23 @@ pub struct Arguments {
 /// Prints the model card that weights carry: what they were trained on and how they did on what they never saw.
 pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
     let weights = match &arguments.weights {
-        Some(path) => Weights::open(path).map_err(Failure::data)?,
+        Some(path) => Weights::open(path).map_err(|error| Failure::weights(path, &error))?,
         None => Weights::onboard(),
     };
     let Some(json) = weights.card() else {
         return Err(Failure::Data("these weights carry no card".into()));
     };
     if arguments.json {
-        println!("{}", serde_json::to_string_pretty(json).map_err(Failure::data)?);
-        return Ok(Exit::Done);
+        let json = serde_json::to_string_pretty(json).map_err(Failure::data)?;
+        return show(&(json + "\n"));
     }
     let card = serde_json::from_value(json.clone())
         .map_err(|error| Failure::Data(format!("the card is of another version: {error}")))?;
     let text = text(&card);
-    println!("weights {}\n", weights.sha256());
-    print!("{text}");
     if let Some(path) = &arguments.readme {
         readme::insert(path, "card", &text)?;
     }
-    Ok(Exit::Done)
+    show(&format!("weights {}\n\n{text}", weights.sha256()))
 }
 
 /// The card for people to read: Markdown that also reads well in a terminal.

@@ -3,6 +3,7 @@ use clap_complete::Shell;
 use config::Exit;
 
 use crate::failure::Failure;
+use crate::show::show;
 
 /// Arguments of `stgdat completions`.
 #[derive(Debug, Args)]
@@ -13,8 +14,8 @@ pub struct Arguments {
 }
 
 /// Prints the completions.
-#[expect(clippy::unnecessary_wraps, reason = "verbs have one form")]
 pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
-    clap_complete::generate(arguments.shell, &mut crate::Cli::command(), "stgdat", &mut std::io::stdout());
-    Ok(Exit::Done)
+    let mut text = Vec::new();
+    clap_complete::generate(arguments.shell, &mut crate::Cli::command(), "stgdat", &mut text);
+    show(&String::from_utf8_lossy(&text))
 }

@@ -1,3 +1,4 @@
+use std::io::ErrorKind;
 use std::path::PathBuf;
 
 use clap::Args;
@@ -13,7 +14,7 @@ use crate::failure::Failure;
 /// Arguments of `stgdat predict`.
 #[derive(Debug, Args)]
 pub struct Arguments {
-    /// The recording: a file or folder
+    /// The recording
     recording: PathBuf,
     /// The recording's format; found out where not given
     #[arg(long)]
@@ -62,7 +63,11 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
     let (mut ticks, mut forecasts_len) = (0_u64, 0_u64);
     while let Some(tick) = playback.next_tick() {
         let (header, forecasts) = chain.tick(&tick.header, tick.detections, |_| ());
-        writer.write(&header, forecasts).map_err(written)?;
+        match writer.write(&header, forecasts) {
+            // The reader of a pipe has seen enough.
+            Err(error) if error.kind() == ErrorKind::BrokenPipe => return Ok(Exit::Done),
+            result => result.map_err(written)?,
+        }
         ticks += 1;
         forecasts_len += forecasts.len() as u64;
     }

@@ -1,5 +1,8 @@
 //! The recorder as a process: `forecasts` and `truth` in, a report and a file of forecasts out.
 
+use std::io;
+use std::path::Path;
+
 use config::Run;
 use ports::{Stage, StageError};
 use wire::{ForecastsTopic, Header, Rejected, StageId, Topic, TruthTopic, flags};
@@ -12,8 +15,11 @@ use crate::{ForecastWriter, Recorder, RecorderOptions};
 /// [`StageError`] where the run's shared memory can't be used or a file can't be written.
 pub fn run(run: &Run) -> Result<(), StageError> {
     let mut recorder = Recorder::new(options(run));
-    let mut writer =
-        run.forecasts.as_deref().map(ForecastWriter::create).transpose().map_err(StageError::data)?;
+    let unwritable = |error: io::Error| {
+        let path = run.forecasts.as_deref().unwrap_or(Path::new("forecasts"));
+        StageError::data(format!("{}: {error}", path.display()))
+    };
+    let mut writer = run.forecasts.as_deref().map(ForecastWriter::create).transpose().map_err(unwritable)?;
 
     let mut stage = Stage::open(run, StageId::Recorder)?;
     let forecasts = stage.subscribe_deep::<ForecastsTopic>(ForecastsTopic::DEPTH_MAX)?;
@@ -29,7 +35,7 @@ pub fn run(run: &Run) -> Result<(), StageError> {
         peers.listen()?.iter().for_each(|heartbeat| recorder.heartbeat(heartbeat));
         let result = recorder.forecasts(frame.header(), &frame);
         if let (Ok(()), Some(writer)) = (&result, &mut writer) {
-            writer.write(frame.header(), &frame).map_err(StageError::data)?;
+            writer.write(frame.header(), &frame).map_err(unwritable)?;
         }
         count(&mut stage, frame.header(), ForecastsTopic::NAME, result);
         if frame.header().has(flags::END) {
@@ -41,7 +47,7 @@ pub fn run(run: &Run) -> Result<(), StageError> {
         }
     }
     if let Some(writer) = writer {
-        writer.finish().map_err(StageError::data)?;
+        writer.finish().map_err(unwritable)?;
     }
     recorder.report().write(&run.report).map_err(StageError::data)
 }

@@ -1,0 +1,17 @@
+use std::io::{ErrorKind, Write as _};
+use std::path::Path;
+
+use config::Exit;
+
+use crate::failure::Failure;
+
+/// Writes to standard output. A reader that has seen enough, as `head` has, is no failure.
+pub fn show(text: &str) -> Result<Exit, Failure> {
+    let mut output = std::io::stdout().lock();
+    match output.write_all(text.as_bytes()).and_then(|()| output.flush()) {
+        Err(error) if error.kind() != ErrorKind::BrokenPipe => {
+            Err(Failure::file(Path::new("standard output"), &error))
+        }
+        _ => Ok(Exit::Done),
+    }
+}
