@@ -89,8 +89,10 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
     drop((playback, weights));
 
     let exit = supervise(&pipeline, &run, &stop, live, arguments.quiet)?;
-    // Where a signal broke the run off, the report tells of what there was.
-    report(arguments, &run, info)?;
+    // Where a signal broke the run off, the report tells of what there was: nothing, if the recorder had not begun.
+    if exit == Exit::Done || run.report.exists() {
+        report(arguments, &run, info)?;
+    }
     Ok(exit)
 }
 

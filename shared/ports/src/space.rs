@@ -85,8 +85,7 @@ impl Space {
         }
         let prefix = format!("{FAMILY}{:0DIGITS$x}_", run_id as u32);
         let lock_path = lock_path(&prefix);
-        let lock = take_lock(&lock_path, OFlags::CREATE | OFlags::EXCL)
-            .map_err(|source| SpaceError::File { path: lock_path, source })?;
+        let lock = make_lock(&lock_path).map_err(|source| SpaceError::File { path: lock_path, source })?;
         let root = root_of(&prefix);
         let space = Self { prefix, root, lock };
         std::fs::create_dir(&space.root)
@@ -156,7 +155,8 @@ pub fn leftovers() -> io::Result<Vec<Leftover>> {
 
 /// The leftover of a run, where it is dead and ours.
 fn leftover(prefix: String) -> Option<Leftover> {
-    let lock = match take_lock(&lock_path(&prefix), OFlags::empty()) {
+    let lock = match take_lock(&lock_path(&prefix), OFlags::empty(), FlockOperation::NonBlockingLockExclusive)
+    {
         Ok(lock) => Some(lock),
         Err(error) if error.kind() == io::ErrorKind::NotFound => None,
         // Locked: the run lives. Not permitted: another user's.
@@ -170,10 +170,20 @@ fn leftover(prefix: String) -> Option<Leftover> {
     Some(Leftover { files_len: files.len(), bytes, root, _lock: lock, prefix })
 }
 
-fn take_lock(path: &Path, how: OFlags) -> io::Result<File> {
+/// Makes the lock of a new run and takes it. Whoever looks for leftovers at that moment may hold it for a little while,
+/// and may have removed it as one.
+fn make_lock(path: &Path) -> io::Result<File> {
+    let make = || take_lock(path, OFlags::CREATE | OFlags::EXCL, FlockOperation::LockExclusive);
+    match make() {
+        Err(error) if error.kind() == io::ErrorKind::NotFound => make(),
+        made => made,
+    }
+}
+
+fn take_lock(path: &Path, how: OFlags, lock: FlockOperation) -> io::Result<File> {
     let descriptor =
         open(path, OFlags::RDWR | OFlags::CLOEXEC | OFlags::NOFOLLOW | how, Mode::RUSR | Mode::WUSR)?;
-    flock(&descriptor, FlockOperation::NonBlockingLockExclusive)?;
+    flock(&descriptor, lock)?;
     if fstat(&descriptor)?.st_nlink == 0 {
         // Removed between opening and locking.
         return Err(io::ErrorKind::NotFound.into());
