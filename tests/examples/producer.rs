@@ -12,6 +12,7 @@ use ports::{Stage, StageError, monotonic_ns, stage_main};
 use wire::detection_flags::{HAS_HEADING, HAS_SIZE, HAS_SPEED};
 use wire::{AgentType, Detection, DetectionsTopic, Header, StageId, TruthTopic, flags};
 
+/// Ticks where the run is told no number of them.
 const TICKS: u64 = 125;
 
 /// What the sensor sees at `t_s`: a car that passes, and someone on foot.
@@ -57,8 +58,8 @@ fn run(run: &Run) -> Result<(), StageError> {
         peers.listen()?;
     }
 
-    let begin_ns = monotonic_ns();
-    for seq in 0..TICKS {
+    let (begin_ns, ticks) = (monotonic_ns(), run.ticks.unwrap_or(TICKS));
+    for seq in 0..ticks {
         if !stage.sleep_until(begin_ns + seq * run.interval_ns)? {
             return Ok(());
         }
@@ -68,8 +69,8 @@ fn run(run: &Run) -> Result<(), StageError> {
         let loan = detections.copy(&seen)?;
         stage.finish(passage, &detections, Ok(loan))?;
     }
-    stage.sleep_until(begin_ns + TICKS * run.interval_ns)?;
-    Ok(stage.pass_empty(stage.release(header(TICKS, flags::END)), &detections)?)
+    stage.sleep_until(begin_ns + ticks * run.interval_ns)?;
+    Ok(stage.pass_empty(stage.release(header(ticks, flags::END)), &detections)?)
 }
 
 fn main() -> ExitCode {

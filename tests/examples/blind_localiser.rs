@@ -1,0 +1,36 @@
+//! A stage of one's own: a localiser that knows no map, `command = ["target/release/examples/blind_localiser"]` in its
+//! table of pipeline.toml.
+//!
+//! It shows what every stage does: open the ports, take a frame, write the next one straight into shared memory, send
+//! it. Heartbeats, warm-up frames and the end are in `ports::Stage`.
+
+use std::process::ExitCode;
+
+use config::Run;
+use ports::{Stage, StageError, stage_main};
+use wire::{ContextMut, ContextShape, ContextTopic, StageId, TracksTopic, context_rows};
+
+fn run(run: &Run) -> Result<(), StageError> {
+    let (history_len, patch_side) = (run.model.history_len, run.model.patch_size);
+    let mut stage = Stage::open(run, StageId::Localiser)?;
+    let tracks = stage.subscribe::<TracksTopic>()?;
+    let output = stage.publish::<ContextTopic>()?;
+
+    while let Some(input) = stage.next(&tracks, &output)? {
+        let mut passage = stage.begin(&input);
+        let shape = ContextShape { agents_len: input.len(), history_len, patch_side };
+        passage.header.counts.patch_side = patch_side as u32;
+        let mut loan = output.loan(context_rows(&shape))?;
+        let result = ContextMut::over(&mut loan, shape).map(|context| {
+            context.tracks.copy_from_slice(&input);
+            // Your map's patches go here. A loan may still hold an earlier frame.
+            context.patches.fill(0.0);
+        });
+        stage.finish(passage, &output, result.map(|()| loan))?;
+    }
+    Ok(())
+}
+
+fn main() -> ExitCode {
+    stage_main(run)
+}

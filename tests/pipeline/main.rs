@@ -1,0 +1,9 @@
+//! The whole pipeline from outside: `stgdat` as its users start it.
+
+mod bad_input;
+mod endings;
+mod lockstep;
+mod programs;
+mod recordings;
+mod scratch;
+mod started;

@@ -1,0 +1,105 @@
+//! Programs of one's own in a run: stages that are swapped in, detectors and planners.
+
+use std::path::{Path, PathBuf};
+
+use crate::scratch::Scratch;
+use crate::started::{Started, assert_nothing_left, piped, run_well, stderr, stdout};
+
+/// An example's program, which `cargo test --workspace` builds beside the tests.
+fn example(name: &str) -> String {
+    let path = Path::new(env!("CARGO_BIN_EXE_stgdat")).with_file_name("examples").join(name);
+    assert!(path.exists(), "{} is missing: cargo build --release -p stgdat-tests --examples", path.display());
+    path.display().to_string()
+}
+
+#[test]
+fn one_line_puts_a_program_of_ones_own_in_a_stages_place() {
+    let scratch = Scratch::new("swap");
+    let pipeline = scratch.pipeline_with("localiser", &[&example("blind_localiser")]);
+    let forecasts = |name: &str, arguments: &[&str]| {
+        let file = scratch.path(name);
+        let run =
+            ["run", "--ticks", "40", "--agents", "10", "--speed", "max", "--quiet", "--forecasts", &file];
+        run_well(&[&run[..], arguments].concat());
+        scratch.read(name)
+    };
+    let blind = forecasts("blind", &["--pipeline", &pipeline]);
+    assert!(blind == forecasts("no-map", &["--map", "none"]), "a stage without a map is as good as no map");
+    assert!(blind != forecasts("shipped", &[]), "the stage that was swapped out is not what ran");
+}
+
+#[test]
+fn every_stage_runs_as_a_command_of_its_own() {
+    let scratch = Scratch::new("commands");
+    for stage in ["encoder", "sampler"] {
+        let pipeline = scratch.pipeline_with(stage, &[env!("CARGO_BIN_EXE_stgdat"), "stage", stage]);
+        run_well(&["check", &pipeline]);
+        run_well(&[
+            "run",
+            "--ticks",
+            "15",
+            "--agents",
+            "6",
+            "--speed",
+            "max",
+            "--quiet",
+            "--pipeline",
+            &pipeline,
+        ]);
+    }
+}
+
+/// What a consumer of the forecasts of a detector of one's own prints: a car and someone on foot, and then the end.
+fn assert_hears(printed: &str) {
+    let learned = |name: &str| {
+        let lines = printed.lines().filter(|line| line.trim_start().starts_with(name));
+        lines.filter(|line| line.contains("20 modes") && line.contains("learned")).count()
+    };
+    assert!(printed.lines().any(|line| line.ends_with(": 2 agents")), "{printed}");
+    assert!(learned("vehicle") > 5 && learned("pedestrian") > 5, "{printed}");
+}
+
+#[test]
+fn a_detector_and_a_planner_in_rust_join_a_run() {
+    let scratch = Scratch::new("rust");
+    let pipeline = scratch.pipeline_with("source", &[&example("producer")]);
+    let report = scratch.path("report.json");
+    let run = Started::run(&["--ticks", "40", "--pipeline", &pipeline, "--report", &report]);
+    let root = run.wait_until_it_runs();
+    let consumer = Started::spawn(piped(example("consumer")).arg("--run").arg(root.join("run")));
+    let heard = consumer.output();
+    assert!(heard.status.success(), "{}", stderr(&heard));
+    assert_hears(&stdout(&heard));
+    let output = run.output();
+    assert!(output.status.success(), "{}", stderr(&output));
+    let report: serde_json::Value = serde_json::from_slice(&scratch.read("report.json")).expect("JSON");
+    assert_eq!(report["ticks"], 40, "{report}");
+    assert_nothing_left(&root);
+}
+
+#[test]
+fn a_detector_and_a_planner_in_python_join_a_run() {
+    let python = std::env::var("STGDAT_PYTHON").unwrap_or_else(|_| "python3".into());
+    let found = piped(&python).args(["-c", "import iceoryx2"]).output();
+    if !found.is_ok_and(|output| output.status.success()) {
+        println!(
+            "skipped: {python} has no iceoryx2 (`pip install iceoryx2==0.10.0`, STGDAT_PYTHON names another)"
+        );
+        return;
+    }
+    let examples = PathBuf::from(concat!(env!("CARGO_MANIFEST_DIR"), "/../tests/examples"));
+    let program = |name: &str| examples.join(name).display().to_string();
+    let scratch = Scratch::new("python");
+    let pipeline = scratch.pipeline_with("source", &[&python, &program("producer.py"), "40"]);
+    let run = Started::run(&["--pipeline", &pipeline]);
+    let root = run.wait_until_it_runs();
+    let mut consumer = piped(&python);
+    let prefix = format!("{}_", root.file_name().and_then(|name| name.to_str()).expect("a run has a name"));
+    consumer.arg(program("consumer.py")).env("STGDAT_ROOT", &root).env("STGDAT_PREFIX", prefix);
+    let heard = Started::spawn(&mut consumer).output();
+    assert!(heard.status.success(), "{}", stderr(&heard));
+    let output = run.output();
+    assert!(output.status.success(), "{}", stderr(&output));
+    assert!(stdout(&heard).lines().count() > 20, "{}", stdout(&heard));
+    assert_nothing_left(&root);
+}

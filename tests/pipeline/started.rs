@@ -1,0 +1,181 @@
+//! `stgdat` as a process, and what a run leaves in shared memory.
+
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, Output, Stdio};
+use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::time::{Duration, Instant};
+
+use rustix::process::{Pid, Signal, kill_process};
+
+/// Longest wait for anything; far beyond what it takes, so that a busy machine fails no test.
+const LIMIT: Duration = Duration::from_secs(60);
+/// Processes of a run but the launcher.
+const STAGES: usize = 8;
+
+/// The program, its output kept.
+pub fn stgdat() -> Command {
+    piped(env!("CARGO_BIN_EXE_stgdat"))
+}
+
+/// Another program, its output kept.
+pub fn piped(program: impl AsRef<std::ffi::OsStr>) -> Command {
+    let mut command = Command::new(program);
+    command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped());
+    command
+}
+
+/// Runs `stgdat` to its end, which must come.
+pub fn run(arguments: &[&str]) -> Output {
+    Started::spawn(stgdat().args(arguments)).output()
+}
+
+/// Runs `stgdat` to its end, which must be a good one.
+pub fn run_well(arguments: &[&str]) -> Output {
+    let output = run(arguments);
+    assert!(output.status.success(), "{arguments:?}: {}", stderr(&output));
+    output
+}
+
+/// What a process wrote to standard error.
+pub fn stderr(output: &Output) -> String {
+    String::from_utf8_lossy(&output.stderr).into_owned()
+}
+
+/// What a process wrote to standard output.
+pub fn stdout(output: &Output) -> String {
+    String::from_utf8_lossy(&output.stdout).into_owned()
+}
+
+/// Waits until something is there; panics with `what` where it takes for ever.
+pub fn wait_for<T>(what: &str, mut look: impl FnMut() -> Option<T>) -> T {
+    let start = Instant::now();
+    loop {
+        if let Some(found) = look() {
+            return found;
+        }
+        assert!(start.elapsed() < LIMIT, "{what}");
+        std::thread::sleep(Duration::from_millis(10));
+    }
+}
+
+/// A process that has been started; killed when the test ends.
+pub struct Started(Child);
+
+impl Started {
+    /// Starts a program.
+    pub fn spawn(command: &mut Command) -> Self {
+        Self(command.spawn().unwrap_or_else(|error| panic!("{command:?}: {error}")))
+    }
+
+    /// Starts `stgdat run`.
+    pub fn run(arguments: &[&str]) -> Self {
+        Self::spawn(stgdat().arg("run").args(arguments))
+    }
+
+    /// The processes of its stages with their command lines.
+    pub fn stages(&self) -> Vec<(Pid, Vec<String>)> {
+        let children = format!("/proc/{0}/task/{0}/children", self.0.id());
+        let Ok(children) = std::fs::read_to_string(children) else { return Vec::new() };
+        let pids = children.split_whitespace().filter_map(|pid| pid.parse().ok());
+        pids.filter_map(|pid: i32| {
+            let line = std::fs::read_to_string(format!("/proc/{pid}/cmdline")).ok()?;
+            Some((Pid::from_raw(pid)?, line.split('\0').map(str::to_owned).collect()))
+        })
+        .collect()
+    }
+
+    /// Waits until all stages are there and have their files in shared memory, and returns the run's directory.
+    pub fn wait_until_it_runs(&self) -> PathBuf {
+        wait_for("the run does not get going", || {
+            let stages = self.stages();
+            let (_, line) = stages.iter().find(|(_, line)| line.iter().any(|word| word == "recorder"))?;
+            let record = line.iter().skip_while(|word| *word != "--run").nth(1)?;
+            let root = Path::new(record).parent()?;
+            let has_data = shared_files(root).iter().any(|name| name.ends_with(".data"));
+            (has_data && stages.len() == STAGES).then(|| root.to_owned())
+        })
+    }
+
+    /// Sends it a signal.
+    pub fn signal(&self, signal: Signal) {
+        kill_process(Pid::from_child(&self.0), signal).expect("the process runs");
+    }
+
+    /// Sends one of its stages a signal.
+    pub fn signal_stage(&self, name: &str, signal: Signal) {
+        let stages = self.stages();
+        let (pid, _) =
+            stages.iter().find(|(_, line)| line.iter().any(|word| word == name)).expect("the stage runs");
+        kill_process(*pid, signal).expect("the stage runs");
+    }
+
+    /// Its output, once it has ended.
+    pub fn output(mut self) -> Output {
+        // Read beside the wait: a process that fills its pipes would never end.
+        let pipes = (self.0.stdout.take(), self.0.stderr.take());
+        let readers = (std::thread::spawn(|| read(pipes.0)), std::thread::spawn(|| read(pipes.1)));
+        let status =
+            wait_for("the process does not end", || self.0.try_wait().expect("a child can be waited for"));
+        let of = |reader: std::thread::JoinHandle<Vec<u8>>| reader.join().expect("a reader does not panic");
+        Output { status, stdout: of(readers.0), stderr: of(readers.1) }
+    }
+}
+
+impl Drop for Started {
+    fn drop(&mut self) {
+        let _ = self.0.kill();
+        let _ = self.0.wait();
+    }
+}
+
+fn read(pipe: Option<impl std::io::Read>) -> Vec<u8> {
+    let mut bytes = Vec::new();
+    if let Some(mut pipe) = pipe {
+        pipe.read_to_end(&mut bytes).expect("a pipe can be read");
+    }
+    bytes
+}
+
+/// Names in shared memory of the run with that directory.
+pub fn shared_files(root: &Path) -> Vec<String> {
+    let name = root.file_name().and_then(|name| name.to_str()).expect("a run's directory has a name");
+    let prefix = format!("{name}_");
+    let entries = std::fs::read_dir("/dev/shm").expect("there is shared memory");
+    let names = entries.filter_map(|entry| entry.ok()?.file_name().into_string().ok());
+    names.filter(|name| name.starts_with(&prefix)).collect()
+}
+
+/// A run has removed everything.
+pub fn assert_nothing_left(root: &Path) {
+    assert!(!root.exists(), "{} is left", root.display());
+    assert_eq!(shared_files(root), Vec::<String>::new());
+}
+
+/// Watches for what dead runs leave, for runs that end too soon to tell their directory.
+pub struct LeftoverWatch {
+    before: Vec<String>,
+    /// No other test makes leftovers meanwhile.
+    _alone: MutexGuard<'static, ()>,
+}
+
+impl LeftoverWatch {
+    /// Looks at what is there already.
+    pub fn begin() -> Self {
+        static ALONE: Mutex<()> = Mutex::new(());
+        let alone = ALONE.lock().unwrap_or_else(PoisonError::into_inner);
+        Self { before: dead_runs(), _alone: alone }
+    }
+
+    /// No more is there than before.
+    pub fn assert_nothing_new(&self) {
+        // A run that is about to end has a moment in which its lock is gone and its process is not.
+        wait_for("a run left files behind: see `stgdat clean --dry-run`", || {
+            dead_runs().iter().all(|run| self.before.contains(run)).then_some(())
+        });
+    }
+}
+
+fn dead_runs() -> Vec<String> {
+    let leftovers = ports::leftovers().expect("shared memory can be listed");
+    leftovers.into_iter().map(|leftover| leftover.prefix).collect()
+}
