@@ -68,7 +68,7 @@ impl Report {
             fact(text, "weights", &[run.weights.clone(), hash, seen])?;
         }
         let rate = run.interval_ms.map(|ms| format!("{} Hz", trimmed(1e3 / ms)));
-        let thinned = run.thinned_by.filter(|&n| n > 1).map(|n| format!("every {n}. frame of the recording"));
+        let thinned = run.thinned_by.filter(|&n| n > 1).map(|n| format!("1 frame in {n} of the recording"));
         let time = run.played_s.zip(run.elapsed_s).map(|(played_s, elapsed_s)| match run.lockstep {
             Some(true) => format!("{played_s:.1} s in {elapsed_s:.1} s, lockstep"),
             _ => format!("{played_s:.1} s"),

@@ -4,7 +4,7 @@
 /// |---|---|
 /// | 0 | done |
 /// | 2 | wrong usage of the command line |
-/// | 65 | a recording, map or weights file can't be used |
+/// | 65 | a recording, map or weights file can't be used, or an output file can't be written |
 /// | 69 | a resource is missing: shared memory, space, a port |
 /// | 70 | a stage died, or a check came out wrong |
 /// | 78 | pipeline.toml or the run's record can't be used |
