@@ -64,7 +64,11 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
     let recording = source::recording(&scene.scene()?, scene.seed, scene.ticks)?;
     // Read here only for what it tells of itself; the source reads it again in its own process.
     let playback = Playback::new(recording, PlaybackOptions { ticks_max: scene.ticks, ..Default::default() });
-    let info = info(arguments, &playback, &weights);
+    let info = match pipeline.stages.iter().find(|stage| stage.id == StageId::Source) {
+        // What a source of the user's own plays is not known here.
+        Some(Stage { command: Some(_), .. }) => model_info(arguments, weights_path.as_deref(), &weights),
+        _ => info(arguments, &playback, weights_path.as_deref(), &weights),
+    };
 
     let run_id = random_id()?;
     let space = Space::create(run_id, SHARED_BYTES)?;
@@ -153,29 +157,41 @@ fn report(arguments: &Arguments, run: &Run, info: RunInfo) -> Result<(), Failure
     Ok(())
 }
 
-fn info(arguments: &Arguments, playback: &Playback, weights: &Weights) -> RunInfo {
+fn info(
+    arguments: &Arguments,
+    playback: &Playback,
+    weights_path: Option<&Path>,
+    weights: &Weights,
+) -> RunInfo {
     let recording = playback.recording();
     let recorded = arguments.scene.recording.is_some();
     RunInfo {
         recording: Some(recording.name.clone()),
         recording_sha256: recorded.then(|| recording.sha256.clone()),
-        seen_in_training: recorded.then(|| seen_in_training(weights, &recording.sha256)),
-        weights: Some(arguments.model.weights.as_ref().map_or("onboard".into(), |p| p.display().to_string())),
-        weights_sha256: Some(weights.sha256().to_owned()),
+        seen_in_training: recorded.then(|| seen_in_training(weights, &recording.sha256)).flatten(),
         seed: Some(arguments.scene.seed),
-        speed: arguments.speed.to_possible_value().map(|speed| speed.get_name().to_owned()),
-        ticks_limit: arguments.scene.ticks,
         scene_agents: (!recorded).then(|| u64::from(arguments.scene.agents)),
         recorded_frames: recorded.then_some(recording.frames.len() as u64),
         thinned_by: u32::try_from(playback.thinning()).ok(),
         interval_ms: Some(playback.interval_ns() as f64 / 1e6),
+        ..model_info(arguments, weights_path, weights)
+    }
+}
+
+/// What is known of a run whatever it plays.
+fn model_info(arguments: &Arguments, weights_path: Option<&Path>, weights: &Weights) -> RunInfo {
+    RunInfo {
+        weights: Some(weights_path.map_or_else(|| "onboard".into(), |path| path.display().to_string())),
+        weights_sha256: Some(weights.sha256().to_owned()),
+        speed: arguments.speed.to_possible_value().map(|speed| speed.get_name().to_owned()),
+        ticks_limit: arguments.scene.ticks,
         ..RunInfo::default()
     }
 }
 
-/// Whether the model card names the recording's fingerprint among what the weights were trained on.
-fn seen_in_training(weights: &Weights, sha256: &str) -> bool {
-    weights.card().is_some_and(|card| card.to_string().contains(sha256))
+/// Whether the model card names the recording's fingerprint among what the weights were trained on, where there is one.
+fn seen_in_training(weights: &Weights, sha256: &str) -> Option<bool> {
+    weights.card().map(|card| card.to_string().contains(sha256))
 }
 
 fn live_options(run: &Run, info: &RunInfo, ticks_len: u64) -> LiveOptions {
