@@ -1,34 +1,12 @@
 //! A steady step takes no memory.
-#![expect(unsafe_code, reason = "a counting allocator")]
 
-use std::alloc::{GlobalAlloc, Layout, System};
-use std::sync::atomic::{AtomicUsize, Ordering};
+#[path = "../../../tests/support/counting.rs"]
+mod counting;
 
 use bytemuck::Zeroable;
 use localiser::{Localiser, LocaliserOptions, MapSource};
 use scene::PatchOptions;
 use wire::{ContextMut, Header, HistoryState, Row, Track, context_rows};
-
-struct Counting;
-
-static ALLOCATIONS: AtomicUsize = AtomicUsize::new(0);
-
-// SAFETY: every call goes to the system's allocator unchanged.
-unsafe impl GlobalAlloc for Counting {
-    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
-        ALLOCATIONS.fetch_add(1, Ordering::Relaxed);
-        // SAFETY: the caller's promises are those that the system's allocator asks for.
-        unsafe { System.alloc(layout) }
-    }
-
-    unsafe fn dealloc(&self, pointer: *mut u8, layout: Layout) {
-        // SAFETY: as above; the pointer came from `alloc`.
-        unsafe { System.dealloc(pointer, layout) }
-    }
-}
-
-#[global_allocator]
-static ALLOCATOR: Counting = Counting;
 
 /// 32 agents that drive away from the first ego position for kilometres; one in eight is new at every tick.
 fn write_tracks(tick: u64, tracks: &mut [Track]) {
@@ -58,11 +36,7 @@ fn a_thousand_steady_steps_allocate_nothing() {
     let mut tracks = [Track::zeroed(); 32];
     let shape = localiser.shape(tracks.len());
     let mut rows = vec![Row::zeroed(); context_rows(&shape)];
-    let mut before = 0;
-    for tick in 0..1_050 {
-        if tick == 50 {
-            before = ALLOCATIONS.load(Ordering::Relaxed);
-        }
+    let mut step = |tick: u64| {
         write_tracks(tick, &mut tracks);
         let mut header = Header::new(1, tick, tick as i64 * 80_000_000);
         header.step_ns = 400_000_000;
@@ -71,6 +45,7 @@ fn a_thousand_steady_steps_allocate_nothing() {
         let mut out = ContextMut::over(&mut rows, shape).expect("rows of the shape");
         localiser.step(&header, &tracks, &mut out).expect("a good frame");
         assert!(tick == 0 || out.patches.iter().any(|x| *x > 0.0));
-    }
-    assert_eq!(ALLOCATIONS.load(Ordering::Relaxed) - before, 0);
+    };
+    (0..50).for_each(&mut step);
+    assert_eq!(counting::allocations(|| (50..1_050).for_each(&mut step)), 0);
 }

@@ -1,33 +1,11 @@
 //! A steady step takes no memory.
-#![expect(unsafe_code, reason = "a counting allocator")]
 
-use std::alloc::{GlobalAlloc, Layout, System};
-use std::sync::atomic::{AtomicUsize, Ordering};
+#[path = "../../../tests/support/counting.rs"]
+mod counting;
 
 use bytemuck::Zeroable;
 use sampler::{Propagation, Sampler, SamplerOptions};
 use wire::{AgentControls, Cause, ControlGaussian, Forecast, Header, Track};
-
-struct Counting;
-
-static ALLOCATIONS: AtomicUsize = AtomicUsize::new(0);
-
-// SAFETY: every call goes to the system's allocator unchanged.
-unsafe impl GlobalAlloc for Counting {
-    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
-        ALLOCATIONS.fetch_add(1, Ordering::Relaxed);
-        // SAFETY: the caller's promises are those that the system's allocator asks for.
-        unsafe { System.alloc(layout) }
-    }
-
-    unsafe fn dealloc(&self, pointer: *mut u8, layout: Layout) {
-        // SAFETY: as above; the pointer came from `alloc`.
-        unsafe { System.dealloc(pointer, layout) }
-    }
-}
-
-#[global_allocator]
-static ALLOCATOR: Counting = Counting;
 
 /// 32 agents of all types; one in eight is new at every tick.
 fn write_tick(tick: u64, tracks: &mut [Track], controls: &mut [AgentControls]) {
@@ -51,11 +29,7 @@ fn a_thousand_steady_steps_allocate_nothing() {
         let mut tracks = vec![Track::zeroed(); 32];
         let mut controls = vec![AgentControls::zeroed(); 32];
         let mut out = vec![Forecast::zeroed(); 32];
-        let mut before = 0;
-        for tick in 0..1_050 {
-            if tick == 50 {
-                before = ALLOCATIONS.load(Ordering::Relaxed);
-            }
+        let mut step = |tick: u64| {
             write_tick(tick, &mut tracks, &mut controls);
             let mut header = Header::new(1, tick, tick as i64 * 80_000_000);
             header.step_ns = 400_000_000;
@@ -65,7 +39,8 @@ fn a_thousand_steady_steps_allocate_nothing() {
             };
             told.expect("a good frame");
             assert!(out.iter().all(|forecast| forecast.modes_len > 0));
-        }
-        assert_eq!(ALLOCATIONS.load(Ordering::Relaxed) - before, 0, "{propagation:?}");
+        };
+        (0..50).for_each(&mut step);
+        assert_eq!(counting::allocations(|| (50..1_050).for_each(&mut step)), 0, "{propagation:?}");
     }
 }

@@ -1,33 +1,11 @@
 //! A steady step takes no memory.
-#![expect(unsafe_code, reason = "a counting allocator")]
 
-use std::alloc::{GlobalAlloc, Layout, System};
-use std::sync::atomic::{AtomicUsize, Ordering};
+#[path = "../../../tests/support/counting.rs"]
+mod counting;
 
 use bytemuck::Zeroable;
 use tracker::{Tracker, TrackerOptions};
 use wire::{AGENTS_MAX, AgentType, Detection, Header, Track, detection_flags, flags};
-
-struct Counting;
-
-static ALLOCATIONS: AtomicUsize = AtomicUsize::new(0);
-
-// SAFETY: every call goes to the system's allocator unchanged.
-unsafe impl GlobalAlloc for Counting {
-    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
-        ALLOCATIONS.fetch_add(1, Ordering::Relaxed);
-        // SAFETY: the caller's promises are those that the system's allocator asks for.
-        unsafe { System.alloc(layout) }
-    }
-
-    unsafe fn dealloc(&self, pointer: *mut u8, layout: Layout) {
-        // SAFETY: as above; the pointer came from `alloc`.
-        unsafe { System.dealloc(pointer, layout) }
-    }
-}
-
-#[global_allocator]
-static ALLOCATOR: Counting = Counting;
 
 /// A hundred agents of all types, 4 m apart, each on a small circle of its own.
 fn detections(k: u32, out: &mut Vec<Detection>) {
@@ -53,11 +31,7 @@ fn a_thousand_steady_steps_allocate_nothing() {
         let mut tracker = Tracker::new(TrackerOptions::default());
         let mut out = vec![Track::zeroed(); AGENTS_MAX];
         let mut seen = Vec::with_capacity(100);
-        let mut before = 0;
-        for k in 0..1_100 {
-            if k == 100 {
-                before = ALLOCATIONS.load(Ordering::Relaxed);
-            }
+        let mut step = |k: u32| {
             detections(k, &mut seen);
             let stamp_ns = i64::from(k) * 80_000_000;
             let observed_types =
@@ -66,7 +40,8 @@ fn a_thousand_steady_steps_allocate_nothing() {
                 Header { flags: identities, observed_types, ..Header::new(1, u64::from(k), stamp_ns) };
             let tracked = tracker.step(&header, &seen, None, &mut out).unwrap();
             assert!(k < 5 || tracked.tracks_len == 100, "{name}, frame {k}: {tracked:?}");
-        }
-        assert_eq!(ALLOCATIONS.load(Ordering::Relaxed) - before, 0, "{name}");
+        };
+        (0..100).for_each(&mut step);
+        assert_eq!(counting::allocations(|| (100..1_100).for_each(&mut step)), 0, "{name}");
     }
 }
