@@ -20,18 +20,21 @@ fn lives(pid: Pid) -> bool {
 fn a_signal_ends_all_stages_and_the_report_still_comes() {
     for (signal, code) in [(Signal::TERM, 143), (Signal::INT, 130)] {
         let scratch = Scratch::new(&format!("signal-{code}"));
-        let report = scratch.path("report.json");
-        let run = Started::run(&["--agents", "6", "--report", &report]);
+        let (report, forecasts) = (scratch.path("report.json"), scratch.path("forecasts.jsonl"));
+        let run = Started::run(&["--agents", "6", "--report", &report, "--forecasts", &forecasts]);
         let root = run.wait_until_it_runs();
         let stages = run.stages();
-        // A few ticks later, so that there is something to report.
-        std::thread::sleep(Duration::from_millis(800));
+        let partial = format!("{forecasts}.partial");
+        let begun = || std::fs::metadata(&partial).is_ok_and(|file| file.len() > 0).then_some(());
+        wait_for("no forecasts come", begun);
         run.signal(signal);
         let output = run.output();
         assert_eq!(output.status.code(), Some(code), "{}", stderr(&output));
         assert!(stdout(&output).contains("LATENCY"), "{}", stdout(&output));
         let report: serde_json::Value = serde_json::from_slice(&scratch.read("report.json")).expect("JSON");
-        assert!(report["ticks"].as_u64().is_some_and(|ticks| ticks < 250), "{report}");
+        let lines = String::from_utf8(scratch.read("forecasts.jsonl")).expect("JSON lines are UTF-8");
+        assert!(lines.ends_with("}\n"), "the last line is whole");
+        assert_eq!(report["ticks"], lines.lines().count(), "all that is reported is written");
         assert_nothing_left(&root);
         for (pid, line) in stages {
             assert!(!lives(pid), "{line:?} still runs");

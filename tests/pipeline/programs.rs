@@ -64,7 +64,7 @@ fn a_detector_and_a_planner_in_rust_join_a_run() {
     let scratch = Scratch::new("rust");
     let pipeline = scratch.pipeline_with("source", &[&example("producer")]);
     let report = scratch.path("report.json");
-    let run = Started::run(&["--ticks", "40", "--pipeline", &pipeline, "--report", &report]);
+    let run = Started::run(&["--ticks", "60", "--pipeline", &pipeline, "--report", &report]);
     let root = run.wait_until_it_runs();
     let consumer = Started::spawn(piped(example("consumer")).arg("--run").arg(root.join("run")));
     let heard = consumer.output();
@@ -73,7 +73,7 @@ fn a_detector_and_a_planner_in_rust_join_a_run() {
     let output = run.output();
     assert!(output.status.success(), "{}", stderr(&output));
     let report: serde_json::Value = serde_json::from_slice(&scratch.read("report.json")).expect("JSON");
-    assert_eq!(report["ticks"], 40, "{report}");
+    assert_eq!(report["ticks"], 60, "{report}");
     assert_nothing_left(&root);
 }
 
@@ -90,7 +90,7 @@ fn a_detector_and_a_planner_in_python_join_a_run() {
     let examples = PathBuf::from(concat!(env!("CARGO_MANIFEST_DIR"), "/../tests/examples"));
     let program = |name: &str| examples.join(name).display().to_string();
     let scratch = Scratch::new("python");
-    let pipeline = scratch.pipeline_with("source", &[&python, &program("producer.py"), "40"]);
+    let pipeline = scratch.pipeline_with("source", &[&python, &program("producer.py"), "60"]);
     let run = Started::run(&["--pipeline", &pipeline]);
     let root = run.wait_until_it_runs();
     let mut consumer = piped(&python);
