@@ -1,8 +1,9 @@
+mod check;
+
 use bytemuck::{Pod, Zeroable};
 
 use crate::{
-    AgentType, EDGE_ATTRIBUTES, HISTORY_MAX, HORIZON_MAX, MODES_MAX, NODE_ATTRIBUTES, POSITION_MAX_M,
-    Rejected, SPEED_MAX_MPS, STATE_FEATURES, TEMPORAL, UnknownAgentType, finite,
+    EDGE_ATTRIBUTES, HISTORY_MAX, HORIZON_MAX, MODES_MAX, NODE_ATTRIBUTES, STATE_FEATURES, TEMPORAL,
 };
 
 /// Bits of [`Detection::flags`].
@@ -39,7 +40,7 @@ pub struct Detection {
     pub score: f32,
     /// Standard deviation of the position per axis; 0 takes the tracker's own for the type.
     pub sigma_m: f32,
-    /// [`AgentType`] as a number.
+    /// [`crate::AgentType`] as a number.
     pub agent_type: u32,
     /// Bits of [`detection_flags`].
     pub flags: u32,
@@ -85,7 +86,7 @@ pub struct Track {
     pub born_ns: i64,
     /// Time since the last detection that updated the track.
     pub unseen_ns: u64,
-    /// [`AgentType`] as a number.
+    /// [`crate::AgentType`] as a number.
     pub agent_type: u32,
     /// [`TrackStatus`] as a number.
     pub status: u32,
@@ -113,7 +114,7 @@ pub struct Track {
     pub width_m: f32,
     /// Probability that the object exists.
     pub existence: f32,
-    /// Probability of each [`AgentType`].
+    /// Probability of each [`crate::AgentType`].
     pub type_probability: [f32; 3],
     /// Covariance of the filtered state, row-major, `state_len` × `state_len`, the rest 0.
     pub covariance: [f32; 25],
@@ -130,7 +131,7 @@ pub struct Track {
 pub struct AgentFeatures {
     /// The track.
     pub id: u64,
-    /// [`AgentType`] as a number.
+    /// [`crate::AgentType`] as a number.
     pub agent_type: u32,
     /// As in [`Track::forecastable`].
     pub forecastable: u32,
@@ -152,7 +153,7 @@ pub struct AgentFeatures {
 pub struct AgentEncoding {
     /// The track.
     pub id: u64,
-    /// [`AgentType`] as a number.
+    /// [`crate::AgentType`] as a number.
     pub agent_type: u32,
     /// As in [`Track::forecastable`].
     pub forecastable: u32,
@@ -182,7 +183,7 @@ pub struct ControlGaussian {
 pub struct AgentControls {
     /// The track.
     pub id: u64,
-    /// [`AgentType`] as a number.
+    /// [`crate::AgentType`] as a number.
     pub agent_type: u32,
     /// Valid modes, at most [`MODES_MAX`].
     pub modes_len: u32,
@@ -264,7 +265,7 @@ pub struct Forecast {
     pub source_id: u64,
     /// Time between the stamp of the controls and this frame's stamp; 0 for learned forecasts.
     pub age_ns: u64,
-    /// [`AgentType`] as a number.
+    /// [`crate::AgentType`] as a number.
     pub agent_type: u32,
     /// [`Quality`] as a number.
     pub quality: u32,
@@ -306,7 +307,7 @@ pub struct Forecast {
 pub struct Truth {
     /// Identity in the recording.
     pub id: u64,
-    /// [`AgentType`] as a number.
+    /// [`crate::AgentType`] as a number.
     pub agent_type: u32,
     /// Position in the world frame.
     pub x_m: f32,
@@ -355,151 +356,3 @@ const _: () = {
     assert!(size_of::<Heartbeat>() == 64);
     assert!(EDGE_ATTRIBUTES * 4 == 64);
 };
-
-fn position(field: &'static str, values: &[f32]) -> Result<(), Rejected> {
-    finite(field, values)?;
-    match values.iter().find(|x| x.abs() > POSITION_MAX_M) {
-        Some(&value) => Err(Rejected::Impossible { field, value: f64::from(value) }),
-        None => Ok(()),
-    }
-}
-
-fn speed(field: &'static str, value: f32) -> Result<(), Rejected> {
-    finite(field, &[value])?;
-    if value.abs() > SPEED_MAX_MPS {
-        return Err(Rejected::Impossible { field, value: f64::from(value) });
-    }
-    Ok(())
-}
-
-fn agent_type(number: u32) -> Result<AgentType, Rejected> {
-    AgentType::try_from(number)
-        .map_err(|UnknownAgentType(_)| Rejected::Impossible { field: "agent_type", value: f64::from(number) })
-}
-
-impl Detection {
-    /// The kind of object; refused numbers never get past [`Detection::check`].
-    ///
-    /// # Errors
-    /// [`Rejected::Impossible`] where the number stands for no type.
-    pub fn agent_type(&self) -> Result<AgentType, Rejected> {
-        agent_type(self.agent_type)
-    }
-
-    /// Whether all bits of `flag` are set.
-    #[must_use]
-    pub const fn has(&self, flag: u32) -> bool {
-        self.flags & flag == flag
-    }
-
-    /// Refuses numbers that are not finite or impossible.
-    ///
-    /// # Errors
-    /// [`Rejected`] names the field.
-    pub fn check(&self) -> Result<(), Rejected> {
-        agent_type(self.agent_type)?;
-        position("detection position", &[self.x_m, self.y_m])?;
-        speed("detection speed", self.speed_mps)?;
-        finite("detection", &[self.heading_rad, self.length_m, self.width_m, self.score, self.sigma_m])?;
-        let negative = [("length_m", self.length_m), ("width_m", self.width_m), ("sigma_m", self.sigma_m)];
-        match negative.into_iter().find(|(_, value)| *value < 0.0) {
-            Some((field, value)) => Err(Rejected::Impossible { field, value: f64::from(value) }),
-            None => Ok(()),
-        }
-    }
-}
-
-impl Track {
-    /// The kind of agent.
-    ///
-    /// # Errors
-    /// [`Rejected::Impossible`] where the number stands for no type.
-    pub fn agent_type(&self) -> Result<AgentType, Rejected> {
-        agent_type(self.agent_type)
-    }
-
-    /// Refuses numbers that are not finite or impossible.
-    ///
-    /// # Errors
-    /// [`Rejected`] names the field.
-    pub fn check(&self) -> Result<(), Rejected> {
-        agent_type(self.agent_type)?;
-        position("track position", &[self.x_m, self.y_m])?;
-        speed("track speed", self.speed_mps)?;
-        finite(
-            "track",
-            &[self.heading_rad, self.slip_rad, self.vx_mps, self.vy_mps, self.length_m, self.width_m],
-        )?;
-        finite("track covariance", &self.covariance)?;
-        for state in &self.history {
-            position("history position", &[state.x_m, state.y_m])?;
-            finite("history", &[state.vx_mps, state.vy_mps, state.heading_rad])?;
-        }
-        Ok(())
-    }
-}
-
-impl AgentFeatures {
-    /// Refuses numbers that are not finite or impossible.
-    ///
-    /// # Errors
-    /// [`Rejected`] names the field.
-    pub fn check(&self) -> Result<(), Rejected> {
-        agent_type(self.agent_type)?;
-        finite("length_m", &[self.length_m])?;
-        finite("state features", self.state.as_flattened())?;
-        finite("node attributes", self.node.as_flattened())
-    }
-}
-
-impl AgentEncoding {
-    /// Refuses numbers that are not finite or impossible.
-    ///
-    /// # Errors
-    /// [`Rejected`] names the field.
-    pub fn check(&self) -> Result<(), Rejected> {
-        agent_type(self.agent_type)?;
-        finite("length_m", &[self.length_m])?;
-        finite("state features", self.state.as_flattened())?;
-        finite("temporal summary", &self.temporal)
-    }
-}
-
-impl AgentControls {
-    /// Refuses numbers that are not finite or impossible.
-    ///
-    /// # Errors
-    /// [`Rejected`] names the field.
-    pub fn check(&self) -> Result<(), Rejected> {
-        agent_type(self.agent_type)?;
-        let modes_len = self.modes_len as usize;
-        if modes_len == 0 || modes_len > MODES_MAX {
-            return Err(Rejected::TooMany {
-                field: "modes_len",
-                found: u64::from(self.modes_len),
-                most: MODES_MAX as u64,
-            });
-        }
-        finite("mode probabilities", &self.probability)?;
-        let numbers: &[f32] = bytemuck::cast_slice(self.modes.as_flattened());
-        finite("controls", numbers)?;
-        finite("best controls", bytemuck::cast_slice(&self.best))
-    }
-}
-
-impl Forecast {
-    /// Refuses numbers that are not finite or impossible.
-    ///
-    /// # Errors
-    /// [`Rejected`] names the field.
-    pub fn check(&self) -> Result<(), Rejected> {
-        agent_type(self.agent_type)?;
-        position("forecast position", &[self.x_m, self.y_m])?;
-        finite("forecast", &[self.vx_mps, self.vy_mps, self.heading_rad])?;
-        finite("mode probabilities", &self.probability)?;
-        finite("forecast modes", self.modes.as_flattened().as_flattened())?;
-        finite("best forecast", self.best.as_flattened())?;
-        finite("forecast mean", self.mean.as_flattened())?;
-        finite("forecast covariance", self.covariance.as_flattened())
-    }
-}

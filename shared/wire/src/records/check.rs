@@ -1,0 +1,152 @@
+//! What a record's numbers can be: stages call `check` on what they take from a port.
+
+use super::{AgentControls, AgentEncoding, AgentFeatures, Detection, Forecast, Track};
+use crate::{AgentType, MODES_MAX, POSITION_MAX_M, Rejected, SPEED_MAX_MPS, UnknownAgentType, finite};
+
+fn position(field: &'static str, values: &[f32]) -> Result<(), Rejected> {
+    finite(field, values)?;
+    match values.iter().find(|x| x.abs() > POSITION_MAX_M) {
+        Some(&value) => Err(Rejected::Impossible { field, value: f64::from(value) }),
+        None => Ok(()),
+    }
+}
+
+fn speed(field: &'static str, value: f32) -> Result<(), Rejected> {
+    finite(field, &[value])?;
+    if value.abs() > SPEED_MAX_MPS {
+        return Err(Rejected::Impossible { field, value: f64::from(value) });
+    }
+    Ok(())
+}
+
+fn agent_type(number: u32) -> Result<AgentType, Rejected> {
+    AgentType::try_from(number)
+        .map_err(|UnknownAgentType(_)| Rejected::Impossible { field: "agent_type", value: f64::from(number) })
+}
+
+impl Detection {
+    /// The kind of object; refused numbers never get past [`Detection::check`].
+    ///
+    /// # Errors
+    /// [`Rejected::Impossible`] where the number stands for no type.
+    pub fn agent_type(&self) -> Result<AgentType, Rejected> {
+        agent_type(self.agent_type)
+    }
+
+    /// Whether all bits of `flag` are set.
+    #[must_use]
+    pub const fn has(&self, flag: u32) -> bool {
+        self.flags & flag == flag
+    }
+
+    /// Refuses numbers that are not finite or impossible.
+    ///
+    /// # Errors
+    /// [`Rejected`] names the field.
+    pub fn check(&self) -> Result<(), Rejected> {
+        agent_type(self.agent_type)?;
+        position("detection position", &[self.x_m, self.y_m])?;
+        speed("detection speed", self.speed_mps)?;
+        finite("detection", &[self.heading_rad, self.length_m, self.width_m, self.score, self.sigma_m])?;
+        let negative = [("length_m", self.length_m), ("width_m", self.width_m), ("sigma_m", self.sigma_m)];
+        match negative.into_iter().find(|(_, value)| *value < 0.0) {
+            Some((field, value)) => Err(Rejected::Impossible { field, value: f64::from(value) }),
+            None => Ok(()),
+        }
+    }
+}
+
+impl Track {
+    /// The kind of agent.
+    ///
+    /// # Errors
+    /// [`Rejected::Impossible`] where the number stands for no type.
+    pub fn agent_type(&self) -> Result<AgentType, Rejected> {
+        agent_type(self.agent_type)
+    }
+
+    /// Refuses numbers that are not finite or impossible.
+    ///
+    /// # Errors
+    /// [`Rejected`] names the field.
+    pub fn check(&self) -> Result<(), Rejected> {
+        agent_type(self.agent_type)?;
+        position("track position", &[self.x_m, self.y_m])?;
+        speed("track speed", self.speed_mps)?;
+        finite(
+            "track",
+            &[self.heading_rad, self.slip_rad, self.vx_mps, self.vy_mps, self.length_m, self.width_m],
+        )?;
+        finite("track covariance", &self.covariance)?;
+        for state in &self.history {
+            position("history position", &[state.x_m, state.y_m])?;
+            finite("history", &[state.vx_mps, state.vy_mps, state.heading_rad])?;
+        }
+        Ok(())
+    }
+}
+
+impl AgentFeatures {
+    /// Refuses numbers that are not finite or impossible.
+    ///
+    /// # Errors
+    /// [`Rejected`] names the field.
+    pub fn check(&self) -> Result<(), Rejected> {
+        agent_type(self.agent_type)?;
+        finite("length_m", &[self.length_m])?;
+        finite("state features", self.state.as_flattened())?;
+        finite("node attributes", self.node.as_flattened())
+    }
+}
+
+impl AgentEncoding {
+    /// Refuses numbers that are not finite or impossible.
+    ///
+    /// # Errors
+    /// [`Rejected`] names the field.
+    pub fn check(&self) -> Result<(), Rejected> {
+        agent_type(self.agent_type)?;
+        finite("length_m", &[self.length_m])?;
+        finite("state features", self.state.as_flattened())?;
+        finite("temporal summary", &self.temporal)
+    }
+}
+
+impl AgentControls {
+    /// Refuses numbers that are not finite or impossible.
+    ///
+    /// # Errors
+    /// [`Rejected`] names the field.
+    pub fn check(&self) -> Result<(), Rejected> {
+        agent_type(self.agent_type)?;
+        let modes_len = self.modes_len as usize;
+        if modes_len == 0 || modes_len > MODES_MAX {
+            return Err(Rejected::TooMany {
+                field: "modes_len",
+                found: u64::from(self.modes_len),
+                most: MODES_MAX as u64,
+            });
+        }
+        finite("mode probabilities", &self.probability)?;
+        let numbers: &[f32] = bytemuck::cast_slice(self.modes.as_flattened());
+        finite("controls", numbers)?;
+        finite("best controls", bytemuck::cast_slice(&self.best))
+    }
+}
+
+impl Forecast {
+    /// Refuses numbers that are not finite or impossible.
+    ///
+    /// # Errors
+    /// [`Rejected`] names the field.
+    pub fn check(&self) -> Result<(), Rejected> {
+        agent_type(self.agent_type)?;
+        position("forecast position", &[self.x_m, self.y_m])?;
+        finite("forecast", &[self.vx_mps, self.vy_mps, self.heading_rad])?;
+        finite("mode probabilities", &self.probability)?;
+        finite("forecast modes", self.modes.as_flattened().as_flattened())?;
+        finite("best forecast", self.best.as_flattened())?;
+        finite("forecast mean", self.mean.as_flattened())?;
+        finite("forecast covariance", self.covariance.as_flattened())
+    }
+}
