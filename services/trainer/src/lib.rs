@@ -31,6 +31,7 @@ mod train;
 mod validate;
 mod view;
 
+pub use burn::tensor::Device;
 pub use card::{Gain, ModelCard, Seen};
 pub use error::TrainError;
 pub use objective::{LossParts, Objective};
