@@ -53,7 +53,9 @@ fn a_signal_while_the_stages_start_ends_the_run_too() {
         // At first the signal is not yet taken over, and ends a process that has done nothing.
         let ended = output.status.code() == Some(143) || output.status.signal() == Some(15);
         assert!(ended, "after {delay_ms} ms: {:?}: {}", output.status, stderr(&output));
-        assert_eq!(stderr(&output), "", "after {delay_ms} ms");
+        // A stage may tell that it was interrupted; for the launcher an end that was asked for is no error.
+        let told = stderr(&output);
+        assert!(!told.lines().any(|line| line.starts_with("error")), "after {delay_ms} ms: {told}");
     }
     watch.assert_nothing_new();
 }
