@@ -1,14 +1,16 @@
 //! Training scenes to tensors.
 
-use std::collections::BTreeMap;
+mod graph;
+
 use std::ops::Range;
 
 use burn::tensor::{Bool, Device, Int, Shape, Tensor, TensorData};
+use graph::{Placed, Steps};
 use nn::ModelConfig;
-use scene::{AgentFrame, EdgeRule, FeatureScales, State, Vertex, relation_features, state_features};
+use scene::{AgentFrame, FeatureScales, State, state_features};
 
 use crate::base::BaseControl;
-use crate::model::{Context, Edges, Graph, Normalisation};
+use crate::model::{Graph, Normalisation};
 use crate::motion::VehicleStart;
 use crate::samples::{Agent, Patches};
 
@@ -29,7 +31,7 @@ impl View<'_> {
 }
 
 /// A world position in an agent frame.
-pub(crate) fn in_frame(frame: &AgentFrame, position_m: [f32; 2]) -> [f32; 2] {
+fn in_frame(frame: &AgentFrame, position_m: [f32; 2]) -> [f32; 2] {
     frame.rotate_into([0, 1].map(|axis| position_m[axis] - frame.origin_m[axis]))
 }
 
@@ -41,37 +43,6 @@ pub(crate) struct SceneView<'a> {
     pub(crate) patches: Option<&'a Patches>,
     /// Whether left and right are swapped.
     pub(crate) mirrored: bool,
-}
-
-/// Which steps a graph is of.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Steps {
-    History,
-    Future,
-}
-
-impl Steps {
-    fn of<'a>(self, view: &'a View<'_>) -> &'a [Option<State>] {
-        match self {
-            Self::History => &view.history,
-            Self::Future => &view.future,
-        }
-    }
-
-    fn len(self, config: &ModelConfig) -> usize {
-        match self {
-            Self::History => config.history_len,
-            Self::Future => config.horizon_len,
-        }
-    }
-
-    /// Place of the first step among the agent's patches.
-    fn first_patch(self, config: &ModelConfig) -> usize {
-        match self {
-            Self::History => 0,
-            Self::Future => config.history_len,
-        }
-    }
 }
 
 /// What the network gets and what it is held to.
@@ -122,11 +93,13 @@ impl Batch {
             .enumerate()
             .flat_map(|(scene, view)| (0..view.agents.len()).map(move |agent| (scene, agent)))
             .collect();
-        let type_of = |&(scene, agent): &(usize, usize)| scenes[scene].agents[agent].agent.agent_type as usize;
+        let type_of =
+            |&(scene, agent): &(usize, usize)| scenes[scene].agents[agent].agent.agent_type as usize;
         origin.sort_by_key(type_of);
         let first_of = |agent_type: usize| origin.partition_point(|at| type_of(at) < agent_type);
         let type_agents = [0, 1, 2].map(|agent_type| first_of(agent_type)..first_of(agent_type + 1));
-        let agents: Vec<&View<'_>> = origin.iter().map(|&(scene, agent)| &scenes[scene].agents[agent]).collect();
+        let agents: Vec<&View<'_>> =
+            origin.iter().map(|&(scene, agent)| &scenes[scene].agents[agent]).collect();
 
         let place = Placed { scenes, origin: &origin, agents: &agents, type_agents: &type_agents };
         let history = place.graph(Steps::History, options);
@@ -179,185 +152,11 @@ impl Batch {
     }
 }
 
-/// The agents of some scenes in the order of a batch.
-struct Placed<'a> {
-    scenes: &'a [SceneView<'a>],
-    origin: &'a [(usize, usize)],
-    agents: &'a [&'a View<'a>],
-    type_agents: &'a [Range<usize>; 3],
-}
-
-impl Placed<'_> {
-    fn graph(&self, steps: Steps, options: BatchOptions<'_>) -> Graph {
-        let BatchOptions { config, device, .. } = options;
-        let rows = Rows::new(self.agents, steps, config, self.type_agents);
-        let (relation, edges) = self.edges(steps, &rows, options);
-        let absent = rows.of_step.iter().map(|&row| row == rows.len()).collect();
-        Graph {
-            state: floats(rows.state.clone(), [rows.len(), 6], device),
-            type_rows: rows.type_rows.clone(),
-            relation,
-            edges,
-            steps: integers(&rows.of_step, device),
-            absent: booleans(absent, [self.agents.len(), rows.steps_len], device),
-            context: self.context(steps, &rows, options),
-        }
-    }
-
-    /// Relation features and edges of all scenes and steps.
-    fn edges(&self, steps: Steps, rows: &Rows, options: BatchOptions<'_>) -> (Tensor<2>, Edges) {
-        let BatchOptions { config, device, neighbours_max, .. } = options;
-        let rule = EdgeRule {
-            radius_m: config.edge_radius_m,
-            pedestrian_radius_m: config.pedestrian_edge_radius_m.unwrap_or(config.edge_radius_m),
-            neighbours_max,
-        };
-        let position_of: BTreeMap<(usize, usize), usize> =
-            self.origin.iter().enumerate().map(|(i, &at)| (at, i)).collect();
-        let mut list = EdgeList { received: vec![Vec::new(); rows.len()], ..EdgeList::default() };
-        let mut edges = Vec::new();
-        for (scene, view) in self.scenes.iter().enumerate() {
-            for step in 0..rows.steps_len {
-                let state = |agent: usize| steps.of(&view.agents[agent])[step];
-                let vertex = |agent: usize| {
-                    let agent_type = view.agents[agent].agent.agent_type;
-                    Some(Vertex { position_m: state(agent)?.position_m, agent_type })
-                };
-                let vertices: Vec<Option<Vertex>> = (0..view.agents.len()).map(vertex).collect();
-                edges.clear();
-                rule.append(step as u16, &vertices, &mut edges);
-                for edge in &edges {
-                    let ends = [edge.receiver, edge.sender].map(usize::from);
-                    let [Some(receiver), Some(sender)] = ends.map(state) else { continue };
-                    let ends = ends.map(|agent| rows.at(position_of[&(scene, agent)], step));
-                    list.push(ends, relation_features(&receiver, &sender, scales(config)));
-                }
-            }
-        }
-        list.tensors(rows.len(), device)
-    }
-
-    /// Patches of all rows, each (agent, frame) once; the first is the empty one.
-    fn context(&self, steps: Steps, rows: &Rows, options: BatchOptions<'_>) -> Context {
-        let BatchOptions { config, device, normalisation, .. } = options;
-        let side = config.patch_size;
-        let mut values = vec![0.0; 3 * side * side];
-        let mut known: BTreeMap<(usize, usize, bool), usize> = BTreeMap::new();
-        let mut of_row = vec![0; rows.len()];
-        for (position, &(scene, agent)) in self.origin.iter().enumerate() {
-            let view = &self.scenes[scene];
-            let Some(patches) = view.patches else { continue };
-            let of_agent = &view.agents[agent].agent.patches[steps.first_patch(config)..];
-            for (step, patch) in of_agent.iter().take(rows.steps_len).enumerate() {
-                let row = rows.at(position, step);
-                let (Some(patch), true) = (*patch, row < rows.len()) else { continue };
-                let next = known.len() + 1;
-                of_row[row] = *known.entry((patches.recording, patch, view.mirrored)).or_insert_with(|| {
-                    let start = values.len();
-                    patches.extend(patch, &mut values);
-                    if view.mirrored {
-                        mirror_patch(&mut values[start..], side);
-                    }
-                    next
-                });
-            }
-        }
-        let patches_len = known.len() + 1;
-        Context {
-            patches: floats(values, [patches_len, 3, side, side], device),
-            of_row: integers(&of_row, device),
-            // Statistics of the one empty patch would say nothing.
-            normalisation: if patches_len == 1 { Normalisation::Running } else { normalisation },
-        }
-    }
-}
-
-/// Where the rows of a batch stand.
-struct Rows {
-    /// State features, row by row.
-    state: Vec<f32>,
-    /// Row of every agent and step; the number of rows where absent.
-    of_step: Vec<usize>,
-    type_rows: [Range<usize>; 3],
-    steps_len: usize,
-}
-
-impl Rows {
-    fn new(agents: &[&View<'_>], steps: Steps, config: &ModelConfig, type_agents: &[Range<usize>; 3]) -> Self {
-        let scales = scales(config);
-        let mut state = Vec::new();
-        let mut of_step = Vec::with_capacity(agents.len() * steps.len(config));
-        let mut first_row = vec![0];
-        for view in agents {
-            for step in steps.of(view) {
-                of_step.push(if step.is_some() { state.len() / 6 } else { usize::MAX });
-                if let Some(step) = step {
-                    state.extend(state_features(&view.frame, step, scales));
-                }
-            }
-            first_row.push(state.len() / 6);
-        }
-        let len = state.len() / 6;
-        of_step.iter_mut().filter(|row| **row == usize::MAX).for_each(|row| *row = len);
-        let type_rows = type_agents.clone().map(|agents| first_row[agents.start]..first_row[agents.end]);
-        Self { state, of_step, type_rows, steps_len: steps.len(config) }
-    }
-
-    fn len(&self) -> usize {
-        self.state.len() / 6
-    }
-
-    fn at(&self, agent: usize, step: usize) -> usize {
-        self.of_step[agent * self.steps_len + step]
-    }
-}
-
-/// Edges as they are collected.
-#[derive(Default)]
-struct EdgeList {
-    receivers: Vec<usize>,
-    senders: Vec<usize>,
-    relation: Vec<f32>,
-    /// Edges that every row receives.
-    received: Vec<Vec<usize>>,
-}
-
-impl EdgeList {
-    fn push(&mut self, [receiver, sender]: [usize; 2], relation: [f32; 6]) {
-        self.received[receiver].push(self.receivers.len());
-        self.receivers.push(receiver);
-        self.senders.push(sender);
-        self.relation.extend(relation);
-    }
-
-    fn tensors(self, rows_len: usize, device: &Device) -> (Tensor<2>, Edges) {
-        let edges_len = self.receivers.len();
-        let slots_len = self.received.iter().map(Vec::len).max().unwrap_or(0);
-        let slots: Vec<usize> = self
-            .received
-            .iter()
-            .flat_map(|edges| edges.iter().copied().chain(std::iter::repeat(edges_len)).take(slots_len))
-            .collect();
-        let empty = slots.iter().map(|&edge| edge == edges_len).collect();
-        let edges = Edges {
-            receiver: integers(&self.receivers, device),
-            sender: integers(&self.senders, device),
-            slots: integers(&slots, device),
-            empty: booleans(empty, [rows_len, slots_len], device),
-        };
-        (floats(self.relation, [edges_len, 6], device), edges)
-    }
-}
-
-/// Swaps left and right of a patch `[3, side, side]`: columns, and the sign of the velocity to the left.
-fn mirror_patch(values: &mut [f32], side: usize) {
-    values.chunks_exact_mut(side).for_each(<[f32]>::reverse);
-    values[2 * side * side..].iter_mut().for_each(|value| *value = -*value);
-}
-
 fn vehicle_start(agents: &[&View<'_>], config: &ModelConfig, device: &Device) -> VehicleStart {
-    let starts: Vec<Start> = agents.iter().map(|view| Start::of(view.agent, &view.history, &view.frame, config)).collect();
-    let column = |value: fn(&Start) -> f32| floats(starts.iter().map(value).collect(), [starts.len(), 1], device);
+    let starts: Vec<Start> =
+        agents.iter().map(|view| Start::of(view.agent, &view.history, &view.frame, config)).collect();
+    let column =
+        |value: fn(&Start) -> f32| floats(starts.iter().map(value).collect(), [starts.len(), 1], device);
     VehicleStart {
         position_m: Tensor::zeros([starts.len(), 2], device),
         heading_rad: column(|start| start.heading_rad),
@@ -377,28 +176,24 @@ pub(crate) struct Start {
 }
 
 impl Start {
-    pub(crate) fn of(agent: &Agent, history: &[Option<State>], frame: &AgentFrame, config: &ModelConfig) -> Self {
+    pub(crate) fn of(
+        agent: &Agent,
+        history: &[Option<State>],
+        frame: &AgentFrame,
+        config: &ModelConfig,
+    ) -> Self {
         let rear_axle_m = config.rear_axle_ratio * agent.length_m.unwrap_or(config.default_length_m);
         let newest = history.last().copied().flatten().unwrap_or_default();
         let along = AgentFrame::new(newest.position_m, newest.heading_rad);
         let [speed_mps, _] = along.rotate_into(newest.velocity_mps);
         let slip_rad = if config.initial_slip {
-            kinematics::initial_slip(rear_axle_m, speed_mps, turn_rates(history, config.dt_s as f32))
+            kinematics::initial_slip(rear_axle_m, speed_mps, scene::turn_rates(history, config.dt_s as f32))
         } else {
             0.0
         };
         let heading_rad = kinematics::wrap_angle(newest.heading_rad - frame.heading_rad);
         Self { heading_rad, speed_mps, slip_rad, rear_axle_m }
     }
-}
-
-/// Turn rates of the newest two history intervals, newest first; 0 where a state is absent.
-fn turn_rates(history: &[Option<State>], dt_s: f32) -> [f32; 2] {
-    let len = history.len();
-    [1, 2].map(|back| match (len.checked_sub(back + 1).and_then(|i| history[i]), history.get(len - back).copied().flatten()) {
-        (Some(before), Some(after)) => kinematics::wrap_angle(after.heading_rad - before.heading_rad) / dt_s,
-        _ => 0.0,
-    })
 }
 
 fn scales(config: &ModelConfig) -> FeatureScales {
@@ -415,6 +210,10 @@ pub(crate) fn integers(values: &[usize], device: &Device) -> Tensor<1, Int> {
     Tensor::from_data(TensorData::new(values, [len]), device)
 }
 
-pub(crate) fn booleans<const D: usize>(values: Vec<bool>, shape: [usize; D], device: &Device) -> Tensor<D, Bool> {
+pub(crate) fn booleans<const D: usize>(
+    values: Vec<bool>,
+    shape: [usize; D],
+    device: &Device,
+) -> Tensor<D, Bool> {
     Tensor::from_data(TensorData::new(values, Shape::from(shape)), device)
 }

@@ -7,7 +7,7 @@ use crate::checkpoint::RunProgress;
 use crate::options::TrainOptions;
 use crate::parameters::{Parameters, Precision};
 use crate::samples::Source;
-use crate::validate::SetScore;
+use crate::validate::{SetScore, rounded};
 
 /// What is known of a set of weights.
 #[derive(Clone, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
@@ -58,7 +58,7 @@ impl Gain {
     /// The gains of a set.
     #[must_use]
     pub fn of(score: &SetScore) -> Self {
-        let gone = |ours: f64, theirs: f64| 1.0 - ours / theirs.max(1e-9);
+        let gone = |ours: f64, theirs: f64| rounded(1.0 - ours / theirs.max(1e-9));
         let (single, cv) = (score.single, score.constant_velocity);
         let (best, anchors) = (score.best_of_modes, score.anchors_best_of_20);
         Self {
@@ -86,7 +86,8 @@ impl ModelCard {
             ..options.clone()
         };
         Self {
-            about: "STG-DAT: forecasts of vehicles, cyclists and pedestrians from their last 3.2 s".to_owned(),
+            about: "STG-DAT: forecasts of vehicles, cyclists and pedestrians from their last 3.2 s"
+                .to_owned(),
             options,
             step: progress.best_step,
             wall_s: progress.seconds.round(),
@@ -100,8 +101,13 @@ impl ModelCard {
     }
 
     /// The bytes of a weights file with this card.
-    pub(crate) fn weights_file(&self, parameters: &Parameters, precision: Precision) -> Result<Vec<u8>, TrainError> {
-        let json = |value: serde_json::Result<String>| value.map_err(|error| TrainError::Options(error.to_string()));
+    pub(crate) fn weights_file(
+        &self,
+        parameters: &Parameters,
+        precision: Precision,
+    ) -> Result<Vec<u8>, TrainError> {
+        let json =
+            |value: serde_json::Result<String>| value.map_err(|error| TrainError::Options(error.to_string()));
         let metadata = HashMap::from([
             ("config".to_owned(), json(serde_json::to_string(&self.options.model))?),
             ("card".to_owned(), json(serde_json::to_string(self))?),

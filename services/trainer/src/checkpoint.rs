@@ -67,7 +67,8 @@ impl State {
         let mut all = Parameters::default();
         let mut add = |prefix: &str, parameters: &Parameters| {
             let named = parameters.tensors.iter();
-            all.tensors.extend(named.map(|(name, parameter)| (format!("{prefix}/{name}"), parameter.clone())));
+            all.tensors
+                .extend(named.map(|(name, parameter)| (format!("{prefix}/{name}"), parameter.clone())));
         };
         add("value", &self.parameters);
         add("average", self.adam.average());
@@ -109,7 +110,8 @@ impl State {
             entries.iter_mut().for_each(|entry| entry.name = format!("{prefix}/{}", entry.name));
             let mut parameters = Parameters::from_safetensors(&bytes, &entries, device)?;
             let named = std::mem::take(&mut parameters.tensors).into_iter();
-            parameters.tensors = named.map(|(name, value)| (name[prefix.len() + 1..].to_owned(), value)).collect();
+            parameters.tensors =
+                named.map(|(name, value)| (name[prefix.len() + 1..].to_owned(), value)).collect();
             Ok::<Parameters, TrainError>(parameters)
         };
         let all = [Role::Learned, Role::Statistic, Role::Fixed];

@@ -42,7 +42,7 @@ pub fn kl(mean: Tensor<2>, sigma: f64) -> Tensor<1> {
 
 /// Unbiased squared maximum mean discrepancy between two sets of latents `[n, 32]`, n > 1 each.
 #[must_use]
-pub fn mmd(a: Tensor<2>, b: Tensor<2>) -> Tensor<1> {
+pub fn mmd(a: &Tensor<2>, b: &Tensor<2>) -> Tensor<1> {
     let latent_len = a.dims()[1];
     let kernel = |x: &Tensor<2>, y: &Tensor<2>| {
         let squared = squared_distances(x.clone(), y.clone());
@@ -60,7 +60,7 @@ pub fn mmd(a: Tensor<2>, b: Tensor<2>) -> Tensor<1> {
         // The diagonal of every kernel is 1 and does not count.
         (kernel(x, x).sum() - len * KERNEL_SCALES.len() as f64) / (len * (len - 1.0))
     };
-    within(&a) + within(&b) - kernel(&a, &b).mean() * 2.0
+    within(a) + within(b) - kernel(a, b).mean() * 2.0
 }
 
 /// Squared distances `[n, m]` between the rows of `a` and `b`; exactly zero between equal rows.
@@ -81,7 +81,9 @@ pub fn mode_cross_entropy(logits: Tensor<2>, winner: Tensor<2>) -> Tensor<1> {
 
 /// Energy score of a forecast that is known by two draws, per trajectory `[rows]`:
 ///
-///     ½ (‖X₁ − y‖ + ‖X₂ − y‖) − ½ ‖X₁ − X₂‖        mean over the steps that count
+/// ```text
+/// ½ (‖X₁ − y‖ + ‖X₂ − y‖) − ½ ‖X₁ − X₂‖        mean over the steps that count
+/// ```
 ///
 /// A proper score: on average no spread of the draws does better than the true one, so it calibrates the covariances of
 /// the controls by what they do to positions, correlations between steps included.

@@ -19,10 +19,10 @@ use nn::{ModelConfig, Stem};
 pub use attention::{Edges, Round, Summary};
 pub use decoder::Controls;
 pub(crate) use decoder::{Decoder, repeat};
-pub(crate) use layers::Statistics;
 pub use layers::Normalisation;
-pub(crate) use layout::LATENT;
+pub(crate) use layers::Statistics;
 pub use layout::{Entry, TYPE_NAMES, initial, layout};
+pub(crate) use layout::{LATENT, units};
 
 use crate::parameters::Weights;
 use attention::{AttentionShape, with_zero_row};
@@ -117,14 +117,16 @@ fn attend(weights: &Weights, config: &ModelConfig, graph: &Graph, node: Tensor<2
     let (mut last_node, mut last_edge) = (node.clone(), edge.clone());
     for round in 0..config.rounds {
         let last = round + 1 == config.rounds;
-        let done = attention::topological(weights, shape, round, (last_node, last_edge.clone()), &graph.edges, last);
+        let done =
+            attention::topological(weights, shape, round, (last_node, last_edge.clone()), &graph.edges, last);
         last_node = done.node.clone();
         last_edge = done.edge.clone().unwrap_or(last_edge);
         rounds.push(done);
     }
     let [agents_len, steps_len] = graph.absent.dims();
     let width = last_node.dims()[1];
-    let by_step = with_zero_row(last_node).select(0, graph.steps.clone()).reshape([agents_len, steps_len, width]);
+    let by_step =
+        with_zero_row(last_node).select(0, graph.steps.clone()).reshape([agents_len, steps_len, width]);
     let summary = attention::temporal(weights, shape.leaky_slope, by_step, graph.absent.clone());
     Encoded { node, edge, rounds, summary }
 }

@@ -65,7 +65,7 @@ fn saturate(values: Tensor<3>, limit: f32) -> Tensor<3> {
 /// Positions `[rows, steps, 2]` of agents that move by `controls` `[rows, steps, 2]` a step, beyond their constant
 /// velocity `[rows, 2]` where displacements are residual.
 #[must_use]
-pub fn displace(config: &ModelConfig, velocity_mps: &Tensor<2>, controls: Tensor<3>) -> Tensor<3> {
+pub fn displace(config: &ModelConfig, velocity_mps: &Tensor<2>, controls: &Tensor<3>) -> Tensor<3> {
     let [rows_len, steps_len, _] = controls.dims();
     let carried = match config.displacement {
         Displacement::Residual => velocity_mps.clone() * config.dt_s,

@@ -36,6 +36,8 @@ pub enum Objective {
         probability: f64,
         /// Weight of the energy score, which calibrates the covariances.
         spread: f64,
+        /// Weight of a vehicle beside any other agent: its errors, and even more their gradients, are larger.
+        vehicle: f64,
         /// Modes, nearest by the base control, among which the network's own output chooses the winner.
         candidates: usize,
     },
@@ -51,7 +53,14 @@ impl Objective {
     /// The default loss.
     #[must_use]
     pub const fn plus() -> Self {
-        Self::Plus { random_mode: 0.05, single: 0.3, probability: 0.05, spread: 0.05, candidates: 20 }
+        Self::Plus {
+            random_mode: 0.05,
+            single: 0.3,
+            probability: 0.05,
+            spread: 0.05,
+            vehicle: 0.3,
+            candidates: 8,
+        }
     }
 }
 
@@ -106,9 +115,13 @@ pub(crate) fn loss(
     let forecasts: Vec<TypeForecast<'_>> =
         (0..3).filter_map(|of_type| TypeForecast::new(leaves, config, batch, &encoded, of_type)).collect();
     let terms = match *objective {
-        Objective::Plus { candidates, .. } => {
-            let per_type = forecasts.iter().map(|forecast| plus(forecast, frozen, config, candidates, random));
-            let sums = per_type.reduce(|sum, terms| std::array::from_fn(|i| sum[i].clone() + terms[i].clone()))?;
+        Objective::Plus { candidates, vehicle, .. } => {
+            let per_type = forecasts.iter().map(|forecast| {
+                let weight = if forecast.agent_type == 0 { vehicle } else { 1.0 };
+                plus(forecast, frozen, config, candidates, random).map(|term| term * weight)
+            });
+            let sums =
+                per_type.reduce(|sum, terms| std::array::from_fn(|i| sum[i].clone() + terms[i].clone()))?;
             sums.map(|sum| sum / counted)
         }
         Objective::Paper { sigma, .. } => {
@@ -125,8 +138,7 @@ pub(crate) fn loss(
         Objective::Paper { gamma, alpha, beta, .. } => [gamma, 0.0, 0.0, alpha, beta],
     };
     let parts = terms.clone().map(|term| host(term)[0]);
-    let parts =
-        LossParts { trajectory: parts[0], single: parts[2], probability: parts[3], spread: parts[4] };
+    let parts = LossParts { trajectory: parts[0], single: parts[2], probability: parts[3], spread: parts[4] };
     let weighted = terms.into_iter().zip(weights).map(|(term, weight)| term * weight);
     let loss = weighted.reduce(|sum, term| sum + term)?;
     Some(Step { loss, parts, statistics })
@@ -223,13 +235,14 @@ fn paper(
         let latent = latent.clone().slice([forecast.agents.clone()]).unsqueeze_dim::<3>(1);
         let (truth, counts) = forecast.truth(1);
         let counted = counts.clone().sum();
-        loss::mean_squared_displacement(forecast.with_latent(latent, None).positions, truth, &counts) * counted
+        loss::mean_squared_displacement(forecast.with_latent(latent, None).positions, truth, &counts)
+            * counted
     });
     let squared = squared.reduce(|sum, term| sum + term)?;
     let counted = forecasts.iter().map(|forecast| forecast.truth(1).1.sum()).reduce(|sum, len| sum + len)?;
     let divergence = loss::kl(mean.clone(), sigma).mean();
     let discrepancy =
-        if agents_len > 1 { loss::mmd(latent, normal(agents_len)) } else { Tensor::zeros([1], &device) };
+        if agents_len > 1 { loss::mmd(&latent, &normal(agents_len)) } else { Tensor::zeros([1], &device) };
     let zero = Tensor::zeros([1], &device);
     Some([squared / counted, zero.clone(), zero, divergence, discrepancy])
 }

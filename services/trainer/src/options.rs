@@ -17,8 +17,8 @@ pub struct TrainOptions {
     pub sets: Vec<String>,
     /// Names of the data sets to validate on.
     pub validation_sets: Vec<String>,
-    /// Of every recording, each how-manieth window is used.
-    pub stride: usize,
+    /// Windows of each data set to learn from, at most; spread evenly over the set.
+    pub windows: usize,
     /// Safetensors file to write.
     pub out: PathBuf,
     /// Folder for checkpoints.
@@ -39,6 +39,8 @@ pub struct TrainOptions {
     pub without_map: f64,
     /// Share of the agents whose history is cut to a random length of two steps or more.
     pub short_history: f64,
+    /// Share of the agents whose history is made noisy.
+    pub noisy_history: f64,
     /// Updates between two validations.
     pub validate_every: u64,
     /// Agents of each set in a validation during training, at most.
@@ -68,7 +70,7 @@ impl Default for TrainOptions {
             data: PathBuf::from("data"),
             sets: names(&learned),
             validation_sets: names(&validated),
-            stride: 2,
+            windows: 20_000,
             out: PathBuf::from("weights.safetensors"),
             checkpoints: PathBuf::from("checkpoints"),
             resume: false,
@@ -79,6 +81,7 @@ impl Default for TrainOptions {
             neighbours: 8,
             without_map: 0.3,
             short_history: 0.3,
+            noisy_history: 0.15,
             validate_every: 500,
             validation_agents: 400,
             patience: 12,
@@ -99,17 +102,23 @@ impl TrainOptions {
         let refuse = |reason: &str| Err(TrainError::Options(reason.to_owned()));
         let points = self.model.latents == Latents::Points;
         match self.objective {
-            Objective::Plus { .. } if !(points && self.model.best_latent && self.model.mode_head) => {
-                refuse("the plus objective needs model.latents = \"points\", model.best_latent and model.mode_head")
-            }
+            Objective::Plus { .. } if !(points && self.model.best_latent && self.model.mode_head) => refuse(
+                "the plus objective needs model.latents = \"points\", model.best_latent and model.mode_head",
+            ),
             Objective::Paper { .. } if points || self.model.base => {
                 refuse("the paper objective needs model.latents = \"normal\" and no model.base")
             }
             _ if self.model.history_len < 2 => refuse("model.history_len must be 2 or more"),
-            _ if self.batch_agents == 0 || self.scene_agents == 0 || self.neighbours == 0 => {
-                refuse("batch_agents, scene_agents and neighbours must be 1 or more")
+            _ if self.batch_agents == 0
+                || self.scene_agents == 0
+                || self.neighbours == 0
+                || self.windows == 0 =>
+            {
+                refuse("windows, batch_agents, scene_agents and neighbours must be 1 or more")
             }
-            _ if self.steps == 0 || self.validate_every == 0 => refuse("steps and validate_every must be 1 or more"),
+            _ if self.steps == 0 || self.validate_every == 0 => {
+                refuse("steps and validate_every must be 1 or more")
+            }
             _ => Ok(()),
         }
     }

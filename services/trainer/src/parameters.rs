@@ -51,8 +51,10 @@ impl Weights {
     /// Panics where the model has no such tensor or its rank is not `D`: [`crate::model::layout`] lists the names.
     #[must_use]
     pub fn get<const D: usize>(&self, name: &str) -> Tensor<D> {
-        let (shape, value) = self.tensors.get(name).unwrap_or_else(|| panic!("the model has no tensor `{name}`"));
-        let shape: [usize; D] = shape.as_slice().try_into().unwrap_or_else(|_| panic!("`{name}` has another rank"));
+        let (shape, value) =
+            self.tensors.get(name).unwrap_or_else(|| panic!("the model has no tensor `{name}`"));
+        let shape: [usize; D] =
+            shape.as_slice().try_into().unwrap_or_else(|_| panic!("`{name}` has another rank"));
         value.clone().reshape(shape)
     }
 
@@ -99,9 +101,10 @@ impl Parameters {
     }
 
     fn weights(&self, value: impl Fn(&Parameter) -> Tensor<1>) -> Weights {
-        let tensors = self.tensors.iter().map(|(name, parameter)| {
-            (name.clone(), (parameter.shape.clone(), value(parameter)))
-        });
+        let tensors = self
+            .tensors
+            .iter()
+            .map(|(name, parameter)| (name.clone(), (parameter.shape.clone(), value(parameter))));
         Weights { tensors: tensors.collect() }
     }
 
@@ -136,7 +139,9 @@ impl Parameters {
             .collect();
         let views = bytes
             .iter()
-            .map(|(name, shape, bytes)| Ok((*name, TensorView::new(precision.dtype(), shape.to_vec(), bytes)?)))
+            .map(|(name, shape, bytes)| {
+                Ok((*name, TensorView::new(precision.dtype(), shape.to_vec(), bytes)?))
+            })
             .collect::<Result<Vec<_>, safetensors::SafeTensorError>>()?;
         Ok(safetensors::serialize(views, Some(metadata))?)
     }
@@ -146,7 +151,11 @@ impl Parameters {
     /// # Errors
     ///
     /// Returns an error where the file is malformed, a tensor is missing, or its shape or type is another.
-    pub fn from_safetensors(bytes: &[u8], layout: &[crate::model::Entry], device: &Device) -> Result<Self, TrainError> {
+    pub fn from_safetensors(
+        bytes: &[u8],
+        layout: &[crate::model::Entry],
+        device: &Device,
+    ) -> Result<Self, TrainError> {
         let file = SafeTensors::deserialize(bytes)?;
         let mut parameters = Self::default();
         for entry in layout {
@@ -158,8 +167,10 @@ impl Parameters {
                     found: view.shape().to_vec(),
                 });
             }
-            let values = decode(view.dtype(), view.data())
-                .ok_or_else(|| TrainError::ElementType { name: entry.name.clone(), found: format!("{:?}", view.dtype()) })?;
+            let values = decode(view.dtype(), view.data()).ok_or_else(|| TrainError::ElementType {
+                name: entry.name.clone(),
+                found: format!("{:?}", view.dtype()),
+            })?;
             parameters.insert(&entry.name, &entry.shape, values, entry.role, device);
         }
         Ok(parameters)
@@ -197,7 +208,9 @@ fn decode(dtype: Dtype, bytes: &[u8]) -> Option<Vec<f32>> {
         Dtype::F32 => {
             Some(bytes.chunks_exact(4).map(|b| f32::from_le_bytes([b[0], b[1], b[2], b[3]])).collect())
         }
-        Dtype::F16 => Some(bytes.chunks_exact(2).map(|b| f16::from_le_bytes([b[0], b[1]]).to_f32()).collect()),
+        Dtype::F16 => {
+            Some(bytes.chunks_exact(2).map(|b| f16::from_le_bytes([b[0], b[1]]).to_f32()).collect())
+        }
         _ => None,
     }
 }

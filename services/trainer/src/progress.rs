@@ -28,7 +28,9 @@ impl Progress {
         let is_terminal = std::io::stderr().is_terminal();
         let bar = if is_terminal { ProgressBar::new(steps) } else { ProgressBar::hidden() };
         let template = "{bar:30} {pos}/{len}  {per_sec}  {eta} left  {msg}";
-        bar.set_style(ProgressStyle::with_template(template).unwrap_or_else(|_| ProgressStyle::default_bar()));
+        bar.set_style(
+            ProgressStyle::with_template(template).unwrap_or_else(|_| ProgressStyle::default_bar()),
+        );
         bar.set_length(steps);
         bar.set_position(step);
         bar.reset_eta();

@@ -50,7 +50,7 @@ impl<'a> TypeForecast<'a> {
         let decoder = Decoder::new(weights, TYPE_NAMES[agent_type]);
         let encoding = encoded.summary.encoding.clone().slice([agents.clone()]);
         let present = batch.present.clone().slice([agents.clone()]);
-        let hidden = decoder.burn_in(batch.state.clone().slice([agents.clone()]), &present);
+        let hidden = decoder.burn_in(&batch.state.clone().slice([agents.clone()]), &present);
         Some(Self { config, batch, weights, decoder, agent_type, agents, encoding, hidden })
     }
 
@@ -83,7 +83,8 @@ impl<'a> TypeForecast<'a> {
             points = Tensor::cat(vec![points, best.unsqueeze()], 0);
         }
         let device = points.device();
-        let latent = points.select(0, integers(modes, &device)).reshape([self.agents.len(), draws_len, LATENT]);
+        let latent =
+            points.select(0, integers(modes, &device)).reshape([self.agents.len(), draws_len, LATENT]);
         self.with_latent(latent, Some(self.base(modes, draws_len)))
     }
 
@@ -109,14 +110,20 @@ impl<'a> TypeForecast<'a> {
             return motion::drive(self.config, &start, controls).narrow(2, 0, 2);
         }
         let velocity = self.batch.velocity_mps.clone().slice([self.agents.clone()]);
-        motion::displace(self.config, &crate::model::repeat(velocity, draws_len), controls)
+        motion::displace(self.config, &crate::model::repeat(velocity, draws_len), &controls)
     }
 
     /// True positions and what of them counts, repeated for every draw.
     pub(crate) fn truth(&self, draws_len: usize) -> (Tensor<3>, Tensor<2>) {
         let horizon_len = self.config.horizon_len;
-        let truth = self.batch.truth.clone().slice([self.agents.clone()]).reshape([self.agents.len(), horizon_len * 2]);
-        let truth = crate::model::repeat(truth, draws_len).reshape([self.agents.len() * draws_len, horizon_len, 2]);
+        let truth = self
+            .batch
+            .truth
+            .clone()
+            .slice([self.agents.clone()])
+            .reshape([self.agents.len(), horizon_len * 2]);
+        let truth =
+            crate::model::repeat(truth, draws_len).reshape([self.agents.len() * draws_len, horizon_len, 2]);
         let counts = crate::model::repeat(self.batch.counts.clone().slice([self.agents.clone()]), draws_len);
         (truth, counts)
     }
@@ -130,8 +137,15 @@ impl<'a> TypeForecast<'a> {
             .map(|(row, mode)| (self.agents.start + row / draws_len) * anchors_len + mode)
             .collect();
         let anchors = self.batch.anchors.clone();
-        let anchors = anchors.reshape([-1, 2 * horizon_len as i64]).select(0, integers(&rows, &self.batch.ridge.device()));
-        let ridge = self.batch.ridge.clone().slice([self.agents.clone()]).reshape([self.agents.len(), 2 * horizon_len]);
+        let anchors = anchors
+            .reshape([-1, 2 * horizon_len as i64])
+            .select(0, integers(&rows, &self.batch.ridge.device()));
+        let ridge = self
+            .batch
+            .ridge
+            .clone()
+            .slice([self.agents.clone()])
+            .reshape([self.agents.len(), 2 * horizon_len]);
         (crate::model::repeat(ridge, draws_len) + anchors).reshape([modes.len(), horizon_len, 2])
     }
 }

@@ -27,7 +27,12 @@ pub(crate) struct Agent {
 }
 
 impl Agent {
-    fn new(agent: &WindowAgent, patches: Vec<Option<usize>>, config: &ModelConfig) -> Self {
+    fn new(
+        agent: &WindowAgent,
+        patches: Vec<Option<usize>>,
+        given: GivenMotion,
+        config: &ModelConfig,
+    ) -> Self {
         let history_len = agent.history.len();
         let positions: Vec<Option<[f32; 2]>> = agent
             .history
@@ -37,12 +42,19 @@ impl Agent {
             .collect();
         let mut states = vec![None; positions.len()];
         scene::states_from_positions(&positions, history_len, config.dt_s as f32, &mut states);
-        let newest_two = agent.history.iter().rev().take(2).all(Option::is_some) && history_len >= 2;
+        let future = states.split_off(history_len);
+        let history: Vec<Option<State>> = agent
+            .history
+            .iter()
+            .zip(states)
+            .map(|(recorded, differenced)| Some(given.choose((*recorded)?, differenced?)))
+            .collect();
+        let newest_two = history_len >= 2 && history.iter().rev().take(2).all(Option::is_some);
         Self {
             agent_type: agent.agent_type,
             length_m: (agent.length_m > 0.0).then_some(agent.length_m),
-            history: agent.history.clone(),
-            future: states.split_off(history_len),
+            history,
+            future,
             patches,
             counts: newest_two && agent.future.iter().all(Option::is_some),
         }
@@ -57,6 +69,36 @@ impl Agent {
     /// Recorded positions of the forecast steps.
     pub(crate) fn future_m(&self) -> Vec<Option<[f32; 2]>> {
         self.future.iter().map(|state| state.map(|state| state.position_m)).collect()
+    }
+}
+
+/// Which parts of an agent's motion the recording tells. The others are differences over the model's step: those over
+/// the frames of a fast recording would be mostly noise, which no tracker passes on.
+#[derive(Clone, Copy)]
+struct GivenMotion {
+    velocity: bool,
+    heading: bool,
+}
+
+impl GivenMotion {
+    /// What all detections of the recording have.
+    fn of(recording: &Recording) -> Self {
+        let all = |flag: u32| {
+            let mut detections = recording.frames.iter().flat_map(|frame| &frame.detections);
+            detections.all(|detection| detection.has(flag))
+        };
+        Self {
+            velocity: all(wire::detection_flags::HAS_SPEED),
+            heading: all(wire::detection_flags::HAS_HEADING),
+        }
+    }
+
+    fn choose(self, recorded: State, differenced: State) -> State {
+        State {
+            position_m: recorded.position_m,
+            velocity_mps: if self.velocity { recorded.velocity_mps } else { differenced.velocity_mps },
+            heading_rad: if self.heading { recorded.heading_rad } else { differenced.heading_rad },
+        }
     }
 }
 
@@ -80,7 +122,9 @@ pub(crate) struct Patches {
 impl Patches {
     /// Appends the values of a patch.
     pub(crate) fn extend(&self, patch: usize, values: &mut Vec<f32>) {
-        values.extend(self.values[patch * self.patch_len..][..self.patch_len].iter().map(|value| value.to_f32()));
+        values.extend(
+            self.values[patch * self.patch_len..][..self.patch_len].iter().map(|value| value.to_f32()),
+        );
     }
 }
 
@@ -118,14 +162,14 @@ impl SetSamples {
 }
 
 impl Samples {
-    /// Reads a part of the data sets below `root`, keeping every `stride`-th window.
+    /// Reads a part of the data sets below `root`, keeping at most `windows_max` evenly spread windows of each set.
     ///
     /// `progress` is told the path of each file before it is read.
     pub(crate) fn read(
         root: &Path,
         sets: &[DataSet],
         part: Part,
-        stride: usize,
+        windows_max: usize,
         config: &ModelConfig,
         mut progress: impl FnMut(&Path),
     ) -> Result<Self, TrainError> {
@@ -136,7 +180,7 @@ impl Samples {
                 progress(&path);
                 let recording = data::open(&path, Some(set.format()))?;
                 let number = samples.sources.len();
-                let (mut of_recording, patches) = cut(&recording, number, stride, config);
+                let (mut of_recording, patches) = cut(&recording, number, config);
                 scenes.append(&mut of_recording);
                 samples.patches.push(patches);
                 samples.sources.push(Source {
@@ -145,6 +189,8 @@ impl Samples {
                     sha256: recording.sha256,
                 });
             }
+            let stride = scenes.len().div_ceil(windows_max).max(1);
+            let scenes = scenes.into_iter().step_by(stride).collect();
             samples.sets.push(SetSamples { set, scenes });
         }
         Ok(samples)
@@ -157,22 +203,28 @@ impl Samples {
 }
 
 /// Scenes and patches of a recording.
-fn cut(recording: &Recording, number: usize, stride: usize, config: &ModelConfig) -> (Vec<Scene>, Patches) {
+fn cut(recording: &Recording, number: usize, config: &ModelConfig) -> (Vec<Scene>, Patches) {
     let step_ns = config.step_ns() as i64;
     let options = WindowOptions::new(config.history_len, config.horizon_len, step_ns);
     let windows = data::windows(recording, &options);
     let (patches, numbers) = cut_patches(recording, &windows, number, config);
+    let given = GivenMotion::of(recording);
     let scene = |window: &Window| {
         let agents = window.agents.iter().map(|agent| {
             let steps = (config.history_len + config.horizon_len) as i64;
             let first_ns = window.stamp_ns - (config.history_len as i64 - 1) * step_ns;
             let stamps = (0..steps).map(|step| first_ns + step * step_ns);
-            Agent::new(agent, stamps.map(|stamp_ns| numbers.get(&(agent.id, stamp_ns)).copied()).collect(), config)
+            Agent::new(
+                agent,
+                stamps.map(|stamp_ns| numbers.get(&(agent.id, stamp_ns)).copied()).collect(),
+                given,
+                config,
+            )
         });
         Scene { recording: number, agents: agents.collect() }
     };
-    let scenes = windows.iter().step_by(stride.max(1)).map(scene);
-    (scenes.filter(|scene| scene.agents.iter().any(|agent| agent.counts)).collect(), patches)
+    let scenes = windows.iter().map(scene).filter(|scene| scene.agents.iter().any(|agent| agent.counts));
+    (scenes.collect(), patches)
 }
 
 /// The patches of every agent and window, and their numbers by (identity, stamp).

@@ -1,5 +1,8 @@
 //! The training loop.
 
+#[cfg(test)]
+mod tests;
+
 use std::time::Instant;
 
 use burn::tensor::Device;
@@ -65,18 +68,23 @@ struct Run<'a> {
 }
 
 impl<'a> Run<'a> {
-    fn prepare(options: &'a TrainOptions, device: &'a Device, progress: &Progress) -> Result<Self, TrainError> {
-        let read = |names: &[String], part: Part, stride: usize| {
-            let sets = names.iter().map(|name| set_named(name)).collect::<Result<Vec<DataSet>, TrainError>>()?;
+    fn prepare(
+        options: &'a TrainOptions,
+        device: &'a Device,
+        progress: &Progress,
+    ) -> Result<Self, TrainError> {
+        let read = |names: &[String], part: Part, windows_max: usize| {
+            let sets =
+                names.iter().map(|name| set_named(name)).collect::<Result<Vec<DataSet>, TrainError>>()?;
             let tell = |path: &std::path::Path| progress.reading(path);
-            let samples = Samples::read(&options.data, &sets, part, stride, &options.model, tell)?;
+            let samples = Samples::read(&options.data, &sets, part, windows_max, &options.model, tell)?;
             if samples.counted().next().is_none() {
                 return Err(TrainError::NoWindows { part: part.name(), root: options.data.clone() });
             }
             Ok(samples)
         };
-        let training = read(&options.sets, Part::Train, options.stride)?;
-        let validation = read(&options.validation_sets, Part::Validation, 1)?;
+        let training = read(&options.sets, Part::Train, options.windows)?;
+        let validation = read(&options.validation_sets, Part::Validation, usize::MAX)?;
         for set in &training.sets {
             let (windows, agents) = (set.scenes.len(), set.counted().count());
             progress.note(&format!("{}: {windows} windows, {agents} agents", set.set.name()));
@@ -98,13 +106,18 @@ impl<'a> Run<'a> {
         let mut base = BaseControl::zero(&options.model);
         if options.model.base {
             progress.note("fitting the base control");
-            base = BaseControl::fit(&options.model, self.training.counted(), options.seed);
+            base = BaseControl::fit(&options.model, || self.training.counted(), options.seed);
             base.store(&mut parameters, device);
         }
         Ok((State::new(parameters, options), base))
     }
 
-    fn learn(&self, state: &mut State, base: &BaseControl, progress: &mut Progress) -> Result<(), TrainError> {
+    fn learn(
+        &self,
+        state: &mut State,
+        base: &BaseControl,
+        progress: &mut Progress,
+    ) -> Result<(), TrainError> {
         let options = self.options;
         let (begun, before_s) = (Instant::now(), state.progress.seconds);
         let mut diverged = 0;

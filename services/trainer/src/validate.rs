@@ -64,8 +64,15 @@ impl SetScore {
     pub fn relative(&self) -> f64 {
         let sum = |errors: Errors| errors.ade_m + 0.5 * errors.fde_m;
         let ratio = |ours: Errors, theirs: Errors| sum(ours) / sum(theirs).max(1e-9);
-        (ratio(self.best_of_modes, self.anchors_best_of_20) + 0.3 * ratio(self.single, self.constant_velocity)) / 1.3
+        (ratio(self.best_of_modes, self.anchors_best_of_20)
+            + 0.3 * ratio(self.single, self.constant_velocity))
+            / 1.3
     }
+}
+
+/// A figure to four decimals: the rest is noise, and not worth its place in a card.
+pub(crate) fn rounded(value: f64) -> f64 {
+    (value * 1e4).round() / 1e4
 }
 
 /// Figure by which checkpoints are chosen: the mean of [`SetScore::relative`] over the sets.
@@ -160,8 +167,8 @@ impl Validation<'_> {
             }
         }
         let errors = |mean: DisplacementMean| Errors {
-            ade_m: mean.ade_m.value().unwrap_or_default(),
-            fde_m: mean.fde_m.value().unwrap_or_default(),
+            ade_m: rounded(mean.ade_m.value().unwrap_or_default()),
+            fde_m: rounded(mean.fde_m.value().unwrap_or_default()),
         };
         SetScore {
             set: set.set.name().to_owned(),
@@ -189,7 +196,9 @@ impl Validation<'_> {
         let batch = Batch::new(scenes, options);
         let encoded = model::encode(weights, config, &batch.graph, &mut Statistics::new());
         for agent_type in 0..3 {
-            let Some(forecast) = TypeForecast::new(weights, config, &batch, &encoded, agent_type) else { continue };
+            let Some(forecast) = TypeForecast::new(weights, config, &batch, &encoded, agent_type) else {
+                continue;
+            };
             let [modes, single] = self.trajectories(&forecast);
             let [base_modes, base_single] = self.base_trajectories(&forecast);
             for (i, position) in forecast.agents.clone().enumerate() {
@@ -237,7 +246,10 @@ impl Validation<'_> {
         };
         let modes = forecast.with_latent(normal(modes_len), None).positions;
         let mean = Tensor::zeros([agents_len, 1, LATENT], self.device);
-        [Trajectories::new(modes, modes_len), Trajectories::new(forecast.with_latent(mean, None).positions, 1)]
+        [
+            Trajectories::new(modes, modes_len),
+            Trajectories::new(forecast.with_latent(mean, None).positions, 1),
+        ]
     }
 
     fn base_trajectories(&self, forecast: &TypeForecast<'_>) -> [Trajectories; 2] {

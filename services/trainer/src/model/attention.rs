@@ -59,10 +59,12 @@ pub(crate) fn topological(
     let [_, edge_width] = edge.dims();
     let per_dimension = |len: usize| if shape.distance_scale { 1.0 / len as f64 } else { 1.0 };
 
-    let difference = node.clone().select(0, edges.receiver.clone()) - node.clone().select(0, edges.sender.clone());
+    let difference =
+        node.clone().select(0, edges.receiver.clone()) - node.clone().select(0, edges.sender.clone());
     let distance = difference.square().sum_dim(1) * per_dimension(width);
     let length = edge.clone().square().sum_dim(1) * per_dimension(edge_width);
-    let coefficient = |raw: &str| activation::softplus(weights.get::<1>(&format!("{name}.{raw}")), 1.0).unsqueeze();
+    let coefficient =
+        |raw: &str| activation::softplus(weights.get::<1>(&format!("{name}.{raw}")), 1.0).unsqueeze();
     let score: Tensor<2> = -(distance * coefficient("lambda_raw") + length * coefficient("mu_raw"));
     let score = by_slot(score, edges).reshape([rows_len, slots_len, shape.heads]);
     let empty = edges.empty.clone().unsqueeze_dim::<3>(2).expand([rows_len, slots_len, shape.heads]);
@@ -77,19 +79,25 @@ pub(crate) fn topological(
     let message = by_slot(activation::leaky_relu(message, shape.leaky_slope), edges);
     let message = message.reshape([rows_len, slots_len, shape.heads, width / shape.heads]);
     let node = (message * alpha.clone().unsqueeze_dim::<4>(3)).sum_dim(1).reshape([rows_len, width]);
-    let edge = (!last).then(|| update_edge(weights, &name, node.clone(), edge, edges));
+    let edge = (!last).then(|| update_edge(weights, &name, &node, &edge, edges));
     Round { alpha, node, edge }
 }
 
 /// `MLP([v̄_i ‖ v̄_j ‖ e_ij])` for every edge; the node parts of the first matrix are multiplied once per node.
-fn update_edge(weights: &Weights, name: &str, node: Tensor<2>, edge: Tensor<2>, edges: &Edges) -> Tensor<2> {
+fn update_edge(
+    weights: &Weights,
+    name: &str,
+    node: &Tensor<2>,
+    edge: &Tensor<2>,
+    edges: &Edges,
+) -> Tensor<2> {
     let width = node.dims()[1];
     let first = weights.get::<2>(&format!("{name}.edge.0.weight")).transpose();
     let bias = weights.get::<1>(&format!("{name}.edge.0.bias")).unsqueeze();
-    let part = |start: usize, end: usize| first.clone().slice([start..end]);
+    let part = |start: usize, len: usize| first.clone().narrow(0, start, len);
     let receiver = node.clone().matmul(part(0, width)).select(0, edges.receiver.clone());
-    let sender = node.matmul(part(width, 2 * width)).select(0, edges.sender.clone());
-    let own = edge.clone().matmul(part(2 * width, 2 * width + edge.dims()[1]));
+    let sender = node.clone().matmul(part(width, width)).select(0, edges.sender.clone());
+    let own = edge.clone().matmul(part(2 * width, edge.dims()[1]));
     let hidden = activation::relu(receiver + sender + own + bias);
     super::layers::dense(weights, &format!("{name}.edge.1"), hidden)
 }
@@ -115,7 +123,12 @@ pub struct Summary {
 }
 
 /// Sums `node` `[agents, steps, 64]` over the steps that are not `absent` `[agents, steps]`.
-pub(crate) fn temporal(weights: &Weights, leaky_slope: f64, node: Tensor<3>, absent: Tensor<2, Bool>) -> Summary {
+pub(crate) fn temporal(
+    weights: &Weights,
+    leaky_slope: f64,
+    node: Tensor<3>,
+    absent: Tensor<2, Bool>,
+) -> Summary {
     let [agents_len, steps_len, width] = node.dims();
     let flat = node.reshape([agents_len * steps_len, width]);
     let score_weight = weights.get::<2>("gdat.temporal.score.weight");
@@ -130,7 +143,8 @@ pub(crate) fn temporal(weights: &Weights, leaky_slope: f64, node: Tensor<3>, abs
     let absent = absent.unsqueeze_dim::<3>(2).expand([agents_len, steps_len, heads]);
     let score = activation::leaky_relu(score, leaky_slope).reshape([agents_len, steps_len, heads]);
     let beta = activation::softmax(score.mask_fill(absent.clone(), NO_EDGE), 1).mask_fill(absent, 0.0);
-    let value = activation::leaky_relu(value, leaky_slope).reshape([agents_len, steps_len, heads, width / heads]);
+    let value =
+        activation::leaky_relu(value, leaky_slope).reshape([agents_len, steps_len, heads, width / heads]);
     let encoding = (value * beta.clone().unsqueeze_dim::<4>(3)).sum_dim(1).reshape([agents_len, width]);
     Summary { beta, encoding }
 }

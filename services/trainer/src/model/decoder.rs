@@ -62,9 +62,9 @@ impl<'a> Decoder<'a> {
 
     /// Hidden state after the present history steps: `state` `[agents, steps, 6]`, `present` `[agents, steps]` of 0
     /// and 1.
-    pub(crate) fn burn_in(&self, state: Tensor<3>, present: &Tensor<2>) -> Tensor<2> {
+    pub(crate) fn burn_in(&self, state: &Tensor<3>, present: &Tensor<2>) -> Tensor<2> {
         let [agents_len, steps_len, features_len] = state.dims();
-        let matrix = self.input.clone().slice([0..features_len]);
+        let matrix = self.input.clone().narrow(0, 0, features_len);
         let mut hidden = Tensor::zeros([agents_len, HIDDEN], &self.input.device());
         for step in 0..steps_len {
             let input = state.clone().narrow(1, step, 1).reshape([agents_len, features_len]);
@@ -87,12 +87,11 @@ impl<'a> Decoder<'a> {
         let [agents_len, draws_len, latent_len] = latent.dims();
         let rows_len = agents_len * draws_len;
         let inputs_len = self.input.dims()[0];
-        let encoding_start = inputs_len - latent_len - encoding.dims()[1];
-        let by_encoding =
-            encoding.matmul(self.input.clone().slice([encoding_start..inputs_len - latent_len]));
-        let by_latent = latent
-            .reshape([rows_len, latent_len])
-            .matmul(self.input.clone().slice([inputs_len - latent_len..inputs_len]));
+        let encoding_len = encoding.dims()[1];
+        let latent_start = inputs_len - latent_len;
+        let part = |start: usize, len: usize| self.input.clone().narrow(0, start, len);
+        let by_encoding = encoding.matmul(part(latent_start - encoding_len, encoding_len));
+        let by_latent = latent.reshape([rows_len, latent_len]).matmul(part(latent_start, latent_len));
         let bias = self.input_bias.clone().unsqueeze::<2>();
         let mut gates = repeat(by_encoding, draws_len) + by_latent + bias.clone();
         let mut hidden = repeat(hidden.clone(), draws_len);
@@ -122,7 +121,8 @@ impl<'a> Decoder<'a> {
         );
         let reset = reset_update.clone().narrow(1, 0, HIDDEN);
         let update = reset_update.narrow(1, HIDDEN, HIDDEN);
-        let new = (gates.narrow(1, 2 * HIDDEN, HIDDEN) + reset * recurrent.narrow(1, 2 * HIDDEN, HIDDEN)).tanh();
+        let new =
+            (gates.narrow(1, 2 * HIDDEN, HIDDEN) + reset * recurrent.narrow(1, 2 * HIDDEN, HIDDEN)).tanh();
         new.clone() + update * (hidden - new)
     }
 }

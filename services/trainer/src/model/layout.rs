@@ -24,6 +24,16 @@ const CONTROL: usize = 5;
 const SOFTPLUS_OF_ONE: f32 = 0.541_324_9;
 /// The last layers that add to a base start this much smaller, so that training starts from the base.
 const SMALL: f32 = 0.02;
+/// ln of the deviations with which controls start: acceleration (m/s²) and slip rate (rad/s).
+const VEHICLE_LN_DEVIATION: [f32; 2] = [-0.7, -2.5];
+/// ln of the deviations with which displacements (m) start.
+const LN_DEVIATION: [f32; 2] = [-2.5, -2.5];
+
+/// Units of a vehicle's accelerations (m/s²) and slip rates (rad/s) in which the head is learned. Where a constant
+/// slip rate acts for 4.8 s at 10 m/s, 0.001 rad/s are more than a metre.
+const VEHICLE_UNITS: [f32; 2] = [0.2, 0.01];
+/// Units of displacements (m) in which the heads of the other types are learned.
+const UNITS: [f32; 2] = [0.1, 0.1];
 
 /// How a tensor is filled before training.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -33,6 +43,8 @@ enum Fill {
     Uniform(f32),
     /// Normal with the value as deviation.
     Normal(f32),
+    /// The bias of a decoder's head: means zero, logarithms of the deviations as given, no correlation.
+    Head([f32; 2]),
 }
 
 /// One tensor of a model.
@@ -78,16 +90,35 @@ pub fn initial(config: &ModelConfig, seed: u64, device: &Device) -> Parameters {
         let values = match entry.fill {
             Fill::Constant(value) => vec![value; len],
             Fill::Uniform(bound) => {
-                let uniform = Uniform::new_inclusive(-bound, bound).expect("the bound is positive and finite");
+                let uniform =
+                    Uniform::new_inclusive(-bound, bound).expect("the bound is positive and finite");
                 (0..len).map(|_| uniform.sample(&mut random)).collect()
             }
-            Fill::Normal(deviation) => {
-                (0..len).map(|_| deviation * Distribution::<f32>::sample(&StandardNormal, &mut random)).collect()
-            }
+            Fill::Normal(deviation) => (0..len)
+                .map(|_| deviation * Distribution::<f32>::sample(&StandardNormal, &mut random))
+                .collect(),
+            Fill::Head([first, second]) => vec![0.0, 0.0, first, second, 0.0],
         };
         parameters.insert(&entry.name, &entry.shape, values, entry.role, device);
     }
     parameters
+}
+
+/// Units in which a tensor is learned, as if value / unit were the parameter; `None` where all are 1.
+///
+/// The optimiser moves all its parameters by steps of about the same size. In a head's last layer such a step would
+/// throw every forecast metres off.
+pub(crate) fn units(name: &str, shape: &[usize]) -> Option<Vec<f32>> {
+    let of_decoder = name.strip_prefix("decoder.")?;
+    let (agent_type, _) = of_decoder.split_once(".head.")?;
+    let [first, second] = if agent_type == "vehicle" { VEHICLE_UNITS } else { UNITS };
+    let row_len: usize = shape[1..].iter().product();
+    Some(
+        [first, second, 1.0, 1.0, 1.0]
+            .into_iter()
+            .flat_map(|unit| std::iter::repeat_n(unit, row_len))
+            .collect(),
+    )
 }
 
 #[derive(Default)]
@@ -100,6 +131,11 @@ impl Entries {
 
     fn learned(&mut self, name: String, shape: &[usize], fill: Fill) {
         self.push(name, shape, Role::Learned, fill);
+    }
+
+    /// Fills a tensor that is listed already in another way.
+    fn learned_as(&mut self, name: &str, fill: Fill) {
+        self.0.iter_mut().filter(|entry| entry.name == name).for_each(|entry| entry.fill = fill);
     }
 
     /// A linear layer whose initial values are `scale` times PyTorch's.
@@ -187,6 +223,10 @@ impl Entries {
         self.learned(format!("{name}.gru.bias_hh"), &[3 * HIDDEN], bound);
         let scale = if config.base { SMALL } else { 1.0 };
         self.scaled_dense(&format!("{name}.head"), HIDDEN, CONTROL, scale);
+        if config.base {
+            let spread = if agent_type == "vehicle" { VEHICLE_LN_DEVIATION } else { LN_DEVIATION };
+            self.learned_as(&format!("{name}.head.bias"), Fill::Head(spread));
+        }
         if config.latents == Latents::Points {
             self.learned(format!("{name}.latents"), &[config.modes, LATENT], Fill::Normal(1.0));
         }

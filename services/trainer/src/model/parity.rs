@@ -33,7 +33,8 @@ impl Golden {
         let read = |file: &str| std::fs::read(folder.join(file)).unwrap();
         let bytes = read("weights.safetensors");
         let (_, header) = SafeTensors::read_metadata(&bytes).unwrap();
-        let config: ModelConfig = serde_json::from_str(&header.metadata().as_ref().unwrap()["config"]).unwrap();
+        let config: ModelConfig =
+            serde_json::from_str(&header.metadata().as_ref().unwrap()["config"]).unwrap();
         let device = Device::flex();
         let parameters = Parameters::from_safetensors(&bytes, &layout(&config), &device).unwrap();
         let scene: Value = serde_json::from_slice(&read("scene.json")).unwrap();
@@ -107,8 +108,10 @@ impl Golden {
             }
         }
         let device = &self.device;
-        let or_end = |list: &[Option<usize>], end: usize| list.iter().map(|i| i.unwrap_or(end)).collect::<Vec<_>>();
-        let ends = |at: usize| integers(&edges.iter().map(|e| row_of(e[0], e[at])).collect::<Vec<_>>(), device);
+        let or_end =
+            |list: &[Option<usize>], end: usize| list.iter().map(|i| i.unwrap_or(end)).collect::<Vec<_>>();
+        let ends =
+            |at: usize| integers(&edges.iter().map(|e| row_of(e[0], e[at])).collect::<Vec<_>>(), device);
         let empty = slots.iter().map(Option::is_none).collect();
         let side = self.config.patch_size;
         let patches = if part == "history" {
@@ -123,7 +126,11 @@ impl Golden {
         let graph = Graph {
             state: floats(self.rows(&format!("{part}.state"), rows.iter().cloned()), [rows.len(), 6], device),
             type_rows: [0, 1, 2].map(|agent_type| of_type(agent_type)..of_type(agent_type + 1)),
-            relation: floats(self.rows(&format!("{part}.relation"), edges.iter().cloned()), [edges.len(), 6], device),
+            relation: floats(
+                self.rows(&format!("{part}.relation"), edges.iter().cloned()),
+                [edges.len(), 6],
+                device,
+            ),
             edges: Edges {
                 receiver: ends(1),
                 sender: ends(2),
@@ -162,7 +169,8 @@ fn check_encoded(golden: &Golden, encoded: &Encoded, part: &str, rows: &[Vec<usi
         // Ours is [row, sender, head], theirs [step, head, receiver, sender].
         let [_, senders, heads] = round.alpha.dims();
         let theirs = rows.iter().flat_map(|row| {
-            (0..senders).flat_map(move |sender| (0..heads).map(move |head| vec![row[0], head, row[1], sender]))
+            (0..senders)
+                .flat_map(move |sender| (0..heads).map(move |head| vec![row[0], head, row[1], sender]))
         });
         let theirs = golden.rows(&format!("{part}.{}", name("alpha")), theirs);
         golden.check(&name("alpha"), &host(round.alpha.clone()), &theirs);
@@ -189,7 +197,8 @@ fn history_graph_and_decoder_agree_with_the_reference() {
 /// `decoder.raw` of every type.
 fn check_decoder(golden: &Golden, encoded: &Encoded) {
     for (agent_type, type_name) in TYPE_NAMES.iter().enumerate() {
-        let agents: Vec<usize> = golden.order.iter().copied().filter(|&a| golden.types[a] == agent_type).collect();
+        let agents: Vec<usize> =
+            golden.order.iter().copied().filter(|&a| golden.types[a] == agent_type).collect();
         let Some(first) = golden.order.iter().position(|a| agents.first() == Some(a)) else { continue };
         let steps = golden.config.history_len;
         let by_step = || agents.iter().flat_map(|&agent| (0..steps).map(move |step| vec![step, agent]));
@@ -197,10 +206,11 @@ fn check_decoder(golden: &Golden, encoded: &Encoded) {
         let present = by_step().map(|at| f32::from(u8::from(golden.present(at[0], at[1])))).collect();
         let present = floats(present, [agents.len(), steps], &golden.device);
         let decoder = Decoder::new(&golden.weights, type_name);
-        let hidden = decoder.burn_in(state, &present);
-        let encoding = encoded.summary.encoding.clone().slice([first..first + agents.len()]);
+        let hidden = decoder.burn_in(&state, &present);
+        let encoding = encoded.summary.encoding.clone().narrow(0, first, agents.len());
         let draws = golden.tensor("latent.z").0[0];
-        let latent = floats(golden.by_agent("latent.z", &agents), [agents.len(), draws, LATENT], &golden.device);
+        let latent =
+            floats(golden.by_agent("latent.z", &agents), [agents.len(), draws, LATENT], &golden.device);
         let controls = decoder.forward(&hidden, encoding, latent, golden.config.horizon_len);
         golden.check("decoder.raw", &host(controls.raw.clone()), &golden.by_agent("decoder.raw", &agents));
         golden.check("control.mean", &host(controls.mean()), &golden.by_agent("control.mean", &agents));
@@ -233,12 +243,14 @@ fn future_graph_and_posterior_agree_with_the_reference() {
 fn bicycles_agree_with_the_reference() {
     for name in FOLDERS {
         let golden = Golden::open(name);
-        let vehicles: Vec<usize> = (0..golden.types.len()).filter(|&agent| golden.types[agent] == 0).collect();
+        let vehicles: Vec<usize> =
+            (0..golden.types.len()).filter(|&agent| golden.types[agent] == 0).collect();
         let mut config = golden.config.clone();
         (config.accel_limit_mps2, config.slip_rate_limit_radps, config.slip_limit_rad) = (5.0, 0.5, None);
         let (shape, _) = golden.tensor("control.mean");
         let rows = vehicles.len() * shape[0];
-        let controls = floats(golden.by_agent("control.mean", &vehicles), [rows, shape[2], 2], &golden.device);
+        let controls =
+            floats(golden.by_agent("control.mean", &vehicles), [rows, shape[2], 2], &golden.device);
         let initial = golden.tensor("bicycle.initial").1;
         let column = |at: usize| {
             let of_vehicle = |vehicle: usize| std::iter::repeat_n(initial[vehicle * 5 + at], shape[0]);
@@ -273,7 +285,11 @@ fn losses_agree_with_the_reference() {
         };
         let (posterior, prior) = (tensor("loss.posterior"), tensor("loss.prior"));
         golden.check("kl 1", &host(loss::kl(posterior.clone(), 1.0)), &golden.tensor("loss.kl_sigma_1").1);
-        golden.check("kl 0.5", &host(loss::kl(posterior.clone(), 0.5)), &golden.tensor("loss.kl_sigma_0.5").1);
-        golden.check("mmd", &host(loss::mmd(posterior, prior)), &golden.tensor("loss.mmd").1);
+        golden.check(
+            "kl 0.5",
+            &host(loss::kl(posterior.clone(), 0.5)),
+            &golden.tensor("loss.kl_sigma_0.5").1,
+        );
+        golden.check("mmd", &host(loss::mmd(&posterior, &prior)), &golden.tensor("loss.mmd").1);
     }
 }

@@ -1,0 +1,245 @@
+//! Fitting ridge and anchors to windows.
+
+use metrics::kmeans;
+use nalgebra::{DMatrix, SMatrix};
+use nn::{ModelConfig, base as binning};
+use rand::Rng;
+use scene::AgentType;
+
+use super::targets::{self, Controls, Driver};
+use super::{Features, Place, TypeBase, describe};
+use crate::batch::{Start, View};
+use crate::samples::Agent;
+use crate::view;
+
+/// Penalty on the squared ridge coefficients.
+const RIDGE: f64 = 1.0;
+/// A bin with fewer windows takes the coefficients of its neighbour.
+const RIDGE_WINDOWS_MIN: usize = 300;
+/// A bin with fewer windows takes the anchors of its neighbour.
+const WINDOWS_MIN: usize = 60;
+/// Nobody gains or loses speed faster than this, m/s²: where a recorded future does, its annotation jumps.
+const ACCELERATION_MAX_MPS2: f32 = 9.0;
+/// A future that no controls come nearer to than this, m, teaches nothing about controls.
+const MISSED_MAX_M: f32 = 0.5;
+const KMEANS_ITERATIONS: usize = 30;
+/// Windows per bin that the clustering looks at.
+const CLUSTERED_MAX: usize = 4000;
+
+/// What moves an agent.
+enum Mover {
+    Vehicle(Driver),
+    Other { velocity_mps: [f32; 2], dt_s: f32 },
+}
+
+impl Mover {
+    fn positions(&self, controls: &[[f32; 2]]) -> Vec<[f32; 2]> {
+        match self {
+            Self::Vehicle(driver) => driver.positions(controls),
+            Self::Other { velocity_mps, dt_s } => targets::displaced(*velocity_mps, controls, *dt_s),
+        }
+    }
+
+    fn controls(&self, truth: &[[f32; 2]]) -> Controls {
+        match self {
+            Self::Vehicle(driver) => driver.controls(truth),
+            Self::Other { velocity_mps, dt_s } => targets::displacements(*velocity_mps, truth, *dt_s),
+        }
+    }
+}
+
+/// A window as the fit sees it.
+pub(super) struct Sample {
+    place: Place,
+    features: Features,
+    mover: Mover,
+    /// Recorded positions in the agent frame.
+    truth: Vec<[f32; 2]>,
+    /// The controls that make them.
+    controls: Controls,
+}
+
+impl Sample {
+    /// The window with its whole history and, where that is long enough, cut to the shorter classes. Every one counts a
+    /// second time: that of a vehicle with noise, the others, which keep to no side of the road, mirrored.
+    pub(super) fn of_every_class(
+        agent: &Agent,
+        config: &ModelConfig,
+        cuts_mps: &[f32],
+        random: &mut impl Rng,
+    ) -> Vec<Self> {
+        let present = agent.history.iter().rev().take_while(|state| state.is_some()).count();
+        let lens =
+            [2, 3, config.history_len].into_iter().filter(|&len| len <= present || len == config.history_len);
+        let mut samples = Vec::new();
+        for len in lens {
+            let Some(view) = view::shown(agent, len, false) else { continue };
+            let twin = match agent.agent_type {
+                AgentType::Vehicle => Some(view::noisy(view.clone(), random)),
+                AgentType::Cyclist | AgentType::Pedestrian => view::shown(agent, len, true),
+            };
+            let views = std::iter::once(view).chain(twin);
+            samples.extend(views.filter_map(|view| Self::new(&view, config, cuts_mps)));
+        }
+        samples
+    }
+
+    fn new(view: &View<'_>, config: &ModelConfig, cuts_mps: &[f32]) -> Option<Self> {
+        let View { agent, history, frame, .. } = view;
+        let truth: Vec<[f32; 2]> = view.truth().collect::<Option<_>>()?;
+        let newest = history.last().copied().flatten()?;
+        let dt_s = config.dt_s as f32;
+        if jumps(frame.rotate_into(newest.velocity_mps), &truth, dt_s) {
+            return None;
+        }
+        let mover = match agent.agent_type {
+            AgentType::Vehicle => {
+                Mover::Vehicle(Driver::new(&Start::of(agent, history, frame, config), config))
+            }
+            AgentType::Cyclist | AgentType::Pedestrian => {
+                Mover::Other { velocity_mps: frame.rotate_into(newest.velocity_mps), dt_s }
+            }
+        };
+        let (features, place) = describe(history, frame, cuts_mps, config);
+        let controls = mover.controls(&truth);
+        if missed_m(&mover.positions(&controls), &truth) > MISSED_MAX_M {
+            return None;
+        }
+        Some(Self { place, features, mover, truth, controls })
+    }
+}
+
+/// Mean distance between two trajectories.
+fn missed_m(a: &[[f32; 2]], b: &[[f32; 2]]) -> f32 {
+    let distances = a.iter().zip(b).map(|(a, b)| (a[0] - b[0]).hypot(a[1] - b[1]));
+    distances.sum::<f32>() / a.len().max(1) as f32
+}
+
+/// Whether positions (agent frame) after a velocity ask for impossible accelerations.
+fn jumps(velocity_mps: [f32; 2], positions: &[[f32; 2]], dt_s: f32) -> bool {
+    let mut before = ([0.0; 2], velocity_mps);
+    positions.iter().any(|&position| {
+        let velocity = [0, 1].map(|axis| (position[axis] - before.0[axis]) / dt_s);
+        let change = (velocity[0] - before.1[0]).hypot(velocity[1] - before.1[1]);
+        before = (position, velocity);
+        change > ACCELERATION_MAX_MPS2 * dt_s
+    })
+}
+
+impl TypeBase {
+    /// Fills the tables from windows.
+    pub(super) fn fit(&mut self, samples: &[Sample], config: &ModelConfig, seed: u64) {
+        let controls_len = 2 * config.horizon_len;
+        let per_bin = binning::FEATURES * controls_len;
+        for class in 0..binning::CLASSES {
+            let of_class: Vec<&Sample> =
+                samples.iter().filter(|sample| sample.place.class == class).collect();
+            let pooled = || ridge_regression(&of_class, controls_len);
+            let own: Vec<Option<Vec<f32>>> = (0..binning::SPEED_BINS)
+                .map(|bin| of_class.iter().copied().filter(|s| s.place.speed_bin == bin).collect::<Vec<_>>())
+                .map(|of_bin| {
+                    (of_bin.len() >= RIDGE_WINDOWS_MIN).then(|| ridge_regression(&of_bin, controls_len))
+                })
+                .collect();
+            for bin in 0..binning::SPEED_BINS {
+                let solution = match &own[bin] {
+                    Some(own) => own.clone(),
+                    None => nearest(&own, |other| bin.abs_diff(other)).cloned().unwrap_or_else(pooled),
+                };
+                self.ridge[(class * binning::SPEED_BINS + bin) * per_bin..][..per_bin]
+                    .copy_from_slice(&solution);
+            }
+        }
+        self.fit_anchors(samples, config.modes, controls_len, seed);
+    }
+
+    fn fit_anchors(&mut self, samples: &[Sample], modes: usize, controls_len: usize, seed: u64) {
+        let longest = samples.iter().filter(|sample| sample.place.class + 1 == binning::CLASSES);
+        let mut by_bin: Vec<Vec<&Sample>> = vec![Vec::new(); binning::BINS];
+        longest.for_each(|sample| by_bin[sample.place.bin].push(sample));
+        let own: Vec<Option<Vec<f32>>> = by_bin
+            .iter()
+            .map(|of_bin| {
+                (of_bin.len() >= WINDOWS_MIN).then(|| self.cluster(of_bin, modes, controls_len, seed))
+            })
+            .collect();
+        let all: Vec<&Sample> = by_bin.iter().flatten().copied().collect();
+        let pooled = (all.len() >= modes).then(|| self.cluster(&all, modes, controls_len, seed));
+        let per_bin = (modes + 1) * controls_len;
+        for bin in 0..binning::BINS {
+            let anchors = own[bin].as_ref().or_else(|| nearest(&own, |other| bin_distance(bin, other)));
+            if let Some(anchors) = anchors.or(pooled.as_ref()) {
+                self.anchors[bin * per_bin..][..modes * controls_len].copy_from_slice(anchors);
+            }
+        }
+    }
+
+    /// Mean control residuals of the clusters of position residuals, `[modes × controls]`, largest cluster first.
+    fn cluster(&self, samples: &[&Sample], modes: usize, controls_len: usize, seed: u64) -> Vec<f32> {
+        let stride = samples.len().div_ceil(CLUSTERED_MAX);
+        let samples: Vec<&Sample> = samples.iter().copied().step_by(stride).collect();
+        let mut positions = Vec::with_capacity(samples.len() * controls_len);
+        let mut residuals = Vec::with_capacity(samples.len() * controls_len);
+        for sample in &samples {
+            let ridge = self.ridge(&sample.features, sample.place, controls_len);
+            let (ridge, _) = ridge.as_chunks::<2>();
+            let forecast = sample.mover.positions(ridge);
+            positions
+                .extend(sample.truth.iter().flatten().zip(forecast.iter().flatten()).map(|(t, f)| t - f));
+            residuals
+                .extend(sample.controls.iter().flatten().zip(ridge.iter().flatten()).map(|(c, r)| c - r));
+        }
+        let clusters = kmeans(&positions, controls_len, modes, seed, KMEANS_ITERATIONS);
+        let mut sums = vec![0.0; modes * controls_len];
+        for (residual, &label) in residuals.chunks_exact(controls_len).zip(&clusters.labels) {
+            let share = 1.0 / clusters.sizes[label as usize].max(1) as f32;
+            let sum = &mut sums[label as usize * controls_len..][..controls_len];
+            sum.iter_mut().zip(residual).for_each(|(sum, value)| *sum += value * share);
+        }
+        let mut order: Vec<usize> = (0..modes).collect();
+        order.sort_by_key(|&mode| std::cmp::Reverse(clusters.sizes[mode]));
+        order.iter().flat_map(|&mode| &sums[mode * controls_len..][..controls_len]).copied().collect()
+    }
+}
+
+/// The entry nearest to where one is missing, the first of equals.
+fn nearest<T>(entries: &[Option<T>], distance: impl Fn(usize) -> usize) -> Option<&T> {
+    (0..entries.len())
+        .filter(|&i| entries[i].is_some())
+        .min_by_key(|&i| distance(i))
+        .and_then(|i| entries[i].as_ref())
+}
+
+/// How far apart two bins are: a step of acceleration or yaw rate is nearer than one of speed.
+fn bin_distance(a: usize, b: usize) -> usize {
+    let per_speed = binning::BINS / binning::SPEED_BINS;
+    let turn_or_accel = |bin: usize| ((bin % per_speed) / 3, bin % 3);
+    let ((accel_a, turn_a), (accel_b, turn_b)) = (turn_or_accel(a), turn_or_accel(b));
+    4 * (a / per_speed).abs_diff(b / per_speed) + 2 * turn_a.abs_diff(turn_b) + accel_a.abs_diff(accel_b)
+}
+
+/// Coefficients `[features × controls]` that minimise ‖X W − Y‖² + λ‖W‖².
+fn ridge_regression(samples: &[&Sample], controls_len: usize) -> Vec<f32> {
+    let mut normal = SMatrix::<f64, { binning::FEATURES }, { binning::FEATURES }>::identity() * RIDGE;
+    let mut target = DMatrix::<f64>::zeros(binning::FEATURES, controls_len);
+    for sample in samples {
+        for (i, &a) in sample.features.iter().enumerate() {
+            for (j, &b) in sample.features.iter().enumerate() {
+                normal[(i, j)] += f64::from(a) * f64::from(b);
+            }
+            for (j, control) in sample.controls.iter().flatten().enumerate() {
+                target[(i, j)] += f64::from(a) * f64::from(*control);
+            }
+        }
+    }
+    match normal.cholesky() {
+        Some(cholesky) => {
+            let solution = cholesky.solve(&target);
+            (0..binning::FEATURES)
+                .flat_map(|i| (0..controls_len).map(move |j| (i, j)))
+                .map(|at| solution[at] as f32)
+                .collect()
+        }
+        None => vec![0.0; binning::FEATURES * controls_len],
+    }
+}
