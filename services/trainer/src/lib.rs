@@ -4,12 +4,12 @@
 //! weights file; features, maps and the base control come from the same code as onboard, and both forward passes are
 //! held to the same golden vectors.
 //!
-//! A run has three parts. Recordings become scenes in memory ([`samples`]: windows, and a causal map patch for every
+//! A run has three parts. Recordings become scenes in memory (windows, and a causal map patch for every
 //! agent and frame). The *base control* — ridge regression and anchors — is fitted to them. Then the network learns
 //! what to add, batch by batch; its running average is validated from time to time, and the best one is written with a
 //! model card.
 //!
-//! All tensors are created on the [`Device`](burn::tensor::Device) that [`train`] is given: the CPU, or any other that burn
+//! All tensors are created on the [`Device`] that [`train`] is given: the CPU, or any other that burn
 //! was built with. A seed fixes everything random, so that a run on one machine can be repeated to the bit.
 
 mod base;
