@@ -7,8 +7,8 @@ mod draws;
 pub mod stage;
 mod unroll;
 
+pub use nn::StartError;
 use nn::{ModelConfig, Weights, WeightsError, Workers};
-use thiserror::Error;
 use wire::{AGENT_TYPES, AGENTS_MAX, AgentControls, AgentEncoding, Header, Rejected};
 
 use unroll::Unroller;
@@ -20,17 +20,6 @@ pub struct DecoderOptions {
     pub workers: usize,
     /// Seed of the draws from N(0, I).
     pub seed: u64,
-}
-
-/// Why a decoder can't start.
-#[derive(Debug, Error)]
-pub enum StartError {
-    /// The weights do not hold the model.
-    #[error(transparent)]
-    Weights(#[from] WeightsError),
-    /// The operating system refused a thread.
-    #[error("can't start a worker: {0}")]
-    Thread(#[from] std::io::Error),
 }
 
 /// The decoder: its workers and the order in which they take the agents.

@@ -11,9 +11,9 @@ mod cache;
 mod embed;
 pub mod stage;
 
+pub use nn::StartError;
 use nn::{MlpMemory, ModelConfig, StateMlp, Weights, WeightsError, Workers};
 use scene::{AgentFrame, EdgeRule, FeatureScales, NEIGHBOURS_MAX, State, Vertex};
-use thiserror::Error;
 use wire::{
     AGENT_TYPES, AGENTS_MAX, AgentFeatures, AgentType, CONTEXT_EMBEDDING, Context, ContextShape,
     EDGE_ATTRIBUTES, EDGES_MAX, Edge, FeatureShape, FeaturesMut, HISTORY_MAX, Header, NODE_ATTRIBUTES,
@@ -28,17 +28,6 @@ use embed::{Embedder, Embedding, Wanted};
 pub struct ExtractorOptions {
     /// Threads that run the networks, the stage's own among them; results do not depend on it.
     pub workers: usize,
-}
-
-/// Why an extractor can't start.
-#[derive(Debug, Error)]
-pub enum StartError {
-    /// The weights do not hold the model.
-    #[error(transparent)]
-    Weights(#[from] WeightsError),
-    /// The operating system refused a thread.
-    #[error("can't start a worker: {0}")]
-    Thread(#[from] std::io::Error),
 }
 
 /// What was computed for a frame, and what was taken from the cache.

@@ -37,42 +37,37 @@ impl Mean {
     }
 }
 
-/// How many of the counted cases had a property; can be merged with others.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Share {
-    hits: u64,
-    len: u64,
-}
+/// How many of the counted cases had a property: the mean of zeros and ones; can be merged with others.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Share(Mean);
 
 impl Share {
     /// Counts one case.
     pub fn add(&mut self, hit: bool) {
-        self.hits += u64::from(hit);
-        self.len += 1;
+        self.0.add(f64::from(u8::from(hit)));
     }
 
     /// Counts all that `other` counted.
     pub fn merge(&mut self, other: &Self) {
-        self.hits += other.hits;
-        self.len += other.len;
+        self.0.merge(&other.0);
     }
 
     /// Cases counted.
     #[must_use]
     pub const fn len(&self) -> u64 {
-        self.len
+        self.0.len()
     }
 
     /// Whether nothing was counted.
     #[must_use]
     pub const fn is_empty(&self) -> bool {
-        self.len == 0
+        self.0.is_empty()
     }
 
     /// The share, 0 to 1; `None` where nothing was counted.
     #[must_use]
     pub fn value(&self) -> Option<f64> {
-        (self.len > 0).then(|| self.hits as f64 / self.len as f64)
+        self.0.value()
     }
 }
 

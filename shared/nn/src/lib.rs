@@ -30,4 +30,4 @@ pub use embedding::{RelationMlp, StateMlp};
 pub use encoding::EncodingFunction;
 pub use linear::MlpMemory;
 pub use weights::{Weights, WeightsError};
-pub use workers::{Job, Workers};
+pub use workers::{Job, StartError, Workers};

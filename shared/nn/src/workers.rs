@@ -6,6 +6,21 @@
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::thread::JoinHandle;
 
+use thiserror::Error;
+
+use crate::WeightsError;
+
+/// Why a stage that runs the network on workers can't start.
+#[derive(Debug, Error)]
+pub enum StartError {
+    /// The weights do not hold the model.
+    #[error(transparent)]
+    Weights(#[from] WeightsError),
+    /// The operating system refused a thread.
+    #[error("can't start a worker: {0}")]
+    Thread(#[from] std::io::Error),
+}
+
 /// A share of a step's work with all the memory that it needs.
 pub trait Job: Send + 'static {
     /// Does the work.
