@@ -20,6 +20,7 @@ mod error;
 pub mod loss;
 pub mod model;
 pub mod motion;
+mod net;
 mod objective;
 mod optimiser;
 mod options;

@@ -24,8 +24,8 @@ pub mod peak;
 mod portable;
 pub(crate) mod product;
 
-pub(crate) use lanes::Lanes;
-pub(crate) use math::exp_in_place;
+pub use lanes::Lanes;
+pub use math::{exp, exp_in_place, sigmoid, tanh};
 
 /// An instruction set that the kernels are compiled for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -106,14 +106,16 @@ pub fn force(isa: Isa) -> Result<(), Unavailable> {
 
 /// A computation that is compiled once for each instruction set. `run` must be `#[inline(always)]`, so that its body
 /// ends up in a function with the set's target features.
-pub(crate) trait Kernel {
+pub trait Kernel {
+    /// What it returns.
     type Output;
+    /// Computes, on `lanes`.
     fn run<L: Lanes>(self, lanes: L) -> Self::Output;
 }
 
 /// Runs a kernel on the instruction set in use.
 #[expect(unsafe_code, reason = "calls functions that are compiled for an instruction set")]
-pub(crate) fn dispatch<K: Kernel>(kernel: K) -> K::Output {
+pub fn dispatch<K: Kernel>(kernel: K) -> K::Output {
     match active() {
         #[cfg(target_arch = "x86_64")]
         // SAFETY: `active` names only sets that the processor has.

@@ -3,18 +3,25 @@
 /// The operations of one instruction set on vectors of `LEN` floats, as a token: who holds one may use the set.
 ///
 /// All methods are `#[inline(always)]`, see [`super::Kernel`].
-pub(crate) trait Lanes: Copy {
+pub trait Lanes: Copy {
     /// A vector.
     type V: Copy;
     /// Its floats; divides 16.
     const LEN: usize;
 
+    /// All lanes x.
     fn splat(self, x: f32) -> Self::V;
+    /// a + b.
     fn add(self, a: Self::V, b: Self::V) -> Self::V;
+    /// a − b.
     fn sub(self, a: Self::V, b: Self::V) -> Self::V;
+    /// a · b.
     fn mul(self, a: Self::V, b: Self::V) -> Self::V;
+    /// a / b.
     fn div(self, a: Self::V, b: Self::V) -> Self::V;
+    /// The lesser of each lane.
     fn min(self, a: Self::V, b: Self::V) -> Self::V;
+    /// The greater of each lane.
     fn max(self, a: Self::V, b: Self::V) -> Self::V;
     /// a · b + c, with one rounding where the set can.
     fn fma(self, a: Self::V, b: Self::V, c: Self::V) -> Self::V;
@@ -23,9 +30,13 @@ pub(crate) trait Lanes: Copy {
     /// 2^n for whole n in −126..=127.
     fn pow2(self, n: Self::V) -> Self::V;
 
+    /// The `LEN` floats from `from` on.
+    ///
     /// # Safety
     /// `from` is good for reading `LEN` floats.
     unsafe fn load_from(self, from: *const f32) -> Self::V;
+    /// Writes `LEN` floats from `to` on.
+    ///
     /// # Safety
     /// `to` is good for writing `LEN` floats.
     unsafe fn store_to(self, to: *mut f32, v: Self::V);

@@ -6,7 +6,7 @@ use super::{Kernel, Lanes, dispatch};
 ///
 /// x = n ln 2 + r with |r| ≤ ½ ln 2, e^r by a polynomial, 2^n by the exponent bits. (Cephes, `expf`.)
 #[inline(always)]
-pub(crate) fn exp<L: Lanes>(l: L, x: L::V) -> L::V {
+pub fn exp<L: Lanes>(l: L, x: L::V) -> L::V {
     const POLYNOMIAL: [f32; 6] =
         [1.987_569_1e-4, 1.398_2e-3, 8.333_452e-3, 4.166_579_6e-2, 1.666_666_5e-1, 0.5];
     let x = l.max(l.min(x, l.splat(88.0)), l.splat(-87.0));
@@ -24,14 +24,14 @@ pub(crate) fn exp<L: Lanes>(l: L, x: L::V) -> L::V {
 
 /// 1 / (1 + e^−x).
 #[inline(always)]
-pub(crate) fn sigmoid<L: Lanes>(l: L, x: L::V) -> L::V {
+pub fn sigmoid<L: Lanes>(l: L, x: L::V) -> L::V {
     let one = l.splat(1.0);
     l.div(one, l.add(one, exp(l, l.sub(l.splat(0.0), x))))
 }
 
 /// tanh x = 1 − 2 / (1 + e^2x): within 2e-7 of the value, not relative to it.
 #[inline(always)]
-pub(crate) fn tanh<L: Lanes>(l: L, x: L::V) -> L::V {
+pub fn tanh<L: Lanes>(l: L, x: L::V) -> L::V {
     let one = l.splat(1.0);
     l.sub(one, l.div(l.splat(2.0), l.add(one, exp(l, l.add(x, x)))))
 }
@@ -58,7 +58,7 @@ impl Kernel for Exp<'_> {
 }
 
 /// Replaces every value by its exponential.
-pub(crate) fn exp_in_place(values: &mut [f32]) {
+pub fn exp_in_place(values: &mut [f32]) {
     dispatch(Exp(values));
 }
 
