@@ -15,6 +15,13 @@ use crate::Point;
 pub const CVM_DRAWS: usize = 20;
 /// Standard deviation of its headings in the published comparison: 25°.
 pub const CVM_SIGMA_RAD: f32 = 25.0 * std::f32::consts::PI / 180.0;
+/// Time in which the acceleration of [`constant_turn_rate_acceleration`] falls to 1/e.
+pub const ACCELERATION_DECAY_S: f32 = 1.0;
+/// Time in which its turn rate falls to 1/e.
+pub const TURN_RATE_DECAY_S: f32 = 2.0;
+
+/// Midpoints per step in the path integral of [`constant_turn_rate_acceleration`].
+const MIDPOINTS: usize = 8;
 
 /// The agent keeps its velocity.
 #[must_use]
@@ -39,7 +46,7 @@ pub fn constant_acceleration(history: &[Option<State>], dt_s: f32, horizon: usiz
 pub fn constant_turn_rate(history: &[Option<State>], dt_s: f32, horizon: usize) -> Option<Vec<Point>> {
     let State { position_m: [x, y], velocity_mps: [vx, vy], heading_rad } = (*history.last()?)?;
     let rate_radps = before_newest(history, dt_s)
-        .map_or(0.0, |(before, elapsed_s)| wrap_angle(heading_rad - before.heading_rad) / elapsed_s);
+        .map_or(0.0, |(before, elapsed_s)| turn_rate_radps(before.heading_rad, heading_rad, elapsed_s));
     // ∫ R(ωτ) v dτ = [s −c; c s] v with s = sin(ωt) / ω and c = (1 − cos ωt) / ω, by series near ω = 0.
     let turned = |t: f32| {
         let angle = rate_radps * t;
@@ -51,6 +58,46 @@ pub fn constant_turn_rate(history: &[Option<State>], dt_s: f32, horizon: usize) 
         [x + s * vx - c * vy, y + c * vx + s * vy]
     };
     Some(times(dt_s, horizon).map(turned).collect())
+}
+
+/// The agent lets go of its acceleration along the path and of its turn rate (CTRA, both decaying).
+///
+/// ```text
+/// v(t) = max(0, v₀ + a₀ τ_a (1 − e^(−t/τ_a)))      γ(t) = γ₀ + ω₀ τ_ω (1 − e^(−t/τ_ω))
+/// ```
+///
+/// γ is the course, τ_a and τ_ω are [`ACCELERATION_DECAY_S`] and [`TURN_RATE_DECAY_S`]: held for seconds, a momentary
+/// acceleration or turn rate leads far astray. An agent that brakes stops and stays; one at rest leaves along its
+/// heading. Speed and course are exact, the path between them is summed over midpoints.
+#[must_use]
+pub fn constant_turn_rate_acceleration(
+    history: &[Option<State>],
+    dt_s: f32,
+    horizon: usize,
+) -> Option<Vec<Point>> {
+    let newest = (*history.last()?)?;
+    let speed_mps = newest.speed_mps();
+    let (acceleration_mps2, rate_radps) =
+        before_newest(history, dt_s).map_or((0.0, 0.0), |(before, elapsed_s)| {
+            let gained_mps = speed_mps - before.speed_mps();
+            (gained_mps / elapsed_s, turn_rate_radps(before.heading_rad, newest.heading_rad, elapsed_s))
+        });
+    let [vx, vy] = newest.velocity_mps;
+    let course_rad = if speed_mps > 0.0 { vy.atan2(vx) } else { newest.heading_rad };
+    // ∫ e^(−s/τ) ds from 0 to t: the time for which the full rate would have had the same effect.
+    let effective_s = |t: f32, decay_s: f32| decay_s * (1.0 - (-t / decay_s).exp());
+    let mut position = newest.position_m;
+    let part_s = dt_s / MIDPOINTS as f32;
+    let step = |k: usize| {
+        for part in 0..MIDPOINTS {
+            let t = k as f32 * dt_s + (part as f32 + 0.5) * part_s;
+            let speed_mps = (speed_mps + acceleration_mps2 * effective_s(t, ACCELERATION_DECAY_S)).max(0.0);
+            let (sin, cos) = (course_rad + rate_radps * effective_s(t, TURN_RATE_DECAY_S)).sin_cos();
+            position = [position[0] + speed_mps * cos * part_s, position[1] + speed_mps * sin * part_s];
+        }
+        position
+    };
+    Some((0..horizon).map(step).collect())
 }
 
 /// Constant velocity in `draws` directions, turned from the true one by N(0, `sigma_rad`²) (CVM-S).
@@ -78,6 +125,10 @@ fn times(dt_s: f32, horizon: usize) -> impl Iterator<Item = f32> {
     (1..=horizon).map(move |step| step as f32 * dt_s)
 }
 
+fn turn_rate_radps(before_rad: f32, now_rad: f32, elapsed_s: f32) -> f32 {
+    wrap_angle(now_rad - before_rad) / elapsed_s
+}
+
 /// The newest state but one, and the time from it to the newest.
 fn before_newest(history: &[Option<State>], dt_s: f32) -> Option<(State, f32)> {
     let mut backwards = history.iter().rev().enumerate().skip(1);
@@ -95,8 +146,12 @@ mod tests {
         Some(State { position_m, velocity_mps, heading_rad })
     }
 
+    fn within(a: &[Point], b: &[Point], tolerance_m: f32) -> bool {
+        a.len() == b.len() && a.iter().zip(b).all(|(a, b)| (a[0] - b[0]).hypot(a[1] - b[1]) < tolerance_m)
+    }
+
     fn close(a: &[Point], b: &[Point]) -> bool {
-        a.len() == b.len() && a.iter().zip(b).all(|(a, b)| (a[0] - b[0]).hypot(a[1] - b[1]) < 1e-4)
+        within(a, b, 1e-4)
     }
 
     #[test]
@@ -134,6 +189,47 @@ mod tests {
     }
 
     #[test]
+    fn decaying_acceleration_gains_what_its_integral_says() {
+        // v(t) = 3 + 2 (1 − e^−t) m/s: after t the way is 5 t − 2 (1 − e^−t).
+        let history = [state([0.0; 2], [0.0, 2.0], 1.5), state([1.0, 0.0], [0.0, 3.0], 1.5)];
+        let forecast = constant_turn_rate_acceleration(&history, 0.5, 6).expect("present");
+        for (k, position) in forecast.iter().enumerate() {
+            let t = (k + 1) as f32 * 0.5;
+            let way = 5.0 * t - 2.0 * (1.0 - (-t).exp());
+            assert!(
+                (position[0] - 1.0).abs() < 1e-5 && (position[1] - way).abs() < 2e-3,
+                "{t}: {position:?}"
+            );
+        }
+    }
+
+    #[test]
+    fn braking_ends_in_a_stop_that_lasts() {
+        // 4 m/s² of braking that decays in 1 s takes away 4 m/s in all; the agent has only 2: it stops after ln 2 s
+        // and 4 (1 − e^−t) − 2 t of going back there, that is 4/2 − 2 ln 2 m ahead.
+        let history = [state([0.0; 2], [4.0, 0.0], 0.0), state([0.0; 2], [2.0, 0.0], 0.0)];
+        let forecast = constant_turn_rate_acceleration(&history, 0.5, 8).expect("present");
+        assert!(forecast.is_sorted_by(|a, b| a[0] <= b[0]), "{forecast:?}");
+        let stop_m = 2.0 - 2.0 * 2.0_f32.ln();
+        assert!((forecast[2][0] - stop_m).abs() < 5e-3, "{forecast:?}, {stop_m}");
+        assert_eq!(forecast[2], forecast[7]);
+    }
+
+    #[test]
+    fn decaying_turn_rate_turns_by_its_integral_and_keeps_the_speed() {
+        // 0.5 rad/s that decays in 2 s turns by 1 rad in all.
+        let history = [state([0.0; 2], [8.0, 0.0], -0.25), state([0.0; 2], [8.0, 0.0], 0.0)];
+        let forecast = constant_turn_rate_acceleration(&history, 0.5, 60).expect("present");
+        let [a, b] = [forecast[58], forecast[59]];
+        let (dx, dy) = (b[0] - a[0], b[1] - a[1]);
+        assert!((dy.atan2(dx) - 1.0).abs() < 1e-4, "{}", dy.atan2(dx));
+        assert!((dx.hypot(dy) - 4.0).abs() < 1e-3);
+        let first = forecast[0];
+        let expected = 0.5 * 2.0 * (1.0 - (1.0 - (-0.25_f32).exp()) / 0.25);
+        assert!((first[1].atan2(first[0]) - expected).abs() < 1e-3, "mean course {first:?}, {expected}");
+    }
+
+    #[test]
     fn sampled_headings_repeat_by_seed_and_spread_as_told() {
         let history = [state([0.0; 2], [1.0, 0.0], 0.0)];
         let draw = |seed| {
@@ -158,6 +254,8 @@ mod tests {
             let expected = constant_velocity(&history, 0.4, 12).expect("present");
             prop_assert!(close(&constant_acceleration(&history, 0.4, 12).expect("present"), &expected));
             prop_assert!(close(&constant_turn_rate(&history, 0.4, 12).expect("present"), &expected));
+            let decaying = constant_turn_rate_acceleration(&history, 0.4, 12).expect("present");
+            prop_assert!(within(&decaying, &expected, 1e-3));
         }
     }
 }

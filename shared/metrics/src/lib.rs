@@ -24,8 +24,8 @@ pub use anchors::{
     ANCHORS, Anchors, PEDESTRIAN_SPEED_CUTS_MPS, SPEED_BINS, VEHICLE_SPEED_CUTS_MPS, Window, speed_cuts_mps,
 };
 pub use baseline::{
-    CVM_DRAWS, CVM_SIGMA_RAD, constant_acceleration, constant_turn_rate, constant_velocity,
-    sampled_constant_velocity,
+    ACCELERATION_DECAY_S, CVM_DRAWS, CVM_SIGMA_RAD, TURN_RATE_DECAY_S, constant_acceleration,
+    constant_turn_rate, constant_turn_rate_acceleration, constant_velocity, sampled_constant_velocity,
 };
 pub use collision::{Disc, collisions};
 pub use density::{LOG_DENSITY_MIN, covers, kde_log_density};
