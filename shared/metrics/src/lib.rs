@@ -18,6 +18,7 @@ mod displacement;
 mod kmeans;
 mod limits;
 mod mean;
+mod region;
 mod scores;
 
 pub use anchors::{
@@ -35,6 +36,7 @@ pub use displacement::{
 pub use kmeans::{Clusters, kmeans};
 pub use limits::Limits;
 pub use mean::{Mean, Share};
+pub use region::highest_density_level;
 pub use scores::{Moments, Prediction, Scores};
 
 /// A position (x, y) in metres.
