@@ -1,0 +1,182 @@
+//! How sure a difference between two forecasters is.
+//!
+//! Errors of agents of one window, and of windows of one recording, go together, so that the agents are no independent
+//! samples. The bootstrap draws whole *clusters* (windows or recordings) with replacement, as many as there are, and
+//! compares the two forecasters on each such draw; both see the same clusters. Where 95 % of the draws lie is the
+//! interval.
+
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+
+/// The errors of two forecasters on one cluster of agents.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct PairedErrors {
+    /// Sum of our errors.
+    pub ours: f64,
+    /// Sum of the other's errors on the same agents.
+    pub theirs: f64,
+    /// Number of errors in each sum.
+    pub len: u64,
+}
+
+impl PairedErrors {
+    /// Counts the two errors on one agent.
+    pub fn add(&mut self, ours: f64, theirs: f64) {
+        self.merge(&Self { ours, theirs, len: 1 });
+    }
+
+    /// Counts all that `other` counted.
+    pub fn merge(&mut self, other: &Self) {
+        self.ours += other.ours;
+        self.theirs += other.theirs;
+        self.len += other.len;
+    }
+}
+
+/// A figure and its 95 % interval.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Interval {
+    /// 2.5 % of the resamples lie below.
+    pub low: f64,
+    /// The figure over all clusters as they are.
+    pub mean: f64,
+    /// 2.5 % of the resamples lie above.
+    pub high: f64,
+}
+
+/// Our mean error less theirs, over all agents; below 0 where we are better, surely so where the whole interval is.
+///
+/// `None` where no cluster has an error or `resamples` is 0. The same seed gives the same interval. Cost: clusters ×
+/// resamples.
+#[must_use]
+pub fn paired_bootstrap(clusters: &[PairedErrors], resamples: usize, seed: u64) -> Option<Interval> {
+    bootstrap(clusters, resamples, seed, |sum| (sum.ours - sum.theirs) / sum.len as f64)
+}
+
+/// Our mean error over theirs; below 1 where we are better. Otherwise as [`paired_bootstrap`]; also `None` where the
+/// other never errs.
+#[must_use]
+pub fn paired_bootstrap_ratio(clusters: &[PairedErrors], resamples: usize, seed: u64) -> Option<Interval> {
+    bootstrap(clusters, resamples, seed, |sum| sum.ours / sum.theirs).filter(|ratio| ratio.mean.is_finite())
+}
+
+fn bootstrap(
+    clusters: &[PairedErrors],
+    resamples: usize,
+    seed: u64,
+    figure: impl Fn(&PairedErrors) -> f64,
+) -> Option<Interval> {
+    // Empty clusters carry nothing, and a draw of only such would have no mean.
+    let clusters: Vec<PairedErrors> = clusters.iter().filter(|cluster| cluster.len > 0).copied().collect();
+    if clusters.is_empty() || resamples == 0 {
+        return None;
+    }
+    let sum = |drawn: &mut dyn Iterator<Item = &PairedErrors>| {
+        drawn.fold(PairedErrors::default(), |mut sum, cluster| {
+            sum.merge(cluster);
+            sum
+        })
+    };
+    let mut rng = ChaCha8Rng::seed_from_u64(seed);
+    let mut resample = || {
+        let mut drawn = (0..clusters.len()).map(|_| &clusters[rng.random_range(0..clusters.len())]);
+        figure(&sum(&mut drawn))
+    };
+    let mut figures: Vec<f64> = (0..resamples).map(|_| resample()).collect();
+    figures.sort_by(f64::total_cmp);
+    Some(Interval {
+        low: quantile(&figures, 0.025),
+        mean: figure(&sum(&mut clusters.iter())),
+        high: quantile(&figures, 0.975),
+    })
+}
+
+/// A quantile of sorted values, linear between two of them.
+fn quantile(sorted: &[f64], share: f64) -> f64 {
+    let place = share * (sorted.len() - 1) as f64;
+    let (below, above) = (sorted[place.floor() as usize], sorted[place.ceil() as usize]);
+    below + (above - below) * place.fract()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rand_distr::{Distribution, StandardNormal};
+
+    /// Clusters of three agents that share a difference of N(−0.1, 0.2²).
+    fn clusters(len: usize, seed: u64) -> Vec<PairedErrors> {
+        let mut rng = ChaCha8Rng::seed_from_u64(seed);
+        let mut cluster = || {
+            let mut errors = PairedErrors::default();
+            let noise: f64 = StandardNormal.sample(&mut rng);
+            let theirs = 1.0 + rng.random::<f64>();
+            (0..3).for_each(|_| errors.add(theirs - 0.1 + 0.2 * noise, theirs));
+            errors
+        };
+        (0..len).map(|_| cluster()).collect()
+    }
+
+    #[test]
+    fn the_interval_has_the_width_of_the_clusters_standard_error() {
+        let clusters = clusters(400, 1);
+        let found = paired_bootstrap(&clusters, 4_000, 2).expect("clusters");
+        let differences: Vec<f64> = clusters.iter().map(|c| (c.ours - c.theirs) / 3.0).collect();
+        let mean = differences.iter().sum::<f64>() / 400.0;
+        let variance = differences.iter().map(|d| (d - mean).powi(2)).sum::<f64>() / 400.0;
+        let half = 1.96 * (variance / 400.0).sqrt();
+        assert!((found.mean - mean).abs() < 1e-12);
+        assert!((found.low - (mean - half)).abs() < 0.1 * half, "{found:?}, {half}");
+        assert!((found.high - (mean + half)).abs() < 0.1 * half, "{found:?}, {half}");
+    }
+
+    #[test]
+    fn intervals_hold_the_truth_about_as_often_as_they_say() {
+        let holds = |seed: &u64| {
+            let found = paired_bootstrap(&clusters(60, *seed), 400, 3).expect("clusters");
+            found.low <= -0.1 && -0.1 <= found.high
+        };
+        let held = (0..400).filter(holds).count();
+        assert!((360..=392).contains(&held), "{held} of 400");
+    }
+
+    #[test]
+    fn large_clusters_weigh_more() {
+        let clusters = [
+            PairedErrors { ours: 1.0, theirs: 2.0, len: 1 },
+            PairedErrors { ours: 9.0, theirs: 6.0, len: 3 },
+        ];
+        assert_eq!(paired_bootstrap(&clusters, 100, 1).map(|i| i.mean), Some(0.5));
+        assert_eq!(paired_bootstrap_ratio(&clusters, 100, 1).map(|i| i.mean), Some(1.25));
+    }
+
+    #[test]
+    fn the_ratio_of_proportional_errors_is_certain() {
+        let halved: Vec<PairedErrors> =
+            clusters(20, 4).iter().map(|c| PairedErrors { ours: 0.5 * c.theirs, ..*c }).collect();
+        let found = paired_bootstrap_ratio(&halved, 50, 1).expect("clusters");
+        assert!((found.low - 0.5).abs() < 1e-12 && (found.high - 0.5).abs() < 1e-12, "{found:?}");
+    }
+
+    #[test]
+    fn intervals_repeat_by_seed() {
+        let clusters = clusters(30, 5);
+        assert_eq!(paired_bootstrap(&clusters, 100, 1), paired_bootstrap(&clusters, 100, 1));
+        assert_ne!(paired_bootstrap(&clusters, 100, 1), paired_bootstrap(&clusters, 100, 2));
+    }
+
+    #[test]
+    fn nothing_counted_has_no_interval() {
+        assert_eq!(paired_bootstrap(&[], 100, 1), None);
+        assert_eq!(paired_bootstrap(&[PairedErrors::default(); 3], 100, 1), None);
+        assert_eq!(paired_bootstrap(&clusters(3, 1), 0, 1), None);
+        let flawless = [PairedErrors { ours: 1.0, theirs: 0.0, len: 1 }];
+        assert_eq!(paired_bootstrap_ratio(&flawless, 100, 1), None);
+    }
+
+    #[test]
+    fn quantiles_by_hand() {
+        assert_eq!(quantile(&[1.0, 2.0, 4.0], 0.5), 2.0);
+        assert_eq!(quantile(&[1.0, 2.0, 4.0], 0.75), 3.0);
+        assert_eq!(quantile(&[7.0], 0.975), 7.0);
+    }
+}
