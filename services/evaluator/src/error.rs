@@ -1,0 +1,55 @@
+use data::ReadError;
+use nn::WeightsError;
+use thiserror::Error;
+
+/// Why nothing could be evaluated.
+#[derive(Debug, Error)]
+pub enum EvaluateError {
+    /// A recording can't be read.
+    #[error(transparent)]
+    Read(#[from] ReadError),
+    /// Weights that a table needs are not there.
+    #[error("{path}: no such weights; `stgdat train --recipe {recipe}` makes them, --weights names others")]
+    NoWeights {
+        /// The file.
+        path: String,
+        /// The recipe that writes it.
+        recipe: String,
+    },
+    /// Weights can't be used.
+    #[error("{path}: {source}")]
+    Weights {
+        /// The file.
+        path: String,
+        /// What is wrong with it.
+        source: WeightsError,
+    },
+    /// The model is of another kind than the data set asks for.
+    #[error(
+        "{path}: the model has {history_len} + {horizon_len} steps of {dt_s} s, {set} is told in {wanted}"
+    )]
+    Steps {
+        /// The weights file.
+        path: String,
+        /// Its history.
+        history_len: usize,
+        /// Its horizon.
+        horizon_len: usize,
+        /// Its step.
+        dt_s: f64,
+        /// The data set.
+        set: &'static str,
+        /// The set's own.
+        wanted: &'static str,
+    },
+    /// No agent is there from the first history step to the last forecast step.
+    #[error("{name}: no agent is present over {steps} steps of {dt_s} s")]
+    NoWindows {
+        /// The recordings.
+        name: String,
+        /// Steps of history and forecast.
+        steps: usize,
+        /// The step.
+        dt_s: f64,
+    },
+}

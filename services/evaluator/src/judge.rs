@@ -1,0 +1,226 @@
+//! The judge: forecasts every agent that counts in a recording's scenes and sums up how far off it was.
+
+use data::Recording;
+use metrics::{Disc, Limits, Point, collisions, highest_density_level, kde_log_density};
+use nn::ModelConfig;
+use scene::AgentType;
+
+use crate::baselines::{Baselines, Candidate};
+use crate::forecaster::{Forecast, ForecasterMemory};
+use crate::maps::{ContextTable, MapInput};
+use crate::{Agent, Forecaster, Method, Scene, Tally, threads};
+
+/// Speed from which on an agent counts as moving, at its last observed step.
+pub const MOVING_MPS: f32 = 0.5;
+
+/// Which of a scene's complete agents count.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Subset {
+    /// All.
+    All,
+    /// All where there are two or more, otherwise none: the rule of S-GAN.
+    Company,
+    /// Those that moved at their last observed step.
+    Moving,
+}
+
+impl Subset {
+    /// The name in reports.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::All => "all",
+            Self::Company => "2 or more",
+            Self::Moving => "moving",
+        }
+    }
+
+    /// Those of the complete agents that count.
+    fn of(self, scene: &Scene, complete: &[usize]) -> Vec<usize> {
+        let moves = |agent: &Agent| agent.newest().is_some_and(|state| state.speed_mps() >= MOVING_MPS);
+        match self {
+            Self::All => complete.to_vec(),
+            Self::Company => {
+                if complete.len() > 1 {
+                    complete.to_vec()
+                } else {
+                    Vec::new()
+                }
+            }
+            Self::Moving => complete.iter().copied().filter(|&agent| moves(&scene.agents[agent])).collect(),
+        }
+    }
+}
+
+/// What happened over a stretch of a recording as long as one window: the unit that intervals resample.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Block {
+    /// A tally for each subset.
+    pub tallies: Vec<Tally>,
+}
+
+/// What forecasts are judged by.
+pub struct Judge<'a> {
+    /// The model.
+    pub forecaster: &'a Forecaster,
+    /// The others.
+    pub baselines: &'a Baselines,
+    /// Numbers of steps up to which errors are summed, growing.
+    pub horizons: &'a [usize],
+    /// Which agents count.
+    pub subsets: &'a [Subset],
+    /// Threads that share the scenes; results do not depend on it.
+    pub threads: usize,
+}
+
+/// A scene with the agents that are forecast.
+struct Case<'a> {
+    scene: &'a Scene,
+    complete: Vec<usize>,
+}
+
+impl Judge<'_> {
+    /// Judges every `every`-th of a recording's scenes that have an agent to count, block by block.
+    #[must_use]
+    pub fn recording(
+        &self,
+        recording: &Recording,
+        scenes: &[Scene],
+        map: MapInput<'_>,
+        every: usize,
+    ) -> Vec<Block> {
+        let table = ContextTable::new(self.forecaster, recording, scenes, map, self.threads);
+        let cases = scenes.iter().map(|scene| Case { scene, complete: scene.complete() });
+        let cases: Vec<Case<'_>> =
+            cases.filter(|case| !case.complete.is_empty()).step_by(every.max(1)).collect();
+        let tallies = threads::each(&cases, self.threads, |case, memory| self.scene(case, &table, memory));
+        let config = self.forecaster.config();
+        let block_ns = config.step_ns() as i64 * (config.history_len + config.horizon_len) as i64;
+        let mut blocks: Vec<(i64, Block)> = Vec::new();
+        for (case, tallies) in cases.iter().zip(tallies) {
+            let number = case.scene.stamp_ns.div_euclid(block_ns);
+            match blocks.last_mut().filter(|(last, _)| *last == number) {
+                Some((_, block)) => {
+                    block.tallies.iter_mut().zip(&tallies).for_each(|(sum, tally)| sum.merge(tally));
+                }
+                None => blocks.push((number, Block { tallies })),
+            }
+        }
+        blocks.into_iter().map(|(_, block)| block).collect()
+    }
+
+    /// A tally of the scene for each subset.
+    fn scene(&self, case: &Case<'_>, table: &ContextTable, memory: &mut ForecasterMemory) -> Vec<Tally> {
+        let Case { scene, complete } = case;
+        let config = self.forecaster.config();
+        let context = |agent: usize, step: usize| {
+            let back = (config.history_len - 1 - step) as i64;
+            table.of(scene.agents[agent].id, scene.stamp_ns - back * config.step_ns() as i64)
+        };
+        let forecasts = self.forecaster.forecast(scene, context, complete, memory);
+        let judged: Vec<Judged<'_>> = complete
+            .iter()
+            .zip(&forecasts)
+            .map(|(&place, forecast)| self.agent(scene, &scene.agents[place], forecast))
+            .collect();
+        let tally = |subset: &Subset| {
+            let members = subset.of(scene, complete);
+            let members: Vec<&Judged<'_>> = complete
+                .iter()
+                .zip(&judged)
+                .filter(|(place, _)| members.contains(place))
+                .map(|(_, j)| j)
+                .collect();
+            self.together(&members)
+        };
+        self.subsets.iter().map(tally).collect()
+    }
+
+    /// The sums of some agents of a scene.
+    fn together(&self, members: &[&Judged<'_>]) -> Tally {
+        let mut tally = Tally::new(self.horizons.len());
+        if members.is_empty() {
+            return tally;
+        }
+        members.iter().for_each(|judged| tally.merge(&judged.tally));
+        let candidates: Vec<_> = members.iter().map(|judged| (judged.agent, &judged.candidates)).collect();
+        tally.add_scene(&candidates, self.horizons);
+        let discs = |of: &dyn Fn(&Judged<'_>) -> Vec<Point>| {
+            let trajectories: Vec<Vec<Point>> = members.iter().map(|judged| of(judged)).collect();
+            let discs: Vec<Disc<'_>> = members
+                .iter()
+                .zip(&trajectories)
+                .map(|(judged, trajectory)| Disc { trajectory, radius_m: radius_m(judged.agent.agent_type) })
+                .collect();
+            collisions(&discs)
+        };
+        let single = |judged: &Judged<'_>| {
+            judged.candidates[Method::Network.index()].single.clone().unwrap_or_default()
+        };
+        tally.collided = discs(&single);
+        tally.truly_collided = discs(&|judged| judged.agent.future.iter().copied().flatten().collect());
+        tally
+    }
+
+    fn agent<'b>(&self, scene: &Scene, agent: &'b Agent, forecast: &Forecast) -> Judged<'b> {
+        let candidates = self.baselines.candidates(scene, agent, forecast);
+        let mut tally = Tally::new(self.horizons.len());
+        tally.add_agent(agent, &candidates, self.horizons);
+        self.add_sureness(scene, agent, forecast, &mut tally);
+        if let Some(now) = agent.newest() {
+            let limits = Limits::of(agent.agent_type);
+            let dt_s = self.forecaster.config().dt_s as f32;
+            for trajectory in forecast.modes.iter().chain([&forecast.best]) {
+                tally.broken.add(limits.broken_by(&now, trajectory, dt_s));
+            }
+        }
+        Judged { agent, candidates, tally }
+    }
+
+    fn add_sureness(&self, scene: &Scene, agent: &Agent, forecast: &Forecast, tally: &mut Tally) {
+        let ModelConfig { modes: modes_len, .. } = *self.forecaster.config();
+        let seed = agent.id.rotate_left(32) ^ scene.stamp_ns as u64;
+        let mut first = 0;
+        for (horizon, &steps) in self.horizons.iter().enumerate() {
+            let sureness = tally.sureness_mut(horizon);
+            for step in first..steps {
+                let Some(truth) = agent.future[step] else { continue };
+                let means: Vec<Point> = forecast.modes.iter().map(|mode| mode[step]).collect();
+                let covariances: Vec<[f32; 3]> =
+                    (0..modes_len).map(|mode| forecast.covariance[mode][step]).collect();
+                let probability = &forecast.probability[..];
+                sureness.kde_nll.add(-kde_log_density(&means, probability, truth));
+                let level = highest_density_level(
+                    &means,
+                    &covariances,
+                    probability,
+                    truth,
+                    seed ^ (step as u64) << 48,
+                );
+                sureness.covered_50.add(level <= 0.5);
+                sureness.covered_90.add(level <= 0.9);
+            }
+            let truth = &agent.future[..steps];
+            let misses = |errors: metrics::Displacement| errors.is_miss().unwrap_or_default();
+            sureness.missed_best.add(misses(metrics::best_of(&forecast.modes, truth)));
+            sureness.missed_single.add(misses(metrics::displacement(&forecast.best, truth)));
+            first = steps;
+        }
+    }
+}
+
+/// An agent with what all methods made of it.
+struct Judged<'a> {
+    agent: &'a Agent,
+    candidates: [Candidate; Method::ALL.len()],
+    tally: Tally,
+}
+
+/// Half the width of an agent of a type: what it surely occupies.
+const fn radius_m(agent_type: AgentType) -> f32 {
+    match agent_type {
+        AgentType::Vehicle => 0.9,
+        AgentType::Cyclist => 0.3,
+        AgentType::Pedestrian => 0.2,
+    }
+}

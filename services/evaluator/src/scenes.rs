@@ -1,0 +1,135 @@
+//! Scenes: moments of a recording as a forecaster may see them, and what came after.
+
+use data::{Recording, Window, WindowAgent, WindowOptions};
+use metrics::Point;
+use nn::ModelConfig;
+use scene::{AgentType, State};
+use wire::detection_flags::{HAS_HEADING, HAS_SPEED};
+
+/// An agent of a scene.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Agent {
+    /// Identity in the recording.
+    pub id: u64,
+    /// What it was taken for at the scene's time.
+    pub agent_type: AgentType,
+    /// `None` where unknown.
+    pub length_m: Option<f32>,
+    /// States at the history steps, oldest first.
+    pub history: Vec<Option<State>>,
+    /// Positions at the forecast steps.
+    pub future: Vec<Option<Point>>,
+}
+
+/// A moment of a recording.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Scene {
+    /// Time of the newest history step.
+    pub stamp_ns: i64,
+    /// All agents that are present then.
+    pub agents: Vec<Agent>,
+}
+
+/// How scenes are cut from a recording.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Cut {
+    /// Steps of the history, T_h.
+    pub history_len: usize,
+    /// Steps of the forecast, T_f.
+    pub horizon_len: usize,
+    /// Spacing of the steps, Δt.
+    pub dt_s: f64,
+    /// Whether velocities and headings come from the positions even where the recording has its own.
+    pub from_positions: bool,
+}
+
+impl Agent {
+    /// Whether the agent is present at every step of history and forecast.
+    #[must_use]
+    pub fn is_complete(&self) -> bool {
+        self.history.iter().all(Option::is_some) && self.future.iter().all(Option::is_some)
+    }
+
+    /// The newest state.
+    #[must_use]
+    pub fn newest(&self) -> Option<State> {
+        *self.history.last()?
+    }
+}
+
+impl Scene {
+    /// Places of the agents that a measure can count: those present from the first history step to the last forecast
+    /// step.
+    #[must_use]
+    pub fn complete(&self) -> Vec<usize> {
+        (0..self.agents.len()).filter(|&agent| self.agents[agent].is_complete()).collect()
+    }
+}
+
+impl Cut {
+    /// The steps of a model, with the motion that recordings tell.
+    #[must_use]
+    pub fn of(config: &ModelConfig) -> Self {
+        Self {
+            history_len: config.history_len,
+            horizon_len: config.horizon_len,
+            dt_s: config.dt_s,
+            from_positions: false,
+        }
+    }
+
+    /// The spacing of the steps in nanoseconds.
+    #[must_use]
+    pub fn step_ns(&self) -> i64 {
+        (self.dt_s * 1e9).round() as i64
+    }
+
+    /// The scenes of a recording, a step apart, in time order.
+    ///
+    /// Velocities and headings are the recording's where it has them for all agents of a type. Otherwise they are
+    /// backward differences over the step within the scene itself, the first step copying the second, so that nothing
+    /// before the history is known either.
+    #[must_use]
+    pub fn scenes(&self, recording: &Recording) -> Vec<Scene> {
+        let options = WindowOptions {
+            from_positions: self.from_positions,
+            ..WindowOptions::new(self.history_len, self.horizon_len, self.step_ns())
+        };
+        let given = wire::AGENT_TYPES.map(|of_type| !self.from_positions && tells_motion(recording, of_type));
+        let agent = |agent: &WindowAgent| self.agent(agent, given[agent.agent_type.index()]);
+        let scene = |window: &Window| Scene {
+            stamp_ns: window.stamp_ns,
+            agents: window.agents.iter().map(agent).collect(),
+        };
+        data::windows(recording, &options).iter().map(scene).collect()
+    }
+
+    fn agent(&self, agent: &WindowAgent, motion_is_given: bool) -> Agent {
+        let history = if motion_is_given {
+            agent.history.clone()
+        } else {
+            let positions: Vec<_> =
+                agent.history.iter().map(|state| state.map(|state| state.position_m)).collect();
+            let mut states = vec![None; positions.len()];
+            scene::states_from_positions(&positions, positions.len(), self.dt_s as f32, &mut states);
+            states
+        };
+        Agent {
+            id: agent.id,
+            agent_type: agent.agent_type,
+            length_m: (agent.length_m > 0.0).then_some(agent.length_m),
+            history,
+            future: agent.future.clone(),
+        }
+    }
+}
+
+/// Whether all detections of a type have speed and heading.
+fn tells_motion(recording: &Recording, agent_type: AgentType) -> bool {
+    let mut of_type = recording
+        .frames
+        .iter()
+        .flat_map(|frame| &frame.detections)
+        .filter(|detection| detection.agent_type == agent_type as u32);
+    of_type.all(|detection| detection.has(HAS_SPEED | HAS_HEADING))
+}

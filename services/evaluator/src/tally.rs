@@ -1,0 +1,266 @@
+//! Sums of errors over agents, from which every table is made.
+
+use metrics::{Displacement, Mean, Share, displacement, joint_best_of};
+
+use crate::baselines::Candidate;
+use crate::{Agent, Method};
+
+/// How the forecasts of a method are compared with the truth.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Measure {
+    /// The best of 20, each agent its own, ADE and FDE each their own minimum.
+    BestOf,
+    /// The single best forecast, K = 1.
+    Single,
+    /// The most probable of the 20.
+    MostLikely,
+    /// The best of 20 futures of the scene: mode k of every agent together.
+    Joint,
+    /// The best of 20 futures of the scene: the k-th most probable mode of every agent together.
+    JointRanked,
+}
+
+impl Measure {
+    /// All measures, in the order of the reports.
+    pub const ALL: [Self; 5] = [Self::BestOf, Self::Single, Self::MostLikely, Self::Joint, Self::JointRanked];
+
+    /// The name in reports.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::BestOf => "best of 20",
+            Self::Single => "K = 1",
+            Self::MostLikely => "most likely",
+            Self::Joint => "joint best of 20",
+            Self::JointRanked => "joint, by rank",
+        }
+    }
+
+    /// Place in [`Measure::ALL`].
+    #[must_use]
+    pub const fn index(self) -> usize {
+        self as usize
+    }
+}
+
+const METHODS: usize = Method::ALL.len();
+const MEASURES: usize = Measure::ALL.len();
+
+/// Mean ADE and FDE.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Errors {
+    /// Mean distance over the steps.
+    pub ade_m: f64,
+    /// Distance at the last step.
+    pub fde_m: f64,
+}
+
+/// What the network said of how sure it is, over the steps since the horizon before.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Sureness {
+    /// Negative log density of the truth under the kernel density of the modes, over agents and steps.
+    pub kde_nll: Mean,
+    /// Truths inside the 50 % highest-density region of the mixture, over agents and steps.
+    pub covered_50: Share,
+    /// Truths inside the 90 % region.
+    pub covered_90: Share,
+    /// Agents whose best of 20 ends more than 2 m off.
+    pub missed_best: Share,
+    /// Agents whose single forecast ends more than 2 m off.
+    pub missed_single: Share,
+}
+
+impl Sureness {
+    /// Counts all that `other` counted; the misses are those of the later horizon.
+    fn merge_steps(&mut self, other: &Self) {
+        self.kde_nll.merge(&other.kde_nll);
+        self.covered_50.merge(&other.covered_50);
+        self.covered_90.merge(&other.covered_90);
+    }
+}
+
+/// Errors of all methods on some agents.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Tally {
+    /// Scenes with an agent that counts.
+    pub scenes_len: u64,
+    /// Agents that count.
+    pub agents_len: u64,
+    /// Agents that a method forecast, by method and measure.
+    counts: [[u64; MEASURES]; METHODS],
+    /// Sums of (ADE, FDE), by horizon, method and measure.
+    sums: Vec<[[[f64; 2]; MEASURES]; METHODS]>,
+    /// By horizon.
+    sureness: Vec<Sureness>,
+    /// Single forecasts that run into another of the same scene.
+    pub collided: Share,
+    /// Recorded futures that do so by the same rule.
+    pub truly_collided: Share,
+    /// Modes and single forecasts that break a limit of their agent's type.
+    pub broken: Share,
+}
+
+impl Tally {
+    /// Nothing counted, over so many horizons.
+    #[must_use]
+    pub fn new(horizons_len: usize) -> Self {
+        Self {
+            scenes_len: 0,
+            agents_len: 0,
+            counts: [[0; MEASURES]; METHODS],
+            sums: vec![[[[0.0; 2]; MEASURES]; METHODS]; horizons_len],
+            sureness: vec![Sureness::default(); horizons_len],
+            collided: Share::default(),
+            truly_collided: Share::default(),
+            broken: Share::default(),
+        }
+    }
+
+    /// Counts all that `other` counted.
+    pub fn merge(&mut self, other: &Self) {
+        self.scenes_len += other.scenes_len;
+        self.agents_len += other.agents_len;
+        add_all(self.counts.as_flattened_mut(), other.counts.as_flattened());
+        for (sums, more) in self.sums.iter_mut().zip(&other.sums) {
+            let sums = sums.as_flattened_mut().as_flattened_mut();
+            add_all(sums, more.as_flattened().as_flattened());
+        }
+        for (sureness, more) in self.sureness.iter_mut().zip(&other.sureness) {
+            sureness.merge_steps(more);
+            sureness.missed_best.merge(&more.missed_best);
+            sureness.missed_single.merge(&more.missed_single);
+        }
+        self.collided.merge(&other.collided);
+        self.truly_collided.merge(&other.truly_collided);
+        self.broken.merge(&other.broken);
+    }
+
+    /// The same sums in another unit of length, so many of which make a metre. What has no length stays.
+    #[must_use]
+    pub fn scaled(mut self, per_m: f64) -> Self {
+        let sums = self.sums.iter_mut().flat_map(|sums| sums.as_flattened_mut().as_flattened_mut());
+        sums.for_each(|sum| *sum *= per_m);
+        self
+    }
+
+    /// Mean errors up to a horizon; `None` where the method has no such forecast.
+    #[must_use]
+    pub fn errors(&self, method: Method, measure: Measure, horizon: usize) -> Option<Errors> {
+        let [ade_m, fde_m] = self.sum(method, measure, horizon);
+        let len = self.len(method, measure);
+        (len > 0).then(|| Errors { ade_m: ade_m / len as f64, fde_m: fde_m / len as f64 })
+    }
+
+    /// Sums of (ADE, FDE) up to a horizon.
+    #[must_use]
+    pub fn sum(&self, method: Method, measure: Measure, horizon: usize) -> [f64; 2] {
+        self.sums[horizon][method.index()][measure.index()]
+    }
+
+    /// Agents that a method forecast.
+    #[must_use]
+    pub const fn len(&self, method: Method, measure: Measure) -> u64 {
+        self.counts[method.index()][measure.index()]
+    }
+
+    /// Whether nothing was counted.
+    #[must_use]
+    pub const fn is_empty(&self) -> bool {
+        self.agents_len == 0
+    }
+
+    /// Horizons.
+    #[must_use]
+    pub fn horizons_len(&self) -> usize {
+        self.sums.len()
+    }
+
+    /// How sure the network was, over all steps up to a horizon.
+    #[must_use]
+    pub fn sureness(&self, horizon: usize) -> Sureness {
+        let mut all = self.sureness[horizon];
+        self.sureness[..horizon].iter().for_each(|before| all.merge_steps(before));
+        all
+    }
+
+    /// Counts what of an agent's sureness falls to a horizon.
+    pub(crate) fn sureness_mut(&mut self, horizon: usize) -> &mut Sureness {
+        &mut self.sureness[horizon]
+    }
+
+    /// Counts the marginal errors of one agent, `horizons` being numbers of steps.
+    pub(crate) fn add_agent(&mut self, agent: &Agent, candidates: &[Candidate; METHODS], horizons: &[usize]) {
+        self.agents_len += 1;
+        for (method, candidate) in candidates.iter().enumerate() {
+            let Candidate { modes, probability, single } = candidate;
+            let likely = probability.as_deref().and_then(metrics::most_likely);
+            for (horizon, &steps) in horizons.iter().enumerate() {
+                let truth = &agent.future[..steps];
+                let mut add = |measure: Measure, errors: Displacement| {
+                    let (Some(ade_m), Some(fde_m)) = (errors.ade_m, errors.fde_m) else { return };
+                    let sum = &mut self.sums[horizon][method][measure.index()];
+                    *sum = [sum[0] + ade_m, sum[1] + fde_m];
+                    self.counts[method][measure.index()] += u64::from(horizon == 0);
+                };
+                if !modes.is_empty() {
+                    add(Measure::BestOf, metrics::best_of(modes, truth));
+                }
+                if let Some(single) = single {
+                    add(Measure::Single, displacement(single, truth));
+                }
+                if let Some(likely) = likely.and_then(|mode| modes.get(mode)) {
+                    add(Measure::MostLikely, displacement(likely, truth));
+                }
+            }
+        }
+    }
+
+    /// Counts the joint errors of the agents of a scene.
+    pub(crate) fn add_scene(&mut self, scene: &[(&Agent, &[Candidate; METHODS])], horizons: &[usize]) {
+        self.scenes_len += 1;
+        for method in 0..METHODS {
+            let modes_len = scene.first().map_or(0, |(_, candidates)| candidates[method].modes.len());
+            let is_joint = |(_, c): &(&Agent, &[Candidate; METHODS])| c[method].modes.len() == modes_len;
+            if modes_len == 0 || !scene.iter().all(is_joint) {
+                continue;
+            }
+            let ranked: Option<Vec<Vec<_>>> =
+                scene.iter().map(|(_, candidates)| by_rank(&candidates[method])).collect();
+            for (horizon, &steps) in horizons.iter().enumerate() {
+                let truths = scene.iter().map(|(agent, _)| &agent.future[..steps]);
+                let plain = scene.iter().map(|(_, candidates)| &candidates[method].modes[..]);
+                let pairs: Vec<_> = plain.zip(truths.clone()).collect();
+                self.add_joint(method, Measure::Joint, horizon, joint_best_of(&pairs));
+                if let Some(ranked) = &ranked {
+                    let pairs: Vec<_> = ranked.iter().map(Vec::as_slice).zip(truths).collect();
+                    self.add_joint(method, Measure::JointRanked, horizon, joint_best_of(&pairs));
+                }
+            }
+        }
+    }
+
+    fn add_joint(
+        &mut self,
+        method: usize,
+        measure: Measure,
+        horizon: usize,
+        errors: metrics::DisplacementMean,
+    ) {
+        let total = |mean: &Mean| mean.value().unwrap_or_default() * mean.len() as f64;
+        let sum = &mut self.sums[horizon][method][measure.index()];
+        *sum = [sum[0] + total(&errors.ade_m), sum[1] + total(&errors.fde_m)];
+        self.counts[method][measure.index()] += if horizon == 0 { errors.ade_m.len() } else { 0 };
+    }
+}
+
+/// The modes by falling probability; `None` where there are no probabilities.
+fn by_rank(candidate: &Candidate) -> Option<Vec<&[metrics::Point]>> {
+    let probability = candidate.probability.as_ref()?;
+    let mut order: Vec<usize> = (0..candidate.modes.len()).collect();
+    order.sort_by(|&a, &b| probability[b].total_cmp(&probability[a]));
+    Some(order.into_iter().map(|mode| &candidate.modes[mode][..]).collect())
+}
+
+fn add_all<T: Copy + std::ops::AddAssign>(sums: &mut [T], more: &[T]) {
+    sums.iter_mut().zip(more).for_each(|(sum, more)| *sum += *more);
+}
