@@ -18,6 +18,15 @@ impl Displacement {
     pub fn is_miss(&self) -> Option<bool> {
         self.fde_m.map(|fde_m| fde_m > MISS_RADIUS_M)
     }
+
+    /// The smaller ADE and the smaller FDE of two, each by itself.
+    pub(crate) fn or_better(self, other: Self) -> Self {
+        let smaller = |a: Option<f64>, b: Option<f64>| match (a, b) {
+            (Some(a), Some(b)) => Some(a.min(b)),
+            (a, b) => a.or(b),
+        };
+        Self { ade_m: smaller(self.ade_m, other.ade_m), fde_m: smaller(self.fde_m, other.fde_m) }
+    }
 }
 
 /// Mean of many displacements; ADE and FDE are counted apart, since some windows end before the horizon.
@@ -59,16 +68,26 @@ impl DisplacementMean {
 /// Where the trajectory is shorter than the truth.
 #[must_use]
 pub fn displacement(trajectory: &[Point], truth: &[Option<Point>]) -> Displacement {
+    displacements_by_horizon(trajectory, truth).last().unwrap_or_default()
+}
+
+/// Compares one trajectory with the truth as if the horizon ended after the first step, after the second and so on.
+///
+/// # Panics
+/// Where the trajectory is shorter than the truth.
+pub(crate) fn displacements_by_horizon(
+    trajectory: &[Point],
+    truth: &[Option<Point>],
+) -> impl Iterator<Item = Displacement> {
     assert!(trajectory.len() >= truth.len(), "{} steps, truth has {}", trajectory.len(), truth.len());
     let mut mean = Mean::default();
-    let mut fde_m = None;
-    for (&forecast, &known) in trajectory.iter().zip(truth) {
-        fde_m = known.map(|position| distance_m(forecast, position));
+    trajectory.iter().zip(truth).map(move |(&forecast, &known)| {
+        let fde_m = known.map(|position| distance_m(forecast, position));
         if let Some(distance_m) = fde_m {
             mean.add(distance_m);
         }
-    }
-    Displacement { ade_m: mean.value(), fde_m }
+        Displacement { ade_m: mean.value(), fde_m }
+    })
 }
 
 /// Compares the best of several trajectories with the truth: ADE and FDE each have their own minimum, as in the
@@ -78,9 +97,8 @@ pub fn displacement(trajectory: &[Point], truth: &[Option<Point>]) -> Displaceme
 /// Where a trajectory is shorter than the truth.
 #[must_use]
 pub fn best_of<M: AsRef<[Point]>>(modes: &[M], truth: &[Option<Point>]) -> Displacement {
-    modes.iter().map(|mode| displacement(mode.as_ref(), truth)).fold(Displacement::default(), |best, d| {
-        Displacement { ade_m: smaller(best.ade_m, d.ade_m), fde_m: smaller(best.fde_m, d.fde_m) }
-    })
+    let each = modes.iter().map(|mode| displacement(mode.as_ref(), truth));
+    each.fold(Displacement::default(), Displacement::or_better)
 }
 
 /// Compares the best *joint* draw of a scene with the truth: mode k of every agent forms the k-th future of the
@@ -112,13 +130,6 @@ pub fn joint_best_of<M: AsRef<[Point]>>(agents: &[(&[M], &[Option<Point>])]) -> 
 #[must_use]
 pub fn most_likely(probability: &[f32]) -> Option<usize> {
     (0..probability.len()).reduce(|best, k| if probability[k] > probability[best] { k } else { best })
-}
-
-fn smaller(a: Option<f64>, b: Option<f64>) -> Option<f64> {
-    match (a, b) {
-        (Some(a), Some(b)) => Some(a.min(b)),
-        (a, b) => a.or(b),
-    }
 }
 
 #[cfg(test)]

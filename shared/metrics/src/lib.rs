@@ -8,14 +8,17 @@
 //! A *truth* is a slice with one entry per step of the horizon, `None` where nobody knows the position; such steps
 //! count nowhere. A trajectory may be longer than the truth (payloads have room for the longest horizon), never
 //! shorter. All sums are f64 and in the order of the calls, so that a repeated evaluation agrees to the bit;
-//! accumulators ([`Mean`], [`Share`], [`DisplacementMean`], [`Scores`]) of several parts can be merged.
+//! accumulators ([`Mean`], [`Share`], [`DisplacementMean`], [`Scores`], [`HorizonScores`], [`Calibration`]) of several parts
+//! can be merged.
 
 mod anchors;
 mod baseline;
 mod bootstrap;
+mod calibration;
 mod collision;
 mod density;
 mod displacement;
+mod horizon;
 mod kmeans;
 mod limits;
 mod mean;
@@ -30,11 +33,13 @@ pub use baseline::{
     constant_turn_rate, constant_turn_rate_acceleration, constant_velocity, sampled_constant_velocity,
 };
 pub use bootstrap::{Interval, PairedErrors, paired_bootstrap, paired_bootstrap_ratio};
+pub use calibration::Calibration;
 pub use collision::{Disc, collisions};
 pub use density::{LOG_DENSITY_MIN, covers, kde_log_density};
 pub use displacement::{
     Displacement, DisplacementMean, MISS_RADIUS_M, best_of, displacement, joint_best_of, most_likely,
 };
+pub use horizon::{HorizonScore, HorizonScores};
 pub use kmeans::{Clusters, kmeans};
 pub use limits::Limits;
 pub use mean::{Mean, Share};
