@@ -11,6 +11,8 @@
 pub(crate) mod check;
 pub(crate) mod context;
 pub(crate) mod dense;
+#[cfg(test)]
+pub(crate) mod golden;
 pub(crate) mod gru;
 pub(crate) mod matrix;
 pub(crate) mod motion;
