@@ -25,7 +25,7 @@ mod portable;
 pub(crate) mod product;
 
 pub use lanes::Lanes;
-pub use math::{exp, exp_in_place, sigmoid, tanh};
+pub use math::{exp, exp_in_place, sigmoid, sin_cos, tanh};
 
 /// An instruction set that the kernels are compiled for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
