@@ -4,19 +4,18 @@
 //! β_k = softmax over the present steps k of f_act(w v_k)      ṽ = Σ_k β_k f_act(V v_k)      [paper, Eq. temporal]
 //! ```
 //!
-//! Every head has a w of its own and its rows of V. Where there are as many heads as attributes, V is w: the formula of
-//! the paper read to the letter.
-
-use nn::kernels::exp_in_place;
+//! The sum is that of messages from an agent's rows to the agent, as in [`super::topological`]. Every head has a w of its
+//! own and its rows of V. Where there are as many heads as attributes, V is w: the paper's formula read to the letter.
 
 use super::matrix::{Into, Matrix, by_input, by_matrix, forward};
 use super::tensors::{Gradients, Tensors};
+use super::topological::messages::{Messages, MessagesBackward, leaky_factor};
+use super::topological::scores::softmax;
+use super::topological::{BLOCK, Block, Edges, NODE};
 
 #[cfg(test)]
 mod tests;
 
-/// Node attributes.
-const NODE: usize = 64;
 /// The row of a step at which the agent is absent.
 const ABSENT: u32 = u32::MAX;
 const SCORE: &str = "gdat.temporal.score.weight";
@@ -27,7 +26,7 @@ const VALUE: &str = "gdat.temporal.value.weight";
 pub(crate) struct Summary {
     /// ṽ `[agents, 64]`; zeros for an agent that is never present.
     pub(crate) encoding: Matrix,
-    /// β `[agents × steps, heads]`; zeros where the agent is absent.
+    /// β `[present steps, heads]`, agent by agent.
     pub(crate) beta: Matrix,
     trace: Trace,
 }
@@ -43,8 +42,8 @@ struct Trace {
     value: Option<Matrix>,
 }
 
-/// Sums `node` `[rows, 64]` over the steps of every agent; `steps` `[agents × steps_len]` has their rows, `u32::MAX` where
-/// the agent is absent.
+/// Sums `node` `[rows, 64]` over the steps of every agent; `steps` `[agents × steps_len]` has their rows, `u32::MAX`
+/// where the agent is absent.
 pub(crate) fn temporal(
     weights: &Tensors,
     leaky_slope: f32,
@@ -61,24 +60,29 @@ pub(crate) fn temporal(
     let score = product(SCORE);
     let value = (score.cols != NODE).then(|| product(VALUE));
     let trace = Trace { leaky_slope, steps_len, score, value };
-    let beta = trace.weigh(steps);
-    let encoding = trace.sum(steps, &beta);
+    let present = present(steps, steps_len);
+    let mut beta = trace.score.gather(&present.sender);
+    beta.values.iter_mut().for_each(|x| *x *= leaky_factor(leaky_slope, *x));
+    softmax(&mut beta, &present.first);
+    let mut encoding = Matrix::zeros(steps.len() / steps_len, NODE);
+    let own = [0.0; BLOCK * NODE];
+    for block in present.blocks() {
+        trace.messages(block, &beta).sum(&own, &mut encoding);
+    }
     Summary { encoding, beta, trace }
 }
 
-/// x, or `slope` times x where it is not positive.
-fn leaky(slope: f32, x: f32) -> f32 {
-    x * leaky_factor(slope, x)
-}
-
-/// The derivative of [`leaky`] at x.
-const fn leaky_factor(slope: f32, x: f32) -> f32 {
-    if x > 0.0 { 1.0 } else { slope }
-}
-
-/// (place among `steps`, row) where the agent is present.
-fn present(steps: &[u32]) -> impl Iterator<Item = (usize, usize)> {
-    steps.iter().enumerate().filter(|(_, row)| **row != ABSENT).map(|(step, row)| (step, *row as usize))
+/// The present steps as edges from their rows to their agents.
+fn present(steps: &[u32], steps_len: usize) -> Edges {
+    let mut edges = Edges { first: vec![0], ..Edges::default() };
+    for (agent, steps) in steps.chunks_exact(steps_len).enumerate() {
+        for row in steps.iter().filter(|row| **row != ABSENT) {
+            edges.receiver.push(agent as u32);
+            edges.sender.push(*row);
+        }
+        edges.first.push(edges.len() as u32);
+    }
+    edges
 }
 
 impl Trace {
@@ -86,66 +90,14 @@ impl Trace {
         self.value.as_ref().unwrap_or(&self.score)
     }
 
-    /// β of every agent and step, `[agents × steps, heads]`.
-    fn weigh(&self, steps: &[u32]) -> Matrix {
-        let heads = self.score.cols;
-        let mut beta = Matrix::zeros(steps.len(), heads);
-        for (at, row) in present(steps) {
-            let scores = beta.row_mut(at).iter_mut().zip(self.score.row(row));
-            scores.for_each(|(beta, score)| *beta = leaky(self.leaky_slope, *score));
-        }
-        let agents = || steps.chunks_exact(self.steps_len);
-        let mut by_head = vec![0.0; heads];
-        for (steps, beta) in agents().zip(beta.values.chunks_exact_mut(self.steps_len * heads)) {
-            by_head.fill(f32::NEG_INFINITY);
-            for (step, _) in present(steps) {
-                let scores = by_head.iter_mut().zip(&beta[step * heads..]);
-                scores.for_each(|(most, score)| *most = most.max(*score));
-            }
-            for (step, _) in present(steps) {
-                let scores = beta[step * heads..].iter_mut().zip(&by_head);
-                scores.for_each(|(score, most)| *score -= most);
-            }
-        }
-        exp_in_place(&mut beta.values);
-        for (steps, beta) in agents().zip(beta.values.chunks_exact_mut(self.steps_len * heads)) {
-            by_head.fill(0.0);
-            for (step, _) in present(steps) {
-                by_head.iter_mut().zip(&beta[step * heads..]).for_each(|(sum, beta)| *sum += beta);
-            }
-            for (row, beta) in steps.iter().zip(beta.chunks_exact_mut(heads)) {
-                if *row == ABSENT {
-                    beta.fill(0.0);
-                } else {
-                    beta.iter_mut().zip(&by_head).for_each(|(beta, sum)| *beta /= sum);
-                }
-            }
-        }
-        beta
-    }
-
-    /// ṽ of every agent.
-    fn sum(&self, steps: &[u32], beta: &Matrix) -> Matrix {
-        let mut encoding = Matrix::zeros(steps.len() / self.steps_len, NODE);
-        let section = NODE / beta.cols;
-        for (at, row) in present(steps) {
-            let sections = encoding.row_mut(at / self.steps_len).chunks_exact_mut(section);
-            let values = self.value().row(row).chunks_exact(section);
-            for (beta, (sum, value)) in beta.row(at).iter().zip(sections.zip(values)) {
-                let terms = sum.iter_mut().zip(value);
-                terms.for_each(|(sum, value)| *sum += beta * leaky(self.leaky_slope, *value));
-            }
-        }
-        encoding
+    fn messages<'a>(&'a self, block: Block<'a>, beta: &'a Matrix) -> Messages<'a> {
+        let leaky_slope = self.leaky_slope;
+        Messages { block, heads: beta.cols, leaky_slope, values: self.value(), alpha: block.of(beta) }
     }
 }
 
 impl Summary {
     /// Gradient by `node`, which [`temporal`] was given with `steps`, from that by the encoding.
-    ///
-    /// ```text
-    /// ∂β_k = ∂ṽ · f(V v_k)      ∂f(w v_k) = β_k (∂β_k − ∂ṽ · ṽ)      since Σ_k β_k ∂β_k = ∂ṽ · Σ_k β_k f(V v_k)
-    /// ```
     pub(crate) fn backward(
         &self,
         weights: &Tensors,
@@ -154,34 +106,25 @@ impl Summary {
         steps: &[u32],
         d_encoding: &Matrix,
     ) -> Matrix {
-        let Trace { leaky_slope, steps_len, score, .. } = &self.trace;
-        let value = self.trace.value();
-        let heads = score.cols;
-        let section = NODE / heads;
-        let mut by_score = Matrix::zeros(node.rows, heads);
-        let mut by_value = Matrix::zeros(node.rows, NODE);
-        for (at, row) in present(steps) {
-            let (d_encoding, encoding) = (d_encoding.row(at / steps_len), self.encoding.row(at / steps_len));
-            let (value, by_value) = (value.row(row), by_value.row_mut(row));
-            for head in 0..heads {
-                let beta = self.beta.row(at)[head];
-                let mut by_exponent = 0.0;
-                for i in head * section..(head + 1) * section {
-                    let factor = leaky_factor(*leaky_slope, value[i]);
-                    by_exponent += d_encoding[i] * (value[i] * factor - encoding[i]);
-                    by_value[i] = beta * d_encoding[i] * factor;
-                }
-                let factor = leaky_factor(*leaky_slope, score.row(row)[head]);
-                by_score.row_mut(row)[head] = beta * by_exponent * factor;
-            }
+        let Trace { leaky_slope, steps_len, score, value } = &self.trace;
+        let present = present(steps, *steps_len);
+        let mut back = MessagesBackward::new(present.len(), node.rows, score.cols);
+        let mut own = [0.0; BLOCK * NODE];
+        for block in present.blocks() {
+            own.fill(0.0);
+            back.run(self.trace.messages(block, &self.beta), (&self.encoding, d_encoding), &mut own);
         }
+        let mut by_score = Matrix::zeros(node.rows, score.cols);
+        by_score.scatter_add(&present.sender, &back.by_scores);
+        let scores = by_score.values.iter_mut().zip(&score.values);
+        scores.for_each(|(gradient, score)| *gradient *= leaky_factor(*leaky_slope, *score));
+
         let mut by_node = Matrix::zeros(node.rows, NODE);
-        let mut take_back = |name: &str, gradient: &Matrix| {
+        let value_name = if value.is_some() { VALUE } else { SCORE };
+        for (name, gradient) in [(SCORE, &by_score), (value_name, &back.by_values)] {
             by_matrix(gradient.view(), node.view(), gradients.matrix_mut(name));
             by_input(gradient.view(), weights.matrix(name), by_node.view_mut(), Into::Add);
-        };
-        take_back(SCORE, &by_score);
-        take_back(if self.trace.value.is_some() { VALUE } else { SCORE }, &by_value);
+        }
         by_node
     }
 }

@@ -17,18 +17,18 @@ use messages::{Messages, MessagesBackward};
 use scores::Coefficients;
 use update::Update;
 
-mod messages;
-mod scores;
+pub(super) mod messages;
+pub(super) mod scores;
 #[cfg(test)]
 mod tests;
 mod update;
 
 /// Node attributes.
-const NODE: usize = 64;
+pub(super) const NODE: usize = 64;
 /// Edge attributes.
 const EDGE: usize = 16;
 /// Edges that pass a layer together.
-const BLOCK: usize = 256;
+pub(super) const BLOCK: usize = 256;
 
 /// Which rows are joined.
 #[derive(Clone, Debug, Default)]
@@ -46,15 +46,26 @@ impl Edges {
         self.receiver.len()
     }
 
-    fn blocks(&self) -> impl Iterator<Item = Block<'_>> {
+    /// Rows that receive and send.
+    #[inline(always)]
+    fn ends(&self) -> impl Iterator<Item = (usize, usize)> {
+        ends(&self.receiver, &self.sender)
+    }
+
+    pub(super) fn blocks(&self) -> impl Iterator<Item = Block<'_>> {
         let ends = self.receiver.chunks(BLOCK).zip(self.sender.chunks(BLOCK));
         ends.enumerate().map(|(number, (receiver, sender))| Block { start: number * BLOCK, receiver, sender })
     }
 }
 
+#[inline(always)]
+fn ends(receiver: &[u32], sender: &[u32]) -> impl Iterator<Item = (usize, usize)> {
+    receiver.iter().zip(sender).map(|(receiver, sender)| (*receiver as usize, *sender as usize))
+}
+
 /// Some edges in a row.
 #[derive(Clone, Copy)]
-struct Block<'a> {
+pub(super) struct Block<'a> {
     start: usize,
     receiver: &'a [u32],
     sender: &'a [u32],
@@ -66,12 +77,13 @@ impl Block<'_> {
     }
 
     /// Rows that receive and send.
+    #[inline(always)]
     fn ends(&self) -> impl Iterator<Item = (usize, usize)> {
-        self.receiver.iter().zip(self.sender).map(|(receiver, sender)| (*receiver as usize, *sender as usize))
+        ends(self.receiver, self.sender)
     }
 
     /// The block's part of a matrix by edge.
-    fn of<'m>(&self, matrix: &'m Matrix) -> &'m [f32] {
+    pub(super) fn of<'m>(&self, matrix: &'m Matrix) -> &'m [f32] {
         &matrix.values[self.start * matrix.cols..][..self.len() * matrix.cols]
     }
 
@@ -99,6 +111,13 @@ pub(crate) struct AttentionShape {
     pub(crate) edge_in_message: bool,
     /// Whether d and l are divided by their dimensions.
     pub(crate) distance_scale: bool,
+}
+
+impl AttentionShape {
+    fn messages<'a>(self, block: Block<'a>, values: &'a Matrix, alpha: &'a Matrix) -> Messages<'a> {
+        let Self { heads, leaky_slope, .. } = self;
+        Messages { block, heads, leaky_slope, values, alpha: block.of(alpha) }
+    }
 }
 
 /// One round of topological attention.
@@ -151,8 +170,7 @@ pub(crate) fn round(
     let mut own = vec![0.0; BLOCK * NODE];
     for block in edges.blocks() {
         let own = own_messages(u, block, &edge, &mut own);
-        let (values, alpha) = (&values, block.of(&alpha));
-        Messages { shape, block, values, own, alpha }.sum(&mut attended);
+        shape.messages(block, &values, &alpha).sum(own, &mut attended);
     }
     let mut new_edge = None;
     let update = (!last).then(|| Update::new(weights, &name, &attended));
@@ -173,7 +191,7 @@ impl Round {
         mut d_node: Matrix,
         d_edge: Option<Matrix>,
     ) -> (Matrix, Matrix) {
-        let Trace { name, shape, node, edge, values, squares, update } = &self.trace;
+        let Trace { name, shape, node, edge, squares, update, .. } = &self.trace;
         let mut by_edge = Matrix::zeros(edge.rows, EDGE);
         if let (Some(update), Some(d_edge)) = (update, d_edge) {
             let attributes = (&self.node, edge);
@@ -187,26 +205,42 @@ impl Round {
                 (&mut d_node, &mut by_edge),
             );
         }
-
-        let u = edge_matrix(weights, *shape, name);
+        let MessagesBackward { by_scores, by_values, .. } =
+            self.messages_backward(weights, gradients, edges, &d_node, &mut by_edge);
         let coefficients = Coefficients::read(weights, *shape, name);
-        let mut back = MessagesBackward::new(*shape, &coefficients, node, &self.node, &d_node);
+        let by_squares = coefficients.backward(weights, gradients, name, squares, &by_scores);
+
+        let matrix = format!("{name}.w_n.weight");
+        by_matrix(by_values.view(), node.view(), gradients.matrix_mut(&matrix));
+        let mut by_node = Matrix::zeros(node.rows, NODE);
+        by_input(by_values.view(), weights.matrix(&matrix), by_node.view_mut(), Into::Replace);
+        scores::squares_backward((node, edge), edges, &by_squares, (&mut by_node, &mut by_edge));
+        (by_node, by_edge)
+    }
+
+    /// Takes the gradient by v̄ back to the scores and W v, and adds to those of U and by the edges' attributes.
+    fn messages_backward(
+        &self,
+        weights: &Tensors,
+        gradients: &mut Gradients,
+        edges: &Edges,
+        d_node: &Matrix,
+        by_edge: &mut Matrix,
+    ) -> MessagesBackward {
+        let Trace { name, shape, node, edge, values, .. } = &self.trace;
+        let u = edge_matrix(weights, *shape, name);
+        let mut back = MessagesBackward::new(edges.len(), node.rows, shape.heads);
         let mut own = vec![0.0; BLOCK * NODE];
         for block in edges.blocks() {
             let own = own_messages(u, block, edge, &mut own);
-            back.run(block, (values, edge), (block.of(&self.alpha), block.of(squares)), own, &mut by_edge);
+            back.run(shape.messages(block, values, &self.alpha), (&self.node, d_node), own);
             if let Some(u) = u {
-                let d_message = View::new(own, block.len(), NODE);
-                by_matrix(d_message, block.view(edge), gradients.matrix_mut(&format!("{name}.u_e.weight")));
-                by_input(d_message, u, block.view_mut(&mut by_edge), Into::Add);
+                let by_own = View::new(own, block.len(), NODE);
+                by_matrix(by_own, block.view(edge), gradients.matrix_mut(&format!("{name}.u_e.weight")));
+                by_input(by_own, u, block.view_mut(by_edge), Into::Add);
             }
         }
-        let MessagesBackward { mut by_node, by_values, by_coefficients, .. } = back;
-        coefficients.backward(weights, gradients, name, &by_coefficients);
-        let matrix = format!("{name}.w_n.weight");
-        by_matrix(by_values.view(), node.view(), gradients.matrix_mut(&matrix));
-        by_input(by_values.view(), weights.matrix(&matrix), by_node.view_mut(), Into::Add);
-        (by_node, by_edge)
+        back
     }
 }
 
@@ -228,15 +262,4 @@ fn own_messages<'m>(
         None => own.fill(0.0),
     }
     own
-}
-
-/// Sum in pairs, so that it vectorises.
-#[inline(always)]
-fn sum(values: &[f32]) -> f32 {
-    let mut sums = [0.0_f32; 8];
-    for part in values.chunks(8) {
-        sums.iter_mut().zip(part).for_each(|(sum, value)| *sum += value);
-    }
-    let [a, b, c, d, e, f, g, h] = sums;
-    ((a + e) + (c + g)) + ((b + f) + (d + h))
 }

@@ -14,6 +14,7 @@ use crate::net::tensors::{Gradients, Tensors};
 
 /// Hidden units.
 const HIDDEN: usize = 128;
+type Units = [f32; HIDDEN];
 
 /// First columns of W₀ that meet the receiver, the sender and the edge.
 const RECEIVER: usize = 0;
@@ -71,7 +72,6 @@ impl Update {
 
     /// Adds to the gradients by `node` and `edge`, the attributes that the update was given, from `d_edge` by the new
     /// ones.
-    #[expect(clippy::too_many_arguments, reason = "inputs, their gradients, weights and theirs")]
     pub(super) fn backward(
         &self,
         weights: &Tensors,
@@ -122,9 +122,9 @@ impl Update {
 /// Adds the parts of receiver and sender to the edges' own, and rectifies.
 struct Hidden<'a> {
     block: Block<'a>,
-    receivers: &'a [[f32; HIDDEN]],
-    senders: &'a [[f32; HIDDEN]],
-    hidden: &'a mut [[f32; HIDDEN]],
+    receivers: &'a [Units],
+    senders: &'a [Units],
+    hidden: &'a mut [Units],
 }
 
 impl Kernel for Hidden<'_> {
@@ -133,21 +133,26 @@ impl Kernel for Hidden<'_> {
     #[inline(always)]
     fn run<L: Lanes>(self, _: L) {
         for ((receiver, sender), hidden) in self.block.ends().zip(self.hidden) {
-            let (receiver, sender) = (&self.receivers[receiver], &self.senders[sender]);
-            for i in 0..HIDDEN {
-                hidden[i] = (hidden[i] + receiver[i] + sender[i]).max(0.0);
-            }
+            add_rectified(hidden, &self.receivers[receiver], &self.senders[sender]);
         }
+    }
+}
+
+/// Of one edge.
+#[inline(always)]
+fn add_rectified(hidden: &mut Units, receiver: &Units, sender: &Units) {
+    for i in 0..HIDDEN {
+        hidden[i] = (hidden[i] + receiver[i] + sender[i]).max(0.0);
     }
 }
 
 /// Stops the gradient where a hidden unit is 0, and adds it to those of receiver and sender.
 struct HiddenBackward<'a> {
     block: Block<'a>,
-    hidden: &'a [[f32; HIDDEN]],
-    d_hidden: &'a mut [[f32; HIDDEN]],
-    by_receivers: &'a mut [[f32; HIDDEN]],
-    by_senders: &'a mut [[f32; HIDDEN]],
+    hidden: &'a [Units],
+    d_hidden: &'a mut [Units],
+    by_receivers: &'a mut [Units],
+    by_senders: &'a mut [Units],
 }
 
 impl Kernel for HiddenBackward<'_> {
@@ -157,12 +162,22 @@ impl Kernel for HiddenBackward<'_> {
     fn run<L: Lanes>(self, _: L) {
         let edges = self.hidden.iter().zip(self.d_hidden);
         for ((receiver, sender), (hidden, d_hidden)) in self.block.ends().zip(edges) {
-            let (receiver, sender) = (&mut self.by_receivers[receiver], &mut self.by_senders[sender]);
-            for i in 0..HIDDEN {
-                d_hidden[i] = if hidden[i] > 0.0 { d_hidden[i] } else { 0.0 };
-                receiver[i] += d_hidden[i];
-                sender[i] += d_hidden[i];
-            }
+            rectified_backward(
+                hidden,
+                d_hidden,
+                &mut self.by_receivers[receiver],
+                &mut self.by_senders[sender],
+            );
         }
+    }
+}
+
+/// Of one edge. A function of its own: arguments are known not to overlap, and so it vectorises.
+#[inline(always)]
+fn rectified_backward(hidden: &Units, d_hidden: &mut Units, by_receiver: &mut Units, by_sender: &mut Units) {
+    for i in 0..HIDDEN {
+        d_hidden[i] = if hidden[i] > 0.0 { d_hidden[i] } else { 0.0 };
+        by_receiver[i] += d_hidden[i];
+        by_sender[i] += d_hidden[i];
     }
 }
