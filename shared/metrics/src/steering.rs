@@ -24,7 +24,7 @@ const ULPS: f64 = 4.0;
 /// is taken as the longer chord, which holds for the bicycle's Euler steps as well as for its midpoint steps. Driving
 /// backwards is driving with a negative speed along the opposite course.
 pub(crate) struct Steering {
-    limits: Limits,
+    limits: Bounds,
     dt_s: f64,
     position_m: [f64; 2],
     /// Speed in the middle of the newest chord; negative in reverse.
@@ -44,7 +44,7 @@ pub(crate) struct Steering {
 }
 
 /// [`BicycleLimits`] in double precision, with the room for rounding.
-struct Limits {
+struct Bounds {
     acceleration_mps2: f64,
     slip_rad: f64,
     slip_rate_radps: f64,
@@ -61,7 +61,7 @@ struct Swing {
 impl Steering {
     pub(crate) fn new(limits: &BicycleLimits, now: &State, dt_s: f32) -> Self {
         let room = |limit: f32| f64::from(limit) * (1.0 + ROUNDING);
-        let limits = Limits {
+        let limits = Bounds {
             acceleration_mps2: room(limits.acceleration_mps2),
             slip_rad: room(limits.slip_rad),
             slip_rate_radps: room(limits.slip_rate_radps),
