@@ -6,6 +6,7 @@ pub mod check;
 pub mod clean;
 pub mod completions;
 pub mod doctor;
+pub mod evaluate;
 pub mod graph;
 pub mod map;
 pub mod plot;
@@ -39,6 +40,8 @@ pub enum Verb {
     Plot(plot::Arguments),
     /// Train weights on recordings
     Train(train::Arguments),
+    /// Measure forecasts and baselines on test data
+    Evaluate(evaluate::Arguments),
     /// Print the model card of weights
     Card(card::Arguments),
     /// Recompute golden vectors on this machine, a row per tensor
@@ -65,6 +68,7 @@ impl Verb {
             Self::Map(arguments) => map::execute(&arguments),
             Self::Plot(arguments) => plot::execute(&arguments),
             Self::Train(arguments) => train::execute(&arguments),
+            Self::Evaluate(arguments) => evaluate::execute(&arguments),
             Self::Card(arguments) => card::execute(&arguments),
             Self::Verify(arguments) => verify::execute(&arguments),
             Self::Bench(arguments) => bench::execute(&arguments),

@@ -69,6 +69,8 @@ pub struct Judge<'a> {
     pub horizons: &'a [usize],
     /// Which agents count.
     pub subsets: &'a [Subset],
+    /// The type whose agents count; all types where it is `None`.
+    pub of_type: Option<AgentType>,
     /// Threads that share the scenes; results do not depend on it.
     pub threads: usize,
 }
@@ -80,19 +82,12 @@ struct Case<'a> {
 }
 
 impl Judge<'_> {
-    /// Judges every `every`-th of a recording's scenes that have an agent to count, block by block.
+    /// Judges a recording's scenes that have an agent to count, block by block.
     #[must_use]
-    pub fn recording(
-        &self,
-        recording: &Recording,
-        scenes: &[Scene],
-        map: MapInput<'_>,
-        every: usize,
-    ) -> Vec<Block> {
+    pub fn recording(&self, recording: &Recording, scenes: &[Scene], map: MapInput<'_>) -> Vec<Block> {
         let table = ContextTable::new(self.forecaster, recording, scenes, map, self.threads);
-        let cases = scenes.iter().map(|scene| Case { scene, complete: scene.complete() });
-        let cases: Vec<Case<'_>> =
-            cases.filter(|case| !case.complete.is_empty()).step_by(every.max(1)).collect();
+        let cases = scenes.iter().map(|scene| Case { scene, complete: self.complete(scene) });
+        let cases: Vec<Case<'_>> = cases.filter(|case| !case.complete.is_empty()).collect();
         let tallies = threads::each(&cases, self.threads, |case, memory| self.scene(case, &table, memory));
         let config = self.forecaster.config();
         let block_ns = config.step_ns() as i64 * (config.history_len + config.horizon_len) as i64;
@@ -107,6 +102,13 @@ impl Judge<'_> {
             }
         }
         blocks.into_iter().map(|(_, block)| block).collect()
+    }
+
+    /// Places of the agents that can count.
+    fn complete(&self, scene: &Scene) -> Vec<usize> {
+        let is_of_type =
+            |&place: &usize| self.of_type.is_none_or(|of_type| scene.agents[place].agent_type == of_type);
+        scene.complete().into_iter().filter(is_of_type).collect()
     }
 
     /// A tally of the scene for each subset.
