@@ -3,6 +3,7 @@ use std::path::{Path, PathBuf};
 use clap::{Args, ValueEnum};
 use config::Exit;
 use data::Format;
+use data::sets::Part;
 use evaluator::{InteractionPart, MapChoice, Options, Report, WeightsChoice};
 
 use crate::failure::Failure;
@@ -18,10 +19,13 @@ pub struct Arguments {
     /// Folder with the data sets, laid out as published
     #[arg(long, value_name = "DIR", env = "STGDAT_DATA", default_value = "data")]
     data: PathBuf,
+    /// Forecast the validation part instead of the test part: what options are chosen by
+    #[arg(long)]
+    validation: bool,
     /// The weights for everything
     #[arg(long, value_name = "FILE")]
     weights: Option<PathBuf>,
-    /// Folder with the weights of each recipe, where no weights are named
+    /// Folder with the weights of each recipe, where no weights are named; recordings take the embedded ones
     #[arg(long, value_name = "DIR", default_value = "shared/weights", conflicts_with = "weights")]
     weights_dir: PathBuf,
     /// What models that read a map are told; `site` is `online` where training saw nothing of the site
@@ -82,6 +86,7 @@ fn evaluate(name: &str, arguments: &Arguments) -> Result<Report, Failure> {
     let threads = std::thread::available_parallelism().map_or(1, usize::from);
     let options = Options {
         data: arguments.data.clone(),
+        part: if arguments.validation { Part::Validation } else { Part::Test },
         weights: WeightsChoice { file: arguments.weights.clone(), folder: arguments.weights_dir.clone() },
         map: match arguments.map {
             Map::None => MapChoice::None,

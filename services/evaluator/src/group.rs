@@ -1,12 +1,24 @@
 //! Agents whose errors are told together: a fold, a site, a file.
 
-use metrics::{Interval, PairedErrors, paired_bootstrap};
+use metrics::{Interval, PairedErrors, paired_bootstrap, paired_bootstrap_ratio};
 
 use crate::judge::Block;
 use crate::{Measure, Method, Subset, Tally};
 
 /// Resamples of an interval.
 pub(crate) const RESAMPLES: usize = 1000;
+
+/// Seed of the resamples.
+const SEED: u64 = 1;
+
+/// How our errors compare with those of another method on the same agents, with 95 % intervals.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Contrast {
+    /// Ours less theirs.
+    pub difference: Interval,
+    /// Ours over theirs.
+    pub ratio: Interval,
+}
 
 /// Some agents with their errors.
 #[derive(Clone, Debug)]
@@ -53,10 +65,10 @@ impl Group {
         Self { part: part.to_owned(), subset, unit, total, blocks }
     }
 
-    /// How much greater our ADE and FDE are than those of `theirs` on the same agents, with 95 % intervals.
+    /// How our ADE and FDE compare with those of `theirs` on the same agents; `None` where they have none.
     #[must_use]
-    pub fn differences(&self, theirs: Method, measure: Measure, horizon: usize) -> Option<[Interval; 2]> {
-        let differences = |of: usize| {
+    pub fn compare(&self, theirs: Method, measure: Measure, horizon: usize) -> Option<[Contrast; 2]> {
+        let contrast = |of: usize| {
             let pairs: Vec<PairedErrors> = self
                 .blocks
                 .iter()
@@ -67,9 +79,12 @@ impl Group {
                     len: block.len(theirs, measure),
                 })
                 .collect();
-            paired_bootstrap(&pairs, RESAMPLES, 1)
+            Some(Contrast {
+                difference: paired_bootstrap(&pairs, RESAMPLES, SEED)?,
+                ratio: paired_bootstrap_ratio(&pairs, RESAMPLES, SEED)?,
+            })
         };
-        Some([differences(0)?, differences(1)?])
+        Some([contrast(0)?, contrast(1)?])
     }
 
     /// Blocks with an agent that counts.

@@ -170,8 +170,9 @@ impl Judge<'_> {
         tally.add_agent(agent, &candidates, self.horizons);
         self.add_sureness(scene, agent, forecast, &mut tally);
         if let Some(now) = agent.newest() {
-            let limits = Limits::of(agent.agent_type);
-            let dt_s = self.forecaster.config().dt_s as f32;
+            let config = self.forecaster.config();
+            let limits = limits(agent, config);
+            let dt_s = config.dt_s as f32;
             for trajectory in forecast.modes.iter().chain([&forecast.best]) {
                 tally.broken.add(limits.broken_by(&now, trajectory, dt_s));
             }
@@ -216,6 +217,16 @@ struct Judged<'a> {
     agent: &'a Agent,
     candidates: [Candidate; Method::ALL.len()],
     tally: Tally,
+}
+
+/// What an agent can physically do; of a vehicle as far as its length is known.
+fn limits(agent: &Agent, config: &ModelConfig) -> Limits {
+    match agent.agent_type {
+        AgentType::Vehicle => {
+            Limits::vehicle(config.rear_axle_ratio * agent.length_m.unwrap_or(config.default_length_m))
+        }
+        other => Limits::of(other),
+    }
 }
 
 /// Half the width of an agent of a type: what it surely occupies.

@@ -24,7 +24,7 @@ mod weights;
 pub use baselines::{ANCHOR_AGENTS, Baselines};
 pub use error::EvaluateError;
 pub use forecaster::{BaseForecast, Forecast, Forecaster, ForecasterMemory};
-pub use group::Group;
+pub use group::{Contrast, Group};
 pub use judge::{Block, Judge, MOVING_MPS, Subset};
 pub use maps::{MapInput, site_map};
 pub use method::Method;

@@ -39,6 +39,8 @@ pub enum MapChoice {
 pub struct Options {
     /// Folder that holds the data sets, laid out as published.
     pub data: PathBuf,
+    /// The part of the data set that is forecast: the test part to report on, the validation part to choose by.
+    pub part: Part,
     /// The weights.
     pub weights: WeightsChoice,
     /// What models that read a map are told.

@@ -2,6 +2,7 @@
 
 mod table;
 
+use metrics::Interval;
 use serde::Serialize;
 
 pub(crate) use table::{Column, Table};
@@ -27,6 +28,8 @@ pub struct Figure {
     pub horizon_s: f64,
     /// The number.
     pub value: f64,
+    /// Its 95 % interval, where it has one.
+    pub interval: Option<[f64; 2]>,
     /// Agents that it is of.
     pub agents: u64,
 }
@@ -55,33 +58,44 @@ impl Report {
 
     /// Adds every figure of a group.
     pub(crate) fn add_figures(&mut self, group: &Group, horizons_s: &[f64]) {
-        let total = &group.total;
         for (horizon, &horizon_s) in horizons_s.iter().enumerate() {
-            let mut add = |quantity: String, method: &'static str, measure, value, agents| {
-                let (part, subset) = (group.part.clone(), group.subset.name());
-                self.figures.push(Figure {
-                    part,
-                    subset,
+            let figure =
+                |quantity: String, method: Method, measure: &'static str, value: f64, agents: u64| Figure {
+                    part: group.part.clone(),
+                    subset: group.subset.name(),
                     quantity,
-                    method,
+                    method: method.name(),
                     measure,
                     horizon_s,
                     value,
+                    interval: None,
                     agents,
-                });
-            };
-            for method in Method::ALL {
-                for measure in Measure::ALL {
-                    let Some(errors) = total.errors(method, measure, horizon) else { continue };
-                    let agents = total.len(method, measure);
-                    for (name, value) in [("ADE", errors.ade_m), ("FDE", errors.fde_m)] {
-                        add(format!("{name}, {}", group.unit), method.name(), measure.name(), value, agents);
-                    }
+                };
+            for (method, measure) in all_pairs() {
+                let Some(errors) = group.total.errors(method, measure, horizon) else { continue };
+                let agents = group.total.len(method, measure);
+                for (name, value) in [("ADE", errors.ade_m), ("FDE", errors.fde_m)] {
+                    let quantity = format!("{name}, {}", group.unit);
+                    self.figures.push(figure(quantity, method, measure.name(), value, agents));
                 }
             }
-            for rate in table::rates(total, horizon) {
-                if let Some(value) = rate.value {
-                    add(rate.name.to_owned(), Method::Network.name(), "", value, total.agents_len);
+            for rate in table::rates(&group.total, horizon) {
+                let agents = group.total.agents_len;
+                let told =
+                    rate.value.map(|value| figure(rate.name.to_owned(), Method::Network, "", value, agents));
+                self.figures.extend(told);
+            }
+            if horizon + 1 < horizons_s.len() {
+                continue;
+            }
+            for (measure, method) in table::COMPARED {
+                let Some(pair) = group.compare(method, measure, horizon) else { continue };
+                for (name, contrast) in ["ADE", "FDE"].iter().zip(pair) {
+                    let Interval { low, mean, high } = contrast.difference;
+                    let quantity = format!("ours less theirs, {name}, {}", group.unit);
+                    let agents = group.total.len(method, measure);
+                    let told = figure(quantity, method, measure.name(), mean, agents);
+                    self.figures.push(Figure { interval: Some([low, high]), ..told });
                 }
             }
         }
@@ -121,12 +135,15 @@ impl Report {
     #[must_use]
     pub fn csv(&self) -> String {
         let mut text =
-            "part,subset,method,measure,horizon_s,quantity,value,agents,weights_sha256\n".to_owned();
+            "part,subset,method,measure,horizon_s,quantity,value,low,high,agents,weights_sha256\n".to_owned();
         for figure in &self.figures {
-            let Figure { part, subset, quantity, method, measure, horizon_s, value, agents } = figure;
+            let Figure { part, subset, quantity, method, measure, horizon_s, value, interval, agents } =
+                figure;
+            let interval =
+                interval.map_or_else(|| ",".to_owned(), |[low, high]| format!("{low:.6},{high:.6}"));
             let sha256 = self.provenance_of(part).map_or("", |provenance| &provenance.sha256);
             text += &format!(
-                "\"{part}\",{subset},\"{method}\",\"{measure}\",{horizon_s},\"{quantity}\",{value:.6},{agents},{sha256}\n"
+                "\"{part}\",{subset},\"{method}\",\"{measure}\",{horizon_s},\"{quantity}\",{value:.6},{interval},{agents},{sha256}\n"
             );
         }
         text
@@ -143,4 +160,9 @@ impl Report {
         let of = |provenance: &&Provenance| part.starts_with(&provenance.part);
         self.provenance.iter().filter(of).max_by_key(|provenance| provenance.part.len())
     }
+}
+
+/// Every method with every measure.
+fn all_pairs() -> impl Iterator<Item = (Method, Measure)> {
+    Method::ALL.into_iter().flat_map(|method| Measure::ALL.map(|measure| (method, measure)))
 }

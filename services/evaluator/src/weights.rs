@@ -7,12 +7,15 @@ use nn::{Latents, ModelConfig, Weights};
 
 use crate::{EvaluateError, Forecaster};
 
+/// The recipe whose weights the executable carries.
+pub(crate) const EMBEDDED: &str = "onboard";
+
 /// Where weights come from.
 #[derive(Clone, Debug, PartialEq)]
 pub struct WeightsChoice {
     /// The weights for everything.
     pub file: Option<PathBuf>,
-    /// Otherwise the folder that holds a file per recipe.
+    /// Otherwise the folder that holds a file per recipe; the onboard weights are always at hand.
     pub folder: PathBuf,
 }
 
@@ -53,16 +56,17 @@ pub struct Provenance {
 impl WeightsChoice {
     /// Opens the weights that `recipe` makes, or those that were asked for in their place.
     pub(crate) fn open(&self, recipe: &str, seed: u64) -> Result<Model, EvaluateError> {
-        let path = match &self.file {
-            Some(file) => file.clone(),
-            None => self.folder.join(format!("{recipe}.safetensors")),
-        };
-        let told = path.display().to_string();
-        if !path.exists() {
+        let path = self.file.clone().unwrap_or_else(|| self.folder.join(format!("{recipe}.safetensors")));
+        let mut told = path.display().to_string();
+        let failed = |source| EvaluateError::Weights { path: path.display().to_string(), source };
+        let weights = if self.file.is_none() && recipe == EMBEDDED {
+            "embedded".clone_into(&mut told);
+            Weights::onboard()
+        } else if path.exists() {
+            Weights::open(&path).map_err(failed)?
+        } else {
             return Err(EvaluateError::NoWeights { path: told, recipe: recipe.to_owned() });
-        }
-        let failed = |source| EvaluateError::Weights { path: told.clone(), source };
-        let weights = Weights::open(&path).map_err(failed)?;
+        };
         let forecaster = Forecaster::new(&weights, seed).map_err(failed)?;
         let card = weights.card();
         let entry =

@@ -15,7 +15,7 @@ const STEPS: (usize, usize, f64) = (8, 12, 0.4);
 /// The ETH scene with its real 0.4 s between frames.
 const TRUE_TIME: &str = "eth_ucy/obsmat/eth_0.4s.txt";
 
-/// Judges the weights of the five folds on their test parts, under both window rules, and those of ETH on the scene in
+/// Judges the weights of the five folds under both window rules, and those of ETH on the scene in
 /// its true time as well.
 ///
 /// A window is 20 annotated frames in a row, one frame after the other; a pedestrian counts who is there in all of them.
@@ -29,7 +29,7 @@ pub fn eth_ucy(options: &Options, mut progress: impl FnMut(&str)) -> Result<Repo
     let rules =
         Rules { horizons: &[3, 6, 9, 12], subsets: &subsets, of_type: None, threads: options.threads };
     let cut = Cut { history_len, horizon_len, dt_s, from_positions: false };
-    let mut report = Report::new("ETH/UCY, leave one out");
+    let mut report = Report::new(&format!("ETH/UCY, leave one out, {} part", options.part.name()));
     let mut groups: [Vec<Group>; 2] = [Vec::new(), Vec::new()];
     let (map, told) = match options.map {
         MapChoice::None => (MapInput::None, "none"),
@@ -41,8 +41,8 @@ pub fn eth_ucy(options: &Options, mut progress: impl FnMut(&str)) -> Result<Repo
         model.check_steps("ETH/UCY", history_len, horizon_len, dt_s)?;
         let set = DataSet::EthUcyFold(fold);
         let baselines = fit(&options.read_part(set, Part::Train, &cut)?, &cut);
-        let mut tests = vec![(fold.name().to_owned(), options.read_part(set, Part::Test, &cut)?)];
-        if fold == Fold::Eth {
+        let mut tests = vec![(fold.name().to_owned(), options.read_part(set, options.part, &cut)?)];
+        if fold == Fold::Eth && options.part == Part::Test {
             let path = options.data.join(TRUE_TIME);
             let footage = options.read(&[path], Some(Format::Obsmat), &cut)?;
             tests.push(("eth, true time".to_owned(), footage));
@@ -85,7 +85,7 @@ fn tables(report: &mut Report, groups: &[Group], rules: &Rules<'_>, horizons_s: 
     errors
         .add_paper(&paper, columns.len(), |paper, method, column| of_paper(paper, method, &columns[column]));
     report.add_table(errors);
-    report.add_table(Table::differences(&title("Differences, m"), &each, last));
+    report.add_table(Table::comparisons(&title("Beside the others"), &each, last));
     let pooled_too = [&columns[..], &[of_group(&pooled)]].concat();
     let note = "Pedestrians collide where they come within 0.4 m; their limits are 12 m/s and 12 m/s².";
     report.add_table(Table::rates(&title("Certainty and plausibility"), note, &pooled_too, last));

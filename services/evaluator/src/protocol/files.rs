@@ -8,6 +8,7 @@ use super::{GROWTH, MapChoice, Options, Rules, SEED, need_agents};
 use crate::group::Group;
 use crate::maps::MapInput;
 use crate::report::{Column, Report, Table};
+use crate::weights::EMBEDDED;
 use crate::{Baselines, Cut, EvaluateError, Subset};
 
 /// Judges one set of weights on the recordings at `paths`, in steps of the model; there is no training part for anchors
@@ -22,7 +23,7 @@ pub fn files(
     from_positions: bool,
     mut progress: impl FnMut(&str),
 ) -> Result<Report, EvaluateError> {
-    let model = options.weights.open("onboard", SEED)?;
+    let model = options.weights.open(EMBEDDED, SEED)?;
     let cut = Cut { from_positions, ..Cut::of(model.forecaster.config()) };
     let horizons = quarters(cut.horizon_len);
     let subsets = [Subset::All, Subset::Moving];
@@ -53,7 +54,7 @@ pub fn files(
         let title = |what: &str| format!("{what}: {} agents", groups[0].subset.name());
         let note = format!("ADE / FDE, m, after {:.1} s.", horizons_s[rules.last()]);
         report.add_table(Table::errors(&title("Errors"), &note, &columns, rules.last()));
-        report.add_table(Table::differences(&title("Differences, m"), &columns, rules.last()));
+        report.add_table(Table::comparisons(&title("Beside the others"), &columns, rules.last()));
         report.add_table(Table::rates(&title("Certainty and plausibility"), "", &columns, rules.last()));
         let all = &columns[columns.len() - 1..];
         report.add_table(Table::horizons(&title("Growth, m"), "", all, &horizons_s, &GROWTH));

@@ -53,7 +53,7 @@ pub fn interaction(
         of_type: Some(AgentType::Vehicle),
         threads: options.threads,
     };
-    let mut report = Report::new("INTERACTION, split by recording");
+    let mut report = Report::new(&format!("INTERACTION, split by recording, {} part", options.part.name()));
     for (motion, from_positions) in [("recorded speed", false), ("positions only", true)] {
         let cut = Cut { history_len, horizon_len, dt_s, from_positions };
         progress(&format!("{motion}: training part"));
@@ -78,7 +78,7 @@ pub fn interaction(
     Ok(report)
 }
 
-/// The test recordings of all sites, by site.
+/// The recordings of all sites in the part that is judged, by site.
 fn seen(
     options: &Options,
     rules: &Rules<'_>,
@@ -89,7 +89,7 @@ fn seen(
     let model = options.weights.open("interaction", SEED)?;
     model.check_steps("INTERACTION", cut.history_len, cut.horizon_len, cut.dt_s)?;
     let baselines = fit(training, cut);
-    let footage = options.read_part(SET, Part::Test, cut)?;
+    let footage = options.read_part(SET, options.part, cut)?;
     let mut sites: Vec<(String, Vec<Block>)> = Vec::new();
     for footage in &footage {
         let site = site_of(footage);
@@ -114,7 +114,7 @@ fn seen(
     sites.into_iter().map(judge).collect()
 }
 
-/// All recordings of a site, the test part first by itself.
+/// All recordings of a site, and those of the part that is judged by themselves.
 fn unseen(
     options: &Options,
     rules: &Rules<'_>,
@@ -136,18 +136,21 @@ fn unseen(
             name = site_of(&footage);
             // Whatever was recorded at the site before belongs to nobody's training: no site map.
             let blocks = rules.judge(&model, &baselines, &footage, input(options.map, None));
-            if part == Part::Test {
+            if part == options.part {
                 tests.extend(blocks.iter().cloned());
             }
             all.extend(blocks);
             recordings.push(footage.recording);
         }
     }
-    need_agents(&tests, &format!("{site}, test part"), cut)?;
+    need_agents(&tests, &format!("{site}, {} part", options.part.name()), cut)?;
     let told = if options.map == MapChoice::None { "none" } else { "online" };
     let part = format!("unseen {site}");
     add_provenance(report, model.provenance(&part, told, &recordings.iter().collect::<Vec<_>>()));
-    Ok(vec![Judged::new(format!("{part}, test part"), name.clone(), &tests), Judged::new(part, name, &all)])
+    Ok(vec![
+        Judged::new(format!("{part}, {} part", options.part.name()), name.clone(), &tests),
+        Judged::new(part, name, &all),
+    ])
 }
 
 impl Judged {
@@ -190,7 +193,7 @@ fn tables(
     let (sites, foreign): (Vec<&Judged>, Vec<&Judged>) = judged.iter().partition(|judged| of(judged));
     let whole: Vec<&Group> = foreign
         .iter()
-        .filter(|judged| !judged.part.ends_with("test part"))
+        .filter(|judged| !judged.part.ends_with(" part"))
         .map(|judged| &judged.groups[place])
         .collect();
     let mut columns: Vec<Column<'_>> = kinds.iter().map(|group| Column::of(&group.part, group)).collect();
@@ -203,11 +206,11 @@ fn tables(
     let title = |what: &str| format!("{what}: {} vehicles, {motion}", SUBSETS[place].name());
     let note = format!(
         "ADE / FDE, m, after 5 s. Moving: at least {MOVING_MPS} m/s at the last observed step. Unseen sites: all their \
-         recordings, the test part by itself as well."
+         recordings, one part by itself as well."
     );
     report.add_table(Table::errors(&title("Errors"), &note, &columns, last));
     let single: Vec<Column<'_>> = columns.iter().filter(|column| column.groups.len() == 1).cloned().collect();
-    report.add_table(Table::differences(&title("Differences, m"), &single, last));
+    report.add_table(Table::comparisons(&title("Beside the others"), &single, last));
     let by_site: Vec<Column<'_>> =
         sites.iter().map(|judged| Column::of(&judged.part, &judged.groups[place])).collect();
     if !by_site.is_empty() {

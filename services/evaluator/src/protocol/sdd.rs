@@ -12,9 +12,9 @@ use crate::{Cut, EvaluateError, Subset};
 /// Steps of the protocol.
 const STEPS: (usize, usize, f64) = (8, 12, 0.4);
 
-/// Judges the weights `sdd` on the test tracks, in pixels and in metres.
+/// Judges the weights `sdd` in pixels and in metres.
 ///
-/// Each track is one window; the network sees everybody who is there at its eighth point. Metres become pixels by the
+/// Each test track is one window; the network sees everybody who is there at its eighth point. Metres become pixels by the
 /// scale of each video.
 ///
 /// # Errors
@@ -29,8 +29,8 @@ pub fn sdd(options: &Options, mut progress: impl FnMut(&str)) -> Result<Report, 
     model.check_steps("SDD", history_len, horizon_len, dt_s)?;
     progress("training part");
     let baselines = fit(&options.read_part(DataSet::SddTrajnet, Part::Train, &cut)?, &cut);
-    progress("test part");
-    let footage = options.read_part(DataSet::SddTrajnet, Part::Test, &cut)?;
+    progress(&format!("{} part", options.part.name()));
+    let footage = options.read_part(DataSet::SddTrajnet, options.part, &cut)?;
     let (map, told) = match options.map {
         MapChoice::None => (MapInput::None, "none"),
         MapChoice::Online | MapChoice::Site => (MapInput::Online, "online"),
@@ -46,12 +46,12 @@ pub fn sdd(options: &Options, mut progress: impl FnMut(&str)) -> Result<Report, 
         pixels.push(group.scaled("px", 1.0 / pixel_m));
         metres.push(group);
     }
-    let pool = |groups: &[Group]| Group::pooled("test", &groups.iter().collect::<Vec<_>>());
+    let pool = |groups: &[Group]| Group::pooled(options.part.name(), &groups.iter().collect::<Vec<_>>());
     let [pixels, metres] = [pool(&pixels), pool(&metres)];
 
-    let mut report = Report::new("Stanford Drone, TrajNet split");
+    let mut report = Report::new(&format!("Stanford Drone, TrajNet split, {} part", options.part.name()));
     let recordings: Vec<_> = footage.iter().map(|footage| &footage.recording).collect();
-    report.provenance.push(model.provenance("test", told, &recordings));
+    report.provenance.push(model.provenance(options.part.name(), told, &recordings));
     let columns = [Column::of("px", &pixels), Column::of("m", &metres)];
     let (last, horizons_s) = (rules.last(), rules.horizons_s(&cut));
     let note = format!("ADE / FDE after 4.8 s, {} tracks.", metres.total.agents_len);
@@ -62,7 +62,7 @@ pub fn sdd(options: &Options, mut progress: impl FnMut(&str)) -> Result<Report, 
         row.map(|row| row.errors)
     });
     report.add_table(errors);
-    report.add_table(Table::differences("Differences", &columns, last));
+    report.add_table(Table::comparisons("Beside the others", &columns, last));
     report.add_table(Table::rates("Certainty and plausibility", "", &columns[1..], last));
     report.add_table(Table::horizons("Growth, px", "", &columns[..1], &horizons_s, &GROWTH));
     [&pixels, &metres].into_iter().for_each(|group| report.add_figures(group, &horizons_s));

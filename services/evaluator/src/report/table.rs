@@ -6,6 +6,16 @@ use crate::group::{Group, RESAMPLES};
 use crate::reference::PaperRow;
 use crate::{Errors, Measure, Method, Tally};
 
+/// What our forecasts are compared with, and by which measure.
+pub(crate) const COMPARED: [(Measure, Method); 6] = [
+    (Measure::BestOf, Method::Base),
+    (Measure::BestOf, Method::Anchors),
+    (Measure::Joint, Method::Base),
+    (Measure::Joint, Method::Anchors),
+    (Measure::Single, Method::Base),
+    (Measure::Single, Method::ConstantVelocity),
+];
+
 /// A table of text.
 #[derive(Clone, Debug)]
 pub(crate) struct Table {
@@ -124,30 +134,25 @@ impl Table {
         table
     }
 
-    /// Our errors less theirs with 95 % intervals.
-    pub(crate) fn differences(title: &str, columns: &[Column<'_>], horizon: usize) -> Self {
+    /// Our errors beside theirs with 95 % intervals.
+    pub(crate) fn comparisons(title: &str, columns: &[Column<'_>], horizon: usize) -> Self {
         let note = format!(
-            "Ours less theirs on the same agents, ADE and FDE; below 0 we are better, surely so where the whole 95 % interval is: \
-             paired bootstrap, {RESAMPLES} resamples of blocks as long as one window."
+            "Ours less theirs on the same agents, in % of theirs, ADE / FDE: below 0 we are better, surely so where the \
+             whole 95 % interval is. Paired bootstrap, {RESAMPLES} resamples of blocks as long as one window."
         );
         let mut table = Self::new(title, &note, &["measure", "against"], names(columns));
-        let rows = [
-            (Measure::BestOf, Method::Base),
-            (Measure::BestOf, Method::Anchors),
-            (Measure::Joint, Method::Anchors),
-            (Measure::Single, Method::Base),
-            (Measure::Single, Method::ConstantVelocity),
-        ];
-        for (measure, method) in rows {
+        for (measure, method) in COMPARED {
             let cell = |column: &Column<'_>| {
-                let [group] = column.groups[..] else { return String::new() };
-                let differences = group.differences(method, measure, horizon);
-                differences.map_or_else(|| "-".to_owned(), |pair| pair.map(|i| interval(&i)).join(" / "))
+                let [group] = column.groups[..] else { return None };
+                let pair = group.compare(method, measure, horizon)?;
+                Some(pair.map(|contrast| percent(&contrast.ratio)).join(" / "))
             };
-            let cells: Vec<String> = columns.iter().map(cell).collect();
-            if cells.iter().any(|cell| cell != "-") {
-                let names = [measure.name(), method.name()].map(str::to_owned);
-                table.rows.push(names.into_iter().chain(cells).collect());
+            let cells: Vec<Option<String>> = columns.iter().map(cell).collect();
+            if cells.iter().any(Option::is_some) {
+                let cells = cells.into_iter().map(|cell| cell.unwrap_or_else(|| "-".to_owned()));
+                table.rows.push(
+                    [measure.name(), method.name()].map(str::to_owned).into_iter().chain(cells).collect(),
+                );
             }
         }
         table
@@ -198,8 +203,10 @@ fn digits(value: f64) -> String {
     if value < 10.0 { format!("{value:.3}") } else { format!("{value:.2}") }
 }
 
-fn interval(Interval { low, mean, high }: &Interval) -> String {
-    format!("{mean:+.3} [{low:+.3}, {high:+.3}]")
+/// A ratio as what is more or less than the whole.
+fn percent(&Interval { low, mean, high }: &Interval) -> String {
+    let [low, mean, high] = [low, mean, high].map(|ratio| 100.0 * (ratio - 1.0));
+    format!("{mean:+.1} [{low:+.1}, {high:+.1}]")
 }
 
 /// Something that is told of the network besides errors.
