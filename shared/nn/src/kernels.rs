@@ -22,7 +22,7 @@ mod math;
 mod neon;
 pub mod peak;
 mod portable;
-pub(crate) mod product;
+pub mod product;
 
 pub use lanes::Lanes;
 pub use math::{exp, exp_in_place, sigmoid, sin_cos, tanh};
