@@ -65,9 +65,13 @@ impl Group {
         Self { part: part.to_owned(), subset, unit, total, blocks }
     }
 
-    /// How our ADE and FDE compare with those of `theirs` on the same agents; `None` where they have none.
+    /// How our ADE and FDE compare with those of `theirs` on the same agents; `None` where they have none, or where
+    /// there is a single block, which tells nothing of how sure that is.
     #[must_use]
     pub fn compare(&self, theirs: Method, measure: Measure, horizon: usize) -> Option<[Contrast; 2]> {
+        if self.blocks.len() < 2 {
+            return None;
+        }
         let contrast = |of: usize| {
             let pairs: Vec<PairedErrors> = self
                 .blocks

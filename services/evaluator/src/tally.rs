@@ -264,3 +264,71 @@ fn by_rank(candidate: &Candidate) -> Option<Vec<&[metrics::Point]>> {
 fn add_all<T: Copy + std::ops::AddAssign>(sums: &mut [T], more: &[T]) {
     sums.iter_mut().zip(more).for_each(|(sum, more)| *sum += *more);
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use scene::{AgentType, State};
+
+    /// An agent that stands at the origin and will be at `future`.
+    fn agent(future: [metrics::Point; 2]) -> Agent {
+        Agent {
+            id: 1,
+            agent_type: AgentType::Pedestrian,
+            length_m: None,
+            history: vec![Some(State::default())],
+            future: future.map(Some).to_vec(),
+        }
+    }
+
+    /// Two modes of the network, 1 m and 3 m to the left of where the agent goes, the farther one likelier.
+    fn candidates(near_first: bool) -> [Candidate; METHODS] {
+        let mut candidates: [Candidate; METHODS] = Default::default();
+        let (near, far) = (vec![[1.0, 1.0], [2.0, 1.0]], vec![[1.0, 3.0], [2.0, 3.0]]);
+        let modes = if near_first { vec![near, far] } else { vec![far, near] };
+        let probability = if near_first { vec![0.2, 0.8] } else { vec![0.8, 0.2] };
+        candidates[Method::Network.index()] =
+            Candidate { single: Some(modes[0].clone()), modes, probability: Some(probability) };
+        candidates
+    }
+
+    #[test]
+    fn errors_by_hand() {
+        let agent = agent([[1.0, 0.0], [2.0, 0.0]]);
+        let mut tally = Tally::new(2);
+        tally.add_agent(&agent, &candidates(true), &[1, 2]);
+        let errors = |measure| tally.errors(Method::Network, measure, 1).map(|errors| errors.fde_m);
+        assert_eq!(errors(Measure::BestOf), Some(1.0));
+        assert_eq!(errors(Measure::Single), Some(1.0));
+        assert_eq!(errors(Measure::MostLikely), Some(3.0));
+        assert_eq!(errors(Measure::Joint), None, "no scene was counted");
+        assert_eq!(tally.errors(Method::Base, Measure::BestOf, 1), None);
+    }
+
+    #[test]
+    fn one_future_of_the_scene_serves_all_its_agents() {
+        let agent = agent([[1.0, 0.0], [2.0, 0.0]]);
+        let (first, second) = (candidates(true), candidates(false));
+        let mut tally = Tally::new(1);
+        tally.add_scene(&[(&agent, &first), (&agent, &second)], &[2]);
+        let errors = |measure| tally.errors(Method::Network, measure, 0).map(|errors| errors.ade_m);
+        assert_eq!(errors(Measure::Joint), Some(2.0), "mode 0 is near for one, far for the other");
+        assert_eq!(errors(Measure::JointRanked), Some(1.0), "the second likeliest is near for both");
+    }
+
+    #[test]
+    fn merged_parts_equal_the_whole_and_other_units_only_scale() {
+        let agents = [agent([[1.0, 0.0], [2.0, 0.0]]), agent([[0.0, 1.0], [0.0, 2.0]])];
+        let (mut whole, mut merged) = (Tally::new(1), Tally::new(1));
+        for agent in &agents {
+            let mut part = Tally::new(1);
+            part.add_agent(agent, &candidates(true), &[2]);
+            merged.merge(&part);
+            whole.add_agent(agent, &candidates(true), &[2]);
+        }
+        assert_eq!(merged, whole);
+        let metres = whole.sum(Method::Network, Measure::BestOf, 0);
+        let pixels = whole.scaled(20.0).sum(Method::Network, Measure::BestOf, 0);
+        assert_eq!(pixels, metres.map(|sum| 20.0 * sum));
+    }
+}

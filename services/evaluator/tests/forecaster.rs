@@ -1,0 +1,153 @@
+//! Properties of the forecaster on generated traffic, which has all agent types.
+
+#![expect(clippy::unwrap_used, reason = "a test that cannot go on should panic")]
+
+#[path = "support/weights.rs"]
+mod weights;
+
+use data::{GeneratedScene, SceneOptions};
+use evaluator::{Agent, Cut, Forecast, Forecaster, ForecasterMemory, Scene};
+use nn::{Latents, Weights};
+use scene::AgentType;
+
+/// Scenes of generated traffic, cut for a model.
+fn scenes(forecaster: &Forecaster) -> Vec<Scene> {
+    let options = SceneOptions {
+        agents: 12,
+        seed: 5,
+        identities: true,
+        miss_probability: 0.0,
+        clutter_mean: 0.0,
+        occlusion: false,
+        ..SceneOptions::default()
+    };
+    let recording = GeneratedScene::new(options).unwrap().recording(160);
+    let scenes = Cut::of(forecaster.config()).scenes(&recording);
+    scenes.into_iter().filter(|scene| scene.complete().len() > 3).collect()
+}
+
+/// Forecasts of all complete agents; nothing is known of the ground.
+fn forecast(forecaster: &Forecaster, scene: &Scene) -> Vec<Forecast> {
+    let none = |_, _| [0.0; wire::CONTEXT_EMBEDDING];
+    forecaster.forecast(scene, none, &scene.complete(), &mut ForecasterMemory::default())
+}
+
+fn onboard() -> Forecaster {
+    Forecaster::new(&Weights::onboard(), 1).unwrap()
+}
+
+#[test]
+fn the_future_has_no_say_in_a_forecast() {
+    let forecaster = onboard();
+    let scene = &scenes(&forecaster)[0];
+    let mut other = scene.clone();
+    for position in other.agents.iter_mut().flat_map(|agent| agent.future.iter_mut().flatten()) {
+        *position = [-position[1], 3.0 * position[0]];
+    }
+    assert_eq!(forecast(&forecaster, scene), forecast(&forecaster, &other));
+}
+
+#[test]
+fn a_memory_that_was_used_before_changes_nothing() {
+    let forecaster = onboard();
+    let none = |_, _| [0.0; wire::CONTEXT_EMBEDDING];
+    let mut memory = ForecasterMemory::default();
+    for scene in scenes(&forecaster).iter().take(4) {
+        let mut backwards = scene.complete();
+        backwards.reverse();
+        let mut used = forecaster.forecast(scene, none, &backwards, &mut memory);
+        used.reverse();
+        assert_eq!(used, forecast(&forecaster, scene));
+    }
+}
+
+#[test]
+fn a_moved_and_turned_scene_has_the_moved_and_turned_forecast() {
+    let forecaster = onboard();
+    let scene = &scenes(&forecaster)[1];
+    let (sin, cos) = 0.7_f32.sin_cos();
+    let turn = |[x, y]: [f32; 2]| [cos * x - sin * y, sin * x + cos * y];
+    let place = |p: [f32; 2]| {
+        let [x, y] = turn(p);
+        [x + 30.0, y - 12.0]
+    };
+    let mut moved = scene.clone();
+    for state in moved.agents.iter_mut().flat_map(|agent| agent.history.iter_mut().flatten()) {
+        state.position_m = place(state.position_m);
+        state.velocity_mps = turn(state.velocity_mps);
+        state.heading_rad += 0.7;
+    }
+    let (before, after) = (forecast(&forecaster, scene), forecast(&forecaster, &moved));
+    for (before, after) in before.iter().zip(&after) {
+        for (a, b) in before.modes.iter().flatten().zip(after.modes.iter().flatten()) {
+            let [x, y] = place(*a);
+            assert!((x - b[0]).hypot(y - b[1]) < 0.02, "{:?} became {b:?}", place(*a));
+        }
+    }
+}
+
+#[test]
+fn a_network_that_says_nothing_leaves_the_base_control() {
+    let silent = |name: &str, _: &mut Vec<usize>, values: &mut Vec<f32>| {
+        if name.contains(".head.") {
+            values.fill(0.0);
+        }
+    };
+    let weights = Weights::from_bytes(&weights::changed(silent, |_| ())).unwrap();
+    let forecaster = Forecaster::new(&weights, 1).unwrap();
+    let forecasts = forecast(&forecaster, &scenes(&forecaster)[0]);
+    assert!(!forecasts.is_empty());
+    for forecast in forecasts {
+        let base = forecast.base.unwrap();
+        assert_eq!((forecast.modes, forecast.best), (base.modes, base.best));
+    }
+}
+
+#[test]
+fn covariances_grow_and_probabilities_sum_to_one() {
+    let forecaster = onboard();
+    for forecast in forecast(&forecaster, &scenes(&forecaster)[2]) {
+        assert!((forecast.probability.iter().sum::<f32>() - 1.0).abs() < 1e-4);
+        for covariance in &forecast.covariance {
+            assert!(covariance.iter().all(|[xx, xy, yy]| *xx > 0.0 && xx * yy - xy * xy > 0.0));
+            let spread = |[xx, _, yy]: [f32; 3]| xx + yy;
+            assert!(spread(covariance[covariance.len() - 1]) > spread(covariance[0]));
+        }
+    }
+}
+
+#[test]
+fn normal_latents_are_drawn_by_seed_and_agent() {
+    let bytes = weights::changed(
+        |_, _, _| (),
+        |config| {
+            config.latents = Latents::Normal;
+            config.mode_head = false;
+        },
+    );
+    let weights = Weights::from_bytes(&bytes).unwrap();
+    let with_seed = |seed| Forecaster::new(&weights, seed).unwrap();
+    let scene = &scenes(&with_seed(1))[0];
+    let forecasts = forecast(&with_seed(1), scene);
+    assert_eq!(forecasts, forecast(&with_seed(1), scene));
+    assert_ne!(forecasts, forecast(&with_seed(2), scene));
+    for forecast in forecasts {
+        assert_eq!(forecast.modes.len(), forecast.probability.len());
+        assert!(forecast.probability.iter().all(|p| (p - 0.05).abs() < 1e-6));
+        assert_ne!(forecast.modes[0], forecast.modes[1]);
+    }
+}
+
+#[test]
+fn what_a_recording_does_not_tell_comes_from_the_scene_alone() {
+    let forecaster = onboard();
+    let recorded = &scenes(&forecaster)[3];
+    let pedestrian = |agent: &&Agent| agent.agent_type == AgentType::Pedestrian && agent.is_complete();
+    for agent in recorded.agents.iter().filter(pedestrian) {
+        let states: Vec<_> = agent.history.iter().flatten().collect();
+        assert_eq!(states[0].velocity_mps, states[1].velocity_mps, "the first step copies the second");
+        let dt_s = forecaster.config().dt_s as f32;
+        let step = (states[2].position_m[0] - states[1].position_m[0]) / dt_s;
+        assert!((states[2].velocity_mps[0] - step).abs() < 1e-5);
+    }
+}

@@ -1,0 +1,152 @@
+//! Evaluations from end to end, on recordings that are written here.
+
+#![expect(clippy::unwrap_used, reason = "a test that cannot go on should panic")]
+
+#[path = "support/weights.rs"]
+mod weights;
+
+use std::path::{Path, PathBuf};
+
+use data::sets::Part;
+use data::{GeneratedScene, SceneOptions};
+use evaluator::{Cut, EvaluateError, Figure, MapChoice, Options, Report, WeightsChoice};
+
+fn options(folder: &Path, weights: Option<PathBuf>, threads: usize) -> Options {
+    Options {
+        data: folder.to_owned(),
+        part: Part::Test,
+        weights: WeightsChoice { file: weights, folder: folder.to_owned() },
+        map: MapChoice::Online,
+        threads,
+    }
+}
+
+/// Vehicles that go straight on at a constant speed, each on a line of its own, for `steps` tenths of a second.
+fn straight(folder: &Path, steps: usize) -> PathBuf {
+    let mut text = "stamp_s,id,type,x_m,y_m,heading_rad,speed_mps,length_m,width_m\n".to_owned();
+    for step in 0..steps {
+        for (id, speed) in [(1, 5.0), (2, 8.0)] {
+            let seconds = step as f64 * 0.1;
+            let (x, y) = (speed * seconds, 10.0 * f64::from(id));
+            text += &format!("{seconds:.1},{id},vehicle,{x:.4},{y:.1},0,{speed},4.5,1.8\n");
+        }
+    }
+    let path = folder.join("straight.csv");
+    std::fs::write(&path, text).unwrap();
+    path
+}
+
+/// Generated traffic with all agent types.
+fn traffic(folder: &Path) -> PathBuf {
+    let options = SceneOptions { agents: 10, identities: true, clutter_mean: 0.0, ..SceneOptions::default() };
+    let scene = GeneratedScene::new(options);
+    let mut text = "stamp_s,id,type,x_m,y_m\n".to_owned();
+    for frame in scene.unwrap().recording(200).frames {
+        for seen in frame.detections.iter().filter(|seen| seen.has(wire::detection_flags::HAS_ID)) {
+            let agent_type = seen.agent_type().unwrap().name();
+            let stamp_s = frame.stamp_ns as f64 * 1e-9;
+            text += &format!("{stamp_s:.2},{},{agent_type},{},{}\n", seen.id, seen.x_m, seen.y_m);
+        }
+    }
+    let path = folder.join("traffic.csv");
+    std::fs::write(&path, text).unwrap();
+    path
+}
+
+fn evaluate(options: &Options, path: &Path) -> Result<Report, EvaluateError> {
+    evaluator::files(options, &[path.to_owned()], None, false, |_| ())
+}
+
+/// The figure of all agents over the whole horizon.
+fn figure(report: &Report, method: &str, measure: &str, quantity: &str) -> Figure {
+    let wanted = |figure: &&Figure| {
+        (figure.method, figure.measure, &figure.quantity[..]) == (method, measure, quantity)
+            && figure.subset == "all"
+            && figure.horizon_s > 4.5
+    };
+    report.figures.iter().find(wanted).unwrap_or_else(|| panic!("no {quantity} of {method}")).clone()
+}
+
+#[test]
+fn who_goes_straight_on_is_known_to_constant_velocity() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = straight(folder.path(), 120);
+    let report = evaluate(&options(folder.path(), None, 2), &path).unwrap();
+    for method in ["constant velocity", "constant acceleration", "CTRV", "CTRA, decaying"] {
+        for quantity in ["ADE, m", "FDE, m"] {
+            let error = figure(&report, method, "K = 1", quantity);
+            assert!(error.value < 2e-3, "{error:?}");
+        }
+    }
+    // Eleven windows, at 2.8 to 6.8 s, two vehicles each.
+    assert_eq!(figure(&report, "ours", "K = 1", "ADE, m").agents, 22);
+    assert_eq!(figure(&report, "ours", "", "recorded futures that collide, %").value, 0.0);
+    assert_eq!(figure(&report, "ours", "", "forecasts that break a limit, %").value, 0.0);
+    let sampled = figure(&report, "CVM-S", "best of 20", "FDE, m").value;
+    assert!(sampled > 0.0 && sampled < 8.0 * 4.8, "{sampled}");
+}
+
+#[test]
+fn figures_do_not_depend_on_the_number_of_threads() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = traffic(folder.path());
+    let [one, three] = [1, 3].map(|threads| evaluate(&options(folder.path(), None, threads), &path).unwrap());
+    assert!(one.figures.len() > 100);
+    assert_eq!(one.csv(), three.csv());
+    assert_eq!(one.markdown(), three.markdown());
+}
+
+#[test]
+fn every_table_tells_how_its_draws_were_made() {
+    let folder = tempfile::tempdir().unwrap();
+    let report = evaluate(&options(folder.path(), None, 2), &traffic(folder.path())).unwrap();
+    let markdown = report.markdown();
+    let tables: Vec<&str> = markdown.split("### ").skip(1).collect();
+    assert!(tables.len() >= 8);
+    for table in tables {
+        assert!(table.contains("20 of 20 learned latent points, none selected"), "{table}");
+    }
+    let rows = report.csv();
+    let columns = rows.lines().next().unwrap().split(',').count();
+    assert_eq!(columns, 11);
+    assert_eq!(report.json()["figures"].as_array().unwrap().len(), report.figures.len());
+}
+
+#[test]
+fn marginal_errors_are_never_above_joint_ones_nor_the_best_above_the_likeliest() {
+    let folder = tempfile::tempdir().unwrap();
+    let report = evaluate(&options(folder.path(), None, 2), &traffic(folder.path())).unwrap();
+    for quantity in ["ADE, m", "FDE, m"] {
+        let of = |measure| figure(&report, "ours", measure, quantity).value;
+        assert!(of("best of 20") <= of("joint best of 20"));
+        assert!(of("best of 20") <= of("joint, by rank"));
+        assert!(of("best of 20") <= of("most likely"));
+    }
+}
+
+#[test]
+fn missing_weights_name_the_file_and_its_recipe() {
+    let folder = tempfile::tempdir().unwrap();
+    let error = evaluator::sdd(&options(folder.path(), None, 1), |_| ()).unwrap_err().to_string();
+    assert!(error.contains("sdd.safetensors") && error.contains("stgdat train --recipe sdd"), "{error}");
+}
+
+#[test]
+fn a_model_of_other_steps_is_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("short.safetensors");
+    std::fs::write(&path, weights::changed(|_, _, _| (), |config| config.history_len = 5)).unwrap();
+    let error = evaluator::sdd(&options(folder.path(), Some(path), 1), |_| ()).unwrap_err();
+    assert!(matches!(error, EvaluateError::Steps { .. }), "{error}");
+    assert!(error.to_string().contains("5 + 12 steps of 0.4 s"), "{error}");
+}
+
+#[test]
+fn a_recording_that_is_too_short_is_told_so() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = straight(folder.path(), 40);
+    let error = evaluate(&options(folder.path(), None, 1), &path).unwrap_err();
+    assert!(matches!(error, EvaluateError::NoWindows { .. }), "{error}");
+    let steps = Cut::of(nn::Weights::onboard().config());
+    assert!(error.to_string().contains(&format!("{} steps", steps.history_len + steps.horizon_len)));
+}
