@@ -21,6 +21,8 @@ mod mask;
 mod mixture;
 mod scene;
 mod storyboard;
+#[cfg(test)]
+mod tests;
 mod text;
 mod training_log;
 mod view;

@@ -3,7 +3,7 @@ use std::path::PathBuf;
 use ::scene::ContextMap;
 use clap::{Args, ValueEnum};
 use config::{Exit, MapChoice};
-use data::{Format, Recording};
+use data::Format;
 use evaluator::picture::{Mask, SceneDrawing, SceneOptions, Shot, Storyboard, save, scenes};
 use evaluator::{Forecaster, MapInput};
 
@@ -54,9 +54,9 @@ pub struct Arguments {
     /// Height of a panel relative to its width
     #[arg(long, value_name = "RATIO", default_value_t = SceneOptions::default().height_per_width)]
     ratio: f64,
-    /// Least part of the world that a panel shows, in metres
-    #[arg(long, value_name = "METRES", default_value_t = SceneOptions::default().extent_min_m)]
-    extent: f64,
+    /// Least part of the world that a panel shows, in metres; the usual one of the agents' types where not given
+    #[arg(long, value_name = "METRES")]
+    extent: Option<f64>,
     #[command(flatten)]
     model: ModelArguments,
     /// Seed of latent variables, for models that draw them
@@ -95,9 +95,9 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
     let threads = std::thread::available_parallelism().map_or(1, usize::from);
     let storyboard = Storyboard::new(&forecaster, &recording, map, threads).map_err(Failure::data)?;
     let shots = arguments.shots(&storyboard)?;
-    let drawings: Vec<SceneDrawing<'_>> =
-        shots.iter().map(|shot| drawing(&recording, shot, site.as_ref())).collect();
-    let picture = scenes(&drawings, &arguments.options(drawings.len())).map_err(Failure::data)?;
+    let drawings: Vec<SceneDrawing<'_>> = shots.iter().map(|shot| drawing(shot, site.as_ref())).collect();
+    let picture =
+        scenes(&recording.name, &drawings, &arguments.options(drawings.len())).map_err(Failure::data)?;
     let out = arguments.out.clone().unwrap_or_else(|| PathBuf::from(&recording.name).with_extension("png"));
     save(&picture, &out).map_err(Failure::data)?;
     println!("{}", out.display());
@@ -138,16 +138,20 @@ impl Arguments {
     }
 }
 
-fn drawing<'a>(recording: &Recording, shot: &'a Shot, site: Option<&'a ContextMap>) -> SceneDrawing<'a> {
-    let errors = shot.errors.map(|errors| {
+fn drawing<'a>(shot: &'a Shot, site: Option<&'a ContextMap>) -> SceneDrawing<'a> {
+    let note = shot.errors.map(|errors| {
         let [ade_m, fde_m] = errors.best;
-        let [likeliest_ade_m, likeliest_fde_m] = errors.likeliest;
         let best = format!("best of {}: ADE {ade_m:.2} m, FDE {fde_m:.2} m", errors.modes_len);
-        format!("{best}; most likely: {likeliest_ade_m:.2} m, {likeliest_fde_m:.2} m")
+        let [ade_m, fde_m] = errors.likeliest;
+        format!("{best}; most likely: {ade_m:.2} m, {fde_m:.2} m")
     });
+    let about = match shot.about[..] {
+        [agent] => format!("agent {agent}, "),
+        _ => String::new(),
+    };
     SceneDrawing {
-        title: format!("{}, t = {:.1} s", recording.name, shot.time_s),
-        note: errors.unwrap_or_default(),
+        title: format!("{about}t = {:.1} s", shot.time_s),
+        note: note.unwrap_or_default(),
         map: site.or(shot.online_map.as_ref()),
         agents: shot.agents.clone(),
     }

@@ -1,14 +1,17 @@
 //! Panels with axes, and curves in them.
 
 use super::canvas::{Align, Canvas, Frame, Path, Spot, Stroke, Type};
-use super::colour::{Colour, GREY, INK, PALE, WHITE};
+use super::colour::{Colour, GREY, INK, PALE};
 use super::text::{self, Face};
 
 /// Sizes of type, pt.
 const TITLE_SIZE: f64 = 8.0;
 const LABEL_SIZE: f64 = 6.5;
-/// Room for the labels of ticks, below and to the left, and for the title, pt.
-const ROOM: [f64; 3] = [20.0, 30.0, 12.0];
+/// Room below and to the left for the labels of ticks, above for the title, and to the right for half a label, pt.
+const ROOM: [f64; 4] = [20.0, 30.0, 12.0, 7.0];
+/// Names of curves side by side, and the height of a row of them, pt.
+const KEY_COLUMNS: usize = 2;
+const KEY_ROW: f64 = 8.0;
 /// Points of a curve that are drawn at most: more than the dots of a line this wide.
 const POINTS_MAX: usize = 600;
 /// Ticks of an axis, at least about.
@@ -99,12 +102,14 @@ fn round_step(most: f64) -> f64 {
 impl Chart {
     /// Draws the panel into a frame that includes titles and labels; `steps` is the range of the horizontal axis.
     pub fn draw(&self, canvas: &mut Canvas, frame: Frame, steps: [f64; 2]) {
-        let [below, left, above] = ROOM;
+        let [below, left, above, right] = ROOM;
         let plot = Frame {
             corner: [frame.corner[0] + left, frame.corner[1] + above],
-            size: [frame.size[0] - left, frame.size[1] - above - below],
+            size: [frame.size[0] - left - right, frame.size[1] - above - below],
         };
         let [low, high] = self.range();
+        // The names of the curves stand above all values.
+        let high = high + (high - low) * (self.key_height() / plot.size[1]).min(0.5);
         let x = Axis { low: steps[0], high: steps[1], start: plot.corner[0], end: plot.right() };
         let y = Axis { low, high, start: plot.bottom(), end: plot.corner[1] };
         let title = Type { size: TITLE_SIZE, face: Face::Medium, colour: INK, align: Align::Left };
@@ -135,21 +140,27 @@ impl Chart {
         [if self.from_zero && lowest >= 0.0 { 0.0 } else { low - pad }, highest + pad]
     }
 
+    fn named(&self) -> Vec<&Curve> {
+        self.curves.iter().filter(|curve| !curve.name.is_empty()).collect()
+    }
+
+    fn key_height(&self) -> f64 {
+        let rows = self.named().len().div_ceil(KEY_COLUMNS);
+        if rows == 0 { 0.0 } else { rows as f64 * KEY_ROW + 3.0 }
+    }
+
     /// Names of the curves in the upper right corner.
     fn draw_key(&self, canvas: &mut Canvas, plot: Frame) {
-        let named: Vec<&Curve> = self.curves.iter().filter(|curve| !curve.name.is_empty()).collect();
+        let named = self.named();
         let width = |curve: &&Curve| text::width(Face::Regular, LABEL_SIZE, &curve.name);
-        let widest = named.iter().map(width).fold(0.0, f64::max);
+        let column = named.iter().map(width).fold(0.0, f64::max) + 22.0;
+        let columns = KEY_COLUMNS.min(named.len());
         let look = Type { size: LABEL_SIZE, face: Face::Regular, colour: INK, align: Align::Left };
-        let left = plot.right() - widest - 20.0;
-        if !named.is_empty() {
-            let size = [widest + 18.0, named.len() as f64 * 8.0 + 3.0];
-            canvas.fill_frame(Frame { corner: [left - 1.0, plot.corner[1] + 2.0], size }, WHITE);
-        }
-        for (row, curve) in named.into_iter().enumerate() {
-            let baseline = plot.corner[1] + 9.5 + row as f64 * 8.0;
-            canvas
-                .stroke(&Path::line([[left, baseline - 2.3], [left + 11.0, baseline - 2.3]]), &curve.stroke);
+        for (number, curve) in named.into_iter().enumerate() {
+            let left = plot.right() - (columns - number % KEY_COLUMNS) as f64 * column;
+            let baseline = plot.corner[1] + 9.0 + (number / KEY_COLUMNS) as f64 * KEY_ROW;
+            let sample = Path::line([[left, baseline - 2.3], [left + 11.0, baseline - 2.3]]);
+            canvas.stroke(&sample, &curve.stroke);
             canvas.text([left + 14.0, baseline], look, &curve.name);
         }
     }
@@ -179,10 +190,9 @@ fn draw_mark(canvas: &mut Canvas, plot: Frame, spot: Spot, words: &str) {
     canvas.stroke(&line, &Stroke::solid(INK, 0.5).dashed(&[1.5, 1.5]));
     canvas.fill(&Path::disc(spot, 2.2), INK, 1.0);
     let is_left = spot[0] < plot.centre_x();
-    let align = if is_left { Align::Left } else { Align::Right };
+    let (align, aside) = if is_left { (Align::Left, 3.0) } else { (Align::Right, -3.0) };
     let look = Type { size: LABEL_SIZE, face: Face::Regular, colour: INK, align };
-    let above = if spot[1] - 6.0 > plot.corner[1] + 8.0 { -5.0 } else { 10.0 };
-    canvas.text([spot[0] + if is_left { 4.0 } else { -4.0 }, spot[1] + above], look, words);
+    canvas.text([spot[0] + aside, plot.corner[1] + 8.0], look, words);
 }
 
 /// A round number in few characters.

@@ -249,6 +249,20 @@ impl Canvas {
         width
     }
 
+    /// As [`Canvas::text`], in smaller type where the words would be wider than `width_max`, but not below three quarters;
+    /// what is still too long loses its end.
+    pub fn fitted_text(&mut self, spot: Spot, look: Type, words: &str, width_max: f64) -> f64 {
+        let width = |words: &str, size: f64| text::width(look.face, size, words);
+        let size = look.size * (width_max / width(words, look.size).max(1e-9)).clamp(0.75, 1.0);
+        let look = Type { size, ..look };
+        if width(words, size) <= width_max + 1e-6 {
+            return self.text(spot, look, words);
+        }
+        let starts = words.char_indices().map(|(end, _)| format!("{}…", &words[..end]));
+        let longest = starts.take_while(|start| width(start, size) <= width_max).last();
+        self.text(spot, look, &longest.unwrap_or_default())
+    }
+
     /// Whatever `draw` draws is cut off at the edge of `frame`.
     pub fn clipped(&mut self, frame: Frame, draw: impl FnOnce(&mut Self)) {
         let (id, outline) = (self.clips_len, rectangle(frame).0);

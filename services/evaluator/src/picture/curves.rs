@@ -86,7 +86,7 @@ fn validation_charts(log: &TrainingLog) -> Vec<Chart> {
     let figure = Curve::new("", INK, figure);
     let mark = log.best().map(|best| Mark {
         point: [best.step as f64, best.validation],
-        words: format!("{:.4}", best.validation),
+        words: format!("best: {:.4}", best.validation),
     });
     let charts = vec![
         Chart { title: "Validation figure".to_owned(), curves: vec![figure], mark, from_zero: false },

@@ -1,5 +1,7 @@
 //! The context map beneath a scene: how often each place was visited, and how fast.
 
+use std::collections::BTreeMap;
+
 use scene::ContextMap;
 
 use super::canvas::{Canvas, Path, Stroke};
@@ -101,44 +103,50 @@ fn spline(first_cell: isize, node: usize) -> (isize, [f64; 4]) {
     (first_cell + (node / SPLIT) as isize - 1, weights)
 }
 
+/// A stretch of ground with how it was passed.
+struct Passage {
+    /// Where its visits were on average.
+    place: [f64; 2],
+    velocity_mps: [f64; 2],
+    speed_mps: f64,
+}
+
 /// Draws how fast places were passed, as arrows; the longest is the fastest.
 pub fn draw_velocity(canvas: &mut Canvas, view: &View, map: &ContextMap) {
     let block = ((ARROW_SPACING / view.scale()).ceil() as usize).max(1);
-    let Some([cols, rows]) = cells_within(map, view) else { return };
-    let within = |range: &std::ops::Range<isize>, len: usize| {
-        (range.start.max(0) as usize)..(range.end.max(0) as usize).min(len)
+    let passages = passages(map, view, block);
+    let fastest_mps = passages.iter().map(|passage| passage.speed_mps).fold(0.0, f64::max);
+    let longest = 0.95 * block as f64 * view.scale();
+    for Passage { place, velocity_mps: [vx, vy], speed_mps } in passages {
+        let way = [vx / speed_mps, -vy / speed_mps];
+        draw_arrow(canvas, view.spot(place), way, longest * (speed_mps / fastest_mps).max(0.2));
+    }
+}
+
+/// The mean passage of each square block of cells in view that was passed at some speed.
+fn passages(map: &ContextMap, view: &View, block: usize) -> Vec<Passage> {
+    let Some([cols, rows]) = cells_within(map, view) else { return Vec::new() };
+    let cells = map.density().zip(map.velocity_mps()).enumerate();
+    // Blocks start at whole multiples, so that panels of one map show the same arrows.
+    let mut sums: BTreeMap<[usize; 2], [f64; 5]> = BTreeMap::new();
+    for (index, (density, [vx, vy])) in cells.filter(|(_, (density, _))| *density > 0.0) {
+        let (row, col) = (index / map.cols(), index % map.cols());
+        if !rows.contains(&(row as isize)) || !cols.contains(&(col as isize)) {
+            continue;
+        }
+        let sum = sums.entry([row / block, col / block]).or_default();
+        let of_cell = [1.0, col as f64 + 0.5, row as f64 + 0.5, f64::from(vx), f64::from(vy)];
+        for (sum, value) in sum.iter_mut().zip(of_cell) {
+            *sum += f64::from(density) * value;
+        }
+    }
+    let passage = |[visits, x, y, vx, vy]: [f64; 5]| Passage {
+        place: [0, 1].map(|axis| f64::from(map.origin_m()[axis]) + [x, y][axis] / visits),
+        velocity_mps: [vx / visits, vy / visits],
+        speed_mps: (vx / visits).hypot(vy / visits),
     };
-    let (cols, rows) = (within(&cols, map.cols()), within(&rows, map.rows()));
-    let cells: Vec<(f64, [f64; 2])> = map
-        .density()
-        .zip(map.velocity_mps())
-        .map(|(density, velocity)| (f64::from(density), velocity.map(f64::from)))
-        .collect();
-    let mut arrows = Vec::new();
-    // Blocks start at whole multiples, so that neighbouring panels show the same arrows.
-    for row in (rows.start / block * block..rows.end).step_by(block) {
-        for col in (cols.start / block * block..cols.end).step_by(block) {
-            let rows = row..(row + block).min(map.rows());
-            let of_block = rows
-                .flat_map(|row| (col..(col + block).min(map.cols())).map(move |col| (row, col)))
-                .map(|(row, col)| cells[row * map.cols() + col]);
-            let (visits, [x, y]) = of_block.fold((0.0, [0.0; 2]), |(visits, [x, y]), (density, [vx, vy])| {
-                (visits + density, [x + density * vx, y + density * vy])
-            });
-            let velocity = [x, y].map(|sum| if visits > 0.0 { sum / visits } else { 0.0 });
-            let centre = [col, row].map(|cell| cell as f64 + block as f64 / 2.0);
-            arrows.push(([0, 1].map(|axis| f64::from(map.origin_m()[axis]) + centre[axis]), velocity));
-        }
-    }
-    let fastest = arrows.iter().map(|(_, [vx, vy])| vx.hypot(*vy)).fold(ARROW_SPEED_MIN_MPS, f64::max);
-    let length = 0.95 * block as f64 * view.scale();
-    for (place, [vx, vy]) in arrows {
-        let speed = vx.hypot(vy);
-        if speed >= ARROW_SPEED_MIN_MPS {
-            let way = [vx / speed, -vy / speed];
-            draw_arrow(canvas, view.spot(place), way, length * (speed / fastest).max(0.2));
-        }
-    }
+    let passages = sums.into_values().map(passage);
+    passages.filter(|passage| passage.speed_mps >= ARROW_SPEED_MIN_MPS).collect()
 }
 
 fn draw_arrow(canvas: &mut Canvas, [x, y]: [f64; 2], [cos, sin]: [f64; 2], length: f64) {

@@ -1,6 +1,8 @@
 //! The mask: where the agent will be, as the forecast distribution has it.
 
-use super::contour::Place;
+use std::f64::consts::LN_2;
+
+use super::contour::{Place, Raster};
 use super::mixture::{self, Mixture, add_density, highest_density_levels, raster_for};
 use super::scene::ForecastDrawing;
 
@@ -21,17 +23,12 @@ pub enum Mask {
     Hidden,
 }
 
-/// An area of the ground that holds a share of the forecast distribution.
-pub struct Region {
-    /// The share.
-    pub share: f64,
-    /// Its edge, m: closed lines with the area on their left.
-    pub outline: Vec<Vec<Place>>,
-}
+/// The edge of an area, m: closed lines with the area on their left.
+pub type Outline = Vec<Vec<Place>>;
 
 impl Mask {
-    /// The regions of an agent's forecast, larger ones first; none where the mask is hidden or nothing is forecast.
-    pub fn regions(self, now: Place, forecast: &ForecastDrawing) -> Vec<Region> {
+    /// The regions of an agent's forecast that hold the [`SHARES`]; none where the mask is hidden or nothing is forecast.
+    pub fn regions(self, now: Place, forecast: &ForecastDrawing) -> Vec<Outline> {
         let regions = match self {
             Self::Hidden => None,
             Self::End => pooled(&[mixture::end(forecast)]),
@@ -43,18 +40,21 @@ impl Mask {
 }
 
 /// The regions of all mixtures, equally likely.
-fn pooled(mixtures: &[Mixture]) -> Option<[Region; 2]> {
+fn pooled(mixtures: &[Mixture]) -> Option<[Outline; 2]> {
     let mut raster = raster_for(mixtures.iter())?;
     for mixture in mixtures {
         add_density(mixture, 1.0 / mixtures.len() as f64, &mut raster);
     }
     let levels = highest_density_levels(&raster, SHARES)?;
-    let outline = |which: usize| raster.contours(levels[which]);
-    Some([0, 1].map(|which| Region { share: SHARES[which], outline: outline(which) }))
+    let region = |which: usize| {
+        let values = raster.values.iter().map(|density| density / levels[which]).collect();
+        within(Raster { values, ..raster })
+    };
+    Some([0, 1].map(region))
 }
 
 /// The union of each mixture's own regions.
-fn union(mixtures: &[Mixture]) -> Option<[Region; 2]> {
+fn union(mixtures: &[Mixture]) -> Option<[Outline; 2]> {
     let mut moment = raster_for(mixtures.iter())?;
     // Densities relative to the level of their region, so that 1 is the edge of all of them.
     let mut fields = [moment.clone(), moment.clone()];
@@ -68,6 +68,12 @@ fn union(mixtures: &[Mixture]) -> Option<[Region; 2]> {
             }
         }
     }
-    let outline = |which: usize| fields[which].contours(1.0);
-    Some([0, 1].map(|which| Region { share: SHARES[which], outline: outline(which) }))
+    Some(fields.map(within))
+}
+
+/// Where a field of relative densities is at least 1.
+fn within(mut field: Raster) -> Outline {
+    // Between two nodes the logarithm of a Gaussian is straighter than itself, so that its contours are smoother.
+    field.values.iter_mut().for_each(|relative| *relative = relative.ln_1p());
+    field.contours(LN_2)
 }

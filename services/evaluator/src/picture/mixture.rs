@@ -4,13 +4,15 @@ use super::contour::{Place, Raster};
 use super::scene::ForecastDrawing;
 
 /// Nodes along the longer side of a density's raster.
-const NODES: usize = 220;
+const NODES: usize = 260;
 /// Standard deviations of a component beyond which nothing is added.
 const REACH: f64 = 4.0;
 /// Variance added to every component, in squared spacings of the raster: nothing is finer than the raster.
-const RASTER_VARIANCE: f64 = 0.3;
+const RASTER_VARIANCE: f64 = 0.6;
 /// Modes move by this many standard deviations between moments: what is drawn of neighbours overlaps.
 const HOP: f64 = 0.5;
+/// Standard deviations below count as this for the number of moments.
+const FINEST_M: f64 = 0.05;
 /// Moments per step of the forecast, at most.
 const PER_STEP_MAX: f64 = 24.0;
 
@@ -37,8 +39,7 @@ pub fn moments(now: Place, forecast: &ForecastDrawing) -> Vec<Mixture> {
         let next = at_step(forecast, step);
         let pairs = || last.iter().zip(&next);
         let hop = |(a, b): (&Component, &Component)| {
-            let finest_m = b.covariance[0].min(b.covariance[2]).sqrt().max(0.05);
-            (b.mean[0] - a.mean[0]).hypot(b.mean[1] - a.mean[1]) / (HOP * finest_m)
+            (b.mean[0] - a.mean[0]).hypot(b.mean[1] - a.mean[1]) / (HOP * b.narrowest_m().max(FINEST_M))
         };
         let per_step = pairs().map(hop).fold(1.0, f64::max).min(PER_STEP_MAX).ceil();
         for part in 1..=per_step as usize {
@@ -73,6 +74,13 @@ fn at_step(forecast: &ForecastDrawing, step: usize) -> Mixture {
 }
 
 impl Component {
+    /// Standard deviation across its narrowest direction.
+    fn narrowest_m(&self) -> f64 {
+        let [xx, xy, yy] = self.covariance;
+        let variance = (xx + yy) / 2.0 - ((xx - yy) / 2.0).hypot(xy);
+        variance.max(0.0).sqrt()
+    }
+
     fn towards(&self, other: &Self, share: f64) -> Self {
         let mix = |a: f64, b: f64| a + (b - a) * share;
         Self {

@@ -19,7 +19,7 @@ use legend::Legend;
 /// A moment of a recording, and what was forecast then.
 #[derive(Clone, Debug, Default)]
 pub struct SceneDrawing<'a> {
-    /// Name of the recording and the time.
+    /// What the panel shows.
     pub title: String,
     /// What else is to be told, in smaller type.
     pub note: String,
@@ -72,8 +72,8 @@ pub struct SceneOptions {
     pub columns: usize,
     /// Height of a panel relative to its width.
     pub height_per_width: f64,
-    /// Least extent of the world in a panel, m.
-    pub extent_min_m: f64,
+    /// Least extent of the world in a panel, m; 30 m around vehicles and 12 m around others where not given.
+    pub extent_min_m: Option<f64>,
     /// What the mask stands for.
     pub mask: Mask,
     /// Whether the map's mean velocities are drawn as arrows.
@@ -88,7 +88,7 @@ impl Default for SceneOptions {
             width: 516.0,
             columns: 2,
             height_per_width: 0.8,
-            extent_min_m: 12.0,
+            extent_min_m: None,
             mask: Mask::default(),
             velocity: false,
             identities: false,
@@ -102,19 +102,25 @@ const PANELS_MAX: usize = 64;
 const EDGE: f64 = 3.0;
 /// Space between panels, pt.
 const GAP: f64 = 9.0;
-/// Height of titles and notes above a panel, pt.
+/// Height of the heading, and of titles and notes above a panel, pt.
+const HEADING_HEIGHT: f64 = 14.0;
 const TITLE_HEIGHT: f64 = 11.0;
 const NOTE_HEIGHT: f64 = 9.0;
 /// Sizes of type, pt.
+const HEADING_SIZE: f64 = 9.0;
 const TITLE_SIZE: f64 = 8.0;
 pub(super) const LABEL_SIZE: f64 = 7.0;
 
-/// Draws scenes as one picture, in reading order, with one legend for all.
+/// Draws scenes as one picture, in reading order, with one heading and one legend for all.
 ///
 /// # Errors
 /// [`PictureError`] where there is no scene, an option or a number can't be drawn, or a forecast's parts have not the
 /// same lengths.
-pub fn scenes(drawings: &[SceneDrawing<'_>], options: &SceneOptions) -> Result<String, PictureError> {
+pub fn scenes(
+    heading: &str,
+    drawings: &[SceneDrawing<'_>],
+    options: &SceneOptions,
+) -> Result<String, PictureError> {
     check::options(options)?;
     check::panels(drawings, PANELS_MAX)?;
     let columns = options.columns.min(drawings.len());
@@ -125,34 +131,42 @@ pub fn scenes(drawings: &[SceneDrawing<'_>], options: &SceneOptions) -> Result<S
     let legend = Legend::of(drawings, options, options.width - 2.0 * EDGE);
     let rows = drawings.len().div_ceil(columns);
     let row_height = head_height + panel_height + GAP;
-    let legend_top = EDGE + rows as f64 * row_height;
+    let top = EDGE + if heading.is_empty() { 0.0 } else { HEADING_HEIGHT };
+    let legend_top = top + rows as f64 * row_height;
 
     let mut canvas = Canvas::new([options.width, legend_top + legend.height() + EDGE]);
+    let look = Type { size: HEADING_SIZE, face: Face::Medium, colour: INK, align: Align::Left };
+    canvas.fitted_text([EDGE, EDGE + 0.7 * HEADING_HEIGHT], look, heading, options.width - 2.0 * EDGE);
     for (index, drawing) in drawings.iter().enumerate() {
         let corner = [
             EDGE + (index % columns) as f64 * (panel_width + GAP),
-            EDGE + (index / columns) as f64 * row_height,
+            top + (index / columns) as f64 * row_height,
         ];
         let letter = (drawings.len() > 1).then(|| letters(index));
-        draw_head(&mut canvas, corner, letter.as_deref(), drawing);
-        let frame =
-            Frame { corner: [corner[0], corner[1] + head_height], size: [panel_width, panel_height] };
+        draw_head(&mut canvas, corner, panel_width, letter.as_deref(), drawing);
+        let frame = Frame { corner: [corner[0], corner[1] + head_height], size: [panel_width, panel_height] };
         let sketches: Vec<Sketch<'_>> =
             drawing.agents.iter().map(|agent| Sketch::new(agent, options.mask)).collect();
         panel::draw(&mut canvas, frame, drawing.map, &sketches, options);
     }
     legend.draw(&mut canvas, [EDGE, legend_top]);
     let titles: Vec<&str> = drawings.iter().map(|drawing| drawing.title.as_str()).collect();
-    Ok(canvas.finish(&titles.join("; ")))
+    Ok(canvas.finish(&format!("{heading}: {}", titles.join("; "))))
 }
 
-fn draw_head(canvas: &mut Canvas, [x, y]: [f64; 2], letter: Option<&str>, drawing: &SceneDrawing<'_>) {
+fn draw_head(
+    canvas: &mut Canvas,
+    [x, y]: [f64; 2],
+    width: f64,
+    letter: Option<&str>,
+    drawing: &SceneDrawing<'_>,
+) {
     let look = Type { size: TITLE_SIZE, face: Face::Medium, colour: INK, align: Align::Left };
     let baseline = y + 0.75 * TITLE_HEIGHT;
     let indent = letter.map_or(0.0, |letter| canvas.text([x, baseline], look, letter) + 3.0);
-    canvas.text([x + indent, baseline], look, &drawing.title);
+    canvas.fitted_text([x + indent, baseline], look, &drawing.title, width - indent);
     let look = Type { size: LABEL_SIZE, face: Face::Regular, colour: GREY, align: Align::Left };
-    canvas.text([x, y + TITLE_HEIGHT + 0.72 * NOTE_HEIGHT], look, &drawing.note);
+    canvas.fitted_text([x, y + TITLE_HEIGHT + 0.72 * NOTE_HEIGHT], look, &drawing.note, width);
 }
 
 /// (a), (b) … (z), (aa) …

@@ -31,6 +31,8 @@ pub struct Storyboard<'a> {
 pub struct Shot {
     /// Time since the recording's first frame.
     pub time_s: f64,
+    /// The agents that the shot is about.
+    pub about: Vec<u64>,
     /// All agents; those that the shot is about have their forecast.
     pub agents: Vec<AgentDrawing>,
     /// Means over the agents with forecast and known future.
@@ -134,8 +136,8 @@ impl<'a> Storyboard<'a> {
 
     /// The agents that were forecast best and worst, `len` of each, a shot about each of them, best first.
     ///
-    /// Ranked by the ADE of the best mode are moving agents that are seen over a whole history and horizon, in at most
-    /// [`RANKED_MAX`] scenes; no agent is shown twice.
+    /// Ranked by the ADE of the best mode are agents that move and go on moving, seen over a whole history and horizon, in
+    /// at most [`RANKED_MAX`] scenes; no agent is shown twice.
     ///
     /// # Errors
     /// [`StoryboardError::NothingToRank`] where there are none.
@@ -161,7 +163,13 @@ impl<'a> Storyboard<'a> {
 
     fn ranked(&self, number: usize, memory: &mut ForecasterMemory) -> Vec<Ranked> {
         let scene = &self.scenes[number];
-        let moves = |agent: &Agent| agent.newest().is_some_and(|state| state.speed_mps() >= MOVING_MPS);
+        let horizon_s = scene.agents.first().map_or(0, |agent| agent.future.len()) as f32
+            * self.forecaster.config().dt_s as f32;
+        let moves = |agent: &Agent| {
+            let (Some(now), Some(Some(end))) = (agent.newest(), agent.future.last()) else { return false };
+            let way_m = (end[0] - now.position_m[0]).hypot(end[1] - now.position_m[1]);
+            now.speed_mps() >= MOVING_MPS && way_m >= MOVING_MPS * horizon_s
+        };
         let wanted: Vec<usize> =
             scene.complete().into_iter().filter(|&place| moves(&scene.agents[place])).collect();
         let forecasts = self.forecast(scene, &wanted, memory);
@@ -196,6 +204,7 @@ impl<'a> Storyboard<'a> {
         };
         Shot {
             time_s: self.time_s(scene),
+            about: forecasts.keys().copied().collect(),
             agents: scene
                 .agents
                 .iter()
@@ -251,7 +260,7 @@ impl<'a> Storyboard<'a> {
     }
 
     fn time_s(&self, scene: &Scene) -> f64 {
-        (scene.stamp_ns - self.start_ns) as f64 * 1e-9
+        (scene.stamp_ns - self.start_ns) as f64 / 1e9
     }
 }
 

@@ -7,7 +7,7 @@ use super::{AgentDrawing, ForecastDrawing};
 use crate::picture::canvas::{Canvas, Path, Stroke};
 use crate::picture::colour::{BLUE, Colour, GREEN, GREY, INK, ORANGE, PALE, PURPLE, VERMILION, WHITE};
 use crate::picture::contour::{Place, simplified};
-use crate::picture::mask::{Mask, Region};
+use crate::picture::mask::{Mask, Outline};
 use crate::picture::view::View;
 
 /// Lines, one look each; the legend shows the same.
@@ -31,7 +31,7 @@ const BODY_MIN: f64 = 1.5;
 /// An agent, ready to be drawn.
 pub struct Sketch<'a> {
     pub agent: &'a AgentDrawing,
-    regions: Vec<Region>,
+    regions: Vec<Outline>,
     best: Option<&'a [Point]>,
     likeliest: Option<&'a [Point]>,
 }
@@ -54,15 +54,15 @@ impl<'a> Sketch<'a> {
     pub fn places(&self) -> impl Iterator<Item = Place> {
         let lines = self.best.into_iter().chain(self.likeliest).flatten();
         let known = self.agent.history.iter().chain(&self.agent.truth).flatten();
-        let regions = self.regions.iter().flat_map(|region| region.outline.iter().flatten().copied());
+        let regions = self.regions.iter().flat_map(|outline| outline.iter().flatten().copied());
         lines.chain(known).chain([&self.agent.now]).map(|point| place(*point)).chain(regions)
     }
 
     /// Draws the mask's region of a number: the larger one is 0, the smaller one 1.
     pub fn draw_region(&self, number: usize, canvas: &mut Canvas, view: &View) {
-        let Some(region) = self.regions.get(number) else { return };
+        let Some(outline) = self.regions.get(number) else { return };
         let mut path = Path::default();
-        for line in &region.outline {
+        for line in outline {
             let spots: Vec<_> = line.iter().map(|place| view.spot(*place)).collect();
             path.add_line(simplified(&spots, 0.04));
             path.close();
@@ -97,6 +97,13 @@ impl<'a> Sketch<'a> {
         for (line, look) in [(&truth, &TRUTH), (&best, &BEST), (&likeliest, &LIKELIEST), (&history, &HISTORY)]
         {
             canvas.stroke(line, look);
+        }
+    }
+
+    /// Draws where the truth and the forecasts end.
+    pub fn draw_ends(&self, canvas: &mut Canvas, view: &View) {
+        if self.agent.forecast.is_none() {
+            return;
         }
         let end = |line: Option<&[Point]>| line.and_then(<[Point]>::last).copied();
         for (point, colour) in [

@@ -14,7 +14,7 @@ pub fn options(options: &SceneOptions) -> Result<(), PictureError> {
     within("the width in pt", options.width, 72.0, 7200.0)?;
     within("the number of columns", options.columns as f64, 1.0, 16.0)?;
     within("the height of a panel relative to its width", options.height_per_width, 0.1, 10.0)?;
-    within("the least extent in m", options.extent_min_m, 0.1, 1e5)
+    within("the least extent in m", options.extent_min_m.unwrap_or(1.0), 0.1, 1e5)
 }
 
 pub fn panels(drawings: &[SceneDrawing<'_>], panels_max: usize) -> Result<(), PictureError> {

@@ -113,7 +113,7 @@ impl Sample {
         let frame = Frame { corner: [left, middle - height / 2.0], size: SAMPLE };
         match self {
             Self::Line(stroke) => {
-                canvas.stroke(&Path::line([[left, middle], [left + width, middle]]), stroke)
+                canvas.stroke(&Path::line([[left, middle], [left + width, middle]]), stroke);
             }
             Self::Area(opacity) => {
                 let corners = [[0.0, 0.0], [width, 0.0], [width, height], [0.0, height]];

@@ -1,6 +1,6 @@
 //! The panel of a scene.
 
-use scene::ContextMap;
+use scene::{AgentType, ContextMap};
 
 use super::agent::{REGION_OPACITY, Sketch};
 use super::{LABEL_SIZE, SceneOptions};
@@ -20,8 +20,11 @@ pub fn draw(
 ) {
     let has_forecasts = sketches.iter().any(|sketch| sketch.agent.forecast.is_some());
     let matters = |sketch: &&Sketch<'_>| !has_forecasts || sketch.agent.forecast.is_some();
-    let places = sketches.iter().filter(matters).flat_map(Sketch::places);
-    if let Some(view) = View::of(places, frame, options.extent_min_m) {
+    let shown = || sketches.iter().filter(matters);
+    let is_vehicle = |sketch: &Sketch<'_>| sketch.agent.agent_type == AgentType::Vehicle;
+    let usual_m = if shown().any(is_vehicle) { 30.0 } else { 12.0 };
+    let extent_min_m = options.extent_min_m.unwrap_or(usual_m);
+    if let Some(view) = View::of(shown().flat_map(Sketch::places), frame, extent_min_m) {
         canvas.clipped(frame, |canvas| {
             if let Some(map) = map {
                 ground::draw_density(canvas, &view, map);
@@ -37,6 +40,7 @@ pub fn draw(
             sketches.iter().for_each(|sketch| sketch.draw_modes(canvas, &view));
             sketches.iter().for_each(|sketch| sketch.draw_lines(canvas, &view));
             sketches.iter().for_each(|sketch| sketch.draw_body(canvas, &view));
+            sketches.iter().for_each(|sketch| sketch.draw_ends(canvas, &view));
             if options.identities {
                 sketches.iter().for_each(|sketch| label(canvas, &view, sketch));
             }
@@ -60,7 +64,7 @@ fn draw_scale_bar(canvas: &mut Canvas, view: &View) {
     let words = format!("{length_m} m");
     let plate = Frame { corner: [left - 3.5, baseline - 11.5], size: [length.max(18.0) + 7.0, 15.0] };
     let look = Type { size: LABEL_SIZE - 0.5, face: Face::Regular, colour: INK, align: Align::Middle };
-    canvas.fill_frame(plate, WHITE);
+    canvas.faint(0.8, |canvas| canvas.fill_frame(plate, WHITE));
     let middle = plate.centre_x();
     let (from, to) = (middle - length / 2.0, middle + length / 2.0);
     let mut bar = Path::line([[from, baseline], [to, baseline]]);
