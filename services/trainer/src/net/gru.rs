@@ -10,6 +10,7 @@
 
 mod burn_in;
 mod step;
+mod sum;
 #[cfg(test)]
 mod tests;
 mod unroll;

@@ -92,7 +92,7 @@ impl Norm {
             Then::AddRelu(shortcut) => (Some(shortcut.panels()), 0.0),
         };
         let mut y = x.like();
-        dispatch(Line { lines: [&scale, &shift], x: x.panels(), z, floor, out: y.panels_mut() });
+        dispatch(Line { line: [&scale, &shift], x: x.panels(), z, floor, out: y.panels_mut() });
         (y, NormTrace { x, moments, normalisation: pass.normalisation })
     }
 
@@ -130,8 +130,8 @@ impl Norm {
         }
         self.add_gradients(back.gradients, moments, &sums);
         let mut dx = x.like();
-        let planes = [by_dy.as_slice(), &by_x, &constant];
-        dispatch(Plane { planes, x: x.panels(), y: dy.panels(), out: dx.panels_mut() });
+        let plane = [by_dy.as_slice(), &by_x, &constant];
+        dispatch(Plane { plane, x: dy.panels(), y: x.panels(), out: dx.panels_mut() });
         dx
     }
 

@@ -2,9 +2,10 @@
 
 use nn::kernels::dispatch;
 
-use super::super::matrix::{Matrix, View, by_matrix};
+use super::super::matrix::Matrix;
 use super::super::tensors::{Gradients, Tensors};
 use super::step::{GATES, HIDDEN, KEPT, KEPT_STATE, SUMS, Step, StepBackward};
+use super::sum::{MatrixSum, columns};
 use super::{BLOCK, FEATURE_COLUMNS, FEATURES, add_biases, by_input, by_state, product, to_state};
 
 /// The history as the recurrent unit has read it.
@@ -59,9 +60,9 @@ impl BurnIn {
     /// Adds to the gradients of the recurrent unit, given that of `hidden`.
     pub(crate) fn backward(&self, weights: &Tensors, gradients: &mut Gradients, mut d_hidden: Matrix) {
         let steps_len = self.state.cols / FEATURES;
-        let [input_name, recurrent_name] =
-            ["weight_ih", "weight_hh"].map(|part| format!("{}.gru.{part}", self.name));
-        let recurrent = to_state(weights.get(&recurrent_name));
+        let recurrent = to_state(weights.get(&format!("{}.gru.weight_hh", self.name)));
+        let mut by_hidden = MatrixSum::zeros(GATES, HIDDEN);
+        let mut by_features = MatrixSum::zeros(GATES, FEATURES);
         let mut sums = [0.0; SUMS];
         let mut d_earlier = vec![0.0; BLOCK * HIDDEN];
         let [mut d_recurrent, mut d_input] = [(); 2].map(|()| vec![0.0; BLOCK * GATES]);
@@ -80,19 +81,20 @@ impl BurnIn {
                     d_input: Some(d_input),
                     sums: &mut sums,
                 });
-                let features = View::new(state, len, self.state.cols).columns(step * FEATURES, FEATURES);
-                let d_matrix = gradients.matrix_mut(&input_name).columns(0, FEATURES);
-                by_matrix(View::new(d_input, len, GATES), features, d_matrix);
+                by_features.add(d_input, GATES, columns(state, self.state.cols, step * FEATURES, FEATURES));
                 // Before the first step the state is 0 whatever the weights are.
                 if step > 0 {
-                    let before = View::new(kept, len, KEPT).columns(KEPT_STATE, HIDDEN);
-                    let d_matrix = gradients.matrix_mut(&recurrent_name);
-                    by_matrix(View::new(d_recurrent, len, GATES), before, d_matrix);
+                    by_hidden.add(d_recurrent, GATES, columns(kept, KEPT, KEPT_STATE, HIDDEN));
                     product(&recurrent, d_recurrent, GATES, Some(d_state), d_earlier);
                     d_state.copy_from_slice(d_earlier);
                 }
             }
         }
         add_biases(gradients, &self.name, &sums);
+        for (matrix, sum, columns) in
+            [("weight_hh", by_hidden, 0..HIDDEN), ("weight_ih", by_features, FEATURE_COLUMNS)]
+        {
+            sum.add_to(0..GATES, gradients.get_mut(&format!("{}.gru.{matrix}", self.name)), columns);
+        }
     }
 }

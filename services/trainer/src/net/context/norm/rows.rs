@@ -1,5 +1,7 @@
 //! The passes of a batch norm over the rows \[row, panel\] of a map.
 
+use std::ops::Range;
+
 use nn::kernels::product::PANEL;
 use nn::kernels::{Kernel, Lanes};
 
@@ -9,33 +11,44 @@ pub(super) type Panel = [f32; PANEL];
 pub(super) type Sums = [f64; PANEL];
 
 /// Rows that are summed in single precision.
-const BLOCK: usize = 256;
+const ROWS: usize = 256;
 
-/// Sums over rows, for each panel of channels, of the K `terms` of (panel, place).
-#[inline(always)]
-fn sum<const K: usize>(
-    places_len: usize,
-    panels_len: usize,
-    mut terms: impl FnMut(usize, usize) -> [Panel; K],
-) -> Vec<[Sums; K]> {
-    let mut totals = vec![[[0.0; PANEL]; K]; panels_len];
-    for (panel, totals) in totals.iter_mut().enumerate() {
-        for block in (panel..places_len).step_by(panels_len * BLOCK) {
-            let mut sums = [[0.0_f32; PANEL]; K];
-            let end = places_len.min(block + panels_len * BLOCK);
-            for place in (block..end).step_by(panels_len) {
-                for (sums, terms) in sums.iter_mut().zip(terms(panel, place)) {
-                    for c in 0..PANEL {
-                        sums[c] += terms[c];
+/// Sums over rows that pass block by block: K of them for each panel of channels.
+struct Totals<const K: usize>(Vec<[Sums; K]>);
+
+impl<const K: usize> Totals<K> {
+    fn zeros(panels_len: usize) -> Self {
+        Self(vec![[[0.0; PANEL]; K]; panels_len])
+    }
+
+    /// The places \[row, panel\] of each block.
+    fn blocks(&self, places_len: usize) -> impl Iterator<Item = Range<usize>> + use<K> {
+        let block_len = ROWS * self.0.len();
+        (0..places_len).step_by(block_len).map(move |start| start..places_len.min(start + block_len))
+    }
+
+    /// Adds the `terms` of (panel, place, channels from … on) of a block.
+    #[inline(always)]
+    fn add<L: Lanes>(&mut self, l: L, block: Range<usize>, terms: impl Fn(usize, usize, usize) -> [L::V; K]) {
+        let panels_len = self.0.len();
+        for (panel, totals) in self.0.iter_mut().enumerate() {
+            for c in (0..PANEL).step_by(L::LEN) {
+                let mut sums = [l.splat(0.0); K];
+                for place in (block.start + panel..block.end).step_by(panels_len) {
+                    for (sum, term) in sums.iter_mut().zip(terms(panel, place, c)) {
+                        *sum = l.add(*sum, term);
+                    }
+                }
+                for (total, sum) in totals.iter_mut().zip(sums) {
+                    let mut lanes = [0.0; PANEL];
+                    l.store(&mut lanes, sum);
+                    for (total, sum) in total[c..].iter_mut().zip(&lanes[..L::LEN]) {
+                        *total += f64::from(*sum);
                     }
                 }
             }
-            for (total, sum) in totals.as_flattened_mut().iter_mut().zip(sums.as_flattened()) {
-                *total += f64::from(*sum);
-            }
         }
     }
-    totals
 }
 
 /// Σ x.
@@ -48,8 +61,12 @@ impl Kernel for Total<'_> {
     type Output = Vec<[Sums; 1]>;
 
     #[inline(always)]
-    fn run<L: Lanes>(self, _: L) -> Self::Output {
-        sum(self.x.len(), self.panels_len, |_, place| [self.x[place]])
+    fn run<L: Lanes>(self, l: L) -> Self::Output {
+        let mut totals = Totals::zeros(self.panels_len);
+        for block in totals.blocks(self.x.len()) {
+            totals.add(l, block, |_, place, c| [l.load(&self.x[place][c..])]);
+        }
+        totals.0
     }
 }
 
@@ -63,15 +80,15 @@ impl Kernel for Spread<'_> {
     type Output = Vec<[Sums; 1]>;
 
     #[inline(always)]
-    fn run<L: Lanes>(self, _: L) -> Self::Output {
-        sum(self.x.len(), self.mean.len(), |panel, place| {
-            let (x, mean) = (&self.x[place], &self.mean[panel]);
-            let mut squares = [0.0; PANEL];
-            for c in 0..PANEL {
-                squares[c] = (x[c] - mean[c]) * (x[c] - mean[c]);
-            }
-            [squares]
-        })
+    fn run<L: Lanes>(self, l: L) -> Self::Output {
+        let mut totals = Totals::zeros(self.mean.len());
+        for block in totals.blocks(self.x.len()) {
+            totals.add(l, block, |panel, place, c| {
+                let off = l.sub(l.load(&self.x[place][c..]), l.load(&self.mean[panel][c..]));
+                [l.mul(off, off)]
+            });
+        }
+        totals.0
     }
 }
 
@@ -87,29 +104,30 @@ impl Kernel for Slopes<'_> {
     type Output = Vec<[Sums; 2]>;
 
     #[inline(always)]
-    fn run<L: Lanes>(self, _: L) -> Self::Output {
-        let places_len = self.x.len();
-        assert!(self.dy.len() == places_len && self.rectified.is_none_or(|y| y.len() == places_len));
-        sum(places_len, self.mean.len(), |panel, place| {
-            let (x, mean, dy) = (&self.x[place], &self.mean[panel], &mut self.dy[place]);
-            if let Some(rectified) = self.rectified {
-                let y = &rectified[place];
-                for c in 0..PANEL {
-                    dy[c] = if y[c] > 0.0 { dy[c] } else { 0.0 };
+    fn run<L: Lanes>(self, l: L) -> Self::Output {
+        let Self { x, mean, rectified, dy } = self;
+        assert!(dy.len() == x.len() && rectified.is_none_or(|y| y.len() == x.len()), "maps of one shape");
+        let mut totals = Totals::zeros(mean.len());
+        for block in totals.blocks(x.len()) {
+            if let Some(y) = rectified {
+                let dy = dy[block.clone()].as_flattened_mut();
+                for (dy, y) in dy.iter_mut().zip(y[block.clone()].as_flattened()) {
+                    *dy = if *y > 0.0 { *dy } else { 0.0 };
                 }
             }
-            let mut products = [0.0; PANEL];
-            for c in 0..PANEL {
-                products[c] = dy[c] * (x[c] - mean[c]);
-            }
-            [*dy, products]
-        })
+            totals.add(l, block, |panel, place, c| {
+                let dy = l.load(&dy[place][c..]);
+                let off = l.sub(l.load(&x[place][c..]), l.load(&mean[panel][c..]));
+                [dy, l.mul(dy, off)]
+            });
+        }
+        totals.0
     }
 }
 
-/// out = a x + b + z, and no less than `floor`; `lines` are a and b.
+/// out = a x + b + z, and no less than `floor`; `line` is a and b.
 pub(super) struct Line<'a> {
-    pub(super) lines: [&'a [Panel]; 2],
+    pub(super) line: [&'a [Panel]; 2],
     pub(super) x: &'a [Panel],
     pub(super) z: Option<&'a [Panel]>,
     pub(super) floor: f32,
@@ -120,28 +138,29 @@ impl Kernel for Line<'_> {
     type Output = ();
 
     #[inline(always)]
-    fn run<L: Lanes>(self, _: L) {
-        let Self { lines: [a, b], x, z, floor, out } = self;
-        assert!(x.len() == out.len() && z.is_none_or(|z| z.len() == out.len()) && a.len() == b.len());
-        let zeros = [0.0; PANEL];
-        let panels_len = a.len();
-        for (row, out) in out.chunks_exact_mut(panels_len).enumerate() {
-            let x = &x[row * panels_len..][..panels_len];
-            let z = z.map(|z| &z[row * panels_len..][..panels_len]);
-            for panel in 0..panels_len {
-                let (a, b, x, out) = (&a[panel], &b[panel], &x[panel], &mut out[panel]);
-                let z = z.map_or(&zeros, |z| &z[panel]);
-                for c in 0..PANEL {
-                    out[c] = (a[c] * x[c] + b[c] + z[c]).max(floor);
+    fn run<L: Lanes>(self, l: L) {
+        let Self { line: [a, b], x, z, floor, out } = self;
+        assert!(z.is_none_or(|z| z.len() == x.len()), "maps of one shape");
+        let floor = l.splat(floor);
+        for (row, out) in out.chunks_exact_mut(a.len()).enumerate() {
+            for (panel, out) in out.iter_mut().enumerate() {
+                let place = row * a.len() + panel;
+                for c in (0..PANEL).step_by(L::LEN) {
+                    let at = |panel: &Panel| l.load(&panel[c..]);
+                    let mut y = l.fma(at(&a[panel]), at(&x[place]), at(&b[panel]));
+                    if let Some(z) = z {
+                        y = l.add(y, at(&z[place]));
+                    }
+                    l.store(&mut out[c..], l.max(y, floor));
                 }
             }
         }
     }
 }
 
-/// out = a y + b x + c; `planes` are a, b and c.
+/// out = a x + b y + c; `plane` is a, b and c.
 pub(super) struct Plane<'a> {
-    pub(super) planes: [&'a [Panel]; 3],
+    pub(super) plane: [&'a [Panel]; 3],
     pub(super) x: &'a [Panel],
     pub(super) y: &'a [Panel],
     pub(super) out: &'a mut [Panel],
@@ -151,16 +170,15 @@ impl Kernel for Plane<'_> {
     type Output = ();
 
     #[inline(always)]
-    fn run<L: Lanes>(self, _: L) {
-        let Self { planes: [a, b, c], x, y, out } = self;
-        let panels_len = a.len();
-        assert!(x.len() == out.len() && y.len() == out.len());
-        assert!(b.len() == panels_len && c.len() == panels_len);
-        let rows = x.chunks_exact(panels_len).zip(y.chunks_exact(panels_len));
-        for ((x, y), out) in rows.zip(out.chunks_exact_mut(panels_len)) {
-            for panel in 0..panels_len {
-                for i in 0..PANEL {
-                    out[panel][i] = a[panel][i] * y[panel][i] + b[panel][i] * x[panel][i] + c[panel][i];
+    fn run<L: Lanes>(self, l: L) {
+        let Self { plane: [a, b, c], x, y, out } = self;
+        for (row, out) in out.chunks_exact_mut(a.len()).enumerate() {
+            for (panel, out) in out.iter_mut().enumerate() {
+                let place = row * a.len() + panel;
+                for i in (0..PANEL).step_by(L::LEN) {
+                    let at = |panel: &Panel| l.load(&panel[i..]);
+                    let line = l.fma(at(&b[panel]), at(&y[place]), at(&c[panel]));
+                    l.store(&mut out[i..], l.fma(at(&a[panel]), at(&x[place]), line));
                 }
             }
         }

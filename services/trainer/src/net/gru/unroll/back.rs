@@ -5,10 +5,13 @@ use std::ops::Range;
 use nn::kernels::dispatch;
 use nn::kernels::product::Panels;
 
-use super::super::super::matrix::{Into, Matrix, View, ViewMut, by_input, by_matrix};
+use super::super::super::matrix::{Into, Matrix, by_input};
 use super::super::super::tensors::{Gradients, Tensors};
 use super::super::step::{GATES, HIDDEN, KEPT, KEPT_STATE, SUMS, StepBackward};
-use super::super::{CONTROL, ENCODING_COLUMNS, LATENT_COLUMNS, add_biases, product, to_state};
+use super::super::sum::{MatrixSum, columns};
+use super::super::{
+    CONTROL, ENCODING, ENCODING_COLUMNS, LATENT, LATENT_COLUMNS, add_biases, product, to_state,
+};
 use super::{STACKED, STRIDE, Trace, Unroll, blocks, draws_len, stacked};
 
 /// Gradients by the inputs of [`super::unroll`].
@@ -40,9 +43,10 @@ impl Unroll {
         let mut back = Back {
             trace,
             to_state: to_state(&stacked),
-            head: stacked[GATES * HIDDEN..].to_vec(),
+            head_to_state: to_state(&stacked[GATES * HIDDEN..]),
             horizon_len: d_raw.cols / CONTROL,
-            d_stacked: Matrix::zeros(STACKED, HIDDEN),
+            by_stacked: MatrixSum::zeros(STACKED, HIDDEN),
+            by_head: MatrixSum::zeros(CONTROL, HIDDEN),
             sums: [0.0; SUMS],
             first: First {
                 d_state: Matrix::zeros(d_raw.rows, HIDDEN),
@@ -62,9 +66,12 @@ impl Unroll {
 struct Back<'a> {
     trace: &'a Trace,
     to_state: Panels,
-    head: Vec<f32>,
+    head_to_state: Panels,
     horizon_len: usize,
-    d_stacked: Matrix,
+    /// The gradient by the stacked matrix, without what the head reads of the last states.
+    by_stacked: MatrixSum,
+    /// The gradient by the head through the last states.
+    by_head: MatrixSum,
     sums: [f32; SUMS],
     first: First,
 }
@@ -82,13 +89,11 @@ impl Back<'_> {
     fn block(&mut self, rows: Range<usize>, d_raw: &Matrix) {
         let (len, horizon_len) = (rows.len(), self.horizon_len);
         let d_raw = &d_raw.values[rows.start * d_raw.cols..rows.end * d_raw.cols];
-        let d_controls = View::new(d_raw, len, horizon_len * CONTROL);
-        let d_controls = d_controls.columns((horizon_len - 1) * CONTROL, CONTROL);
         let last = &self.trace.last[rows.start * HIDDEN..rows.end * HIDDEN];
-        let d_head = &mut self.d_stacked.values[GATES * HIDDEN..];
-        by_matrix(d_controls, View::new(last, len, HIDDEN), ViewMut::new(d_head, CONTROL, HIDDEN));
+        let d_last = &d_raw[(horizon_len - 1) * CONTROL..];
+        self.by_head.add(d_last, horizon_len * CONTROL, columns(last, HIDDEN, 0, HIDDEN));
         let [mut d_state, mut d_earlier] = [(); 2].map(|()| Matrix::zeros(len, HIDDEN));
-        by_input(d_controls, View::new(&self.head, CONTROL, HIDDEN), d_state.view_mut(), Into::Replace);
+        product(&self.head_to_state, d_last, horizon_len * CONTROL, None, &mut d_state.values);
         let kept = &self.trace.kept[rows.start * horizon_len * KEPT..rows.end * horizon_len * KEPT];
         let mut d_recurrent = Matrix::zeros(len, STRIDE);
         for step in (1..horizon_len).rev() {
@@ -105,8 +110,8 @@ impl Back<'_> {
                 d_input: None,
                 sums: &mut self.sums,
             });
-            let state = View::new(kept, len, KEPT).columns(KEPT_STATE, HIDDEN);
-            by_matrix(d_recurrent.view().columns(0, STACKED), state, self.d_stacked.view_mut());
+            let state = columns(kept, KEPT, KEPT_STATE, HIDDEN);
+            self.by_stacked.add(&d_recurrent.values, STRIDE, state);
             let through = Some(&d_state.values[..]);
             product(&self.to_state, &d_recurrent.values, STRIDE, through, &mut d_earlier.values);
             std::mem::swap(&mut d_state, &mut d_earlier);
@@ -118,11 +123,11 @@ impl Back<'_> {
     fn add_to(&self, gradients: &mut Gradients, d_raw: &Matrix) {
         let name = &self.trace.name;
         add_biases(gradients, name, &self.sums);
-        let (recurrent, head) = self.d_stacked.values.split_at(GATES * HIDDEN);
-        for (tensor, sums) in [("gru.weight_hh", recurrent), ("head.weight", head)] {
-            let gradient = gradients.get_mut(&format!("{name}.{tensor}"));
-            gradient.iter_mut().zip(sums).for_each(|(gradient, sum)| *gradient += sum);
-        }
+        let recurrent = gradients.get_mut(&format!("{name}.gru.weight_hh"));
+        self.by_stacked.add_to(0..GATES, recurrent, 0..HIDDEN);
+        let head = gradients.get_mut(&format!("{name}.head.weight"));
+        self.by_stacked.add_to(GATES..STACKED, head, 0..HIDDEN);
+        self.by_head.add_to(0..CONTROL, head, 0..HIDDEN);
         let bias = gradients.get_mut(&format!("{name}.head.bias"));
         for controls in d_raw.values.chunks_exact(CONTROL) {
             bias.iter_mut().zip(controls).for_each(|(sum, value)| *sum += value);
@@ -149,20 +154,25 @@ impl First {
         let agents_len = trace.hidden.rows;
         let [input_name, recurrent_name] =
             ["weight_ih", "weight_hh"].map(|part| format!("{}.gru.{part}", trace.name));
-        let mut part = |columns: Range<usize>, dy: &Matrix, x: &Matrix| {
-            let mut dx = Matrix::zeros(x.rows, x.cols);
-            let matrix = weights.matrix(&input_name).columns(columns.start, columns.len());
-            by_input(dy.view(), matrix, dx.view_mut(), Into::Replace);
-            let d_matrix = gradients.matrix_mut(&input_name).columns(columns.start, columns.len());
-            by_matrix(dy.view(), x.view(), d_matrix);
-            dx
+        let mut backward = |name: &str, part: Range<usize>, dy: &Matrix, x: &Matrix, dx: &mut Matrix| {
+            by_input(
+                dy.view(),
+                weights.matrix(name).columns(part.start, part.len()),
+                dx.view_mut(),
+                Into::Add,
+            );
+            let mut sum = MatrixSum::zeros(GATES, x.cols);
+            sum.add(&dy.values, GATES, columns(&x.values, x.cols, 0, x.cols));
+            sum.add_to(0..GATES, gradients.get_mut(name), part);
         };
-        let latent = part(LATENT_COLUMNS, &self.d_input, &trace.latent);
-        let encoding = part(ENCODING_COLUMNS, &sum_of_draws(&self.d_input, agents_len), &trace.encoding);
+        let mut latent = Matrix::zeros(trace.latent.rows, LATENT);
+        backward(&input_name, LATENT_COLUMNS, &self.d_input, &trace.latent, &mut latent);
+        let d_input = sum_of_draws(&self.d_input, agents_len);
+        let mut encoding = Matrix::zeros(agents_len, ENCODING);
+        backward(&input_name, ENCODING_COLUMNS, &d_input, &trace.encoding, &mut encoding);
         let d_recurrent = sum_of_draws(&self.d_recurrent, agents_len);
         let mut hidden = sum_of_draws(&self.d_state, agents_len);
-        by_input(d_recurrent.view(), weights.matrix(&recurrent_name), hidden.view_mut(), Into::Add);
-        by_matrix(d_recurrent.view(), trace.hidden.view(), gradients.matrix_mut(&recurrent_name));
+        backward(&recurrent_name, 0..HIDDEN, &d_recurrent, &trace.hidden, &mut hidden);
         UnrollGradients { hidden, encoding, latent }
     }
 }

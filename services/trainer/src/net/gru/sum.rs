@@ -1,0 +1,54 @@
+//! The gradient by a matrix, block by block.
+
+use std::ops::Range;
+
+use nn::kernels::product::{Columns, Gather, PANEL, Panels, Product};
+
+/// A sum of products dyᵀ x.
+pub(super) struct MatrixSum {
+    /// `[rows, columns of x padded to whole panels]`.
+    sum: Vec<f32>,
+    next: Vec<f32>,
+    stride: usize,
+}
+
+impl MatrixSum {
+    pub(super) fn zeros(rows_len: usize, cols_len: usize) -> Self {
+        let stride = cols_len.next_multiple_of(PANEL);
+        let zeros = vec![0.0; rows_len * stride];
+        Self { sum: zeros.clone(), next: zeros, stride }
+    }
+
+    /// Adds dyᵀ x, for rows of dy that lie `stride` floats apart; columns of dy beyond the sum's rows do not count.
+    pub(super) fn add(&mut self, dy: &[f32], stride: usize, x: Columns<'_>) {
+        if x.rows_len == 0 {
+            return;
+        }
+        Product {
+            input: dy,
+            gather: Gather::Columns { stride },
+            panels: &Panels::of_columns(x),
+            residual: Some(&self.sum),
+            relu: false,
+            out: &mut self.next,
+        }
+        .run();
+        std::mem::swap(&mut self.sum, &mut self.next);
+    }
+
+    /// Adds some rows of the sum to `columns` of a gradient that has as many rows.
+    pub(super) fn add_to(&self, rows: Range<usize>, gradient: &mut [f32], columns: Range<usize>) {
+        let row_len = gradient.len() / rows.len();
+        let sums = self.sum[rows.start * self.stride..rows.end * self.stride].chunks_exact(self.stride);
+        for (gradient, sums) in gradient.chunks_exact_mut(row_len).zip(sums) {
+            let gradient = &mut gradient[columns.clone()];
+            gradient.iter_mut().zip(sums).for_each(|(gradient, sum)| *gradient += sum);
+        }
+    }
+}
+
+/// Some columns of the matrix with these values and rows of `row_len`.
+pub(super) fn columns(values: &[f32], row_len: usize, start: usize, len: usize) -> Columns<'_> {
+    let rows_len = values.len() / row_len;
+    Columns { values: values.get(start..).unwrap_or_default(), rows_len, cols_len: len, stride: row_len }
+}
