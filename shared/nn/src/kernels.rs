@@ -22,10 +22,10 @@ mod math;
 mod neon;
 pub mod peak;
 mod portable;
-pub(crate) mod product;
+pub mod product;
 
 pub use lanes::Lanes;
-pub use math::{exp, exp_in_place, sigmoid, tanh};
+pub use math::{exp, exp_in_place, sigmoid, sin_cos, tanh};
 
 /// An instruction set that the kernels are compiled for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -35,7 +35,10 @@ pub(crate) fn check(
     assert!(norm > 0.0, "{name}: the gradient is zero everywhere");
     let along: Vec<f32> = gradient.iter().map(|g| (f64::from(*g) / norm) as f32).collect();
     let slope = difference(&along);
-    assert!((slope - norm).abs() < 0.02 * norm + 1e-4, "{name}: {norm} by the way back, {slope} by differences");
+    assert!(
+        (slope - norm).abs() < 0.02 * norm + 1e-4,
+        "{name}: {norm} by the way back, {slope} by differences"
+    );
     let mut random = ChaCha8Rng::seed_from_u64(7);
     for _ in 0..axes {
         let axis = random.random_range(0..at.len());

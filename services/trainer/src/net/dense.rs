@@ -45,7 +45,12 @@ pub(crate) fn relu_backward(rectified: &Matrix, gradient: &mut Matrix) {
 pub(crate) struct PerceptronTrace(Vec<Matrix>);
 
 /// `layers` linear layers `name.0`, `name.1`, … with ReLU between them and none after the last.
-pub(crate) fn perceptron(weights: &Tensors, name: &str, layers: usize, x: Matrix) -> (Matrix, PerceptronTrace) {
+pub(crate) fn perceptron(
+    weights: &Tensors,
+    name: &str,
+    layers: usize,
+    x: Matrix,
+) -> (Matrix, PerceptronTrace) {
     let mut inputs = vec![x];
     for layer in 0..layers {
         let mut y = dense(weights, &format!("{name}.{layer}"), &inputs[layer]);

@@ -1,7 +1,6 @@
 //! Row-major matrices and the three products that a linear layer needs.
 
-use faer::linalg::matmul::matmul;
-use faer::{Accum, MatMut, MatRef, Par};
+use nn::kernels::product::{Columns, Gather, Panels, Product};
 
 /// A matrix, row by row.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -39,9 +38,16 @@ impl Matrix {
         ViewMut { rows: self.rows, cols: self.cols, stride: self.cols, values: &mut self.values }
     }
 
+    /// Some rows in a row.
+    pub(crate) fn rows_of(&self, rows: std::ops::Range<usize>) -> Self {
+        let values = self.values[rows.start * self.cols..rows.end * self.cols].to_vec();
+        Self { rows: rows.len(), cols: self.cols, values }
+    }
+
     /// The rows with these numbers.
     pub(crate) fn gather(&self, rows: &[u32]) -> Self {
-        let values = rows.iter().flat_map(|&row| self.row(row as usize)).copied().collect();
+        let mut values = Vec::with_capacity(rows.len() * self.cols);
+        rows.iter().for_each(|&row| values.extend_from_slice(self.row(row as usize)));
         Self::new(rows.len(), self.cols, values)
     }
 
@@ -76,16 +82,22 @@ impl<'a> View<'a> {
         Self { values, rows, cols, stride: cols }
     }
 
+    pub(crate) fn row(&self, row: usize) -> &'a [f32] {
+        &self.values[row * self.stride..][..self.cols]
+    }
+
     /// The columns from `start` on.
     pub(crate) fn columns(self, start: usize, len: usize) -> Self {
         assert!(start + len <= self.cols, "columns {start}..{} of {}", start + len, self.cols);
         Self { values: self.values.get(start..).unwrap_or_default(), cols: len, ..self }
     }
 
-    fn faer(self) -> MatRef<'a, f32> {
-        let needed = self.rows.saturating_sub(1) * self.stride + if self.rows == 0 { 0 } else { self.cols };
-        // The last row may end before its stride does.
-        MatRef::from_row_major_slice_with_stride(&self.values[..needed], self.rows, self.cols, self.stride)
+    fn columns_of(self) -> Columns<'a> {
+        Columns { values: self.values, rows_len: self.rows, cols_len: self.cols, stride: self.stride }
+    }
+
+    fn is_empty(self) -> bool {
+        self.rows == 0 || self.cols == 0
     }
 }
 
@@ -111,14 +123,15 @@ impl<'a> ViewMut<'a> {
         Self { values: self.values.get_mut(start..).unwrap_or_default(), cols: len, ..self }
     }
 
-    fn faer(self) -> MatMut<'a, f32> {
-        let needed = self.rows.saturating_sub(1) * self.stride + if self.rows == 0 { 0 } else { self.cols };
-        MatMut::from_row_major_slice_with_stride_mut(
-            &mut self.values[..needed],
-            self.rows,
-            self.cols,
-            self.stride,
-        )
+    /// Takes the rows of a product, which are `stride` floats apart.
+    fn take(&mut self, product: &[f32], stride: usize, into: Into) {
+        for (row, product) in product.chunks_exact(stride).enumerate() {
+            let out = &mut self.values[row * self.stride..][..self.cols];
+            match into {
+                Into::Replace => out.copy_from_slice(&product[..self.cols]),
+                Into::Add => out.iter_mut().zip(product).for_each(|(sum, value)| *sum += value),
+            }
+        }
     }
 }
 
@@ -129,33 +142,120 @@ pub(crate) enum Into {
     Add,
 }
 
-impl Into {
-    const fn faer(self) -> Accum {
-        match self {
-            Self::Replace => Accum::Replace,
-            Self::Add => Accum::Add,
-        }
-    }
-}
+/// Rows of the batch whose share in a matrix's gradient is summed before it is added.
+const SUMMED: usize = 256;
 
 /// A linear layer: `out` `[n, o]` of `x` `[n, i]` · `w` `[o, i]`ᵀ.
 pub(crate) fn forward(x: View<'_>, w: View<'_>, out: ViewMut<'_>, into: Into) {
-    matmul(out.faer(), into.faer(), x.faer(), w.faer().transpose(), 1.0, Par::Seq);
+    assert_eq!((x.cols, x.rows, w.rows), (w.cols, out.rows, out.cols), "shapes of a linear layer");
+    multiply(x, || Panels::of_rows(w.columns_of()), out, into);
 }
 
 /// Its gradient by the input: `out` `[n, i]` of `dy` `[n, o]` · `w` `[o, i]`.
 pub(crate) fn by_input(dy: View<'_>, w: View<'_>, out: ViewMut<'_>, into: Into) {
-    matmul(out.faer(), into.faer(), dy.faer(), w.faer(), 1.0, Par::Seq);
+    assert_eq!(
+        (dy.cols, dy.rows, w.cols),
+        (w.rows, out.rows, out.cols),
+        "shapes of a linear layer's way back"
+    );
+    multiply(dy, || Panels::of_columns(w.columns_of()), out, into);
 }
 
 /// Its gradient by the matrix, added to `out` `[o, i]`: `dy` `[n, o]`ᵀ · `x` `[n, i]`.
-pub(crate) fn by_matrix(dy: View<'_>, x: View<'_>, out: ViewMut<'_>) {
-    matmul(out.faer(), Accum::Add, dy.faer().transpose(), x.faer(), 1.0, Par::Seq);
+pub(crate) fn by_matrix(dy: View<'_>, x: View<'_>, mut out: ViewMut<'_>) {
+    assert_eq!((dy.rows, dy.cols, x.cols), (x.rows, out.rows, out.cols), "shapes of a matrix's gradient");
+    if dy.is_empty() || x.is_empty() {
+        return;
+    }
+    let (mut transposed, mut product) = (Vec::new(), Vec::new());
+    for start in (0..x.rows).step_by(SUMMED) {
+        let len = SUMMED.min(x.rows - start);
+        transposed.resize(dy.cols * len, 0.0);
+        transpose(View { values: &dy.values[start * dy.stride..], rows: len, ..dy }, &mut transposed);
+        let part = View { values: &x.values[start * x.stride..], rows: len, ..x };
+        let panels = Panels::of_columns(part.columns_of());
+        product.resize(dy.cols * panels.out_stride(), 0.0);
+        run(&transposed, len, &panels, &mut product);
+        out.take(&product, panels.out_stride(), Into::Add);
+    }
+}
+
+/// The columns of `x`, one after the other.
+fn transpose(x: View<'_>, columns: &mut [f32]) {
+    // As many rows as fill a cache line of a column.
+    const ROWS: usize = 16;
+    for start in (0..x.rows).step_by(ROWS) {
+        let len = ROWS.min(x.rows - start);
+        for (col, column) in columns.chunks_exact_mut(x.rows).enumerate() {
+            for (row, to) in column[start..start + len].iter_mut().enumerate() {
+                *to = x.values[(start + row) * x.stride + col];
+            }
+        }
+    }
+}
+
+fn multiply(x: View<'_>, panels: impl FnOnce() -> Panels, mut out: ViewMut<'_>, into: Into) {
+    if x.is_empty() || out.cols == 0 {
+        return;
+    }
+    let panels = panels();
+    if into == Into::Replace && out.stride == panels.out_stride() && out.cols == out.stride {
+        return run(x.values, x.stride, &panels, &mut out.values[..out.rows * out.cols]);
+    }
+    let mut product = vec![0.0; x.rows * panels.out_stride()];
+    run(x.values, x.stride, &panels, &mut product);
+    out.take(&product, panels.out_stride(), into);
+}
+
+fn run(input: &[f32], stride: usize, panels: &Panels, out: &mut [f32]) {
+    Product { input, gather: Gather::Rows { stride }, panels, residual: None, relu: false, out }.run();
 }
 
 /// Its gradient by the bias, added to `out` `[o]`: the column sums of `dy` `[n, o]`.
 pub(crate) fn by_bias(dy: &Matrix, out: &mut [f32]) {
     for row in dy.values.chunks_exact(dy.cols.max(1)) {
         out.iter_mut().zip(row).for_each(|(sum, value)| *sum += value);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::check::values;
+    use super::*;
+
+    fn random(rows: usize, cols: usize, seed: u64) -> Matrix {
+        Matrix::new(rows, cols, values(rows * cols, 1.0, seed))
+    }
+
+    fn sum(terms: impl Iterator<Item = (f32, f32)>) -> f32 {
+        terms.map(|(a, b)| a * b).sum()
+    }
+
+    /// Every product of a layer beside its definition, between columns that must stay as they are.
+    #[test]
+    fn products_agree_with_their_definition_and_touch_nothing_else() {
+        for (n, o, i) in [(1, 1, 1), (5, 17, 3), (300, 20, 33), (13, 64, 128), (600, 5, 128)] {
+            let (x, w, dy) = (random(n, i, 1), random(o, i, 2), random(n, o, 3));
+            let framed = |rows: usize, cols: usize| Matrix::new(rows, cols + 4, vec![7.0; rows * (cols + 4)]);
+            let (mut y, mut dx, mut dw) = (framed(n, o), framed(n, i), framed(o, i));
+            forward(x.view(), w.view(), y.view_mut().columns(2, o), Into::Add);
+            by_input(dy.view(), w.view(), dx.view_mut().columns(2, i), Into::Replace);
+            by_matrix(dy.view(), x.view(), dw.view_mut().columns(2, i));
+            let agrees = |name: &str, ours: &Matrix, base: f32, theirs: &dyn Fn(usize, usize) -> f32| {
+                for row in 0..ours.rows {
+                    for (col, &value) in ours.row(row).iter().enumerate() {
+                        let inside = (2..ours.cols - 2).contains(&col);
+                        let expected = if inside { base + theirs(row, col - 2) } else { 7.0 };
+                        assert!(
+                            (value - expected).abs() < 1e-3,
+                            "{name}[{row}, {col}]: {value}, not {expected}"
+                        );
+                    }
+                }
+            };
+            agrees("y", &y, 7.0, &|r, c| sum((0..i).map(|k| (x.row(r)[k], w.row(c)[k]))));
+            agrees("dx", &dx, 0.0, &|r, c| sum((0..o).map(|k| (dy.row(r)[k], w.row(k)[c]))));
+            agrees("dw", &dw, 7.0, &|r, c| sum((0..n).map(|k| (dy.row(k)[r], x.row(k)[c]))));
+        }
     }
 }

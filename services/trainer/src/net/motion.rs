@@ -1,1 +1,101 @@
-//! …
+//! Controls to positions: the equations of the `kinematics` crate over a batch, in agent frames, and their gradients.
+//!
+//! Each row of a matrix is one trajectory, two columns a step; the rows of an agent, its *draws*, follow one another and
+//! have one [`Start`]. The way back takes the controls again instead of a trace: to recompute the states costs less than
+//! to keep them.
+
+mod bicycle;
+mod noise;
+mod reals;
+
+use nn::{Displacement, ModelConfig};
+use wire::AgentType;
+
+use super::matrix::Matrix;
+
+pub(crate) use noise::{noisy_controls, noisy_controls_backward};
+
+/// How an agent stands at the last observed step, at the origin of its frame. Cyclists and pedestrians have a velocity
+/// alone.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub(crate) struct Start {
+    /// In the agent frame.
+    pub(crate) velocity_mps: [f32; 2],
+    /// In the agent frame.
+    pub(crate) heading_rad: f32,
+    /// Along the heading, negative in reverse.
+    pub(crate) speed_mps: f32,
+    pub(crate) slip_rad: f32,
+    /// From the centre to the rear axle; positive for vehicles.
+    pub(crate) rear_axle_m: f32,
+}
+
+/// Positions `[rows, horizon × 2]` under `controls` of the same shape, those of vehicles before saturation; row r starts
+/// from `starts[r / draws_len]`. \[model §4\]
+///
+/// # Panics
+/// Where the starts don't fit the rows.
+pub(crate) fn positions(
+    config: &ModelConfig,
+    agent_type: AgentType,
+    starts: &[Start],
+    draws_len: usize,
+    controls: &Matrix,
+) -> Matrix {
+    assert_eq!(starts.len() * draws_len, controls.rows, "a start for every {draws_len} rows");
+    match agent_type {
+        AgentType::Vehicle => bicycle::positions(config, starts, draws_len, controls),
+        AgentType::Cyclist | AgentType::Pedestrian => displace(config, starts, draws_len, controls),
+    }
+}
+
+/// Gradient by the controls of [`positions`], given that by the positions. Panics as it does.
+pub(crate) fn positions_backward(
+    config: &ModelConfig,
+    agent_type: AgentType,
+    starts: &[Start],
+    draws_len: usize,
+    controls: &Matrix,
+    d_positions: &Matrix,
+) -> Matrix {
+    assert_eq!(starts.len() * draws_len, controls.rows, "a start for every {draws_len} rows");
+    assert_eq!((controls.rows, controls.cols), (d_positions.rows, d_positions.cols), "shape of the gradient");
+    match agent_type {
+        AgentType::Vehicle => bicycle::positions_backward(config, starts, draws_len, controls, d_positions),
+        AgentType::Cyclist | AgentType::Pedestrian => displace_backward(d_positions),
+    }
+}
+
+/// Sums of the displacements so far, beyond those of constant velocity where they are residual.
+fn displace(config: &ModelConfig, starts: &[Start], draws_len: usize, controls: &Matrix) -> Matrix {
+    let carried_s = match config.displacement {
+        Displacement::Residual => config.dt_s as f32,
+        Displacement::Absolute => 0.0,
+    };
+    let mut positions = controls.clone();
+    for (row, trajectory) in positions.values.chunks_exact_mut(controls.cols.max(1)).enumerate() {
+        let carried = starts[row / draws_len].velocity_mps.map(|velocity| velocity * carried_s);
+        let mut position = [0.0; 2];
+        for step in trajectory.as_chunks_mut::<2>().0 {
+            position = [0, 1].map(|axis| position[axis] + carried[axis] + step[axis]);
+            *step = position;
+        }
+    }
+    positions
+}
+
+/// A displacement moves its own position and all later ones.
+fn displace_backward(d_positions: &Matrix) -> Matrix {
+    let mut gradient = d_positions.clone();
+    for trajectory in gradient.values.chunks_exact_mut(d_positions.cols.max(1)) {
+        let mut later = [0.0; 2];
+        for step in trajectory.as_chunks_mut::<2>().0.iter_mut().rev() {
+            later = [0, 1].map(|axis| later[axis] + step[axis]);
+            *step = later;
+        }
+    }
+    gradient
+}
+
+#[cfg(test)]
+mod tests;

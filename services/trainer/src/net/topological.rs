@@ -1,1 +1,265 @@
-//! …
+//! Topological attention over ragged graphs, and its way back.
+//!
+//! A *row* is an agent at one step where it is present; an *edge* joins the row that receives to a row that sends. With
+//! λ and μ of its own, every head computes
+//!
+//! ```text
+//! d_ij = ‖v_i − v_j‖²   l_ij = ‖e_ij‖²   α_ij = softmax_j∈N(i) of −(λ d_ij + μ l_ij)
+//! m_ij = f_act(W v_j + U e_ij)           v̄_i = Σ_j α_ij m_ij                       [paper, Eq. topological]
+//! ```
+//!
+//! (f(α x) = α f(x) since α ≥ 0.) What is wide and by edge is never kept: blocks of edges that fit the cache pass all of
+//! a layer, and the way back computes their messages anew.
+
+use super::matrix::{Into, Matrix, View, ViewMut, by_input, by_matrix, forward};
+use super::tensors::{Gradients, Tensors};
+use messages::{Messages, MessagesBackward};
+use scores::Coefficients;
+use update::Update;
+
+pub(super) mod messages;
+pub(super) mod scores;
+#[cfg(test)]
+mod tests;
+mod update;
+
+/// Node attributes.
+pub(super) const NODE: usize = 64;
+/// Edge attributes.
+const EDGE: usize = 16;
+/// Edges that pass a layer together.
+pub(super) const BLOCK: usize = 128;
+
+/// Which rows are joined.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Edges {
+    /// Row that receives, per edge, ascending.
+    pub(crate) receiver: Vec<u32>,
+    /// Row that sends, per edge.
+    pub(crate) sender: Vec<u32>,
+    /// First edge of every row, and the number of edges.
+    pub(crate) first: Vec<u32>,
+}
+
+impl Edges {
+    pub(crate) fn len(&self) -> usize {
+        self.receiver.len()
+    }
+
+    /// Rows that receive and send.
+    #[inline(always)]
+    fn ends(&self) -> impl Iterator<Item = (usize, usize)> {
+        ends(&self.receiver, &self.sender)
+    }
+
+    pub(super) fn blocks(&self) -> impl Iterator<Item = Block<'_>> {
+        let ends = self.receiver.chunks(BLOCK).zip(self.sender.chunks(BLOCK));
+        ends.enumerate().map(|(number, (receiver, sender))| Block { start: number * BLOCK, receiver, sender })
+    }
+}
+
+#[inline(always)]
+fn ends(receiver: &[u32], sender: &[u32]) -> impl Iterator<Item = (usize, usize)> {
+    receiver.iter().zip(sender).map(|(receiver, sender)| (*receiver as usize, *sender as usize))
+}
+
+/// Some edges in a row.
+#[derive(Clone, Copy)]
+pub(super) struct Block<'a> {
+    start: usize,
+    receiver: &'a [u32],
+    sender: &'a [u32],
+}
+
+impl Block<'_> {
+    const fn len(&self) -> usize {
+        self.receiver.len()
+    }
+
+    /// Rows that receive and send.
+    #[inline(always)]
+    fn ends(&self) -> impl Iterator<Item = (usize, usize)> {
+        ends(self.receiver, self.sender)
+    }
+
+    /// The block's part of a matrix by edge.
+    pub(super) fn of<'m>(&self, matrix: &'m Matrix) -> &'m [f32] {
+        &matrix.values[self.start * matrix.cols..][..self.len() * matrix.cols]
+    }
+
+    fn of_mut<'m>(&self, matrix: &'m mut Matrix) -> &'m mut [f32] {
+        &mut matrix.values[self.start * matrix.cols..][..self.len() * matrix.cols]
+    }
+
+    fn view<'m>(&self, matrix: &'m Matrix) -> View<'m> {
+        View::new(self.of(matrix), self.len(), matrix.cols)
+    }
+
+    fn view_mut<'m>(&self, matrix: &'m mut Matrix) -> ViewMut<'m> {
+        let cols = matrix.cols;
+        ViewMut::new(self.of_mut(matrix), self.len(), cols)
+    }
+}
+
+/// What the layer takes from the model's configuration.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct AttentionShape {
+    /// Divides 64.
+    pub(crate) heads: usize,
+    pub(crate) leaky_slope: f32,
+    /// Whether messages have the part U e.
+    pub(crate) edge_in_message: bool,
+    /// Whether d and l are divided by their dimensions.
+    pub(crate) distance_scale: bool,
+}
+
+impl AttentionShape {
+    fn messages<'a>(self, block: Block<'a>, values: &'a Matrix, alpha: &'a Matrix) -> Messages<'a> {
+        let Self { heads, leaky_slope, .. } = self;
+        Messages { block, heads, leaky_slope, values, alpha: block.of(alpha) }
+    }
+}
+
+/// One round of topological attention.
+#[derive(Debug)]
+pub(crate) struct Round {
+    /// α `[edges, heads]`.
+    pub(crate) alpha: Matrix,
+    /// New node attributes v̄ `[rows, 64]`; zeros where a row receives nothing.
+    pub(crate) node: Matrix,
+    /// New edge attributes `[edges, 16]`; `None` after the last round.
+    pub(crate) edge: Option<Matrix>,
+    trace: Trace,
+}
+
+/// What the way back needs besides.
+#[derive(Debug)]
+struct Trace {
+    /// Prefix of the tensors' names.
+    name: String,
+    shape: AttentionShape,
+    node: Matrix,
+    edge: Matrix,
+    /// W v `[rows, 64]`.
+    values: Matrix,
+    /// d and l, `[edges, 2]`.
+    squares: Matrix,
+    update: Option<Update>,
+}
+
+/// A round on `node` `[rows, 64]` and `edge` `[edges, 16]`, with the edge update unless it is the `last`.
+pub(crate) fn round(
+    weights: &Tensors,
+    shape: AttentionShape,
+    round: usize,
+    node: Matrix,
+    edge: Matrix,
+    edges: &Edges,
+    last: bool,
+) -> Round {
+    assert_eq!((node.cols, edge.cols), (NODE, EDGE), "attributes of nodes and edges");
+    assert_eq!((node.rows + 1, edge.rows), (edges.first.len(), edges.len()), "rows and edges");
+    let name = format!("gdat.topological.{round}");
+    let squares = scores::squares(&node, &edge, edges);
+    let alpha = Coefficients::read(weights, shape, &name).weigh(&squares, edges);
+    let mut values = Matrix::zeros(node.rows, NODE);
+    forward(node.view(), weights.matrix(&format!("{name}.w_n.weight")), values.view_mut(), Into::Replace);
+
+    let u = edge_matrix(weights, shape, &name);
+    let mut attended = Matrix::zeros(node.rows, NODE);
+    let mut own = vec![0.0; BLOCK * NODE];
+    for block in edges.blocks() {
+        let own = own_messages(u, block, &edge, &mut own);
+        shape.messages(block, &values, &alpha).sum(own, &mut attended);
+    }
+    let mut new_edge = None;
+    let update = (!last).then(|| Update::new(weights, &name, &attended));
+    if let Some(update) = &update {
+        new_edge = Some(update.run(weights, &name, &edge, edges));
+    }
+    let trace = Trace { name, shape, node, edge, values, squares, update };
+    Round { alpha, node: attended, edge: new_edge, trace }
+}
+
+impl Round {
+    /// Gradients by the node and edge attributes that the round was given, from those by its new ones.
+    pub(crate) fn backward(
+        &self,
+        weights: &Tensors,
+        gradients: &mut Gradients,
+        edges: &Edges,
+        mut d_node: Matrix,
+        d_edge: Option<Matrix>,
+    ) -> (Matrix, Matrix) {
+        let Trace { name, shape, node, edge, squares, update, .. } = &self.trace;
+        let mut by_edge = Matrix::zeros(edge.rows, EDGE);
+        if let (Some(update), Some(d_edge)) = (update, d_edge) {
+            let attributes = (&self.node, edge);
+            update.backward(
+                weights,
+                gradients,
+                name,
+                edges,
+                attributes,
+                &d_edge,
+                (&mut d_node, &mut by_edge),
+            );
+        }
+        let MessagesBackward { by_scores, by_values, .. } =
+            self.messages_backward(weights, gradients, edges, &d_node, &mut by_edge);
+        let coefficients = Coefficients::read(weights, *shape, name);
+        let by_squares = coefficients.backward(weights, gradients, name, squares, &by_scores);
+
+        let matrix = format!("{name}.w_n.weight");
+        by_matrix(by_values.view(), node.view(), gradients.matrix_mut(&matrix));
+        let mut by_node = Matrix::zeros(node.rows, NODE);
+        by_input(by_values.view(), weights.matrix(&matrix), by_node.view_mut(), Into::Replace);
+        scores::squares_backward((node, edge), edges, &by_squares, (&mut by_node, &mut by_edge));
+        (by_node, by_edge)
+    }
+
+    /// Takes the gradient by v̄ back to the scores and W v, and adds to those of U and by the edges' attributes.
+    fn messages_backward(
+        &self,
+        weights: &Tensors,
+        gradients: &mut Gradients,
+        edges: &Edges,
+        d_node: &Matrix,
+        by_edge: &mut Matrix,
+    ) -> MessagesBackward {
+        let Trace { name, shape, node, edge, values, .. } = &self.trace;
+        let u = edge_matrix(weights, *shape, name);
+        let mut back = MessagesBackward::new(edges.len(), node.rows, shape.heads);
+        let mut own = vec![0.0; BLOCK * NODE];
+        for block in edges.blocks() {
+            let own = own_messages(u, block, edge, &mut own);
+            back.run(shape.messages(block, values, &self.alpha), (&self.node, d_node), own);
+            if let Some(u) = u {
+                let by_own = View::new(own, block.len(), NODE);
+                by_matrix(by_own, block.view(edge), gradients.matrix_mut(&format!("{name}.u_e.weight")));
+                by_input(by_own, u, block.view_mut(by_edge), Into::Add);
+            }
+        }
+        back
+    }
+}
+
+/// U of the option `edge_in_message`.
+fn edge_matrix<'w>(weights: &'w Tensors, shape: AttentionShape, name: &str) -> Option<View<'w>> {
+    shape.edge_in_message.then(|| weights.matrix(&format!("{name}.u_e.weight")))
+}
+
+/// U e of the block's edges, zeros without U, `[block, 64]` in `memory`.
+fn own_messages<'m>(
+    u: Option<View<'_>>,
+    block: Block<'_>,
+    edge: &Matrix,
+    memory: &'m mut [f32],
+) -> &'m mut [f32] {
+    let own = &mut memory[..block.len() * NODE];
+    match u {
+        Some(u) => forward(block.view(edge), u, ViewMut::new(own, block.len(), NODE), Into::Replace),
+        None => own.fill(0.0),
+    }
+    own
+}

@@ -14,18 +14,22 @@
 
 #![expect(unsafe_code, reason = "the register tile reads through pointers")]
 
+mod pack;
+
+pub use pack::Columns;
+
 use super::{Kernel, Lanes, dispatch};
 use crate::buffer::Buffer;
 
 /// Columns of a panel.
-pub(crate) const PANEL: usize = 16;
+pub const PANEL: usize = 16;
 /// Most taps of a convolution: 7 × 7.
 pub(crate) const TAPS_MAX: usize = 49;
 /// Marks a tap that sees padding.
 const DEAD: u32 = u32::MAX;
 
 /// A matrix in the order in which the kernel reads it, with a bias.
-pub(crate) struct Panels {
+pub struct Panels {
     values: Buffer,
     bias: Buffer,
     taps_len: usize,
@@ -36,7 +40,11 @@ pub(crate) struct Panels {
 impl Panels {
     /// Packs the matrix whose entry for (out, tap, in) is `weight(out, tap, in)`. Outputs are padded to whole panels
     /// with zeros.
-    pub(crate) fn pack(
+    ///
+    /// # Panics
+    /// Where a length is 0 or there are more than 49 taps.
+    #[must_use]
+    pub fn pack(
         [out_len, taps_len, in_len]: [usize; 3],
         weight: impl Fn(usize, usize, usize) -> f32,
         bias: impl Fn(usize) -> f32,
@@ -59,7 +67,8 @@ impl Panels {
     }
 
     /// Length of an output row: a multiple of 16.
-    pub(crate) const fn out_stride(&self) -> usize {
+    #[must_use]
+    pub const fn out_stride(&self) -> usize {
         self.panels_len * PANEL
     }
 
@@ -69,7 +78,7 @@ impl Panels {
 }
 
 /// Where each output position of a convolution finds the input of each tap.
-pub(crate) struct Taps {
+pub struct Taps {
     /// \[output position, tap\]: input position or [`DEAD`].
     sources: Vec<u32>,
     taps_len: usize,
@@ -78,7 +87,12 @@ pub(crate) struct Taps {
 
 impl Taps {
     /// The taps of a square kernel over a square map.
-    pub(crate) fn new(side: usize, kernel: usize, stride: usize, padding: usize) -> Self {
+    ///
+    /// # Panics
+    /// Where the kernel is larger than the padded map.
+    #[must_use]
+    pub fn new(side: usize, kernel: usize, stride: usize, padding: usize) -> Self {
+        assert!(side * side < DEAD as usize && kernel <= side + 2 * padding, "a kernel over a map");
         let out_side = (side + 2 * padding - kernel) / stride + 1;
         let mut sources = Vec::with_capacity(out_side * out_side * kernel * kernel);
         let inside = |out: usize, tap: usize| (out * stride + tap).checked_sub(padding).filter(|&i| i < side);
@@ -96,8 +110,38 @@ impl Taps {
     }
 
     /// Positions of the output map.
-    pub(crate) fn out_positions(&self) -> usize {
+    #[must_use]
+    pub fn out_positions(&self) -> usize {
         self.sources.len() / self.taps_len
+    }
+
+    /// The taps that see input at an output position, with the input position that they see.
+    pub fn live_at(&self, position: usize) -> impl Iterator<Item = (usize, usize)> {
+        let live = |(tap, &source): (usize, &u32)| (source != DEAD).then_some((tap, source as usize));
+        self.sources(position).iter().enumerate().filter_map(live)
+    }
+
+    /// The same without the taps that see padding everywhere, and the numbers of those that are left.
+    #[must_use]
+    pub fn without_dead(&self) -> (Self, Vec<usize>) {
+        let sees_input =
+            |tap: &usize| (0..self.out_positions()).any(|position| self.sources(position)[*tap] != DEAD);
+        let left: Vec<usize> = (0..self.taps_len).filter(sees_input).collect();
+        let positions = (0..self.out_positions()).map(|position| self.sources(position));
+        let sources = positions.flat_map(|sources| left.iter().map(|&tap| sources[tap])).collect();
+        (Self { sources, taps_len: left.len(), in_positions: self.in_positions }, left)
+    }
+
+    /// The way back: each *input* position finds the output position that reads it through each tap.
+    #[must_use]
+    pub fn transposed(&self) -> Self {
+        let mut sources = vec![DEAD; self.in_positions * self.taps_len];
+        for position in 0..self.out_positions() {
+            for (tap, source) in self.live_at(position) {
+                sources[source * self.taps_len + tap] = position as u32;
+            }
+        }
+        Self { sources, taps_len: self.taps_len, in_positions: self.out_positions() }
     }
 
     /// The input positions of an output position's taps.
@@ -106,14 +150,15 @@ impl Taps {
     }
 
     /// Pairs of output position and tap that see input.
-    pub(crate) fn live_len(&self) -> usize {
+    #[must_use]
+    pub fn live_len(&self) -> usize {
         self.sources.iter().filter(|&&source| source != DEAD).count()
     }
 }
 
 /// How output rows find their input.
 #[derive(Clone, Copy)]
-pub(crate) enum Gather<'a> {
+pub enum Gather<'a> {
     /// Row q lies at q · stride.
     Rows {
         /// Floats from one row to the next.
@@ -131,15 +176,19 @@ pub(crate) enum Gather<'a> {
 }
 
 /// One product; see the module.
-pub(crate) struct Product<'a> {
-    pub(crate) input: &'a [f32],
-    pub(crate) gather: Gather<'a>,
-    pub(crate) panels: &'a Panels,
+pub struct Product<'a> {
+    /// The rows that are gathered.
+    pub input: &'a [f32],
+    /// How an output row finds its input.
+    pub gather: Gather<'a>,
+    /// The matrix, with the bias.
+    pub panels: &'a Panels,
     /// Added before the ReLU; the layout of `out`.
-    pub(crate) residual: Option<&'a [f32]>,
-    pub(crate) relu: bool,
+    pub residual: Option<&'a [f32]>,
+    /// Whether negative results become 0.
+    pub relu: bool,
     /// \[row, `panels.out_stride()`\].
-    pub(crate) out: &'a mut [f32],
+    pub out: &'a mut [f32],
 }
 
 impl Product<'_> {
@@ -147,7 +196,7 @@ impl Product<'_> {
     ///
     /// # Panics
     /// Where the slices do not fit one another.
-    pub(crate) fn run(self) {
+    pub fn run(self) {
         let stride = self.panels.out_stride();
         let rows_len = self.out.len() / stride;
         assert_eq!(self.out.len(), rows_len * stride, "whole rows of output");
@@ -158,15 +207,16 @@ impl Product<'_> {
         match self.gather {
             Gather::Rows { stride } => {
                 assert_eq!(self.panels.taps_len, 1);
-                assert!((rows_len - 1) * stride + self.panels.in_len <= self.input.len(), "rows of input");
+                let last = (rows_len - 1).checked_mul(stride);
+                let end = last.and_then(|last| last.checked_add(self.panels.in_len));
+                assert!(end.is_some_and(|end| end <= self.input.len()), "rows of input");
             }
             Gather::Taps { taps, images_len, zeros } => {
                 assert_eq!(self.panels.taps_len, taps.taps_len);
-                assert_eq!(rows_len, taps.out_positions() * images_len, "rows of output");
-                assert!(
-                    taps.in_positions * images_len * self.panels.in_len <= self.input.len(),
-                    "input maps"
-                );
+                assert_eq!(taps.out_positions().checked_mul(images_len), Some(rows_len), "rows of output");
+                let in_rows = taps.in_positions.checked_mul(images_len);
+                let len = in_rows.and_then(|rows| rows.checked_mul(self.panels.in_len));
+                assert!(len.is_some_and(|len| len <= self.input.len()), "input maps");
                 assert!(zeros.len() >= self.panels.in_len);
             }
         }

@@ -1,0 +1,198 @@
+//! The recurrent unit over the horizon.
+
+mod back;
+
+use std::ops::Range;
+
+use nn::kernels::dispatch;
+use nn::kernels::product::{PANEL, Panels};
+
+pub(crate) use back::UnrollGradients;
+
+use super::super::matrix::Matrix;
+use super::super::tensors::Tensors;
+use super::step::{GATES, HIDDEN, KEPT, Step};
+use super::{
+    BLOCK, CONTROL, ENCODING, ENCODING_COLUMNS, LATENT, LATENT_COLUMNS, by_input, by_state, product,
+};
+
+/// Rows of W_h and the head, stacked.
+const STACKED: usize = GATES + CONTROL;
+/// Columns of what the stacked matrix puts out: a multiple of 16.
+const STRIDE: usize = STACKED.next_multiple_of(PANEL);
+/// Columns of what the head alone puts out.
+const HEAD_STRIDE: usize = CONTROL.next_multiple_of(PANEL);
+
+/// Controls of every draw of every agent.
+#[derive(Debug)]
+pub(crate) struct Unroll {
+    /// What the head put out, `[agents × draws, horizon × 5]`.
+    pub(crate) raw: Matrix,
+    trace: Option<Trace>,
+}
+
+/// What the way back needs.
+#[derive(Debug)]
+struct Trace {
+    name: String,
+    hidden: Matrix,
+    encoding: Matrix,
+    latent: Matrix,
+    /// `[block, step, row of the block, KEPT]`.
+    kept: Vec<f32>,
+    /// States after the last step, `[agents × draws, 128]`.
+    last: Vec<f32>,
+}
+
+/// Controls of all draws over `horizon_len` steps: `hidden` `[agents, 128]`, `encoding` `[agents, 64]`, `latent`
+/// `[agents × draws, 32]`.
+///
+/// Without `keep_trace` there is no way back, and less to write.
+///
+/// # Panics
+/// Where the shapes do not fit one another or there is no step.
+pub(crate) fn unroll(
+    weights: &Tensors,
+    name: &str,
+    hidden: &Matrix,
+    encoding: &Matrix,
+    latent: &Matrix,
+    horizon_len: usize,
+    keep_trace: bool,
+) -> Unroll {
+    let draws_len = draws_len(hidden, encoding, latent);
+    assert!(horizon_len > 0, "a step to forecast");
+    let network = Network::new(weights, name, hidden, encoding);
+    let mut raw = Matrix::zeros(latent.rows, horizon_len * CONTROL);
+    let mut trace = keep_trace.then(|| Trace {
+        name: name.to_owned(),
+        hidden: hidden.clone(),
+        encoding: encoding.clone(),
+        latent: latent.clone(),
+        kept: Vec::with_capacity(latent.rows * horizon_len * KEPT),
+        last: Vec::with_capacity(latent.rows * HIDDEN),
+    });
+    let mut memory = Memory::default();
+    for agents in blocks(hidden.rows, draws_len) {
+        let rows = agents.start * draws_len..agents.end * draws_len;
+        network.start(agents, hidden, &latent.values[rows.start * LATENT..rows.end * LATENT], &mut memory);
+        let raw = &mut raw.values[rows.start * horizon_len * CONTROL..rows.end * horizon_len * CONTROL];
+        network.run(&mut memory, horizon_len, raw, trace.as_mut());
+    }
+    Unroll { raw, trace }
+}
+
+/// Draws per agent.
+fn draws_len(hidden: &Matrix, encoding: &Matrix, latent: &Matrix) -> usize {
+    assert_eq!((hidden.cols, encoding.cols, latent.cols), (HIDDEN, ENCODING, LATENT), "columns");
+    assert_eq!(hidden.rows, encoding.rows, "a state and an encoding per agent");
+    assert!(latent.rows.is_multiple_of(hidden.rows.max(1)), "as many draws for each agent");
+    latent.rows / hidden.rows.max(1)
+}
+
+/// The agents of each block.
+fn blocks(agents_len: usize, draws_len: usize) -> impl Iterator<Item = Range<usize>> {
+    let block = (BLOCK / draws_len.max(1)).max(1);
+    (0..agents_len).step_by(block).map(move |first| first..agents_len.min(first + block))
+}
+
+/// W_h and the head, one above the other.
+fn stacked(weights: &Tensors, name: &str, part: &str) -> Vec<f32> {
+    let gru = if part == "weight" { "weight_hh" } else { "bias_hh" };
+    [weights.get(&format!("{name}.gru.{gru}")), weights.get(&format!("{name}.head.{part}"))].concat()
+}
+
+/// What all blocks share.
+struct Network<'a> {
+    stacked: Panels,
+    head: Panels,
+    /// The columns of W_i that read z.
+    latent: Panels,
+    /// I after the first step: the bias alone.
+    idle: &'a [f32],
+    /// I of the first step without z, `[agents, 384]`.
+    context: Matrix,
+    /// What the stacked matrix puts out for the states before the first step, `[agents, STRIDE]`.
+    first: Matrix,
+}
+
+/// Buffers of a block.
+#[derive(Default)]
+struct Memory {
+    /// I of the first step, without z and with it.
+    context: Vec<f32>,
+    input: Vec<f32>,
+    /// What the stacked matrix puts out.
+    recurrent: Vec<f32>,
+    state: Vec<f32>,
+    /// What the head alone puts out.
+    head: Vec<f32>,
+}
+
+impl<'a> Network<'a> {
+    fn new(weights: &'a Tensors, name: &str, hidden: &Matrix, encoding: &Matrix) -> Self {
+        let idle = weights.get(&format!("{name}.gru.bias_ih"));
+        let [matrix, bias] = ["weight", "bias"].map(|part| stacked(weights, name, part));
+        let stacked = by_state(&matrix, &bias);
+        let mut first = Matrix::zeros(hidden.rows, STRIDE);
+        product(&stacked, &hidden.values, HIDDEN, None, &mut first.values);
+        let mut context = Matrix::zeros(encoding.rows, GATES);
+        let by_encoding = by_input(weights, name, ENCODING_COLUMNS, Some(idle));
+        product(&by_encoding, &encoding.values, ENCODING, None, &mut context.values);
+        Self {
+            stacked,
+            head: by_state(&matrix[GATES * HIDDEN..], &bias[GATES..]),
+            latent: by_input(weights, name, LATENT_COLUMNS, None),
+            idle,
+            context,
+            first,
+        }
+    }
+
+    /// Lays out state, I and H of the first step of all draws of `agents`.
+    fn start(&self, agents: Range<usize>, hidden: &Matrix, latent: &[f32], memory: &mut Memory) {
+        let rows_len = latent.len() / LATENT;
+        let draws_len = rows_len / agents.len().max(1);
+        for part in [&mut memory.context, &mut memory.recurrent, &mut memory.state] {
+            part.clear();
+        }
+        for agent in agents.flat_map(|agent| std::iter::repeat_n(agent, draws_len)) {
+            memory.context.extend_from_slice(self.context.row(agent));
+            memory.recurrent.extend_from_slice(self.first.row(agent));
+            memory.state.extend_from_slice(hidden.row(agent));
+        }
+        memory.input.resize(rows_len * GATES, 0.0);
+        memory.head.resize(rows_len * HEAD_STRIDE, 0.0);
+        product(&self.latent, latent, LATENT, Some(&memory.context), &mut memory.input);
+    }
+
+    /// Runs a block over the horizon; `raw` `[rows, horizon × 5]`.
+    fn run(&self, memory: &mut Memory, horizon_len: usize, raw: &mut [f32], mut trace: Option<&mut Trace>) {
+        let Memory { input, recurrent, state, head, .. } = memory;
+        for step in 0..horizon_len {
+            if step > 0 {
+                product(&self.stacked, state, HIDDEN, None, recurrent);
+                copy_controls(raw, horizon_len, step - 1, &recurrent[GATES..], STRIDE);
+            }
+            dispatch(Step {
+                input: if step == 0 { input } else { self.idle },
+                recurrent,
+                state,
+                present: None,
+                kept: trace.as_deref_mut().map(|trace| &mut trace.kept),
+            });
+        }
+        product(&self.head, state, HIDDEN, None, head);
+        copy_controls(raw, horizon_len, horizon_len - 1, head, HEAD_STRIDE);
+        if let Some(trace) = trace {
+            trace.last.extend_from_slice(state);
+        }
+    }
+}
+
+/// Copies what the head put out at a step, one row every `stride` floats.
+fn copy_controls(raw: &mut [f32], horizon_len: usize, step: usize, from: &[f32], stride: usize) {
+    for (raw, from) in raw.chunks_exact_mut(horizon_len * CONTROL).zip(from.chunks(stride)) {
+        raw[step * CONTROL..][..CONTROL].copy_from_slice(&from[..CONTROL]);
+    }
+}

@@ -1,0 +1,82 @@
+//! Distances between trajectories.
+
+use nn::kernels::{Kernel, Lanes, dispatch};
+
+use super::super::matrix::Matrix;
+
+/// Keeps the square root of a distance differentiable at zero.
+const ROOT_EPSILON_M2: f32 = 1e-6;
+
+/// Distances `[rows, horizon]` between the positions of `a` and `b`; row r of `a` goes with row r / `draws_len` of `b`.
+pub(super) fn distances(a: &Matrix, b: &Matrix, draws_len: usize) -> Matrix {
+    assert_shapes(a, b, draws_len);
+    let mut distances = Matrix::zeros(a.rows, a.cols / 2);
+    dispatch(Distances { a, b, draws_len, distances: &mut distances });
+    distances
+}
+
+/// Gradient by `a`, given the `slopes` by its [`distances`] to `b`; that by `b` is its opposite.
+pub(super) fn pull_back(a: &Matrix, b: &Matrix, draws_len: usize, slopes: &Matrix) -> Matrix {
+    assert_shapes(a, b, draws_len);
+    assert_eq!((a.rows, a.cols), (slopes.rows, slopes.cols * 2), "a slope for every position");
+    let mut gradient = Matrix::zeros(a.rows, a.cols);
+    dispatch(PullBack { a, b, draws_len, slopes, gradient: &mut gradient });
+    gradient
+}
+
+fn assert_shapes(a: &Matrix, b: &Matrix, draws_len: usize) {
+    assert_eq!((a.rows, a.cols), (b.rows * draws_len, b.cols), "shapes of trajectories");
+}
+
+struct Distances<'a> {
+    a: &'a Matrix,
+    b: &'a Matrix,
+    draws_len: usize,
+    distances: &'a mut Matrix,
+}
+
+impl Kernel for Distances<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run<L: Lanes>(self, _: L) {
+        for row in 0..self.a.rows {
+            let (a, b) = (self.a.row(row).as_chunks().0, self.b.row(row / self.draws_len).as_chunks().0);
+            for ((distance, a), b) in self.distances.row_mut(row).iter_mut().zip(a).zip(b) {
+                *distance = between(*a, *b).1;
+            }
+        }
+    }
+}
+
+struct PullBack<'a> {
+    a: &'a Matrix,
+    b: &'a Matrix,
+    draws_len: usize,
+    slopes: &'a Matrix,
+    gradient: &'a mut Matrix,
+}
+
+impl Kernel for PullBack<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run<L: Lanes>(self, _: L) {
+        for row in 0..self.a.rows {
+            let (a, b) = (self.a.row(row).as_chunks().0, self.b.row(row / self.draws_len).as_chunks().0);
+            let gradient = self.gradient.row_mut(row).as_chunks_mut().0.iter_mut();
+            for (((gradient, a), b), slope) in gradient.zip(a).zip(b).zip(self.slopes.row(row)) {
+                let (difference, distance) = between(*a, *b);
+                let factor = slope / distance;
+                *gradient = [difference[0] * factor, difference[1] * factor];
+            }
+        }
+    }
+}
+
+/// a − b, and its length.
+#[inline(always)]
+fn between(a: [f32; 2], b: [f32; 2]) -> ([f32; 2], f32) {
+    let [x, y] = [a[0] - b[0], a[1] - b[1]];
+    ([x, y], (x * x + y * y + ROOT_EPSILON_M2).sqrt())
+}

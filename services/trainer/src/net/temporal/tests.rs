@@ -1,0 +1,90 @@
+use super::*;
+use crate::net::check::{check, values, weighted};
+use crate::net::golden::Golden;
+use crate::net::tensors::Role;
+
+const SLOPE: f32 = 0.1;
+/// Three agents: one with a gap, one that is never present, one with a single step.
+const STEPS: [u32; 12] = [0, 1, ABSENT, 2, ABSENT, ABSENT, ABSENT, ABSENT, ABSENT, ABSENT, 3, ABSENT];
+const STEPS_LEN: usize = 4;
+const ROWS: usize = 4;
+
+fn weights(heads: usize) -> Tensors {
+    let mut weights = Tensors::default();
+    weights.insert(SCORE, &[heads, NODE], values(heads * NODE, 0.5, 1), Role::Learned);
+    if heads != NODE {
+        weights.insert(VALUE, &[NODE, NODE], values(NODE * NODE, 0.3, 2), Role::Learned);
+    }
+    weights
+}
+
+fn node() -> Matrix {
+    Matrix::new(ROWS, NODE, values(ROWS * NODE, 1.0, 3))
+}
+
+#[test]
+fn gradients_agree_with_differences_in_both_readings() {
+    for heads in [4, 2, NODE] {
+        let (weights, node) = (weights(heads), node());
+        let d_encoding = Matrix::new(3, NODE, values(3 * NODE, 1.0, 4));
+        let loss = |weights: &Tensors, node: &Matrix| {
+            weighted(&temporal(weights, SLOPE, node, &STEPS, STEPS_LEN).encoding.values, &d_encoding.values)
+        };
+        let mut gradients = Gradients::zeros(&weights);
+        let summary = temporal(&weights, SLOPE, &node, &STEPS, STEPS_LEN);
+        let by_node = summary.backward(&weights, &mut gradients, &node, &STEPS, &d_encoding);
+        check(&format!("{heads} heads: node"), &node.values, &by_node.values, (1e-3, 40), |moved| {
+            loss(&weights, &Matrix::new(ROWS, NODE, moved.to_vec()))
+        });
+        for (name, (_, gradient)) in &gradients.0 {
+            check(&format!("{heads} heads: {name}"), weights.get(name), gradient, (1e-3, 40), |moved| {
+                let mut weights = weights.clone();
+                weights.0.get_mut(name).unwrap().values = moved.to_vec();
+                loss(&weights, &node)
+            });
+        }
+    }
+}
+
+#[test]
+fn the_present_steps_of_an_agent_sum_to_one() {
+    let summary = temporal(&weights(4), SLOPE, &node(), &STEPS, STEPS_LEN);
+    let [mut first, mut third] = [[0.0; 4]; 2];
+    for step in 0..3 {
+        first.iter_mut().zip(summary.beta.row(step)).for_each(|(sum, beta)| *sum += beta);
+    }
+    third.copy_from_slice(summary.beta.row(3));
+    assert_eq!(summary.beta.rows, ROWS);
+    assert!([first, third].as_flattened().iter().all(|sum| (sum - 1.0).abs() < 1e-6), "{first:?}, {third:?}");
+    assert_eq!(summary.encoding.row(1), [0.0; NODE]);
+}
+
+#[test]
+fn an_absent_agent_gives_no_gradient() {
+    let (weights, node) = (weights(4), node());
+    let mut gradients = Gradients::zeros(&weights);
+    let mut d_encoding = Matrix::zeros(3, NODE);
+    d_encoding.row_mut(1).fill(1.0);
+    let summary = temporal(&weights, SLOPE, &node, &STEPS, STEPS_LEN);
+    let by_node = summary.backward(&weights, &mut gradients, &node, &STEPS, &d_encoding);
+    assert_eq!(by_node, Matrix::zeros(ROWS, NODE));
+    assert_eq!(gradients, Gradients::zeros(&weights));
+}
+
+#[test]
+fn summaries_agree_with_the_reference() {
+    for golden in Golden::all() {
+        for part in ["history", "future"] {
+            let graph = golden.graph(part);
+            let last = format!("{part}.topo{}.node", golden.config.rounds - 1);
+            let node = golden.rows(&last, graph.rows.iter().cloned());
+            let node = Matrix::new(graph.rows.len(), NODE, node);
+            let slope = golden.config.leaky_slope;
+            let summary = temporal(&golden.weights, slope, &node, &graph.steps, graph.steps_len);
+            let beta = golden.rows(&format!("{part}.beta"), graph.rows.iter().cloned());
+            golden.check(&format!("{part}.beta"), &summary.beta.values, &beta);
+            let name = format!("{part}.temporal");
+            golden.check(&name, &summary.encoding.values, &golden.tensor(&name).1);
+        }
+    }
+}
