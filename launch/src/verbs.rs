@@ -6,8 +6,10 @@ pub mod check;
 pub mod clean;
 pub mod completions;
 pub mod doctor;
+pub mod evaluate;
 pub mod graph;
 pub mod map;
+pub mod plot;
 pub mod predict;
 pub mod run;
 pub mod stage;
@@ -34,8 +36,12 @@ pub enum Verb {
     Graph(graph::Arguments),
     /// Make a context map of a site from its recordings
     Map(map::Arguments),
+    /// Draw forecasts or learning curves, as SVG or PNG
+    Plot(plot::Arguments),
     /// Train weights on recordings
     Train(train::Arguments),
+    /// Measure forecasts and baselines on test data
+    Evaluate(evaluate::Arguments),
     /// Print the model card of weights
     Card(card::Arguments),
     /// Recompute golden vectors on this machine, a row per tensor
@@ -60,7 +66,9 @@ impl Verb {
             Self::Check(arguments) => check::execute(&arguments),
             Self::Graph(arguments) => graph::execute(&arguments),
             Self::Map(arguments) => map::execute(&arguments),
+            Self::Plot(arguments) => plot::execute(&arguments),
             Self::Train(arguments) => train::execute(&arguments),
+            Self::Evaluate(arguments) => evaluate::execute(&arguments),
             Self::Card(arguments) => card::execute(&arguments),
             Self::Verify(arguments) => verify::execute(&arguments),
             Self::Bench(arguments) => bench::execute(&arguments),

@@ -11,7 +11,7 @@ use crate::forecaster::Forecast;
 use crate::{Agent, Cut, Method, Scene};
 
 /// Agents of a type that anchors are fitted to, at most; spread evenly over the training part.
-pub const ANCHOR_AGENTS: usize = 20_000;
+pub const ANCHOR_AGENTS: usize = 60_000;
 
 /// What one method forecasts for an agent.
 #[derive(Clone, Debug, Default, PartialEq)]

@@ -25,22 +25,22 @@ pub enum EvaluateError {
         source: WeightsError,
     },
     /// The model is of another kind than the data set asks for.
-    #[error(
-        "{path}: the model has {history_len} + {horizon_len} steps of {dt_s} s, {set} is told in {wanted}"
-    )]
+    #[error("{path}: the model has {own}, {set} is told in {wanted}")]
     Steps {
         /// The weights file.
         path: String,
-        /// Its history.
-        history_len: usize,
-        /// Its horizon.
-        horizon_len: usize,
-        /// Its step.
-        dt_s: f64,
+        /// The model's steps.
+        own: String,
         /// The data set.
         set: &'static str,
-        /// The set's own.
-        wanted: &'static str,
+        /// The set's steps.
+        wanted: String,
+    },
+    /// Nothing tells how large a pixel is.
+    #[error("{name}: no scale is known of the video, so that nothing can be told in pixels")]
+    NoScale {
+        /// The recording.
+        name: String,
     },
     /// No agent is there from the first history step to the last forecast step.
     #[error("{name}: no agent is present over {steps} steps of {dt_s} s")]

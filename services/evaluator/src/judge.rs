@@ -69,6 +69,8 @@ pub struct Judge<'a> {
     pub horizons: &'a [usize],
     /// Which agents count.
     pub subsets: &'a [Subset],
+    /// The type whose agents count; all types where it is `None`.
+    pub of_type: Option<AgentType>,
     /// Threads that share the scenes; results do not depend on it.
     pub threads: usize,
 }
@@ -80,19 +82,12 @@ struct Case<'a> {
 }
 
 impl Judge<'_> {
-    /// Judges every `every`-th of a recording's scenes that have an agent to count, block by block.
+    /// Judges a recording's scenes that have an agent to count, block by block.
     #[must_use]
-    pub fn recording(
-        &self,
-        recording: &Recording,
-        scenes: &[Scene],
-        map: MapInput<'_>,
-        every: usize,
-    ) -> Vec<Block> {
+    pub fn recording(&self, recording: &Recording, scenes: &[Scene], map: MapInput<'_>) -> Vec<Block> {
         let table = ContextTable::new(self.forecaster, recording, scenes, map, self.threads);
-        let cases = scenes.iter().map(|scene| Case { scene, complete: scene.complete() });
-        let cases: Vec<Case<'_>> =
-            cases.filter(|case| !case.complete.is_empty()).step_by(every.max(1)).collect();
+        let cases = scenes.iter().map(|scene| Case { scene, complete: self.complete(scene) });
+        let cases: Vec<Case<'_>> = cases.filter(|case| !case.complete.is_empty()).collect();
         let tallies = threads::each(&cases, self.threads, |case, memory| self.scene(case, &table, memory));
         let config = self.forecaster.config();
         let block_ns = config.step_ns() as i64 * (config.history_len + config.horizon_len) as i64;
@@ -107,6 +102,13 @@ impl Judge<'_> {
             }
         }
         blocks.into_iter().map(|(_, block)| block).collect()
+    }
+
+    /// Places of the agents that can count.
+    fn complete(&self, scene: &Scene) -> Vec<usize> {
+        let is_of_type =
+            |&place: &usize| self.of_type.is_none_or(|of_type| scene.agents[place].agent_type == of_type);
+        scene.complete().into_iter().filter(is_of_type).collect()
     }
 
     /// A tally of the scene for each subset.
@@ -168,8 +170,9 @@ impl Judge<'_> {
         tally.add_agent(agent, &candidates, self.horizons);
         self.add_sureness(scene, agent, forecast, &mut tally);
         if let Some(now) = agent.newest() {
-            let limits = Limits::of(agent.agent_type);
-            let dt_s = self.forecaster.config().dt_s as f32;
+            let config = self.forecaster.config();
+            let limits = limits(agent, config);
+            let dt_s = config.dt_s as f32;
             for trajectory in forecast.modes.iter().chain([&forecast.best]) {
                 tally.broken.add(limits.broken_by(&now, trajectory, dt_s));
             }
@@ -214,6 +217,16 @@ struct Judged<'a> {
     agent: &'a Agent,
     candidates: [Candidate; Method::ALL.len()],
     tally: Tally,
+}
+
+/// What an agent can physically do; of a vehicle as far as its length is known.
+fn limits(agent: &Agent, config: &ModelConfig) -> Limits {
+    match agent.agent_type {
+        AgentType::Vehicle => {
+            Limits::vehicle(config.rear_axle_ratio * agent.length_m.unwrap_or(config.default_length_m))
+        }
+        other => Limits::of(other),
+    }
 }
 
 /// Half the width of an agent of a type: what it surely occupies.

@@ -82,12 +82,12 @@ impl ContextTable {
     }
 }
 
-/// The map of all places where the agents of some recordings' scenes were, a visit per step; `None` where they span more than a map holds.
+/// The map of all places where the scenes' agents were, a visit per step; `None` where they span more than a map holds.
 #[must_use]
-pub fn site_map(recordings: &[Vec<Scene>]) -> Option<ContextMap> {
-    let states = || recordings.iter().flatten().flat_map(newest).map(|(_, state)| state);
-    let first = states().next()?.position_m;
-    let (low, high) = states().fold((first, first), |(low, high), state| {
+pub fn site_map<'a>(scenes: impl IntoIterator<Item = &'a Scene>) -> Option<ContextMap> {
+    let states: Vec<State> = scenes.into_iter().flat_map(newest).map(|(_, state)| state).collect();
+    let first = states.first()?.position_m;
+    let (low, high) = states.iter().fold((first, first), |(low, high), state| {
         let extreme = |of: [f32; 2], pick: fn(f32, f32) -> f32| {
             [0, 1].map(|axis| pick(of[axis], state.position_m[axis]))
         };
@@ -96,7 +96,7 @@ pub fn site_map(recordings: &[Vec<Scene>]) -> Option<ContextMap> {
     let origin_m = low.map(f32::floor);
     let [cols, rows] = [0, 1].map(|axis| (high[axis] - origin_m[axis]) as usize + 1);
     let mut builder = MapBuilder::new(origin_m, rows, cols)?;
-    for state in states() {
+    for state in states {
         builder.visit(state.position_m, state.velocity_mps);
     }
     Some(builder.build())

@@ -3,7 +3,8 @@
 use std::hint::black_box;
 
 use criterion::{Criterion, criterion_group, criterion_main};
-use metrics::{Point, best_of, highest_density_level, kde_log_density};
+use metrics::{Limits, Point, best_of, highest_density_level, kde_log_density};
+use scene::State;
 
 const MODES: usize = 20;
 const STEPS: usize = 12;
@@ -36,5 +37,15 @@ fn densities(c: &mut Criterion) {
     });
 }
 
-criterion_group!(benches, displacements, densities);
+fn limits(c: &mut Criterion) {
+    let modes = modes();
+    let now = State { velocity_mps: [1.0, 0.0], ..State::default() };
+    let limits = Limits::vehicle(1.2);
+    c.bench_function("limits of 20", |bench| {
+        bench
+            .iter(|| black_box(&modes).iter().filter(|mode| limits.broken_by(&now, &mode[1..], 1.0)).count());
+    });
+}
+
+criterion_group!(benches, displacements, densities, limits);
 criterion_main!(benches);

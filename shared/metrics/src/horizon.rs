@@ -73,7 +73,7 @@ impl HorizonScores {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::Scores;
+    use crate::{Limits, Scores};
     use proptest::prelude::*;
     use scene::{AgentType, State};
 
@@ -82,7 +82,7 @@ mod tests {
 
     fn prediction<'a>(modes: &'a [Mode], probability: &'a [f32]) -> Prediction<'a, Mode> {
         Prediction {
-            agent_type: AgentType::Pedestrian,
+            limits: Limits::of(AgentType::Pedestrian),
             now: State::default(),
             dt_s: 0.4,
             best: &modes[0],

@@ -24,6 +24,7 @@ mod limits;
 mod mean;
 mod region;
 mod scores;
+mod steering;
 
 pub use anchors::{
     ANCHORS, Anchors, PEDESTRIAN_SPEED_CUTS_MPS, SPEED_BINS, VEHICLE_SPEED_CUTS_MPS, Window, speed_cuts_mps,
@@ -41,7 +42,7 @@ pub use displacement::{
 };
 pub use horizon::{HorizonScore, HorizonScores};
 pub use kmeans::{Clusters, kmeans};
-pub use limits::Limits;
+pub use limits::{BicycleLimits, Limits, PointLimits};
 pub use mean::{Mean, Share};
 pub use region::highest_density_level;
 pub use scores::{Moments, Prediction, Scores};

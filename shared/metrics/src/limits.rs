@@ -1,10 +1,35 @@
+//! What agents can physically do: a forecast beyond it is impossible, not just unlikely.
+
 use scene::{AgentType, State};
 
 use crate::Point;
+use crate::steering::Steering;
 
-/// What agents of a type can physically do; a forecast beyond it is impossible, not just unlikely.
+/// The limits of an agent.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Limits {
+pub enum Limits {
+    /// A kinematic bicycle: it goes where it points.
+    Bicycle(BicycleLimits),
+    /// Anything else: it can accelerate in any direction.
+    Point(PointLimits),
+}
+
+/// The limits of a vehicle whose centre moves at a slip angle to its heading, as the model's bicycle keeps them.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct BicycleLimits {
+    /// Largest change of the speed per second.
+    pub acceleration_mps2: f32,
+    /// Largest angle between course and heading.
+    pub slip_rad: f32,
+    /// Largest change of that angle per second.
+    pub slip_rate_radps: f32,
+    /// Distance from the centre to the rear axle; positive.
+    pub rear_axle_m: f32,
+}
+
+/// The limits of cyclists and pedestrians.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PointLimits {
     /// Largest speed.
     pub speed_mps: f32,
     /// Largest change of the velocity per second.
@@ -14,32 +39,56 @@ pub struct Limits {
 }
 
 impl Limits {
-    /// The limits of an agent type: tyre grip and steering lock for vehicles, sprinters for people.
+    /// The limits of an agent type; a vehicle counts as a very short one, which turns most tightly.
     #[must_use]
     pub const fn of(agent_type: AgentType) -> Self {
         match agent_type {
-            AgentType::Vehicle => Self { speed_mps: 70.0, acceleration_mps2: 10.0, turn_radius_m: 3.0 },
-            AgentType::Cyclist => Self { speed_mps: 25.0, acceleration_mps2: 8.0, turn_radius_m: 1.0 },
-            AgentType::Pedestrian => Self { speed_mps: 12.0, acceleration_mps2: 12.0, turn_radius_m: 0.0 },
+            AgentType::Vehicle => Self::vehicle(0.65),
+            AgentType::Cyclist => {
+                Self::Point(PointLimits { speed_mps: 25.0, acceleration_mps2: 8.0, turn_radius_m: 1.0 })
+            }
+            AgentType::Pedestrian => {
+                Self::Point(PointLimits { speed_mps: 12.0, acceleration_mps2: 12.0, turn_radius_m: 0.0 })
+            }
         }
+    }
+
+    /// The limits of a vehicle whose rear axle is `rear_axle_m` behind its centre: those at which the model's controls
+    /// saturate by default. \[model §4\]
+    #[must_use]
+    pub const fn vehicle(rear_axle_m: f32) -> Self {
+        let (acceleration_mps2, slip_rad, slip_rate_radps) = (6.0, 0.5, 1.0);
+        Self::Bicycle(BicycleLimits { acceleration_mps2, slip_rad, slip_rate_radps, rear_axle_m })
     }
 
     /// Whether a trajectory of steps `dt_s` apart that starts from `now` leaves the limits.
     ///
-    /// Speeds, accelerations and curvatures are finite differences of the positions; the first acceleration is that
-    /// from the velocity of `now`. Curves count from 1 m/s up, below which rounding decides the course.
+    /// Only what positions prove counts. Of a bicycle: no accelerations within the limit give these step lengths, or no
+    /// slip angles give these changes of course, over one step or several; forecasts rolled out by a bicycle within its
+    /// limits never break them, rounding included. Of a point: a finite difference is too large; curves count from
+    /// 1 m/s up, below which rounding decides the course.
     #[must_use]
     pub fn broken_by(&self, now: &State, trajectory: &[Point], dt_s: f32) -> bool {
-        let mut position = now.position_m;
-        let mut velocity = now.velocity_mps;
-        trajectory.iter().any(|next| {
-            let moved = [(next[0] - position[0]) / dt_s, (next[1] - position[1]) / dt_s];
-            let broken = self.broken_between(velocity, moved, dt_s);
-            (position, velocity) = (*next, moved);
-            broken
-        })
+        match self {
+            Self::Bicycle(limits) => {
+                let mut steering = Steering::new(limits, now, dt_s);
+                trajectory.iter().any(|next| !steering.reaches(*next))
+            }
+            Self::Point(limits) => {
+                let mut position = now.position_m;
+                let mut velocity = now.velocity_mps;
+                trajectory.iter().any(|next| {
+                    let moved = [(next[0] - position[0]) / dt_s, (next[1] - position[1]) / dt_s];
+                    let broken = limits.broken_between(velocity, moved, dt_s);
+                    (position, velocity) = (*next, moved);
+                    broken
+                })
+            }
+        }
     }
+}
 
+impl PointLimits {
     fn broken_between(&self, before: [f32; 2], after: [f32; 2], dt_s: f32) -> bool {
         let speed_mps = after[0].hypot(after[1]);
         let acceleration_mps2 = (after[0] - before[0]).hypot(after[1] - before[1]) / dt_s;
@@ -58,35 +107,37 @@ mod tests {
 
     const NOW: State = State { position_m: [0.0; 2], velocity_mps: [10.0, 0.0], heading_rad: 0.0 };
 
-    fn broken(trajectory: &[Point]) -> bool {
-        Limits::of(AgentType::Vehicle).broken_by(&NOW, trajectory, 0.5)
+    fn broken(agent_type: AgentType, speed_mps: f32, trajectory: &[Point]) -> bool {
+        let now = State { velocity_mps: [speed_mps, 0.0], ..NOW };
+        Limits::of(agent_type).broken_by(&now, trajectory, 0.5)
     }
 
     #[test]
-    fn going_on_and_braking_hard_are_possible() {
-        assert!(!broken(&[[5.0, 0.0], [10.0, 0.0]]));
-        assert!(!broken(&[[2.6, 0.0], [3.0, 0.0]]), "9.6 and 8.8 m/s²");
+    fn going_on_is_possible_for_all() {
+        for agent_type in [AgentType::Vehicle, AgentType::Cyclist, AgentType::Pedestrian] {
+            assert!(!broken(agent_type, 10.0, &[[5.0, 0.0], [10.0, 0.0]]));
+        }
     }
 
     #[test]
-    fn a_jump_breaks_the_acceleration() {
-        assert!(broken(&[[5.0, 0.0], [13.0, 0.0]]));
-        assert!(broken(&[[-5.0, 0.0]]));
+    fn a_jump_breaks_the_acceleration_of_all() {
+        for agent_type in [AgentType::Vehicle, AgentType::Cyclist, AgentType::Pedestrian] {
+            assert!(broken(agent_type, 10.0, &[[5.0, 0.0], [13.5, 0.0]]));
+            assert!(broken(agent_type, 10.0, &[[-5.0, 0.0]]));
+        }
     }
 
     #[test]
-    fn a_car_cannot_turn_on_the_spot_but_a_pedestrian_can() {
-        let slow = State { velocity_mps: [1.2, 0.0], ..NOW };
+    fn only_a_pedestrian_turns_on_the_spot() {
         let corner = [[0.0, 0.6]];
-        assert!(Limits::of(AgentType::Vehicle).broken_by(&slow, &corner, 0.5));
-        assert!(!Limits::of(AgentType::Pedestrian).broken_by(&slow, &corner, 0.5));
+        assert!(broken(AgentType::Vehicle, 1.2, &corner));
+        assert!(broken(AgentType::Cyclist, 1.2, &corner));
+        assert!(!broken(AgentType::Pedestrian, 1.2, &corner));
     }
 
     #[test]
-    fn speed_alone_breaks_it_too() {
-        let fast = State { velocity_mps: [24.0, 0.0], ..NOW };
-        let trajectory = [[13.0, 0.0]];
-        assert!(Limits::of(AgentType::Cyclist).broken_by(&fast, &trajectory, 0.5));
-        assert!(!Limits::of(AgentType::Vehicle).broken_by(&fast, &trajectory, 0.5));
+    fn speed_alone_is_too_much_for_a_cyclist() {
+        assert!(broken(AgentType::Cyclist, 24.0, &[[13.0, 0.0]]));
+        assert!(!broken(AgentType::Vehicle, 24.0, &[[12.5, 0.0]]));
     }
 }

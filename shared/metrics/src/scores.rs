@@ -1,4 +1,4 @@
-use scene::{AgentType, State};
+use scene::State;
 
 use crate::{
     DisplacementMean, Limits, Mean, Point, Share, best_of, covers, displacement, kde_log_density, most_likely,
@@ -16,8 +16,8 @@ pub struct Moments<'a> {
 /// What was forecast for one agent.
 #[derive(Clone, Copy, Debug)]
 pub struct Prediction<'a, M> {
-    /// The kind of agent: its limits apply.
-    pub agent_type: AgentType,
+    /// What the agent can do: [`Limits::vehicle`] where a vehicle's length is known, else [`Limits::of`] its type.
+    pub limits: Limits,
     /// The agent's state when the forecast was made.
     pub now: State,
     /// Time between two steps.
@@ -64,10 +64,9 @@ impl Scores {
         if let Some(k) = most_likely(probability) {
             self.most_likely.add(displacement(modes[k].as_ref(), truth));
         }
-        let limits = Limits::of(prediction.agent_type);
         for mode in modes {
             let steps = &mode.as_ref()[..truth.len()];
-            self.broken.add(limits.broken_by(&prediction.now, steps, prediction.dt_s));
+            self.broken.add(prediction.limits.broken_by(&prediction.now, steps, prediction.dt_s));
         }
         let mut ends: Vec<Point> = Vec::with_capacity(modes.len());
         for (step, &position) in truth.iter().enumerate() {
@@ -97,13 +96,14 @@ impl Scores {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use scene::AgentType;
 
     const MODES: [[Point; 2]; 2] = [[[1.0, 0.0], [2.0, 0.0]], [[1.0, 1.0], [2.0, 3.0]]];
     const TRUTH: [Option<Point>; 2] = [Some([1.0, 1.0]), Some([2.0, 3.0])];
 
     fn prediction<'a>(moments: Option<Moments<'a>>) -> Prediction<'a, [Point; 2]> {
         Prediction {
-            agent_type: AgentType::Pedestrian,
+            limits: Limits::of(AgentType::Pedestrian),
             now: State { velocity_mps: [1.0, 0.0], ..State::default() },
             dt_s: 1.0,
             best: &[[1.0, 0.0], [2.0, 1.0]],

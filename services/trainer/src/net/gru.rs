@@ -39,7 +39,7 @@ const LATENT_COLUMNS: Range<usize> = FEATURES + ENCODING..FEATURES + ENCODING + 
 /// Length of a row of the head.
 const CONTROL: usize = 5;
 /// Rows that pass all steps together.
-const BLOCK: usize = 144;
+const BLOCK: usize = 96;
 /// Layers of the mode head.
 const MODE_LAYERS: usize = 2;
 

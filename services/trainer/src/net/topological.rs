@@ -28,7 +28,7 @@ pub(super) const NODE: usize = 64;
 /// Edge attributes.
 const EDGE: usize = 16;
 /// Edges that pass a layer together.
-pub(super) const BLOCK: usize = 128;
+pub(super) const BLOCK: usize = 256;
 
 /// Which rows are joined.
 #[derive(Clone, Debug, Default)]

@@ -90,9 +90,10 @@ fn draws_len(hidden: &Matrix, encoding: &Matrix, latent: &Matrix) -> usize {
     latent.rows / hidden.rows.max(1)
 }
 
-/// The agents of each block.
+/// The agents of each block; none where there are no draws.
 fn blocks(agents_len: usize, draws_len: usize) -> impl Iterator<Item = Range<usize>> {
     let block = (BLOCK / draws_len.max(1)).max(1);
+    let agents_len = if draws_len == 0 { 0 } else { agents_len };
     (0..agents_len).step_by(block).map(move |first| first..agents_len.min(first + block))
 }
 

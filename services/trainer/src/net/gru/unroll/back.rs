@@ -54,7 +54,7 @@ impl Unroll {
             back.block(agents.start * draws_len..agents.end * draws_len, d_raw);
         }
         back.add_to(gradients, d_raw);
-        back.first.backward(weights, gradients, trace, draws_len)
+        back.first.backward(weights, gradients, trace)
     }
 }
 
@@ -145,13 +145,8 @@ impl First {
     }
 
     /// The products of the first step: those with z row by row, the others with the sum over an agent's draws.
-    fn backward(
-        &self,
-        weights: &Tensors,
-        gradients: &mut Gradients,
-        trace: &Trace,
-        draws_len: usize,
-    ) -> UnrollGradients {
+    fn backward(&self, weights: &Tensors, gradients: &mut Gradients, trace: &Trace) -> UnrollGradients {
+        let agents_len = trace.hidden.rows;
         let [input_name, recurrent_name] =
             ["weight_ih", "weight_hh"].map(|part| format!("{}.gru.{part}", trace.name));
         let mut part = |columns: Range<usize>, dy: &Matrix, x: &Matrix| {
@@ -163,24 +158,22 @@ impl First {
             dx
         };
         let latent = part(LATENT_COLUMNS, &self.d_input, &trace.latent);
-        let encoding = part(ENCODING_COLUMNS, &sum_of_draws(&self.d_input, draws_len), &trace.encoding);
-        let d_recurrent = sum_of_draws(&self.d_recurrent, draws_len);
-        let mut hidden = sum_of_draws(&self.d_state, draws_len);
+        let encoding = part(ENCODING_COLUMNS, &sum_of_draws(&self.d_input, agents_len), &trace.encoding);
+        let d_recurrent = sum_of_draws(&self.d_recurrent, agents_len);
+        let mut hidden = sum_of_draws(&self.d_state, agents_len);
         by_input(d_recurrent.view(), weights.matrix(&recurrent_name), hidden.view_mut(), Into::Add);
         by_matrix(d_recurrent.view(), trace.hidden.view(), gradients.matrix_mut(&recurrent_name));
         UnrollGradients { hidden, encoding, latent }
     }
 }
 
-/// The sum of each agent's rows.
-fn sum_of_draws(rows: &Matrix, draws_len: usize) -> Matrix {
-    let agents_len = rows.rows / draws_len.max(1);
+/// The sum of the rows of each agent, as many for each.
+fn sum_of_draws(rows: &Matrix, agents_len: usize) -> Matrix {
     let mut sums = Matrix::zeros(agents_len, rows.cols);
-    let draws = rows.values.chunks_exact((draws_len * rows.cols).max(1));
-    for (sum, draws) in sums.values.chunks_exact_mut(rows.cols).zip(draws) {
-        for row in draws.chunks_exact(rows.cols) {
-            sum.iter_mut().zip(row).for_each(|(sum, value)| *sum += value);
-        }
+    let draws_len = rows.rows / agents_len.max(1);
+    for (row, values) in rows.values.chunks_exact(rows.cols).enumerate() {
+        let sum = sums.row_mut(row / draws_len);
+        sum.iter_mut().zip(values).for_each(|(sum, value)| *sum += value);
     }
     sums
 }

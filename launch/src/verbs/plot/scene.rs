@@ -1,0 +1,154 @@
+use std::path::PathBuf;
+
+use ::scene::ContextMap;
+use clap::{Args, ValueEnum};
+use config::{Exit, MapChoice};
+use data::{Format, Recording};
+use evaluator::picture::{Mask, SceneDrawing, SceneOptions, Shot, Storyboard, save, scenes};
+use evaluator::{Forecaster, MapInput};
+
+use crate::arguments::ModelArguments;
+use crate::failure::Failure;
+
+/// Arguments of `stgdat plot scene`.
+#[derive(Debug, Args)]
+pub struct Arguments {
+    /// The recording; its agents must carry identities
+    recording: PathBuf,
+    /// The recording's format; found out where not given
+    #[arg(long)]
+    format: Option<Format>,
+    /// Times to show, in seconds from the recording's start, a panel each
+    #[arg(
+        long,
+        value_name = "SECONDS",
+        value_delimiter = ',',
+        default_value = "10",
+        conflicts_with = "best_worst"
+    )]
+    at: Vec<f64>,
+    /// Show the N agents that were forecast best and the N that were forecast worst, a panel each
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=16))]
+    best_worst: Option<u16>,
+    /// Agents to show the forecast of; all where not given
+    #[arg(long, value_name = "IDS", value_delimiter = ',', conflicts_with = "best_worst")]
+    agents: Vec<u64>,
+    /// The picture, .svg or .png; named after the recording where not given
+    #[arg(long, value_name = "FILE")]
+    out: Option<PathBuf>,
+    /// What the mask of the forecast distribution stands for
+    #[arg(long, value_enum, default_value_t)]
+    mask: MaskChoice,
+    /// Draw the map's mean velocities as arrows
+    #[arg(long)]
+    velocity: bool,
+    /// Label agents with their identities
+    #[arg(long)]
+    identities: bool,
+    /// Panels side by side
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=16))]
+    columns: Option<u16>,
+    /// Width of the picture in points; a column of a paper has about 252, a page 516
+    #[arg(long, value_name = "PT", default_value_t = SceneOptions::default().width)]
+    width: f64,
+    /// Height of a panel relative to its width
+    #[arg(long, value_name = "RATIO", default_value_t = SceneOptions::default().height_per_width)]
+    ratio: f64,
+    /// Least part of the world that a panel shows, in metres
+    #[arg(long, value_name = "METRES", default_value_t = SceneOptions::default().extent_min_m)]
+    extent: f64,
+    #[command(flatten)]
+    model: ModelArguments,
+    /// Seed of latent variables, for models that draw them
+    #[arg(long, default_value_t = 1)]
+    seed: u64,
+}
+
+/// What a mask stands for.
+#[derive(Clone, Copy, Debug, Default, ValueEnum)]
+enum MaskChoice {
+    /// The union of every moment's regions
+    #[default]
+    Moments,
+    /// Where the agent spends a share of the horizon
+    Pooled,
+    /// The end of the horizon
+    End,
+    /// No mask
+    None,
+}
+
+/// Draws moments of a recording with what was forecast then.
+pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
+    let (_, weights) = arguments.model.open_weights(None)?;
+    let recording = data::open(&arguments.recording, arguments.format).map_err(Failure::data)?;
+    let forecaster = Forecaster::new(&weights, arguments.seed).map_err(Failure::data)?;
+    let site = match &arguments.model.map {
+        Some(MapChoice::File(path)) => Some(ContextMap::load(path).map_err(Failure::data)?),
+        _ => None,
+    };
+    let map = match (&arguments.model.map, &site) {
+        (_, Some(site)) => MapInput::Site(site),
+        (Some(MapChoice::None), None) => MapInput::None,
+        _ => MapInput::Online,
+    };
+    let threads = std::thread::available_parallelism().map_or(1, usize::from);
+    let storyboard = Storyboard::new(&forecaster, &recording, map, threads).map_err(Failure::data)?;
+    let shots = arguments.shots(&storyboard)?;
+    let drawings: Vec<SceneDrawing<'_>> =
+        shots.iter().map(|shot| drawing(&recording, shot, site.as_ref())).collect();
+    let picture = scenes(&drawings, &arguments.options(drawings.len())).map_err(Failure::data)?;
+    let out = arguments.out.clone().unwrap_or_else(|| PathBuf::from(&recording.name).with_extension("png"));
+    save(&picture, &out).map_err(Failure::data)?;
+    println!("{}", out.display());
+    Ok(Exit::Done)
+}
+
+impl Arguments {
+    fn shots(&self, storyboard: &Storyboard<'_>) -> Result<Vec<Shot>, Failure> {
+        match self.best_worst {
+            Some(len) => {
+                let [best, worst] = storyboard.extremes(usize::from(len)).map_err(Failure::data)?;
+                Ok([best, worst].concat())
+            }
+            None => {
+                let shot = |time_s: &f64| storyboard.at(*time_s, &self.agents).map_err(Failure::data);
+                self.at.iter().map(shot).collect()
+            }
+        }
+    }
+
+    fn options(&self, panels_len: usize) -> SceneOptions {
+        // The best stand above the worst.
+        let usual = self.best_worst.map_or(panels_len.clamp(1, 2), usize::from).min(4);
+        SceneOptions {
+            width: self.width,
+            columns: self.columns.map_or(usual, usize::from),
+            height_per_width: self.ratio,
+            extent_min_m: self.extent,
+            mask: match self.mask {
+                MaskChoice::Moments => Mask::EveryMoment,
+                MaskChoice::Pooled => Mask::Pooled,
+                MaskChoice::End => Mask::End,
+                MaskChoice::None => Mask::Hidden,
+            },
+            velocity: self.velocity,
+            identities: self.identities,
+        }
+    }
+}
+
+fn drawing<'a>(recording: &Recording, shot: &'a Shot, site: Option<&'a ContextMap>) -> SceneDrawing<'a> {
+    let errors = shot.errors.map(|errors| {
+        let [ade_m, fde_m] = errors.best;
+        let [likeliest_ade_m, likeliest_fde_m] = errors.likeliest;
+        let best = format!("best of {}: ADE {ade_m:.2} m, FDE {fde_m:.2} m", errors.modes_len);
+        format!("{best}; most likely: {likeliest_ade_m:.2} m, {likeliest_fde_m:.2} m")
+    });
+    SceneDrawing {
+        title: format!("{}, t = {:.1} s", recording.name, shot.time_s),
+        note: errors.unwrap_or_default(),
+        map: site.or(shot.online_map.as_ref()),
+        agents: shot.agents.clone(),
+    }
+}

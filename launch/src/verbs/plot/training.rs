@@ -1,0 +1,33 @@
+use std::path::PathBuf;
+
+use clap::Args;
+use config::Exit;
+use evaluator::picture::{TrainingLog, learning_curves, save};
+
+use crate::failure::Failure;
+
+/// Arguments of `stgdat plot training`.
+#[derive(Debug, Args)]
+pub struct Arguments {
+    /// The log that `stgdat train` writes beside its checkpoints
+    #[arg(value_name = "LOG.jsonl")]
+    log: PathBuf,
+    /// The picture, .svg or .png
+    #[arg(long, value_name = "FILE")]
+    out: PathBuf,
+    /// What stands above it; the name of the log's folder where not given
+    #[arg(long)]
+    title: Option<String>,
+}
+
+/// Draws the learning curves of a training.
+pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
+    let path = arguments.log.canonicalize().map_err(|error| Failure::file(&arguments.log, &error))?;
+    let log = TrainingLog::read(&path).map_err(Failure::data)?;
+    let folder = path.parent().and_then(|folder| folder.file_name());
+    let title = arguments.title.clone().or_else(|| Some(folder?.to_string_lossy().into_owned()));
+    let picture = learning_curves(&log, title.as_deref().unwrap_or("Training")).map_err(Failure::data)?;
+    save(&picture, &arguments.out).map_err(Failure::data)?;
+    println!("{}", arguments.out.display());
+    Ok(Exit::Done)
+}

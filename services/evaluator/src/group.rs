@@ -1,0 +1,95 @@
+//! Agents whose errors are told together: a fold, a site, a file.
+
+use metrics::{Interval, PairedErrors, paired_bootstrap, paired_bootstrap_ratio};
+
+use crate::judge::Block;
+use crate::{Measure, Method, Subset, Tally};
+
+/// Resamples of an interval.
+pub(crate) const RESAMPLES: usize = 1000;
+
+/// Seed of the resamples.
+const SEED: u64 = 1;
+
+/// How our errors compare with those of another method on the same agents, with 95 % intervals.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Contrast {
+    /// Ours less theirs.
+    pub difference: Interval,
+    /// Ours over theirs.
+    pub ratio: Interval,
+}
+
+/// Some agents with their errors.
+#[derive(Clone, Debug)]
+pub struct Group {
+    /// What part of the data they are of.
+    pub part: String,
+    /// Which of its agents.
+    pub subset: Subset,
+    /// Unit of the lengths.
+    pub unit: &'static str,
+    /// All together.
+    pub total: Tally,
+    /// By block, what intervals resample.
+    blocks: Vec<Tally>,
+}
+
+impl Group {
+    /// The agents of one subset of some blocks; `subset` is its place among the blocks' tallies.
+    #[must_use]
+    pub fn new(part: &str, subset: Subset, place: usize, blocks: &[Block]) -> Self {
+        let blocks = blocks.iter().map(|block| block.tallies[place].clone());
+        Self::of_tallies(part, subset, "m", blocks.filter(|tally| !tally.is_empty()).collect())
+    }
+
+    /// All agents of several groups.
+    #[must_use]
+    pub fn pooled(part: &str, groups: &[&Self]) -> Self {
+        let (subset, unit) = groups.first().map_or((Subset::All, "m"), |group| (group.subset, group.unit));
+        let blocks = groups.iter().flat_map(|group| group.blocks.iter().cloned()).collect();
+        Self::of_tallies(part, subset, unit, blocks)
+    }
+
+    /// The same errors in another unit, so many of which make a metre.
+    #[must_use]
+    pub fn scaled(&self, unit: &'static str, per_m: f64) -> Self {
+        let blocks = self.blocks.iter().map(|tally| tally.clone().scaled(per_m)).collect();
+        Self::of_tallies(&self.part, self.subset, unit, blocks)
+    }
+
+    fn of_tallies(part: &str, subset: Subset, unit: &'static str, blocks: Vec<Tally>) -> Self {
+        let horizons_len = blocks.first().map_or(0, Tally::horizons_len);
+        let mut total = Tally::new(horizons_len);
+        blocks.iter().for_each(|block| total.merge(block));
+        Self { part: part.to_owned(), subset, unit, total, blocks }
+    }
+
+    /// How our ADE and FDE compare with those of `theirs` on the same agents; `None` where they have none.
+    #[must_use]
+    pub fn compare(&self, theirs: Method, measure: Measure, horizon: usize) -> Option<[Contrast; 2]> {
+        let contrast = |of: usize| {
+            let pairs: Vec<PairedErrors> = self
+                .blocks
+                .iter()
+                .filter(|block| block.len(theirs, measure) == block.len(Method::Network, measure))
+                .map(|block| PairedErrors {
+                    ours: block.sum(Method::Network, measure, horizon)[of],
+                    theirs: block.sum(theirs, measure, horizon)[of],
+                    len: block.len(theirs, measure),
+                })
+                .collect();
+            Some(Contrast {
+                difference: paired_bootstrap(&pairs, RESAMPLES, SEED)?,
+                ratio: paired_bootstrap_ratio(&pairs, RESAMPLES, SEED)?,
+            })
+        };
+        Some([contrast(0)?, contrast(1)?])
+    }
+
+    /// Blocks with an agent that counts.
+    #[must_use]
+    pub const fn blocks_len(&self) -> usize {
+        self.blocks.len()
+    }
+}

@@ -1,0 +1,34 @@
+//! Pictures for papers: forecast scenes and learning curves, as SVG and PNG.
+//!
+//! A picture is made of *panels*. The panel of a scene shows, from bottom to top, how often the ground was visited
+//! (the context map), the *mask* of the forecast distribution, every mode as faint as it is improbable, what came
+//! true, the best and the most likely mode, and the agents in their true sizes. The mask is drawn as *highest-density
+//! regions*: the smallest areas that hold 50 % and 90 % of the mixture of all modes.
+//!
+//! All drawing is ours and comes out as one string of SVG, the same to the bit for the same input; text is drawn as
+//! outlines of an embedded font, so that a picture looks alike wherever it is opened. [`save`] writes the string, or
+//! has it rasterised where the file is to be a PNG. Lengths on paper are in points (pt, 1/72 inch).
+
+mod axes;
+mod canvas;
+mod colour;
+mod contour;
+mod curves;
+mod error;
+mod file;
+mod ground;
+mod mask;
+mod mixture;
+mod scene;
+mod storyboard;
+mod text;
+mod training_log;
+mod view;
+
+pub use curves::learning_curves;
+pub use error::PictureError;
+pub use file::{PNG_DOTS_PER_INCH, png, save};
+pub use mask::Mask;
+pub use scene::{AgentDrawing, ForecastDrawing, SceneDrawing, SceneOptions, scenes};
+pub use storyboard::{RANKED_MAX, Shot, ShotErrors, Storyboard, StoryboardError};
+pub use training_log::{Displacement, LogError, Progress, SetErrors, TrainingLog, Validation};

@@ -1,0 +1,325 @@
+//! A sheet of paper that is written as SVG.
+
+use std::fmt::Write as _;
+
+use super::colour::{Colour, WHITE};
+use super::text::{self, Face};
+
+/// A place on the sheet in pt, from its upper left corner, y downwards.
+pub type Spot = [f64; 2];
+
+/// A rectangle on the sheet.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Frame {
+    /// Upper left corner.
+    pub corner: Spot,
+    /// Width and height.
+    pub size: [f64; 2],
+}
+
+impl Frame {
+    /// Horizontal middle.
+    pub fn centre_x(&self) -> f64 {
+        self.corner[0] + self.size[0] / 2.0
+    }
+
+    /// Right edge.
+    pub fn right(&self) -> f64 {
+        self.corner[0] + self.size[0]
+    }
+
+    /// Lower edge.
+    pub fn bottom(&self) -> f64 {
+        self.corner[1] + self.size[1]
+    }
+}
+
+/// A line's look.
+#[derive(Clone, Copy, Debug)]
+pub struct Stroke {
+    /// Its colour.
+    pub colour: Colour,
+    /// Its width, pt.
+    pub width: f64,
+    /// Lengths of dashes and gaps, pt; solid where empty.
+    pub dashes: &'static [f64],
+    /// From 0, invisible, to 1.
+    pub opacity: f64,
+}
+
+impl Stroke {
+    /// A solid, opaque line.
+    pub const fn solid(colour: Colour, width: f64) -> Self {
+        Self { colour, width, dashes: &[], opacity: 1.0 }
+    }
+
+    /// The same line, dashed.
+    pub const fn dashed(self, dashes: &'static [f64]) -> Self {
+        Self { dashes, ..self }
+    }
+
+    /// The same line, less opaque.
+    pub const fn faint(self, opacity: f64) -> Self {
+        Self { opacity, ..self }
+    }
+}
+
+/// Where a text lies relative to its spot.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Align {
+    /// It begins there.
+    Left,
+    /// Its middle is there.
+    Middle,
+    /// It ends there.
+    Right,
+}
+
+/// A text's look.
+#[derive(Clone, Copy, Debug)]
+pub struct Type {
+    /// Height of the font, pt.
+    pub size: f64,
+    /// The font.
+    pub face: Face,
+    /// The colour.
+    pub colour: Colour,
+    /// Where the text lies relative to its spot.
+    pub align: Align,
+}
+
+/// The outline of an area, or a line.
+#[derive(Clone, Debug, Default)]
+pub struct Path(String);
+
+impl Path {
+    /// Whether nothing was added.
+    pub fn is_empty(&self) -> bool {
+        self.0.is_empty()
+    }
+
+    /// Starts a new part.
+    pub fn move_to(&mut self, spot: Spot) {
+        self.command('M', &[spot]);
+    }
+
+    /// Goes straight on.
+    pub fn line_to(&mut self, spot: Spot) {
+        self.command('L', &[spot]);
+    }
+
+    /// Goes on along a parabola.
+    pub fn quad_to(&mut self, control: Spot, spot: Spot) {
+        self.command('Q', &[control, spot]);
+    }
+
+    /// Goes on along a cubic curve.
+    pub fn cubic_to(&mut self, controls: [Spot; 2], spot: Spot) {
+        self.command('C', &[controls[0], controls[1], spot]);
+    }
+
+    /// Goes back to where the part started.
+    pub fn close(&mut self) {
+        self.0.push('Z');
+    }
+
+    /// Adds a part through all spots.
+    pub fn add_line(&mut self, spots: impl IntoIterator<Item = Spot>) {
+        for (index, spot) in spots.into_iter().enumerate() {
+            if index == 0 { self.move_to(spot) } else { self.line_to(spot) }
+        }
+    }
+
+    /// The line through all spots.
+    pub fn line(spots: impl IntoIterator<Item = Spot>) -> Self {
+        let mut path = Self::default();
+        path.add_line(spots);
+        path
+    }
+
+    /// The area within all spots.
+    pub fn polygon(spots: impl IntoIterator<Item = Spot>) -> Self {
+        let mut path = Self::line(spots);
+        path.close();
+        path
+    }
+
+    /// A disc.
+    pub fn disc([x, y]: Spot, radius: f64) -> Self {
+        // Four cubic curves with this handle deviate from a circle by 0.03 % of its radius.
+        let handle = 0.552_284_75 * radius;
+        let mut path = Self::default();
+        path.move_to([x + radius, y]);
+        for [cos, sin] in [[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1.0]] {
+            let at =
+                |along: f64, across: f64| [x + along * cos - across * sin, y + along * sin + across * cos];
+            path.cubic_to([at(radius, handle), at(handle, radius)], at(0.0, radius));
+        }
+        path.close();
+        path
+    }
+
+    fn command(&mut self, letter: char, spots: &[Spot]) {
+        self.0.push(letter);
+        for (index, [x, y]) in spots.iter().enumerate() {
+            if index > 0 {
+                self.0.push(' ');
+            }
+            append_number(&mut self.0, *x);
+            self.0.push(' ');
+            append_number(&mut self.0, *y);
+        }
+    }
+}
+
+/// The sheet.
+#[derive(Debug)]
+pub struct Canvas {
+    size: [f64; 2],
+    body: String,
+    clips_len: usize,
+}
+
+impl Canvas {
+    /// An empty sheet.
+    pub const fn new(size: [f64; 2]) -> Self {
+        Self { size, body: String::new(), clips_len: 0 }
+    }
+
+    /// Fills an area; what an even number of outlines surrounds stays empty.
+    pub fn fill(&mut self, path: &Path, colour: Colour, opacity: f64) {
+        if path.is_empty() {
+            return;
+        }
+        write!(self.body, r#"<path d="{}" fill="{colour}" fill-rule="evenodd""#, path.0).expect(INFALLIBLE);
+        self.number_unless("fill-opacity", opacity, 1.0);
+        self.body.push_str("/>\n");
+    }
+
+    /// Draws a line.
+    pub fn stroke(&mut self, path: &Path, stroke: &Stroke) {
+        if path.is_empty() {
+            return;
+        }
+        write!(self.body, r#"<path d="{}" fill="none" stroke="{}""#, path.0, stroke.colour)
+            .expect(INFALLIBLE);
+        self.number_unless("stroke-width", stroke.width, 1.0);
+        self.number_unless("stroke-opacity", stroke.opacity, 1.0);
+        if stroke.dashes.is_empty() {
+            self.body.push_str(r#" stroke-linecap="round""#);
+        } else {
+            self.body.push_str(r#" stroke-dasharray=""#);
+            for dash in stroke.dashes {
+                append_number(&mut self.body, *dash);
+                self.body.push(' ');
+            }
+            self.body.push('"');
+        }
+        self.body.push_str(" stroke-linejoin=\"round\"/>\n");
+    }
+
+    /// Fills a rectangle.
+    pub fn fill_frame(&mut self, frame: Frame, colour: Colour) {
+        self.fill(&rectangle(frame), colour, 1.0);
+    }
+
+    /// Draws the edge of a rectangle.
+    pub fn stroke_frame(&mut self, frame: Frame, stroke: &Stroke) {
+        self.stroke(&rectangle(frame), stroke);
+    }
+
+    /// Writes a line of text whose baseline runs through a spot; returns its width.
+    pub fn text(&mut self, [x, y]: Spot, look: Type, words: &str) -> f64 {
+        let width = text::width(look.face, look.size, words);
+        let before = match look.align {
+            Align::Left => 0.0,
+            Align::Middle => width / 2.0,
+            Align::Right => width,
+        };
+        let outline = text::outline(look.face, look.size, words, [x - before, y]);
+        if !outline.is_empty() {
+            let (label, colour) = (escaped(words), look.colour);
+            writeln!(
+                self.body,
+                r#"<path role="img" aria-label="{label}" d="{}" fill="{colour}"/>"#,
+                outline.0
+            )
+            .expect(INFALLIBLE);
+        }
+        width
+    }
+
+    /// Whatever `draw` draws is cut off at the edge of `frame`.
+    pub fn clipped(&mut self, frame: Frame, draw: impl FnOnce(&mut Self)) {
+        let (id, outline) = (self.clips_len, rectangle(frame).0);
+        self.clips_len += 1;
+        writeln!(
+            self.body,
+            r##"<clipPath id="clip{id}"><path d="{outline}"/></clipPath><g clip-path="url(#clip{id})">"##
+        )
+        .expect(INFALLIBLE);
+        draw(self);
+        self.body.push_str("</g>\n");
+    }
+
+    /// Whatever `draw` draws becomes transparent as a whole: where it overlaps, it is no darker.
+    pub fn faint(&mut self, opacity: f64, draw: impl FnOnce(&mut Self)) {
+        writeln!(self.body, r#"<g opacity="{}">"#, number(opacity)).expect(INFALLIBLE);
+        draw(self);
+        self.body.push_str("</g>\n");
+    }
+
+    /// The sheet as SVG on white paper.
+    pub fn finish(self, title: &str) -> String {
+        let [width, height] = self.size.map(number);
+        let (title, body) = (escaped(title), self.body);
+        format!(
+            "<svg xmlns=\"http://www.w3.org/2000/svg\" width=\"{width}pt\" height=\"{height}pt\" \
+             viewBox=\"0 0 {width} {height}\">\n<title>{title}</title>\n\
+             <path d=\"M0 0H{width}V{height}H0Z\" fill=\"{WHITE}\"/>\n{body}</svg>\n"
+        )
+    }
+
+    fn number_unless(&mut self, name: &str, value: f64, default: f64) {
+        if value != default {
+            write!(self.body, r#" {name}="{}""#, number(value)).expect(INFALLIBLE);
+        }
+    }
+}
+
+const INFALLIBLE: &str = "writing to a string does not fail";
+
+fn rectangle(frame: Frame) -> Path {
+    let ([x, y], right, bottom) = (frame.corner, frame.right(), frame.bottom());
+    Path::polygon([[x, y], [right, y], [right, bottom], [x, bottom]])
+}
+
+fn number(value: f64) -> String {
+    let mut text = String::new();
+    append_number(&mut text, value);
+    text
+}
+
+/// Appends a number with at most two decimals: a hundredth of a point is finer than any printer.
+fn append_number(text: &mut String, value: f64) {
+    let hundredths = (value * 100.0).round();
+    let value = if hundredths == 0.0 { 0.0 } else { hundredths / 100.0 };
+    write!(text, "{value}").expect(INFALLIBLE);
+}
+
+/// A text as it may stand in XML; characters that XML can't hold at all become spaces.
+fn escaped(text: &str) -> String {
+    let mut out = String::with_capacity(text.len());
+    for character in text.chars() {
+        match character {
+            '&' => out.push_str("&amp;"),
+            '<' => out.push_str("&lt;"),
+            '>' => out.push_str("&gt;"),
+            '"' => out.push_str("&quot;"),
+            '\u{fffe}' | '\u{ffff}' => out.push(' '),
+            control if control.is_control() => out.push(' '),
+            other => out.push(other),
+        }
+    }
+    out
+}

@@ -1,0 +1,73 @@
+//! The mask: where the agent will be, as the forecast distribution has it.
+
+use super::contour::Place;
+use super::mixture::{self, Mixture, add_density, highest_density_levels, raster_for};
+use super::scene::ForecastDrawing;
+
+/// The shares that the regions of a mask hold, larger region first.
+pub const SHARES: [f64; 2] = [0.9, 0.5];
+
+/// Which times of a forecast its mask stands for.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Mask {
+    /// All: the union of the regions of every moment up to the horizon.
+    #[default]
+    EveryMoment,
+    /// All pooled: the regions of the mixture over the whole horizon, in which the agent spends that share of it.
+    Pooled,
+    /// The horizon's end.
+    End,
+    /// None: no mask.
+    Hidden,
+}
+
+/// An area of the ground that holds a share of the forecast distribution.
+pub struct Region {
+    /// The share.
+    pub share: f64,
+    /// Its edge, m: closed lines with the area on their left.
+    pub outline: Vec<Vec<Place>>,
+}
+
+impl Mask {
+    /// The regions of an agent's forecast, larger ones first; none where the mask is hidden or nothing is forecast.
+    pub fn regions(self, now: Place, forecast: &ForecastDrawing) -> Vec<Region> {
+        let regions = match self {
+            Self::Hidden => None,
+            Self::End => pooled(&[mixture::end(forecast)]),
+            Self::Pooled => pooled(&mixture::moments(now, forecast)),
+            Self::EveryMoment => union(&mixture::moments(now, forecast)),
+        };
+        regions.map(Vec::from).unwrap_or_default()
+    }
+}
+
+/// The regions of all mixtures, equally likely.
+fn pooled(mixtures: &[Mixture]) -> Option<[Region; 2]> {
+    let mut raster = raster_for(mixtures.iter())?;
+    for mixture in mixtures {
+        add_density(mixture, 1.0 / mixtures.len() as f64, &mut raster);
+    }
+    let levels = highest_density_levels(&raster, SHARES)?;
+    let outline = |which: usize| raster.contours(levels[which]);
+    Some([0, 1].map(|which| Region { share: SHARES[which], outline: outline(which) }))
+}
+
+/// The union of each mixture's own regions.
+fn union(mixtures: &[Mixture]) -> Option<[Region; 2]> {
+    let mut moment = raster_for(mixtures.iter())?;
+    // Densities relative to the level of their region, so that 1 is the edge of all of them.
+    let mut fields = [moment.clone(), moment.clone()];
+    for mixture in mixtures {
+        moment.values.fill(0.0);
+        add_density(mixture, 1.0, &mut moment);
+        let Some(levels) = highest_density_levels(&moment, SHARES) else { continue };
+        for (field, level) in fields.iter_mut().zip(levels) {
+            for (highest, density) in field.values.iter_mut().zip(&moment.values) {
+                *highest = highest.max(density / level);
+            }
+        }
+    }
+    let outline = |which: usize| fields[which].contours(1.0);
+    Some([0, 1].map(|which| Region { share: SHARES[which], outline: outline(which) }))
+}

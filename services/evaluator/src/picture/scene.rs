@@ -1,0 +1,165 @@
+//! Forecast scenes, a panel each.
+
+mod agent;
+mod check;
+mod legend;
+mod panel;
+
+use metrics::Point;
+use scene::{AgentType, ContextMap};
+
+use super::canvas::{Align, Canvas, Frame, Type};
+use super::colour::{GREY, INK};
+use super::error::PictureError;
+use super::mask::Mask;
+use super::text::Face;
+use agent::Sketch;
+use legend::Legend;
+
+/// A moment of a recording, and what was forecast then.
+#[derive(Clone, Debug, Default)]
+pub struct SceneDrawing<'a> {
+    /// Name of the recording and the time.
+    pub title: String,
+    /// What else is to be told, in smaller type.
+    pub note: String,
+    /// The context map to draw beneath.
+    pub map: Option<&'a ContextMap>,
+    /// The agents. Those with a forecast are what the panel is about.
+    pub agents: Vec<AgentDrawing>,
+}
+
+/// An agent of a scene.
+#[derive(Clone, Debug)]
+pub struct AgentDrawing {
+    /// Identity.
+    pub id: u64,
+    /// Vehicles are drawn as boxes, others as discs.
+    pub agent_type: AgentType,
+    /// Length along the heading; a usual one is taken where it is not known.
+    pub length_m: Option<f32>,
+    /// Width across the heading; likewise.
+    pub width_m: Option<f32>,
+    /// Heading at present, counter-clockwise from +x.
+    pub heading_rad: f32,
+    /// Position at present.
+    pub now: Point,
+    /// Positions before the present, oldest first; none where absent.
+    pub history: Vec<Option<Point>>,
+    /// Positions that came true, a step apart.
+    pub truth: Vec<Option<Point>>,
+    /// The forecast, where there is one.
+    pub forecast: Option<ForecastDrawing>,
+}
+
+/// The forecast of an agent: a mixture of as many Gaussians as there are modes at each step.
+#[derive(Clone, Debug, Default)]
+pub struct ForecastDrawing {
+    /// Mean positions, \[mode, step\].
+    pub modes: Vec<Vec<Point>>,
+    /// Probability of each mode.
+    pub probability: Vec<f32>,
+    /// Covariances (xx, xy, yy), \[mode, step\], m².
+    pub covariance: Vec<Vec<[f32; 3]>>,
+}
+
+/// How scenes are drawn.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SceneOptions {
+    /// Width of the picture, pt. A column of a two-column paper has about 252 pt, a page 516 pt.
+    pub width: f64,
+    /// Panels side by side.
+    pub columns: usize,
+    /// Height of a panel relative to its width.
+    pub height_per_width: f64,
+    /// Least extent of the world in a panel, m.
+    pub extent_min_m: f64,
+    /// What the mask stands for.
+    pub mask: Mask,
+    /// Whether the map's mean velocities are drawn as arrows.
+    pub velocity: bool,
+    /// Whether agents are labelled with their identities.
+    pub identities: bool,
+}
+
+impl Default for SceneOptions {
+    fn default() -> Self {
+        Self {
+            width: 516.0,
+            columns: 2,
+            height_per_width: 0.8,
+            extent_min_m: 12.0,
+            mask: Mask::default(),
+            velocity: false,
+            identities: false,
+        }
+    }
+}
+
+/// Most panels of a picture.
+const PANELS_MAX: usize = 64;
+/// Edge of the sheet, pt.
+const EDGE: f64 = 3.0;
+/// Space between panels, pt.
+const GAP: f64 = 9.0;
+/// Height of titles and notes above a panel, pt.
+const TITLE_HEIGHT: f64 = 11.0;
+const NOTE_HEIGHT: f64 = 9.0;
+/// Sizes of type, pt.
+const TITLE_SIZE: f64 = 8.0;
+pub(super) const LABEL_SIZE: f64 = 7.0;
+
+/// Draws scenes as one picture, in reading order, with one legend for all.
+///
+/// # Errors
+/// [`PictureError`] where there is no scene, an option or a number can't be drawn, or a forecast's parts have not the
+/// same lengths.
+pub fn scenes(drawings: &[SceneDrawing<'_>], options: &SceneOptions) -> Result<String, PictureError> {
+    check::options(options)?;
+    check::panels(drawings, PANELS_MAX)?;
+    let columns = options.columns.min(drawings.len());
+    let panel_width = (options.width - 2.0 * EDGE - (columns - 1) as f64 * GAP) / columns as f64;
+    let panel_height = panel_width * options.height_per_width;
+    let has_notes = drawings.iter().any(|drawing| !drawing.note.is_empty());
+    let head_height = TITLE_HEIGHT + if has_notes { NOTE_HEIGHT } else { 0.0 };
+    let legend = Legend::of(drawings, options, options.width - 2.0 * EDGE);
+    let rows = drawings.len().div_ceil(columns);
+    let row_height = head_height + panel_height + GAP;
+    let legend_top = EDGE + rows as f64 * row_height;
+
+    let mut canvas = Canvas::new([options.width, legend_top + legend.height() + EDGE]);
+    for (index, drawing) in drawings.iter().enumerate() {
+        let corner = [
+            EDGE + (index % columns) as f64 * (panel_width + GAP),
+            EDGE + (index / columns) as f64 * row_height,
+        ];
+        let letter = (drawings.len() > 1).then(|| letters(index));
+        draw_head(&mut canvas, corner, letter.as_deref(), drawing);
+        let frame =
+            Frame { corner: [corner[0], corner[1] + head_height], size: [panel_width, panel_height] };
+        let sketches: Vec<Sketch<'_>> =
+            drawing.agents.iter().map(|agent| Sketch::new(agent, options.mask)).collect();
+        panel::draw(&mut canvas, frame, drawing.map, &sketches, options);
+    }
+    legend.draw(&mut canvas, [EDGE, legend_top]);
+    let titles: Vec<&str> = drawings.iter().map(|drawing| drawing.title.as_str()).collect();
+    Ok(canvas.finish(&titles.join("; ")))
+}
+
+fn draw_head(canvas: &mut Canvas, [x, y]: [f64; 2], letter: Option<&str>, drawing: &SceneDrawing<'_>) {
+    let look = Type { size: TITLE_SIZE, face: Face::Medium, colour: INK, align: Align::Left };
+    let baseline = y + 0.75 * TITLE_HEIGHT;
+    let indent = letter.map_or(0.0, |letter| canvas.text([x, baseline], look, letter) + 3.0);
+    canvas.text([x + indent, baseline], look, &drawing.title);
+    let look = Type { size: LABEL_SIZE, face: Face::Regular, colour: GREY, align: Align::Left };
+    canvas.text([x, y + TITLE_HEIGHT + 0.72 * NOTE_HEIGHT], look, &drawing.note);
+}
+
+/// (a), (b) … (z), (aa) …
+fn letters(index: usize) -> String {
+    let letter = |number: usize| char::from(b'a' + (number % 26) as u8);
+    match index.checked_sub(26) {
+        None => format!("({})", letter(index)),
+        Some(rest) => format!("({}{})", letter(rest / 26), letter(rest)),
+    }
+}

@@ -1,0 +1,72 @@
+//! The panel of a scene.
+
+use scene::ContextMap;
+
+use super::agent::{REGION_OPACITY, Sketch};
+use super::{LABEL_SIZE, SceneOptions};
+use crate::picture::canvas::{Align, Canvas, Frame, Path, Stroke, Type};
+use crate::picture::colour::{GREY, INK, WHITE};
+use crate::picture::ground;
+use crate::picture::text::Face;
+use crate::picture::view::View;
+
+/// Draws a scene into a frame: the ground, then layer by layer, so that no agent's mask hides another's line.
+pub fn draw(
+    canvas: &mut Canvas,
+    frame: Frame,
+    map: Option<&ContextMap>,
+    sketches: &[Sketch<'_>],
+    options: &SceneOptions,
+) {
+    let has_forecasts = sketches.iter().any(|sketch| sketch.agent.forecast.is_some());
+    let matters = |sketch: &&Sketch<'_>| !has_forecasts || sketch.agent.forecast.is_some();
+    let places = sketches.iter().filter(matters).flat_map(Sketch::places);
+    if let Some(view) = View::of(places, frame, options.extent_min_m) {
+        canvas.clipped(frame, |canvas| {
+            if let Some(map) = map {
+                ground::draw_density(canvas, &view, map);
+                if options.velocity {
+                    ground::draw_velocity(canvas, &view, map);
+                }
+            }
+            for (number, opacity) in REGION_OPACITY.into_iter().enumerate() {
+                let draw =
+                    |sketch: &Sketch<'_>, canvas: &mut Canvas| sketch.draw_region(number, canvas, &view);
+                canvas.faint(opacity, |canvas| sketches.iter().for_each(|sketch| draw(sketch, canvas)));
+            }
+            sketches.iter().for_each(|sketch| sketch.draw_modes(canvas, &view));
+            sketches.iter().for_each(|sketch| sketch.draw_lines(canvas, &view));
+            sketches.iter().for_each(|sketch| sketch.draw_body(canvas, &view));
+            if options.identities {
+                sketches.iter().for_each(|sketch| label(canvas, &view, sketch));
+            }
+            draw_scale_bar(canvas, &view);
+        });
+    }
+    canvas.stroke_frame(frame, &Stroke::solid(GREY, 0.5));
+}
+
+fn label(canvas: &mut Canvas, view: &View, sketch: &Sketch<'_>) {
+    let [x, y] = view.spot(sketch.agent.now.map(f64::from));
+    let look = Type { size: 5.5, face: Face::Regular, colour: INK, align: Align::Left };
+    canvas.text([x + 3.5, y - 3.5], look, &sketch.agent.id.to_string());
+}
+
+/// A bar of a round length in the lower left corner.
+fn draw_scale_bar(canvas: &mut Canvas, view: &View) {
+    let length_m = view.round_length_m();
+    let length = length_m * view.scale();
+    let (left, baseline) = (view.frame.corner[0] + 7.0, view.frame.bottom() - 7.0);
+    let words = format!("{length_m} m");
+    let plate = Frame { corner: [left - 3.5, baseline - 11.5], size: [length.max(18.0) + 7.0, 15.0] };
+    let look = Type { size: LABEL_SIZE - 0.5, face: Face::Regular, colour: INK, align: Align::Middle };
+    canvas.fill_frame(plate, WHITE);
+    let middle = plate.centre_x();
+    let (from, to) = (middle - length / 2.0, middle + length / 2.0);
+    let mut bar = Path::line([[from, baseline], [to, baseline]]);
+    for end in [from, to] {
+        bar.add_line([[end, baseline - 1.8], [end, baseline + 1.8]]);
+    }
+    canvas.stroke(&bar, &Stroke::solid(INK, 0.8));
+    canvas.text([middle, baseline - 3.6], look, &words);
+}

@@ -1,0 +1,139 @@
+//! Protocols: which windows of which recordings are forecast by which weights, and which of their agents count.
+
+mod eth_ucy;
+mod files;
+mod interaction;
+mod sdd;
+
+use std::path::PathBuf;
+
+use data::sets::{DataSet, Part};
+use data::{Format, Recording};
+
+pub use eth_ucy::eth_ucy;
+pub use files::files;
+pub use interaction::{InteractionPart, interaction};
+pub use sdd::sdd;
+
+use crate::judge::Block;
+use crate::maps::MapInput;
+use crate::weights::{Model, WeightsChoice};
+use crate::{Baselines, Cut, EvaluateError, Judge, Scene, Subset, threads};
+
+/// Seed of what is drawn or clustered on the way: latent variables, directions, anchors.
+const SEED: u64 = 1;
+
+/// What the network is told of the ground.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum MapChoice {
+    /// Nothing.
+    None,
+    /// What the recording showed so far.
+    Online,
+    /// The map of the site's training recordings; where there are none, what the recording showed so far.
+    Site,
+}
+
+/// How an evaluation is run.
+#[derive(Clone, Debug)]
+pub struct Options {
+    /// Folder that holds the data sets, laid out as published.
+    pub data: PathBuf,
+    /// The part of the data set that is forecast: the test part to report on, the validation part to choose by.
+    pub part: Part,
+    /// The weights.
+    pub weights: WeightsChoice,
+    /// What models that read a map are told.
+    pub map: MapChoice,
+    /// Threads that share the work; results do not depend on it.
+    pub threads: usize,
+}
+
+/// A recording and its scenes.
+struct Footage {
+    recording: Recording,
+    scenes: Vec<Scene>,
+}
+
+impl Options {
+    /// Reads and cuts recordings, telling of each before.
+    fn read(
+        &self,
+        paths: &[PathBuf],
+        format: Option<Format>,
+        cut: &Cut,
+    ) -> Result<Vec<Footage>, EvaluateError> {
+        let read = |path: &PathBuf, (): &mut ()| {
+            let recording = data::open(path, format)?;
+            let scenes = cut.scenes(&recording);
+            Ok(Footage { recording, scenes })
+        };
+        threads::each(paths, self.threads, read).into_iter().collect()
+    }
+
+    fn read_part(&self, set: DataSet, part: Part, cut: &Cut) -> Result<Vec<Footage>, EvaluateError> {
+        self.read(&set.files(&self.data, part)?, Some(set.format()), cut)
+    }
+}
+
+/// A protocol's agents and horizons.
+#[derive(Clone, Copy)]
+struct Rules<'a> {
+    horizons: &'a [usize],
+    subsets: &'a [Subset],
+    of_type: Option<scene::AgentType>,
+    threads: usize,
+}
+
+impl Rules<'_> {
+    /// Judges a recording; one without an agent that counts is no error here.
+    fn judge(
+        &self,
+        model: &Model,
+        baselines: &Baselines,
+        footage: &Footage,
+        map: MapInput<'_>,
+    ) -> Vec<Block> {
+        let judge = Judge {
+            forecaster: &model.forecaster,
+            baselines,
+            horizons: self.horizons,
+            subsets: self.subsets,
+            of_type: self.of_type,
+            threads: self.threads,
+        };
+        judge.recording(&footage.recording, &footage.scenes, map)
+    }
+
+    /// The horizons in seconds.
+    fn horizons_s(&self, cut: &Cut) -> Vec<f64> {
+        self.horizons.iter().map(|&steps| (steps as i64 * cut.step_ns()) as f64 / 1e9).collect()
+    }
+
+    /// The longest horizon's place.
+    const fn last(&self) -> usize {
+        self.horizons.len() - 1
+    }
+}
+
+fn fit(training: &[Footage], cut: &Cut) -> Baselines {
+    Baselines::fit(training.iter().flat_map(|footage| &footage.scenes), cut, SEED)
+}
+
+/// Refuses recordings without an agent that counts.
+fn need_agents(blocks: &[Block], name: &str, cut: &Cut) -> Result<(), EvaluateError> {
+    if blocks.iter().any(|block| block.tallies.iter().any(|tally| !tally.is_empty())) {
+        return Ok(());
+    }
+    let steps = cut.history_len + cut.horizon_len;
+    Err(EvaluateError::NoWindows { name: name.to_owned(), steps, dt_s: cut.dt_s })
+}
+
+/// The rows that tell how errors grow with the horizon.
+const GROWTH: [(crate::Measure, crate::Method); 5] = [
+    (crate::Measure::BestOf, crate::Method::Network),
+    (crate::Measure::BestOf, crate::Method::Base),
+    (crate::Measure::BestOf, crate::Method::Anchors),
+    (crate::Measure::Single, crate::Method::Network),
+    (crate::Measure::Single, crate::Method::ConstantVelocity),
+];

@@ -1,0 +1,70 @@
+//! Any recordings, judged by one set of weights.
+
+use std::path::PathBuf;
+
+use data::Format;
+
+use super::{GROWTH, MapChoice, Options, Rules, SEED, need_agents};
+use crate::group::Group;
+use crate::maps::MapInput;
+use crate::report::{Column, Report, Table};
+use crate::weights::EMBEDDED;
+use crate::{Baselines, Cut, EvaluateError, Subset};
+
+/// Judges one set of weights on the recordings at `paths`, in steps of the model; there is no training part for anchors
+/// or a site map.
+///
+/// # Errors
+/// Where weights or recordings can't be read, or hold no agent over a whole window.
+pub fn files(
+    options: &Options,
+    paths: &[PathBuf],
+    format: Option<Format>,
+    from_positions: bool,
+    mut progress: impl FnMut(&str),
+) -> Result<Report, EvaluateError> {
+    let model = options.weights.open(EMBEDDED, SEED)?;
+    let cut = Cut { from_positions, ..Cut::of(model.forecaster.config()) };
+    let horizons = quarters(cut.horizon_len);
+    let subsets = [Subset::All, Subset::Moving];
+    let rules = Rules { horizons: &horizons, subsets: &subsets, of_type: None, threads: options.threads };
+    let baselines = Baselines::fit(std::iter::empty(), &cut, SEED);
+    let (map, told) = match options.map {
+        MapChoice::None => (MapInput::None, "none"),
+        MapChoice::Online | MapChoice::Site => (MapInput::Online, "online"),
+    };
+    let mut report = Report::new("Recordings");
+    let mut groups: [Vec<Group>; 2] = [Vec::new(), Vec::new()];
+    for footage in options.read(paths, format, &cut)? {
+        let name = &footage.recording.name;
+        progress(name);
+        let blocks = rules.judge(&model, &baselines, &footage, map);
+        need_agents(&blocks, name, &cut)?;
+        report.provenance.push(model.provenance(name, told, &[&footage.recording]));
+        for (place, (subset, groups)) in subsets.into_iter().zip(&mut groups).enumerate() {
+            groups.push(Group::new(name, subset, place, &blocks));
+        }
+    }
+    let horizons_s = rules.horizons_s(&cut);
+    for mut groups in groups {
+        if groups.len() > 1 {
+            groups.push(Group::pooled("all", &groups.iter().collect::<Vec<_>>()));
+        }
+        let columns: Vec<Column<'_>> = groups.iter().map(|group| Column::of(&group.part, group)).collect();
+        let title = |what: &str| format!("{what}: {} agents", groups[0].subset.name());
+        let note = format!("ADE / FDE, m, after {:.1} s.", horizons_s[rules.last()]);
+        report.add_table(Table::errors(&title("Errors"), &note, &columns, rules.last()));
+        report.add_table(Table::comparisons(&title("Beside the others"), &columns, rules.last()));
+        report.add_table(Table::rates(&title("Certainty and plausibility"), "", &columns, rules.last()));
+        let all = &columns[columns.len() - 1..];
+        report.add_table(Table::horizons(&title("Growth, m"), "", all, &horizons_s, &GROWTH));
+        groups.iter().for_each(|group| report.add_figures(group, &horizons_s));
+    }
+    Ok(report)
+}
+
+/// The horizon and, where they are whole steps, its quarters or fifths.
+fn quarters(horizon_len: usize) -> Vec<usize> {
+    let parts = [4, 5].into_iter().find(|parts| horizon_len.is_multiple_of(*parts)).unwrap_or(1);
+    (1..=parts).map(|part| horizon_len * part / parts).collect()
+}

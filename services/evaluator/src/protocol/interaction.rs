@@ -1,0 +1,279 @@
+//! INTERACTION: vehicles at roundabouts (RA) and intersections (UI), at sites that training saw and at one it did not.
+
+use std::path::{Path, PathBuf};
+
+use data::sets::{DataSet, Part};
+use scene::{AgentType, ContextMap};
+
+use super::{Footage, GROWTH, MapChoice, Options, Rules, SEED, fit, need_agents};
+use crate::group::Group;
+use crate::judge::Block;
+use crate::maps::{MapInput, site_map};
+use crate::reference::{self, PaperRow};
+use crate::report::{Column, Report, Table};
+use crate::{Baselines, Cut, Errors, EvaluateError, MOVING_MPS, Subset};
+
+/// Steps of the protocol: 2 Hz.
+const STEPS: (usize, usize, f64) = (4, 10, 0.5);
+const SET: DataSet = DataSet::Interaction;
+const SUBSETS: [Subset; 2] = [Subset::All, Subset::Moving];
+
+/// Which weights are judged where.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum InteractionPart {
+    /// The weights of all sites, on recordings of these sites that training did not see.
+    Seen,
+    /// The weights that know nothing of a site, on all recordings of this site.
+    Unseen(String),
+}
+
+/// Recordings that are judged together, by subset.
+struct Judged {
+    part: String,
+    site: String,
+    groups: [Group; 2],
+}
+
+/// Judges forecasts of 1 to 5 s, with the recorded speed and once more with what positions alone tell.
+///
+/// Vehicles count that are there over all 14 steps; the network sees everybody at the newest of the 4. An agent moves
+/// whose speed at the last observed step is at least [`MOVING_MPS`]: the future has no say in it.
+///
+/// # Errors
+/// Where weights or recordings are missing or of another kind.
+pub fn interaction(
+    options: &Options,
+    parts: &[InteractionPart],
+    mut progress: impl FnMut(&str),
+) -> Result<Report, EvaluateError> {
+    let (history_len, horizon_len, dt_s) = STEPS;
+    let rules = Rules {
+        horizons: &[2, 4, 6, 8, 10],
+        subsets: &SUBSETS,
+        of_type: Some(AgentType::Vehicle),
+        threads: options.threads,
+    };
+    let mut report = Report::new(&format!("INTERACTION, split by recording, {} part", options.part.name()));
+    for (motion, from_positions) in [("recorded speed", false), ("positions only", true)] {
+        let cut = Cut { history_len, horizon_len, dt_s, from_positions };
+        progress(&format!("{motion}: training part"));
+        let training = options.read_part(SET, Part::Train, &cut)?;
+        let mut judged = Vec::new();
+        for part in parts {
+            match part {
+                InteractionPart::Seen => {
+                    progress(&format!("{motion}: seen sites"));
+                    judged.extend(seen(options, &rules, &cut, &training, &mut report)?);
+                }
+                InteractionPart::Unseen(site) => {
+                    progress(&format!("{motion}: {site} unseen"));
+                    judged.extend(unseen(options, &rules, &cut, &training, site, &mut report)?);
+                }
+            }
+        }
+        for place in 0..SUBSETS.len() {
+            tables(&mut report, &judged, place, motion, &rules, &rules.horizons_s(&cut));
+        }
+    }
+    Ok(report)
+}
+
+/// The recordings of all sites in the part that is judged, by site.
+fn seen(
+    options: &Options,
+    rules: &Rules<'_>,
+    cut: &Cut,
+    training: &[Footage],
+    report: &mut Report,
+) -> Result<Vec<Judged>, EvaluateError> {
+    let model = options.weights.open("interaction", SEED)?;
+    model.check_steps("INTERACTION", cut.history_len, cut.horizon_len, cut.dt_s)?;
+    let baselines = fit(training, cut);
+    let footage = options.read_part(SET, options.part, cut)?;
+    let mut sites: Vec<(String, Vec<Block>)> = Vec::new();
+    for footage in &footage {
+        let site = site_of(footage);
+        let map = (options.map == MapChoice::Site).then(|| map_of(training, &site)).flatten();
+        let blocks = rules.judge(&model, &baselines, footage, input(options.map, map.as_ref()));
+        match sites.iter_mut().find(|(name, _)| *name == site) {
+            Some((_, all)) => all.extend(blocks),
+            None => sites.push((site, blocks)),
+        }
+    }
+    let recordings: Vec<_> = footage.iter().map(|footage| &footage.recording).collect();
+    let told = match options.map {
+        MapChoice::None => "none",
+        MapChoice::Online => "online",
+        MapChoice::Site => "of the site's training recordings",
+    };
+    add_provenance(report, model.provenance("seen", told, &recordings));
+    let judge = |(site, blocks): (String, Vec<Block>)| {
+        need_agents(&blocks, &site, cut)?;
+        Ok(Judged::new(format!("seen {}", short(&site)), site, &blocks))
+    };
+    sites.into_iter().map(judge).collect()
+}
+
+/// All recordings of a site, and those of the part that is judged by themselves.
+fn unseen(
+    options: &Options,
+    rules: &Rules<'_>,
+    cut: &Cut,
+    training: &[Footage],
+    site: &str,
+    report: &mut Report,
+) -> Result<Vec<Judged>, EvaluateError> {
+    let model = options.weights.open(&format!("interaction-without-{site}"), SEED)?;
+    model.check_steps("INTERACTION", cut.history_len, cut.horizon_len, cut.dt_s)?;
+    let others = training.iter().filter(|footage| short(&site_of(footage)) != site);
+    let baselines = Baselines::fit(others.flat_map(|footage| &footage.scenes), cut, SEED);
+    let (mut tests, mut all, mut recordings) = (Vec::new(), Vec::new(), Vec::new());
+    let mut name = site.to_owned();
+    for part in [Part::Train, Part::Validation, Part::Test] {
+        let of_site = |path: &PathBuf| short(&folder(path)) == site;
+        let paths: Vec<PathBuf> = SET.files(&options.data, part)?.into_iter().filter(of_site).collect();
+        for footage in options.read(&paths, Some(SET.format()), cut)? {
+            name = site_of(&footage);
+            // Whatever was recorded at the site before belongs to nobody's training: no site map.
+            let blocks = rules.judge(&model, &baselines, &footage, input(options.map, None));
+            if part == options.part {
+                tests.extend(blocks.iter().cloned());
+            }
+            all.extend(blocks);
+            recordings.push(footage.recording);
+        }
+    }
+    need_agents(&tests, &format!("{site}, {} part", options.part.name()), cut)?;
+    let told = if options.map == MapChoice::None { "none" } else { "online" };
+    let part = format!("unseen {site}");
+    add_provenance(report, model.provenance(&part, told, &recordings.iter().collect::<Vec<_>>()));
+    Ok(vec![
+        Judged::new(format!("{part}, {} part", options.part.name()), name.clone(), &tests),
+        Judged::new(part, name, &all),
+    ])
+}
+
+impl Judged {
+    fn new(part: String, site: String, blocks: &[Block]) -> Self {
+        let group = |place: usize| Group::new(&part, SUBSETS[place], place, blocks);
+        Self { groups: [group(0), group(1)], part, site }
+    }
+
+    fn is_seen(&self) -> bool {
+        self.part.starts_with("seen")
+    }
+
+    fn is_roundabout(&self) -> bool {
+        self.site.contains("Roundabout")
+    }
+}
+
+fn tables(
+    report: &mut Report,
+    judged: &[Judged],
+    place: usize,
+    motion: &str,
+    rules: &Rules<'_>,
+    horizons_s: &[f64],
+) {
+    let pool = |name: &str, wanted: &dyn Fn(&Judged) -> bool| {
+        let groups: Vec<&Group> =
+            judged.iter().filter(|judged| wanted(judged)).map(|judged| &judged.groups[place]).collect();
+        (!groups.is_empty()).then(|| Group::pooled(name, &groups))
+    };
+    let kinds: Vec<Group> = [
+        pool("seen RA", &|judged| judged.is_seen() && judged.is_roundabout()),
+        pool("seen UI", &|judged| judged.is_seen() && !judged.is_roundabout()),
+        pool("seen, all", &Judged::is_seen),
+    ]
+    .into_iter()
+    .flatten()
+    .collect();
+    let of = |judged: &'_ Judged| judged.is_seen();
+    let (sites, foreign): (Vec<&Judged>, Vec<&Judged>) = judged.iter().partition(|judged| of(judged));
+    let whole: Vec<&Group> = foreign
+        .iter()
+        .filter(|judged| !judged.part.ends_with(" part"))
+        .map(|judged| &judged.groups[place])
+        .collect();
+    let mut columns: Vec<Column<'_>> = kinds.iter().map(|group| Column::of(&group.part, group)).collect();
+    columns.extend(foreign.iter().map(|judged| Column::of(&judged.part, &judged.groups[place])));
+    if whole.len() > 1 {
+        columns.push(Column { name: "unseen, mean".to_owned(), groups: whole });
+    }
+
+    let last = rules.last();
+    let title = |what: &str| format!("{what}: {} vehicles, {motion}", SUBSETS[place].name());
+    let note = format!(
+        "ADE / FDE, m, after 5 s. Moving: at least {MOVING_MPS} m/s at the last observed step. Unseen sites: all their \
+         recordings, one part by itself as well."
+    );
+    report.add_table(Table::errors(&title("Errors"), &note, &columns, last));
+    let single: Vec<Column<'_>> = columns.iter().filter(|column| column.groups.len() == 1).cloned().collect();
+    report.add_table(Table::comparisons(&title("Beside the others"), &single, last));
+    let by_site: Vec<Column<'_>> =
+        sites.iter().map(|judged| Column::of(&judged.part, &judged.groups[place])).collect();
+    if !by_site.is_empty() {
+        report.add_table(Table::errors(&title("Errors by site"), "ADE / FDE, m, after 5 s.", &by_site, last));
+        report.add_table(growth(&title("Growth, m"), &columns[..2.min(kinds.len())], horizons_s));
+    }
+    report.add_table(Table::rates(&title("Certainty and plausibility"), "", &columns, last));
+    for group in kinds.iter().chain(judged.iter().map(|judged| &judged.groups[place])) {
+        let mut group = group.clone();
+        group.part += &format!(", {motion}");
+        report.add_figures(&group, horizons_s);
+    }
+}
+
+/// Errors over the horizon, with the rows of the paper, which tell of all vehicles.
+fn growth(title: &str, columns: &[Column<'_>], horizons_s: &[f64]) -> Table {
+    let mut table = Table::horizons(title, "", columns, horizons_s, &GROWTH);
+    let paper = reference::interaction();
+    table.add_paper(&paper, columns.len() * horizons_s.len(), |paper, method, cell| {
+        let (column, horizon_s) = (&columns[cell / horizons_s.len()], horizons_s[cell % horizons_s.len()]);
+        of_paper(paper, method, column.name.trim_start_matches("seen "), horizon_s)
+    });
+    table
+}
+
+fn of_paper(paper: &[PaperRow], method: &str, scene: &str, horizon_s: f64) -> Option<Errors> {
+    let wanted =
+        |row: &&PaperRow| row.method == method && row.scene == scene && row.horizon_s == Some(horizon_s);
+    paper.iter().find(wanted).map(|row| row.errors)
+}
+
+/// Weights are told once, whatever is done with them.
+fn add_provenance(report: &mut Report, provenance: crate::Provenance) {
+    if !report.provenance.contains(&provenance) {
+        report.provenance.push(provenance);
+    }
+}
+
+fn input(choice: MapChoice, site: Option<&ContextMap>) -> MapInput<'_> {
+    match (choice, site) {
+        (MapChoice::None, _) => MapInput::None,
+        (MapChoice::Site, Some(site)) => MapInput::Site(site),
+        _ => MapInput::Online,
+    }
+}
+
+/// The map of a site's training recordings.
+fn map_of(training: &[Footage], site: &str) -> Option<ContextMap> {
+    let of_site = training.iter().filter(|footage| site_of(footage) == site);
+    site_map(of_site.flat_map(|footage| &footage.scenes))
+}
+
+/// The folder of a recording: `DR_USA_Roundabout_FT`.
+fn folder(path: &Path) -> String {
+    let folder = path.parent().and_then(Path::file_name);
+    folder.map_or_else(String::new, |folder| folder.to_string_lossy().into_owned())
+}
+
+fn site_of(footage: &Footage) -> String {
+    footage.recording.name.split('/').next().unwrap_or_default().to_owned()
+}
+
+/// What a site is called among people: `FT`.
+fn short(site: &str) -> &str {
+    site.rsplit('_').next().unwrap_or(site)
+}

@@ -1,0 +1,168 @@
+//! Reports: tables for people, and every figure in a line of its own for machines.
+
+mod table;
+
+use metrics::Interval;
+use serde::Serialize;
+
+pub(crate) use table::{Column, Table};
+
+use crate::group::Group;
+use crate::weights::Provenance;
+use crate::{Measure, Method};
+
+/// One number of a report.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Figure {
+    /// What part of the data it is of.
+    pub part: String,
+    /// Which of its agents.
+    pub subset: &'static str,
+    /// What is told, with its unit.
+    pub quantity: String,
+    /// Whose forecasts.
+    pub method: &'static str,
+    /// By which comparison; empty where the quantity needs none.
+    pub measure: &'static str,
+    /// Up to this time ahead.
+    pub horizon_s: f64,
+    /// The number.
+    pub value: f64,
+    /// Its 95 % interval, where it has one.
+    pub interval: Option<[f64; 2]>,
+    /// Agents that it is of.
+    pub agents: u64,
+}
+
+/// What an evaluation found.
+#[derive(Clone, Debug, Default)]
+pub struct Report {
+    /// What was evaluated.
+    pub title: String,
+    /// By which weights.
+    pub provenance: Vec<Provenance>,
+    /// For people.
+    tables: Vec<Table>,
+    /// For machines.
+    pub figures: Vec<Figure>,
+}
+
+impl Report {
+    pub(crate) fn new(title: &str) -> Self {
+        Self { title: title.to_owned(), ..Self::default() }
+    }
+
+    pub(crate) fn add_table(&mut self, table: Table) {
+        self.tables.push(table);
+    }
+
+    /// Adds every figure of a group.
+    pub(crate) fn add_figures(&mut self, group: &Group, horizons_s: &[f64]) {
+        for (horizon, &horizon_s) in horizons_s.iter().enumerate() {
+            let figure =
+                |quantity: String, method: Method, measure: &'static str, value: f64, agents: u64| Figure {
+                    part: group.part.clone(),
+                    subset: group.subset.name(),
+                    quantity,
+                    method: method.name(),
+                    measure,
+                    horizon_s,
+                    value,
+                    interval: None,
+                    agents,
+                };
+            for (method, measure) in all_pairs() {
+                let Some(errors) = group.total.errors(method, measure, horizon) else { continue };
+                let agents = group.total.len(method, measure);
+                for (name, value) in [("ADE", errors.ade_m), ("FDE", errors.fde_m)] {
+                    let quantity = format!("{name}, {}", group.unit);
+                    self.figures.push(figure(quantity, method, measure.name(), value, agents));
+                }
+            }
+            for rate in table::rates(&group.total, horizon) {
+                let agents = group.total.agents_len;
+                let told =
+                    rate.value.map(|value| figure(rate.name.to_owned(), Method::Network, "", value, agents));
+                self.figures.extend(told);
+            }
+            if horizon + 1 < horizons_s.len() {
+                continue;
+            }
+            for (measure, method) in table::COMPARED {
+                let Some(pair) = group.compare(method, measure, horizon) else { continue };
+                for (name, contrast) in ["ADE", "FDE"].iter().zip(pair) {
+                    let Interval { low, mean, high } = contrast.difference;
+                    let quantity = format!("ours less theirs, {name}, {}", group.unit);
+                    let agents = group.total.len(method, measure);
+                    let told = figure(quantity, method, measure.name(), mean, agents);
+                    self.figures.push(Figure { interval: Some([low, high]), ..told });
+                }
+            }
+        }
+    }
+
+    /// The report as Markdown that also reads well in a terminal.
+    #[must_use]
+    pub fn markdown(&self) -> String {
+        let mut text = format!("## {}\n\n", self.title);
+        let made = self.made();
+        for table in &self.tables {
+            text += &table.markdown(&made);
+            text += "\n";
+        }
+        text += "Weights and maps of the tables above:\n\n";
+        for provenance in &self.provenance {
+            text += &format!("* {}\n", provenance.line());
+        }
+        text
+    }
+
+    /// How the 20 forecasts of each agent were made, in a line for every table.
+    fn made(&self) -> String {
+        let mut draws: Vec<&str> = self.provenance.iter().map(|provenance| &provenance.draws[..]).collect();
+        draws.dedup();
+        let mut weights: Vec<&str> =
+            self.provenance.iter().map(|p| p.sha256.get(..8).unwrap_or_default()).collect();
+        weights.dedup();
+        format!(
+            "Best of 20: ours {}; B* and anchors all of their 20 modes; CVM-S 20 of 20 draws. Weights {}.",
+            draws.join(" or "),
+            weights.join(", "),
+        )
+    }
+
+    /// Every figure, a line each, and behind it what makes it: weights, draws, map.
+    #[must_use]
+    pub fn csv(&self) -> String {
+        let mut text =
+            "part,subset,method,measure,horizon_s,quantity,value,low,high,agents,weights_sha256\n".to_owned();
+        for figure in &self.figures {
+            let Figure { part, subset, quantity, method, measure, horizon_s, value, interval, agents } =
+                figure;
+            let interval =
+                interval.map_or_else(|| ",".to_owned(), |[low, high]| format!("{low:.6},{high:.6}"));
+            let sha256 = self.provenance_of(part).map_or("", |provenance| &provenance.sha256);
+            text += &format!(
+                "\"{part}\",{subset},\"{method}\",\"{measure}\",{horizon_s},\"{quantity}\",{value:.6},{interval},{agents},{sha256}\n"
+            );
+        }
+        text
+    }
+
+    /// Everything as JSON.
+    #[must_use]
+    pub fn json(&self) -> serde_json::Value {
+        serde_json::json!({ "title": self.title, "provenance": self.provenance, "figures": self.figures })
+    }
+
+    /// Of the weights of a part; a part is named like its provenance or begins like it.
+    fn provenance_of(&self, part: &str) -> Option<&Provenance> {
+        let of = |provenance: &&Provenance| part.starts_with(&provenance.part);
+        self.provenance.iter().filter(of).max_by_key(|provenance| provenance.part.len())
+    }
+}
+
+/// Every method with every measure.
+fn all_pairs() -> impl Iterator<Item = (Method, Measure)> {
+    Method::ALL.into_iter().flat_map(|method| Measure::ALL.map(|measure| (method, measure)))
+}

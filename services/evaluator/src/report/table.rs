@@ -1,0 +1,240 @@
+//! Tables: a row per method and measure, a column per part of the data.
+
+use metrics::Interval;
+
+use crate::group::{Group, RESAMPLES};
+use crate::reference::PaperRow;
+use crate::{Errors, Measure, Method, Tally};
+
+/// What our forecasts are compared with, and by which measure.
+pub(crate) const COMPARED: [(Measure, Method); 6] = [
+    (Measure::BestOf, Method::Base),
+    (Measure::BestOf, Method::Anchors),
+    (Measure::Joint, Method::Base),
+    (Measure::Joint, Method::Anchors),
+    (Measure::Single, Method::Base),
+    (Measure::Single, Method::ConstantVelocity),
+];
+
+/// A table of text.
+#[derive(Clone, Debug)]
+pub(crate) struct Table {
+    title: String,
+    note: String,
+    head: Vec<String>,
+    /// Columns of names, before those of figures.
+    names_len: usize,
+    rows: Vec<Vec<String>>,
+}
+
+/// A column: some groups, of which it tells the mean.
+#[derive(Clone, Debug)]
+pub(crate) struct Column<'a> {
+    pub(crate) name: String,
+    pub(crate) groups: Vec<&'a Group>,
+}
+
+impl<'a> Column<'a> {
+    /// A column of one group.
+    pub(crate) fn of(name: &str, group: &'a Group) -> Self {
+        Self { name: name.to_owned(), groups: vec![group] }
+    }
+
+    fn errors(&self, method: Method, measure: Measure, horizon: usize) -> Option<Errors> {
+        let errors = self.groups.iter().map(|group| group.total.errors(method, measure, horizon));
+        let errors: Vec<Errors> = errors.collect::<Option<_>>()?;
+        let mean = |of: fn(&Errors) -> f64| errors.iter().map(of).sum::<f64>() / errors.len() as f64;
+        (!errors.is_empty()).then(|| Errors { ade_m: mean(|e| e.ade_m), fde_m: mean(|e| e.fde_m) })
+    }
+}
+
+impl Table {
+    /// An empty table with the `names` of its first columns.
+    fn new(title: &str, note: &str, names: &[&str], columns: impl Iterator<Item = String>) -> Self {
+        let head = names.iter().map(|name| (*name).to_owned()).chain(columns).collect();
+        Self {
+            title: title.to_owned(),
+            note: note.to_owned(),
+            head,
+            names_len: names.len(),
+            rows: Vec::new(),
+        }
+    }
+
+    /// ADE / FDE of every method and measure at one horizon.
+    pub(crate) fn errors(title: &str, note: &str, columns: &[Column<'_>], horizon: usize) -> Self {
+        let mut table = Self::new(title, note, &["measure", "method"], names(columns));
+        for measure in Measure::ALL {
+            for method in Method::ALL {
+                let cells = columns.iter().map(|column| column.errors(method, measure, horizon));
+                table.push([measure.name(), method.name()], cells);
+            }
+        }
+        table
+    }
+
+    /// ADE / FDE of `rows` over all horizons, column after column.
+    pub(crate) fn horizons(
+        title: &str,
+        note: &str,
+        columns: &[Column<'_>],
+        horizons_s: &[f64],
+        rows: &[(Measure, Method)],
+    ) -> Self {
+        let horizon = |column: &Column<'_>| {
+            let name = column.name.clone();
+            horizons_s.iter().map(move |s| format!("{name} {s:.1} s")).collect::<Vec<_>>()
+        };
+        let columns_of = columns.iter().flat_map(horizon);
+        let mut table = Self::new(title, note, &["measure", "method"], columns_of);
+        for &(measure, method) in rows {
+            let of = |column: &Column<'_>| {
+                (0..horizons_s.len())
+                    .map(|horizon| column.errors(method, measure, horizon))
+                    .collect::<Vec<_>>()
+            };
+            table.push([measure.name(), method.name()], columns.iter().flat_map(of));
+        }
+        table
+    }
+
+    /// Adds the rows of the paper's methods; `cell` finds what belongs into a column.
+    pub(crate) fn add_paper<'a>(
+        &mut self,
+        paper: &'a [PaperRow],
+        columns_len: usize,
+        cell: impl Fn(&'a [PaperRow], &str, usize) -> Option<Errors>,
+    ) {
+        for method in crate::reference::methods(paper) {
+            let cells = (0..columns_len).map(|column| cell(paper, method, column));
+            self.push(["best of 20", &format!("{method} (paper)")], cells);
+        }
+    }
+
+    /// Misses, densities, coverage, collisions and broken limits at one horizon.
+    pub(crate) fn rates(title: &str, note: &str, columns: &[Column<'_>], horizon: usize) -> Self {
+        let mut table = Self::new(title, note, &["ours"], names(columns));
+        let of_columns: Vec<Vec<Vec<Rate>>> = columns
+            .iter()
+            .map(|column| column.groups.iter().map(|group| rates(&group.total, horizon)).collect())
+            .collect();
+        for (row, Rate { name, decimals, .. }) in rates(&Tally::new(horizon + 1), horizon).iter().enumerate()
+        {
+            let cell = |groups: &Vec<Vec<Rate>>| {
+                let values: Option<Vec<f64>> = groups.iter().map(|rates| rates[row].value).collect();
+                let values = values.filter(|values| !values.is_empty());
+                values.map_or_else(
+                    || "-".to_owned(),
+                    |values| format!("{:.decimals$}", values.iter().sum::<f64>() / values.len() as f64),
+                )
+            };
+            let cells = of_columns.iter().map(cell);
+            table.rows.push(std::iter::once((*name).to_owned()).chain(cells).collect());
+        }
+        table
+    }
+
+    /// Our errors beside theirs with 95 % intervals.
+    pub(crate) fn comparisons(title: &str, columns: &[Column<'_>], horizon: usize) -> Self {
+        let note = format!(
+            "Ours less theirs on the same agents, in % of theirs, ADE / FDE: below 0 we are better, surely so where the \
+             whole 95 % interval is. Paired bootstrap, {RESAMPLES} resamples of blocks as long as one window."
+        );
+        let mut table = Self::new(title, &note, &["measure", "against"], names(columns));
+        for (measure, method) in COMPARED {
+            let cell = |column: &Column<'_>| {
+                let [group] = column.groups[..] else { return None };
+                let pair = group.compare(method, measure, horizon)?;
+                Some(pair.map(|contrast| percent(&contrast.ratio)).join(" / "))
+            };
+            let cells: Vec<Option<String>> = columns.iter().map(cell).collect();
+            if cells.iter().any(Option::is_some) {
+                let cells = cells.into_iter().map(|cell| cell.unwrap_or_else(|| "-".to_owned()));
+                table.rows.push(
+                    [measure.name(), method.name()].map(str::to_owned).into_iter().chain(cells).collect(),
+                );
+            }
+        }
+        table
+    }
+
+    /// Adds a row of errors unless it is empty.
+    fn push(&mut self, names: [&str; 2], cells: impl Iterator<Item = Option<Errors>>) {
+        let cells: Vec<Option<Errors>> = cells.collect();
+        if cells.iter().all(Option::is_none) {
+            return;
+        }
+        let text = |errors: &Option<Errors>| {
+            errors.map_or_else(|| "-".to_owned(), |e| format!("{} / {}", digits(e.ade_m), digits(e.fde_m)))
+        };
+        self.rows.push(names.map(str::to_owned).into_iter().chain(cells.iter().map(text)).collect());
+    }
+
+    /// The table as Markdown; `made` tells how its figures were made.
+    pub(crate) fn markdown(&self, made: &str) -> String {
+        let columns_len = self.head.len();
+        let rows = || std::iter::once(&self.head).chain(&self.rows);
+        let width = |column: usize| rows().map(|row| row[column].chars().count()).max().unwrap_or(0);
+        let widths: Vec<usize> = (0..columns_len).map(width).collect();
+        let line = |row: &Vec<String>| {
+            let cells = row.iter().zip(&widths).enumerate().map(|(column, (cell, &width))| {
+                // Names to the left, figures to the right.
+                if column < self.names_len {
+                    format!(" {cell:<width$} |")
+                } else {
+                    format!(" {cell:>width$} |")
+                }
+            });
+            format!("|{}\n", cells.collect::<String>())
+        };
+        let rule: String = widths.iter().map(|width| format!("{}|", "-".repeat(width + 2))).collect();
+        let body: String = self.rows.iter().map(line).collect();
+        let space = if self.note.is_empty() { "" } else { " " };
+        format!("### {}\n\n{}{space}{made}\n\n{}|{rule}\n{body}", self.title, self.note, line(&self.head))
+    }
+}
+
+fn names(columns: &[Column<'_>]) -> impl Iterator<Item = String> {
+    columns.iter().map(|column| column.name.clone())
+}
+
+/// Three decimals, or two from 10 on.
+fn digits(value: f64) -> String {
+    if value < 10.0 { format!("{value:.3}") } else { format!("{value:.2}") }
+}
+
+/// A ratio as what is more or less than the whole.
+fn percent(&Interval { low, mean, high }: &Interval) -> String {
+    let [low, mean, high] = [low, mean, high].map(|ratio| 100.0 * (ratio - 1.0));
+    format!("{mean:+.1} [{low:+.1}, {high:+.1}]")
+}
+
+/// Something that is told of the network besides errors.
+pub(crate) struct Rate {
+    pub(crate) name: &'static str,
+    pub(crate) value: Option<f64>,
+    decimals: usize,
+}
+
+/// What is told of the network besides errors, and of how many scenes and agents.
+pub(crate) fn rates(tally: &Tally, horizon: usize) -> Vec<Rate> {
+    let sureness = tally.sureness(horizon);
+    let count = |name, len: u64| Rate { name, value: Some(len as f64), decimals: 0 };
+    let percent = |name, share: &metrics::Share| Rate {
+        name,
+        value: share.value().map(|share| 100.0 * share),
+        decimals: 1,
+    };
+    vec![
+        count("scenes", tally.scenes_len),
+        count("agents", tally.agents_len),
+        Rate { name: "KDE-NLL", value: sureness.kde_nll.value(), decimals: 3 },
+        percent("in the 50 % region, %", &sureness.covered_50),
+        percent("in the 90 % region, %", &sureness.covered_90),
+        percent("best of 20 ends over 2 m off, %", &sureness.missed_best),
+        percent("K = 1 ends over 2 m off, %", &sureness.missed_single),
+        percent("K = 1 forecasts that collide, %", &tally.collided),
+        percent("recorded futures that collide, %", &tally.truly_collided),
+        percent("forecasts that break a limit, %", &tally.broken),
+    ]
+}

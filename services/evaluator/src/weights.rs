@@ -1,0 +1,159 @@
+//! Which weights a table is made with, and what is to be told of them.
+
+use std::path::PathBuf;
+
+use data::Recording;
+use nn::{Latents, ModelConfig, Weights};
+
+use crate::{EvaluateError, Forecaster};
+
+/// The recipe whose weights the executable carries.
+pub(crate) const EMBEDDED: &str = "onboard";
+
+/// Where weights come from.
+#[derive(Clone, Debug, PartialEq)]
+pub struct WeightsChoice {
+    /// The weights for everything.
+    pub file: Option<PathBuf>,
+    /// Otherwise the folder that holds a file per recipe; the onboard weights are always at hand.
+    pub folder: PathBuf,
+}
+
+/// Weights, ready to forecast.
+pub(crate) struct Model {
+    pub(crate) forecaster: Forecaster,
+    pub(crate) path: String,
+    sha256: String,
+    recipe: Option<String>,
+    seed: Option<u64>,
+    /// Fingerprints of the recordings that training saw.
+    trained_on: Vec<String>,
+}
+
+/// What a report tells of the weights behind a part of its figures.
+#[derive(Clone, Debug, PartialEq, serde::Serialize)]
+pub struct Provenance {
+    /// The part.
+    pub part: String,
+    /// The weights file.
+    pub weights: String,
+    /// Its fingerprint.
+    pub sha256: String,
+    /// The recipe that its card names.
+    pub recipe: Option<String>,
+    /// The seed that its card names.
+    pub seed: Option<u64>,
+    /// How the 20 forecasts of an agent were made.
+    pub draws: String,
+    /// What the network saw of the ground.
+    pub map: String,
+    /// Recordings that the figures are of.
+    pub recordings: usize,
+    /// How many of them the card names as seen in training.
+    pub seen_in_training: usize,
+}
+
+impl WeightsChoice {
+    /// Opens the weights that `recipe` makes, or those that were asked for in their place.
+    pub(crate) fn open(&self, recipe: &str, seed: u64) -> Result<Model, EvaluateError> {
+        let path = self.file.clone().unwrap_or_else(|| self.folder.join(format!("{recipe}.safetensors")));
+        let mut told = path.display().to_string();
+        let failed = |source| EvaluateError::Weights { path: path.display().to_string(), source };
+        let weights = if self.file.is_none() && recipe == EMBEDDED {
+            "embedded".clone_into(&mut told);
+            Weights::onboard()
+        } else if path.exists() {
+            Weights::open(&path).map_err(failed)?
+        } else {
+            return Err(EvaluateError::NoWeights { path: told, recipe: recipe.to_owned() });
+        };
+        let forecaster = Forecaster::new(&weights, seed).map_err(failed)?;
+        let card = weights.card();
+        let entry =
+            |name: &str| card.and_then(|card| card.get(name).or_else(|| card.get("options")?.get(name)));
+        let recordings = card.and_then(|card| card.get("recordings")?.as_array());
+        let fingerprint = |recording: &serde_json::Value| Some(recording.get("sha256")?.as_str()?.to_owned());
+        Ok(Model {
+            forecaster,
+            sha256: weights.sha256().to_owned(),
+            recipe: entry("recipe").and_then(|recipe| Some(recipe.as_str()?.to_owned())),
+            seed: entry("seed").and_then(serde_json::Value::as_u64),
+            trained_on: recordings.into_iter().flatten().filter_map(fingerprint).collect(),
+            path: told,
+        })
+    }
+}
+
+impl Model {
+    /// What is to be told of the model's part in a report.
+    pub(crate) fn provenance(&self, part: &str, map: &str, recordings: &[&Recording]) -> Provenance {
+        let seen = recordings.iter().filter(|recording| self.trained_on.contains(&recording.sha256));
+        Provenance {
+            part: part.to_owned(),
+            weights: self.path.clone(),
+            sha256: self.sha256.clone(),
+            recipe: self.recipe.clone(),
+            seed: self.seed,
+            draws: draws(self.forecaster.config()),
+            map: if self.forecaster.config().context { map } else { "not read" }.to_owned(),
+            recordings: recordings.len(),
+            seen_in_training: seen.count(),
+        }
+    }
+
+    /// Refuses a model whose steps are not those in which a set is told.
+    pub(crate) fn check_steps(
+        &self,
+        set: &'static str,
+        history_len: usize,
+        horizon_len: usize,
+        dt_s: f64,
+    ) -> Result<(), EvaluateError> {
+        let config = self.forecaster.config();
+        let own = (config.history_len, config.horizon_len, config.step_ns());
+        if own == (history_len, horizon_len, (dt_s * 1e9).round() as u64) {
+            return Ok(());
+        }
+        Err(EvaluateError::Steps {
+            path: self.path.clone(),
+            own: steps(config.history_len, config.horizon_len, config.dt_s),
+            set,
+            wanted: steps(history_len, horizon_len, dt_s),
+        })
+    }
+}
+
+fn steps(history_len: usize, horizon_len: usize, dt_s: f64) -> String {
+    format!("{history_len} + {horizon_len} steps of {dt_s} s")
+}
+
+/// How a model's forecasts of an agent are made, and how many of how many are kept.
+fn draws(config: &ModelConfig) -> String {
+    let modes_len = config.modes;
+    match config.latents {
+        Latents::Points => format!("{modes_len} of {modes_len} learned latent points, none selected"),
+        Latents::Normal => format!("{modes_len} of {modes_len} seeded draws from N(0, I), none selected"),
+    }
+}
+
+impl Provenance {
+    /// In one line.
+    #[must_use]
+    pub fn line(&self) -> String {
+        let recipe = self.recipe.as_deref().unwrap_or("not told");
+        let seed = self.seed.map_or_else(|| "not told".to_owned(), |seed| seed.to_string());
+        let seen = match self.seen_in_training {
+            0 => String::new(),
+            seen => format!(", {seen} SEEN IN TRAINING"),
+        };
+        format!(
+            "{}: {} ({}, recipe {recipe}, seed {seed}), {} recordings{seen}, map {}, {}",
+            self.part,
+            self.weights,
+            &self.sha256[..12.min(self.sha256.len())],
+            self.recordings,
+            self.map,
+            self.draws,
+        )
+    }
+}

@@ -1,0 +1,102 @@
+//! The first convolution, which reads patches as they come: \[image, channel, row, column\].
+//!
+//! Its three input channels would leave most of a vector empty. What an output position sees is therefore copied to rows
+//! \[image, (channel, row, column)\], in the order of the kernel, and multiplied as by a linear layer.
+
+use nn::kernels::product::{Gather, PANEL, Panels, Product};
+use wire::PATCH_CHANNELS;
+
+use super::convolution::{Geometry, add_outer};
+use super::map::Map;
+use crate::net::tensors::{Gradients, Tensors};
+
+/// The convolution with the kernel `name` \[out, 3, row, column\].
+pub(super) struct Stem {
+    pub(super) name: String,
+    pub(super) geometry: Geometry,
+    pub(super) out_channels: usize,
+}
+
+impl Stem {
+    pub(super) fn forward(&self, weights: &Tensors, patches: &[f32]) -> Map {
+        let kernel = weights.get(&self.name);
+        let in_len = self.in_len();
+        let panels =
+            Panels::pack([self.out_channels, 1, in_len], |out, _, i| kernel[out * in_len + i], |_| 0.0);
+        let images = patches.len() / self.patch_len();
+        assert!(images > 0 && patches.len().is_multiple_of(self.patch_len()), "whole patches, at least one");
+        let mut y = Map::zeros(self.positions(), images, self.out_channels);
+        let mut seen = self.nothing(images);
+        let gather = Gather::Rows { stride: self.stride() };
+        for position in 0..y.positions {
+            self.see(patches, position, &mut seen);
+            let out = y.position_mut(position);
+            Product { input: &seen, gather, panels: &panels, residual: None, relu: false, out }.run();
+        }
+        y
+    }
+
+    /// Adds the gradient by the kernel.
+    pub(super) fn by_kernel(&self, gradients: &mut Gradients, patches: &[f32], dy: &Map) {
+        let lens = [self.stride(), dy.channels];
+        let mut sums = vec![0.0; lens[0] * lens[1]];
+        let mut seen = self.nothing(dy.images);
+        for position in 0..dy.positions {
+            self.see(patches, position, &mut seen);
+            add_outer([&seen, dy.position(position)], lens, &mut sums);
+        }
+        let kernel = gradients.get_mut(&self.name).chunks_exact_mut(self.in_len());
+        for (out, kernel) in kernel.enumerate() {
+            for (weight, sums) in kernel.iter_mut().zip(sums.chunks_exact(lens[1])) {
+                *weight += sums[out];
+            }
+        }
+    }
+
+    /// Copies what the output `position` sees of each image to rows of `seen`; padding stays as it is, zero.
+    fn see(&self, patches: &[f32], position: usize, seen: &mut [f32]) {
+        let Geometry { side, kernel, stride, padding } = self.geometry;
+        let out_side = self.geometry.out_side();
+        seen.fill(0.0);
+        // Kernel cells that lie on the patch, and the first patch cell that they see.
+        let inside = |out: usize| {
+            let first = padding.saturating_sub(out * stride);
+            let end = kernel.min(side + padding - out * stride);
+            (first..end, out * stride + first - padding)
+        };
+        let (rows, top) = inside(position / out_side);
+        let (columns, left) = inside(position % out_side);
+        let images = patches.chunks_exact(self.patch_len()).zip(seen.chunks_exact_mut(self.stride()));
+        for (patch, seen) in images {
+            for (channel, plane) in patch.chunks_exact(side * side).enumerate() {
+                for (number, row) in rows.clone().enumerate() {
+                    let cells = &plane[(top + number) * side + left..][..columns.len()];
+                    let place = (channel * kernel + row) * kernel;
+                    seen[place..][columns.clone()].copy_from_slice(cells);
+                }
+            }
+        }
+    }
+
+    fn nothing(&self, images: usize) -> Vec<f32> {
+        vec![0.0; images * self.stride()]
+    }
+
+    const fn positions(&self) -> usize {
+        self.geometry.out_side() * self.geometry.out_side()
+    }
+
+    const fn patch_len(&self) -> usize {
+        PATCH_CHANNELS * self.geometry.side * self.geometry.side
+    }
+
+    /// Cells that the kernel sees.
+    const fn in_len(&self) -> usize {
+        PATCH_CHANNELS * self.geometry.kernel * self.geometry.kernel
+    }
+
+    /// The same in whole panels.
+    const fn stride(&self) -> usize {
+        self.in_len().next_multiple_of(PANEL)
+    }
+}

@@ -1,0 +1,289 @@
+use std::f64::consts::{PI, TAU};
+
+use scene::State;
+
+use crate::Point;
+use crate::limits::BicycleLimits;
+
+/// Share by which every limit may be passed: what f32 leaves of it in a rollout.
+const ROUNDING: f64 = 1e-3;
+/// Units in the last place by which a coordinate may be off.
+const ULPS: f64 = 4.0;
+
+/// Follows the positions of a vehicle for as long as a bicycle could have driven them.
+///
+/// A bicycle's step is a straight *chord* whose length is its mean speed times Δt and whose direction is the *course*,
+/// ψ + β in the middle of the step. In the time t between the middles of two chords
+///
+/// ```text
+/// |Δ speed| ≤ a t      |Δ course| ≤ κ path + min(β̇ t, 2 β)      κ = sin β / l_r
+/// ```
+///
+/// with the limits a, β and β̇: the heading turns by at most κ times the path, the rest is slip. Slip comes back, so that
+/// over any number of steps, too, the course turns by at most κ times the path and 2 β. The path between two middles
+/// is taken as the longer chord, which holds for the bicycle's Euler steps as well as for its midpoint steps. Driving
+/// backwards is driving with a negative speed along the opposite course.
+pub(crate) struct Steering {
+    limits: Bounds,
+    dt_s: f64,
+    position_m: [f64; 2],
+    /// Speed in the middle of the newest chord; negative in reverse.
+    speed_mps: f64,
+    /// The newest course that is known; the heading before the first.
+    course_rad: f64,
+    is_heading: bool,
+    /// How far rounding of the positions may have turned it.
+    blur_rad: f64,
+    /// Length of the newest chord; `None` before the first.
+    chord_m: Option<f64>,
+    /// Time since, and path along which, the course is not known.
+    unseen_s: f64,
+    unseen_m: f64,
+    left: Swing,
+    right: Swing,
+}
+
+/// [`BicycleLimits`] in double precision, with the room for rounding.
+struct Bounds {
+    acceleration_mps2: f64,
+    slip_rad: f64,
+    slip_rate_radps: f64,
+    curvature_radpm: f64,
+}
+
+/// How far the course has turned to one side, less the turn of the heading that the path explains.
+#[derive(Clone, Copy)]
+struct Swing {
+    now_rad: f64,
+    lowest_rad: f64,
+}
+
+impl Steering {
+    pub(crate) fn new(limits: &BicycleLimits, now: &State, dt_s: f32) -> Self {
+        let room = |limit: f32| f64::from(limit) * (1.0 + ROUNDING);
+        let limits = Bounds {
+            acceleration_mps2: room(limits.acceleration_mps2),
+            slip_rad: room(limits.slip_rad),
+            slip_rate_radps: room(limits.slip_rate_radps),
+            curvature_radpm: room(limits.slip_rad).sin() / f64::from(limits.rear_axle_m),
+        };
+        let course_rad = f64::from(now.heading_rad);
+        let (sin, cos) = course_rad.sin_cos();
+        let [vx, vy] = now.velocity_mps.map(f64::from);
+        // The course may be off the heading by β to either side, not by 2 β.
+        let swing = Swing { now_rad: 0.0, lowest_rad: -limits.slip_rad };
+        Self {
+            limits,
+            dt_s: f64::from(dt_s),
+            position_m: now.position_m.map(f64::from),
+            speed_mps: vx * cos + vy * sin,
+            course_rad,
+            is_heading: true,
+            blur_rad: 0.0,
+            chord_m: None,
+            unseen_s: 0.0,
+            unseen_m: 0.0,
+            left: swing,
+            right: swing,
+        }
+    }
+
+    /// Drives one step further, to `next`; false where no bicycle within the limits can.
+    pub(crate) fn reaches(&mut self, next: Point) -> bool {
+        let next = next.map(f64::from);
+        let [dx, dy] = [0, 1].map(|axis| next[axis] - self.position_m[axis]);
+        let chord_m = dx.hypot(dy);
+        let largest_m = next.iter().chain(&self.position_m).fold(0.0_f64, |most, x| most.max(x.abs()));
+        let rounding_m = ULPS * f64::from(f32::EPSILON) * largest_m;
+        // From now to the middle of the first chord is half a step.
+        let elapsed_s = if self.chord_m.is_some() { self.dt_s } else { 0.5 * self.dt_s };
+        self.unseen_s += elapsed_s;
+        self.unseen_m += self.chord_m.map_or(0.5 * chord_m, |before_m| before_m.max(chord_m));
+
+        let speed_mps = chord_m / self.dt_s;
+        let gain_mps = self.limits.acceleration_mps2 * elapsed_s + rounding_m / self.dt_s;
+        let course_rad = dy.atan2(dx);
+        let ways = [(speed_mps, course_rad), (-speed_mps, course_rad + PI)]
+            .map(|(speed_mps, course_rad)| (speed_mps, wrap(course_rad - self.course_rad)));
+        let within = ways.map(|(speed_mps, _)| (speed_mps - self.speed_mps).abs() <= gain_mps);
+        let (speed_mps, turn_rad) = match within {
+            [true, true] if ways[1].1.abs() < ways[0].1.abs() => ways[1],
+            [true, _] => ways[0],
+            [false, true] => ways[1],
+            [false, false] => return false,
+        };
+        // Turned by more than this, a course is taken for another.
+        let clear_rad = if within == [true, true] { 0.5 * PI } else { PI };
+        self.speed_mps = speed_mps;
+        self.position_m = next;
+        self.chord_m = Some(chord_m);
+        // A chord that rounding can turn around has no course.
+        chord_m <= 2.0 * rounding_m || self.turns(turn_rad, clear_rad, rounding_m / chord_m)
+    }
+
+    fn turns(&mut self, turn_rad: f64, clear_rad: f64, blur_rad: f64) -> bool {
+        let heading_rad = self.limits.curvature_radpm * self.unseen_m;
+        let both_slips_rad = 2.0 * self.limits.slip_rad;
+        let slip_rad = if self.is_heading {
+            self.limits.slip_rad
+        } else {
+            both_slips_rad.min(self.limits.slip_rate_radps * self.unseen_s)
+        };
+        let blurs_rad = blur_rad + self.blur_rad;
+        self.course_rad += turn_rad;
+        self.is_heading = false;
+        self.blur_rad = blur_rad;
+        (self.unseen_s, self.unseen_m) = (0.0, 0.0);
+        if heading_rad + slip_rad >= clear_rad {
+            // It may have turned so far that nothing ties this course to those before.
+            (self.left, self.right) = (Swing::new(blur_rad), Swing::new(blur_rad));
+            return true;
+        }
+        let within = turn_rad.abs() <= heading_rad + slip_rad + blurs_rad;
+        let left = self.left.advance(turn_rad - heading_rad, blur_rad);
+        let right = self.right.advance(-turn_rad - heading_rad, blur_rad);
+        within && left.max(right) <= both_slips_rad
+    }
+}
+
+impl Swing {
+    const fn new(blur_rad: f64) -> Self {
+        Self { now_rad: 0.0, lowest_rad: blur_rad }
+    }
+
+    /// Turns by `rad` and returns by how much it surely is above its lowest.
+    fn advance(&mut self, rad: f64, blur_rad: f64) -> f64 {
+        self.now_rad += rad;
+        let above_rad = self.now_rad - blur_rad - self.lowest_rad;
+        self.lowest_rad = self.lowest_rad.min(self.now_rad + blur_rad);
+        above_rad
+    }
+}
+
+/// The angle in (−π, π] that points the same way.
+fn wrap(angle_rad: f64) -> f64 {
+    let wrapped = angle_rad.rem_euclid(TAU);
+    if wrapped > PI { wrapped - TAU } else { wrapped }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::Limits;
+    use kinematics::{Bicycle, BicycleState, ControlLimits, Integrator, Motion, Vehicle};
+    use proptest::prelude::*;
+
+    const STEPS: usize = 12;
+
+    fn vehicle(limits: &BicycleLimits, integrator: Integrator, dt_s: f32) -> Vehicle {
+        Vehicle {
+            bicycle: Bicycle {
+                rear_axle_m: limits.rear_axle_m,
+                slip_limit_rad: Some(limits.slip_rad),
+                integrator,
+            },
+            limits: ControlLimits {
+                accel_mps2: limits.acceleration_mps2,
+                slip_rate_radps: limits.slip_rate_radps,
+            },
+            dt_s,
+        }
+    }
+
+    fn bicycle(rear_axle_m: f32) -> BicycleLimits {
+        match Limits::vehicle(rear_axle_m) {
+            Limits::Bicycle(limits) => limits,
+            Limits::Point(_) => unreachable!("a vehicle is a bicycle"),
+        }
+    }
+
+    /// A state, and the positions that the vehicle reaches from it under saturated controls.
+    fn drive(vehicle: &Vehicle, start: [f32; 5], controls: &[[f32; 2]]) -> (State, Vec<Point>) {
+        let [x, y, heading, speed, _] = start;
+        let now = State {
+            position_m: [x, y],
+            velocity_mps: [speed * heading.cos(), speed * heading.sin()],
+            heading_rad: heading,
+        };
+        let mut state = BicycleState::from(start);
+        let step = |control: &[f32; 2]| {
+            let (acting, _) = vehicle.saturate(&(*control).into());
+            state = vehicle.step(&state, &acting);
+            [state[0], state[1]]
+        };
+        (now, controls.iter().map(step).collect())
+    }
+
+    fn broken(rear_axle_m: f32, start: [f32; 5], driven: &BicycleLimits, control: [f32; 2]) -> bool {
+        let vehicle = vehicle(driven, Integrator::Midpoint, 0.5);
+        let (now, trajectory) = drive(&vehicle, start, &[control; STEPS]);
+        Limits::vehicle(rear_axle_m).broken_by(&now, &trajectory, 0.5)
+    }
+
+    #[test]
+    fn a_little_more_acceleration_than_the_limit_breaks_it() {
+        let start = [500.0, -300.0, 1.0, 5.0, 0.0];
+        let strong = BicycleLimits { acceleration_mps2: 6.1, ..bicycle(1.2) };
+        assert!(!broken(1.2, start, &bicycle(1.2), [99.0, 0.0]));
+        assert!(broken(1.2, start, &strong, [99.0, 0.0]));
+        assert!(broken(1.2, start, &strong, [-99.0, 0.0]), "braking into reverse");
+    }
+
+    #[test]
+    fn a_tighter_circle_than_the_slip_allows_breaks_it() {
+        let loose = BicycleLimits { slip_rad: 0.8, ..bicycle(1.2) };
+        for speed_mps in [1.0, 3.0, 8.0, -3.0] {
+            let circle = [0.0, 0.0, -2.0, speed_mps, 0.5];
+            assert!(!broken(1.2, circle, &bicycle(1.2), [0.0, 99.0]), "{speed_mps} m/s");
+            assert!(broken(1.2, circle, &loose, [0.0, 99.0]), "{speed_mps} m/s");
+        }
+    }
+
+    #[test]
+    fn a_longer_vehicle_cannot_follow_a_shorter_one() {
+        let circle = [0.0, 0.0, 0.0, 4.0, 0.5];
+        assert!(!broken(1.0, circle, &bicycle(1.0), [0.0, 99.0]));
+        assert!(broken(1.3, circle, &bicycle(1.0), [0.0, 99.0]));
+    }
+
+    #[test]
+    fn a_kink_in_a_slow_path_breaks_the_slip_rate() {
+        let now = State { velocity_mps: [1.0, 0.0], ..State::default() };
+        let kink = |turn: f32| [[0.5, 0.0], [1.0, 0.0], [1.0 + 0.5 * turn.cos(), 0.5 * turn.sin()]];
+        // 0.5 s at 1 rad/s, and 0.5 m at 0.4 rad/m.
+        assert!(!Limits::vehicle(1.2).broken_by(&now, &kink(0.69), 0.5));
+        assert!(Limits::vehicle(1.2).broken_by(&now, &kink(0.71), 0.5));
+    }
+
+    #[test]
+    fn moving_sideways_from_rest_breaks_it_and_backwards_does_not() {
+        let now = State::default();
+        assert!(Limits::vehicle(1.2).broken_by(&now, &[[0.0, 0.3]], 0.5));
+        assert!(!Limits::vehicle(1.2).broken_by(&now, &[[-0.3, 0.0], [-1.0, 0.0]], 0.5));
+        assert!(!Limits::vehicle(1.2).broken_by(&now, &[[0.0; 2]; 3], 0.5));
+    }
+
+    #[test]
+    fn what_is_not_a_number_is_broken() {
+        assert!(Limits::vehicle(1.2).broken_by(&State::default(), &[[f32::NAN, 0.0]], 0.5));
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(4_000))]
+        #[test]
+        fn nothing_that_the_bicycle_drives_is_broken(
+            place in [-2e3f32..2e3, -2e3f32..2e3], heading in -3.2f32..3.2, slip in -0.46f32..0.46,
+            speed in prop_oneof![Just(0.0f32), -2.0f32..2.0, -5.0f32..20.0],
+            rear_axle_m in 0.8f32..2.5, dt_s in prop_oneof![Just(0.1f32), Just(0.4), Just(0.5)], euler: bool,
+            size in prop_oneof![Just([0.3f32, 0.05]), Just([8.0, 1.0]), Just([40.0, 9.0])],
+            controls in prop::collection::vec([-1.0f32..1.0, -1.0f32..1.0], STEPS),
+        ) {
+            let integrator = if euler { Integrator::Euler } else { Integrator::Midpoint };
+            let vehicle = vehicle(&bicycle(rear_axle_m), integrator, dt_s);
+            let controls: Vec<[f32; 2]> = controls.iter().map(|c| [c[0] * size[0], c[1] * size[1]]).collect();
+            let (now, trajectory) = drive(&vehicle, [place[0], place[1], heading, speed, slip], &controls);
+            let cut = (1..=STEPS).find(|&k| Limits::vehicle(rear_axle_m).broken_by(&now, &trajectory[..k], dt_s));
+            prop_assert!(cut.is_none(), "broken at step {cut:?}: {now:?} {trajectory:?}");
+        }
+    }
+}
