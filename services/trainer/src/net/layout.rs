@@ -230,7 +230,7 @@ impl Entries {
         if config.latents == Latents::Points {
             self.learned(format!("{name}.latents"), &[config.modes, LATENT], Fill::Normal(1.0));
         }
-        if config.base_latent {
+        if config.base && config.base_latent {
             let controls = 2 * config.horizon_len;
             let bound = Fill::Uniform(1.0 / (controls as f32).sqrt());
             self.learned(format!("{name}.latent_base.weight"), &[LATENT, controls], bound);

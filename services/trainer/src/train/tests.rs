@@ -47,6 +47,7 @@ fn options(folder: &Path, steps: u64) -> TrainOptions {
     };
     options.model.width = 2;
     options.model.modes = 4;
+    options.model.base_latent = false;
     options
 }
 
@@ -98,8 +99,8 @@ fn forecasts_by_points_agree_with_the_onboard_decoder() {
     let summary = train(&options).unwrap();
     assert_eq!(summary.steps, 1);
     let score = &summary.card.validation[0];
-    assert!(score.base_single.ade_m < 0.5 * score.constant_velocity.ade_m, "{score:?}");
-    assert!(score.base_best_of_modes.ade_m < score.base_single.ade_m, "{score:?}");
+    // The base of pedestrians is constant velocity and what deviates from it.
+    assert!(score.base_best_of_modes.ade_m < 0.5 * score.constant_velocity.ade_m, "{score:?}");
     let bytes = std::fs::read(&options.out).unwrap();
     let weights = nn::Weights::from_bytes(&bytes).unwrap();
     let config = &options.model;
@@ -155,6 +156,8 @@ fn both_objectives_reach_every_learned_tensor_of_their_model() {
     let folder = tempfile::tempdir().unwrap();
     for objective in [Objective::plus(), Objective::paper()] {
         let mut options = TrainOptions { without_map: 0.0, objective, ..options(folder.path(), 1) };
+        // A step that shows in every tensor, however small its gradient.
+        (options.optimiser.warm_up_steps, options.optimiser.learning_rate) = (1, 0.1);
         if matches!(options.objective, Objective::Paper { .. }) {
             options.model.latents = nn::Latents::Normal;
             (options.model.base, options.model.mode_head, options.model.best_latent) = (false, false, false);
