@@ -2,7 +2,7 @@ use std::path::PathBuf;
 
 use clap::Args;
 use config::Exit;
-use trainer::{Device, TrainOptions};
+use trainer::TrainOptions;
 
 use super::card;
 use crate::failure::Failure;
@@ -10,6 +10,10 @@ use crate::failure::Failure;
 /// Arguments of `stgdat train`.
 #[derive(Debug, Args)]
 pub struct Arguments {
+    /// Training of shipped weights: eth, hotel, univ, zara1, zara2, sdd, interaction, interaction-without-FT,
+    /// interaction-without-EP1 or onboard
+    #[arg(long, value_name = "NAME", conflicts_with = "options")]
+    recipe: Option<String>,
     /// Folder with the data sets, laid out as published
     #[arg(long, value_name = "DIR")]
     data: Option<PathBuf>,
@@ -31,6 +35,9 @@ pub struct Arguments {
     /// Updates to make
     #[arg(long, value_name = "N")]
     steps: Option<u64>,
+    /// Threads, each with its part of every batch; figures depend on their number in the last digits
+    #[arg(long, value_name = "N")]
+    workers: Option<usize>,
     /// Print the options and end
     #[arg(long)]
     print_options: bool,
@@ -43,7 +50,7 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
         println!("{}", serde_json::to_string_pretty(&options).map_err(Failure::data)?);
         return Ok(Exit::Done);
     }
-    let summary = trainer::train(&options, &Device::flex()).map_err(Failure::data)?;
+    let summary = trainer::train(&options).map_err(Failure::data)?;
     print!("{}", card::text(&summary.card));
     println!("\n{} updates: {}", summary.steps, options.out.display());
     Ok(Exit::Done)
@@ -51,7 +58,13 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
 
 /// The file's options, or the defaults, as the command line changes them.
 fn options(arguments: &Arguments) -> Result<TrainOptions, Failure> {
-    let mut options = TrainOptions::default();
+    let mut options = match &arguments.recipe {
+        Some(name) => trainer::recipe(name).ok_or_else(|| {
+            let known = trainer::RECIPES.join(", ");
+            Failure::Usage(format!("unknown recipe \"{name}\": expected one of {known}"))
+        })?,
+        None => TrainOptions::default(),
+    };
     if let Some(path) = &arguments.options {
         let text = std::fs::read_to_string(path).map_err(|error| Failure::file(path, &error))?;
         options = serde_json::from_str(&text)
@@ -70,5 +83,6 @@ fn options(arguments: &Arguments) -> Result<TrainOptions, Failure> {
     }
     options.seed = arguments.seed.unwrap_or(options.seed);
     options.steps = arguments.steps.unwrap_or(options.steps);
+    options.workers = arguments.workers.unwrap_or(options.workers);
     Ok(options)
 }

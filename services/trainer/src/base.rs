@@ -8,19 +8,21 @@
 mod fit;
 mod targets;
 
-use burn::tensor::Device;
 use nn::{ModelConfig, base as binning, base::BaseFeatures};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use scene::{AgentFrame, AgentType, FeatureScales, State, state_features};
 use wire::AGENT_TYPES;
 
-use crate::model::TYPE_NAMES;
-use crate::parameters::{Parameters, Role};
+use crate::net::layout::TYPE_NAMES;
+use crate::net::tensors::{Role, Tensors};
 use crate::samples::Agent;
 use fit::Sample;
 
 type Features = [f32; binning::FEATURES];
+
+/// Agents of a type that are fitted to, at most; they are spread evenly.
+const FITTED_MAX: usize = 60_000;
 
 /// The base control of all agent types.
 #[derive(Clone, Debug)]
@@ -39,6 +41,7 @@ struct TypeBase {
 }
 
 /// Base control of one agent.
+#[derive(Debug)]
 pub(crate) struct AgentBase<'a> {
     /// `[horizon × 2]`.
     pub(crate) ridge: Vec<f32>,
@@ -54,18 +57,23 @@ impl BaseControl {
     }
 
     /// Fits ridge and anchors to the agents whose future is known, each with its history cut to every class.
-    pub(crate) fn fit<'a, A>(config: &ModelConfig, agents: impl Fn() -> A, seed: u64) -> Self
+    ///
+    /// Vehicles count once more with noisy histories where `noise` asks for it.
+    pub(crate) fn fit<'a, A>(config: &ModelConfig, agents: impl Fn() -> A, noise: bool, seed: u64) -> Self
     where
         A: Iterator<Item = &'a Agent>,
     {
         let types = AGENT_TYPES.iter().map(|&agent_type| {
             let mut zero = TypeBase::zero(config, agent_type);
             let mut random = ChaCha8Rng::seed_from_u64(seed);
-            let of_type = agents().filter(|agent| agent.agent_type == agent_type && agent.counts);
-            let samples: Vec<Sample> = of_type
-                .flat_map(|agent| Sample::of_every_class(agent, config, &zero.speed_cuts_mps, &mut random))
+            let of_type = || agents().filter(|agent| agent.agent_type == agent_type && agent.counts);
+            let stride = of_type().count().div_ceil(FITTED_MAX).max(1);
+            let cuts_mps = zero.speed_cuts_mps;
+            let samples: Vec<Sample> = of_type()
+                .step_by(stride)
+                .flat_map(|agent| Sample::of_every_class(agent, config, &cuts_mps, (noise, &mut random)))
                 .collect();
-            zero.fit(&samples, config, seed);
+            zero.fit(agent_type, &samples, config, seed);
             zero
         });
         Self { config: config.clone(), types: types.collect() }
@@ -89,12 +97,12 @@ impl BaseControl {
     }
 
     /// Adds the tensors `base.*`.
-    pub(crate) fn store(&self, parameters: &mut Parameters, device: &Device) {
+    pub(crate) fn store(&self, weights: &mut Tensors) {
         let controls_len = 2 * self.config.horizon_len;
         let (modes, horizon) = (self.config.modes, self.config.horizon_len);
         for (name, base) in TYPE_NAMES.iter().zip(&self.types) {
             let mut fixed = |tensor: &str, shape: &[usize], values: Vec<f32>| {
-                parameters.insert(&format!("base.{name}.{tensor}"), shape, values, Role::Fixed, device);
+                weights.insert(&format!("base.{name}.{tensor}"), shape, values, Role::Fixed);
             };
             let shape = [binning::CLASSES, binning::SPEED_BINS, binning::FEATURES, controls_len];
             fixed("ridge", &shape, base.ridge.clone());
@@ -106,10 +114,10 @@ impl BaseControl {
     }
 
     /// Reads the tensors `base.*` back; `None` where they are missing.
-    pub(crate) fn load(parameters: &Parameters, config: &ModelConfig) -> Option<Self> {
+    pub(crate) fn load(weights: &Tensors, config: &ModelConfig) -> Option<Self> {
         let controls_len = 2 * config.horizon_len;
         let types = TYPE_NAMES.iter().map(|name| {
-            let values = |tensor: &str| parameters.values(&format!("base.{name}.{tensor}"));
+            let values = |tensor: &str| Some(weights.0.get(&format!("base.{name}.{tensor}"))?.values.clone());
             let per_bin = config.modes * controls_len;
             let with_zero =
                 |bin: &[f32]| bin.iter().copied().chain(std::iter::repeat_n(0.0, controls_len)).collect();

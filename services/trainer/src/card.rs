@@ -4,8 +4,9 @@ use std::collections::HashMap;
 
 use crate::TrainError;
 use crate::checkpoint::RunProgress;
+use crate::net::file::Precision;
+use crate::net::tensors::Tensors;
 use crate::options::TrainOptions;
-use crate::parameters::{Parameters, Precision};
 use crate::samples::Source;
 use crate::validate::{SetScore, rounded};
 
@@ -73,7 +74,7 @@ impl ModelCard {
     pub(crate) fn new(
         options: &TrainOptions,
         progress: &RunProgress,
-        parameters: &Parameters,
+        weights: &Tensors,
         training: Seen,
         recordings: Vec<Source>,
         [validation, validation_without_map]: [Vec<SetScore>; 2],
@@ -91,7 +92,7 @@ impl ModelCard {
             options,
             step: progress.best_step,
             wall_s: progress.seconds.round(),
-            parameters: parameters.values_len(),
+            parameters: weights.0.values().map(|tensor| tensor.values.len()).sum(),
             training,
             gains: validation.iter().map(Gain::of).collect(),
             validation,
@@ -101,17 +102,13 @@ impl ModelCard {
     }
 
     /// The bytes of a weights file with this card.
-    pub(crate) fn weights_file(
-        &self,
-        parameters: &Parameters,
-        precision: Precision,
-    ) -> Result<Vec<u8>, TrainError> {
+    pub(crate) fn weights_file(&self, weights: &Tensors) -> Result<Vec<u8>, TrainError> {
         let json =
             |value: serde_json::Result<String>| value.map_err(|error| TrainError::Options(error.to_string()));
         let metadata = HashMap::from([
             ("config".to_owned(), json(serde_json::to_string(&self.options.model))?),
             ("card".to_owned(), json(serde_json::to_string(self))?),
         ]);
-        parameters.to_safetensors(precision, metadata)
+        weights.to_safetensors(Precision::F16, metadata)
     }
 }

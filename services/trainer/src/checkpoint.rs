@@ -3,24 +3,24 @@
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 
-use burn::tensor::Device;
 use safetensors::SafeTensors;
 
 use crate::TrainError;
-use crate::model::layout;
+use crate::net::file::Precision;
+use crate::net::layout::layout;
+use crate::net::tensors::{Role, Tensors};
 use crate::optimiser::{Adam, Moments};
 use crate::options::TrainOptions;
-use crate::parameters::{Parameters, Precision, Role};
 
 /// Name of the file in the checkpoint folder.
 const FILE: &str = "checkpoint.safetensors";
 
 /// A run between two updates.
 pub(crate) struct State {
-    pub(crate) parameters: Parameters,
+    pub(crate) weights: Tensors,
     pub(crate) adam: Adam,
     /// The averaged weights that validated best.
-    pub(crate) best: Parameters,
+    pub(crate) best: Tensors,
     pub(crate) progress: RunProgress,
 }
 
@@ -47,8 +47,8 @@ pub(crate) struct RunProgress {
 
 impl State {
     /// A run that has made no update.
-    pub(crate) fn new(parameters: Parameters, options: &TrainOptions) -> Self {
-        let adam = Adam::new(options.optimiser.clone(), &parameters);
+    pub(crate) fn new(weights: Tensors, options: &TrainOptions) -> Self {
+        let adam = Adam::new(options.optimiser.clone(), &weights);
         let progress = RunProgress {
             step: 0,
             adam_steps: 0,
@@ -59,33 +59,29 @@ impl State {
             seed: options.seed,
             model: options.model.clone(),
         };
-        Self { best: parameters.clone(), parameters, adam, progress }
+        Self { best: weights.clone(), weights, adam, progress }
     }
 
     /// Writes the checkpoint; an older one is replaced only by a complete new one.
     pub(crate) fn save(&self, folder: &Path) -> Result<(), TrainError> {
-        let mut all = Parameters::default();
-        let mut add = |prefix: &str, parameters: &Parameters| {
-            let named = parameters.tensors.iter();
-            all.tensors
-                .extend(named.map(|(name, parameter)| (format!("{prefix}/{name}"), parameter.clone())));
+        let mut all = Tensors::default();
+        let mut add = |prefix: &str, tensors: &Tensors| {
+            let named = tensors.0.iter();
+            all.0.extend(named.map(|(name, tensor)| (format!("{prefix}/{name}"), tensor.clone())));
         };
-        add("value", &self.parameters);
-        add("average", self.adam.average());
+        add("value", &self.weights);
+        add("average", &self.adam.average);
         add("best", &self.best);
-        let moments = |value: fn(&Moments) -> burn::tensor::Tensor<1>| {
-            let mut parameters = Parameters::default();
+        let moments = |values: fn(&Moments) -> &Vec<f32>| {
+            let mut tensors = Tensors::default();
             for (name, moments) in &self.adam.moments {
-                if let Some(parameter) = self.parameters.tensors.get(name) {
-                    let mut parameter = parameter.clone();
-                    parameter.value = value(moments);
-                    parameters.tensors.insert(name.clone(), parameter);
-                }
+                let shape = &self.weights.tensor(name).shape;
+                tensors.insert(name, shape, values(moments).clone(), Role::Learned);
             }
-            parameters
+            tensors
         };
-        add("first", &moments(|moments| moments.first.clone()));
-        add("second", &moments(|moments| moments.second.clone()));
+        add("first", &moments(|moments| &moments.first));
+        add("second", &moments(|moments| &moments.second));
         let run = serde_json::to_string(&self.progress).expect("numbers and strings are JSON");
         let bytes = all.to_safetensors(Precision::F32, HashMap::from([("run".to_owned(), run)]))?;
         let io = |source| TrainError::Io { path: folder.to_owned(), source };
@@ -94,7 +90,7 @@ impl State {
     }
 
     /// Reads the checkpoint of a run with the same seed and model; `None` where there is none.
-    pub(crate) fn load(options: &TrainOptions, device: &Device) -> Result<Option<Self>, TrainError> {
+    pub(crate) fn load(options: &TrainOptions) -> Result<Option<Self>, TrainError> {
         let path = options.checkpoints.join(FILE);
         if !path.exists() {
             return Ok(None);
@@ -108,24 +104,24 @@ impl State {
             let mut entries = layout(&options.model);
             entries.retain(|entry| roles.contains(&entry.role));
             entries.iter_mut().for_each(|entry| entry.name = format!("{prefix}/{}", entry.name));
-            let mut parameters = Parameters::from_safetensors(&bytes, &entries, device)?;
-            let named = std::mem::take(&mut parameters.tensors).into_iter();
-            parameters.tensors =
-                named.map(|(name, value)| (name[prefix.len() + 1..].to_owned(), value)).collect();
-            Ok::<Parameters, TrainError>(parameters)
+            let tensors = Tensors::from_safetensors(&bytes, &entries)?;
+            let named = tensors.0.into_iter();
+            Ok::<Tensors, TrainError>(Tensors(
+                named.map(|(name, tensor)| (name[prefix.len() + 1..].to_owned(), tensor)).collect(),
+            ))
         };
         let all = [Role::Learned, Role::Statistic, Role::Fixed];
-        let parameters = read("value", &all)?;
-        let mut adam = Adam::new(options.optimiser.clone(), &parameters);
+        let weights = read("value", &all)?;
+        let mut adam = Adam::new(options.optimiser.clone(), &weights);
         adam.steps = progress.adam_steps;
         adam.average = read("average", &all)?;
-        let (first, second) = (read("first", &[Role::Learned])?, read("second", &[Role::Learned])?);
+        let (mut first, mut second) = (read("first", &[Role::Learned])?, read("second", &[Role::Learned])?);
         for (name, moments) in &mut adam.moments {
-            if let (Some(first), Some(second)) = (first.tensors.get(name), second.tensors.get(name)) {
-                *moments = Moments { first: first.value.clone(), second: second.value.clone() };
+            if let (Some(first), Some(second)) = (first.0.remove(name), second.0.remove(name)) {
+                (moments.first, moments.second) = (first.values, second.values);
             }
         }
-        Ok(Some(Self { parameters, adam, best: read("best", &all)?, progress }))
+        Ok(Some(Self { weights, adam, best: read("best", &all)?, progress }))
     }
 }
 

@@ -11,9 +11,12 @@
 pub(crate) mod check;
 pub(crate) mod context;
 pub(crate) mod dense;
+pub(crate) mod file;
 #[cfg(test)]
 pub(crate) mod golden;
+pub(crate) mod graph;
 pub(crate) mod gru;
+pub(crate) mod layout;
 pub(crate) mod matrix;
 pub(crate) mod motion;
 pub(crate) mod score;

@@ -2,10 +2,10 @@
 
 use std::collections::BTreeMap;
 
-use burn::tensor::{Gradients, Tensor};
+use nn::kernels::{Kernel, Lanes, dispatch};
 
-use crate::model;
-use crate::parameters::{Parameters, Role, Weights, host};
+use crate::net::layout::units;
+use crate::net::tensors::{Gradients, Role, Tensors};
 
 /// What [`Adam`] is set to.
 #[derive(Clone, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
@@ -23,65 +23,47 @@ pub struct OptimiserOptions {
 
 impl Default for OptimiserOptions {
     fn default() -> Self {
-        Self { learning_rate: 4e-3, warm_up_steps: 100, clip_norm: 10.0, average_decay: 0.99 }
+        Self { learning_rate: 3e-3, warm_up_steps: 200, clip_norm: 10.0, average_decay: 0.995 }
     }
 }
 
 const BETA_1: f64 = 0.9;
 const BETA_2: f64 = 0.999;
-const EPSILON: f64 = 1e-8;
+const EPSILON: f32 = 1e-8;
 
-/// First and second moment of one tensor's gradient.
-#[derive(Clone, Debug)]
+/// What Adam keeps of one tensor.
+#[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Moments {
-    pub(crate) first: Tensor<1>,
-    pub(crate) second: Tensor<1>,
+    pub(crate) first: Vec<f32>,
+    pub(crate) second: Vec<f32>,
+    /// Units in which the tensor is learned, see [`units`]; empty where all are 1.
+    units: Vec<f32>,
 }
 
 /// Adam's state and the running average of the weights.
 #[derive(Clone, Debug)]
-pub struct Adam {
+pub(crate) struct Adam {
     options: OptimiserOptions,
     /// Updates made so far.
     pub(crate) steps: u64,
     pub(crate) moments: BTreeMap<String, Moments>,
-    pub(crate) average: Parameters,
-    /// Units in which parts of some tensors are learned, see [`units`](model::units).
-    units: BTreeMap<String, Tensor<1>>,
+    pub(crate) average: Tensors,
 }
 
 impl Adam {
-    /// An optimiser that starts from `parameters`.
-    #[must_use]
-    pub fn new(options: OptimiserOptions, parameters: &Parameters) -> Self {
-        let learned = parameters.tensors.iter().filter(|(_, parameter)| parameter.role == Role::Learned);
-        let moments = learned.map(|(name, parameter)| {
-            let zeros = Tensor::zeros_like(&parameter.value);
-            (name.clone(), Moments { first: zeros.clone(), second: zeros })
+    /// An optimiser that starts from `weights`.
+    pub(crate) fn new(options: OptimiserOptions, weights: &Tensors) -> Self {
+        let learned = weights.0.iter().filter(|(_, tensor)| tensor.role == Role::Learned);
+        let moments = learned.map(|(name, tensor)| {
+            let zeros = vec![0.0; tensor.values.len()];
+            let units = units(name, &tensor.shape).unwrap_or_default();
+            (name.clone(), Moments { first: zeros.clone(), second: zeros, units })
         });
-        let units = parameters.tensors.iter().filter_map(|(name, parameter)| {
-            let units = model::units(name, &parameter.shape)?;
-            let units = Tensor::from_data(units.as_slice(), &parameter.value.device());
-            Some((name.clone(), units))
-        });
-        Self {
-            options,
-            steps: 0,
-            moments: moments.collect(),
-            average: parameters.clone(),
-            units: units.collect(),
-        }
-    }
-
-    /// The running average of the weights.
-    #[must_use]
-    pub fn average(&self) -> &Parameters {
-        &self.average
+        Self { options, steps: 0, moments: moments.collect(), average: weights.clone() }
     }
 
     /// Learning rate of update `step` (from zero) out of `steps`: linear warm-up, then half a cosine down to zero.
-    #[must_use]
-    pub fn rate(&self, step: u64, steps: u64) -> f64 {
+    pub(crate) fn rate(&self, step: u64, steps: u64) -> f64 {
         let warm_up = self.options.warm_up_steps.max(1);
         if step < warm_up {
             return self.options.learning_rate * (step + 1) as f64 / warm_up as f64;
@@ -90,127 +72,158 @@ impl Adam {
         self.options.learning_rate * 0.5 * (1.0 + (std::f64::consts::PI * done.min(1.0)).cos())
     }
 
-    /// Moves `parameters` against the gradient of `weights` at learning rate `rate`; returns the gradient's norm
-    /// before clipping. A gradient that is not finite moves nothing.
-    pub fn step(
-        &mut self,
-        parameters: &mut Parameters,
-        weights: &Weights,
-        mut gradients: Gradients,
-        rate: f64,
-    ) -> f64 {
-        let gradients: Vec<(String, Tensor<1>)> = self
-            .moments
-            .keys()
-            .filter_map(|name| {
-                let gradient = weights.leaf(name)?.grad_remove(&mut gradients)?;
-                Some((name.clone(), in_units(gradient, self.units.get(name))))
-            })
-            .collect();
-        let square: f64 =
-            gradients.iter().map(|(_, gradient)| f64::from(host(gradient.clone().square().sum())[0])).sum();
+    /// Moves `weights` against `gradients` at learning rate `rate`; returns the gradient's norm before clipping. A
+    /// gradient that is not finite moves nothing.
+    pub(crate) fn step(&mut self, weights: &mut Tensors, gradients: &mut Gradients, rate: f64) -> f64 {
+        let mut square = 0.0;
+        for ((_, gradient), moments) in gradients.0.values_mut().zip(self.moments.values()) {
+            in_units(gradient, &moments.units);
+            square += gradient.iter().map(|&value| f64::from(value) * f64::from(value)).sum::<f64>();
+        }
         let norm = square.sqrt();
         if !norm.is_finite() {
             return norm;
         }
-        let scale = if norm > self.options.clip_norm { self.options.clip_norm / norm } else { 1.0 };
         self.steps += 1;
         let exponent = i32::try_from(self.steps).unwrap_or(i32::MAX);
-        let (first_bias, second_bias) = (1.0 - BETA_1.powi(exponent), 1.0 - BETA_2.powi(exponent));
-        for (name, gradient) in gradients {
-            let (Some(moments), Some(parameter)) =
-                (self.moments.get_mut(&name), parameters.tensors.get_mut(&name))
-            else {
-                continue;
-            };
-            let gradient = gradient * scale;
-            moments.first = moments.first.clone() * BETA_1 + gradient.clone() * (1.0 - BETA_1);
-            moments.second = moments.second.clone() * BETA_2 + gradient.square() * (1.0 - BETA_2);
-            let deviation = (moments.second.clone() / second_bias).sqrt() + EPSILON;
-            let change = moments.first.clone() / deviation * (rate / first_bias);
-            parameter.value = parameter.value.clone() - in_units(change, self.units.get(&name));
+        let scale = if norm > self.options.clip_norm { self.options.clip_norm / norm } else { 1.0 };
+        for ((name, (_, gradient)), moments) in gradients.0.iter().zip(self.moments.values_mut()) {
+            let Some(tensor) = weights.0.get_mut(name) else { continue };
+            dispatch(Move {
+                gradient,
+                moments,
+                values: &mut tensor.values,
+                scale: scale as f32,
+                rate: (rate / (1.0 - BETA_1.powi(exponent))) as f32,
+                second_bias: (1.0 / (1.0 - BETA_2.powi(exponent))) as f32,
+            });
         }
-        self.update_average(parameters);
+        self.update_average(weights);
         norm
     }
 
-    fn update_average(&mut self, parameters: &Parameters) {
+    fn update_average(&mut self, weights: &Tensors) {
         let steps = self.steps as f64;
-        let decay = self.options.average_decay.min((1.0 + steps) / (10.0 + steps));
-        for (name, average) in &mut self.average.tensors {
-            if let Some(parameter) = parameters.tensors.get(name)
-                && parameter.role != Role::Fixed
-            {
-                average.value = average.value.clone() * decay + parameter.value.clone() * (1.0 - decay);
+        let decay = self.options.average_decay.min((1.0 + steps) / (10.0 + steps)) as f32;
+        for (average, tensor) in self.average.0.values_mut().zip(weights.0.values()) {
+            if tensor.role != Role::Fixed {
+                dispatch(Mix { average: &mut average.values, new: &tensor.values, decay });
             }
         }
     }
 }
 
 /// By the chain rule a gradient, and a step back, is multiplied by the unit that its parameter is learned in.
-fn in_units(values: Tensor<1>, units: Option<&Tensor<1>>) -> Tensor<1> {
-    match units {
-        Some(units) => values * units.clone(),
-        None => values,
+fn in_units(values: &mut [f32], units: &[f32]) {
+    values.iter_mut().zip(units).for_each(|(value, unit)| *value *= unit);
+}
+
+/// One tensor's update.
+struct Move<'a> {
+    gradient: &'a [f32],
+    moments: &'a mut Moments,
+    values: &'a mut [f32],
+    scale: f32,
+    rate: f32,
+    second_bias: f32,
+}
+
+impl Kernel for Move<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run<L: Lanes>(self, _: L) {
+        let Self { gradient, moments, values, scale, rate, second_bias } = self;
+        let (beta_1, beta_2) = (BETA_1 as f32, BETA_2 as f32);
+        let Moments { first, second, units } = moments;
+        let len = values.len();
+        let (gradient, first, second) = (&gradient[..len], &mut first[..len], &mut second[..len]);
+        for i in 0..len {
+            let g = gradient[i] * scale;
+            first[i] = first[i] * beta_1 + g * (1.0 - beta_1);
+            second[i] = second[i] * beta_2 + g * g * (1.0 - beta_2);
+            let change = first[i] / ((second[i] * second_bias).sqrt() + EPSILON) * rate;
+            values[i] -= if units.is_empty() { change } else { change * units[i] };
+        }
+    }
+}
+
+/// One tensor's running average.
+struct Mix<'a> {
+    average: &'a mut [f32],
+    new: &'a [f32],
+    decay: f32,
+}
+
+impl Kernel for Mix<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run<L: Lanes>(self, _: L) {
+        let decay = self.decay;
+        self.average
+            .iter_mut()
+            .zip(self.new)
+            .for_each(|(old, new)| *old = *old * decay + new * (1.0 - decay));
     }
 }
 
 #[cfg(test)]
 mod tests {
-    use burn::tensor::Device;
-
     use super::*;
 
     const HEAD: &str = "decoder.vehicle.head.bias";
 
-    fn parameters(name: &str, values: &[f32]) -> Parameters {
-        let mut parameters = Parameters::default();
-        parameters.insert(name, &[values.len()], values.to_vec(), Role::Learned, &Device::flex());
-        parameters
+    fn weights(name: &str, values: &[f32]) -> Tensors {
+        let mut weights = Tensors::default();
+        weights.insert(name, &[values.len()], values.to_vec(), Role::Learned);
+        weights
     }
 
-    fn update(adam: &mut Adam, parameters: &mut Parameters, name: &str, target: f32) -> f64 {
-        let leaves = parameters.leaves();
-        let loss = (leaves.get::<1>(name) - target).square().sum();
-        adam.step(parameters, &leaves, loss.backward(), 0.05)
+    /// A step down (value − target)².
+    fn update(adam: &mut Adam, weights: &mut Tensors, name: &str, target: f32) -> f64 {
+        let mut gradients = Gradients::zeros(weights);
+        let values = weights.get(name);
+        gradients.get_mut(name).iter_mut().zip(values).for_each(|(g, value)| *g = 2.0 * (value - target));
+        adam.step(weights, &mut gradients, 0.05)
     }
 
     #[test]
     fn the_minimum_of_a_parabola_is_found_and_averaged() {
-        let mut parameters = parameters("a", &[3.0, -2.0]);
-        let mut adam = Adam::new(OptimiserOptions::default(), &parameters);
+        let mut weights = weights("a", &[3.0, -2.0]);
+        let options = OptimiserOptions { average_decay: 0.9, ..OptimiserOptions::default() };
+        let mut adam = Adam::new(options, &weights);
         for _ in 0..400 {
-            update(&mut adam, &mut parameters, "a", 1.0);
+            update(&mut adam, &mut weights, "a", 1.0);
         }
-        for values in [parameters.values("a").unwrap(), adam.average().values("a").unwrap()] {
+        for values in [weights.get("a"), adam.average.get("a")] {
             assert!(values.iter().all(|value| (value - 1.0).abs() < 0.05), "{values:?}");
         }
     }
 
     #[test]
     fn a_gradient_that_is_no_number_moves_nothing() {
-        let mut parameters = parameters("a", &[3.0]);
-        let mut adam = Adam::new(OptimiserOptions::default(), &parameters);
-        assert!(!update(&mut adam, &mut parameters, "a", f32::NAN).is_finite());
-        assert_eq!((parameters.values("a").unwrap(), adam.steps), (vec![3.0], 0));
+        let mut weights = weights("a", &[3.0]);
+        let mut adam = Adam::new(OptimiserOptions::default(), &weights);
+        assert!(!update(&mut adam, &mut weights, "a", f32::NAN).is_finite());
+        assert_eq!((weights.get("a"), adam.steps), (&[3.0][..], 0));
     }
 
     #[test]
     fn a_head_moves_in_its_units() {
-        let mut parameters = parameters(HEAD, &[0.0; 5]);
-        let mut adam = Adam::new(OptimiserOptions::default(), &parameters);
-        update(&mut adam, &mut parameters, HEAD, 1.0);
-        let moved = parameters.values(HEAD).unwrap();
-        let units = model::units(HEAD, &[5]).unwrap();
-        for (moved, unit) in moved.iter().zip(units) {
+        let mut weights = weights(HEAD, &[0.0; 5]);
+        let mut adam = Adam::new(OptimiserOptions::default(), &weights);
+        update(&mut adam, &mut weights, HEAD, 1.0);
+        let units = units(HEAD, &[5]).unwrap();
+        for (moved, unit) in weights.get(HEAD).iter().zip(units) {
             assert!((moved - 0.05 * unit).abs() < 1e-5, "moved by {moved} in units of {unit}");
         }
     }
 
     #[test]
     fn the_rate_climbs_and_falls_to_zero() {
-        let parameters = parameters("a", &[0.0]);
-        let adam = Adam::new(OptimiserOptions::default(), &parameters);
+        let options = OptimiserOptions { warm_up_steps: 100, ..OptimiserOptions::default() };
+        let adam = Adam::new(options, &weights("a", &[0.0]));
         let rates: Vec<f64> = [0, 49, 99, 550, 1000].map(|step| adam.rate(step, 1000)).to_vec();
         assert!(rates[0] < rates[1] && rates[1] < rates[2] && rates[2] > rates[3], "{rates:?}");
         assert!((rates[3] - 0.5 * rates[2]).abs() < 1e-9 && rates[4] < 1e-12, "{rates:?}");

@@ -7,16 +7,25 @@ use crate::TrainError;
 use crate::objective::Objective;
 use crate::optimiser::OptimiserOptions;
 
+/// Threads that a batch is split over, at most.
+const WORKERS_MAX: usize = 64;
+
 /// What to train, on what, and for how long.
 #[derive(Clone, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct TrainOptions {
+    /// Name of the recipe that these options are of, see [`recipe`](crate::recipe).
+    pub recipe: Option<String>,
     /// Folder that holds the data sets.
     pub data: PathBuf,
     /// Names of the data sets to learn from, see [`DataSet::name`].
     pub sets: Vec<String>,
     /// Names of the data sets to validate on.
     pub validation_sets: Vec<String>,
+    /// Recordings whose path holds one of these are left out: sites or scenes that are to stay unseen.
+    pub leave_out: Vec<String>,
+    /// Whether velocities and headings are differences of positions even where the recordings have their own.
+    pub from_positions: bool,
     /// Windows of each data set to learn from, at most; spread evenly over the set.
     pub windows: usize,
     /// Safetensors file to write.
@@ -35,8 +44,20 @@ pub struct TrainOptions {
     pub scene_agents: usize,
     /// Neighbours of an agent, itself included, at most.
     pub neighbours: usize,
-    /// Share of the batches that see no map.
+    /// Neighbouring windows that are shown together: they share most of their patches and relations.
+    pub clip_windows: usize,
+    /// Parts of a batch that are differentiated side by side, a thread for each.
+    pub workers: usize,
+    /// Share of the clips that see no map.
     pub without_map: f64,
+    /// Share of the clips that see the map of the site's other recordings; the rest see the online map.
+    pub site_map: f64,
+    /// Deviation of the logarithm of the scale at which scenes without vehicles are shown.
+    pub scale_deviation: f64,
+    /// Share of the standing agents that the loss counts.
+    pub standing: f64,
+    /// Whether only agents with a whole history count, as the protocols of pedestrian data sets have it.
+    pub whole_history: bool,
     /// Share of the agents whose history is cut to a random length of two steps or more.
     pub short_history: f64,
     /// Share of the agents whose history is made noisy.
@@ -67,9 +88,12 @@ impl Default for TrainOptions {
         ];
         let learned = [&validated[..], &[DataSet::SddRaw]].concat();
         Self {
+            recipe: None,
             data: PathBuf::from("data"),
             sets: names(&learned),
             validation_sets: names(&validated),
+            leave_out: Vec::new(),
+            from_positions: false,
             windows: 20_000,
             out: PathBuf::from("weights.safetensors"),
             checkpoints: PathBuf::from("checkpoints"),
@@ -79,7 +103,13 @@ impl Default for TrainOptions {
             batch_agents: 96,
             scene_agents: 12,
             neighbours: 8,
+            clip_windows: 4,
+            workers: 1,
             without_map: 0.3,
+            site_map: 0.4,
+            scale_deviation: 0.0,
+            standing: 1.0,
+            whole_history: false,
             short_history: 0.3,
             noisy_history: 0.15,
             validate_every: 500,
@@ -108,19 +138,40 @@ impl TrainOptions {
             Objective::Paper { .. } if points || self.model.base => {
                 refuse("the paper objective needs model.latents = \"normal\" and no model.base")
             }
+            _ if self.model.base_latent && !(self.model.base && points) => {
+                refuse("model.base_latent needs model.base and model.latents = \"points\"")
+            }
             _ if self.model.history_len < 2 => refuse("model.history_len must be 2 or more"),
             _ if self.batch_agents == 0
                 || self.scene_agents == 0
                 || self.neighbours == 0
-                || self.windows == 0 =>
+                || self.windows == 0
+                || self.clip_windows == 0
+                || !(1..=WORKERS_MAX).contains(&self.workers) =>
             {
-                refuse("windows, batch_agents, scene_agents and neighbours must be 1 or more")
+                refuse(
+                    "windows, batch_agents, scene_agents, neighbours and clip_windows must be 1 or more, \
+                     workers 1 to 64",
+                )
+            }
+            _ if !self.shares().iter().all(|share| (0.0..=1.0).contains(share)) => refuse(
+                "without_map, site_map and their sum, short_history, noisy_history and standing must be 0 to 1",
+            ),
+            _ if !(0.0..1.0).contains(&self.scale_deviation) => {
+                refuse("scale_deviation must be 0 or more and less than 1")
             }
             _ if self.steps == 0 || self.validate_every == 0 => {
                 refuse("steps and validate_every must be 1 or more")
             }
             _ => Ok(()),
         }
+    }
+}
+
+impl TrainOptions {
+    fn shares(&self) -> [f64; 6] {
+        let maps = self.without_map + self.site_map;
+        [self.without_map, self.site_map, maps, self.short_history, self.noisy_history, self.standing]
     }
 }
 
@@ -159,6 +210,7 @@ pub fn onboard_config() -> ModelConfig {
         mode_head: true,
         best_latent: true,
         base: true,
+        base_latent: true,
         context: true,
         feedback: Feedback::Zeros,
     }

@@ -2,161 +2,206 @@
 
 use std::ops::Range;
 
-use burn::tensor::Tensor;
 use nn::ModelConfig;
+use wire::{AGENT_TYPES, AgentType};
 
-use crate::batch::{Batch, integers};
-use crate::model::{Controls, Decoder, Encoded, LATENT, TYPE_NAMES};
-use crate::motion::{self, VehicleStart};
-use crate::parameters::Weights;
+use crate::batch::Batch;
+use crate::net::graph::Encoded;
+use crate::net::gru::{self, BurnIn, Unroll};
+use crate::net::layout::TYPE_NAMES;
+use crate::net::matrix::{Into, Matrix, by_matrix, forward};
+use crate::net::motion::{self, Start};
+use crate::net::tensors::{Gradients, Tensors};
 
-/// The agents of one type in a batch, encoded and ready to be forecast.
+/// Outputs of the decoder's head per step.
+pub(crate) const RAW: usize = nn::RAW_CONTROL;
+
+/// The agents of one type in a batch that are forecast, encoded.
 pub(crate) struct TypeForecast<'a> {
     config: &'a ModelConfig,
-    batch: &'a Batch,
-    weights: &'a Weights,
-    decoder: Decoder<'a>,
-    pub(crate) agent_type: usize,
+    batch: &'a Batch<'a>,
+    weights: &'a Tensors,
+    pub(crate) agent_type: AgentType,
     pub(crate) agents: Range<usize>,
     /// ṽ `[agents, 64]`.
-    pub(crate) encoding: Tensor<2>,
-    /// Hidden state after the history `[agents, 128]`.
-    pub(crate) hidden: Tensor<2>,
+    pub(crate) encoding: Matrix,
+    /// The hidden state after the history.
+    pub(crate) burn_in: BurnIn,
 }
 
-/// Trajectories of every agent of a type and draw.
+/// Trajectories of every agent of a type and draw: row = agent × draws + draw.
 pub(crate) struct Rollout {
-    /// Gaussians of the controls without the base.
-    pub(crate) controls: Controls,
-    /// Mean of the controls with the base, before saturation `[agents × draws, horizon, 2]`.
-    pub(crate) mean: Tensor<3>,
-    /// Positions in agent frames `[agents × draws, horizon, 2]`.
-    pub(crate) positions: Tensor<3>,
+    pub(crate) unroll: Unroll,
+    /// Mean of the controls with the base, before saturation `[rows, horizon × 2]`.
+    pub(crate) mean: Matrix,
+    /// Positions in agent frames `[rows, horizon × 2]`.
+    pub(crate) positions: Matrix,
 }
 
 impl<'a> TypeForecast<'a> {
-    /// `None` where the batch has no agent of the type.
+    /// `None` where the batch has no agent of the type to forecast.
     pub(crate) fn new(
-        weights: &'a Weights,
+        weights: &'a Tensors,
         config: &'a ModelConfig,
-        batch: &'a Batch,
+        batch: &'a Batch<'a>,
         encoded: &Encoded,
-        agent_type: usize,
+        of_type: usize,
     ) -> Option<Self> {
-        let agents = batch.type_agents[agent_type].clone();
+        let agents = batch.forecast[of_type].clone();
         if agents.is_empty() {
             return None;
         }
-        let decoder = Decoder::new(weights, TYPE_NAMES[agent_type]);
-        let encoding = encoded.summary.encoding.clone().slice([agents.clone()]);
-        let present = batch.present.clone().slice([agents.clone()]);
-        let hidden = decoder.burn_in(&batch.state.clone().slice([agents.clone()]), &present);
-        Some(Self { config, batch, weights, decoder, agent_type, agents, encoding, hidden })
-    }
-
-    /// The same agents, decoded by `weights`, without gradients.
-    pub(crate) fn frozen<'b>(&'b self, weights: &'b Weights) -> TypeForecast<'b> {
-        TypeForecast {
-            config: self.config,
-            batch: self.batch,
+        let name = decoder(of_type);
+        let state = batch.state.rows_of(agents.clone());
+        let present = batch.present.rows_of(agents.clone());
+        Some(Self {
+            config,
+            batch,
             weights,
-            decoder: Decoder::new(weights, TYPE_NAMES[self.agent_type]),
-            agent_type: self.agent_type,
-            agents: self.agents.clone(),
-            encoding: self.encoding.clone().inner(),
-            hidden: self.hidden.clone().inner(),
+            agent_type: AGENT_TYPES[of_type],
+            encoding: encoded.encoding.rows_of(agents.clone()),
+            burn_in: gru::burn_in(weights, &name, &state, &present),
+            agents,
+        })
+    }
+
+    pub(crate) fn weights(&self) -> &'a Tensors {
+        self.weights
+    }
+
+    /// Prefix of the names of the type's decoder.
+    pub(crate) fn name(&self) -> String {
+        decoder(self.agent_type as usize)
+    }
+
+    /// Learned points as latent variables, each with what it tells of its base control: `modes` holds some numbers per
+    /// agent, [`ModelConfig::modes`] being the point of the single best forecast.
+    fn points(&self, modes: &[usize], base: Option<&Matrix>) -> Matrix {
+        let name = self.name();
+        let points = self.weights.matrix(&format!("{name}.latents"));
+        let best = self.config.best_latent.then(|| self.weights.get(&format!("{name}.latent_best")));
+        let point = |mode: usize| match best {
+            Some(best) if mode == self.config.modes => best,
+            _ => points.row(mode),
+        };
+        let values = modes.iter().flat_map(|&mode| point(mode)).copied().collect();
+        let mut latent = Matrix::new(modes.len(), points.cols, values);
+        if let (true, Some(base)) = (self.config.base_latent, base) {
+            let matrix = self.weights.matrix(&format!("{name}.latent_base.weight"));
+            forward(self.scaled(base).view(), matrix, latent.view_mut(), Into::Add);
+        }
+        latent
+    }
+
+    /// A base control as the latent variables see it.
+    fn scaled(&self, base: &Matrix) -> Matrix {
+        let scale = nn::base::latent_scale(self.agent_type);
+        let mut scaled = base.clone();
+        for control in scaled.values.as_chunks_mut::<2>().0 {
+            *control = [control[0] * scale[0], control[1] * scale[1]];
+        }
+        scaled
+    }
+
+    /// Forecasts by latent variables `[agents × draws, 32]` and a base control.
+    pub(crate) fn decode(&self, latent: &Matrix, base: Option<Matrix>, keep_trace: bool) -> Rollout {
+        let horizon_len = self.config.horizon_len;
+        let name = self.name();
+        let hidden = &self.burn_in.hidden;
+        let unroll =
+            gru::unroll(self.weights, &name, hidden, &self.encoding, latent, horizon_len, keep_trace);
+        let mut mean = base.unwrap_or_else(|| Matrix::zeros(latent.rows, 2 * horizon_len));
+        let (raw, _) = unroll.raw.values.as_chunks::<RAW>();
+        for (mean, raw) in mean.values.as_chunks_mut::<2>().0.iter_mut().zip(raw) {
+            mean[0] += raw[0];
+            mean[1] += raw[1];
+        }
+        let positions = self.positions(&mean);
+        Rollout { unroll, mean, positions }
+    }
+
+    /// Forecasts by learned points, each with the base of its mode.
+    pub(crate) fn by_points(&self, modes: &[usize], keep_trace: bool) -> Rollout {
+        let base = self.config.base.then(|| self.base(modes));
+        self.decode(&self.points(modes, base.as_ref()), base, keep_trace)
+    }
+
+    /// Base controls: `modes` holds some numbers per agent; the single best forecast has no anchor.
+    pub(crate) fn base(&self, modes: &[usize]) -> Matrix {
+        let controls_len = 2 * self.config.horizon_len;
+        let draws_len = modes.len() / self.agents.len();
+        let mut values = Vec::with_capacity(modes.len() * controls_len);
+        for (row, &mode) in modes.iter().enumerate() {
+            let base = &self.batch.base[self.agents.start + row / draws_len];
+            let anchor = &base.anchors[mode * controls_len..][..controls_len];
+            values.extend(base.ridge.iter().zip(anchor).map(|(ridge, anchor)| ridge + anchor));
+        }
+        Matrix::new(modes.len(), controls_len, values)
+    }
+
+    /// Positions under controls before saturation `[agents × draws, horizon × 2]`.
+    pub(crate) fn positions(&self, controls: &Matrix) -> Matrix {
+        let draws_len = controls.rows / self.agents.len();
+        motion::positions(self.config, self.agent_type, self.starts(), draws_len, controls)
+    }
+
+    /// Gradient by controls, given that by their positions.
+    pub(crate) fn positions_backward(&self, controls: &Matrix, d_positions: &Matrix) -> Matrix {
+        let draws_len = controls.rows / self.agents.len();
+        let starts = self.starts();
+        motion::positions_backward(self.config, self.agent_type, starts, draws_len, controls, d_positions)
+    }
+
+    /// True positions `[agents, horizon × 2]` and what of them is known `[agents, horizon]`.
+    pub(crate) fn truth(&self) -> (Matrix, Matrix) {
+        let of = |matrix: &Matrix| matrix.rows_of(self.agents.clone());
+        (of(&self.batch.truth), of(&self.batch.counts))
+    }
+
+    /// The way back of a rollout and of the burn-in: adds the gradients of the decoder, and to `d_encoding`
+    /// `[all agents, 64]`; returns the gradient by the latent variables.
+    pub(crate) fn backward(
+        &self,
+        gradients: &mut Gradients,
+        rollout: &Rollout,
+        d_raw: &Matrix,
+        d_encoding: &mut Matrix,
+    ) -> Matrix {
+        let back = rollout.unroll.backward(self.weights, gradients, d_raw);
+        self.burn_in.backward(self.weights, gradients, back.hidden);
+        for (agent, d_row) in self.agents.clone().zip(back.encoding.values.chunks_exact(back.encoding.cols)) {
+            d_encoding.row_mut(agent).iter_mut().zip(d_row).for_each(|(sum, d)| *sum += d);
+        }
+        back.latent
+    }
+
+    /// Adds the gradients of learned points, given those by the latent variables of [`TypeForecast::points`].
+    pub(crate) fn points_backward(&self, gradients: &mut Gradients, modes: &[usize], d_latent: &Matrix) {
+        let name = self.name();
+        for (row, &mode) in modes.iter().enumerate() {
+            let d_row = d_latent.row(row);
+            let sum = if mode == self.config.modes {
+                gradients.get_mut(&format!("{name}.latent_best"))
+            } else {
+                &mut gradients.get_mut(&format!("{name}.latents"))[mode * d_row.len()..][..d_row.len()]
+            };
+            sum.iter_mut().zip(d_row).for_each(|(sum, d)| *sum += d);
+        }
+        if self.config.base_latent && self.config.base {
+            let base = self.scaled(&self.base(modes));
+            by_matrix(
+                d_latent.view(),
+                base.view(),
+                gradients.matrix_mut(&format!("{name}.latent_base.weight")),
+            );
         }
     }
 
-    /// Mode logits `[agents, modes]`; their gradient stops at the encoding.
-    pub(crate) fn mode_logits(&self) -> Tensor<2> {
-        self.decoder.mode_logits(self.encoding.clone().detach(), self.hidden.clone().detach())
-    }
-
-    /// Forecasts by learned points: `modes` holds `draws_len` numbers per agent, [`ModelConfig::modes`] being the point
-    /// of the single best forecast, which has no anchor.
-    pub(crate) fn by_points(&self, modes: &[usize], draws_len: usize) -> Rollout {
-        let name = format!("decoder.{}", TYPE_NAMES[self.agent_type]);
-        let mut points = self.weights.get::<2>(&format!("{name}.latents"));
-        if self.config.best_latent {
-            let best = self.weights.get::<1>(&format!("{name}.latent_best"));
-            points = Tensor::cat(vec![points, best.unsqueeze()], 0);
-        }
-        let device = points.device();
-        let latent =
-            points.select(0, integers(modes, &device)).reshape([self.agents.len(), draws_len, LATENT]);
-        self.with_latent(latent, Some(self.base(modes, draws_len)))
-    }
-
-    /// Forecasts of the base control alone.
-    pub(crate) fn by_base(&self, modes: &[usize], draws_len: usize) -> Tensor<3> {
-        self.positions(self.base(modes, draws_len), draws_len)
-    }
-
-    /// Forecasts by latent variables `[agents, draws, 32]` and a base control `[agents × draws, horizon, 2]`.
-    pub(crate) fn with_latent(&self, latent: Tensor<3>, base: Option<Tensor<3>>) -> Rollout {
-        let draws_len = latent.dims()[1];
-        let horizon_len = self.config.horizon_len;
-        let controls = self.decoder.forward(&self.hidden, self.encoding.clone(), latent, horizon_len);
-        let mean = base.map_or_else(|| controls.mean(), |base| controls.mean() + base);
-        let positions = self.positions(mean.clone(), draws_len);
-        Rollout { controls, mean, positions }
-    }
-
-    /// Positions under controls before saturation `[agents × draws, horizon, 2]`.
-    pub(crate) fn positions(&self, controls: Tensor<3>, draws_len: usize) -> Tensor<3> {
-        if self.agent_type == 0 {
-            let start = repeated_start(&self.batch.start, draws_len);
-            return motion::drive(self.config, &start, controls).narrow(2, 0, 2);
-        }
-        let velocity = self.batch.velocity_mps.clone().slice([self.agents.clone()]);
-        motion::displace(self.config, &crate::model::repeat(velocity, draws_len), &controls)
-    }
-
-    /// True positions and what of them counts, repeated for every draw.
-    pub(crate) fn truth(&self, draws_len: usize) -> (Tensor<3>, Tensor<2>) {
-        let horizon_len = self.config.horizon_len;
-        let truth = self
-            .batch
-            .truth
-            .clone()
-            .slice([self.agents.clone()])
-            .reshape([self.agents.len(), horizon_len * 2]);
-        let truth =
-            crate::model::repeat(truth, draws_len).reshape([self.agents.len() * draws_len, horizon_len, 2]);
-        let counts = crate::model::repeat(self.batch.counts.clone().slice([self.agents.clone()]), draws_len);
-        (truth, counts)
-    }
-
-    fn base(&self, modes: &[usize], draws_len: usize) -> Tensor<3> {
-        let horizon_len = self.config.horizon_len;
-        let anchors_len = self.batch.anchors.dims()[1];
-        let rows: Vec<usize> = modes
-            .iter()
-            .enumerate()
-            .map(|(row, mode)| (self.agents.start + row / draws_len) * anchors_len + mode)
-            .collect();
-        let anchors = self.batch.anchors.clone();
-        let anchors = anchors
-            .reshape([-1, 2 * horizon_len as i64])
-            .select(0, integers(&rows, &self.batch.ridge.device()));
-        let ridge = self
-            .batch
-            .ridge
-            .clone()
-            .slice([self.agents.clone()])
-            .reshape([self.agents.len(), 2 * horizon_len]);
-        (crate::model::repeat(ridge, draws_len) + anchors).reshape([modes.len(), horizon_len, 2])
+    fn starts(&self) -> &[Start] {
+        &self.batch.starts[self.agents.clone()]
     }
 }
 
-fn repeated_start(start: &VehicleStart, times: usize) -> VehicleStart {
-    let repeat = |values: &Tensor<2>| crate::model::repeat(values.clone(), times);
-    VehicleStart {
-        position_m: repeat(&start.position_m),
-        heading_rad: repeat(&start.heading_rad),
-        speed_mps: repeat(&start.speed_mps),
-        slip_rad: repeat(&start.slip_rad),
-        rear_axle_m: repeat(&start.rear_axle_m),
-    }
+fn decoder(of_type: usize) -> String {
+    format!("decoder.{}", TYPE_NAMES[of_type])
 }

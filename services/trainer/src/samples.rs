@@ -1,18 +1,20 @@
 //! Training and validation scenes: windows of recordings with the map patches that belong to them.
 
 use std::collections::BTreeMap;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use data::{Recording, Window, WindowAgent, WindowOptions, sets::DataSet, sets::Part};
 use half::f16;
 use nn::ModelConfig;
-use scene::{AgentType, OnlineMap, PatchOptions, State};
+use scene::{AgentType, ContextMap, MapBuilder, OnlineMap, PatchOptions, State};
 
 use crate::TrainError;
 
 /// An agent of a window.
 #[derive(Clone, Debug)]
 pub(crate) struct Agent {
+    /// Identity in the recording.
+    pub(crate) id: u64,
     pub(crate) agent_type: AgentType,
     /// `None` where unknown.
     pub(crate) length_m: Option<f32>,
@@ -51,6 +53,7 @@ impl Agent {
             .collect();
         let newest_two = history_len >= 2 && history.iter().rev().take(2).all(Option::is_some);
         Self {
+            id: agent.id,
             agent_type: agent.agent_type,
             length_m: (agent.length_m > 0.0).then_some(agent.length_m),
             history,
@@ -105,26 +108,54 @@ impl GivenMotion {
 /// A window.
 #[derive(Clone, Debug)]
 pub(crate) struct Scene {
-    /// Which recording of [`Samples::recordings`] it is of.
+    /// Number of the recording it is of.
     pub(crate) recording: usize,
     pub(crate) agents: Vec<Agent>,
 }
 
-/// The map patches of a recording, each cut from what was observed before its time.
+/// The map patches of a recording.
 #[derive(Clone, Debug)]
 pub(crate) struct Patches {
-    /// Number of the recording.
-    pub(crate) recording: usize,
-    patch_len: usize,
-    values: Vec<f16>,
+    /// State of the agent that each patch is of.
+    states: Vec<State>,
+    /// What was observed before the patch's time, patch by patch.
+    online: Vec<f16>,
+    /// What the site's other training recordings observed.
+    site: Option<ContextMap>,
 }
 
-impl Patches {
+/// Which map a scene is shown with.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum MapKind {
+    /// What was observed before the present.
+    Online,
+    /// What other recordings of the site observed.
+    Site,
+}
+
+/// The patches of a recording, of one kind of map.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct MapView<'a> {
+    /// Number of the recording.
+    pub(crate) recording: usize,
+    patches: &'a Patches,
+    kind: MapKind,
+}
+
+impl MapView<'_> {
     /// Appends the values of a patch.
-    pub(crate) fn extend(&self, patch: usize, values: &mut Vec<f32>) {
-        values.extend(
-            self.values[patch * self.patch_len..][..self.patch_len].iter().map(|value| value.to_f32()),
-        );
+    pub(crate) fn extend(&self, patch: usize, options: PatchOptions, values: &mut Vec<f32>) {
+        let start = values.len();
+        match (self.kind, &self.patches.site) {
+            (MapKind::Site, Some(site)) => {
+                values.resize(start + options.len(), 0.0);
+                site.patch(&self.patches.states[patch], options, &mut values[start..]);
+            }
+            _ => {
+                let stored = &self.patches.online[patch * options.len()..][..options.len()];
+                values.extend(stored.iter().map(|value| value.to_f32()));
+            }
+        }
     }
 }
 
@@ -150,8 +181,10 @@ pub(crate) struct SetSamples {
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Samples {
     pub(crate) sets: Vec<SetSamples>,
-    pub(crate) patches: Vec<Patches>,
     pub(crate) sources: Vec<Source>,
+    patches: Vec<Patches>,
+    /// Site of every recording, where its set has several of one.
+    sites: Vec<Option<PathBuf>>,
 }
 
 impl SetSamples {
@@ -161,39 +194,89 @@ impl SetSamples {
     }
 }
 
+/// Which scenes to read.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Selection<'a> {
+    /// Folder that holds the data sets.
+    pub(crate) root: &'a Path,
+    pub(crate) sets: &'a [DataSet],
+    pub(crate) part: Part,
+    /// Recordings whose path holds one of these are left out.
+    pub(crate) leave_out: &'a [String],
+    /// Windows of each set, at most; they are spread evenly.
+    pub(crate) windows_max: usize,
+    /// Whether velocities and headings come from the positions even where the recording has its own.
+    pub(crate) from_positions: bool,
+    /// Whether only agents with a whole history count.
+    pub(crate) whole_history: bool,
+}
+
+impl Selection<'_> {
+    fn files(&self, set: DataSet) -> Result<Vec<PathBuf>, TrainError> {
+        let mut files = set.files(self.root, self.part)?;
+        files.retain(|path| {
+            let path = path.to_string_lossy();
+            !self.leave_out.iter().any(|name| path.contains(name.as_str()))
+        });
+        Ok(files)
+    }
+}
+
 impl Samples {
-    /// Reads a part of the data sets below `root`, keeping at most `windows_max` evenly spread windows of each set.
-    ///
-    /// `progress` is told the path of each file before it is read.
+    /// Reads scenes; `progress` is told the path of each file before it is read.
     pub(crate) fn read(
-        root: &Path,
-        sets: &[DataSet],
-        part: Part,
-        windows_max: usize,
+        selection: Selection<'_>,
         config: &ModelConfig,
         mut progress: impl FnMut(&Path),
     ) -> Result<Self, TrainError> {
         let mut samples = Self::default();
-        for &set in sets {
+        for &set in selection.sets {
             let mut scenes = Vec::new();
-            for path in set.files(root, part)? {
+            for path in selection.files(set)? {
                 progress(&path);
                 let recording = data::open(&path, Some(set.format()))?;
                 let number = samples.sources.len();
-                let (mut of_recording, patches) = cut(&recording, number, config);
+                let (mut of_recording, patches) = cut(&recording, number, selection, config);
                 scenes.append(&mut of_recording);
                 samples.patches.push(patches);
+                samples.sites.push(site(set, &path));
                 samples.sources.push(Source {
-                    set: format!("{} {}", set.name(), part.name()),
+                    set: format!("{} {}", set.name(), selection.part.name()),
                     name: recording.name,
                     sha256: recording.sha256,
                 });
             }
-            let stride = scenes.len().div_ceil(windows_max).max(1);
+            let stride = scenes.len().div_ceil(selection.windows_max).max(1);
             let scenes = scenes.into_iter().step_by(stride).collect();
             samples.sets.push(SetSamples { set, scenes });
         }
         Ok(samples)
+    }
+
+    /// Gives every recording the map of what the *other* recordings of `training` saw of its site.
+    pub(crate) fn add_site_maps(&mut self, training: Option<&Self>) {
+        let maps: Vec<Option<ContextMap>> = (0..self.patches.len())
+            .map(|number| {
+                let site = self.sites[number].as_ref()?;
+                let from = training.unwrap_or(self);
+                let others = (0..from.patches.len()).filter(|&other| {
+                    from.sites[other].as_ref() == Some(site)
+                        && from.sources[other].sha256 != self.sources[number].sha256
+                });
+                site_map(others.flat_map(|other| &from.patches[other].states))
+            })
+            .collect();
+        self.patches.iter_mut().zip(maps).for_each(|(patches, map)| patches.site = map);
+    }
+
+    /// The patches that scenes of a recording are shown with; `None` where there is no such map.
+    pub(crate) fn map(&self, recording: usize, kind: MapKind) -> Option<MapView<'_>> {
+        let patches = &self.patches[recording];
+        let known = match kind {
+            MapKind::Online => !patches.online.is_empty(),
+            MapKind::Site => patches.site.is_some(),
+        };
+        known.then_some(MapView { recording, patches, kind })
     }
 
     /// All agents that are held to their future.
@@ -202,24 +285,55 @@ impl Samples {
     }
 }
 
+/// The folder of a recording is its site, in data sets that have several recordings of one.
+fn site(set: DataSet, path: &Path) -> Option<PathBuf> {
+    (set == DataSet::Interaction).then(|| path.parent().map(Path::to_owned))?
+}
+
+/// The map of all places where agents were seen; `None` where nothing was seen, or over more ground than a map has.
+fn site_map<'a>(states: impl Iterator<Item = &'a State> + Clone) -> Option<ContextMap> {
+    let corner = |pick: fn(f32, f32) -> f32, from: f32| {
+        states
+            .clone()
+            .fold([from; 2], |corner, state| [0, 1].map(|axis| pick(corner[axis], state.position_m[axis])))
+    };
+    let (low, high) = (corner(f32::min, f32::INFINITY), corner(f32::max, f32::NEG_INFINITY));
+    let origin_m = low.map(f32::floor);
+    let [cols, rows] = [0, 1].map(|axis| (high[axis] - origin_m[axis]) as usize + 1);
+    let mut builder = MapBuilder::new(origin_m, rows, cols)?;
+    let visits = states.filter(|state| builder.visit(state.position_m, state.velocity_mps)).count();
+    (visits > 0).then(|| builder.build())
+}
+
 /// Scenes and patches of a recording.
-fn cut(recording: &Recording, number: usize, config: &ModelConfig) -> (Vec<Scene>, Patches) {
+fn cut(
+    recording: &Recording,
+    number: usize,
+    selection: Selection<'_>,
+    config: &ModelConfig,
+) -> (Vec<Scene>, Patches) {
+    let Selection { from_positions, whole_history, .. } = selection;
     let step_ns = config.step_ns() as i64;
-    let options = WindowOptions::new(config.history_len, config.horizon_len, step_ns);
+    let options = WindowOptions {
+        from_positions,
+        ..WindowOptions::new(config.history_len, config.horizon_len, step_ns)
+    };
     let windows = data::windows(recording, &options);
-    let (patches, numbers) = cut_patches(recording, &windows, number, config);
-    let given = GivenMotion::of(recording);
+    let (patches, numbers) = cut_patches(recording, &windows, config);
+    let given = if from_positions {
+        GivenMotion { velocity: false, heading: false }
+    } else {
+        GivenMotion::of(recording)
+    };
     let scene = |window: &Window| {
         let agents = window.agents.iter().map(|agent| {
             let steps = (config.history_len + config.horizon_len) as i64;
             let first_ns = window.stamp_ns - (config.history_len as i64 - 1) * step_ns;
             let stamps = (0..steps).map(|step| first_ns + step * step_ns);
-            Agent::new(
-                agent,
-                stamps.map(|stamp_ns| numbers.get(&(agent.id, stamp_ns)).copied()).collect(),
-                given,
-                config,
-            )
+            let patches = stamps.map(|stamp_ns| numbers.get(&(agent.id, stamp_ns)).copied()).collect();
+            let mut agent = Agent::new(agent, patches, given, config);
+            agent.counts &= !whole_history || agent.history.iter().all(Option::is_some);
+            agent
         });
         Scene { recording: number, agents: agents.collect() }
     };
@@ -231,11 +345,10 @@ fn cut(recording: &Recording, number: usize, config: &ModelConfig) -> (Vec<Scene
 fn cut_patches(
     recording: &Recording,
     windows: &[Window],
-    number: usize,
     config: &ModelConfig,
 ) -> (Patches, BTreeMap<(u64, i64), usize>) {
     let options = PatchOptions { side: config.patch_size, cell_m: config.patch_cell_m };
-    let mut patches = Patches { recording: number, patch_len: options.len(), values: Vec::new() };
+    let mut patches = Patches { states: Vec::new(), online: Vec::new(), site: None };
     let mut numbers = BTreeMap::new();
     if !config.context {
         return (patches, numbers);
@@ -249,7 +362,8 @@ fn cut_patches(
         for (agent, state) in newest() {
             map.patch(&state, options, &mut patch);
             numbers.insert((agent.id, window.stamp_ns), numbers.len());
-            patches.values.extend(patch.iter().map(|&value| f16::from_f32(value)));
+            patches.states.push(state);
+            patches.online.extend(patch.iter().map(|&value| f16::from_f32(value)));
         }
         let ego_m = egos.get(&window.stamp_ns).copied().unwrap_or_default();
         map.observe(ego_m, newest().map(|(_, state)| (state.position_m, state.velocity_mps)));

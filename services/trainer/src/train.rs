@@ -5,7 +5,6 @@ mod tests;
 
 use std::time::Instant;
 
-use burn::tensor::Device;
 use data::sets::{DataSet, Part};
 use rand::{Rng, RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -15,17 +14,15 @@ use crate::base::BaseControl;
 use crate::batch::{Batch, BatchOptions, SceneView};
 use crate::card::{ModelCard, Seen};
 use crate::checkpoint::{State, write_whole};
-use crate::model::{self, Normalisation};
-use crate::objective::{self, Objective};
+use crate::net::layout::initial;
+use crate::net::tensors::Tensors;
+use crate::objective::{Differentiated, LossParts, Objective, differentiate};
 use crate::options::TrainOptions;
-use crate::parameters::Precision;
 use crate::progress::Progress;
-use crate::samples::{Samples, SetSamples};
+use crate::samples::{MapKind, MapView, Samples, Selection, SetSamples};
 use crate::validate::{Baselines, SetScore, Validation, choose_by};
-use crate::view;
+use crate::view::Clip;
 
-/// Neighbouring windows in a batch with a map: they share most of their patches.
-const CLIP_WINDOWS: usize = 4;
 /// Agents of each set in the validation that the model card reports.
 const CARD_AGENTS: usize = 4000;
 /// Losses in a row that may leave the numbers before a run is given up.
@@ -45,10 +42,10 @@ pub struct Summary {
 ///
 /// # Errors
 /// [`TrainError`] says which recording, option, checkpoint or file is to blame.
-pub fn train(options: &TrainOptions, device: &Device) -> Result<Summary, TrainError> {
+pub fn train(options: &TrainOptions) -> Result<Summary, TrainError> {
     options.check()?;
     let mut progress = Progress::new(options.steps, 0);
-    let run = Run::prepare(options, device, &progress)?;
+    let run = Run::prepare(options, &progress)?;
     let (mut state, base) = run.begin(&progress)?;
     progress.restart(state.progress.step);
     run.learn(&mut state, &base, &mut progress)?;
@@ -61,55 +58,66 @@ pub fn train(options: &TrainOptions, device: &Device) -> Result<Summary, TrainEr
 /// What stays the same through a run.
 struct Run<'a> {
     options: &'a TrainOptions,
-    device: &'a Device,
     training: Samples,
     validation: Samples,
     baselines: Baselines,
 }
 
 impl<'a> Run<'a> {
-    fn prepare(
-        options: &'a TrainOptions,
-        device: &'a Device,
-        progress: &Progress,
-    ) -> Result<Self, TrainError> {
+    fn prepare(options: &'a TrainOptions, progress: &Progress) -> Result<Self, TrainError> {
         let read = |names: &[String], part: Part, windows_max: usize| {
-            let sets =
-                names.iter().map(|name| set_named(name)).collect::<Result<Vec<DataSet>, TrainError>>()?;
-            let tell = |path: &std::path::Path| progress.reading(path);
-            let samples = Samples::read(&options.data, &sets, part, windows_max, &options.model, tell)?;
+            let sets = names.iter().map(|name| set_named(name)).collect::<Result<Vec<_>, _>>()?;
+            let selection = Selection {
+                root: &options.data,
+                sets: &sets,
+                part,
+                leave_out: &options.leave_out,
+                windows_max,
+                from_positions: options.from_positions,
+                whole_history: options.whole_history,
+            };
+            let samples = Samples::read(selection, &options.model, |path| progress.reading(path))?;
             if samples.counted().next().is_none() {
                 return Err(TrainError::NoWindows { part: part.name(), root: options.data.clone() });
             }
             Ok(samples)
         };
-        let training = read(&options.sets, Part::Train, options.windows)?;
-        let validation = read(&options.validation_sets, Part::Validation, usize::MAX)?;
+        let mut training = read(&options.sets, Part::Train, options.windows)?;
+        let mut validation = read(&options.validation_sets, Part::Validation, usize::MAX)?;
+        if options.model.context && options.site_map > 0.0 {
+            validation.add_site_maps(Some(&training));
+            training.add_site_maps(None);
+        }
         for set in &training.sets {
             let (windows, agents) = (set.scenes.len(), set.counted().count());
             progress.note(&format!("{}: {windows} windows, {agents} agents", set.set.name()));
         }
         let baselines = Baselines::fit(&training, &options.model, options.seed);
-        Ok(Self { options, device, training, validation, baselines })
+        Ok(Self { options, training, validation, baselines })
     }
 
     /// The checkpoint, if there is one to go on from, else new weights with a base control fitted to the data.
     fn begin(&self, progress: &Progress) -> Result<(State, BaseControl), TrainError> {
-        let Self { options, device, .. } = *self;
+        let Self { options, .. } = *self;
         if options.resume
-            && let Some(state) = State::load(options, device)?
+            && let Some(state) = State::load(options)?
         {
-            let base = BaseControl::load(&state.parameters, &options.model);
+            let base = BaseControl::load(&state.weights, &options.model);
             return Ok((state, base.unwrap_or_else(|| BaseControl::zero(&options.model))));
         }
-        let mut parameters = model::initial(&options.model, options.seed, device);
+        let mut weights = initial(&options.model, options.seed);
         let mut base = BaseControl::zero(&options.model);
         if options.model.base {
             progress.note("fitting the base control");
-            base = BaseControl::fit(&options.model, || self.training.counted(), options.seed);
-            base.store(&mut parameters, device);
+            base = BaseControl::fit(
+                &options.model,
+                || self.training.counted(),
+                options.noisy_history > 0.0,
+                options.seed,
+            );
+            base.store(&mut weights);
         }
-        Ok((State::new(parameters, options), base))
+        Ok((State::new(weights, options), base))
     }
 
     fn learn(
@@ -139,62 +147,114 @@ impl<'a> Run<'a> {
     }
 
     /// One update. Everything random in it comes from the seed and the number of the update.
-    fn update(&self, state: &mut State, base: &BaseControl) -> (objective::LossParts, bool) {
+    fn update(&self, state: &mut State, base: &BaseControl) -> (LossParts, bool) {
         let options = self.options;
         let mut random = ChaCha8Rng::seed_from_u64(options.seed);
         random.set_stream(state.progress.step + 1);
-        let scenes = self.draw(&mut random);
-        let batch = Batch::new(
-            &scenes,
-            BatchOptions {
+        let clips = self.draw(&mut random);
+        let counts = |scene: &SceneView<'_>| scene.agents.iter().filter(|view| view.counts).count();
+        let counted: usize = clips.iter().flatten().map(counts).sum();
+        if counted == 0 {
+            return (LossParts::default(), true);
+        }
+        let parts = self.differentiate(state, base, split(clips, options.workers), counted, &random);
+        let mut parts = parts.into_iter();
+        let Some(mut whole) = parts.next() else { return (LossParts::default(), true) };
+        for part in parts {
+            whole.gradients.add(&part.gradients);
+            whole.parts = whole.parts.plus(part.parts);
+        }
+        let rate = state.adam.rate(state.progress.step, options.steps);
+        let norm = state.adam.step(&mut state.weights, &mut whole.gradients, rate);
+        let finite = norm.is_finite() && whole.parts.is_finite();
+        if finite {
+            for (name, values) in whole.statistics {
+                if let Some(tensor) = state.weights.0.get_mut(&name) {
+                    tensor.values = values;
+                }
+            }
+        }
+        state.progress.adam_steps = state.adam.steps;
+        (whole.parts, finite)
+    }
+
+    /// Differentiates the parts of a batch side by side, each with random numbers of its own.
+    fn differentiate(
+        &self,
+        state: &State,
+        base: &BaseControl,
+        parts: Vec<Vec<SceneView<'_>>>,
+        counted: usize,
+        random: &ChaCha8Rng,
+    ) -> Vec<Differentiated> {
+        let options = self.options;
+        let one = |number: usize, scenes: &[SceneView<'_>]| {
+            let batch_options = BatchOptions {
                 config: &options.model,
                 base,
                 neighbours_max: options.neighbours,
-                normalisation: Normalisation::Batch,
                 with_future: matches!(options.objective, Objective::Paper { .. }),
-                device: self.device,
-            },
-        );
-        let (leaves, frozen) = (state.parameters.leaves(), state.parameters.frozen());
-        let Some(step) =
-            objective::loss(&options.objective, &options.model, (&leaves, &frozen), &batch, &mut random)
-        else {
-            return (objective::LossParts::default(), true);
+            };
+            let batch = Batch::new(scenes, batch_options);
+            let mut random = random.clone();
+            random.set_word_pos(u128::from(u64::MAX) * (number as u128 + 1));
+            let done = state.progress.step as f32 / options.steps as f32;
+            let share = (counted, done);
+            differentiate(&options.objective, &options.model, &state.weights, &batch, share, &mut random)
         };
-        let gradients = step.loss.backward();
-        let rate = state.adam.rate(state.progress.step, options.steps);
-        let norm = state.adam.step(&mut state.parameters, &leaves, gradients, rate);
-        if norm.is_finite() {
-            state.parameters.replace(step.statistics);
-        }
-        state.progress.adam_steps = state.adam.steps;
-        (step.parts, norm.is_finite())
+        let one = &one;
+        std::thread::scope(|scope| {
+            let mut numbered = parts.iter().enumerate();
+            let first = numbered.next();
+            let others: Vec<_> =
+                numbered.map(|(number, scenes)| scope.spawn(move || one(number, scenes))).collect();
+            let first = first.map(|(number, scenes)| one(number, scenes));
+            let others = others.into_iter().map(|thread| thread.join().expect("the part's thread panicked"));
+            first.into_iter().chain(others).collect()
+        })
     }
 
-    /// Scenes of at least [`TrainOptions::batch_agents`] agents, from sets drawn by the root of their size.
-    fn draw(&self, random: &mut impl Rng) -> Vec<SceneView<'_>> {
+    /// Clips of at least [`TrainOptions::batch_agents`] agents that count, from sets drawn by the root of their size.
+    fn draw(&self, random: &mut impl Rng) -> Vec<Vec<SceneView<'_>>> {
         let options = self.options;
         let sets: Vec<&SetSamples> = self.training.sets.iter().filter(|set| !set.scenes.is_empty()).collect();
         let weights: Vec<f64> = sets.iter().map(|set| (set.scenes.len() as f64).sqrt()).collect();
-        let with_map = options.model.context && !random.random_bool(options.without_map);
-        let mut views: Vec<SceneView<'_>> = Vec::new();
-        let mut agents_len = 0;
-        while agents_len < options.batch_agents {
+        let mut clips: Vec<Vec<SceneView<'_>>> = Vec::new();
+        let (mut agents_len, mut tries) = (0, 0);
+        while agents_len < options.batch_agents && tries < options.batch_agents {
+            tries += 1;
             let set = sets[weighted(&weights, random)];
             let first = random.random_range(0..set.scenes.len());
-            let clip = set.scenes[first..].iter().take(if with_map { CLIP_WINDOWS } else { 1 });
-            for scene in clip.take_while(|scene| scene.recording == set.scenes[first].recording) {
-                let patches = with_map.then(|| &self.training.patches[scene.recording]);
-                views.push(view::augmented(scene, patches, options, random));
-                agents_len += views.last().map_or(0, |view| view.agents.len());
-            }
+            let recording = set.scenes[first].recording;
+            let scenes = &set.scenes[first..(first + options.clip_windows).min(set.scenes.len())];
+            let len = scenes.iter().take_while(|scene| scene.recording == recording).count();
+            let scenes = &scenes[..len];
+            let map = self.draw_map(recording, random);
+            let clip = Clip::draw(scenes, options, random);
+            let views: Vec<SceneView<'_>> =
+                scenes.iter().map(|scene| clip.show(scene, map, options, random)).collect();
+            agents_len += views.iter().flat_map(|view| &view.agents).filter(|agent| agent.counts).count();
+            clips.push(views);
         }
-        views
+        clips
+    }
+
+    fn draw_map(&self, recording: usize, random: &mut impl Rng) -> Option<MapView<'_>> {
+        let options = self.options;
+        let drawn: f64 = random.random();
+        let kind = if drawn < options.without_map {
+            return None;
+        } else if drawn < options.without_map + options.site_map {
+            MapKind::Site
+        } else {
+            MapKind::Online
+        };
+        self.training.map(recording, kind).or_else(|| self.training.map(recording, MapKind::Online))
     }
 
     fn validate(&self, state: &mut State, base: &BaseControl, progress: &Progress) -> Result<(), TrainError> {
-        let average = state.adam.average().clone();
-        let scores = self.scores(&average.frozen(), base, true, self.options.validation_agents);
+        let average = state.adam.average.clone();
+        let scores = self.scores(&average, base, Some(MapKind::Online), self.options.validation_agents);
         let figure = choose_by(&scores);
         progress.note(&format!("validation at {}: {figure:.4}\n{}", state.progress.step, table(&scores)));
         if state.progress.best_figure.is_none_or(|best| figure < best) {
@@ -211,33 +271,33 @@ impl<'a> Run<'a> {
 
     fn scores(
         &self,
-        weights: &crate::parameters::Weights,
+        weights: &Tensors,
         base: &BaseControl,
-        with_map: bool,
+        map: Option<MapKind>,
         agents_max: usize,
     ) -> Vec<SetScore> {
         let validation = Validation {
             config: &self.options.model,
             base,
             baselines: &self.baselines,
-            with_map,
+            map,
             agents_max,
-            device: self.device,
+            workers: self.options.workers,
         };
         validation.scores(weights, &self.validation)
     }
 
     /// Writes the best weights with their card.
     fn write(&self, state: &State, base: &BaseControl, agents_max: usize) -> Result<ModelCard, TrainError> {
-        let weights = state.best.frozen();
-        let scores = [true, false].map(|with_map| self.scores(&weights, base, with_map, agents_max));
+        let maps = [Some(MapKind::Online), None];
+        let scores = maps.map(|map| self.scores(&state.best, base, map, agents_max));
         let seen = Seen {
             windows: self.training.sets.iter().map(|set| set.scenes.len()).sum(),
             agents: self.training.counted().count(),
         };
         let sources = self.training.sources.clone();
         let card = ModelCard::new(self.options, &state.progress, &state.best, seen, sources, scores);
-        write_whole(&self.options.out, &card.weights_file(&state.best, Precision::F16)?)?;
+        write_whole(&self.options.out, &card.weights_file(&state.best)?)?;
         Ok(card)
     }
 }
@@ -258,6 +318,19 @@ fn set_named(name: &str) -> Result<DataSet, TrainError> {
         let names: Vec<&str> = known().map(DataSet::name).collect();
         TrainError::Options(format!("unknown data set \"{name}\": expected one of {}", names.join(", ")))
     })
+}
+
+/// The clips dealt out to `parts` parts of about as many agents each.
+fn split(clips: Vec<Vec<SceneView<'_>>>, parts: usize) -> Vec<Vec<SceneView<'_>>> {
+    let agents_len = |scenes: &[SceneView<'_>]| scenes.iter().map(|scene| scene.agents.len()).sum::<usize>();
+    let mut dealt: Vec<Vec<SceneView<'_>>> = (0..parts).map(|_| Vec::new()).collect();
+    for clip in clips {
+        if let Some(least) = dealt.iter_mut().min_by_key(|part| agents_len(part)) {
+            least.extend(clip);
+        }
+    }
+    dealt.retain(|part| part.iter().flat_map(|scene| &scene.agents).any(|view| view.counts));
+    dealt
 }
 
 /// An index drawn in proportion to its weight.

@@ -2,7 +2,6 @@
 
 use std::collections::BTreeMap;
 
-use burn::tensor::{Device, Tensor};
 use data::sets::DataSet;
 use metrics::{Anchors, DisplacementMean, Point, best_of, constant_velocity, displacement};
 use nn::{Latents, ModelConfig};
@@ -12,11 +11,14 @@ use rand_distr::{Distribution, StandardNormal};
 use scene::AgentType;
 
 use crate::base::BaseControl;
-use crate::batch::{Batch, BatchOptions, SceneView, floats};
-use crate::model::{self, LATENT, Normalisation, Statistics};
-use crate::parameters::{Weights, host};
+use crate::batch::{Batch, BatchOptions, SceneView};
+use crate::net::context::Normalisation;
+use crate::net::graph::encode;
+use crate::net::layout::LATENT;
+use crate::net::matrix::Matrix;
+use crate::net::tensors::Tensors;
 use crate::rollout::TypeForecast;
-use crate::samples::{Agent, Patches, Samples, Scene, SetSamples};
+use crate::samples::{Agent, MapKind, Samples, Scene, SetSamples};
 use crate::view;
 
 /// Agents of a crowd that a validation shows at most.
@@ -127,11 +129,12 @@ pub(crate) struct Validation<'a> {
     pub(crate) config: &'a ModelConfig,
     pub(crate) base: &'a BaseControl,
     pub(crate) baselines: &'a Baselines,
-    /// Whether the network sees the online map.
-    pub(crate) with_map: bool,
+    /// The map that the network sees.
+    pub(crate) map: Option<MapKind>,
     /// Agents of each set, at most.
     pub(crate) agents_max: usize,
-    pub(crate) device: &'a Device,
+    /// Threads to forecast with.
+    pub(crate) workers: usize,
 }
 
 /// Sums over the agents of a set.
@@ -145,27 +148,37 @@ struct Sums {
     anchors: DisplacementMean,
 }
 
+impl Sums {
+    fn merged(mut self, other: Self) -> Self {
+        self.best.merge(&other.best);
+        self.single.merge(&other.single);
+        self.base_best.merge(&other.base_best);
+        self.base_single.merge(&other.base_single);
+        self.constant_velocity.merge(&other.constant_velocity);
+        self.anchors.merge(&other.anchors);
+        self
+    }
+}
+
 impl Validation<'_> {
     /// Figures of every set of `samples` that has windows.
-    pub(crate) fn scores(&self, weights: &Weights, samples: &Samples) -> Vec<SetScore> {
+    pub(crate) fn scores(&self, weights: &Tensors, samples: &Samples) -> Vec<SetScore> {
         let sets = samples.sets.iter().filter(|set| !set.scenes.is_empty());
-        sets.map(|set| self.score(weights, set, &samples.patches)).collect()
+        sets.map(|set| self.score(weights, set, samples)).collect()
     }
 
-    fn score(&self, weights: &Weights, set: &SetSamples, patches: &[Patches]) -> SetScore {
+    fn score(&self, weights: &Tensors, set: &SetSamples, samples: &Samples) -> SetScore {
         let stride = set.counted().count().div_ceil(self.agents_max).max(1);
         let scenes: Vec<&Scene> = set.scenes.iter().step_by(stride).collect();
-        let mut sums = Sums::default();
-        let mut batch: Vec<SceneView<'_>> = Vec::new();
-        for (number, scene) in scenes.iter().enumerate() {
-            let patches = self.with_map.then(|| &patches[scene.recording]);
-            batch.push(view::plain(scene, patches, SCENE_AGENTS));
-            let agents_len: usize = batch.iter().map(|view| view.agents.len()).sum();
-            if agents_len >= BATCH_AGENTS || number + 1 == scenes.len() {
-                self.add(weights, set.set, &batch, &mut sums);
-                batch.clear();
-            }
-        }
+        let parts: Vec<&[&Scene]> = scenes.chunks(scenes.len().div_ceil(self.workers).max(1)).collect();
+        let sums = std::thread::scope(|scope| {
+            let threads: Vec<_> = parts
+                .iter()
+                .map(|scenes| scope.spawn(|| self.sums(weights, set.set, scenes, samples)))
+                .collect();
+            let sums = threads.into_iter().map(|thread| thread.join().expect("the part's thread panicked"));
+            sums.fold(Sums::default(), Sums::merged)
+        });
         let errors = |mean: DisplacementMean| Errors {
             ade_m: rounded(mean.ade_m.value().unwrap_or_default()),
             fde_m: rounded(mean.fde_m.value().unwrap_or_default()),
@@ -183,20 +196,33 @@ impl Validation<'_> {
         }
     }
 
-    fn add(&self, weights: &Weights, set: DataSet, scenes: &[SceneView<'_>], sums: &mut Sums) {
+    fn sums(&self, weights: &Tensors, set: DataSet, scenes: &[&Scene], samples: &Samples) -> Sums {
+        let mut sums = Sums::default();
+        let mut batch: Vec<SceneView<'_>> = Vec::new();
+        for (number, scene) in scenes.iter().enumerate() {
+            let map = self.map.and_then(|kind| samples.map(scene.recording, kind));
+            batch.push(view::plain(scene, map, SCENE_AGENTS));
+            let agents_len: usize = batch.iter().map(|view| view.agents.len()).sum();
+            if agents_len >= BATCH_AGENTS || number + 1 == scenes.len() {
+                self.add(weights, set, &batch, &mut sums);
+                batch.clear();
+            }
+        }
+        sums
+    }
+
+    fn add(&self, weights: &Tensors, set: DataSet, scenes: &[SceneView<'_>], sums: &mut Sums) {
         let config = self.config;
         let options = BatchOptions {
             config,
             base: self.base,
             neighbours_max: scene::NEIGHBOURS_MAX,
-            normalisation: Normalisation::Running,
             with_future: false,
-            device: self.device,
         };
         let batch = Batch::new(scenes, options);
-        let encoded = model::encode(weights, config, &batch.graph, &mut Statistics::new());
-        for agent_type in 0..3 {
-            let Some(forecast) = TypeForecast::new(weights, config, &batch, &encoded, agent_type) else {
+        let encoded = encode(weights, config, &batch.graph, Normalisation::Running, false);
+        for of_type in 0..3 {
+            let Some(forecast) = TypeForecast::new(weights, config, &batch, &encoded, of_type) else {
                 continue;
             };
             let [modes, single] = self.trajectories(&forecast);
@@ -204,9 +230,6 @@ impl Validation<'_> {
             for (i, position) in forecast.agents.clone().enumerate() {
                 let (scene, agent) = batch.origin[position];
                 let view = &scenes[scene].agents[agent];
-                if !view.agent.counts {
-                    continue;
-                }
                 let truth: Vec<Option<Point>> = view.truth().collect();
                 sums.best.add(best_of(modes.of(i), &truth));
                 sums.single.add(displacement(&single.of(i)[0], &truth));
@@ -233,45 +256,39 @@ impl Validation<'_> {
     fn trajectories(&self, forecast: &TypeForecast<'_>) -> [Trajectories; 2] {
         let (agents_len, modes_len) = (forecast.agents.len(), self.config.modes);
         if self.config.latents == Latents::Points {
-            let modes: Vec<usize> = (0..agents_len).flat_map(|_| 0..modes_len).collect();
-            let single = vec![modes_len; agents_len];
-            return [(modes, modes_len), (single, 1)]
-                .map(|(modes, len)| Trajectories::new(forecast.by_points(&modes, len).positions, len));
+            return both(agents_len, modes_len)
+                .map(|modes| Trajectories::new(&forecast.by_points(&modes, false).positions, agents_len));
         }
         // The same draws at every validation, so that figures of two checkpoints can be compared.
         let mut random = ChaCha8Rng::seed_from_u64(0);
-        let mut normal = |draws: usize| {
-            let values = (0..agents_len * draws * LATENT).map(|_| StandardNormal.sample(&mut random));
-            floats(values.collect(), [agents_len, draws, LATENT], self.device)
-        };
-        let modes = forecast.with_latent(normal(modes_len), None).positions;
-        let mean = Tensor::zeros([agents_len, 1, LATENT], self.device);
-        [
-            Trajectories::new(modes, modes_len),
-            Trajectories::new(forecast.with_latent(mean, None).positions, 1),
-        ]
+        let draws = (0..agents_len * modes_len * LATENT).map(|_| StandardNormal.sample(&mut random));
+        let draws = Matrix::new(agents_len * modes_len, LATENT, draws.collect());
+        [draws, Matrix::zeros(agents_len, LATENT)]
+            .map(|latent| Trajectories::new(&forecast.decode(&latent, None, false).positions, agents_len))
     }
 
     fn base_trajectories(&self, forecast: &TypeForecast<'_>) -> [Trajectories; 2] {
-        let (agents_len, modes_len) = (forecast.agents.len(), self.config.modes);
-        let modes: Vec<usize> = (0..agents_len).flat_map(|_| 0..modes_len).collect();
-        [(modes, modes_len), (vec![modes_len; agents_len], 1)]
-            .map(|(modes, len)| Trajectories::new(forecast.by_base(&modes, len), len))
+        let agents_len = forecast.agents.len();
+        both(agents_len, self.config.modes)
+            .map(|modes| Trajectories::new(&forecast.positions(&forecast.base(&modes)), agents_len))
     }
 }
 
-/// Trajectories on the host, some per agent.
+/// All modes of every agent, and the single best one of every agent.
+fn both(agents_len: usize, modes_len: usize) -> [Vec<usize>; 2] {
+    [(0..agents_len).flat_map(|_| 0..modes_len).collect(), vec![modes_len; agents_len]]
+}
+
+/// Trajectories, the same number for every agent.
 struct Trajectories {
     positions: Vec<Vec<Point>>,
     per_agent: usize,
 }
 
 impl Trajectories {
-    fn new(positions: Tensor<3>, per_agent: usize) -> Self {
-        let steps_len = positions.dims()[1];
-        let values = host(positions);
-        let trajectories = values.as_chunks::<2>().0.chunks_exact(steps_len);
-        Self { positions: trajectories.map(<[Point]>::to_vec).collect(), per_agent }
+    fn new(positions: &Matrix, agents_len: usize) -> Self {
+        let rows = (0..positions.rows).map(|row| positions.row(row).as_chunks::<2>().0.to_vec());
+        Self { positions: rows.collect(), per_agent: positions.rows / agents_len }
     }
 
     fn of(&self, agent: usize) -> &[Vec<Point>] {

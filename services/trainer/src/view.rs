@@ -6,40 +6,83 @@ use scene::{State, agent_frame};
 
 use crate::batch::{SceneView, View};
 use crate::options::TrainOptions;
-use crate::samples::{Agent, Patches, Scene};
+use crate::samples::{Agent, MapView, Scene};
 
 /// Deviations of the strongest noise: position (m), velocity (m/s), heading (rad).
 const NOISE: (f32, f32, f32) = (0.04, 0.12, 0.01);
+/// An agent below this speed that gets no farther than [`STANDING_M`] stands.
+const STANDING_MPS: f32 = 0.3;
+/// See [`STANDING_MPS`].
+const STANDING_M: f32 = 0.5;
 
-/// Shows a scene as training does: the agents around a random one, some with a shortened history, and scenes without
-/// vehicles, which keep to no side of the road, mirrored half the time.
-pub(crate) fn augmented<'a>(
-    scene: &'a Scene,
-    patches: Option<&'a Patches>,
-    options: &TrainOptions,
-    random: &mut impl Rng,
-) -> SceneView<'a> {
-    let counted: Vec<&Agent> = scene.agents.iter().filter(|agent| agent.counts).collect();
-    let centre_m = position_m(counted[random.random_range(0..counted.len())]);
-    let agents = nearest(scene, centre_m, options.scene_agents);
-    let mirrored =
-        agents.iter().all(|agent| agent.agent_type != scene::AgentType::Vehicle) && random.random_bool(0.5);
-    let history_len = options.model.history_len;
-    let agents = agents.into_iter().filter_map(|agent| {
-        let shortened = random.random_bool(options.short_history);
-        let len = if shortened { random.random_range(2..=history_len) } else { history_len };
-        let view = shown(agent, len, mirrored)?;
-        Some(if random.random_bool(options.noisy_history) { noisy(view, random) } else { view })
-    });
-    SceneView { agents: agents.collect(), patches, mirrored }
+/// How some neighbouring scenes of a recording are shown, the same for all of them.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Clip {
+    /// The agent in the middle.
+    centre: u64,
+    centre_m: [f32; 2],
+    mirrored: bool,
+    /// Factor of all lengths.
+    scale: f32,
+}
+
+impl Clip {
+    /// Scenes around an agent drawn at random, those without vehicles mirrored half the time and at another scale:
+    /// pedestrians keep to no side of the road, and children and hurried people walk alike.
+    pub(crate) fn draw(scenes: &[Scene], options: &TrainOptions, random: &mut impl Rng) -> Self {
+        let counted: Vec<&Agent> =
+            scenes.iter().flat_map(|scene| &scene.agents).filter(|agent| agent.counts).collect();
+        let centre = counted[random.random_range(0..counted.len())];
+        let mut agents = scenes.iter().flat_map(|scene| &scene.agents);
+        let free = agents.all(|agent| agent.agent_type != scene::AgentType::Vehicle);
+        let mirrored = free && random.random_bool(0.5);
+        let deviation: f32 = Distribution::<f32>::sample(&StandardNormal, random);
+        let scale = if free { (deviation * options.scale_deviation as f32).exp() } else { 1.0 };
+        Self { centre: centre.id, centre_m: position_m(centre), mirrored, scale }
+    }
+
+    /// Shows a scene: the agents around the middle, some with a shortened or noisy history.
+    pub(crate) fn show<'a>(
+        &self,
+        scene: &'a Scene,
+        map: Option<MapView<'a>>,
+        options: &TrainOptions,
+        random: &mut impl Rng,
+    ) -> SceneView<'a> {
+        let centre = scene.agents.iter().find(|agent| agent.id == self.centre);
+        let agents = nearest(scene, centre.map_or(self.centre_m, position_m), options.scene_agents);
+        let history_len = options.model.history_len;
+        let agents = agents.into_iter().filter_map(|agent| {
+            let shortened = random.random_bool(options.short_history);
+            let len = if shortened { random.random_range(2..=history_len) } else { history_len };
+            let mut view = shown(agent, len, self.mirrored)?;
+            if self.scale != 1.0 {
+                view.scale(self.scale);
+            }
+            if random.random_bool(options.noisy_history) {
+                view = noisy(view, random);
+            }
+            view.counts &= moves(&view) || random.random_bool(options.standing);
+            Some(view)
+        });
+        SceneView { agents: agents.collect(), map, mirrored: self.mirrored }
+    }
+}
+
+/// Whether an agent moves at the end of its history, or will.
+fn moves(view: &View<'_>) -> bool {
+    let newest = view.history.last().copied().flatten().unwrap_or_default();
+    let last = view.future.last().copied().flatten().unwrap_or(newest);
+    let [x, y] = [0, 1].map(|axis| last.position_m[axis] - newest.position_m[axis]);
+    newest.speed_mps() > STANDING_MPS || x.hypot(y) > STANDING_M
 }
 
 /// Shows a scene as it was recorded; of crowds the `agents_max` nearest to the first agent that counts.
-pub(crate) fn plain<'a>(scene: &'a Scene, patches: Option<&'a Patches>, agents_max: usize) -> SceneView<'a> {
+pub(crate) fn plain<'a>(scene: &'a Scene, map: Option<MapView<'a>>, agents_max: usize) -> SceneView<'a> {
     let centre_m = scene.agents.iter().find(|agent| agent.counts).map_or([0.0; 2], position_m);
     let agents = nearest(scene, centre_m, agents_max);
     let agents = agents.into_iter().filter_map(|agent| shown(agent, agent.history.len(), false));
-    SceneView { agents: agents.collect(), patches, mirrored: false }
+    SceneView { agents: agents.collect(), map, mirrored: false }
 }
 
 /// An agent with its newest `history_len` states; `None` where it has none.
@@ -50,7 +93,7 @@ pub(crate) fn shown(agent: &Agent, history_len: usize, mirrored: bool) -> Option
         history.iter_mut().chain(&mut future).flatten().for_each(mirror);
     }
     let frame = agent_frame(&history)?;
-    Some(View { agent, history, future, frame })
+    Some(View { agent, history, future, frame, counts: agent.counts })
 }
 
 /// The same agent as a noisy sensor would give it. How noisy is drawn too, up to [`NOISE`].
@@ -64,6 +107,17 @@ pub(crate) fn noisy<'a>(mut view: View<'a>, random: &mut impl Rng) -> View<'a> {
         state.heading_rad += noise(NOISE.2);
     }
     View { frame: agent_frame(&view.history).unwrap_or(view.frame), ..view }
+}
+
+impl View<'_> {
+    /// Multiplies all lengths, seen from the world's origin.
+    fn scale(&mut self, factor: f32) {
+        for state in self.history.iter_mut().chain(&mut self.future).flatten() {
+            state.position_m = state.position_m.map(|value| value * factor);
+            state.velocity_mps = state.velocity_mps.map(|value| value * factor);
+        }
+        self.frame = agent_frame(&self.history).unwrap_or(self.frame);
+    }
 }
 
 fn mirror(state: &mut State) {

@@ -160,6 +160,15 @@ impl Step {
     }
 }
 
+/// Factors that bring the controls of a type to a like magnitude, for what latent variables tell of a base control.
+#[must_use]
+pub const fn latent_scale(agent_type: AgentType) -> [f32; 2] {
+    match agent_type {
+        AgentType::Vehicle => [0.5, 5.0],
+        AgentType::Cyclist | AgentType::Pedestrian => [3.0, 3.0],
+    }
+}
+
 /// The base control of an agent type.
 #[derive(Debug)]
 pub struct Base {

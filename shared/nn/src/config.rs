@@ -153,6 +153,9 @@ pub struct ModelConfig {
     /// Whether controls are residuals to the base control.
     #[serde(default)]
     pub base: bool,
+    /// Whether the latent variables of a draw tell its base control: a linear function of it is added to the point.
+    #[serde(default)]
+    pub base_latent: bool,
     /// Whether nodes carry a context embedding.
     #[serde(default = "yes")]
     pub context: bool,

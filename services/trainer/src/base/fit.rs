@@ -8,7 +8,7 @@ use scene::AgentType;
 
 use super::targets::{self, Controls, Driver};
 use super::{Features, Place, TypeBase, describe};
-use crate::batch::{Start, View};
+use crate::batch::{View, start};
 use crate::samples::Agent;
 use crate::view;
 
@@ -61,12 +61,13 @@ pub(super) struct Sample {
 
 impl Sample {
     /// The window with its whole history and, where that is long enough, cut to the shorter classes. Every one counts a
-    /// second time: that of a vehicle with noise, the others, which keep to no side of the road, mirrored.
+    /// second time: that of a vehicle with noise where that is asked for, the others, which keep to no side of the road,
+    /// mirrored.
     pub(super) fn of_every_class(
         agent: &Agent,
         config: &ModelConfig,
         cuts_mps: &[f32],
-        random: &mut impl Rng,
+        (noise, random): (bool, &mut impl Rng),
     ) -> Vec<Self> {
         let present = agent.history.iter().rev().take_while(|state| state.is_some()).count();
         let lens =
@@ -75,7 +76,7 @@ impl Sample {
         for len in lens {
             let Some(view) = view::shown(agent, len, false) else { continue };
             let twin = match agent.agent_type {
-                AgentType::Vehicle => Some(view::noisy(view.clone(), random)),
+                AgentType::Vehicle => noise.then(|| view::noisy(view.clone(), random)),
                 AgentType::Cyclist | AgentType::Pedestrian => view::shown(agent, len, true),
             };
             let views = std::iter::once(view).chain(twin);
@@ -93,9 +94,7 @@ impl Sample {
             return None;
         }
         let mover = match agent.agent_type {
-            AgentType::Vehicle => {
-                Mover::Vehicle(Driver::new(&Start::of(agent, history, frame, config), config))
-            }
+            AgentType::Vehicle => Mover::Vehicle(Driver::new(&start(agent, history, frame, config), config)),
             AgentType::Cyclist | AgentType::Pedestrian => {
                 Mover::Other { velocity_mps: frame.rotate_into(newest.velocity_mps), dt_s }
             }
@@ -128,8 +127,19 @@ fn jumps(velocity_mps: [f32; 2], positions: &[[f32; 2]], dt_s: f32) -> bool {
 
 impl TypeBase {
     /// Fills the tables from windows.
-    pub(super) fn fit(&mut self, samples: &[Sample], config: &ModelConfig, seed: u64) {
+    ///
+    /// Pedestrians keep constant velocity for their ridge, and one set of anchors per speed bin: the mean of what they do
+    /// is no better than constant velocity, and their accelerations and turns are mostly noise.
+    pub(super) fn fit(&mut self, agent_type: AgentType, samples: &[Sample], config: &ModelConfig, seed: u64) {
         let controls_len = 2 * config.horizon_len;
+        let walks = agent_type == AgentType::Pedestrian;
+        if !walks {
+            self.fit_ridge(samples, controls_len);
+        }
+        self.fit_anchors(samples, config.modes, controls_len, (walks, seed));
+    }
+
+    fn fit_ridge(&mut self, samples: &[Sample], controls_len: usize) {
         let per_bin = binning::FEATURES * controls_len;
         for class in 0..binning::CLASSES {
             let of_class: Vec<&Sample> =
@@ -150,13 +160,22 @@ impl TypeBase {
                     .copy_from_slice(&solution);
             }
         }
-        self.fit_anchors(samples, config.modes, controls_len, seed);
     }
 
-    fn fit_anchors(&mut self, samples: &[Sample], modes: usize, controls_len: usize, seed: u64) {
+    fn fit_anchors(
+        &mut self,
+        samples: &[Sample],
+        modes: usize,
+        controls_len: usize,
+        (by_speed_alone, seed): (bool, u64),
+    ) {
         let longest = samples.iter().filter(|sample| sample.place.class + 1 == binning::CLASSES);
+        let per_speed = binning::BINS / binning::SPEED_BINS;
         let mut by_bin: Vec<Vec<&Sample>> = vec![Vec::new(); binning::BINS];
-        longest.for_each(|sample| by_bin[sample.place.bin].push(sample));
+        longest.for_each(|sample| {
+            let bin = sample.place.bin;
+            by_bin[if by_speed_alone { bin / per_speed * per_speed } else { bin }].push(sample);
+        });
         let own: Vec<Option<Vec<f32>>> = by_bin
             .iter()
             .map(|of_bin| {
@@ -167,7 +186,8 @@ impl TypeBase {
         let pooled = (all.len() >= modes).then(|| self.cluster(&all, modes, controls_len, seed));
         let per_bin = (modes + 1) * controls_len;
         for bin in 0..binning::BINS {
-            let anchors = own[bin].as_ref().or_else(|| nearest(&own, |other| bin_distance(bin, other)));
+            let own_bin = if by_speed_alone { bin / per_speed * per_speed } else { bin };
+            let anchors = own[own_bin].as_ref().or_else(|| nearest(&own, |other| bin_distance(bin, other)));
             if let Some(anchors) = anchors.or(pooled.as_ref()) {
                 self.anchors[bin * per_bin..][..modes * controls_len].copy_from_slice(anchors);
             }

@@ -8,7 +8,7 @@ use kinematics::{Bicycle, BicycleState, ControlLimits, Motion, Vehicle};
 use nalgebra::{DMatrix, DVector, SMatrix, Vector2};
 use nn::{Integrator, ModelConfig};
 
-use crate::batch::Start;
+use crate::net::motion::Start;
 
 /// Controls of a forecast, (first, second) of every step.
 pub(crate) type Controls = Vec<[f32; 2]>;
@@ -145,7 +145,8 @@ mod tests {
 
     #[test]
     fn a_driven_track_gives_its_controls_back() {
-        let start = Start { heading_rad: 0.1, speed_mps: 8.0, slip_rad: 0.05, rear_axle_m: 1.2 };
+        let start =
+            Start { heading_rad: 0.1, speed_mps: 8.0, slip_rad: 0.05, rear_axle_m: 1.2, ..Start::default() };
         let driver = Driver::new(&start, &config());
         let driven: Controls = (0..12).map(|k| [1.0 - 0.2 * k as f32, 0.03 - 0.006 * k as f32]).collect();
         let truth = driver.positions(&driven);

@@ -1,14 +1,37 @@
 //! The graph of a batch: rows, edges and map patches.
 
-use std::collections::BTreeMap;
+use std::collections::HashMap;
 use std::ops::Range;
 
-use burn::tensor::{Device, Tensor};
 use nn::ModelConfig;
-use scene::{EdgeRule, State, Vertex, relation_features, state_features};
+use scene::{EdgeRule, PatchOptions, State, Vertex, relation_features, state_features};
 
-use super::{BatchOptions, SceneView, View, booleans, floats, integers, scales};
-use crate::model::{Context, Edges, Graph, Normalisation};
+use super::{BatchOptions, SceneView, View, scales};
+use crate::net::matrix::Matrix;
+use crate::net::topological::Edges;
+
+/// What the graph network sees of a batch.
+#[derive(Debug)]
+pub(crate) struct Graph {
+    /// State features `[rows, 6]`.
+    pub(crate) state: Matrix,
+    /// Rows of each type.
+    pub(crate) type_rows: [Range<usize>; 3],
+    /// Relation features, each once `[relations, 6]`.
+    pub(crate) relation: Matrix,
+    /// Relation of every edge.
+    pub(crate) relation_of_edge: Vec<u32>,
+    /// Which rows are joined.
+    pub(crate) edges: Edges,
+    /// Row of every agent and step `[agents × steps]`; [`u32::MAX`] where the agent is absent.
+    pub(crate) steps: Vec<u32>,
+    /// Steps of an agent.
+    pub(crate) steps_len: usize,
+    /// Map patches, each once `[patches, 3 × P × P]`; the first is empty.
+    pub(crate) patches: Matrix,
+    /// Patch of every row.
+    pub(crate) patch_of_row: Vec<u32>,
+}
 
 /// Which steps a graph is of.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -51,86 +74,86 @@ pub(super) struct Placed<'a> {
 
 impl Placed<'_> {
     pub(super) fn graph(&self, steps: Steps, options: BatchOptions<'_>) -> Graph {
-        let BatchOptions { config, device, .. } = options;
-        let rows = Rows::new(self.agents, steps, config, self.type_agents);
-        let (relation, edges) = self.edges(steps, &rows, options);
-        let absent = rows.of_step.iter().map(|&row| row == rows.len()).collect();
+        let rows = Rows::new(self.agents, steps, options.config, self.type_agents);
+        let relations = self.relations(steps, &rows, options);
+        let (patches, patch_of_row) = self.patches(steps, &rows, options.config);
+        let (edges, relation_of_edge) = relations.by_receiver(rows.len());
         Graph {
-            state: floats(rows.state.clone(), [rows.len(), 6], device),
-            type_rows: rows.type_rows.clone(),
-            relation,
+            relation: Matrix::new(relations.features.len() / 6, 6, relations.features),
+            relation_of_edge,
             edges,
-            steps: integers(&rows.of_step, device),
-            absent: booleans(absent, [self.agents.len(), rows.steps_len], device),
-            context: self.context(steps, &rows, options),
+            state: Matrix::new(rows.len(), 6, rows.state),
+            type_rows: rows.type_rows,
+            steps: rows.of_step,
+            steps_len: rows.steps_len,
+            patches,
+            patch_of_row,
         }
     }
 
-    /// Relation features and edges of all scenes and steps.
-    fn edges(&self, steps: Steps, rows: &Rows, options: BatchOptions<'_>) -> (Tensor<2>, Edges) {
-        let BatchOptions { config, device, neighbours_max, .. } = options;
+    /// The edges of all scenes and steps, scene by scene.
+    fn relations(&self, steps: Steps, rows: &Rows, options: BatchOptions<'_>) -> Relations {
+        let BatchOptions { config, neighbours_max, .. } = options;
         let rule = EdgeRule {
             radius_m: config.edge_radius_m,
             pedestrian_radius_m: config.pedestrian_edge_radius_m.unwrap_or(config.edge_radius_m),
             neighbours_max,
         };
-        let position_of: BTreeMap<(usize, usize), usize> =
-            self.origin.iter().enumerate().map(|(i, &at)| (at, i)).collect();
-        let mut list = EdgeList { received: vec![Vec::new(); rows.len()], ..EdgeList::default() };
-        let mut edges = Vec::new();
-        for (scene, view) in self.scenes.iter().enumerate() {
+        let mut position_of: Vec<Vec<usize>> =
+            self.scenes.iter().map(|scene| vec![0; scene.agents.len()]).collect();
+        for (position, &(scene, agent)) in self.origin.iter().enumerate() {
+            position_of[scene][agent] = position;
+        }
+        let mut relations = Relations::default();
+        let (mut edges, mut vertices) = (Vec::new(), Vec::new());
+        for (view, position_of) in self.scenes.iter().zip(&position_of) {
             for step in 0..rows.steps_len {
                 let state = |agent: usize| steps.of(&view.agents[agent])[step];
-                let vertex = |agent: usize| {
-                    let agent_type = view.agents[agent].agent.agent_type;
-                    Some(Vertex { position_m: state(agent)?.position_m, agent_type })
-                };
-                let vertices: Vec<Option<Vertex>> = (0..view.agents.len()).map(vertex).collect();
+                vertices.clear();
+                vertices.extend(view.agents.iter().enumerate().map(|(agent, of)| {
+                    let agent_type = of.agent.agent_type;
+                    state(agent).map(|state| Vertex { position_m: state.position_m, agent_type })
+                }));
                 edges.clear();
                 rule.append(step as u16, &vertices, &mut edges);
                 for edge in &edges {
                     let ends = [edge.receiver, edge.sender].map(usize::from);
                     let [Some(receiver), Some(sender)] = ends.map(state) else { continue };
-                    let ends = ends.map(|agent| rows.at(position_of[&(scene, agent)], step));
-                    list.push(ends, relation_features(&receiver, &sender, scales(config)));
+                    let ends = ends.map(|agent| rows.at(position_of[agent], step));
+                    relations.push(ends, relation_features(&receiver, &sender, scales(config)));
                 }
             }
         }
-        list.tensors(rows.len(), device)
+        relations
     }
 
-    /// Patches of all rows, each (agent, frame) once; the first is the empty one.
-    fn context(&self, steps: Steps, rows: &Rows, options: BatchOptions<'_>) -> Context {
-        let BatchOptions { config, device, normalisation, .. } = options;
-        let side = config.patch_size;
-        let mut values = vec![0.0; 3 * side * side];
-        let mut known: BTreeMap<(usize, usize, bool), usize> = BTreeMap::new();
+    /// Patches of all rows, each (agent, frame) once, and the patch of every row.
+    fn patches(&self, steps: Steps, rows: &Rows, config: &ModelConfig) -> (Matrix, Vec<u32>) {
+        if !config.context {
+            return (Matrix::default(), Vec::new());
+        }
+        let options = PatchOptions { side: config.patch_size, cell_m: config.patch_cell_m };
+        let mut values = vec![0.0; options.len()];
+        let mut known: HashMap<(usize, usize, bool), u32> = HashMap::new();
         let mut of_row = vec![0; rows.len()];
         for (position, &(scene, agent)) in self.origin.iter().enumerate() {
             let view = &self.scenes[scene];
-            let Some(patches) = view.patches else { continue };
+            let Some(map) = view.map else { continue };
             let of_agent = &view.agents[agent].agent.patches[steps.first_patch(config)..];
             for (step, patch) in of_agent.iter().take(rows.steps_len).enumerate() {
-                let row = rows.at(position, step);
-                let (Some(patch), true) = (*patch, row < rows.len()) else { continue };
-                let next = known.len() + 1;
-                of_row[row] = *known.entry((patches.recording, patch, view.mirrored)).or_insert_with(|| {
+                let (Some(patch), Some(row)) = (*patch, rows.present(position, step)) else { continue };
+                let next = known.len() as u32 + 1;
+                of_row[row] = *known.entry((map.recording, patch, view.mirrored)).or_insert_with(|| {
                     let start = values.len();
-                    patches.extend(patch, &mut values);
+                    map.extend(patch, options, &mut values);
                     if view.mirrored {
-                        mirror_patch(&mut values[start..], side);
+                        mirror_patch(&mut values[start..], options.side);
                     }
                     next
                 });
             }
         }
-        let patches_len = known.len() + 1;
-        Context {
-            patches: floats(values, [patches_len, 3, side, side], device),
-            of_row: integers(&of_row, device),
-            // Statistics of the one empty patch would say nothing.
-            normalisation: if patches_len == 1 { Normalisation::Running } else { normalisation },
-        }
+        (Matrix::new(known.len() + 1, options.len(), values), of_row)
     }
 }
 
@@ -138,8 +161,8 @@ impl Placed<'_> {
 struct Rows {
     /// State features, row by row.
     state: Vec<f32>,
-    /// Row of every agent and step; the number of rows where absent.
-    of_step: Vec<usize>,
+    /// Row of every agent and step; [`u32::MAX`] where absent.
+    of_step: Vec<u32>,
     type_rows: [Range<usize>; 3],
     steps_len: usize,
 }
@@ -157,15 +180,13 @@ impl Rows {
         let mut first_row = vec![0];
         for view in agents {
             for step in steps.of(view) {
-                of_step.push(if step.is_some() { state.len() / 6 } else { usize::MAX });
+                of_step.push(if step.is_some() { (state.len() / 6) as u32 } else { u32::MAX });
                 if let Some(step) = step {
                     state.extend(state_features(&view.frame, step, scales));
                 }
             }
             first_row.push(state.len() / 6);
         }
-        let len = state.len() / 6;
-        of_step.iter_mut().filter(|row| **row == usize::MAX).for_each(|row| *row = len);
         let type_rows = type_agents.clone().map(|agents| first_row[agents.start]..first_row[agents.end]);
         Self { state, of_step, type_rows, steps_len: steps.len(config) }
     }
@@ -174,45 +195,55 @@ impl Rows {
         self.state.len() / 6
     }
 
-    fn at(&self, agent: usize, step: usize) -> usize {
+    fn at(&self, agent: usize, step: usize) -> u32 {
         self.of_step[agent * self.steps_len + step]
+    }
+
+    fn present(&self, agent: usize, step: usize) -> Option<usize> {
+        let row = self.at(agent, step);
+        (row != u32::MAX).then_some(row as usize)
     }
 }
 
 /// Edges as they are collected.
 #[derive(Default)]
-struct EdgeList {
-    receivers: Vec<usize>,
-    senders: Vec<usize>,
-    relation: Vec<f32>,
-    /// Edges that every row receives.
-    received: Vec<Vec<usize>>,
+struct Relations {
+    receiver: Vec<u32>,
+    sender: Vec<u32>,
+    /// Features of every distinct relation.
+    features: Vec<f32>,
+    /// Relation of every edge.
+    of_edge: Vec<u32>,
+    /// Number of the relation with these features, by their bits.
+    known: HashMap<[u32; 6], u32>,
 }
 
-impl EdgeList {
-    fn push(&mut self, [receiver, sender]: [usize; 2], relation: [f32; 6]) {
-        self.received[receiver].push(self.receivers.len());
-        self.receivers.push(receiver);
-        self.senders.push(sender);
-        self.relation.extend(relation);
+impl Relations {
+    fn push(&mut self, [receiver, sender]: [u32; 2], features: [f32; 6]) {
+        self.receiver.push(receiver);
+        self.sender.push(sender);
+        let next = self.known.len() as u32;
+        let number = *self.known.entry(features.map(f32::to_bits)).or_insert(next);
+        if number == next {
+            self.features.extend(features);
+        }
+        self.of_edge.push(number);
     }
 
-    fn tensors(self, rows_len: usize, device: &Device) -> (Tensor<2>, Edges) {
-        let edges_len = self.receivers.len();
-        let slots_len = self.received.iter().map(Vec::len).max().unwrap_or(0);
-        let slots: Vec<usize> = self
-            .received
-            .iter()
-            .flat_map(|edges| edges.iter().copied().chain(std::iter::repeat(edges_len)).take(slots_len))
-            .collect();
-        let empty = slots.iter().map(|&edge| edge == edges_len).collect();
-        let edges = Edges {
-            receiver: integers(&self.receivers, device),
-            sender: integers(&self.senders, device),
-            slots: integers(&slots, device),
-            empty: booleans(empty, [rows_len, slots_len], device),
-        };
-        (floats(self.relation, [edges_len, 6], device), edges)
+    /// The edges sorted by receiver, and the relation of each of them.
+    fn by_receiver(&self, rows_len: usize) -> (Edges, Vec<u32>) {
+        let mut first = vec![0; rows_len + 1];
+        self.receiver.iter().for_each(|&row| first[row as usize + 1] += 1);
+        (0..rows_len).for_each(|row| first[row + 1] += first[row]);
+        let mut order = vec![0; self.receiver.len()];
+        let mut next = first.clone();
+        for (edge, &row) in self.receiver.iter().enumerate() {
+            order[next[row as usize] as usize] = edge;
+            next[row as usize] += 1;
+        }
+        let sorted = |values: &[u32]| order.iter().map(|&edge| values[edge]).collect();
+        let edges = Edges { receiver: sorted(&self.receiver), sender: sorted(&self.sender), first };
+        (edges, sorted(&self.of_edge))
     }
 }
 

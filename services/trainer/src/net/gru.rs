@@ -20,7 +20,7 @@ use std::ops::Range;
 use nn::kernels::product::{Gather, Panels, Product};
 
 pub(crate) use burn_in::{BurnIn, burn_in};
-pub(crate) use unroll::{Unroll, UnrollGradients, unroll};
+pub(crate) use unroll::{Unroll, unroll};
 
 use super::dense::{PerceptronTrace, perceptron};
 use super::matrix::Matrix;

@@ -23,7 +23,7 @@ fn small(stem: StemKind) -> ModelConfig {
 fn random(config: &ModelConfig) -> Tensors {
     let mut weights = Tensors::default();
     let entries =
-        crate::model::layout(config).into_iter().filter(|entry| entry.name.starts_with("fe.context"));
+        crate::net::layout::layout(config).into_iter().filter(|entry| entry.name.starts_with("fe.context"));
     for (seed, entry) in entries.enumerate() {
         let len: usize = entry.shape.iter().product();
         let statistic = entry.name.contains("running");

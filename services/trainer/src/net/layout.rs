@@ -1,17 +1,17 @@
 //! Which tensors a model has: names, shapes, and how training begins with them.
 
-use burn::tensor::Device;
 use nn::{Latents, ModelConfig, Stem, Temporal};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal, Uniform};
 
-use super::layers::PERCEPTRON_LAYERS;
-use crate::parameters::{Parameters, Role};
+use super::tensors::{Role, Tensors};
 
 /// The agent types, as the names of tensors spell them; vehicle, cyclist, pedestrian.
-pub const TYPE_NAMES: [&str; 3] = ["vehicle", "cyclist", "pedestrian"];
+pub(crate) const TYPE_NAMES: [&str; 3] = ["vehicle", "cyclist", "pedestrian"];
 
+/// Linear layers of the state and relation perceptrons.
+pub(crate) const PERCEPTRON_LAYERS: usize = 4;
 /// Components of a state or relation feature vector.
 pub(crate) const FEATURES: usize = 6;
 const HIDDEN: usize = 128;
@@ -49,19 +49,19 @@ enum Fill {
 
 /// One tensor of a model.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Entry {
+pub(crate) struct Entry {
     /// Name in the safetensors file.
-    pub name: String,
+    pub(crate) name: String,
     /// Shape.
-    pub shape: Vec<usize>,
+    pub(crate) shape: Vec<usize>,
     /// What training does to it.
-    pub role: Role,
+    pub(crate) role: Role,
     fill: Fill,
 }
 
 /// All tensors of a model with this configuration, base control included.
 #[must_use]
-pub fn layout(config: &ModelConfig) -> Vec<Entry> {
+pub(crate) fn layout(config: &ModelConfig) -> Vec<Entry> {
     let mut entries = Entries::default();
     for agent_type in TYPE_NAMES {
         entries.perceptron(&format!("fe.state.{agent_type}"), FEATURES, config.state_embedding_len());
@@ -82,9 +82,9 @@ pub fn layout(config: &ModelConfig) -> Vec<Entry> {
 
 /// Weights to start training from; the same seed gives the same weights.
 #[must_use]
-pub fn initial(config: &ModelConfig, seed: u64, device: &Device) -> Parameters {
+pub(crate) fn initial(config: &ModelConfig, seed: u64) -> Tensors {
     let mut random = ChaCha8Rng::seed_from_u64(seed);
-    let mut parameters = Parameters::default();
+    let mut tensors = Tensors::default();
     for entry in layout(config) {
         let len = entry.shape.iter().product();
         let values = match entry.fill {
@@ -99,9 +99,9 @@ pub fn initial(config: &ModelConfig, seed: u64, device: &Device) -> Parameters {
                 .collect(),
             Fill::Head([first, second]) => vec![0.0, 0.0, first, second, 0.0],
         };
-        parameters.insert(&entry.name, &entry.shape, values, entry.role, device);
+        tensors.insert(&entry.name, &entry.shape, values, entry.role);
     }
-    parameters
+    tensors
 }
 
 /// Units in which a tensor is learned, as if value / unit were the parameter; `None` where all are 1.
@@ -229,6 +229,11 @@ impl Entries {
         }
         if config.latents == Latents::Points {
             self.learned(format!("{name}.latents"), &[config.modes, LATENT], Fill::Normal(1.0));
+        }
+        if config.base && config.base_latent {
+            let controls = 2 * config.horizon_len;
+            let bound = Fill::Uniform(1.0 / (controls as f32).sqrt());
+            self.learned(format!("{name}.latent_base.weight"), &[LATENT, controls], bound);
         }
         if config.best_latent {
             self.learned(format!("{name}.latent_best"), &[LATENT], Fill::Normal(1.0));

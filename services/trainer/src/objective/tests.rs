@@ -1,0 +1,135 @@
+use rand::SeedableRng;
+use rand_chacha::ChaCha8Rng;
+use scene::{AgentType, State, agent_frame};
+
+use super::*;
+use crate::base::BaseControl;
+use crate::batch::{BatchOptions, SceneView, View};
+use crate::net::layout::{initial, layout};
+use crate::net::tensors::Role;
+use crate::options::onboard_config;
+use crate::samples::Agent;
+
+/// A vehicle that turns, a cyclist and two pedestrians, one of whom was seen late.
+fn agents(config: &ModelConfig) -> Vec<Agent> {
+    let types = [AgentType::Vehicle, AgentType::Cyclist, AgentType::Pedestrian, AgentType::Pedestrian];
+    let agent = |(number, agent_type): (usize, AgentType)| {
+        let speed = [6.0, 4.0, 1.2, 0.9][number];
+        let turn = [0.08, -0.1, 0.2, 0.02][number];
+        let state = |step: usize| {
+            let at = step as f32 * config.dt_s as f32;
+            let heading_rad = turn * at + number as f32;
+            State {
+                position_m: [
+                    2.0 * number as f32 + speed * at * heading_rad.cos(),
+                    speed * at * heading_rad.sin(),
+                ],
+                velocity_mps: [speed * heading_rad.cos(), speed * heading_rad.sin()],
+                heading_rad,
+            }
+        };
+        let steps = config.history_len + config.horizon_len;
+        let states: Vec<Option<State>> =
+            (0..steps).map(|step| (number != 3 || step >= 3).then(|| state(step))).collect();
+        Agent {
+            id: number as u64,
+            agent_type,
+            length_m: Some(4.0),
+            history: states[..config.history_len].to_vec(),
+            future: states[config.history_len..].to_vec(),
+            patches: vec![None; steps],
+            counts: true,
+        }
+    };
+    types.into_iter().enumerate().map(agent).collect()
+}
+
+fn scene(agents: &[Agent]) -> SceneView<'_> {
+    let view = |agent: &'_ Agent| -> Option<(Vec<Option<State>>, scene::AgentFrame)> {
+        Some((agent.history.clone(), agent_frame(&agent.history)?))
+    };
+    let agents = agents.iter().map(|agent| {
+        let (history, frame) = view(agent).unwrap();
+        View { agent, history, future: agent.future.clone(), frame, counts: agent.counts }
+    });
+    SceneView { agents: agents.collect(), map: None, mirrored: false }
+}
+
+/// The whole loss along the gradient of each tensor alone, by the way back and by central differences.
+fn check(objective: &Objective, config: &ModelConfig) {
+    let agents = agents(config);
+    let scenes = [scene(&agents)];
+    let base = BaseControl::zero(config);
+    let options = BatchOptions {
+        config,
+        base: &base,
+        neighbours_max: 8,
+        with_future: matches!(objective, Objective::Paper { .. }),
+    };
+    let batch = Batch::new(&scenes, options);
+    let mut weights = initial(config, 3);
+    base.store(&mut weights);
+    let differentiated = |weights: &Tensors| {
+        let mut random = ChaCha8Rng::seed_from_u64(5);
+        differentiate(objective, config, weights, &batch, (4, 0.5), &mut random)
+    };
+    let gradients = differentiated(&weights).gradients;
+    let total = gradients.0.values().flat_map(|(_, values)| values).map(|g| g * g).sum::<f32>().sqrt();
+    let mut silent = Vec::new();
+    for entry in layout(config).iter().filter(|entry| entry.role == Role::Learned) {
+        let gradient = &gradients.0[&entry.name].1;
+        let norm = gradient.iter().map(|g| g * g).sum::<f32>().sqrt();
+        if norm < 1e-4 * total {
+            silent.push(entry.name.clone());
+            continue;
+        }
+        let step = 0.002 / norm.max(1e-3);
+        let moved = |sign: f32| {
+            let mut weights = weights.clone();
+            let values = &mut weights.0.get_mut(&entry.name).unwrap().values;
+            values
+                .iter_mut()
+                .zip(gradient)
+                .for_each(|(value, g)| *value += sign * step * g / norm * norm.min(1.0));
+            loss_of(objective, &differentiated(&weights).parts, &weights)
+        };
+        let length = step * norm.min(1.0);
+        let slope = (moved(1.0) - moved(-1.0)) / (2.0 * f64::from(length));
+        println!("{:50} {norm:10.5} {slope:10.5}", entry.name);
+    }
+    println!("silent {silent:?}");
+}
+
+fn loss_of(objective: &Objective, parts: &LossParts, _: &Tensors) -> f64 {
+    let LossParts { trajectory, single, probability, spread } = *parts;
+    let terms = match *objective {
+        Objective::Plus { single: single_weight, probability: p, spread: s, .. } => [
+            (f64::from(trajectory), 1.0),
+            (f64::from(single), single_weight),
+            (f64::from(probability), p),
+            (f64::from(spread), s),
+        ],
+        Objective::Paper { gamma, alpha, beta, .. } => [
+            (f64::from(trajectory), 1.0 + 0.0 * gamma),
+            (f64::from(single), 0.0),
+            (f64::from(probability), alpha),
+            (f64::from(spread), beta),
+        ],
+    };
+    terms.iter().map(|(value, weight)| value * weight).sum()
+}
+
+#[test]
+fn gradients_of_the_plus_objective_agree_with_differences() {
+    let config = ModelConfig { modes: 4, base: false, context: false, ..onboard_config() };
+    let objective = Objective::Plus {
+        random_mode: 0.0,
+        single: 0.3,
+        probability: 0.05,
+        spread: 0.05,
+        vehicle: 1.0,
+        candidates: 4,
+        last_step: 0.5,
+    };
+    check(&objective, &config);
+}

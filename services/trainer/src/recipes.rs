@@ -1,0 +1,84 @@
+//! The trainings that made the shipped weights, by name.
+
+use data::sets::{DataSet, Fold};
+use nn::ModelConfig;
+
+use crate::options::{TrainOptions, onboard_config};
+
+/// Names of the shipped weights: `eth`, `hotel`, `univ`, `zara1` and `zara2` leave that scene out; `interaction` knows
+/// all sites, `interaction-without-FT` and `interaction-without-EP1` all but one; `onboard` is what the pipeline runs.
+pub const RECIPES: [&str; 10] = [
+    "eth",
+    "hotel",
+    "univ",
+    "zara1",
+    "zara2",
+    "sdd",
+    "interaction",
+    "interaction-without-FT",
+    "interaction-without-EP1",
+    "onboard",
+];
+
+/// The options of a recipe; `None` for a name that is not among [`RECIPES`].
+#[must_use]
+pub fn recipe(name: &str) -> Option<TrainOptions> {
+    let fold = Fold::ALL.into_iter().find(|fold| fold.name() == name);
+    let options = match (name, fold) {
+        (_, Some(fold)) => pedestrians(DataSet::EthUcyFold(fold)),
+        ("sdd", _) => pedestrians(DataSet::SddTrajnet),
+        ("interaction", _) => vehicles(&[]),
+        ("interaction-without-FT", _) => vehicles(&["Roundabout_FT"]),
+        ("interaction-without-EP1", _) => vehicles(&["Intersection_EP1"]),
+        ("onboard", _) => TrainOptions::default(),
+        _ => return None,
+    };
+    Some(TrainOptions {
+        recipe: Some(name.to_owned()),
+        out: format!("{name}.safetensors").into(),
+        checkpoints: format!("checkpoints/{name}").into(),
+        ..options
+    })
+}
+
+/// Pedestrians at 0.4 s, eight steps to twelve, from positions alone.
+fn pedestrians(set: DataSet) -> TrainOptions {
+    TrainOptions {
+        sets: vec![set.name().to_owned()],
+        validation_sets: vec![set.name().to_owned()],
+        windows: usize::MAX,
+        steps: 6000,
+        batch_agents: 256,
+        scene_agents: 16,
+        whole_history: true,
+        short_history: 0.0,
+        noisy_history: 0.0,
+        scale_deviation: 0.3,
+        model: pedestrian_config(),
+        ..TrainOptions::default()
+    }
+}
+
+/// The model of [`pedestrians`].
+fn pedestrian_config() -> ModelConfig {
+    ModelConfig { context: false, edge_radius_m: 10.0, ..onboard_config() }
+}
+
+/// Vehicles at 0.5 s, four steps to ten, with the recorded speed, at all sites but some.
+fn vehicles(without: &[&str]) -> TrainOptions {
+    TrainOptions {
+        sets: vec![DataSet::Interaction.name().to_owned()],
+        validation_sets: vec![DataSet::Interaction.name().to_owned()],
+        leave_out: without.iter().map(|&site| site.to_owned()).collect(),
+        windows: usize::MAX,
+        steps: 20_000,
+        batch_agents: 256,
+        scene_agents: 16,
+        whole_history: true,
+        short_history: 0.0,
+        noisy_history: 0.0,
+        standing: 0.2,
+        model: ModelConfig { history_len: 4, horizon_len: 10, dt_s: 0.5, ..onboard_config() },
+        ..TrainOptions::default()
+    }
+}
