@@ -49,7 +49,7 @@ pub struct Arguments {
     /// Write every figure as JSON
     #[arg(long, value_name = "FILE")]
     json: Option<PathBuf>,
-    /// Write the tables between the marks `stgdat evaluate SET` of a Markdown file
+    /// Write the main tables between the marks `stgdat evaluate SET` of a Markdown file
     #[arg(long, value_name = "FILE")]
     readme: Option<PathBuf>,
 }
@@ -77,7 +77,7 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
         write(path, &(serde_json::to_string_pretty(&report.json()).map_err(Failure::data)? + "\n"))?;
     }
     if let Some(path) = &arguments.readme {
-        readme::insert(path, &format!("evaluate {name}"), &text)?;
+        readme::insert(path, &format!("evaluate {name}"), &report.summary())?;
     }
     show(&text)
 }

@@ -2,6 +2,11 @@
 //!
 //! [`verify`] recomputes every tensor of a folder of golden vectors with the very code that runs on board and tells
 //! which ones are off: users run it on their own processor before they trust it.
+//!
+//! [`eth_ucy`], [`sdd`], [`interaction`] and [`files`] judge forecasts by what really came. A *protocol* reads recordings
+//! and cuts them into [`Scene`]s. The [`Forecaster`] runs the onboard layers on a scene; the [`Judge`] does so for every
+//! agent that counts, lets the baselines forecast the very same agents and adds up all errors in [`Tally`]s, a [`Block`]
+//! of a recording at a time. [`Group`]s of blocks (a fold, a site) make the tables of a [`Report`].
 
 mod baselines;
 mod error;

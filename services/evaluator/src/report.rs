@@ -104,9 +104,19 @@ impl Report {
     /// The report as Markdown that also reads well in a terminal.
     #[must_use]
     pub fn markdown(&self) -> String {
+        self.written(&self.tables)
+    }
+
+    /// The main tables with their main rows, as Markdown.
+    #[must_use]
+    pub fn summary(&self) -> String {
+        self.written(&self.tables.iter().filter_map(Table::summary).collect::<Vec<_>>())
+    }
+
+    fn written(&self, tables: &[Table]) -> String {
         let mut text = format!("## {}\n\n", self.title);
         let made = self.made();
-        for table in &self.tables {
+        for table in tables {
             text += &table.markdown(&made);
             text += "\n";
         }

@@ -3,7 +3,7 @@
 use data::Format;
 use data::sets::{DataSet, Fold, Part};
 
-use super::{GROWTH, MapChoice, Options, Rules, SEED, fit, need_agents};
+use super::{GROWTH, MapChoice, Options, RATES, Rules, SEED, fit, need_agents};
 use crate::group::Group;
 use crate::maps::MapInput;
 use crate::reference::{self, PaperRow};
@@ -35,10 +35,14 @@ pub fn eth_ucy(options: &Options, mut progress: impl FnMut(&str)) -> Result<Repo
         MapChoice::None => (MapInput::None, "none"),
         MapChoice::Online | MapChoice::Site => (MapInput::Online, "online"),
     };
+    let mut models = Vec::new();
     for fold in Fold::ALL {
-        progress(fold.name());
         let model = options.weights.open(fold.name(), SEED)?;
         model.check_steps("ETH/UCY", history_len, horizon_len, dt_s)?;
+        models.push((fold, model));
+    }
+    for (fold, model) in models {
+        progress(fold.name());
         let set = DataSet::EthUcyFold(fold);
         let baselines = fit(&options.read_part(set, Part::Train, &cut)?, &cut);
         let mut tests = vec![(fold.name().to_owned(), options.read_part(set, options.part, &cut)?)];
@@ -84,11 +88,10 @@ fn tables(report: &mut Report, groups: &[Group], rules: &Rules<'_>, horizons_s: 
     let paper = reference::eth_ucy();
     errors
         .add_paper(&paper, columns.len(), |paper, method, column| of_paper(paper, method, &columns[column]));
-    report.add_table(errors);
+    report.add_table(if groups[0].subset == Subset::Company { errors.main() } else { errors });
     report.add_table(Table::comparisons(&title("Beside the others"), &each, last));
     let pooled_too = [&columns[..], &[of_group(&pooled)]].concat();
-    let note = "Pedestrians collide where they come within 0.4 m; their limits are 12 m/s and 12 m/s².";
-    report.add_table(Table::rates(&title("Certainty and plausibility"), note, &pooled_too, last));
+    report.add_table(Table::rates(&title("Certainty and plausibility"), RATES, &pooled_too, last));
     report.add_table(Table::horizons(
         &title("Growth, average of the folds, m"),
         "",

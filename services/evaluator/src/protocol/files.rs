@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use data::Format;
 
-use super::{GROWTH, MapChoice, Options, Rules, SEED, need_agents};
+use super::{GROWTH, MapChoice, Options, RATES, Rules, SEED, need_agents};
 use crate::group::Group;
 use crate::maps::MapInput;
 use crate::report::{Column, Report, Table};
@@ -53,9 +53,9 @@ pub fn files(
         let columns: Vec<Column<'_>> = groups.iter().map(|group| Column::of(&group.part, group)).collect();
         let title = |what: &str| format!("{what}: {} agents", groups[0].subset.name());
         let note = format!("ADE / FDE, m, after {:.1} s.", horizons_s[rules.last()]);
-        report.add_table(Table::errors(&title("Errors"), &note, &columns, rules.last()));
+        report.add_table(Table::errors(&title("Errors"), &note, &columns, rules.last()).main());
         report.add_table(Table::comparisons(&title("Beside the others"), &columns, rules.last()));
-        report.add_table(Table::rates(&title("Certainty and plausibility"), "", &columns, rules.last()));
+        report.add_table(Table::rates(&title("Certainty and plausibility"), RATES, &columns, rules.last()));
         let all = &columns[columns.len() - 1..];
         report.add_table(Table::horizons(&title("Growth, m"), "", all, &horizons_s, &GROWTH));
         groups.iter().for_each(|group| report.add_figures(group, &horizons_s));

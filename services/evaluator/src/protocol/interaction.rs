@@ -5,12 +5,13 @@ use std::path::{Path, PathBuf};
 use data::sets::{DataSet, Part};
 use scene::{AgentType, ContextMap};
 
-use super::{Footage, GROWTH, MapChoice, Options, Rules, SEED, fit, need_agents};
+use super::{Footage, GROWTH, MapChoice, Options, RATES, Rules, SEED, fit, need_agents};
 use crate::group::Group;
 use crate::judge::Block;
 use crate::maps::{MapInput, site_map};
 use crate::reference::{self, PaperRow};
 use crate::report::{Column, Report, Table};
+use crate::weights::Model;
 use crate::{Baselines, Cut, Errors, EvaluateError, MOVING_MPS, Subset};
 
 /// Steps of the protocol: 2 Hz.
@@ -53,21 +54,28 @@ pub fn interaction(
         of_type: Some(AgentType::Vehicle),
         threads: options.threads,
     };
+    let mut models = Vec::new();
+    for part in parts {
+        let model = options.weights.open(&part.recipe(), SEED)?;
+        model.check_steps("INTERACTION", history_len, horizon_len, dt_s)?;
+        models.push((part, model));
+    }
     let mut report = Report::new(&format!("INTERACTION, split by recording, {} part", options.part.name()));
     for (motion, from_positions) in [("recorded speed", false), ("positions only", true)] {
         let cut = Cut { history_len, horizon_len, dt_s, from_positions };
         progress(&format!("{motion}: training part"));
         let training = options.read_part(SET, Part::Train, &cut)?;
         let mut judged = Vec::new();
-        for part in parts {
+        let protocol = Protocol { options, rules, cut, training: &training };
+        for (part, model) in &models {
             match part {
                 InteractionPart::Seen => {
                     progress(&format!("{motion}: seen sites"));
-                    judged.extend(seen(options, &rules, &cut, &training, &mut report)?);
+                    judged.extend(protocol.seen(model, &mut report)?);
                 }
                 InteractionPart::Unseen(site) => {
                     progress(&format!("{motion}: {site} unseen"));
-                    judged.extend(unseen(options, &rules, &cut, &training, site, &mut report)?);
+                    judged.extend(protocol.unseen(model, site, &mut report)?);
                 }
             }
         }
@@ -78,79 +86,83 @@ pub fn interaction(
     Ok(report)
 }
 
-/// The recordings of all sites in the part that is judged, by site.
-fn seen(
-    options: &Options,
-    rules: &Rules<'_>,
-    cut: &Cut,
-    training: &[Footage],
-    report: &mut Report,
-) -> Result<Vec<Judged>, EvaluateError> {
-    let model = options.weights.open("interaction", SEED)?;
-    model.check_steps("INTERACTION", cut.history_len, cut.horizon_len, cut.dt_s)?;
-    let baselines = fit(training, cut);
-    let footage = options.read_part(SET, options.part, cut)?;
-    let mut sites: Vec<(String, Vec<Block>)> = Vec::new();
-    for footage in &footage {
-        let site = site_of(footage);
-        let map = (options.map == MapChoice::Site).then(|| map_of(training, &site)).flatten();
-        let blocks = rules.judge(&model, &baselines, footage, input(options.map, map.as_ref()));
-        match sites.iter_mut().find(|(name, _)| *name == site) {
-            Some((_, all)) => all.extend(blocks),
-            None => sites.push((site, blocks)),
-        }
-    }
-    let recordings: Vec<_> = footage.iter().map(|footage| &footage.recording).collect();
-    let told = match options.map {
-        MapChoice::None => "none",
-        MapChoice::Online => "online",
-        MapChoice::Site => "of the site's training recordings",
-    };
-    add_provenance(report, model.provenance("seen", told, &recordings));
-    let judge = |(site, blocks): (String, Vec<Block>)| {
-        need_agents(&blocks, &site, cut)?;
-        Ok(Judged::new(format!("seen {}", short(&site)), site, &blocks))
-    };
-    sites.into_iter().map(judge).collect()
+/// What all parts have in common.
+struct Protocol<'a> {
+    options: &'a Options,
+    rules: Rules<'a>,
+    cut: Cut,
+    training: &'a [Footage],
 }
 
-/// All recordings of a site, and those of the part that is judged by themselves.
-fn unseen(
-    options: &Options,
-    rules: &Rules<'_>,
-    cut: &Cut,
-    training: &[Footage],
-    site: &str,
-    report: &mut Report,
-) -> Result<Vec<Judged>, EvaluateError> {
-    let model = options.weights.open(&format!("interaction-without-{site}"), SEED)?;
-    model.check_steps("INTERACTION", cut.history_len, cut.horizon_len, cut.dt_s)?;
-    let others = training.iter().filter(|footage| short(&site_of(footage)) != site);
-    let baselines = Baselines::fit(others.flat_map(|footage| &footage.scenes), cut, SEED);
-    let (mut tests, mut all, mut recordings) = (Vec::new(), Vec::new(), Vec::new());
-    let mut name = site.to_owned();
-    for part in [Part::Train, Part::Validation, Part::Test] {
-        let of_site = |path: &PathBuf| short(&folder(path)) == site;
-        let paths: Vec<PathBuf> = SET.files(&options.data, part)?.into_iter().filter(of_site).collect();
-        for footage in options.read(&paths, Some(SET.format()), cut)? {
-            name = site_of(&footage);
-            // Whatever was recorded at the site before belongs to nobody's training: no site map.
-            let blocks = rules.judge(&model, &baselines, &footage, input(options.map, None));
-            if part == options.part {
-                tests.extend(blocks.iter().cloned());
+impl Protocol<'_> {
+    /// The recordings of all sites in the part that is judged, by site.
+    fn seen(&self, model: &Model, report: &mut Report) -> Result<Vec<Judged>, EvaluateError> {
+        let Self { options, rules, cut, training } = self;
+        let baselines = fit(training, cut);
+        let footage = options.read_part(SET, options.part, cut)?;
+        let mut sites: Vec<(String, Vec<Block>)> = Vec::new();
+        for footage in &footage {
+            let site = site_of(footage);
+            let map = (options.map == MapChoice::Site).then(|| map_of(training, &site)).flatten();
+            let blocks = rules.judge(model, &baselines, footage, input(options.map, map.as_ref()));
+            match sites.iter_mut().find(|(name, _)| *name == site) {
+                Some((_, all)) => all.extend(blocks),
+                None => sites.push((site, blocks)),
             }
-            all.extend(blocks);
-            recordings.push(footage.recording);
+        }
+        let recordings: Vec<_> = footage.iter().map(|footage| &footage.recording).collect();
+        let told = match options.map {
+            MapChoice::None => "none",
+            MapChoice::Online => "online",
+            MapChoice::Site => "of the site's training recordings",
+        };
+        add_provenance(report, model.provenance("seen", told, &recordings));
+        let judge = |(site, blocks): (String, Vec<Block>)| {
+            need_agents(&blocks, &site, cut)?;
+            Ok(Judged::new(format!("seen {}", short(&site)), site, &blocks))
+        };
+        sites.into_iter().map(judge).collect()
+    }
+
+    /// All recordings of a site, and those of the part that is judged by themselves.
+    fn unseen(&self, model: &Model, site: &str, report: &mut Report) -> Result<Vec<Judged>, EvaluateError> {
+        let Self { options, rules, cut, training } = self;
+        let others = training.iter().filter(|footage| short(&site_of(footage)) != site);
+        let baselines = Baselines::fit(others.flat_map(|footage| &footage.scenes), cut, SEED);
+        let (mut tests, mut all, mut recordings) = (Vec::new(), Vec::new(), Vec::new());
+        let mut name = site.to_owned();
+        for part in [Part::Train, Part::Validation, Part::Test] {
+            let of_site = |path: &PathBuf| short(&folder(path)) == site;
+            let paths: Vec<PathBuf> = SET.files(&options.data, part)?.into_iter().filter(of_site).collect();
+            for footage in options.read(&paths, Some(SET.format()), cut)? {
+                name = site_of(&footage);
+                // Whatever was recorded at the site before belongs to nobody's training: no site map.
+                let blocks = rules.judge(model, &baselines, &footage, input(options.map, None));
+                if part == options.part {
+                    tests.extend(blocks.iter().cloned());
+                }
+                all.extend(blocks);
+                recordings.push(footage.recording);
+            }
+        }
+        let of_part = format!("{} part", options.part.name());
+        need_agents(&tests, &format!("{site}, {of_part}"), cut)?;
+        let told = if options.map == MapChoice::None { "none" } else { "online" };
+        let part = format!("unseen {site}");
+        add_provenance(report, model.provenance(&part, told, &recordings.iter().collect::<Vec<_>>()));
+        let by_itself = Judged::new(format!("{part}, {of_part}"), name.clone(), &tests);
+        Ok(vec![by_itself, Judged::new(part, name, &all)])
+    }
+}
+
+impl InteractionPart {
+    /// The recipe of its weights.
+    fn recipe(&self) -> String {
+        match self {
+            Self::Seen => "interaction".to_owned(),
+            Self::Unseen(site) => format!("interaction-without-{site}"),
         }
     }
-    need_agents(&tests, &format!("{site}, {} part", options.part.name()), cut)?;
-    let told = if options.map == MapChoice::None { "none" } else { "online" };
-    let part = format!("unseen {site}");
-    add_provenance(report, model.provenance(&part, told, &recordings.iter().collect::<Vec<_>>()));
-    Ok(vec![
-        Judged::new(format!("{part}, {} part", options.part.name()), name.clone(), &tests),
-        Judged::new(part, name, &all),
-    ])
 }
 
 impl Judged {
@@ -189,8 +201,7 @@ fn tables(
     .into_iter()
     .flatten()
     .collect();
-    let of = |judged: &'_ Judged| judged.is_seen();
-    let (sites, foreign): (Vec<&Judged>, Vec<&Judged>) = judged.iter().partition(|judged| of(judged));
+    let (sites, foreign): (Vec<&Judged>, Vec<&Judged>) = judged.iter().partition(|judged| judged.is_seen());
     let whole: Vec<&Group> = foreign
         .iter()
         .filter(|judged| !judged.part.ends_with(" part"))
@@ -208,7 +219,14 @@ fn tables(
         "ADE / FDE, m, after 5 s. Moving: at least {MOVING_MPS} m/s at the last observed step. Unseen sites: all their \
          recordings, one part by itself as well."
     );
-    report.add_table(Table::errors(&title("Errors"), &note, &columns, last));
+    let mut errors = Table::errors(&title("Errors"), &note, &columns, last).main();
+    if SUBSETS[place] == Subset::All {
+        let paper = reference::interaction();
+        errors.add_paper(&paper, columns.len(), |paper, method, column| {
+            of_paper(paper, method, columns[column].name.trim_start_matches("seen "), horizons_s[last])
+        });
+    }
+    report.add_table(errors);
     let single: Vec<Column<'_>> = columns.iter().filter(|column| column.groups.len() == 1).cloned().collect();
     report.add_table(Table::comparisons(&title("Beside the others"), &single, last));
     let by_site: Vec<Column<'_>> =
@@ -217,7 +235,7 @@ fn tables(
         report.add_table(Table::errors(&title("Errors by site"), "ADE / FDE, m, after 5 s.", &by_site, last));
         report.add_table(growth(&title("Growth, m"), &columns[..2.min(kinds.len())], horizons_s));
     }
-    report.add_table(Table::rates(&title("Certainty and plausibility"), "", &columns, last));
+    report.add_table(Table::rates(&title("Certainty and plausibility"), RATES, &columns, last));
     for group in kinds.iter().chain(judged.iter().map(|judged| &judged.groups[place])) {
         let mut group = group.clone();
         group.part += &format!(", {motion}");

@@ -2,7 +2,7 @@
 
 use data::sets::{DataSet, Part};
 
-use super::{GROWTH, MapChoice, Options, Rules, SEED, fit, need_agents};
+use super::{GROWTH, MapChoice, Options, RATES, Rules, SEED, fit, need_agents};
 use crate::group::Group;
 use crate::maps::MapInput;
 use crate::reference;
@@ -61,9 +61,9 @@ pub fn sdd(options: &Options, mut progress: impl FnMut(&str)) -> Result<Report, 
         let row = paper.iter().find(|row| row.method == method && column == 0);
         row.map(|row| row.errors)
     });
-    report.add_table(errors);
+    report.add_table(errors.main());
     report.add_table(Table::comparisons("Beside the others", &columns, last));
-    report.add_table(Table::rates("Certainty and plausibility", "", &columns[1..], last));
+    report.add_table(Table::rates("Certainty and plausibility", RATES, &columns[1..], last));
     report.add_table(Table::horizons("Growth, px", "", &columns[..1], &horizons_s, &GROWTH));
     [&pixels, &metres].into_iter().for_each(|group| report.add_figures(group, &horizons_s));
     Ok(report)

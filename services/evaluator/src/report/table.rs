@@ -16,6 +16,16 @@ pub(crate) const COMPARED: [(Measure, Method); 6] = [
     (Measure::Single, Method::ConstantVelocity),
 ];
 
+/// The methods that a summary tells of.
+const SUMMARISED: [&str; 6] = [
+    Method::Network.name(),
+    Method::Base.name(),
+    Method::Anchors.name(),
+    Method::ConstantVelocity.name(),
+    "STG-DAT (paper)",
+    "STG-DAT T+C+K (paper)",
+];
+
 /// A table of text.
 #[derive(Clone, Debug)]
 pub(crate) struct Table {
@@ -25,6 +35,8 @@ pub(crate) struct Table {
     /// Columns of names, before those of figures.
     names_len: usize,
     rows: Vec<Vec<String>>,
+    /// Whether it belongs into a summary.
+    is_main: bool,
 }
 
 /// A column: some groups, of which it tells the mean.
@@ -58,7 +70,20 @@ impl Table {
             head,
             names_len: names.len(),
             rows: Vec::new(),
+            is_main: false,
         }
+    }
+
+    /// The same table as one that belongs into a summary.
+    pub(crate) fn main(self) -> Self {
+        Self { is_main: true, ..self }
+    }
+
+    /// What of the table belongs into a summary: the rows of few methods, or nothing.
+    pub(crate) fn summary(&self) -> Option<Self> {
+        let is_told = |row: &&Vec<String>| self.names_len < 2 || SUMMARISED.contains(&&row[1][..]);
+        let rows = self.rows.iter().filter(is_told).filter(|row| row[0] != Measure::JointRanked.name());
+        self.is_main.then(|| Self { rows: rows.cloned().collect(), ..self.clone() })
     }
 
     /// ADE / FDE of every method and measure at one horizon.
