@@ -164,6 +164,11 @@ pub enum Gather<'a> {
         /// Floats from one row to the next.
         stride: usize,
     },
+    /// Row q is column q of a matrix: the product with its transpose.
+    Columns {
+        /// Floats from one row of the matrix to the next.
+        stride: usize,
+    },
     /// Row q is output position q / images of image q % images; the input is \[position, image, channel\].
     Taps {
         /// The convolution's table.
@@ -211,6 +216,12 @@ impl Product<'_> {
                 let end = last.and_then(|last| last.checked_add(self.panels.in_len));
                 assert!(end.is_some_and(|end| end <= self.input.len()), "rows of input");
             }
+            Gather::Columns { stride } => {
+                assert_eq!(self.panels.taps_len, 1);
+                let last = (self.panels.in_len - 1).checked_mul(stride);
+                let end = last.and_then(|last| last.checked_add(rows_len));
+                assert!(end.is_some_and(|end| end <= self.input.len()), "columns of input");
+            }
             Gather::Taps { taps, images_len, zeros } => {
                 assert_eq!(self.panels.taps_len, taps.taps_len);
                 assert_eq!(taps.out_positions().checked_mul(images_len), Some(rows_len), "rows of output");
@@ -255,47 +266,62 @@ impl<const R: usize> Tile<R> {
 impl Kernel for Checked<'_> {
     type Output = ();
 
-    /// The tile keeps R × V vectors in registers: enough to hide the latency of the multiply-adds, and few enough loads
-    /// for each of them.
     #[inline(always)]
     fn run<L: Lanes>(mut self, lanes: L) {
-        let panels_len = self.product.panels.panels_len;
-        let mut panel = 0;
-        if L::LEN == PANEL {
-            while panel + 2 <= panels_len {
-                self.columns::<L, 12, 2>(lanes, panel);
-                panel += 2;
-            }
-            if panel < panels_len {
-                self.columns::<L, 12, 1>(lanes, panel);
-            }
+        if let Gather::Columns { .. } = self.product.gather {
+            self.panels::<L, true>(lanes);
         } else {
-            for panel in 0..panels_len {
-                if L::LEN == 8 {
-                    self.columns::<L, 6, 2>(lanes, panel);
-                } else {
-                    self.columns::<L, 6, 4>(lanes, panel);
-                }
-            }
+            self.panels::<L, false>(lanes);
         }
     }
 }
 
 impl Checked<'_> {
+    /// All rows of all columns; `ACROSS` where the input rows are columns of a matrix.
+    ///
+    /// The tile keeps R × V vectors in registers: enough to hide the latency of the multiply-adds, and few enough loads
+    /// for each of them.
+    #[inline(always)]
+    fn panels<L: Lanes, const ACROSS: bool>(&mut self, lanes: L) {
+        let panels_len = self.product.panels.panels_len;
+        let mut panel = 0;
+        if L::LEN == PANEL {
+            while panel + 2 <= panels_len {
+                self.columns::<L, 12, 2, ACROSS>(lanes, panel);
+                panel += 2;
+            }
+            if panel < panels_len {
+                self.columns::<L, 12, 1, ACROSS>(lanes, panel);
+            }
+        } else {
+            for panel in 0..panels_len {
+                if L::LEN == 8 {
+                    self.columns::<L, 6, 2, ACROSS>(lanes, panel);
+                } else {
+                    self.columns::<L, 6, 4, ACROSS>(lanes, panel);
+                }
+            }
+        }
+    }
+
     /// All rows of V vectors of columns, from `panel` on.
     #[inline(always)]
-    fn columns<L: Lanes, const R: usize, const V: usize>(&mut self, lanes: L, panel: usize) {
+    fn columns<L: Lanes, const R: usize, const V: usize, const ACROSS: bool>(
+        &mut self,
+        lanes: L,
+        panel: usize,
+    ) {
         let mut row = 0;
-        row = self.tiles::<L, R, V>(lanes, panel, row);
-        row = self.tiles::<L, 8, V>(lanes, panel, row);
-        row = self.tiles::<L, 4, V>(lanes, panel, row);
-        row = self.tiles::<L, 2, V>(lanes, panel, row);
-        self.tiles::<L, 1, V>(lanes, panel, row);
+        row = self.tiles::<L, R, V, ACROSS>(lanes, panel, row);
+        row = self.tiles::<L, 8, V, ACROSS>(lanes, panel, row);
+        row = self.tiles::<L, 4, V, ACROSS>(lanes, panel, row);
+        row = self.tiles::<L, 2, V, ACROSS>(lanes, panel, row);
+        self.tiles::<L, 1, V, ACROSS>(lanes, panel, row);
     }
 
     /// As many whole tiles of R rows as there are from `row` on; returns the first row that is left.
     #[inline(always)]
-    fn tiles<L: Lanes, const R: usize, const V: usize>(
+    fn tiles<L: Lanes, const R: usize, const V: usize, const ACROSS: bool>(
         &mut self,
         lanes: L,
         panel: usize,
@@ -308,7 +334,7 @@ impl Checked<'_> {
         while row + R <= self.rows_len {
             self.gather(row, &mut tile);
             // SAFETY: `Product::run` has checked that input, panels and output hold what the tile addresses.
-            unsafe { self.multiply::<L, R, V>(lanes, panel, row, &tile) };
+            unsafe { self.multiply::<L, R, V, ACROSS>(lanes, panel, row, &tile) };
             row += R;
         }
         row
@@ -323,6 +349,10 @@ impl Checked<'_> {
             Gather::Rows { stride } => {
                 tile.live_len = 0;
                 tile.push(0, rows_from(input.wrapping_add(row * stride), stride));
+            }
+            Gather::Columns { .. } => {
+                tile.live_len = 0;
+                tile.push(0, rows_from(input.wrapping_add(row), 1));
             }
             Gather::Taps { taps, images_len, zeros } => {
                 tile.live_len = 0;
@@ -355,9 +385,10 @@ impl Checked<'_> {
     }
 
     /// # Safety
-    /// The tile's rows hold `in_len` floats each; panels, residual and output hold the columns and rows addressed.
+    /// The tile's rows hold `in_len` floats each, as far apart as the gather says; panels, residual and output hold the
+    /// columns and rows addressed.
     #[inline(always)]
-    unsafe fn multiply<L: Lanes, const R: usize, const V: usize>(
+    unsafe fn multiply<L: Lanes, const R: usize, const V: usize, const ACROSS: bool>(
         &mut self,
         l: L,
         panel: usize,
@@ -369,6 +400,10 @@ impl Checked<'_> {
         let stride = self.product.panels.out_stride();
         let per_panel = PANEL / L::LEN;
         let weights = values.as_ptr().wrapping_add(panel * panel_len);
+        let step = match self.product.gather {
+            Gather::Columns { stride } if ACROSS => stride,
+            _ => 1,
+        };
         let mut sums = [[l.splat(0.0); V]; R];
         for live in 0..tile.live_len {
             let rows = tile.rows[live];
@@ -382,7 +417,7 @@ impl Checked<'_> {
                 }
                 for (row, sums) in rows.iter().zip(&mut sums) {
                     // SAFETY: the caller vouches for `in_len` floats in each row.
-                    let x = l.splat(unsafe { *row.wrapping_add(c) });
+                    let x = l.splat(unsafe { *row.wrapping_add(c * step) });
                     for (sum, w) in sums.iter_mut().zip(&w) {
                         *sum = l.fma(x, *w, *sum);
                     }

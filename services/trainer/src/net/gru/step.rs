@@ -105,8 +105,8 @@ impl Kernel for StepBackward<'_> {
             let d_recurrent = gates_mut(&mut self.d_recurrent[row * stride..]);
             let mut d_input = self.d_input.as_mut().map(|d| gates_mut(&mut d[row * GATES..]));
             for i in (0..HIDDEN).step_by(L::LEN) {
-                let [r, z, n, by_state, h] =
-                    [0, 1, 2, 3, 4].map(|part: usize| l.load(&kept[part * HIDDEN + i..]));
+                let part = |part: usize| l.load(&kept[part * HIDDEN + i..]);
+                let (r, z, n, by_state, h) = (part(0), part(1), part(2), part(3), part(4));
                 let d = l.load(&d_state[i..]);
                 let d_through = l.mul(d, z);
                 // (1 − z) d, n' = 1 − n²

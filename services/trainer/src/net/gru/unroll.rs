@@ -7,7 +7,6 @@ use std::ops::Range;
 use nn::kernels::dispatch;
 use nn::kernels::product::{PANEL, Panels};
 
-
 use super::super::matrix::Matrix;
 use super::super::tensors::Tensors;
 use super::step::{GATES, HIDDEN, KEPT, Step};
