@@ -15,6 +15,8 @@
 #![expect(unsafe_code, reason = "the register tile reads through pointers")]
 
 mod pack;
+#[cfg(test)]
+mod tests;
 
 pub use pack::Columns;
 

@@ -1,0 +1,42 @@
+use super::*;
+
+fn value(i: usize) -> f32 {
+    ((i * 37) % 101) as f32 * 0.02 - 1.0
+}
+
+/// Products with a matrix's rows and with its columns beside their definition, for tiles and panels of every size.
+#[test]
+fn rows_and_columns_agree_with_the_definition() {
+    for (rows_len, in_len, out_len) in [(1, 1, 1), (12, 3, 16), (31, 5, 33), (47, 96, 20), (6, 40, 64)] {
+        let weight = |out: usize, i: usize| value(out * 7 + i * 3);
+        let panels = Panels::pack([out_len, 1, in_len], |out, _, i| weight(out, i), value);
+        let out_stride = panels.out_stride();
+        let residual: Vec<f32> = (0..rows_len * out_stride).map(value).collect();
+        for across in [false, true] {
+            // Some floats between the rows that no one may read for a result.
+            let stride = 3 + if across { rows_len } else { in_len };
+            let input: Vec<f32> = (0..stride * rows_len.max(in_len)).map(value).collect();
+            let gather = if across { Gather::Columns { stride } } else { Gather::Rows { stride } };
+            let mut out = vec![0.0; rows_len * out_stride];
+            let residual = Some(&residual[..]);
+            Product { input: &input, gather, panels: &panels, residual, relu: false, out: &mut out }.run();
+            for (row, out) in out.chunks_exact(out_stride).enumerate() {
+                for (o, y) in out[..out_len].iter().enumerate() {
+                    let x = |i: usize| input[if across { i * stride + row } else { row * stride + i }];
+                    let sum: f32 = (0..in_len).map(|i| x(i) * weight(o, i)).sum();
+                    let expected = sum + value(o) + value(row * out_stride + o);
+                    assert!((y - expected).abs() < 1e-4, "{across} [{row}, {o}]: {y}, not {expected}");
+                }
+            }
+        }
+    }
+}
+
+#[test]
+#[should_panic(expected = "columns of input")]
+fn columns_beyond_the_input_are_refused() {
+    let panels = Panels::pack([16, 1, 4], |_, _, _| 1.0, |_| 0.0);
+    let (input, mut out) = ([0.0; 4 * 8 - 1], [0.0; 8 * 16]);
+    let gather = Gather::Columns { stride: 8 };
+    Product { input: &input, gather, panels: &panels, residual: None, relu: false, out: &mut out }.run();
+}
