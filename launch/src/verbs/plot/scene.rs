@@ -1,4 +1,4 @@
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use ::scene::ContextMap;
 use clap::{Args, ValueEnum};
@@ -98,7 +98,8 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
     let drawings: Vec<SceneDrawing<'_>> = shots.iter().map(|shot| drawing(shot, site.as_ref())).collect();
     let picture =
         scenes(&recording.name, &drawings, &arguments.options(drawings.len())).map_err(Failure::data)?;
-    let out = arguments.out.clone().unwrap_or_else(|| PathBuf::from(&recording.name).with_extension("png"));
+    let usual = || Path::new(arguments.recording.file_stem().unwrap_or_default()).with_extension("png");
+    let out = arguments.out.clone().unwrap_or_else(usual);
     save(&picture, &out).map_err(Failure::data)?;
     println!("{}", out.display());
     Ok(Exit::Done)
@@ -143,7 +144,10 @@ fn drawing<'a>(shot: &'a Shot, site: Option<&'a ContextMap>) -> SceneDrawing<'a>
         let [ade_m, fde_m] = errors.best;
         let best = format!("best of {}: ADE {ade_m:.2} m, FDE {fde_m:.2} m", errors.modes_len);
         let [ade_m, fde_m] = errors.likeliest;
-        format!("{best}; most likely: {ade_m:.2} m, {fde_m:.2} m")
+        let likeliest = format!("most likely: {ade_m:.2} m, {fde_m:.2} m");
+        let agents =
+            if errors.agents_len > 1 { format!(" ({} agents)", errors.agents_len) } else { String::new() };
+        format!("{best}; {likeliest}{agents}")
     });
     let about = match shot.about[..] {
         [agent] => format!("agent {agent}, "),

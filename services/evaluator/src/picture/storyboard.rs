@@ -37,8 +37,7 @@ pub struct Shot {
     pub agents: Vec<AgentDrawing>,
     /// Means over the agents with forecast and known future.
     pub errors: Option<ShotErrors>,
-    /// The ground as the forecast knew it; none where it knew of no ground, or for the map of a site, which the caller
-    /// has.
+    /// The map of what the recording showed up to then, where forecasts read the online map.
     pub online_map: Option<ContextMap>,
 }
 
@@ -134,7 +133,7 @@ impl<'a> Storyboard<'a> {
         Ok(self.shot(number, &wanted, &mut ForecasterMemory::default()))
     }
 
-    /// The agents that were forecast best and worst, `len` of each, a shot about each of them, best first.
+    /// The agents that were forecast best and worst, `len` of each and the extreme first, a shot about each of them.
     ///
     /// Ranked by the ADE of the best mode are agents that move and go on moving, seen over a whole history and horizon, in
     /// at most [`RANKED_MAX`] scenes; no agent is shown twice.

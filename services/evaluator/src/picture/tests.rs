@@ -134,6 +134,8 @@ fn pictures_that_can_not_be_are_refused() {
     let error = save("<svg/>", std::path::Path::new("picture.gif")).unwrap_err().to_string();
     assert_eq!(error, "picture.gif: pictures are written as .svg or .png");
     assert!(png("<svg").is_err());
+    let poster = scenes("", &panel(), &SceneOptions { width: 7200.0, ..usual }).unwrap();
+    assert!(png(&poster).unwrap_err().to_string().contains("the number of pixels"));
 }
 
 #[test]
