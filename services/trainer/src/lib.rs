@@ -16,6 +16,7 @@ mod batch;
 mod card;
 mod checkpoint;
 mod error;
+mod log;
 mod net;
 mod objective;
 mod optimiser;

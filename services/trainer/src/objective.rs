@@ -71,7 +71,7 @@ impl Objective {
 }
 
 /// The parts of a loss, for the progress line; which are in use depends on the [`Objective`].
-#[derive(Clone, Copy, Debug, Default, PartialEq, serde::Serialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct LossParts {
     /// Error of the winner, or of the posterior draw.
     pub trajectory: f32,
@@ -103,6 +103,16 @@ impl LossParts {
             single: self.single + other.single,
             probability: self.probability + other.probability,
             spread: self.spread + other.spread,
+        }
+    }
+
+    /// All parts times a factor.
+    pub(crate) fn times(self, factor: f32) -> Self {
+        Self {
+            trajectory: self.trajectory * factor,
+            single: self.single * factor,
+            probability: self.probability * factor,
+            spread: self.spread * factor,
         }
     }
 

@@ -14,6 +14,7 @@ use crate::base::BaseControl;
 use crate::batch::{Batch, BatchOptions, SceneView};
 use crate::card::{ModelCard, Seen};
 use crate::checkpoint::{State, write_whole};
+use crate::log::{Line, Log};
 use crate::net::layout::initial;
 use crate::net::tensors::Tensors;
 use crate::objective::{Differentiated, LossParts, Objective, differentiate};
@@ -128,22 +129,26 @@ impl<'a> Run<'a> {
     ) -> Result<(), TrainError> {
         let options = self.options;
         let (begun, before_s) = (Instant::now(), state.progress.seconds);
+        let mut log = Log::open(&options.checkpoints, state.progress.step)?;
         let mut diverged = 0;
         while state.progress.step < options.steps && state.progress.stale < options.patience {
             if state.progress.step.is_multiple_of(options.validate_every) {
                 state.progress.seconds = before_s + begun.elapsed().as_secs_f64();
-                self.validate(state, base, progress)?;
+                self.validate(state, base, progress, &log)?;
             }
+            let rate = state.adam.rate(state.progress.step, options.steps);
             let (parts, finite) = self.update(state, base);
             diverged = if finite { 0 } else { diverged + 1 };
             if diverged == DIVERGED_STEPS {
                 return Err(TrainError::Diverged { step: state.progress.step });
             }
             state.progress.step += 1;
+            let seconds = before_s + begun.elapsed().as_secs_f64();
+            log.update(state.progress.step, (seconds, rate), parts)?;
             progress.step(state.progress.step, parts);
         }
         state.progress.seconds = before_s + begun.elapsed().as_secs_f64();
-        self.validate(state, base, progress)
+        self.validate(state, base, progress, &log)
     }
 
     /// One update. Everything random in it comes from the seed and the number of the update.
@@ -252,11 +257,19 @@ impl<'a> Run<'a> {
         self.training.map(recording, kind).or_else(|| self.training.map(recording, MapKind::Online))
     }
 
-    fn validate(&self, state: &mut State, base: &BaseControl, progress: &Progress) -> Result<(), TrainError> {
+    fn validate(
+        &self,
+        state: &mut State,
+        base: &BaseControl,
+        progress: &Progress,
+        log: &Log,
+    ) -> Result<(), TrainError> {
         let average = state.adam.average.clone();
         let scores = self.scores(&average, base, Some(MapKind::Online), self.options.validation_agents);
         let figure = choose_by(&scores);
         progress.note(&format!("validation at {}: {figure:.4}\n{}", state.progress.step, table(&scores)));
+        let (step, seconds) = (state.progress.step, state.progress.seconds);
+        log.write(&Line::Validation { step, seconds, validation: figure, sets: scores })?;
         if state.progress.best_figure.is_none_or(|best| figure < best) {
             state.best = average;
             state.progress.best_figure = Some(figure);
