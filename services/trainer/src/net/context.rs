@@ -110,7 +110,7 @@ impl Network {
 /// Embeds `patches` \[patch, 3, row, column\]. A way back needs `keep_trace`.
 ///
 /// # Panics
-/// Where `patches` does not hold whole patches, or none.
+/// Where `patches` does not hold whole patches, or none for batch norms to take their statistics from.
 pub(crate) fn embed(
     weights: &Tensors,
     config: &ModelConfig,

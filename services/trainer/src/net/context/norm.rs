@@ -179,6 +179,7 @@ impl Norm {
 impl Moments {
     /// Those of the rows of a map.
     fn of(x: &Map) -> Self {
+        assert!(x.rows() > 0, "moments of no rows");
         let share = 1.0 / x.rows() as f64;
         let means = |sums: Vec<[Sums; 1]>| -> Vec<Panel> {
             sums.iter().map(|[sums]| sums.map(|sum| (sum * share) as f32)).collect()

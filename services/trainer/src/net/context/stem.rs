@@ -24,7 +24,7 @@ impl Stem {
         let panels =
             Panels::pack([self.out_channels, 1, in_len], |out, _, i| kernel[out * in_len + i], |_| 0.0);
         let images = patches.len() / self.patch_len();
-        assert!(images > 0 && patches.len().is_multiple_of(self.patch_len()), "whole patches, at least one");
+        assert!(patches.len().is_multiple_of(self.patch_len()), "whole patches");
         let mut y = Map::zeros(self.positions(), images, self.out_channels);
         let mut seen = self.nothing(images);
         let gather = Gather::Rows { stride: self.stride() };

@@ -120,6 +120,17 @@ fn gradients_by_all_tensors_agree_with_differences() {
 }
 
 #[test]
+fn no_patches_have_no_embeddings_and_no_gradients() {
+    let config = small(StemKind::Imagenet);
+    let weights = random(&config);
+    let embedded = embed(&weights, &config, &[], Normalisation::Running, true);
+    assert_eq!(embedded.embedding, Matrix::zeros(0, EMBEDDING));
+    let mut gradients = Gradients::zeros(&weights);
+    embedded.backward(&weights, &mut gradients, &embedded.embedding);
+    assert_eq!(gradients, Gradients::zeros(&weights));
+}
+
+#[test]
 fn statistics_are_those_of_the_batch() {
     let config = small(StemKind::Compact);
     let (mut weights, patches) = (random(&config), patches(&config, 21));
