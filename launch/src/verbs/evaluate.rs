@@ -76,10 +76,11 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
     if let Some(path) = &arguments.json {
         write(path, &(serde_json::to_string_pretty(&report.json()).map_err(Failure::data)? + "\n"))?;
     }
+    let exit = show(&text)?;
     if let Some(path) = &arguments.readme {
         readme::insert(path, &format!("evaluate {name}"), &report.summary())?;
     }
-    show(&text)
+    Ok(exit)
 }
 
 fn evaluate(name: &str, arguments: &Arguments) -> Result<Report, Failure> {

@@ -104,20 +104,21 @@ impl Report {
     /// The report as Markdown that also reads well in a terminal.
     #[must_use]
     pub fn markdown(&self) -> String {
-        self.written(&self.tables)
+        self.written(&self.tables, "##")
     }
 
-    /// The main tables with their main rows, as Markdown.
+    /// The main tables with their main rows, as Markdown one heading lower.
     #[must_use]
     pub fn summary(&self) -> String {
-        self.written(&self.tables.iter().filter_map(Table::summary).collect::<Vec<_>>())
+        self.written(&self.tables.iter().filter_map(Table::summary).collect::<Vec<_>>(), "###")
     }
 
-    fn written(&self, tables: &[Table]) -> String {
-        let mut text = format!("## {}\n\n", self.title);
+    /// The title as a heading, the tables below it.
+    fn written(&self, tables: &[Table], heading: &str) -> String {
+        let mut text = format!("{heading} {}\n\n", self.title);
         let made = self.made();
         for table in tables {
-            text += &table.markdown(&made);
+            text += &format!("{heading}{}", table.markdown(&made));
             text += "\n";
         }
         text += "Weights and maps of the tables above:\n\n";

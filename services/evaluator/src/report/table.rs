@@ -195,7 +195,7 @@ impl Table {
         self.rows.push(names.map(str::to_owned).into_iter().chain(cells.iter().map(text)).collect());
     }
 
-    /// The table as Markdown; `made` tells how its figures were made.
+    /// The table as Markdown under a heading of the first level; `made` tells how its figures were made.
     pub(crate) fn markdown(&self, made: &str) -> String {
         let columns_len = self.head.len();
         let rows = || std::iter::once(&self.head).chain(&self.rows);
@@ -215,7 +215,7 @@ impl Table {
         let rule: String = widths.iter().map(|width| format!("{}|", "-".repeat(width + 2))).collect();
         let body: String = self.rows.iter().map(line).collect();
         let space = if self.note.is_empty() { "" } else { " " };
-        format!("### {}\n\n{}{space}{made}\n\n{}|{rule}\n{body}", self.title, self.note, line(&self.head))
+        format!("# {}\n\n{}{space}{made}\n\n{}|{rule}\n{body}", self.title, self.note, line(&self.head))
     }
 }
 
