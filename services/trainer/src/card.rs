@@ -1,6 +1,6 @@
 //! The model card that travels with the weights.
 
-use std::collections::HashMap;
+use std::collections::{BTreeMap, HashMap};
 
 use crate::TrainError;
 use crate::checkpoint::RunProgress;
@@ -21,6 +21,9 @@ pub struct ModelCard {
     pub step: u64,
     /// Time that training took.
     pub wall_s: f64,
+    /// Factors of the spread of each type's forecasts, fitted to the validation.
+    #[serde(default)]
+    pub calibration: BTreeMap<String, f64>,
     /// Numbers in the weights.
     pub parameters: usize,
     /// Windows and agents that training saw.
@@ -74,7 +77,7 @@ impl ModelCard {
     pub(crate) fn new(
         options: &TrainOptions,
         progress: &RunProgress,
-        weights: &Tensors,
+        (weights, calibration): (&Tensors, BTreeMap<String, f64>),
         training: Seen,
         recordings: Vec<Source>,
         [validation, validation_without_map]: [Vec<SetScore>; 2],
@@ -92,6 +95,7 @@ impl ModelCard {
             options,
             step: progress.best_step,
             wall_s: progress.seconds.round(),
+            calibration,
             parameters: weights.0.values().map(|tensor| tensor.values.len()).sum(),
             training,
             gains: validation.iter().map(Gain::of).collect(),

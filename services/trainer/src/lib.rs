@@ -13,6 +13,7 @@
 
 mod base;
 mod batch;
+mod calibration;
 mod card;
 mod checkpoint;
 mod error;

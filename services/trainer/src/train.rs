@@ -3,15 +3,18 @@
 #[cfg(test)]
 mod tests;
 
+use std::collections::BTreeMap;
 use std::time::Instant;
 
 use data::sets::{DataSet, Part};
+use nn::Latents;
 use rand::{Rng, RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
 use crate::TrainError;
 use crate::base::BaseControl;
 use crate::batch::{Batch, BatchOptions, SceneView};
+use crate::calibration::Calibration;
 use crate::card::{ModelCard, Seen};
 use crate::checkpoint::{State, write_whole};
 use crate::log::{Line, Log};
@@ -300,17 +303,23 @@ impl<'a> Run<'a> {
         validation.scores(weights, &self.validation)
     }
 
-    /// Writes the best weights with their card.
+    /// Writes the best weights, calibrated, with their card.
     fn write(&self, state: &State, base: &BaseControl, agents_max: usize) -> Result<ModelCard, TrainError> {
+        let mut weights = state.best.clone();
+        let mut factors = BTreeMap::new();
+        if self.options.model.latents == Latents::Points {
+            let validation = &self.validation;
+            factors = Calibration { config: &self.options.model, base, validation }.apply(&mut weights);
+        }
         let maps = [Some(MapKind::Online), None];
-        let scores = maps.map(|map| self.scores(&state.best, base, map, agents_max));
+        let scores = maps.map(|map| self.scores(&weights, base, map, agents_max));
         let seen = Seen {
             windows: self.training.sets.iter().map(|set| set.scenes.len()).sum(),
             agents: self.training.counted().count(),
         };
         let sources = self.training.sources.clone();
-        let card = ModelCard::new(self.options, &state.progress, &state.best, seen, sources, scores);
-        write_whole(&self.options.out, &card.weights_file(&state.best)?)?;
+        let card = ModelCard::new(self.options, &state.progress, (&weights, factors), seen, sources, scores);
+        write_whole(&self.options.out, &card.weights_file(&weights)?)?;
         Ok(card)
     }
 }
