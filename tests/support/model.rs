@@ -63,12 +63,12 @@ impl Model {
         nn::Weights::from_bytes(&self.bytes(Dtype::F32)).unwrap()
     }
 
-    /// Switches latent points, mode head, best point and base control on.
+    /// Switches latent points that know of their base controls, mode head, best point and base control on.
     pub fn with_all_options() -> Self {
         let mut model = Self::onboard();
         let horizon_len = model.config["horizon_len"].as_u64().unwrap() as usize;
         let options = [("latents", "points".into()), ("modes", 20.into()), ("mode_head", true.into())];
-        let rest = [("best_latent", true.into()), ("base", true.into())];
+        let rest = [("best_latent", true.into()), ("base", true.into()), ("base_latent", true.into())];
         for (key, value) in options.into_iter().chain(rest) {
             model.config[key] = value;
         }
@@ -79,6 +79,7 @@ impl Model {
             model.set(&format!("decoder.{name}.mode.0.bias"), &[64]);
             model.set(&format!("decoder.{name}.mode.1.weight"), &[20, 64]);
             model.set(&format!("decoder.{name}.mode.1.bias"), &[20]);
+            model.set(&format!("decoder.{name}.latent_base.weight"), &[32, 2 * horizon_len]);
             model.set(&format!("base.{name}.ridge"), &[3, 8, 26, 2 * horizon_len]);
             model.set(&format!("base.{name}.anchors"), &[72, 20, horizon_len, 2]);
             let cuts = vec![0.5, 1.5, 3.0, 4.5, 6.0, 7.5, 9.5];

@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use nn::base::BaseFeatures;
+use nn::base::{Base, BaseFeatures};
 use nn::{
     BurnIn, Decoder, DecoderMemory, Draws, Job, ModelConfig, RAW_CONTROL, TypeDecoder, Weights, Workers,
     control_gaussian,
@@ -38,6 +38,8 @@ struct Scratch {
     present: Vec<bool>,
     hidden: Vec<[f32; HIDDEN]>,
     temporal: Vec<[f32; TEMPORAL]>,
+    /// Base controls, \[agent, mode, step\], those of the best forecast behind the modes; empty where the model has none.
+    base: Vec<[f32; 2]>,
     /// \[agent, draw\].
     latents: Vec<[f32; LATENT]>,
     /// \[agent, draw, step\].
@@ -88,7 +90,7 @@ impl Job for Unroller {
                 let draws_len = self.scratch.run(network, &self.config, group, streams);
                 for (i, agent) in group.iter().enumerate() {
                     let forecast = self.scratch.forecast(i, draws_len, &self.config);
-                    self.controls.push(forecast.controls(network, agent, agent_type));
+                    self.controls.push(forecast.controls(agent, agent_type));
                 }
             }
         }
@@ -115,8 +117,12 @@ impl Scratch {
         self.hidden.resize(group.len(), [0.0; HIDDEN]);
         let agents = BurnIn { agents_len: group.len(), states: &self.states, present: &self.present };
         network.burn_in(&agents, &mut self.memory, &mut self.hidden);
+        self.base.clear();
+        if let Some(base) = network.base() {
+            group.iter().for_each(|agent| self.extend_base(base, agent, config));
+        }
         let (draws_len, draws) = if network.points_len() > 0 {
-            (network.points_len(), Draws::Points)
+            (network.points_len(), Draws::Points(&self.base))
         } else {
             self.latents.clear();
             for stream in streams {
@@ -136,11 +142,21 @@ impl Scratch {
         draws_len
     }
 
+    fn extend_base(&mut self, base: &Base, agent: &AgentEncoding, config: &ModelConfig) {
+        let states = &agent.state[..config.history_len];
+        let features = BaseFeatures::new(states, |step| agent.present >> step & 1 == 1, config);
+        let first = self.base.len();
+        self.base.resize(first + base.controls_len(), [0.0; 2]);
+        base.controls(&features, &mut self.base[first..]);
+    }
+
     /// What the network said of agent `i` of the group.
     fn forecast<'a>(&'a self, i: usize, draws_len: usize, config: &'a ModelConfig) -> Forecast<'a> {
         let len = draws_len * config.horizon_len;
+        let base_len = self.base.len() / self.hidden.len();
         Forecast {
             raw: &self.raw[i * len..][..len],
+            base: &self.base[i * base_len..][..base_len],
             probabilities: &self.probabilities[i * config.modes..][..config.modes],
             config,
         }
@@ -151,13 +167,15 @@ impl Scratch {
 struct Forecast<'a> {
     /// \[draw, step\].
     raw: &'a [[f32; RAW_CONTROL]],
+    /// \[mode, step\], those of the best forecast behind the modes; or empty.
+    base: &'a [[f32; 2]],
     probabilities: &'a [f32],
     config: &'a ModelConfig,
 }
 
 impl Forecast<'_> {
-    fn controls(&self, network: &TypeDecoder, agent: &AgentEncoding, agent_type: AgentType) -> AgentControls {
-        let ModelConfig { modes, horizon_len, history_len, .. } = *self.config;
+    fn controls(&self, agent: &AgentEncoding, agent_type: AgentType) -> AgentControls {
+        let ModelConfig { modes, horizon_len, .. } = *self.config;
         let mut controls = AgentControls {
             id: agent.id,
             agent_type: agent_type as u32,
@@ -169,19 +187,11 @@ impl Forecast<'_> {
         controls.probability[..modes].copy_from_slice(self.probabilities);
         let draws = self.raw.chunks_exact(horizon_len);
         let all = controls.modes[..modes].iter_mut().chain([&mut controls.best]);
-        for (out, raw) in all.zip(draws) {
+        for (draw, (out, raw)) in all.zip(draws).enumerate() {
             out.iter_mut().zip(raw).for_each(|(out, raw)| *out = control_gaussian(*raw));
-        }
-        if let Some(base) = network.base() {
-            let states = &agent.state[..history_len];
-            let features = BaseFeatures::new(states, |step| agent.present >> step & 1 == 1, self.config);
-            let mut ridge = [[0.0; 2]; HORIZON_MAX];
-            base.ridge(&features, &mut ridge);
-            for (mode, steps) in controls.modes[..modes].iter_mut().enumerate() {
-                shift(steps, &ridge);
-                shift(steps, base.anchor(&features, mode));
+            if !self.base.is_empty() {
+                shift(out, &self.base[draw * horizon_len..][..horizon_len]);
             }
-            shift(&mut controls.best, &ridge);
         }
         if self.raw.len() == modes * horizon_len {
             controls.best = controls.modes[self.likeliest()];

@@ -4,12 +4,15 @@
 mod counting;
 #[path = "support/frames.rs"]
 mod frames;
+#[path = "../../../tests/support/model.rs"]
+mod model;
 
 use decoder::{Decoder, DecoderOptions};
 
 #[test]
 fn a_thousand_steady_steps_allocate_nothing() {
-    let mut decoder = Decoder::new(&nn::Weights::onboard(), DecoderOptions { workers: 2, seed: 1 }).unwrap();
+    let weights = model::Model::with_all_options().weights();
+    let mut decoder = Decoder::new(&weights, DecoderOptions { workers: 2, seed: 1 }).unwrap();
     let frames = [frames::encodings(6), frames::encodings(4)];
     let mut outs = frames.each_ref().map(|encodings| frames::room(encodings));
     let mut step = |i: usize| {

@@ -75,6 +75,7 @@ fn close(a: [f32; 2], b: [f32; 2]) {
 #[test]
 fn the_base_control_is_added_to_the_means() {
     let mut model = Model::with_all_options();
+    model.config["base_latent"] = false.into();
     let based = model.weights();
     model.config["base"] = false.into();
     let plain = model.weights();

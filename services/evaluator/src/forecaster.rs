@@ -80,6 +80,8 @@ struct Group {
     present: Vec<bool>,
     hidden: Vec<[f32; HIDDEN]>,
     temporal: Vec<[f32; TEMPORAL]>,
+    /// Base controls, \[agent, mode, step\], those of the best forecast behind the modes; empty where the model has none.
+    base: Vec<[f32; 2]>,
     /// \[agent, draw\].
     latents: Vec<[f32; LATENT]>,
     /// \[agent, draw, step\].
@@ -121,9 +123,8 @@ impl Forecaster {
     /// The patches that the model reads, where it reads any.
     #[must_use]
     pub fn patch_options(&self) -> Option<PatchOptions> {
-        let PatchOptions { side, cell_m } =
-            PatchOptions { side: self.config.patch_size, cell_m: self.config.patch_cell_m };
-        self.config.context.then_some(PatchOptions { side, cell_m })
+        let options = PatchOptions { side: self.config.patch_size, cell_m: self.config.patch_cell_m };
+        self.config.context.then_some(options)
     }
 
     /// Context embeddings CE of patches that lie one after the other; none where the model reads no map.
@@ -157,6 +158,7 @@ impl Forecaster {
                 let agents: Vec<usize> = places.iter().map(|&place| wanted[place]).collect();
                 let network = self.decoder.of(of_type);
                 let draws_len = self.decode(network, scene, &agents, memory);
+                let base_len = memory.group.base.len() / agents.len();
                 for (number, (&place, &agent)) in places.iter().zip(&agents).enumerate() {
                     let raw = &memory.group.raw[number * draws_len * self.config.horizon_len..];
                     let said = Said {
@@ -168,9 +170,9 @@ impl Forecaster {
                         probability: memory.group.probability[number * self.config.modes..]
                             [..self.config.modes]
                             .to_vec(),
+                        base: &memory.group.base[number * base_len..][..base_len],
                     };
-                    let states = memory.encoding.states_of(agent);
-                    forecasts[place] = Some(self.move_agent(&scene.agents[agent], &states, network, said));
+                    forecasts[place] = Some(self.move_agent(&scene.agents[agent], said));
                 }
             }
         }
@@ -191,8 +193,19 @@ impl Forecaster {
         let burn_in = BurnIn { agents_len: agents.len(), states: &group.states, present: &group.present };
         group.hidden.resize(agents.len(), [0.0; HIDDEN]);
         network.burn_in(&burn_in, scratch, &mut group.hidden);
+        group.base.clear();
+        if let Some(base) = network.base() {
+            for &agent in agents {
+                let states = encoding.states_of(agent);
+                let rows: Vec<_> = states.iter().map(|state| state.unwrap_or_default()).collect();
+                let features = BaseFeatures::new(&rows, |step| states[step].is_some(), config);
+                let first = group.base.len();
+                group.base.resize(first + base.controls_len(), [0.0; 2]);
+                base.controls(&features, &mut group.base[first..]);
+            }
+        }
         let (draws_len, draws) = if network.points_len() > 0 {
-            (network.points_len(), Draws::Points)
+            (network.points_len(), Draws::Points(&group.base))
         } else {
             group.latents.clear();
             for &agent in agents {
@@ -214,39 +227,18 @@ impl Forecaster {
     }
 
     /// Adds the base control and moves the agent.
-    fn move_agent(
-        &self,
-        agent: &Agent,
-        states: &[Option<[f32; STATE_FEATURES]>],
-        network: &TypeDecoder,
-        said: Said,
-    ) -> Forecast {
+    fn move_agent(&self, agent: &Agent, said: Said<'_>) -> Forecast {
         let ModelConfig { modes: modes_len, horizon_len, .. } = self.config;
         let now = agent.newest().expect("a wanted agent is present");
         let frame = scene::agent_frame(&agent.history).expect("a present agent has a frame");
         let mover = Mover::new(agent, &now, &frame, &self.config);
-        let Said { mut controls, probability } = said;
-        let mut base_forecast = None;
-        if let Some(base) = network.base() {
-            let rows: Vec<_> = states.iter().map(|state| state.unwrap_or_default()).collect();
-            let features = BaseFeatures::new(&rows, |step| states[step].is_some(), &self.config);
-            let mut ridge = vec![[0.0; 2]; horizon_len];
-            base.ridge(&features, &mut ridge);
-            controls.iter_mut().for_each(|steps| shift(steps, &ridge));
-            let anchored = |mode: usize| {
-                let anchor = base.anchor(&features, mode);
-                ridge.iter().zip(anchor).map(|(ridge, anchor)| [ridge[0] + anchor[0], ridge[1] + anchor[1]])
-            };
-            base_forecast = Some(BaseForecast {
-                modes: (0..modes_len).map(|mode| mover.follow(anchored(mode))).collect(),
-                best: mover.follow(ridge.iter().copied()),
-            });
-            for (mode, steps) in controls[..modes_len].iter_mut().enumerate() {
-                shift(steps, base.anchor(&features, mode));
-            }
-        }
+        let Said { mut controls, probability, base } = said;
+        let base = base.chunks_exact(horizon_len);
+        controls.iter_mut().zip(base.clone()).for_each(|(steps, base)| shift(steps, base));
+        let mut of_base: Vec<_> = base.map(|controls| mover.follow(controls.iter().copied())).collect();
+        let base_forecast = of_base.pop().map(|best| BaseForecast { modes: of_base, best });
         let best = controls.get(modes_len).map(Vec::as_slice);
-        let likeliest = metrics::most_likely(&probability).map_or(0, |mode| mode);
+        let likeliest = metrics::most_likely(&probability).unwrap_or(0);
         let best = best.unwrap_or(&controls[likeliest]).iter().map(|control| control.mean);
         let best = mover.follow(best);
         let (modes, covariance) = controls[..modes_len].iter().map(|steps| mover.spread(steps)).unzip();
@@ -255,10 +247,12 @@ impl Forecaster {
 }
 
 /// What the network said of an agent.
-struct Said {
+struct Said<'a> {
     /// Control Gaussians of each draw and step.
     controls: Vec<Vec<ControlGaussian>>,
     probability: Vec<f32>,
+    /// Base controls, \[mode, step\], those of the best forecast behind the modes; or empty.
+    base: &'a [[f32; 2]],
 }
 
 impl Group {

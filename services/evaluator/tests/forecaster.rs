@@ -123,6 +123,7 @@ fn normal_latents_are_drawn_by_seed_and_agent() {
         |config| {
             config.latents = Latents::Normal;
             config.mode_head = false;
+            config.base_latent = false;
         },
     );
     let weights = Weights::from_bytes(&bytes).unwrap();

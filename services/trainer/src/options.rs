@@ -138,9 +138,6 @@ impl TrainOptions {
             Objective::Paper { .. } if points || self.model.base => {
                 refuse("the paper objective needs model.latents = \"normal\" and no model.base")
             }
-            _ if self.model.base_latent && !(self.model.base && points) => {
-                refuse("model.base_latent needs model.base and model.latents = \"points\"")
-            }
             _ if self.model.history_len < 2 => refuse("model.history_len must be 2 or more"),
             _ if self.batch_agents == 0
                 || self.scene_agents == 0

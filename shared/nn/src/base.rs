@@ -216,6 +216,29 @@ impl Base {
         }
     }
 
+    /// Controls that the base has for an agent: those of every mode, then those of the best forecast.
+    #[must_use]
+    pub const fn controls_len(&self) -> usize {
+        (self.modes_len + 1) * self.horizon_len
+    }
+
+    /// The base controls of every mode, and those of the best forecast behind them, \[mode, step\].
+    ///
+    /// # Panics
+    /// Where `controls` has not [`Base::controls_len`] places.
+    pub fn controls(&self, features: &BaseFeatures, controls: &mut [[f32; 2]]) {
+        assert_eq!(controls.len(), self.controls_len(), "a control per mode and step");
+        let (modes, best) = controls.split_at_mut(self.modes_len * self.horizon_len);
+        self.ridge(features, best);
+        for (mode, controls) in modes.chunks_exact_mut(self.horizon_len).enumerate() {
+            for (control, (ridge, anchor)) in
+                controls.iter_mut().zip(best.iter().zip(self.anchor(features, mode)))
+            {
+                *control = [ridge[0] + anchor[0], ridge[1] + anchor[1]];
+            }
+        }
+    }
+
     /// The anchor of a mode: a control residual for each step.
     #[must_use]
     pub fn anchor(&self, features: &BaseFeatures, mode: usize) -> &[[f32; 2]] {

@@ -247,6 +247,11 @@ impl ModelConfig {
                 value: f64::from(self.leaky_slope),
                 reason: "is not finite",
             }),
+            None if self.base_latent && !(self.base && self.latents == Latents::Points) => Err(ConfigError {
+                key: "base_latent",
+                value: 1.0,
+                reason: "needs a base control and learned latent points",
+            }),
             None => Ok(()),
         }
     }

@@ -1,11 +1,12 @@
 //! The decoder: a gated recurrent unit per agent type, from history and latent variable to control Gaussians.
 //!
-//! What does not depend on the draw is computed once: the burn-in and ṽ·W per agent, z·W per latent point. From the
-//! second forecast step on the input is zero, so only its bias is left.
+//! What does not depend on the draw is computed once: the burn-in and ṽ·W per agent, z·W per latent point. What a point
+//! is told of its base control is linear, so that W takes the control itself. From the second forecast step on the input
+//! is zero, so only its bias is left.
 
 use wire::{AGENT_TYPES, AgentType, ControlGaussian, LATENT, STATE_FEATURES, TEMPORAL};
 
-use crate::base::Base;
+use crate::base::{Base, latent_scale};
 use crate::buffer::Buffer;
 use crate::config::Latents;
 use crate::kernels::exp_in_place;
@@ -44,6 +45,8 @@ pub struct TypeDecoder {
     idle: Buffer,
     head: Linear,
     points: Option<Points>,
+    /// From base controls to what they add to the gates.
+    latent_base: Option<Linear>,
     best_latent: Option<[f32; LATENT]>,
     modes: Option<ModeHead>,
     base: Option<Base>,
@@ -75,8 +78,9 @@ pub struct BurnIn<'a> {
 /// Where the latent variables of a forecast come from.
 #[derive(Clone, Copy, Debug)]
 pub enum Draws<'a> {
-    /// The learned points of the type, the same for all agents.
-    Points,
+    /// The learned points of the type, which the base controls, \[agent, mode, step\] with those of the best forecast
+    /// behind the modes, move where the model is so made; no other model reads them.
+    Points(&'a [[f32; 2]]),
     /// These, \[agent, draw\].
     Given(&'a [[f32; LATENT]]),
 }
@@ -94,6 +98,8 @@ pub struct DecoderMemory {
     /// ṽ·W, \[agent, gate\], and z·W of given draws, \[agent, draw, gate\].
     context: Buffer,
     latent: Buffer,
+    /// Base controls, \[row, step, component\].
+    base: Buffer,
     /// \[ṽ ‖ h\] and the two layers of the mode head.
     joined: Buffer,
     mode_hidden: Buffer,
@@ -138,6 +144,14 @@ impl TypeDecoder {
             let learned = weights.tensor(&name("latents"), &[config.modes, LATENT])?;
             points = Some(Points::new(learned, best_latent.as_ref(), &latent));
         }
+        let mut latent_base = None;
+        if config.base_latent {
+            let controls_len = 2 * config.horizon_len;
+            let matrix = weights.tensor(&name("latent_base.weight"), &[LATENT, controls_len])?;
+            let of_latent = input.chunks_exact(shape[1]).map(|row| &row[STATE_FEATURES + TEMPORAL..]);
+            let folded = fold(of_latent, matrix, latent_scale(agent_type), controls_len);
+            latent_base = Some(Linear::pack(&folded, None, [GATES, controls_len], 0..controls_len));
+        }
         let mut idle = Buffer::zeroed(GATES);
         idle.copy_from_slice(input_bias);
         Ok(Self {
@@ -148,6 +162,7 @@ impl TypeDecoder {
             idle,
             head: Linear::read(weights, &name("head"), RAW_CONTROL, HIDDEN)?,
             points,
+            latent_base,
             best_latent,
             modes: config.mode_head.then(|| ModeHead::read(weights, &name("mode"))).transpose()?,
             base: config.base.then(|| Base::read(weights, agent_type)).transpose()?,
@@ -216,7 +231,7 @@ impl TypeDecoder {
         let context = &mut memory.context[..agents_len * GATES];
         self.context.run(temporal.as_flattened(), TEMPORAL, Activation::None, context);
         let (draws_len, shared) = match draws {
-            Draws::Points => (self.points_len(), true),
+            Draws::Points(_) => (self.points_len(), true),
             Draws::Given(latents) => {
                 memory.latent.reserve(latents.len() * GATES);
                 let gates = &mut memory.latent[..latents.len() * GATES];
@@ -240,6 +255,10 @@ impl TypeDecoder {
                 let input = &mut memory.input[block_row * GATES..][..GATES];
                 let sums = context.iter().zip(latent).map(|(c, z)| c + z);
                 input.iter_mut().zip(sums).for_each(|(input, sum)| *input = sum);
+            }
+            if let (Some(layer), Draws::Points(base)) = (&self.latent_base, draws) {
+                let rows = (first..first + len).map(|row| (row / draws_len, row % draws_len));
+                add_base(layer, base, agents_len, horizon_len, rows, memory);
             }
             self.unroll(len, horizon_len, memory, &mut out[first * horizon_len..][..len * horizon_len]);
         }
@@ -316,6 +335,46 @@ impl TypeDecoder {
         }
         true
     }
+}
+
+/// W·M·diag(scale): from the controls that M reads, of alternating components, to the gates, \[gate, control\].
+fn fold<'w>(
+    rows: impl Iterator<Item = &'w [f32]>,
+    matrix: &[f32],
+    scale: [f32; 2],
+    controls_len: usize,
+) -> Vec<f32> {
+    let mut folded = Vec::with_capacity(GATES * controls_len);
+    for row in rows {
+        let entry = |control: usize| {
+            let column = matrix.iter().skip(control).step_by(controls_len);
+            row.iter().zip(column).map(|(w, m)| w * m).sum::<f32>() * scale[control % 2]
+        };
+        folded.extend((0..controls_len).map(entry));
+    }
+    folded
+}
+
+/// Adds what base controls tell of the first forecast step to the gates' input of `rows` of (agent, mode).
+fn add_base(
+    layer: &Linear,
+    base: &[[f32; 2]],
+    agents_len: usize,
+    horizon_len: usize,
+    rows: impl ExactSizeIterator<Item = (usize, usize)>,
+    memory: &mut DecoderMemory,
+) {
+    let (len, controls_len) = (rows.len(), 2 * horizon_len);
+    let stride = base.len() / agents_len;
+    let DecoderMemory { input, gates, base: gathered, .. } = memory;
+    gathered.reserve(BLOCK * controls_len);
+    for ((agent, mode), out) in rows.zip(gathered.chunks_exact_mut(controls_len)) {
+        let controls = &base[agent * stride + mode * horizon_len..][..horizon_len];
+        out.copy_from_slice(controls.as_flattened());
+    }
+    let (input, sums) = (&mut input[..len * GATES], &mut gates[..len * GATES]);
+    sums.copy_from_slice(input);
+    layer.run_onto(&gathered[..len * controls_len], controls_len, sums, Activation::None, input);
 }
 
 impl Points {

@@ -5,6 +5,7 @@
 mod model;
 
 use model::{Model, value};
+use nn::base::latent_scale;
 use nn::{
     BurnIn, ContextCnn, ContextMemory, Decoder, DecoderMemory, Draws, Gdat, GdatMemory, Graph, GraphTrace,
     RAW_CONTROL, Weights,
@@ -152,6 +153,27 @@ proptest! {
     }
 }
 
+/// Latent points with what the model tells them of base controls, \[agent, draw\]: z + M (scale · control).
+fn told_of_base(
+    weights: &Weights,
+    agent_type: AgentType,
+    points: &[f32],
+    base: &[[f32; 2]],
+) -> Vec<[f32; 32]> {
+    let controls_len = 2 * weights.config().horizon_len;
+    let name = format!("decoder.{}.latent_base.weight", agent_type.name());
+    let matrix = weights.tensor(&name, &[32, controls_len]).unwrap();
+    let scale = latent_scale(agent_type);
+    let rows = points.as_chunks::<32>().0.iter().zip(base.as_flattened().chunks_exact(controls_len));
+    let told = |(point, controls): (&[f32; 32], &[f32])| {
+        std::array::from_fn(|i| {
+            let terms = matrix[i * controls_len..][..controls_len].iter().zip(controls).enumerate();
+            point[i] + terms.map(|(k, (m, control))| m * scale[k % 2] * control).sum::<f32>()
+        })
+    };
+    rows.map(told).collect()
+}
+
 #[test]
 fn learned_points_are_decoded_as_if_they_were_given() {
     let weights = Model::with_all_options().weights();
@@ -161,7 +183,10 @@ fn learned_points_are_decoded_as_if_they_were_given() {
     latents.extend(decoder.best_latent().unwrap());
     assert_eq!(decoder.points_len(), 21);
     let agents_len = 3;
-    let given: Vec<[f32; 32]> = latents.repeat(agents_len).as_chunks().0.to_vec();
+    let horizon_len = weights.config().horizon_len;
+    let base: Vec<[f32; 2]> =
+        (0..agents_len * 21 * horizon_len).map(|i| [value(3 * i), 0.1 * value(i)]).collect();
+    let given = told_of_base(&weights, AgentType::Cyclist, &latents.repeat(agents_len), &base);
     let states: Vec<[f32; 6]> = (0..8 * agents_len).map(|i| [value(i); 6]).collect();
     let temporal: Vec<[f32; 64]> = (0..agents_len).map(|i| [value(i + 3); 64]).collect();
     let present = vec![true; states.len()];
@@ -170,11 +195,16 @@ fn learned_points_are_decoded_as_if_they_were_given() {
     let agents = BurnIn { agents_len, states: &states, present: &present };
     decoder.burn_in(&agents, &mut memory, &mut hidden);
     let mut decode = |draws: Draws<'_>| {
-        let mut out = vec![[0.0; RAW_CONTROL]; agents_len * 21 * weights.config().horizon_len];
+        let mut out = vec![[0.0; RAW_CONTROL]; agents_len * 21 * horizon_len];
         decoder.forecast(&hidden, &temporal, draws, &mut memory, &mut out);
         out
     };
-    assert_eq!(decode(Draws::Points), decode(Draws::Given(&given)));
+    let (by_points, by_latents) = (decode(Draws::Points(&base)), decode(Draws::Given(&given)));
+    for (a, b) in by_points.as_flattened().iter().zip(by_latents.as_flattened()) {
+        assert!((a - b).abs() < 1e-4, "{a} is not {b}");
+    }
+    let elsewhere: Vec<[f32; 2]> = base.iter().map(|[a, b]| [a + 0.1, *b]).collect();
+    assert_ne!(by_points, decode(Draws::Points(&elsewhere)), "the points know of the base");
     let mut probabilities = vec![0.0; agents_len * 20];
     assert!(decoder.mode_probabilities(&hidden, &temporal, &mut memory, &mut probabilities));
     for row in probabilities.chunks_exact(20) {

@@ -47,7 +47,6 @@ fn options(folder: &Path, steps: u64) -> TrainOptions {
     };
     options.model.width = 2;
     options.model.modes = 4;
-    options.model.base_latent = false;
     options
 }
 
@@ -55,7 +54,7 @@ fn options(folder: &Path, steps: u64) -> TrainOptions {
 fn a_short_run_learns_circles_and_writes_weights_that_run_onboard() {
     let folder = tempfile::tempdir().unwrap();
     let mut options = options(folder.path(), 60);
-    (options.model.base, options.model.context) = (false, false);
+    (options.model.base, options.model.base_latent, options.model.context) = (false, false, false);
     options.optimiser.warm_up_steps = 5;
     options.optimiser.average_decay = 0.9;
     let summary = train(&options).unwrap();
@@ -133,18 +132,16 @@ fn forecasts_by_points_agree_with_the_onboard_decoder() {
         decoder.burn_in(&burn_in, &mut memory, &mut hidden);
         let encoding: [f32; 64] = encodings[agent * 64..][..64].try_into().unwrap();
         let mut raw = vec![[0.0; 5]; draws_len * config.horizon_len];
-        decoder.forecast(&hidden, &[encoding], Draws::Points, &mut memory, &mut raw);
         let features = base::BaseFeatures::new(states, |step| present[step], config);
+        let mut of_base = vec![[0.0; 2]; base.controls_len()];
+        base.controls(&features, &mut of_base);
+        decoder.forecast(&hidden, &[encoding], Draws::Points(&of_base), &mut memory, &mut raw);
         for (mode, steps) in raw.chunks_exact(config.horizon_len).enumerate() {
-            let mut means = vec![[0.0; 2]; steps.len()];
-            base.ridge(&features, &mut means);
-            means.iter_mut().zip(steps).for_each(|(mean, raw)| *mean = [mean[0] + raw[0], mean[1] + raw[1]]);
-            if mode < config.modes {
-                let anchor = base.anchor(&features, mode);
-                means.iter_mut().zip(anchor).for_each(|(mean, a)| *mean = [mean[0] + a[0], mean[1] + a[1]]);
-            }
-            let ours = &ours[(agent * draws_len + mode) * means.len() * 2..][..means.len() * 2];
-            for (ours, theirs) in ours.iter().zip(means.iter().flatten()) {
+            let of_base = &of_base[mode * config.horizon_len..];
+            let means =
+                steps.iter().zip(of_base).flat_map(|(raw, base)| [raw[0] + base[0], raw[1] + base[1]]);
+            let ours = &ours[(agent * draws_len + mode) * steps.len() * 2..];
+            for (ours, theirs) in ours.iter().zip(means) {
                 assert!((ours - theirs).abs() < 1e-4, "agent {agent}, mode {mode}: {ours} and {theirs}");
             }
         }
@@ -160,7 +157,8 @@ fn both_objectives_reach_every_learned_tensor_of_their_model() {
         (options.optimiser.warm_up_steps, options.optimiser.learning_rate) = (1, 0.1);
         if matches!(options.objective, Objective::Paper { .. }) {
             options.model.latents = nn::Latents::Normal;
-            (options.model.base, options.model.mode_head, options.model.best_latent) = (false, false, false);
+            (options.model.base, options.model.base_latent) = (false, false);
+            (options.model.mode_head, options.model.best_latent) = (false, false);
         }
         let progress = Progress::new(1, 0);
         let run = Run::prepare(&options, &progress).unwrap();
@@ -187,6 +185,9 @@ fn options_that_contradict_one_another_are_refused() {
     assert!(matches!(options.check(), Err(TrainError::Options(_))));
     options.objective = Objective::plus();
     options.check().unwrap();
+    options.model.base = false;
+    assert!(options.check().unwrap_err().to_string().contains("model.base_latent"));
+    options.model.base = true;
     options.sets = vec!["nowhere".to_owned()];
     let refused = train(&options).unwrap_err().to_string();
     assert!(refused.contains("nowhere") && refused.contains("kitti-labels"), "{refused}");
