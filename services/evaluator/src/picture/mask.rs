@@ -27,7 +27,7 @@ pub enum Mask {
 pub type Outline = Vec<Vec<Place>>;
 
 impl Mask {
-    /// The regions of an agent's forecast that hold the [`SHARES`]; none where the mask is hidden or nothing is forecast.
+    /// The regions of an agent's forecast that hold 90 % and 50 %; none where the mask is hidden or nothing is forecast.
     pub fn regions(self, now: Place, forecast: &ForecastDrawing) -> Vec<Outline> {
         let regions = match self {
             Self::Hidden => None,
