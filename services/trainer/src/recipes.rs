@@ -3,6 +3,8 @@
 use data::sets::{DataSet, Fold};
 use nn::ModelConfig;
 
+use crate::objective::Objective;
+use crate::optimiser::OptimiserOptions;
 use crate::options::{TrainOptions, onboard_config};
 
 /// Names of the shipped weights: `eth`, `hotel`, `univ`, `zara1` and `zara2` leave that scene out; `interaction` knows
@@ -47,16 +49,31 @@ fn pedestrians(set: DataSet) -> TrainOptions {
         sets: vec![set.name().to_owned()],
         validation_sets: vec![set.name().to_owned()],
         windows: usize::MAX,
-        steps: 6000,
-        batch_agents: 256,
+        steps: 4000,
+        validate_every: 500,
+        validation_agents: 2000,
+        batch_agents: 128,
         scene_agents: 16,
+        neighbours: 6,
+        clip_windows: 1,
         whole_history: true,
         short_history: 0.0,
         noisy_history: 0.0,
         scale_deviation: 0.3,
+        objective: objective(1.0, 6),
+        optimiser: OptimiserOptions { average_decay: 0.998, ..OptimiserOptions::default() },
         model: pedestrian_config(),
         ..TrainOptions::default()
     }
+}
+
+/// The plus objective with these weights of vehicles and candidates for the winner.
+fn objective(of_vehicles: f64, len: usize) -> Objective {
+    let mut objective = Objective::plus();
+    if let Objective::Plus { vehicle, candidates, .. } = &mut objective {
+        (*vehicle, *candidates) = (of_vehicles, len);
+    }
+    objective
 }
 
 /// The model of [`pedestrians`].
@@ -71,13 +88,17 @@ fn vehicles(without: &[&str]) -> TrainOptions {
         validation_sets: vec![DataSet::Interaction.name().to_owned()],
         leave_out: without.iter().map(|&site| site.to_owned()).collect(),
         windows: usize::MAX,
-        steps: 20_000,
+        steps: 12_000,
+        validate_every: 1500,
+        validation_agents: 3000,
         batch_agents: 256,
         scene_agents: 16,
         whole_history: true,
         short_history: 0.0,
         noisy_history: 0.0,
         standing: 0.2,
+        objective: objective(1.0, 8),
+        optimiser: OptimiserOptions { average_decay: 0.998, ..OptimiserOptions::default() },
         model: ModelConfig { history_len: 4, horizon_len: 10, dt_s: 0.5, ..onboard_config() },
         ..TrainOptions::default()
     }

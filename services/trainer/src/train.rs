@@ -165,7 +165,7 @@ impl<'a> Run<'a> {
         if counted == 0 {
             return (LossParts::default(), true);
         }
-        let parts = self.differentiate(state, base, split(clips, options.workers), counted, &random);
+        let parts = self.differentiate(state, base, &split(clips, options.workers), counted, &random);
         let mut parts = parts.into_iter();
         let Some(mut whole) = parts.next() else { return (LossParts::default(), true) };
         for part in parts {
@@ -191,7 +191,7 @@ impl<'a> Run<'a> {
         &self,
         state: &State,
         base: &BaseControl,
-        parts: Vec<Vec<SceneView<'_>>>,
+        parts: &[Vec<SceneView<'_>>],
         counted: usize,
         random: &ChaCha8Rng,
     ) -> Vec<Differentiated> {

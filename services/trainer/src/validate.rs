@@ -149,7 +149,7 @@ struct Sums {
 }
 
 impl Sums {
-    fn merged(mut self, other: Self) -> Self {
+    fn merged(mut self, other: &Self) -> Self {
         self.best.merge(&other.best);
         self.single.merge(&other.single);
         self.base_best.merge(&other.base_best);
@@ -177,7 +177,7 @@ impl Validation<'_> {
                 .map(|scenes| scope.spawn(|| self.sums(weights, set.set, scenes, samples)))
                 .collect();
             let sums = threads.into_iter().map(|thread| thread.join().expect("the part's thread panicked"));
-            sums.fold(Sums::default(), Sums::merged)
+            sums.fold(Sums::default(), |sum, part| sum.merged(&part))
         });
         let errors = |mean: DisplacementMean| Errors {
             ade_m: rounded(mean.ade_m.value().unwrap_or_default()),

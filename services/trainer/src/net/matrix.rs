@@ -1,6 +1,6 @@
 //! Row-major matrices and the three products that a linear layer needs.
 
-use nn::kernels::product::{Columns, Gather, Panels, Product};
+use nn::kernels::product::{Columns, Gather, PANEL, Panels, Product};
 
 /// A matrix, row by row.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -142,7 +142,7 @@ pub(crate) enum Into {
     Add,
 }
 
-/// Rows of the batch whose share in a matrix's gradient is summed before it is added.
+/// Rows of the batch that are multiplied at once for a matrix's gradient: their panels stay in the cache.
 const SUMMED: usize = 256;
 
 /// A linear layer: `out` `[n, o]` of `x` `[n, i]` · `w` `[o, i]`ᵀ.
@@ -167,31 +167,23 @@ pub(crate) fn by_matrix(dy: View<'_>, x: View<'_>, mut out: ViewMut<'_>) {
     if dy.is_empty() || x.is_empty() {
         return;
     }
-    let (mut transposed, mut product) = (Vec::new(), Vec::new());
+    let stride = x.cols.next_multiple_of(PANEL);
+    let mut sum = vec![0.0; dy.cols * stride];
+    let mut next = sum.clone();
     for start in (0..x.rows).step_by(SUMMED) {
-        let len = SUMMED.min(x.rows - start);
-        transposed.resize(dy.cols * len, 0.0);
-        transpose(View { values: &dy.values[start * dy.stride..], rows: len, ..dy }, &mut transposed);
-        let part = View { values: &x.values[start * x.stride..], rows: len, ..x };
-        let panels = Panels::of_columns(part.columns_of());
-        product.resize(dy.cols * panels.out_stride(), 0.0);
-        run(&transposed, len, &panels, &mut product);
-        out.take(&product, panels.out_stride(), Into::Add);
-    }
-}
-
-/// The columns of `x`, one after the other.
-fn transpose(x: View<'_>, columns: &mut [f32]) {
-    // As many rows as fill a cache line of a column.
-    const ROWS: usize = 16;
-    for start in (0..x.rows).step_by(ROWS) {
-        let len = ROWS.min(x.rows - start);
-        for (col, column) in columns.chunks_exact_mut(x.rows).enumerate() {
-            for (row, to) in column[start..start + len].iter_mut().enumerate() {
-                *to = x.values[(start + row) * x.stride + col];
-            }
+        let part = View { values: &x.values[start * x.stride..], rows: SUMMED.min(x.rows - start), ..x };
+        Product {
+            input: &dy.values[start * dy.stride..],
+            gather: Gather::Columns { stride: dy.stride },
+            panels: &Panels::of_columns(part.columns_of()),
+            residual: Some(&sum),
+            relu: false,
+            out: &mut next,
         }
+        .run();
+        std::mem::swap(&mut sum, &mut next);
     }
+    out.take(&sum, stride, Into::Add);
 }
 
 fn multiply(x: View<'_>, panels: impl FnOnce() -> Panels, mut out: ViewMut<'_>, into: Into) {
