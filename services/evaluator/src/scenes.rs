@@ -1,10 +1,9 @@
 //! Scenes: moments of a recording as a forecaster may see them, and what came after.
 
-use data::{Recording, Window, WindowAgent, WindowOptions};
+use data::{Recording, Told, Window, WindowAgent, WindowOptions};
 use metrics::Point;
 use nn::ModelConfig;
 use scene::{AgentType, State};
-use wire::detection_flags::{HAS_HEADING, HAS_SPEED};
 
 /// An agent of a scene.
 #[derive(Clone, Debug, PartialEq)]
@@ -86,26 +85,25 @@ impl Cut {
 
     /// The scenes of a recording, a step apart, in time order.
     ///
-    /// Velocities and headings are the recording's where it has them for all agents of a type. Otherwise they are
-    /// backward differences over the step within the scene itself, the first step copying the second, so that nothing
-    /// before the history is known either.
+    /// Velocities and headings are the recording's where it has told both of the agent at every time so far. Otherwise
+    /// they are backward differences over the step within the scene itself, the first step copying the second, so that
+    /// nothing before the history is known either.
     #[must_use]
     pub fn scenes(&self, recording: &Recording) -> Vec<Scene> {
         let options = WindowOptions {
             from_positions: self.from_positions,
             ..WindowOptions::new(self.history_len, self.horizon_len, self.step_ns())
         };
-        let given = wire::AGENT_TYPES.map(|of_type| !self.from_positions && tells_motion(recording, of_type));
-        let agent = |agent: &WindowAgent| self.agent(agent, given[agent.agent_type.index()]);
         let scene = |window: &Window| Scene {
             stamp_ns: window.stamp_ns,
-            agents: window.agents.iter().map(agent).collect(),
+            agents: window.agents.iter().map(|agent| self.agent(agent)).collect(),
         };
         data::windows(recording, &options).iter().map(scene).collect()
     }
 
-    fn agent(&self, agent: &WindowAgent, motion_is_given: bool) -> Agent {
-        let history = if motion_is_given {
+    fn agent(&self, agent: &WindowAgent) -> Agent {
+        let Told { agent_type, length_m, has_speed, has_heading, .. } = agent.told;
+        let history = if has_speed && has_heading && !self.from_positions {
             agent.history.clone()
         } else {
             let positions: Vec<_> =
@@ -116,20 +114,10 @@ impl Cut {
         };
         Agent {
             id: agent.id,
-            agent_type: agent.agent_type,
-            length_m: (agent.length_m > 0.0).then_some(agent.length_m),
+            agent_type,
+            length_m: (length_m > 0.0).then_some(length_m),
             history,
             future: agent.future.clone(),
         }
     }
-}
-
-/// Whether all detections of a type have speed and heading.
-fn tells_motion(recording: &Recording, agent_type: AgentType) -> bool {
-    let mut of_type = recording
-        .frames
-        .iter()
-        .flat_map(|frame| &frame.detections)
-        .filter(|detection| detection.agent_type == agent_type as u32);
-    of_type.all(|detection| detection.has(HAS_SPEED | HAS_HEADING))
 }

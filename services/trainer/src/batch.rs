@@ -8,6 +8,8 @@
 //! agents at one step is computed once for all rows and edges that see the same.
 
 mod graph;
+#[cfg(test)]
+mod tests;
 
 use std::ops::Range;
 

@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-use data::{Recording, Window, WindowAgent, WindowOptions, sets::DataSet, sets::Part};
+use data::{Recording, Told, Window, WindowAgent, WindowOptions, sets::DataSet, sets::Part};
 use half::f16;
 use nn::ModelConfig;
 use scene::{AgentType, ContextMap, MapBuilder, OnlineMap, PatchOptions, State};
@@ -29,10 +29,13 @@ pub(crate) struct Agent {
 }
 
 impl Agent {
+    /// Of motion, what the recording has told at every time so far stays, unless `from_positions` asks for differences.
+    /// The rest is differences over the model's step: those over the frames of a fast recording would be mostly noise,
+    /// which no tracker passes on.
     fn new(
         agent: &WindowAgent,
         patches: Vec<Option<usize>>,
-        given: GivenMotion,
+        from_positions: bool,
         config: &ModelConfig,
     ) -> Self {
         let history_len = agent.history.len();
@@ -45,17 +48,24 @@ impl Agent {
         let mut states = vec![None; positions.len()];
         scene::states_from_positions(&positions, history_len, config.dt_s as f32, &mut states);
         let future = states.split_off(history_len);
+        let Told { agent_type, length_m, has_speed, has_heading, .. } = agent.told;
+        let [keeps_velocity, keeps_heading] = [has_speed, has_heading].map(|has| has && !from_positions);
+        let choose = |recorded: State, differenced: State| State {
+            position_m: recorded.position_m,
+            velocity_mps: if keeps_velocity { recorded.velocity_mps } else { differenced.velocity_mps },
+            heading_rad: if keeps_heading { recorded.heading_rad } else { differenced.heading_rad },
+        };
         let history: Vec<Option<State>> = agent
             .history
             .iter()
             .zip(states)
-            .map(|(recorded, differenced)| Some(given.choose((*recorded)?, differenced?)))
+            .map(|(recorded, differenced)| Some(choose((*recorded)?, differenced?)))
             .collect();
         let newest_two = history_len >= 2 && history.iter().rev().take(2).all(Option::is_some);
         Self {
             id: agent.id,
-            agent_type: agent.agent_type,
-            length_m: (agent.length_m > 0.0).then_some(agent.length_m),
+            agent_type,
+            length_m: (length_m > 0.0).then_some(length_m),
             history,
             future,
             patches,
@@ -75,42 +85,19 @@ impl Agent {
     }
 }
 
-/// Which parts of an agent's motion the recording tells. The others are differences over the model's step: those over
-/// the frames of a fast recording would be mostly noise, which no tracker passes on.
-#[derive(Clone, Copy)]
-struct GivenMotion {
-    velocity: bool,
-    heading: bool,
-}
-
-impl GivenMotion {
-    /// What all detections of the recording have.
-    fn of(recording: &Recording) -> Self {
-        let all = |flag: u32| {
-            let mut detections = recording.frames.iter().flat_map(|frame| &frame.detections);
-            detections.all(|detection| detection.has(flag))
-        };
-        Self {
-            velocity: all(wire::detection_flags::HAS_SPEED),
-            heading: all(wire::detection_flags::HAS_HEADING),
-        }
-    }
-
-    fn choose(self, recorded: State, differenced: State) -> State {
-        State {
-            position_m: recorded.position_m,
-            velocity_mps: if self.velocity { recorded.velocity_mps } else { differenced.velocity_mps },
-            heading_rad: if self.heading { recorded.heading_rad } else { differenced.heading_rad },
-        }
-    }
-}
-
 /// A window.
 #[derive(Clone, Debug)]
 pub(crate) struct Scene {
     /// Number of the recording it is of.
     pub(crate) recording: usize,
     pub(crate) agents: Vec<Agent>,
+}
+
+impl Scene {
+    /// Whether any agent is held to its future.
+    fn counts(&self) -> bool {
+        self.agents.iter().any(|agent| agent.counts)
+    }
 }
 
 /// The map patches of a recording.
@@ -140,6 +127,17 @@ pub(crate) struct MapView<'a> {
     pub(crate) recording: usize,
     patches: &'a Patches,
     kind: MapKind,
+}
+
+impl Patches {
+    /// The patches as those of a recording with this number; `None` where there is no such map.
+    pub(crate) fn view(&self, recording: usize, kind: MapKind) -> Option<MapView<'_>> {
+        let known = match kind {
+            MapKind::Online => !self.online.is_empty(),
+            MapKind::Site => self.site.is_some(),
+        };
+        known.then_some(MapView { recording, patches: self, kind })
+    }
 }
 
 impl MapView<'_> {
@@ -236,8 +234,8 @@ impl Samples {
                 progress(&path);
                 let recording = data::open(&path, Some(set.format()))?;
                 let number = samples.sources.len();
-                let (mut of_recording, patches) = cut(&recording, number, selection, config);
-                scenes.append(&mut of_recording);
+                let (of_recording, patches) = cut(&recording, number, selection, config);
+                scenes.extend(of_recording.into_iter().filter(Scene::counts));
                 samples.patches.push(patches);
                 samples.sites.push(site(set, &path));
                 samples.sources.push(Source {
@@ -271,12 +269,7 @@ impl Samples {
 
     /// The patches that scenes of a recording are shown with; `None` where there is no such map.
     pub(crate) fn map(&self, recording: usize, kind: MapKind) -> Option<MapView<'_>> {
-        let patches = &self.patches[recording];
-        let known = match kind {
-            MapKind::Online => !patches.online.is_empty(),
-            MapKind::Site => patches.site.is_some(),
-        };
-        known.then_some(MapView { recording, patches, kind })
+        self.patches[recording].view(recording, kind)
     }
 
     /// All agents that are held to their future.
@@ -305,8 +298,8 @@ fn site_map<'a>(states: impl Iterator<Item = &'a State> + Clone) -> Option<Conte
     (visits > 0).then(|| builder.build())
 }
 
-/// Scenes and patches of a recording.
-fn cut(
+/// Scenes and patches of a recording, a scene for each of its windows.
+pub(crate) fn cut(
     recording: &Recording,
     number: usize,
     selection: Selection<'_>,
@@ -320,25 +313,19 @@ fn cut(
     };
     let windows = data::windows(recording, &options);
     let (patches, numbers) = cut_patches(recording, &windows, config);
-    let given = if from_positions {
-        GivenMotion { velocity: false, heading: false }
-    } else {
-        GivenMotion::of(recording)
-    };
     let scene = |window: &Window| {
         let agents = window.agents.iter().map(|agent| {
             let steps = (config.history_len + config.horizon_len) as i64;
             let first_ns = window.stamp_ns - (config.history_len as i64 - 1) * step_ns;
             let stamps = (0..steps).map(|step| first_ns + step * step_ns);
             let patches = stamps.map(|stamp_ns| numbers.get(&(agent.id, stamp_ns)).copied()).collect();
-            let mut agent = Agent::new(agent, patches, given, config);
+            let mut agent = Agent::new(agent, patches, from_positions, config);
             agent.counts &= !whole_history || agent.history.iter().all(Option::is_some);
             agent
         });
         Scene { recording: number, agents: agents.collect() }
     };
-    let scenes = windows.iter().map(scene).filter(|scene| scene.agents.iter().any(|agent| agent.counts));
-    (scenes.collect(), patches)
+    (windows.iter().map(scene).collect(), patches)
 }
 
 /// The patches of every agent and window, and their numbers by (identity, stamp).

@@ -30,5 +30,5 @@ pub use input::{FILE_BYTES_MAX, Input, Role};
 pub use open::{open, parse};
 pub use recording::{Ego, Frame, LeftOut, Recording};
 pub use rows::ROWS_MAX;
-pub use tracks::{RecordedTrack, tracks, tracks_from_positions};
+pub use tracks::{RecordedTrack, Told, tracks, tracks_from_positions};
 pub use windows::{Window, WindowAgent, WindowOptions, windows};

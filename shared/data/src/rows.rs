@@ -102,10 +102,12 @@ pub(crate) fn identified(agent_type: AgentType, position_m: [f32; 2], id: u64) -
     Detection { id, flags: detection_flags::HAS_ID, ..detection(agent_type, position_m) }
 }
 
-/// Frames of rows that are sorted by time, seen by a fixed sensor that looked for `observed_types` all the time.
+/// Frames of rows that are sorted by time, seen by a fixed sensor that looked for `observed_types` all the time. It is
+/// taken to look at the middle of what the first frame saw: that of all frames would tell of the future.
 /// The rows are their own truth.
 pub(crate) fn frames(rows: &[Row<'_>], observed_types: u32) -> Vec<Frame> {
-    let ego = Ego { position_m: centre_m(rows), heading_rad: 0.0 };
+    let first = rows.chunk_by(|a, b| a.stamp_ns == b.stamp_ns).next().unwrap_or(&[]);
+    let ego = Ego { position_m: centre_m(first), heading_rad: 0.0 };
     rows.chunk_by(|a, b| a.stamp_ns == b.stamp_ns)
         .map(|rows| {
             let mut detections: Vec<Detection> = rows.iter().map(|row| row.detection).collect();
@@ -138,7 +140,7 @@ pub(crate) fn truth_of(detection: &Detection) -> Truth {
     }
 }
 
-/// The middle of all positions: where a fixed sensor is taken to look at.
+/// The middle of all positions.
 fn centre_m(rows: &[Row<'_>]) -> [f32; 2] {
     let mean = |of: fn(&Detection) -> f32| {
         let sum: f64 = rows.iter().map(|row| f64::from(of(&row.detection))).sum();

@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use scene::State;
 use wire::{AgentType, Detection, detection_flags};
 
-use crate::{Frame, Recording, text};
+use crate::{Recording, text};
 
 /// Speed from which a direction of motion is a heading.
 const HEADING_SPEED_MPS: f32 = 0.1;
@@ -17,27 +17,40 @@ const MOTION: u32 = detection_flags::HAS_HEADING | detection_flags::HAS_SPEED;
 pub struct RecordedTrack {
     /// Identity in the recording.
     pub id: u64,
-    /// The type that the recording ends with; see [`RecordedTrack::type_at`].
-    pub agent_type: AgentType,
-    /// Length where known, else 0.
-    pub length_m: f32,
-    /// Width where known, else 0.
-    pub width_m: f32,
     /// Stamps and states in time order. A state depends on nothing later than its stamp.
     pub states: Vec<(i64, State)>,
     /// Whether the first state has no velocity and heading because no position came before it. Once the second state
     /// is known, [`RecordedTrack::state_at`] gives it those.
     pub starts_unmoved: bool,
-    /// From when on which type held, in time order: a recording may learn what it sees.
-    pub types: Vec<(i64, AgentType)>,
+    /// From when on the recording told what, in time order, at least one: it may learn what it sees.
+    pub told: Vec<(i64, Told)>,
+}
+
+/// What a recording has told of an agent so far, its states apart.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Told {
+    /// What the agent is taken for.
+    pub agent_type: AgentType,
+    /// Length where known, else 0.
+    pub length_m: f32,
+    /// Width where known, else 0.
+    pub width_m: f32,
+    /// Whether every detection so far had a speed.
+    pub has_speed: bool,
+    /// Whether every detection so far had a heading.
+    pub has_heading: bool,
 }
 
 impl RecordedTrack {
-    /// What the agent was taken for at that time.
+    /// What was known of the agent at a time, from detections up to then alone; before the first of them, what that
+    /// one tells.
+    ///
+    /// # Panics
+    /// If `told` is empty.
     #[must_use]
-    pub fn type_at(&self, stamp_ns: i64) -> AgentType {
-        let known = self.types.partition_point(|(from_ns, _)| *from_ns <= stamp_ns);
-        self.types.get(known.saturating_sub(1)).map_or(self.agent_type, |(_, agent_type)| *agent_type)
+    pub fn told_at(&self, stamp_ns: i64) -> Told {
+        let known = self.told.partition_point(|(from_ns, _)| *from_ns <= stamp_ns);
+        self.told[known.saturating_sub(1)].1
     }
 
     /// The state at a time as it could be told at `now_ns`, from states up to then alone: a recorded state as it is,
@@ -86,35 +99,38 @@ fn follow(recording: &Recording, motion_is_given: bool) -> Vec<RecordedTrack> {
             let Ok(agent_type) = detection.agent_type() else { continue };
             let track = tracks.entry(detection.id).or_insert_with(|| RecordedTrack {
                 id: detection.id,
-                agent_type,
-                length_m: 0.0,
-                width_m: 0.0,
                 states: Vec::new(),
                 starts_unmoved: !(motion_is_given && detection.has(MOTION)),
-                types: Vec::new(),
+                told: Vec::new(),
             });
-            append(track, frame, detection, agent_type, motion_is_given);
+            let stamp_ns = frame.stamp_ns;
+            let last = track.told.last().map(|(_, told)| *told);
+            let told = Told::after(last, detection, agent_type);
+            if last != Some(told) {
+                track.told.push((stamp_ns, told));
+            }
+            let state = state(track.states.last(), stamp_ns, detection, motion_is_given);
+            track.states.push((stamp_ns, state));
         }
     }
     tracks.into_values().collect()
 }
 
-fn append(
-    track: &mut RecordedTrack,
-    frame: &Frame,
-    detection: &Detection,
-    agent_type: AgentType,
-    motion_is_given: bool,
-) {
-    if track.types.is_empty() || track.agent_type != agent_type {
-        track.agent_type = agent_type;
-        track.types.push((frame.stamp_ns, agent_type));
+impl Told {
+    fn after(last: Option<Self>, detection: &Detection, agent_type: AgentType) -> Self {
+        let has = |flag: u32, before: fn(Self) -> bool| detection.has(flag) && last.is_none_or(before);
+        let [length_m, width_m] = match detection.has(detection_flags::HAS_SIZE) {
+            true => [detection.length_m, detection.width_m],
+            false => last.map_or([0.0; 2], |last| [last.length_m, last.width_m]),
+        };
+        Self {
+            agent_type,
+            length_m,
+            width_m,
+            has_speed: has(detection_flags::HAS_SPEED, |last| last.has_speed),
+            has_heading: has(detection_flags::HAS_HEADING, |last| last.has_heading),
+        }
     }
-    if detection.has(detection_flags::HAS_SIZE) {
-        [track.length_m, track.width_m] = [detection.length_m, detection.width_m];
-    }
-    let state = state(track.states.last(), frame.stamp_ns, detection, motion_is_given);
-    track.states.push((frame.stamp_ns, state));
 }
 
 fn state(last: Option<&(i64, State)>, stamp_ns: i64, detection: &Detection, motion_is_given: bool) -> State {

@@ -1,9 +1,7 @@
 //! Windows of a recording: what a forecaster may know at a time, and what came after.
 
+use crate::{RecordedTrack, Recording, Told, tracks, tracks_from_positions};
 use scene::State;
-use wire::AgentType;
-
-use crate::{RecordedTrack, Recording, tracks, tracks_from_positions};
 
 /// How a recording is cut into windows.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -45,10 +43,8 @@ impl WindowOptions {
 pub struct WindowAgent {
     /// Identity in the recording.
     pub id: u64,
-    /// What it was taken for at the window's time.
-    pub agent_type: AgentType,
-    /// Length where known, else 0.
-    pub length_m: f32,
+    /// What was known of it at the window's time.
+    pub told: Told,
     /// States at `stamp_ns − (T_h − 1 − k) Δt`, oldest first; none where absent.
     pub history: Vec<Option<State>>,
     /// Positions at `stamp_ns + (k + 1) Δt`; none where absent.
@@ -119,8 +115,7 @@ fn agent(track: &RecordedTrack, stamp_ns: i64, options: &WindowOptions) -> Optio
     state_at(0, stamp_ns)?;
     let agent = WindowAgent {
         id: track.id,
-        agent_type: track.type_at(stamp_ns),
-        length_m: track.length_m,
+        told: track.told_at(stamp_ns),
         history: (1 - steps..=0).map(|step| state_at(step, stamp_ns)).collect(),
         future: (1..=options.horizon_len as i64)
             .map(|step| state_at(step, i64::MAX).map(|state| state.position_m))

@@ -190,7 +190,7 @@ fn cyclists_are_told_from_pedestrians() {
     for part in [Part::Train, Part::Validation, Part::Test] {
         for file in files(DataSet::Interaction, &root, part) {
             for track in data::tracks(&read(&file)).iter().filter(|track| track.id >= 1_000_000_000) {
-                tracks_len[track.agent_type.index()] += 1;
+                tracks_len[track.told_at(i64::MAX).agent_type.index()] += 1;
             }
         }
     }

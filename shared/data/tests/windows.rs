@@ -41,8 +41,7 @@ fn steps() -> impl Strategy<Value = Vec<Vec<Option<[f32; 2]>>>> {
 
 fn histories(windows: &[Window], until_ns: i64) -> String {
     let known = windows.iter().filter(|window| window.stamp_ns <= until_ns);
-    let told =
-        known.flat_map(|window| &window.agents).map(|agent| (agent.id, agent.agent_type, &agent.history));
+    let told = known.flat_map(|window| &window.agents).map(|agent| (agent.id, agent.told, &agent.history));
     format!("{:?}", told.collect::<Vec<_>>())
 }
 
@@ -171,8 +170,7 @@ fn someone_who_turns_out_to_ride_was_a_pedestrian_before() {
     let inputs = [Input { role: Role::Pedestrians, path: "a.csv".to_owned(), bytes: riders.into() }];
     let recording = parse(Format::Interaction, &inputs).unwrap();
     let track = &tracks(&recording)[0];
-    assert_eq!(track.agent_type, AgentType::Cyclist);
-    let types = [0, 1, 2, 3, 5].map(|k| track.type_at(k * STEP_NS));
+    let types = [0, 1, 2, 3, 5].map(|k| track.told_at(k * STEP_NS).agent_type);
     use AgentType::{Cyclist, Pedestrian};
     assert_eq!(types, [Pedestrian, Pedestrian, Pedestrian, Cyclist, Cyclist]);
 }

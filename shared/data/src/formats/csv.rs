@@ -22,8 +22,8 @@
 //!
 //! Columns stand in any order, those that are not needed may be missing or empty, lines that begin with `#` are
 //! comments, rows stand in any order. All rows of one stamp are a frame that looked for all types; an `ego` row alone
-//! makes a frame in which nothing was seen. Without ego rows the sensor is taken to be fixed at the middle of all
-//! positions, and between ego rows it is taken to stand where the last one put it.
+//! makes a frame in which nothing was seen. Until the first ego row the sensor is taken to stand in the middle of what
+//! the first frame saw, from then on where the last one put it.
 
 use std::collections::BTreeMap;
 
@@ -207,7 +207,6 @@ fn stamp_ns(field: Field<'_>) -> Result<i64, ReadError> {
 
 /// Places the sensor, and adds the frames that have an ego row alone.
 fn with_egos(mut frames: Vec<Frame>, egos: &BTreeMap<i64, (Ego, usize)>) -> Vec<Frame> {
-    let Some((first, _)) = egos.values().next() else { return frames };
     let known =
         |frames: &[Frame], stamp_ns| frames.binary_search_by_key(&stamp_ns, |frame| frame.stamp_ns).is_ok();
     let alone: Vec<i64> = egos.keys().copied().filter(|&stamp_ns| !known(&frames, stamp_ns)).collect();
@@ -218,7 +217,9 @@ fn with_egos(mut frames: Vec<Frame>, egos: &BTreeMap<i64, (Ego, usize)>) -> Vec<
     }));
     frames.sort_by_key(|frame| frame.stamp_ns);
     for frame in &mut frames {
-        frame.ego = egos.range(..=frame.stamp_ns).next_back().map_or(*first, |(_, (ego, _))| *ego);
+        if let Some((_, (ego, _))) = egos.range(..=frame.stamp_ns).next_back() {
+            frame.ego = *ego;
+        }
     }
     frames
 }

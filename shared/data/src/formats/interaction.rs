@@ -4,7 +4,8 @@
 //! `track_id,frame_id,timestamp_ms,agent_type,x,y` with ids `P1`, `P2`, … for the others; metres. `P7` comes out as
 //! 1,000,000,007. The data know one class `pedestrian/bicycle`: an agent counts as a pedestrian until the running
 //! median of its speeds (at least three of them) exceeds 2.5 m/s, and as a cyclist from then on, so that the class
-//! at a time depends on nothing later. Frames in between those of the 2.5 Hz clock observed vehicles only.
+//! at a time depends on nothing later. The 2.5 Hz clock ticks at whole multiples of 0.4 s; frames in between that have
+//! no pedestrian or cyclist observed vehicles only.
 
 use std::cmp::Reverse;
 use std::collections::{BTreeMap, BinaryHeap};
@@ -14,7 +15,7 @@ use wire::{AgentType, Detection, detection_flags};
 use crate::input::{find, need_any};
 use crate::rows::{self, PEDESTRIAN_IDS, Row, Rows};
 use crate::text::{self, Field, Line, Separator};
-use crate::{Input, ReadError, Recording, Role};
+use crate::{Frame, Input, ReadError, Recording, Role};
 
 /// First line of a vehicle file.
 pub(crate) const VEHICLE_HEADER: &str =
@@ -68,10 +69,8 @@ pub fn parse(inputs: &[Input]) -> Result<Recording, ReadError> {
     tell_cyclists(&mut rows);
     let observed = if vehicles.is_some() { AgentType::Vehicle.bit() } else { 0 };
     let mut frames = rows::frames(&rows, observed);
-    if let Some(clock) = Clock::of_pedestrians(&rows) {
-        for frame in frames.iter_mut().filter(|frame| clock.ticks_at(frame.stamp_ns)) {
-            frame.observed_types |= AgentType::Pedestrian.bit() | AgentType::Cyclist.bit();
-        }
+    for frame in frames.iter_mut().filter(|frame| pedestrians.is_some() && sees_pedestrians(frame)) {
+        frame.observed_types |= AgentType::Pedestrian.bit() | AgentType::Cyclist.bit();
     }
     let interval_ns = if vehicles.is_some() { VEHICLE_INTERVAL_NS } else { PEDESTRIAN_INTERVAL_NS };
     Ok(Recording { interval_ns, has_identities: true, frames, ..Recording::default() })
@@ -149,30 +148,10 @@ fn stamp_ns(field: Field<'_>) -> Result<i64, ReadError> {
     Err(field.error(format!("expected 0 to {STAMP_MAX_MS}")))
 }
 
-/// The regular times at which pedestrians and cyclists were looked for.
-struct Clock {
-    start_ns: i64,
-    interval_ns: i64,
-}
-
-impl Clock {
-    /// The coarsest clock that has a tick at every row; none where there are no rows.
-    fn of_pedestrians(rows: &[Row<'_>]) -> Option<Self> {
-        let mut stamps = rows.iter().filter(|row| row.detection.id >= PEDESTRIAN_IDS).map(|row| row.stamp_ns);
-        let start_ns = stamps.next()?;
-        let interval_ns = stamps.fold(0, |interval, stamp_ns| divisor(interval, stamp_ns - start_ns));
-        let interval_ns = if interval_ns == 0 { PEDESTRIAN_INTERVAL_NS as i64 } else { interval_ns };
-        Some(Self { start_ns, interval_ns })
-    }
-
-    fn ticks_at(&self, stamp_ns: i64) -> bool {
-        (stamp_ns - self.start_ns) % self.interval_ns == 0
-    }
-}
-
-/// The greatest common divisor of two numbers that are not negative.
-fn divisor(a: i64, b: i64) -> i64 {
-    if b == 0 { a } else { divisor(b, a % b) }
+/// Whether pedestrians and cyclists were looked for: at the ticks of their clock, and wherever there is one of them.
+fn sees_pedestrians(frame: &Frame) -> bool {
+    frame.stamp_ns % PEDESTRIAN_INTERVAL_NS as i64 == 0
+        || frame.detections.iter().any(|detection| detection.id >= PEDESTRIAN_IDS)
 }
 
 /// Turns those who ride into cyclists; `rows` are in time order.

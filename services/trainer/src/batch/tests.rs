@@ -1,0 +1,150 @@
+//! Nothing that the network is given depends on what came later.
+
+mod recordings;
+
+use std::path::Path;
+use std::sync::LazyLock;
+
+use data::sets::Part;
+use data::{Format, Recording};
+use proptest::prelude::*;
+use rand::SeedableRng;
+use rand_chacha::ChaCha8Rng;
+
+use super::*;
+use crate::onboard_config;
+use crate::samples::{MapKind, Scene, Selection, cut};
+use crate::view;
+use recordings::{Scenery, frame_rate};
+
+/// A base control that was fitted to something else.
+static BASE: LazyLock<BaseControl> = LazyLock::new(|| {
+    let mut random = ChaCha8Rng::seed_from_u64(1);
+    let recording = read(&Scenery::random(frame_rate(Format::Csv), &mut random), Format::Csv);
+    let config = onboard_config();
+    let (scenes, _) = cut(&recording, 0, selection(false), &config);
+    BaseControl::fit(&config, || scenes.iter().flat_map(|scene| &scene.agents), false, 1)
+});
+
+fn read(scenery: &Scenery, format: Format) -> Recording {
+    let folder = tempfile::tempdir().unwrap();
+    let path = scenery.write(format, folder.path());
+    data::open(&path, Some(format)).unwrap_or_else(|error| panic!("{format}: {error}"))
+}
+
+fn selection(from_positions: bool) -> Selection<'static> {
+    Selection {
+        root: Path::new(""),
+        sets: &[],
+        part: Part::Train,
+        leave_out: &[],
+        windows_max: usize::MAX,
+        from_positions,
+        whole_history: false,
+    }
+}
+
+/// What the network is given and what it is held to in the windows of a recording up to a time.
+struct Shown {
+    /// By name, to the bit.
+    inputs: Vec<(&'static str, Vec<u32>)>,
+    /// What is no matrix, in words.
+    words: String,
+    truth: Vec<u32>,
+}
+
+impl Shown {
+    fn until(recording: &Recording, now_ns: i64, from_positions: bool) -> Self {
+        let config = onboard_config();
+        let selection = selection(from_positions);
+        let step_ns = config.step_ns() as i64;
+        let options = data::WindowOptions {
+            from_positions,
+            ..data::WindowOptions::new(config.history_len, config.horizon_len, step_ns)
+        };
+        let windows = data::windows(recording, &options);
+        let windows_len = windows.partition_point(|window| window.stamp_ns <= now_ns);
+        let (mut scenes, patches) = cut(recording, 0, selection, &config);
+        scenes.truncate(windows_len);
+        // Who is held to their future may depend on it, and with that the order of a batch: here all are.
+        scenes.iter_mut().flat_map(|scene| &mut scene.agents).for_each(|agent| agent.counts = true);
+        let map = patches.view(0, MapKind::Online);
+        let views: Vec<SceneView<'_>> =
+            scenes.iter().map(|scene| view::plain(scene, map, usize::MAX)).collect();
+        let options = BatchOptions { config: &config, base: &BASE, neighbours_max: 8, with_future: false };
+        let batch = Batch::new(&views, options);
+        let frames: Vec<_> = recording.frames.iter().take_while(|frame| frame.stamp_ns <= now_ns).collect();
+        let words = format!("{frames:?}\n{}", agents(&scenes));
+        Self { inputs: inputs(&batch), words, truth: bits(&batch.truth.values) }
+    }
+}
+
+/// All that is known of the agents but their futures, in words.
+fn agents(scenes: &[Scene]) -> String {
+    let agents = scenes.iter().flat_map(|scene| &scene.agents);
+    agents
+        .map(|Agent { id, agent_type, length_m, history, .. }| {
+            format!("{id} {agent_type:?} {length_m:?} {history:?}\n")
+        })
+        .collect()
+}
+
+fn bits(values: &[f32]) -> Vec<u32> {
+    values.iter().map(|value| value.to_bits()).collect()
+}
+
+fn inputs(batch: &Batch<'_>) -> Vec<(&'static str, Vec<u32>)> {
+    let graph = &batch.graph;
+    let start = |start: &Start| {
+        let [vx, vy] = start.velocity_mps;
+        [vx, vy, start.heading_rad, start.speed_mps, start.slip_rad, start.rear_axle_m].map(f32::to_bits)
+    };
+    vec![
+        ("state of the rows", bits(&graph.state.values)),
+        ("rows of the steps", graph.steps.clone()),
+        ("relations", bits(&graph.relation.values)),
+        ("relations of the edges", graph.relation_of_edge.clone()),
+        ("receivers", graph.edges.receiver.clone()),
+        ("senders", graph.edges.sender.clone()),
+        ("map patches", bits(&graph.patches.values)),
+        ("patches of the rows", graph.patch_of_row.clone()),
+        ("state of the agents", bits(&batch.state.values)),
+        ("presence", bits(&batch.present.values)),
+        ("starts", batch.starts.iter().flat_map(start).collect()),
+        ("ridge", batch.base.iter().flat_map(|base| bits(&base.ridge)).collect()),
+        ("anchors", batch.base.iter().flat_map(|base| bits(base.anchors)).collect()),
+    ]
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { cases: 16, failure_persistence: None, ..ProptestConfig::default() })]
+
+    #[test]
+    fn what_comes_later_changes_no_input_to_the_bit(
+        seed in any::<u64>(),
+        now_s in 0.5_f64..6.0,
+        from_positions in any::<bool>(),
+    ) {
+        for format in Format::ALL {
+            let mut random = ChaCha8Rng::seed_from_u64(seed);
+            let scenery = Scenery::random(frame_rate(format), &mut random);
+            let now = (now_s * frame_rate(format)) as usize;
+            let other = scenery.with_another_future(now, &mut random);
+            let now_ns = ((now as f64 + 0.5) / frame_rate(format) * 1e9) as i64;
+            let [recorded, perturbed] = [&scenery, &other].map(|scenery| read(scenery, format));
+            prop_assert_ne!(&recorded.frames, &perturbed.frames);
+            let [shown, other] =
+                [&recorded, &perturbed].map(|recording| Shown::until(recording, now_ns, from_positions));
+            prop_assert!(shown.words == other.words, "{}: frames, types, sizes or histories differ", format);
+            for ((name, values), (_, others)) in shown.inputs.iter().zip(&other.inputs) {
+                prop_assert!(values == others, "{format}: {name} differ");
+            }
+            // A detector tells no identities: its recordings have no windows.
+            if format == Format::KittiDetections {
+                prop_assert!(shown.truth.is_empty());
+            } else {
+                prop_assert!(shown.truth != other.truth, "{format}: the futures are the same");
+            }
+        }
+    }
+}
