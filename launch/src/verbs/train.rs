@@ -14,6 +14,10 @@ pub struct Arguments {
     /// interaction-without-EP1 or onboard
     #[arg(long, value_name = "NAME", conflicts_with = "options")]
     recipe: Option<String>,
+    /// Change of the model: paper, plus, compact, full, T, T+C-ATT, T+C, T+C+K, same-node, no-attention, literal, no-map,
+    /// site-map or online-map; several are made in turn
+    #[arg(long, value_name = "NAME")]
+    preset: Vec<String>,
     /// Folder with the data sets, laid out as published
     #[arg(long, value_name = "DIR")]
     data: Option<PathBuf>,
@@ -56,7 +60,7 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
     Ok(Exit::Done)
 }
 
-/// The file's options, or the defaults, as the command line changes them.
+/// The file's options, a recipe's or the defaults, as presets and the rest of the command line change them.
 fn options(arguments: &Arguments) -> Result<TrainOptions, Failure> {
     let mut options = match &arguments.recipe {
         Some(name) => trainer::recipe(name).ok_or_else(|| {
@@ -69,6 +73,12 @@ fn options(arguments: &Arguments) -> Result<TrainOptions, Failure> {
         let text = std::fs::read_to_string(path).map_err(|error| Failure::file(path, &error))?;
         options = serde_json::from_str(&text)
             .map_err(|error| Failure::Data(format!("{}: {error}", path.display())))?;
+    }
+    for name in &arguments.preset {
+        options = options.with_preset(name).ok_or_else(|| {
+            let known = trainer::PRESETS.join(", ");
+            Failure::Usage(format!("unknown preset \"{name}\": expected one of {known}"))
+        })?;
     }
     options.resume |= arguments.resume;
     let paths = [

@@ -7,7 +7,7 @@ use kinematics::{
 use metrics::Point;
 use nalgebra::{Vector2, Vector4, Vector5};
 use nn::ModelConfig;
-use scene::{AgentFrame, AgentType, State};
+use scene::{AgentFrame, State};
 
 use crate::Agent;
 
@@ -26,7 +26,7 @@ impl Mover {
     pub(crate) fn new(agent: &Agent, now: &State, frame: &AgentFrame, config: &ModelConfig) -> Self {
         let dt_s = config.dt_s as f32;
         let [x, y] = now.position_m;
-        if agent.agent_type != AgentType::Vehicle {
+        if !config.drives(agent.agent_type) {
             let kind = match config.displacement {
                 nn::Displacement::Residual => DisplacementKind::Residual,
                 nn::Displacement::Absolute => DisplacementKind::Absolute,

@@ -7,7 +7,7 @@ mod weights;
 
 use data::{GeneratedScene, SceneOptions};
 use evaluator::{Agent, Cut, Forecast, Forecaster, ForecasterMemory, Scene};
-use nn::{Latents, Weights};
+use nn::{Latents, VehicleMotion, Weights};
 use scene::AgentType;
 
 /// Scenes of generated traffic, cut for a model.
@@ -100,6 +100,33 @@ fn a_network_that_says_nothing_leaves_the_base_control() {
     for forecast in forecasts {
         let base = forecast.base.unwrap();
         assert_eq!((forecast.modes, forecast.best), (base.modes, base.best));
+    }
+}
+
+#[test]
+fn vehicles_without_a_kinematic_layer_keep_their_velocity_where_the_network_says_nothing() {
+    let silent = |name: &str, _: &mut Vec<usize>, values: &mut Vec<f32>| {
+        if name.contains(".head.") {
+            values.fill(0.0);
+        }
+    };
+    let bytes = weights::changed(silent, |config| {
+        config.vehicle_motion = VehicleMotion::Displacement;
+        (config.base, config.base_latent) = (false, false);
+    });
+    let forecaster = Forecaster::new(&Weights::from_bytes(&bytes).unwrap(), 1).unwrap();
+    let scenes = scenes(&forecaster);
+    let scene =
+        scenes.iter().find(|scene| scene.agents.iter().any(|a| a.agent_type == AgentType::Vehicle)).unwrap();
+    for (agent, forecast) in scene.complete().into_iter().zip(forecast(&forecaster, scene)) {
+        let now = scene.agents[agent].newest().unwrap();
+        for (step, position) in forecast.best.iter().enumerate() {
+            let passed_s = (step + 1) as f32 * forecaster.config().dt_s as f32;
+            for axis in 0..2 {
+                let expected = now.position_m[axis] + now.velocity_mps[axis] * passed_s;
+                assert!((position[axis] - expected).abs() < 1e-3, "{position:?} after {passed_s} s");
+            }
+        }
     }
 }
 

@@ -31,15 +31,13 @@ impl Mover {
             velocity_mps: [track.vx_mps, track.vy_mps],
             heading_rad: track.heading_rad,
         };
-        match agent_type {
-            AgentType::Vehicle => vehicle(&now, history, track.length_m, options, dt_s),
-            AgentType::Cyclist | AgentType::Pedestrian => {
-                let frame = agent_frame(history).unwrap_or(AgentFrame::new(now.position_m, now.heading_rad));
-                let motion = Displacement::new(options.displacement, frame.heading_rad, dt_s);
-                let ([x, y], [vx, vy]) = (now.position_m, now.velocity_mps);
-                Self::Walker(motion, Belief::certain(Vector4::new(x, y, vx, vy)))
-            }
+        if agent_type == AgentType::Vehicle && options.vehicles_drive {
+            return vehicle(&now, history, track.length_m, options, dt_s);
         }
+        let frame = agent_frame(history).unwrap_or(AgentFrame::new(now.position_m, now.heading_rad));
+        let motion = Displacement::new(options.displacement, frame.heading_rad, dt_s);
+        let ([x, y], [vx, vy]) = (now.position_m, now.velocity_mps);
+        Self::Walker(motion, Belief::certain(Vector4::new(x, y, vx, vy)))
     }
 
     /// The same agent, as uncertain as its track. A covariance that is none leaves it certain.

@@ -20,6 +20,8 @@ pub struct SamplerOptions {
     pub history_len: usize,
     /// Steps of the forecast, T_f.
     pub horizon_len: usize,
+    /// Whether vehicles are moved by the controls of a bicycle; by displacements as all others otherwise.
+    pub vehicles_drive: bool,
     /// Integrator of the bicycle.
     pub integrator: Integrator,
     /// Where a vehicle's controls saturate.
@@ -32,7 +34,7 @@ pub struct SamplerOptions {
     pub rear_axle_ratio: f32,
     /// Length of vehicles whose length is unknown.
     pub default_length_m: f32,
-    /// What the control of a cyclist or pedestrian stands for.
+    /// What a displacement stands for.
     pub displacement: DisplacementKind,
     /// Whether the track's own covariance is where a forecast's covariance begins; 0 otherwise.
     pub initial_covariance: bool,
@@ -49,6 +51,7 @@ impl Default for SamplerOptions {
         Self {
             history_len: 8,
             horizon_len: 12,
+            vehicles_drive: true,
             integrator: Integrator::Midpoint,
             limits: ControlLimits { accel_mps2: 6.0, slip_rate_radps: 1.0 },
             slip_limit_rad: Some(0.5),

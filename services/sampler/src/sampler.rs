@@ -145,7 +145,8 @@ impl Sampler {
     }
 
     fn write_kinematic(&self, tick: Tick, track: &Track, agent_type: AgentType, out: &mut Forecast) {
-        let options = SamplerOptions { displacement: kinematics::DisplacementKind::Residual, ..self.options };
+        let displacement = kinematics::DisplacementKind::Residual;
+        let options = SamplerOptions { vehicles_drive: true, displacement, ..self.options };
         let mover = Mover::certain(track, agent_type, &options, tick.dt_s()).along_its_course();
         let mover = mover.with_track_covariance(track);
         kinematic::forecast(mover, agent_type, self.options.horizon_len, out);

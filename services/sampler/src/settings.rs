@@ -1,6 +1,6 @@
 use config::Run;
 use kinematics::{ControlLimits, DisplacementKind, Integrator};
-use wire::StageId;
+use wire::{AgentType, StageId};
 
 use crate::{Propagation, SamplerOptions};
 
@@ -15,6 +15,7 @@ pub fn options(run: &Run) -> SamplerOptions {
     SamplerOptions {
         history_len: model.history_len,
         horizon_len: model.horizon_len,
+        vehicles_drive: model.drives(AgentType::Vehicle),
         integrator: match model.integrator {
             nn::Integrator::Euler => Integrator::Euler,
             nn::Integrator::Midpoint => Integrator::Midpoint,

@@ -104,10 +104,11 @@ fn assert_near(found: [f32; 2], expected: [f32; 2], tolerance_m: f32, what: &str
 #[test]
 fn walkers_take_their_displacements_in_their_own_axes() {
     let heading_rad = std::f32::consts::FRAC_PI_2;
-    for agent_type in [AgentType::Pedestrian, AgentType::Cyclist] {
+    for agent_type in TYPES {
+        let options = SamplerOptions { vehicles_drive: false, ..SamplerOptions::default() };
         let track = track(1, agent_type, [3.0, 4.0], heading_rad, 1.5);
         let controls = controls(1, agent_type, &[[0.1, 0.05], [0.0, 0.0]], 0.1);
-        let residual = &learned(&mut Sampler::new(SamplerOptions::default()), 0, &[track], &[controls])[0];
+        let residual = &learned(&mut Sampler::new(options), 0, &[track], &[controls])[0];
         assert_eq!(told(residual), is(Quality::Learned, Cause::None));
         assert_eq!((residual.modes_len, residual.age_ns, residual.source_id), (2, 0, 101));
         for step in 0..12 {
@@ -124,8 +125,9 @@ fn walkers_take_their_displacements_in_their_own_axes() {
             assert!((xx - (0.0104 * k + (0.025 * k).powi(2))).abs() < 1e-4, "{xx}");
             assert!((yy - (0.01 * k + (0.05 * k).powi(2))).abs() < 1e-4, "{yy}");
         }
-        let options =
-            SamplerOptions { displacement: DisplacementKind::Absolute, ..SamplerOptions::default() };
+        let driving = fallback(&mut Sampler::new(SamplerOptions::default()), 0, &[track]);
+        assert_eq!(fallback(&mut Sampler::new(options), 0, &[track]), driving, "without a model");
+        let options = SamplerOptions { displacement: DisplacementKind::Absolute, ..options };
         let absolute = &learned(&mut Sampler::new(options), 0, &[track], &[controls])[0];
         assert_near(absolute.best[11], [3.0 - 0.6, 4.0 + 1.2], 1e-4, "absolute");
     }

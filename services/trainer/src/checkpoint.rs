@@ -48,7 +48,7 @@ pub(crate) struct RunProgress {
 impl State {
     /// A run that has made no update.
     pub(crate) fn new(weights: Tensors, options: &TrainOptions) -> Self {
-        let adam = Adam::new(options.optimiser.clone(), &weights);
+        let adam = Adam::new(options.optimiser.clone(), &options.model, &weights);
         let progress = RunProgress {
             step: 0,
             adam_steps: 0,
@@ -112,7 +112,7 @@ impl State {
         };
         let all = [Role::Learned, Role::Statistic, Role::Fixed];
         let weights = read("value", &all)?;
-        let mut adam = Adam::new(options.optimiser.clone(), &weights);
+        let mut adam = Adam::new(options.optimiser.clone(), &options.model, &weights);
         adam.steps = progress.adam_steps;
         adam.average = read("average", &all)?;
         let (mut first, mut second) = (read("first", &[Role::Learned])?, read("second", &[Role::Learned])?);

@@ -2,6 +2,7 @@
 
 use std::collections::BTreeMap;
 
+use nn::ModelConfig;
 use nn::kernels::{Kernel, Lanes, dispatch};
 
 use crate::net::layout::units;
@@ -51,12 +52,12 @@ pub(crate) struct Adam {
 }
 
 impl Adam {
-    /// An optimiser that starts from `weights`.
-    pub(crate) fn new(options: OptimiserOptions, weights: &Tensors) -> Self {
+    /// An optimiser that starts from `weights` of a model.
+    pub(crate) fn new(options: OptimiserOptions, config: &ModelConfig, weights: &Tensors) -> Self {
         let learned = weights.0.iter().filter(|(_, tensor)| tensor.role == Role::Learned);
         let moments = learned.map(|(name, tensor)| {
             let zeros = vec![0.0; tensor.values.len()];
-            let units = units(name, &tensor.shape).unwrap_or_default();
+            let units = units(config, name, &tensor.shape).unwrap_or_default();
             (name.clone(), Moments { first: zeros.clone(), second: zeros, units })
         });
         Self { options, steps: 0, moments: moments.collect(), average: weights.clone() }
@@ -171,6 +172,7 @@ impl Kernel for Mix<'_> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::options::onboard_config;
 
     const HEAD: &str = "decoder.vehicle.head.bias";
 
@@ -192,7 +194,7 @@ mod tests {
     fn the_minimum_of_a_parabola_is_found_and_averaged() {
         let mut weights = weights("a", &[3.0, -2.0]);
         let options = OptimiserOptions { average_decay: 0.9, ..OptimiserOptions::default() };
-        let mut adam = Adam::new(options, &weights);
+        let mut adam = Adam::new(options, &onboard_config(), &weights);
         for _ in 0..400 {
             update(&mut adam, &mut weights, "a", 1.0);
         }
@@ -204,7 +206,7 @@ mod tests {
     #[test]
     fn a_gradient_that_is_no_number_moves_nothing() {
         let mut weights = weights("a", &[3.0]);
-        let mut adam = Adam::new(OptimiserOptions::default(), &weights);
+        let mut adam = Adam::new(OptimiserOptions::default(), &onboard_config(), &weights);
         assert!(!update(&mut adam, &mut weights, "a", f32::NAN).is_finite());
         assert_eq!((weights.get("a"), adam.steps), (&[3.0][..], 0));
     }
@@ -212,9 +214,9 @@ mod tests {
     #[test]
     fn a_head_moves_in_its_units() {
         let mut weights = weights(HEAD, &[0.0; 5]);
-        let mut adam = Adam::new(OptimiserOptions::default(), &weights);
+        let mut adam = Adam::new(OptimiserOptions::default(), &onboard_config(), &weights);
         update(&mut adam, &mut weights, HEAD, 1.0);
-        let units = units(HEAD, &[5]).unwrap();
+        let units = units(&onboard_config(), HEAD, &[5]).unwrap();
         for (moved, unit) in weights.get(HEAD).iter().zip(units) {
             assert!((moved - 0.05 * unit).abs() < 1e-5, "moved by {moved} in units of {unit}");
         }
@@ -223,7 +225,7 @@ mod tests {
     #[test]
     fn the_rate_climbs_and_falls_to_zero() {
         let options = OptimiserOptions { warm_up_steps: 100, ..OptimiserOptions::default() };
-        let adam = Adam::new(options, &weights("a", &[0.0]));
+        let adam = Adam::new(options, &onboard_config(), &weights("a", &[0.0]));
         let rates: Vec<f64> = [0, 49, 99, 550, 1000].map(|step| adam.rate(step, 1000)).to_vec();
         assert!(rates[0] < rates[1] && rates[1] < rates[2] && rates[2] > rates[3], "{rates:?}");
         assert!((rates[3] - 0.5 * rates[2]).abs() < 1e-9 && rates[4] < 1e-12, "{rates:?}");

@@ -1,7 +1,10 @@
 use std::path::PathBuf;
 
 use data::sets::DataSet;
-use nn::{Displacement, Feedback, Integrator, Latents, ModelConfig, Stem, Temporal};
+use nn::{
+    Attention, Displacement, Feedback, Integrator, Latents, ModelConfig, NodeTypes, Stem, Temporal,
+    VehicleMotion,
+};
 
 use crate::TrainError;
 use crate::objective::Objective;
@@ -189,11 +192,14 @@ pub fn onboard_config() -> ModelConfig {
         topological_heads: 4,
         temporal_heads: 4,
         temporal: Temporal::ValueMatrix,
+        attention: Attention::Dual,
+        node_types: NodeTypes::Own,
         edge_in_message: true,
         distance_scale: true,
         position_scale: 0.1,
         velocity_scale: 0.2,
         leaky_slope: 0.01,
+        vehicle_motion: VehicleMotion::Bicycle,
         integrator: Integrator::Midpoint,
         accel_limit_mps2: 6.0,
         slip_rate_limit_radps: 1.0,

@@ -8,7 +8,6 @@ use wire::{AGENT_TYPES, AgentType};
 use crate::batch::Batch;
 use crate::net::graph::Encoded;
 use crate::net::gru::{self, BurnIn, Unroll};
-use crate::net::layout::TYPE_NAMES;
 use crate::net::matrix::{Into, Matrix, by_matrix, forward};
 use crate::net::motion::{self, Start};
 use crate::net::tensors::{Gradients, Tensors};
@@ -51,14 +50,15 @@ impl<'a> TypeForecast<'a> {
         if agents.is_empty() {
             return None;
         }
-        let name = decoder(of_type);
+        let agent_type = AGENT_TYPES[of_type];
+        let name = decoder(config, agent_type);
         let state = batch.state.rows_of(agents.clone());
         let present = batch.present.rows_of(agents.clone());
         Some(Self {
             config,
             batch,
             weights,
-            agent_type: AGENT_TYPES[of_type],
+            agent_type,
             encoding: encoded.encoding.rows_of(agents.clone()),
             burn_in: gru::burn_in(weights, &name, &state, &present),
             agents,
@@ -69,9 +69,9 @@ impl<'a> TypeForecast<'a> {
         self.weights
     }
 
-    /// Prefix of the names of the type's decoder.
+    /// Prefix of the names of the decoder that serves the type.
     pub(crate) fn name(&self) -> String {
-        decoder(self.agent_type as usize)
+        decoder(self.config, self.agent_type)
     }
 
     /// Learned points as latent variables, each with what it tells of its base control: `modes` holds some numbers per
@@ -95,7 +95,7 @@ impl<'a> TypeForecast<'a> {
 
     /// A base control as the latent variables see it.
     fn scaled(&self, base: &Matrix) -> Matrix {
-        let scale = nn::base::latent_scale(self.agent_type);
+        let scale = nn::base::latent_scale(self.config, self.agent_type);
         let mut scaled = base.clone();
         for control in scaled.values.as_chunks_mut::<2>().0 {
             *control = [control[0] * scale[0], control[1] * scale[1]];
@@ -187,7 +187,7 @@ impl<'a> TypeForecast<'a> {
             };
             sum.iter_mut().zip(d_row).for_each(|(sum, d)| *sum += d);
         }
-        if self.config.base_latent && self.config.base {
+        if self.config.base_latent {
             let base = self.scaled(&self.base(modes));
             by_matrix(
                 d_latent.view(),
@@ -202,6 +202,6 @@ impl<'a> TypeForecast<'a> {
     }
 }
 
-fn decoder(of_type: usize) -> String {
-    format!("decoder.{}", TYPE_NAMES[of_type])
+fn decoder(config: &ModelConfig, agent_type: AgentType) -> String {
+    format!("decoder.{}", config.network_of(agent_type).name())
 }

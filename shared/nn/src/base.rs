@@ -162,11 +162,8 @@ impl Step {
 
 /// Factors that bring the controls of a type to a like magnitude, for what latent variables tell of a base control.
 #[must_use]
-pub const fn latent_scale(agent_type: AgentType) -> [f32; 2] {
-    match agent_type {
-        AgentType::Vehicle => [0.5, 5.0],
-        AgentType::Cyclist | AgentType::Pedestrian => [3.0, 3.0],
-    }
+pub fn latent_scale(config: &ModelConfig, agent_type: AgentType) -> [f32; 2] {
+    if config.drives(agent_type) { [0.5, 5.0] } else { [3.0, 3.0] }
 }
 
 /// The base control of an agent type.

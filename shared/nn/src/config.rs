@@ -1,63 +1,14 @@
+//! The options of a model.
+
+mod choices;
+
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
+use wire::AgentType;
 
-/// First layers of the context CNN.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum Stem {
-    /// Convolution 7×7/2, batch norm, ReLU, max-pool 3×3/2: for patches of 32 cells and more.
-    Imagenet,
-    /// Convolution 3×3/2, batch norm, ReLU: for patches of 16 cells.
-    Compact,
-}
-
-/// The two readings of the temporal attention's values.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum Temporal {
-    /// Each head has a matrix of values.
-    ValueMatrix,
-    /// 64 heads, each with its scores as values: the paper's formula to the letter.
-    Literal,
-}
-
-/// How the bicycle is integrated.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum Integrator {
-    /// All right-hand sides from before the step: the paper's.
-    Euler,
-    /// Speed, slip and course from the middle of the step.
-    Midpoint,
-}
-
-/// What the control of a cyclist or pedestrian is.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum Displacement {
-    /// The step's displacement less that of constant velocity.
-    Residual,
-    /// The step's displacement: the paper's.
-    Absolute,
-}
-
-/// Where latent variables come from.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum Latents {
-    /// Draws from N(0, I).
-    Normal,
-    /// A learned set of points per agent type.
-    Points,
-}
-
-/// What the decoder is fed after the first forecast step.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum Feedback {
-    /// Nothing: zeros.
-    Zeros,
-}
+pub use choices::{
+    Attention, Displacement, Feedback, Integrator, Latents, NodeTypes, Stem, Temporal, VehicleMotion,
+};
 
 /// A configuration that no model can have.
 #[derive(Debug, Error, PartialEq)]
@@ -85,7 +36,8 @@ pub struct ModelConfig {
     pub patch_size: usize,
     /// Side of a patch cell.
     pub patch_cell_m: f32,
-    /// Largest distance between neighbours, d.
+    /// Largest distance between neighbours, d. One that nobody comes within, such as 0.001, leaves every agent alone
+    /// with itself: the topological attention is off.
     pub edge_radius_m: f32,
     /// Largest distance where both are pedestrians; `edge_radius_m` where it is null.
     #[serde(default)]
@@ -104,6 +56,12 @@ pub struct ModelConfig {
     pub temporal_heads: usize,
     /// Reading of the temporal attention.
     pub temporal: Temporal,
+    /// How attention weighs neighbours and steps.
+    #[serde(default)]
+    pub attention: Attention,
+    /// Which networks the agent types have.
+    #[serde(default)]
+    pub node_types: NodeTypes,
     /// Whether the messages carry the edge attributes.
     pub edge_in_message: bool,
     /// Whether squared distances are divided by their dimension.
@@ -114,6 +72,9 @@ pub struct ModelConfig {
     pub velocity_scale: f32,
     /// Slope of the LeakyReLU f_act below 0.
     pub leaky_slope: f32,
+    /// How vehicles move.
+    #[serde(default)]
+    pub vehicle_motion: VehicleMotion,
     /// Integrator of the bicycle.
     #[serde(default = "euler")]
     pub integrator: Integrator,
@@ -135,7 +96,7 @@ pub struct ModelConfig {
     /// Length of vehicles whose length is unknown.
     #[serde(default = "default_length_m")]
     pub default_length_m: f32,
-    /// What the control of a cyclist or pedestrian is.
+    /// What a displacement is that controls an agent.
     #[serde(default = "residual")]
     pub displacement: Displacement,
     /// Where latent variables come from.
@@ -274,6 +235,21 @@ impl ModelConfig {
                 reason: "is more than the pipeline's frames can carry",
             }),
             None => Ok(()),
+        }
+    }
+
+    /// Whether agents of a type are moved by the controls of a bicycle, and by displacements otherwise.
+    #[must_use]
+    pub fn drives(&self, agent_type: AgentType) -> bool {
+        agent_type == AgentType::Vehicle && self.vehicle_motion == VehicleMotion::Bicycle
+    }
+
+    /// The type whose state MLP and decoder serve agents of a type.
+    #[must_use]
+    pub const fn network_of(&self, agent_type: AgentType) -> AgentType {
+        match self.node_types {
+            NodeTypes::Own => agent_type,
+            NodeTypes::Same => AgentType::Pedestrian,
         }
     }
 

@@ -127,7 +127,8 @@ impl Decoder {
 impl TypeDecoder {
     fn read(weights: &Weights, agent_type: AgentType) -> Result<Self, WeightsError> {
         let config = weights.config();
-        let name = |part: &str| format!("decoder.{}.{part}", agent_type.name());
+        let network = config.network_of(agent_type).name();
+        let name = |part: &str| format!("decoder.{network}.{part}");
         let shape = [GATES, STATE_FEATURES + TEMPORAL + LATENT];
         let input = weights.tensor(&name("gru.weight_ih"), &shape)?;
         let input_bias = weights.tensor(&name("gru.bias_ih"), &[GATES])?;
@@ -149,7 +150,7 @@ impl TypeDecoder {
             let controls_len = 2 * config.horizon_len;
             let matrix = weights.tensor(&name("latent_base.weight"), &[LATENT, controls_len])?;
             let of_latent = input.chunks_exact(shape[1]).map(|row| &row[STATE_FEATURES + TEMPORAL..]);
-            let folded = fold(of_latent, matrix, latent_scale(agent_type), controls_len);
+            let folded = fold(of_latent, matrix, latent_scale(config, agent_type), controls_len);
             latent_base = Some(Linear::pack(&folded, None, [GATES, controls_len], 0..controls_len));
         }
         let mut idle = Buffer::zeroed(GATES);

@@ -5,7 +5,7 @@ use crate::weights::{Weights, WeightsError};
 
 const HIDDEN: usize = 128;
 
-/// The state MLPs, one per agent type: 6 → 128 → 128 → 128 → 32, or 64 without context.
+/// The state MLPs, one per agent type or the same for all: 6 → 128 → 128 → 128 → 32, or 64 without context.
 pub struct StateMlp {
     types: [Mlp; 3],
 }
@@ -16,9 +16,11 @@ impl StateMlp {
     /// # Errors
     /// Where a tensor is missing or has another shape.
     pub fn new(weights: &Weights) -> Result<Self, WeightsError> {
-        let out_len = weights.config().state_embedding_len();
+        let config = weights.config();
+        let out_len = config.state_embedding_len();
         let lengths = [STATE_FEATURES, HIDDEN, HIDDEN, HIDDEN, out_len];
-        let [vehicle, cyclist, pedestrian] = AGENT_TYPES.map(AgentType::name);
+        let [vehicle, cyclist, pedestrian] =
+            AGENT_TYPES.map(|agent_type| config.network_of(agent_type).name());
         let read = |name| Mlp::read(weights, &format!("fe.state.{name}"), &lengths);
         Ok(Self { types: [read(vehicle)?, read(cyclist)?, read(pedestrian)?] })
     }

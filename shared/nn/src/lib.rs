@@ -23,7 +23,10 @@ mod weights;
 mod workers;
 
 pub use attention::{Gdat, GdatMemory, Graph, GraphTrace, RoundTrace};
-pub use config::{ConfigError, Displacement, Feedback, Integrator, Latents, ModelConfig, Stem, Temporal};
+pub use config::{
+    Attention, ConfigError, Displacement, Feedback, Integrator, Latents, ModelConfig, NodeTypes, Stem,
+    Temporal, VehicleMotion,
+};
 pub use context::{ContextCnn, ContextMemory};
 pub use decoder::{BurnIn, Decoder, DecoderMemory, Draws, RAW_CONTROL, TypeDecoder, control_gaussian};
 pub use embedding::{RelationMlp, StateMlp};

@@ -117,6 +117,29 @@ proptest! {
     }
 
     #[test]
+    fn equal_attention_is_a_mean((scene, _) in scenes()) {
+        let mut model = Model::onboard();
+        model.config["attention"] = "equal".into();
+        model.tensors.retain(|(name, ..)| !name.ends_with("_raw") && !name.starts_with("gdat.temporal.score"));
+        let weights = model.weights();
+        let heads = weights.config().topological_heads;
+        let (_, trace) = summarise(&Gdat::new(&weights).unwrap(), &scene);
+        for round in &trace.rounds {
+            let mut alpha = round.alpha.chunks_exact(heads);
+            for received in scene.edges.chunk_by(|a, b| (a.step, a.receiver) == (b.step, b.receiver)) {
+                let share = 1.0 / received.len() as f32;
+                prop_assert!(alpha.by_ref().take(received.len()).flatten().all(|x| (x - share).abs() < 1e-6));
+            }
+        }
+        for (row, beta) in trace.beta.chunks_exact(trace.temporal_heads).enumerate() {
+            let steps = (row % scene.agents_len..scene.present.len()).step_by(scene.agents_len);
+            let share = 1.0 / steps.filter(|&row| scene.present[row]).count().max(1) as f32;
+            let expected = if scene.present[row] { share } else { 0.0 };
+            prop_assert!(beta.iter().all(|x| (x - expected).abs() < 1e-6));
+        }
+    }
+
+    #[test]
     fn summaries_follow_a_permutation_of_the_agents((scene, order) in scenes()) {
         let gdat = Gdat::new(&Weights::onboard()).unwrap();
         let (out, _) = summarise(&gdat, &scene);
@@ -163,7 +186,7 @@ fn told_of_base(
     let controls_len = 2 * weights.config().horizon_len;
     let name = format!("decoder.{}.latent_base.weight", agent_type.name());
     let matrix = weights.tensor(&name, &[32, controls_len]).unwrap();
-    let scale = latent_scale(agent_type);
+    let scale = latent_scale(weights.config(), agent_type);
     let rows = points.as_chunks::<32>().0.iter().zip(base.as_flattened().chunks_exact(controls_len));
     let told = |(point, controls): (&[f32; 32], &[f32])| {
         std::array::from_fn(|i| {

@@ -6,7 +6,8 @@ mod model;
 
 use model::Model;
 use nn::{
-    ContextCnn, ContextMemory, Decoder, EncodingFunction, Gdat, RelationMlp, StateMlp, Weights, WeightsError,
+    ContextCnn, ContextMemory, Decoder, EncodingFunction, Gdat, MlpMemory, RelationMlp, StateMlp, Weights,
+    WeightsError,
 };
 use proptest::prelude::*;
 use safetensors::Dtype;
@@ -44,6 +45,25 @@ fn every_option_has_its_tensors() {
         let error = build(&lacking.weights()).unwrap_err();
         assert!(matches!(&error, WeightsError::Missing { name: missing } if missing == name), "{error}");
     }
+}
+
+#[test]
+fn types_without_networks_of_their_own_take_the_pedestrians() {
+    let mut model = Model::with_all_options();
+    model.config["node_types"] = "same".into();
+    let of_others = |name: &str| {
+        (name.starts_with("fe.state.") || name.starts_with("decoder.")) && !name.contains(".pedestrian.")
+    };
+    model.tensors.retain(|(name, ..)| !of_others(name));
+    let weights = model.weights();
+    build(&weights).unwrap();
+    let mlp = StateMlp::new(&weights).unwrap();
+    let embed = |agent_type| {
+        let mut out = vec![0.0; weights.config().state_embedding_len()];
+        mlp.embed(agent_type, &[[0.3; 6]], &mut MlpMemory::default(), &mut out);
+        out
+    };
+    assert_eq!(embed(wire::AgentType::Vehicle), embed(wire::AgentType::Pedestrian));
 }
 
 #[test]

@@ -2,7 +2,7 @@
 
 use metrics::kmeans;
 use nalgebra::{DMatrix, SMatrix};
-use nn::{ModelConfig, base as binning};
+use nn::{Displacement, ModelConfig, base as binning};
 use rand::Rng;
 use scene::AgentType;
 
@@ -28,21 +28,25 @@ const CLUSTERED_MAX: usize = 4000;
 
 /// What moves an agent.
 enum Mover {
-    Vehicle(Driver),
-    Other { velocity_mps: [f32; 2], dt_s: f32 },
+    Driver(Driver),
+    /// By displacements beyond those of a velocity.
+    Other {
+        velocity_mps: [f32; 2],
+        dt_s: f32,
+    },
 }
 
 impl Mover {
     fn positions(&self, controls: &[[f32; 2]]) -> Vec<[f32; 2]> {
         match self {
-            Self::Vehicle(driver) => driver.positions(controls),
+            Self::Driver(driver) => driver.positions(controls),
             Self::Other { velocity_mps, dt_s } => targets::displaced(*velocity_mps, controls, *dt_s),
         }
     }
 
     fn controls(&self, truth: &[[f32; 2]]) -> Controls {
         match self {
-            Self::Vehicle(driver) => driver.controls(truth),
+            Self::Driver(driver) => driver.controls(truth),
             Self::Other { velocity_mps, dt_s } => targets::displacements(*velocity_mps, truth, *dt_s),
         }
     }
@@ -90,14 +94,16 @@ impl Sample {
         let truth: Vec<[f32; 2]> = view.truth().collect::<Option<_>>()?;
         let newest = history.last().copied().flatten()?;
         let dt_s = config.dt_s as f32;
-        if jumps(frame.rotate_into(newest.velocity_mps), &truth, dt_s) {
+        let velocity_mps = frame.rotate_into(newest.velocity_mps);
+        if jumps(velocity_mps, &truth, dt_s) {
             return None;
         }
-        let mover = match agent.agent_type {
-            AgentType::Vehicle => Mover::Vehicle(Driver::new(&start(agent, history, frame, config), config)),
-            AgentType::Cyclist | AgentType::Pedestrian => {
-                Mover::Other { velocity_mps: frame.rotate_into(newest.velocity_mps), dt_s }
+        let mover = match config.displacement {
+            _ if config.drives(agent.agent_type) => {
+                Mover::Driver(Driver::new(&start(agent, history, frame, config), config))
             }
+            Displacement::Residual => Mover::Other { velocity_mps, dt_s },
+            Displacement::Absolute => Mover::Other { velocity_mps: [0.0; 2], dt_s },
         };
         let (features, place) = describe(history, frame, cuts_mps, config);
         let controls = mover.controls(&truth);

@@ -4,9 +4,9 @@ use nn::ModelConfig;
 
 use super::context::{self, Embedded, Normalisation};
 use super::dense::{PerceptronTrace, perceptron, perceptron_backward};
-use super::layout::{PERCEPTRON_LAYERS, TYPE_NAMES};
+use super::layout::PERCEPTRON_LAYERS;
 use super::matrix::Matrix;
-use super::temporal::{self, Summary};
+use super::temporal::{self, Reading, Summary};
 use super::tensors::{Gradients, Tensors};
 use super::topological::{self, AttentionShape, Round};
 use crate::batch::Graph;
@@ -53,12 +53,13 @@ pub(crate) fn encode(
     let mut rounds: Vec<Round> = Vec::with_capacity(config.rounds);
     for number in 0..config.rounds {
         let last = number + 1 == config.rounds;
-        let round = topological::round(weights, shape(config), number, node, edge, &graph.edges, last);
+        let round =
+            topological::round(weights, AttentionShape::of(config), number, node, edge, &graph.edges, last);
         node = round.node.clone();
         edge = round.edge.clone().unwrap_or_default();
         rounds.push(round);
     }
-    let summary = temporal::temporal(weights, config.leaky_slope, &node, &graph.steps, graph.steps_len);
+    let summary = temporal::temporal(weights, Reading::of(config), &node, &graph.steps, graph.steps_len);
     Encoded {
         encoding: summary.encoding.clone(),
         states,
@@ -70,13 +71,9 @@ pub(crate) fn encode(
     }
 }
 
-fn shape(config: &ModelConfig) -> AttentionShape {
-    AttentionShape {
-        heads: config.topological_heads,
-        leaky_slope: config.leaky_slope,
-        edge_in_message: config.edge_in_message,
-        distance_scale: config.distance_scale,
-    }
+/// Prefix of the names of the state perceptron that serves a type.
+fn state_perceptron(config: &ModelConfig, of_type: usize) -> String {
+    format!("fe.state.{}", config.network_of(wire::AGENT_TYPES[of_type]).name())
 }
 
 /// State embeddings in the first columns of the node attributes `[rows, 64]`.
@@ -89,7 +86,7 @@ fn embed_states(
     let mut node = Matrix::zeros(graph.state.rows, wire::NODE_ATTRIBUTES);
     let mut traces = Vec::new();
     for (of_type, rows) in graph.type_rows.iter().enumerate().filter(|(_, rows)| !rows.is_empty()) {
-        let name = format!("fe.state.{}", TYPE_NAMES[of_type]);
+        let name = state_perceptron(config, of_type);
         let state = graph.state.rows_of(rows.clone());
         let (embedded, trace) = perceptron(weights, &name, PERCEPTRON_LAYERS, state);
         for (row, embedded) in rows.clone().zip(embedded.values.chunks_exact(width)) {
@@ -132,7 +129,7 @@ impl Encoded {
             let rows = graph.type_rows[*of_type].clone();
             let d_state = rows.clone().flat_map(|row| &d_node.row(row)[..width]).copied().collect();
             let d_state = Matrix::new(rows.len(), width, d_state);
-            let name = format!("fe.state.{}", TYPE_NAMES[*of_type]);
+            let name = state_perceptron(config, *of_type);
             perceptron_backward(weights, gradients, &name, trace, d_state, false);
         }
         if let Some(context) = &self.context {

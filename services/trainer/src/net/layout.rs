@@ -1,9 +1,10 @@
 //! Which tensors a model has: names, shapes, and how training begins with them.
 
-use nn::{Latents, ModelConfig, Stem, Temporal};
+use nn::{Attention, Latents, ModelConfig, NodeTypes, Stem, Temporal};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal, Uniform};
+use wire::{AGENT_TYPES, AgentType};
 
 use super::tensors::{Role, Tensors};
 
@@ -63,8 +64,10 @@ pub(crate) struct Entry {
 #[must_use]
 pub(crate) fn layout(config: &ModelConfig) -> Vec<Entry> {
     let mut entries = Entries::default();
-    for agent_type in TYPE_NAMES {
-        entries.perceptron(&format!("fe.state.{agent_type}"), FEATURES, config.state_embedding_len());
+    let networks = AGENT_TYPES.into_iter().filter(|agent_type| config.network_of(*agent_type) == *agent_type);
+    for network in networks.clone() {
+        let name = format!("fe.state.{}", network.name());
+        entries.perceptron(&name, FEATURES, config.state_embedding_len());
     }
     entries.perceptron("fe.relation", FEATURES, EDGE);
     if config.context {
@@ -74,8 +77,9 @@ pub(crate) fn layout(config: &ModelConfig) -> Vec<Entry> {
     entries.dense("encoder.0", 2 * NODE, HIDDEN);
     entries.dense("encoder.1", HIDDEN, HIDDEN);
     entries.dense("encoder.2", HIDDEN, LATENT);
-    for agent_type in TYPE_NAMES {
-        entries.decoder(config, agent_type);
+    networks.for_each(|network| entries.decoder(config, network));
+    if config.base {
+        TYPE_NAMES.iter().for_each(|agent_type| entries.base(config, agent_type));
     }
     entries.0
 }
@@ -108,10 +112,16 @@ pub(crate) fn initial(config: &ModelConfig, seed: u64) -> Tensors {
 ///
 /// The optimiser moves all its parameters by steps of about the same size. In a head's last layer such a step would
 /// throw every forecast metres off.
-pub(crate) fn units(name: &str, shape: &[usize]) -> Option<Vec<f32>> {
+pub(crate) fn units(config: &ModelConfig, name: &str, shape: &[usize]) -> Option<Vec<f32>> {
     let of_decoder = name.strip_prefix("decoder.")?;
-    let (agent_type, _) = of_decoder.split_once(".head.")?;
-    let [first, second] = if agent_type == "vehicle" { VEHICLE_UNITS } else { UNITS };
+    let (network, _) = of_decoder.split_once(".head.")?;
+    let of_vehicles = config.network_of(AgentType::Vehicle).name() == network;
+    let [first, second] = match (of_vehicles && config.drives(AgentType::Vehicle), config.node_types) {
+        (false, _) => UNITS,
+        (true, NodeTypes::Own) => VEHICLE_UNITS,
+        // Small enough for all.
+        (true, NodeTypes::Same) => [0, 1].map(|control| UNITS[control].min(VEHICLE_UNITS[control])),
+    };
     let row_len: usize = shape[1..].iter().product();
     Some(
         [first, second, 1.0, 1.0, 1.0]
@@ -196,8 +206,10 @@ impl Entries {
             let name = format!("gdat.topological.{round}");
             let heads = [config.topological_heads];
             self.learned(format!("{name}.w_n.weight"), &[NODE, NODE], bound(NODE));
-            self.learned(format!("{name}.lambda_raw"), &heads, Fill::Constant(SOFTPLUS_OF_ONE));
-            self.learned(format!("{name}.mu_raw"), &heads, Fill::Constant(SOFTPLUS_OF_ONE));
+            if config.attention == Attention::Dual {
+                self.learned(format!("{name}.lambda_raw"), &heads, Fill::Constant(SOFTPLUS_OF_ONE));
+                self.learned(format!("{name}.mu_raw"), &heads, Fill::Constant(SOFTPLUS_OF_ONE));
+            }
             if config.edge_in_message {
                 self.learned(format!("{name}.u_e.weight"), &[NODE, EDGE], bound(EDGE));
             }
@@ -208,14 +220,16 @@ impl Entries {
         }
         let literal = config.temporal == Temporal::Literal;
         let heads = if literal { NODE } else { config.temporal_heads };
-        self.learned("gdat.temporal.score.weight".to_owned(), &[heads, NODE], bound(NODE));
+        if literal || config.attention == Attention::Dual {
+            self.learned("gdat.temporal.score.weight".to_owned(), &[heads, NODE], bound(NODE));
+        }
         if !literal {
             self.learned("gdat.temporal.value.weight".to_owned(), &[NODE, NODE], bound(NODE));
         }
     }
 
-    fn decoder(&mut self, config: &ModelConfig, agent_type: &str) {
-        let name = format!("decoder.{agent_type}");
+    fn decoder(&mut self, config: &ModelConfig, network: AgentType) {
+        let name = format!("decoder.{}", network.name());
         let bound = Fill::Uniform(1.0 / (HIDDEN as f32).sqrt());
         self.learned(format!("{name}.gru.weight_ih"), &[3 * HIDDEN, FEATURES + NODE + LATENT], bound);
         self.learned(format!("{name}.gru.weight_hh"), &[3 * HIDDEN, HIDDEN], bound);
@@ -224,13 +238,13 @@ impl Entries {
         let scale = if config.base { SMALL } else { 1.0 };
         self.scaled_dense(&format!("{name}.head"), HIDDEN, CONTROL, scale);
         if config.base {
-            let spread = if agent_type == "vehicle" { VEHICLE_LN_DEVIATION } else { LN_DEVIATION };
+            let spread = if config.drives(network) { VEHICLE_LN_DEVIATION } else { LN_DEVIATION };
             self.learned_as(&format!("{name}.head.bias"), Fill::Head(spread));
         }
         if config.latents == Latents::Points {
             self.learned(format!("{name}.latents"), &[config.modes, LATENT], Fill::Normal(1.0));
         }
-        if config.base && config.base_latent {
+        if config.base_latent {
             let controls = 2 * config.horizon_len;
             let bound = Fill::Uniform(1.0 / (controls as f32).sqrt());
             self.learned(format!("{name}.latent_base.weight"), &[LATENT, controls], bound);
@@ -242,15 +256,15 @@ impl Entries {
             self.dense(&format!("{name}.mode.0"), NODE + HIDDEN, NODE);
             self.dense(&format!("{name}.mode.1"), NODE, config.modes);
         }
-        if config.base {
-            let base = format!("base.{agent_type}");
-            let controls = 2 * config.horizon_len;
-            let mut fixed = |tensor: &str, shape: &[usize]| {
-                self.push(format!("{base}.{tensor}"), shape, Role::Fixed, Fill::Constant(0.0));
-            };
-            fixed("ridge", &[nn::base::CLASSES, nn::base::SPEED_BINS, nn::base::FEATURES, controls]);
-            fixed("anchors", &[nn::base::BINS, config.modes, config.horizon_len, 2]);
-            fixed("speed_cuts", &[nn::base::SPEED_BINS - 1]);
-        }
+    }
+
+    fn base(&mut self, config: &ModelConfig, agent_type: &str) {
+        let mut fixed = |tensor: &str, shape: &[usize]| {
+            self.push(format!("base.{agent_type}.{tensor}"), shape, Role::Fixed, Fill::Constant(0.0));
+        };
+        let controls = 2 * config.horizon_len;
+        fixed("ridge", &[nn::base::CLASSES, nn::base::SPEED_BINS, nn::base::FEATURES, controls]);
+        fixed("anchors", &[nn::base::BINS, config.modes, config.horizon_len, 2]);
+        fixed("speed_cuts", &[nn::base::SPEED_BINS - 1]);
     }
 }

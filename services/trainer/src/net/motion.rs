@@ -1,7 +1,7 @@
 //! Controls to positions: the equations of the `kinematics` crate over a batch, in agent frames, and their gradients.
 //!
 //! Each row of a matrix is one trajectory, two columns a step; the rows of an agent, its *draws*, follow one another and
-//! have one [`Start`]. The way back takes the controls again instead of a trace: to recompute the states costs less than
+//! have one [`Start`]. Vehicles drive bicycles unless the model has them move by displacements as all others do. The way back takes the controls again instead of a trace: to recompute the states costs less than
 //! to keep them.
 
 mod bicycle;
@@ -43,9 +43,10 @@ pub(crate) fn positions(
     controls: &Matrix,
 ) -> Matrix {
     assert_eq!(starts.len() * draws_len, controls.rows, "a start for every {draws_len} rows");
-    match agent_type {
-        AgentType::Vehicle => bicycle::positions(config, starts, draws_len, controls),
-        AgentType::Cyclist | AgentType::Pedestrian => displace(config, starts, draws_len, controls),
+    if config.drives(agent_type) {
+        bicycle::positions(config, starts, draws_len, controls)
+    } else {
+        displace(config, starts, draws_len, controls)
     }
 }
 
@@ -60,9 +61,10 @@ pub(crate) fn positions_backward(
 ) -> Matrix {
     assert_eq!(starts.len() * draws_len, controls.rows, "a start for every {draws_len} rows");
     assert_eq!((controls.rows, controls.cols), (d_positions.rows, d_positions.cols), "shape of the gradient");
-    match agent_type {
-        AgentType::Vehicle => bicycle::positions_backward(config, starts, draws_len, controls, d_positions),
-        AgentType::Cyclist | AgentType::Pedestrian => displace_backward(d_positions),
+    if config.drives(agent_type) {
+        bicycle::positions_backward(config, starts, draws_len, controls, d_positions)
+    } else {
+        displace_backward(d_positions)
     }
 }
 

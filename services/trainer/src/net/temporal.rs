@@ -5,7 +5,10 @@
 //! ```
 //!
 //! The sum is that of messages from an agent's rows to the agent, as in [`super::topological`]. Every head has a w of its
-//! own and its rows of V. Where there are as many heads as attributes, V is w: the paper's formula read to the letter.
+//! own and its rows of V. Read to the letter, the paper's formula has as many heads as attributes, and w for V. Equal
+//! attention is the same with all scores 0.
+
+use nn::{Attention, ModelConfig, Temporal};
 
 use super::matrix::{Into, Matrix, by_input, by_matrix, forward};
 use super::tensors::{Gradients, Tensors};
@@ -21,6 +24,29 @@ const ABSENT: u32 = u32::MAX;
 const SCORE: &str = "gdat.temporal.score.weight";
 const VALUE: &str = "gdat.temporal.value.weight";
 
+/// How the layer reads the paper's formula.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Reading {
+    pub(crate) leaky_slope: f32,
+    pub(crate) attention: Attention,
+    pub(crate) temporal: Temporal,
+}
+
+impl Reading {
+    pub(crate) const fn of(config: &ModelConfig) -> Self {
+        let ModelConfig { leaky_slope, attention, temporal, .. } = *config;
+        Self { leaky_slope, attention, temporal }
+    }
+
+    /// The tensor of V.
+    const fn value(self) -> &'static str {
+        match self.temporal {
+            Temporal::ValueMatrix => VALUE,
+            Temporal::Literal => SCORE,
+        }
+    }
+}
+
 /// Every agent's steps in one.
 #[derive(Debug)]
 pub(crate) struct Summary {
@@ -34,9 +60,9 @@ pub(crate) struct Summary {
 /// What the way back needs besides.
 #[derive(Debug)]
 struct Trace {
-    leaky_slope: f32,
+    reading: Reading,
     steps_len: usize,
-    /// w v `[rows, heads]`.
+    /// w v `[rows, heads]`; where attention is equal, zeros of one head.
     score: Matrix,
     /// V v `[rows, 64]`; `None` where it is the score.
     value: Option<Matrix>,
@@ -46,7 +72,7 @@ struct Trace {
 /// where the agent is absent.
 pub(crate) fn temporal(
     weights: &Tensors,
-    leaky_slope: f32,
+    reading: Reading,
     node: &Matrix,
     steps: &[u32],
     steps_len: usize,
@@ -57,12 +83,15 @@ pub(crate) fn temporal(
         forward(node.view(), matrix, product.view_mut(), Into::Replace);
         product
     };
-    let score = product(SCORE);
-    let value = (score.cols != NODE).then(|| product(VALUE));
-    let trace = Trace { leaky_slope, steps_len, score, value };
+    let (score, value) = match (reading.attention, reading.temporal) {
+        (Attention::Dual, Temporal::Literal) => (product(SCORE), None),
+        (Attention::Dual, Temporal::ValueMatrix) => (product(SCORE), Some(product(VALUE))),
+        (Attention::Equal, _) => (Matrix::zeros(node.rows, 1), Some(product(reading.value()))),
+    };
+    let trace = Trace { reading, steps_len, score, value };
     let present = present(steps, steps_len);
     let mut beta = trace.score.gather(&present.sender);
-    beta.values.iter_mut().for_each(|x| *x *= leaky_factor(leaky_slope, *x));
+    beta.values.iter_mut().for_each(|x| *x *= leaky_factor(reading.leaky_slope, *x));
     softmax(&mut beta, &present.first);
     let mut encoding = Matrix::zeros(steps.len() / steps_len, NODE);
     let own = [0.0; BLOCK * NODE];
@@ -91,7 +120,7 @@ impl Trace {
     }
 
     fn messages<'a>(&'a self, block: Block<'a>, beta: &'a Matrix) -> Messages<'a> {
-        let leaky_slope = self.leaky_slope;
+        let leaky_slope = self.reading.leaky_slope;
         Messages { block, heads: beta.cols, leaky_slope, values: self.value(), alpha: block.of(beta) }
     }
 }
@@ -106,7 +135,7 @@ impl Summary {
         steps: &[u32],
         d_encoding: &Matrix,
     ) -> Matrix {
-        let Trace { leaky_slope, steps_len, score, value } = &self.trace;
+        let Trace { reading, steps_len, score, .. } = &self.trace;
         let present = present(steps, *steps_len);
         let mut back = MessagesBackward::new(present.len(), node.rows, score.cols);
         let mut own = [0.0; BLOCK * NODE];
@@ -114,17 +143,19 @@ impl Summary {
             own.fill(0.0);
             back.run(self.trace.messages(block, &self.beta), (&self.encoding, d_encoding), &mut own);
         }
-        let mut by_score = Matrix::zeros(node.rows, score.cols);
-        by_score.scatter_add(&present.sender, &back.by_scores);
-        let scores = by_score.values.iter_mut().zip(&score.values);
-        scores.for_each(|(gradient, score)| *gradient *= leaky_factor(*leaky_slope, *score));
-
         let mut by_node = Matrix::zeros(node.rows, NODE);
-        let value_name = if value.is_some() { VALUE } else { SCORE };
-        for (name, gradient) in [(SCORE, &by_score), (value_name, &back.by_values)] {
+        let mut add = |name: &str, gradient: &Matrix| {
             by_matrix(gradient.view(), node.view(), gradients.matrix_mut(name));
             by_input(gradient.view(), weights.matrix(name), by_node.view_mut(), Into::Add);
+        };
+        if reading.attention == Attention::Dual {
+            let mut by_score = Matrix::zeros(node.rows, score.cols);
+            by_score.scatter_add(&present.sender, &back.by_scores);
+            let scores = by_score.values.iter_mut().zip(&score.values);
+            scores.for_each(|(gradient, score)| *gradient *= leaky_factor(reading.leaky_slope, *score));
+            add(SCORE, &by_score);
         }
+        add(reading.value(), &back.by_values);
         by_node
     }
 }

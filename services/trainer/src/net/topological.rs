@@ -8,8 +8,10 @@
 //! m_ij = f_act(W v_j + U e_ij)           v̄_i = Σ_j α_ij m_ij                       [paper, Eq. topological]
 //! ```
 //!
-//! (f(α x) = α f(x) since α ≥ 0.) What is wide and by edge is never kept: blocks of edges that fit the cache pass all of
+//! (f(α x) = α f(x) since α ≥ 0.) Equal attention is the same with λ = μ = 0. What is wide and by edge is never kept: blocks of edges that fit the cache pass all of
 //! a layer, and the way back computes their messages anew.
+
+use nn::{Attention, ModelConfig};
 
 use super::matrix::{Into, Matrix, View, ViewMut, by_input, by_matrix, forward};
 use super::tensors::{Gradients, Tensors};
@@ -104,6 +106,7 @@ impl Block<'_> {
 /// What the layer takes from the model's configuration.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct AttentionShape {
+    pub(crate) attention: Attention,
     /// Divides 64.
     pub(crate) heads: usize,
     pub(crate) leaky_slope: f32,
@@ -114,6 +117,16 @@ pub(crate) struct AttentionShape {
 }
 
 impl AttentionShape {
+    pub(crate) const fn of(config: &ModelConfig) -> Self {
+        Self {
+            attention: config.attention,
+            heads: config.topological_heads,
+            leaky_slope: config.leaky_slope,
+            edge_in_message: config.edge_in_message,
+            distance_scale: config.distance_scale,
+        }
+    }
+
     fn messages<'a>(self, block: Block<'a>, values: &'a Matrix, alpha: &'a Matrix) -> Messages<'a> {
         let Self { heads, leaky_slope, .. } = self;
         Messages { block, heads, leaky_slope, values, alpha: block.of(alpha) }

@@ -76,7 +76,9 @@ fn check(objective: &Objective, config: &ModelConfig) {
     let gradients = differentiated(&weights).gradients;
     let total = gradients.0.values().flat_map(|(_, values)| values).map(|g| g * g).sum::<f32>().sqrt();
     let mut checked = 0;
-    for entry in layout(config).iter().filter(|entry| entry.role == Role::Learned) {
+    let mut learned = layout(config);
+    learned.retain(|entry| entry.role == Role::Learned);
+    for entry in &learned {
         let gradient = &gradients.0[&entry.name].1;
         let norm = gradient.iter().map(|g| g * g).sum::<f32>().sqrt();
         if norm < SILENT * total {
@@ -95,7 +97,8 @@ fn check(objective: &Objective, config: &ModelConfig) {
         assert!(error < 0.05 * f64::from(norm) + 4e-3, "{}: {norm} by the way back, {slope}", entry.name);
         checked += 1;
     }
-    assert!(checked >= 40, "only {checked} tensors have a gradient that differences can show");
+    let least = learned.len() * 2 / 5;
+    assert!(checked >= least, "only {checked} tensors have a gradient that differences can show");
 }
 
 /// The weighted sum of the parts.
@@ -132,6 +135,14 @@ fn gradients_of_the_plus_objective_agree_with_differences() {
         last_step: 0.5,
     };
     check(&objective, &config);
+    let ablated = ModelConfig {
+        attention: nn::Attention::Equal,
+        node_types: nn::NodeTypes::Same,
+        vehicle_motion: nn::VehicleMotion::Displacement,
+        ..config.clone()
+    };
+    check(&objective, &ablated);
+    check(&objective, &ModelConfig { node_types: nn::NodeTypes::Same, ..config });
 }
 
 #[test]

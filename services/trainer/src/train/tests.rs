@@ -179,6 +179,34 @@ fn both_objectives_reach_every_learned_tensor_of_their_model() {
     }
 }
 
+/// One update of every preset, written and read back by the layers that run on board.
+#[test]
+fn every_preset_trains_a_model_that_runs_onboard() {
+    let folder = tempfile::tempdir().unwrap();
+    let small = options(folder.path(), 1);
+    for name in crate::PRESETS {
+        let mut options = small.clone().with_preset(name).unwrap();
+        options.out = folder.path().join(format!("{name}.safetensors"));
+        options.checkpoints = folder.path().join(name);
+        (options.batch_agents, options.validation_agents) = (4, 4);
+        if name != "paper" {
+            options.model.width = 2;
+        }
+        let summary = train(&options).unwrap();
+        let error = &summary.card.validation[0].single;
+        assert!(error.ade_m.is_finite() && error.fde_m.is_finite(), "{name}: {error:?}");
+        let weights = nn::Weights::open(&options.out).unwrap();
+        assert_eq!(weights.config(), &options.model);
+        nn::StateMlp::new(&weights).unwrap();
+        nn::RelationMlp::new(&weights).unwrap();
+        nn::Gdat::new(&weights).unwrap();
+        Decoder::new(&weights).unwrap();
+        if options.model.context {
+            nn::ContextCnn::new(&weights).unwrap();
+        }
+    }
+}
+
 #[test]
 fn options_that_contradict_one_another_are_refused() {
     let mut options = TrainOptions { objective: Objective::paper(), ..TrainOptions::default() };

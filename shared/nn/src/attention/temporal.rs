@@ -2,7 +2,7 @@ use wire::{NODE_ATTRIBUTES, TEMPORAL};
 
 use super::{Graph, leaky};
 use crate::buffer::Buffer;
-use crate::config::Temporal;
+use crate::config::{Attention, Temporal};
 use crate::kernels::exp_in_place;
 use crate::linear::{Activation, Linear};
 use crate::weights::{Weights, WeightsError};
@@ -13,10 +13,11 @@ use crate::weights::{Weights, WeightsError};
 /// β^k = softmax over present k of f_act(w_h · v̄^k)        ṽ^(h) = Σ_k β^k f_act(V^(h) v̄^k)        [model §3]
 /// ```
 ///
-/// In the literal reading V^(h) = w_hᵀ: 64 heads of one number.
+/// In the literal reading V^(h) = w_hᵀ: 64 heads of one number. Equal attention is the same with all scores 0.
 pub(super) struct TemporalAttention {
-    scores: Linear,
-    /// None in the literal reading.
+    /// None where attention is equal.
+    scores: Option<Linear>,
+    /// None where the scores are the values.
     values: Option<Linear>,
     heads: usize,
     slope: f32,
@@ -43,20 +44,31 @@ impl TemporalMemory {
 impl TemporalAttention {
     pub(super) fn read(weights: &Weights) -> Result<Self, WeightsError> {
         let config = weights.config();
-        let (heads, values) = match config.temporal {
-            Temporal::ValueMatrix => {
-                let values =
-                    Linear::read_unbiased(weights, "gdat.temporal.value", TEMPORAL, NODE_ATTRIBUTES)?;
-                (config.temporal_heads, Some(values))
-            }
-            Temporal::Literal => (TEMPORAL, None),
+        let read = |part: &str, rows_len| {
+            Linear::read_unbiased(weights, &format!("gdat.temporal.{part}"), rows_len, NODE_ATTRIBUTES)
         };
-        let scores = Linear::read_unbiased(weights, "gdat.temporal.score", heads, NODE_ATTRIBUTES)?;
+        let heads = match config.temporal {
+            Temporal::ValueMatrix => config.temporal_heads,
+            Temporal::Literal => TEMPORAL,
+        };
+        let (scores, values) = match (config.attention, config.temporal) {
+            (Attention::Dual, Temporal::ValueMatrix) => {
+                (Some(read("score", heads)?), Some(read("value", TEMPORAL)?))
+            }
+            (Attention::Dual, Temporal::Literal) => (Some(read("score", heads)?), None),
+            (Attention::Equal, Temporal::ValueMatrix) => (None, Some(read("value", TEMPORAL)?)),
+            (Attention::Equal, Temporal::Literal) => (None, Some(read("score", TEMPORAL)?)),
+        };
         Ok(Self { scores, values, heads, slope: config.leaky_slope })
     }
 
     pub(super) const fn heads(&self) -> usize {
         self.heads
+    }
+
+    /// Length of a row of scores.
+    fn score_stride(&self) -> usize {
+        self.scores.as_ref().map_or(self.heads, Linear::out_stride)
     }
 
     /// Computes ṽ of all agents.
@@ -67,7 +79,7 @@ impl TemporalAttention {
         memory: &mut TemporalMemory,
         out: &mut [[f32; TEMPORAL]],
     ) {
-        let (nodes_len, stride) = (graph.nodes.len(), self.scores.out_stride());
+        let (nodes_len, stride) = (graph.nodes.len(), self.score_stride());
         let TemporalMemory { scores, values, beta, beta_len } = memory;
         scores.reserve(nodes_len * stride);
         values.reserve(nodes_len * TEMPORAL);
@@ -75,7 +87,10 @@ impl TemporalAttention {
         beta.reserve(*beta_len);
         let scores = &mut scores[..nodes_len * stride];
         let values = &mut values[..nodes_len * TEMPORAL];
-        self.scores.run(nodes, NODE_ATTRIBUTES, Activation::None, scores);
+        match &self.scores {
+            Some(layer) => layer.run(nodes, NODE_ATTRIBUTES, Activation::None, scores),
+            None => scores.fill(0.0),
+        }
         scores.iter_mut().for_each(|x| *x = leaky(self.slope, *x));
         match &self.values {
             Some(layer) => {
@@ -99,7 +114,7 @@ impl TemporalAttention {
 
     /// Softmax over each agent's present steps into `beta`, \[node, head\].
     fn weigh(&self, graph: &Graph<'_>, scores: &[f32], beta: &mut [f32]) {
-        let stride = self.scores.out_stride();
+        let stride = self.score_stride();
         beta.fill(0.0);
         for agent in 0..graph.agents_len {
             let rows =

@@ -2,6 +2,7 @@ use wire::{EDGE_ATTRIBUTES, NODE_ATTRIBUTES};
 
 use super::{Graph, leaky};
 use crate::buffer::Buffer;
+use crate::config::{Attention, ModelConfig};
 use crate::kernels::exp_in_place;
 use crate::linear::{Activation, Linear};
 use crate::weights::{Weights, WeightsError};
@@ -18,6 +19,8 @@ const BLOCK: usize = 48;
 /// v̄_i  = Σ_j α_ij f_act(W v_j + U e_ij)          (α ≥ 0: f_act(α x) = α f_act(x))
 /// e'_ij = MLP([v̄_i ‖ v̄_j ‖ e_ij])                                                   [model §3]
 /// ```
+///
+/// Equal attention is the same with λ = μ = 0.
 pub(super) struct Round {
     values: Linear,
     /// U of the option `edge_in_message`.
@@ -67,16 +70,7 @@ fn softplus(x: f32) -> f32 {
 impl Round {
     pub(super) fn read(weights: &Weights, round: usize, last: bool) -> Result<Self, WeightsError> {
         let config = weights.config();
-        let heads = config.topological_heads;
         let name = |part: &str| format!("gdat.topological.{round}.{part}");
-        let lambda = weights.tensor(&name("lambda_raw"), &[heads])?;
-        let mu = weights.tensor(&name("mu_raw"), &[heads])?;
-        let [of_node, of_edge] = if config.distance_scale {
-            [NODE_ATTRIBUTES, EDGE_ATTRIBUTES].map(|dimension| 1.0 / dimension as f32)
-        } else {
-            [1.0; 2]
-        };
-        let factors = lambda.iter().zip(mu).map(|(l, m)| [softplus(*l) * of_node, softplus(*m) * of_edge]);
         let edge_values = config
             .edge_in_message
             .then(|| Linear::read_unbiased(weights, &name("u_e"), NODE_ATTRIBUTES, EDGE_ATTRIBUTES))
@@ -84,7 +78,7 @@ impl Round {
         Ok(Self {
             values: Linear::read_unbiased(weights, &name("w_n"), NODE_ATTRIBUTES, NODE_ATTRIBUTES)?,
             edge_values,
-            factors: factors.collect(),
+            factors: factors(weights, config, &name(""))?,
             update: (!last).then(|| EdgeUpdate::read(weights, &name("edge"))).transpose()?,
             slope: config.leaky_slope,
         })
@@ -205,6 +199,23 @@ impl Round {
             update.out.run(&hidden[..len], UPDATE_HIDDEN, Activation::None, attributes.as_flattened_mut());
         }
     }
+}
+
+/// λ_h and μ_h of the round whose tensors' names begin with `prefix`.
+fn factors(weights: &Weights, config: &ModelConfig, prefix: &str) -> Result<Vec<[f32; 2]>, WeightsError> {
+    let heads = config.topological_heads;
+    if config.attention == Attention::Equal {
+        return Ok(vec![[0.0; 2]; heads]);
+    }
+    let lambda = weights.tensor(&format!("{prefix}lambda_raw"), &[heads])?;
+    let mu = weights.tensor(&format!("{prefix}mu_raw"), &[heads])?;
+    let [of_node, of_edge] = if config.distance_scale {
+        [NODE_ATTRIBUTES, EDGE_ATTRIBUTES].map(|dimension| 1.0 / dimension as f32)
+    } else {
+        [1.0; 2]
+    };
+    let both = lambda.iter().zip(mu);
+    Ok(both.map(|(lambda, mu)| [softplus(*lambda) * of_node, softplus(*mu) * of_edge]).collect())
 }
 
 impl EdgeUpdate {

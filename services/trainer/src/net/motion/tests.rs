@@ -169,6 +169,8 @@ fn gradients_by_the_controls_agree_with_differences() {
     let weights = Matrix::new(ROWS, STEPS * 2, values(ROWS * STEPS * 2, 1.0, 3));
     let mut cases: Vec<(AgentType, ModelConfig)> =
         vehicle_configs().map(|config| (AgentType::Vehicle, config)).into();
+    let vehicle_motion = nn::VehicleMotion::Displacement;
+    cases.push((AgentType::Vehicle, ModelConfig { vehicle_motion, ..crate::onboard_config() }));
     cases.push((AgentType::Cyclist, crate::onboard_config()));
     for (agent_type, config) in cases {
         let gradient = positions_backward(&config, agent_type, &starts, DRAWS, &controls, &weights);

@@ -9,10 +9,24 @@ const STEPS: [u32; 12] = [0, 1, ABSENT, 2, ABSENT, ABSENT, ABSENT, ABSENT, ABSEN
 const STEPS_LEN: usize = 4;
 const ROWS: usize = 4;
 
-fn weights(heads: usize) -> Tensors {
+const USUAL: Reading =
+    Reading { leaky_slope: SLOPE, attention: Attention::Dual, temporal: Temporal::ValueMatrix };
+
+/// Every reading with the heads of its scores.
+const READINGS: [(Reading, usize); 5] = [
+    (USUAL, 4),
+    (USUAL, 2),
+    (Reading { temporal: Temporal::Literal, ..USUAL }, NODE),
+    (Reading { attention: Attention::Equal, ..USUAL }, 4),
+    (Reading { attention: Attention::Equal, temporal: Temporal::Literal, ..USUAL }, NODE),
+];
+
+fn weights(reading: Reading, heads: usize) -> Tensors {
     let mut weights = Tensors::default();
-    weights.insert(SCORE, &[heads, NODE], values(heads * NODE, 0.5, 1), Role::Learned);
-    if heads != NODE {
+    if reading.attention == Attention::Dual || reading.temporal == Temporal::Literal {
+        weights.insert(SCORE, &[heads, NODE], values(heads * NODE, 0.5, 1), Role::Learned);
+    }
+    if reading.temporal == Temporal::ValueMatrix {
         weights.insert(VALUE, &[NODE, NODE], values(NODE * NODE, 0.3, 2), Role::Learned);
     }
     weights
@@ -23,21 +37,21 @@ fn node() -> Matrix {
 }
 
 #[test]
-fn gradients_agree_with_differences_in_both_readings() {
-    for heads in [4, 2, NODE] {
-        let (weights, node) = (weights(heads), node());
+fn gradients_agree_with_differences_in_every_reading() {
+    for (reading, heads) in READINGS {
+        let (weights, node) = (weights(reading, heads), node());
         let d_encoding = Matrix::new(3, NODE, values(3 * NODE, 1.0, 4));
         let loss = |weights: &Tensors, node: &Matrix| {
-            weighted(&temporal(weights, SLOPE, node, &STEPS, STEPS_LEN).encoding.values, &d_encoding.values)
+            weighted(&temporal(weights, reading, node, &STEPS, STEPS_LEN).encoding.values, &d_encoding.values)
         };
         let mut gradients = Gradients::zeros(&weights);
-        let summary = temporal(&weights, SLOPE, &node, &STEPS, STEPS_LEN);
+        let summary = temporal(&weights, reading, &node, &STEPS, STEPS_LEN);
         let by_node = summary.backward(&weights, &mut gradients, &node, &STEPS, &d_encoding);
-        check(&format!("{heads} heads: node"), &node.values, &by_node.values, (1e-3, 40), |moved| {
+        check(&format!("{reading:?}: node"), &node.values, &by_node.values, (1e-3, 40), |moved| {
             loss(&weights, &Matrix::new(ROWS, NODE, moved.to_vec()))
         });
         for (name, (_, gradient)) in &gradients.0 {
-            check(&format!("{heads} heads: {name}"), weights.get(name), gradient, (1e-3, 40), |moved| {
+            check(&format!("{reading:?}: {name}"), weights.get(name), gradient, (1e-3, 40), |moved| {
                 let mut weights = weights.clone();
                 weights.0.get_mut(name).unwrap().values = moved.to_vec();
                 loss(&weights, &node)
@@ -48,7 +62,7 @@ fn gradients_agree_with_differences_in_both_readings() {
 
 #[test]
 fn the_present_steps_of_an_agent_sum_to_one() {
-    let summary = temporal(&weights(4), SLOPE, &node(), &STEPS, STEPS_LEN);
+    let summary = temporal(&weights(USUAL, 4), USUAL, &node(), &STEPS, STEPS_LEN);
     let [mut first, mut third] = [[0.0; 4]; 2];
     for step in 0..3 {
         first.iter_mut().zip(summary.beta.row(step)).for_each(|(sum, beta)| *sum += beta);
@@ -60,12 +74,19 @@ fn the_present_steps_of_an_agent_sum_to_one() {
 }
 
 #[test]
+fn equal_attention_is_a_mean() {
+    let reading = Reading { attention: Attention::Equal, ..USUAL };
+    let summary = temporal(&weights(reading, 4), reading, &node(), &STEPS, STEPS_LEN);
+    assert_eq!(summary.beta.values, [1.0 / 3.0, 1.0 / 3.0, 1.0 / 3.0, 1.0]);
+}
+
+#[test]
 fn an_absent_agent_gives_no_gradient() {
-    let (weights, node) = (weights(4), node());
+    let (weights, node) = (weights(USUAL, 4), node());
     let mut gradients = Gradients::zeros(&weights);
     let mut d_encoding = Matrix::zeros(3, NODE);
     d_encoding.row_mut(1).fill(1.0);
-    let summary = temporal(&weights, SLOPE, &node, &STEPS, STEPS_LEN);
+    let summary = temporal(&weights, USUAL, &node, &STEPS, STEPS_LEN);
     let by_node = summary.backward(&weights, &mut gradients, &node, &STEPS, &d_encoding);
     assert_eq!(by_node, Matrix::zeros(ROWS, NODE));
     assert_eq!(gradients, Gradients::zeros(&weights));
@@ -79,8 +100,8 @@ fn summaries_agree_with_the_reference() {
             let last = format!("{part}.topo{}.node", golden.config.rounds - 1);
             let node = golden.rows(&last, graph.rows.iter().cloned());
             let node = Matrix::new(graph.rows.len(), NODE, node);
-            let slope = golden.config.leaky_slope;
-            let summary = temporal(&golden.weights, slope, &node, &graph.steps, graph.steps_len);
+            let reading = Reading::of(&golden.config);
+            let summary = temporal(&golden.weights, reading, &node, &graph.steps, graph.steps_len);
             let beta = golden.rows(&format!("{part}.beta"), graph.rows.iter().cloned());
             golden.check(&format!("{part}.beta"), &summary.beta.values, &beta);
             let name = format!("{part}.temporal");

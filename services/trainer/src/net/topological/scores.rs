@@ -1,5 +1,6 @@
 //! The weights α of the edges, the softmax of scores that are linear in squared distances and lengths.
 
+use nn::Attention;
 use nn::kernels::{Kernel, Lanes, dispatch, exp_in_place};
 
 use super::{AttentionShape, EDGE, Edges, NODE};
@@ -13,7 +14,13 @@ const RAW: [&str; 2] = ["lambda_raw", "mu_raw"];
 pub(super) struct Coefficients {
     /// −λ and −μ `[heads, 2]`, over the dimensions of node and edge where `distance_scale` says so.
     matrix: Matrix,
+    attention: Attention,
     scale: [f32; 2],
+}
+
+/// The columns of the linear map that are learned, and from which tensors.
+fn learned(attention: Attention) -> impl Iterator<Item = (usize, &'static str)> {
+    RAW.into_iter().enumerate().filter(move |_| attention == Attention::Dual)
 }
 
 /// ln(1 + e^x) without overflow.
@@ -25,12 +32,12 @@ impl Coefficients {
     pub(super) fn read(weights: &Tensors, shape: AttentionShape, name: &str) -> Self {
         let scale = if shape.distance_scale { [NODE, EDGE].map(|len| 1.0 / len as f32) } else { [1.0; 2] };
         let mut matrix = Matrix::zeros(shape.heads, 2);
-        for (column, raw) in RAW.into_iter().enumerate() {
+        for (column, raw) in learned(shape.attention) {
             for (head, raw) in weights.get(&format!("{name}.{raw}")).iter().enumerate() {
                 matrix.row_mut(head)[column] = -softplus(*raw) * scale[column];
             }
         }
-        Self { matrix, scale }
+        Self { matrix, attention: shape.attention, scale }
     }
 
     /// α of all edges, `[edges, heads]`.
@@ -52,7 +59,7 @@ impl Coefficients {
     ) -> Matrix {
         let mut by_coefficients = Matrix::zeros(self.matrix.rows, 2);
         by_matrix(by_scores.view(), squares.view(), by_coefficients.view_mut());
-        for (column, raw) in RAW.into_iter().enumerate() {
+        for (column, raw) in learned(self.attention) {
             let name = format!("{name}.{raw}");
             for (head, gradient) in gradients.get_mut(&name).iter_mut().enumerate() {
                 let sigmoid = 1.0 / (1.0 + (-weights.get(&name)[head]).exp());

@@ -7,6 +7,14 @@ const ROWS: usize = 5;
 const SLOPE: f32 = 0.1;
 const ROUND: usize = 0;
 
+const EQUAL: AttentionShape = AttentionShape {
+    attention: Attention::Equal,
+    heads: 4,
+    leaky_slope: SLOPE,
+    edge_in_message: true,
+    distance_scale: true,
+};
+
 /// Rows that receive from three, one, no, four and two rows.
 fn edges() -> Edges {
     Edges {
@@ -17,14 +25,16 @@ fn edges() -> Edges {
 }
 
 fn shapes() -> impl Iterator<Item = AttentionShape> {
-    [(4, true, true), (4, false, false), (2, true, false), (16, false, true)].into_iter().map(
+    let dual = [(4, true, true), (4, false, false), (2, true, false), (16, false, true)].into_iter().map(
         |(heads, edge_in_message, distance_scale)| AttentionShape {
+            attention: Attention::Dual,
             heads,
             leaky_slope: SLOPE,
             edge_in_message,
             distance_scale,
         },
-    )
+    );
+    dual.chain([EQUAL])
 }
 
 fn weights(shape: AttentionShape) -> Tensors {
@@ -36,8 +46,10 @@ fn weights(shape: AttentionShape) -> Tensors {
         weights.insert(&format!("gdat.topological.{ROUND}.{name}"), shape, values, Role::Learned);
     };
     insert("w_n.weight", &[NODE, NODE], 0.3);
-    insert("lambda_raw", &[shape.heads], 1.0);
-    insert("mu_raw", &[shape.heads], 1.0);
+    if shape.attention == Attention::Dual {
+        insert("lambda_raw", &[shape.heads], 1.0);
+        insert("mu_raw", &[shape.heads], 1.0);
+    }
     if shape.edge_in_message {
         insert("u_e.weight", &[NODE, EDGE], 0.5);
     }
@@ -117,6 +129,19 @@ fn weights_of_a_row_sum_to_one_and_a_row_without_edges_gets_zeros() {
     }
 }
 
+#[test]
+fn equal_attention_is_a_mean() {
+    let edges = edges();
+    let (node, edge) = attributes(&edges);
+    let round = round(&weights(EQUAL), EQUAL, ROUND, node, edge, &edges, true);
+    for ends in edges.first.windows(2) {
+        let share = 1.0 / (ends[1] - ends[0]) as f32;
+        for edge in ends[0]..ends[1] {
+            assert_eq!(round.alpha.row(edge as usize), [share; 4]);
+        }
+    }
+}
+
 /// More edges than a block: every row hears all rows, so the same attributes everywhere are their own mean.
 #[test]
 fn blocks_join_without_a_seam() {
@@ -159,12 +184,7 @@ fn rounds_agree_with_the_reference() {
             let mut node = Matrix::new(graph.rows.len(), NODE, by_row("node"));
             let mut edge = Matrix::new(graph.joined.len(), EDGE, by_edge("edge"));
             let config = &golden.config;
-            let shape = AttentionShape {
-                heads: config.topological_heads,
-                leaky_slope: config.leaky_slope,
-                edge_in_message: config.edge_in_message,
-                distance_scale: config.distance_scale,
-            };
+            let shape = AttentionShape::of(config);
             for number in 0..config.rounds {
                 let last = number + 1 == config.rounds;
                 let round = round(&golden.weights, shape, number, node, edge, &graph.edges, last);
