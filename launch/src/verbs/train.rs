@@ -18,6 +18,10 @@ pub struct Arguments {
     /// site-map or online-map; several are made in turn
     #[arg(long, value_name = "NAME")]
     preset: Vec<String>,
+    /// Any option by its place in what --print-options prints, `objective.plus.candidates=6` for example; several are
+    /// set in turn
+    #[arg(long, value_name = "OPTION=VALUE")]
+    set: Vec<String>,
     /// Folder with the data sets, laid out as published
     #[arg(long, value_name = "DIR")]
     data: Option<PathBuf>,
@@ -80,6 +84,9 @@ fn options(arguments: &Arguments) -> Result<TrainOptions, Failure> {
             Failure::Usage(format!("unknown preset \"{name}\": expected one of {known}"))
         })?;
     }
+    for set in &arguments.set {
+        options = changed(&options, set)?;
+    }
     options.resume |= arguments.resume;
     let paths = [
         (&mut options.data, &arguments.data),
@@ -95,4 +102,40 @@ fn options(arguments: &Arguments) -> Result<TrainOptions, Failure> {
     options.steps = arguments.steps.unwrap_or(options.steps);
     options.workers = arguments.workers.unwrap_or(options.workers);
     Ok(options)
+}
+
+/// The options with one of them set, `option.part=value`: a JSON value, or else a string.
+fn changed(options: &TrainOptions, set: &str) -> Result<TrainOptions, Failure> {
+    let refused = |reason: &dyn std::fmt::Display| Failure::Usage(format!("--set {set}: {reason}"));
+    let (option, value) = set.split_once('=').ok_or_else(|| refused(&"expected OPTION=VALUE"))?;
+    let mut all = serde_json::to_value(options).map_err(Failure::data)?;
+    let mut place = &mut all;
+    for part in option.split('.') {
+        place = place.get_mut(part).ok_or_else(|| refused(&format!("there is no option \"{part}\"")))?;
+    }
+    *place = serde_json::from_str(value).unwrap_or_else(|_| value.into());
+    serde_json::from_value(all).map_err(|error| refused(&error))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn any_option_can_be_set_and_no_other() {
+        let options = TrainOptions::default();
+        let changed_to = |set| changed(&options, set).map_err(|failure| failure.to_string());
+        let steps = changed_to("steps=7").map(|options| options.steps);
+        assert_eq!(steps, Ok(7));
+        let stem = changed_to("model.stem=imagenet").map(|options| options.model.stem);
+        assert!(stem.is_ok_and(|stem| stem != options.model.stem));
+        for (set, reason) in [
+            ("steps", "OPTION=VALUE"),
+            ("model.nonsense=1", "no option \"nonsense\""),
+            ("steps=many", "invalid type"),
+        ] {
+            let refused = changed_to(set).expect_err(set);
+            assert!(refused.contains(reason) && refused.contains(set), "{refused}");
+        }
+    }
 }
