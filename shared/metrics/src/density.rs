@@ -49,19 +49,6 @@ fn deviation(samples: &[Point], weights: &[f32], total: f64, axis: usize) -> f64
     weighted(&|x| (x - mean).powi(2)).sqrt()
 }
 
-/// Whether the ellipse that holds `probability` of a Gaussian contains `truth`.
-///
-/// `covariance` is (xx, xy, yy) in m². In two dimensions the squared Mahalanobis distance exceeds q with probability
-/// e^(−q/2). A covariance that is not positive definite covers nothing.
-#[must_use]
-pub fn covers(mean: Point, covariance: [f32; 3], truth: Point, probability: f64) -> bool {
-    let [xx, xy, yy] = covariance.map(f64::from);
-    let determinant = xx * yy - xy * xy;
-    let [x, y] = [0, 1].map(|axis| f64::from(truth[axis]) - f64::from(mean[axis]));
-    let squared = (yy * x * x - 2.0 * xy * x * y + xx * y * y) / determinant;
-    xx > 0.0 && determinant > 0.0 && squared <= -2.0 * (1.0 - probability).ln()
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -89,16 +76,6 @@ mod tests {
         assert_eq!(kde_log_density(&[[0.0, 0.0]], &[1.0], [1e4, 0.0]), LOG_DENSITY_MIN);
         assert_eq!(kde_log_density(&[[0.0, 0.0]], &[0.0], [0.0, 0.0]), LOG_DENSITY_MIN);
         assert_eq!(kde_log_density(&[], &[], [0.0, 0.0]), LOG_DENSITY_MIN);
-    }
-
-    #[test]
-    fn the_half_ellipse_ends_at_its_radius() {
-        // Standard deviations 2 and 1; the 50 % radius is √(2 ln 2) = 1.1774 deviations.
-        let covariance = [4.0, 0.0, 1.0];
-        assert!(covers([1.0, 0.0], covariance, [1.0 + 2.0 * 1.177, 0.0], 0.5));
-        assert!(!covers([1.0, 0.0], covariance, [1.0 + 2.0 * 1.178, 0.0], 0.5));
-        assert!(covers([1.0, 0.0], covariance, [1.0 + 2.0 * 1.178, 0.0], 0.9));
-        assert!(!covers([0.0; 2], [1.0, 1.0, 1.0], [0.0; 2], 0.9), "singular");
     }
 
     proptest! {

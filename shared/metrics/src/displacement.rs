@@ -20,7 +20,7 @@ impl Displacement {
     }
 
     /// The smaller ADE and the smaller FDE of two, each by itself.
-    pub(crate) fn or_better(self, other: Self) -> Self {
+    fn or_better(self, other: Self) -> Self {
         let smaller = |a: Option<f64>, b: Option<f64>| match (a, b) {
             (Some(a), Some(b)) => Some(a.min(b)),
             (a, b) => a.or(b),
@@ -68,26 +68,15 @@ impl DisplacementMean {
 /// Where the trajectory is shorter than the truth.
 #[must_use]
 pub fn displacement(trajectory: &[Point], truth: &[Option<Point>]) -> Displacement {
-    displacements_by_horizon(trajectory, truth).last().unwrap_or_default()
-}
-
-/// Compares one trajectory with the truth as if the horizon ended after the first step, after the second and so on.
-///
-/// # Panics
-/// Where the trajectory is shorter than the truth.
-pub(crate) fn displacements_by_horizon(
-    trajectory: &[Point],
-    truth: &[Option<Point>],
-) -> impl Iterator<Item = Displacement> {
     assert!(trajectory.len() >= truth.len(), "{} steps, truth has {}", trajectory.len(), truth.len());
-    let mut mean = Mean::default();
-    trajectory.iter().zip(truth).map(move |(&forecast, &known)| {
-        let fde_m = known.map(|position| distance_m(forecast, position));
+    let (mut mean, mut fde_m) = (Mean::default(), None);
+    for (&forecast, known) in trajectory.iter().zip(truth) {
+        fde_m = known.map(|position| distance_m(forecast, position));
         if let Some(distance_m) = fde_m {
             mean.add(distance_m);
         }
-        Displacement { ade_m: mean.value(), fde_m }
-    })
+    }
+    Displacement { ade_m: mean.value(), fde_m }
 }
 
 /// Compares the best of several trajectories with the truth: ADE and FDE each have their own minimum, as in the

@@ -8,22 +8,18 @@
 //! A *truth* is a slice with one entry per step of the horizon, `None` where nobody knows the position; such steps
 //! count nowhere. A trajectory may be longer than the truth (payloads have room for the longest horizon), never
 //! shorter. All sums are f64 and in the order of the calls, so that a repeated evaluation agrees to the bit;
-//! accumulators ([`Mean`], [`Share`], [`DisplacementMean`], [`Scores`], [`HorizonScores`], [`Calibration`]) of several parts
-//! can be merged.
+//! accumulators ([`Mean`], [`Share`], [`DisplacementMean`]) of several parts can be merged.
 
 mod anchors;
 mod baseline;
 mod bootstrap;
-mod calibration;
 mod collision;
 mod density;
 mod displacement;
-mod horizon;
 mod kmeans;
 mod limits;
 mod mean;
 mod region;
-mod scores;
 mod steering;
 
 pub use anchors::{
@@ -34,18 +30,15 @@ pub use baseline::{
     constant_turn_rate, constant_turn_rate_acceleration, constant_velocity, sampled_constant_velocity,
 };
 pub use bootstrap::{Interval, PairedErrors, paired_bootstrap, paired_bootstrap_ratio};
-pub use calibration::Calibration;
 pub use collision::{Disc, collisions};
-pub use density::{LOG_DENSITY_MIN, covers, kde_log_density};
+pub use density::{LOG_DENSITY_MIN, kde_log_density};
 pub use displacement::{
     Displacement, DisplacementMean, MISS_RADIUS_M, best_of, displacement, joint_best_of, most_likely,
 };
-pub use horizon::{HorizonScore, HorizonScores};
 pub use kmeans::{Clusters, kmeans};
 pub use limits::{BicycleLimits, Limits, PointLimits};
 pub use mean::{Mean, Share};
 pub use region::highest_density_level;
-pub use scores::{Moments, Prediction, Scores};
 
 /// A position (x, y) in metres.
 pub type Point = [f32; 2];
