@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use serde::{Deserialize, Serialize};
 
 use crate::TrainError;
-use crate::objective::LossParts;
+use crate::objective::{LossParts, Objective};
 use crate::validate::SetScore;
 
 /// Name of the file in the checkpoint folder.
@@ -24,6 +24,7 @@ pub(crate) enum Line {
         step: u64,
         seconds: f64,
         rate: f64,
+        loss: f64,
         #[serde(flatten)]
         parts: LossParts,
     },
@@ -64,7 +65,7 @@ impl Log {
         &mut self,
         step: u64,
         (seconds, rate): (f64, f64),
-        parts: LossParts,
+        (objective, parts): (&Objective, LossParts),
     ) -> Result<(), TrainError> {
         self.sum = self.sum.plus(parts);
         self.summed += 1;
@@ -73,7 +74,7 @@ impl Log {
         }
         let parts = self.sum.times(1.0 / self.summed as f32);
         (self.sum, self.summed) = (LossParts::default(), 0);
-        self.write(&Line::Losses { step, seconds, rate, parts })
+        self.write(&Line::Losses { step, seconds, rate, loss: objective.weigh(parts), parts })
     }
 
     /// Appends a line.
@@ -96,7 +97,7 @@ mod tests {
         let mut log = Log::open(folder.path(), 0).unwrap();
         let parts = LossParts { trajectory: 0.5, ..LossParts::default() };
         for step in 1..=3 * EVERY {
-            log.update(step, (step as f64, 0.1), parts.times(step as f32)).unwrap();
+            log.update(step, (step as f64, 0.1), (&Objective::plus(), parts.times(step as f32))).unwrap();
         }
         let validation = Line::Validation { step: EVERY, seconds: 1.0, validation: 0.9, sets: Vec::new() };
         log.write(&validation).unwrap();
@@ -105,9 +106,8 @@ mod tests {
         let lines: Vec<Line> = text.lines().map(|line| serde_json::from_str(line).unwrap()).collect();
         assert_eq!(lines.iter().map(Line::step).collect::<Vec<_>>(), [EVERY, 2 * EVERY, EVERY]);
         let mean = (EVERY + 1) as f32 / 2.0;
-        assert!(
-            matches!(lines[0], Line::Losses { parts, .. } if (parts.trajectory - 0.5 * mean).abs() < 1e-3)
-        );
+        assert!(matches!(lines[0], Line::Losses { parts, loss, .. }
+                if (parts.trajectory - 0.5 * mean).abs() < 1e-3 && loss == f64::from(parts.trajectory)));
         assert_eq!(lines[2], validation);
     }
 }

@@ -70,6 +70,21 @@ impl Objective {
     }
 }
 
+impl Objective {
+    /// The loss that the parts add up to.
+    pub(crate) fn weigh(&self, parts: LossParts) -> f64 {
+        let LossParts { trajectory, single, probability, spread } = parts;
+        let [trajectory, single, probability, spread] =
+            [trajectory, single, probability, spread].map(f64::from);
+        match *self {
+            Self::Plus { single: of_single, probability: of_probability, spread: of_spread, .. } => {
+                trajectory + of_single * single + of_probability * probability + of_spread * spread
+            }
+            Self::Paper { alpha, beta, .. } => trajectory + alpha * probability + beta * spread,
+        }
+    }
+}
+
 /// The parts of a loss, for the progress line; which are in use depends on the [`Objective`].
 #[derive(Clone, Copy, Debug, Default, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct LossParts {

@@ -8,7 +8,7 @@ use nn::kernels::{Kernel, Lanes, dispatch};
 use crate::net::layout::units;
 use crate::net::tensors::{Gradients, Role, Tensors};
 
-/// What [`Adam`] is set to.
+/// What Adam is set to.
 #[derive(Clone, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct OptimiserOptions {

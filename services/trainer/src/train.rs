@@ -147,7 +147,7 @@ impl<'a> Run<'a> {
             }
             state.progress.step += 1;
             let seconds = before_s + begun.elapsed().as_secs_f64();
-            log.update(state.progress.step, (seconds, rate), parts)?;
+            log.update(state.progress.step, (seconds, rate), (&options.objective, parts))?;
             progress.step(state.progress.step, parts);
         }
         state.progress.seconds = before_s + begun.elapsed().as_secs_f64();

@@ -90,7 +90,7 @@ fn check(objective: &Objective, config: &ModelConfig) {
             let mut weights = weights.clone();
             let values = &mut weights.0.get_mut(&entry.name).unwrap().values;
             values.iter_mut().zip(gradient).for_each(|(value, g)| *value += sign * step * g / norm);
-            loss_of(objective, &differentiated(&weights).parts)
+            objective.weigh(differentiated(&weights).parts)
         };
         let slope = (moved(1.0) - moved(-1.0)) / (2.0 * f64::from(step));
         let error = (slope - f64::from(norm)).abs();
@@ -99,26 +99,6 @@ fn check(objective: &Objective, config: &ModelConfig) {
     }
     let least = learned.len() * 2 / 5;
     assert!(checked >= least, "only {checked} tensors have a gradient that differences can show");
-}
-
-/// The weighted sum of the parts.
-fn loss_of(objective: &Objective, parts: &LossParts) -> f64 {
-    let LossParts { trajectory, single, probability, spread } = *parts;
-    let terms = match *objective {
-        Objective::Plus { single: single_weight, probability: p, spread: s, .. } => [
-            (f64::from(trajectory), 1.0),
-            (f64::from(single), single_weight),
-            (f64::from(probability), p),
-            (f64::from(spread), s),
-        ],
-        Objective::Paper { alpha, beta, .. } => [
-            (f64::from(trajectory), 1.0),
-            (f64::from(single), 0.0),
-            (f64::from(probability), alpha),
-            (f64::from(spread), beta),
-        ],
-    };
-    terms.iter().map(|(value, weight)| value * weight).sum()
 }
 
 #[test]
