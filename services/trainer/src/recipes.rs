@@ -49,7 +49,7 @@ fn pedestrians(set: DataSet) -> TrainOptions {
         sets: vec![set.name().to_owned()],
         validation_sets: vec![set.name().to_owned()],
         windows: usize::MAX,
-        steps: 4000,
+        steps: 2000,
         validate_every: 500,
         validation_agents: 2000,
         batch_agents: 128,
