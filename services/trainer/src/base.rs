@@ -18,6 +18,7 @@ use crate::net::layout::TYPE_NAMES;
 use crate::net::tensors::{Role, Tensors};
 use crate::samples::Agent;
 use fit::Sample;
+pub(crate) use fit::Twins;
 
 type Features = [f32; binning::FEATURES];
 
@@ -57,9 +58,7 @@ impl BaseControl {
     }
 
     /// Fits ridge and anchors to the agents whose future is known, each with its history cut to every class.
-    ///
-    /// Vehicles count once more with noisy histories where `noise` asks for it.
-    pub(crate) fn fit<'a, A>(config: &ModelConfig, agents: impl Fn() -> A, noise: bool, seed: u64) -> Self
+    pub(crate) fn fit<'a, A>(config: &ModelConfig, agents: impl Fn() -> A, twins: Twins, seed: u64) -> Self
     where
         A: Iterator<Item = &'a Agent>,
     {
@@ -71,7 +70,7 @@ impl BaseControl {
             let cuts_mps = zero.speed_cuts_mps;
             let samples: Vec<Sample> = of_type()
                 .step_by(stride)
-                .flat_map(|agent| Sample::of_every_class(agent, config, &cuts_mps, (noise, &mut random)))
+                .flat_map(|agent| Sample::of_every_class(agent, config, &cuts_mps, twins, &mut random))
                 .collect();
             zero.fit(agent_type, &samples, config, seed);
             zero

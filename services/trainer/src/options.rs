@@ -57,6 +57,8 @@ pub struct TrainOptions {
     pub site_map: f64,
     /// Deviation of the logarithm of the scale at which scenes without vehicles are shown.
     pub scale_deviation: f64,
+    /// The same for the pedestrians that the base control is fitted to; 0 fits it to recorded scales alone.
+    pub base_scale_deviation: f64,
     /// Share of the standing agents that the loss counts.
     pub standing: f64,
     /// Whether only agents with a whole history count, as the protocols of pedestrian data sets have it.
@@ -111,6 +113,7 @@ impl Default for TrainOptions {
             without_map: 0.3,
             site_map: 0.4,
             scale_deviation: 0.0,
+            base_scale_deviation: 0.0,
             standing: 1.0,
             whole_history: false,
             short_history: 0.3,
@@ -157,8 +160,11 @@ impl TrainOptions {
             _ if !self.shares().iter().all(|share| (0.0..=1.0).contains(share)) => refuse(
                 "without_map, site_map and their sum, short_history, noisy_history and standing must be 0 to 1",
             ),
-            _ if !(0.0..1.0).contains(&self.scale_deviation) => {
-                refuse("scale_deviation must be 0 or more and less than 1")
+            _ if ![self.scale_deviation, self.base_scale_deviation]
+                .iter()
+                .all(|deviation| (0.0..1.0).contains(deviation)) =>
+            {
+                refuse("scale_deviation and base_scale_deviation must be 0 or more and less than 1")
             }
             _ if self.steps == 0 || self.validate_every == 0 => {
                 refuse("steps and validate_every must be 1 or more")

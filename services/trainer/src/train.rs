@@ -12,7 +12,7 @@ use rand::{Rng, RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
 use crate::TrainError;
-use crate::base::BaseControl;
+use crate::base::{BaseControl, Twins};
 use crate::batch::{Batch, BatchOptions, SceneView};
 use crate::calibration::Calibration;
 use crate::card::{ModelCard, Seen};
@@ -116,7 +116,10 @@ impl<'a> Run<'a> {
             base = BaseControl::fit(
                 &options.model,
                 || self.training.counted(),
-                options.noisy_history > 0.0,
+                Twins {
+                    noise: options.noisy_history > 0.0,
+                    scale_deviation: options.base_scale_deviation as f32,
+                },
                 options.seed,
             );
             base.store(&mut weights);

@@ -111,7 +111,7 @@ pub(crate) fn noisy<'a>(mut view: View<'a>, random: &mut impl Rng) -> View<'a> {
 
 impl View<'_> {
     /// Multiplies all lengths, seen from the world's origin.
-    fn scale(&mut self, factor: f32) {
+    pub(crate) fn scale(&mut self, factor: f32) {
         for state in self.history.iter_mut().chain(&mut self.future).flatten() {
             state.position_m = state.position_m.map(|value| value * factor);
             state.velocity_mps = state.velocity_mps.map(|value| value * factor);

@@ -4,6 +4,7 @@ use metrics::kmeans;
 use nalgebra::{DMatrix, SMatrix};
 use nn::{Displacement, ModelConfig, base as binning};
 use rand::Rng;
+use rand_distr::{Distribution, StandardNormal};
 use scene::AgentType;
 
 use super::targets::{self, Controls, Driver};
@@ -52,6 +53,34 @@ impl Mover {
     }
 }
 
+/// As what else a window counts.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Twins {
+    /// Vehicles with noisy histories.
+    pub(crate) noise: bool,
+    /// Pedestrians at other scales: deviation of the logarithm of the scale. The few who walk fast walk like the many.
+    pub(crate) scale_deviation: f32,
+}
+
+impl Twins {
+    /// The twins of a view; cyclists and pedestrians, who keep to no side of the road, are also `mirrored`.
+    fn of<'a>(self, view: &View<'a>, mirrored: Option<View<'a>>, random: &mut impl Rng) -> Vec<View<'a>> {
+        match view.agent.agent_type {
+            AgentType::Vehicle if self.noise => vec![view::noisy(view.clone(), random)],
+            AgentType::Vehicle => Vec::new(),
+            AgentType::Pedestrian if self.scale_deviation > 0.0 => {
+                let scaled = [Some(view.clone()), mirrored.clone()].into_iter().flatten().map(|mut view| {
+                    let deviation: f32 = StandardNormal.sample(random);
+                    view.scale((deviation * self.scale_deviation).exp());
+                    view
+                });
+                scaled.chain(mirrored.clone()).collect()
+            }
+            AgentType::Cyclist | AgentType::Pedestrian => mirrored.into_iter().collect(),
+        }
+    }
+}
+
 /// A window as the fit sees it.
 pub(super) struct Sample {
     place: Place,
@@ -64,14 +93,13 @@ pub(super) struct Sample {
 }
 
 impl Sample {
-    /// The window with its whole history and, where that is long enough, cut to the shorter classes. Every one counts a
-    /// second time: that of a vehicle with noise where that is asked for, the others, which keep to no side of the road,
-    /// mirrored.
+    /// The window with its whole history and, where that is long enough, cut to the shorter classes, and with its twins.
     pub(super) fn of_every_class(
         agent: &Agent,
         config: &ModelConfig,
         cuts_mps: &[f32],
-        (noise, random): (bool, &mut impl Rng),
+        twins: Twins,
+        random: &mut impl Rng,
     ) -> Vec<Self> {
         let present = agent.history.iter().rev().take_while(|state| state.is_some()).count();
         let lens =
@@ -79,11 +107,8 @@ impl Sample {
         let mut samples = Vec::new();
         for len in lens {
             let Some(view) = view::shown(agent, len, false) else { continue };
-            let twin = match agent.agent_type {
-                AgentType::Vehicle => noise.then(|| view::noisy(view.clone(), random)),
-                AgentType::Cyclist | AgentType::Pedestrian => view::shown(agent, len, true),
-            };
-            let views = std::iter::once(view).chain(twin);
+            let twins = twins.of(&view, view::shown(agent, len, true), random);
+            let views = std::iter::once(view).chain(twins);
             samples.extend(views.filter_map(|view| Self::new(&view, config, cuts_mps)));
         }
         samples

@@ -12,6 +12,7 @@ use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 
 use super::*;
+use crate::base::Twins;
 use crate::onboard_config;
 use crate::samples::{MapKind, Scene, Selection, cut};
 use crate::view;
@@ -23,7 +24,8 @@ static BASE: LazyLock<BaseControl> = LazyLock::new(|| {
     let recording = read(&Scenery::random(frame_rate(Format::Csv), &mut random), Format::Csv);
     let config = onboard_config();
     let (scenes, _) = cut(&recording, 0, selection(false), &config);
-    BaseControl::fit(&config, || scenes.iter().flat_map(|scene| &scene.agents), false, 1)
+    let twins = Twins { noise: false, scale_deviation: 0.0 };
+    BaseControl::fit(&config, || scenes.iter().flat_map(|scene| &scene.agents), twins, 1)
 });
 
 fn read(scenery: &Scenery, format: Format) -> Recording {
