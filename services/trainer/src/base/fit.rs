@@ -23,6 +23,8 @@ const WINDOWS_MIN: usize = 60;
 const ACCELERATION_MAX_MPS2: f32 = 9.0;
 /// A future that no controls come nearer to than this, m, teaches nothing about controls.
 const MISSED_MAX_M: f32 = 0.5;
+/// A bin with as many windows needs no twins at other scales.
+const RECORDED_ENOUGH: usize = 2000;
 const KMEANS_ITERATIONS: usize = 30;
 /// Windows per bin that the clustering looks at.
 const CLUSTERED_MAX: usize = 4000;
@@ -58,31 +60,41 @@ impl Mover {
 pub(crate) struct Twins {
     /// Vehicles with noisy histories.
     pub(crate) noise: bool,
-    /// Pedestrians at other scales: deviation of the logarithm of the scale. The few who walk fast walk like the many.
+    /// Pedestrians at other scales: deviation of the logarithm of the scale. The few who walk fast walk like the many;
+    /// speeds that are recorded often have anchors of their own scale alone, see [`RECORDED_ENOUGH`].
     pub(crate) scale_deviation: f32,
 }
 
 impl Twins {
-    /// The twins of a view; cyclists and pedestrians, who keep to no side of the road, are also `mirrored`.
-    fn of<'a>(self, view: &View<'a>, mirrored: Option<View<'a>>, random: &mut impl Rng) -> Vec<View<'a>> {
+    /// The twins of a view, and whether they are scaled; cyclists and pedestrians, who keep to no side of the road, are also `mirrored`.
+    fn of<'a>(
+        self,
+        view: &View<'a>,
+        mirrored: Option<View<'a>>,
+        random: &mut impl Rng,
+    ) -> Vec<(View<'a>, bool)> {
         match view.agent.agent_type {
-            AgentType::Vehicle if self.noise => vec![view::noisy(view.clone(), random)],
+            AgentType::Vehicle if self.noise => vec![(view::noisy(view.clone(), random), false)],
             AgentType::Vehicle => Vec::new(),
             AgentType::Pedestrian if self.scale_deviation > 0.0 => {
                 let scaled = [Some(view.clone()), mirrored.clone()].into_iter().flatten().map(|mut view| {
                     let deviation: f32 = StandardNormal.sample(random);
                     view.scale((deviation * self.scale_deviation).exp());
-                    view
+                    (view, true)
                 });
-                scaled.chain(mirrored.clone()).collect()
+                scaled.chain(mirrored.clone().map(|view| (view, false))).collect()
             }
-            AgentType::Cyclist | AgentType::Pedestrian => mirrored.into_iter().collect(),
+            AgentType::Cyclist | AgentType::Pedestrian => {
+                mirrored.into_iter().map(|view| (view, false)).collect()
+            }
         }
     }
 }
 
 /// A window as the fit sees it.
 pub(super) struct Sample {
+    /// Whether it is shown at another scale than it was recorded.
+    scaled: bool,
     place: Place,
     features: Features,
     mover: Mover,
@@ -108,8 +120,11 @@ impl Sample {
         for len in lens {
             let Some(view) = view::shown(agent, len, false) else { continue };
             let twins = twins.of(&view, view::shown(agent, len, true), random);
-            let views = std::iter::once(view).chain(twins);
-            samples.extend(views.filter_map(|view| Self::new(&view, config, cuts_mps)));
+            let views = std::iter::once((view, false)).chain(twins);
+            let sample = |(view, scaled): (View<'_>, bool)| {
+                Some(Self { scaled, ..Self::new(&view, config, cuts_mps)? })
+            };
+            samples.extend(views.filter_map(sample));
         }
         samples
     }
@@ -135,7 +150,7 @@ impl Sample {
         if missed_m(&mover.positions(&controls), &truth) > MISSED_MAX_M {
             return None;
         }
-        Some(Self { place, features, mover, truth, controls })
+        Some(Self { scaled: false, place, features, mover, truth, controls })
     }
 }
 
@@ -207,6 +222,11 @@ impl TypeBase {
             let bin = sample.place.bin;
             by_bin[if by_speed_alone { bin / per_speed * per_speed } else { bin }].push(sample);
         });
+        for of_bin in &mut by_bin {
+            if of_bin.iter().filter(|sample| !sample.scaled).count() >= RECORDED_ENOUGH {
+                of_bin.retain(|sample| !sample.scaled);
+            }
+        }
         let own: Vec<Option<Vec<f32>>> = by_bin
             .iter()
             .map(|of_bin| {
