@@ -90,8 +90,10 @@ impl ModelCard {
             ..options.clone()
         };
         Self {
-            about: "STG-DAT: forecasts of vehicles, cyclists and pedestrians from their last 3.2 s"
-                .to_owned(),
+            about: format!(
+                "STG-DAT: forecasts of vehicles, cyclists and pedestrians from their last {:.1} s",
+                options.model.history_len as f64 * options.model.dt_s
+            ),
             options,
             step: progress.best_step,
             wall_s: progress.seconds.round(),
