@@ -8,12 +8,15 @@
 mod fit;
 mod targets;
 
+use std::sync::Arc;
+
 use nn::{ModelConfig, base as binning, base::BaseFeatures};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use scene::{AgentFrame, AgentType, FeatureScales, State, state_features};
 use wire::AGENT_TYPES;
 
+use crate::TrainError;
 use crate::net::layout::TYPE_NAMES;
 use crate::net::tensors::{Role, Tensors};
 use crate::samples::Agent;
@@ -23,7 +26,7 @@ pub(crate) use fit::Twins;
 type Features = [f32; binning::FEATURES];
 
 /// Agents of a type that are fitted to, at most; they are spread evenly.
-const FITTED_MAX: usize = 60_000;
+pub(crate) const FITTED_MAX: usize = 60_000;
 
 /// The base control of all agent types.
 #[derive(Clone, Debug)]
@@ -58,24 +61,29 @@ impl BaseControl {
     }
 
     /// Fits ridge and anchors to the agents whose future is known, each with its history cut to every class.
-    pub(crate) fn fit<'a, A>(config: &ModelConfig, agents: impl Fn() -> A, twins: Twins, seed: u64) -> Self
+    ///
+    /// `agents` reads those of a type; [`FITTED_MAX`] of them are enough.
+    pub(crate) fn fit<A>(
+        config: &ModelConfig,
+        agents: impl Fn(AgentType) -> A,
+        twins: Twins,
+        seed: u64,
+    ) -> Result<Self, TrainError>
     where
-        A: Iterator<Item = &'a Agent>,
+        A: Iterator<Item = Result<Arc<Agent>, TrainError>>,
     {
         let types = AGENT_TYPES.iter().map(|&agent_type| {
             let mut zero = TypeBase::zero(config, agent_type);
             let mut random = ChaCha8Rng::seed_from_u64(seed);
-            let of_type = || agents().filter(|agent| agent.agent_type == agent_type && agent.counts);
-            let stride = of_type().count().div_ceil(FITTED_MAX).max(1);
-            let cuts_mps = zero.speed_cuts_mps;
-            let samples: Vec<Sample> = of_type()
-                .step_by(stride)
-                .flat_map(|agent| Sample::of_every_class(agent, config, &cuts_mps, twins, &mut random))
-                .collect();
+            let mut samples = Vec::new();
+            for agent in agents(agent_type) {
+                let cuts_mps = &zero.speed_cuts_mps;
+                samples.extend(Sample::of_every_class(&agent?, config, cuts_mps, twins, &mut random));
+            }
             zero.fit(agent_type, &samples, config, seed);
-            zero
+            Ok(zero)
         });
-        Self { config: config.clone(), types: types.collect() }
+        Ok(Self { config: config.clone(), types: types.collect::<Result<_, TrainError>>()? })
     }
 
     /// The base control of an agent with this history.

@@ -12,10 +12,12 @@ mod graph;
 mod tests;
 
 use std::ops::Range;
+use std::sync::Arc;
 
 use nn::ModelConfig;
 use scene::{AgentFrame, FeatureScales, State, state_features};
 
+use crate::TrainError;
 use crate::base::{AgentBase, BaseControl};
 use crate::net::matrix::Matrix;
 use crate::net::motion::Start;
@@ -26,8 +28,8 @@ use graph::{Placed, Steps};
 
 /// One agent as one step of training shows it to the network: perhaps with a shortened history.
 #[derive(Clone, Debug)]
-pub(crate) struct View<'a> {
-    pub(crate) agent: &'a Agent,
+pub(crate) struct View {
+    pub(crate) agent: Arc<Agent>,
     pub(crate) history: Vec<Option<State>>,
     pub(crate) future: Vec<Option<State>>,
     pub(crate) frame: AgentFrame,
@@ -35,7 +37,7 @@ pub(crate) struct View<'a> {
     pub(crate) counts: bool,
 }
 
-impl View<'_> {
+impl View {
     /// Recorded positions of the forecast steps in the agent frame.
     pub(crate) fn truth(&self) -> impl Iterator<Item = Option<[f32; 2]>> + '_ {
         self.future.iter().map(|state| state.map(|state| in_frame(&self.frame, state.position_m)))
@@ -50,7 +52,7 @@ fn in_frame(frame: &AgentFrame, position_m: [f32; 2]) -> [f32; 2] {
 /// Agents of one time and place.
 #[derive(Clone, Debug)]
 pub(crate) struct SceneView<'a> {
-    pub(crate) agents: Vec<View<'a>>,
+    pub(crate) agents: Vec<View>,
     /// Where the map patches come from; `None` where the scene is shown without a map.
     pub(crate) map: Option<MapView<'a>>,
     /// Whether left and right are swapped.
@@ -93,7 +95,9 @@ pub(crate) struct BatchOptions<'a> {
 }
 
 impl<'a> Batch<'a> {
-    pub(crate) fn new(scenes: &[SceneView<'_>], options: BatchOptions<'a>) -> Self {
+    /// # Errors
+    /// [`TrainError::Scratch`] where a map patch can't be read.
+    pub(crate) fn new(scenes: &[SceneView<'_>], options: BatchOptions<'a>) -> Result<Self, TrainError> {
         let mut origin: Vec<(usize, usize)> = scenes
             .iter()
             .enumerate()
@@ -107,15 +111,14 @@ impl<'a> Batch<'a> {
         let first = |at: (usize, bool)| origin.partition_point(|origin| place(origin) < at);
         let type_agents = [0, 1, 2].map(|of_type| first((of_type, false))..first((of_type + 1, false)));
         let forecast = [0, 1, 2].map(|of_type| first((of_type, false))..first((of_type, true)));
-        let agents: Vec<&View<'_>> =
-            origin.iter().map(|&(scene, agent)| &scenes[scene].agents[agent]).collect();
+        let agents: Vec<&View> = origin.iter().map(|&(scene, agent)| &scenes[scene].agents[agent]).collect();
 
         let placed = Placed { scenes, origin: &origin, agents: &agents, type_agents: &type_agents };
-        let graph = placed.graph(Steps::History, options);
-        let future = options.with_future.then(|| placed.graph(Steps::Future, options));
+        let graph = placed.graph(Steps::History, options)?;
+        let future = options.with_future.then(|| placed.graph(Steps::Future, options)).transpose()?;
         let targets = Targets::of(&agents, options);
         let Targets { state, present, starts, base, truth, counts } = targets;
-        Self { graph, future, forecast, state, present, starts, base, truth, counts, origin }
+        Ok(Self { graph, future, forecast, state, present, starts, base, truth, counts, origin })
     }
 }
 
@@ -130,7 +133,7 @@ struct Targets<'a> {
 }
 
 impl<'a> Targets<'a> {
-    fn of(agents: &[&View<'_>], options: BatchOptions<'a>) -> Self {
+    fn of(agents: &[&View], options: BatchOptions<'a>) -> Self {
         let BatchOptions { config, base, .. } = options;
         let (agents_len, history_len, horizon_len) = (agents.len(), config.history_len, config.horizon_len);
         let scales = scales(config);
@@ -146,11 +149,14 @@ impl<'a> Targets<'a> {
                 counts.push(f32::from(u8::from(position.is_some())));
             }
         }
-        let of = |view: &&View<'_>| base.of(view.agent.agent_type, &view.history, &view.frame);
+        let of = |view: &&View| base.of(view.agent.agent_type, &view.history, &view.frame);
         Self {
             state: Matrix::new(agents_len, history_len * 6, state),
             present: Matrix::new(agents_len, history_len, present),
-            starts: agents.iter().map(|view| start(view.agent, &view.history, &view.frame, config)).collect(),
+            starts: agents
+                .iter()
+                .map(|view| start(&view.agent, &view.history, &view.frame, config))
+                .collect(),
             base: agents.iter().map(of).collect(),
             truth: Matrix::new(agents_len, horizon_len * 2, truth),
             counts: Matrix::new(agents_len, horizon_len, counts),

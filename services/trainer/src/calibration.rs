@@ -11,6 +11,7 @@ use kinematics::{Belief, Bicycle, BicycleState, ControlGaussian, ControlLimits, 
 use nn::ModelConfig;
 use scene::AgentType;
 
+use crate::TrainError;
 use crate::base::BaseControl;
 use crate::batch::{Batch, BatchOptions, SceneView};
 use crate::net::context::Normalisation;
@@ -60,8 +61,8 @@ pub(crate) struct Calibration<'a> {
 
 impl Calibration<'_> {
     /// Scales the spread of every type that has enough agents; returns the factors by the types' names.
-    pub(crate) fn apply(&self, weights: &mut Tensors) -> BTreeMap<String, f64> {
-        let forecasts = self.forecasts(weights);
+    pub(crate) fn apply(&self, weights: &mut Tensors) -> Result<BTreeMap<String, f64>, TrainError> {
+        let forecasts = self.forecasts(weights)?;
         let mut factors = BTreeMap::new();
         for (name, forecasts) in TYPE_NAMES.iter().zip(&forecasts) {
             if forecasts.len() < AGENTS_MIN {
@@ -71,23 +72,29 @@ impl Calibration<'_> {
             widen(weights, name, factor as f32);
             factors.insert((*name).to_owned(), (factor * 1e4).round() / 1e4);
         }
-        factors
+        Ok(factors)
     }
 
     /// Forecasts by the agents' types, evenly spread over the validation scenes.
-    fn forecasts(&self, weights: &Tensors) -> [Vec<Forecast>; 3] {
+    fn forecasts(&self, weights: &Tensors) -> Result<[Vec<Forecast>; 3], TrainError> {
         let mut forecasts = [Vec::new(), Vec::new(), Vec::new()];
         for set in &self.validation.sets {
-            let stride = set.counted().count().div_ceil(AGENTS_MAX).max(1);
-            for scene in set.scenes.iter().step_by(stride) {
-                let map = self.validation.map(scene.recording, MapKind::Online);
-                self.add(weights, &view::plain(scene, map, SCENE_AGENTS), &mut forecasts);
+            let stride = set.counted_len().div_ceil(AGENTS_MAX).max(1);
+            for window in set.windows.iter().step_by(stride) {
+                let map = self.validation.map(window.recording, MapKind::Online);
+                let scene = self.validation.scene(window)?;
+                self.add(weights, &view::plain(&scene, map, SCENE_AGENTS), &mut forecasts)?;
             }
         }
-        forecasts
+        Ok(forecasts)
     }
 
-    fn add(&self, weights: &Tensors, scene: &SceneView<'_>, forecasts: &mut [Vec<Forecast>; 3]) {
+    fn add(
+        &self,
+        weights: &Tensors,
+        scene: &SceneView<'_>,
+        forecasts: &mut [Vec<Forecast>; 3],
+    ) -> Result<(), TrainError> {
         let config = self.config;
         let options = BatchOptions {
             config,
@@ -95,7 +102,7 @@ impl Calibration<'_> {
             neighbours_max: scene::NEIGHBOURS_MAX,
             with_future: false,
         };
-        let batch = Batch::new(std::slice::from_ref(scene), options);
+        let batch = Batch::new(std::slice::from_ref(scene), options)?;
         let encoded = encode(weights, config, &batch.graph, Normalisation::Running, false);
         for (of_type, forecasts) in forecasts.iter_mut().enumerate() {
             let Some(forecast) = TypeForecast::new(weights, config, &batch, &encoded, of_type) else {
@@ -123,6 +130,7 @@ impl Calibration<'_> {
                 forecasts.push(Forecast { probability, steps: steps.collect() });
             }
         }
+        Ok(())
     }
 }
 

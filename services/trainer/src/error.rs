@@ -54,6 +54,14 @@ pub enum TrainError {
         /// What the system said.
         source: std::io::Error,
     },
+    /// The scratch file that scenes wait in could not be written or read.
+    #[error("scratch file in {}: {source}", folder.display())]
+    Scratch {
+        /// The folder that it lies in.
+        folder: PathBuf,
+        /// What the system said.
+        source: std::io::Error,
+    },
     /// The loss left the numbers several times in a row.
     #[error("the loss of step {step} is not finite; a lower learning rate may help")]
     Diverged {

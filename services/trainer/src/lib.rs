@@ -4,10 +4,10 @@
 //! weights file; features, maps and the base control come from the same code as onboard, and both forward passes are held
 //! to the same golden vectors.
 //!
-//! A run has three parts. Recordings become scenes in memory (windows, and a causal map patch for every
-//! agent and frame). The *base control* — ridge regression and anchors — is fitted to them. Then the network learns
-//! what to add, batch by batch; its running average is validated from time to time, and the best one is written with a
-//! model card.
+//! A run has three parts. Recordings become scenes (windows, and a causal map patch for every agent and frame), which
+//! wait in a scratch file beside the checkpoints: memory need only hold the largest recording. The *base control* — ridge
+//! regression and anchors — is fitted to them. Then the network learns what to add, batch by batch; its running average
+//! is validated from time to time, and the best one is written with a model card.
 //!
 //! A seed fixes everything random, so that a run on one machine can be repeated to the bit.
 
@@ -27,6 +27,7 @@ mod progress;
 mod recipes;
 mod rollout;
 mod samples;
+mod spool;
 mod train;
 mod validate;
 mod view;

@@ -12,7 +12,7 @@ use rand::{Rng, RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
 use crate::TrainError;
-use crate::base::{BaseControl, Twins};
+use crate::base::{BaseControl, FITTED_MAX, Twins};
 use crate::batch::{Batch, BatchOptions, SceneView};
 use crate::calibration::Calibration;
 use crate::card::{ModelCard, Seen};
@@ -23,7 +23,8 @@ use crate::net::tensors::Tensors;
 use crate::objective::{Differentiated, LossParts, Objective, differentiate};
 use crate::options::TrainOptions;
 use crate::progress::Progress;
-use crate::samples::{MapKind, MapView, Samples, Selection, SetSamples};
+use crate::samples::{MapKind, MapView, Samples, Scene, Selection, SetSamples};
+use crate::spool::Spooling;
 use crate::validate::{Baselines, SetScore, Validation, choose_by};
 use crate::view::Clip;
 
@@ -80,8 +81,9 @@ impl<'a> Run<'a> {
                 from_positions: options.from_positions,
                 whole_history: options.whole_history,
             };
-            let samples = Samples::read(selection, &options.model, |path| progress.reading(path))?;
-            if samples.counted().next().is_none() {
+            let spooling = Spooling::create(&options.checkpoints)?;
+            let samples = Samples::read(selection, &options.model, spooling, |path| progress.reading(path))?;
+            if samples.sets.iter().all(|set| set.windows.is_empty()) {
                 return Err(TrainError::NoWindows { part: part.name(), root: options.data.clone() });
             }
             Ok(samples)
@@ -89,14 +91,14 @@ impl<'a> Run<'a> {
         let mut training = read(&options.sets, Part::Train, options.windows)?;
         let mut validation = read(&options.validation_sets, Part::Validation, usize::MAX)?;
         if options.model.context && options.site_map > 0.0 {
-            validation.add_site_maps(Some(&training));
-            training.add_site_maps(None);
+            validation.add_site_maps(Some(&training))?;
+            training.add_site_maps(None)?;
         }
         for set in &training.sets {
-            let (windows, agents) = (set.scenes.len(), set.counted().count());
+            let (windows, agents) = (set.windows.len(), set.counted_len());
             progress.note(&format!("{}: {windows} windows, {agents} agents", set.set.name()));
         }
-        let baselines = Baselines::fit(&training, &options.model, options.seed);
+        let baselines = Baselines::fit(&training, &options.model, options.seed)?;
         Ok(Self { options, training, validation, baselines })
     }
 
@@ -115,13 +117,13 @@ impl<'a> Run<'a> {
             progress.note("fitting the base control");
             base = BaseControl::fit(
                 &options.model,
-                || self.training.counted(),
+                |agent_type| self.training.spread(&self.training.sets, agent_type, FITTED_MAX),
                 Twins {
                     noise: options.noisy_history > 0.0,
                     scale_deviation: options.base_scale_deviation as f32,
                 },
                 options.seed,
-            );
+            )?;
             base.store(&mut weights);
         }
         Ok((State::new(weights, options), base))
@@ -143,7 +145,7 @@ impl<'a> Run<'a> {
                 self.validate(state, base, progress, &log)?;
             }
             let rate = state.adam.rate(state.progress.step, options.steps);
-            let (parts, finite) = self.update(state, base);
+            let (parts, finite) = self.update(state, base)?;
             diverged = if finite { 0 } else { diverged + 1 };
             if diverged == DIVERGED_STEPS {
                 return Err(TrainError::Diverged { step: state.progress.step });
@@ -158,19 +160,19 @@ impl<'a> Run<'a> {
     }
 
     /// One update. Everything random in it comes from the seed and the number of the update.
-    fn update(&self, state: &mut State, base: &BaseControl) -> (LossParts, bool) {
+    fn update(&self, state: &mut State, base: &BaseControl) -> Result<(LossParts, bool), TrainError> {
         let options = self.options;
         let mut random = ChaCha8Rng::seed_from_u64(options.seed);
         random.set_stream(state.progress.step + 1);
-        let clips = self.draw(&mut random);
+        let clips = self.draw(&mut random)?;
         let counts = |scene: &SceneView<'_>| scene.agents.iter().filter(|view| view.counts).count();
         let counted: usize = clips.iter().flatten().map(counts).sum();
         if counted == 0 {
-            return (LossParts::default(), true);
+            return Ok((LossParts::default(), true));
         }
-        let parts = self.differentiate(state, base, &split(clips, options.workers), counted, &random);
+        let parts = self.differentiate(state, base, &split(clips, options.workers), counted, &random)?;
         let mut parts = parts.into_iter();
-        let Some(mut whole) = parts.next() else { return (LossParts::default(), true) };
+        let Some(mut whole) = parts.next() else { return Ok((LossParts::default(), true)) };
         for part in parts {
             whole.gradients.add(&part.gradients);
             whole.parts = whole.parts.plus(part.parts);
@@ -186,7 +188,7 @@ impl<'a> Run<'a> {
             }
         }
         state.progress.adam_steps = state.adam.steps;
-        (whole.parts, finite)
+        Ok((whole.parts, finite))
     }
 
     /// Differentiates the parts of a batch side by side, each with random numbers of its own.
@@ -197,7 +199,7 @@ impl<'a> Run<'a> {
         parts: &[Vec<SceneView<'_>>],
         counted: usize,
         random: &ChaCha8Rng,
-    ) -> Vec<Differentiated> {
+    ) -> Result<Vec<Differentiated>, TrainError> {
         let options = self.options;
         let one = |number: usize, scenes: &[SceneView<'_>]| {
             let batch_options = BatchOptions {
@@ -206,12 +208,13 @@ impl<'a> Run<'a> {
                 neighbours_max: options.neighbours,
                 with_future: matches!(options.objective, Objective::Paper { .. }),
             };
-            let batch = Batch::new(scenes, batch_options);
+            let batch = Batch::new(scenes, batch_options)?;
             let mut random = random.clone();
             random.set_word_pos(u128::from(u64::MAX) * (number as u128 + 1));
             let done = state.progress.step as f32 / options.steps as f32;
             let share = (counted, done);
-            differentiate(&options.objective, &options.model, &state.weights, &batch, share, &mut random)
+            let (objective, model) = (&options.objective, &options.model);
+            Ok(differentiate(objective, model, &state.weights, &batch, share, &mut random))
         };
         let one = &one;
         std::thread::scope(|scope| {
@@ -226,31 +229,33 @@ impl<'a> Run<'a> {
     }
 
     /// Clips of at least [`TrainOptions::batch_agents`] agents that count, from sets drawn by the root of their size.
-    fn draw(&self, random: &mut impl Rng) -> Vec<Vec<SceneView<'_>>> {
+    fn draw(&self, random: &mut impl Rng) -> Result<Vec<Vec<SceneView<'_>>>, TrainError> {
         let options = self.options;
-        let sets: Vec<&SetSamples> = self.training.sets.iter().filter(|set| !set.scenes.is_empty()).collect();
-        let weights: Vec<f64> = sets.iter().map(|set| (set.scenes.len() as f64).sqrt()).collect();
+        let sets: Vec<&SetSamples> =
+            self.training.sets.iter().filter(|set| !set.windows.is_empty()).collect();
+        let weights: Vec<f64> = sets.iter().map(|set| (set.windows.len() as f64).sqrt()).collect();
         let mut clips: Vec<Vec<SceneView<'_>>> = Vec::new();
         let (mut agents_len, mut tries) = (0, 0);
         while agents_len < options.batch_agents && tries < options.batch_agents {
             tries += 1;
             let set = sets[weighted(&weights, random)];
-            let first = random.random_range(0..set.scenes.len());
-            let recording = set.scenes[first].recording;
-            let scenes = &set.scenes[first..(first + options.clip_windows).min(set.scenes.len())];
-            let len = scenes.iter().take_while(|scene| scene.recording == recording).count();
-            let scenes = &scenes[..len];
+            let first = random.random_range(0..set.windows.len());
+            let recording = set.windows[first].recording;
+            let windows = &set.windows[first..(first + options.clip_windows).min(set.windows.len())];
+            let windows = windows.iter().take_while(|window| window.recording == recording);
+            let scenes: Vec<Scene> =
+                windows.map(|window| self.training.scene(window)).collect::<Result<_, _>>()?;
             let map = self.draw_map(recording, random);
-            let clip = Clip::draw(scenes, options, random);
+            let clip = Clip::draw(&scenes, options, random);
             let views: Vec<SceneView<'_>> =
                 scenes.iter().map(|scene| clip.show(scene, map, options, random)).collect();
             agents_len += views.iter().flat_map(|view| &view.agents).filter(|agent| agent.counts).count();
             clips.push(views);
         }
-        clips
+        Ok(clips)
     }
 
-    fn draw_map(&self, recording: usize, random: &mut impl Rng) -> Option<MapView<'_>> {
+    fn draw_map(&self, recording: u32, random: &mut impl Rng) -> Option<MapView<'_>> {
         let options = self.options;
         let drawn: f64 = random.random();
         let kind = if drawn < options.without_map {
@@ -271,7 +276,7 @@ impl<'a> Run<'a> {
         log: &Log,
     ) -> Result<(), TrainError> {
         let average = state.adam.average.clone();
-        let scores = self.scores(&average, base, Some(MapKind::Online), self.options.validation_agents);
+        let scores = self.scores(&average, base, Some(MapKind::Online), self.options.validation_agents)?;
         let figure = choose_by(&scores);
         progress.note(&format!("validation at {}: {figure:.4}\n{}", state.progress.step, table(&scores)));
         let (step, seconds) = (state.progress.step, state.progress.seconds);
@@ -294,7 +299,7 @@ impl<'a> Run<'a> {
         base: &BaseControl,
         map: Option<MapKind>,
         agents_max: usize,
-    ) -> Vec<SetScore> {
+    ) -> Result<Vec<SetScore>, TrainError> {
         let validation = Validation {
             config: &self.options.model,
             base,
@@ -312,13 +317,13 @@ impl<'a> Run<'a> {
         let mut factors = BTreeMap::new();
         if self.options.model.latents == Latents::Points {
             let validation = &self.validation;
-            factors = Calibration { config: &self.options.model, base, validation }.apply(&mut weights);
+            factors = Calibration { config: &self.options.model, base, validation }.apply(&mut weights)?;
         }
-        let maps = [Some(MapKind::Online), None];
-        let scores = maps.map(|map| self.scores(&weights, base, map, agents_max));
+        let scores = |map| self.scores(&weights, base, map, agents_max);
+        let scores = [scores(Some(MapKind::Online))?, scores(None)?];
         let seen = Seen {
-            windows: self.training.sets.iter().map(|set| set.scenes.len()).sum(),
-            agents: self.training.counted().count(),
+            windows: self.training.sets.iter().map(|set| set.windows.len()).sum(),
+            agents: self.training.sets.iter().map(SetSamples::counted_len).sum(),
         };
         let sources = self.training.sources.clone();
         let card = ModelCard::new(self.options, &state.progress, (&weights, factors), seen, sources, scores);

@@ -1,6 +1,7 @@
 //! How good the weights are on scenes that training never sees, beside forecasts without a network.
 
 use std::collections::BTreeMap;
+use std::sync::Arc;
 
 use data::sets::DataSet;
 use metrics::{Anchors, DisplacementMean, Point, best_of, constant_velocity, displacement};
@@ -10,6 +11,7 @@ use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
 use scene::AgentType;
 
+use crate::TrainError;
 use crate::base::BaseControl;
 use crate::batch::{Batch, BatchOptions, SceneView};
 use crate::net::context::Normalisation;
@@ -18,7 +20,7 @@ use crate::net::layout::LATENT;
 use crate::net::matrix::Matrix;
 use crate::net::tensors::Tensors;
 use crate::rollout::TypeForecast;
-use crate::samples::{Agent, MapKind, Samples, Scene, SetSamples};
+use crate::samples::{Agent, MapKind, Samples, SetSamples, Window};
 use crate::view;
 
 /// Agents of a crowd that a validation shows at most.
@@ -91,21 +93,23 @@ pub(crate) struct Baselines {
 }
 
 impl Baselines {
-    pub(crate) fn fit(training: &Samples, config: &ModelConfig, seed: u64) -> Self {
+    pub(crate) fn fit(training: &Samples, config: &ModelConfig, seed: u64) -> Result<Self, TrainError> {
         let mut baselines = Self::default();
         for agent_type in wire::AGENT_TYPES {
-            let fit = |agents: Vec<&Agent>| fit_anchors(&agents, agent_type, config, seed);
-            let of_type = |agent: &&Agent| agent.agent_type == agent_type;
+            let fit = |sets: &[SetSamples]| {
+                let agents = training.spread(sets, agent_type, ANCHOR_WINDOWS);
+                fit_anchors(agents, agent_type, config, seed)
+            };
             for set in &training.sets {
-                if let Some(anchors) = fit(set.counted().filter(of_type).collect()) {
+                if let Some(anchors) = fit(std::slice::from_ref(set))? {
                     baselines.of_set.insert((set.set, agent_type), anchors);
                 }
             }
-            if let Some(anchors) = fit(training.counted().filter(of_type).collect()) {
+            if let Some(anchors) = fit(&training.sets)? {
                 baselines.pooled.insert(agent_type, anchors);
             }
         }
-        baselines
+        Ok(baselines)
     }
 
     /// The anchors of the set, or of all sets where training knows none of the type in this one.
@@ -114,13 +118,18 @@ impl Baselines {
     }
 }
 
-fn fit_anchors(agents: &[&Agent], agent_type: AgentType, config: &ModelConfig, seed: u64) -> Option<Anchors> {
-    let agents = agents.iter().step_by(agents.len().div_ceil(ANCHOR_WINDOWS).max(1));
-    let windows: Vec<_> = agents.map(|agent| (&agent.history, agent.future_m())).collect();
+fn fit_anchors(
+    agents: impl Iterator<Item = Result<Arc<Agent>, TrainError>>,
+    agent_type: AgentType,
+    config: &ModelConfig,
+    seed: u64,
+) -> Result<Option<Anchors>, TrainError> {
+    let agents = agents.collect::<Result<Vec<_>, _>>()?;
+    let windows: Vec<_> = agents.iter().map(|agent| (&agent.history, agent.future_m())).collect();
     let windows: Vec<metrics::Window<'_>> =
         windows.iter().map(|(history, future)| metrics::Window { history, future }).collect();
     let cuts_mps = metrics::speed_cuts_mps(agent_type);
-    Anchors::fit(&windows, config.dt_s as f32, config.horizon_len, cuts_mps, seed)
+    Ok(Anchors::fit(&windows, config.dt_s as f32, config.horizon_len, cuts_mps, seed))
 }
 
 /// What a validation needs besides the samples.
@@ -162,30 +171,31 @@ impl Sums {
 
 impl Validation<'_> {
     /// Figures of every set of `samples` that has windows.
-    pub(crate) fn scores(&self, weights: &Tensors, samples: &Samples) -> Vec<SetScore> {
-        let sets = samples.sets.iter().filter(|set| !set.scenes.is_empty());
+    pub(crate) fn scores(&self, weights: &Tensors, samples: &Samples) -> Result<Vec<SetScore>, TrainError> {
+        let sets = samples.sets.iter().filter(|set| !set.windows.is_empty());
         sets.map(|set| self.score(weights, set, samples)).collect()
     }
 
-    fn score(&self, weights: &Tensors, set: &SetSamples, samples: &Samples) -> SetScore {
-        let stride = set.counted().count().div_ceil(self.agents_max).max(1);
-        let scenes: Vec<&Scene> = set.scenes.iter().step_by(stride).collect();
-        let parts: Vec<&[&Scene]> = scenes.chunks(scenes.len().div_ceil(self.workers).max(1)).collect();
+    fn score(&self, weights: &Tensors, set: &SetSamples, samples: &Samples) -> Result<SetScore, TrainError> {
+        let stride = set.counted_len().div_ceil(self.agents_max).max(1);
+        let windows: Vec<Window> = set.windows.iter().copied().step_by(stride).collect();
+        let parts: Vec<&[Window]> = windows.chunks(windows.len().div_ceil(self.workers).max(1)).collect();
         let sums = std::thread::scope(|scope| {
             let threads: Vec<_> = parts
                 .iter()
-                .map(|scenes| scope.spawn(|| self.sums(weights, set.set, scenes, samples)))
+                .map(|windows| scope.spawn(|| self.sums(weights, set.set, windows, samples)))
                 .collect();
-            let sums = threads.into_iter().map(|thread| thread.join().expect("the part's thread panicked"));
-            sums.fold(Sums::default(), |sum, part| sum.merged(&part))
-        });
+            let mut sums =
+                threads.into_iter().map(|thread| thread.join().expect("the part's thread panicked"));
+            sums.try_fold(Sums::default(), |sum, part| Ok::<_, TrainError>(sum.merged(&part?)))
+        })?;
         let errors = |mean: DisplacementMean| Errors {
             ade_m: rounded(mean.ade_m.value().unwrap_or_default()),
             fde_m: rounded(mean.fde_m.value().unwrap_or_default()),
         };
-        SetScore {
+        Ok(SetScore {
             set: set.set.name().to_owned(),
-            windows: scenes.len(),
+            windows: windows.len(),
             agents: usize::try_from(sums.single.ade_m.len()).unwrap_or(usize::MAX),
             best_of_modes: errors(sums.best),
             single: errors(sums.single),
@@ -193,25 +203,37 @@ impl Validation<'_> {
             base_single: errors(sums.base_single),
             constant_velocity: errors(sums.constant_velocity),
             anchors_best_of_20: errors(sums.anchors),
-        }
+        })
     }
 
-    fn sums(&self, weights: &Tensors, set: DataSet, scenes: &[&Scene], samples: &Samples) -> Sums {
+    fn sums(
+        &self,
+        weights: &Tensors,
+        set: DataSet,
+        windows: &[Window],
+        samples: &Samples,
+    ) -> Result<Sums, TrainError> {
         let mut sums = Sums::default();
         let mut batch: Vec<SceneView<'_>> = Vec::new();
-        for (number, scene) in scenes.iter().enumerate() {
-            let map = self.map.and_then(|kind| samples.map(scene.recording, kind));
-            batch.push(view::plain(scene, map, SCENE_AGENTS));
+        for (number, window) in windows.iter().enumerate() {
+            let map = self.map.and_then(|kind| samples.map(window.recording, kind));
+            batch.push(view::plain(&samples.scene(window)?, map, SCENE_AGENTS));
             let agents_len: usize = batch.iter().map(|view| view.agents.len()).sum();
-            if agents_len >= BATCH_AGENTS || number + 1 == scenes.len() {
-                self.add(weights, set, &batch, &mut sums);
+            if agents_len >= BATCH_AGENTS || number + 1 == windows.len() {
+                self.add(weights, set, &batch, &mut sums)?;
                 batch.clear();
             }
         }
-        sums
+        Ok(sums)
     }
 
-    fn add(&self, weights: &Tensors, set: DataSet, scenes: &[SceneView<'_>], sums: &mut Sums) {
+    fn add(
+        &self,
+        weights: &Tensors,
+        set: DataSet,
+        scenes: &[SceneView<'_>],
+        sums: &mut Sums,
+    ) -> Result<(), TrainError> {
         let config = self.config;
         let options = BatchOptions {
             config,
@@ -219,7 +241,7 @@ impl Validation<'_> {
             neighbours_max: scene::NEIGHBOURS_MAX,
             with_future: false,
         };
-        let batch = Batch::new(scenes, options);
+        let batch = Batch::new(scenes, options)?;
         let encoded = encode(weights, config, &batch.graph, Normalisation::Running, false);
         for of_type in 0..3 {
             let Some(forecast) = TypeForecast::new(weights, config, &batch, &encoded, of_type) else {
@@ -235,9 +257,10 @@ impl Validation<'_> {
                 sums.single.add(displacement(&single.of(i)[0], &truth));
                 sums.base_best.add(best_of(base_modes.of(i), &truth));
                 sums.base_single.add(displacement(&base_single.of(i)[0], &truth));
-                self.add_baselines(set, view.agent, sums);
+                self.add_baselines(set, &view.agent, sums);
             }
         }
+        Ok(())
     }
 
     fn add_baselines(&self, set: DataSet, agent: &Agent, sums: &mut Sums) {

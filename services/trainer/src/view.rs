@@ -1,5 +1,7 @@
 //! What of a scene a batch shows: which agents, how much of their history, which way round.
 
+use std::sync::Arc;
+
 use rand::{Rng, RngExt};
 use rand_distr::{Distribution, StandardNormal};
 use scene::{State, agent_frame};
@@ -30,7 +32,7 @@ impl Clip {
     /// Scenes around an agent drawn at random, those without vehicles mirrored half the time and at another scale:
     /// pedestrians keep to no side of the road, and children and hurried people walk alike.
     pub(crate) fn draw(scenes: &[Scene], options: &TrainOptions, random: &mut impl Rng) -> Self {
-        let counted: Vec<&Agent> =
+        let counted: Vec<&Arc<Agent>> =
             scenes.iter().flat_map(|scene| &scene.agents).filter(|agent| agent.counts).collect();
         let centre = counted[random.random_range(0..counted.len())];
         let mut agents = scenes.iter().flat_map(|scene| &scene.agents);
@@ -44,7 +46,7 @@ impl Clip {
     /// Shows a scene: the agents around the middle, some with a shortened or noisy history.
     pub(crate) fn show<'a>(
         &self,
-        scene: &'a Scene,
+        scene: &Scene,
         map: Option<MapView<'a>>,
         options: &TrainOptions,
         random: &mut impl Rng,
@@ -70,7 +72,7 @@ impl Clip {
 }
 
 /// Whether an agent moves at the end of its history, or will.
-fn moves(view: &View<'_>) -> bool {
+fn moves(view: &View) -> bool {
     let newest = view.history.last().copied().flatten().unwrap_or_default();
     let last = view.future.last().copied().flatten().unwrap_or(newest);
     let [x, y] = [0, 1].map(|axis| last.position_m[axis] - newest.position_m[axis]);
@@ -78,7 +80,7 @@ fn moves(view: &View<'_>) -> bool {
 }
 
 /// Shows a scene as it was recorded; of crowds the `agents_max` nearest to the first agent that counts.
-pub(crate) fn plain<'a>(scene: &'a Scene, map: Option<MapView<'a>>, agents_max: usize) -> SceneView<'a> {
+pub(crate) fn plain<'a>(scene: &Scene, map: Option<MapView<'a>>, agents_max: usize) -> SceneView<'a> {
     let centre_m = scene.agents.iter().find(|agent| agent.counts).map_or([0.0; 2], position_m);
     let agents = nearest(scene, centre_m, agents_max);
     let agents = agents.into_iter().filter_map(|agent| shown(agent, agent.history.len(), false));
@@ -86,18 +88,18 @@ pub(crate) fn plain<'a>(scene: &'a Scene, map: Option<MapView<'a>>, agents_max: 
 }
 
 /// An agent with its newest `history_len` states; `None` where it has none.
-pub(crate) fn shown(agent: &Agent, history_len: usize, mirrored: bool) -> Option<View<'_>> {
+pub(crate) fn shown(agent: &Arc<Agent>, history_len: usize, mirrored: bool) -> Option<View> {
     let mut history = agent.history_of(history_len);
     let mut future = agent.future.clone();
     if mirrored {
         history.iter_mut().chain(&mut future).flatten().for_each(mirror);
     }
     let frame = agent_frame(&history)?;
-    Some(View { agent, history, future, frame, counts: agent.counts })
+    Some(View { agent: Arc::clone(agent), history, future, frame, counts: agent.counts })
 }
 
 /// The same agent as a noisy sensor would give it. How noisy is drawn too, up to [`NOISE`].
-pub(crate) fn noisy<'a>(mut view: View<'a>, random: &mut impl Rng) -> View<'a> {
+pub(crate) fn noisy(mut view: View, random: &mut impl Rng) -> View {
     let level: f32 = random.random();
     for state in view.history.iter_mut().flatten() {
         let mut noise =
@@ -109,7 +111,7 @@ pub(crate) fn noisy<'a>(mut view: View<'a>, random: &mut impl Rng) -> View<'a> {
     View { frame: agent_frame(&view.history).unwrap_or(view.frame), ..view }
 }
 
-impl View<'_> {
+impl View {
     /// Multiplies all lengths, seen from the world's origin.
     pub(crate) fn scale(&mut self, factor: f32) {
         for state in self.history.iter_mut().chain(&mut self.future).flatten() {
@@ -126,13 +128,13 @@ fn mirror(state: &mut State) {
     state.heading_rad = -state.heading_rad;
 }
 
-fn position_m(agent: &Agent) -> [f32; 2] {
+fn position_m(agent: &Arc<Agent>) -> [f32; 2] {
     agent.history.iter().rev().flatten().next().map_or([0.0; 2], |state| state.position_m)
 }
 
 /// The `len` agents nearest to a place, in the scene's order.
-fn nearest(scene: &Scene, centre_m: [f32; 2], len: usize) -> Vec<&Agent> {
-    let distance = |agent: &Agent| {
+fn nearest(scene: &Scene, centre_m: [f32; 2], len: usize) -> Vec<&Arc<Agent>> {
+    let distance = |agent: &Arc<Agent>| {
         let [x, y] = position_m(agent);
         (x - centre_m[0]).powi(2) + (y - centre_m[1]).powi(2)
     };

@@ -1,5 +1,7 @@
 //! Fitting ridge and anchors to windows.
 
+use std::sync::Arc;
+
 use metrics::kmeans;
 use nalgebra::{DMatrix, SMatrix};
 use nn::{Displacement, ModelConfig, base as binning};
@@ -67,12 +69,7 @@ pub(crate) struct Twins {
 
 impl Twins {
     /// The twins of a view, and whether they are scaled; cyclists and pedestrians, who keep to no side of the road, are also `mirrored`.
-    fn of<'a>(
-        self,
-        view: &View<'a>,
-        mirrored: Option<View<'a>>,
-        random: &mut impl Rng,
-    ) -> Vec<(View<'a>, bool)> {
+    fn of(self, view: &View, mirrored: Option<View>, random: &mut impl Rng) -> Vec<(View, bool)> {
         match view.agent.agent_type {
             AgentType::Vehicle if self.noise => vec![(view::noisy(view.clone(), random), false)],
             AgentType::Vehicle => Vec::new(),
@@ -107,7 +104,7 @@ pub(super) struct Sample {
 impl Sample {
     /// The window with its whole history and, where that is long enough, cut to the shorter classes, and with its twins.
     pub(super) fn of_every_class(
-        agent: &Agent,
+        agent: &Arc<Agent>,
         config: &ModelConfig,
         cuts_mps: &[f32],
         twins: Twins,
@@ -121,15 +118,14 @@ impl Sample {
             let Some(view) = view::shown(agent, len, false) else { continue };
             let twins = twins.of(&view, view::shown(agent, len, true), random);
             let views = std::iter::once((view, false)).chain(twins);
-            let sample = |(view, scaled): (View<'_>, bool)| {
-                Some(Self { scaled, ..Self::new(&view, config, cuts_mps)? })
-            };
+            let sample =
+                |(view, scaled): (View, bool)| Some(Self { scaled, ..Self::new(&view, config, cuts_mps)? });
             samples.extend(views.filter_map(sample));
         }
         samples
     }
 
-    fn new(view: &View<'_>, config: &ModelConfig, cuts_mps: &[f32]) -> Option<Self> {
+    fn new(view: &View, config: &ModelConfig, cuts_mps: &[f32]) -> Option<Self> {
         let View { agent, history, frame, .. } = view;
         let truth: Vec<[f32; 2]> = view.truth().collect::<Option<_>>()?;
         let newest = history.last().copied().flatten()?;

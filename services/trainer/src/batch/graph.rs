@@ -7,6 +7,7 @@ use nn::ModelConfig;
 use scene::{EdgeRule, PatchOptions, State, Vertex, relation_features, state_features};
 
 use super::{BatchOptions, SceneView, View, scales};
+use crate::TrainError;
 use crate::net::matrix::Matrix;
 use crate::net::topological::Edges;
 
@@ -41,7 +42,7 @@ pub(super) enum Steps {
 }
 
 impl Steps {
-    fn of<'a>(self, view: &'a View<'_>) -> &'a [Option<State>] {
+    fn of(self, view: &View) -> &[Option<State>] {
         match self {
             Self::History => &view.history,
             Self::Future => &view.future,
@@ -68,17 +69,17 @@ impl Steps {
 pub(super) struct Placed<'a> {
     pub(super) scenes: &'a [SceneView<'a>],
     pub(super) origin: &'a [(usize, usize)],
-    pub(super) agents: &'a [&'a View<'a>],
+    pub(super) agents: &'a [&'a View],
     pub(super) type_agents: &'a [Range<usize>; 3],
 }
 
 impl Placed<'_> {
-    pub(super) fn graph(&self, steps: Steps, options: BatchOptions<'_>) -> Graph {
+    pub(super) fn graph(&self, steps: Steps, options: BatchOptions<'_>) -> Result<Graph, TrainError> {
         let rows = Rows::new(self.agents, steps, options.config, self.type_agents);
         let relations = self.relations(steps, &rows, options);
-        let (patches, patch_of_row) = self.patches(steps, &rows, options.config);
+        let (patches, patch_of_row) = self.patches(steps, &rows, options.config)?;
         let (edges, relation_of_edge) = relations.by_receiver(rows.len());
-        Graph {
+        Ok(Graph {
             relation: Matrix::new(relations.features.len() / 6, 6, relations.features),
             relation_of_edge,
             edges,
@@ -88,7 +89,7 @@ impl Placed<'_> {
             steps_len: rows.steps_len,
             patches,
             patch_of_row,
-        }
+        })
     }
 
     /// The edges of all scenes and steps, scene by scene.
@@ -128,13 +129,18 @@ impl Placed<'_> {
     }
 
     /// Patches of all rows, each (agent, frame) once, and the patch of every row.
-    fn patches(&self, steps: Steps, rows: &Rows, config: &ModelConfig) -> (Matrix, Vec<u32>) {
+    fn patches(
+        &self,
+        steps: Steps,
+        rows: &Rows,
+        config: &ModelConfig,
+    ) -> Result<(Matrix, Vec<u32>), TrainError> {
         if !config.context {
-            return (Matrix::default(), Vec::new());
+            return Ok((Matrix::default(), Vec::new()));
         }
         let options = PatchOptions { side: config.patch_size, cell_m: config.patch_cell_m };
         let mut values = vec![0.0; options.len()];
-        let mut known: HashMap<(usize, usize, bool), u32> = HashMap::new();
+        let mut known: HashMap<(u32, u32, bool), u32> = HashMap::new();
         let mut of_row = vec![0; rows.len()];
         for (position, &(scene, agent)) in self.origin.iter().enumerate() {
             let view = &self.scenes[scene];
@@ -143,17 +149,18 @@ impl Placed<'_> {
             for (step, patch) in of_agent.iter().take(rows.steps_len).enumerate() {
                 let (Some(patch), Some(row)) = (*patch, rows.present(position, step)) else { continue };
                 let next = known.len() as u32 + 1;
-                of_row[row] = *known.entry((map.recording, patch, view.mirrored)).or_insert_with(|| {
+                let number = *known.entry((map.recording, patch, view.mirrored)).or_insert(next);
+                if number == next {
                     let start = values.len();
-                    map.extend(patch, options, &mut values);
+                    map.extend(patch, options, &mut values)?;
                     if view.mirrored {
                         mirror_patch(&mut values[start..], options.side);
                     }
-                    next
-                });
+                }
+                of_row[row] = number;
             }
         }
-        (Matrix::new(known.len() + 1, options.len(), values), of_row)
+        Ok((Matrix::new(known.len() + 1, options.len(), values), of_row))
     }
 }
 
@@ -168,12 +175,7 @@ struct Rows {
 }
 
 impl Rows {
-    fn new(
-        agents: &[&View<'_>],
-        steps: Steps,
-        config: &ModelConfig,
-        type_agents: &[Range<usize>; 3],
-    ) -> Self {
+    fn new(agents: &[&View], steps: Steps, config: &ModelConfig, type_agents: &[Range<usize>; 3]) -> Self {
         let scales = scales(config);
         let mut state = Vec::new();
         let mut of_step = Vec::with_capacity(agents.len() * steps.len(config));

@@ -14,7 +14,8 @@ use rand_chacha::ChaCha8Rng;
 use super::*;
 use crate::base::Twins;
 use crate::onboard_config;
-use crate::samples::{MapKind, Scene, Selection, cut};
+use crate::samples::{Ground, MapKind, Scene, Selection, cut};
+use crate::spool::{Spool, Spooling};
 use crate::view;
 use recordings::{Scenery, frame_rate};
 
@@ -23,15 +24,31 @@ static BASE: LazyLock<BaseControl> = LazyLock::new(|| {
     let mut random = ChaCha8Rng::seed_from_u64(1);
     let recording = read(&Scenery::random(frame_rate(Format::Csv), &mut random), Format::Csv);
     let config = onboard_config();
-    let (scenes, _) = cut(&recording, 0, selection(false), &config);
+    let (scenes, _, _) = cut_all(&recording, selection(false), &config);
     let twins = Twins { noise: false, scale_deviation: 0.0 };
-    BaseControl::fit(&config, || scenes.iter().flat_map(|scene| &scene.agents), twins, 1)
+    let counted = |agent_type| {
+        let agents = scenes.iter().flat_map(|scene| &scene.agents);
+        agents.filter(move |agent| agent.counts && agent.agent_type == agent_type).cloned().map(Ok)
+    };
+    BaseControl::fit(&config, counted, twins, 1).unwrap()
 });
 
 fn read(scenery: &Scenery, format: Format) -> Recording {
     let folder = tempfile::tempdir().unwrap();
     let path = scenery.write(format, folder.path());
     data::open(&path, Some(format)).unwrap_or_else(|error| panic!("{format}: {error}"))
+}
+
+/// Scenes and ground of a recording, and the spool that its patches are in.
+fn cut_all(
+    recording: &Recording,
+    selection: Selection<'_>,
+    config: &ModelConfig,
+) -> (Vec<Scene>, Ground, Spool) {
+    let folder = tempfile::tempdir().unwrap();
+    let mut spooling = Spooling::create(folder.path()).unwrap();
+    let (scenes, ground) = cut(recording, selection, config, &mut spooling).unwrap();
+    (scenes.collect(), ground, spooling.finish().unwrap())
 }
 
 fn selection(from_positions: bool) -> Selection<'static> {
@@ -66,15 +83,18 @@ impl Shown {
         };
         let windows = data::windows(recording, &options);
         let windows_len = windows.partition_point(|window| window.stamp_ns <= now_ns);
-        let (mut scenes, patches) = cut(recording, 0, selection, &config);
+        let (mut scenes, ground, spool) = cut_all(recording, selection, &config);
         scenes.truncate(windows_len);
         // Who is held to their future may depend on it, and with that the order of a batch: here all are.
-        scenes.iter_mut().flat_map(|scene| &mut scene.agents).for_each(|agent| agent.counts = true);
-        let map = patches.view(0, MapKind::Online);
+        scenes
+            .iter_mut()
+            .flat_map(|scene| &mut scene.agents)
+            .for_each(|agent| Arc::make_mut(agent).counts = true);
+        let map = ground.view(&spool, 0, MapKind::Online);
         let views: Vec<SceneView<'_>> =
             scenes.iter().map(|scene| view::plain(scene, map, usize::MAX)).collect();
         let options = BatchOptions { config: &config, base: &BASE, neighbours_max: 8, with_future: false };
-        let batch = Batch::new(&views, options);
+        let batch = Batch::new(&views, options).unwrap();
         let frames: Vec<_> = recording.frames.iter().take_while(|frame| frame.stamp_ns <= now_ns).collect();
         let words = format!("{frames:?}\n{}", agents(&scenes));
         Self { inputs: inputs(&batch), words, truth: bits(&batch.truth.values) }
@@ -85,7 +105,8 @@ impl Shown {
 fn agents(scenes: &[Scene]) -> String {
     let agents = scenes.iter().flat_map(|scene| &scene.agents);
     agents
-        .map(|Agent { id, agent_type, length_m, history, .. }| {
+        .map(|agent| {
+            let Agent { id, agent_type, length_m, history, .. } = &**agent;
             format!("{id} {agent_type:?} {length_m:?} {history:?}\n")
         })
         .collect()

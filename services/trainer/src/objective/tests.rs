@@ -1,3 +1,5 @@
+use std::sync::Arc;
+
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use scene::{AgentType, State};
@@ -17,7 +19,7 @@ const STEP: f32 = 2e-3;
 const SILENT: f32 = 3e-4;
 
 /// A vehicle that turns, a cyclist and two pedestrians, one of whom was seen late.
-fn agents(config: &ModelConfig) -> Vec<Agent> {
+fn agents(config: &ModelConfig) -> Vec<Arc<Agent>> {
     let types = [AgentType::Vehicle, AgentType::Cyclist, AgentType::Pedestrian, AgentType::Pedestrian];
     let agent = |(number, agent_type): (usize, AgentType)| {
         let speed = [6.0, 4.0, 1.2, 0.9][number];
@@ -37,7 +39,7 @@ fn agents(config: &ModelConfig) -> Vec<Agent> {
         let steps = config.history_len + config.horizon_len;
         let states: Vec<Option<State>> =
             (0..steps).map(|step| (number != 3 || step >= 3).then(|| state(step))).collect();
-        Agent {
+        Arc::new(Agent {
             id: number as u64,
             agent_type,
             length_m: Some(4.0),
@@ -45,12 +47,12 @@ fn agents(config: &ModelConfig) -> Vec<Agent> {
             future: states[config.history_len..].to_vec(),
             patches: vec![None; steps],
             counts: true,
-        }
+        })
     };
     types.into_iter().enumerate().map(agent).collect()
 }
 
-fn scene(agents: &[Agent]) -> SceneView<'_> {
+fn scene(agents: &[Arc<Agent>]) -> SceneView<'static> {
     let views = agents.iter().map(|agent| view::shown(agent, agent.history.len(), false).unwrap());
     SceneView { agents: views.collect(), map: None, mirrored: false }
 }
@@ -66,7 +68,7 @@ fn check(objective: &Objective, config: &ModelConfig) {
         neighbours_max: 8,
         with_future: matches!(objective, Objective::Paper { .. }),
     };
-    let batch = Batch::new(&scenes, options);
+    let batch = Batch::new(&scenes, options).unwrap();
     let mut weights = initial(config, 3);
     base.store(&mut weights);
     let differentiated = |weights: &Tensors| {

@@ -74,7 +74,7 @@ fn a_resumed_run_goes_on_to_the_bit() {
     let run = Run::prepare(&options, &progress).unwrap();
     let (mut state, base) = run.begin(&progress).unwrap();
     let update = |state: &mut State, base: &BaseControl| {
-        assert!(run.update(state, base).1);
+        assert!(run.update(state, base).unwrap().1);
         state.progress.step += 1;
     };
     update(&mut state, &base);
@@ -109,9 +109,10 @@ fn forecasts_by_points_agree_with_the_onboard_decoder() {
     let progress = Progress::new(1, 0);
     let run = Run::prepare(&options, &progress).unwrap();
     let map = run.training.map(0, MapKind::Online);
-    let view = view::plain(&run.training.sets[0].scenes[3], map, 4);
+    let scene = run.training.scene(&run.training.sets[0].windows[3]).unwrap();
+    let view = view::plain(&scene, map, 4);
     let batch_options = BatchOptions { config, base: &control, neighbours_max: 8, with_future: false };
-    let batch = Batch::new(std::slice::from_ref(&view), batch_options);
+    let batch = Batch::new(std::slice::from_ref(&view), batch_options).unwrap();
     let encoded = encode(&tensors, config, &batch.graph, Normalisation::Running, false);
     let pedestrian = TYPE_NAMES.len() - 1;
     let forecast = TypeForecast::new(&tensors, config, &batch, &encoded, pedestrian).unwrap();
@@ -164,7 +165,7 @@ fn both_objectives_reach_every_learned_tensor_of_their_model() {
         let run = Run::prepare(&options, &progress).unwrap();
         let (mut state, base) = run.begin(&progress).unwrap();
         let before = state.weights.clone();
-        assert!(run.update(&mut state, &base).1);
+        assert!(run.update(&mut state, &base).unwrap().1);
         let unused = |name: &str| {
             // Nobody rides or drives here; the future is encoded by the paper's objective alone, whose mean
             // trajectories do not depend on the spread.

@@ -1,0 +1,142 @@
+//! What agents see of the ground: a patch for every agent and frame.
+
+use half::f16;
+use scene::{ContextMap, MapBuilder, PatchOptions, State};
+
+use super::agents::{StoredState, restored, stored};
+use crate::TrainError;
+use crate::spool::{Spool, Spooling};
+
+/// Where the map patches of a recording lie in the spool, and the map of its site.
+#[derive(Debug)]
+pub(crate) struct Ground {
+    /// What was observed before each patch's time, patch by patch.
+    online: u64,
+    /// State of the agent that each patch is of.
+    states: u64,
+    patches_len: usize,
+    /// Lower left and upper right of all agents.
+    corners_m: [[f32; 2]; 2],
+    /// What the site's other training recordings observed.
+    site: Option<ContextMap>,
+}
+
+/// The ground of a recording while its patches are written, one behind the other.
+#[derive(Debug)]
+pub(super) struct GroundSpooling<'a> {
+    spooling: &'a mut Spooling,
+    online: u64,
+    states: Vec<StoredState>,
+}
+
+impl<'a> GroundSpooling<'a> {
+    pub(super) const fn new(spooling: &'a mut Spooling) -> Self {
+        Self { online: spooling.len(), spooling, states: Vec::new() }
+    }
+
+    /// Adds a patch and the state that it is of.
+    pub(super) fn push(&mut self, state: &State, patch: &[f32]) -> Result<(), TrainError> {
+        let halves: Vec<u16> = patch.iter().map(|&value| f16::from_f32(value).to_bits()).collect();
+        self.spooling.append(&halves)?;
+        self.states.push(stored(state));
+        Ok(())
+    }
+
+    pub(super) fn finish(self) -> Result<Ground, TrainError> {
+        let Self { spooling, online, states } = self;
+        let corner = |pick: fn(f32, f32) -> f32, from: f32| {
+            let positions = states.iter().map(|&[x, y, ..]| [x, y]);
+            positions
+                .fold([from; 2], |corner, position| [0, 1].map(|axis| pick(corner[axis], position[axis])))
+        };
+        Ok(Ground {
+            online,
+            states: spooling.append(&states)?,
+            patches_len: states.len(),
+            corners_m: [corner(f32::min, f32::INFINITY), corner(f32::max, f32::NEG_INFINITY)],
+            site: None,
+        })
+    }
+}
+
+/// Which map a scene is shown with.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum MapKind {
+    /// What was observed before the present.
+    Online,
+    /// What other recordings of the site observed.
+    Site,
+}
+
+/// The patches of a recording, of one kind of map.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct MapView<'a> {
+    /// Number of the recording.
+    pub(crate) recording: u32,
+    ground: &'a Ground,
+    spool: &'a Spool,
+    kind: MapKind,
+}
+
+impl Ground {
+    /// The patches as those of a recording with this number; `None` where there is no such map.
+    pub(crate) fn view<'a>(&'a self, spool: &'a Spool, recording: u32, kind: MapKind) -> Option<MapView<'a>> {
+        let known = match kind {
+            MapKind::Online => self.patches_len > 0,
+            MapKind::Site => self.site.is_some(),
+        };
+        known.then_some(MapView { recording, ground: self, spool, kind })
+    }
+
+    /// Shows the ground with another site map.
+    pub(super) fn set_site(&mut self, site: Option<ContextMap>) {
+        self.site = site;
+    }
+}
+
+/// The map of all places where agents were seen; `None` where nothing was seen, or over more ground than a map has.
+pub(super) fn site_map(spool: &Spool, grounds: &[&Ground]) -> Result<Option<ContextMap>, TrainError> {
+    let corner = |number: usize, pick: fn(f32, f32) -> f32, from: f32| {
+        let corners = grounds.iter().map(|ground| ground.corners_m[number]);
+        corners.fold([from; 2], |corner, other| [0, 1].map(|axis| pick(corner[axis], other[axis])))
+    };
+    let (low, high) = (corner(0, f32::min, f32::INFINITY), corner(1, f32::max, f32::NEG_INFINITY));
+    let origin_m = low.map(f32::floor);
+    let [cols, rows] = [0, 1].map(|axis| (high[axis] - origin_m[axis]) as usize + 1);
+    let Some(mut builder) = MapBuilder::new(origin_m, rows, cols) else { return Ok(None) };
+    let mut is_visited = false;
+    for ground in grounds {
+        for state in spool.read::<StoredState>(ground.states, ground.patches_len)? {
+            let state = restored(state);
+            is_visited |= builder.visit(state.position_m, state.velocity_mps);
+        }
+    }
+    Ok(is_visited.then(|| builder.build()))
+}
+
+impl MapView<'_> {
+    /// Appends the values of a patch.
+    pub(crate) fn extend(
+        &self,
+        patch: u32,
+        options: PatchOptions,
+        values: &mut Vec<f32>,
+    ) -> Result<(), TrainError> {
+        let Self { ground, spool, .. } = self;
+        match (self.kind, &ground.site) {
+            (MapKind::Site, Some(site)) => {
+                let offset = ground.states + u64::from(patch) * size_of::<StoredState>() as u64;
+                let states: Vec<StoredState> = spool.read(offset, 1)?;
+                let start = values.len();
+                values.resize(start + options.len(), 0.0);
+                site.patch(&restored(states[0]), options, &mut values[start..]);
+            }
+            _ => {
+                let offset = ground.online + u64::from(patch) * (options.len() * size_of::<u16>()) as u64;
+                let halves: Vec<u16> = spool.read(offset, options.len())?;
+                values.extend(halves.into_iter().map(|half| f16::from_bits(half).to_f32()));
+            }
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,148 @@
+//! Values on disk: what a run reads again and again, and has no room for.
+//!
+//! A spool is written once, front to back, and then read at any place by any thread. Its file has no name, so that it is
+//! gone with the process, however that ends. What is read often stays in the page cache of the system: a data set that
+//! fits into memory is read from there, and a larger one costs time, not memory.
+
+use std::fs::File;
+use std::io::{BufWriter, Error, ErrorKind, Write};
+use std::os::unix::fs::FileExt;
+use std::path::{Path, PathBuf};
+
+use bytemuck::{AnyBitPattern, NoUninit};
+
+use crate::TrainError;
+
+/// Bytes that are written at once.
+const BUFFER_BYTES: usize = 1 << 20;
+
+/// A spool that is being written.
+#[derive(Debug)]
+pub(crate) struct Spooling {
+    file: BufWriter<File>,
+    folder: PathBuf,
+    len: u64,
+}
+
+/// A spool that is written.
+#[derive(Debug)]
+pub(crate) struct Spool {
+    file: File,
+    folder: PathBuf,
+}
+
+impl Spooling {
+    /// An empty spool on the disk that holds `folder`, which is made where it is missing.
+    pub(crate) fn create(folder: &Path) -> Result<Self, TrainError> {
+        let file = std::fs::create_dir_all(folder).and_then(|()| tempfile::tempfile_in(folder));
+        let file = file.map_err(|source| failed(folder, source))?;
+        Ok(Self::over(file, folder))
+    }
+
+    fn over(file: File, folder: &Path) -> Self {
+        let file = BufWriter::with_capacity(BUFFER_BYTES, file);
+        Self { file, folder: folder.to_owned(), len: 0 }
+    }
+
+    /// Bytes so far: where the next values will lie.
+    pub(crate) const fn len(&self) -> u64 {
+        self.len
+    }
+
+    /// Adds values at the end; tells where they lie.
+    pub(crate) fn append<T: NoUninit>(&mut self, values: &[T]) -> Result<u64, TrainError> {
+        let bytes: &[u8] = bytemuck::cast_slice(values);
+        self.file.write_all(bytes).map_err(|source| failed(&self.folder, source))?;
+        let offset = self.len;
+        self.len += bytes.len() as u64;
+        Ok(offset)
+    }
+
+    /// Ends the writing.
+    pub(crate) fn finish(self) -> Result<Spool, TrainError> {
+        let Self { file, folder, .. } = self;
+        match file.into_inner() {
+            Ok(file) => Ok(Spool { file, folder }),
+            Err(error) => Err(failed(&folder, error.into_error())),
+        }
+    }
+}
+
+impl Spool {
+    /// Reads the `len` values that were written at `offset`.
+    pub(crate) fn read<T: NoUninit + AnyBitPattern>(
+        &self,
+        offset: u64,
+        len: usize,
+    ) -> Result<Vec<T>, TrainError> {
+        let mut values = vec![T::zeroed(); len];
+        let bytes: &mut [u8] = bytemuck::cast_slice_mut(&mut values);
+        self.file.read_exact_at(bytes, offset).map_err(|source| failed(&self.folder, source))?;
+        Ok(values)
+    }
+
+    /// What was read is not what was written.
+    pub(crate) fn damaged(&self, reason: impl std::error::Error + Send + Sync + 'static) -> TrainError {
+        failed(&self.folder, Error::new(ErrorKind::InvalidData, reason))
+    }
+
+    /// Cuts the file off.
+    #[cfg(test)]
+    pub(crate) fn truncate(&self, len: u64) {
+        self.file.set_len(len).unwrap();
+    }
+}
+
+fn failed(folder: &Path, source: Error) -> TrainError {
+    TrainError::Scratch { folder: folder.to_owned(), source }
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+
+    proptest! {
+        #![proptest_config(ProptestConfig { cases: 64, failure_persistence: None, ..ProptestConfig::default() })]
+
+        #[test]
+        fn what_goes_in_comes_out_in_any_order_and_leaves_no_file(
+            records in proptest::collection::vec(proptest::collection::vec(any::<u32>(), 0..300), 1..40),
+        ) {
+            let folder = tempfile::tempdir().unwrap();
+            let mut spooling = Spooling::create(&folder.path().join("made/here")).unwrap();
+            let offsets: Vec<u64> = records.iter().map(|record| spooling.append(record).unwrap()).collect();
+            let spool = spooling.finish().unwrap();
+            for (record, offset) in records.iter().zip(&offsets).rev() {
+                prop_assert_eq!(record, &spool.read::<u32>(*offset, record.len()).unwrap());
+            }
+            prop_assert_eq!(std::fs::read_dir(folder.path().join("made/here")).unwrap().count(), 0);
+        }
+    }
+
+    #[test]
+    fn a_full_disk_and_a_short_file_are_errors_that_name_the_folder() {
+        let folder = Path::new("scratch/folder");
+        let full = File::options().write(true).open("/dev/full").unwrap();
+        let mut spooling = Spooling::over(full, folder);
+        spooling.append(&[1_u8]).unwrap();
+        let refused = spooling.finish().unwrap_err().to_string();
+        assert!(refused.contains("scratch/folder") && refused.contains("No space left"), "{refused}");
+
+        let folder = tempfile::tempdir().unwrap();
+        let mut spooling = Spooling::create(folder.path()).unwrap();
+        let offset = spooling.append(&[1.5_f32; 100]).unwrap();
+        let spool = spooling.finish().unwrap();
+        spool.truncate(399);
+        assert_eq!(spool.read::<f32>(offset, 99).unwrap(), [1.5; 99]);
+        let refused = spool.read::<f32>(offset, 100).unwrap_err().to_string();
+        assert!(refused.contains(&*folder.path().to_string_lossy()), "{refused}");
+    }
+
+    #[test]
+    fn a_folder_that_cannot_be_made_is_an_error() {
+        let file = tempfile::NamedTempFile::new().unwrap();
+        assert!(matches!(Spooling::create(&file.path().join("below")), Err(TrainError::Scratch { .. })));
+    }
+}
