@@ -133,20 +133,21 @@ impl Judge<'_> {
                 .filter(|(place, _)| members.contains(place))
                 .map(|(_, j)| j)
                 .collect();
-            self.together(&members)
+            self.together(scene, &members)
         };
         self.subsets.iter().map(tally).collect()
     }
 
-    /// The sums of some agents of a scene.
-    fn together(&self, members: &[&Judged<'_>]) -> Tally {
+    /// The sums of some agents of a scene. Its futures are made for all who are there, whether they stay or not.
+    fn together(&self, scene: &Scene, members: &[&Judged<'_>]) -> Tally {
         let mut tally = Tally::new(self.horizons.len());
         if members.is_empty() {
             return tally;
         }
         members.iter().for_each(|judged| tally.merge(&judged.tally));
         let candidates: Vec<_> = members.iter().map(|judged| (judged.agent, &judged.candidates)).collect();
-        tally.add_scene(&candidates, self.horizons);
+        let present = scene.agents.iter().filter(|agent| agent.newest().is_some()).count();
+        tally.add_scene(&candidates, present, self.horizons);
         let discs = |of: &dyn Fn(&Judged<'_>) -> Vec<Point>| {
             let trajectories: Vec<Vec<Point>> = members.iter().map(|judged| of(judged)).collect();
             let discs: Vec<Disc<'_>> = members

@@ -18,11 +18,16 @@ pub enum Measure {
     Joint,
     /// The best of 20 futures of the scene: the k-th most probable mode of every agent together.
     JointRanked,
+    /// The best of 20 futures of the scene: mode k of every agent together, which serves deviations that all share; every
+    /// other one is moved towards the single forecasts as [`metrics::joint_spread`] has it for those that are each
+    /// agent's own.
+    JointNarrowed,
 }
 
 impl Measure {
     /// All measures, in the order of the reports.
-    pub const ALL: [Self; 5] = [Self::BestOf, Self::Single, Self::MostLikely, Self::Joint, Self::JointRanked];
+    pub const ALL: [Self; 6] =
+        [Self::BestOf, Self::Single, Self::MostLikely, Self::Joint, Self::JointRanked, Self::JointNarrowed];
 
     /// The name in reports.
     #[must_use]
@@ -33,6 +38,7 @@ impl Measure {
             Self::MostLikely => "most likely",
             Self::Joint => "joint best of 20",
             Self::JointRanked => "joint, by rank",
+            Self::JointNarrowed => "joint, narrowed",
         }
     }
 
@@ -215,8 +221,13 @@ impl Tally {
         }
     }
 
-    /// Counts the joint errors of the agents of a scene.
-    pub(crate) fn add_scene(&mut self, scene: &[(&Agent, &[Candidate; METHODS])], horizons: &[usize]) {
+    /// Counts the joint errors of the agents of a scene in which `present` agents are forecast.
+    pub(crate) fn add_scene(
+        &mut self,
+        scene: &[(&Agent, &[Candidate; METHODS])],
+        present: usize,
+        horizons: &[usize],
+    ) {
         self.scenes_len += 1;
         for method in 0..METHODS {
             let modes_len = scene.first().map_or(0, |(_, candidates)| candidates[method].modes.len());
@@ -226,14 +237,20 @@ impl Tally {
             }
             let ranked: Option<Vec<Vec<_>>> =
                 scene.iter().map(|(_, candidates)| by_rank(&candidates[method])).collect();
+            let narrowed: Option<Vec<Vec<_>>> =
+                scene.iter().map(|(_, candidates)| narrowed(&candidates[method], present)).collect();
             for (horizon, &steps) in horizons.iter().enumerate() {
                 let truths = scene.iter().map(|(agent, _)| &agent.future[..steps]);
                 let plain = scene.iter().map(|(_, candidates)| &candidates[method].modes[..]);
                 let pairs: Vec<_> = plain.zip(truths.clone()).collect();
                 self.add_joint(method, Measure::Joint, horizon, joint_best_of(&pairs));
                 if let Some(ranked) = &ranked {
-                    let pairs: Vec<_> = ranked.iter().map(Vec::as_slice).zip(truths).collect();
+                    let pairs: Vec<_> = ranked.iter().map(Vec::as_slice).zip(truths.clone()).collect();
                     self.add_joint(method, Measure::JointRanked, horizon, joint_best_of(&pairs));
+                }
+                if let Some(narrowed) = &narrowed {
+                    let pairs: Vec<_> = narrowed.iter().map(Vec::as_slice).zip(truths).collect();
+                    self.add_joint(method, Measure::JointNarrowed, horizon, joint_best_of(&pairs));
                 }
             }
         }
@@ -259,6 +276,14 @@ fn by_rank(candidate: &Candidate) -> Option<Vec<&[metrics::Point]>> {
     let mut order: Vec<usize> = (0..candidate.modes.len()).collect();
     order.sort_by(|&a, &b| probability[b].total_cmp(&probability[a]));
     Some(order.into_iter().map(|mode| &candidate.modes[mode][..]).collect())
+}
+
+/// The modes as the futures of a scene of `present` agents have them; `None` where there is no single forecast.
+fn narrowed(candidate: &Candidate, present: usize) -> Option<Vec<Vec<metrics::Point>>> {
+    let single = candidate.single.as_ref()?;
+    let own = metrics::joint_spread(present, candidate.modes.len());
+    let future = |(k, mode): (usize, &Vec<_>)| metrics::part_way(single, mode, if k % 2 == 0 { 1.0 } else { own });
+    Some(candidate.modes.iter().enumerate().map(future).collect())
 }
 
 fn add_all<T: Copy + std::ops::AddAssign>(sums: &mut [T], more: &[T]) {
@@ -310,10 +335,13 @@ mod tests {
         let agent = agent([[1.0, 0.0], [2.0, 0.0]]);
         let (first, second) = (candidates(true), candidates(false));
         let mut tally = Tally::new(1);
-        tally.add_scene(&[(&agent, &first), (&agent, &second)], &[2]);
+        tally.add_scene(&[(&agent, &first), (&agent, &second)], 2, &[2]);
         let errors = |measure| tally.errors(Method::Network, measure, 0).map(|errors| errors.ade_m);
         assert_eq!(errors(Measure::Joint), Some(2.0), "mode 0 is near for one, far for the other");
         assert_eq!(errors(Measure::JointRanked), Some(1.0), "the second likeliest is near for both");
+        // The single forecasts are 1 m and 3 m off. Mode 0 is just that; mode 1 changes sides on most of the way.
+        let narrowed = errors(Measure::JointNarrowed).expect("both have a single forecast");
+        assert!((narrowed - 2.0).abs() < 1e-6, "{narrowed}");
     }
 
     #[test]

@@ -115,6 +115,26 @@ pub fn joint_best_of<M: AsRef<[Point]>>(agents: &[(&[M], &[Option<Point>])]) -> 
     DisplacementMean { ade_m: by_ade.ade_m, fde_m: by_fde.fde_m, misses: by_fde.misses }
 }
 
+/// How far from its single best forecast towards a mode each of `agents_len` agents goes in one of `draws_len` futures of
+/// their scene, from 0 to 1.
+///
+/// One agent alone goes all the way. The more agents share the futures, the less the number of a future can tell of each:
+/// ln(K) / N nats, with which a source of D dimensions is best rendered at a variance smaller by 1 − K^(−2/(D·N)), its
+/// rate-distortion bound. D = 2: where an agent ends up tells most of its future.
+#[must_use]
+pub fn joint_spread(agents_len: usize, draws_len: usize) -> f32 {
+    const DIMENSIONS: f64 = 2.0;
+    let rendered = |agents: f64| 1.0 - (draws_len.max(2) as f64).powf(-2.0 / (DIMENSIONS * agents));
+    (rendered(agents_len.max(1) as f64) / rendered(1.0)).sqrt() as f32
+}
+
+/// The point `share` of the way from each position of `from` to that of `to`.
+#[must_use]
+pub fn part_way(from: &[Point], to: &[Point], share: f32) -> Vec<Point> {
+    let between = |(from, to): (&Point, &Point)| [0, 1].map(|axis| from[axis] + share * (to[axis] - from[axis]));
+    from.iter().zip(to).map(between).collect()
+}
+
 /// Index of the largest probability, the first of equals; `None` for no modes.
 #[must_use]
 pub fn most_likely(probability: &[f32]) -> Option<usize> {
@@ -163,6 +183,16 @@ mod tests {
         assert_eq!(joint.ade_m.len(), 2);
         assert_eq!(joint.misses.value(), Some(0.5));
         assert_eq!(best_of(&first, &truth).ade_m, Some(0.0));
+    }
+
+    #[test]
+    fn many_agents_share_the_futures_of_a_scene() {
+        let spreads: Vec<f32> = [1, 2, 5, 20, 1000].iter().map(|&agents| joint_spread(agents, 20)).collect();
+        assert_eq!(spreads[0], 1.0);
+        assert!(spreads.is_sorted_by(|a, b| a > b) && spreads[4] < 0.06, "{spreads:?}");
+        // √((1 − 20^(−1/2)) / (1 − 1/20))
+        assert!((spreads[1] - 0.904_11).abs() < 1e-4, "{spreads:?}");
+        assert_eq!(part_way(&[[0.0, 2.0]], &[[4.0, 0.0]], 0.25), [[1.0, 1.5]]);
     }
 
     #[test]

@@ -33,7 +33,8 @@ pub use bootstrap::{Interval, PairedErrors, paired_bootstrap, paired_bootstrap_r
 pub use collision::{Disc, collisions};
 pub use density::{LOG_DENSITY_MIN, kde_log_density};
 pub use displacement::{
-    Displacement, DisplacementMean, MISS_RADIUS_M, best_of, displacement, joint_best_of, most_likely,
+    Displacement, DisplacementMean, MISS_RADIUS_M, best_of, displacement, joint_best_of, joint_spread,
+    most_likely, part_way,
 };
 pub use kmeans::{Clusters, kmeans};
 pub use limits::{BicycleLimits, Limits, PointLimits};
