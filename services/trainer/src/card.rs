@@ -4,6 +4,7 @@ use std::collections::{BTreeMap, HashMap};
 
 use crate::TrainError;
 use crate::checkpoint::RunProgress;
+use crate::machine;
 use crate::net::file::Precision;
 use crate::net::tensors::Tensors;
 use crate::options::TrainOptions;
@@ -21,6 +22,12 @@ pub struct ModelCard {
     pub step: u64,
     /// Time that training took.
     pub wall_s: f64,
+    /// Largest resident memory of the process that wrote the weights; cards of the first versions don't tell.
+    #[serde(default)]
+    pub peak_rss_mib: Option<u64>,
+    /// CPU that training ended on.
+    #[serde(default)]
+    pub cpu: Option<String>,
     /// Factors of the spread of each type's forecasts, fitted to the validation.
     #[serde(default)]
     pub calibration: BTreeMap<String, f64>,
@@ -82,21 +89,16 @@ impl ModelCard {
         recordings: Vec<Source>,
         [validation, validation_without_map]: [Vec<SetScore>; 2],
     ) -> Self {
-        // Where things lay is nobody's business and says nothing about the model.
-        let options = TrainOptions {
-            data: "data".into(),
-            out: "weights.safetensors".into(),
-            checkpoints: "checkpoints".into(),
-            ..options.clone()
-        };
         Self {
             about: format!(
                 "STG-DAT: forecasts of vehicles, cyclists and pedestrians from their last {:.1} s",
                 options.model.history_len as f64 * options.model.dt_s
             ),
-            options,
+            options: options.without_places(),
             step: progress.best_step,
             wall_s: progress.seconds.round(),
+            peak_rss_mib: machine::peak_rss_mib(),
+            cpu: Some(machine::cpu()),
             calibration,
             parameters: weights.0.values().map(|tensor| tensor.values.len()).sum(),
             training,

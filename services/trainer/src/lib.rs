@@ -11,6 +11,7 @@
 //!
 //! A seed fixes everything random, so that a run on one machine can be repeated to the bit.
 
+mod ablations;
 mod base;
 mod batch;
 mod calibration;
@@ -18,6 +19,7 @@ mod card;
 mod checkpoint;
 mod error;
 mod log;
+mod machine;
 mod net;
 mod objective;
 mod optimiser;

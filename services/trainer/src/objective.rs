@@ -43,9 +43,14 @@ pub enum Objective {
         vehicle: f64,
         /// Modes, nearest by the base control, among which the network's own output chooses the winner.
         candidates: usize,
-        /// Weight of the error of the last step beside the mean over all steps.
+        /// Weight of the error of the last step beside the mean over all steps; always 0.5 before it was an option.
+        #[serde(default = "last_step")]
         last_step: f64,
     },
+}
+
+const fn last_step() -> f64 {
+    0.5
 }
 
 impl Objective {
@@ -65,7 +70,7 @@ impl Objective {
             spread: 0.05,
             vehicle: 0.3,
             candidates: 8,
-            last_step: 0.5,
+            last_step: last_step(),
         }
     }
 }

@@ -175,6 +175,13 @@ impl TrainOptions {
 }
 
 impl TrainOptions {
+    /// The same options at the usual places: where files lay, and whether a run was resumed, says nothing about the model.
+    #[must_use]
+    pub fn without_places(&self) -> Self {
+        let Self { data, out, checkpoints, resume, .. } = Self::default();
+        Self { data, out, checkpoints, resume, ..self.clone() }
+    }
+
     fn shares(&self) -> [f64; 6] {
         let maps = self.without_map + self.site_map;
         [self.without_map, self.site_map, maps, self.short_history, self.noisy_history, self.standing]

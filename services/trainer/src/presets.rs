@@ -20,11 +20,11 @@ const ALONE_M: f32 = 1e-3;
 /// * `compact` and `full` are sizes of the context CNN;
 /// * `T`, `T+C-ATT`, `T+C` and `T+C+K` are the paper's ablations: trajectories alone; with context but equal attention;
 ///   with context; and with the kinematic layer, the whole model. The first three move vehicles by displacements;
-/// * `same-node` gives all types the same networks, `no-attention` leaves out the neighbours, `literal` takes the paper's
-///   temporal attention to the letter;
+/// * `same-node` gives all types the same networks, `equal-attention` weighs all neighbours and steps alike,
+///   `no-attention` leaves out the neighbours, `literal` takes the paper's temporal attention to the letter;
 /// * `no-map`, `site-map` and `online-map` train without context, with the map of the training recordings, and with the
 ///   one of what was seen so far.
-pub const PRESETS: [&str; 14] = [
+pub const PRESETS: [&str; 15] = [
     "paper",
     "plus",
     "compact",
@@ -34,6 +34,7 @@ pub const PRESETS: [&str; 14] = [
     "T+C",
     "T+C+K",
     "same-node",
+    "equal-attention",
     "no-attention",
     "literal",
     "no-map",
@@ -68,6 +69,7 @@ impl TrainOptions {
             "T+C" => (model.vehicle_motion, model.context) = (VehicleMotion::Displacement, true),
             "T+C+K" => (model.vehicle_motion, model.context) = (VehicleMotion::Bicycle, true),
             "same-node" => model.node_types = NodeTypes::Same,
+            "equal-attention" => model.attention = Attention::Equal,
             "no-attention" => (model.edge_radius_m, model.pedestrian_edge_radius_m) = (ALONE_M, None),
             "literal" => model.temporal = Temporal::Literal,
             "no-map" => model.context = false,

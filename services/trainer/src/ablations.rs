@@ -1,0 +1,104 @@
+//! Ablations: trainings that differ from another in one part of the model, and those that only seem to.
+
+use data::sets::{DataSet, Fold};
+
+use crate::options::TrainOptions;
+
+/// What is left out or changed where only pedestrians are learned from, by positions alone.
+const OF_PEDESTRIANS: [&str; 5] =
+    ["no-attention", "equal-attention", "literal", "online-map", "paper/no-map"];
+
+/// What is left out or changed where there are vehicles and maps.
+const OF_VEHICLES: [&str; 11] = [
+    "T",
+    "T+C-ATT",
+    "T+C",
+    "T+C+K",
+    "equal-attention",
+    "no-attention",
+    "same-node",
+    "literal",
+    "no-map",
+    "site-map",
+    "online-map",
+];
+
+impl TrainOptions {
+    /// The ablations that tell something of these options: presets, or several joined by `/` that are made in turn.
+    #[must_use]
+    pub fn ablations(&self) -> &'static [&'static str] {
+        if self.has_vehicles() { &OF_VEHICLES } else { &OF_PEDESTRIANS }
+    }
+
+    /// Whether a training with these options is, but for its files, its threads and chance, one with `other`: options
+    /// that have no say, such as how vehicles move where there are none, may differ.
+    #[must_use]
+    pub fn trains_like(&self, other: &Self) -> bool {
+        self.effective() == other.effective()
+    }
+
+    /// The options without name and threads, and those that have no say as they are by default.
+    fn effective(&self) -> Self {
+        let default = Self::default();
+        let mut options = Self { recipe: None, workers: default.workers, ..self.without_places() };
+        let (model, usual) = (&mut options.model, default.model);
+        if !model.context {
+            (model.width, model.stem) = (usual.width, usual.stem);
+            (model.patch_size, model.patch_cell_m) = (usual.patch_size, usual.patch_cell_m);
+            (options.without_map, options.site_map) = (default.without_map, default.site_map);
+        }
+        if !self.has_vehicles() {
+            (model.vehicle_motion, model.node_types) = (usual.vehicle_motion, usual.node_types);
+            (model.integrator, model.initial_slip) = (usual.integrator, usual.initial_slip);
+            model.slip_limit_rad = usual.slip_limit_rad;
+        }
+        options
+    }
+
+    /// Whether a data set has more than pedestrians.
+    fn has_vehicles(&self) -> bool {
+        let folds = Fold::ALL.map(DataSet::EthUcyFold);
+        let pedestrians = || folds.into_iter().chain([DataSet::EthUcy, DataSet::SddTrajnet]);
+        !self.sets.iter().all(|set| pedestrians().any(|known| known.name() == set))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{RECIPES, recipe};
+
+    fn changed(recipe_name: &str, presets: &str) -> TrainOptions {
+        let options = recipe(recipe_name).unwrap();
+        presets.split('/').fold(options, |options, preset| options.with_preset(preset).unwrap())
+    }
+
+    #[test]
+    fn every_ablation_but_the_whole_model_changes_its_recipe() {
+        for name in RECIPES {
+            let options = recipe(name).unwrap();
+            for presets in options.ablations() {
+                let ablation = changed(name, presets);
+                ablation.check().unwrap();
+                assert_eq!(options.trains_like(&ablation), *presets == "T+C+K", "{name}, {presets}");
+            }
+        }
+    }
+
+    #[test]
+    fn what_has_no_say_makes_no_other_training() {
+        let options = recipe("zara1").unwrap();
+        for presets in ["T", "same-node", "no-map", "full", "plus"] {
+            assert!(options.trains_like(&changed("zara1", presets)), "{presets}");
+        }
+        assert!(changed("zara1", "T+C").trains_like(&changed("zara1", "T+C+K")));
+        assert!(!options.trains_like(&changed("zara1", "T+C")));
+        let elsewhere = TrainOptions { workers: 7, resume: true, data: "there".into(), ..options.clone() };
+        assert!(options.trains_like(&elsewhere));
+        assert!(!options.trains_like(&TrainOptions { seed: 2, ..options.clone() }));
+        let vehicles = recipe("interaction").unwrap();
+        for presets in ["T", "same-node", "no-map", "full"] {
+            assert!(!vehicles.trains_like(&changed("interaction", presets)), "{presets}");
+        }
+    }
+}
