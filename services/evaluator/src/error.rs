@@ -16,6 +16,14 @@ pub enum EvaluateError {
         /// The recipe that writes it.
         recipe: String,
     },
+    /// Nothing is kept apart to judge a recipe by.
+    #[error(
+        "no data are kept apart to judge variants of \"{recipe}\": expected a fold, sdd, interaction or interaction-without-SITE"
+    )]
+    NoPart {
+        /// The recipe.
+        recipe: String,
+    },
     /// Weights can't be used.
     #[error("{path}: {source}")]
     Weights {

@@ -6,8 +6,10 @@
 //! [`eth_ucy`], [`sdd`], [`interaction`] and [`files`] judge forecasts by what really came. A *protocol* reads recordings
 //! and cuts them into [`Scene`]s. The [`Forecaster`] runs the onboard layers on a scene; the [`Judge`] does so for every
 //! agent that counts, lets the baselines forecast the very same agents and adds up all errors in [`Tally`]s, a [`Block`]
-//! of a recording at a time. [`Group`]s of blocks (a fold, a site) make the tables of a [`Report`].
+//! of a recording at a time. [`Group`]s of blocks (a fold, a site) make the tables of a [`Report`]. [`ablation()`] compares
+//! variants of a model with one another on the same blocks.
 
+mod ablation;
 mod baselines;
 mod error;
 mod forecaster;
@@ -26,6 +28,7 @@ mod threads;
 mod verify;
 mod weights;
 
+pub use ablation::{Ablation, AblationRow, Verdict};
 pub use baselines::{ANCHOR_AGENTS, Baselines};
 pub use error::EvaluateError;
 pub use forecaster::{BaseForecast, Forecast, Forecaster, ForecasterMemory};
@@ -33,7 +36,9 @@ pub use group::{Contrast, Group};
 pub use judge::{Block, Judge, MOVING_MPS, Subset};
 pub use maps::{MapInput, site_map};
 pub use method::Method;
-pub use protocol::{InteractionPart, MapChoice, Options, eth_ucy, files, interaction, sdd};
+pub use protocol::{
+    InteractionPart, MapChoice, Options, Variant, ablation, eth_ucy, files, interaction, sdd,
+};
 pub use report::{Figure, Report};
 pub use scenes::{Agent, Cut, Scene};
 pub use tally::{Errors, Measure, Sureness, Tally};

@@ -1,5 +1,6 @@
 //! Protocols: which windows of which recordings are forecast by which weights, and which of their agents count.
 
+mod ablation;
 mod eth_ucy;
 mod files;
 mod interaction;
@@ -10,6 +11,7 @@ use std::path::PathBuf;
 use data::sets::{DataSet, Part};
 use data::{Format, Recording};
 
+pub use ablation::{Variant, ablation};
 pub use eth_ucy::eth_ucy;
 pub use files::files;
 pub use interaction::{InteractionPart, interaction};
@@ -23,8 +25,8 @@ use crate::{Baselines, Cut, EvaluateError, Judge, Scene, Subset, threads};
 /// Seed of what is drawn or clustered on the way: latent variables, directions, anchors.
 const SEED: u64 = 1;
 
-/// What the network is told of the ground.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+/// What the network is told of the ground, from nothing to most.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum MapChoice {
     /// Nothing.
     None,
@@ -125,8 +127,12 @@ fn need_agents(blocks: &[Block], name: &str, cut: &Cut) -> Result<(), EvaluateEr
     if blocks.iter().any(|block| block.tallies.iter().any(|tally| !tally.is_empty())) {
         return Ok(());
     }
+    Err(no_agents(name, cut))
+}
+
+fn no_agents(name: &str, cut: &Cut) -> EvaluateError {
     let steps = cut.history_len + cut.horizon_len;
-    Err(EvaluateError::NoWindows { name: name.to_owned(), steps, dt_s: cut.dt_s })
+    EvaluateError::NoWindows { name: name.to_owned(), steps, dt_s: cut.dt_s }
 }
 
 /// What the tables of certainty and plausibility tell of.

@@ -5,7 +5,7 @@ mod table;
 use metrics::Interval;
 use serde::Serialize;
 
-pub(crate) use table::{Column, Table};
+pub(crate) use table::{Column, Table, digits, percent};
 
 use crate::group::Group;
 use crate::weights::Provenance;

@@ -85,6 +85,11 @@ impl WeightsChoice {
 }
 
 impl Model {
+    /// Fingerprint of the weights.
+    pub(crate) fn sha256(&self) -> &str {
+        &self.sha256
+    }
+
     /// What is to be told of the model's part in a report.
     pub(crate) fn provenance(&self, part: &str, map: &str, recordings: &[&Recording]) -> Provenance {
         let seen = recordings.iter().filter(|recording| self.trained_on.contains(&recording.sha256));

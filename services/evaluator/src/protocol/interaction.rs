@@ -267,7 +267,7 @@ fn add_provenance(report: &mut Report, provenance: crate::Provenance) {
     }
 }
 
-fn input(choice: MapChoice, site: Option<&ContextMap>) -> MapInput<'_> {
+pub(super) fn input(choice: MapChoice, site: Option<&ContextMap>) -> MapInput<'_> {
     match (choice, site) {
         (MapChoice::None, _) => MapInput::None,
         (MapChoice::Site, Some(site)) => MapInput::Site(site),
@@ -276,22 +276,22 @@ fn input(choice: MapChoice, site: Option<&ContextMap>) -> MapInput<'_> {
 }
 
 /// The map of a site's training recordings.
-fn map_of(training: &[Footage], site: &str) -> Option<ContextMap> {
+pub(super) fn map_of(training: &[Footage], site: &str) -> Option<ContextMap> {
     let of_site = training.iter().filter(|footage| site_of(footage) == site);
     site_map(of_site.flat_map(|footage| &footage.scenes))
 }
 
 /// The folder of a recording: `DR_USA_Roundabout_FT`.
-fn folder(path: &Path) -> String {
+pub(super) fn folder(path: &Path) -> String {
     let folder = path.parent().and_then(Path::file_name);
     folder.map_or_else(String::new, |folder| folder.to_string_lossy().into_owned())
 }
 
-fn site_of(footage: &Footage) -> String {
+pub(super) fn site_of(footage: &Footage) -> String {
     footage.recording.name.split('/').next().unwrap_or_default().to_owned()
 }
 
 /// What a site is called among people: `FT`.
-fn short(site: &str) -> &str {
+pub(super) fn short(site: &str) -> &str {
     site.rsplit('_').next().unwrap_or(site)
 }

@@ -10,7 +10,7 @@ use crate::{Errors, Measure, Method, Tally};
 pub(crate) const COMPARED: [(Measure, Method); 6] = [
     (Measure::BestOf, Method::Base),
     (Measure::BestOf, Method::Anchors),
-    (Measure::Joint, Method::Base),
+    (Measure::JointNarrowed, Method::Base),
     (Measure::Joint, Method::Anchors),
     (Measure::Single, Method::Base),
     (Measure::Single, Method::ConstantVelocity),
@@ -62,7 +62,12 @@ impl<'a> Column<'a> {
 
 impl Table {
     /// An empty table with the `names` of its first columns.
-    fn new(title: &str, note: &str, names: &[&str], columns: impl Iterator<Item = String>) -> Self {
+    pub(crate) fn new(
+        title: &str,
+        note: &str,
+        names: &[&str],
+        columns: impl Iterator<Item = String>,
+    ) -> Self {
         let head = names.iter().map(|name| (*name).to_owned()).chain(columns).collect();
         Self {
             title: title.to_owned(),
@@ -183,6 +188,11 @@ impl Table {
         table
     }
 
+    /// Adds a row of text.
+    pub(crate) fn push_row(&mut self, row: Vec<String>) {
+        self.rows.push(row);
+    }
+
     /// Adds a row of errors unless it is empty.
     fn push(&mut self, names: [&str; 2], cells: impl Iterator<Item = Option<Errors>>) {
         let cells: Vec<Option<Errors>> = cells.collect();
@@ -197,6 +207,12 @@ impl Table {
 
     /// The table as Markdown under a heading of the first level; `made` tells how its figures were made.
     pub(crate) fn markdown(&self, made: &str) -> String {
+        let space = if self.note.is_empty() { "" } else { " " };
+        format!("# {}\n\n{}{space}{made}\n\n{}", self.title, self.note, self.grid())
+    }
+
+    /// Head and rows alone.
+    pub(crate) fn grid(&self) -> String {
         let columns_len = self.head.len();
         let rows = || std::iter::once(&self.head).chain(&self.rows);
         let width = |column: usize| rows().map(|row| row[column].chars().count()).max().unwrap_or(0);
@@ -214,8 +230,7 @@ impl Table {
         };
         let rule: String = widths.iter().map(|width| format!("{}|", "-".repeat(width + 2))).collect();
         let body: String = self.rows.iter().map(line).collect();
-        let space = if self.note.is_empty() { "" } else { " " };
-        format!("# {}\n\n{}{space}{made}\n\n{}|{rule}\n{body}", self.title, self.note, line(&self.head))
+        format!("{}|{rule}\n{body}", line(&self.head))
     }
 }
 
@@ -224,12 +239,12 @@ fn names(columns: &[Column<'_>]) -> impl Iterator<Item = String> {
 }
 
 /// Three decimals, or two from 10 on.
-fn digits(value: f64) -> String {
+pub(crate) fn digits(value: f64) -> String {
     if value < 10.0 { format!("{value:.3}") } else { format!("{value:.2}") }
 }
 
 /// A ratio as what is more or less than the whole.
-fn percent(&Interval { low, mean, high }: &Interval) -> String {
+pub(crate) fn percent(&Interval { low, mean, high }: &Interval) -> String {
     let [low, mean, high] = [low, mean, high].map(|ratio| 100.0 * (ratio - 1.0));
     format!("{mean:+.1} [{low:+.1}, {high:+.1}]")
 }
