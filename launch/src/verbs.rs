@@ -1,5 +1,6 @@
 //! What can be asked of `stgdat`, one module each.
 
+pub mod ablate;
 pub mod bench;
 pub mod card;
 pub mod check;
@@ -40,6 +41,8 @@ pub enum Verb {
     Plot(plot::Arguments),
     /// Train weights on recordings
     Train(train::Arguments),
+    /// Train variants of a recipe with an equal budget and compare them
+    Ablate(ablate::Arguments),
     /// Measure forecasts and baselines on test data
     Evaluate(evaluate::Arguments),
     /// Print the model card of weights
@@ -68,6 +71,7 @@ impl Verb {
             Self::Map(arguments) => map::execute(&arguments),
             Self::Plot(arguments) => plot::execute(&arguments),
             Self::Train(arguments) => train::execute(&arguments),
+            Self::Ablate(arguments) => ablate::execute(&arguments),
             Self::Evaluate(arguments) => evaluate::execute(&arguments),
             Self::Card(arguments) => card::execute(&arguments),
             Self::Verify(arguments) => verify::execute(&arguments),

@@ -1,4 +1,6 @@
-use std::path::PathBuf;
+mod table;
+
+use std::path::{Path, PathBuf};
 
 use clap::Args;
 use config::Exit;
@@ -12,36 +14,69 @@ use crate::show::show;
 /// Arguments of `stgdat card`.
 #[derive(Debug, Args)]
 pub struct Arguments {
-    /// Weights; the embedded ones where none are named
-    weights: Option<PathBuf>,
-    /// Print the whole card as JSON
+    /// Weights; the embedded ones where none are named, a row each where there are several
+    weights: Vec<PathBuf>,
+    /// Print the whole card as JSON; of several, an object by file
     #[arg(long)]
     json: bool,
-    /// Write the table between the marks `stgdat card` of a Markdown file
+    /// Write the table between the marks `stgdat card`, of several cards `stgdat cards`, of a Markdown file
     #[arg(long, value_name = "FILE")]
     readme: Option<PathBuf>,
 }
 
 /// Prints the model card that weights carry: what they were trained on and how they did on what they never saw.
 pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
-    let weights = match &arguments.weights {
-        Some(path) => Weights::open(path).map_err(|error| Failure::weights(path, &error))?,
-        None => Weights::onboard(),
+    let (name, heading, text) = match &arguments.weights[..] {
+        [] => one(arguments, &Weights::onboard(), "the embedded weights")?,
+        [path] => one(arguments, &open(path)?, &path.display().to_string())?,
+        paths => ("cards", String::new(), several(arguments, paths)?),
     };
-    let Some(json) = weights.card() else {
-        return Err(Failure::Data("these weights carry no card".into()));
-    };
+    if let Some(path) = arguments.readme.as_ref().filter(|_| !arguments.json) {
+        readme::insert(path, name, &text)?;
+    }
+    show(&(heading + &text))
+}
+
+/// The mark, heading and text of one card.
+fn one(
+    arguments: &Arguments,
+    weights: &Weights,
+    name: &str,
+) -> Result<(&'static str, String, String), Failure> {
     if arguments.json {
-        let json = serde_json::to_string_pretty(json).map_err(Failure::data)?;
-        return show(&(json + "\n"));
+        return Ok(("card", String::new(), pretty(json(weights, name)?)?));
     }
-    let card = serde_json::from_value(json.clone())
-        .map_err(|error| Failure::Data(format!("the card is of another version: {error}")))?;
-    let text = text(&card);
-    if let Some(path) = &arguments.readme {
-        readme::insert(path, "card", &text)?;
+    Ok(("card", format!("weights {}\n\n", weights.sha256()), text(&card(weights, name)?)))
+}
+
+/// The table of several cards, or all of them as JSON.
+fn several(arguments: &Arguments, paths: &[PathBuf]) -> Result<String, Failure> {
+    let (mut cards, mut by_file) = (Vec::new(), serde_json::Map::new());
+    for path in paths {
+        let (weights, name) = (open(path)?, path.display().to_string());
+        let bytes = std::fs::metadata(path).map_err(|error| Failure::file(path, &error))?.len();
+        let stem = path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
+        cards.push(table::Row { stem, card: card(&weights, &name)?, bytes });
+        by_file.insert(name.clone(), json(&weights, &name)?.clone());
     }
-    show(&format!("weights {}\n\n{text}", weights.sha256()))
+    if arguments.json { pretty(&by_file.into()) } else { Ok(table::text(&cards)) }
+}
+
+fn open(path: &Path) -> Result<Weights, Failure> {
+    Weights::open(path).map_err(|error| Failure::weights(path, &error))
+}
+
+fn json<'a>(weights: &'a Weights, name: &str) -> Result<&'a serde_json::Value, Failure> {
+    weights.card().ok_or_else(|| Failure::Data(format!("{name}: there is no card in it")))
+}
+
+fn card(weights: &Weights, name: &str) -> Result<ModelCard, Failure> {
+    serde_json::from_value(json(weights, name)?.clone())
+        .map_err(|error| Failure::Data(format!("{name}: the card is of another version: {error}")))
+}
+
+fn pretty(json: &serde_json::Value) -> Result<String, Failure> {
+    Ok(serde_json::to_string_pretty(json).map_err(Failure::data)? + "\n")
 }
 
 /// The card for people to read: Markdown that also reads well in a terminal.

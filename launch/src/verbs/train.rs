@@ -14,8 +14,8 @@ pub struct Arguments {
     /// interaction-without-EP1 or onboard
     #[arg(long, value_name = "NAME", conflicts_with = "options")]
     recipe: Option<String>,
-    /// Change of the model: paper, plus, compact, full, T, T+C-ATT, T+C, T+C+K, same-node, no-attention, literal, no-map,
-    /// site-map or online-map; several are made in turn
+    /// Change of the model: paper, plus, compact, full, T, T+C-ATT, T+C, T+C+K, same-node, equal-attention, no-attention,
+    /// literal, no-map, site-map or online-map; several are made in turn
     #[arg(long, value_name = "NAME")]
     preset: Vec<String>,
     /// Any option by its place in what --print-options prints, `objective.plus.candidates=6` for example; several are
@@ -67,10 +67,7 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
 /// The file's options, a recipe's or the defaults, as presets and the rest of the command line change them.
 fn options(arguments: &Arguments) -> Result<TrainOptions, Failure> {
     let mut options = match &arguments.recipe {
-        Some(name) => trainer::recipe(name).ok_or_else(|| {
-            let known = trainer::RECIPES.join(", ");
-            Failure::Usage(format!("unknown recipe \"{name}\": expected one of {known}"))
-        })?,
+        Some(name) => recipe(name)?,
         None => TrainOptions::default(),
     };
     if let Some(path) = &arguments.options {
@@ -79,10 +76,7 @@ fn options(arguments: &Arguments) -> Result<TrainOptions, Failure> {
             .map_err(|error| Failure::Data(format!("{}: {error}", path.display())))?;
     }
     for name in &arguments.preset {
-        options = options.with_preset(name).ok_or_else(|| {
-            let known = trainer::PRESETS.join(", ");
-            Failure::Usage(format!("unknown preset \"{name}\": expected one of {known}"))
-        })?;
+        options = with_preset(options, name)?;
     }
     for set in &arguments.set {
         options = changed(&options, set)?;
@@ -104,8 +98,24 @@ fn options(arguments: &Arguments) -> Result<TrainOptions, Failure> {
     Ok(options)
 }
 
+/// A recipe's options.
+pub(super) fn recipe(name: &str) -> Result<TrainOptions, Failure> {
+    trainer::recipe(name).ok_or_else(|| {
+        let known = trainer::RECIPES.join(", ");
+        Failure::Usage(format!("unknown recipe \"{name}\": expected one of {known}"))
+    })
+}
+
+/// The options as a preset changes them.
+pub(super) fn with_preset(options: TrainOptions, name: &str) -> Result<TrainOptions, Failure> {
+    options.with_preset(name).ok_or_else(|| {
+        let known = trainer::PRESETS.join(", ");
+        Failure::Usage(format!("unknown preset \"{name}\": expected one of {known}"))
+    })
+}
+
 /// The options with one of them set, `option.part=value`: a JSON value, or else a string.
-fn changed(options: &TrainOptions, set: &str) -> Result<TrainOptions, Failure> {
+pub(super) fn changed(options: &TrainOptions, set: &str) -> Result<TrainOptions, Failure> {
     let refused = |reason: &dyn std::fmt::Display| Failure::Usage(format!("--set {set}: {reason}"));
     let (option, value) = set.split_once('=').ok_or_else(|| refused(&"expected OPTION=VALUE"))?;
     let mut all = serde_json::to_value(options).map_err(Failure::data)?;
