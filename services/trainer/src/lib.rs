@@ -12,6 +12,8 @@
 //! A seed fixes everything random, so that a run on one machine can be repeated to the bit.
 
 mod ablations;
+#[cfg(test)]
+mod agreement;
 mod base;
 mod batch;
 mod calibration;
@@ -27,6 +29,8 @@ mod options;
 mod presets;
 mod progress;
 mod recipes;
+#[cfg(test)]
+mod recordings;
 mod rollout;
 mod samples;
 mod spool;

@@ -1,7 +1,5 @@
 //! Nothing that the network is given depends on what came later.
 
-mod recordings;
-
 use std::path::Path;
 use std::sync::LazyLock;
 
@@ -14,10 +12,10 @@ use rand_chacha::ChaCha8Rng;
 use super::*;
 use crate::base::Twins;
 use crate::onboard_config;
+use crate::recordings::{Scenery, frame_rate};
 use crate::samples::{Ground, MapKind, Scene, Selection, cut};
 use crate::spool::{Spool, Spooling};
 use crate::view;
-use recordings::{Scenery, frame_rate};
 
 /// A base control that was fitted to something else.
 static BASE: LazyLock<BaseControl> = LazyLock::new(|| {

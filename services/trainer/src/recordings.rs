@@ -22,7 +22,7 @@ const CALIBRATION: &str = "R_rect 1 0 0 0 1 0 0 0 1\n\
 
 /// What a camera over some road users would see.
 #[derive(Clone, Debug)]
-pub(super) struct Scenery {
+pub(crate) struct Scenery {
     rows: Vec<Row>,
     /// East (m), north (m) and heading (rad) of the sensor in every frame.
     sensor: Vec<[f64; 3]>,
@@ -43,7 +43,7 @@ struct Row {
 }
 
 /// Frames a second of a format's files.
-pub(super) fn frame_rate(format: Format) -> f64 {
+pub(crate) fn frame_rate(format: Format) -> f64 {
     match format {
         Format::EthUcy | Format::Obsmat | Format::SddTrajnet => 2.5,
         Format::SddRaw => 30.0,
@@ -54,7 +54,7 @@ pub(super) fn frame_rate(format: Format) -> f64 {
 
 impl Scenery {
     /// Agents who come, wander and go; some stand. The first is there from beginning to end.
-    pub(super) fn random(frame_rate: f64, random: &mut impl Rng) -> Self {
+    pub(crate) fn random(frame_rate: f64, random: &mut impl Rng) -> Self {
         let frames_len = (DURATION_S * frame_rate) as usize;
         let mut rows = Vec::new();
         for id in 0..AGENTS {
@@ -83,7 +83,7 @@ impl Scenery {
     }
 
     /// The same up to frame `now`; after it every row tells something else or is missing, and identities are mixed up.
-    pub(super) fn with_another_future(&self, now: usize, random: &mut impl Rng) -> Self {
+    pub(crate) fn with_another_future(&self, now: usize, random: &mut impl Rng) -> Self {
         let mut rows = Vec::new();
         for frame in self.rows.chunk_by(|a, b| a.frame == b.frame) {
             if frame[0].frame <= now {
@@ -109,7 +109,7 @@ impl Scenery {
     }
 
     /// Writes the files of a recording; returns the one to open.
-    pub(super) fn write(&self, format: Format, folder: &Path) -> PathBuf {
+    pub(crate) fn write(&self, format: Format, folder: &Path) -> PathBuf {
         let files = self.files(format);
         for (name, content) in &files {
             let path = folder.join(name);

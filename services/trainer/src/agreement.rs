@@ -1,0 +1,349 @@
+//! What the trainer makes of every shipped file of weights, the layers that run on board make of it too.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+use std::sync::Arc;
+
+use data::Format;
+use data::sets::Part;
+use kinematics::{Bicycle, BicycleState, Displacement, DisplacementKind, Motion};
+use nalgebra::{SVector, Vector2, Vector4};
+use nn::base::BaseFeatures;
+use nn::{BurnIn, Draws, Latents, ModelConfig, Weights};
+use rand::SeedableRng;
+use rand_chacha::ChaCha8Rng;
+use scene::{AgentFrame, EdgeRule, PatchOptions, Vertex, relation_features, state_features};
+use wire::{CONTEXT_EMBEDDING, NODE_ATTRIBUTES, STATE_FEATURES, TEMPORAL};
+
+use crate::base::BaseControl;
+use crate::batch::{Batch, BatchOptions, SceneView, View, scales};
+use crate::net::context::Normalisation;
+use crate::net::dense::softmax;
+use crate::net::graph::encode;
+use crate::net::gru::mode_logits;
+use crate::net::layout::layout;
+use crate::net::tensors::Tensors;
+use crate::recordings::{Scenery, frame_rate};
+use crate::rollout::TypeForecast;
+use crate::samples::{Ground, MapKind, Scene, Selection, cut};
+use crate::spool::{Spool, Spooling};
+use crate::view;
+
+/// Largest error, as a share of an agent's largest value; of positions, who goes less than a metre counts as going one.
+const TOLERANCE: f32 = 1e-4;
+/// Neighbours of an agent, itself included, at most.
+const NEIGHBOURS_MAX: usize = 5;
+
+/// What is said of an agent.
+#[derive(Debug, Default)]
+struct Said {
+    /// ṽ.
+    encoding: Vec<f32>,
+    /// Of the modes.
+    probability: Vec<f32>,
+    /// In the agent frame, m: of every mode, and those of the single best forecast behind them.
+    positions: Vec<f32>,
+}
+
+#[test]
+fn trainer_and_onboard_layers_agree_on_every_shipped_file() {
+    let folder = Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../../shared/weights"));
+    let files = std::fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path());
+    let mut files: Vec<_> =
+        files.filter(|path| path.extension().is_some_and(|e| e == "safetensors")).collect();
+    files.sort();
+    assert!(files.iter().any(|path| path.ends_with("onboard.safetensors")), "{files:?}");
+    for path in files {
+        let bytes = std::fs::read(&path).unwrap();
+        let weights =
+            Weights::from_bytes(&bytes).unwrap_or_else(|error| panic!("{}: {error}", path.display()));
+        let config = weights.config();
+        assert_eq!(config.latents, Latents::Points, "{}", path.display());
+        let onboard = Onboard::new(&weights);
+        let trained = Trained::new(&bytes, config);
+        let (scenes, ground, spool) = recorded(config);
+        let map = ground.view(&spool, 0, MapKind::Online);
+        assert_eq!(map.is_some(), config.context);
+        let mut compared = 0;
+        for scene in &scenes {
+            let view = view::plain(scene, map, usize::MAX);
+            let (ours, theirs) = (trained.say(&view), onboard.say(&view));
+            assert_eq!((ours.len(), theirs.len()), (scene.agents.len(), scene.agents.len()));
+            for (ours, theirs) in ours.iter().zip(&theirs) {
+                let same = |what: &str, ours: &[f32], theirs: &[f32], least: f32| {
+                    check(&format!("{}: {what}", path.display()), ours, theirs, least);
+                };
+                same("encoding", &ours.encoding, &theirs.encoding, 0.0);
+                same("probability", &ours.probability, &theirs.probability, 0.0);
+                same("positions", &ours.positions, &theirs.positions, 1.0);
+                compared += 1;
+            }
+        }
+        assert!(compared > 50, "{}: {compared} agents", path.display());
+    }
+}
+
+fn check(name: &str, ours: &[f32], theirs: &[f32], least: f32) {
+    assert_eq!(ours.len(), theirs.len(), "{name}: length");
+    let largest = theirs.iter().fold(least, |most, value| most.max(value.abs()));
+    let worst = ours.iter().zip(theirs).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
+    assert!(largest.is_finite() && largest > 0.0, "{name}: {largest}");
+    assert!(worst <= TOLERANCE * largest, "{name}: off by {worst} of {largest}");
+}
+
+/// Scenes of agents of all types, all of them held to what is known of their future, and where their patches lie.
+fn recorded(config: &ModelConfig) -> (Vec<Scene>, Ground, Spool) {
+    let folder = tempfile::tempdir().unwrap();
+    let mut random = ChaCha8Rng::seed_from_u64(7);
+    let path = Scenery::random(frame_rate(Format::Csv), &mut random).write(Format::Csv, folder.path());
+    let recording = data::open(&path, Some(Format::Csv)).unwrap();
+    let selection = Selection {
+        root: folder.path(),
+        sets: &[],
+        part: Part::Train,
+        leave_out: &[],
+        windows_max: usize::MAX,
+        from_positions: false,
+        whole_history: false,
+    };
+    let mut spooling = Spooling::create(folder.path()).unwrap();
+    let (scenes, ground) = cut(&recording, selection, config, &mut spooling).unwrap();
+    let mut scenes: Vec<Scene> = scenes.collect();
+    scenes
+        .iter_mut()
+        .flat_map(|scene| &mut scene.agents)
+        .for_each(|agent| Arc::make_mut(agent).counts = true);
+    let types: BTreeMap<_, _> =
+        scenes.iter().flat_map(|scene| &scene.agents).map(|agent| (agent.agent_type, ())).collect();
+    assert_eq!(types.len(), wire::AGENT_TYPES.len());
+    (scenes, ground, spooling.finish().unwrap())
+}
+
+/// The trainer's way.
+struct Trained<'a> {
+    config: &'a ModelConfig,
+    tensors: Tensors,
+    base: BaseControl,
+}
+
+impl<'a> Trained<'a> {
+    fn new(bytes: &[u8], config: &'a ModelConfig) -> Self {
+        let tensors = Tensors::from_safetensors(bytes, &layout(config)).unwrap();
+        let base = if config.base {
+            BaseControl::load(&tensors, config).unwrap()
+        } else {
+            BaseControl::zero(config)
+        };
+        Self { config, tensors, base }
+    }
+
+    fn say(&self, scene: &SceneView<'_>) -> Vec<Said> {
+        let Self { config, tensors, base } = self;
+        let options = BatchOptions { config, base, neighbours_max: NEIGHBOURS_MAX, with_future: false };
+        let batch = Batch::new(std::slice::from_ref(scene), options).unwrap();
+        let encoded = encode(tensors, config, &batch.graph, Normalisation::Running, false);
+        let mut said: Vec<Said> = scene.agents.iter().map(|_| Said::default()).collect();
+        for of_type in 0..wire::AGENT_TYPES.len() {
+            let Some(forecast) = TypeForecast::new(tensors, config, &batch, &encoded, of_type) else {
+                continue;
+            };
+            let draws_len = config.modes + 1;
+            let modes: Vec<usize> = forecast.agents.clone().flat_map(|_| 0..draws_len).collect();
+            let rollout = forecast.by_points(&modes, false);
+            let (encoding, hidden) = (&forecast.encoding, &forecast.burn_in.hidden);
+            let (logits, _) = mode_logits(tensors, &forecast.name(), encoding, hidden);
+            for (row, agent) in forecast.agents.clone().enumerate() {
+                let rows = row * draws_len..(row + 1) * draws_len;
+                said[batch.origin[agent].1] = Said {
+                    encoding: encoding.row(row).to_vec(),
+                    probability: softmax(logits.row(row)),
+                    positions: rows.flat_map(|row| rollout.positions.row(row)).copied().collect(),
+                };
+            }
+        }
+        said
+    }
+}
+
+/// The way on board, by layers and equations alone.
+struct Onboard<'a> {
+    config: &'a ModelConfig,
+    state: nn::StateMlp,
+    relation: nn::RelationMlp,
+    context: Option<nn::ContextCnn>,
+    gdat: nn::Gdat,
+    decoder: nn::Decoder,
+}
+
+impl<'a> Onboard<'a> {
+    fn new(weights: &'a Weights) -> Self {
+        let config = weights.config();
+        Self {
+            config,
+            state: nn::StateMlp::new(weights).unwrap(),
+            relation: nn::RelationMlp::new(weights).unwrap(),
+            context: config.context.then(|| nn::ContextCnn::new(weights).unwrap()),
+            gdat: nn::Gdat::new(weights).unwrap(),
+            decoder: nn::Decoder::new(weights).unwrap(),
+        }
+    }
+
+    fn say(&self, scene: &SceneView<'_>) -> Vec<Said> {
+        let encodings = self.encode(scene);
+        scene.agents.iter().zip(encodings).map(|(agent, encoding)| self.forecast(agent, encoding)).collect()
+    }
+
+    fn states(&self, agent: &View) -> Vec<[f32; STATE_FEATURES]> {
+        let state = |state: &Option<scene::State>| {
+            state.map_or([0.0; STATE_FEATURES], |state| {
+                state_features(&agent.frame, &state, scales(self.config))
+            })
+        };
+        agent.history.iter().map(state).collect()
+    }
+
+    /// Node attributes of an agent at every step.
+    fn nodes(&self, scene: &SceneView<'_>, agent: &View) -> Vec<[f32; NODE_ATTRIBUTES]> {
+        let Self { config, .. } = self;
+        let len = config.state_embedding_len();
+        let states = self.states(agent);
+        let mut embedded = vec![0.0; states.len() * len];
+        self.state.embed(agent.agent.agent_type, &states, &mut nn::MlpMemory::default(), &mut embedded);
+        let options = PatchOptions { side: config.patch_size, cell_m: config.patch_cell_m };
+        let mut nodes = vec![[0.0; NODE_ATTRIBUTES]; states.len()];
+        for (step, node) in nodes.iter_mut().enumerate() {
+            node[..len].copy_from_slice(&embedded[step * len..][..len]);
+            if let (Some(cnn), Some(map)) = (&self.context, scene.map) {
+                let mut patch = Vec::new();
+                match agent.agent.patches[step] {
+                    Some(number) => map.extend(number, options, &mut patch).unwrap(),
+                    None => patch.resize(options.len(), 0.0),
+                }
+                let mut embedding = [[0.0; CONTEXT_EMBEDDING]];
+                cnn.embed(&patch, &mut nn::ContextMemory::default(), &mut embedding);
+                node[len..].copy_from_slice(&embedding[0]);
+            }
+        }
+        nodes
+    }
+
+    fn encode(&self, scene: &SceneView<'_>) -> Vec<[f32; TEMPORAL]> {
+        let Self { config, .. } = self;
+        let rule = EdgeRule {
+            radius_m: config.edge_radius_m,
+            pedestrian_radius_m: config.pedestrian_edge_radius_m.unwrap_or(config.edge_radius_m),
+            neighbours_max: NEIGHBOURS_MAX,
+        };
+        let nodes_of: Vec<_> = scene.agents.iter().map(|agent| self.nodes(scene, agent)).collect();
+        let (mut present, mut nodes) = (Vec::new(), Vec::new());
+        let (mut edges, mut relations) = (Vec::new(), Vec::new());
+        for step in 0..config.history_len {
+            let vertex = |view: &View| {
+                let position_m = view.history[step]?.position_m;
+                Some(Vertex { position_m, agent_type: view.agent.agent_type })
+            };
+            let vertices: Vec<Option<Vertex>> = scene.agents.iter().map(vertex).collect();
+            present.extend(vertices.iter().map(Option::is_some));
+            nodes.extend(nodes_of.iter().map(|nodes| nodes[step]));
+            let first = edges.len();
+            rule.append(step as u16, &vertices, &mut edges);
+            relations.extend(edges[first..].iter().map(|edge| {
+                let [receiver, sender] = [edge.receiver, edge.sender]
+                    .map(|agent| scene.agents[usize::from(agent)].history[step].unwrap());
+                relation_features(&receiver, &sender, scales(config))
+            }));
+        }
+        let mut attributes = vec![[0.0; wire::EDGE_ATTRIBUTES]; edges.len()];
+        self.relation.embed(&relations, &mut nn::MlpMemory::default(), &mut attributes);
+        let agents_len = scene.agents.len();
+        let graph = nn::Graph {
+            agents_len,
+            present: &present,
+            nodes: &nodes,
+            edges: &edges,
+            attributes: &attributes,
+        };
+        let mut encodings = vec![[0.0; TEMPORAL]; agents_len];
+        self.gdat.summarise(&graph, &mut nn::GdatMemory::default(), &mut encodings);
+        encodings
+    }
+
+    fn forecast(&self, view: &View, encoding: [f32; TEMPORAL]) -> Said {
+        let Self { config, .. } = self;
+        let network = self.decoder.of(view.agent.agent_type);
+        let states = self.states(view);
+        let present: Vec<bool> = view.history.iter().map(Option::is_some).collect();
+        let mut memory = nn::DecoderMemory::default();
+        let mut hidden = [[0.0; 128]];
+        let burn_in = BurnIn { agents_len: 1, states: &states, present: &present };
+        network.burn_in(&burn_in, &mut memory, &mut hidden);
+        let mut base = vec![[0.0; 2]; (config.modes + 1) * config.horizon_len];
+        if let Some(of_type) = network.base() {
+            of_type.controls(&BaseFeatures::new(&states, |step| present[step], config), &mut base);
+        }
+        let mut raw = vec![[0.0; nn::RAW_CONTROL]; base.len()];
+        network.forecast(&hidden, &[encoding], Draws::Points(&base), &mut memory, &mut raw);
+        let mut probability = vec![0.0; config.modes];
+        assert!(network.mode_probabilities(&hidden, &[encoding], &mut memory, &mut probability));
+        let controls = raw.into_iter().zip(base).map(|(raw, base)| {
+            let [first, second] = nn::control_gaussian(raw).mean;
+            Vector2::new(first + base[0], second + base[1])
+        });
+        let controls: Vec<_> = controls.collect();
+        let modes = controls.chunks_exact(config.horizon_len);
+        let positions = modes.flat_map(|controls| self.positions(view, controls)).flatten().collect();
+        Said { encoding: encoding.to_vec(), probability, positions }
+    }
+
+    /// Where controls lead in the world, in the agent frame.
+    fn positions(&self, view: &View, controls: &[Vector2<f32>]) -> Vec<[f32; 2]> {
+        let Self { config, .. } = self;
+        let now = view.history.last().copied().flatten().unwrap();
+        let ([x, y], [vx, vy], dt_s) = (now.position_m, now.velocity_mps, config.dt_s as f32);
+        let frame = &view.frame;
+        if !config.drives(view.agent.agent_type) {
+            let kind = match config.displacement {
+                nn::Displacement::Residual => DisplacementKind::Residual,
+                nn::Displacement::Absolute => DisplacementKind::Absolute,
+            };
+            let motion = Displacement::new(kind, frame.heading_rad, dt_s);
+            return follow(&motion, Vector4::new(x, y, vx, vy), controls, frame);
+        }
+        let rear_axle_m = config.rear_axle_ratio * view.agent.length_m.unwrap_or(config.default_length_m);
+        let integrator = match config.integrator {
+            nn::Integrator::Euler => kinematics::Integrator::Euler,
+            nn::Integrator::Midpoint => kinematics::Integrator::Midpoint,
+        };
+        let motion = kinematics::Vehicle {
+            bicycle: Bicycle { rear_axle_m, slip_limit_rad: config.slip_limit_rad, integrator },
+            limits: kinematics::ControlLimits {
+                accel_mps2: config.accel_limit_mps2,
+                slip_rate_radps: config.slip_rate_limit_radps,
+            },
+            dt_s,
+        };
+        let [speed_mps, _] = AgentFrame::new([x, y], now.heading_rad).rotate_into([vx, vy]);
+        let turn_rates = scene::turn_rates(&view.history, dt_s);
+        let slip_rad = if config.initial_slip {
+            kinematics::initial_slip(rear_axle_m, speed_mps, turn_rates)
+        } else {
+            0.0
+        };
+        let start = BicycleState::from([x, y, now.heading_rad, speed_mps, slip_rad]);
+        follow(&motion, start, controls, frame)
+    }
+}
+
+fn follow<const N: usize>(
+    motion: &impl Motion<N>,
+    mut state: SVector<f32, N>,
+    controls: &[Vector2<f32>],
+    frame: &AgentFrame,
+) -> Vec<[f32; 2]> {
+    let steps = controls.iter().map(|control| {
+        let (acting, _) = motion.saturate(control);
+        state = motion.step(&state, &acting);
+        frame.rotate_into([0, 1].map(|axis| state[axis] - frame.origin_m[axis]))
+    });
+    steps.collect()
+}
