@@ -37,6 +37,9 @@ pub struct TrainOptions {
     pub checkpoints: PathBuf,
     /// Whether to go on from the newest checkpoint.
     pub resume: bool,
+    /// Weights of the same model to begin with, their base control included; where there are none, training begins with
+    /// random ones and fits the base control.
+    pub begin_with: Option<PathBuf>,
     /// Seed of everything random.
     pub seed: u64,
     /// Updates to make.
@@ -103,6 +106,7 @@ impl Default for TrainOptions {
             out: PathBuf::from("weights.safetensors"),
             checkpoints: PathBuf::from("checkpoints"),
             resume: false,
+            begin_with: None,
             seed: 1,
             steps: 20_000,
             batch_agents: 96,

@@ -4,10 +4,11 @@
 mod tests;
 
 use std::collections::BTreeMap;
+use std::path::Path;
 use std::time::Instant;
 
 use data::sets::{DataSet, Part};
-use nn::Latents;
+use nn::{Latents, ModelConfig};
 use rand::{Rng, RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
@@ -18,7 +19,7 @@ use crate::calibration::Calibration;
 use crate::card::{ModelCard, Seen};
 use crate::checkpoint::{State, write_whole};
 use crate::log::{Line, Log};
-use crate::net::layout::initial;
+use crate::net::layout::{initial, layout};
 use crate::net::tensors::Tensors;
 use crate::objective::{Differentiated, LossParts, Objective, differentiate};
 use crate::options::TrainOptions;
@@ -111,9 +112,13 @@ impl<'a> Run<'a> {
             let base = BaseControl::load(&state.weights, &options.model);
             return Ok((state, base.unwrap_or_else(|| BaseControl::zero(&options.model))));
         }
-        let mut weights = initial(&options.model, options.seed);
-        let mut base = BaseControl::zero(&options.model);
-        if options.model.base {
+        let mut weights = match &options.begin_with {
+            Some(path) => given(path, &options.model)?,
+            None => initial(&options.model, options.seed),
+        };
+        let mut base =
+            BaseControl::load(&weights, &options.model).unwrap_or_else(|| BaseControl::zero(&options.model));
+        if options.model.base && options.begin_with.is_none() {
             progress.note("fitting the base control");
             base = BaseControl::fit(
                 &options.model,
@@ -330,6 +335,18 @@ impl<'a> Run<'a> {
         write_whole(&self.options.out, &card.weights_file(&weights)?)?;
         Ok(card)
     }
+}
+
+/// The tensors of a weights file, whose model must be this one.
+fn given(path: &Path, model: &ModelConfig) -> Result<Tensors, TrainError> {
+    let io = |source| TrainError::Io { path: path.to_owned(), source };
+    let refused = |reason: String| TrainError::Options(format!("begin_with {}: {reason}", path.display()));
+    let bytes = std::fs::read(path).map_err(io)?;
+    let weights = nn::Weights::from_bytes(&bytes).map_err(|error| refused(error.to_string()))?;
+    if weights.config() != model {
+        return Err(refused("its model is another one than the options ask for".to_owned()));
+    }
+    Tensors::from_safetensors(&bytes, &layout(model))
 }
 
 fn set_named(name: &str) -> Result<DataSet, TrainError> {

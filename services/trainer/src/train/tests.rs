@@ -90,6 +90,28 @@ fn a_resumed_run_goes_on_to_the_bit() {
     assert!(matches!(State::load(&other), Err(TrainError::Checkpoint { .. })));
 }
 
+#[test]
+fn a_run_begins_with_the_weights_of_another_of_the_same_model() {
+    let folder = tempfile::tempdir().unwrap();
+    let first = options(folder.path(), 1);
+    train(&first).unwrap();
+    let second = TrainOptions {
+        begin_with: Some(first.out.clone()),
+        out: folder.path().join("second.safetensors"),
+        checkpoints: folder.path().join("second"),
+        seed: 2,
+        ..first.clone()
+    };
+    let progress = Progress::new(1, 0);
+    let (state, _) = Run::prepare(&second, &progress).unwrap().begin(&progress).unwrap();
+    let bytes = std::fs::read(&first.out).unwrap();
+    assert_eq!(state.weights, Tensors::from_safetensors(&bytes, &layout(&second.model)).unwrap());
+    let mut other = second.clone();
+    other.model.modes = 5;
+    let refused = train(&other).unwrap_err().to_string();
+    assert!(refused.contains("weights.safetensors: its model is another"), "{refused}");
+}
+
 /// The golden vectors have no learned points, mode head or base control: here both implementations meet.
 #[test]
 fn forecasts_by_points_agree_with_the_onboard_decoder() {
