@@ -41,6 +41,8 @@ struct Said {
     encoding: Vec<f32>,
     /// Of the modes.
     probability: Vec<f32>,
+    /// What the decoder's head says of every mode and step, and of the single best forecast behind them.
+    raw: Vec<f32>,
     /// In the agent frame, m: of every mode, and those of the single best forecast behind them.
     positions: Vec<f32>,
 }
@@ -75,6 +77,7 @@ fn trainer_and_onboard_layers_agree_on_every_shipped_file() {
                 };
                 same("encoding", &ours.encoding, &theirs.encoding, 0.0);
                 same("probability", &ours.probability, &theirs.probability, 0.0);
+                same("head", &ours.raw, &theirs.raw, 0.0);
                 same("positions", &ours.positions, &theirs.positions, 1.0);
                 compared += 1;
             }
@@ -157,6 +160,7 @@ impl<'a> Trained<'a> {
                 said[batch.origin[agent].1] = Said {
                     encoding: encoding.row(row).to_vec(),
                     probability: softmax(logits.row(row)),
+                    raw: rows.clone().flat_map(|row| rollout.unroll.raw.row(row)).copied().collect(),
                     positions: rows.flat_map(|row| rollout.positions.row(row)).copied().collect(),
                 };
             }
@@ -285,14 +289,14 @@ impl<'a> Onboard<'a> {
         network.forecast(&hidden, &[encoding], Draws::Points(&base), &mut memory, &mut raw);
         let mut probability = vec![0.0; config.modes];
         assert!(network.mode_probabilities(&hidden, &[encoding], &mut memory, &mut probability));
-        let controls = raw.into_iter().zip(base).map(|(raw, base)| {
-            let [first, second] = nn::control_gaussian(raw).mean;
+        let controls = raw.iter().zip(base).map(|(raw, base)| {
+            let [first, second] = nn::control_gaussian(*raw).mean;
             Vector2::new(first + base[0], second + base[1])
         });
         let controls: Vec<_> = controls.collect();
         let modes = controls.chunks_exact(config.horizon_len);
         let positions = modes.flat_map(|controls| self.positions(view, controls)).flatten().collect();
-        Said { encoding: encoding.to_vec(), probability, positions }
+        Said { encoding: encoding.to_vec(), probability, raw: raw.concat(), positions }
     }
 
     /// Where controls lead in the world, in the agent frame.
