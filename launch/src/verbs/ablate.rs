@@ -83,6 +83,8 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
 /// The recipe as the command line changes it, its files in the folder.
 fn recipe(arguments: &Arguments) -> Result<TrainOptions, Failure> {
     let mut options = super::train::recipe(&arguments.recipe)?;
+    // The tensors of another training would fit few of the variants.
+    options.begin_with = None;
     for set in &arguments.set {
         options = super::train::changed(&options, set)?;
     }
