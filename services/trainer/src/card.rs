@@ -22,7 +22,7 @@ pub struct ModelCard {
     pub step: u64,
     /// Time that training took.
     pub wall_s: f64,
-    /// Largest resident memory of the process that wrote the weights; cards of the first versions don't tell.
+    /// Largest resident memory since the training began or was resumed; cards of the first versions don't tell.
     #[serde(default)]
     pub peak_rss_mib: Option<u64>,
     /// CPU that training ended on.

@@ -19,6 +19,7 @@ use crate::calibration::Calibration;
 use crate::card::{ModelCard, Seen};
 use crate::checkpoint::{State, write_whole};
 use crate::log::{Line, Log};
+use crate::machine;
 use crate::net::layout::{initial, layout};
 use crate::net::tensors::Tensors;
 use crate::objective::{Differentiated, LossParts, Objective, differentiate};
@@ -50,6 +51,7 @@ pub struct Summary {
 /// [`TrainError`] says which recording, option, checkpoint or file is to blame.
 pub fn train(options: &TrainOptions) -> Result<Summary, TrainError> {
     options.check()?;
+    machine::forget_peak();
     let mut progress = Progress::new(options.steps, 0);
     let run = Run::prepare(options, &progress)?;
     let (mut state, base) = run.begin(&progress)?;
