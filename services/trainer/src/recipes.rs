@@ -32,7 +32,7 @@ pub fn recipe(name: &str) -> Option<TrainOptions> {
         ("interaction", _) => all_sites(),
         ("interaction-without-FT", _) => vehicles(&["Roundabout_FT"], 24_000),
         ("interaction-without-EP1", _) => vehicles(&["Intersection_EP1"], 10_000),
-        ("onboard", _) => TrainOptions::default(),
+        ("onboard", _) => TrainOptions { steps: 4000, validate_every: 1000, ..TrainOptions::default() },
         _ => return None,
     };
     Some(TrainOptions {
@@ -84,7 +84,7 @@ fn pedestrian_config() -> ModelConfig {
 
 /// Vehicles at all sites: what was learned at all but one is a good part of the way.
 fn all_sites() -> TrainOptions {
-    let vehicles = vehicles(&[], 6000);
+    let vehicles = vehicles(&[], 5000);
     TrainOptions {
         begin_with: Some("shared/weights/interaction-without-FT.safetensors".into()),
         optimiser: OptimiserOptions { learning_rate: 1.5e-3, ..vehicles.optimiser },
