@@ -125,8 +125,8 @@ fn budget(recipe: &str, trained: &[(&Variant, Trained)]) -> Result<String, Failu
     let most = cards.iter().map(minutes).fold(0.0, f64::max);
     let machine = first.cpu.as_deref().unwrap_or("a CPU that the card does not name");
     Ok(format!(
-        "Equal budget for every variant of `{recipe}`: {steps} updates{share} of {batch_agents} agents or more, seed {seed}, the \
-         weights of the best validation; {least:.1} to {most:.1} minutes of training each on {machine}."
+        "Equal budget for every variant of `{recipe}`: {steps} updates{share} of {batch_agents} agents or more from random weights, seed \
+         {seed}, the weights of the best validation; {least:.1} to {most:.1} minutes of training each on {machine}."
     ))
 }
 
