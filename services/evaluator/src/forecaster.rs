@@ -7,10 +7,9 @@ mod encode;
 
 use kinematics::Normals;
 use metrics::Point;
-use nn::base::BaseFeatures;
 use nn::{
-    BurnIn, ContextCnn, ContextMemory, Decoder, DecoderMemory, Draws, Gdat, GdatMemory, MlpMemory,
-    ModelConfig, RAW_CONTROL, RelationMlp, StateMlp, TypeDecoder, Weights, WeightsError, control_gaussian,
+    AgentDraws, ContextCnn, ContextMemory, Decoder, DecoderGroup, Encoded, Gdat, GdatMemory, MlpMemory,
+    ModelConfig, RelationMlp, StateMlp, Weights, WeightsError,
 };
 use scene::{EdgeRule, FeatureScales, PatchOptions};
 use wire::{CONTEXT_EMBEDDING, ControlGaussian, LATENT, STATE_FEATURES, TEMPORAL};
@@ -18,11 +17,6 @@ use wire::{CONTEXT_EMBEDDING, ControlGaussian, LATENT, STATE_FEATURES, TEMPORAL}
 use crate::motion::Mover;
 use crate::{Agent, Scene};
 use encode::Encoding;
-
-/// Length of the network's hidden state.
-const HIDDEN: usize = 128;
-/// Agents of one type that pass the decoder together.
-const GROUP: usize = 16;
 
 /// What is forecast for one agent.
 #[derive(Clone, Debug, PartialEq)]
@@ -67,27 +61,36 @@ pub struct Forecaster {
 pub struct ForecasterMemory {
     mlp: MlpMemory,
     gdat: GdatMemory,
-    decoder: DecoderMemory,
     encoding: Encoding,
-    group: Group,
+    group: DecoderGroup,
 }
 
-/// Agents of one type on their way through the decoder.
-#[derive(Default)]
-struct Group {
-    /// \[step, agent\].
-    states: Vec<[f32; STATE_FEATURES]>,
-    present: Vec<bool>,
-    hidden: Vec<[f32; HIDDEN]>,
-    temporal: Vec<[f32; TEMPORAL]>,
-    /// Base controls, \[agent, mode, step\], those of the best forecast behind the modes; empty where the model has none.
-    base: Vec<[f32; 2]>,
-    /// \[agent, draw\].
-    latents: Vec<[f32; LATENT]>,
-    /// \[agent, draw, step\].
-    raw: Vec<[f32; RAW_CONTROL]>,
-    /// \[agent, mode\].
-    probability: Vec<f32>,
+/// Wanted agents of a scene, all of one type.
+struct Wanted<'a> {
+    agents: &'a [usize],
+    scene: &'a Scene,
+    encoding: &'a Encoding,
+    seed: u64,
+}
+
+impl Encoded for Wanted<'_> {
+    fn agents_len(&self) -> usize {
+        self.agents.len()
+    }
+
+    fn state(&self, agent: usize, step: usize) -> Option<[f32; STATE_FEATURES]> {
+        self.encoding.state(step, self.agents[agent])
+    }
+
+    fn temporal(&self, agent: usize) -> [f32; TEMPORAL] {
+        self.encoding.temporal[self.agents[agent]]
+    }
+
+    fn draw(&self, agent: usize, latents: &mut [[f32; LATENT]]) {
+        let id = self.scene.agents[self.agents[agent]].id;
+        let mut normals = Normals::new(self.seed, id, self.scene.stamp_ns as u64);
+        latents.as_flattened_mut().fill_with(|| normals.draw());
+    }
 }
 
 impl Forecaster {
@@ -154,128 +157,35 @@ impl Forecaster {
         for of_type in wire::AGENT_TYPES {
             let is_of_type = |place: &usize| scene.agents[wanted[*place]].agent_type == of_type;
             let places: Vec<usize> = (0..wanted.len()).filter(is_of_type).collect();
-            for places in places.chunks(GROUP) {
+            for places in places.chunks(DecoderGroup::LEN) {
                 let agents: Vec<usize> = places.iter().map(|&place| wanted[place]).collect();
-                let network = self.decoder.of(of_type);
-                let draws_len = self.decode(network, scene, &agents, memory);
-                let base_len = memory.group.base.len() / agents.len();
+                let ForecasterMemory { encoding, group, .. } = memory;
+                let encoded = Wanted { agents: &agents, scene, encoding, seed: self.seed };
+                group.decode(self.decoder.of(of_type), &self.config, &encoded);
                 for (number, (&place, &agent)) in places.iter().zip(&agents).enumerate() {
-                    let raw = &memory.group.raw[number * draws_len * self.config.horizon_len..];
-                    let said = Said {
-                        controls: raw
-                            .chunks_exact(self.config.horizon_len)
-                            .take(draws_len)
-                            .map(gaussians)
-                            .collect(),
-                        probability: memory.group.probability[number * self.config.modes..]
-                            [..self.config.modes]
-                            .to_vec(),
-                        base: &memory.group.base[number * base_len..][..base_len],
-                    };
-                    forecasts[place] = Some(self.move_agent(&scene.agents[agent], said));
+                    forecasts[place] = Some(self.move_agent(&scene.agents[agent], group.draws(number)));
                 }
             }
         }
         forecasts.into_iter().flatten().collect()
     }
 
-    /// Runs the decoder on a group of agents of one type; returns the draws of each, the best forecast's among them.
-    fn decode(
-        &self,
-        network: &TypeDecoder,
-        scene: &Scene,
-        agents: &[usize],
-        memory: &mut ForecasterMemory,
-    ) -> usize {
-        let config = &self.config;
-        let ForecasterMemory { decoder: scratch, encoding, group, .. } = memory;
-        group.gather(encoding, agents, config.history_len);
-        let burn_in = BurnIn { agents_len: agents.len(), states: &group.states, present: &group.present };
-        group.hidden.resize(agents.len(), [0.0; HIDDEN]);
-        network.burn_in(&burn_in, scratch, &mut group.hidden);
-        group.base.clear();
-        if let Some(base) = network.base() {
-            for &agent in agents {
-                let states = encoding.states_of(agent);
-                let rows: Vec<_> = states.iter().map(|state| state.unwrap_or_default()).collect();
-                let features = BaseFeatures::new(&rows, |step| states[step].is_some(), config);
-                let first = group.base.len();
-                group.base.resize(first + base.controls_len(), [0.0; 2]);
-                base.controls(&features, &mut group.base[first..]);
-            }
-        }
-        let (draws_len, draws) = if network.points_len() > 0 {
-            (network.points_len(), Draws::Points(&group.base))
-        } else {
-            group.latents.clear();
-            for &agent in agents {
-                let mut normals = Normals::new(self.seed, scene.agents[agent].id, scene.stamp_ns as u64);
-                let draws = (0..config.modes).map(|_| std::array::from_fn(|_| normals.draw()));
-                group.latents.extend(draws);
-                // Without a point of its own the best forecast takes the middle of the distribution.
-                group.latents.push(network.best_latent().copied().unwrap_or([0.0; LATENT]));
-            }
-            (config.modes + 1, Draws::Given(&group.latents))
-        };
-        group.raw.resize(agents.len() * draws_len * config.horizon_len, [0.0; RAW_CONTROL]);
-        network.forecast(&group.hidden, &group.temporal, draws, scratch, &mut group.raw);
-        group.probability.resize(agents.len() * config.modes, 0.0);
-        if !network.mode_probabilities(&group.hidden, &group.temporal, scratch, &mut group.probability) {
-            group.probability.fill(1.0 / config.modes as f32);
-        }
-        draws_len
-    }
-
-    /// Adds the base control and moves the agent.
-    fn move_agent(&self, agent: &Agent, said: Said<'_>) -> Forecast {
+    /// Moves the agent by its controls.
+    fn move_agent(&self, agent: &Agent, said: AgentDraws<'_>) -> Forecast {
         let ModelConfig { modes: modes_len, horizon_len, .. } = self.config;
         let now = agent.newest().expect("a wanted agent is present");
         let frame = scene::agent_frame(&agent.history).expect("a present agent has a frame");
         let mover = Mover::new(agent, &now, &frame, &self.config);
-        let Said { mut controls, probability, base } = said;
-        let base = base.chunks_exact(horizon_len);
-        controls.iter_mut().zip(base.clone()).for_each(|(steps, base)| shift(steps, base));
+        let controls: Vec<Vec<ControlGaussian>> =
+            (0..said.draws_len()).map(|draw| said.controls(draw).collect()).collect();
+        let base = said.base.chunks_exact(horizon_len);
         let mut of_base: Vec<_> = base.map(|controls| mover.follow(controls.iter().copied())).collect();
         let base_forecast = of_base.pop().map(|best| BaseForecast { modes: of_base, best });
         let best = controls.get(modes_len).map(Vec::as_slice);
-        let likeliest = metrics::most_likely(&probability).unwrap_or(0);
+        let likeliest = metrics::most_likely(said.probability).unwrap_or(0);
         let best = best.unwrap_or(&controls[likeliest]).iter().map(|control| control.mean);
         let best = mover.follow(best);
         let (modes, covariance) = controls[..modes_len].iter().map(|steps| mover.spread(steps)).unzip();
-        Forecast { modes, probability, covariance, best, base: base_forecast }
-    }
-}
-
-/// What the network said of an agent.
-struct Said<'a> {
-    /// Control Gaussians of each draw and step.
-    controls: Vec<Vec<ControlGaussian>>,
-    probability: Vec<f32>,
-    /// Base controls, \[mode, step\], those of the best forecast behind the modes; or empty.
-    base: &'a [[f32; 2]],
-}
-
-impl Group {
-    fn gather(&mut self, encoding: &Encoding, agents: &[usize], history_len: usize) {
-        self.states.clear();
-        self.present.clear();
-        for step in 0..history_len {
-            self.states.extend(agents.iter().map(|&agent| encoding.state(step, agent).unwrap_or_default()));
-            self.present.extend(agents.iter().map(|&agent| encoding.state(step, agent).is_some()));
-        }
-        self.temporal.clear();
-        self.temporal.extend(agents.iter().map(|&agent| encoding.temporal[agent]));
-    }
-}
-
-fn gaussians(raw: &[[f32; RAW_CONTROL]]) -> Vec<ControlGaussian> {
-    raw.iter().copied().map(control_gaussian).collect()
-}
-
-/// Adds `offsets` to the means, step by step.
-fn shift(controls: &mut [ControlGaussian], offsets: &[[f32; 2]]) {
-    for (control, offset) in controls.iter_mut().zip(offsets) {
-        control.mean[0] += offset[0];
-        control.mean[1] += offset[1];
+        Forecast { modes, probability: said.probability.to_vec(), covariance, best, base: base_forecast }
     }
 }

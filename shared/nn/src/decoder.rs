@@ -4,6 +4,8 @@
 //! is told of its base control is linear, so that W takes the control itself. From the second forecast step on the input
 //! is zero, so only its bias is left.
 
+mod group;
+
 use wire::{AGENT_TYPES, AgentType, ControlGaussian, LATENT, STATE_FEATURES, TEMPORAL};
 
 use crate::base::{Base, latent_scale};
@@ -13,6 +15,7 @@ use crate::kernels::exp_in_place;
 use crate::kernels::gates::{GATES, HIDDEN, gru_step};
 use crate::linear::{Activation, Linear};
 use crate::weights::{Weights, WeightsError};
+pub use group::{AgentDraws, DecoderGroup, Encoded};
 
 /// Numbers of the head: (μ_1, μ_2, ln l_11, ln l_22, l_21).
 pub const RAW_CONTROL: usize = 5;

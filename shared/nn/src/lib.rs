@@ -28,7 +28,10 @@ pub use config::{
     Temporal, VehicleMotion,
 };
 pub use context::{ContextCnn, ContextMemory};
-pub use decoder::{BurnIn, Decoder, DecoderMemory, Draws, RAW_CONTROL, TypeDecoder, control_gaussian};
+pub use decoder::{
+    AgentDraws, BurnIn, Decoder, DecoderGroup, DecoderMemory, Draws, Encoded, RAW_CONTROL, TypeDecoder,
+    control_gaussian,
+};
 pub use embedding::{RelationMlp, StateMlp};
 pub use encoding::EncodingFunction;
 pub use linear::MlpMemory;

@@ -34,11 +34,6 @@ impl Encoding {
         let row = step * self.agents_len + agent;
         self.present[row].then(|| self.states[row])
     }
-
-    /// State features of an agent at all steps.
-    pub(super) fn states_of(&self, agent: usize) -> Vec<Option<[f32; STATE_FEATURES]>> {
-        (0..self.states.len() / self.agents_len).map(|step| self.state(step, agent)).collect()
-    }
 }
 
 impl Forecaster {

@@ -1,0 +1,164 @@
+//! Agents of one type on their way through the decoder together: burn-in, base controls, draws, probabilities.
+
+use wire::{ControlGaussian, LATENT, STATE_FEATURES, TEMPORAL};
+
+use super::{BurnIn, DecoderMemory, Draws, HIDDEN, RAW_CONTROL, TypeDecoder, control_gaussian};
+use crate::base::{Base, BaseFeatures};
+use crate::config::ModelConfig;
+
+/// Agents of one type, encoded.
+pub trait Encoded {
+    /// How many they are.
+    fn agents_len(&self) -> usize;
+
+    /// State features s of an agent at a history step, where it is present.
+    fn state(&self, agent: usize, step: usize) -> Option<[f32; STATE_FEATURES]>;
+
+    /// Temporal summary ṽ of an agent.
+    fn temporal(&self, agent: usize) -> [f32; TEMPORAL];
+
+    /// Fills the modes of an agent with draws from N(0, I); asked of models without learned points.
+    fn draw(&self, agent: usize, latents: &mut [[f32; LATENT]]);
+}
+
+/// A group of agents of one type, and what the network says of them.
+#[derive(Default)]
+pub struct DecoderGroup {
+    /// \[step, agent\].
+    states: Vec<[f32; STATE_FEATURES]>,
+    present: Vec<bool>,
+    /// The states of one agent, oldest first.
+    history: Vec<[f32; STATE_FEATURES]>,
+    hidden: Vec<[f32; HIDDEN]>,
+    temporal: Vec<[f32; TEMPORAL]>,
+    /// Base controls, \[agent, mode, step\], those of the best forecast behind the modes; empty where the model has none.
+    base: Vec<[f32; 2]>,
+    /// \[agent, draw\].
+    latents: Vec<[f32; LATENT]>,
+    /// \[agent, draw, step\].
+    raw: Vec<[f32; RAW_CONTROL]>,
+    /// \[agent, mode\].
+    probability: Vec<f32>,
+    horizon_len: usize,
+    memory: DecoderMemory,
+}
+
+/// What the network says of an agent.
+#[derive(Clone, Copy, Debug)]
+pub struct AgentDraws<'a> {
+    /// \[draw, step\].
+    raw: &'a [[f32; RAW_CONTROL]],
+    horizon_len: usize,
+    /// Base controls, \[mode, step\], those of the best forecast behind the modes; empty where the model has none.
+    pub base: &'a [[f32; 2]],
+    /// The probability of each mode.
+    pub probability: &'a [f32],
+}
+
+impl DecoderGroup {
+    /// Agents that had best be decoded together, at most.
+    pub const LEN: usize = 16;
+
+    /// Decodes agents of a type by its network. Allocates only where a group is larger than all before.
+    ///
+    /// The draws are the learned points, that of the best forecast last where the model has one. A model without learned
+    /// points takes [`Encoded::draw`]; without a point of its own its best forecast, always the last, then takes the
+    /// middle of the distribution.
+    pub fn decode(&mut self, network: &TypeDecoder, config: &ModelConfig, agents: &impl Encoded) {
+        let (agents_len, modes_len) = (agents.agents_len(), config.modes);
+        self.gather(config.history_len, agents);
+        self.hidden.resize(agents_len, [0.0; HIDDEN]);
+        let burn_in = BurnIn { agents_len, states: &self.states, present: &self.present };
+        network.burn_in(&burn_in, &mut self.memory, &mut self.hidden);
+        self.base.clear();
+        if let Some(base) = network.base() {
+            (0..agents_len).for_each(|agent| self.extend_base(base, config, agent));
+        }
+        let (draws_len, draws) = if network.points_len() > 0 {
+            (network.points_len(), Draws::Points(&self.base))
+        } else {
+            let draws_len = modes_len + 1;
+            let best = network.best_latent().copied().unwrap_or([0.0; LATENT]);
+            self.latents.clear();
+            self.latents.resize(agents_len * draws_len, best);
+            for (agent, latents) in self.latents.chunks_exact_mut(draws_len).enumerate() {
+                agents.draw(agent, &mut latents[..modes_len]);
+            }
+            (draws_len, Draws::Given(&self.latents))
+        };
+        self.horizon_len = config.horizon_len;
+        self.raw.resize(agents_len * draws_len * config.horizon_len, [0.0; RAW_CONTROL]);
+        network.forecast(&self.hidden, &self.temporal, draws, &mut self.memory, &mut self.raw);
+        self.probability.resize(agents_len * modes_len, 0.0);
+        let Self { hidden, temporal, memory, probability, .. } = self;
+        if !network.mode_probabilities(hidden, temporal, memory, probability) {
+            probability.fill(1.0 / modes_len as f32);
+        }
+    }
+
+    fn gather(&mut self, history_len: usize, agents: &impl Encoded) {
+        self.states.clear();
+        self.present.clear();
+        self.temporal.clear();
+        for step in 0..history_len {
+            for agent in 0..agents.agents_len() {
+                let state = agents.state(agent, step);
+                self.states.push(state.unwrap_or_default());
+                self.present.push(state.is_some());
+            }
+        }
+        self.temporal.extend((0..agents.agents_len()).map(|agent| agents.temporal(agent)));
+    }
+
+    fn extend_base(&mut self, base: &Base, config: &ModelConfig, agent: usize) {
+        let agents_len = self.hidden.len();
+        self.history.clear();
+        self.history.extend(self.states.iter().skip(agent).step_by(agents_len));
+        let is_present = |step: usize| self.present[step * agents_len + agent];
+        let features = BaseFeatures::new(&self.history, is_present, config);
+        let first = self.base.len();
+        self.base.resize(first + base.controls_len(), [0.0; 2]);
+        base.controls(&features, &mut self.base[first..]);
+    }
+
+    /// What the network said of an agent of the group.
+    ///
+    /// # Panics
+    /// Where the group has no such agent.
+    #[must_use]
+    pub fn draws(&self, agent: usize) -> AgentDraws<'_> {
+        AgentDraws {
+            raw: self.share(agent, &self.raw),
+            horizon_len: self.horizon_len,
+            base: self.share(agent, &self.base),
+            probability: self.share(agent, &self.probability),
+        }
+    }
+
+    /// An agent's share of what all agents have as much of.
+    fn share<'a, T>(&self, agent: usize, of_all: &'a [T]) -> &'a [T] {
+        let len = of_all.len() / self.hidden.len();
+        &of_all[agent * len..][..len]
+    }
+}
+
+impl AgentDraws<'_> {
+    /// How many draws there are: a mode each, and the best forecast behind them where it is one of its own.
+    #[must_use]
+    pub const fn draws_len(&self) -> usize {
+        self.raw.len() / self.horizon_len
+    }
+
+    /// Control Gaussians of the steps of a draw, base control and all.
+    pub fn controls(&self, draw: usize) -> impl Iterator<Item = ControlGaussian> + '_ {
+        let steps = draw * self.horizon_len..(draw + 1) * self.horizon_len;
+        steps.map(|step| {
+            let mut control = control_gaussian(self.raw[step]);
+            if let Some([first, second]) = self.base.get(step) {
+                control.mean[0] += first;
+                control.mean[1] += second;
+            }
+            control
+        })
+    }
+}
