@@ -282,7 +282,8 @@ fn by_rank(candidate: &Candidate) -> Option<Vec<&[metrics::Point]>> {
 fn narrowed(candidate: &Candidate, present: usize) -> Option<Vec<Vec<metrics::Point>>> {
     let single = candidate.single.as_ref()?;
     let own = metrics::joint_spread(present, candidate.modes.len());
-    let future = |(k, mode): (usize, &Vec<_>)| metrics::part_way(single, mode, if k % 2 == 0 { 1.0 } else { own });
+    let future =
+        |(k, mode): (usize, &Vec<_>)| metrics::part_way(single, mode, if k % 2 == 0 { 1.0 } else { own });
     Some(candidate.modes.iter().enumerate().map(future).collect())
 }
 
