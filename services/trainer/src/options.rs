@@ -33,7 +33,7 @@ pub struct TrainOptions {
     pub windows: usize,
     /// Safetensors file to write.
     pub out: PathBuf,
-    /// Folder for checkpoints.
+    /// Folder for checkpoints, and for the nameless file in which scenes wait while a training runs.
     pub checkpoints: PathBuf,
     /// Whether to go on from the newest checkpoint.
     pub resume: bool,
