@@ -131,7 +131,8 @@ pub fn joint_spread(agents_len: usize, draws_len: usize) -> f32 {
 /// The point `share` of the way from each position of `from` to that of `to`.
 #[must_use]
 pub fn part_way(from: &[Point], to: &[Point], share: f32) -> Vec<Point> {
-    let between = |(from, to): (&Point, &Point)| [0, 1].map(|axis| from[axis] + share * (to[axis] - from[axis]));
+    let between =
+        |(from, to): (&Point, &Point)| [0, 1].map(|axis| from[axis] + share * (to[axis] - from[axis]));
     from.iter().zip(to).map(between).collect()
 }
 
