@@ -29,10 +29,10 @@ pub fn recipe(name: &str) -> Option<TrainOptions> {
     let options = match (name, fold) {
         (_, Some(fold)) => pedestrians(DataSet::EthUcyFold(fold)),
         ("sdd", _) => pedestrians(DataSet::SddTrajnet),
-        ("interaction", _) => all_sites(),
+        ("interaction", _) => vehicles(&[], 12_000),
         ("interaction-without-FT", _) => vehicles(&["Roundabout_FT"], 24_000),
         ("interaction-without-EP1", _) => vehicles(&["Intersection_EP1"], 10_000),
-        ("onboard", _) => TrainOptions { steps: 4000, validate_every: 1000, ..TrainOptions::default() },
+        ("onboard", _) => TrainOptions::default(),
         _ => return None,
     };
     Some(TrainOptions {
@@ -80,16 +80,6 @@ fn objective(of_vehicles: f64, len: usize) -> Objective {
 /// The model of [`pedestrians`].
 fn pedestrian_config() -> ModelConfig {
     ModelConfig { context: false, edge_radius_m: 10.0, ..onboard_config() }
-}
-
-/// Vehicles at all sites: what was learned at all but one is a good part of the way.
-fn all_sites() -> TrainOptions {
-    let vehicles = vehicles(&[], 5000);
-    TrainOptions {
-        begin_with: Some("shared/weights/interaction-without-FT.safetensors".into()),
-        optimiser: OptimiserOptions { learning_rate: 1.5e-3, ..vehicles.optimiser },
-        ..vehicles
-    }
 }
 
 /// Vehicles at 0.5 s, four steps to ten, with the recorded speed, at all sites but some.
