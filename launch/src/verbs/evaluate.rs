@@ -28,8 +28,8 @@ pub struct Arguments {
     /// Folder with the weights of each recipe, where no weights are named; recordings take the embedded ones
     #[arg(long, value_name = "DIR", default_value = "shared/weights", conflicts_with = "weights")]
     weights_dir: PathBuf,
-    /// What models that read a map are told; `site` is `none` at a site that was left out of training, `online` where
-    /// there are no sites
+    /// What models that read a map are told; `site` is `none` at a site that training left out, `online` in data sets
+    /// that know no sites
     #[arg(long, value_enum, default_value_t = Map::Site)]
     map: Map,
     /// Parts of INTERACTION: `seen`, or a site that the weights know nothing of

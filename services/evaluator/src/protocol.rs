@@ -32,8 +32,8 @@ pub enum MapChoice {
     None,
     /// What the recording showed so far.
     Online,
-    /// The map of the site's training recordings. Where there are none: nothing at a site of INTERACTION that was left
-    /// out, elsewhere what the recording showed so far.
+    /// The map of the site's training recordings, nothing where there are none; what the recording showed so far in data
+    /// sets that know no sites.
     Site,
 }
 

@@ -340,9 +340,23 @@ mod tests {
         let errors = |measure| tally.errors(Method::Network, measure, 0).map(|errors| errors.ade_m);
         assert_eq!(errors(Measure::Joint), Some(2.0), "mode 0 is near for one, far for the other");
         assert_eq!(errors(Measure::JointRanked), Some(1.0), "the second likeliest is near for both");
-        // The single forecasts are 1 m and 3 m off. Mode 0 is just that; mode 1 changes sides on most of the way.
-        let narrowed = errors(Measure::JointNarrowed).expect("both have a single forecast");
-        assert!((narrowed - 2.0).abs() < 1e-6, "{narrowed}");
+    }
+
+    #[test]
+    fn every_other_future_is_narrowed() {
+        // The single forecast and mode 0 are 3 m off, mode 1 is 1 m off.
+        let (agent, candidates) = (agent([[1.0, 0.0], [2.0, 0.0]]), candidates(false));
+        let narrowed = |present: usize| {
+            let mut tally = Tally::new(1);
+            tally.add_scene(&[(&agent, &candidates), (&agent, &candidates)], present, &[2]);
+            tally.errors(Method::Network, Measure::JointNarrowed, 0).map(|errors| errors.ade_m)
+        };
+        for present in [1, 2, 50] {
+            let expected = 3.0 - 2.0 * f64::from(metrics::joint_spread(present, 2));
+            assert!(narrowed(present).is_some_and(|ade_m| (ade_m - expected).abs() < 1e-5), "{present}");
+        }
+        assert_eq!(narrowed(1), Some(1.0));
+        assert!(narrowed(50) > Some(2.0), "fifty agents leave little to each");
     }
 
     #[test]

@@ -3,31 +3,20 @@
 use data::sets::{DataSet, Fold};
 
 use crate::options::TrainOptions;
+use crate::presets::{MODELS, PRESETS};
 
 /// What is left out or changed where only pedestrians are learned from, by positions alone.
 const OF_PEDESTRIANS: [&str; 5] =
     ["no-attention", "equal-attention", "literal", "online-map", "paper/no-map"];
 
 /// What is left out or changed where there are vehicles and maps.
-const OF_VEHICLES: [&str; 11] = [
-    "T",
-    "T+C-ATT",
-    "T+C",
-    "T+C+K",
-    "equal-attention",
-    "no-attention",
-    "same-node",
-    "literal",
-    "no-map",
-    "site-map",
-    "online-map",
-];
+const OF_VEHICLES: &[&str] = PRESETS.split_at(MODELS).1;
 
 impl TrainOptions {
     /// The ablations that tell something of these options: presets, or several joined by `/` that are made in turn.
     #[must_use]
     pub fn ablations(&self) -> &'static [&'static str] {
-        if self.has_vehicles() { &OF_VEHICLES } else { &OF_PEDESTRIANS }
+        if self.has_vehicles() { OF_VEHICLES } else { &OF_PEDESTRIANS }
     }
 
     /// Whether a training with these options is, but for its files, its threads and chance, one with `other`: options

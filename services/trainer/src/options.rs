@@ -1,4 +1,4 @@
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use data::sets::DataSet;
 use nn::{
@@ -183,7 +183,8 @@ impl TrainOptions {
     #[must_use]
     pub fn without_places(&self) -> Self {
         let Self { data, out, checkpoints, resume, .. } = Self::default();
-        Self { data, out, checkpoints, resume, ..self.clone() }
+        let begin_with = self.begin_with.as_deref().and_then(Path::file_name).map(PathBuf::from);
+        Self { data, out, checkpoints, resume, begin_with, ..self.clone() }
     }
 
     fn shares(&self) -> [f64; 6] {

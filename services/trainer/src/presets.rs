@@ -42,6 +42,9 @@ pub const PRESETS: [&str; 15] = [
     "online-map",
 ];
 
+/// How many of [`PRESETS`] come first that are whole models and sizes; the others are ablations.
+pub(crate) const MODELS: usize = 4;
+
 impl TrainOptions {
     /// These options as a preset changes them, files and recipe named after both; `None` for a name that is not among
     /// [`PRESETS`].
@@ -125,24 +128,15 @@ fn paper(options: &mut TrainOptions) {
 
 /// The default model for the same steps, radii and context.
 fn plus(options: &mut TrainOptions) {
-    let ModelConfig {
-        edge_radius_m,
-        pedestrian_edge_radius_m,
-        history_len,
-        horizon_len,
-        dt_s,
-        context,
-        default_length_m,
-        ..
-    } = options.model;
+    let model = &options.model;
     options.model = ModelConfig {
-        edge_radius_m,
-        pedestrian_edge_radius_m,
-        history_len,
-        horizon_len,
-        dt_s,
-        context,
-        default_length_m,
+        edge_radius_m: model.edge_radius_m,
+        pedestrian_edge_radius_m: model.pedestrian_edge_radius_m,
+        history_len: model.history_len,
+        horizon_len: model.horizon_len,
+        dt_s: model.dt_s,
+        context: model.context,
+        default_length_m: model.default_length_m,
         ..onboard_config()
     };
     if matches!(options.objective, Objective::Paper { .. }) {

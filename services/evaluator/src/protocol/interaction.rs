@@ -129,9 +129,6 @@ impl Protocol<'_> {
         let Self { options, rules, cut, training } = self;
         let others = training.iter().filter(|footage| short(&site_of(footage)) != site);
         let baselines = Baselines::fit(others.flat_map(|footage| &footage.scenes), cut, SEED);
-        // Whatever was recorded at the site before belongs to nobody's training, so there is no site map; and what a
-        // model has learned of maps it has learned of other sites: it forecasts better without one.
-        let map = if options.map == MapChoice::Site { MapChoice::None } else { options.map };
         let (mut tests, mut all, mut recordings) = (Vec::new(), Vec::new(), Vec::new());
         let mut name = site.to_owned();
         for part in [Part::Train, Part::Validation, Part::Test] {
@@ -139,7 +136,8 @@ impl Protocol<'_> {
             let paths: Vec<PathBuf> = SET.files(&options.data, part)?.into_iter().filter(of_site).collect();
             for footage in options.read(&paths, Some(SET.format()), cut)? {
                 name = site_of(&footage);
-                let blocks = rules.judge(model, &baselines, &footage, input(map, None));
+                // Whatever was recorded at the site before belongs to nobody's training: no site map.
+                let blocks = rules.judge(model, &baselines, &footage, input(options.map, None));
                 if part == options.part {
                     tests.extend(blocks.iter().cloned());
                 }
@@ -149,7 +147,7 @@ impl Protocol<'_> {
         }
         let of_part = format!("{} part", options.part.name());
         need_agents(&tests, &format!("{site}, {of_part}"), cut)?;
-        let told = if map == MapChoice::None { "none" } else { "online" };
+        let told = if options.map == MapChoice::Online { "online" } else { "none" };
         let part = format!("unseen {site}");
         add_provenance(report, model.provenance(&part, told, &recordings.iter().collect::<Vec<_>>()));
         let by_itself = Judged::new(format!("{part}, {of_part}"), name.clone(), &tests);
@@ -269,11 +267,13 @@ fn add_provenance(report: &mut Report, provenance: crate::Provenance) {
     }
 }
 
+/// The map that was chosen. Without one of the site there is none at all: what a model has learned of maps it has learned
+/// at other sites, and there it forecasts worse with the online map than with nothing.
 pub(super) fn input(choice: MapChoice, site: Option<&ContextMap>) -> MapInput<'_> {
     match (choice, site) {
-        (MapChoice::None, _) => MapInput::None,
+        (MapChoice::Online, _) => MapInput::Online,
         (MapChoice::Site, Some(site)) => MapInput::Site(site),
-        _ => MapInput::Online,
+        _ => MapInput::None,
     }
 }
 

@@ -10,7 +10,7 @@ use crate::{Errors, Measure, Method, Tally};
 pub(crate) const COMPARED: [(Measure, Method); 6] = [
     (Measure::BestOf, Method::Base),
     (Measure::BestOf, Method::Anchors),
-    (Measure::JointNarrowed, Method::Base),
+    (Measure::Joint, Method::Base),
     (Measure::Joint, Method::Anchors),
     (Measure::Single, Method::Base),
     (Measure::Single, Method::ConstantVelocity),
