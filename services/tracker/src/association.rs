@@ -1,6 +1,6 @@
+use filters::assignment::{Assigner, Candidate};
 use wire::{AgentType, Detection};
 
-use crate::assignment::{Assigner, Candidate};
 use crate::options::{InputModel, TrackerOptions};
 use crate::target::{Target, position_sigma_m};
 

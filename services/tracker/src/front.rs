@@ -1,6 +1,6 @@
 use std::f64::consts::{FRAC_PI_2, PI};
 
-use crate::filter::wrapped;
+use filters::wrapped;
 
 /// Each detected heading that agrees with the estimated front, or contradicts it, weighs as if 30 % were turned.
 const HEADING_WEIGHT: f64 = 0.85;

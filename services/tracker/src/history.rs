@@ -78,14 +78,14 @@ impl History {
         let share = (wanted_ns.abs_diff(before_ns) as f64 / gap_ns as f64) as f32;
         let (before, after) = (self.state(back), self.state(back - 1));
         let mix = |a: f32, b: f32| a + (b - a) * share;
-        let turn = crate::filter::wrapped(f64::from(after.heading_rad) - f64::from(before.heading_rad));
+        let turn = filters::wrapped(f64::from(after.heading_rad) - f64::from(before.heading_rad));
         let heading = f64::from(before.heading_rad) + turn * f64::from(share);
         HistoryState {
             x_m: mix(before.x_m, after.x_m),
             y_m: mix(before.y_m, after.y_m),
             vx_mps: mix(before.vx_mps, after.vx_mps),
             vy_mps: mix(before.vy_mps, after.vy_mps),
-            heading_rad: crate::filter::wrapped(heading) as f32,
+            heading_rad: filters::wrapped(heading) as f32,
             present: 1,
         }
     }

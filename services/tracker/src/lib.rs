@@ -1,8 +1,8 @@
 //! Makes tracks of detections: which detection belongs to which agent, and how each agent moves.
 //!
 //! A *detection* is what the sensor saw of one object at one time. A *track* is the estimated past of one agent; its
-//! id is never reused. Every frame takes the same way: each track's filter ([`filter`]) is predicted to the frame's
-//! stamp, detections are associated with tracks ([`assignment`]; recordings that carry identities go by these), paired
+//! id is never reused. Every frame takes the same way: each track's filter ([`filters`]) is predicted to the frame's
+//! stamp, detections are associated with tracks ([`filters::assignment`]; recordings that carry identities go by these), paired
 //! tracks are updated, the others count a miss, and detections without a track start one.
 //!
 //! A new track is *tentative*: unpublished until three of the last five frames that looked for its type have seen it,
@@ -11,10 +11,8 @@
 //!
 //! The tracks that are published carry their history at exact Δt spacing, taken from what was published before.
 
-pub mod assignment;
 mod association;
 mod class;
-pub mod filter;
 mod front;
 mod history;
 mod options;

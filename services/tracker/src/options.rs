@@ -1,6 +1,5 @@
+use filters::BicycleModel;
 use wire::{AgentType, HISTORY_MAX};
-
-use crate::filter::BicycleModel;
 
 /// Standard deviations of what a detector measures, where the detection itself tells none.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -1,7 +1,7 @@
+use filters::{Bicycle, ConstantVelocity, Filter, FilterFault, Gaussian, Motion, Observation};
 use wire::{AgentType, Detection, HISTORY_MAX, HistoryState, Track, TrackStatus, detection_flags};
 
 use crate::class::Class;
-use crate::filter::{Bicycle, ConstantVelocity, Filter, FilterFault, Gaussian, Motion, Observation};
 use crate::front::Front;
 use crate::history::History;
 use crate::options::{InputModel, TrackerOptions};

@@ -1,12 +1,13 @@
 //! The tracker on made scenes: what it publishes, keeps, refuses and forgets.
 
 use bytemuck::Zeroable;
+use filters::wrapped;
 use rand::{RngExt, SeedableRng, seq::SliceRandom};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, Normal};
 use std::collections::{BTreeMap, BTreeSet};
 use std::f64::consts::{FRAC_PI_2, PI};
-use tracker::{Tracked, Tracker, TrackerOptions, filter::wrapped};
+use tracker::{Tracked, Tracker, TrackerOptions};
 use wire::{AGENTS_MAX, AgentType, Detection, Header, Rejected, Track, TrackStatus, detection_flags, flags};
 
 const TICK_NS: i64 = 80_000_000;

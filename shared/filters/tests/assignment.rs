@@ -2,8 +2,8 @@
 
 use std::path::PathBuf;
 
+use filters::assignment::{Assigner, Candidate};
 use proptest::prelude::*;
-use tracker::assignment::{Assigner, Candidate};
 
 fn golden(name: &str) -> String {
     let path = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("tests/golden/assignment").join(name);

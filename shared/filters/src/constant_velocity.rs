@@ -1,6 +1,6 @@
 use nalgebra::{Matrix4, Vector4};
 
-use super::{FilterFault, Gaussian, Innovation, Observation, steps};
+use crate::{FilterFault, Gaussian, Innovation, Observation, steps};
 
 /// Kalman filter over \[x, y, vx, vy\] with white acceleration.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -2,8 +2,8 @@
 
 use std::path::PathBuf;
 
+use filters::{Bicycle, BicycleModel, ConstantVelocity, Filter, Gaussian, Observation, wrapped};
 use proptest::prelude::*;
-use tracker::filter::{Bicycle, BicycleModel, ConstantVelocity, Filter, Gaussian, Observation, wrapped};
 
 const STEP_NS: u64 = 80_000_000;
 

@@ -1,65 +1,6 @@
-//! The Kalman filters that estimate one agent's motion, in f64.
-//!
-//! A *prediction* moves a state on in time by its process model, an *update* corrects it by a measurement. Each is done
-//! on a copy that replaces the state only when every number in it is finite, so that a failure costs one step and never
-//! the track. Covariances are updated in Joseph form and symmetrised: they stay positive over millions of steps.
-//!
-//! Vehicles and cyclists move as a [`Bicycle`], pedestrians with [`ConstantVelocity`]. So does a bicycle whose course
-//! nobody has told yet: a linearised heading with no idea of its value is worse than none. [`Filter::into_bicycle`]
-//! takes over once the motion shows it.
-
-mod bicycle;
-mod constant_velocity;
-mod gaussian;
-
-pub use bicycle::{Bicycle, BicycleModel};
-pub use constant_velocity::ConstantVelocity;
-pub use gaussian::{FilterFault, Gaussian, Innovation};
-
 use nalgebra::{Matrix4x5, Matrix5, Matrix5x4, Vector4, Vector5};
-use std::f64::consts::{PI, TAU};
 
-/// Longest step of a process model.
-pub const STEP_MAX_NS: u64 = 80_000_000;
-const STEP_MAX_S: f64 = 0.08;
-
-/// What a detection tells of an agent's motion. Each optional value comes with its variance.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Observation {
-    /// Position (x, y) in the world frame.
-    pub position_m: [f64; 2],
-    /// Variance of the position per axis.
-    pub position_variance: f64,
-    /// Heading.
-    pub heading_rad: Option<(f64, f64)>,
-    /// Speed along the heading.
-    pub speed_mps: Option<(f64, f64)>,
-}
-
-impl Observation {
-    /// The velocity in the world frame and its variance per axis, where heading and speed were observed both.
-    #[must_use]
-    pub fn velocity_mps(&self) -> Option<([f64; 2], f64)> {
-        let ((heading, _), (speed, variance)) = self.heading_rad.zip(self.speed_mps)?;
-        let (sin, cos) = heading.sin_cos();
-        Some(([speed * cos, speed * sin], variance))
-    }
-}
-
-/// An agent's motion as the rest of the pipeline wants it.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Motion {
-    /// Position (x, y) in the world frame.
-    pub position_m: [f64; 2],
-    /// Velocity (vx, vy) in the world frame.
-    pub velocity_mps: [f64; 2],
-    /// Heading, where the state has one.
-    pub heading_rad: Option<f64>,
-    /// Speed along the heading, or along the course where the state has no heading.
-    pub speed_mps: f64,
-    /// Slip angle, 0 where the state has none.
-    pub slip_rad: f64,
-}
+use crate::{Bicycle, BicycleModel, ConstantVelocity, FilterFault, Gaussian, Motion, Observation};
 
 /// One agent's filter.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -183,16 +124,4 @@ impl Filter {
         let mean = Vector4::new(m[0], m[1], m[3] * cos, m[3] * sin);
         Self::ConstantVelocity(ConstantVelocity { state: state.transformed(mean, &jacobian) })
     }
-}
-
-/// The angle's equal in [−π, π).
-#[must_use]
-pub fn wrapped(angle_rad: f64) -> f64 {
-    if (-PI..PI).contains(&angle_rad) { angle_rad } else { (angle_rad + PI).rem_euclid(TAU) - PI }
-}
-
-/// Number and length of equal steps, each of at most 80 ms.
-fn steps(dt_ns: u64) -> (u64, f64) {
-    let steps_len = dt_ns.div_ceil(STEP_MAX_NS);
-    (steps_len, dt_ns as f64 / 1e9 / steps_len.max(1) as f64)
 }

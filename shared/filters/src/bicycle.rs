@@ -1,7 +1,7 @@
 use kinematics::Integrator;
 use nalgebra::{Matrix5, Vector2, Vector5};
 
-use super::{FilterFault, Gaussian, Innovation, Observation, STEP_MAX_S, steps, wrapped};
+use crate::{FilterFault, Gaussian, Innovation, Observation, STEP_MAX_S, steps, wrapped};
 
 /// Rows of the state.
 const X: usize = 0;
