@@ -1,8 +1,10 @@
-//! Times of the measures for one agent with 20 modes of 12 steps: an evaluation repeats them for every window.
+//! Times of the measures for one agent with 20 modes of 12 steps, which an evaluation repeats for every window, and of
+//! those of tracking for frames of 100 objects.
 
 use std::hint::black_box;
 
 use criterion::{Criterion, criterion_group, criterion_main};
+use metrics::tracking::{ClearMot, Frame, Hota, Object, SetDistance, linear_similarity};
 use metrics::{Limits, Point, best_of, highest_density_level, kde_log_density};
 use scene::State;
 
@@ -47,5 +49,39 @@ fn limits(c: &mut Criterion) {
     });
 }
 
-criterion_group!(benches, displacements, densities, limits);
+/// Ten frames of a hundred objects 3 m apart, each with a track a little aside.
+fn frames() -> Vec<Frame> {
+    let object = |frame: u32, id: u32, aside_m: f64| {
+        let position_m = [f64::from(id % 10) * 3.0 + f64::from(frame), f64::from(id / 10) * 3.0 + aside_m];
+        Object { id: id.into(), position_m }
+    };
+    let frame = |frame: u32| {
+        let side = |aside_m: f64| (0..100).map(|id| object(frame, id, aside_m)).collect::<Vec<_>>();
+        Frame::new(&side(0.0), &side(0.4)).expect("finite positions, distinct ids")
+    };
+    (0..10).map(frame).collect()
+}
+
+fn tracking(c: &mut Criterion) {
+    let frames = frames();
+    c.bench_function("CLEAR-MOT of 10 frames of 100", |bench| {
+        bench.iter(|| {
+            let mut clear_mot = ClearMot::new(1.0).expect("a gate in range");
+            black_box(&frames).iter().for_each(|frame| clear_mot.add(frame));
+            clear_mot.finish()
+        });
+    });
+    c.bench_function("HOTA of 10 frames of 100", |bench| {
+        bench.iter(|| {
+            let mut hota = Hota::default();
+            let similarity = |distance_m| linear_similarity(distance_m, 4.0);
+            black_box(&frames).iter().for_each(|frame| hota.add(frame, similarity));
+            hota.finish()
+        });
+    });
+    let distance = SetDistance::new(4.0, 2.0).expect("an ordinary cutoff");
+    c.bench_function("GOSPA of a frame of 100", |bench| bench.iter(|| distance.gospa(black_box(&frames[0]))));
+}
+
+criterion_group!(benches, displacements, densities, limits, tracking);
 criterion_main!(benches);

@@ -4,6 +4,7 @@
 //! of one trajectory or of the best of several, misses, density at the truth, coverage of the stated uncertainty,
 //! collisions and broken limits. *Baselines* forecast without learning (constant velocity and relatives) or with
 //! nothing but a table of typical residuals ([`Anchors`]); they see the same windows and are printed beside the model.
+//! Measures of *tracking*, of what is rather than of what will be, stand in a module of their own: [`tracking`].
 //!
 //! A *truth* is a slice with one entry per step of the horizon, `None` where nobody knows the position; such steps
 //! count nowhere. A trajectory may be longer than the truth (payloads have room for the longest horizon), never
@@ -21,6 +22,7 @@ mod limits;
 mod mean;
 mod region;
 mod steering;
+pub mod tracking;
 
 pub use anchors::{
     ANCHORS, Anchors, PEDESTRIAN_SPEED_CUTS_MPS, SPEED_BINS, VEHICLE_SPEED_CUTS_MPS, Window, speed_cuts_mps,

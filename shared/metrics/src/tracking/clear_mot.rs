@@ -1,0 +1,243 @@
+use std::collections::BTreeMap;
+
+use super::frame::{Frame, TrackingError, check_gate, distance_m};
+use super::pairing::{Edge, best_pairs};
+
+/// CLEAR-MOT of a recording, frame by frame.
+///
+/// A truth keeps the track that it was last paired with wherever both are present, within the gate and the track is
+/// not kept by another truth (of two that claim it, the smaller id has it); the rest is paired so that there are as
+/// many pairs as possible and, among those, the sum of distances is least. Memory: a few numbers per id.
+#[derive(Clone, Debug)]
+pub struct ClearMot {
+    gate_m: f64,
+    counts: ClearMotCounts,
+    truths: BTreeMap<u64, Life>,
+    /// The truth that each track was last paired with anew.
+    truth_of: BTreeMap<u64, u64>,
+}
+
+/// What happened so far to one truth.
+#[derive(Clone, Copy, Debug, Default)]
+struct Life {
+    /// The track that it was last paired with.
+    track: Option<u64>,
+    present_len: u64,
+    matched_len: u64,
+    /// It was missed since it was last paired.
+    interrupted: bool,
+}
+
+impl ClearMot {
+    /// Counts pairs that are at most `gate_m` apart.
+    ///
+    /// # Errors
+    /// A gate that is not between 0 and 10⁶ m.
+    pub fn new(gate_m: f64) -> Result<Self, TrackingError> {
+        check_gate(gate_m)?;
+        Ok(Self {
+            gate_m,
+            counts: ClearMotCounts::default(),
+            truths: BTreeMap::new(),
+            truth_of: BTreeMap::new(),
+        })
+    }
+
+    /// Counts the next frame. Cost: truths × tracks, and the assignment of those near each other.
+    pub fn add(&mut self, frame: &Frame) {
+        let kept = self.kept(frame);
+        let fresh = self.fresh(frame, &kept);
+        for (&truth, &track) in &fresh {
+            self.count_change(truth, track);
+        }
+        let mut matched_len = 0;
+        for truth in frame.truths() {
+            let life = self.truths.entry(truth.id).or_default();
+            life.present_len += 1;
+            let paired = kept.get(&truth.id).or_else(|| fresh.get(&truth.id));
+            let Some(track) = paired.and_then(|&id| frame.track(id)) else {
+                life.interrupted = life.matched_len > 0;
+                continue;
+            };
+            self.counts.fragmentations_len += u64::from(life.interrupted);
+            life.interrupted = false;
+            life.track = Some(track.id);
+            life.matched_len += 1;
+            matched_len += 1;
+            self.counts.distance_sum_m += distance_m(truth.position_m, track.position_m);
+        }
+        self.counts.frames_len += 1;
+        self.counts.matched_len += matched_len;
+        self.counts.missed_len += frame.truths().len() as u64 - matched_len;
+        self.counts.false_len += frame.tracks().len() as u64 - matched_len;
+    }
+
+    /// The counts of all frames.
+    #[must_use]
+    pub fn finish(mut self) -> ClearMotCounts {
+        for life in self.truths.values() {
+            if 10 * life.matched_len >= 8 * life.present_len {
+                self.counts.mostly_tracked_len += 1;
+            } else if 10 * life.matched_len >= 2 * life.present_len {
+                self.counts.partly_tracked_len += 1;
+            } else {
+                self.counts.mostly_lost_len += 1;
+            }
+        }
+        self.counts
+    }
+
+    /// The track of each truth that goes on with the one before.
+    fn kept(&self, frame: &Frame) -> BTreeMap<u64, u64> {
+        let mut kept = BTreeMap::new();
+        let mut taken = Vec::new();
+        for truth in frame.truths() {
+            let last = self.truths.get(&truth.id).and_then(|life| life.track);
+            let Some(track) = last.and_then(|id| frame.track(id)) else { continue };
+            let near = distance_m(truth.position_m, track.position_m) <= self.gate_m;
+            if near && !taken.contains(&track.id) {
+                kept.insert(truth.id, track.id);
+                taken.push(track.id);
+            }
+        }
+        kept
+    }
+
+    /// The track of each truth that is paired anew.
+    fn fresh(&self, frame: &Frame, kept: &BTreeMap<u64, u64>) -> BTreeMap<u64, u64> {
+        let taken: Vec<u64> = kept.values().copied().collect();
+        // One pair more is worth more than all that can be won in distance.
+        let pairs_max = frame.truths().len().min(frame.tracks().len()) as f64;
+        let pair_gain = (pairs_max + 1.0) * self.gate_m + 1.0;
+        let edges: Vec<Edge> = frame
+            .pairs()
+            .filter(|&(truth, track, distance_m)| {
+                distance_m <= self.gate_m && !kept.contains_key(&truth.id) && !taken.contains(&track.id)
+            })
+            .map(|(truth, track, distance_m)| Edge {
+                truth: truth.id,
+                track: track.id,
+                gain: pair_gain - distance_m,
+            })
+            .collect();
+        best_pairs(&edges).into_iter().map(|i| (edges[i].truth, edges[i].track)).collect()
+    }
+
+    /// Counts what a new pair says of the ones before.
+    fn count_change(&mut self, truth: u64, track: u64) {
+        let last_track = self.truths.get(&truth).and_then(|life| life.track);
+        let last_truth = self.truth_of.insert(track, truth);
+        if last_track.is_some_and(|last| last != track) {
+            self.counts.switches_len += 1;
+            self.counts.ascents_len += u64::from(last_truth.is_none());
+        }
+        if last_truth.is_some_and(|last| last != truth) {
+            self.counts.transfers_len += 1;
+            self.counts.migrations_len += u64::from(last_track.is_none());
+        }
+    }
+}
+
+/// What [`ClearMot`] counted; the ratios follow from it. `None` where a ratio would be one of nothing.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct ClearMotCounts {
+    /// Frames.
+    pub frames_len: u64,
+    /// Pairs of a truth and a track, all frames together.
+    pub matched_len: u64,
+    /// Truths without a track.
+    pub missed_len: u64,
+    /// Tracks without a truth.
+    pub false_len: u64,
+    /// Pairs whose truth had another track before.
+    pub switches_len: u64,
+    /// Times that a truth was lost and found again while it was present.
+    pub fragmentations_len: u64,
+    /// New pairs whose track had another truth before.
+    pub transfers_len: u64,
+    /// Switches to a track that never had a truth.
+    pub ascents_len: u64,
+    /// Transfers to a truth that never had a track.
+    pub migrations_len: u64,
+    /// Truths paired in at least 80 % of their frames.
+    pub mostly_tracked_len: u64,
+    /// Truths paired in 20 % to 80 % of their frames.
+    pub partly_tracked_len: u64,
+    /// Truths paired in less than 20 % of their frames.
+    pub mostly_lost_len: u64,
+    /// Sum of the distances of all pairs.
+    pub distance_sum_m: f64,
+}
+
+impl ClearMotCounts {
+    /// Counts all that `other`, of another recording, counted.
+    pub fn merge(&mut self, other: &Self) {
+        self.frames_len += other.frames_len;
+        self.matched_len += other.matched_len;
+        self.missed_len += other.missed_len;
+        self.false_len += other.false_len;
+        self.switches_len += other.switches_len;
+        self.fragmentations_len += other.fragmentations_len;
+        self.transfers_len += other.transfers_len;
+        self.ascents_len += other.ascents_len;
+        self.migrations_len += other.migrations_len;
+        self.mostly_tracked_len += other.mostly_tracked_len;
+        self.partly_tracked_len += other.partly_tracked_len;
+        self.mostly_lost_len += other.mostly_lost_len;
+        self.distance_sum_m += other.distance_sum_m;
+    }
+
+    /// Truths, all frames together.
+    #[must_use]
+    pub const fn truths_len(&self) -> u64 {
+        self.matched_len + self.missed_len
+    }
+
+    /// Tracks, all frames together.
+    #[must_use]
+    pub const fn tracks_len(&self) -> u64 {
+        self.matched_len + self.false_len
+    }
+
+    /// MOTA: 1 less misses, false tracks and switches per truth; 1 at best, without a lower limit.
+    #[must_use]
+    pub fn mota(&self) -> Option<f64> {
+        let errors = self.missed_len + self.false_len + self.switches_len;
+        Some(1.0 - ratio(errors as f64, self.truths_len())?)
+    }
+
+    /// MODA: MOTA without the switches.
+    #[must_use]
+    pub fn moda(&self) -> Option<f64> {
+        Some(1.0 - ratio((self.missed_len + self.false_len) as f64, self.truths_len())?)
+    }
+
+    /// MOTP: the mean distance of the pairs.
+    #[must_use]
+    pub fn motp_m(&self) -> Option<f64> {
+        ratio(self.distance_sum_m, self.matched_len)
+    }
+
+    /// Share of the truths that have a track.
+    #[must_use]
+    pub fn recall(&self) -> Option<f64> {
+        ratio(self.matched_len as f64, self.truths_len())
+    }
+
+    /// Share of the tracks that have a truth.
+    #[must_use]
+    pub fn precision(&self) -> Option<f64> {
+        ratio(self.matched_len as f64, self.tracks_len())
+    }
+
+    /// Harmonic mean of precision and recall.
+    #[must_use]
+    pub fn f1(&self) -> Option<f64> {
+        ratio(2.0 * self.matched_len as f64, self.truths_len() + self.tracks_len())
+    }
+}
+
+/// `None` where there is nothing to share among.
+pub(super) fn ratio(sum: f64, len: u64) -> Option<f64> {
+    (len > 0).then(|| sum / len as f64)
+}

@@ -1,0 +1,245 @@
+use std::collections::BTreeMap;
+
+use nalgebra::{SMatrix, SVector};
+use statrs::distribution::{ChiSquared, ContinuousCDF};
+
+use super::frame::{TrackingError, check};
+use crate::Share;
+
+/// Most degrees of freedom of a χ² quantile: they are added to an f64 and their root counts the steps of a series.
+const DEGREES_MAX: u64 = 1 << 32;
+
+/// The squared length of an error in units of its covariance: eᵀ P⁻¹ e.
+///
+/// NEES for a state and its P, NIS for an innovation and its S. `None` where the covariance is not positive definite or
+/// the result is not finite.
+#[must_use]
+pub fn normalised_square<const N: usize>(
+    error: &SVector<f64, N>,
+    covariance: &SMatrix<f64, N, N>,
+) -> Option<f64> {
+    let whitened = covariance.cholesky()?.l().solve_lower_triangular(error)?;
+    Some(whitened.norm_squared()).filter(|square| square.is_finite())
+}
+
+/// A closed range.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Bounds {
+    /// Its lower end.
+    pub low: f64,
+    /// Its upper end.
+    pub high: f64,
+}
+
+impl Bounds {
+    /// Whether `value` lies in it.
+    #[must_use]
+    pub fn contain(&self, value: f64) -> bool {
+        (self.low..=self.high).contains(&value)
+    }
+}
+
+/// Where a χ² variable of `degrees` degrees of freedom lies with probability `level`, equally often below and above.
+///
+/// The sum of N independent squares of n degrees each has Nn degrees; the bounds of their mean are those of the sum
+/// over N.
+///
+/// # Errors
+/// No degrees or more than 2³², a level that is not between 0 and 1.
+pub fn chi_square_bounds(degrees: u64, level: f64) -> Result<Bounds, TrackingError> {
+    check("degrees", degrees as f64, (1..=DEGREES_MAX).contains(&degrees), "between 1 and 2^32")?;
+    check("level", level, level > 0.0 && level < 1.0, "between 0 and 1")?;
+    let invalid = |_| TrackingError::Value { name: "degrees", value: degrees as f64, range: "above 0" };
+    let distribution = ChiSquared::new(degrees as f64).map_err(invalid)?;
+    let below = (1.0 - level) / 2.0;
+    Ok(Bounds { low: distribution.inverse_cdf(below), high: distribution.inverse_cdf(1.0 - below) })
+}
+
+/// Whether a filter's covariances hold: normalised squares ([`normalised_square`]) of many runs, tick by tick.
+///
+/// At each tick the squares of all runs (seeds, or independent tracks) add up to a χ² variable where the filter is
+/// right, so that the sum should lie within its [`chi_square_bounds`]. Squares of one run at several ticks depend on
+/// one another (those of states do, those of innovations don't), which is why ticks are judged one by one.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Consistency {
+    ticks: BTreeMap<u64, TickSum>,
+}
+
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+struct TickSum {
+    squares_len: u64,
+    sum: f64,
+    degrees: u64,
+}
+
+/// What [`Consistency`] says of all ticks.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ConsistencySummary {
+    /// Squares counted.
+    pub squares_len: u64,
+    /// Ticks that have any.
+    pub ticks_len: u64,
+    /// Share of the ticks whose sum lies within its bounds.
+    pub inside: f64,
+    /// Mean square per degree of freedom, over all ticks: 1 where the covariances are right, more where they are too
+    /// small.
+    pub per_degree: f64,
+}
+
+impl Consistency {
+    /// Counts the normalised square of one run at a tick (its number or stamp), of an error with `degrees` components.
+    ///
+    /// # Errors
+    /// A square that is not a finite number ≥ 0, or no degrees.
+    pub fn add(&mut self, tick: u64, square: f64, degrees: u32) -> Result<(), TrackingError> {
+        check("square", square, square.is_finite() && square >= 0.0, "finite and at least 0")?;
+        check("degrees", f64::from(degrees), degrees > 0, "above 0")?;
+        let sum = TickSum { squares_len: 1, sum: square, degrees: degrees.into() };
+        self.ticks.entry(tick).or_default().merge(&sum);
+        Ok(())
+    }
+
+    /// Counts all that `other` counted, as further runs over the same ticks.
+    pub fn merge(&mut self, other: &Self) {
+        for (&tick, sum) in &other.ticks {
+            self.ticks.entry(tick).or_default().merge(sum);
+        }
+    }
+
+    /// Judges all ticks by the bounds of this level (0.95 is usual); `None` where nothing was counted.
+    ///
+    /// # Errors
+    /// A level that is not between 0 and 1, more than 2³² degrees of freedom at one tick.
+    pub fn summary(&self, level: f64) -> Result<Option<ConsistencySummary>, TrackingError> {
+        // Most ticks have as many degrees as others, and quantiles are dear.
+        let mut bounds_of = BTreeMap::new();
+        let (mut total, mut inside) = (TickSum::default(), Share::default());
+        for tick in self.ticks.values() {
+            let bounds = match bounds_of.get(&tick.degrees) {
+                Some(bounds) => *bounds,
+                None => chi_square_bounds(tick.degrees, level)?,
+            };
+            bounds_of.insert(tick.degrees, bounds);
+            inside.add(bounds.contain(tick.sum));
+            total.merge(tick);
+        }
+        Ok(inside.value().map(|share| ConsistencySummary {
+            squares_len: total.squares_len,
+            ticks_len: inside.len(),
+            inside: share,
+            per_degree: total.sum / total.degrees as f64,
+        }))
+    }
+}
+
+impl TickSum {
+    fn merge(&mut self, other: &Self) {
+        self.squares_len += other.squares_len;
+        self.sum += other.sum;
+        self.degrees += other.degrees;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use nalgebra::{Matrix2, Vector2};
+    use rand::SeedableRng;
+    use rand_chacha::ChaCha8Rng;
+    use rand_distr::{ChiSquared as Sampled, Distribution};
+
+    use super::*;
+
+    fn assert_close(value: f64, expected: f64, relative: f64) {
+        assert!((value / expected - 1.0).abs() < relative, "{value}, expected {expected}");
+    }
+
+    #[test]
+    fn bounds_are_those_of_the_tables() {
+        let table = [
+            (1, 0.000_982_069_117, 5.023_886_187_314_888),
+            (2, 0.050_635_615_968_579_75, 7.377_758_908_227_871),
+            (10, 3.246_972_780_236_84, 20.483_177_350_807_39),
+            (100, 74.221_927_474_923_73, 129.561_197_185_836_6),
+        ];
+        for (degrees, low, high) in table {
+            let bounds = chi_square_bounds(degrees, 0.95).unwrap();
+            assert_close(bounds.low, low, 1e-9);
+            assert_close(bounds.high, high, 1e-9);
+        }
+    }
+
+    /// P(χ² ≤ x) of 2k degrees: 1 − e^(−x/2) Σ_(i<k) (x/2)^i / i!, each term in logarithms.
+    fn even_cdf(half_degrees: u32, x: f64) -> f64 {
+        let half = x / 2.0;
+        let mut log_term = -half;
+        let mut above = 0.0;
+        for i in 1..=half_degrees {
+            above += log_term.exp();
+            log_term += half.ln() - f64::from(i).ln();
+        }
+        1.0 - above
+    }
+
+    #[test]
+    fn bounds_hold_for_a_thousand_seeds() {
+        for half_degrees in [1, 7, 500, 2_500, 50_000] {
+            let bounds = chi_square_bounds(2 * u64::from(half_degrees), 0.95).unwrap();
+            assert!((even_cdf(half_degrees, bounds.low) - 0.025).abs() < 1e-9, "{half_degrees}: {bounds:?}");
+            assert!((even_cdf(half_degrees, bounds.high) - 0.975).abs() < 1e-9, "{half_degrees}: {bounds:?}");
+        }
+    }
+
+    #[test]
+    fn impossible_bounds_are_refused() {
+        for (degrees, level) in [(0, 0.95), (DEGREES_MAX + 1, 0.95), (1, 0.0), (1, 1.0), (1, f64::NAN)] {
+            assert!(chi_square_bounds(degrees, level).is_err(), "{degrees} {level}");
+        }
+    }
+
+    #[test]
+    fn square_is_measured_in_covariances() {
+        let covariance = Matrix2::new(4.0, 1.0, 1.0, 2.0);
+        // P⁻¹ = [2, −1; −1, 4] / 7.
+        let square = normalised_square(&Vector2::new(1.0, -2.0), &covariance).unwrap();
+        assert_close(square, 22.0 / 7.0, 1e-14);
+        assert_eq!(normalised_square(&Vector2::zeros(), &-covariance), None);
+        assert_eq!(normalised_square(&Vector2::new(f64::NAN, 0.0), &covariance), None);
+    }
+
+    /// Two hundred runs of three hundred ticks, their covariances stated `scale` times too small.
+    fn summary(scale: f64) -> ConsistencySummary {
+        let mut rng = ChaCha8Rng::seed_from_u64(5);
+        let mut whole = Consistency::default();
+        for _ in 0..200 {
+            let mut run = Consistency::default();
+            for tick in 0..300 {
+                // Measurements of two and of three components.
+                let degrees = 2 + u32::from(tick % 3 == 0);
+                let square = Sampled::new(f64::from(degrees)).unwrap().sample(&mut rng);
+                run.add(tick, scale * square, degrees).unwrap();
+            }
+            whole.merge(&run);
+        }
+        whole.summary(0.95).unwrap().unwrap()
+    }
+
+    #[test]
+    fn right_covariances_are_told_from_wrong_ones() {
+        let right = summary(1.0);
+        assert_eq!((right.squares_len, right.ticks_len), (60_000, 300));
+        assert!((0.91..0.99).contains(&right.inside), "{right:?}");
+        assert_close(right.per_degree, 1.0, 0.02);
+        let small = summary(1.3);
+        assert!(small.inside < 0.2, "{small:?}");
+        assert_close(small.per_degree, 1.3, 0.02);
+    }
+
+    #[test]
+    fn broken_squares_are_refused_and_nothing_has_no_summary() {
+        let mut consistency = Consistency::default();
+        for (square, degrees) in [(f64::NAN, 2), (-1.0, 2), (f64::INFINITY, 2), (1.0, 0)] {
+            assert!(consistency.add(0, square, degrees).is_err(), "{square} {degrees}");
+        }
+        assert_eq!(consistency.summary(0.95), Ok(None));
+    }
+}

@@ -1,0 +1,252 @@
+use std::collections::BTreeMap;
+
+use super::frame::Frame;
+use super::pairing::{Edge, best_pairs};
+
+/// The similarities α from which a pair counts as a match: 0.05, 0.10 … 0.95.
+pub const ALPHAS: [f64; 19] = {
+    let mut alphas = [0.05; 19];
+    let mut i = 0;
+    while i < alphas.len() {
+        alphas[i] += 0.05 * i as f64;
+        i += 1;
+    }
+    alphas
+};
+
+/// The similarity that falls from 1 at the same position to 0 at `zero_m` metres and beyond.
+#[must_use]
+pub fn linear_similarity(distance_m: f64, zero_m: f64) -> f64 {
+    (1.0 - distance_m / zero_m).max(0.0)
+}
+
+/// HOTA of a recording, frame by frame.
+///
+/// In each frame truths and tracks are paired by similarity, weighed with how well their whole lives agree: this needs
+/// all frames, so that those pairs that are similar at all are kept until the end. Memory: one entry per such pair.
+#[derive(Clone, Debug, Default)]
+pub struct Hota {
+    /// Frames of each truth, and of each track.
+    truths: BTreeMap<u64, u64>,
+    tracks: BTreeMap<u64, u64>,
+    /// Pairs of all frames with a similarity above 0.
+    pairs: Vec<SimilarPair>,
+    /// For each frame the end of its pairs.
+    frame_ends: Vec<usize>,
+    shared: BTreeMap<(u64, u64), Shared>,
+}
+
+#[derive(Clone, Copy, Debug)]
+struct SimilarPair {
+    truth: u64,
+    track: u64,
+    similarity: f64,
+}
+
+/// What a truth and a track have in common.
+#[derive(Clone, Debug, Default)]
+struct Shared {
+    /// Frames in common, each weighed by how clear the pairing is.
+    overlap: f64,
+    /// Frames in which they were matched, per α.
+    matched: [u64; ALPHAS.len()],
+}
+
+impl Hota {
+    /// Counts a frame; `similarity` turns a distance in metres into 0 (nothing in common) … 1 (the same).
+    ///
+    /// What it returns is clamped to that range; NaN counts as 0.
+    pub fn add(&mut self, frame: &Frame, similarity: impl Fn(f64) -> f64) {
+        frame.truths().iter().for_each(|truth| *self.truths.entry(truth.id).or_default() += 1);
+        frame.tracks().iter().for_each(|track| *self.tracks.entry(track.id).or_default() += 1);
+        let start = self.pairs.len();
+        for (truth, track, distance_m) in frame.pairs() {
+            let similarity = similarity(distance_m);
+            if similarity > 0.0 {
+                let similarity = similarity.min(1.0);
+                self.pairs.push(SimilarPair { truth: truth.id, track: track.id, similarity });
+            }
+        }
+        self.frame_ends.push(self.pairs.len());
+        self.add_overlaps(start);
+    }
+
+    /// Counts the pairs of a frame as overlaps: their similarity over all that truth and track have with anyone.
+    fn add_overlaps(&mut self, start: usize) {
+        let pairs = &self.pairs[start..];
+        let (mut of_truth, mut of_track) = (BTreeMap::<u64, f64>::new(), BTreeMap::<u64, f64>::new());
+        for pair in pairs {
+            *of_truth.entry(pair.truth).or_default() += pair.similarity;
+            *of_track.entry(pair.track).or_default() += pair.similarity;
+        }
+        for pair in pairs {
+            let all = of_truth[&pair.truth] + of_track[&pair.track] - pair.similarity;
+            let overlap = if all > f64::EPSILON { pair.similarity / all } else { 0.0 };
+            self.shared.entry((pair.truth, pair.track)).or_default().overlap += overlap;
+        }
+    }
+
+    /// Pairs each frame and counts the matches at every α.
+    #[must_use]
+    pub fn finish(mut self) -> HotaCounts {
+        let mut counts = HotaCounts {
+            truths_len: self.truths.values().sum(),
+            tracks_len: self.tracks.values().sum(),
+            ..HotaCounts::default()
+        };
+        let mut rest = self.pairs.as_slice();
+        let mut start = 0;
+        for &end in &self.frame_ends {
+            let (pairs, others) = rest.split_at(end - start);
+            (rest, start) = (others, end);
+            let edge = |pair: &SimilarPair| {
+                let key = (pair.truth, pair.track);
+                let overlap = self.shared[&key].overlap;
+                let either = self.truths[&key.0] as f64 + self.tracks[&key.1] as f64 - overlap;
+                Edge { truth: pair.truth, track: pair.track, gain: overlap / either * pair.similarity }
+            };
+            let edges: Vec<Edge> = pairs.iter().map(edge).collect();
+            for pair in best_pairs(&edges).into_iter().map(|i| &pairs[i]) {
+                let Some(shared) = self.shared.get_mut(&(pair.truth, pair.track)) else { continue };
+                for (i, alpha) in ALPHAS.iter().enumerate() {
+                    if pair.similarity >= alpha - f64::EPSILON {
+                        shared.matched[i] += 1;
+                        counts.alphas[i].similarity_sum += pair.similarity;
+                    }
+                }
+            }
+        }
+        for (&(truth, track), shared) in &self.shared {
+            for (counts, &matched_len) in counts.alphas.iter_mut().zip(&shared.matched) {
+                counts.add_association(matched_len, self.truths[&truth], self.tracks[&track]);
+            }
+        }
+        counts
+    }
+}
+
+/// What [`Hota`] counted.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct HotaCounts {
+    /// Truths, all frames together.
+    pub truths_len: u64,
+    /// Tracks, all frames together.
+    pub tracks_len: u64,
+    /// What was matched at each of [`ALPHAS`].
+    pub alphas: [AlphaCounts; ALPHAS.len()],
+}
+
+/// The matches at one α, and sums over them.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct AlphaCounts {
+    /// Matches: pairs at least as similar as α.
+    pub matched_len: u64,
+    /// Their similarities.
+    pub similarity_sum: f64,
+    /// For each match, the frames that its truth and track are matched in, per frame that has either.
+    pub association_sum: f64,
+    /// The same per frame of the truth.
+    pub association_recall_sum: f64,
+    /// The same per frame of the track.
+    pub association_precision_sum: f64,
+}
+
+impl AlphaCounts {
+    fn add_association(&mut self, matched_len: u64, truth_len: u64, track_len: u64) {
+        if matched_len == 0 {
+            return;
+        }
+        let squared = (matched_len * matched_len) as f64;
+        self.matched_len += matched_len;
+        self.association_sum += squared / (truth_len + track_len - matched_len) as f64;
+        self.association_recall_sum += squared / truth_len as f64;
+        self.association_precision_sum += squared / track_len as f64;
+    }
+
+    fn merge(&mut self, other: &Self) {
+        self.matched_len += other.matched_len;
+        self.similarity_sum += other.similarity_sum;
+        self.association_sum += other.association_sum;
+        self.association_recall_sum += other.association_recall_sum;
+        self.association_precision_sum += other.association_precision_sum;
+    }
+}
+
+/// HOTA and its parts at one α or in the mean over all; each 0 to 1, higher is better.
+///
+/// Where nothing was matched all are 0, but `loc_a`, which is 1.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct HotaScore {
+    /// Geometric mean of `det_a` and `ass_a`.
+    pub hota: f64,
+    /// Detection: matches per truth or track, matched or not.
+    pub det_a: f64,
+    /// Matches per truth.
+    pub det_re: f64,
+    /// Matches per track.
+    pub det_pr: f64,
+    /// Association: mean over the matches of how much truth and track share of their lives.
+    pub ass_a: f64,
+    /// The same per life of the truth.
+    pub ass_re: f64,
+    /// The same per life of the track.
+    pub ass_pr: f64,
+    /// Mean similarity of the matches.
+    pub loc_a: f64,
+    /// Geometric mean of `det_re` and `ass_a`: HOTA that forgives false tracks.
+    pub owta: f64,
+}
+
+impl HotaCounts {
+    /// Counts all that `other`, of another recording, counted.
+    pub fn merge(&mut self, other: &Self) {
+        self.truths_len += other.truths_len;
+        self.tracks_len += other.tracks_len;
+        self.alphas.iter_mut().zip(&other.alphas).for_each(|(ours, theirs)| ours.merge(theirs));
+    }
+
+    /// The scores at each of [`ALPHAS`].
+    #[must_use]
+    pub fn scores(&self) -> [HotaScore; ALPHAS.len()] {
+        self.alphas.each_ref().map(|alpha| self.score(alpha))
+    }
+
+    /// The scores in the mean over [`ALPHAS`], as they are reported; HOTA is the mean of those at each α.
+    #[must_use]
+    pub fn mean(&self) -> HotaScore {
+        let scores = self.scores();
+        let mean = |part: fn(&HotaScore) -> f64| scores.iter().map(part).sum::<f64>() / scores.len() as f64;
+        HotaScore {
+            hota: mean(|score| score.hota),
+            det_a: mean(|score| score.det_a),
+            det_re: mean(|score| score.det_re),
+            det_pr: mean(|score| score.det_pr),
+            ass_a: mean(|score| score.ass_a),
+            ass_re: mean(|score| score.ass_re),
+            ass_pr: mean(|score| score.ass_pr),
+            loc_a: mean(|score| score.loc_a),
+            owta: mean(|score| score.owta),
+        }
+    }
+
+    fn score(&self, alpha: &AlphaCounts) -> HotaScore {
+        if alpha.matched_len == 0 {
+            return HotaScore { loc_a: 1.0, ..HotaScore::default() };
+        }
+        let matched_len = alpha.matched_len as f64;
+        let det_re = matched_len / self.truths_len as f64;
+        let det_a = matched_len / (self.truths_len + self.tracks_len - alpha.matched_len) as f64;
+        let ass_a = alpha.association_sum / matched_len;
+        HotaScore {
+            hota: (det_a * ass_a).sqrt(),
+            det_a,
+            det_re,
+            det_pr: matched_len / self.tracks_len as f64,
+            ass_a,
+            ass_re: alpha.association_recall_sum / matched_len,
+            ass_pr: alpha.association_precision_sum / matched_len,
+            loc_a: alpha.similarity_sum / matched_len,
+            owta: (det_re * ass_a).sqrt(),
+        }
+    }
+}

@@ -1,0 +1,92 @@
+use std::collections::BTreeMap;
+
+use super::clear_mot::ratio;
+use super::frame::{Frame, TrackingError, check_gate};
+use super::pairing::{Edge, best_pairs};
+
+/// IDF1 of a recording, frame by frame: how much of the truth is told by one track per truth.
+///
+/// Memory: one number per pair of ids that were ever near each other.
+#[derive(Clone, Debug)]
+pub struct Identity {
+    gate_m: f64,
+    truths_len: u64,
+    tracks_len: u64,
+    /// Frames in which truth and track were within the gate.
+    shared: BTreeMap<(u64, u64), u64>,
+}
+
+impl Identity {
+    /// Counts pairs that are at most `gate_m` apart.
+    ///
+    /// # Errors
+    /// A gate that is not between 0 and 10⁶ m.
+    pub fn new(gate_m: f64) -> Result<Self, TrackingError> {
+        check_gate(gate_m)?;
+        Ok(Self { gate_m, truths_len: 0, tracks_len: 0, shared: BTreeMap::new() })
+    }
+
+    /// Counts a frame.
+    pub fn add(&mut self, frame: &Frame) {
+        self.truths_len += frame.truths().len() as u64;
+        self.tracks_len += frame.tracks().len() as u64;
+        for (truth, track, distance_m) in frame.pairs() {
+            if distance_m <= self.gate_m {
+                *self.shared.entry((truth.id, track.id)).or_default() += 1;
+            }
+        }
+    }
+
+    /// The counts under the pairing of whole truths with whole tracks that shares most frames.
+    #[must_use]
+    pub fn finish(self) -> IdentityCounts {
+        let edge =
+            |(&(truth, track), &shared): (&(u64, u64), &u64)| Edge { truth, track, gain: shared as f64 };
+        let edges: Vec<Edge> = self.shared.iter().map(edge).collect();
+        // Frames are counted in whole numbers, exact in f64 up to 2⁵³.
+        let true_len = best_pairs(&edges).into_iter().map(|i| edges[i].gain).sum::<f64>() as u64;
+        IdentityCounts {
+            true_len,
+            false_len: self.tracks_len - true_len,
+            missed_len: self.truths_len - true_len,
+        }
+    }
+}
+
+/// What [`Identity`] counted; `None` where a ratio would be one of nothing.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct IdentityCounts {
+    /// IDTP: truths told by their one track.
+    pub true_len: u64,
+    /// IDFP: tracks that tell no truth, or one of another track.
+    pub false_len: u64,
+    /// IDFN: truths not told by their one track.
+    pub missed_len: u64,
+}
+
+impl IdentityCounts {
+    /// Counts all that `other`, of another recording, counted.
+    pub fn merge(&mut self, other: &Self) {
+        self.true_len += other.true_len;
+        self.false_len += other.false_len;
+        self.missed_len += other.missed_len;
+    }
+
+    /// IDF1, the harmonic mean of IDP and IDR.
+    #[must_use]
+    pub fn idf1(&self) -> Option<f64> {
+        ratio(2.0 * self.true_len as f64, 2 * self.true_len + self.false_len + self.missed_len)
+    }
+
+    /// IDP: share of the tracks that are right.
+    #[must_use]
+    pub fn idp(&self) -> Option<f64> {
+        ratio(self.true_len as f64, self.true_len + self.false_len)
+    }
+
+    /// IDR: share of the truths that are told.
+    #[must_use]
+    pub fn idr(&self) -> Option<f64> {
+        ratio(self.true_len as f64, self.true_len + self.missed_len)
+    }
+}

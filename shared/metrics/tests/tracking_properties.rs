@@ -1,0 +1,245 @@
+//! What the measures of tracking are on scenes with a known answer, and what must not change them.
+#![expect(clippy::unwrap_used, reason = "a broken scene is a broken test")]
+
+use metrics::tracking::{
+    ClearMot, ClearMotCounts, Frame, Hota, HotaCounts, HotaScore, Identity, IdentityCounts, Object,
+    SetDistance, TrackingError, linear_similarity,
+};
+use proptest::collection::vec;
+use proptest::prelude::*;
+
+const GATE_M: f64 = 1.0;
+const ZERO_M: f64 = 2.0;
+
+fn at(id: u64, x_m: f64) -> Object {
+    Object { id, position_m: [x_m, 0.0] }
+}
+
+fn frame(truths: &[Object], tracks: &[Object]) -> Frame {
+    Frame::new(truths, tracks).unwrap()
+}
+
+fn measured(frames: &[Frame]) -> (ClearMotCounts, IdentityCounts, HotaCounts) {
+    let mut clear_mot = ClearMot::new(GATE_M).unwrap();
+    let mut identity = Identity::new(GATE_M).unwrap();
+    let mut hota = Hota::default();
+    for frame in frames {
+        clear_mot.add(frame);
+        identity.add(frame);
+        hota.add(frame, |distance_m| linear_similarity(distance_m, ZERO_M));
+    }
+    (clear_mot.finish(), identity.finish(), hota.finish())
+}
+
+#[test]
+fn nothing_at_all_has_no_ratios() {
+    for frames in [vec![], vec![Frame::default(); 3]] {
+        let (clear_mot, identity, hota) = measured(&frames);
+        assert_eq!(clear_mot, ClearMotCounts { frames_len: frames.len() as u64, ..Default::default() });
+        let ratios = [clear_mot.mota(), clear_mot.motp_m(), clear_mot.recall(), clear_mot.precision()];
+        assert_eq!(ratios, [None; 4]);
+        assert_eq!([identity.idf1(), identity.idp(), identity.idr()], [None; 3]);
+        assert_eq!(hota.mean(), HotaScore { loc_a: 1.0, ..Default::default() });
+    }
+}
+
+#[test]
+fn tracks_without_truth_are_false() {
+    let (clear_mot, identity, hota) =
+        measured(&[frame(&[], &[at(1, 0.0), at(2, 5.0)]), frame(&[], &[at(1, 0.0)])]);
+    assert_eq!((clear_mot.false_len, clear_mot.missed_len), (3, 0));
+    assert_eq!((clear_mot.mota(), clear_mot.precision()), (None, Some(0.0)));
+    assert_eq!((identity.false_len, identity.idf1()), (3, Some(0.0)));
+    assert_eq!((hota.tracks_len, hota.mean().hota), (3, 0.0));
+}
+
+#[test]
+fn truths_without_track_are_missed_and_lost() {
+    let (clear_mot, identity, hota) =
+        measured(&[frame(&[at(1, 0.0)], &[]), frame(&[at(1, 0.0)], &[at(7, 1.5)])]);
+    assert_eq!((clear_mot.missed_len, clear_mot.false_len, clear_mot.mostly_lost_len), (2, 1, 1));
+    assert_eq!((clear_mot.mota(), clear_mot.recall()), (Some(-0.5), Some(0.0)));
+    assert_eq!((identity.missed_len, identity.idr()), (2, Some(0.0)));
+    // Beyond the gate, but not beyond all similarity.
+    assert_eq!(hota.scores()[4].det_re, 0.5);
+    assert_eq!(hota.scores()[5].det_re, 0.0);
+}
+
+#[test]
+fn perfect_tracks_have_full_marks() {
+    let truths = |t: u32| [at(1, f64::from(t)), at(2, 100.0 - f64::from(t))];
+    let tracks = |t: u32| [at(9, 100.0 - f64::from(t)), at(8, f64::from(t))];
+    let frames: Vec<Frame> = (0..100).map(|t| frame(&truths(t), &tracks(t))).collect();
+    let (clear_mot, identity, hota) = measured(&frames);
+    assert_eq!((clear_mot.mota(), clear_mot.motp_m(), clear_mot.f1()), (Some(1.0), Some(0.0), Some(1.0)));
+    assert_eq!((clear_mot.mostly_tracked_len, clear_mot.switches_len), (2, 0));
+    assert_eq!(identity.idf1(), Some(1.0));
+    let best = hota.mean();
+    assert!((best.hota - 1.0).abs() < 1e-12 && (best.loc_a - 1.0).abs() < 1e-12, "{best:?}");
+}
+
+#[test]
+fn a_kept_pair_goes_before_a_nearer_track() {
+    let truth = [at(1, 0.0)];
+    let frames = [
+        frame(&truth, &[at(7, 0.5)]),
+        // Track 8 is nearer, but 7 is still near enough.
+        frame(&truth, &[at(7, 0.9), at(8, 0.1)]),
+        // Missed while 7 is beyond the gate and 8 is gone, then found by 8.
+        frame(&truth, &[at(7, 1.1)]),
+        frame(&truth, &[at(8, 0.1)]),
+    ];
+    let (clear_mot, identity, _) = measured(&frames);
+    assert_eq!((clear_mot.matched_len, clear_mot.missed_len, clear_mot.false_len), (3, 1, 2));
+    assert_eq!((clear_mot.switches_len, clear_mot.ascents_len, clear_mot.fragmentations_len), (1, 1, 1));
+    assert!((clear_mot.distance_sum_m - 1.5).abs() < 1e-12);
+    assert_eq!((identity.true_len, identity.missed_len, identity.false_len), (2, 2, 3));
+}
+
+#[test]
+fn as_many_pairs_as_possible_before_near_ones() {
+    let both = frame(&[at(1, 0.0), at(2, 0.9)], &[at(8, 0.8), at(9, 1.8)]);
+    let (clear_mot, _, _) = measured(&[both]);
+    assert_eq!((clear_mot.matched_len, clear_mot.missed_len), (2, 0));
+}
+
+#[test]
+fn exchanged_tracks_are_transferred() {
+    let truths = [at(1, 0.0), at(2, 5.0)];
+    let frames = [
+        frame(&truths, &[at(7, 0.0), at(8, 5.0)]),
+        frame(&truths, &[at(7, 5.0), at(8, 0.0)]),
+        frame(&[at(3, 5.0)], &[at(7, 5.0)]),
+    ];
+    let (clear_mot, _, hota) = measured(&frames);
+    assert_eq!((clear_mot.switches_len, clear_mot.transfers_len, clear_mot.migrations_len), (2, 3, 1));
+    // Detection is perfect; each of the five matches shares one frame of its truth's and its track's life.
+    let score = hota.scores()[0];
+    assert_eq!(score.det_a, 1.0);
+    assert!((score.ass_pr - (2.0 / 2.0 + 3.0 / 3.0) / 5.0).abs() < 1e-12, "{score:?}");
+}
+
+#[test]
+fn parameters_out_of_range_are_refused() {
+    for gate_m in [-1.0, f64::NAN, f64::INFINITY] {
+        assert!(matches!(ClearMot::new(gate_m), Err(TrackingError::Value { name: "gate_m", .. })));
+        assert!(matches!(Identity::new(gate_m), Err(TrackingError::Value { name: "gate_m", .. })));
+    }
+    for (cutoff_m, order) in [(0.0, 1.0), (f64::NAN, 1.0), (1.0, 0.5), (1.0, f64::INFINITY), (1e200, 2.0)] {
+        assert!(SetDistance::new(cutoff_m, order).is_err(), "{cutoff_m} {order}");
+    }
+}
+
+#[test]
+fn unusable_similarities_count_as_none_or_full() {
+    let frame = frame(&[at(1, 0.0)], &[at(2, 0.0)]);
+    let mut hota = Hota::default();
+    hota.add(&frame, |_| f64::NAN);
+    hota.add(&frame, |_| -1.0);
+    hota.add(&frame, |_| 7.0);
+    let counts = hota.finish();
+    assert_eq!((counts.alphas[18].matched_len, counts.alphas[18].similarity_sum), (1, 1.0));
+}
+
+#[test]
+fn gospa_names_its_causes() {
+    let distance = SetDistance::new(2.0, 2.0).unwrap();
+    let gospa = distance.gospa(&frame(&[at(0, 0.0), at(1, 10.0)], &[at(0, 1.0), at(1, 20.0), at(2, 30.0)]));
+    assert_eq!((gospa.pairs_len, gospa.localisation, gospa.missed, gospa.false_tracks), (1, 1.0, 2.0, 4.0));
+    assert!((gospa.distance_m - 7.0_f64.sqrt()).abs() < 1e-12);
+    assert_eq!(distance.ospa(&frame(&[], &[at(0, 0.0)])), 2.0);
+}
+
+#[test]
+fn merged_recordings_add_up() {
+    let parts = [
+        vec![frame(&[at(1, 0.0)], &[at(5, 0.2)]), frame(&[at(1, 0.0)], &[])],
+        vec![frame(&[at(1, 0.0), at(2, 3.0)], &[at(5, 3.2)])],
+    ];
+    let ((mut clear_mot, mut identity, mut hota), other) = (measured(&parts[0]), measured(&parts[1]));
+    clear_mot.merge(&other.0);
+    identity.merge(&other.1);
+    hota.merge(&other.2);
+    // As one recording, in which the second has ids of its own.
+    let second = frame(&[at(11, 0.0), at(12, 3.0)], &[at(15, 3.2)]);
+    let whole = measured(&[parts[0][0].clone(), parts[0][1].clone(), second]);
+    assert_eq!((clear_mot, identity, hota), whole);
+}
+
+/// Rows of one frame: a few objects near each other, in random order.
+fn rows(ids: u64) -> impl Strategy<Value = Vec<Object>> {
+    let ids: Vec<u64> = (0..ids).collect();
+    let len = 0..=ids.len();
+    (proptest::sample::subsequence(ids, len), vec([0.0..4.0, 0.0..4.0], 8)).prop_map(|(ids, positions)| {
+        ids.into_iter().zip(positions).map(|(id, position_m)| Object { id, position_m }).collect()
+    })
+}
+
+fn points() -> impl Strategy<Value = Vec<Object>> {
+    rows(6)
+}
+
+fn close(a: &HotaScore, b: &HotaScore) -> bool {
+    let parts = |s: &HotaScore| [s.hota, s.det_a, s.det_re, s.det_pr, s.ass_a, s.ass_re, s.ass_pr, s.loc_a];
+    parts(a).iter().zip(parts(b)).all(|(a, b)| (a - b).abs() < 1e-12)
+}
+
+proptest! {
+    #[test]
+    fn names_and_rows_change_nothing(
+        recording in vec((rows(6), rows(8)), 1..12),
+        names in Just((100..108).collect::<Vec<u64>>()).prop_shuffle(),
+    ) {
+        let frames: Vec<Frame> = recording.iter().map(|(truths, tracks)| frame(truths, tracks)).collect();
+        // Tracks get other names in another order, truths greater ones; the rows turn round.
+        let renamed: Vec<Frame> = recording
+            .iter()
+            .map(|(truths, tracks)| {
+                let truths: Vec<Object> =
+                    truths.iter().rev().map(|truth| Object { id: 3 * truth.id + 1, ..*truth }).collect();
+                let tracks: Vec<Object> =
+                    tracks.iter().rev().map(|track| Object { id: names[track.id as usize], ..*track }).collect();
+                frame(&truths, &tracks)
+            })
+            .collect();
+        let (before, after) = (measured(&frames), measured(&renamed));
+        prop_assert_eq!(before.0, after.0);
+        prop_assert_eq!(before.1, after.1);
+        prop_assert!(close(&before.2.mean(), &after.2.mean()), "{:?} {:?}", before.2.mean(), after.2.mean());
+    }
+
+    #[test]
+    fn measures_keep_their_ranges(recording in vec((rows(6), rows(8)), 1..12)) {
+        let frames: Vec<Frame> = recording.iter().map(|(truths, tracks)| frame(truths, tracks)).collect();
+        let (clear_mot, identity, hota) = measured(&frames);
+        let truths_len: usize = recording.iter().map(|(truths, _)| truths.len()).sum();
+        let tracks_len: usize = recording.iter().map(|(_, tracks)| tracks.len()).sum();
+        prop_assert_eq!(clear_mot.truths_len(), truths_len as u64);
+        prop_assert_eq!(clear_mot.tracks_len(), tracks_len as u64);
+        prop_assert_eq!(identity.true_len + identity.missed_len, truths_len as u64);
+        prop_assert_eq!(identity.true_len + identity.false_len, tracks_len as u64);
+        prop_assert!(clear_mot.motp_m().is_none_or(|m| (0.0..=GATE_M).contains(&m)));
+        for score in hota.scores() {
+            prop_assert!((0.0..=1.0).contains(&score.hota) && score.ass_a <= score.ass_re.min(score.ass_pr) + 1e-12);
+        }
+    }
+
+    #[test]
+    fn set_distances_are_metrics(
+        a in points(),
+        b in points(),
+        c in points(),
+        cutoff_m in 0.1..4.0,
+        order in 1.0..3.0,
+    ) {
+        let distance = SetDistance::new(cutoff_m, order).unwrap();
+        let gospa = |a: &[Object], b: &[Object]| distance.gospa(&frame(a, b)).distance_m;
+        let ospa = |a: &[Object], b: &[Object]| distance.ospa(&frame(a, b));
+        prop_assert!((gospa(&a, &b) - gospa(&b, &a)).abs() < 1e-9);
+        prop_assert!((ospa(&a, &b) - ospa(&b, &a)).abs() < 1e-9);
+        prop_assert_eq!((gospa(&a, &a), ospa(&a, &a)), (0.0, 0.0));
+        prop_assert!(gospa(&a, &c) <= gospa(&a, &b) + gospa(&b, &c) + 1e-9);
+        prop_assert!(ospa(&a, &c) <= ospa(&a, &b) + ospa(&b, &c) + 1e-9);
+        prop_assert!(ospa(&a, &b) <= cutoff_m + 1e-12);
+    }
+}
