@@ -1,4 +1,4 @@
-use filters::BicycleModel;
+use filters::{Bicycle, ConstantAcceleration, ConstantTurnRate, ConstantVelocity, Models};
 use wire::{AgentType, HISTORY_MAX};
 
 /// Standard deviations of what a detector measures, where the detection itself tells none.
@@ -115,17 +115,22 @@ const REAR_AXLE_RATIO: f64 = 0.26;
 const LENGTH_M: [f64; 3] = [4.5, 1.8, 1.8];
 
 impl InputModel {
-    /// The bicycle of an agent of that type and length; 0 stands for an unknown length.
+    /// The process models of an agent of that type and length; 0 stands for an unknown length.
     #[must_use]
-    pub fn bicycle(&self, agent_type: AgentType, length_m: f64) -> BicycleModel {
+    pub fn models(&self, agent_type: AgentType, length_m: f64) -> Models {
         let noise = &self.motion[agent_type.index()];
         let length_m = if length_m > 0.0 { length_m } else { LENGTH_M[agent_type.index()] };
-        BicycleModel {
-            rear_axle_m: REAR_AXLE_RATIO * length_m.clamp(1.0, 25.0),
-            acceleration_mps2: noise.acceleration_mps2,
-            slip_rate_radps: noise.slip_rate_radps,
-            floor: [1e-4, 1e-4, 1e-5, 0.0, 0.0],
-            slip_max_rad: 0.5,
+        Models {
+            constant_velocity: ConstantVelocity { density: noise.density },
+            constant_acceleration: ConstantAcceleration { density: noise.density },
+            constant_turn_rate: ConstantTurnRate { acceleration_density: noise.density, yaw_density: 0.2 },
+            bicycle: Bicycle {
+                rear_axle_m: REAR_AXLE_RATIO * length_m.clamp(1.0, 25.0),
+                acceleration_mps2: noise.acceleration_mps2,
+                slip_rate_radps: noise.slip_rate_radps,
+                floor: [1e-4, 1e-4, 1e-5, 0.0, 0.0],
+                slip_max_rad: 0.5,
+            },
         }
     }
 }

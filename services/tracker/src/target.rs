@@ -1,4 +1,4 @@
-use filters::{Bicycle, ConstantVelocity, Filter, FilterFault, Gaussian, Motion, Observation};
+use filters::{Filter, FilterFault, Gaussian, Kind, Motion, Observation, Unknown, turned_round};
 use wire::{AgentType, Detection, HISTORY_MAX, HistoryState, Track, TrackStatus, detection_flags};
 
 use crate::class::Class;
@@ -6,10 +6,12 @@ use crate::front::Front;
 use crate::history::History;
 use crate::options::{InputModel, TrackerOptions};
 
-/// Standard deviation of a speed or velocity component that nobody has observed, by type.
-const SPEED_UNKNOWN_MPS: [f64; 3] = [10.0, 5.0, 2.0];
-/// Standard deviation of a slip that nobody has observed.
-const SLIP_UNKNOWN_RAD: f64 = 0.05;
+/// What nobody has observed, by type.
+const UNKNOWN: [Unknown; 3] = [
+    Unknown { speed_mps: 10.0, acceleration_mps2: 3.0, turn_rate_radps: 0.3, slip_rad: 0.05 },
+    Unknown { speed_mps: 5.0, acceleration_mps2: 2.0, turn_rate_radps: 0.5, slip_rad: 0.05 },
+    Unknown { speed_mps: 2.0, acceleration_mps2: 1.0, turn_rate_radps: 1.0, slip_rad: 0.05 },
+];
 /// An unknown heading counts as told once the course is known so well, at this speed.
 const COURSE_TOLD_RAD: f64 = 0.3;
 const COURSE_TOLD_MPS: f64 = 0.5;
@@ -80,23 +82,7 @@ impl Target {
         trusted: bool,
     ) -> Self {
         let seen = observation(detection, agent_type, input);
-        let [x, y] = seen.position_m;
-        let var = seen.position_variance;
-        let unknown = SPEED_UNKNOWN_MPS[agent_type.index()].powi(2);
-        let filter = match (agent_type, seen.heading_rad) {
-            (AgentType::Pedestrian, _) | (_, None) => {
-                let ([vx, vy], var_v) = seen.velocity_mps().unwrap_or(([0.0; 2], unknown));
-                Filter::ConstantVelocity(ConstantVelocity::new([x, y, vx, vy], [var, var, var_v, var_v]))
-            }
-            (_, Some((heading, var_h))) => {
-                let (speed, var_v) = seen.speed_mps.unwrap_or((0.0, unknown));
-                let slip_variance = SLIP_UNKNOWN_RAD.powi(2);
-                Filter::Bicycle(Bicycle::new(
-                    [x, y, heading, speed, 0.0],
-                    [var, var, var_h, var_v, slip_variance],
-                ))
-            }
-        };
+        let filter = Filter::start(kind(agent_type), &seen, &UNKNOWN[agent_type.index()]);
         let sized = detection.has(detection_flags::HAS_SIZE);
         Self {
             id,
@@ -128,8 +114,7 @@ impl Target {
         let agent_type = self.class.current();
         let dt_ns = now_ns.saturating_sub(self.stamp_ns).max(0).unsigned_abs();
         self.stamp_ns = now_ns;
-        let bicycle = input.bicycle(agent_type, f64::from(self.length_m));
-        self.filter.predict(dt_ns, &bicycle, input.motion[agent_type.index()].density)
+        self.filter.predict(dt_ns, &input.models(agent_type, f64::from(self.length_m)))
     }
 
     /// How well a position with the given variance per axis fits the prediction.
@@ -159,7 +144,7 @@ impl Target {
         let density = (-0.5 * (fit.distance2 + fit.log_det)).exp() / std::f64::consts::TAU;
         self.believe((options.detection_probability * density / options.clutter_density).ln());
         if self.class.observe(agent_type) && self.class.current() == AgentType::Pedestrian {
-            self.filter = self.filter.into_constant_velocity();
+            self.filter = self.filter.into_kind(Kind::ConstantVelocity, &UNKNOWN[agent_type.index()]);
         }
         self.source_id = source_id(detection);
         self.resize(detection);
@@ -169,8 +154,7 @@ impl Target {
         if let (Filter::Bicycle(_), Some((heading, _))) = (&self.filter, &mut seen.heading_rad) {
             *heading = self.front.fold(*heading, self.heading_rad);
         }
-        let bicycle = input.bicycle(self.class.current(), f64::from(self.length_m));
-        self.filter.update(&seen, bicycle.slip_max_rad)?;
+        self.filter.update(&seen, &input.models(self.class.current(), f64::from(self.length_m)))?;
         self.find_front();
         Ok(())
     }
@@ -243,8 +227,8 @@ impl Target {
         let age_ns = self.stamp_ns.saturating_sub(self.born_ns).unsigned_abs();
         let status = if self.hits & 1 == 1 { TrackStatus::Confirmed } else { TrackStatus::Coasting };
         let (state_len, covariance) = match &self.filter {
-            Filter::Bicycle(Bicycle { state }) => (5, row_major(state)),
-            Filter::ConstantVelocity(ConstantVelocity { state }) => (4, row_major(state)),
+            Filter::Bicycle(state) => (5, row_major(state)),
+            other => (4, row_major(&other.cartesian())),
         };
         Track {
             id: self.id,
@@ -274,19 +258,19 @@ impl Target {
 
     /// Finds out which end is in front and the heading, after an update.
     fn find_front(&mut self) {
-        let cyclist_or_vehicle = self.class.current() != AgentType::Pedestrian;
-        if cyclist_or_vehicle
+        let agent_type = self.class.current();
+        if kind(agent_type) == Kind::Bicycle
             && matches!(self.filter, Filter::ConstantVelocity(_))
             && self.filter.motion().speed_mps > COURSE_TOLD_MPS
             && self.filter.course_sigma_rad() < COURSE_TOLD_RAD
         {
-            self.filter = self.filter.into_bicycle(SLIP_UNKNOWN_RAD.powi(2));
+            self.filter = self.filter.into_kind(Kind::Bicycle, &UNKNOWN[agent_type.index()]);
         }
-        if let Filter::Bicycle(bicycle) = &mut self.filter {
-            let sigma_mps = bicycle.state.covariance[(3, 3)].max(0.0).sqrt();
-            self.front.moved(bicycle.state.mean[3], sigma_mps, self.shown);
+        if let Filter::Bicycle(state) = &mut self.filter {
+            let sigma_mps = state.covariance[(3, 3)].max(0.0).sqrt();
+            self.front.moved(state.mean[3], sigma_mps, self.shown);
             if self.front.take_turn(self.shown) {
-                bicycle.turn_round();
+                *state = turned_round(state);
             }
         }
         self.heading_rad = self.heading(&self.filter.motion());
@@ -325,6 +309,14 @@ impl Target {
         let motion = self.filter.motion();
         motion.position_m.iter().all(|x| x.abs() <= f64::from(wire::POSITION_MAX_M))
             && motion.speed_mps.abs() <= f64::from(wire::SPEED_MAX_MPS)
+    }
+}
+
+/// How agents of a type move.
+const fn kind(agent_type: AgentType) -> Kind {
+    match agent_type {
+        AgentType::Pedestrian => Kind::ConstantVelocity,
+        AgentType::Vehicle | AgentType::Cyclist => Kind::Bicycle,
     }
 }
 

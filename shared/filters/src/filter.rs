@@ -1,36 +1,140 @@
-use nalgebra::{Matrix4x5, Matrix5, Matrix5x4, Vector4, Vector5};
+use nalgebra::{Matrix4x5, Matrix5, Matrix5x4, Matrix6, SVector, Vector4, Vector5, Vector6};
 
-use crate::{Bicycle, BicycleModel, ConstantVelocity, FilterFault, Gaussian, Motion, Observation};
+use crate::{
+    Bicycle, ConstantAcceleration, ConstantTurnRate, ConstantVelocity, Evidence, FilterFault, Gaussian,
+    Motion, Observation,
+};
 
-/// One agent's filter.
+/// A process model by name.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Kind {
+    /// [`ConstantVelocity`]
+    ConstantVelocity,
+    /// [`ConstantAcceleration`]
+    ConstantAcceleration,
+    /// [`ConstantTurnRate`]
+    ConstantTurnRate,
+    /// [`Bicycle`]
+    Bicycle,
+}
+
+impl Kind {
+    /// All kinds, the plainest first.
+    pub const ALL: [Self; 4] =
+        [Self::ConstantVelocity, Self::ConstantAcceleration, Self::ConstantTurnRate, Self::Bicycle];
+
+    /// The name used in files and reports.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::ConstantVelocity => "constant-velocity",
+            Self::ConstantAcceleration => "constant-acceleration",
+            Self::ConstantTurnRate => "constant-turn-rate",
+            Self::Bicycle => "bicycle",
+        }
+    }
+}
+
+/// The process models of one agent, one per [`Kind`].
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Models {
+    /// \[x, y, vx, vy\]
+    pub constant_velocity: ConstantVelocity,
+    /// \[x, y, vx, vy, ax, ay\]
+    pub constant_acceleration: ConstantAcceleration,
+    /// \[x, y, ψ, v, ω\]
+    pub constant_turn_rate: ConstantTurnRate,
+    /// \[x, y, ψ, v, β\]
+    pub bicycle: Bicycle,
+}
+
+/// Standard deviations about 0 of what nobody has observed of an agent.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Unknown {
+    /// Speed, and velocity per axis.
+    pub speed_mps: f64,
+    /// Acceleration per axis.
+    pub acceleration_mps2: f64,
+    /// Turn rate.
+    pub turn_rate_radps: f64,
+    /// Slip angle.
+    pub slip_rad: f64,
+}
+
+/// One agent's filter: its state, and by which model that moves.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Filter {
-    /// \[x, y, ψ, v, β\]
-    Bicycle(Bicycle),
     /// \[x, y, vx, vy\]
-    ConstantVelocity(ConstantVelocity),
+    ConstantVelocity(Gaussian<4>),
+    /// \[x, y, vx, vy, ax, ay\]
+    ConstantAcceleration(Gaussian<6>),
+    /// \[x, y, ψ, v, ω\]
+    ConstantTurnRate(Gaussian<5>),
+    /// \[x, y, ψ, v, β\]
+    Bicycle(Gaussian<5>),
 }
 
 impl Filter {
+    /// The state that a first observation tells.
+    ///
+    /// Where the kind's state has a heading and none was observed, it begins as [`Kind::ConstantVelocity`]: a linearised
+    /// heading with no idea of its value is worse than none. [`Filter::into_kind`] takes over once the motion shows it.
+    #[must_use]
+    pub fn start(kind: Kind, seen: &Observation, unknown: &Unknown) -> Self {
+        let ([x, y], var) = (seen.position_m, seen.position_variance);
+        let unknown_speed = unknown.speed_mps.powi(2);
+        let polar = |last: f64| {
+            let (heading, var_h) = seen.heading_rad?;
+            let (speed, var_v) = seen.speed_mps.unwrap_or((0.0, unknown_speed));
+            Some(Gaussian::new([x, y, heading, speed, 0.0], [var, var, var_h, var_v, last.powi(2)]))
+        };
+        let ([vx, vy], var_v) = seen.velocity_mps().unwrap_or(([0.0; 2], unknown_speed));
+        let cartesian = Gaussian::new([x, y, vx, vy], [var, var, var_v, var_v]);
+        match kind {
+            Kind::Bicycle => polar(unknown.slip_rad).map(Self::Bicycle),
+            Kind::ConstantTurnRate => polar(unknown.turn_rate_radps).map(Self::ConstantTurnRate),
+            Kind::ConstantAcceleration => {
+                Some(Self::ConstantAcceleration(with_acceleration(&cartesian, unknown.acceleration_mps2)))
+            }
+            Kind::ConstantVelocity => None,
+        }
+        .unwrap_or(Self::ConstantVelocity(cartesian))
+    }
+
+    /// Which model moves the state.
+    #[must_use]
+    pub const fn kind(&self) -> Kind {
+        match self {
+            Self::ConstantVelocity(_) => Kind::ConstantVelocity,
+            Self::ConstantAcceleration(_) => Kind::ConstantAcceleration,
+            Self::ConstantTurnRate(_) => Kind::ConstantTurnRate,
+            Self::Bicycle(_) => Kind::Bicycle,
+        }
+    }
+
     /// Moves the state on by `dt_ns`.
     ///
     /// # Errors
     /// [`FilterFault::NotFinite`]; the state is then as before.
-    pub fn predict(&mut self, dt_ns: u64, bicycle: &BicycleModel, density: f64) -> Result<(), FilterFault> {
+    pub fn predict(&mut self, dt_ns: u64, models: &Models) -> Result<(), FilterFault> {
         match self {
-            Self::Bicycle(filter) => filter.predict(dt_ns, bicycle),
-            Self::ConstantVelocity(filter) => filter.predict(dt_ns, density),
+            Self::ConstantVelocity(state) => state.predict(dt_ns, &models.constant_velocity),
+            Self::ConstantAcceleration(state) => state.predict(dt_ns, &models.constant_acceleration),
+            Self::ConstantTurnRate(state) => state.predict(dt_ns, &models.constant_turn_rate),
+            Self::Bicycle(state) => state.predict(dt_ns, &models.bicycle),
         }
     }
 
-    /// Corrects the state; returns the normalised innovation squared.
+    /// Corrects the state by what was observed.
     ///
     /// # Errors
     /// [`FilterFault`]; the state is then as before.
-    pub fn update(&mut self, seen: &Observation, slip_max_rad: f64) -> Result<f64, FilterFault> {
+    pub fn update(&mut self, seen: &Observation, models: &Models) -> Result<Evidence, FilterFault> {
         match self {
-            Self::Bicycle(filter) => filter.update(seen, slip_max_rad),
-            Self::ConstantVelocity(filter) => filter.update(seen),
+            Self::ConstantVelocity(state) => state.update(seen, &models.constant_velocity),
+            Self::ConstantAcceleration(state) => state.update(seen, &models.constant_acceleration),
+            Self::ConstantTurnRate(state) => state.update(seen, &models.constant_turn_rate),
+            Self::Bicycle(state) => state.update(seen, &models.bicycle),
         }
     }
 
@@ -38,12 +142,9 @@ impl Filter {
     #[must_use]
     pub fn position(&self) -> ([f64; 2], [f64; 3]) {
         match self {
-            Self::Bicycle(Bicycle { state: Gaussian { mean: m, covariance: p } }) => {
-                ([m[0], m[1]], [p[(0, 0)], p[(0, 1)], p[(1, 1)]])
-            }
-            Self::ConstantVelocity(ConstantVelocity { state: Gaussian { mean: m, covariance: p } }) => {
-                ([m[0], m[1]], [p[(0, 0)], p[(0, 1)], p[(1, 1)]])
-            }
+            Self::ConstantVelocity(state) => position(state),
+            Self::ConstantAcceleration(state) => position(state),
+            Self::ConstantTurnRate(state) | Self::Bicycle(state) => position(state),
         }
     }
 
@@ -51,23 +152,10 @@ impl Filter {
     #[must_use]
     pub fn motion(&self) -> Motion {
         match self {
-            Self::Bicycle(Bicycle { state: Gaussian { mean: m, .. } }) => {
-                let (sin, cos) = (m[2] + m[4]).sin_cos();
-                Motion {
-                    position_m: [m[0], m[1]],
-                    velocity_mps: [m[3] * cos, m[3] * sin],
-                    heading_rad: Some(m[2]),
-                    speed_mps: m[3],
-                    slip_rad: m[4],
-                }
-            }
-            Self::ConstantVelocity(ConstantVelocity { state: Gaussian { mean: m, .. } }) => Motion {
-                position_m: [m[0], m[1]],
-                velocity_mps: [m[2], m[3]],
-                heading_rad: None,
-                speed_mps: m[2].hypot(m[3]),
-                slip_rad: 0.0,
-            },
+            Self::ConstantVelocity(Gaussian { mean: m, .. }) => cartesian_motion(m),
+            Self::ConstantAcceleration(Gaussian { mean: m, .. }) => cartesian_motion(m),
+            Self::ConstantTurnRate(Gaussian { mean: m, .. }) => polar_motion(m, 0.0),
+            Self::Bicycle(Gaussian { mean: m, .. }) => polar_motion(m, m[4]),
         }
     }
 
@@ -75,53 +163,117 @@ impl Filter {
     #[must_use]
     pub fn course_sigma_rad(&self) -> f64 {
         match self {
-            Self::Bicycle(Bicycle { state: Gaussian { covariance: p, .. } }) => {
+            Self::Bicycle(Gaussian { covariance: p, .. }) => {
                 (p[(2, 2)] + 2.0 * p[(2, 4)] + p[(4, 4)]).max(0.0).sqrt()
             }
-            Self::ConstantVelocity(ConstantVelocity { state: Gaussian { mean: m, covariance: p } }) => {
+            Self::ConstantTurnRate(Gaussian { covariance: p, .. }) => p[(2, 2)].max(0.0).sqrt(),
+            Self::ConstantVelocity(Gaussian { mean: m, covariance: p }) => {
                 let spread = p[(2, 2)].max(p[(3, 3)]).sqrt();
                 spread / m[2].hypot(m[3]).max(f64::MIN_POSITIVE)
             }
+            Self::ConstantAcceleration(_) => Self::ConstantVelocity(self.cartesian()).course_sigma_rad(),
         }
     }
 
-    /// The same motion as a bicycle whose front points along the course; `slip_variance` is that of the slip, which
-    /// a constant velocity says nothing of.
+    /// Mean and covariance of \[x, y, vx, vy\], in the world frame: what all kinds tell.
     #[must_use]
-    pub fn into_bicycle(self, slip_variance: f64) -> Self {
-        let Self::ConstantVelocity(ConstantVelocity { state }) = self else { return self };
-        let m = &state.mean;
-        let speed = m[2].hypot(m[3]).max(1e-6);
-        let (cos, sin) = (m[2] / speed, m[3] / speed);
-        let mut jacobian = Matrix5x4::zeros();
-        jacobian[(0, 0)] = 1.0;
-        jacobian[(1, 1)] = 1.0;
-        jacobian[(2, 2)] = -sin / speed;
-        jacobian[(2, 3)] = cos / speed;
-        jacobian[(3, 2)] = cos;
-        jacobian[(3, 3)] = sin;
-        let mean = Vector5::new(m[0], m[1], m[3].atan2(m[2]), speed, 0.0);
-        let mut moved = state.transformed(mean, &jacobian);
-        moved.covariance += Matrix5::from_diagonal(&Vector5::new(0.0, 0.0, 0.0, 0.0, slip_variance));
-        Self::Bicycle(Bicycle { state: moved })
+    pub fn cartesian(&self) -> Gaussian<4> {
+        match self {
+            Self::ConstantVelocity(state) => *state,
+            Self::ConstantAcceleration(state) => Gaussian {
+                mean: state.mean.fixed_rows::<4>(0).into_owned(),
+                covariance: state.covariance.fixed_view::<4, 4>(0, 0).into_owned(),
+            },
+            Self::ConstantTurnRate(state) => cartesian(state, 0.0, &[2]),
+            Self::Bicycle(state) => cartesian(state, state.mean[4], &[2, 4]),
+        }
     }
 
-    /// The same motion without heading and slip.
+    /// The same motion in the state of another kind; what that adds is 0 with the standard deviation of `unknown`, and a
+    /// front points along the course.
     #[must_use]
-    pub fn into_constant_velocity(self) -> Self {
-        let Self::Bicycle(Bicycle { state }) = self else { return self };
-        let m = &state.mean;
-        let (sin, cos) = (m[2] + m[4]).sin_cos();
-        let mut jacobian = Matrix4x5::zeros();
-        jacobian[(0, 0)] = 1.0;
-        jacobian[(1, 1)] = 1.0;
-        for turn in [2, 4] {
-            jacobian[(2, turn)] = -m[3] * sin;
-            jacobian[(3, turn)] = m[3] * cos;
+    pub fn into_kind(self, kind: Kind, unknown: &Unknown) -> Self {
+        if self.kind() == kind {
+            return self;
         }
-        jacobian[(2, 3)] = cos;
-        jacobian[(3, 3)] = sin;
-        let mean = Vector4::new(m[0], m[1], m[3] * cos, m[3] * sin);
-        Self::ConstantVelocity(ConstantVelocity { state: state.transformed(mean, &jacobian) })
+        let from = self.cartesian();
+        match kind {
+            Kind::ConstantVelocity => Self::ConstantVelocity(from),
+            Kind::ConstantAcceleration => {
+                Self::ConstantAcceleration(with_acceleration(&from, unknown.acceleration_mps2))
+            }
+            Kind::ConstantTurnRate => Self::ConstantTurnRate(polar(&from, unknown.turn_rate_radps)),
+            Kind::Bicycle => Self::Bicycle(polar(&from, unknown.slip_rad)),
+        }
     }
+}
+
+fn position<const N: usize>(Gaussian { mean: m, covariance: p }: &Gaussian<N>) -> ([f64; 2], [f64; 3]) {
+    ([m[0], m[1]], [p[(0, 0)], p[(0, 1)], p[(1, 1)]])
+}
+
+fn cartesian_motion<const N: usize>(m: &SVector<f64, N>) -> Motion {
+    Motion {
+        position_m: [m[0], m[1]],
+        velocity_mps: [m[2], m[3]],
+        heading_rad: None,
+        speed_mps: m[2].hypot(m[3]),
+        slip_rad: 0.0,
+    }
+}
+
+fn polar_motion(m: &Vector5<f64>, slip_rad: f64) -> Motion {
+    let (sin, cos) = (m[2] + slip_rad).sin_cos();
+    Motion {
+        position_m: [m[0], m[1]],
+        velocity_mps: [m[3] * cos, m[3] * sin],
+        heading_rad: Some(m[2]),
+        speed_mps: m[3],
+        slip_rad,
+    }
+}
+
+/// \[x, y, vx, vy\] of a state \[x, y, ψ, v, …\]; the course turns with the components `turns`.
+fn cartesian(state: &Gaussian<5>, slip_rad: f64, turns: &[usize]) -> Gaussian<4> {
+    let m = &state.mean;
+    let (sin, cos) = (m[2] + slip_rad).sin_cos();
+    let mut jacobian = Matrix4x5::zeros();
+    jacobian[(0, 0)] = 1.0;
+    jacobian[(1, 1)] = 1.0;
+    for &turn in turns {
+        jacobian[(2, turn)] = -m[3] * sin;
+        jacobian[(3, turn)] = m[3] * cos;
+    }
+    jacobian[(2, 3)] = cos;
+    jacobian[(3, 3)] = sin;
+    let mean = Vector4::new(m[0], m[1], m[3] * cos, m[3] * sin);
+    state.transformed(mean, &jacobian)
+}
+
+/// \[x, y, ψ, v, …\] of a state \[x, y, vx, vy\]; the last component is 0 with the standard deviation `sigma`.
+fn polar(state: &Gaussian<4>, sigma: f64) -> Gaussian<5> {
+    let m = &state.mean;
+    let speed = m[2].hypot(m[3]).max(1e-6);
+    let (cos, sin) = (m[2] / speed, m[3] / speed);
+    let mut jacobian = Matrix5x4::zeros();
+    jacobian[(0, 0)] = 1.0;
+    jacobian[(1, 1)] = 1.0;
+    jacobian[(2, 2)] = -sin / speed;
+    jacobian[(2, 3)] = cos / speed;
+    jacobian[(3, 2)] = cos;
+    jacobian[(3, 3)] = sin;
+    let mut moved = state.transformed(Vector5::new(m[0], m[1], m[3].atan2(m[2]), speed, 0.0), &jacobian);
+    moved.covariance += Matrix5::from_diagonal(&Vector5::new(0.0, 0.0, 0.0, 0.0, sigma.powi(2)));
+    moved
+}
+
+fn with_acceleration(state: &Gaussian<4>, sigma_mps2: f64) -> Gaussian<6> {
+    let mut mean = Vector6::zeros();
+    mean.fixed_rows_mut::<4>(0).copy_from(&state.mean);
+    let mut covariance = Matrix6::zeros();
+    covariance.fixed_view_mut::<4, 4>(0, 0).copy_from(&state.covariance);
+    for axis in [4, 5] {
+        covariance[(axis, axis)] = sigma_mps2.powi(2);
+    }
+    Gaussian { mean, covariance }
 }

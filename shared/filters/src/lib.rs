@@ -1,29 +1,35 @@
 //! Filters that estimate the motion of agents, in f64, and the [`assignment`] of detections to them.
 //!
-//! A *prediction* moves a state on in time by its process model, an *update* corrects it by a measurement. Each is done
-//! on a copy that replaces the state only when every number in it is finite, so that a failure costs one step and never
-//! the track. Covariances are updated in Joseph form and symmetrised: they stay positive over millions of steps.
+//! A *prediction* moves a state on in time by its [`Process`], an *update* corrects it by what was observed. Each is
+//! done on a copy that replaces the state only when every number in it is finite, so that a failure costs one step and
+//! never the track. Covariances are updated in Joseph form and symmetrised: they stay positive over millions of steps.
 //!
-//! Vehicles and cyclists move as a [`Bicycle`], pedestrians with [`ConstantVelocity`]. So does a bicycle whose course
-//! nobody has told yet: a linearised heading with no idea of its value is worse than none. [`Filter::into_bicycle`]
-//! takes over once the motion shows it.
+//! A [`Gaussian`] under one process is an (extended) Kalman filter; [`Filter`] holds one of any [`Kind`].
 
 pub mod assignment;
 mod bicycle;
+mod constant_acceleration;
+mod constant_turn_rate;
 mod constant_velocity;
 mod filter;
 mod gaussian;
+mod innovation;
 mod observation;
+mod process;
 
-pub use bicycle::{Bicycle, BicycleModel};
+pub use bicycle::{Bicycle, turned_round};
+pub use constant_acceleration::ConstantAcceleration;
+pub use constant_turn_rate::ConstantTurnRate;
 pub use constant_velocity::ConstantVelocity;
-pub use filter::Filter;
-pub use gaussian::{FilterFault, Gaussian, Innovation};
+pub use filter::{Filter, Kind, Models, Unknown};
+pub use gaussian::{FilterFault, Gaussian};
+pub use innovation::{Evidence, Innovation, MEASURED_MAX};
 pub use observation::{Motion, Observation};
+pub use process::Process;
 
 use std::f64::consts::{PI, TAU};
 
-/// Longest step of a process model.
+/// Longest step of a process.
 pub const STEP_MAX_NS: u64 = 80_000_000;
 const STEP_MAX_S: f64 = 0.08;
 
@@ -31,10 +37,4 @@ const STEP_MAX_S: f64 = 0.08;
 #[must_use]
 pub fn wrapped(angle_rad: f64) -> f64 {
     if (-PI..PI).contains(&angle_rad) { angle_rad } else { (angle_rad + PI).rem_euclid(TAU) - PI }
-}
-
-/// Number and length of equal steps, each of at most 80 ms.
-fn steps(dt_ns: u64) -> (u64, f64) {
-    let steps_len = dt_ns.div_ceil(STEP_MAX_NS);
-    (steps_len, dt_ns as f64 / 1e9 / steps_len.max(1) as f64)
 }

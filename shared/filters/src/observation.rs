@@ -1,3 +1,7 @@
+use nalgebra::SVector;
+
+use crate::{Innovation, wrapped};
+
 /// What a detection tells of an agent's motion. Each optional value comes with its variance.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Observation {
@@ -18,6 +22,38 @@ impl Observation {
         let ((heading, _), (speed, variance)) = self.heading_rad.zip(self.speed_mps)?;
         let (sin, cos) = heading.sin_cos();
         Some(([speed * cos, speed * sin], variance))
+    }
+
+    /// What it tells beyond a state that begins with x, y, vx, vy.
+    ///
+    /// Heading and speed count as the velocity where both were observed. Either alone is left aside: nobody says that
+    /// a walker looks where it goes, and at rest neither has a derivative.
+    #[must_use]
+    pub fn against_cartesian<const N: usize>(&self, mean: &SVector<f64, N>) -> Innovation<N> {
+        let mut innovation = self.position_against(mean);
+        if let Some(([vx, vy], variance)) = self.velocity_mps() {
+            innovation.push(2, vx - mean[2], variance);
+            innovation.push(3, vy - mean[3], variance);
+        }
+        innovation
+    }
+
+    /// What it tells beyond a state that begins with x, y, ψ, v.
+    #[must_use]
+    pub fn against_polar<const N: usize>(&self, mean: &SVector<f64, N>) -> Innovation<N> {
+        let mut innovation = self.position_against(mean);
+        if let Some((heading, variance)) = self.heading_rad {
+            innovation.push(2, wrapped(heading - mean[2]), variance);
+        }
+        if let Some((speed, variance)) = self.speed_mps {
+            innovation.push(3, speed - mean[3], variance);
+        }
+        innovation
+    }
+
+    fn position_against<const N: usize>(&self, mean: &SVector<f64, N>) -> Innovation<N> {
+        let [x, y] = self.position_m;
+        Innovation::of_position([x - mean[0], y - mean[1]], self.position_variance)
     }
 }
 

@@ -2,7 +2,11 @@
 
 use std::path::PathBuf;
 
-use filters::{Bicycle, BicycleModel, ConstantVelocity, Filter, Gaussian, Observation, wrapped};
+use filters::{
+    Bicycle, ConstantAcceleration, ConstantTurnRate, ConstantVelocity, Filter, Gaussian, Kind, Models,
+    Observation, Process, Unknown, turned_round, wrapped,
+};
+use nalgebra::{SMatrix, SVector, Vector5};
 use proptest::prelude::*;
 
 const STEP_NS: u64 = 80_000_000;
@@ -89,7 +93,7 @@ fn bicycle_deviation(name: &str, key: &str, with_heading: bool) -> f64 {
         .iter()
         .map(|x| x.as_f64().expect("a number"))
         .collect();
-    let model = BicycleModel {
+    let model = Bicycle {
         rear_axle_m: all["rear_axle_m"].as_f64().expect("a number"),
         acceleration_mps2: number("sig_a"),
         slip_rate_radps: number("sig_bd"),
@@ -105,17 +109,17 @@ fn bicycle_deviation(name: &str, key: &str, with_heading: bool) -> f64 {
         |seen, heading| {
             let [x, y] = seen.position_m;
             let var = seen.position_variance;
-            Bicycle::new(
+            Gaussian::new(
                 [x, y, heading, 0.0, 0.0],
                 [var, var, heading_variance, speed_variance, slip_variance],
             )
         },
         |filter, seen| {
             filter.predict(STEP_NS, &model).expect("finite");
-            let nis = seen.map_or(f64::NAN, |seen| filter.update(seen, model.slip_max_rad).expect("finite"));
-            told(&filter.state, nis)
+            let nis = seen.map_or(f64::NAN, |seen| filter.update(seen, &model).expect("finite").nis);
+            told(filter, nis)
         },
-        |filter| told(&filter.state, f64::NAN),
+        |filter| told(filter, f64::NAN),
     )
 }
 
@@ -133,7 +137,7 @@ fn the_bicycle_agrees_with_the_reference() {
 #[test]
 fn constant_velocity_agrees_with_the_reference() {
     let all = parameters();
-    let density = all["cv"]["q"].as_f64().unwrap();
+    let process = ConstantVelocity { density: all["cv"]["q"].as_f64().unwrap() };
     let velocity_variance = all["initial_velocity_variance"].as_f64().unwrap();
     let worst = run(
         "cv_kf.csv",
@@ -141,32 +145,172 @@ fn constant_velocity_agrees_with_the_reference() {
         false,
         |seen, _| {
             let ([x, y], var) = (seen.position_m, seen.position_variance);
-            ConstantVelocity::new([x, y, 0.0, 0.0], [var, var, velocity_variance, velocity_variance])
+            Gaussian::new([x, y, 0.0, 0.0], [var, var, velocity_variance, velocity_variance])
         },
         |filter, seen| {
-            filter.predict(STEP_NS, density).unwrap();
-            let nis = seen.map_or(f64::NAN, |seen| filter.update(seen).unwrap());
-            told(&filter.state, nis)
+            filter.predict(STEP_NS, &process).unwrap();
+            let nis = seen.map_or(f64::NAN, |seen| filter.update(seen, &process).unwrap().nis);
+            told(filter, nis)
         },
-        |filter| told(&filter.state, f64::NAN),
+        |filter| told(filter, f64::NAN),
     );
     println!("cv_kf.csv: {worst:e}");
     assert!(worst < 1e-9, "deviates by {worst:e}");
 }
 
 #[test]
-fn subdivided_steps_are_those_of_shorter_frames() {
-    let start = ConstantVelocity::new([1.0, 2.0, 0.5, -0.25], [0.1, 0.1, 1.0, 1.0]);
-    let (mut long, mut short) = (start, start);
-    long.predict(5 * STEP_NS, 0.7).unwrap();
-    for _ in 0..5 {
-        short.predict(STEP_NS, 0.7).unwrap();
-    }
-    assert!((long.state.mean - short.state.mean).amax() < 1e-12);
-    assert!((long.state.covariance - short.state.covariance).amax() < 1e-12);
+fn constant_acceleration_agrees_with_the_reference() {
+    let all = parameters();
+    let process = ConstantAcceleration { density: all["ca"]["q"].as_f64().unwrap() };
+    let velocity_variance = all["initial_velocity_variance"].as_f64().unwrap();
+    let acceleration_variance = all["initial_acceleration_variance"].as_f64().unwrap();
+    let worst = run(
+        "ca_kf.csv",
+        None,
+        false,
+        |seen, _| {
+            let ([x, y], p) = (seen.position_m, seen.position_variance);
+            let (v, a) = (velocity_variance, acceleration_variance);
+            Gaussian::new([x, y, 0.0, 0.0, 0.0, 0.0], [p, p, v, v, a, a])
+        },
+        |filter, seen| {
+            filter.predict(STEP_NS, &process).unwrap();
+            let nis = seen.map_or(f64::NAN, |seen| filter.update(seen, &process).unwrap().nis);
+            told(filter, nis)
+        },
+        |filter| told(filter, f64::NAN),
+    );
+    println!("ca_kf.csv: {worst:e}");
+    assert!(worst < 1e-9, "deviates by {worst:e}");
 }
 
-const MODEL: BicycleModel = BicycleModel {
+/// The bicycle's Jacobian and next state, seen through the filter: the covariance of a step is J P Jᵀ.
+#[test]
+fn the_bicycles_jacobian_agrees_with_the_reference() {
+    let text = std::fs::read_to_string(golden("unit/jacobian.json")).unwrap();
+    let all: serde_json::Value = serde_json::from_str(&text).unwrap();
+    let numbers = |value: &serde_json::Value| -> SVector<f64, 5> {
+        SVector::from_iterator(value.as_array().unwrap().iter().map(|x| x.as_f64().unwrap()))
+    };
+    let still = Bicycle {
+        rear_axle_m: all["LR"].as_f64().unwrap(),
+        acceleration_mps2: 0.0,
+        slip_rate_radps: 0.0,
+        floor: [0.0; 5],
+        slip_max_rad: 3.0,
+    };
+    let cases = all["cases"].as_array().unwrap();
+    assert_eq!(cases.len(), 50);
+    for case in cases {
+        let rows: Vec<SVector<f64, 5>> = case["J"].as_array().unwrap().iter().map(numbers).collect();
+        let jacobian = SMatrix::<f64, 5, 5>::from_fn(|row, column| rows[row][column]);
+        let (state, expected) = (numbers(&case["s"]), numbers(&case["f"]));
+        for column in 0..5 {
+            let mut from = Gaussian::new(state.into(), [0.0; 5]);
+            from.covariance[(column, column)] = 1.0;
+            let moved = still.step(&from, all["DT"].as_f64().unwrap());
+            let mut off = moved.mean - expected;
+            off[2] = wrapped(off[2]);
+            assert!(off.amax() < 1e-9, "{off}");
+            let square = jacobian.column(column) * jacobian.column(column).transpose();
+            assert!((moved.covariance - square).amax() < 1e-9, "{case}");
+        }
+    }
+}
+
+/// Central differences of a constant turn rate's arc, through the limit of a straight course.
+#[test]
+fn the_arcs_jacobian_is_its_derivative() {
+    let dt_s = 0.08;
+    for turn_rate in [-2.0, -0.3, -0.025_000_1, -1e-5, 0.0, 1e-12, 1e-4, 0.024_999_9, 0.7, 40.0] {
+        for heading in [-3.0, 0.4, 2.5] {
+            let state = Vector5::new(3.0, -4.0, heading, 9.0, turn_rate);
+            let (_, jacobian) = ConstantTurnRate::arc(&state, dt_s);
+            for column in 0..5 {
+                let mut nudge = Vector5::zeros();
+                nudge[column] = 1e-5;
+                let (above, _) = ConstantTurnRate::arc(&(state + nudge), dt_s);
+                let (below, _) = ConstantTurnRate::arc(&(state - nudge), dt_s);
+                let difference = (above - below) / 2e-5;
+                assert!((difference - jacobian.column(column)).amax() < 1e-8, "ω = {turn_rate}, {column}");
+            }
+        }
+    }
+    // A quarter of a circle of radius 2 m, and the straight line.
+    let quarter = Vector5::new(0.0, 0.0, 0.0, 2.0, 1.0);
+    let (end, _) = ConstantTurnRate::arc(&quarter, std::f64::consts::FRAC_PI_2);
+    assert!((end - Vector5::new(2.0, 2.0, std::f64::consts::FRAC_PI_2, 2.0, 1.0)).amax() < 1e-12);
+    let (end, _) = ConstantTurnRate::arc(&Vector5::new(1.0, 1.0, 0.0, 5.0, 0.0), 0.08);
+    assert!((end - Vector5::new(1.4, 1.0, 0.0, 5.0, 0.0)).amax() < 1e-15);
+}
+
+/// NIS and likelihood against the density of the Gaussian written out.
+#[test]
+fn evidence_is_the_density_of_the_innovation() {
+    let mut state = Gaussian::new([0.0, 0.0, 1.0, 0.0], [0.3, 0.5, 0.2, 0.2]);
+    let process = ConstantVelocity { density: 1.0 };
+    let seen =
+        Observation { position_m: [0.6, -0.7], position_variance: 0.2, heading_rad: None, speed_mps: None };
+    let (xx, yy) = (0.3 + 0.2, 0.5 + 0.2_f64);
+    let nis: f64 = 0.36 / xx + 0.49 / yy;
+    let density = (-0.5 * nis).exp() / (std::f64::consts::TAU * f64::sqrt(xx * yy));
+    let evidence = state.update(&seen, &process).unwrap();
+    assert!((evidence.nis - nis).abs() < 1e-12);
+    assert!((evidence.log_likelihood - density.ln()).abs() < 1e-12);
+    assert_eq!(evidence.measured_len, 2);
+}
+
+/// Every kind takes position, heading and speed in any subset, and follows a circle told by these.
+#[test]
+fn every_kind_follows_a_circle() {
+    let (radius_m, speed_mps) = (20.0, 8.0);
+    let turn_rate = speed_mps / radius_m;
+    for kind in Kind::ALL {
+        for told in 0..4_u32 {
+            let seen = |k: u32| {
+                let angle = turn_rate * 0.08 * f64::from(k);
+                let heading = wrapped(angle + std::f64::consts::FRAC_PI_2);
+                Observation {
+                    position_m: [radius_m * angle.cos(), radius_m * angle.sin()],
+                    position_variance: 0.01,
+                    heading_rad: (told & 1 != 0).then_some((heading, 0.01)),
+                    speed_mps: (told & 2 != 0).then_some((speed_mps, 0.04)),
+                }
+            };
+            let mut filter = Filter::start(kind, &seen(0), &UNKNOWN);
+            for k in 1..100 {
+                filter.predict(STEP_NS, &MODELS).unwrap();
+                let evidence = filter.update(&seen(k), &MODELS).unwrap();
+                assert!(evidence.log_likelihood.is_finite() && (2..=4).contains(&evidence.measured_len));
+                if filter.kind() != kind && filter.course_sigma_rad() < 0.3 {
+                    filter = filter.into_kind(kind, &UNKNOWN);
+                }
+            }
+            assert_eq!(filter.kind(), kind);
+            let motion = filter.motion();
+            let [x, y] = seen(99).position_m;
+            let off_m = (motion.position_m[0] - x).hypot(motion.position_m[1] - y);
+            let across = [-y / radius_m * speed_mps, x / radius_m * speed_mps];
+            let off_mps = (motion.velocity_mps[0] - across[0]).hypot(motion.velocity_mps[1] - across[1]);
+            assert!(off_m < 0.15 && off_mps < 0.8, "{} {told}: {off_m} m, {off_mps} m/s", kind.name());
+        }
+    }
+}
+
+#[test]
+fn subdivided_steps_are_those_of_shorter_frames() {
+    let start = Gaussian::new([1.0, 2.0, 0.5, -0.25], [0.1, 0.1, 1.0, 1.0]);
+    let process = ConstantVelocity { density: 0.7 };
+    let (mut long, mut short) = (start, start);
+    long.predict(5 * STEP_NS, &process).unwrap();
+    for _ in 0..5 {
+        short.predict(STEP_NS, &process).unwrap();
+    }
+    assert!((long.mean - short.mean).amax() < 1e-12);
+    assert!((long.covariance - short.covariance).amax() < 1e-12);
+}
+
+const MODEL: Bicycle = Bicycle {
     rear_axle_m: 1.2,
     acceleration_mps2: 3.0,
     slip_rate_radps: 0.3,
@@ -174,11 +318,34 @@ const MODEL: BicycleModel = BicycleModel {
     slip_max_rad: 0.5,
 };
 
+const MODELS: Models = Models {
+    constant_velocity: ConstantVelocity { density: 4.0 },
+    constant_acceleration: ConstantAcceleration { density: 4.0 },
+    constant_turn_rate: ConstantTurnRate { acceleration_density: 2.0, yaw_density: 0.1 },
+    bicycle: MODEL,
+};
+
+const UNKNOWN: Unknown =
+    Unknown { speed_mps: 10.0, acceleration_mps2: 3.0, turn_rate_radps: 0.5, slip_rad: 0.1 };
+
+/// Whether a covariance is exactly symmetric, and positive once its components are brought to one scale.
+fn is_sound<const N: usize>(state: &Gaussian<N>) -> bool {
+    let p = state.covariance;
+    let scaled = SMatrix::<f64, N, N>::from_fn(|i, j| p[(i, j)] / (p[(i, i)] * p[(j, j)]).sqrt());
+    let eased = scaled + SMatrix::<f64, N, N>::identity() * 1e-9;
+    p == p.transpose() && state.is_finite() && eased.cholesky().is_some()
+}
+
 /// A filter's covariance must stay symmetric and positive whatever the noise of the measurements.
 #[test]
 fn covariances_stay_positive() {
-    let mut bicycle = Bicycle::new([0.0, 0.0, 0.3, 0.0, 0.0], [1.0, 1.0, 0.01, 100.0, 0.01]);
-    let mut cv = ConstantVelocity::new([0.0; 4], [1.0, 1.0, 100.0, 100.0]);
+    let start = Observation {
+        position_m: [30.0, 0.0],
+        position_variance: 1.0,
+        heading_rad: Some((1.5, 0.01)),
+        speed_mps: None,
+    };
+    let mut all = Kind::ALL.map(|kind| Filter::start(kind, &start, &UNKNOWN));
     for k in 0_u32..100_000 {
         let time_s = f64::from(k) * 0.08;
         let exponent = -12.0 + f64::from(k * 7 % 19);
@@ -189,20 +356,22 @@ fn covariances_stay_positive() {
             heading_rad: (k % 3 == 0).then_some((time_s / 10.0 + std::f64::consts::FRAC_PI_2, variance)),
             speed_mps: (k % 5 == 0).then_some((3.0, variance)),
         };
-        bicycle.predict(STEP_NS, &MODEL).unwrap();
-        cv.predict(STEP_NS, 1.0).unwrap();
-        bicycle.update(&seen, MODEL.slip_max_rad).unwrap();
-        cv.update(&seen).unwrap();
-        let p = bicycle.state.covariance;
-        assert_eq!(p, p.transpose(), "step {k}");
-        assert!(p.cholesky().is_some(), "step {k}, R = 1e{exponent}: {p}");
-        assert!(cv.state.covariance.cholesky().is_some(), "step {k}, R = 1e{exponent}");
+        for filter in &mut all {
+            filter.predict(STEP_NS, &MODELS).unwrap();
+            filter.update(&seen, &MODELS).unwrap();
+            let sound = match filter {
+                Filter::ConstantVelocity(state) => is_sound(state),
+                Filter::ConstantAcceleration(state) => is_sound(state),
+                Filter::ConstantTurnRate(state) | Filter::Bicycle(state) => is_sound(state),
+            };
+            assert!(sound, "step {k}, R = 1e{exponent}: {filter:?}");
+        }
     }
 }
 
 #[test]
 fn a_failed_update_restores_the_state() {
-    let mut bicycle = Bicycle::new([0.0, 0.0, 0.3, 5.0, 0.0], [1.0, 1.0, 0.01, 4.0, 0.01]);
+    let mut bicycle = Gaussian::new([0.0, 0.0, 0.3, 5.0, 0.0], [1.0, 1.0, 0.01, 4.0, 0.01]);
     let before = bicycle;
     let seen = |position_variance| Observation {
         position_m: [0.1, 0.2],
@@ -210,9 +379,9 @@ fn a_failed_update_restores_the_state() {
         heading_rad: None,
         speed_mps: None,
     };
-    assert!(bicycle.update(&seen(-5.0), 0.5).is_err());
+    assert!(bicycle.update(&seen(-5.0), &MODEL).is_err());
     assert_eq!(bicycle, before);
-    assert!(bicycle.update(&seen(f64::NAN), 0.5).is_err());
+    assert!(bicycle.update(&seen(f64::NAN), &MODEL).is_err());
     assert_eq!(bicycle, before);
 }
 
@@ -222,19 +391,17 @@ proptest! {
     fn turning_round_keeps_the_motion(
         heading in -3.0_f64..3.0, speed in -15.0_f64..15.0, slip in -0.4_f64..0.4,
     ) {
-        let start = Bicycle::new([3.0, 4.0, heading, speed, slip], [0.2, 0.3, 0.02, 1.5, 0.01]);
-        let mut turned = start;
-        turned.turn_round();
+        let start = Gaussian::new([3.0, 4.0, heading, speed, slip], [0.2, 0.3, 0.02, 1.5, 0.01]);
+        let turned = turned_round(&start);
         let (a, b) = (Filter::Bicycle(start).motion(), Filter::Bicycle(turned).motion());
         prop_assert!((a.velocity_mps[0] - b.velocity_mps[0]).abs() < 1e-9);
         prop_assert!((a.velocity_mps[1] - b.velocity_mps[1]).abs() < 1e-9);
-        let mut back = turned;
-        back.turn_round();
-        prop_assert!((back.state.covariance - start.state.covariance).amax() < 1e-9);
+        let back = turned_round(&turned);
+        prop_assert!((back.covariance - start.covariance).amax() < 1e-9);
 
         // The noise is told from one end, so the motion alone is compared.
         let still =
-            BicycleModel { acceleration_mps2: 0.0, slip_rate_radps: 0.0, floor: [0.0; 5], ..MODEL };
+            Bicycle { acceleration_mps2: 0.0, slip_rate_radps: 0.0, floor: [0.0; 5], ..MODEL };
         let (mut start, mut turned) = (start, turned);
         start.predict(4 * STEP_NS, &still).unwrap();
         turned.predict(4 * STEP_NS, &still).unwrap();
@@ -244,13 +411,26 @@ proptest! {
         prop_assert!(ca.iter().zip(cb).all(|(x, y)| (x - y).abs() < 1e-9));
     }
 
-    /// To a bicycle and back is the motion that it was.
+    /// To another kind and back is the motion that it was.
     #[test]
-    fn the_two_filters_tell_the_same_motion(vx in -9.0_f64..9.0, vy in 0.5_f64..9.0) {
-        let start = ConstantVelocity::new([3.0, 4.0, vx, vy], [0.2, 0.3, 0.5, 0.7]);
-        let bicycle = Filter::ConstantVelocity(start).into_bicycle(0.0);
-        let Filter::ConstantVelocity(back) = bicycle.into_constant_velocity() else { panic!() };
-        prop_assert!((back.state.mean - start.state.mean).amax() < 1e-9);
-        prop_assert!((back.state.covariance - start.state.covariance).amax() < 1e-9);
+    fn all_kinds_tell_the_same_motion(vx in -9.0_f64..9.0, vy in 0.5_f64..9.0) {
+        let start = Gaussian::new([3.0, 4.0, vx, vy], [0.2, 0.3, 0.5, 0.7]);
+        for kind in Kind::ALL {
+            let there = Filter::ConstantVelocity(start).into_kind(kind, &UNKNOWN);
+            prop_assert_eq!(there.kind(), kind);
+            let Filter::ConstantVelocity(back) = there.into_kind(Kind::ConstantVelocity, &UNKNOWN) else { panic!() };
+            prop_assert!((back.mean - start.mean).amax() < 1e-9);
+            // What a slip is not known to be, the course is not known to be.
+            let speed2 = vx * vx + vy * vy;
+            let slip = if kind == Kind::Bicycle { UNKNOWN.slip_rad.powi(2) } else { 0.0 };
+            let mut expected = start.covariance;
+            let across = [-vy, vx];
+            for i in 0..2 {
+                for j in 0..2 {
+                    expected[(2 + i, 2 + j)] += slip * across[i] * across[j];
+                }
+            }
+            prop_assert!((back.covariance - expected).amax() < 1e-9 * (1.0 + speed2));
+        }
     }
 }

@@ -1,0 +1,53 @@
+use nalgebra::{Matrix6, Vector6};
+
+use crate::{Gaussian, Innovation, Observation, Process};
+
+/// \[x, y, vx, vy, ax, ay\] under white jerk.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ConstantAcceleration {
+    /// Spectral density q of the jerk per axis, m²/s⁵.
+    pub density: f64,
+}
+
+impl Process<6> for ConstantAcceleration {
+    const ANGLES: &'static [usize] = &[];
+
+    /// ```text
+    /// p' = p + v Δt + a Δt²/2      v' = v + a Δt      a' = a
+    /// Q = q [Δt⁵/20  Δt⁴/8  Δt³/6; Δt⁴/8  Δt³/3  Δt²/2; Δt³/6  Δt²/2  Δt] per axis
+    /// ```
+    fn step(&self, state: &Gaussian<6>, dt_s: f64) -> Gaussian<6> {
+        let mut transition = Matrix6::identity();
+        let mut noise = Matrix6::zeros();
+        let of_chain = chain_noise(self.density, dt_s);
+        for axis in 0..2 {
+            let chain = [axis, 2 + axis, 4 + axis];
+            transition[(chain[0], chain[1])] = dt_s;
+            transition[(chain[1], chain[2])] = dt_s;
+            transition[(chain[0], chain[2])] = dt_s.powi(2) / 2.0;
+            for (row, of_row) in chain.into_iter().zip(of_chain) {
+                for (column, value) in chain.into_iter().zip(of_row) {
+                    noise[(row, column)] = value;
+                }
+            }
+        }
+        let covariance = state.propagated(&transition, &Vector6::zeros()) + noise;
+        Gaussian { mean: transition * state.mean, covariance }
+    }
+
+    fn innovation(&self, mean: &Vector6<f64>, seen: &Observation) -> Innovation<6> {
+        seen.against_cartesian(mean)
+    }
+
+    fn settle(&self, _: &mut Vector6<f64>) {}
+}
+
+/// Covariance that white noise of spectral density q gives a chain of three integrators in `dt_s`, the last first hit.
+pub(crate) fn chain_noise(density: f64, dt_s: f64) -> [[f64; 3]; 3] {
+    let of = |power: i32, divisor: f64| density * dt_s.powi(power) / divisor;
+    [
+        [of(5, 20.0), of(4, 8.0), of(3, 6.0)],
+        [of(4, 8.0), of(3, 3.0), of(2, 2.0)],
+        [of(3, 6.0), of(2, 2.0), of(1, 1.0)],
+    ]
+}
