@@ -11,13 +11,16 @@ const DEGREES_MAX: u64 = 1 << 32;
 
 /// The squared length of an error in units of its covariance: eᵀ P⁻¹ e.
 ///
-/// NEES for a state and its P, NIS for an innovation and its S. `None` where the covariance is not positive definite or
-/// the result is not finite.
+/// NEES for a state and its P, NIS for an innovation and its S. `None` where the covariance is not positive definite, or
+/// it or the result is not finite. Costs one Cholesky factorisation.
 #[must_use]
 pub fn normalised_square<const N: usize>(
     error: &SVector<f64, N>,
     covariance: &SMatrix<f64, N, N>,
 ) -> Option<f64> {
+    if !covariance.iter().all(|x| x.is_finite()) {
+        return None;
+    }
     let whitened = covariance.cholesky()?.l().solve_lower_triangular(error)?;
     Some(whitened.norm_squared()).filter(|square| square.is_finite())
 }
@@ -190,6 +193,19 @@ mod tests {
     }
 
     #[test]
+    fn bounds_of_large_sums_are_nearly_normal() {
+        const Z: f64 = 1.959_963_984_540_054;
+        for degrees in [1 << 20, 1 << 26, DEGREES_MAX] {
+            let bounds = chi_square_bounds(degrees, 0.95).unwrap();
+            let (mean, sigma) = (degrees as f64, (2.0 * degrees as f64).sqrt());
+            // Cornish and Fisher's expansion up to the skewness.
+            let skew = 2.0 / 3.0 * (Z * Z - 1.0);
+            assert_close((bounds.low - mean - skew) / sigma, -Z, 1e-3);
+            assert_close((bounds.high - mean - skew) / sigma, Z, 1e-3);
+        }
+    }
+
+    #[test]
     fn impossible_bounds_are_refused() {
         for (degrees, level) in [(0, 0.95), (DEGREES_MAX + 1, 0.95), (1, 0.0), (1, 1.0), (1, f64::NAN)] {
             assert!(chi_square_bounds(degrees, level).is_err(), "{degrees} {level}");
@@ -204,6 +220,10 @@ mod tests {
         assert_close(square, 22.0 / 7.0, 1e-14);
         assert_eq!(normalised_square(&Vector2::zeros(), &-covariance), None);
         assert_eq!(normalised_square(&Vector2::new(f64::NAN, 0.0), &covariance), None);
+        assert_eq!(
+            normalised_square(&Vector2::zeros(), &Matrix2::from_diagonal_element(f64::INFINITY)),
+            None
+        );
     }
 
     /// Two hundred runs of three hundred ticks, their covariances stated `scale` times too small.

@@ -29,10 +29,8 @@ pub struct Hota {
     /// Frames of each truth, and of each track.
     truths: BTreeMap<u64, u64>,
     tracks: BTreeMap<u64, u64>,
-    /// Pairs of all frames with a similarity above 0.
-    pairs: Vec<SimilarPair>,
-    /// For each frame the end of its pairs.
-    frame_ends: Vec<usize>,
+    /// The pairs of each frame with a similarity above 0.
+    frames: Vec<Vec<SimilarPair>>,
     shared: BTreeMap<(u64, u64), Shared>,
 }
 
@@ -59,21 +57,19 @@ impl Hota {
     pub fn add(&mut self, frame: &Frame, similarity: impl Fn(f64) -> f64) {
         frame.truths().iter().for_each(|truth| *self.truths.entry(truth.id).or_default() += 1);
         frame.tracks().iter().for_each(|track| *self.tracks.entry(track.id).or_default() += 1);
-        let start = self.pairs.len();
+        let mut pairs = Vec::new();
         for (truth, track, distance_m) in frame.pairs() {
             let similarity = similarity(distance_m);
             if similarity > 0.0 {
-                let similarity = similarity.min(1.0);
-                self.pairs.push(SimilarPair { truth: truth.id, track: track.id, similarity });
+                pairs.push(SimilarPair { truth: truth.id, track: track.id, similarity: similarity.min(1.0) });
             }
         }
-        self.frame_ends.push(self.pairs.len());
-        self.add_overlaps(start);
+        self.add_overlaps(&pairs);
+        self.frames.push(pairs);
     }
 
     /// Counts the pairs of a frame as overlaps: their similarity over all that truth and track have with anyone.
-    fn add_overlaps(&mut self, start: usize) {
-        let pairs = &self.pairs[start..];
+    fn add_overlaps(&mut self, pairs: &[SimilarPair]) {
         let (mut of_truth, mut of_track) = (BTreeMap::<u64, f64>::new(), BTreeMap::<u64, f64>::new());
         for pair in pairs {
             *of_truth.entry(pair.truth).or_default() += pair.similarity;
@@ -94,24 +90,14 @@ impl Hota {
             tracks_len: self.tracks.values().sum(),
             ..HotaCounts::default()
         };
-        let mut rest = self.pairs.as_slice();
-        let mut start = 0;
-        for &end in &self.frame_ends {
-            let (pairs, others) = rest.split_at(end - start);
-            (rest, start) = (others, end);
-            let edge = |pair: &SimilarPair| {
-                let key = (pair.truth, pair.track);
-                let overlap = self.shared[&key].overlap;
-                let either = self.truths[&key.0] as f64 + self.tracks[&key.1] as f64 - overlap;
-                Edge { truth: pair.truth, track: pair.track, gain: overlap / either * pair.similarity }
-            };
-            let edges: Vec<Edge> = pairs.iter().map(edge).collect();
-            for pair in best_pairs(&edges).into_iter().map(|i| &pairs[i]) {
-                let Some(shared) = self.shared.get_mut(&(pair.truth, pair.track)) else { continue };
-                for (i, alpha) in ALPHAS.iter().enumerate() {
-                    if pair.similarity >= alpha - f64::EPSILON {
-                        shared.matched[i] += 1;
-                        counts.alphas[i].similarity_sum += pair.similarity;
+        for pairs in std::mem::take(&mut self.frames) {
+            for i in best_pairs(&self.edges(&pairs)) {
+                let SimilarPair { truth, track, similarity } = pairs[i];
+                let matched = &mut self.shared.entry((truth, track)).or_default().matched;
+                for (k, alpha) in ALPHAS.iter().enumerate() {
+                    if similarity >= alpha - f64::EPSILON {
+                        matched[k] += 1;
+                        counts.alphas[k].similarity_sum += similarity;
                     }
                 }
             }
@@ -122,6 +108,16 @@ impl Hota {
             }
         }
         counts
+    }
+
+    /// What each pair of a frame is worth: its similarity, weighed with the overlap of the whole lives.
+    fn edges(&self, pairs: &[SimilarPair]) -> Vec<Edge> {
+        let edge = |&SimilarPair { truth, track, similarity }: &SimilarPair| {
+            let overlap = self.shared[&(truth, track)].overlap;
+            let either = (self.truths[&truth] + self.tracks[&track]) as f64 - overlap;
+            Edge { truth, track, gain: overlap / either * similarity }
+        };
+        pairs.iter().map(edge).collect()
     }
 }
 

@@ -4,7 +4,7 @@ use super::pairing::{Edge, best_pairs};
 /// How far the tracks of one instant are from the truths, as sets of points without ids.
 ///
 /// Pairs are chosen so that the sum of `d^p` over the pairs and of what the unpaired cost is least; no pair is farther
-/// apart than the cutoff `c`. Both distances are metrics: symmetric, 0 for equal sets only, no detour is shorter.
+/// apart than the cutoff `c`. A recording has the [`Mean`](crate::Mean) over its frames. Both distances are metrics: symmetric, 0 for equal sets only, no detour is shorter.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SetDistance {
     cutoff_m: f64,
