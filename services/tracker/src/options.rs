@@ -1,4 +1,4 @@
-use filters::{Bicycle, ConstantAcceleration, ConstantTurnRate, ConstantVelocity, Models};
+use filters::{Bicycle, ConstantAcceleration, ConstantTurnRate, ConstantVelocity, Integrator, Models};
 use wire::{AgentType, HISTORY_MAX};
 
 /// Standard deviations of what a detector measures, where the detection itself tells none.
@@ -125,6 +125,7 @@ impl InputModel {
             constant_acceleration: ConstantAcceleration { density: noise.density },
             constant_turn_rate: ConstantTurnRate { acceleration_density: noise.density, yaw_density: 0.2 },
             bicycle: Bicycle {
+                integrator: Integrator::Euler,
                 rear_axle_m: REAR_AXLE_RATIO * length_m.clamp(1.0, 25.0),
                 acceleration_mps2: noise.acceleration_mps2,
                 slip_rate_radps: noise.slip_rate_radps,

@@ -1,7 +1,7 @@
 use kinematics::Integrator;
 use nalgebra::{Matrix5, Vector2, Vector5};
 
-use crate::{Gaussian, Innovation, Observation, Process, STEP_MAX_S, wrapped};
+use crate::{Control, ControlStep, Gaussian, Innovation, Observation, Process, STEP_MAX_S, Steered, wrapped};
 
 /// Rows of the state.
 const HEADING: usize = 2;
@@ -10,12 +10,14 @@ const SLIP: usize = 4;
 
 /// \[x, y, ψ, v, β\]: position, heading, speed along the heading, slip angle.
 ///
-/// The process is [`kinematics::Bicycle`] under white acceleration and slip rate, in Euler steps \[paper, Eq.
-/// discretesystem\]; the Jacobian is taken at the mean before the step.
+/// The process is [`kinematics::Bicycle`] under white acceleration and slip rate; the Jacobian is taken at the mean
+/// before the step.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Bicycle {
     /// From the reference point to the rear axle, l_r.
     pub rear_axle_m: f64,
+    /// Where in a step the motion is taken. Euler's steps are the paper's; under an acceleration they fall behind.
+    pub integrator: Integrator,
     /// Standard deviation of the acceleration over a step of 80 ms; shorter steps keep its spectral density.
     pub acceleration_mps2: f64,
     /// Standard deviation of the slip rate over a step of 80 ms.
@@ -30,21 +32,7 @@ impl Process<5> for Bicycle {
     const ANGLES: &'static [usize] = &[HEADING, SLIP];
 
     fn step(&self, state: &Gaussian<5>, dt_s: f64) -> Gaussian<5> {
-        let bicycle = kinematics::Bicycle {
-            rear_axle_m: self.rear_axle_m,
-            slip_limit_rad: None,
-            integrator: Integrator::Euler,
-        };
-        let moved = bicycle.linearise(&state.mean, &Vector2::zeros(), dt_s);
-        let mut mean = moved.next;
-        mean[HEADING] = wrapped(mean[HEADING]);
-
-        let mut noise = Vector5::from(self.floor) * (dt_s / STEP_MAX_S);
-        noise[SPEED] += self.acceleration_mps2.powi(2) * dt_s * STEP_MAX_S;
-        if state.covariance[(SLIP, SLIP)] < self.slip_max_rad.powi(2) {
-            noise[SLIP] += self.slip_rate_radps.powi(2) * dt_s * STEP_MAX_S;
-        }
-        Gaussian { mean, covariance: state.propagated(&moved.by_state, &noise) }
+        self.steer(state, &Control::default(), dt_s)
     }
 
     fn innovation(&self, mean: &Vector5<f64>, seen: &Observation) -> Innovation<5> {
@@ -54,6 +42,43 @@ impl Process<5> for Bicycle {
     fn settle(&self, mean: &mut Vector5<f64>) {
         mean[HEADING] = wrapped(mean[HEADING]);
         mean[SLIP] = wrapped(mean[SLIP]).clamp(-self.slip_max_rad, self.slip_max_rad);
+    }
+}
+
+impl Steered<5> for Bicycle {
+    fn steer(&self, state: &Gaussian<5>, control: &Control, dt_s: f64) -> Gaussian<5> {
+        let bicycle = kinematics::Bicycle {
+            rear_axle_m: self.rear_axle_m,
+            slip_limit_rad: None,
+            integrator: self.integrator,
+        };
+        let moved = bicycle.linearise(&state.mean, &Vector2::from(control.rate), dt_s);
+        let mut mean = moved.next;
+        mean[HEADING] = wrapped(mean[HEADING]);
+
+        let [of_speed, cross, of_slip] = control.density;
+        let mut noise = Vector5::from(self.floor) * (dt_s / STEP_MAX_S);
+        noise[SPEED] += self.acceleration_mps2.powi(2) * dt_s * STEP_MAX_S + of_speed * dt_s;
+        let slip_is_known = state.covariance[(SLIP, SLIP)] < self.slip_max_rad.powi(2);
+        if slip_is_known {
+            noise[SLIP] += self.slip_rate_radps.powi(2) * dt_s * STEP_MAX_S + of_slip * dt_s;
+        }
+        let mut covariance = state.propagated(&moved.by_state, &noise);
+        if slip_is_known {
+            covariance[(SPEED, SLIP)] += cross * dt_s;
+            covariance[(SLIP, SPEED)] += cross * dt_s;
+        }
+        Gaussian { mean, covariance }
+    }
+
+    /// A control holds over its step. Its covariance is that of one draw per step; spread over shorter steps it keeps
+    /// its spectral density.
+    fn controls(steps: &[ControlStep], step_s: f64, _: f64) -> impl Iterator<Item = Control> {
+        steps.iter().map(move |step| Control::new(step.mean, &(step.covariance() * step_s)))
+    }
+
+    fn first_ns(step_ns: u64) -> u64 {
+        step_ns
     }
 }
 

@@ -1,6 +1,6 @@
-use nalgebra::{Matrix4, Vector4};
+use nalgebra::{Matrix2, Matrix4, Vector2, Vector4};
 
-use crate::{Gaussian, Innovation, Observation, Process};
+use crate::{Control, ControlStep, Gaussian, Innovation, Observation, Process, Steered};
 
 /// \[x, y, vx, vy\] under white acceleration.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -12,10 +12,22 @@ pub struct ConstantVelocity {
 impl Process<4> for ConstantVelocity {
     const ANGLES: &'static [usize] = &[];
 
-    /// ```text
-    /// p' = p + v Δt      v' = v      Q = q [Δt³/3  Δt²/2; Δt²/2  Δt] per axis
-    /// ```
     fn step(&self, state: &Gaussian<4>, dt_s: f64) -> Gaussian<4> {
+        self.steer(state, &Control::default(), dt_s)
+    }
+
+    fn innovation(&self, mean: &Vector4<f64>, seen: &Observation) -> Innovation<4> {
+        seen.against_cartesian(mean)
+    }
+
+    fn settle(&self, _: &mut Vector4<f64>) {}
+}
+
+impl Steered<4> for ConstantVelocity {
+    /// ```text
+    /// p' = p + v Δt + a Δt²/2      v' = v + a Δt      Q = q [Δt³/3  Δt²/2; Δt²/2  Δt] per axis
+    /// ```
+    fn steer(&self, state: &Gaussian<4>, control: &Control, dt_s: f64) -> Gaussian<4> {
         let density = self.density;
         let mut transition = Matrix4::identity();
         transition[(0, 2)] = dt_s;
@@ -28,12 +40,37 @@ impl Process<4> for ConstantVelocity {
             covariance[(p, v)] += cross;
             covariance[(v, p)] += cross;
         }
-        Gaussian { mean: transition * state.mean, covariance }
+        let [xx, xy, yy] = control.density.map(|density| density * dt_s);
+        covariance[(0, 0)] += xx;
+        covariance[(0, 1)] += xy;
+        covariance[(1, 0)] += xy;
+        covariance[(1, 1)] += yy;
+        let [ax, ay] = control.rate;
+        let half = dt_s.powi(2) / 2.0;
+        let pushed = Vector4::new(ax * half, ay * half, ax * dt_s, ay * dt_s);
+        Gaussian { mean: transition * state.mean + pushed, covariance }
     }
 
-    fn innovation(&self, mean: &Vector4<f64>, seen: &Observation) -> Innovation<4> {
-        seen.against_cartesian(mean)
+    /// Displacements as accelerations: a step's displacement is the velocity in the middle of the step, beyond that at
+    /// the stamp, and between these times it changes linearly. The displacement's covariance grows with time.
+    fn controls(steps: &[ControlStep], step_s: f64, heading_rad: f64) -> impl Iterator<Item = Control> {
+        let (sin, cos) = heading_rad.sin_cos();
+        let world_from_agent = Matrix2::new(cos, -sin, sin, cos);
+        let velocity = move |step: &ControlStep| world_from_agent * Vector2::from(step.mean) / step_s;
+        let controls_len = if steps.is_empty() { 0 } else { steps.len() + 1 };
+        (0..controls_len).map(move |k| {
+            let near = &steps[k.min(steps.len() - 1)];
+            let change = match k {
+                0 => velocity(near) * 2.0,
+                _ if k == steps.len() => Vector2::zeros(),
+                _ => velocity(near) - velocity(&steps[k - 1]),
+            };
+            let covariance = world_from_agent * near.covariance() * world_from_agent.transpose();
+            Control::new((change / step_s).into(), &(covariance / step_s))
+        })
     }
 
-    fn settle(&self, _: &mut Vector4<f64>) {}
+    fn first_ns(step_ns: u64) -> u64 {
+        step_ns / 2
+    }
 }

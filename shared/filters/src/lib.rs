@@ -4,26 +4,36 @@
 //! done on a copy that replaces the state only when every number in it is finite, so that a failure costs one step and
 //! never the track. Covariances are updated in Joseph form and symmetrised: they stay positive over millions of steps.
 //!
-//! A [`Gaussian`] under one process is an (extended) Kalman filter; [`Filter`] holds one of any [`Kind`].
+//! A [`Gaussian`] under one process is an (extended) Kalman filter; [`Filter`] holds one of any [`Kind`]. The forecast
+//! of a model, given as controls of several hypotheses, becomes the process of a [`Mixture`].
 
 pub mod assignment;
 mod bicycle;
 mod constant_acceleration;
 mod constant_turn_rate;
 mod constant_velocity;
+mod control;
 mod filter;
 mod gaussian;
 mod innovation;
+pub mod mixture;
+mod moments;
 mod observation;
 mod process;
+pub mod weights;
+
+pub use kinematics::Integrator;
 
 pub use bicycle::{Bicycle, turned_round};
 pub use constant_acceleration::ConstantAcceleration;
 pub use constant_turn_rate::ConstantTurnRate;
 pub use constant_velocity::ConstantVelocity;
+pub use control::{Control, ControlStep, Forecast, ForecastFault, HYPOTHESES_MAX, Steered};
 pub use filter::{Filter, Kind, Models, Unknown};
 pub use gaussian::{FilterFault, Gaussian};
 pub use innovation::{Evidence, Innovation, MEASURED_MAX};
+pub use mixture::{Mixture, Priors};
+pub use moments::{difference, mean, moments};
 pub use observation::{Motion, Observation};
 pub use process::Process;
 

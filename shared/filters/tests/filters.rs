@@ -3,8 +3,8 @@
 use std::path::PathBuf;
 
 use filters::{
-    Bicycle, ConstantAcceleration, ConstantTurnRate, ConstantVelocity, Filter, Gaussian, Kind, Models,
-    Observation, Process, Unknown, turned_round, wrapped,
+    Bicycle, ConstantAcceleration, ConstantTurnRate, ConstantVelocity, Filter, Gaussian, Integrator, Kind,
+    Models, Observation, Process, Unknown, turned_round, wrapped,
 };
 use nalgebra::{SMatrix, SVector, Vector5};
 use proptest::prelude::*;
@@ -95,6 +95,7 @@ fn bicycle_deviation(name: &str, key: &str, with_heading: bool) -> f64 {
         .collect();
     let model = Bicycle {
         rear_axle_m: all["rear_axle_m"].as_f64().expect("a number"),
+        integrator: Integrator::Euler,
         acceleration_mps2: number("sig_a"),
         slip_rate_radps: number("sig_bd"),
         floor: floor.try_into().expect("five variances"),
@@ -194,6 +195,7 @@ fn the_bicycles_jacobian_agrees_with_the_reference() {
     };
     let still = Bicycle {
         rear_axle_m: all["LR"].as_f64().unwrap(),
+        integrator: Integrator::Euler,
         acceleration_mps2: 0.0,
         slip_rate_radps: 0.0,
         floor: [0.0; 5],
@@ -312,6 +314,7 @@ fn subdivided_steps_are_those_of_shorter_frames() {
 
 const MODEL: Bicycle = Bicycle {
     rear_axle_m: 1.2,
+    integrator: Integrator::Euler,
     acceleration_mps2: 3.0,
     slip_rate_radps: 0.3,
     floor: [1e-4, 1e-4, 1e-5, 0.0, 0.0],

@@ -1,0 +1,188 @@
+use nalgebra::Matrix2;
+use thiserror::Error;
+
+use crate::{Gaussian, Process};
+
+/// Most hypotheses of one forecast.
+pub const HYPOTHESES_MAX: usize = 32;
+
+/// The Gaussian u = μ + L ε of a control over one step of a forecast.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct ControlStep {
+    /// Mean μ, as it acts (after saturation): acceleration m/s² and slip rate rad/s for a [`crate::Bicycle`], displacement
+    /// in m beyond that of the velocity at the forecast's stamp, along and across the agent, for a
+    /// [`crate::ConstantVelocity`].
+    pub mean: [f64; 2],
+    /// Lower Cholesky factor L as \[l11, l21, l22\].
+    pub cholesky: [f64; 3],
+}
+
+impl ControlStep {
+    fn is_finite(&self) -> bool {
+        self.mean.iter().chain(&self.cholesky).all(|x| x.is_finite())
+    }
+
+    pub(crate) fn covariance(&self) -> Matrix2<f64> {
+        let [l11, l21, l22] = self.cholesky;
+        let factor = Matrix2::new(l11, 0.0, l21, l22);
+        factor * factor.transpose()
+    }
+}
+
+/// What drives a state over a stretch of time, beside the process noise.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Control {
+    /// Constant rates: (a, β̇) of a bicycle, acceleration (x, y) of a constant velocity.
+    pub rate: [f64; 2],
+    /// Covariance per second (11, 21, 22) of the noise: on (v, β) of a bicycle, on the position of a constant velocity.
+    pub density: [f64; 3],
+}
+
+impl Control {
+    pub(crate) fn new(rate: [f64; 2], density: &Matrix2<f64>) -> Self {
+        Self { rate, density: [density[(0, 0)], density[(1, 0)], density[(1, 1)]] }
+    }
+}
+
+/// A process that known controls drive.
+pub trait Steered<const N: usize>: Process<N> {
+    /// As [`Process::step`], under a control.
+    #[must_use]
+    fn steer(&self, state: &Gaussian<N>, control: &Control, dt_s: f64) -> Gaussian<N>;
+
+    /// The controls of a forecast's steps, of `step_s` each, in axes along `heading_rad`.
+    fn controls(steps: &[ControlStep], step_s: f64, heading_rad: f64) -> impl Iterator<Item = Control>;
+
+    /// Duration of the first of these controls; the others take a step each.
+    #[must_use]
+    fn first_ns(step_ns: u64) -> u64;
+}
+
+/// How an agent may go on: equally long sequences of controls, one per hypothesis.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Forecast<'a> {
+    /// Time since the state from which the forecast starts.
+    pub age_ns: u64,
+    /// Duration of a step.
+    pub step_ns: u64,
+    /// Heading of the agent at the forecast's start.
+    pub heading_rad: f64,
+    /// Probability of each hypothesis, up to a common factor; at most [`HYPOTHESES_MAX`].
+    pub probability: &'a [f64],
+    /// The steps of the first hypothesis, then those of the next.
+    pub controls: &'a [ControlStep],
+}
+
+/// Why a forecast can't be a prior.
+#[derive(Clone, Copy, Debug, Error, PartialEq)]
+pub enum ForecastFault {
+    /// Nothing is forecast, or more than fits.
+    #[error("{controls_len} controls of {hypotheses_len} hypotheses")]
+    Shape {
+        /// Hypotheses given.
+        hypotheses_len: usize,
+        /// Controls given.
+        controls_len: usize,
+    },
+    /// A probability is negative or not finite, or all are 0.
+    #[error("hypotheses of probability {0}")]
+    Probability(f64),
+    /// A control, or the heading, is not finite.
+    #[error("a control of hypothesis {hypothesis} is not finite")]
+    NotFinite {
+        /// Number of the hypothesis.
+        hypothesis: usize,
+    },
+    /// The forecast ended before now.
+    #[error("forecast of {horizon_ns} ns is {age_ns} ns old")]
+    Over {
+        /// Age.
+        age_ns: u64,
+        /// Duration.
+        horizon_ns: u64,
+    },
+}
+
+impl Forecast<'_> {
+    /// Steps of each hypothesis.
+    #[must_use]
+    pub fn steps_len(&self) -> usize {
+        self.controls.len() / self.probability.len().max(1)
+    }
+
+    /// Duration of the forecast.
+    #[must_use]
+    pub fn horizon_ns(&self) -> u64 {
+        self.step_ns.saturating_mul(self.steps_len() as u64)
+    }
+
+    fn check(&self) -> Result<(), ForecastFault> {
+        let (hypotheses_len, controls_len) = (self.probability.len(), self.controls.len());
+        let fits = (1..=HYPOTHESES_MAX).contains(&hypotheses_len)
+            && self.steps_len() > 0
+            && controls_len.is_multiple_of(hypotheses_len);
+        if !fits {
+            return Err(ForecastFault::Shape { hypotheses_len, controls_len });
+        }
+        let wrong = self.probability.iter().find(|p| !(p.is_finite() && **p >= 0.0));
+        let sum: f64 = self.probability.iter().sum();
+        if wrong.is_some() || !(sum.is_finite() && sum > 0.0) {
+            return Err(ForecastFault::Probability(*wrong.unwrap_or(&sum)));
+        }
+        let broken = self.controls.iter().position(|step| !step.is_finite());
+        if let Some(at) = broken.or_else(|| (!self.heading_rad.is_finite()).then_some(0)) {
+            return Err(ForecastFault::NotFinite { hypothesis: at / self.steps_len() });
+        }
+        let (age_ns, horizon_ns) = (self.age_ns, self.horizon_ns());
+        if age_ns >= horizon_ns { Err(ForecastFault::Over { age_ns, horizon_ns }) } else { Ok(()) }
+    }
+}
+
+/// The controls of all hypotheses, by the time since the forecast's start.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Plan {
+    controls: Vec<Control>,
+    /// Controls of each hypothesis.
+    controls_len: usize,
+    first_ns: u64,
+    step_ns: u64,
+    pub horizon_ns: u64,
+}
+
+impl Plan {
+    /// Takes over a forecast whose hypotheses move by the process `P`; its control covariances times `scale`.
+    ///
+    /// # Errors
+    /// [`ForecastFault`]; the plan is then as before.
+    pub fn adopt<P: Steered<N>, const N: usize>(
+        &mut self,
+        forecast: &Forecast,
+        scale: f64,
+    ) -> Result<(), ForecastFault> {
+        forecast.check()?;
+        let step_s = forecast.step_ns as f64 / 1e9;
+        self.controls.clear();
+        for steps in forecast.controls.chunks_exact(forecast.steps_len()) {
+            self.controls.extend(
+                P::controls(steps, step_s, forecast.heading_rad).map(|control| Control {
+                    density: control.density.map(|value| value * scale),
+                    ..control
+                }),
+            );
+        }
+        self.controls_len = self.controls.len() / forecast.probability.len();
+        self.first_ns = P::first_ns(forecast.step_ns);
+        self.step_ns = forecast.step_ns;
+        self.horizon_ns = forecast.horizon_ns();
+        Ok(())
+    }
+
+    /// The control of a hypothesis at a time since the forecast's start.
+    pub fn at(&self, hypothesis: usize, time_ns: u64) -> &Control {
+        let number = match time_ns.checked_sub(self.first_ns) {
+            None => 0,
+            Some(after_ns) => 1 + (after_ns / self.step_ns.max(1)) as usize,
+        };
+        &self.controls[hypothesis * self.controls_len + number.min(self.controls_len - 1)]
+    }
+}

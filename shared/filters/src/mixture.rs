@@ -1,0 +1,256 @@
+//! The learned prior, linearised: every draw of a forecast is a hypothesis of how the agent is steered, with a filter of
+//! its own, and measurements tell which of them holds.
+//!
+//! Given the controls, the state is nearly Gaussian; so only the choice among the draws is sampled, and the filter is
+//! *Rao-Blackwellised*. Weights follow the evidence, w_k ∝ w_k N(y; 0, S_k). One component more moves by the
+//! kinematic process alone and is there when no draw is right. A new forecast finds the mixture collapsed to the
+//! Gaussian of its moments: the forecast's controls move the posterior, never its states, which would drop every
+//! measurement since its stamp.
+
+use nalgebra::SVector;
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+
+use crate::control::Plan;
+use crate::process::steps;
+use crate::weights::{effective_size, log_sum_exp, normalise, systematic};
+use crate::{FilterFault, Forecast, ForecastFault, Gaussian, HYPOTHESES_MAX, Observation, Steered, moments};
+
+/// The processes of a mixture, and how far it trusts a forecast.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Priors<P> {
+    /// Of the component without a forecast.
+    pub kinematic: P,
+    /// Of the hypotheses: its noise comes on top of that of their controls.
+    pub learned: P,
+    /// Weight of the component without a forecast when a forecast comes, within \[0, 1\].
+    pub kinematic_weight: f64,
+    /// Factor on the covariances of a forecast's controls.
+    pub covariance_scale: f64,
+}
+
+impl<P> Priors<P> {
+    /// A kinematic component of weight 0.05, and control covariances as forecast.
+    #[must_use]
+    pub const fn new(kinematic: P, learned: P) -> Self {
+        Self { kinematic, learned, kinematic_weight: 0.05, covariance_scale: 1.0 }
+    }
+}
+
+#[derive(Clone, Copy, Debug)]
+struct Component<const N: usize> {
+    state: Gaussian<N>,
+    log_weight: f64,
+    /// `None`: the kinematic component.
+    hypothesis: Option<usize>,
+    /// How many particles it stands for: those that were resampled from one hypothesis stay equal for ever.
+    copies: usize,
+}
+
+/// A mixture of Kalman filters, one per hypothesis of a forecast and one without.
+#[derive(Clone, Debug)]
+pub struct Mixture<P, const N: usize> {
+    /// Processes and trust; may be changed between calls.
+    pub priors: Priors<P>,
+    components: Vec<Component<N>>,
+    /// Components under way; they replace the others when all is well.
+    next: Vec<Component<N>>,
+    plan: Plan,
+    age_ns: u64,
+    rng: ChaCha8Rng,
+}
+
+impl<P: Steered<N>, const N: usize> Mixture<P, N> {
+    /// A mixture of the kinematic component alone.
+    #[must_use]
+    pub fn new(state: Gaussian<N>, priors: Priors<P>, seed: u64) -> Self {
+        let mut mixture = Self {
+            priors,
+            components: Vec::with_capacity(HYPOTHESES_MAX + 1),
+            next: Vec::with_capacity(HYPOTHESES_MAX + 1),
+            plan: Plan::default(),
+            age_ns: 0,
+            rng: ChaCha8Rng::seed_from_u64(seed),
+        };
+        mixture.reset(state);
+        mixture
+    }
+
+    /// Forgets the forecast and goes on from `state`.
+    pub fn reset(&mut self, state: Gaussian<N>) {
+        self.components.clear();
+        self.components.push(Component { state, log_weight: 0.0, hypothesis: None, copies: 1 });
+    }
+
+    /// Takes a forecast as the prior from now on; the mixture before is collapsed to its moments.
+    ///
+    /// # Errors
+    /// [`ForecastFault`]; the mixture then goes on as before.
+    pub fn adopt(&mut self, forecast: &Forecast) -> Result<(), ForecastFault> {
+        self.plan.adopt::<P, N>(forecast, self.priors.covariance_scale)?;
+        self.age_ns = forecast.age_ns;
+        let state = self.moments();
+        let kinematic = self.priors.kinematic_weight;
+        self.components.clear();
+        if kinematic > 0.0 {
+            let log_weight = kinematic.ln();
+            self.components.push(Component { state, log_weight, hypothesis: None, copies: 1 });
+        }
+        let sum: f64 = forecast.probability.iter().sum();
+        for (hypothesis, probability) in forecast.probability.iter().enumerate() {
+            let weight = (1.0 - kinematic) * probability / sum;
+            if weight > 0.0 {
+                let (log_weight, hypothesis) = (weight.ln(), Some(hypothesis));
+                self.components.push(Component { state, log_weight, hypothesis, copies: 1 });
+            }
+        }
+        Ok(())
+    }
+
+    /// Moves all components on by `dt_ns`; beyond the forecast's horizon the kinematic process alone does.
+    ///
+    /// A component that fails is left out.
+    ///
+    /// # Errors
+    /// [`FilterFault`] where all fail; the mixture is then as before.
+    pub fn predict(&mut self, dt_ns: u64) -> Result<(), FilterFault> {
+        let age_ns = self.age_ns.saturating_add(dt_ns);
+        if self.is_learned() && age_ns > self.plan.horizon_ns {
+            self.reset(self.moments());
+        }
+        let (steps_len, dt_s) = steps(dt_ns);
+        self.next.clear();
+        for component in &self.components {
+            let mut state = component.state;
+            match component.hypothesis {
+                None => {
+                    for _ in 0..steps_len {
+                        state = self.priors.kinematic.step(&state, dt_s);
+                    }
+                }
+                Some(hypothesis) => {
+                    for i in 0..steps_len {
+                        // The control in the middle of the step: a step that ends with a control's time is its own.
+                        let middle_ns = self.age_ns + dt_ns * (2 * i + 1) / (2 * steps_len);
+                        state = self.priors.learned.steer(&state, self.plan.at(hypothesis, middle_ns), dt_s);
+                    }
+                    self.priors.learned.settle(&mut state.mean);
+                }
+            }
+            if state.is_finite() {
+                self.next.push(Component { state, ..*component });
+            }
+        }
+        if self.next.is_empty() {
+            return Err(FilterFault::NotFinite);
+        }
+        self.age_ns = age_ns;
+        self.take_next();
+        Ok(())
+    }
+
+    /// Corrects all components and their weights by what was observed; returns the logarithm of the observation's
+    /// density under the mixture.
+    ///
+    /// A component that fails is left out.
+    ///
+    /// # Errors
+    /// [`FilterFault`] where all fail; the mixture is then as before.
+    pub fn update(&mut self, seen: &Observation) -> Result<f64, FilterFault> {
+        let mut fault = FilterFault::NotFinite;
+        self.next.clear();
+        for component in &self.components {
+            let process = match component.hypothesis {
+                None => &self.priors.kinematic,
+                Some(_) => &self.priors.learned,
+            };
+            let mut state = component.state;
+            match state.update(seen, process) {
+                Ok(evidence) => {
+                    let log_weight = component.log_weight + evidence.log_likelihood;
+                    self.next.push(Component { state, log_weight, ..*component });
+                }
+                Err(found) => fault = found,
+            }
+        }
+        let log_likelihood = log_sum_exp(self.next.iter().map(|component| component.log_weight));
+        if !log_likelihood.is_finite() {
+            return Err(fault);
+        }
+        self.take_next();
+        self.resample();
+        Ok(log_likelihood)
+    }
+
+    /// The Gaussian with the mixture's moments.
+    #[must_use]
+    pub fn moments(&self) -> Gaussian<N> {
+        match self.components.as_slice() {
+            [only] => only.state,
+            all => moments(all.iter().map(|c| (c.log_weight.exp(), &c.state)), P::ANGLES),
+        }
+    }
+
+    /// Mean of the mixture.
+    #[must_use]
+    pub fn mean(&self) -> SVector<f64, N> {
+        self.moments().mean
+    }
+
+    /// The components that are left: number of the hypothesis, `None` for the kinematic one, with weight and state. The
+    /// weights sum to 1.
+    pub fn components(&self) -> impl Iterator<Item = (Option<usize>, f64, &Gaussian<N>)> {
+        self.components.iter().map(|c| (c.hypothesis, c.log_weight.exp(), &c.state))
+    }
+
+    /// Weight of a hypothesis, 0 where it was left behind.
+    #[must_use]
+    pub fn weight(&self, hypothesis: usize) -> f64 {
+        self.components().find(|c| c.0 == Some(hypothesis)).map_or(0.0, |c| c.1)
+    }
+
+    /// Whether a forecast takes part in the prediction.
+    #[must_use]
+    pub fn is_learned(&self) -> bool {
+        self.components.iter().any(|component| component.hypothesis.is_some())
+    }
+
+    /// Time since the start of the forecast that takes part.
+    #[must_use]
+    pub fn forecast_age_ns(&self) -> Option<u64> {
+        self.is_learned().then_some(self.age_ns)
+    }
+
+    /// Puts the components under way in place, with weights that sum to 1.
+    fn take_next(&mut self) {
+        std::mem::swap(&mut self.components, &mut self.next);
+        normalise(&mut self.components, |component| &mut component.log_weight);
+        self.components.retain(|component| component.log_weight > f64::NEG_INFINITY);
+    }
+
+    /// Chooses the hypotheses anew by their weights where few of them hold most of it; the kinematic component keeps
+    /// its own.
+    fn resample(&mut self) {
+        let learned = |component: &&Component<N>| component.hypothesis.is_some();
+        let hypotheses = || self.components.iter().filter(learned);
+        let sum = log_sum_exp(hypotheses().map(|component| component.log_weight));
+        let weights = || hypotheses().map(|component| (component.log_weight - sum).exp());
+        // A component of n copies weighs as n particles of w / n each.
+        let particles_len: usize = hypotheses().map(|component| component.copies).sum();
+        let root = hypotheses().map(|component| (component.copies as f64).sqrt());
+        let effective = effective_size(weights().zip(root).map(|(weight, root)| weight / root));
+        if particles_len < 2 || effective >= particles_len as f64 / 2.0 {
+            return;
+        }
+        let mut copies = [0; HYPOTHESES_MAX];
+        for chosen in systematic(weights(), self.rng.random(), particles_len) {
+            copies[chosen] += 1;
+        }
+        let chosen = self.components.iter_mut().filter(|component| component.hypothesis.is_some());
+        for (component, copies) in chosen.zip(copies) {
+            component.copies = copies;
+            component.log_weight = sum + (copies as f64 / particles_len as f64).ln();
+        }
+        self.components.retain(|component| component.copies > 0);
+    }
+}

@@ -1,0 +1,53 @@
+use nalgebra::{SMatrix, SVector};
+
+use crate::gaussian::symmetrised;
+use crate::{Gaussian, wrapped};
+
+/// The mean of weighted points, on the circle for the components `angles`; the weights sum to 1.
+#[must_use]
+pub fn mean<'a, const N: usize>(
+    points: impl Iterator<Item = (f64, &'a SVector<f64, N>)>,
+    angles: &[usize],
+) -> SVector<f64, N> {
+    let [mut mean, mut sin, mut cos] = [SVector::<f64, N>::zeros(); 3];
+    for (weight, point) in points {
+        mean += point * weight;
+        for &angle in angles {
+            sin[angle] += weight * point[angle].sin();
+            cos[angle] += weight * point[angle].cos();
+        }
+    }
+    for &angle in angles {
+        mean[angle] = wrapped(f64::atan2(sin[angle], cos[angle]));
+    }
+    mean
+}
+
+/// `point` less `from`, by the shorter way round for the components `angles`.
+#[must_use]
+pub fn difference<const N: usize>(
+    point: &SVector<f64, N>,
+    from: &SVector<f64, N>,
+    angles: &[usize],
+) -> SVector<f64, N> {
+    let mut difference = point - from;
+    for &angle in angles {
+        difference[angle] = wrapped(difference[angle]);
+    }
+    difference
+}
+
+/// The Gaussian with the moments of a mixture: the components' covariances and their spread. The weights sum to 1.
+#[must_use]
+pub fn moments<'a, const N: usize>(
+    components: impl Iterator<Item = (f64, &'a Gaussian<N>)> + Clone,
+    angles: &[usize],
+) -> Gaussian<N> {
+    let mean = mean(components.clone().map(|(weight, component)| (weight, &component.mean)), angles);
+    let mut covariance = SMatrix::zeros();
+    for (weight, component) in components {
+        let off = difference(&component.mean, &mean, angles);
+        covariance += (component.covariance + off * off.transpose()) * weight;
+    }
+    Gaussian { mean, covariance: symmetrised(&covariance) }
+}

@@ -1,0 +1,56 @@
+//! Weights of hypotheses and particles: sums of what underflows, and choosing anew by weight.
+
+/// ln Σ exp(x), without overflow or underflow on the way; −∞ of nothing.
+#[must_use]
+pub fn log_sum_exp(values: impl Iterator<Item = f64> + Clone) -> f64 {
+    let most = values.clone().fold(f64::NEG_INFINITY, f64::max);
+    if most == f64::NEG_INFINITY {
+        return most;
+    }
+    most + values.map(|value| (value - most).exp()).sum::<f64>().ln()
+}
+
+/// Shifts the logarithms of weights so that the weights sum to 1, where any is above 0; `of` finds one in an item.
+///
+/// The largest is taken away first: it may be so far from 0 that the others' part in the sum would be rounded off.
+pub fn normalise<T>(items: &mut [T], of: impl Fn(&mut T) -> &mut f64) {
+    let most = items.iter_mut().map(|item| *of(item)).fold(f64::NEG_INFINITY, f64::max);
+    if !most.is_finite() {
+        return;
+    }
+    let mut sum = 0.0;
+    for item in items.iter_mut() {
+        let log_weight = of(item);
+        *log_weight -= most;
+        sum += log_weight.exp();
+    }
+    for item in items {
+        *of(item) -= sum.ln();
+    }
+}
+
+/// How many equal weights would say as much as these, which sum to 1: 1 / Σ w².
+#[must_use]
+pub fn effective_size(weights: impl Iterator<Item = f64>) -> f64 {
+    1.0 / weights.map(|weight| weight * weight).sum::<f64>()
+}
+
+/// Systematic resampling: the numbers chosen by `chosen_len` equally spaced points (i + u) / len against the cumulative
+/// weights, in rising order. `offset` is u, within \[0, 1); the weights sum to 1.
+pub fn systematic(
+    weights: impl Iterator<Item = f64>,
+    offset: f64,
+    chosen_len: usize,
+) -> impl Iterator<Item = usize> {
+    let mut weights = weights.enumerate();
+    let (mut last, mut reached) = weights.next().unwrap_or((0, 1.0));
+    (0..chosen_len).map(move |i| {
+        let point = (i as f64 + offset) / chosen_len as f64;
+        while reached < point {
+            // A point that rounding has put behind the last weight belongs to it.
+            let Some((number, weight)) = weights.next() else { break };
+            (last, reached) = (number, reached + weight);
+        }
+        last
+    })
+}
