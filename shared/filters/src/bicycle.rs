@@ -29,7 +29,7 @@ pub struct Bicycle {
 }
 
 impl Process<5> for Bicycle {
-    const ANGLES: &'static [usize] = &[HEADING, SLIP];
+    const ANGLES: &'static [usize] = &[HEADING];
 
     fn step(&self, state: &Gaussian<5>, dt_s: f64) -> Gaussian<5> {
         self.steer(state, &Control::default(), dt_s)

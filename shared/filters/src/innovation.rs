@@ -51,6 +51,16 @@ impl<const N: usize> Innovation<N> {
         self.variance[self.len] = variance;
         self.len += 1;
     }
+
+    /// Logarithm of the measurement's density where the state is known for certain; not finite where a variance is not
+    /// positive.
+    #[must_use]
+    pub fn log_density(&self) -> f64 {
+        let measured = self.residual.iter().zip(&self.variance).take(self.len);
+        measured
+            .map(|(residual, variance)| -0.5 * (residual * residual / variance + (TAU * variance).ln()))
+            .sum()
+    }
 }
 
 impl<const N: usize> Gaussian<N> {

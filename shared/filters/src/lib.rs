@@ -5,7 +5,8 @@
 //! never the track. Covariances are updated in Joseph form and symmetrised: they stay positive over millions of steps.
 //!
 //! A [`Gaussian`] under one process is an (extended) Kalman filter; [`Filter`] holds one of any [`Kind`]. The forecast
-//! of a model, given as controls of several hypotheses, becomes the process of a [`Mixture`].
+//! of a model, given as controls of several hypotheses, becomes the process of a [`Mixture`] of
+//! linearised filters, or of [`Particles`].
 
 pub mod assignment;
 mod bicycle;
@@ -16,9 +17,11 @@ mod control;
 mod filter;
 mod gaussian;
 mod innovation;
+pub mod jpda;
 pub mod mixture;
 mod moments;
 mod observation;
+pub mod particles;
 mod process;
 pub mod weights;
 
@@ -33,8 +36,9 @@ pub use filter::{Filter, Kind, Models, Unknown};
 pub use gaussian::{FilterFault, Gaussian};
 pub use innovation::{Evidence, Innovation, MEASURED_MAX};
 pub use mixture::{Mixture, Priors};
-pub use moments::{difference, mean, moments};
+pub use moments::{between, difference, mean, moments, sample_moments};
 pub use observation::{Motion, Observation};
+pub use particles::Particles;
 pub use process::Process;
 
 use std::f64::consts::{PI, TAU};

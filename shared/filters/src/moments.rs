@@ -51,3 +51,42 @@ pub fn moments<'a, const N: usize>(
     }
     Gaussian { mean, covariance: symmetrised(&covariance) }
 }
+
+/// Mean of equally likely points and their covariance over n − 1: what a set of samples tells of where it came from.
+#[must_use]
+pub fn sample_moments<const N: usize>(points: &[SVector<f64, N>], angles: &[usize]) -> Gaussian<N> {
+    let weight = 1.0 / points.len().max(1) as f64;
+    let weighted = || points.iter().map(|point| (weight, point));
+    let mean = mean(weighted(), angles);
+    let unbiased = points.len() as f64 / points.len().saturating_sub(1).max(1) as f64;
+    Gaussian { mean, covariance: scatter(weighted(), &mean, angles) * unbiased }
+}
+
+/// Covariance of weighted points about their mean; the weights sum to 1.
+pub(crate) fn scatter<'a, const N: usize>(
+    points: impl Iterator<Item = (f64, &'a SVector<f64, N>)>,
+    mean: &SVector<f64, N>,
+    angles: &[usize],
+) -> SMatrix<f64, N, N> {
+    let mut covariance = SMatrix::zeros();
+    for (weight, point) in points {
+        let off = difference(point, mean, angles);
+        covariance += off * off.transpose() * weight;
+    }
+    symmetrised(&covariance)
+}
+
+/// The point that lies `share` of the way between two others, by the shorter way round for the components `angles`.
+#[must_use]
+pub fn between<const N: usize>(
+    before: &SVector<f64, N>,
+    after: &SVector<f64, N>,
+    share: f64,
+    angles: &[usize],
+) -> SVector<f64, N> {
+    let mut point = before + difference(after, before, angles) * share;
+    for &angle in angles {
+        point[angle] = wrapped(point[angle]);
+    }
+    point
+}

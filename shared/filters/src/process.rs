@@ -4,7 +4,7 @@ use crate::{Evidence, FilterFault, Gaussian, Innovation, Observation, STEP_MAX_N
 
 /// How agents move and how they are seen: a state of `N` components, the first two the position, and its noise.
 pub trait Process<const N: usize> {
-    /// The components that are angles.
+    /// The components that go round: their means are taken on the circle. An angle that stays small is none of these.
     const ANGLES: &'static [usize];
 
     /// The state `dt_s` later, at most 80 ms.

@@ -1,0 +1,142 @@
+//! Joint probabilistic data association: how probable it is that each detection belongs to each track, over all ways to
+//! pair them at once, instead of one pairing for all.
+//!
+//! A *joint event* gives every track one detection or none, and no detection two tracks. It weighs
+//!
+//! ```text
+//! Π_paired P_D N(y_ij; 0, S_ij) / λ · Π_missed (1 − P_D)
+//! ```
+//!
+//! and the probability β_ij of a pair is the share of all events that hold it. A track is then updated to the
+//! [`crate::moments`] of its posteriors under each detection, weighted by β, and of its prior, weighted by that of the miss.
+
+use thiserror::Error;
+
+/// Most tracks, and most detections, of a component whose events are enumerated.
+pub const SIDE_MAX: usize = 5;
+/// A pair so much less likely than the best of its track counts as no less: it never matters, and events can't underflow.
+const LOG_RATIO_MIN: f64 = -100.0;
+/// A detection, or the miss, of one track.
+const OPTIONS_MAX: usize = SIDE_MAX + 1;
+
+/// How the sensor sees.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Sensor {
+    /// Probability that a track is detected, P_D, below 1.
+    pub detection_probability: f64,
+    /// False detections per unit of the measured space, λ; above 0.
+    pub clutter_density: f64,
+}
+
+/// Why no association was made.
+#[derive(Clone, Copy, Debug, Error, PartialEq)]
+pub enum JpdaFault {
+    /// More events than are enumerated.
+    #[error("{tracks_len} tracks and {detections_len} detections, at most {SIDE_MAX} each")]
+    TooLarge {
+        /// Tracks given.
+        tracks_len: usize,
+        /// Detections given.
+        detections_len: usize,
+    },
+    /// The sensor's numbers are no probability and density.
+    #[error("{0:?} is no sensor")]
+    Sensor(Sensor),
+}
+
+/// The probability of each pair, and of each track's miss.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Association {
+    beta: [[f64; OPTIONS_MAX]; SIDE_MAX],
+    tracks_len: usize,
+    detections_len: usize,
+}
+
+impl Association {
+    /// Enumerates the joint events of a component.
+    ///
+    /// `log_likelihood(track, detection)` is ln N(y; 0, S), `None` beyond the gate; one that is not finite counts as
+    /// beyond it.
+    ///
+    /// # Errors
+    /// [`JpdaFault`]
+    pub fn new(
+        tracks_len: usize,
+        detections_len: usize,
+        sensor: &Sensor,
+        log_likelihood: impl Fn(usize, usize) -> Option<f64>,
+    ) -> Result<Self, JpdaFault> {
+        if tracks_len > SIDE_MAX || detections_len > SIDE_MAX {
+            return Err(JpdaFault::TooLarge { tracks_len, detections_len });
+        }
+        let log_miss = (1.0 - sensor.detection_probability).ln();
+        let log_hit = (sensor.detection_probability / sensor.clutter_density).ln();
+        if !(log_miss.is_finite() && log_hit.is_finite()) {
+            return Err(JpdaFault::Sensor(*sensor));
+        }
+        let mut weights = [[0.0; OPTIONS_MAX]; SIDE_MAX];
+        for (track, weight) in weights.iter_mut().enumerate().take(tracks_len) {
+            let mut logs = [None; OPTIONS_MAX];
+            for (detection, log) in logs.iter_mut().enumerate().take(detections_len) {
+                *log =
+                    log_likelihood(track, detection).filter(|log| log.is_finite()).map(|log| log + log_hit);
+            }
+            logs[detections_len] = Some(log_miss);
+            let most = logs.iter().flatten().fold(f64::NEG_INFINITY, |most, &log| most.max(log));
+            *weight = logs.map(|log| log.map_or(0.0, |log| (log - most).max(LOG_RATIO_MIN).exp()));
+        }
+        let mut association = Self { beta: [[0.0; OPTIONS_MAX]; SIDE_MAX], tracks_len, detections_len };
+        let sum = association.gather(&weights, 0, 0, 1.0);
+        for beta in association.beta.as_flattened_mut() {
+            *beta /= sum;
+        }
+        Ok(association)
+    }
+
+    /// Adds every event that goes on from the pairs of the tracks before `track`, which weigh `before` and hold the
+    /// detections of the mask `taken`, to the pairs that it holds; returns the sum of what the events weigh from `track` on.
+    fn gather(
+        &mut self,
+        weights: &[[f64; OPTIONS_MAX]; SIDE_MAX],
+        track: usize,
+        taken: u8,
+        before: f64,
+    ) -> f64 {
+        if track == self.tracks_len {
+            return 1.0;
+        }
+        let mut sum = 0.0;
+        for option in 0..=self.detections_len {
+            let weight = weights[track][option];
+            let bit = if option < self.detections_len { 1 << option } else { 0 };
+            if weight == 0.0 || taken & bit != 0 {
+                continue;
+            }
+            let from_here = weight * self.gather(weights, track + 1, taken | bit, before * weight);
+            self.beta[track][option] += before * from_here;
+            sum += from_here;
+        }
+        sum
+    }
+
+    /// Probability that a detection belongs to a track.
+    #[must_use]
+    pub fn pair(&self, track: usize, detection: usize) -> f64 {
+        self.of_track(track)[detection]
+    }
+
+    /// Probability that a track has no detection.
+    #[must_use]
+    pub fn miss(&self, track: usize) -> f64 {
+        self.of_track(track)[self.detections_len]
+    }
+
+    /// Probabilities of a track's detections, then of its miss; they sum to 1.
+    ///
+    /// # Panics
+    /// If there is no such track.
+    #[must_use]
+    pub fn of_track(&self, track: usize) -> &[f64] {
+        &self.beta[..self.tracks_len][track][..=self.detections_len]
+    }
+}
