@@ -73,8 +73,9 @@ impl Steered<5> for Bicycle {
 
     /// A control holds over its step. Its covariance is that of one draw per step; spread over shorter steps it keeps
     /// its spectral density.
-    fn controls(steps: &[ControlStep], step_s: f64, _: f64) -> impl Iterator<Item = Control> {
-        steps.iter().map(move |step| Control::new(step.mean, &(step.covariance() * step_s)))
+    fn control(steps: &[ControlStep], number: usize, step_s: f64, _: f64) -> Control {
+        let step = steps.get(number).or(steps.last()).copied().unwrap_or_default();
+        Control::new(step.mean, &(step.covariance() * step_s))
     }
 
     fn first_ns(step_ns: u64) -> u64 {

@@ -53,21 +53,18 @@ impl Steered<4> for ConstantVelocity {
 
     /// Displacements as accelerations: a step's displacement is the velocity in the middle of the step, beyond that at
     /// the stamp, and between these times it changes linearly. The displacement's covariance grows with time.
-    fn controls(steps: &[ControlStep], step_s: f64, heading_rad: f64) -> impl Iterator<Item = Control> {
+    fn control(steps: &[ControlStep], number: usize, step_s: f64, heading_rad: f64) -> Control {
         let (sin, cos) = heading_rad.sin_cos();
         let world_from_agent = Matrix2::new(cos, -sin, sin, cos);
-        let velocity = move |step: &ControlStep| world_from_agent * Vector2::from(step.mean) / step_s;
-        let controls_len = if steps.is_empty() { 0 } else { steps.len() + 1 };
-        (0..controls_len).map(move |k| {
-            let near = &steps[k.min(steps.len() - 1)];
-            let change = match k {
-                0 => velocity(near) * 2.0,
-                _ if k == steps.len() => Vector2::zeros(),
-                _ => velocity(near) - velocity(&steps[k - 1]),
-            };
-            let covariance = world_from_agent * near.covariance() * world_from_agent.transpose();
-            Control::new((change / step_s).into(), &(covariance / step_s))
-        })
+        let velocity = |step: &ControlStep| Vector2::from(step.mean) / step_s;
+        let change = match (number.checked_sub(1).map(|before| steps.get(before)), steps.get(number)) {
+            (None, Some(first)) => velocity(first) * 2.0,
+            (Some(Some(before)), Some(next)) => velocity(next) - velocity(before),
+            _ => Vector2::zeros(),
+        };
+        let near = steps.get(number).or(steps.last()).copied().unwrap_or_default();
+        let covariance = world_from_agent * near.covariance() * world_from_agent.transpose();
+        Control::new((world_from_agent * change / step_s).into(), &(covariance / step_s))
     }
 
     fn first_ns(step_ns: u64) -> u64 {

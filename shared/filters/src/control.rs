@@ -50,10 +50,12 @@ pub trait Steered<const N: usize>: Process<N> {
     #[must_use]
     fn steer(&self, state: &Gaussian<N>, control: &Control, dt_s: f64) -> Gaussian<N>;
 
-    /// The controls of a forecast's steps, of `step_s` each, in axes along `heading_rad`.
-    fn controls(steps: &[ControlStep], step_s: f64, heading_rad: f64) -> impl Iterator<Item = Control>;
+    /// The control that drives a forecast's state for the `number`th time; `steps` of `step_s` each are those of one
+    /// hypothesis, in axes along `heading_rad`.
+    #[must_use]
+    fn control(steps: &[ControlStep], number: usize, step_s: f64, heading_rad: f64) -> Control;
 
-    /// Duration of the first of these controls; the others take a step each.
+    /// Duration of the first control; the others take a step each.
     #[must_use]
     fn first_ns(step_ns: u64) -> u64;
 }
@@ -141,48 +143,40 @@ impl Forecast<'_> {
 /// The controls of all hypotheses, by the time since the forecast's start.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Plan {
-    controls: Vec<Control>,
-    /// Controls of each hypothesis.
-    controls_len: usize,
-    first_ns: u64,
+    steps: Vec<ControlStep>,
+    /// Steps of each hypothesis.
+    steps_len: usize,
     step_ns: u64,
+    heading_rad: f64,
+    covariance_scale: f64,
     pub horizon_ns: u64,
 }
 
 impl Plan {
-    /// Takes over a forecast whose hypotheses move by the process `P`; its control covariances times `scale`.
+    /// Takes over a forecast, its control covariances times `covariance_scale`.
     ///
     /// # Errors
     /// [`ForecastFault`]; the plan is then as before.
-    pub fn adopt<P: Steered<N>, const N: usize>(
-        &mut self,
-        forecast: &Forecast,
-        scale: f64,
-    ) -> Result<(), ForecastFault> {
+    pub fn adopt(&mut self, forecast: &Forecast, covariance_scale: f64) -> Result<(), ForecastFault> {
         forecast.check()?;
-        let step_s = forecast.step_ns as f64 / 1e9;
-        self.controls.clear();
-        for steps in forecast.controls.chunks_exact(forecast.steps_len()) {
-            self.controls.extend(
-                P::controls(steps, step_s, forecast.heading_rad).map(|control| Control {
-                    density: control.density.map(|value| value * scale),
-                    ..control
-                }),
-            );
-        }
-        self.controls_len = self.controls.len() / forecast.probability.len();
-        self.first_ns = P::first_ns(forecast.step_ns);
+        self.steps.clear();
+        self.steps.extend_from_slice(forecast.controls);
+        self.steps_len = forecast.steps_len();
         self.step_ns = forecast.step_ns;
+        self.heading_rad = forecast.heading_rad;
+        self.covariance_scale = covariance_scale;
         self.horizon_ns = forecast.horizon_ns();
         Ok(())
     }
 
-    /// The control of a hypothesis at a time since the forecast's start.
-    pub fn at(&self, hypothesis: usize, time_ns: u64) -> &Control {
-        let number = match time_ns.checked_sub(self.first_ns) {
+    /// The control of a hypothesis at a time since the forecast's start, by which the process `P` moves.
+    pub fn at<P: Steered<N>, const N: usize>(&self, hypothesis: usize, time_ns: u64) -> Control {
+        let number = match time_ns.checked_sub(P::first_ns(self.step_ns)) {
             None => 0,
             Some(after_ns) => 1 + (after_ns / self.step_ns.max(1)) as usize,
         };
-        &self.controls[hypothesis * self.controls_len + number.min(self.controls_len - 1)]
+        let steps = &self.steps[hypothesis * self.steps_len..][..self.steps_len];
+        let control = P::control(steps, number, self.step_ns as f64 / 1e9, self.heading_rad);
+        Control { density: control.density.map(|value| value * self.covariance_scale), ..control }
     }
 }

@@ -7,11 +7,11 @@ use crate::{FilterFault, Gaussian};
 /// Most values that one update compares: x, y, ψ, v.
 pub const MEASURED_MAX: usize = 4;
 
-/// What a measurement tells beyond the prediction: values with independent errors, each linear in the state.
+/// What a measurement tells beyond the prediction: values of components of the state, with independent errors.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Innovation<const N: usize> {
-    /// Derivative of each measured value by the state, H.
-    rows: [SVector<f64, N>; MEASURED_MAX],
+    /// The component that each measured value observes.
+    rows: [usize; MEASURED_MAX],
     residual: [f64; MEASURED_MAX],
     variance: [f64; MEASURED_MAX],
     len: usize,
@@ -32,9 +32,7 @@ impl<const N: usize> Innovation<N> {
     /// Of a position, observed directly as the first two components: measured less predicted, and variance per axis.
     #[must_use]
     pub fn of_position(residual: [f64; 2], variance: f64) -> Self {
-        let empty = SVector::zeros();
-        let mut innovation =
-            Self { rows: [empty; MEASURED_MAX], residual: [0.0; 4], variance: [0.0; 4], len: 0 };
+        let mut innovation = Self { rows: [0; 4], residual: [0.0; 4], variance: [0.0; 4], len: 0 };
         innovation.push(0, residual[0], variance);
         innovation.push(1, residual[1], variance);
         innovation
@@ -46,7 +44,7 @@ impl<const N: usize> Innovation<N> {
     /// If more than [`MEASURED_MAX`] values are added, or the state has no such component.
     pub fn push(&mut self, component: usize, residual: f64, variance: f64) {
         assert!(self.len < MEASURED_MAX && component < N, "up to {MEASURED_MAX} values of {N} components");
-        self.rows[self.len][component] = 1.0;
+        self.rows[self.len] = component;
         self.residual[self.len] = residual;
         self.variance[self.len] = variance;
         self.len += 1;
@@ -80,14 +78,25 @@ impl<const N: usize> Gaussian<N> {
         &self,
         innovation: &Innovation<N>,
     ) -> Result<(Self, Evidence), FilterFault> {
-        let observed = SMatrix::<f64, M, N>::from_fn(|row, column| innovation.rows[row][column]);
-        let noise = SMatrix::<f64, M, M>::from_diagonal(&SVector::from_fn(|row, _| innovation.variance[row]));
-        let residual = SVector::<f64, M>::from_fn(|row, _| innovation.residual[row]);
-        let cross = self.covariance * observed.transpose();
-        let factor = (observed * cross + noise).cholesky().ok_or(FilterFault::NotPositive)?;
-        let gain = factor.solve(&cross.transpose()).transpose();
-        let kept = SMatrix::<f64, N, N>::identity() - gain * observed;
-        let covariance = kept * self.covariance * kept.transpose() + gain * noise * gain.transpose();
+        // H picks components: H P is rows of P, H P Hᵀ their columns.
+        let rows = &innovation.rows[..M];
+        let residual = SVector::<f64, M>::from_fn(|m, _| innovation.residual[m]);
+        let observed = SMatrix::<f64, M, N>::from_fn(|m, column| self.covariance[(rows[m], column)]);
+        let mut spread = SMatrix::<f64, M, M>::from_fn(|m, other| observed[(m, rows[other])]);
+        for m in 0..M {
+            spread[(m, m)] += innovation.variance[m];
+        }
+        let factor = spread.cholesky().ok_or(FilterFault::NotPositive)?;
+        let gain = factor.solve(&observed).transpose();
+        let mut kept = SMatrix::<f64, N, N>::identity();
+        let mut noisy = gain;
+        for (m, &row) in rows.iter().enumerate() {
+            for component in 0..N {
+                kept[(component, row)] -= gain[(component, m)];
+                noisy[(component, m)] *= innovation.variance[m];
+            }
+        }
+        let covariance = kept * self.covariance * kept.transpose() + noisy * gain.transpose();
         let posterior = Self { mean: self.mean + gain * residual, covariance: symmetrised(&covariance) };
         let nis = residual.dot(&factor.solve(&residual));
         let log_root: f64 = (0..M).map(|row| factor.l_dirty()[(row, row)].ln()).sum();

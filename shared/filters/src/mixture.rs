@@ -87,7 +87,7 @@ impl<P: Steered<N>, const N: usize> Mixture<P, N> {
     /// # Errors
     /// [`ForecastFault`]; the mixture then goes on as before.
     pub fn adopt(&mut self, forecast: &Forecast) -> Result<(), ForecastFault> {
-        self.plan.adopt::<P, N>(forecast, self.priors.covariance_scale)?;
+        self.plan.adopt(forecast, self.priors.covariance_scale)?;
         self.age_ns = forecast.age_ns;
         let state = self.moments();
         let kinematic = self.priors.kinematic_weight;
@@ -132,7 +132,8 @@ impl<P: Steered<N>, const N: usize> Mixture<P, N> {
                     for i in 0..steps_len {
                         // The control in the middle of the step: a step that ends with a control's time is its own.
                         let middle_ns = self.age_ns + dt_ns * (2 * i + 1) / (2 * steps_len);
-                        state = self.priors.learned.steer(&state, self.plan.at(hypothesis, middle_ns), dt_s);
+                        let control = self.plan.at::<P, N>(hypothesis, middle_ns);
+                        state = self.priors.learned.steer(&state, &control, dt_s);
                     }
                     self.priors.learned.settle(&mut state.mean);
                 }

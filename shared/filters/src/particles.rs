@@ -81,7 +81,7 @@ impl<P: Steered<N>, const N: usize> Particles<P, N> {
     /// # Errors
     /// [`ForecastFault`]; the particles then go on as before.
     pub fn adopt(&mut self, forecast: &Forecast) -> Result<(), ForecastFault> {
-        self.plan.adopt::<P, N>(forecast, self.priors.covariance_scale)?;
+        self.plan.adopt(forecast, self.priors.covariance_scale)?;
         self.age_ns = forecast.age_ns;
         let kinematic = self.priors.kinematic_weight;
         let sum: f64 = forecast.probability.iter().sum();
@@ -128,8 +128,8 @@ impl<P: Steered<N>, const N: usize> Particles<P, N> {
                 let (process, moved) = match particle.hypothesis {
                     None => (&self.priors.kinematic, self.priors.kinematic.step(&from, dt_s)),
                     Some(hypothesis) => {
-                        let control = self.plan.at(hypothesis, middle_ns);
-                        (&self.priors.learned, self.priors.learned.steer(&from, control, dt_s))
+                        let control = self.plan.at::<P, N>(hypothesis, middle_ns);
+                        (&self.priors.learned, self.priors.learned.steer(&from, &control, dt_s))
                     }
                 };
                 particle.state = moved.sample(&mut normal);

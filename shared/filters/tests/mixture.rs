@@ -192,7 +192,7 @@ fn measurements_find_the_hypothesis_that_holds() {
         let mut plain = start;
         mixture.adopt(&forecast(&sets)).unwrap();
         let mut truth = Gaussian::new(start.mean.into(), [0.0; 5]);
-        let control = Bicycle::controls(&sets.1[STEPS * true_hypothesis..][..1], 0.4, 0.0).next().unwrap();
+        let control = Bicycle::control(&sets.1[STEPS * true_hypothesis..][..1], 0, 0.4, 0.0);
         let mut fewest = usize::MAX;
         for tick in 1..=45 {
             truth = STEERED.steer(&truth, &control, 0.08);

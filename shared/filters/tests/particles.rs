@@ -52,8 +52,8 @@ impl Steered<2> for RandomWalk {
         self.step(state, dt_s)
     }
 
-    fn controls(steps: &[ControlStep], _: f64, _: f64) -> impl Iterator<Item = Control> {
-        steps.iter().map(|_| Control::default())
+    fn control(_: &[ControlStep], _: usize, _: f64, _: f64) -> Control {
+        Control::default()
     }
 
     fn first_ns(step_ns: u64) -> u64 {
