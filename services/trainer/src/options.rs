@@ -70,6 +70,11 @@ pub struct TrainOptions {
     pub short_history: f64,
     /// Share of the agents whose history is made noisy.
     pub noisy_history: f64,
+    /// Share of the clips whose velocities and headings are differences of positions, whatever the recording tells. The
+    /// base control is then fitted to such histories too.
+    pub differenced_history: f64,
+    /// How evenly the sites of a data set are drawn: by their size where 0, by its root where 0.5, all alike where 1.
+    pub even_sites: f64,
     /// Updates between two validations.
     pub validate_every: u64,
     /// Agents of each set in a validation during training, at most.
@@ -122,6 +127,8 @@ impl Default for TrainOptions {
             whole_history: false,
             short_history: 0.3,
             noisy_history: 0.15,
+            differenced_history: 0.0,
+            even_sites: 0.0,
             validate_every: 500,
             validation_agents: 400,
             patience: 12,
@@ -162,7 +169,8 @@ impl TrainOptions {
                 )
             }
             _ if !self.shares().iter().all(|share| (0.0..=1.0).contains(share)) => refuse(
-                "without_map, site_map and their sum, short_history, noisy_history and standing must be 0 to 1",
+                "without_map, site_map and their sum, short_history, noisy_history, differenced_history and standing \
+                 must be 0 to 1",
             ),
             _ if ![self.scale_deviation, self.base_scale_deviation]
                 .iter()
@@ -170,6 +178,7 @@ impl TrainOptions {
             {
                 refuse("scale_deviation and base_scale_deviation must be 0 or more and less than 1")
             }
+            _ if !(0.0..=1.0).contains(&self.even_sites) => refuse("even_sites must be 0 to 1"),
             _ if self.steps == 0 || self.validate_every == 0 => {
                 refuse("steps and validate_every must be 1 or more")
             }
@@ -187,9 +196,16 @@ impl TrainOptions {
         Self { data, out, checkpoints, resume, begin_with, ..self.clone() }
     }
 
-    fn shares(&self) -> [f64; 6] {
-        let maps = self.without_map + self.site_map;
-        [self.without_map, self.site_map, maps, self.short_history, self.noisy_history, self.standing]
+    fn shares(&self) -> [f64; 7] {
+        [
+            self.without_map,
+            self.site_map,
+            self.without_map + self.site_map,
+            self.short_history,
+            self.noisy_history,
+            self.differenced_history,
+            self.standing,
+        ]
     }
 }
 

@@ -10,6 +10,7 @@ mod ground;
 #[cfg(test)]
 mod tests;
 
+use std::ops::Range;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -40,6 +41,8 @@ pub struct Source {
 pub(crate) struct SetSamples {
     pub(crate) set: DataSet,
     pub(crate) windows: Vec<Window>,
+    /// The windows of each site; all of them where the set tells no sites.
+    pub(crate) sites: Vec<Range<usize>>,
 }
 
 impl SetSamples {
@@ -120,8 +123,10 @@ impl Samples {
                 });
             }
             let stride = windows.len().div_ceil(selection.windows_max).max(1);
-            let windows = windows.into_iter().step_by(stride).collect();
-            sets.push(SetSamples { set, windows });
+            let windows: Vec<Window> = windows.into_iter().step_by(stride).collect();
+            let of_window = |window: &Window| sites[window.recording as usize].as_deref();
+            let sites = runs(&windows, |a, b| of_window(a) == of_window(b));
+            sets.push(SetSamples { set, windows, sites });
         }
         let steps = [config.history_len, config.horizon_len];
         Ok(Self { sets, sources, spool: spooling.finish()?, steps, grounds, sites })
@@ -182,6 +187,17 @@ impl Samples {
             counted.skip(first).step_by(stride).map(Ok).collect()
         })
     }
+}
+
+/// Where neighbours belong together.
+fn runs<T>(values: &[T], together: impl FnMut(&T, &T) -> bool) -> Vec<Range<usize>> {
+    let mut end = 0;
+    let run = |run: &[T]| {
+        let start = end;
+        end += run.len();
+        start..end
+    };
+    values.chunk_by(together).map(run).collect()
 }
 
 /// The folder of a recording is its site, in data sets that have several recordings of one.

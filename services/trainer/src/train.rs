@@ -4,6 +4,7 @@
 mod tests;
 
 use std::collections::BTreeMap;
+use std::ops::Range;
 use std::path::Path;
 use std::time::Instant;
 
@@ -127,6 +128,7 @@ impl<'a> Run<'a> {
                 |agent_type| self.training.spread(&self.training.sets, agent_type, FITTED_MAX),
                 Twins {
                     noise: options.noisy_history > 0.0,
+                    differenced: options.differenced_history,
                     scale_deviation: options.base_scale_deviation as f32,
                 },
                 options.seed,
@@ -246,7 +248,7 @@ impl<'a> Run<'a> {
         while agents_len < options.batch_agents && tries < options.batch_agents {
             tries += 1;
             let set = sets[weighted(&weights, random)];
-            let first = random.random_range(0..set.windows.len());
+            let first = draw_window(&set.sites, options.even_sites, random);
             let recording = set.windows[first].recording;
             let windows = &set.windows[first..(first + options.clip_windows).min(set.windows.len())];
             let windows = windows.iter().take_while(|window| window.recording == recording);
@@ -380,6 +382,13 @@ fn split(clips: Vec<Vec<SceneView<'_>>>, parts: usize) -> Vec<Vec<SceneView<'_>>
     }
     dealt.retain(|part| part.iter().flat_map(|scene| &scene.agents).any(|view| view.counts));
     dealt
+}
+
+/// A window, from sites drawn as [`TrainOptions::even_sites`] has it.
+fn draw_window(sites: &[Range<usize>], even_sites: f64, random: &mut impl Rng) -> usize {
+    let weights: Vec<f64> = sites.iter().map(|site| (site.len() as f64).powf(1.0 - even_sites)).collect();
+    let site = sites[weighted(&weights, random)].clone();
+    random.random_range(site)
 }
 
 /// An index drawn in proportion to its weight.

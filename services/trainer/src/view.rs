@@ -26,6 +26,8 @@ pub(crate) struct Clip {
     mirrored: bool,
     /// Factor of all lengths.
     scale: f32,
+    /// Whether motion is differences of positions.
+    differenced: bool,
 }
 
 impl Clip {
@@ -40,7 +42,8 @@ impl Clip {
         let mirrored = free && random.random_bool(0.5);
         let deviation: f32 = Distribution::<f32>::sample(&StandardNormal, random);
         let scale = if free { (deviation * options.scale_deviation as f32).exp() } else { 1.0 };
-        Self { centre: centre.id, centre_m: position_m(centre), mirrored, scale }
+        let differenced = random.random_bool(options.differenced_history);
+        Self { centre: centre.id, centre_m: position_m(centre), mirrored, scale, differenced }
     }
 
     /// Shows a scene: the agents around the middle, some with a shortened or noisy history.
@@ -58,6 +61,9 @@ impl Clip {
             let shortened = random.random_bool(options.short_history);
             let len = if shortened { random.random_range(2..=history_len) } else { history_len };
             let mut view = shown(agent, len, self.mirrored)?;
+            if self.differenced {
+                view = differenced(view, options.model.dt_s);
+            }
             if self.scale != 1.0 {
                 view.scale(self.scale);
             }
@@ -96,6 +102,13 @@ pub(crate) fn shown(agent: &Arc<Agent>, history_len: usize, mirrored: bool) -> O
     }
     let frame = agent_frame(&history)?;
     Some(View { agent: Arc::clone(agent), history, future, frame, counts: agent.counts })
+}
+
+/// The same agent as a sensor that tells positions alone would give it.
+pub(crate) fn differenced(mut view: View, dt_s: f64) -> View {
+    let positions_m: Vec<_> = view.history.iter().map(|state| state.map(|state| state.position_m)).collect();
+    scene::states_from_positions(&positions_m, positions_m.len(), dt_s as f32, &mut view.history);
+    View { frame: agent_frame(&view.history).unwrap_or(view.frame), ..view }
 }
 
 /// The same agent as a noisy sensor would give it. How noisy is drawn too, up to [`NOISE`].
@@ -143,4 +156,56 @@ fn nearest(scene: &Scene, centre_m: [f32; 2], len: usize) -> Vec<&Arc<Agent>> {
     order.truncate(len);
     order.sort_unstable();
     order.into_iter().map(|agent| &scene.agents[agent]).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use rand::SeedableRng;
+
+    use super::*;
+
+    /// A vehicle at 2, 4, 7 and 11 m whose recording tells 3 m/s northward all the time.
+    fn vehicle() -> Arc<Agent> {
+        let told = |x: f32| State { position_m: [x, 5.0], velocity_mps: [0.0, 3.0], heading_rad: 1.5 };
+        Arc::new(Agent {
+            id: 1,
+            agent_type: scene::AgentType::Vehicle,
+            length_m: None,
+            history: [2.0, 4.0, 7.0, 11.0].map(|x| Some(told(x))).to_vec(),
+            future: vec![Some(told(12.0))],
+            patches: vec![None; 5],
+            counts: true,
+        })
+    }
+
+    #[test]
+    fn differenced_motion_is_that_of_the_positions_shown() {
+        let view = differenced(shown(&vehicle(), 3, false).unwrap(), 0.5);
+        let velocities: Vec<_> =
+            view.history.iter().map(|state| state.map(|state| state.velocity_mps)).collect();
+        assert_eq!(velocities, [None, Some([6.0, 0.0]), Some([6.0, 0.0]), Some([8.0, 0.0])]);
+        let newest = view.history[3].unwrap();
+        assert_eq!((newest.position_m, newest.heading_rad), ([11.0, 5.0], 0.0));
+        assert_eq!(view.frame, agent_frame(&view.history).unwrap());
+        assert_eq!(view.future, vehicle().future);
+    }
+
+    #[test]
+    fn clips_show_the_share_of_differenced_motion_that_is_asked_for() {
+        let scene = Scene { agents: vec![vehicle()] };
+        let differenced_of = |share: f64| {
+            let mut options = TrainOptions { differenced_history: share, ..TrainOptions::default() };
+            (options.short_history, options.noisy_history) = (0.0, 0.0);
+            options.model.history_len = 4;
+            let mut random = rand_chacha::ChaCha8Rng::seed_from_u64(1);
+            let mut is_differenced = || {
+                let clip = Clip::draw(std::slice::from_ref(&scene), &options, &mut random);
+                let shown = clip.show(&scene, None, &options, &mut random);
+                shown.agents[0].history[3].unwrap().velocity_mps != [0.0, 3.0]
+            };
+            (0..200).filter(|_| is_differenced()).count()
+        };
+        assert_eq!((differenced_of(0.0), differenced_of(1.0)), (0, 200));
+        assert!((70..130).contains(&differenced_of(0.5)));
+    }
 }

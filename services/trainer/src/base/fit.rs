@@ -5,7 +5,7 @@ use std::sync::Arc;
 use metrics::kmeans;
 use nalgebra::{DMatrix, SMatrix};
 use nn::{Displacement, ModelConfig, base as binning};
-use rand::Rng;
+use rand::{Rng, RngExt};
 use rand_distr::{Distribution, StandardNormal};
 use scene::AgentType;
 
@@ -62,6 +62,8 @@ impl Mover {
 pub(crate) struct Twins {
     /// Vehicles with noisy histories.
     pub(crate) noise: bool,
+    /// Share of the vehicles whose motion is also shown as differences of positions.
+    pub(crate) differenced: f64,
     /// Pedestrians at other scales: deviation of the logarithm of the scale. The few who walk fast walk like the many;
     /// speeds that are recorded often have anchors of their own scale alone, see [`RECORDED_ENOUGH`].
     pub(crate) scale_deviation: f32,
@@ -69,10 +71,14 @@ pub(crate) struct Twins {
 
 impl Twins {
     /// The twins of a view, and whether they are scaled; cyclists and pedestrians, who keep to no side of the road, are also `mirrored`.
-    fn of(self, view: &View, mirrored: Option<View>, random: &mut impl Rng) -> Vec<(View, bool)> {
+    fn of(self, view: &View, mirrored: Option<View>, dt_s: f64, random: &mut impl Rng) -> Vec<(View, bool)> {
         match view.agent.agent_type {
-            AgentType::Vehicle if self.noise => vec![(view::noisy(view.clone(), random), false)],
-            AgentType::Vehicle => Vec::new(),
+            AgentType::Vehicle => {
+                let noisy = self.noise.then(|| (view::noisy(view.clone(), random), false));
+                let is_differenced = random.random_bool(self.differenced);
+                let differenced = is_differenced.then(|| (view::differenced(view.clone(), dt_s), false));
+                noisy.into_iter().chain(differenced).collect()
+            }
             AgentType::Pedestrian if self.scale_deviation > 0.0 => {
                 let scaled = [Some(view.clone()), mirrored.clone()].into_iter().flatten().map(|mut view| {
                     let deviation: f32 = StandardNormal.sample(random);
@@ -116,7 +122,7 @@ impl Sample {
         let mut samples = Vec::new();
         for len in lens {
             let Some(view) = view::shown(agent, len, false) else { continue };
-            let twins = twins.of(&view, view::shown(agent, len, true), random);
+            let twins = twins.of(&view, view::shown(agent, len, true), config.dt_s, random);
             let views = std::iter::once((view, false)).chain(twins);
             let sample =
                 |(view, scaled): (View, bool)| Some(Self { scaled, ..Self::new(&view, config, cuts_mps)? });

@@ -23,7 +23,7 @@ static BASE: LazyLock<BaseControl> = LazyLock::new(|| {
     let recording = read(&Scenery::random(frame_rate(Format::Csv), &mut random), Format::Csv);
     let config = onboard_config();
     let (scenes, _, _) = cut_all(&recording, selection(false), &config);
-    let twins = Twins { noise: false, scale_deviation: 0.0 };
+    let twins = Twins { noise: false, differenced: 0.0, scale_deviation: 0.0 };
     let counted = |agent_type| {
         let agents = scenes.iter().flat_map(|scene| &scene.agents);
         agents.filter(move |agent| agent.counts && agent.agent_type == agent_type).cloned().map(Ok)

@@ -55,9 +55,11 @@ fn told(agent: &Agent) -> impl PartialEq + std::fmt::Debug + use<> {
 fn spooled(scenes: &[Scene]) -> Samples {
     let folder = tempfile::tempdir().unwrap();
     let mut spooling = Spooling::create(folder.path()).unwrap();
-    let windows = scenes.iter().map(|scene| scene.append_to(&mut spooling, 0).unwrap()).collect();
+    let windows: Vec<Window> =
+        scenes.iter().map(|scene| scene.append_to(&mut spooling, 0).unwrap()).collect();
+    let sites = runs(&windows, |_, _| true);
     Samples {
-        sets: vec![SetSamples { set: DataSet::EthUcy, windows }],
+        sets: vec![SetSamples { set: DataSet::EthUcy, windows, sites }],
         sources: Vec::new(),
         spool: spooling.finish().unwrap(),
         steps: STEPS,
@@ -163,4 +165,10 @@ fn what_a_short_file_lacks_is_an_error() {
     assert!(matches!(seen(), Err(TrainError::Scratch { .. })));
     let mut spread = samples.spread(&samples.sets, AgentType::Pedestrian, 5);
     assert!(matches!(spread.next(), Some(Err(TrainError::Scratch { .. }))));
+}
+
+#[test]
+fn sites_are_runs_of_windows() {
+    assert_eq!(runs(b"aabccc", |a, b| a == b), [0..2, 2..3, 3..6]);
+    assert!(runs(b"", |a, b| a == b).is_empty());
 }

@@ -91,6 +91,21 @@ fn a_resumed_run_goes_on_to_the_bit() {
 }
 
 #[test]
+fn sites_are_drawn_by_their_size_or_all_alike() {
+    let mut random = ChaCha8Rng::seed_from_u64(1);
+    let mut share_of_the_smaller = |even_sites| {
+        let drawn: Vec<usize> =
+            (0..10_000).map(|_| draw_window(&[0..900, 900..1000], even_sites, &mut random)).collect();
+        assert!(drawn.iter().all(|&window| window < 1000));
+        drawn.iter().filter(|&&window| window >= 900).count() as f64 / 10_000.0
+    };
+    for (even_sites, share) in [(0.0, 0.1), (0.5, 0.25), (1.0, 0.5)] {
+        let found = share_of_the_smaller(even_sites);
+        assert!((found - share).abs() < 0.02, "{even_sites}: {found}");
+    }
+}
+
+#[test]
 fn a_run_begins_with_the_weights_of_another_of_the_same_model() {
     let folder = tempfile::tempdir().unwrap();
     let first = options(folder.path(), 1);
