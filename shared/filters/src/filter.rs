@@ -115,7 +115,7 @@ impl Filter {
     /// Moves the state on by `dt_ns`.
     ///
     /// # Errors
-    /// [`FilterFault::NotFinite`]; the state is then as before.
+    /// [`FilterFault`]; the state is then as before.
     pub fn predict(&mut self, dt_ns: u64, models: &Models) -> Result<(), FilterFault> {
         match self {
             Self::ConstantVelocity(state) => state.predict(dt_ns, &models.constant_velocity),

@@ -7,6 +7,9 @@ pub enum FilterFault {
     /// The innovation's covariance has no Cholesky factor.
     #[error("innovation covariance is not positive definite")]
     NotPositive,
+    /// Nobody can tell where an agent is after so long; the steps there would take longer than a tick.
+    #[error("prediction over {0} ns")]
+    TooLong(u64),
     /// A mean or covariance came out as not finite.
     #[error("state is not finite")]
     NotFinite,

@@ -46,6 +46,8 @@ use std::f64::consts::{PI, TAU};
 /// Longest step of a process.
 pub const STEP_MAX_NS: u64 = 80_000_000;
 const STEP_MAX_S: f64 = 0.08;
+/// Longest time that one prediction covers.
+pub const GAP_MAX_NS: u64 = 60_000_000_000;
 
 /// The angle's equal in [−π, π).
 #[must_use]

@@ -112,13 +112,13 @@ impl<P: Steered<N>, const N: usize> Mixture<P, N> {
     /// A component that fails is left out.
     ///
     /// # Errors
-    /// [`FilterFault`] where all fail; the mixture is then as before.
+    /// [`FilterFault`] where all fail; the mixture is then as before, at most collapsed to its moments.
     pub fn predict(&mut self, dt_ns: u64) -> Result<(), FilterFault> {
+        let (steps_len, dt_s) = steps(dt_ns)?;
         let age_ns = self.age_ns.saturating_add(dt_ns);
         if self.is_learned() && age_ns > self.plan.horizon_ns {
             self.reset(self.moments());
         }
-        let (steps_len, dt_s) = steps(dt_ns);
         self.next.clear();
         for component in &self.components {
             let mut state = component.state;

@@ -101,7 +101,7 @@ impl<P: Steered<N>, const N: usize> Particles<P, N> {
     /// Moves all particles on by `dt_ns`; beyond the forecast's horizon the kinematic process alone does.
     ///
     /// # Errors
-    /// [`FilterFault::NotFinite`]; the particles are then as before.
+    /// [`FilterFault`]; the particles are then as before.
     pub fn predict(&mut self, dt_ns: u64) -> Result<(), FilterFault> {
         let mut rng = self.rng.clone();
         let done = self.predict_with(dt_ns, || StandardNormal.sample(&mut rng));
@@ -113,10 +113,10 @@ impl<P: Steered<N>, const N: usize> Particles<P, N> {
     /// particle, in each step.
     ///
     /// # Errors
-    /// [`FilterFault::NotFinite`]; the particles are then as before.
+    /// [`FilterFault`]; the particles are then as before.
     pub fn predict_with(&mut self, dt_ns: u64, mut normal: impl FnMut() -> f64) -> Result<(), FilterFault> {
         let age_ns = self.age_ns.saturating_add(dt_ns);
-        let (steps_len, dt_s) = steps(dt_ns);
+        let (steps_len, dt_s) = steps(dt_ns)?;
         self.next.clone_from(&self.particles);
         for particle in &mut self.next {
             particle.hypothesis = particle.hypothesis.filter(|_| age_ns <= self.plan.horizon_ns);

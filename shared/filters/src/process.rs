@@ -1,6 +1,6 @@
 use nalgebra::SVector;
 
-use crate::{Evidence, FilterFault, Gaussian, Innovation, Observation, STEP_MAX_NS};
+use crate::{Evidence, FilterFault, GAP_MAX_NS, Gaussian, Innovation, Observation, STEP_MAX_NS};
 
 /// How agents move and how they are seen: a state of `N` components, the first two the position, and its noise.
 pub trait Process<const N: usize> {
@@ -23,9 +23,9 @@ impl<const N: usize> Gaussian<N> {
     /// Moves the state on by `dt_ns`, in equal steps of at most 80 ms.
     ///
     /// # Errors
-    /// [`FilterFault::NotFinite`]; the state is then as before.
+    /// [`FilterFault`]; the state is then as before.
     pub fn predict(&mut self, dt_ns: u64, process: &impl Process<N>) -> Result<(), FilterFault> {
-        let (steps_len, dt_s) = steps(dt_ns);
+        let (steps_len, dt_s) = steps(dt_ns)?;
         let mut state = *self;
         for _ in 0..steps_len {
             state = process.step(&state, dt_s);
@@ -50,7 +50,10 @@ impl<const N: usize> Gaussian<N> {
 }
 
 /// Number and length of equal steps, each of at most 80 ms.
-pub(crate) fn steps(dt_ns: u64) -> (u64, f64) {
+pub(crate) fn steps(dt_ns: u64) -> Result<(u64, f64), FilterFault> {
+    if dt_ns > GAP_MAX_NS {
+        return Err(FilterFault::TooLong(dt_ns));
+    }
     let steps_len = dt_ns.div_ceil(STEP_MAX_NS);
-    (steps_len, dt_ns as f64 / 1e9 / steps_len.max(1) as f64)
+    Ok((steps_len, dt_ns as f64 / 1e9 / steps_len.max(1) as f64))
 }

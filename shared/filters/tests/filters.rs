@@ -3,8 +3,8 @@
 use std::path::PathBuf;
 
 use filters::{
-    Bicycle, ConstantAcceleration, ConstantTurnRate, ConstantVelocity, Filter, Gaussian, Integrator, Kind,
-    Models, Observation, Process, Unknown, turned_round, wrapped,
+    Bicycle, ConstantAcceleration, ConstantTurnRate, ConstantVelocity, Filter, FilterFault, Gaussian,
+    Integrator, Kind, Models, Observation, Process, Unknown, turned_round, wrapped,
 };
 use nalgebra::{SMatrix, SVector, Vector5};
 use proptest::prelude::*;
@@ -385,6 +385,8 @@ fn a_failed_update_restores_the_state() {
     assert!(bicycle.update(&seen(-5.0), &MODEL).is_err());
     assert_eq!(bicycle, before);
     assert!(bicycle.update(&seen(f64::NAN), &MODEL).is_err());
+    assert_eq!(bicycle, before);
+    assert_eq!(bicycle.predict(u64::MAX, &MODEL), Err(FilterFault::TooLong(u64::MAX)));
     assert_eq!(bicycle, before);
 }
 
