@@ -42,5 +42,5 @@ pub use protocol::{
 pub use report::{Figure, Report};
 pub use scenes::{Agent, Cut, Scene};
 pub use tally::{Errors, Measure, Sureness, Tally};
-pub use verify::{Comparison, TOLERANCE, VerifyError, verify};
+pub use verify::{Comparison, VerifyError, verify};
 pub use weights::{Provenance, WeightsChoice};

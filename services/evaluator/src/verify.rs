@@ -1,26 +1,18 @@
-//! Recomputes the tensors of a golden folder.
+//! Recomputes golden vectors with the very code that runs on board.
 //!
-//! A folder holds `scene.json` (agents, states, constants), `weights.safetensors` and `tensors.safetensors` (what an
-//! independent implementation computed). Sizes, widths, stems and options are those of the folder: the weights carry
-//! their configuration. What is computed goes on into what follows, as on board; only the scene, the map's points, the
-//! latent draws and the samples of the losses are taken from the folder.
+//! A folder of golden vectors holds inputs and what an independent implementation made of them. There are two forms,
+//! told apart by what the folder holds: the tensors of a [`model`], and the numbers of [`tracking`].
 
-mod compare;
-mod folder;
-mod graphs;
-mod losses;
-mod motion;
+mod comparison;
+mod model;
+mod tracking;
 
 use std::path::Path;
 
-use nn::{Decoder, EncodingFunction, MlpMemory, WeightsError};
+use nn::WeightsError;
 use thiserror::Error;
-use wire::TEMPORAL;
 
-pub use compare::{Comparison, TOLERANCE};
-
-use compare::Ledger;
-use folder::Folder;
+pub use comparison::Comparison;
 
 /// Why a folder can't be verified.
 #[derive(Debug, Error)]
@@ -49,41 +41,39 @@ pub enum VerifyError {
         /// What is wrong with it.
         source: WeightsError,
     },
+    /// The folder is of neither form.
+    #[error(
+        "{path}: there are no golden vectors: neither {} of a model nor a folder {} of tracking",
+        model::FILES.join(", "), tracking::PARTS.join(", ")
+    )]
+    NoVectors {
+        /// The folder.
+        path: String,
+    },
 }
 
-/// Compares every tensor of a golden folder, in the order in which they are computed.
+impl VerifyError {
+    fn unreadable(path: &Path, source: std::io::Error) -> Self {
+        Self::Unreadable { path: path.display().to_string(), source }
+    }
+
+    fn malformed(path: &Path, reason: impl Into<String>) -> Self {
+        Self::Malformed { path: path.display().to_string(), reason: reason.into() }
+    }
+}
+
+/// Compares every number of a golden folder.
 ///
 /// # Errors
-/// [`VerifyError`] where a file can't be read, is malformed, or the parts of the folder do not fit one another.
+/// [`VerifyError`] where a file can't be read, is malformed, the parts of the folder do not fit one another, or nothing
+/// computes what a file tells.
 pub fn verify(folder: &Path) -> Result<Vec<Comparison>, VerifyError> {
-    let folder = Folder::open(folder)?;
-    let mut ledger = Ledger::new(&folder);
-    let map = graphs::map(&folder, &mut ledger)?;
-    let layers = graphs::Layers::new(&folder)?;
-    let history = layers.run(&folder, graphs::Part::History, &map, &mut ledger)?;
-    let future = layers.run(&folder, graphs::Part::Future, &map, &mut ledger)?;
-    latent_mean(&folder, &history.temporal, &future.temporal, &mut ledger)?;
-    let decoder = Decoder::new(&folder.weights).map_err(|e| folder.weights_error(e))?;
-    let controls = motion::controls(&folder, &decoder, &history, &mut ledger)?;
-    motion::bicycles(&folder, &controls, &mut ledger)?;
-    losses::compare(&folder, &mut ledger)?;
-    ledger.finish()
-}
-
-/// The posterior mean m of \[ṽ_h ‖ ṽ_f\].
-fn latent_mean(
-    folder: &Folder,
-    history: &[[f32; TEMPORAL]],
-    future: &[[f32; TEMPORAL]],
-    ledger: &mut Ledger<'_>,
-) -> Result<(), VerifyError> {
-    let encoding = EncodingFunction::new(&folder.weights).map_err(|e| folder.weights_error(e))?;
-    let mut summaries = vec![[0.0; 2 * TEMPORAL]; history.len()];
-    for (row, (h, f)) in summaries.iter_mut().zip(history.iter().zip(future)) {
-        row[..TEMPORAL].copy_from_slice(h);
-        row[TEMPORAL..].copy_from_slice(f);
+    std::fs::read_dir(folder).map_err(|source| VerifyError::unreadable(folder, source))?;
+    if tracking::PARTS.iter().any(|part| folder.join(part).is_dir()) {
+        tracking::verify(folder)
+    } else if model::FILES.iter().any(|file| folder.join(file).exists()) {
+        model::verify(folder)
+    } else {
+        Err(VerifyError::NoVectors { path: folder.display().to_string() })
     }
-    let mut means = vec![[0.0; wire::LATENT]; summaries.len()];
-    encoding.means(&summaries, &mut MlpMemory::default(), &mut means);
-    ledger.compare("latent.mean", means.as_flattened())
 }

@@ -1,36 +1,13 @@
 use std::collections::BTreeSet;
 
-use serde::Serialize;
-
-use super::VerifyError;
 use super::folder::Folder;
+use crate::verify::{Comparison, VerifyError};
 
 /// Largest error that is accepted, relative to the tensor's (or matrix's) largest magnitude.
-pub const TOLERANCE: f32 = 1e-4;
+const TOLERANCE: f64 = 1e-4;
 
 /// What the folder gives and nothing computes.
 const INPUTS: [&str; 5] = ["map.points", "map.velocities", "latent.z", "loss.posterior", "loss.prior"];
-
-/// How far a tensor is off.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct Comparison {
-    /// The tensor's name in the folder.
-    pub name: String,
-    /// Its shape.
-    pub shape: Vec<usize>,
-    /// Its largest magnitude.
-    pub largest: f32,
-    /// Largest error relative to `largest`; of covariances: to the largest entry of each matrix.
-    pub error: f32,
-}
-
-impl Comparison {
-    /// Whether the tensor is reproduced.
-    #[must_use]
-    pub fn agrees(&self) -> bool {
-        self.error <= TOLERANCE
-    }
-}
 
 /// Collects the comparisons and notices tensors that were forgotten.
 pub(super) struct Ledger<'a> {
@@ -66,17 +43,14 @@ impl<'a> Ledger<'a> {
             )));
         }
         let block_len = block_len.max(1);
-        let mut error = 0.0_f32;
-        for (found, expected) in found.chunks(block_len).zip(expected.chunks(block_len)) {
-            let largest = largest(expected).max(f32::MIN_POSITIVE);
-            for (f, e) in found.iter().zip(expected) {
-                // NaN must not hide behind `max`, which would prefer the number.
-                let off = (f - e).abs() / largest;
-                error = if off.is_nan() { f32::INFINITY } else { error.max(off) };
-            }
-        }
+        let blocks = found.chunks(block_len).zip(expected.chunks(block_len));
+        let errors = blocks.flat_map(|(found, expected)| {
+            let largest = expected.iter().fold(f32::MIN_POSITIVE, |most, number| most.max(number.abs()));
+            found.iter().zip(expected).map(move |(f, e)| f64::from((f - e).abs() / largest))
+        });
+        let numbers = expected.iter().map(|number| f64::from(*number));
+        self.rows.push(Comparison::new(name.to_owned(), shape, numbers, errors, TOLERANCE));
         self.left.remove(name);
-        self.rows.push(Comparison { name: name.to_owned(), shape, largest: largest(&expected), error });
         Ok(())
     }
 
@@ -86,20 +60,5 @@ impl<'a> Ledger<'a> {
             None => Ok(self.rows),
             Some(name) => Err(self.folder.malformed(format!("{name}: no such tensor is computed"))),
         }
-    }
-}
-
-fn largest(values: &[f32]) -> f32 {
-    values.iter().fold(0.0, |most, value| most.max(value.abs()))
-}
-
-#[cfg(test)]
-mod tests {
-    use super::largest;
-
-    #[test]
-    fn the_largest_magnitude_ignores_signs() {
-        assert_eq!(largest(&[1.0, -3.0, 2.0]), 3.0);
-        assert_eq!(largest(&[]), 0.0);
     }
 }

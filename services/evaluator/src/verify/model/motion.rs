@@ -2,10 +2,10 @@ use kinematics::{Belief, Bicycle, BicycleState, ControlGaussian, ControlLimits, 
 use nn::{BurnIn, Decoder, DecoderMemory, Draws, RAW_CONTROL, control_gaussian};
 use wire::{AGENT_TYPES, AgentType, LATENT};
 
-use super::VerifyError;
-use super::compare::Ledger;
 use super::folder::Folder;
 use super::graphs::Summary;
+use super::ledger::Ledger;
+use crate::verify::VerifyError;
 
 /// Units of the GRU's hidden state.
 const HIDDEN: usize = 128;

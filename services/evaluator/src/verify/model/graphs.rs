@@ -8,9 +8,9 @@ use wire::{
     STATE_FEATURES, TEMPORAL,
 };
 
-use super::VerifyError;
-use super::compare::Ledger;
 use super::folder::Folder;
+use super::ledger::Ledger;
+use crate::verify::VerifyError;
 
 /// The context map of the folder's points.
 pub(super) fn map(folder: &Folder, ledger: &mut Ledger<'_>) -> Result<ContextMap, VerifyError> {

@@ -1,8 +1,8 @@
 use wire::LATENT;
 
-use super::VerifyError;
-use super::compare::Ledger;
 use super::folder::Folder;
+use super::ledger::Ledger;
+use crate::verify::VerifyError;
 
 /// Scales s of the kernels' C = 2 · 32 · s.
 const SCALES: [f64; 7] = [0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0];

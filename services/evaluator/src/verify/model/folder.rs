@@ -5,7 +5,7 @@ use safetensors::{Dtype, SafeTensors};
 use scene::{AgentType, State};
 use serde::Deserialize;
 
-use super::VerifyError;
+use crate::verify::VerifyError;
 
 /// What `scene.json` tells; keys that only its maker needs are left alone.
 #[derive(Deserialize)]
@@ -38,13 +38,9 @@ impl Folder {
     pub(super) fn open(path: &Path) -> Result<Self, VerifyError> {
         let read = |name: &str| {
             let path = path.join(name);
-            std::fs::read(&path)
-                .map_err(|source| VerifyError::Unreadable { path: path.display().to_string(), source })
+            std::fs::read(&path).map_err(|source| VerifyError::unreadable(&path, source))
         };
-        let malformed = |name: &str, reason: String| VerifyError::Malformed {
-            path: path.join(name).display().to_string(),
-            reason,
-        };
+        let malformed = |name: &str, reason: String| VerifyError::malformed(&path.join(name), reason);
         let scene: Scene = serde_json::from_slice(&read("scene.json")?)
             .map_err(|e| malformed("scene.json", e.to_string()))?;
         let types = scene
@@ -124,7 +120,7 @@ impl Folder {
     }
 
     pub(super) fn malformed(&self, reason: String) -> VerifyError {
-        VerifyError::Malformed { path: self.path.join("tensors.safetensors").display().to_string(), reason }
+        VerifyError::malformed(&self.path.join("tensors.safetensors"), reason)
     }
 
     pub(super) fn weights_error(&self, source: WeightsError) -> VerifyError {
