@@ -11,6 +11,7 @@ mod ledger;
 mod measures;
 mod part;
 mod particles;
+mod recording;
 mod runs;
 mod table;
 mod unit;
