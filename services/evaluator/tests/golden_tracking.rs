@@ -7,6 +7,9 @@ use std::path::{Path, PathBuf};
 
 use evaluator::{Comparison, VerifyError, verify};
 
+/// A cell of a file, what it becomes, the vector that is then off, and where in it.
+type WrongCell = (&'static str, [usize; 2], &'static str, &'static str, &'static [usize]);
+
 fn shared(path: &str) -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("../../shared").join(path)
 }
@@ -80,7 +83,7 @@ fn every_number_is_reproduced() {
 
 #[test]
 fn a_wrong_number_is_found_and_named() {
-    let cases: [(&str, [usize; 2], &str, &str, &[usize]); 6] = [
+    let cases: [WrongCell; 6] = [
         ("filters/cv_kf.csv", [11, 3], "1.25", "filters/cv_kf.mean", &[10, 1]),
         ("filters/ekf_bic_posonly.csv", [40, 4], "3.5", "filters/ekf_bic_posonly.mean", &[39, 2]),
         ("filters/ca_kf.csv", [3, 8], "nan", "filters/ca_kf.covariance", &[2, 0]),
