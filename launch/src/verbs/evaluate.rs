@@ -4,16 +4,19 @@ use clap::{Args, ValueEnum};
 use config::Exit;
 use data::Format;
 use data::sets::Part;
-use evaluator::{InteractionPart, MapChoice, Options, Report, WeightsChoice};
+use evaluator::{InteractionPart, MapChoice, Options, Report, TrackingReport, WeightsChoice};
 
 use crate::failure::Failure;
 use crate::readme;
 use crate::show::show;
 
+/// Deviations of measured positions that make sense, m.
+const SIGMAS_M: std::ops::RangeInclusive<f64> = 0.001..=10.0;
+
 /// Arguments of `stgdat evaluate`.
 #[derive(Debug, Args)]
 pub struct Arguments {
-    /// `eth-ucy`, `sdd`, `interaction`, or recordings
+    /// `eth-ucy`, `sdd`, `interaction`, `tracking`, or recordings
     #[arg(required = true, value_name = "SET|FILE")]
     targets: Vec<PathBuf>,
     /// Folder with the data sets, laid out as published
@@ -35,6 +38,9 @@ pub struct Arguments {
     /// Parts of INTERACTION: `seen`, or a site that the weights know nothing of
     #[arg(long, value_name = "PART,…", value_delimiter = ',', default_values_t = ["seen", "FT", "EP1"].map(str::to_owned))]
     parts: Vec<String>,
+    /// Deviations of the measured positions in `tracking`, m; those of the protocol where none are given
+    #[arg(long, value_name = "M,…", value_delimiter = ',')]
+    sigmas: Vec<f64>,
     /// Format of the recordings; found out where not given
     #[arg(long)]
     format: Option<Format>,
@@ -63,30 +69,61 @@ enum Map {
     Site,
 }
 
-/// Measures forecasts and baselines against what really came, under the protocol of a data set or on any recordings.
+/// Measures forecasts, or filters that take them as their prior, against what really came, under the protocol of a data set or
+/// on any recordings.
 pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
     let name = match &arguments.targets[..] {
         [target] => target.to_str().unwrap_or_default(),
         _ => "",
     };
-    let report = evaluate(name, arguments)?;
-    let text = report.markdown();
+    let written = match name {
+        "tracking" => Written::of_tracking(&track(arguments)?),
+        _ => Written::of_forecasts(&evaluate(name, arguments)?),
+    };
     if let Some(path) = &arguments.csv {
-        write(path, &report.csv())?;
+        write(path, &written.csv)?;
     }
     if let Some(path) = &arguments.json {
-        write(path, &(serde_json::to_string_pretty(&report.json()).map_err(Failure::data)? + "\n"))?;
+        write(path, &(serde_json::to_string_pretty(&written.json).map_err(Failure::data)? + "\n"))?;
     }
-    let exit = show(&text)?;
+    let exit = show(&written.markdown)?;
     if let Some(path) = &arguments.readme {
-        readme::insert(path, &format!("evaluate {name}"), &report.summary())?;
+        readme::insert(path, &format!("evaluate {name}"), &written.summary)?;
     }
     Ok(exit)
 }
 
-fn evaluate(name: &str, arguments: &Arguments) -> Result<Report, Failure> {
+/// A report in all its forms.
+struct Written {
+    markdown: String,
+    summary: String,
+    csv: String,
+    json: serde_json::Value,
+}
+
+impl Written {
+    fn of_forecasts(report: &Report) -> Self {
+        Self {
+            markdown: report.markdown(),
+            summary: report.summary(),
+            csv: report.csv(),
+            json: report.json(),
+        }
+    }
+
+    fn of_tracking(report: &TrackingReport) -> Self {
+        Self {
+            markdown: report.markdown(),
+            summary: report.summary(),
+            csv: report.csv(),
+            json: report.json(),
+        }
+    }
+}
+
+fn options(arguments: &Arguments) -> Options {
     let threads = std::thread::available_parallelism().map_or(1, usize::from);
-    let options = Options {
+    Options {
         data: arguments.data.clone(),
         part: if arguments.validation { Part::Validation } else { Part::Test },
         weights: WeightsChoice { file: arguments.weights.clone(), folder: arguments.weights_dir.clone() },
@@ -96,8 +133,26 @@ fn evaluate(name: &str, arguments: &Arguments) -> Result<Report, Failure> {
             Map::Site => MapChoice::Site,
         },
         threads: arguments.threads.map_or(threads, usize::from),
-    };
-    let progress = |step: &str| eprintln!("{step} …");
+    }
+}
+
+fn track(arguments: &Arguments) -> Result<TrackingReport, Failure> {
+    if let Some(sigma_m) = arguments.sigmas.iter().find(|sigma_m| !(SIGMAS_M.contains(sigma_m))) {
+        return Err(Failure::Usage(format!(
+            "--sigmas {sigma_m}: expected deviations from {} to {} m",
+            SIGMAS_M.start(),
+            SIGMAS_M.end()
+        )));
+    }
+    evaluator::tracking(&options(arguments), &arguments.sigmas, progress).map_err(Failure::data)
+}
+
+fn progress(step: &str) {
+    eprintln!("{step} …");
+}
+
+fn evaluate(name: &str, arguments: &Arguments) -> Result<Report, Failure> {
+    let options = options(arguments);
     let report = match name {
         "eth-ucy" => evaluator::eth_ucy(&options, progress),
         "sdd" => evaluator::sdd(&options, progress),

@@ -15,6 +15,7 @@ use scene::{EdgeRule, FeatureScales, PatchOptions};
 use wire::{CONTEXT_EMBEDDING, ControlGaussian, LATENT, STATE_FEATURES, TEMPORAL};
 
 use crate::motion::Mover;
+use crate::tracking::Hypotheses;
 use crate::{Agent, Scene};
 use encode::Encoding;
 
@@ -152,8 +153,46 @@ impl Forecaster {
         wanted: &[usize],
         memory: &mut ForecasterMemory,
     ) -> Vec<Forecast> {
-        self.encode(scene, context, memory);
         let mut forecasts = vec![None; wanted.len()];
+        self.decode(scene, context, wanted, memory, |place, agent, said| {
+            forecasts[place] = Some(self.move_agent(agent, said));
+        });
+        forecasts.into_iter().flatten().collect()
+    }
+
+    /// As [`Forecaster::forecast`], the controls of each mode as they act instead of where they lead.
+    pub(crate) fn steer(
+        &self,
+        scene: &Scene,
+        context: impl Fn(usize, usize) -> [f32; CONTEXT_EMBEDDING],
+        wanted: &[usize],
+        memory: &mut ForecasterMemory,
+    ) -> Vec<Hypotheses> {
+        let mut hypotheses = vec![None; wanted.len()];
+        self.decode(scene, context, wanted, memory, |place, agent, said| {
+            let frame = scene::agent_frame(&agent.history).expect("a wanted agent is present");
+            let now = agent.newest().expect("a wanted agent is present");
+            let mover = Mover::new(agent, &now, &frame, &self.config);
+            let controls = (0..self.config.modes).flat_map(|draw| said.controls(draw));
+            hypotheses[place] = Some(Hypotheses {
+                heading_rad: f64::from(frame.heading_rad),
+                probability: said.probability.iter().map(|&p| f64::from(p)).collect(),
+                controls: controls.map(|control| mover.acting(&control)).collect(),
+            });
+        });
+        hypotheses.into_iter().flatten().collect()
+    }
+
+    /// Hands out what the decoder says of each wanted agent, by its place among them.
+    fn decode(
+        &self,
+        scene: &Scene,
+        context: impl Fn(usize, usize) -> [f32; CONTEXT_EMBEDDING],
+        wanted: &[usize],
+        memory: &mut ForecasterMemory,
+        mut say: impl FnMut(usize, &Agent, AgentDraws<'_>),
+    ) {
+        self.encode(scene, context, memory);
         for of_type in wire::AGENT_TYPES {
             let is_of_type = |place: &usize| scene.agents[wanted[*place]].agent_type == of_type;
             let places: Vec<usize> = (0..wanted.len()).filter(is_of_type).collect();
@@ -163,11 +202,10 @@ impl Forecaster {
                 let encoded = Wanted { agents: &agents, scene, encoding, seed: self.seed };
                 group.decode(self.decoder.of(of_type), &self.config, &encoded);
                 for (number, (&place, &agent)) in places.iter().zip(&agents).enumerate() {
-                    forecasts[place] = Some(self.move_agent(&scene.agents[agent], group.draws(number)));
+                    say(place, &scene.agents[agent], group.draws(number));
                 }
             }
         }
-        forecasts.into_iter().flatten().collect()
     }
 
     /// Moves the agent by its controls.

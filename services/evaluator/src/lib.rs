@@ -8,6 +8,8 @@
 //! agent that counts, lets the baselines forecast the very same agents and adds up all errors in [`Tally`]s, a [`Block`]
 //! of a recording at a time. [`Group`]s of blocks (a fold, a site) make the tables of a [`Report`]. [`ablation()`] compares
 //! variants of a model with one another on the same blocks.
+//!
+//! [`tracking()`] judges filters, with the model's forecasts as their prior and without, by the motion that they estimate.
 
 mod ablation;
 mod baselines;
@@ -25,6 +27,7 @@ mod report;
 mod scenes;
 mod tally;
 mod threads;
+mod tracking;
 mod verify;
 mod weights;
 
@@ -37,10 +40,11 @@ pub use judge::{Block, Judge, MOVING_MPS, Subset};
 pub use maps::{MapInput, site_map};
 pub use method::Method;
 pub use protocol::{
-    InteractionPart, MapChoice, Options, Variant, ablation, eth_ucy, files, interaction, sdd,
+    InteractionPart, MapChoice, Options, Variant, ablation, eth_ucy, files, interaction, sdd, tracking,
 };
 pub use report::{Figure, Report};
 pub use scenes::{Agent, Cut, Scene};
 pub use tally::{Errors, Measure, Sureness, Tally};
+pub use tracking::{TrackingMethod, TrackingReport};
 pub use verify::{Comparison, VerifyError, verify};
 pub use weights::{Provenance, WeightsChoice};

@@ -1,5 +1,6 @@
 //! From controls to positions: where an agent stands at the end of its history, and how its type moves.
 
+use filters::ControlStep;
 use kinematics::{
     Belief, Bicycle, ControlGaussian, ControlLimits, Displacement, DisplacementKind, Integrator, Motion,
     Vehicle, initial_slip,
@@ -61,6 +62,20 @@ impl Mover {
         match self {
             Self::Vehicle(motion, start) => spread(motion, *start, controls),
             Self::Walker(motion, start) => spread(motion, *start, controls),
+        }
+    }
+
+    /// A control as it acts, after saturation.
+    pub(crate) fn acting(&self, control: &wire::ControlGaussian) -> ControlStep {
+        let asked = Vector2::from(control.mean);
+        let (acting, slope) = match self {
+            Self::Vehicle(motion, _) => motion.saturate(&asked),
+            Self::Walker(motion, _) => motion.saturate(&asked),
+        };
+        let [l11, l21, l22] = control.cholesky;
+        ControlStep {
+            mean: [acting.x, acting.y].map(f64::from),
+            cholesky: [slope.x * l11, slope.y * l21, slope.y * l22].map(f64::from),
         }
     }
 

@@ -5,6 +5,7 @@ mod eth_ucy;
 mod files;
 mod interaction;
 mod sdd;
+mod tracking;
 
 use std::path::PathBuf;
 
@@ -16,6 +17,7 @@ pub use eth_ucy::eth_ucy;
 pub use files::files;
 pub use interaction::{InteractionPart, interaction};
 pub use sdd::sdd;
+pub use tracking::tracking;
 
 use crate::judge::Block;
 use crate::maps::MapInput;

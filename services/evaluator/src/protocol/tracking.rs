@@ -1,0 +1,87 @@
+//! Tracking: the motion of INTERACTION's vehicles from noisy positions, with gaps, by filters with and without forecasts.
+
+use std::collections::BTreeMap;
+
+use data::sets::{DataSet, Part};
+
+use super::interaction::site_of;
+use super::{Footage, Options, SEED};
+use crate::tracking::{Course, Follower, Judged, Sensor, TrackingMethod, TrackingReport, Trials, tune};
+use crate::weights::{EMBEDDED, Model};
+use crate::{Cut, EvaluateError, threads};
+
+const SET: DataSet = DataSet::Interaction;
+/// Deviations of the measured positions, m.
+const SIGMAS_M: [f64; 5] = [0.01, 0.02, 0.05, 0.1, 0.3];
+/// Lengths of the gaps, s.
+const GAPS_S: [f64; 4] = [0.0, 0.8, 1.6, 3.2];
+/// How much of each recording is followed, from its middle, s.
+const JUDGED_S: f64 = 60.0;
+/// The same of the recordings that settings are tuned on, s.
+const TUNED_S: f64 = 20.0;
+
+/// Estimates motion with every method under every noise and gap, and tells whose filter errs least.
+///
+/// Settings are tuned on the validation part, which neither the model's training nor the figures see; a gap of each length
+/// takes part. The learned prior has no map. `sigmas_m` are deviations of the measured positions; without any, all of the protocol are taken.
+///
+/// # Errors
+/// Where weights or recordings are missing or of another kind.
+pub fn tracking(
+    options: &Options,
+    sigmas_m: &[f64],
+    mut progress: impl FnMut(&str),
+) -> Result<TrackingReport, EvaluateError> {
+    let model = options.weights.open(EMBEDDED, SEED)?;
+    let cut = Cut::of(model.forecaster.config());
+    progress("reading recordings");
+    let validation = options.read_part(SET, Part::Validation, &cut)?;
+    let judged = options.read_part(SET, options.part, &cut)?;
+    let recordings: Vec<_> = judged.iter().map(|footage| &footage.recording).collect();
+    let provenance = model.provenance("tracking", "none", &recordings);
+    let mut report = TrackingReport::new(provenance, JUDGED_S, TUNED_S);
+    let sigmas_m = if sigmas_m.is_empty() { &SIGMAS_M } else { sigmas_m };
+    for &sigma_m in sigmas_m {
+        progress(&format!("measured within {sigma_m} m: tuning"));
+        let trials = tune(&courses(&validation, sigma_m), &model.forecaster, options.threads);
+        for &gap_s in &GAPS_S {
+            progress(&format!("measured within {sigma_m} m, gaps of {gap_s} s"));
+            let sensor = Sensor { sigma_m, gap_s, seed: SEED };
+            report.add(judge(&judged, &model, sensor, &trials, options.threads));
+        }
+        report.add_trials(sigma_m, trials);
+    }
+    Ok(report)
+}
+
+/// A recording of each site to tune on, with gaps of one length after the other.
+fn courses(footage: &[Footage], sigma_m: f64) -> Vec<Course> {
+    let sites: BTreeMap<String, &Footage> =
+        footage.iter().map(|footage| (site_of(footage), footage)).collect();
+    let course = |(footage, &gap_s): (&&Footage, &f64)| {
+        course(footage, TUNED_S, Sensor { sigma_m, gap_s, seed: SEED + 1 })
+    };
+    sites.values().zip(GAPS_S.iter().cycle()).map(course).collect()
+}
+
+/// So many seconds from the middle of a recording.
+fn course(footage: &Footage, seconds: f64, sensor: Sensor) -> Course {
+    let frames = &footage.recording.frames;
+    let ends =
+        frames.first().zip(frames.last()).map_or([0; 2], |(first, last)| [first.stamp_ns, last.stamp_ns]);
+    let middle_ns = i64::midpoint(ends[0], ends[1]);
+    let half_ns = (seconds / 2.0 * 1e9) as i64;
+    Course::new(&footage.recording, [middle_ns - half_ns, middle_ns + half_ns], sensor)
+}
+
+/// Every method on every recording.
+fn judge(footage: &[Footage], model: &Model, sensor: Sensor, trials: &Trials, threads: usize) -> Vec<Judged> {
+    let (settings, forecaster) = (trials.settings, &model.forecaster);
+    let follow = |footage: &Footage, (): &mut ()| {
+        let course = course(footage, JUDGED_S, sensor);
+        TrackingMethod::ALL.map(|method| Follower { method, settings, forecaster }.follow(&course))
+    };
+    let outcomes = threads::each(footage, threads, follow);
+    let of_method = |(place, method)| Judged::new(sensor, method, outcomes.iter().map(|of| &of[place]));
+    TrackingMethod::ALL.into_iter().enumerate().map(of_method).collect()
+}

@@ -1,0 +1,21 @@
+//! How well filters estimate motion: vehicles whose positions are measured with noise and, now and then, not at all.
+//!
+//! A [`Course`] is a recording as such a sensor would give it. A [`Follower`] runs a filter per agent over it, all agents
+//! at once, since the learned prior of one depends on where the others are. Every method is [tuned](tune) with the same
+//! number of trials on recordings that it is not judged by, and all see the same noise and the same gaps.
+
+mod course;
+mod follower;
+mod hypotheses;
+mod method;
+mod report;
+mod tuning;
+
+pub use method::TrackingMethod;
+pub use report::TrackingReport;
+
+pub(crate) use course::{Course, Sensor};
+pub(crate) use follower::{Follower, Outcome};
+pub(crate) use hypotheses::Hypotheses;
+pub(crate) use report::Judged;
+pub(crate) use tuning::{TRIALS, Trials, tune};

@@ -1,0 +1,331 @@
+//! A filter per agent over a course.
+
+use std::collections::BTreeMap;
+
+use filters::{Bicycle, Filter, Forecast, Gaussian, Kind, Mixture, Observation};
+use metrics::tracking::{PlanarState, normalised_square};
+use nalgebra::{Matrix2, Vector4};
+use scene::State;
+use wire::AgentType;
+
+use super::course::{Course, Instant, Seen};
+use super::hypotheses::{Estimate, Hypotheses, Oracle};
+use super::method::{Settings, TrackingMethod, UNKNOWN};
+use crate::Forecaster;
+
+/// A course is known once its direction is so sure, at this speed: then a state with a heading can take over.
+const COURSE_TOLD_RAD: f64 = 0.3;
+/// See [`COURSE_TOLD_RAD`].
+const COURSE_TOLD_MPS: f64 = 0.5;
+/// A track counts from this age on.
+const SETTLED_S: f64 = 1.0;
+
+/// The error of an estimate at an instant.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Error {
+    pub(crate) id: u64,
+    pub(crate) visible: bool,
+    pub(crate) position_m: f64,
+    pub(crate) velocity_mps: f64,
+    /// Of the position, two degrees of freedom; `None` where the covariance can't be inverted.
+    pub(crate) nees: Option<f64>,
+}
+
+/// What came of a run over a course.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Outcome {
+    pub(crate) errors: Vec<Error>,
+    /// Normalised innovations squared, two degrees of freedom.
+    pub(crate) nis_sum: f64,
+    /// Of the logarithms of the densities that the filters gave each measurement before they saw it.
+    pub(crate) log_likelihood_sum: f64,
+    pub(crate) measured_len: u64,
+    /// Predictions and updates that failed.
+    pub(crate) faults_len: u64,
+}
+
+impl Outcome {
+    /// Mean negative logarithm of the likelihood of a measurement.
+    pub(crate) fn nll(outcomes: &[Self]) -> f64 {
+        let measured_len: u64 = outcomes.iter().map(|outcome| outcome.measured_len).sum();
+        -outcomes.iter().map(|outcome| outcome.log_likelihood_sum).sum::<f64>() / measured_len.max(1) as f64
+    }
+}
+
+/// Runs a method over courses.
+pub(crate) struct Follower<'a> {
+    pub(crate) method: TrackingMethod,
+    pub(crate) settings: Settings,
+    /// Forecasts for the learned prior.
+    pub(crate) forecaster: &'a Forecaster,
+}
+
+/// The belief in one agent.
+enum Belief {
+    Filter(Box<Filter>),
+    Mixture(Box<Mixture<Bicycle, 5>>),
+}
+
+struct Track {
+    agent_type: AgentType,
+    length_m: Option<f32>,
+    born_ns: i64,
+    belief: Belief,
+    /// Held where the state has none.
+    heading_rad: f64,
+    /// Whether it was measured since it took a forecast: only then another one knows more.
+    is_fresh: bool,
+}
+
+impl Follower<'_> {
+    /// Follows all agents of a course; vehicles count.
+    pub(crate) fn follow(&self, course: &Course) -> Outcome {
+        let mut outcome = Outcome::default();
+        let mut tracks: BTreeMap<u64, Track> = BTreeMap::new();
+        let mut oracle = Oracle::new(self.forecaster);
+        let step_ns = self.forecaster.config().step_ns().cast_signed();
+        let mut next_ns = course.instants.first().map_or(0, |first| first.stamp_ns);
+        let mut last_ns = None;
+        for instant in &course.instants {
+            let elapsed_ns = last_ns.map_or(0, |last: i64| instant.stamp_ns - last).cast_unsigned();
+            last_ns = Some(instant.stamp_ns);
+            self.advance(instant, elapsed_ns, course.sensor.sigma_m, &mut tracks, &mut outcome);
+            // A forecast a step of the model: hypotheses live long enough to be told apart.
+            if self.method.is_learned() && instant.stamp_ns >= next_ns {
+                next_ns += step_ns;
+                self.adopt(&mut oracle, instant.stamp_ns, &mut tracks);
+            }
+        }
+        outcome
+    }
+
+    /// Predicts, corrects and judges all tracks.
+    fn advance(
+        &self,
+        instant: &Instant,
+        elapsed_ns: u64,
+        sigma_m: f64,
+        tracks: &mut BTreeMap<u64, Track>,
+        outcome: &mut Outcome,
+    ) {
+        tracks.retain(|id, _| instant.agents.binary_search_by_key(id, |seen| seen.id).is_ok());
+        for seen in &instant.agents {
+            let observation = seen.measured_m.map(|position_m| Observation {
+                position_m,
+                position_variance: sigma_m * sigma_m,
+                heading_rad: None,
+                speed_mps: None,
+            });
+            let Some(track) = tracks.get_mut(&seen.id) else {
+                let started = observation.map(|first| Track::start(seen, instant.stamp_ns, &first));
+                tracks.extend(started.map(|track| (seen.id, track)));
+                continue;
+            };
+            let counts = seen.agent_type == AgentType::Vehicle;
+            let mut faults_len = u64::from(track.predict(elapsed_ns, &self.settings).is_none());
+            if let Some(observation) = observation {
+                track.is_fresh = true;
+                match track.update(&observation, &self.settings) {
+                    Some((nis, log_likelihood)) if counts => {
+                        outcome.nis_sum += nis;
+                        outcome.log_likelihood_sum += log_likelihood;
+                        outcome.measured_len += 1;
+                    }
+                    Some(_) => {}
+                    None => faults_len += 1,
+                }
+            }
+            track.ripen(self.method, &self.settings, seen.id);
+            outcome.faults_len += faults_len;
+            let age_s = (instant.stamp_ns - track.born_ns) as f64 / 1e9;
+            if let Some(truth) = seen.truth.filter(|_| counts && age_s >= SETTLED_S) {
+                outcome.errors.push(track.error(seen, &truth));
+            }
+        }
+    }
+
+    /// Forecasts all agents from what is believed of them; the vehicles among them take that as their prior.
+    fn adopt(&self, oracle: &mut Oracle<'_>, stamp_ns: i64, tracks: &mut BTreeMap<u64, Track>) {
+        let estimates: Vec<Estimate> = tracks
+            .iter_mut()
+            .map(|(&id, track)| Estimate {
+                id,
+                agent_type: track.agent_type,
+                length_m: track.length_m,
+                state: track.state(),
+                wanted: track.is_fresh && !matches!(track.belief, Belief::Filter(_)),
+            })
+            .collect();
+        let step_ns = self.forecaster.config().step_ns();
+        for (id, hypotheses) in oracle.forecast(stamp_ns, &estimates) {
+            let Some(track) = tracks.get_mut(&id) else { continue };
+            let Hypotheses { heading_rad, probability, controls } = &hypotheses;
+            let forecast = Forecast { age_ns: 0, step_ns, heading_rad: *heading_rad, probability, controls };
+            let adopted = match &mut track.belief {
+                Belief::Filter(_) => Ok(()),
+                Belief::Mixture(mixture) => mixture.adopt(&forecast),
+            };
+            // One that can't be used leaves the forecast before in its place.
+            track.is_fresh = adopted.is_err();
+        }
+    }
+}
+
+impl Track {
+    fn start(seen: &Seen, stamp_ns: i64, first: &Observation) -> Self {
+        let filter = Filter::start(Kind::ConstantVelocity, first, &UNKNOWN);
+        Self {
+            agent_type: seen.agent_type,
+            length_m: seen.length_m,
+            born_ns: stamp_ns,
+            belief: Belief::Filter(Box::new(filter)),
+            heading_rad: 0.0,
+            is_fresh: true,
+        }
+    }
+
+    fn predict(&mut self, elapsed_ns: u64, settings: &Settings) -> Option<()> {
+        match &mut self.belief {
+            Belief::Filter(filter) => filter.predict(elapsed_ns, &settings.models(self.length_m)).ok(),
+            Belief::Mixture(mixture) => mixture.predict(elapsed_ns).ok(),
+        }
+    }
+
+    /// Normalised innovation squared and log-likelihood.
+    fn update(&mut self, seen: &Observation, settings: &Settings) -> Option<(f64, f64)> {
+        match &mut self.belief {
+            Belief::Filter(filter) => {
+                let evidence = filter.update(seen, &settings.models(self.length_m)).ok()?;
+                Some((evidence.nis, evidence.log_likelihood))
+            }
+            Belief::Mixture(mixture) => {
+                let nis = innovation_squared(&mixture.moments(), seen)?;
+                Some((nis, mixture.update(seen).ok()?))
+            }
+        }
+    }
+
+    /// Takes on the state of the method once the motion shows a heading.
+    fn ripen(&mut self, method: TrackingMethod, settings: &Settings, id: u64) {
+        let Belief::Filter(filter) = &self.belief else { return };
+        let kind = method.kind();
+        let is_ripe = match kind {
+            Kind::ConstantVelocity => false,
+            Kind::ConstantAcceleration => true,
+            Kind::ConstantTurnRate | Kind::Bicycle => {
+                filter.motion().speed_mps > COURSE_TOLD_MPS && filter.course_sigma_rad() < COURSE_TOLD_RAD
+            }
+        };
+        if self.agent_type != AgentType::Vehicle || filter.kind() == kind || !is_ripe {
+            return;
+        }
+        let ripe = filter.into_kind(kind, &UNKNOWN);
+        let priors = settings.priors(self.length_m);
+        self.belief = match (method, ripe) {
+            (TrackingMethod::Learned, Filter::Bicycle(state)) => {
+                Belief::Mixture(Box::new(Mixture::new(state, priors, id)))
+            }
+            _ => Belief::Filter(Box::new(ripe)),
+        };
+    }
+
+    fn filter(&self) -> Filter {
+        match &self.belief {
+            Belief::Filter(filter) => **filter,
+            Belief::Mixture(mixture) => Filter::Bicycle(mixture.moments()),
+        }
+    }
+
+    /// What the model is told.
+    fn state(&mut self) -> State {
+        let motion = self.filter().motion();
+        let [vx, vy] = motion.velocity_mps;
+        let course = (vx.hypot(vy) > COURSE_TOLD_MPS).then(|| vy.atan2(vx));
+        self.heading_rad = motion.heading_rad.or(course).unwrap_or(self.heading_rad);
+        State {
+            position_m: motion.position_m.map(|value| value as f32),
+            velocity_mps: motion.velocity_mps.map(|value| value as f32),
+            heading_rad: self.heading_rad as f32,
+        }
+    }
+
+    fn error(&self, seen: &Seen, truth: &PlanarState) -> Error {
+        let state = self.filter().cartesian();
+        let [[x, y], [vx, vy]] = [truth.position_m, truth.velocity_mps];
+        let error = state.mean - Vector4::new(x, y, vx, vy);
+        Error {
+            id: seen.id,
+            visible: seen.measured_m.is_some(),
+            position_m: error[0].hypot(error[1]),
+            velocity_mps: error[2].hypot(error[3]),
+            nees: normalised_square(
+                &error.fixed_rows::<2>(0).into_owned(),
+                &state.covariance.fixed_view::<2, 2>(0, 0).into_owned(),
+            ),
+        }
+    }
+}
+
+/// Normalised square of what a measurement tells beyond a prediction.
+fn innovation_squared(predicted: &Gaussian<5>, seen: &Observation) -> Option<f64> {
+    let (mean, [xx, xy, yy]) = Filter::Bicycle(*predicted).position();
+    let variance = seen.position_variance;
+    let innovation = [0, 1].map(|axis| seen.position_m[axis] - mean[axis]);
+    normalised_square(&innovation.into(), &Matrix2::new(xx + variance, xy, xy, yy + variance))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::Sensor;
+    use super::super::course::tests::recording;
+    use super::*;
+
+    const SENSOR: Sensor = Sensor { sigma_m: 0.1, gap_s: 1.6, seed: 1 };
+
+    fn follow(method: TrackingMethod) -> Outcome {
+        follow_until(i64::MAX, method)
+    }
+
+    fn follow_until(end_ns: i64, method: TrackingMethod) -> Outcome {
+        let weights = nn::Weights::onboard();
+        let forecaster = Forecaster::new(&weights, 1).unwrap();
+        let settings = Settings::first().with(TrackingMethod::ConstantVelocity, [0.01, 0.0]);
+        Follower { method, settings, forecaster: &forecaster }.follow(&Course::new(
+            &recording(),
+            [0, end_ns],
+            SENSOR,
+        ))
+    }
+
+    #[test]
+    fn a_filter_with_the_right_model_errs_less_than_the_sensor_and_knows_how_much() {
+        let outcome = follow(TrackingMethod::ConstantVelocity);
+        let visible = || outcome.errors.iter().filter(|error| error.visible);
+        let mean_m = visible().map(|error| error.position_m).sum::<f64>() / visible().count() as f64;
+        assert!(mean_m < 0.07, "{mean_m}");
+        let nis = outcome.nis_sum / (2.0 * outcome.measured_len as f64);
+        assert!((0.7..1.3).contains(&nis), "{nis}");
+        assert_eq!((outcome.faults_len, outcome.errors.len()), (0, 189));
+    }
+
+    #[test]
+    fn every_method_goes_through_gaps_without_a_fault() {
+        for method in TrackingMethod::ALL {
+            let outcome = follow(method);
+            let hidden = || outcome.errors.iter().filter(|error| !error.visible);
+            assert!(hidden().count() > 20);
+            let worst_m = hidden().map(|error| error.position_m).fold(0.0, f64::max);
+            assert!(worst_m < 6.0, "{}: {worst_m} m", method.name());
+            assert_eq!(outcome.faults_len, 0, "{}", method.name());
+        }
+    }
+
+    #[test]
+    fn nothing_that_comes_later_changes_an_error() {
+        let whole = follow(TrackingMethod::Learned);
+        let half = follow_until(10_000_000_000, TrackingMethod::Learned);
+        // The last instant's true velocity needs the one after it.
+        assert_eq!(half.errors.len(), 90);
+        assert_eq!(half.errors[..], whole.errors[..90]);
+    }
+}

@@ -1,0 +1,342 @@
+//! What is told of the filters' errors.
+
+use metrics::tracking::ErrorNorms;
+use metrics::{PairedErrors, paired_bootstrap_ratio};
+
+use super::follower::Error;
+use super::{Outcome, Sensor, TRIALS, TrackingMethod, Trials};
+use crate::group::RESAMPLES;
+use crate::report::{Table, digits, percent};
+use crate::weights::Provenance;
+
+/// Of the bootstrap.
+const SEED: u64 = 1;
+
+/// The errors of one method under one sensor.
+#[derive(Clone, Debug)]
+pub(crate) struct Judged {
+    sensor: Sensor,
+    method: TrackingMethod,
+    /// Track by track.
+    tracks: Vec<Vec<Error>>,
+    /// Per degree of freedom.
+    nis: f64,
+    faults_len: u64,
+}
+
+/// What an evaluation of tracking found.
+#[derive(Clone, Debug)]
+pub struct TrackingReport {
+    provenance: Provenance,
+    judged_s: f64,
+    tuned_s: f64,
+    judged: Vec<Judged>,
+    trials: Vec<(f64, Trials)>,
+}
+
+/// A quantity that is estimated.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Quantity {
+    Position,
+    Velocity,
+}
+
+impl Quantity {
+    const ALL: [Self; 2] = [Self::Position, Self::Velocity];
+
+    const fn name(self) -> &'static str {
+        match self {
+            Self::Position => "position, m",
+            Self::Velocity => "velocity, m/s",
+        }
+    }
+
+    const fn of(self, error: &Error) -> f64 {
+        match self {
+            Self::Position => error.position_m,
+            Self::Velocity => error.velocity_mps,
+        }
+    }
+}
+
+impl Judged {
+    /// The outcomes of all recordings together.
+    pub(crate) fn new<'a>(
+        sensor: Sensor,
+        method: TrackingMethod,
+        outcomes: impl Iterator<Item = &'a Outcome>,
+    ) -> Self {
+        let (mut tracks, mut nis_sum, mut measured_len, mut faults_len) = (Vec::new(), 0.0, 0, 0);
+        for outcome in outcomes {
+            let mut errors = outcome.errors.clone();
+            // Instants stay in their order.
+            errors.sort_by_key(|error| error.id);
+            tracks.extend(errors.chunk_by(|a, b| a.id == b.id).map(<[Error]>::to_vec));
+            nis_sum += outcome.nis_sum;
+            measured_len += outcome.measured_len;
+            faults_len += outcome.faults_len;
+        }
+        let nis = nis_sum / (2.0 * measured_len.max(1) as f64);
+        Self { sensor, method, tracks, nis, faults_len }
+    }
+
+    /// Whether a column tells of an error: gaps where there are some, all instants where there are none.
+    fn tells(&self, error: &Error) -> bool {
+        error.visible == (self.sensor.gap_s == 0.0)
+    }
+
+    fn norms(&self, quantity: Quantity) -> ErrorNorms {
+        let mut norms = ErrorNorms::default();
+        let errors = self.tracks.iter().flatten().filter(|error| self.tells(error));
+        errors.for_each(|error| norms.add(quantity.of(error)));
+        norms
+    }
+
+    /// Mean NEES per degree of freedom.
+    fn nees(&self) -> f64 {
+        let nees = || self.tracks.iter().flatten().filter(|error| self.tells(error)).filter_map(|e| e.nees);
+        nees().sum::<f64>() / (2.0 * nees().count().max(1) as f64)
+    }
+
+    /// Track by track, beside another method on the same instants.
+    fn paired(&self, other: &Self, quantity: Quantity) -> Vec<PairedErrors> {
+        let of_track = |(ours, theirs): (&Vec<Error>, &Vec<Error>)| {
+            let mut sum = PairedErrors::default();
+            for (ours, theirs) in ours.iter().zip(theirs).filter(|(error, _)| self.tells(error)) {
+                sum.add(quantity.of(ours), quantity.of(theirs));
+            }
+            sum
+        };
+        self.tracks.iter().zip(&other.tracks).map(of_track).collect()
+    }
+}
+
+impl TrackingReport {
+    pub(crate) const fn new(provenance: Provenance, judged_s: f64, tuned_s: f64) -> Self {
+        Self { provenance, judged_s, tuned_s, judged: Vec::new(), trials: Vec::new() }
+    }
+
+    pub(crate) fn add(&mut self, judged: Vec<Judged>) {
+        self.judged.extend(judged);
+    }
+
+    pub(crate) fn add_trials(&mut self, sigma_m: f64, trials: Trials) {
+        self.trials.push((sigma_m, trials));
+    }
+
+    /// The sensors of a noise, one per column.
+    fn sensors(&self, sigma_m: f64) -> Vec<Sensor> {
+        let mut sensors: Vec<Sensor> =
+            self.judged.iter().map(|of| of.sensor).filter(|sensor| sensor.sigma_m == sigma_m).collect();
+        sensors.dedup();
+        sensors
+    }
+
+    fn of(&self, sensor: Sensor, method: TrackingMethod) -> Option<&Judged> {
+        self.judged.iter().find(|judged| judged.sensor == sensor && judged.method == method)
+    }
+
+    /// The kinematic filter whose mean error is the least.
+    fn best_kinematic(&self, sensor: Sensor, quantity: Quantity) -> Option<&Judged> {
+        let kinematic = TrackingMethod::ALL.into_iter().filter(|method| !method.is_learned());
+        let judged = kinematic.filter_map(|method| self.of(sensor, method));
+        let mae = |judged: &&Judged| judged.norms(quantity).mae().unwrap_or(f64::INFINITY);
+        judged.min_by(|a, b| mae(a).total_cmp(&mae(b)))
+    }
+
+    fn columns(&self) -> Vec<String> {
+        let Some(&(sigma_m, _)) = self.trials.first() else { return Vec::new() };
+        let name = |sensor: &Sensor| match sensor.gap_s {
+            0.0 => "no gaps".to_owned(),
+            gap_s => format!("in gaps of {gap_s} s"),
+        };
+        self.sensors(sigma_m).iter().map(name).collect()
+    }
+
+    /// The report as Markdown that also reads well in a terminal.
+    #[must_use]
+    pub fn markdown(&self) -> String {
+        self.written(&self.tables(), "##")
+    }
+
+    /// The main tables, one heading lower.
+    #[must_use]
+    pub fn summary(&self) -> String {
+        self.written(&self.tables()[..3], "###")
+    }
+
+    fn written(&self, tables: &[Table], heading: &str) -> String {
+        let mut text = format!("{heading} Tracking: INTERACTION's vehicles from noisy positions\n\n");
+        for table in tables {
+            text += &format!("{heading}{}\n", table.markdown(""));
+        }
+        text + &format!("Forecasts of the learned prior: {}\n", self.provenance.line())
+    }
+
+    fn tables(&self) -> Vec<Table> {
+        let mut tables: Vec<Table> = Quantity::ALL.map(|quantity| self.errors(quantity)).into();
+        tables.extend([self.comparisons(), self.certainty(), self.settings()]);
+        tables
+    }
+
+    fn errors(&self, quantity: Quantity) -> Table {
+        let note = format!(
+            "RMSE / MAE. Positions are measured at 10 Hz with normal noise of the given deviation per axis; a gap of the given length \
+             comes after 3 to 7 s and then every 4 s. {} s from the middle of each recording. True velocities are central \
+             differences of the recorded positions. Tracks count from an age of 1 s on. The learned prior is forecast anew at \
+             every step of the model from the filter's own estimates, without a map, and held through gaps.",
+            self.judged_s
+        );
+        let mut table =
+            Table::new(quantity.name(), &note, &["deviation", "method"], self.columns().into_iter());
+        for &(sigma_m, _) in &self.trials {
+            for method in TrackingMethod::ALL {
+                let cell = |sensor: Sensor| {
+                    let norms = self.of(sensor, method)?.norms(quantity);
+                    Some(format!("{} / {}", fine(norms.rmse()?), fine(norms.mae()?)))
+                };
+                table.push_row(self.row(sigma_m, method.name(), cell));
+            }
+        }
+        table
+    }
+
+    /// A row with a cell for each sensor of a noise.
+    fn row(&self, sigma_m: f64, name: &str, cell: impl Fn(Sensor) -> Option<String>) -> Vec<String> {
+        let cells =
+            self.sensors(sigma_m).into_iter().map(|sensor| cell(sensor).unwrap_or_else(|| "-".to_owned()));
+        [format!("{sigma_m} m"), name.to_owned()].into_iter().chain(cells).collect()
+    }
+
+    fn comparisons(&self) -> Table {
+        let note = format!(
+            "Mean error of the learned prior less that of the other filter on the same instants, in % of the latter: below 0 the \
+             learned prior is better, surely so where the whole 95 % interval is. The best kinematic filter is chosen cell by \
+             cell by the figures themselves. Paired bootstrap over tracks, {RESAMPLES} resamples."
+        );
+        let mut table = Table::new(
+            "Learned prior beside the others",
+            &note,
+            &["deviation", "of what"],
+            self.columns().into_iter(),
+        );
+        for &(sigma_m, _) in &self.trials {
+            for quantity in Quantity::ALL {
+                let against = |sensor: Sensor, other: Option<&Judged>| {
+                    let learned = self.of(sensor, TrackingMethod::Learned)?;
+                    let paired = learned.paired(other?, quantity);
+                    Some(percent(&paired_bootstrap_ratio(&paired, RESAMPLES, SEED)?))
+                };
+                let best = |sensor| against(sensor, self.best_kinematic(sensor, quantity));
+                let velocity = |sensor| against(sensor, self.of(sensor, TrackingMethod::ConstantVelocity));
+                let name = quantity.name().split(',').next().unwrap_or_default();
+                table.push_row(self.row(sigma_m, &format!("{name}, to the best kinematic"), best));
+                table.push_row(self.row(sigma_m, &format!("{name}, to constant velocity"), velocity));
+            }
+        }
+        table
+    }
+
+    fn certainty(&self) -> Table {
+        let note = "Mean NEES of the position / mean NIS of the measurements, per degree of freedom: 1 where \
+                    covariances are right, more where they are too small. Faults are predictions and updates that failed.";
+        let columns = self.columns().into_iter().chain(["faults".to_owned()]);
+        let mut table = Table::new("Consistency", note, &["deviation", "method"], columns);
+        for &(sigma_m, _) in &self.trials {
+            for method in TrackingMethod::ALL {
+                let cell = |sensor: Sensor| {
+                    let judged = self.of(sensor, method)?;
+                    Some(format!("{} / {}", digits(judged.nees()), digits(judged.nis)))
+                };
+                let mut row = self.row(sigma_m, method.name(), cell);
+                let judged = self.sensors(sigma_m).into_iter().filter_map(|sensor| self.of(sensor, method));
+                row.push(judged.map(|judged| judged.faults_len).sum::<u64>().to_string());
+                table.push_row(row);
+            }
+        }
+        table
+    }
+
+    fn settings(&self) -> Table {
+        let note = format!(
+            "Found by the mean negative log-likelihood (NLL) of the measured positions on the validation part, {} s of a recording \
+             per site, {TRIALS} trials for each method and deviation.",
+            self.tuned_s
+        );
+        let columns = ["setting", "NLL"].map(str::to_owned).into_iter();
+        let mut table = Table::new("Settings", &note, &["deviation", "method"], columns);
+        for (sigma_m, trials) in &self.trials {
+            for (method, figure) in TrackingMethod::ALL.into_iter().zip(&trials.figures) {
+                let numbers = method.told().into_iter().zip(trials.settings.of(method));
+                let told = numbers.filter(|(what, _)| !what.is_empty());
+                let setting: Vec<String> = told.map(|(what, value)| format!("{what} {value:.3}")).collect();
+                table.push_row(vec![
+                    format!("{sigma_m} m"),
+                    method.name().to_owned(),
+                    setting.join(", "),
+                    format!("{figure:.3}"),
+                ]);
+            }
+        }
+        table
+    }
+
+    /// Every figure, a line each.
+    #[must_use]
+    pub fn csv(&self) -> String {
+        let mut text = "sigma_m,gap_s,method,quantity,rmse,mae,len,nees,nis,weights_sha256\n".to_owned();
+        for figures in self.figures() {
+            let Figures { sigma_m, gap_s, method, quantity, rmse, mae, len, nees, nis } = figures;
+            let sha256 = &self.provenance.sha256;
+            text += &format!(
+                "{sigma_m},{gap_s},\"{method}\",\"{quantity}\",{rmse:.6},{mae:.6},{len},{nees:.6},{nis:.6},{sha256}\n"
+            );
+        }
+        text
+    }
+
+    /// Everything as JSON.
+    #[must_use]
+    pub fn json(&self) -> serde_json::Value {
+        serde_json::json!({ "provenance": self.provenance, "figures": self.figures().collect::<Vec<_>>() })
+    }
+
+    fn figures(&self) -> impl Iterator<Item = Figures> + '_ {
+        let of = |judged: &Judged, quantity: Quantity| {
+            let norms = judged.norms(quantity);
+            Some(Figures {
+                sigma_m: judged.sensor.sigma_m,
+                gap_s: judged.sensor.gap_s,
+                method: judged.method.name(),
+                quantity: quantity.name(),
+                rmse: norms.rmse()?,
+                mae: norms.mae()?,
+                len: norms.len,
+                nees: judged.nees(),
+                nis: judged.nis,
+            })
+        };
+        let pairs = self.judged.iter().flat_map(|judged| Quantity::ALL.map(|quantity| (judged, quantity)));
+        pairs.filter_map(move |(judged, quantity)| of(judged, quantity))
+    }
+}
+
+/// What is told of one method, sensor and quantity.
+#[derive(Clone, Copy, Debug, serde::Serialize)]
+struct Figures {
+    sigma_m: f64,
+    gap_s: f64,
+    method: &'static str,
+    quantity: &'static str,
+    rmse: f64,
+    mae: f64,
+    /// Instants.
+    len: u64,
+    nees: f64,
+    nis: f64,
+}
+
+/// Four decimals below 1: some errors are of millimetres.
+fn fine(value: f64) -> String {
+    if value < 1.0 { format!("{value:.4}") } else { digits(value) }
+}
