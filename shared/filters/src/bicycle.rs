@@ -28,6 +28,20 @@ pub struct Bicycle {
     pub slip_max_rad: f64,
 }
 
+impl Bicycle {
+    /// Variances that a step adds, and the covariance of speed and slip that it adds.
+    pub(crate) fn noise(&self, state: &Gaussian<5>, control: &Control, dt_s: f64) -> (Vector5<f64>, f64) {
+        let [of_speed, cross, of_slip] = control.density;
+        let mut noise = Vector5::from(self.floor) * (dt_s / STEP_MAX_S);
+        noise[SPEED] += self.acceleration_mps2.powi(2) * dt_s * STEP_MAX_S + of_speed * dt_s;
+        if state.covariance[(SLIP, SLIP)] >= self.slip_max_rad.powi(2) {
+            return (noise, 0.0);
+        }
+        noise[SLIP] += self.slip_rate_radps.powi(2) * dt_s * STEP_MAX_S + of_slip * dt_s;
+        (noise, cross * dt_s)
+    }
+}
+
 impl Process<5> for Bicycle {
     const ANGLES: &'static [usize] = &[HEADING];
 
@@ -56,18 +70,10 @@ impl Steered<5> for Bicycle {
         let mut mean = moved.next;
         mean[HEADING] = wrapped(mean[HEADING]);
 
-        let [of_speed, cross, of_slip] = control.density;
-        let mut noise = Vector5::from(self.floor) * (dt_s / STEP_MAX_S);
-        noise[SPEED] += self.acceleration_mps2.powi(2) * dt_s * STEP_MAX_S + of_speed * dt_s;
-        let slip_is_known = state.covariance[(SLIP, SLIP)] < self.slip_max_rad.powi(2);
-        if slip_is_known {
-            noise[SLIP] += self.slip_rate_radps.powi(2) * dt_s * STEP_MAX_S + of_slip * dt_s;
-        }
+        let (noise, cross) = self.noise(state, control, dt_s);
         let mut covariance = state.propagated(&moved.by_state, &noise);
-        if slip_is_known {
-            covariance[(SPEED, SLIP)] += cross * dt_s;
-            covariance[(SLIP, SPEED)] += cross * dt_s;
-        }
+        covariance[(SPEED, SLIP)] += cross;
+        covariance[(SLIP, SPEED)] += cross;
         Gaussian { mean, covariance }
     }
 

@@ -23,6 +23,7 @@ mod moments;
 mod observation;
 pub mod particles;
 mod process;
+mod singer;
 pub mod weights;
 
 pub use kinematics::Integrator;
@@ -40,6 +41,7 @@ pub use moments::{between, difference, mean, moments, sample_moments};
 pub use observation::{Motion, Observation};
 pub use particles::Particles;
 pub use process::Process;
+pub use singer::SingerBicycle;
 
 use std::f64::consts::{PI, TAU};
 

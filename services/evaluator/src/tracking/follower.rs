@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use filters::{Bicycle, Filter, Forecast, Gaussian, Kind, Mixture, Observation};
+use filters::{ControlStep, Filter, Forecast, Gaussian, Kind, Mixture, Observation, SingerBicycle};
 use metrics::tracking::{PlanarState, normalised_square};
 use nalgebra::{Matrix2, Vector4};
 use scene::State;
@@ -17,6 +17,8 @@ use crate::Forecaster;
 const COURSE_TOLD_RAD: f64 = 0.3;
 /// See [`COURSE_TOLD_RAD`].
 const COURSE_TOLD_MPS: f64 = 0.5;
+/// Time constant with which a forecast's controls come in.
+const FADED_IN_S: f64 = 1.0;
 /// A track counts from this age on.
 const SETTLED_S: f64 = 1.0;
 
@@ -63,7 +65,8 @@ pub(crate) struct Follower<'a> {
 /// The belief in one agent.
 enum Belief {
     Filter(Box<Filter>),
-    Mixture(Box<Mixture<Bicycle, 5>>),
+    /// Of a single filter where nothing is forecast.
+    Mixture(Box<Mixture<SingerBicycle, 6>>),
 }
 
 struct Track {
@@ -159,8 +162,10 @@ impl Follower<'_> {
         let step_ns = self.forecaster.config().step_ns();
         for (id, hypotheses) in oracle.forecast(stamp_ns, &estimates) {
             let Some(track) = tracks.get_mut(&id) else { continue };
-            let Hypotheses { heading_rad, probability, controls } = &hypotheses;
-            let forecast = Forecast { age_ns: 0, step_ns, heading_rad: *heading_rad, probability, controls };
+            let Hypotheses { heading_rad, probability, mut controls } = hypotheses;
+            fade_in(&mut controls, probability.len(), step_ns);
+            let forecast =
+                Forecast { age_ns: 0, step_ns, heading_rad, probability: &probability, controls: &controls };
             let adopted = match &mut track.belief {
                 Belief::Filter(_) => Ok(()),
                 Belief::Mixture(mixture) => mixture.adopt(&forecast),
@@ -222,8 +227,8 @@ impl Track {
         let ripe = filter.into_kind(kind, &UNKNOWN);
         let priors = settings.priors(self.length_m);
         self.belief = match (method, ripe) {
-            (TrackingMethod::Learned, Filter::Bicycle(state)) => {
-                Belief::Mixture(Box::new(Mixture::new(state, priors, id)))
+            (TrackingMethod::SingerBicycle | TrackingMethod::Learned, Filter::Bicycle(state)) => {
+                Belief::Mixture(Box::new(Mixture::new(priors.kinematic.of(&state), priors, id)))
             }
             _ => Belief::Filter(Box::new(ripe)),
         };
@@ -232,7 +237,7 @@ impl Track {
     fn filter(&self) -> Filter {
         match &self.belief {
             Belief::Filter(filter) => **filter,
-            Belief::Mixture(mixture) => Filter::Bicycle(mixture.moments()),
+            Belief::Mixture(mixture) => Filter::Bicycle(SingerBicycle::bicycle_of(&mixture.moments())),
         }
     }
 
@@ -266,12 +271,24 @@ impl Track {
     }
 }
 
+/// Lets the controls of all hypotheses come in gradually: at first the filter's own state knows better.
+fn fade_in(controls: &mut [ControlStep], hypotheses_len: usize, step_ns: u64) {
+    let step_s = step_ns as f64 / 1e9;
+    let steps_len = controls.len() / hypotheses_len.max(1);
+    for steps in controls.chunks_mut(steps_len.max(1)) {
+        for (number, step) in steps.iter_mut().enumerate() {
+            let middle_s = (number as f64 + 0.5) * step_s;
+            let share = 1.0 - (-middle_s / FADED_IN_S).exp();
+            step.mean = step.mean.map(|value| share * value);
+        }
+    }
+}
+
 /// Normalised square of what a measurement tells beyond a prediction.
-fn innovation_squared(predicted: &Gaussian<5>, seen: &Observation) -> Option<f64> {
-    let (mean, [xx, xy, yy]) = Filter::Bicycle(*predicted).position();
-    let variance = seen.position_variance;
-    let innovation = [0, 1].map(|axis| seen.position_m[axis] - mean[axis]);
-    normalised_square(&innovation.into(), &Matrix2::new(xx + variance, xy, xy, yy + variance))
+fn innovation_squared(predicted: &Gaussian<6>, seen: &Observation) -> Option<f64> {
+    let innovation = [0, 1].map(|axis| seen.position_m[axis] - predicted.mean[axis]);
+    let noise = Matrix2::from_diagonal_element(seen.position_variance);
+    normalised_square(&innovation.into(), &(predicted.covariance.fixed_view::<2, 2>(0, 0) + noise))
 }
 
 #[cfg(test)]
@@ -289,7 +306,7 @@ mod tests {
     fn follow_until(end_ns: i64, method: TrackingMethod) -> Outcome {
         let weights = nn::Weights::onboard();
         let forecaster = Forecaster::new(&weights, 1).unwrap();
-        let settings = Settings::first().with(TrackingMethod::ConstantVelocity, [0.01, 0.0]);
+        let settings = Settings::first().with(TrackingMethod::ConstantVelocity, [0.01, 1.0, 1.0]);
         Follower { method, settings, forecaster: &forecaster }.follow(&Course::new(
             &recording(),
             [0, end_ns],

@@ -2,7 +2,7 @@
 
 use filters::{
     Bicycle, ConstantAcceleration, ConstantTurnRate, ConstantVelocity, Integrator, Kind, Models, Priors,
-    Unknown,
+    SingerBicycle, Unknown,
 };
 
 /// What nobody has observed of a vehicle.
@@ -20,12 +20,14 @@ pub enum TrackingMethod {
     ConstantTurnRate,
     /// Kinematic bicycle, extended Kalman filter.
     Bicycle,
-    /// The bicycle steered by the model's forecasts, a mixture of extended Kalman filters.
+    /// Bicycle whose acceleration dies away (Singer), extended Kalman filter.
+    SingerBicycle,
+    /// The same, its acceleration dying away towards that of the model's forecasts: a mixture of extended Kalman filters.
     Learned,
 }
 
-/// The two numbers of a method that are tuned; what they are is the method's own.
-pub(crate) type Setting = [f64; 2];
+/// The numbers of a method that are tuned; what they are, and how many of them count, is the method's own.
+pub(crate) type Setting = [f64; 3];
 
 /// Middle of a length that is not known, m, and the rear axle's share of it.
 const LENGTH_M: f32 = 4.5;
@@ -38,11 +40,12 @@ const FLOOR: [f64; 5] = [1e-6, 1e-6, 1e-6, 0.0, 0.0];
 
 impl TrackingMethod {
     /// All methods, in the order of the tables.
-    pub const ALL: [Self; 5] = [
+    pub const ALL: [Self; 6] = [
         Self::ConstantVelocity,
         Self::ConstantAcceleration,
         Self::ConstantTurnRate,
         Self::Bicycle,
+        Self::SingerBicycle,
         Self::Learned,
     ];
 
@@ -54,6 +57,7 @@ impl TrackingMethod {
             Self::ConstantAcceleration => "constant acceleration",
             Self::ConstantTurnRate => "constant turn rate",
             Self::Bicycle => "bicycle",
+            Self::SingerBicycle => "Singer bicycle",
             Self::Learned => "learned, linearised",
         }
     }
@@ -63,25 +67,30 @@ impl TrackingMethod {
         matches!(self, Self::Learned)
     }
 
-    /// What the two numbers of its setting are.
-    pub(crate) const fn told(self) -> [&'static str; 2] {
+    /// What the numbers of its setting are.
+    pub(crate) const fn told(self) -> &'static [&'static str] {
         match self {
-            Self::ConstantVelocity => ["acceleration density, m²/s³", ""],
-            Self::ConstantAcceleration => ["jerk density, m²/s⁵", ""],
-            Self::ConstantTurnRate => ["root of the acceleration density", "of the yaw acceleration density"],
-            Self::Bicycle => ["acceleration, m/s²", "slip rate, rad/s"],
-            Self::Learned => ["factor on control covariances", "share of the bicycle's noise"],
+            Self::ConstantVelocity => &["acceleration density, m²/s³"],
+            Self::ConstantAcceleration => &["jerk density, m²/s⁵"],
+            Self::ConstantTurnRate => {
+                &["root of the acceleration density", "of the yaw acceleration density"]
+            }
+            Self::Bicycle => &["acceleration, m/s²", "slip rate, rad/s"],
+            Self::SingerBicycle => &["acceleration, m/s²", "slip rate, rad/s", "decay, s"],
+            Self::Learned => {
+                &["factor on control covariances", "share of the Singer bicycle's noise", "decay, s"]
+            }
         }
     }
 
     /// Where tuning begins.
     pub(crate) const fn first_setting(self) -> Setting {
         match self {
-            Self::ConstantVelocity => [1.0, 1.0],
-            Self::ConstantAcceleration => [1.0, 1.0],
-            Self::ConstantTurnRate => [2.0, 0.5],
-            Self::Bicycle => [2.0, 0.2],
-            Self::Learned => [0.5, 0.3],
+            Self::ConstantVelocity | Self::ConstantAcceleration => [1.0; 3],
+            Self::ConstantTurnRate => [2.0, 0.5, 1.0],
+            Self::Bicycle => [2.0, 0.2, 1.0],
+            Self::SingerBicycle => [1.0, 0.1, 2.0],
+            Self::Learned => [0.1, 0.7, 1.0],
         }
     }
 
@@ -91,7 +100,7 @@ impl TrackingMethod {
             Self::ConstantVelocity => Kind::ConstantVelocity,
             Self::ConstantAcceleration => Kind::ConstantAcceleration,
             Self::ConstantTurnRate => Kind::ConstantTurnRate,
-            Self::Bicycle | Self::Learned => Kind::Bicycle,
+            Self::Bicycle | Self::SingerBicycle | Self::Learned => Kind::Bicycle,
         }
     }
 }
@@ -117,9 +126,10 @@ impl Settings {
 
     /// The process models of a vehicle.
     pub(crate) fn models(&self, length_m: Option<f32>) -> Models {
-        let [density, _] = self.of(TrackingMethod::ConstantVelocity);
-        let [jerk_density, _] = self.of(TrackingMethod::ConstantAcceleration);
-        let [acceleration, yaw_acceleration] = self.of(TrackingMethod::ConstantTurnRate);
+        let [density, ..] = self.of(TrackingMethod::ConstantVelocity);
+        let [jerk_density, ..] = self.of(TrackingMethod::ConstantAcceleration);
+        let [acceleration, yaw_acceleration, _] = self.of(TrackingMethod::ConstantTurnRate);
+        let [acceleration_mps2, slip_rate_radps, _] = self.of(TrackingMethod::Bicycle);
         Models {
             constant_velocity: ConstantVelocity { density },
             constant_acceleration: ConstantAcceleration { density: jerk_density },
@@ -127,21 +137,24 @@ impl Settings {
                 acceleration_density: acceleration.powi(2),
                 yaw_density: yaw_acceleration.powi(2),
             },
-            bicycle: bicycle(self.of(TrackingMethod::Bicycle), length_m),
+            bicycle: bicycle(acceleration_mps2, slip_rate_radps, length_m),
         }
     }
 
-    /// The processes of the learned prior.
-    pub(crate) fn priors(&self, length_m: Option<f32>) -> Priors<Bicycle> {
-        let [covariance_scale, share] = self.of(TrackingMethod::Learned);
-        let noise = self.of(TrackingMethod::Bicycle);
-        let [kinematic, learned] =
-            [noise, noise.map(|sigma| share * sigma)].map(|noise| bicycle(noise, length_m));
-        Priors { covariance_scale, ..Priors::new(kinematic, learned) }
+    /// The processes of a Singer bicycle with and without forecasts.
+    pub(crate) fn priors(&self, length_m: Option<f32>) -> Priors<SingerBicycle> {
+        let [covariance_scale, share, learned_decay_s] = self.of(TrackingMethod::Learned);
+        let [acceleration_mps2, slip_rate_radps, decay_s] = self.of(TrackingMethod::SingerBicycle);
+        let singer = |share: f64, decay_s: f64| SingerBicycle {
+            bicycle: bicycle(0.0, share * slip_rate_radps, length_m),
+            acceleration_mps2: share * acceleration_mps2,
+            decay_s,
+        };
+        Priors { covariance_scale, ..Priors::new(singer(1.0, decay_s), singer(share, learned_decay_s)) }
     }
 }
 
-fn bicycle([acceleration_mps2, slip_rate_radps]: Setting, length_m: Option<f32>) -> Bicycle {
+fn bicycle(acceleration_mps2: f64, slip_rate_radps: f64, length_m: Option<f32>) -> Bicycle {
     Bicycle {
         rear_axle_m: f64::from(REAR_AXLE_RATIO * length_m.unwrap_or(LENGTH_M)),
         integrator: Integrator::Midpoint,

@@ -184,7 +184,7 @@ impl TrackingReport {
             "RMSE / MAE. Positions are measured at 10 Hz with normal noise of the given deviation per axis; a gap of the given length \
              comes after 3 to 7 s and then every 4 s. {} s from the middle of each recording. True velocities are central \
              differences of the recorded positions. Tracks count from an age of 1 s on. The learned prior is forecast anew at \
-             every step of the model from the filter's own estimates, without a map, and held through gaps.",
+             every step of the model from the filter's own estimates, without a map, and held through gaps; its controls come in gradually.",
             self.judged_s
         );
         let mut table =
@@ -267,9 +267,9 @@ impl TrackingReport {
         let mut table = Table::new("Settings", &note, &["deviation", "method"], columns);
         for (sigma_m, trials) in &self.trials {
             for (method, figure) in TrackingMethod::ALL.into_iter().zip(&trials.figures) {
-                let numbers = method.told().into_iter().zip(trials.settings.of(method));
-                let told = numbers.filter(|(what, _)| !what.is_empty());
-                let setting: Vec<String> = told.map(|(what, value)| format!("{what} {value:.3}")).collect();
+                let numbers = method.told().iter().zip(trials.settings.of(method));
+                let setting: Vec<String> =
+                    numbers.map(|(what, value)| format!("{what} {value:.3}")).collect();
                 table.push_row(vec![
                     format!("{sigma_m} m"),
                     method.name().to_owned(),

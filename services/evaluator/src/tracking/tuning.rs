@@ -1,14 +1,12 @@
 //! Finds each method's setting by the likelihood of measurements, with the same number of trials for all.
 
-use filters::Kind;
-
 use super::follower::Follower;
 use super::method::{Setting, Settings, TrackingMethod};
 use super::{Course, Outcome};
 use crate::{Forecaster, threads};
 
 /// Settings that each method may try.
-pub(crate) const TRIALS: usize = 20;
+pub(crate) const TRIALS: usize = 24;
 /// Factors by which a number is changed, each until neither direction is better.
 const FACTORS: [f64; 3] = [4.0, 2.0, std::f64::consts::SQRT_2];
 
@@ -23,7 +21,7 @@ pub(crate) struct Trials {
 
 /// Tunes all methods on courses of one noise.
 ///
-/// The bicycle is tuned before the learned prior, which it is part of.
+/// The Singer bicycle is tuned before the learned prior, which it is part of.
 pub(crate) fn tune(courses: &[Course], forecaster: &Forecaster, threads: usize) -> Trials {
     let mut settings = Settings::first();
     let mut figures = Vec::new();
@@ -35,9 +33,7 @@ pub(crate) fn tune(courses: &[Course], forecaster: &Forecaster, threads: usize) 
             let outcomes = threads::each(courses, threads, follow);
             Outcome::nll(&outcomes)
         };
-        let axes =
-            if matches!(method.kind(), Kind::ConstantVelocity | Kind::ConstantAcceleration) { 1 } else { 2 };
-        let (setting, figure) = search(method.first_setting(), axes, judge);
+        let (setting, figure) = search(method.first_setting(), method.told().len(), judge);
         settings = settings.with(method, setting);
         figures.push(figure);
     }
@@ -77,14 +73,14 @@ mod tests {
     #[test]
     fn search_comes_near_the_best_within_its_trials() {
         let mut trials_len = 0;
-        let (found, figure) = search([1.0, 1.0], 2, |[a, b]| {
+        let (found, figure) = search([1.0; 3], 2, |[a, b, _]| {
             trials_len += 1;
             (a / 6.0).ln().powi(2) + (b / 0.3).ln().powi(2)
         });
         assert!(trials_len <= TRIALS);
         assert!((found[0] / 6.0).ln().abs() < 0.5 && (found[1] / 0.3).ln().abs() < 0.5, "{found:?}");
         assert!(figure < 0.4);
-        let (same, _) = search([2.0, 7.0], 1, |[a, _]| (a - 2.0).abs());
-        assert_eq!(same, [2.0, 7.0]);
+        let (same, _) = search([2.0, 7.0, 7.0], 1, |[a, ..]| (a - 2.0).abs());
+        assert_eq!(same, [2.0, 7.0, 7.0]);
     }
 }
