@@ -12,6 +12,8 @@ use crate::samples::{Agent, MapView, Scene};
 
 /// Deviations of the strongest noise: position (m), velocity (m/s), heading (rad).
 const NOISE: (f32, f32, f32) = (0.04, 0.12, 0.01);
+/// The same of a vehicle: what a filter leaves of a detector's noise.
+const VEHICLE_NOISE: (f32, f32, f32) = (0.1, 0.4, 0.03);
 /// An agent below this speed that gets no farther than [`STANDING_M`] stands.
 const STANDING_MPS: f32 = 0.3;
 /// See [`STANDING_MPS`].
@@ -111,15 +113,17 @@ pub(crate) fn differenced(mut view: View, dt_s: f64) -> View {
     View { frame: agent_frame(&view.history).unwrap_or(view.frame), ..view }
 }
 
-/// The same agent as a noisy sensor would give it. How noisy is drawn too, up to [`NOISE`].
+/// The same agent as a noisy sensor would give it. How noisy is drawn too, seldom as much as [`NOISE`].
 pub(crate) fn noisy(mut view: View, random: &mut impl Rng) -> View {
-    let level: f32 = random.random();
+    let level = random.random::<f32>().powi(2);
+    let is_vehicle = view.agent.agent_type == scene::AgentType::Vehicle;
+    let (position_m, velocity_mps, heading_rad) = if is_vehicle { VEHICLE_NOISE } else { NOISE };
     for state in view.history.iter_mut().flatten() {
         let mut noise =
             |deviation: f32| level * deviation * Distribution::<f32>::sample(&StandardNormal, random);
-        state.position_m = state.position_m.map(|value| value + noise(NOISE.0));
-        state.velocity_mps = state.velocity_mps.map(|value| value + noise(NOISE.1));
-        state.heading_rad += noise(NOISE.2);
+        state.position_m = state.position_m.map(|value| value + noise(position_m));
+        state.velocity_mps = state.velocity_mps.map(|value| value + noise(velocity_mps));
+        state.heading_rad += noise(heading_rad);
     }
     View { frame: agent_frame(&view.history).unwrap_or(view.frame), ..view }
 }
