@@ -45,6 +45,6 @@ pub use protocol::{
 pub use report::{Figure, Report};
 pub use scenes::{Agent, Cut, Scene};
 pub use tally::{Errors, Measure, Sureness, Tally};
-pub use tracking::{TrackingMethod, TrackingReport};
+pub use tracking::TrackingReport;
 pub use verify::{Comparison, VerifyError, verify};
 pub use weights::{Provenance, WeightsChoice};

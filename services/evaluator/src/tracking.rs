@@ -11,11 +11,11 @@ mod method;
 mod report;
 mod tuning;
 
-pub use method::TrackingMethod;
 pub use report::TrackingReport;
 
 pub(crate) use course::{Course, Sensor};
 pub(crate) use follower::{Follower, Outcome};
 pub(crate) use hypotheses::Hypotheses;
+pub(crate) use method::TrackingMethod;
 pub(crate) use report::Judged;
 pub(crate) use tuning::{TRIALS, Trials, tune};

@@ -123,7 +123,8 @@ fn paper(options: &mut TrainOptions) {
     options.optimiser.learning_rate = 1e-3;
     options.batch_agents = 64;
     (options.without_map, options.site_map) = (0.0, 1.0);
-    (options.short_history, options.noisy_history, options.scale_deviation) = (0.0, 0.0, 0.0);
+    (options.short_history, options.noisy_history, options.differenced_history) = (0.0, 0.0, 0.0);
+    options.scale_deviation = 0.0;
 }
 
 /// The default model for the same steps, radii and context.

@@ -338,6 +338,28 @@ mod tests {
     }
 
     #[test]
+    fn forecasts_take_part_in_the_learned_prior_alone() {
+        let [singer, learned] = [TrackingMethod::SingerBicycle, TrackingMethod::Learned].map(follow);
+        assert_eq!(singer.errors.len(), learned.errors.len());
+        let worst_m =
+            singer.errors.iter().zip(&learned.errors).map(|(a, b)| (a.position_m - b.position_m).abs());
+        assert!(worst_m.fold(0.0, f64::max) > 1e-3);
+    }
+
+    #[test]
+    fn controls_come_in_gradually_in_every_hypothesis() {
+        let step = ControlStep { mean: [2.0, -1.0], cholesky: [0.1, 0.0, 0.1] };
+        let mut controls = [step; 6];
+        fade_in(&mut controls, 2, 400_000_000);
+        assert_eq!(controls[..3], controls[3..]);
+        for (number, faded) in controls[..3].iter().enumerate() {
+            let share = 1.0 - (-(0.2 + 0.4 * number as f64)).exp();
+            assert!((faded.mean[0] - 2.0 * share).abs() < 1e-12 && (faded.mean[1] + share).abs() < 1e-12);
+            assert_eq!(faded.cholesky, step.cholesky);
+        }
+    }
+
+    #[test]
     fn nothing_that_comes_later_changes_an_error() {
         let whole = follow(TrackingMethod::Learned);
         let half = follow_until(10_000_000_000, TrackingMethod::Learned);

@@ -11,7 +11,7 @@ pub(crate) const UNKNOWN: Unknown =
 
 /// A way to estimate motion.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub enum TrackingMethod {
+pub(crate) enum TrackingMethod {
     /// Constant velocity, Kalman filter.
     ConstantVelocity,
     /// Constant acceleration, Kalman filter.
@@ -40,7 +40,7 @@ const FLOOR: [f64; 5] = [1e-6, 1e-6, 1e-6, 0.0, 0.0];
 
 impl TrackingMethod {
     /// All methods, in the order of the tables.
-    pub const ALL: [Self; 6] = [
+    pub(crate) const ALL: [Self; 6] = [
         Self::ConstantVelocity,
         Self::ConstantAcceleration,
         Self::ConstantTurnRate,
@@ -51,7 +51,7 @@ impl TrackingMethod {
 
     /// The name in tables.
     #[must_use]
-    pub const fn name(self) -> &'static str {
+    pub(crate) const fn name(self) -> &'static str {
         match self {
             Self::ConstantVelocity => "constant velocity",
             Self::ConstantAcceleration => "constant acceleration",
