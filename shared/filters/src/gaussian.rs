@@ -1,3 +1,4 @@
+use kinematics::semidefinite_cholesky;
 use nalgebra::{Const, SMatrix, SVector};
 use thiserror::Error;
 
@@ -60,25 +61,6 @@ impl<const N: usize> Gaussian<N> {
         let covariance = jacobian * self.covariance * jacobian.transpose();
         Gaussian { mean, covariance: symmetrised(&covariance) }
     }
-}
-
-/// The lower factor of a positive semidefinite matrix; a pivot that is not positive leaves its column zero.
-fn semidefinite_cholesky<const N: usize>(matrix: &SMatrix<f64, N, N>) -> SMatrix<f64, N, N> {
-    let mut factor = SMatrix::<f64, N, N>::zeros();
-    for column in 0..N {
-        let known: f64 = (0..column).map(|k| factor[(column, k)].powi(2)).sum();
-        let pivot = matrix[(column, column)] - known;
-        if pivot <= 0.0 {
-            continue;
-        }
-        let root = pivot.sqrt();
-        factor[(column, column)] = root;
-        for row in column + 1..N {
-            let known: f64 = (0..column).map(|k| factor[(row, k)] * factor[(column, k)]).sum();
-            factor[(row, column)] = (matrix[(row, column)] - known) / root;
-        }
-    }
-    factor
 }
 
 pub(crate) fn symmetrised<const N: usize>(matrix: &SMatrix<f64, N, N>) -> SMatrix<f64, N, N>

@@ -1,4 +1,4 @@
-use nalgebra::{SMatrix, SVector};
+use nalgebra::{RealField, SMatrix, SVector};
 
 use crate::{ControlGaussian, Moments, Motion, Normals};
 
@@ -58,19 +58,24 @@ impl<const N: usize> Belief<N> {
 }
 
 /// The lower factor of a positive semidefinite matrix; a pivot that is not positive leaves its column zero.
-fn semidefinite_cholesky<const N: usize>(matrix: &SMatrix<f32, N, N>) -> SMatrix<f32, N, N> {
-    let mut factor = SMatrix::<f32, N, N>::zeros();
+#[must_use]
+pub fn semidefinite_cholesky<T: RealField + Copy, const N: usize>(
+    matrix: &SMatrix<T, N, N>,
+) -> SMatrix<T, N, N> {
+    let mut factor = SMatrix::<T, N, N>::zeros();
     for column in 0..N {
-        let known: f32 = (0..column).map(|k| factor[(column, k)] * factor[(column, k)]).sum();
-        let pivot = matrix[(column, column)] - known;
-        if pivot <= 0.0 {
+        // What the columns before have of an entry.
+        let known = |factor: &SMatrix<T, N, N>, row: usize| {
+            (0..column).fold(T::zero(), |sum, k| sum + factor[(row, k)] * factor[(column, k)])
+        };
+        let pivot = matrix[(column, column)] - known(&factor, column);
+        if pivot <= T::zero() {
             continue;
         }
         let root = pivot.sqrt();
         factor[(column, column)] = root;
         for row in column + 1..N {
-            let known: f32 = (0..column).map(|k| factor[(row, k)] * factor[(column, k)]).sum();
-            factor[(row, column)] = (matrix[(row, column)] - known) / root;
+            factor[(row, column)] = (matrix[(row, column)] - known(&factor, row)) / root;
         }
     }
     factor

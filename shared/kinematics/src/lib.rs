@@ -16,7 +16,7 @@ mod normals;
 mod particles;
 mod vehicle;
 
-pub use belief::Belief;
+pub use belief::{Belief, semidefinite_cholesky};
 pub use bicycle::{Bicycle, BicycleState, Integrator, initial_slip, wrap_angle};
 pub use displacement::{Displacement, DisplacementKind, DisplacementState};
 pub use mixture::{Moments, mixture, spread};
