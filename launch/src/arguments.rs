@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use clap::Args;
-use config::{MapChoice, Scene};
+use config::{MapChoice, Prior, Scene};
 use data::Format;
 use nn::Weights;
 
@@ -28,9 +28,17 @@ pub struct SceneArguments {
     /// End after so many ticks
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..))]
     pub ticks: Option<u64>,
+}
+
+/// How detections become tracks.
+#[derive(Clone, Debug, Args)]
+pub struct TrackerArguments {
     /// Associate detections by position even where they carry identities
     #[arg(long)]
     pub associate: bool,
+    /// What moves tracks between two detections: `kinematic` or `learned`, the forecasts before
+    #[arg(long = "tracker.prior", value_name = "PRIOR")]
+    pub prior: Option<Prior>,
 }
 
 /// What forecasts are made with.

@@ -7,7 +7,7 @@ use data::Format;
 use recorder::ForecastWriter;
 use source::{Playback, PlaybackOptions};
 
-use crate::arguments::ModelArguments;
+use crate::arguments::{ModelArguments, TrackerArguments};
 use crate::chain::Chain;
 use crate::failure::Failure;
 
@@ -28,9 +28,8 @@ pub struct Arguments {
     /// End after so many ticks
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..))]
     ticks: Option<u64>,
-    /// Associate detections by position even where they carry identities
-    #[arg(long)]
-    associate: bool,
+    #[command(flatten)]
+    tracker: TrackerArguments,
     #[command(flatten)]
     model: ModelArguments,
 }
@@ -50,7 +49,8 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
         seed: arguments.seed,
         scene,
         ticks: arguments.ticks,
-        associate: arguments.associate,
+        associate: arguments.tracker.associate,
+        prior: arguments.tracker.prior.unwrap_or_default(),
         weights: weights_path,
         model: weights.config().clone(),
         map: arguments.model.map.clone().unwrap_or(MapChoice::Online),

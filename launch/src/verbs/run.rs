@@ -2,7 +2,7 @@ use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 use clap::{Args, ValueEnum};
-use config::{Exit, MapChoice, Pipeline, Run, Stage, StageRun};
+use config::{Exit, MapChoice, Pipeline, Prior, Run, Stage, StageRun};
 use nn::Weights;
 use ports::{Space, Stop};
 use recorder::live::LiveOptions;
@@ -10,7 +10,7 @@ use recorder::{Report, RunInfo};
 use source::{Playback, PlaybackOptions};
 use wire::StageId;
 
-use crate::arguments::{ModelArguments, SceneArguments};
+use crate::arguments::{ModelArguments, SceneArguments, TrackerArguments};
 use crate::failure::Failure;
 use crate::fleet::Fleet;
 use crate::pipeline_file;
@@ -28,6 +28,8 @@ const REPORT_WIDTH: usize = 100;
 pub struct Arguments {
     #[command(flatten)]
     scene: SceneArguments,
+    #[command(flatten)]
+    tracker: TrackerArguments,
     #[command(flatten)]
     model: ModelArguments,
     /// Play in the recording's own time, or as fast as nothing is lost
@@ -81,7 +83,8 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
         seed: scene.seed,
         scene: scene.scene()?,
         ticks: scene.ticks,
-        associate: scene.associate,
+        associate: arguments.tracker.associate,
+        prior: prior(&arguments.tracker, &pipeline),
         weights: weights_path,
         model: weights.config().clone(),
         map: map(&arguments.model, &pipeline)?,
@@ -210,6 +213,12 @@ fn stage_run(stage: &Stage) -> StageRun {
         built_in: stage.command.is_none(),
         options: stage.options.clone(),
     }
+}
+
+/// The prior that is asked for, else the pipeline's.
+fn prior(tracker: &TrackerArguments, pipeline: &Pipeline) -> Prior {
+    let stage = pipeline.stages.iter().find(|stage| stage.id == StageId::Tracker);
+    tracker.prior.or(stage.and_then(|stage| stage.options.prior)).unwrap_or_default()
 }
 
 /// The map that is asked for, else the pipeline's.

@@ -20,5 +20,6 @@ pub mod stage;
 mod target;
 mod tracker;
 
+pub use config::Prior;
 pub use options::{InputModel, MotionNoise, SensorNoise, TrackerOptions};
 pub use tracker::{Tracked, Tracker};

@@ -1,3 +1,4 @@
+use config::Prior;
 use filters::{Bicycle, ConstantAcceleration, ConstantTurnRate, ConstantVelocity, Integrator, Models};
 use wire::{AgentType, HISTORY_MAX};
 
@@ -45,6 +46,8 @@ pub struct TrackerOptions {
     pub tracks_max: usize,
     /// Associates by position even where the detections carry identities.
     pub associate: bool,
+    /// What moves tracks between two detections.
+    pub prior: Prior,
     /// Inputs of a detector, to be associated.
     pub detector: InputModel,
     /// Inputs that carry identities: annotated or smoothed recordings, whose positions are nearly without noise.
@@ -98,6 +101,7 @@ impl Default for TrackerOptions {
             step_ns: 400_000_000,
             tracks_max: 512,
             associate: false,
+            prior: Prior::default(),
             detector: DETECTOR,
             recorded: RECORDED,
             detection_probability: 0.9,

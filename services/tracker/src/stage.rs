@@ -60,6 +60,7 @@ pub fn options(run: &Run) -> TrackerOptions {
         step_ns: run.model.step_ns(),
         horizon_ns: (horizon_s * 1e9) as u64,
         associate: run.associate,
+        prior: run.prior,
         ..TrackerOptions::default()
     }
 }

@@ -10,6 +10,6 @@ mod pipeline;
 pub mod record;
 
 pub use exit::Exit;
-pub use options::{MapChoice, Options, Propagation, UnknownMap, UnknownPropagation};
+pub use options::{MapChoice, Options, Prior, Propagation, UnknownMap, UnknownPrior, UnknownPropagation};
 pub use pipeline::{BUDGET_MAX_MS, Pipeline, PipelineError, Stage, built_in_topics};
 pub use record::{Run, Scene, StageRun};

@@ -61,6 +61,33 @@ impl FromStr for Propagation {
     }
 }
 
+/// What moves a track between two detections.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub enum Prior {
+    /// Its type's process model alone.
+    #[default]
+    Kinematic,
+    /// The newest forecast of it, where there is one, beside the process model.
+    Learned,
+}
+
+/// A name that stands for no prior.
+#[derive(Debug, Error, PartialEq, Eq)]
+#[error("unknown prior \"{0}\": expected kinematic or learned")]
+pub struct UnknownPrior(String);
+
+impl FromStr for Prior {
+    type Err = UnknownPrior;
+
+    fn from_str(name: &str) -> Result<Self, UnknownPrior> {
+        match name {
+            "kinematic" => Ok(Self::Kinematic),
+            "learned" => Ok(Self::Learned),
+            _ => Err(UnknownPrior(name.to_owned())),
+        }
+    }
+}
+
 /// Settings of the stages; each stage reads its own and pipeline.toml may set no others.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Options {
@@ -70,6 +97,8 @@ pub struct Options {
     pub workers: Option<usize>,
     /// Localiser: where the context map comes from.
     pub map: Option<MapChoice>,
+    /// Tracker: what moves a track between two detections.
+    pub prior: Option<Prior>,
     /// Sampler: how the spread of the controls is carried on.
     pub propagation: Option<Propagation>,
     /// Sampler: particles per mode of the Monte Carlo propagation.

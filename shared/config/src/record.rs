@@ -12,12 +12,12 @@ use serde::{Deserialize, Serialize};
 use thiserror::Error;
 use wire::StageId;
 
-use crate::{MapChoice, Options};
+use crate::{MapChoice, Options, Prior};
 
 /// First bytes of a record's file, before the schema's number and a line break.
 pub const MAGIC: &str = "stgdat-run ";
 /// Version of the record; counts up with every change of [`Run`].
-pub const SCHEMA: u32 = 1;
+pub const SCHEMA: u32 = 2;
 /// Largest record that is read; real ones have a few kilobytes.
 const BYTES_MAX: u64 = 1 << 20;
 
@@ -72,6 +72,8 @@ pub struct Run {
     pub ticks: Option<u64>,
     /// Whether the tracker associates even where the detections carry identities.
     pub associate: bool,
+    /// What moves a track between two detections.
+    pub prior: Prior,
     /// The weights; the embedded ones where none.
     pub weights: Option<PathBuf>,
     /// The configuration that these weights carry.
@@ -134,6 +136,7 @@ impl Default for Run {
             scene: Scene::Generated { agents_len: 32 },
             ticks: None,
             associate: false,
+            prior: Prior::default(),
             weights: None,
             model: Weights::onboard().config().clone(),
             map: MapChoice::Online,
@@ -227,6 +230,7 @@ mod tests {
             scene: Scene::Recording { path: "a.csv".into(), format: Some("own".into()) },
             ticks: Some(20),
             associate: false,
+            prior: Prior::Learned,
             weights: None,
             model: Weights::onboard().config().clone(),
             map: MapChoice::File("b.map".into()),

@@ -11,7 +11,7 @@ use wire::{
 use super::error::Fault;
 use super::file::{File, OptionsTable, StageTable};
 use super::{Pipeline, Stage};
-use crate::{MapChoice, Options, Propagation};
+use crate::{MapChoice, Options, Prior, Propagation};
 
 /// What all budgets together may be: one tick.
 pub const BUDGET_MAX_MS: f64 = 80.0;
@@ -157,6 +157,9 @@ fn options(id: StageId, table: &OptionsTable) -> Result<Options, Fault> {
     if let Some(map) = table.map.as_ref().filter(|_| id != StageId::Localiser) {
         return foreign(map.span(), "map", "localiser");
     }
+    if let Some(prior) = table.prior.as_ref().filter(|_| id != StageId::Tracker) {
+        return foreign(prior.span(), "prior", "tracker");
+    }
     if let Some(propagation) = table.propagation.as_ref().filter(|_| id != StageId::Sampler) {
         return foreign(propagation.span(), "propagation", "sampler");
     }
@@ -164,6 +167,7 @@ fn options(id: StageId, table: &OptionsTable) -> Result<Options, Fault> {
         deadline_ms: table.deadline_ms.as_ref().map(|ms| *ms.get_ref()),
         workers: table.workers.as_ref().map(|n| *n.get_ref()),
         map: parsed::<MapChoice>(table.map.as_ref())?,
+        prior: parsed::<Prior>(table.prior.as_ref())?,
         propagation: parsed::<Propagation>(table.propagation.as_ref())?,
         particles: table.particles.as_ref().map(|n| *n.get_ref()),
     })

@@ -33,6 +33,7 @@ pub(super) struct OptionsTable {
     pub deadline_ms: Option<Spanned<f64>>,
     pub workers: Option<Spanned<usize>>,
     pub map: Option<Spanned<String>>,
+    pub prior: Option<Spanned<String>>,
     pub propagation: Option<Spanned<String>>,
     pub particles: Option<Spanned<usize>>,
 }

@@ -1,6 +1,7 @@
 use miette::{GraphicalReportHandler, GraphicalTheme};
 
 use super::*;
+use crate::Prior;
 
 const FULL: &str = include_str!("../../../../launch/pipeline.toml");
 
@@ -121,6 +122,18 @@ fn options_of_another_stage_or_out_of_range() {
     insta::assert_snapshot!(error(&with("deadline_ms = 72", "deadline_ms = 95")));
     insta::assert_snapshot!(error(&with("deadline_ms = 72", "workers = 2")));
     insta::assert_snapshot!(error(&with("deadline_ms = 72", "propagation = \"guess\"")));
+}
+
+#[test]
+fn the_trackers_prior() {
+    let tracker = |options: &str| with("budget_ms = 6", &format!("budget_ms = 6\noptions = {{ {options} }}"));
+    let pipeline = Pipeline::parse("p.toml", &tracker("prior = \"learned\"")).unwrap();
+    let stage = pipeline.stages.iter().find(|stage| stage.id == StageId::Tracker).unwrap();
+    assert_eq!(stage.options.prior, Some(Prior::Learned));
+    let wrong = error(&tracker("prior = \"guess\""));
+    assert!(wrong.contains("expected kinematic or learned"), "{wrong}");
+    let foreign = error(&with("deadline_ms = 72", "prior = \"learned\""));
+    assert!(foreign.contains("the sampler has no option `prior`"), "{foreign}");
 }
 
 #[test]
