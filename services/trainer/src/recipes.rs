@@ -105,7 +105,13 @@ fn vehicles(without: Option<&str>, steps: u64) -> TrainOptions {
         standing: 0.2,
         objective: objective(1.0, 8),
         optimiser: OptimiserOptions { average_decay: 0.998, ..OptimiserOptions::default() },
-        model: ModelConfig { history_len: 4, horizon_len: 10, dt_s: 0.5, ..onboard_config() },
+        model: ModelConfig {
+            history_len: 4,
+            horizon_len: 10,
+            dt_s: 0.5,
+            differenced_base: true,
+            ..onboard_config()
+        },
         ..TrainOptions::default()
     }
 }
