@@ -10,12 +10,16 @@ use std::path::{Path, PathBuf};
 /// and never a short one under the real name. A target that exists and is no regular file (a pipe, `/dev/stdout`) is
 /// written directly.
 #[derive(Debug)]
-pub(crate) struct WholeFile {
+pub struct WholeFile {
     output: BufWriter<File>,
     rename: Option<(PathBuf, PathBuf)>,
 }
 
 impl WholeFile {
+    /// Starts the file.
+    ///
+    /// # Errors
+    /// What the file system says.
     pub fn create(path: &Path) -> io::Result<Self> {
         if fs::metadata(path).is_ok_and(|target| !target.is_file() && !target.is_dir()) {
             return Ok(Self {
@@ -32,6 +36,9 @@ impl WholeFile {
     }
 
     /// Writes what is buffered and gives the file its name.
+    ///
+    /// # Errors
+    /// What the file system says, such as a full disk.
     pub fn finish(mut self) -> io::Result<()> {
         self.output.flush()?;
         match &self.rename {

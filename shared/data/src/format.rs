@@ -95,7 +95,7 @@ impl Format {
         let spaces = first.pieces(Separator::Space).count();
         match (commas, spaces) {
             (15, _) => Ok(Self::KittiDetections),
-            (1, 17) => Ok(Self::KittiLabels),
+            (1, 17 | 18) => Ok(Self::KittiLabels),
             (1, 10) => Ok(Self::SddRaw),
             (1, 8) => Ok(Self::Obsmat),
             (1, 4) => by_frames(&first, lines),

@@ -8,6 +8,8 @@
 //! [`tracks`] turns a recording with identities into trajectories, [`windows`](windows()) cuts those into strictly causal
 //! histories and their futures, and [`sets`] names the files of the train, validation and test parts.
 //!
+//! [`TrackWriter`] writes what a tracker says of a recording.
+//!
 //! [`GeneratedScene`] needs no file: an intersection that lives for ever, with truth and a sensor's detections.
 
 mod error;
@@ -20,6 +22,7 @@ mod recording;
 mod rows;
 pub mod sets;
 mod text;
+mod track_file;
 mod tracks;
 mod windows;
 
@@ -30,5 +33,6 @@ pub use input::{FILE_BYTES_MAX, Input, Role};
 pub use open::{open, parse};
 pub use recording::{Ego, Frame, LeftOut, Recording};
 pub use rows::ROWS_MAX;
+pub use track_file::{TrackFormat, TrackRows, TrackWriter, UnknownTrackFormat};
 pub use tracks::{RecordedTrack, Told, tracks, tracks_from_positions};
 pub use windows::{Window, WindowAgent, WindowOptions, windows};

@@ -87,10 +87,10 @@ fn read_if_there(path: &Path, role: Role) -> Result<Option<Input>, ReadError> {
     if path.exists() { read(path, role).map(Some) } else { Ok(None) }
 }
 
-/// The file at `path`, without which `opened` can't be read.
-fn read_needed(path: &Path, role: Role, opened: &Input) -> Result<Input, ReadError> {
+/// The file at `path`, without which that at `opened` can't be read.
+fn read_needed(path: &Path, role: Role, opened: &str) -> Result<Input, ReadError> {
     read_if_there(path, role)?.ok_or_else(|| ReadError::Missing {
-        path: opened.path.clone(),
+        path: opened.to_owned(),
         role: role.name(),
         searched: format!(" at {}", path.display()),
     })
@@ -106,7 +106,7 @@ fn with_companions(path: &Path, mut opened: Input, format: Format) -> Result<Vec
             Ok(std::iter::once(opened).chain(table).collect())
         }
         Format::SddRaw => {
-            let scales = read_needed(&up(3).join("estimated_scales.yaml"), Role::Scales, &opened)?;
+            let scales = read_needed(&up(3).join("estimated_scales.yaml"), Role::Scales, &opened.path)?;
             Ok(vec![opened, scales])
         }
         Format::Interaction => {
@@ -128,10 +128,8 @@ fn with_companions(path: &Path, mut opened: Input, format: Format) -> Result<Vec
         }
         Format::KittiDetections => kitti_detections(path, &opened),
         Format::KittiLabels => {
-            let root = up(2);
-            let mut inputs = vec![opened];
-            sensors(root, path, &mut inputs)?;
-            Ok(inputs)
+            let [calibration, ego_motion] = kitti_sensors(path)?;
+            Ok(vec![opened, calibration, ego_motion])
         }
     }
 }
@@ -160,7 +158,6 @@ fn pedestrian_tracks(vehicles: &Path) -> Option<PathBuf> {
 /// The outputs of the detectors for the three classes, and what puts them into the world.
 fn kitti_detections(path: &Path, opened: &Input) -> Result<Vec<Input>, ReadError> {
     let folder = path.ancestors().nth(2).unwrap_or(Path::new(""));
-    let root = path.ancestors().nth(3).unwrap_or(Path::new(""));
     let file = path.file_name().unwrap_or_default();
     let classes = [("Car", Role::Vehicles), ("Pedestrian", Role::Pedestrians), ("Cyclist", Role::Cyclists)];
     let mut inputs = Vec::new();
@@ -175,19 +172,27 @@ fn kitti_detections(path: &Path, opened: &Input) -> Result<Vec<Input>, ReadError
             searched,
         });
     }
-    sensors(root, path, &mut inputs)?;
-    inputs.extend(read_if_there(&root.join("label").join(file), Role::Labels)?);
+    inputs.extend(kitti_sensors(path)?);
+    inputs.extend(read_if_there(&kitti_file(path, "label"), Role::Labels)?);
     Ok(inputs)
 }
 
-/// Appends calibration and ego motion of the sequence to which `path` belongs.
-fn sensors(root: &Path, path: &Path, inputs: &mut Vec<Input>) -> Result<(), ReadError> {
-    let file = path.file_name().unwrap_or_default();
-    for (folder, role) in [("calib", Role::Calibration), ("oxts", Role::EgoMotion)] {
-        let input = read_needed(&root.join(folder).join(file), role, &inputs[0])?;
-        inputs.push(input);
-    }
-    Ok(())
+/// Calibration and ego motion of the sequence to which a detector's output or a label file belongs.
+pub(crate) fn kitti_sensors(path: &Path) -> Result<[Input; 2], ReadError> {
+    let needed = |folder, role| read_needed(&kitti_file(path, folder), role, &path.to_string_lossy());
+    Ok([needed("calib", Role::Calibration)?, needed("oxts", Role::EgoMotion)?])
+}
+
+/// The labels of the same.
+pub(crate) fn kitti_labels(path: &Path) -> Result<Input, ReadError> {
+    read_needed(&kitti_file(path, "label"), Role::Labels, &path.to_string_lossy())
+}
+
+/// The file of the same sequence in another folder: two levels up from labels, three from a detector's output.
+fn kitti_file(path: &Path, folder: &str) -> PathBuf {
+    let up = |depth: usize| path.ancestors().nth(depth).unwrap_or(Path::new(""));
+    let root = if up(3).join("calib").is_dir() { up(3) } else { up(2) };
+    root.join(folder).join(path.file_name().unwrap_or_default())
 }
 
 /// The files by role, so that it does not matter which of them was opened.

@@ -19,6 +19,12 @@
 //! | `length_m`, `width_m` | | extent along and across the heading; both or neither |
 //! | `score` | | the detector's confidence, greater is surer |
 //! | `sigma_m` | | standard deviation of the position per axis |
+//! | `vx_mps`, `vy_mps` | | velocity in the world frame |
+//! | `status`, `unseen_s` | | `confirmed` or `coasting`; seconds since the agent was last detected |
+//! | `xx_m2`, `xy_m2`, `yy_m2` | | covariance of the position |
+//!
+//! The columns from `vx_mps` on are those that [`TrackWriter`](crate::TrackWriter) adds for tracks: they are checked, but
+//! make no part of the recording, so that tracks can be played again as detections with identities.
 //!
 //! Columns stand in any order, those that are not needed may be missing or empty, lines that begin with `#` are
 //! comments, rows stand in any order. All rows of one stamp are a frame that looked for all types; an `ego` row alone
@@ -34,7 +40,7 @@ use crate::rows::{self, ALL_TYPES, Rows};
 use crate::text::{self, Field, Line, Separator};
 use crate::{Ego, Frame, Input, ReadError, Recording, Role};
 
-const NAMES: [&str; 11] = [
+pub(crate) const NAMES: [&str; 18] = [
     "stamp_s",
     "id",
     "type",
@@ -46,7 +52,16 @@ const NAMES: [&str; 11] = [
     "width_m",
     "score",
     "sigma_m",
+    "vx_mps",
+    "vy_mps",
+    "status",
+    "unseen_s",
+    "xx_m2",
+    "xy_m2",
+    "yy_m2",
 ];
+/// What the column `status` says.
+pub(crate) const STATUS: [&str; 2] = ["confirmed", "coasting"];
 const STAMP: usize = 0;
 const NEEDED: [usize; 4] = [STAMP, 2, 3, 4];
 /// Greatest stamp: three centuries, which leave room for arithmetic in nanoseconds.
@@ -140,7 +155,14 @@ impl Header {
 }
 
 fn told(fields: &[Field<'_>; NAMES.len()]) -> Result<Told, ReadError> {
-    let &[_, id, kind, x, y, heading, speed, length, width, score, sigma] = fields;
+    let &[_, id, kind, x, y, heading, speed, length, width, score, sigma, vx, vy, status, unseen, xx, xy, yy] =
+        fields;
+    for unused in [vx, vy, unseen, xx, xy, yy] {
+        given(unused, Field::number)?;
+    }
+    if !status.text.is_empty() && !STATUS.contains(&status.text) {
+        return Err(status.error(format!("expected {}", STATUS.join(" or "))));
+    }
     let position_m = [x.position_m()?, y.position_m()?];
     let heading_rad = given(heading, Field::angle_rad)?;
     if kind.text == "ego" {

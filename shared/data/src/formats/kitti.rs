@@ -4,17 +4,21 @@
 //!   3 cyclist; without identities. Labels of the same sequence, where there are any, become the truth.
 //! * labels: `frame id type truncated occluded alpha x1 y1 x2 y2 h w l x y z rot_y`. `DontCare` marks regions of the
 //!   image and `Misc` what is none of the agents (trailers and the like): left out and counted. Vans, trucks and trams
-//!   are vehicles, sitting people pedestrians.
+//!   are vehicles, sitting people pedestrians. A tracker's results have a `score` behind these columns; they are read as
+//!   labels.
 //!
 //! Both are told in the frame of the camera; [`WorldFromCamera`] takes them to a world frame with x to the east, y to
 //! the north and its origin at the car's first position, by way of `oxts` and `calib` of the same sequence. There is
-//! a frame for each row of `oxts`, also where nothing was seen.
+//! a frame for each row of `oxts`, also where nothing was seen. [`Annotations`] tells what the labels say to those who
+//! judge a tracker.
 
+mod annotations;
 mod geometry;
 
 use wire::{AgentType, Detection, Truth, detection_flags};
 
-pub use geometry::WorldFromCamera;
+pub use annotations::{AnnotatedFrame, AnnotatedObject, Annotations};
+pub use geometry::{Camera, WorldFromCamera};
 
 use crate::input::{find, need, need_any};
 use crate::rows::{self, ALL_TYPES, PEDESTRIAN_IDS, Rows};
@@ -23,7 +27,7 @@ use crate::{Frame, Input, LeftOut, ReadError, Recording, Role};
 
 const DETECTION_NAMES: [&str; 15] =
     ["frame", "type", "x1", "y1", "x2", "y2", "score", "h", "w", "l", "x", "y", "z", "rot_y", "alpha"];
-const LABEL_NAMES: [&str; 17] = [
+const RESULT_NAMES: [&str; 18] = [
     "frame",
     "id",
     "type",
@@ -41,8 +45,22 @@ const LABEL_NAMES: [&str; 17] = [
     "y",
     "z",
     "rot_y",
+    "score",
 ];
-const INTERVAL_NS: u64 = 100_000_000;
+const LABEL_NAMES: [&str; 17] = {
+    let [names @ .., _] = RESULT_NAMES;
+    names
+};
+/// Between frames.
+pub const INTERVAL_NS: u64 = 100_000_000;
+
+/// Mean height of the labelled objects of a type.
+pub(crate) const fn height_m(agent_type: AgentType) -> f64 {
+    match agent_type {
+        AgentType::Vehicle => 1.6,
+        AgentType::Cyclist | AgentType::Pedestrian => 1.75,
+    }
+}
 
 /// An object's box as the camera sees it: the seven columns that both files share.
 struct CameraBox<'a> {
@@ -200,7 +218,7 @@ impl<'a> Labels<'a> {
         let mut left_out = ["DontCare", "Misc"].map(|kind| (kind, 0));
         for line in text::lines(input) {
             let line = line?;
-            let fields = line.split(Separator::Space, &LABEL_NAMES)?;
+            let fields = label_fields(&line)?;
             if let Some((_, rows_len)) = left_out.iter_mut().find(|(kind, _)| *kind == fields[2].text) {
                 for number in fields[..2].iter().chain(&fields[3..]) {
                     number.number()?;
@@ -215,6 +233,16 @@ impl<'a> Labels<'a> {
         let left_out = told.map(|(kind, rows_len)| LeftOut { reason: kind.to_owned(), rows_len }).collect();
         Ok(Self { rows, left_out })
     }
+}
+
+/// The columns of a label, or of a result with its score.
+fn label_fields<'a>(line: &Line<'a>) -> Result<[Field<'a>; 17], ReadError> {
+    if line.pieces(Separator::Space).count() != RESULT_NAMES.len() {
+        return line.split(Separator::Space, &LABEL_NAMES);
+    }
+    let [fields @ .., score] = line.split(Separator::Space, &RESULT_NAMES)?;
+    score.number()?;
+    Ok(fields)
 }
 
 fn label(fields: [Field<'_>; 17], poses: &WorldFromCamera) -> Result<(usize, Detection), ReadError> {

@@ -4,14 +4,22 @@
 //! `imu = (R_rect · Tr_velo_cam · Tr_imu_velo)⁻¹ · camera`, and from there by the unit's pose to the world. Positions
 //! of the unit are latitude and longitude on a Mercator map that is true to scale at the first row, as in KITTI's
 //! own development kit; attitude is roll, pitch and yaw with yaw 0 to the east, counter-clockwise.
+//!
+//! The way back needs a height: objects are taken to stand on the plane that the car stands on.
 
-use nalgebra::{Isometry3, Matrix4, Point3, Rotation3, Translation3, Vector3};
+use std::path::Path;
+
+use nalgebra::{Isometry3, Matrix2, Matrix3x4, Matrix4, Point3, Rotation3, Translation3, Vector2, Vector3};
 
 use crate::text::{self, Line, Separator};
-use crate::{Ego, Input, ReadError};
+use crate::{Ego, Input, ReadError, open};
 
 /// Radius of the sphere that the map is drawn of, m.
 const EARTH_RADIUS_M: f64 = 6_378_137.0;
+/// Height of the inertial unit above the ground, m.
+const IMU_HEIGHT_M: f64 = 0.93;
+/// Objects nearer to the camera's plane than this have no image, m.
+const DEPTH_MIN_M: f64 = 0.1;
 const EGO_NAMES: [&str; 30] = [
     "lat",
     "lon",
@@ -49,6 +57,7 @@ const EGO_NAMES: [&str; 30] = [
 #[derive(Clone, Debug)]
 pub struct WorldFromCamera {
     imu_from_camera: Matrix4<f64>,
+    camera_from_imu: Matrix4<f64>,
     /// At least one.
     world_from_imu: Vec<Isometry3<f64>>,
 }
@@ -59,10 +68,17 @@ impl WorldFromCamera {
     /// # Errors
     /// [`ReadError`] with file, line, column and value.
     pub fn parse(calibration: &Input, ego_motion: &Input) -> Result<Self, ReadError> {
-        Ok(Self {
-            imu_from_camera: imu_from_camera(calibration)?,
-            world_from_imu: world_from_imu(ego_motion)?,
-        })
+        let (camera_from_imu, imu_from_camera) = camera_and_imu(calibration)?;
+        Ok(Self { imu_from_camera, camera_from_imu, world_from_imu: world_from_imu(ego_motion)? })
+    }
+
+    /// The same of the sequence of which a detector's output or the label file lies at `recording`.
+    ///
+    /// # Errors
+    /// [`ReadError`] with file, line, column and value, and where calibration or ego motion are not to be had.
+    pub fn open(recording: &Path) -> Result<Self, ReadError> {
+        let [calibration, ego_motion] = open::kitti_sensors(recording)?;
+        Self::parse(&calibration, &ego_motion)
     }
 
     /// Frames whose pose is known.
@@ -96,9 +112,62 @@ impl WorldFromCamera {
         let ahead = pose * self.imu_from_camera.transform_vector(&ahead);
         ([centre.x, centre.y], ahead.y.atan2(ahead.x))
     }
+
+    /// Where in the camera frame an object stands that is at a place in the world, and its turn about the axis down:
+    /// the inverse of [`WorldFromCamera::object`]. `None` where there is no such frame.
+    #[must_use]
+    pub fn standing(&self, frame: usize, position_m: [f64; 2], heading_rad: f64) -> Option<([f64; 3], f64)> {
+        let pose = self.world_from_imu.get(frame)?;
+        let rotation = pose.rotation.to_rotation_matrix();
+        let flat: Matrix2<f64> = rotation.matrix().fixed_view::<2, 2>(0, 0).into();
+        // What has that height in the car's frame and those two coordinates in the world's.
+        let lifted = |xy: Vector2<f64>, height_m: f64| {
+            let height: Vector2<f64> = rotation.matrix().fixed_view::<2, 1>(0, 2) * height_m;
+            let xy = flat.try_inverse()? * (xy - height);
+            Some(Vector3::new(xy.x, xy.y, height_m))
+        };
+        let place = Vector2::from(position_m) - pose.translation.vector.xy();
+        let place = self.camera_from_imu.transform_point(&Point3::from(lifted(place, -IMU_HEIGHT_M)?));
+        let ahead = lifted(Vector2::new(heading_rad.cos(), heading_rad.sin()), 0.0)?;
+        let ahead = self.camera_from_imu.transform_vector(&ahead);
+        Some(([place.x, place.y, place.z], (-ahead.z).atan2(ahead.x)))
+    }
 }
 
-fn imu_from_camera(input: &Input) -> Result<Matrix4<f64>, ReadError> {
+/// How points of the rectified camera frame come into the image of the left colour camera.
+#[derive(Clone, Debug)]
+pub struct Camera {
+    projection: Matrix3x4<f64>,
+}
+
+impl Camera {
+    /// Reads the projection `P2` of a calibration.
+    ///
+    /// # Errors
+    /// [`ReadError`] with file, line, column and value.
+    pub fn parse(calibration: &Input) -> Result<Self, ReadError> {
+        for line in text::lines(calibration) {
+            let line = line?;
+            if line.pieces(Separator::Space).next().is_some_and(|(_, key)| key.trim_end_matches(':') == "P2")
+            {
+                return Ok(Self { projection: Matrix3x4::from_row_slice(&numbers::<12>(&line)?) });
+            }
+        }
+        Err(ReadError::Missing { path: calibration.path.clone(), role: "P2", searched: String::new() })
+    }
+
+    /// Where a point is in the image, in pixels from its upper left corner, and how many pixels a metre is there;
+    /// `None` behind the camera.
+    #[must_use]
+    pub fn image_of(&self, [x, y, z]: [f64; 3]) -> Option<[f64; 3]> {
+        let image = self.projection * nalgebra::Vector4::new(x, y, z, 1.0);
+        (image.z > DEPTH_MIN_M)
+            .then(|| [image.x / image.z, image.y / image.z, self.projection[(1, 1)] / image.z])
+    }
+}
+
+/// Camera from inertial unit, and its inverse.
+fn camera_and_imu(input: &Input) -> Result<(Matrix4<f64>, Matrix4<f64>), ReadError> {
     let (mut rectified, mut camera_from_velodyne, mut velodyne_from_imu) = (None, None, None);
     let mut last = None;
     for line in text::lines(input) {
@@ -120,7 +189,7 @@ fn imu_from_camera(input: &Input) -> Result<Matrix4<f64>, ReadError> {
     let camera_from_imu: Matrix4<f64> = rectified * camera_from_velodyne * velodyne_from_imu;
     let inverse = camera_from_imu.try_inverse().filter(|m| m.iter().all(|x| x.is_finite()));
     match (inverse, last) {
-        (Some(inverse), _) => Ok(inverse),
+        (Some(inverse), _) => Ok((camera_from_imu, inverse)),
         (None, Some(line)) => {
             Err(line.field("calibration", 1, line.text).error("the matrices have no inverse"))
         }

@@ -1,0 +1,337 @@
+//! Tracks as files: what a tracker says of a recording, a row per track and frame.
+//!
+//! | [`TrackFormat`] | a row |
+//! |---|---|
+//! | `csv` | the project's own format ([`crate::formats::csv`]) with velocity, status and covariance; an `ego` row per frame |
+//! | `kitti` | `frame id type truncated occluded alpha x1 y1 x2 y2 h w l x y z rot_y score`, in the camera frame |
+//! | `mot` | `frame,id,-1,-1,-1,-1,confidence,x,y,z`, frames from 1, positions in the world frame, z 0 |
+//!
+//! The score is the probability that the object exists. All three leave out what a track does not know: the box in the
+//! image is -1, as are truncation and occlusion. KITTI's rows ask for a height, which no track has: that of a usual object of the type,
+//! standing on the plane that the car stands on. The CSV and, beside its `calib` and `oxts`, the KITTI file can be
+//! [opened](crate::open) again as recordings with identities.
+
+use std::fmt;
+use std::io::{self, Write};
+use std::str::FromStr;
+
+use thiserror::Error;
+use wire::{AgentType, Header, Track, TrackStatus};
+
+use crate::formats::csv;
+use crate::formats::kitti::{self, WorldFromCamera};
+use crate::text;
+
+/// How tracks are written.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum TrackFormat {
+    /// The project's own.
+    #[default]
+    Csv,
+    /// KITTI's format for results of tracking.
+    Kitti,
+    /// That of the MOT challenges, with positions in the world.
+    Mot,
+}
+
+/// A name that stands for no format of tracks.
+#[derive(Debug, Error, PartialEq, Eq)]
+#[error("unknown format \"{0}\" of tracks: expected csv, kitti or mot")]
+pub struct UnknownTrackFormat(String);
+
+impl TrackFormat {
+    /// All formats.
+    pub const ALL: [Self; 3] = [Self::Csv, Self::Kitti, Self::Mot];
+
+    /// The name used on the command line.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Csv => "csv",
+            Self::Kitti => "kitti",
+            Self::Mot => "mot",
+        }
+    }
+}
+
+impl fmt::Display for TrackFormat {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.pad(self.name())
+    }
+}
+
+impl FromStr for TrackFormat {
+    type Err = UnknownTrackFormat;
+
+    fn from_str(name: &str) -> Result<Self, UnknownTrackFormat> {
+        let format = Self::ALL.into_iter().find(|format| format.name() == name);
+        format.ok_or_else(|| UnknownTrackFormat(name.to_owned()))
+    }
+}
+
+/// A format with what its rows need.
+#[derive(Clone, Debug)]
+pub enum TrackRows {
+    /// [`TrackFormat::Csv`].
+    Csv,
+    /// [`TrackFormat::Kitti`], of the sequence with these poses.
+    Kitti(Box<WorldFromCamera>),
+    /// [`TrackFormat::Mot`].
+    Mot,
+}
+
+/// Writes the tracks of one frame after the other.
+#[derive(Debug)]
+pub struct TrackWriter<W> {
+    output: W,
+    rows: TrackRows,
+}
+
+impl<W: Write> TrackWriter<W> {
+    /// Starts a file.
+    ///
+    /// # Errors
+    /// What the output says.
+    pub fn new(mut output: W, rows: TrackRows) -> io::Result<Self> {
+        if matches!(rows, TrackRows::Csv) {
+            writeln!(output, "{}", CSV_COLUMNS.join(","))?;
+        }
+        Ok(Self { output, rows })
+    }
+
+    /// Writes the tracks of a frame.
+    ///
+    /// # Errors
+    /// What the output says; [`io::ErrorKind::InvalidInput`] for a type that is none, and in KITTI's format for a frame
+    /// whose pose is not known.
+    pub fn write(&mut self, header: &Header, tracks: &[Track]) -> io::Result<()> {
+        if matches!(self.rows, TrackRows::Csv) {
+            write_ego(&mut self.output, header)?;
+        }
+        for track in tracks {
+            let agent_type = AgentType::try_from(track.agent_type).map_err(invalid)?;
+            let output = &mut self.output;
+            match &self.rows {
+                TrackRows::Csv => write_csv(output, header, track, agent_type)?,
+                TrackRows::Kitti(poses) => write_kitti(output, header, track, agent_type, poses)?,
+                TrackRows::Mot => {
+                    let Track { id, existence, x_m, y_m, .. } = track;
+                    writeln!(output, "{},{id},-1,-1,-1,-1,{existence},{x_m},{y_m},0", header.seq + 1)?;
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// Hands out all that was buffered, and the output.
+    ///
+    /// # Errors
+    /// What the output says.
+    pub fn finish(mut self) -> io::Result<W> {
+        self.output.flush()?;
+        Ok(self.output)
+    }
+}
+
+fn invalid(error: impl fmt::Display) -> io::Error {
+    io::Error::new(io::ErrorKind::InvalidInput, error.to_string())
+}
+
+/// What of the format's columns a track tells.
+const CSV_COLUMNS: [&str; csv::NAMES.len() - 1] = {
+    let [stamp, id, kind, x, y, heading, speed, length, width, score, _sigma, rest @ ..] = csv::NAMES;
+    let [vx, vy, status, unseen, xx, xy, yy] = rest;
+    [stamp, id, kind, x, y, heading, speed, length, width, score, vx, vy, status, unseen, xx, xy, yy]
+};
+
+fn write_ego(output: &mut impl Write, header: &Header) -> io::Result<()> {
+    let ([x, y], heading) = (header.ego_m, header.ego_heading_rad);
+    writeln!(output, "{},,ego,{x},{y},{heading},,,,,,,,,,,", Seconds(header.stamp_ns))
+}
+
+fn write_csv(
+    output: &mut impl Write,
+    header: &Header,
+    track: &Track,
+    agent_type: AgentType,
+) -> io::Result<()> {
+    let Track { id, x_m, y_m, heading_rad, speed_mps, existence, vx_mps, vy_mps, .. } = track;
+    let (stamp, kind) = (Seconds(header.stamp_ns), agent_type.name());
+    write!(output, "{stamp},{id},{kind},{x_m},{y_m},{heading_rad},{speed_mps},")?;
+    match (track.length_m, track.width_m) {
+        (length_m, width_m) if length_m > 0.0 && width_m > 0.0 => write!(output, "{length_m},{width_m},")?,
+        _ => write!(output, ",,")?,
+    }
+    let coasts = track.status == TrackStatus::Coasting as u32;
+    let (status, unseen) = (csv::STATUS[usize::from(coasts)], Seconds(track.unseen_ns.cast_signed()));
+    let [xx, xy] = [track.covariance[0], track.covariance[1]];
+    // The covariance is packed: its second row begins behind `state_len` numbers.
+    let yy = track.covariance[(track.state_len as usize + 1).min(24)];
+    writeln!(output, "{existence},{vx_mps},{vy_mps},{status},{unseen},{xx},{xy},{yy}")
+}
+
+fn write_kitti(
+    output: &mut impl Write,
+    header: &Header,
+    track: &Track,
+    agent_type: AgentType,
+    poses: &WorldFromCamera,
+) -> io::Result<()> {
+    let frame = usize::try_from(header.stamp_ns / kitti::INTERVAL_NS.cast_signed()).map_err(invalid)?;
+    let position_m = [track.x_m, track.y_m].map(f64::from);
+    let standing = poses.standing(frame, position_m, f64::from(track.heading_rad));
+    let no_pose = || invalid(format!("frame {frame}: ego motion is known of {} frames", poses.frames_len()));
+    let ([x, y, z], rotation) = standing.ok_or_else(no_pose)?;
+    let kind = match agent_type {
+        AgentType::Vehicle => "Car",
+        AgentType::Cyclist => "Cyclist",
+        AgentType::Pedestrian => "Pedestrian",
+    };
+    let Track { id, width_m, length_m, existence, .. } = track;
+    let (height_m, alpha) = (kitti::height_m(agent_type), text::wrapped(rotation - x.atan2(z)));
+    writeln!(
+        output,
+        "{frame} {id} {kind} -1 -1 {alpha:.6} -1 -1 -1 -1 {height_m} {width_m} {length_m} {x:.6} {y:.6} {z:.6} {rotation:.6} {existence}"
+    )
+}
+
+/// Nanoseconds, written as seconds to the last digit.
+struct Seconds(i64);
+
+impl fmt::Display for Seconds {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let (sign, ns) = (if self.0 < 0 { "-" } else { "" }, self.0.unsigned_abs());
+        let text = format!("{}.{:09}", ns / 1_000_000_000, ns % 1_000_000_000);
+        write!(f, "{sign}{}", text.trim_end_matches('0').trim_end_matches('.'))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use bytemuck::Zeroable;
+    use wire::detection_flags;
+
+    use super::*;
+    use crate::{Format, Input, Role, parse};
+
+    const CALIBRATION: &str = "P2: 721.5 0 609.5 44.8 0 721.5 172.8 0.2 0 0 1 0.003\nR_rect 1 0 0 0 1 0 0 0 1\n\
+        Tr_velo_cam 0 -1 0 0 0 0 -1 -0.08 1 0 0 -0.27\nTr_imu_velo 1 0 0 -0.81 0 1 0 0.32 0 0 1 -0.8\n";
+    /// Two poses, the car tilted.
+    const EGO_MOTION: &str = "49.0 8.4 112.8 0.02 -0.03 0.5 0 0 0 0 0 0 0 0 0 0 0 0 0 0 0 0 0 0.1 0.1 4 10 4 4 0\n\
+        49.0001 8.4 112.9 0.02 -0.03 0.6 0 0 0 0 0 0 0 0 0 0 0 0 0 0 0 0 0 0.1 0.1 4 10 4 4 0\n";
+
+    fn track(id: u64, agent_type: AgentType, x_m: f32) -> Track {
+        let mut track = Track { id, agent_type: agent_type as u32, x_m, y_m: -3.3, ..Track::zeroed() };
+        (track.heading_rad, track.speed_mps, track.existence) = (0.7, 4.25, 0.9375);
+        (track.length_m, track.width_m) = (4.1, 1.9);
+        (track.vx_mps, track.vy_mps) = (3.25, 2.74);
+        (track.state_len, track.unseen_ns) = (5, 200_000_000);
+        (track.covariance[0], track.covariance[1], track.covariance[6]) = (0.25, -0.125, 0.5);
+        track
+    }
+
+    /// Frames with two tracks, none, one.
+    fn frames() -> Vec<(Header, Vec<Track>)> {
+        let unsized_one = Track {
+            length_m: 0.0,
+            status: TrackStatus::Coasting as u32,
+            ..track(9, AgentType::Pedestrian, 8.1)
+        };
+        let tracks = [
+            vec![track(7, AgentType::Vehicle, 12.3), unsized_one],
+            vec![],
+            vec![track(7, AgentType::Vehicle, 12.7)],
+        ];
+        let header = |seq: u64| Header {
+            ego_m: [1.5, seq as f32],
+            ego_heading_rad: 0.5,
+            ..Header::new(0, seq, seq.cast_signed() * 100_000_000 - 100_000_000)
+        };
+        (0..).map(header).zip(tracks).collect()
+    }
+
+    fn written(rows: TrackRows, frames: &[(Header, Vec<Track>)]) -> io::Result<String> {
+        let mut writer = TrackWriter::new(Vec::new(), rows)?;
+        for (header, tracks) in frames {
+            writer.write(header, tracks)?;
+        }
+        String::from_utf8(writer.finish()?).map_err(invalid)
+    }
+
+    fn input(role: Role, text: &str) -> Input {
+        Input { role, path: format!("{}.txt", role.name()), bytes: text.into() }
+    }
+
+    #[test]
+    fn csv_comes_back_as_a_recording_with_the_same_numbers() {
+        let text = written(TrackRows::Csv, &frames()).unwrap();
+        let rows: Vec<&str> = text.lines().collect();
+        assert_eq!(rows[1], "-0.1,,ego,1.5,0,0.5,,,,,,,,,,,");
+        assert_eq!(
+            rows[2],
+            "-0.1,7,vehicle,12.3,-3.3,0.7,4.25,4.1,1.9,0.9375,3.25,2.74,confirmed,0.2,0.25,-0.125,0.5"
+        );
+        let input = Input { role: Role::Rows, path: "tracks.csv".to_owned(), bytes: text.into() };
+        assert_eq!(Format::detect(&input).unwrap(), Format::Csv);
+        let recording = parse(Format::Csv, &[input]).unwrap();
+        assert!(recording.has_identities);
+        assert_eq!(recording.frames.len(), 3);
+        for (frame, (header, tracks)) in recording.frames.iter().zip(frames()) {
+            assert_eq!((frame.stamp_ns, frame.ego.position_m), (header.stamp_ns, header.ego_m));
+            assert_eq!(frame.detections.len(), tracks.len());
+            for (read, track) in frame.detections.iter().zip(tracks) {
+                assert_eq!(
+                    (read.id, read.agent_type, read.score),
+                    (track.id, track.agent_type, track.existence)
+                );
+                assert_eq!((read.x_m, read.y_m), (track.x_m, track.y_m));
+                assert_eq!((read.heading_rad, read.speed_mps), (track.heading_rad, track.speed_mps));
+                assert_eq!(read.has(detection_flags::HAS_SIZE), track.length_m > 0.0);
+            }
+        }
+    }
+
+    #[test]
+    fn kitti_comes_back_where_it_was_in_the_world() {
+        let sensors = [input(Role::Calibration, CALIBRATION), input(Role::EgoMotion, EGO_MOTION)];
+        let poses = WorldFromCamera::parse(&sensors[0], &sensors[1]).unwrap();
+        let frames = &frames()[1..];
+        let text = written(TrackRows::Kitti(Box::new(poses.clone())), frames).unwrap();
+        assert_eq!(text.split_whitespace().count(), 18);
+        let rows = input(Role::Rows, &text);
+        assert_eq!(Format::detect(&rows).unwrap(), Format::KittiLabels);
+        let recording = parse(Format::KittiLabels, &[vec![rows], sensors.to_vec()].concat()).unwrap();
+        let [read] = recording.frames[1].detections[..] else { panic!("one track in the second frame") };
+        let [track] = frames[1].1[..] else { panic!("one track was written") };
+        assert!((read.x_m - track.x_m).hypot(read.y_m - track.y_m) < 1e-4, "{read:?}");
+        assert!((read.heading_rad - track.heading_rad).abs() < 2e-3, "{read:?}");
+        assert_eq!((read.id, read.length_m, read.width_m), (7, track.length_m, track.width_m));
+        let beyond = (Header::new(0, 2, 200_000_000), vec![track]);
+        let refused = written(TrackRows::Kitti(Box::new(poses)), &[beyond]).unwrap_err();
+        assert_eq!(refused.to_string(), "frame 2: ego motion is known of 2 frames");
+    }
+
+    #[test]
+    fn mot_rows_have_ten_columns_and_count_frames_from_one() {
+        let text = written(TrackRows::Mot, &frames()).unwrap();
+        assert_eq!(
+            text,
+            "1,7,-1,-1,-1,-1,0.9375,12.3,-3.3,0\n1,9,-1,-1,-1,-1,0.9375,8.1,-3.3,0\n3,7,-1,-1,-1,-1,0.9375,12.7,-3.3,0\n"
+        );
+    }
+
+    #[test]
+    fn seconds_are_exact() {
+        let told = [0, 80_000_000, 12_000_000_001, -500_000_000].map(|ns| Seconds(ns).to_string());
+        assert_eq!(told, ["0", "0.08", "12.000000001", "-0.5"]);
+    }
+
+    #[test]
+    fn formats_know_their_names() {
+        assert!(TrackFormat::ALL.into_iter().all(|format| format.name().parse() == Ok(format)));
+        assert_eq!(
+            "xml".parse::<TrackFormat>().unwrap_err().to_string(),
+            "unknown format \"xml\" of tracks: expected csv, kitti or mot"
+        );
+    }
+}
