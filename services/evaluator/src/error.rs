@@ -60,4 +60,14 @@ pub enum EvaluateError {
         /// The step.
         dt_s: f64,
     },
+    /// A tracker did not do what it is judged by.
+    #[error("{recording}: the tracker \"{name}\": {problem}")]
+    Contender {
+        /// The tracker.
+        name: &'static str,
+        /// What it was to track.
+        recording: String,
+        /// What is wrong.
+        problem: String,
+    },
 }

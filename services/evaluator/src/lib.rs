@@ -9,7 +9,8 @@
 //! of a recording at a time. [`Group`]s of blocks (a fold, a site) make the tables of a [`Report`]. [`ablation()`] compares
 //! variants of a model with one another on the same blocks.
 //!
-//! [`tracking()`] judges filters, with the model's forecasts as their prior and without, by the motion that they estimate.
+//! [`tracking()`] judges filters, with the model's forecasts as their prior and without, by the motion that they estimate;
+//! [`kitti()`] judges trackers by who they say is where.
 
 mod ablation;
 mod baselines;
@@ -40,11 +41,11 @@ pub use judge::{Block, Judge, MOVING_MPS, Subset};
 pub use maps::{MapInput, site_map};
 pub use method::Method;
 pub use protocol::{
-    InteractionPart, MapChoice, Options, Variant, ablation, eth_ucy, files, interaction, sdd, tracking,
+    InteractionPart, MapChoice, Options, Variant, ablation, eth_ucy, files, interaction, kitti, sdd, tracking,
 };
 pub use report::{Figure, Report};
 pub use scenes::{Agent, Cut, Scene};
 pub use tally::{Errors, Measure, Sureness, Tally};
-pub use tracking::TrackingReport;
+pub use tracking::{Contender, KittiReport, Published, PublishedTrack, TRACKING_COLUMNS, TrackingReport};
 pub use verify::{Comparison, VerifyError, verify};
 pub use weights::{Provenance, WeightsChoice};

@@ -4,6 +4,7 @@ mod ablation;
 mod eth_ucy;
 mod files;
 mod interaction;
+mod kitti;
 mod sdd;
 mod tracking;
 
@@ -16,6 +17,7 @@ pub use ablation::{Variant, ablation};
 pub use eth_ucy::eth_ucy;
 pub use files::files;
 pub use interaction::{InteractionPart, interaction};
+pub use kitti::kitti;
 pub use sdd::sdd;
 pub use tracking::tracking;
 

@@ -3,19 +3,30 @@
 //! A [`Course`] is a recording as such a sensor would give it. A [`Follower`] runs a filter per agent over it, all agents
 //! at once, since the learned prior of one depends on where the others are. Every method is [tuned](tune) with the same
 //! number of trials on recordings that it is not judged by, and all see the same noise and the same gaps.
+//!
+//! [`kitti`] is about whole trackers instead: who is where, from a detector's output.
 
 mod course;
 mod follower;
 mod hypotheses;
+mod kitti;
 mod method;
 mod report;
 mod tuning;
 
+pub use kitti::{Contender, KittiReport, Published, PublishedTrack};
 pub use report::TrackingReport;
 
 pub(crate) use course::{Course, Sensor};
 pub(crate) use follower::{Follower, Outcome};
 pub(crate) use hypotheses::Hypotheses;
+pub(crate) use kitti::{
+    ByClass, CLASSES, Counts, KittiMeasure, KittiPart, KittiRow, LEAST_SCORES, Sequence, nearest_neighbours,
+};
 pub(crate) use method::TrackingMethod;
 pub(crate) use report::Judged;
 pub(crate) use tuning::{TRIALS, Trials, tune};
+
+/// The head of the figures of [`TrackingReport::csv`] and [`KittiReport::csv`], which are lines of one table.
+pub const TRACKING_COLUMNS: &str =
+    "part,sigma_m,gap_s,sequences,least_score,class,method,quantity,measure,value,len,weights_sha256\n";

@@ -68,25 +68,41 @@ fn bootstrap(
 ) -> Option<Interval> {
     // Empty clusters carry nothing, and a draw of only such would have no mean.
     let clusters: Vec<PairedErrors> = clusters.iter().filter(|cluster| cluster.len > 0).copied().collect();
-    if clusters.is_empty() || resamples == 0 {
+    cluster_bootstrap(clusters.len(), resamples, seed, |drawn| {
+        let sum = drawn.iter().fold(PairedErrors::default(), |mut sum, &cluster| {
+            sum.merge(&clusters[cluster]);
+            sum
+        });
+        Some(figure(&sum))
+    })
+}
+
+/// A figure that need be no mean: `figure` tells it of the clusters with the given numbers, `None` where they have none.
+///
+/// `None` where the clusters as they are, or all resamples, have no figure. Otherwise as [`paired_bootstrap`].
+#[must_use]
+pub fn cluster_bootstrap(
+    clusters_len: usize,
+    resamples: usize,
+    seed: u64,
+    figure: impl Fn(&[usize]) -> Option<f64>,
+) -> Option<Interval> {
+    if clusters_len == 0 {
         return None;
     }
-    let sum = |drawn: &mut dyn Iterator<Item = &PairedErrors>| {
-        drawn.fold(PairedErrors::default(), |mut sum, cluster| {
-            sum.merge(cluster);
-            sum
-        })
-    };
+    let all: Vec<usize> = (0..clusters_len).collect();
+    let mean = figure(&all)?;
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
+    let mut drawn = all;
     let mut resample = || {
-        let mut drawn = (0..clusters.len()).map(|_| &clusters[rng.random_range(0..clusters.len())]);
-        figure(&sum(&mut drawn))
+        drawn.fill_with(|| rng.random_range(0..clusters_len));
+        figure(&drawn)
     };
-    let mut figures: Vec<f64> = (0..resamples).map(|_| resample()).collect();
+    let mut figures: Vec<f64> = (0..resamples).filter_map(|_| resample()).collect();
     figures.sort_by(f64::total_cmp);
-    Some(Interval {
+    (!figures.is_empty()).then(|| Interval {
         low: quantile(&figures, 0.025),
-        mean: figure(&sum(&mut clusters.iter())),
+        mean,
         high: quantile(&figures, 0.975),
     })
 }
@@ -171,6 +187,17 @@ mod tests {
         assert_eq!(paired_bootstrap(&clusters(3, 1), 0, 1), None);
         let flawless = [PairedErrors { ours: 1.0, theirs: 0.0, len: 1 }];
         assert_eq!(paired_bootstrap_ratio(&flawless, 100, 1), None);
+    }
+
+    #[test]
+    fn figures_of_drawn_clusters_leave_out_draws_without_one() {
+        let values = [1.0, 2.0, 6.0];
+        let mean = |drawn: &[usize]| Some(drawn.iter().map(|&i| values[i]).sum::<f64>() / drawn.len() as f64);
+        let found = cluster_bootstrap(3, 500, 1, mean).expect("clusters");
+        assert_eq!((found.mean, found.low, found.high), (3.0, 1.0, 6.0));
+        let with_the_last = |drawn: &[usize]| drawn.contains(&2).then_some(1.0);
+        assert_eq!(cluster_bootstrap(3, 500, 1, with_the_last).map(|i| i.low), Some(1.0));
+        assert_eq!(cluster_bootstrap(3, 500, 1, |_| None), None);
     }
 
     #[test]

@@ -31,7 +31,7 @@ pub use baseline::{
     ACCELERATION_DECAY_S, CVM_DRAWS, CVM_SIGMA_RAD, TURN_RATE_DECAY_S, constant_acceleration,
     constant_turn_rate, constant_turn_rate_acceleration, constant_velocity, sampled_constant_velocity,
 };
-pub use bootstrap::{Interval, PairedErrors, paired_bootstrap, paired_bootstrap_ratio};
+pub use bootstrap::{Interval, PairedErrors, cluster_bootstrap, paired_bootstrap, paired_bootstrap_ratio};
 pub use collision::{Disc, collisions};
 pub use density::{LOG_DENSITY_MIN, kde_log_density};
 pub use displacement::{

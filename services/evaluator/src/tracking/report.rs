@@ -285,18 +285,21 @@ impl TrackingReport {
         table
     }
 
-    /// Every figure, a line each.
+    /// Every figure, a line each, in the columns of [`crate::TRACKING_COLUMNS`].
     #[must_use]
     pub fn csv(&self) -> String {
-        let mut text = "sigma_m,gap_s,method,quantity,rmse,mae,len,nees,nis,weights_sha256\n".to_owned();
-        for figures in self.figures() {
-            let Figures { sigma_m, gap_s, method, quantity, rmse, mae, len, nees, nis } = figures;
-            let sha256 = &self.provenance.sha256;
-            text += &format!(
-                "{sigma_m},{gap_s},\"{method}\",\"{quantity}\",{rmse:.6},{mae:.6},{len},{nees:.6},{nis:.6},{sha256}\n"
-            );
-        }
-        text
+        let sha256 = &self.provenance.sha256;
+        let line = |figures: &Figures, (measure, value): (&str, f64)| {
+            let Figures { sigma_m, gap_s, method, quantity, len, .. } = figures;
+            format!(
+                "interaction,{sigma_m},{gap_s},,,vehicle,\"{method}\",\"{quantity}\",{measure},{value:.6},{len},{sha256}\n"
+            )
+        };
+        let lines = |figures: Figures| {
+            let Figures { rmse, mae, nees, nis, .. } = figures;
+            [("rmse", rmse), ("mae", mae), ("nees", nees), ("nis", nis)].map(|told| line(&figures, told))
+        };
+        self.figures().flat_map(lines).collect()
     }
 
     /// Everything as JSON.

@@ -1,0 +1,114 @@
+use metrics::Mean;
+use metrics::tracking::{
+    ClearMot, ClearMotCounts, Frame, Hota, HotaCounts, Identity, IdentityCounts, SetDistance, TrackingError,
+    linear_similarity,
+};
+
+/// A track stands for a truth that is at most so far away; the similarity of HOTA is 0 there, and GOSPA cuts off.
+pub(crate) const GATE_M: f64 = 2.0;
+/// The order p of GOSPA.
+const GOSPA_ORDER: f64 = 2.0;
+
+/// What all measures count of the tracks of one class; counts of several sequences can be merged.
+#[derive(Clone, Copy, Debug, Default)]
+pub(crate) struct Counts {
+    clear: ClearMotCounts,
+    identity: IdentityCounts,
+    hota: HotaCounts,
+    gospa_m: Mean,
+}
+
+/// A figure that follows from [`Counts`].
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum KittiMeasure {
+    Mota,
+    Idf1,
+    Hota,
+    Gospa,
+    Missed,
+    False,
+    Switches,
+}
+
+impl Counts {
+    /// Counts the frames of a sequence.
+    pub(crate) fn of(frames: &[Frame]) -> Result<Self, TrackingError> {
+        let (mut clear, mut identity) = (ClearMot::new(GATE_M)?, Identity::new(GATE_M)?);
+        let (mut hota, distance) = (Hota::default(), SetDistance::new(GATE_M, GOSPA_ORDER)?);
+        let mut gospa_m = Mean::default();
+        for frame in frames {
+            clear.add(frame);
+            identity.add(frame);
+            hota.add(frame, |distance_m| linear_similarity(distance_m, GATE_M));
+            // Frames in which there is nothing to say would only thin out the mean.
+            if !(frame.truths().is_empty() && frame.tracks().is_empty()) {
+                gospa_m.add(distance.gospa(frame).distance_m);
+            }
+        }
+        Ok(Self { clear: clear.finish(), identity: identity.finish(), hota: hota.finish(), gospa_m })
+    }
+
+    /// Counts all that `other`, of another sequence, counted.
+    pub(crate) fn merge(&mut self, other: &Self) {
+        self.clear.merge(&other.clear);
+        self.identity.merge(&other.identity);
+        self.hota.merge(&other.hota);
+        self.gospa_m.merge(&other.gospa_m);
+    }
+
+    /// The sum of several.
+    pub(crate) fn sum<'a>(counts: impl Iterator<Item = &'a Self>) -> Self {
+        counts.fold(Self::default(), |mut sum, counts| {
+            sum.merge(counts);
+            sum
+        })
+    }
+
+    /// Truths, all frames together.
+    pub(crate) const fn truths_len(&self) -> u64 {
+        self.clear.truths_len()
+    }
+
+    /// A figure; `None` where it would be one of nothing.
+    pub(crate) fn figure(&self, measure: KittiMeasure) -> Option<f64> {
+        let count = |len: u64| Some(len as f64);
+        match measure {
+            KittiMeasure::Mota => self.clear.mota(),
+            KittiMeasure::Idf1 => self.identity.idf1(),
+            KittiMeasure::Hota => (self.clear.truths_len() > 0).then(|| self.hota.mean().hota),
+            KittiMeasure::Gospa => self.gospa_m.value(),
+            KittiMeasure::Missed => count(self.clear.missed_len),
+            KittiMeasure::False => count(self.clear.false_len),
+            KittiMeasure::Switches => count(self.clear.switches_len),
+        }
+    }
+}
+
+impl KittiMeasure {
+    /// All measures, in the order of the columns.
+    pub(crate) const ALL: [Self; 7] =
+        [Self::Mota, Self::Idf1, Self::Hota, Self::Gospa, Self::Missed, Self::False, Self::Switches];
+    /// Those that are compared.
+    pub(crate) const COMPARED: [Self; 4] = [Self::Mota, Self::Idf1, Self::Hota, Self::Gospa];
+
+    /// The name in tables.
+    pub(crate) const fn name(self) -> &'static str {
+        match self {
+            Self::Mota => "MOTA",
+            Self::Idf1 => "IDF1",
+            Self::Hota => "HOTA",
+            Self::Gospa => "GOSPA, m",
+            Self::Missed => "misses",
+            Self::False => "false",
+            Self::Switches => "switches",
+        }
+    }
+
+    /// A figure as text.
+    pub(crate) fn text(self, figure: f64) -> String {
+        match self {
+            Self::Mota | Self::Idf1 | Self::Hota | Self::Gospa => format!("{figure:.3}"),
+            Self::Missed | Self::False | Self::Switches => format!("{figure:.0}"),
+        }
+    }
+}

@@ -1,0 +1,165 @@
+use data::Recording;
+use filters::{ConstantVelocity, Gaussian, Observation};
+use wire::{AgentType, Detection};
+
+use super::{ByClass, CLASSES, Published, PublishedTrack};
+
+/// Standard deviation of a detection's position per axis, m.
+const SIGMA_M: f64 = 0.25;
+/// The same of a velocity that nobody has seen, m/s, class by class.
+const SPEED_MPS: ByClass<f64> = [10.0, 2.0, 5.0];
+/// Density of the acceleration, m²/s³, class by class.
+const DENSITY: ByClass<f64> = [4.0, 0.5, 2.0];
+/// A detection belongs to a track at most so far away, m, class by class.
+const NEAR_M: ByClass<f64> = [3.0, 1.0, 2.0];
+/// Detections that make a track worth telling.
+const HITS_TO_CONFIRM: u32 = 3;
+/// A track ends with its third frame in a row without a detection.
+const MISSES_MAX: u32 = 2;
+
+struct Target {
+    id: u64,
+    state: Gaussian<4>,
+    hits_len: u32,
+    misses_len: u32,
+}
+
+/// The plain tracker that others have to beat: a Kalman filter of constant velocity per track, each detection to the
+/// nearest track, the nearest pairs first, and fixed numbers of hits and misses.
+pub(crate) fn nearest_neighbours(recording: &Recording) -> Published {
+    let mut published = vec![Vec::new(); recording.frames.len()];
+    let mut next_id = 1;
+    for (class, agent_type) in CLASSES.into_iter().enumerate() {
+        let process = ConstantVelocity { density: DENSITY[class] };
+        let mut targets: Vec<Target> = Vec::new();
+        let mut last_ns = None;
+        for (frame, tracks) in recording.frames.iter().zip(&mut published) {
+            let elapsed_ns = last_ns.replace(frame.stamp_ns).map_or(0, |last_ns| frame.stamp_ns - last_ns);
+            // A fault leaves a state as it was; there is none within a recording's span.
+            targets.retain_mut(|target| target.state.predict(elapsed_ns.unsigned_abs(), &process).is_ok());
+            let of_class = |detection: &&Detection| detection.agent_type == agent_type as u32;
+            let seen: Vec<Observation> = frame.detections.iter().filter(of_class).map(observation).collect();
+            let paired = nearest_pairs(&targets, &seen, NEAR_M[class]);
+            for (t, target) in targets.iter_mut().enumerate() {
+                match paired.iter().find(|pair| pair.0 == t) {
+                    Some(&(_, d)) => target.take(&seen[d], &process),
+                    None => target.misses_len += 1,
+                }
+            }
+            targets.retain(|target| target.misses_len <= MISSES_MAX);
+            let alone = (0..seen.len()).filter(|&d| paired.iter().all(|pair| pair.1 != d));
+            for (id, d) in (next_id..).zip(alone) {
+                targets.push(Target::new(id, &seen[d], SPEED_MPS[class]));
+                next_id = id + 1;
+            }
+            let told = targets.iter().filter(|target| target.hits_len >= HITS_TO_CONFIRM);
+            tracks.extend(told.map(|target| target.published(agent_type)));
+        }
+    }
+    published
+}
+
+fn observation(detection: &Detection) -> Observation {
+    Observation {
+        position_m: [detection.x_m, detection.y_m].map(f64::from),
+        position_variance: SIGMA_M * SIGMA_M,
+        heading_rad: None,
+        speed_mps: None,
+    }
+}
+
+/// (target, detection), the nearest first, each at most once.
+fn nearest_pairs(targets: &[Target], seen: &[Observation], near_m: f64) -> Vec<(usize, usize)> {
+    let distance_m = |target: &Target, seen: &Observation| {
+        let [x, y] = target.position_m();
+        (seen.position_m[0] - x).hypot(seen.position_m[1] - y)
+    };
+    let all = targets.iter().enumerate().flat_map(|(t, target)| {
+        seen.iter().enumerate().map(move |(d, seen)| (distance_m(target, seen), t, d))
+    });
+    let mut near: Vec<(f64, usize, usize)> = all.filter(|pair| pair.0 <= near_m).collect();
+    near.sort_by(|a, b| a.0.total_cmp(&b.0).then((a.1, a.2).cmp(&(b.1, b.2))));
+    let mut pairs: Vec<(usize, usize)> = Vec::new();
+    for (_, t, d) in near {
+        if pairs.iter().all(|pair| pair.0 != t && pair.1 != d) {
+            pairs.push((t, d));
+        }
+    }
+    pairs
+}
+
+impl Target {
+    fn new(id: u64, seen: &Observation, speed_mps: f64) -> Self {
+        let [x, y] = seen.position_m;
+        let [place, motion] = [seen.position_variance, speed_mps * speed_mps];
+        let state = Gaussian::new([x, y, 0.0, 0.0], [place, place, motion, motion]);
+        Self { id, state, hits_len: 1, misses_len: 0 }
+    }
+
+    fn take(&mut self, seen: &Observation, process: &ConstantVelocity) {
+        self.misses_len = 0;
+        // A detection that the filter can't take leaves the prediction as it is.
+        self.hits_len += u32::from(self.state.update(seen, process).is_ok());
+    }
+
+    fn position_m(&self) -> [f64; 2] {
+        [self.state.mean[0], self.state.mean[1]]
+    }
+
+    fn published(&self, agent_type: AgentType) -> PublishedTrack {
+        PublishedTrack { id: self.id, agent_type, position_m: self.position_m() }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use bytemuck::Zeroable;
+    use data::Frame;
+
+    use super::*;
+
+    const INTERVAL_NS: i64 = 100_000_000;
+
+    /// Two cars that drive side by side, 4 m apart; `seen` tells which of them a frame shows.
+    fn recording(frames_len: i64, seen: impl Fn(i64, u32) -> bool) -> Recording {
+        let car = |frame: i64, lane: u32| Detection {
+            x_m: frame as f32,
+            y_m: 4.0 * lane as f32,
+            agent_type: AgentType::Vehicle as u32,
+            ..Detection::zeroed()
+        };
+        let frames = (0..frames_len).map(|frame| Frame {
+            stamp_ns: frame * INTERVAL_NS,
+            detections: (0..2).filter(|&lane| seen(frame, lane)).map(|lane| car(frame, lane)).collect(),
+            ..Frame::default()
+        });
+        Recording {
+            interval_ns: INTERVAL_NS.unsigned_abs(),
+            frames: frames.collect(),
+            ..Recording::default()
+        }
+    }
+
+    fn ids(tracks: &[PublishedTrack]) -> Vec<u64> {
+        tracks.iter().map(|track| track.id).collect()
+    }
+
+    #[test]
+    fn tracks_are_told_from_their_third_hit_on_and_bridge_two_misses() {
+        let published =
+            nearest_neighbours(&recording(20, |frame, lane| lane == 0 || ![8, 9].contains(&frame)));
+        assert!(published[1].is_empty());
+        assert!(published[2..].iter().all(|tracks| ids(tracks) == [1, 2]), "{published:?}");
+        let error_m = published[19][0].position_m[0] - 19.0;
+        assert!(error_m.abs() < 0.1, "{error_m}");
+    }
+
+    #[test]
+    fn a_third_miss_ends_a_track_and_its_id_is_not_used_again() {
+        let published =
+            nearest_neighbours(&recording(20, |frame, lane| lane == 0 || !(8..11).contains(&frame)));
+        assert_eq!(ids(&published[9]), [1, 2]);
+        assert_eq!(ids(&published[10]), [1]);
+        assert_eq!(ids(&published[19]), [1, 3]);
+    }
+}
