@@ -1,9 +1,15 @@
-//! The learned prior by Monte Carlo: a bootstrap particle filter whose particles are steered by the draws of a forecast.
+//! The learned prior by Monte Carlo: a particle filter whose particles are steered by the draws of a forecast.
 //!
 //! Every particle is a state and the number of a hypothesis, or of none, which then moves by the kinematic process. It
 //! draws its own noise, so nothing is linearised; the measurement weighs it by its density. The processes and the
 //! forecast are those of the [`crate::Mixture`].
+//!
+//! A measurement that is sharp beside the cloud leaves few particles with any weight. The cloud then stands for a
+//! smooth density instead: every particle is the centre of a Gaussian *kernel*, drawn in towards the mean so that the
+//! cloud's moments stay. Kernels are corrected as Kalman filters are, and a particle is drawn from each \[K. Dahia,
+//! C. Musso, D. Pham: *The Kalman-particle kernel filter*, 2005\].
 
+use kinematics::semidefinite_cholesky;
 use nalgebra::{SMatrix, SVector};
 use rand::seq::SliceRandom;
 use rand::{RngExt, SeedableRng};
@@ -14,8 +20,10 @@ use crate::control::Plan;
 use crate::moments::scatter;
 use crate::process::steps;
 use crate::weights::{effective_size, log_sum_exp, normalise, systematic};
-use crate::{FilterFault, Forecast, ForecastFault, Gaussian, Observation, Priors, Steered, mean};
+use crate::{FilterFault, Forecast, ForecastFault, Gaussian, Observation, Priors, Steered, difference, mean};
 
+/// From one width of the kernels to the next, as a factor on their covariance.
+const WIDENING: f64 = 1.5;
 /// Most particles of one filter.
 pub const PARTICLES_MAX: usize = 10_000;
 
@@ -27,7 +35,13 @@ struct Particle<const N: usize> {
     hypothesis: Option<usize>,
 }
 
-/// A bootstrap particle filter.
+/// What a cloud's kernels told of an observation, and the covariance that they share after it.
+struct Kernels<const N: usize> {
+    log_likelihood: f64,
+    covariance: SMatrix<f64, N, N>,
+}
+
+/// A particle filter: bootstrap, with kernels where a measurement is too sharp for that.
 #[derive(Clone, Debug)]
 pub struct Particles<P, const N: usize> {
     /// Processes and trust; may be changed between calls.
@@ -144,18 +158,32 @@ impl<P: Steered<N>, const N: usize> Particles<P, N> {
         Ok(())
     }
 
-    /// Weighs the particles by what was observed, and resamples them where few hold most of the weight; returns the
-    /// logarithm of the observation's density.
+    /// Corrects the particles by what was observed; returns the logarithm of the observation's density.
+    ///
+    /// They are weighed, or where few would then hold most of the weight corrected as kernels, just wide enough that more
+    /// of them do.
     ///
     /// # Errors
     /// As [`Particles::weigh`].
     pub fn update(&mut self, seen: &Observation) -> Result<f64, FilterFault> {
-        let log_likelihood = self.weigh(seen)?;
-        if self.is_poor() {
-            let offset = self.rng.random();
-            self.resample(offset);
+        let log_likelihood = self.weighed(seen)?;
+        if !is_poor(&self.next) {
+            std::mem::swap(&mut self.particles, &mut self.next);
+            return Ok(log_likelihood);
         }
-        Ok(log_likelihood)
+        let mut share = kernel_share(self.effective_size(), N);
+        let mut corrected = self.corrected(seen, share)?;
+        while share < 1.0 && is_poor(&self.next) {
+            share = (WIDENING * share).min(1.0);
+            corrected = self.corrected(seen, share)?;
+        }
+        std::mem::swap(&mut self.particles, &mut self.next);
+        let centres = self.moments();
+        let offset = self.rng.random();
+        self.resample(offset);
+        self.scatter(&corrected.covariance);
+        self.stretch(&Gaussian { covariance: centres.covariance + corrected.covariance, ..centres });
+        Ok(corrected.log_likelihood)
     }
 
     /// Weighs the particles by what was observed; returns the logarithm of the observation's density.
@@ -163,6 +191,13 @@ impl<P: Steered<N>, const N: usize> Particles<P, N> {
     /// # Errors
     /// [`FilterFault`] where no particle has a finite density; the particles are then as before.
     pub fn weigh(&mut self, seen: &Observation) -> Result<f64, FilterFault> {
+        let log_likelihood = self.weighed(seen)?;
+        std::mem::swap(&mut self.particles, &mut self.next);
+        Ok(log_likelihood)
+    }
+
+    /// Makes the particles under way those of now, weighed by what was observed.
+    fn weighed(&mut self, seen: &Observation) -> Result<f64, FilterFault> {
         self.next.clone_from(&self.particles);
         for particle in &mut self.next {
             let density = self.priors.kinematic.innovation(&particle.state, seen).log_density();
@@ -171,25 +206,77 @@ impl<P: Steered<N>, const N: usize> Particles<P, N> {
             }
             particle.log_weight += density;
         }
-        let log_likelihood = log_sum_exp(self.next.iter().map(|particle| particle.log_weight));
-        if !log_likelihood.is_finite() {
+        self.normalised()
+    }
+
+    /// Makes the particles under way the kernels about those of now, corrected by what was observed. A kernel's
+    /// covariance is this share of the cloud's.
+    fn corrected(&mut self, seen: &Observation, share: f64) -> Result<Kernels<N>, FilterFault> {
+        let cloud = self.moments();
+        let covariance = cloud.covariance * share;
+        let drawn_in = (1.0 - share).sqrt();
+        let mut kernels = Kernels { log_likelihood: 0.0, covariance };
+        self.next.clear();
+        for particle in &self.particles {
+            let off = difference(&particle.state, &cloud.mean, P::ANGLES);
+            let kernel = Gaussian { mean: cloud.mean + off * drawn_in, covariance };
+            let innovation = self.priors.kinematic.innovation(&kernel.mean, seen);
+            let (posterior, evidence) = kernel.corrected(&innovation)?;
+            kernels.covariance = posterior.covariance;
+            let log_weight = particle.log_weight + evidence.log_likelihood;
+            self.next.push(Particle { state: posterior.mean, log_weight, ..*particle });
+        }
+        kernels.log_likelihood = self.normalised()?;
+        Ok(kernels)
+    }
+
+    /// Draws every particle from the kernel of which it is the centre.
+    fn scatter(&mut self, covariance: &SMatrix<f64, N, N>) {
+        let factor = semidefinite_cholesky(covariance);
+        for particle in &mut self.particles {
+            particle.state += factor * SVector::from_fn(|_, _| StandardNormal.sample(&mut self.rng));
+        }
+    }
+
+    /// Moves and stretches the cloud a little so that it has exactly the moments of what it was drawn from
+    /// \[J. Barraquand: *Numerical valuation of high dimensional multivariate European securities*, 1995\]; a cloud too
+    /// small to have any stays. States come back into their range.
+    fn stretch(&mut self, exact: &Gaussian<N>) {
+        let cloud = self.moments();
+        let root = cloud.covariance.cholesky();
+        let stretched = semidefinite_cholesky(&exact.covariance);
+        for particle in &mut self.particles {
+            let off = difference(&particle.state, &cloud.mean, P::ANGLES);
+            if let Some(white) = root.and_then(|root| root.l_dirty().solve_lower_triangular(&off)) {
+                particle.state = exact.mean + stretched * white;
+            }
+            match particle.hypothesis {
+                None => self.priors.kinematic.settle(&mut particle.state),
+                Some(_) => self.priors.learned.settle(&mut particle.state),
+            }
+        }
+    }
+
+    /// Brings the weights of the particles under way to the sum 1; returns the logarithm of their sum before.
+    fn normalised(&mut self) -> Result<f64, FilterFault> {
+        let log_sum = log_sum_exp(self.next.iter().map(|particle| particle.log_weight));
+        if !log_sum.is_finite() {
             return Err(FilterFault::NotFinite);
         }
-        std::mem::swap(&mut self.particles, &mut self.next);
-        normalise(&mut self.particles, |particle| &mut particle.log_weight);
-        Ok(log_likelihood)
+        normalise(&mut self.next, |particle| &mut particle.log_weight);
+        Ok(log_sum)
     }
 
     /// How many equally heavy particles would say as much.
     #[must_use]
     pub fn effective_size(&self) -> f64 {
-        effective_size(self.weights())
+        effective_size(weights(&self.particles))
     }
 
     /// Whether the effective size is less than half the number of particles.
     #[must_use]
     pub fn is_poor(&self) -> bool {
-        self.effective_size() < self.particles.len() as f64 / 2.0
+        is_poor(&self.particles)
     }
 
     /// Chooses the particles anew by their weights, systematically from `offset` within \[0, 1); all then weigh the same.
@@ -197,9 +284,10 @@ impl<P: Steered<N>, const N: usize> Particles<P, N> {
         let Self { particles, next, .. } = self;
         let len = particles.len();
         let log_weight = -(len as f64).ln();
-        let weights = particles.iter().map(|particle| particle.log_weight.exp());
         next.clear();
-        next.extend(systematic(weights, offset, len).map(|i| Particle { log_weight, ..particles[i] }));
+        next.extend(
+            systematic(weights(particles), offset, len).map(|i| Particle { log_weight, ..particles[i] }),
+        );
         std::mem::swap(particles, next);
     }
 
@@ -211,12 +299,23 @@ impl<P: Steered<N>, const N: usize> Particles<P, N> {
     /// The Gaussian with the particles' moments.
     #[must_use]
     pub fn moments(&self) -> Gaussian<N> {
-        let points = || self.weights().zip(self.particles.iter().map(|particle| &particle.state));
+        let points = || weights(&self.particles).zip(self.particles.iter().map(|particle| &particle.state));
         let mean = mean(points(), P::ANGLES);
         Gaussian { mean, covariance: scatter(points(), &mean, P::ANGLES) }
     }
+}
 
-    fn weights(&self) -> impl Iterator<Item = f64> + Clone {
-        self.particles.iter().map(|particle| particle.log_weight.exp())
-    }
+fn weights<const N: usize>(particles: &[Particle<N>]) -> impl Iterator<Item = f64> + Clone {
+    particles.iter().map(|particle| particle.log_weight.exp())
+}
+
+fn is_poor<const N: usize>(particles: &[Particle<N>]) -> bool {
+    effective_size(weights(particles)) < particles.len() as f64 / 2.0
+}
+
+/// Share of a cloud's covariance that its kernels get: the square of the width that is best for a Gaussian density of
+/// which `len` draws in `dimensions` are known \[B. Silverman: *Density estimation*, 1986, §4.3\].
+fn kernel_share(len: f64, dimensions: usize) -> f64 {
+    let dimensions = dimensions as f64;
+    (4.0 / ((dimensions + 2.0) * len)).powf(2.0 / (dimensions + 4.0)).min(1.0)
 }
