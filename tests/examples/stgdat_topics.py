@@ -50,11 +50,13 @@ Detection = layout("stgdat.detections.v1", 48, id=c.c_uint64, x_m=c.c_float, y_m
 Truth = layout("stgdat.truth.v1", 24, id=c.c_uint64, agent_type=c.c_uint32, x_m=c.c_float, y_m=c.c_float,
                reserved=c.c_uint32)
 Path = c.c_float * 2 * HORIZON_MAX
-Forecast = layout("stgdat.forecasts.v1", 2408, id=c.c_uint64, source_id=c.c_uint64, age_ns=c.c_uint64,
-                  agent_type=c.c_uint32, quality=c.c_uint32, cause=c.c_uint32, modes_len=c.c_uint32, x_m=c.c_float,
+Control = layout("stgdat.control", 20, mean=c.c_float * 2, cholesky=c.c_float * 3)
+Forecast = layout("stgdat.forecasts.v2", 7224, id=c.c_uint64, source_id=c.c_uint64, age_ns=c.c_uint64,
+                  prior_age_ns=c.c_uint64, agent_type=c.c_uint32, quality=c.c_uint32, cause=c.c_uint32, modes_len=c.c_uint32, x_m=c.c_float,
                   y_m=c.c_float, vx_mps=c.c_float, vy_mps=c.c_float, heading_rad=c.c_float, length_m=c.c_float,
-                  width_m=c.c_float, reserved=c.c_uint32, probability=c.c_float * MODES_MAX, modes=Path * MODES_MAX,
-                  best=Path, mean=Path, covariance=c.c_float * 3 * HORIZON_MAX)
+                  width_m=c.c_float, prior=c.c_uint32, steering=c.c_uint32, frame_heading_rad=c.c_float,
+                  probability=c.c_float * MODES_MAX, modes=Path * MODES_MAX, best=Path, mean=Path,
+                  covariance=c.c_float * 3 * HORIZON_MAX, controls=Control * HORIZON_MAX * MODES_MAX)
 
 
 def join(name):

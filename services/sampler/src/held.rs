@@ -67,6 +67,8 @@ impl Held {
         moved(&self.forecast.best, &mut out.best);
         out.modes_len = self.forecast.modes_len;
         out.probability = self.forecast.probability;
+        (out.steering, out.frame_heading_rad) = (self.forecast.steering, self.forecast.frame_heading_rad);
+        out.controls = self.forecast.controls;
         for step in 0..horizon_len {
             let covariance = self.within_at(age_steps + (step + 1) as f32, horizon_len);
             let parts = out.probability.iter().zip(&out.modes).take(modes_len);

@@ -1,8 +1,7 @@
-use kinematics::{ControlGaussian, Moments, Normals};
+use kinematics::{ControlGaussian, Moments};
 use scene::AgentType;
 use wire::{Forecast, HORIZON_MAX, POSITION_MAX_M};
 
-use crate::Propagation;
 use crate::mover::Mover;
 
 /// What an agent may do of which nothing is known.
@@ -26,10 +25,8 @@ pub(crate) fn forecast(mover: Mover, agent_type: AgentType, horizon_len: usize, 
     let freedom = freedom(agent_type);
     let controls = std::iter::repeat_n(ControlGaussian::centred(freedom.control), horizon_len);
     let mut moments = [Moments::default(); HORIZON_MAX];
-    // A Gaussian needs no random numbers, whichever key they have.
-    let mut unused = Normals::new(0, 0, 0);
     let mover = mover.with_velocity_deviation(freedom.velocity_mps);
-    mover.spread(controls, Propagation::Linearised, &mut unused, &mut moments);
+    mover.carry(controls, &mut moments);
     out.modes_len = 1;
     out.probability[0] = 1.0;
     for (step, moments) in moments[..horizon_len].iter().enumerate() {

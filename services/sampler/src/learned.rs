@@ -33,7 +33,7 @@ impl<'a> LearnedControls<'a> {
         Ok(Self { controls, horizon_len })
     }
 
-    /// Writes modes, best forecast and moments, and tells the covariance within the modes.
+    /// Writes modes with their controls, best forecast and moments, and tells the covariance within the modes.
     pub(crate) fn forecast(
         &self,
         mover: &Mover,
@@ -43,9 +43,23 @@ impl<'a> LearnedControls<'a> {
     ) -> Within {
         let modes_len = self.controls.modes_len as usize;
         let mut moments = [[Moments::default(); HORIZON_MAX]; MODES_MAX];
-        for (controls, moments) in self.controls.modes.iter().zip(&mut moments).take(modes_len) {
-            mover.spread(self.steps(controls), propagation, normals, &mut moments[..self.horizon_len]);
+        let modes = self.controls.modes.iter().zip(&mut out.controls).zip(&mut moments);
+        for ((controls, told), moments) in modes.take(modes_len) {
+            let moments = &mut moments[..self.horizon_len];
+            let mut acting = [ControlGaussian::centred([0.0; 2]); HORIZON_MAX];
+            for ((control, acting), told) in self.steps(controls).zip(&mut acting).zip(told) {
+                *acting = mover.acting(&control);
+                *told = mover.told(acting);
+            }
+            match propagation {
+                Propagation::Linearised => mover.carry(acting.into_iter(), moments),
+                Propagation::MonteCarlo { particles } => {
+                    mover.scatter(self.steps(controls), particles, normals, moments);
+                }
+            }
         }
+        let (steering, frame_heading_rad) = mover.steering();
+        (out.steering, out.frame_heading_rad) = (steering as u32, frame_heading_rad);
         mover.follow(self.steps(&self.controls.best), &mut out.best[..self.horizon_len]);
         out.modes_len = self.controls.modes_len;
         out.probability[..modes_len].copy_from_slice(&self.controls.probability[..modes_len]);

@@ -4,9 +4,9 @@ use kinematics::{
 };
 use nalgebra::{Matrix4, Matrix4x5, Matrix5, Matrix5x4, SMatrix, Vector4, Vector5};
 use scene::{AgentFrame, AgentType, State, agent_frame, track_history, turn_rates};
-use wire::Track;
+use wire::{Steering, Track};
 
-use crate::{Propagation, SamplerOptions};
+use crate::SamplerOptions;
 
 /// Below this speed a velocity says no more about a heading than at it.
 const STEADY_MPS: f32 = 1.0;
@@ -90,17 +90,51 @@ impl Mover {
         self
     }
 
-    /// Mean and covariance of the position after each control.
-    pub(crate) fn spread(
+    /// What the controls stand for, and the direction of the axes of displacements.
+    pub(crate) fn steering(&self) -> (Steering, f32) {
+        match self {
+            Self::Vehicle(_, start) => (Steering::Bicycle, start.mean[2]),
+            Self::Walker(motion, _) => (Steering::Displacement, motion.heading_rad()),
+        }
+    }
+
+    /// A control as it acts, after saturation.
+    pub(crate) fn acting(&self, control: &ControlGaussian) -> ControlGaussian {
+        match self {
+            Self::Vehicle(motion, _) => motion.acting(control),
+            Self::Walker(motion, _) => motion.acting(control),
+        }
+    }
+
+    /// A control that acts as a forecast tells it.
+    pub(crate) fn told(&self, acting: &ControlGaussian) -> wire::ControlGaussian {
+        let mean = match self {
+            Self::Vehicle(..) => acting.mean,
+            Self::Walker(motion, start) => motion.residual(&acting.mean, [start.mean[2], start.mean[3]]),
+        };
+        let factor = &acting.cholesky;
+        wire::ControlGaussian { mean: mean.into(), cholesky: [factor.m11, factor.m21, factor.m22] }
+    }
+
+    /// Mean and covariance of the position after each control that acts: linearised Gaussians.
+    pub(crate) fn carry(&self, acting: impl Iterator<Item = ControlGaussian>, out: &mut [Moments]) {
+        match self {
+            Self::Vehicle(motion, start) => carry(motion, start, acting, out),
+            Self::Walker(motion, start) => carry(motion, start, acting, out),
+        }
+    }
+
+    /// Mean and covariance of the position after each control, before saturation: those of particles.
+    pub(crate) fn scatter(
         &self,
         controls: impl Iterator<Item = ControlGaussian>,
-        propagation: Propagation,
+        particles: usize,
         normals: &mut Normals,
         out: &mut [Moments],
     ) {
         match self {
-            Self::Vehicle(motion, start) => roll(motion, start, controls, propagation, normals, out),
-            Self::Walker(motion, start) => roll(motion, start, controls, propagation, normals, out),
+            Self::Vehicle(motion, start) => scatter(motion, start, controls, particles, normals, out),
+            Self::Walker(motion, start) => scatter(motion, start, controls, particles, normals, out),
         }
     }
 
@@ -162,31 +196,33 @@ fn turned<const N: usize, const M: usize>(
     derivative * covariance * derivative.transpose()
 }
 
-fn roll<const N: usize>(
+fn carry<const N: usize>(
+    motion: &impl Motion<N>,
+    start: &Belief<N>,
+    acting: impl Iterator<Item = ControlGaussian>,
+    out: &mut [Moments],
+) {
+    let mut belief = *start;
+    for (control, out) in acting.zip(out) {
+        belief.advance_by(motion, &control);
+        *out = belief.position();
+    }
+}
+
+fn scatter<const N: usize>(
     motion: &impl Motion<N>,
     start: &Belief<N>,
     controls: impl Iterator<Item = ControlGaussian>,
-    propagation: Propagation,
+    particles: usize,
     normals: &mut Normals,
     out: &mut [Moments],
 ) {
-    match propagation {
-        Propagation::Linearised => {
-            let mut belief = *start;
-            for (control, out) in controls.zip(out) {
-                belief.advance(motion, &control);
-                *out = belief.position();
-            }
-        }
-        Propagation::MonteCarlo { particles } => {
-            let mut cloud = [start.mean; PARTICLES_MAX];
-            let cloud = &mut cloud[..particles];
-            cloud.fill_with(|| start.sample(normals));
-            for (control, out) in controls.zip(out) {
-                advance_particles(motion, &control, cloud, normals);
-                *out = spread(cloud.iter().map(|particle| [particle[0], particle[1]]));
-            }
-        }
+    let mut cloud = [start.mean; PARTICLES_MAX];
+    let cloud = &mut cloud[..particles];
+    cloud.fill_with(|| start.sample(normals));
+    for (control, out) in controls.zip(out) {
+        advance_particles(motion, &control, cloud, normals);
+        *out = spread(cloud.iter().map(|particle| [particle[0], particle[1]]));
     }
 }
 

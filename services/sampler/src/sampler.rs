@@ -168,6 +168,8 @@ fn blank(track: &Track, quality: Quality, cause: Cause) -> Forecast {
         heading_rad: track.heading_rad,
         length_m: track.length_m,
         width_m: track.width_m,
+        prior: track.prior,
+        prior_age_ns: track.prior_age_ns,
         ..Forecast::zeroed()
     }
 }

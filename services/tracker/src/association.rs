@@ -134,7 +134,7 @@ impl Association {
             if paired.is_some() || (gate > GATE && !target.is_ready()) {
                 continue;
             }
-            let ([x, y], [xx, _, yy]) = target.filter.position();
+            let ([x, y], [xx, _, yy]) = target.belief.position();
             let reach = |variance: f64| (gate * (variance + largest_m.powi(2))).sqrt();
             let (reach_x, reach_y) = (reach(xx), reach(yy));
             let from = self.order.partition_point(|&d| f64::from(detections[d as usize].x_m) < x - reach_x);
@@ -171,7 +171,7 @@ impl Association {
 }
 
 fn jumped(target: &Target, detection: &Detection) -> bool {
-    let ([x, y], _) = target.filter.position();
+    let ([x, y], _) = target.belief.position();
     let distance_m = (f64::from(detection.x_m) - x).hypot(f64::from(detection.y_m) - y);
     distance_m > JUMP_MIN_M + f64::from(wire::SPEED_MAX_MPS) * target.since_seen_s()
 }

@@ -12,7 +12,9 @@
 //! The tracks that are published carry their history at exact Δt spacing, taken from what was published before.
 
 mod association;
+mod belief;
 mod class;
+mod forecasts;
 mod front;
 mod history;
 mod options;
@@ -21,5 +23,5 @@ mod target;
 mod tracker;
 
 pub use config::Prior;
-pub use options::{InputModel, MotionNoise, SensorNoise, TrackerOptions};
+pub use options::{ForecastTrust, InputModel, MotionNoise, SensorNoise, TrackerOptions};
 pub use tracker::{Tracked, Tracker};

@@ -35,6 +35,19 @@ pub struct InputModel {
     pub coast_ns: u64,
 }
 
+/// How far forecasts are trusted as a prior.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ForecastTrust {
+    /// Weight of the process model alone when a forecast comes, within \[0, 1\].
+    pub kinematic_weight: f64,
+    /// Factor on the covariances of a forecast's controls.
+    pub covariance_scale: f64,
+    /// Share of the process model's noise (standard deviations) that the forecast's modes keep.
+    pub noise_share: f64,
+    /// Time constant with which controls come in: at first the estimated state knows better. 0 for at once.
+    pub fade_in_s: f64,
+}
+
 /// Settings of a tracker.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct TrackerOptions {
@@ -48,6 +61,8 @@ pub struct TrackerOptions {
     pub associate: bool,
     /// What moves tracks between two detections.
     pub prior: Prior,
+    /// How far forecasts are trusted, where they are the prior.
+    pub trust: ForecastTrust,
     /// Inputs of a detector, to be associated.
     pub detector: InputModel,
     /// Inputs that carry identities: annotated or smoothed recordings, whose positions are nearly without noise.
@@ -102,6 +117,12 @@ impl Default for TrackerOptions {
             tracks_max: 512,
             associate: false,
             prior: Prior::default(),
+            trust: ForecastTrust {
+                kinematic_weight: 0.05,
+                covariance_scale: 0.1,
+                noise_share: 0.7,
+                fade_in_s: 1.0,
+            },
             detector: DETECTOR,
             recorded: RECORDED,
             detection_probability: 0.9,

@@ -1,7 +1,13 @@
-use filters::{Filter, FilterFault, Gaussian, Kind, Motion, Observation, Unknown, turned_round};
-use wire::{AgentType, Detection, HISTORY_MAX, HistoryState, Track, TrackStatus, detection_flags};
+use filters::{Filter, FilterFault, ForecastFault, Gaussian, Kind, Models, Motion, Observation, Unknown};
+use thiserror::Error;
+use wire::{
+    AgentType, Detection, HISTORY_MAX, HistoryState, Quality, Rejected, Steering, Track, TrackStatus,
+    detection_flags,
+};
 
+use crate::belief::Belief;
 use crate::class::Class;
+use crate::forecasts::{Controls, Forecasts};
 use crate::front::Front;
 use crate::history::History;
 use crate::options::{InputModel, TrackerOptions};
@@ -37,8 +43,19 @@ pub struct Fit {
     pub log_det: f64,
 }
 
+/// Why a forecast could not become a target's prior.
+#[derive(Clone, Debug, Error, PartialEq)]
+pub enum PriorFault {
+    /// Its numbers can't be.
+    #[error(transparent)]
+    Rejected(#[from] Rejected),
+    /// The filter can't take it.
+    #[error(transparent)]
+    Forecast(#[from] ForecastFault),
+}
+
 /// An agent that the tracker follows, from its first detection on.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Debug)]
 pub struct Target {
     /// The track's identity.
     pub id: u64,
@@ -47,10 +64,16 @@ pub struct Target {
     /// Its type.
     pub class: Class,
     /// Its motion at `stamp_ns`.
-    pub filter: Filter,
+    pub belief: Belief,
     born_ns: i64,
     stamp_ns: i64,
     seen_ns: i64,
+    /// Stamp of the controls of the forecast that was taken last.
+    controls_ns: Option<i64>,
+    /// Forecasts of earlier stamps tell of another front.
+    front_ns: i64,
+    /// What moved the state to its stamp.
+    prior: Quality,
     /// Log-odds of the object's existence.
     existence: f64,
     front: Front,
@@ -88,10 +111,13 @@ impl Target {
             id,
             source_id: source_id(detection),
             class: Class::new(agent_type),
-            filter,
+            belief: Belief::new(filter),
             born_ns: now_ns,
             stamp_ns: now_ns,
             seen_ns: now_ns,
+            controls_ns: None,
+            front_ns: now_ns,
+            prior: Quality::Kinematic,
             existence: 0.0,
             front: Front::new(),
             hits: 1,
@@ -106,21 +132,66 @@ impl Target {
         }
     }
 
+    /// Takes the target's own among the forecasts as its prior from now on, where one is due.
+    ///
+    /// One is due every Δt, so that hypotheses live long enough to be told apart, and only if it knows more than the one
+    /// before: in a gap the last forecast of when the agent was seen holds.
+    ///
+    /// # Errors
+    /// [`PriorFault`]; the target then goes on as before.
+    pub fn adopt(
+        &mut self,
+        forecasts: &mut Forecasts<'_>,
+        controls: &mut Controls,
+        input: &InputModel,
+        options: &TrackerOptions,
+    ) -> Result<(), PriorFault> {
+        let Some(forecast) = forecasts.find(self.id) else { return Ok(()) };
+        let steering = Steering::try_from(forecast.steering)?;
+        let agent_type = self.class.current();
+        let controls_ns = forecasts.controls_ns(forecast);
+        let is_due = self.belief.forecast_age_ns().is_none_or(|age_ns| age_ns >= forecasts.step_ns());
+        let knows_more = self.controls_ns.is_none_or(|last_ns| controls_ns.min(self.seen_ns) > last_ns);
+        let fits = (self.front_ns..=self.stamp_ns).contains(&controls_ns)
+            && forecast.agent_type == agent_type as u32
+            && self.belief.suits(steering);
+        if !(is_due && knows_more && fits) {
+            return Ok(());
+        }
+        let trust = &options.trust;
+        controls.read(forecasts, forecast, steering, trust.fade_in_s)?;
+        let age_ns = self.stamp_ns.abs_diff(controls_ns);
+        let prior = controls.forecast(age_ns, forecasts.step_ns(), f64::from(forecast.frame_heading_rad));
+        self.belief.adopt(&prior, (&self.models(input), trust), self.id)?;
+        self.controls_ns = Some(controls_ns);
+        Ok(())
+    }
+
     /// Moves the motion on to `now_ns`.
     ///
     /// # Errors
     /// [`FilterFault`]; the motion is then as before.
-    pub fn predict(&mut self, now_ns: i64, input: &InputModel) -> Result<(), FilterFault> {
-        let agent_type = self.class.current();
+    pub fn predict(
+        &mut self,
+        now_ns: i64,
+        input: &InputModel,
+        options: &TrackerOptions,
+    ) -> Result<(), FilterFault> {
         let dt_ns = now_ns.saturating_sub(self.stamp_ns).max(0).unsigned_abs();
         self.stamp_ns = now_ns;
-        self.filter.predict(dt_ns, &input.models(agent_type, f64::from(self.length_m)))
+        self.prior = match self.belief.forecast_age_ns() {
+            None => Quality::Kinematic,
+            Some(age_ns) if age_ns < options.step_ns => Quality::Learned,
+            Some(_) => Quality::Held,
+        };
+        let models = self.models(input);
+        self.belief.predict(dt_ns, &models, &options.trust)
     }
 
     /// How well a position with the given variance per axis fits the prediction.
     #[must_use]
     pub fn fit(&self, position_m: [f64; 2], variance: f64) -> Fit {
-        let ([x, y], [xx, xy, yy]) = self.filter.position();
+        let ([x, y], [xx, xy, yy]) = self.belief.position();
         let (xx, yy) = (xx + variance, yy + variance);
         let (dx, dy) = (position_m[0] - x, position_m[1] - y);
         let det = xx * yy - xy * xy;
@@ -143,18 +214,21 @@ impl Target {
         let fit = self.fit(seen.position_m, seen.position_variance);
         let density = (-0.5 * (fit.distance2 + fit.log_det)).exp() / std::f64::consts::TAU;
         self.believe((options.detection_probability * density / options.clutter_density).ln());
-        if self.class.observe(agent_type) && self.class.current() == AgentType::Pedestrian {
-            self.filter = self.filter.into_kind(Kind::ConstantVelocity, &UNKNOWN[agent_type.index()]);
+        if self.class.observe(agent_type) {
+            self.belief.forget_forecast();
+            if self.class.current() == AgentType::Pedestrian {
+                self.belief.turn_into(Kind::ConstantVelocity, &UNKNOWN[agent_type.index()]);
+            }
         }
         self.source_id = source_id(detection);
         self.resize(detection);
         self.count(true);
         self.seen_ns = self.stamp_ns;
         self.moving = true;
-        if let (Filter::Bicycle(_), Some((heading, _))) = (&self.filter, &mut seen.heading_rad) {
+        if let (Filter::Bicycle(_), Some((heading, _))) = (self.belief.filter(), &mut seen.heading_rad) {
             *heading = self.front.fold(*heading, self.heading_rad);
         }
-        self.filter.update(&seen, &input.models(self.class.current(), f64::from(self.length_m)))?;
+        self.belief.update(&seen, &self.models(input))?;
         self.find_front();
         Ok(())
     }
@@ -197,7 +271,7 @@ impl Target {
 
     /// Keeps the state of now for the window, so that it can be published.
     pub fn record(&mut self) {
-        let motion = self.filter.motion();
+        let motion = self.belief.motion();
         self.heading_rad = self.heading(&motion);
         let state = HistoryState {
             x_m: motion.position_m[0] as f32,
@@ -219,14 +293,15 @@ impl Target {
 
     /// The track as it is published; the state of now must have been recorded.
     pub fn publish(&self, options: &TrackerOptions) -> Track {
-        let motion = self.filter.motion();
+        let motion = self.belief.motion();
         let mut history = [HistoryState::default(); HISTORY_MAX];
         let window = &mut history[..options.history_len];
         self.history.window(self.stamp_ns, options.step_ns, options.gap_max_ns, window);
         let present_len: u32 = window.iter().map(|state| state.present).sum();
         let age_ns = self.stamp_ns.saturating_sub(self.born_ns).unsigned_abs();
         let status = if self.hits & 1 == 1 { TrackStatus::Confirmed } else { TrackStatus::Coasting };
-        let (state_len, covariance) = match &self.filter {
+        let prior_age_ns = self.belief.forecast_age_ns();
+        let (state_len, covariance) = match self.belief.filter() {
             Filter::Bicycle(state) => (5, row_major(state)),
             other => (4, row_major(&other.cartesian())),
         };
@@ -252,7 +327,11 @@ impl Target {
             type_probability: self.class.probability().map(|p| p as f32),
             covariance,
             history,
-            reserved: [0; 14],
+            prior: prior_age_ns.map_or(Quality::Kinematic, |_| self.prior) as u32,
+            reserved: 0,
+            prior_age_ns: prior_age_ns.unwrap_or(0),
+            prior_weights: self.belief.weights(),
+            reserved_end: [0; 5],
         }
     }
 
@@ -260,20 +339,25 @@ impl Target {
     fn find_front(&mut self) {
         let agent_type = self.class.current();
         if kind(agent_type) == Kind::Bicycle
-            && matches!(self.filter, Filter::ConstantVelocity(_))
-            && self.filter.motion().speed_mps > COURSE_TOLD_MPS
-            && self.filter.course_sigma_rad() < COURSE_TOLD_RAD
+            && matches!(self.belief.filter(), Filter::ConstantVelocity(_))
+            && self.belief.motion().speed_mps > COURSE_TOLD_MPS
+            && self.belief.filter().course_sigma_rad() < COURSE_TOLD_RAD
         {
-            self.filter = self.filter.into_kind(Kind::Bicycle, &UNKNOWN[agent_type.index()]);
+            self.belief.turn_into(Kind::Bicycle, &UNKNOWN[agent_type.index()]);
         }
-        if let Filter::Bicycle(state) = &mut self.filter {
+        if let Filter::Bicycle(state) = self.belief.filter() {
             let sigma_mps = state.covariance[(3, 3)].max(0.0).sqrt();
             self.front.moved(state.mean[3], sigma_mps, self.shown);
             if self.front.take_turn(self.shown) {
-                *state = turned_round(state);
+                self.belief.turn_round();
+                self.front_ns = self.stamp_ns;
             }
         }
-        self.heading_rad = self.heading(&self.filter.motion());
+        self.heading_rad = self.heading(&self.belief.motion());
+    }
+
+    fn models(&self, input: &InputModel) -> Models {
+        input.models(self.class.current(), f64::from(self.length_m))
     }
 
     fn heading(&self, motion: &Motion) -> f64 {
@@ -306,7 +390,7 @@ impl Target {
     }
 
     fn is_possible(&self) -> bool {
-        let motion = self.filter.motion();
+        let motion = self.belief.motion();
         motion.position_m.iter().all(|x| x.abs() <= f64::from(wire::POSITION_MAX_M))
             && motion.speed_mps.abs() <= f64::from(wire::SPEED_MAX_MPS)
     }

@@ -1,9 +1,11 @@
+use config::Prior;
 use wire::{
     AGENTS_MAX, AgentType, Counts, DETECTIONS_MAX, Detection, Forecast, HISTORY_MAX, Header, Rejected, Track,
     flags,
 };
 
 use crate::association::Association;
+use crate::forecasts::{Controls, Forecasts};
 use crate::options::TrackerOptions;
 use crate::target::Target;
 
@@ -26,11 +28,13 @@ pub struct Tracked {
     pub duplicates_len: usize,
     /// Predictions and updates that failed; their tracks kept the state before.
     pub faults_len: usize,
+    /// Forecasts that could not become a prior; their tracks went on by the one before, or without.
+    pub refused_len: usize,
     /// Time between the newest forecasts at hand and this frame, if any have come.
     pub prior_age_ns: Option<u64>,
 }
 
-/// Makes tracks of detections: one filter per agent, kept over time.
+/// Makes tracks of detections: a belief per agent, kept over time.
 #[derive(Clone, Debug)]
 pub struct Tracker {
     options: TrackerOptions,
@@ -43,6 +47,7 @@ pub struct Tracker {
     last: Tracked,
     association: Association,
     types: Vec<AgentType>,
+    controls: Controls,
     /// (squared distance to the ego, target), for choosing the nearest.
     shown: Vec<(f64, u32)>,
 }
@@ -65,6 +70,7 @@ impl Tracker {
             last: Tracked::default(),
             association: Association::with_capacity(options.tracks_max, DETECTIONS_MAX),
             types: Vec::with_capacity(DETECTIONS_MAX),
+            controls: Controls::new(),
             shown: Vec::with_capacity(options.tracks_max),
         }
     }
@@ -75,8 +81,8 @@ impl Tracker {
     /// follow the ids and are confirmed by their first detection. A track is published once it is confirmed and its
     /// velocity was observed: from the second detection on, or from the first that tells heading and speed.
     ///
-    /// `prior` are the newest forecasts at hand; the filters predict by their own process models, so only the
-    /// forecasts' age is taken from them. Frames without a tick (warm-up, end) change nothing.
+    /// `prior` are the newest forecasts at hand, of this tracker's own tracks: with [`Prior::Learned`] they take part in the
+    /// prediction, by their stamp. Frames without a tick (warm-up, end) change nothing.
     ///
     /// # Errors
     /// [`Rejected`] for a frame that is not newer than the last, too large, or holds an impossible number; the tracks
@@ -99,13 +105,14 @@ impl Tracker {
         self.check(header, detections)?;
         let now_ns = header.stamp_ns;
         self.last_ns = Some(now_ns);
-        if let Some((forecast, _)) = prior {
+        if let Some((forecast, _)) = prior.filter(|(forecast, _)| forecast.is_tick()) {
             self.prior_ns = self.prior_ns.max(Some(forecast.stamp_ns));
         }
         let mut tracked = Tracked {
             prior_age_ns: self.prior_ns.map(|ns| now_ns.saturating_sub(ns).max(0).unsigned_abs()),
             ..Tracked::default()
         };
+        self.adopt(prior, header, &mut tracked);
         self.predict(now_ns, header, &mut tracked);
         self.update(header, detections, &mut tracked);
         self.start(header, detections, &mut tracked);
@@ -148,6 +155,25 @@ impl Tracker {
         Ok(())
     }
 
+    /// Gives each target its forecast as the prior, where one is due. What is wrong with a forecast costs its target no
+    /// more than that.
+    fn adopt(&mut self, prior: Option<(&Header, &[Forecast])>, header: &Header, tracked: &mut Tracked) {
+        let Some((of, forecasts)) = prior.filter(|_| self.options.prior == Prior::Learned) else { return };
+        let forecasts = match Forecasts::new(of, forecasts) {
+            Ok(forecasts) => forecasts,
+            Err(_) => {
+                tracked.refused_len += forecasts.len();
+                None
+            }
+        };
+        let Some(mut forecasts) = forecasts else { return };
+        let input = self.options.input(header);
+        for target in &mut self.targets {
+            let adopted = target.adopt(&mut forecasts, &mut self.controls, input, &self.options);
+            tracked.refused_len += usize::from(adopted.is_err());
+        }
+    }
+
     fn predict(&mut self, now_ns: i64, header: &Header, tracked: &mut Tracked) {
         let input = self.options.input(header);
         let horizon_ns = self.options.horizon_ns;
@@ -155,7 +181,7 @@ impl Tracker {
         self.targets.retain(|target| target.unseen_ns(now_ns) <= horizon_ns);
         tracked.ended_len += before - self.targets.len();
         for target in &mut self.targets {
-            tracked.faults_len += usize::from(target.predict(now_ns, input).is_err());
+            tracked.faults_len += usize::from(target.predict(now_ns, input, &self.options).is_err());
         }
     }
 
@@ -213,7 +239,7 @@ impl Tracker {
         for (target, t) in self.targets.iter_mut().zip(0..) {
             target.record();
             if target.is_ready() {
-                let ([x, y], _) = target.filter.position();
+                let ([x, y], _) = target.belief.position();
                 self.shown.push(((x - ego_m[0]).powi(2) + (y - ego_m[1]).powi(2), t));
             }
         }

@@ -28,13 +28,13 @@ impl<const N: usize> Belief<N> {
     ///
     /// Differs from \[paper\]: the mean goes through f itself; its product with the Jacobian drops the affine term.
     pub fn advance(&mut self, motion: &impl Motion<N>, control: &ControlGaussian) {
-        let (acting, slope) = motion.saturate(&control.mean);
-        let at = motion.linearise(&self.mean, &acting);
-        let mut factor = control.cholesky;
-        for row in 0..2 {
-            factor.row_mut(row).scale_mut(slope[row]);
-        }
-        let noise = at.by_control * factor;
+        self.advance_by(motion, &motion.acting(control));
+    }
+
+    /// As [`Belief::advance`], by a control [as it acts](Motion::acting).
+    pub fn advance_by(&mut self, motion: &impl Motion<N>, acting: &ControlGaussian) {
+        let at = motion.linearise(&self.mean, &acting.mean);
+        let noise = at.by_control * acting.cholesky;
         let covariance = at.by_state * self.covariance * at.by_state.transpose() + noise * noise.transpose();
         self.covariance = (covariance + covariance.transpose()) * 0.5;
         self.mean = at.next;

@@ -33,6 +33,21 @@ impl Displacement {
         Self { kind, dt_s, cos, sin }
     }
 
+    /// Direction of the agent frame's axes.
+    #[must_use]
+    pub fn heading_rad(&self) -> f32 {
+        self.sin.atan2(self.cos)
+    }
+
+    /// A control as displacement beyond that of an agent's velocity, in the agent frame.
+    #[must_use]
+    pub fn residual(&self, control: &Vector2<f32>, [vx_mps, vy_mps]: [f32; 2]) -> Vector2<f32> {
+        let beyond_s = self.dt_s - self.carried_s();
+        let along_mps =
+            Vector2::new(self.cos * vx_mps + self.sin * vy_mps, self.cos * vy_mps - self.sin * vx_mps);
+        control - along_mps * beyond_s
+    }
+
     fn carried_s(&self) -> f32 {
         match self.kind {
             DisplacementKind::Residual => self.dt_s,

@@ -1,6 +1,6 @@
 use nalgebra::{Matrix2, RealField, SMatrix, SVector, Vector2};
 
-/// The Gaussian of a control u = μ + L ε, before saturation.
+/// The Gaussian of a control u = μ + L ε.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ControlGaussian {
     /// Mean μ.
@@ -38,6 +38,18 @@ pub struct Linearised<T: RealField, const N: usize> {
 pub trait Motion<const N: usize> {
     /// The control that acts where `control` is asked for, and the derivative of each component by itself.
     fn saturate(&self, control: &Vector2<f32>) -> (Vector2<f32>, Vector2<f32>);
+
+    /// The Gaussian of the control that acts where `control` is asked for: the saturated mean, and the factor J L, where J
+    /// is the saturation's slope there. \[model §4\]
+    #[must_use]
+    fn acting(&self, control: &ControlGaussian) -> ControlGaussian {
+        let (mean, slope) = self.saturate(&control.mean);
+        let mut cholesky = control.cholesky;
+        for row in 0..2 {
+            cholesky.row_mut(row).scale_mut(slope[row]);
+        }
+        ControlGaussian { mean, cholesky }
+    }
 
     /// The state one step later under a control that acts.
     #[must_use]

@@ -27,7 +27,7 @@ pub use layout::{
 };
 pub use records::{
     AgentControls, AgentEncoding, AgentFeatures, Cause, ControlGaussian, Detection, Forecast, Heartbeat,
-    HistoryState, Quality, Track, TrackStatus, Truth, detection_flags,
+    HistoryState, Quality, Steering, Track, TrackStatus, Truth, detection_flags,
 };
 pub use topic::{
     ContextTopic, ControlsTopic, DetectionsTopic, EncodingsTopic, FeaturesTopic, ForecastsTopic,

@@ -3,7 +3,7 @@ mod check;
 use bytemuck::{Pod, Zeroable};
 
 use crate::{
-    EDGE_ATTRIBUTES, HISTORY_MAX, HORIZON_MAX, MODES_MAX, NODE_ATTRIBUTES, STATE_FEATURES, TEMPORAL,
+    EDGE_ATTRIBUTES, HISTORY_MAX, HORIZON_MAX, MODES_MAX, NODE_ATTRIBUTES, Rejected, STATE_FEATURES, TEMPORAL,
 };
 
 /// Bits of [`Detection::flags`].
@@ -121,8 +121,17 @@ pub struct Track {
     /// States at now − (T_h − 1 − k) Δt, oldest first, in the first `history_len` entries. Once published for a
     /// stamp, a state is never rewritten.
     pub history: [HistoryState; HISTORY_MAX],
+    /// [`Quality`] of what moved the state to this stamp, as a number: a forecast, one that is older than Δt, or the
+    /// process model alone.
+    pub prior: u32,
     /// Zero.
-    pub reserved: [u32; 14],
+    pub reserved: u32,
+    /// Time since the stamp of that forecast's controls; 0 where there is none.
+    pub prior_age_ns: u64,
+    /// Weight of each of its modes, and last that of the process model alone; they sum to 1.
+    pub prior_weights: [f32; MODES_MAX + 1],
+    /// Zero.
+    pub reserved_end: [u32; 5],
 }
 
 /// What the extractor tells of an agent: first section of the topic `features`.
@@ -167,11 +176,11 @@ pub struct AgentEncoding {
     pub temporal: [f32; TEMPORAL],
 }
 
-/// The Gaussian of a control u = μ + L ε, before saturation.
+/// The Gaussian of a control u = μ + L ε.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
 #[repr(C)]
 pub struct ControlGaussian {
-    /// Mean μ: (acceleration m/s², slip rate rad/s) of a vehicle, else the step displacement in m.
+    /// Mean μ, see [`Steering`].
     pub mean: [f32; 2],
     /// Lower Cholesky factor L as \[l11, l21, l22\].
     pub cholesky: [f32; 3],
@@ -189,7 +198,7 @@ pub struct AgentControls {
     pub modes_len: u32,
     /// Probability of each mode; they sum to 1.
     pub probability: [f32; MODES_MAX],
-    /// Controls of each mode and step.
+    /// Controls of each mode and step, before saturation: of a vehicle acceleration and slip rate, else displacements.
     pub modes: [[ControlGaussian; HORIZON_MAX]; MODES_MAX],
     /// Controls of the single best forecast (K = 1).
     pub best: [ControlGaussian; HORIZON_MAX],
@@ -205,6 +214,18 @@ pub enum Quality {
     Held = 1,
     /// Zero control with growing covariance.
     Kinematic = 2,
+}
+
+/// What the controls of a forecast stand for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[repr(u32)]
+pub enum Steering {
+    /// There are none.
+    None = 0,
+    /// Acceleration in m/s² and slip rate in rad/s of a kinematic bicycle.
+    Bicycle = 1,
+    /// Displacement of the step beyond that of the velocity at the forecast's start, in m along and across the agent.
+    Displacement = 2,
 }
 
 /// Why a forecast is not [`Quality::Learned`].
@@ -238,6 +259,25 @@ impl Quality {
     }
 }
 
+impl TryFrom<u32> for Quality {
+    type Error = Rejected;
+
+    fn try_from(number: u32) -> Result<Self, Rejected> {
+        let known = Self::ALL.get(number as usize).copied();
+        known.ok_or(Rejected::Impossible { field: "quality", value: f64::from(number) })
+    }
+}
+
+impl TryFrom<u32> for Steering {
+    type Error = Rejected;
+
+    fn try_from(number: u32) -> Result<Self, Rejected> {
+        let known = [Self::None, Self::Bicycle, Self::Displacement];
+        let known = known.get(number as usize).copied();
+        known.ok_or(Rejected::Impossible { field: "steering", value: f64::from(number) })
+    }
+}
+
 impl Cause {
     /// All causes in the order of their numbers.
     pub const ALL: [Self; 5] = [Self::None, Self::Late, Self::Rejected, Self::Missing, Self::Young];
@@ -265,6 +305,8 @@ pub struct Forecast {
     pub source_id: u64,
     /// Time between the stamp of the controls and this frame's stamp; 0 for learned forecasts.
     pub age_ns: u64,
+    /// As in [`Track::prior_age_ns`].
+    pub prior_age_ns: u64,
     /// [`crate::AgentType`] as a number.
     pub agent_type: u32,
     /// [`Quality`] as a number.
@@ -287,8 +329,12 @@ pub struct Forecast {
     pub length_m: f32,
     /// Extent across the heading; 0 where unknown.
     pub width_m: f32,
-    /// Zero.
-    pub reserved: u32,
+    /// As in [`Track::prior`].
+    pub prior: u32,
+    /// [`Steering`] as a number.
+    pub steering: u32,
+    /// Direction of the axes of displacements: the agent's heading at the stamp of the controls.
+    pub frame_heading_rad: f32,
     /// Probability of each mode; they sum to 1.
     pub probability: [f32; MODES_MAX],
     /// Mean positions (x, y) of each mode and step in the world frame, m.
@@ -299,6 +345,9 @@ pub struct Forecast {
     pub mean: [[f32; 2]; HORIZON_MAX],
     /// Covariance of the mixture of all modes as (xx, xy, yy), m².
     pub covariance: [[f32; 3]; HORIZON_MAX],
+    /// The controls that lead to `modes`, as they act (after saturation), their first step at the stamp of the controls;
+    /// zeros where `steering` says that there are none.
+    pub controls: [[ControlGaussian; HORIZON_MAX]; MODES_MAX],
 }
 
 /// What was really there at the stamp of a frame: element of the topic `truth`, which the recorder alone reads.
@@ -346,12 +395,12 @@ pub struct Heartbeat {
 const _: () = {
     assert!(size_of::<Detection>() == 48);
     assert!(size_of::<HistoryState>() == 24);
-    assert!(size_of::<Track>() == 448);
+    assert!(size_of::<Track>() == 512);
     assert!(size_of::<AgentFeatures>() == 2304);
     assert!(size_of::<AgentEncoding>() == 472);
     assert!(size_of::<ControlGaussian>() == 20);
     assert!(size_of::<AgentControls>() == 5136);
-    assert!(size_of::<Forecast>() == 2408);
+    assert!(size_of::<Forecast>() == 7224);
     assert!(size_of::<Truth>() == 24);
     assert!(size_of::<Heartbeat>() == 64);
     assert!(EDGE_ATTRIBUTES * 4 == 64);

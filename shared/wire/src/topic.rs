@@ -33,7 +33,7 @@ pub trait Topic: std::fmt::Debug + 'static {
 }
 
 macro_rules! topic {
-    ($(#[$doc:meta])* $topic:ident, $name:literal, $element:ty, $max:expr, $start:expr $(, $limit:ident = $value:expr)* $(; $len:expr)?) => {
+    ($(#[$doc:meta])* $topic:ident, $name:literal, $version:literal, $element:ty, $max:expr, $start:expr $(, $limit:ident = $value:expr)* $(; $len:expr)?) => {
         $(#[$doc])*
         #[derive(Clone, Copy, Debug)]
         pub enum $topic {}
@@ -41,7 +41,7 @@ macro_rules! topic {
         impl Topic for $topic {
             type Element = $element;
             const NAME: &'static str = $name;
-            const TYPE_NAME: &'static str = concat!("stgdat.", $name, ".v1");
+            const TYPE_NAME: &'static str = concat!("stgdat.", $name, ".", $version);
             const ELEMENTS_MAX: usize = $max;
             const ELEMENTS_START: usize = $start;
             $(const $limit: usize = $value;)*
@@ -52,43 +52,43 @@ macro_rules! topic {
 
 topic!(
     /// Source → tracker: what the sensor saw.
-    DetectionsTopic, "detections", Detection, DETECTIONS_MAX, DETECTIONS_MAX, SUBSCRIBERS_MAX = 6, DEPTH_MAX = 8
+    DetectionsTopic, "detections", "v1", Detection, DETECTIONS_MAX, DETECTIONS_MAX, SUBSCRIBERS_MAX = 6, DEPTH_MAX = 8
 );
 topic!(
     /// Tracker → localiser, sampler, users: confirmed and coasting tracks.
-    TracksTopic, "tracks", Track, AGENTS_MAX, AGENTS_MAX, SUBSCRIBERS_MAX = 6, DEPTH_MAX = 8
+    TracksTopic, "tracks", "v2", Track, AGENTS_MAX, AGENTS_MAX, SUBSCRIBERS_MAX = 6, DEPTH_MAX = 8
 );
 topic!(
     /// Localiser → extractor: tracks and their local patches of the context map.
-    ContextTopic, "context", Row,
+    ContextTopic, "context", "v2", Row,
     context_rows(&ContextShape { agents_len: AGENTS_MAX, history_len: HISTORY_MAX, patch_side: PATCH_SIDE_MAX }),
     context_rows(&ContextShape { agents_len: 16, history_len: HISTORY_MAX, patch_side: 16 });
     |counts| context_rows(&ContextShape::of(counts))
 );
 topic!(
     /// Extractor → encoder: node and edge attributes of the history graph.
-    FeaturesTopic, "features", Row,
+    FeaturesTopic, "features", "v1", Row,
     feature_rows(&FeatureShape { agents_len: AGENTS_MAX, edges_len: EDGES_MAX }),
     feature_rows(&FeatureShape { agents_len: 16, edges_len: 2_048 });
     |counts| feature_rows(&FeatureShape::of(counts))
 );
 topic!(
     /// Encoder → decoder: the temporal summary of each agent.
-    EncodingsTopic, "encodings", AgentEncoding, AGENTS_MAX, AGENTS_MAX
+    EncodingsTopic, "encodings", "v1", AgentEncoding, AGENTS_MAX, AGENTS_MAX
 );
 topic!(
     /// Decoder → sampler: control Gaussians per agent, mode and step.
-    ControlsTopic, "controls", AgentControls, AGENTS_MAX, AGENTS_MAX
+    ControlsTopic, "controls", "v1", AgentControls, AGENTS_MAX, AGENTS_MAX
 );
 topic!(
     /// Sampler → tracker, users: trajectories with probabilities and moments.
-    ForecastsTopic, "forecasts", Forecast, AGENTS_MAX, AGENTS_MAX, SUBSCRIBERS_MAX = 6, DEPTH_MAX = 8
+    ForecastsTopic, "forecasts", "v2", Forecast, AGENTS_MAX, AGENTS_MAX, SUBSCRIBERS_MAX = 6, DEPTH_MAX = 8
 );
 topic!(
     /// Source → recorder: where the agents really were, for the report's accuracy.
-    TruthTopic, "truth", Truth, DETECTIONS_MAX, DETECTIONS_MAX, DEPTH_MAX = 8
+    TruthTopic, "truth", "v1", Truth, DETECTIONS_MAX, DETECTIONS_MAX, DEPTH_MAX = 8
 );
 topic!(
     /// All stages → launcher, source, recorder: signs of life.
-    HeartbeatsTopic, "heartbeats", Heartbeat, 1, 1, PUBLISHERS_MAX = 16, SUBSCRIBERS_MAX = 6, DEPTH_MAX = 16
+    HeartbeatsTopic, "heartbeats", "v1", Heartbeat, 1, 1, PUBLISHERS_MAX = 16, SUBSCRIBERS_MAX = 6, DEPTH_MAX = 16
 );

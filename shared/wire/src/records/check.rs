@@ -78,6 +78,7 @@ impl Track {
             &[self.heading_rad, self.slip_rad, self.vx_mps, self.vy_mps, self.length_m, self.width_m],
         )?;
         finite("track covariance", &self.covariance)?;
+        finite("weights of the prior", &self.prior_weights)?;
         for state in &self.history {
             position("history position", &[state.x_m, state.y_m])?;
             finite("history", &[state.vx_mps, state.vy_mps, state.heading_rad])?;
@@ -142,11 +143,12 @@ impl Forecast {
     pub fn check(&self) -> Result<(), Rejected> {
         agent_type(self.agent_type)?;
         position("forecast position", &[self.x_m, self.y_m])?;
-        finite("forecast", &[self.vx_mps, self.vy_mps, self.heading_rad])?;
+        finite("forecast", &[self.vx_mps, self.vy_mps, self.heading_rad, self.frame_heading_rad])?;
         finite("mode probabilities", &self.probability)?;
         finite("forecast modes", self.modes.as_flattened().as_flattened())?;
         finite("best forecast", self.best.as_flattened())?;
         finite("forecast mean", self.mean.as_flattened())?;
-        finite("forecast covariance", self.covariance.as_flattened())
+        finite("forecast covariance", self.covariance.as_flattened())?;
+        finite("forecast controls", bytemuck::cast_slice(self.controls.as_flattened()))
     }
 }

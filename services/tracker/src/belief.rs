@@ -1,0 +1,213 @@
+use filters::{
+    Bicycle, ConstantVelocity, Filter, FilterFault, Forecast, ForecastFault, Integrator, Kind, Mixture,
+    Models, Motion, Observation, Priors, Unknown, turned_round,
+};
+use wire::{MODES_MAX, Steering};
+
+use crate::options::ForecastTrust;
+
+/// What is believed of an agent's motion: one Gaussian, and where a forecast takes part, the hypotheses that it sums up.
+#[derive(Clone, Debug)]
+pub struct Belief {
+    filter: Filter,
+    hypotheses: Option<Hypotheses>,
+}
+
+/// A filter for each mode of a forecast and one without, by what its controls stand for.
+#[derive(Clone, Debug)]
+enum Hypotheses {
+    Bicycle(Box<Mixture<Bicycle, 5>>),
+    Displacement(Box<Mixture<ConstantVelocity, 4>>),
+}
+
+impl Belief {
+    /// A belief in which no forecast takes part.
+    #[must_use]
+    pub const fn new(filter: Filter) -> Self {
+        Self { filter, hypotheses: None }
+    }
+
+    /// The belief as one Gaussian.
+    #[must_use]
+    pub const fn filter(&self) -> &Filter {
+        &self.filter
+    }
+
+    /// Moves the belief on by `dt_ns`; beyond the forecast's horizon the process model alone does.
+    ///
+    /// # Errors
+    /// [`FilterFault`]; the belief is then as before.
+    pub fn predict(&mut self, dt_ns: u64, models: &Models, trust: &ForecastTrust) -> Result<(), FilterFault> {
+        match &mut self.hypotheses {
+            None => return self.filter.predict(dt_ns, models),
+            Some(Hypotheses::Bicycle(mixture)) => {
+                mixture.priors = trust.bicycle(models);
+                mixture.predict(dt_ns)?;
+            }
+            Some(Hypotheses::Displacement(mixture)) => {
+                mixture.priors = trust.displacement(models);
+                mixture.predict(dt_ns)?;
+            }
+        }
+        self.sum_up();
+        Ok(())
+    }
+
+    /// Corrects the belief, and the weights of the hypotheses, by what was observed.
+    ///
+    /// # Errors
+    /// [`FilterFault`]; the belief is then as before.
+    pub fn update(&mut self, seen: &Observation, models: &Models) -> Result<(), FilterFault> {
+        match &mut self.hypotheses {
+            None => {
+                self.filter.update(seen, models)?;
+                return Ok(());
+            }
+            Some(Hypotheses::Bicycle(mixture)) => mixture.update(seen)?,
+            Some(Hypotheses::Displacement(mixture)) => mixture.update(seen)?,
+        };
+        self.sum_up();
+        Ok(())
+    }
+
+    /// Whether a forecast by such controls can move the state.
+    #[must_use]
+    pub const fn suits(&self, steering: Steering) -> bool {
+        matches!(
+            (steering, &self.filter),
+            (Steering::Bicycle, Filter::Bicycle(_)) | (Steering::Displacement, Filter::ConstantVelocity(_))
+        )
+    }
+
+    /// Takes a forecast as the prior from now on, if it [suits](Belief::suits).
+    ///
+    /// # Errors
+    /// [`ForecastFault`]; the belief then goes on as before.
+    pub fn adopt(
+        &mut self,
+        forecast: &Forecast<'_>,
+        (models, trust): (&Models, &ForecastTrust),
+        seed: u64,
+    ) -> Result<(), ForecastFault> {
+        let (adopted, hypotheses) = match (&self.filter, self.hypotheses.take()) {
+            (Filter::Bicycle(_), Some(Hypotheses::Bicycle(mut mixture))) => {
+                (mixture.adopt(forecast), Hypotheses::Bicycle(mixture))
+            }
+            (Filter::Bicycle(state), _) => {
+                let mut mixture = Mixture::new(*state, trust.bicycle(models), seed);
+                (mixture.adopt(forecast), Hypotheses::Bicycle(Box::new(mixture)))
+            }
+            (Filter::ConstantVelocity(_), Some(Hypotheses::Displacement(mut mixture))) => {
+                (mixture.adopt(forecast), Hypotheses::Displacement(mixture))
+            }
+            (Filter::ConstantVelocity(state), _) => {
+                let mut mixture = Mixture::new(*state, trust.displacement(models), seed);
+                (mixture.adopt(forecast), Hypotheses::Displacement(Box::new(mixture)))
+            }
+            (Filter::ConstantAcceleration(_) | Filter::ConstantTurnRate(_), _) => return Ok(()),
+        };
+        self.hypotheses = Some(hypotheses);
+        self.sum_up();
+        adopted
+    }
+
+    /// The same motion in the state of another kind; no forecast takes part any more.
+    pub fn turn_into(&mut self, kind: Kind, unknown: &Unknown) {
+        *self = Self::new(self.filter.into_kind(kind, unknown));
+    }
+
+    /// Front and back exchanged; a forecast told of the old front and takes part no more.
+    pub fn turn_round(&mut self) {
+        if let Filter::Bicycle(state) = &self.filter {
+            *self = Self::new(Filter::Bicycle(turned_round(state)));
+        }
+    }
+
+    /// Goes on without the forecast.
+    pub fn forget_forecast(&mut self) {
+        self.hypotheses = None;
+    }
+
+    /// Mean position and its covariance as (xx, xy, yy).
+    #[must_use]
+    pub fn position(&self) -> ([f64; 2], [f64; 3]) {
+        self.filter.position()
+    }
+
+    /// The mean's motion.
+    #[must_use]
+    pub fn motion(&self) -> Motion {
+        self.filter.motion()
+    }
+
+    /// Time since the start of the forecast that takes part.
+    #[must_use]
+    pub fn forecast_age_ns(&self) -> Option<u64> {
+        self.hypotheses.as_ref().and_then(Hypotheses::forecast_age_ns)
+    }
+
+    /// Weights of the forecast's modes, and last that of the process model alone.
+    #[must_use]
+    pub fn weights(&self) -> [f32; MODES_MAX + 1] {
+        let mut weights = [0.0; MODES_MAX + 1];
+        let mut tell = |mode: Option<usize>, weight: f64| {
+            weights[mode.unwrap_or(MODES_MAX).min(MODES_MAX)] += weight as f32;
+        };
+        match &self.hypotheses {
+            None => tell(None, 1.0),
+            Some(Hypotheses::Bicycle(mixture)) => mixture.components().for_each(|(k, w, _)| tell(k, w)),
+            Some(Hypotheses::Displacement(mixture)) => mixture.components().for_each(|(k, w, _)| tell(k, w)),
+        }
+        weights
+    }
+
+    /// Sums the hypotheses up; those of a forecast that is over are left behind.
+    fn sum_up(&mut self) {
+        let Some(hypotheses) = &self.hypotheses else { return };
+        self.filter = match hypotheses {
+            Hypotheses::Bicycle(mixture) => Filter::Bicycle(mixture.moments()),
+            Hypotheses::Displacement(mixture) => Filter::ConstantVelocity(mixture.moments()),
+        };
+        if hypotheses.forecast_age_ns().is_none() {
+            self.hypotheses = None;
+        }
+    }
+}
+
+impl Hypotheses {
+    /// Time since the start of the forecast; none once it is over.
+    fn forecast_age_ns(&self) -> Option<u64> {
+        match self {
+            Self::Bicycle(mixture) => mixture.forecast_age_ns(),
+            Self::Displacement(mixture) => mixture.forecast_age_ns(),
+        }
+    }
+}
+
+impl ForecastTrust {
+    fn bicycle(&self, models: &Models) -> Priors<Bicycle> {
+        let kinematic = models.bicycle;
+        let learned = Bicycle {
+            // What the controls were learned for; Euler's steps fall behind under an acceleration.
+            integrator: Integrator::Midpoint,
+            acceleration_mps2: self.noise_share * kinematic.acceleration_mps2,
+            slip_rate_radps: self.noise_share * kinematic.slip_rate_radps,
+            ..kinematic
+        };
+        self.priors(kinematic, learned)
+    }
+
+    fn displacement(&self, models: &Models) -> Priors<ConstantVelocity> {
+        let kinematic = models.constant_velocity;
+        let learned = ConstantVelocity { density: self.noise_share.powi(2) * kinematic.density };
+        self.priors(kinematic, learned)
+    }
+
+    fn priors<P>(&self, kinematic: P, learned: P) -> Priors<P> {
+        Priors {
+            kinematic_weight: self.kinematic_weight,
+            covariance_scale: self.covariance_scale,
+            ..Priors::new(kinematic, learned)
+        }
+    }
+}
