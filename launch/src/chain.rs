@@ -104,8 +104,10 @@ impl Chain {
         let tracked = self.tracker.step(header, detections, prior, &mut frames.tracks);
         let mut header = self.tracker.header(header);
         passed(StageId::Tracker);
-        let Ok(tracked) = tracked else { return self.nothing(header) };
-        frames.tracks_len = tracked.tracks_len;
+        frames.tracks_len = tracked.as_ref().map_or(0, |tracked| tracked.tracks_len);
+        if tracked.is_err() {
+            return self.nothing(header);
+        }
         let learned = self.controls(&header, &mut passed);
 
         let Frames { tracks, controls, forecasts, tracks_len, controls_len, .. } = &mut self.frames;
@@ -130,6 +132,12 @@ impl Chain {
         header.flags |= flags::VOID;
         header.counts = wire::Counts::default();
         (header, &[])
+    }
+
+    /// The tracks of the last tick; none where it was refused.
+    #[must_use]
+    pub fn tracks(&self) -> &[Track] {
+        &self.frames.tracks[..self.frames.tracks_len]
     }
 
     /// How much the last tick was.

@@ -5,11 +5,13 @@
 mod arguments;
 mod chain;
 mod child;
+mod contenders;
 mod failure;
 mod fleet;
 mod pipeline_file;
 mod readme;
 mod show;
+mod tracking;
 mod verbs;
 mod version;
 mod watch;

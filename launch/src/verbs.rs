@@ -14,6 +14,7 @@ pub mod plot;
 pub mod predict;
 pub mod run;
 pub mod stage;
+pub mod track;
 pub mod train;
 pub mod verify;
 
@@ -29,6 +30,8 @@ pub enum Verb {
     Run(run::Arguments),
     /// Run a recording through the same stages in one process; forecasts as JSON lines
     Predict(predict::Arguments),
+    /// Run a recording through the tracker in this process; tracks as CSV, KITTI or MOT results
+    Track(track::Arguments),
     /// Be one stage of a run (`run` starts these)
     Stage(stage::Arguments),
     /// Check a pipeline.toml
@@ -65,6 +68,7 @@ impl Verb {
         match self {
             Self::Run(arguments) => run::execute(&arguments),
             Self::Predict(arguments) => predict::execute(&arguments),
+            Self::Track(arguments) => track::execute(&arguments),
             Self::Stage(arguments) => stage::execute(&arguments),
             Self::Check(arguments) => check::execute(&arguments),
             Self::Graph(arguments) => graph::execute(&arguments),

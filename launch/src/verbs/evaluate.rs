@@ -4,8 +4,10 @@ use clap::{Args, ValueEnum};
 use config::Exit;
 use data::Format;
 use data::sets::Part;
-use evaluator::{InteractionPart, MapChoice, Options, Report, TrackingReport, WeightsChoice};
+use evaluator::{InteractionPart, KittiReport, MapChoice, Options, Report, TrackingReport, WeightsChoice};
+use nn::Weights;
 
+use crate::contenders::contenders;
 use crate::failure::Failure;
 use crate::readme;
 use crate::show::show;
@@ -35,8 +37,9 @@ pub struct Arguments {
     /// that know no sites
     #[arg(long, value_enum, default_value_t = Map::Site)]
     map: Map,
-    /// Parts of INTERACTION: `seen`, or a site that the weights know nothing of
-    #[arg(long, value_name = "PART,…", value_delimiter = ',', default_values_t = ["seen", "FT", "EP1"].map(str::to_owned))]
+    /// Parts of `interaction`: `seen`, or a site that the weights know nothing of [default: seen,FT,EP1]; of `tracking`:
+    /// `interaction`, filters on noisy positions, and `kitti`, trackers on a detector's output [default: both]
+    #[arg(long, value_name = "PART,…", value_delimiter = ',')]
     parts: Vec<String>,
     /// Deviations of the measured positions in `tracking`, m; those of the protocol where none are given
     #[arg(long, value_name = "M,…", value_delimiter = ',')]
@@ -77,24 +80,39 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
         _ => "",
     };
     let written = match name {
-        "tracking" => Written::of_tracking(&track(arguments)?),
-        _ => Written::of_forecasts(&evaluate(name, arguments)?),
+        "tracking" => track(arguments)?,
+        _ => vec![Written::of_forecasts(&evaluate(name, arguments)?, name)],
     };
     if let Some(path) = &arguments.csv {
-        write(path, &written.csv)?;
+        write(path, &written.iter().map(|part| part.csv.as_str()).collect::<String>())?;
     }
     if let Some(path) = &arguments.json {
-        write(path, &(serde_json::to_string_pretty(&written.json).map_err(Failure::data)? + "\n"))?;
+        write(path, &(serde_json::to_string_pretty(&json(&written)).map_err(Failure::data)? + "\n"))?;
     }
-    let exit = show(&written.markdown)?;
+    let markdown: Vec<&str> = written.iter().map(|part| part.markdown.as_str()).collect();
+    let exit = show(&markdown.join("\n"))?;
     if let Some(path) = &arguments.readme {
-        readme::insert(path, &format!("evaluate {name}"), &written.summary)?;
+        for part in &written {
+            readme::insert(path, &part.mark, &part.summary)?;
+        }
     }
     Ok(exit)
 }
 
+/// One report as it is, several by their names.
+fn json(written: &[Written]) -> serde_json::Value {
+    match written {
+        [one] => one.json.clone(),
+        several => several.iter().map(|part| (part.name.to_owned(), part.json.clone())).collect(),
+    }
+}
+
 /// A report in all its forms.
 struct Written {
+    /// Among several.
+    name: &'static str,
+    /// Its place in a Markdown file.
+    mark: String,
     markdown: String,
     summary: String,
     csv: String,
@@ -102,8 +120,10 @@ struct Written {
 }
 
 impl Written {
-    fn of_forecasts(report: &Report) -> Self {
+    fn of_forecasts(report: &Report, set: &str) -> Self {
         Self {
+            name: "forecasts",
+            mark: format!("evaluate {set}"),
             markdown: report.markdown(),
             summary: report.summary(),
             csv: report.csv(),
@@ -111,8 +131,21 @@ impl Written {
         }
     }
 
-    fn of_tracking(report: &TrackingReport) -> Self {
+    fn of_motion(report: &TrackingReport) -> Self {
         Self {
+            name: "interaction",
+            mark: "evaluate tracking --parts interaction".to_owned(),
+            markdown: report.markdown(),
+            summary: report.summary(),
+            csv: report.csv(),
+            json: report.json(),
+        }
+    }
+
+    fn of_trackers(report: &KittiReport) -> Self {
+        Self {
+            name: "kitti",
+            mark: "evaluate tracking --parts kitti".to_owned(),
             markdown: report.markdown(),
             summary: report.summary(),
             csv: report.csv(),
@@ -136,7 +169,8 @@ fn options(arguments: &Arguments) -> Options {
     }
 }
 
-fn track(arguments: &Arguments) -> Result<TrackingReport, Failure> {
+/// The parts of `tracking`, in one table of figures.
+fn track(arguments: &Arguments) -> Result<Vec<Written>, Failure> {
     if let Some(sigma_m) = arguments.sigmas.iter().find(|sigma_m| !(SIGMAS_M.contains(sigma_m))) {
         return Err(Failure::Usage(format!(
             "--sigmas {sigma_m}: expected deviations from {} to {} m",
@@ -144,7 +178,35 @@ fn track(arguments: &Arguments) -> Result<TrackingReport, Failure> {
             SIGMAS_M.end()
         )));
     }
-    evaluator::tracking(&options(arguments), &arguments.sigmas, progress).map_err(Failure::data)
+    let options = options(arguments);
+    let mut written = Vec::new();
+    for part in parts(arguments, &["interaction", "kitti"]) {
+        written.push(match part {
+            "interaction" => {
+                let report = evaluator::tracking(&options, &arguments.sigmas, progress);
+                Written::of_motion(&report.map_err(Failure::data)?)
+            }
+            "kitti" => Written::of_trackers(&judge_trackers(&options)?),
+            other => {
+                return Err(Failure::Usage(format!("--parts {other}: `tracking` has interaction and kitti")));
+            }
+        });
+    }
+    if let Some(first) = written.first_mut() {
+        first.csv.insert_str(0, evaluator::TRACKING_COLUMNS);
+    }
+    Ok(written)
+}
+
+/// Our tracker beside a plain one.
+fn judge_trackers(options: &Options) -> Result<KittiReport, Failure> {
+    let weights = options.weights.file.as_ref();
+    let model = match weights {
+        None => Weights::onboard(),
+        Some(path) => Weights::open(path).map_err(|error| Failure::weights(path, &error))?,
+    };
+    let contenders = contenders(weights, model.config());
+    evaluator::kitti(options, contenders, progress).map_err(Failure::data)
 }
 
 fn progress(step: &str) {
@@ -156,7 +218,10 @@ fn evaluate(name: &str, arguments: &Arguments) -> Result<Report, Failure> {
     let report = match name {
         "eth-ucy" => evaluator::eth_ucy(&options, progress),
         "sdd" => evaluator::sdd(&options, progress),
-        "interaction" => evaluator::interaction(&options, &parts(&arguments.parts), progress),
+        "interaction" => {
+            let parts: Vec<_> = parts(arguments, &["seen", "FT", "EP1"]).map(interaction_part).collect();
+            evaluator::interaction(&options, &parts, progress)
+        }
         _ => {
             let (targets, format) = (&arguments.targets, arguments.format);
             evaluator::files(&options, targets, format, arguments.positions, progress)
@@ -165,12 +230,17 @@ fn evaluate(name: &str, arguments: &Arguments) -> Result<Report, Failure> {
     report.map_err(Failure::data)
 }
 
-fn parts(names: &[String]) -> Vec<InteractionPart> {
-    let part = |name: &String| match name.as_str() {
+/// The parts that are asked for, else all of them.
+fn parts<'a>(arguments: &'a Arguments, all: &'a [&str]) -> impl Iterator<Item = &'a str> {
+    let all = all.iter().copied().filter(|_| arguments.parts.is_empty());
+    arguments.parts.iter().map(String::as_str).chain(all)
+}
+
+fn interaction_part(name: &str) -> InteractionPart {
+    match name {
         "seen" => InteractionPart::Seen,
         site => InteractionPart::Unseen(site.to_owned()),
-    };
-    names.iter().map(part).collect()
+    }
 }
 
 fn write(path: &Path, text: &str) -> Result<(), Failure> {

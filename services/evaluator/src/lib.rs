@@ -46,6 +46,8 @@ pub use protocol::{
 pub use report::{Figure, Report};
 pub use scenes::{Agent, Cut, Scene};
 pub use tally::{Errors, Measure, Sureness, Tally};
-pub use tracking::{Contender, KittiReport, Published, PublishedTrack, TRACKING_COLUMNS, TrackingReport};
+pub use tracking::{
+    Contender, KittiReport, MakeTracks, Published, PublishedTrack, TRACKING_COLUMNS, TrackingReport,
+};
 pub use verify::{Comparison, VerifyError, verify};
 pub use weights::{Provenance, WeightsChoice};

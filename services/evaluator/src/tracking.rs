@@ -14,7 +14,7 @@ mod method;
 mod report;
 mod tuning;
 
-pub use kitti::{Contender, KittiReport, Published, PublishedTrack};
+pub use kitti::{Contender, KittiReport, MakeTracks, Published, PublishedTrack};
 pub use report::TrackingReport;
 
 pub(crate) use course::{Course, Sensor};

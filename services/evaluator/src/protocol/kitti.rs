@@ -47,6 +47,7 @@ pub fn kitti(
         // Each part has what was chosen on the other.
         for (part, least_scores) in parts.iter_mut().zip(choices.into_iter().rev()) {
             let counts = part.judge(contender, least_scores, options.threads)?;
+            let least_scores = least_scores.map(|score| vec![score]);
             part.rows.push(KittiRow { name: contender.name, least_scores, counts });
         }
     }

@@ -10,7 +10,7 @@ mod report;
 mod sequence;
 
 pub use report::KittiReport;
-pub use sequence::{Contender, Published, PublishedTrack};
+pub use sequence::{Contender, MakeTracks, Published, PublishedTrack};
 
 pub(crate) use counts::{Counts, GATE_M, KittiMeasure};
 pub(crate) use nearest::nearest_neighbours;

@@ -9,6 +9,8 @@ use crate::weights::Provenance;
 
 /// Of the bootstrap.
 const SEED: u64 = 1;
+/// Fewer sequences say nothing of what others would give.
+const SEQUENCES_MIN: usize = 3;
 
 /// What a judgement of trackers found.
 #[derive(Clone, Debug)]
@@ -32,10 +34,23 @@ pub(crate) struct KittiPart {
 pub(crate) struct KittiRow {
     /// The contender.
     pub(crate) name: &'static str,
-    /// Chosen elsewhere.
-    pub(crate) least_scores: ByClass<f32>,
+    /// Chosen elsewhere; several where parts are told together.
+    pub(crate) least_scores: ByClass<Vec<f32>>,
     /// Sequence by sequence.
     pub(crate) counts: Vec<ByClass<Counts>>,
+}
+
+impl KittiPart {
+    /// The sequences of both, contender by contender.
+    fn joined(mut self, other: Self) -> Self {
+        for (row, more) in self.rows.iter_mut().zip(other.rows) {
+            row.counts.extend(more.counts);
+            for (scores, more) in row.least_scores.iter_mut().zip(more.least_scores) {
+                scores.extend(more);
+            }
+        }
+        self
+    }
 }
 
 impl KittiRow {
@@ -53,7 +68,10 @@ impl KittiRow {
 }
 
 impl KittiReport {
-    pub(crate) const fn new(parts: Vec<KittiPart>, provenance: Vec<Provenance>) -> Self {
+    /// Tells the parts one by one and all together.
+    pub(crate) fn new(mut parts: Vec<KittiPart>, provenance: Vec<Provenance>) -> Self {
+        let all = parts.iter().cloned().reduce(KittiPart::joined);
+        parts.extend(all.map(|all| KittiPart { name: "all".to_owned(), ..all }));
         Self { provenance, parts }
     }
 
@@ -94,7 +112,7 @@ impl KittiReport {
                 let figure = |measure: KittiMeasure| total.figure(measure).map(|figure| measure.text(figure));
                 let cells =
                     KittiMeasure::ALL.map(|measure| figure(measure).unwrap_or_else(|| "-".to_owned()));
-                let chosen = [format!("{:.0}", row.least_scores[class])];
+                let chosen = [scores(row, class, ", ")];
                 table.push_row(names.into_iter().chain(cells).chain(chosen).collect());
             }
         }
@@ -108,7 +126,7 @@ impl KittiReport {
     fn comparisons(&self) -> Table {
         let note = format!(
             "What the tracker with the learned prior has more of than the others; in brackets the paired bootstrap's 95 % interval, \
-             {RESAMPLES} resamples of whole sequences, of which there are few."
+             {RESAMPLES} resamples of whole sequences with objects of the class; none where these are fewer than {SEQUENCES_MIN}."
         );
         let columns = KittiMeasure::COMPARED.map(|measure| measure.name().to_owned()).into_iter();
         let mut table = Table::new(
@@ -137,9 +155,9 @@ impl KittiReport {
     pub fn csv(&self) -> String {
         let sha256 = self.provenance.first().map_or("", |provenance| &provenance.sha256);
         let line = |told: KittiValue<'_>| {
-            let KittiValue { sequences, class, tracker, least_score, truths_len, measure, value } = told;
+            let KittiValue { sequences, class, tracker, least_scores, truths_len, measure, value } = told;
             format!(
-                "kitti,,,{sequences},{least_score},{class},\"{tracker}\",tracks,\"{measure}\",{value:.6},{truths_len},{sha256}\n"
+                "kitti,,,{sequences},{least_scores},{class},\"{tracker}\",tracks,\"{measure}\",{value:.6},{truths_len},{sha256}\n"
             )
         };
         self.values().map(line).collect()
@@ -155,7 +173,7 @@ impl KittiReport {
                         sequences: &part.name,
                         class: class_name(agent_type),
                         tracker: row.name,
-                        least_score: row.least_scores[class],
+                        least_scores: scores(row, class, ";"),
                         truths_len: total.truths_len(),
                         measure: measure.name(),
                         value: total.figure(measure)?,
@@ -173,23 +191,37 @@ impl KittiReport {
 }
 
 /// A figure with what it is of.
-#[derive(Clone, Copy, Debug, serde::Serialize)]
+#[derive(Clone, Debug, serde::Serialize)]
 struct KittiValue<'a> {
     sequences: &'a str,
     class: &'static str,
     tracker: &'static str,
-    least_score: f32,
+    least_scores: String,
     truths_len: u64,
     measure: &'static str,
     value: f64,
 }
 
-/// Ours less theirs with its interval.
+/// The scores that were chosen for a class, part by part.
+fn scores(row: &KittiRow, class: usize, separator: &str) -> String {
+    let scores: Vec<String> = row.least_scores[class].iter().map(|score| format!("{score:.0}")).collect();
+    scores.join(separator)
+}
+
+/// Ours less theirs, with its interval where enough sequences have objects of the class.
 fn difference(ours: &KittiRow, theirs: &KittiRow, class: usize, measure: KittiMeasure) -> Option<String> {
     let figure = |drawn: &[usize]| {
         let of = |row: &KittiRow| row.drawn(class, drawn.iter().copied()).figure(measure);
         Some(of(ours)? - of(theirs)?)
     };
-    let interval = cluster_bootstrap(ours.counts.len(), RESAMPLES, SEED, figure)?;
-    Some(format!("{:+.3} [{:+.3}, {:+.3}]", interval.mean, interval.low, interval.high))
+    // A sequence without the class has no say in how sure the figure is.
+    let told: Vec<usize> =
+        (0..ours.counts.len()).filter(|&sequence| ours.counts[sequence][class].truths_len() > 0).collect();
+    let resampled = |drawn: &[usize]| figure(&drawn.iter().map(|&cluster| told[cluster]).collect::<Vec<_>>());
+    let difference = figure(&(0..ours.counts.len()).collect::<Vec<_>>())?;
+    if told.len() < SEQUENCES_MIN {
+        return Some(format!("{difference:+.3}"));
+    }
+    let interval = cluster_bootstrap(told.len(), RESAMPLES, SEED, resampled)?;
+    Some(format!("{difference:+.3} [{:+.3}, {:+.3}]", interval.low, interval.high))
 }

@@ -30,12 +30,15 @@ pub struct PublishedTrack {
 /// The tracks of each frame of a recording.
 pub type Published = Vec<Vec<PublishedTrack>>;
 
+/// Makes tracks of a recording, or tells why it can't.
+pub type MakeTracks<'a> = Box<dyn Fn(&Recording) -> Result<Published, String> + Sync + 'a>;
+
 /// A tracker to be judged.
 pub struct Contender<'a> {
     /// The name in tables.
     pub name: &'static str,
-    /// Makes tracks of a recording, or tells why it can't.
-    pub track: Box<dyn Fn(&Recording) -> Result<Published, String> + Sync + 'a>,
+    /// What it does.
+    pub track: MakeTracks<'a>,
 }
 
 /// A sequence with its labels.

@@ -1,0 +1,57 @@
+//! The trackers that an evaluation judges: ours with either prior, in this process.
+
+use std::path::PathBuf;
+
+use config::{MapChoice, Prior, Run};
+use data::Recording;
+use evaluator::{Contender, Published, PublishedTrack};
+use nn::ModelConfig;
+use source::{Playback, PlaybackOptions};
+use wire::{AgentType, Track};
+
+use crate::failure::Failure;
+use crate::tracking::Tracking;
+
+/// Our tracker without forecasts, and last with those of the weights.
+pub fn contenders<'a>(weights: Option<&'a PathBuf>, model: &'a ModelConfig) -> Vec<Contender<'a>> {
+    let contender = |name, prior| Contender {
+        name,
+        track: Box::new(move |recording: &Recording| {
+            let run = Run {
+                lockstep: true,
+                seed: 1,
+                prior,
+                weights: weights.cloned(),
+                model: model.clone(),
+                map: MapChoice::Online,
+                ..Run::default()
+            };
+            track(recording, run).map_err(|failure| failure.to_string())
+        }),
+    };
+    vec![
+        contender("ours, kinematic prior", Prior::Kinematic),
+        contender("ours, learned prior", Prior::Learned),
+    ]
+}
+
+/// The tracks of each frame.
+fn track(recording: &Recording, run: Run) -> Result<Published, Failure> {
+    let options = PlaybackOptions { run_id: 0, ticks_max: None, lockstep: true };
+    let mut playback = Playback::new(recording.clone(), options);
+    let mut tracking = Tracking::new(&Run { interval_ns: playback.interval_ns(), ..run })?;
+    let mut published = Vec::with_capacity(recording.frames.len());
+    while let Some(tick) = playback.next_tick() {
+        let tracks = tracking.tick(&tick.header, tick.detections).iter().map(told);
+        published.push(tracks.collect::<Result<_, _>>()?);
+    }
+    Ok(published)
+}
+
+fn told(track: &Track) -> Result<PublishedTrack, Failure> {
+    Ok(PublishedTrack {
+        id: track.id,
+        agent_type: AgentType::try_from(track.agent_type).map_err(Failure::data)?,
+        position_m: [track.x_m, track.y_m].map(f64::from),
+    })
+}

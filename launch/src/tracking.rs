@@ -1,0 +1,49 @@
+//! From detections to tracks, in this process: the tracker alone, or in the chain whose forecasts are its prior.
+
+use bytemuck::Zeroable;
+use config::{Prior, Run};
+use tracker::Tracker;
+use wire::{AGENTS_MAX, Detection, Header, Track};
+
+use crate::chain::Chain;
+use crate::failure::Failure;
+
+/// What of the pipeline it takes to make tracks: the same steps on the same settings as in a run.
+pub enum Tracking {
+    /// Without forecasts the other stages change no track.
+    Alone {
+        /// The tracker.
+        tracker: Box<Tracker>,
+        /// Room for its tracks.
+        tracks: Vec<Track>,
+    },
+    /// All stages, for the sake of the forecasts.
+    InChain(Box<Chain>),
+}
+
+impl Tracking {
+    /// Sets up what the run's prior needs.
+    pub fn new(run: &Run) -> Result<Self, Failure> {
+        Ok(match run.prior {
+            Prior::Kinematic => Self::Alone {
+                tracker: Box::new(Tracker::new(tracker::stage::options(run))),
+                tracks: vec![Track::zeroed(); AGENTS_MAX],
+            },
+            Prior::Learned => Self::InChain(Box::new(Chain::new(run)?)),
+        })
+    }
+
+    /// The tracks after a tick; none where the tracker refuses it.
+    pub fn tick(&mut self, header: &Header, detections: &[Detection]) -> &[Track] {
+        match self {
+            Self::Alone { tracker, tracks } => {
+                let tracked = tracker.step(header, detections, None, tracks);
+                &tracks[..tracked.map_or(0, |tracked| tracked.tracks_len)]
+            }
+            Self::InChain(chain) => {
+                chain.tick(header, detections, |_| ());
+                chain.tracks()
+            }
+        }
+    }
+}
