@@ -95,7 +95,10 @@ pub fn text(card: &ModelCard) -> String {
     );
     let pair = |errors: &Errors| format!("{:.3} / {:.3}", errors.ade_m, errors.fde_m);
     let share = |[ade, fde]: [f64; 2]| format!("{:+.0} % / {:+.0} %", -100.0 * ade, -100.0 * fde);
-    text += "Validation, ADE / FDE in m over 4.8 s, online map:\n\n";
+    let model = &card.options.model;
+    let horizon_s = model.dt_s * model.horizon_len as f64;
+    let map = if model.context { ", online map" } else { "" };
+    text += &format!("Validation, ADE / FDE in m over {horizon_s:.1} s{map}:\n\n");
     text += &format!(
         "| {:<12} | agents | {:>15} | {:>15} | {:>15} | {:>15} | {:>15} | {:>15} |\n",
         "data set", "best of 20", "20 anchors", "gain", "K = 1", "const. velocity", "gain"
