@@ -1,4 +1,6 @@
-use filters::{Filter, FilterFault, ForecastFault, Gaussian, Kind, Models, Motion, Observation, Unknown};
+use filters::{
+    Filter, FilterFault, ForecastFault, Gaussian, Kind, Models, Motion, Observation, Unknown, wrapped,
+};
 use thiserror::Error;
 use wire::{
     AgentType, Detection, HISTORY_MAX, HistoryState, Quality, Rejected, Steering, Track, TrackStatus,
@@ -23,6 +25,13 @@ const COURSE_TOLD_RAD: f64 = 0.3;
 const COURSE_TOLD_MPS: f64 = 0.5;
 /// Slower than this, a course means nothing and the last heading holds.
 const COURSE_MIN_MPS: f64 = 0.1;
+/// A published heading turns no further in a frame: where the evidence turns a front round, it goes round in three.
+const SHOWN_TURN_MAX_RAD: f64 = std::f64::consts::FRAC_PI_3;
+/// Coasting is earned: being seen for a while lets a track go unseen for so many times as long. What clutter keeps alive is
+/// seen too seldom for that.
+const COAST_RATIO: u64 = 2;
+/// What a detection may tell of its own noise: beyond that, variances leave the numbers of a published covariance.
+const SIGMA_RANGE_M: (f64, f64) = (1e-6, 1e3);
 /// Weight of a new detection's size.
 const SIZE_WEIGHT: f32 = 0.2;
 /// Existence is believed or doubted no further than this, so that a few frames can change it.
@@ -86,8 +95,16 @@ pub struct Target {
     moving: bool,
     /// Whether the track has been published.
     shown: bool,
+    /// Time since the state before.
+    moved_ns: u64,
+    /// How much longer the track may go unseen, negative where it went unseen for longer.
+    earned_ns: i64,
+    /// Whether detections carry an identity that can be trusted.
+    trusted: bool,
     /// Heading, held where the filter has none.
     heading_rad: f64,
+    /// The heading as it was last recorded.
+    shown_heading_rad: f64,
     length_m: f32,
     width_m: f32,
     history: History,
@@ -107,6 +124,7 @@ impl Target {
         let seen = observation(detection, agent_type, input);
         let filter = Filter::start(kind(agent_type), &seen, &UNKNOWN[agent_type.index()]);
         let sized = detection.has(detection_flags::HAS_SIZE);
+        let heading_rad = seen.heading_rad.map_or(0.0, |(heading, _)| heading);
         Self {
             id,
             source_id: source_id(detection),
@@ -125,7 +143,11 @@ impl Target {
             confirmed: trusted,
             moving: seen.velocity_mps().is_some(),
             shown: false,
-            heading_rad: seen.heading_rad.map_or(0.0, |(heading, _)| heading),
+            moved_ns: 0,
+            earned_ns: 0,
+            trusted,
+            heading_rad,
+            shown_heading_rad: heading_rad,
             length_m: if sized { detection.length_m } else { 0.0 },
             width_m: if sized { detection.width_m } else { 0.0 },
             history: History::new(),
@@ -179,6 +201,7 @@ impl Target {
     ) -> Result<(), FilterFault> {
         let dt_ns = now_ns.saturating_sub(self.stamp_ns).max(0).unsigned_abs();
         self.stamp_ns = now_ns;
+        self.moved_ns = dt_ns;
         self.prior = match self.belief.forecast_age_ns() {
             None => Quality::Kinematic,
             Some(age_ns) if age_ns < options.step_ns => Quality::Learned,
@@ -223,6 +246,9 @@ impl Target {
         self.source_id = source_id(detection);
         self.resize(detection);
         self.count(true);
+        let earned_ns = self.moved_ns.saturating_mul(COAST_RATIO);
+        self.earned_ns = self.earned_ns.max(0).saturating_add_unsigned(earned_ns.min(input.coast_ns));
+        self.earned_ns = self.earned_ns.min(input.coast_ns.cast_signed());
         self.seen_ns = self.stamp_ns;
         self.moving = true;
         if let (Filter::Bicycle(_), Some((heading, _))) = (self.belief.filter(), &mut seen.heading_rad) {
@@ -236,6 +262,7 @@ impl Target {
     /// Takes in that a frame which observed the target's type did not see it.
     pub fn miss(&mut self, options: &TrackerOptions) {
         self.count(false);
+        self.earned_ns = self.earned_ns.saturating_sub_unsigned(self.moved_ns);
         self.believe((1.0 - options.detection_probability).ln());
     }
 
@@ -247,6 +274,7 @@ impl Target {
         let unseen_ns = self.unseen_ns(self.stamp_ns);
         (!self.confirmed && misses_len >= MISSES_TO_END)
             || (missed && unseen_ns > input.coast_ns)
+            || (missed && self.confirmed && !self.trusted && self.earned_ns < 0)
             || unseen_ns > options.horizon_ns
             || !self.is_possible()
     }
@@ -273,12 +301,18 @@ impl Target {
     pub fn record(&mut self) {
         let motion = self.belief.motion();
         self.heading_rad = self.heading(&motion);
+        let turn_rad = wrapped(self.heading_rad - self.shown_heading_rad);
+        self.shown_heading_rad = if self.shown && turn_rad.abs() > SHOWN_TURN_MAX_RAD {
+            wrapped(self.shown_heading_rad + SHOWN_TURN_MAX_RAD.copysign(turn_rad))
+        } else {
+            self.heading_rad
+        };
         let state = HistoryState {
             x_m: motion.position_m[0] as f32,
             y_m: motion.position_m[1] as f32,
             vx_mps: motion.velocity_mps[0] as f32,
             vy_mps: motion.velocity_mps[1] as f32,
-            heading_rad: self.heading_rad as f32,
+            heading_rad: self.shown_heading_rad as f32,
             present: 1,
         };
         if self.is_ready() && !self.shown {
@@ -316,7 +350,7 @@ impl Target {
             forecastable: u32::from(present_len >= 2 && age_ns >= options.step_ns),
             x_m: motion.position_m[0] as f32,
             y_m: motion.position_m[1] as f32,
-            heading_rad: self.heading_rad as f32,
+            heading_rad: self.shown_heading_rad as f32,
             speed_mps: motion.speed_mps as f32,
             slip_rad: motion.slip_rad as f32,
             vx_mps: motion.velocity_mps[0] as f32,
@@ -424,7 +458,7 @@ fn observation(detection: &Detection, agent_type: AgentType, input: &InputModel)
 #[must_use]
 pub fn position_sigma_m(detection: &Detection, agent_type: AgentType, input: &InputModel) -> f64 {
     match detection.sigma_m {
-        sigma_m if sigma_m > 0.0 => f64::from(sigma_m),
+        sigma_m if sigma_m > 0.0 => f64::from(sigma_m).clamp(SIGMA_RANGE_M.0, SIGMA_RANGE_M.1),
         _ => input.sensor[agent_type.index()].position_m,
     }
 }

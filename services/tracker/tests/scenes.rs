@@ -1,81 +1,16 @@
 //! The tracker on made scenes: what it publishes, keeps, refuses and forgets.
 
-use bytemuck::Zeroable;
+#[path = "support/run.rs"]
+mod run;
+
 use filters::wrapped;
 use rand::{RngExt, SeedableRng, seq::SliceRandom};
 use rand_chacha::ChaCha8Rng;
-use rand_distr::{Distribution, Normal};
+use run::{ALL_TYPES, Run, TICK_NS, heading, noise, seen};
 use std::collections::{BTreeMap, BTreeSet};
 use std::f64::consts::{FRAC_PI_2, PI};
-use tracker::{Tracked, Tracker, TrackerOptions};
-use wire::{AGENTS_MAX, AgentType, Detection, Header, Rejected, Track, TrackStatus, detection_flags, flags};
-
-const TICK_NS: i64 = 80_000_000;
-const ALL_TYPES: u32 = 0b111;
-
-/// A tracker and the frames that it has been given.
-struct Run {
-    tracker: Tracker,
-    tracks: Vec<Track>,
-    flags: u32,
-    observed_types: u32,
-    tick_ns: i64,
-    stamp_ns: i64,
-}
-
-impl Run {
-    fn new(options: TrackerOptions, flags: u32) -> Self {
-        Self {
-            tracker: Tracker::new(options),
-            tracks: vec![Track::zeroed(); AGENTS_MAX],
-            flags,
-            observed_types: ALL_TYPES,
-            tick_ns: TICK_NS,
-            stamp_ns: 1_000_000_000,
-        }
-    }
-
-    fn header(&self) -> Header {
-        Header { flags: self.flags, observed_types: self.observed_types, ..Header::new(1, 0, self.stamp_ns) }
-    }
-
-    fn step(&mut self, detections: &[Detection]) -> &[Track] {
-        self.try_step(detections).expect("a good frame");
-        self.published()
-    }
-
-    fn try_step(&mut self, detections: &[Detection]) -> Result<Tracked, Rejected> {
-        self.stamp_ns += self.tick_ns;
-        let tracked = self.tracker.step(&self.header(), detections, None, &mut self.tracks)?;
-        for track in &self.tracks[..tracked.tracks_len] {
-            track.check().expect("a track fit for the wire");
-        }
-        Ok(tracked)
-    }
-
-    fn published(&self) -> &[Track] {
-        let agents_len = self.tracker.header(&self.header()).counts.agents_len;
-        &self.tracks[..agents_len as usize]
-    }
-}
-
-/// A detection with a position only; the id tells the test who it was, the tracker may use it only if a header says so.
-fn seen(agent_type: AgentType, id: u64, x_m: f64, y_m: f64) -> Detection {
-    Detection {
-        id,
-        x_m: x_m as f32,
-        y_m: y_m as f32,
-        score: 1.0,
-        agent_type: agent_type as u32,
-        flags: detection_flags::HAS_ID,
-        ..Detection::zeroed()
-    }
-}
-
-fn heading(detection: Detection, heading_rad: f64) -> Detection {
-    let flags = detection.flags | detection_flags::HAS_HEADING;
-    Detection { heading_rad: wrapped(heading_rad) as f32, flags, ..detection }
-}
+use tracker::{Tracked, TrackerOptions};
+use wire::{AGENTS_MAX, AgentType, Detection, Rejected, Track, TrackStatus, detection_flags, flags};
 
 fn speed(detection: Detection, speed_mps: f64) -> Detection {
     Detection {
@@ -83,11 +18,6 @@ fn speed(detection: Detection, speed_mps: f64) -> Detection {
         flags: detection.flags | detection_flags::HAS_SPEED,
         ..detection
     }
-}
-
-/// Normal noise of that standard deviation.
-fn noise(rng: &mut ChaCha8Rng, sigma: f64) -> f64 {
-    Normal::new(0.0, sigma).expect("a finite sigma").sample(rng)
 }
 
 /// Two pedestrians meet at right angles; both are hidden for 1.6 s around the meeting.

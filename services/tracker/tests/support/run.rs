@@ -1,0 +1,79 @@
+//! A tracker, and the frames that it is given.
+
+use bytemuck::Zeroable;
+use rand_chacha::ChaCha8Rng;
+use rand_distr::{Distribution, Normal};
+use tracker::{Tracked, Tracker, TrackerOptions};
+use wire::{AGENTS_MAX, AgentType, Detection, Header, Rejected, Track, detection_flags};
+
+pub const TICK_NS: i64 = 80_000_000;
+pub const ALL_TYPES: u32 = 0b111;
+
+/// A tracker and the frames that it has been given.
+pub struct Run {
+    pub tracker: Tracker,
+    pub tracks: Vec<Track>,
+    pub flags: u32,
+    pub observed_types: u32,
+    pub tick_ns: i64,
+    pub stamp_ns: i64,
+}
+
+impl Run {
+    pub fn new(options: TrackerOptions, flags: u32) -> Self {
+        Self {
+            tracker: Tracker::new(options),
+            tracks: vec![Track::zeroed(); AGENTS_MAX],
+            flags,
+            observed_types: ALL_TYPES,
+            tick_ns: TICK_NS,
+            stamp_ns: 1_000_000_000,
+        }
+    }
+
+    pub fn header(&self) -> Header {
+        Header { flags: self.flags, observed_types: self.observed_types, ..Header::new(1, 0, self.stamp_ns) }
+    }
+
+    pub fn step(&mut self, detections: &[Detection]) -> &[Track] {
+        self.try_step(detections).expect("a good frame");
+        self.published()
+    }
+
+    pub fn try_step(&mut self, detections: &[Detection]) -> Result<Tracked, Rejected> {
+        self.stamp_ns += self.tick_ns;
+        let tracked = self.tracker.step(&self.header(), detections, None, &mut self.tracks)?;
+        for track in &self.tracks[..tracked.tracks_len] {
+            track.check().expect("a track fit for the wire");
+        }
+        Ok(tracked)
+    }
+
+    pub fn published(&self) -> &[Track] {
+        let agents_len = self.tracker.header(&self.header()).counts.agents_len;
+        &self.tracks[..agents_len as usize]
+    }
+}
+
+/// A detection with a position only; the id tells the test who it was, the tracker may use it only if a header says so.
+pub fn seen(agent_type: AgentType, id: u64, x_m: f64, y_m: f64) -> Detection {
+    Detection {
+        id,
+        x_m: x_m as f32,
+        y_m: y_m as f32,
+        score: 1.0,
+        agent_type: agent_type as u32,
+        flags: detection_flags::HAS_ID,
+        ..Detection::zeroed()
+    }
+}
+
+pub fn heading(detection: Detection, heading_rad: f64) -> Detection {
+    let flags = detection.flags | detection_flags::HAS_HEADING;
+    Detection { heading_rad: filters::wrapped(heading_rad) as f32, flags, ..detection }
+}
+
+/// Normal noise of that standard deviation.
+pub fn noise(rng: &mut ChaCha8Rng, sigma: f64) -> f64 {
+    Normal::new(0.0, sigma).expect("a finite sigma").sample(rng)
+}
