@@ -16,7 +16,7 @@ use std::io::{self, Write};
 use std::str::FromStr;
 
 use thiserror::Error;
-use wire::{AgentType, Header, Track, TrackStatus};
+use wire::{AgentType, Header, Quality, Track, TrackStatus};
 
 use crate::formats::csv;
 use crate::formats::kitti::{self, WorldFromCamera};
@@ -140,13 +140,16 @@ fn invalid(error: impl fmt::Display) -> io::Error {
 /// What of the format's columns a track tells.
 const CSV_COLUMNS: [&str; csv::NAMES.len() - 1] = {
     let [stamp, id, kind, x, y, heading, speed, length, width, score, _sigma, rest @ ..] = csv::NAMES;
-    let [vx, vy, status, unseen, xx, xy, yy] = rest;
-    [stamp, id, kind, x, y, heading, speed, length, width, score, vx, vy, status, unseen, xx, xy, yy]
+    let [vx, vy, status, unseen, xx, xy, yy, prior, age] = rest;
+    [
+        stamp, id, kind, x, y, heading, speed, length, width, score, vx, vy, status, unseen, xx, xy, yy,
+        prior, age,
+    ]
 };
 
 fn write_ego(output: &mut impl Write, header: &Header) -> io::Result<()> {
     let ([x, y], heading) = (header.ego_m, header.ego_heading_rad);
-    writeln!(output, "{},,ego,{x},{y},{heading},,,,,,,,,,,", Seconds(header.stamp_ns))
+    writeln!(output, "{},,ego,{x},{y},{heading},,,,,,,,,,,,,", Seconds(header.stamp_ns))
 }
 
 fn write_csv(
@@ -167,7 +170,9 @@ fn write_csv(
     let [xx, xy] = [track.covariance[0], track.covariance[1]];
     // The covariance is packed: its second row begins behind `state_len` numbers.
     let yy = track.covariance[(track.state_len as usize + 1).min(24)];
-    writeln!(output, "{existence},{vx_mps},{vy_mps},{status},{unseen},{xx},{xy},{yy}")
+    let prior = Quality::ALL.get(track.prior as usize).map_or("", |quality| quality.name());
+    let age = Seconds(track.prior_age_ns.cast_signed());
+    writeln!(output, "{existence},{vx_mps},{vy_mps},{status},{unseen},{xx},{xy},{yy},{prior},{age}")
 }
 
 fn write_kitti(
@@ -226,6 +231,7 @@ mod tests {
         (track.length_m, track.width_m) = (4.1, 1.9);
         (track.vx_mps, track.vy_mps) = (3.25, 2.74);
         (track.state_len, track.unseen_ns) = (5, 200_000_000);
+        (track.prior, track.prior_age_ns) = (Quality::Held as u32, 480_000_000);
         (track.covariance[0], track.covariance[1], track.covariance[6]) = (0.25, -0.125, 0.5);
         track
     }
@@ -266,10 +272,10 @@ mod tests {
     fn csv_comes_back_as_a_recording_with_the_same_numbers() {
         let text = written(TrackRows::Csv, &frames()).unwrap();
         let rows: Vec<&str> = text.lines().collect();
-        assert_eq!(rows[1], "-0.1,,ego,1.5,0,0.5,,,,,,,,,,,");
+        assert_eq!(rows[1], "-0.1,,ego,1.5,0,0.5,,,,,,,,,,,,,");
         assert_eq!(
             rows[2],
-            "-0.1,7,vehicle,12.3,-3.3,0.7,4.25,4.1,1.9,0.9375,3.25,2.74,confirmed,0.2,0.25,-0.125,0.5"
+            "-0.1,7,vehicle,12.3,-3.3,0.7,4.25,4.1,1.9,0.9375,3.25,2.74,confirmed,0.2,0.25,-0.125,0.5,held,0.48"
         );
         let input = Input { role: Role::Rows, path: "tracks.csv".to_owned(), bytes: text.into() };
         assert_eq!(Format::detect(&input).unwrap(), Format::Csv);

@@ -2,6 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
+use data::formats::kitti::Annotations;
 use data::sets::{DataSet, Fold, Part};
 use data::{Format, Recording, WindowOptions, open, windows};
 
@@ -149,6 +150,26 @@ fn parked_cars_of_kitti_stand_still_in_the_world() {
                 coordinates().map(|x_m| (x_m - mean_m).powi(2)).sum::<f32>() / states.len() as f32;
             assert!(variance_m2.sqrt() < 0.1, "{sequence} {id}: {} m", variance_m2.sqrt());
         }
+    }
+}
+
+#[test]
+fn kitti_looked_where_it_labelled() {
+    let Some(root) = recordings() else { return };
+    for file in files(DataSet::KittiDetections, &root, Part::Train) {
+        let annotations = Annotations::open(&file).unwrap_or_else(|error| panic!("{error}"));
+        let (mut looked_at, mut labelled) = (0, 0);
+        for (index, (frame, seen)) in annotations.frames().iter().zip(read(&file).frames).enumerate() {
+            let [ego_x, ego_y] = seen.ego.position_m.map(f64::from);
+            // Farther objects are smaller than is asked for.
+            let near = |[x, y]: [f64; 2]| (x - ego_x).hypot(y - ego_y) < 40.0;
+            for object in frame.objects.iter().filter(|object| object.counts && near(object.position_m)) {
+                labelled += 1;
+                looked_at += usize::from(annotations.looked_at(index, object.agent_type, object.position_m));
+            }
+        }
+        assert!(10 * looked_at >= 9 * labelled && labelled > 100, "{file:?}: {looked_at} of {labelled}");
+        assert!(!annotations.looked_at(0, wire::AgentType::Vehicle, [1e4, 1e4]), "{file:?}");
     }
 }
 

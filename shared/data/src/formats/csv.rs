@@ -22,6 +22,7 @@
 //! | `vx_mps`, `vy_mps` | | velocity in the world frame |
 //! | `status`, `unseen_s` | | `confirmed` or `coasting`; seconds since the agent was last detected |
 //! | `xx_m2`, `xy_m2`, `yy_m2` | | covariance of the position |
+//! | `prior`, `prior_age_s` | | what moved the state: `learned`, `held` or `kinematic`; seconds since the forecast was made |
 //!
 //! The columns from `vx_mps` on are those that [`TrackWriter`](crate::TrackWriter) adds for tracks: they are checked, but
 //! make no part of the recording, so that tracks can be played again as detections with identities.
@@ -33,14 +34,14 @@
 
 use std::collections::BTreeMap;
 
-use wire::{AgentType, Detection, detection_flags};
+use wire::{AgentType, Detection, Quality, detection_flags};
 
 use crate::input::need;
 use crate::rows::{self, ALL_TYPES, Rows};
 use crate::text::{self, Field, Line, Separator};
 use crate::{Ego, Frame, Input, ReadError, Recording, Role};
 
-pub(crate) const NAMES: [&str; 18] = [
+pub(crate) const NAMES: [&str; 20] = [
     "stamp_s",
     "id",
     "type",
@@ -59,6 +60,8 @@ pub(crate) const NAMES: [&str; 18] = [
     "xx_m2",
     "xy_m2",
     "yy_m2",
+    "prior",
+    "prior_age_s",
 ];
 /// What the column `status` says.
 pub(crate) const STATUS: [&str; 2] = ["confirmed", "coasting"];
@@ -155,14 +158,8 @@ impl Header {
 }
 
 fn told(fields: &[Field<'_>; NAMES.len()]) -> Result<Told, ReadError> {
-    let &[_, id, kind, x, y, heading, speed, length, width, score, sigma, vx, vy, status, unseen, xx, xy, yy] =
-        fields;
-    for unused in [vx, vy, unseen, xx, xy, yy] {
-        given(unused, Field::number)?;
-    }
-    if !status.text.is_empty() && !STATUS.contains(&status.text) {
-        return Err(status.error(format!("expected {}", STATUS.join(" or "))));
-    }
+    let &[_, id, kind, x, y, heading, speed, length, width, score, sigma, ref unused @ ..] = fields;
+    check_unused(unused)?;
     let position_m = [x.position_m()?, y.position_m()?];
     let heading_rad = given(heading, Field::angle_rad)?;
     if kind.text == "ego" {
@@ -196,6 +193,19 @@ fn told(fields: &[Field<'_>; NAMES.len()]) -> Result<Told, ReadError> {
         flags: flags.into_iter().filter(|(is_given, _)| *is_given).fold(0, |bits, (_, bit)| bits | bit),
         ..rows::detection(agent_type, position_m)
     }))
+}
+
+/// Refuses what could not have been written for a track.
+fn check_unused(&[vx, vy, status, unseen, xx, xy, yy, prior, age]: &[Field<'_>; 9]) -> Result<(), ReadError> {
+    for number in [vx, vy, unseen, xx, xy, yy, age] {
+        given(number, Field::number)?;
+    }
+    for (word, known) in [(status, &STATUS[..]), (prior, &Quality::ALL.map(Quality::name))] {
+        if !word.text.is_empty() && !known.contains(&word.text) {
+            return Err(word.error(format!("expected {}", known.join(" or "))));
+        }
+    }
+    Ok(())
 }
 
 /// The value of a field that may be empty.
