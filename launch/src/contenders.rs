@@ -12,6 +12,9 @@ use wire::{AgentType, Track};
 use crate::failure::Failure;
 use crate::tracking::Tracking;
 
+/// A track of which the tracker says that it is less probable than not claims nothing.
+const BELIEVED: f32 = 0.5;
+
 /// Our tracker without forecasts, and last with those of the weights.
 pub fn contenders<'a>(weights: Option<&'a PathBuf>, model: &'a ModelConfig) -> Vec<Contender<'a>> {
     let contender = |name, prior| Contender {
@@ -42,8 +45,9 @@ fn track(recording: &Recording, run: Run) -> Result<Published, Failure> {
     let mut tracking = Tracking::new(&Run { interval_ns: playback.interval_ns(), ..run })?;
     let mut published = Vec::with_capacity(recording.frames.len());
     while let Some(tick) = playback.next_tick() {
-        let tracks = tracking.tick(&tick.header, tick.detections).iter().map(told);
-        published.push(tracks.collect::<Result<_, _>>()?);
+        let tracks = tracking.tick(&tick.header, tick.detections).iter();
+        let believed = tracks.filter(|track| track.existence >= BELIEVED);
+        published.push(believed.map(told).collect::<Result<_, _>>()?);
     }
     Ok(published)
 }

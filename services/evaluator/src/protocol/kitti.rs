@@ -19,7 +19,7 @@ const PARTS: [Part; 2] = [Part::Train, Part::Validation];
 
 /// Judges trackers on KITTI's sequences, beside a plain one by nearest neighbours.
 ///
-/// The last of `contenders` is compared with all others; forecasts in it come from the weights of `options` (the recipe
+/// The last of `contenders` is compared with all others on the very same detections; forecasts in it come from the weights of `options` (the recipe
 /// `onboard` where none are named), which the report tells of.
 ///
 /// # Errors
@@ -47,8 +47,11 @@ pub fn kitti(
         // Each part has what was chosen on the other.
         for (part, least_scores) in parts.iter_mut().zip(choices.into_iter().rev()) {
             let counts = part.judge(contender, least_scores, options.threads)?;
+            let last = contenders.last().filter(|last| last.name != contender.name);
+            let last = last.map(|last| part.judge(last, least_scores, options.threads)).transpose()?;
             let least_scores = least_scores.map(|score| vec![score]);
-            part.rows.push(KittiRow { name: contender.name, least_scores, counts });
+            let last_on_same = last.unwrap_or_else(|| counts.clone());
+            part.rows.push(KittiRow { name: contender.name, least_scores, counts, last_on_same });
         }
     }
     let model = options.weights.open(EMBEDDED, SEED)?;

@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 
 use filters::{ControlStep, Filter, Forecast, Gaussian, Kind, Mixture, Observation, SingerBicycle};
-use metrics::tracking::{PlanarState, normalised_square};
+use metrics::tracking::{Consistency, PlanarState, normalised_square};
 use nalgebra::{Matrix2, Vector4};
 use scene::State;
 use wire::AgentType;
@@ -19,6 +19,8 @@ const COURSE_TOLD_RAD: f64 = 0.3;
 const COURSE_TOLD_MPS: f64 = 0.5;
 /// Time constant with which a forecast's controls come in.
 const FADED_IN_S: f64 = 1.0;
+/// Degrees of freedom of a position.
+const DEGREES: u32 = 2;
 /// A track counts from this age on.
 const SETTLED_S: f64 = 1.0;
 
@@ -29,16 +31,16 @@ pub(crate) struct Error {
     pub(crate) visible: bool,
     pub(crate) position_m: f64,
     pub(crate) velocity_mps: f64,
-    /// Of the position, two degrees of freedom; `None` where the covariance can't be inverted.
-    pub(crate) nees: Option<f64>,
 }
 
 /// What came of a run over a course.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Outcome {
     pub(crate) errors: Vec<Error>,
-    /// Normalised innovations squared, two degrees of freedom.
-    pub(crate) nis_sum: f64,
+    /// Normalised squares of the positions' errors, instant by instant: where they are measured, and in gaps.
+    pub(crate) nees: [Consistency; 2],
+    /// The same of the innovations.
+    pub(crate) nis: Consistency,
     /// Of the logarithms of the densities that the filters gave each measurement before they saw it.
     pub(crate) log_likelihood_sum: f64,
     pub(crate) measured_len: u64,
@@ -89,10 +91,10 @@ impl Follower<'_> {
         let step_ns = self.forecaster.config().step_ns().cast_signed();
         let mut next_ns = course.instants.first().map_or(0, |first| first.stamp_ns);
         let mut last_ns = None;
-        for instant in &course.instants {
+        for (instant, tick) in course.instants.iter().zip(0..) {
             let elapsed_ns = last_ns.map_or(0, |last: i64| instant.stamp_ns - last).cast_unsigned();
             last_ns = Some(instant.stamp_ns);
-            self.advance(instant, elapsed_ns, course.sensor.sigma_m, &mut tracks, &mut outcome);
+            self.advance((tick, instant), elapsed_ns, course.sensor.sigma_m, &mut tracks, &mut outcome);
             // A forecast a step of the model: hypotheses live long enough to be told apart.
             if self.method.is_learned() && instant.stamp_ns >= next_ns {
                 next_ns += step_ns;
@@ -105,7 +107,7 @@ impl Follower<'_> {
     /// Predicts, corrects and judges all tracks.
     fn advance(
         &self,
-        instant: &Instant,
+        (tick, instant): (u64, &Instant),
         elapsed_ns: u64,
         sigma_m: f64,
         tracks: &mut BTreeMap<u64, Track>,
@@ -130,7 +132,7 @@ impl Follower<'_> {
                 track.is_fresh = true;
                 match track.update(&observation, &self.settings) {
                     Some((nis, log_likelihood)) if counts => {
-                        outcome.nis_sum += nis;
+                        faults_len += u64::from(outcome.nis.add(tick, nis, DEGREES).is_err());
                         outcome.log_likelihood_sum += log_likelihood;
                         outcome.measured_len += 1;
                     }
@@ -142,7 +144,12 @@ impl Follower<'_> {
             outcome.faults_len += faults_len;
             let age_s = (instant.stamp_ns - track.born_ns) as f64 / 1e9;
             if let Some(truth) = seen.truth.filter(|_| counts && age_s >= SETTLED_S) {
-                outcome.errors.push(track.error(seen, &truth));
+                let (error, nees) = track.error(seen, &truth);
+                outcome.errors.push(error);
+                if let Some(nees) = nees {
+                    let added = outcome.nees[usize::from(!error.visible)].add(tick, nees, DEGREES);
+                    outcome.faults_len += u64::from(added.is_err());
+                }
             }
         }
     }
@@ -254,20 +261,21 @@ impl Track {
         }
     }
 
-    fn error(&self, seen: &Seen, truth: &PlanarState) -> Error {
+    fn error(&self, seen: &Seen, truth: &PlanarState) -> (Error, Option<f64>) {
         let state = self.filter().cartesian();
         let [[x, y], [vx, vy]] = [truth.position_m, truth.velocity_mps];
         let error = state.mean - Vector4::new(x, y, vx, vy);
-        Error {
+        let nees = normalised_square(
+            &error.fixed_rows::<2>(0).into_owned(),
+            &state.covariance.fixed_view::<2, 2>(0, 0).into_owned(),
+        );
+        let error = Error {
             id: seen.id,
             visible: seen.measured_m.is_some(),
             position_m: error[0].hypot(error[1]),
             velocity_mps: error[2].hypot(error[3]),
-            nees: normalised_square(
-                &error.fixed_rows::<2>(0).into_owned(),
-                &state.covariance.fixed_view::<2, 2>(0, 0).into_owned(),
-            ),
-        }
+        };
+        (error, nees)
     }
 }
 
@@ -320,8 +328,11 @@ mod tests {
         let visible = || outcome.errors.iter().filter(|error| error.visible);
         let mean_m = visible().map(|error| error.position_m).sum::<f64>() / visible().count() as f64;
         assert!(mean_m < 0.07, "{mean_m}");
-        let nis = outcome.nis_sum / (2.0 * outcome.measured_len as f64);
-        assert!((0.7..1.3).contains(&nis), "{nis}");
+        let nis = outcome.nis.summary(0.95).unwrap().unwrap();
+        assert_eq!(nis.squares_len, outcome.measured_len);
+        assert!((0.7..1.3).contains(&nis.per_degree) && nis.inside > 0.9, "{nis:?}");
+        let [visible, hidden] = outcome.nees.each_ref().map(|nees| nees.summary(0.95).unwrap().unwrap());
+        assert_eq!(visible.ticks_len + hidden.ticks_len, 189);
         assert_eq!((outcome.faults_len, outcome.errors.len()), (0, 189));
     }
 

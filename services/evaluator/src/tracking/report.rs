@@ -1,6 +1,6 @@
 //! What is told of the filters' errors.
 
-use metrics::tracking::ErrorNorms;
+use metrics::tracking::{Consistency, ConsistencySummary, ErrorNorms};
 use metrics::{PairedErrors, paired_bootstrap_ratio};
 
 use super::follower::Error;
@@ -11,6 +11,8 @@ use crate::weights::Provenance;
 
 /// Of the bootstrap.
 const SEED: u64 = 1;
+/// The χ² bounds within which squares should lie.
+const BOUNDS: f64 = 0.95;
 /// The deviation whose errors a summary tells, m: that at which a constant-velocity filter errs as much as in the paper.
 const SUMMARISED_M: f64 = 0.02;
 
@@ -21,8 +23,9 @@ pub(crate) struct Judged {
     method: TrackingMethod,
     /// Track by track.
     tracks: Vec<Vec<Error>>,
-    /// Per degree of freedom.
-    nis: f64,
+    /// Of the positions that the column tells of, and of the innovations; `None` where there are none.
+    nees: Option<ConsistencySummary>,
+    nis: Option<ConsistencySummary>,
     faults_len: u64,
 }
 
@@ -62,24 +65,26 @@ impl Quantity {
 }
 
 impl Judged {
-    /// The outcomes of all recordings together.
+    /// The outcomes of all recordings together; vehicles that are there at the same number of an instant are runs beside one
+    /// another to the χ² bounds.
     pub(crate) fn new<'a>(
         sensor: Sensor,
         method: TrackingMethod,
         outcomes: impl Iterator<Item = &'a Outcome>,
     ) -> Self {
-        let (mut tracks, mut nis_sum, mut measured_len, mut faults_len) = (Vec::new(), 0.0, 0, 0);
+        let (mut tracks, mut faults_len) = (Vec::new(), 0);
+        let (mut nees, mut nis) = (Consistency::default(), Consistency::default());
         for outcome in outcomes {
             let mut errors = outcome.errors.clone();
             // Instants stay in their order.
             errors.sort_by_key(|error| error.id);
             tracks.extend(errors.chunk_by(|a, b| a.id == b.id).map(<[Error]>::to_vec));
-            nis_sum += outcome.nis_sum;
-            measured_len += outcome.measured_len;
+            nees.merge(&outcome.nees[usize::from(sensor.gap_s > 0.0)]);
+            nis.merge(&outcome.nis);
             faults_len += outcome.faults_len;
         }
-        let nis = nis_sum / (2.0 * measured_len.max(1) as f64);
-        Self { sensor, method, tracks, nis, faults_len }
+        let [nees, nis] = [nees, nis].map(|squares| squares.summary(BOUNDS).ok().flatten());
+        Self { sensor, method, tracks, nees, nis, faults_len }
     }
 
     /// Whether a column tells of an error: gaps where there are some, all instants where there are none.
@@ -92,12 +97,6 @@ impl Judged {
         let errors = self.tracks.iter().flatten().filter(|error| self.tells(error));
         errors.for_each(|error| norms.add(quantity.of(error)));
         norms
-    }
-
-    /// Mean NEES per degree of freedom.
-    fn nees(&self) -> f64 {
-        let nees = || self.tracks.iter().flatten().filter(|error| self.tells(error)).filter_map(|e| e.nees);
-        nees().sum::<f64>() / (2.0 * nees().count().max(1) as f64)
     }
 
     /// Track by track, beside another method on the same instants.
@@ -242,15 +241,16 @@ impl TrackingReport {
     }
 
     fn certainty(&self) -> Table {
-        let note = "Mean NEES of the position / mean NIS of the measurements, per degree of freedom: 1 where \
-                    covariances are right, more where they are too small. Faults are predictions and updates that failed.";
+        let note = "NEES of the position / NIS of the measurements: the mean per degree of freedom, 1 where covariances are right \
+                    and more where they are too small; in brackets the share of the instants at which the sum over all vehicles lies \
+                    within its 95 % χ² bounds. Faults are predictions and updates that failed.";
         let columns = self.columns().into_iter().chain(["faults".to_owned()]);
         let mut table = Table::new("Consistency", note, &["deviation", "method"], columns);
         for &(sigma_m, _) in &self.trials {
             for method in TrackingMethod::ALL {
                 let cell = |sensor: Sensor| {
                     let judged = self.of(sensor, method)?;
-                    Some(format!("{} / {}", digits(judged.nees()), digits(judged.nis)))
+                    Some(format!("{} / {}", consistency(&judged.nees?), consistency(&judged.nis?)))
                 };
                 let mut row = self.row(sigma_m, method.name(), cell);
                 let judged = self.sensors(sigma_m).into_iter().filter_map(|sensor| self.of(sensor, method));
@@ -296,10 +296,14 @@ impl TrackingReport {
             )
         };
         let lines = |figures: Figures| {
-            let Figures { rmse, mae, nees, nis, .. } = figures;
-            [("rmse", rmse), ("mae", mae), ("nees", nees), ("nis", nis)].map(|told| line(&figures, told))
+            let Figures { rmse, mae, nees, nis, nees_inside, nis_inside, .. } = figures;
+            let squares =
+                [("nees", nees), ("nis", nis), ("nees_inside", nees_inside), ("nis_inside", nis_inside)];
+            let known = squares.into_iter().filter_map(|(measure, value)| Some((measure, value?)));
+            let all = [("rmse", rmse), ("mae", mae)].into_iter().chain(known);
+            all.map(|told| line(&figures, told)).collect::<String>()
         };
-        self.figures().flat_map(lines).collect()
+        self.figures().map(lines).collect()
     }
 
     /// Everything as JSON.
@@ -319,8 +323,10 @@ impl TrackingReport {
                 rmse: norms.rmse()?,
                 mae: norms.mae()?,
                 len: norms.len,
-                nees: judged.nees(),
-                nis: judged.nis,
+                nees: judged.nees.map(|squares| squares.per_degree),
+                nis: judged.nis.map(|squares| squares.per_degree),
+                nees_inside: judged.nees.map(|squares| squares.inside),
+                nis_inside: judged.nis.map(|squares| squares.inside),
             })
         };
         let pairs = self.judged.iter().flat_map(|judged| Quantity::ALL.map(|quantity| (judged, quantity)));
@@ -339,8 +345,17 @@ struct Figures {
     mae: f64,
     /// Instants.
     len: u64,
-    nees: f64,
-    nis: f64,
+    /// Normalised squares per degree of freedom.
+    nees: Option<f64>,
+    nis: Option<f64>,
+    /// Shares of the instants within the χ² bounds.
+    nees_inside: Option<f64>,
+    nis_inside: Option<f64>,
+}
+
+/// Per degree of freedom, and how often within the bounds.
+fn consistency(squares: &ConsistencySummary) -> String {
+    format!("{} ({:.0} %)", digits(squares.per_degree), 100.0 * squares.inside)
 }
 
 /// Four decimals below 1: some errors are of millimetres.

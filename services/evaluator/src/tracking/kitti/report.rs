@@ -1,6 +1,6 @@
 //! What is told of the trackers.
 
-use metrics::cluster_bootstrap;
+use metrics::{Interval, cluster_bootstrap};
 
 use super::{ByClass, CLASSES, Counts, KittiMeasure, class_name};
 use crate::group::RESAMPLES;
@@ -38,6 +38,8 @@ pub(crate) struct KittiRow {
     pub(crate) least_scores: ByClass<Vec<f32>>,
     /// Sequence by sequence.
     pub(crate) counts: Vec<ByClass<Counts>>,
+    /// What the last contender makes of the very same detections.
+    pub(crate) last_on_same: Vec<ByClass<Counts>>,
 }
 
 impl KittiPart {
@@ -45,6 +47,7 @@ impl KittiPart {
     fn joined(mut self, other: Self) -> Self {
         for (row, more) in self.rows.iter_mut().zip(other.rows) {
             row.counts.extend(more.counts);
+            row.last_on_same.extend(more.last_on_same);
             for (scores, more) in row.least_scores.iter_mut().zip(more.least_scores) {
                 scores.extend(more);
             }
@@ -53,17 +56,29 @@ impl KittiPart {
     }
 }
 
+/// Of the sequences with these numbers, as often as they stand there.
+fn drawn(counts: &[ByClass<Counts>], class: usize, drawn: &[usize]) -> Counts {
+    Counts::sum(drawn.iter().map(|&sequence| &counts[sequence][class]))
+}
+
 impl KittiRow {
-    /// Of all sequences, as often as they are drawn.
-    fn drawn(&self, class: usize, drawn: impl Iterator<Item = usize>) -> Counts {
-        drawn.fold(Counts::default(), |mut sum, sequence| {
-            sum.merge(&self.counts[sequence][class]);
-            sum
-        })
+    fn total(&self, class: usize) -> Counts {
+        Counts::sum(self.counts.iter().map(|counts| &counts[class]))
     }
 
-    fn total(&self, class: usize) -> Counts {
-        self.drawn(class, 0..self.counts.len())
+    /// What the last contender has more than this one, with its interval where enough sequences have objects of the class.
+    fn lead_of_last(&self, class: usize, measure: KittiMeasure) -> Option<String> {
+        let lead = |sequences: &[usize]| {
+            let of = |counts| drawn(counts, class, sequences).figure(measure);
+            Some(of(&self.last_on_same)? - of(&self.counts)?)
+        };
+        let len = self.counts.len();
+        let told_len = self.counts.iter().filter(|counts| counts[class].truths_len() > 0).count();
+        if told_len < SEQUENCES_MIN {
+            return lead(&(0..len).collect::<Vec<_>>()).map(|figure| format!("{figure:+.3}"));
+        }
+        let Interval { low, mean, high } = cluster_bootstrap(len, RESAMPLES, SEED, lead)?;
+        Some(format!("{mean:+.3} [{low:+.3}, {high:+.3}]"))
     }
 }
 
@@ -101,7 +116,8 @@ impl KittiReport {
                     where HOTA's similarity ends and GOSPA (p = 2, mean of the frames) cuts off. Objects that are truncated, occluded to an \
                     unknown degree or of a neighbouring class (vans, trucks, people who sit) may be found or missed; a track with no object is \
                     false unless its place is out of the image, under 25 px high or in a region without labels. The least score of the \
-                    detections is each contender's own choice per class, by MOTA on the other sequences, of the same eight from -1 to 6.";
+                    detections is each contender's own choice per class, by MOTA on the other sequences, of the same eight from -1 to 6. Of ours those tracks \
+                    count which the tracker takes for more probable than not.";
         let columns = KittiMeasure::ALL.map(KittiMeasure::name).into_iter().chain(["least score"]);
         let mut table =
             Table::new("Trackers", note, &["class", "sequences", "tracker"], columns.map(str::to_owned));
@@ -125,8 +141,9 @@ impl KittiReport {
 
     fn comparisons(&self) -> Table {
         let note = format!(
-            "What the tracker with the learned prior has more of than the others; in brackets the paired bootstrap's 95 % interval, \
-             {RESAMPLES} resamples of whole sequences with objects of the class; none where these are fewer than {SEQUENCES_MIN}."
+            "What the tracker with the learned prior has more than the other on the very same detections, those of the other's least \
+             score; in brackets the paired bootstrap's 95 % interval, \
+             {RESAMPLES} resamples of whole sequences; none where fewer than {SEQUENCES_MIN} have objects of the class."
         );
         let columns = KittiMeasure::COMPARED.map(|measure| measure.name().to_owned()).into_iter();
         let mut table = Table::new(
@@ -137,10 +154,9 @@ impl KittiReport {
         );
         for (class, agent_type) in CLASSES.into_iter().enumerate() {
             for part in &self.parts {
-                let Some((learned, others)) = part.rows.split_last() else { continue };
-                for other in others {
+                for other in part.rows.iter().take(part.rows.len().saturating_sub(1)) {
                     let names = [class_name(agent_type), &part.name, other.name].map(str::to_owned);
-                    let cell = |measure| difference(learned, other, class, measure);
+                    let cell = |measure| other.lead_of_last(class, measure);
                     let cells =
                         KittiMeasure::COMPARED.map(|measure| cell(measure).unwrap_or_else(|| "-".to_owned()));
                     table.push_row(names.into_iter().chain(cells).collect());
@@ -206,22 +222,4 @@ struct KittiValue<'a> {
 fn scores(row: &KittiRow, class: usize, separator: &str) -> String {
     let scores: Vec<String> = row.least_scores[class].iter().map(|score| format!("{score:.0}")).collect();
     scores.join(separator)
-}
-
-/// Ours less theirs, with its interval where enough sequences have objects of the class.
-fn difference(ours: &KittiRow, theirs: &KittiRow, class: usize, measure: KittiMeasure) -> Option<String> {
-    let figure = |drawn: &[usize]| {
-        let of = |row: &KittiRow| row.drawn(class, drawn.iter().copied()).figure(measure);
-        Some(of(ours)? - of(theirs)?)
-    };
-    // A sequence without the class has no say in how sure the figure is.
-    let told: Vec<usize> =
-        (0..ours.counts.len()).filter(|&sequence| ours.counts[sequence][class].truths_len() > 0).collect();
-    let resampled = |drawn: &[usize]| figure(&drawn.iter().map(|&cluster| told[cluster]).collect::<Vec<_>>());
-    let difference = figure(&(0..ours.counts.len()).collect::<Vec<_>>())?;
-    if told.len() < SEQUENCES_MIN {
-        return Some(format!("{difference:+.3}"));
-    }
-    let interval = cluster_bootstrap(told.len(), RESAMPLES, SEED, resampled)?;
-    Some(format!("{difference:+.3} [{:+.3}, {:+.3}]", interval.low, interval.high))
 }
