@@ -7,3 +7,4 @@ mod programs;
 mod recordings;
 mod scratch;
 mod started;
+mod tracks;

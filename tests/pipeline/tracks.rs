@@ -1,0 +1,57 @@
+//! Tracks as files: `track` in all formats, and what comes of them when they are read again.
+
+use std::collections::BTreeSet;
+
+use crate::scratch::Scratch;
+use crate::started::{run, run_well, stderr, stdout};
+
+/// The rows of agents, split at commas; the columns of a CSV by the names of its first line.
+fn rows(text: &str) -> Vec<Vec<&str>> {
+    text.lines().map(|line| line.split(',').collect()).collect()
+}
+
+#[test]
+fn tracks_come_back_as_a_recording_with_the_same_agents() {
+    let scratch = Scratch::new("tracks");
+    let recording = scratch.recording("scene.csv", 40);
+    let path = scratch.path("tracks.csv");
+    run_well(&["track", &recording, "--associate", "--out", &path]);
+    let text = String::from_utf8(scratch.read("tracks.csv")).expect("CSV is text");
+    let rows_of_tracks = rows(&text);
+    let agents = || rows_of_tracks[1..].iter().filter(|row| row[2] != "ego");
+    assert_eq!(rows_of_tracks[1..].iter().filter(|row| row[2] == "ego").count(), 40, "a frame per tick");
+    assert!(agents().count() > 200, "{} rows", agents().count());
+    assert!(agents().all(|row| ["confirmed", "coasting"].contains(&row[12])), "{text}");
+
+    // Played again, the tracks follow their own ids: as many agents, each where it was.
+    let again = stdout(&run_well(&["track", &path, "--as", "mot"]));
+    let ids = |rows: &mut dyn Iterator<Item = &str>| rows.map(str::to_owned).collect::<BTreeSet<_>>();
+    let first_ids = ids(&mut agents().map(|row| row[1]));
+    let again = rows(&again);
+    assert!(again.iter().all(|row| row.len() == 10 && row[2..6] == ["-1"; 4]), "{again:?}");
+    assert_eq!(ids(&mut again.iter().map(|row| row[1])).len(), first_ids.len());
+}
+
+#[test]
+fn forecasts_move_tracks_where_they_are_asked_for() {
+    let scratch = Scratch::new("tracks-prior");
+    let recording = scratch.recording("scene.csv", 40);
+    let tracks = |prior: &str| {
+        stdout(&run_well(&["track", &recording, "--associate", "--tracker.prior", prior, "--as", "mot"]))
+    };
+    let learned = tracks("learned");
+    assert_eq!(learned, tracks("learned"), "the same bytes twice");
+    assert_ne!(learned, tracks("kinematic"));
+}
+
+#[test]
+fn results_in_the_camera_frame_need_a_camera() {
+    let scratch = Scratch::new("tracks-kitti");
+    let recording = scratch.recording("scene.csv", 5);
+    let out = scratch.path("out.txt");
+    let output = run(&["track", &recording, "--as", "kitti", "--out", &out]);
+    assert_eq!(output.status.code(), Some(65));
+    let told = stderr(&output);
+    assert!(told.contains("--as kitti needs a sequence of KITTI") && told.contains("calib"), "{told}");
+    assert!(!std::path::Path::new(&out).exists());
+}
