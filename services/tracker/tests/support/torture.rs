@@ -1,10 +1,14 @@
-//! Frames that no sensor should send, and forecasts that no model should make, drawn at random.
+//! Frames that no sensor should send, and forecasts that no model should make, drawn at random, and a tracker under them.
+
+use std::collections::BTreeMap;
 
 use bytemuck::Zeroable;
+use config::Prior;
 use rand::seq::IndexedRandom;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
-use wire::{DETECTIONS_MAX, Detection, Forecast, Header, Track, flags};
+use tracker::{Tracker, TrackerOptions};
+use wire::{AGENTS_MAX, DETECTIONS_MAX, Detection, Forecast, Header, Quality, Track, flags};
 
 const AGENTS: usize = 30;
 const TICK_NS: i64 = 80_000_000;
@@ -13,24 +17,80 @@ const BAD: [f32; 6] = [f32::NAN, f32::INFINITY, f32::NEG_INFINITY, f32::MAX, 1e1
 /// Numbers that are possible, if hardly so.
 const EXTREME: [f32; 6] = [0.0, 1e-38, 1e-12, 1e-3, 1e3, 1e6];
 
+/// What came of a tracker.
+#[derive(Debug, Default)]
+pub struct Survived {
+    pub published_len: usize,
+    /// Of these, moved by a forecast.
+    pub learned_len: usize,
+    pub faults_len: usize,
+    /// Frames that were refused, by the reason.
+    pub refused: BTreeMap<String, usize>,
+    /// Memory of the process in KiB at each fifth of the way, where the system tells.
+    pub resident_kib: Vec<usize>,
+}
+
+/// Gives a tracker so many random frames and forecasts; every state that it publishes must be sound.
+pub fn torture(prior: Prior, seed: u64, ticks_len: usize) -> Survived {
+    let mut torture = Torture::new(seed);
+    let options = TrackerOptions { prior, ..TrackerOptions::default() };
+    let mut tracker = Tracker::new(options);
+    let mut out = vec![Track::zeroed(); AGENTS_MAX];
+    let mut tracks_len = 0;
+    let mut survived = Survived::default();
+    for tick in 0..ticks_len {
+        if tick % (ticks_len / 5) == 0 {
+            survived.resident_kib.extend(resident_kib());
+        }
+        let forecast = torture.forecast(&out[..tracks_len]);
+        let header = torture.frame();
+        let given = Some((&forecast, &torture.forecasts[..]));
+        let tracked = match tracker.step(&header, &torture.detections, given, &mut out) {
+            Ok(tracked) => tracked,
+            Err(rejected) => {
+                let reason = format!("{rejected:?}");
+                let name = reason.split([' ', '{']).next().unwrap_or_default();
+                *survived.refused.entry(name.into()).or_default() += 1;
+                continue;
+            }
+        };
+        tracks_len = tracked.tracks_len;
+        assert!(tracked.held_len <= options.tracks_max, "{prior:?}, tick {tick}: {tracked:?}");
+        for track in &out[..tracks_len] {
+            assert_eq!(track.check(), Ok(()), "{prior:?}, tick {tick}: {track:?}");
+            assert_eq!(fault(track), None, "{prior:?}, tick {tick}: {track:?}");
+            survived.learned_len += usize::from(track.prior == Quality::Learned as u32);
+        }
+        survived.faults_len += tracked.faults_len;
+        survived.published_len += tracks_len;
+    }
+    survived
+}
+
+fn resident_kib() -> Option<usize> {
+    let status = std::fs::read_to_string("/proc/self/status").ok()?;
+    let line = status.lines().find(|line| line.starts_with("VmRSS:"))?;
+    line.split_ascii_whitespace().nth(1)?.parse().ok()
+}
+
 /// A sensor gone mad.
-pub struct Torture {
+struct Torture {
     rng: ChaCha8Rng,
     stamp_ns: i64,
     agents: Vec<Detection>,
-    pub detections: Vec<Detection>,
-    pub forecasts: Vec<Forecast>,
+    detections: Vec<Detection>,
+    forecasts: Vec<Forecast>,
 }
 
 impl Torture {
-    pub fn new(seed: u64) -> Self {
+    fn new(seed: u64) -> Self {
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
         let agents = (0..AGENTS as u64).map(|id| Detection { id, ..any(&mut rng) }).collect();
         Self { rng, stamp_ns: 0, agents, detections: Vec::new(), forecasts: Vec::new() }
     }
 
     /// Makes the detections of the next frame; returns its header.
-    pub fn frame(&mut self) -> Header {
+    fn frame(&mut self) -> Header {
         let rng = &mut self.rng;
         self.stamp_ns += match rng.random_range(0..100) {
             0..80 => TICK_NS,
@@ -82,7 +142,7 @@ impl Torture {
     }
 
     /// Makes forecasts of some tracks, and of some that there never were; returns their header.
-    pub fn forecast(&mut self, tracks: &[Track]) -> Header {
+    fn forecast(&mut self, tracks: &[Track]) -> Header {
         let rng = &mut self.rng;
         self.forecasts.clear();
         for track in tracks {
@@ -153,7 +213,7 @@ fn spoil(detection: &mut Detection, rng: &mut ChaCha8Rng) {
 }
 
 /// What is wrong with a track's covariance: it must be symmetric to the bit, and positive up to the rounding of an f32.
-pub fn fault(track: &Track) -> Option<&'static str> {
+fn fault(track: &Track) -> Option<&'static str> {
     let n = track.state_len as usize;
     let entry = |i: usize, j: usize| f64::from(track.covariance[i * 5 + j]);
     let entry =
