@@ -119,9 +119,9 @@ impl Default for TrackerOptions {
             prior: Prior::default(),
             trust: ForecastTrust {
                 kinematic_weight: 0.05,
-                covariance_scale: 0.1,
-                noise_share: 0.7,
-                fade_in_s: 1.0,
+                covariance_scale: 1.0,
+                noise_share: 0.3,
+                fade_in_s: 0.5,
             },
             detector: DETECTOR,
             recorded: RECORDED,

@@ -173,7 +173,8 @@ impl Target {
         let agent_type = self.class.current();
         let controls_ns = forecasts.controls_ns(forecast);
         let is_due = self.belief.forecast_age_ns().is_none_or(|age_ns| age_ns >= forecasts.step_ns());
-        let knows_more = self.controls_ns.is_none_or(|last_ns| controls_ns.min(self.seen_ns) > last_ns);
+        let knows_more =
+            self.seen_ns == self.stamp_ns && self.controls_ns.is_none_or(|last_ns| controls_ns > last_ns);
         let fits = (self.front_ns..=self.stamp_ns).contains(&controls_ns)
             && forecast.agent_type == agent_type as u32
             && self.belief.suits(steering);
@@ -303,6 +304,8 @@ impl Target {
         self.heading_rad = self.heading(&motion);
         let turn_rad = wrapped(self.heading_rad - self.shown_heading_rad);
         self.shown_heading_rad = if self.shown && turn_rad.abs() > SHOWN_TURN_MAX_RAD {
+            // Forecasts that start from a heading under way do not fit the state.
+            self.front_ns = self.stamp_ns.saturating_add(1);
             wrapped(self.shown_heading_rad + SHOWN_TURN_MAX_RAD.copysign(turn_rad))
         } else {
             self.heading_rad

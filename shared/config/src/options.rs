@@ -65,9 +65,9 @@ impl FromStr for Propagation {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Prior {
     /// Its type's process model alone.
-    #[default]
     Kinematic,
     /// The newest forecast of it, where there is one, beside the process model.
+    #[default]
     Learned,
 }
 

@@ -230,7 +230,7 @@ mod tests {
             scene: Scene::Recording { path: "a.csv".into(), format: Some("own".into()) },
             ticks: Some(20),
             associate: false,
-            prior: Prior::Learned,
+            prior: Prior::Kinematic,
             weights: None,
             model: Weights::onboard().config().clone(),
             map: MapChoice::File("b.map".into()),

@@ -4,7 +4,7 @@ use bytemuck::Zeroable;
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, Normal};
 use tracker::{Tracked, Tracker, TrackerOptions};
-use wire::{AGENTS_MAX, AgentType, Detection, Header, Rejected, Track, detection_flags};
+use wire::{AGENTS_MAX, AgentType, Detection, Forecast, Header, Rejected, Track, detection_flags};
 
 pub const TICK_NS: i64 = 80_000_000;
 pub const ALL_TYPES: u32 = 0b111;
@@ -17,6 +17,8 @@ pub struct Run {
     pub observed_types: u32,
     pub tick_ns: i64,
     pub stamp_ns: i64,
+    /// Forecasts at hand for the next frame.
+    pub prior: Option<(Header, Vec<Forecast>)>,
 }
 
 impl Run {
@@ -28,6 +30,7 @@ impl Run {
             observed_types: ALL_TYPES,
             tick_ns: TICK_NS,
             stamp_ns: 1_000_000_000,
+            prior: None,
         }
     }
 
@@ -42,7 +45,9 @@ impl Run {
 
     pub fn try_step(&mut self, detections: &[Detection]) -> Result<Tracked, Rejected> {
         self.stamp_ns += self.tick_ns;
-        let tracked = self.tracker.step(&self.header(), detections, None, &mut self.tracks)?;
+        let prior = self.prior.take();
+        let prior = prior.as_ref().map(|(header, forecasts)| (header, &forecasts[..]));
+        let tracked = self.tracker.step(&self.header(), detections, prior, &mut self.tracks)?;
         for track in &self.tracks[..tracked.tracks_len] {
             track.check().expect("a track fit for the wire");
         }

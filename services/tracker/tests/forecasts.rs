@@ -1,0 +1,311 @@
+//! The closed loop: forecasts of earlier ticks as the prior of this one.
+
+#[path = "support/forecaster.rs"]
+mod forecaster;
+#[path = "support/run.rs"]
+mod run;
+
+use forecaster::{Controls, HORIZON_LEN, STEP_NS, forecast, forecasts_header};
+use rand::SeedableRng;
+use rand_chacha::ChaCha8Rng;
+use run::{Run, TICK_NS, heading, noise, seen};
+use tracker::{Prior, TrackerOptions};
+use wire::{AgentType, Detection, Forecast, Header, MODES_MAX, Quality, Steering, Track, flags};
+
+const TICK_S: f64 = TICK_NS as f64 / 1e9;
+/// Of a vehicle whose length nobody tells.
+const REAR_AXLE_M: f64 = 0.26 * 4.5;
+
+fn options(prior: Prior) -> TrackerOptions {
+    TrackerOptions { prior, ..TrackerOptions::default() }
+}
+
+/// The tracks of a frame, after forecasts of the one before.
+fn step_after<'a>(run: &'a mut Run, made: &[Forecast], detections: &[Detection]) -> &'a [Track] {
+    run.prior = Some((forecasts_header(run.stamp_ns, made.len()), made.to_vec()));
+    run.step(detections)
+}
+
+/// A vehicle as the kinematic bicycle moves it.
+#[derive(Clone, Copy, Debug)]
+struct Driven {
+    x_m: f64,
+    y_m: f64,
+    heading_rad: f64,
+    speed_mps: f64,
+    slip_rad: f64,
+}
+
+impl Driven {
+    const START: Self = Self { x_m: -20.0, y_m: 5.0, heading_rad: 0.3, speed_mps: 9.0, slip_rad: 0.0 };
+
+    fn tick(&mut self, [accel_mps2, slip_rate_radps]: [f64; 2]) {
+        const PARTS: u32 = 40;
+        let dt_s = TICK_S / f64::from(PARTS);
+        for _ in 0..PARTS {
+            let course = self.heading_rad + self.slip_rad;
+            self.x_m += self.speed_mps * course.cos() * dt_s;
+            self.y_m += self.speed_mps * course.sin() * dt_s;
+            self.heading_rad += self.speed_mps / REAR_AXLE_M * self.slip_rad.sin() * dt_s;
+            self.speed_mps += accel_mps2 * dt_s;
+            self.slip_rad += slip_rate_radps * dt_s;
+        }
+    }
+
+    fn detected(&self, rng: &mut ChaCha8Rng, sigma_m: f64) -> Detection {
+        let place =
+            seen(AgentType::Vehicle, 7, self.x_m + noise(rng, sigma_m), self.y_m + noise(rng, sigma_m));
+        heading(place, self.heading_rad + noise(rng, 0.05))
+    }
+
+    fn distance_m(&self, track: &Track) -> f64 {
+        (f64::from(track.x_m) - self.x_m).hypot(f64::from(track.y_m) - self.y_m)
+    }
+}
+
+/// What the vehicle does from the first tick of the gap on.
+const MANOEUVRE: [f64; 2] = [-2.5, 0.05];
+const SEEN_TICKS: usize = 50;
+const HIDDEN_TICKS: usize = 20;
+
+/// The vehicle brakes and turns while it is hidden for 1.6 s, and forecasts say so: how far the track is off at the end.
+fn error_after_gap_m(prior: Prior, seed: u64) -> f64 {
+    let mut rng = ChaCha8Rng::seed_from_u64(seed);
+    let mut run = Run::new(options(prior), 0);
+    let (mut truth, mut made) = (Driven::START, Vec::new());
+    for tick in 0..SEEN_TICKS + HIDDEN_TICKS {
+        let is_seen = tick < SEEN_TICKS;
+        truth.tick(if is_seen { [0.0; 2] } else { MANOEUVRE });
+        let detections: Vec<Detection> = is_seen.then(|| truth.detected(&mut rng, 0.1)).into_iter().collect();
+        let tracks = step_after(&mut run, &made, &detections);
+        // The first mode knows what is to come, the second thinks that nothing is.
+        let step = |k: usize| {
+            let middle = tick as f64 + (k as f64 + 0.5) * STEP_NS as f64 / TICK_NS as f64;
+            if middle < SEEN_TICKS as f64 { [0.0; 2] } else { MANOEUVRE }
+        };
+        let knowing: Controls = std::array::from_fn(step);
+        made = tracks
+            .iter()
+            .map(|track| {
+                forecast(track, Steering::Bicycle, &[(0.9, knowing), (0.1, [[0.0; 2]; HORIZON_LEN])])
+            })
+            .collect();
+    }
+    let track = run.published().first().expect("a track that coasts");
+    let expected = if prior == Prior::Learned { Quality::Held } else { Quality::Kinematic };
+    assert_eq!(track.prior, expected as u32);
+    truth.distance_m(track)
+}
+
+#[test]
+fn a_manoeuvre_that_was_forecast_is_followed_through_a_gap() {
+    let mean_m = |prior| (0..20).map(|seed| error_after_gap_m(prior, seed)).sum::<f64>() / 20.0;
+    let (kinematic_m, learned_m) = (mean_m(Prior::Kinematic), mean_m(Prior::Learned));
+    println!("after 1.6 s: kinematic {kinematic_m:.2} m, learned {learned_m:.2} m");
+    assert!(learned_m < 0.6 * kinematic_m, "learned {learned_m:.2} m, kinematic {kinematic_m:.2} m");
+}
+
+/// A walker that turns left while it is hidden.
+fn walkers_error_m(prior: Prior) -> f64 {
+    let mut rng = ChaCha8Rng::seed_from_u64(3);
+    let mut run = Run::new(options(prior), 0);
+    let (mut x_m, mut y_m, mut made) = (0.0, 0.0, Vec::new());
+    for tick in 0..SEEN_TICKS + HIDDEN_TICKS {
+        let is_seen = tick < SEEN_TICKS;
+        let course = if is_seen { 0.0 } else { 0.1 * (tick - SEEN_TICKS) as f64 };
+        x_m += 1.4 * TICK_S * course.cos();
+        y_m += 1.4 * TICK_S * course.sin();
+        let place = seen(AgentType::Pedestrian, 1, x_m + noise(&mut rng, 0.05), y_m + noise(&mut rng, 0.05));
+        let detections: Vec<Detection> = is_seen.then_some(place).into_iter().collect();
+        let tracks = step_after(&mut run, &made, &detections);
+        let step = |k: usize| {
+            let middle_s = ((tick as f64 - SEEN_TICKS as f64) * TICK_S + (k as f64 + 0.5) * 0.4).max(0.0);
+            let (sin, cos) = (0.1 / TICK_S * middle_s).sin_cos();
+            [1.4 * 0.4 * (cos - 1.0), 1.4 * 0.4 * sin].map(|x| x as f64)
+        };
+        let turning: Controls = std::array::from_fn(step);
+        made =
+            tracks.iter().map(|track| forecast(track, Steering::Displacement, &[(1.0, turning)])).collect();
+        for forecast in &mut made {
+            forecast.frame_heading_rad = 0.0;
+        }
+    }
+    let track = run.published().first().expect("a track that coasts");
+    (f64::from(track.x_m) - x_m).hypot(f64::from(track.y_m) - y_m)
+}
+
+#[test]
+fn displacements_move_walkers_through_a_gap() {
+    let (kinematic_m, learned_m) = (walkers_error_m(Prior::Kinematic), walkers_error_m(Prior::Learned));
+    println!("a walker after 1.6 s: kinematic {kinematic_m:.2} m, learned {learned_m:.2} m");
+    assert!(learned_m < 0.6 * kinematic_m, "learned {learned_m:.2} m, kinematic {kinematic_m:.2} m");
+}
+
+/// One vehicle, seen at every tick; `prior` makes what is at hand of the forecasts of the tick before.
+fn drive(
+    options: TrackerOptions,
+    ticks: usize,
+    mut at_hand: impl FnMut(usize, Header, Vec<Forecast>) -> Option<(Header, Vec<Forecast>)>,
+    mut show: impl FnMut(usize, &Track, usize),
+) {
+    let mut rng = ChaCha8Rng::seed_from_u64(11);
+    let mut run = Run::new(options, 0);
+    let (mut truth, mut made) = (Driven::START, Vec::new());
+    for tick in 0..ticks {
+        truth.tick([1.0, 0.0]);
+        let detection = truth.detected(&mut rng, 0.1);
+        run.prior = at_hand(tick, forecasts_header(run.stamp_ns, made.len()), made);
+        let tracked = run.try_step(&[detection]).expect("a good frame");
+        if let Some(track) = run.published().first() {
+            show(tick, track, tracked.refused_len);
+        }
+        let modes = [(0.4, [[1.0, 0.0]; HORIZON_LEN]), (0.6, [[-3.0, 0.0]; HORIZON_LEN])];
+        made = run.published().iter().map(|track| forecast(track, Steering::Bicycle, &modes)).collect();
+    }
+}
+
+#[test]
+fn what_was_used_is_told() {
+    let mut told = Vec::new();
+    drive(options(Prior::Learned), 120, |tick, header, made| (tick < 50).then_some((header, made)), {
+        |tick, track, refused_len| {
+            assert_eq!(refused_len, 0);
+            let sum: f32 = track.prior_weights.iter().sum();
+            assert!((sum - 1.0).abs() < 1e-5, "weights sum to {sum}");
+            assert!(track.prior_weights[2..MODES_MAX].iter().all(|&weight| weight == 0.0));
+            told.push((tick, track.prior, track.prior_age_ns, track.prior_weights));
+        }
+    });
+    let of = |quality: Quality| told.iter().filter(move |told| told.1 == quality as u32);
+    let last_learned = of(Quality::Learned).last().expect("forecasts are taken");
+    let last_held = of(Quality::Held).last().expect("the last forecast is held");
+    // Taken once a step, and beyond that held until the end of its horizon.
+    assert!(last_learned.2 <= STEP_NS + TICK_NS as u64 && last_held.2 > 4_500_000_000, "{last_held:?}");
+    assert!(told.windows(2).all(|pair| pair[1].2 <= pair[0].2 + TICK_NS as u64));
+    let last = told.last().expect("tracks");
+    assert_eq!((last.1, last.2, last.3[MODES_MAX]), (Quality::Kinematic as u32, 0, 1.0));
+    // It accelerates: the mode that brakes loses, however probable it was said to be.
+    let later = told.iter().find(|told| told.0 == 65).expect("a track");
+    assert!(last_learned.3[1] > 0.4 && later.3[0] > 0.9, "{last_learned:?}, {later:?}");
+    assert!(of(Quality::Kinematic).all(|told| told.0 < 10 || told.0 > 105));
+}
+
+/// Each fault of a forecast, and whether it counts as one.
+fn faults() -> Vec<(&'static str, bool, fn(&mut Header, &mut Forecast))> {
+    vec![
+        ("of another track", false, |_, forecast| forecast.id += 1),
+        ("of another type", false, |_, forecast| forecast.agent_type = AgentType::Cyclist as u32),
+        ("kinematic itself", false, |_, forecast| forecast.steering = Steering::None as u32),
+        ("by displacements", false, |_, forecast| forecast.steering = Steering::Displacement as u32),
+        ("of a time to come", false, |header, _| header.stamp_ns += 10 * TICK_NS),
+        ("of a run that has not begun", false, |header, _| header.flags |= flags::WARM_UP),
+        ("of no known controls", true, |_, forecast| forecast.steering = 9),
+        ("past its horizon", true, |_, forecast| forecast.age_ns = STEP_NS * HORIZON_LEN as u64),
+        ("not finite", true, |_, forecast| forecast.controls[1][11].mean[0] = f32::NAN),
+        ("impossible", true, |_, forecast| forecast.controls[0][3].mean[1] = 1e9),
+        ("without modes", true, |_, forecast| forecast.modes_len = 0),
+        ("of too many modes", true, |_, forecast| forecast.modes_len = MODES_MAX as u32 + 1),
+        ("improbable", true, |_, forecast| forecast.probability = [0.0; MODES_MAX]),
+        ("of negative probability", true, |_, forecast| forecast.probability[1] = -0.6),
+        ("without spacing", true, |header, _| header.step_ns = 0),
+        ("without steps", true, |header, _| header.counts.horizon_len = 0),
+        ("of too many steps", true, |header, _| header.counts.horizon_len = 99),
+        ("of another schema", true, |header, _| header.schema += 1),
+    ]
+}
+
+#[test]
+fn a_forecast_that_cannot_be_the_prior_leaves_the_process_model() {
+    let alone = |prior: Prior, mut spoil: Box<dyn FnMut(&mut Header, &mut Forecast)>| {
+        let (mut tracks, mut refused_len) = (Vec::new(), 0);
+        drive(
+            options(prior),
+            110,
+            |_, mut header, mut made| {
+                made.iter_mut().for_each(|forecast| spoil(&mut header, forecast));
+                Some((header, made))
+            },
+            |_, track, refused| {
+                tracks.push(*track);
+                refused_len += refused;
+            },
+        );
+        (tracks, refused_len)
+    };
+    let (kinematic, _) = alone(Prior::Kinematic, Box::new(|_, _| ()));
+    let (good, _) = alone(Prior::Learned, Box::new(|_, _| ()));
+    assert_ne!(good, kinematic);
+    for (name, counts, spoil) in faults() {
+        let (tracks, refused_len) = alone(Prior::Learned, Box::new(spoil));
+        assert!(tracks == kinematic, "a forecast {name}");
+        assert_eq!(refused_len > 30, counts, "a forecast {name}: {refused_len} refused");
+    }
+}
+
+#[test]
+fn the_same_forecasts_in_any_order_give_the_same_bits() {
+    let crowd = |reverse: bool| {
+        let mut rng = ChaCha8Rng::seed_from_u64(5);
+        let mut run = Run::new(options(Prior::Learned), 0);
+        let mut all: Vec<Track> = Vec::new();
+        let mut made: Vec<Forecast> = Vec::new();
+        for tick in 0..60 {
+            let detections: Vec<Detection> = (0..12_u32)
+                .filter(|i| !(tick + i).is_multiple_of(7))
+                .map(|i| {
+                    let x_m = f64::from(tick) * 0.5 + noise(&mut rng, 0.1);
+                    heading(seen(AgentType::Vehicle, 0, x_m, f64::from(i) * 6.0), noise(&mut rng, 0.05))
+                })
+                .collect();
+            if reverse {
+                made.reverse();
+            }
+            let tracks = step_after(&mut run, &made, &detections);
+            all.extend(tracks);
+            let modes = [(0.5, [[2.0, 0.0]; HORIZON_LEN]), (0.5, [[0.0, 0.1]; HORIZON_LEN])];
+            made = tracks.iter().map(|track| forecast(track, Steering::Bicycle, &modes)).collect();
+        }
+        all
+    };
+    let forwards = crowd(false);
+    assert!(forwards.iter().filter(|track| track.prior == Quality::Learned as u32).count() > 300);
+    assert_eq!(forwards, crowd(false));
+    assert_eq!(forwards, crowd(true));
+}
+
+/// A detector that takes the back for the front at first: the track turns round, and forecasts of the old front move it no
+/// more.
+#[test]
+fn a_front_that_was_the_back_takes_forecasts_anew() {
+    let mut rng = ChaCha8Rng::seed_from_u64(2);
+    let mut run = Run::new(options(Prior::Learned), 0);
+    let (mut truth, mut made, mut late) = (Driven::START, Vec::new(), Vec::new());
+    let (mut turned, mut learned_since) = (None, 0);
+    for tick in 0..150 {
+        truth.tick([0.0; 2]);
+        let mut detection = truth.detected(&mut rng, 0.05);
+        if tick < 20 {
+            detection.heading_rad =
+                filters::wrapped(f64::from(detection.heading_rad) + std::f64::consts::PI) as f32;
+        }
+        // Forecasts come a tick late.
+        let stamp_ns = run.stamp_ns - TICK_NS;
+        let prior = (forecasts_header(stamp_ns, Vec::len(&late)), std::mem::replace(&mut late, made));
+        run.prior = Some(prior);
+        run.step(&[detection]);
+        let track = run.published().first();
+        made = track
+            .map(|track| forecast(track, Steering::Bicycle, &[(1.0, [[0.0; 2]; HORIZON_LEN])]))
+            .into_iter()
+            .collect();
+        let Some(track) = track else { continue };
+        assert!(tick < 20 || truth.distance_m(track) < 0.5, "tick {tick}: {} m", truth.distance_m(track));
+        if track.speed_mps > 0.0 && tick >= 20 {
+            let first = *turned.get_or_insert(tick);
+            let learned = track.prior == Quality::Learned as u32;
+            assert!(tick != first || !learned, "tick {tick} goes on by a forecast of the old front");
+            learned_since += usize::from(learned);
+        }
+    }
+    assert!(turned.is_some() && learned_since > 80, "{turned:?}, {learned_since}");
+}
