@@ -25,13 +25,41 @@ const LAG_MAX_NS: i64 = 2_000_000_000;
 /// Most ticks whose forecasts wait for truth; the oldest are given up beyond.
 const WAITING_MAX: usize = 256;
 
+/// What is judged of a forecast.
+#[derive(Clone, Copy, Debug)]
+struct Judged {
+    source_id: u64,
+    agent_type: u32,
+    quality: u32,
+    position_m: Point,
+    velocity_mps: Point,
+    modes_len: u32,
+    modes: [[Point; HORIZON_MAX]; MODES_MAX],
+    best: [Point; HORIZON_MAX],
+}
+
+impl From<&Forecast> for Judged {
+    fn from(forecast: &Forecast) -> Self {
+        Self {
+            source_id: forecast.source_id,
+            agent_type: forecast.agent_type,
+            quality: forecast.quality,
+            position_m: [forecast.x_m, forecast.y_m],
+            velocity_mps: [forecast.vx_mps, forecast.vy_mps],
+            modes_len: forecast.modes_len,
+            modes: forecast.modes,
+            best: forecast.best,
+        }
+    }
+}
+
 /// The forecasts of one tick.
 #[derive(Clone, Debug, Default)]
 struct Waiting {
     stamp_ns: i64,
     step_ns: i64,
     horizon_len: usize,
-    forecasts: Vec<Forecast>,
+    forecasts: Vec<Judged>,
 }
 
 impl Waiting {
@@ -51,7 +79,7 @@ pub struct Judge {
     paths: Paths,
     waiting: VecDeque<Waiting>,
     /// Empty buffers of ticks already judged.
-    spare: Vec<Vec<Forecast>>,
+    spare: Vec<Vec<Judged>>,
     tally: Tally,
 }
 
@@ -83,7 +111,7 @@ impl Judge {
             return;
         }
         let mut kept = self.spare.pop().unwrap_or_default();
-        kept.extend_from_slice(forecasts);
+        kept.extend(forecasts.iter().map(Judged::from));
         let tick = Waiting { stamp_ns: header.stamp_ns, step_ns, horizon_len, forecasts: kept };
         // Where truth stays away, a tick is given up once truth would have been due long ago.
         let due =
@@ -187,7 +215,7 @@ impl Tally {
         }
     }
 
-    fn add(&mut self, tick: &Waiting, forecast: &Forecast, truth: &[Option<Point>]) {
+    fn add(&mut self, tick: &Waiting, forecast: &Judged, truth: &[Option<Point>]) {
         let modes_len = (forecast.modes_len as usize).min(MODES_MAX);
         let displacements = [
             best_of(&forecast.modes[..modes_len], truth),
@@ -225,19 +253,22 @@ impl Tally {
     }
 }
 
-fn agent_of(forecast: &Forecast, stamp_ns: i64, paths: &Paths) -> Option<u64> {
+fn agent_of(forecast: &Judged, stamp_ns: i64, paths: &Paths) -> Option<u64> {
     if forecast.source_id != 0 {
         return Some(forecast.source_id).filter(|&id| paths.knows(id));
     }
-    paths.nearest(forecast.agent_type, [forecast.x_m, forecast.y_m], stamp_ns, MATCH_RADIUS_M)
+    paths.nearest(forecast.agent_type, forecast.position_m, stamp_ns, MATCH_RADIUS_M)
 }
 
 /// The agent keeps the velocity that its forecast starts from.
-fn constant_velocity(forecast: &Forecast, step_ns: i64) -> [Point; HORIZON_MAX] {
+fn constant_velocity(forecast: &Judged, step_ns: i64) -> [Point; HORIZON_MAX] {
     std::array::from_fn(|step| {
         let t_s = ((step as i64 + 1) * step_ns) as f64 / 1e9;
-        let along = |start_m: f32, v_mps: f32| (f64::from(start_m) + f64::from(v_mps) * t_s) as f32;
-        [along(forecast.x_m, forecast.vx_mps), along(forecast.y_m, forecast.vy_mps)]
+        let along = |axis: usize| {
+            let (start_m, v_mps) = (forecast.position_m[axis], forecast.velocity_mps[axis]);
+            (f64::from(start_m) + f64::from(v_mps) * t_s) as f32
+        };
+        [along(0), along(1)]
     })
 }
 

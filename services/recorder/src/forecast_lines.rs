@@ -2,7 +2,7 @@
 //!
 //! One line per tick, in time order, also where there is no agent. Nothing in a line depends on when or by whom it was
 //! computed (no clock, run id or incarnation), so the same recording, seed and weights give the same bytes.
-//! Version 1:
+//! Version 2:
 //!
 //! | field | meaning |
 //! |---|---|
@@ -20,6 +20,7 @@
 //! | `quality` | `learned`, `held` (from an earlier tick), `kinematic` (constant control) |
 //! | `cause` | why it is not learned: `late`, `rejected`, `missing`, `young`; else `none` |
 //! | `age_s` | age of a held forecast, else 0 |
+//! | `prior`, `prior_age_s` | what moved the track's state to the stamp: `learned` (a forecast before), `held` (one older than Δt), `kinematic`; its age, else 0 |
 //! | `x_m`, `y_m` | position at the stamp, world frame |
 //! | `vx_mps`, `vy_mps` | velocity at the stamp, world frame |
 //! | `heading_rad` | heading at the stamp, counter-clockwise from +x |
@@ -42,7 +43,7 @@ use wire::{AgentType, Cause, Forecast, HORIZON_MAX, Header, MODES_MAX, Quality};
 use crate::whole_file::WholeFile;
 
 /// Version of the lines' fields.
-pub const FORECASTS_VERSION: u32 = 1;
+pub const FORECASTS_VERSION: u32 = 2;
 
 /// Writes a line per tick. The file takes its name when it is finished; until then it lies beside it as
 /// `NAME.partial`. Pipes and devices are written directly.
@@ -107,6 +108,8 @@ struct Agent<'a> {
     quality: &'static str,
     cause: &'static str,
     age_s: f64,
+    prior: &'static str,
+    prior_age_s: f64,
     x_m: Rounded<4>,
     y_m: Rounded<4>,
     vx_mps: Rounded<4>,
@@ -128,9 +131,11 @@ impl<'a> Agent<'a> {
             id: forecast.id,
             source_id: forecast.source_id,
             r#type: AgentType::try_from(forecast.agent_type).map_or("unknown", AgentType::name),
-            quality: Quality::ALL.get(forecast.quality as usize).map_or("unknown", |quality| quality.name()),
+            quality: quality_name(forecast.quality),
             cause: Cause::ALL.get(forecast.cause as usize).map_or("unknown", |cause| cause.name()),
             age_s: forecast.age_ns as f64 / 1e9,
+            prior: quality_name(forecast.prior),
+            prior_age_s: forecast.prior_age_ns as f64 / 1e9,
             x_m: Rounded(forecast.x_m),
             y_m: Rounded(forecast.y_m),
             vx_mps: Rounded(forecast.vx_mps),
@@ -145,6 +150,10 @@ impl<'a> Agent<'a> {
             covariance_m2: Rows(&forecast.covariance[..horizon_len]),
         }
     }
+}
+
+fn quality_name(number: u32) -> &'static str {
+    Quality::try_from(number).map_or("unknown", Quality::name)
 }
 
 /// A number of `DECIMALS` decimals.
@@ -217,6 +226,8 @@ mod tests {
             agent_type: 2,
             quality: Quality::Held as u32,
             cause: Cause::Late as u32,
+            prior: Quality::Held as u32,
+            prior_age_ns: 480_000_000,
             modes_len: 2,
             x_m: 1.234_56,
             y_m: -0.000_01,

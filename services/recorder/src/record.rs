@@ -7,8 +7,8 @@ use crate::distribution::{Distribution, ms};
 use crate::losses::Losses;
 use crate::passage::{Passage, Phases, Timeline, place};
 use crate::report::{
-    Agents, ForecastCounts, Percentiles, REPORT_VERSION, Report, RunInfo, StageDrops, StageReport, Status,
-    Verdict,
+    Agents, ForecastCounts, Percentiles, PriorCounts, REPORT_VERSION, Report, RunInfo, StageDrops,
+    StageReport, Status, Verdict,
 };
 
 /// The time that a tick may take from release to forecast at 12.5 Hz.
@@ -80,6 +80,7 @@ pub struct Recorder {
     agents_max: u64,
     forecasts_by_quality: [u64; Quality::ALL.len()],
     fallbacks_by_cause: [u64; Cause::ALL.len()],
+    states_by_prior: [u64; Quality::ALL.len()],
     degraded_ticks: u64,
     age_ns_max: Option<u64>,
 }
@@ -106,6 +107,7 @@ impl Recorder {
             agents_max: 0,
             forecasts_by_quality: [0; Quality::ALL.len()],
             fallbacks_by_cause: [0; Cause::ALL.len()],
+            states_by_prior: [0; Quality::ALL.len()],
             degraded_ticks: 0,
             age_ns_max: None,
         }
@@ -202,6 +204,9 @@ impl Recorder {
             if let Some(count) = self.forecasts_by_quality.get_mut(forecast.quality as usize) {
                 *count += 1;
             }
+            if let Some(count) = self.states_by_prior.get_mut(forecast.prior as usize) {
+                *count += 1;
+            }
             if forecast.quality == Quality::Learned as u32 {
                 continue;
             }
@@ -239,6 +244,7 @@ impl Recorder {
             agents_left_out: self.agents_left_out,
             agents: self.agents(),
             forecasts: self.forecast_counts(),
+            priors: self.prior_counts(),
             end_to_end_ms: self.end_to_end.percentiles_ms(),
             overhead_ms: self.overhead.percentiles_ms(),
             stages,
@@ -282,6 +288,11 @@ impl Recorder {
             .collect();
         let age_ms_max = self.age_ns_max.map(ms);
         ForecastCounts { learned, held, kinematic, causes, degraded_ticks: self.degraded_ticks, age_ms_max }
+    }
+
+    fn prior_counts(&self) -> PriorCounts {
+        let [learned, held, kinematic] = self.states_by_prior;
+        PriorCounts { learned, held, kinematic }
     }
 
     fn stage_reports(&self) -> Vec<StageReport> {

@@ -150,6 +150,12 @@ impl Report {
             let note = note.map_or_else(String::new, |note| format!("  {note}"));
             writeln!(text, " {name:LABEL_WIDTH$}{:>10}{percent:>9}   {bar}{note}", count(n))?;
         }
+        let priors = &self.priors;
+        let of_priors = [("learned", priors.learned), ("held", priors.held), ("kinematic", priors.kinematic)];
+        let sum: u64 = of_priors.iter().map(|(_, n)| n).sum();
+        let share =
+            |(name, n): (&str, u64)| format!("{name} {}", percent(Some(n as f64 / sum.max(1) as f64)));
+        fact(text, "prior", &of_priors.map(|prior| (prior.1 > 0).then(|| share(prior))))?;
         let mut causes: Vec<_> = forecasts.causes.iter().filter(|&(_, &n)| n > 0).collect();
         causes.sort_by_key(|&(_, &n)| std::cmp::Reverse(n));
         causes.iter().try_for_each(|&(cause, &n)| {

@@ -38,6 +38,9 @@ pub struct Report {
     pub agents: Agents,
     /// Forecasts by quality, and why some were not learned.
     pub forecasts: ForecastCounts,
+    /// What moved the states of their tracks to each tick.
+    #[serde(default)]
+    pub priors: PriorCounts,
     /// From release at the source to the sending of the forecasts.
     pub end_to_end_ms: Percentiles,
     /// End to end less the compute of all stages, over the ticks that passed them all.
@@ -130,6 +133,17 @@ pub struct ForecastCounts {
     pub degraded_ticks: u64,
     /// Greatest age of a held forecast.
     pub age_ms_max: Option<f64>,
+}
+
+/// States of tracks by what moved them there.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct PriorCounts {
+    /// A forecast of an earlier tick, at most a step old.
+    pub learned: u64,
+    /// An older forecast.
+    pub held: u64,
+    /// The process model alone.
+    pub kinematic: u64,
 }
 
 /// Percentiles of a time; all `null` where none was measured.

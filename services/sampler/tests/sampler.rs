@@ -8,7 +8,7 @@ use proptest::prelude::*;
 use sampler::{Propagation, Sampler, SamplerOptions};
 use wire::{
     AGENTS_MAX, AgentControls, AgentType, Cause, ControlGaussian, Forecast, Header, HistoryState, Quality,
-    Rejected, Track,
+    Rejected, Steering, Track,
 };
 
 const STEP_NS: u64 = 400_000_000;
@@ -418,4 +418,47 @@ proptest! {
             }
         }
     }
+}
+
+/// The controls that a forecast tells lead, as they act, where its modes are: they need no saturation any more.
+#[test]
+fn told_controls_lead_where_the_modes_do() {
+    let track = track(1, AgentType::Vehicle, [3.0, 4.0], 0.4, 8.0);
+    let asked = controls(1, AgentType::Vehicle, &[[9.0, 0.4], [-2.0, -0.1]], 0.1);
+    let told = &learned(&mut Sampler::new(SamplerOptions::default()), 0, &[track], &[asked])[0];
+    assert_eq!((told.steering, told.frame_heading_rad), (Steering::Bicycle as u32, 0.4));
+    let bicycle = kinematics::Bicycle {
+        rear_axle_m: 0.26 * track.length_m,
+        slip_limit_rad: Some(0.5),
+        integrator: kinematics::Integrator::Midpoint,
+    };
+    for (mode, controls) in told.controls[..2].iter().enumerate() {
+        let mut state = kinematics::BicycleState::new(3.0, 4.0, 0.4, 8.0, 0.0);
+        for (step, control) in controls.iter().enumerate() {
+            assert!(control.mean[0] < 6.0 && control.cholesky[0] < 0.1, "{control:?}");
+            state = bicycle.step(&state, &control.mean.into(), DT_S);
+            assert_near([state[0], state[1]], told.modes[mode][step], 1e-3, "mode");
+        }
+    }
+    let held = &fallback(&mut Sampler::new(SamplerOptions::default()), 0, &[track])[0];
+    assert_eq!((held.steering, held.controls), (Steering::None as u32, Forecast::zeroed().controls));
+}
+
+#[test]
+fn held_forecasts_keep_their_controls_and_absolute_displacements_are_told_beyond_the_velocity() {
+    let displacement = DisplacementKind::Absolute;
+    let mut sampler = Sampler::new(SamplerOptions { displacement, ..SamplerOptions::default() });
+    let walker = track(1, AgentType::Pedestrian, [0.0; 2], 1.2, 1.5);
+    let whole = controls(1, AgentType::Pedestrian, &[[1.5 * DT_S + 0.1, 0.05]], 0.1);
+    let fresh = learned(&mut sampler, 0, &[walker], &[whole])[0];
+    assert_eq!(fresh.steering, Steering::Displacement as u32);
+    assert!((fresh.frame_heading_rad - 1.2).abs() < 1e-6);
+    for control in &fresh.controls[0] {
+        assert_near(control.mean, [0.1, 0.05], 1e-5, "beyond the velocity");
+        assert_eq!(control.cholesky, whole.modes[0][0].cholesky);
+    }
+    let held = fallback(&mut sampler, 160_000_000, &[walker])[0];
+    assert_eq!((held.quality, held.age_ns), (Quality::Held as u32, 160_000_000));
+    assert_eq!((held.controls, held.steering), (fresh.controls, fresh.steering));
+    assert_eq!(held.frame_heading_rad, fresh.frame_heading_rad);
 }

@@ -2,10 +2,13 @@
 
 #[path = "../../../tests/support/counting.rs"]
 mod counting;
+#[path = "support/forecaster.rs"]
+mod forecaster;
 
 use bytemuck::Zeroable;
-use tracker::{Tracker, TrackerOptions};
-use wire::{AGENTS_MAX, AgentType, Detection, Header, Track, detection_flags, flags};
+use forecaster::{HORIZON_LEN, forecast, forecasts_header};
+use tracker::{Prior, Tracker, TrackerOptions};
+use wire::{AGENTS_MAX, AgentType, Detection, Forecast, Header, Steering, Track, detection_flags, flags};
 
 /// A hundred agents of all types, 4 m apart, each on a small circle of its own.
 fn detections(k: u32, out: &mut Vec<Detection>) {
@@ -28,20 +31,35 @@ fn detections(k: u32, out: &mut Vec<Detection>) {
 #[test]
 fn a_thousand_steady_steps_allocate_nothing() {
     for (identities, name) in [(flags::HAS_IDENTITIES, "by identity"), (0, "by position")] {
-        let mut tracker = Tracker::new(TrackerOptions::default());
-        let mut out = vec![Track::zeroed(); AGENTS_MAX];
-        let mut seen = Vec::with_capacity(100);
-        let mut step = |k: u32| {
-            detections(k, &mut seen);
-            let stamp_ns = i64::from(k) * 80_000_000;
-            let observed_types =
-                AgentType::Vehicle.bit() | AgentType::Cyclist.bit() | AgentType::Pedestrian.bit();
-            let header =
-                Header { flags: identities, observed_types, ..Header::new(1, u64::from(k), stamp_ns) };
-            let tracked = tracker.step(&header, &seen, None, &mut out).unwrap();
-            assert!(k < 5 || tracked.tracks_len == 100, "{name}, frame {k}: {tracked:?}");
-        };
-        (0..100).for_each(&mut step);
-        assert_eq!(counting::allocations(|| (100..1_100).for_each(&mut step)), 0, "{name}");
+        for prior in [Prior::Kinematic, Prior::Learned] {
+            steady_steps_allocate_nothing(identities, prior, name);
+        }
     }
+}
+
+fn steady_steps_allocate_nothing(identities: u32, prior: Prior, name: &str) {
+    let mut tracker = Tracker::new(TrackerOptions { prior, ..TrackerOptions::default() });
+    let mut out = vec![Track::zeroed(); AGENTS_MAX];
+    let mut seen = Vec::with_capacity(100);
+    let mut made: Vec<Forecast> = Vec::with_capacity(AGENTS_MAX);
+    let mut step = |k: u32| {
+        detections(k, &mut seen);
+        let stamp_ns = i64::from(k) * 80_000_000;
+        let observed_types =
+            AgentType::Vehicle.bit() | AgentType::Cyclist.bit() | AgentType::Pedestrian.bit();
+        let header = Header { flags: identities, observed_types, ..Header::new(1, u64::from(k), stamp_ns) };
+        let of = forecasts_header(stamp_ns - 80_000_000, made.len());
+        let tracked = tracker.step(&header, &seen, Some((&of, &made)), &mut out).expect("a good frame");
+        assert!(k < 5 || tracked.tracks_len == 100, "{name}, frame {k}: {tracked:?}");
+        assert_eq!(tracked.refused_len, 0);
+        made.clear();
+        made.extend(out[..tracked.tracks_len].iter().map(|track| {
+            let steering = if track.agent_type == 0 { Steering::Bicycle } else { Steering::Displacement };
+            forecast(track, steering, &[(0.5, [[0.1, 0.0]; HORIZON_LEN]), (0.5, [[0.0; 2]; HORIZON_LEN])])
+        }));
+    };
+    (0..100).for_each(&mut step);
+    assert_eq!(counting::allocations(|| (100..1_100).for_each(&mut step)), 0, "{name}, {prior:?}");
+    let learned = out.iter().filter(|track| track.prior_age_ns > 0).count();
+    assert_eq!(learned > 50, prior == Prior::Learned, "{name}, {prior:?}: {learned} tracks by forecasts");
 }

@@ -121,7 +121,7 @@ fn walkers_error_m(prior: Prior) -> f64 {
         let step = |k: usize| {
             let middle_s = ((tick as f64 - SEEN_TICKS as f64) * TICK_S + (k as f64 + 0.5) * 0.4).max(0.0);
             let (sin, cos) = (0.1 / TICK_S * middle_s).sin_cos();
-            [1.4 * 0.4 * (cos - 1.0), 1.4 * 0.4 * sin].map(|x| x as f64)
+            [1.4 * 0.4 * (cos - 1.0), 1.4 * 0.4 * sin]
         };
         let turning: Controls = std::array::from_fn(step);
         made =
@@ -177,8 +177,8 @@ fn what_was_used_is_told() {
         }
     });
     let of = |quality: Quality| told.iter().filter(move |told| told.1 == quality as u32);
-    let last_learned = of(Quality::Learned).last().expect("forecasts are taken");
-    let last_held = of(Quality::Held).last().expect("the last forecast is held");
+    let last_learned = of(Quality::Learned).next_back().expect("forecasts are taken");
+    let last_held = of(Quality::Held).next_back().expect("the last forecast is held");
     // Taken once a step, and beyond that held until the end of its horizon.
     assert!(last_learned.2 <= STEP_NS + TICK_NS as u64 && last_held.2 > 4_500_000_000, "{last_held:?}");
     assert!(told.windows(2).all(|pair| pair[1].2 <= pair[0].2 + TICK_NS as u64));

@@ -84,7 +84,7 @@ pub(crate) fn eventful() -> Report {
         recorder.truth(&truth_header(seq), &[truth]).unwrap();
         let (stages, forecast) = match seq {
             0..4 => (whole_chain(2), forecast(Quality::Kinematic, Cause::Young)),
-            40 => (whole_chain(12), learned()),
+            40 => (whole_chain(12), Forecast { prior: Quality::Held as u32, ..learned() }),
             41 => (StageId::ALL[..7].iter().copied().zip([1, 2, 3, 8, 4, 9, 2]).collect(), learned()),
             50 => (
                 vec![(StageId::Source, 2), (StageId::Tracker, 2), (StageId::Sampler, 2)],
