@@ -44,6 +44,9 @@ pub struct Arguments {
     /// Deviations of the measured positions in `tracking`, m; those of the protocol where none are given
     #[arg(long, value_name = "M,…", value_delimiter = ',')]
     sigmas: Vec<f64>,
+    /// Run the learned prior of `tracking` by Monte Carlo as well, which takes several times as long
+    #[arg(long)]
+    particles: bool,
     /// Format of the recordings; found out where not given
     #[arg(long)]
     format: Option<Format>,
@@ -183,7 +186,7 @@ fn track(arguments: &Arguments) -> Result<Vec<Written>, Failure> {
     for part in parts(arguments, &["interaction", "kitti"]) {
         written.push(match part {
             "interaction" => {
-                let report = evaluator::tracking(&options, &arguments.sigmas, progress);
+                let report = evaluator::tracking(&options, &arguments.sigmas, arguments.particles, progress);
                 Written::of_motion(&report.map_err(Failure::data)?)
             }
             "kitti" => Written::of_trackers(&judge_trackers(&options)?),

@@ -24,12 +24,14 @@ const TUNED_S: f64 = 20.0;
 ///
 /// Settings are tuned on the validation part, which neither the model's training nor the figures see; a gap of each length
 /// takes part. The learned prior has no map. `sigmas_m` are deviations of the measured positions; without any, all of the protocol are taken.
+/// With `particles` the learned prior is run by Monte Carlo as well.
 ///
 /// # Errors
 /// Where weights or recordings are missing or of another kind.
 pub fn tracking(
     options: &Options,
     sigmas_m: &[f64],
+    particles: bool,
     mut progress: impl FnMut(&str),
 ) -> Result<TrackingReport, EvaluateError> {
     let model = options.weights.open(EMBEDDED, SEED)?;
@@ -39,11 +41,12 @@ pub fn tracking(
     let judged = options.read_part(SET, options.part, &cut)?;
     let recordings: Vec<_> = judged.iter().map(|footage| &footage.recording).collect();
     let provenance = model.provenance("tracking", "none", &recordings);
+    let methods = TrackingMethod::judged(particles);
     let mut report = TrackingReport::new(provenance, JUDGED_S, TUNED_S);
     let sigmas_m = if sigmas_m.is_empty() { &SIGMAS_M } else { sigmas_m };
     for &sigma_m in sigmas_m {
         progress(&format!("measured within {sigma_m} m: tuning"));
-        let trials = tune(&courses(&validation, sigma_m), &model.forecaster, options.threads);
+        let trials = tune(&courses(&validation, sigma_m), &model.forecaster, &methods, options.threads);
         for &gap_s in &GAPS_S {
             progress(&format!("measured within {sigma_m} m, gaps of {gap_s} s"));
             let sensor = Sensor { sigma_m, gap_s, seed: SEED };
@@ -77,11 +80,13 @@ fn course(footage: &Footage, seconds: f64, sensor: Sensor) -> Course {
 /// Every method on every recording.
 fn judge(footage: &[Footage], model: &Model, sensor: Sensor, trials: &Trials, threads: usize) -> Vec<Judged> {
     let (settings, forecaster) = (trials.settings, &model.forecaster);
+    let methods = || trials.figures.iter().map(|&(method, _)| method);
     let follow = |footage: &Footage, (): &mut ()| {
         let course = course(footage, JUDGED_S, sensor);
-        TrackingMethod::ALL.map(|method| Follower { method, settings, forecaster }.follow(&course))
+        let outcome = |method| Follower { method, settings, forecaster }.follow(&course);
+        methods().map(outcome).collect::<Vec<_>>()
     };
     let outcomes = threads::each(footage, threads, follow);
     let of_method = |(place, method)| Judged::new(sensor, method, outcomes.iter().map(|of| &of[place]));
-    TrackingMethod::ALL.into_iter().enumerate().map(of_method).collect()
+    methods().enumerate().map(of_method).collect()
 }

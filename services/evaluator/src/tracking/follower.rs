@@ -2,7 +2,9 @@
 
 use std::collections::BTreeMap;
 
-use filters::{ControlStep, Filter, Forecast, Gaussian, Kind, Mixture, Observation, SingerBicycle};
+use filters::{
+    ControlStep, Filter, Forecast, Gaussian, Kind, Mixture, Observation, Particles, SingerBicycle,
+};
 use metrics::tracking::{Consistency, PlanarState, normalised_square};
 use nalgebra::{Matrix2, Vector4};
 use scene::State;
@@ -19,6 +21,8 @@ const COURSE_TOLD_RAD: f64 = 0.3;
 const COURSE_TOLD_MPS: f64 = 0.5;
 /// Time constant with which a forecast's controls come in.
 const FADED_IN_S: f64 = 1.0;
+/// Particles of a vehicle.
+const PARTICLES: usize = 200;
 /// Degrees of freedom of a position.
 const DEGREES: u32 = 2;
 /// A track counts from this age on.
@@ -69,6 +73,7 @@ enum Belief {
     Filter(Box<Filter>),
     /// Of a single filter where nothing is forecast.
     Mixture(Box<Mixture<SingerBicycle, 6>>),
+    Particles(Box<Particles<SingerBicycle, 6>>),
 }
 
 struct Track {
@@ -176,6 +181,7 @@ impl Follower<'_> {
             let adopted = match &mut track.belief {
                 Belief::Filter(_) => Ok(()),
                 Belief::Mixture(mixture) => mixture.adopt(&forecast),
+                Belief::Particles(particles) => particles.adopt(&forecast),
             };
             // One that can't be used leaves the forecast before in its place.
             track.is_fresh = adopted.is_err();
@@ -200,6 +206,7 @@ impl Track {
         match &mut self.belief {
             Belief::Filter(filter) => filter.predict(elapsed_ns, &settings.models(self.length_m)).ok(),
             Belief::Mixture(mixture) => mixture.predict(elapsed_ns).ok(),
+            Belief::Particles(particles) => particles.predict(elapsed_ns).ok(),
         }
     }
 
@@ -213,6 +220,10 @@ impl Track {
             Belief::Mixture(mixture) => {
                 let nis = innovation_squared(&mixture.moments(), seen)?;
                 Some((nis, mixture.update(seen).ok()?))
+            }
+            Belief::Particles(particles) => {
+                let nis = innovation_squared(&particles.moments(), seen)?;
+                Some((nis, particles.update(seen).ok()?))
             }
         }
     }
@@ -237,6 +248,10 @@ impl Track {
             (TrackingMethod::SingerBicycle | TrackingMethod::Learned, Filter::Bicycle(state)) => {
                 Belief::Mixture(Box::new(Mixture::new(priors.kinematic.of(&state), priors, id)))
             }
+            (TrackingMethod::LearnedParticles, Filter::Bicycle(state)) => {
+                let start = priors.kinematic.of(&state);
+                Belief::Particles(Box::new(Particles::new(&start, priors, PARTICLES, id)))
+            }
             _ => Belief::Filter(Box::new(ripe)),
         };
     }
@@ -245,6 +260,7 @@ impl Track {
         match &self.belief {
             Belief::Filter(filter) => **filter,
             Belief::Mixture(mixture) => Filter::Bicycle(SingerBicycle::bicycle_of(&mixture.moments())),
+            Belief::Particles(particles) => Filter::Bicycle(SingerBicycle::bicycle_of(&particles.moments())),
         }
     }
 

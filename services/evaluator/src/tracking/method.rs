@@ -24,6 +24,8 @@ pub(crate) enum TrackingMethod {
     SingerBicycle,
     /// The same, its acceleration dying away towards that of the model's forecasts: a mixture of extended Kalman filters.
     Learned,
+    /// The same processes by Monte Carlo: particles, with the settings of the mixture.
+    LearnedParticles,
 }
 
 /// The numbers of a method that are tuned; what they are, and how many of them count, is the method's own.
@@ -40,14 +42,20 @@ const FLOOR: [f64; 5] = [1e-6, 1e-6, 1e-6, 0.0, 0.0];
 
 impl TrackingMethod {
     /// All methods, in the order of the tables.
-    pub(crate) const ALL: [Self; 6] = [
+    pub(crate) const ALL: [Self; 7] = [
         Self::ConstantVelocity,
         Self::ConstantAcceleration,
         Self::ConstantTurnRate,
         Self::Bicycle,
         Self::SingerBicycle,
         Self::Learned,
+        Self::LearnedParticles,
     ];
+
+    /// The methods that are judged; particles take several times as long as all others together.
+    pub(crate) fn judged(particles: bool) -> Vec<Self> {
+        Self::ALL.into_iter().filter(|&method| particles || method != Self::LearnedParticles).collect()
+    }
 
     /// The name in tables.
     #[must_use]
@@ -59,12 +67,13 @@ impl TrackingMethod {
             Self::Bicycle => "bicycle",
             Self::SingerBicycle => "Singer bicycle",
             Self::Learned => "learned, linearised",
+            Self::LearnedParticles => "learned, Monte Carlo",
         }
     }
 
     /// Whether forecasts of the model take part.
     pub(crate) const fn is_learned(self) -> bool {
-        matches!(self, Self::Learned)
+        matches!(self, Self::Learned | Self::LearnedParticles)
     }
 
     /// What the numbers of its setting are.
@@ -80,6 +89,7 @@ impl TrackingMethod {
             Self::Learned => {
                 &["factor on control covariances", "share of the Singer bicycle's noise", "decay, s"]
             }
+            Self::LearnedParticles => &[],
         }
     }
 
@@ -91,6 +101,7 @@ impl TrackingMethod {
             Self::Bicycle => [2.0, 0.2, 1.0],
             Self::SingerBicycle => [1.0, 0.1, 2.0],
             Self::Learned => [0.1, 0.7, 1.0],
+            Self::LearnedParticles => [1.0; 3],
         }
     }
 
@@ -100,7 +111,7 @@ impl TrackingMethod {
             Self::ConstantVelocity => Kind::ConstantVelocity,
             Self::ConstantAcceleration => Kind::ConstantAcceleration,
             Self::ConstantTurnRate => Kind::ConstantTurnRate,
-            Self::Bicycle | Self::SingerBicycle | Self::Learned => Kind::Bicycle,
+            Self::Bicycle | Self::SingerBicycle | Self::Learned | Self::LearnedParticles => Kind::Bicycle,
         }
     }
 }

@@ -137,6 +137,11 @@ impl TrackingReport {
         self.judged.iter().find(|judged| judged.sensor == sensor && judged.method == method)
     }
 
+    /// In the order of the tables.
+    fn methods(&self) -> impl Iterator<Item = TrackingMethod> + '_ {
+        self.trials.first().into_iter().flat_map(|(_, trials)| &trials.figures).map(|&(method, _)| method)
+    }
+
     /// The kinematic filter whose mean error is the least.
     fn best_kinematic(&self, sensor: Sensor, quantity: Quantity) -> Option<&Judged> {
         let kinematic = TrackingMethod::ALL.into_iter().filter(|method| !method.is_learned());
@@ -193,7 +198,7 @@ impl TrackingReport {
         let mut table =
             Table::new(quantity.name(), &note, &["deviation", "method"], self.columns().into_iter());
         for &(sigma_m, _) in self.trials.iter().filter(|(sigma_m, _)| is_told(*sigma_m)) {
-            for method in TrackingMethod::ALL {
+            for method in self.methods() {
                 let cell = |sensor: Sensor| {
                     let norms = self.of(sensor, method)?.norms(quantity);
                     Some(format!("{} / {}", fine(norms.rmse()?), fine(norms.mae()?)))
@@ -247,7 +252,7 @@ impl TrackingReport {
         let columns = self.columns().into_iter().chain(["faults".to_owned()]);
         let mut table = Table::new("Consistency", note, &["deviation", "method"], columns);
         for &(sigma_m, _) in &self.trials {
-            for method in TrackingMethod::ALL {
+            for method in self.methods() {
                 let cell = |sensor: Sensor| {
                     let judged = self.of(sensor, method)?;
                     Some(format!("{} / {}", consistency(&judged.nees?), consistency(&judged.nis?)))
@@ -270,14 +275,18 @@ impl TrackingReport {
         let columns = ["setting", "NLL"].map(str::to_owned).into_iter();
         let mut table = Table::new("Settings", &note, &["deviation", "method"], columns);
         for (sigma_m, trials) in &self.trials {
-            for (method, figure) in TrackingMethod::ALL.into_iter().zip(&trials.figures) {
+            for &(method, figure) in &trials.figures {
                 let numbers = method.told().iter().zip(trials.settings.of(method));
                 let setting: Vec<String> =
                     numbers.map(|(what, value)| format!("{what} {value:.3}")).collect();
+                let setting = match &setting[..] {
+                    [] => format!("those of {}", TrackingMethod::Learned.name()),
+                    numbers => numbers.join(", "),
+                };
                 table.push_row(vec![
                     format!("{sigma_m} m"),
                     method.name().to_owned(),
-                    setting.join(", "),
+                    setting,
                     format!("{figure:.3}"),
                 ]);
             }

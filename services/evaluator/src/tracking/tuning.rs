@@ -15,17 +15,22 @@ const FACTORS: [f64; 3] = [4.0, 2.0, std::f64::consts::SQRT_2];
 pub(crate) struct Trials {
     /// The best settings of all methods.
     pub(crate) settings: Settings,
-    /// Their mean negative log-likelihoods of a measured position, in the order of [`TrackingMethod::ALL`].
-    pub(crate) figures: Vec<f64>,
+    /// The methods, and their mean negative log-likelihoods of a measured position.
+    pub(crate) figures: Vec<(TrackingMethod, f64)>,
 }
 
-/// Tunes all methods on courses of one noise.
+/// Tunes methods on courses of one noise.
 ///
-/// The Singer bicycle is tuned before the learned prior, which it is part of.
-pub(crate) fn tune(courses: &[Course], forecaster: &Forecaster, threads: usize) -> Trials {
+/// The Singer bicycle must come before the learned prior, which it is part of.
+pub(crate) fn tune(
+    courses: &[Course],
+    forecaster: &Forecaster,
+    methods: &[TrackingMethod],
+    threads: usize,
+) -> Trials {
     let mut settings = Settings::first();
     let mut figures = Vec::new();
-    for method in TrackingMethod::ALL {
+    for &method in methods {
         let judge = |setting: Setting| {
             let settings = settings.with(method, setting);
             let follow =
@@ -35,7 +40,7 @@ pub(crate) fn tune(courses: &[Course], forecaster: &Forecaster, threads: usize) 
         };
         let (setting, figure) = search(method.first_setting(), method.told().len(), judge);
         settings = settings.with(method, setting);
-        figures.push(figure);
+        figures.push((method, figure));
     }
     Trials { settings, figures }
 }
