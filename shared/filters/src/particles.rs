@@ -22,6 +22,8 @@ use crate::process::steps;
 use crate::weights::{effective_size, log_sum_exp, normalise, systematic};
 use crate::{FilterFault, Forecast, ForecastFault, Gaussian, Observation, Priors, Steered, difference, mean};
 
+/// Kernels are widened no further than until so many of them count: width blurs, while more particles see more sharply.
+const ENOUGH: f64 = 250.0;
 /// From one width of the kernels to the next, as a factor on their covariance.
 const WIDENING: f64 = 1.5;
 /// Most particles of one filter.
@@ -173,7 +175,8 @@ impl<P: Steered<N>, const N: usize> Particles<P, N> {
         }
         let mut share = kernel_share(self.effective_size(), N);
         let mut corrected = self.corrected(seen, share)?;
-        while share < 1.0 && is_poor(&self.next) {
+        let enough = ENOUGH.min(self.particles.len() as f64 / 2.0);
+        while share < 1.0 && effective_size(weights(&self.next)) < enough {
             share = (WIDENING * share).min(1.0);
             corrected = self.corrected(seen, share)?;
         }
