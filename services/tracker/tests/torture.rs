@@ -14,8 +14,10 @@ fn ten_thousand_random_ticks_leave_the_tracker_sound() {
         println!("{prior:?}: {survived:?}");
         assert!(survived.published_len > 40_000 && survived.refused.len() >= 3, "{survived:?}");
         assert_eq!(survived.learned_len > 10_000, prior == Prior::Learned, "{survived:?}");
-        if let [_, _, early, .., late] = survived.resident_kib[..] {
-            assert!(late.saturating_sub(early) < 512, "{survived:?}");
+        // Hypotheses come and go with the tracks that hold them, 20 KiB each: a few hundred at once, but of all tracks that
+        // ever were they would be hundreds of MiB.
+        if let [_, early, .., late] = survived.resident_kib[..] {
+            assert!(late.saturating_sub(early) < 8 * 1_024, "{survived:?}");
         }
     }
 }
