@@ -24,17 +24,6 @@ pub struct MotionNoise {
     pub slip_rate_radps: f64,
 }
 
-/// What the tracker assumes of one kind of input, by agent type.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct InputModel {
-    /// Measurement noise.
-    pub sensor: [SensorNoise; 3],
-    /// Process noise.
-    pub motion: [MotionNoise; 3],
-    /// A track without a detection for so long, over frames that observed its type, ends.
-    pub coast_ns: u64,
-}
-
 /// How far forecasts are trusted as a prior.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ForecastTrust {
@@ -46,6 +35,19 @@ pub struct ForecastTrust {
     pub noise_share: f64,
     /// Time constant with which controls come in: at first the estimated state knows better. 0 for at once.
     pub fade_in_s: f64,
+}
+
+/// What the tracker assumes of one kind of input, by agent type.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct InputModel {
+    /// Measurement noise.
+    pub sensor: [SensorNoise; 3],
+    /// Process noise.
+    pub motion: [MotionNoise; 3],
+    /// How far forecasts are trusted, where they are the prior.
+    pub trust: ForecastTrust,
+    /// A track without a detection for so long, over frames that observed its type, ends.
+    pub coast_ns: u64,
 }
 
 /// Settings of a tracker.
@@ -61,8 +63,6 @@ pub struct TrackerOptions {
     pub associate: bool,
     /// What moves tracks between two detections.
     pub prior: Prior,
-    /// How far forecasts are trusted, where they are the prior.
-    pub trust: ForecastTrust,
     /// Inputs of a detector, to be associated.
     pub detector: InputModel,
     /// Inputs that carry identities: annotated or smoothed recordings, whose positions are nearly without noise.
@@ -79,6 +79,11 @@ pub struct TrackerOptions {
     pub gap_max_ns: u64,
 }
 
+/// Chosen by the errors of tracks and of the forecasts from them: among positions nearly without noise the modes follow best
+/// by the process model's own noise, among noisy ones their controls tell most of it.
+const TRUST: ForecastTrust =
+    ForecastTrust { kinematic_weight: 0.05, covariance_scale: 1.0, noise_share: 1.0, fade_in_s: 0.5 };
+
 const DETECTOR: InputModel = InputModel {
     sensor: [
         SensorNoise { position_m: 0.25, heading_rad: 0.12, speed_mps: 1.0 },
@@ -90,6 +95,7 @@ const DETECTOR: InputModel = InputModel {
         MotionNoise { density: 2.0, acceleration_mps2: 2.0, slip_rate_radps: 0.5 },
         MotionNoise { density: 0.5, acceleration_mps2: 1.0, slip_rate_radps: 0.5 },
     ],
+    trust: ForecastTrust { noise_share: 0.3, ..TRUST },
     coast_ns: 2_000_000_000,
 };
 
@@ -106,6 +112,7 @@ const RECORDED: InputModel = InputModel {
         MotionNoise { density: 2.0, acceleration_mps2: 3.0, slip_rate_radps: 0.7 },
         MotionNoise { density: 0.3, acceleration_mps2: 1.0, slip_rate_radps: 0.5 },
     ],
+    trust: TRUST,
     coast_ns: 1_000_000_000,
 };
 
@@ -117,12 +124,6 @@ impl Default for TrackerOptions {
             tracks_max: 512,
             associate: false,
             prior: Prior::default(),
-            trust: ForecastTrust {
-                kinematic_weight: 0.05,
-                covariance_scale: 1.0,
-                noise_share: 0.3,
-                fade_in_s: 0.5,
-            },
             detector: DETECTOR,
             recorded: RECORDED,
             detection_probability: 0.9,

@@ -166,7 +166,6 @@ impl Target {
         forecasts: &mut Forecasts<'_>,
         controls: &mut Controls,
         input: &InputModel,
-        options: &TrackerOptions,
     ) -> Result<(), PriorFault> {
         let Some(forecast) = forecasts.find(self.id) else { return Ok(()) };
         let steering = Steering::try_from(forecast.steering)?;
@@ -181,7 +180,7 @@ impl Target {
         if !(is_due && knows_more && fits) {
             return Ok(());
         }
-        let trust = &options.trust;
+        let trust = &input.trust;
         controls.read(forecasts, forecast, steering, trust.fade_in_s)?;
         let age_ns = self.stamp_ns.abs_diff(controls_ns);
         let prior = controls.forecast(age_ns, forecasts.step_ns(), f64::from(forecast.frame_heading_rad));
@@ -209,7 +208,7 @@ impl Target {
             Some(_) => Quality::Held,
         };
         let models = self.models(input);
-        self.belief.predict(dt_ns, &models, &options.trust)
+        self.belief.predict(dt_ns, &models, &input.trust)
     }
 
     /// How well a position with the given variance per axis fits the prediction.

@@ -169,7 +169,7 @@ impl Tracker {
         let Some(mut forecasts) = forecasts else { return };
         let input = self.options.input(header);
         for target in &mut self.targets {
-            let adopted = target.adopt(&mut forecasts, &mut self.controls, input, &self.options);
+            let adopted = target.adopt(&mut forecasts, &mut self.controls, input);
             tracked.refused_len += usize::from(adopted.is_err());
         }
     }

@@ -190,8 +190,11 @@ fn what_was_used_is_told() {
     assert!(of(Quality::Kinematic).all(|told| told.0 < 10 || told.0 > 105));
 }
 
+/// Makes a forecast, or the header of its frame, what it should not be.
+type Spoil = fn(&mut Header, &mut Forecast);
+
 /// Each fault of a forecast, and whether it counts as one.
-fn faults() -> Vec<(&'static str, bool, fn(&mut Header, &mut Forecast))> {
+fn faults() -> Vec<(&'static str, bool, Spoil)> {
     vec![
         ("of another track", false, |_, forecast| forecast.id += 1),
         ("of another type", false, |_, forecast| forecast.agent_type = AgentType::Cyclist as u32),
@@ -216,7 +219,7 @@ fn faults() -> Vec<(&'static str, bool, fn(&mut Header, &mut Forecast))> {
 
 #[test]
 fn a_forecast_that_cannot_be_the_prior_leaves_the_process_model() {
-    let alone = |prior: Prior, mut spoil: Box<dyn FnMut(&mut Header, &mut Forecast)>| {
+    let alone = |prior: Prior, spoil: Spoil| {
         let (mut tracks, mut refused_len) = (Vec::new(), 0);
         drive(
             options(prior),
@@ -232,11 +235,11 @@ fn a_forecast_that_cannot_be_the_prior_leaves_the_process_model() {
         );
         (tracks, refused_len)
     };
-    let (kinematic, _) = alone(Prior::Kinematic, Box::new(|_, _| ()));
-    let (good, _) = alone(Prior::Learned, Box::new(|_, _| ()));
+    let (kinematic, _) = alone(Prior::Kinematic, |_, _| ());
+    let (good, _) = alone(Prior::Learned, |_, _| ());
     assert_ne!(good, kinematic);
     for (name, counts, spoil) in faults() {
-        let (tracks, refused_len) = alone(Prior::Learned, Box::new(spoil));
+        let (tracks, refused_len) = alone(Prior::Learned, spoil);
         assert!(tracks == kinematic, "a forecast {name}");
         assert_eq!(refused_len > 30, counts, "a forecast {name}: {refused_len} refused");
     }
