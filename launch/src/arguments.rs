@@ -3,9 +3,10 @@
 use std::path::{Path, PathBuf};
 
 use clap::Args;
-use config::{MapChoice, Prior, Scene};
+use config::{MapChoice, Prior, Run, Scene};
 use data::Format;
 use nn::Weights;
+use source::{Playback, PlaybackOptions};
 
 use crate::failure::Failure;
 
@@ -36,7 +37,8 @@ pub struct TrackerArguments {
     /// Associate detections by position even where they carry identities
     #[arg(long)]
     pub associate: bool,
-    /// What moves tracks between two detections: `kinematic` or `learned`, the forecasts before
+    /// What moves tracks between two detections: `kinematic`, or `learned`: the forecasts made before [default: the pipeline
+    /// file's, else `learned`]
     #[arg(long = "tracker.prior", value_name = "PRIOR")]
     pub prior: Option<Prior>,
 }
@@ -50,6 +52,58 @@ pub struct ModelArguments {
     /// Context map: `online`, `none` or a file that `stgdat map` wrote
     #[arg(long, value_name = "MAP")]
     pub map: Option<MapChoice>,
+}
+
+/// A recording that is played in this process, and what it is played with.
+#[derive(Debug, Args)]
+pub struct PlaybackArguments {
+    /// The recording
+    recording: PathBuf,
+    /// The recording's format; found out where not given
+    #[arg(long)]
+    format: Option<Format>,
+    /// Seed of all that is random
+    #[arg(long, default_value_t = 1)]
+    seed: u64,
+    /// End after so many ticks
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..))]
+    ticks: Option<u64>,
+    #[command(flatten)]
+    tracker: TrackerArguments,
+    #[command(flatten)]
+    model: ModelArguments,
+}
+
+impl PlaybackArguments {
+    /// Where the recording lies, absolute.
+    pub fn path(&self) -> Result<PathBuf, Failure> {
+        let path = &self.recording;
+        path.canonicalize().map_err(|error| Failure::file(path, &error))
+    }
+
+    /// The recording, at its beginning, and the run in lockstep that plays it.
+    pub fn start(&self) -> Result<(Playback, Run), Failure> {
+        let (weights_path, weights) = self.model.open_weights(None)?;
+        let format = self.format.map(|format| format.name().to_owned());
+        let scene = Scene::Recording { path: self.path()?, format };
+        let recording = source::recording(&scene, self.seed, self.ticks)?;
+        let options = PlaybackOptions { run_id: 0, ticks_max: self.ticks, lockstep: true };
+        let playback = Playback::new(recording, options);
+        let run = Run {
+            interval_ns: playback.interval_ns(),
+            lockstep: true,
+            seed: self.seed,
+            scene,
+            ticks: self.ticks,
+            associate: self.tracker.associate,
+            prior: self.tracker.prior.unwrap_or_default(),
+            weights: weights_path,
+            model: weights.config().clone(),
+            map: self.model.map.clone().unwrap_or(MapChoice::Online),
+            ..Run::default()
+        };
+        Ok((playback, run))
+    }
 }
 
 impl SceneArguments {

@@ -5,6 +5,7 @@ use config::{Exit, PipelineError};
 use miette::GraphicalReportHandler;
 use nn::WeightsError;
 use ports::{PortError, SpaceError, StageError};
+use recorder::is_standard_output;
 use thiserror::Error;
 use wire::StageId;
 
@@ -60,6 +61,11 @@ impl Failure {
     /// A file can't be read or written.
     pub fn file(path: &Path, error: &std::io::Error) -> Self {
         Self::Data(format!("{}: {error}", path.display()))
+    }
+
+    /// What `--out` names can't be written.
+    pub fn output(path: &Path, error: &std::io::Error) -> Self {
+        Self::file(if is_standard_output(path) { Path::new("standard output") } else { path }, error)
     }
 
     /// Weights can't be used.

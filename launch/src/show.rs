@@ -9,9 +9,7 @@ use crate::failure::Failure;
 pub fn show(text: &str) -> Result<Exit, Failure> {
     let mut output = std::io::stdout().lock();
     match output.write_all(text.as_bytes()).and_then(|()| output.flush()) {
-        Err(error) if error.kind() != ErrorKind::BrokenPipe => {
-            Err(Failure::file(Path::new("standard output"), &error))
-        }
+        Err(error) if error.kind() != ErrorKind::BrokenPipe => Err(Failure::output(Path::new("-"), &error)),
         _ => Ok(Exit::Done),
     }
 }

@@ -3,7 +3,7 @@
 use std::collections::BTreeSet;
 
 use crate::scratch::Scratch;
-use crate::started::{run, run_well, stderr, stdout};
+use crate::started::{Started, run, run_well, stderr, stdout, stgdat};
 
 /// The rows of agents, split at commas; the columns of a CSV by the names of its first line.
 fn rows(text: &str) -> Vec<Vec<&str>> {
@@ -42,6 +42,22 @@ fn forecasts_move_tracks_where_they_are_asked_for() {
     let learned = tracks("learned");
     assert_eq!(learned, tracks("learned"), "the same bytes twice");
     assert_ne!(learned, tracks("kinematic"));
+}
+
+#[test]
+fn standard_output_is_appended_to_where_a_shell_says_so() {
+    let scratch = Scratch::new("tracks-appended");
+    let recording = scratch.recording("scene.csv", 5);
+    let path = scratch.path("all.jsonl");
+    std::fs::write(&path, "before\n").expect("a scratch folder");
+    for arguments in [&["predict"][..], &["predict", "--out", "/dev/stdout"]] {
+        let file = std::fs::File::options().append(true).open(&path).expect("just written");
+        let output = Started::spawn(stgdat().args(arguments).arg(&recording).stdout(file)).output();
+        assert!(output.status.success(), "{}", stderr(&output));
+    }
+    let text = String::from_utf8(scratch.read("all.jsonl")).expect("JSON is text");
+    assert!(text.starts_with("before\n{"), "{text}");
+    assert_eq!(text.lines().count(), 11);
 }
 
 #[test]

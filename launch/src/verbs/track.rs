@@ -2,24 +2,18 @@ use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 
 use clap::Args;
-use config::{Exit, MapChoice, Run, Scene};
+use config::Exit;
 use data::formats::kitti::WorldFromCamera;
-use data::{Format, TrackFormat, TrackRows, TrackWriter};
-use recorder::WholeFile;
-use source::{Playback, PlaybackOptions};
+use data::{TrackFormat, TrackRows, TrackWriter};
+use recorder::{WholeFile, is_standard_output};
 
-use crate::arguments::{ModelArguments, TrackerArguments};
+use crate::arguments::PlaybackArguments;
 use crate::failure::Failure;
 use crate::tracking::Tracking;
 
 /// Arguments of `stgdat track`.
 #[derive(Debug, Args)]
 pub struct Arguments {
-    /// The recording
-    recording: PathBuf,
-    /// The recording's format; found out where not given
-    #[arg(long)]
-    format: Option<Format>,
     /// Where the tracks go; `-` for standard output
     #[arg(long, value_name = "FILE", default_value = "-")]
     out: PathBuf,
@@ -36,45 +30,17 @@ pub struct Arguments {
     /// mot: frame,id,-1,-1,-1,-1,score,x,y,0 with frames from 1 and positions in the world frame, m. Types are not told.
     #[arg(long = "as", value_name = "FORMAT", default_value_t, verbatim_doc_comment)]
     written_as: TrackFormat,
-    /// Seed of all that is random
-    #[arg(long, default_value_t = 1)]
-    seed: u64,
-    /// End after so many ticks
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..))]
-    ticks: Option<u64>,
     #[command(flatten)]
-    tracker: TrackerArguments,
-    #[command(flatten)]
-    model: ModelArguments,
+    playback: PlaybackArguments,
 }
 
 /// Runs a recording through the tracker in this process and writes what it publishes.
 pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
-    let (weights_path, weights) = arguments.model.open_weights(None)?;
-    let path = &arguments.recording;
-    let path = path.canonicalize().map_err(|error| Failure::file(path, &error))?;
-    let rows = rows(arguments.written_as, &path)?;
-    let scene = Scene::Recording { path, format: arguments.format.map(|format| format.name().to_owned()) };
-    let recording = source::recording(&scene, arguments.seed, arguments.ticks)?;
-    let options = PlaybackOptions { run_id: 0, ticks_max: arguments.ticks, lockstep: true };
-    let mut playback = Playback::new(recording, options);
-    let mut tracking = Tracking::new(&Run {
-        interval_ns: playback.interval_ns(),
-        lockstep: true,
-        seed: arguments.seed,
-        scene,
-        ticks: arguments.ticks,
-        associate: arguments.tracker.associate,
-        prior: arguments.tracker.prior.unwrap_or_default(),
-        weights: weights_path,
-        model: weights.config().clone(),
-        map: arguments.model.map.clone().unwrap_or(MapChoice::Online),
-        ..Run::default()
-    })?;
-    let standard_output = arguments.out.as_os_str() == "-";
-    let out = if standard_output { Path::new("/dev/stdout") } else { &arguments.out };
-    let written = |error: std::io::Error| Failure::file(out, &error);
-    let file = WholeFile::create(out).map_err(written)?;
+    let rows = rows(arguments.written_as, &arguments.playback.path()?)?;
+    let (mut playback, run) = arguments.playback.start()?;
+    let mut tracking = Tracking::new(&run)?;
+    let written = |error: std::io::Error| Failure::output(&arguments.out, &error);
+    let file = WholeFile::create(&arguments.out).map_err(written)?;
     let mut writer = TrackWriter::new(file, rows).map_err(written)?;
     let (mut ticks, mut tracks_len) = (0_u64, 0_u64);
     while let Some(tick) = playback.next_tick() {
@@ -88,8 +54,8 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
         tracks_len += tracks.len() as u64;
     }
     writer.finish().and_then(WholeFile::finish).map_err(written)?;
-    if !standard_output {
-        println!("{ticks} ticks, {tracks_len} tracks: {}", out.display());
+    if !is_standard_output(&arguments.out) {
+        println!("{ticks} ticks, {tracks_len} tracks: {}", arguments.out.display());
     }
     Ok(Exit::Done)
 }

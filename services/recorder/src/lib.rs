@@ -24,4 +24,4 @@ mod whole_file;
 pub use forecast_lines::{FORECASTS_VERSION, ForecastWriter};
 pub use record::{Recorder, RecorderOptions, TICK_LIMIT_NS};
 pub use report::{REPORT_VERSION, Report, ReportError, RunInfo, Status, Verdict};
-pub use whole_file::WholeFile;
+pub use whole_file::{WholeFile, is_standard_output};

@@ -2,13 +2,14 @@
 
 use std::fs::{self, File};
 use std::io::{self, BufWriter, Write};
+use std::os::fd::AsFd;
 use std::path::{Path, PathBuf};
 
 /// A file that takes its name only when it is finished.
 ///
 /// Until then its content lies beside the target as `NAME.partial`; so a run that is cut off leaves the partial file
-/// and never a short one under the real name. A target that exists and is no regular file (a pipe, `/dev/stdout`) is
-/// written directly.
+/// and never a short one under the real name. [Standard output](is_standard_output) and
+/// what exists and is no regular file (a pipe, a device) are written directly. Of a link the target is written; the link stays.
 #[derive(Debug)]
 pub struct WholeFile {
     output: BufWriter<File>,
@@ -21,18 +22,25 @@ impl WholeFile {
     /// # Errors
     /// What the file system says.
     pub fn create(path: &Path) -> io::Result<Self> {
-        if fs::metadata(path).is_ok_and(|target| !target.is_file() && !target.is_dir()) {
-            return Ok(Self {
-                output: BufWriter::new(File::options().write(true).open(path)?),
-                rename: None,
-            });
+        if is_standard_output(path) {
+            return Ok(Self::direct(io::stdout().as_fd().try_clone_to_owned()?.into()));
         }
-        let name = path.file_name().ok_or(io::ErrorKind::IsADirectory)?;
-        let mut partial_name = name.to_owned();
+        let path = match fs::metadata(path) {
+            Ok(target) if target.is_dir() => return Err(io::ErrorKind::IsADirectory.into()),
+            Ok(target) if !target.is_file() => {
+                return File::options().write(true).open(path).map(Self::direct);
+            }
+            _ => fs::canonicalize(path).unwrap_or_else(|_| path.to_owned()),
+        };
+        let mut partial_name = path.file_name().ok_or(io::ErrorKind::IsADirectory)?.to_owned();
         partial_name.push(".partial");
         let partial = path.with_file_name(partial_name);
         let output = BufWriter::with_capacity(1 << 18, File::create(&partial)?);
-        Ok(Self { output, rename: Some((partial, path.to_owned())) })
+        Ok(Self { output, rename: Some((partial, path)) })
+    }
+
+    fn direct(output: File) -> Self {
+        Self { output: BufWriter::new(output), rename: None }
     }
 
     /// Writes what is buffered and gives the file its name.
@@ -56,6 +64,12 @@ impl Write for WholeFile {
     fn flush(&mut self) -> io::Result<()> {
         self.output.flush()
     }
+}
+
+/// Whether a path stands for standard output: `-` or `/dev/stdout`.
+#[must_use]
+pub fn is_standard_output(path: &Path) -> bool {
+    path == Path::new("-") || path == Path::new("/dev/stdout")
 }
 
 /// Writes all of a small file.
@@ -85,7 +99,18 @@ mod tests {
     fn a_missing_folder_is_an_error() {
         let folder = tempfile::tempdir().unwrap();
         assert!(write(&folder.path().join("no/such/a.json"), b"").is_err());
-        assert!(write(folder.path(), b"").is_err());
+        assert!(WholeFile::create(folder.path()).is_err(), "before anything is computed");
+    }
+
+    #[test]
+    fn a_link_keeps_pointing_at_its_target() {
+        let folder = tempfile::tempdir().unwrap();
+        let [target, link] = ["a.json", "link"].map(|name| folder.path().join(name));
+        fs::write(&target, b"old").unwrap();
+        std::os::unix::fs::symlink(&target, &link).unwrap();
+        write(&link, b"new").unwrap();
+        assert_eq!(fs::read(&target).unwrap(), b"new");
+        assert!(fs::symlink_metadata(&link).unwrap().is_symlink());
     }
 
     #[test]
