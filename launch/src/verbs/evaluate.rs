@@ -14,6 +14,10 @@ use crate::show::show;
 
 /// Deviations of measured positions that make sense, m.
 const SIGMAS_M: std::ops::RangeInclusive<f64> = 0.001..=10.0;
+/// Parts of `interaction`, by default all of them.
+const INTERACTION_PARTS: [&str; 3] = ["seen", "FT", "EP1"];
+/// Parts of `tracking`, by default all of them.
+const TRACKING_PARTS: [&str; 2] = ["interaction", "kitti"];
 
 /// Arguments of `stgdat evaluate`.
 #[derive(Debug, Args)]
@@ -42,7 +46,7 @@ pub struct Arguments {
     #[arg(long, value_name = "PART,…", value_delimiter = ',')]
     parts: Vec<String>,
     /// Deviations of the measured positions in `tracking`, m; those of the protocol where none are given
-    #[arg(long, value_name = "M,…", value_delimiter = ',')]
+    #[arg(long, value_name = "M,…", value_delimiter = ',', allow_negative_numbers = true)]
     sigmas: Vec<f64>,
     /// Run the learned prior of `tracking` by Monte Carlo as well, which takes several times as long
     #[arg(long)]
@@ -181,18 +185,18 @@ fn track(arguments: &Arguments) -> Result<Vec<Written>, Failure> {
             SIGMAS_M.end()
         )));
     }
+    let known = |part: &str| TRACKING_PARTS.contains(&part);
+    if let Some(other) = arguments.parts.iter().find(|part| !known(part)) {
+        return Err(Failure::Usage(format!("--parts {other}: `tracking` has interaction and kitti")));
+    }
     let options = options(arguments);
     let mut written = Vec::new();
-    for part in parts(arguments, &["interaction", "kitti"]) {
-        written.push(match part {
-            "interaction" => {
-                let report = evaluator::tracking(&options, &arguments.sigmas, arguments.particles, progress);
-                Written::of_motion(&report.map_err(Failure::data)?)
-            }
-            "kitti" => Written::of_trackers(&judge_trackers(&options)?),
-            other => {
-                return Err(Failure::Usage(format!("--parts {other}: `tracking` has interaction and kitti")));
-            }
+    for part in parts(arguments, &TRACKING_PARTS) {
+        written.push(if part == "kitti" {
+            Written::of_trackers(&judge_trackers(&options)?)
+        } else {
+            let report = evaluator::tracking(&options, &arguments.sigmas, arguments.particles, progress);
+            Written::of_motion(&report.map_err(Failure::data)?)
         });
     }
     if let Some(first) = written.first_mut() {
@@ -222,7 +226,8 @@ fn evaluate(name: &str, arguments: &Arguments) -> Result<Report, Failure> {
         "eth-ucy" => evaluator::eth_ucy(&options, progress),
         "sdd" => evaluator::sdd(&options, progress),
         "interaction" => {
-            let parts: Vec<_> = parts(arguments, &["seen", "FT", "EP1"]).map(interaction_part).collect();
+            let parts = parts(arguments, &INTERACTION_PARTS).map(|part| interaction_part(part, arguments));
+            let parts: Vec<_> = parts.collect::<Result<_, _>>()?;
             evaluator::interaction(&options, &parts, progress)
         }
         _ => {
@@ -239,10 +244,16 @@ fn parts<'a>(arguments: &'a Arguments, all: &'a [&str]) -> impl Iterator<Item = 
     arguments.parts.iter().map(String::as_str).chain(all)
 }
 
-fn interaction_part(name: &str) -> InteractionPart {
+/// A part by its name; sites beside the usual ones only where weights are named, as no recipe leaves them out.
+fn interaction_part(name: &str, arguments: &Arguments) -> Result<InteractionPart, Failure> {
     match name {
-        "seen" => InteractionPart::Seen,
-        site => InteractionPart::Unseen(site.to_owned()),
+        "seen" => Ok(InteractionPart::Seen),
+        site if arguments.weights.is_some() || INTERACTION_PARTS.contains(&site) => {
+            Ok(InteractionPart::Unseen(site.to_owned()))
+        }
+        other => Err(Failure::Usage(format!(
+            "--parts {other}: `interaction` has seen, FT and EP1, and other sites with --weights"
+        ))),
     }
 }
 
