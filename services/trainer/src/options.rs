@@ -186,7 +186,9 @@ impl TrainOptions {
             _ if self.steps == 0 || self.validate_every == 0 => {
                 refuse("steps and validate_every must be 1 or more")
             }
-            _ if !(1..=self.steps).contains(&self.runs) => refuse("runs must be 1 to steps"),
+            _ if !(1..=self.steps).contains(&self.runs) => {
+                refuse(&format!("runs = {} must be 1 to steps = {}", self.runs, self.steps))
+            }
             _ => Ok(()),
         }
     }
