@@ -19,9 +19,7 @@ const FILE: &str = "checkpoint.safetensors";
 pub(crate) struct State {
     pub(crate) weights: Tensors,
     pub(crate) adam: Adam,
-    /// Mean of the averaged weights of the runs that are finished.
-    pub(crate) finished: Tensors,
-    /// The mean weights that validated best.
+    /// The averaged weights that validated best.
     pub(crate) best: Tensors,
     pub(crate) progress: RunProgress,
 }
@@ -32,9 +30,7 @@ pub(crate) struct State {
 pub(crate) struct RunProgress {
     /// Updates tried.
     pub(crate) step: u64,
-    /// Runs finished, see [`TrainOptions::runs`].
-    pub(crate) finished_len: u64,
-    /// Updates of this run that moved the weights.
+    /// Updates that moved the weights.
     pub(crate) adam_steps: u64,
     /// Figure of the best validation, `None` before the first.
     pub(crate) best_figure: Option<f64>,
@@ -55,7 +51,6 @@ impl State {
         let adam = Adam::new(options.optimiser.clone(), &options.model, &weights);
         let progress = RunProgress {
             step: 0,
-            finished_len: 0,
             adam_steps: 0,
             best_figure: None,
             best_step: 0,
@@ -64,27 +59,7 @@ impl State {
             seed: options.seed,
             model: options.model.clone(),
         };
-        Self { finished: weights.clone(), best: weights.clone(), weights, adam, progress }
-    }
-
-    /// Mean of the averaged weights of this run and those before.
-    pub(crate) fn mean(&self) -> Tensors {
-        let mut mean = self.adam.average.clone();
-        let share = self.progress.finished_len as f32 / (self.progress.finished_len + 1) as f32;
-        for (mean, finished) in mean.0.values_mut().zip(self.finished.0.values()) {
-            for (value, finished) in mean.values.iter_mut().zip(&finished.values) {
-                *value += (finished - *value) * share;
-            }
-        }
-        mean
-    }
-
-    /// Finishes a run and begins another.
-    pub(crate) fn restart(&mut self, first: Tensors, options: &TrainOptions) {
-        self.finished = self.mean();
-        self.progress.finished_len += 1;
-        self.adam = Adam::new(options.optimiser.clone(), &options.model, &first);
-        self.weights = first;
+        Self { best: weights.clone(), weights, adam, progress }
     }
 
     /// Writes the checkpoint; an older one is replaced only by a complete new one.
@@ -96,7 +71,6 @@ impl State {
         };
         add("value", &self.weights);
         add("average", &self.adam.average);
-        add("finished", &self.finished);
         add("best", &self.best);
         let moments = |values: fn(&Moments) -> &Vec<f32>| {
             let mut tensors = Tensors::default();
@@ -147,8 +121,7 @@ impl State {
                 (moments.first, moments.second) = (first.values, second.values);
             }
         }
-        let (finished, best) = (read("finished", &all)?, read("best", &all)?);
-        Ok(Some(Self { weights, adam, finished, best, progress }))
+        Ok(Some(Self { weights, adam, best: read("best", &all)?, progress }))
     }
 }
 

@@ -44,9 +44,6 @@ pub struct TrainOptions {
     pub seed: u64,
     /// Updates to make.
     pub steps: u64,
-    /// Runs from the same first weights that share the updates; the mean of their averaged weights is shipped. Runs differ by
-    /// chance alone, and what chance alone has taught them does not survive the mean.
-    pub runs: u64,
     /// Agents in a batch, at least; a batch is filled with whole scenes.
     pub batch_agents: usize,
     /// Agents of a scene that are shown, at most.
@@ -117,7 +114,6 @@ impl Default for TrainOptions {
             begin_with: None,
             seed: 1,
             steps: 8_000,
-            runs: 1,
             batch_agents: 96,
             scene_agents: 12,
             neighbours: 8,
@@ -185,9 +181,6 @@ impl TrainOptions {
             _ if !(0.0..=1.0).contains(&self.even_sites) => refuse("even_sites must be 0 to 1"),
             _ if self.steps == 0 || self.validate_every == 0 => {
                 refuse("steps and validate_every must be 1 or more")
-            }
-            _ if !(1..=self.steps).contains(&self.runs) => {
-                refuse(&format!("runs = {} must be 1 to steps = {}", self.runs, self.steps))
             }
             _ => Ok(()),
         }

@@ -115,7 +115,10 @@ impl<'a> Run<'a> {
             let base = BaseControl::load(&state.weights, &options.model);
             return Ok((state, base.unwrap_or_else(|| BaseControl::zero(&options.model))));
         }
-        let mut weights = self.first()?;
+        let mut weights = match &options.begin_with {
+            Some(path) => given(path, &options.model)?,
+            None => initial(&options.model, options.seed),
+        };
         let mut base =
             BaseControl::load(&weights, &options.model).unwrap_or_else(|| BaseControl::zero(&options.model));
         if options.model.base && options.begin_with.is_none() {
@@ -138,21 +141,6 @@ impl<'a> Run<'a> {
         Ok((State::new(weights, options), base))
     }
 
-    /// The weights that every run begins with, without a fitted base control.
-    fn first(&self) -> Result<Tensors, TrainError> {
-        let options = self.options;
-        match &options.begin_with {
-            Some(path) => given(path, &options.model),
-            None => Ok(initial(&options.model, options.seed)),
-        }
-    }
-
-    /// How far a run is at an update, and how long it is.
-    const fn place_in_run(&self, step: u64) -> (u64, u64) {
-        let run_len = self.options.steps.div_ceil(self.options.runs);
-        (step % run_len, run_len)
-    }
-
     fn learn(
         &self,
         state: &mut State,
@@ -164,19 +152,11 @@ impl<'a> Run<'a> {
         let mut log = Log::open(&options.checkpoints, state.progress.step)?;
         let mut diverged = 0;
         while state.progress.step < options.steps && state.progress.stale < options.patience {
-            let (step_in_run, run_len) = self.place_in_run(state.progress.step);
-            if step_in_run == 0 || state.progress.step.is_multiple_of(options.validate_every) {
+            if state.progress.step.is_multiple_of(options.validate_every) {
                 state.progress.seconds = before_s + begun.elapsed().as_secs_f64();
                 self.validate(state, base, progress, &log)?;
             }
-            if state.progress.finished_len < state.progress.step / run_len {
-                let mut first = self.first()?;
-                if options.model.base {
-                    base.store(&mut first);
-                }
-                state.restart(first, options);
-            }
-            let rate = state.adam.rate(step_in_run, run_len);
+            let rate = state.adam.rate(state.progress.step, options.steps);
             let (parts, finite) = self.update(state, base)?;
             diverged = if finite { 0 } else { diverged + 1 };
             if diverged == DIVERGED_STEPS {
@@ -209,8 +189,7 @@ impl<'a> Run<'a> {
             whole.gradients.add(&part.gradients);
             whole.parts = whole.parts.plus(part.parts);
         }
-        let (step_in_run, run_len) = self.place_in_run(state.progress.step);
-        let rate = state.adam.rate(step_in_run, run_len);
+        let rate = state.adam.rate(state.progress.step, options.steps);
         let norm = state.adam.step(&mut state.weights, &mut whole.gradients, rate);
         let finite = norm.is_finite() && whole.parts.is_finite();
         if finite {
@@ -244,8 +223,8 @@ impl<'a> Run<'a> {
             let batch = Batch::new(scenes, batch_options)?;
             let mut random = random.clone();
             random.set_word_pos(u128::from(u64::MAX) * (number as u128 + 1));
-            let (step_in_run, run_len) = self.place_in_run(state.progress.step);
-            let share = (counted, step_in_run as f32 / run_len as f32);
+            let done = state.progress.step as f32 / options.steps as f32;
+            let share = (counted, done);
             let (objective, model) = (&options.objective, &options.model);
             Ok(differentiate(objective, model, &state.weights, &batch, share, &mut random))
         };
@@ -308,14 +287,14 @@ impl<'a> Run<'a> {
         progress: &Progress,
         log: &Log,
     ) -> Result<(), TrainError> {
-        let mean = state.mean();
-        let scores = self.scores(&mean, base, Some(MapKind::Online), self.options.validation_agents)?;
+        let average = state.adam.average.clone();
+        let scores = self.scores(&average, base, Some(MapKind::Online), self.options.validation_agents)?;
         let figure = choose_by(&scores);
         progress.note(&format!("validation at {}: {figure:.4}\n{}", state.progress.step, table(&scores)));
         let (step, seconds) = (state.progress.step, state.progress.seconds);
         log.write(&Line::Validation { step, seconds, validation: figure, sets: scores })?;
         if state.progress.best_figure.is_none_or(|best| figure < best) {
-            state.best = mean;
+            state.best = average;
             state.progress.best_figure = Some(figure);
             state.progress.best_step = state.progress.step;
             state.progress.stale = 0;

@@ -91,30 +91,6 @@ fn a_resumed_run_goes_on_to_the_bit() {
 }
 
 #[test]
-fn runs_begin_alike_and_their_mean_is_kept() {
-    let folder = tempfile::tempdir().unwrap();
-    let learned = |steps: u64, runs: u64| {
-        let options = TrainOptions { runs, validate_every: 2, ..options(folder.path(), steps) };
-        let mut progress = Progress::new(options.steps, 0);
-        let run = Run::prepare(&options, &progress).unwrap();
-        let (mut state, base) = run.begin(&progress).unwrap();
-        run.learn(&mut state, &base, &mut progress).unwrap();
-        (state, options)
-    };
-    let ((one, _), (two, options)) = (learned(3, 1), learned(6, 2));
-    assert_eq!((two.progress.finished_len, two.adam.steps), (1, 3));
-    assert_eq!(two.finished, one.adam.average);
-    assert_ne!(two.adam.average, one.adam.average);
-    let (mean, name) = (two.mean(), "decoder.pedestrian.latents");
-    for (i, value) in mean.get(name).iter().enumerate() {
-        let both = [one.adam.average.get(name)[i], two.adam.average.get(name)[i]];
-        assert!((value - 0.5 * (both[0] + both[1])).abs() < 1e-6);
-    }
-    let read = State::load(&options).unwrap().unwrap();
-    assert_eq!((read.finished, read.progress.finished_len), (two.finished, 1));
-}
-
-#[test]
 fn sites_are_drawn_by_their_size_or_all_alike() {
     let mut random = ChaCha8Rng::seed_from_u64(1);
     let mut share_of_the_smaller = |even_sites| {
