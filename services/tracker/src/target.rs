@@ -81,8 +81,6 @@ pub struct Target {
     controls_ns: Option<i64>,
     /// Forecasts of earlier stamps tell of another front.
     front_ns: i64,
-    /// What moved the state to its stamp.
-    prior: Quality,
     /// Log-odds of the object's existence.
     existence: f64,
     front: Front,
@@ -135,7 +133,6 @@ impl Target {
             seen_ns: now_ns,
             controls_ns: None,
             front_ns: now_ns,
-            prior: Quality::Kinematic,
             existence: 0.0,
             front: Front::new(),
             hits: 1,
@@ -193,20 +190,10 @@ impl Target {
     ///
     /// # Errors
     /// [`FilterFault`]; the motion is then as before.
-    pub fn predict(
-        &mut self,
-        now_ns: i64,
-        input: &InputModel,
-        options: &TrackerOptions,
-    ) -> Result<(), FilterFault> {
+    pub fn predict(&mut self, now_ns: i64, input: &InputModel) -> Result<(), FilterFault> {
         let dt_ns = now_ns.saturating_sub(self.stamp_ns).max(0).unsigned_abs();
         self.stamp_ns = now_ns;
         self.moved_ns = dt_ns;
-        self.prior = match self.belief.forecast_age_ns() {
-            None => Quality::Kinematic,
-            Some(age_ns) if age_ns < options.step_ns => Quality::Learned,
-            Some(_) => Quality::Held,
-        };
         let models = self.models(input);
         self.belief.predict(dt_ns, &models, &input.trust)
     }
@@ -337,6 +324,12 @@ impl Target {
         let age_ns = self.stamp_ns.saturating_sub(self.born_ns).unsigned_abs();
         let status = if self.hits & 1 == 1 { TrackStatus::Confirmed } else { TrackStatus::Coasting };
         let prior_age_ns = self.belief.forecast_age_ns();
+        // By its age when it began to move the state here.
+        let prior = match prior_age_ns.map(|age_ns| age_ns.saturating_sub(self.moved_ns)) {
+            None => Quality::Kinematic,
+            Some(age_ns) if age_ns < options.step_ns => Quality::Learned,
+            Some(_) => Quality::Held,
+        };
         let (state_len, covariance) = match self.belief.filter() {
             Filter::Bicycle(state) => (5, row_major(state)),
             other => (4, row_major(&other.cartesian())),
@@ -363,7 +356,7 @@ impl Target {
             type_probability: self.class.probability().map(|p| p as f32),
             covariance,
             history,
-            prior: prior_age_ns.map_or(Quality::Kinematic, |_| self.prior) as u32,
+            prior: prior as u32,
             reserved: 0,
             prior_age_ns: prior_age_ns.unwrap_or(0),
             prior_weights: self.belief.weights(),

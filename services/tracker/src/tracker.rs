@@ -181,7 +181,7 @@ impl Tracker {
         self.targets.retain(|target| target.unseen_ns(now_ns) <= horizon_ns);
         tracked.ended_len += before - self.targets.len();
         for target in &mut self.targets {
-            tracked.faults_len += usize::from(target.predict(now_ns, input, &self.options).is_err());
+            tracked.faults_len += usize::from(target.predict(now_ns, input).is_err());
         }
     }
 

@@ -21,7 +21,7 @@ use crate::net::layout::TYPE_NAMES;
 use crate::net::tensors::{Role, Tensors};
 use crate::samples::Agent;
 use fit::Sample;
-pub(crate) use fit::{DIFFERENCED_SHARE, Twins};
+pub(crate) use fit::Twins;
 
 type Features = [f32; binning::FEATURES];
 
@@ -37,19 +37,11 @@ pub(crate) struct BaseControl {
 
 #[derive(Clone, Debug)]
 struct TypeBase {
-    tables: Tables,
-    /// `[kinds × classes, speed bins, features, controls]`.
-    ridge: Vec<f32>,
-    /// `[kinds × bins, modes + 1, controls]`; the last of each bin is zero, for the single best forecast.
-    anchors: Vec<f32>,
-}
-
-/// Which tables an agent type has.
-#[derive(Clone, Copy, Debug)]
-struct Tables {
     speed_cuts_mps: [f32; binning::SPEED_BINS - 1],
-    /// See [`binning::kinds_len`].
-    kinds_len: usize,
+    /// `[classes, speed bins, features, controls]`.
+    ridge: Vec<f32>,
+    /// `[bins, modes + 1, controls]`; the last of each bin is zero, for the single best forecast.
+    anchors: Vec<f32>,
 }
 
 /// Base control of one agent.
@@ -85,7 +77,8 @@ impl BaseControl {
             let mut random = ChaCha8Rng::seed_from_u64(seed);
             let mut samples = Vec::new();
             for agent in agents(agent_type) {
-                samples.extend(Sample::of_every_class(&agent?, config, zero.tables, twins, &mut random));
+                let cuts_mps = &zero.speed_cuts_mps;
+                samples.extend(Sample::of_every_class(&agent?, config, cuts_mps, twins, &mut random));
             }
             zero.fit(agent_type, &samples, config, seed);
             Ok(zero)
@@ -101,12 +94,12 @@ impl BaseControl {
         frame: &AgentFrame,
     ) -> AgentBase<'_> {
         let base = &self.types[agent_type as usize];
-        let (features, place) = describe(history, frame, base.tables, &self.config);
+        let (features, place) = describe(history, frame, &base.speed_cuts_mps, &self.config);
         let controls_len = 2 * self.config.horizon_len;
         let per_bin = (self.config.modes + 1) * controls_len;
         AgentBase {
             ridge: base.ridge(&features, place, controls_len),
-            anchors: &base.anchors[place.anchors() * per_bin..][..per_bin],
+            anchors: &base.anchors[place.bin * per_bin..][..per_bin],
         }
     }
 
@@ -118,30 +111,25 @@ impl BaseControl {
             let mut fixed = |tensor: &str, shape: &[usize], values: Vec<f32>| {
                 weights.insert(&format!("base.{name}.{tensor}"), shape, values, Role::Fixed);
             };
-            let kinds_len = base.tables.kinds_len;
-            let shape = [kinds_len * binning::CLASSES, binning::SPEED_BINS, binning::FEATURES, controls_len];
+            let shape = [binning::CLASSES, binning::SPEED_BINS, binning::FEATURES, controls_len];
             fixed("ridge", &shape, base.ridge.clone());
             let per_bin = base.anchors.chunks_exact((modes + 1) * controls_len);
             let anchors = per_bin.flat_map(|bin| &bin[..modes * controls_len]).copied().collect();
-            fixed("anchors", &[kinds_len * binning::BINS, modes, horizon, 2], anchors);
-            fixed("speed_cuts", &[binning::SPEED_BINS - 1], base.tables.speed_cuts_mps.to_vec());
+            fixed("anchors", &[binning::BINS, modes, horizon, 2], anchors);
+            fixed("speed_cuts", &[binning::SPEED_BINS - 1], base.speed_cuts_mps.to_vec());
         }
     }
 
     /// Reads the tensors `base.*` back; `None` where they are missing.
     pub(crate) fn load(weights: &Tensors, config: &ModelConfig) -> Option<Self> {
         let controls_len = 2 * config.horizon_len;
-        let types = AGENT_TYPES.iter().map(|&agent_type| {
-            let name = agent_type.name();
+        let types = TYPE_NAMES.iter().map(|name| {
             let values = |tensor: &str| Some(weights.0.get(&format!("base.{name}.{tensor}"))?.values.clone());
             let per_bin = config.modes * controls_len;
             let with_zero =
                 |bin: &[f32]| bin.iter().copied().chain(std::iter::repeat_n(0.0, controls_len)).collect();
             Some(TypeBase {
-                tables: Tables {
-                    speed_cuts_mps: values("speed_cuts")?.try_into().ok()?,
-                    kinds_len: binning::kinds_len(config, agent_type),
-                },
+                speed_cuts_mps: values("speed_cuts")?.try_into().ok()?,
                 ridge: values("ridge")?,
                 anchors: values("anchors")?
                     .chunks_exact(per_bin)
@@ -156,29 +144,15 @@ impl BaseControl {
 /// Where in the tables an agent belongs.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Place {
-    /// Below [`Tables::kinds_len`].
-    kind: usize,
     class: usize,
     speed_bin: usize,
     bin: usize,
 }
 
-impl Place {
-    /// Which of the ridge tables.
-    const fn ridge(self) -> usize {
-        (self.kind * binning::CLASSES + self.class) * binning::SPEED_BINS + self.speed_bin
-    }
-
-    /// Which set of anchors.
-    const fn anchors(self) -> usize {
-        self.kind * binning::BINS + self.bin
-    }
-}
-
 fn describe(
     history: &[Option<State>],
     frame: &AgentFrame,
-    tables: Tables,
+    cuts_mps: &[f32],
     config: &ModelConfig,
 ) -> (Features, Place) {
     let scales = FeatureScales { position: config.position_scale, velocity: config.velocity_scale };
@@ -188,10 +162,9 @@ fn describe(
         .collect();
     let features = BaseFeatures::new(&states, |step| history[step].is_some(), config);
     let place = Place {
-        kind: features.kind(tables.kinds_len),
         class: features.class,
-        speed_bin: features.speed_bin(&tables.speed_cuts_mps),
-        bin: features.anchor_bin(&tables.speed_cuts_mps),
+        speed_bin: features.speed_bin(cuts_mps),
+        bin: features.anchor_bin(cuts_mps),
     };
     (features.values, place)
 }
@@ -199,18 +172,16 @@ fn describe(
 impl TypeBase {
     fn zero(config: &ModelConfig, agent_type: AgentType) -> Self {
         let controls_len = 2 * config.horizon_len;
-        let kinds_len = binning::kinds_len(config, agent_type);
-        let classes_len = kinds_len * binning::CLASSES;
         Self {
-            tables: Tables { speed_cuts_mps: metrics::speed_cuts_mps(agent_type), kinds_len },
-            ridge: vec![0.0; classes_len * binning::SPEED_BINS * binning::FEATURES * controls_len],
-            anchors: vec![0.0; kinds_len * binning::BINS * (config.modes + 1) * controls_len],
+            speed_cuts_mps: metrics::speed_cuts_mps(agent_type),
+            ridge: vec![0.0; binning::CLASSES * binning::SPEED_BINS * binning::FEATURES * controls_len],
+            anchors: vec![0.0; binning::BINS * (config.modes + 1) * controls_len],
         }
     }
 
     fn ridge(&self, features: &Features, place: Place, controls_len: usize) -> Vec<f32> {
         let per_bin = binning::FEATURES * controls_len;
-        let table = &self.ridge[place.ridge() * per_bin..][..per_bin];
+        let table = &self.ridge[(place.class * binning::SPEED_BINS + place.speed_bin) * per_bin..][..per_bin];
         let mut controls = vec![0.0; controls_len];
         for (feature, row) in features.iter().zip(table.chunks_exact(controls_len)) {
             controls.iter_mut().zip(row).for_each(|(control, weight)| *control += feature * weight);

@@ -247,7 +247,6 @@ pub fn onboard_config() -> ModelConfig {
         mode_head: true,
         best_latent: true,
         base: true,
-        differenced_base: false,
         base_latent: true,
         context: true,
         feedback: Feedback::Zeros,

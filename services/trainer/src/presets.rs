@@ -115,7 +115,6 @@ fn paper(options: &mut TrainOptions) {
         mode_head: false,
         best_latent: false,
         base: false,
-        differenced_base: false,
         base_latent: false,
         context: true,
         ..options.model.clone()
@@ -138,7 +137,6 @@ fn plus(options: &mut TrainOptions) {
         horizon_len: model.horizon_len,
         dt_s: model.dt_s,
         context: model.context,
-        differenced_base: model.differenced_base,
         default_length_m: model.default_length_m,
         ..onboard_config()
     };

@@ -29,9 +29,9 @@ pub fn recipe(name: &str) -> Option<TrainOptions> {
     let options = match (name, fold) {
         (_, Some(fold)) => pedestrians(DataSet::EthUcyFold(fold)),
         ("sdd", _) => pedestrians(DataSet::SddTrajnet),
-        ("interaction", _) => vehicles(),
-        ("interaction-without-FT", _) => vehicles_without("Roundabout_FT"),
-        ("interaction-without-EP1", _) => vehicles_without("Intersection_EP1"),
+        ("interaction", _) => vehicles(None, 14_000),
+        ("interaction-without-FT", _) => vehicles(Some("Roundabout_FT"), 6_000),
+        ("interaction-without-EP1", _) => vehicles(Some("Intersection_EP1"), 6_000),
         ("onboard", _) => TrainOptions::default(),
         _ => return None,
     };
@@ -83,13 +83,16 @@ fn pedestrian_config() -> ModelConfig {
     ModelConfig { context: false, edge_radius_m: 10.0, ..onboard_config() }
 }
 
-/// Vehicles at 0.5 s, four steps to ten, mostly with the recorded speed, at all sites.
-fn vehicles() -> TrainOptions {
+/// Vehicles at 0.5 s, four steps to ten, mostly with the recorded speed, at all sites or all but one.
+///
+/// What is to forecast at a site that nobody has seen learns of all others alike.
+fn vehicles(without: Option<&str>, steps: u64) -> TrainOptions {
     TrainOptions {
         sets: vec![DataSet::Interaction.name().to_owned()],
         validation_sets: vec![DataSet::Interaction.name().to_owned()],
+        leave_out: without.into_iter().map(str::to_owned).collect(),
         windows: usize::MAX,
-        steps: 14_000,
+        steps,
         validate_every: 2000,
         validation_agents: 3000,
         batch_agents: 256,
@@ -97,7 +100,7 @@ fn vehicles() -> TrainOptions {
         whole_history: true,
         short_history: 0.0,
         noisy_history: 0.0,
-        even_sites: 0.5,
+        even_sites: if without.is_some() { 1.0 } else { 0.5 },
         site_map: 0.4,
         standing: 0.2,
         objective: objective(1.0, 8),
@@ -105,10 +108,4 @@ fn vehicles() -> TrainOptions {
         model: ModelConfig { history_len: 4, horizon_len: 10, dt_s: 0.5, ..onboard_config() },
         ..TrainOptions::default()
     }
-}
-
-/// [`vehicles`] at all sites but one. What is to forecast at a site that nobody has seen learns of all others alike, and
-/// less of each.
-fn vehicles_without(site: &str) -> TrainOptions {
-    TrainOptions { leave_out: vec![site.to_owned()], steps: 6000, even_sites: 1.0, ..vehicles() }
 }

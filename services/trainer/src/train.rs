@@ -14,7 +14,7 @@ use rand::{Rng, RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
 use crate::TrainError;
-use crate::base::{BaseControl, DIFFERENCED_SHARE, FITTED_MAX, Twins};
+use crate::base::{BaseControl, FITTED_MAX, Twins};
 use crate::batch::{Batch, BatchOptions, SceneView};
 use crate::calibration::Calibration;
 use crate::card::{ModelCard, Seen};
@@ -128,10 +128,7 @@ impl<'a> Run<'a> {
                 |agent_type| self.training.spread(&self.training.sets, agent_type, FITTED_MAX),
                 Twins {
                     noise: options.noisy_history > 0.0,
-                    differenced: match options.differenced_history {
-                        share if share > 0.0 && options.model.differenced_base => DIFFERENCED_SHARE,
-                        share => share,
-                    },
+                    differenced: options.differenced_history,
                     scale_deviation: options.base_scale_deviation as f32,
                 },
                 options.seed,

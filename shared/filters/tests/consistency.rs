@@ -353,16 +353,3 @@ fn five_hundred_particles_are_near() {
         assert!((0.9..=1.1).contains(&states.per_degree), "{name}: {states:?}");
     }
 }
-
-/// The moments of n particles are off by a share of some 1/n, which the bounds of a thousand runs tell of five hundred;
-/// of four thousand they hardly do.
-#[test]
-#[ignore = "takes minutes"]
-fn many_particles_are_nearer() {
-    for (who, squares) in [
-        ("a constant velocity", walkers().particles(SHARP, 20, 4_000)),
-        ("a bicycle", vehicles().particles(SHARP, 20, 4_000)),
-    ] {
-        assert_near(&format!("4,000 particles of {who}"), &squares);
-    }
-}

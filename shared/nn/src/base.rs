@@ -8,8 +8,7 @@
 //! control of mode m at step t = ridge(features)\[t\] + anchors\[bin\]\[m\]\[t\] + μ\[m\]\[t\]
 //! ```
 //!
-//! The best forecast has no anchor. Agents that drive may have tables of their own for motion that is the difference of
-//! positions: it is half a step late, where a sensor tells that of the moment.
+//! The best forecast has no anchor.
 
 use std::f32::consts::{PI, TAU};
 
@@ -24,8 +23,6 @@ pub const FEATURES: usize = 26;
 pub const STEPS: usize = 4;
 /// Classes of histories: 2, 3, and 4 or more newest steps in a row.
 pub const CLASSES: usize = 3;
-/// A velocity this near to the difference of its positions is that difference.
-const DIFFERENCED_MPS: f32 = 0.005;
 /// Bins of the speed.
 pub const SPEED_BINS: usize = 8;
 /// Bins of speed, acceleration and yaw rate.
@@ -42,8 +39,6 @@ pub struct BaseFeatures {
     pub values: [f32; FEATURES],
     /// Class of the history, below [`CLASSES`].
     pub class: usize,
-    /// Whether the velocities of the newest steps are the differences of their positions.
-    pub differenced: bool,
     /// Speed at the last step.
     pub speed_mps: f32,
     /// Change of speed over the last step.
@@ -103,19 +98,6 @@ impl BaseFeatures {
         let [_, second, third, newest] = steps;
         let [yaw_rate, accel] = change(newest, third);
         let [yaw_rate_before, accel_before] = change(third, second);
-        let is_difference = |newer: Step, older: Step| {
-            [0, 1].iter().all(|&axis| {
-                let difference_mps = (newer.position_m[axis] - older.position_m[axis]) / config.dt_s as f32;
-                (newer.velocity_mps[axis] - difference_mps).abs() < DIFFERENCED_MPS
-            })
-        };
-        let differenced = match (second, third, newest) {
-            (Some(second), Some(third), Some(newest)) => {
-                is_difference(newest, third) && is_difference(third, second)
-            }
-            (None, Some(third), Some(newest)) => is_difference(newest, third),
-            _ => false,
-        };
         let speed = newest.map_or(0.0, |step| step.speed_mps);
         let mut values = [0.0; FEATURES];
         for (i, step) in steps.iter().enumerate() {
@@ -141,17 +123,10 @@ impl BaseFeatures {
         Self {
             values,
             class: rows.clamp(2, STEPS) - 2,
-            differenced,
             speed_mps: speed,
             accel_mps2: accel,
             yaw_rate_radps: yaw_rate,
         }
-    }
-
-    /// The kind of motion, where tables tell so many apart.
-    #[must_use]
-    pub fn kind(&self, kinds_len: usize) -> usize {
-        usize::from(self.differenced).min(kinds_len - 1)
     }
 
     /// The bin of the speed, given the cuts between bins.
@@ -191,20 +166,12 @@ pub fn latent_scale(config: &ModelConfig, agent_type: AgentType) -> [f32; 2] {
     if config.drives(agent_type) { [0.5, 5.0] } else { [3.0, 3.0] }
 }
 
-/// Kinds of motion that an agent type has tables for: one for all, or that which sensors tell and that of differenced
-/// positions.
-#[must_use]
-pub fn kinds_len(config: &ModelConfig, agent_type: AgentType) -> usize {
-    if config.differenced_base && config.drives(agent_type) { 2 } else { 1 }
-}
-
 /// The base control of an agent type.
 #[derive(Debug)]
 pub struct Base {
-    kinds_len: usize,
-    /// \[kind and class, speed bin, feature, step, component\].
+    /// \[class, speed bin, feature, step, component\].
     ridge: Vec<f32>,
-    /// \[kind and bin, mode, step\].
+    /// \[bin, mode, step\].
     anchors: Vec<[f32; 2]>,
     speed_cuts_mps: Vec<f32>,
     horizon_len: usize,
@@ -219,13 +186,10 @@ impl Base {
     pub fn read(weights: &Weights, agent_type: AgentType) -> Result<Self, WeightsError> {
         let ModelConfig { horizon_len, modes: modes_len, .. } = *weights.config();
         let name = |part: &str| format!("base.{}.{part}", agent_type.name());
-        let kinds_len = kinds_len(weights.config(), agent_type);
-        let ridge_shape = [kinds_len * CLASSES, SPEED_BINS, FEATURES, 2 * horizon_len];
-        let ridge = weights.tensor(&name("ridge"), &ridge_shape)?;
-        let anchors = weights.tensor(&name("anchors"), &[kinds_len * BINS, modes_len, horizon_len, 2])?;
+        let ridge = weights.tensor(&name("ridge"), &[CLASSES, SPEED_BINS, FEATURES, 2 * horizon_len])?;
+        let anchors = weights.tensor(&name("anchors"), &[BINS, modes_len, horizon_len, 2])?;
         let speed_cuts_mps = weights.tensor(&name("speed_cuts"), &[SPEED_BINS - 1])?;
         Ok(Self {
-            kinds_len,
             ridge: ridge.to_vec(),
             anchors: anchors.as_chunks().0.to_vec(),
             speed_cuts_mps: speed_cuts_mps.to_vec(),
@@ -240,8 +204,7 @@ impl Base {
     /// Where `controls` is shorter than the horizon.
     pub fn ridge(&self, features: &BaseFeatures, controls: &mut [[f32; 2]]) {
         let row_len = 2 * self.horizon_len;
-        let class = features.kind(self.kinds_len) * CLASSES + features.class;
-        let table = (class * SPEED_BINS + features.speed_bin(&self.speed_cuts_mps)) * FEATURES;
+        let table = (features.class * SPEED_BINS + features.speed_bin(&self.speed_cuts_mps)) * FEATURES;
         let rows = self.ridge[table * row_len..].chunks_exact(row_len);
         let sums = controls[..self.horizon_len].as_flattened_mut();
         sums.fill(0.0);
@@ -276,7 +239,7 @@ impl Base {
     /// The anchor of a mode: a control residual for each step.
     #[must_use]
     pub fn anchor(&self, features: &BaseFeatures, mode: usize) -> &[[f32; 2]] {
-        let bin = features.kind(self.kinds_len) * BINS + features.anchor_bin(&self.speed_cuts_mps);
+        let bin = features.anchor_bin(&self.speed_cuts_mps);
         &self.anchors[(bin * self.modes_len + mode) * self.horizon_len..][..self.horizon_len]
     }
 }
@@ -323,22 +286,6 @@ mod tests {
         assert_eq!(gap, short);
         assert_eq!(gap.class, 0);
         assert!(gap.values[..4].iter().chain(&gap.values[6..10]).all(|&x| x == 0.0));
-    }
-
-    #[test]
-    fn differences_of_positions_are_known_as_such() {
-        let config = config();
-        let mut states = turn(6);
-        assert!(!BaseFeatures::new(&states, |_| true, &config).differenced);
-        for step in 1..6 {
-            for axis in 0..2 {
-                let difference_m = (states[step][axis] - states[step - 1][axis]) / config.position_scale;
-                states[step][2 + axis] = difference_m / config.dt_s as f32 * config.velocity_scale;
-            }
-        }
-        let features = BaseFeatures::new(&states, |_| true, &config);
-        assert!(features.differenced);
-        assert_eq!((features.kind(1), features.kind(2)), (0, 1));
     }
 
     #[test]

@@ -114,9 +114,6 @@ pub struct ModelConfig {
     /// Whether controls are residuals to the base control.
     #[serde(default)]
     pub base: bool,
-    /// Whether the base control of agents that drive has tables of its own for motion that is the difference of positions.
-    #[serde(default)]
-    pub differenced_base: bool,
     /// Whether the latent variables of a draw tell its base control: a linear function of it is added to the point.
     #[serde(default)]
     pub base_latent: bool,

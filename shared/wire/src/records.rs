@@ -98,7 +98,7 @@ pub struct Track {
     pub x_m: f32,
     /// Filtered position.
     pub y_m: f32,
-    /// Filtered heading.
+    /// Filtered heading; turns by at most 60° from one frame to the next, also where the front is found to be the back.
     pub heading_rad: f32,
     /// Filtered speed along the heading; negative in reverse.
     pub speed_mps: f32,

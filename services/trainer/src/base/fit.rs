@@ -10,7 +10,7 @@ use rand_distr::{Distribution, StandardNormal};
 use scene::AgentType;
 
 use super::targets::{self, Controls, Driver};
-use super::{Features, Place, Tables, TypeBase, describe};
+use super::{Features, Place, TypeBase, describe};
 use crate::batch::{View, start};
 use crate::samples::Agent;
 use crate::view;
@@ -57,16 +57,12 @@ impl Mover {
     }
 }
 
-/// Share of the vehicles that are shown with differenced motion where that has tables of its own: no other window is
-/// fitted worse by them.
-pub(crate) const DIFFERENCED_SHARE: f64 = 0.5;
-
 /// As what else a window counts.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Twins {
     /// Vehicles with noisy histories.
     pub(crate) noise: bool,
-    /// Share of the vehicles whose motion is also shown as differences of positions; see [`DIFFERENCED_SHARE`].
+    /// Share of the vehicles whose motion is also shown as differences of positions.
     pub(crate) differenced: f64,
     /// Pedestrians at other scales: deviation of the logarithm of the scale. The few who walk fast walk like the many;
     /// speeds that are recorded often have anchors of their own scale alone, see [`RECORDED_ENOUGH`].
@@ -116,7 +112,7 @@ impl Sample {
     pub(super) fn of_every_class(
         agent: &Arc<Agent>,
         config: &ModelConfig,
-        tables: Tables,
+        cuts_mps: &[f32],
         twins: Twins,
         random: &mut impl Rng,
     ) -> Vec<Self> {
@@ -129,13 +125,13 @@ impl Sample {
             let twins = twins.of(&view, view::shown(agent, len, true), config.dt_s, random);
             let views = std::iter::once((view, false)).chain(twins);
             let sample =
-                |(view, scaled): (View, bool)| Some(Self { scaled, ..Self::new(&view, config, tables)? });
+                |(view, scaled): (View, bool)| Some(Self { scaled, ..Self::new(&view, config, cuts_mps)? });
             samples.extend(views.filter_map(sample));
         }
         samples
     }
 
-    fn new(view: &View, config: &ModelConfig, tables: Tables) -> Option<Self> {
+    fn new(view: &View, config: &ModelConfig, cuts_mps: &[f32]) -> Option<Self> {
         let View { agent, history, frame, .. } = view;
         let truth: Vec<[f32; 2]> = view.truth().collect::<Option<_>>()?;
         let newest = history.last().copied().flatten()?;
@@ -151,7 +147,7 @@ impl Sample {
             Displacement::Residual => Mover::Other { velocity_mps, dt_s },
             Displacement::Absolute => Mover::Other { velocity_mps: [0.0; 2], dt_s },
         };
-        let (features, place) = describe(history, frame, tables, config);
+        let (features, place) = describe(history, frame, cuts_mps, config);
         let controls = mover.controls(&truth);
         if missed_m(&mover.positions(&controls), &truth) > MISSED_MAX_M {
             return None;
@@ -185,26 +181,17 @@ impl TypeBase {
     pub(super) fn fit(&mut self, agent_type: AgentType, samples: &[Sample], config: &ModelConfig, seed: u64) {
         let controls_len = 2 * config.horizon_len;
         let walks = agent_type == AgentType::Pedestrian;
-        let of_kinds: Vec<Vec<&Sample>> = (0..self.tables.kinds_len)
-            .map(|kind| {
-                let own: Vec<&Sample> = samples.iter().filter(|sample| sample.place.kind == kind).collect();
-                // A kind that training never shows is taken for any other.
-                if own.is_empty() { samples.iter().collect() } else { own }
-            })
-            .collect();
         if !walks {
-            of_kinds.iter().enumerate().for_each(|(kind, own)| self.fit_ridge(kind, own, controls_len));
+            self.fit_ridge(samples, controls_len);
         }
-        for (kind, own) in of_kinds.iter().enumerate() {
-            self.fit_anchors(kind, own, config.modes, controls_len, (walks, seed));
-        }
+        self.fit_anchors(samples, config.modes, controls_len, (walks, seed));
     }
 
-    fn fit_ridge(&mut self, kind: usize, samples: &[&Sample], controls_len: usize) {
+    fn fit_ridge(&mut self, samples: &[Sample], controls_len: usize) {
         let per_bin = binning::FEATURES * controls_len;
         for class in 0..binning::CLASSES {
             let of_class: Vec<&Sample> =
-                samples.iter().copied().filter(|sample| sample.place.class == class).collect();
+                samples.iter().filter(|sample| sample.place.class == class).collect();
             let pooled = || ridge_regression(&of_class, controls_len);
             let own: Vec<Option<Vec<f32>>> = (0..binning::SPEED_BINS)
                 .map(|bin| of_class.iter().copied().filter(|s| s.place.speed_bin == bin).collect::<Vec<_>>())
@@ -217,21 +204,20 @@ impl TypeBase {
                     Some(own) => own.clone(),
                     None => nearest(&own, |other| bin.abs_diff(other)).cloned().unwrap_or_else(pooled),
                 };
-                let place = Place { kind, class, speed_bin: bin, bin: 0 };
-                self.ridge[place.ridge() * per_bin..][..per_bin].copy_from_slice(&solution);
+                self.ridge[(class * binning::SPEED_BINS + bin) * per_bin..][..per_bin]
+                    .copy_from_slice(&solution);
             }
         }
     }
 
     fn fit_anchors(
         &mut self,
-        kind: usize,
-        samples: &[&Sample],
+        samples: &[Sample],
         modes: usize,
         controls_len: usize,
         (by_speed_alone, seed): (bool, u64),
     ) {
-        let longest = samples.iter().copied().filter(|sample| sample.place.class + 1 == binning::CLASSES);
+        let longest = samples.iter().filter(|sample| sample.place.class + 1 == binning::CLASSES);
         let per_speed = binning::BINS / binning::SPEED_BINS;
         let mut by_bin: Vec<Vec<&Sample>> = vec![Vec::new(); binning::BINS];
         longest.for_each(|sample| {
@@ -256,8 +242,7 @@ impl TypeBase {
             let own_bin = if by_speed_alone { bin / per_speed * per_speed } else { bin };
             let anchors = own[own_bin].as_ref().or_else(|| nearest(&own, |other| bin_distance(bin, other)));
             if let Some(anchors) = anchors.or(pooled.as_ref()) {
-                let place = Place { kind, class: 0, speed_bin: 0, bin };
-                self.anchors[place.anchors() * per_bin..][..modes * controls_len].copy_from_slice(anchors);
+                self.anchors[bin * per_bin..][..modes * controls_len].copy_from_slice(anchors);
             }
         }
     }

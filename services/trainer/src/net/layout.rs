@@ -79,7 +79,7 @@ pub(crate) fn layout(config: &ModelConfig) -> Vec<Entry> {
     entries.dense("encoder.2", HIDDEN, LATENT);
     networks.for_each(|network| entries.decoder(config, network));
     if config.base {
-        AGENT_TYPES.into_iter().for_each(|agent_type| entries.base(config, agent_type));
+        TYPE_NAMES.iter().for_each(|agent_type| entries.base(config, agent_type));
     }
     entries.0
 }
@@ -258,15 +258,13 @@ impl Entries {
         }
     }
 
-    fn base(&mut self, config: &ModelConfig, agent_type: AgentType) {
-        let name = agent_type.name();
+    fn base(&mut self, config: &ModelConfig, agent_type: &str) {
         let mut fixed = |tensor: &str, shape: &[usize]| {
-            self.push(format!("base.{name}.{tensor}"), shape, Role::Fixed, Fill::Constant(0.0));
+            self.push(format!("base.{agent_type}.{tensor}"), shape, Role::Fixed, Fill::Constant(0.0));
         };
-        let (kinds_len, controls) = (nn::base::kinds_len(config, agent_type), 2 * config.horizon_len);
-        let classes = kinds_len * nn::base::CLASSES;
-        fixed("ridge", &[classes, nn::base::SPEED_BINS, nn::base::FEATURES, controls]);
-        fixed("anchors", &[kinds_len * nn::base::BINS, config.modes, config.horizon_len, 2]);
+        let controls = 2 * config.horizon_len;
+        fixed("ridge", &[nn::base::CLASSES, nn::base::SPEED_BINS, nn::base::FEATURES, controls]);
+        fixed("anchors", &[nn::base::BINS, config.modes, config.horizon_len, 2]);
         fixed("speed_cuts", &[nn::base::SPEED_BINS - 1]);
     }
 }
