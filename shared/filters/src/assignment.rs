@@ -4,6 +4,8 @@
 //! detection. Each is solved on its own: a component with a single track or detection by looking, any other by the
 //! optimal assignment of the `lsap` crate. Five hundred agents are then hundreds of tiny problems, not one dense one.
 
+use crate::components::Components;
+
 /// A pairing that the gate lets through.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Candidate {
@@ -18,9 +20,14 @@ pub struct Candidate {
 /// Solves assignments; holds only scratch memory.
 #[derive(Clone, Debug, Default)]
 pub struct Assigner {
-    /// Union-find over tracks, then detections.
-    parent: Vec<u32>,
-    /// Column of each detection in the component at hand.
+    components: Components,
+    scratch: Scratch,
+}
+
+/// Of one component.
+#[derive(Clone, Debug, Default)]
+struct Scratch {
+    /// Column of each detection of the frame, in the component at hand.
     column: Vec<u32>,
     detections: Vec<u32>,
     costs: Vec<f64>,
@@ -31,18 +38,20 @@ impl Assigner {
     #[must_use]
     pub fn with_capacity(tracks_len: usize, detections_len: usize) -> Self {
         Self {
-            parent: Vec::with_capacity(tracks_len + detections_len),
-            column: Vec::with_capacity(detections_len),
-            detections: Vec::with_capacity(detections_len),
-            costs: Vec::new(),
+            components: Components::with_capacity(tracks_len, detections_len),
+            scratch: Scratch {
+                column: Vec::with_capacity(detections_len),
+                detections: Vec::with_capacity(detections_len),
+                costs: Vec::new(),
+            },
         }
     }
 
     /// Writes to `paired[track]` the detection of each track, minimising the sum of the candidates' costs and of
     /// `miss_cost` for each track without detection.
     ///
-    /// `paired` has one entry per track. Candidates are sorted in place; one whose cost is not finite is left out.
-    /// Allocates only for components of two and more tracks and detections (inside `lsap`).
+    /// `paired` has one entry per track. Candidates are sorted in place; one whose cost is not finite, or no less than
+    /// `miss_cost`, is left out. Allocates only for components of two and more tracks and detections (inside `lsap`).
     ///
     /// # Panics
     /// If a candidate names a track or detection beyond the given numbers.
@@ -55,31 +64,20 @@ impl Assigner {
     ) {
         paired.fill(None);
         candidates.retain(|c| c.cost.is_finite() && c.cost < miss_cost);
-        let tracks_len = paired.len();
-        self.parent.clear();
-        self.parent.extend(0..(tracks_len + detections_len) as u32);
-        self.column.clear();
-        self.column.resize(detections_len, u32::MAX);
-        for c in candidates.iter() {
-            self.join(c.track, tracks_len as u32 + c.detection);
+        self.scratch.column.clear();
+        self.scratch.column.resize(detections_len, u32::MAX);
+        self.components.clear(paired.len(), detections_len);
+        for candidate in candidates.iter() {
+            self.components.join(candidate, usize::MAX);
         }
-        for node in 0..self.parent.len() as u32 {
-            let root = self.root(node);
-            self.parent[node as usize] = root;
-        }
-        let parent = &self.parent;
-        candidates.sort_unstable_by_key(|c| (parent[c.track as usize], c.track, c.detection));
-        let mut rest = candidates.as_slice();
-        while let Some(first) = rest.first() {
-            let root = self.parent[first.track as usize];
-            let len = rest.partition_point(|c| self.parent[c.track as usize] == root);
-            let (component, others) = rest.split_at(len);
-            self.solve_component(component, miss_cost, paired);
-            rest = others;
+        for component in self.components.split(candidates) {
+            self.scratch.solve(component, miss_cost, paired);
         }
     }
+}
 
-    fn solve_component(&mut self, component: &[Candidate], miss_cost: f64, paired: &mut [Option<u32>]) {
+impl Scratch {
+    fn solve(&mut self, component: &[Candidate], miss_cost: f64, paired: &mut [Option<u32>]) {
         let (first, last) = (component[0], component[component.len() - 1]);
         let one_detection = component.iter().all(|c| c.detection == first.detection);
         if first.track == last.track || one_detection {
@@ -115,19 +113,5 @@ impl Assigner {
             let gated = of_track.iter().find(|c| Some(c.detection) == detection);
             paired[of_track[0].track as usize] = gated.map(|c| c.detection);
         }
-    }
-
-    fn root(&mut self, mut node: u32) -> u32 {
-        while self.parent[node as usize] != node {
-            let above = self.parent[self.parent[node as usize] as usize];
-            self.parent[node as usize] = above;
-            node = above;
-        }
-        node
-    }
-
-    fn join(&mut self, a: u32, b: u32) {
-        let (a, b) = (self.root(a), self.root(b));
-        self.parent[a.max(b) as usize] = a.min(b);
     }
 }

@@ -141,7 +141,7 @@ impl Forecast<'_> {
 }
 
 /// The controls of all hypotheses, by the time since the forecast's start.
-#[derive(Clone, Debug, Default)]
+#[derive(Debug, Default)]
 pub(crate) struct Plan {
     steps: Vec<ControlStep>,
     /// Steps of each hypothesis.
@@ -178,5 +178,18 @@ impl Plan {
         let steps = &self.steps[hypothesis * self.steps_len..][..self.steps_len];
         let control = P::control(steps, number, self.step_ns as f64 / 1e9, self.heading_rad);
         Control { density: control.density.map(|value| value * self.covariance_scale), ..control }
+    }
+}
+
+impl Clone for Plan {
+    fn clone(&self) -> Self {
+        Self { steps: self.steps.clone(), ..*self }
+    }
+
+    /// Uses the memory of the steps again.
+    fn clone_from(&mut self, source: &Self) {
+        let mut steps = std::mem::take(&mut self.steps);
+        steps.clone_from(&source.steps);
+        *self = Self { steps, ..*source };
     }
 }

@@ -138,6 +138,28 @@ impl Filter {
         }
     }
 
+    /// Corrects the state by observations of which at most one is of the agent, each with the probability that it is:
+    /// [`Gaussian::update_jointly`].
+    ///
+    /// # Errors
+    /// [`FilterFault`] where the update by any of them fails; the state is then as before.
+    ///
+    /// # Panics
+    /// If there are more than [`SIDE_MAX`](crate::jpda::SIDE_MAX) observations, or their probabilities are none or add up to
+    /// more than 1.
+    pub fn update_jointly(
+        &mut self,
+        seen: &[(f64, Observation)],
+        models: &Models,
+    ) -> Result<(), FilterFault> {
+        match self {
+            Self::ConstantVelocity(state) => state.update_jointly(seen, &models.constant_velocity),
+            Self::ConstantAcceleration(state) => state.update_jointly(seen, &models.constant_acceleration),
+            Self::ConstantTurnRate(state) => state.update_jointly(seen, &models.constant_turn_rate),
+            Self::Bicycle(state) => state.update_jointly(seen, &models.bicycle),
+        }
+    }
+
     /// Mean position and its covariance as (xx, xy, yy).
     #[must_use]
     pub fn position(&self) -> ([f64; 2], [f64; 3]) {

@@ -7,8 +7,15 @@
 //! Π_paired P_D N(y_ij; 0, S_ij) / λ · Π_missed (1 − P_D)
 //! ```
 //!
-//! and the probability β_ij of a pair is the share of all events that hold it. A track is then updated to the
-//! [`crate::moments`] of its posteriors under each detection, weighted by β, and of its prior, weighted by that of the miss.
+//! and the probability β_ij of a pair is the share of all events that hold it. A track is then
+//! [updated](crate::Filter::update_jointly) to the moments of its posteriors under each detection, weighted by β, and of its
+//! prior, weighted by that of the miss.
+//!
+//! An [`Association`] enumerates the events of one small component; an [`Associator`] finds the components of a frame.
+
+mod associator;
+
+pub use associator::{Associator, Share};
 
 use thiserror::Error;
 
@@ -74,12 +81,22 @@ impl Association {
         if !(log_miss.is_finite() && log_hit.is_finite()) {
             return Err(JpdaFault::Sensor(*sensor));
         }
+        let log_weight = |track, detection| log_likelihood(track, detection).map(|log| log + log_hit);
+        Ok(Self::enumerate(tracks_len, detections_len, log_miss, log_weight))
+    }
+
+    /// As [`Association::new`], of a component within [`SIDE_MAX`], by what the pairs and a miss weigh in an event.
+    fn enumerate(
+        tracks_len: usize,
+        detections_len: usize,
+        log_miss: f64,
+        log_weight: impl Fn(usize, usize) -> Option<f64>,
+    ) -> Self {
         let mut weights = [[0.0; OPTIONS_MAX]; SIDE_MAX];
         for (track, weight) in weights.iter_mut().enumerate().take(tracks_len) {
             let mut logs = [None; OPTIONS_MAX];
             for (detection, log) in logs.iter_mut().enumerate().take(detections_len) {
-                *log =
-                    log_likelihood(track, detection).filter(|log| log.is_finite()).map(|log| log + log_hit);
+                *log = log_weight(track, detection).filter(|log| log.is_finite());
             }
             logs[detections_len] = Some(log_miss);
             let most = logs.iter().flatten().fold(f64::NEG_INFINITY, |most, &log| most.max(log));
@@ -90,7 +107,7 @@ impl Association {
         for beta in association.beta.as_flattened_mut() {
             *beta /= sum;
         }
-        Ok(association)
+        association
     }
 
     /// Adds every event that goes on from the pairs of the tracks before `track`, which weigh `before` and hold the

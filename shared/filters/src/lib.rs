@@ -10,6 +10,7 @@
 
 pub mod assignment;
 mod bicycle;
+mod components;
 mod constant_acceleration;
 mod constant_turn_rate;
 mod constant_velocity;

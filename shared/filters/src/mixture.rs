@@ -12,7 +12,8 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
 use crate::control::Plan;
-use crate::process::steps;
+use crate::jpda::SIDE_MAX;
+use crate::process::{missed, steps};
 use crate::weights::{effective_size, log_sum_exp, normalise, systematic};
 use crate::{FilterFault, Forecast, ForecastFault, Gaussian, HYPOTHESES_MAX, Observation, Steered, moments};
 
@@ -35,6 +36,13 @@ impl<P> Priors<P> {
     pub const fn new(kinematic: P, learned: P) -> Self {
         Self { kinematic, learned, kinematic_weight: 0.05, covariance_scale: 1.0 }
     }
+
+    const fn of<const N: usize>(&self, component: &Component<N>) -> &P {
+        match component.hypothesis {
+            None => &self.kinematic,
+            Some(_) => &self.learned,
+        }
+    }
 }
 
 #[derive(Clone, Copy, Debug)]
@@ -48,7 +56,7 @@ struct Component<const N: usize> {
 }
 
 /// A mixture of Kalman filters, one per hypothesis of a forecast and one without.
-#[derive(Clone, Debug)]
+#[derive(Debug)]
 pub struct Mixture<P, const N: usize> {
     /// Processes and trust; may be changed between calls.
     pub priors: Priors<P>,
@@ -161,12 +169,8 @@ impl<P: Steered<N>, const N: usize> Mixture<P, N> {
         let mut fault = FilterFault::NotFinite;
         self.next.clear();
         for component in &self.components {
-            let process = match component.hypothesis {
-                None => &self.priors.kinematic,
-                Some(_) => &self.priors.learned,
-            };
             let mut state = component.state;
-            match state.update(seen, process) {
+            match state.update(seen, self.priors.of(component)) {
                 Ok(evidence) => {
                     let log_weight = component.log_weight + evidence.log_likelihood;
                     self.next.push(Component { state, log_weight, ..*component });
@@ -181,6 +185,81 @@ impl<P: Steered<N>, const N: usize> Mixture<P, N> {
         self.take_next();
         self.resample();
         Ok(log_likelihood)
+    }
+
+    /// Corrects all components and their weights by observations of which at most one is of the agent, each with the
+    /// probability β that it is; what these lack of 1 is that none is.
+    ///
+    /// A component gains weight w by the observations that it foretold better than the mixture did, and these count for more
+    /// in its own [`Gaussian::update_jointly`]. Together the components have the moments of the mixture's posteriors under
+    /// each observation and of the mixture itself:
+    ///
+    /// ```text
+    /// w'_k = Σ_j s_kj      s_kj = w_k β_j N_k(y_j) / Σ_i w_i N_i(y_j)      s_k0 = w_k β_0      β_kj = s_kj / w'_k
+    /// ```
+    ///
+    /// A component that fails is left out.
+    ///
+    /// # Errors
+    /// [`FilterFault`] where all fail, be it at one observation; the mixture is then as before.
+    ///
+    /// # Panics
+    /// If there are more than [`SIDE_MAX`] observations, or their probabilities are none or add up to more than 1.
+    pub fn update_jointly(&mut self, seen: &[(f64, Observation)]) -> Result<(), FilterFault> {
+        let [first, ..] = seen else { return Ok(()) };
+        if seen.len() == 1 && first.0 == 1.0 {
+            return self.update(&first.1).map(drop);
+        }
+        let mut fault = FilterFault::NotFinite;
+        let mut own = [*first; SIDE_MAX];
+        self.next.clear();
+        for (component, log_shares) in self.components.iter().zip(&self.log_shares(seen)?) {
+            let log_weight = log_sum_exp(log_shares.iter().copied());
+            for ((own, seen), log_share) in own.iter_mut().zip(seen).zip(log_shares) {
+                *own = ((log_share - log_weight).exp(), seen.1);
+            }
+            let mut state = component.state;
+            match state.update_jointly(&own[..seen.len()], self.priors.of(component)) {
+                Ok(()) => self.next.push(Component { state, log_weight, ..*component }),
+                Err(found) => fault = found,
+            }
+        }
+        if self.next.is_empty() {
+            return Err(fault);
+        }
+        self.take_next();
+        self.resample();
+        Ok(())
+    }
+
+    /// ln s of each component, by observation, and last that of none.
+    fn log_shares(
+        &self,
+        seen: &[(f64, Observation)],
+    ) -> Result<[[f64; SIDE_MAX + 1]; HYPOTHESES_MAX + 1], FilterFault> {
+        let missed = missed(seen);
+        let mut log_shares = [[f64::NEG_INFINITY; SIDE_MAX + 1]; HYPOTHESES_MAX + 1];
+        for (j, (probability, seen)) in seen.iter().enumerate() {
+            let mut fault = FilterFault::NotFinite;
+            for (component, of_component) in self.components.iter().zip(&mut log_shares) {
+                let mut state = component.state;
+                match state.update(seen, self.priors.of(component)) {
+                    Ok(evidence) => of_component[j] = component.log_weight + evidence.log_likelihood,
+                    Err(found) => fault = found,
+                }
+            }
+            let log_sum = log_sum_exp(log_shares.iter().map(|of_component| of_component[j]));
+            if !log_sum.is_finite() {
+                return Err(fault);
+            }
+            for of_component in &mut log_shares {
+                of_component[j] += probability.ln() - log_sum;
+            }
+        }
+        for (component, of_component) in self.components.iter().zip(&mut log_shares) {
+            of_component[SIDE_MAX] = component.log_weight + missed.ln();
+        }
+        Ok(log_shares)
     }
 
     /// The Gaussian with the mixture's moments.
@@ -253,5 +332,29 @@ impl<P: Steered<N>, const N: usize> Mixture<P, N> {
             component.log_weight = sum + (copies as f64 / particles_len as f64).ln();
         }
         self.components.retain(|component| component.copies > 0);
+    }
+}
+
+impl<P: Clone, const N: usize> Clone for Mixture<P, N> {
+    fn clone(&self) -> Self {
+        let mut components = Vec::with_capacity(HYPOTHESES_MAX + 1);
+        components.extend_from_slice(&self.components);
+        Self {
+            priors: self.priors.clone(),
+            components,
+            next: Vec::with_capacity(HYPOTHESES_MAX + 1),
+            plan: self.plan.clone(),
+            age_ns: self.age_ns,
+            rng: self.rng.clone(),
+        }
+    }
+
+    /// Uses the memory of components and controls again.
+    fn clone_from(&mut self, source: &Self) {
+        self.priors.clone_from(&source.priors);
+        self.components.clone_from(&source.components);
+        self.plan.clone_from(&source.plan);
+        self.age_ns = source.age_ns;
+        self.rng.clone_from(&source.rng);
     }
 }

@@ -1,6 +1,7 @@
 use nalgebra::SVector;
 
-use crate::{Evidence, FilterFault, GAP_MAX_NS, Gaussian, Innovation, Observation, STEP_MAX_NS};
+use crate::jpda::SIDE_MAX;
+use crate::{Evidence, FilterFault, GAP_MAX_NS, Gaussian, Innovation, Observation, STEP_MAX_NS, moments};
 
 /// How agents move and how they are seen: a state of `N` components, the first two the position, and its noise.
 pub trait Process<const N: usize> {
@@ -47,6 +48,55 @@ impl<const N: usize> Gaussian<N> {
         *self = posterior;
         Ok(evidence)
     }
+
+    /// Corrects the state by observations of which at most one is of the agent, each with the probability that it is;
+    /// what these lack of 1 is the probability that none is.
+    ///
+    /// The state becomes the Gaussian with the [`moments`] of its posteriors under each observation and of itself. Where
+    /// all have the same noise, that is the probabilistic data association filter
+    /// \[Y. Bar-Shalom, E. Tse: *Tracking in a cluttered environment with probabilistic data association*, 1975\], its
+    /// spread of the innovations included. A single observation of probability 1 is an [update](Gaussian::update) to the bit.
+    ///
+    /// # Errors
+    /// [`FilterFault`] where the update by any of them fails; the state is then as before.
+    ///
+    /// # Panics
+    /// If there are more than [`SIDE_MAX`] observations, or their probabilities are none or add up to more than 1.
+    pub fn update_jointly<P: Process<N>>(
+        &mut self,
+        seen: &[(f64, Observation)],
+        process: &P,
+    ) -> Result<(), FilterFault> {
+        let missed = missed(seen);
+        let mut posteriors = [(0.0, *self); SIDE_MAX + 1];
+        for ((weight, posterior), (probability, seen)) in posteriors[..SIDE_MAX].iter_mut().zip(seen) {
+            posterior.update(seen, process)?;
+            *weight = *probability;
+        }
+        if seen.len() == 1 && missed == 0.0 {
+            *self = posteriors[0].1;
+            return Ok(());
+        }
+        posteriors[seen.len()].0 = missed;
+        let weighed = posteriors[..=seen.len()].iter().map(|(weight, state)| (*weight, state));
+        let corrected = moments(weighed, P::ANGLES);
+        if !corrected.is_finite() {
+            return Err(FilterFault::NotFinite);
+        }
+        *self = corrected;
+        Ok(())
+    }
+}
+
+/// Probability that none of the observations is of the agent; 0 to the bit where a single one is for certain.
+pub(crate) fn missed(seen: &[(f64, Observation)]) -> f64 {
+    assert!(seen.len() <= SIDE_MAX, "{} observations, at most {SIDE_MAX}", seen.len());
+    let missed = seen.iter().fold(1.0, |rest, (probability, _)| {
+        assert!((0.0..=1.0).contains(probability), "{probability} is no probability");
+        rest - probability
+    });
+    assert!(missed > -1e-9, "probabilities add up to 1 − {missed}");
+    missed.max(0.0)
 }
 
 /// Number and length of equal steps, each of at most 80 ms.

@@ -2,7 +2,8 @@
 
 use std::path::PathBuf;
 
-use filters::jpda::{Association, JpdaFault, Sensor};
+use filters::assignment::{Assigner, Candidate};
+use filters::jpda::{Association, Associator, JpdaFault, SIDE_MAX, Sensor};
 use proptest::prelude::*;
 
 const SENSOR: Sensor = Sensor { detection_probability: 0.9, clutter_density: 0.05 };
@@ -80,4 +81,124 @@ proptest! {
             prop_assert!((found.miss(track) - turned.miss(tracks - 1 - track)).abs() < 1e-12);
         }
     }
+}
+
+/// A frame's probabilities, `[track][detection]`, last that of the miss.
+fn associated(mut candidates: Vec<Candidate>, tracks_len: usize, detections_len: usize) -> Vec<Vec<f64>> {
+    let mut associator = Associator::default();
+    associator.associate(&mut candidates, tracks_len, detections_len, miss_cost());
+    let of_track = |track| {
+        let mut row = vec![0.0; detections_len + 1];
+        for share in associator.of_track(track) {
+            row[share.detection as usize] = share.probability;
+        }
+        row[detections_len] = 1.0 - row.iter().sum::<f64>();
+        row
+    };
+    (0..tracks_len).map(of_track).collect()
+}
+
+/// −2 ln of what a miss of [`SENSOR`] weighs where a pair costs −2 ln N.
+fn miss_cost() -> f64 {
+    -2.0 * ((1.0 - SENSOR.detection_probability) * SENSOR.clutter_density / SENSOR.detection_probability).ln()
+}
+
+proptest! {
+    /// However a small frame falls apart, its probabilities are those of all its events.
+    #[test]
+    fn components_are_the_whole(
+        tracks in 1_usize..6, detections in 1_usize..6,
+        logs in proptest::collection::vec(proptest::option::of(-30.0_f64..5.0), 25),
+    ) {
+        let mut candidates = Vec::new();
+        for track in 0..tracks {
+            for detection in 0..detections {
+                if let Some(log) = logs[5 * track + detection] {
+                    candidates.push(candidate(track, detection, -2.0 * log));
+                }
+            }
+        }
+        let whole = Association::new(tracks, detections, &SENSOR, |track, d| logs[5 * track + d]).unwrap();
+        for (track, row) in associated(candidates, tracks, detections).iter().enumerate() {
+            for (found, expected) in row.iter().zip(whole.of_track(track)) {
+                prop_assert!((found - expected).abs() < 1e-9, "{} instead of {}", found, expected);
+            }
+        }
+    }
+}
+
+fn candidate(track: usize, detection: usize, cost: f64) -> Candidate {
+    Candidate { track: track as u32, detection: detection as u32, cost }
+}
+
+/// Adds all events that go on from `track` to what they hold; returns what they weigh.
+fn gather(costs: &[Vec<Option<f64>>], track: usize, taken: u32, before: f64, beta: &mut [Vec<f64>]) -> f64 {
+    let Some(row) = costs.get(track) else { return 1.0 };
+    let mut sum = 0.0;
+    for option in 0..=row.len() {
+        let bit = 1 << option;
+        let cost = if option == row.len() { Some(miss_cost()) } else { row[option] };
+        let Some(cost) = cost.filter(|_| option == row.len() || taken & bit == 0) else { continue };
+        let weight = (-0.5 * cost).exp();
+        let from_here = weight * gather(costs, track + 1, taken | bit, before * weight, beta);
+        beta[track][option] += before * from_here;
+        sum += from_here;
+    }
+    sum
+}
+
+/// A queue of nine whose neighbours are within each other's gate: one component of nine, too large to be enumerated.
+#[test]
+fn what_is_cut_from_a_large_component_is_what_matters_least() {
+    // 0.5 m of deviation in the innovation; each detection is seen beside its track.
+    let off_m = [0.3, -0.2, 0.4, 0.1, -0.5, 0.2, 0.0, -0.3, 0.4];
+    let (spacing_m, sigma_m) = (0.8, 0.5_f64);
+    let log_det = 2.0 * std::f64::consts::TAU.ln() + 4.0 * sigma_m.ln();
+    let cost = |track: usize, d: usize| {
+        let distance = (spacing_m * (d as f64 - track as f64) + off_m[d]) / sigma_m;
+        (distance.powi(2) < 9.21).then_some(distance.powi(2) + log_det)
+    };
+    let costs: Vec<Vec<Option<f64>>> = (0..9).map(|t| (0..9).map(|d| cost(t, d)).collect()).collect();
+    let mut exact = vec![vec![0.0; 10]; 9];
+    let sum = gather(&costs, 0, 0, 1.0, &mut exact);
+    let pairs = (0..81).filter_map(|i| Some(candidate(i / 9, i % 9, costs[i / 9][i % 9]?)));
+    let mut candidates: Vec<Candidate> = pairs.collect();
+    let found = associated(candidates.clone(), 9, 9);
+    let mut worst = 0.0_f64;
+    for (row, exact) in found.iter().zip(&exact) {
+        for (found, exact) in row.iter().zip(exact) {
+            worst = worst.max((found - exact / sum).abs());
+        }
+    }
+    println!("a queue of nine: off by {worst:.4} at most");
+    assert!(worst < 0.1, "{worst}");
+
+    // What the assignment pairs is still there, and the order of the candidates tells nothing.
+    let mut paired = [None; 9];
+    Assigner::default().solve(&mut candidates.clone(), 9, miss_cost(), &mut paired);
+    for (row, detection) in found.iter().zip(paired) {
+        assert!(row[detection.unwrap() as usize] > 0.5, "{row:?}");
+    }
+    candidates.reverse();
+    assert_eq!(associated(candidates, 9, 9), found);
+}
+
+/// Three hundred tracks and detections of which each pair is possible, and one pair far away.
+#[test]
+fn the_largest_component_is_bounded() {
+    let dense = |i: usize| candidate(i / 300, i % 300, ((i * 7919) % 1000) as f64 * 0.02);
+    let mut candidates: Vec<Candidate> = (0..90_000).map(dense).collect();
+    candidates.push(candidate(300, 300, 1.0));
+    candidates.push(candidate(300, 0, f64::NAN));
+    let found = associated(candidates, 301, 301);
+    for row in &found {
+        let options = row[..301].iter().filter(|&&probability| probability > 0.0).count();
+        assert!((1..=SIDE_MAX).contains(&options) && row[301] > -1e-12, "{options}");
+    }
+    for detection in 0..301 {
+        let sum: f64 = found.iter().map(|row| row[detection]).sum();
+        assert!(sum < 1.0 + 1e-12, "{sum}");
+    }
+    let alone = Association::new(1, 1, &SENSOR, |_, _| Some(-0.5)).unwrap();
+    assert!((found[300][300] - alone.pair(0, 0)).abs() < 1e-9);
 }

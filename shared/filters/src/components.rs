@@ -1,0 +1,79 @@
+use crate::assignment::Candidate;
+
+/// Groups of tracks and detections that candidates connect; holds only scratch memory.
+///
+/// Union-find over the tracks, then the detections; the root of a component is its first track.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Components {
+    parent: Vec<u32>,
+    /// Tracks and detections in the component of each root.
+    sides: Vec<[u32; 2]>,
+    tracks_len: u32,
+}
+
+impl Components {
+    pub(crate) fn with_capacity(tracks_len: usize, detections_len: usize) -> Self {
+        let len = tracks_len + detections_len;
+        Self { parent: Vec::with_capacity(len), sides: Vec::with_capacity(len), tracks_len: 0 }
+    }
+
+    /// Takes every track and detection apart.
+    pub(crate) fn clear(&mut self, tracks_len: usize, detections_len: usize) {
+        self.tracks_len = tracks_len as u32;
+        self.parent.clear();
+        self.parent.extend(0..(tracks_len + detections_len) as u32);
+        self.sides.clear();
+        self.sides.resize(tracks_len, [1, 0]);
+        self.sides.resize(tracks_len + detections_len, [0, 1]);
+    }
+
+    /// Joins what a candidate connects, unless the component would hold more than `side_max` tracks or detections;
+    /// returns whether it is one component.
+    ///
+    /// # Panics
+    /// If the candidate names a track or detection beyond the numbers given before.
+    pub(crate) fn join(&mut self, candidate: &Candidate, side_max: usize) -> bool {
+        assert!(candidate.track < self.tracks_len, "track {} of {}", candidate.track, self.tracks_len);
+        let (a, b) = (self.root(candidate.track), self.root(self.tracks_len + candidate.detection));
+        if a == b {
+            return true;
+        }
+        let (above, below) = (a.min(b), a.max(b));
+        let [more, fewer] = [above, below].map(|root| self.sides[root as usize]);
+        let sides = [more[0] + fewer[0], more[1] + fewer[1]];
+        if sides.iter().any(|&len| len as usize > side_max) {
+            return false;
+        }
+        self.parent[below as usize] = above;
+        self.sides[above as usize] = sides;
+        true
+    }
+
+    /// Whether a component holds more than `side_max` tracks or detections.
+    pub(crate) fn exceed(&self, side_max: usize) -> bool {
+        // A root that was joined to another one keeps the smaller numbers of before.
+        self.sides.iter().flatten().any(|&len| len as usize > side_max)
+    }
+
+    /// Sorts candidates by component, then track, then detection, and goes through the components.
+    pub(crate) fn split<'a>(
+        &'a mut self,
+        candidates: &'a mut [Candidate],
+    ) -> impl Iterator<Item = &'a [Candidate]> {
+        for node in 0..self.parent.len() as u32 {
+            self.parent[node as usize] = self.root(node);
+        }
+        let parent = &self.parent;
+        candidates.sort_unstable_by_key(|c| (parent[c.track as usize], c.track, c.detection));
+        candidates.chunk_by(|a, b| parent[a.track as usize] == parent[b.track as usize])
+    }
+
+    fn root(&mut self, mut node: u32) -> u32 {
+        while self.parent[node as usize] != node {
+            let above = self.parent[self.parent[node as usize] as usize];
+            self.parent[node as usize] = above;
+            node = above;
+        }
+        node
+    }
+}

@@ -1,0 +1,147 @@
+use super::{Association, SIDE_MAX};
+use crate::assignment::{Assigner, Candidate};
+use crate::components::Components;
+
+/// A detection that may be a track's, and the probability that it is.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Share {
+    /// Number of the detection.
+    pub detection: u32,
+    /// Probability of the pair, β.
+    pub probability: f64,
+}
+
+/// Finds how probable each pair of a frame is; holds the last result and scratch memory.
+///
+/// Events weigh what the [assignment](Assigner::solve) of the same candidates minimises, exp(−½ Σ cost): that finds the
+/// likeliest event, this sums over all. Components of up to [`SIDE_MAX`] tracks and detections are exact. A larger one is cut
+/// into such: the pairs of its cheapest assignment stay, then the cheapest of the others that keep within the bound; a pair
+/// that is cut counts as beyond the gate.
+#[derive(Clone, Debug, Default)]
+pub struct Associator {
+    components: Components,
+    assigner: Assigner,
+    /// Candidates for the assignment where a component is too large, and what it pairs.
+    for_assigner: Vec<Candidate>,
+    paired: Vec<Option<u32>>,
+    shares: Vec<Share>,
+    /// Begin and end of each track's shares.
+    of_track: Vec<[u32; 2]>,
+}
+
+impl Associator {
+    /// Scratch for so many tracks and detections.
+    #[must_use]
+    pub fn with_capacity(tracks_len: usize, detections_len: usize) -> Self {
+        Self {
+            components: Components::with_capacity(tracks_len, detections_len),
+            assigner: Assigner::with_capacity(tracks_len, detections_len),
+            for_assigner: Vec::new(),
+            paired: Vec::with_capacity(tracks_len),
+            shares: Vec::new(),
+            of_track: Vec::with_capacity(tracks_len),
+        }
+    }
+
+    /// Finds the probabilities of all candidates. Costs are on the scale of −2 ln of a likelihood:
+    ///
+    /// ```text
+    /// cost − miss_cost = −2 ln (P_D N(y; 0, S) / λ) + 2 ln (1 − P_D)
+    /// ```
+    ///
+    /// Candidates are sorted in place; one whose cost is not finite is left out, as is one that is cut.
+    ///
+    /// # Panics
+    /// If a candidate names a track or detection beyond the given numbers.
+    pub fn associate(
+        &mut self,
+        candidates: &mut Vec<Candidate>,
+        tracks_len: usize,
+        detections_len: usize,
+        miss_cost: f64,
+    ) {
+        candidates.retain(|c| c.cost.is_finite());
+        self.components.clear(tracks_len, detections_len);
+        for candidate in candidates.iter() {
+            self.components.join(candidate, usize::MAX);
+        }
+        if self.components.exceed(SIDE_MAX) {
+            self.cut(candidates, tracks_len, detections_len, miss_cost);
+        }
+        self.shares.clear();
+        self.of_track.clear();
+        self.of_track.resize(tracks_len, [0; 2]);
+        for component in self.components.split(candidates) {
+            for (track, shares) in probabilities(component, miss_cost) {
+                let begin = self.shares.len() as u32;
+                self.shares.extend(shares);
+                self.of_track[track as usize] = [begin, self.shares.len() as u32];
+            }
+        }
+    }
+
+    /// The detections that a track may have, in rising order; what their probabilities lack of 1 is that of its miss.
+    ///
+    /// # Panics
+    /// If there is no such track.
+    #[must_use]
+    pub fn of_track(&self, track: usize) -> &[Share] {
+        let [begin, end] = self.of_track[track];
+        &self.shares[begin as usize..end as usize]
+    }
+
+    /// Leaves out candidates until no component is too large. None of the others loses any.
+    fn cut(
+        &mut self,
+        candidates: &mut Vec<Candidate>,
+        tracks_len: usize,
+        detections_len: usize,
+        miss_cost: f64,
+    ) {
+        self.for_assigner.clone_from(candidates);
+        self.paired.clear();
+        self.paired.resize(tracks_len, None);
+        self.assigner.solve(&mut self.for_assigner, detections_len, miss_cost, &mut self.paired);
+        let paired = &self.paired;
+        let is_paired = |c: &Candidate| paired[c.track as usize] == Some(c.detection);
+        candidates.sort_unstable_by(|a, b| {
+            let by_cost = is_paired(b).cmp(&is_paired(a)).then(a.cost.total_cmp(&b.cost));
+            by_cost.then((a.track, a.detection).cmp(&(b.track, b.detection)))
+        });
+        self.components.clear(tracks_len, detections_len);
+        candidates.retain(|candidate| self.components.join(candidate, SIDE_MAX));
+    }
+}
+
+/// The tracks of a component, each with its shares.
+fn probabilities(
+    component: &[Candidate],
+    miss_cost: f64,
+) -> impl Iterator<Item = (u32, impl Iterator<Item = Share>)> {
+    let mut detections = [None; SIDE_MAX];
+    let mut log_weights = [[None; SIDE_MAX]; SIDE_MAX];
+    let by_track = || component.chunk_by(|a, b| a.track == b.track);
+    for (row, of_track) in by_track().enumerate() {
+        for candidate in of_track {
+            let column = column(&detections, candidate);
+            detections[column] = Some(candidate.detection);
+            log_weights[row][column] = Some(-0.5 * candidate.cost);
+        }
+    }
+    let (tracks_len, detections_len) = (by_track().count(), detections.iter().flatten().count());
+    let log_weight = |row: usize, column: usize| log_weights[row][column];
+    let found = Association::enumerate(tracks_len, detections_len, -0.5 * miss_cost, log_weight);
+    by_track().enumerate().map(move |(row, of_track)| {
+        let share = move |candidate: &Candidate| {
+            let probability = found.pair(row, column(&detections, candidate));
+            Share { detection: candidate.detection, probability }
+        };
+        (of_track[0].track, of_track.iter().map(share))
+    })
+}
+
+/// Where a candidate's detection stands among those of its component, or will.
+fn column(detections: &[Option<u32>; SIDE_MAX], candidate: &Candidate) -> usize {
+    let found = detections.iter().position(|d| d.is_none_or(|d| d == candidate.detection));
+    found.expect("a component within the bound")
+}
