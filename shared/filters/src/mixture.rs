@@ -215,6 +215,9 @@ impl<P: Steered<N>, const N: usize> Mixture<P, N> {
         self.next.clear();
         for (component, log_shares) in self.components.iter().zip(&self.log_shares(seen)?) {
             let log_weight = log_sum_exp(log_shares.iter().copied());
+            if !log_weight.is_finite() {
+                continue;
+            }
             for ((own, seen), log_share) in own.iter_mut().zip(seen).zip(log_shares) {
                 *own = ((log_share - log_weight).exp(), seen.1);
             }
