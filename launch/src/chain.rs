@@ -91,8 +91,8 @@ impl Chain {
 
     /// Takes a tick through all stages; `passed` is told after each of them.
     ///
-    /// A tick that the tracker refuses has no forecasts; one that a later stage refuses has those of the sampler's
-    /// fallback.
+    /// A tick that the tracker refuses, or that came late, has no forecasts; one that a later stage refuses has those of the
+    /// sampler's fallback.
     pub fn tick(
         &mut self,
         header: &Header,
@@ -105,7 +105,7 @@ impl Chain {
         let mut header = self.tracker.header(header);
         passed(StageId::Tracker);
         frames.tracks_len = tracked.as_ref().map_or(0, |tracked| tracked.tracks_len);
-        if tracked.is_err() {
+        if !tracked.is_ok_and(|tracked| tracked.replayed_len == 0) {
             return self.nothing(header);
         }
         let learned = self.controls(&header, &mut passed);
@@ -126,7 +126,7 @@ impl Chain {
         (header, &self.frames.forecasts[..self.frames.tracks_len])
     }
 
-    /// The empty frame that follows a tick which was refused.
+    /// The empty frame that follows a tick which was refused, or came late.
     fn nothing(&mut self, mut header: Header) -> (Header, &[Forecast]) {
         self.prior = None;
         header.flags |= flags::VOID;

@@ -1,8 +1,9 @@
 use filters::assignment::{Assigner, Candidate};
 use wire::{AgentType, Detection};
 
+use crate::estimate::Estimate;
+use crate::observed::position_sigma_m;
 use crate::options::{InputModel, TrackerOptions};
-use crate::target::{Target, position_sigma_m};
 
 /// 99 % of a chi-squared variable of two degrees of freedom: the gate for positions.
 const GATE: f64 = 9.210_340_371_976_18;
@@ -12,60 +13,60 @@ const WIDE_GATE: f64 = 25.0;
 /// A detection that carries an identity belongs to its track unless it would have had to move faster than this allows.
 const JUMP_MIN_M: f64 = 5.0;
 
-/// Finds the target of each detection; holds only scratch memory.
+/// Finds the estimate of each detection; holds only scratch memory.
 #[derive(Clone, Debug)]
 pub struct Association {
     /// Numbers of the detections in an order that does not depend on how they came.
     order: Vec<u32>,
-    /// (identity, target), sorted.
+    /// (identity, estimate), sorted.
     identities: Vec<(u64, u32)>,
     candidates: Vec<Candidate>,
     assigner: Assigner,
-    /// Detection of each target.
+    /// Detection of each estimate.
     paired: Vec<Option<u32>>,
     /// As `paired`, of one round alone.
     round: Vec<Option<u32>>,
-    /// Whether each detection has a target, or is refused one.
+    /// Whether each detection has an estimate, or is refused one.
     taken: Vec<bool>,
 }
 
 impl Association {
-    /// Scratch for so many targets and detections.
+    /// Scratch for so many estimates and detections.
     #[must_use]
-    pub fn with_capacity(targets_len: usize, detections_len: usize) -> Self {
+    pub fn with_capacity(estimates_len: usize, detections_len: usize) -> Self {
         Self {
             order: Vec::with_capacity(detections_len),
-            identities: Vec::with_capacity(targets_len),
-            candidates: Vec::with_capacity(8 * targets_len),
-            assigner: Assigner::with_capacity(targets_len, detections_len),
-            paired: Vec::with_capacity(targets_len),
-            round: Vec::with_capacity(targets_len),
+            identities: Vec::with_capacity(estimates_len),
+            candidates: Vec::with_capacity(8 * estimates_len),
+            assigner: Assigner::with_capacity(estimates_len, detections_len),
+            paired: Vec::with_capacity(estimates_len),
+            round: Vec::with_capacity(estimates_len),
             taken: Vec::with_capacity(detections_len),
         }
     }
 
-    /// The detection of each target, as last found.
+    /// The detection of each estimate, as last found.
     #[must_use]
     pub fn paired(&self) -> &[Option<u32>] {
         &self.paired
     }
 
-    /// The detections that start targets of their own, in an order that does not depend on how they came.
+    /// The detections that start estimates of their own, in an order that does not depend on how they came.
     pub fn unpaired(&self) -> impl Iterator<Item = usize> + '_ {
         self.order.iter().map(|&d| d as usize).filter(|&d| !self.taken[d])
     }
 
-    /// Pairs by identity: a detection belongs to the target that the last detection of its identity belonged to.
+    /// Pairs by identity: a detection belongs to the estimate that the last detection of its identity belonged to.
     ///
     /// Returns how many detections were left aside because another one of the frame carries the same identity.
-    pub fn by_identity(&mut self, targets: &[Target], detections: &[Detection]) -> usize {
-        self.start(targets, detections);
+    pub fn by_identity(&mut self, estimates: &[Estimate], detections: &[Detection]) -> usize {
+        self.start(estimates, detections);
         self.order.sort_unstable_by_key(|&d| {
             let d = &detections[d as usize];
             (d.id, d.agent_type, d.x_m.to_bits(), d.y_m.to_bits())
         });
         self.identities.clear();
-        self.identities.extend(targets.iter().zip(0..).map(|(target, t)| (target.source_id, t)));
+        self.identities.extend(estimates.iter().zip(0..).map(|(estimate, t)| (estimate.source_id(), t)));
         self.identities.sort_unstable();
         let mut duplicates_len = 0;
         let mut last = None;
@@ -76,10 +77,10 @@ impl Association {
                 duplicates_len += 1;
                 continue;
             }
-            // Of several targets that had the identity the newest holds it.
+            // Of several estimates that had the identity the newest holds it.
             let end = self.identities.partition_point(|&(id, _)| id <= detection.id);
             let Some(&(id, t)) = end.checked_sub(1).and_then(|i| self.identities.get(i)) else { continue };
-            if id == detection.id && !jumped(&targets[t as usize], detection) {
+            if id == detection.id && !jumped(&estimates[t as usize], detection) {
                 self.paired[t as usize] = Some(d);
                 self.taken[d as usize] = true;
             }
@@ -94,19 +95,19 @@ impl Association {
     /// pairs what is left of confirmed tracks and detections.
     pub fn by_position(
         &mut self,
-        targets: &[Target],
+        estimates: &[Estimate],
         detections: &[Detection],
         types: &[AgentType],
         input: &InputModel,
         options: &TrackerOptions,
     ) {
-        self.start(targets, detections);
+        self.start(estimates, detections);
         self.order.sort_unstable_by(|&a, &b| {
             let (a, b) = (&detections[a as usize], &detections[b as usize]);
             a.x_m.total_cmp(&b.x_m).then(a.y_m.total_cmp(&b.y_m)).then(a.agent_type.cmp(&b.agent_type))
         });
         for gate in [GATE, WIDE_GATE] {
-            self.find_candidates(targets, detections, types, input, gate);
+            self.find_candidates(estimates, detections, types, input, gate);
             let miss_cost = options.miss_cost + (gate - GATE);
             self.assigner.solve(&mut self.candidates, detections.len(), miss_cost, &mut self.round);
             for (paired, &found) in self.paired.iter_mut().zip(&self.round) {
@@ -118,10 +119,10 @@ impl Association {
         }
     }
 
-    /// All pairs within the gate of targets and detections that are still alone.
+    /// All pairs within the gate of estimates and detections that are still alone.
     fn find_candidates(
         &mut self,
-        targets: &[Target],
+        estimates: &[Estimate],
         detections: &[Detection],
         types: &[AgentType],
         input: &InputModel,
@@ -130,11 +131,11 @@ impl Association {
         let sigmas_m = detections.iter().zip(types).map(|(d, &t)| position_sigma_m(d, t, input));
         let largest_m = sigmas_m.fold(0.0, f64::max);
         self.candidates.clear();
-        for ((target, t), paired) in targets.iter().zip(0..).zip(&self.paired) {
-            if paired.is_some() || (gate > GATE && !target.is_ready()) {
+        for ((estimate, t), paired) in estimates.iter().zip(0..).zip(&self.paired) {
+            if paired.is_some() || (gate > GATE && !estimate.is_ready()) {
                 continue;
             }
-            let ([x, y], [xx, _, yy]) = target.belief.position();
+            let ([x, y], [xx, _, yy]) = estimate.belief.position();
             let reach = |variance: f64| (gate * (variance + largest_m.powi(2))).sqrt();
             let (reach_x, reach_y) = (reach(xx), reach(yy));
             let from = self.order.partition_point(|&d| f64::from(detections[d as usize].x_m) < x - reach_x);
@@ -149,29 +150,29 @@ impl Association {
                 }
                 let agent_type = types[d as usize];
                 let sigma_m = position_sigma_m(detection, agent_type, input);
-                let fit = target.fit(position_m, sigma_m.powi(2));
+                let fit = estimate.fit(position_m, sigma_m.powi(2));
                 if fit.distance2 <= gate {
-                    let cost = fit.distance2 + fit.log_det + target.class.disagreement(agent_type);
+                    let cost = fit.distance2 + fit.log_det + estimate.class.disagreement(agent_type);
                     self.candidates.push(Candidate { track: t, detection: d, cost });
                 }
             }
         }
     }
 
-    fn start(&mut self, targets: &[Target], detections: &[Detection]) {
+    fn start(&mut self, estimates: &[Estimate], detections: &[Detection]) {
         self.order.clear();
         self.order.extend(0..detections.len() as u32);
         self.taken.clear();
         self.taken.resize(detections.len(), false);
         self.paired.clear();
-        self.paired.resize(targets.len(), None);
+        self.paired.resize(estimates.len(), None);
         self.round.clear();
-        self.round.resize(targets.len(), None);
+        self.round.resize(estimates.len(), None);
     }
 }
 
-fn jumped(target: &Target, detection: &Detection) -> bool {
-    let ([x, y], _) = target.belief.position();
+fn jumped(estimate: &Estimate, detection: &Detection) -> bool {
+    let ([x, y], _) = estimate.belief.position();
     let distance_m = (f64::from(detection.x_m) - x).hypot(f64::from(detection.y_m) - y);
-    distance_m > JUMP_MIN_M + f64::from(wire::SPEED_MAX_MPS) * target.since_seen_s()
+    distance_m > JUMP_MIN_M + f64::from(wire::SPEED_MAX_MPS) * estimate.since_seen_s()
 }

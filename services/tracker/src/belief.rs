@@ -7,7 +7,7 @@ use wire::{MODES_MAX, Steering};
 use crate::options::ForecastTrust;
 
 /// What is believed of an agent's motion: one Gaussian, and where a forecast takes part, the hypotheses that it sums up.
-#[derive(Clone, Debug)]
+#[derive(Debug)]
 pub struct Belief {
     filter: Filter,
     hypotheses: Option<Hypotheses>,
@@ -170,6 +170,24 @@ impl Belief {
         };
         if hypotheses.forecast_age_ns().is_none() {
             self.hypotheses = None;
+        }
+    }
+}
+
+impl Clone for Belief {
+    fn clone(&self) -> Self {
+        Self { filter: self.filter, hypotheses: self.hypotheses.clone() }
+    }
+
+    /// Uses the memory of hypotheses of the same kind again.
+    fn clone_from(&mut self, source: &Self) {
+        self.filter = source.filter;
+        match (&mut self.hypotheses, &source.hypotheses) {
+            (Some(Hypotheses::Bicycle(own)), Some(Hypotheses::Bicycle(source))) => own.clone_from(source),
+            (Some(Hypotheses::Displacement(own)), Some(Hypotheses::Displacement(source))) => {
+                own.clone_from(source);
+            }
+            (own, source) => own.clone_from(source),
         }
     }
 }

@@ -1,4 +1,4 @@
-use std::f64::consts::{FRAC_PI_2, PI};
+use std::f64::consts::{FRAC_PI_2, FRAC_PI_3, PI};
 
 use filters::wrapped;
 
@@ -15,6 +15,8 @@ const MOTION_MIN_SIGMAS: f64 = 3.0;
 const LOG_ODDS_MAX: f64 = 8.0;
 /// At this much evidence against it, the front of a published track is where its back was.
 const TURN_LOG_ODDS: f64 = -6.0;
+/// A published heading turns no further in a frame: where the evidence turns a front round, it goes round in three.
+const TURN_MAX_RAD: f64 = FRAC_PI_3;
 
 /// Which end of an agent is its front: evidence gathered over frames.
 ///
@@ -63,4 +65,11 @@ impl Front {
     fn add(&mut self, weight: f64) {
         self.log_odds = (self.log_odds + weight).clamp(-LOG_ODDS_MAX, LOG_ODDS_MAX);
     }
+}
+
+/// The published heading on its way from the last one to `heading_rad`; none where it is there at once.
+#[must_use]
+pub fn under_way_rad(last_rad: f64, heading_rad: f64) -> Option<f64> {
+    let turn_rad = wrapped(heading_rad - last_rad);
+    (turn_rad.abs() > TURN_MAX_RAD).then(|| wrapped(last_rad + TURN_MAX_RAD.copysign(turn_rad)))
 }

@@ -10,18 +10,26 @@
 //! it was missed for too long, at most over the forecast's horizon.
 //!
 //! The tracks that are published carry their history at exact Δt spacing, taken from what was published before.
+//!
+//! What is believed of an agent, its *estimate*, follows from the frames alone, in the order of their stamps: where one
+//! comes late, it is made again from there. What has been told of the agent, its *publication*, stays as it is.
 
 mod association;
 mod belief;
 mod class;
+mod estimate;
+mod estimates;
 mod forecasts;
 mod front;
 mod history;
+mod life;
+mod observed;
 mod options;
+mod publication;
+mod scans;
 pub mod stage;
-mod target;
 mod tracker;
 
 pub use config::Prior;
 pub use options::{ForecastTrust, InputModel, MotionNoise, SensorNoise, TrackerOptions};
-pub use tracker::{Tracked, Tracker};
+pub use tracker::{Tally, Tracked, Tracker};

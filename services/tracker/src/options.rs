@@ -1,6 +1,6 @@
 use config::Prior;
 use filters::{Bicycle, ConstantAcceleration, ConstantTurnRate, ConstantVelocity, Integrator, Models};
-use wire::{AgentType, HISTORY_MAX};
+use wire::{AgentType, Detection, HISTORY_MAX, Header, detection_flags, flags};
 
 /// Standard deviations of what a detector measures, where the detection itself tells none.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -73,7 +73,8 @@ pub struct TrackerOptions {
     pub clutter_density: f64,
     /// Price of leaving a track without detection, on the scale of −2 ln of a likelihood per m².
     pub miss_cost: f64,
-    /// A track ends when it has not been seen for so long, whatever else: the forecast's horizon.
+    /// A track ends when it has not been seen for so long, whatever else: the forecast's horizon. Frames that come later
+    /// than that are refused.
     pub horizon_ns: u64,
     /// History is not interpolated over longer gaps between states.
     pub gap_max_ns: u64,
@@ -134,6 +135,20 @@ impl Default for TrackerOptions {
             horizon_ns: 4_800_000_000,
             gap_max_ns: 2_000_000_000,
         }
+    }
+}
+
+impl TrackerOptions {
+    /// What is assumed of the input of that frame.
+    pub(crate) fn input(&self, header: &Header) -> &InputModel {
+        if header.has(flags::HAS_IDENTITIES) { &self.recorded } else { &self.detector }
+    }
+
+    /// Whether the detections' identities take the place of an association.
+    pub(crate) fn trusts(&self, header: &Header, detections: &[Detection]) -> bool {
+        header.has(flags::HAS_IDENTITIES)
+            && !self.associate
+            && detections.iter().all(|d| d.has(detection_flags::HAS_ID))
     }
 }
 

@@ -5,7 +5,7 @@ use config::Run;
 use ports::{Awaited, Frame, Stage, StageError, Subscriber};
 use wire::{AGENTS_MAX, DetectionsTopic, ForecastsTopic, Header, StageId, Topic, Track, TracksTopic, flags};
 
-use crate::{Tracker, TrackerOptions};
+use crate::{Tally, Tracker, TrackerOptions};
 
 /// Runs the stage until the process is asked to end.
 ///
@@ -14,6 +14,7 @@ use crate::{Tracker, TrackerOptions};
 pub fn run(run: &Run) -> Result<(), StageError> {
     let mut tracker = Tracker::new(options(run));
     let mut tracks = vec![Track::zeroed(); AGENTS_MAX];
+    let mut warned = Warned::default();
 
     let mut stage = Stage::open(run, StageId::Tracker)?;
     let detections = stage.subscribe::<DetectionsTopic>()?;
@@ -26,14 +27,46 @@ pub fn run(run: &Run) -> Result<(), StageError> {
         let prior = prior.as_ref().map(|frame| (frame.header(), &frame[..]));
         let tracked = tracker.step(input.header(), &input, prior, &mut tracks);
         passage.header = tracker.header(&passage.header);
-        // How many tracks there are is known only now, so they are copied into shared memory.
-        let loan = match tracked {
-            Ok(tracked) => Ok(output.copy(&tracks[..tracked.tracks_len])?),
-            Err(rejected) => Err(rejected),
-        };
-        stage.finish(passage, &output, loan)?;
+        match tracked {
+            // Newer tracks are out already; what this frame told shows in the next.
+            Ok(tracked) if tracked.replayed_len > 0 => {
+                passage.header.flags |= flags::VOID;
+                stage.done(passage.header.seq);
+                stage.pass_empty(passage, &output)?;
+            }
+            // How many tracks there are is known only now, so they are copied into shared memory.
+            Ok(tracked) => {
+                let loan = output.copy(&tracks[..tracked.tracks_len])?;
+                stage.finish(passage, &output, Ok(loan))?;
+            }
+            Err(rejected) => stage.finish(passage, &output, Err(rejected))?,
+        }
+        warned.warn(tracker.tally());
     }
     Ok(())
+}
+
+/// What has been warned of. Each trouble is told when its count has doubled: one that comes with every frame must not fill
+/// the log.
+#[derive(Default)]
+struct Warned(Tally);
+
+impl Warned {
+    fn warn(&mut self, now: Tally) {
+        let Tally { late_len, too_late_len, repeated_len, faults_len, refused_len } = &mut self.0;
+        for (what, warned_len, now_len) in [
+            ("frames taken in late", late_len, now.late_len),
+            ("frames refused, too late to be taken in", too_late_len, now.too_late_len),
+            ("frames refused, of a stamp that was taken in", repeated_len, now.repeated_len),
+            ("predictions or updates failed", faults_len, now.faults_len),
+            ("forecasts refused as a prior", refused_len, now.refused_len),
+        ] {
+            if now_len > 0 && now_len >= 2 * *warned_len {
+                tracing::warn!("{now_len} {what} so far");
+                *warned_len = now_len;
+            }
+        }
+    }
 }
 
 /// The newest forecasts at hand. In lockstep they are those of the tick before, whoever is the faster.

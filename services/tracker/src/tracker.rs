@@ -1,19 +1,20 @@
 use config::Prior;
 use wire::{
     AGENTS_MAX, AgentType, Counts, DETECTIONS_MAX, Detection, Forecast, HISTORY_MAX, Header, Rejected, Track,
-    flags,
 };
 
-use crate::association::Association;
-use crate::forecasts::{Controls, Forecasts};
+use crate::estimates::{Estimates, Scratch};
 use crate::options::TrackerOptions;
-use crate::target::Target;
+use crate::publication::Publications;
+use crate::scans::{Scans, Unplaced};
 
 /// What a frame did to the tracks.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Tracked {
     /// Tracks written.
     pub tracks_len: usize,
+    /// Newer frames that were taken in once more, after this one that came late; 0 for a frame that did not.
+    pub replayed_len: usize,
     /// Tracks that found no place in the frame: the farthest from the ego.
     pub left_out_len: usize,
     /// Tracks held, the tentative and the left out included.
@@ -34,22 +35,36 @@ pub struct Tracked {
     pub prior_age_ns: Option<u64>,
 }
 
+/// What was not as it should be, counted from the start.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Tally {
+    /// Frames that came late and were taken in.
+    pub late_len: u64,
+    /// Frames that came too late.
+    pub too_late_len: u64,
+    /// Frames of a stamp that had been taken in.
+    pub repeated_len: u64,
+    /// As [`Tracked::faults_len`].
+    pub faults_len: u64,
+    /// As [`Tracked::refused_len`].
+    pub refused_len: u64,
+}
+
 /// Makes tracks of detections: a belief per agent, kept over time.
-#[derive(Clone, Debug)]
+#[derive(Debug)]
 pub struct Tracker {
     options: TrackerOptions,
-    /// In the order of their ids.
-    targets: Vec<Target>,
-    next_id: u64,
-    last_ns: Option<i64>,
+    estimates: Estimates,
+    scans: Scans,
+    publications: Publications,
     /// Stamp of the newest forecasts at hand.
     prior_ns: Option<i64>,
     last: Tracked,
-    association: Association,
+    tally: Tally,
+    scratch: Scratch,
     types: Vec<AgentType>,
-    controls: Controls,
-    /// (squared distance to the ego, target), for choosing the nearest.
-    shown: Vec<(f64, u32)>,
+    /// (squared distance to the ego, places of estimate and publication), for choosing the nearest.
+    shown: Vec<(f64, u32, u32)>,
 }
 
 impl Tracker {
@@ -63,30 +78,37 @@ impl Tracker {
         assert!(options.step_ns > 0, "step_ns above 0");
         Self {
             options,
-            targets: Vec::with_capacity(options.tracks_max),
-            next_id: 1,
-            last_ns: None,
+            estimates: Estimates::with_capacity(options.tracks_max),
+            scans: Scans::new(),
+            publications: Publications::with_capacity(options.tracks_max),
             prior_ns: None,
             last: Tracked::default(),
-            association: Association::with_capacity(options.tracks_max, DETECTIONS_MAX),
+            tally: Tally::default(),
+            scratch: Scratch::new(options.tracks_max),
             types: Vec::with_capacity(DETECTIONS_MAX),
-            controls: Controls::new(),
             shown: Vec::with_capacity(options.tracks_max),
         }
     }
 
     /// Takes in the detections of a frame and writes the tracks at its stamp to `out`, in the order of their ids.
     ///
-    /// Where [`flags::HAS_IDENTITIES`] is set, every detection has an id and the options do not ask otherwise, tracks
-    /// follow the ids and are confirmed by their first detection. A track is published once it is confirmed and its
-    /// velocity was observed: from the second detection on, or from the first that tells heading and speed.
+    /// Where [`flags::HAS_IDENTITIES`](wire::flags::HAS_IDENTITIES) is set, every detection has an id and the options do
+    /// not ask otherwise, tracks follow the ids and are confirmed by their first detection. A track is published once it
+    /// is confirmed and its velocity was observed: from the second detection on, or from the first that tells heading and
+    /// speed.
     ///
     /// `prior` are the newest forecasts at hand, of this tracker's own tracks: with [`Prior::Learned`] they take part in the
     /// prediction, by their stamp. Frames without a tick (warm-up, end) change nothing.
     ///
+    /// A frame that comes late, of a stamp before that of at most eight others and before the newest by no more than
+    /// [`TrackerOptions::horizon_ns`], is taken in where it belongs: the tracks go back to before it, and the newer frames
+    /// are taken in once more, with the forecasts that came with them. No tracks are written then. What has been published
+    /// stays as it is, histories and ids too; what the late frame told shows from the next one on. An agent whose first
+    /// detection comes late keeps the id under which it was published.
+    ///
     /// # Errors
-    /// [`Rejected`] for a frame that is not newer than the last, too large, or holds an impossible number; the tracks
-    /// are then as before.
+    /// [`Rejected`] for a frame of a stamp that was taken in before, one that is too late, too large, or holds an impossible
+    /// number; the tracks are then as before.
     ///
     /// # Panics
     /// If `out` has fewer than [`AGENTS_MAX`] elements.
@@ -98,31 +120,31 @@ impl Tracker {
         out: &mut [Track],
     ) -> Result<Tracked, Rejected> {
         assert!(out.len() >= AGENTS_MAX, "room for {AGENTS_MAX} tracks");
-        self.last = Tracked { held_len: self.targets.len(), ..Tracked::default() };
+        self.last = Tracked { held_len: self.estimates.all().len(), ..Tracked::default() };
         if !header.is_tick() {
             return Ok(self.last);
         }
         self.check(header, detections)?;
-        let now_ns = header.stamp_ns;
-        self.last_ns = Some(now_ns);
+        let place = self.place(header)?;
         if let Some((forecast, _)) = prior.filter(|(forecast, _)| forecast.is_tick()) {
             self.prior_ns = self.prior_ns.max(Some(forecast.stamp_ns));
         }
-        let mut tracked = Tracked {
-            prior_age_ns: self.prior_ns.map(|ns| now_ns.saturating_sub(ns).max(0).unsigned_abs()),
-            ..Tracked::default()
-        };
-        self.adopt(prior, header, &mut tracked);
-        self.predict(now_ns, header, &mut tracked);
-        self.update(header, detections, &mut tracked);
-        self.start(header, detections, &mut tracked);
-        self.end(header, &mut tracked);
-        self.publish(header, out, &mut tracked);
+        let prior = prior.filter(|_| self.options.prior == Prior::Learned);
+        let place = self.scans.insert(place, header, (detections, &self.types), prior);
+        let mut tracked = self.take_in(place);
+        tracked.prior_age_ns =
+            self.prior_ns.map(|ns| header.stamp_ns.saturating_sub(ns).max(0).unsigned_abs());
+        if tracked.replayed_len == 0 {
+            self.publish(header, out, &mut tracked);
+        }
+        self.tally.late_len += u64::from(tracked.replayed_len > 0);
+        self.tally.faults_len += tracked.faults_len as u64;
+        self.tally.refused_len += tracked.refused_len as u64;
         self.last = tracked;
         Ok(tracked)
     }
 
-    /// The header of the tracks that the last frame gave, none if it was refused: that of its detections with our
+    /// The header of the tracks that the last frame gave, none if it was refused or late: that of its detections with our
     /// sizes and Δt.
     #[must_use]
     pub fn header(&self, detections: &Header) -> Header {
@@ -138,11 +160,14 @@ impl Tracker {
         }
     }
 
+    /// What was not as it should be so far.
+    #[must_use]
+    pub const fn tally(&self) -> Tally {
+        self.tally
+    }
+
     fn check(&mut self, header: &Header, detections: &[Detection]) -> Result<(), Rejected> {
         header.check()?;
-        if let Some(last_ns) = self.last_ns.filter(|&last_ns| header.stamp_ns <= last_ns) {
-            return Err(Rejected::NotNewer { stamp_ns: header.stamp_ns, last_ns });
-        }
         if detections.len() > DETECTIONS_MAX {
             let (found, most) = (detections.len() as u64, DETECTIONS_MAX as u64);
             return Err(Rejected::TooMany { field: "detections", found, most });
@@ -155,116 +180,57 @@ impl Tracker {
         Ok(())
     }
 
-    /// Gives each target its forecast as the prior, where one is due. What is wrong with a forecast costs its target no
-    /// more than that.
-    fn adopt(&mut self, prior: Option<(&Header, &[Forecast])>, header: &Header, tracked: &mut Tracked) {
-        let Some((of, forecasts)) = prior.filter(|_| self.options.prior == Prior::Learned) else { return };
-        let forecasts = match Forecasts::new(of, forecasts) {
-            Ok(forecasts) => forecasts,
-            Err(_) => {
-                tracked.refused_len += forecasts.len();
-                None
+    /// Where the frame belongs among the last ones.
+    fn place(&mut self, header: &Header) -> Result<usize, Rejected> {
+        let stamp_ns = header.stamp_ns;
+        let last_ns = self.scans.kept().last().map_or(stamp_ns, |newest| newest.header.stamp_ns);
+        self.scans.place(stamp_ns, self.options.horizon_ns).map_err(|why| {
+            match why {
+                Unplaced::Repeated => self.tally.repeated_len += 1,
+                Unplaced::TooLate => self.tally.too_late_len += 1,
             }
-        };
-        let Some(mut forecasts) = forecasts else { return };
-        let input = self.options.input(header);
-        for target in &mut self.targets {
-            let adopted = target.adopt(&mut forecasts, &mut self.controls, input);
-            tracked.refused_len += usize::from(adopted.is_err());
-        }
+            Rejected::NotNewer { stamp_ns, last_ns }
+        })
     }
 
-    fn predict(&mut self, now_ns: i64, header: &Header, tracked: &mut Tracked) {
-        let input = self.options.input(header);
-        let horizon_ns = self.options.horizon_ns;
-        let before = self.targets.len();
-        self.targets.retain(|target| target.unseen_ns(now_ns) <= horizon_ns);
-        tracked.ended_len += before - self.targets.len();
-        for target in &mut self.targets {
-            tracked.faults_len += usize::from(target.predict(now_ns, input).is_err());
-        }
-    }
-
-    fn update(&mut self, header: &Header, detections: &[Detection], tracked: &mut Tracked) {
-        let Self { association, targets, types, options, .. } = self;
-        let input = options.input(header);
-        if options.trusts(header, detections) {
-            tracked.duplicates_len = association.by_identity(targets, detections);
-        } else {
-            association.by_position(targets, detections, types, input, options);
-        }
-        for (target, paired) in targets.iter_mut().zip(association.paired()) {
-            if let Some(d) = paired.map(|d| d as usize) {
-                let done = target.update(&detections[d], types[d], input, options);
-                tracked.faults_len += usize::from(done.is_err());
-            } else if header.observed_types & target.class.current().bit() != 0 {
-                target.miss(options);
+    /// Takes in the scan at that place, and all that are newer; tells what it did itself.
+    fn take_in(&mut self, place: usize) -> Tracked {
+        let Self { options, estimates, scans, publications, scratch, .. } = self;
+        let newest = scans.kept().len() - 1;
+        let first = if place < newest { scans.go_back(place, estimates) } else { place };
+        let mut tracked = Tracked::default();
+        for at in first..=newest {
+            scans.keep(at, estimates);
+            let done = estimates.take_in(&scans.kept()[at], publications, scratch, options);
+            if at == place {
+                tracked = done;
             }
         }
-    }
-
-    fn start(&mut self, header: &Header, detections: &[Detection], tracked: &mut Tracked) {
-        let input = self.options.input(header);
-        let trusted = self.options.trusts(header, detections);
-        for d in self.association.unpaired() {
-            if self.targets.len() >= self.options.tracks_max {
-                tracked.overflow_len += 1;
-                continue;
-            }
-            let (detection, agent_type) = (&detections[d], self.types[d]);
-            self.targets.push(Target::new(
-                self.next_id,
-                header.stamp_ns,
-                detection,
-                agent_type,
-                input,
-                trusted,
-            ));
-            self.next_id += 1;
-            tracked.started_len += 1;
-        }
-    }
-
-    fn end(&mut self, header: &Header, tracked: &mut Tracked) {
-        let input = self.options.input(header);
-        let before = self.targets.len();
-        self.targets.retain(|target| !target.is_over(input, &self.options));
-        tracked.ended_len += before - self.targets.len();
-        tracked.held_len = self.targets.len();
+        Tracked { replayed_len: newest - place, held_len: estimates.all().len(), ..tracked }
     }
 
     fn publish(&mut self, header: &Header, out: &mut [Track], tracked: &mut Tracked) {
+        let Self { options, estimates, publications, shown, scans, .. } = self;
         let ego_m = header.ego_m.map(f64::from);
-        self.shown.clear();
-        for (target, t) in self.targets.iter_mut().zip(0..) {
-            target.record();
-            if target.is_ready() {
-                let ([x, y], _) = target.belief.position();
-                self.shown.push(((x - ego_m[0]).powi(2) + (y - ego_m[1]).powi(2), t));
+        shown.clear();
+        for (estimate, e) in estimates.all().iter().zip(0..) {
+            let p = publications.record(estimate);
+            if estimate.is_ready() {
+                let [x, y] = estimate.motion().position_m;
+                shown.push(((x - ego_m[0]).powi(2) + (y - ego_m[1]).powi(2), e, p as u32));
             }
         }
-        if self.shown.len() > AGENTS_MAX {
-            tracked.left_out_len = self.shown.len() - AGENTS_MAX;
-            self.shown.sort_unstable_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
-            self.shown.truncate(AGENTS_MAX);
-            self.shown.sort_unstable_by_key(|&(_, t)| t);
+        if shown.len() > AGENTS_MAX {
+            tracked.left_out_len = shown.len() - AGENTS_MAX;
+            shown.sort_unstable_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
+            shown.truncate(AGENTS_MAX);
         }
-        for (track, &(_, t)) in out.iter_mut().zip(&self.shown) {
-            *track = self.targets[t as usize].publish(&self.options);
+        shown.sort_unstable_by_key(|&(_, _, p)| publications.at(p as usize).id);
+        for (track, &(_, e, p)) in out.iter_mut().zip(&*shown) {
+            *track = publications.at(p as usize).track(&estimates.all()[e as usize], options);
         }
-        tracked.tracks_len = self.shown.len();
-    }
-}
-
-impl TrackerOptions {
-    fn input(&self, header: &Header) -> &crate::InputModel {
-        if header.has(flags::HAS_IDENTITIES) { &self.recorded } else { &self.detector }
-    }
-
-    /// Whether the detections' identities take the place of an association.
-    fn trusts(&self, header: &Header, detections: &[Detection]) -> bool {
-        header.has(flags::HAS_IDENTITIES)
-            && !self.associate
-            && detections.iter().all(|d| d.has(wire::detection_flags::HAS_ID))
+        tracked.tracks_len = shown.len();
+        let oldest_ns = scans.kept().first().map_or(header.stamp_ns, |oldest| oldest.header.stamp_ns);
+        publications.settle(header.stamp_ns, oldest_ns);
     }
 }

@@ -24,6 +24,8 @@ pub struct Survived {
     /// Of these, moved by a forecast.
     pub learned_len: usize,
     pub faults_len: usize,
+    /// Frames that came late and were taken in.
+    pub late_len: u64,
     /// Frames that were refused, by the reason.
     pub refused: BTreeMap<String, usize>,
     /// Memory of the process in KiB at each fifth of the way, where the system tells.
@@ -54,6 +56,7 @@ pub fn torture(prior: Prior, seed: u64, ticks_len: usize) -> Survived {
                 continue;
             }
         };
+        assert!(tracked.replayed_len == 0 || tracked.tracks_len == 0, "{prior:?}, tick {tick}: {tracked:?}");
         tracks_len = tracked.tracks_len;
         assert!(tracked.held_len <= options.tracks_max, "{prior:?}, tick {tick}: {tracked:?}");
         for track in &out[..tracks_len] {
@@ -64,6 +67,7 @@ pub fn torture(prior: Prior, seed: u64, ticks_len: usize) -> Survived {
         survived.faults_len += tracked.faults_len;
         survived.published_len += tracks_len;
     }
+    survived.late_len = tracker.tally().late_len;
     survived
 }
 
@@ -92,11 +96,16 @@ impl Torture {
     /// Makes the detections of the next frame; returns its header.
     fn frame(&mut self) -> Header {
         let rng = &mut self.rng;
+        let mut late_ns = 0;
         self.stamp_ns += match rng.random_range(0..100) {
             0..80 => TICK_NS,
-            80..85 => 0,
-            85..90 => -rng.random_range(1..2_000_000_000),
-            90..95 => rng.random_range(1..1_000),
+            80..84 => 0,
+            84..90 => {
+                late_ns = rng.random_range(1..1_000_000_000);
+                0
+            }
+            90..91 => -rng.random_range(1..2_000_000_000),
+            91..95 => rng.random_range(1..1_000),
             95..99 => rng.random_range(1..10_000_000_000),
             _ => rng.random_range(1..10_000_000_000_000),
         };
@@ -137,7 +146,7 @@ impl Torture {
             flags: if rng.random_ratio(1, 5) { flags::HAS_IDENTITIES } else { 0 },
             observed_types: if rng.random_ratio(9, 10) { 0b111 } else { rng.random_range(0..8) },
             ego_m: [0.0, if rng.random_ratio(1, 100) { f32::NAN } else { 0.0 }],
-            ..Header::new(1, 0, self.stamp_ns)
+            ..Header::new(1, 0, self.stamp_ns - late_ns)
         }
     }
 

@@ -1,0 +1,369 @@
+mod track;
+
+use std::f64::consts::FRAC_PI_2;
+
+use filters::{Filter, FilterFault, ForecastFault, Kind, Models, Motion, Unknown, wrapped};
+use thiserror::Error;
+use wire::{AgentType, Detection, Forecast, Rejected, Steering, detection_flags};
+
+use crate::belief::Belief;
+use crate::class::Class;
+use crate::forecasts::{Controls, Forecasts};
+use crate::front::{Front, under_way_rad};
+use crate::life::Life;
+use crate::observed::{observation, source_id};
+use crate::options::{InputModel, TrackerOptions};
+
+/// What nobody has observed, by type.
+const UNKNOWN: [Unknown; 3] = [
+    Unknown { speed_mps: 10.0, acceleration_mps2: 3.0, turn_rate_radps: 0.3, slip_rad: 0.05 },
+    Unknown { speed_mps: 5.0, acceleration_mps2: 2.0, turn_rate_radps: 0.5, slip_rad: 0.05 },
+    Unknown { speed_mps: 2.0, acceleration_mps2: 1.0, turn_rate_radps: 1.0, slip_rad: 0.05 },
+];
+/// An unknown heading counts as told once the course is known so well, at this speed.
+const COURSE_TOLD_RAD: f64 = 0.3;
+const COURSE_TOLD_MPS: f64 = 0.5;
+/// Slower than this, a course means nothing and the last heading holds.
+const COURSE_MIN_MPS: f64 = 0.1;
+/// Weight of a new detection's size.
+const SIZE_WEIGHT: f32 = 0.2;
+/// How well a detection fits a predicted track, by its position.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Fit {
+    /// Mahalanobis distance, squared.
+    pub distance2: f64,
+    /// Logarithm of the determinant of the innovation's covariance.
+    pub log_det: f64,
+}
+
+/// Why a forecast could not become a prior.
+#[derive(Clone, Debug, Error, PartialEq)]
+pub enum PriorFault {
+    /// Its numbers can't be.
+    #[error(transparent)]
+    Rejected(#[from] Rejected),
+    /// The filter can't take it.
+    #[error(transparent)]
+    Forecast(#[from] ForecastFault),
+}
+
+/// The detection that started an estimate: what an agent is known by, in whatever order frames come.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Birth {
+    /// Stamp of its frame.
+    pub stamp_ns: i64,
+    /// Its place in the frame.
+    pub detection: u32,
+}
+
+/// What is believed of an agent at the stamp of a frame. It follows from the frames up to that one alone, in the order of
+/// their stamps: whatever came of it in the meantime, it can be made again.
+#[derive(Debug)]
+pub struct Estimate {
+    /// Its type.
+    pub class: Class,
+    /// Its motion at `stamp_ns`.
+    pub belief: Belief,
+    birth: Birth,
+    /// The newest detection's own identity, 0 where it carries none.
+    source_id: u64,
+    /// What is drawn at random for the belief.
+    seed: u64,
+    stamp_ns: i64,
+    seen_ns: i64,
+    /// Stamp of the controls of the forecast that was taken last.
+    controls_ns: Option<i64>,
+    /// Forecasts of earlier stamps tell of another front.
+    front_ns: i64,
+    life: Life,
+    front: Front,
+    /// Whether more than a single position was observed, so that the velocity means something.
+    moving: bool,
+    /// Whether it was ready in an earlier frame, and so has been seen by others.
+    known: bool,
+    /// Time since the state before.
+    moved_ns: u64,
+    /// The mean's motion at the end of the frame.
+    motion: Motion,
+    /// Heading, held where the filter has none.
+    heading_rad: f64,
+    /// The heading as it is published where no frame comes late.
+    shown_heading_rad: f64,
+    length_m: f32,
+    width_m: f32,
+}
+
+impl Estimate {
+    /// The estimate that a detection starts; confirmed at once where the detection's identity can be trusted.
+    #[must_use]
+    pub fn new(
+        birth: Birth,
+        seed: u64,
+        (detection, agent_type): (&Detection, AgentType),
+        input: &InputModel,
+        trusted: bool,
+    ) -> Self {
+        let seen = observation(detection, agent_type, input);
+        let belief = Belief::new(Filter::start(kind(agent_type), &seen, &UNKNOWN[agent_type.index()]));
+        let sized = detection.has(detection_flags::HAS_SIZE);
+        Self {
+            class: Class::new(agent_type),
+            birth,
+            source_id: source_id(detection),
+            seed,
+            stamp_ns: birth.stamp_ns,
+            seen_ns: birth.stamp_ns,
+            controls_ns: None,
+            front_ns: birth.stamp_ns,
+            life: Life::new(trusted),
+            front: Front::new(),
+            moving: seen.velocity_mps().is_some(),
+            known: false,
+            moved_ns: 0,
+            motion: belief.motion(),
+            heading_rad: seen.heading_rad.map_or(0.0, |(heading, _)| heading),
+            shown_heading_rad: 0.0,
+            length_m: if sized { detection.length_m } else { 0.0 },
+            width_m: if sized { detection.width_m } else { 0.0 },
+            belief,
+        }
+    }
+
+    /// Takes one of the forecasts, the agent's own, as the prior from now on, where one is due.
+    ///
+    /// One is due every Δt, so that hypotheses live long enough to be told apart, and only if it knows more than the one
+    /// before: in a gap the last forecast of when the agent was seen holds.
+    ///
+    /// # Errors
+    /// [`PriorFault`]; the estimate then goes on as before.
+    pub fn adopt(
+        &mut self,
+        (forecasts, forecast): (&Forecasts<'_>, &Forecast),
+        controls: &mut Controls,
+        input: &InputModel,
+    ) -> Result<(), PriorFault> {
+        let steering = Steering::try_from(forecast.steering)?;
+        let agent_type = self.class.current();
+        let controls_ns = forecasts.controls_ns(forecast);
+        let is_due = self.belief.forecast_age_ns().is_none_or(|age_ns| age_ns >= forecasts.step_ns());
+        let knows_more = self.is_seen() && self.controls_ns.is_none_or(|last_ns| controls_ns > last_ns);
+        let turn_rad = wrapped(f64::from(forecast.frame_heading_rad) - self.heading_rad);
+        let fits = (self.front_ns..=self.stamp_ns).contains(&controls_ns)
+            && forecast.agent_type == agent_type as u32
+            && self.belief.suits(steering)
+            // What was published may have had the front where a late frame shows the back.
+            && (steering != Steering::Bicycle || turn_rad.abs() <= FRAC_PI_2);
+        if !(is_due && knows_more && fits) {
+            return Ok(());
+        }
+        let trust = &input.trust;
+        controls.read(forecasts, forecast, steering, trust.fade_in_s)?;
+        let age_ns = self.stamp_ns.abs_diff(controls_ns);
+        let prior = controls.forecast(age_ns, forecasts.step_ns(), f64::from(forecast.frame_heading_rad));
+        self.belief.adopt(&prior, (&self.models(input), trust), self.seed)?;
+        self.controls_ns = Some(controls_ns);
+        Ok(())
+    }
+
+    /// Moves the motion on to `now_ns`.
+    ///
+    /// # Errors
+    /// [`FilterFault`]; the motion is then as before.
+    pub fn predict(&mut self, now_ns: i64, input: &InputModel) -> Result<(), FilterFault> {
+        let dt_ns = now_ns.saturating_sub(self.stamp_ns).max(0).unsigned_abs();
+        self.stamp_ns = now_ns;
+        self.moved_ns = dt_ns;
+        let models = self.models(input);
+        self.belief.predict(dt_ns, &models, &input.trust)
+    }
+
+    /// How well a position with the given variance per axis fits the prediction.
+    #[must_use]
+    pub fn fit(&self, position_m: [f64; 2], variance: f64) -> Fit {
+        let ([x, y], [xx, xy, yy]) = self.belief.position();
+        let (xx, yy) = (xx + variance, yy + variance);
+        let (dx, dy) = (position_m[0] - x, position_m[1] - y);
+        let det = xx * yy - xy * xy;
+        let distance2 = (yy * dx * dx - 2.0 * xy * dx * dy + xx * dy * dy) / det;
+        Fit { distance2, log_det: det.ln() }
+    }
+
+    /// Takes in the detection of a frame.
+    ///
+    /// # Errors
+    /// [`FilterFault`]; the motion is then as predicted.
+    pub fn update(
+        &mut self,
+        detection: &Detection,
+        agent_type: AgentType,
+        input: &InputModel,
+        options: &TrackerOptions,
+    ) -> Result<(), FilterFault> {
+        let mut seen = observation(detection, agent_type, input);
+        let fit = self.fit(seen.position_m, seen.position_variance);
+        let density = (-0.5 * (fit.distance2 + fit.log_det)).exp() / std::f64::consts::TAU;
+        self.life.see(density, self.moved_ns, input, options);
+        if self.class.observe(agent_type) {
+            self.belief.forget_forecast();
+            if self.class.current() == AgentType::Pedestrian {
+                self.belief.turn_into(Kind::ConstantVelocity, &UNKNOWN[agent_type.index()]);
+            }
+        }
+        self.source_id = source_id(detection);
+        self.resize(detection);
+        self.seen_ns = self.stamp_ns;
+        self.moving = true;
+        if let (Filter::Bicycle(_), Some((heading, _))) = (self.belief.filter(), &mut seen.heading_rad) {
+            *heading = self.front.fold(*heading, self.heading_rad);
+        }
+        self.belief.update(&seen, &self.models(input))?;
+        self.find_front();
+        Ok(())
+    }
+
+    /// Takes in that a frame which observed the agent's type did not see it.
+    pub fn miss(&mut self, options: &TrackerOptions) {
+        self.life.miss(self.moved_ns, options);
+    }
+
+    /// Ends a frame.
+    pub fn settle(&mut self) {
+        self.motion = self.belief.motion();
+        self.heading_rad = self.heading(&self.motion);
+        let last_rad = self.shown_heading_rad;
+        let under_way_rad = if self.known { under_way_rad(last_rad, self.heading_rad) } else { None };
+        if under_way_rad.is_some() {
+            // Forecasts that start from a heading under way do not fit the state.
+            self.front_ns = self.stamp_ns.saturating_add(1);
+        }
+        self.shown_heading_rad = under_way_rad.unwrap_or(self.heading_rad);
+        self.known |= self.is_ready();
+    }
+
+    /// Whether a settled estimate has come to its end.
+    #[must_use]
+    pub fn is_over(&self, input: &InputModel, options: &TrackerOptions) -> bool {
+        self.life.is_over(self.unseen_ns(self.stamp_ns), input, options) || !self.is_possible()
+    }
+
+    /// The detection that started it.
+    #[must_use]
+    pub const fn birth(&self) -> Birth {
+        self.birth
+    }
+
+    /// The newest detection's own identity, 0 where it carries none.
+    #[must_use]
+    pub const fn source_id(&self) -> u64 {
+        self.source_id
+    }
+
+    /// The time for which it stands.
+    #[must_use]
+    pub const fn stamp_ns(&self) -> i64 {
+        self.stamp_ns
+    }
+
+    /// The mean's motion at the end of the frame.
+    #[must_use]
+    pub const fn motion(&self) -> &Motion {
+        &self.motion
+    }
+
+    /// Heading, held where the motion has none.
+    #[must_use]
+    pub const fn heading_rad(&self) -> f64 {
+        self.heading_rad
+    }
+
+    /// Whether the last frame saw the agent.
+    #[must_use]
+    pub const fn is_seen(&self) -> bool {
+        self.seen_ns == self.stamp_ns
+    }
+
+    /// Time since the last detection.
+    #[must_use]
+    pub fn unseen_ns(&self, now_ns: i64) -> u64 {
+        now_ns.saturating_sub(self.seen_ns).max(0).unsigned_abs()
+    }
+
+    /// Time between the last detection and the state, in seconds.
+    #[must_use]
+    pub fn since_seen_s(&self) -> f64 {
+        self.unseen_ns(self.stamp_ns) as f64 / 1e9
+    }
+
+    /// Whether it is fit to be published: confirmed, with a velocity that means something.
+    #[must_use]
+    pub const fn is_ready(&self) -> bool {
+        self.life.is_confirmed() && self.moving
+    }
+
+    /// Finds out which end is in front and the heading, after an update.
+    fn find_front(&mut self) {
+        let agent_type = self.class.current();
+        if kind(agent_type) == Kind::Bicycle
+            && matches!(self.belief.filter(), Filter::ConstantVelocity(_))
+            && self.belief.motion().speed_mps > COURSE_TOLD_MPS
+            && self.belief.filter().course_sigma_rad() < COURSE_TOLD_RAD
+        {
+            self.belief.turn_into(Kind::Bicycle, &UNKNOWN[agent_type.index()]);
+        }
+        if let Filter::Bicycle(state) = self.belief.filter() {
+            let sigma_mps = state.covariance[(3, 3)].max(0.0).sqrt();
+            self.front.moved(state.mean[3], sigma_mps, self.known);
+            if self.front.take_turn(self.known) {
+                self.belief.turn_round();
+                self.front_ns = self.stamp_ns;
+            }
+        }
+    }
+
+    fn models(&self, input: &InputModel) -> Models {
+        input.models(self.class.current(), f64::from(self.length_m))
+    }
+
+    fn heading(&self, motion: &Motion) -> f64 {
+        let [vx, vy] = motion.velocity_mps;
+        match motion.heading_rad {
+            Some(heading) => heading,
+            None if motion.speed_mps >= COURSE_MIN_MPS => vy.atan2(vx),
+            None => self.heading_rad,
+        }
+    }
+
+    fn resize(&mut self, detection: &Detection) {
+        if detection.has(detection_flags::HAS_SIZE) {
+            let smooth = |old: f32, new: f32| if old == 0.0 { new } else { old + SIZE_WEIGHT * (new - old) };
+            self.length_m = smooth(self.length_m, detection.length_m);
+            self.width_m = smooth(self.width_m, detection.width_m);
+        }
+    }
+
+    fn is_possible(&self) -> bool {
+        self.motion.position_m.iter().all(|x| x.abs() <= f64::from(wire::POSITION_MAX_M))
+            && self.motion.speed_mps.abs() <= f64::from(wire::SPEED_MAX_MPS)
+    }
+}
+
+impl Clone for Estimate {
+    fn clone(&self) -> Self {
+        Self { belief: self.belief.clone(), ..*self }
+    }
+
+    /// Uses the memory of its hypotheses again.
+    fn clone_from(&mut self, source: &Self) {
+        let mut belief = std::mem::replace(&mut self.belief, Belief::new(*source.belief.filter()));
+        belief.clone_from(&source.belief);
+        *self = Self { belief, ..*source };
+    }
+}
+
+/// How agents of a type move.
+const fn kind(agent_type: AgentType) -> Kind {
+    match agent_type {
+        AgentType::Pedestrian => Kind::ConstantVelocity,
+        AgentType::Vehicle | AgentType::Cyclist => Kind::Bicycle,
+    }
+}

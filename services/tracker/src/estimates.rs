@@ -1,0 +1,172 @@
+use config::Prior;
+use wire::{AgentType, DETECTIONS_MAX, Detection, Header};
+
+use crate::association::Association;
+use crate::estimate::{Birth, Estimate};
+use crate::forecasts::{Controls, Forecasts};
+use crate::options::TrackerOptions;
+use crate::publication::Publications;
+use crate::scans::Scan;
+use crate::tracker::Tracked;
+
+/// What is believed of all agents at the stamp of a frame.
+#[derive(Debug, Default)]
+pub struct Estimates {
+    /// In the order in which they were started.
+    all: Vec<Estimate>,
+    started_len: u64,
+}
+
+/// Memory that is used again.
+#[derive(Debug)]
+pub struct Scratch {
+    association: Association,
+    controls: Controls,
+}
+
+impl Scratch {
+    /// Scratch for so many estimates.
+    #[must_use]
+    pub fn new(estimates_len: usize) -> Self {
+        Self {
+            association: Association::with_capacity(estimates_len, DETECTIONS_MAX),
+            controls: Controls::new(),
+        }
+    }
+}
+
+impl Estimates {
+    /// No estimates, and room for so many.
+    #[must_use]
+    pub fn with_capacity(len: usize) -> Self {
+        Self { all: Vec::with_capacity(len), started_len: 0 }
+    }
+
+    /// All estimates.
+    #[must_use]
+    pub fn all(&self) -> &[Estimate] {
+        &self.all
+    }
+
+    /// Becomes the same as `source`, in the memory at hand.
+    pub fn copy(&mut self, source: &Self) {
+        self.all.clone_from(&source.all);
+        self.started_len = source.started_len;
+    }
+
+    /// Takes in a scan that is newer than the estimates; tells what it did to them.
+    ///
+    /// `publications` tell whose forecasts they are, and learn where the scan shows that an agent was there before the
+    /// detection that had started it.
+    pub fn take_in(
+        &mut self,
+        scan: &Scan,
+        publications: &mut Publications,
+        scratch: &mut Scratch,
+        options: &TrackerOptions,
+    ) -> Tracked {
+        let mut tracked = Tracked::default();
+        self.adopt(scan, publications, &mut scratch.controls, options, &mut tracked);
+        self.predict(&scan.header, options, &mut tracked);
+        self.update(scan, publications, &mut scratch.association, options, &mut tracked);
+        self.start(scan, &scratch.association, options, &mut tracked);
+        self.end(&scan.header, options, &mut tracked);
+        tracked
+    }
+
+    /// Gives each estimate its forecast as the prior, where one is due. What is wrong with a forecast costs its agent no
+    /// more than that.
+    fn adopt(
+        &mut self,
+        scan: &Scan,
+        publications: &mut Publications,
+        controls: &mut Controls,
+        options: &TrackerOptions,
+        tracked: &mut Tracked,
+    ) {
+        let Some(of) = scan.prior.as_ref().filter(|_| options.prior == Prior::Learned) else { return };
+        let mut forecasts = match Forecasts::new(of, &scan.forecasts) {
+            Ok(Some(forecasts)) => forecasts,
+            Ok(None) => return,
+            Err(_) => {
+                tracked.refused_len += scan.forecasts.len();
+                return;
+            }
+        };
+        let input = options.input(&scan.header);
+        for estimate in &mut self.all {
+            let Some(publication) = publications.find(estimate.birth()) else { continue };
+            let Some(forecast) = forecasts.find(publication.id) else { continue };
+            let adopted = estimate.adopt((&forecasts, forecast), controls, input);
+            tracked.refused_len += usize::from(adopted.is_err());
+        }
+    }
+
+    fn predict(&mut self, header: &Header, options: &TrackerOptions, tracked: &mut Tracked) {
+        let now_ns = header.stamp_ns;
+        let input = options.input(header);
+        let before = self.all.len();
+        self.all.retain(|estimate| estimate.unseen_ns(now_ns) <= options.horizon_ns);
+        tracked.ended_len += before - self.all.len();
+        for estimate in &mut self.all {
+            tracked.faults_len += usize::from(estimate.predict(now_ns, input).is_err());
+        }
+    }
+
+    fn update(
+        &mut self,
+        Scan { header, detections, types, .. }: &Scan,
+        publications: &mut Publications,
+        association: &mut Association,
+        options: &TrackerOptions,
+        tracked: &mut Tracked,
+    ) {
+        let input = options.input(header);
+        if options.trusts(header, detections) {
+            tracked.duplicates_len = association.by_identity(&self.all, detections);
+        } else {
+            association.by_position(&self.all, detections, types, input, options);
+        }
+        for (estimate, paired) in self.all.iter_mut().zip(association.paired()) {
+            if let &Some(detection) = paired {
+                let d = detection as usize;
+                let done = estimate.update(&detections[d], types[d], input, options);
+                tracked.faults_len += usize::from(done.is_err());
+                publications.hand_on(Birth { stamp_ns: header.stamp_ns, detection }, estimate.birth());
+            } else if header.observed_types & estimate.class.current().bit() != 0 {
+                estimate.miss(options);
+            }
+        }
+    }
+
+    fn start(
+        &mut self,
+        Scan { header, detections, types, .. }: &Scan,
+        association: &Association,
+        options: &TrackerOptions,
+        tracked: &mut Tracked,
+    ) {
+        let input = options.input(header);
+        let trusted = options.trusts(header, detections);
+        for d in association.unpaired() {
+            if self.all.len() >= options.tracks_max {
+                tracked.overflow_len += 1;
+                continue;
+            }
+            self.started_len += 1;
+            tracked.started_len += 1;
+            let birth = Birth { stamp_ns: header.stamp_ns, detection: d as u32 };
+            let detection: (&Detection, AgentType) = (&detections[d], types[d]);
+            self.all.push(Estimate::new(birth, self.started_len, detection, input, trusted));
+        }
+    }
+
+    fn end(&mut self, header: &Header, options: &TrackerOptions, tracked: &mut Tracked) {
+        let input = options.input(header);
+        let before = self.all.len();
+        self.all.iter_mut().for_each(Estimate::settle);
+        self.all.retain(|estimate| !estimate.is_over(input, options));
+        tracked.ended_len += before - self.all.len();
+        tracked.held_len = self.all.len();
+    }
+}

@@ -1,0 +1,94 @@
+use crate::options::{InputModel, TrackerOptions};
+
+/// Coasting is earned: being seen for a while lets a track go unseen for so many times as long. What clutter keeps alive is
+/// seen too seldom for that.
+const COAST_RATIO: u64 = 2;
+/// Existence is believed or doubted no further than this, so that a few frames can change it.
+const EXISTENCE_MAX: f64 = 10.0;
+/// Frames over which hits are counted, as a mask of the newest.
+const HITS_MASK: u8 = 0b1_1111;
+/// Hits among them that confirm a track.
+const HITS_TO_CONFIRM: u32 = 3;
+/// Misses among them after which a tentative track can't be confirmed in time.
+const MISSES_TO_END: u32 = 3;
+
+/// Whether there is an agent at all, and for how long it may go unseen.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Life {
+    /// Log-odds of the object's existence.
+    existence: f64,
+    /// One bit per frame that observed the type, the newest lowest: was it detected?
+    hits: u8,
+    /// Frames that observed the type since birth, counted up to five.
+    frames: u8,
+    confirmed: bool,
+    /// Whether detections carry an identity that can be trusted.
+    trusted: bool,
+    /// How much longer the track may go unseen, negative where it went unseen for longer.
+    earned_ns: i64,
+}
+
+impl Life {
+    /// The life after the first detection; confirmed at once where the detection's identity can be trusted.
+    #[must_use]
+    pub const fn new(trusted: bool) -> Self {
+        Self { existence: 0.0, hits: 1, frames: 1, confirmed: trusted, trusted, earned_ns: 0 }
+    }
+
+    /// Takes in a detection of that density under the prediction, `moved_ns` after the state before.
+    pub fn see(&mut self, density: f64, moved_ns: u64, input: &InputModel, options: &TrackerOptions) {
+        self.believe((options.detection_probability * density / options.clutter_density).ln());
+        self.count(true);
+        let earned_ns = moved_ns.saturating_mul(COAST_RATIO);
+        self.earned_ns = self.earned_ns.max(0).saturating_add_unsigned(earned_ns.min(input.coast_ns));
+        self.earned_ns = self.earned_ns.min(input.coast_ns.cast_signed());
+    }
+
+    /// Takes in that a frame did not see the agent, `moved_ns` after the state before.
+    pub fn miss(&mut self, moved_ns: u64, options: &TrackerOptions) {
+        self.count(false);
+        self.earned_ns = self.earned_ns.saturating_sub_unsigned(moved_ns);
+        self.believe((1.0 - options.detection_probability).ln());
+    }
+
+    /// Whether it has come to its end, that long after the last detection.
+    #[must_use]
+    pub fn is_over(&self, unseen_ns: u64, input: &InputModel, options: &TrackerOptions) -> bool {
+        let missed = !self.is_hit();
+        let misses_len = u32::from(self.frames) - self.hits.count_ones();
+        (!self.confirmed && misses_len >= MISSES_TO_END)
+            || (missed && unseen_ns > input.coast_ns)
+            || (missed && self.confirmed && !self.trusted && self.earned_ns < 0)
+            || unseen_ns > options.horizon_ns
+    }
+
+    /// Whether enough frames have seen the agent.
+    #[must_use]
+    pub const fn is_confirmed(&self) -> bool {
+        self.confirmed
+    }
+
+    /// Whether the newest frame that observed the type saw it.
+    #[must_use]
+    pub const fn is_hit(&self) -> bool {
+        self.hits & 1 == 1
+    }
+
+    /// Probability that the agent exists.
+    #[must_use]
+    pub fn probability(&self) -> f64 {
+        1.0 / (1.0 + (-self.existence).exp())
+    }
+
+    fn count(&mut self, hit: bool) {
+        self.hits = (self.hits << 1 | u8::from(hit)) & HITS_MASK;
+        self.frames = (self.frames + 1).min(HITS_MASK.count_ones() as u8);
+        self.confirmed |= self.hits.count_ones() >= HITS_TO_CONFIRM;
+    }
+
+    fn believe(&mut self, log_odds: f64) {
+        // A density that underflows says "no" as loudly as it can, not "nobody knows".
+        let log_odds = log_odds.clamp(-EXISTENCE_MAX, EXISTENCE_MAX);
+        self.existence = (self.existence + log_odds).clamp(-EXISTENCE_MAX, EXISTENCE_MAX);
+    }
+}

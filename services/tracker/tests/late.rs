@@ -1,0 +1,350 @@
+//! Frames that come late: what is made of them is what would have been made of the frames in order.
+
+#[path = "support/forecaster.rs"]
+mod forecaster;
+#[path = "support/run.rs"]
+mod run;
+
+use std::collections::BTreeMap;
+use std::f64::consts::FRAC_PI_3;
+
+use bytemuck::Zeroable;
+use filters::wrapped;
+use forecaster::{HORIZON_LEN, STEP_NS, forecast, forecasts_header};
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use run::{Run, TICK_NS, heading, noise, seen};
+use tracker::{Prior, Tally, TrackerOptions};
+use wire::{
+    AGENT_TYPES, AgentType, Detection, Forecast, Header, HistoryState, Quality, Rejected, Steering, Track,
+    flags,
+};
+
+/// Most newer frames that a late one may have.
+const LATE_MAX: usize = 8;
+const FIRST_NS: i64 = 1_000_000_000;
+
+fn stamp_ns(frame: usize) -> i64 {
+    FIRST_NS + frame as i64 * TICK_NS
+}
+
+/// Agents on circles of their own that come, go and are missed; some detections name a wrong type, some have no cause.
+struct Scene {
+    frames: Vec<Vec<Detection>>,
+}
+
+impl Scene {
+    fn new(seed: u64, frames_len: usize, agents_len: usize, coming: bool) -> Self {
+        let mut rng = ChaCha8Rng::seed_from_u64(seed);
+        let spans: Vec<(usize, usize)> = (0..agents_len)
+            .map(|_| {
+                let from = if coming { rng.random_range(0..frames_len / 2) } else { 0 };
+                (from, if coming { from + rng.random_range(20..frames_len) } else { frames_len })
+            })
+            .collect();
+        let frames = (0..frames_len)
+            .map(|k| {
+                let mut detections = Vec::new();
+                for (agent, &(from, to)) in spans.iter().enumerate() {
+                    if (from..to).contains(&k) && rng.random_ratio(9, 10) {
+                        detections.push(Self::detection(agent, k, &mut rng));
+                    }
+                }
+                if coming && rng.random_ratio(1, 3) {
+                    let (x, y) = (rng.random_range(-30.0..30.0), rng.random_range(-30.0..30.0));
+                    detections.push(seen(AgentType::Pedestrian, 1_000 + k as u64, x, y));
+                }
+                detections
+            })
+            .collect();
+        Self { frames }
+    }
+
+    /// Position and heading of an agent.
+    fn pose(agent: usize, frame: usize) -> [f64; 3] {
+        let (phase, time_s) = (agent as f64, frame as f64 * 0.08);
+        let speed_mps = [6.0, 4.0, 1.3][agent % 3];
+        let (turn_rate, course) = (0.3, phase + 0.3 * time_s);
+        let (sin, cos) = course.sin_cos();
+        let (x, y) = (7.0 * (phase % 4.0), 7.0 * (phase / 4.0).floor());
+        [x + speed_mps / turn_rate * sin, y - speed_mps / turn_rate * cos, wrapped(course)]
+    }
+
+    fn detection(agent: usize, frame: usize, rng: &mut ChaCha8Rng) -> Detection {
+        let [x, y, course] = Self::pose(agent, frame);
+        let agent_type = AGENT_TYPES[if rng.random_ratio(1, 20) { 0 } else { agent % 3 }];
+        let at = seen(agent_type, agent as u64 + 1, x + noise(rng, 0.1), y + noise(rng, 0.1));
+        if agent.is_multiple_of(3) { heading(at, course + noise(rng, 0.05)) } else { at }
+    }
+}
+
+/// The frames in an order in which none has more than [`LATE_MAX`] newer ones before it.
+fn shuffled(frames_len: usize, in_order: usize, rng: &mut ChaCha8Rng) -> Vec<usize> {
+    let mut due: Vec<(usize, usize)> = (0..frames_len)
+        .map(|frame| {
+            let late = frame >= in_order && rng.random_ratio(1, 4);
+            (frame + if late { rng.random_range(1..=LATE_MAX) } else { 0 }, frame)
+        })
+        .collect();
+    due.sort_unstable_by_key(|&(due, frame)| (due, std::cmp::Reverse(frame)));
+    due.into_iter().map(|(_, frame)| frame).collect()
+}
+
+/// What a frame's forecasts say: of each agent that was published under an id, by the controls of its true circle or not.
+fn forecasts(frame: usize, tracks: &[Track]) -> (Header, Vec<Forecast>) {
+    let made: Vec<Forecast> = tracks
+        .iter()
+        .filter(|track| track.source_id > 0)
+        .map(|track| {
+            let agent = track.source_id as usize - 1;
+            let bicycle = track.state_len == 5;
+            let step = if bicycle { [0.3, 0.002] } else { [0.05, 0.02] };
+            let steering = if bicycle { Steering::Bicycle } else { Steering::Displacement };
+            let modes = [(0.5, [step; HORIZON_LEN]), (0.3, [[0.0; 2]; HORIZON_LEN])];
+            let frame_heading_rad = Scene::pose(agent, frame)[2] as f32;
+            Forecast { frame_heading_rad, ..forecast(track, steering, &modes) }
+        })
+        .collect();
+    (forecasts_header(stamp_ns(frame), made.len()), made)
+}
+
+/// A track without what depends on the tracks that were published before: the history, and the heading, which turns by no
+/// more than 60° at once. That of the state shows in its velocity.
+fn estimate(track: &Track) -> Track {
+    Track { history: Track::zeroed().history, forecastable: 0, heading_rad: 0.0, ..*track }
+}
+
+/// What came of all frames in an order: tracks by frame, where any were published.
+struct Delivered {
+    run: Run,
+    tracks: BTreeMap<usize, Vec<Track>>,
+    /// Frames published when all before them had come.
+    settled: Vec<usize>,
+}
+
+/// Hands a scene over in that order. Forecasts are of the tracks that were published at frame [`IN_ORDER`], so that they
+/// are the same in any order.
+fn deliver(scene: &Scene, order: &[usize], options: TrackerOptions, identities: u32) -> Delivered {
+    let mut run = Run::new(options, identities);
+    let mut delivered = vec![false; scene.frames.len()];
+    let (mut tracks, mut settled) = (BTreeMap::new(), Vec::new());
+    let mut known: Vec<Track> = Vec::new();
+    for &frame in order {
+        run.stamp_ns = stamp_ns(frame) - TICK_NS;
+        if options.prior == Prior::Learned && frame > IN_ORDER {
+            run.prior = Some(forecasts(frame - 1, &known));
+        }
+        let tracked = run.try_step(&scene.frames[frame]).expect("a good frame");
+        delivered[frame] = true;
+        if tracked.replayed_len > 0 {
+            assert_eq!(run.published().len(), 0, "tracks of a late frame");
+            continue;
+        }
+        if delivered[..frame].iter().all(|&delivered| delivered) {
+            settled.push(frame);
+        }
+        tracks.insert(frame, run.published().to_vec());
+        if frame == IN_ORDER {
+            known = run.published().to_vec();
+        }
+    }
+    Delivered { run, tracks, settled }
+}
+
+/// Frames at the beginning that come in order where forecasts are the prior: those are of the tracks of then.
+const IN_ORDER: usize = 20;
+
+#[test]
+fn frames_in_any_order_give_the_same_estimates_to_the_bit() {
+    let (mut compared_len, mut late_len, mut learned_len) = (0, 0, 0);
+    for seed in 0..60 {
+        for (prior, identities) in [
+            (Prior::Kinematic, 0),
+            (Prior::Kinematic, flags::HAS_IDENTITIES),
+            (Prior::Learned, 0),
+            (Prior::Learned, flags::HAS_IDENTITIES),
+        ] {
+            let options = TrackerOptions { prior, ..TrackerOptions::default() };
+            let learned = prior == Prior::Learned;
+            let scene = Scene::new(seed, 120, 9, !learned);
+            let mut rng = ChaCha8Rng::seed_from_u64(seed);
+            let order = shuffled(120, if learned { IN_ORDER + 1 } else { 0 }, &mut rng);
+            let straight: Vec<usize> = (0..120).collect();
+            let straight = deliver(&scene, &straight, options, identities);
+            let late = deliver(&scene, &order, options, identities);
+            late_len += late.run.tracker.tally().late_len;
+            let mut ids = [BTreeMap::new(), BTreeMap::new()];
+            for frame in late.settled {
+                // Births are the same; ids are where none came late.
+                let mut pair = [&straight.tracks[&frame], &late.tracks[&frame]].map(|of| of.clone());
+                for tracks in &mut pair {
+                    tracks.sort_by_key(|t| (t.born_ns, t.x_m.to_bits(), t.y_m.to_bits()));
+                }
+                assert_eq!(pair[0].len(), pair[1].len(), "seed {seed}, {prior:?}, frame {frame}");
+                for (a, b) in pair[0].iter().zip(&pair[1]) {
+                    let named = (*ids[0].entry(b.id).or_insert(a.id), *ids[1].entry(a.id).or_insert(b.id));
+                    assert_eq!(named, (a.id, b.id), "seed {seed}, {prior:?}, frame {frame}: another id");
+                    assert!(!learned || a.id == b.id);
+                    let b = Track { id: a.id, ..*b };
+                    assert_eq!(estimate(a), estimate(&b), "seed {seed}, {prior:?}, frame {frame}");
+                    compared_len += 1;
+                    learned_len += usize::from(a.prior == Quality::Learned as u32);
+                }
+            }
+        }
+    }
+    println!("{compared_len} tracks after {late_len} late frames are the same, {learned_len} by forecasts");
+    assert!(compared_len > 20_000 && late_len > 3_000 && learned_len > 5_000);
+}
+
+/// Root mean square error of 20 vehicles' positions, where a frame in three comes up to four frames late and is taken in,
+/// or is dropped.
+fn error_m(seed: u64, take_in: bool) -> f64 {
+    let mut rng = ChaCha8Rng::seed_from_u64(seed);
+    let mut run = Run::new(TrackerOptions::default(), 0);
+    let mut held_back: Vec<(usize, usize, Vec<Detection>)> = Vec::new();
+    let (mut sum, mut len) = (0.0, 0);
+    for k in 0..150 {
+        let mut frame = Vec::new();
+        for agent in (0..60).step_by(3) {
+            let [x, y, course] = Scene::pose(agent, k);
+            let at = (x + 40.0 * agent as f64 + noise(&mut rng, 0.2), y + noise(&mut rng, 0.2));
+            let at = seen(AgentType::Vehicle, agent as u64 + 1, at.0, at.1);
+            frame.push(heading(at, course + noise(&mut rng, 0.1)));
+        }
+        let due = k + rng.random_range(1..=4);
+        if rng.random_ratio(1, 3) {
+            held_back.push((due, k, frame));
+            continue;
+        }
+        for (_, late, frame) in held_back.extract_if(.., |(due, ..)| *due <= k) {
+            if take_in {
+                run.stamp_ns = stamp_ns(late) - TICK_NS;
+                run.step(&frame);
+            }
+        }
+        run.stamp_ns = stamp_ns(k) - TICK_NS;
+        for track in run.step(&frame).iter().filter(|_| k > 20) {
+            let agent = track.source_id as usize - 1;
+            let [x, y, _] = Scene::pose(agent, k);
+            let (dx, dy) = (f64::from(track.x_m) - x - 40.0 * agent as f64, f64::from(track.y_m) - y);
+            sum += dx * dx + dy * dy;
+            len += 1;
+        }
+    }
+    assert!(len > 1_500, "{len} tracks published");
+    (sum / f64::from(len)).sqrt()
+}
+
+#[test]
+fn late_frames_that_are_taken_in_make_the_error_smaller() {
+    let (mut taken_m, mut dropped_m) = (0.0, 0.0);
+    for seed in 0..10 {
+        let (taken, dropped) = (error_m(seed, true), error_m(seed, false));
+        assert!(taken < dropped, "seed {seed}: {taken} m, without the late frames {dropped} m");
+        taken_m += taken / 10.0;
+        dropped_m += dropped / 10.0;
+    }
+    println!("a third of the frames late: {taken_m:.4} m, without these {dropped_m:.4} m");
+    assert!(taken_m < 0.97 * dropped_m, "{taken_m} m, without the late frames {dropped_m} m");
+}
+
+/// What has been published stays: states are shown again as the very bits, and no heading jumps.
+#[test]
+fn late_frames_change_nothing_that_was_published() {
+    let (mut compared_len, mut turns_len) = (0, 0);
+    for seed in 0..20 {
+        let scene = Scene::new(seed, 120, 9, true);
+        let order = shuffled(120, 0, &mut ChaCha8Rng::seed_from_u64(seed));
+        let late = deliver(&scene, &order, TrackerOptions::default(), 0);
+        let mut published: BTreeMap<(u64, i64), HistoryState> = BTreeMap::new();
+        let mut headings: BTreeMap<u64, f64> = BTreeMap::new();
+        for (frame, tracks) in &late.tracks {
+            for track in tracks {
+                for (step, state) in track.history.iter().rev().enumerate() {
+                    let at_ns = stamp_ns(*frame) - step as i64 * STEP_NS as i64;
+                    if state.present == 1
+                        && let Some(before) = published.insert((track.id, at_ns), *state)
+                    {
+                        assert_eq!(before, *state, "seed {seed}, track {} at {at_ns} ns", track.id);
+                        compared_len += 1;
+                    }
+                }
+                let now = f64::from(track.heading_rad);
+                if let Some(before) = headings.insert(track.id, now) {
+                    let turn = wrapped(now - before).abs();
+                    assert!(turn <= FRAC_PI_3 + 1e-6, "seed {seed}, frame {frame}: turned by {turn}");
+                    turns_len += usize::from(turn > 0.5);
+                }
+            }
+        }
+    }
+    println!("{compared_len} states shown again, {turns_len} turns by more than 0.5 rad");
+    assert!(compared_len > 10_000);
+}
+
+/// The first detections of an agent come after others that have started its track, and after it was published.
+#[test]
+fn an_agent_whose_first_frame_comes_late_keeps_its_id() {
+    for identities in [0, flags::HAS_IDENTITIES] {
+        let mut run = Run::new(TrackerOptions::default(), identities);
+        let at = |k: usize| heading(seen(AgentType::Vehicle, 7, 0.6 * k as f64, 3.0), 0.0);
+        let mut give = |k: usize, frame: &[Detection]| {
+            run.stamp_ns = stamp_ns(k) - TICK_NS;
+            run.step(frame).to_vec()
+        };
+        give(0, &[]);
+        let before: Vec<Track> = (3..8).flat_map(|k| give(k, &[at(k)])).collect();
+        assert!(before.len() >= 3 && before.iter().all(|track| track.born_ns == stamp_ns(3)));
+        assert!(give(2, &[at(2)]).is_empty() && give(1, &[at(1)]).is_empty());
+        let after = give(8, &[at(8)]);
+        assert_eq!((after.len(), after[0].id, after[0].born_ns), (1, before[0].id, stamp_ns(1)));
+    }
+}
+
+/// An agent that a late frame shows to be there still is published again as itself.
+#[test]
+fn an_agent_that_a_late_frame_brings_back_keeps_its_id() {
+    let mut run = Run::new(TrackerOptions::default(), 0);
+    let at = |k: usize| seen(AgentType::Pedestrian, 7, 0.1 * k as f64, 0.0);
+    let mut give = |k: usize, frame: &[Detection]| {
+        run.stamp_ns = stamp_ns(k) - TICK_NS;
+        run.step(frame).to_vec()
+    };
+    // Seen four times it may go unseen for six frames.
+    let id = (0..4).flat_map(|k| give(k, &[at(k)])).last().expect("a track").id;
+    let ended = (4..16).filter(|&k| k != 9).find(|&k| give(k, &[]).is_empty()).expect("an end");
+    assert!((10..=11).contains(&ended), "{ended}");
+    assert!(give(9, &[at(9)]).is_empty(), "a late frame is not published");
+    let back = give(ended + 1, &[]);
+    assert_eq!((back.len(), back[0].id), (1, id));
+}
+
+#[test]
+fn frames_that_are_too_late_or_repeated_are_refused_and_counted() {
+    let mut run = Run::new(TrackerOptions::default(), 0);
+    let mut other = Run::new(TrackerOptions::default(), 0);
+    let at = |k: usize| seen(AgentType::Pedestrian, 1, k as f64 * 0.1, 0.0);
+    let repeated_ns = [0, 5 * TICK_NS, LATE_MAX as i64 * TICK_NS];
+    let too_late_ns = [LATE_MAX as i64 * TICK_NS + 1, 2_000_000_000, i64::MAX];
+    for k in 0..40 {
+        assert_eq!(run.step(&[at(k)]), other.step(&[at(k)]));
+        let last_ns = run.stamp_ns;
+        for back_ns in repeated_ns.into_iter().chain(too_late_ns).filter(|_| k > LATE_MAX) {
+            let stamp_ns = last_ns.saturating_sub(back_ns);
+            run.stamp_ns = stamp_ns.saturating_sub(TICK_NS);
+            assert_eq!(run.try_step(&[at(0)]), Err(Rejected::NotNewer { stamp_ns, last_ns }));
+            assert!(run.published().is_empty(), "the header tells of tracks of a refused frame");
+        }
+        run.stamp_ns = last_ns;
+    }
+    let refused_len = 3 * (40 - LATE_MAX as u64 - 1);
+    let tally = Tally { repeated_len: refused_len, too_late_len: refused_len, ..Tally::default() };
+    assert_eq!((run.tracker.tally(), other.tracker.tally()), (tally, Tally::default()));
+    // At long intervals few frames are newer, but they are newer by far.
+    run.stamp_ns += 60_000_000_000;
+    run.step(&[]);
+    run.stamp_ns -= 2 * TICK_NS + 4_800_000_000;
+    assert!(run.try_step(&[]).is_err());
+    assert_eq!(run.tracker.tally().too_late_len, refused_len + 1);
+}
