@@ -55,7 +55,8 @@ impl<const N: usize> Gaussian<N> {
     /// The state becomes the Gaussian with the [`moments`] of its posteriors under each observation and of itself. Where
     /// all have the same noise, that is the probabilistic data association filter
     /// \[Y. Bar-Shalom, E. Tse: *Tracking in a cluttered environment with probabilistic data association*, 1975\], its
-    /// spread of the innovations included. A single observation of probability 1 is an [update](Gaussian::update) to the bit.
+    /// spread of the innovations included. A single observation of probability 1 is an [update](Gaussian::update) to the bit,
+    /// none changes nothing.
     ///
     /// # Errors
     /// [`FilterFault`] where the update by any of them fails; the state is then as before.
@@ -67,6 +68,9 @@ impl<const N: usize> Gaussian<N> {
         seen: &[(f64, Observation)],
         process: &P,
     ) -> Result<(), FilterFault> {
+        if seen.is_empty() {
+            return Ok(());
+        }
         let missed = missed(seen);
         let mut posteriors = [(0.0, *self); SIDE_MAX + 1];
         for ((weight, posterior), (probability, seen)) in posteriors[..SIDE_MAX].iter_mut().zip(seen) {
