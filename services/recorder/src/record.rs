@@ -125,10 +125,12 @@ impl Recorder {
     /// Takes the forecasts of a tick and, from their header, its whole way through the pipeline.
     ///
     /// Ticks that never come are told by gaps: after a warm-up frame from tick 0 on, else from the first tick seen (a
-    /// recorder that comes in the midst of a run). The frame that ends a recording tells of ticks lost before it.
+    /// recorder that comes in the midst of a run). The frame that ends a recording tells of ticks lost before it. A void
+    /// tick that is not newer than the last came late to the tracker: it is not lost, and tells nothing else.
     ///
     /// # Errors
-    /// [`Rejected`] where the frame is impossible or not newer than the last; it is counted as refused.
+    /// [`Rejected`] where the frame is impossible or has forecasts that are not newer than the last; it is counted as
+    /// refused.
     pub fn forecasts(&mut self, header: &Header, forecasts: &[Forecast]) -> Result<(), Rejected> {
         if header.has(flags::WARM_UP) {
             self.next_seq.get_or_insert(0);
@@ -141,7 +143,7 @@ impl Recorder {
         let gap = self.next_seq.map_or(0, |expected| header.seq.saturating_sub(expected));
         self.losses.forecast_gap(gap);
         self.next_seq = Some(header.seq.saturating_add(1));
-        if header.is_tick() {
+        if header.is_tick() && self.newer_ns(header).is_none() {
             self.latency(header);
             self.qualities(forecasts);
             self.judge.forecasts(header, forecasts);
@@ -160,13 +162,16 @@ impl Recorder {
         if forecasts.len() != expected {
             return Err(Rejected::Length { found: forecasts.len(), expected });
         }
-        if let Some(last_ns) = self.span.map(|span| span.stamp_ns[1])
-            && header.is_tick()
-            && header.stamp_ns <= last_ns
-        {
+        if let Some(last_ns) = self.newer_ns(header).filter(|_| !header.has(flags::VOID)) {
             return Err(Rejected::NotNewer { stamp_ns: header.stamp_ns, last_ns });
         }
         forecasts.iter().try_for_each(Forecast::check)
+    }
+
+    /// Stamp of the newest tick so far, where this one is not newer.
+    fn newer_ns(&self, header: &Header) -> Option<i64> {
+        let last_ns = self.span?.stamp_ns[1];
+        (header.is_tick() && header.stamp_ns <= last_ns).then_some(last_ns)
     }
 
     fn latency(&mut self, header: &Header) {

@@ -132,6 +132,24 @@ fn known_hops_give_exact_percentiles() {
 }
 
 #[test]
+fn a_void_tick_that_came_late_is_not_lost() {
+    let mut recorder = recorder();
+    for seq in 0..100 {
+        let in_order = header(seq, 1, &whole_chain(2));
+        if seq == 50 {
+            let late = Header { stamp_ns: 48 * TICK_NS as i64 + 1, ..in_order };
+            assert!(matches!(recorder.forecasts(&late, &[learned()]), Err(Rejected::NotNewer { .. })));
+            let counts = Counts { agents_len: 0, ..late.counts };
+            recorder.forecasts(&Header { flags: flags::VOID, counts, ..late }, &[]).unwrap();
+        } else {
+            recorder.forecasts(&in_order, &[learned()]).unwrap();
+        }
+    }
+    let report = recorder.report();
+    assert_eq!((report.ticks, report.drops, report.run.played_s), (99, 1, Some(7.92)));
+}
+
+#[test]
 fn the_report_has_the_keys_that_scripts_rely_on() {
     insta::assert_snapshot!(eventful().to_json());
 }
