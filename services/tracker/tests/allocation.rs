@@ -1,4 +1,4 @@
-//! A steady step takes no memory.
+//! A steady step takes no memory, nor does a frame that comes late.
 
 #[path = "../../../tests/support/counting.rs"]
 mod counting;
@@ -42,16 +42,29 @@ fn steady_steps_allocate_nothing(identities: u32, prior: Prior, name: &str) {
     let mut out = vec![Track::zeroed(); AGENTS_MAX];
     let mut seen = Vec::with_capacity(100);
     let mut made: Vec<Forecast> = Vec::with_capacity(AGENTS_MAX);
-    let mut step = |k: u32| {
+    let mut made_ns = 0;
+    let mut late_len = 0;
+    let mut step = |number: u32| {
+        // In every ten frames there is one that comes before its turn.
+        let k = match number % 10 {
+            2 => number + 5,
+            3..8 => number - 1,
+            _ => number,
+        };
         detections(k, &mut seen);
         let stamp_ns = i64::from(k) * 80_000_000;
         let observed_types =
             AgentType::Vehicle.bit() | AgentType::Cyclist.bit() | AgentType::Pedestrian.bit();
         let header = Header { flags: identities, observed_types, ..Header::new(1, u64::from(k), stamp_ns) };
-        let of = forecasts_header(stamp_ns - 80_000_000, made.len());
+        let of = forecasts_header(made_ns, made.len());
         let tracked = tracker.step(&header, &seen, Some((&of, &made)), &mut out).expect("a good frame");
-        assert!(k < 5 || tracked.tracks_len == 100, "{name}, frame {k}: {tracked:?}");
         assert_eq!(tracked.refused_len, 0);
+        if tracked.replayed_len > 0 {
+            late_len += 1;
+            return;
+        }
+        assert!(k < 8 || tracked.tracks_len == 100, "{name}, frame {k}: {tracked:?}");
+        made_ns = stamp_ns;
         made.clear();
         made.extend(out[..tracked.tracks_len].iter().map(|track| {
             let steering = if track.agent_type == 0 { Steering::Bicycle } else { Steering::Displacement };
@@ -60,6 +73,7 @@ fn steady_steps_allocate_nothing(identities: u32, prior: Prior, name: &str) {
     };
     (0..100).for_each(&mut step);
     assert_eq!(counting::allocations(|| (100..1_100).for_each(&mut step)), 0, "{name}, {prior:?}");
+    assert_eq!(late_len, 5 * 110, "{name}, {prior:?}");
     let learned = out.iter().filter(|track| track.prior_age_ns > 0).count();
     assert_eq!(learned > 50, prior == Prior::Learned, "{name}, {prior:?}: {learned} tracks by forecasts");
 }

@@ -1,0 +1,137 @@
+//! The stage over its ports: frames that come late or again reach the tracker, and every tick passes on.
+
+#[path = "support/run.rs"]
+mod run;
+
+use std::time::{Duration, Instant};
+
+use config::Run;
+use ports::{Frame, Node, Publisher, Space, Subscriber};
+use rand::SeedableRng;
+use rand_chacha::ChaCha8Rng;
+use run::{ALL_TYPES, TICK_NS, heading, noise, seen};
+use rustix::process::{Signal, getpid, kill_process};
+use wire::{
+    AgentType, Detection, DetectionsTopic, Header, HeartbeatsTopic, StageId, Topic, TracksTopic, flags,
+};
+
+/// Longest wait for an answer; far beyond what it takes.
+const LIMIT: Duration = Duration::from_secs(30);
+
+/// The other ends of the stage's ports.
+struct Ends {
+    run: Run,
+    detections: Publisher<DetectionsTopic>,
+    tracks: Subscriber<TracksTopic>,
+    heartbeats: Subscriber<HeartbeatsTopic>,
+}
+
+impl Ends {
+    /// Sends a frame; returns the tracks that the stage makes of it.
+    fn give(&self, header: Header, frame: &[Detection]) -> Frame<TracksTopic> {
+        let mut header = Header { observed_types: ALL_TYPES, ..header };
+        header.counts.agents_len = frame.len() as u32;
+        let begin = Instant::now();
+        self.detections.send_copy(frame, header).expect("the transport works");
+        loop {
+            if let Some(tracks) = self.tracks.receive().expect("the transport works")
+                && (tracks.header().flags | flags::VOID, tracks.header().seq)
+                    == (header.flags | flags::VOID, header.seq)
+            {
+                return tracks;
+            }
+            assert!(begin.elapsed() < LIMIT, "no answer to tick {}", header.seq);
+            std::thread::sleep(Duration::from_millis(1));
+        }
+    }
+
+    /// Sends warm-up frames until the stage answers.
+    fn link(&self) {
+        let begin = Instant::now();
+        let header = Header { flags: flags::WARM_UP, ..Header::new(self.run.id, 0, 0) };
+        while self.tracks.receive().expect("the transport works").is_none() {
+            self.detections.send_copy(&[], header).expect("the transport works");
+            assert!(begin.elapsed() < LIMIT, "the stage does not link");
+            std::thread::sleep(Duration::from_millis(10));
+        }
+        // What is left of them must not push a tick out of the queue.
+        std::thread::sleep(Duration::from_millis(50));
+        while self.tracks.receive().expect("the transport works").is_some() {}
+    }
+
+    /// Frames that the stage says it has refused.
+    fn rejected_len(&self) -> u64 {
+        let begin = Instant::now();
+        while begin.elapsed() < LIMIT {
+            std::thread::sleep(Duration::from_millis(100));
+            let newest = self.heartbeats.newest().expect("the transport works");
+            let beat =
+                newest.and_then(|beats| beats.iter().find(|b| b.stage == StageId::Tracker as u32).copied());
+            if let Some(beat) = beat {
+                return beat.rejected_len;
+            }
+        }
+        panic!("no heartbeat");
+    }
+}
+
+/// Asks the stage to end, also where the test fails.
+struct Stop;
+
+impl Drop for Stop {
+    fn drop(&mut self) {
+        let _ = kill_process(getpid(), Signal::TERM);
+    }
+}
+
+#[test]
+fn late_frames_pass_on_without_tracks_and_show_in_the_next() {
+    let space = Space::create(u64::from(std::process::id()), 1 << 20).expect("shared memory has room");
+    let id = u64::from(std::process::id());
+    let run = Run { id, prefix: space.prefix().into(), root: space.root().into(), ..Run::default() };
+    let node = Node::open(&run, "test").expect("a node");
+    let ends = Ends {
+        detections: node.publisher().expect("a publisher"),
+        tracks: node.subscriber(TracksTopic::DEPTH_MAX).expect("a subscriber"),
+        heartbeats: node.subscriber(HeartbeatsTopic::DEPTH_MAX).expect("a subscriber"),
+        run: run.clone(),
+    };
+    let mut rng = ChaCha8Rng::seed_from_u64(1);
+    let frames: Vec<[Detection; 1]> = (0..20)
+        .map(|k| {
+            let (dx, dy) = (noise(&mut rng, 0.1), noise(&mut rng, 0.1));
+            [heading(seen(AgentType::Vehicle, 1, 0.4 * f64::from(k) + dx, dy), 0.0)]
+        })
+        .collect();
+    let header = |seq: usize, k: usize| Header::new(run.id, seq as u64, k as i64 * TICK_NS);
+
+    let options = tracker::stage::options(&run);
+    let mut straight = run::Run::new(options, 0);
+    straight.stamp_ns = -TICK_NS;
+    for frame in &frames {
+        straight.step(frame);
+    }
+    let expected = straight.published()[0];
+
+    std::thread::scope(|scope| {
+        let stage = scope.spawn(|| tracker::stage::run(&run));
+        let stop = Stop;
+        ends.link();
+        let order = [0, 1, 2, 3, 4, 7, 6, 5, 8, 9, 10, 12, 13, 11, 14, 15, 16, 16, 17, 18, 19];
+        let mut newest = None;
+        for (seq, &k) in order.iter().enumerate() {
+            let tracks = ends.give(header(seq, k), &frames[k]);
+            let refused_or_late = newest >= Some(k);
+            assert_eq!(tracks.header().has(flags::VOID), refused_or_late, "frame {k}");
+            assert_eq!(tracks.len(), usize::from(!refused_or_late && k >= 2), "frame {k}");
+            newest = newest.max(Some(k));
+            if let Some(track) = tracks.first().filter(|_| k == 19) {
+                let of = |track: &wire::Track| (track.id, track.x_m, track.vx_mps, track.covariance);
+                assert_eq!(of(track), of(&expected));
+            }
+        }
+        assert_eq!(ends.rejected_len(), 1, "the repeated frame alone");
+        drop(stop);
+        assert!(stage.join().expect("no panic").is_ok());
+    });
+}
