@@ -1,7 +1,7 @@
 use nalgebra::Matrix2;
 use thiserror::Error;
 
-use crate::{Gaussian, Process};
+use crate::{Gaussian, Priors, Process};
 
 /// Most hypotheses of one forecast.
 pub const HYPOTHESES_MAX: usize = 32;
@@ -149,22 +149,24 @@ pub(crate) struct Plan {
     step_ns: u64,
     heading_rad: f64,
     covariance_scale: f64,
+    control_share: [f64; 2],
     pub horizon_ns: u64,
 }
 
 impl Plan {
-    /// Takes over a forecast, its control covariances times `covariance_scale`.
+    /// Takes over a forecast, as far as the priors trust it.
     ///
     /// # Errors
     /// [`ForecastFault`]; the plan is then as before.
-    pub fn adopt(&mut self, forecast: &Forecast, covariance_scale: f64) -> Result<(), ForecastFault> {
+    pub fn adopt<P>(&mut self, forecast: &Forecast, priors: &Priors<P>) -> Result<(), ForecastFault> {
         forecast.check()?;
         self.steps.clear();
         self.steps.extend_from_slice(forecast.controls);
         self.steps_len = forecast.steps_len();
         self.step_ns = forecast.step_ns;
         self.heading_rad = forecast.heading_rad;
-        self.covariance_scale = covariance_scale;
+        self.covariance_scale = priors.covariance_scale;
+        self.control_share = priors.control_share;
         self.horizon_ns = forecast.horizon_ns();
         Ok(())
     }
@@ -176,8 +178,12 @@ impl Plan {
             Some(after_ns) => 1 + (after_ns / self.step_ns.max(1)) as usize,
         };
         let steps = &self.steps[hypothesis * self.steps_len..][..self.steps_len];
-        let control = P::control(steps, number, self.step_ns as f64 / 1e9, self.heading_rad);
-        Control { density: control.density.map(|value| value * self.covariance_scale), ..control }
+        let Control { rate: [first, second], density } =
+            P::control(steps, number, self.step_ns as f64 / 1e9, self.heading_rad);
+        let [a, b] = self.control_share;
+        let shares = [a * a, a * b, b * b];
+        let scaled = |i: usize| self.covariance_scale * shares[i] * density[i];
+        Control { rate: [a * first, b * second], density: [scaled(0), scaled(1), scaled(2)] }
     }
 }
 

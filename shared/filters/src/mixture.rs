@@ -28,13 +28,15 @@ pub struct Priors<P> {
     pub kinematic_weight: f64,
     /// Factor on the covariances of a forecast's controls.
     pub covariance_scale: f64,
+    /// Share of each component of a forecast's controls that acts, in the axes of the state.
+    pub control_share: [f64; 2],
 }
 
 impl<P> Priors<P> {
-    /// A kinematic component of weight 0.05, and control covariances as forecast.
+    /// A kinematic component of weight 0.05, and controls as forecast.
     #[must_use]
     pub const fn new(kinematic: P, learned: P) -> Self {
-        Self { kinematic, learned, kinematic_weight: 0.05, covariance_scale: 1.0 }
+        Self { kinematic, learned, kinematic_weight: 0.05, covariance_scale: 1.0, control_share: [1.0; 2] }
     }
 
     const fn of<const N: usize>(&self, component: &Component<N>) -> &P {
@@ -95,7 +97,7 @@ impl<P: Steered<N>, const N: usize> Mixture<P, N> {
     /// # Errors
     /// [`ForecastFault`]; the mixture then goes on as before.
     pub fn adopt(&mut self, forecast: &Forecast) -> Result<(), ForecastFault> {
-        self.plan.adopt(forecast, self.priors.covariance_scale)?;
+        self.plan.adopt(forecast, &self.priors)?;
         self.age_ns = forecast.age_ns;
         let state = self.moments();
         let kinematic = self.priors.kinematic_weight;

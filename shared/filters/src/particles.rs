@@ -97,7 +97,7 @@ impl<P: Steered<N>, const N: usize> Particles<P, N> {
     /// # Errors
     /// [`ForecastFault`]; the particles then go on as before.
     pub fn adopt(&mut self, forecast: &Forecast) -> Result<(), ForecastFault> {
-        self.plan.adopt(forecast, self.priors.covariance_scale)?;
+        self.plan.adopt(forecast, &self.priors)?;
         self.age_ns = forecast.age_ns;
         let kinematic = self.priors.kinematic_weight;
         let sum: f64 = forecast.probability.iter().sum();

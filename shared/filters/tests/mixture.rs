@@ -140,6 +140,24 @@ fn a_vehicle_goes_where_the_forecast_leads() {
     }
 }
 
+/// A share of a control acts as so much less of it, in its mean and in its spread; powers of two to the bit.
+#[test]
+fn half_of_a_control_is_half_a_control() {
+    let start = Gaussian::new([0.0, 0.0, 0.4, 6.0, 0.01], [0.1, 0.1, 0.01, 0.2, 0.001]);
+    let moved = |control_share, mean, cholesky| {
+        let priors = Priors { control_share, ..Priors::new(BICYCLE, STEERED) };
+        let mut mixture = Mixture::new(start, priors, 1);
+        mixture.adopt(&forecast(&steady(&[mean], cholesky))).unwrap();
+        for _ in 0..20 {
+            mixture.predict(TICK_NS).unwrap();
+        }
+        mixture.moments()
+    };
+    let shared = moved([0.5, 0.25], [1.5, 0.04], [0.4, 0.04, 0.16]);
+    assert_eq!(shared, moved([1.0; 2], [0.75, 0.01], [0.2, 0.01, 0.04]));
+    assert_ne!(shared, moved([1.0; 2], [1.5, 0.04], [0.4, 0.04, 0.16]));
+}
+
 /// Displacements of a walker who speeds up steadily give back that motion, turned into the world.
 #[test]
 fn a_walker_goes_where_the_forecast_leads() {
