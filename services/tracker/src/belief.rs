@@ -1,6 +1,6 @@
 use filters::{
-    Bicycle, ConstantVelocity, Filter, FilterFault, Forecast, ForecastFault, Integrator, Kind, Mixture,
-    Models, Motion, Observation, Priors, Unknown, turned_round,
+    Bicycle, ConstantVelocity, Filter, FilterFault, Forecast, ForecastFault, Gaussian, Integrator, Kind,
+    Mixture, Models, Motion, Observation, Priors, Unknown, turned_round,
 };
 use wire::{MODES_MAX, Steering};
 
@@ -41,7 +41,7 @@ impl Belief {
         match &mut self.hypotheses {
             None => return self.filter.predict(dt_ns, models),
             Some(Hypotheses::Bicycle(mixture)) => {
-                mixture.priors = trust.bicycle(models);
+                mixture.priors = trust.bicycle(models, mixture.priors.control_share);
                 mixture.predict(dt_ns)?;
             }
             Some(Hypotheses::Displacement(mixture)) => {
@@ -90,11 +90,15 @@ impl Belief {
         seed: u64,
     ) -> Result<(), ForecastFault> {
         let (adopted, hypotheses) = match (&self.filter, self.hypotheses.take()) {
-            (Filter::Bicycle(_), Some(Hypotheses::Bicycle(mut mixture))) => {
-                (mixture.adopt(forecast), Hypotheses::Bicycle(mixture))
+            (Filter::Bicycle(state), Some(Hypotheses::Bicycle(mut mixture))) => {
+                let before = mixture.priors;
+                mixture.priors = trust.bicycle(models, trust.control_share(state));
+                let adopted = mixture.adopt(forecast).inspect_err(|_| mixture.priors = before);
+                (adopted, Hypotheses::Bicycle(mixture))
             }
             (Filter::Bicycle(state), _) => {
-                let mut mixture = Mixture::new(*state, trust.bicycle(models), seed);
+                let mut mixture =
+                    Mixture::new(*state, trust.bicycle(models, trust.control_share(state)), seed);
                 (mixture.adopt(forecast), Hypotheses::Bicycle(Box::new(mixture)))
             }
             (Filter::ConstantVelocity(_), Some(Hypotheses::Displacement(mut mixture))) => {
@@ -203,16 +207,36 @@ impl Hypotheses {
 }
 
 impl ForecastTrust {
-    fn bicycle(&self, models: &Models) -> Priors<Bicycle> {
+    /// Shares of acceleration and slip rate that act where a vehicle is known as well as this.
+    ///
+    /// ```text
+    /// s = S² / (S² + σ²)      σ of speed and of heading
+    /// ```
+    ///
+    /// The network takes its history for exact: it reads the slip off how headings turned, and much of its controls is
+    /// to undo what noise has put there. The filter never had that slip, since it weighs every position by its noise; for it
+    /// such a control is an error of its own. So a control acts by the share of its variance that is not the noise of what
+    /// it was read off.
+    fn control_share(&self, state: &Gaussian<5>) -> [f64; 2] {
+        let share = |component: usize, even: f64| {
+            even.powi(2) / (even.powi(2) + state.covariance[(component, component)].max(0.0))
+        };
+        [share(3, self.even_speed_mps), share(2, self.even_heading_rad)]
+    }
+
+    /// What does not act of a control is left to the process model's noise: without any, a mode is nothing else.
+    fn bicycle(&self, models: &Models, control_share: [f64; 2]) -> Priors<Bicycle> {
         let kinematic = models.bicycle;
+        let [of_acceleration, of_slip_rate] =
+            control_share.map(|share| (1.0 - share * (1.0 - self.noise_share.powi(2))).sqrt());
         let learned = Bicycle {
             // What the controls were learned for; Euler's steps fall behind under an acceleration.
             integrator: Integrator::Midpoint,
-            acceleration_mps2: self.noise_share * kinematic.acceleration_mps2,
-            slip_rate_radps: self.noise_share * kinematic.slip_rate_radps,
+            acceleration_mps2: of_acceleration * kinematic.acceleration_mps2,
+            slip_rate_radps: of_slip_rate * kinematic.slip_rate_radps,
             ..kinematic
         };
-        self.priors(kinematic, learned)
+        Priors { control_share, ..self.priors(kinematic, learned) }
     }
 
     fn displacement(&self, models: &Models) -> Priors<ConstantVelocity> {

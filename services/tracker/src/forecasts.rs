@@ -75,7 +75,7 @@ impl Controls {
         }
     }
 
-    /// Takes the controls of a forecast; in the time `fade_in_s` after their stamp 1 − 1/e of them have come in.
+    /// Takes the controls of a forecast; in the time `fade_in_s` after their stamp 1 − 1/e of displacements have come in.
     ///
     /// # Errors
     /// [`Rejected`] where a number is not finite or impossible.
@@ -105,7 +105,8 @@ impl Controls {
                     return Err(Rejected::Impossible { field: "control", value: f64::from(value) });
                 }
                 let middle_s = (number as f64 + 0.5) * step_s;
-                let share = if fade_in_s > 0.0 { 1.0 - (-middle_s / fade_in_s).exp() } else { 1.0 };
+                let fades = steering == Steering::Displacement && fade_in_s > 0.0;
+                let share = if fades { 1.0 - (-middle_s / fade_in_s).exp() } else { 1.0 };
                 self.steps.push(ControlStep {
                     mean: control.mean.map(|value| share * f64::from(value)),
                     cholesky: control.cholesky.map(f64::from),

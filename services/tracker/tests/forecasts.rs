@@ -13,6 +13,7 @@ use tracker::{Prior, TrackerOptions};
 use wire::{AgentType, Detection, Forecast, Header, MODES_MAX, Quality, Steering, Track, flags};
 
 const TICK_S: f64 = TICK_NS as f64 / 1e9;
+const STEP_S: f64 = STEP_NS as f64 / 1e9;
 /// Of a vehicle whose length nobody tells.
 const REAR_AXLE_M: f64 = 0.26 * 4.5;
 
@@ -103,6 +104,53 @@ fn a_manoeuvre_that_was_forecast_is_followed_through_a_gap() {
     let (kinematic_m, learned_m) = (mean_m(Prior::Kinematic), mean_m(Prior::Learned));
     println!("after 1.6 s: kinematic {kinematic_m:.2} m, learned {learned_m:.2} m");
     assert!(learned_m < 0.6 * kinematic_m, "learned {learned_m:.2} m, kinematic {kinematic_m:.2} m");
+}
+
+/// Controls of a network that takes its history for exact: it reads the slip off the newest headings, and straightens it.
+fn straightening(track: &Track) -> Controls {
+    let headings = track.history.map(|state| f64::from(state.heading_rad));
+    let [.., oldest, older, newest] = headings;
+    let turn_rate = |from: f64, to: f64| filters::wrapped(to - from) / STEP_S;
+    let turn_radps = 1.5 * turn_rate(older, newest) - 0.5 * turn_rate(oldest, older);
+    let slip_rad = (REAR_AXLE_M * turn_radps / f64::from(track.speed_mps)).clamp(-0.45, 0.45).asin();
+    let mut controls = [[0.0; 2]; HORIZON_LEN];
+    controls[0][1] = -slip_rad / STEP_S;
+    controls
+}
+
+/// A vehicle goes straight on, seen by positions alone and then hidden for 1.6 s: how far the track is off at the end.
+fn straight_on_error_m(options: TrackerOptions, sigma_m: f64, seed: u64) -> f64 {
+    let mut rng = ChaCha8Rng::seed_from_u64(seed);
+    let mut run = Run::new(options, 0);
+    let (mut truth, mut made) = (Driven::START, Vec::new());
+    for tick in 0..SEEN_TICKS + HIDDEN_TICKS {
+        truth.tick([0.0; 2]);
+        let [x_m, y_m] = [truth.x_m, truth.y_m].map(|at_m| at_m + noise(&mut rng, sigma_m));
+        let place = Detection { sigma_m: sigma_m as f32, ..seen(AgentType::Vehicle, 7, x_m, y_m) };
+        let detections: Vec<Detection> = (tick < SEEN_TICKS).then_some(place).into_iter().collect();
+        made = step_after(&mut run, &made, &detections)
+            .iter()
+            .map(|track| forecast(track, Steering::Bicycle, &[(1.0, straightening(track))]))
+            .collect();
+    }
+    truth.distance_m(run.published().first().expect("a track that coasts"))
+}
+
+/// Controls that undo what noise has put into a history lead a track astray where they act in full; as far as they are
+/// trusted, they do no harm.
+#[test]
+fn controls_that_undo_noise_are_not_trusted() {
+    let mut in_full = options(Prior::Learned);
+    in_full.detector.trust.even_heading_rad = 1e3;
+    let rms_m = |options| {
+        let squares = (0..100).map(|seed| straight_on_error_m(options, 0.3, seed).powi(2));
+        (squares.sum::<f64>() / 100.0).sqrt()
+    };
+    let (kinematic_m, learned_m) = (rms_m(options(Prior::Kinematic)), rms_m(options(Prior::Learned)));
+    let in_full_m = rms_m(in_full);
+    println!("after 1.6 s: kinematic {kinematic_m:.2} m, learned {learned_m:.2} m, in full {in_full_m:.2} m");
+    assert!(in_full_m > 1.1 * kinematic_m, "in full {in_full_m:.2} m, kinematic {kinematic_m:.2} m");
+    assert!(learned_m < kinematic_m, "learned {learned_m:.2} m, kinematic {kinematic_m:.2} m");
 }
 
 /// A walker that turns left while it is hidden.
