@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use clap::Args;
-use config::{MapChoice, Prior, Run, Scene};
+use config::{Association, MapChoice, Prior, Run, Scene};
 use data::Format;
 use nn::Weights;
 use source::{Playback, PlaybackOptions};
@@ -41,6 +41,10 @@ pub struct TrackerArguments {
     /// file's, else `learned`]
     #[arg(long = "tracker.prior", value_name = "PRIOR")]
     pub prior: Option<Prior>,
+    /// How detections correct tracks: `assignment`, each by one, or `jpda`: by all that may be its own [default: the pipeline
+    /// file's, else `assignment`]
+    #[arg(long = "tracker.association", value_name = "ASSOCIATION")]
+    pub association: Option<Association>,
 }
 
 /// What forecasts are made with.
@@ -97,6 +101,7 @@ impl PlaybackArguments {
             ticks: self.ticks,
             associate: self.tracker.associate,
             prior: self.tracker.prior.unwrap_or_default(),
+            association: self.tracker.association.unwrap_or_default(),
             weights: weights_path,
             model: weights.config().clone(),
             map: self.model.map.clone().unwrap_or(MapChoice::Online),

@@ -2,7 +2,7 @@ use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 use clap::{Args, ValueEnum};
-use config::{Exit, MapChoice, Pipeline, Prior, Run, Stage, StageRun};
+use config::{Exit, MapChoice, Options, Pipeline, Run, Stage, StageRun};
 use nn::Weights;
 use ports::{Space, Stop};
 use recorder::live::LiveOptions;
@@ -72,6 +72,7 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
         _ => info(arguments, &playback, weights_path.as_deref(), &weights),
     };
 
+    let tracker = options(&pipeline, StageId::Tracker);
     let run_id = random_id()?;
     let space = Space::create(run_id, SHARED_BYTES)?;
     let run = Run {
@@ -84,7 +85,8 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
         scene: scene.scene()?,
         ticks: scene.ticks,
         associate: arguments.tracker.associate,
-        prior: prior(&arguments.tracker, &pipeline),
+        prior: arguments.tracker.prior.or(tracker.prior).unwrap_or_default(),
+        association: arguments.tracker.association.or(tracker.association).unwrap_or_default(),
         weights: weights_path,
         model: weights.config().clone(),
         map: map(&arguments.model, &pipeline)?,
@@ -215,16 +217,15 @@ fn stage_run(stage: &Stage) -> StageRun {
     }
 }
 
-/// The prior that is asked for, else the pipeline's.
-fn prior(tracker: &TrackerArguments, pipeline: &Pipeline) -> Prior {
-    let stage = pipeline.stages.iter().find(|stage| stage.id == StageId::Tracker);
-    tracker.prior.or(stage.and_then(|stage| stage.options.prior)).unwrap_or_default()
+/// What the pipeline's file sets of a stage.
+fn options(pipeline: &Pipeline, id: StageId) -> Options {
+    let stage = pipeline.stages.iter().find(|stage| stage.id == id);
+    stage.map(|stage| stage.options.clone()).unwrap_or_default()
 }
 
 /// The map that is asked for, else the pipeline's.
 fn map(model: &ModelArguments, pipeline: &Pipeline) -> Result<MapChoice, Failure> {
-    let localiser = pipeline.stages.iter().find(|stage| stage.id == StageId::Localiser);
-    let of_pipeline = localiser.and_then(|stage| stage.options.map.clone());
+    let of_pipeline = options(pipeline, StageId::Localiser).map;
     match model.map.clone().or(of_pipeline).unwrap_or_default() {
         MapChoice::File(path) => {
             let path = path.canonicalize().map_err(|error| Failure::file(&path, &error))?;

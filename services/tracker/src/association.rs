@@ -1,4 +1,5 @@
 use filters::assignment::{Assigner, Candidate};
+use filters::jpda::{Associator, Share};
 use wire::{AgentType, Detection};
 
 use crate::estimate::Estimate;
@@ -21,10 +22,15 @@ pub struct Association {
     /// (identity, estimate), sorted.
     identities: Vec<(u64, u32)>,
     candidates: Vec<Candidate>,
+    /// The candidates within the first gate, for the associator.
+    possible: Vec<Candidate>,
     assigner: Assigner,
-    /// Detection of each estimate.
-    paired: Vec<Option<u32>>,
-    /// As `paired`, of one round alone.
+    associator: Associator,
+    /// Detection of each estimate, as its only share.
+    paired: Vec<Option<Share>>,
+    /// Whether each estimate has the shares that the associator found instead.
+    joint: Vec<bool>,
+    /// The detection of each estimate, of one round alone.
     round: Vec<Option<u32>>,
     /// Whether each detection has an estimate, or is refused one.
     taken: Vec<bool>,
@@ -38,17 +44,30 @@ impl Association {
             order: Vec::with_capacity(detections_len),
             identities: Vec::with_capacity(estimates_len),
             candidates: Vec::with_capacity(8 * estimates_len),
+            possible: Vec::new(),
             assigner: Assigner::with_capacity(estimates_len, detections_len),
+            associator: Associator::default(),
             paired: Vec::with_capacity(estimates_len),
+            joint: Vec::with_capacity(estimates_len),
             round: Vec::with_capacity(estimates_len),
             taken: Vec::with_capacity(detections_len),
         }
     }
 
-    /// The detection of each estimate, as last found.
+    /// The detection of an estimate, as last found; no two have the same.
     #[must_use]
-    pub fn paired(&self) -> &[Option<u32>] {
-        &self.paired
+    pub fn paired(&self, estimate: usize) -> Option<u32> {
+        self.paired[estimate].map(|share| share.detection)
+    }
+
+    /// What corrects an estimate: its detection, or all that may be its own.
+    #[must_use]
+    pub fn shares(&self, estimate: usize) -> &[Share] {
+        if self.joint[estimate] {
+            self.associator.of_track(estimate)
+        } else {
+            self.paired[estimate].as_slice()
+        }
     }
 
     /// The detections that start estimates of their own, in an order that does not depend on how they came.
@@ -81,7 +100,7 @@ impl Association {
             let end = self.identities.partition_point(|&(id, _)| id <= detection.id);
             let Some(&(id, t)) = end.checked_sub(1).and_then(|i| self.identities.get(i)) else { continue };
             if id == detection.id && !jumped(&estimates[t as usize], detection) {
-                self.paired[t as usize] = Some(d);
+                self.paired[t as usize] = Some(certain(d));
                 self.taken[d as usize] = true;
             }
         }
@@ -106,16 +125,36 @@ impl Association {
             let (a, b) = (&detections[a as usize], &detections[b as usize]);
             a.x_m.total_cmp(&b.x_m).then(a.y_m.total_cmp(&b.y_m)).then(a.agent_type.cmp(&b.agent_type))
         });
+        let jointly = options.association == config::Association::Jpda;
         for gate in [GATE, WIDE_GATE] {
             self.find_candidates(estimates, detections, types, input, gate);
+            if jointly && gate == GATE {
+                self.possible.clone_from(&self.candidates);
+            }
             let miss_cost = options.miss_cost + (gate - GATE);
             self.assigner.solve(&mut self.candidates, detections.len(), miss_cost, &mut self.round);
-            for (paired, &found) in self.paired.iter_mut().zip(&self.round) {
-                if let Some(d) = found {
-                    *paired = found;
+            for (paired, found) in self.paired.iter_mut().zip(&self.round) {
+                if let &Some(d) = found {
+                    *paired = Some(certain(d));
                     self.taken[d as usize] = true;
                 }
             }
+        }
+        if jointly {
+            self.associate(estimates, detections.len(), options.miss_cost);
+        }
+    }
+
+    /// Finds what each pair within the first gate is worth to the estimates that are ready.
+    ///
+    /// Who was seen is for the assignment to say. Tentative estimates go by that alone: corrected by all that may be theirs,
+    /// those that clutter started would find more of it. So does one whose detection lies beyond the first gate.
+    fn associate(&mut self, estimates: &[Estimate], detections_len: usize, miss_cost: f64) {
+        self.associator.associate(&mut self.possible, estimates.len(), detections_len, miss_cost);
+        for (e, estimate) in estimates.iter().enumerate() {
+            let shares = self.associator.of_track(e);
+            let holds = |pair: Share| shares.iter().any(|share| share.detection == pair.detection);
+            self.joint[e] = estimate.is_ready() && self.paired[e].is_none_or(holds);
         }
     }
 
@@ -166,9 +205,15 @@ impl Association {
         self.taken.resize(detections.len(), false);
         self.paired.clear();
         self.paired.resize(estimates.len(), None);
+        self.joint.clear();
+        self.joint.resize(estimates.len(), false);
         self.round.clear();
         self.round.resize(estimates.len(), None);
     }
+}
+
+const fn certain(detection: u32) -> Share {
+    Share { detection, probability: 1.0 }
 }
 
 fn jumped(estimate: &Estimate, detection: &Detection) -> bool {

@@ -53,19 +53,17 @@ impl Belief {
         Ok(())
     }
 
-    /// Corrects the belief, and the weights of the hypotheses, by what was observed.
+    /// Corrects the belief, and the weights of the hypotheses, by observations of which at most one is of the agent, each
+    /// with the probability that it is.
     ///
     /// # Errors
     /// [`FilterFault`]; the belief is then as before.
-    pub fn update(&mut self, seen: &Observation, models: &Models) -> Result<(), FilterFault> {
+    pub fn update(&mut self, seen: &[(f64, Observation)], models: &Models) -> Result<(), FilterFault> {
         match &mut self.hypotheses {
-            None => {
-                self.filter.update(seen, models)?;
-                return Ok(());
-            }
-            Some(Hypotheses::Bicycle(mixture)) => mixture.update(seen)?,
-            Some(Hypotheses::Displacement(mixture)) => mixture.update(seen)?,
-        };
+            None => return self.filter.update_jointly(seen, models),
+            Some(Hypotheses::Bicycle(mixture)) => mixture.update_jointly(seen)?,
+            Some(Hypotheses::Displacement(mixture)) => mixture.update_jointly(seen)?,
+        }
         self.sum_up();
         Ok(())
     }

@@ -2,14 +2,14 @@ mod track;
 
 use std::f64::consts::FRAC_PI_2;
 
-use filters::{Filter, FilterFault, ForecastFault, Kind, Models, Motion, Unknown, wrapped};
+use filters::{Filter, FilterFault, ForecastFault, Kind, Models, Motion, Observation, Unknown, wrapped};
 use thiserror::Error;
 use wire::{AgentType, Detection, Forecast, Rejected, Steering, detection_flags};
 
 use crate::belief::Belief;
 use crate::class::Class;
 use crate::forecasts::{Controls, Forecasts};
-use crate::front::{Front, under_way_rad};
+use crate::front::{Front, folded, under_way_rad};
 use crate::life::Life;
 use crate::observed::{observation, source_id};
 use crate::options::{InputModel, TrackerOptions};
@@ -188,18 +188,19 @@ impl Estimate {
         Fit { distance2, log_det: det.ln() }
     }
 
-    /// Takes in the detection of a frame.
+    /// Takes in the detection of a frame. The motion is corrected by all that is `possible`: observations of which at most
+    /// one is of the agent, each with the probability that it is.
     ///
     /// # Errors
     /// [`FilterFault`]; the motion is then as predicted.
     pub fn update(
         &mut self,
-        detection: &Detection,
-        agent_type: AgentType,
+        (detection, agent_type): (&Detection, AgentType),
+        possible: &mut [(f64, Observation)],
         input: &InputModel,
         options: &TrackerOptions,
     ) -> Result<(), FilterFault> {
-        let mut seen = observation(detection, agent_type, input);
+        let seen = observation(detection, agent_type, input);
         let fit = self.fit(seen.position_m, seen.position_variance);
         let density = (-0.5 * (fit.distance2 + fit.log_det)).exp() / std::f64::consts::TAU;
         self.life.see(density, self.moved_ns, input, options);
@@ -213,17 +214,40 @@ impl Estimate {
         self.resize(detection);
         self.seen_ns = self.stamp_ns;
         self.moving = true;
-        if let (Filter::Bicycle(_), Some((heading, _))) = (self.belief.filter(), &mut seen.heading_rad) {
-            *heading = self.front.fold(*heading, self.heading_rad);
+        if let (Filter::Bicycle(_), Some((heading, _))) = (self.belief.filter(), seen.heading_rad) {
+            self.front.pointed(heading, self.heading_rad);
         }
-        self.belief.update(&seen, &self.models(input))?;
+        self.correct(possible, input)?;
         self.find_front();
         Ok(())
     }
 
-    /// Takes in that a frame which observed the agent's type did not see it.
-    pub fn miss(&mut self, options: &TrackerOptions) {
+    /// Takes in that a frame which observed the agent's type did not see it; where something was `possible` after all, the
+    /// motion is corrected by that.
+    ///
+    /// # Errors
+    /// [`FilterFault`]; the motion is then as predicted.
+    pub fn miss(
+        &mut self,
+        possible: &mut [(f64, Observation)],
+        input: &InputModel,
+        options: &TrackerOptions,
+    ) -> Result<(), FilterFault> {
         self.life.miss(self.moved_ns, options);
+        self.correct(possible, input)
+    }
+
+    fn correct(
+        &mut self,
+        possible: &mut [(f64, Observation)],
+        input: &InputModel,
+    ) -> Result<(), FilterFault> {
+        if let Filter::Bicycle(_) = self.belief.filter() {
+            for (heading, _) in possible.iter_mut().filter_map(|(_, seen)| seen.heading_rad.as_mut()) {
+                *heading = folded(*heading, self.heading_rad);
+            }
+        }
+        self.belief.update(possible, &self.models(input))
     }
 
     /// Ends a frame.

@@ -1,9 +1,12 @@
 use config::Prior;
+use filters::Observation;
+use filters::jpda::SIDE_MAX;
 use wire::{AgentType, DETECTIONS_MAX, Detection, Header};
 
 use crate::association::Association;
 use crate::estimate::{Birth, Estimate};
 use crate::forecasts::{Controls, Forecasts};
+use crate::observed::observation;
 use crate::options::TrackerOptions;
 use crate::publication::Publications;
 use crate::scans::Scan;
@@ -21,6 +24,8 @@ pub struct Estimates {
 #[derive(Debug)]
 pub struct Scratch {
     association: Association,
+    /// What may be of the agent at hand, each with the probability that it is.
+    possible: Vec<(f64, Observation)>,
     controls: Controls,
 }
 
@@ -30,6 +35,7 @@ impl Scratch {
     pub fn new(estimates_len: usize) -> Self {
         Self {
             association: Association::with_capacity(estimates_len, DETECTIONS_MAX),
+            possible: Vec::with_capacity(SIDE_MAX),
             controls: Controls::new(),
         }
     }
@@ -68,7 +74,7 @@ impl Estimates {
         let mut tracked = Tracked::default();
         self.adopt(scan, publications, &mut scratch.controls, options, &mut tracked);
         self.predict(&scan.header, options, &mut tracked);
-        self.update(scan, publications, &mut scratch.association, options, &mut tracked);
+        self.update(scan, publications, scratch, options, &mut tracked);
         self.start(scan, &scratch.association, options, &mut tracked);
         self.end(&scan.header, options, &mut tracked);
         tracked
@@ -117,7 +123,7 @@ impl Estimates {
         &mut self,
         Scan { header, detections, types, .. }: &Scan,
         publications: &mut Publications,
-        association: &mut Association,
+        Scratch { association, possible, .. }: &mut Scratch,
         options: &TrackerOptions,
         tracked: &mut Tracked,
     ) {
@@ -127,15 +133,21 @@ impl Estimates {
         } else {
             association.by_position(&self.all, detections, types, input, options);
         }
-        for (estimate, paired) in self.all.iter_mut().zip(association.paired()) {
-            if let &Some(detection) = paired {
+        for (e, estimate) in self.all.iter_mut().enumerate() {
+            possible.clear();
+            possible.extend(association.shares(e).iter().map(|share| {
+                let d = share.detection as usize;
+                (share.probability, observation(&detections[d], types[d], input))
+            }));
+            let mut done = Ok(());
+            if let Some(detection) = association.paired(e) {
                 let d = detection as usize;
-                let done = estimate.update(&detections[d], types[d], input, options);
-                tracked.faults_len += usize::from(done.is_err());
+                done = estimate.update((&detections[d], types[d]), possible, input, options);
                 publications.hand_on(Birth { stamp_ns: header.stamp_ns, detection }, estimate.birth());
             } else if header.observed_types & estimate.class.current().bit() != 0 {
-                estimate.miss(options);
+                done = estimate.miss(possible, input, options);
             }
+            tracked.faults_len += usize::from(done.is_err());
         }
     }
 

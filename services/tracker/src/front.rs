@@ -35,12 +35,9 @@ impl Front {
         Self { log_odds: HEADING_WEIGHT }
     }
 
-    /// Folds a detected heading to within π/2 of the estimated one and counts which way it pointed.
-    #[must_use]
-    pub fn fold(&mut self, detected_rad: f64, estimated_rad: f64) -> f64 {
-        let agrees = wrapped(detected_rad - estimated_rad).abs() <= FRAC_PI_2;
-        self.add(if agrees { HEADING_WEIGHT } else { -HEADING_WEIGHT });
-        if agrees { detected_rad } else { wrapped(detected_rad + PI) }
+    /// Counts which way a detected heading points.
+    pub fn pointed(&mut self, detected_rad: f64, estimated_rad: f64) {
+        self.add(if agree(detected_rad, estimated_rad) { HEADING_WEIGHT } else { -HEADING_WEIGHT });
     }
 
     /// Counts a frame of motion along the estimated heading, at a speed that is known to within `sigma_mps`.
@@ -72,4 +69,14 @@ impl Front {
 pub fn under_way_rad(last_rad: f64, heading_rad: f64) -> Option<f64> {
     let turn_rad = wrapped(heading_rad - last_rad);
     (turn_rad.abs() > TURN_MAX_RAD).then(|| wrapped(last_rad + TURN_MAX_RAD.copysign(turn_rad)))
+}
+
+/// Folds a detected heading to within π/2 of the estimated one.
+#[must_use]
+pub fn folded(detected_rad: f64, estimated_rad: f64) -> f64 {
+    if agree(detected_rad, estimated_rad) { detected_rad } else { wrapped(detected_rad + PI) }
+}
+
+fn agree(detected_rad: f64, estimated_rad: f64) -> bool {
+    wrapped(detected_rad - estimated_rad).abs() <= FRAC_PI_2
 }

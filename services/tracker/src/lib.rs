@@ -30,6 +30,6 @@ mod scans;
 pub mod stage;
 mod tracker;
 
-pub use config::Prior;
+pub use config::{Association, Prior};
 pub use options::{ForecastTrust, InputModel, MotionNoise, SensorNoise, TrackerOptions};
 pub use tracker::{Tally, Tracked, Tracker};

@@ -1,4 +1,4 @@
-use config::Prior;
+use config::{Association, Prior};
 use filters::{Bicycle, ConstantAcceleration, ConstantTurnRate, ConstantVelocity, Integrator, Models};
 use wire::{AgentType, Detection, HISTORY_MAX, Header, detection_flags, flags};
 
@@ -68,6 +68,8 @@ pub struct TrackerOptions {
     pub associate: bool,
     /// What moves tracks between two detections.
     pub prior: Prior,
+    /// How detections correct tracks, where their identities do not tell.
+    pub association: Association,
     /// Inputs of a detector, to be associated.
     pub detector: InputModel,
     /// Inputs that carry identities: annotated or smoothed recordings, whose positions are nearly without noise.
@@ -139,6 +141,7 @@ impl Default for TrackerOptions {
             tracks_max: 512,
             associate: false,
             prior: Prior::default(),
+            association: Association::default(),
             detector: DETECTOR,
             recorded: RECORDED,
             detection_probability: 0.9,

@@ -94,6 +94,7 @@ pub fn options(run: &Run) -> TrackerOptions {
         horizon_ns: (horizon_s * 1e9) as u64,
         associate: run.associate,
         prior: run.prior,
+        association: run.association,
         ..TrackerOptions::default()
     }
 }

@@ -10,6 +10,9 @@ mod pipeline;
 pub mod record;
 
 pub use exit::Exit;
-pub use options::{MapChoice, Options, Prior, Propagation, UnknownMap, UnknownPrior, UnknownPropagation};
+pub use options::{
+    Association, MapChoice, Options, Prior, Propagation, UnknownAssociation, UnknownMap, UnknownPrior,
+    UnknownPropagation,
+};
 pub use pipeline::{BUDGET_MAX_MS, Pipeline, PipelineError, Stage, built_in_topics};
 pub use record::{Run, Scene, StageRun};

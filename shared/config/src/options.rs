@@ -88,6 +88,33 @@ impl FromStr for Prior {
     }
 }
 
+/// How detections without a trusted identity correct tracks.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub enum Association {
+    /// Each track by the one that the cheapest assignment gives it.
+    #[default]
+    Assignment,
+    /// Each published track by all that may be its own, by how probable that is.
+    Jpda,
+}
+
+/// A name that stands for no association.
+#[derive(Debug, Error, PartialEq, Eq)]
+#[error("unknown association \"{0}\": expected assignment or jpda")]
+pub struct UnknownAssociation(String);
+
+impl FromStr for Association {
+    type Err = UnknownAssociation;
+
+    fn from_str(name: &str) -> Result<Self, UnknownAssociation> {
+        match name {
+            "assignment" => Ok(Self::Assignment),
+            "jpda" => Ok(Self::Jpda),
+            _ => Err(UnknownAssociation(name.to_owned())),
+        }
+    }
+}
+
 /// Settings of the stages; each stage reads its own and pipeline.toml may set no others.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Options {
@@ -99,6 +126,8 @@ pub struct Options {
     pub map: Option<MapChoice>,
     /// Tracker: what moves a track between two detections.
     pub prior: Option<Prior>,
+    /// Tracker: how detections correct tracks.
+    pub association: Option<Association>,
     /// Sampler: how the spread of the controls is carried on.
     pub propagation: Option<Propagation>,
     /// Sampler: particles per mode of the Monte Carlo propagation.

@@ -12,7 +12,7 @@ use serde::{Deserialize, Serialize};
 use thiserror::Error;
 use wire::StageId;
 
-use crate::{MapChoice, Options, Prior};
+use crate::{Association, MapChoice, Options, Prior};
 
 /// First bytes of a record's file, before the schema's number and a line break.
 pub const MAGIC: &str = "stgdat-run ";
@@ -74,6 +74,8 @@ pub struct Run {
     pub associate: bool,
     /// What moves a track between two detections.
     pub prior: Prior,
+    /// How detections correct tracks.
+    pub association: Association,
     /// The weights; the embedded ones where none.
     pub weights: Option<PathBuf>,
     /// The configuration that these weights carry.
@@ -137,6 +139,7 @@ impl Default for Run {
             ticks: None,
             associate: false,
             prior: Prior::default(),
+            association: Association::default(),
             weights: None,
             model: Weights::onboard().config().clone(),
             map: MapChoice::Online,
@@ -231,6 +234,7 @@ mod tests {
             ticks: Some(20),
             associate: false,
             prior: Prior::Kinematic,
+            association: Association::Jpda,
             weights: None,
             model: Weights::onboard().config().clone(),
             map: MapChoice::File("b.map".into()),

@@ -11,7 +11,7 @@ use wire::{
 use super::error::Fault;
 use super::file::{File, OptionsTable, StageTable};
 use super::{Pipeline, Stage};
-use crate::{MapChoice, Options, Prior, Propagation};
+use crate::{Association, MapChoice, Options, Prior, Propagation};
 
 /// What all budgets together may be: one tick.
 pub const BUDGET_MAX_MS: f64 = 80.0;
@@ -160,6 +160,9 @@ fn options(id: StageId, table: &OptionsTable) -> Result<Options, Fault> {
     if let Some(prior) = table.prior.as_ref().filter(|_| id != StageId::Tracker) {
         return foreign(prior.span(), "prior", "tracker");
     }
+    if let Some(association) = table.association.as_ref().filter(|_| id != StageId::Tracker) {
+        return foreign(association.span(), "association", "tracker");
+    }
     if let Some(propagation) = table.propagation.as_ref().filter(|_| id != StageId::Sampler) {
         return foreign(propagation.span(), "propagation", "sampler");
     }
@@ -168,6 +171,7 @@ fn options(id: StageId, table: &OptionsTable) -> Result<Options, Fault> {
         workers: table.workers.as_ref().map(|n| *n.get_ref()),
         map: parsed::<MapChoice>(table.map.as_ref())?,
         prior: parsed::<Prior>(table.prior.as_ref())?,
+        association: parsed::<Association>(table.association.as_ref())?,
         propagation: parsed::<Propagation>(table.propagation.as_ref())?,
         particles: table.particles.as_ref().map(|n| *n.get_ref()),
     })

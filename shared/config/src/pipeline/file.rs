@@ -34,6 +34,7 @@ pub(super) struct OptionsTable {
     pub workers: Option<Spanned<usize>>,
     pub map: Option<Spanned<String>>,
     pub prior: Option<Spanned<String>>,
+    pub association: Option<Spanned<String>>,
     pub propagation: Option<Spanned<String>>,
     pub particles: Option<Spanned<usize>>,
 }

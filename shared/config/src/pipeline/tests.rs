@@ -1,7 +1,7 @@
 use miette::{GraphicalReportHandler, GraphicalTheme};
 
 use super::*;
-use crate::Prior;
+use crate::{Association, Prior};
 
 const FULL: &str = include_str!("../../../../launch/pipeline.toml");
 
@@ -134,6 +134,18 @@ fn the_trackers_prior() {
     assert!(wrong.contains("expected kinematic or learned"), "{wrong}");
     let foreign = error(&with("deadline_ms = 72", "prior = \"learned\""));
     assert!(foreign.contains("the sampler has no option `prior`"), "{foreign}");
+}
+
+#[test]
+fn the_trackers_association() {
+    let tracker = |options: &str| with("budget_ms = 6", &format!("budget_ms = 6\noptions = {{ {options} }}"));
+    let pipeline = Pipeline::parse("p.toml", &tracker("association = \"jpda\"")).unwrap();
+    let stage = pipeline.stages.iter().find(|stage| stage.id == StageId::Tracker).unwrap();
+    assert_eq!(stage.options.association, Some(Association::Jpda));
+    let wrong = error(&tracker("association = \"guess\""));
+    assert!(wrong.contains("expected assignment or jpda"), "{wrong}");
+    let foreign = error(&with("deadline_ms = 72", "association = \"jpda\""));
+    assert!(foreign.contains("the sampler has no option `association`"), "{foreign}");
 }
 
 #[test]

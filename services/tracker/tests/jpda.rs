@@ -1,0 +1,180 @@
+//! Two agents that meet closely among false detections, each corrected by the detection that is assigned to it, or by all
+//! that may be its own.
+
+#[path = "support/run.rs"]
+mod run;
+
+use std::collections::BTreeSet;
+use std::f64::consts::{PI, TAU};
+
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use run::{Run, TICK_NS, heading, noise, seen};
+use tracker::{Association, TrackerOptions};
+use wire::{AgentType, Detection, Track};
+
+const TICK_S: f64 = TICK_NS as f64 / 1e9;
+const SEEDS: u64 = 100;
+/// Frames of a meeting, and those about it, in which nobody asks whose track is whose.
+const FRAMES: u64 = 75;
+const MEETING: std::ops::Range<u64> = 20..55;
+/// The first frames, in which tracks begin.
+const BEGIN: u64 = 10;
+/// Of the false detections per m², within this of either agent along each axis.
+const CLUTTER: f64 = 0.01;
+const CLUTTER_REACH_M: f64 = 10.0;
+/// A track so near an agent is its own.
+const NEAR_M: f64 = 1.5;
+
+struct Meeting {
+    name: &'static str,
+    agent_type: AgentType,
+    sigma_m: f64,
+    /// Where each is when they meet, and how it moves.
+    agents: [([f64; 2], [f64; 2]); 2],
+}
+
+const MEETINGS: [Meeting; 4] = [
+    Meeting {
+        name: "walkers at right angles",
+        agent_type: AgentType::Pedestrian,
+        sigma_m: 0.15,
+        agents: [([0.0, 0.0], [1.4, 0.0]), ([0.3, 0.0], [0.0, 1.4])],
+    },
+    Meeting {
+        name: "walkers head on, 0.6 m apart",
+        agent_type: AgentType::Pedestrian,
+        sigma_m: 0.15,
+        agents: [([0.0, 0.0], [1.4, 0.0]), ([0.0, 0.6], [-1.2, 0.0])],
+    },
+    Meeting {
+        name: "vehicles at right angles",
+        agent_type: AgentType::Vehicle,
+        sigma_m: 0.25,
+        agents: [([0.0, 0.0], [8.0, 0.0]), ([3.0, 0.0], [0.0, 9.0])],
+    },
+    Meeting {
+        name: "a vehicle overtaking, 2.5 m apart",
+        agent_type: AgentType::Vehicle,
+        sigma_m: 0.25,
+        agents: [([0.0, 0.0], [10.0, 0.0]), ([0.0, 2.5], [8.0, 0.0])],
+    },
+];
+
+/// What became of the agents of all meetings.
+#[derive(Debug, Default)]
+struct Outcome {
+    /// Agents that had another id after the meeting, or more than one before or after.
+    switched_len: usize,
+    /// Meetings of which both agents had the same id, one after the other.
+    swapped_len: usize,
+    /// Frames in which an agent had no track.
+    lost_len: usize,
+    found_len: usize,
+    square_m2: f64,
+}
+
+impl Outcome {
+    fn rms_m(&self) -> f64 {
+        (self.square_m2 / self.found_len as f64).sqrt()
+    }
+
+    /// Takes in where an agent's track is; returns its id.
+    fn find(&mut self, tracks: &[Track], [x, y, ..]: &[f64; 4]) -> Option<u64> {
+        let off_m = |track: &Track| (f64::from(track.x_m) - x).hypot(f64::from(track.y_m) - y);
+        let near = tracks.iter().map(|track| (off_m(track), track.id)).min_by(|a, b| a.0.total_cmp(&b.0));
+        let Some((off_m, id)) = near.filter(|(off_m, _)| *off_m < NEAR_M) else {
+            self.lost_len += 1;
+            return None;
+        };
+        self.found_len += 1;
+        self.square_m2 += off_m.powi(2);
+        Some(id)
+    }
+}
+
+/// A detection, with a heading where the agents have one.
+fn detected(agent_type: AgentType, id: u64, x: f64, y: f64, course: f64) -> Detection {
+    let at = seen(agent_type, id, x, y);
+    if agent_type == AgentType::Vehicle { heading(at, course) } else { at }
+}
+
+/// The detections of a frame: each agent in nine of ten, and clutter about them.
+fn frame(meeting: &Meeting, states: &[[f64; 4]; 2], rng: &mut ChaCha8Rng) -> Vec<Detection> {
+    let mut detections = Vec::new();
+    for ([x, y, vx, vy], id) in states.iter().zip(1..) {
+        let (dx, dy) = (noise(rng, meeting.sigma_m), noise(rng, meeting.sigma_m));
+        let course = vy.atan2(*vx) + noise(rng, 0.1);
+        if rng.random_bool(0.9) {
+            detections.push(detected(meeting.agent_type, id, x + dx, y + dy, course));
+        }
+        let clutter_len = CLUTTER * (2.0 * CLUTTER_REACH_M).powi(2);
+        for _ in 0..clutter_len as usize {
+            let mut off = || rng.random_range(-CLUTTER_REACH_M..CLUTTER_REACH_M);
+            let (x, y) = (x + off(), y + off());
+            detections.push(detected(meeting.agent_type, 0, x, y, rng.random_range(-PI..PI)));
+        }
+    }
+    detections
+}
+
+fn meet(meeting: &Meeting, association: Association) -> Outcome {
+    let defaults = TrackerOptions::default();
+    // Two fields of clutter lie over one another.
+    let clutter_density = 2.0 * CLUTTER;
+    let missed = 1.0 - defaults.detection_probability;
+    let miss_cost = -2.0 * (TAU * clutter_density * missed / defaults.detection_probability).ln();
+    let options = TrackerOptions { association, clutter_density, miss_cost, ..defaults };
+    let mut outcome = Outcome::default();
+    for seed in 0..SEEDS {
+        let mut rng = ChaCha8Rng::seed_from_u64(seed);
+        let mut run = Run::new(options, 0);
+        let mut states = meeting.agents.map(|([x, y], [vx, vy])| [x - 3.0 * vx, y - 3.0 * vy, vx, vy]);
+        let mut ids = [BTreeSet::new(), BTreeSet::new()];
+        for k in 0..FRAMES {
+            for state in &mut states {
+                for axis in 0..2 {
+                    state[2 + axis] += noise(&mut rng, 0.3) * TICK_S.sqrt();
+                    state[axis] += state[2 + axis] * TICK_S;
+                }
+            }
+            let detections = frame(meeting, &states, &mut rng);
+            let tracks = run.step(&detections);
+            if k < BEGIN {
+                continue;
+            }
+            for (state, ids) in states.iter().zip(&mut ids) {
+                let id = outcome.find(tracks, state);
+                ids.extend(id.filter(|_| !MEETING.contains(&k)));
+            }
+        }
+        outcome.switched_len += ids.iter().filter(|of| of.len() > 1).count();
+        outcome.swapped_len += usize::from(!ids[0].is_disjoint(&ids[1]));
+    }
+    outcome
+}
+
+#[test]
+fn agents_meet_in_clutter_no_worse_where_all_that_may_be_theirs_counts() {
+    for meeting in &MEETINGS {
+        let [assigned, joint] =
+            [Association::Assignment, Association::Jpda].map(|association| meet(meeting, association));
+        for (name, outcome) in [("assigned", &assigned), ("joint", &joint)] {
+            println!(
+                "{}, {name}: of {} agents {} switched, {} pairs swapped; {} of {} states lost, RMS {:.3} m",
+                meeting.name,
+                2 * SEEDS,
+                outcome.switched_len,
+                outcome.swapped_len,
+                outcome.lost_len,
+                outcome.lost_len + outcome.found_len,
+                outcome.rms_m(),
+            );
+        }
+        let name = meeting.name;
+        assert!(joint.switched_len < assigned.switched_len, "{name}: {assigned:?} {joint:?}");
+        assert!(joint.swapped_len <= assigned.swapped_len, "{name}: {assigned:?} {joint:?}");
+        assert!(joint.lost_len * 200 < joint.found_len, "{name}: {assigned:?} {joint:?}");
+        assert!(joint.rms_m() < assigned.rms_m(), "{name}: {assigned:?} {joint:?}");
+    }
+}
