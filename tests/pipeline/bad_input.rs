@@ -68,6 +68,20 @@ fn weights_of_another_shape_are_refused_by_the_stage_that_needs_them() {
 }
 
 #[test]
+fn options_that_a_target_has_no_use_for_are_refused() {
+    for (target, option) in [
+        ("eth-ucy", &["--parts", "seen"][..]),
+        ("interaction", &["--sigmas", "0.1"]),
+        ("sdd", &["--particles"]),
+        ("tracking", &["--positions"]),
+        ("interaction", &["--format", "csv"]),
+    ] {
+        let told = format!("{} is for ", option[0]);
+        assert_refused(&[&["evaluate", target], option].concat(), 2, &[&told]);
+    }
+}
+
+#[test]
 fn a_pipeline_that_is_none_is_told_with_its_place() {
     let scratch = Scratch::new("pipeline");
     let place = |file: &str, text: &str| {

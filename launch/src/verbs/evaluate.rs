@@ -86,6 +86,7 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
         [target] => target.to_str().unwrap_or_default(),
         _ => "",
     };
+    refuse_unused(name, arguments)?;
     let written = match name {
         "tracking" => track(arguments)?,
         _ => vec![Written::of_forecasts(&evaluate(name, arguments)?, name)],
@@ -104,6 +105,26 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
         }
     }
     Ok(exit)
+}
+
+/// Refuses options that would change nothing.
+fn refuse_unused(name: &str, arguments: &Arguments) -> Result<(), Failure> {
+    let is_tracking = name == "tracking";
+    let has_parts = is_tracking || name == "interaction";
+    let is_set = has_parts || ["eth-ucy", "sdd"].contains(&name);
+    let options = [
+        ("--parts", !arguments.parts.is_empty(), has_parts, "`interaction` and `tracking`"),
+        ("--sigmas", !arguments.sigmas.is_empty(), is_tracking, "`tracking`"),
+        ("--particles", arguments.particles, is_tracking, "`tracking`"),
+        ("--format", arguments.format.is_some(), !is_set, "recordings"),
+        ("--positions", arguments.positions, !is_set, "recordings"),
+    ];
+    match options.into_iter().find(|(_, is_given, is_used, _)| *is_given && !is_used) {
+        Some((option, _, _, users)) => {
+            Err(Failure::Usage(format!("{option} is for {users}, and would change nothing here")))
+        }
+        None => Ok(()),
+    }
 }
 
 /// One report as it is, several by their names.

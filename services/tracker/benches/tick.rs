@@ -84,10 +84,11 @@ impl Scene {
     }
 
     fn write(&self, folder: &Path) -> std::io::Result<()> {
-        let mut rows = String::from("tick,x_m,y_m\n");
+        let mut rows = String::from("tick,x_m,y_m,heading_rad\n");
         for tick in 0..FRAMES {
             for detection in self.frame(tick) {
-                let _ = writeln!(rows, "{tick},{},{}", detection.x_m, detection.y_m);
+                let Detection { x_m, y_m, heading_rad, .. } = detection;
+                let _ = writeln!(rows, "{tick},{x_m},{y_m},{heading_rad}");
             }
         }
         std::fs::write(folder.join(format!("{}.csv", self.name)), rows)
