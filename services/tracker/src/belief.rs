@@ -222,7 +222,8 @@ impl ForecastTrust {
         [share(3, self.even_speed_mps), share(2, self.even_heading_rad)]
     }
 
-    /// What does not act of a control is left to the process model's noise: without any, a mode is nothing else.
+    /// What does not act of a control is left to the process model, its noise and the decay of its slip: without any, a mode
+    /// is nothing else. Where a slip rate acts in full it tells by itself how the turn goes on and ends.
     fn bicycle(&self, models: &Models, control_share: [f64; 2]) -> Priors<Bicycle> {
         let kinematic = models.bicycle;
         let [of_acceleration, of_slip_rate] =
@@ -232,6 +233,7 @@ impl ForecastTrust {
             integrator: Integrator::Midpoint,
             acceleration_mps2: of_acceleration * kinematic.acceleration_mps2,
             slip_rate_radps: of_slip_rate * kinematic.slip_rate_radps,
+            slip_decay_per_s: (1.0 - control_share[1]) * kinematic.slip_decay_per_s,
             ..kinematic
         };
         Priors { control_share, ..self.priors(kinematic, learned) }
@@ -248,6 +250,27 @@ impl ForecastTrust {
             kinematic_weight: self.kinematic_weight,
             covariance_scale: self.covariance_scale,
             ..Priors::new(kinematic, learned)
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use wire::AgentType;
+
+    use crate::TrackerOptions;
+
+    /// A slip rate that acts in full says where the slip goes: it must not decay besides.
+    #[test]
+    fn slip_decays_as_far_as_no_control_acts() {
+        let input = TrackerOptions::default().detector;
+        let models = input.models(AgentType::Vehicle, 4.5);
+        let decay_per_s = models.bicycle.slip_decay_per_s;
+        assert!(decay_per_s > 0.0);
+        for (share, left) in [(0.0, 1.0), (0.25, 0.75), (1.0, 0.0)] {
+            let priors = input.trust.bicycle(&models, [1.0, share]);
+            assert_eq!(priors.kinematic.slip_decay_per_s, decay_per_s);
+            assert_eq!(priors.learned.slip_decay_per_s, left * decay_per_s, "a share of {share}");
         }
     }
 }

@@ -1,4 +1,4 @@
-use kinematics::Integrator;
+use kinematics::{Integrator, Linearised};
 use nalgebra::{Matrix5, Vector2, Vector5};
 
 use crate::{Control, ControlStep, Gaussian, Innovation, Observation, Process, STEP_MAX_S, Steered, wrapped};
@@ -10,8 +10,15 @@ const SLIP: usize = 4;
 
 /// \[x, y, ψ, v, β\]: position, heading, speed along the heading, slip angle.
 ///
-/// The process is [`kinematics::Bicycle`] under white acceleration and slip rate; the Jacobian is taken at the mean
-/// before the step.
+/// The process is [`kinematics::Bicycle`] under white acceleration and slip rate, the slip angle dying away: a turn ends.
+///
+/// ```text
+/// β̇ = −λ β + u + w      β' = β + s (u − λ β) Δt,  s = (1 − e^(−λ Δt)) / (λ Δt)
+/// ```
+///
+/// u is the slip rate of a control, 0 without one, and w the noise. The step from β to β' is exact; position and heading
+/// see it as the steady slip rate that leads there, so that at [`Integrator::Midpoint`] they take the mean of both. The
+/// Jacobian is taken at the mean before the step.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Bicycle {
     /// From the reference point to the rear axle, l_r.
@@ -22,6 +29,8 @@ pub struct Bicycle {
     pub acceleration_mps2: f64,
     /// Standard deviation of the slip rate over a step of 80 ms.
     pub slip_rate_radps: f64,
+    /// Rate λ at which the slip angle dies away; 0 where it stays.
+    pub slip_decay_per_s: f64,
     /// Variances of \[x, y, ψ, v, β\] added in 80 ms: without them a position gets no noise in one step.
     pub floor: [f64; 5],
     /// Largest magnitude of the mean slip; also bounds the spread that the slip gathers at rest, where nothing observes it.
@@ -37,8 +46,29 @@ impl Bicycle {
         if state.covariance[(SLIP, SLIP)] >= self.slip_max_rad.powi(2) {
             return (noise, 0.0);
         }
-        noise[SLIP] += self.slip_rate_radps.powi(2) * dt_s * STEP_MAX_S + of_slip * dt_s;
-        (noise, cross * dt_s)
+        // A noise that comes early in the step has died away in part at its end, what it adds to the variance twice as fast.
+        let acting_s = dt_s * mean_share(2.0 * self.slip_decay_per_s * dt_s);
+        noise[SLIP] += self.slip_rate_radps.powi(2) * acting_s * STEP_MAX_S + of_slip * acting_s;
+        (noise, cross * (dt_s * mean_share(self.slip_decay_per_s * dt_s)))
+    }
+
+    /// The mean after `dt_s` under a control, and its derivatives by the mean before and by the control.
+    pub(crate) fn moved(&self, mean: &Vector5<f64>, rate: [f64; 2], dt_s: f64) -> Linearised<f64, 5> {
+        let [acceleration, slip_rate] = rate;
+        let bicycle = kinematics::Bicycle {
+            rear_axle_m: self.rear_axle_m,
+            slip_limit_rad: None,
+            integrator: self.integrator,
+        };
+        let share = mean_share(self.slip_decay_per_s * dt_s);
+        let acting = share * (slip_rate - self.slip_decay_per_s * mean[SLIP]);
+        let mut moved = bicycle.linearise(mean, &Vector2::new(acceleration, acting), dt_s);
+        let by_rate = moved.by_control.column(1) * share;
+        moved.by_control.set_column(1, &by_rate);
+        let by_slip = moved.by_state.column(SLIP) - by_rate * self.slip_decay_per_s;
+        moved.by_state.set_column(SLIP, &by_slip);
+        moved.next[HEADING] = wrapped(moved.next[HEADING]);
+        moved
     }
 }
 
@@ -61,20 +91,12 @@ impl Process<5> for Bicycle {
 
 impl Steered<5> for Bicycle {
     fn steer(&self, state: &Gaussian<5>, control: &Control, dt_s: f64) -> Gaussian<5> {
-        let bicycle = kinematics::Bicycle {
-            rear_axle_m: self.rear_axle_m,
-            slip_limit_rad: None,
-            integrator: self.integrator,
-        };
-        let moved = bicycle.linearise(&state.mean, &Vector2::from(control.rate), dt_s);
-        let mut mean = moved.next;
-        mean[HEADING] = wrapped(mean[HEADING]);
-
+        let moved = self.moved(&state.mean, control.rate, dt_s);
         let (noise, cross) = self.noise(state, control, dt_s);
         let mut covariance = state.propagated(&moved.by_state, &noise);
         covariance[(SPEED, SLIP)] += cross;
         covariance[(SLIP, SPEED)] += cross;
-        Gaussian { mean, covariance }
+        Gaussian { mean: moved.next, covariance }
     }
 
     /// A control holds over its step. Its covariance is that of one draw per step; spread over shorter steps it keeps
@@ -87,6 +109,11 @@ impl Steered<5> for Bicycle {
     fn first_ns(step_ns: u64) -> u64 {
         step_ns
     }
+}
+
+/// Mean, over a step, of what is 1 at its beginning and decays by that exponent to its end.
+fn mean_share(exponent: f64) -> f64 {
+    if exponent == 0.0 { 1.0 } else { -(-exponent).exp_m1() / exponent }
 }
 
 /// The same motion of a bicycle, told from the other end: front and back exchanged.
@@ -104,4 +131,88 @@ pub fn turned_round(state: &Gaussian<5>) -> Gaussian<5> {
     jacobian[(SPEED, SPEED)] = -1.0;
     jacobian[(SLIP, SLIP)] = -1.0;
     state.transformed(mean, &jacobian)
+}
+
+#[cfg(test)]
+mod tests {
+    use nalgebra::Matrix5x2;
+
+    use super::*;
+
+    const DECAYING: Bicycle = Bicycle {
+        rear_axle_m: 1.2,
+        integrator: Integrator::Midpoint,
+        acceleration_mps2: 2.0,
+        slip_rate_radps: 0.1,
+        slip_decay_per_s: 0.8,
+        floor: [0.0; 5],
+        slip_max_rad: 0.5,
+    };
+
+    #[test]
+    fn jacobians_agree_with_differences() {
+        let mean = Vector5::new(3.0, -2.0, 0.4, 8.0, 0.05);
+        let rate = [-0.5, 0.1];
+        for integrator in [Integrator::Euler, Integrator::Midpoint] {
+            let bicycle = Bicycle { integrator, ..DECAYING };
+            let moved = bicycle.moved(&mean, rate, 0.08);
+            let difference =
+                |at: &dyn Fn(f64) -> Vector5<f64>| -> Vector5<f64> { (at(1e-5) - at(-1e-5)) / 2e-5 };
+            let by_state = Matrix5::from_columns(&[0, 1, 2, 3, 4].map(|row| {
+                difference(&|off| bicycle.moved(&(mean + Vector5::ith(row, off)), rate, 0.08).next)
+            }));
+            let by_control = Matrix5x2::from_columns(&[[1.0, 0.0], [0.0, 1.0]].map(|[first, second]| {
+                difference(&|off| {
+                    bicycle.moved(&mean, [rate[0] + first * off, rate[1] + second * off], 0.08).next
+                })
+            }));
+            assert!((by_state - moved.by_state).amax() < 1e-8, "{integrator:?}: {by_state}");
+            assert!((by_control - moved.by_control).amax() < 1e-8, "{integrator:?}: {by_control}");
+        }
+    }
+
+    /// β = u/λ + (β_0 − u/λ) e^(−λt), and a variance that goes from the first to that of a slip left to itself.
+    #[test]
+    fn slip_dies_away_exactly_in_steps_of_any_length() {
+        let start = Gaussian::new([0.0, 0.0, 0.0, 0.0, 0.2], [0.0, 0.0, 0.0, 0.0, 1e-4]);
+        let control = Control { rate: [0.0, 0.04], density: [0.0, 0.0, 1e-4] };
+        let (elapsed_s, decay_per_s) = (2.4, DECAYING.slip_decay_per_s);
+        let (meant, left) = (0.04 / decay_per_s, (-decay_per_s * elapsed_s).exp());
+        let settled = (0.1_f64.powi(2) * STEP_MAX_S + 1e-4) / (2.0 * decay_per_s);
+        for steps_len in [30, 48, 240] {
+            let mut state = start;
+            for _ in 0..steps_len {
+                state = DECAYING.steer(&state, &control, elapsed_s / f64::from(steps_len));
+            }
+            assert!((state.mean[SLIP] - (meant + (0.2 - meant) * left)).abs() < 1e-12, "{steps_len} steps");
+            let variance = settled + (1e-4 - settled) * left * left;
+            assert!((state.covariance[(SLIP, SLIP)] - variance).abs() < 1e-12, "{steps_len} steps");
+        }
+    }
+
+    /// Heading and slip decay together in steps of 80 ms as they do in time.
+    #[test]
+    fn a_turn_ends() {
+        let mut state = Gaussian::new([0.0, 0.0, 0.0, 9.0, 0.1], [1e-4; 5]);
+        for _ in 0..500 {
+            state = DECAYING.step(&state, STEP_MAX_S);
+        }
+        // ψ = v / l_r ∫ sin β dt, which is v / (l_r λ) Si(β_0).
+        let sine_integral = 0.1 - 0.1_f64.powi(3) / 18.0;
+        let heading_rad = 9.0 / (DECAYING.rear_axle_m * DECAYING.slip_decay_per_s) * sine_integral;
+        assert!((state.mean[HEADING] - heading_rad).abs() < 1e-3, "{}", state.mean[HEADING]);
+        assert!(state.mean[SLIP].abs() < 1e-9);
+    }
+
+    #[test]
+    fn a_slip_that_stays_moves_as_the_bicycle_to_the_bit() {
+        let staying = Bicycle { slip_decay_per_s: 0.0, ..DECAYING };
+        let mean = Vector5::new(3.0, -2.0, 0.4, 8.0, 0.05);
+        let bicycle =
+            kinematics::Bicycle { rear_axle_m: 1.2, slip_limit_rad: None, integrator: Integrator::Midpoint };
+        let expected = bicycle.linearise(&mean, &Vector2::new(-0.5, 0.1), 0.08);
+        let found = staying.moved(&mean, [-0.5, 0.1], 0.08);
+        assert_eq!((found.next, found.by_state), (expected.next, expected.by_state));
+        assert_eq!(found.by_control, expected.by_control);
+    }
 }

@@ -1,4 +1,4 @@
-use nalgebra::{Matrix6, Vector2, Vector5, Vector6};
+use nalgebra::{Matrix6, Vector5, Vector6};
 
 use crate::{Bicycle, Control, ControlStep, Gaussian, Innovation, Observation, Process, Steered, wrapped};
 
@@ -55,16 +55,10 @@ impl SingerBicycle {
         // Share of the acceleration's deviation in its mean over the step.
         let share = (1.0 - kept) * self.decay_s / dt_s;
         let acting = meant + share * (mean[ACCELERATION] - meant);
-        let bicycle = kinematics::Bicycle {
-            rear_axle_m: self.bicycle.rear_axle_m,
-            slip_limit_rad: None,
-            integrator: self.bicycle.integrator,
-        };
         let planar: Vector5<f64> = mean.fixed_rows::<5>(0).into_owned();
-        let moved = bicycle.linearise(&planar, &Vector2::new(acting, slip_rate), dt_s);
+        let moved = self.bicycle.moved(&planar, [acting, slip_rate], dt_s);
         let mut next = Vector6::zeros();
         next.fixed_rows_mut::<5>(0).copy_from(&moved.next);
-        next[HEADING] = wrapped(next[HEADING]);
         next[ACCELERATION] = meant + kept * (mean[ACCELERATION] - meant);
         let mut by_state = Matrix6::zeros();
         by_state.fixed_view_mut::<5, 5>(0, 0).copy_from(&moved.by_state);
@@ -126,6 +120,7 @@ mod tests {
             integrator: Integrator::Midpoint,
             acceleration_mps2: 0.0,
             slip_rate_radps: 0.1,
+            slip_decay_per_s: 0.0,
             floor: [0.0; 5],
             slip_max_rad: 0.5,
         },

@@ -26,9 +26,12 @@ const BICYCLE: Bicycle = Bicycle {
     integrator: Integrator::Midpoint,
     acceleration_mps2: 2.0,
     slip_rate_radps: 0.1,
+    slip_decay_per_s: 0.0,
     floor: [1e-4, 1e-4, 1e-5, 0.0, 0.0],
     slip_max_rad: 0.5,
 };
+/// A bicycle whose turns end.
+const DECAYING: Bicycle = Bicycle { slip_decay_per_s: 0.8, ..BICYCLE };
 /// As [`BICYCLE`] without noise of its own: what a forecast steers.
 const STEERED: Bicycle = Bicycle { acceleration_mps2: 0.0, slip_rate_radps: 0.0, ..BICYCLE };
 const SINGER: SingerBicycle = SingerBicycle {
@@ -190,6 +193,8 @@ fn linearised_filters_are_near() {
         assert_near(&format!("constant turn rate, {name}"), &squares);
         let squares = kalman((&BICYCLE, &BICYCLE), &start, sensor, 100);
         assert_near(&format!("bicycle, {name}"), &squares);
+        let squares = kalman((&DECAYING, &DECAYING), &start, sensor, 100);
+        assert_near(&format!("bicycle whose slip decays, {name}"), &squares);
         let squares = kalman((&SINGER, &SINGER), &with_acceleration, sensor, 100);
         assert_near(&format!("bicycle with acceleration, {name}"), &squares);
     }
@@ -259,7 +264,12 @@ impl<P: Steered<N> + Copy, const N: usize> Scene<P, N> {
         };
         let after_ns = (age_ns + TICK_NS / 2).checked_sub(P::first_ns(STEP_NS));
         let number = after_ns.map_or(0, |after_ns| 1 + (after_ns / STEP_NS) as usize);
-        let control: Control = P::control(steps, number, STEP_NS as f64 / 1e9, self.forecast().heading_rad);
+        let told: Control = P::control(steps, number, STEP_NS as f64 / 1e9, self.forecast().heading_rad);
+        let [a, b] = self.priors.control_share;
+        let control = Control {
+            rate: [a * told.rate[0], b * told.rate[1]],
+            density: [a * a * told.density[0], a * b * told.density[1], b * b * told.density[2]],
+        };
         let process = &self.priors.learned;
         drawn(process, state, |from| process.steer(from, &control, TICK_S), rng)
     }
@@ -324,6 +334,14 @@ fn vehicles() -> Scene<Bicycle, 5> {
     Scene::new(Priors::new(BICYCLE, STEERED), start, [2.0, 0.1], [0.5, 0.0, 0.05])
 }
 
+/// As [`vehicles`], by controls of which a share acts while the slip decays by the rest.
+fn vehicles_in_part() -> Scene<Bicycle, 5> {
+    let Scene { start, .. } = vehicles();
+    let learned = Bicycle { slip_decay_per_s: 0.4 * DECAYING.slip_decay_per_s, ..STEERED };
+    let priors = Priors { control_share: [0.8, 0.6], ..Priors::new(DECAYING, learned) };
+    Scene::new(priors, start, [2.0, 0.1], [0.5, 0.0, 0.05])
+}
+
 fn walkers() -> Scene<ConstantVelocity, 4> {
     let start = Gaussian::new([3.0, -1.0, 1.0, 0.5], [0.04, 0.04, 0.1, 0.1]);
     Scene::new(
@@ -336,9 +354,10 @@ fn walkers() -> Scene<ConstantVelocity, 4> {
 
 #[test]
 fn the_mixture_is_near() {
-    let (vehicles, walkers) = (vehicles(), walkers());
+    let (vehicles, in_part, walkers) = (vehicles(), vehicles_in_part(), walkers());
     for (name, sensor) in [("σ 0.02 m", SHARP), ("σ 0.2 m", POSITIONS), ("with heading and speed", ALL)] {
         assert_near(&format!("mixture of bicycles, {name}"), &vehicles.mixture(sensor, 50));
+        assert_near(&format!("mixture of decaying slips, {name}"), &in_part.mixture(sensor, 50));
         if sensor.heading_rad.is_none() {
             assert_near(&format!("mixture of constant velocities, {name}"), &walkers.mixture(sensor, 50));
         }

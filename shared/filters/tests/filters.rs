@@ -98,6 +98,7 @@ fn bicycle_deviation(name: &str, key: &str, with_heading: bool) -> f64 {
         integrator: Integrator::Euler,
         acceleration_mps2: number("sig_a"),
         slip_rate_radps: number("sig_bd"),
+        slip_decay_per_s: 0.0,
         floor: floor.try_into().expect("five variances"),
         slip_max_rad: 3.0,
     };
@@ -198,6 +199,7 @@ fn the_bicycles_jacobian_agrees_with_the_reference() {
         integrator: Integrator::Euler,
         acceleration_mps2: 0.0,
         slip_rate_radps: 0.0,
+        slip_decay_per_s: 0.0,
         floor: [0.0; 5],
         slip_max_rad: 3.0,
     };
@@ -317,6 +319,7 @@ const MODEL: Bicycle = Bicycle {
     integrator: Integrator::Euler,
     acceleration_mps2: 3.0,
     slip_rate_radps: 0.3,
+    slip_decay_per_s: 0.0,
     floor: [1e-4, 1e-4, 1e-5, 0.0, 0.0],
     slip_max_rad: 0.5,
 };

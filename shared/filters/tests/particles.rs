@@ -151,6 +151,7 @@ fn particles_and_mixture_agree_under_a_forecast() {
         integrator: Integrator::Midpoint,
         acceleration_mps2: 1.0,
         slip_rate_radps: 0.05,
+        slip_decay_per_s: 0.0,
         floor: [1e-4, 1e-4, 1e-5, 0.0, 0.0],
         slip_max_rad: 0.5,
     };

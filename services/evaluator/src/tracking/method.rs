@@ -171,6 +171,7 @@ fn bicycle(acceleration_mps2: f64, slip_rate_radps: f64, length_m: Option<f32>) 
         integrator: Integrator::Midpoint,
         acceleration_mps2,
         slip_rate_radps,
+        slip_decay_per_s: 0.0,
         floor: FLOOR,
         slip_max_rad: SLIP_MAX_RAD,
     }

@@ -124,6 +124,7 @@ fn bicycle(noise: &BicycleNoise, rear_axle_m: f64, dt_s: f64) -> Bicycle {
         integrator: Integrator::Euler,
         acceleration_mps2: noise.sig_a * steps.sqrt(),
         slip_rate_radps: noise.sig_bd * steps.sqrt(),
+        slip_decay_per_s: 0.0,
         floor: noise.q_floor.map(|variance| variance / steps),
         slip_max_rad: f64::INFINITY,
     }
