@@ -26,8 +26,8 @@ pub struct Chain {
     horizon_len: u32,
     modes_len: u32,
     frames: Frames,
-    /// Header of the forecasts of the tick before, where there are any.
-    prior: Option<Header>,
+    /// Header and number of the newest forecasts, where there are any: those of a late tick are none.
+    prior: Option<(Header, usize)>,
 }
 
 /// What would lie in shared memory.
@@ -100,13 +100,13 @@ impl Chain {
         mut passed: impl FnMut(StageId),
     ) -> (Header, &[Forecast]) {
         let frames = &mut self.frames;
-        let prior = self.prior.as_ref().map(|header| (header, &frames.forecasts[..frames.tracks_len]));
+        let prior = self.prior.as_ref().map(|(header, len)| (header, &frames.forecasts[..*len]));
         let tracked = self.tracker.step(header, detections, prior, &mut frames.tracks);
         let mut header = self.tracker.header(header);
         passed(StageId::Tracker);
         frames.tracks_len = tracked.as_ref().map_or(0, |tracked| tracked.tracks_len);
         if !tracked.is_ok_and(|tracked| tracked.replayed_len == 0) {
-            return self.nothing(header);
+            return nothing(header);
         }
         let learned = self.controls(&header, &mut passed);
 
@@ -118,20 +118,13 @@ impl Chain {
             .or_else(|_| sampler.fallback(&header, tracks, Cause::Rejected, forecasts));
         passed(StageId::Sampler);
         if result.is_err() {
-            return self.nothing(header);
+            self.prior = None;
+            return nothing(header);
         }
         header.counts.horizon_len = self.horizon_len;
         header.counts.modes_len = self.modes_len;
-        self.prior = Some(header);
+        self.prior = Some((header, self.frames.tracks_len));
         (header, &self.frames.forecasts[..self.frames.tracks_len])
-    }
-
-    /// The empty frame that follows a tick which was refused, or came late.
-    fn nothing(&mut self, mut header: Header) -> (Header, &[Forecast]) {
-        self.prior = None;
-        header.flags |= flags::VOID;
-        header.counts = wire::Counts::default();
-        (header, &[])
     }
 
     /// The tracks of the last tick; none where it was refused.
@@ -195,6 +188,13 @@ impl Chain {
         passed(StageId::Decoder);
         Ok(())
     }
+}
+
+/// The empty frame that follows a tick which was refused, or came late.
+fn nothing(mut header: Header) -> (Header, &'static [Forecast]) {
+    header.flags |= flags::VOID;
+    header.counts = wire::Counts::default();
+    (header, &[])
 }
 
 impl Load {

@@ -2,7 +2,7 @@
 //!
 //! Positions are metres in the world frame (right-handed, z up, fixed to the ground), headings counter-clockwise from
 //! +x. The header of each frame tells the ego pose in that frame, and the stamp: the time at which the detections are
-//! valid, on the sensor's clock, strictly increasing. Put your detector in the place of [`detect`].
+//! valid, on the sensor's clock, no two alike. Put your detector in the place of [`detect`].
 
 use std::process::ExitCode;
 

@@ -8,8 +8,8 @@ The contract
   headings counter-clockwise from +x, radians; velocities in the world frame, not relative to the ego vehicle.
 * Ego pose: `ego_m` and `ego_heading_rad` of each frame are the vehicle's pose in that frame at the stamp, or the scene's
   centre and 0 for a fixed sensor. When there are more agents than fit, the nearest to it are kept.
-* Time base: `stamp_ns` is the time at which the detections are valid, on the sensor's clock, strictly increasing; all
-  algorithms use it alone. `released_ns` and the hops are CLOCK_MONOTONIC (`time.monotonic_ns()`) and used for latency alone.
+* Time base: `stamp_ns` is the time at which the detections are valid, on the sensor's clock, no two alike (a frame may
+  come late); all algorithms use it alone. `released_ns` and the hops are CLOCK_MONOTONIC (`time.monotonic_ns()`) and used for latency alone.
 * `seq` counts ticks from 0 without gaps; a gap counts as a lost frame. Frames come every `interval_ns`, at least 80 ms.
 """
 

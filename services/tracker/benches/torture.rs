@@ -3,12 +3,18 @@
 #[path = "../tests/support/torture.rs"]
 mod support;
 
-use config::Prior;
+use config::{Association, Prior};
 
 fn main() {
-    for (prior, seed) in [(Prior::Kinematic, 1), (Prior::Learned, 2)] {
+    for (prior, association, seed) in [
+        (Prior::Kinematic, Association::Assignment, 1),
+        (Prior::Learned, Association::Assignment, 2),
+        (Prior::Kinematic, Association::Jpda, 3),
+        (Prior::Learned, Association::Jpda, 4),
+    ] {
         let begin = std::time::Instant::now();
-        let survived = support::torture(prior, seed, 500_000);
-        println!("500,000 ticks, {prior:?}, {:.0} s: {survived:?}", begin.elapsed().as_secs_f64());
+        let survived = support::torture(prior, association, seed, 250_000);
+        let time_s = begin.elapsed().as_secs_f64();
+        println!("250,000 ticks, {prior:?}, {association:?}, {time_s:.0} s: {survived:?}");
     }
 }

@@ -46,7 +46,7 @@ impl Association {
             candidates: Vec::with_capacity(8 * estimates_len),
             possible: Vec::new(),
             assigner: Assigner::with_capacity(estimates_len, detections_len),
-            associator: Associator::default(),
+            associator: Associator::with_capacity(estimates_len, detections_len),
             paired: Vec::with_capacity(estimates_len),
             joint: Vec::with_capacity(estimates_len),
             round: Vec::with_capacity(estimates_len),

@@ -56,8 +56,8 @@ pub struct Birth {
     pub detection: u32,
 }
 
-/// What is believed of an agent at the stamp of a frame. It follows from the frames up to that one alone, in the order of
-/// their stamps: whatever came of it in the meantime, it can be made again.
+/// What is believed of an agent at the stamp of a frame. It follows from the frames up to that one and the forecasts that
+/// came with them, in the order of their stamps: whatever came of it in the meantime, it can be made again.
 #[derive(Debug)]
 pub struct Estimate {
     /// Its type.

@@ -5,14 +5,14 @@
 //! stamp, detections are associated with tracks ([`filters::assignment`]; recordings that carry identities go by these), paired
 //! tracks are updated, the others count a miss, and detections without a track start one.
 //!
-//! A new track is *tentative*: unpublished until three of the last five frames that looked for its type have seen it,
-//! or at once where identities can be trusted. A track that is not seen is *coasting*: predicted and published until
+//! A new track is *tentative*: unpublished until three of the last five frames that looked for its type have seen it
+//! and it surely exists, or at once where identities can be trusted. A track that is not seen is *coasting*: predicted and published until
 //! it was missed for too long, at most over the forecast's horizon.
 //!
 //! The tracks that are published carry their history at exact Δt spacing, taken from what was published before.
 //!
-//! What is believed of an agent, its *estimate*, follows from the frames alone, in the order of their stamps: where one
-//! comes late, it is made again from there. What has been told of the agent, its *publication*, stays as it is.
+//! What is believed of an agent, its *estimate*, follows from the frames and the forecasts that came with them, in the order of
+//! their stamps: where one comes late, it is made again from there. What has been told of the agent, its *publication*, stays as it is.
 
 mod association;
 mod belief;

@@ -5,9 +5,13 @@ use crate::options::{InputModel, TrackerOptions};
 const COAST_RATIO: u64 = 2;
 /// Existence is believed or doubted no further than this, so that a few frames can change it.
 const EXISTENCE_MAX: f64 = 10.0;
+/// Log-odds of one in a hundred: so many of the detections that no track explains are agents, the others clutter.
+const EXISTENCE_AT_BIRTH: f64 = -4.6;
+/// Log-odds of 99 %, from which on a track may be confirmed.
+const EXISTENCE_TO_CONFIRM: f64 = 4.6;
 /// Frames over which hits are counted, as a mask of the newest.
 const HITS_MASK: u8 = 0b1_1111;
-/// Hits among them that confirm a track.
+/// Hits among them that a confirmed track has had.
 const HITS_TO_CONFIRM: u32 = 3;
 /// Misses among them after which a tentative track can't be confirmed in time.
 const MISSES_TO_END: u32 = 3;
@@ -32,13 +36,15 @@ impl Life {
     /// The life after the first detection; confirmed at once where the detection's identity can be trusted.
     #[must_use]
     pub const fn new(trusted: bool) -> Self {
-        Self { existence: 0.0, hits: 1, frames: 1, confirmed: trusted, trusted, earned_ns: 0 }
+        let existence = if trusted { 0.0 } else { EXISTENCE_AT_BIRTH };
+        Self { existence, hits: 1, frames: 1, confirmed: trusted, trusted, earned_ns: 0 }
     }
 
     /// Takes in a detection of that density under the prediction, `moved_ns` after the state before.
     pub fn see(&mut self, density: f64, moved_ns: u64, input: &InputModel, options: &TrackerOptions) {
         self.believe((options.detection_probability * density / options.clutter_density).ln());
         self.count(true);
+        self.confirmed |= self.hits.count_ones() >= HITS_TO_CONFIRM && self.existence >= EXISTENCE_TO_CONFIRM;
         let earned_ns = moved_ns.saturating_mul(COAST_RATIO);
         self.earned_ns = self.earned_ns.max(0).saturating_add_unsigned(earned_ns.min(input.coast_ns));
         self.earned_ns = self.earned_ns.min(input.coast_ns.cast_signed());
@@ -62,7 +68,7 @@ impl Life {
             || unseen_ns > options.horizon_ns
     }
 
-    /// Whether enough frames have seen the agent.
+    /// Whether enough frames have seen the agent, near enough to where it was expected.
     #[must_use]
     pub const fn is_confirmed(&self) -> bool {
         self.confirmed
@@ -83,7 +89,6 @@ impl Life {
     fn count(&mut self, hit: bool) {
         self.hits = (self.hits << 1 | u8::from(hit)) & HITS_MASK;
         self.frames = (self.frames + 1).min(HITS_MASK.count_ones() as u8);
-        self.confirmed |= self.hits.count_ones() >= HITS_TO_CONFIRM;
     }
 
     fn believe(&mut self, log_odds: f64) {

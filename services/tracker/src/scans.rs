@@ -2,7 +2,8 @@
 //!
 //! A *scan* is a frame with all that came with it. The newest lie in a ring in the order of their stamps, between two
 //! *checkpoints* of the estimates, [`LATE_MAX`] scans apart. For a late frame the estimates go back to a checkpoint before
-//! it, and every scan since is taken in again: what comes of it is to the bit what would have come of the frames in order.
+//! it, and every scan since is taken in again: what comes of it is to the bit what would have come of the same
+//! frames and forecasts in order.
 //! While frames come in order that costs copying each with its forecasts, and the estimates once in eight.
 
 use bytemuck::Zeroable;

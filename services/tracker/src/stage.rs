@@ -15,6 +15,7 @@ pub fn run(run: &Run) -> Result<(), StageError> {
     let mut tracker = Tracker::new(options(run));
     let mut tracks = vec![Track::zeroed(); AGENTS_MAX];
     let mut warned = Warned::default();
+    let mut prior = None;
 
     let mut stage = Stage::open(run, StageId::Tracker)?;
     let detections = stage.subscribe::<DetectionsTopic>()?;
@@ -22,10 +23,12 @@ pub fn run(run: &Run) -> Result<(), StageError> {
     let output = stage.publish::<TracksTopic>()?;
 
     while let Some(input) = stage.next(&detections, &output)? {
-        let prior = prior(&mut stage, &forecasts, input.header())?;
+        if let Some(newer) = newer_prior(&mut stage, &forecasts, input.header())? {
+            prior = Some(newer);
+        }
         let mut passage = stage.begin(&input);
-        let prior = prior.as_ref().map(|frame| (frame.header(), &frame[..]));
-        let tracked = tracker.step(input.header(), &input, prior, &mut tracks);
+        let given = prior.as_ref().map(|frame| (frame.header(), &frame[..]));
+        let tracked = tracker.step(input.header(), &input, given, &mut tracks);
         passage.header = tracker.header(&passage.header);
         match tracked {
             // Newer tracks are out already; what this frame told shows in the next.
@@ -69,14 +72,15 @@ impl Warned {
     }
 }
 
-/// The newest forecasts at hand. In lockstep they are those of the tick before, whoever is the faster.
-fn prior(
+/// Newer forecasts, if there are any; those at hand hold through ticks that have none, as late ones. In lockstep they are those
+/// of the tick before, whoever is the faster.
+fn newer_prior(
     stage: &mut Stage,
     forecasts: &Subscriber<ForecastsTopic>,
     header: &Header,
 ) -> Result<Option<Frame<ForecastsTopic>>, StageError> {
     if !header.has(flags::LOCKSTEP) || header.seq == 0 {
-        return Ok(forecasts.newest()?);
+        return Ok(forecasts.newest()?.filter(|frame| !frame.header().has(flags::VOID)));
     }
     match stage.wait_for(forecasts, header.seq - 1, None)? {
         Awaited::Frame(frame) => Ok(Some(frame)),

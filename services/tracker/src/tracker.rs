@@ -31,8 +31,6 @@ pub struct Tracked {
     pub faults_len: usize,
     /// Forecasts that could not become a prior; their tracks went on by the one before, or without.
     pub refused_len: usize,
-    /// Time between the newest forecasts at hand and this frame, if any have come.
-    pub prior_age_ns: Option<u64>,
 }
 
 /// What was not as it should be, counted from the start.
@@ -57,8 +55,6 @@ pub struct Tracker {
     estimates: Estimates,
     scans: Scans,
     publications: Publications,
-    /// Stamp of the newest forecasts at hand.
-    prior_ns: Option<i64>,
     last: Tracked,
     tally: Tally,
     scratch: Scratch,
@@ -71,17 +67,21 @@ impl Tracker {
     /// A tracker without tracks.
     ///
     /// # Panics
-    /// If the options ask for a window that a [`Track`] can't hold, or without spacing.
+    /// If the options ask for a window that a [`Track`] can't hold, or without spacing, or for controls of which half acts at
+    /// no deviation.
     #[must_use]
     pub fn new(options: TrackerOptions) -> Self {
         assert!((1..=HISTORY_MAX).contains(&options.history_len), "history_len within 1..={HISTORY_MAX}");
         assert!(options.step_ns > 0, "step_ns above 0");
+        for trust in [options.detector.trust, options.recorded.trust] {
+            let even = [trust.even_speed_mps, trust.even_heading_rad];
+            assert!(even.iter().all(|&even| even > 0.0), "even_speed_mps and even_heading_rad above 0");
+        }
         Self {
             options,
             estimates: Estimates::with_capacity(options.tracks_max),
             scans: Scans::new(),
             publications: Publications::with_capacity(options.tracks_max),
-            prior_ns: None,
             last: Tracked::default(),
             tally: Tally::default(),
             scratch: Scratch::new(options.tracks_max),
@@ -126,14 +126,9 @@ impl Tracker {
         }
         self.check(header, detections)?;
         let place = self.place(header)?;
-        if let Some((forecast, _)) = prior.filter(|(forecast, _)| forecast.is_tick()) {
-            self.prior_ns = self.prior_ns.max(Some(forecast.stamp_ns));
-        }
         let prior = prior.filter(|_| self.options.prior == Prior::Learned);
         let place = self.scans.insert(place, header, (detections, &self.types), prior);
         let mut tracked = self.take_in(place);
-        tracked.prior_age_ns =
-            self.prior_ns.map(|ns| header.stamp_ns.saturating_sub(ns).max(0).unsigned_abs());
         if tracked.replayed_len == 0 {
             self.publish(header, out, &mut tracked);
         }

@@ -5,6 +5,7 @@ mod run;
 
 use std::time::{Duration, Instant};
 
+use bytemuck::Zeroable;
 use config::Run;
 use ports::{Frame, Node, Publisher, Space, Subscriber};
 use rand::SeedableRng;
@@ -12,9 +13,11 @@ use rand_chacha::ChaCha8Rng;
 use run::{ALL_TYPES, TICK_NS, heading, noise, seen};
 use rustix::process::{Signal, getpid, kill_process};
 use wire::{
-    AgentType, Detection, DetectionsTopic, Header, HeartbeatsTopic, StageId, Topic, TracksTopic, flags,
+    AgentType, Detection, DetectionsTopic, Forecast, ForecastsTopic, Header, HeartbeatsTopic, Quality,
+    StageId, Steering, Topic, Track, TracksTopic, flags,
 };
 
+const FRAMES: u32 = 40;
 /// Longest wait for an answer; far beyond what it takes.
 const LIMIT: Duration = Duration::from_secs(30);
 
@@ -22,11 +25,34 @@ const LIMIT: Duration = Duration::from_secs(30);
 struct Ends {
     run: Run,
     detections: Publisher<DetectionsTopic>,
+    forecasts: Publisher<ForecastsTopic>,
     tracks: Subscriber<TracksTopic>,
     heartbeats: Subscriber<HeartbeatsTopic>,
 }
 
 impl Ends {
+    fn open(space: &Space) -> Self {
+        let id = u64::from(std::process::id());
+        let run = Run { id, prefix: space.prefix().into(), root: space.root().into(), ..Run::default() };
+        let node = Node::open(&run, "test").expect("a node");
+        Self {
+            detections: node.publisher().expect("a publisher"),
+            forecasts: node.publisher().expect("a publisher"),
+            tracks: node.subscriber(TracksTopic::DEPTH_MAX).expect("a subscriber"),
+            heartbeats: node.subscriber(HeartbeatsTopic::DEPTH_MAX).expect("a subscriber"),
+            run,
+        }
+    }
+
+    /// Sends forecasts of these tracks; none, and VOID, where the tick has none.
+    fn forecast(&self, tracks: &Frame<TracksTopic>) {
+        let forecasts: Vec<Forecast> = tracks.iter().map(forecast).collect();
+        let mut header = Header { step_ns: 400_000_000, ..*tracks.header() };
+        header.counts.agents_len = forecasts.len() as u32;
+        (header.counts.horizon_len, header.counts.modes_len) = (12, 1);
+        self.forecasts.send_copy(&forecasts, header).expect("the transport works");
+    }
+
     /// Sends a frame; returns the tracks that the stage makes of it.
     fn give(&self, header: Header, frame: &[Detection]) -> Frame<TracksTopic> {
         let mut header = Header { observed_types: ALL_TYPES, ..header };
@@ -59,19 +85,19 @@ impl Ends {
         while self.tracks.receive().expect("the transport works").is_some() {}
     }
 
-    /// Frames that the stage says it has refused.
+    /// Frames that the stage says it has refused, once there are any.
     fn rejected_len(&self) -> u64 {
         let begin = Instant::now();
         while begin.elapsed() < LIMIT {
-            std::thread::sleep(Duration::from_millis(100));
+            std::thread::sleep(Duration::from_millis(10));
             let newest = self.heartbeats.newest().expect("the transport works");
             let beat =
                 newest.and_then(|beats| beats.iter().find(|b| b.stage == StageId::Tracker as u32).copied());
-            if let Some(beat) = beat {
+            if let Some(beat) = beat.filter(|beat| beat.rejected_len > 0) {
                 return beat.rejected_len;
             }
         }
-        panic!("no heartbeat");
+        panic!("nothing was refused");
     }
 }
 
@@ -84,31 +110,45 @@ impl Drop for Stop {
     }
 }
 
-#[test]
-fn late_frames_pass_on_without_tracks_and_show_in_the_next() {
-    let space = Space::create(u64::from(std::process::id()), 1 << 20).expect("shared memory has room");
-    let id = u64::from(std::process::id());
-    let run = Run { id, prefix: space.prefix().into(), root: space.root().into(), ..Run::default() };
-    let node = Node::open(&run, "test").expect("a node");
-    let ends = Ends {
-        detections: node.publisher().expect("a publisher"),
-        tracks: node.subscriber(TracksTopic::DEPTH_MAX).expect("a subscriber"),
-        heartbeats: node.subscriber(HeartbeatsTopic::DEPTH_MAX).expect("a subscriber"),
-        run: run.clone(),
+/// One vehicle under way.
+fn drive(rng: &mut ChaCha8Rng) -> Vec<[Detection; 1]> {
+    let frame = |k| {
+        let (dx, dy) = (noise(rng, 0.1), noise(rng, 0.1));
+        [heading(seen(AgentType::Vehicle, 1, 0.4 * f64::from(k) + dx, dy), 0.0)]
     };
+    (0..FRAMES).map(frame).collect()
+}
+
+/// A forecast that goes straight on.
+fn forecast(track: &Track) -> Forecast {
+    let mut forecast = Forecast {
+        id: track.id,
+        agent_type: track.agent_type,
+        modes_len: 1,
+        steering: Steering::Bicycle as u32,
+        frame_heading_rad: track.heading_rad,
+        ..Forecast::zeroed()
+    };
+    forecast.probability[0] = 1.0;
+    for control in &mut forecast.controls[0] {
+        control.cholesky = [0.2, 0.0, 0.02];
+    }
+    forecast
+}
+
+#[test]
+fn late_frames_pass_on_without_tracks_and_show_in_the_next_and_forecasts_hold() {
+    let space = Space::create(u64::from(std::process::id()), 1 << 20).expect("shared memory has room");
+    let ends = Ends::open(&space);
+    let run = ends.run.clone();
     let mut rng = ChaCha8Rng::seed_from_u64(1);
-    let frames: Vec<[Detection; 1]> = (0..20)
-        .map(|k| {
-            let (dx, dy) = (noise(&mut rng, 0.1), noise(&mut rng, 0.1));
-            [heading(seen(AgentType::Vehicle, 1, 0.4 * f64::from(k) + dx, dy), 0.0)]
-        })
-        .collect();
+    let frames = drive(&mut rng);
     let header = |seq: usize, k: usize| Header::new(run.id, seq as u64, k as i64 * TICK_NS);
 
     let options = tracker::stage::options(&run);
     let mut straight = run::Run::new(options, 0);
     straight.stamp_ns = -TICK_NS;
-    for frame in &frames {
+    for frame in &frames[..20] {
         straight.step(frame);
     }
     let expected = straight.published()[0];
@@ -131,6 +171,16 @@ fn late_frames_pass_on_without_tracks_and_show_in_the_next() {
             }
         }
         assert_eq!(ends.rejected_len(), 1, "the repeated frame alone");
+
+        // Of every two frames the second comes first: half of the ticks have no forecasts, those before hold.
+        let mut learned_len = 0;
+        for k in (20..frames.len()).map(|k| k ^ 1) {
+            let tracks = ends.give(header(order.len() + k, k), &frames[k]);
+            assert_eq!(tracks.header().has(flags::VOID), k % 2 == 0, "frame {k}");
+            learned_len += tracks.iter().filter(|track| track.prior == Quality::Learned as u32).count();
+            ends.forecast(&tracks);
+        }
+        assert!(learned_len >= 4, "{learned_len} of 10 ticks");
         drop(stop);
         assert!(stage.join().expect("no panic").is_ok());
     });

@@ -105,7 +105,8 @@ impl Association {
         let mut association = Self { beta: [[0.0; OPTIONS_MAX]; SIDE_MAX], tracks_len, detections_len };
         let sum = association.gather(&weights, 0, 0, 1.0);
         for beta in association.beta.as_flattened_mut() {
-            *beta /= sum;
+            // A certain pair may come out above 1 by rounding.
+            *beta = (*beta / sum).min(1.0);
         }
         association
     }

@@ -220,8 +220,11 @@ impl<P: Steered<N>, const N: usize> Mixture<P, N> {
             if !log_weight.is_finite() {
                 continue;
             }
+            // Far out, the difference of two logarithms is coarse: the shares are made to add up.
+            let share = |log_share: &f64| (log_share - log_weight).exp();
+            let sum: f64 = log_shares.iter().map(share).sum();
             for ((own, seen), log_share) in own.iter_mut().zip(seen).zip(log_shares) {
-                *own = ((log_share - log_weight).exp(), seen.1);
+                *own = ((share(log_share) / sum).min(1.0), seen.1);
             }
             let mut state = component.state;
             match state.update_jointly(&own[..seen.len()], self.priors.of(component)) {

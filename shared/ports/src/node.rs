@@ -9,8 +9,8 @@ use wire::{HeartbeatsTopic, Topic};
 use crate::element::{Element, Head};
 use crate::{HEARTBEAT, PortError, Publisher, Stop, Subscriber};
 
-/// Frames that one reader may hold at a time.
-const BORROWED_MAX: usize = 2;
+/// Frames that one reader may hold at a time: one for long, and while it looks for the newest two more.
+const BORROWED_MAX: usize = 3;
 /// Frames that a publisher may prepare at a time.
 pub(crate) const LOANED_MAX: usize = 1;
 /// Frames that a reader who comes late still gets.

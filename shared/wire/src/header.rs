@@ -17,7 +17,7 @@ pub mod flags {
     pub const HAS_IDENTITIES: u32 = 1 << 2;
     /// The tick runs in lockstep: no stage may give up waiting.
     pub const LOCKSTEP: u32 = 1 << 3;
-    /// A stage has refused this tick: no agents. It passes on so that nobody waits for it.
+    /// A stage has refused this tick, or it came late and was taken in where it belongs: no agents. It passes on so that nobody waits for it.
     pub const VOID: u32 = 1 << 4;
 }
 

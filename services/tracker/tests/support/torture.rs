@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 
 use bytemuck::Zeroable;
-use config::Prior;
+use config::{Association, Prior};
 use rand::seq::IndexedRandom;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -33,9 +33,9 @@ pub struct Survived {
 }
 
 /// Gives a tracker so many random frames and forecasts; every state that it publishes must be sound.
-pub fn torture(prior: Prior, seed: u64, ticks_len: usize) -> Survived {
+pub fn torture(prior: Prior, association: Association, seed: u64, ticks_len: usize) -> Survived {
     let mut torture = Torture::new(seed);
-    let options = TrackerOptions { prior, ..TrackerOptions::default() };
+    let options = TrackerOptions { prior, association, ..TrackerOptions::default() };
     let mut tracker = Tracker::new(options);
     let mut out = vec![Track::zeroed(); AGENTS_MAX];
     let mut tracks_len = 0;
