@@ -44,7 +44,7 @@ impl Association {
             order: Vec::with_capacity(detections_len),
             identities: Vec::with_capacity(estimates_len),
             candidates: Vec::with_capacity(8 * estimates_len),
-            possible: Vec::new(),
+            possible: Vec::with_capacity(8 * estimates_len),
             assigner: Assigner::with_capacity(estimates_len, detections_len),
             associator: Associator::with_capacity(estimates_len, detections_len),
             paired: Vec::with_capacity(estimates_len),

@@ -27,6 +27,7 @@ const COURSE_TOLD_MPS: f64 = 0.5;
 const COURSE_MIN_MPS: f64 = 0.1;
 /// Weight of a new detection's size.
 const SIZE_WEIGHT: f32 = 0.2;
+
 /// How well a detection fits a predicted track, by its position.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Fit {

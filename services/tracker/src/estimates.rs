@@ -128,6 +128,7 @@ impl Estimates {
         tracked: &mut Tracked,
     ) {
         let input = options.input(header);
+        let has_births = publications.has_births_at(header.stamp_ns);
         if options.trusts(header, detections) {
             tracked.duplicates_len = association.by_identity(&self.all, detections);
         } else {
@@ -143,7 +144,9 @@ impl Estimates {
             if let Some(detection) = association.paired(e) {
                 let d = detection as usize;
                 done = estimate.update((&detections[d], types[d]), possible, input, options);
-                publications.hand_on(Birth { stamp_ns: header.stamp_ns, detection }, estimate.birth());
+                if has_births {
+                    publications.hand_on(Birth { stamp_ns: header.stamp_ns, detection }, estimate.birth());
+                }
             } else if header.observed_types & estimate.class.current().bit() != 0 {
                 done = estimate.miss(possible, input, options);
             }

@@ -28,8 +28,10 @@ mod options;
 mod publication;
 mod scans;
 pub mod stage;
+mod tally;
 mod tracker;
 
 pub use config::{Association, Prior};
 pub use options::{ForecastTrust, InputModel, MotionNoise, SensorNoise, TrackerOptions};
-pub use tracker::{Tally, Tracked, Tracker};
+pub use tally::Tally;
+pub use tracker::{Tracked, Tracker};

@@ -109,6 +109,12 @@ impl Publications {
         &self.all[place]
     }
 
+    /// Whether an agent has been told of that a detection of that frame started: only where frames are taken in again.
+    #[must_use]
+    pub fn has_births_at(&self, stamp_ns: i64) -> bool {
+        stamp_ns <= self.last_ns && self.all.iter().any(|of| of.birth.stamp_ns == stamp_ns)
+    }
+
     /// Hands on the identity of the agent that a detection had started: a late frame shows that it was there before.
     ///
     /// Nothing happens where the agent of the older birth has been told of already.

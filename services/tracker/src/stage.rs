@@ -5,7 +5,8 @@ use config::Run;
 use ports::{Awaited, Frame, Stage, StageError, Subscriber};
 use wire::{AGENTS_MAX, DetectionsTopic, ForecastsTopic, Header, StageId, Topic, Track, TracksTopic, flags};
 
-use crate::{Tally, Tracker, TrackerOptions};
+use crate::tally::Warned;
+use crate::{Tracker, TrackerOptions};
 
 /// Runs the stage until the process is asked to end.
 ///
@@ -49,29 +50,6 @@ pub fn run(run: &Run) -> Result<(), StageError> {
     Ok(())
 }
 
-/// What has been warned of. Each trouble is told when its count has doubled: one that comes with every frame must not fill
-/// the log.
-#[derive(Default)]
-struct Warned(Tally);
-
-impl Warned {
-    fn warn(&mut self, now: Tally) {
-        let Tally { late_len, too_late_len, repeated_len, faults_len, refused_len } = &mut self.0;
-        for (what, warned_len, now_len) in [
-            ("frames taken in late", late_len, now.late_len),
-            ("frames refused, too late to be taken in", too_late_len, now.too_late_len),
-            ("frames refused, of a stamp that was taken in", repeated_len, now.repeated_len),
-            ("predictions or updates failed", faults_len, now.faults_len),
-            ("forecasts refused as a prior", refused_len, now.refused_len),
-        ] {
-            if now_len > 0 && now_len >= 2 * *warned_len {
-                tracing::warn!("{now_len} {what} so far");
-                *warned_len = now_len;
-            }
-        }
-    }
-}
-
 /// Newer forecasts, if there are any; those at hand hold through ticks that have none, as late ones. In lockstep they are those
 /// of the tick before, whoever is the faster.
 fn newer_prior(
@@ -80,7 +58,7 @@ fn newer_prior(
     header: &Header,
 ) -> Result<Option<Frame<ForecastsTopic>>, StageError> {
     if !header.has(flags::LOCKSTEP) || header.seq == 0 {
-        return Ok(forecasts.newest()?.filter(|frame| !frame.header().has(flags::VOID)));
+        return Ok(forecasts.newest()?);
     }
     match stage.wait_for(forecasts, header.seq - 1, None)? {
         Awaited::Frame(frame) => Ok(Some(frame)),

@@ -7,6 +7,7 @@ use crate::estimates::{Estimates, Scratch};
 use crate::options::TrackerOptions;
 use crate::publication::Publications;
 use crate::scans::{Scans, Unplaced};
+use crate::tally::Tally;
 
 /// What a frame did to the tracks.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -31,21 +32,6 @@ pub struct Tracked {
     pub faults_len: usize,
     /// Forecasts that could not become a prior; their tracks went on by the one before, or without.
     pub refused_len: usize,
-}
-
-/// What was not as it should be, counted from the start.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Tally {
-    /// Frames that came late and were taken in.
-    pub late_len: u64,
-    /// Frames that came too late.
-    pub too_late_len: u64,
-    /// Frames of a stamp that had been taken in.
-    pub repeated_len: u64,
-    /// As [`Tracked::faults_len`].
-    pub faults_len: u64,
-    /// As [`Tracked::refused_len`].
-    pub refused_len: u64,
 }
 
 /// Makes tracks of detections: a belief per agent, kept over time.

@@ -7,7 +7,7 @@ mod forecaster;
 
 use bytemuck::Zeroable;
 use forecaster::{HORIZON_LEN, forecast, forecasts_header};
-use tracker::{Prior, Tracker, TrackerOptions};
+use tracker::{Association, Prior, Tracker, TrackerOptions};
 use wire::{AGENTS_MAX, AgentType, Detection, Forecast, Header, Steering, Track, detection_flags, flags};
 
 /// A hundred agents of all types, 4 m apart, each on a small circle of its own.
@@ -32,13 +32,15 @@ fn detections(k: u32, out: &mut Vec<Detection>) {
 fn a_thousand_steady_steps_allocate_nothing() {
     for (identities, name) in [(flags::HAS_IDENTITIES, "by identity"), (0, "by position")] {
         for prior in [Prior::Kinematic, Prior::Learned] {
-            steady_steps_allocate_nothing(identities, prior, name);
+            for association in [Association::Assignment, Association::Jpda] {
+                steady_steps_allocate_nothing(identities, prior, association, name);
+            }
         }
     }
 }
 
-fn steady_steps_allocate_nothing(identities: u32, prior: Prior, name: &str) {
-    let mut tracker = Tracker::new(TrackerOptions { prior, ..TrackerOptions::default() });
+fn steady_steps_allocate_nothing(identities: u32, prior: Prior, association: Association, name: &str) {
+    let mut tracker = Tracker::new(TrackerOptions { prior, association, ..TrackerOptions::default() });
     let mut out = vec![Track::zeroed(); AGENTS_MAX];
     let mut seen = Vec::with_capacity(100);
     let mut made: Vec<Forecast> = Vec::with_capacity(AGENTS_MAX);

@@ -11,7 +11,7 @@ use filters::wrapped;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use run::{Run, TICK_NS, heading, noise, seen};
-use tracker::TrackerOptions;
+use tracker::{Association, TrackerOptions};
 use wire::{AgentType, Detection, TrackStatus};
 
 const TICK_S: f64 = TICK_NS as f64 / 1e9;
@@ -188,8 +188,16 @@ fn clutter_raises_few_ghosts_and_they_are_gone_soon() {
 /// Five hundred walkers in one crowd, a metre and a half apart: all are held, few change their id.
 #[test]
 fn a_crowd_keeps_its_identities() {
+    for association in [Association::Assignment, Association::Jpda] {
+        let (switched_len, compared_len) = switches_in_a_crowd(association);
+        println!("{association:?}: {switched_len} switches of {compared_len} published states");
+        assert!(switched_len * 50 < compared_len, "{association:?}: {switched_len} of {compared_len}");
+    }
+}
+
+fn switches_in_a_crowd(association: Association) -> (usize, usize) {
     let mut rng = ChaCha8Rng::seed_from_u64(1);
-    let mut run = Run::new(TrackerOptions::default(), 0);
+    let mut run = Run::new(TrackerOptions { association, ..TrackerOptions::default() }, 0);
     let mut walkers: Vec<[f64; 4]> = (0..500)
         .map(|i| {
             let mut off = || noise(&mut rng, 0.2);
@@ -215,6 +223,5 @@ fn a_crowd_keeps_its_identities() {
             compared_len += 1;
         }
     }
-    println!("a crowd of 500 over 20 s: {switched_len} switches of {compared_len} published states");
-    assert!(switched_len * 50 < compared_len, "{switched_len} of {compared_len}");
+    (switched_len, compared_len)
 }

@@ -1,12 +1,14 @@
 //! The stage over its ports: frames that come late or again reach the tracker, and every tick passes on.
 
+#[path = "support/forecaster.rs"]
+mod forecaster;
 #[path = "support/run.rs"]
 mod run;
 
 use std::time::{Duration, Instant};
 
-use bytemuck::Zeroable;
 use config::Run;
+use forecaster::{HORIZON_LEN, forecast, forecasts_header};
 use ports::{Frame, Node, Publisher, Space, Subscriber};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
@@ -14,7 +16,7 @@ use run::{ALL_TYPES, TICK_NS, heading, noise, seen};
 use rustix::process::{Signal, getpid, kill_process};
 use wire::{
     AgentType, Detection, DetectionsTopic, Forecast, ForecastsTopic, Header, HeartbeatsTopic, Quality,
-    StageId, Steering, Topic, Track, TracksTopic, flags,
+    StageId, Steering, Topic, TracksTopic, flags,
 };
 
 const FRAMES: u32 = 40;
@@ -44,12 +46,14 @@ impl Ends {
         }
     }
 
-    /// Sends forecasts of these tracks; none, and VOID, where the tick has none.
+    /// Sends forecasts that go straight on of these tracks; none, and VOID, where the tick has none.
     fn forecast(&self, tracks: &Frame<TracksTopic>) {
-        let forecasts: Vec<Forecast> = tracks.iter().map(forecast).collect();
-        let mut header = Header { step_ns: 400_000_000, ..*tracks.header() };
-        header.counts.agents_len = forecasts.len() as u32;
-        (header.counts.horizon_len, header.counts.modes_len) = (12, 1);
+        let straight = [(1.0, [[0.0; 2]; HORIZON_LEN])];
+        let forecasts: Vec<Forecast> =
+            tracks.iter().map(|track| forecast(track, Steering::Bicycle, &straight)).collect();
+        let Header { step_ns, mut counts, .. } = forecasts_header(0, forecasts.len());
+        counts.modes_len = straight.len() as u32;
+        let header = Header { step_ns, counts, ..*tracks.header() };
         self.forecasts.send_copy(&forecasts, header).expect("the transport works");
     }
 
@@ -117,23 +121,6 @@ fn drive(rng: &mut ChaCha8Rng) -> Vec<[Detection; 1]> {
         [heading(seen(AgentType::Vehicle, 1, 0.4 * f64::from(k) + dx, dy), 0.0)]
     };
     (0..FRAMES).map(frame).collect()
-}
-
-/// A forecast that goes straight on.
-fn forecast(track: &Track) -> Forecast {
-    let mut forecast = Forecast {
-        id: track.id,
-        agent_type: track.agent_type,
-        modes_len: 1,
-        steering: Steering::Bicycle as u32,
-        frame_heading_rad: track.heading_rad,
-        ..Forecast::zeroed()
-    };
-    forecast.probability[0] = 1.0;
-    for control in &mut forecast.controls[0] {
-        control.cholesky = [0.2, 0.0, 0.02];
-    }
-    forecast
 }
 
 #[test]

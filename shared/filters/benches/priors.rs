@@ -1,26 +1,19 @@
 //! One tick of 100 tracks: predicted, updated, and their moments taken, by each prior.
 
+#[path = "../tests/support/bicycle.rs"]
+mod bicycle;
+
 use std::hint::black_box;
 
+use bicycle::BICYCLE;
 use criterion::{Criterion, criterion_group, criterion_main};
-use filters::{
-    Bicycle, ControlStep, Forecast, Gaussian, Integrator, Mixture, Observation, Particles, Priors,
-};
+use filters::{ControlStep, Forecast, Gaussian, Mixture, Observation, Particles, Priors};
 
 const TRACKS: usize = 100;
 const HYPOTHESES: usize = 20;
 const STEPS: usize = 12;
 const PARTICLES: usize = 200;
 const TICK_NS: u64 = 80_000_000;
-const BICYCLE: Bicycle = Bicycle {
-    rear_axle_m: 1.2,
-    integrator: Integrator::Midpoint,
-    acceleration_mps2: 2.0,
-    slip_rate_radps: 0.2,
-    slip_decay_per_s: 0.0,
-    floor: [1e-4, 1e-4, 1e-5, 0.0, 0.0],
-    slip_max_rad: 0.5,
-};
 
 fn ticks(criterion: &mut Criterion) {
     let start = Gaussian::new([0.0, 0.0, 0.2, 8.0, 0.0], [0.01, 0.01, 0.001, 0.25, 1e-4]);

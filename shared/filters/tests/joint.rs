@@ -1,25 +1,20 @@
 //! Corrections by observations that may be of the agent, against references made of what is known of single ones.
 
+#[path = "support/bicycle.rs"]
+mod bicycle;
+
+use bicycle::BICYCLE;
 use filters::assignment::Candidate;
 use filters::jpda::{Associator, SIDE_MAX, Share};
 use filters::{
-    Bicycle, ConstantVelocity, ControlStep, Filter, FilterFault, Forecast, Gaussian, Integrator, Mixture,
-    Models, Observation, Priors, Process, Steered, difference, moments,
+    Bicycle, ConstantVelocity, ControlStep, Filter, FilterFault, Forecast, Gaussian, Mixture, Models,
+    Observation, Priors, Process, Steered, difference, moments,
 };
 use nalgebra::{Matrix2, Matrix2x4, SMatrix, Vector2};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
 const WALK: ConstantVelocity = ConstantVelocity { density: 0.5 };
-const BICYCLE: Bicycle = Bicycle {
-    rear_axle_m: 1.2,
-    integrator: Integrator::Midpoint,
-    acceleration_mps2: 2.0,
-    slip_rate_radps: 0.2,
-    slip_decay_per_s: 0.0,
-    floor: [1e-4, 1e-4, 1e-5, 0.0, 0.0],
-    slip_max_rad: 0.5,
-};
 
 fn at(x: f64, y: f64, sigma_m: f64) -> Observation {
     Observation { position_m: [x, y], position_variance: sigma_m.powi(2), heading_rad: None, speed_mps: None }

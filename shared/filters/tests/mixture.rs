@@ -1,5 +1,9 @@
 //! The mixture against the plain filter, against the motion that was forecast, and under stress.
 
+#[path = "support/bicycle.rs"]
+mod bicycle;
+
+use bicycle::BICYCLE;
 use filters::{
     Bicycle, ConstantVelocity, ControlStep, Forecast, ForecastFault, Gaussian, Integrator, Mixture,
     Observation, Priors, Steered, wrapped,
@@ -13,15 +17,6 @@ const TICK_NS: u64 = 80_000_000;
 const STEP_NS: u64 = 400_000_000;
 const STEPS: usize = 12;
 
-const BICYCLE: Bicycle = Bicycle {
-    rear_axle_m: 1.2,
-    integrator: Integrator::Midpoint,
-    acceleration_mps2: 2.0,
-    slip_rate_radps: 0.2,
-    slip_decay_per_s: 0.0,
-    floor: [1e-4, 1e-4, 1e-5, 0.0, 0.0],
-    slip_max_rad: 0.5,
-};
 /// As [`BICYCLE`] without noise of its own.
 const STEERED: Bicycle = Bicycle { acceleration_mps2: 0.0, slip_rate_radps: 0.0, floor: [0.0; 5], ..BICYCLE };
 const WALK: ConstantVelocity = ConstantVelocity { density: 0.5 };

@@ -6,7 +6,7 @@ use bytemuck::TransparentWrapper;
 use iceoryx2::port::listener::Listener;
 use iceoryx2::prelude::ipc;
 use iceoryx2::sample::Sample;
-use wire::{Header, Rejected, Topic};
+use wire::{Header, Rejected, Topic, flags};
 
 use crate::element::{Element, Head};
 use crate::error::log_refused;
@@ -95,14 +95,14 @@ impl<T: Topic> Subscriber<T> {
         Ok(None)
     }
 
-    /// The newest tick of the queue, if there is one; older ones and frames that are no ticks are let go.
+    /// The newest tick of the queue that is not VOID, if there is one; all others, and frames that are no ticks, are let go.
     ///
     /// # Errors
     /// [`PortError`] where the transport fails.
     pub fn newest(&self) -> Result<Option<Frame<T>>, PortError> {
         let mut newest = None;
         while let Some(frame) = self.receive()? {
-            if frame.header().is_tick() {
+            if frame.header().is_tick() && !frame.header().has(flags::VOID) {
                 newest = Some(frame);
             }
         }
