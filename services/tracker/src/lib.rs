@@ -27,6 +27,7 @@ mod observed;
 mod options;
 mod publication;
 mod scans;
+mod settings;
 pub mod stage;
 mod tally;
 mod tracker;

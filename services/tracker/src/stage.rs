@@ -5,8 +5,10 @@ use config::Run;
 use ports::{Awaited, Frame, Stage, StageError, Subscriber};
 use wire::{AGENTS_MAX, DetectionsTopic, ForecastsTopic, Header, StageId, Topic, Track, TracksTopic, flags};
 
+pub use crate::settings::options;
+
+use crate::Tracker;
 use crate::tally::Warned;
-use crate::{Tracker, TrackerOptions};
 
 /// Runs the stage until the process is asked to end.
 ///
@@ -63,20 +65,5 @@ fn newer_prior(
     match stage.wait_for(forecasts, header.seq - 1, None)? {
         Awaited::Frame(frame) => Ok(Some(frame)),
         Awaited::Void(_) | Awaited::Late | Awaited::Stopped => Ok(None),
-    }
-}
-
-/// The run's settings of the tracker.
-#[must_use]
-pub fn options(run: &Run) -> TrackerOptions {
-    let horizon_s = run.model.dt_s * run.model.horizon_len as f64;
-    TrackerOptions {
-        history_len: run.model.history_len,
-        step_ns: run.model.step_ns(),
-        horizon_ns: (horizon_s * 1e9) as u64,
-        associate: run.associate,
-        prior: run.prior,
-        association: run.association,
-        ..TrackerOptions::default()
     }
 }
