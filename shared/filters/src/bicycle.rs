@@ -37,33 +37,48 @@ pub struct Bicycle {
     pub slip_max_rad: f64,
 }
 
+/// A step of some length.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Step {
+    dt_s: f64,
+    /// s = (1 − e^(−λ Δt)) / (λ Δt), the mean over the step of what dies away as the slip does.
+    slip_share: f64,
+}
+
 impl Bicycle {
+    pub(crate) fn over(&self, dt_s: f64) -> Step {
+        let exponent = self.slip_decay_per_s * dt_s;
+        let slip_share = if exponent == 0.0 { 1.0 } else { -(-exponent).exp_m1() / exponent };
+        Step { dt_s, slip_share }
+    }
+
     /// Variances that a step adds, and the covariance of speed and slip that it adds.
-    pub(crate) fn noise(&self, state: &Gaussian<5>, control: &Control, dt_s: f64) -> (Vector5<f64>, f64) {
+    pub(crate) fn noise(&self, state: &Gaussian<5>, control: &Control, step: &Step) -> (Vector5<f64>, f64) {
+        let &Step { dt_s, slip_share } = step;
         let [of_speed, cross, of_slip] = control.density;
         let mut noise = Vector5::from(self.floor) * (dt_s / STEP_MAX_S);
         noise[SPEED] += self.acceleration_mps2.powi(2) * dt_s * STEP_MAX_S + of_speed * dt_s;
         if state.covariance[(SLIP, SLIP)] >= self.slip_max_rad.powi(2) {
             return (noise, 0.0);
         }
-        // A noise that comes early in the step has died away in part at its end, what it adds to the variance twice as fast.
-        let acting_s = dt_s * mean_share(2.0 * self.slip_decay_per_s * dt_s);
+        // A noise that comes early in the step has died away in part at its end, what it adds to the variance twice as fast:
+        // s of 2 λ is s (1 − s λ Δt / 2).
+        let acting_s = dt_s * slip_share * (1.0 - slip_share * self.slip_decay_per_s * dt_s / 2.0);
         noise[SLIP] += self.slip_rate_radps.powi(2) * acting_s * STEP_MAX_S + of_slip * acting_s;
-        (noise, cross * (dt_s * mean_share(self.slip_decay_per_s * dt_s)))
+        (noise, cross * (dt_s * slip_share))
     }
 
-    /// The mean after `dt_s` under a control, and its derivatives by the mean before and by the control.
-    pub(crate) fn moved(&self, mean: &Vector5<f64>, rate: [f64; 2], dt_s: f64) -> Linearised<f64, 5> {
+    /// The mean after a step under a control, and its derivatives by the mean before and by the control.
+    pub(crate) fn moved(&self, mean: &Vector5<f64>, rate: [f64; 2], step: &Step) -> Linearised<f64, 5> {
         let [acceleration, slip_rate] = rate;
         let bicycle = kinematics::Bicycle {
             rear_axle_m: self.rear_axle_m,
             slip_limit_rad: None,
             integrator: self.integrator,
         };
-        let share = mean_share(self.slip_decay_per_s * dt_s);
-        let acting = share * (slip_rate - self.slip_decay_per_s * mean[SLIP]);
-        let mut moved = bicycle.linearise(mean, &Vector2::new(acceleration, acting), dt_s);
-        let by_rate = moved.by_control.column(1) * share;
+        let acting = step.slip_share * (slip_rate - self.slip_decay_per_s * mean[SLIP]);
+        let mut moved = bicycle.linearise(mean, &Vector2::new(acceleration, acting), step.dt_s);
+        let by_rate = moved.by_control.column(1) * step.slip_share;
         moved.by_control.set_column(1, &by_rate);
         let by_slip = moved.by_state.column(SLIP) - by_rate * self.slip_decay_per_s;
         moved.by_state.set_column(SLIP, &by_slip);
@@ -91,8 +106,9 @@ impl Process<5> for Bicycle {
 
 impl Steered<5> for Bicycle {
     fn steer(&self, state: &Gaussian<5>, control: &Control, dt_s: f64) -> Gaussian<5> {
-        let moved = self.moved(&state.mean, control.rate, dt_s);
-        let (noise, cross) = self.noise(state, control, dt_s);
+        let step = self.over(dt_s);
+        let moved = self.moved(&state.mean, control.rate, &step);
+        let (noise, cross) = self.noise(state, control, &step);
         let mut covariance = state.propagated(&moved.by_state, &noise);
         covariance[(SPEED, SLIP)] += cross;
         covariance[(SLIP, SPEED)] += cross;
@@ -109,11 +125,6 @@ impl Steered<5> for Bicycle {
     fn first_ns(step_ns: u64) -> u64 {
         step_ns
     }
-}
-
-/// Mean, over a step, of what is 1 at its beginning and decays by that exponent to its end.
-fn mean_share(exponent: f64) -> f64 {
-    if exponent == 0.0 { 1.0 } else { -(-exponent).exp_m1() / exponent }
 }
 
 /// The same motion of a bicycle, told from the other end: front and back exchanged.
@@ -155,15 +166,16 @@ mod tests {
         let rate = [-0.5, 0.1];
         for integrator in [Integrator::Euler, Integrator::Midpoint] {
             let bicycle = Bicycle { integrator, ..DECAYING };
-            let moved = bicycle.moved(&mean, rate, 0.08);
+            let step = bicycle.over(0.08);
+            let moved = bicycle.moved(&mean, rate, &step);
             let difference =
                 |at: &dyn Fn(f64) -> Vector5<f64>| -> Vector5<f64> { (at(1e-5) - at(-1e-5)) / 2e-5 };
             let by_state = Matrix5::from_columns(&[0, 1, 2, 3, 4].map(|row| {
-                difference(&|off| bicycle.moved(&(mean + Vector5::ith(row, off)), rate, 0.08).next)
+                difference(&|off| bicycle.moved(&(mean + Vector5::ith(row, off)), rate, &step).next)
             }));
             let by_control = Matrix5x2::from_columns(&[[1.0, 0.0], [0.0, 1.0]].map(|[first, second]| {
                 difference(&|off| {
-                    bicycle.moved(&mean, [rate[0] + first * off, rate[1] + second * off], 0.08).next
+                    bicycle.moved(&mean, [rate[0] + first * off, rate[1] + second * off], &step).next
                 })
             }));
             assert!((by_state - moved.by_state).amax() < 1e-8, "{integrator:?}: {by_state}");
@@ -211,7 +223,7 @@ mod tests {
         let bicycle =
             kinematics::Bicycle { rear_axle_m: 1.2, slip_limit_rad: None, integrator: Integrator::Midpoint };
         let expected = bicycle.linearise(&mean, &Vector2::new(-0.5, 0.1), 0.08);
-        let found = staying.moved(&mean, [-0.5, 0.1], 0.08);
+        let found = staying.moved(&mean, [-0.5, 0.1], &staying.over(0.08));
         assert_eq!((found.next, found.by_state), (expected.next, expected.by_state));
         assert_eq!(found.by_control, expected.by_control);
     }

@@ -33,10 +33,30 @@ impl<const N: usize> Gaussian<N> {
     }
 
     /// The covariance after a step with the given Jacobian and diagonal process noise: J P Jᵀ + Q.
+    ///
+    /// The Jacobian is upper triangular, as all are where a component moves by itself and those after it alone: position
+    /// by velocity, velocity by acceleration. What lies below its diagonal is not looked at.
     #[must_use]
+    #[inline]
     pub fn propagated(&self, jacobian: &SMatrix<f64, N, N>, noise: &SVector<f64, N>) -> SMatrix<f64, N, N> {
-        let moved = jacobian * self.covariance * jacobian.transpose() + SMatrix::from_diagonal(noise);
-        symmetrised(&moved)
+        debug_assert!(*jacobian == jacobian.upper_triangle(), "{jacobian} is not upper triangular");
+        // Of a symmetric product the upper triangle does, and of J P, too.
+        let mut moved = SMatrix::<f64, N, N>::zeros();
+        for j in 0..N {
+            for i in 0..=j {
+                moved[(i, j)] = (i..N).map(|k| jacobian[(i, k)] * self.covariance[(k, j)]).sum();
+            }
+        }
+        let mut propagated = SMatrix::<f64, N, N>::zeros();
+        for j in 0..N {
+            for i in 0..=j {
+                let value: f64 = (j..N).map(|k| moved[(i, k)] * jacobian[(j, k)]).sum();
+                propagated[(i, j)] = value;
+                propagated[(j, i)] = value;
+            }
+            propagated[(j, j)] += noise[j];
+        }
+        propagated
     }
 
     /// A state drawn from the Gaussian with standard normal numbers; directions without variance keep the mean.
@@ -48,7 +68,9 @@ impl<const N: usize> Gaussian<N> {
     /// Whether all numbers are finite.
     #[must_use]
     pub fn is_finite(&self) -> bool {
-        self.mean.iter().chain(self.covariance.iter()).all(|x| x.is_finite())
+        // One pass without branches.
+        let all_of = |numbers: &[f64]| numbers.iter().fold(true, |all, x| all & x.is_finite());
+        all_of(self.mean.as_slice()) & all_of(self.covariance.as_slice())
     }
 
     /// The Gaussian of y = f(x) by linearisation: `mean` = f(x), `jacobian` = ∂f/∂x.

@@ -1,7 +1,6 @@
 use nalgebra::{SMatrix, SVector};
 use std::f64::consts::TAU;
 
-use crate::gaussian::symmetrised;
 use crate::{FilterFault, Gaussian};
 
 /// Most values that one update compares: x, y, ψ, v.
@@ -54,57 +53,78 @@ impl<const N: usize> Innovation<N> {
     /// positive.
     #[must_use]
     pub fn log_density(&self) -> f64 {
-        let measured = self.residual.iter().zip(&self.variance).take(self.len);
-        measured
-            .map(|(residual, variance)| -0.5 * (residual * residual / variance + (TAU * variance).ln()))
-            .sum()
+        let of_value = |(_, residual, variance): (_, f64, f64)| {
+            -0.5 * (residual * residual / variance + (TAU * variance).ln())
+        };
+        self.values().map(of_value).sum()
+    }
+
+    /// Component, residual and variance of each measured value.
+    fn values(&self) -> impl Iterator<Item = (usize, f64, f64)> {
+        let values = self.rows.iter().zip(&self.residual).zip(&self.variance).take(self.len);
+        values.map(|((&row, &residual), &variance)| (row, residual, variance))
     }
 }
 
 impl<const N: usize> Gaussian<N> {
     /// The posterior in Joseph form.
     ///
+    /// The measured values correct the state one after the other: as their errors are independent, that tells the same as
+    /// all at once, and no matrix is factored. Of a component r, seen with the variance R:
+    ///
+    /// ```text
+    /// s = P_rr + R      k = P e_r / s      x' = x + k y      P' = (I − k e_rᵀ) P (I − k e_rᵀ)ᵀ + k R kᵀ
+    /// ```
+    ///
     /// # Errors
-    /// [`FilterFault`] where the innovation's covariance can't be factored or a result is not finite.
+    /// [`FilterFault`] where the innovation's covariance is not positive definite or a result is not finite.
+    #[inline]
     pub fn corrected(&self, innovation: &Innovation<N>) -> Result<(Self, Evidence), FilterFault> {
-        match innovation.len {
-            2 => self.corrected_by::<2>(innovation),
-            3 => self.corrected_by::<3>(innovation),
-            _ => self.corrected_by::<4>(innovation),
-        }
-    }
-
-    fn corrected_by<const M: usize>(
-        &self,
-        innovation: &Innovation<N>,
-    ) -> Result<(Self, Evidence), FilterFault> {
-        // H picks components: H P is rows of P, H P Hᵀ their columns.
-        let rows = &innovation.rows[..M];
-        let residual = SVector::<f64, M>::from_fn(|m, _| innovation.residual[m]);
-        let observed = SMatrix::<f64, M, N>::from_fn(|m, column| self.covariance[(rows[m], column)]);
-        let mut spread = SMatrix::<f64, M, M>::from_fn(|m, other| observed[(m, rows[other])]);
-        for m in 0..M {
-            spread[(m, m)] += innovation.variance[m];
-        }
-        let factor = spread.cholesky().ok_or(FilterFault::NotPositive)?;
-        let gain = factor.solve(&observed).transpose();
-        let mut kept = SMatrix::<f64, N, N>::identity();
-        let mut noisy = gain;
-        for (m, &row) in rows.iter().enumerate() {
-            for component in 0..N {
-                kept[(component, row)] -= gain[(component, m)];
-                noisy[(component, m)] *= innovation.variance[m];
+        let mut covariance = self.covariance;
+        let mut shift = SVector::<f64, N>::zeros();
+        // NIS and |S|, S = L D Lᵀ: the spread of each value, given those before, is its entry of D.
+        let (mut nis, mut det) = (0.0, 1.0);
+        for (row, residual, variance) in innovation.values() {
+            let spread = covariance[(row, row)] + variance;
+            if spread.is_nan() || spread <= 0.0 {
+                return Err(FilterFault::NotPositive);
             }
+            let gain = covariance.column(row) / spread;
+            let residual = residual - shift[row];
+            shift += gain * residual;
+            nis += residual * residual / spread;
+            det *= spread;
+            covariance = joseph(&covariance, row, &gain, variance);
         }
-        let covariance = kept * self.covariance * kept.transpose() + noisy * gain.transpose();
-        let posterior = Self { mean: self.mean + gain * residual, covariance: symmetrised(&covariance) };
-        let nis = residual.dot(&factor.solve(&residual));
-        let log_root: f64 = (0..M).map(|row| factor.l_dirty()[(row, row)].ln()).sum();
-        let log_likelihood = -0.5 * (nis + M as f64 * TAU.ln()) - log_root;
+        let posterior = Self { mean: self.mean + shift, covariance };
+        let log_likelihood = -0.5 * (nis + innovation.len as f64 * TAU.ln() + det.ln());
         if posterior.is_finite() && log_likelihood.is_finite() {
-            Ok((posterior, Evidence { nis, log_likelihood, measured_len: M }))
+            Ok((posterior, Evidence { nis, log_likelihood, measured_len: innovation.len }))
         } else {
             Err(FilterFault::NotFinite)
         }
     }
+}
+
+/// The covariance once the component `row` was seen with that variance.
+#[inline]
+fn joseph<const N: usize>(
+    covariance: &SMatrix<f64, N, N>,
+    row: usize,
+    gain: &SVector<f64, N>,
+    variance: f64,
+) -> SMatrix<f64, N, N> {
+    let seen = covariance.column(row);
+    // Column `row` of (I − k e_rᵀ) P.
+    let kept = seen - gain * seen[row];
+    let noise = gain * variance;
+    let mut posterior = SMatrix::zeros();
+    for j in 0..N {
+        for i in 0..=j {
+            let value = covariance[(i, j)] - gain[i] * seen[j] - kept[i] * gain[j] + noise[i] * gain[j];
+            posterior[(i, j)] = value;
+            posterior[(j, i)] = value;
+        }
+    }
+    posterior
 }

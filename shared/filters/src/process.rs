@@ -72,14 +72,15 @@ impl<const N: usize> Gaussian<N> {
             return Ok(());
         }
         let missed = missed(seen);
+        if let [(_, only)] = seen
+            && missed == 0.0
+        {
+            return self.update(only, process).map(drop);
+        }
         let mut posteriors = [(0.0, *self); SIDE_MAX + 1];
         for ((weight, posterior), (probability, seen)) in posteriors[..SIDE_MAX].iter_mut().zip(seen) {
             posterior.update(seen, process)?;
             *weight = *probability;
-        }
-        if seen.len() == 1 && missed == 0.0 {
-            *self = posteriors[0].1;
-            return Ok(());
         }
         posteriors[seen.len()].0 = missed;
         let weighed = posteriors[..=seen.len()].iter().map(|(weight, state)| (*weight, state));

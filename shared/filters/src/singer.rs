@@ -56,7 +56,7 @@ impl SingerBicycle {
         let share = (1.0 - kept) * self.decay_s / dt_s;
         let acting = meant + share * (mean[ACCELERATION] - meant);
         let planar: Vector5<f64> = mean.fixed_rows::<5>(0).into_owned();
-        let moved = self.bicycle.moved(&planar, [acting, slip_rate], dt_s);
+        let moved = self.bicycle.moved(&planar, [acting, slip_rate], &self.bicycle.over(dt_s));
         let mut next = Vector6::zeros();
         next.fixed_rows_mut::<5>(0).copy_from(&moved.next);
         next[ACCELERATION] = meant + kept * (mean[ACCELERATION] - meant);
@@ -89,7 +89,8 @@ impl Process<6> for SingerBicycle {
 impl Steered<6> for SingerBicycle {
     fn steer(&self, state: &Gaussian<6>, control: &Control, dt_s: f64) -> Gaussian<6> {
         let (mean, by_state) = self.moved(&state.mean, control.rate, dt_s);
-        let (of_bicycle, cross) = self.bicycle.noise(&Self::bicycle_of(state), control, dt_s);
+        let (of_bicycle, cross) =
+            self.bicycle.noise(&Self::bicycle_of(state), control, &self.bicycle.over(dt_s));
         let mut noise = Vector6::zeros();
         noise.fixed_rows_mut::<5>(0).copy_from(&of_bicycle);
         noise[ACCELERATION] = self.acceleration_mps2.powi(2) * (1.0 - (-2.0 * dt_s / self.decay_s).exp());
