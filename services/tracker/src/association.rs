@@ -3,6 +3,7 @@ use filters::jpda::{Associator, Share};
 use wire::{AgentType, Detection};
 
 use crate::estimate::Estimate;
+use crate::grid::{Grid, Spot};
 use crate::observed::position_sigma_m;
 use crate::options::{InputModel, TrackerOptions};
 
@@ -17,8 +18,9 @@ const JUMP_MIN_M: f64 = 5.0;
 /// Finds the estimate of each detection; holds only scratch memory.
 #[derive(Clone, Debug)]
 pub struct Association {
-    /// Numbers of the detections in an order that does not depend on how they came.
-    order: Vec<u32>,
+    /// The detections that have no estimate, in an order that does not depend on how they came.
+    left: Vec<u32>,
+    grid: Grid,
     /// (identity, estimate), sorted.
     identities: Vec<(u64, u32)>,
     candidates: Vec<Candidate>,
@@ -41,7 +43,8 @@ impl Association {
     #[must_use]
     pub fn with_capacity(estimates_len: usize, detections_len: usize) -> Self {
         Self {
-            order: Vec::with_capacity(detections_len),
+            left: Vec::with_capacity(detections_len),
+            grid: Grid::with_capacity(detections_len),
             identities: Vec::with_capacity(estimates_len),
             candidates: Vec::with_capacity(8 * estimates_len),
             possible: Vec::with_capacity(8 * estimates_len),
@@ -72,7 +75,7 @@ impl Association {
 
     /// The detections that start estimates of their own, in an order that does not depend on how they came.
     pub fn unpaired(&self) -> impl Iterator<Item = usize> + '_ {
-        self.order.iter().map(|&d| d as usize).filter(|&d| !self.taken[d])
+        self.left.iter().map(|&d| d as usize)
     }
 
     /// Pairs by identity: a detection belongs to the estimate that the last detection of its identity belonged to.
@@ -80,7 +83,7 @@ impl Association {
     /// Returns how many detections were left aside because another one of the frame carries the same identity.
     pub fn by_identity(&mut self, estimates: &[Estimate], detections: &[Detection]) -> usize {
         self.start(estimates, detections);
-        self.order.sort_unstable_by_key(|&d| {
+        self.left.sort_unstable_by_key(|&d| {
             let d = &detections[d as usize];
             (d.id, d.agent_type, d.x_m.to_bits(), d.y_m.to_bits())
         });
@@ -89,7 +92,7 @@ impl Association {
         self.identities.sort_unstable();
         let mut duplicates_len = 0;
         let mut last = None;
-        for &d in &self.order {
+        for &d in &self.left {
             let detection = &detections[d as usize];
             if last.replace(detection.id) == Some(detection.id) {
                 self.taken[d as usize] = true;
@@ -104,6 +107,7 @@ impl Association {
                 self.taken[d as usize] = true;
             }
         }
+        self.left.retain(|&d| !self.taken[d as usize]);
         duplicates_len
     }
 
@@ -121,13 +125,16 @@ impl Association {
         options: &TrackerOptions,
     ) {
         self.start(estimates, detections);
-        self.order.sort_unstable_by(|&a, &b| {
-            let (a, b) = (&detections[a as usize], &detections[b as usize]);
-            a.x_m.total_cmp(&b.x_m).then(a.y_m.total_cmp(&b.y_m)).then(a.agent_type.cmp(&b.agent_type))
-        });
+        let seen = detections.iter().zip(types).zip(0..detections.len() as u32);
+        self.grid.fill(seen.map(|((seen, &agent_type), detection)| Spot {
+            position_m: [f64::from(seen.x_m), f64::from(seen.y_m)],
+            variance: position_sigma_m(seen, agent_type, input).powi(2),
+            detection,
+            agent_type,
+        }));
         let jointly = options.association == config::Association::Jpda;
         for gate in [GATE, WIDE_GATE] {
-            self.find_candidates(estimates, detections, types, input, gate);
+            self.find_candidates(estimates, gate);
             if jointly && gate == GATE {
                 self.possible.clone_from(&self.candidates);
             }
@@ -143,6 +150,11 @@ impl Association {
         if jointly {
             self.associate(estimates, detections.len(), options.miss_cost);
         }
+        self.left.retain(|&d| !self.taken[d as usize]);
+        self.left.sort_unstable_by(|&a, &b| {
+            let (a, b) = (&detections[a as usize], &detections[b as usize]);
+            a.x_m.total_cmp(&b.x_m).then(a.y_m.total_cmp(&b.y_m)).then(a.agent_type.cmp(&b.agent_type))
+        });
     }
 
     /// Finds what each pair within the first gate is worth to the estimates that are ready.
@@ -159,48 +171,33 @@ impl Association {
     }
 
     /// All pairs within the gate of estimates and detections that are still alone.
-    fn find_candidates(
-        &mut self,
-        estimates: &[Estimate],
-        detections: &[Detection],
-        types: &[AgentType],
-        input: &InputModel,
-        gate: f64,
-    ) {
-        let sigmas_m = detections.iter().zip(types).map(|(d, &t)| position_sigma_m(d, t, input));
-        let largest_m = sigmas_m.fold(0.0, f64::max);
-        self.candidates.clear();
-        for ((estimate, t), paired) in estimates.iter().zip(0..).zip(&self.paired) {
+    fn find_candidates(&mut self, estimates: &[Estimate], gate: f64) {
+        let Self { grid, candidates, paired, taken, .. } = self;
+        let largest = grid.spots().iter().fold(0.0, |largest, spot| spot.variance.max(largest));
+        candidates.clear();
+        for ((estimate, t), paired) in estimates.iter().zip(0..).zip(&*paired) {
             if paired.is_some() || (gate > GATE && !estimate.is_ready()) {
                 continue;
             }
-            let ([x, y], [xx, _, yy]) = estimate.belief.position();
-            let reach = |variance: f64| (gate * (variance + largest_m.powi(2))).sqrt();
-            let (reach_x, reach_y) = (reach(xx), reach(yy));
-            let from = self.order.partition_point(|&d| f64::from(detections[d as usize].x_m) < x - reach_x);
-            for &d in &self.order[from..] {
-                let detection = &detections[d as usize];
-                let position_m = [f64::from(detection.x_m), f64::from(detection.y_m)];
-                if position_m[0] > x + reach_x {
-                    break;
+            let (centre_m, [xx, _, yy]) = estimate.belief.position();
+            let reach_m = [xx, yy].map(|variance| (gate * (variance + largest)).sqrt());
+            grid.near(centre_m, reach_m).for_each(|spot| {
+                let off = |axis: usize| (spot.position_m[axis] - centre_m[axis]).abs() > reach_m[axis];
+                if taken[spot.detection as usize] || off(0) || off(1) {
+                    return;
                 }
-                if self.taken[d as usize] || (position_m[1] - y).abs() > reach_y {
-                    continue;
-                }
-                let agent_type = types[d as usize];
-                let sigma_m = position_sigma_m(detection, agent_type, input);
-                let fit = estimate.fit(position_m, sigma_m.powi(2));
+                let fit = estimate.fit(spot.position_m, spot.variance);
                 if fit.distance2 <= gate {
-                    let cost = fit.distance2 + fit.log_det + estimate.class.disagreement(agent_type);
-                    self.candidates.push(Candidate { track: t, detection: d, cost });
+                    let cost = fit.cost() + estimate.class.disagreement(spot.agent_type);
+                    candidates.push(Candidate { track: t, detection: spot.detection, cost });
                 }
-            }
+            });
         }
     }
 
     fn start(&mut self, estimates: &[Estimate], detections: &[Detection]) {
-        self.order.clear();
-        self.order.extend(0..detections.len() as u32);
+        self.left.clear();
+        self.left.extend(0..detections.len() as u32);
         self.taken.clear();
         self.taken.resize(detections.len(), false);
         self.paired.clear();

@@ -15,13 +15,17 @@ pub struct Class {
     current: AgentType,
     /// Natural logarithms of the probabilities, the largest 0.
     log_weight: [f64; 3],
+    /// What follows from them, as most detections change nothing: the probabilities, and what speaks against each type.
+    probability: [f64; 3],
+    disagreement: [f64; 3],
 }
 
 impl Class {
     /// The belief after one detection.
     #[must_use]
     pub fn new(detected: AgentType) -> Self {
-        let mut class = Self { current: detected, log_weight: [0.0; 3] };
+        let mut class =
+            Self { current: detected, log_weight: [0.0; 3], probability: [0.0; 3], disagreement: [0.0; 3] };
         class.observe(detected);
         class
     }
@@ -34,12 +38,16 @@ impl Class {
 
     /// Takes in the type that a detection names; returns whether the track's type changed by it.
     pub fn observe(&mut self, detected: AgentType) -> bool {
+        let before = self.log_weight;
         for (index, log_weight) in self.log_weight.iter_mut().enumerate() {
             *log_weight += if index == detected.index() { RIGHT.ln() } else { WRONG.ln() };
         }
         let most = self.log_weight.iter().fold(f64::NEG_INFINITY, |most, &w| most.max(w));
         for log_weight in &mut self.log_weight {
             *log_weight = (*log_weight - most).max(-LOG_ODDS_MAX);
+        }
+        if self.log_weight != before {
+            self.conclude();
         }
         let lead = self.log_weight[detected.index()] - self.log_weight[self.current.index()];
         let changed = detected != self.current && lead > CHANGE_LOG_ODDS;
@@ -51,16 +59,20 @@ impl Class {
 
     /// Probability of each type.
     #[must_use]
-    pub fn probability(&self) -> [f64; 3] {
-        let weight = self.log_weight.map(f64::exp);
-        let sum: f64 = weight.iter().sum();
-        weight.map(|w| w / sum)
+    pub const fn probability(&self) -> &[f64; 3] {
+        &self.probability
     }
 
     /// −2 ln of the probability that a detection of this agent names that type.
     #[must_use]
-    pub fn disagreement(&self, detected: AgentType) -> f64 {
-        let right = self.probability()[detected.index()];
-        -2.0 * (right * RIGHT + (1.0 - right) * WRONG).ln()
+    pub const fn disagreement(&self, detected: AgentType) -> f64 {
+        self.disagreement[detected.index()]
+    }
+
+    fn conclude(&mut self) {
+        let weight = self.log_weight.map(f64::exp);
+        let sum: f64 = weight.iter().sum();
+        self.probability = weight.map(|w| w / sum);
+        self.disagreement = self.probability.map(|right| -2.0 * (right * RIGHT + (1.0 - right) * WRONG).ln());
     }
 }

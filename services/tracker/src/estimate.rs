@@ -1,6 +1,6 @@
 mod track;
 
-use std::f64::consts::FRAC_PI_2;
+use std::f64::consts::{FRAC_PI_2, TAU};
 
 use filters::{Filter, FilterFault, ForecastFault, Kind, Models, Motion, Observation, Unknown, wrapped};
 use thiserror::Error;
@@ -33,8 +33,22 @@ const SIZE_WEIGHT: f32 = 0.2;
 pub struct Fit {
     /// Mahalanobis distance, squared.
     pub distance2: f64,
-    /// Logarithm of the determinant of the innovation's covariance.
-    pub log_det: f64,
+    /// Determinant of the innovation's covariance.
+    pub det: f64,
+}
+
+impl Fit {
+    /// Density of the detection under the prediction, per m².
+    #[must_use]
+    pub fn density(&self) -> f64 {
+        (-0.5 * self.distance2).exp() / (TAU * self.det.sqrt())
+    }
+
+    /// d² + ln |S|: −2 ln of the density, up to a constant.
+    #[must_use]
+    pub fn cost(&self) -> f64 {
+        self.distance2 + self.det.ln()
+    }
 }
 
 /// Why a forecast could not become a prior.
@@ -186,7 +200,7 @@ impl Estimate {
         let (dx, dy) = (position_m[0] - x, position_m[1] - y);
         let det = xx * yy - xy * xy;
         let distance2 = (yy * dx * dx - 2.0 * xy * dx * dy + xx * dy * dy) / det;
-        Fit { distance2, log_det: det.ln() }
+        Fit { distance2, det }
     }
 
     /// Takes in the detection of a frame. The motion is corrected by all that is `possible`: observations of which at most
@@ -202,8 +216,7 @@ impl Estimate {
         options: &TrackerOptions,
     ) -> Result<(), FilterFault> {
         let seen = observation(detection, agent_type, input);
-        let fit = self.fit(seen.position_m, seen.position_variance);
-        let density = (-0.5 * (fit.distance2 + fit.log_det)).exp() / std::f64::consts::TAU;
+        let density = self.fit(seen.position_m, seen.position_variance).density();
         self.life.see(density, self.moved_ns, input, options);
         if self.class.observe(agent_type) {
             self.belief.forget_forecast();

@@ -51,11 +51,18 @@ impl History {
         let held = self.len.min(STATES_MAX);
         // Steps back from the newest state; the window is filled from its newest end, so this only grows.
         let mut back = 0;
+        // Where frames come evenly, it grows as much each time.
+        let mut stride = 0;
         for (k, entry) in window.iter_mut().rev().enumerate() {
             let wanted_ns = now_ns.saturating_sub_unsigned(step_ns.saturating_mul(k as u64));
+            let last = back;
+            if (1..held - back).contains(&stride) && self.stamp_ns(back + stride - 1) > wanted_ns {
+                back += stride;
+            }
             while back < held && self.stamp_ns(back) > wanted_ns {
                 back += 1;
             }
+            stride = back - last;
             *entry = if back == held {
                 HistoryState::default()
             } else if self.stamp_ns(back) == wanted_ns {

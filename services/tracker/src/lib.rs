@@ -21,6 +21,7 @@ mod estimate;
 mod estimates;
 mod forecasts;
 mod front;
+mod grid;
 mod history;
 mod life;
 mod observed;

@@ -1,4 +1,5 @@
-use wire::{HISTORY_MAX, HistoryState, Track};
+use bytemuck::Zeroable;
+use wire::{HistoryState, Track};
 
 use crate::estimate::{Birth, Estimate};
 use crate::front::under_way_rad;
@@ -50,22 +51,15 @@ impl Publication {
         self.held_ns = now_ns;
     }
 
-    /// The track as it is published; the state of now must have been recorded.
-    #[must_use]
-    pub fn track(&self, estimate: &Estimate, options: &TrackerOptions) -> Track {
-        let mut history = [HistoryState::default(); HISTORY_MAX];
-        let window = &mut history[..options.history_len];
+    /// Writes the track as it is published; the state of now must have been recorded.
+    pub fn write(&self, estimate: &Estimate, options: &TrackerOptions, track: &mut Track) {
+        *track = Track { id: self.id, heading_rad: self.heading_rad as f32, ..Track::zeroed() };
+        estimate.write(options.step_ns, track);
+        let window = &mut track.history[..options.history_len];
         self.history.window(self.held_ns, options.step_ns, options.gap_max_ns, window);
         let present_len: u32 = window.iter().map(|state| state.present).sum();
-        let track = estimate.track(options.step_ns);
         let age_ns = self.held_ns.saturating_sub(track.born_ns).unsigned_abs();
-        Track {
-            id: self.id,
-            heading_rad: self.heading_rad as f32,
-            forecastable: u32::from(present_len >= 2 && age_ns >= options.step_ns),
-            history,
-            ..track
-        }
+        track.forecastable = u32::from(present_len >= 2 && age_ns >= options.step_ns);
     }
 }
 

@@ -208,7 +208,7 @@ impl Tracker {
         }
         shown.sort_unstable_by_key(|&(_, _, p)| publications.at(p as usize).id);
         for (track, &(_, e, p)) in out.iter_mut().zip(&*shown) {
-            *track = publications.at(p as usize).track(&estimates.all()[e as usize], options);
+            publications.at(p as usize).write(&estimates.all()[e as usize], options, track);
         }
         tracked.tracks_len = shown.len();
         let oldest_ns = scans.kept().first().map_or(header.stamp_ns, |oldest| oldest.header.stamp_ns);

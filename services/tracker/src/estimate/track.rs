@@ -1,56 +1,53 @@
-use bytemuck::Zeroable;
 use filters::{Filter, Gaussian};
 use wire::{Quality, Track, TrackStatus};
 
 use crate::estimate::Estimate;
 
 impl Estimate {
-    /// Its part of the track that is published; `step_ns` is Δt.
-    #[must_use]
-    pub fn track(&self, step_ns: u64) -> Track {
+    /// Writes its part of the track that is published; `step_ns` is Δt.
+    pub fn write(&self, step_ns: u64, track: &mut Track) {
         let motion = &self.motion;
         let status = if self.life.is_hit() { TrackStatus::Confirmed } else { TrackStatus::Coasting };
-        let prior_age_ns = self.belief.forecast_age_ns();
+        track.source_id = self.source_id;
+        track.born_ns = self.birth.stamp_ns;
+        track.unseen_ns = self.unseen_ns(self.stamp_ns);
+        track.agent_type = self.class.current() as u32;
+        track.status = status as u32;
+        [track.x_m, track.y_m] = motion.position_m.map(|x| x as f32);
+        [track.vx_mps, track.vy_mps] = motion.velocity_mps.map(|v| v as f32);
+        track.speed_mps = motion.speed_mps as f32;
+        track.slip_rad = motion.slip_rad as f32;
+        track.length_m = self.length_m;
+        track.width_m = self.width_m;
+        track.existence = self.life.probability() as f32;
+        track.type_probability = self.class.probability().map(|p| p as f32);
+        track.state_len = match self.belief.filter() {
+            Filter::Bicycle(state) => write_covariance(state, &mut track.covariance),
+            other => write_covariance(&other.cartesian(), &mut track.covariance),
+        };
+        self.write_prior(step_ns, track);
+    }
+
+    fn write_prior(&self, step_ns: u64, track: &mut Track) {
+        let age_ns = self.belief.forecast_age_ns();
         // By its age when it began to move the state here.
-        let prior = match prior_age_ns.map(|age_ns| age_ns.saturating_sub(self.moved_ns)) {
+        let prior = match age_ns.map(|age_ns| age_ns.saturating_sub(self.moved_ns)) {
             None => Quality::Kinematic,
             Some(age_ns) if age_ns < step_ns => Quality::Learned,
             Some(_) => Quality::Held,
         };
-        let (state_len, covariance) = match self.belief.filter() {
-            Filter::Bicycle(state) => (5, row_major(state)),
-            other => (4, row_major(&other.cartesian())),
-        };
-        Track {
-            source_id: self.source_id,
-            born_ns: self.birth.stamp_ns,
-            unseen_ns: self.unseen_ns(self.stamp_ns),
-            agent_type: self.class.current() as u32,
-            status: status as u32,
-            state_len,
-            x_m: motion.position_m[0] as f32,
-            y_m: motion.position_m[1] as f32,
-            speed_mps: motion.speed_mps as f32,
-            slip_rad: motion.slip_rad as f32,
-            vx_mps: motion.velocity_mps[0] as f32,
-            vy_mps: motion.velocity_mps[1] as f32,
-            length_m: self.length_m,
-            width_m: self.width_m,
-            existence: self.life.probability() as f32,
-            type_probability: self.class.probability().map(|p| p as f32),
-            covariance,
-            prior: prior as u32,
-            prior_age_ns: prior_age_ns.unwrap_or(0),
-            prior_weights: self.belief.weights(),
-            ..Track::zeroed()
-        }
+        track.prior = prior as u32;
+        track.prior_age_ns = age_ns.unwrap_or(0);
+        track.prior_weights = self.belief.weights();
     }
 }
 
-fn row_major<const N: usize>(state: &Gaussian<N>) -> [f32; 25] {
-    let mut numbers = [0.0; 25];
-    for (number, value) in numbers.iter_mut().zip(state.covariance.transpose().iter()) {
+/// Writes the covariance row by row, which for a symmetric one is column by column, and 0 behind it; returns its rows.
+fn write_covariance<const N: usize>(state: &Gaussian<N>, numbers: &mut [f32; 25]) -> u32 {
+    let (own, rest) = numbers.split_at_mut(N * N);
+    for (number, value) in own.iter_mut().zip(state.covariance.as_slice()) {
         *number = *value as f32;
     }
-    numbers
+    rest.fill(0.0);
+    N as u32
 }

@@ -1,0 +1,103 @@
+use wire::{AgentType, POSITION_MAX_M};
+
+/// Side of a cell: about the gate of a track that was seen a moment ago.
+const CELL_M: f64 = 2.0;
+/// Cells per detection, at least.
+const CELLS_RATIO: usize = 2;
+
+/// A detection as the gates see it.
+#[derive(Clone, Copy, Debug)]
+pub struct Spot {
+    /// Position in the world frame.
+    pub position_m: [f64; 2],
+    /// Its variance per axis.
+    pub variance: f64,
+    /// Number of the detection.
+    pub detection: u32,
+    /// Type that the detection names.
+    pub agent_type: AgentType,
+}
+
+/// The detections of a frame by their place; holds only scratch memory.
+///
+/// The plane is cut into cells of one size and rolled up: cells that lie a multiple of `side` apart share a list. So few cells
+/// hold a frame of any extent, and a stray detection far away changes nothing for the others.
+#[derive(Clone, Debug)]
+pub struct Grid {
+    /// Cells along each axis, a power of two.
+    side: u32,
+    /// Where the spots of each cell begin; those of the last end at the end.
+    first: Vec<u32>,
+    /// Cell by cell, in each in the order of the detections.
+    spots: Vec<Spot>,
+}
+
+impl Grid {
+    /// A grid for so many detections.
+    #[must_use]
+    pub fn with_capacity(detections_len: usize) -> Self {
+        let cells_len = (side(detections_len) as usize).pow(2);
+        Self { side: 1, first: Vec::with_capacity(cells_len + 1), spots: Vec::with_capacity(detections_len) }
+    }
+
+    /// Takes in the detections of a frame in place of those before.
+    pub fn fill(&mut self, spots: impl DoubleEndedIterator<Item = Spot> + Clone) {
+        let spots_len = spots.clone().count();
+        self.side = side(spots_len);
+        self.first.clear();
+        self.first.resize((self.side as usize).pow(2) + 1, 0);
+        for spot in spots.clone() {
+            let cell = self.cell(spot.position_m.map(line));
+            self.first[cell] += 1;
+        }
+        // From the counts to where each cell ends; placing its spots from behind takes that to where it begins.
+        let mut end = 0;
+        for count in &mut self.first {
+            end += *count;
+            *count = end;
+        }
+        let unplaced =
+            Spot { position_m: [0.0; 2], variance: 0.0, detection: 0, agent_type: AgentType::Vehicle };
+        self.spots.clear();
+        self.spots.resize(spots_len, unplaced);
+        for spot in spots.rev() {
+            let cell = self.cell(spot.position_m.map(line));
+            self.first[cell] -= 1;
+            self.spots[self.first[cell] as usize] = spot;
+        }
+    }
+
+    /// All spots no farther from a point than `reach_m` along each axis, and some that are.
+    pub fn near(&self, centre_m: [f64; 2], reach_m: [f64; 2]) -> impl Iterator<Item = &Spot> {
+        let lines = |axis: usize| {
+            let [from, to] = [-reach_m[axis], reach_m[axis]].map(|off_m| line(centre_m[axis] + off_m));
+            // Farther round, the cells are the same again.
+            from..=to.min(from + self.side - 1)
+        };
+        let columns = lines(0);
+        lines(1).flat_map(move |y| columns.clone().flat_map(move |x| self.spots_of(self.cell([x, y]))))
+    }
+
+    /// All spots.
+    pub fn spots(&self) -> &[Spot] {
+        &self.spots
+    }
+
+    fn spots_of(&self, cell: usize) -> &[Spot] {
+        &self.spots[self.first[cell] as usize..self.first[cell + 1] as usize]
+    }
+
+    fn cell(&self, [x, y]: [u32; 2]) -> usize {
+        let around = self.side - 1;
+        ((y & around) * self.side + (x & around)) as usize
+    }
+}
+
+/// Number of the line of cells in which a coordinate lies; grows with it.
+fn line(coordinate_m: f64) -> u32 {
+    ((coordinate_m + f64::from(POSITION_MAX_M)) / CELL_M) as u32
+}
+
+fn side(spots_len: usize) -> u32 {
+    (CELLS_RATIO * spots_len).isqrt().next_power_of_two() as u32
+}
