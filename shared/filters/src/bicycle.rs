@@ -46,6 +46,7 @@ pub(crate) struct Step {
 }
 
 impl Bicycle {
+    #[inline]
     pub(crate) fn over(&self, dt_s: f64) -> Step {
         let exponent = self.slip_decay_per_s * dt_s;
         let slip_share = if exponent == 0.0 { 1.0 } else { -(-exponent).exp_m1() / exponent };
@@ -53,6 +54,7 @@ impl Bicycle {
     }
 
     /// Variances that a step adds, and the covariance of speed and slip that it adds.
+    #[inline]
     pub(crate) fn noise(&self, state: &Gaussian<5>, control: &Control, step: &Step) -> (Vector5<f64>, f64) {
         let &Step { dt_s, slip_share } = step;
         let [of_speed, cross, of_slip] = control.density;
@@ -69,6 +71,7 @@ impl Bicycle {
     }
 
     /// The mean after a step under a control, and its derivatives by the mean before and by the control.
+    #[inline]
     pub(crate) fn moved(&self, mean: &Vector5<f64>, rate: [f64; 2], step: &Step) -> Linearised<f64, 5> {
         let [acceleration, slip_rate] = rate;
         let bicycle = kinematics::Bicycle {
@@ -105,6 +108,7 @@ impl Process<5> for Bicycle {
 }
 
 impl Steered<5> for Bicycle {
+    #[inline]
     fn steer(&self, state: &Gaussian<5>, control: &Control, dt_s: f64) -> Gaussian<5> {
         let step = self.over(dt_s);
         let moved = self.moved(&state.mean, control.rate, &step);

@@ -162,6 +162,7 @@ impl Filter {
 
     /// Mean position and its covariance as (xx, xy, yy).
     #[must_use]
+    #[inline]
     pub fn position(&self) -> ([f64; 2], [f64; 3]) {
         match self {
             Self::ConstantVelocity(state) => position(state),
@@ -172,6 +173,7 @@ impl Filter {
 
     /// The mean's motion.
     #[must_use]
+    #[inline]
     pub fn motion(&self) -> Motion {
         match self {
             Self::ConstantVelocity(Gaussian { mean: m, .. }) => cartesian_motion(m),

@@ -66,8 +66,30 @@ impl<const N: usize> Innovation<N> {
     }
 }
 
+/// An update's innovation y against its covariance S.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Misfit {
+    /// yᵀ S⁻¹ y
+    nis: f64,
+    /// |S|
+    det: f64,
+    measured_len: usize,
+}
+
+impl Misfit {
+    pub fn evidence(&self) -> Evidence {
+        let &Self { nis, det, measured_len } = self;
+        let log_likelihood = -0.5 * (nis + det.ln() + measured_len as f64 * TAU.ln());
+        Evidence { nis, log_likelihood, measured_len }
+    }
+
+    fn is_finite(&self) -> bool {
+        self.nis.is_finite() && self.det.is_normal()
+    }
+}
+
 impl<const N: usize> Gaussian<N> {
-    /// The posterior in Joseph form.
+    /// Becomes the posterior, in Joseph form.
     ///
     /// The measured values correct the state one after the other: as their errors are independent, that tells the same as
     /// all at once, and no matrix is factored. Of a component r, seen with the variance R:
@@ -77,32 +99,31 @@ impl<const N: usize> Gaussian<N> {
     /// ```
     ///
     /// # Errors
-    /// [`FilterFault`] where the innovation's covariance is not positive definite or a result is not finite.
-    #[inline]
-    pub fn corrected(&self, innovation: &Innovation<N>) -> Result<(Self, Evidence), FilterFault> {
+    /// [`FilterFault`] where the innovation's covariance is not positive definite or a result is not finite; the state is
+    /// then as before.
+    pub(crate) fn correct(&mut self, innovation: &Innovation<N>) -> Result<Misfit, FilterFault> {
         let mut covariance = self.covariance;
         let mut shift = SVector::<f64, N>::zeros();
-        // NIS and |S|, S = L D Lᵀ: the spread of each value, given those before, is its entry of D.
-        let (mut nis, mut det) = (0.0, 1.0);
+        // S = L D Lᵀ: the spread of each value, given those before, is its entry of D.
+        let mut misfit = Misfit { nis: 0.0, det: 1.0, measured_len: innovation.len };
         for (row, residual, variance) in innovation.values() {
             let spread = covariance[(row, row)] + variance;
             if spread.is_nan() || spread <= 0.0 {
                 return Err(FilterFault::NotPositive);
             }
-            let gain = covariance.column(row) / spread;
+            let gain = covariance.row(row).transpose() / spread;
             let residual = residual - shift[row];
             shift += gain * residual;
-            nis += residual * residual / spread;
-            det *= spread;
+            misfit.nis += residual * residual / spread;
+            misfit.det *= spread;
             covariance = joseph(&covariance, row, &gain, variance);
         }
         let posterior = Self { mean: self.mean + shift, covariance };
-        let log_likelihood = -0.5 * (nis + innovation.len as f64 * TAU.ln() + det.ln());
-        if posterior.is_finite() && log_likelihood.is_finite() {
-            Ok((posterior, Evidence { nis, log_likelihood, measured_len: innovation.len }))
-        } else {
-            Err(FilterFault::NotFinite)
+        if !(posterior.is_finite() && misfit.is_finite()) {
+            return Err(FilterFault::NotFinite);
         }
+        *self = posterior;
+        Ok(misfit)
     }
 }
 
@@ -114,14 +135,13 @@ fn joseph<const N: usize>(
     gain: &SVector<f64, N>,
     variance: f64,
 ) -> SMatrix<f64, N, N> {
-    let seen = covariance.column(row);
-    // Column `row` of (I − k e_rᵀ) P.
-    let kept = seen - gain * seen[row];
-    let noise = gain * variance;
+    let seen = covariance.row(row).transpose();
+    // Column `row` of (I − k e_rᵀ) P, less k R.
+    let rest = (seen - gain * seen[row]) - gain * variance;
     let mut posterior = SMatrix::zeros();
     for j in 0..N {
         for i in 0..=j {
-            let value = covariance[(i, j)] - gain[i] * seen[j] - kept[i] * gain[j] + noise[i] * gain[j];
+            let value = covariance[(i, j)] - gain[i] * seen[j] - rest[i] * gain[j];
             posterior[(i, j)] = value;
             posterior[(j, i)] = value;
         }

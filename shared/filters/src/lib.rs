@@ -54,6 +54,7 @@ pub const GAP_MAX_NS: u64 = 60_000_000_000;
 
 /// The angle's equal in [−π, π).
 #[must_use]
+#[inline]
 pub fn wrapped(angle_rad: f64) -> f64 {
     if (-PI..PI).contains(&angle_rad) { angle_rad } else { (angle_rad + PI).rem_euclid(TAU) - PI }
 }

@@ -222,12 +222,12 @@ impl<P: Steered<N>, const N: usize> Particles<P, N> {
         self.next.clear();
         for particle in &self.particles {
             let off = difference(&particle.state, &cloud.mean, P::ANGLES);
-            let kernel = Gaussian { mean: cloud.mean + off * drawn_in, covariance };
+            let mut kernel = Gaussian { mean: cloud.mean + off * drawn_in, covariance };
             let innovation = self.priors.kinematic.innovation(&kernel.mean, seen);
-            let (posterior, evidence) = kernel.corrected(&innovation)?;
-            kernels.covariance = posterior.covariance;
+            let evidence = kernel.correct(&innovation)?.evidence();
+            kernels.covariance = kernel.covariance;
             let log_weight = particle.log_weight + evidence.log_likelihood;
-            self.next.push(Particle { state: posterior.mean, log_weight, ..*particle });
+            self.next.push(Particle { state: kernel.mean, log_weight, ..*particle });
         }
         kernels.log_likelihood = self.normalised()?;
         Ok(kernels)

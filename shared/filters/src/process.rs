@@ -1,5 +1,6 @@
 use nalgebra::SVector;
 
+use crate::innovation::Misfit;
 use crate::jpda::SIDE_MAX;
 use crate::{Evidence, FilterFault, GAP_MAX_NS, Gaussian, Innovation, Observation, STEP_MAX_NS, moments};
 
@@ -27,8 +28,11 @@ impl<const N: usize> Gaussian<N> {
     /// [`FilterFault`]; the state is then as before.
     pub fn predict(&mut self, dt_ns: u64, process: &impl Process<N>) -> Result<(), FilterFault> {
         let (steps_len, dt_s) = steps(dt_ns)?;
-        let mut state = *self;
-        for _ in 0..steps_len {
+        if steps_len == 0 {
+            return Ok(());
+        }
+        let mut state = process.step(self, dt_s);
+        for _ in 1..steps_len {
             state = process.step(&state, dt_s);
         }
         if !state.is_finite() {
@@ -43,10 +47,13 @@ impl<const N: usize> Gaussian<N> {
     /// # Errors
     /// [`FilterFault`]; the state is then as before.
     pub fn update(&mut self, seen: &Observation, process: &impl Process<N>) -> Result<Evidence, FilterFault> {
-        let (mut posterior, evidence) = self.corrected(&process.innovation(&self.mean, seen))?;
-        process.settle(&mut posterior.mean);
-        *self = posterior;
-        Ok(evidence)
+        self.take_in(seen, process).map(|misfit| misfit.evidence())
+    }
+
+    fn take_in(&mut self, seen: &Observation, process: &impl Process<N>) -> Result<Misfit, FilterFault> {
+        let misfit = self.correct(&process.innovation(&self.mean, seen))?;
+        process.settle(&mut self.mean);
+        Ok(misfit)
     }
 
     /// Corrects the state by observations of which at most one is of the agent, each with the probability that it is;
@@ -75,11 +82,11 @@ impl<const N: usize> Gaussian<N> {
         if let [(_, only)] = seen
             && missed == 0.0
         {
-            return self.update(only, process).map(drop);
+            return self.take_in(only, process).map(drop);
         }
         let mut posteriors = [(0.0, *self); SIDE_MAX + 1];
         for ((weight, posterior), (probability, seen)) in posteriors[..SIDE_MAX].iter_mut().zip(seen) {
-            posterior.update(seen, process)?;
+            posterior.take_in(seen, process)?;
             *weight = *probability;
         }
         posteriors[seen.len()].0 = missed;
