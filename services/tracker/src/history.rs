@@ -10,8 +10,8 @@ const STATES_MAX: usize = 64;
 /// their interpolation, which depends on these two alone and so stays the same as well.
 #[derive(Clone, Copy, Debug)]
 pub struct History {
-    stamps_ns: [i64; STATES_MAX],
-    states: [HistoryState; STATES_MAX],
+    /// States by their stamps.
+    states: [(i64, HistoryState); STATES_MAX],
     /// States pushed so far; the newest lies at (len − 1) modulo the ring's size.
     len: usize,
 }
@@ -22,14 +22,12 @@ impl History {
     pub const fn new() -> Self {
         const ABSENT: HistoryState =
             HistoryState { x_m: 0.0, y_m: 0.0, vx_mps: 0.0, vy_mps: 0.0, heading_rad: 0.0, present: 0 };
-        Self { stamps_ns: [0; STATES_MAX], states: [ABSENT; STATES_MAX], len: 0 }
+        Self { states: [(0, ABSENT); STATES_MAX], len: 0 }
     }
 
     /// Appends the state of `stamp_ns`, which lies after all others; the oldest gives way in a full ring.
     pub fn push(&mut self, stamp_ns: i64, state: HistoryState) {
-        let slot = self.len % STATES_MAX;
-        self.stamps_ns[slot] = stamp_ns;
-        self.states[slot] = HistoryState { present: 1, ..state };
+        self.states[self.len % STATES_MAX] = (stamp_ns, HistoryState { present: 1, ..state });
         self.len += 1;
     }
 
@@ -37,7 +35,7 @@ impl History {
     ///
     /// The first state of a track that was seen at a position only has no velocity of its own.
     pub fn backfill(&mut self, known: &HistoryState) {
-        for state in &mut self.states[..self.len.min(STATES_MAX)] {
+        for (_, state) in &mut self.states[..self.len.min(STATES_MAX)] {
             (state.vx_mps, state.vy_mps) = (known.vx_mps, known.vy_mps);
             state.heading_rad = known.heading_rad;
         }
@@ -55,14 +53,15 @@ impl History {
         let mut stride = 0;
         for (k, entry) in window.iter_mut().rev().enumerate() {
             let wanted_ns = now_ns.saturating_sub_unsigned(step_ns.saturating_mul(k as u64));
-            let last = back;
-            if (1..held - back).contains(&stride) && self.stamp_ns(back + stride - 1) > wanted_ns {
+            if back + stride < held && self.stamp_ns(back + stride) == wanted_ns {
                 back += stride;
+            } else {
+                let last = back;
+                while back < held && self.stamp_ns(back) > wanted_ns {
+                    back += 1;
+                }
+                stride = back - last;
             }
-            while back < held && self.stamp_ns(back) > wanted_ns {
-                back += 1;
-            }
-            stride = back - last;
             *entry = if back == held {
                 HistoryState::default()
             } else if self.stamp_ns(back) == wanted_ns {
@@ -102,11 +101,11 @@ impl History {
     }
 
     fn stamp_ns(&self, back: usize) -> i64 {
-        self.stamps_ns[self.slot(back)]
+        self.states[self.slot(back)].0
     }
 
     fn state(&self, back: usize) -> &HistoryState {
-        &self.states[self.slot(back)]
+        &self.states[self.slot(back)].1
     }
 }
 

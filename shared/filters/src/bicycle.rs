@@ -48,9 +48,7 @@ pub(crate) struct Step {
 impl Bicycle {
     #[inline]
     pub(crate) fn over(&self, dt_s: f64) -> Step {
-        let exponent = self.slip_decay_per_s * dt_s;
-        let slip_share = if exponent == 0.0 { 1.0 } else { -(-exponent).exp_m1() / exponent };
-        Step { dt_s, slip_share }
+        Step { dt_s, slip_share: mean_decayed(self.slip_decay_per_s * dt_s) }
     }
 
     /// Variances that a step adds, and the covariance of speed and slip that it adds.
@@ -128,6 +126,17 @@ impl Steered<5> for Bicycle {
 
     fn first_ns(step_ns: u64) -> u64 {
         step_ns
+    }
+}
+
+/// (1 − e^(−x)) / x, the mean over a time of what decays by that exponent.
+fn mean_decayed(exponent: f64) -> f64 {
+    // Over a tick little decays: up to there these terms of the series, 1 / (n + 1)!, are exact to the last digit.
+    const TERMS: [f64; 7] = [1.0, 1.0 / 2.0, 1.0 / 6.0, 1.0 / 24.0, 1.0 / 120.0, 1.0 / 720.0, 1.0 / 5040.0];
+    if exponent.abs() < 0.02 {
+        TERMS.iter().rfold(0.0, |sum, term| term - exponent * sum)
+    } else {
+        -(-exponent).exp_m1() / exponent
     }
 }
 

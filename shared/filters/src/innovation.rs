@@ -9,11 +9,8 @@ pub const MEASURED_MAX: usize = 4;
 /// What a measurement tells beyond the prediction: values of components of the state, with independent errors.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Innovation<const N: usize> {
-    /// The component that each measured value observes.
-    rows: [usize; MEASURED_MAX],
-    residual: [f64; MEASURED_MAX],
-    variance: [f64; MEASURED_MAX],
-    len: usize,
+    /// Residual and variance of each component that was measured.
+    values: [Option<(f64, f64)>; MEASURED_MAX],
 }
 
 /// How well an update's measurement fitted the prediction.
@@ -31,38 +28,27 @@ impl<const N: usize> Innovation<N> {
     /// Of a position, observed directly as the first two components: measured less predicted, and variance per axis.
     #[must_use]
     pub fn of_position(residual: [f64; 2], variance: f64) -> Self {
-        let mut innovation = Self { rows: [0; 4], residual: [0.0; 4], variance: [0.0; 4], len: 0 };
-        innovation.push(0, residual[0], variance);
-        innovation.push(1, residual[1], variance);
-        innovation
+        let [x, y] = residual.map(|residual| Some((residual, variance)));
+        Self { values: [x, y, None, None] }
     }
 
     /// Adds a direct observation of a component: measured less predicted, angles wrapped, and its variance.
     ///
     /// # Panics
-    /// If more than [`MEASURED_MAX`] values are added, or the state has no such component.
-    pub fn push(&mut self, component: usize, residual: f64, variance: f64) {
-        assert!(self.len < MEASURED_MAX && component < N, "up to {MEASURED_MAX} values of {N} components");
-        self.rows[self.len] = component;
-        self.residual[self.len] = residual;
-        self.variance[self.len] = variance;
-        self.len += 1;
+    /// If the component is none of the first [`MEASURED_MAX`] of the state.
+    pub fn set(&mut self, component: usize, residual: f64, variance: f64) {
+        assert!(component < MEASURED_MAX.min(N), "the first {MEASURED_MAX} of {N} components");
+        self.values[component] = Some((residual, variance));
     }
 
     /// Logarithm of the measurement's density where the state is known for certain; not finite where a variance is not
     /// positive.
     #[must_use]
     pub fn log_density(&self) -> f64 {
-        let of_value = |(_, residual, variance): (_, f64, f64)| {
+        let of_value = |&(residual, variance): &(f64, f64)| {
             -0.5 * (residual * residual / variance + (TAU * variance).ln())
         };
-        self.values().map(of_value).sum()
-    }
-
-    /// Component, residual and variance of each measured value.
-    fn values(&self) -> impl Iterator<Item = (usize, f64, f64)> {
-        let values = self.rows.iter().zip(&self.residual).zip(&self.variance).take(self.len);
-        values.map(|((&row, &residual), &variance)| (row, residual, variance))
+        self.values.iter().flatten().map(of_value).sum()
     }
 }
 
@@ -102,22 +88,17 @@ impl<const N: usize> Gaussian<N> {
     /// [`FilterFault`] where the innovation's covariance is not positive definite or a result is not finite; the state is
     /// then as before.
     pub(crate) fn correct(&mut self, innovation: &Innovation<N>) -> Result<Misfit, FilterFault> {
-        let mut covariance = self.covariance;
-        let mut shift = SVector::<f64, N>::zeros();
-        // S = L D Lᵀ: the spread of each value, given those before, is its entry of D.
-        let mut misfit = Misfit { nis: 0.0, det: 1.0, measured_len: innovation.len };
-        for (row, residual, variance) in innovation.values() {
-            let spread = covariance[(row, row)] + variance;
-            if spread.is_nan() || spread <= 0.0 {
-                return Err(FilterFault::NotPositive);
-            }
-            let gain = covariance.row(row).transpose() / spread;
-            let residual = residual - shift[row];
-            shift += gain * residual;
-            misfit.nis += residual * residual / spread;
-            misfit.det *= spread;
-            covariance = joseph(&covariance, row, &gain, variance);
-        }
+        let mut correction = Correction {
+            covariance: self.covariance,
+            shift: SVector::zeros(),
+            misfit: Misfit { nis: 0.0, det: 1.0, measured_len: 0 },
+        };
+        let [x, y, third, fourth] = innovation.values;
+        correction.see::<0>(x)?;
+        correction.see::<1>(y)?;
+        correction.see::<2>(third)?;
+        correction.see::<3>(fourth)?;
+        let Correction { covariance, shift, misfit } = correction;
         let posterior = Self { mean: self.mean + shift, covariance };
         if !(posterior.is_finite() && misfit.is_finite()) {
             return Err(FilterFault::NotFinite);
@@ -127,24 +108,40 @@ impl<const N: usize> Gaussian<N> {
     }
 }
 
-/// The covariance once the component `row` was seen with that variance.
-#[inline]
-fn joseph<const N: usize>(
-    covariance: &SMatrix<f64, N, N>,
-    row: usize,
-    gain: &SVector<f64, N>,
-    variance: f64,
-) -> SMatrix<f64, N, N> {
-    let seen = covariance.row(row).transpose();
-    // Column `row` of (I − k e_rᵀ) P, less k R.
-    let rest = (seen - gain * seen[row]) - gain * variance;
-    let mut posterior = SMatrix::zeros();
-    for j in 0..N {
-        for i in 0..=j {
-            let value = covariance[(i, j)] - gain[i] * seen[j] - rest[i] * gain[j];
-            posterior[(i, j)] = value;
-            posterior[(j, i)] = value;
+/// What the values seen so far make of a state.
+struct Correction<const N: usize> {
+    covariance: SMatrix<f64, N, N>,
+    /// By how much they move the mean.
+    shift: SVector<f64, N>,
+    /// S = L D Lᵀ: the spread of each value, given those before, is its entry of D.
+    misfit: Misfit,
+}
+
+impl<const N: usize> Correction<N> {
+    /// Takes in a value of the component `ROW`, if there is one: residual and variance.
+    #[inline]
+    fn see<const ROW: usize>(&mut self, value: Option<(f64, f64)>) -> Result<(), FilterFault> {
+        let Some((residual, variance)) = value else { return Ok(()) };
+        let seen = self.covariance.column(ROW).into_owned();
+        let spread = seen[ROW] + variance;
+        if spread.is_nan() || spread <= 0.0 {
+            return Err(FilterFault::NotPositive);
         }
+        let gain = seen / spread;
+        let residual = residual - self.shift[ROW];
+        self.shift += gain * residual;
+        self.misfit.nis += residual * residual / spread;
+        self.misfit.det *= spread;
+        self.misfit.measured_len += 1;
+        // Column `ROW` of (I − k e_rᵀ) P, less k R.
+        let rest = (seen - gain * seen[ROW]) - gain * variance;
+        for j in 0..N {
+            for i in 0..=j {
+                let value = self.covariance[(i, j)] - gain[i] * seen[j] - rest[i] * gain[j];
+                self.covariance[(i, j)] = value;
+                self.covariance[(j, i)] = value;
+            }
+        }
+        Ok(())
     }
-    posterior
 }

@@ -32,8 +32,8 @@ impl Observation {
     pub fn against_cartesian<const N: usize>(&self, mean: &SVector<f64, N>) -> Innovation<N> {
         let mut innovation = self.position_against(mean);
         if let Some(([vx, vy], variance)) = self.velocity_mps() {
-            innovation.push(2, vx - mean[2], variance);
-            innovation.push(3, vy - mean[3], variance);
+            innovation.set(2, vx - mean[2], variance);
+            innovation.set(3, vy - mean[3], variance);
         }
         innovation
     }
@@ -43,10 +43,10 @@ impl Observation {
     pub fn against_polar<const N: usize>(&self, mean: &SVector<f64, N>) -> Innovation<N> {
         let mut innovation = self.position_against(mean);
         if let Some((heading, variance)) = self.heading_rad {
-            innovation.push(2, wrapped(heading - mean[2]), variance);
+            innovation.set(2, wrapped(heading - mean[2]), variance);
         }
         if let Some((speed, variance)) = self.speed_mps {
-            innovation.push(3, speed - mean[3], variance);
+            innovation.set(3, speed - mean[3], variance);
         }
         innovation
     }
