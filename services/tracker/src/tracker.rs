@@ -34,6 +34,18 @@ pub struct Tracked {
     pub refused_len: usize,
 }
 
+/// An estimate that can be published.
+#[derive(Clone, Copy, Debug)]
+struct Shown {
+    /// Squared distance to the ego.
+    distance_m2: f64,
+    /// The track's identity.
+    id: u64,
+    /// Places of estimate and publication.
+    estimate: usize,
+    publication: usize,
+}
+
 /// Makes tracks of detections: a belief per agent, kept over time.
 #[derive(Debug)]
 pub struct Tracker {
@@ -45,8 +57,8 @@ pub struct Tracker {
     tally: Tally,
     scratch: Scratch,
     types: Vec<AgentType>,
-    /// (squared distance to the ego, places of estimate and publication), for choosing the nearest.
-    shown: Vec<(f64, u32, u32)>,
+    /// What can be published, for choosing the nearest.
+    shown: Vec<Shown>,
 }
 
 impl Tracker {
@@ -194,21 +206,25 @@ impl Tracker {
         let Self { options, estimates, publications, shown, scans, .. } = self;
         let ego_m = header.ego_m.map(f64::from);
         shown.clear();
-        for (estimate, e) in estimates.all().iter().zip(0..) {
-            let p = publications.record(estimate);
+        for (place, estimate) in estimates.all().iter().enumerate() {
+            let publication = publications.record(estimate);
             if estimate.is_ready() {
                 let [x, y] = estimate.motion().position_m;
-                shown.push(((x - ego_m[0]).powi(2) + (y - ego_m[1]).powi(2), e, p as u32));
+                let distance_m2 = (x - ego_m[0]).powi(2) + (y - ego_m[1]).powi(2);
+                let id = publications.at(publication).id;
+                shown.push(Shown { distance_m2, id, estimate: place, publication });
             }
         }
         if shown.len() > AGENTS_MAX {
             tracked.left_out_len = shown.len() - AGENTS_MAX;
-            shown.sort_unstable_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
+            shown.sort_unstable_by(|a, b| {
+                a.distance_m2.total_cmp(&b.distance_m2).then(a.estimate.cmp(&b.estimate))
+            });
             shown.truncate(AGENTS_MAX);
         }
-        shown.sort_unstable_by_key(|&(_, _, p)| publications.at(p as usize).id);
-        for (track, &(_, e, p)) in out.iter_mut().zip(&*shown) {
-            publications.at(p as usize).write(&estimates.all()[e as usize], options, track);
+        shown.sort_unstable_by_key(|shown| shown.id);
+        for (track, shown) in out.iter_mut().zip(&*shown) {
+            publications.at(shown.publication).write(&estimates.all()[shown.estimate], options, track);
         }
         tracked.tracks_len = shown.len();
         let oldest_ns = scans.kept().first().map_or(header.stamp_ns, |oldest| oldest.header.stamp_ns);

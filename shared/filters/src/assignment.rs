@@ -1,8 +1,8 @@
 //! Which detection belongs to which track: the cheapest pairing, where leaving a track unpaired has a price too.
 //!
 //! Gating leaves few possible pairs, so the problem falls apart into *connected components* that share no track and no
-//! detection. Each is solved on its own: a component with a single track or detection by looking, any other by the
-//! optimal assignment of the `lsap` crate. Five hundred agents are then hundreds of tiny problems, not one dense one.
+//! detection. Each is solved on its own: a pair that nobody contests is one, a component with a single track or detection is
+//! solved by looking, any other by the optimal assignment of the `lsap` crate. Five hundred agents are then hundreds of tiny problems, not one dense one.
 
 use crate::components::Components;
 
@@ -20,6 +20,9 @@ pub struct Candidate {
 /// Solves assignments; holds only scratch memory.
 #[derive(Clone, Debug, Default)]
 pub struct Assigner {
+    /// Candidates of each track and of each detection.
+    of_track: Vec<u32>,
+    of_detection: Vec<u32>,
     components: Components,
     scratch: Scratch,
 }
@@ -38,6 +41,8 @@ impl Assigner {
     #[must_use]
     pub fn with_capacity(tracks_len: usize, detections_len: usize) -> Self {
         Self {
+            of_track: Vec::with_capacity(tracks_len),
+            of_detection: Vec::with_capacity(detections_len),
             components: Components::with_capacity(tracks_len, detections_len),
             scratch: Scratch {
                 column: Vec::with_capacity(detections_len),
@@ -50,7 +55,7 @@ impl Assigner {
     /// Writes to `paired[track]` the detection of each track, minimising the sum of the candidates' costs and of
     /// `miss_cost` for each track without detection.
     ///
-    /// `paired` has one entry per track. Candidates are sorted in place; one whose cost is not finite, or no less than
+    /// `paired` has one entry per track. Candidates are used up; one whose cost is not finite, or no less than
     /// `miss_cost`, is left out. Allocates only for components of two and more tracks and detections (inside `lsap`).
     ///
     /// # Panics
@@ -64,6 +69,10 @@ impl Assigner {
     ) {
         paired.fill(None);
         candidates.retain(|c| c.cost.is_finite() && c.cost < miss_cost);
+        self.pair_uncontested(candidates, detections_len, paired);
+        if candidates.is_empty() {
+            return;
+        }
         self.scratch.column.clear();
         self.scratch.column.resize(detections_len, u32::MAX);
         self.components.clear(paired.len(), detections_len);
@@ -73,6 +82,31 @@ impl Assigner {
         for component in self.components.split(candidates) {
             self.scratch.solve(component, miss_cost, paired);
         }
+    }
+
+    /// Pairs each track and detection that have no candidate but each other, and takes these candidates out.
+    fn pair_uncontested(
+        &mut self,
+        candidates: &mut Vec<Candidate>,
+        detections_len: usize,
+        paired: &mut [Option<u32>],
+    ) {
+        let Self { of_track, of_detection, .. } = self;
+        of_track.clear();
+        of_track.resize(paired.len(), 0);
+        of_detection.clear();
+        of_detection.resize(detections_len, 0);
+        for c in candidates.iter() {
+            of_track[c.track as usize] += 1;
+            of_detection[c.detection as usize] += 1;
+        }
+        candidates.retain(|c| {
+            let contested = of_track[c.track as usize] > 1 || of_detection[c.detection as usize] > 1;
+            if !contested {
+                paired[c.track as usize] = Some(c.detection);
+            }
+            contested
+        });
     }
 }
 
