@@ -1,8 +1,9 @@
 //! Which detection belongs to which track: the cheapest pairing, where leaving a track unpaired has a price too.
 //!
 //! Gating leaves few possible pairs, so the problem falls apart into *connected components* that share no track and no
-//! detection. Each is solved on its own: a pair that nobody contests is one, a component with a single track or detection is
-//! solved by looking, any other by the optimal assignment of the `lsap` crate. Five hundred agents are then hundreds of tiny problems, not one dense one.
+//! detection. Each is solved on its own: a pair that nobody contests is one, a component with a single track or
+//! detection is solved by looking, any other by the optimal assignment of the `lsap` crate. Five hundred agents are then
+//! hundreds of tiny problems, not one dense one.
 
 use crate::components::Components;
 

@@ -2,7 +2,8 @@
 //!
 //! A *prediction* moves a state on in time by its [`Process`], an *update* corrects it by what was observed. Each is
 //! done on a copy that replaces the state only when every number in it is finite, so that a failure costs one step and
-//! never the track. Covariances are updated in Joseph form and kept exactly symmetric: they stay positive over millions of steps.
+//! never the track. Covariances are updated in Joseph form and kept exactly symmetric: they stay positive over millions
+//! of steps.
 //!
 //! A [`Gaussian`] under one process is an (extended) Kalman filter; [`Filter`] holds one of any [`Kind`]. The forecast
 //! of a model, given as controls of several hypotheses, becomes the process of a [`Mixture`] of
