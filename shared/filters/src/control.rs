@@ -34,7 +34,8 @@ impl ControlStep {
 pub struct Control {
     /// Constant rates: (a, β̇) of a bicycle, acceleration (x, y) of a constant velocity.
     pub rate: [f64; 2],
-    /// Covariance per second (11, 21, 22) of the noise: on (v, β) of a bicycle, on the position of a constant velocity.
+    /// Covariance per second (11, 21, 22) of the noise: on (v, β) of a bicycle, on the position of a constant velocity. Of a
+    /// [`crate::SingerBicycle`], which holds the rates in its state, the covariance of the rates themselves.
     pub density: [f64; 3],
 }
 

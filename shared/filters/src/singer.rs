@@ -1,47 +1,53 @@
-use nalgebra::{Matrix6, Vector5, Vector6};
+use nalgebra::{SMatrix, SVector, Vector2};
 
 use crate::{Bicycle, Control, ControlStep, Gaussian, Innovation, Observation, Process, Steered, wrapped};
 
 /// Rows of the state.
 const HEADING: usize = 2;
-const SPEED: usize = 3;
 const SLIP: usize = 4;
 const ACCELERATION: usize = 5;
+const SLIP_RATE: usize = 6;
 
-/// \[x, y, ψ, v, β, a\]: a [`Bicycle`] that knows its acceleration, which dies away towards the one that is meant.
+/// \[x, y, ψ, v, β, a, β̇\]: a [`Bicycle`] that knows its acceleration and its slip rate, which die away towards those that
+/// are meant.
 ///
 /// ```text
-/// ȧ = −(a − u) / τ + w
+/// ȧ = −(a − u₁) / τ + w₁      β̈ = −(β̇ − u₂) / τ + w₂
 /// ```
 ///
-/// u is the acceleration of a control, 0 without one; w keeps the deviation of a − u at σ. Without a control it is Singer's
+/// u is a control, 0 without one; w keeps the deviations of a − u₁ and β̇ − u₂ at their σ, and where the control itself is
+/// unsure at what its covariance adds to that. Without a control it is Singer's
 /// model of a manoeuvring target \[R. Singer: *Estimating optimal tracking filter performance for manned maneuvering
-/// targets*, 1970\]. A new forecast finds the acceleration as it was estimated, however often it comes.
+/// targets*, 1970\], along the path and across it: neither the wheels nor the steering jump. A new forecast finds both as they
+/// were estimated, however often it comes.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SingerBicycle {
-    /// Geometry and noise besides; its white acceleration comes on top.
+    /// Geometry and noise besides; its white acceleration and slip rate come on top.
     pub bicycle: Bicycle,
     /// Deviation σ of the acceleration from what is meant.
     pub acceleration_mps2: f64,
-    /// Time τ in which that dies away to 1/e.
+    /// Deviation σ of the slip rate from what is meant.
+    pub slip_rate_radps: f64,
+    /// Time τ in which these die away to 1/e.
     pub decay_s: f64,
 }
 
 impl SingerBicycle {
-    /// A bicycle's state with an acceleration about 0.
+    /// A bicycle's state with an acceleration and a slip rate about 0.
     #[must_use]
-    pub fn of(&self, state: &Gaussian<5>) -> Gaussian<6> {
-        let mut mean = Vector6::zeros();
+    pub fn of(&self, state: &Gaussian<5>) -> Gaussian<7> {
+        let mut mean = SVector::<f64, 7>::zeros();
         mean.fixed_rows_mut::<5>(0).copy_from(&state.mean);
-        let mut covariance = Matrix6::zeros();
+        let mut covariance = SMatrix::<f64, 7, 7>::zeros();
         covariance.fixed_view_mut::<5, 5>(0, 0).copy_from(&state.covariance);
         covariance[(ACCELERATION, ACCELERATION)] = self.acceleration_mps2.powi(2);
+        covariance[(SLIP_RATE, SLIP_RATE)] = self.slip_rate_radps.powi(2);
         Gaussian { mean, covariance }
     }
 
     /// The bicycle's state.
     #[must_use]
-    pub fn bicycle_of(state: &Gaussian<6>) -> Gaussian<5> {
+    pub fn bicycle_of(state: &Gaussian<7>) -> Gaussian<5> {
         Gaussian {
             mean: state.mean.fixed_rows::<5>(0).into_owned(),
             covariance: state.covariance.fixed_view::<5, 5>(0, 0).into_owned(),
@@ -49,59 +55,73 @@ impl SingerBicycle {
     }
 
     /// The mean after `dt_s` under a control, and its derivative by the mean before.
-    fn moved(&self, mean: &Vector6<f64>, rate: [f64; 2], dt_s: f64) -> (Vector6<f64>, Matrix6<f64>) {
-        let [meant, slip_rate] = rate;
+    fn moved(
+        &self,
+        mean: &SVector<f64, 7>,
+        meant: [f64; 2],
+        dt_s: f64,
+    ) -> (SVector<f64, 7>, SMatrix<f64, 7, 7>) {
+        let meant = Vector2::from(meant);
+        let deviation = mean.fixed_rows::<2>(ACCELERATION) - meant;
         let kept = (-dt_s / self.decay_s).exp();
-        // Share of the acceleration's deviation in its mean over the step.
+        // Share of a deviation in its mean over the step.
         let share = (1.0 - kept) * self.decay_s / dt_s;
-        let acting = meant + share * (mean[ACCELERATION] - meant);
-        let planar: Vector5<f64> = mean.fixed_rows::<5>(0).into_owned();
-        let moved = self.bicycle.moved(&planar, [acting, slip_rate], &self.bicycle.over(dt_s));
-        let mut next = Vector6::zeros();
+        let acting = meant + share * deviation;
+        let planar: SVector<f64, 5> = mean.fixed_rows::<5>(0).into_owned();
+        let moved = self.bicycle.moved(&planar, acting.into(), &self.bicycle.over(dt_s));
+        let mut next = SVector::<f64, 7>::zeros();
         next.fixed_rows_mut::<5>(0).copy_from(&moved.next);
-        next[ACCELERATION] = meant + kept * (mean[ACCELERATION] - meant);
-        let mut by_state = Matrix6::zeros();
+        next.fixed_rows_mut::<2>(ACCELERATION).copy_from(&(meant + kept * deviation));
+        let mut by_state = SMatrix::<f64, 7, 7>::zeros();
         by_state.fixed_view_mut::<5, 5>(0, 0).copy_from(&moved.by_state);
-        by_state.fixed_view_mut::<5, 1>(0, ACCELERATION).copy_from(&(moved.by_control.column(0) * share));
-        by_state[(ACCELERATION, ACCELERATION)] = kept;
+        by_state.fixed_view_mut::<5, 2>(0, ACCELERATION).copy_from(&(moved.by_control * share));
+        by_state.fixed_view_mut::<2, 2>(ACCELERATION, ACCELERATION).fill_diagonal(kept);
         (next, by_state)
     }
 }
 
-impl Process<6> for SingerBicycle {
+impl Process<7> for SingerBicycle {
     const ANGLES: &'static [usize] = &[HEADING];
 
-    fn step(&self, state: &Gaussian<6>, dt_s: f64) -> Gaussian<6> {
+    fn step(&self, state: &Gaussian<7>, dt_s: f64) -> Gaussian<7> {
         self.steer(state, &Control::default(), dt_s)
     }
 
-    fn innovation(&self, mean: &Vector6<f64>, seen: &Observation) -> Innovation<6> {
+    fn innovation(&self, mean: &SVector<f64, 7>, seen: &Observation) -> Innovation<7> {
         seen.against_polar(mean)
     }
 
-    fn settle(&self, mean: &mut Vector6<f64>) {
+    fn settle(&self, mean: &mut SVector<f64, 7>) {
         mean[HEADING] = wrapped(mean[HEADING]);
         let slip_max_rad = self.bicycle.slip_max_rad;
         mean[SLIP] = wrapped(mean[SLIP]).clamp(-slip_max_rad, slip_max_rad);
     }
 }
 
-impl Steered<6> for SingerBicycle {
-    fn steer(&self, state: &Gaussian<6>, control: &Control, dt_s: f64) -> Gaussian<6> {
-        let (mean, by_state) = self.moved(&state.mean, control.rate, dt_s);
-        let (of_bicycle, cross) =
-            self.bicycle.noise(&Self::bicycle_of(state), control, &self.bicycle.over(dt_s));
-        let mut noise = Vector6::zeros();
+impl Steered<7> for SingerBicycle {
+    fn steer(&self, state: &Gaussian<7>, control: &Control, dt_s: f64) -> Gaussian<7> {
+        let (mean, mut by_state) = self.moved(&state.mean, control.rate, dt_s);
+        let planar = Self::bicycle_of(state);
+        if planar.covariance[(SLIP, SLIP)] >= self.bicycle.slip_max_rad.powi(2) {
+            by_state[(SLIP, SLIP_RATE)] = 0.0;
+        }
+        let (of_bicycle, _) = self.bicycle.noise(&planar, &Control::default(), &self.bicycle.over(dt_s));
+        let mut noise = SVector::<f64, 7>::zeros();
         noise.fixed_rows_mut::<5>(0).copy_from(&of_bicycle);
-        noise[ACCELERATION] = self.acceleration_mps2.powi(2) * (1.0 - (-2.0 * dt_s / self.decay_s).exp());
+        let [of_acceleration, cross, of_slip_rate] = control.density;
+        let lost = 1.0 - (-2.0 * dt_s / self.decay_s).exp();
+        noise[ACCELERATION] = (self.acceleration_mps2.powi(2) + of_acceleration) * lost;
+        noise[SLIP_RATE] = (self.slip_rate_radps.powi(2) + of_slip_rate) * lost;
         let mut covariance = state.propagated(&by_state, &noise);
-        covariance[(SPEED, SLIP)] += cross;
-        covariance[(SLIP, SPEED)] += cross;
+        covariance[(ACCELERATION, SLIP_RATE)] += cross * lost;
+        covariance[(SLIP_RATE, ACCELERATION)] += cross * lost;
         Gaussian { mean, covariance }
     }
 
-    fn control(steps: &[ControlStep], number: usize, step_s: f64, heading_rad: f64) -> Control {
-        Bicycle::control(steps, number, step_s, heading_rad)
+    /// The density is here the covariance of the control itself: it widens what the deviations from it are held at.
+    fn control(steps: &[ControlStep], number: usize, _: f64, _: f64) -> Control {
+        let step = steps.get(number).or(steps.last()).copied().unwrap_or_default();
+        Control::new(step.mean, &step.covariance())
     }
 
     fn first_ns(step_ns: u64) -> u64 {
@@ -112,28 +132,32 @@ impl Steered<6> for SingerBicycle {
 #[cfg(test)]
 mod tests {
     use kinematics::Integrator;
+    use nalgebra::Matrix2;
 
     use super::*;
+
+    const SPEED: usize = 3;
 
     const SINGER: SingerBicycle = SingerBicycle {
         bicycle: Bicycle {
             rear_axle_m: 1.2,
             integrator: Integrator::Midpoint,
             acceleration_mps2: 0.0,
-            slip_rate_radps: 0.1,
+            slip_rate_radps: 0.0,
             slip_decay_per_s: 0.0,
             floor: [0.0; 5],
             slip_max_rad: 0.5,
         },
         acceleration_mps2: 1.0,
+        slip_rate_radps: 0.1,
         decay_s: 2.0,
     };
 
     #[test]
     fn jacobian_agrees_with_differences() {
-        let mean = Vector6::new(3.0, -2.0, 0.4, 8.0, 0.05, 1.5);
+        let mean = SVector::from([3.0, -2.0, 0.4, 8.0, 0.05, 1.5, -0.03]);
         let (_, jacobian) = SINGER.moved(&mean, [-0.5, 0.1], 0.08);
-        for column in 0..6 {
+        for column in 0..7 {
             let at = |step: f64| {
                 let mut mean = mean;
                 mean[column] += step;
@@ -158,6 +182,49 @@ mod tests {
         let speed_mps = 10.0 - elapsed_s + 4.0 * SINGER.decay_s * (1.0 - kept);
         assert!((state.mean[SPEED] - speed_mps).abs() < 1e-9);
         assert!((state.covariance[(ACCELERATION, ACCELERATION)] - 1.0).abs() < 1e-9);
+    }
+
+    #[test]
+    fn slip_rate_dies_away_towards_what_is_meant() {
+        let mut state = SINGER.of(&Gaussian::new([0.0, 0.0, 0.0, 0.0, 0.0], [1e-4; 5]));
+        state.mean[SLIP_RATE] = 0.05;
+        let control = Control { rate: [0.0, -0.02], density: [0.0; 3] };
+        for _ in 0..100 {
+            state = SINGER.steer(&state, &control, 0.08);
+        }
+        let kept = (-4.0_f64).exp();
+        assert!((state.mean[SLIP_RATE] - (-0.02 + 0.07 * kept)).abs() < 1e-9);
+        // β = −0.02 t + 0.07 τ (1 − e^(−t/τ))
+        assert!((state.mean[SLIP] - (-0.16 + 0.07 * SINGER.decay_s * (1.0 - kept))).abs() < 1e-9);
+        assert!((state.covariance[(SLIP_RATE, SLIP_RATE)] - 0.01).abs() < 1e-9);
+    }
+
+    /// Where a control is unsure, what is driven by it deviates the more.
+    #[test]
+    fn covariance_of_a_control_widens_the_deviations() {
+        let step = ControlStep { mean: [0.0; 2], cholesky: [2.0, 0.06, 0.08] };
+        let control = SingerBicycle::control(&[step], 0, 0.4, 0.0);
+        let mut state = SINGER.of(&Gaussian::new([0.0, 0.0, 0.0, 10.0, 0.0], [1e-4; 5]));
+        for _ in 0..1_000 {
+            state = SINGER.steer(&state, &control, 0.02);
+        }
+        let deviations = state.covariance.fixed_view::<2, 2>(ACCELERATION, ACCELERATION).into_owned();
+        let meant = Matrix2::new(1.0 + 4.0, 0.12, 0.12, 0.01 + 0.0036 + 0.0064);
+        assert!((deviations - meant).amax() < 1e-6, "{deviations}");
+    }
+
+    /// At rest nothing observes the slip.
+    #[test]
+    fn slip_of_a_vehicle_at_rest_stays_bounded() {
+        let mut state = SINGER.of(&Gaussian::new([0.0; 5], [1e-4; 5]));
+        let seen =
+            Observation { position_m: [0.0; 2], position_variance: 1e-4, heading_rad: None, speed_mps: None };
+        for _ in 0..5_000 {
+            state.predict(100_000_000, &SINGER).unwrap();
+            state.update(&seen, &SINGER).unwrap();
+        }
+        let sigma_rad = state.covariance[(SLIP, SLIP)].sqrt();
+        assert!((0.4..0.6).contains(&sigma_rad) && state.is_finite(), "{sigma_rad}");
     }
 
     /// A vehicle that brakes steadily, measured ten times a second: its acceleration is found.

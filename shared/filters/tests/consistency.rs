@@ -35,8 +35,9 @@ const DECAYING: Bicycle = Bicycle { slip_decay_per_s: 0.8, ..BICYCLE };
 /// As [`BICYCLE`] without noise of its own: what a forecast steers.
 const STEERED: Bicycle = Bicycle { acceleration_mps2: 0.0, slip_rate_radps: 0.0, ..BICYCLE };
 const SINGER: SingerBicycle = SingerBicycle {
-    bicycle: Bicycle { acceleration_mps2: 0.2, ..BICYCLE },
+    bicycle: Bicycle { acceleration_mps2: 0.2, slip_rate_radps: 0.1, ..BICYCLE },
     acceleration_mps2: 1.5,
+    slip_rate_radps: 0.03,
     decay_s: 2.0,
 };
 

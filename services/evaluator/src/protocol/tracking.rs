@@ -18,7 +18,7 @@ const GAPS_S: [f64; 4] = [0.0, 0.8, 1.6, 3.2];
 /// How much of each recording is followed, from its middle, s.
 const JUDGED_S: f64 = 60.0;
 /// The same of the recordings that settings are tuned on, s.
-const TUNED_S: f64 = 20.0;
+const TUNED_S: f64 = 40.0;
 
 /// Estimates motion with every method under every noise and gap, and tells whose filter errs least.
 ///

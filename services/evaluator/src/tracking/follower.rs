@@ -12,7 +12,7 @@ use wire::AgentType;
 
 use super::course::{Course, Instant, Seen};
 use super::hypotheses::{Estimate, Hypotheses, Oracle};
-use super::method::{Settings, TrackingMethod, UNKNOWN};
+use super::method::{Settings, TrackingMethod, UNKNOWN, control_share};
 use crate::Forecaster;
 
 /// A course is known once its direction is so sure, at this speed: then a state with a heading can take over.
@@ -72,8 +72,8 @@ pub(crate) struct Follower<'a> {
 enum Belief {
     Filter(Box<Filter>),
     /// Of a single filter where nothing is forecast.
-    Mixture(Box<Mixture<SingerBicycle, 6>>),
-    Particles(Box<Particles<SingerBicycle, 6>>),
+    Mixture(Box<Mixture<SingerBicycle, 7>>),
+    Particles(Box<Particles<SingerBicycle, 7>>),
 }
 
 struct Track {
@@ -178,10 +178,17 @@ impl Follower<'_> {
             fade_in(&mut controls, probability.len(), step_ns);
             let forecast =
                 Forecast { age_ns: 0, step_ns, heading_rad, probability: &probability, controls: &controls };
+            let priors = |state| self.settings.priors(track.length_m, control_share(state));
             let adopted = match &mut track.belief {
                 Belief::Filter(_) => Ok(()),
-                Belief::Mixture(mixture) => mixture.adopt(&forecast),
-                Belief::Particles(particles) => particles.adopt(&forecast),
+                Belief::Mixture(mixture) => {
+                    mixture.priors = priors(&mixture.moments());
+                    mixture.adopt(&forecast)
+                }
+                Belief::Particles(particles) => {
+                    particles.priors = priors(&particles.moments());
+                    particles.adopt(&forecast)
+                }
             };
             // One that can't be used leaves the forecast before in its place.
             track.is_fresh = adopted.is_err();
@@ -243,7 +250,7 @@ impl Track {
             return;
         }
         let ripe = filter.into_kind(kind, &UNKNOWN);
-        let priors = settings.priors(self.length_m);
+        let priors = settings.priors(self.length_m, [1.0; 2]);
         self.belief = match (method, ripe) {
             (TrackingMethod::SingerBicycle | TrackingMethod::Learned, Filter::Bicycle(state)) => {
                 Belief::Mixture(Box::new(Mixture::new(priors.kinematic.of(&state), priors, id)))
@@ -309,7 +316,7 @@ fn fade_in(controls: &mut [ControlStep], hypotheses_len: usize, step_ns: u64) {
 }
 
 /// Normalised square of what a measurement tells beyond a prediction.
-fn innovation_squared(predicted: &Gaussian<6>, seen: &Observation) -> Option<f64> {
+fn innovation_squared(predicted: &Gaussian<7>, seen: &Observation) -> Option<f64> {
     let innovation = [0, 1].map(|axis| seen.position_m[axis] - predicted.mean[axis]);
     let noise = Matrix2::from_diagonal_element(seen.position_variance);
     normalised_square(&innovation.into(), &(predicted.covariance.fixed_view::<2, 2>(0, 0) + noise))

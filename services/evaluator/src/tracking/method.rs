@@ -1,8 +1,8 @@
 //! The methods that are compared, and what of each is tuned.
 
 use filters::{
-    Bicycle, ConstantAcceleration, ConstantTurnRate, ConstantVelocity, Integrator, Kind, Models, Priors,
-    SingerBicycle, Unknown,
+    Bicycle, ConstantAcceleration, ConstantTurnRate, ConstantVelocity, Gaussian, Integrator, Kind, Models,
+    Priors, SingerBicycle, Unknown,
 };
 
 /// What nobody has observed of a vehicle.
@@ -20,9 +20,9 @@ pub(crate) enum TrackingMethod {
     ConstantTurnRate,
     /// Kinematic bicycle, extended Kalman filter.
     Bicycle,
-    /// Bicycle whose acceleration dies away (Singer), extended Kalman filter.
+    /// Bicycle whose acceleration and slip rate die away (Singer), extended Kalman filter.
     SingerBicycle,
-    /// The same, its acceleration dying away towards that of the model's forecasts: a mixture of extended Kalman filters.
+    /// The same, these dying away towards those of the model's forecasts: a mixture of extended Kalman filters.
     Learned,
     /// The same processes by Monte Carlo: particles, with the settings of the mixture.
     LearnedParticles,
@@ -37,6 +37,8 @@ const LENGTH_M: f32 = 4.5;
 const REAR_AXLE_RATIO: f32 = 0.26;
 /// Largest slip of the bicycle.
 const SLIP_MAX_RAD: f64 = 0.5;
+/// Deviations of speed, m/s, and heading, rad, of which half of a forecast's controls acts: those of the pipeline's tracker.
+const EVEN: [f64; 2] = [0.7, 0.02];
 /// Variances added to the bicycle in 80 ms whatever its noise.
 const FLOOR: [f64; 5] = [1e-6, 1e-6, 1e-6, 0.0, 0.0];
 
@@ -99,8 +101,8 @@ impl TrackingMethod {
             Self::ConstantVelocity | Self::ConstantAcceleration => [1.0; 3],
             Self::ConstantTurnRate => [2.0, 0.5, 1.0],
             Self::Bicycle => [2.0, 0.2, 1.0],
-            Self::SingerBicycle => [1.0, 0.1, 2.0],
-            Self::Learned => [0.1, 0.7, 1.0],
+            Self::SingerBicycle => [1.0, 0.05, 2.0],
+            Self::Learned => [0.2, 0.7, 1.0],
             Self::LearnedParticles => [1.0; 3],
         }
     }
@@ -152,17 +154,38 @@ impl Settings {
         }
     }
 
-    /// The processes of a Singer bicycle with and without forecasts.
-    pub(crate) fn priors(&self, length_m: Option<f32>) -> Priors<SingerBicycle> {
-        let [covariance_scale, share, learned_decay_s] = self.of(TrackingMethod::Learned);
+    /// The processes of a Singer bicycle with and without forecasts, of which so much of each control acts.
+    ///
+    /// What does not act is left to the process without a forecast, its noise and its decay.
+    pub(crate) fn priors(&self, length_m: Option<f32>, control_share: [f64; 2]) -> Priors<SingerBicycle> {
+        let [covariance_scale, noise_share, learned_decay_s] = self.of(TrackingMethod::Learned);
         let [acceleration_mps2, slip_rate_radps, decay_s] = self.of(TrackingMethod::SingerBicycle);
-        let singer = |share: f64, decay_s: f64| SingerBicycle {
-            bicycle: bicycle(0.0, share * slip_rate_radps, length_m),
-            acceleration_mps2: share * acceleration_mps2,
+        let singer = |[of_acceleration, of_slip_rate]: [f64; 2], decay_s: f64| SingerBicycle {
+            bicycle: bicycle(0.0, 0.0, length_m),
+            acceleration_mps2: of_acceleration * acceleration_mps2,
+            slip_rate_radps: of_slip_rate * slip_rate_radps,
             decay_s,
         };
-        Priors { covariance_scale, ..Priors::new(singer(1.0, decay_s), singer(share, learned_decay_s)) }
+        let of_noise = control_share.map(|share| (1.0 - share * (1.0 - noise_share.powi(2))).max(0.0).sqrt());
+        let [share, _] = control_share;
+        let learned_decay_s = 1.0 / (share / learned_decay_s + (1.0 - share) / decay_s);
+        let (kinematic, learned) = (singer([1.0; 2], decay_s), singer(of_noise, learned_decay_s));
+        Priors { covariance_scale, control_share, ..Priors::new(kinematic, learned) }
     }
+}
+
+/// Shares of a forecast's acceleration and slip rate that act where a vehicle is known as well as this:
+///
+/// ```text
+/// s = S² / (S² + σ²)      σ of speed and of heading
+/// ```
+///
+/// The model takes its history for exact; much of what it reads off a noisy one is to undo motion that never was.
+pub(crate) fn control_share(state: &Gaussian<7>) -> [f64; 2] {
+    let share = |component: usize, even: f64| {
+        even.powi(2) / (even.powi(2) + state.covariance[(component, component)].max(0.0))
+    };
+    [share(3, EVEN[0]), share(2, EVEN[1])]
 }
 
 fn bicycle(acceleration_mps2: f64, slip_rate_radps: f64, length_m: Option<f32>) -> Bicycle {

@@ -6,9 +6,9 @@ use super::{Course, Outcome};
 use crate::{Forecaster, threads};
 
 /// Settings that each method may try.
-pub(crate) const TRIALS: usize = 24;
+pub(crate) const TRIALS: usize = 36;
 /// Factors by which a number is changed, each until neither direction is better.
-const FACTORS: [f64; 3] = [4.0, 2.0, std::f64::consts::SQRT_2];
+const FACTORS: [f64; 2] = [2.0, std::f64::consts::SQRT_2];
 
 /// What tuning found.
 #[derive(Clone, Debug)]
