@@ -76,6 +76,9 @@ pub struct PlaybackArguments {
     tracker: TrackerArguments,
     #[command(flatten)]
     model: ModelArguments,
+    /// Recall at each place how the vehicles before departed from their forecasts
+    #[arg(long)]
+    recall: bool,
 }
 
 impl PlaybackArguments {
@@ -102,6 +105,7 @@ impl PlaybackArguments {
             associate: self.tracker.associate,
             prior: self.tracker.prior.unwrap_or_default(),
             association: self.tracker.association.unwrap_or_default(),
+            recall: self.recall,
             weights: weights_path,
             model: weights.config().clone(),
             map: self.model.map.clone().unwrap_or(MapChoice::Online),

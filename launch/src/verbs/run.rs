@@ -32,6 +32,9 @@ pub struct Arguments {
     tracker: TrackerArguments,
     #[command(flatten)]
     model: ModelArguments,
+    /// Recall at each place how the vehicles before departed from their forecasts [default: the pipeline file's]
+    #[arg(long)]
+    recall: bool,
     /// Play in the recording's own time, or as fast as nothing is lost
     #[arg(long, value_enum, default_value = "real")]
     speed: Speed,
@@ -73,6 +76,7 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
     };
 
     let tracker = options(&pipeline, StageId::Tracker);
+    let sampler = options(&pipeline, StageId::Sampler);
     let run_id = random_id()?;
     let space = Space::create(run_id, SHARED_BYTES)?;
     let run = Run {
@@ -87,6 +91,7 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
         associate: arguments.tracker.associate,
         prior: arguments.tracker.prior.or(tracker.prior).unwrap_or_default(),
         association: arguments.tracker.association.or(tracker.association).unwrap_or_default(),
+        recall: arguments.recall || sampler.recall.unwrap_or_default(),
         weights: weights_path,
         model: weights.config().clone(),
         map: map(&arguments.model, &pipeline)?,

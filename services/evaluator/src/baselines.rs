@@ -75,6 +75,13 @@ impl Baselines {
                 probability: Some(forecast.probability.clone()),
                 single: Some(forecast.best.clone()),
             },
+            Method::Recalling => {
+                forecast.recalled.as_ref().map_or_else(Candidate::default, |recalled| Candidate {
+                    modes: recalled.modes.clone(),
+                    probability: Some(forecast.probability.clone()),
+                    single: Some(recalled.best.clone()),
+                })
+            }
             Method::Base => forecast.base.as_ref().map_or_else(Candidate::default, |base| Candidate {
                 modes: base.modes.clone(),
                 probability: None,

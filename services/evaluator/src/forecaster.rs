@@ -11,7 +11,7 @@ use nn::{
     AgentDraws, ContextCnn, ContextMemory, Decoder, DecoderGroup, Encoded, Gdat, GdatMemory, MlpMemory,
     ModelConfig, RelationMlp, StateMlp, Weights, WeightsError,
 };
-use scene::{EdgeRule, FeatureScales, PatchOptions};
+use scene::{Departures, EdgeRule, FeatureScales, PatchOptions};
 use wire::{CONTEXT_EMBEDDING, ControlGaussian, LATENT, STATE_FEATURES, TEMPORAL};
 
 use crate::motion::Mover;
@@ -30,16 +30,18 @@ pub struct Forecast {
     pub covariance: Vec<Vec<[f32; 3]>>,
     /// The single best forecast (K = 1).
     pub best: Vec<Point>,
-    /// The base control alone, where the model has one: baseline B*.
-    pub base: Option<BaseForecast>,
+    /// The base control with the network switched off, where the model has one, ridge regression and anchors: baseline B*.
+    pub base: Option<Paths>,
+    /// The same forecast with what the place's memory tells, where it tells anything.
+    pub recalled: Option<Paths>,
 }
 
-/// What the base control forecasts with the network switched off.
+/// Where modes and a single best forecast lead.
 #[derive(Clone, Debug, PartialEq)]
-pub struct BaseForecast {
-    /// Ridge regression and anchor of each mode.
+pub struct Paths {
+    /// The K modes.
     pub modes: Vec<Vec<Point>>,
-    /// Ridge regression alone.
+    /// The single best forecast (K = 1).
     pub best: Vec<Point>,
 }
 
@@ -153,9 +155,21 @@ impl Forecaster {
         wanted: &[usize],
         memory: &mut ForecasterMemory,
     ) -> Vec<Forecast> {
+        self.recall(scene, context, (wanted, &[]), memory)
+    }
+
+    /// As [`Forecaster::forecast`], and besides with what the memory of the place tells of each wanted agent, if anything.
+    pub(crate) fn recall(
+        &self,
+        scene: &Scene,
+        context: impl Fn(usize, usize) -> [f32; CONTEXT_EMBEDDING],
+        (wanted, departures): (&[usize], &[Option<Departures>]),
+        memory: &mut ForecasterMemory,
+    ) -> Vec<Forecast> {
         let mut forecasts = vec![None; wanted.len()];
         self.decode(scene, context, wanted, memory, |place, agent, said| {
-            forecasts[place] = Some(self.move_agent(agent, said));
+            let departures = departures.get(place).and_then(Option::as_ref);
+            forecasts[place] = Some(self.move_agent(agent, said, departures));
         });
         forecasts.into_iter().flatten().collect()
     }
@@ -209,7 +223,7 @@ impl Forecaster {
     }
 
     /// Moves the agent by its controls.
-    fn move_agent(&self, agent: &Agent, said: AgentDraws<'_>) -> Forecast {
+    fn move_agent(&self, agent: &Agent, said: AgentDraws<'_>, departures: Option<&Departures>) -> Forecast {
         let ModelConfig { modes: modes_len, horizon_len, .. } = self.config;
         let now = agent.newest().expect("a wanted agent is present");
         let frame = scene::agent_frame(&agent.history).expect("a present agent has a frame");
@@ -218,12 +232,28 @@ impl Forecaster {
             (0..said.draws_len()).map(|draw| said.controls(draw).collect()).collect();
         let base = said.base.chunks_exact(horizon_len);
         let mut of_base: Vec<_> = base.map(|controls| mover.follow(controls.iter().copied())).collect();
-        let base_forecast = of_base.pop().map(|best| BaseForecast { modes: of_base, best });
+        let base_forecast = of_base.pop().map(|best| Paths { modes: of_base, best });
         let best = controls.get(modes_len).map(Vec::as_slice);
         let likeliest = metrics::most_likely(said.probability).unwrap_or(0);
-        let best = best.unwrap_or(&controls[likeliest]).iter().map(|control| control.mean);
-        let best = mover.follow(best);
+        let best_controls = best.unwrap_or(&controls[likeliest]);
+        let best = mover.follow(best_controls.iter().map(|control| control.mean));
+        let recalled = departures.and_then(|departures| mover.changes(departures)).map(|changes| {
+            let follow = |controls: &Vec<ControlGaussian>| mover.follow(changed(controls, &changes));
+            Paths {
+                modes: controls[..modes_len].iter().map(follow).collect(),
+                best: mover.follow(changed(best_controls, &changes)),
+            }
+        });
         let (modes, covariance) = controls[..modes_len].iter().map(|steps| mover.spread(steps)).unzip();
-        Forecast { modes, probability: said.probability.to_vec(), covariance, best, base: base_forecast }
+        let probability = said.probability.to_vec();
+        Forecast { modes, probability, covariance, best, base: base_forecast, recalled }
     }
+}
+
+/// Controls with what is added to them at each step.
+fn changed<'a>(
+    controls: &'a [ControlGaussian],
+    changes: &'a [[f32; 2]],
+) -> impl Iterator<Item = [f32; 2]> + 'a {
+    controls.iter().zip(changes).map(|(control, change)| [0, 1].map(|i| control.mean[i] + change[i]))
 }

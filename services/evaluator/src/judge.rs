@@ -3,7 +3,8 @@
 use data::Recording;
 use metrics::{Disc, Limits, Point, collisions, highest_density_level, kde_log_density};
 use nn::ModelConfig;
-use scene::AgentType;
+use scene::{AgentType, Departures, Moment, PlaceMemory, Recall};
+use wire::CONTEXT_EMBEDDING;
 
 use crate::baselines::{Baselines, Candidate};
 use crate::forecaster::{Forecast, ForecasterMemory};
@@ -79,6 +80,8 @@ pub struct Judge<'a> {
 struct Case<'a> {
     scene: &'a Scene,
     complete: Vec<usize>,
+    /// What the memory of the place tells of each.
+    departures: Vec<Option<Departures>>,
 }
 
 impl Judge<'_> {
@@ -86,7 +89,12 @@ impl Judge<'_> {
     #[must_use]
     pub fn recording(&self, recording: &Recording, scenes: &[Scene], map: MapInput<'_>) -> Vec<Block> {
         let table = ContextTable::new(self.forecaster, recording, scenes, map, self.threads);
-        let cases = scenes.iter().map(|scene| Case { scene, complete: self.complete(scene) });
+        let departures = self.departures(scenes, &table);
+        let cases = scenes.iter().zip(departures).map(|(scene, departures)| {
+            let complete = self.complete(scene);
+            let departures = complete.iter().map(|&place| departures.get(place).cloned().flatten()).collect();
+            Case { scene, complete, departures }
+        });
         let cases: Vec<Case<'_>> = cases.filter(|case| !case.complete.is_empty()).collect();
         let tallies = threads::each(&cases, self.threads, |case, memory| self.scene(case, &table, memory));
         let config = self.forecaster.config();
@@ -104,6 +112,56 @@ impl Judge<'_> {
         blocks.into_iter().map(|(_, block)| block).collect()
     }
 
+    /// What the memory of the place tells of each agent of each scene: of everybody who drives, whether it counts or not, as
+    /// far as it was driven at the scene's time.
+    fn departures(&self, scenes: &[Scene], table: &ContextTable) -> Vec<Vec<Option<Departures>>> {
+        let config = self.forecaster.config();
+        let drives = |agent: &Agent| agent.newest().is_some() && config.drives(agent.agent_type);
+        let forecast = |scene: &Scene, memory: &mut ForecasterMemory| {
+            let wanted: Vec<usize> =
+                (0..scene.agents.len()).filter(|&place| drives(&scene.agents[place])).collect();
+            let context = |agent: usize, step: usize| self.context(scene, table, (agent, step));
+            let forecasts = self.forecaster.forecast(scene, context, &wanted, memory);
+            wanted.into_iter().zip(forecasts).map(|(place, forecast)| (place, forecast.best)).collect()
+        };
+        let forecasts: Vec<Vec<(usize, Vec<Point>)>> = threads::each(scenes, self.threads, forecast);
+        let mut memory = PlaceMemory::new(config.horizon_len, config.step_ns());
+        scenes
+            .iter()
+            .zip(forecasts)
+            .map(|(scene, forecasts)| {
+                let mut departures = vec![None; scene.agents.len()];
+                memory.advance(scene.stamp_ns);
+                for agent in scene.agents.iter().filter(|agent| drives(agent)) {
+                    agent.newest().iter().for_each(|now| memory.observe(agent.id, now.position_m));
+                }
+                let moments = forecasts.iter().filter_map(|(place, best)| {
+                    let agent = &scene.agents[*place];
+                    Some((*place, agent.id, Moment::of(&agent.history, config.dt_s as f32)?, best))
+                });
+                let moments: Vec<_> = moments.collect();
+                let recalled: Vec<Recall> =
+                    moments.iter().map(|(_, id, moment, _)| memory.recall(*id, moment)).collect();
+                for ((place, id, moment, best), recalled) in moments.into_iter().zip(recalled) {
+                    memory.remember(id, &moment, best, &recalled);
+                    departures[place] = Some(recalled.expected);
+                }
+                departures
+            })
+            .collect()
+    }
+
+    fn context(
+        &self,
+        scene: &Scene,
+        table: &ContextTable,
+        (agent, step): (usize, usize),
+    ) -> [f32; CONTEXT_EMBEDDING] {
+        let config = self.forecaster.config();
+        let back = (config.history_len - 1 - step) as i64;
+        table.of(scene.agents[agent].id, scene.stamp_ns - back * config.step_ns() as i64)
+    }
+
     /// Places of the agents that can count.
     fn complete(&self, scene: &Scene) -> Vec<usize> {
         let is_of_type =
@@ -113,13 +171,9 @@ impl Judge<'_> {
 
     /// A tally of the scene for each subset.
     fn scene(&self, case: &Case<'_>, table: &ContextTable, memory: &mut ForecasterMemory) -> Vec<Tally> {
-        let Case { scene, complete } = case;
-        let config = self.forecaster.config();
-        let context = |agent: usize, step: usize| {
-            let back = (config.history_len - 1 - step) as i64;
-            table.of(scene.agents[agent].id, scene.stamp_ns - back * config.step_ns() as i64)
-        };
-        let forecasts = self.forecaster.forecast(scene, context, complete, memory);
+        let Case { scene, complete, departures } = case;
+        let context = |agent: usize, step: usize| self.context(scene, table, (agent, step));
+        let forecasts = self.forecaster.recall(scene, context, (complete, departures), memory);
         let judged: Vec<Judged<'_>> = complete
             .iter()
             .zip(&forecasts)

@@ -5,6 +5,8 @@
 pub enum Method {
     /// The model.
     Network,
+    /// The model with the memory of the place: how those who came by earlier in the recording departed from its forecasts.
+    Recalling,
     /// The model's base control with the network switched off: ridge regression and anchors, B*.
     Base,
     /// Constant velocity plus 20 typical residuals.
@@ -23,8 +25,9 @@ pub enum Method {
 
 impl Method {
     /// All methods, in the order of the reports.
-    pub const ALL: [Self; 8] = [
+    pub const ALL: [Self; 9] = [
         Self::Network,
+        Self::Recalling,
         Self::Base,
         Self::Anchors,
         Self::SampledVelocity,
@@ -39,6 +42,7 @@ impl Method {
     pub const fn name(self) -> &'static str {
         match self {
             Self::Network => "ours",
+            Self::Recalling => "ours, recalling",
             Self::Base => "B* (ridge + anchors)",
             Self::Anchors => "20 anchors",
             Self::SampledVelocity => "CVM-S",

@@ -8,7 +8,8 @@ use kinematics::{
 use metrics::Point;
 use nalgebra::{Vector2, Vector4, Vector5};
 use nn::ModelConfig;
-use scene::{AgentFrame, State};
+use scene::{AgentFrame, Departures, State};
+use wire::HORIZON_MAX;
 
 use crate::Agent;
 
@@ -76,6 +77,14 @@ impl Mover {
         ControlStep {
             mean: [acting.x, acting.y].map(f64::from),
             cholesky: [slope.x * l11, slope.y * l21, slope.y * l22].map(f64::from),
+        }
+    }
+
+    /// What a driven agent's controls change by where others departed from their forecasts; none of an agent that walks.
+    pub(crate) fn changes(&self, departures: &Departures) -> Option<[[f32; 2]; HORIZON_MAX]> {
+        match self {
+            Self::Vehicle(motion, _) => Some(departures.controls(motion.bicycle.rear_axle_m, motion.dt_s)),
+            Self::Walker(..) => None,
         }
     }
 

@@ -11,6 +11,8 @@ const PROBABILITY_SLACK: f32 = 1e-3;
 pub(crate) struct LearnedControls<'a> {
     controls: &'a AgentControls,
     horizon_len: usize,
+    /// What is added to every mode's controls, and to the best forecast's, step by step.
+    change: [[f32; 2]; HORIZON_MAX],
 }
 
 /// The covariance of each step within the modes: the mixture's without the spread of its means.
@@ -30,7 +32,19 @@ impl<'a> LearnedControls<'a> {
         if (sum - 1.0).abs() > PROBABILITY_SLACK {
             return Err(impossible(sum));
         }
-        Ok(Self { controls, horizon_len })
+        Ok(Self { controls, horizon_len, change: [[0.0; 2]; HORIZON_MAX] })
+    }
+
+    /// Adds to the controls of all modes and of the best forecast.
+    pub(crate) const fn change(&mut self, change: [[f32; 2]; HORIZON_MAX]) {
+        self.change = change;
+    }
+
+    /// Where the best forecast leads.
+    pub(crate) fn best_path(&self, mover: &Mover) -> [[f32; 2]; HORIZON_MAX] {
+        let mut path = [[0.0; 2]; HORIZON_MAX];
+        mover.follow(self.steps(&self.controls.best), &mut path[..self.horizon_len]);
+        path
     }
 
     /// Writes modes with their controls, best forecast and moments, and tells the covariance within the modes.
@@ -84,9 +98,8 @@ impl<'a> LearnedControls<'a> {
         &self,
         controls: &'b [wire::ControlGaussian; HORIZON_MAX],
     ) -> impl Iterator<Item = ControlGaussian> + use<'b> {
-        controls
-            .iter()
-            .take(self.horizon_len)
-            .map(|control| ControlGaussian::new(control.mean, control.cholesky))
+        controls.iter().zip(self.change).take(self.horizon_len).map(|(control, [first, second])| {
+            ControlGaussian::new([control.mean[0] + first, control.mean[1] + second], control.cholesky)
+        })
     }
 }

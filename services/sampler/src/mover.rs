@@ -90,6 +90,14 @@ impl Mover {
         self
     }
 
+    /// Distance of the rear axle from the centre, of an agent that drives.
+    pub(crate) const fn rear_axle_m(&self) -> Option<f32> {
+        match self {
+            Self::Vehicle(motion, _) => Some(motion.bicycle.rear_axle_m),
+            Self::Walker(..) => None,
+        }
+    }
+
     /// What the controls stand for, and the direction of the axes of displacements.
     pub(crate) fn steering(&self) -> (Steering, f32) {
         match self {

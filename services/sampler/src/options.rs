@@ -42,6 +42,8 @@ pub struct SamplerOptions {
     pub propagation: Propagation,
     /// Seed of the particles' random numbers.
     pub seed: u64,
+    /// Whether vehicles' controls are changed by what the memory of the place tells of those who came by earlier.
+    pub recalls: bool,
     /// Oldest learned forecast that is still told as held.
     pub max_age_ns: u64,
 }
@@ -62,6 +64,7 @@ impl Default for SamplerOptions {
             initial_covariance: true,
             propagation: Propagation::Linearised,
             seed: 0,
+            recalls: false,
             max_age_ns: 1_600_000_000,
         }
     }

@@ -1,6 +1,6 @@
 use bytemuck::Zeroable;
 use kinematics::{Normals, PARTICLES_MAX};
-use scene::AgentType;
+use scene::{AgentType, Moment, PlaceMemory, track_history};
 use wire::{
     AGENTS_MAX, AgentControls, Cause, Forecast, HISTORY_MAX, HORIZON_MAX, Header, POSITION_MAX_M, Quality,
     Rejected, SPEED_MAX_MPS, Track,
@@ -15,6 +15,8 @@ use crate::{Propagation, SamplerOptions, kinematic};
 pub struct Sampler {
     options: SamplerOptions,
     held: HeldForecasts,
+    /// None where nothing is to be recalled, or nothing was forecast yet.
+    place: Option<PlaceMemory>,
 }
 
 /// What is the same for all tracks of a frame.
@@ -43,7 +45,7 @@ impl Sampler {
         if let Propagation::MonteCarlo { particles } = options.propagation {
             assert!((1..=PARTICLES_MAX).contains(&particles), "{particles} particles");
         }
-        Self { options, held: HeldForecasts::new() }
+        Self { options, held: HeldForecasts::new(), place: None }
     }
 
     /// Writes a forecast per track, in the tracks' order, by the controls of the same tick.
@@ -65,6 +67,7 @@ impl Sampler {
         out: &mut [Forecast],
     ) -> Result<(), Rejected> {
         let tick = check(header, tracks, out)?;
+        self.observe(tick, tracks);
         let mut next = 0;
         for (track, out) in tracks.iter().zip(out) {
             // Controls come in the tracks' order: the search mostly ends where it begins.
@@ -100,7 +103,22 @@ impl Sampler {
         out: &mut [Forecast],
     ) -> Result<(), Rejected> {
         let tick = check(header, tracks, out)?;
+        self.observe(tick, tracks);
         tracks.iter().zip(out).try_for_each(|(track, out)| self.fall_back(tick, track, cause, out))
+    }
+
+    /// Shows the memory of the place where everybody who drives is now.
+    fn observe(&mut self, tick: Tick, tracks: &[Track]) {
+        if !self.options.recalls || tick.step_ns == 0 {
+            return;
+        }
+        let new = || PlaceMemory::new(self.options.horizon_len, tick.step_ns);
+        let place = self.place.get_or_insert_with(new);
+        if place.advance(tick.stamp_ns) {
+            let drive =
+                |track: &&Track| track.agent_type == AgentType::Vehicle as u32 && track.unseen_ns == 0;
+            tracks.iter().filter(drive).for_each(|track| place.observe(track.id, [track.x_m, track.y_m]));
+        }
     }
 
     fn learned_one(
@@ -111,9 +129,18 @@ impl Sampler {
         out: &mut Forecast,
     ) -> Result<(), Cause> {
         let agent_type = track.agent_type().map_err(|_| Cause::Rejected)?;
-        let controls =
+        let mut controls =
             LearnedControls::new(controls, self.options.horizon_len).map_err(|_| Cause::Rejected)?;
         let mut mover = Mover::certain(track, agent_type, &self.options, tick.dt_s());
+        if let (Some(place), Some(rear_axle_m)) = (&mut self.place, mover.rear_axle_m()) {
+            let history = &track_history(track)[..self.options.history_len];
+            if let Some(moment) = Moment::of(history, tick.dt_s()) {
+                let recalled = place.recall(track.id, &moment);
+                let path = controls.best_path(&mover);
+                place.remember(track.id, &moment, &path[..self.options.horizon_len], &recalled);
+                controls.change(recalled.expected.controls(rear_axle_m, tick.dt_s()));
+            }
+        }
         if self.options.initial_covariance {
             mover = mover.with_track_covariance(track);
         }

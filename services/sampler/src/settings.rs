@@ -37,6 +37,7 @@ pub fn options(run: &Run) -> SamplerOptions {
             config::Propagation::MonteCarlo => Propagation::MonteCarlo { particles },
         },
         seed: run.seed,
+        recalls: run.recall,
         ..SamplerOptions::default()
     }
 }

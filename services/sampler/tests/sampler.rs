@@ -462,3 +462,40 @@ fn held_forecasts_keep_their_controls_and_absolute_displacements_are_told_beyond
     assert_eq!((held.controls, held.steering), (fresh.controls, fresh.steering));
     assert_eq!(held.frame_heading_rad, fresh.frame_heading_rad);
 }
+
+/// Vehicles at 8 m/s, each forecast to go on so, that slow down from x = 0 on at 1 m/s², one after the other; the forecast
+/// for one more at x = 0.
+fn after_others_braked(recalls: bool, others: u64) -> Forecast {
+    let mut sampler = Sampler::new(SamplerOptions { recalls, ..SamplerOptions::default() });
+    let steady = |id| controls(id, AgentType::Vehicle, &[[0.0; 2], [0.5, 0.0]], 0.1);
+    let mut now_ns = 0;
+    for id in 1..=others {
+        for tick in 0..70 {
+            let t_s = 0.08 * tick as f32;
+            let x_m = 8.0 * t_s - 0.5 * t_s * t_s;
+            let braking = track(id, AgentType::Vehicle, [x_m, 0.0], 0.0, 8.0 - t_s);
+            learned(&mut sampler, now_ns, &[braking], &[steady(id)]);
+            now_ns += 80_000_000;
+        }
+        now_ns += 5_000_000_000;
+    }
+    let next = track(99, AgentType::Vehicle, [0.0, 0.2], 0.0, 8.0);
+    learned(&mut sampler, now_ns, &[next], &[steady(99)]).remove(0)
+}
+
+/// Where vehicles braked that were not expected to, the next one is; and its controls say so to the tracker.
+#[test]
+fn the_place_is_recalled_where_that_is_asked_for() {
+    let forgetful = after_others_braked(false, 30);
+    assert_eq!(forgetful, after_others_braked(true, 0), "nothing to recall");
+    let recalling = after_others_braked(true, 30);
+    let (plain_m, recalled_m) = (forgetful.best[11][0], recalling.best[11][0]);
+    let driven_m = 8.0 * 4.8 - 0.5 * 4.8 * 4.8;
+    assert!(
+        recalled_m < 0.4 * plain_m + 0.6 * driven_m,
+        "{recalled_m} m of {plain_m} m, {driven_m} m driven"
+    );
+    assert!(recalling.modes[1][11][0] < forgetful.modes[1][11][0] - 3.0);
+    assert!(recalling.controls[0][5].mean[0] < -0.5, "{:?}", recalling.controls[0][5]);
+    assert!(recalling.best.iter().all(|[_, y]| (y - 0.2).abs() < 0.05), "{:?}", recalling.best);
+}

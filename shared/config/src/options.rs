@@ -128,6 +128,8 @@ pub struct Options {
     pub prior: Option<Prior>,
     /// Tracker: how detections correct tracks.
     pub association: Option<Association>,
+    /// Sampler: whether the memory of the place takes part.
+    pub recall: Option<bool>,
     /// Sampler: how the spread of the controls is carried on.
     pub propagation: Option<Propagation>,
     /// Sampler: particles per mode of the Monte Carlo propagation.

@@ -76,6 +76,8 @@ pub struct Run {
     pub prior: Prior,
     /// How detections correct tracks.
     pub association: Association,
+    /// Whether forecasts of vehicles recall how others went on at the same place.
+    pub recall: bool,
     /// The weights; the embedded ones where none.
     pub weights: Option<PathBuf>,
     /// The configuration that these weights carry.
@@ -140,6 +142,7 @@ impl Default for Run {
             associate: false,
             prior: Prior::default(),
             association: Association::default(),
+            recall: false,
             weights: None,
             model: Weights::onboard().config().clone(),
             map: MapChoice::Online,
@@ -235,6 +238,7 @@ mod tests {
             associate: false,
             prior: Prior::Kinematic,
             association: Association::Jpda,
+            recall: true,
             weights: None,
             model: Weights::onboard().config().clone(),
             map: MapChoice::File("b.map".into()),

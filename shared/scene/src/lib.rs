@@ -4,11 +4,13 @@ mod features;
 mod graph;
 mod map;
 mod motion;
+mod place;
 mod state;
 
 pub use features::{AgentFrame, FeatureScales, MOVING_MPS, agent_frame, relation_features, state_features};
 pub use graph::{EdgeRule, NEIGHBOURS_MAX, Vertex};
 pub use map::{CELLS_MAX, ContextMap, MapBuilder, MapFileError, ONLINE_SIDE, OnlineMap, PatchOptions};
 pub use motion::{states_from_positions, turn_rates};
+pub use place::{Departures, Moment, PlaceMemory, Recall};
 pub use state::{State, track_history};
 pub use wire::AgentType;

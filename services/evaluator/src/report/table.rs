@@ -17,8 +17,9 @@ pub(crate) const COMPARED: [(Measure, Method); 6] = [
 ];
 
 /// The methods that a summary tells of.
-const SUMMARISED: [&str; 6] = [
+const SUMMARISED: [&str; 7] = [
     Method::Network.name(),
+    Method::Recalling.name(),
     Method::Base.name(),
     Method::Anchors.name(),
     Method::ConstantVelocity.name(),

@@ -163,6 +163,9 @@ fn options(id: StageId, table: &OptionsTable) -> Result<Options, Fault> {
     if let Some(association) = table.association.as_ref().filter(|_| id != StageId::Tracker) {
         return foreign(association.span(), "association", "tracker");
     }
+    if let Some(recall) = table.recall.as_ref().filter(|_| id != StageId::Sampler) {
+        return foreign(recall.span(), "recall", "sampler");
+    }
     if let Some(propagation) = table.propagation.as_ref().filter(|_| id != StageId::Sampler) {
         return foreign(propagation.span(), "propagation", "sampler");
     }
@@ -172,6 +175,7 @@ fn options(id: StageId, table: &OptionsTable) -> Result<Options, Fault> {
         map: parsed::<MapChoice>(table.map.as_ref())?,
         prior: parsed::<Prior>(table.prior.as_ref())?,
         association: parsed::<Association>(table.association.as_ref())?,
+        recall: table.recall.as_ref().map(|recall| *recall.get_ref()),
         propagation: parsed::<Propagation>(table.propagation.as_ref())?,
         particles: table.particles.as_ref().map(|n| *n.get_ref()),
     })

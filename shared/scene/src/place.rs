@@ -1,0 +1,276 @@
+//! The memory of a place: how those who came by earlier went on otherwise than forecast.
+//!
+//! A model that never saw a place knows nothing of its stop lines, its bends and where people slow down. Whoever was
+//! forecast a moment ago shows it: the difference between the path that was forecast and the one that was driven
+//! is remembered with the moment that it began at, and told to those who come to the same place in the same motion. Every
+//! step of it is known only once it was driven, so that nothing of the future is in it.
+
+mod path;
+
+use std::collections::{HashMap, VecDeque};
+
+use wire::HORIZON_MAX;
+
+use crate::{AgentFrame, State, turn_rates};
+pub use path::Departures;
+use path::{Course, Evidence, Skill};
+
+/// Side of a cell.
+const CELL_M: f32 = 2.0;
+/// Directions that are told apart.
+const DIRECTIONS: i32 = 8;
+/// Newest moments of a cell and direction that are kept.
+const BUCKET_MAX: usize = 32;
+/// Newest moments that are kept at all.
+const MOMENTS_MAX: usize = 16_384;
+/// Half of the squared distance between two moments beyond which one tells nothing of the other.
+const REACH: f32 = 7.0;
+/// An agent that was not seen for so many steps is another one.
+const GAP_STEPS: f64 = 2.0;
+
+/// Where an agent is, and how it moves.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Moment {
+    /// Position in the world frame.
+    pub position_m: [f32; 2],
+    /// Heading.
+    pub heading_rad: f32,
+    /// Speed along the heading.
+    pub speed_mps: f32,
+    /// Its mean change over the last step.
+    pub acceleration_mps2: f32,
+    /// Mean turn rate over the last step.
+    pub turn_rate_radps: f32,
+}
+
+/// What is remembered of a moment.
+#[derive(Clone, Debug)]
+struct Memory {
+    moment: Moment,
+    agent: u64,
+    stamp_ns: i64,
+    forecast: Course,
+    driven: Course,
+    /// What was told of how it would depart, before skill.
+    told: Departures,
+}
+
+/// Where an agent was seen last, and its moments whose steps are not all driven yet.
+#[derive(Clone, Debug)]
+struct Trace {
+    stamp_ns: i64,
+    position_m: [f32; 2],
+    under_way: VecDeque<u64>,
+}
+
+/// How earlier agents departed from their forecasts, by place and motion.
+#[derive(Clone, Debug)]
+pub struct PlaceMemory {
+    horizon_len: usize,
+    step_ns: i64,
+    memories: VecDeque<Memory>,
+    /// Number of the oldest memory.
+    oldest: u64,
+    /// Numbers of the memories of a cell and direction, oldest first.
+    buckets: HashMap<[i32; 3], VecDeque<u64>>,
+    traces: HashMap<u64, Trace>,
+    skill: Skill,
+    now_ns: i64,
+}
+
+/// What is remembered of others for an agent.
+#[derive(Clone, Debug)]
+pub struct Recall {
+    /// What is to be expected.
+    pub expected: Departures,
+    /// What the others had in common.
+    common: Departures,
+}
+
+impl Moment {
+    /// The moment at the end of a history with steps of `dt_s`; none of an agent that is absent then.
+    #[must_use]
+    pub fn of(history: &[Option<State>], dt_s: f32) -> Option<Self> {
+        let State { position_m, velocity_mps, heading_rad } = (*history.last()?)?;
+        let [speed_mps, _] = AgentFrame::new(position_m, heading_rad).rotate_into(velocity_mps);
+        let before = history.len().checked_sub(2).and_then(|step| history[step]);
+        let speed_before = before.map(|before| {
+            AgentFrame::new(before.position_m, before.heading_rad).rotate_into(before.velocity_mps)[0]
+        });
+        Some(Self {
+            position_m,
+            heading_rad,
+            speed_mps,
+            acceleration_mps2: speed_before.map_or(0.0, |before| (speed_mps - before) / dt_s),
+            turn_rate_radps: turn_rates(history, dt_s)[0],
+        })
+    }
+
+    /// Half of the squared distance to another moment, every component by how far its likes go.
+    ///
+    /// ```text
+    /// ½ ((Δy/0.8)² + (Δx/1.0)² + (Δψ/0.12)² + (Δv/1.5)² + (Δa/0.8)² + (Δω/0.1)²)      x along the heading, y across it
+    /// ```
+    fn distance(&self, other: &Self) -> f32 {
+        let frame = AgentFrame::new(self.position_m, self.heading_rad);
+        let offset = [0, 1].map(|axis| other.position_m[axis] - self.position_m[axis]);
+        let [along, across] = frame.rotate_into(offset);
+        let parts = [
+            across / 0.8,
+            along,
+            path::wrapped(other.heading_rad - self.heading_rad) / 0.12,
+            (other.speed_mps - self.speed_mps) / 1.5,
+            (other.acceleration_mps2 - self.acceleration_mps2) / 0.8,
+            (other.turn_rate_radps - self.turn_rate_radps) / 0.1,
+        ];
+        0.5 * parts.iter().map(|part| part * part).sum::<f32>()
+    }
+
+    fn bucket(&self) -> [i32; 3] {
+        let [x, y] = self.position_m.map(|value| (value / CELL_M).floor() as i32);
+        let turn = self.heading_rad.rem_euclid(std::f32::consts::TAU) / std::f32::consts::TAU;
+        [x, y, (turn * DIRECTIONS as f32) as i32 % DIRECTIONS]
+    }
+}
+
+impl PlaceMemory {
+    /// A memory of nothing, for forecasts of so many steps.
+    ///
+    /// # Panics
+    /// If a forecast has more steps than a payload holds.
+    #[must_use]
+    pub fn new(horizon_len: usize, step_ns: u64) -> Self {
+        assert!(horizon_len <= HORIZON_MAX, "horizon of {horizon_len} steps");
+        Self {
+            horizon_len,
+            step_ns: step_ns.cast_signed().max(1),
+            memories: VecDeque::new(),
+            oldest: 0,
+            buckets: HashMap::new(),
+            traces: HashMap::new(),
+            skill: Skill::default(),
+            now_ns: i64::MIN,
+        }
+    }
+
+    /// Goes on to a time; returns whether it is a new one, of which anything may be told.
+    pub fn advance(&mut self, now_ns: i64) -> bool {
+        if now_ns <= self.now_ns {
+            return false;
+        }
+        self.now_ns = now_ns;
+        let gap_ns = (self.step_ns as f64 * GAP_STEPS) as i64;
+        self.traces.retain(|_, trace| now_ns.saturating_sub(trace.stamp_ns) <= gap_ns);
+        true
+    }
+
+    /// Takes in where an agent is now, at the end of what it drove since it was seen last.
+    pub fn observe(&mut self, agent: u64, position_m: [f32; 2]) {
+        let now_ns = self.now_ns;
+        let fresh = || Trace { stamp_ns: now_ns, position_m, under_way: VecDeque::new() };
+        let trace = self.traces.entry(agent).or_insert_with(fresh);
+        let (since_ns, from_m) = (trace.stamp_ns, trace.position_m);
+        (trace.stamp_ns, trace.position_m) = (now_ns, position_m);
+        let (oldest, step_ns, horizon_len) = (self.oldest, self.step_ns, self.horizon_len);
+        let (memories, skill, step_s) = (&mut self.memories, &mut self.skill, self.step_ns as f32 * 1e-9);
+        trace.under_way.retain(|&number| {
+            let place = number.checked_sub(oldest).map(|place| place as usize);
+            let Some(memory) = place.and_then(|place| memories.get_mut(place)) else { return false };
+            while memory.driven.len() < horizon_len {
+                let step = memory.driven.len();
+                let due_ns = memory.stamp_ns + step_ns * (step as i64 + 1);
+                if due_ns > now_ns {
+                    return true;
+                }
+                let share = (due_ns - since_ns) as f32 / (now_ns - since_ns).max(1) as f32;
+                memory
+                    .driven
+                    .push([0, 1].map(|axis| from_m[axis] + share * (position_m[axis] - from_m[axis])));
+                let departures = path::departure(&memory.forecast, &memory.driven, step, step_s);
+                for (component, departure) in departures.into_iter().enumerate() {
+                    if let Some((step, departure)) = departure {
+                        skill.learn(&memory.told, step, component, departure);
+                    }
+                }
+            }
+            false
+        });
+    }
+
+    /// Remembers a moment of an agent that was observed now, and the path that was forecast for it, of which what is remembered
+    /// was no part. An agent is remembered once a step.
+    pub fn remember(&mut self, agent: u64, moment: &Moment, forecast_m: &[[f32; 2]], recalled: &Recall) {
+        let Some(trace) = self.traces.get_mut(&agent).filter(|trace| trace.stamp_ns == self.now_ns) else {
+            return;
+        };
+        let last_ns = trace
+            .under_way
+            .back()
+            .and_then(|number| Some(self.memories.get(number.checked_sub(self.oldest)? as usize)?.stamp_ns));
+        if last_ns.is_some_and(|last_ns| self.now_ns - last_ns < self.step_ns) {
+            return;
+        }
+        let start = Course::new(moment.position_m);
+        let mut forecast = start.clone();
+        forecast_m.iter().take(self.horizon_len).for_each(|&position_m| forecast.push(position_m));
+        let number = self.oldest + self.memories.len() as u64;
+        trace.under_way.push_back(number);
+        let bucket = self.buckets.entry(moment.bucket()).or_default();
+        bucket.push_back(number);
+        if bucket.len() > BUCKET_MAX {
+            bucket.pop_front();
+        }
+        let stamp_ns = self.now_ns;
+        self.memories.push_back(Memory {
+            moment: *moment,
+            agent,
+            stamp_ns,
+            forecast,
+            driven: start,
+            told: recalled.common.clone(),
+        });
+        if self.memories.len() > MOMENTS_MAX {
+            self.forget_oldest();
+        }
+    }
+
+    /// How others departed who were where the agent is now and moved alike.
+    ///
+    /// Each moment whose step was driven counts by exp(−d²/2), d being its distance.
+    #[must_use]
+    pub fn recall(&self, agent: u64, moment: &Moment) -> Recall {
+        let mut evidence = Evidence::default();
+        let [x, y, direction] = moment.bucket();
+        for place in 0..27 {
+            let [dx, dy, turn] = [place % 3 - 1, place / 3 % 3 - 1, place / 9 - 1];
+            let key = [x + dx, y + dy, (direction + turn).rem_euclid(DIRECTIONS)];
+            for &number in self.buckets.get(&key).into_iter().flatten() {
+                let memory = &self.memories[(number - self.oldest) as usize];
+                let distance = memory.moment.distance(moment);
+                if memory.agent != agent && distance <= REACH {
+                    evidence.add((-distance).exp(), &memory.forecast, &memory.driven, self.step_s());
+                }
+            }
+        }
+        let common = evidence.means();
+        Recall { expected: self.skill.of(&common), common }
+    }
+
+    fn step_s(&self) -> f32 {
+        self.step_ns as f32 * 1e-9
+    }
+
+    fn forget_oldest(&mut self) {
+        let Some(memory) = self.memories.pop_front() else { return };
+        let key = memory.moment.bucket();
+        if let Some(bucket) = self.buckets.get_mut(&key) {
+            if bucket.front() == Some(&self.oldest) {
+                bucket.pop_front();
+            }
+            if bucket.is_empty() {
+                self.buckets.remove(&key);
+            }
+        }
+        self.oldest += 1;
+    }
+}

@@ -1,0 +1,102 @@
+//! The memory of a place: what is told to whom, and when.
+
+use scene::{Moment, PlaceMemory};
+
+const STEP_NS: u64 = 500_000_000;
+const STEP_S: f32 = 0.5;
+const HORIZON_LEN: usize = 4;
+
+fn moment(x_m: f32) -> Moment {
+    Moment {
+        position_m: [x_m, 0.0],
+        heading_rad: 0.0,
+        speed_mps: 8.0,
+        acceleration_mps2: 0.0,
+        turn_rate_radps: 0.0,
+    }
+}
+
+/// Straight on at 8 m/s, which is what is forecast for everybody.
+fn straight(x_m: f32) -> Vec<[f32; 2]> {
+    (1..=HORIZON_LEN).map(|step| [x_m + 4.0 * step as f32, 0.0]).collect()
+}
+
+/// A memory that saw agents, one after the other, who are at x = 0 at 8 m/s and brake by `acceleration_mps2` from there on,
+/// observed every `tick_s`; the time of the last observation.
+fn after(agents: u64, acceleration_mps2: f32, tick_s: f32, until_s: f32) -> (PlaceMemory, i64) {
+    let mut memory = PlaceMemory::new(HORIZON_LEN, STEP_NS);
+    let mut now_ns = 0;
+    for agent in 1..=agents {
+        for tick in 0..=(until_s / tick_s).round() as usize {
+            let t_s = tick_s * tick as f32;
+            now_ns += (f64::from(tick_s) * 1e9) as i64;
+            assert!(memory.advance(now_ns));
+            memory.observe(agent, [8.0 * t_s + 0.5 * acceleration_mps2 * t_s * t_s, 0.0]);
+            if tick == 0 {
+                let recalled = memory.recall(agent, &moment(0.0));
+                memory.remember(agent, &moment(0.0), &straight(0.0), &recalled);
+            }
+        }
+        now_ns += 10_000_000_000;
+    }
+    (memory, now_ns)
+}
+
+/// The changes of acceleration that are told to somebody else.
+fn told(memory: &PlaceMemory, x_m: f32) -> Vec<f32> {
+    let changes = memory.recall(99, &moment(x_m)).expected.controls(1.2, STEP_S);
+    changes[..HORIZON_LEN].iter().map(|[acceleration, _]| *acceleration).collect()
+}
+
+#[test]
+fn where_others_braked_it_is_forecast_that_one_brakes() {
+    for tick_s in [0.5, 0.1, 0.08] {
+        let (memory, _) = after(60, -1.0, tick_s, 3.0);
+        let told = told(&memory, 0.2);
+        assert!(told[1..3].iter().all(|told| (told + 1.0).abs() < 0.15), "ticks of {tick_s} s: {told:?}");
+        // The last that is known is the mean speed over the last step.
+        let slower_mps = told.iter().sum::<f32>() * STEP_S;
+        assert!((slower_mps + 1.75).abs() < 0.1, "ticks of {tick_s} s: {slower_mps}");
+    }
+}
+
+/// Of agents that go now faster, now slower than forecast, at random, next to nothing is told.
+#[test]
+fn what_others_have_not_in_common_is_not_told() {
+    let mut memory = PlaceMemory::new(HORIZON_LEN, STEP_NS);
+    let mut now_ns = 0;
+    for agent in 1..=200_u64 {
+        let acceleration = if agent.wrapping_mul(0x9e37_79b9_7f4a_7c15) >> 63 == 0 { 1.5 } else { -1.5 };
+        for step in 0..=HORIZON_LEN {
+            let t_s = STEP_S * step as f32;
+            now_ns += STEP_NS.cast_signed();
+            memory.advance(now_ns);
+            memory.observe(agent, [8.0 * t_s + 0.5 * acceleration * t_s * t_s, 0.0]);
+            if step == 0 {
+                let recalled = memory.recall(agent, &moment(0.0));
+                memory.remember(agent, &moment(0.0), &straight(0.0), &recalled);
+            }
+        }
+        now_ns += 10_000_000_000;
+    }
+    let told = told(&memory, 0.0);
+    assert!(told.iter().all(|told| told.abs() < 0.15), "{told:?}");
+}
+
+#[test]
+fn only_what_was_driven_is_told() {
+    let (memory, _) = after(20, -1.0, 0.5, 1.0);
+    let told = told(&memory, 0.0);
+    assert!(told[0] < -0.5, "{told:?}");
+    assert_eq!(told[2..], [0.0; 2], "what is not known stays as it is");
+}
+
+#[test]
+fn nothing_is_told_elsewhere_to_others_or_of_oneself() {
+    let (memory, _) = after(1, -1.0, 0.5, 3.0);
+    assert!(memory.recall(1, &moment(0.0)).expected.is_none(), "of oneself");
+    assert!(!memory.recall(2, &moment(0.0)).expected.is_none());
+    assert!(memory.recall(2, &moment(9.0)).expected.is_none(), "elsewhere");
+    assert!(memory.recall(2, &Moment { heading_rad: 1.0, ..moment(0.0) }).expected.is_none(), "another way");
+    assert!(memory.recall(2, &Moment { speed_mps: 2.0, ..moment(0.0) }).expected.is_none(), "another speed");
+}
