@@ -38,10 +38,10 @@ pub struct Fit {
 }
 
 impl Fit {
-    /// Density of the detection under the prediction, per m².
+    /// Logarithm of the detection's density under the prediction, per m².
     #[must_use]
-    pub fn density(&self) -> f64 {
-        (-0.5 * self.distance2).exp() / (TAU * self.det.sqrt())
+    pub fn log_density(&self) -> f64 {
+        -0.5 * self.cost() - TAU.ln()
     }
 
     /// d² + ln |S|: −2 ln of the density, up to a constant.
@@ -216,8 +216,8 @@ impl Estimate {
         options: &TrackerOptions,
     ) -> Result<(), FilterFault> {
         let seen = observation(detection, agent_type, input);
-        let density = self.fit(seen.position_m, seen.position_variance).density();
-        self.life.see(density, self.moved_ns, input, options);
+        let log_density = self.fit(seen.position_m, seen.position_variance).log_density();
+        self.life.see(log_density, self.moved_ns, input, options);
         if self.class.observe(agent_type) {
             self.belief.forget_forecast();
             if self.class.current() == AgentType::Pedestrian {

@@ -40,9 +40,9 @@ impl Life {
         Self { existence, hits: 1, frames: 1, confirmed: trusted, trusted, earned_ns: 0 }
     }
 
-    /// Takes in a detection of that density under the prediction, `moved_ns` after the state before.
-    pub fn see(&mut self, density: f64, moved_ns: u64, input: &InputModel, options: &TrackerOptions) {
-        self.believe((options.detection_probability * density / options.clutter_density).ln());
+    /// Takes in a detection of that log-density under the prediction, `moved_ns` after the state before.
+    pub fn see(&mut self, log_density: f64, moved_ns: u64, input: &InputModel, options: &TrackerOptions) {
+        self.believe((options.detection_probability / options.clutter_density).ln() + log_density);
         self.count(true);
         self.confirmed |= self.hits.count_ones() >= HITS_TO_CONFIRM && self.existence >= EXISTENCE_TO_CONFIRM;
         let earned_ns = moved_ns.saturating_mul(COAST_RATIO);
@@ -92,7 +92,6 @@ impl Life {
     }
 
     fn believe(&mut self, log_odds: f64) {
-        // A density that underflows says "no" as loudly as it can, not "nobody knows".
         let log_odds = log_odds.clamp(-EXISTENCE_MAX, EXISTENCE_MAX);
         self.existence = (self.existence + log_odds).clamp(-EXISTENCE_MAX, EXISTENCE_MAX);
     }
