@@ -130,7 +130,9 @@ impl Judge<'_> {
             .iter()
             .zip(forecasts)
             .map(|(scene, forecasts)| {
-                let mut departures = vec![None; scene.agents.len()];
+                // Of whom nothing is told, the forecast stays as it is.
+                let untold = |agent| drives(agent).then(Departures::default);
+                let mut departures: Vec<_> = scene.agents.iter().map(untold).collect();
                 memory.advance(scene.stamp_ns);
                 for agent in scene.agents.iter().filter(|agent| drives(agent)) {
                     agent.newest().iter().for_each(|now| memory.observe(agent.id, now.position_m));

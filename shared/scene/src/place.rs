@@ -11,7 +11,7 @@ use std::collections::{HashMap, VecDeque};
 
 use wire::HORIZON_MAX;
 
-use crate::{AgentFrame, State, turn_rates};
+use crate::{AgentFrame, MOVING_MPS, State, turn_rates};
 pub use path::Departures;
 use path::{Course, Evidence, Skill};
 
@@ -88,11 +88,15 @@ pub struct Recall {
 }
 
 impl Moment {
-    /// The moment at the end of a history with steps of `dt_s`; none of an agent that is absent then.
+    /// The moment at the end of a history with steps of `dt_s`; none of an agent that is absent then, or stands: when it will
+    /// go on, others do not tell.
     #[must_use]
     pub fn of(history: &[Option<State>], dt_s: f32) -> Option<Self> {
         let State { position_m, velocity_mps, heading_rad } = (*history.last()?)?;
         let [speed_mps, _] = AgentFrame::new(position_m, heading_rad).rotate_into(velocity_mps);
+        if speed_mps.abs() < MOVING_MPS {
+            return None;
+        }
         let before = history.len().checked_sub(2).and_then(|step| history[step]);
         let speed_before = before.map(|before| {
             AgentFrame::new(before.position_m, before.heading_rad).rotate_into(before.velocity_mps)[0]

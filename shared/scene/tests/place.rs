@@ -100,3 +100,13 @@ fn nothing_is_told_elsewhere_to_others_or_of_oneself() {
     assert!(memory.recall(2, &Moment { heading_rad: 1.0, ..moment(0.0) }).expected.is_none(), "another way");
     assert!(memory.recall(2, &Moment { speed_mps: 2.0, ..moment(0.0) }).expected.is_none(), "another speed");
 }
+
+#[test]
+fn who_stands_has_no_moment() {
+    let state =
+        |speed_mps: f32| Some(scene::State { velocity_mps: [speed_mps, 0.0], ..scene::State::default() });
+    assert_eq!(Moment::of(&[state(3.0), state(0.05)], STEP_S), None);
+    assert_eq!(Moment::of(&[state(3.0), None], STEP_S), None);
+    let slowing = Moment::of(&[state(3.0), state(2.0)], STEP_S).map(|moment| moment.acceleration_mps2);
+    assert_eq!(slowing, Some(-2.0));
+}
