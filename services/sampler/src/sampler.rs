@@ -136,8 +136,11 @@ impl Sampler {
             let history = &track_history(track)[..self.options.history_len];
             if let Some(moment) = Moment::of(history, tick.dt_s()) {
                 let recalled = place.recall(track.id, &moment);
-                let path = controls.best_path(&mover);
-                place.remember(track.id, &moment, &path[..self.options.horizon_len], &recalled);
+                // Controls that come after a newer tick are used, but not remembered.
+                if place.is_at(tick.stamp_ns) {
+                    let path = controls.best_path(&mover);
+                    place.remember(track.id, &moment, &path[..self.options.horizon_len], &recalled);
+                }
                 controls.change(recalled.expected.controls(rear_axle_m, tick.dt_s()));
             }
         }

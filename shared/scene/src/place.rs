@@ -168,6 +168,12 @@ impl PlaceMemory {
         true
     }
 
+    /// Whether that is the time to which it went on last: what is remembered belongs to it.
+    #[must_use]
+    pub const fn is_at(&self, stamp_ns: i64) -> bool {
+        self.now_ns == stamp_ns
+    }
+
     /// Takes in where an agent is now, at the end of what it drove since it was seen last.
     pub fn observe(&mut self, agent: u64, position_m: [f32; 2]) {
         let now_ns = self.now_ns;

@@ -137,6 +137,16 @@ fn the_trackers_prior() {
 }
 
 #[test]
+fn the_samplers_memory_of_places() {
+    let pipeline =
+        Pipeline::parse("p.toml", &with("deadline_ms = 72", "deadline_ms = 72, recall = true")).unwrap();
+    let stage = pipeline.stages.iter().find(|stage| stage.id == StageId::Sampler).unwrap();
+    assert_eq!(stage.options.recall, Some(true));
+    let tracker = with("budget_ms = 6", "budget_ms = 6\noptions = { recall = true }");
+    assert!(error(&tracker).contains("the tracker has no option `recall`"), "{}", error(&tracker));
+}
+
+#[test]
 fn the_trackers_association() {
     let tracker = |options: &str| with("budget_ms = 6", &format!("budget_ms = 6\noptions = {{ {options} }}"));
     let pipeline = Pipeline::parse("p.toml", &tracker("association = \"jpda\"")).unwrap();
