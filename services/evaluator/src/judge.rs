@@ -3,7 +3,7 @@
 use data::Recording;
 use metrics::{Disc, Limits, Point, collisions, highest_density_level, kde_log_density};
 use nn::ModelConfig;
-use scene::{AgentType, Departures, Moment, PlaceMemory, Recall};
+use scene::{AgentType, Departures, Moment, PlaceMemory};
 use wire::CONTEXT_EMBEDDING;
 
 use crate::baselines::{Baselines, Candidate};
@@ -92,7 +92,7 @@ impl Judge<'_> {
         let departures = self.departures(scenes, &table);
         let cases = scenes.iter().zip(departures).map(|(scene, departures)| {
             let complete = self.complete(scene);
-            let departures = complete.iter().map(|&place| departures.get(place).cloned().flatten()).collect();
+            let departures = complete.iter().map(|&place| departures[place].clone()).collect();
             Case { scene, complete, departures }
         });
         let cases: Vec<Case<'_>> = cases.filter(|case| !case.complete.is_empty()).collect();
@@ -120,6 +120,9 @@ impl Judge<'_> {
         let forecast = |scene: &Scene, memory: &mut ForecasterMemory| {
             let wanted: Vec<usize> =
                 (0..scene.agents.len()).filter(|&place| drives(&scene.agents[place])).collect();
+            if wanted.is_empty() {
+                return Vec::new();
+            }
             let context = |agent: usize, step: usize| self.context(scene, table, (agent, step));
             let forecasts = self.forecaster.forecast(scene, context, &wanted, memory);
             wanted.into_iter().zip(forecasts).map(|(place, forecast)| (place, forecast.best)).collect()
@@ -137,15 +140,11 @@ impl Judge<'_> {
                 for agent in scene.agents.iter().filter(|agent| drives(agent)) {
                     agent.newest().iter().for_each(|now| memory.observe(agent.id, now.position_m));
                 }
-                let moments = forecasts.iter().filter_map(|(place, best)| {
-                    let agent = &scene.agents[*place];
-                    Some((*place, agent.id, Moment::of(&agent.history, config.dt_s as f32)?, best))
-                });
-                let moments: Vec<_> = moments.collect();
-                let recalled: Vec<Recall> =
-                    moments.iter().map(|(_, id, moment, _)| memory.recall(*id, moment)).collect();
-                for ((place, id, moment, best), recalled) in moments.into_iter().zip(recalled) {
-                    memory.remember(id, &moment, best, &recalled);
+                for (place, best) in forecasts {
+                    let agent = &scene.agents[place];
+                    let Some(moment) = Moment::of(&agent.history, config.dt_s as f32) else { continue };
+                    let recalled = memory.recall(agent.id, &moment);
+                    memory.remember(agent.id, &moment, &best, &recalled);
                     departures[place] = Some(recalled.expected);
                 }
                 departures

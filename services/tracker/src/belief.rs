@@ -1,6 +1,6 @@
 use filters::{
     Bicycle, ConstantVelocity, Filter, FilterFault, Forecast, ForecastFault, Gaussian, Integrator, Kind,
-    Mixture, Models, Motion, Observation, Priors, Unknown, turned_round,
+    Mixture, Models, Motion, Observation, Priors, Unknown, acting_share, noise_left, turned_round,
 };
 use wire::{MODES_MAX, Steering};
 
@@ -205,20 +205,13 @@ impl Hypotheses {
 }
 
 impl ForecastTrust {
-    /// Shares of acceleration and slip rate that act where a vehicle is known as well as this.
+    /// Shares of acceleration and slip rate that act where a vehicle is known as well as this, by its speed and heading.
     ///
-    /// ```text
-    /// s = S² / (S² + σ²)      σ of speed and of heading
-    /// ```
-    ///
-    /// The network takes its history for exact: it reads the slip off how headings turned, and much of its controls is
-    /// to undo what noise has put there. The filter never had that slip, since it weighs every position by its noise; for it
-    /// such a control is an error of its own. So a control acts by the share of its variance that is not the noise of what
-    /// it was read off.
+    /// The network reads the slip off how headings turned. The filter never had the slip that noise put there, since it weighs
+    /// every position by its noise; for it a control that undoes it is an error of its own.
     fn control_share(&self, state: &Gaussian<5>) -> [f64; 2] {
-        let share = |component: usize, even: f64| {
-            even.powi(2) / (even.powi(2) + state.covariance[(component, component)].max(0.0))
-        };
+        let share =
+            |component: usize, even: f64| acting_share(even, state.covariance[(component, component)]);
         [share(3, self.even_speed_mps), share(2, self.even_heading_rad)]
     }
 
@@ -226,8 +219,7 @@ impl ForecastTrust {
     /// is nothing else. Where a slip rate acts in full it tells by itself how the turn goes on and ends.
     fn bicycle(&self, models: &Models, control_share: [f64; 2]) -> Priors<Bicycle> {
         let kinematic = models.bicycle;
-        let [of_acceleration, of_slip_rate] =
-            control_share.map(|share| (1.0 - share * (1.0 - self.noise_share.powi(2))).sqrt());
+        let [of_acceleration, of_slip_rate] = control_share.map(|share| noise_left(share, self.noise_share));
         let learned = Bicycle {
             // What the controls were learned for; Euler's steps fall behind under an acceleration.
             integrator: Integrator::Midpoint,

@@ -29,6 +29,28 @@ impl ControlStep {
     }
 }
 
+/// Share of a forecast's control that acts where what it was read off is known with that variance.
+///
+/// ```text
+/// s = S² / (S² + σ²)      half of it acts at a deviation of S
+/// ```
+///
+/// The network takes its history for exact; much of what it reads off a noisy one is to undo motion that never was. So a control
+/// acts by the share of its variance that is not the noise of what it was read off.
+#[must_use]
+#[inline]
+pub fn acting_share(even: f64, variance: f64) -> f64 {
+    even.powi(2) / (even.powi(2) + variance.max(0.0))
+}
+
+/// Share of the process noise (standard deviations) that stays where so much of a control acts: all of it where none does,
+/// `noise_share` where it acts in full.
+#[must_use]
+#[inline]
+pub fn noise_left(acting_share: f64, noise_share: f64) -> f64 {
+    (1.0 - acting_share * (1.0 - noise_share.powi(2))).max(0.0).sqrt()
+}
+
 /// What drives a state over a stretch of time, beside the process noise.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Control {

@@ -34,7 +34,9 @@ pub use bicycle::{Bicycle, turned_round};
 pub use constant_acceleration::ConstantAcceleration;
 pub use constant_turn_rate::ConstantTurnRate;
 pub use constant_velocity::ConstantVelocity;
-pub use control::{Control, ControlStep, Forecast, ForecastFault, HYPOTHESES_MAX, Steered};
+pub use control::{
+    Control, ControlStep, Forecast, ForecastFault, HYPOTHESES_MAX, Steered, acting_share, noise_left,
+};
 pub use filter::{Filter, Kind, Models, Unknown};
 pub use gaussian::{FilterFault, Gaussian};
 pub use innovation::{Evidence, Innovation, MEASURED_MAX};

@@ -65,7 +65,7 @@ pub fn turn_rates(history: &[Option<State>], dt_s: f32) -> [f32; 2] {
 }
 
 /// The angle in [−π, π) that points the same way.
-fn wrapped(angle_rad: f32) -> f32 {
+pub(crate) fn wrapped(angle_rad: f32) -> f32 {
     use std::f32::consts::{PI, TAU};
     (angle_rad + PI).rem_euclid(TAU) - PI
 }

@@ -11,6 +11,7 @@ use std::collections::{HashMap, VecDeque};
 
 use wire::HORIZON_MAX;
 
+use crate::motion::wrapped;
 use crate::{AgentFrame, MOVING_MPS, State, turn_rates};
 pub use path::Departures;
 use path::{Course, Evidence, Skill};
@@ -51,6 +52,8 @@ struct Memory {
     stamp_ns: i64,
     forecast: Course,
     driven: Course,
+    /// How it departed, as far as it was driven.
+    departures: Departures,
     /// What was told of how it would depart, before skill.
     told: Departures,
 }
@@ -92,20 +95,20 @@ impl Moment {
     /// go on, others do not tell.
     #[must_use]
     pub fn of(history: &[Option<State>], dt_s: f32) -> Option<Self> {
-        let State { position_m, velocity_mps, heading_rad } = (*history.last()?)?;
-        let [speed_mps, _] = AgentFrame::new(position_m, heading_rad).rotate_into(velocity_mps);
+        let along = |state: State| {
+            AgentFrame::new(state.position_m, state.heading_rad).rotate_into(state.velocity_mps)[0]
+        };
+        let now = (*history.last()?)?;
+        let speed_mps = along(now);
         if speed_mps.abs() < MOVING_MPS {
             return None;
         }
         let before = history.len().checked_sub(2).and_then(|step| history[step]);
-        let speed_before = before.map(|before| {
-            AgentFrame::new(before.position_m, before.heading_rad).rotate_into(before.velocity_mps)[0]
-        });
         Some(Self {
-            position_m,
-            heading_rad,
+            position_m: now.position_m,
+            heading_rad: now.heading_rad,
             speed_mps,
-            acceleration_mps2: speed_before.map_or(0.0, |before| (speed_mps - before) / dt_s),
+            acceleration_mps2: before.map_or(0.0, |before| (speed_mps - along(before)) / dt_s),
             turn_rate_radps: turn_rates(history, dt_s)[0],
         })
     }
@@ -122,7 +125,7 @@ impl Moment {
         let parts = [
             across / 0.8,
             along,
-            path::wrapped(other.heading_rad - self.heading_rad) / 0.12,
+            wrapped(other.heading_rad - self.heading_rad) / 0.12,
             (other.speed_mps - self.speed_mps) / 1.5,
             (other.acceleration_mps2 - self.acceleration_mps2) / 0.8,
             (other.turn_rate_radps - self.turn_rate_radps) / 0.1,
@@ -157,7 +160,7 @@ impl PlaceMemory {
         }
     }
 
-    /// Goes on to a time; returns whether it is a new one, of which anything may be told.
+    /// Goes on to a time; returns whether it is newer than the last.
     pub fn advance(&mut self, now_ns: i64) -> bool {
         if now_ns <= self.now_ns {
             return false;
@@ -176,13 +179,13 @@ impl PlaceMemory {
 
     /// Takes in where an agent is now, at the end of what it drove since it was seen last.
     pub fn observe(&mut self, agent: u64, position_m: [f32; 2]) {
-        let now_ns = self.now_ns;
+        let (now_ns, step_s) = (self.now_ns, self.step_s());
         let fresh = || Trace { stamp_ns: now_ns, position_m, under_way: VecDeque::new() };
         let trace = self.traces.entry(agent).or_insert_with(fresh);
         let (since_ns, from_m) = (trace.stamp_ns, trace.position_m);
         (trace.stamp_ns, trace.position_m) = (now_ns, position_m);
         let (oldest, step_ns, horizon_len) = (self.oldest, self.step_ns, self.horizon_len);
-        let (memories, skill, step_s) = (&mut self.memories, &mut self.skill, self.step_ns as f32 * 1e-9);
+        let (memories, skill) = (&mut self.memories, &mut self.skill);
         trace.under_way.retain(|&number| {
             let place = number.checked_sub(oldest).map(|place| place as usize);
             let Some(memory) = place.and_then(|place| memories.get_mut(place)) else { return false };
@@ -199,6 +202,7 @@ impl PlaceMemory {
                 let departures = path::departure(&memory.forecast, &memory.driven, step, step_s);
                 for (component, departure) in departures.into_iter().enumerate() {
                     if let Some((step, departure)) = departure {
+                        memory.departures.tell(step, component, departure);
                         skill.learn(&memory.told, step, component, departure);
                     }
                 }
@@ -237,6 +241,7 @@ impl PlaceMemory {
             stamp_ns,
             forecast,
             driven: start,
+            departures: Departures::default(),
             told: recalled.common.clone(),
         });
         if self.memories.len() > MOMENTS_MAX {
@@ -258,7 +263,7 @@ impl PlaceMemory {
                 let memory = &self.memories[(number - self.oldest) as usize];
                 let distance = memory.moment.distance(moment);
                 if memory.agent != agent && distance <= REACH {
-                    evidence.add((-distance).exp(), &memory.forecast, &memory.driven, self.step_s());
+                    evidence.add((-distance).exp(), &memory.departures);
                 }
             }
         }

@@ -1,6 +1,6 @@
 //! The memory of a place: what is told to whom, and when.
 
-use scene::{Moment, PlaceMemory};
+use scene::{Departures, Moment, PlaceMemory};
 
 const STEP_NS: u64 = 500_000_000;
 const STEP_S: f32 = 0.5;
@@ -22,8 +22,8 @@ fn straight(x_m: f32) -> Vec<[f32; 2]> {
 }
 
 /// A memory that saw agents, one after the other, who are at x = 0 at 8 m/s and brake by `acceleration_mps2` from there on,
-/// observed every `tick_s`; the time of the last observation.
-fn after(agents: u64, acceleration_mps2: f32, tick_s: f32, until_s: f32) -> (PlaceMemory, i64) {
+/// observed every `tick_s`.
+fn after(agents: u64, acceleration_mps2: f32, tick_s: f32, until_s: f32) -> PlaceMemory {
     let mut memory = PlaceMemory::new(HORIZON_LEN, STEP_NS);
     let mut now_ns = 0;
     for agent in 1..=agents {
@@ -39,7 +39,7 @@ fn after(agents: u64, acceleration_mps2: f32, tick_s: f32, until_s: f32) -> (Pla
         }
         now_ns += 10_000_000_000;
     }
-    (memory, now_ns)
+    memory
 }
 
 /// The changes of acceleration that are told to somebody else.
@@ -51,7 +51,7 @@ fn told(memory: &PlaceMemory, x_m: f32) -> Vec<f32> {
 #[test]
 fn where_others_braked_it_is_forecast_that_one_brakes() {
     for tick_s in [0.5, 0.1, 0.08] {
-        let (memory, _) = after(60, -1.0, tick_s, 3.0);
+        let memory = after(60, -1.0, tick_s, 3.0);
         let told = told(&memory, 0.2);
         assert!(told[1..3].iter().all(|told| (told + 1.0).abs() < 0.15), "ticks of {tick_s} s: {told:?}");
         // The last that is known is the mean speed over the last step.
@@ -85,7 +85,7 @@ fn what_others_have_not_in_common_is_not_told() {
 
 #[test]
 fn only_what_was_driven_is_told() {
-    let (memory, _) = after(20, -1.0, 0.5, 1.0);
+    let memory = after(20, -1.0, 0.5, 1.0);
     let told = told(&memory, 0.0);
     assert!(told[0] < -0.5, "{told:?}");
     assert_eq!(told[2..], [0.0; 2], "what is not known stays as it is");
@@ -93,12 +93,13 @@ fn only_what_was_driven_is_told() {
 
 #[test]
 fn nothing_is_told_elsewhere_to_others_or_of_oneself() {
-    let (memory, _) = after(1, -1.0, 0.5, 3.0);
-    assert!(memory.recall(1, &moment(0.0)).expected.is_none(), "of oneself");
-    assert!(!memory.recall(2, &moment(0.0)).expected.is_none());
-    assert!(memory.recall(2, &moment(9.0)).expected.is_none(), "elsewhere");
-    assert!(memory.recall(2, &Moment { heading_rad: 1.0, ..moment(0.0) }).expected.is_none(), "another way");
-    assert!(memory.recall(2, &Moment { speed_mps: 2.0, ..moment(0.0) }).expected.is_none(), "another speed");
+    let memory = after(1, -1.0, 0.5, 3.0);
+    let told = |agent: u64, moment: Moment| memory.recall(agent, &moment).expected != Departures::default();
+    assert!(told(2, moment(0.0)));
+    assert!(!told(1, moment(0.0)), "of oneself");
+    assert!(!told(2, moment(9.0)), "elsewhere");
+    assert!(!told(2, Moment { heading_rad: 1.0, ..moment(0.0) }), "another way");
+    assert!(!told(2, Moment { speed_mps: 2.0, ..moment(0.0) }), "another speed");
 }
 
 #[test]

@@ -2,7 +2,7 @@
 
 use filters::{
     Bicycle, ConstantAcceleration, ConstantTurnRate, ConstantVelocity, Gaussian, Integrator, Kind, Models,
-    Priors, SingerBicycle, Unknown,
+    Priors, SingerBicycle, Unknown, acting_share, noise_left,
 };
 
 /// What nobody has observed of a vehicle.
@@ -166,7 +166,7 @@ impl Settings {
             slip_rate_radps: of_slip_rate * slip_rate_radps,
             decay_s,
         };
-        let of_noise = control_share.map(|share| (1.0 - share * (1.0 - noise_share.powi(2))).max(0.0).sqrt());
+        let of_noise = control_share.map(|share| noise_left(share, noise_share));
         let [share, _] = control_share;
         let learned_decay_s = 1.0 / (share / learned_decay_s + (1.0 - share) / decay_s);
         let (kinematic, learned) = (singer([1.0; 2], decay_s), singer(of_noise, learned_decay_s));
@@ -174,17 +174,9 @@ impl Settings {
     }
 }
 
-/// Shares of a forecast's acceleration and slip rate that act where a vehicle is known as well as this:
-///
-/// ```text
-/// s = S² / (S² + σ²)      σ of speed and of heading
-/// ```
-///
-/// The model takes its history for exact; much of what it reads off a noisy one is to undo motion that never was.
+/// Shares of a forecast's acceleration and slip rate that act where a vehicle is known as well as this.
 pub(crate) fn control_share(state: &Gaussian<7>) -> [f64; 2] {
-    let share = |component: usize, even: f64| {
-        even.powi(2) / (even.powi(2) + state.covariance[(component, component)].max(0.0))
-    };
+    let share = |component: usize, even: f64| acting_share(even, state.covariance[(component, component)]);
     [share(3, EVEN[0]), share(2, EVEN[1])]
 }
 

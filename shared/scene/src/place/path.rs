@@ -1,5 +1,7 @@
 use wire::HORIZON_MAX;
 
+use crate::motion::wrapped;
+
 /// Chords shorter than this have no direction.
 const CHORD_MIN_M: f32 = 0.5;
 /// Departures are taken to be no larger: speed m/s, curvature 1/m.
@@ -97,14 +99,12 @@ pub(super) fn departure(
 }
 
 impl Evidence {
-    /// Adds with a weight how a path departed from its forecast, as far as it was driven.
-    pub(super) fn add(&mut self, weight: f32, forecast: &Course, driven: &Course, step_s: f32) {
-        for step in 0..forecast.len().min(driven.len()) {
-            for (component, departure) in departure(forecast, driven, step, step_s).into_iter().enumerate() {
-                let Some((step, departure)) = departure else { continue };
-                let (weights, sum) = &mut self.steps[step][component];
-                *weights += weight;
-                *sum += weight * departure;
+    /// Adds departures with a weight, as far as they are known.
+    pub(super) fn add(&mut self, weight: f32, departures: &Departures) {
+        for (sums, departure) in self.steps.iter_mut().flatten().zip(departures.steps.iter().flatten()) {
+            if let Some(departure) = departure {
+                sums.0 += weight;
+                sums.1 += weight * departure;
             }
         }
     }
@@ -149,10 +149,9 @@ impl Skill {
 }
 
 impl Departures {
-    /// Whether nothing is known.
-    #[must_use]
-    pub fn is_none(&self) -> bool {
-        self.steps[0][SPEED].is_none()
+    /// Takes in what is known of a step now.
+    pub(super) const fn tell(&mut self, step: usize, component: usize, departure: f32) {
+        self.steps[step][component] = Some(departure);
     }
 
     /// What a vehicle's controls, acceleration and slip rate, have to be changed by at each step so that its path departs so.
@@ -175,10 +174,4 @@ impl Departures {
             change
         })
     }
-}
-
-/// The angle in [−π, π) that points the same way.
-pub(super) fn wrapped(angle_rad: f32) -> f32 {
-    use std::f32::consts::{PI, TAU};
-    (angle_rad + PI).rem_euclid(TAU) - PI
 }
