@@ -77,9 +77,9 @@ impl Baselines {
             },
             Method::Recalling => {
                 forecast.recalled.as_ref().map_or_else(Candidate::default, |recalled| Candidate {
-                    modes: recalled.modes.clone(),
-                    probability: Some(forecast.probability.clone()),
-                    single: Some(recalled.best.clone()),
+                    modes: recalled.paths.modes.clone(),
+                    probability: Some(recalled.probability.clone()),
+                    single: Some(recalled.paths.best.clone()),
                 })
             }
             Method::Base => forecast.base.as_ref().map_or_else(Candidate::default, |base| Candidate {

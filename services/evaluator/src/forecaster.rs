@@ -11,8 +11,8 @@ use nn::{
     AgentDraws, ContextCnn, ContextMemory, Decoder, DecoderGroup, Encoded, Gdat, GdatMemory, MlpMemory,
     ModelConfig, RelationMlp, StateMlp, Weights, WeightsError,
 };
-use scene::{Departures, EdgeRule, FeatureScales, PatchOptions};
-use wire::{CONTEXT_EMBEDDING, ControlGaussian, LATENT, STATE_FEATURES, TEMPORAL};
+use scene::{Choice, EdgeRule, FeatureScales, PatchOptions, Recall};
+use wire::{CONTEXT_EMBEDDING, ControlGaussian, HORIZON_MAX, LATENT, STATE_FEATURES, TEMPORAL};
 
 use crate::motion::Mover;
 use crate::tracking::Hypotheses;
@@ -33,7 +33,16 @@ pub struct Forecast {
     /// The base control with the network switched off, where the model has one, ridge regression and anchors: baseline B*.
     pub base: Option<Paths>,
     /// The same forecast with what the place's memory tells, where it tells anything.
-    pub recalled: Option<Paths>,
+    pub recalled: Option<Recalled>,
+}
+
+/// A forecast with what the memory of the place tells.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Recalled {
+    /// Where it leads.
+    pub paths: Paths,
+    /// The probability of each mode.
+    pub probability: Vec<f32>,
 }
 
 /// Where modes and a single best forecast lead.
@@ -163,13 +172,12 @@ impl Forecaster {
         &self,
         scene: &Scene,
         context: impl Fn(usize, usize) -> [f32; CONTEXT_EMBEDDING],
-        (wanted, departures): (&[usize], &[Option<Departures>]),
+        (wanted, recalls): (&[usize], &[Recall]),
         memory: &mut ForecasterMemory,
     ) -> Vec<Forecast> {
         let mut forecasts = vec![None; wanted.len()];
         self.decode(scene, context, wanted, memory, |place, agent, said| {
-            let departures = departures.get(place).and_then(Option::as_ref);
-            forecasts[place] = Some(self.move_agent(agent, said, departures));
+            forecasts[place] = Some(self.move_agent(agent, said, recalls.get(place)));
         });
         forecasts.into_iter().flatten().collect()
     }
@@ -223,7 +231,7 @@ impl Forecaster {
     }
 
     /// Moves the agent by its controls.
-    fn move_agent(&self, agent: &Agent, said: AgentDraws<'_>, departures: Option<&Departures>) -> Forecast {
+    fn move_agent(&self, agent: &Agent, said: AgentDraws<'_>, recall: Option<&Recall>) -> Forecast {
         let ModelConfig { modes: modes_len, horizon_len, .. } = self.config;
         let now = agent.newest().expect("a wanted agent is present");
         let frame = scene::agent_frame(&agent.history).expect("a present agent has a frame");
@@ -237,17 +245,42 @@ impl Forecaster {
         let likeliest = metrics::most_likely(said.probability).unwrap_or(0);
         let best_controls = best.unwrap_or(&controls[likeliest]);
         let best = mover.follow(best_controls.iter().map(|control| control.mean));
-        let recalled = departures.and_then(|departures| mover.changes(departures)).map(|changes| {
-            let follow = |controls: &Vec<ControlGaussian>| mover.follow(changed(controls, &changes));
-            Paths {
-                modes: controls[..modes_len].iter().map(follow).collect(),
-                best: mover.follow(changed(best_controls, &changes)),
-            }
-        });
+        let recalled = recall
+            .map(|recall| recalled(&mover, &controls[..modes_len], best_controls, said.probability, recall));
         let (modes, covariance) = controls[..modes_len].iter().map(|steps| mover.spread(steps)).unzip();
         let probability = said.probability.to_vec();
         Forecast { modes, probability, covariance, best, base: base_forecast, recalled }
     }
+}
+
+/// The forecast of an agent with what the memory of the place tells of it.
+fn recalled(
+    mover: &Mover,
+    modes: &[Vec<ControlGaussian>],
+    best: &[ControlGaussian],
+    probability: &[f32],
+    recall: &Recall,
+) -> Recalled {
+    let changes = mover.changes(&recall.expected);
+    let mut paths: Vec<Vec<Point>> =
+        modes.iter().map(|controls| mover.follow(changed(controls, &changes))).collect();
+    let expected = mover.follow(changed(best, &changes));
+    if recall.likes.is_empty() {
+        let probability = probability.to_vec();
+        return Recalled { paths: Paths { modes: paths, best: expected }, probability };
+    }
+    let likes = recall.likes.iter().map(|like| mover.changes(&like.departures));
+    paths.extend(likes.map(|changes| mover.follow(changed(best, &changes))));
+    let mut choice = Choice::default();
+    let fixed: Vec<[Point; HORIZON_MAX]> = paths
+        .iter()
+        .map(|path| std::array::from_fn(|step| path.get(step).copied().unwrap_or_default()))
+        .collect();
+    let weights = recall.likes.iter().map(|like| like.weight);
+    choice.choose(&fixed, best.len(), probability, weights);
+    let (modes, probability) =
+        choice.chosen().map(|(chosen, probability)| (paths[chosen].clone(), probability)).unzip();
+    Recalled { paths: Paths { modes, best: expected }, probability }
 }
 
 /// Controls with what is added to them at each step.

@@ -3,13 +3,13 @@
 use data::Recording;
 use metrics::{Disc, Limits, Point, collisions, highest_density_level, kde_log_density};
 use nn::ModelConfig;
-use scene::{AgentType, Departures, Moment, PlaceMemory};
+use scene::{AgentType, PlaceMemory, Recall};
 use wire::CONTEXT_EMBEDDING;
 
 use crate::baselines::{Baselines, Candidate};
 use crate::forecaster::{Forecast, ForecasterMemory};
 use crate::maps::{ContextTable, MapInput};
-use crate::{Agent, Forecaster, Method, Scene, Tally, threads};
+use crate::{Agent, Forecaster, Method, Scene, Tally, motion, threads};
 
 /// Speed from which on an agent counts as moving, at its last observed step.
 pub const MOVING_MPS: f32 = 0.5;
@@ -76,12 +76,15 @@ pub struct Judge<'a> {
     pub threads: usize,
 }
 
+/// Scenes that are forecast before the memory of the place goes on.
+const TOGETHER: usize = 128;
+
 /// A scene with the agents that are forecast.
 struct Case<'a> {
     scene: &'a Scene,
     complete: Vec<usize>,
     /// What the memory of the place tells of each.
-    departures: Vec<Option<Departures>>,
+    recalls: Vec<Recall>,
 }
 
 impl Judge<'_> {
@@ -89,19 +92,13 @@ impl Judge<'_> {
     #[must_use]
     pub fn recording(&self, recording: &Recording, scenes: &[Scene], map: MapInput<'_>) -> Vec<Block> {
         let table = ContextTable::new(self.forecaster, recording, scenes, map, self.threads);
-        let departures = self.departures(scenes, &table);
-        let cases = scenes.iter().zip(departures).map(|(scene, departures)| {
-            let complete = self.complete(scene);
-            let departures = complete.iter().map(|&place| departures[place].clone()).collect();
-            Case { scene, complete, departures }
-        });
-        let cases: Vec<Case<'_>> = cases.filter(|case| !case.complete.is_empty()).collect();
-        let tallies = threads::each(&cases, self.threads, |case, memory| self.scene(case, &table, memory));
         let config = self.forecaster.config();
+        let mut place = PlaceMemory::new(config.horizon_len, config.step_ns());
+        let parts = scenes.chunks(TOGETHER).flat_map(|scenes| self.part(scenes, &table, &mut place));
         let block_ns = config.step_ns() as i64 * (config.history_len + config.horizon_len) as i64;
         let mut blocks: Vec<(i64, Block)> = Vec::new();
-        for (case, tallies) in cases.iter().zip(tallies) {
-            let number = case.scene.stamp_ns.div_euclid(block_ns);
+        for (stamp_ns, tallies) in parts {
+            let number = stamp_ns.div_euclid(block_ns);
             match blocks.last_mut().filter(|(last, _)| *last == number) {
                 Some((_, block)) => {
                     block.tallies.iter_mut().zip(&tallies).for_each(|(sum, tally)| sum.merge(tally));
@@ -112,44 +109,51 @@ impl Judge<'_> {
         blocks.into_iter().map(|(_, block)| block).collect()
     }
 
-    /// What the memory of the place tells of each agent of each scene: of everybody who drives, whether it counts or not, as
-    /// far as it was driven at the scene's time.
-    fn departures(&self, scenes: &[Scene], table: &ContextTable) -> Vec<Vec<Option<Departures>>> {
+    /// The tallies of the scenes, with their stamps, that have an agent to count.
+    fn part(
+        &self,
+        scenes: &[Scene],
+        table: &ContextTable,
+        place: &mut PlaceMemory,
+    ) -> Vec<(i64, Vec<Tally>)> {
+        let recalls = self.recalls(scenes, table, place);
+        let cases = scenes.iter().zip(recalls).map(|(scene, mut recalls)| {
+            let complete = self.complete(scene);
+            let recalls = complete.iter().map(|&place| std::mem::take(&mut recalls[place])).collect();
+            Case { scene, complete, recalls }
+        });
+        let cases: Vec<Case<'_>> = cases.filter(|case| !case.complete.is_empty()).collect();
+        let tallies = threads::each(&cases, self.threads, |case, memory| self.scene(case, table, memory));
+        cases.iter().map(|case| case.scene.stamp_ns).zip(tallies).collect()
+    }
+
+    /// What the memory of the place tells of each agent of each scene: of all who are there, whether they count or not, as far as
+    /// they had gone at the scene's time.
+    fn recalls(&self, scenes: &[Scene], table: &ContextTable, place: &mut PlaceMemory) -> Vec<Vec<Recall>> {
         let config = self.forecaster.config();
-        let drives = |agent: &Agent| agent.newest().is_some() && config.drives(agent.agent_type);
         let forecast = |scene: &Scene, memory: &mut ForecasterMemory| {
-            let wanted: Vec<usize> =
-                (0..scene.agents.len()).filter(|&place| drives(&scene.agents[place])).collect();
-            if wanted.is_empty() {
-                return Vec::new();
-            }
+            let present = |&agent: &usize| scene.agents[agent].newest().is_some();
+            let wanted: Vec<usize> = (0..scene.agents.len()).filter(present).collect();
             let context = |agent: usize, step: usize| self.context(scene, table, (agent, step));
             let forecasts = self.forecaster.forecast(scene, context, &wanted, memory);
-            wanted.into_iter().zip(forecasts).map(|(place, forecast)| (place, forecast.best)).collect()
+            wanted.into_iter().zip(forecasts).map(|(agent, forecast)| (agent, forecast.best)).collect()
         };
         let forecasts: Vec<Vec<(usize, Vec<Point>)>> = threads::each(scenes, self.threads, forecast);
-        let mut memory = PlaceMemory::new(config.horizon_len, config.step_ns());
-        scenes
-            .iter()
-            .zip(forecasts)
-            .map(|(scene, forecasts)| {
-                // Of whom nothing is told, the forecast stays as it is.
-                let untold = |agent| drives(agent).then(Departures::default);
-                let mut departures: Vec<_> = scene.agents.iter().map(untold).collect();
-                memory.advance(scene.stamp_ns);
-                for agent in scene.agents.iter().filter(|agent| drives(agent)) {
-                    agent.newest().iter().for_each(|now| memory.observe(agent.id, now.position_m));
-                }
-                for (place, best) in forecasts {
-                    let agent = &scene.agents[place];
-                    let Some(moment) = Moment::of(&agent.history, config.dt_s as f32) else { continue };
-                    let recalled = memory.recall(agent.id, &moment);
-                    memory.remember(agent.id, &moment, &best, &recalled);
-                    departures[place] = Some(recalled.expected);
-                }
-                departures
-            })
-            .collect()
+        let mut of_scene = |scene: &Scene, forecasts: Vec<(usize, Vec<Point>)>| {
+            let mut recalls = vec![Recall::default(); scene.agents.len()];
+            place.advance(scene.stamp_ns);
+            for agent in &scene.agents {
+                agent.newest().iter().for_each(|now| place.observe(agent.id, now.position_m));
+            }
+            for (number, best) in forecasts {
+                let agent = &scene.agents[number];
+                let Some(moment) = motion::moment(agent, config) else { continue };
+                place.recall(agent.id, &moment, &mut recalls[number]);
+                place.remember(agent.id, &moment, &best, &recalls[number]);
+            }
+            recalls
+        };
+        scenes.iter().zip(forecasts).map(|(scene, forecasts)| of_scene(scene, forecasts)).collect()
     }
 
     fn context(
@@ -172,9 +176,9 @@ impl Judge<'_> {
 
     /// A tally of the scene for each subset.
     fn scene(&self, case: &Case<'_>, table: &ContextTable, memory: &mut ForecasterMemory) -> Vec<Tally> {
-        let Case { scene, complete, departures } = case;
+        let Case { scene, complete, recalls } = case;
         let context = |agent: usize, step: usize| self.context(scene, table, (agent, step));
-        let forecasts = self.forecaster.recall(scene, context, (complete, departures), memory);
+        let forecasts = self.forecaster.recall(scene, context, (complete, recalls), memory);
         let judged: Vec<Judged<'_>> = complete
             .iter()
             .zip(&forecasts)

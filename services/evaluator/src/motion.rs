@@ -8,7 +8,7 @@ use kinematics::{
 use metrics::Point;
 use nalgebra::{Vector2, Vector4, Vector5};
 use nn::ModelConfig;
-use scene::{AgentFrame, Departures, State};
+use scene::{AgentFrame, Departures, Moment, State};
 use wire::HORIZON_MAX;
 
 use crate::Agent;
@@ -19,6 +19,15 @@ pub(crate) enum Mover {
     Vehicle(Vehicle, Belief<5>),
     /// By displacements in the agent frame.
     Walker(Displacement, Belief<4>),
+}
+
+/// The moment of an agent at the end of its history, for the memory of the place.
+pub(crate) fn moment(agent: &Agent, config: &ModelConfig) -> Option<Moment> {
+    if config.drives(agent.agent_type) {
+        Moment::driving(&agent.history, config.dt_s as f32)
+    } else {
+        Moment::walking(&agent.history)
+    }
 }
 
 /// Means and covariances (xx, xy, yy) of the positions of a mode.
@@ -80,11 +89,11 @@ impl Mover {
         }
     }
 
-    /// What a driven agent's controls change by where others departed from their forecasts; none of an agent that walks.
-    pub(crate) fn changes(&self, departures: &Departures) -> Option<[[f32; 2]; HORIZON_MAX]> {
+    /// What an agent's controls have to be changed by so that its path departs so.
+    pub(crate) fn changes(&self, departures: &Departures) -> [[f32; 2]; HORIZON_MAX] {
         match self {
-            Self::Vehicle(motion, _) => Some(departures.controls(motion.bicycle.rear_axle_m, motion.dt_s)),
-            Self::Walker(..) => None,
+            Self::Vehicle(motion, _) => departures.controls(motion.bicycle.rear_axle_m, motion.dt_s),
+            Self::Walker(motion, _) => departures.displacements(motion.heading_rad()),
         }
     }
 

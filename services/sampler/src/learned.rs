@@ -12,8 +12,14 @@ pub(crate) struct LearnedControls<'a> {
     controls: &'a AgentControls,
     horizon_len: usize,
     /// What is added to every mode's controls, and to the best forecast's, step by step.
-    change: [[f32; 2]; HORIZON_MAX],
+    change: Change,
+    /// Modes that others take the place of: what is added to the best forecast's controls instead.
+    replaced: [Option<Change>; MODES_MAX],
+    probability: [f32; MODES_MAX],
 }
+
+/// What is added to controls, step by step.
+pub(crate) type Change = [[f32; 2]; HORIZON_MAX];
 
 /// The covariance of each step within the modes: the mixture's without the spread of its means.
 pub(crate) type Within = [[f32; 3]; HORIZON_MAX];
@@ -32,19 +38,44 @@ impl<'a> LearnedControls<'a> {
         if (sum - 1.0).abs() > PROBABILITY_SLACK {
             return Err(impossible(sum));
         }
-        Ok(Self { controls, horizon_len, change: [[0.0; 2]; HORIZON_MAX] })
+        Ok(Self {
+            controls,
+            horizon_len,
+            change: Change::default(),
+            replaced: [None; MODES_MAX],
+            probability: controls.probability,
+        })
     }
 
     /// Adds to the controls of all modes and of the best forecast.
-    pub(crate) const fn change(&mut self, change: [[f32; 2]; HORIZON_MAX]) {
+    pub(crate) const fn change(&mut self, change: Change) {
         self.change = change;
+    }
+
+    /// Gives a mode its probability and, where there is a change, the best forecast's controls with that change in place of its own.
+    pub(crate) const fn replace(&mut self, mode: usize, change: Option<Change>, probability: f32) {
+        (self.replaced[mode], self.probability[mode]) = (change, probability);
+    }
+
+    /// The probability of each mode.
+    pub(crate) fn probability(&self) -> &[f32] {
+        &self.probability[..self.controls.modes_len as usize]
     }
 
     /// Where the best forecast leads.
     pub(crate) fn best_path(&self, mover: &Mover) -> [[f32; 2]; HORIZON_MAX] {
-        let mut path = [[0.0; 2]; HORIZON_MAX];
-        mover.follow(self.steps(&self.controls.best), &mut path[..self.horizon_len]);
-        path
+        self.path(mover, self.best_steps())
+    }
+
+    /// Where the modes lead.
+    pub(crate) fn mode_paths(&self, mover: &Mover, out: &mut Vec<[[f32; 2]; HORIZON_MAX]>) {
+        let modes_len = self.controls.modes_len as usize;
+        out.extend((0..modes_len).map(|mode| self.path(mover, self.mode_steps(mode))));
+    }
+
+    /// Where the best forecast's controls lead with a change of their own.
+    pub(crate) fn path_beside_best(&self, mover: &Mover, change: &Change) -> [[f32; 2]; HORIZON_MAX] {
+        self.path(mover, self.steps(&self.controls.best, *change))
     }
 
     /// Writes modes with their controls, best forecast and moments, and tells the covariance within the modes.
@@ -57,26 +88,26 @@ impl<'a> LearnedControls<'a> {
     ) -> Within {
         let modes_len = self.controls.modes_len as usize;
         let mut moments = [[Moments::default(); HORIZON_MAX]; MODES_MAX];
-        let modes = self.controls.modes.iter().zip(&mut out.controls).zip(&mut moments);
-        for ((controls, told), moments) in modes.take(modes_len) {
+        let modes = out.controls.iter_mut().zip(&mut moments).enumerate();
+        for (mode, (told, moments)) in modes.take(modes_len) {
             let moments = &mut moments[..self.horizon_len];
             let mut acting = [ControlGaussian::centred([0.0; 2]); HORIZON_MAX];
-            for ((control, acting), told) in self.steps(controls).zip(&mut acting).zip(told) {
+            for ((control, acting), told) in self.mode_steps(mode).zip(&mut acting).zip(told) {
                 *acting = mover.acting(&control);
                 *told = mover.told(acting);
             }
             match propagation {
                 Propagation::Linearised => mover.carry(acting.into_iter(), moments),
                 Propagation::MonteCarlo { particles } => {
-                    mover.scatter(self.steps(controls), particles, normals, moments);
+                    mover.scatter(self.mode_steps(mode), particles, normals, moments);
                 }
             }
         }
         let (steering, frame_heading_rad) = mover.steering();
         (out.steering, out.frame_heading_rad) = (steering as u32, frame_heading_rad);
-        mover.follow(self.steps(&self.controls.best), &mut out.best[..self.horizon_len]);
+        mover.follow(self.best_steps(), &mut out.best[..self.horizon_len]);
         out.modes_len = self.controls.modes_len;
-        out.probability[..modes_len].copy_from_slice(&self.controls.probability[..modes_len]);
+        out.probability[..modes_len].copy_from_slice(self.probability());
 
         let mut within = Within::default();
         for step in 0..self.horizon_len {
@@ -94,11 +125,29 @@ impl<'a> LearnedControls<'a> {
         within
     }
 
-    fn steps<'b>(
+    fn path(&self, mover: &Mover, steps: impl Iterator<Item = ControlGaussian>) -> [[f32; 2]; HORIZON_MAX] {
+        let mut path = [[0.0; 2]; HORIZON_MAX];
+        mover.follow(steps, &mut path[..self.horizon_len]);
+        path
+    }
+
+    fn best_steps(&self) -> impl Iterator<Item = ControlGaussian> + use<'a> {
+        self.steps(&self.controls.best, self.change)
+    }
+
+    fn mode_steps(&self, mode: usize) -> impl Iterator<Item = ControlGaussian> + use<'a> {
+        match self.replaced[mode] {
+            Some(change) => self.steps(&self.controls.best, change),
+            None => self.steps(&self.controls.modes[mode], self.change),
+        }
+    }
+
+    fn steps(
         &self,
-        controls: &'b [wire::ControlGaussian; HORIZON_MAX],
-    ) -> impl Iterator<Item = ControlGaussian> + use<'b> {
-        controls.iter().zip(self.change).take(self.horizon_len).map(|(control, [first, second])| {
+        controls: &'a [wire::ControlGaussian; HORIZON_MAX],
+        change: Change,
+    ) -> impl Iterator<Item = ControlGaussian> + use<'a> {
+        controls.iter().zip(change).take(self.horizon_len).map(|(control, [first, second])| {
             ControlGaussian::new([control.mean[0] + first, control.mean[1] + second], control.cholesky)
         })
     }

@@ -15,6 +15,7 @@ mod kinematic;
 mod learned;
 mod mover;
 mod options;
+mod recalling;
 mod sampler;
 mod settings;
 pub mod stage;

@@ -3,10 +3,11 @@ use kinematics::{
     advance_particles, initial_slip, spread,
 };
 use nalgebra::{Matrix4, Matrix4x5, Matrix5, Matrix5x4, SMatrix, Vector4, Vector5};
-use scene::{AgentFrame, AgentType, State, agent_frame, track_history, turn_rates};
+use scene::{AgentFrame, AgentType, Departures, Moment, State, agent_frame, track_history, turn_rates};
 use wire::{Steering, Track};
 
 use crate::SamplerOptions;
+use crate::learned::Change;
 
 /// Below this speed a velocity says no more about a heading than at it.
 const STEADY_MPS: f32 = 1.0;
@@ -90,11 +91,19 @@ impl Mover {
         self
     }
 
-    /// Distance of the rear axle from the centre, of an agent that drives.
-    pub(crate) const fn rear_axle_m(&self) -> Option<f32> {
+    /// The moment of the agent at the end of its history, for the memory of the place.
+    pub(crate) fn moment(&self, history: &[Option<State>]) -> Option<Moment> {
         match self {
-            Self::Vehicle(motion, _) => Some(motion.bicycle.rear_axle_m),
-            Self::Walker(..) => None,
+            Self::Vehicle(motion, _) => Moment::driving(history, motion.dt_s),
+            Self::Walker(..) => Moment::walking(history),
+        }
+    }
+
+    /// What the agent's controls have to be changed by so that its path departs so.
+    pub(crate) fn changes(&self, departures: &Departures) -> Change {
+        match self {
+            Self::Vehicle(motion, _) => departures.controls(motion.bicycle.rear_axle_m, motion.dt_s),
+            Self::Walker(motion, _) => departures.displacements(motion.heading_rad()),
         }
     }
 

@@ -42,7 +42,7 @@ pub struct SamplerOptions {
     pub propagation: Propagation,
     /// Seed of the particles' random numbers.
     pub seed: u64,
-    /// Whether vehicles' controls are changed by what the memory of the place tells of those who came by earlier.
+    /// Whether forecasts learn from the memory of the place how those who came by earlier went on.
     pub recalls: bool,
     /// Oldest learned forecast that is still told as held.
     pub max_age_ns: u64,

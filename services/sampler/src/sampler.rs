@@ -1,6 +1,6 @@
 use bytemuck::Zeroable;
 use kinematics::{Normals, PARTICLES_MAX};
-use scene::{AgentType, Moment, PlaceMemory, track_history};
+use scene::{AgentType, track_history};
 use wire::{
     AGENTS_MAX, AgentControls, Cause, Forecast, HISTORY_MAX, HORIZON_MAX, Header, POSITION_MAX_M, Quality,
     Rejected, SPEED_MAX_MPS, Track,
@@ -9,6 +9,7 @@ use wire::{
 use crate::held::HeldForecasts;
 use crate::learned::LearnedControls;
 use crate::mover::Mover;
+use crate::recalling::Recalling;
 use crate::{Propagation, SamplerOptions, kinematic};
 
 /// Makes a forecast for every track.
@@ -16,7 +17,7 @@ pub struct Sampler {
     options: SamplerOptions,
     held: HeldForecasts,
     /// None where nothing is to be recalled, or nothing was forecast yet.
-    place: Option<PlaceMemory>,
+    recalling: Option<Recalling>,
 }
 
 /// What is the same for all tracks of a frame.
@@ -45,7 +46,7 @@ impl Sampler {
         if let Propagation::MonteCarlo { particles } = options.propagation {
             assert!((1..=PARTICLES_MAX).contains(&particles), "{particles} particles");
         }
-        Self { options, held: HeldForecasts::new(), place: None }
+        Self { options, held: HeldForecasts::new(), recalling: None }
     }
 
     /// Writes a forecast per track, in the tracks' order, by the controls of the same tick.
@@ -107,17 +108,11 @@ impl Sampler {
         tracks.iter().zip(out).try_for_each(|(track, out)| self.fall_back(tick, track, cause, out))
     }
 
-    /// Shows the memory of the place where everybody who drives is now.
+    /// Shows the memory of the place where everybody is now.
     fn observe(&mut self, tick: Tick, tracks: &[Track]) {
-        if !self.options.recalls || tick.step_ns == 0 {
-            return;
-        }
-        let new = || PlaceMemory::new(self.options.horizon_len, tick.step_ns);
-        let place = self.place.get_or_insert_with(new);
-        if place.advance(tick.stamp_ns) {
-            let drive =
-                |track: &&Track| track.agent_type == AgentType::Vehicle as u32 && track.unseen_ns == 0;
-            tracks.iter().filter(drive).for_each(|track| place.observe(track.id, [track.x_m, track.y_m]));
+        if self.options.recalls && tick.step_ns > 0 {
+            let new = || Recalling::new(self.options.horizon_len, tick.step_ns);
+            self.recalling.get_or_insert_with(new).observe(tick.stamp_ns, tracks);
         }
     }
 
@@ -132,17 +127,10 @@ impl Sampler {
         let mut controls =
             LearnedControls::new(controls, self.options.horizon_len).map_err(|_| Cause::Rejected)?;
         let mut mover = Mover::certain(track, agent_type, &self.options, tick.dt_s());
-        if let (Some(place), Some(rear_axle_m)) = (&mut self.place, mover.rear_axle_m()) {
-            let history = &track_history(track)[..self.options.history_len];
-            if let Some(moment) = Moment::of(history, tick.dt_s()) {
-                let recalled = place.recall(track.id, &moment);
-                // Controls that come after a newer tick are used, but not remembered.
-                if place.is_at(tick.stamp_ns) {
-                    let path = controls.best_path(&mover);
-                    place.remember(track.id, &moment, &path[..self.options.horizon_len], &recalled);
-                }
-                controls.change(recalled.expected.controls(rear_axle_m, tick.dt_s()));
-            }
+        if let Some(recalling) = &mut self.recalling
+            && let Some(moment) = mover.moment(&track_history(track)[..self.options.history_len])
+        {
+            recalling.tell((tick.stamp_ns, track.id), &moment, &mover, &mut controls);
         }
         if self.options.initial_covariance {
             mover = mover.with_track_covariance(track);

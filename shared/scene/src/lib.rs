@@ -11,6 +11,6 @@ pub use features::{AgentFrame, FeatureScales, MOVING_MPS, agent_frame, relation_
 pub use graph::{EdgeRule, NEIGHBOURS_MAX, Vertex};
 pub use map::{CELLS_MAX, ContextMap, MapBuilder, MapFileError, ONLINE_SIDE, OnlineMap, PatchOptions};
 pub use motion::{states_from_positions, turn_rates};
-pub use place::{Departures, Moment, PlaceMemory, Recall};
+pub use place::{Choice, Departures, Driving, Like, Moment, PlaceMemory, Recall, Walking};
 pub use state::{State, track_history};
 pub use wire::AgentType;

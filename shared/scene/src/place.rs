@@ -5,44 +5,31 @@
 //! is remembered with the moment that it began at, and told to those who come to the same place in the same motion. Every
 //! step of it is known only once it was driven, so that nothing of the future is in it.
 
+mod choice;
+mod moment;
 mod path;
 
 use std::collections::{HashMap, VecDeque};
 
 use wire::HORIZON_MAX;
 
-use crate::motion::wrapped;
-use crate::{AgentFrame, MOVING_MPS, State, turn_rates};
+pub use choice::Choice;
+pub use moment::{Driving, Moment, Walking};
 pub use path::Departures;
 use path::{Course, Evidence, Skill};
 
-/// Side of a cell.
-const CELL_M: f32 = 2.0;
-/// Directions that are told apart.
-const DIRECTIONS: i32 = 8;
-/// Newest moments of a cell and direction that are kept.
-const BUCKET_MAX: usize = 32;
+/// Newest moments of a bucket that are kept, of those who drive and of those who walk: a bucket of walkers is larger.
+const BUCKET_MAX: [usize; 2] = [32, 256];
 /// Newest moments that are kept at all.
 const MOMENTS_MAX: usize = 16_384;
 /// Half of the squared distance between two moments beyond which one tells nothing of the other.
 const REACH: f32 = 7.0;
+/// Most paths of others that are told: the likeliest.
+const LIKES_MAX: usize = 32;
+/// A path whose moment counts for less is not told.
+const LIKE_MIN: f32 = 0.01;
 /// An agent that was not seen for so many steps is another one.
 const GAP_STEPS: f64 = 2.0;
-
-/// Where an agent is, and how it moves.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Moment {
-    /// Position in the world frame.
-    pub position_m: [f32; 2],
-    /// Heading.
-    pub heading_rad: f32,
-    /// Speed along the heading.
-    pub speed_mps: f32,
-    /// Its mean change over the last step.
-    pub acceleration_mps2: f32,
-    /// Mean turn rate over the last step.
-    pub turn_rate_radps: f32,
-}
 
 /// What is remembered of a moment.
 #[derive(Clone, Debug)]
@@ -74,69 +61,51 @@ pub struct PlaceMemory {
     memories: VecDeque<Memory>,
     /// Number of the oldest memory.
     oldest: u64,
-    /// Numbers of the memories of a cell and direction, oldest first.
-    buckets: HashMap<[i32; 3], VecDeque<u64>>,
+    /// Numbers of the memories by gait, cell and direction, oldest first.
+    buckets: HashMap<(usize, [i32; 3]), VecDeque<u64>>,
     traces: HashMap<u64, Trace>,
-    skill: Skill,
+    /// By gait.
+    skill: [Skill; 2],
     now_ns: i64,
 }
 
 /// What is remembered of others for an agent.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 pub struct Recall {
     /// What is to be expected.
     pub expected: Departures,
+    /// How those went on whose moments were the most alike, each by itself, to the end of the horizon; in no order.
+    pub likes: Vec<Like>,
     /// What the others had in common.
     common: Departures,
 }
 
-impl Moment {
-    /// The moment at the end of a history with steps of `dt_s`; none of an agent that is absent then, or stands: when it will
-    /// go on, others do not tell.
+/// One who came by earlier.
+#[derive(Clone, Debug)]
+pub struct Like {
+    /// How much alike the moments were: 1 where they were the same.
+    pub weight: f32,
+    /// How its path departed from its forecast.
+    pub departures: Departures,
+}
+
+impl Recall {
+    /// Whether nothing is told.
     #[must_use]
-    pub fn of(history: &[Option<State>], dt_s: f32) -> Option<Self> {
-        let along = |state: State| {
-            AgentFrame::new(state.position_m, state.heading_rad).rotate_into(state.velocity_mps)[0]
-        };
-        let now = (*history.last()?)?;
-        let speed_mps = along(now);
-        if speed_mps.abs() < MOVING_MPS {
-            return None;
+    pub fn is_empty(&self) -> bool {
+        self.likes.is_empty() && self.expected.is_empty()
+    }
+
+    /// Tells of one more, unless that many are more alike.
+    fn tell_of(&mut self, weight: f32, departures: &Departures) {
+        let like = || Like { weight, departures: departures.clone() };
+        if self.likes.len() < LIKES_MAX {
+            return self.likes.push(like());
         }
-        let before = history.len().checked_sub(2).and_then(|step| history[step]);
-        Some(Self {
-            position_m: now.position_m,
-            heading_rad: now.heading_rad,
-            speed_mps,
-            acceleration_mps2: before.map_or(0.0, |before| (speed_mps - along(before)) / dt_s),
-            turn_rate_radps: turn_rates(history, dt_s)[0],
-        })
-    }
-
-    /// Half of the squared distance to another moment, every component by how far its likes go.
-    ///
-    /// ```text
-    /// ½ ((Δy/0.8)² + (Δx/1.0)² + (Δψ/0.12)² + (Δv/1.5)² + (Δa/0.8)² + (Δω/0.1)²)      x along the heading, y across it
-    /// ```
-    fn distance(&self, other: &Self) -> f32 {
-        let frame = AgentFrame::new(self.position_m, self.heading_rad);
-        let offset = [0, 1].map(|axis| other.position_m[axis] - self.position_m[axis]);
-        let [along, across] = frame.rotate_into(offset);
-        let parts = [
-            across / 0.8,
-            along,
-            wrapped(other.heading_rad - self.heading_rad) / 0.12,
-            (other.speed_mps - self.speed_mps) / 1.5,
-            (other.acceleration_mps2 - self.acceleration_mps2) / 0.8,
-            (other.turn_rate_radps - self.turn_rate_radps) / 0.1,
-        ];
-        0.5 * parts.iter().map(|part| part * part).sum::<f32>()
-    }
-
-    fn bucket(&self) -> [i32; 3] {
-        let [x, y] = self.position_m.map(|value| (value / CELL_M).floor() as i32);
-        let turn = self.heading_rad.rem_euclid(std::f32::consts::TAU) / std::f32::consts::TAU;
-        [x, y, (turn * DIRECTIONS as f32) as i32 % DIRECTIONS]
+        let least = self.likes.iter_mut().min_by(|a, b| a.weight.total_cmp(&b.weight));
+        if let Some(least) = least.filter(|least| least.weight < weight) {
+            *least = like();
+        }
     }
 }
 
@@ -155,7 +124,7 @@ impl PlaceMemory {
             oldest: 0,
             buckets: HashMap::new(),
             traces: HashMap::new(),
-            skill: Skill::default(),
+            skill: Default::default(),
             now_ns: i64::MIN,
         }
     }
@@ -199,11 +168,12 @@ impl PlaceMemory {
                 memory
                     .driven
                     .push([0, 1].map(|axis| from_m[axis] + share * (position_m[axis] - from_m[axis])));
-                let departures = path::departure(&memory.forecast, &memory.driven, step, step_s);
+                let gait = memory.moment.gait();
+                let departures = path::departure(gait, &memory.forecast, &memory.driven, step, step_s);
                 for (component, departure) in departures.into_iter().enumerate() {
                     if let Some((step, departure)) = departure {
                         memory.departures.tell(step, component, departure);
-                        skill.learn(&memory.told, step, component, departure);
+                        skill[gait as usize].learn(&memory.told, step, component, departure);
                     }
                 }
             }
@@ -224,14 +194,14 @@ impl PlaceMemory {
         if last_ns.is_some_and(|last_ns| self.now_ns - last_ns < self.step_ns) {
             return;
         }
-        let start = Course::new(moment.position_m);
+        let start = Course::new(moment.position_m());
         let mut forecast = start.clone();
         forecast_m.iter().take(self.horizon_len).for_each(|&position_m| forecast.push(position_m));
         let number = self.oldest + self.memories.len() as u64;
         trace.under_way.push_back(number);
-        let bucket = self.buckets.entry(moment.bucket()).or_default();
+        let bucket = self.buckets.entry(moment.key()).or_default();
         bucket.push_back(number);
-        if bucket.len() > BUCKET_MAX {
+        if bucket.len() > BUCKET_MAX[moment.gait() as usize] {
             bucket.pop_front();
         }
         let stamp_ns = self.now_ns;
@@ -249,26 +219,27 @@ impl PlaceMemory {
         }
     }
 
-    /// How others departed who were where the agent is now and moved alike.
+    /// How others departed who were where the agent is now and moved alike, into `recall`.
     ///
     /// Each moment whose step was driven counts by exp(−d²/2), d being its distance.
-    #[must_use]
-    pub fn recall(&self, agent: u64, moment: &Moment) -> Recall {
+    pub fn recall(&self, agent: u64, moment: &Moment, recall: &mut Recall) {
+        let gait = moment.gait();
         let mut evidence = Evidence::default();
-        let [x, y, direction] = moment.bucket();
-        for place in 0..27 {
-            let [dx, dy, turn] = [place % 3 - 1, place / 3 % 3 - 1, place / 9 - 1];
-            let key = [x + dx, y + dy, (direction + turn).rem_euclid(DIRECTIONS)];
+        recall.likes.clear();
+        for key in moment.keys_around() {
             for &number in self.buckets.get(&key).into_iter().flatten() {
                 let memory = &self.memories[(number - self.oldest) as usize];
-                let distance = memory.moment.distance(moment);
-                if memory.agent != agent && distance <= REACH {
-                    evidence.add((-distance).exp(), &memory.departures);
+                let distance = memory.moment.distance(moment).filter(|distance| *distance <= REACH);
+                let Some(distance) = distance.filter(|_| memory.agent != agent) else { continue };
+                let weight = (-distance).exp();
+                evidence.add(weight, &memory.departures);
+                if weight >= LIKE_MIN && memory.driven.len() == self.horizon_len {
+                    recall.tell_of(weight, &memory.departures);
                 }
             }
         }
-        let common = evidence.means();
-        Recall { expected: self.skill.of(&common), common }
+        recall.common = evidence.means(gait);
+        recall.expected = self.skill[gait as usize].of(gait, &recall.common);
     }
 
     fn step_s(&self) -> f32 {
@@ -277,7 +248,7 @@ impl PlaceMemory {
 
     fn forget_oldest(&mut self) {
         let Some(memory) = self.memories.pop_front() else { return };
-        let key = memory.moment.bucket();
+        let key = memory.moment.key();
         if let Some(bucket) = self.buckets.get_mut(&key) {
             if bucket.front() == Some(&self.oldest) {
                 bucket.pop_front();

@@ -1,19 +1,27 @@
 //! The memory of a place: what is told to whom, and when.
 
-use scene::{Departures, Moment, PlaceMemory};
+use scene::{Choice, Departures, Driving, Moment, PlaceMemory, Recall, Walking};
 
 const STEP_NS: u64 = 500_000_000;
 const STEP_S: f32 = 0.5;
 const HORIZON_LEN: usize = 4;
 
+const AT_ZERO: Driving = Driving {
+    position_m: [0.0; 2],
+    heading_rad: 0.0,
+    speed_mps: 8.0,
+    acceleration_mps2: 0.0,
+    turn_rate_radps: 0.0,
+};
+
 fn moment(x_m: f32) -> Moment {
-    Moment {
-        position_m: [x_m, 0.0],
-        heading_rad: 0.0,
-        speed_mps: 8.0,
-        acceleration_mps2: 0.0,
-        turn_rate_radps: 0.0,
-    }
+    Moment::Driving(Driving { position_m: [x_m, 0.0], ..AT_ZERO })
+}
+
+fn recall(memory: &PlaceMemory, agent: u64, moment: &Moment) -> Recall {
+    let mut recall = Recall::default();
+    memory.recall(agent, moment, &mut recall);
+    recall
 }
 
 /// Straight on at 8 m/s, which is what is forecast for everybody.
@@ -33,7 +41,7 @@ fn after(agents: u64, acceleration_mps2: f32, tick_s: f32, until_s: f32) -> Plac
             assert!(memory.advance(now_ns));
             memory.observe(agent, [8.0 * t_s + 0.5 * acceleration_mps2 * t_s * t_s, 0.0]);
             if tick == 0 {
-                let recalled = memory.recall(agent, &moment(0.0));
+                let recalled = recall(&memory, agent, &moment(0.0));
                 memory.remember(agent, &moment(0.0), &straight(0.0), &recalled);
             }
         }
@@ -44,7 +52,7 @@ fn after(agents: u64, acceleration_mps2: f32, tick_s: f32, until_s: f32) -> Plac
 
 /// The changes of acceleration that are told to somebody else.
 fn told(memory: &PlaceMemory, x_m: f32) -> Vec<f32> {
-    let changes = memory.recall(99, &moment(x_m)).expected.controls(1.2, STEP_S);
+    let changes = recall(memory, 99, &moment(x_m)).expected.controls(1.2, STEP_S);
     changes[..HORIZON_LEN].iter().map(|[acceleration, _]| *acceleration).collect()
 }
 
@@ -73,7 +81,7 @@ fn what_others_have_not_in_common_is_not_told() {
             memory.advance(now_ns);
             memory.observe(agent, [8.0 * t_s + 0.5 * acceleration * t_s * t_s, 0.0]);
             if step == 0 {
-                let recalled = memory.recall(agent, &moment(0.0));
+                let recalled = recall(&memory, agent, &moment(0.0));
                 memory.remember(agent, &moment(0.0), &straight(0.0), &recalled);
             }
         }
@@ -94,20 +102,55 @@ fn only_what_was_driven_is_told() {
 #[test]
 fn nothing_is_told_elsewhere_to_others_or_of_oneself() {
     let memory = after(1, -1.0, 0.5, 3.0);
-    let told = |agent: u64, moment: Moment| memory.recall(agent, &moment).expected != Departures::default();
+    let told = |agent: u64, moment: Moment| recall(&memory, agent, &moment).expected != Departures::default();
     assert!(told(2, moment(0.0)));
     assert!(!told(1, moment(0.0)), "of oneself");
     assert!(!told(2, moment(9.0)), "elsewhere");
-    assert!(!told(2, Moment { heading_rad: 1.0, ..moment(0.0) }), "another way");
-    assert!(!told(2, Moment { speed_mps: 2.0, ..moment(0.0) }), "another speed");
+    assert!(!told(2, Moment::Driving(Driving { heading_rad: 1.0, ..AT_ZERO })), "another way");
+    assert!(!told(2, Moment::Driving(Driving { speed_mps: 2.0, ..AT_ZERO })), "another speed");
 }
 
 #[test]
 fn who_stands_has_no_moment() {
     let state =
         |speed_mps: f32| Some(scene::State { velocity_mps: [speed_mps, 0.0], ..scene::State::default() });
-    assert_eq!(Moment::of(&[state(3.0), state(0.05)], STEP_S), None);
-    assert_eq!(Moment::of(&[state(3.0), None], STEP_S), None);
-    let slowing = Moment::of(&[state(3.0), state(2.0)], STEP_S).map(|moment| moment.acceleration_mps2);
-    assert_eq!(slowing, Some(-2.0));
+    assert_eq!(Moment::driving(&[state(3.0), state(0.05)], STEP_S), None);
+    assert_eq!(Moment::driving(&[state(3.0), None], STEP_S), None);
+    let slowing = Moment::driving(&[state(3.0), state(2.0)], STEP_S);
+    let Some(Moment::Driving(slowing)) = slowing else { panic!("{slowing:?}") };
+    assert_eq!(slowing.acceleration_mps2, -2.0);
+}
+
+/// Walkers at 1.25 m/s along the diagonal, forecast to go on so, who bear to the left from the origin on.
+#[test]
+fn where_others_bore_left_it_is_forecast_that_one_does() {
+    let mut memory = PlaceMemory::new(HORIZON_LEN, STEP_NS);
+    let at = |position_m| Moment::Walking(Walking { position_m, velocity_mps: [0.75, 1.0] });
+    let straight: Vec<[f32; 2]> =
+        (1..=HORIZON_LEN).map(|step| [0.375 * step as f32, 0.5 * step as f32]).collect();
+    let left = |step: usize| {
+        let [along, across] = [0.625 * step as f32, 0.05 * (step * step) as f32];
+        [0.6 * along - 0.8 * across, 0.8 * along + 0.6 * across]
+    };
+    let mut now_ns = 0;
+    for agent in 1..=40 {
+        for step in 0..=HORIZON_LEN {
+            now_ns += STEP_NS.cast_signed();
+            memory.advance(now_ns);
+            memory.observe(agent, left(step));
+            if step == 0 {
+                let recalled = recall(&memory, agent, &at([0.0; 2]));
+                memory.remember(agent, &at([0.0; 2]), &straight, &recalled);
+            }
+        }
+        now_ns += 10_000_000_000;
+    }
+    let recalled = recall(&memory, 99, &at([0.1, -0.1]));
+    let told = recalled.expected.displacements(1.0_f32.atan2(0.75));
+    let across: f32 = told[..HORIZON_LEN].iter().map(|[_, left]| left).sum();
+    assert!((across - 0.8).abs() < 0.15, "{told:?}");
+    assert!(told[..HORIZON_LEN].iter().all(|[along, _]| along.abs() < 0.02), "{told:?}");
+    assert!(recalled.likes.len() > 20, "{}", recalled.likes.len());
+    let driver = Moment::Driving(Driving { heading_rad: 0.9, speed_mps: 1.25, ..AT_ZERO });
+    assert!(recall(&memory, 99, &driver).is_empty(), "of other gait");
 }

@@ -1,21 +1,25 @@
 use wire::HORIZON_MAX;
 
+use super::moment::Gait;
+use crate::AgentFrame;
 use crate::motion::wrapped;
 
 /// Chords shorter than this have no direction.
 const CHORD_MIN_M: f32 = 0.5;
-/// Departures are taken to be no larger: speed m/s, curvature 1/m.
-const DEPARTURE_MAX: [f32; 2] = [6.0, 0.2];
+/// Departures are taken to be no larger: of who drives speed m/s, curvature 1/m; of who walks x and y of a step, m.
+const DEPARTURE_MAX: [[f32; 2]; 2] = [[6.0, 0.2], [2.0, 2.0]];
 
 /// What of the skill lasts from one departure to the next: about the last thousand count.
 const LASTING: f32 = 0.999;
-/// ρ: so much has to be told before it counts, speed m²/s², curvature 1/m².
-const RESERVE: [f32; 2] = [5.0, 2e-3];
+/// ρ: so much has to be told before it counts, in the squared units of departures.
+const RESERVE: [[f32; 2]; 2] = [[5.0, 2e-3], [0.02, 0.02]];
+/// ν: what is told is drawn towards none by the weight of so many departures.
+const DOUBT: [f32; 2] = [1.0, 4.0];
 
-/// Components of a departure.
-pub(super) const SPEED: usize = 0;
+/// Components of a driver's departure.
+const SPEED: usize = 0;
 /// See [`SPEED`].
-pub(super) const CURVATURE: usize = 1;
+const CURVATURE: usize = 1;
 
 /// A path in steps, from where it began.
 #[derive(Clone, Debug)]
@@ -24,8 +28,10 @@ pub(super) struct Course {
     len: usize,
 }
 
-/// By how much agents go faster, and bend more to the left, than was forecast, as is to be expected: the mean over a step for
-/// speed, m/s, and at a step's end for curvature, 1/m; none where nothing is known.
+/// How agents go on otherwise than forecast, step by step; none where nothing is known.
+///
+/// Who drives goes faster, m/s over the step, and bends more to the left, 1/m at the step's end; who walks takes other steps, x and y
+/// in the world frame, m.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Departures {
     steps: [[Option<f32>; 2]; HORIZON_MAX],
@@ -80,21 +86,27 @@ impl Course {
     }
 }
 
-/// How a path departed at a step from its forecast: its speed over the step, and its curvature at the end of the step before.
+/// How a path departed at a step from its forecast, with the step that each component belongs to: who drives by its speed over the
+/// step and its curvature at the end of the step before, who walks by the step itself.
 pub(super) fn departure(
+    gait: Gait,
     forecast: &Course,
     driven: &Course,
     step: usize,
     step_s: f32,
 ) -> [Option<(usize, f32)>; 2] {
+    let within = |component: usize| {
+        let most = DEPARTURE_MAX[gait as usize][component];
+        move |(step, departure): (usize, f32)| (step, departure.clamp(-most, most))
+    };
+    if gait == Gait::Walking {
+        let (taken, foretold) = (driven.chord_m(step), forecast.chord_m(step));
+        return [0, 1].map(|axis| Some((step, taken[axis] - foretold[axis])).map(within(axis)));
+    }
     let faster = (driven.chord_len_m(step) - forecast.chord_len_m(step)) / step_s;
     let bent = step
         .checked_sub(1)
         .and_then(|before| Some((before, driven.curvature(before)? - forecast.curvature(before)?)));
-    let within = |component: usize| {
-        let most = DEPARTURE_MAX[component];
-        move |(step, departure): (usize, f32)| (step, departure.clamp(-most, most))
-    };
     [Some((step, faster)).map(within(SPEED)), bent.map(within(CURVATURE))]
 }
 
@@ -109,13 +121,14 @@ impl Evidence {
         }
     }
 
-    /// The means, drawn towards none by the weight of one departure.
+    /// The means, drawn towards none.
     ///
     /// ```text
-    /// Δ_k = Σ w δ_k / (Σ w + 1)
+    /// Δ_k = Σ w δ_k / (Σ w + ν)      ν = 1 driving, 4 walking
     /// ```
-    pub(super) fn means(&self) -> Departures {
-        let mean = |(weights, sum): (f32, f32)| (weights > 0.0).then(|| sum / (weights + 1.0));
+    pub(super) fn means(&self, gait: Gait) -> Departures {
+        let doubt = DOUBT[gait as usize];
+        let mean = |(weights, sum): (f32, f32)| (weights > 0.0).then(|| sum / (weights + doubt));
         Departures { steps: self.steps.map(|step| step.map(mean)) }
     }
 }
@@ -136,14 +149,14 @@ impl Skill {
     /// ```
     ///
     /// At a place that the model knows from its training little is left that is common to all; elsewhere much is.
-    pub(super) fn of(&self, told: &Departures) -> Departures {
+    pub(super) fn of(&self, gait: Gait, told: &Departures) -> Departures {
         let scaled = |step: usize, component: usize| {
             let (product, square) = self.steps[step][component];
-            let share = (product / (square + RESERVE[component])).clamp(0.0, 1.0);
+            let share = (product / (square + RESERVE[gait as usize][component])).clamp(0.0, 1.0);
             told.steps[step][component].map(|departure| share * departure)
         };
         Departures {
-            steps: std::array::from_fn(|step| [SPEED, CURVATURE].map(|component| scaled(step, component))),
+            steps: std::array::from_fn(|step| [0, 1].map(|component| scaled(step, component))),
         }
     }
 }
@@ -152,6 +165,20 @@ impl Departures {
     /// Takes in what is known of a step now.
     pub(super) const fn tell(&mut self, step: usize, component: usize, departure: f32) {
         self.steps[step][component] = Some(departure);
+    }
+
+    /// Whether nothing is known of any step.
+    #[must_use]
+    pub fn is_empty(&self) -> bool {
+        self.steps.iter().flatten().all(Option::is_none)
+    }
+
+    /// What the displacements of one who walks, in axes that point along `heading_rad`, have to be changed by at each step so that its
+    /// path departs so.
+    #[must_use]
+    pub fn displacements(&self, heading_rad: f32) -> [[f32; 2]; HORIZON_MAX] {
+        let frame = AgentFrame::new([0.0; 2], heading_rad);
+        self.steps.map(|step| frame.rotate_into(step.map(Option::unwrap_or_default)))
     }
 
     /// What a vehicle's controls, acceleration and slip rate, have to be changed by at each step so that its path departs so.

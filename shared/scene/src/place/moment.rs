@@ -1,0 +1,170 @@
+use crate::motion::wrapped;
+use crate::{AgentFrame, MOVING_MPS, State, turn_rates};
+
+/// Side of a cell, for those who drive and for those who walk.
+const CELL_M: [f32; 2] = [2.0, 5.0];
+/// Directions of driving that are told apart.
+const DIRECTIONS: i32 = 8;
+/// Stands for a direction where it is not told apart.
+const ANY_DIRECTION: i32 = -1;
+
+/// How an agent goes, and with it what moments of it are compared by, and how a path departs from its forecast.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Gait {
+    /// Along a heading: speed and curvature depart.
+    Driving,
+    /// Any way: steps depart.
+    Walking,
+}
+
+/// Where an agent is, and how it moves.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Moment {
+    /// Of one that goes along its heading.
+    Driving(Driving),
+    /// Of one that steps wherever it likes.
+    Walking(Walking),
+}
+
+/// A moment of an agent that drives.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Driving {
+    /// Position in the world frame.
+    pub position_m: [f32; 2],
+    /// Heading.
+    pub heading_rad: f32,
+    /// Speed along the heading.
+    pub speed_mps: f32,
+    /// Its mean change over the last step.
+    pub acceleration_mps2: f32,
+    /// Mean turn rate over the last step.
+    pub turn_rate_radps: f32,
+}
+
+/// A moment of an agent that walks, or stands.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Walking {
+    /// Position in the world frame.
+    pub position_m: [f32; 2],
+    /// Velocity in the world frame.
+    pub velocity_mps: [f32; 2],
+}
+
+impl Moment {
+    /// The moment at the end of a driver's history with steps of `dt_s`; none of an agent that is absent then, or stands: when it
+    /// will go on, others do not tell.
+    #[must_use]
+    pub fn driving(history: &[Option<State>], dt_s: f32) -> Option<Self> {
+        let along = |state: State| {
+            AgentFrame::new(state.position_m, state.heading_rad).rotate_into(state.velocity_mps)[0]
+        };
+        let now = (*history.last()?)?;
+        let speed_mps = along(now);
+        if speed_mps.abs() < MOVING_MPS {
+            return None;
+        }
+        let before = history.len().checked_sub(2).and_then(|step| history[step]);
+        Some(Self::Driving(Driving {
+            position_m: now.position_m,
+            heading_rad: now.heading_rad,
+            speed_mps,
+            acceleration_mps2: before.map_or(0.0, |before| (speed_mps - along(before)) / dt_s),
+            turn_rate_radps: turn_rates(history, dt_s)[0],
+        }))
+    }
+
+    /// The moment at the end of a walker's history; none of an agent that is absent then or a step before: its velocity is not
+    /// known.
+    #[must_use]
+    pub fn walking(history: &[Option<State>]) -> Option<Self> {
+        let [.., Some(_), Some(State { position_m, velocity_mps, .. })] = *history else { return None };
+        Some(Self::Walking(Walking { position_m, velocity_mps }))
+    }
+
+    pub(super) const fn position_m(&self) -> [f32; 2] {
+        match self {
+            Self::Driving(moment) => moment.position_m,
+            Self::Walking(moment) => moment.position_m,
+        }
+    }
+
+    pub(super) const fn gait(&self) -> Gait {
+        match self {
+            Self::Driving(_) => Gait::Driving,
+            Self::Walking(_) => Gait::Walking,
+        }
+    }
+
+    /// Half of the squared distance to another moment, every component by how far its likes go; none to one of another gait.
+    ///
+    /// ```text
+    /// ½ ((Δy/0.8)² + (Δx/1.0)² + (Δψ/0.12)² + (Δv/1.5)² + (Δa/0.8)² + (Δω/0.1)²)      driving, x along the heading, y across it
+    /// ½ (|Δp|²/2.5² + |Δv|²/0.3²)                                                      walking
+    /// ```
+    pub(super) fn distance(&self, other: &Self) -> Option<f32> {
+        match (self, other) {
+            (Self::Driving(own), Self::Driving(other)) => Some(own.distance(other)),
+            (Self::Walking(own), Self::Walking(other)) => Some(own.distance(other)),
+            _ => None,
+        }
+    }
+
+    /// The cell, and the direction of those who drive.
+    fn bucket(&self) -> [i32; 3] {
+        let [x, y] = self.position_m().map(|value| (value / CELL_M[self.gait() as usize]).floor() as i32);
+        match self {
+            Self::Walking(_) => [x, y, ANY_DIRECTION],
+            Self::Driving(Driving { heading_rad, .. }) => {
+                let turn = heading_rad.rem_euclid(std::f32::consts::TAU) / std::f32::consts::TAU;
+                [x, y, (turn * DIRECTIONS as f32) as i32 % DIRECTIONS]
+            }
+        }
+    }
+
+    /// The key of the bucket that moments like this one lie in.
+    pub(super) fn key(&self) -> (usize, [i32; 3]) {
+        (self.gait() as usize, self.bucket())
+    }
+
+    /// The keys of the buckets in which moments near this one may lie.
+    pub(super) fn keys_around(&self) -> impl Iterator<Item = (usize, [i32; 3])> + use<> {
+        let (gait, [x, y, direction]) = self.key();
+        let turns = if direction == ANY_DIRECTION { 0..=0 } else { -1..=1 };
+        turns.flat_map(move |turn| {
+            let direction = if direction == ANY_DIRECTION {
+                ANY_DIRECTION
+            } else {
+                (direction + turn).rem_euclid(DIRECTIONS)
+            };
+            (0..9).map(move |place| (gait, [x + place % 3 - 1, y + place / 3 - 1, direction]))
+        })
+    }
+}
+
+impl Driving {
+    fn distance(&self, other: &Self) -> f32 {
+        let frame = AgentFrame::new(self.position_m, self.heading_rad);
+        let offset = [0, 1].map(|axis| other.position_m[axis] - self.position_m[axis]);
+        let [along, across] = frame.rotate_into(offset);
+        half_square([
+            across / 0.8,
+            along,
+            wrapped(other.heading_rad - self.heading_rad) / 0.12,
+            (other.speed_mps - self.speed_mps) / 1.5,
+            (other.acceleration_mps2 - self.acceleration_mps2) / 0.8,
+            (other.turn_rate_radps - self.turn_rate_radps) / 0.1,
+        ])
+    }
+}
+
+impl Walking {
+    fn distance(&self, other: &Self) -> f32 {
+        let apart = |axis: usize| (other.position_m[axis] - self.position_m[axis]) / 2.5;
+        let faster = |axis: usize| (other.velocity_mps[axis] - self.velocity_mps[axis]) / 0.3;
+        half_square([apart(0), apart(1), faster(0), faster(1)])
+    }
+}
+
+fn half_square<const N: usize>(parts: [f32; N]) -> f32 {
+    0.5 * parts.iter().map(|part| part * part).sum::<f32>()
+}
