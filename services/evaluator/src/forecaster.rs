@@ -261,10 +261,10 @@ fn recalled(
     probability: &[f32],
     recall: &Recall,
 ) -> Recalled {
-    let changes = mover.changes(&recall.expected);
+    let of_modes = mover.changes(&recall.expected_of_modes());
     let mut paths: Vec<Vec<Point>> =
-        modes.iter().map(|controls| mover.follow(changed(controls, &changes))).collect();
-    let expected = mover.follow(changed(best, &changes));
+        modes.iter().map(|controls| mover.follow(changed(controls, &of_modes))).collect();
+    let expected = mover.follow(changed(best, &mover.changes(&recall.expected)));
     if recall.likes.is_empty() {
         let probability = probability.to_vec();
         return Recalled { paths: Paths { modes: paths, best: expected }, probability };

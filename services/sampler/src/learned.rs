@@ -11,8 +11,10 @@ const PROBABILITY_SLACK: f32 = 1e-3;
 pub(crate) struct LearnedControls<'a> {
     controls: &'a AgentControls,
     horizon_len: usize,
-    /// What is added to every mode's controls, and to the best forecast's, step by step.
+    /// What is added to the best forecast's controls.
     change: Change,
+    /// What is added to every mode's controls.
+    change_of_modes: Change,
     /// Modes that others take the place of: what is added to the best forecast's controls instead.
     replaced: [Option<Change>; MODES_MAX],
     probability: [f32; MODES_MAX],
@@ -42,14 +44,15 @@ impl<'a> LearnedControls<'a> {
             controls,
             horizon_len,
             change: Change::default(),
+            change_of_modes: Change::default(),
             replaced: [None; MODES_MAX],
             probability: controls.probability,
         })
     }
 
-    /// Adds to the controls of all modes and of the best forecast.
-    pub(crate) const fn change(&mut self, change: Change) {
-        self.change = change;
+    /// Adds to the controls of the best forecast, and of all modes.
+    pub(crate) const fn change(&mut self, of_best: Change, of_modes: Change) {
+        (self.change, self.change_of_modes) = (of_best, of_modes);
     }
 
     /// Gives a mode its probability and, where there is a change, the best forecast's controls with that change in place of its own.
@@ -138,7 +141,7 @@ impl<'a> LearnedControls<'a> {
     fn mode_steps(&self, mode: usize) -> impl Iterator<Item = ControlGaussian> + use<'a> {
         match self.replaced[mode] {
             Some(change) => self.steps(&self.controls.best, change),
-            None => self.steps(&self.controls.modes[mode], self.change),
+            None => self.steps(&self.controls.modes[mode], self.change_of_modes),
         }
     }
 

@@ -50,7 +50,8 @@ impl Recalling {
         if self.recall.is_empty() {
             return;
         }
-        controls.change(mover.changes(&self.recall.expected));
+        controls
+            .change(mover.changes(&self.recall.expected), mover.changes(&self.recall.expected_of_modes()));
         if self.recall.likes.is_empty() {
             return;
         }

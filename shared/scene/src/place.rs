@@ -19,11 +19,13 @@ pub use path::Departures;
 use path::{Course, Evidence, Skill};
 
 /// Newest moments of a bucket that are kept, of those who drive and of those who walk: a bucket of walkers is larger.
-const BUCKET_MAX: [usize; 2] = [32, 256];
+const BUCKET_MAX: [usize; 2] = [32, 1024];
 /// Newest moments that are kept at all.
-const MOMENTS_MAX: usize = 16_384;
+const MOMENTS_MAX: usize = 32_768;
 /// Half of the squared distance between two moments beyond which one tells nothing of the other.
 const REACH: f32 = 7.0;
+/// Share of what is to be expected that modes depart by.
+const MODES_SHARE: f32 = 0.5;
 /// Most paths of others that are told: the likeliest.
 const LIKES_MAX: usize = 32;
 /// A path whose moment counts for less is not told.
@@ -94,6 +96,12 @@ impl Recall {
     #[must_use]
     pub fn is_empty(&self) -> bool {
         self.likes.is_empty() && self.expected.is_empty()
+    }
+
+    /// What the modes of a forecast are to depart by: half of what is to be expected, since some of them say so already.
+    #[must_use]
+    pub fn expected_of_modes(&self) -> Departures {
+        self.expected.scaled(MODES_SHARE)
     }
 
     /// Tells of one more, unless that many are more alike.

@@ -154,3 +154,53 @@ fn where_others_bore_left_it_is_forecast_that_one_does() {
     let driver = Moment::Driving(Driving { heading_rad: 0.9, speed_mps: 1.25, ..AT_ZERO });
     assert!(recall(&memory, 99, &driver).is_empty(), "of other gait");
 }
+
+/// A path of two steps to (x, y).
+fn to(x: f32, y: f32) -> [[f32; 2]; wire::HORIZON_MAX] {
+    let mut path = [[0.0; 2]; wire::HORIZON_MAX];
+    (path[0], path[1]) = ([0.5 * x, 0.5 * y], [x, y]);
+    path
+}
+
+/// What is chosen of paths, the first `probability.len()` of them modes.
+fn choose(
+    paths: &[[[f32; 2]; wire::HORIZON_MAX]],
+    probability: &[f32],
+    weights: &[f32],
+) -> Vec<(usize, f32)> {
+    let mut choice = Choice::default();
+    choice.choose(paths, 2, probability, weights.iter().copied());
+    choice.chosen().collect()
+}
+
+#[test]
+fn what_many_did_stands_in_for_the_mode_that_is_missed_least() {
+    // The second mode is nearly the first. Two went left, where no mode goes; one went where the third mode goes.
+    let paths = [to(4.0, 0.0), to(4.1, 0.0), to(2.0, 0.0), to(0.0, 4.0), to(0.0, 4.2), to(2.0, 0.1)];
+    let chosen = choose(&paths, &[0.5, 0.2, 0.3], &[1.0, 0.9, 1.0]);
+    assert_eq!(chosen.iter().map(|(path, _)| *path).collect::<Vec<_>>(), [0, 3, 2]);
+    let total = 8.0 + 2.9;
+    for ((_, probability), of_its_own) in chosen.iter().zip([8.0 * 0.7, 1.9, 8.0 * 0.3 + 1.0]) {
+        assert!((probability - of_its_own / total).abs() < 1e-6, "{chosen:?}");
+    }
+}
+
+#[test]
+fn modes_stay_where_others_did_what_they_tell() {
+    let modes = [to(4.0, 0.0), to(0.0, 4.0), to(-4.0, 0.0)];
+    let same = [modes.as_slice(), &[to(4.0, 0.0)]].concat();
+    assert_eq!(choose(&modes, &[0.2, 0.3, 0.5], &[]), [(0, 0.2), (1, 0.3), (2, 0.5)]);
+    let stayed = choose(&same, &[0.2, 0.3, 0.5], &[1.0]);
+    assert_eq!(stayed.iter().map(|(path, _)| *path).collect::<Vec<_>>(), [0, 1, 2]);
+    assert!(stayed[0].1 > 0.2, "{stayed:?}");
+}
+
+#[test]
+fn at_most_three_modes_give_way() {
+    let modes: Vec<_> = (0..6).map(|mode| to(1.0 + 0.01 * mode as f32, 0.0)).collect();
+    let others: Vec<_> = (0..9).map(|other| to(0.0, 4.0 * other as f32)).collect();
+    let chosen = choose(&[modes, others].concat(), &[1.0 / 6.0; 6], &[1.0; 9]);
+    assert_eq!(chosen.iter().filter(|(path, _)| *path >= 6).count(), 3, "{chosen:?}");
+    let sum: f32 = chosen.iter().map(|(_, probability)| probability).sum();
+    assert!((sum - 1.0).abs() < 1e-5, "{chosen:?}");
+}

@@ -117,16 +117,17 @@ impl Choice {
             rows.map(|((apart, near), weight)| weight * (near.first_m - apart).max(0.0)).sum()
         };
         let gains = (modes_len..len).map(|path| (path, gain(path)));
-        let Some((entering, gain)) =
-            gains.reduce(|best, other| if other.1 > best.1 { other } else { best })
+        let Some((entering, gain)) = gains.reduce(|best, other| if other.1 > best.1 { other } else { best })
         else {
             return false;
         };
         let loss = |place: usize| -> f32 {
             let rows = to(entering).iter().zip(&self.nearest).zip(&self.weights);
             let left = rows.filter(|((_, near), _)| near.place == place);
-            left.map(|((apart, near), weight)| weight * (near.second_m.min(*apart) - near.first_m.min(*apart)))
-                .sum()
+            left.map(|((apart, near), weight)| {
+                weight * (near.second_m.min(*apart) - near.first_m.min(*apart))
+            })
+            .sum()
         };
         let losses = (0..self.chosen.len()).map(|place| (place, loss(place)));
         match losses.reduce(|best, other| if other.1 < best.1 { other } else { best }) {

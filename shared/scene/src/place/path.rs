@@ -155,9 +155,7 @@ impl Skill {
             let share = (product / (square + RESERVE[gait as usize][component])).clamp(0.0, 1.0);
             told.steps[step][component].map(|departure| share * departure)
         };
-        Departures {
-            steps: std::array::from_fn(|step| [0, 1].map(|component| scaled(step, component))),
-        }
+        Departures { steps: std::array::from_fn(|step| [0, 1].map(|component| scaled(step, component))) }
     }
 }
 
@@ -165,6 +163,13 @@ impl Departures {
     /// Takes in what is known of a step now.
     pub(super) const fn tell(&mut self, step: usize, component: usize, departure: f32) {
         self.steps[step][component] = Some(departure);
+    }
+
+    /// A share of them.
+    pub(super) fn scaled(&self, share: f32) -> Self {
+        Self {
+            steps: self.steps.map(|step| step.map(|departure| departure.map(|departure| share * departure))),
+        }
     }
 
     /// Whether nothing is known of any step.
