@@ -76,7 +76,7 @@ pub struct PlaybackArguments {
     tracker: TrackerArguments,
     #[command(flatten)]
     model: ModelArguments,
-    /// Recall at each place how the vehicles before departed from their forecasts
+    /// Recall at each place how those who came by before departed from their forecasts
     #[arg(long)]
     recall: bool,
 }

@@ -32,7 +32,7 @@ pub struct Arguments {
     tracker: TrackerArguments,
     #[command(flatten)]
     model: ModelArguments,
-    /// Recall at each place how the vehicles before departed from their forecasts [default: the pipeline file's]
+    /// Recall at each place how those who came by before departed from their forecasts [default: the pipeline file's]
     #[arg(long)]
     recall: bool,
     /// Play in the recording's own time, or as fast as nothing is lost

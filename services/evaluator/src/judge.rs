@@ -297,3 +297,6 @@ const fn radius_m(agent_type: AgentType) -> f32 {
         AgentType::Pedestrian => 0.2,
     }
 }
+
+#[cfg(test)]
+mod tests;

@@ -76,7 +76,7 @@ pub struct Run {
     pub prior: Prior,
     /// How detections correct tracks.
     pub association: Association,
-    /// Whether forecasts of vehicles recall how others went on at the same place.
+    /// Whether forecasts recall how others went on at the same place.
     pub recall: bool,
     /// The weights; the embedded ones where none.
     pub weights: Option<PathBuf>,

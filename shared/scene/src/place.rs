@@ -1,9 +1,10 @@
 //! The memory of a place: how those who came by earlier went on otherwise than forecast.
 //!
 //! A model that never saw a place knows nothing of its stop lines, its bends and where people slow down. Whoever was
-//! forecast a moment ago shows it: the difference between the path that was forecast and the one that was driven
-//! is remembered with the moment that it began at, and told to those who come to the same place in the same motion. Every
-//! step of it is known only once it was driven, so that nothing of the future is in it.
+//! forecast a moment ago shows it: the difference between the path that was forecast and the one that was taken
+//! is remembered with the moment that it began at, and told to those who come to the same place in the same motion: what all
+//! had in common, and how each of the likeliest went on ([`Choice`] lets them stand in for modes). Every step of it is known only once
+//! it was taken, so that nothing of the future is in it.
 
 mod choice;
 mod moment;
@@ -72,7 +73,7 @@ pub struct PlaceMemory {
 }
 
 /// What is remembered of others for an agent.
-#[derive(Clone, Debug, Default)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct Recall {
     /// What is to be expected.
     pub expected: Departures,
@@ -83,7 +84,7 @@ pub struct Recall {
 }
 
 /// One who came by earlier.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct Like {
     /// How much alike the moments were: 1 where they were the same.
     pub weight: f32,
