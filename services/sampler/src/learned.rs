@@ -55,7 +55,8 @@ impl<'a> LearnedControls<'a> {
         (self.change, self.change_of_modes) = (of_best, of_modes);
     }
 
-    /// Gives a mode its probability and, where there is a change, the best forecast's controls with that change in place of its own.
+    /// Gives a mode its probability and, where there is a change, the best forecast's controls with that change in place of its own;
+    /// its deviations stay.
     pub(crate) const fn replace(&mut self, mode: usize, change: Option<Change>, probability: f32) {
         (self.replaced[mode], self.probability[mode]) = (change, probability);
     }
@@ -78,7 +79,7 @@ impl<'a> LearnedControls<'a> {
 
     /// Where the best forecast's controls lead with a change of their own.
     pub(crate) fn path_beside_best(&self, mover: &Mover, change: &Change) -> [[f32; 2]; HORIZON_MAX] {
-        self.path(mover, self.steps(&self.controls.best, *change))
+        self.path(mover, self.steps(&self.controls.best, &self.controls.best, *change))
     }
 
     /// Writes modes with their controls, best forecast and moments, and tells the covariance within the modes.
@@ -135,23 +136,26 @@ impl<'a> LearnedControls<'a> {
     }
 
     fn best_steps(&self) -> impl Iterator<Item = ControlGaussian> + use<'a> {
-        self.steps(&self.controls.best, self.change)
+        self.steps(&self.controls.best, &self.controls.best, self.change)
     }
 
     fn mode_steps(&self, mode: usize) -> impl Iterator<Item = ControlGaussian> + use<'a> {
         match self.replaced[mode] {
-            Some(change) => self.steps(&self.controls.best, change),
-            None => self.steps(&self.controls.modes[mode], self.change_of_modes),
+            Some(change) => self.steps(&self.controls.best, &self.controls.modes[mode], change),
+            None => self.steps(&self.controls.modes[mode], &self.controls.modes[mode], self.change_of_modes),
         }
     }
 
     fn steps(
         &self,
-        controls: &'a [wire::ControlGaussian; HORIZON_MAX],
+        means: &'a [wire::ControlGaussian; HORIZON_MAX],
+        spreads: &'a [wire::ControlGaussian; HORIZON_MAX],
         change: Change,
     ) -> impl Iterator<Item = ControlGaussian> + use<'a> {
-        controls.iter().zip(change).take(self.horizon_len).map(|(control, [first, second])| {
-            ControlGaussian::new([control.mean[0] + first, control.mean[1] + second], control.cholesky)
+        let parts = means.iter().zip(spreads).zip(change).take(self.horizon_len);
+        parts.map(|((means, spreads), change)| {
+            let mean = [0, 1].map(|component| means.mean[component] + change[component]);
+            ControlGaussian::new(mean, spreads.cholesky)
         })
     }
 }

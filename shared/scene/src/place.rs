@@ -15,6 +15,7 @@ use std::collections::{HashMap, VecDeque};
 use wire::HORIZON_MAX;
 
 pub use choice::Choice;
+use moment::Key;
 pub use moment::{Driving, Moment, Walking};
 pub use path::Departures;
 use path::{Course, Evidence, Skill};
@@ -64,8 +65,8 @@ pub struct PlaceMemory {
     memories: VecDeque<Memory>,
     /// Number of the oldest memory.
     oldest: u64,
-    /// Numbers of the memories by gait, cell and direction, oldest first.
-    buckets: HashMap<(usize, [i32; 3]), VecDeque<u64>>,
+    /// Numbers of the memories of a bucket, oldest first.
+    buckets: HashMap<Key, VecDeque<u64>>,
     traces: HashMap<u64, Trace>,
     /// By gait.
     skill: [Skill; 2],

@@ -9,13 +9,16 @@ const DIRECTIONS: i32 = 8;
 const ANY_DIRECTION: i32 = -1;
 
 /// How an agent goes, and with it what moments of it are compared by, and how a path departs from its forecast.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub(super) enum Gait {
     /// Along a heading: speed and curvature depart.
     Driving,
     /// Any way: steps depart.
     Walking,
 }
+
+/// Names a bucket: gait, cell and direction.
+pub(super) type Key = (Gait, [i32; 3]);
 
 /// Where an agent is, and how it moves.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -109,7 +112,7 @@ impl Moment {
         }
     }
 
-    /// The cell, and the direction of those who drive.
+    /// The cell, and the direction of who drives.
     fn bucket(&self) -> [i32; 3] {
         let [x, y] = self.position_m().map(|value| (value / CELL_M[self.gait() as usize]).floor() as i32);
         match self {
@@ -122,12 +125,12 @@ impl Moment {
     }
 
     /// The key of the bucket that moments like this one lie in.
-    pub(super) fn key(&self) -> (usize, [i32; 3]) {
-        (self.gait() as usize, self.bucket())
+    pub(super) fn key(&self) -> Key {
+        (self.gait(), self.bucket())
     }
 
     /// The keys of the buckets in which moments near this one may lie.
-    pub(super) fn keys_around(&self) -> impl Iterator<Item = (usize, [i32; 3])> + use<> {
+    pub(super) fn keys_around(&self) -> impl Iterator<Item = Key> + use<> {
         let (gait, [x, y, direction]) = self.key();
         let turns = if direction == ANY_DIRECTION { 0..=0 } else { -1..=1 };
         turns.flat_map(move |turn| {
