@@ -167,8 +167,9 @@ impl Playback {
     fn header(&self, seq: u64, frame: &Frame) -> Header {
         let identities = if self.recording.has_identities { flags::HAS_IDENTITIES } else { 0 };
         let lockstep = if self.options.lockstep { flags::LOCKSTEP } else { 0 };
+        let from_ego = if frame.ego.is_sensor { flags::SEEN_FROM_EGO } else { 0 };
         Header {
-            flags: identities | lockstep,
+            flags: identities | lockstep | from_ego,
             interval_ns: self.interval_ns(),
             observed_types: frame.observed_types,
             ego_m: frame.ego.position_m,

@@ -7,6 +7,8 @@ pub struct Ego {
     pub position_m: [f32; 2],
     /// Heading, counter-clockwise from +x.
     pub heading_rad: f32,
+    /// Whether the sensor sees from there, so that agents hide others; a view from above, or an unknown one, has a centre only.
+    pub is_sensor: bool,
 }
 
 /// What the sensor saw at one time.

@@ -107,7 +107,7 @@ pub(crate) fn identified(agent_type: AgentType, position_m: [f32; 2], id: u64) -
 /// The rows are their own truth.
 pub(crate) fn frames(rows: &[Row<'_>], observed_types: u32) -> Vec<Frame> {
     let first = rows.chunk_by(|a, b| a.stamp_ns == b.stamp_ns).next().unwrap_or(&[]);
-    let ego = Ego { position_m: centre_m(first), heading_rad: 0.0 };
+    let ego = Ego { position_m: centre_m(first), ..Ego::default() };
     rows.chunk_by(|a, b| a.stamp_ns == b.stamp_ns)
         .map(|rows| {
             let mut detections: Vec<Detection> = rows.iter().map(|row| row.detection).collect();

@@ -19,6 +19,9 @@ pub mod flags {
     pub const LOCKSTEP: u32 = 1 << 3;
     /// A stage has refused this tick, or it came late and was taken in where it belongs: no agents. It passes on so that nobody waits for it.
     pub const VOID: u32 = 1 << 4;
+    /// The detections were made from [`Header::ego_m`](super::Header::ego_m), by a sensor that can't see past what stands in its way. Not set for a
+    /// view from above, or where nobody knows where the sensor stood.
+    pub const SEEN_FROM_EGO: u32 = 1 << 5;
 }
 
 /// A stage of the pipeline, by number.

@@ -163,7 +163,8 @@ fn told(fields: &[Field<'_>; NAMES.len()]) -> Result<Told, ReadError> {
     let position_m = [x.position_m()?, y.position_m()?];
     let heading_rad = given(heading, Field::angle_rad)?;
     if kind.text == "ego" {
-        return Ok(Told::Ego(Ego { position_m, heading_rad: heading_rad.unwrap_or(0.0) }));
+        let heading_rad = heading_rad.unwrap_or(0.0);
+        return Ok(Told::Ego(Ego { position_m, heading_rad, is_sensor: true }));
     }
     let agent_type: AgentType =
         kind.text.parse().map_err(|_| kind.error("expected vehicle, cyclist, pedestrian or ego"))?;

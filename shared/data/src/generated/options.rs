@@ -56,7 +56,11 @@ impl Default for SceneOptions {
             clutter_mean: 0.5,
             yaw_flip_probability: 0.0,
             occlusion: true,
-            sensor: Ego { position_m: [13.0, 13.0], heading_rad: -0.75 * std::f32::consts::PI },
+            sensor: Ego {
+                position_m: [13.0, 13.0],
+                heading_rad: -0.75 * std::f32::consts::PI,
+                is_sensor: true,
+            },
         }
     }
 }

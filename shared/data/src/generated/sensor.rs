@@ -188,7 +188,7 @@ mod tests {
         clutter_mean: 0.0,
         yaw_flip_probability: 0.0,
         occlusion: true,
-        sensor: crate::Ego { position_m: [0.0; 2], heading_rad: 0.0 },
+        sensor: crate::Ego { position_m: [0.0; 2], heading_rad: 0.0, is_sensor: true },
     };
 
     fn agent(id: u64, agent_type: AgentType, position_m: [f32; 2]) -> Agent {

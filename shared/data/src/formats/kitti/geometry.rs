@@ -94,6 +94,7 @@ impl WorldFromCamera {
             Ego {
                 position_m: [pose.translation.x as f32, pose.translation.y as f32],
                 heading_rad: ahead.y.atan2(ahead.x) as f32,
+                is_sensor: true,
             }
         })
     }
