@@ -1,10 +1,10 @@
+mod sight;
 mod track;
 
 use std::f64::consts::{FRAC_PI_2, TAU};
 
-use filters::{Filter, FilterFault, ForecastFault, Kind, Models, Motion, Observation, Unknown, wrapped};
-use thiserror::Error;
-use wire::{AgentType, Detection, Forecast, Rejected, Steering, detection_flags};
+use filters::{Filter, FilterFault, Kind, Models, Motion, Observation, Unknown, wrapped};
+use wire::{AgentType, Detection, Forecast, Steering, detection_flags};
 
 use crate::belief::Belief;
 use crate::class::Class;
@@ -51,17 +51,6 @@ impl Fit {
     }
 }
 
-/// Why a forecast could not become a prior.
-#[derive(Clone, Debug, Error, PartialEq)]
-pub enum PriorFault {
-    /// Its numbers can't be.
-    #[error(transparent)]
-    Rejected(#[from] Rejected),
-    /// The filter can't take it.
-    #[error(transparent)]
-    Forecast(#[from] ForecastFault),
-}
-
 /// The detection that started an estimate: what an agent is known by, in whatever order frames come.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Birth {
@@ -98,6 +87,8 @@ pub struct Estimate {
     known: bool,
     /// Time since the state before.
     moved_ns: u64,
+    /// Share of the agent that the frame at hand could see past others; 1 where nobody asked.
+    visible_share: f64,
     /// The mean's motion at the end of the frame.
     motion: Motion,
     /// Heading, held where the filter has none.
@@ -135,6 +126,7 @@ impl Estimate {
             moving: seen.velocity_mps().is_some(),
             known: false,
             moved_ns: 0,
+            visible_share: 1.0,
             motion: belief.motion(),
             heading_rad: seen.heading_rad.map_or(0.0, |(heading, _)| heading),
             shown_heading_rad: 0.0,
@@ -144,20 +136,18 @@ impl Estimate {
         }
     }
 
-    /// Takes one of the forecasts, the agent's own, as the prior from now on, where one is due.
+    /// Takes one of the forecasts, the agent's own, as the prior from now on, where one is due; returns false where its numbers
+    /// can't be. The estimate then goes on as before.
     ///
     /// One is due every Δt, so that hypotheses live long enough to be told apart, and only if it knows more than the one
     /// before: in a gap the last forecast of when the agent was seen holds.
-    ///
-    /// # Errors
-    /// [`PriorFault`]; the estimate then goes on as before.
     pub fn adopt(
         &mut self,
         (forecasts, forecast): (&Forecasts<'_>, &Forecast),
         controls: &mut Controls,
         input: &InputModel,
-    ) -> Result<(), PriorFault> {
-        let steering = Steering::try_from(forecast.steering)?;
+    ) -> bool {
+        let Ok(steering) = Steering::try_from(forecast.steering) else { return false };
         let agent_type = self.class.current();
         let controls_ns = forecasts.controls_ns(forecast);
         let is_due = self.belief.forecast_age_ns().is_none_or(|age_ns| age_ns >= forecasts.step_ns());
@@ -169,15 +159,19 @@ impl Estimate {
             // What was published may have had the front where a late frame shows the back.
             && (steering != Steering::Bicycle || turn_rad.abs() <= FRAC_PI_2);
         if !(is_due && knows_more && fits) {
-            return Ok(());
+            return true;
         }
         let trust = &input.trust;
-        controls.read(forecasts, forecast, steering, trust.fade_in_s)?;
+        if controls.read(forecasts, forecast, steering, trust.fade_in_s).is_err() {
+            return false;
+        }
         let age_ns = self.stamp_ns.abs_diff(controls_ns);
         let prior = controls.forecast(age_ns, forecasts.step_ns(), f64::from(forecast.frame_heading_rad));
-        self.belief.adopt(&prior, (&self.models(input), trust), self.seed)?;
-        self.controls_ns = Some(controls_ns);
-        Ok(())
+        let adopted = self.belief.adopt(&prior, (&self.models(input), trust), self.seed).is_ok();
+        if adopted {
+            self.controls_ns = Some(controls_ns);
+        }
+        adopted
     }
 
     /// Moves the motion on to `now_ns`.
@@ -188,6 +182,7 @@ impl Estimate {
         let dt_ns = now_ns.saturating_sub(self.stamp_ns).max(0).unsigned_abs();
         self.stamp_ns = now_ns;
         self.moved_ns = dt_ns;
+        self.visible_share = 1.0;
         let models = self.models(input);
         self.belief.predict(dt_ns, &models, &input.trust)
     }
@@ -247,7 +242,7 @@ impl Estimate {
         input: &InputModel,
         options: &TrackerOptions,
     ) -> Result<(), FilterFault> {
-        self.life.miss(self.moved_ns, options);
+        self.life.miss(self.visible_share, self.moved_ns, input, options);
         self.correct(possible, input)
     }
 

@@ -1,13 +1,14 @@
 use config::Prior;
 use filters::Observation;
 use filters::jpda::SIDE_MAX;
-use wire::{AgentType, DETECTIONS_MAX, Detection, Header};
+use wire::{AgentType, DETECTIONS_MAX, Detection, Header, flags};
 
-use crate::association::Association;
 use crate::estimate::{Birth, Estimate};
 use crate::forecasts::{Controls, Forecasts};
 use crate::observed::observation;
+use crate::occlusion::Occlusion;
 use crate::options::TrackerOptions;
+use crate::pairing::Pairing;
 use crate::publication::Publications;
 use crate::scans::Scan;
 use crate::tracker::Tracked;
@@ -23,7 +24,8 @@ pub struct Estimates {
 /// Memory that is used again.
 #[derive(Debug)]
 pub struct Scratch {
-    association: Association,
+    pairing: Pairing,
+    occlusion: Occlusion,
     /// What may be of the agent at hand, each with the probability that it is.
     possible: Vec<(f64, Observation)>,
     controls: Controls,
@@ -34,7 +36,8 @@ impl Scratch {
     #[must_use]
     pub fn new(estimates_len: usize) -> Self {
         Self {
-            association: Association::with_capacity(estimates_len, DETECTIONS_MAX),
+            pairing: Pairing::with_capacity(estimates_len, DETECTIONS_MAX),
+            occlusion: Occlusion::new(),
             possible: Vec::with_capacity(SIDE_MAX),
             controls: Controls::new(),
         }
@@ -75,7 +78,7 @@ impl Estimates {
         self.adopt(scan, publications, &mut scratch.controls, options, &mut tracked);
         self.predict(&scan.header, options, &mut tracked);
         self.update(scan, publications, scratch, options, &mut tracked);
-        self.start(scan, &scratch.association, options, &mut tracked);
+        self.start(scan, &scratch.pairing, options, &mut tracked);
         self.end(&scan.header, options, &mut tracked);
         tracked
     }
@@ -104,7 +107,7 @@ impl Estimates {
             let Some(publication) = publications.find(estimate.birth()) else { continue };
             let Some(forecast) = forecasts.find(publication.id) else { continue };
             let adopted = estimate.adopt((&forecasts, forecast), controls, input);
-            tracked.refused_len += usize::from(adopted.is_err());
+            tracked.refused_len += usize::from(!adopted);
         }
     }
 
@@ -123,25 +126,29 @@ impl Estimates {
         &mut self,
         Scan { header, detections, types, .. }: &Scan,
         publications: &mut Publications,
-        Scratch { association, possible, .. }: &mut Scratch,
+        Scratch { pairing, occlusion, possible, .. }: &mut Scratch,
         options: &TrackerOptions,
         tracked: &mut Tracked,
     ) {
         let input = options.input(header);
         let has_births = publications.has_births_at(header.stamp_ns);
         if options.trusts(header, detections) {
-            tracked.duplicates_len = association.by_identity(&self.all, detections);
+            tracked.duplicates_len = pairing.by_identity(&self.all, detections);
         } else {
-            association.by_position(&self.all, detections, types, input, options);
+            self.look(header, occlusion, |_, estimate| estimate.is_coasting());
+            pairing.by_position(&self.all, detections, types, input, options);
+            let missed =
+                |e: usize, estimate: &Estimate| !estimate.is_coasting() && pairing.paired(e).is_none();
+            self.look(header, occlusion, missed);
         }
         for (e, estimate) in self.all.iter_mut().enumerate() {
             possible.clear();
-            possible.extend(association.shares(e).iter().map(|share| {
+            possible.extend(pairing.shares(e).iter().map(|share| {
                 let d = share.detection as usize;
                 (share.probability, observation(&detections[d], types[d], input))
             }));
             let mut done = Ok(());
-            if let Some(detection) = association.paired(e) {
+            if let Some(detection) = pairing.paired(e) {
                 let d = detection as usize;
                 done = estimate.update((&detections[d], types[d]), possible, input, options);
                 if has_births {
@@ -154,16 +161,37 @@ impl Estimates {
         }
     }
 
+    /// Finds out how much of each of those estimates the sensor can see past the others.
+    fn look(
+        &mut self,
+        header: &Header,
+        occlusion: &mut Occlusion,
+        is_meant: impl Fn(usize, &Estimate) -> bool,
+    ) {
+        let is_meant = |e: usize, estimate: &Estimate| estimate.is_ready() && is_meant(e, estimate);
+        let mut all = self.all.iter().enumerate();
+        if !header.has(flags::SEEN_FROM_EGO) || !all.any(|(e, estimate)| is_meant(e, estimate)) {
+            return;
+        }
+        let opaque = self.all.iter().filter(|estimate| estimate.is_opaque());
+        occlusion.look(header.ego_m.map(f64::from), opaque.map(Estimate::outline));
+        for (e, estimate) in self.all.iter_mut().enumerate() {
+            if is_meant(e, estimate) {
+                estimate.look(occlusion);
+            }
+        }
+    }
+
     fn start(
         &mut self,
         Scan { header, detections, types, .. }: &Scan,
-        association: &Association,
+        pairing: &Pairing,
         options: &TrackerOptions,
         tracked: &mut Tracked,
     ) {
         let input = options.input(header);
         let trusted = options.trusts(header, detections);
-        for d in association.unpaired() {
+        for d in pairing.unpaired() {
             if self.all.len() >= options.tracks_max {
                 tracked.overflow_len += 1;
                 continue;

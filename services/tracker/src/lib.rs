@@ -7,14 +7,14 @@
 //!
 //! A new track is *tentative*: unpublished until three of the last five frames that looked for its type have seen it
 //! and it surely exists, or at once where identities can be trusted. A track that is not seen is *coasting*: predicted and published until
-//! it was missed for too long, at most over the forecast's horizon.
+//! it was missed for too long, at most over the forecast's horizon. Where the sensor's place is known, a track that is hidden behind
+//! others is hardly missed: it coasts for longer, and takes fewer detections for its own.
 //!
 //! The tracks that are published carry their history at exact Δt spacing, taken from what was published before.
 //!
 //! What is believed of an agent, its *estimate*, follows from the frames and the forecasts that came with them, in the order of
 //! their stamps: where one comes late, it is made again from there. What has been told of the agent, its *publication*, stays as it is.
 
-mod association;
 mod belief;
 mod class;
 mod estimate;
@@ -25,7 +25,9 @@ mod grid;
 mod history;
 mod life;
 mod observed;
+mod occlusion;
 mod options;
+mod pairing;
 mod publication;
 mod scans;
 mod settings;

@@ -11,9 +11,9 @@ use tracker::{Association, Prior, Tracker, TrackerOptions};
 use wire::{AGENTS_MAX, AgentType, Detection, Forecast, Header, Steering, Track, detection_flags, flags};
 
 /// A hundred agents of all types, 4 m apart, each on a small circle of its own.
-fn detections(k: u32, out: &mut Vec<Detection>) {
+fn detections(k: u32, missed: Option<u32>, out: &mut Vec<Detection>) {
     out.clear();
-    for i in 0..100_u32 {
+    for i in (0..100_u32).filter(|&i| missed != Some(i)) {
         let turn = f64::from(k) * 0.02 + f64::from(i);
         out.push(Detection {
             id: u64::from(i),
@@ -30,7 +30,9 @@ fn detections(k: u32, out: &mut Vec<Detection>) {
 // One test only: another in this process would count as well.
 #[test]
 fn a_thousand_steady_steps_allocate_nothing() {
-    for (identities, name) in [(flags::HAS_IDENTITIES, "by identity"), (0, "by position")] {
+    for (identities, name) in
+        [(flags::HAS_IDENTITIES, "by identity"), (0, "by position"), (flags::SEEN_FROM_EGO, "one missed")]
+    {
         for prior in [Prior::Kinematic, Prior::Learned] {
             for association in [Association::Assignment, Association::Jpda] {
                 steady_steps_allocate_nothing(identities, prior, association, name);
@@ -53,7 +55,7 @@ fn steady_steps_allocate_nothing(identities: u32, prior: Prior, association: Ass
             3..8 => number - 1,
             _ => number,
         };
-        detections(k, &mut seen);
+        detections(k, (identities == flags::SEEN_FROM_EGO && k > 8).then_some(k % 100), &mut seen);
         let stamp_ns = i64::from(k) * 80_000_000;
         let observed_types =
             AgentType::Vehicle.bit() | AgentType::Cyclist.bit() | AgentType::Pedestrian.bit();

@@ -161,6 +161,7 @@ fn frames_in_any_order_give_the_same_estimates_to_the_bit() {
         for (prior, identities) in [
             (Prior::Kinematic, 0),
             (Prior::Kinematic, flags::HAS_IDENTITIES),
+            (Prior::Kinematic, flags::SEEN_FROM_EGO),
             (Prior::Learned, 0),
             (Prior::Learned, flags::HAS_IDENTITIES),
         ] {

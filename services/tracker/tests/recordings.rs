@@ -29,8 +29,9 @@ fn track(recording: &Recording, options: TrackerOptions, mut show: impl FnMut(&F
     let mut out = vec![Track::zeroed(); AGENTS_MAX];
     let identities = if recording.has_identities { flags::HAS_IDENTITIES } else { 0 };
     for (frame, seq) in recording.frames.iter().zip(0..) {
+        let from_ego = if frame.ego.is_sensor { flags::SEEN_FROM_EGO } else { 0 };
         let header = Header {
-            flags: identities,
+            flags: identities | from_ego,
             observed_types: frame.observed_types,
             interval_ns: recording.interval_ns,
             ego_m: frame.ego.position_m,

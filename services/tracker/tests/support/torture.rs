@@ -143,9 +143,14 @@ impl Torture {
             self.detections.push(twice);
         }
         Header {
-            flags: if rng.random_ratio(1, 5) { flags::HAS_IDENTITIES } else { 0 },
+            flags: [0, flags::HAS_IDENTITIES, flags::SEEN_FROM_EGO, flags::SEEN_FROM_EGO, 0]
+                [rng.random_range(0..5)],
             observed_types: if rng.random_ratio(9, 10) { 0b111 } else { rng.random_range(0..8) },
-            ego_m: [0.0, if rng.random_ratio(1, 100) { f32::NAN } else { 0.0 }],
+            ego_m: match rng.random_range(0..100) {
+                0 => [0.0, f32::NAN],
+                1..30 => self.agents.choose(rng).map_or([0.0; 2], |agent| [agent.x_m, agent.y_m]),
+                _ => [0.0; 2],
+            },
             ..Header::new(1, 0, self.stamp_ns - late_ns)
         }
     }

@@ -1,3 +1,4 @@
+use config::Association;
 use filters::assignment::{Assigner, Candidate};
 use filters::jpda::{Associator, Share};
 use wire::{AgentType, Detection};
@@ -17,7 +18,7 @@ const JUMP_MIN_M: f64 = 5.0;
 
 /// Finds the estimate of each detection; holds only scratch memory.
 #[derive(Clone, Debug)]
-pub struct Association {
+pub struct Pairing {
     /// The detections that have no estimate, in an order that does not depend on how they came.
     left: Vec<u32>,
     grid: Grid,
@@ -38,7 +39,7 @@ pub struct Association {
     taken: Vec<bool>,
 }
 
-impl Association {
+impl Pairing {
     /// Scratch for so many estimates and detections.
     #[must_use]
     pub fn with_capacity(estimates_len: usize, detections_len: usize) -> Self {
@@ -113,9 +114,10 @@ impl Association {
 
     /// Pairs by position and type: the cheapest assignment of all pairs within the gate.
     ///
-    /// A pair costs d² + ln |S| and what the detection's type tells against it; d² and S are those of the position,
-    /// so that a heading or speed that is off does not cost a track its detection. A second round with a wider gate
-    /// pairs what is left of confirmed tracks and detections.
+    /// A pair costs d² + ln |S|, what the detection's type tells against it and what hides the agent; d² and S are those of the
+    /// position, so that a heading or speed that is off does not cost a track its detection. A second round with a wider gate
+    /// pairs what is left of confirmed tracks and detections. Who is hidden takes no part in it: that a place unseen gave no
+    /// detection asks for no explanation.
     pub fn by_position(
         &mut self,
         estimates: &[Estimate],
@@ -132,9 +134,9 @@ impl Association {
             detection,
             agent_type,
         }));
-        let jointly = options.association == config::Association::Jpda;
+        let jointly = options.association == Association::Jpda;
         for gate in [GATE, WIDE_GATE] {
-            self.find_candidates(estimates, gate);
+            self.find_candidates(estimates, gate, options);
             if jointly && gate == GATE {
                 self.possible.clone_from(&self.candidates);
             }
@@ -171,14 +173,15 @@ impl Association {
     }
 
     /// All pairs within the gate of estimates and detections that are still alone.
-    fn find_candidates(&mut self, estimates: &[Estimate], gate: f64) {
+    fn find_candidates(&mut self, estimates: &[Estimate], gate: f64, options: &TrackerOptions) {
         let Self { grid, candidates, paired, taken, .. } = self;
         let largest = grid.spots().iter().fold(0.0, |largest, spot| spot.variance.max(largest));
         candidates.clear();
         for ((estimate, t), paired) in estimates.iter().zip(0..).zip(&*paired) {
-            if paired.is_some() || (gate > GATE && !estimate.is_ready()) {
+            if paired.is_some() || (gate > GATE && (!estimate.is_ready() || estimate.is_hidden())) {
                 continue;
             }
+            let hidden_cost = estimate.hidden_cost(options);
             let (centre_m, [xx, _, yy]) = estimate.belief.position();
             let reach_m = [xx, yy].map(|variance| (gate * (variance + largest)).sqrt());
             grid.near(centre_m, reach_m).for_each(|spot| {
@@ -188,7 +191,7 @@ impl Association {
                 }
                 let fit = estimate.fit(spot.position_m, spot.variance);
                 if fit.distance2 <= gate {
-                    let cost = fit.cost() + estimate.class.disagreement(spot.agent_type);
+                    let cost = fit.cost() + estimate.class.disagreement(spot.agent_type) + hidden_cost;
                     candidates.push(Candidate { track: t, detection: spot.detection, cost });
                 }
             });
