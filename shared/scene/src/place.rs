@@ -21,11 +21,12 @@ pub use path::Departures;
 use path::{Course, Evidence, Skill};
 
 /// Newest moments of a bucket that are kept, of those who drive and of those who walk: a bucket of walkers is larger.
-const BUCKET_MAX: [usize; 2] = [32, 1024];
+const BUCKET_MAX: [usize; 2] = [32, 512];
 /// Newest moments that are kept at all.
 const MOMENTS_MAX: usize = 32_768;
-/// Half of the squared distance between two moments beyond which one tells nothing of the other.
-const REACH: f32 = 7.0;
+/// Half of the squared distance between two moments beyond which one tells nothing of the other, driving and walking: of walkers
+/// there are many more.
+const REACH: [f32; 2] = [7.0, 4.0];
 /// Share of what is to be expected that modes depart by.
 const MODES_SHARE: f32 = 0.5;
 /// Most paths of others that are told: the likeliest.
@@ -39,7 +40,6 @@ const GAP_STEPS: f64 = 2.0;
 #[derive(Clone, Debug)]
 struct Memory {
     moment: Moment,
-    agent: u64,
     stamp_ns: i64,
     forecast: Course,
     driven: Course,
@@ -47,6 +47,14 @@ struct Memory {
     departures: Departures,
     /// What was told of how it would depart, before skill.
     told: Departures,
+}
+
+/// A memory in its bucket, with what tells whether it matters.
+#[derive(Clone, Copy, Debug)]
+struct Entry {
+    number: u64,
+    agent: u64,
+    moment: Moment,
 }
 
 /// Where an agent was seen last, and its moments whose steps are not all driven yet.
@@ -65,8 +73,8 @@ pub struct PlaceMemory {
     memories: VecDeque<Memory>,
     /// Number of the oldest memory.
     oldest: u64,
-    /// Numbers of the memories of a bucket, oldest first.
-    buckets: HashMap<Key, VecDeque<u64>>,
+    /// Oldest first.
+    buckets: HashMap<Key, VecDeque<Entry>>,
     traces: HashMap<u64, Trace>,
     /// By gait.
     skill: [Skill; 2],
@@ -210,14 +218,13 @@ impl PlaceMemory {
         let number = self.oldest + self.memories.len() as u64;
         trace.under_way.push_back(number);
         let bucket = self.buckets.entry(moment.key()).or_default();
-        bucket.push_back(number);
+        bucket.push_back(Entry { number, agent, moment: *moment });
         if bucket.len() > BUCKET_MAX[moment.gait() as usize] {
             bucket.pop_front();
         }
         let stamp_ns = self.now_ns;
         self.memories.push_back(Memory {
             moment: *moment,
-            agent,
             stamp_ns,
             forecast,
             driven: start,
@@ -234,13 +241,14 @@ impl PlaceMemory {
     /// Each moment whose step was driven counts by exp(−d²/2), d being its distance.
     pub fn recall(&self, agent: u64, moment: &Moment, recall: &mut Recall) {
         let gait = moment.gait();
+        let reach = REACH[gait as usize];
         let mut evidence = Evidence::default();
         recall.likes.clear();
         for key in moment.keys_around() {
-            for &number in self.buckets.get(&key).into_iter().flatten() {
-                let memory = &self.memories[(number - self.oldest) as usize];
-                let distance = memory.moment.distance(moment).filter(|distance| *distance <= REACH);
-                let Some(distance) = distance.filter(|_| memory.agent != agent) else { continue };
+            for entry in self.buckets.get(&key).into_iter().flatten() {
+                let distance = entry.moment.distance(moment).filter(|distance| *distance <= reach);
+                let Some(distance) = distance.filter(|_| entry.agent != agent) else { continue };
+                let memory = &self.memories[(entry.number - self.oldest) as usize];
                 let weight = (-distance).exp();
                 evidence.add(weight, &memory.departures);
                 if weight >= LIKE_MIN && memory.driven.len() == self.horizon_len {
@@ -260,7 +268,7 @@ impl PlaceMemory {
         let Some(memory) = self.memories.pop_front() else { return };
         let key = memory.moment.key();
         if let Some(bucket) = self.buckets.get_mut(&key) {
-            if bucket.front() == Some(&self.oldest) {
+            if bucket.front().is_some_and(|entry| entry.number == self.oldest) {
                 bucket.pop_front();
             }
             if bucket.is_empty() {
