@@ -4,7 +4,7 @@ use data::Recording;
 use metrics::{Disc, Limits, Point, collisions, highest_density_level, kde_log_density};
 use nn::ModelConfig;
 use scene::{AgentType, PlaceMemory, Recall};
-use wire::CONTEXT_EMBEDDING;
+use wire::{CONTEXT_EMBEDDING, HORIZON_MAX};
 
 use crate::baselines::{Baselines, Candidate};
 use crate::forecaster::{Forecast, ForecasterMemory};
@@ -83,7 +83,7 @@ const TOGETHER: usize = 128;
 struct Case<'a> {
     scene: &'a Scene,
     complete: Vec<usize>,
-    /// What the memory of the place tells of each.
+    /// What the memory of the place tells of each; empty without a memory.
     recalls: Vec<Recall>,
 }
 
@@ -93,8 +93,10 @@ impl Judge<'_> {
     pub fn recording(&self, recording: &Recording, scenes: &[Scene], map: MapInput<'_>) -> Vec<Block> {
         let table = ContextTable::new(self.forecaster, recording, scenes, map, self.threads);
         let config = self.forecaster.config();
-        let mut place = PlaceMemory::new(config.horizon_len, config.step_ns());
-        let parts = scenes.chunks(TOGETHER).flat_map(|scenes| self.part(scenes, &table, &mut place));
+        // A model that forecasts farther than the pipeline can carry recalls nothing.
+        let recalls = config.horizon_len <= HORIZON_MAX;
+        let mut place = recalls.then(|| PlaceMemory::new(config.horizon_len, config.step_ns()));
+        let parts = scenes.chunks(TOGETHER).flat_map(|scenes| self.part(scenes, &table, place.as_mut()));
         let block_ns = config.step_ns() as i64 * (config.history_len + config.horizon_len) as i64;
         let mut blocks: Vec<(i64, Block)> = Vec::new();
         for (stamp_ns, tallies) in parts {
@@ -114,12 +116,14 @@ impl Judge<'_> {
         &self,
         scenes: &[Scene],
         table: &ContextTable,
-        place: &mut PlaceMemory,
+        place: Option<&mut PlaceMemory>,
     ) -> Vec<(i64, Vec<Tally>)> {
-        let recalls = self.recalls(scenes, table, place);
-        let cases = scenes.iter().zip(recalls).map(|(scene, mut recalls)| {
+        let mut recalls = place.map(|place| self.recalls(scenes, table, place).into_iter());
+        let cases = scenes.iter().map(|scene| {
             let complete = self.complete(scene);
-            let recalls = complete.iter().map(|&place| std::mem::take(&mut recalls[place])).collect();
+            let mut of_scene = recalls.as_mut().and_then(Iterator::next).unwrap_or_default();
+            let of = |&place: &usize| of_scene.get_mut(place).map(std::mem::take);
+            let recalls = complete.iter().filter_map(of).collect();
             Case { scene, complete, recalls }
         });
         let cases: Vec<Case<'_>> = cases.filter(|case| !case.complete.is_empty()).collect();

@@ -35,7 +35,7 @@ mod weights;
 pub use ablation::{Ablation, AblationRow, Verdict};
 pub use baselines::{ANCHOR_AGENTS, Baselines};
 pub use error::EvaluateError;
-pub use forecaster::{Forecast, Forecaster, ForecasterMemory, Paths};
+pub use forecaster::{Forecast, Forecaster, ForecasterMemory, Paths, Recalled};
 pub use group::{Contrast, Group};
 pub use judge::{Block, Judge, MOVING_MPS, Subset};
 pub use maps::{MapInput, site_map};

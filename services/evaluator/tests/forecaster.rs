@@ -6,7 +6,9 @@
 mod weights;
 
 use data::{GeneratedScene, SceneOptions};
-use evaluator::{Agent, Cut, Forecast, Forecaster, ForecasterMemory, Scene};
+use evaluator::{
+    Agent, Baselines, Cut, Forecast, Forecaster, ForecasterMemory, Judge, MapInput, Scene, Subset,
+};
 use nn::{Latents, VehicleMotion, Weights};
 use scene::AgentType;
 
@@ -178,4 +180,28 @@ fn what_a_recording_does_not_tell_comes_from_the_scene_alone() {
         let step = (states[2].position_m[0] - states[1].position_m[0]) / dt_s;
         assert!((states[2].velocity_mps[0] - step).abs() < 1e-5);
     }
+}
+
+/// The trainer makes models that forecast farther than the pipeline's frames can carry: they are judged, but recall nothing.
+#[test]
+fn a_longer_horizon_than_the_pipelines_is_judged() {
+    let longer = |model: &mut nn::ModelConfig| {
+        (model.horizon_len, model.base, model.base_latent) = (wire::HORIZON_MAX + 2, false, false);
+    };
+    let bytes = weights::changed(|_, _, _| (), longer);
+    let forecaster = Forecaster::new(&Weights::from_bytes(&bytes).unwrap(), 1).unwrap();
+    let options = SceneOptions { agents: 6, seed: 5, identities: true, ..SceneOptions::default() };
+    let recording = GeneratedScene::new(options).unwrap().recording(160);
+    let cut = Cut::of(forecaster.config());
+    let baselines = Baselines::fit(std::iter::empty(), &cut, 1);
+    let judge = Judge {
+        forecaster: &forecaster,
+        baselines: &baselines,
+        horizons: &[wire::HORIZON_MAX + 2],
+        subsets: &[Subset::All],
+        of_type: None,
+        threads: 1,
+    };
+    let blocks = judge.recording(&recording, &cut.scenes(&recording), MapInput::None);
+    assert!(!blocks.is_empty());
 }

@@ -112,21 +112,16 @@ impl Moment {
         }
     }
 
-    /// The cell, and the direction of who drives.
-    fn bucket(&self) -> [i32; 3] {
-        let [x, y] = self.position_m().map(|value| (value / CELL_M[self.gait() as usize]).floor() as i32);
-        match self {
-            Self::Walking(_) => [x, y, ANY_DIRECTION],
-            Self::Driving(Driving { heading_rad, .. }) => {
-                let turn = heading_rad.rem_euclid(std::f32::consts::TAU) / std::f32::consts::TAU;
-                [x, y, (turn * DIRECTIONS as f32) as i32 % DIRECTIONS]
-            }
-        }
-    }
-
     /// The key of the bucket that moments like this one lie in.
     pub(super) fn key(&self) -> Key {
-        (self.gait(), self.bucket())
+        let [x, y] = self.position_m().map(|value| (value / CELL_M[self.gait() as usize]).floor() as i32);
+        match self {
+            Self::Walking(_) => (Gait::Walking, [x, y, ANY_DIRECTION]),
+            Self::Driving(Driving { heading_rad, .. }) => {
+                let turn = heading_rad.rem_euclid(std::f32::consts::TAU) / std::f32::consts::TAU;
+                (Gait::Driving, [x, y, (turn * DIRECTIONS as f32) as i32 % DIRECTIONS])
+            }
+        }
     }
 
     /// The keys of the buckets in which moments near this one may lie.
