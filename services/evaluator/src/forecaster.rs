@@ -138,7 +138,11 @@ impl Forecaster {
     /// The patches that the model reads, where it reads any.
     #[must_use]
     pub fn patch_options(&self) -> Option<PatchOptions> {
-        let options = PatchOptions { side: self.config.patch_size, cell_m: self.config.patch_cell_m };
+        let options = PatchOptions {
+            side: self.config.patch_size,
+            cell_m: self.config.patch_cell_m,
+            ahead_m: self.config.patch_ahead_m,
+        };
         self.config.context.then_some(options)
     }
 

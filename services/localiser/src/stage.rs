@@ -40,6 +40,10 @@ pub fn options(run: &Run) -> Result<LocaliserOptions, StageError> {
         MapChoice::None => MapSource::None,
         MapChoice::File(path) => MapSource::Fixed(ContextMap::load(path).map_err(StageError::data)?),
     };
-    let patch = PatchOptions { side: run.model.patch_size, cell_m: run.model.patch_cell_m };
+    let patch = PatchOptions {
+        side: run.model.patch_size,
+        cell_m: run.model.patch_cell_m,
+        ahead_m: run.model.patch_ahead_m,
+    };
     Ok(LocaliserOptions { history_len: run.model.history_len, patch, map })
 }

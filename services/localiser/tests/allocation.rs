@@ -31,7 +31,7 @@ fn write_tracks(tick: u64, tracks: &mut [Track]) {
 // One test only: another in this process would count as well.
 #[test]
 fn a_thousand_steady_steps_allocate_nothing() {
-    let patch = PatchOptions { side: 16, cell_m: 2.0 };
+    let patch = PatchOptions { side: 16, cell_m: 2.0, ahead_m: 0.0 };
     let mut localiser = Localiser::new(LocaliserOptions { history_len: 8, patch, map: MapSource::Online });
     let mut tracks = [Track::zeroed(); 32];
     let shape = localiser.shape(tracks.len());

@@ -10,7 +10,7 @@ use wire::{Context, ContextMut, Header, HistoryState, Rejected, Row, Track, Trac
 const TICK_NS: i64 = 80_000_000;
 const STEP_TICKS: i64 = 5;
 const HISTORY_LEN: usize = 8;
-const PATCH: PatchOptions = PatchOptions { side: 16, cell_m: 1.0 };
+const PATCH: PatchOptions = PatchOptions { side: 16, cell_m: 1.0, ahead_m: 0.0 };
 
 fn online() -> Localiser {
     Localiser::new(LocaliserOptions { history_len: HISTORY_LEN, patch: PATCH, map: MapSource::Online })

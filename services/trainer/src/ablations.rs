@@ -34,6 +34,7 @@ impl TrainOptions {
         if !model.context {
             (model.width, model.stem) = (usual.width, usual.stem);
             (model.patch_size, model.patch_cell_m) = (usual.patch_size, usual.patch_cell_m);
+            model.patch_ahead_m = usual.patch_ahead_m;
             (options.without_map, options.site_map) = (default.without_map, default.site_map);
         }
         if !self.has_vehicles() {

@@ -213,7 +213,11 @@ impl<'a> Onboard<'a> {
         let states = self.states(agent);
         let mut embedded = vec![0.0; states.len() * len];
         self.state.embed(agent.agent.agent_type, &states, &mut nn::MlpMemory::default(), &mut embedded);
-        let options = PatchOptions { side: config.patch_size, cell_m: config.patch_cell_m };
+        let options = PatchOptions {
+            side: config.patch_size,
+            cell_m: config.patch_cell_m,
+            ahead_m: config.patch_ahead_m,
+        };
         let mut nodes = vec![[0.0; NODE_ATTRIBUTES]; states.len()];
         for (step, node) in nodes.iter_mut().enumerate() {
             node[..len].copy_from_slice(&embedded[step * len..][..len]);

@@ -217,6 +217,7 @@ pub fn onboard_config() -> ModelConfig {
         stem: Stem::Compact,
         patch_size: 16,
         patch_cell_m: 2.0,
+        patch_ahead_m: 0.0,
         edge_radius_m: 30.0,
         pedestrian_edge_radius_m: Some(10.0),
         history_len: 8,

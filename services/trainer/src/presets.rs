@@ -103,6 +103,7 @@ fn paper(options: &mut TrainOptions) {
     size(&mut options.model, 64, Stem::Imagenet, 32);
     options.model = ModelConfig {
         patch_cell_m: 1.0,
+        patch_ahead_m: 0.0,
         edge_in_message: false,
         distance_scale: false,
         position_scale: 1.0,

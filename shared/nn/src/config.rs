@@ -36,6 +36,9 @@ pub struct ModelConfig {
     pub patch_size: usize,
     /// Side of a patch cell.
     pub patch_cell_m: f32,
+    /// How far ahead of the agent a patch's centre lies.
+    #[serde(default)]
+    pub patch_ahead_m: f32,
     /// Largest distance between neighbours, d. One that nobody comes within, such as 0.001, leaves every agent alone
     /// with itself: the topological attention is off.
     pub edge_radius_m: f32,
@@ -199,15 +202,14 @@ impl ModelConfig {
             ("rear_axle_ratio", self.rear_axle_ratio),
             ("default_length_m", self.default_length_m),
         ];
+        let finite = [("patch_ahead_m", self.patch_ahead_m), ("leaky_slope", self.leaky_slope)];
+        if let Some((key, value)) = finite.into_iter().find(|(_, value)| !value.is_finite()) {
+            return Err(ConfigError { key, value: f64::from(value), reason: "is not finite" });
+        }
         match positive.into_iter().find(|(_, value)| !(value.is_finite() && *value > 0.0)) {
             Some((key, value)) => {
                 Err(ConfigError { key, value: f64::from(value), reason: "is not positive" })
             }
-            None if !self.leaky_slope.is_finite() => Err(ConfigError {
-                key: "leaky_slope",
-                value: f64::from(self.leaky_slope),
-                reason: "is not finite",
-            }),
             None if self.base_latent && !(self.base && self.latents == Latents::Points) => Err(ConfigError {
                 key: "base_latent",
                 value: 1.0,

@@ -25,7 +25,7 @@ fn patches(c: &mut Criterion) {
     online.observe([0.0, 0.0], visits());
     let state = State { position_m: [10.0, -7.0], velocity_mps: [3.0, 1.0], heading_rad: 0.4 };
     for side in [16, 32] {
-        let options = PatchOptions { side, cell_m: 2.0 };
+        let options = PatchOptions { side, cell_m: 2.0, ahead_m: 0.0 };
         let mut out = vec![0.0; options.len()];
         c.bench_function(&format!("patch {side}, fixed map"), |b| {
             b.iter(|| fixed.patch(std::hint::black_box(&state), options, &mut out));

@@ -169,7 +169,11 @@ fn maps_agree_with_the_golden_vectors() {
 fn patches_agree_with_the_golden_vectors() {
     for golden in FOLDERS.map(Golden::open) {
         let map = golden.map();
-        let options = PatchOptions { side: golden.len("patch_size"), cell_m: golden.config("patch_cell_m") };
+        let options = PatchOptions {
+            side: golden.len("patch_size"),
+            cell_m: golden.config("patch_cell_m"),
+            ahead_m: 0.0,
+        };
         let expected = golden.tensor("history.patches");
         let mut found = vec![0.0; expected.len()];
         let slots = found.chunks_exact_mut(options.len());

@@ -9,7 +9,7 @@ use scene::{
     turn_rates,
 };
 
-const PATCH: PatchOptions = PatchOptions { side: 16, cell_m: 2.0 };
+const PATCH: PatchOptions = PatchOptions { side: 16, cell_m: 2.0, ahead_m: 0.0 };
 
 fn states(len: usize) -> impl Strategy<Value = Vec<State>> {
     let state = ([-40.0_f32..40.0, -40.0_f32..40.0], [-9.0_f32..9.0, -9.0_f32..9.0], -3.1_f32..3.1);
@@ -216,7 +216,7 @@ fn an_online_map_moves_with_the_ego_and_forgets_what_falls_behind() {
 
 /// The first metre along x that the map still remembers, found by its patches.
 fn brink(map: &OnlineMap, ego_x_m: f32) -> f32 {
-    let fine = PatchOptions { side: 1, cell_m: 1.0 };
+    let fine = PatchOptions { side: 1, cell_m: 1.0, ahead_m: 0.0 };
     let remembered = |x: &f32| {
         let mut out = [0.0; 3];
         map.patch(&State { position_m: [x + 0.5, 0.5], ..State::default() }, fine, &mut out);

@@ -138,7 +138,11 @@ impl Placed<'_> {
         if !config.context {
             return Ok((Matrix::default(), Vec::new()));
         }
-        let options = PatchOptions { side: config.patch_size, cell_m: config.patch_cell_m };
+        let options = PatchOptions {
+            side: config.patch_size,
+            cell_m: config.patch_cell_m,
+            ahead_m: config.patch_ahead_m,
+        };
         let mut values = vec![0.0; options.len()];
         let mut known: HashMap<(u32, u32, bool), u32> = HashMap::new();
         let mut of_row = vec![0; rows.len()];

@@ -53,7 +53,8 @@ fn cut_patches(
     config: &ModelConfig,
     spooling: &mut Spooling,
 ) -> Result<(Ground, Numbers), TrainError> {
-    let options = PatchOptions { side: config.patch_size, cell_m: config.patch_cell_m };
+    let options =
+        PatchOptions { side: config.patch_size, cell_m: config.patch_cell_m, ahead_m: config.patch_ahead_m };
     let mut ground = GroundSpooling::new(spooling);
     let mut numbers = Numbers::new();
     if !config.context {

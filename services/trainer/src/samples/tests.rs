@@ -8,7 +8,7 @@ use super::*;
 use crate::onboard_config;
 
 const STEPS: [usize; 2] = [4, 3];
-const PATCH: PatchOptions = PatchOptions { side: 4, cell_m: 2.0 };
+const PATCH: PatchOptions = PatchOptions { side: 4, cell_m: 2.0, ahead_m: 0.0 };
 
 /// Any bits, those of infinities and of what is no number too.
 fn float() -> impl Strategy<Value = f32> {
@@ -156,7 +156,8 @@ fn what_a_short_file_lacks_is_an_error() {
     let spooling = Spooling::create(&folder.path().join("checkpoints")).unwrap();
     let samples = Samples::read(selection, &config, spooling, |_| ()).unwrap();
     let last = samples.sets[0].windows.last().unwrap();
-    let patch = PatchOptions { side: config.patch_size, cell_m: config.patch_cell_m };
+    let patch =
+        PatchOptions { side: config.patch_size, cell_m: config.patch_cell_m, ahead_m: config.patch_ahead_m };
     let seen = || samples.map(0, MapKind::Online).unwrap().extend(0, patch, &mut Vec::new());
     samples.scene(last).unwrap();
     seen().unwrap();

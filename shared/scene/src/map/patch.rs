@@ -12,6 +12,8 @@ pub struct PatchOptions {
     pub side: usize,
     /// Side of a patch's cell.
     pub cell_m: f32,
+    /// How far a patch's centre lies ahead of the agent: where it will be matters more than where it was.
+    pub ahead_m: f32,
 }
 
 impl PatchOptions {
@@ -41,7 +43,7 @@ pub(super) trait Cells {
 /// Cuts the patch of an agent at `state`.
 ///
 /// ```text
-/// row r, column c  ←  p + R(ψ) ((P−1)/2 − r, (P−1)/2 − c) · cell                     [model §2]
+/// row r, column c  ←  p + R(ψ) (((P−1)/2 − r) · cell + ahead, ((P−1)/2 − c) · cell)       [model §2]
 /// ```
 ///
 /// Row 0 is farthest ahead, column 0 leftmost; bilinear between cell centres; velocities in the agent's axes.
@@ -62,7 +64,7 @@ pub(super) fn sample(map: &impl Cells, state: &State, options: PatchOptions, out
     });
     let mut cell = 0;
     for row in 0..options.side {
-        let ahead_m = (half - row as f32) * options.cell_m;
+        let ahead_m = (half - row as f32) * options.cell_m + options.ahead_m;
         let (row_x, row_y) = (centre_x + cos * ahead_m, centre_y + sin * ahead_m);
         for col in 0..options.side {
             let left_m = (half - col as f32) * options.cell_m;

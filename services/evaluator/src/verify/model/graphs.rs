@@ -183,7 +183,11 @@ impl Layers {
     }
 
     fn patches(&self, folder: &Folder, inputs: &Inputs, map: &ContextMap) -> Vec<f32> {
-        let options = PatchOptions { side: folder.config().patch_size, cell_m: folder.config().patch_cell_m };
+        let options = PatchOptions {
+            side: folder.config().patch_size,
+            cell_m: folder.config().patch_cell_m,
+            ahead_m: folder.config().patch_ahead_m,
+        };
         let mut patches = vec![0.0; inputs.states.len() * options.len()];
         for (state, patch) in inputs.states.iter().zip(patches.chunks_exact_mut(options.len())) {
             if let Some(state) = state {
