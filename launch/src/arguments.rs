@@ -6,6 +6,7 @@ use clap::Args;
 use config::{Association, MapChoice, Prior, Run, Scene};
 use data::Format;
 use nn::Weights;
+use scene::PlaceMemory;
 use source::{Playback, PlaybackOptions};
 
 use crate::failure::Failure;
@@ -47,6 +48,38 @@ pub struct TrackerArguments {
     pub association: Option<Association>,
 }
 
+/// What is remembered of the place.
+#[derive(Clone, Debug, Args)]
+pub struct PlaceArguments {
+    /// Recall at each place how those who came by before departed from their forecasts [default: the pipeline file's, else not]
+    #[arg(long)]
+    recall: bool,
+    /// Recall, beginning with the memory in this file, if there is one, and keep it there in the end [default: the pipeline
+    /// file's, else none]
+    #[arg(long, value_name = "FILE")]
+    memory: Option<PathBuf>,
+}
+
+impl PlaceArguments {
+    /// Whether the place is to be recalled.
+    pub const fn recalls(&self) -> bool {
+        self.recall || self.memory.is_some()
+    }
+
+    /// Where its memory is kept: the file asked for, else the pipeline's. One that is there is opened to see that it is of these
+    /// weights, one that is not has a folder to be written to.
+    pub fn memory(&self, pipeline: Option<&Path>, weights: &Weights) -> Result<Option<PathBuf>, Failure> {
+        let Some(path) = self.memory.as_deref().or(pipeline) else { return Ok(None) };
+        let path = std::path::absolute(path).map_err(|error| Failure::file(path, &error))?;
+        if path.exists() {
+            PlaceMemory::load(&path, weights.sha256()).map_err(Failure::data)?;
+        } else if let Some(folder) = path.parent() {
+            folder.metadata().map_err(|error| Failure::file(folder, &error))?;
+        }
+        Ok(Some(path))
+    }
+}
+
 /// What forecasts are made with.
 #[derive(Clone, Debug, Args)]
 pub struct ModelArguments {
@@ -76,9 +109,8 @@ pub struct PlaybackArguments {
     tracker: TrackerArguments,
     #[command(flatten)]
     model: ModelArguments,
-    /// Recall at each place how those who came by before departed from their forecasts
-    #[arg(long)]
-    recall: bool,
+    #[command(flatten)]
+    place: PlaceArguments,
 }
 
 impl PlaybackArguments {
@@ -105,7 +137,8 @@ impl PlaybackArguments {
             associate: self.tracker.associate,
             prior: self.tracker.prior.unwrap_or_default(),
             association: self.tracker.association.unwrap_or_default(),
-            recall: self.recall,
+            recall: self.place.recalls(),
+            memory: self.place.memory(None, &weights)?,
             weights: weights_path,
             model: weights.config().clone(),
             map: self.model.map.clone().unwrap_or(MapChoice::Online),

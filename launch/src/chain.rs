@@ -71,7 +71,7 @@ impl Chain {
             extractor: Extractor::new(&weights, extractor::stage::options(run)).map_err(Failure::data)?,
             encoder: Encoder::new(&weights).map_err(Failure::data)?,
             decoder: Decoder::new(&weights, decoder::stage::options(run)).map_err(Failure::data)?,
-            sampler: Sampler::new(sampler::stage::options(run)),
+            sampler: sampler::stage::open(run)?,
             horizon_len: run.model.horizon_len as u32,
             modes_len: run.model.modes as u32,
             frames: Frames {
@@ -125,6 +125,11 @@ impl Chain {
         header.counts.modes_len = self.modes_len;
         self.prior = Some((header, self.frames.tracks_len));
         (header, &self.frames.forecasts[..self.frames.tracks_len])
+    }
+
+    /// Keeps the memory of the place where the run's record wants it.
+    pub fn keep_memory(&self, run: &Run) -> Result<(), Failure> {
+        Ok(sampler::stage::keep_memory(run, &self.sampler)?)
     }
 
     /// The tracks of the last tick; none where it was refused.

@@ -46,4 +46,12 @@ impl Tracking {
             }
         }
     }
+
+    /// Keeps the memory of the place where the run's record wants it; without forecasts there is none.
+    pub fn keep_memory(&self, run: &Run) -> Result<(), Failure> {
+        match self {
+            Self::Alone { .. } => Ok(()),
+            Self::InChain(chain) => chain.keep_memory(run),
+        }
+    }
 }

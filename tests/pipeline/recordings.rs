@@ -1,7 +1,7 @@
 //! Recordings: `predict` in one process and `run` in eight write the same bytes, whatever the settings.
 
 use crate::scratch::{Scratch, public_recording};
-use crate::started::run_well;
+use crate::started::{run, run_well, stderr, stdout};
 
 /// Plays a recording with the same arguments through one process twice and through a lockstep run; all must write the
 /// same. Returns it.
@@ -60,4 +60,47 @@ fn predict_and_run_agree_on_public_recordings() {
         assert_eq!(lines.iter().filter(|&&byte| byte == b'\n').count(), 80, "{name}");
         assert!(learned_len(&lines) > 80, "{name}: {} learned forecasts", learned_len(&lines));
     }
+}
+
+#[test]
+fn the_memory_of_a_place_outlasts_a_run() {
+    let scratch = Scratch::new("memory");
+    let recording = scratch.recording("scene.csv", 90);
+    let [memory, copy] = ["a.memory", "b.memory"].map(|name| scratch.path(name));
+    let forecasts = scratch.path("run.jsonl");
+    let play = ["run", "--recording", &recording, "--speed", "max", "--quiet"];
+    run_well(&[&play[..], &["--memory", &memory, "--forecasts", &forecasts]].concat());
+    let predict = |arguments: &[&str]| stdout(&run_well(&[&["predict", &recording], arguments].concat()));
+    let first = predict(&["--memory", &copy]);
+    assert_eq!(first, predict(&["--recall"]), "nothing is remembered before the first run");
+    assert!(first.as_bytes() == scratch.read("run.jsonl"), "processes forecast as one does");
+    assert!(scratch.read("a.memory") == scratch.read("b.memory"), "and remember the same");
+
+    let second = predict(&["--memory", &copy]);
+    assert_ne!(second, first, "what was remembered is recalled");
+    assert!(scratch.read("a.memory").len() < scratch.read("b.memory").len(), "and more is remembered");
+
+    std::fs::copy(&copy, &memory).expect("a scratch folder");
+    let pipeline =
+        scratch.pipeline("p.toml", "deadline_ms = 72", &format!("deadline_ms = 72, memory = {memory:?}"));
+    run_well(&[&play[..], &["--pipeline", &pipeline, "--forecasts", &forecasts]].concat());
+    assert!(predict(&["--memory", &copy]).as_bytes() == scratch.read("run.jsonl"));
+    assert!(scratch.read("a.memory") == scratch.read("b.memory"));
+}
+
+#[test]
+fn a_memory_that_cannot_be_used_is_refused_before_anything_runs() {
+    let scratch = Scratch::new("foreign-memory");
+    let recording = scratch.recording("scene.csv", 5);
+    let path = scratch.file("a.memory", "x,y\n");
+    let nowhere = scratch.path("nowhere/a.memory");
+    for (memory, told) in [(&path, "a.memory: not a memory of a place"), (&nowhere, "nowhere: No such file")]
+    {
+        for verb in [&["run", "--recording"][..], &["predict"], &["track"]] {
+            let output = run(&[verb, &[&recording, "--memory", memory]].concat());
+            assert_eq!(output.status.code(), Some(65), "{}", stderr(&output));
+            assert!(stderr(&output).contains(told), "{}", stderr(&output));
+        }
+    }
+    assert_eq!(scratch.read("a.memory"), b"x,y\n", "it stays as it was");
 }

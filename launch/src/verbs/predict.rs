@@ -30,12 +30,16 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
         let (header, forecasts) = chain.tick(&tick.header, tick.detections, |_| ());
         match writer.write(&header, forecasts) {
             // The reader of a pipe has seen enough.
-            Err(error) if error.kind() == ErrorKind::BrokenPipe => return Ok(Exit::Done),
+            Err(error) if error.kind() == ErrorKind::BrokenPipe => {
+                chain.keep_memory(&run)?;
+                return Ok(Exit::Done);
+            }
             result => result.map_err(written)?,
         }
         ticks += 1;
         forecasts_len += forecasts.len() as u64;
     }
+    chain.keep_memory(&run)?;
     writer.finish().map_err(written)?;
     if !is_standard_output(&arguments.out) {
         println!("{ticks} ticks, {forecasts_len} forecasts: {}", arguments.out.display());

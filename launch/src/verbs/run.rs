@@ -10,7 +10,7 @@ use recorder::{Report, RunInfo};
 use source::{Playback, PlaybackOptions};
 use wire::StageId;
 
-use crate::arguments::{ModelArguments, SceneArguments, TrackerArguments};
+use crate::arguments::{ModelArguments, PlaceArguments, SceneArguments, TrackerArguments};
 use crate::failure::Failure;
 use crate::fleet::Fleet;
 use crate::pipeline_file;
@@ -32,9 +32,8 @@ pub struct Arguments {
     tracker: TrackerArguments,
     #[command(flatten)]
     model: ModelArguments,
-    /// Recall at each place how those who came by before departed from their forecasts [default: the pipeline file's]
-    #[arg(long)]
-    recall: bool,
+    #[command(flatten)]
+    place: PlaceArguments,
     /// Play in the recording's own time, or as fast as nothing is lost
     #[arg(long, value_enum, default_value = "real")]
     speed: Speed,
@@ -91,7 +90,8 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
         associate: arguments.tracker.associate,
         prior: arguments.tracker.prior.or(tracker.prior).unwrap_or_default(),
         association: arguments.tracker.association.or(tracker.association).unwrap_or_default(),
-        recall: arguments.recall || sampler.recall.unwrap_or_default(),
+        recall: arguments.place.recalls() || sampler.recall.unwrap_or_default() || sampler.memory.is_some(),
+        memory: arguments.place.memory(sampler.memory.as_deref(), &weights)?,
         weights: weights_path,
         model: weights.config().clone(),
         map: map(&arguments.model, &pipeline)?,

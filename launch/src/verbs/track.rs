@@ -47,12 +47,16 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
         let tracks = tracking.tick(&tick.header, tick.detections);
         match writer.write(&tick.header, tracks) {
             // The reader of a pipe has seen enough.
-            Err(error) if error.kind() == ErrorKind::BrokenPipe => return Ok(Exit::Done),
+            Err(error) if error.kind() == ErrorKind::BrokenPipe => {
+                tracking.keep_memory(&run)?;
+                return Ok(Exit::Done);
+            }
             result => result.map_err(written)?,
         }
         ticks += 1;
         tracks_len += tracks.len() as u64;
     }
+    tracking.keep_memory(&run)?;
     writer.finish().and_then(WholeFile::finish).map_err(written)?;
     if !is_standard_output(&arguments.out) {
         println!("{ticks} ticks, {tracks_len} tracks: {}", arguments.out.display());

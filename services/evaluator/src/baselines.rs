@@ -7,7 +7,7 @@ use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use scene::AgentType;
 
-use crate::forecaster::Forecast;
+use crate::forecaster::{Forecast, Recalled};
 use crate::{Agent, Cut, Method, Scene};
 
 /// Agents of a type that anchors are fitted to, at most; spread evenly over the training part.
@@ -75,13 +75,8 @@ impl Baselines {
                 probability: Some(forecast.probability.clone()),
                 single: Some(forecast.best.clone()),
             },
-            Method::Recalling => {
-                forecast.recalled.as_ref().map_or_else(Candidate::default, |recalled| Candidate {
-                    modes: recalled.paths.modes.clone(),
-                    probability: Some(recalled.probability.clone()),
-                    single: Some(recalled.paths.best.clone()),
-                })
-            }
+            Method::Recalling => of_recalled(forecast.recalled.as_ref()),
+            Method::Revisiting => of_recalled(forecast.revisited.as_ref()),
             Method::Base => forecast.base.as_ref().map_or_else(Candidate::default, |base| Candidate {
                 modes: base.modes.clone(),
                 probability: None,
@@ -117,4 +112,12 @@ impl Baselines {
             }
         }
     }
+}
+
+fn of_recalled(recalled: Option<&Recalled>) -> Candidate {
+    recalled.map_or_else(Candidate::default, |recalled| Candidate {
+        modes: recalled.paths.modes.clone(),
+        probability: Some(recalled.probability.clone()),
+        single: Some(recalled.paths.best.clone()),
+    })
 }

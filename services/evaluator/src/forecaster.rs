@@ -11,7 +11,7 @@ use nn::{
     AgentDraws, ContextCnn, ContextMemory, Decoder, DecoderGroup, Encoded, Gdat, GdatMemory, MlpMemory,
     ModelConfig, RelationMlp, StateMlp, Weights, WeightsError,
 };
-use scene::{Choice, EdgeRule, FeatureScales, PatchOptions, Recall};
+use scene::{Choice, EdgeRule, FeatureScales, Gait, PatchOptions, Recall};
 use wire::{CONTEXT_EMBEDDING, ControlGaussian, HORIZON_MAX, LATENT, STATE_FEATURES, TEMPORAL};
 
 use crate::motion::Mover;
@@ -34,6 +34,8 @@ pub struct Forecast {
     pub base: Option<Paths>,
     /// The same forecast with what the place's memory tells, where it tells anything.
     pub recalled: Option<Recalled>,
+    /// The same with a memory that began with what earlier recordings showed.
+    pub revisited: Option<Recalled>,
 }
 
 /// A forecast with what the memory of the place tells.
@@ -43,6 +45,30 @@ pub struct Recalled {
     pub paths: Paths,
     /// The probability of each mode.
     pub probability: Vec<f32>,
+}
+
+/// What is remembered of agents at a scene's time, in their order; nothing without a memory.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub(crate) struct Recalls {
+    /// Of what the recording showed.
+    pub(crate) recalled: Vec<Recall>,
+    /// Of that and what earlier ones showed.
+    pub(crate) revisited: Vec<Recall>,
+}
+
+impl Recalls {
+    fn of(&self, place: usize) -> [Option<&Recall>; 2] {
+        [self.recalled.get(place), self.revisited.get(place)]
+    }
+
+    /// Those of some of the agents.
+    pub(crate) fn take(&mut self, places: &[usize]) -> Self {
+        let take = |recalls: &mut Vec<Recall>| {
+            let taken = places.iter().filter_map(|&place| recalls.get_mut(place).map(std::mem::take));
+            taken.collect()
+        };
+        Self { recalled: take(&mut self.recalled), revisited: take(&mut self.revisited) }
+    }
 }
 
 /// Where modes and a single best forecast lead.
@@ -168,20 +194,20 @@ impl Forecaster {
         wanted: &[usize],
         memory: &mut ForecasterMemory,
     ) -> Vec<Forecast> {
-        self.recall(scene, context, (wanted, &[]), memory)
+        self.recall(scene, context, (wanted, &Recalls::default()), memory)
     }
 
-    /// As [`Forecaster::forecast`], and besides with what the memory of the place tells of each wanted agent, if anything.
+    /// As [`Forecaster::forecast`], and besides with what memories of the place tell of each wanted agent, if anything.
     pub(crate) fn recall(
         &self,
         scene: &Scene,
         context: impl Fn(usize, usize) -> [f32; CONTEXT_EMBEDDING],
-        (wanted, recalls): (&[usize], &[Recall]),
+        (wanted, recalls): (&[usize], &Recalls),
         memory: &mut ForecasterMemory,
     ) -> Vec<Forecast> {
         let mut forecasts = vec![None; wanted.len()];
         self.decode(scene, context, wanted, memory, |place, agent, said| {
-            forecasts[place] = Some(self.move_agent(agent, said, recalls.get(place)));
+            forecasts[place] = Some(self.move_agent(agent, said, recalls.of(place)));
         });
         forecasts.into_iter().flatten().collect()
     }
@@ -235,7 +261,12 @@ impl Forecaster {
     }
 
     /// Moves the agent by its controls.
-    fn move_agent(&self, agent: &Agent, said: AgentDraws<'_>, recall: Option<&Recall>) -> Forecast {
+    fn move_agent(
+        &self,
+        agent: &Agent,
+        said: AgentDraws<'_>,
+        [recalled, revisited]: [Option<&Recall>; 2],
+    ) -> Forecast {
         let ModelConfig { modes: modes_len, horizon_len, .. } = self.config;
         let now = agent.newest().expect("a wanted agent is present");
         let frame = scene::agent_frame(&agent.history).expect("a present agent has a frame");
@@ -249,16 +280,20 @@ impl Forecaster {
         let likeliest = metrics::most_likely(said.probability).unwrap_or(0);
         let best_controls = best.unwrap_or(&controls[likeliest]);
         let best = mover.follow(best_controls.iter().map(|control| control.mean));
-        let recalled = recall
-            .map(|recall| recalled(&mover, &controls[..modes_len], best_controls, said.probability, recall));
+        let gait = if self.config.drives(agent.agent_type) { Gait::Driving } else { Gait::Walking };
+        let with = |recall: &Recall| {
+            recalling(gait, &mover, &controls[..modes_len], best_controls, said.probability, recall)
+        };
+        let (recalled, revisited) = (recalled.map(with), revisited.map(with));
         let (modes, covariance) = controls[..modes_len].iter().map(|steps| mover.spread(steps)).unzip();
         let probability = said.probability.to_vec();
-        Forecast { modes, probability, covariance, best, base: base_forecast, recalled }
+        Forecast { modes, probability, covariance, best, base: base_forecast, recalled, revisited }
     }
 }
 
 /// The forecast of an agent with what the memory of the place tells of it.
-fn recalled(
+fn recalling(
+    gait: Gait,
     mover: &Mover,
     modes: &[Vec<ControlGaussian>],
     best: &[ControlGaussian],
@@ -281,7 +316,7 @@ fn recalled(
         .map(|path| std::array::from_fn(|step| path.get(step).copied().unwrap_or_default()))
         .collect();
     let weights = recall.likes.iter().map(|like| like.weight);
-    choice.choose(&fixed, best.len(), probability, weights);
+    choice.choose(gait, &fixed, best.len(), probability, weights);
     let (modes, probability) =
         choice.chosen().map(|(chosen, probability)| (paths[chosen].clone(), probability)).unzip();
     Recalled { paths: Paths { modes, best: expected }, probability }

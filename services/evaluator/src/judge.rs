@@ -3,11 +3,11 @@
 use data::Recording;
 use metrics::{Disc, Limits, Point, collisions, highest_density_level, kde_log_density};
 use nn::ModelConfig;
-use scene::{AgentType, PlaceMemory, Recall};
+use scene::{AgentType, Moment, PlaceMemory, Recall};
 use wire::{CONTEXT_EMBEDDING, HORIZON_MAX};
 
 use crate::baselines::{Baselines, Candidate};
-use crate::forecaster::{Forecast, ForecasterMemory};
+use crate::forecaster::{Forecast, ForecasterMemory, Recalls};
 use crate::maps::{ContextTable, MapInput};
 use crate::{Agent, Forecaster, Method, Scene, Tally, motion, threads};
 
@@ -79,24 +79,72 @@ pub struct Judge<'a> {
 /// Scenes that are forecast before the memory of the place goes on.
 const TOGETHER: usize = 128;
 
+/// The memories of a place that take part.
+struct Memories<'a> {
+    /// Of what the recording itself showed.
+    fresh: Option<PlaceMemory>,
+    /// Of what earlier recordings showed as well.
+    visited: Option<&'a mut PlaceMemory>,
+}
+
+impl Memories<'_> {
+    const fn are_none(&self) -> bool {
+        self.fresh.is_none() && self.visited.is_none()
+    }
+}
+
+/// An agent at a moment that can be remembered.
+struct Departing {
+    /// Its place in the scene.
+    agent: usize,
+    moment: Moment,
+    /// The single best forecast.
+    forecast: Vec<Point>,
+}
+
+/// What a memory tells of all agents of a scene, which it then takes in, with those who depart; nothing without a memory.
+fn recall(memory: Option<&mut PlaceMemory>, scene: &Scene, departing: &[Departing]) -> Vec<Recall> {
+    let Some(memory) = memory else { return Vec::new() };
+    let mut recalls = vec![Recall::default(); scene.agents.len()];
+    memory.advance(scene.stamp_ns);
+    for agent in &scene.agents {
+        agent.newest().iter().for_each(|now| memory.observe(agent.id, now.position_m));
+    }
+    for Departing { agent, moment, forecast } in departing {
+        let id = scene.agents[*agent].id;
+        memory.recall(id, moment, &mut recalls[*agent]);
+        memory.remember(id, moment, forecast, &recalls[*agent]);
+    }
+    recalls
+}
+
 /// A scene with the agents that are forecast.
 struct Case<'a> {
     scene: &'a Scene,
     complete: Vec<usize>,
-    /// What the memory of the place tells of each; empty without a memory.
-    recalls: Vec<Recall>,
+    recalls: Recalls,
 }
 
 impl Judge<'_> {
     /// Judges a recording's scenes that have an agent to count, block by block.
     #[must_use]
     pub fn recording(&self, recording: &Recording, scenes: &[Scene], map: MapInput<'_>) -> Vec<Block> {
+        self.revisit(recording, scenes, map, None)
+    }
+
+    /// As [`Judge::recording`], and besides with a memory of the place, which goes on; it is to have left whatever it saw before.
+    #[must_use]
+    pub fn revisit(
+        &self,
+        recording: &Recording,
+        scenes: &[Scene],
+        map: MapInput<'_>,
+        visited: Option<&mut PlaceMemory>,
+    ) -> Vec<Block> {
         let table = ContextTable::new(self.forecaster, recording, scenes, map, self.threads);
         let config = self.forecaster.config();
-        // A model that forecasts farther than the pipeline can carry recalls nothing.
-        let recalls = config.horizon_len <= HORIZON_MAX;
-        let mut place = recalls.then(|| PlaceMemory::new(config.horizon_len, config.step_ns()));
-        let parts = scenes.chunks(TOGETHER).flat_map(|scenes| self.part(scenes, &table, place.as_mut()));
+        let mut memories = Memories { fresh: self.memory(), visited };
+        let parts = scenes.chunks(TOGETHER).flat_map(|scenes| self.part(scenes, &table, &mut memories));
         let block_ns = config.step_ns() as i64 * (config.history_len + config.horizon_len) as i64;
         let mut blocks: Vec<(i64, Block)> = Vec::new();
         for (stamp_ns, tallies) in parts {
@@ -111,19 +159,40 @@ impl Judge<'_> {
         blocks.into_iter().map(|(_, block)| block).collect()
     }
 
+    /// A memory of nothing; none for a model that forecasts farther than the pipeline can carry: it recalls nothing.
+    #[must_use]
+    pub fn memory(&self) -> Option<PlaceMemory> {
+        let config = self.forecaster.config();
+        (config.horizon_len <= HORIZON_MAX).then(|| PlaceMemory::new(config.horizon_len, config.step_ns()))
+    }
+
+    /// Lets a memory take in a recording, as the forecaster would have forecast it, and leave.
+    pub fn visit(
+        &self,
+        recording: &Recording,
+        scenes: &[Scene],
+        map: MapInput<'_>,
+        memory: &mut PlaceMemory,
+    ) {
+        let table = ContextTable::new(self.forecaster, recording, scenes, map, self.threads);
+        let mut memories = Memories { fresh: None, visited: Some(memory) };
+        for scenes in scenes.chunks(TOGETHER) {
+            self.recalls(scenes, &table, &mut memories);
+        }
+        memory.leave();
+    }
+
     /// The tallies of the scenes, with their stamps, that have an agent to count.
     fn part(
         &self,
         scenes: &[Scene],
         table: &ContextTable,
-        place: Option<&mut PlaceMemory>,
+        memories: &mut Memories<'_>,
     ) -> Vec<(i64, Vec<Tally>)> {
-        let mut recalls = place.map(|place| self.recalls(scenes, table, place).into_iter());
-        let cases = scenes.iter().map(|scene| {
+        let mut recalls = self.recalls(scenes, table, memories);
+        let cases = scenes.iter().zip(&mut recalls).map(|(scene, recalls)| {
             let complete = self.complete(scene);
-            let mut of_scene = recalls.as_mut().and_then(Iterator::next).unwrap_or_default();
-            let of = |&place: &usize| of_scene.get_mut(place).map(std::mem::take);
-            let recalls = complete.iter().filter_map(of).collect();
+            let recalls = recalls.take(&complete);
             Case { scene, complete, recalls }
         });
         let cases: Vec<Case<'_>> = cases.filter(|case| !case.complete.is_empty()).collect();
@@ -131,33 +200,30 @@ impl Judge<'_> {
         cases.iter().map(|case| case.scene.stamp_ns).zip(tallies).collect()
     }
 
-    /// What the memory of the place tells of each agent of each scene: of all who are there, whether they count or not, as far as
+    /// What memories of the place tell of each agent of each scene: of all who are there, whether they count or not, as far as
     /// they had gone at the scene's time.
-    fn recalls(&self, scenes: &[Scene], table: &ContextTable, place: &mut PlaceMemory) -> Vec<Vec<Recall>> {
+    fn recalls(&self, scenes: &[Scene], table: &ContextTable, memories: &mut Memories<'_>) -> Vec<Recalls> {
+        if memories.are_none() {
+            return vec![Recalls::default(); scenes.len()];
+        }
         let config = self.forecaster.config();
-        let forecast = |scene: &Scene, memory: &mut ForecasterMemory| {
+        let departing = |scene: &Scene, memory: &mut ForecasterMemory| {
             let present = |&agent: &usize| scene.agents[agent].newest().is_some();
             let wanted: Vec<usize> = (0..scene.agents.len()).filter(present).collect();
             let context = |agent: usize, step: usize| self.context(scene, table, (agent, step));
             let forecasts = self.forecaster.forecast(scene, context, &wanted, memory);
-            wanted.into_iter().zip(forecasts).map(|(agent, forecast)| (agent, forecast.best)).collect()
+            let departing = |(agent, forecast): (usize, Forecast)| {
+                let moment = motion::moment(&scene.agents[agent], config)?;
+                Some(Departing { agent, moment, forecast: forecast.best })
+            };
+            wanted.into_iter().zip(forecasts).filter_map(departing).collect::<Vec<_>>()
         };
-        let forecasts: Vec<Vec<(usize, Vec<Point>)>> = threads::each(scenes, self.threads, forecast);
-        let mut of_scene = |scene: &Scene, forecasts: Vec<(usize, Vec<Point>)>| {
-            let mut recalls = vec![Recall::default(); scene.agents.len()];
-            place.advance(scene.stamp_ns);
-            for agent in &scene.agents {
-                agent.newest().iter().for_each(|now| place.observe(agent.id, now.position_m));
-            }
-            for (number, best) in forecasts {
-                let agent = &scene.agents[number];
-                let Some(moment) = motion::moment(agent, config) else { continue };
-                place.recall(agent.id, &moment, &mut recalls[number]);
-                place.remember(agent.id, &moment, &best, &recalls[number]);
-            }
-            recalls
+        let departing = threads::each(scenes, self.threads, departing);
+        let of_scene = |(scene, departing): (&Scene, &Vec<Departing>)| Recalls {
+            recalled: recall(memories.fresh.as_mut(), scene, departing),
+            revisited: recall(memories.visited.as_deref_mut(), scene, departing),
         };
-        scenes.iter().zip(forecasts).map(|(scene, forecasts)| of_scene(scene, forecasts)).collect()
+        scenes.iter().zip(&departing).map(of_scene).collect()
     }
 
     fn context(

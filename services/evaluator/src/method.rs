@@ -7,6 +7,8 @@ pub enum Method {
     Network,
     /// The model with the memory of the place: how those who came by earlier in the recording departed from its forecasts.
     Recalling,
+    /// The same with a memory that begins with what earlier recordings of the place showed.
+    Revisiting,
     /// The model's base control with the network switched off: ridge regression and anchors, B*.
     Base,
     /// Constant velocity plus 20 typical residuals.
@@ -25,9 +27,10 @@ pub enum Method {
 
 impl Method {
     /// All methods, in the order of the reports.
-    pub const ALL: [Self; 9] = [
+    pub const ALL: [Self; 10] = [
         Self::Network,
         Self::Recalling,
+        Self::Revisiting,
         Self::Base,
         Self::Anchors,
         Self::SampledVelocity,
@@ -43,6 +46,7 @@ impl Method {
         match self {
             Self::Network => "ours",
             Self::Recalling => "ours, recalling",
+            Self::Revisiting => "ours, revisiting",
             Self::Base => "B* (ridge + anchors)",
             Self::Anchors => "20 anchors",
             Self::SampledVelocity => "CVM-S",

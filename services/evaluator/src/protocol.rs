@@ -101,15 +101,18 @@ impl Rules<'_> {
         footage: &Footage,
         map: MapInput<'_>,
     ) -> Vec<Block> {
-        let judge = Judge {
+        self.by(model, baselines).recording(&footage.recording, &footage.scenes, map)
+    }
+
+    fn by<'a>(&'a self, model: &'a Model, baselines: &'a Baselines) -> Judge<'a> {
+        Judge {
             forecaster: &model.forecaster,
             baselines,
             horizons: self.horizons,
             subsets: self.subsets,
             of_type: self.of_type,
             threads: self.threads,
-        };
-        judge.recording(&footage.recording, &footage.scenes, map)
+        }
     }
 
     /// The horizons in seconds.

@@ -15,14 +15,12 @@ pub(crate) struct Recalling {
 }
 
 impl Recalling {
-    pub(crate) fn new(horizon_len: usize, step_ns: u64) -> Self {
-        Self {
-            memory: PlaceMemory::new(horizon_len, step_ns),
-            horizon_len,
-            recall: Recall::default(),
-            choice: Choice::default(),
-            paths: Vec::new(),
-        }
+    pub(crate) fn new(memory: PlaceMemory, horizon_len: usize) -> Self {
+        Self { memory, horizon_len, recall: Recall::default(), choice: Choice::default(), paths: Vec::new() }
+    }
+
+    pub(crate) const fn memory(&self) -> &PlaceMemory {
+        &self.memory
     }
 
     /// Shows the memory where everybody is at a time, unless it is an older one.
@@ -61,7 +59,7 @@ impl Recalling {
         let likes = 0..self.recall.likes.len();
         self.paths.extend(likes.map(|place| controls.path_beside_best(mover, &changes(place))));
         let weights = self.recall.likes.iter().map(|like| like.weight);
-        self.choice.choose(&self.paths, self.horizon_len, controls.probability(), weights);
+        self.choice.choose(moment.gait(), &self.paths, self.horizon_len, controls.probability(), weights);
         let modes_len = controls.probability().len();
         for (mode, (chosen, probability)) in self.choice.chosen().enumerate() {
             controls.replace(mode, chosen.checked_sub(modes_len).map(changes), probability);

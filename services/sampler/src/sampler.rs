@@ -1,6 +1,6 @@
 use bytemuck::Zeroable;
 use kinematics::{Normals, PARTICLES_MAX};
-use scene::{AgentType, track_history};
+use scene::{AgentType, PlaceMemory, track_history};
 use wire::{
     AGENTS_MAX, AgentControls, Cause, Forecast, HISTORY_MAX, HORIZON_MAX, Header, POSITION_MAX_M, Quality,
     Rejected, SPEED_MAX_MPS, Track,
@@ -47,6 +47,17 @@ impl Sampler {
             assert!((1..=PARTICLES_MAX).contains(&particles), "{particles} particles");
         }
         Self { options, held: HeldForecasts::new(), recalling: None }
+    }
+
+    /// Recalls from now on what was remembered before, of forecasts of the same model.
+    pub fn recall(&mut self, memory: PlaceMemory) {
+        self.recalling = Some(Recalling::new(memory, self.options.horizon_len));
+    }
+
+    /// What is remembered of the place; none where nothing is to be recalled, or nothing was forecast yet.
+    #[must_use]
+    pub fn memory(&self) -> Option<&PlaceMemory> {
+        self.recalling.as_ref().map(Recalling::memory)
     }
 
     /// Writes a forecast per track, in the tracks' order, by the controls of the same tick.
@@ -111,7 +122,8 @@ impl Sampler {
     /// Shows the memory of the place where everybody is now.
     fn observe(&mut self, tick: Tick, tracks: &[Track]) {
         if self.options.recalls && tick.step_ns > 0 {
-            let new = || Recalling::new(self.options.horizon_len, tick.step_ns);
+            let horizon_len = self.options.horizon_len;
+            let new = || Recalling::new(PlaceMemory::new(horizon_len, tick.step_ns), horizon_len);
             self.recalling.get_or_insert_with(new).observe(tick.stamp_ns, tracks);
         }
     }

@@ -2,6 +2,7 @@
 
 use config::Run;
 use ports::{Awaited, Stage, StageError};
+use scene::PlaceMemory;
 use wire::{Cause, ControlsTopic, ForecastsTopic, Header, StageId, Topic, TracksTopic, flags};
 
 use crate::Sampler;
@@ -10,12 +11,42 @@ pub use crate::settings::options;
 /// How long after its release a tick waits for its controls, where the pipeline does not say.
 const DEADLINE_MS: f64 = 72.0;
 
+/// A sampler as the run's record says, with the memory of the place that the run begins with, if it has one.
+///
+/// # Errors
+/// [`StageError`] where that memory can't be used.
+pub fn open(run: &Run) -> Result<Sampler, StageError> {
+    let mut sampler = Sampler::new(options(run));
+    if let Some(path) = run.memory.as_deref().filter(|path| path.exists()) {
+        let weights = run.open_weights().map_err(StageError::data)?;
+        sampler.recall(PlaceMemory::load(path, weights.sha256()).map_err(StageError::data)?);
+    }
+    Ok(sampler)
+}
+
+/// Keeps what the sampler remembers of the place where the run's record wants it, for another run to begin with.
+///
+/// # Errors
+/// [`StageError`] where it can't be written.
+pub fn keep_memory(run: &Run, sampler: &Sampler) -> Result<(), StageError> {
+    let (Some(path), Some(memory)) = (&run.memory, sampler.memory()) else { return Ok(()) };
+    let weights = run.open_weights().map_err(StageError::data)?;
+    memory.save(path, weights.sha256()).map_err(StageError::data)
+}
+
 /// Runs the stage until the process is asked to end.
 ///
 /// # Errors
-/// [`StageError`] where the run's shared memory can't be used.
+/// [`StageError`] where the run's shared memory, or its memory of the place, can't be used.
 pub fn run(run: &Run) -> Result<(), StageError> {
-    let mut sampler = Sampler::new(options(run));
+    let mut sampler = open(run)?;
+    let followed = follow(run, &mut sampler);
+    let kept = keep_memory(run, &sampler);
+    followed.and(kept)
+}
+
+/// Serves tick after tick.
+fn follow(run: &Run, sampler: &mut Sampler) -> Result<(), StageError> {
     let deadline_ms = run.options(StageId::Sampler).deadline_ms.unwrap_or(DEADLINE_MS);
     let deadline_ns = run.interval_ns.min((deadline_ms * 1e6) as u64);
 

@@ -130,6 +130,8 @@ pub struct Options {
     pub association: Option<Association>,
     /// Sampler: whether the memory of the place takes part.
     pub recall: Option<bool>,
+    /// Sampler: the file that the memory of the place begins with and ends in.
+    pub memory: Option<PathBuf>,
     /// Sampler: how the spread of the controls is carried on.
     pub propagation: Option<Propagation>,
     /// Sampler: particles per mode of the Monte Carlo propagation.

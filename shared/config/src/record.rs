@@ -17,7 +17,7 @@ use crate::{Association, MapChoice, Options, Prior};
 /// First bytes of a record's file, before the schema's number and a line break.
 pub const MAGIC: &str = "stgdat-run ";
 /// Version of the record; counts up with every change of [`Run`].
-pub const SCHEMA: u32 = 2;
+pub const SCHEMA: u32 = 3;
 /// Largest record that is read; real ones have a few kilobytes.
 const BYTES_MAX: u64 = 1 << 20;
 
@@ -78,6 +78,8 @@ pub struct Run {
     pub association: Association,
     /// Whether forecasts recall how others went on at the same place.
     pub recall: bool,
+    /// Where that memory is kept from one run to the next; nowhere where none.
+    pub memory: Option<PathBuf>,
     /// The weights; the embedded ones where none.
     pub weights: Option<PathBuf>,
     /// The configuration that these weights carry.
@@ -143,6 +145,7 @@ impl Default for Run {
             prior: Prior::default(),
             association: Association::default(),
             recall: false,
+            memory: None,
             weights: None,
             model: Weights::onboard().config().clone(),
             map: MapChoice::Online,
@@ -239,6 +242,7 @@ mod tests {
             prior: Prior::Kinematic,
             association: Association::Jpda,
             recall: true,
+            memory: Some("c.memory".into()),
             weights: None,
             model: Weights::onboard().config().clone(),
             map: MapChoice::File("b.map".into()),

@@ -1,6 +1,7 @@
 //! The scene around the robot: agent states, their frames of reference, features, interaction graph and context maps.
 
 mod features;
+mod file;
 mod graph;
 mod map;
 mod motion;
@@ -8,9 +9,10 @@ mod place;
 mod state;
 
 pub use features::{AgentFrame, FeatureScales, MOVING_MPS, agent_frame, relation_features, state_features};
+pub use file::FileError;
 pub use graph::{EdgeRule, NEIGHBOURS_MAX, Vertex};
-pub use map::{CELLS_MAX, ContextMap, MapBuilder, MapFileError, ONLINE_SIDE, OnlineMap, PatchOptions};
+pub use map::{CELLS_MAX, ContextMap, MapBuilder, ONLINE_SIDE, OnlineMap, PatchOptions};
 pub use motion::{states_from_positions, turn_rates};
-pub use place::{Choice, Departures, Driving, Like, Moment, PlaceMemory, Recall, Walking};
+pub use place::{Choice, Departures, Driving, Gait, Like, Moment, PlaceMemory, Recall, Walking};
 pub use state::{State, track_history};
 pub use wire::AgentType;

@@ -11,7 +11,6 @@ mod online;
 mod patch;
 
 pub use build::{CELLS_MAX, MapBuilder};
-pub use file::MapFileError;
 pub use online::{ONLINE_SIDE, OnlineMap};
 pub use patch::PatchOptions;
 

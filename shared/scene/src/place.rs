@@ -7,6 +7,7 @@
 //! it was taken, so that nothing of the future is in it.
 
 mod choice;
+mod file;
 mod moment;
 mod path;
 
@@ -16,21 +17,21 @@ use wire::HORIZON_MAX;
 
 pub use choice::Choice;
 use moment::Key;
-pub use moment::{Driving, Moment, Walking};
+pub use moment::{Driving, Gait, Moment, Walking};
 pub use path::Departures;
 use path::{Course, Evidence, Skill};
 
 /// Newest moments of a bucket that are kept, of those who drive and of those who walk: a bucket of walkers is larger.
-const BUCKET_MAX: [usize; 2] = [32, 512];
+const BUCKET_MAX: [usize; 2] = [128, 512];
 /// Newest moments that are kept at all.
-const MOMENTS_MAX: usize = 32_768;
+const MOMENTS_MAX: usize = 131_072;
 /// Half of the squared distance between two moments beyond which one tells nothing of the other, driving and walking: of walkers
 /// there are many more.
 const REACH: [f32; 2] = [7.0, 4.0];
 /// Share of what is to be expected that modes depart by.
 const MODES_SHARE: f32 = 0.5;
 /// Most paths of others that are told: the likeliest.
-const LIKES_MAX: usize = 32;
+const LIKES_MAX: usize = 64;
 /// A path whose moment counts for less is not told.
 const LIKE_MIN: f32 = 0.01;
 /// An agent that was not seen for so many steps is another one.
@@ -40,11 +41,20 @@ const GAP_STEPS: f64 = 2.0;
 #[derive(Clone, Debug)]
 struct Memory {
     moment: Moment,
+    /// Steps that were driven since.
+    driven_len: usize,
+    /// How they departed.
+    departures: Departures,
+}
+
+/// A moment whose steps are not all driven yet.
+#[derive(Clone, Debug)]
+struct UnderWay {
+    /// That of the memory.
+    number: u64,
     stamp_ns: i64,
     forecast: Course,
     driven: Course,
-    /// How it departed, as far as it was driven.
-    departures: Departures,
     /// What was told of how it would depart, before skill.
     told: Departures,
 }
@@ -53,16 +63,17 @@ struct Memory {
 #[derive(Clone, Copy, Debug)]
 struct Entry {
     number: u64,
+    stay: u64,
     agent: u64,
     moment: Moment,
 }
 
-/// Where an agent was seen last, and its moments whose steps are not all driven yet.
+/// Where an agent was seen last, and its moments that are under way.
 #[derive(Clone, Debug)]
 struct Trace {
     stamp_ns: i64,
     position_m: [f32; 2],
-    under_way: VecDeque<u64>,
+    under_way: VecDeque<UnderWay>,
 }
 
 /// How earlier agents departed from their forecasts, by place and motion.
@@ -78,6 +89,8 @@ pub struct PlaceMemory {
     traces: HashMap<u64, Trace>,
     /// By gait.
     skill: [Skill; 2],
+    /// How often the memory left before.
+    stay: u64,
     now_ns: i64,
 }
 
@@ -88,6 +101,8 @@ pub struct Recall {
     pub expected: Departures,
     /// How those went on whose moments were the most alike, each by itself, to the end of the horizon; in no order.
     pub likes: Vec<Like>,
+    /// Which of them was the least alike.
+    least: usize,
     /// What the others had in common.
     common: Departures,
 }
@@ -116,14 +131,18 @@ impl Recall {
 
     /// Tells of one more, unless that many are more alike.
     fn tell_of(&mut self, weight: f32, departures: &Departures) {
-        let like = || Like { weight, departures: departures.clone() };
         if self.likes.len() < LIKES_MAX {
-            return self.likes.push(like());
+            self.likes.push(Like { weight, departures: departures.clone() });
+        } else if weight > self.likes[self.least].weight {
+            self.likes[self.least] = Like { weight, departures: departures.clone() };
+        } else {
+            return;
         }
-        let least = self.likes.iter_mut().min_by(|a, b| a.weight.total_cmp(&b.weight));
-        if let Some(least) = least.filter(|least| least.weight < weight) {
-            *least = like();
-        }
+        let weights = self.likes.iter().map(|like| like.weight).enumerate();
+        self.least = weights
+            .reduce(|least, other| if other.1 < least.1 { other } else { least })
+            .unwrap_or_default()
+            .0;
     }
 }
 
@@ -143,8 +162,16 @@ impl PlaceMemory {
             buckets: HashMap::new(),
             traces: HashMap::new(),
             skill: Default::default(),
+            stay: 0,
             now_ns: i64::MIN,
         }
+    }
+
+    /// Ends a stay: what is remembered lasts, but time begins anew and nobody who comes is one of those who were there.
+    pub fn leave(&mut self) {
+        self.traces.clear();
+        self.stay += 1;
+        self.now_ns = i64::MIN;
     }
 
     /// Goes on to a time; returns whether it is newer than the last.
@@ -173,25 +200,25 @@ impl PlaceMemory {
         (trace.stamp_ns, trace.position_m) = (now_ns, position_m);
         let (oldest, step_ns, horizon_len) = (self.oldest, self.step_ns, self.horizon_len);
         let (memories, skill) = (&mut self.memories, &mut self.skill);
-        trace.under_way.retain(|&number| {
-            let place = number.checked_sub(oldest).map(|place| place as usize);
+        trace.under_way.retain_mut(|under_way| {
+            let place = under_way.number.checked_sub(oldest).map(|place| place as usize);
             let Some(memory) = place.and_then(|place| memories.get_mut(place)) else { return false };
-            while memory.driven.len() < horizon_len {
-                let step = memory.driven.len();
-                let due_ns = memory.stamp_ns + step_ns * (step as i64 + 1);
+            let UnderWay { stamp_ns, forecast, driven, told, .. } = under_way;
+            while memory.driven_len < horizon_len {
+                let step = memory.driven_len;
+                let due_ns = *stamp_ns + step_ns * (step as i64 + 1);
                 if due_ns > now_ns {
                     return true;
                 }
                 let share = (due_ns - since_ns) as f32 / (now_ns - since_ns).max(1) as f32;
-                memory
-                    .driven
-                    .push([0, 1].map(|axis| from_m[axis] + share * (position_m[axis] - from_m[axis])));
+                driven.push([0, 1].map(|axis| from_m[axis] + share * (position_m[axis] - from_m[axis])));
+                memory.driven_len += 1;
                 let gait = memory.moment.gait();
-                let departures = path::departure(gait, &memory.forecast, &memory.driven, step, step_s);
+                let departures = path::departure(gait, forecast, driven, step, step_s);
                 for (component, departure) in departures.into_iter().enumerate() {
                     if let Some((step, departure)) = departure {
                         memory.departures.tell(step, component, departure);
-                        skill[gait as usize].learn(&memory.told, step, component, departure);
+                        skill[gait as usize].learn(told, step, component, departure);
                     }
                 }
             }
@@ -205,32 +232,28 @@ impl PlaceMemory {
         let Some(trace) = self.traces.get_mut(&agent).filter(|trace| trace.stamp_ns == self.now_ns) else {
             return;
         };
-        let last_ns = trace
-            .under_way
-            .back()
-            .and_then(|number| Some(self.memories.get(number.checked_sub(self.oldest)? as usize)?.stamp_ns));
+        let last_ns = trace.under_way.back().map(|under_way| under_way.stamp_ns);
         if last_ns.is_some_and(|last_ns| self.now_ns - last_ns < self.step_ns) {
             return;
         }
-        let start = Course::new(moment.position_m());
-        let mut forecast = start.clone();
+        let driven = Course::new(moment.position_m());
+        let mut forecast = driven.clone();
         forecast_m.iter().take(self.horizon_len).for_each(|&position_m| forecast.push(position_m));
         let number = self.oldest + self.memories.len() as u64;
-        trace.under_way.push_back(number);
-        let bucket = self.buckets.entry(moment.key()).or_default();
-        bucket.push_back(Entry { number, agent, moment: *moment });
-        if bucket.len() > BUCKET_MAX[moment.gait() as usize] {
+        let told = recalled.common.clone();
+        trace.under_way.push_back(UnderWay { number, stamp_ns: self.now_ns, forecast, driven, told });
+        let memory = Memory { moment: *moment, driven_len: 0, departures: Departures::default() };
+        self.keep(memory, Entry { number, stay: self.stay, agent, moment: *moment });
+    }
+
+    /// Takes in a memory, for the oldest one where there are too many.
+    fn keep(&mut self, memory: Memory, entry: Entry) {
+        let bucket = self.buckets.entry(entry.moment.key()).or_default();
+        bucket.push_back(entry);
+        if bucket.len() > BUCKET_MAX[entry.moment.gait() as usize] {
             bucket.pop_front();
         }
-        let stamp_ns = self.now_ns;
-        self.memories.push_back(Memory {
-            moment: *moment,
-            stamp_ns,
-            forecast,
-            driven: start,
-            departures: Departures::default(),
-            told: recalled.common.clone(),
-        });
+        self.memories.push_back(memory);
         if self.memories.len() > MOMENTS_MAX {
             self.forget_oldest();
         }
@@ -244,14 +267,18 @@ impl PlaceMemory {
         let reach = REACH[gait as usize];
         let mut evidence = Evidence::default();
         recall.likes.clear();
+        recall.least = 0;
         for key in moment.keys_around() {
             for entry in self.buckets.get(&key).into_iter().flatten() {
-                let distance = entry.moment.distance(moment).filter(|distance| *distance <= reach);
-                let Some(distance) = distance.filter(|_| entry.agent != agent) else { continue };
+                let distance = entry.moment.distance(moment, reach);
+                let Some(distance) = distance.filter(|_| (entry.stay, entry.agent) != (self.stay, agent))
+                else {
+                    continue;
+                };
                 let memory = &self.memories[(entry.number - self.oldest) as usize];
                 let weight = (-distance).exp();
                 evidence.add(weight, &memory.departures);
-                if weight >= LIKE_MIN && memory.driven.len() == self.horizon_len {
+                if weight >= LIKE_MIN && memory.driven_len == self.horizon_len {
                     recall.tell_of(weight, &memory.departures);
                 }
             }

@@ -1,6 +1,7 @@
 //! The memory of a place: what is told to whom, and when.
 
-use scene::{Choice, Departures, Driving, Moment, PlaceMemory, Recall, Walking};
+use proptest::prelude::*;
+use scene::{Choice, Departures, Driving, FileError, Gait, Moment, PlaceMemory, Recall, Walking};
 
 const STEP_NS: u64 = 500_000_000;
 const STEP_S: f32 = 0.5;
@@ -111,6 +112,76 @@ fn nothing_is_told_elsewhere_to_others_or_of_oneself() {
 }
 
 #[test]
+fn after_a_stay_time_begins_anew_and_everybody_is_somebody_else() {
+    let mut memory = after(1, -1.0, 0.5, 3.0);
+    assert!(!memory.advance(0), "time does not go back");
+    memory.leave();
+    assert!(memory.advance(0));
+    assert!(!recall(&memory, 1, &moment(0.0)).is_empty(), "another agent of the same number");
+}
+
+/// The weights whose forecasts are remembered.
+const WEIGHTS: &str = "0123456789abcdef";
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(32))]
+
+    #[test]
+    fn a_memory_comes_back_from_its_file(agents in 1..20_u64, acceleration in -2.0_f32..2.0, until_s in 0.0_f32..3.0) {
+        let folder = tempfile::tempdir().unwrap();
+        let [path, again] = ["a.memory", "b.memory"].map(|name| folder.path().join(name));
+        let mut memory = after(agents, acceleration, 0.5, until_s);
+        memory.save(&path, WEIGHTS).unwrap();
+        memory.leave();
+        let found = PlaceMemory::load(&path, WEIGHTS).unwrap();
+        for x_m in [0.0, 0.5, -1.2, 40.0] {
+            prop_assert_eq!(recall(&found, 1, &moment(x_m)), recall(&memory, 1, &moment(x_m)));
+        }
+        found.save(&again, WEIGHTS).unwrap();
+        prop_assert_eq!(std::fs::read(path).unwrap(), std::fs::read(again).unwrap());
+    }
+}
+
+#[test]
+fn what_is_no_memory_is_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("a.memory");
+    after(3, -1.0, 0.5, 3.0).save(&path, WEIGHTS).unwrap();
+    let other = PlaceMemory::load(&path, "fedcba9876543210").unwrap_err().to_string();
+    assert!(
+        other.contains("a.memory: not a memory of a place: it remembers forecasts of the weights 0123"),
+        "{other}"
+    );
+    let whole = std::fs::read(&path).unwrap();
+    let refused = |bytes: &[u8]| {
+        std::fs::write(&path, bytes).unwrap();
+        PlaceMemory::load(&path, WEIGHTS).unwrap_err()
+    };
+    for bytes in [&whole[..whole.len() - 1], b"x,y\n1,2\n", &[]] {
+        assert!(matches!(refused(bytes), FileError::Format { .. }));
+    }
+    let offset = |name: &str| {
+        let tensors = safetensors::SafeTensors::deserialize(&whole).unwrap();
+        let data = tensors.tensor(name).unwrap().data();
+        data.as_ptr() as usize - whole.as_ptr() as usize
+    };
+    let broken = |name: &str, bytes: &[u8]| {
+        let mut broken = whole.clone();
+        broken[offset(name)..][..bytes.len()].copy_from_slice(bytes);
+        refused(&broken).to_string()
+    };
+    assert!(broken("memory.moment", &f32::NAN.to_le_bytes()).contains("memory.moment[0] is NaN"));
+    assert!(broken("memory.moment", &1e9_f32.to_le_bytes()).contains("1000000000 m, outside the world"));
+    assert!(broken("memory.departure", &7.0_f32.to_le_bytes()).contains("memory.departure[0] holds 7"));
+    assert!(broken("memory.skill", &f32::INFINITY.to_le_bytes()).contains("memory.skill[0] is inf"));
+    assert!(broken("memory.gait", &[2]).contains("memory.gait[0] is 2, at most 1 allowed"));
+    assert!(broken("memory.driven", &[9]).contains("memory.driven[0] is 9, at most 4 allowed"));
+    assert!(broken("memory.step_ns", &(-5_i64).to_le_bytes()).contains("memory.step_ns is -5"));
+    let missing = PlaceMemory::load(&folder.path().join("b.memory"), WEIGHTS);
+    assert!(matches!(missing, Err(FileError::Io { .. })));
+}
+
+#[test]
 fn who_stands_has_no_moment() {
     let state =
         |speed_mps: f32| Some(scene::State { velocity_mps: [speed_mps, 0.0], ..scene::State::default() });
@@ -164,12 +235,13 @@ fn to(x: f32, y: f32) -> [[f32; 2]; wire::HORIZON_MAX] {
 
 /// What is chosen of paths, the first `probability.len()` of them modes.
 fn choose(
+    gait: Gait,
     paths: &[[[f32; 2]; wire::HORIZON_MAX]],
     probability: &[f32],
     weights: &[f32],
 ) -> Vec<(usize, f32)> {
     let mut choice = Choice::default();
-    choice.choose(paths, 2, probability, weights.iter().copied());
+    choice.choose(gait, paths, 2, probability, weights.iter().copied());
     choice.chosen().collect()
 }
 
@@ -177,7 +249,7 @@ fn choose(
 fn what_many_did_stands_in_for_the_mode_that_is_missed_least() {
     // The second mode is nearly the first. Two went left, where no mode goes; one went where the third mode goes.
     let paths = [to(4.0, 0.0), to(4.1, 0.0), to(2.0, 0.0), to(0.0, 4.0), to(0.0, 4.2), to(2.0, 0.1)];
-    let chosen = choose(&paths, &[0.5, 0.2, 0.3], &[1.0, 0.9, 1.0]);
+    let chosen = choose(Gait::Walking, &paths, &[0.5, 0.2, 0.3], &[1.0, 0.9, 1.0]);
     assert_eq!(chosen.iter().map(|(path, _)| *path).collect::<Vec<_>>(), [0, 3, 2]);
     let total = 8.0 + 2.9;
     for ((_, probability), of_its_own) in chosen.iter().zip([8.0 * 0.7, 1.9, 8.0 * 0.3 + 1.0]) {
@@ -189,18 +261,20 @@ fn what_many_did_stands_in_for_the_mode_that_is_missed_least() {
 fn modes_stay_where_others_did_what_they_tell() {
     let modes = [to(4.0, 0.0), to(0.0, 4.0), to(-4.0, 0.0)];
     let same = [modes.as_slice(), &[to(4.0, 0.0)]].concat();
-    assert_eq!(choose(&modes, &[0.2, 0.3, 0.5], &[]), [(0, 0.2), (1, 0.3), (2, 0.5)]);
-    let stayed = choose(&same, &[0.2, 0.3, 0.5], &[1.0]);
+    assert_eq!(choose(Gait::Walking, &modes, &[0.2, 0.3, 0.5], &[]), [(0, 0.2), (1, 0.3), (2, 0.5)]);
+    let stayed = choose(Gait::Driving, &same, &[0.2, 0.3, 0.5], &[1.0]);
     assert_eq!(stayed.iter().map(|(path, _)| *path).collect::<Vec<_>>(), [0, 1, 2]);
     assert!(stayed[0].1 > 0.2, "{stayed:?}");
 }
 
 #[test]
-fn at_most_three_modes_give_way() {
-    let modes: Vec<_> = (0..6).map(|mode| to(1.0 + 0.01 * mode as f32, 0.0)).collect();
+fn few_modes_give_way() {
+    let modes: Vec<_> = (0..8).map(|mode| to(1.0 + 0.01 * mode as f32, 0.0)).collect();
     let others: Vec<_> = (0..9).map(|other| to(0.0, 4.0 * other as f32)).collect();
-    let chosen = choose(&[modes, others].concat(), &[1.0 / 6.0; 6], &[1.0; 9]);
-    assert_eq!(chosen.iter().filter(|(path, _)| *path >= 6).count(), 3, "{chosen:?}");
-    let sum: f32 = chosen.iter().map(|(_, probability)| probability).sum();
-    assert!((sum - 1.0).abs() < 1e-5, "{chosen:?}");
+    for (gait, most) in [(Gait::Driving, 5), (Gait::Walking, 3)] {
+        let chosen = choose(gait, &[&modes[..], &others].concat(), &[1.0 / 8.0; 8], &[1.0; 9]);
+        assert_eq!(chosen.iter().filter(|(path, _)| *path >= 8).count(), most, "{chosen:?}");
+        let sum: f32 = chosen.iter().map(|(_, probability)| probability).sum();
+        assert!((sum - 1.0).abs() < 1e-5, "{chosen:?}");
+    }
 }

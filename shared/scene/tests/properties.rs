@@ -4,7 +4,7 @@
 
 use proptest::prelude::*;
 use scene::{
-    AgentType, ContextMap, EdgeRule, FeatureScales, MapBuilder, MapFileError, ONLINE_SIDE, OnlineMap,
+    AgentType, ContextMap, EdgeRule, FeatureScales, FileError, MapBuilder, ONLINE_SIDE, OnlineMap,
     PatchOptions, State, Vertex, agent_frame, relation_features, state_features, states_from_positions,
     turn_rates,
 };
@@ -255,9 +255,9 @@ fn broken_map_files_are_refused_with_a_reason() {
     };
     small_map().save(&path).unwrap();
     let whole = std::fs::read(&path).unwrap();
-    assert!(matches!(refused(&whole[..whole.len() - 1]), MapFileError::Format { .. }));
-    assert!(matches!(refused(b"x,y\n1,2\n"), MapFileError::Format { .. }));
-    assert!(matches!(refused(&[]), MapFileError::Format { .. }));
+    assert!(matches!(refused(&whole[..whole.len() - 1]), FileError::Format { .. }));
+    assert!(matches!(refused(b"x,y\n1,2\n"), FileError::Format { .. }));
+    assert!(matches!(refused(&[]), FileError::Format { .. }));
 
     let mut not_finite = whole.clone();
     let last = not_finite.len() - 4;
@@ -272,7 +272,7 @@ fn broken_map_files_are_refused_with_a_reason() {
     assert!(reason.contains("map.velocity") && reason.contains("[2, 7, 5]"), "{reason}");
 
     let missing = folder.path().join("none.map");
-    assert!(matches!(ContextMap::load(&missing), Err(MapFileError::Io { .. })));
+    assert!(matches!(ContextMap::load(&missing), Err(FileError::Io { .. })));
     assert!(MapBuilder::new([0.0; 2], usize::MAX, 2).is_none());
 }
 

@@ -1,9 +1,10 @@
 //! INTERACTION: vehicles at roundabouts (RA) and intersections (UI), at sites that training saw and at one it did not.
 
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use data::sets::{DataSet, Part};
-use scene::{AgentType, ContextMap};
+use scene::{AgentType, ContextMap, PlaceMemory};
 
 use super::{Footage, GROWTH, MapChoice, Options, RATES, Rules, SEED, fit, need_agents};
 use crate::group::Group;
@@ -101,10 +102,24 @@ impl Protocol<'_> {
         let baselines = fit(training, cut);
         let footage = options.read_part(SET, options.part, cut)?;
         let mut sites: Vec<(String, Vec<Block>)> = Vec::new();
+        let mut memories: BTreeMap<String, Option<PlaceMemory>> = BTreeMap::new();
         for footage in &footage {
             let site = site_of(footage);
             let map = (options.map == MapChoice::Site).then(|| map_of(training, &site)).flatten();
-            let blocks = rules.judge(model, &baselines, footage, input(options.map, map.as_ref()));
+            let map = input(options.map, map.as_ref());
+            let judge = rules.by(model, &baselines);
+            let memory = memories.entry(site.clone()).or_insert_with(|| {
+                let mut memory = judge.memory();
+                for visited in training.iter().filter(|footage| site_of(footage) == site) {
+                    memory.iter_mut().for_each(|memory| {
+                        judge.visit(&visited.recording, &visited.scenes, map, memory);
+                    });
+                }
+                memory
+            });
+            // What other recordings of the part show is nobody's to know.
+            let mut memory = memory.clone();
+            let blocks = judge.revisit(&footage.recording, &footage.scenes, map, memory.as_mut());
             match sites.iter_mut().find(|(name, _)| *name == site) {
                 Some((_, all)) => all.extend(blocks),
                 None => sites.push((site, blocks)),
@@ -131,13 +146,18 @@ impl Protocol<'_> {
         let baselines = Baselines::fit(others.flat_map(|footage| &footage.scenes), cut, SEED);
         let (mut tests, mut all, mut recordings) = (Vec::new(), Vec::new(), Vec::new());
         let mut name = site.to_owned();
+        let judge = rules.by(model, &baselines);
+        let mut memory = judge.memory();
         for part in [Part::Train, Part::Validation, Part::Test] {
             let of_site = |path: &PathBuf| short(&folder(path)) == site;
             let paths: Vec<PathBuf> = SET.files(&options.data, part)?.into_iter().filter(of_site).collect();
             for footage in options.read(&paths, Some(SET.format()), cut)? {
                 name = site_of(&footage);
                 // Whatever was recorded at the site before belongs to nobody's training: no site map.
-                let blocks = rules.judge(model, &baselines, &footage, input(options.map, None));
+                let Footage { recording, scenes } = &footage;
+                let map = input(options.map, None);
+                let blocks = judge.revisit(recording, scenes, map, memory.as_mut());
+                memory.iter_mut().for_each(PlaceMemory::leave);
                 if part == options.part {
                     tests.extend(blocks.iter().cloned());
                 }

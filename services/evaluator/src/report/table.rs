@@ -17,9 +17,10 @@ pub(crate) const COMPARED: [(Measure, Method); 6] = [
 ];
 
 /// The methods that a summary tells of.
-const SUMMARISED: [&str; 7] = [
+const SUMMARISED: [&str; 8] = [
     Method::Network.name(),
     Method::Recalling.name(),
+    Method::Revisiting.name(),
     Method::Base.name(),
     Method::Anchors.name(),
     Method::ConstantVelocity.name(),

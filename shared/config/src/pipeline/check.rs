@@ -166,6 +166,9 @@ fn options(id: StageId, table: &OptionsTable) -> Result<Options, Fault> {
     if let Some(recall) = table.recall.as_ref().filter(|_| id != StageId::Sampler) {
         return foreign(recall.span(), "recall", "sampler");
     }
+    if let Some(memory) = table.memory.as_ref().filter(|_| id != StageId::Sampler) {
+        return foreign(memory.span(), "memory", "sampler");
+    }
     if let Some(propagation) = table.propagation.as_ref().filter(|_| id != StageId::Sampler) {
         return foreign(propagation.span(), "propagation", "sampler");
     }
@@ -176,6 +179,7 @@ fn options(id: StageId, table: &OptionsTable) -> Result<Options, Fault> {
         prior: parsed::<Prior>(table.prior.as_ref())?,
         association: parsed::<Association>(table.association.as_ref())?,
         recall: table.recall.as_ref().map(|recall| *recall.get_ref()),
+        memory: table.memory.as_ref().map(|memory| memory.get_ref().clone()),
         propagation: parsed::<Propagation>(table.propagation.as_ref())?,
         particles: table.particles.as_ref().map(|n| *n.get_ref()),
     })

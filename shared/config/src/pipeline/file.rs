@@ -36,6 +36,7 @@ pub(super) struct OptionsTable {
     pub prior: Option<Spanned<String>>,
     pub association: Option<Spanned<String>>,
     pub recall: Option<Spanned<bool>>,
+    pub memory: Option<Spanned<PathBuf>>,
     pub propagation: Option<Spanned<String>>,
     pub particles: Option<Spanned<usize>>,
 }

@@ -1,3 +1,5 @@
+use std::path::Path;
+
 use miette::{GraphicalReportHandler, GraphicalTheme};
 
 use super::*;
@@ -138,12 +140,18 @@ fn the_trackers_prior() {
 
 #[test]
 fn the_samplers_memory_of_places() {
-    let pipeline =
-        Pipeline::parse("p.toml", &with("deadline_ms = 72", "deadline_ms = 72, recall = true")).unwrap();
+    let pipeline = Pipeline::parse(
+        "p.toml",
+        &with("deadline_ms = 72", "deadline_ms = 72, recall = true, memory = \"a.memory\""),
+    )
+    .unwrap();
     let stage = pipeline.stages.iter().find(|stage| stage.id == StageId::Sampler).unwrap();
     assert_eq!(stage.options.recall, Some(true));
+    assert_eq!(stage.options.memory.as_deref(), Some(Path::new("a.memory")));
     let tracker = with("budget_ms = 6", "budget_ms = 6\noptions = { recall = true }");
     assert!(error(&tracker).contains("the tracker has no option `recall`"), "{}", error(&tracker));
+    let tracker = with("budget_ms = 6", "budget_ms = 6\noptions = { memory = \"a.memory\" }");
+    assert!(error(&tracker).contains("the tracker has no option `memory`"), "{}", error(&tracker));
 }
 
 #[test]

@@ -2,16 +2,20 @@
 
 use wire::HORIZON_MAX;
 
-/// Modes that remembered paths may take the place of.
-const SWAPS_MAX: usize = 3;
-/// As many remembered paths as the modes of a forecast together are worth.
-const WORTH: f32 = 8.0;
+use super::Gait;
+
+/// Modes that remembered paths may take the place of, driving and walking.
+const SWAPS_MAX: [usize; 2] = [5, 3];
+/// As many remembered paths as the modes of a forecast together are worth, driving and walking: roads leave less choice.
+const WORTH: [f32; 2] = [4.0, 8.0];
 /// What the distance at the end counts beside the mean distance.
 const END: f32 = 0.3;
 
 /// Chooses, and keeps its memory from one forecast to the next.
 #[derive(Clone, Debug, Default)]
 pub struct Choice {
+    /// The paths' points by axis, step by step: those of all paths beside one another.
+    points_m: [Vec<f32>; 2],
     /// Distances between all paths, row by row.
     distances_m: Vec<f32>,
     weights: Vec<f32>,
@@ -34,17 +38,18 @@ impl Choice {
     /// near it: the modes come first, with their probabilities, remembered paths follow, with the weights of their moments.
     ///
     /// ```text
-    /// least Σ_i w_i min_{c chosen} d(i, c)      w = 8 p of modes, of remembered paths their own
+    /// least Σ_i w_i min_{c chosen} d(i, c)      w = 4 p of modes, walking 8 p, of remembered paths their own
     ///                                           d = mean over the steps of |Δp| + 0.3 |Δp| at the last
     /// ```
     ///
     /// Greedily, from the modes on: the remembered path that helps most takes the place of the mode that is missed least, at most
-    /// three times.
+    /// five times, walking three.
     ///
     /// # Panics
     /// Where there are not as many paths as weights, or steps than a payload holds.
     pub fn choose(
         &mut self,
+        gait: Gait,
         paths: &[[[f32; 2]; HORIZON_MAX]],
         horizon_len: usize,
         probability: &[f32],
@@ -52,12 +57,13 @@ impl Choice {
     ) {
         let modes_len = probability.len();
         self.weights.clear();
-        self.weights.extend(probability.iter().map(|p| WORTH * p).chain(remembered));
+        let worth = WORTH[gait as usize];
+        self.weights.extend(probability.iter().map(|p| worth * p).chain(remembered));
         assert_eq!(self.weights.len(), paths.len(), "a weight for each path");
         self.measure(paths, horizon_len);
         self.chosen.clear();
         self.chosen.extend(0..modes_len);
-        for _ in 0..SWAPS_MAX.min(modes_len.saturating_sub(1)) {
+        for _ in 0..SWAPS_MAX[gait as usize].min(modes_len.saturating_sub(1)) {
             self.find_nearest();
             if !self.swap(modes_len) {
                 break;
@@ -79,13 +85,21 @@ impl Choice {
 
     fn measure(&mut self, paths: &[[[f32; 2]; HORIZON_MAX]], horizon_len: usize) {
         let len = paths.len();
+        for (axis, points_m) in self.points_m.iter_mut().enumerate() {
+            points_m.clear();
+            points_m.extend((0..horizon_len).flat_map(|step| paths.iter().map(move |path| path[step][axis])));
+        }
         self.distances_m.clear();
         self.distances_m.resize(len * len, 0.0);
-        for i in 0..len {
-            for j in 0..i {
-                let apart = distance_m(&paths[i][..horizon_len], &paths[j][..horizon_len]);
-                self.distances_m[i * len + j] = apart;
-                self.distances_m[j * len + i] = apart;
+        let [xs, ys] = self.points_m.each_ref().map(|points_m| points_m.chunks_exact(len.max(1)));
+        for (step, (xs, ys)) in xs.zip(ys).enumerate() {
+            let last = if step + 1 == horizon_len { END } else { 0.0 };
+            let weight = 1.0 / horizon_len as f32 + last;
+            for (row, (x, y)) in self.distances_m.chunks_exact_mut(len).zip(xs.iter().zip(ys)) {
+                for (sum, (x_there, y_there)) in row.iter_mut().zip(xs.iter().zip(ys)) {
+                    let (dx, dy) = (x_there - x, y_there - y);
+                    *sum += weight * (dx * dx + dy * dy).sqrt();
+                }
             }
         }
     }
@@ -138,14 +152,4 @@ impl Choice {
             _ => false,
         }
     }
-}
-
-fn distance_m(a: &[[f32; 2]], b: &[[f32; 2]]) -> f32 {
-    let apart = |(a, b): (&[f32; 2], &[f32; 2])| {
-        let [dx, dy] = [a[0] - b[0], a[1] - b[1]];
-        (dx * dx + dy * dy).sqrt()
-    };
-    let sum: f32 = a.iter().zip(b).map(apart).sum();
-    let last = a.last().zip(b.last()).map_or(0.0, apart);
-    sum / a.len().max(1) as f32 + END * last
 }

@@ -8,9 +8,12 @@ const DIRECTIONS: i32 = 8;
 /// Stands for a direction where it is not told apart.
 const ANY_DIRECTION: i32 = -1;
 
+/// Numbers of a moment in a file: those of who drives.
+pub(super) const COMPONENTS: usize = 6;
+
 /// How an agent goes, and with it what moments of it are compared by, and how a path departs from its forecast.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-pub(super) enum Gait {
+pub enum Gait {
     /// Along a heading: speed and curvature depart.
     Driving,
     /// Any way: steps depart.
@@ -30,7 +33,7 @@ pub enum Moment {
 }
 
 /// A moment of an agent that drives.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Driving {
     /// Position in the world frame.
     pub position_m: [f32; 2],
@@ -84,6 +87,35 @@ impl Moment {
         Some(Self::Walking(Walking { position_m, velocity_mps }))
     }
 
+    /// The moment's numbers in the order of its fields; zeros follow those of who walks.
+    pub(super) const fn components(&self) -> [f32; COMPONENTS] {
+        match *self {
+            Self::Driving(Driving {
+                position_m: [x, y],
+                heading_rad,
+                speed_mps,
+                acceleration_mps2,
+                turn_rate_radps,
+            }) => [x, y, heading_rad, speed_mps, acceleration_mps2, turn_rate_radps],
+            Self::Walking(Walking { position_m: [x, y], velocity_mps: [vx, vy] }) => [x, y, vx, vy, 0.0, 0.0],
+        }
+    }
+
+    /// The reverse of [`Moment::components`].
+    pub(super) const fn of_components(gait: Gait, components: &[f32; COMPONENTS]) -> Self {
+        let &[x, y, third, fourth, acceleration_mps2, turn_rate_radps] = components;
+        match gait {
+            Gait::Driving => Self::Driving(Driving {
+                position_m: [x, y],
+                heading_rad: third,
+                speed_mps: fourth,
+                acceleration_mps2,
+                turn_rate_radps,
+            }),
+            Gait::Walking => Self::Walking(Walking { position_m: [x, y], velocity_mps: [third, fourth] }),
+        }
+    }
+
     pub(super) const fn position_m(&self) -> [f32; 2] {
         match self {
             Self::Driving(moment) => moment.position_m,
@@ -91,25 +123,29 @@ impl Moment {
         }
     }
 
-    pub(super) const fn gait(&self) -> Gait {
+    /// How the agent goes.
+    #[must_use]
+    pub const fn gait(&self) -> Gait {
         match self {
             Self::Driving(_) => Gait::Driving,
             Self::Walking(_) => Gait::Walking,
         }
     }
 
-    /// Half of the squared distance to another moment, every component by how far its likes go; none to one of another gait.
+    /// Half of the squared distance to another moment, every component by how far its likes go; none to one of another gait or
+    /// beyond `reach`.
     ///
     /// ```text
     /// ½ ((Δy/0.8)² + (Δx/1.0)² + (Δψ/0.12)² + (Δv/1.5)² + (Δa/0.8)² + (Δω/0.1)²)      driving, x along the heading, y across it
     /// ½ (|Δp|²/2.5² + |Δv|²/0.3²)                                                      walking
     /// ```
-    pub(super) fn distance(&self, other: &Self) -> Option<f32> {
-        match (self, other) {
-            (Self::Driving(own), Self::Driving(other)) => Some(own.distance(other)),
-            (Self::Walking(own), Self::Walking(other)) => Some(own.distance(other)),
-            _ => None,
-        }
+    pub(super) fn distance(&self, other: &Self, reach: f32) -> Option<f32> {
+        let distance = match (self, other) {
+            (Self::Driving(own), Self::Driving(other)) => own.distance(other, reach)?,
+            (Self::Walking(own), Self::Walking(other)) => own.distance(other),
+            _ => return None,
+        };
+        (distance <= reach).then_some(distance)
     }
 
     /// The key of the bucket that moments like this one lie in.
@@ -140,18 +176,21 @@ impl Moment {
 }
 
 impl Driving {
-    fn distance(&self, other: &Self) -> f32 {
-        let frame = AgentFrame::new(self.position_m, self.heading_rad);
+    fn distance(&self, other: &Self, reach: f32) -> Option<f32> {
         let offset = [0, 1].map(|axis| other.position_m[axis] - self.position_m[axis]);
-        let [along, across] = frame.rotate_into(offset);
-        half_square([
-            across / 0.8,
-            along,
+        let of_motion = half_square([
             wrapped(other.heading_rad - self.heading_rad) / 0.12,
             (other.speed_mps - self.speed_mps) / 1.5,
             (other.acceleration_mps2 - self.acceleration_mps2) / 0.8,
             (other.turn_rate_radps - self.turn_rate_radps) / 0.1,
-        ])
+        ]);
+        // Most are too far whichever way they lie: the frame's sine and cosine cost more than all the rest.
+        if of_motion + half_square(offset) > reach {
+            return None;
+        }
+        let frame = AgentFrame::new(self.position_m, self.heading_rad);
+        let [along, across] = frame.rotate_into(offset);
+        Some(of_motion + half_square([across / 0.8, along]))
     }
 }
 

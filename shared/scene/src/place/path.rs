@@ -1,13 +1,13 @@
 use wire::HORIZON_MAX;
 
-use super::moment::Gait;
+use super::Gait;
 use crate::AgentFrame;
 use crate::motion::wrapped;
 
 /// Chords shorter than this have no direction.
 const CHORD_MIN_M: f32 = 0.5;
 /// Departures are taken to be no larger: of who drives speed m/s, curvature 1/m; of who walks x and y of a step, m.
-const DEPARTURE_MAX: [[f32; 2]; 2] = [[6.0, 0.2], [2.0, 2.0]];
+pub(super) const DEPARTURE_MAX: [[f32; 2]; 2] = [[6.0, 0.2], [2.0, 2.0]];
 
 /// What of the skill lasts from one departure to the next: about the last thousand count.
 const LASTING: f32 = 0.999;
@@ -55,11 +55,6 @@ impl Course {
         let mut points_m = [[0.0; 2]; HORIZON_MAX + 1];
         points_m[0] = start_m;
         Self { points_m, len: 0 }
-    }
-
-    /// Steps gone.
-    pub(super) const fn len(&self) -> usize {
-        self.len
     }
 
     pub(super) fn push(&mut self, position_m: [f32; 2]) {
@@ -142,6 +137,19 @@ impl Skill {
         *square = LASTING * *square + told * told;
     }
 
+    /// The sums of so many steps, as they are written.
+    pub(super) fn numbers(&self, steps_len: usize) -> impl Iterator<Item = f32> {
+        self.steps[..steps_len].iter().flatten().flat_map(|&(product, square)| [product, square])
+    }
+
+    /// The reverse of [`Skill::numbers`].
+    pub(super) fn of_numbers(numbers: &[f32]) -> Self {
+        let mut skill = Self::default();
+        let sums = numbers.as_chunks::<2>().0.iter();
+        skill.steps.as_flattened_mut().iter_mut().zip(sums).for_each(|(own, sums)| *own = (*sums).into());
+        skill
+    }
+
     /// What of departures is to be expected, going by how well they could be told so far.
     ///
     /// ```text
@@ -163,6 +171,20 @@ impl Departures {
     /// Takes in what is known of a step now.
     pub(super) const fn tell(&mut self, step: usize, component: usize, departure: f32) {
         self.steps[step][component] = Some(departure);
+    }
+
+    /// Those of so many steps, as they are written: NaN where nothing is known.
+    pub(super) fn numbers(&self, steps_len: usize) -> impl Iterator<Item = f32> {
+        self.steps[..steps_len].iter().flatten().map(|departure| departure.unwrap_or(f32::NAN))
+    }
+
+    /// The reverse of [`Departures::numbers`].
+    pub(super) fn of_numbers(numbers: &[f32]) -> Self {
+        let mut departures = Self::default();
+        for (own, number) in departures.steps.as_flattened_mut().iter_mut().zip(numbers) {
+            *own = (!number.is_nan()).then_some(*number);
+        }
+        departures
     }
 
     /// A share of them.

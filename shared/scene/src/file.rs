@@ -1,0 +1,104 @@
+//! Files of what is known of a place: safetensors, written whole or not at all.
+
+use std::fs::{self, File};
+use std::io::{self, Write};
+use std::path::{Path, PathBuf};
+
+use safetensors::tensor::{Dtype, SafeTensorError, TensorView};
+use thiserror::Error;
+
+/// Why a file could not be read or written.
+#[derive(Debug, Error)]
+pub enum FileError {
+    /// The operating system refused.
+    #[error("{}: {source}", path.display())]
+    Io {
+        /// The file.
+        path: PathBuf,
+        /// Its reason.
+        source: io::Error,
+    },
+    /// The file is no safetensors file, or lacks a tensor.
+    #[error("{}: not a {what}: {source}", path.display())]
+    Format {
+        /// The file.
+        path: PathBuf,
+        /// What it should hold.
+        what: &'static str,
+        /// What is wrong with it.
+        source: SafeTensorError,
+    },
+    /// The file's tensors do not make what it should hold.
+    #[error("{}: not a {what}: {reason}", path.display())]
+    Content {
+        /// The file.
+        path: PathBuf,
+        /// What it should hold.
+        what: &'static str,
+        /// What is wrong with them.
+        reason: String,
+    },
+}
+
+/// A file, and what it should hold.
+#[derive(Clone, Copy)]
+pub(crate) struct Place<'a> {
+    pub(crate) path: &'a Path,
+    pub(crate) what: &'static str,
+}
+
+impl Place<'_> {
+    /// Writes the file, all of it or nothing: a reader never meets half of it.
+    pub(crate) fn write(self, bytes: &[u8]) -> Result<(), FileError> {
+        let mut partial = self.path.as_os_str().to_owned();
+        partial.push(".partial");
+        let partial = PathBuf::from(partial);
+        let written = File::create(&partial)
+            .and_then(|mut file| file.write_all(bytes).and_then(|()| file.sync_all()))
+            .and_then(|()| fs::rename(&partial, self.path));
+        written.map_err(|source| {
+            // What is left of a failed attempt helps nobody; the first error is the one to tell.
+            let _ = fs::remove_file(&partial);
+            self.io(source)
+        })
+    }
+
+    /// Reads the file unless it is larger than it can be.
+    pub(crate) fn read(self, bytes_max: u64) -> Result<Vec<u8>, FileError> {
+        let len = fs::metadata(self.path).map_err(|source| self.io(source))?.len();
+        if len > bytes_max {
+            return Err(self.content(format!("{len} bytes, more than the largest has")));
+        }
+        fs::read(self.path).map_err(|source| self.io(source))
+    }
+
+    fn io(self, source: io::Error) -> FileError {
+        FileError::Io { path: self.path.into(), source }
+    }
+
+    pub(crate) fn format(self, source: SafeTensorError) -> FileError {
+        FileError::Format { path: self.path.into(), what: self.what, source }
+    }
+
+    pub(crate) fn content(self, reason: String) -> FileError {
+        FileError::Content { path: self.path.into(), what: self.what, reason }
+    }
+}
+
+/// The numbers of a tensor of this shape, whatever they are.
+pub(crate) fn numbers(name: &str, view: &TensorView<'_>, shape: &[usize]) -> Result<Vec<f32>, String> {
+    if view.dtype() != Dtype::F32 || view.shape() != shape {
+        return Err(format!("{name} is {:?} {:?}, expected F32 {shape:?}", view.dtype(), view.shape()));
+    }
+    let (words, _) = view.data().as_chunks::<4>();
+    Ok(words.iter().map(|word| f32::from_le_bytes(*word)).collect())
+}
+
+/// The same, all of them finite.
+pub(crate) fn finite_numbers(name: &str, view: &TensorView<'_>, shape: &[usize]) -> Result<Vec<f32>, String> {
+    let numbers = numbers(name, view, shape)?;
+    match numbers.iter().position(|x| !x.is_finite()) {
+        Some(at) => Err(format!("{name}[{at}] is {}", numbers[at])),
+        None => Ok(numbers),
+    }
+}
