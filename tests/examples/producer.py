@@ -11,8 +11,8 @@ import sys
 import time
 
 import iceoryx2 as iox2
-from stgdat_topics import (DETECTIONS_MAX, END, HAS_HEADING, HAS_SIZE, HAS_SPEED, PEDESTRIAN, SCHEMA, SOURCE, VEHICLE,
-                           WARM_UP, Counts, Detection, Forecast, Header, Hop, Truth, join, topic)
+from stgdat_topics import (DETECTIONS_MAX, END, HAS_HEADING, HAS_SIZE, HAS_SPEED, PEDESTRIAN, SCHEMA,
+                           SEEN_FROM_EGO, SOURCE, VEHICLE, WARM_UP, Counts, Detection, Forecast, Header, Hop, Truth, join, topic)
 
 
 def detect(t_s):
@@ -61,6 +61,6 @@ while not returned.has_samples():
 begin_ns = time.monotonic_ns()
 for seq in range(ticks):
     time.sleep(max(0, begin_ns + seq * interval_ns - time.monotonic_ns()) / 1e9)
-    send(detections, seq, seq * interval_ns, list(detect(seq * interval_ns / 1e9)))
+    send(detections, seq, seq * interval_ns, list(detect(seq * interval_ns / 1e9)), SEEN_FROM_EGO)
 send(detections, ticks, ticks * interval_ns, flags=END)
 time.sleep(1)

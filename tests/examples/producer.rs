@@ -63,7 +63,8 @@ fn run(run: &Run) -> Result<(), StageError> {
         if !stage.sleep_until(begin_ns + seq * run.interval_ns)? {
             return Ok(());
         }
-        let mut passage = stage.release(header(seq, 0));
+        // The sensor stands at the origin, where a header places the ego, and can't see past what stands in its way.
+        let mut passage = stage.release(header(seq, flags::SEEN_FROM_EGO));
         let seen = detect((seq * run.interval_ns) as f32 / 1e9);
         passage.header.counts.agents_len = seen.len() as u32;
         let loan = detections.copy(&seen)?;

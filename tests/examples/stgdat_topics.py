@@ -21,7 +21,7 @@ import time
 import iceoryx2 as iox2
 
 SCHEMA = 1
-WARM_UP, END = 1, 2
+WARM_UP, END, SEEN_FROM_EGO = 1, 2, 32
 SOURCE = 1
 VEHICLE, CYCLIST, PEDESTRIAN = range(3)
 HAS_ID, HAS_HEADING, HAS_SPEED, HAS_SIZE = 1, 2, 4, 8

@@ -18,8 +18,8 @@ fn tracks_come_back_as_a_recording_with_the_same_agents() {
     run_well(&["track", &recording, "--associate", "--out", &path]);
     let text = String::from_utf8(scratch.read("tracks.csv")).expect("CSV is text");
     let rows_of_tracks = rows(&text);
-    let agents = || rows_of_tracks[1..].iter().filter(|row| row[2] != "ego");
-    assert_eq!(rows_of_tracks[1..].iter().filter(|row| row[2] == "ego").count(), 40, "a frame per tick");
+    let agents = || rows_of_tracks[1..].iter().filter(|row| row[2] != "above");
+    assert_eq!(rows_of_tracks[1..].iter().filter(|row| row[2] == "above").count(), 40, "a frame per tick");
     assert!(agents().count() > 200, "{} rows", agents().count());
     assert!(agents().all(|row| ["confirmed", "coasting"].contains(&row[12])), "{text}");
 

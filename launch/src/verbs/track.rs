@@ -22,7 +22,8 @@ pub struct Arguments {
     /// csv: our own format of recordings, so that tracks can be played again: stamp_s, id, type, x_m, y_m, heading_rad, speed_mps,
     /// length_m, width_m, score (probability that the object exists), vx_mps, vy_mps, status (confirmed or coasting), unseen_s (since
     /// the last detection), xx_m2, xy_m2, yy_m2 (covariance of the position), prior (what moved the state: learned, held or
-    /// kinematic), prior_age_s (since the forecast was made); an `ego` row per frame.
+    /// kinematic), prior_age_s (since the forecast was made); an `ego` row per frame, or `above`
+    /// where nobody hides another.
     ///
     /// kitti: frame id type truncated occluded alpha x1 y1 x2 y2 h w l x y z rot_y score, in the camera frame, of KITTI recordings alone.
     /// Unknown are truncation, occlusion and the box in the image (-1) and the height (a usual one, on the plane the car stands on).

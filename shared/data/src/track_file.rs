@@ -16,7 +16,7 @@ use std::io::{self, Write};
 use std::str::FromStr;
 
 use thiserror::Error;
-use wire::{AgentType, Header, Quality, Track, TrackStatus};
+use wire::{AgentType, Header, Quality, Track, TrackStatus, flags};
 
 use crate::formats::csv;
 use crate::formats::kitti::{self, WorldFromCamera};
@@ -149,7 +149,8 @@ const CSV_COLUMNS: [&str; csv::NAMES.len() - 1] = {
 
 fn write_ego(output: &mut impl Write, header: &Header) -> io::Result<()> {
     let ([x, y], heading) = (header.ego_m, header.ego_heading_rad);
-    writeln!(output, "{},,ego,{x},{y},{heading},,,,,,,,,,,,,", Seconds(header.stamp_ns))
+    let kind = if header.has(flags::SEEN_FROM_EGO) { csv::EGO } else { csv::ABOVE };
+    writeln!(output, "{},,{kind},{x},{y},{heading},,,,,,,,,,,,,", Seconds(header.stamp_ns))
 }
 
 fn write_csv(
@@ -251,6 +252,7 @@ mod tests {
         let header = |seq: u64| Header {
             ego_m: [1.5, seq as f32],
             ego_heading_rad: 0.5,
+            flags: if seq == 0 { flags::SEEN_FROM_EGO } else { 0 },
             ..Header::new(0, seq, seq.cast_signed() * 100_000_000 - 100_000_000)
         };
         (0..).map(header).zip(tracks).collect()
@@ -284,6 +286,7 @@ mod tests {
         assert_eq!(recording.frames.len(), 3);
         for (frame, (header, tracks)) in recording.frames.iter().zip(frames()) {
             assert_eq!((frame.stamp_ns, frame.ego.position_m), (header.stamp_ns, header.ego_m));
+            assert_eq!(frame.ego.is_sensor, header.has(flags::SEEN_FROM_EGO));
             assert_eq!(frame.detections.len(), tracks.len());
             for (read, track) in frame.detections.iter().zip(tracks) {
                 assert_eq!(

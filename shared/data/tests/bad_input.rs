@@ -168,7 +168,7 @@ fn a_value_that_is_none_is_told_in_files_with_a_header() {
     );
     assert_eq!(
         own("0.1,7,boat,1,2,,,,,,"),
-        "a.txt:2:7: type = \"boat\": expected vehicle, cyclist, pedestrian or ego"
+        "a.txt:2:7: type = \"boat\": expected vehicle, cyclist, pedestrian, ego or above"
     );
     assert_eq!(
         own("0.1,7,vehicle,1,2,,,4.5,,,"),
@@ -179,8 +179,8 @@ fn a_value_that_is_none_is_told_in_files_with_a_header() {
         "a.txt:2:1: stamp_s = \"99999999999\": beyond ±4000000000 s"
     );
     assert_eq!(
-        own("0.1,7,vehicle,1,2,,,,,,\n0,,ego,0,0,,,,,,\n0,,ego,1,1,,,,,,"),
-        "a.txt:4:1: stamp_s = \"0\": has an ego row already, in line 3"
+        own("0.1,7,vehicle,1,2,,,,,,\n0,,ego,0,0,,,,,,\n0,,above,1,1,,,,,,"),
+        "a.txt:4:1: stamp_s = \"0\": has an ego or above row already, in line 3"
     );
 }
 

@@ -11,7 +11,7 @@
 //! | column | | meaning |
 //! |---|---|---|
 //! | `stamp_s` | needed | time of validity in seconds on any clock, to the nanosecond; no exponent |
-//! | `type` | needed | `vehicle`, `cyclist`, `pedestrian`; or `ego`, whose row places the sensor |
+//! | `type` | needed | `vehicle`, `cyclist`, `pedestrian`; or `ego`, whose row places a sensor that can't see past what stands in its way, or `above`, whose row places a view that hides nobody |
 //! | `x_m`, `y_m` | needed | position in a right-handed world frame (z up) whose origin is near: within 32,768 m |
 //! | `id` | | identity, a whole number from 0; where all rows have one the tracker may trust them |
 //! | `heading_rad` | | counter-clockwise from +x |
@@ -78,6 +78,11 @@ enum Told {
     Ego(Ego),
 }
 
+/// The type of the row that places a sensor.
+pub(crate) const EGO: &str = "ego";
+/// The type of the row that places a view from above.
+pub(crate) const ABOVE: &str = "above";
+
 /// Where the columns stand: for each of [`NAMES`] its place in the file.
 struct Header([Option<usize>; NAMES.len()]);
 
@@ -106,7 +111,9 @@ pub fn parse(inputs: &[Input]) -> Result<Recording, ReadError> {
             Told::Seen(detection) => rows.push(&line, stamp_ns, detection)?,
             Told::Ego(ego) => match egos.insert(stamp_ns, (ego, line.number)) {
                 Some((_, first)) => {
-                    return Err(fields[STAMP].error(format!("has an ego row already, in line {first}")));
+                    return Err(
+                        fields[STAMP].error(format!("has an {EGO} or {ABOVE} row already, in line {first}"))
+                    );
                 }
                 None => continue,
             },
@@ -162,12 +169,12 @@ fn told(fields: &[Field<'_>; NAMES.len()]) -> Result<Told, ReadError> {
     check_unused(unused)?;
     let position_m = [x.position_m()?, y.position_m()?];
     let heading_rad = given(heading, Field::angle_rad)?;
-    if kind.text == "ego" {
+    if [EGO, ABOVE].contains(&kind.text) {
         let heading_rad = heading_rad.unwrap_or(0.0);
-        return Ok(Told::Ego(Ego { position_m, heading_rad, is_sensor: true }));
+        return Ok(Told::Ego(Ego { position_m, heading_rad, is_sensor: kind.text == EGO }));
     }
     let agent_type: AgentType =
-        kind.text.parse().map_err(|_| kind.error("expected vehicle, cyclist, pedestrian or ego"))?;
+        kind.text.parse().map_err(|_| kind.error("expected vehicle, cyclist, pedestrian, ego or above"))?;
     let id = given(id, |id| id.id_below(u64::MAX))?;
     let speed_mps = given(speed, Field::speed_mps)?;
     let size = match (given(length, Field::extent_m)?, given(width, Field::extent_m)?) {
