@@ -47,28 +47,15 @@ pub struct Recalled {
     pub probability: Vec<f32>,
 }
 
-/// What is remembered of agents at a scene's time, in their order; nothing without a memory.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub(crate) struct Recalls {
-    /// Of what the recording showed.
-    pub(crate) recalled: Vec<Recall>,
-    /// Of that and what earlier ones showed.
-    pub(crate) revisited: Vec<Recall>,
-}
-
-impl Recalls {
-    fn of(&self, place: usize) -> [Option<&Recall>; 2] {
-        [self.recalled.get(place), self.revisited.get(place)]
-    }
-
-    /// Those of some of the agents.
-    pub(crate) fn take(&mut self, places: &[usize]) -> Self {
-        let take = |recalls: &mut Vec<Recall>| {
-            let taken = places.iter().filter_map(|&place| recalls.get_mut(place).map(std::mem::take));
-            taken.collect()
-        };
-        Self { recalled: take(&mut self.recalled), revisited: take(&mut self.revisited) }
-    }
+/// What the decoder says of an agent.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct Said {
+    /// Of each mode, then of the best forecast where the model has one of its own, step by step.
+    controls: Vec<Vec<ControlGaussian>>,
+    /// Base controls, \[mode, step\], those of the best forecast behind the modes; empty where the model has none.
+    base: Vec<[f32; 2]>,
+    /// The probability of each mode.
+    probability: Vec<f32>,
 }
 
 /// Where modes and a single best forecast lead.
@@ -194,22 +181,31 @@ impl Forecaster {
         wanted: &[usize],
         memory: &mut ForecasterMemory,
     ) -> Vec<Forecast> {
-        self.recall(scene, context, (wanted, &Recalls::default()), memory)
+        let said = self.say(scene, context, wanted, memory);
+        wanted
+            .iter()
+            .zip(&said)
+            .map(|(&agent, said)| self.lead(&scene.agents[agent], said, [None; 2]))
+            .collect()
     }
 
-    /// As [`Forecaster::forecast`], and besides with what memories of the place tell of each wanted agent, if anything.
-    pub(crate) fn recall(
+    /// What the decoder says of each wanted agent, which [`Forecaster::lead`] makes a forecast of.
+    pub(crate) fn say(
         &self,
         scene: &Scene,
         context: impl Fn(usize, usize) -> [f32; CONTEXT_EMBEDDING],
-        (wanted, recalls): (&[usize], &Recalls),
+        wanted: &[usize],
         memory: &mut ForecasterMemory,
-    ) -> Vec<Forecast> {
-        let mut forecasts = vec![None; wanted.len()];
-        self.decode(scene, context, wanted, memory, |place, agent, said| {
-            forecasts[place] = Some(self.move_agent(agent, said, recalls.of(place)));
+    ) -> Vec<Said> {
+        let mut said = vec![None; wanted.len()];
+        self.decode(scene, context, wanted, memory, |place, _, draws| {
+            said[place] = Some(Said {
+                controls: (0..draws.draws_len()).map(|draw| draws.controls(draw).collect()).collect(),
+                base: draws.base.to_vec(),
+                probability: draws.probability.to_vec(),
+            });
         });
-        forecasts.into_iter().flatten().collect()
+        said.into_iter().flatten().collect()
     }
 
     /// As [`Forecaster::forecast`], the controls of each mode as they act instead of where they lead.
@@ -260,34 +256,42 @@ impl Forecaster {
         }
     }
 
-    /// Moves the agent by its controls.
-    fn move_agent(
+    /// The forecast that is said of an agent, and what it becomes by what memories of the place tell, if anything: one of the
+    /// recording alone, and one that began before.
+    pub(crate) fn lead(
         &self,
         agent: &Agent,
-        said: AgentDraws<'_>,
+        said: &Said,
         [recalled, revisited]: [Option<&Recall>; 2],
     ) -> Forecast {
-        let ModelConfig { modes: modes_len, horizon_len, .. } = self.config;
+        let mover = self.mover(agent);
+        let (modes, best) = (&said.controls[..self.config.modes], self.best(said));
+        let base = said.base.chunks_exact(self.config.horizon_len);
+        let mut of_base: Vec<_> = base.map(|controls| mover.follow(controls.iter().copied())).collect();
+        let base = of_base.pop().map(|best| Paths { modes: of_base, best });
+        let gait = if self.config.drives(agent.agent_type) { Gait::Driving } else { Gait::Walking };
+        let with = |recall: &Recall| recalling(gait, &mover, modes, best, &said.probability, recall);
+        let (recalled, revisited) = (recalled.map(with), revisited.map(with));
+        let (modes, covariance) = modes.iter().map(|steps| mover.spread(steps)).unzip();
+        let best = mover.follow(best.iter().map(|control| control.mean));
+        Forecast { modes, probability: said.probability.clone(), covariance, best, base, recalled, revisited }
+    }
+
+    /// Where the single best forecast that is said of an agent leads.
+    pub(crate) fn lead_best(&self, agent: &Agent, said: &Said) -> Vec<Point> {
+        self.mover(agent).follow(self.best(said).iter().map(|control| control.mean))
+    }
+
+    /// The controls of the single best forecast: its own, or those of the likeliest mode.
+    fn best<'a>(&self, said: &'a Said) -> &'a [ControlGaussian] {
+        let likeliest = metrics::most_likely(&said.probability).unwrap_or(0);
+        said.controls.get(self.config.modes).unwrap_or(&said.controls[likeliest])
+    }
+
+    fn mover(&self, agent: &Agent) -> Mover {
         let now = agent.newest().expect("a wanted agent is present");
         let frame = scene::agent_frame(&agent.history).expect("a present agent has a frame");
-        let mover = Mover::new(agent, &now, &frame, &self.config);
-        let controls: Vec<Vec<ControlGaussian>> =
-            (0..said.draws_len()).map(|draw| said.controls(draw).collect()).collect();
-        let base = said.base.chunks_exact(horizon_len);
-        let mut of_base: Vec<_> = base.map(|controls| mover.follow(controls.iter().copied())).collect();
-        let base_forecast = of_base.pop().map(|best| Paths { modes: of_base, best });
-        let best = controls.get(modes_len).map(Vec::as_slice);
-        let likeliest = metrics::most_likely(said.probability).unwrap_or(0);
-        let best_controls = best.unwrap_or(&controls[likeliest]);
-        let best = mover.follow(best_controls.iter().map(|control| control.mean));
-        let gait = if self.config.drives(agent.agent_type) { Gait::Driving } else { Gait::Walking };
-        let with = |recall: &Recall| {
-            recalling(gait, &mover, &controls[..modes_len], best_controls, said.probability, recall)
-        };
-        let (recalled, revisited) = (recalled.map(with), revisited.map(with));
-        let (modes, covariance) = controls[..modes_len].iter().map(|steps| mover.spread(steps)).unzip();
-        let probability = said.probability.to_vec();
-        Forecast { modes, probability, covariance, best, base: base_forecast, recalled, revisited }
+        Mover::new(agent, &now, &frame, &self.config)
     }
 }
 

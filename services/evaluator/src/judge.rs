@@ -7,7 +7,7 @@ use scene::{AgentType, Moment, PlaceMemory, Recall};
 use wire::{CONTEXT_EMBEDDING, HORIZON_MAX};
 
 use crate::baselines::{Baselines, Candidate};
-use crate::forecaster::{Forecast, ForecasterMemory, Recalls};
+use crate::forecaster::{Forecast, ForecasterMemory, Said};
 use crate::maps::{ContextTable, MapInput};
 use crate::{Agent, Forecaster, Method, Scene, Tally, motion, threads};
 
@@ -77,7 +77,7 @@ pub struct Judge<'a> {
 }
 
 /// Scenes that are forecast before the memory of the place goes on.
-const TOGETHER: usize = 128;
+const TOGETHER: usize = 64;
 
 /// The memories of a place that take part.
 struct Memories<'a> {
@@ -87,42 +87,42 @@ struct Memories<'a> {
     visited: Option<&'a mut PlaceMemory>,
 }
 
-impl Memories<'_> {
-    const fn are_none(&self) -> bool {
-        self.fresh.is_none() && self.visited.is_none()
-    }
-}
-
-/// An agent at a moment that can be remembered.
-struct Departing {
+/// An agent of a scene with what is said of it.
+struct Spoken {
     /// Its place in the scene.
-    agent: usize,
-    moment: Moment,
-    /// The single best forecast.
-    forecast: Vec<Point>,
+    place: usize,
+    said: Said,
+    /// The moment that is remembered of it, if any, and the single best forecast.
+    departure: Option<(Moment, Vec<Point>)>,
 }
 
-/// What a memory tells of all agents of a scene, which it then takes in, with those who depart; nothing without a memory.
-fn recall(memory: Option<&mut PlaceMemory>, scene: &Scene, departing: &[Departing]) -> Vec<Recall> {
-    let Some(memory) = memory else { return Vec::new() };
-    let mut recalls = vec![Recall::default(); scene.agents.len()];
+/// What memories tell of an agent: of what the recording showed, and of that and what earlier ones showed.
+type Recalls = [Option<Recall>; 2];
+
+/// What a memory tells of the agents of a scene, in their order, all of which it then takes in; nothing without a memory.
+fn recall(memory: Option<&mut PlaceMemory>, scene: &Scene, spoken: &[Spoken]) -> Vec<Option<Recall>> {
+    let Some(memory) = memory else { return vec![None; spoken.len()] };
     memory.advance(scene.stamp_ns);
     for agent in &scene.agents {
         agent.newest().iter().for_each(|now| memory.observe(agent.id, now.position_m));
     }
-    for Departing { agent, moment, forecast } in departing {
-        let id = scene.agents[*agent].id;
-        memory.recall(id, moment, &mut recalls[*agent]);
-        memory.remember(id, moment, forecast, &recalls[*agent]);
-    }
-    recalls
+    let of_agent = |Spoken { place, departure, .. }: &Spoken| {
+        let mut recall = Recall::default();
+        if let Some((moment, forecast)) = departure {
+            let id = scene.agents[*place].id;
+            memory.recall(id, moment, &mut recall);
+            memory.remember(id, moment, forecast, &recall);
+        }
+        Some(recall)
+    };
+    spoken.iter().map(of_agent).collect()
 }
 
-/// A scene with the agents that are forecast.
+/// A scene with its agents and what is remembered for them.
 struct Case<'a> {
     scene: &'a Scene,
     complete: Vec<usize>,
-    recalls: Recalls,
+    spoken: Vec<(Spoken, Recalls)>,
 }
 
 impl Judge<'_> {
@@ -177,7 +177,7 @@ impl Judge<'_> {
         let table = ContextTable::new(self.forecaster, recording, scenes, map, self.threads);
         let mut memories = Memories { fresh: None, visited: Some(memory) };
         for scenes in scenes.chunks(TOGETHER) {
-            self.recalls(scenes, &table, &mut memories);
+            self.recalls(scenes, &self.spoken(scenes, &table), &mut memories);
         }
         memory.leave();
     }
@@ -189,41 +189,50 @@ impl Judge<'_> {
         table: &ContextTable,
         memories: &mut Memories<'_>,
     ) -> Vec<(i64, Vec<Tally>)> {
-        let mut recalls = self.recalls(scenes, table, memories);
-        let cases = scenes.iter().zip(&mut recalls).map(|(scene, recalls)| {
+        let spoken = self.spoken(scenes, table);
+        let recalls = self.recalls(scenes, &spoken, memories);
+        let cases = scenes.iter().zip(spoken.into_iter().zip(recalls)).map(|(scene, (spoken, recalls))| {
             let complete = self.complete(scene);
-            let recalls = recalls.take(&complete);
-            Case { scene, complete, recalls }
+            let counts = |(spoken, _): &(Spoken, Recalls)| complete.contains(&spoken.place);
+            let spoken = spoken.into_iter().zip(recalls).filter(counts).collect();
+            Case { scene, complete, spoken }
         });
         let cases: Vec<Case<'_>> = cases.filter(|case| !case.complete.is_empty()).collect();
-        let tallies = threads::each(&cases, self.threads, |case, memory| self.scene(case, table, memory));
+        let tallies = threads::each(&cases, self.threads, |case, (): &mut ()| self.scene(case));
         cases.iter().map(|case| case.scene.stamp_ns).zip(tallies).collect()
     }
 
-    /// What memories of the place tell of each agent of each scene: of all who are there, whether they count or not, as far as
-    /// they had gone at the scene's time.
-    fn recalls(&self, scenes: &[Scene], table: &ContextTable, memories: &mut Memories<'_>) -> Vec<Recalls> {
-        if memories.are_none() {
-            return vec![Recalls::default(); scenes.len()];
-        }
-        let config = self.forecaster.config();
-        let departing = |scene: &Scene, memory: &mut ForecasterMemory| {
+    /// What is said of all who are there, in the agents' order, whether they count or not: scene by scene.
+    fn spoken(&self, scenes: &[Scene], table: &ContextTable) -> Vec<Vec<Spoken>> {
+        let of_scene = |scene: &Scene, memory: &mut ForecasterMemory| {
             let present = |&agent: &usize| scene.agents[agent].newest().is_some();
             let wanted: Vec<usize> = (0..scene.agents.len()).filter(present).collect();
             let context = |agent: usize, step: usize| self.context(scene, table, (agent, step));
-            let forecasts = self.forecaster.forecast(scene, context, &wanted, memory);
-            let departing = |(agent, forecast): (usize, Forecast)| {
-                let moment = motion::moment(&scene.agents[agent], config)?;
-                Some(Departing { agent, moment, forecast: forecast.best })
+            let said = self.forecaster.say(scene, context, &wanted, memory);
+            let spoken = |(place, said): (usize, Said)| {
+                let agent = &scene.agents[place];
+                let moment = motion::moment(agent, self.forecaster.config());
+                let departure = moment.map(|moment| (moment, self.forecaster.lead_best(agent, &said)));
+                Spoken { place, said, departure }
             };
-            wanted.into_iter().zip(forecasts).filter_map(departing).collect::<Vec<_>>()
+            wanted.into_iter().zip(said).map(spoken).collect()
         };
-        let departing = threads::each(scenes, self.threads, departing);
-        let of_scene = |(scene, departing): (&Scene, &Vec<Departing>)| Recalls {
-            recalled: recall(memories.fresh.as_mut(), scene, departing),
-            revisited: recall(memories.visited.as_deref_mut(), scene, departing),
+        threads::each(scenes, self.threads, of_scene)
+    }
+
+    /// What memories of the place tell of each agent of each scene, as far as all had gone at the scene's time.
+    fn recalls(
+        &self,
+        scenes: &[Scene],
+        spoken: &[Vec<Spoken>],
+        memories: &mut Memories<'_>,
+    ) -> Vec<Vec<Recalls>> {
+        let of_scene = |(scene, spoken): (&Scene, &Vec<Spoken>)| {
+            let fresh = recall(memories.fresh.as_mut(), scene, spoken);
+            let visited = recall(memories.visited.as_deref_mut(), scene, spoken);
+            fresh.into_iter().zip(visited).map(Recalls::from).collect()
         };
-        scenes.iter().zip(&departing).map(of_scene).collect()
+        scenes.iter().zip(spoken).map(of_scene).collect()
     }
 
     fn context(
@@ -245,15 +254,14 @@ impl Judge<'_> {
     }
 
     /// A tally of the scene for each subset.
-    fn scene(&self, case: &Case<'_>, table: &ContextTable, memory: &mut ForecasterMemory) -> Vec<Tally> {
-        let Case { scene, complete, recalls } = case;
-        let context = |agent: usize, step: usize| self.context(scene, table, (agent, step));
-        let forecasts = self.forecaster.recall(scene, context, (complete, recalls), memory);
-        let judged: Vec<Judged<'_>> = complete
-            .iter()
-            .zip(&forecasts)
-            .map(|(&place, forecast)| self.agent(scene, &scene.agents[place], forecast))
-            .collect();
+    fn scene(&self, case: &Case<'_>) -> Vec<Tally> {
+        let Case { scene, complete, spoken } = case;
+        let judged = |(Spoken { place, said, .. }, recalls): &(Spoken, Recalls)| {
+            let agent = &scene.agents[*place];
+            let forecast = self.forecaster.lead(agent, said, recalls.each_ref().map(Option::as_ref));
+            self.agent(scene, agent, &forecast)
+        };
+        let judged: Vec<Judged<'_>> = spoken.iter().map(judged).collect();
         let tally = |subset: &Subset| {
             let members = subset.of(scene, complete);
             let members: Vec<&Judged<'_>> = complete

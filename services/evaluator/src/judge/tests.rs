@@ -14,7 +14,7 @@ fn footage(forecaster: &Forecaster, seed: u64, frames: usize) -> (Recording, Vec
 }
 
 /// What is recalled at each scene of a recording that ends after so many frames, another one having come before.
-fn recalled(forecaster: &Forecaster, frames: usize) -> Vec<(i64, Recalls)> {
+fn recalled(forecaster: &Forecaster, frames: usize) -> Vec<(i64, Vec<Recalls>)> {
     let (recording, scenes) = footage(forecaster, 3, frames);
     let baselines = Baselines::fit(std::iter::empty(), &Cut::of(forecaster.config()), 1);
     let judge =
@@ -24,7 +24,7 @@ fn recalled(forecaster: &Forecaster, frames: usize) -> Vec<(i64, Recalls)> {
     let (before, scenes_before) = footage(forecaster, 4, 400);
     judge.visit(&before, &scenes_before, MapInput::None, &mut visited);
     let mut memories = Memories { fresh: judge.memory(), visited: Some(&mut visited) };
-    let recalls = judge.recalls(&scenes, &table, &mut memories);
+    let recalls = judge.recalls(&scenes, &judge.spoken(&scenes, &table), &mut memories);
     scenes.iter().map(|scene| scene.stamp_ns).zip(recalls).collect()
 }
 
@@ -34,10 +34,12 @@ fn what_comes_later_is_not_recalled() {
     let (short, long) = (recalled(&forecaster, 500), recalled(&forecaster, 700));
     assert!(short.len() > 60 && long.len() > short.len());
     assert!(short.iter().zip(&long).all(|(short, long)| short == long));
-    let told = |of: fn(&Recalls) -> &Vec<Recall>| {
-        short.iter().flat_map(|(_, recalls)| of(recalls)).filter(|recall| !recall.is_empty()).count()
+    let told = |memory: usize| {
+        let recalls =
+            short.iter().flat_map(|(_, recalls)| recalls).filter_map(|recalls| recalls[memory].as_ref());
+        recalls.filter(|recall| !recall.is_empty()).count()
     };
-    let (fresh, visited) = (told(|recalls| &recalls.recalled), told(|recalls| &recalls.revisited));
+    let [fresh, visited] = [0, 1].map(told);
     assert!(fresh > 100, "{fresh} of the agents were told something");
     assert!(visited > fresh + 100, "{visited} where another recording came before, {fresh} without");
 }
