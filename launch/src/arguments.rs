@@ -6,6 +6,7 @@ use clap::Args;
 use config::{Association, MapChoice, Prior, Run, Scene};
 use data::Format;
 use nn::Weights;
+use rustix::fs::Access;
 use scene::PlaceMemory;
 use source::{Playback, PlaybackOptions};
 
@@ -51,13 +52,20 @@ pub struct TrackerArguments {
 /// What is remembered of the place.
 #[derive(Clone, Debug, Args)]
 pub struct PlaceArguments {
-    /// Recall at each place how those who came by before departed from their forecasts [default: the pipeline file's, else not]
+    /// Recall at each place how those who came by before departed from their forecasts
     #[arg(long)]
     recall: bool,
-    /// Recall, beginning with the memory in this file, if there is one, and keep it there in the end [default: the pipeline
-    /// file's, else none]
+    /// Recall, beginning with the memory in this file, if there is one, and keep it there in the end
     #[arg(long, value_name = "FILE")]
     memory: Option<PathBuf>,
+}
+
+/// Where a memory is kept, and what is in it.
+pub struct KeptMemory {
+    /// The file.
+    pub path: PathBuf,
+    /// Moments that it begins with.
+    pub moments_len: usize,
 }
 
 impl PlaceArguments {
@@ -67,16 +75,21 @@ impl PlaceArguments {
     }
 
     /// Where its memory is kept: the file asked for, else the pipeline's. One that is there is opened to see that it is of these
-    /// weights, one that is not has a folder to be written to.
-    pub fn memory(&self, pipeline: Option<&Path>, weights: &Weights) -> Result<Option<PathBuf>, Failure> {
+    /// weights; one that is not must have a folder that can be written to.
+    pub fn memory(&self, pipeline: Option<&Path>, weights: &Weights) -> Result<Option<KeptMemory>, Failure> {
         let Some(path) = self.memory.as_deref().or(pipeline) else { return Ok(None) };
         let path = std::path::absolute(path).map_err(|error| Failure::file(path, &error))?;
-        if path.exists() {
-            PlaceMemory::load(&path, weights.sha256()).map_err(Failure::data)?;
-        } else if let Some(folder) = path.parent() {
-            folder.metadata().map_err(|error| Failure::file(folder, &error))?;
+        let mut moments_len = 0;
+        if path.try_exists().map_err(|error| Failure::file(&path, &error))? {
+            let config = weights.config();
+            let steps = (config.horizon_len, config.step_ns());
+            let memory = PlaceMemory::load(&path, weights.sha256(), steps).map_err(Failure::data)?;
+            moments_len = memory.moments_len();
         }
-        Ok(Some(path))
+        let folder = path.parent().unwrap_or(&path);
+        let access = rustix::fs::access(folder, Access::WRITE_OK | Access::EXEC_OK);
+        access.map_err(|error| Failure::file(folder, &error.into()))?;
+        Ok(Some(KeptMemory { path, moments_len }))
     }
 }
 
@@ -138,7 +151,7 @@ impl PlaybackArguments {
             prior: self.tracker.prior.unwrap_or_default(),
             association: self.tracker.association.unwrap_or_default(),
             recall: self.place.recalls(),
-            memory: self.place.memory(None, &weights)?,
+            memory: self.place.memory(None, &weights)?.map(|kept| kept.path),
             weights: weights_path,
             model: weights.config().clone(),
             map: self.model.map.clone().unwrap_or(MapChoice::Online),

@@ -12,6 +12,8 @@ use crate::failure::{Failure, StageDeath};
 
 /// Time that the stages have to end once they are asked to.
 const END_LIMIT: Duration = Duration::from_secs(3);
+/// The same where a memory of the place is to be written.
+const MEMORY_LIMIT: Duration = Duration::from_secs(20);
 /// Time between looks at processes that are about to end.
 const LOOK: Duration = Duration::from_millis(5);
 
@@ -20,13 +22,15 @@ const LOOK: Duration = Duration::from_millis(5);
 pub struct Fleet {
     children: Vec<Child>,
     lines: Receiver<Line>,
+    end_limit: Duration,
 }
 
 impl Fleet {
     /// Starts all stages of a pipeline.
     pub fn start(pipeline: &Pipeline, run: &Run, record: &Path) -> Result<Self, Failure> {
         let (sender, lines) = channel();
-        let mut fleet = Self { children: Vec::new(), lines };
+        let end_limit = if run.memory.is_some() { MEMORY_LIMIT } else { END_LIMIT };
+        let mut fleet = Self { children: Vec::new(), lines, end_limit };
         for stage in &pipeline.stages {
             fleet.children.push(Child::start(stage.id, stage.command.as_deref(), run, record, &sender)?);
         }
@@ -65,13 +69,22 @@ impl Fleet {
         let start = Instant::now();
         let running = |children: &mut Vec<Child>| children.iter_mut().any(|child| child.ended().is_none());
         while running(&mut self.children) {
-            if start.elapsed() > END_LIMIT {
+            if start.elapsed() > self.end_limit {
                 for child in &mut self.children {
                     child.signal(Signal::KILL);
                 }
             }
             std::thread::sleep(LOOK);
         }
+    }
+}
+
+impl Fleet {
+    /// What a stage that was asked to end says, where it did not end well.
+    pub fn failure(&mut self, stage: StageId) -> Option<StageDeath> {
+        let child = self.children.iter_mut().find(|child| child.stage == stage)?;
+        let status = child.ended().filter(|status| !status.success())?;
+        Some(child.death(status))
     }
 }
 

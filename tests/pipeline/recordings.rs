@@ -1,7 +1,7 @@
 //! Recordings: `predict` in one process and `run` in eight write the same bytes, whatever the settings.
 
 use crate::scratch::{Scratch, public_recording};
-use crate::started::{run, run_well, stderr, stdout};
+use crate::started::{Started, run, run_well, stderr, stdout, stgdat};
 
 /// Plays a recording with the same arguments through one process twice and through a lockstep run; all must write the
 /// same. Returns it.
@@ -103,4 +103,31 @@ fn a_memory_that_cannot_be_used_is_refused_before_anything_runs() {
         }
     }
     assert_eq!(scratch.read("a.memory"), b"x,y\n", "it stays as it was");
+}
+
+#[test]
+fn a_memory_that_cannot_be_kept_is_told_after_the_report() {
+    let scratch = Scratch::new("unkept-memory");
+    let recording = scratch.recording("scene.csv", 60);
+    std::fs::create_dir(scratch.path("gone")).expect("a scratch folder");
+    let (memory, report) = (scratch.path("gone/a.memory"), scratch.path("report.json"));
+    let mut run = stgdat();
+    run.args(["run", "--recording", &recording, "--quiet", "--memory", &memory, "--report", &report]);
+    let started = Started::spawn(&mut run);
+    // Five seconds of playing: the launcher has long looked at the folder.
+    std::thread::sleep(std::time::Duration::from_secs(3));
+    std::fs::remove_dir(scratch.path("gone")).expect("still empty");
+    let output = started.output();
+    assert!(!output.status.success());
+    assert!(stderr(&output).contains("gone/a.memory: No such file"), "{}", stderr(&output));
+    assert!(!scratch.read("report.json").is_empty(), "the run itself went well");
+}
+
+#[test]
+fn a_memory_without_forecasts_is_no_use() {
+    let scratch = Scratch::new("useless-memory");
+    let recording = scratch.recording("scene.csv", 5);
+    let output =
+        run(&["track", &recording, "--tracker.prior", "kinematic", "--memory", &scratch.path("a.memory")]);
+    assert_eq!(output.status.code(), Some(2), "{}", stderr(&output));
 }

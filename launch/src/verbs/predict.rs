@@ -1,9 +1,10 @@
 use std::io::ErrorKind;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use clap::Args;
 use config::Exit;
 use recorder::{ForecastWriter, is_standard_output};
+use source::Playback;
 
 use crate::arguments::PlaybackArguments;
 use crate::chain::Chain;
@@ -23,26 +24,30 @@ pub struct Arguments {
 pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
     let (mut playback, run) = arguments.playback.start()?;
     let mut chain = Chain::new(&run)?;
-    let written = |error: std::io::Error| Failure::output(&arguments.out, &error);
-    let mut writer = ForecastWriter::create(&arguments.out).map_err(written)?;
+    let played = play(&arguments.out, &mut playback, &mut chain);
+    let kept = chain.keep_memory(&run);
+    played?;
+    kept.map(|()| Exit::Done)
+}
+
+/// Writes the forecasts of all ticks.
+fn play(out: &Path, playback: &mut Playback, chain: &mut Chain) -> Result<(), Failure> {
+    let written = |error: std::io::Error| Failure::output(out, &error);
+    let mut writer = ForecastWriter::create(out).map_err(written)?;
     let (mut ticks, mut forecasts_len) = (0_u64, 0_u64);
     while let Some(tick) = playback.next_tick() {
         let (header, forecasts) = chain.tick(&tick.header, tick.detections, |_| ());
         match writer.write(&header, forecasts) {
             // The reader of a pipe has seen enough.
-            Err(error) if error.kind() == ErrorKind::BrokenPipe => {
-                chain.keep_memory(&run)?;
-                return Ok(Exit::Done);
-            }
+            Err(error) if error.kind() == ErrorKind::BrokenPipe => return Ok(()),
             result => result.map_err(written)?,
         }
         ticks += 1;
         forecasts_len += forecasts.len() as u64;
     }
-    chain.keep_memory(&run)?;
     writer.finish().map_err(written)?;
-    if !is_standard_output(&arguments.out) {
-        println!("{ticks} ticks, {forecasts_len} forecasts: {}", arguments.out.display());
+    if !is_standard_output(out) {
+        println!("{ticks} ticks, {forecasts_len} forecasts: {}", out.display());
     }
-    Ok(Exit::Done)
+    Ok(())
 }

@@ -11,7 +11,7 @@ use source::{Playback, PlaybackOptions};
 use wire::StageId;
 
 use crate::arguments::{ModelArguments, PlaceArguments, SceneArguments, TrackerArguments};
-use crate::failure::Failure;
+use crate::failure::{Failure, StageDeath};
 use crate::fleet::Fleet;
 use crate::pipeline_file;
 use crate::watch::Watch;
@@ -76,6 +76,10 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
 
     let tracker = options(&pipeline, StageId::Tracker);
     let sampler = options(&pipeline, StageId::Sampler);
+    let recall = arguments.place.recalls() || sampler.recall.unwrap_or_default() || sampler.memory.is_some();
+    let memory = arguments.place.memory(sampler.memory.as_deref(), &weights)?;
+    let memory_moments = memory.as_ref().map(|kept| kept.moments_len as u64);
+    let info = RunInfo { recalls: Some(recall), memory_moments, ..info };
     let run_id = random_id()?;
     let space = Space::create(run_id, SHARED_BYTES)?;
     let run = Run {
@@ -90,8 +94,8 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
         associate: arguments.tracker.associate,
         prior: arguments.tracker.prior.or(tracker.prior).unwrap_or_default(),
         association: arguments.tracker.association.or(tracker.association).unwrap_or_default(),
-        recall: arguments.place.recalls() || sampler.recall.unwrap_or_default() || sampler.memory.is_some(),
-        memory: arguments.place.memory(sampler.memory.as_deref(), &weights)?,
+        recall,
+        memory: memory.map(|kept| kept.path),
         weights: weights_path,
         model: weights.config().clone(),
         map: map(&arguments.model, &pipeline)?,
@@ -102,22 +106,23 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
     let live = live_options(&run, &info, playback.ticks_len());
     drop((playback, weights));
 
-    let exit = supervise(&pipeline, &run, &stop, live, arguments.quiet)?;
+    let (exit, unkept) = supervise(&pipeline, &run, &stop, live, arguments.quiet)?;
     // Where a signal broke the run off, the report tells of what there was: nothing, if the recorder had not begun.
     if exit == Exit::Done || run.report.exists() {
         report(arguments, &run, info)?;
     }
-    Ok(exit)
+    unkept.map_or(Ok(exit), |death| Err(death.into()))
 }
 
-/// Starts the stages, follows them to the end of the scene, and ends them.
+/// Starts the stages, follows them to the end of the scene, and ends them. Tells of a sampler that could not keep its memory of
+/// the place.
 fn supervise(
     pipeline: &Pipeline,
     run: &Run,
     stop: &Stop,
     live: LiveOptions,
     quiet: bool,
-) -> Result<Exit, Failure> {
+) -> Result<(Exit, Option<StageDeath>), Failure> {
     let record = run.root.join("run");
     run.write(&record).map_err(|error| Failure::Config(error.to_string()))?;
     let mut watch = Watch::open(run, live, quiet)?;
@@ -143,8 +148,9 @@ fn supervise(
         }
     };
     fleet.end();
+    let unkept = run.memory.is_some().then(|| fleet.failure(StageId::Sampler)).flatten();
     watch.close(fleet.lines());
-    outcome
+    outcome.map(|exit| (exit, unkept))
 }
 
 /// Completes the recorder's report, prints it, and writes it where that is asked for.

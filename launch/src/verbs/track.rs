@@ -6,6 +6,7 @@ use config::Exit;
 use data::formats::kitti::WorldFromCamera;
 use data::{TrackFormat, TrackRows, TrackWriter};
 use recorder::{WholeFile, is_standard_output};
+use source::Playback;
 
 use crate::arguments::PlaybackArguments;
 use crate::failure::Failure;
@@ -22,8 +23,8 @@ pub struct Arguments {
     /// csv: our own format of recordings, so that tracks can be played again: stamp_s, id, type, x_m, y_m, heading_rad, speed_mps,
     /// length_m, width_m, score (probability that the object exists), vx_mps, vy_mps, status (confirmed or coasting), unseen_s (since
     /// the last detection), xx_m2, xy_m2, yy_m2 (covariance of the position), prior (what moved the state: learned, held or
-    /// kinematic), prior_age_s (since the forecast was made); an `ego` row per frame, or `above`
-    /// where nobody hides another.
+    /// kinematic), prior_age_s (since the forecast was made); a row of type `ego` per
+    /// frame, or `above` where nobody hides another.
     ///
     /// kitti: frame id type truncated occluded alpha x1 y1 x2 y2 h w l x y z rot_y score, in the camera frame, of KITTI recordings alone.
     /// Unknown are truncation, occlusion and the box in the image (-1) and the height (a usual one, on the plane the car stands on).
@@ -40,29 +41,38 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
     let rows = rows(arguments.written_as, &arguments.playback.path()?)?;
     let (mut playback, run) = arguments.playback.start()?;
     let mut tracking = Tracking::new(&run)?;
-    let written = |error: std::io::Error| Failure::output(&arguments.out, &error);
-    let file = WholeFile::create(&arguments.out).map_err(written)?;
+    let played = play(&arguments.out, rows, &mut playback, &mut tracking);
+    let kept = tracking.keep_memory(&run);
+    played?;
+    kept.map(|()| Exit::Done)
+}
+
+/// Writes the tracks of all ticks.
+fn play(
+    out: &Path,
+    rows: TrackRows,
+    playback: &mut Playback,
+    tracking: &mut Tracking,
+) -> Result<(), Failure> {
+    let written = |error: std::io::Error| Failure::output(out, &error);
+    let file = WholeFile::create(out).map_err(written)?;
     let mut writer = TrackWriter::new(file, rows).map_err(written)?;
     let (mut ticks, mut tracks_len) = (0_u64, 0_u64);
     while let Some(tick) = playback.next_tick() {
         let tracks = tracking.tick(&tick.header, tick.detections);
         match writer.write(&tick.header, tracks) {
             // The reader of a pipe has seen enough.
-            Err(error) if error.kind() == ErrorKind::BrokenPipe => {
-                tracking.keep_memory(&run)?;
-                return Ok(Exit::Done);
-            }
+            Err(error) if error.kind() == ErrorKind::BrokenPipe => return Ok(()),
             result => result.map_err(written)?,
         }
         ticks += 1;
         tracks_len += tracks.len() as u64;
     }
-    tracking.keep_memory(&run)?;
     writer.finish().and_then(WholeFile::finish).map_err(written)?;
-    if !is_standard_output(&arguments.out) {
-        println!("{ticks} ticks, {tracks_len} tracks: {}", arguments.out.display());
+    if !is_standard_output(out) {
+        println!("{ticks} ticks, {tracks_len} tracks: {}", out.display());
     }
-    Ok(Exit::Done)
+    Ok(())
 }
 
 /// The format of the rows, with what it takes from beside the recording.

@@ -101,10 +101,11 @@ impl Rules<'_> {
         footage: &Footage,
         map: MapInput<'_>,
     ) -> Vec<Block> {
-        self.by(model, baselines).recording(&footage.recording, &footage.scenes, map)
+        self.judge_with(model, baselines).recording(&footage.recording, &footage.scenes, map)
     }
 
-    fn by<'a>(&'a self, model: &'a Model, baselines: &'a Baselines) -> Judge<'a> {
+    /// The judge of a model by these rules.
+    fn judge_with<'a>(&'a self, model: &'a Model, baselines: &'a Baselines) -> Judge<'a> {
         Judge {
             forecaster: &model.forecaster,
             baselines,

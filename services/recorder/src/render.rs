@@ -67,6 +67,13 @@ impl Report {
             });
             fact(text, "weights", &[run.weights.clone(), hash, seen])?;
         }
+        if run.recalls == Some(true) {
+            let began = match run.memory_moments.filter(|&len| len > 0) {
+                Some(len) => format!("began with {} moments of earlier runs", count(len)),
+                None => "began with nothing".to_owned(),
+            };
+            fact(text, "memory", &[Some(began)])?;
+        }
         let rate = run.interval_ms.map(|ms| format!("{} Hz", trimmed(1e3 / ms)));
         let thinned = run.thinned_by.filter(|&n| n > 1).map(|n| format!("1 frame in {n} of the recording"));
         let time = run.played_s.zip(run.elapsed_s).map(|(played_s, elapsed_s)| match run.lockstep {

@@ -87,6 +87,10 @@ pub struct RunInfo {
     pub weights: Option<String>,
     /// SHA-256 of the weights.
     pub weights_sha256: Option<String>,
+    /// Whether forecasts recall how others went on at the same place.
+    pub recalls: Option<bool>,
+    /// Moments that the memory of the place began with, where one was kept: they may be of this recording.
+    pub memory_moments: Option<u64>,
     /// Seed of the run.
     pub seed: Option<u64>,
     /// `real` or `max`.

@@ -16,7 +16,7 @@ use crate::{Propagation, SamplerOptions, kinematic};
 pub struct Sampler {
     options: SamplerOptions,
     held: HeldForecasts,
-    /// None where nothing is to be recalled, or nothing was forecast yet.
+    /// None where nothing is to be recalled, or no tick came yet.
     recalling: Option<Recalling>,
 }
 
@@ -54,7 +54,7 @@ impl Sampler {
         self.recalling = Some(Recalling::new(memory, self.options.horizon_len));
     }
 
-    /// What is remembered of the place; none where nothing is to be recalled, or nothing was forecast yet.
+    /// What is remembered of the place; none where nothing is to be recalled, or no tick came yet.
     #[must_use]
     pub fn memory(&self) -> Option<&PlaceMemory> {
         self.recalling.as_ref().map(Recalling::memory)

@@ -17,9 +17,10 @@ const DEADLINE_MS: f64 = 72.0;
 /// [`StageError`] where that memory can't be used.
 pub fn open(run: &Run) -> Result<Sampler, StageError> {
     let mut sampler = Sampler::new(options(run));
-    if let Some(path) = run.memory.as_deref().filter(|path| path.exists()) {
+    if let Some(path) = run.memory.as_deref().filter(|path| run.recall && path.exists()) {
         let weights = run.open_weights().map_err(StageError::data)?;
-        sampler.recall(PlaceMemory::load(path, weights.sha256()).map_err(StageError::data)?);
+        let steps = (run.model.horizon_len, run.model.step_ns());
+        sampler.recall(PlaceMemory::load(path, weights.sha256(), steps).map_err(StageError::data)?);
     }
     Ok(sampler)
 }

@@ -1,7 +1,7 @@
 //! Files of what is known of a place: safetensors, written whole or not at all.
 
 use std::fs::{self, File};
-use std::io::{self, Write};
+use std::io::{self, Read, Write};
 use std::path::{Path, PathBuf};
 
 use safetensors::tensor::{Dtype, SafeTensorError, TensorView};
@@ -28,6 +28,16 @@ pub enum FileError {
         /// What is wrong with it.
         source: SafeTensorError,
     },
+    /// The file remembers forecasts of other weights.
+    #[error("{}: remembers forecasts of the weights {found}, not of {expected}", path.display())]
+    OtherWeights {
+        /// The file.
+        path: PathBuf,
+        /// Beginning of their SHA-256.
+        found: String,
+        /// The same of those that are in use.
+        expected: String,
+    },
     /// The file's tensors do not make what it should hold.
     #[error("{}: not a {what}: {reason}", path.display())]
     Content {
@@ -42,20 +52,21 @@ pub enum FileError {
 
 /// A file, and what it should hold.
 #[derive(Clone, Copy)]
-pub(crate) struct Place<'a> {
+pub(crate) struct Target<'a> {
     pub(crate) path: &'a Path,
     pub(crate) what: &'static str,
 }
 
-impl Place<'_> {
-    /// Writes the file, all of it or nothing: a reader never meets half of it.
+impl Target<'_> {
+    /// Writes the file, all of it or nothing: a reader never meets half of it. Of a link the target is written; the link stays.
     pub(crate) fn write(self, bytes: &[u8]) -> Result<(), FileError> {
-        let mut partial = self.path.as_os_str().to_owned();
-        partial.push(".partial");
-        let partial = PathBuf::from(partial);
+        let path = fs::canonicalize(self.path).unwrap_or_else(|_| self.path.to_owned());
+        let mut partial = path.clone().into_os_string();
+        // Two processes that write the same file don't write the same part of it.
+        partial.push(format!(".{}.partial", std::process::id()));
         let written = File::create(&partial)
             .and_then(|mut file| file.write_all(bytes).and_then(|()| file.sync_all()))
-            .and_then(|()| fs::rename(&partial, self.path));
+            .and_then(|()| fs::rename(&partial, path));
         written.map_err(|source| {
             // What is left of a failed attempt helps nobody; the first error is the one to tell.
             let _ = fs::remove_file(&partial);
@@ -65,11 +76,13 @@ impl Place<'_> {
 
     /// Reads the file unless it is larger than it can be.
     pub(crate) fn read(self, bytes_max: u64) -> Result<Vec<u8>, FileError> {
-        let len = fs::metadata(self.path).map_err(|source| self.io(source))?.len();
-        if len > bytes_max {
-            return Err(self.content(format!("{len} bytes, more than the largest has")));
+        let mut bytes = Vec::new();
+        let file = File::open(self.path).map_err(|source| self.io(source))?;
+        file.take(bytes_max + 1).read_to_end(&mut bytes).map_err(|source| self.io(source))?;
+        if bytes.len() as u64 > bytes_max {
+            return Err(self.content(format!("more than {bytes_max} bytes, which the largest has")));
         }
-        fs::read(self.path).map_err(|source| self.io(source))
+        Ok(bytes)
     }
 
     fn io(self, source: io::Error) -> FileError {

@@ -167,6 +167,12 @@ impl PlaceMemory {
         }
     }
 
+    /// Moments that are remembered.
+    #[must_use]
+    pub fn moments_len(&self) -> usize {
+        self.memories.len()
+    }
+
     /// Ends a stay: what is remembered lasts, but time begins anew and nobody who comes is one of those who were there.
     pub fn leave(&mut self) {
         self.traces.clear();
@@ -206,7 +212,7 @@ impl PlaceMemory {
             let UnderWay { stamp_ns, forecast, driven, told, .. } = under_way;
             while memory.driven_len < horizon_len {
                 let step = memory.driven_len;
-                let due_ns = *stamp_ns + step_ns * (step as i64 + 1);
+                let due_ns = stamp_ns.saturating_add(step_ns.saturating_mul(step as i64 + 1));
                 if due_ns > now_ns {
                     return true;
                 }

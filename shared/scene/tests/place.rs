@@ -122,24 +122,91 @@ fn after_a_stay_time_begins_anew_and_everybody_is_somebody_else() {
 
 /// The weights whose forecasts are remembered.
 const WEIGHTS: &str = "0123456789abcdef";
+/// Their steps.
+const STEPS: (usize, u64) = (HORIZON_LEN, STEP_NS);
+
+/// A moment of who drives or walks about the origin, and where it goes in the steps after.
+fn passage() -> impl Strategy<Value = (Moment, Vec<[f32; 2]>)> {
+    let near = || [-9.0_f32..9.0, -9.0_f32..9.0];
+    let driving = (near(), -3.0_f32..3.0, 1.0_f32..9.0, -2.0_f32..2.0, -0.3_f32..0.3).prop_map(
+        |(position_m, heading_rad, speed_mps, acceleration_mps2, turn_rate_radps)| {
+            Moment::Driving(Driving {
+                position_m,
+                heading_rad,
+                speed_mps,
+                acceleration_mps2,
+                turn_rate_radps,
+            })
+        },
+    );
+    let walking = (near(), near())
+        .prop_map(|(position_m, velocity_mps)| Moment::Walking(Walking { position_m, velocity_mps }));
+    (prop_oneof![driving, walking], prop::collection::vec(near(), 0..=HORIZON_LEN))
+}
+
+/// Goes by, one after the other, everybody forecast to stand.
+fn go_by(memory: &mut PlaceMemory, passages: &[(Moment, Vec<[f32; 2]>)]) {
+    let position_m = |moment: &Moment| match moment {
+        Moment::Driving(moment) => moment.position_m,
+        Moment::Walking(moment) => moment.position_m,
+    };
+    let mut now_ns = 0;
+    for ((moment, path), agent) in passages.iter().zip(1..) {
+        now_ns += 10_000_000_000;
+        memory.advance(now_ns);
+        memory.observe(agent, position_m(moment));
+        let recalled = recall(memory, agent, moment);
+        memory.remember(agent, moment, &[position_m(moment); HORIZON_LEN], &recalled);
+        for &to_m in path {
+            now_ns += STEP_NS.cast_signed();
+            memory.advance(now_ns);
+            memory.observe(agent, to_m);
+        }
+    }
+}
 
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(32))]
 
     #[test]
-    fn a_memory_comes_back_from_its_file(agents in 1..20_u64, acceleration in -2.0_f32..2.0, until_s in 0.0_f32..3.0) {
+    fn a_memory_comes_back_from_its_file(passages in prop::collection::vec(passage(), 0..60)) {
         let folder = tempfile::tempdir().unwrap();
         let [path, again] = ["a.memory", "b.memory"].map(|name| folder.path().join(name));
-        let mut memory = after(agents, acceleration, 0.5, until_s);
+        let mut memory = PlaceMemory::new(HORIZON_LEN, STEP_NS);
+        go_by(&mut memory, &passages);
         memory.save(&path, WEIGHTS).unwrap();
         memory.leave();
-        let found = PlaceMemory::load(&path, WEIGHTS).unwrap();
-        for x_m in [0.0, 0.5, -1.2, 40.0] {
-            prop_assert_eq!(recall(&found, 1, &moment(x_m)), recall(&memory, 1, &moment(x_m)));
+        let found = PlaceMemory::load(&path, WEIGHTS, STEPS).unwrap();
+        prop_assert_eq!(found.moments_len(), memory.moments_len());
+        for (moment, _) in &passages {
+            prop_assert_eq!(recall(&found, 1, moment), recall(&memory, 1, moment));
         }
         found.save(&again, WEIGHTS).unwrap();
         prop_assert_eq!(std::fs::read(path).unwrap(), std::fs::read(again).unwrap());
     }
+}
+
+/// Moments at one spot, and over so many that there is no room for all: the newest are kept, and only they are written.
+#[test]
+fn the_oldest_moments_give_way() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("a.memory");
+    let kept = |memory: &PlaceMemory| {
+        memory.save(&path, WEIGHTS).unwrap();
+        PlaceMemory::load(&path, WEIGHTS, STEPS).unwrap().moments_len()
+    };
+    let mut memory = PlaceMemory::new(HORIZON_LEN, STEP_NS);
+    go_by(&mut memory, &vec![(moment(0.5), vec![[1.0, 0.0]; HORIZON_LEN]); 300]);
+    assert_eq!((memory.moments_len(), kept(&memory)), (300, 128));
+    let walk = |number: usize| {
+        let position_m = [(number % 400) as f32 * 5.0, (number / 400) as f32 * 5.0];
+        (Moment::Walking(Walking { position_m, velocity_mps: [1.0, 0.0] }), vec![[0.0; 2]])
+    };
+    memory.leave();
+    go_by(&mut memory, &(0..131_072).map(walk).collect::<Vec<_>>());
+    assert_eq!((memory.moments_len(), kept(&memory)), (131_072, 131_072));
+    assert!(recall(&memory, 0, &moment(0.5)).is_empty(), "what came first is forgotten");
+    assert!(!recall(&memory, 0, &walk(0).0).is_empty());
 }
 
 #[test]
@@ -147,15 +214,20 @@ fn what_is_no_memory_is_refused() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("a.memory");
     after(3, -1.0, 0.5, 3.0).save(&path, WEIGHTS).unwrap();
-    let other = PlaceMemory::load(&path, "fedcba9876543210").unwrap_err().to_string();
+    let other = PlaceMemory::load(&path, "fedcba9876543210", STEPS).unwrap_err().to_string();
     assert!(
-        other.contains("a.memory: not a memory of a place: it remembers forecasts of the weights 0123"),
+        other.contains("a.memory: remembers forecasts of the weights 0123456789ab, not of fedcba987654"),
         "{other}"
+    );
+    let steps = PlaceMemory::load(&path, WEIGHTS, (5, STEP_NS)).unwrap_err().to_string();
+    assert!(
+        steps.contains("its forecasts have 4 steps of 500000000 ns, expected 5 of 500000000 ns"),
+        "{steps}"
     );
     let whole = std::fs::read(&path).unwrap();
     let refused = |bytes: &[u8]| {
         std::fs::write(&path, bytes).unwrap();
-        PlaceMemory::load(&path, WEIGHTS).unwrap_err()
+        PlaceMemory::load(&path, WEIGHTS, STEPS).unwrap_err()
     };
     for bytes in [&whole[..whole.len() - 1], b"x,y\n1,2\n", &[]] {
         assert!(matches!(refused(bytes), FileError::Format { .. }));
@@ -176,8 +248,10 @@ fn what_is_no_memory_is_refused() {
     assert!(broken("memory.skill", &f32::INFINITY.to_le_bytes()).contains("memory.skill[0] is inf"));
     assert!(broken("memory.gait", &[2]).contains("memory.gait[0] is 2, at most 1 allowed"));
     assert!(broken("memory.driven", &[9]).contains("memory.driven[0] is 9, at most 4 allowed"));
+    let [told, squares] = [0.5_f32, -1.0].map(f32::to_le_bytes);
+    assert!(broken("memory.skill", &[told, squares].concat()).contains("memory.skill holds -1"));
     assert!(broken("memory.step_ns", &(-5_i64).to_le_bytes()).contains("memory.step_ns is -5"));
-    let missing = PlaceMemory::load(&folder.path().join("b.memory"), WEIGHTS);
+    let missing = PlaceMemory::load(&folder.path().join("b.memory"), WEIGHTS, STEPS);
     assert!(matches!(missing, Err(FileError::Io { .. })));
 }
 

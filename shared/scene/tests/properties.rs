@@ -189,6 +189,28 @@ fn turn_rates_take_the_short_way_round_and_skip_gaps() {
     near(turn_rates(&[heading(0.1)], 0.5), [0.0, 0.0]);
 }
 
+proptest! {
+    #[test]
+    fn a_patch_ahead_is_the_patch_of_an_agent_there(state in states(1), ahead_m in -20.0_f32..20.0) {
+        let state = state[0];
+        let (sin, cos) = state.heading_rad.sin_cos();
+        let [x, y] = state.position_m;
+        let there = State { position_m: [x + ahead_m * cos, y + ahead_m * sin], ..state };
+        let map = small_map();
+        let mut online = OnlineMap::new();
+        online.observe([0.0; 2], (0..50).map(|i| ([(i % 9) as f32, (i % 7) as f32], [1.0, i as f32 * 0.1])));
+        let cut = |state: &State, ahead_m: f32| {
+            let options = PatchOptions { ahead_m, ..PATCH };
+            let mut patches = vec![0.0; 2 * options.len()];
+            let (fixed, observed) = patches.split_at_mut(options.len());
+            map.patch(state, options, fixed);
+            online.patch(state, options, observed);
+            patches
+        };
+        assert_near(&cut(&state, ahead_m), &cut(&there, 0.0), 2e-3)?;
+    }
+}
+
 #[test]
 fn an_online_map_moves_with_the_ego_and_forgets_what_falls_behind() {
     let mut map = OnlineMap::new();

@@ -1,6 +1,5 @@
 //! INTERACTION: vehicles at roundabouts (RA) and intersections (UI), at sites that training saw and at one it did not.
 
-use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use data::sets::{DataSet, Part};
@@ -102,23 +101,24 @@ impl Protocol<'_> {
         let baselines = fit(training, cut);
         let footage = options.read_part(SET, options.part, cut)?;
         let mut sites: Vec<(String, Vec<Block>)> = Vec::new();
-        let mut memories: BTreeMap<String, Option<PlaceMemory>> = BTreeMap::new();
+        // Recordings come site by site.
+        let mut visited: Option<(String, Option<PlaceMemory>)> = None;
         for footage in &footage {
             let site = site_of(footage);
             let map = (options.map == MapChoice::Site).then(|| map_of(training, &site)).flatten();
             let map = input(options.map, map.as_ref());
-            let judge = rules.by(model, &baselines);
-            let memory = memories.entry(site.clone()).or_insert_with(|| {
+            let judge = rules.judge_with(model, &baselines);
+            if visited.as_ref().is_none_or(|(name, _)| *name != site) {
                 let mut memory = judge.memory();
-                for visited in training.iter().filter(|footage| site_of(footage) == site) {
+                for earlier in training.iter().filter(|footage| site_of(footage) == site) {
                     memory.iter_mut().for_each(|memory| {
-                        judge.visit(&visited.recording, &visited.scenes, map, memory);
+                        judge.visit(&earlier.recording, &earlier.scenes, map, memory);
                     });
                 }
-                memory
-            });
+                visited = Some((site.clone(), memory));
+            }
             // What other recordings of the part show is nobody's to know.
-            let mut memory = memory.clone();
+            let mut memory = visited.as_ref().and_then(|(_, memory)| memory.clone());
             let blocks = judge.revisit(&footage.recording, &footage.scenes, map, memory.as_mut());
             match sites.iter_mut().find(|(name, _)| *name == site) {
                 Some((_, all)) => all.extend(blocks),
@@ -146,7 +146,7 @@ impl Protocol<'_> {
         let baselines = Baselines::fit(others.flat_map(|footage| &footage.scenes), cut, SEED);
         let (mut tests, mut all, mut recordings) = (Vec::new(), Vec::new(), Vec::new());
         let mut name = site.to_owned();
-        let judge = rules.by(model, &baselines);
+        let judge = rules.judge_with(model, &baselines);
         let mut memory = judge.memory();
         for part in [Part::Train, Part::Validation, Part::Test] {
             let of_site = |path: &PathBuf| short(&folder(path)) == site;

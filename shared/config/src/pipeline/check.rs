@@ -169,6 +169,12 @@ fn options(id: StageId, table: &OptionsTable) -> Result<Options, Fault> {
     if let Some(memory) = table.memory.as_ref().filter(|_| id != StageId::Sampler) {
         return foreign(memory.span(), "memory", "sampler");
     }
+    if let (Some(memory), Some(recall)) = (&table.memory, &table.recall)
+        && !recall.get_ref()
+    {
+        let message = "a memory that is not to be recalled".to_owned();
+        return Err(Fault::new(memory.span(), message, "`recall` is false"));
+    }
     if let Some(propagation) = table.propagation.as_ref().filter(|_| id != StageId::Sampler) {
         return foreign(propagation.span(), "propagation", "sampler");
     }

@@ -152,6 +152,8 @@ fn the_samplers_memory_of_places() {
     assert!(error(&tracker).contains("the tracker has no option `recall`"), "{}", error(&tracker));
     let tracker = with("budget_ms = 6", "budget_ms = 6\noptions = { memory = \"a.memory\" }");
     assert!(error(&tracker).contains("the tracker has no option `memory`"), "{}", error(&tracker));
+    let neither = with("deadline_ms = 72", "deadline_ms = 72, recall = false, memory = \"a.memory\"");
+    assert!(error(&neither).contains("a memory that is not to be recalled"), "{}", error(&neither));
 }
 
 #[test]

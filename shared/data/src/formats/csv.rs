@@ -28,8 +28,8 @@
 //! make no part of the recording, so that tracks can be played again as detections with identities.
 //!
 //! Columns stand in any order, those that are not needed may be missing or empty, lines that begin with `#` are
-//! comments, rows stand in any order. All rows of one stamp are a frame that looked for all types; an `ego` row alone
-//! makes a frame in which nothing was seen. Until the first ego row the sensor is taken to stand in the middle of what
+//! comments, rows stand in any order. All rows of one stamp are a frame that looked for all types; an `ego` or `above` row
+//! alone makes a frame in which nothing was seen. Until the first of them the sensor is taken to stand in the middle of what
 //! the first frame saw, from then on where the last one put it.
 
 use std::collections::BTreeMap;

@@ -7,7 +7,7 @@ use safetensors::{SafeTensors, serialize};
 
 use super::{CELLS_MAX, ContextMap};
 use crate::FileError;
-use crate::file::{Place, finite_numbers};
+use crate::file::{Target, finite_numbers};
 
 const DENSITY: &str = "map.density";
 const VELOCITY: &str = "map.velocity";
@@ -21,9 +21,9 @@ impl ContextMap {
     /// # Errors
     /// [`FileError::Io`] where the folder can't be written.
     pub fn save(&self, path: &Path) -> Result<(), FileError> {
-        let place = place(path);
-        let bytes = self.to_bytes().map_err(|source| place.format(source))?;
-        place.write(&bytes)
+        let target = target(path);
+        let bytes = self.to_bytes().map_err(|source| target.format(source))?;
+        target.write(&bytes)
     }
 
     /// Reads a map from a file.
@@ -31,8 +31,8 @@ impl ContextMap {
     /// # Errors
     /// [`FileError`] where the file can't be read, is no map, or holds numbers that no map has.
     pub fn load(path: &Path) -> Result<Self, FileError> {
-        let place = place(path);
-        Self::from_bytes(&place.read(BYTES_MAX)?, place)
+        let target = target(path);
+        Self::from_bytes(&target.read(BYTES_MAX)?, target)
     }
 
     fn to_bytes(&self) -> Result<Vec<u8>, SafeTensorError> {
@@ -53,8 +53,8 @@ impl ContextMap {
         )
     }
 
-    fn from_bytes(bytes: &[u8], place: Place<'_>) -> Result<Self, FileError> {
-        let (format, content) = (|source| place.format(source), |reason| place.content(reason));
+    fn from_bytes(bytes: &[u8], target: Target<'_>) -> Result<Self, FileError> {
+        let (format, content) = (|source| target.format(source), |reason| target.content(reason));
         let tensors = SafeTensors::deserialize(bytes).map_err(format)?;
         let density = tensors.tensor(DENSITY).map_err(format)?;
         let [rows, cols] = density.shape()[..] else {
@@ -77,6 +77,6 @@ impl ContextMap {
     }
 }
 
-const fn place(path: &Path) -> Place<'_> {
-    Place { path, what: "map" }
+const fn target(path: &Path) -> Target<'_> {
+    Target { path, what: "map" }
 }

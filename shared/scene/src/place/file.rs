@@ -16,7 +16,7 @@ use super::moment::COMPONENTS;
 use super::path::{DEPARTURE_MAX, Departures, Skill};
 use super::{Entry, Gait, MOMENTS_MAX, Memory, Moment, PlaceMemory};
 use crate::FileError;
-use crate::file::{Place, finite_numbers, numbers};
+use crate::file::{Target, finite_numbers, numbers};
 
 const GAIT: &str = "memory.gait";
 const MOMENT: &str = "memory.moment";
@@ -25,8 +25,6 @@ const DEPARTURE: &str = "memory.departure";
 const SKILL: &str = "memory.skill";
 const STEP_NS: &str = "memory.step_ns";
 const WEIGHTS: &str = "weights";
-/// Steps of a model are no longer.
-const STEP_MAX_NS: i64 = 10_000_000_000;
 /// The largest memory with a generous header.
 const BYTES_MAX: u64 = (MOMENTS_MAX * (2 + 4 * (COMPONENTS + 2 * HORIZON_MAX)) + (1 << 20)) as u64;
 
@@ -36,19 +34,29 @@ impl PlaceMemory {
     /// # Errors
     /// [`FileError::Io`] where the folder can't be written.
     pub fn save(&self, path: &Path, weights_sha256: &str) -> Result<(), FileError> {
-        let place = place(path);
-        let bytes = self.to_bytes(weights_sha256).map_err(|source| place.format(source))?;
-        place.write(&bytes)
+        let target = target(path);
+        let bytes = self.to_bytes(weights_sha256).map_err(|source| target.format(source))?;
+        target.write(&bytes)
     }
 
-    /// Reads what was remembered during other stays, of forecasts of these weights.
+    /// Reads what was remembered during other stays, of forecasts of these weights, which have so many steps of such a length.
     ///
     /// # Errors
     /// [`FileError`] where the file can't be read, is no memory, is one of other weights' forecasts, or holds numbers that no
     /// memory has.
-    pub fn load(path: &Path, weights_sha256: &str) -> Result<Self, FileError> {
-        let place = place(path);
-        Self::from_bytes(&place.read(BYTES_MAX)?, weights_sha256, place)
+    pub fn load(
+        path: &Path,
+        weights_sha256: &str,
+        (horizon_len, step_ns): (usize, u64),
+    ) -> Result<Self, FileError> {
+        let target = target(path);
+        let memory = Self::from_bytes(&target.read(BYTES_MAX)?, weights_sha256, target)?;
+        if (memory.horizon_len, memory.step_ns) == (horizon_len, step_ns.cast_signed()) {
+            return Ok(memory);
+        }
+        let (found_len, found_ns) = (memory.horizon_len, memory.step_ns);
+        let expected = format!("expected {horizon_len} of {step_ns} ns");
+        Err(target.content(format!("its forecasts have {found_len} steps of {found_ns} ns, {expected}")))
     }
 
     fn to_bytes(&self, weights_sha256: &str) -> Result<Vec<u8>, SafeTensorError> {
@@ -78,11 +86,11 @@ impl PlaceMemory {
         )
     }
 
-    fn from_bytes(bytes: &[u8], weights_sha256: &str, place: Place<'_>) -> Result<Self, FileError> {
-        let (format, content) = (|source| place.format(source), |reason| place.content(reason));
+    fn from_bytes(bytes: &[u8], weights_sha256: &str, target: Target<'_>) -> Result<Self, FileError> {
+        let (format, content) = (|source| target.format(source), |reason| target.content(reason));
         let (_, metadata) = SafeTensors::read_metadata(bytes).map_err(format)?;
         let tensors = SafeTensors::deserialize(bytes).map_err(format)?;
-        check_weights(metadata.metadata().as_ref(), weights_sha256).map_err(content)?;
+        check_weights(metadata.metadata().as_ref(), weights_sha256, target)?;
         let tensor = |name| tensors.tensor(name).map_err(format);
         let step_ns = step_ns(&tensor(STEP_NS)?).map_err(content)?;
         let departure = tensor(DEPARTURE)?;
@@ -135,15 +143,20 @@ impl PlaceMemory {
 }
 
 /// Refuses metadata that tell of other weights, or of none.
-fn check_weights(metadata: Option<&HashMap<String, String>>, weights_sha256: &str) -> Result<(), String> {
+fn check_weights(
+    metadata: Option<&HashMap<String, String>>,
+    weights_sha256: &str,
+    target: Target<'_>,
+) -> Result<(), FileError> {
     let Some(weights) = metadata.and_then(|metadata| metadata.get(WEIGHTS)) else {
-        return Err(format!("its metadata lack `{WEIGHTS}`"));
+        return Err(target.content(format!("its metadata lack `{WEIGHTS}`")));
     };
     if weights == weights_sha256 {
         return Ok(());
     }
-    let [theirs, ours] = [weights, weights_sha256].map(|sha256| sha256.chars().take(12).collect::<String>());
-    Err(format!("it remembers forecasts of the weights {theirs}, not of {ours}"))
+    let [found, expected] =
+        [weights, weights_sha256].map(|sha256| sha256.chars().take(12).collect::<String>());
+    Err(FileError::OtherWeights { path: target.path.into(), found, expected })
 }
 
 /// The one number of a tensor, a length of time that steps may have.
@@ -152,8 +165,8 @@ fn step_ns(view: &TensorView<'_>) -> Result<u64, String> {
         return Err(format!("{STEP_NS} is {:?} {:?}, expected I64 [1]", view.dtype(), view.shape()));
     };
     let step_ns = i64::from_le_bytes(bytes);
-    if !(1..=STEP_MAX_NS).contains(&step_ns) {
-        return Err(format!("{STEP_NS} is {step_ns}, expected 1 to {STEP_MAX_NS}"));
+    if step_ns < 1 {
+        return Err(format!("{STEP_NS} is {step_ns}, expected 1 or more"));
     }
     Ok(step_ns.cast_unsigned())
 }
@@ -169,6 +182,6 @@ fn small(name: &str, view: &TensorView<'_>, len: usize, most: u8) -> Result<Vec<
     }
 }
 
-const fn place(path: &Path) -> Place<'_> {
-    Place { path, what: "memory of a place" }
+const fn target(path: &Path) -> Target<'_> {
+    Target { path, what: "memory of a place" }
 }
