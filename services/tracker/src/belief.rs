@@ -237,7 +237,7 @@ impl ForecastTrust {
         self.priors(kinematic, learned)
     }
 
-    fn priors<P>(&self, kinematic: P, learned: P) -> Priors<P> {
+    fn priors<P: Copy>(&self, kinematic: P, learned: P) -> Priors<P> {
         Priors {
             kinematic_weight: self.kinematic_weight,
             covariance_scale: self.covariance_scale,

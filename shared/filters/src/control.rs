@@ -68,10 +68,19 @@ impl Control {
 }
 
 /// A process that known controls drive.
-pub trait Steered<const N: usize>: Process<N> {
+pub trait Steered<const N: usize>: Process<N> + Copy {
     /// As [`Process::step`], under a control.
     #[must_use]
     fn steer(&self, state: &Gaussian<N>, control: &Control, dt_s: f64) -> Gaussian<N>;
+
+    /// This process where only a share of each component of a control acts, and what does not act is left to `unsteered`.
+    ///
+    /// Unless a process says otherwise it is the same whatever acts: the share is then that of a whole forecast, and who set
+    /// the [`Priors`] has seen to it.
+    #[must_use]
+    fn beside(&self, _unsteered: &Self, _acting_share: [f64; 2]) -> Self {
+        *self
+    }
 
     /// The control that drives a forecast's state for the `number`th time; `steps` of `step_s` each are those of one
     /// hypothesis, in axes along `heading_rad`.
@@ -173,6 +182,7 @@ pub(crate) struct Plan {
     heading_rad: f64,
     covariance_scale: f64,
     control_share: [f64; 2],
+    faded_in_s: f64,
     pub horizon_ns: u64,
 }
 
@@ -190,8 +200,16 @@ impl Plan {
         self.heading_rad = forecast.heading_rad;
         self.covariance_scale = priors.covariance_scale;
         self.control_share = priors.control_share;
+        self.faded_in_s = priors.faded_in_s;
         self.horizon_ns = forecast.horizon_ns();
         Ok(())
+    }
+
+    /// Share of each component of the controls that acts at a time since the forecast's start.
+    pub fn acting(&self, time_ns: u64) -> [f64; 2] {
+        // Of a time constant of 0 all of it, at once.
+        let come_in = -(-(time_ns as f64 / 1e9) / self.faded_in_s).exp_m1();
+        self.control_share.map(|share| if self.faded_in_s > 0.0 { share * come_in } else { share })
     }
 
     /// The control of a hypothesis at a time since the forecast's start, by which the process `P` moves.
@@ -203,7 +221,7 @@ impl Plan {
         let steps = &self.steps[hypothesis * self.steps_len..][..self.steps_len];
         let Control { rate: [first, second], density } =
             P::control(steps, number, self.step_ns as f64 / 1e9, self.heading_rad);
-        let [a, b] = self.control_share;
+        let [a, b] = self.acting(time_ns);
         let shares = [a * a, a * b, b * b];
         let scaled = |i: usize| self.covariance_scale * shares[i] * density[i];
         Control { rate: [a * first, b * second], density: [scaled(0), scaled(1), scaled(2)] }

@@ -24,19 +24,41 @@ pub struct Priors<P> {
     pub kinematic: P,
     /// Of the hypotheses: its noise comes on top of that of their controls.
     pub learned: P,
+    /// Of the hypotheses as far as their controls do not act, see [`Steered::beside`].
+    pub unsteered: P,
     /// Weight of the component without a forecast when a forecast comes, within \[0, 1\].
     pub kinematic_weight: f64,
     /// Factor on the covariances of a forecast's controls.
     pub covariance_scale: f64,
     /// Share of each component of a forecast's controls that acts, in the axes of the state.
     pub control_share: [f64; 2],
+    /// Time constant with which that share comes in, as 1 − e^(−t/T) after the state from which a forecast starts; 0 for at once.
+    ///
+    /// At first the state itself knows better how it moves; what it knows is worth less the longer ago it was seen.
+    pub faded_in_s: f64,
 }
 
-impl<P> Priors<P> {
-    /// A kinematic component of weight 0.05, and controls as forecast.
+impl<P: Copy> Priors<P> {
+    /// A kinematic component of weight 0.05, and controls as forecast; what does not act of them is left to `kinematic`.
     #[must_use]
     pub const fn new(kinematic: P, learned: P) -> Self {
-        Self { kinematic, learned, kinematic_weight: 0.05, covariance_scale: 1.0, control_share: [1.0; 2] }
+        Self {
+            kinematic,
+            learned,
+            unsteered: kinematic,
+            kinematic_weight: 0.05,
+            covariance_scale: 1.0,
+            control_share: [1.0; 2],
+            faded_in_s: 0.0,
+        }
+    }
+
+    /// Of the hypotheses where so much of their controls acts.
+    pub(crate) fn steered<const N: usize>(&self, acting_share: [f64; 2]) -> P
+    where
+        P: Steered<N>,
+    {
+        self.learned.beside(&self.unsteered, acting_share)
     }
 
     const fn of<const N: usize>(&self, component: &Component<N>) -> &P {
@@ -143,7 +165,8 @@ impl<P: Steered<N>, const N: usize> Mixture<P, N> {
                         // The control in the middle of the step: a step that ends with a control's time is its own.
                         let middle_ns = self.age_ns + dt_ns * (2 * i + 1) / (2 * steps_len);
                         let control = self.plan.at::<P, N>(hypothesis, middle_ns);
-                        state = self.priors.learned.steer(&state, &control, dt_s);
+                        let process = self.priors.steered(self.plan.acting(middle_ns));
+                        state = process.steer(&state, &control, dt_s);
                     }
                     self.priors.learned.settle(&mut state.mean);
                 }

@@ -145,7 +145,8 @@ impl<P: Steered<N>, const N: usize> Particles<P, N> {
                     None => (&self.priors.kinematic, self.priors.kinematic.step(&from, dt_s)),
                     Some(hypothesis) => {
                         let control = self.plan.at::<P, N>(hypothesis, middle_ns);
-                        (&self.priors.learned, self.priors.learned.steer(&from, &control, dt_s))
+                        let process = self.priors.steered(self.plan.acting(middle_ns));
+                        (&self.priors.learned, process.steer(&from, &control, dt_s))
                     }
                 };
                 particle.state = moved.sample(&mut normal);

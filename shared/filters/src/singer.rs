@@ -28,8 +28,8 @@ pub struct SingerBicycle {
     pub acceleration_mps2: f64,
     /// Deviation σ of the slip rate from what is meant.
     pub slip_rate_radps: f64,
-    /// Time τ in which these die away to 1/e.
-    pub decay_s: f64,
+    /// Times τ in which these two die away to 1/e.
+    pub decay_s: [f64; 2],
 }
 
 impl SingerBicycle {
@@ -63,19 +63,23 @@ impl SingerBicycle {
     ) -> (SVector<f64, 7>, SMatrix<f64, 7, 7>) {
         let meant = Vector2::from(meant);
         let deviation = mean.fixed_rows::<2>(ACCELERATION) - meant;
-        let kept = (-dt_s / self.decay_s).exp();
+        let kept = self.decay_s.map(|decay_s| (-dt_s / decay_s).exp());
         // Share of a deviation in its mean over the step.
-        let share = (1.0 - kept) * self.decay_s / dt_s;
-        let acting = meant + share * deviation;
+        let share = [0, 1].map(|of| (1.0 - kept[of]) * self.decay_s[of] / dt_s);
+        let acting = meant + deviation.component_mul(&Vector2::from(share));
         let planar: SVector<f64, 5> = mean.fixed_rows::<5>(0).into_owned();
         let moved = self.bicycle.moved(&planar, acting.into(), &self.bicycle.over(dt_s));
         let mut next = SVector::<f64, 7>::zeros();
         next.fixed_rows_mut::<5>(0).copy_from(&moved.next);
-        next.fixed_rows_mut::<2>(ACCELERATION).copy_from(&(meant + kept * deviation));
+        next.fixed_rows_mut::<2>(ACCELERATION)
+            .copy_from(&(meant + deviation.component_mul(&Vector2::from(kept))));
         let mut by_state = SMatrix::<f64, 7, 7>::zeros();
         by_state.fixed_view_mut::<5, 5>(0, 0).copy_from(&moved.by_state);
-        by_state.fixed_view_mut::<5, 2>(0, ACCELERATION).copy_from(&(moved.by_control * share));
-        by_state.fixed_view_mut::<2, 2>(ACCELERATION, ACCELERATION).fill_diagonal(kept);
+        by_state.fixed_view_mut::<5, 2>(0, ACCELERATION).copy_from(&moved.by_control);
+        for (of, row) in [ACCELERATION, SLIP_RATE].into_iter().enumerate() {
+            by_state.column_mut(row).scale_mut(share[of]);
+            by_state[(row, row)] = kept[of];
+        }
         (next, by_state)
     }
 }
@@ -109,13 +113,33 @@ impl Steered<7> for SingerBicycle {
         let mut noise = SVector::<f64, 7>::zeros();
         noise.fixed_rows_mut::<5>(0).copy_from(&of_bicycle);
         let [of_acceleration, cross, of_slip_rate] = control.density;
-        let lost = 1.0 - (-2.0 * dt_s / self.decay_s).exp();
-        noise[ACCELERATION] = (self.acceleration_mps2.powi(2) + of_acceleration) * lost;
-        noise[SLIP_RATE] = (self.slip_rate_radps.powi(2) + of_slip_rate) * lost;
+        let lost = |rate_per_s: f64| -(-rate_per_s * dt_s).exp_m1();
+        let [of_first, of_second] = self.decay_s.map(|decay_s| 1.0 / decay_s);
+        noise[ACCELERATION] = (self.acceleration_mps2.powi(2) + of_acceleration) * lost(2.0 * of_first);
+        noise[SLIP_RATE] = (self.slip_rate_radps.powi(2) + of_slip_rate) * lost(2.0 * of_second);
         let mut covariance = state.propagated(&by_state, &noise);
-        covariance[(ACCELERATION, SLIP_RATE)] += cross * lost;
-        covariance[(SLIP_RATE, ACCELERATION)] += cross * lost;
+        let cross = cross * lost(of_first + of_second);
+        covariance[(ACCELERATION, SLIP_RATE)] += cross;
+        covariance[(SLIP_RATE, ACCELERATION)] += cross;
         Gaussian { mean, covariance }
+    }
+
+    /// Between the two in the rates at which deviations die away and in the densities σ² / τ of what drives them: where
+    /// nothing acts it is `unsteered` itself.
+    fn beside(&self, unsteered: &Self, acting_share: [f64; 2]) -> Self {
+        let sigma = |process: &Self| [process.acceleration_mps2, process.slip_rate_radps];
+        let [of_acceleration, of_slip_rate] = [0, 1].map(|of| {
+            let mix = |ours: f64, theirs: f64| theirs + acting_share[of] * (ours - theirs);
+            let decay_s = 1.0 / mix(1.0 / self.decay_s[of], 1.0 / unsteered.decay_s[of]);
+            let density = |process: &Self| sigma(process)[of].powi(2) / process.decay_s[of];
+            ((mix(density(self), density(unsteered)) * decay_s).max(0.0).sqrt(), decay_s)
+        });
+        Self {
+            acceleration_mps2: of_acceleration.0,
+            slip_rate_radps: of_slip_rate.0,
+            decay_s: [of_acceleration.1, of_slip_rate.1],
+            ..*self
+        }
     }
 
     /// The density is here the covariance of the control itself: it widens what the deviations from it are held at.
@@ -150,7 +174,7 @@ mod tests {
         },
         acceleration_mps2: 1.0,
         slip_rate_radps: 0.1,
-        decay_s: 2.0,
+        decay_s: [2.0; 2],
     };
 
     #[test]
@@ -179,7 +203,7 @@ mod tests {
         let (elapsed_s, kept) = (8.0_f64, (-4.0_f64).exp());
         assert!((state.mean[ACCELERATION] - (-1.0 + 4.0 * kept)).abs() < 1e-9);
         // v = 10 − t + 4 τ (1 − e^(−t/τ))
-        let speed_mps = 10.0 - elapsed_s + 4.0 * SINGER.decay_s * (1.0 - kept);
+        let speed_mps = 10.0 - elapsed_s + 4.0 * SINGER.decay_s[0] * (1.0 - kept);
         assert!((state.mean[SPEED] - speed_mps).abs() < 1e-9);
         assert!((state.covariance[(ACCELERATION, ACCELERATION)] - 1.0).abs() < 1e-9);
     }
@@ -195,8 +219,30 @@ mod tests {
         let kept = (-4.0_f64).exp();
         assert!((state.mean[SLIP_RATE] - (-0.02 + 0.07 * kept)).abs() < 1e-9);
         // β = −0.02 t + 0.07 τ (1 − e^(−t/τ))
-        assert!((state.mean[SLIP] - (-0.16 + 0.07 * SINGER.decay_s * (1.0 - kept))).abs() < 1e-9);
+        assert!((state.mean[SLIP] - (-0.16 + 0.07 * SINGER.decay_s[1] * (1.0 - kept))).abs() < 1e-9);
         assert!((state.covariance[(SLIP_RATE, SLIP_RATE)] - 0.01).abs() < 1e-9);
+    }
+
+    /// Between two processes rates and densities are mixed component by component; at both ends it is one of the two.
+    #[test]
+    fn a_share_of_the_controls_leaves_the_rest_to_the_process_beside() {
+        let calm =
+            SingerBicycle { acceleration_mps2: 0.5, slip_rate_radps: 0.2, decay_s: [0.5, 4.0], ..SINGER };
+        let near = |found: &SingerBicycle, meant: &SingerBicycle| {
+            let numbers = |of: &SingerBicycle| {
+                SVector::from([of.acceleration_mps2, of.slip_rate_radps, of.decay_s[0], of.decay_s[1]])
+            };
+            (numbers(found) - numbers(meant)).amax() < 1e-12
+        };
+        assert!(near(&calm.beside(&SINGER, [0.0; 2]), &SINGER));
+        assert!(near(&calm.beside(&SINGER, [1.0; 2]), &calm));
+        // Rates 0.5 and 2 meet at 0.875 per s; densities 1 / 2 and 0.25 / 0.5 are the same.
+        let quarter = SingerBicycle {
+            acceleration_mps2: (0.5_f64 / 0.875).sqrt(),
+            decay_s: [1.0 / 0.875, 2.0],
+            ..SINGER
+        };
+        assert!(near(&calm.beside(&SINGER, [0.25, 0.0]), &quarter));
     }
 
     /// Where a control is unsure, what is driven by it deviates the more.

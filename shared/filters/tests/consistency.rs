@@ -38,7 +38,7 @@ const SINGER: SingerBicycle = SingerBicycle {
     bicycle: Bicycle { acceleration_mps2: 0.2, slip_rate_radps: 0.1, ..BICYCLE },
     acceleration_mps2: 1.5,
     slip_rate_radps: 0.03,
-    decay_s: 2.0,
+    decay_s: [2.0; 2],
 };
 
 /// What is seen of an agent, and how sharply.

@@ -154,6 +154,22 @@ fn half_of_a_control_is_half_a_control() {
     assert_ne!(shared, moved([1.0; 2], [1.5, 0.04], [0.4, 0.04, 0.16]));
 }
 
+/// ∫ a (1 − e^(−t/T)) dt = a (t − T (1 − e^(−t/T)))
+#[test]
+fn controls_come_in_gradually() {
+    let start = Gaussian::new([0.0, 0.0, 0.4, 6.0, 0.0], [0.0; 5]);
+    let priors = Priors { kinematic_weight: 0.0, faded_in_s: 0.8, ..Priors::new(BICYCLE, STEERED) };
+    let mut mixture = Mixture::new(start, priors, 1);
+    mixture.adopt(&forecast(&steady(&[[1.5, 0.0]], [0.0; 3]))).unwrap();
+    for tick in 1..=30 {
+        mixture.predict(TICK_NS).unwrap();
+        let elapsed_s = f64::from(tick) * TICK_NS as f64 / 1e9;
+        let gained_mps = 1.5 * (elapsed_s + 0.8 * (-elapsed_s / 0.8).exp_m1());
+        let found_mps = mixture.moments().mean[3] - 6.0;
+        assert!((found_mps - gained_mps).abs() < 1e-3, "{elapsed_s} s: {found_mps}, not {gained_mps}");
+    }
+}
+
 /// Displacements of a walker who speeds up steadily give back that motion, turned into the world.
 #[test]
 fn a_walker_goes_where_the_forecast_leads() {

@@ -2,9 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use filters::{
-    ControlStep, Filter, Forecast, Gaussian, Kind, Mixture, Observation, Particles, SingerBicycle,
-};
+use filters::{Filter, Forecast, Gaussian, Kind, Mixture, Observation, Particles, SingerBicycle};
 use metrics::tracking::{Consistency, PlanarState, normalised_square};
 use nalgebra::{Matrix2, Vector4};
 use scene::State;
@@ -19,8 +17,6 @@ use crate::Forecaster;
 const COURSE_TOLD_RAD: f64 = 0.3;
 /// See [`COURSE_TOLD_RAD`].
 const COURSE_TOLD_MPS: f64 = 0.5;
-/// Time constant with which a forecast's controls come in.
-const FADED_IN_S: f64 = 1.0;
 /// Particles of a vehicle.
 const PARTICLES: usize = 200;
 /// Degrees of freedom of a position.
@@ -174,8 +170,7 @@ impl Follower<'_> {
         let step_ns = self.forecaster.config().step_ns();
         for (id, hypotheses) in oracle.forecast(stamp_ns, &estimates) {
             let Some(track) = tracks.get_mut(&id) else { continue };
-            let Hypotheses { heading_rad, probability, mut controls } = hypotheses;
-            fade_in(&mut controls, probability.len(), step_ns);
+            let Hypotheses { heading_rad, probability, controls } = hypotheses;
             let forecast =
                 Forecast { age_ns: 0, step_ns, heading_rad, probability: &probability, controls: &controls };
             let priors = |state| self.settings.priors(track.length_m, control_share(state));
@@ -302,19 +297,6 @@ impl Track {
     }
 }
 
-/// Lets the controls of all hypotheses come in gradually: at first the filter's own state knows better.
-fn fade_in(controls: &mut [ControlStep], hypotheses_len: usize, step_ns: u64) {
-    let step_s = step_ns as f64 / 1e9;
-    let steps_len = controls.len() / hypotheses_len.max(1);
-    for steps in controls.chunks_mut(steps_len.max(1)) {
-        for (number, step) in steps.iter_mut().enumerate() {
-            let middle_s = (number as f64 + 0.5) * step_s;
-            let share = 1.0 - (-middle_s / FADED_IN_S).exp();
-            step.mean = step.mean.map(|value| share * value);
-        }
-    }
-}
-
 /// Normalised square of what a measurement tells beyond a prediction.
 fn innovation_squared(predicted: &Gaussian<7>, seen: &Observation) -> Option<f64> {
     let innovation = [0, 1].map(|axis| seen.position_m[axis] - predicted.mean[axis]);
@@ -378,19 +360,6 @@ mod tests {
         let worst_m =
             singer.errors.iter().zip(&learned.errors).map(|(a, b)| (a.position_m - b.position_m).abs());
         assert!(worst_m.fold(0.0, f64::max) > 1e-3);
-    }
-
-    #[test]
-    fn controls_come_in_gradually_in_every_hypothesis() {
-        let step = ControlStep { mean: [2.0, -1.0], cholesky: [0.1, 0.0, 0.1] };
-        let mut controls = [step; 6];
-        fade_in(&mut controls, 2, 400_000_000);
-        assert_eq!(controls[..3], controls[3..]);
-        for (number, faded) in controls[..3].iter().enumerate() {
-            let share = 1.0 - (-(0.2 + 0.4 * number as f64)).exp();
-            assert!((faded.mean[0] - 2.0 * share).abs() < 1e-12 && (faded.mean[1] + share).abs() < 1e-12);
-            assert_eq!(faded.cholesky, step.cholesky);
-        }
     }
 
     #[test]

@@ -2,7 +2,7 @@
 
 use filters::{
     Bicycle, ConstantAcceleration, ConstantTurnRate, ConstantVelocity, Gaussian, Integrator, Kind, Models,
-    Priors, SingerBicycle, Unknown, acting_share, noise_left,
+    Priors, SingerBicycle, Unknown, acting_share,
 };
 
 /// What nobody has observed of a vehicle.
@@ -39,6 +39,8 @@ const REAR_AXLE_RATIO: f32 = 0.26;
 const SLIP_MAX_RAD: f64 = 0.5;
 /// Deviations of speed, m/s, and heading, rad, of which half of a forecast's controls acts: those of the pipeline's tracker.
 const EVEN: [f64; 2] = [0.7, 0.02];
+/// Time constant with which a forecast's controls come in.
+const FADED_IN_S: f64 = 1.0;
 /// Variances added to the bicycle in 80 ms whatever its noise.
 const FLOOR: [f64; 5] = [1e-6, 1e-6, 1e-6, 0.0, 0.0];
 
@@ -89,7 +91,7 @@ impl TrackingMethod {
             Self::Bicycle => &["acceleration, m/s²", "slip rate, rad/s"],
             Self::SingerBicycle => &["acceleration, m/s²", "slip rate, rad/s", "decay, s"],
             Self::Learned => {
-                &["factor on control covariances", "share of the Singer bicycle's noise", "decay, s"]
+                &["share of the Singer bicycle's driving noise", "decay at first, s", "decay once steered, s"]
             }
             Self::LearnedParticles => &[],
         }
@@ -102,7 +104,7 @@ impl TrackingMethod {
             Self::ConstantTurnRate => [2.0, 0.5, 1.0],
             Self::Bicycle => [2.0, 0.2, 1.0],
             Self::SingerBicycle => [1.0, 0.05, 2.0],
-            Self::Learned => [0.2, 0.7, 1.0],
+            Self::Learned => [1.0, 1.5, 0.8],
             Self::LearnedParticles => [1.0; 3],
         }
     }
@@ -156,21 +158,29 @@ impl Settings {
 
     /// The processes of a Singer bicycle with and without forecasts, of which so much of each control acts.
     ///
-    /// What does not act is left to the process without a forecast, its noise and its decay.
+    /// Under a forecast it decays towards what that means, at its own pace once the controls have come in and at another at
+    /// first, both driven by a share (standard deviations) of the white noise that drives the Singer bicycle: its density
+    /// σ² / τ tells how fast a manoeuvre may change, whatever the decay. How unsure a forecast is of its controls is told by the
+    /// spread among its modes; what they are unsure of besides, that noise stands for.
     pub(crate) fn priors(&self, length_m: Option<f32>, control_share: [f64; 2]) -> Priors<SingerBicycle> {
-        let [covariance_scale, noise_share, learned_decay_s] = self.of(TrackingMethod::Learned);
+        let [noise_share, first_decay_s, steered_decay_s] = self.of(TrackingMethod::Learned);
         let [acceleration_mps2, slip_rate_radps, decay_s] = self.of(TrackingMethod::SingerBicycle);
-        let singer = |[of_acceleration, of_slip_rate]: [f64; 2], decay_s: f64| SingerBicycle {
-            bicycle: bicycle(0.0, 0.0, length_m),
-            acceleration_mps2: of_acceleration * acceleration_mps2,
-            slip_rate_radps: of_slip_rate * slip_rate_radps,
-            decay_s,
+        let driven = |share: f64, to_decay_s: f64| {
+            let of_sigma = share * (to_decay_s / decay_s).sqrt();
+            SingerBicycle {
+                bicycle: bicycle(0.0, 0.0, length_m),
+                acceleration_mps2: of_sigma * acceleration_mps2,
+                slip_rate_radps: of_sigma * slip_rate_radps,
+                decay_s: [to_decay_s; 2],
+            }
         };
-        let of_noise = control_share.map(|share| noise_left(share, noise_share));
-        let [share, _] = control_share;
-        let learned_decay_s = 1.0 / (share / learned_decay_s + (1.0 - share) / decay_s);
-        let (kinematic, learned) = (singer([1.0; 2], decay_s), singer(of_noise, learned_decay_s));
-        Priors { covariance_scale, control_share, ..Priors::new(kinematic, learned) }
+        Priors {
+            unsteered: driven(noise_share, first_decay_s),
+            covariance_scale: 0.0,
+            control_share,
+            faded_in_s: FADED_IN_S,
+            ..Priors::new(driven(1.0, decay_s), driven(noise_share, steered_decay_s))
+        }
     }
 }
 
@@ -189,5 +199,25 @@ fn bicycle(acceleration_mps2: f64, slip_rate_radps: f64, length_m: Option<f32>) 
         slip_decay_per_s: 0.0,
         floor: FLOOR,
         slip_max_rad: SLIP_MAX_RAD,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Also where a share of 1 of the noise and its own decay at first are found.
+    #[test]
+    fn where_no_control_acts_the_learned_prior_is_the_singer_bicycle() {
+        let [acceleration_mps2, slip_rate_radps, decay_s] = [0.7, 0.03, 1.6];
+        let settings = Settings::first()
+            .with(TrackingMethod::SingerBicycle, [acceleration_mps2, slip_rate_radps, decay_s])
+            .with(TrackingMethod::Learned, [1.0, decay_s, 0.5]);
+        let priors = settings.priors(Some(4.0), [0.0; 2]);
+        assert_eq!(priors.unsteered, priors.kinematic);
+        assert_eq!(priors.kinematic.decay_s, [decay_s; 2]);
+        // Once steered it decays faster, and is driven as before.
+        let ratio = priors.learned.acceleration_mps2 / acceleration_mps2;
+        assert!((ratio.powi(2) - 0.5 / decay_s).abs() < 1e-12 && priors.learned.decay_s == [0.5; 2]);
     }
 }
