@@ -77,9 +77,7 @@ impl Fleet {
             std::thread::sleep(LOOK);
         }
     }
-}
 
-impl Fleet {
     /// What a stage that was asked to end says, where it did not end well.
     pub fn failure(&mut self, stage: StageId) -> Option<StageDeath> {
         let child = self.children.iter_mut().find(|child| child.stage == stage)?;

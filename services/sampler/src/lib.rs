@@ -11,6 +11,7 @@
 //! The modes of an agent make a mixture; its mean and covariance are told beside them.
 
 mod held;
+mod kept;
 mod kinematic;
 mod learned;
 mod mover;
