@@ -208,27 +208,19 @@ impl Forecaster {
         said.into_iter().flatten().collect()
     }
 
-    /// As [`Forecaster::forecast`], the controls of each mode as they act instead of where they lead.
-    pub(crate) fn steer(
-        &self,
-        scene: &Scene,
-        context: impl Fn(usize, usize) -> [f32; CONTEXT_EMBEDDING],
-        wanted: &[usize],
-        memory: &mut ForecasterMemory,
-    ) -> Vec<Hypotheses> {
-        let mut hypotheses = vec![None; wanted.len()];
-        self.decode(scene, context, wanted, memory, |place, agent, said| {
-            let frame = scene::agent_frame(&agent.history).expect("a wanted agent is present");
-            let now = agent.newest().expect("a wanted agent is present");
-            let mover = Mover::new(agent, &now, &frame, &self.config);
-            let controls = (0..self.config.modes).flat_map(|draw| said.controls(draw));
-            hypotheses[place] = Some(Hypotheses {
-                heading_rad: f64::from(frame.heading_rad),
-                probability: said.probability.iter().map(|&p| f64::from(p)).collect(),
-                controls: controls.map(|control| mover.acting(&control)).collect(),
-            });
-        });
-        hypotheses.into_iter().flatten().collect()
+    /// As [`Forecaster::lead`], the controls of each mode as they act instead of where they lead.
+    pub(crate) fn steer(&self, agent: &Agent, said: &Said, recall: Option<&Recall>) -> Hypotheses {
+        let mover = self.mover(agent);
+        let recalled = recall.map(|recall| self.recalling(agent, &mover, said, recall));
+        let (modes, probability) = match &recalled {
+            Some((modes, probability)) => (&modes[..], probability),
+            None => (&said.controls[..self.config.modes], &said.probability),
+        };
+        Hypotheses {
+            heading_rad: f64::from(mover.heading_rad()),
+            probability: probability.iter().map(|&p| f64::from(p)).collect(),
+            controls: modes.iter().flatten().map(|control| mover.acting(control)).collect(),
+        }
     }
 
     /// Hands out what the decoder says of each wanted agent, by its place among them.
@@ -269,12 +261,54 @@ impl Forecaster {
         let base = said.base.chunks_exact(self.config.horizon_len);
         let mut of_base: Vec<_> = base.map(|controls| mover.follow(controls.iter().copied())).collect();
         let base = of_base.pop().map(|best| Paths { modes: of_base, best });
-        let gait = if self.config.drives(agent.agent_type) { Gait::Driving } else { Gait::Walking };
-        let with = |recall: &Recall| recalling(gait, &mover, modes, best, &said.probability, recall);
+        let with = |recall: &Recall| {
+            let (modes, probability) = self.recalling(agent, &mover, said, recall);
+            let follow = |controls: &Vec<_>| {
+                mover.follow(controls.iter().map(|control: &ControlGaussian| control.mean))
+            };
+            let best = mover.follow(changed(best, &mover.changes(&recall.expected)));
+            Recalled { paths: Paths { modes: modes.iter().map(follow).collect(), best }, probability }
+        };
         let (recalled, revisited) = (recalled.map(with), revisited.map(with));
         let (modes, covariance) = modes.iter().map(|steps| mover.spread(steps)).unzip();
         let best = mover.follow(best.iter().map(|control| control.mean));
         Forecast { modes, probability: said.probability.clone(), covariance, best, base, recalled, revisited }
+    }
+
+    /// The controls of an agent's modes with what the memory of the place tells of it, and their probabilities.
+    ///
+    /// Where a remembered path takes the place of a mode, the deviations of its controls stay.
+    fn recalling(
+        &self,
+        agent: &Agent,
+        mover: &Mover,
+        said: &Said,
+        recall: &Recall,
+    ) -> (Vec<Vec<ControlGaussian>>, Vec<f32>) {
+        let (modes, best) = (&said.controls[..self.config.modes], self.best(said));
+        let of_modes = mover.changes(&recall.expected_of_modes());
+        let means = modes.iter().map(|controls| changed(controls, &of_modes).collect::<Vec<_>>());
+        let likes = recall.likes.iter().map(|like| mover.changes(&like.departures));
+        let means: Vec<_> = means.chain(likes.map(|changes| changed(best, &changes).collect())).collect();
+        let (chosen, probability): (Vec<usize>, Vec<f32>) = if recall.likes.is_empty() {
+            ((0..modes.len()).collect(), said.probability.clone())
+        } else {
+            let path = |means: &Vec<[f32; 2]>| {
+                let path = mover.follow(means.iter().copied());
+                std::array::from_fn(|step| path.get(step).copied().unwrap_or_default())
+            };
+            let paths: Vec<[Point; HORIZON_MAX]> = means.iter().map(path).collect();
+            let gait = if self.config.drives(agent.agent_type) { Gait::Driving } else { Gait::Walking };
+            let weights = recall.likes.iter().map(|like| like.weight);
+            let mut choice = Choice::default();
+            choice.choose(gait, &paths, best.len(), &said.probability, weights);
+            choice.chosen().unzip()
+        };
+        let controls = chosen.iter().zip(modes).map(|(&chosen, own)| {
+            let steps = means[chosen].iter().zip(own);
+            steps.map(|(&mean, own)| ControlGaussian { mean, ..*own }).collect()
+        });
+        (controls.collect(), probability)
     }
 
     /// Where the single best forecast that is said of an agent leads.
@@ -293,37 +327,6 @@ impl Forecaster {
         let frame = scene::agent_frame(&agent.history).expect("a present agent has a frame");
         Mover::new(agent, &now, &frame, &self.config)
     }
-}
-
-/// The forecast of an agent with what the memory of the place tells of it.
-fn recalling(
-    gait: Gait,
-    mover: &Mover,
-    modes: &[Vec<ControlGaussian>],
-    best: &[ControlGaussian],
-    probability: &[f32],
-    recall: &Recall,
-) -> Recalled {
-    let of_modes = mover.changes(&recall.expected_of_modes());
-    let mut paths: Vec<Vec<Point>> =
-        modes.iter().map(|controls| mover.follow(changed(controls, &of_modes))).collect();
-    let expected = mover.follow(changed(best, &mover.changes(&recall.expected)));
-    if recall.likes.is_empty() {
-        let probability = probability.to_vec();
-        return Recalled { paths: Paths { modes: paths, best: expected }, probability };
-    }
-    let likes = recall.likes.iter().map(|like| mover.changes(&like.departures));
-    paths.extend(likes.map(|changes| mover.follow(changed(best, &changes))));
-    let mut choice = Choice::default();
-    let fixed: Vec<[Point; HORIZON_MAX]> = paths
-        .iter()
-        .map(|path| std::array::from_fn(|step| path.get(step).copied().unwrap_or_default()))
-        .collect();
-    let weights = recall.likes.iter().map(|like| like.weight);
-    choice.choose(gait, &fixed, best.len(), probability, weights);
-    let (modes, probability) =
-        choice.chosen().map(|(chosen, probability)| (paths[chosen].clone(), probability)).unzip();
-    Recalled { paths: Paths { modes, best: expected }, probability }
 }
 
 /// Controls with what is added to them at each step.

@@ -3,13 +3,13 @@
 use data::Recording;
 use metrics::{Disc, Limits, Point, collisions, highest_density_level, kde_log_density};
 use nn::ModelConfig;
-use scene::{AgentType, Moment, PlaceMemory, Recall};
-use wire::{CONTEXT_EMBEDDING, HORIZON_MAX};
+use scene::{AgentType, PlaceMemory, Recall};
 
 use crate::baselines::{Baselines, Candidate};
-use crate::forecaster::{Forecast, ForecasterMemory, Said};
+use crate::forecaster::Forecast;
 use crate::maps::{ContextTable, MapInput};
-use crate::{Agent, Forecaster, Method, Scene, Tally, motion, threads};
+use crate::speaker::{Speaker, Spoken, TOGETHER, recall};
+use crate::{Agent, Forecaster, Method, Scene, Tally, threads};
 
 /// Speed from which on an agent counts as moving, at its last observed step.
 pub const MOVING_MPS: f32 = 0.5;
@@ -76,9 +76,6 @@ pub struct Judge<'a> {
     pub threads: usize,
 }
 
-/// Scenes that are forecast before the memory of the place goes on.
-const TOGETHER: usize = 64;
-
 /// The memories of a place that take part.
 struct Memories<'a> {
     /// Of what the recording itself showed.
@@ -87,36 +84,8 @@ struct Memories<'a> {
     visited: Option<&'a mut PlaceMemory>,
 }
 
-/// An agent of a scene with what is said of it.
-struct Spoken {
-    /// Its place in the scene.
-    place: usize,
-    said: Said,
-    /// The moment that is remembered of it, if any, and the single best forecast.
-    departure: Option<(Moment, Vec<Point>)>,
-}
-
 /// What memories tell of an agent: of what the recording showed, and of that and what earlier ones showed.
 type Recalls = [Option<Recall>; 2];
-
-/// What a memory tells of the agents of a scene, in their order, all of which it then takes in; nothing without a memory.
-fn recall(memory: Option<&mut PlaceMemory>, scene: &Scene, spoken: &[Spoken]) -> Vec<Option<Recall>> {
-    let Some(memory) = memory else { return vec![None; spoken.len()] };
-    memory.advance(scene.stamp_ns);
-    for agent in &scene.agents {
-        agent.newest().iter().for_each(|now| memory.observe(agent.id, now.position_m));
-    }
-    let of_agent = |Spoken { place, departure, .. }: &Spoken| {
-        let mut recall = Recall::default();
-        if let Some((moment, forecast)) = departure {
-            let id = scene.agents[*place].id;
-            memory.recall(id, moment, &mut recall);
-            memory.remember(id, moment, forecast, &recall);
-        }
-        Some(recall)
-    };
-    spoken.iter().map(of_agent).collect()
-}
 
 /// A scene with its agents and what is remembered for them.
 struct Case<'a> {
@@ -143,7 +112,7 @@ impl Judge<'_> {
     ) -> Vec<Block> {
         let table = ContextTable::new(self.forecaster, recording, scenes, map, self.threads);
         let config = self.forecaster.config();
-        let mut memories = Memories { fresh: self.memory(), visited };
+        let mut memories = Memories { fresh: self.speaker().memory(), visited };
         let parts = scenes.chunks(TOGETHER).flat_map(|scenes| self.part(scenes, &table, &mut memories));
         let block_ns = config.step_ns() as i64 * (config.history_len + config.horizon_len) as i64;
         let mut blocks: Vec<(i64, Block)> = Vec::new();
@@ -159,27 +128,9 @@ impl Judge<'_> {
         blocks.into_iter().map(|(_, block)| block).collect()
     }
 
-    /// A memory of nothing; none for a model that forecasts farther than the pipeline can carry: it recalls nothing.
-    #[must_use]
-    pub fn memory(&self) -> Option<PlaceMemory> {
-        let config = self.forecaster.config();
-        (config.horizon_len <= HORIZON_MAX).then(|| PlaceMemory::new(config.horizon_len, config.step_ns()))
-    }
-
-    /// Lets a memory take in a recording, as the forecaster would have forecast it, and leave.
-    pub fn visit(
-        &self,
-        recording: &Recording,
-        scenes: &[Scene],
-        map: MapInput<'_>,
-        memory: &mut PlaceMemory,
-    ) {
-        let table = ContextTable::new(self.forecaster, recording, scenes, map, self.threads);
-        let mut memories = Memories { fresh: None, visited: Some(memory) };
-        for scenes in scenes.chunks(TOGETHER) {
-            self.recalls(scenes, &self.spoken(scenes, &table), &mut memories);
-        }
-        memory.leave();
+    /// The model over whole recordings.
+    pub(crate) const fn speaker(&self) -> Speaker<'_> {
+        Speaker { forecaster: self.forecaster, threads: self.threads }
     }
 
     /// The tallies of the scenes, with their stamps, that have an agent to count.
@@ -189,7 +140,7 @@ impl Judge<'_> {
         table: &ContextTable,
         memories: &mut Memories<'_>,
     ) -> Vec<(i64, Vec<Tally>)> {
-        let spoken = self.spoken(scenes, table);
+        let spoken = self.speaker().spoken(scenes, table);
         let recalls = self.recalls(scenes, &spoken, memories);
         let cases = scenes.iter().zip(spoken.into_iter().zip(recalls)).map(|(scene, (spoken, recalls))| {
             let complete = self.complete(scene);
@@ -200,24 +151,6 @@ impl Judge<'_> {
         let cases: Vec<Case<'_>> = cases.filter(|case| !case.complete.is_empty()).collect();
         let tallies = threads::each(&cases, self.threads, |case, (): &mut ()| self.scene(case));
         cases.iter().map(|case| case.scene.stamp_ns).zip(tallies).collect()
-    }
-
-    /// What is said of all who are there, in the agents' order, whether they count or not: scene by scene.
-    fn spoken(&self, scenes: &[Scene], table: &ContextTable) -> Vec<Vec<Spoken>> {
-        let of_scene = |scene: &Scene, memory: &mut ForecasterMemory| {
-            let present = |&agent: &usize| scene.agents[agent].newest().is_some();
-            let wanted: Vec<usize> = (0..scene.agents.len()).filter(present).collect();
-            let context = |agent: usize, step: usize| self.context(scene, table, (agent, step));
-            let said = self.forecaster.say(scene, context, &wanted, memory);
-            let spoken = |(place, said): (usize, Said)| {
-                let agent = &scene.agents[place];
-                let moment = motion::moment(agent, self.forecaster.config());
-                let departure = moment.map(|moment| (moment, self.forecaster.lead_best(agent, &said)));
-                Spoken { place, said, departure }
-            };
-            wanted.into_iter().zip(said).map(spoken).collect()
-        };
-        threads::each(scenes, self.threads, of_scene)
     }
 
     /// What memories of the place tell of each agent of each scene, as far as all had gone at the scene's time.
@@ -233,17 +166,6 @@ impl Judge<'_> {
             fresh.into_iter().zip(visited).map(Recalls::from).collect()
         };
         scenes.iter().zip(spoken).map(of_scene).collect()
-    }
-
-    fn context(
-        &self,
-        scene: &Scene,
-        table: &ContextTable,
-        (agent, step): (usize, usize),
-    ) -> [f32; CONTEXT_EMBEDDING] {
-        let config = self.forecaster.config();
-        let back = (config.history_len - 1 - step) as i64;
-        table.of(scene.agents[agent].id, scene.stamp_ns - back * config.step_ns() as i64)
     }
 
     /// Places of the agents that can count.

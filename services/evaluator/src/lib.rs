@@ -26,6 +26,7 @@ mod protocol;
 mod reference;
 mod report;
 mod scenes;
+mod speaker;
 mod tally;
 mod threads;
 mod tracking;

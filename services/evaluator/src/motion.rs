@@ -89,6 +89,14 @@ impl Mover {
         }
     }
 
+    /// The heading of the axes that controls are told in.
+    pub(crate) fn heading_rad(&self) -> f32 {
+        match self {
+            Self::Vehicle(_, start) => start.mean[2],
+            Self::Walker(motion, _) => motion.heading_rad(),
+        }
+    }
+
     /// What an agent's controls have to be changed by so that its path departs so.
     pub(crate) fn changes(&self, departures: &Departures) -> [[f32; 2]; HORIZON_MAX] {
         match self {

@@ -20,11 +20,11 @@ fn recalled(forecaster: &Forecaster, frames: usize) -> Vec<(i64, Vec<Recalls>)> 
     let judge =
         Judge { forecaster, baselines: &baselines, horizons: &[12], subsets: &[], of_type: None, threads: 2 };
     let table = ContextTable::new(forecaster, &recording, &scenes, MapInput::None, 2);
-    let mut visited = judge.memory().unwrap();
+    let mut visited = judge.speaker().memory().unwrap();
     let (before, scenes_before) = footage(forecaster, 4, 400);
-    judge.visit(&before, &scenes_before, MapInput::None, &mut visited);
-    let mut memories = Memories { fresh: judge.memory(), visited: Some(&mut visited) };
-    let recalls = judge.recalls(&scenes, &judge.spoken(&scenes, &table), &mut memories);
+    judge.speaker().visit(&before, &scenes_before, MapInput::None, &mut visited);
+    let mut memories = Memories { fresh: judge.speaker().memory(), visited: Some(&mut visited) };
+    let recalls = judge.recalls(&scenes, &judge.speaker().spoken(&scenes, &table), &mut memories);
     scenes.iter().map(|scene| scene.stamp_ns).zip(recalls).collect()
 }
 

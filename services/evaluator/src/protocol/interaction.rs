@@ -109,10 +109,10 @@ impl Protocol<'_> {
             let map = input(options.map, map.as_ref());
             let judge = rules.judge_with(model, &baselines);
             if visited.as_ref().is_none_or(|(name, _)| *name != site) {
-                let mut memory = judge.memory();
+                let mut memory = judge.speaker().memory();
                 for earlier in training.iter().filter(|footage| site_of(footage) == site) {
                     memory.iter_mut().for_each(|memory| {
-                        judge.visit(&earlier.recording, &earlier.scenes, map, memory);
+                        judge.speaker().visit(&earlier.recording, &earlier.scenes, map, memory);
                     });
                 }
                 visited = Some((site.clone(), memory));
@@ -126,12 +126,7 @@ impl Protocol<'_> {
             }
         }
         let recordings: Vec<_> = footage.iter().map(|footage| &footage.recording).collect();
-        let told = match options.map {
-            MapChoice::None => "none",
-            MapChoice::Online => "online",
-            MapChoice::Site => "of the site's training recordings",
-        };
-        add_provenance(report, model.provenance("seen", told, &recordings));
+        add_provenance(report, model.provenance("seen", told(options.map), &recordings));
         let judge = |(site, blocks): (String, Vec<Block>)| {
             need_agents(&blocks, &site, cut)?;
             Ok(Judged::new(format!("seen {}", short(&site)), site, &blocks))
@@ -147,7 +142,7 @@ impl Protocol<'_> {
         let (mut tests, mut all, mut recordings) = (Vec::new(), Vec::new(), Vec::new());
         let mut name = site.to_owned();
         let judge = rules.judge_with(model, &baselines);
-        let mut memory = judge.memory();
+        let mut memory = judge.speaker().memory();
         for part in [Part::Train, Part::Validation, Part::Test] {
             let of_site = |path: &PathBuf| short(&folder(path)) == site;
             let paths: Vec<PathBuf> = SET.files(&options.data, part)?.into_iter().filter(of_site).collect();
@@ -294,6 +289,15 @@ pub(super) fn input(choice: MapChoice, site: Option<&ContextMap>) -> MapInput<'_
         (MapChoice::Online, _) => MapInput::Online,
         (MapChoice::Site, Some(site)) => MapInput::Site(site),
         _ => MapInput::None,
+    }
+}
+
+/// What is told of that map.
+pub(super) const fn told(choice: MapChoice) -> &'static str {
+    match choice {
+        MapChoice::None => "none",
+        MapChoice::Online => "online",
+        MapChoice::Site => "of the site's training recordings",
     }
 }
 

@@ -7,6 +7,8 @@ use kinematics::Normals;
 use metrics::tracking::PlanarState;
 use wire::{AgentType, detection_flags};
 
+use super::Place;
+
 /// A vehicle is seen for so long before its first gap, at least, and between two gaps.
 const SEEN_FIRST_S: f64 = 3.0;
 /// See [`SEEN_FIRST_S`].
@@ -39,21 +41,30 @@ pub(crate) struct Seen {
 #[derive(Clone, Debug)]
 pub(crate) struct Instant {
     pub(crate) stamp_ns: i64,
+    /// Where the sensor is.
+    pub(crate) ego_m: [f32; 2],
     pub(crate) agents: Vec<Seen>,
 }
 
 /// Instants in the order of time.
 #[derive(Clone, Debug)]
-pub(crate) struct Course {
+pub(crate) struct Course<'a> {
     pub(crate) sensor: Sensor,
+    /// What is known of the place before.
+    pub(crate) place: &'a Place<'a>,
     pub(crate) instants: Vec<Instant>,
 }
 
-impl Course {
+impl<'a> Course<'a> {
     /// The frames between two times of a recording with identities, as the sensor gives them.
     ///
     /// The true velocity is the central difference of positions: neither late nor smoothed as that of the recording is.
-    pub(crate) fn new(recording: &Recording, [from_ns, to_ns]: [i64; 2], sensor: Sensor) -> Self {
+    pub(crate) fn new(
+        recording: &Recording,
+        [from_ns, to_ns]: [i64; 2],
+        sensor: Sensor,
+        place: &'a Place<'a>,
+    ) -> Self {
         let mut positions: BTreeMap<(u64, i64), [f64; 2]> = BTreeMap::new();
         let frames = || recording.frames.iter().filter(|frame| (from_ns..=to_ns).contains(&frame.stamp_ns));
         let mut born: BTreeMap<u64, i64> = BTreeMap::new();
@@ -91,9 +102,17 @@ impl Course {
             let mut agents: Vec<Seen> =
                 frame.detections.iter().filter_map(|detection| seen(detection, frame.stamp_ns)).collect();
             agents.sort_by_key(|agent| agent.id);
-            Instant { stamp_ns: frame.stamp_ns, agents }
+            Instant { stamp_ns: frame.stamp_ns, ego_m: frame.ego.position_m, agents }
         });
-        Self { sensor, instants: instants.collect() }
+        Self { sensor, place, instants: instants.collect() }
+    }
+}
+
+impl Instant {
+    /// Whether an agent is measured.
+    pub(crate) fn measures(&self, id: u64) -> bool {
+        let place = self.agents.binary_search_by_key(&id, |seen| seen.id);
+        place.is_ok_and(|place| self.agents[place].measured_m.is_some())
     }
 }
 
@@ -119,26 +138,59 @@ pub(crate) mod tests {
     use wire::Detection;
 
     use super::*;
+    use crate::maps::MapInput;
 
     const INTERVAL_NS: i64 = 100_000_000;
 
+    /// A place of which nothing is known.
+    pub(crate) const NOWHERE: Place<'static> = Place { map: MapInput::None, memory: None };
+
     /// A vehicle that drives straight at 10 m/s for 20 s.
     pub(crate) fn recording() -> Recording {
-        let detection = |frame: i64| Detection {
-            id: 7,
-            x_m: frame as f32,
+        let frames = (0..200).map(|frame| vec![vehicle(7, [frame as f32, 0.0])]);
+        recording_of(frames)
+    }
+
+    /// So many vehicles, one after the other, that turn left around the same corner at 7 m/s, 6.5 s after they come.
+    pub(crate) fn corner(vehicles: usize) -> Recording {
+        const RADIUS_M: f32 = 12.0;
+        const SPEED_MPS: f32 = 7.0;
+        let place = |since_s: f32| {
+            let beyond_m = SPEED_MPS * (since_s - 6.5);
+            let turned_rad = (beyond_m / RADIUS_M).clamp(0.0, std::f32::consts::FRAC_PI_2);
+            let left_m = beyond_m - RADIUS_M * turned_rad;
+            let (sin, cos) = turned_rad.sin_cos();
+            [RADIUS_M * sin + left_m * cos, RADIUS_M * (1.0 - cos) + left_m * sin]
+        };
+        let frames = (0..vehicles * 140).map(|frame| {
+            let (number, since) = (frame / 140, frame % 140);
+            // Nobody is there for the last 2 s.
+            let there = (since < 120).then(|| vehicle(number as u64, place(since as f32 / 10.0)));
+            there.into_iter().collect()
+        });
+        recording_of(frames)
+    }
+
+    fn vehicle(id: u64, [x_m, y_m]: [f32; 2]) -> Detection {
+        Detection {
+            id,
+            x_m,
+            y_m,
             flags: detection_flags::HAS_ID,
             agent_type: AgentType::Vehicle as u32,
             ..bytemuck::Zeroable::zeroed()
-        };
-        let frames = (0..200).map(|frame| Frame {
-            stamp_ns: frame * INTERVAL_NS,
-            detections: vec![detection(frame)],
+        }
+    }
+
+    fn recording_of(frames: impl Iterator<Item = Vec<Detection>>) -> Recording {
+        let frame = |(number, detections): (i64, Vec<Detection>)| Frame {
+            stamp_ns: number * INTERVAL_NS,
+            detections,
             ..Frame::default()
-        });
+        };
         Recording {
             interval_ns: INTERVAL_NS.cast_unsigned(),
-            frames: frames.collect(),
+            frames: (0..).zip(frames).map(frame).collect(),
             ..Recording::default()
         }
     }
@@ -146,7 +198,7 @@ pub(crate) mod tests {
     #[test]
     fn positions_are_noisy_and_velocities_true() {
         let sensor = Sensor { sigma_m: 0.1, gap_s: 0.0, seed: 1 };
-        let course = Course::new(&recording(), [0, i64::MAX], sensor);
+        let course = Course::new(&recording(), [0, i64::MAX], sensor, &NOWHERE);
         let errors: Vec<f64> = course
             .instants
             .iter()
@@ -163,7 +215,7 @@ pub(crate) mod tests {
     #[test]
     fn gaps_have_their_length_and_come_late() {
         let sensor = Sensor { sigma_m: 0.1, gap_s: 1.6, seed: 1 };
-        let course = Course::new(&recording(), [0, i64::MAX], sensor);
+        let course = Course::new(&recording(), [0, i64::MAX], sensor, &NOWHERE);
         let hidden: Vec<bool> =
             course.instants.iter().map(|instant| instant.agents[0].measured_m.is_none()).collect();
         let spells: Vec<&[bool]> = hidden.chunk_by(|a, b| a == b).collect();

@@ -3,10 +3,12 @@
 use std::collections::BTreeMap;
 
 use filters::ControlStep;
-use scene::State;
+use scene::{OnlineMap, PlaceMemory, Recall, State};
 use wire::{AgentType, CONTEXT_EMBEDDING};
 
-use crate::{Agent, Forecaster, ForecasterMemory, Scene};
+use crate::forecaster::Said;
+use crate::maps::MapInput;
+use crate::{Agent, Forecaster, ForecasterMemory, Scene, motion};
 
 /// Controls of all modes of one agent, as [`filters::Forecast`] wants them.
 #[derive(Clone, Debug)]
@@ -23,60 +25,124 @@ pub(crate) struct Estimate {
     pub(crate) agent_type: AgentType,
     pub(crate) length_m: Option<f32>,
     pub(crate) state: State,
+    /// Whether it is measured at this instant.
+    pub(crate) is_seen: bool,
     /// Whether a forecast of the agent is wanted.
     pub(crate) wanted: bool,
 }
 
-/// Forecasts from estimates: a model that is shown what filters believed, instant after instant, and no map.
+/// What is known of a place before anything is seen there.
+#[derive(Clone, Debug)]
+pub(crate) struct Place<'a> {
+    /// An online map is of what filters believed so far.
+    pub(crate) map: MapInput<'a>,
+    /// What those who came by earlier did, if anybody remembers.
+    pub(crate) memory: Option<PlaceMemory>,
+}
+
+/// Estimates at a stamp with their contexts.
+type Past = BTreeMap<i64, (State, [f32; CONTEXT_EMBEDDING])>;
+
+/// Forecasts from estimates: a model that is shown what filters believed, instant after instant, at a place.
 pub(crate) struct Oracle<'a> {
     forecaster: &'a Forecaster,
-    /// That of a place of which no map tells.
-    context: [f32; CONTEXT_EMBEDDING],
+    map: MapInput<'a>,
+    online: OnlineMap,
+    place_memory: Option<PlaceMemory>,
     memory: ForecasterMemory,
-    /// Estimates of each agent by their stamp.
-    pasts: BTreeMap<u64, BTreeMap<i64, State>>,
+    /// The context where no map tells anything.
+    unknown: [f32; CONTEXT_EMBEDDING],
+    pasts: BTreeMap<u64, Past>,
 }
 
 impl<'a> Oracle<'a> {
-    /// An oracle that has seen nothing.
-    pub(crate) fn new(forecaster: &'a Forecaster) -> Self {
+    /// An oracle that has seen nothing yet; it remembers the place only if it `revisits` it.
+    pub(crate) fn new(forecaster: &'a Forecaster, place: &Place<'a>, revisits: bool) -> Self {
         let empty = forecaster.patch_options().map_or_else(Vec::new, |options| vec![0.0; options.len()]);
-        let context = forecaster.embed_patches(&empty).first().copied();
+        let unknown = forecaster.embed_patches(&empty).first().copied();
         Self {
             forecaster,
-            context: context.unwrap_or([0.0; CONTEXT_EMBEDDING]),
+            map: place.map,
+            online: OnlineMap::new(),
+            place_memory: place.memory.clone().filter(|_| revisits),
             memory: ForecasterMemory::default(),
+            unknown: unknown.unwrap_or([0.0; CONTEXT_EMBEDDING]),
             pasts: BTreeMap::new(),
         }
     }
 
-    /// Takes in what is believed now and forecasts those who are wanted.
+    /// Takes in what is believed now, with the sensor at `ego_m`, and forecasts those who are wanted.
     ///
     /// Estimates stay as they were when they were made, as on board. A history has those that were made whole steps of the
     /// model ago.
-    pub(crate) fn forecast(&mut self, now_ns: i64, estimates: &[Estimate]) -> Vec<(u64, Hypotheses)> {
-        for estimate in estimates {
-            self.pasts.entry(estimate.id).or_default().insert(now_ns, estimate.state);
+    pub(crate) fn forecast(
+        &mut self,
+        now_ns: i64,
+        ego_m: [f32; 2],
+        estimates: &[Estimate],
+    ) -> Vec<(u64, Hypotheses)> {
+        let contexts = self.contexts(ego_m, estimates);
+        for (estimate, context) in estimates.iter().zip(contexts) {
+            self.pasts.entry(estimate.id).or_default().insert(now_ns, (estimate.state, context));
         }
-        let Self { forecaster, context, memory, pasts } = self;
-        let step_ns = forecaster.config().step_ns().cast_signed();
-        let history_len = forecaster.config().history_len as i64;
-        let stamps_ns = || (0..history_len).rev().map(|back| now_ns - back * step_ns);
-        let oldest_ns = stamps_ns().next().unwrap_or(now_ns);
-        pasts.retain(|_, past| {
-            past.retain(|&stamp_ns, _| stamp_ns >= oldest_ns);
+        let config = self.forecaster.config();
+        let step_ns = config.step_ns().cast_signed();
+        let history_len = config.history_len as i64;
+        let stamp_ns = |step: i64| now_ns - (history_len - 1 - step) * step_ns;
+        self.pasts.retain(|_, past| {
+            past.retain(|&past_ns, _| past_ns >= stamp_ns(0));
             !past.is_empty()
         });
+        let past = |estimate: &Estimate, step: i64| self.pasts[&estimate.id].get(&stamp_ns(step));
         let agents = estimates.iter().map(|estimate| Agent {
             id: estimate.id,
             agent_type: estimate.agent_type,
             length_m: estimate.length_m,
-            history: stamps_ns().map(|stamp_ns| pasts[&estimate.id].get(&stamp_ns).copied()).collect(),
+            history: (0..history_len).map(|step| past(estimate, step).map(|past| past.0)).collect(),
             future: Vec::new(),
         });
         let scene = Scene { stamp_ns: now_ns, agents: agents.collect() };
         let wanted: Vec<usize> = (0..estimates.len()).filter(|&agent| estimates[agent].wanted).collect();
-        let hypotheses = forecaster.steer(&scene, |_, _| *context, &wanted, memory);
-        wanted.iter().map(|&agent| estimates[agent].id).zip(hypotheses).collect()
+        let context = |agent: usize, step: usize| {
+            past(&estimates[agent], step as i64).map_or(self.unknown, |past| past.1)
+        };
+        let said = self.forecaster.say(&scene, context, &wanted, &mut self.memory);
+        if let Some(memory) = &mut self.place_memory {
+            memory.advance(now_ns);
+            let seen = estimates.iter().filter(|estimate| estimate.is_seen);
+            seen.for_each(|estimate| memory.observe(estimate.id, estimate.state.position_m));
+        }
+        let steer = |(&place, said): (&usize, &Said)| {
+            let agent = &scene.agents[place];
+            let recall = self.recall(agent, said);
+            (agent.id, self.forecaster.steer(agent, said, recall.as_ref()))
+        };
+        wanted.iter().zip(&said).map(steer).collect()
+    }
+
+    /// What the memory tells of an agent, which it remembers from now on.
+    fn recall(&mut self, agent: &Agent, said: &Said) -> Option<Recall> {
+        let memory = self.place_memory.as_mut()?;
+        let moment = motion::moment(agent, self.forecaster.config())?;
+        let mut recall = Recall::default();
+        memory.recall(agent.id, &moment, &mut recall);
+        memory.remember(agent.id, &moment, &self.forecaster.lead_best(agent, said), &recall);
+        Some(recall)
+    }
+
+    /// The context embeddings of estimates, in their order, which an online map then takes in.
+    fn contexts(&mut self, ego_m: [f32; 2], estimates: &[Estimate]) -> Vec<[f32; CONTEXT_EMBEDDING]> {
+        let options = self.forecaster.patch_options().filter(|_| !matches!(self.map, MapInput::None));
+        let Some(options) = options else { return vec![self.unknown; estimates.len()] };
+        let mut patches = vec![0.0; options.len() * estimates.len()];
+        for (estimate, patch) in estimates.iter().zip(patches.chunks_exact_mut(options.len())) {
+            match self.map {
+                MapInput::Site(map) => map.patch(&estimate.state, options, patch),
+                MapInput::Online | MapInput::None => self.online.patch(&estimate.state, options, patch),
+            }
+        }
+        let seen = estimates.iter().filter(|estimate| estimate.is_seen).map(|estimate| estimate.state);
+        self.online.observe(ego_m, seen.map(|state| (state.position_m, state.velocity_mps)));
+        self.forecaster.embed_patches(&patches)
     }
 }

@@ -24,7 +24,9 @@ pub(crate) enum TrackingMethod {
     SingerBicycle,
     /// The same, these dying away towards those of the model's forecasts: a mixture of extended Kalman filters.
     Learned,
-    /// The same processes by Monte Carlo: particles, with the settings of the mixture.
+    /// The same, the forecasts with the memory of the place, which begins with earlier recordings.
+    Revisiting,
+    /// The processes of [`TrackingMethod::Learned`] by Monte Carlo: particles, with the settings of the mixture.
     LearnedParticles,
 }
 
@@ -46,13 +48,14 @@ const FLOOR: [f64; 5] = [1e-6, 1e-6, 1e-6, 0.0, 0.0];
 
 impl TrackingMethod {
     /// All methods, in the order of the tables.
-    pub(crate) const ALL: [Self; 7] = [
+    pub(crate) const ALL: [Self; 8] = [
         Self::ConstantVelocity,
         Self::ConstantAcceleration,
         Self::ConstantTurnRate,
         Self::Bicycle,
         Self::SingerBicycle,
         Self::Learned,
+        Self::Revisiting,
         Self::LearnedParticles,
     ];
 
@@ -71,13 +74,19 @@ impl TrackingMethod {
             Self::Bicycle => "bicycle",
             Self::SingerBicycle => "Singer bicycle",
             Self::Learned => "learned, linearised",
+            Self::Revisiting => "learned, revisiting",
             Self::LearnedParticles => "learned, Monte Carlo",
         }
     }
 
     /// Whether forecasts of the model take part.
     pub(crate) const fn is_learned(self) -> bool {
-        matches!(self, Self::Learned | Self::LearnedParticles)
+        matches!(self, Self::Learned | Self::Revisiting | Self::LearnedParticles)
+    }
+
+    /// Whether the memory of the place takes part in the forecasts.
+    pub(crate) const fn revisits(self) -> bool {
+        matches!(self, Self::Revisiting)
     }
 
     /// What the numbers of its setting are.
@@ -90,7 +99,7 @@ impl TrackingMethod {
             }
             Self::Bicycle => &["acceleration, m/s²", "slip rate, rad/s"],
             Self::SingerBicycle => &["acceleration, m/s²", "slip rate, rad/s", "decay, s"],
-            Self::Learned => {
+            Self::Learned | Self::Revisiting => {
                 &["share of the Singer bicycle's driving noise", "decay at first, s", "decay once steered, s"]
             }
             Self::LearnedParticles => &[],
@@ -104,7 +113,7 @@ impl TrackingMethod {
             Self::ConstantTurnRate => [2.0, 0.5, 1.0],
             Self::Bicycle => [2.0, 0.2, 1.0],
             Self::SingerBicycle => [1.0, 0.05, 2.0],
-            Self::Learned => [1.0, 1.5, 0.8],
+            Self::Learned | Self::Revisiting => [1.0, 1.5, 0.8],
             Self::LearnedParticles => [1.0; 3],
         }
     }
@@ -115,7 +124,11 @@ impl TrackingMethod {
             Self::ConstantVelocity => Kind::ConstantVelocity,
             Self::ConstantAcceleration => Kind::ConstantAcceleration,
             Self::ConstantTurnRate => Kind::ConstantTurnRate,
-            Self::Bicycle | Self::SingerBicycle | Self::Learned | Self::LearnedParticles => Kind::Bicycle,
+            Self::Bicycle
+            | Self::SingerBicycle
+            | Self::Learned
+            | Self::Revisiting
+            | Self::LearnedParticles => Kind::Bicycle,
         }
     }
 }
@@ -162,8 +175,14 @@ impl Settings {
     /// first, both driven by a share (standard deviations) of the white noise that drives the Singer bicycle: its density
     /// σ² / τ tells how fast a manoeuvre may change, whatever the decay. How unsure a forecast is of its controls is told by the
     /// spread among its modes; what they are unsure of besides, that noise stands for.
-    pub(crate) fn priors(&self, length_m: Option<f32>, control_share: [f64; 2]) -> Priors<SingerBicycle> {
-        let [noise_share, first_decay_s, steered_decay_s] = self.of(TrackingMethod::Learned);
+    pub(crate) fn priors(
+        &self,
+        method: TrackingMethod,
+        length_m: Option<f32>,
+        control_share: [f64; 2],
+    ) -> Priors<SingerBicycle> {
+        let mixture = if method.revisits() { method } else { TrackingMethod::Learned };
+        let [noise_share, first_decay_s, steered_decay_s] = self.of(mixture);
         let [acceleration_mps2, slip_rate_radps, decay_s] = self.of(TrackingMethod::SingerBicycle);
         let driven = |share: f64, to_decay_s: f64| {
             let of_sigma = share * (to_decay_s / decay_s).sqrt();
@@ -213,7 +232,7 @@ mod tests {
         let settings = Settings::first()
             .with(TrackingMethod::SingerBicycle, [acceleration_mps2, slip_rate_radps, decay_s])
             .with(TrackingMethod::Learned, [1.0, decay_s, 0.5]);
-        let priors = settings.priors(Some(4.0), [0.0; 2]);
+        let priors = settings.priors(TrackingMethod::Learned, Some(4.0), [0.0; 2]);
         assert_eq!(priors.unsteered, priors.kinematic);
         assert_eq!(priors.kinematic.decay_s, [decay_s; 2]);
         // Once steered it decays faster, and is driven as before.

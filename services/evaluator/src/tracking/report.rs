@@ -192,7 +192,8 @@ impl TrackingReport {
             "RMSE / MAE. Positions are measured at 10 Hz with normal noise of the given deviation per axis; a gap of the given length \
              comes after 3 to 7 s and then every 4 s. {} s from the middle of each recording. True velocities are central \
              differences of the recorded positions. Tracks count from an age of 1 s on. The learned prior is forecast anew at \
-             every step of the model from the filter's own estimates, without a map, and held through gaps; its controls come in gradually.",
+             every step of the model from the filter's own estimates and held through gaps; its controls come in gradually. \
+             Revisiting, the forecasts have the memory of the place as well, which begins with the site's training recordings.",
             self.judged_s
         );
         let mut table =
@@ -222,24 +223,28 @@ impl TrackingReport {
              learned prior is better, surely so where the whole 95 % interval is. The best kinematic filter is chosen cell by \
              cell by the figures themselves. Paired bootstrap over tracks, {RESAMPLES} resamples."
         );
-        let mut table = Table::new(
-            "Learned prior beside the others",
-            &note,
-            &["deviation", "of what"],
-            self.columns().into_iter(),
-        );
+        let head = ["deviation", "method", "of what"];
+        let mut table =
+            Table::new("Learned prior beside the others", &note, &head, self.columns().into_iter());
         for &(sigma_m, _) in &self.trials {
-            for quantity in Quantity::ALL {
-                let against = |sensor: Sensor, other: Option<&Judged>| {
-                    let learned = self.of(sensor, TrackingMethod::Learned)?;
-                    let paired = learned.paired(other?, quantity);
-                    Some(percent(&paired_bootstrap_ratio(&paired, RESAMPLES, SEED)?))
-                };
-                let best = |sensor| against(sensor, self.best_kinematic(sensor, quantity));
-                let velocity = |sensor| against(sensor, self.of(sensor, TrackingMethod::ConstantVelocity));
-                let name = quantity.name().split(',').next().unwrap_or_default();
-                table.push_row(self.row(sigma_m, &format!("{name}, to the best kinematic"), best));
-                table.push_row(self.row(sigma_m, &format!("{name}, to constant velocity"), velocity));
+            for learned in self.methods().filter(|method| method.is_learned()) {
+                for quantity in Quantity::ALL {
+                    let against = |sensor: Sensor, other: Option<&Judged>| {
+                        let paired = self.of(sensor, learned)?.paired(other?, quantity);
+                        Some(percent(&paired_bootstrap_ratio(&paired, RESAMPLES, SEED)?))
+                    };
+                    let best = |sensor| against(sensor, self.best_kinematic(sensor, quantity));
+                    let velocity =
+                        |sensor| against(sensor, self.of(sensor, TrackingMethod::ConstantVelocity));
+                    let name = quantity.name().split(',').next().unwrap_or_default();
+                    let mut push = |other: &str, cell: &dyn Fn(Sensor) -> Option<String>| {
+                        let mut row = self.row(sigma_m, learned.name(), cell);
+                        row.insert(2, format!("{name}, to {other}"));
+                        table.push_row(row);
+                    };
+                    push("the best kinematic", &best);
+                    push("constant velocity", &velocity);
+                }
             }
         }
         table

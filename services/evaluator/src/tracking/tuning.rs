@@ -23,7 +23,7 @@ pub(crate) struct Trials {
 ///
 /// The Singer bicycle must come before the learned prior, which it is part of.
 pub(crate) fn tune(
-    courses: &[Course],
+    courses: &[Course<'_>],
     forecaster: &Forecaster,
     methods: &[TrackingMethod],
     threads: usize,
@@ -34,7 +34,7 @@ pub(crate) fn tune(
         let judge = |setting: Setting| {
             let settings = settings.with(method, setting);
             let follow =
-                |course: &Course, (): &mut ()| Follower { method, settings, forecaster }.follow(course);
+                |course: &Course<'_>, (): &mut ()| Follower { method, settings, forecaster }.follow(course);
             let outcomes = threads::each(courses, threads, follow);
             Outcome::nll(&outcomes)
         };
