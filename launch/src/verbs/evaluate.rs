@@ -37,6 +37,9 @@ pub struct Arguments {
     /// Folder with the weights of each recipe, where no weights are named; recordings take the embedded ones
     #[arg(long, value_name = "DIR", default_value = "shared/weights", conflicts_with = "weights")]
     weights_dir: PathBuf,
+    /// Folders with other trainings of the same recipes, other seeds for example, whose errors are told beside
+    #[arg(long, value_name = "DIR,…", value_delimiter = ',', conflicts_with = "weights")]
+    beside: Vec<PathBuf>,
     /// What models that read a map are told; `site` is `none` at a site that training left out, `online` in data sets
     /// that know no sites
     #[arg(long, value_enum, default_value_t = Map::Site)]
@@ -89,7 +92,12 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
     refuse_unused(name, arguments)?;
     let written = match name {
         "tracking" => track(arguments)?,
-        _ => vec![Written::of_forecasts(&evaluate(name, arguments)?, name)],
+        _ => {
+            let mut report = evaluate(name, arguments, &arguments.weights_dir)?;
+            let beside = arguments.beside.iter().map(|folder| evaluate(name, arguments, folder));
+            report.add_beside(&beside.collect::<Result<Vec<_>, _>>()?);
+            vec![Written::of_forecasts(&report, name)]
+        }
     };
     if let Some(path) = &arguments.csv {
         write(path, &written.iter().map(|part| part.csv.as_str()).collect::<String>())?;
@@ -113,6 +121,12 @@ fn refuse_unused(name: &str, arguments: &Arguments) -> Result<(), Failure> {
     let has_parts = is_tracking || name == "interaction";
     let is_set = has_parts || ["eth-ucy", "sdd"].contains(&name);
     let options = [
+        (
+            "--beside",
+            !arguments.beside.is_empty(),
+            is_set && !is_tracking,
+            "`eth-ucy`, `sdd` and `interaction`",
+        ),
         ("--parts", !arguments.parts.is_empty(), has_parts, "`interaction` and `tracking`"),
         ("--sigmas", !arguments.sigmas.is_empty(), is_tracking, "`tracking`"),
         ("--particles", arguments.particles, is_tracking, "`tracking`"),
@@ -182,12 +196,12 @@ impl Written {
     }
 }
 
-fn options(arguments: &Arguments) -> Options {
+fn options(arguments: &Arguments, weights_dir: &Path) -> Options {
     let threads = std::thread::available_parallelism().map_or(1, usize::from);
     Options {
         data: arguments.data.clone(),
         part: if arguments.validation { Part::Validation } else { Part::Test },
-        weights: WeightsChoice { file: arguments.weights.clone(), folder: arguments.weights_dir.clone() },
+        weights: WeightsChoice { file: arguments.weights.clone(), folder: weights_dir.to_owned() },
         map: match arguments.map {
             Map::None => MapChoice::None,
             Map::Online => MapChoice::Online,
@@ -210,7 +224,7 @@ fn track(arguments: &Arguments) -> Result<Vec<Written>, Failure> {
     if let Some(other) = arguments.parts.iter().find(|part| !known(part)) {
         return Err(Failure::Usage(format!("--parts {other}: `tracking` has interaction and kitti")));
     }
-    let options = options(arguments);
+    let options = options(arguments, &arguments.weights_dir);
     let mut written = Vec::new();
     for part in parts(arguments, &TRACKING_PARTS) {
         written.push(if part == "kitti" {
@@ -241,8 +255,8 @@ fn progress(step: &str) {
     eprintln!("{step} …");
 }
 
-fn evaluate(name: &str, arguments: &Arguments) -> Result<Report, Failure> {
-    let options = options(arguments);
+fn evaluate(name: &str, arguments: &Arguments, weights_dir: &Path) -> Result<Report, Failure> {
+    let options = options(arguments, weights_dir);
     let report = match name {
         "eth-ucy" => evaluator::eth_ucy(&options, progress),
         "sdd" => evaluator::sdd(&options, progress),

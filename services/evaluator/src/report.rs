@@ -2,6 +2,8 @@
 
 mod table;
 
+use std::collections::BTreeSet;
+
 use metrics::Interval;
 use serde::Serialize;
 
@@ -98,6 +100,35 @@ impl Report {
                     self.figures.push(Figure { interval: Some([low, high]), ..told });
                 }
             }
+        }
+    }
+
+    /// Adds what the same protocol made of other trainings of the same recipes, other seeds for example: our own rows of its main
+    /// tables, training by training. [`Report::csv`] and [`Report::json`] stay those of the first.
+    pub fn add_beside(&mut self, others: &[Self]) {
+        if others.is_empty() {
+            return;
+        }
+        let name = self.training();
+        let names: Vec<String> = others.iter().map(Self::training).collect();
+        let beside = self.tables.iter().enumerate().filter_map(|(place, table)| {
+            let others = others
+                .iter()
+                .zip(&names)
+                .filter_map(|(other, name)| Some((&name[..], other.tables.get(place)?)));
+            table.beside(&name, &others.collect::<Vec<_>>())
+        });
+        let beside: Vec<Table> = beside.collect();
+        self.tables.extend(beside);
+        self.provenance.extend(others.iter().flat_map(|other| other.provenance.iter().cloned()));
+    }
+
+    /// The seed of all its weights, else the fingerprint of the first.
+    fn training(&self) -> String {
+        let seeds: BTreeSet<Option<u64>> = self.provenance.iter().map(|provenance| provenance.seed).collect();
+        match seeds.first().copied().flatten().filter(|_| seeds.len() == 1) {
+            Some(seed) => format!("seed {seed}"),
+            None => self.provenance.first().map_or_else(String::new, |first| first.sha256[..8].to_owned()),
         }
     }
 

@@ -112,6 +112,33 @@ fn every_table_tells_how_its_draws_were_made() {
     assert_eq!(report.json()["figures"].as_array().unwrap().len(), report.figures.len());
 }
 
+/// Rows of our own of one training stand unchanged beside those of another, and tell whose they are.
+#[test]
+fn another_training_is_told_beside() {
+    let folder = tempfile::tempdir().unwrap();
+    let (path, other) = (traffic(folder.path()), folder.path().join("other.safetensors"));
+    let halved =
+        |_: &str, _: &mut Vec<usize>, values: &mut Vec<f32>| values.iter_mut().for_each(|x| *x *= 0.5);
+    std::fs::write(&other, weights::changed(halved, |_| ())).unwrap();
+    let mut report = evaluate(&options(folder.path(), None, 2), &path).unwrap();
+    let other = evaluate(&options(folder.path(), Some(other), 2), &path).unwrap();
+    // What stands in the row of our best of 20 after the name of the method.
+    let row = |markdown: &str, method: &str| {
+        let mut rows = markdown.lines().map(|line| line.split('|').map(str::trim).collect::<Vec<_>>());
+        let found = rows.find(|row| row.get(1..3) == Some(&["best of 20", method]));
+        found.map(|row| row[3..].join(" ")).unwrap()
+    };
+    let [ours, theirs] = [&report, &other].map(|report| row(&report.markdown(), "ours"));
+    assert_ne!(ours, theirs);
+    report.add_beside(std::slice::from_ref(&other));
+    let name = &other.provenance[0].sha256[..8];
+    for markdown in [report.markdown(), report.summary()] {
+        assert_eq!(row(&markdown, "ours"), ours);
+        assert_eq!(row(&markdown, "ours, seed 1"), ours);
+        assert_eq!(row(&markdown, &format!("ours, {name}")), theirs);
+    }
+}
+
 #[test]
 fn marginal_errors_are_never_above_joint_ones_nor_the_best_above_the_likeliest() {
     let folder = tempfile::tempdir().unwrap();

@@ -16,6 +16,9 @@ pub(crate) const COMPARED: [(Measure, Method); 6] = [
     (Measure::Single, Method::ConstantVelocity),
 ];
 
+/// The forecasts that differ from one training to the next.
+const OURS: [Method; 3] = [Method::Network, Method::Recalling, Method::Revisiting];
+
 /// The methods that a summary tells of.
 const SUMMARISED: [&str; 8] = [
     Method::Network.name(),
@@ -39,6 +42,8 @@ pub(crate) struct Table {
     rows: Vec<Vec<String>>,
     /// Whether it belongs into a summary.
     is_main: bool,
+    /// Whether a summary tells of all its rows.
+    is_brief: bool,
 }
 
 /// A column: some groups, of which it tells the mean.
@@ -78,6 +83,7 @@ impl Table {
             names_len: names.len(),
             rows: Vec::new(),
             is_main: false,
+            is_brief: false,
         }
     }
 
@@ -88,7 +94,8 @@ impl Table {
 
     /// What of the table belongs into a summary: the rows of few methods, or nothing.
     pub(crate) fn summary(&self) -> Option<Self> {
-        let is_told = |row: &&Vec<String>| self.names_len < 2 || SUMMARISED.contains(&&row[1][..]);
+        let is_told =
+            |row: &&Vec<String>| self.is_brief || self.names_len < 2 || SUMMARISED.contains(&&row[1][..]);
         let rows = self.rows.iter().filter(is_told).filter(|row| row[0] != Measure::JointRanked.name());
         self.is_main.then(|| Self { rows: rows.cloned().collect(), ..self.clone() })
     }
@@ -103,6 +110,28 @@ impl Table {
             }
         }
         table
+    }
+
+    /// Of a main table of errors, the rows of our own forecasts beside those of the same table by other weights; each comes with
+    /// the name of its training.
+    pub(crate) fn beside(&self, name: &str, others: &[(&str, &Self)]) -> Option<Self> {
+        let rows = self.rows.iter().enumerate().flat_map(|(place, row)| {
+            let ours = OURS.iter().filter(|method| row.get(1).is_some_and(|told| told == method.name()));
+            ours.flat_map(move |method| {
+                let trainings = std::iter::once((name, self)).chain(others.iter().copied());
+                trainings.filter_map(move |(name, table)| {
+                    let mut row = table.rows.get(place)?.clone();
+                    row[1] = format!("{}, {name}", method.name());
+                    Some(row)
+                })
+            })
+        });
+        self.is_main.then(|| Self {
+            title: format!("{}, training by training", self.title),
+            rows: rows.collect(),
+            is_brief: true,
+            ..self.clone()
+        })
     }
 
     /// ADE / FDE of `rows` over all horizons, column after column.
