@@ -12,6 +12,7 @@ mod hypotheses;
 mod kitti;
 mod method;
 mod report;
+mod smoother;
 mod tuning;
 
 pub use kitti::{Contender, KittiReport, MakeTracks, Published, PublishedTrack};

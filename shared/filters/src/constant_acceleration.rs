@@ -42,8 +42,10 @@ impl Process<6> for ConstantAcceleration {
     fn settle(&self, _: &mut Vector6<f64>) {}
 }
 
-/// Covariance that white noise of spectral density q gives a chain of three integrators in `dt_s`, the last first hit.
-pub(crate) fn chain_noise(density: f64, dt_s: f64) -> [[f64; 3]; 3] {
+/// Covariance that white noise of spectral density q gives a chain of three integrators in `dt_s`, the last first hit: that of
+/// position, velocity and acceleration along an axis under white jerk.
+#[must_use]
+pub fn chain_noise(density: f64, dt_s: f64) -> [[f64; 3]; 3] {
     let of = |power: i32, divisor: f64| density * dt_s.powi(power) / divisor;
     [
         [of(5, 20.0), of(4, 8.0), of(3, 6.0)],

@@ -31,7 +31,7 @@ pub mod weights;
 pub use kinematics::Integrator;
 
 pub use bicycle::{Bicycle, turned_round};
-pub use constant_acceleration::ConstantAcceleration;
+pub use constant_acceleration::{ConstantAcceleration, chain_noise};
 pub use constant_turn_rate::ConstantTurnRate;
 pub use constant_velocity::ConstantVelocity;
 pub use control::{

@@ -11,6 +11,7 @@ use wire::AgentType;
 use super::course::{Course, Instant, Seen};
 use super::hypotheses::{Estimate, Hypotheses, Oracle};
 use super::method::{Settings, TrackingMethod, UNKNOWN, control_share};
+use super::smoother::smooth;
 use crate::Forecaster;
 
 /// A course is known once its direction is so sure, at this speed: then a state with a heading can take over.
@@ -20,9 +21,9 @@ const COURSE_TOLD_MPS: f64 = 0.5;
 /// Particles of a vehicle.
 const PARTICLES: usize = 200;
 /// Degrees of freedom of a position.
-const DEGREES: u32 = 2;
+pub(crate) const DEGREES: u32 = 2;
 /// A track counts from this age on.
-const SETTLED_S: f64 = 1.0;
+pub(crate) const SETTLED_S: f64 = 1.0;
 
 /// The error of an estimate at an instant.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -86,6 +87,10 @@ struct Track {
 impl Follower<'_> {
     /// Follows all agents of a course; vehicles count.
     pub(crate) fn follow(&self, course: &Course) -> Outcome {
+        if self.method == TrackingMethod::Smoother {
+            let [jerk_density, ..] = self.settings.of(self.method.tuned_as());
+            return smooth(course, jerk_density);
+        }
         let mut outcome = Outcome::default();
         let mut tracks: BTreeMap<u64, Track> = BTreeMap::new();
         let mut oracle = Oracle::new(self.forecaster, course.place, self.method.revisits());

@@ -28,6 +28,8 @@ pub(crate) enum TrackingMethod {
     Revisiting,
     /// The processes of [`TrackingMethod::Learned`] by Monte Carlo: particles, with the settings of the mixture.
     LearnedParticles,
+    /// Constant acceleration with all that is measured later as well: no filter, but a bound to what one can know.
+    Smoother,
 }
 
 /// The numbers of a method that are tuned; what they are, and how many of them count, is the method's own.
@@ -48,7 +50,7 @@ const FLOOR: [f64; 5] = [1e-6, 1e-6, 1e-6, 0.0, 0.0];
 
 impl TrackingMethod {
     /// All methods, in the order of the tables.
-    pub(crate) const ALL: [Self; 8] = [
+    pub(crate) const ALL: [Self; 9] = [
         Self::ConstantVelocity,
         Self::ConstantAcceleration,
         Self::ConstantTurnRate,
@@ -57,6 +59,7 @@ impl TrackingMethod {
         Self::Learned,
         Self::Revisiting,
         Self::LearnedParticles,
+        Self::Smoother,
     ];
 
     /// The methods that are judged; particles take several times as long as all others together.
@@ -76,12 +79,27 @@ impl TrackingMethod {
             Self::Learned => "learned, linearised",
             Self::Revisiting => "learned, revisiting",
             Self::LearnedParticles => "learned, Monte Carlo",
+            Self::Smoother => "future known, smoothed",
         }
     }
 
     /// Whether forecasts of the model take part.
     pub(crate) const fn is_learned(self) -> bool {
         matches!(self, Self::Learned | Self::Revisiting | Self::LearnedParticles)
+    }
+
+    /// Whether nothing of the future and no forecast takes part.
+    pub(crate) const fn is_kinematic(self) -> bool {
+        !self.is_learned() && !matches!(self, Self::Smoother)
+    }
+
+    /// The method whose settings are this one's.
+    pub(crate) const fn tuned_as(self) -> Self {
+        match self {
+            Self::LearnedParticles => Self::Learned,
+            Self::Smoother => Self::ConstantAcceleration,
+            own => own,
+        }
     }
 
     /// Whether the memory of the place takes part in the forecasts.
@@ -102,7 +120,7 @@ impl TrackingMethod {
             Self::Learned | Self::Revisiting => {
                 &["share of the Singer bicycle's driving noise", "decay at first, s", "decay once steered, s"]
             }
-            Self::LearnedParticles => &[],
+            Self::LearnedParticles | Self::Smoother => &[],
         }
     }
 
@@ -114,7 +132,7 @@ impl TrackingMethod {
             Self::Bicycle => [2.0, 0.2, 1.0],
             Self::SingerBicycle => [1.0, 0.05, 2.0],
             Self::Learned | Self::Revisiting => [1.0, 1.5, 0.8],
-            Self::LearnedParticles => [1.0; 3],
+            Self::LearnedParticles | Self::Smoother => [1.0; 3],
         }
     }
 
@@ -122,7 +140,7 @@ impl TrackingMethod {
     pub(crate) const fn kind(self) -> Kind {
         match self {
             Self::ConstantVelocity => Kind::ConstantVelocity,
-            Self::ConstantAcceleration => Kind::ConstantAcceleration,
+            Self::ConstantAcceleration | Self::Smoother => Kind::ConstantAcceleration,
             Self::ConstantTurnRate => Kind::ConstantTurnRate,
             Self::Bicycle
             | Self::SingerBicycle
@@ -181,7 +199,7 @@ impl Settings {
         length_m: Option<f32>,
         control_share: [f64; 2],
     ) -> Priors<SingerBicycle> {
-        let mixture = if method.revisits() { method } else { TrackingMethod::Learned };
+        let mixture = if method.is_learned() { method.tuned_as() } else { TrackingMethod::Learned };
         let [noise_share, first_decay_s, steered_decay_s] = self.of(mixture);
         let [acceleration_mps2, slip_rate_radps, decay_s] = self.of(TrackingMethod::SingerBicycle);
         let driven = |share: f64, to_decay_s: f64| {

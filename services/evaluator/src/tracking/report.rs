@@ -144,7 +144,7 @@ impl TrackingReport {
 
     /// The kinematic filter whose mean error is the least.
     fn best_kinematic(&self, sensor: Sensor, quantity: Quantity) -> Option<&Judged> {
-        let kinematic = TrackingMethod::ALL.into_iter().filter(|method| !method.is_learned());
+        let kinematic = TrackingMethod::ALL.into_iter().filter(|method| method.is_kinematic());
         let judged = kinematic.filter_map(|method| self.of(sensor, method));
         let mae = |judged: &&Judged| judged.norms(quantity).mae().unwrap_or(f64::INFINITY);
         judged.min_by(|a, b| mae(a).total_cmp(&mae(b)))
@@ -193,7 +193,8 @@ impl TrackingReport {
              comes after 3 to 7 s and then every 4 s. {} s from the middle of each recording. True velocities are central \
              differences of the recorded positions. Tracks count from an age of 1 s on. The learned prior is forecast anew at \
              every step of the model from the filter's own estimates and held through gaps; its controls come in gradually. \
-             Revisiting, the forecasts have the memory of the place as well, which begins with the site's training recordings.",
+             Revisiting, the forecasts have the memory of the place as well, which begins with the site's training recordings. \
+             With the future known, all that is measured of a vehicle counts, later measurements too: a mark for filters, which can't know as much.",
             self.judged_s
         );
         let mut table =
@@ -285,7 +286,7 @@ impl TrackingReport {
                 let setting: Vec<String> =
                     numbers.map(|(what, value)| format!("{what} {value:.3}")).collect();
                 let setting = match &setting[..] {
-                    [] => format!("those of {}", TrackingMethod::Learned.name()),
+                    [] => format!("those of {}", method.tuned_as().name()),
                     numbers => numbers.join(", "),
                 };
                 table.push_row(vec![
