@@ -45,6 +45,8 @@ pub struct Recalled {
     pub paths: Paths,
     /// The probability of each mode.
     pub probability: Vec<f32>,
+    /// Covariances of each mode's positions, as those of [`Forecast`].
+    pub covariance: Vec<Vec<[f32; 3]>>,
 }
 
 /// What the decoder says of an agent.
@@ -263,11 +265,9 @@ impl Forecaster {
         let base = of_base.pop().map(|best| Paths { modes: of_base, best });
         let with = |recall: &Recall| {
             let (modes, probability) = self.recalling(agent, &mover, said, recall);
-            let follow = |controls: &Vec<_>| {
-                mover.follow(controls.iter().map(|control: &ControlGaussian| control.mean))
-            };
+            let (modes, covariance) = modes.iter().map(|steps| mover.spread(steps)).unzip();
             let best = mover.follow(changed(best, &mover.changes(&recall.expected)));
-            Recalled { paths: Paths { modes: modes.iter().map(follow).collect(), best }, probability }
+            Recalled { paths: Paths { modes, best }, probability, covariance }
         };
         let (recalled, revisited) = (recalled.map(with), revisited.map(with));
         let (modes, covariance) = modes.iter().map(|steps| mover.spread(steps)).unzip();

@@ -6,7 +6,7 @@ use nn::ModelConfig;
 use scene::{AgentType, PlaceMemory, Recall};
 
 use crate::baselines::{Baselines, Candidate};
-use crate::forecaster::Forecast;
+use crate::forecaster::{Forecast, Paths, Recalled};
 use crate::maps::{ContextTable, MapInput};
 use crate::speaker::{Speaker, Spoken, TOGETHER, recall};
 use crate::{Agent, Forecaster, Method, Scene, Tally, threads};
@@ -228,35 +228,42 @@ impl Judge<'_> {
         let candidates = self.baselines.candidates(scene, agent, forecast);
         let mut tally = Tally::new(self.horizons.len());
         tally.add_agent(agent, &candidates, self.horizons);
-        self.add_sureness(scene, agent, forecast, &mut tally);
-        if let Some(now) = agent.newest() {
+        for (ours, of_method) in Certain::all(forecast).into_iter().enumerate() {
+            let Some(of_method) = of_method else { continue };
+            self.add_sureness(scene, agent, &of_method, ours, &mut tally);
+            let Some(now) = agent.newest() else { continue };
             let config = self.forecaster.config();
-            let limits = limits(agent, config);
-            let dt_s = config.dt_s as f32;
-            for trajectory in forecast.modes.iter().chain([&forecast.best]) {
-                tally.broken.add(limits.broken_by(&now, trajectory, dt_s));
+            let (limits, dt_s) = (limits(agent, config), config.dt_s as f32);
+            for trajectory in of_method.modes.iter().map(Vec::as_slice).chain([of_method.best]) {
+                tally.broken[ours].add(limits.broken_by(&now, trajectory, dt_s));
             }
         }
         Judged { agent, candidates, tally }
     }
 
-    fn add_sureness(&self, scene: &Scene, agent: &Agent, forecast: &Forecast, tally: &mut Tally) {
-        let ModelConfig { modes: modes_len, .. } = *self.forecaster.config();
+    /// `ours` is the place of the method in [`Method::OURS`].
+    fn add_sureness(
+        &self,
+        scene: &Scene,
+        agent: &Agent,
+        forecast: &Certain<'_>,
+        ours: usize,
+        tally: &mut Tally,
+    ) {
         let seed = agent.id.rotate_left(32) ^ scene.stamp_ns as u64;
         let mut first = 0;
         for (horizon, &steps) in self.horizons.iter().enumerate() {
-            let sureness = tally.sureness_mut(horizon);
+            let sureness = tally.sureness_mut(ours, horizon);
             for step in first..steps {
                 let Some(truth) = agent.future[step] else { continue };
                 let means: Vec<Point> = forecast.modes.iter().map(|mode| mode[step]).collect();
                 let covariances: Vec<[f32; 3]> =
-                    (0..modes_len).map(|mode| forecast.covariance[mode][step]).collect();
-                let probability = &forecast.probability[..];
-                sureness.kde_nll.add(-kde_log_density(&means, probability, truth));
+                    forecast.covariance.iter().map(|covariance| covariance[step]).collect();
+                sureness.kde_nll.add(-kde_log_density(&means, forecast.probability, truth));
                 let level = highest_density_level(
                     &means,
                     &covariances,
-                    probability,
+                    forecast.probability,
                     truth,
                     seed ^ (step as u64) << 48,
                 );
@@ -265,10 +272,34 @@ impl Judge<'_> {
             }
             let truth = &agent.future[..steps];
             let misses = |errors: metrics::Displacement| errors.is_miss().unwrap_or_default();
-            sureness.missed_best.add(misses(metrics::best_of(&forecast.modes, truth)));
-            sureness.missed_single.add(misses(metrics::displacement(&forecast.best, truth)));
+            sureness.missed_best.add(misses(metrics::best_of(forecast.modes, truth)));
+            sureness.missed_single.add(misses(metrics::displacement(forecast.best, truth)));
             first = steps;
         }
+    }
+}
+
+/// What a forecast of ours says, and how sure it is.
+struct Certain<'a> {
+    modes: &'a [Vec<Point>],
+    covariance: &'a [Vec<[f32; 3]>],
+    probability: &'a [f32],
+    best: &'a [Point],
+}
+
+impl<'a> Certain<'a> {
+    /// Those of [`Method::OURS`].
+    fn all(forecast: &'a Forecast) -> [Option<Self>; Method::OURS.len()] {
+        let Forecast { modes, covariance, probability, best, recalled, revisited, .. } = forecast;
+        let with = |recalled: &'a Recalled| {
+            let Recalled { paths: Paths { modes, best }, covariance, probability } = recalled;
+            Self { modes, covariance, probability, best }
+        };
+        [
+            Some(Self { modes, covariance, probability, best }),
+            recalled.as_ref().map(with),
+            revisited.as_ref().map(with),
+        ]
     }
 }
 

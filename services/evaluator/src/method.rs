@@ -40,6 +40,9 @@ impl Method {
         Self::TurnRateAcceleration,
     ];
 
+    /// Those that are the model's: they say how sure they are.
+    pub const OURS: [Self; 3] = [Self::Network, Self::Recalling, Self::Revisiting];
+
     /// The name in reports.
     #[must_use]
     pub const fn name(self) -> &'static str {

@@ -84,7 +84,7 @@ impl Report {
             for rate in table::rates(&group.total, horizon) {
                 let agents = group.total.agents_len;
                 let told =
-                    rate.value.map(|value| figure(rate.name.to_owned(), Method::Network, "", value, agents));
+                    rate.value.map(|value| figure(rate.name.to_owned(), rate.method, "", value, agents));
                 self.figures.extend(told);
             }
             if horizon + 1 < horizons_s.len() {

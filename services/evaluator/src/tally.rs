@@ -50,6 +50,7 @@ impl Measure {
 }
 
 const METHODS: usize = Method::ALL.len();
+const OURS: usize = Method::OURS.len();
 const MEASURES: usize = Measure::ALL.len();
 
 /// Mean ADE and FDE.
@@ -61,7 +62,7 @@ pub struct Errors {
     pub fde_m: f64,
 }
 
-/// What the network said of how sure it is, over the steps since the horizon before.
+/// What forecasts of ours said of how sure they are, over the steps since the horizon before.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Sureness {
     /// Negative log density of the truth under the kernel density of the modes, over agents and steps.
@@ -96,14 +97,14 @@ pub struct Tally {
     counts: [[u64; MEASURES]; METHODS],
     /// Sums of (ADE, FDE), by horizon, method and measure.
     sums: Vec<[[[f64; 2]; MEASURES]; METHODS]>,
-    /// By horizon.
-    sureness: Vec<Sureness>,
+    /// By horizon and method of [`Method::OURS`].
+    sureness: Vec<[Sureness; OURS]>,
     /// Single forecasts that run into another of the same scene.
     pub collided: Share,
     /// Recorded futures that do so by the same rule.
     pub truly_collided: Share,
-    /// Modes and single forecasts that break a limit of their agent's type.
-    pub broken: Share,
+    /// Modes and single forecasts that break a limit of their agent's type, by method of [`Method::OURS`].
+    pub broken: [Share; OURS],
 }
 
 impl Tally {
@@ -115,10 +116,10 @@ impl Tally {
             agents_len: 0,
             counts: [[0; MEASURES]; METHODS],
             sums: vec![[[[0.0; 2]; MEASURES]; METHODS]; horizons_len],
-            sureness: vec![Sureness::default(); horizons_len],
+            sureness: vec![[Sureness::default(); OURS]; horizons_len],
             collided: Share::default(),
             truly_collided: Share::default(),
-            broken: Share::default(),
+            broken: [Share::default(); OURS],
         }
     }
 
@@ -131,14 +132,15 @@ impl Tally {
             let sums = sums.as_flattened_mut().as_flattened_mut();
             add_all(sums, more.as_flattened().as_flattened());
         }
-        for (sureness, more) in self.sureness.iter_mut().zip(&other.sureness) {
+        let (sureness, more) = (self.sureness.as_flattened_mut(), other.sureness.as_flattened());
+        for (sureness, more) in sureness.iter_mut().zip(more) {
             sureness.merge_steps(more);
             sureness.missed_best.merge(&more.missed_best);
             sureness.missed_single.merge(&more.missed_single);
         }
         self.collided.merge(&other.collided);
         self.truly_collided.merge(&other.truly_collided);
-        self.broken.merge(&other.broken);
+        self.broken.iter_mut().zip(&other.broken).for_each(|(broken, more)| broken.merge(more));
     }
 
     /// The same sums in another unit of length, so many of which make a metre. What has no length stays.
@@ -181,17 +183,17 @@ impl Tally {
         self.sums.len()
     }
 
-    /// How sure the network was, over all steps up to a horizon.
+    /// How sure the forecasts of a method were, its place in [`Method::OURS`] given, over all steps up to a horizon.
     #[must_use]
-    pub fn sureness(&self, horizon: usize) -> Sureness {
-        let mut all = self.sureness[horizon];
-        self.sureness[..horizon].iter().for_each(|before| all.merge_steps(before));
+    pub fn sureness(&self, ours: usize, horizon: usize) -> Sureness {
+        let mut all = self.sureness[horizon][ours];
+        self.sureness[..horizon].iter().for_each(|before| all.merge_steps(&before[ours]));
         all
     }
 
     /// Counts what of an agent's sureness falls to a horizon.
-    pub(crate) fn sureness_mut(&mut self, horizon: usize) -> &mut Sureness {
-        &mut self.sureness[horizon]
+    pub(crate) fn sureness_mut(&mut self, ours: usize, horizon: usize) -> &mut Sureness {
+        &mut self.sureness[horizon][ours]
     }
 
     /// Counts the marginal errors of one agent, `horizons` being numbers of steps.

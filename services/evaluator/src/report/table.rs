@@ -4,7 +4,7 @@ use metrics::Interval;
 
 use crate::group::{Group, RESAMPLES};
 use crate::reference::PaperRow;
-use crate::{Errors, Measure, Method, Tally};
+use crate::{Errors, Measure, Method, Sureness, Tally};
 
 /// What our forecasts are compared with, and by which measure.
 pub(crate) const COMPARED: [(Measure, Method); 6] = [
@@ -15,9 +15,6 @@ pub(crate) const COMPARED: [(Measure, Method); 6] = [
     (Measure::Single, Method::Base),
     (Measure::Single, Method::ConstantVelocity),
 ];
-
-/// The forecasts that differ from one training to the next.
-const OURS: [Method; 3] = [Method::Network, Method::Recalling, Method::Revisiting];
 
 /// The methods that a summary tells of.
 const SUMMARISED: [&str; 8] = [
@@ -116,7 +113,8 @@ impl Table {
     /// the name of its training.
     pub(crate) fn beside(&self, name: &str, others: &[(&str, &Self)]) -> Option<Self> {
         let rows = self.rows.iter().enumerate().flat_map(|(place, row)| {
-            let ours = OURS.iter().filter(|method| row.get(1).is_some_and(|told| told == method.name()));
+            let ours =
+                Method::OURS.iter().filter(|method| row.get(1).is_some_and(|told| told == method.name()));
             ours.flat_map(move |method| {
                 let trainings = std::iter::once((name, self)).chain(others.iter().copied());
                 trainings.filter_map(move |(name, table)| {
@@ -174,23 +172,23 @@ impl Table {
 
     /// Misses, densities, coverage, collisions and broken limits at one horizon.
     pub(crate) fn rates(title: &str, note: &str, columns: &[Column<'_>], horizon: usize) -> Self {
-        let mut table = Self::new(title, note, &["ours"], names(columns));
+        let mut table = Self::new(title, note, &["share", "method"], names(columns));
         let of_columns: Vec<Vec<Vec<Rate>>> = columns
             .iter()
             .map(|column| column.groups.iter().map(|group| rates(&group.total, horizon)).collect())
             .collect();
-        for (row, Rate { name, decimals, .. }) in rates(&Tally::new(horizon + 1), horizon).iter().enumerate()
-        {
+        let all = rates(&Tally::new(horizon + 1), horizon);
+        for (row, Rate { name, method, decimals, .. }) in all.iter().enumerate() {
             let cell = |groups: &Vec<Vec<Rate>>| {
                 let values: Option<Vec<f64>> = groups.iter().map(|rates| rates[row].value).collect();
-                let values = values.filter(|values| !values.is_empty());
-                values.map_or_else(
-                    || "-".to_owned(),
-                    |values| format!("{:.decimals$}", values.iter().sum::<f64>() / values.len() as f64),
-                )
+                let values = values.filter(|values| !values.is_empty())?;
+                Some(format!("{:.decimals$}", values.iter().sum::<f64>() / values.len() as f64))
             };
-            let cells = of_columns.iter().map(cell);
-            table.rows.push(std::iter::once((*name).to_owned()).chain(cells).collect());
+            let cells: Vec<Option<String>> = of_columns.iter().map(cell).collect();
+            if cells.iter().any(Option::is_some) {
+                let cells = cells.into_iter().map(|cell| cell.unwrap_or_else(|| "-".to_owned()));
+                table.rows.push([*name, method.name()].map(str::to_owned).into_iter().chain(cells).collect());
+            }
         }
         table
     }
@@ -280,32 +278,37 @@ pub(crate) fn percent(&Interval { low, mean, high }: &Interval) -> String {
     format!("{mean:+.1} [{low:+.1}, {high:+.1}]")
 }
 
-/// Something that is told of the network besides errors.
+/// Something that is told of our forecasts besides errors.
 pub(crate) struct Rate {
     pub(crate) name: &'static str,
+    pub(crate) method: Method,
     pub(crate) value: Option<f64>,
     decimals: usize,
 }
 
-/// What is told of the network besides errors, and of how many scenes and agents.
+/// What is told of our forecasts besides errors, and of how many scenes and agents.
 pub(crate) fn rates(tally: &Tally, horizon: usize) -> Vec<Rate> {
-    let sureness = tally.sureness(horizon);
-    let count = |name, len: u64| Rate { name, value: Some(len as f64), decimals: 0 };
-    let percent = |name, share: &metrics::Share| Rate {
-        name,
-        value: share.value().map(|share| 100.0 * share),
-        decimals: 1,
+    let rate = |name, method, value: Option<f64>, decimals: usize| Rate { name, method, value, decimals };
+    let count = |name, len: u64| rate(name, Method::Network, Some(len as f64), 0);
+    let percent = |name, method, share: &metrics::Share| {
+        rate(name, method, share.value().map(|share| 100.0 * share), 1)
     };
-    vec![
-        count("scenes", tally.scenes_len),
-        count("agents", tally.agents_len),
-        Rate { name: "KDE-NLL", value: sureness.kde_nll.value(), decimals: 3 },
-        percent("in the 50 % region, %", &sureness.covered_50),
-        percent("in the 90 % region, %", &sureness.covered_90),
-        percent("best of 20 ends over 2 m off, %", &sureness.missed_best),
-        percent("K = 1 ends over 2 m off, %", &sureness.missed_single),
-        percent("K = 1 forecasts that collide, %", &tally.collided),
-        percent("recorded futures that collide, %", &tally.truly_collided),
-        percent("forecasts that break a limit, %", &tally.broken),
-    ]
+    let sureness =
+        Method::OURS.iter().enumerate().map(|(ours, &method)| (method, tally.sureness(ours, horizon)));
+    let mut rates = vec![count("scenes", tally.scenes_len), count("agents", tally.agents_len)];
+    rates.extend(sureness.clone().map(|(method, of)| rate("KDE-NLL", method, of.kde_nll.value(), 3)));
+    let mut shares = |name, share: fn(&Sureness) -> &metrics::Share| {
+        rates.extend(sureness.clone().map(|(method, of)| percent(name, method, share(&of))));
+    };
+    shares("in the 50 % region, %", |of| &of.covered_50);
+    shares("in the 90 % region, %", |of| &of.covered_90);
+    shares("best of 20 ends over 2 m off, %", |of| &of.missed_best);
+    shares("K = 1 ends over 2 m off, %", |of| &of.missed_single);
+    rates.extend([
+        percent("K = 1 forecasts that collide, %", Method::Network, &tally.collided),
+        percent("recorded futures that collide, %", Method::Network, &tally.truly_collided),
+    ]);
+    let broken = Method::OURS.iter().zip(&tally.broken);
+    rates.extend(broken.map(|(&method, broken)| percent("forecasts that break a limit, %", method, broken)));
+    rates
 }
