@@ -11,7 +11,7 @@
 //! [updated](crate::Filter::update_jointly) to the moments of its posteriors under each detection, weighted by β, and of its
 //! prior, weighted by that of the miss.
 //!
-//! An [`Association`] enumerates the events of one small component; an [`Associator`] finds the components of a frame.
+//! An [`JointAssociation`] enumerates the events of one small component; an [`Associator`] finds the components of a frame.
 
 mod associator;
 
@@ -53,13 +53,13 @@ pub enum JpdaFault {
 
 /// The probability of each pair, and of each track's miss.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Association {
+pub struct JointAssociation {
     beta: [[f64; OPTIONS_MAX]; SIDE_MAX],
     tracks_len: usize,
     detections_len: usize,
 }
 
-impl Association {
+impl JointAssociation {
     /// Enumerates the joint events of a component.
     ///
     /// `log_likelihood(track, detection)` is ln N(y; 0, S), `None` beyond the gate; one that is not finite counts as
@@ -85,7 +85,7 @@ impl Association {
         Ok(Self::enumerate(tracks_len, detections_len, log_miss, log_weight))
     }
 
-    /// As [`Association::new`], of a component within [`SIDE_MAX`], by what the pairs and a miss weigh in an event.
+    /// As [`JointAssociation::new`], of a component within [`SIDE_MAX`], by what the pairs and a miss weigh in an event.
     fn enumerate(
         tracks_len: usize,
         detections_len: usize,

@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 
 use filters::assignment::{Assigner, Candidate};
-use filters::jpda::{Association, Associator, JpdaFault, SIDE_MAX, Sensor};
+use filters::jpda::{Associator, JointAssociation, JpdaFault, SIDE_MAX, Sensor};
 use proptest::prelude::*;
 
 const SENSOR: Sensor = Sensor { detection_probability: 0.9, clutter_density: 0.05 };
@@ -25,11 +25,12 @@ fn probabilities_agree_with_the_reference() {
         let sensor = Sensor { detection_probability: number("PD"), clutter_density: number("clutter") };
         let log_det = (std::f64::consts::TAU * number("S_scalar")).ln();
         let gate = number("gate");
-        let found = Association::new(distance2.len(), distance2[0].len(), &sensor, |track, detection| {
-            let d2 = distance2[track][detection];
-            (d2 <= gate).then_some(-0.5 * d2 - log_det)
-        })
-        .unwrap();
+        let found =
+            JointAssociation::new(distance2.len(), distance2[0].len(), &sensor, |track, detection| {
+                let d2 = distance2[track][detection];
+                (d2 <= gate).then_some(-0.5 * d2 - log_det)
+            })
+            .unwrap();
         for (track, expected) in expected.iter().enumerate() {
             for (found, expected) in found.of_track(track).iter().zip(expected) {
                 assert!((found - expected).abs() < 1e-9, "track {track}: {found} instead of {expected}");
@@ -41,20 +42,20 @@ fn probabilities_agree_with_the_reference() {
 #[test]
 fn impossible_inputs_are_refused_or_left_out() {
     let zero = |_, _| Some(0.0);
-    let fault = Association::new(6, 2, &SENSOR, zero).unwrap_err();
+    let fault = JointAssociation::new(6, 2, &SENSOR, zero).unwrap_err();
     assert_eq!(fault, JpdaFault::TooLarge { tracks_len: 6, detections_len: 2 });
     for sensor in [
         Sensor { detection_probability: 1.0, ..SENSOR },
         Sensor { clutter_density: 0.0, ..SENSOR },
         Sensor { detection_probability: f64::NAN, ..SENSOR },
     ] {
-        assert!(matches!(Association::new(2, 2, &sensor, zero), Err(JpdaFault::Sensor(_))));
+        assert!(matches!(JointAssociation::new(2, 2, &sensor, zero), Err(JpdaFault::Sensor(_))));
     }
     let odd = [f64::NAN, f64::INFINITY, f64::NEG_INFINITY];
-    let found = Association::new(1, 3, &SENSOR, |_, detection| Some(odd[detection])).unwrap();
+    let found = JointAssociation::new(1, 3, &SENSOR, |_, detection| Some(odd[detection])).unwrap();
     assert_eq!(found.of_track(0), [0.0, 0.0, 0.0, 1.0]);
     // Two tracks that both lie on one detection, told with all the certainty there is.
-    let found = Association::new(2, 1, &SENSOR, |_, _| Some(1e5)).unwrap();
+    let found = JointAssociation::new(2, 1, &SENSOR, |_, _| Some(1e5)).unwrap();
     assert!((found.pair(0, 0) - 0.5).abs() < 1e-12 && (found.miss(1) - 0.5).abs() < 1e-12);
 }
 
@@ -66,7 +67,7 @@ proptest! {
         logs in proptest::collection::vec(proptest::option::of(-300.0_f64..30.0), 25),
     ) {
         let log = |track: usize, detection: usize| logs[5 * track + detection];
-        let found = Association::new(tracks, detections, &SENSOR, log).unwrap();
+        let found = JointAssociation::new(tracks, detections, &SENSOR, log).unwrap();
         for track in 0..tracks {
             let sum: f64 = found.of_track(track).iter().sum();
             prop_assert!((sum - 1.0).abs() < 1e-12);
@@ -76,7 +77,7 @@ proptest! {
             prop_assert!(sum < 1.0 + 1e-12);
         }
         let turned =
-            Association::new(tracks, detections, &SENSOR, |track, d| log(tracks - 1 - track, d)).unwrap();
+            JointAssociation::new(tracks, detections, &SENSOR, |track, d| log(tracks - 1 - track, d)).unwrap();
         for track in 0..tracks {
             prop_assert!((found.miss(track) - turned.miss(tracks - 1 - track)).abs() < 1e-12);
         }
@@ -118,7 +119,7 @@ proptest! {
                 }
             }
         }
-        let whole = Association::new(tracks, detections, &SENSOR, |track, d| logs[5 * track + d]).unwrap();
+        let whole = JointAssociation::new(tracks, detections, &SENSOR, |track, d| logs[5 * track + d]).unwrap();
         for (track, row) in associated(candidates, tracks, detections).iter().enumerate() {
             for (found, expected) in row.iter().zip(whole.of_track(track)) {
                 prop_assert!((found - expected).abs() < 1e-9, "{} instead of {}", found, expected);
@@ -199,6 +200,6 @@ fn the_largest_component_is_bounded() {
         let sum: f64 = found.iter().map(|row| row[detection]).sum();
         assert!(sum < 1.0 + 1e-12, "{sum}");
     }
-    let alone = Association::new(1, 1, &SENSOR, |_, _| Some(-0.5)).unwrap();
+    let alone = JointAssociation::new(1, 1, &SENSOR, |_, _| Some(-0.5)).unwrap();
     assert!((found[300][300] - alone.pair(0, 0)).abs() < 1e-9);
 }

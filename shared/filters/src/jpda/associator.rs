@@ -1,4 +1,4 @@
-use super::{Association, SIDE_MAX};
+use super::{JointAssociation, SIDE_MAX};
 use crate::assignment::{Assigner, Candidate};
 use crate::components::Components;
 
@@ -130,7 +130,7 @@ fn probabilities(
     }
     let (tracks_len, detections_len) = (by_track().count(), detections.iter().flatten().count());
     let log_weight = |row: usize, column: usize| log_weights[row][column];
-    let found = Association::enumerate(tracks_len, detections_len, -0.5 * miss_cost, log_weight);
+    let found = JointAssociation::enumerate(tracks_len, detections_len, -0.5 * miss_cost, log_weight);
     by_track().enumerate().map(move |(row, of_track)| {
         let share = move |candidate: &Candidate| {
             let probability = found.pair(row, column(&detections, candidate));

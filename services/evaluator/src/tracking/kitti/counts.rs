@@ -4,10 +4,10 @@ use metrics::tracking::{
     linear_similarity,
 };
 
-/// A track stands for a truth that is at most so far away; the similarity of HOTA is 0 there, and GOSPA cuts off.
+/// A track stands for a truth that is at most so far away; the similarity of HOTA is 0 there, and GOSPA and OSPA cut off.
 pub(crate) const GATE_M: f64 = 2.0;
-/// The order p of GOSPA.
-const GOSPA_ORDER: f64 = 2.0;
+/// The order p of GOSPA and OSPA.
+const ORDER: f64 = 2.0;
 
 /// What all measures count of the tracks of one class; counts of several sequences can be merged.
 #[derive(Clone, Copy, Debug, Default)]
@@ -16,6 +16,7 @@ pub(crate) struct Counts {
     identity: IdentityCounts,
     hota: HotaCounts,
     gospa_m: Mean,
+    ospa_m: Mean,
 }
 
 /// A figure that follows from [`Counts`].
@@ -25,6 +26,7 @@ pub(crate) enum KittiMeasure {
     Idf1,
     Hota,
     Gospa,
+    Ospa,
     Missed,
     False,
     Switches,
@@ -34,8 +36,8 @@ impl Counts {
     /// Counts the frames of a sequence.
     pub(crate) fn of(frames: &[Frame]) -> Result<Self, TrackingError> {
         let (mut clear, mut identity) = (ClearMot::new(GATE_M)?, Identity::new(GATE_M)?);
-        let (mut hota, distance) = (Hota::default(), SetDistance::new(GATE_M, GOSPA_ORDER)?);
-        let mut gospa_m = Mean::default();
+        let (mut hota, distance) = (Hota::default(), SetDistance::new(GATE_M, ORDER)?);
+        let (mut gospa_m, mut ospa_m) = (Mean::default(), Mean::default());
         for frame in frames {
             clear.add(frame);
             identity.add(frame);
@@ -43,9 +45,10 @@ impl Counts {
             // Frames in which there is nothing to say would only thin out the mean.
             if !(frame.truths().is_empty() && frame.tracks().is_empty()) {
                 gospa_m.add(distance.gospa(frame).distance_m);
+                ospa_m.add(distance.ospa(frame));
             }
         }
-        Ok(Self { clear: clear.finish(), identity: identity.finish(), hota: hota.finish(), gospa_m })
+        Ok(Self { clear: clear.finish(), identity: identity.finish(), hota: hota.finish(), gospa_m, ospa_m })
     }
 
     /// Counts all that `other`, of another sequence, counted.
@@ -54,6 +57,7 @@ impl Counts {
         self.identity.merge(&other.identity);
         self.hota.merge(&other.hota);
         self.gospa_m.merge(&other.gospa_m);
+        self.ospa_m.merge(&other.ospa_m);
     }
 
     /// The sum of several.
@@ -77,6 +81,7 @@ impl Counts {
             KittiMeasure::Idf1 => self.identity.idf1(),
             KittiMeasure::Hota => (self.clear.truths_len() > 0).then(|| self.hota.mean().hota),
             KittiMeasure::Gospa => self.gospa_m.value(),
+            KittiMeasure::Ospa => self.ospa_m.value(),
             KittiMeasure::Missed => count(self.clear.missed_len),
             KittiMeasure::False => count(self.clear.false_len),
             KittiMeasure::Switches => count(self.clear.switches_len),
@@ -86,10 +91,18 @@ impl Counts {
 
 impl KittiMeasure {
     /// All measures, in the order of the columns.
-    pub(crate) const ALL: [Self; 7] =
-        [Self::Mota, Self::Idf1, Self::Hota, Self::Gospa, Self::Missed, Self::False, Self::Switches];
+    pub(crate) const ALL: [Self; 8] = [
+        Self::Mota,
+        Self::Idf1,
+        Self::Hota,
+        Self::Gospa,
+        Self::Ospa,
+        Self::Missed,
+        Self::False,
+        Self::Switches,
+    ];
     /// Those that are compared.
-    pub(crate) const COMPARED: [Self; 4] = [Self::Mota, Self::Idf1, Self::Hota, Self::Gospa];
+    pub(crate) const COMPARED: [Self; 5] = [Self::Mota, Self::Idf1, Self::Hota, Self::Gospa, Self::Ospa];
 
     /// The name in tables.
     pub(crate) const fn name(self) -> &'static str {
@@ -98,6 +111,7 @@ impl KittiMeasure {
             Self::Idf1 => "IDF1",
             Self::Hota => "HOTA",
             Self::Gospa => "GOSPA, m",
+            Self::Ospa => "OSPA, m",
             Self::Missed => "misses",
             Self::False => "false",
             Self::Switches => "switches",
@@ -107,7 +121,7 @@ impl KittiMeasure {
     /// A figure as text.
     pub(crate) fn text(self, figure: f64) -> String {
         match self {
-            Self::Mota | Self::Idf1 | Self::Hota | Self::Gospa => format!("{figure:.3}"),
+            Self::Mota | Self::Idf1 | Self::Hota | Self::Gospa | Self::Ospa => format!("{figure:.3}"),
             Self::Missed | Self::False | Self::Switches => format!("{figure:.0}"),
         }
     }

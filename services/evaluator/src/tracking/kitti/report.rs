@@ -113,7 +113,7 @@ impl KittiReport {
 
     fn figures(&self) -> Table {
         let note = "Detections of PointRCNN, labels as the truth, both in the world frame; matched within 2 m on the ground, which is also \
-                    where HOTA's similarity ends and GOSPA (p = 2, mean of the frames) cuts off. Objects that are truncated, occluded to an \
+                    where HOTA's similarity ends and GOSPA and OSPA (p = 2, mean of the frames) cut off. Objects that are truncated, occluded to an \
                     unknown degree or of a neighbouring class (vans, trucks, people who sit) may be found or missed; a track with no object is \
                     false unless its place is out of the image, under 25 px high or in a region without labels. The least score of the \
                     detections is each contender's own choice per class, by MOTA on the other sequences, of the same eight from -1 to 6. Of ours those tracks \

@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use filters::jpda::{Association, Sensor};
+use filters::jpda::{JointAssociation, Sensor};
 use filters::{Integrator, between, sample_moments};
 use kinematics::Bicycle;
 use nalgebra::{Vector2, Vector5};
@@ -145,7 +145,7 @@ impl AssociationCase {
             (d2 <= self.gate).then_some(-0.5 * d2 - log_root_det)
         };
         let (tracks_len, detections_len) = (self.tracks.len(), self.meas.len());
-        let association = Association::new(tracks_len, detections_len, &sensor, log_likelihood);
+        let association = JointAssociation::new(tracks_len, detections_len, &sensor, log_likelihood);
         let association = association.map_err(|fault| fault.to_string())?;
         let pairs = (0..tracks_len).flat_map(|track| (0..detections_len).map(move |j| (track, j)));
         let beta = (0..tracks_len).flat_map(|track| association.of_track(track).iter().copied());
