@@ -32,7 +32,10 @@ pub fn recipe(name: &str) -> Option<TrainOptions> {
         ("interaction", _) => vehicles(None, 16_000),
         ("interaction-without-FT", _) => vehicles(Some("Roundabout_FT"), 6_000),
         ("interaction-without-EP1", _) => vehicles(Some("Intersection_EP1"), 6_000),
-        ("onboard", _) => TrainOptions::default(),
+        ("onboard", _) => TrainOptions {
+            model: ModelConfig { patch_ahead_m: 8.0, ..onboard_config() },
+            ..TrainOptions::default()
+        },
         _ => return None,
     };
     Some(TrainOptions {
