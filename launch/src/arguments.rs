@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use clap::Args;
-use config::{Association, MapChoice, Prior, Run, Scene};
+use config::{Association, MapChoice, Prior, Run, Scene, View};
 use data::Format;
 use nn::Weights;
 use rustix::fs::Access;
@@ -47,6 +47,10 @@ pub struct TrackerArguments {
     /// file's, else `assignment`]
     #[arg(long = "tracker.association", value_name = "ASSOCIATION")]
     pub association: Option<Association>,
+    /// What the sensor can see at best, as a sector about the ego's heading, 90,80 for example: who is outside is not missed, where
+    /// frames tell that they were made from the ego [default: the pipeline file's, else all there is]
+    #[arg(long = "tracker.view", value_name = "DEG,M")]
+    pub view: Option<View>,
 }
 
 /// What is remembered of the place.
@@ -150,6 +154,7 @@ impl PlaybackArguments {
             associate: self.tracker.associate,
             prior: self.tracker.prior.unwrap_or_default(),
             association: self.tracker.association.unwrap_or_default(),
+            view: self.tracker.view,
             recall: self.place.recalls(),
             memory: self.place.memory(None, &weights)?.map(|kept| kept.path),
             weights: weights_path,

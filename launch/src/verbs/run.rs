@@ -94,6 +94,7 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
         associate: arguments.tracker.associate,
         prior: arguments.tracker.prior.or(tracker.prior).unwrap_or_default(),
         association: arguments.tracker.association.or(tracker.association).unwrap_or_default(),
+        view: arguments.tracker.view.or(tracker.view),
         recall,
         memory: memory.map(|kept| kept.path),
         weights: weights_path,

@@ -135,11 +135,11 @@ impl Estimates {
         if options.trusts(header, detections) {
             tracked.duplicates_len = pairing.by_identity(&self.all, detections);
         } else {
-            self.look(header, occlusion, |_, estimate| estimate.is_coasting());
+            self.look(header, options, occlusion, |_, estimate| estimate.is_coasting());
             pairing.by_position(&self.all, detections, types, input, options);
             let missed =
                 |e: usize, estimate: &Estimate| !estimate.is_coasting() && pairing.paired(e).is_none();
-            self.look(header, occlusion, missed);
+            self.look(header, options, occlusion, missed);
         }
         for (e, estimate) in self.all.iter_mut().enumerate() {
             possible.clear();
@@ -165,6 +165,7 @@ impl Estimates {
     fn look(
         &mut self,
         header: &Header,
+        options: &TrackerOptions,
         occlusion: &mut Occlusion,
         is_meant: impl Fn(usize, &Estimate) -> bool,
     ) {
@@ -174,7 +175,8 @@ impl Estimates {
             return;
         }
         let opaque = self.all.iter().filter(|estimate| estimate.is_opaque());
-        occlusion.look(header.ego_m.map(f64::from), opaque.map(Estimate::outline));
+        let view = options.view.map(|view| (f64::from(header.ego_heading_rad), view));
+        occlusion.look(header.ego_m.map(f64::from), view, opaque.map(Estimate::outline));
         for (e, estimate) in self.all.iter_mut().enumerate() {
             if is_meant(e, estimate) {
                 estimate.look(occlusion);

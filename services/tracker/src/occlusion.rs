@@ -1,5 +1,7 @@
 //! Who hides whom: how much of an agent the sensor can see past the others.
 //!
+//! What the sensor can see at best is a sector of the ground about its heading; who is outside of it is as hidden as who is behind another.
+//!
 //! Seen from the sensor, every *outline* (a rectangle on the ground) fills an interval of bearings. All round the sensor the
 //! bearings are cut into sectors, and for each is kept how far one can see in it: to behind the nearest outline that its
 //! ray meets. What lies farther away is hidden there. The *visible share* of an agent is that of the bearings in which it may be,
@@ -9,6 +11,9 @@
 //! The cost is linear in the number of agents and the sectors that they fill.
 
 use std::f64::consts::{PI, TAU};
+
+use config::View;
+use filters::wrapped;
 
 /// Sectors all round: a third of a degree each, 0.3 m at 50 m.
 const SECTORS: usize = 1024;
@@ -52,10 +57,23 @@ impl Occlusion {
         }
     }
 
-    /// Looks from a place at outlines that nothing can be seen through.
-    pub fn look(&mut self, sensor_m: [f64; 2], opaque: impl Iterator<Item = Outline>) {
+    /// Looks from a place at outlines that nothing can be seen through; within a view along the heading, if there is one.
+    pub fn look(
+        &mut self,
+        sensor_m: [f64; 2],
+        view: Option<(f64, View)>,
+        opaque: impl Iterator<Item = Outline>,
+    ) {
         self.sensor_m = sensor_m;
         self.reach_m.fill(f64::INFINITY);
+        if let Some((heading_rad, View { width_deg, range_m })) = view {
+            let half_rad = width_deg.to_radians() / 2.0;
+            for (sector, reach_m) in self.reach_m.iter_mut().enumerate() {
+                let bearing_rad = (sector as f64 + 0.5) * SECTOR_RAD;
+                let is_inside = wrapped(bearing_rad - heading_rad).abs() <= half_rad;
+                *reach_m = if is_inside { range_m } else { 0.0 };
+            }
+        }
         for outline in opaque {
             let [dx, dy] = self.offset_m(&outline);
             let (distance_m, radius_m) = (dx.hypot(dy), outline.half_m[0].hypot(outline.half_m[1]));
@@ -166,8 +184,40 @@ mod tests {
 
     fn share(sensor_m: [f64; 2], opaque: &[Outline], of: Outline) -> f64 {
         let mut occlusion = Occlusion::new();
-        occlusion.look(sensor_m, opaque.iter().copied());
+        occlusion.look(sensor_m, None, opaque.iter().copied());
         occlusion.visible_share(&of)
+    }
+
+    /// Ahead to the left there is a lorry; the view goes 45 degrees to either side of the heading, and 50 m far.
+    #[test]
+    fn who_is_out_of_view_is_hidden() {
+        let view = View { width_deg: 90.0, range_m: 50.0 };
+        let mut occlusion = Occlusion::new();
+        for heading_rad in [0.0, 3.0, -3.0] {
+            let (sin, cos) = f64::sin_cos(heading_rad);
+            let turned = |x: f64, y: f64| [cos * x - sin * y, sin * x + cos * y];
+            let lorry = Outline {
+                centre_m: turned(20.0, 10.0),
+                heading_rad: LORRY.heading_rad + heading_rad,
+                ..LORRY
+            };
+            occlusion.look([0.0; 2], Some((heading_rad, view)), std::iter::once(lorry));
+            for (x, y, expected) in [
+                (30.0, -5.0, 1.0),
+                (30.0, 15.0, 0.0),
+                (60.0, -5.0, 0.0),
+                (5.0, 10.0, 0.0),
+                (-30.0, 0.0, 0.0),
+                (10.0, 8.0, 1.0),
+            ] {
+                let [x_m, y_m] = turned(x, y);
+                let share = occlusion.visible_share(&walker(x_m, y_m, 0.1));
+                assert!((share - expected).abs() < 0.02, "{x}, {y} at {heading_rad}: {share}");
+            }
+            let [x_m, y_m] = turned(20.0, -20.0);
+            let share = occlusion.visible_share(&walker(x_m, y_m, 0.1));
+            assert!((0.3..0.7).contains(&share), "at the edge: {share}");
+        }
     }
 
     #[test]

@@ -1,4 +1,4 @@
-use config::{Association, Prior};
+use config::{Association, Prior, View};
 use filters::{Bicycle, ConstantAcceleration, ConstantTurnRate, ConstantVelocity, Integrator, Models};
 use wire::{AgentType, Detection, HISTORY_MAX, Header, detection_flags, flags};
 
@@ -72,6 +72,8 @@ pub struct TrackerOptions {
     pub prior: Prior,
     /// How detections correct tracks, where their identities do not tell.
     pub association: Association,
+    /// What the sensor can see at best, where a frame tells that it was made from the ego; all there is where none.
+    pub view: Option<View>,
     /// Inputs of a detector, to be associated.
     pub detector: InputModel,
     /// Inputs that carry identities: annotated or smoothed recordings, whose positions are nearly without noise.
@@ -146,6 +148,7 @@ impl Default for TrackerOptions {
             associate: false,
             prior: Prior::default(),
             association: Association::default(),
+            view: None,
             detector: DETECTOR,
             recorded: RECORDED,
             detection_probability: 0.9,

@@ -13,6 +13,7 @@ pub fn options(run: &Run) -> TrackerOptions {
         associate: run.associate,
         prior: run.prior,
         association: run.association,
+        view: run.view,
         ..TrackerOptions::default()
     }
 }

@@ -1,5 +1,5 @@
 //! Agents that pass behind a parked vehicle, seen by a sensor at the roadside, among false detections: with the sensor's place
-//! known, and not.
+//! known, and not. And agents that are out of view for a while, with the view known, and not.
 
 #[path = "support/run.rs"]
 mod run;
@@ -7,6 +7,8 @@ mod run;
 use std::collections::BTreeMap;
 use std::f64::consts::PI;
 
+use config::View;
+use filters::wrapped;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use run::{Run, TICK_NS, heading, noise, seen};
@@ -179,6 +181,57 @@ fn who_passes_behind_keeps_its_identity() {
             "{known:?} {unknown:?}"
         );
     }
+}
+
+/// A quarter of the circle, as a camera sees it.
+const VIEW: View = View { width_deg: 90.0, range_m: 60.0 };
+
+/// Whether a walker ahead, whom a sensor sees, then not, because it looks back for a while, then sees again, keeps its track; `None`
+/// if it had none.
+fn looks_back(seed: u64, view: Option<View>) -> Option<bool> {
+    let mut rng = ChaCha8Rng::seed_from_u64(seed);
+    let mut run = Run::new(TrackerOptions { view, ..TrackerOptions::default() }, flags::SEEN_FROM_EGO);
+    let (seen_s, away_s) = (rng.random_range(1.0..3.0), rng.random_range(1.0..3.0));
+    let course: f64 = rng.random_range(-PI..PI);
+    let (mut place, step_m) = ([20.0, 0.0], 1.4 * TICK_S);
+    let (mut before, mut last) = (None, None);
+    for k in 0..((seen_s + away_s + AFTER_S) / TICK_S) as u32 {
+        let time_s = f64::from(k) * TICK_S;
+        let is_ahead = time_s < seen_s || time_s >= seen_s + away_s;
+        let looks_to: f64 = if is_ahead { 0.0 } else { PI };
+        run.ego_heading_rad = looks_to as f32;
+        let mut detections = Vec::new();
+        let bearing = f64::atan2(place[1], place[0]);
+        let own = detection(AgentType::Pedestrian, place, 0.0, &mut rng);
+        if rng.random_bool(DETECTED) && wrapped(bearing - looks_to).abs() < PI / 4.0 {
+            detections.push(own);
+        }
+        for _ in 0..CLUTTER {
+            let (sin, cos) = (looks_to + rng.random_range(-PI / 4.0..PI / 4.0)).sin_cos();
+            let distance_m = VIEW.range_m * rng.random_range(0.0_f64..1.0).sqrt();
+            let place = [distance_m * cos, distance_m * sin];
+            detections.push(detection(AgentType::Pedestrian, place, 0.0, &mut rng));
+        }
+        let tracks = run.step(&detections);
+        let near = tracks.iter().filter(|track| off_m(track, place) < NEAR_M);
+        last = near.min_by(|a, b| off_m(a, place).total_cmp(&off_m(b, place))).map(|track| track.id);
+        if time_s < seen_s {
+            before = last;
+        }
+        place = [place[0] + step_m * course.cos(), place[1] + step_m * course.sin()];
+    }
+    before.map(|before| last == Some(before))
+}
+
+#[test]
+fn who_is_out_of_view_keeps_its_identity() {
+    let [unknown, known] = [None, Some(VIEW)].map(|view| {
+        let followed: Vec<bool> = (0..SEEDS).filter_map(|seed| looks_back(seed, view)).collect();
+        let kept_len = followed.iter().filter(|kept| **kept).count();
+        println!("out of view for 1 to 3 s, {view:?}: {kept_len} of {} keep their track", followed.len());
+        kept_len
+    });
+    assert!(2 * known > 3 * unknown && known > 100, "{known} with the view known, {unknown} without");
 }
 
 /// False tracks of ten minutes, and for how long each was published on average, where much of the view is behind a lorry.

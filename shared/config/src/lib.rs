@@ -12,7 +12,7 @@ pub mod record;
 pub use exit::Exit;
 pub use options::{
     Association, MapChoice, Options, Prior, Propagation, UnknownAssociation, UnknownMap, UnknownPrior,
-    UnknownPropagation,
+    UnknownPropagation, UnknownView, View,
 };
 pub use pipeline::{BUDGET_MAX_MS, Pipeline, PipelineError, Stage, built_in_topics};
 pub use record::{Run, Scene, StageRun};

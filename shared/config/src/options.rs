@@ -115,6 +115,35 @@ impl FromStr for Association {
     }
 }
 
+/// What the sensor can see at best: a sector of the ground about the ego's heading.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct View {
+    /// Its width, within (0, 360].
+    pub width_deg: f64,
+    /// Its radius, within (0, 1000].
+    pub range_m: f64,
+}
+
+/// Text that stands for no view.
+#[derive(Debug, Error, PartialEq, Eq)]
+#[error("unknown view \"{0}\": expected WIDTH,RANGE, up to 360 degrees and 1000 m, as in 90,80")]
+pub struct UnknownView(String);
+
+impl FromStr for View {
+    type Err = UnknownView;
+
+    fn from_str(text: &str) -> Result<Self, UnknownView> {
+        let number = |text: &str, most: f64| {
+            let number = text.trim().parse::<f64>().ok()?;
+            (number > 0.0 && number <= most).then_some(number)
+        };
+        let view = text.split_once(',').and_then(|(width, range)| {
+            Some(Self { width_deg: number(width, 360.0)?, range_m: number(range, 1000.0)? })
+        });
+        view.ok_or_else(|| UnknownView(text.to_owned()))
+    }
+}
+
 /// Settings of the stages; each stage reads its own and pipeline.toml may set no others.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Options {
@@ -128,6 +157,8 @@ pub struct Options {
     pub prior: Option<Prior>,
     /// Tracker: how detections correct tracks.
     pub association: Option<Association>,
+    /// Tracker: what the sensor can see at best, where a frame tells that it was made from the ego.
+    pub view: Option<View>,
     /// Sampler: whether the memory of the place takes part.
     pub recall: Option<bool>,
     /// Sampler: the file that the memory of the place begins with and ends in.

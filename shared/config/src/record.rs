@@ -12,12 +12,12 @@ use serde::{Deserialize, Serialize};
 use thiserror::Error;
 use wire::StageId;
 
-use crate::{Association, MapChoice, Options, Prior};
+use crate::{Association, MapChoice, Options, Prior, View};
 
 /// First bytes of a record's file, before the schema's number and a line break.
 pub const MAGIC: &str = "stgdat-run ";
 /// Version of the record; counts up with every change of [`Run`].
-pub const SCHEMA: u32 = 3;
+pub const SCHEMA: u32 = 4;
 /// Largest record that is read; real ones have a few kilobytes.
 const BYTES_MAX: u64 = 1 << 20;
 
@@ -76,6 +76,8 @@ pub struct Run {
     pub prior: Prior,
     /// How detections correct tracks.
     pub association: Association,
+    /// What the sensor can see at best, from the ego; all round and as far as it may be where none.
+    pub view: Option<View>,
     /// Whether forecasts recall how others went on at the same place.
     pub recall: bool,
     /// Where that memory is kept from one run to the next; nowhere where none.
@@ -144,6 +146,7 @@ impl Default for Run {
             associate: false,
             prior: Prior::default(),
             association: Association::default(),
+            view: None,
             recall: false,
             memory: None,
             weights: None,
@@ -241,6 +244,7 @@ mod tests {
             associate: false,
             prior: Prior::Kinematic,
             association: Association::Jpda,
+            view: Some(View { width_deg: 90.0, range_m: 80.0 }),
             recall: true,
             memory: Some("c.memory".into()),
             weights: None,

@@ -14,6 +14,7 @@ pub struct Run {
     pub tracker: Tracker,
     pub tracks: Vec<Track>,
     pub flags: u32,
+    pub ego_heading_rad: f32,
     pub observed_types: u32,
     pub tick_ns: i64,
     pub stamp_ns: i64,
@@ -27,6 +28,7 @@ impl Run {
             tracker: Tracker::new(options),
             tracks: vec![Track::zeroed(); AGENTS_MAX],
             flags,
+            ego_heading_rad: 0.0,
             observed_types: ALL_TYPES,
             tick_ns: TICK_NS,
             stamp_ns: 1_000_000_000,
@@ -35,7 +37,8 @@ impl Run {
     }
 
     pub fn header(&self) -> Header {
-        Header { flags: self.flags, observed_types: self.observed_types, ..Header::new(1, 0, self.stamp_ns) }
+        let Self { flags, ego_heading_rad, observed_types, stamp_ns, .. } = *self;
+        Header { flags, ego_heading_rad, observed_types, ..Header::new(1, 0, stamp_ns) }
     }
 
     pub fn step(&mut self, detections: &[Detection]) -> &[Track] {

@@ -11,7 +11,7 @@ use wire::{
 use super::error::Fault;
 use super::file::{File, OptionsTable, StageTable};
 use super::{Pipeline, Stage};
-use crate::{Association, MapChoice, Options, Prior, Propagation};
+use crate::{Association, MapChoice, Options, Prior, Propagation, View};
 
 /// What all budgets together may be: one tick.
 pub const BUDGET_MAX_MS: f64 = 80.0;
@@ -163,6 +163,9 @@ fn options(id: StageId, table: &OptionsTable) -> Result<Options, Fault> {
     if let Some(association) = table.association.as_ref().filter(|_| id != StageId::Tracker) {
         return foreign(association.span(), "association", "tracker");
     }
+    if let Some(view) = table.view.as_ref().filter(|_| id != StageId::Tracker) {
+        return foreign(view.span(), "view", "tracker");
+    }
     if let Some(recall) = table.recall.as_ref().filter(|_| id != StageId::Sampler) {
         return foreign(recall.span(), "recall", "sampler");
     }
@@ -184,6 +187,7 @@ fn options(id: StageId, table: &OptionsTable) -> Result<Options, Fault> {
         map: parsed::<MapChoice>(table.map.as_ref())?,
         prior: parsed::<Prior>(table.prior.as_ref())?,
         association: parsed::<Association>(table.association.as_ref())?,
+        view: parsed::<View>(table.view.as_ref())?,
         recall: table.recall.as_ref().map(|recall| *recall.get_ref()),
         memory: table.memory.as_ref().map(|memory| memory.get_ref().clone()),
         propagation: parsed::<Propagation>(table.propagation.as_ref())?,

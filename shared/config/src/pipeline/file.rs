@@ -35,6 +35,7 @@ pub(super) struct OptionsTable {
     pub map: Option<Spanned<String>>,
     pub prior: Option<Spanned<String>>,
     pub association: Option<Spanned<String>>,
+    pub view: Option<Spanned<String>>,
     pub recall: Option<Spanned<bool>>,
     pub memory: Option<Spanned<PathBuf>>,
     pub propagation: Option<Spanned<String>>,

@@ -3,7 +3,7 @@ use std::path::Path;
 use miette::{GraphicalReportHandler, GraphicalTheme};
 
 use super::*;
-use crate::{Association, Prior};
+use crate::{Association, Prior, View};
 
 const FULL: &str = include_str!("../../../../launch/pipeline.toml");
 
@@ -166,6 +166,20 @@ fn the_trackers_association() {
     assert!(wrong.contains("expected assignment or jpda"), "{wrong}");
     let foreign = error(&with("deadline_ms = 72", "association = \"jpda\""));
     assert!(foreign.contains("the sampler has no option `association`"), "{foreign}");
+}
+
+#[test]
+fn the_trackers_view() {
+    let tracker = |options: &str| with("budget_ms = 6", &format!("budget_ms = 6\noptions = {{ {options} }}"));
+    let pipeline = Pipeline::parse("p.toml", &tracker("view = \"81, 70\"")).unwrap();
+    let stage = pipeline.stages.iter().find(|stage| stage.id == StageId::Tracker).unwrap();
+    assert_eq!(stage.options.view, Some(View { width_deg: 81.0, range_m: 70.0 }));
+    for wrong in ["90", "0,80", "400,80", "90,nan", "90,-1", "90,80,2"] {
+        let told = error(&tracker(&format!("view = \"{wrong}\"")));
+        assert!(told.contains(&format!("unknown view \"{wrong}\": expected WIDTH,RANGE")), "{told}");
+    }
+    let foreign = error(&with("deadline_ms = 72", "view = \"90,80\""));
+    assert!(foreign.contains("the sampler has no option `view`"), "{foreign}");
 }
 
 #[test]
