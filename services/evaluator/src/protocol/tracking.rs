@@ -1,6 +1,6 @@
 //! Tracking: the motion of INTERACTION's vehicles from noisy positions, with gaps, by filters with and without forecasts.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 use data::sets::{DataSet, Part};
 use scene::ContextMap;
@@ -50,8 +50,8 @@ pub fn tracking(
     let judged = options.read_part(SET, options.part, &cut)?;
     progress("what the training part tells of each site");
     let training = options.read_part(SET, Part::Train, &cut)?;
-    let sites = validation.iter().chain(&judged).map(site_of);
-    let maps = sites.map(|site| (site.clone(), map_of(&training, &site))).collect();
+    let sites: BTreeSet<String> = validation.iter().chain(&judged).map(site_of).collect();
+    let maps = sites.into_iter().map(|site| (site.clone(), map_of(&training, &site))).collect();
     let places = places(options, &model, &training, &maps);
     let recordings: Vec<_> = judged.iter().map(|footage| &footage.recording).collect();
     let provenance = model.provenance("tracking", told(options.map), &recordings);
