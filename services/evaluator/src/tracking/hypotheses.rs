@@ -141,8 +141,10 @@ impl<'a> Oracle<'a> {
                 MapInput::Online | MapInput::None => self.online.patch(&estimate.state, options, patch),
             }
         }
-        let seen = estimates.iter().filter(|estimate| estimate.is_seen).map(|estimate| estimate.state);
-        self.online.observe(ego_m, seen.map(|state| (state.position_m, state.velocity_mps)));
+        if matches!(self.map, MapInput::Online) {
+            let seen = estimates.iter().filter(|estimate| estimate.is_seen).map(|estimate| estimate.state);
+            self.online.observe(ego_m, seen.map(|state| (state.position_m, state.velocity_mps)));
+        }
         self.forecaster.embed_patches(&patches)
     }
 }

@@ -28,7 +28,7 @@ pub(crate) enum TrackingMethod {
     Revisiting,
     /// The processes of [`TrackingMethod::Learned`] by Monte Carlo: particles, with the settings of the mixture.
     LearnedParticles,
-    /// Constant acceleration with all that is measured later as well: no filter, but a bound to what one can know.
+    /// Constant acceleration with all that is measured later as well: no filter, but a mark for them.
     Smoother,
 }
 
