@@ -373,3 +373,12 @@ fn five_hundred_particles_are_near() {
         assert!((0.9..=1.1).contains(&states.per_degree), "{name}: {states:?}");
     }
 }
+
+/// So many are needed for the sums over all seeds to lie within their bounds as often as those of the other filters.
+#[test]
+fn four_thousand_particles_are_as_near_as_the_mixture() {
+    let vehicles = vehicles();
+    for (name, sensor) in [("σ 0.02 m", SHARP), ("σ 0.2 m", POSITIONS)] {
+        assert_near(&format!("4,000 particles, {name}"), &vehicles.particles(sensor, 12, 4_000));
+    }
+}
