@@ -25,9 +25,6 @@ use path::{Course, Evidence, Skill};
 const BUCKET_MAX: [usize; 2] = [128, 512];
 /// Newest moments that are kept at all.
 const MOMENTS_MAX: usize = 131_072;
-/// Half of the squared distance between two moments beyond which one tells nothing of the other, driving and walking: of walkers
-/// there are many more.
-const REACH: [f32; 2] = [7.0, 4.0];
 /// Share of what is to be expected that modes depart by.
 const MODES_SHARE: f32 = 0.5;
 /// Most paths of others that are told: the likeliest.
@@ -267,25 +264,24 @@ impl PlaceMemory {
 
     /// How others departed who were where the agent is now and moved alike, into `recall`.
     ///
-    /// Each moment whose step was driven counts by exp(−d²/2), d being its distance.
+    /// Each moment whose step was driven counts by how much alike it is to this one.
     pub fn recall(&self, agent: u64, moment: &Moment, recall: &mut Recall) {
         let gait = moment.gait();
-        let reach = REACH[gait as usize];
         let mut evidence = Evidence::default();
         recall.likes.clear();
         recall.least = 0;
         for key in moment.keys_around() {
             for entry in self.buckets.get(&key).into_iter().flatten() {
-                let distance = entry.moment.distance(moment, reach);
-                let Some(distance) = distance.filter(|_| (entry.stay, entry.agent) != (self.stay, agent))
-                else {
+                let alike = entry.moment.alike(moment);
+                let Some(alike) = alike.filter(|_| (entry.stay, entry.agent) != (self.stay, agent)) else {
                     continue;
                 };
                 let memory = &self.memories[(entry.number - self.oldest) as usize];
-                let weight = (-distance).exp();
-                evidence.add(weight, &memory.departures);
-                if weight >= LIKE_MIN && memory.driven_len == self.horizon_len {
-                    recall.tell_of(weight, &memory.departures);
+                if alike.in_common > 0.0 {
+                    evidence.add(alike.in_common, &memory.departures);
+                }
+                if alike.path >= LIKE_MIN && memory.driven_len == self.horizon_len {
+                    recall.tell_of(alike.path, &memory.departures);
                 }
             }
         }

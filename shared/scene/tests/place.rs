@@ -296,6 +296,12 @@ fn where_others_bore_left_it_is_forecast_that_one_does() {
     assert!((across - 0.8).abs() < 0.15, "{told:?}");
     assert!(told[..HORIZON_LEN].iter().all(|[along, _]| along.abs() < 0.02), "{told:?}");
     assert!(recalled.likes.len() > 20, "{}", recalled.likes.len());
+    let beside = recall(&memory, 99, &at([7.5, 0.0]));
+    assert!(
+        beside.expected.is_empty() && !beside.likes.is_empty(),
+        "too far for what is in common, not for a path"
+    );
+    assert!(recall(&memory, 99, &at([12.0, 0.0])).is_empty(), "too far");
     let driver = Moment::Driving(Driving { heading_rad: 0.9, speed_mps: 1.25, ..AT_ZERO });
     assert!(recall(&memory, 99, &driver).is_empty(), "of other gait");
 }

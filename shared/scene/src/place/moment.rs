@@ -8,6 +8,16 @@ const DIRECTIONS: i32 = 8;
 /// Stands for a direction where it is not told apart.
 const ANY_DIRECTION: i32 = -1;
 
+/// Half of the squared distance between two moments beyond which one tells nothing of the other, driving and walking: of walkers
+/// there are many more.
+const REACH: [f32; 2] = [7.0, 4.0];
+/// Widths of a walker's place: who came by farther off says little of what all have in common there, but still where one can go.
+const IN_COMMON_M: f32 = 2.5;
+/// See [`IN_COMMON_M`].
+const PATH_M: f32 = 4.0;
+/// Width of a walker's velocity.
+const VELOCITY_MPS: f32 = 0.3;
+
 /// Numbers of a moment in a file: those of who drives.
 pub(super) const COMPONENTS: usize = 6;
 
@@ -22,6 +32,15 @@ pub enum Gait {
 
 /// Names a bucket: gait, cell and direction.
 pub(super) type Key = (Gait, [i32; 3]);
+
+/// How much alike two moments are, from 0 to 1.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Alike {
+    /// For what those who were there had in common.
+    pub(super) in_common: f32,
+    /// For the path that one of them took.
+    pub(super) path: f32,
+}
 
 /// Where an agent is, and how it moves.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -132,20 +151,24 @@ impl Moment {
         }
     }
 
-    /// Half of the squared distance to another moment, every component by how far its likes go; none to one of another gait or
-    /// beyond `reach`.
+    /// How much alike another moment is; none where it is of another gait, or so far that it tells nothing.
     ///
     /// ```text
-    /// ½ ((Δy/0.8)² + (Δx/1.0)² + (Δψ/0.12)² + (Δv/1.5)² + (Δa/0.8)² + (Δω/0.1)²)      driving, x along the heading, y across it
-    /// ½ (|Δp|²/2.5² + |Δv|²/0.3²)                                                      walking
+    /// exp(−d²/2)
+    /// d² = (Δy/0.8)² + (Δx/1.0)² + (Δψ/0.12)² + (Δv/1.5)² + (Δa/0.8)² + (Δω/0.1)²      driving, x along the heading, y across it
+    /// d² = |Δp|²/σ² + |Δv|²/0.3²      walking, σ = 2.5 m for what is in common, 4 m for a path
     /// ```
-    pub(super) fn distance(&self, other: &Self, reach: f32) -> Option<f32> {
-        let distance = match (self, other) {
-            (Self::Driving(own), Self::Driving(other)) => own.distance(other, reach)?,
-            (Self::Walking(own), Self::Walking(other)) => own.distance(other),
-            _ => return None,
-        };
-        (distance <= reach).then_some(distance)
+    pub(super) fn alike(&self, other: &Self) -> Option<Alike> {
+        let reach = REACH[self.gait() as usize];
+        match (self, other) {
+            (Self::Driving(own), Self::Driving(other)) => {
+                let distance = own.distance(other, reach).filter(|distance| *distance <= reach)?;
+                let weight = (-distance).exp();
+                Some(Alike { in_common: weight, path: weight })
+            }
+            (Self::Walking(own), Self::Walking(other)) => own.alike(other, reach),
+            _ => None,
+        }
     }
 
     /// The key of the bucket that moments like this one lie in.
@@ -195,10 +218,16 @@ impl Driving {
 }
 
 impl Walking {
-    fn distance(&self, other: &Self) -> f32 {
-        let apart = |axis: usize| (other.position_m[axis] - self.position_m[axis]) / 2.5;
-        let faster = |axis: usize| (other.velocity_mps[axis] - self.velocity_mps[axis]) / 0.3;
-        half_square([apart(0), apart(1), faster(0), faster(1)])
+    fn alike(&self, other: &Self, reach: f32) -> Option<Alike> {
+        let apart = |axis: usize| other.position_m[axis] - self.position_m[axis];
+        let faster = |axis: usize| (other.velocity_mps[axis] - self.velocity_mps[axis]) / VELOCITY_MPS;
+        let (of_place, of_motion) = (half_square([0, 1].map(apart)), half_square([0, 1].map(faster)));
+        let weight = |width_m: f32| {
+            let distance = of_place / (width_m * width_m) + of_motion;
+            if distance <= reach { (-distance).exp() } else { 0.0 }
+        };
+        let path = weight(PATH_M);
+        (path > 0.0).then(|| Alike { in_common: weight(IN_COMMON_M), path })
     }
 }
 
