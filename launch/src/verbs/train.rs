@@ -15,7 +15,7 @@ pub struct Arguments {
     #[arg(long, value_name = "NAME", conflicts_with = "options")]
     recipe: Option<String>,
     /// Change of the model: paper, plus, compact, full, T, T+C-ATT, T+C, T+C+K, same-node, equal-attention, no-attention,
-    /// literal, no-map, site-map or online-map; several are made in turn
+    /// literal, no-map, site-map, online-map or centred-patch; several are made in turn
     #[arg(long, value_name = "NAME")]
     preset: Vec<String>,
     /// Any option by its place in what --print-options prints, `objective.plus.candidates=6` for example; several are

@@ -20,11 +20,19 @@ pub struct OptimiserOptions {
     pub clip_norm: f64,
     /// Decay of the running average of the weights, reached gradually.
     pub average_decay: f64,
+    /// Share of a weight that an update at learning rate 1 takes away (decoupled weight decay); biases keep theirs.
+    pub weight_decay: f64,
 }
 
 impl Default for OptimiserOptions {
     fn default() -> Self {
-        Self { learning_rate: 3e-3, warm_up_steps: 200, clip_norm: 10.0, average_decay: 0.995 }
+        Self {
+            learning_rate: 3e-3,
+            warm_up_steps: 200,
+            clip_norm: 10.0,
+            average_decay: 0.995,
+            weight_decay: 0.0,
+        }
     }
 }
 
@@ -93,6 +101,11 @@ impl Adam {
             dispatch(Move {
                 gradient,
                 moments,
+                keep: if tensor.shape.len() > 1 {
+                    (1.0 - rate * self.options.weight_decay) as f32
+                } else {
+                    1.0
+                },
                 values: &mut tensor.values,
                 scale: scale as f32,
                 rate: (rate / (1.0 - BETA_1.powi(exponent))) as f32,
@@ -124,6 +137,7 @@ struct Move<'a> {
     gradient: &'a [f32],
     moments: &'a mut Moments,
     values: &'a mut [f32],
+    keep: f32,
     scale: f32,
     rate: f32,
     second_bias: f32,
@@ -134,7 +148,7 @@ impl Kernel for Move<'_> {
 
     #[inline(always)]
     fn run<L: Lanes>(self, _: L) {
-        let Self { gradient, moments, values, scale, rate, second_bias } = self;
+        let Self { gradient, moments, values, keep, scale, rate, second_bias } = self;
         let (beta_1, beta_2) = (BETA_1 as f32, BETA_2 as f32);
         let Moments { first, second, units } = moments;
         let len = values.len();
@@ -144,7 +158,7 @@ impl Kernel for Move<'_> {
             first[i] = first[i] * beta_1 + g * (1.0 - beta_1);
             second[i] = second[i] * beta_2 + g * g * (1.0 - beta_2);
             let change = first[i] / ((second[i] * second_bias).sqrt() + EPSILON) * rate;
-            values[i] -= if units.is_empty() { change } else { change * units[i] };
+            values[i] = values[i] * keep - if units.is_empty() { change } else { change * units[i] };
         }
     }
 }
@@ -201,6 +215,25 @@ mod tests {
         for values in [weights.get("a"), adam.average.get("a")] {
             assert!(values.iter().all(|value| (value - 1.0).abs() < 0.05), "{values:?}");
         }
+    }
+
+    #[test]
+    fn weights_decay_and_biases_do_not() {
+        let mut weights = Tensors::default();
+        weights.insert("weight", &[1, 2], vec![1.0, -2.0], Role::Learned);
+        weights.insert("bias", &[2], vec![1.0, -2.0], Role::Learned);
+        weights.insert("base", &[1, 2], vec![1.0, -2.0], Role::Fixed);
+        let options = OptimiserOptions { weight_decay: 0.5, ..OptimiserOptions::default() };
+        let mut adam = Adam::new(options, &onboard_config(), &weights);
+        let mut gradients = Gradients::zeros(&weights);
+        for _ in 0..3 {
+            adam.step(&mut weights, &mut gradients, 0.2);
+        }
+        let kept = 0.9_f32.powi(3);
+        for (value, expected) in weights.get("weight").iter().zip([kept, -2.0 * kept]) {
+            assert!((value - expected).abs() < 1e-6, "{value} for {expected}");
+        }
+        assert_eq!([weights.get("bias"), weights.get("base")], [[1.0, -2.0]; 2]);
     }
 
     #[test]

@@ -23,8 +23,8 @@ const ALONE_M: f32 = 1e-3;
 /// * `same-node` gives all types the same networks, `equal-attention` weighs all neighbours and steps alike,
 ///   `no-attention` leaves out the neighbours, `literal` takes the paper's temporal attention to the letter;
 /// * `no-map`, `site-map` and `online-map` train without context, with the map of the training recordings, and with the
-///   one of what was seen so far.
-pub const PRESETS: [&str; 15] = [
+///   one of what was seen so far; `centred-patch` shows of the map what lies around an agent, not what lies ahead.
+pub const PRESETS: [&str; 16] = [
     "paper",
     "plus",
     "compact",
@@ -40,6 +40,7 @@ pub const PRESETS: [&str; 15] = [
     "no-map",
     "site-map",
     "online-map",
+    "centred-patch",
 ];
 
 /// How many of [`PRESETS`] come first that are whole models and sizes; the others are ablations.
@@ -84,6 +85,7 @@ impl TrainOptions {
                 model.context = true;
                 (self.without_map, self.site_map) = (0.0, 0.0);
             }
+            "centred-patch" => model.patch_ahead_m = 0.0,
             _ => return None,
         }
         Some(())
