@@ -19,17 +19,18 @@ impl TrainOptions {
         if self.has_vehicles() { OF_VEHICLES } else { &OF_PEDESTRIANS }
     }
 
-    /// Whether a training with these options is, but for its files, its threads and chance, one with `other`: options
+    /// Whether a training with these options is, but for its files, its threads, its GPU and chance, one with `other`: options
     /// that have no say, such as how vehicles move where there are none, may differ.
     #[must_use]
     pub fn trains_like(&self, other: &Self) -> bool {
         self.effective() == other.effective()
     }
 
-    /// The options without name and threads, and those that have no say as they are by default.
+    /// The options without name, threads and GPU, and those that have no say as they are by default.
     fn effective(&self) -> Self {
         let default = Self::default();
-        let mut options = Self { recipe: None, workers: default.workers, ..self.without_places() };
+        let mut options =
+            Self { recipe: None, workers: default.workers, gpu: default.gpu, ..self.without_places() };
         let (model, usual) = (&mut options.model, default.model);
         if !model.context {
             (model.width, model.stem) = (usual.width, usual.stem);

@@ -20,6 +20,7 @@ use crate::batch::{Batch, BatchOptions, SceneView, View, scales};
 use crate::net::context::Normalisation;
 use crate::net::dense::softmax;
 use crate::net::graph::encode;
+use crate::net::gru::Device;
 use crate::net::gru::mode_logits;
 use crate::net::layout::layout;
 use crate::net::tensors::Tensors;
@@ -142,7 +143,13 @@ impl<'a> Trained<'a> {
 
     fn say(&self, scene: &SceneView<'_>) -> Vec<Said> {
         let Self { config, tensors, base } = self;
-        let options = BatchOptions { config, base, neighbours_max: NEIGHBOURS_MAX, with_future: false };
+        let options = BatchOptions {
+            config,
+            base,
+            neighbours_max: NEIGHBOURS_MAX,
+            with_future: false,
+            device: &Device::Processor,
+        };
         let batch = Batch::new(std::slice::from_ref(scene), options).unwrap();
         let encoded = encode(tensors, config, &batch.graph, Normalisation::Running, false);
         let mut said: Vec<Said> = scene.agents.iter().map(|_| Said::default()).collect();

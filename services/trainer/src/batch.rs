@@ -19,6 +19,7 @@ use scene::{AgentFrame, FeatureScales, State, state_features};
 
 use crate::TrainError;
 use crate::base::{AgentBase, BaseControl};
+use crate::net::gru::Device;
 use crate::net::matrix::Matrix;
 use crate::net::motion::Start;
 use crate::samples::{Agent, MapView};
@@ -81,6 +82,8 @@ pub(crate) struct Batch<'a> {
     pub(crate) counts: Matrix,
     /// Scene and agent within it of every agent of the batch.
     pub(crate) origin: Vec<(usize, usize)>,
+    /// What decodes it.
+    pub(crate) device: &'a Device,
 }
 
 /// What [`Batch::new`] needs besides the scenes.
@@ -92,6 +95,8 @@ pub(crate) struct BatchOptions<'a> {
     pub(crate) neighbours_max: usize,
     /// Whether the graph of the forecast steps is made too.
     pub(crate) with_future: bool,
+    /// What decodes the batch.
+    pub(crate) device: &'a Device,
 }
 
 impl<'a> Batch<'a> {
@@ -118,7 +123,19 @@ impl<'a> Batch<'a> {
         let future = options.with_future.then(|| placed.graph(Steps::Future, options)).transpose()?;
         let targets = Targets::of(&agents, options);
         let Targets { state, present, starts, base, truth, counts } = targets;
-        Ok(Self { graph, future, forecast, state, present, starts, base, truth, counts, origin })
+        Ok(Self {
+            graph,
+            future,
+            forecast,
+            state,
+            present,
+            starts,
+            base,
+            truth,
+            counts,
+            origin,
+            device: options.device,
+        })
     }
 }
 

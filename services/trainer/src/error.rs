@@ -62,6 +62,12 @@ pub enum TrainError {
         /// What the system said.
         source: std::io::Error,
     },
+    /// The GPU that was asked for can't be used.
+    #[error("gpu: {reason}")]
+    Gpu {
+        /// What the system said.
+        reason: String,
+    },
     /// The loss left the numbers several times in a row.
     #[error("the loss of step {step} is not finite; a lower learning rate may help")]
     Diverged {

@@ -54,6 +54,8 @@ pub struct TrainOptions {
     pub clip_windows: usize,
     /// Parts of a batch that are differentiated side by side, a thread for each.
     pub workers: usize,
+    /// Whether the decoder runs on a GPU; the build must have the feature `gpu`.
+    pub gpu: bool,
     /// Share of the clips that see no map.
     pub without_map: f64,
     /// Share of the clips that see the map of the site's other recordings; the rest see the online map.
@@ -119,6 +121,7 @@ impl Default for TrainOptions {
             neighbours: 8,
             clip_windows: 4,
             workers: 1,
+            gpu: false,
             without_map: 0.3,
             site_map: 0.1,
             scale_deviation: 0.0,

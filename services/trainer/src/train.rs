@@ -21,6 +21,7 @@ use crate::card::{ModelCard, Seen};
 use crate::checkpoint::{State, write_whole};
 use crate::log::{Line, Log};
 use crate::machine;
+use crate::net::gru::Device;
 use crate::net::layout::{initial, layout};
 use crate::net::tensors::Tensors;
 use crate::objective::{Differentiated, LossParts, Objective, differentiate};
@@ -70,10 +71,15 @@ struct Run<'a> {
     training: Samples,
     validation: Samples,
     baselines: Baselines,
+    device: Device,
 }
 
 impl<'a> Run<'a> {
     fn prepare(options: &'a TrainOptions, progress: &Progress) -> Result<Self, TrainError> {
+        let device = if options.gpu { Device::gpu()? } else { Device::Processor };
+        if let Some(name) = device.name() {
+            progress.note(&format!("the decoder runs on {name}"));
+        }
         let read = |names: &[String], part: Part, windows_max: usize| {
             let sets = names.iter().map(|name| set_named(name)).collect::<Result<Vec<_>, _>>()?;
             let selection = Selection {
@@ -103,7 +109,7 @@ impl<'a> Run<'a> {
             progress.note(&format!("{}: {windows} windows, {agents} agents", set.set.name()));
         }
         let baselines = Baselines::fit(&training, &options.model, options.seed)?;
-        Ok(Self { options, training, validation, baselines })
+        Ok(Self { options, training, validation, baselines, device })
     }
 
     /// The checkpoint, if there is one to go on from, else new weights with a base control fitted to the data.
@@ -216,6 +222,7 @@ impl<'a> Run<'a> {
                 base,
                 neighbours_max: options.neighbours,
                 with_future: matches!(options.objective, Objective::Paper { .. }),
+                device: &self.device,
             };
             let batch = Batch::new(scenes, batch_options)?;
             let mut random = random.clone();
@@ -316,6 +323,7 @@ impl<'a> Run<'a> {
             map,
             agents_max,
             workers: self.options.workers,
+            device: &self.device,
         };
         validation.scores(weights, &self.validation)
     }
@@ -326,7 +334,8 @@ impl<'a> Run<'a> {
         let mut factors = BTreeMap::new();
         if self.options.model.latents == Latents::Points {
             let validation = &self.validation;
-            factors = Calibration { config: &self.options.model, base, validation }.apply(&mut weights)?;
+            factors = Calibration { config: &self.options.model, base, validation, device: &self.device }
+                .apply(&mut weights)?;
         }
         let scores = |map| self.scores(&weights, base, map, agents_max);
         let scores = [scores(Some(MapKind::Online))?, scores(None)?];

@@ -16,6 +16,7 @@ use crate::base::BaseControl;
 use crate::batch::{Batch, BatchOptions, SceneView};
 use crate::net::context::Normalisation;
 use crate::net::graph::encode;
+use crate::net::gru::Device;
 use crate::net::layout::LATENT;
 use crate::net::matrix::Matrix;
 use crate::net::tensors::Tensors;
@@ -144,6 +145,8 @@ pub(crate) struct Validation<'a> {
     pub(crate) agents_max: usize,
     /// Threads to forecast with.
     pub(crate) workers: usize,
+    /// What decodes.
+    pub(crate) device: &'a Device,
 }
 
 /// Sums over the agents of a set.
@@ -240,6 +243,7 @@ impl Validation<'_> {
             base: self.base,
             neighbours_max: scene::NEIGHBOURS_MAX,
             with_future: false,
+            device: self.device,
         };
         let batch = Batch::new(scenes, options)?;
         let encoded = encode(weights, config, &batch.graph, Normalisation::Running, false);

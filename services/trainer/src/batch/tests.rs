@@ -11,6 +11,7 @@ use rand_chacha::ChaCha8Rng;
 
 use super::*;
 use crate::base::Twins;
+use crate::net::gru::Device;
 use crate::onboard_config;
 use crate::recordings::{Scenery, frame_rate};
 use crate::samples::{Ground, MapKind, Scene, Selection, cut};
@@ -91,7 +92,13 @@ impl Shown {
         let map = ground.view(&spool, 0, MapKind::Online);
         let views: Vec<SceneView<'_>> =
             scenes.iter().map(|scene| view::plain(scene, map, usize::MAX)).collect();
-        let options = BatchOptions { config: &config, base: &BASE, neighbours_max: 8, with_future: false };
+        let options = BatchOptions {
+            config: &config,
+            base: &BASE,
+            neighbours_max: 8,
+            with_future: false,
+            device: &Device::Processor,
+        };
         let batch = Batch::new(&views, options).unwrap();
         let frames: Vec<_> = recording.frames.iter().take_while(|frame| frame.stamp_ns <= now_ns).collect();
         let words = format!("{frames:?}\n{}", agents(&scenes));

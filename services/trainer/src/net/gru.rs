@@ -9,6 +9,8 @@
 //! [`step`] kernels. The head reads a state together with W_h, as five more rows of one stacked matrix.
 
 mod burn_in;
+#[cfg_attr(not(feature = "gpu"), path = "gru/no_gpu.rs")]
+mod gpu;
 mod step;
 mod sum;
 #[cfg(test)]
@@ -20,11 +22,13 @@ use std::ops::Range;
 use nn::kernels::product::{Gather, Panels, Product};
 
 pub(crate) use burn_in::{BurnIn, burn_in};
+use gpu::Gpu;
 pub(crate) use unroll::{Unroll, unroll};
 
 use super::dense::{PerceptronTrace, perceptron};
 use super::matrix::Matrix;
 use super::tensors::{Gradients, Tensors};
+use crate::TrainError;
 use step::{GATES, HIDDEN, SUMS};
 
 /// Components of a state feature vector.
@@ -43,6 +47,33 @@ const CONTROL: usize = 5;
 const BLOCK: usize = 96;
 /// Layers of the mode head.
 const MODE_LAYERS: usize = 2;
+
+/// Where the recurrent unit runs over the horizon.
+#[derive(Debug)]
+pub(crate) enum Device {
+    /// On this thread.
+    Processor,
+    /// All steps of all draws at once.
+    Gpu(Box<Gpu>),
+}
+
+impl Device {
+    /// A GPU.
+    ///
+    /// # Errors
+    /// [`TrainError::Gpu`] where there is none, or none is built in.
+    pub(crate) fn gpu() -> Result<Self, TrainError> {
+        Ok(Self::Gpu(Box::new(Gpu::open()?)))
+    }
+
+    /// What it calls itself; `None` for the processor.
+    pub(crate) fn name(&self) -> Option<&str> {
+        match self {
+            Self::Processor => None,
+            Self::Gpu(gpu) => Some(gpu.name()),
+        }
+    }
+}
 
 /// Logits of the modes `[agents, modes]`, of [ṽ ‖ h]: `encoding` `[agents, 64]`, `hidden` `[agents, 128]`.
 ///

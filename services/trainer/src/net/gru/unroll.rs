@@ -2,6 +2,10 @@
 
 mod back;
 
+#[cfg(feature = "gpu")]
+pub(super) use back::First;
+pub(crate) use back::UnrollGradients;
+
 use std::ops::Range;
 
 use nn::kernels::dispatch;
@@ -9,13 +13,14 @@ use nn::kernels::product::{PANEL, Panels};
 
 use super::super::matrix::Matrix;
 use super::super::tensors::Tensors;
+use super::gpu;
 use super::step::{GATES, HIDDEN, KEPT, Step};
 use super::{
-    BLOCK, CONTROL, ENCODING, ENCODING_COLUMNS, LATENT, LATENT_COLUMNS, by_input, by_state, product,
+    BLOCK, CONTROL, Device, ENCODING, ENCODING_COLUMNS, LATENT, LATENT_COLUMNS, by_input, by_state, product,
 };
 
 /// Rows of W_h and the head, stacked.
-const STACKED: usize = GATES + CONTROL;
+pub(super) const STACKED: usize = GATES + CONTROL;
 /// Columns of what the stacked matrix puts out: a multiple of 16.
 const STRIDE: usize = STACKED.next_multiple_of(PANEL);
 /// Columns of what the head alone puts out.
@@ -29,13 +34,30 @@ pub(crate) struct Unroll {
     trace: Option<Trace>,
 }
 
+/// What goes into the recurrent unit.
+#[derive(Clone, Debug)]
+pub(super) struct Inputs {
+    /// Prefix of the names of its weights.
+    pub(super) name: String,
+    /// `[agents, 128]`
+    pub(super) hidden: Matrix,
+    /// `[agents, 64]`
+    pub(super) encoding: Matrix,
+    /// `[agents × draws, 32]`
+    pub(super) latent: Matrix,
+}
+
 /// What the way back needs.
 #[derive(Debug)]
-struct Trace {
-    name: String,
-    hidden: Matrix,
-    encoding: Matrix,
-    latent: Matrix,
+enum Trace {
+    Processor(Kept),
+    Gpu(gpu::Trace),
+}
+
+/// What the way back needs on the processor.
+#[derive(Debug)]
+struct Kept {
+    inputs: Inputs,
     /// `[block, step, row of the block, KEPT]`.
     kept: Vec<f32>,
     /// States after the last step, `[agents × draws, 128]`.
@@ -50,23 +72,29 @@ struct Trace {
 /// # Panics
 /// Where the shapes do not fit one another or there is no step.
 pub(crate) fn unroll(
+    device: &Device,
     weights: &Tensors,
-    name: &str,
-    hidden: &Matrix,
-    encoding: &Matrix,
-    latent: &Matrix,
+    (name, hidden, encoding, latent): (&str, &Matrix, &Matrix, &Matrix),
     horizon_len: usize,
     keep_trace: bool,
 ) -> Unroll {
-    let draws_len = draws_len(hidden, encoding, latent);
     assert!(horizon_len > 0, "a step to forecast");
-    let network = Network::new(weights, name, hidden, encoding);
-    let mut raw = Matrix::zeros(latent.rows, horizon_len * CONTROL);
-    let mut trace = keep_trace.then(|| Trace {
+    let inputs = Inputs {
         name: name.to_owned(),
         hidden: hidden.clone(),
         encoding: encoding.clone(),
         latent: latent.clone(),
+    };
+    let draws_len = inputs.draws_len();
+    let network = Network::new(weights, name, hidden, encoding);
+    if let (Device::Gpu(gpu), true) = (device, latent.rows > 0) {
+        let first_input = network.first_input(&inputs);
+        let (raw, trace) = gpu.unroll(weights, inputs, &first_input, horizon_len, keep_trace);
+        return Unroll { raw, trace: trace.map(Trace::Gpu) };
+    }
+    let mut raw = Matrix::zeros(latent.rows, horizon_len * CONTROL);
+    let mut trace = keep_trace.then(|| Kept {
+        inputs,
         kept: Vec::with_capacity(latent.rows * horizon_len * KEPT),
         last: Vec::with_capacity(latent.rows * HIDDEN),
     });
@@ -77,15 +105,18 @@ pub(crate) fn unroll(
         let raw = &mut raw.values[rows.start * horizon_len * CONTROL..rows.end * horizon_len * CONTROL];
         network.run(&mut memory, horizon_len, raw, trace.as_mut());
     }
-    Unroll { raw, trace }
+    Unroll { raw, trace: trace.map(Trace::Processor) }
 }
 
-/// Draws per agent.
-fn draws_len(hidden: &Matrix, encoding: &Matrix, latent: &Matrix) -> usize {
-    assert_eq!((hidden.cols, encoding.cols, latent.cols), (HIDDEN, ENCODING, LATENT), "columns");
-    assert_eq!(hidden.rows, encoding.rows, "a state and an encoding per agent");
-    assert!(latent.rows.is_multiple_of(hidden.rows.max(1)), "as many draws for each agent");
-    latent.rows / hidden.rows.max(1)
+impl Inputs {
+    /// Draws per agent.
+    pub(super) fn draws_len(&self) -> usize {
+        let Self { hidden, encoding, latent, .. } = self;
+        assert_eq!((hidden.cols, encoding.cols, latent.cols), (HIDDEN, ENCODING, LATENT), "columns");
+        assert_eq!(hidden.rows, encoding.rows, "a state and an encoding per agent");
+        assert!(latent.rows.is_multiple_of(hidden.rows.max(1)), "as many draws for each agent");
+        latent.rows / hidden.rows.max(1)
+    }
 }
 
 /// The agents of each block; none where there are no draws.
@@ -96,7 +127,7 @@ fn blocks(agents_len: usize, draws_len: usize) -> impl Iterator<Item = Range<usi
 }
 
 /// W_h and the head, one above the other.
-fn stacked(weights: &Tensors, name: &str, part: &str) -> Vec<f32> {
+pub(super) fn stacked(weights: &Tensors, name: &str, part: &str) -> Vec<f32> {
     let gru = if part == "weight" { "weight_hh" } else { "bias_hh" };
     [weights.get(&format!("{name}.gru.{gru}")), weights.get(&format!("{name}.head.{part}"))].concat()
 }
@@ -165,8 +196,15 @@ impl<'a> Network<'a> {
         product(&self.latent, latent, LATENT, Some(&memory.context), &mut memory.input);
     }
 
+    /// I of the first step of all draws, `[agents × draws, 384]`.
+    fn first_input(&self, inputs: &Inputs) -> Vec<f32> {
+        let mut memory = Memory::default();
+        self.start(0..inputs.hidden.rows, &inputs.hidden, &inputs.latent.values, &mut memory);
+        memory.input
+    }
+
     /// Runs a block over the horizon; `raw` `[rows, horizon × 5]`.
-    fn run(&self, memory: &mut Memory, horizon_len: usize, raw: &mut [f32], mut trace: Option<&mut Trace>) {
+    fn run(&self, memory: &mut Memory, horizon_len: usize, raw: &mut [f32], mut trace: Option<&mut Kept>) {
         let Memory { input, recurrent, state, head, .. } = memory;
         for step in 0..horizon_len {
             if step > 0 {

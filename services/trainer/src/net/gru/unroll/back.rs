@@ -12,7 +12,7 @@ use super::super::sum::{MatrixSum, columns};
 use super::super::{
     CONTROL, ENCODING, ENCODING_COLUMNS, LATENT, LATENT_COLUMNS, add_biases, product, to_state,
 };
-use super::{STACKED, STRIDE, Trace, Unroll, blocks, draws_len, stacked};
+use super::{Device, Inputs, Kept, STACKED, STRIDE, Trace, Unroll, blocks, stacked};
 
 /// Gradients by the inputs of [`super::unroll`].
 #[derive(Clone, Debug)]
@@ -26,22 +26,34 @@ pub(crate) struct UnrollGradients {
 }
 
 impl Unroll {
-    /// Adds to the gradients of recurrent unit and head, given that of `raw`; returns those by the inputs.
+    /// Adds to the gradients of recurrent unit and head, given that of `raw`; returns those by the inputs. It goes back where it
+    /// came from: `device` is that of [`super::unroll`].
     ///
     /// # Panics
     /// Where no trace was kept.
     pub(crate) fn backward(
         &self,
+        device: &Device,
         weights: &Tensors,
         gradients: &mut Gradients,
         d_raw: &Matrix,
     ) -> UnrollGradients {
-        let trace = self.trace.as_ref().expect("the way back needs a trace");
         assert_eq!((d_raw.rows, d_raw.cols), (self.raw.rows, self.raw.cols), "a gradient per control");
-        let draws_len = draws_len(&trace.hidden, &trace.encoding, &trace.latent);
-        let stacked = stacked(weights, &trace.name, "weight");
+        match (self.trace.as_ref().expect("the way back needs a trace"), device) {
+            (Trace::Processor(kept), _) => kept.backward(weights, gradients, d_raw),
+            (Trace::Gpu(trace), Device::Gpu(gpu)) => gpu.backward(trace, weights, gradients, d_raw),
+            (Trace::Gpu(_), Device::Processor) => panic!("the trace lies on a GPU"),
+        }
+    }
+}
+
+impl Kept {
+    fn backward(&self, weights: &Tensors, gradients: &mut Gradients, d_raw: &Matrix) -> UnrollGradients {
+        let Self { inputs, .. } = self;
+        let draws_len = inputs.draws_len();
+        let stacked = stacked(weights, &inputs.name, "weight");
         let mut back = Back {
-            trace,
+            kept: self,
             to_state: to_state(&stacked),
             head_to_state: to_state(&stacked[GATES * HIDDEN..]),
             horizon_len: d_raw.cols / CONTROL,
@@ -50,21 +62,21 @@ impl Unroll {
             sums: [0.0; SUMS],
             first: First {
                 d_state: Matrix::zeros(d_raw.rows, HIDDEN),
-                d_recurrent: Matrix::zeros(d_raw.rows, GATES),
+                d_recurrent: Some(Matrix::zeros(d_raw.rows, GATES)),
                 d_input: Matrix::zeros(d_raw.rows, GATES),
             },
         };
-        for agents in blocks(trace.hidden.rows, draws_len) {
+        for agents in blocks(inputs.hidden.rows, draws_len) {
             back.block(agents.start * draws_len..agents.end * draws_len, d_raw);
         }
         back.add_to(gradients, d_raw);
-        back.first.backward(weights, gradients, trace)
+        back.first.backward(weights, gradients, inputs)
     }
 }
 
 /// The way back in progress.
 struct Back<'a> {
-    trace: &'a Trace,
+    kept: &'a Kept,
     to_state: Panels,
     head_to_state: Panels,
     horizon_len: usize,
@@ -77,11 +89,13 @@ struct Back<'a> {
 }
 
 /// Gradients of all rows at the first step.
-struct First {
-    /// By the state before it, what passes H left out.
-    d_state: Matrix,
-    d_recurrent: Matrix,
-    d_input: Matrix,
+pub(in super::super) struct First {
+    /// By the state before it, `[agents × draws, 128]`.
+    pub(in super::super) d_state: Matrix,
+    /// By H, `[agents × draws, 384]`, where neither the gradient by the state nor that by W_h has it yet.
+    pub(in super::super) d_recurrent: Option<Matrix>,
+    /// By I, `[agents × draws, 384]`.
+    pub(in super::super) d_input: Matrix,
 }
 
 impl Back<'_> {
@@ -89,12 +103,12 @@ impl Back<'_> {
     fn block(&mut self, rows: Range<usize>, d_raw: &Matrix) {
         let (len, horizon_len) = (rows.len(), self.horizon_len);
         let d_raw = &d_raw.values[rows.start * d_raw.cols..rows.end * d_raw.cols];
-        let last = &self.trace.last[rows.start * HIDDEN..rows.end * HIDDEN];
+        let last = &self.kept.last[rows.start * HIDDEN..rows.end * HIDDEN];
         let d_last = &d_raw[(horizon_len - 1) * CONTROL..];
         self.by_head.add(d_last, horizon_len * CONTROL, columns(last, HIDDEN, 0, HIDDEN));
         let [mut d_state, mut d_earlier] = [(); 2].map(|()| Matrix::zeros(len, HIDDEN));
         product(&self.head_to_state, d_last, horizon_len * CONTROL, None, &mut d_state.values);
-        let kept = &self.trace.kept[rows.start * horizon_len * KEPT..rows.end * horizon_len * KEPT];
+        let kept = &self.kept.kept[rows.start * horizon_len * KEPT..rows.end * horizon_len * KEPT];
         let mut d_recurrent = Matrix::zeros(len, STRIDE);
         for step in (1..horizon_len).rev() {
             let kept = &kept[step * len * KEPT..][..len * KEPT];
@@ -121,7 +135,7 @@ impl Back<'_> {
 
     /// Adds to the gradients what all steps share.
     fn add_to(&self, gradients: &mut Gradients, d_raw: &Matrix) {
-        let name = &self.trace.name;
+        let name = &self.kept.inputs.name;
         add_biases(gradients, name, &self.sums);
         let recurrent = gradients.get_mut(&format!("{name}.gru.weight_hh"));
         self.by_stacked.add_to(0..GATES, recurrent, 0..HIDDEN);
@@ -140,20 +154,26 @@ impl First {
     fn set(&mut self, rows: Range<usize>, kept: &[f32], d_state: &Matrix, sums: &mut [f32; SUMS]) {
         let through = &mut self.d_state.values[rows.start * HIDDEN..rows.end * HIDDEN];
         through.copy_from_slice(&d_state.values);
+        let d_recurrent = &mut self.d_recurrent.as_mut().expect("the processor leaves it").values;
         dispatch(StepBackward {
             kept,
             d_state: through,
-            d_recurrent: &mut self.d_recurrent.values[rows.start * GATES..rows.end * GATES],
+            d_recurrent: &mut d_recurrent[rows.start * GATES..rows.end * GATES],
             d_input: Some(&mut self.d_input.values[rows.start * GATES..rows.end * GATES]),
             sums,
         });
     }
 
     /// The products of the first step: those with z row by row, the others with the sum over an agent's draws.
-    fn backward(&self, weights: &Tensors, gradients: &mut Gradients, trace: &Trace) -> UnrollGradients {
-        let agents_len = trace.hidden.rows;
+    pub(in super::super) fn backward(
+        &self,
+        weights: &Tensors,
+        gradients: &mut Gradients,
+        inputs: &Inputs,
+    ) -> UnrollGradients {
+        let agents_len = inputs.hidden.rows;
         let [input_name, recurrent_name] =
-            ["weight_ih", "weight_hh"].map(|part| format!("{}.gru.{part}", trace.name));
+            ["weight_ih", "weight_hh"].map(|part| format!("{}.gru.{part}", inputs.name));
         let mut backward = |name: &str, part: Range<usize>, dy: &Matrix, x: &Matrix, dx: &mut Matrix| {
             by_input(
                 dy.view(),
@@ -165,14 +185,16 @@ impl First {
             sum.add(&dy.values, GATES, columns(&x.values, x.cols, 0, x.cols));
             sum.add_to(0..GATES, gradients.get_mut(name), part);
         };
-        let mut latent = Matrix::zeros(trace.latent.rows, LATENT);
-        backward(&input_name, LATENT_COLUMNS, &self.d_input, &trace.latent, &mut latent);
+        let mut latent = Matrix::zeros(inputs.latent.rows, LATENT);
+        backward(&input_name, LATENT_COLUMNS, &self.d_input, &inputs.latent, &mut latent);
         let d_input = sum_of_draws(&self.d_input, agents_len);
         let mut encoding = Matrix::zeros(agents_len, ENCODING);
-        backward(&input_name, ENCODING_COLUMNS, &d_input, &trace.encoding, &mut encoding);
-        let d_recurrent = sum_of_draws(&self.d_recurrent, agents_len);
+        backward(&input_name, ENCODING_COLUMNS, &d_input, &inputs.encoding, &mut encoding);
         let mut hidden = sum_of_draws(&self.d_state, agents_len);
-        backward(&recurrent_name, 0..HIDDEN, &d_recurrent, &trace.hidden, &mut hidden);
+        if let Some(d_recurrent) = &self.d_recurrent {
+            let d_recurrent = sum_of_draws(d_recurrent, agents_len);
+            backward(&recurrent_name, 0..HIDDEN, &d_recurrent, &inputs.hidden, &mut hidden);
+        }
         UnrollGradients { hidden, encoding, latent }
     }
 }
