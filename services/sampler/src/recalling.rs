@@ -1,5 +1,5 @@
-use scene::{Choice, Moment, PlaceMemory, Recall};
-use wire::{HORIZON_MAX, Track};
+use scene::{Choice, LIKES_MAX, Moment, PlaceMemory, Recall};
+use wire::{HORIZON_MAX, MODES_MAX, Track};
 
 use crate::learned::LearnedControls;
 use crate::mover::Mover;
@@ -16,7 +16,8 @@ pub(crate) struct Recalling {
 
 impl Recalling {
     pub(crate) fn new(memory: PlaceMemory, horizon_len: usize) -> Self {
-        Self { memory, horizon_len, recall: Recall::default(), choice: Choice::default(), paths: Vec::new() }
+        let (recall, choice) = (Recall::with_room(), Choice::default());
+        Self { memory, horizon_len, recall, choice, paths: Vec::with_capacity(MODES_MAX + LIKES_MAX) }
     }
 
     pub(crate) const fn memory(&self) -> &PlaceMemory {

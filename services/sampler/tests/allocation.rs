@@ -5,7 +5,8 @@ mod counting;
 
 use bytemuck::Zeroable;
 use sampler::{Propagation, Sampler, SamplerOptions};
-use wire::{AgentControls, Cause, ControlGaussian, Forecast, Header, Track};
+use scene::PlaceMemory;
+use wire::{AgentControls, Cause, ControlGaussian, Forecast, Header, HistoryState, Track};
 
 /// 32 agents of all types; one in eight is new at every tick.
 fn write_tick(tick: u64, tracks: &mut [Track], controls: &mut [AgentControls]) {
@@ -13,7 +14,16 @@ fn write_tick(tick: u64, tracks: &mut [Track], controls: &mut [AgentControls]) {
         let (i, agent_type) = (i as u64, i as u32 % 3);
         let id = if i.is_multiple_of(8) { i + tick * 64 } else { i };
         *track = Track { id, agent_type, forecastable: 1, state_len: 5, ..Track::zeroed() };
-        (track.x_m, track.vx_mps, track.speed_mps) = (i as f32 + tick as f32 * 0.08, 1.0, 1.0);
+        let x_m = i as f32 + tick as f32 * 0.08;
+        (track.x_m, track.vx_mps, track.speed_mps) = (x_m, 1.0, 1.0);
+        for (step, entry) in track.history.iter_mut().rev().enumerate() {
+            *entry = HistoryState {
+                x_m: x_m - 0.4 * step as f32,
+                vx_mps: 1.0,
+                present: 1,
+                ..HistoryState::zeroed()
+            };
+        }
         let control = ControlGaussian { mean: [0.1, 0.01], cholesky: [0.1, 0.0, 0.1] };
         *controls = AgentControls { id, agent_type, modes_len: 20, ..AgentControls::zeroed() };
         (controls.probability, controls.modes, controls.best) =
@@ -24,8 +34,13 @@ fn write_tick(tick: u64, tracks: &mut [Track], controls: &mut [AgentControls]) {
 // One test only: another in this process would count as well.
 #[test]
 fn a_thousand_steady_steps_allocate_nothing() {
-    for propagation in [Propagation::Linearised, Propagation::MonteCarlo { particles: 4 }] {
-        let mut sampler = Sampler::new(SamplerOptions { propagation, ..SamplerOptions::default() });
+    let kinds = [
+        (Propagation::Linearised, false),
+        (Propagation::MonteCarlo { particles: 4 }, false),
+        (Propagation::Linearised, true),
+    ];
+    for (propagation, recalls) in kinds {
+        let mut sampler = Sampler::new(SamplerOptions { propagation, recalls, ..SamplerOptions::default() });
         let mut tracks = vec![Track::zeroed(); 32];
         let mut controls = vec![AgentControls::zeroed(); 32];
         let mut out = vec![Forecast::zeroed(); 32];
@@ -41,6 +56,8 @@ fn a_thousand_steady_steps_allocate_nothing() {
             assert!(out.iter().all(|forecast| forecast.modes_len > 0));
         };
         (0..50).for_each(&mut step);
-        assert_eq!(counting::allocations(|| (50..1_050).for_each(&mut step)), 0, "{propagation:?}");
+        assert_eq!(counting::allocations(|| (50..1_050).for_each(&mut step)), 0, "{propagation:?} {recalls}");
+        let remembered = sampler.memory().map_or(0, PlaceMemory::moments_len);
+        assert!(remembered > 6000 || !recalls, "{remembered} moments");
     }
 }

@@ -11,9 +11,9 @@ mod file;
 mod moment;
 mod path;
 
-use std::collections::{HashMap, VecDeque};
+use std::collections::{HashMap, VecDeque, hash_map};
 
-use wire::HORIZON_MAX;
+use wire::{AGENTS_MAX, HORIZON_MAX};
 
 pub use choice::Choice;
 use moment::Key;
@@ -28,16 +28,19 @@ const MOMENTS_MAX: usize = 131_072;
 /// Share of what is to be expected that modes depart by.
 const MODES_SHARE: f32 = 0.5;
 /// Most paths of others that are told: the likeliest.
-const LIKES_MAX: usize = 64;
+pub const LIKES_MAX: usize = 64;
 /// A path whose moment counts for less is not told.
 const LIKE_MIN: f32 = 0.01;
 /// An agent that was not seen for so many steps is another one.
 const GAP_STEPS: f64 = 2.0;
+/// Agents that are followed at a time; of others nothing is remembered.
+const TRACES_MAX: usize = 4 * AGENTS_MAX;
 
 /// What is remembered of a moment.
 #[derive(Clone, Debug)]
 struct Memory {
-    moment: Moment,
+    agent: u64,
+    stay: u64,
     /// Steps that were driven since.
     driven_len: usize,
     /// How they departed.
@@ -50,19 +53,19 @@ struct UnderWay {
     /// That of the memory.
     number: u64,
     stamp_ns: i64,
+    gait: Gait,
     forecast: Course,
     driven: Course,
     /// What was told of how it would depart, before skill.
     told: Departures,
 }
 
-/// A memory in its bucket, with what tells whether it matters.
+/// What tells whether a memory matters: kept apart from the rest, of which most is not looked at.
 #[derive(Clone, Copy, Debug)]
 struct Entry {
-    number: u64,
-    stay: u64,
-    agent: u64,
     moment: Moment,
+    /// How many numbers before it the last memory of its bucket was kept; 0 where it is the first.
+    back: u32,
 }
 
 /// Where an agent was seen last, and its moments that are under way.
@@ -74,16 +77,22 @@ struct Trace {
 }
 
 /// How earlier agents departed from their forecasts, by place and motion.
+///
+/// A new one takes address space for all that it may remember, and no more later.
 #[derive(Clone, Debug)]
 pub struct PlaceMemory {
     horizon_len: usize,
     step_ns: i64,
     memories: VecDeque<Memory>,
+    /// Those of the memories.
+    entries: VecDeque<Entry>,
     /// Number of the oldest memory.
     oldest: u64,
-    /// Oldest first.
-    buckets: HashMap<Key, VecDeque<Entry>>,
+    /// Numbers of the newest memories.
+    buckets: HashMap<Key, u64>,
     traces: HashMap<u64, Trace>,
+    /// Room for the moments under way of agents who are still to come.
+    spare: Vec<VecDeque<UnderWay>>,
     /// By gait.
     skill: [Skill; 2],
     /// How often the memory left before.
@@ -114,6 +123,12 @@ pub struct Like {
 }
 
 impl Recall {
+    /// Nothing yet, with room for all that may be told.
+    #[must_use]
+    pub fn with_room() -> Self {
+        Self { likes: Vec::with_capacity(LIKES_MAX), ..Self::default() }
+    }
+
     /// Whether nothing is told.
     #[must_use]
     pub fn is_empty(&self) -> bool {
@@ -154,10 +169,13 @@ impl PlaceMemory {
         Self {
             horizon_len,
             step_ns: step_ns.cast_signed().max(1),
-            memories: VecDeque::new(),
+            memories: VecDeque::with_capacity(MOMENTS_MAX),
+            entries: VecDeque::with_capacity(MOMENTS_MAX),
             oldest: 0,
-            buckets: HashMap::new(),
-            traces: HashMap::new(),
+            // Half full at most, a table makes room for keys that come and go without taking memory.
+            buckets: HashMap::with_capacity(2 * MOMENTS_MAX),
+            traces: HashMap::with_capacity(2 * TRACES_MAX),
+            spare: (0..TRACES_MAX).map(|_| VecDeque::with_capacity(horizon_len + 1)).collect(),
             skill: Default::default(),
             stay: 0,
             now_ns: i64::MIN,
@@ -172,7 +190,7 @@ impl PlaceMemory {
 
     /// Ends a stay: what is remembered lasts, but time begins anew and nobody who comes is one of those who were there.
     pub fn leave(&mut self) {
-        self.traces.clear();
+        self.keep_traces(|_| false);
         self.stay += 1;
         self.now_ns = i64::MIN;
     }
@@ -184,7 +202,7 @@ impl PlaceMemory {
         }
         self.now_ns = now_ns;
         let gap_ns = (self.step_ns as f64 * GAP_STEPS) as i64;
-        self.traces.retain(|_, trace| now_ns.saturating_sub(trace.stamp_ns) <= gap_ns);
+        self.keep_traces(|trace| now_ns.saturating_sub(trace.stamp_ns) <= gap_ns);
         true
     }
 
@@ -197,8 +215,13 @@ impl PlaceMemory {
     /// Takes in where an agent is now, at the end of what it drove since it was seen last.
     pub fn observe(&mut self, agent: u64, position_m: [f32; 2]) {
         let (now_ns, step_s) = (self.now_ns, self.step_s());
-        let fresh = || Trace { stamp_ns: now_ns, position_m, under_way: VecDeque::new() };
-        let trace = self.traces.entry(agent).or_insert_with(fresh);
+        let trace = match self.traces.entry(agent) {
+            hash_map::Entry::Occupied(known) => known.into_mut(),
+            hash_map::Entry::Vacant(new) => {
+                let Some(under_way) = self.spare.pop() else { return };
+                new.insert(Trace { stamp_ns: now_ns, position_m, under_way })
+            }
+        };
         let (since_ns, from_m) = (trace.stamp_ns, trace.position_m);
         (trace.stamp_ns, trace.position_m) = (now_ns, position_m);
         let (oldest, step_ns, horizon_len) = (self.oldest, self.step_ns, self.horizon_len);
@@ -206,7 +229,7 @@ impl PlaceMemory {
         trace.under_way.retain_mut(|under_way| {
             let place = under_way.number.checked_sub(oldest).map(|place| place as usize);
             let Some(memory) = place.and_then(|place| memories.get_mut(place)) else { return false };
-            let UnderWay { stamp_ns, forecast, driven, told, .. } = under_way;
+            let UnderWay { stamp_ns, gait, forecast, driven, told, .. } = under_way;
             while memory.driven_len < horizon_len {
                 let step = memory.driven_len;
                 let due_ns = stamp_ns.saturating_add(step_ns.saturating_mul(step as i64 + 1));
@@ -216,12 +239,11 @@ impl PlaceMemory {
                 let share = (due_ns - since_ns) as f32 / (now_ns - since_ns).max(1) as f32;
                 driven.push([0, 1].map(|axis| from_m[axis] + share * (position_m[axis] - from_m[axis])));
                 memory.driven_len += 1;
-                let gait = memory.moment.gait();
-                let departures = path::departure(gait, forecast, driven, step, step_s);
+                let departures = path::departure(*gait, forecast, driven, step, step_s);
                 for (component, departure) in departures.into_iter().enumerate() {
                     if let Some((step, departure)) = departure {
                         memory.departures.tell(step, component, departure);
-                        skill[gait as usize].learn(told, step, component, departure);
+                        skill[*gait as usize].learn(told, step, component, departure);
                     }
                 }
             }
@@ -242,24 +264,38 @@ impl PlaceMemory {
         let driven = Course::new(moment.position_m());
         let mut forecast = driven.clone();
         forecast_m.iter().take(self.horizon_len).for_each(|&position_m| forecast.push(position_m));
-        let number = self.oldest + self.memories.len() as u64;
-        let told = recalled.common.clone();
-        trace.under_way.push_back(UnderWay { number, stamp_ns: self.now_ns, forecast, driven, told });
-        let memory = Memory { moment: *moment, driven_len: 0, departures: Departures::default() };
-        self.keep(memory, Entry { number, stay: self.stay, agent, moment: *moment });
+        let (stamp_ns, told) = (self.now_ns, recalled.common.clone());
+        trace.under_way.push_back(UnderWay {
+            number: self.oldest + self.memories.len() as u64,
+            stamp_ns,
+            gait: moment.gait(),
+            forecast,
+            driven,
+            told,
+        });
+        let (stay, departures) = (self.stay, Departures::default());
+        self.keep(*moment, Memory { agent, stay, driven_len: 0, departures });
     }
 
-    /// Takes in a memory, for the oldest one where there are too many.
-    fn keep(&mut self, memory: Memory, entry: Entry) {
-        let bucket = self.buckets.entry(entry.moment.key()).or_default();
-        bucket.push_back(entry);
-        if bucket.len() > BUCKET_MAX[entry.moment.gait() as usize] {
-            bucket.pop_front();
-        }
-        self.memories.push_back(memory);
-        if self.memories.len() > MOMENTS_MAX {
+    /// Takes in the memory of a moment, for the oldest one where there are too many.
+    fn keep(&mut self, moment: Moment, memory: Memory) {
+        if self.memories.len() == MOMENTS_MAX {
             self.forget_oldest();
         }
+        let number = self.oldest + self.memories.len() as u64;
+        let before = self.buckets.insert(moment.key(), number);
+        self.entries.push_back(Entry { moment, back: before.map_or(0, |before| (number - before) as u32) });
+        self.memories.push_back(memory);
+    }
+
+    /// The places of a bucket's memories, the newest first.
+    fn bucket(&self, key: &Key) -> impl Iterator<Item = usize> {
+        let newest = self.buckets.get(key).map(|number| (number - self.oldest) as usize);
+        let before = |place: &usize| match self.entries[*place].back as usize {
+            0 => None,
+            back => place.checked_sub(back),
+        };
+        std::iter::successors(newest, before).take(BUCKET_MAX[key.0 as usize])
     }
 
     /// How others departed who were where the agent is now and moved alike, into `recall`.
@@ -271,12 +307,12 @@ impl PlaceMemory {
         recall.likes.clear();
         recall.least = 0;
         for key in moment.keys_around() {
-            for entry in self.buckets.get(&key).into_iter().flatten() {
-                let alike = entry.moment.alike(moment);
-                let Some(alike) = alike.filter(|_| (entry.stay, entry.agent) != (self.stay, agent)) else {
+            for place in self.bucket(&key) {
+                let Some(alike) = self.entries[place].moment.alike(moment) else { continue };
+                let memory = &self.memories[place];
+                if (memory.stay, memory.agent) == (self.stay, agent) {
                     continue;
-                };
-                let memory = &self.memories[(entry.number - self.oldest) as usize];
+                }
                 if alike.in_common > 0.0 {
                     evidence.add(alike.in_common, &memory.departures);
                 }
@@ -294,16 +330,26 @@ impl PlaceMemory {
     }
 
     fn forget_oldest(&mut self) {
-        let Some(memory) = self.memories.pop_front() else { return };
-        let key = memory.moment.key();
-        if let Some(bucket) = self.buckets.get_mut(&key) {
-            if bucket.front().is_some_and(|entry| entry.number == self.oldest) {
-                bucket.pop_front();
-            }
-            if bucket.is_empty() {
-                self.buckets.remove(&key);
-            }
+        self.memories.pop_front();
+        let Some(entry) = self.entries.pop_front() else { return };
+        let key = entry.moment.key();
+        if self.buckets.get(&key) == Some(&self.oldest) {
+            self.buckets.remove(&key);
         }
         self.oldest += 1;
+    }
+
+    /// Keeps some traces; what the others were under way with is forgotten, its room is not.
+    fn keep_traces(&mut self, mut keeps: impl FnMut(&Trace) -> bool) {
+        let spare = &mut self.spare;
+        self.traces.retain(|_, trace| {
+            let kept = keeps(trace);
+            if !kept {
+                let mut under_way = std::mem::take(&mut trace.under_way);
+                under_way.clear();
+                spare.push(under_way);
+            }
+            kept
+        });
     }
 }

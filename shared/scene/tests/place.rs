@@ -1,7 +1,7 @@
 //! The memory of a place: what is told to whom, and when.
 
 use proptest::prelude::*;
-use scene::{Choice, Departures, Driving, FileError, Gait, Moment, PlaceMemory, Recall, Walking};
+use scene::{Choice, Driving, FileError, Gait, Moment, PlaceMemory, Recall, Walking};
 
 const STEP_NS: u64 = 500_000_000;
 const STEP_S: f32 = 0.5;
@@ -103,7 +103,7 @@ fn only_what_was_driven_is_told() {
 #[test]
 fn nothing_is_told_elsewhere_to_others_or_of_oneself() {
     let memory = after(1, -1.0, 0.5, 3.0);
-    let told = |agent: u64, moment: Moment| recall(&memory, agent, &moment).expected != Departures::default();
+    let told = |agent: u64, moment: Moment| !recall(&memory, agent, &moment).expected.is_empty();
     assert!(told(2, moment(0.0)));
     assert!(!told(1, moment(0.0)), "of oneself");
     assert!(!told(2, moment(9.0)), "elsewhere");

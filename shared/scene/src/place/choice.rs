@@ -1,8 +1,8 @@
 //! Which of the remembered paths stand in for modes of a forecast.
 
-use wire::HORIZON_MAX;
+use wire::{HORIZON_MAX, MODES_MAX};
 
-use super::Gait;
+use super::{Gait, LIKES_MAX};
 
 /// Modes that remembered paths may take the place of, driving and walking.
 const SWAPS_MAX: [usize; 2] = [5, 3];
@@ -11,26 +11,52 @@ const WORTH: [f32; 2] = [4.0, 8.0];
 /// What the distance at the end counts beside the mean distance.
 const END: f32 = 0.3;
 
-/// Chooses, and keeps its memory from one forecast to the next.
-#[derive(Clone, Debug, Default)]
+/// Chooses, in memory that it takes once.
+#[derive(Clone, Debug)]
 pub struct Choice {
     /// The paths' points by axis, step by step: those of all paths beside one another.
     points_m: [Vec<f32>; 2],
     /// Distances between all paths, row by row.
     distances_m: Vec<f32>,
     weights: Vec<f32>,
-    /// The nearest chosen path of each, and the two least distances to chosen ones.
-    nearest: Vec<Nearest>,
+    nearest: Nearest,
     chosen: Vec<usize>,
+    /// What each remembered path would help.
+    gains: Vec<f32>,
+    /// How much each of the chosen would be missed.
+    losses: Vec<f32>,
     probability: Vec<f32>,
 }
 
-/// How near a path is to those that are chosen.
-#[derive(Clone, Copy, Debug)]
+/// How near all paths are to those that are chosen.
+#[derive(Clone, Debug)]
 struct Nearest {
-    place: usize,
-    first_m: f32,
-    second_m: f32,
+    /// The place among the chosen of the nearest one.
+    places: Vec<u32>,
+    /// Distances to the nearest one.
+    first_m: Vec<f32>,
+    /// Distances to the second.
+    second_m: Vec<f32>,
+}
+
+impl Default for Choice {
+    fn default() -> Self {
+        let paths_max = MODES_MAX + LIKES_MAX;
+        Self {
+            points_m: [0, 1].map(|_| Vec::with_capacity(paths_max * HORIZON_MAX)),
+            distances_m: Vec::with_capacity(paths_max * paths_max),
+            weights: Vec::with_capacity(paths_max),
+            nearest: Nearest {
+                places: Vec::with_capacity(paths_max),
+                first_m: Vec::with_capacity(paths_max),
+                second_m: Vec::with_capacity(paths_max),
+            },
+            chosen: Vec::with_capacity(MODES_MAX),
+            gains: Vec::with_capacity(LIKES_MAX),
+            losses: Vec::with_capacity(MODES_MAX),
+            probability: Vec::with_capacity(MODES_MAX),
+        }
+    }
 }
 
 impl Choice {
@@ -73,8 +99,8 @@ impl Choice {
         self.probability.clear();
         self.probability.resize(modes_len, 0.0);
         let total: f32 = self.weights.iter().sum();
-        for (near, weight) in self.nearest.iter().zip(&self.weights) {
-            self.probability[near.place] += weight / total.max(f32::MIN_POSITIVE);
+        for (place, weight) in self.nearest.places.iter().zip(&self.weights) {
+            self.probability[*place as usize] += weight / total.max(f32::MIN_POSITIVE);
         }
     }
 
@@ -87,7 +113,7 @@ impl Choice {
         let len = paths.len();
         for (axis, points_m) in self.points_m.iter_mut().enumerate() {
             points_m.clear();
-            points_m.extend((0..horizon_len).flat_map(|step| paths.iter().map(move |path| path[step][axis])));
+            (0..horizon_len).for_each(|step| points_m.extend(paths.iter().map(|path| path[step][axis])));
         }
         self.distances_m.clear();
         self.distances_m.resize(len * len, 0.0);
@@ -95,61 +121,90 @@ impl Choice {
         for (step, (xs, ys)) in xs.zip(ys).enumerate() {
             let last = if step + 1 == horizon_len { END } else { 0.0 };
             let weight = 1.0 / horizon_len as f32 + last;
-            for (row, (x, y)) in self.distances_m.chunks_exact_mut(len).zip(xs.iter().zip(ys)) {
-                for (sum, (x_there, y_there)) in row.iter_mut().zip(xs.iter().zip(ys)) {
+            // From each path to those that come after it.
+            for (place, row) in self.distances_m.chunks_exact_mut(len).enumerate() {
+                let (x, y, after) = (xs[place], ys[place], place + 1..);
+                let others = xs[after.clone()].iter().zip(&ys[after.clone()]);
+                for (sum, (x_there, y_there)) in row[after].iter_mut().zip(others) {
                     let (dx, dy) = (x_there - x, y_there - y);
                     *sum += weight * (dx * dx + dy * dy).sqrt();
                 }
             }
         }
+        for row in 0..len {
+            (0..row).for_each(|column| {
+                self.distances_m[row * len + column] = self.distances_m[column * len + row];
+            });
+        }
     }
 
     fn find_nearest(&mut self) {
         let len = self.weights.len();
-        self.nearest.clear();
-        for row in self.distances_m.chunks_exact(len.max(1)) {
-            let mut near = Nearest { place: 0, first_m: f32::INFINITY, second_m: f32::INFINITY };
-            for (place, &path) in self.chosen.iter().enumerate() {
-                let apart = row[path];
-                if apart < near.first_m {
-                    near = Nearest { place, first_m: apart, second_m: near.first_m };
-                } else {
-                    near.second_m = near.second_m.min(apart);
-                }
-            }
-            self.nearest.push(near);
+        self.nearest.clear(len);
+        for (place, &path) in self.chosen.iter().enumerate() {
+            self.nearest.take_in(place as u32, &self.distances_m[path * len..(path + 1) * len]);
         }
     }
 
     /// Puts the remembered path that helps most in the place of the chosen one that is missed least; false where that does not
     /// help.
     fn swap(&mut self, modes_len: usize) -> bool {
-        let len = self.weights.len();
-        let to = |path: usize| &self.distances_m[path * len..(path + 1) * len];
-        let gain = |path: usize| -> f32 {
-            let rows = to(path).iter().zip(&self.nearest).zip(&self.weights);
-            rows.map(|((apart, near), weight)| weight * (near.first_m - apart).max(0.0)).sum()
-        };
-        let gains = (modes_len..len).map(|path| (path, gain(path)));
-        let Some((entering, gain)) = gains.reduce(|best, other| if other.1 > best.1 { other } else { best })
-        else {
-            return false;
-        };
-        let loss = |place: usize| -> f32 {
-            let rows = to(entering).iter().zip(&self.nearest).zip(&self.weights);
-            let left = rows.filter(|((_, near), _)| near.place == place);
-            left.map(|((apart, near), weight)| {
-                weight * (near.second_m.min(*apart) - near.first_m.min(*apart))
-            })
-            .sum()
-        };
-        let losses = (0..self.chosen.len()).map(|place| (place, loss(place)));
-        match losses.reduce(|best, other| if other.1 < best.1 { other } else { best }) {
+        let Self { distances_m, weights, nearest, chosen, gains, losses, .. } = self;
+        let len = weights.len();
+        // Sums side by side, of one path after another.
+        gains.clear();
+        gains.resize(len - modes_len, 0.0);
+        for ((row, first_m), weight) in
+            distances_m.chunks_exact(len.max(1)).zip(&nearest.first_m).zip(&*weights)
+        {
+            for (gain, apart_m) in gains.iter_mut().zip(&row[modes_len..]) {
+                *gain += weight * (first_m - apart_m).max(0.0);
+            }
+        }
+        let Some((entering, gain)) = best(gains, |other, best| other > best) else { return false };
+        let entering = modes_len + entering;
+        losses.clear();
+        losses.resize(chosen.len(), 0.0);
+        let near = nearest.places.iter().zip(&nearest.first_m).zip(&nearest.second_m);
+        let row = &distances_m[entering * len..(entering + 1) * len];
+        for (((&place, first_m), second_m), (apart_m, weight)) in near.zip(row.iter().zip(&*weights)) {
+            losses[place as usize] += weight * (second_m.min(*apart_m) - first_m.min(*apart_m));
+        }
+        match best(losses, |other, best| other < best) {
             Some((place, loss)) if gain > loss => {
-                self.chosen[place] = entering;
+                chosen[place] = entering;
                 true
             }
             _ => false,
+        }
+    }
+}
+
+/// The first of the best.
+fn best(values: &[f32], better: impl Fn(f32, f32) -> bool) -> Option<(usize, f32)> {
+    let places = values.iter().copied().enumerate();
+    places.reduce(|best, other| if better(other.1, best.1) { other } else { best })
+}
+
+impl Nearest {
+    /// Of so many paths, of which none is near any.
+    fn clear(&mut self, len: usize) {
+        self.places.clear();
+        self.places.resize(len, 0);
+        for distances_m in [&mut self.first_m, &mut self.second_m] {
+            distances_m.clear();
+            distances_m.resize(len, f32::INFINITY);
+        }
+    }
+
+    /// Takes in a chosen one, from which all paths are so far.
+    fn take_in(&mut self, chosen: u32, distances_m: &[f32]) {
+        let own = self.places.iter_mut().zip(&mut self.first_m).zip(&mut self.second_m);
+        for (((place, first_m), second_m), &apart_m) in own.zip(distances_m) {
+            let nearer = apart_m < *first_m;
+            *second_m = if nearer { *first_m } else { second_m.min(apart_m) };
+            *first_m = if nearer { apart_m } else { *first_m };
+            *place = if nearer { chosen } else { *place };
         }
     }
 }

@@ -14,7 +14,7 @@ use wire::{HORIZON_MAX, POSITION_MAX_M};
 
 use super::moment::COMPONENTS;
 use super::path::{DEPARTURE_MAX, Departures, Skill};
-use super::{Entry, Gait, MOMENTS_MAX, Memory, Moment, PlaceMemory};
+use super::{Gait, MOMENTS_MAX, Memory, Moment, PlaceMemory};
 use crate::FileError;
 use crate::file::{Target, finite_numbers, numbers};
 
@@ -61,15 +61,16 @@ impl PlaceMemory {
 
     fn to_bytes(&self, weights_sha256: &str) -> Result<Vec<u8>, SafeTensorError> {
         // What no bucket has any more is told to nobody.
-        let kept: BTreeSet<u64> = self.buckets.values().flatten().map(|entry| entry.number).collect();
-        let kept = || kept.iter().map(|number| &self.memories[(number - self.oldest) as usize]);
-        let len = kept().count();
+        let kept: BTreeSet<usize> = self.buckets.keys().flat_map(|key| self.bucket(key)).collect();
+        let moments = || kept.iter().map(|place| &self.entries[*place].moment);
+        let memories = || kept.iter().map(|place| &self.memories[*place]);
+        let len = kept.len();
         let bytes =
             |numbers: &mut dyn Iterator<Item = f32>| numbers.flat_map(f32::to_le_bytes).collect::<Vec<u8>>();
-        let gait: Vec<u8> = kept().map(|memory| memory.moment.gait() as u8).collect();
-        let moment = bytes(&mut kept().flat_map(|memory| memory.moment.components()));
-        let driven: Vec<u8> = kept().map(|memory| memory.driven_len as u8).collect();
-        let departure = bytes(&mut kept().flat_map(|memory| memory.departures.numbers(self.horizon_len)));
+        let gait: Vec<u8> = moments().map(|moment| moment.gait() as u8).collect();
+        let moment = bytes(&mut moments().flat_map(Moment::components));
+        let driven: Vec<u8> = memories().map(|memory| memory.driven_len as u8).collect();
+        let departure = bytes(&mut memories().flat_map(|memory| memory.departures.numbers(self.horizon_len)));
         let skill = bytes(&mut self.skill.iter().flat_map(|skill| skill.numbers(self.horizon_len)));
         let steps_len = self.horizon_len;
         let step = self.step_ns.to_le_bytes();
@@ -134,8 +135,7 @@ impl PlaceMemory {
             let moment = Moment::of_components(gait, components);
             let departures = Departures::of_numbers(departure);
             let driven_len = usize::from(driven[number]);
-            let entry = Entry { number: number as u64, stay: 0, agent: 0, moment };
-            memory.keep(Memory { moment, driven_len, departures }, entry);
+            memory.keep(moment, Memory { agent: 0, stay: 0, driven_len, departures });
         }
         memory.leave();
         Ok(memory)

@@ -28,20 +28,23 @@ pub(super) struct Course {
     len: usize,
 }
 
-/// How agents go on otherwise than forecast, step by step; none where nothing is known.
+/// How agents go on otherwise than forecast, step by step.
 ///
 /// Who drives goes faster, m/s over the step, and bends more to the left, 1/m at the step's end; who walks takes other steps, x and y
 /// in the world frame, m.
-#[derive(Clone, Debug, Default, PartialEq)]
+#[derive(Clone, Debug)]
 pub struct Departures {
-    steps: [[Option<f32>; 2]; HORIZON_MAX],
+    /// NaN where nothing is known.
+    steps: [[f32; 2]; HORIZON_MAX],
 }
 
 /// What departures there were: sums by weight.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Evidence {
-    /// (Σ w, Σ w δ)
-    steps: [[(f32, f32); 2]; HORIZON_MAX],
+    /// Σ w
+    weights: [[f32; 2]; HORIZON_MAX],
+    /// Σ w δ
+    sums: [[f32; 2]; HORIZON_MAX],
 }
 
 /// How well departures could be told so far, by step and component: sums of told · driven and of told².
@@ -108,11 +111,11 @@ pub(super) fn departure(
 impl Evidence {
     /// Adds departures with a weight, as far as they are known.
     pub(super) fn add(&mut self, weight: f32, departures: &Departures) {
-        for (sums, departure) in self.steps.iter_mut().flatten().zip(departures.steps.iter().flatten()) {
-            if let Some(departure) = departure {
-                sums.0 += weight;
-                sums.1 += weight * departure;
-            }
+        let own = self.weights.as_flattened_mut().iter_mut().zip(self.sums.as_flattened_mut());
+        for ((weights, sum), departure) in own.zip(departures.steps.as_flattened()) {
+            let known = !departure.is_nan();
+            *weights += if known { weight } else { 0.0 };
+            *sum += if known { weight * departure } else { 0.0 };
         }
     }
 
@@ -123,15 +126,18 @@ impl Evidence {
     /// ```
     pub(super) fn means(&self, gait: Gait) -> Departures {
         let doubt = DOUBT[gait as usize];
-        let mean = |(weights, sum): (f32, f32)| (weights > 0.0).then(|| sum / (weights + doubt));
-        Departures { steps: self.steps.map(|step| step.map(mean)) }
+        let mean = |step: usize, component: usize| {
+            let (weights, sum) = (self.weights[step][component], self.sums[step][component]);
+            if weights > 0.0 { sum / (weights + doubt) } else { f32::NAN }
+        };
+        Departures { steps: std::array::from_fn(|step| [0, 1].map(|component| mean(step, component))) }
     }
 }
 
 impl Skill {
     /// Learns how what was told for a step compares with what was driven.
     pub(super) fn learn(&mut self, told: &Departures, step: usize, component: usize, driven: f32) {
-        let Some(told) = told.steps[step][component] else { return };
+        let Some(told) = told.at(step, component) else { return };
         let (product, square) = &mut self.steps[step][component];
         *product = LASTING * *product + told * driven;
         *square = LASTING * *square + told * told;
@@ -161,43 +167,57 @@ impl Skill {
         let scaled = |step: usize, component: usize| {
             let (product, square) = self.steps[step][component];
             let share = (product / (square + RESERVE[gait as usize][component])).clamp(0.0, 1.0);
-            told.steps[step][component].map(|departure| share * departure)
+            share * told.steps[step][component]
         };
         Departures { steps: std::array::from_fn(|step| [0, 1].map(|component| scaled(step, component))) }
     }
 }
 
+impl Default for Departures {
+    fn default() -> Self {
+        Self { steps: [[f32::NAN; 2]; HORIZON_MAX] }
+    }
+}
+
+impl PartialEq for Departures {
+    fn eq(&self, other: &Self) -> bool {
+        let mut pairs = self.steps.as_flattened().iter().zip(other.steps.as_flattened());
+        pairs.all(|(own, other)| own == other || own.is_nan() && other.is_nan())
+    }
+}
+
 impl Departures {
+    /// That of a step, where it is known; no other steps than those of a payload are.
+    fn at(&self, step: usize, component: usize) -> Option<f32> {
+        Some(self.steps.get(step)?[component]).filter(|departure| !departure.is_nan())
+    }
+
     /// Takes in what is known of a step now.
     pub(super) const fn tell(&mut self, step: usize, component: usize, departure: f32) {
-        self.steps[step][component] = Some(departure);
+        self.steps[step][component] = departure;
     }
 
     /// Those of so many steps, as they are written: NaN where nothing is known.
     pub(super) fn numbers(&self, steps_len: usize) -> impl Iterator<Item = f32> {
-        self.steps[..steps_len].iter().flatten().map(|departure| departure.unwrap_or(f32::NAN))
+        self.steps[..steps_len].as_flattened().iter().copied()
     }
 
     /// The reverse of [`Departures::numbers`].
     pub(super) fn of_numbers(numbers: &[f32]) -> Self {
         let mut departures = Self::default();
-        for (own, number) in departures.steps.as_flattened_mut().iter_mut().zip(numbers) {
-            *own = (!number.is_nan()).then_some(*number);
-        }
+        departures.steps.as_flattened_mut()[..numbers.len()].copy_from_slice(numbers);
         departures
     }
 
     /// A share of them.
     pub(super) fn scaled(&self, share: f32) -> Self {
-        Self {
-            steps: self.steps.map(|step| step.map(|departure| departure.map(|departure| share * departure))),
-        }
+        Self { steps: self.steps.map(|step| step.map(|departure| share * departure)) }
     }
 
     /// Whether nothing is known of any step.
     #[must_use]
     pub fn is_empty(&self) -> bool {
-        self.steps.iter().flatten().all(Option::is_none)
+        self.steps.as_flattened().iter().all(|departure| departure.is_nan())
     }
 
     /// What the displacements of one who walks, in axes that point along `heading_rad`, have to be changed by at each step so that its
@@ -205,7 +225,8 @@ impl Departures {
     #[must_use]
     pub fn displacements(&self, heading_rad: f32) -> [[f32; 2]; HORIZON_MAX] {
         let frame = AgentFrame::new([0.0; 2], heading_rad);
-        self.steps.map(|step| frame.rotate_into(step.map(Option::unwrap_or_default)))
+        let known = |departure: f32| if departure.is_nan() { 0.0 } else { departure };
+        self.steps.map(|step| frame.rotate_into(step.map(known)))
     }
 
     /// What a vehicle's controls, acceleration and slip rate, have to be changed by at each step so that its path departs so.
@@ -216,12 +237,11 @@ impl Departures {
     /// ```
     #[must_use]
     pub fn controls(&self, rear_axle_m: f32, step_s: f32) -> [[f32; 2]; HORIZON_MAX] {
-        let expected = |step: usize, component: usize| self.steps.get(step).and_then(|step| step[component]);
         let mut before = [0.0; 2];
         std::array::from_fn(|step| {
             let faster =
-                expected(step, SPEED).map(|now| 0.5 * (now + expected(step + 1, SPEED).unwrap_or(now)));
-            let bent = expected(step, CURVATURE).map(|curvature| rear_axle_m * curvature);
+                self.at(step, SPEED).map(|now| 0.5 * (now + self.at(step + 1, SPEED).unwrap_or(now)));
+            let bent = self.at(step, CURVATURE).map(|curvature| rear_axle_m * curvature);
             let after = [faster.unwrap_or(before[0]), bent.unwrap_or(before[1])];
             let change = [0, 1].map(|component| (after[component] - before[component]) / step_s);
             before = after;
