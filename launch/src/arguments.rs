@@ -56,11 +56,11 @@ pub struct TrackerArguments {
 /// What is remembered of the place.
 #[derive(Clone, Debug, Args)]
 pub struct PlaceArguments {
-    /// Recall at each place how those who came by before departed from their forecasts
+    /// Forecast without a memory of how those who came by before departed from their forecasts
     #[arg(long)]
-    recall: bool,
-    /// Recall, beginning with the memory in this file, if there is one, and keep it there in the end
-    #[arg(long, value_name = "FILE")]
+    no_recall: bool,
+    /// Begin with the memory in this file, if there is one, and keep it there in the end
+    #[arg(long, value_name = "FILE", conflicts_with = "no_recall")]
     memory: Option<PathBuf>,
 }
 
@@ -73,14 +73,15 @@ pub struct KeptMemory {
 }
 
 impl PlaceArguments {
-    /// Whether the place is to be recalled.
-    pub const fn recalls(&self) -> bool {
-        self.recall || self.memory.is_some()
+    /// Whether the place is to be recalled, where the pipeline says this of it.
+    pub fn recalls(&self, pipeline: Option<bool>) -> bool {
+        !self.no_recall && (self.memory.is_some() || pipeline.unwrap_or(true))
     }
 
     /// Where its memory is kept: the file asked for, else the pipeline's. One that is there is opened to see that it is of these
     /// weights; one that is not must have a folder that can be written to.
     pub fn memory(&self, pipeline: Option<&Path>, weights: &Weights) -> Result<Option<KeptMemory>, Failure> {
+        let pipeline = pipeline.filter(|_| !self.no_recall);
         let Some(path) = self.memory.as_deref().or(pipeline) else { return Ok(None) };
         let path = std::path::absolute(path).map_err(|error| Failure::file(path, &error))?;
         let mut moments_len = 0;
@@ -155,7 +156,7 @@ impl PlaybackArguments {
             prior: self.tracker.prior.unwrap_or_default(),
             association: self.tracker.association.unwrap_or_default(),
             view: self.tracker.view,
-            recall: self.place.recalls(),
+            recall: self.place.recalls(None),
             memory: self.place.memory(None, &weights)?.map(|kept| kept.path),
             weights: weights_path,
             model: weights.config().clone(),

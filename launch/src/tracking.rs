@@ -24,9 +24,9 @@ pub enum Tracking {
 impl Tracking {
     /// Sets up what the run's prior needs.
     pub fn new(run: &Run) -> Result<Self, Failure> {
-        if run.recall && run.prior == Prior::Kinematic {
+        if run.memory.is_some() && run.prior == Prior::Kinematic {
             let why = "forecasts take no part in tracks with the kinematic prior";
-            return Err(Failure::Usage(format!("--recall and --memory change nothing here: {why}")));
+            return Err(Failure::Usage(format!("--memory changes nothing here: {why}")));
         }
         Ok(match run.prior {
             Prior::Kinematic => Self::Alone {

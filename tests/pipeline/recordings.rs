@@ -72,7 +72,8 @@ fn the_memory_of_a_place_outlasts_a_run() {
     run_well(&[&play[..], &["--memory", &memory, "--forecasts", &forecasts]].concat());
     let predict = |arguments: &[&str]| stdout(&run_well(&[&["predict", &recording], arguments].concat()));
     let first = predict(&["--memory", &copy]);
-    assert_eq!(first, predict(&["--recall"]), "nothing is remembered before the first run");
+    assert_eq!(first, predict(&[]), "nothing is remembered before the first run");
+    assert_ne!(first, predict(&["--no-recall"]), "who came by is recalled");
     assert!(first.as_bytes() == scratch.read("run.jsonl"), "processes forecast as one does");
     assert!(scratch.read("a.memory") == scratch.read("b.memory"), "and remember the same");
 
@@ -86,6 +87,10 @@ fn the_memory_of_a_place_outlasts_a_run() {
     run_well(&[&play[..], &["--pipeline", &pipeline, "--forecasts", &forecasts]].concat());
     assert!(predict(&["--memory", &copy]).as_bytes() == scratch.read("run.jsonl"));
     assert!(scratch.read("a.memory") == scratch.read("b.memory"));
+
+    run_well(&[&play[..], &["--pipeline", &pipeline, "--no-recall", "--forecasts", &forecasts]].concat());
+    assert!(predict(&["--no-recall"]).as_bytes() == scratch.read("run.jsonl"));
+    assert!(scratch.read("a.memory") == scratch.read("b.memory"), "left alone");
 }
 
 #[test]

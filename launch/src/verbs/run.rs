@@ -76,7 +76,7 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
 
     let tracker = options(&pipeline, StageId::Tracker);
     let sampler = options(&pipeline, StageId::Sampler);
-    let recall = arguments.place.recalls() || sampler.recall.unwrap_or_default() || sampler.memory.is_some();
+    let recall = arguments.place.recalls(sampler.recall);
     let memory = arguments.place.memory(sampler.memory.as_deref(), &weights)?;
     let memory_moments = memory.as_ref().map(|kept| kept.moments_len as u64);
     let info = RunInfo { recalls: Some(recall), memory_moments, ..info };

@@ -67,12 +67,13 @@ impl Report {
             });
             fact(text, "weights", &[run.weights.clone(), hash, seen])?;
         }
-        if run.recalls == Some(true) {
-            let began = match run.memory_moments.filter(|&len| len > 0) {
-                Some(len) => format!("began with {} moments of earlier runs", count(len)),
-                None => "began with nothing".to_owned(),
+        if let Some(recalls) = run.recalls {
+            let memory = match run.memory_moments.filter(|&len| len > 0) {
+                _ if !recalls => "none of the place".to_owned(),
+                Some(len) => format!("of the place, began with {} moments of earlier runs", count(len)),
+                None => "of the place, began with nothing".to_owned(),
             };
-            fact(text, "memory", &[Some(began)])?;
+            fact(text, "memory", &[Some(memory)])?;
         }
         let rate = run.interval_ms.map(|ms| format!("{} Hz", trimmed(1e3 / ms)));
         let thinned = run.thinned_by.filter(|&n| n > 1).map(|n| format!("1 frame in {n} of the recording"));

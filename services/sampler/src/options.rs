@@ -64,7 +64,7 @@ impl Default for SamplerOptions {
             initial_covariance: true,
             propagation: Propagation::Linearised,
             seed: 0,
-            recalls: false,
+            recalls: true,
             max_age_ns: 1_600_000_000,
         }
     }

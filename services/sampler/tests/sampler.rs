@@ -485,7 +485,7 @@ fn after_others_braked(recalls: bool, others: u64) -> Forecast {
 
 /// Where vehicles braked that were not expected to, the next one is; and its controls say so to the tracker.
 #[test]
-fn the_place_is_recalled_where_that_is_asked_for() {
+fn the_place_is_recalled_unless_that_is_not_wanted() {
     let forgetful = after_others_braked(false, 30);
     assert_eq!(forgetful, after_others_braked(true, 0), "nothing to recall");
     let recalling = after_others_braked(true, 30);
@@ -507,7 +507,7 @@ fn the_place_is_recalled_where_that_is_asked_for() {
 /// Where walkers went left that were not expected to, one of the modes does, and the best forecast bears that way.
 #[test]
 fn walkers_are_recalled_too() {
-    let mut sampler = Sampler::new(SamplerOptions { recalls: true, ..SamplerOptions::default() });
+    let mut sampler = Sampler::new(SamplerOptions::default());
     let ahead = |id| controls(id, AgentType::Pedestrian, &[[0.0; 2], [0.05, 0.0]], 0.1);
     let mut now_ns = 0;
     for id in 1..=40 {

@@ -147,7 +147,7 @@ impl Default for Run {
             prior: Prior::default(),
             association: Association::default(),
             view: None,
-            recall: false,
+            recall: true,
             memory: None,
             weights: None,
             model: Weights::onboard().config().clone(),
