@@ -15,7 +15,7 @@ use super::unroll::{First, Inputs, STACKED, UnrollGradients, stacked};
 use crate::TrainError;
 
 /// Rows of a workgroup of the kernels over the horizon.
-const ROWS: u32 = 8;
+const ROWS: usize = 8;
 /// Side of the results of a workgroup of the sum of products.
 const TILE: usize = 16;
 /// Columns of the gradients of a step: by H, by the head's output, by Iₙ.
@@ -55,7 +55,8 @@ impl Gpu {
         let descriptor = wgpu::DeviceDescriptor { required_limits: adapter.limits(), ..Default::default() };
         let (device, queue) = pollster::block_on(adapter.request_device(&descriptor))
             .map_err(|error| refused(error.to_string()))?;
-        let pipeline = |label: &str, source: &str| {
+        let pipeline = |label: &str, parts: &[&str]| {
+            let source = sizes() + &parts.concat();
             let module = device.create_shader_module(wgpu::ShaderModuleDescriptor {
                 label: Some(label),
                 source: wgpu::ShaderSource::Wgsl(source.into()),
@@ -71,9 +72,15 @@ impl Gpu {
         };
         let info = adapter.get_info();
         Ok(Self {
-            forward: pipeline("forward", include_str!("gpu/forward.wgsl")),
-            backward: pipeline("backward", include_str!("gpu/backward.wgsl")),
-            sum: pipeline("sum", include_str!("gpu/sum.wgsl")),
+            forward: pipeline(
+                "forward",
+                &[include_str!("gpu/horizon.wgsl"), include_str!("gpu/forward.wgsl")],
+            ),
+            backward: pipeline(
+                "backward",
+                &[include_str!("gpu/horizon.wgsl"), include_str!("gpu/backward.wgsl")],
+            ),
+            sum: pipeline("sum", &[include_str!("gpu/sum.wgsl")]),
             name: format!("{} ({})", info.name, info.backend),
             device,
             queue,
@@ -105,7 +112,7 @@ impl Gpu {
         let [weight, bias, input, hidden] =
             [&weight[..], &bias, first_input, &inputs.hidden.values].map(|values| self.filled(values));
         let buffers = [&size, &weight, &bias, &input, &hidden, &raw, &gates, &states];
-        self.run(&self.forward, &buffers, [(rows_len as u32).div_ceil(ROWS), 1]);
+        self.run(&self.forward, &buffers, [rows_len.div_ceil(ROWS) as u32, 1]);
         let raw =
             Matrix::new(rows_len, horizon_len * CONTROL, self.read(&raw, rows_len * horizon_len * CONTROL));
         (raw, keep_trace.then_some(Trace { inputs, horizon_len, gates, states }))
@@ -127,7 +134,7 @@ impl Gpu {
         let d = self.empty(states_len * rows_len * COLUMNS);
         let d_hidden = self.empty(rows_len * HIDDEN);
         let buffers = [&size, &weight, gates, states, &d_raw, &d, &d_hidden];
-        self.run(&self.backward, &buffers, [(rows_len as u32).div_ceil(ROWS), 1]);
+        self.run(&self.backward, &buffers, [rows_len.div_ceil(ROWS) as u32, 1]);
 
         let size = self.uniform([states_len * rows_len, COLUMNS, HIDDEN, 0]);
         let sum = self.empty(COLUMNS * (HIDDEN + 1));
@@ -219,6 +226,20 @@ impl Gpu {
         let mapped = near.get_mapped_range(..).expect("the whole buffer is mapped");
         bytemuck::cast_slice(&mapped).to_vec()
     }
+}
+
+/// The sizes that the kernels share with the processor, as they are told in their language.
+fn sizes() -> String {
+    let sizes = [
+        ("HIDDEN", HIDDEN),
+        ("GATES", GATES),
+        ("CONTROL", CONTROL),
+        ("STACKED", STACKED),
+        ("COLUMNS", COLUMNS),
+        ("ROWS", ROWS),
+        ("TILE", TILE),
+    ];
+    sizes.iter().map(|(name, size)| format!("const {name}: u32 = {size}u;\n")).collect()
 }
 
 /// A matrix `[389, 128]` as `[128, 389]`.

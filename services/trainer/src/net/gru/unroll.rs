@@ -86,12 +86,14 @@ pub(crate) fn unroll(
         latent: latent.clone(),
     };
     let draws_len = inputs.draws_len();
-    let network = Network::new(weights, name, hidden, encoding);
+    let entering = Entering::new(weights, name, encoding);
     if let (Device::Gpu(gpu), true) = (device, latent.rows > 0) {
-        let first_input = network.first_input(&inputs);
+        let mut first_input = Vec::new();
+        entering.put(0..hidden.rows, &latent.values, &mut Vec::new(), &mut first_input);
         let (raw, trace) = gpu.unroll(weights, inputs, &first_input, horizon_len, keep_trace);
         return Unroll { raw, trace: trace.map(Trace::Gpu) };
     }
+    let network = Network::new(weights, name, hidden, entering);
     let mut raw = Matrix::zeros(latent.rows, horizon_len * CONTROL);
     let mut trace = keep_trace.then(|| Kept {
         inputs,
@@ -132,16 +134,21 @@ pub(super) fn stacked(weights: &Tensors, name: &str, part: &str) -> Vec<f32> {
     [weights.get(&format!("{name}.gru.{gru}")), weights.get(&format!("{name}.head.{part}"))].concat()
 }
 
-/// What all blocks share.
-struct Network<'a> {
-    stacked: Panels,
-    head: Panels,
+/// What enters at the steps: I.
+struct Entering<'a> {
     /// The columns of W_i that read z.
     latent: Panels,
     /// I after the first step: the bias alone.
     idle: &'a [f32],
     /// I of the first step without z, `[agents, 384]`.
     context: Matrix,
+}
+
+/// What all blocks share.
+struct Network<'a> {
+    entering: Entering<'a>,
+    stacked: Panels,
+    head: Panels,
     /// What the stacked matrix puts out for the states before the first step, `[agents, STRIDE]`.
     first: Matrix,
 }
@@ -159,48 +166,49 @@ struct Memory {
     head: Vec<f32>,
 }
 
-impl<'a> Network<'a> {
-    fn new(weights: &'a Tensors, name: &str, hidden: &Matrix, encoding: &Matrix) -> Self {
+impl<'a> Entering<'a> {
+    fn new(weights: &'a Tensors, name: &str, encoding: &Matrix) -> Self {
         let idle = weights.get(&format!("{name}.gru.bias_ih"));
+        let mut context = Matrix::zeros(encoding.rows, GATES);
+        let by_encoding = by_input(weights, name, ENCODING_COLUMNS, Some(idle));
+        product(&by_encoding, &encoding.values, ENCODING, None, &mut context.values);
+        Self { latent: by_input(weights, name, LATENT_COLUMNS, None), idle, context }
+    }
+
+    /// Puts I of the first step of all draws of `agents` into `input`, and what of it needs no z into `context`.
+    fn put(&self, agents: Range<usize>, latent: &[f32], context: &mut Vec<f32>, input: &mut Vec<f32>) {
+        let rows_len = latent.len() / LATENT;
+        let draws_len = rows_len / agents.len().max(1);
+        context.clear();
+        agents.for_each(|agent| {
+            (0..draws_len).for_each(|_| context.extend_from_slice(self.context.row(agent)));
+        });
+        input.resize(rows_len * GATES, 0.0);
+        product(&self.latent, latent, LATENT, Some(context), input);
+    }
+}
+
+impl<'a> Network<'a> {
+    fn new(weights: &Tensors, name: &str, hidden: &Matrix, entering: Entering<'a>) -> Self {
         let [matrix, bias] = ["weight", "bias"].map(|part| stacked(weights, name, part));
         let stacked = by_state(&matrix, &bias);
         let mut first = Matrix::zeros(hidden.rows, STRIDE);
         product(&stacked, &hidden.values, HIDDEN, None, &mut first.values);
-        let mut context = Matrix::zeros(encoding.rows, GATES);
-        let by_encoding = by_input(weights, name, ENCODING_COLUMNS, Some(idle));
-        product(&by_encoding, &encoding.values, ENCODING, None, &mut context.values);
-        Self {
-            stacked,
-            head: by_state(&matrix[GATES * HIDDEN..], &bias[GATES..]),
-            latent: by_input(weights, name, LATENT_COLUMNS, None),
-            idle,
-            context,
-            first,
-        }
+        Self { entering, stacked, head: by_state(&matrix[GATES * HIDDEN..], &bias[GATES..]), first }
     }
 
     /// Lays out state, I and H of the first step of all draws of `agents`.
     fn start(&self, agents: Range<usize>, hidden: &Matrix, latent: &[f32], memory: &mut Memory) {
         let rows_len = latent.len() / LATENT;
         let draws_len = rows_len / agents.len().max(1);
-        for part in [&mut memory.context, &mut memory.recurrent, &mut memory.state] {
-            part.clear();
-        }
+        self.entering.put(agents.clone(), latent, &mut memory.context, &mut memory.input);
+        memory.recurrent.clear();
+        memory.state.clear();
         for agent in agents.flat_map(|agent| std::iter::repeat_n(agent, draws_len)) {
-            memory.context.extend_from_slice(self.context.row(agent));
             memory.recurrent.extend_from_slice(self.first.row(agent));
             memory.state.extend_from_slice(hidden.row(agent));
         }
-        memory.input.resize(rows_len * GATES, 0.0);
         memory.head.resize(rows_len * HEAD_STRIDE, 0.0);
-        product(&self.latent, latent, LATENT, Some(&memory.context), &mut memory.input);
-    }
-
-    /// I of the first step of all draws, `[agents × draws, 384]`.
-    fn first_input(&self, inputs: &Inputs) -> Vec<f32> {
-        let mut memory = Memory::default();
-        self.start(0..inputs.hidden.rows, &inputs.hidden, &inputs.latent.values, &mut memory);
-        memory.input
     }
 
     /// Runs a block over the horizon; `raw` `[rows, horizon × 5]`.
@@ -212,7 +220,7 @@ impl<'a> Network<'a> {
                 copy_controls(raw, horizon_len, step - 1, &recurrent[GATES..], STRIDE);
             }
             dispatch(Step {
-                input: if step == 0 { input } else { self.idle },
+                input: if step == 0 { input } else { self.entering.idle },
                 recurrent,
                 state,
                 present: None,

@@ -1,21 +1,5 @@
-// The way back over the horizon: eight rows a workgroup, a thread for each component of their states.
+// The way back over the horizon: ROWS rows a workgroup, a thread for each component of their states.
 
-const HIDDEN: u32 = 128u;
-const GATES: u32 = 384u;
-const CONTROL: u32 = 5u;
-const STACKED: u32 = 389u;
-// Columns of `d`: the gradients by H, by what the head put out, and by Iₙ.
-const COLUMNS: u32 = 517u;
-const ROWS: u32 = 8u;
-
-struct Size {
-    rows: u32,
-    draws: u32,
-    horizon: u32,
-    keep: u32,
-}
-
-@group(0) @binding(0) var<uniform> size: Size;
 // W_h and the head: [389, 128].
 @group(0) @binding(1) var<storage, read> weight: array<f32>;
 // r ‖ z ‖ n ‖ Hₙ: [horizon, rows, 512].
@@ -29,13 +13,13 @@ struct Size {
 // By the state before the first step: [rows, 128].
 @group(0) @binding(6) var<storage, read_write> d_hidden: array<f32>;
 
-// Gradients by H, then by the head's output, of the eight rows.
-var<workgroup> d_row: array<f32, 3112>;
+// Gradients by H, then by the head's output, of these rows.
+var<workgroup> d_row: array<f32, ROWS * STACKED>;
 
-@compute @workgroup_size(128)
+@compute @workgroup_size(HIDDEN)
 fn backward(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) j: u32) {
     let first = group.x * ROWS;
-    var d_state: array<f32, 8>;
+    var d_state: array<f32, ROWS>;
     for (var at = size.horizon + 1u; at > 0u; at--) {
         // The state number `at − 1` was read by the step of the same number and by the head of the one before.
         let step = at - 1u;

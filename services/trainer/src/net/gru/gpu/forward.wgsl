@@ -1,22 +1,7 @@
-// The recurrent unit over the horizon: eight rows a workgroup, a thread for each component of their states.
+// The recurrent unit over the horizon: ROWS rows a workgroup, a thread for each component of their states.
 //
 //     r = σ(Iᵣ + Hᵣ)   z = σ(I_z + H_z)   n = tanh(Iₙ + r Hₙ)   h' = n + z (h − n)   raw = W_o h' + b_o
 
-const HIDDEN: u32 = 128u;
-const GATES: u32 = 384u;
-const CONTROL: u32 = 5u;
-const STACKED: u32 = 389u;
-const ROWS: u32 = 8u;
-
-struct Size {
-    rows: u32,
-    draws: u32,
-    horizon: u32,
-    // Whether the way back is kept.
-    keep: u32,
-}
-
-@group(0) @binding(0) var<uniform> size: Size;
 // W_h and the head, transposed: [128, 389].
 @group(0) @binding(1) var<storage, read> weight: array<f32>;
 // Biases of W_h and the head, then that of W_i: [389 + 384].
@@ -32,7 +17,7 @@ struct Size {
 // States before each step and after the last: [horizon + 1, rows, 128].
 @group(0) @binding(7) var<storage, read_write> states: array<f32>;
 
-var<workgroup> state: array<f32, 1024>;
+var<workgroup> state: array<f32, ROWS * HIDDEN>;
 
 fn sigmoid(x: f32) -> f32 {
     return 1.0 / (1.0 + exp(-x));
@@ -43,7 +28,7 @@ fn squashed(x: f32) -> f32 {
     return 2.0 * sigmoid(2.0 * x) - 1.0;
 }
 
-@compute @workgroup_size(128)
+@compute @workgroup_size(HIDDEN)
 fn forward(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) j: u32) {
     let first = group.x * ROWS;
     for (var i = 0u; i < ROWS; i++) {
@@ -55,9 +40,9 @@ fn forward(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_in
     }
     workgroupBarrier();
     for (var step = 0u; step < size.horizon; step++) {
-        var h_r: array<f32, 8>;
-        var h_z: array<f32, 8>;
-        var h_n: array<f32, 8>;
+        var h_r: array<f32, ROWS>;
+        var h_z: array<f32, ROWS>;
+        var h_n: array<f32, ROWS>;
         for (var i = 0u; i < ROWS; i++) {
             h_r[i] = bias[j];
             h_z[i] = bias[HIDDEN + j];

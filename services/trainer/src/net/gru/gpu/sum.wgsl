@@ -1,6 +1,4 @@
-// The gradient by a matrix, dyᵀ x, with the column sums of dy behind it: 16 × 16 results a workgroup.
-
-const TILE: u32 = 16u;
+// The gradient by a matrix, dyᵀ x, with the column sums of dy behind it: TILE × TILE results a workgroup.
 
 struct Size {
     // Rows of dy and x.
@@ -17,10 +15,10 @@ struct Size {
 // [outs, ins + 1]: the last column is the sum.
 @group(0) @binding(3) var<storage, read_write> sum: array<f32>;
 
-var<workgroup> dy_tile: array<f32, 256>;
-var<workgroup> x_tile: array<f32, 256>;
+var<workgroup> dy_tile: array<f32, TILE * TILE>;
+var<workgroup> x_tile: array<f32, TILE * TILE>;
 
-@compute @workgroup_size(16, 16)
+@compute @workgroup_size(TILE, TILE)
 fn sum_of_products(
     @builtin(workgroup_id) group: vec3<u32>,
     @builtin(local_invocation_id) at: vec3<u32>,
