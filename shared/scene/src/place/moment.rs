@@ -15,6 +15,8 @@ const REACH: [f32; 2] = [7.0, 4.0];
 const IN_COMMON_M: f32 = 2.5;
 /// See [`IN_COMMON_M`].
 const PATH_M: f32 = 4.0;
+/// For the path that a driver took, all widths are so much larger.
+const PATH_WIDER: f32 = 1.4;
 /// Width of a walker's velocity.
 const VELOCITY_MPS: f32 = 0.3;
 
@@ -155,7 +157,8 @@ impl Moment {
     ///
     /// ```text
     /// exp(−d²/2)
-    /// d² = (Δy/0.8)² + (Δx/1.0)² + (Δψ/0.12)² + (Δv/1.5)² + (Δa/0.8)² + (Δω/0.1)²      driving, x along the heading, y across it
+    /// d² = (Δy/0.8)² + (Δx/1.0)² + (Δψ/0.12)² + (Δv/1.5)² + (Δa/0.8)² + (Δω/0.1)²      driving, x along the heading, y across it;
+    ///                            for a path all widths × 1.4
     /// d² = |Δp|²/σ² + |Δv|²/0.3²      walking, σ = 2.5 m for what is in common, 4 m for a path
     /// ```
     pub(super) fn alike(&self, other: &Self) -> Option<Alike> {
@@ -163,8 +166,8 @@ impl Moment {
         match (self, other) {
             (Self::Driving(own), Self::Driving(other)) => {
                 let distance = own.distance(other, reach).filter(|distance| *distance <= reach)?;
-                let weight = (-distance).exp();
-                Some(Alike { in_common: weight, path: weight })
+                let path = (-distance / (PATH_WIDER * PATH_WIDER)).exp();
+                Some(Alike { in_common: (-distance).exp(), path })
             }
             (Self::Walking(own), Self::Walking(other)) => own.alike(other, reach),
             _ => None,
