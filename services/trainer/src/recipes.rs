@@ -29,7 +29,7 @@ pub fn recipe(name: &str) -> Option<TrainOptions> {
     let options = match (name, fold) {
         (_, Some(fold)) => pedestrians(DataSet::EthUcyFold(fold)),
         ("sdd", _) => pedestrians(DataSet::SddTrajnet),
-        ("interaction", _) => vehicles(None, 16_000),
+        ("interaction", _) => vehicles(None, 24_000),
         ("interaction-without-FT", _) => vehicles(Some("Roundabout_FT"), 6_000),
         ("interaction-without-EP1", _) => vehicles(Some("Intersection_EP1"), 6_000),
         ("onboard", _) => TrainOptions {
@@ -105,6 +105,7 @@ fn vehicles(without: Option<&str>, steps: u64) -> TrainOptions {
         short_history: 0.0,
         noisy_history: 0.0,
         even_sites: if without.is_some() { 1.0 } else { 0.5 },
+        without_map: if without.is_some() { 0.3 } else { 0.2 },
         site_map: 0.4,
         standing: 0.2,
         objective: objective(1.0, 8),
