@@ -120,6 +120,20 @@ fn after_a_stay_time_begins_anew_and_everybody_is_somebody_else() {
     assert!(!recall(&memory, 1, &moment(0.0)).is_empty(), "another agent of the same number");
 }
 
+/// Of a crowd too large to follow some are not remembered; when it is gone there is room for others.
+#[test]
+fn a_crowd_has_a_limit_and_leaves_its_room_to_others() {
+    let mut memory = PlaceMemory::new(HORIZON_LEN, STEP_NS);
+    for (crowd, now_ns) in [(0..600, 0), (600..1_200, 10_000_000_000)] {
+        assert!(memory.advance(now_ns));
+        for agent in crowd {
+            memory.observe(agent, [0.0; 2]);
+            memory.remember(agent, &moment(0.0), &straight(0.0), &Recall::default());
+        }
+    }
+    assert_eq!(memory.moments_len(), 2 * 512);
+}
+
 /// The weights whose forecasts are remembered.
 const WEIGHTS: &str = "0123456789abcdef";
 /// Their steps.

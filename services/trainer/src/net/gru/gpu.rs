@@ -92,30 +92,30 @@ impl Gpu {
         &self.name
     }
 
-    /// The same as [`super::unroll`].
+    /// The same as [`super::unroll`], with the inputs where the way back is to be kept.
     pub(super) fn unroll(
         &self,
         weights: &Tensors,
-        inputs: Inputs,
+        (name, hidden, draws_len): (&str, &Matrix, usize),
         first_input: &[f32],
         horizon_len: usize,
-        keep_trace: bool,
+        inputs: Option<Inputs>,
     ) -> (Matrix, Option<Trace>) {
-        let (rows_len, name) = (inputs.latent.rows, &inputs.name);
+        let (rows_len, keep_trace) = (hidden.rows * draws_len, inputs.is_some());
         let weight = turned(&stacked(weights, name, "weight"));
         let bias =
             [&stacked(weights, name, "bias")[..], weights.get(&format!("{name}.gru.bias_ih"))].concat();
         let [gates, states] = [(horizon_len, 4 * HIDDEN), (horizon_len + 1, HIDDEN)]
             .map(|(steps, cols)| self.empty(if keep_trace { steps * rows_len * cols } else { 1 }));
         let raw = self.empty(rows_len * horizon_len * CONTROL);
-        let size = self.uniform([rows_len, inputs.draws_len(), horizon_len, usize::from(keep_trace)]);
+        let size = self.uniform([rows_len, draws_len, horizon_len, usize::from(keep_trace)]);
         let [weight, bias, input, hidden] =
-            [&weight[..], &bias, first_input, &inputs.hidden.values].map(|values| self.filled(values));
+            [&weight[..], &bias, first_input, &hidden.values].map(|values| self.filled(values));
         let buffers = [&size, &weight, &bias, &input, &hidden, &raw, &gates, &states];
         self.run(&self.forward, &buffers, [rows_len.div_ceil(ROWS) as u32, 1]);
         let raw =
             Matrix::new(rows_len, horizon_len * CONTROL, self.read(&raw, rows_len * horizon_len * CONTROL));
-        (raw, keep_trace.then_some(Trace { inputs, horizon_len, gates, states }))
+        (raw, inputs.map(|inputs| Trace { inputs, horizon_len, gates, states }))
     }
 
     /// The same as [`super::Unroll::backward`].

@@ -28,10 +28,10 @@ impl Gpu {
     pub(super) fn unroll(
         &self,
         _: &Tensors,
-        _: Inputs,
+        _: (&str, &Matrix, usize),
         _: &[f32],
         _: usize,
-        _: bool,
+        _: Option<Inputs>,
     ) -> (Matrix, Option<Trace>) {
         match *self {}
     }

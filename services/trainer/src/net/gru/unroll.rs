@@ -79,23 +79,24 @@ pub(crate) fn unroll(
     keep_trace: bool,
 ) -> Unroll {
     assert!(horizon_len > 0, "a step to forecast");
-    let inputs = Inputs {
+    let draws_len = draws_len(hidden, encoding, latent);
+    // Copied for the way back alone.
+    let inputs = keep_trace.then(|| Inputs {
         name: name.to_owned(),
         hidden: hidden.clone(),
         encoding: encoding.clone(),
         latent: latent.clone(),
-    };
-    let draws_len = inputs.draws_len();
+    });
     let entering = Entering::new(weights, name, encoding);
     if let (Device::Gpu(gpu), true) = (device, latent.rows > 0) {
         let mut first_input = Vec::new();
         entering.put(0..hidden.rows, &latent.values, &mut Vec::new(), &mut first_input);
-        let (raw, trace) = gpu.unroll(weights, inputs, &first_input, horizon_len, keep_trace);
+        let (raw, trace) = gpu.unroll(weights, (name, hidden, draws_len), &first_input, horizon_len, inputs);
         return Unroll { raw, trace: trace.map(Trace::Gpu) };
     }
     let network = Network::new(weights, name, hidden, entering);
     let mut raw = Matrix::zeros(latent.rows, horizon_len * CONTROL);
-    let mut trace = keep_trace.then(|| Kept {
+    let mut trace = inputs.map(|inputs| Kept {
         inputs,
         kept: Vec::with_capacity(latent.rows * horizon_len * KEPT),
         last: Vec::with_capacity(latent.rows * HIDDEN),
@@ -113,12 +114,16 @@ pub(crate) fn unroll(
 impl Inputs {
     /// Draws per agent.
     pub(super) fn draws_len(&self) -> usize {
-        let Self { hidden, encoding, latent, .. } = self;
-        assert_eq!((hidden.cols, encoding.cols, latent.cols), (HIDDEN, ENCODING, LATENT), "columns");
-        assert_eq!(hidden.rows, encoding.rows, "a state and an encoding per agent");
-        assert!(latent.rows.is_multiple_of(hidden.rows.max(1)), "as many draws for each agent");
-        latent.rows / hidden.rows.max(1)
+        draws_len(&self.hidden, &self.encoding, &self.latent)
     }
+}
+
+/// Draws per agent.
+fn draws_len(hidden: &Matrix, encoding: &Matrix, latent: &Matrix) -> usize {
+    assert_eq!((hidden.cols, encoding.cols, latent.cols), (HIDDEN, ENCODING, LATENT), "columns");
+    assert_eq!(hidden.rows, encoding.rows, "a state and an encoding per agent");
+    assert!(latent.rows.is_multiple_of(hidden.rows.max(1)), "as many draws for each agent");
+    latent.rows / hidden.rows.max(1)
 }
 
 /// The agents of each block; none where there are no draws.
