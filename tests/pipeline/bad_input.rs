@@ -206,3 +206,15 @@ fn verify_fails_where_one_weight_is_changed() {
     let output = run(&["verify", &folder]);
     assert_eq!(output.status.code(), Some(70), "{}", stdout(&output));
 }
+
+#[test]
+fn verify_skips_what_holds_no_vectors_beside_what_does() {
+    let golden = |name: &str| format!("{}/../tests/golden/{name}", env!("CARGO_MANIFEST_DIR"));
+    let [readme, reference, vectors] = ["README.md", "reference", "pedestrian"].map(golden);
+    let output = run_well(&["verify", &readme, &vectors, &reference]);
+    assert!(stderr(&output).contains("README.md: skipped"), "{}", stderr(&output));
+    assert!(stderr(&output).contains("reference: skipped"), "{}", stderr(&output));
+    assert_eq!(run(&["verify", &readme]).status.code(), Some(65));
+    assert_eq!(run(&["verify", &readme, &reference]).status.code(), Some(65));
+    assert_eq!(run(&["verify", &vectors, &golden("nowhere")]).status.code(), Some(65));
+}

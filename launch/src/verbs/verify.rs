@@ -1,24 +1,33 @@
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use clap::Args;
 use config::Exit;
-use evaluator::Comparison;
+use evaluator::{Comparison, VerifyError};
 
 use crate::failure::Failure;
 
 /// Arguments of `stgdat verify`.
 #[derive(Debug, Args)]
 pub struct Arguments {
-    /// Folders with scene.json, weights.safetensors and tensors.safetensors, or with filters, assignment, metrics and unit
+    /// Folders with scene.json, weights.safetensors and tensors.safetensors, or with filters, assignment, metrics and unit;
+    /// of several, whatever holds no vectors is skipped
     #[arg(required = true, value_name = "DIR")]
     folders: Vec<PathBuf>,
 }
 
 /// Recomputes the golden vectors of folders on this machine and tells which ones are off.
 pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
-    let mut off_len = 0;
+    let (mut off_len, mut verified_len) = (0, 0);
     for folder in &arguments.folders {
-        let rows = evaluator::verify(folder).map_err(Failure::data)?;
+        let rows = match evaluator::verify(folder) {
+            // A shell's `golden/*` names the README beside the folders as well.
+            Err(error) if arguments.folders.len() > 1 && holds_no_vectors(folder, &error) => {
+                eprintln!("{}: skipped, no golden vectors\n", folder.display());
+                continue;
+            }
+            rows => rows.map_err(Failure::data)?,
+        };
+        verified_len += 1;
         println!("{} ({} kernels)", folder.display(), nn::kernels::active().name());
         let width = rows.iter().map(|row| row.name.len()).max().unwrap_or(0).max(30);
         println!(
@@ -30,11 +39,19 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
         println!("  {} of {} vectors agree\n", rows.len() - off, rows.len());
         off_len += off;
     }
+    if verified_len == 0 {
+        return Err(Failure::Data("none of the folders has golden vectors".to_owned()));
+    }
     match off_len {
         0 => Ok(Exit::Done),
         1 => Err(Failure::Failed("1 vector is off by more than its tolerance".to_owned())),
         _ => Err(Failure::Failed(format!("{off_len} vectors are off by more than their tolerance"))),
     }
+}
+
+/// Whether that is a file that is there, or a folder of something else.
+fn holds_no_vectors(path: &Path, error: &VerifyError) -> bool {
+    path.is_file() || matches!(error, VerifyError::NoVectors { .. })
 }
 
 fn print(row: &Comparison, width: usize) {
