@@ -17,6 +17,7 @@ pub mod stage;
 pub mod track;
 pub mod train;
 pub mod verify;
+pub mod wire;
 
 use clap::Subcommand;
 use config::Exit;
@@ -58,6 +59,8 @@ pub enum Verb {
     Doctor(doctor::Arguments),
     /// Remove what dead runs left in shared memory
     Clean(clean::Arguments),
+    /// Print the layouts of the topics for programs in other languages
+    Wire(wire::Arguments),
     /// Print completions for a shell
     Completions(completions::Arguments),
 }
@@ -82,6 +85,7 @@ impl Verb {
             Self::Bench(arguments) => bench::execute(&arguments),
             Self::Doctor(arguments) => doctor::execute(&arguments),
             Self::Clean(arguments) => clean::execute(&arguments),
+            Self::Wire(arguments) => wire::execute(&arguments),
             Self::Completions(arguments) => completions::execute(&arguments),
         }
     }

@@ -5,13 +5,11 @@ Positions are metres in the world frame; step k of a forecast lies at `stamp_ns`
 """
 
 import iceoryx2 as iox2
-from stgdat_topics import END, WARM_UP, Forecast, join, topic
-
-TYPES = ["vehicle", "cyclist", "pedestrian"]
-QUALITIES = ["learned", "held", "kinematic"]
+from stgdat_topics import join, topic
+from stgdat_wire import AgentType, Flags, Quality
 
 node = join("consumer")
-frames, events = topic(node, "forecasts", Forecast)
+frames, events = topic(node, "forecasts")
 subscriber = frames.subscriber_builder().buffer_size(2).create()
 listener = events.listener_builder().create()
 
@@ -21,8 +19,8 @@ while not ended:
     listener.timed_wait(iox2.Duration.from_secs(2))
     while (sample := subscriber.receive()) is not None:
         header = sample.user_header().contents
-        ended = ended or bool(header.flags & END)
-        if header.flags & (WARM_UP | END):
+        ended = ended or bool(header.flags & Flags.END)
+        if header.flags & (Flags.WARM_UP | Flags.END):
             continue
         # `payload()` is a view of shared memory, valid until the sample is deleted; it tells its length in bytes.
         payload, last = sample.payload(), header.counts.horizon_len - 1
@@ -30,6 +28,6 @@ while not ended:
         for i in range(sample.header.number_of_elements):
             agent = payload[i]
             x_m, y_m = agent.best[last]
-            print(f"  {TYPES[agent.agent_type]} {agent.id} at ({agent.x_m:.1f}, {agent.y_m:.1f}) goes to "
-                  f"({x_m:.1f}, {y_m:.1f}), {agent.modes_len} modes, {QUALITIES[agent.quality]}")
+            print(f"  {AgentType(agent.agent_type).name.lower()} {agent.id} at ({agent.x_m:.1f}, {agent.y_m:.1f}) goes to "
+                  f"({x_m:.1f}, {y_m:.1f}), {agent.modes_len} modes, {Quality(agent.quality).name.lower()}")
         sample.delete()

@@ -11,15 +11,17 @@ import sys
 import time
 
 import iceoryx2 as iox2
-from stgdat_topics import (DETECTIONS_MAX, END, HAS_HEADING, HAS_SIZE, HAS_SPEED, PEDESTRIAN, SCHEMA,
-                           SEEN_FROM_EGO, SOURCE, VEHICLE, WARM_UP, Counts, Detection, Forecast, Header, Hop, Truth, join, topic)
+from stgdat_topics import join, topic
+from stgdat_wire import (DETECTIONS_MAX, SCHEMA, TOPICS, AgentType, Counts, Detection, DetectionFlags, Flags, Header,
+                         Hop, StageId, StampSource)
 
 
 def detect(t_s):
     """What the sensor sees at `t_s`: type, position, and what else it knows."""
-    yield Detection(agent_type=VEHICLE, x_m=-20 + 6 * t_s, y_m=2, heading_rad=0, speed_mps=6, length_m=4.5, width_m=1.8,
-                    score=0.9, flags=HAS_HEADING | HAS_SPEED | HAS_SIZE)
-    yield Detection(agent_type=PEDESTRIAN, x_m=5, y_m=-8 + 1.4 * t_s, score=0.8)
+    yield Detection(agent_type=AgentType.VEHICLE, x_m=-20 + 6 * t_s, y_m=2, heading_rad=0, speed_mps=6, length_m=4.5,
+                    width_m=1.8, score=0.9,
+                    flags=DetectionFlags.HAS_HEADING | DetectionFlags.HAS_SPEED | DetectionFlags.HAS_SIZE)
+    yield Detection(agent_type=AgentType.PEDESTRIAN, x_m=5, y_m=-8 + 1.4 * t_s, score=0.8)
 
 
 def send(topic, seq, stamp_ns, elements=(), flags=0):
@@ -27,9 +29,10 @@ def send(topic, seq, stamp_ns, elements=(), flags=0):
     publisher, notifier, element = topic
     now_ns = time.monotonic_ns()
     header = Header(schema=SCHEMA, flags=flags, run_id=run_id, seq=seq, stamp_ns=stamp_ns, released_ns=now_ns,
-                    interval_ns=interval_ns, observed_types=1 << VEHICLE | 1 << PEDESTRIAN, hops_len=1,
+                    interval_ns=interval_ns, stamp_source=StampSource.SENSOR_CLOCK, sender=StageId.SOURCE,
+                    observed_types=1 << AgentType.VEHICLE | 1 << AgentType.PEDESTRIAN, hops_len=1,
                     counts=Counts(agents_len=len(elements)))
-    header.hops[0] = Hop(stage=SOURCE, received_ns=now_ns, started_ns=now_ns, finished_ns=now_ns, sent_ns=now_ns)
+    header.hops[0] = Hop(stage=StageId.SOURCE, received_ns=now_ns, started_ns=now_ns, finished_ns=now_ns, sent_ns=now_ns)
     sample = publisher.loan_slice_uninit(len(elements))
     ctypes.memmove(sample.user_header_ptr, ctypes.byref(header), ctypes.sizeof(header))
     payload = (element * len(elements))(*elements)
@@ -38,29 +41,29 @@ def send(topic, seq, stamp_ns, elements=(), flags=0):
     notifier.notify()
 
 
-def output(name, element):
+def output(name):
     """The writing end of a topic."""
-    frames, events = topic(node, name, element)
+    frames, events = topic(node, name)
     publisher = frames.publisher_builder().initial_max_slice_len(DETECTIONS_MAX).create()
-    return publisher, events.notifier_builder().create(), element
+    return publisher, events.notifier_builder().create(), TOPICS[name]
 
 
 run_id, interval_ns = int(os.environ["STGDAT_RUN_ID"]), int(os.environ["STGDAT_INTERVAL_NS"])
 ticks = int(sys.argv[1]) if len(sys.argv) > 1 else 125
 node = join("producer")
 # A sensor knows no truth: that topic carries the frames that link and end the run, and no others.
-detections, truth = output("detections", Detection), output("truth", Truth)
+detections, truth = output("detections"), output("truth")
 
 # Frames reach a reader once it has mapped the connection: warm-up frames pass until one has come out at the end.
-returned = topic(node, "forecasts", Forecast)[0].subscriber_builder().create()
+returned = topic(node, "forecasts")[0].subscriber_builder().create()
 while not returned.has_samples():
-    send(truth, 0, 0, flags=WARM_UP)
-    send(detections, 0, 0, flags=WARM_UP)
+    send(truth, 0, 0, flags=Flags.WARM_UP)
+    send(detections, 0, 0, flags=Flags.WARM_UP)
     time.sleep(0.05)
 
 begin_ns = time.monotonic_ns()
 for seq in range(ticks):
     time.sleep(max(0, begin_ns + seq * interval_ns - time.monotonic_ns()) / 1e9)
-    send(detections, seq, seq * interval_ns, list(detect(seq * interval_ns / 1e9)), SEEN_FROM_EGO)
-send(detections, ticks, ticks * interval_ns, flags=END)
+    send(detections, seq, seq * interval_ns, list(detect(seq * interval_ns / 1e9)), Flags.SEEN_FROM_EGO)
+send(detections, ticks, ticks * interval_ns, flags=Flags.END)
 time.sleep(1)

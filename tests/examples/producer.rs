@@ -10,7 +10,7 @@ use bytemuck::Zeroable;
 use config::Run;
 use ports::{Stage, StageError, monotonic_ns, stage_main};
 use wire::detection_flags::{HAS_HEADING, HAS_SIZE, HAS_SPEED};
-use wire::{AgentType, Detection, DetectionsTopic, Header, StageId, TruthTopic, flags};
+use wire::{AgentType, Detection, DetectionsTopic, Header, StageId, StampSource, TruthTopic, flags};
 
 /// Ticks where the run is told no number of them.
 const TICKS: u64 = 125;
@@ -44,6 +44,7 @@ fn run(run: &Run) -> Result<(), StageError> {
     let header = |seq: u64, flags: u32| Header {
         flags,
         interval_ns: run.interval_ns,
+        stamp_source: StampSource::SensorClock as u32,
         observed_types,
         ..Header::new(run.id, seq, (seq * run.interval_ns) as i64)
     };

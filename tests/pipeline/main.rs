@@ -8,3 +8,4 @@ mod recordings;
 mod scratch;
 mod started;
 mod tracks;
+mod wire_layout;

@@ -3,10 +3,7 @@
 use std::sync::Arc;
 
 use nn::{AgentDraws, Decoder, DecoderGroup, Encoded, Job, ModelConfig, Weights, Workers};
-use wire::{
-    AgentControls, AgentEncoding, AgentType, ControlGaussian, HORIZON_MAX, LATENT, MODES_MAX, STATE_FEATURES,
-    TEMPORAL,
-};
+use wire::{AgentControls, AgentEncoding, AgentType, LATENT, STATE_FEATURES, TEMPORAL};
 
 use crate::draws::Stream;
 use crate::{DecoderOptions, StartError};
@@ -101,9 +98,7 @@ fn controls(agent: &AgentEncoding, said: AgentDraws<'_>, modes_len: usize) -> Ag
         id: agent.id,
         agent_type: agent.agent_type,
         modes_len: modes_len as u32,
-        probability: [0.0; MODES_MAX],
-        modes: [[ControlGaussian::default(); HORIZON_MAX]; MODES_MAX],
-        best: [ControlGaussian::default(); HORIZON_MAX],
+        ..AgentControls::default()
     };
     controls.probability[..modes_len].copy_from_slice(said.probability);
     let all = controls.modes[..modes_len].iter_mut().chain([&mut controls.best]);
@@ -113,6 +108,8 @@ fn controls(agent: &AgentEncoding, said: AgentDraws<'_>, modes_len: usize) -> Ag
     if said.draws_len() == modes_len {
         controls.best = controls.modes[likeliest(said.probability)];
     }
+    let base = said.best_base();
+    controls.base[..base.len()].copy_from_slice(base);
     controls
 }
 

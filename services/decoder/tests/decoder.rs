@@ -94,6 +94,7 @@ fn the_base_control_is_added_to_the_means() {
         let mut ridge = [[0.0; 2]; 12];
         base.ridge(&features, &mut ridge);
         assert!(ridge.as_flattened().iter().any(|x| *x != 0.0));
+        assert_eq!((with.base, without.base), (ridge, [[0.0; 2]; 12]));
         for (step, (ridge, anchor)) in ridge.iter().zip(base.anchor(&features, 7)).enumerate() {
             let moved = |with: &ControlGaussian, without: &ControlGaussian| {
                 [0, 1].map(|c| with.mean[c] - without.mean[c])

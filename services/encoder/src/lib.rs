@@ -74,6 +74,7 @@ impl Encoder {
                 length_m: agent.length_m,
                 state: agent.state,
                 temporal: *temporal,
+                ..AgentEncoding::default()
             };
         }
         Ok(())

@@ -324,11 +324,8 @@ fn describe(
         id: track.id,
         agent_type: track.agent_type,
         forecastable: track.forecastable,
-        present: 0,
         length_m: track.length_m,
-        state: [[0.0; STATE_FEATURES]; HISTORY_MAX],
-        node: [[0.0; NODE_ATTRIBUTES]; HISTORY_MAX],
-        reserved: [0; 10],
+        ..AgentFeatures::default()
     };
     for (step, state) in history.iter().enumerate() {
         if let (Some(frame), Some(state)) = (frame, state) {

@@ -56,7 +56,7 @@ fn crowd(len: u64, tick: i64) -> Vec<Track> {
 /// The patches of a tick as \[agent, step, …\].
 fn step(localiser: &mut Localiser, tick: i64, tracks: &[Track]) -> Vec<f32> {
     let shape = localiser.shape(tracks.len());
-    let mut rows = vec![Row([f32::NAN; 16]); context_rows(&shape)];
+    let mut rows = vec![Row { values: [f32::NAN; 16] }; context_rows(&shape)];
     localiser.step(&header(tick), tracks, &mut ContextMut::over(&mut rows, shape).unwrap()).unwrap();
     let context = Context::read(&rows, shape).unwrap();
     assert_eq!(context.tracks, tracks);

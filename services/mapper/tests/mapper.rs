@@ -18,19 +18,7 @@ fn recording(frames_len: i64, dt_ns: i64, seen: impl Fn(f32) -> Vec<Detection>) 
 }
 
 fn detection(id: u64, x_m: f32, y_m: f32) -> Detection {
-    Detection {
-        id,
-        x_m,
-        y_m,
-        heading_rad: 0.0,
-        speed_mps: 0.0,
-        length_m: 0.0,
-        width_m: 0.0,
-        score: 1.0,
-        sigma_m: 0.0,
-        agent_type: 2,
-        flags: HAS_ID,
-    }
+    Detection { id, x_m, y_m, score: 1.0, agent_type: 2, flags: HAS_ID, ..Detection::default() }
 }
 
 #[test]

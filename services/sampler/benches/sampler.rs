@@ -29,6 +29,7 @@ fn fixture(agent_type: AgentType) -> (Header, Vec<Track>, Vec<AgentControls>) {
         probability: [0.05; 20],
         modes: [[control; 12]; 20],
         best: [control; 12],
+        ..AgentControls::zeroed()
     };
     (header, (0..AGENTS).map(track).collect(), (0..AGENTS).map(controls).collect())
 }

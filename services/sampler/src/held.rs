@@ -1,95 +1,161 @@
 use kinematics::{Moments, mixture};
 use wire::{AGENTS_MAX, Forecast, HORIZON_MAX, MODES_MAX};
 
-use crate::learned::Within;
-
 /// The last learned forecast of each track, for as many tracks as a frame can have.
 pub(crate) struct HeldForecasts {
-    held: Vec<Held>,
+    /// Track and stamp of each forecast, apart from these: a search reads no others of their many bytes.
+    keys: Vec<Key>,
+    forecasts: Vec<Forecast>,
 }
 
-/// A learned forecast that may be told again later.
+/// Of which track a forecast is, and of when.
 #[derive(Clone, Copy)]
-pub(crate) struct Held {
+struct Key {
+    id: u64,
     stamp_ns: i64,
-    forecast: Forecast,
-    within: Within,
 }
+
+/// A learned forecast that may be published again later.
+pub(crate) struct Held<'a>(&'a Forecast);
 
 impl HeldForecasts {
     pub(crate) fn new() -> Self {
-        Self { held: Vec::with_capacity(AGENTS_MAX) }
+        Self { keys: Vec::with_capacity(AGENTS_MAX), forecasts: Vec::with_capacity(AGENTS_MAX) }
     }
 
     /// Keeps a learned forecast; in its place gives way an older one of the track, or for a new track the oldest of all.
-    pub(crate) fn keep(&mut self, stamp_ns: i64, forecast: &Forecast, within: &Within) {
-        let fresh = Held { stamp_ns, forecast: *forecast, within: *within };
-        let known = self.held.iter().position(|held| held.forecast.id == forecast.id);
-        if known.is_none() && self.held.len() < AGENTS_MAX {
-            self.held.push(fresh);
+    pub(crate) fn keep(&mut self, stamp_ns: i64, forecast: &Forecast) {
+        let key = Key { id: forecast.id, stamp_ns };
+        let known = self.keys.iter().position(|held| held.id == key.id);
+        if known.is_none() && self.keys.len() < AGENTS_MAX {
+            self.keys.push(key);
+            self.forecasts.push(*forecast);
             return;
         }
-        let oldest = || (0..self.held.len()).min_by_key(|place| self.held[*place].stamp_ns).unwrap_or(0);
+        let oldest = || (0..self.keys.len()).min_by_key(|place| self.keys[*place].stamp_ns).unwrap_or(0);
         let place = known.unwrap_or_else(oldest);
-        if self.held[place].stamp_ns <= stamp_ns {
-            self.held[place] = fresh;
+        if self.keys[place].stamp_ns <= stamp_ns {
+            self.keys[place] = key;
+            self.forecasts[place] = *forecast;
         }
     }
 
     /// The forecast of a track and its age, if one of at most `max_age_ns` is kept.
-    pub(crate) fn find(&self, id: u64, now_ns: i64, max_age_ns: u64) -> Option<(&Held, u64)> {
-        let held = self.held.iter().find(|held| held.forecast.id == id)?;
-        let age_ns = u64::try_from(now_ns.checked_sub(held.stamp_ns)?).ok()?;
-        (age_ns <= max_age_ns).then_some((held, age_ns))
+    pub(crate) fn find(&self, id: u64, now_ns: i64, max_age_ns: u64) -> Option<(Held<'_>, u64)> {
+        let place = self.keys.iter().position(|held| held.id == id)?;
+        let age_ns = u64::try_from(now_ns.checked_sub(self.keys[place].stamp_ns)?).ok()?;
+        (age_ns <= max_age_ns).then_some((Held(&self.forecasts[place]), age_ns))
     }
 }
 
-impl Held {
-    /// Writes the forecast as of `age_steps` later, where the agent is at the position that `out` tells.
+impl Held<'_> {
+    /// Writes the forecast as of `age_steps` later, where the agent is at the position that `out` contains.
     ///
     /// Each trajectory is taken from the point that it foresaw for now, moved so that this is where the agent is, and
-    /// beyond its horizon goes on at its last velocity. The covariance within the modes is that foreseen for the time.
-    pub(crate) fn tell(&self, age_steps: f32, horizon_len: usize, out: &mut Forecast) {
-        let origin_m = [self.forecast.x_m, self.forecast.y_m];
+    /// beyond its horizon goes on at its last velocity. The covariances of the modes are those foreseen for the time; those
+    /// beyond the horizon grow with the square of time, as a velocity's do.
+    pub(crate) fn move_on(&self, age_steps: f32, horizon_len: usize, out: &mut Forecast) {
+        let Self(held) = self;
+        let modes_len = (held.modes_len as usize).min(MODES_MAX);
+        out.modes_len = held.modes_len;
+        (out.probability, out.mode_expert) = (held.probability, held.mode_expert);
+        (out.steering, out.frame_heading_rad) = (held.steering, held.frame_heading_rad);
+        out.controls = held.controls;
+
+        let origin_m = [held.x_m, held.y_m];
         let now_m = [out.x_m, out.y_m];
+        let now = Between::knots(age_steps, horizon_len);
+        let mut steps = [Later::default(); HORIZON_MAX];
+        for (step, later) in steps[..horizon_len].iter_mut().enumerate() {
+            *later = Later::of(age_steps + (step + 1) as f32, horizon_len);
+        }
+        let steps = &steps[..horizon_len];
         let moved = |trajectory: &[[f32; 2]; HORIZON_MAX], out: &mut [[f32; 2]; HORIZON_MAX]| {
-            let knots = &trajectory[..horizon_len];
-            let foreseen_m = at(origin_m, knots, age_steps);
-            for (step, out) in out[..horizon_len].iter_mut().enumerate() {
-                let there_m = at(origin_m, knots, age_steps + (step + 1) as f32);
+            let foreseen_m = now.of(origin_m, trajectory);
+            for (later, out) in steps.iter().zip(out) {
+                let there_m = later.position.of(origin_m, trajectory);
                 *out = [0, 1].map(|axis| now_m[axis] + (there_m[axis] - foreseen_m[axis]));
             }
         };
-        let modes_len = (self.forecast.modes_len as usize).min(MODES_MAX);
-        for (mode, out) in self.forecast.modes.iter().zip(&mut out.modes).take(modes_len) {
-            moved(mode, out);
+        let modes = held.modes.iter().zip(&held.mode_covariance).take(modes_len);
+        let modes_out = out.modes.iter_mut().zip(&mut out.mode_covariance);
+        for ((mode, covariance), (mode_out, covariance_out)) in modes.zip(modes_out) {
+            moved(mode, mode_out);
+            for (later, out) in steps.iter().zip(covariance_out) {
+                *out = later.covariance(covariance);
+            }
         }
-        moved(&self.forecast.best, &mut out.best);
-        out.modes_len = self.forecast.modes_len;
-        out.probability = self.forecast.probability;
-        (out.steering, out.frame_heading_rad) = (self.forecast.steering, self.forecast.frame_heading_rad);
-        out.controls = self.forecast.controls;
-        for step in 0..horizon_len {
-            let covariance = self.within_at(age_steps + (step + 1) as f32, horizon_len);
+        moved(&held.best, &mut out.best);
+
+        let within = within_modes(held, modes_len, horizon_len);
+        for (step, later) in steps.iter().enumerate() {
+            let covariance = later.covariance(&within);
             let parts = out.probability.iter().zip(&out.modes).take(modes_len);
             let mixed = mixture(parts.map(|(p, mode)| (*p, Moments { mean: mode[step], covariance })));
             (out.mean[step], out.covariance[step]) = (mixed.mean, mixed.covariance);
         }
     }
+}
 
-    /// The covariance within the modes; beyond the horizon it grows with the square of time, as a velocity's does.
-    fn within_at(&self, steps: f32, horizon_len: usize) -> [f32; 3] {
-        let growth = (steps / horizon_len as f32).max(1.0);
-        let known = at([0.0; 3], &self.within[..horizon_len], steps.min(horizon_len as f32));
-        known.map(|entry| entry * growth * growth)
+/// The covariance of each step within the modes: the mixture's without the spread of its means.
+fn within_modes(forecast: &Forecast, modes_len: usize, horizon_len: usize) -> [[f32; 3]; HORIZON_MAX] {
+    let mut within = [[0.0; 3]; HORIZON_MAX];
+    for (weight, covariance) in forecast.probability.iter().zip(&forecast.mode_covariance).take(modes_len) {
+        for (sum, own) in within[..horizon_len].iter_mut().zip(covariance) {
+            for (sum, own) in sum.iter_mut().zip(own) {
+                *sum += weight * own;
+            }
+        }
+    }
+    within
+}
+
+/// A time of which a held forecast is asked, the same for all of its modes.
+#[derive(Clone, Copy, Default)]
+struct Later {
+    position: Between,
+    /// Within the horizon.
+    covariance: Between,
+    /// By how much deviations have grown since the horizon.
+    growth: f32,
+}
+
+impl Later {
+    /// The time `steps` after the forecast's stamp.
+    fn of(steps: f32, horizon_len: usize) -> Self {
+        let horizon = horizon_len as f32;
+        Self {
+            position: Between::knots(steps, horizon_len),
+            covariance: Between::knots(steps.min(horizon), horizon_len),
+            growth: (steps / horizon).max(1.0),
+        }
+    }
+
+    fn covariance(&self, knots: &[[f32; 3]; HORIZON_MAX]) -> [f32; 3] {
+        self.covariance.of([0.0; 3], knots).map(|entry| entry * self.growth * self.growth)
     }
 }
 
-/// What a trajectory foresaw for `steps` after its origin, linear between steps and beyond the last.
-fn at<const D: usize>(origin: [f32; D], knots: &[[f32; D]], steps: f32) -> [f32; D] {
-    let knot = |step: usize| if step == 0 { origin } else { knots[step - 1] };
-    let before = (steps.max(0.0) as usize).min(knots.len() - 1);
-    let share = steps.max(0.0) - before as f32;
-    let (from, to) = (knot(before), knot(before + 1));
-    std::array::from_fn(|i| from[i] + (to[i] - from[i]) * share)
+/// A place in a trajectory: linear between its steps and beyond the last.
+#[derive(Clone, Copy, Default)]
+struct Between {
+    /// Steps before the place; 0 for the origin.
+    before: usize,
+    /// The way to the next step.
+    share: f32,
+}
+
+impl Between {
+    /// The place `steps` after the origin of a trajectory of `len` steps.
+    fn knots(steps: f32, len: usize) -> Self {
+        let before = (steps.max(0.0) as usize).min(len - 1);
+        Self { before, share: steps.max(0.0) - before as f32 }
+    }
+
+    /// What a trajectory foresaw for the place.
+    fn of<const D: usize>(&self, origin: [f32; D], knots: &[[f32; D]; HORIZON_MAX]) -> [f32; D] {
+        let from = if self.before == 0 { origin } else { knots[self.before - 1] };
+        let to = knots[self.before];
+        std::array::from_fn(|i| from[i] + (to[i] - from[i]) * self.share)
+    }
 }

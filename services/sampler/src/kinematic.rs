@@ -1,6 +1,6 @@
 use kinematics::{ControlGaussian, Moments};
 use scene::AgentType;
-use wire::{Forecast, HORIZON_MAX, POSITION_MAX_M};
+use wire::{Expert, Forecast, HORIZON_MAX, POSITION_MAX_M};
 
 use crate::mover::Mover;
 
@@ -29,11 +29,13 @@ pub(crate) fn forecast(mover: Mover, agent_type: AgentType, horizon_len: usize, 
     mover.carry(controls, &mut moments);
     out.modes_len = 1;
     out.probability[0] = 1.0;
+    out.mode_expert[0] = Expert::ProcessModel as u8;
     for (step, moments) in moments[..horizon_len].iter().enumerate() {
         let position_m = moments.mean.map(|x| x.clamp(-POSITION_MAX_M, POSITION_MAX_M));
         out.modes[0][step] = position_m;
         out.best[step] = position_m;
         out.mean[step] = position_m;
         out.covariance[step] = moments.covariance;
+        out.mode_covariance[0][step] = moments.covariance;
     }
 }

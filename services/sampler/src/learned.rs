@@ -1,5 +1,5 @@
 use kinematics::{ControlGaussian, Moments, Normals, mixture};
-use wire::{AgentControls, Forecast, HORIZON_MAX, MODES_MAX, Rejected};
+use wire::{AgentControls, Expert, Forecast, HORIZON_MAX, MODES_MAX, Rejected};
 
 use crate::Propagation;
 use crate::mover::Mover;
@@ -22,9 +22,6 @@ pub(crate) struct LearnedControls<'a> {
 
 /// What is added to controls, step by step.
 pub(crate) type Change = [[f32; 2]; HORIZON_MAX];
-
-/// The covariance of each step within the modes: the mixture's without the spread of its means.
-pub(crate) type Within = [[f32; 3]; HORIZON_MAX];
 
 impl<'a> LearnedControls<'a> {
     /// Refuses controls that are not finite, or modes whose probabilities are none.
@@ -82,14 +79,14 @@ impl<'a> LearnedControls<'a> {
         self.path(mover, self.steps(&self.controls.best, &self.controls.best, *change))
     }
 
-    /// Writes modes with their controls, best forecast and moments, and tells the covariance within the modes.
+    /// Writes modes with their controls, best forecast and moments.
     pub(crate) fn forecast(
         &self,
         mover: &Mover,
         propagation: Propagation,
         normals: &mut Normals,
         out: &mut Forecast,
-    ) -> Within {
+    ) {
         let modes_len = self.controls.modes_len as usize;
         let mut moments = [[Moments::default(); HORIZON_MAX]; MODES_MAX];
         let modes = out.controls.iter_mut().zip(&mut moments).enumerate();
@@ -113,20 +110,19 @@ impl<'a> LearnedControls<'a> {
         out.modes_len = self.controls.modes_len;
         out.probability[..modes_len].copy_from_slice(self.probability());
 
-        let mut within = Within::default();
+        for (expert, replaced) in out.mode_expert.iter_mut().zip(&self.replaced).take(modes_len) {
+            *expert = if replaced.is_some() { Expert::Retrieval } else { Expert::Network } as u8;
+        }
         for step in 0..self.horizon_len {
             let parts =
                 out.probability.iter().zip(&moments).take(modes_len).map(|(p, mode)| (*p, mode[step]));
             let mixed = mixture(parts.clone());
             (out.mean[step], out.covariance[step]) = (mixed.mean, mixed.covariance);
-            for (mode, (weight, part)) in out.modes.iter_mut().zip(parts) {
-                mode[step] = part.mean;
-                for (sum, own) in within[step].iter_mut().zip(part.covariance) {
-                    *sum += weight * own;
-                }
+            let modes = out.modes.iter_mut().zip(&mut out.mode_covariance);
+            for ((mode, covariance), (_, part)) in modes.zip(parts) {
+                (mode[step], covariance[step]) = (part.mean, part.covariance);
             }
         }
-        within
     }
 
     fn path(&self, mover: &Mover, steps: impl Iterator<Item = ControlGaussian>) -> [[f32; 2]; HORIZON_MAX] {

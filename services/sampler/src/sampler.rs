@@ -1,9 +1,8 @@
-use bytemuck::Zeroable;
 use kinematics::{Normals, PARTICLES_MAX};
 use scene::{AgentType, PlaceMemory, track_history};
 use wire::{
     AGENTS_MAX, AgentControls, Cause, Forecast, HISTORY_MAX, HORIZON_MAX, Header, POSITION_MAX_M, Quality,
-    Rejected, SPEED_MAX_MPS, Track,
+    Rejected, SPEED_MAX_MPS, Track, finite,
 };
 
 use crate::held::HeldForecasts;
@@ -148,12 +147,12 @@ impl Sampler {
             mover = mover.with_track_covariance(track);
         }
         let mut normals = Normals::new(self.options.seed, track.id, tick.seq);
-        *out = blank(track, Quality::Learned, Cause::None);
-        let within = controls.forecast(&mover, self.options.propagation, &mut normals, out);
+        begin(track, Quality::Learned, Cause::None, out);
+        controls.forecast(&mover, self.options.propagation, &mut normals, out);
         if !is_within_the_world(out) {
             return Err(Cause::Rejected);
         }
-        self.held.keep(tick.stamp_ns, out, &within);
+        self.held.keep(tick.stamp_ns, out);
         Ok(())
     }
 
@@ -162,14 +161,14 @@ impl Sampler {
         let agent_type = track.agent_type()?;
         let cause = if track.forecastable == 0 { Cause::Young } else { cause };
         if let Some((held, age_ns)) = self.held.find(track.id, tick.stamp_ns, self.options.max_age_ns) {
-            *out = blank(track, Quality::Held, cause);
+            begin(track, Quality::Held, cause, out);
             out.age_ns = age_ns;
-            held.tell((age_ns as f64 / tick.step_ns as f64) as f32, self.options.horizon_len, out);
+            held.move_on((age_ns as f64 / tick.step_ns as f64) as f32, self.options.horizon_len, out);
             if is_within_the_world(out) {
                 return Ok(());
             }
         }
-        *out = blank(track, Quality::Kinematic, cause);
+        begin(track, Quality::Kinematic, cause, out);
         self.write_kinematic(tick, track, agent_type, out);
         Ok(())
     }
@@ -183,32 +182,28 @@ impl Sampler {
     }
 }
 
-/// What a forecast tells of its track.
-fn blank(track: &Track, quality: Quality, cause: Cause) -> Forecast {
-    Forecast {
-        id: track.id,
-        source_id: track.source_id,
-        agent_type: track.agent_type,
-        quality: quality as u32,
-        cause: cause as u32,
-        x_m: track.x_m,
-        y_m: track.y_m,
-        vx_mps: track.vx_mps,
-        vy_mps: track.vy_mps,
-        heading_rad: track.heading_rad,
-        length_m: track.length_m,
-        width_m: track.width_m,
-        prior: track.prior,
-        prior_age_ns: track.prior_age_ns,
-        ..Forecast::zeroed()
-    }
+/// Begins a forecast with what it contains of its track; all else is 0.
+fn begin(track: &Track, quality: Quality, cause: Cause, out: &mut Forecast) {
+    // In place: as a value it would be written twice.
+    bytemuck::write_zeroes(out);
+    (out.id, out.source_id, out.agent_type) = (track.id, track.source_id, track.agent_type);
+    (out.quality, out.cause, out.causes) = (quality as u32, cause as u32, cause.bit());
+    (out.x_m, out.y_m, out.heading_rad) = (track.x_m, track.y_m, track.heading_rad);
+    (out.vx_mps, out.vy_mps) = (track.vx_mps, track.vy_mps);
+    (out.length_m, out.width_m) = (track.length_m, track.width_m);
+    (out.prior, out.prior_age_ns) = (track.prior, track.prior_age_ns);
 }
 
 fn is_within_the_world(forecast: &Forecast) -> bool {
-    let inside = |points: &[[f32; 2]]| points.as_flattened().iter().all(|x| x.abs() <= POSITION_MAX_M);
+    // Without an early end, so that it vectorises.
+    let inside = |points: &[[f32; 2]]| {
+        points.as_flattened().iter().fold(true, |inside, x| inside & (x.abs() <= POSITION_MAX_M))
+    };
+    let is_finite = |values: &[[f32; 3]]| finite("covariance", values.as_flattened()).is_ok();
     inside(forecast.modes.as_flattened())
         && inside(&forecast.best)
-        && forecast.covariance.as_flattened().iter().all(|x| x.is_finite())
+        && is_finite(&forecast.covariance)
+        && is_finite(forecast.mode_covariance.as_flattened())
 }
 
 fn check(header: &Header, tracks: &[Track], out: &[Forecast]) -> Result<Tick, Rejected> {

@@ -2,7 +2,7 @@
 
 use config::Run;
 use ports::{Awaited, Stage, StageError};
-use wire::{Cause, ControlsTopic, ForecastsTopic, Header, StageId, Topic, TracksTopic, flags};
+use wire::{Cause, ControlsTopic, ForecastsTopic, StageId, Topic, TracksTopic, flags};
 
 use crate::Sampler;
 pub use crate::kept::{keep_memory, open};
@@ -50,8 +50,7 @@ fn follow(run: &Run, sampler: &mut Sampler) -> Result<(), StageError> {
         };
         let result = cause.map_or(Ok(()), |cause| sampler.fallback(header, &input, cause, &mut loan));
         // The forecasts are of the tracks; the way through the pipeline is that of the controls.
-        let Header { hops, hops_len, .. } = passage.header;
-        passage.header = Header { hops, hops_len, ..*header };
+        passage.header = header.with_hops_of(&passage.header);
         passage.header.counts.horizon_len = run.model.horizon_len as u32;
         passage.header.counts.modes_len = run.model.modes as u32;
         stage.finish(passage, &output, result.map(|()| loan))?;

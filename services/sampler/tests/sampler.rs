@@ -7,8 +7,8 @@ use kinematics::DisplacementKind;
 use proptest::prelude::*;
 use sampler::{Propagation, Sampler, SamplerOptions};
 use wire::{
-    AGENTS_MAX, AgentControls, AgentType, Cause, ControlGaussian, Forecast, Header, HistoryState, Quality,
-    Rejected, Steering, Track,
+    AGENTS_MAX, AgentControls, AgentType, Cause, ControlGaussian, Expert, Forecast, Header, HistoryState,
+    Quality, Rejected, Steering, Track,
 };
 
 const STEP_NS: u64 = 400_000_000;
@@ -495,11 +495,14 @@ fn the_place_is_recalled_unless_that_is_not_wanted() {
         recalled_m < 0.4 * plain_m + 0.6 * driven_m,
         "{recalled_m} m of {plain_m} m, {driven_m} m driven"
     );
-    let told = recalling.modes.iter().zip(&recalling.controls).take(2);
-    let as_driven = told.filter(|(mode, _)| (mode[11][0] - driven_m).abs() < 1.5);
-    let (_, controls) =
-        as_driven.max_by(|a, b| b.0[11][0].total_cmp(&a.0[11][0])).expect("a mode that brakes");
-    assert!(controls[5].mean[0] < -0.8, "{:?}", controls[5]);
+    let brakes = |mode: &usize| (recalling.modes[*mode][11][0] - driven_m).abs() < 1.5;
+    let end_m = |mode: &usize| recalling.modes[*mode][11][0];
+    let mode =
+        (0..2).filter(brakes).min_by(|a, b| end_m(a).total_cmp(&end_m(b))).expect("a mode that brakes");
+    let control = recalling.controls[mode][5];
+    assert!(control.mean[0] < -0.8, "{control:?}");
+    assert_eq!(forgetful.mode_expert, [Expert::Network as u8; 20]);
+    assert_eq!(recalling.mode_expert[mode], Expert::Retrieval as u8);
     assert!((recalling.probability.iter().sum::<f32>() - 1.0).abs() < 1e-5, "{:?}", recalling.probability);
     assert!(recalling.best.iter().all(|[_, y]| (y - 0.2).abs() < 0.05), "{:?}", recalling.best);
 }

@@ -1,5 +1,5 @@
 use data::{Ego, Frame, Recording};
-use wire::{Counts, DETECTIONS_MAX, Detection, Header, Truth, flags};
+use wire::{Counts, DETECTIONS_MAX, Detection, Header, StampSource, Truth, flags};
 
 /// Shortest interval between ticks: 12.5 Hz. Faster recordings are thinned by whole frames.
 pub const INTERVAL_MIN_NS: u64 = 80_000_000;
@@ -163,6 +163,11 @@ impl Playback {
         }
     }
 
+    /// What the stamps were read off: only generated scenes come from no file.
+    const fn stamp_source(&self) -> StampSource {
+        if self.recording.sha256.is_empty() { StampSource::Generated } else { StampSource::Recording }
+    }
+
     /// The header of a frame, without counts.
     fn header(&self, seq: u64, frame: &Frame) -> Header {
         let identities = if self.recording.has_identities { flags::HAS_IDENTITIES } else { 0 };
@@ -171,6 +176,7 @@ impl Playback {
         Header {
             flags: identities | lockstep | from_ego,
             interval_ns: self.interval_ns(),
+            stamp_source: self.stamp_source() as u32,
             observed_types: frame.observed_types,
             ego_m: frame.ego.position_m,
             ego_heading_rad: frame.ego.heading_rad,
@@ -231,15 +237,9 @@ mod tests {
         Detection {
             id: x_m as u64,
             x_m,
-            y_m: 0.0,
-            heading_rad: 0.0,
-            speed_mps: 0.0,
-            length_m: 0.0,
-            width_m: 0.0,
             score,
-            sigma_m: 0.0,
             agent_type: AgentType::Pedestrian as u32,
-            flags: 0,
+            ..Detection::default()
         }
     }
 
@@ -282,6 +282,18 @@ mod tests {
         let stamps: Vec<i64> = (0..4).map(|k| k * 79_900_000).collect();
         let playback = Playback::new(recording(79_900_000, &stamps), PlaybackOptions::default());
         assert_eq!(playback.thinning(), 1);
+    }
+
+    #[test]
+    fn stamps_come_from_a_recording_or_a_generated_scene() {
+        let generated = recording(80_000_000, &[0]);
+        let recorded = Recording { sha256: "5a".repeat(32), ..generated.clone() };
+        for (played, expected) in [(generated, StampSource::Generated), (recorded, StampSource::Recording)] {
+            let mut playback = Playback::new(played, PlaybackOptions::default());
+            let headers =
+                [playback.warm_up(), playback.next_tick().expect("there is a tick").header, playback.end()];
+            assert!(headers.iter().all(|header| header.stamp_source == expected as u32));
+        }
     }
 
     #[test]

@@ -147,7 +147,7 @@ impl Agent {
             agent_type: self.agent_type as u32,
             x_m: self.position_m[0],
             y_m: self.position_m[1],
-            reserved: 0,
+            ..Truth::default()
         }
     }
 }

@@ -83,17 +83,11 @@ impl<'a> Rows<'a> {
 /// A detection at a place, with nothing else known of it.
 pub(crate) fn detection(agent_type: AgentType, position_m: [f32; 2]) -> Detection {
     Detection {
-        id: 0,
         x_m: position_m[0],
         y_m: position_m[1],
-        heading_rad: 0.0,
-        speed_mps: 0.0,
-        length_m: 0.0,
-        width_m: 0.0,
         score: 1.0,
-        sigma_m: 0.0,
         agent_type: agent_type as u32,
-        flags: 0,
+        ..Detection::default()
     }
 }
 
@@ -136,7 +130,7 @@ pub(crate) fn truth_of(detection: &Detection) -> Truth {
         agent_type: detection.agent_type,
         x_m: detection.x_m,
         y_m: detection.y_m,
-        reserved: 0,
+        ..Truth::default()
     }
 }
 

@@ -37,7 +37,7 @@ pub(crate) struct Head(pub Header);
 unsafe impl ZeroCopySend for Head {
     // SAFETY: the name carries the layout's version; a change of layout changes the name.
     unsafe fn type_name() -> &'static str {
-        "stgdat.header.v1"
+        Header::TYPE_NAME
     }
 }
 

@@ -4,9 +4,10 @@ use config::Run;
 use iceoryx2::prelude::*;
 use iceoryx2::service::port_factory::{event, publish_subscribe};
 use iceoryx2::waitset::WaitSetRunResult;
-use wire::{HeartbeatsTopic, Topic};
+use wire::{HeartbeatsTopic, StageId, Topic};
 
 use crate::element::{Element, Head};
+use crate::publisher::Sender;
 use crate::{HEARTBEAT, PortError, Publisher, Stop, Subscriber};
 
 /// Frames that one reader may hold at a time: one for long, and while it looks for the newest two more.
@@ -35,6 +36,7 @@ pub struct Node {
     run_id: u64,
     interval: Duration,
     stop: Stop,
+    sender: Sender,
 }
 
 /// The two services of one topic.
@@ -57,7 +59,14 @@ impl Node {
             .signal_handling_mode(SignalHandlingMode::Disabled)
             .create::<ipc::Service>()
             .map_err(PortError::of("node", whole))?;
-        Ok(Self { node, run_id: run.id, interval: Duration::from_nanos(run.interval_ns), stop })
+        let (interval, sender) = (Duration::from_nanos(run.interval_ns), Sender::default());
+        Ok(Self { node, run_id: run.id, interval, stop, sender })
+    }
+
+    /// The same node as that of a stage: the headers of all that it sends report so.
+    pub(crate) const fn of_stage(mut self, id: StageId, incarnation: u32) -> Self {
+        self.sender = Sender { stage: id as u32, incarnation };
+        self
     }
 
     /// Whether the process has been asked to end.
@@ -91,7 +100,7 @@ impl Node {
             .default_event_id(EventId::new(event_id::FRAME))
             .create()
             .map_err(PortError::of("notifier", T::NAME))?;
-        Ok(Publisher::new(publisher, notifier))
+        Ok(Publisher::new(publisher, notifier, self.sender))
     }
 
     /// Opens a topic for reading with a queue of `depth` frames; the oldest is dropped when it is full.

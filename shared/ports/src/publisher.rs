@@ -6,7 +6,7 @@ use bytemuck::TransparentWrapper;
 use iceoryx2::port::notifier::Notifier;
 use iceoryx2::prelude::ipc;
 use iceoryx2::sample_mut::SampleMut;
-use wire::{Header, Topic};
+use wire::{Header, Protection, Topic};
 
 use crate::PortError;
 use crate::element::{Element, Head};
@@ -16,6 +16,16 @@ use crate::element::{Element, Head};
 pub struct Publisher<T: Topic> {
     publisher: iceoryx2::port::publisher::Publisher<ipc::Service, [Element<T>], Head>,
     notifier: Notifier<ipc::Service>,
+    sender: Sender,
+}
+
+/// Who sends, as the headers report it; zeros where it is no stage.
+#[derive(Clone, Copy, Debug, Default)]
+pub(crate) struct Sender {
+    /// The stage's number.
+    pub stage: u32,
+    /// How often the stage had been started before.
+    pub incarnation: u32,
 }
 
 /// Room for one frame in shared memory, to be written and sent.
@@ -26,8 +36,9 @@ impl<T: Topic> Publisher<T> {
     pub(crate) const fn new(
         publisher: iceoryx2::port::publisher::Publisher<ipc::Service, [Element<T>], Head>,
         notifier: Notifier<ipc::Service>,
+        sender: Sender,
     ) -> Self {
-        Self { publisher, notifier }
+        Self { publisher, notifier, sender }
     }
 
     /// Room for `len` elements; what they hold until written is any earlier frame or zeros.
@@ -45,12 +56,15 @@ impl<T: Topic> Publisher<T> {
         Ok(Loan(unsafe { sample.assume_init() }))
     }
 
-    /// Sends a frame to all readers and wakes them.
+    /// Sends a frame to all readers, in the name of this process, and wakes them.
     ///
     /// # Errors
     /// [`PortError`] where the transport fails.
     pub fn send(&self, mut loan: Loan<T>, header: Header) -> Result<(), PortError> {
-        *loan.0.user_header_mut() = Head(header);
+        let Sender { stage: sender, incarnation } = self.sender;
+        // The protection of a frame that came in says nothing of the one that goes out.
+        let protection = Protection::default();
+        *loan.0.user_header_mut() = Head(Header { protection, sender, incarnation, ..header });
         loan.0.send().map_err(PortError::of("sending", T::NAME))?;
         // Errors here are late notifications, which were still delivered, and readers that have gone.
         let _ = self.notifier.notify();

@@ -60,11 +60,12 @@ impl Stage {
     /// # Errors
     /// [`PortError`] where the run's shared memory can't be used.
     pub fn open(run: &Run, id: StageId) -> Result<Self, PortError> {
-        let node = Node::open(run, id.name())?;
+        let incarnation = 0;
+        let node = Node::open(run, id.name())?.of_stage(id, incarnation);
         let heartbeats = node.publisher()?;
         let (waiter, inputs) = (Waiter::new()?, Vec::new());
         let (seq, frames_len, rejected_len, beat) = (0, 0, 0, 0);
-        let (passed, next_beat_ns, incarnation) = (true, 0, 0);
+        let (passed, next_beat_ns) = (true, 0);
         Ok(Self {
             id,
             incarnation,
@@ -310,6 +311,7 @@ impl Stage {
             rejected_len: self.rejected_len + inputs().map(|input| input.rejected_len()).sum::<u64>(),
             dropped_len: inputs().map(|input| input.dropped_len()).sum(),
             sent_ns: now_ns,
+            ..Heartbeat::default()
         };
         let mut header = Header::new(self.node.run_id(), self.beat, 0);
         header.counts.agents_len = 1;

@@ -5,7 +5,8 @@ use std::path::Path;
 use config::Run;
 use ports::{Awaited, Node, Space, Stage, StageError, leftovers, monotonic_ns};
 use wire::{
-    FeaturesTopic, ForecastsTopic, Header, HeartbeatsTopic, StageId, Topic, Track, TracksTopic, flags,
+    FeaturesTopic, ForecastsTopic, Header, HeartbeatsTopic, Protection, StageId, Topic, Track, TracksTopic,
+    flags,
 };
 
 /// A run of its own for each test, so that they can go side by side.
@@ -47,6 +48,53 @@ fn a_frame_is_read_where_it_was_written() {
 }
 
 #[test]
+fn headers_report_their_sender_and_no_protection_of_another_frame() {
+    let (_space, run) = run();
+    let node = Node::open(&run, "tool").unwrap();
+    let (tracks, forecasts) =
+        (node.subscriber::<TracksTopic>(2).unwrap(), node.subscriber::<ForecastsTopic>(2).unwrap());
+    let mut stage = Stage::open(&run, StageId::Sampler).unwrap();
+    let (output, input) =
+        (stage.publish::<ForecastsTopic>().unwrap(), stage.subscribe::<TracksTopic>().unwrap());
+    let tool = node.publisher::<TracksTopic>().unwrap();
+    let protection = Protection { crc: 1, counter: 2, ..Protection::default() };
+    tool.send_copy(&[], Header { protection, sender: 5, incarnation: 9, ..header(&run, 0, 0) }).unwrap();
+    let of_the_tool = tracks.receive().unwrap().unwrap();
+    assert_eq!(of_the_tool.header(), &header(&run, 0, 0), "a tool is no stage");
+    let passage = stage.begin(&input.receive().unwrap().unwrap());
+    stage.pass_empty(passage, &output).unwrap();
+    let of_the_stage = forecasts.receive().unwrap().unwrap();
+    let Header { sender, incarnation, protection, hops, .. } = *of_the_stage.header();
+    assert_eq!((sender, incarnation), (hops[0].stage, hops[0].incarnation));
+    assert_eq!((sender, protection), (StageId::Sampler as u32, Protection::default()));
+}
+
+/// The topic as a program of another version has it.
+#[derive(Debug)]
+enum OtherTracks {}
+
+impl Topic for OtherTracks {
+    type Element = Track;
+    const NAME: &'static str = TracksTopic::NAME;
+    const DOC: &'static str = TracksTopic::DOC;
+    const TYPE_NAME: &'static str = "stgdat.tracks.v2";
+    const ELEMENTS_MAX: usize = TracksTopic::ELEMENTS_MAX;
+    const ELEMENTS_START: usize = TracksTopic::ELEMENTS_START;
+    const SUBSCRIBERS_MAX: usize = TracksTopic::SUBSCRIBERS_MAX;
+    const DEPTH_MAX: usize = TracksTopic::DEPTH_MAX;
+}
+
+#[test]
+fn ports_of_another_version_do_not_connect() {
+    let (_space, run) = run();
+    let node = Node::open(&run, "old").unwrap();
+    let _other = node.publisher::<OtherTracks>().unwrap();
+    let refused = Node::open(&run, "new").unwrap().subscriber::<TracksTopic>(2).unwrap_err().to_string();
+    assert!(refused.starts_with("frames of topic \"tracks\": "), "{refused}");
+    assert!(refused.contains("IncompatibleTypes"), "{refused}");
+}
+
+#[test]
 fn payloads_grow_beyond_the_first_size_and_may_be_empty() {
     let (_space, run) = run();
     let node = Node::open(&run, "both").unwrap();
@@ -58,12 +106,12 @@ fn payloads_grow_beyond_the_first_size_and_may_be_empty() {
         let rows = FeaturesTopic::elements_len(&head.counts);
         let mut loan = publisher.loan(rows).unwrap();
         for (i, row) in loan.iter_mut().enumerate() {
-            row.0 = [i as f32; 16];
+            row.values = [i as f32; 16];
         }
         publisher.send(loan, head).unwrap();
         let frame = subscriber.receive().unwrap().unwrap();
         assert_eq!(frame.len(), rows);
-        assert!(frame.iter().enumerate().all(|(i, row)| row.0 == [i as f32; 16]), "{edges_len} edges");
+        assert!(frame.iter().enumerate().all(|(i, row)| row.values == [i as f32; 16]), "{edges_len} edges");
     }
     assert!(publisher.loan(FeaturesTopic::ELEMENTS_MAX + 1).is_err());
 }

@@ -1,19 +1,22 @@
 use thiserror::Error;
 
-/// The kinds of agents that the model tells apart; each has state MLP, decoder and motion model of its own.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
-#[repr(u32)]
-pub enum AgentType {
-    /// Cars, trucks, buses, carts: kinematic bicycle.
-    Vehicle = 0,
-    /// Riders of bicycles and similar.
-    Cyclist = 1,
-    /// People on foot (and on skates).
-    Pedestrian = 2,
+use crate::declare::numbers;
+
+numbers! {
+    /// The kinds of agents that the model tells apart; each has state MLP, decoder and motion model of its own.
+    #[derive(Hash, PartialOrd, Ord)]
+    pub enum AgentType {
+        /// Cars, trucks, buses, carts: kinematic bicycle.
+        Vehicle = 0 => "vehicle",
+        /// Riders of bicycles and similar.
+        Cyclist = 1 => "cyclist",
+        /// People on foot (and on skates).
+        Pedestrian = 2 => "pedestrian",
+    }
 }
 
 /// All agent types, in the order of their numbers.
-pub const AGENT_TYPES: [AgentType; 3] = [AgentType::Vehicle, AgentType::Cyclist, AgentType::Pedestrian];
+pub const AGENT_TYPES: [AgentType; 3] = AgentType::ALL;
 
 /// A number or name that stands for no agent type.
 #[derive(Debug, Error, PartialEq, Eq)]
@@ -21,16 +24,6 @@ pub const AGENT_TYPES: [AgentType; 3] = [AgentType::Vehicle, AgentType::Cyclist,
 pub struct UnknownAgentType(pub String);
 
 impl AgentType {
-    /// The name used in files, weights and reports.
-    #[must_use]
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::Vehicle => "vehicle",
-            Self::Cyclist => "cyclist",
-            Self::Pedestrian => "pedestrian",
-        }
-    }
-
     /// The type's place in [`AGENT_TYPES`] and in tables by type.
     #[must_use]
     pub const fn index(self) -> usize {
@@ -47,8 +40,8 @@ impl AgentType {
 impl TryFrom<u32> for AgentType {
     type Error = UnknownAgentType;
 
-    fn try_from(value: u32) -> Result<Self, UnknownAgentType> {
-        AGENT_TYPES.get(value as usize).copied().ok_or_else(|| UnknownAgentType(value.to_string()))
+    fn try_from(number: u32) -> Result<Self, UnknownAgentType> {
+        Self::from_number(number).ok_or_else(|| UnknownAgentType(number.to_string()))
     }
 }
 

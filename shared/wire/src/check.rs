@@ -3,7 +3,7 @@ use thiserror::Error;
 /// Why a frame was refused. The stage counts it and goes on.
 #[derive(Clone, Debug, Error, PartialEq)]
 pub enum Rejected {
-    /// The sender speaks another version.
+    /// The sender is of another version.
     #[error("schema {found}, expected {expected}")]
     Schema {
         /// The sender's version.
@@ -21,8 +21,8 @@ pub enum Rejected {
         /// The limit.
         most: u64,
     },
-    /// The payload does not have the length that its header tells.
-    #[error("payload of {found} elements, header tells {expected}")]
+    /// The payload does not have the length that its header gives.
+    #[error("payload of {found} elements, header gives {expected}")]
     Length {
         /// Elements in the payload.
         found: usize,
@@ -68,7 +68,8 @@ pub enum Rejected {
 /// # Errors
 /// [`Rejected::NotFinite`] with the field's name.
 pub fn finite(field: &'static str, values: &[f32]) -> Result<(), Rejected> {
-    // x · 0 is 0 for finite x and NaN otherwise, so one sum tells of all of them and vectorises.
-    let sum: f32 = values.iter().map(|x| x * 0.0).sum();
-    if sum == 0.0 { Ok(()) } else { Err(Rejected::NotFinite { field }) }
+    const EXPONENT: u32 = 0x7F80_0000;
+    // Infinities and NaNs have all bits of the exponent. Whole numbers and no early end: it vectorises.
+    let found = values.iter().fold(false, |found, x| found | (x.to_bits() & EXPONENT == EXPONENT));
+    if found { Err(Rejected::NotFinite { field }) } else { Ok(()) }
 }

@@ -1,171 +1,158 @@
-use bytemuck::{Pod, Zeroable};
-
-use crate::{AGENT_TYPES, AGENTS_MAX, HISTORY_MAX, HORIZON_MAX, Rejected};
-
-/// Version of headers and payloads; a frame of another version is refused.
-pub const SCHEMA: u32 = 1;
-/// Most stages that a tick can pass.
-pub const HOPS_MAX: usize = 8;
+use crate::declare::{constants, numbers, record};
+use crate::limits::schema;
+use crate::{
+    AGENT_TYPES, AGENTS_MAX, HISTORY_MAX, HOPS_MAX, HORIZON_MAX, MODES_MAX, Rejected, SCHEMA, StageId,
+};
 
 /// Bits of [`Header::flags`].
 pub mod flags {
-    /// The frame links the pipeline before the first tick: no agents, not counted anywhere.
-    pub const WARM_UP: u32 = 1;
-    /// The last frame of a recording: no agents, tells every stage that nothing follows.
-    pub const END: u32 = 1 << 1;
-    /// The detections carry identities that the tracker may trust instead of associating.
-    pub const HAS_IDENTITIES: u32 = 1 << 2;
-    /// The tick runs in lockstep: no stage may give up waiting.
-    pub const LOCKSTEP: u32 = 1 << 3;
-    /// A stage has refused this tick, or it came late and was taken in where it belongs: no agents. It passes on so that nobody waits for it.
-    pub const VOID: u32 = 1 << 4;
-    /// The detections were made from [`Header::ego_m`](super::Header::ego_m), by a sensor that can't see past what stands in its way. Not set for a
-    /// view from above, or where nobody knows where the sensor stood.
-    pub const SEEN_FROM_EGO: u32 = 1 << 5;
-}
+    use super::constants;
 
-/// A stage of the pipeline, by number.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
-#[repr(u32)]
-pub enum StageId {
-    /// Releases detections.
-    Source = 1,
-    /// Makes tracks of detections.
-    Tracker = 2,
-    /// Samples local patches of the context map.
-    Localiser = 3,
-    /// Computes node and edge attributes.
-    Extractor = 4,
-    /// Graph dual attention: the temporal summary of each agent.
-    Encoder = 5,
-    /// Control Gaussians of each agent, draw and step.
-    Decoder = 6,
-    /// Trajectories through the kinematic layer.
-    Sampler = 7,
-    /// Keeps what the report needs.
-    Recorder = 8,
-}
-
-impl StageId {
-    /// All stages in the order in which a tick passes them.
-    pub const ALL: [Self; 8] = [
-        Self::Source,
-        Self::Tracker,
-        Self::Localiser,
-        Self::Extractor,
-        Self::Encoder,
-        Self::Decoder,
-        Self::Sampler,
-        Self::Recorder,
-    ];
-
-    /// The name used on the command line, in pipeline.toml and in reports.
-    #[must_use]
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::Source => "source",
-            Self::Tracker => "tracker",
-            Self::Localiser => "localiser",
-            Self::Extractor => "extractor",
-            Self::Encoder => "encoder",
-            Self::Decoder => "decoder",
-            Self::Sampler => "sampler",
-            Self::Recorder => "recorder",
-        }
-    }
-
-    /// The stage of that name.
-    #[must_use]
-    pub fn from_name(name: &str) -> Option<Self> {
-        Self::ALL.into_iter().find(|s| s.name() == name)
-    }
-
-    /// The stage of that number.
-    #[must_use]
-    pub fn from_number(number: u32) -> Option<Self> {
-        Self::ALL.into_iter().find(|&s| s as u32 == number)
+    constants! {
+        /// The frame links the pipeline before the first tick: no agents, not counted anywhere.
+        pub const WARM_UP: u32 = 1;
+        /// The last frame of a recording: no agents, tells every stage that nothing follows.
+        pub const END: u32 = 1 << 1;
+        /// The detections carry identities that the tracker may trust instead of associating.
+        pub const HAS_IDENTITIES: u32 = 1 << 2;
+        /// The tick runs in lockstep: no stage may give up waiting.
+        pub const LOCKSTEP: u32 = 1 << 3;
+        /// A stage has refused this tick, or it came late and was taken in where it belongs: no agents. It passes on so that nobody
+        /// waits for it.
+        pub const VOID: u32 = 1 << 4;
+        /// The detections were made from [`Header::ego_m`](super::Header::ego_m), by a sensor that can't see past what stands in its
+        /// way. Not set for a view from above, or where nobody knows where the sensor stood.
+        pub const SEEN_FROM_EGO: u32 = 1 << 5;
     }
 }
 
-/// When one stage had a tick in hand; `CLOCK_MONOTONIC`.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Pod, Zeroable)]
-#[repr(C)]
-pub struct Hop {
-    /// The stage's [`StageId`] as a number.
-    pub stage: u32,
-    /// How often the stage had been started before.
-    pub incarnation: u32,
-    /// The input was taken from its queue.
-    pub received_ns: u64,
-    /// The computation began.
-    pub started_ns: u64,
-    /// The computation ended.
-    pub finished_ns: u64,
-    /// The output was handed to the transport.
-    pub sent_ns: u64,
+numbers! {
+    /// What a frame's [`Header::stamp_ns`] was read off.
+    pub enum StampSource {
+        /// The source did not say.
+        Unknown = 0 => "unknown",
+        /// A recording.
+        Recording = 1 => "recording",
+        /// The sensor's own clock, at its measurement.
+        SensorClock = 2 => "sensor clock",
+        /// A clock of the receiving computer, when the measurement had come in: later than the measurement by its way.
+        Receipt = 3 => "time of receipt",
+        /// A scene that was generated.
+        Generated = 4 => "generated",
+    }
 }
 
-/// The sizes of a frame's tensors.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Pod, Zeroable)]
-#[repr(C)]
-pub struct Counts {
-    /// Agents (or detections, or truths) in the frame.
-    pub agents_len: u32,
-    /// Steps of the history window, T_h.
-    pub history_len: u32,
-    /// Steps of the forecast, T_f.
-    pub horizon_len: u32,
-    /// Latent draws, K.
-    pub modes_len: u32,
-    /// Side of the context patches, P, in cells.
-    pub patch_side: u32,
-    /// Edges of all history steps.
-    pub edges_len: u32,
+record! {
+    /// The end-to-end protection of a frame, in the order of AUTOSAR's E2E profile 7. All zeros: not protected.
+    #[derive(Eq)]
+    pub struct Protection: 24 bytes {
+        /// CRC-64/XZ of the header behind this field and of the payload.
+        0 => crc: u64,
+        /// Bytes of header and payload together.
+        8 => length: u32,
+        /// Counts the frames of the sender; wraps around.
+        12 => counter: u32,
+        /// Identifies the topic.
+        16 => data_id: u32,
+        /// Zero.
+        20 => reserved: [u8; 4],
+    }
 }
 
-/// The header of every frame.
-#[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
-#[repr(C)]
-pub struct Header {
-    /// [`SCHEMA`] of the sender.
-    pub schema: u32,
-    /// Bits of [`flags`].
-    pub flags: u32,
-    /// Identifies the run; frames of other runs are refused.
-    pub run_id: u64,
-    /// The tick's number, from 0, without gaps at the source.
-    pub seq: u64,
-    /// Time of validity of the detections on the recording's or sensor's clock; the time of all algorithms.
-    pub stamp_ns: i64,
-    /// When the source released the tick, `CLOCK_MONOTONIC`; for latency and age only.
-    pub released_ns: u64,
-    /// The interval between frames as planned by the source.
-    pub interval_ns: u64,
-    /// Spacing of history and forecast steps, Δt; 0 before the tracker.
-    pub step_ns: u64,
-    /// Bits of the agent types that the sensor looked for in this frame.
-    pub observed_types: u32,
-    /// Agents left out because the frame was full.
-    pub left_out_len: u32,
-    /// Position of the ego vehicle, or of the scene's centre, in the world frame.
-    pub ego_m: [f32; 2],
-    /// Heading of the ego vehicle, 0 for a fixed sensor.
-    pub ego_heading_rad: f32,
-    /// Valid entries of `hops`.
-    pub hops_len: u32,
-    /// Sizes of the frame's tensors.
-    pub counts: Counts,
-    /// The stages that the tick has passed, the source first.
-    pub hops: [Hop; HOPS_MAX],
+record! {
+    /// When one stage had a tick in hand; `CLOCK_MONOTONIC`.
+    #[derive(Eq)]
+    pub struct Hop: 40 bytes {
+        /// The stage's [`StageId`] as a number.
+        0 => stage: u32,
+        /// How often the stage had been started before.
+        4 => incarnation: u32,
+        /// The input was taken from its queue.
+        8 => received_ns: u64,
+        /// The computation began.
+        16 => started_ns: u64,
+        /// The computation ended.
+        24 => finished_ns: u64,
+        /// The output was handed to the transport.
+        32 => sent_ns: u64,
+    }
 }
 
-const _: () = assert!(size_of::<Hop>() == 40 && size_of::<Counts>() == 24 && size_of::<Header>() == 424);
+record! {
+    /// The sizes of a frame's tensors.
+    #[derive(Eq)]
+    pub struct Counts: 24 bytes {
+        /// Agents (or detections, or truths) in the frame.
+        0 => agents_len: u32,
+        /// Steps of the history window, T_h.
+        4 => history_len: u32,
+        /// Steps of the forecast, T_f.
+        8 => horizon_len: u32,
+        /// Latent draws, K.
+        12 => modes_len: u32,
+        /// Side of the context patches, P, in cells.
+        16 => patch_side: u32,
+        /// Edges of all history steps.
+        20 => edges_len: u32,
+    }
+}
+
+record! {
+    /// The header of every frame.
+    pub struct Header: 704 bytes {
+        /// End-to-end protection of the frame.
+        0 => protection: Protection,
+        /// [`SCHEMA`] of the sender.
+        24 => schema: u32,
+        /// Bits of [`flags`].
+        28 => flags: u32,
+        /// Identifies the run; frames of other runs are refused.
+        32 => run_id: u64,
+        /// The tick's number, from 0, without gaps at the source.
+        40 => seq: u64,
+        /// Time of validity of the detections on the recording's or sensor's clock; the time of all algorithms.
+        48 => stamp_ns: i64,
+        /// When the source released the tick, `CLOCK_MONOTONIC`; for latency and age only.
+        56 => released_ns: u64,
+        /// The interval between frames as planned by the source.
+        64 => interval_ns: u64,
+        /// Spacing of history and forecast steps, Δt; 0 before the tracker.
+        72 => step_ns: u64,
+        /// [`StampSource`] of `stamp_ns` as a number.
+        80 => stamp_source: u32,
+        /// [`StageId`] of the frame's sender as a number, 0 where it is no stage.
+        84 => sender: u32,
+        /// How often the sender had been started before.
+        88 => incarnation: u32,
+        /// Bits of the agent types that the sensor looked for in this frame.
+        92 => observed_types: u32,
+        /// Agents left out because the frame was full.
+        96 => left_out_len: u32,
+        /// Valid entries of `hops`.
+        100 => hops_len: u32,
+        /// Stages that the tick has passed beyond those of `hops`.
+        104 => hops_missing_len: u32,
+        /// Position of the ego vehicle, or of the scene's centre, in the world frame.
+        108 => ego_m: [f32; 2],
+        /// Heading of the ego vehicle, 0 for a fixed sensor.
+        116 => ego_heading_rad: f32,
+        /// Sizes of the frame's tensors.
+        120 => counts: Counts,
+        /// The stages that the tick has passed, the source first.
+        144 => hops: [Hop; HOPS_MAX],
+        /// Zero.
+        624 => reserved: [u8; 80],
+    }
+}
 
 impl Header {
+    /// The header's type name: ports of other versions do not connect.
+    pub const TYPE_NAME: &str = concat!("stgdat.header.", schema!());
+
     /// The header of a new tick, without hops.
     #[must_use]
     pub fn new(run_id: u64, seq: u64, stamp_ns: i64) -> Self {
-        Self { schema: SCHEMA, run_id, seq, stamp_ns, ..Self::zeroed() }
+        Self { schema: SCHEMA, run_id, seq, stamp_ns, ..Self::default() }
     }
 
     /// The stages that the tick has passed.
@@ -180,12 +167,21 @@ impl Header {
         self.hops().iter().find(|hop| hop.stage == stage as u32)
     }
 
-    /// Appends a stage's passage; a tick that has passed [`HOPS_MAX`] stages already keeps the first ones.
+    /// Appends a stage's passage; of a tick that has passed [`HOPS_MAX`] stages already it is only counted.
     pub fn push_hop(&mut self, hop: Hop) {
-        if let Some(free) = self.hops.get_mut(self.hops_len as usize) {
-            *free = hop;
-            self.hops_len += 1;
+        match self.hops.get_mut(self.hops_len as usize) {
+            Some(free) => {
+                *free = hop;
+                self.hops_len += 1;
+            }
+            None => self.hops_missing_len = self.hops_missing_len.saturating_add(1),
         }
+    }
+
+    /// The same header with the stages that the tick of `way` has passed.
+    #[must_use]
+    pub const fn with_hops_of(self, way: &Self) -> Self {
+        Self { hops: way.hops, hops_len: way.hops_len, hops_missing_len: way.hops_missing_len, ..self }
     }
 
     /// Whether all bits of `flag` are set.
@@ -213,7 +209,7 @@ impl Header {
             ("agents_len", self.counts.agents_len, crate::DETECTIONS_MAX.max(AGENTS_MAX) as u32),
             ("history_len", self.counts.history_len, HISTORY_MAX as u32),
             ("horizon_len", self.counts.horizon_len, HORIZON_MAX as u32),
-            ("modes_len", self.counts.modes_len, crate::MODES_MAX as u32),
+            ("modes_len", self.counts.modes_len, MODES_MAX as u32),
             ("patch_side", self.counts.patch_side, crate::PATCH_SIDE_MAX as u32),
             ("edges_len", self.counts.edges_len, crate::EDGES_MAX as u32),
             ("hops_len", self.hops_len, HOPS_MAX as u32),
@@ -225,5 +221,20 @@ impl Header {
             }
         }
         crate::finite("ego", &[self.ego_m[0], self.ego_m[1], self.ego_heading_rad])
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn passages_beyond_the_room_are_counted_and_the_first_ones_kept() {
+        let mut header = Header::new(1, 2, 3);
+        (0..HOPS_MAX as u32 + 3).for_each(|stage| header.push_hop(Hop { stage, ..Hop::default() }));
+        assert_eq!((header.hops_len as usize, header.hops_missing_len), (HOPS_MAX, 3));
+        assert!(header.hops().iter().map(|hop| hop.stage).eq(0..HOPS_MAX as u32));
+        let other = Header::new(1, 9, 4).with_hops_of(&header);
+        assert_eq!((other.seq, other.hops(), other.hops_missing_len), (9, header.hops(), 3));
     }
 }

@@ -1,13 +1,15 @@
 //! The two topics whose frames hold tensors of varying size, as sections of one slice of 64-byte rows.
 
-use bytemuck::{Pod, Zeroable};
-
+use crate::declare::record;
 use crate::{AgentFeatures, Counts, EDGE_ATTRIBUTES, PATCH_CHANNELS, Rejected, Track};
 
-/// 64 bytes: one cache line, the unit of `context` and `features` payloads.
-#[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
-#[repr(C, align(64))]
-pub struct Row(pub [f32; 16]);
+record! {
+    /// 64 bytes: one cache line, the unit of `context` and `features` payloads, whose sections are cast from it.
+    pub struct Row: 64 bytes, aligned 64 {
+        /// The bytes, as numbers of single precision.
+        0 => values: [f32; 16],
+    }
+}
 
 /// Agents, steps and patch side of a `context` frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -34,7 +36,7 @@ const FEATURE_ROWS: usize = size_of::<AgentFeatures>() / size_of::<Row>();
 const _: () = assert!(size_of::<Track>().is_multiple_of(64) && size_of::<AgentFeatures>().is_multiple_of(64));
 
 impl ContextShape {
-    /// The shape that a header tells.
+    /// The shape that a header contains.
     #[must_use]
     pub const fn of(counts: &Counts) -> Self {
         Self {
@@ -56,7 +58,7 @@ impl ContextShape {
 }
 
 impl FeatureShape {
-    /// The shape that a header tells.
+    /// The shape that a header contains.
     #[must_use]
     pub const fn of(counts: &Counts) -> Self {
         Self { agents_len: counts.agents_len as usize, edges_len: counts.edges_len as usize }
@@ -147,18 +149,19 @@ impl<'a> ContextMut<'a> {
     }
 }
 
-/// The ends of a directed edge e_ij at a history step: i receives, j sends.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Pod, Zeroable)]
-#[repr(C)]
-pub struct Edge {
-    /// History step.
-    pub step: u16,
-    /// Agent i.
-    pub receiver: u16,
-    /// Agent j; i itself for the self edge.
-    pub sender: u16,
-    /// Zero.
-    pub reserved: u16,
+record! {
+    /// The ends of a directed edge e_ij at a history step: i receives, j sends.
+    #[derive(Eq, PartialOrd, Ord)]
+    pub struct Edge: 8 bytes {
+        /// History step.
+        0 => step: u16,
+        /// Agent i.
+        2 => receiver: u16,
+        /// Agent j; i itself for the self edge.
+        4 => sender: u16,
+        /// Zero.
+        6 => reserved: u16,
+    }
 }
 
 /// A `features` payload: agents, edges sorted by (step, receiver, sender), and an attribute for each edge.
@@ -238,7 +241,7 @@ mod tests {
     #[test]
     fn sections_do_not_overlap_and_cover_the_payload() {
         let shape = FeatureShape { agents_len: 3, edges_len: 13 };
-        let mut rows = vec![Row::zeroed(); feature_rows(&shape)];
+        let mut rows = vec![Row::default(); feature_rows(&shape)];
         let out = FeaturesMut::over(&mut rows, shape).unwrap();
         out.agents[2].node[7][63] = 1.0;
         for (i, edge) in out.edges.iter_mut().enumerate() {
@@ -260,7 +263,7 @@ mod tests {
     #[test]
     fn unsorted_or_dangling_edges_and_wrong_lengths_are_refused() {
         let shape = FeatureShape { agents_len: 2, edges_len: 2 };
-        let mut rows = vec![Row::zeroed(); feature_rows(&shape)];
+        let mut rows = vec![Row::default(); feature_rows(&shape)];
         assert!(matches!(Features::read(&rows, shape, 8), Err(Rejected::Impossible { .. })), "equal edges");
         FeaturesMut::over(&mut rows, shape).unwrap().edges[1].sender = 2;
         assert!(matches!(Features::read(&rows, shape, 8), Err(Rejected::Impossible { .. })), "no agent 2");
@@ -273,7 +276,7 @@ mod tests {
     #[test]
     fn patches_are_addressed_by_agent_and_step() {
         let shape = ContextShape { agents_len: 2, history_len: 4, patch_side: 16 };
-        let mut rows = vec![Row::zeroed(); context_rows(&shape)];
+        let mut rows = vec![Row::default(); context_rows(&shape)];
         let mut out = ContextMut::over(&mut rows, shape).unwrap();
         out.patch_mut(1, 3)[767] = 5.0;
         out.tracks[1].id = 9;

@@ -1,72 +1,82 @@
-//! What the stages say to each other: topics, message headers and payload elements.
+//! What the stages exchange: topics, message headers and payload elements.
 //!
 //! A *topic* names a stream, fixes the element type of its messages and bounds every queue. A *frame* is one message:
 //! a [`Header`] and a slice of elements. All frames of one tick carry the same `seq` and `stamp_ns`, and each stage
-//! appends a [`Hop`], so that the last frame of a tick tells the whole tick.
+//! appends a [`Hop`], so that the last frame of a tick contains the way of the whole tick.
 //!
-//! Payloads are plain old data (`#[repr(C)]`, explicit padding, any bit pattern is a value): they cross process
-//! borders as they lie in memory. A change of layout changes the topic's type name, so that old and new never meet.
+//! Payloads are plain old data (`#[repr(C)]`, explicit padding, any bit pattern is a value, little-endian): they cross
+//! process borders as they lie in memory. Every record is declared once, with the offset of each field; from that come
+//! the struct, the assertions of its layout and its entry of [`TABLE`], which `stgdat wire` prints for C, C++, Python and
+//! everybody else.
 //!
 //! Frames of reference: positions are in one right-handed, metric *world frame* (x, y; z up) whose origin lies within
 //! [`POSITION_MAX_M`]; headings are counter-clockwise from +x in radians. Times are nanoseconds: `stamp_ns` on the
 //! sensor's or recording's clock, all others on `CLOCK_MONOTONIC`.
+//!
+//! # Versions
+//!
+//! [`SCHEMA`] is the one version of the whole wire: of the header, of all payloads and of all topics. Every type name
+//! carries it (`stgdat.header.2`, `stgdat.forecasts.2`), and so does every header. Programs of one number understand each
+//! other, however old they are.
+//!
+//! These changes need no new version:
+//!
+//! * *Reserved bytes* get a name and a meaning in which 0 stands for "not told" or for what was so before. Writers fill
+//!   bytes that they do not know with zeros, those of the header as they came in with the tick; readers do not look at
+//!   them. So it is with [`Header::protection`],
+//!   [`Header::incarnation`], [`Forecast::expert_weights`] and [`Forecast::out_of_distribution`] until something fills them in.
+//! * *New numbers* of [`StageId`], [`StampSource`], [`TrackStatus`], [`Cause`] and [`Expert`]. Readers take a number that
+//!   they do not know for an unknown one and refuse nothing for it.
+//! * *New flags*, if a reader may overlook them: their absence means what was so before.
+//! * *New topics* and new constants.
+//!
+//! All else does: a field that moves or changes its size, type, unit or meaning; another limit; a new number of [`AgentType`],
+//! [`Quality`] or [`Steering`], which readers compute with and refuse where they do not know it.
+//!
+//! Who meets another version sees this:
+//!
+//! * *Ports do not connect.* Who opens a topic after a program of another version has made it gets iceoryx2's
+//!   `IncompatibleTypes`: with `ports` a `PortError`, `frames of topic "tracks": …(IncompatibleTypes)`, with which the process
+//!   ends (exit code 69); in Python a `PublishSubscribeOpenError`. No byte is exchanged.
+//! * *A header of another schema* under the right type name, from a writer that fills in a wrong [`Header::schema`], is
+//!   refused with [`Rejected::Schema`]. The frame is dropped, reported on standard error and counted in the
+//!   `rejected_len` of the reader's [`Heartbeat`]; the reader goes on.
 
 mod agent;
 mod check;
+mod declare;
+#[cfg(test)]
+mod distinct;
 mod header;
 mod layout;
+mod limits;
 mod records;
+mod stage;
+mod table;
 mod topic;
 
 pub use agent::{AGENT_TYPES, AgentType, UnknownAgentType};
 pub use check::{Rejected, finite};
-pub use header::{Counts, HOPS_MAX, Header, Hop, SCHEMA, StageId, flags};
+pub use header::{Counts, Header, Hop, Protection, StampSource, flags};
 pub use layout::{
     Context, ContextMut, ContextShape, Edge, FeatureShape, Features, FeaturesMut, Row, context_rows,
     feature_rows,
 };
+pub use limits::{
+    AGENTS_MAX, CONTEXT_EMBEDDING, DETECTIONS_MAX, EDGE_ATTRIBUTES, EDGES_MAX, EXPERTS_MAX, HISTORY_MAX,
+    HOPS_MAX, HORIZON_MAX, LATENT, MODES_MAX, NODE_ATTRIBUTES, PATCH_CHANNELS, PATCH_SIDE_MAX,
+    POSITION_MAX_M, RELATION_FEATURES, SCHEMA, SPEED_MAX_MPS, STATE_EMBEDDING, STATE_FEATURES, TEMPORAL,
+};
 pub use records::{
-    AgentControls, AgentEncoding, AgentFeatures, Cause, ControlGaussian, Detection, Forecast, Heartbeat,
-    HistoryState, Quality, Steering, Track, TrackStatus, Truth, detection_flags,
+    AgentControls, AgentEncoding, AgentFeatures, Cause, ControlGaussian, Detection, Expert, Forecast,
+    Heartbeat, HistoryState, Quality, Steering, Track, TrackStatus, Truth, detection_flags,
+};
+pub use stage::StageId;
+pub use table::{
+    Constant, Field, Flags, Layout, Leaf, Number, Numbers, Primitive, Record, TABLE, Table, TopicEntry, Type,
+    Value,
 };
 pub use topic::{
     ContextTopic, ControlsTopic, DetectionsTopic, EncodingsTopic, FeaturesTopic, ForecastsTopic,
     HeartbeatsTopic, Topic, TracksTopic, TruthTopic,
 };
-
-/// Most agents in a frame. When the tracker holds more, the nearest to the ego or the scene's centre are kept.
-pub const AGENTS_MAX: usize = 128;
-/// Most detections in a frame.
-pub const DETECTIONS_MAX: usize = 512;
-/// Longest history, T_h, in steps.
-pub const HISTORY_MAX: usize = 8;
-/// Longest forecast, T_f, in steps.
-pub const HORIZON_MAX: usize = 12;
-/// Most latent draws (modes), K, of an agent.
-pub const MODES_MAX: usize = 20;
-/// Most edges of all steps of the history graph together, the self edges included.
-pub const EDGES_MAX: usize = 32_768;
-/// Channels of a local context patch: density and the two components of the mean velocity.
-pub const PATCH_CHANNELS: usize = 3;
-/// Largest side of a local context patch, in cells.
-pub const PATCH_SIDE_MAX: usize = 32;
-/// Components of the state features s.
-pub const STATE_FEATURES: usize = 6;
-/// Components of the relation features φ.
-pub const RELATION_FEATURES: usize = 6;
-/// Components of the state embedding SE.
-pub const STATE_EMBEDDING: usize = 32;
-/// Components of the context embedding CE.
-pub const CONTEXT_EMBEDDING: usize = 32;
-/// Components of a node attribute v = \[SE ‖ CE\].
-pub const NODE_ATTRIBUTES: usize = STATE_EMBEDDING + CONTEXT_EMBEDDING;
-/// Components of an edge attribute e.
-pub const EDGE_ATTRIBUTES: usize = 16;
-/// Components of the temporal summary ṽ.
-pub const TEMPORAL: usize = 64;
-/// Components of the latent variable z.
-pub const LATENT: usize = 32;
-/// Largest magnitude of a world coordinate; beyond it f32 resolves less than 4 mm.
-pub const POSITION_MAX_M: f32 = 32_768.0;
-/// Largest speed that is believed of an agent.
-pub const SPEED_MAX_MPS: f32 = 120.0;

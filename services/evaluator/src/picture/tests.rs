@@ -171,14 +171,10 @@ fn walkers() -> data::Recording {
         id,
         x_m,
         y_m,
-        heading_rad: 0.0,
-        speed_mps: 0.0,
-        length_m: 0.0,
-        width_m: 0.0,
         score: 1.0,
-        sigma_m: 0.0,
         agent_type: AgentType::Pedestrian as u32,
         flags: HAS_ID,
+        ..Detection::default()
     };
     let frame = |number: u64| {
         let way_m = 0.5 * number as f32;

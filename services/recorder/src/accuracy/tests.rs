@@ -18,7 +18,7 @@ fn header(tick: i64, agents_len: usize) -> Header {
 /// An agent that drives along x at 10 m/s from `y_m`.
 fn truth(id: u64, tick: i64, y_m: f32) -> Truth {
     let x_m = (10.0 * (tick * TICK_NS) as f64 / 1e9) as f32;
-    Truth { id, agent_type: AgentType::Vehicle as u32, x_m, y_m, reserved: 0 }
+    Truth { id, agent_type: AgentType::Vehicle as u32, x_m, y_m, ..Truth::default() }
 }
 
 /// The exact forecast of that agent, its second mode 3 m to the left and its single best 1 m to the left.

@@ -138,7 +138,7 @@ mod tests {
     const TICK_NS: i64 = 80_000_000;
 
     fn truth(id: u64, x_m: f32) -> Truth {
-        Truth { id, agent_type: 0, x_m, y_m: 0.0, reserved: 0 }
+        Truth { id, x_m, ..Truth::default() }
     }
 
     fn paths(frames: &[(i64, &[Truth])]) -> Paths {

@@ -209,6 +209,7 @@ fn any(rng: &mut ChaCha8Rng) -> Detection {
         sigma_m: if rng.random_ratio(1, 2) { 0.0 } else { *EXTREME.choose(rng).expect("some") },
         agent_type: rng.random_range(0..3),
         flags: rng.random_range(0..16),
+        ..Detection::default()
     }
 }
 

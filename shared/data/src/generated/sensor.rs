@@ -100,6 +100,7 @@ impl Sensor {
                 | flag(on_wheels, HAS_HEADING)
                 | flag(has_speed, HAS_SPEED)
                 | HAS_SIZE,
+            ..Detection::default()
         }
     }
 

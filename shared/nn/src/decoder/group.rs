@@ -149,6 +149,12 @@ impl AgentDraws<'_> {
         self.raw.len() / self.horizon_len
     }
 
+    /// Base controls of the best forecast, step by step; empty where the model has none.
+    #[must_use]
+    pub fn best_base(&self) -> &[[f32; 2]] {
+        &self.base[self.base.len().saturating_sub(self.horizon_len)..]
+    }
+
     /// Control Gaussians of the steps of a draw, base control and all.
     pub fn controls(&self, draw: usize) -> impl Iterator<Item = ControlGaussian> + '_ {
         let steps = draw * self.horizon_len..(draw + 1) * self.horizon_len;

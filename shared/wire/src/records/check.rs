@@ -77,6 +77,8 @@ impl Track {
             "track",
             &[self.heading_rad, self.slip_rad, self.vx_mps, self.vy_mps, self.length_m, self.width_m],
         )?;
+        finite("existence", &[self.existence])?;
+        finite("type probabilities", &self.type_probability)?;
         finite("track covariance", &self.covariance)?;
         finite("weights of the prior", &self.prior_weights)?;
         for state in &self.history {
@@ -131,7 +133,8 @@ impl AgentControls {
         finite("mode probabilities", &self.probability)?;
         let numbers: &[f32] = bytemuck::cast_slice(self.modes.as_flattened());
         finite("controls", numbers)?;
-        finite("best controls", bytemuck::cast_slice(&self.best))
+        finite("best controls", bytemuck::cast_slice(&self.best))?;
+        finite("base controls", self.base.as_flattened())
     }
 }
 
@@ -143,12 +146,25 @@ impl Forecast {
     pub fn check(&self) -> Result<(), Rejected> {
         agent_type(self.agent_type)?;
         position("forecast position", &[self.x_m, self.y_m])?;
-        finite("forecast", &[self.vx_mps, self.vy_mps, self.heading_rad, self.frame_heading_rad])?;
+        finite(
+            "forecast",
+            &[
+                self.vx_mps,
+                self.vy_mps,
+                self.heading_rad,
+                self.frame_heading_rad,
+                self.length_m,
+                self.width_m,
+                self.out_of_distribution,
+            ],
+        )?;
+        finite("expert weights", &self.expert_weights)?;
         finite("mode probabilities", &self.probability)?;
         finite("forecast modes", self.modes.as_flattened().as_flattened())?;
         finite("best forecast", self.best.as_flattened())?;
         finite("forecast mean", self.mean.as_flattened())?;
         finite("forecast covariance", self.covariance.as_flattened())?;
+        finite("covariance of the modes", self.mode_covariance.as_flattened().as_flattened())?;
         finite("forecast controls", bytemuck::cast_slice(self.controls.as_flattened()))
     }
 }

@@ -1,0 +1,55 @@
+use crate::declare::constants;
+
+/// [`SCHEMA`] as a literal, for `concat!`.
+macro_rules! schema {
+    () => {
+        2
+    };
+}
+
+pub(crate) use schema;
+
+constants! {
+    /// Version of the whole wire: of the header, of every payload and of the topics' type names.
+    pub const SCHEMA: u32 = schema!();
+    /// Most agents in a frame. When the tracker holds more, the nearest to the ego or the scene's centre are kept.
+    pub const AGENTS_MAX: usize = 128;
+    /// Most detections in a frame.
+    pub const DETECTIONS_MAX: usize = 512;
+    /// Most stages that a tick can pass.
+    pub const HOPS_MAX: usize = 12;
+    /// Longest history, T_h, in steps.
+    pub const HISTORY_MAX: usize = 8;
+    /// Longest forecast, T_f, in steps.
+    pub const HORIZON_MAX: usize = 12;
+    /// Most latent draws (modes), K, of an agent.
+    pub const MODES_MAX: usize = 20;
+    /// Most experts that a forecast can be weighed of.
+    pub const EXPERTS_MAX: usize = 8;
+    /// Most edges of all steps of the history graph together, the self edges included.
+    pub const EDGES_MAX: usize = 32_768;
+    /// Channels of a local context patch: density and the two components of the mean velocity.
+    pub const PATCH_CHANNELS: usize = 3;
+    /// Largest side of a local context patch, in cells.
+    pub const PATCH_SIDE_MAX: usize = 32;
+    /// Components of the state features s.
+    pub const STATE_FEATURES: usize = 6;
+    /// Components of the relation features φ.
+    pub const RELATION_FEATURES: usize = 6;
+    /// Components of the state embedding SE.
+    pub const STATE_EMBEDDING: usize = 32;
+    /// Components of the context embedding CE.
+    pub const CONTEXT_EMBEDDING: usize = 32;
+    /// Components of a node attribute v = \[SE ‖ CE\].
+    pub const NODE_ATTRIBUTES: usize = STATE_EMBEDDING + CONTEXT_EMBEDDING;
+    /// Components of an edge attribute e.
+    pub const EDGE_ATTRIBUTES: usize = 16;
+    /// Components of the temporal summary ṽ.
+    pub const TEMPORAL: usize = 64;
+    /// Components of the latent variable z.
+    pub const LATENT: usize = 32;
+    /// Largest magnitude of a world coordinate; beyond it f32 resolves less than 4 mm.
+    pub const POSITION_MAX_M: f32 = 32_768.0;
+    /// Largest speed that is believed of an agent.
+    pub const SPEED_MAX_MPS: f32 = 120.0;
+}

@@ -1,0 +1,158 @@
+use super::ControlGaussian;
+use crate::declare::{numbers, record};
+use crate::{EXPERTS_MAX, HORIZON_MAX, MODES_MAX, Rejected};
+
+numbers! {
+    /// Where a forecast comes from.
+    pub enum Quality {
+        /// The model's forecast of this tick.
+        Learned = 0 => "learned",
+        /// The model's forecast of an earlier tick, moved on to now.
+        Held = 1 => "held",
+        /// Zero control with growing covariance.
+        Kinematic = 2 => "kinematic",
+    }
+}
+
+numbers! {
+    /// Why a forecast is not [`Quality::Learned`].
+    ///
+    /// Numbers up to 31, a bit each in [`Forecast::causes`]. These are kept for causes to come: 5 shed to save time, 6 detections
+    /// missing, 7 stage restarted, 8 integrity check failed, 9 out of distribution, 10 source frozen.
+    pub enum Cause {
+        /// Nothing is wrong.
+        None = 0 => "none",
+        /// The controls of this tick had not come at the deadline.
+        Late = 1 => "late",
+        /// The controls of this tick were refused as not finite or impossible.
+        Rejected = 2 => "rejected",
+        /// The controls of this tick do not name the track.
+        Missing = 3 => "missing",
+        /// The track has too short a history for the model.
+        Young = 4 => "young",
+    }
+}
+
+numbers! {
+    /// What the controls of a forecast stand for.
+    pub enum Steering {
+        /// There are none.
+        None = 0 => "none",
+        /// Acceleration in m/s² and slip rate in rad/s of a kinematic bicycle.
+        Bicycle = 1 => "bicycle",
+        /// Displacement of the step beyond that of the velocity at the forecast's start, in m along and across the agent.
+        Displacement = 2 => "displacement",
+    }
+}
+
+numbers! {
+    /// What a mode comes from; numbers below [`EXPERTS_MAX`] are slots of [`Forecast::expert_weights`].
+    pub enum Expert {
+        /// The network.
+        Network = 0 => "network",
+        /// The model's base control alone.
+        Base = 1 => "base",
+        /// Constant velocity.
+        ConstantVelocity = 2 => "constant velocity",
+        /// A turn that decays.
+        DecayingTurn = 3 => "decaying turn",
+        /// The tracker's process model: zero control.
+        ProcessModel = 4 => "process model",
+        /// The network's best forecast with residuals of others at the same place, from the retrieval memory.
+        Retrieval = 255 => "retrieval",
+    }
+}
+
+record! {
+    /// The forecast of an agent: element of the topic `forecasts`. Step k lies (k + 1) Δt after the frame's stamp.
+    pub struct Forecast: 10240 bytes {
+        /// The track.
+        0 => id: u64,
+        /// The detections' own identity where they carry one, else 0.
+        8 => source_id: u64,
+        /// Time between the stamp of the controls and this frame's stamp; 0 for learned forecasts.
+        16 => age_ns: u64,
+        /// As in [`crate::Track::prior_age_ns`].
+        24 => prior_age_ns: u64,
+        /// [`crate::AgentType`] as a number.
+        32 => agent_type: u32,
+        /// [`Quality`] as a number.
+        36 => quality: u32,
+        /// [`Cause`] as a number: the first one.
+        40 => cause: u32,
+        /// Bits of all causes that apply, see [`Cause::bit`]; 0 where nothing is wrong.
+        44 => causes: u32,
+        /// Valid modes, at most [`MODES_MAX`].
+        48 => modes_len: u32,
+        /// As in [`crate::Track::prior`].
+        52 => prior: u32,
+        /// [`Steering`] as a number.
+        56 => steering: u32,
+        /// Direction of the axes of displacements: the agent's heading at the stamp of the controls.
+        60 => frame_heading_rad: f32,
+        /// Position at the stamp.
+        64 => x_m: f32,
+        /// Position at the stamp.
+        68 => y_m: f32,
+        /// Velocity at the stamp.
+        72 => vx_mps: f32,
+        /// Velocity at the stamp.
+        76 => vy_mps: f32,
+        /// Heading at the stamp.
+        80 => heading_rad: f32,
+        /// Extent along the heading; 0 where unknown.
+        84 => length_m: f32,
+        /// Extent across the heading; 0 where unknown.
+        88 => width_m: f32,
+        /// How far the agent is from what the model was trained on, greater is farther; 0 where it is not told.
+        92 => out_of_distribution: f32,
+        /// Weight of each [`Expert`] by its number: network, base, constant velocity, decaying turn, process model; zeros where they are
+        /// not told.
+        96 => expert_weights: [f32; EXPERTS_MAX],
+        /// Probability of each mode; they sum to 1.
+        128 => probability: [f32; MODES_MAX],
+        /// [`Expert`] of each mode as a number.
+        208 => mode_expert: [u8; MODES_MAX],
+        /// Zero.
+        228 => reserved: [u8; 76],
+        /// Covariance of the mixture of all modes as (xx, xy, yy), m².
+        304 => covariance: [[f32; 3]; HORIZON_MAX],
+        /// The single best forecast (K = 1).
+        448 => best: [[f32; 2]; HORIZON_MAX],
+        /// Mean of the mixture of all modes.
+        544 => mean: [[f32; 2]; HORIZON_MAX],
+        /// Mean positions (x, y) of each mode and step in the world frame, m.
+        640 => modes: [[[f32; 2]; HORIZON_MAX]; MODES_MAX],
+        /// Covariance of the position of each mode and step as (xx, xy, yy), m².
+        2560 => mode_covariance: [[[f32; 3]; HORIZON_MAX]; MODES_MAX],
+        /// The controls that lead to `modes`, as they act (after saturation), their first step at the stamp of the controls;
+        /// zeros where `steering` says that there are none.
+        5440 => controls: [[ControlGaussian; HORIZON_MAX]; MODES_MAX],
+    }
+}
+
+impl TryFrom<u32> for Quality {
+    type Error = Rejected;
+
+    fn try_from(number: u32) -> Result<Self, Rejected> {
+        let unknown = Rejected::Impossible { field: "quality", value: f64::from(number) };
+        Self::from_number(number).ok_or(unknown)
+    }
+}
+
+impl TryFrom<u32> for Steering {
+    type Error = Rejected;
+
+    fn try_from(number: u32) -> Result<Self, Rejected> {
+        let unknown = Rejected::Impossible { field: "steering", value: f64::from(number) };
+        Self::from_number(number).ok_or(unknown)
+    }
+}
+
+impl Cause {
+    /// The cause's bit in [`Forecast::causes`]; none has no bit.
+    #[must_use]
+    pub const fn bit(self) -> u32 {
+        1 << self as u32 & !1
+    }
+}

@@ -1,0 +1,90 @@
+use crate::declare::{numbers, record};
+use crate::{HISTORY_MAX, MODES_MAX};
+
+record! {
+    /// A step of a track's history.
+    pub struct HistoryState: 24 bytes {
+        /// Position in the world frame.
+        0 => x_m: f32,
+        /// Position in the world frame.
+        4 => y_m: f32,
+        /// Velocity in the world frame.
+        8 => vx_mps: f32,
+        /// Velocity in the world frame.
+        12 => vy_mps: f32,
+        /// Heading; defined also at rest.
+        16 => heading_rad: f32,
+        /// 1 where the track has a state at this step, else 0 and all others 0.
+        20 => present: u32,
+    }
+}
+
+numbers! {
+    /// Whether a track was seen in the newest frame that could have seen it.
+    pub enum TrackStatus {
+        /// Updated by a detection of the newest frame that observed its type.
+        Confirmed = 0 => "confirmed",
+        /// Predicted over one or more frames without a detection.
+        Coasting = 1 => "coasting",
+    }
+}
+
+record! {
+    /// A confirmed or coasting track: element of the topic `tracks` and first section of `context`.
+    pub struct Track: 512 bytes {
+        /// The track's identity; never reused within a run.
+        0 => id: u64,
+        /// The detections' own identity where they carry one, else 0.
+        8 => source_id: u64,
+        /// Stamp of the track's first state.
+        16 => born_ns: i64,
+        /// Time since the last detection that updated the track.
+        24 => unseen_ns: u64,
+        /// [`crate::AgentType`] as a number.
+        32 => agent_type: u32,
+        /// [`TrackStatus`] as a number.
+        36 => status: u32,
+        /// Rows of the covariance in use: 5 for \[x, y, ψ, v, β\], 4 for \[x, y, vx, vy\].
+        40 => state_len: u32,
+        /// 1 once the track is Δt old and has two states in its history, else 0.
+        44 => forecastable: u32,
+        /// Filtered position.
+        48 => x_m: f32,
+        /// Filtered position.
+        52 => y_m: f32,
+        /// Filtered heading; turns by at most 60° from one frame to the next, also where the front is found to be the back.
+        56 => heading_rad: f32,
+        /// Filtered speed along the heading; negative in reverse.
+        60 => speed_mps: f32,
+        /// Filtered slip angle; 0 where the state has none.
+        64 => slip_rad: f32,
+        /// Filtered velocity in the world frame.
+        68 => vx_mps: f32,
+        /// Filtered velocity in the world frame.
+        72 => vy_mps: f32,
+        /// Extent along the heading; 0 where unknown.
+        76 => length_m: f32,
+        /// Extent across the heading; 0 where unknown.
+        80 => width_m: f32,
+        /// Probability that the object exists.
+        84 => existence: f32,
+        /// Probability of each [`crate::AgentType`].
+        88 => type_probability: [f32; 3],
+        /// Covariance of the filtered state, row-major, `state_len` × `state_len`, the rest 0.
+        100 => covariance: [f32; 25],
+        /// States at now − (T_h − 1 − k) Δt, oldest first, in the first `history_len` entries. Once published for a
+        /// stamp, a state is never rewritten.
+        200 => history: [HistoryState; HISTORY_MAX],
+        /// [`crate::Quality`] of what moved the state to this stamp, as a number: a forecast, one that is older than Δt, or the
+        /// process model alone.
+        392 => prior: u32,
+        /// Zero.
+        396 => reserved: [u8; 4],
+        /// Time since the stamp of that forecast's controls; 0 where there is none.
+        400 => prior_age_ns: u64,
+        /// Weight of each of its modes, and last that of the process model alone; they sum to 1.
+        408 => prior_weights: [f32; MODES_MAX + 1],
+        /// Zero.
+        492 => reserved_end: [u8; 20],
+    }
+}

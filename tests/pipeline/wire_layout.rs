@@ -1,0 +1,98 @@
+//! What `stgdat wire` prints, in the hands of those for whom it is: compilers of C and C++, and Python.
+
+use std::path::Path;
+
+use crate::scratch::Scratch;
+use crate::started::{piped, run, run_well, stderr, stdout};
+
+/// The module that the examples in Python use.
+const EXAMPLES_MODULE: &str = include_str!("../examples/stgdat_wire.py");
+
+/// Whether a program can be started here; says so where not.
+fn is_here(program: &str) -> bool {
+    let here = piped(program).arg("--version").output().is_ok_and(|output| output.status.success());
+    if !here {
+        println!("skipped: no {program} on this machine");
+    }
+    here
+}
+
+/// A program ends well.
+fn succeeds(command: &mut std::process::Command) -> String {
+    let output = command.output().unwrap_or_else(|error| panic!("{command:?}: {error}"));
+    assert!(output.status.success(), "{command:?}: {}", stderr(&output));
+    stdout(&output)
+}
+
+/// The header asserts every offset and size itself.
+#[test]
+fn the_c_header_holds_for_c_and_cpp_compilers() {
+    let scratch = Scratch::new("wire-c");
+    scratch.file("stgdat_wire.h", run_well(&["wire", "--c"]).stdout);
+    let use_it = "#include \"stgdat_wire.h\"\n\
+        stgdat_forecast forecast;\nfloat first(void);\nfloat first(void) { return forecast.modes[0][0][1]; }\n";
+    for (compiler, standard, file) in [("cc", "c11", "use.c"), ("c++", "c++17", "use.cpp")] {
+        if is_here(compiler) {
+            let file = scratch.file(file, use_it);
+            let flags = [&format!("-std={standard}"), "-Wall", "-Wextra", "-Werror", "-fsyntax-only"];
+            succeeds(piped(compiler).args(flags).arg(file));
+        }
+    }
+}
+
+#[test]
+fn the_python_examples_have_the_module_of_this_version() {
+    let printed = stdout(&run_well(&["wire", "--python"]));
+    assert!(
+        printed == EXAMPLES_MODULE,
+        "cargo run --release -- wire --python > tests/examples/stgdat_wire.py brings it up to date"
+    );
+}
+
+/// The module asserts every offset and size itself when it is imported.
+#[test]
+fn the_python_module_holds_without_anything_installed() {
+    let python = std::env::var("STGDAT_PYTHON").unwrap_or_else(|_| "python3".into());
+    if !is_here(&python) {
+        return;
+    }
+    let scratch = Scratch::new("wire-python");
+    scratch.file("stgdat_wire.py", EXAMPLES_MODULE);
+    let script = "import stgdat_wire as w; f = w.Forecast; assert f.type_name() == 'stgdat.forecasts.2'\n\
+        f = f(); f.modes[19][11][1] = 7.0; at = f.__class__.modes.offset + (19 * 12 + 11) * 8 + 4\n\
+        import struct; assert struct.unpack('f', bytes(f)[at:at + 4]) == (7.0,)\n\
+        d = w.DTYPES; assert not d or d[w.Forecast]['controls'].shape == (20,)\n";
+    // Alone: with nothing that is installed beside Python, then with what there is.
+    for isolated in [&["-I", "-S"][..], &[]] {
+        let path = Path::new(&scratch.path("")).display().to_string();
+        let script =
+            format!("import sys; sys.dont_write_bytecode = True; sys.path.insert(0, {path:?})\n{script}");
+        succeeds(piped(&python).args(isolated).args(["-c", &script]));
+    }
+}
+
+#[test]
+fn the_json_table_is_the_one_of_the_program() {
+    let table: serde_json::Value =
+        serde_json::from_slice(&run_well(&["wire", "--json"]).stdout).expect("JSON");
+    assert_eq!(table["schema"], wire::SCHEMA);
+    let records = table["records"].as_array().expect("a list");
+    let forecast = records.iter().find(|record| record["name"] == "Forecast").expect("there is one");
+    assert_eq!(forecast["size"], size_of::<wire::Forecast>());
+    let fields = forecast["fields"].as_array().expect("a list");
+    let modes = fields.iter().find(|field| field["name"] == "modes").expect("there are some");
+    assert_eq!(modes["offset"], std::mem::offset_of!(wire::Forecast, modes));
+    assert_eq!(modes["type"]["len"], wire::MODES_MAX);
+    assert_eq!(modes["type"]["array"]["array"]["array"], "f32");
+    let topics = table["topics"].as_array().expect("a list");
+    assert!(topics.iter().any(|topic| topic["type_name"] == "stgdat.forecasts.2"));
+}
+
+#[test]
+fn one_language_at_a_time() {
+    for arguments in [&["wire"][..], &["wire", "--c", "--json"]] {
+        let output = run(arguments);
+        assert!(!output.status.success() && stdout(&output).is_empty());
+        assert!(stderr(&output).contains("--python") || stderr(&output).contains("cannot be used"));
+    }
+}
