@@ -1,6 +1,6 @@
+use association::jpda::SIDE_MAX;
 use config::Prior;
-use filters::Observation;
-use filters::jpda::SIDE_MAX;
+use filters::{OBSERVATIONS_MAX, Observation};
 use wire::{AgentType, DETECTIONS_MAX, Detection, Header, flags};
 
 use crate::estimate::{Birth, Estimate};
@@ -12,6 +12,9 @@ use crate::pairing::Pairing;
 use crate::publication::Publications;
 use crate::scans::Scan;
 use crate::tracker::Tracked;
+
+// A filter takes all the detections that an association gives a track.
+const _: () = assert!(SIDE_MAX <= OBSERVATIONS_MAX);
 
 /// What is believed of all agents at the stamp of a frame.
 #[derive(Debug, Default)]

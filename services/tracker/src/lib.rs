@@ -2,7 +2,7 @@
 //!
 //! A *detection* is what the sensor saw of one object at one time. A *track* is the estimated past of one agent; its
 //! id is never reused. Every frame takes the same way: each track's filter ([`filters`]) is predicted to the frame's
-//! stamp, detections are associated with tracks ([`filters::assignment`]; recordings that carry identities go by these), paired
+//! stamp, detections are associated with tracks ([`association`]; recordings that carry identities go by these), paired
 //! tracks are updated, the others count a miss, and detections without a track start one.
 //!
 //! A new track is *tentative*: unpublished until three of the last five frames that looked for its type have seen it

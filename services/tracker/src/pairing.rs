@@ -1,6 +1,7 @@
+use association::Candidate;
+use association::assignment::Assigner;
+use association::jpda::{Associator, Share};
 use config::Association;
-use filters::assignment::{Assigner, Candidate};
-use filters::jpda::{Associator, Share};
 use wire::{AgentType, Detection};
 
 use crate::estimate::Estimate;

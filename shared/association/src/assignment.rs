@@ -5,18 +5,8 @@
 //! detection is solved by looking, any other by the optimal assignment of the `lsap` crate. Five hundred agents are then
 //! hundreds of tiny problems, not one dense one.
 
+use crate::Candidate;
 use crate::components::Components;
-
-/// A pairing that the gate lets through.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Candidate {
-    /// Number of the track.
-    pub track: u32,
-    /// Number of the detection.
-    pub detection: u32,
-    /// Price of the pairing; finite.
-    pub cost: f64,
-}
 
 /// Solves assignments; holds only scratch memory.
 #[derive(Clone, Debug, Default)]

@@ -1,4 +1,4 @@
-use crate::assignment::Candidate;
+use crate::Candidate;
 
 /// Groups of tracks and detections that candidates connect; holds only scratch memory.
 ///

@@ -8,8 +8,8 @@
 //! ```
 //!
 //! and the probability β_ij of a pair is the share of all events that hold it. A track is then
-//! [updated](crate::Filter::update_jointly) to the moments of its posteriors under each detection, weighted by β, and of its
-//! prior, weighted by that of the miss.
+//! updated to the moments of its posteriors under each detection, weighted by β, and of its prior, weighted by that of the
+//! miss.
 //!
 //! An [`JointAssociation`] enumerates the events of one small component; an [`Associator`] finds the components of a frame.
 

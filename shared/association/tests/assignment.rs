@@ -2,7 +2,8 @@
 
 use std::path::PathBuf;
 
-use filters::assignment::{Assigner, Candidate};
+use association::Candidate;
+use association::assignment::Assigner;
 use proptest::prelude::*;
 
 fn golden(name: &str) -> String {

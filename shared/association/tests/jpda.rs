@@ -2,8 +2,9 @@
 
 use std::path::PathBuf;
 
-use filters::assignment::{Assigner, Candidate};
-use filters::jpda::{Associator, JointAssociation, JpdaFault, SIDE_MAX, Sensor};
+use association::Candidate;
+use association::assignment::Assigner;
+use association::jpda::{Associator, JointAssociation, JpdaFault, SIDE_MAX, Sensor};
 use proptest::prelude::*;
 
 const SENSOR: Sensor = Sensor { detection_probability: 0.9, clutter_density: 0.05 };

@@ -145,7 +145,7 @@ impl Filter {
     /// [`FilterFault`] where the update by any of them fails; the state is then as before.
     ///
     /// # Panics
-    /// If there are more than [`SIDE_MAX`](crate::jpda::SIDE_MAX) observations, or their probabilities are none or add up to
+    /// If there are more than [`OBSERVATIONS_MAX`](crate::OBSERVATIONS_MAX) observations, or their probabilities are none or add up to
     /// more than 1.
     pub fn update_jointly(
         &mut self,

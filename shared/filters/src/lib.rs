@@ -1,4 +1,4 @@
-//! Filters that estimate the motion of agents, in f64, and the [`assignment`] of detections to them.
+//! Filters that estimate the motion of agents, in f64.
 //!
 //! A *prediction* moves a state on in time by its [`Process`], an *update* corrects it by what was observed. Each is
 //! done on a copy that replaces the state only when every number in it is finite, so that a failure costs one step and
@@ -9,9 +9,7 @@
 //! of a model, given as controls of several hypotheses, becomes the process of a [`Mixture`] of
 //! linearised filters, or of [`Particles`].
 
-pub mod assignment;
 mod bicycle;
-mod components;
 mod constant_acceleration;
 mod constant_turn_rate;
 mod constant_velocity;
@@ -19,7 +17,6 @@ mod control;
 mod filter;
 mod gaussian;
 mod innovation;
-pub mod jpda;
 pub mod mixture;
 mod moments;
 mod observation;
@@ -42,7 +39,7 @@ pub use gaussian::{FilterFault, Gaussian};
 pub use innovation::{Evidence, Innovation, MEASURED_MAX};
 pub use mixture::{Mixture, Priors};
 pub use moments::{between, difference, mean, moments, sample_moments};
-pub use observation::{Motion, Observation};
+pub use observation::{Motion, OBSERVATIONS_MAX, Observation};
 pub use particles::Particles;
 pub use process::Process;
 pub use singer::SingerBicycle;

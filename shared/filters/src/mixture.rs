@@ -12,7 +12,7 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
 use crate::control::Plan;
-use crate::jpda::SIDE_MAX;
+use crate::observation::OBSERVATIONS_MAX;
 use crate::process::{missed, steps};
 use crate::weights::{effective_size, log_sum_exp, normalise, systematic};
 use crate::{FilterFault, Forecast, ForecastFault, Gaussian, HYPOTHESES_MAX, Observation, Steered, moments};
@@ -236,7 +236,7 @@ impl<P: Steered<N>, const N: usize> Mixture<P, N> {
             return self.update(&first.1).map(drop);
         }
         let mut fault = FilterFault::NotFinite;
-        let mut own = [*first; SIDE_MAX];
+        let mut own = [*first; OBSERVATIONS_MAX];
         self.next.clear();
         for (component, log_shares) in self.components.iter().zip(&self.log_shares(seen)?) {
             let log_weight = log_sum_exp(log_shares.iter().copied());
@@ -267,9 +267,9 @@ impl<P: Steered<N>, const N: usize> Mixture<P, N> {
     fn log_shares(
         &self,
         seen: &[(f64, Observation)],
-    ) -> Result<[[f64; SIDE_MAX + 1]; HYPOTHESES_MAX + 1], FilterFault> {
+    ) -> Result<[[f64; OBSERVATIONS_MAX + 1]; HYPOTHESES_MAX + 1], FilterFault> {
         let missed = missed(seen);
-        let mut log_shares = [[f64::NEG_INFINITY; SIDE_MAX + 1]; HYPOTHESES_MAX + 1];
+        let mut log_shares = [[f64::NEG_INFINITY; OBSERVATIONS_MAX + 1]; HYPOTHESES_MAX + 1];
         for (j, (probability, seen)) in seen.iter().enumerate() {
             let mut fault = FilterFault::NotFinite;
             for (component, of_component) in self.components.iter().zip(&mut log_shares) {
@@ -288,7 +288,7 @@ impl<P: Steered<N>, const N: usize> Mixture<P, N> {
             }
         }
         for (component, of_component) in self.components.iter().zip(&mut log_shares) {
-            of_component[SIDE_MAX] = component.log_weight + missed.ln();
+            of_component[OBSERVATIONS_MAX] = component.log_weight + missed.ln();
         }
         Ok(log_shares)
     }

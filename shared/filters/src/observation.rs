@@ -2,6 +2,9 @@ use nalgebra::SVector;
 
 use crate::{Innovation, wrapped};
 
+/// Most observations of which at most one is of the agent, in one update.
+pub const OBSERVATIONS_MAX: usize = 5;
+
 /// What a detection tells of an agent's motion. Each optional value comes with its variance.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Observation {

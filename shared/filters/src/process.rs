@@ -1,7 +1,7 @@
 use nalgebra::SVector;
 
 use crate::innovation::Misfit;
-use crate::jpda::SIDE_MAX;
+use crate::observation::OBSERVATIONS_MAX;
 use crate::{Evidence, FilterFault, GAP_MAX_NS, Gaussian, Innovation, Observation, STEP_MAX_NS, moments};
 
 /// How agents move and how they are seen: a state of `N` components, the first two the position, and its noise.
@@ -84,8 +84,9 @@ impl<const N: usize> Gaussian<N> {
         {
             return self.take_in(only, process).map(drop);
         }
-        let mut posteriors = [(0.0, *self); SIDE_MAX + 1];
-        for ((weight, posterior), (probability, seen)) in posteriors[..SIDE_MAX].iter_mut().zip(seen) {
+        let mut posteriors = [(0.0, *self); OBSERVATIONS_MAX + 1];
+        for ((weight, posterior), (probability, seen)) in posteriors[..OBSERVATIONS_MAX].iter_mut().zip(seen)
+        {
             posterior.take_in(seen, process)?;
             *weight = *probability;
         }
@@ -102,7 +103,7 @@ impl<const N: usize> Gaussian<N> {
 
 /// Probability that none of the observations is of the agent; 0 to the bit where a single one is for certain.
 pub(crate) fn missed(seen: &[(f64, Observation)]) -> f64 {
-    assert!(seen.len() <= SIDE_MAX, "{} observations, at most {SIDE_MAX}", seen.len());
+    assert!(seen.len() <= OBSERVATIONS_MAX, "{} observations, at most {OBSERVATIONS_MAX}", seen.len());
     let missed = seen.iter().fold(1.0, |rest, (probability, _)| {
         assert!((0.0..=1.0).contains(probability), "{probability} is no probability");
         rest - probability

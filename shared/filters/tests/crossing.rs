@@ -1,7 +1,8 @@
 //! Two agents that cross among false detections: whether joint association keeps them apart, and its covariances hold.
 
-use filters::assignment::{Assigner, Candidate};
-use filters::jpda::Associator;
+use association::Candidate;
+use association::assignment::Assigner;
+use association::jpda::Associator;
 use filters::{ConstantVelocity, Gaussian, Observation, Process};
 use metrics::tracking::{Consistency, normalised_square};
 use rand::{RngExt, SeedableRng};

@@ -3,12 +3,12 @@
 #[path = "support/bicycle.rs"]
 mod bicycle;
 
+use association::Candidate;
+use association::jpda::{Associator, Share};
 use bicycle::BICYCLE;
-use filters::assignment::Candidate;
-use filters::jpda::{Associator, SIDE_MAX, Share};
 use filters::{
     Bicycle, ConstantVelocity, ControlStep, Filter, FilterFault, Forecast, Gaussian, Mixture, Models,
-    Observation, Priors, Process, Steered, difference, moments,
+    OBSERVATIONS_MAX, Observation, Priors, Process, Steered, difference, moments,
 };
 use nalgebra::{Matrix2, Matrix2x4, SMatrix, Vector2};
 use rand::{RngExt, SeedableRng};
@@ -268,7 +268,7 @@ fn stays_sound<P: Process<N>, const N: usize>(process: &P, start: Gaussian<N>) {
     for tick in 0..10_000 {
         state.predict(rng.random_range(0..200_000_000), process).unwrap();
         let mut rest = 1.0;
-        let seen: Vec<(f64, Observation)> = (0..rng.random_range(0..=SIDE_MAX))
+        let seen: Vec<(f64, Observation)> = (0..rng.random_range(0..=OBSERVATIONS_MAX))
             .map(|_| {
                 let probability = rng.random_range(0.0..=rest);
                 rest -= probability;

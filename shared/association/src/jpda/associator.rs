@@ -1,5 +1,6 @@
 use super::{JointAssociation, SIDE_MAX};
-use crate::assignment::{Assigner, Candidate};
+use crate::Candidate;
+use crate::assignment::Assigner;
 use crate::components::Components;
 
 /// A detection that may be a track's, and the probability that it is.

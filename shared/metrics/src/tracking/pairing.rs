@@ -1,4 +1,5 @@
-use filters::assignment::{Assigner, Candidate};
+use association::Candidate;
+use association::assignment::Assigner;
 
 /// A pair that may be chosen, and what choosing it is worth.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use filters::jpda::{JointAssociation, Sensor};
+use association::jpda::{JointAssociation, Sensor};
 use filters::{Integrator, between, sample_moments};
 use kinematics::Bicycle;
 use nalgebra::{Vector2, Vector5};
