@@ -1,6 +1,6 @@
 use filters::{
     Bicycle, ConstantVelocity, Filter, FilterFault, Forecast, ForecastFault, Gaussian, Integrator, Kind,
-    Mixture, Models, Motion, Observation, Priors, Unknown, acting_share, noise_left, turned_round,
+    Mixture, Models, Motion, Observation, Priors, Unknown, control_gain, noise_left, reversed,
 };
 use wire::{MODES_MAX, Steering};
 
@@ -41,7 +41,7 @@ impl Belief {
         match &mut self.hypotheses {
             None => return self.filter.predict(dt_ns, models),
             Some(Hypotheses::Bicycle(mixture)) => {
-                mixture.priors = trust.bicycle(models, mixture.priors.control_share);
+                mixture.priors = trust.bicycle(models, mixture.priors.control_gain);
                 mixture.predict(dt_ns)?;
             }
             Some(Hypotheses::Displacement(mixture)) => {
@@ -121,7 +121,7 @@ impl Belief {
     /// Front and back exchanged; a forecast told of the old front and takes part no more.
     pub fn turn_round(&mut self) {
         if let Filter::Bicycle(state) = &self.filter {
-            *self = Self::new(Filter::Bicycle(turned_round(state)));
+            *self = Self::new(Filter::Bicycle(reversed(state)));
         }
     }
 
@@ -211,7 +211,7 @@ impl ForecastTrust {
     /// every position by its noise; for it a control that undoes it is an error of its own.
     fn control_share(&self, state: &Gaussian<5>) -> [f64; 2] {
         let share =
-            |component: usize, even: f64| acting_share(even, state.covariance[(component, component)]);
+            |component: usize, even: f64| control_gain(even, state.covariance[(component, component)]);
         [share(3, self.even_speed_mps), share(2, self.even_heading_rad)]
     }
 
@@ -228,7 +228,7 @@ impl ForecastTrust {
             slip_decay_per_s: (1.0 - control_share[1]) * kinematic.slip_decay_per_s,
             ..kinematic
         };
-        Priors { control_share, ..self.priors(kinematic, learned) }
+        Priors { control_gain: control_share, ..self.priors(kinematic, learned) }
     }
 
     fn displacement(&self, models: &Models) -> Priors<ConstantVelocity> {

@@ -1,14 +1,16 @@
 //! Data association: which detection belongs to which track.
 //!
-//! Gating leaves for each track the few detections that may be its own, each pair with a cost: a [`Candidate`]. Two ways
-//! lead from there to what corrects the tracks:
+//! Gating leaves for each track the few detections that may be its own, each pair with a cost: a
+//! [`Candidate`]. Two ways lead from there to what corrects the tracks:
 //!
-//! * [`assignment`] chooses one detection or none for each track, at the least total cost (global nearest neighbour, GNN).
-//! * [`jpda`] gives each pair the probability that it is right, over all ways to pair tracks and detections at once
-//!   (joint probabilistic data association).
+//! * [`assignment`] chooses one detection or none for each track, at the least total cost (global nearest
+//!   neighbour, GNN).
+//! * [`jpda`] gives each pair the probability that it is right, over all ways to pair tracks and detections
+//!   at once (joint probabilistic data association).
 //!
-//! Both solve each *connected component*, tracks and detections that candidates connect, by itself. Neither knows what a
-//! track is: costs come from the caller, [`assignment`] also matches truths with tracks when tracking is evaluated.
+//! Both solve each *connected component*, tracks and detections that candidates connect, by itself. Neither
+//! knows what a track is: costs come from the caller, [`assignment`] also matches truths with tracks when
+//! tracking is evaluated.
 //!
 //! ```
 //! use association::Candidate;

@@ -1,12 +1,12 @@
 //! Filters that estimate the motion of agents, in f64.
 //!
-//! A *prediction* moves a state on in time by its [`Process`], an *update* corrects it by what was observed. Each is
-//! done on a copy that replaces the state only when every number in it is finite, so that a failure costs one step and
-//! never the track. Covariances are updated in Joseph form and kept exactly symmetric: they stay positive over millions
-//! of steps.
+//! A *prediction* moves a state on in time by its [`Process`], an *update* corrects it by what was observed.
+//! Each is done on a copy that replaces the state only when every number in it is finite, so that a failure
+//! costs one step and never the track. Covariances are updated in Joseph form and kept exactly symmetric:
+//! they stay positive over millions of steps.
 //!
-//! A [`Gaussian`] under one process is an (extended) Kalman filter; [`Filter`] holds one of any [`Kind`]. The forecast
-//! of a model, given as controls of several hypotheses, becomes the process of a [`Mixture`] of
+//! A [`Gaussian`] under one process is an (extended) Kalman filter; [`Filter`] holds one of any [`Kind`]. The
+//! forecast of a model, given as controls of several hypotheses, becomes the process of a [`Mixture`] of
 //! linearised filters, or of [`Particles`].
 
 mod bicycle;
@@ -27,18 +27,18 @@ pub mod weights;
 
 pub use kinematics::Integrator;
 
-pub use bicycle::{Bicycle, turned_round};
+pub use bicycle::{Bicycle, reversed};
 pub use constant_acceleration::{ConstantAcceleration, chain_noise};
 pub use constant_turn_rate::ConstantTurnRate;
 pub use constant_velocity::ConstantVelocity;
 pub use control::{
-    Control, ControlStep, Forecast, ForecastFault, HYPOTHESES_MAX, Steered, acting_share, noise_left,
+    Control, ControlStep, Controlled, Forecast, ForecastFault, HYPOTHESES_MAX, control_gain, noise_left,
 };
 pub use filter::{Filter, Kind, Models, Unknown};
 pub use gaussian::{FilterFault, Gaussian};
 pub use innovation::{Evidence, Innovation, MEASURED_MAX};
 pub use mixture::{Mixture, Priors};
-pub use moments::{between, difference, mean, moments, sample_moments};
+pub use moments::{difference, interpolated, mean, moments, sample_moments};
 pub use observation::{Motion, OBSERVATIONS_MAX, Observation};
 pub use particles::Particles;
 pub use process::Process;

@@ -4,8 +4,8 @@
 //! of the ticks lie within its bounds. Only linear filters are; the others come near.
 
 use filters::{
-    Bicycle, ConstantAcceleration, ConstantTurnRate, ConstantVelocity, Control, ControlStep, Forecast,
-    Gaussian, Integrator, Mixture, Observation, Particles, Priors, Process, SingerBicycle, Steered,
+    Bicycle, ConstantAcceleration, ConstantTurnRate, ConstantVelocity, Control, ControlStep, Controlled,
+    Forecast, Gaussian, Integrator, Mixture, Observation, Particles, Priors, Process, SingerBicycle,
     difference,
 };
 use metrics::tracking::{Consistency, ConsistencySummary, chi_square_bounds, normalised_square};
@@ -79,7 +79,7 @@ fn drawn<const N: usize>(
 ) -> SVector<f64, N> {
     let certain = Gaussian::new((*state).into(), [0.0; N]);
     let mut next = step(&certain).sample(|| normal(rng));
-    process.settle(&mut next);
+    process.constrain(&mut next);
     next
 }
 
@@ -216,7 +216,7 @@ struct Scene<P, const N: usize> {
     controls: [ControlStep; HYPOTHESES * STEPS],
 }
 
-impl<P: Steered<N> + Copy, const N: usize> Scene<P, N> {
+impl<P: Controlled<N> + Copy, const N: usize> Scene<P, N> {
     /// Hypotheses about a circle of the given radii in the plane of controls, some likelier than others.
     fn new(priors: Priors<P>, start: Gaussian<N>, radius: [f64; 2], cholesky: [f64; 3]) -> Self {
         let controls = std::array::from_fn(|i| {
@@ -266,13 +266,13 @@ impl<P: Steered<N> + Copy, const N: usize> Scene<P, N> {
         let after_ns = (age_ns + TICK_NS / 2).checked_sub(P::first_ns(STEP_NS));
         let number = after_ns.map_or(0, |after_ns| 1 + (after_ns / STEP_NS) as usize);
         let told: Control = P::control(steps, number, STEP_NS as f64 / 1e9, self.forecast().heading_rad);
-        let [a, b] = self.priors.control_share;
+        let [a, b] = self.priors.control_gain;
         let control = Control {
             rate: [a * told.rate[0], b * told.rate[1]],
             density: [a * a * told.density[0], a * b * told.density[1], b * b * told.density[2]],
         };
         let process = &self.priors.learned;
-        drawn(process, state, |from| process.steer(from, &control, TICK_S), rng)
+        drawn(process, state, |from| process.step_controlled(from, &control, TICK_S), rng)
     }
 
     /// Runs of a filter made of the seed, which is told forecasts, moved and corrected.
@@ -339,7 +339,7 @@ fn vehicles() -> Scene<Bicycle, 5> {
 fn vehicles_in_part() -> Scene<Bicycle, 5> {
     let Scene { start, .. } = vehicles();
     let learned = Bicycle { slip_decay_per_s: 0.4 * DECAYING.slip_decay_per_s, ..STEERED };
-    let priors = Priors { control_share: [0.8, 0.6], ..Priors::new(DECAYING, learned) };
+    let priors = Priors { control_gain: [0.8, 0.6], ..Priors::new(DECAYING, learned) };
     Scene::new(priors, start, [2.0, 0.1], [0.5, 0.0, 0.05])
 }
 

@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use filters::{
     Bicycle, ConstantAcceleration, ConstantTurnRate, ConstantVelocity, Filter, FilterFault, Gaussian,
-    Integrator, Kind, Models, Observation, Process, Unknown, turned_round, wrapped,
+    Integrator, Kind, Models, Observation, Process, Unknown, reversed, wrapped,
 };
 use nalgebra::{SMatrix, SVector, Vector5};
 use proptest::prelude::*;
@@ -400,11 +400,11 @@ proptest! {
         heading in -3.0_f64..3.0, speed in -15.0_f64..15.0, slip in -0.4_f64..0.4,
     ) {
         let start = Gaussian::new([3.0, 4.0, heading, speed, slip], [0.2, 0.3, 0.02, 1.5, 0.01]);
-        let turned = turned_round(&start);
+        let turned = reversed(&start);
         let (a, b) = (Filter::Bicycle(start).motion(), Filter::Bicycle(turned).motion());
         prop_assert!((a.velocity_mps[0] - b.velocity_mps[0]).abs() < 1e-9);
         prop_assert!((a.velocity_mps[1] - b.velocity_mps[1]).abs() < 1e-9);
-        let back = turned_round(&turned);
+        let back = reversed(&turned);
         prop_assert!((back.covariance - start.covariance).amax() < 1e-9);
 
         // The noise is told from one end, so the motion alone is compared.

@@ -7,8 +7,8 @@ use association::Candidate;
 use association::jpda::{Associator, Share};
 use bicycle::BICYCLE;
 use filters::{
-    Bicycle, ConstantVelocity, ControlStep, Filter, FilterFault, Forecast, Gaussian, Mixture, Models,
-    OBSERVATIONS_MAX, Observation, Priors, Process, Steered, difference, moments,
+    Bicycle, ConstantVelocity, ControlStep, Controlled, Filter, FilterFault, Forecast, Gaussian, Mixture,
+    Models, OBSERVATIONS_MAX, Observation, Priors, Process, difference, moments,
 };
 use nalgebra::{Matrix2, Matrix2x4, SMatrix, Vector2};
 use rand::{RngExt, SeedableRng};
@@ -150,7 +150,7 @@ fn an_observation_that_fails_leaves_the_state() {
 
 /// A mixture of four hypotheses that speed up and steer apart, and the kinematic component.
 #[expect(clippy::unwrap_used, reason = "a failure here is the test's")]
-fn mixture_of<P: Steered<N> + Copy, const N: usize>(process: P, start: Gaussian<N>) -> Mixture<P, N> {
+fn mixture_of<P: Controlled<N> + Copy, const N: usize>(process: P, start: Gaussian<N>) -> Mixture<P, N> {
     let priors = Priors { kinematic_weight: 0.2, ..Priors::new(process, process) };
     let mut mixture = Mixture::new(start, priors, 3);
     let controls = [[2.0, 0.1], [2.0, -0.1], [-2.0, 0.1], [-2.0, -0.1]];
@@ -174,7 +174,7 @@ fn mixture() -> Mixture<Bicycle, 5> {
 /// Whether a mixture knows of all observations what it knows of each: by its weights, and by its moments, which are
 /// returned beside those expected.
 #[expect(clippy::unwrap_used, reason = "a failure here is the test's")]
-fn jointly<P: Steered<N> + Copy, const N: usize>(
+fn jointly<P: Controlled<N> + Copy, const N: usize>(
     prior: &Mixture<P, N>,
     seen: &[(f64, Observation)],
 ) -> (Gaussian<N>, Gaussian<N>) {

@@ -5,8 +5,8 @@ mod bicycle;
 
 use bicycle::BICYCLE;
 use filters::{
-    Bicycle, ConstantVelocity, ControlStep, Forecast, ForecastFault, Gaussian, Integrator, Mixture,
-    Observation, Priors, Steered, wrapped,
+    Bicycle, ConstantVelocity, ControlStep, Controlled, Forecast, ForecastFault, Gaussian, Integrator,
+    Mixture, Observation, Priors, wrapped,
 };
 use nalgebra::{SMatrix, Vector2, Vector5};
 use rand::{RngExt, SeedableRng};
@@ -45,7 +45,10 @@ fn is_sound<const N: usize>(state: &Gaussian<N>) -> bool {
 
 /// A single hypothesis that asks for nothing is the plain filter, to the bit.
 #[expect(clippy::unwrap_used, reason = "a failure here is the test's")]
-fn one_idle_hypothesis_is_the_filter<P: Steered<N> + Copy, const N: usize>(process: P, start: Gaussian<N>) {
+fn one_idle_hypothesis_is_the_filter<P: Controlled<N> + Copy, const N: usize>(
+    process: P,
+    start: Gaussian<N>,
+) {
     let mut plain = start;
     let priors = Priors { kinematic_weight: 0.0, ..Priors::new(process, process) };
     let mut mixture = Mixture::new(start, priors, 1);
@@ -140,8 +143,8 @@ fn a_vehicle_goes_where_the_forecast_leads() {
 #[test]
 fn half_of_a_control_is_half_a_control() {
     let start = Gaussian::new([0.0, 0.0, 0.4, 6.0, 0.01], [0.1, 0.1, 0.01, 0.2, 0.001]);
-    let moved = |control_share, mean, cholesky| {
-        let priors = Priors { control_share, ..Priors::new(BICYCLE, STEERED) };
+    let moved = |control_gain, mean, cholesky| {
+        let priors = Priors { control_gain, ..Priors::new(BICYCLE, STEERED) };
         let mut mixture = Mixture::new(start, priors, 1);
         mixture.adopt(&forecast(&steady(&[mean], cholesky))).unwrap();
         for _ in 0..20 {
@@ -158,7 +161,7 @@ fn half_of_a_control_is_half_a_control() {
 #[test]
 fn controls_come_in_gradually() {
     let start = Gaussian::new([0.0, 0.0, 0.4, 6.0, 0.0], [0.0; 5]);
-    let priors = Priors { kinematic_weight: 0.0, faded_in_s: 0.8, ..Priors::new(BICYCLE, STEERED) };
+    let priors = Priors { kinematic_weight: 0.0, fade_in_s: 0.8, ..Priors::new(BICYCLE, STEERED) };
     let mut mixture = Mixture::new(start, priors, 1);
     mixture.adopt(&forecast(&steady(&[[1.5, 0.0]], [0.0; 3]))).unwrap();
     for tick in 1..=30 {
@@ -225,7 +228,7 @@ fn measurements_find_the_hypothesis_that_holds() {
         let control = Bicycle::control(&sets.1[STEPS * true_hypothesis..][..1], 0, 0.4, 0.0);
         let mut fewest = usize::MAX;
         for tick in 1..=45 {
-            truth = STEERED.steer(&truth, &control, 0.08);
+            truth = STEERED.step_controlled(&truth, &control, 0.08);
             mixture.predict(TICK_NS).unwrap();
             plain.predict(TICK_NS, &BICYCLE).unwrap();
             if tick <= 25 {
@@ -307,7 +310,7 @@ fn forecasts_that_tell_nothing_are_refused() {
 
 /// 10,000 ticks of anything: teleports, impossible variances, forecasts without sense.
 #[expect(clippy::unwrap_used, reason = "a failure here is the test's")]
-fn stays_sound<P: Steered<N> + Copy, const N: usize>(process: P, start: Gaussian<N>) {
+fn stays_sound<P: Controlled<N> + Copy, const N: usize>(process: P, start: Gaussian<N>) {
     let mut rng = ChaCha8Rng::seed_from_u64(17);
     let mut mixture = Mixture::new(start, Priors::new(process, process), 17);
     let mut updated = 0;

@@ -4,8 +4,8 @@
 use std::path::PathBuf;
 
 use filters::{
-    Bicycle, ConstantVelocity, Control, ControlStep, Forecast, Gaussian, Innovation, Integrator, Mixture,
-    Observation, Particles, Priors, Process, Steered, between, sample_moments, wrapped,
+    Bicycle, ConstantVelocity, Control, ControlStep, Controlled, Forecast, Gaussian, Innovation, Integrator,
+    Mixture, Observation, Particles, Priors, Process, interpolated, sample_moments, wrapped,
 };
 use nalgebra::{SVector, Vector2};
 
@@ -44,11 +44,11 @@ impl Process<2> for RandomWalk {
         Innovation::of_position([x - mean[0], y - mean[1]], seen.position_variance)
     }
 
-    fn settle(&self, _: &mut Vector2<f64>) {}
+    fn constrain(&self, _: &mut Vector2<f64>) {}
 }
 
-impl Steered<2> for RandomWalk {
-    fn steer(&self, state: &Gaussian<2>, _: &Control, dt_s: f64) -> Gaussian<2> {
+impl Controlled<2> for RandomWalk {
+    fn step_controlled(&self, state: &Gaussian<2>, _: &Control, dt_s: f64) -> Gaussian<2> {
         self.step(state, dt_s)
     }
 
@@ -81,8 +81,8 @@ fn the_particle_filter_agrees_with_the_reference() {
         assert!((log_likelihood + constant - number("loglik_unnormalised")).abs() < 1e-9);
         assert!((particles.effective_size() - number("ess")).abs() < 1e-9);
         assert!((particles.moments().mean - numbers::<2>(&expected["mean"])).amax() < 1e-9);
-        assert_eq!(particles.is_poor(), expected["resampled"].as_bool().unwrap());
-        if particles.is_poor() {
+        assert_eq!(particles.is_degenerate(), expected["resampled"].as_bool().unwrap());
+        if particles.is_degenerate() {
             let before: Vec<Vector2<f64>> = particles.particles().map(|p| *p.2).collect();
             particles.resample(all["u"][k].as_f64().unwrap());
             let chosen = expected["idx"].as_array().unwrap().iter().map(|i| i.as_u64().unwrap() as usize);
@@ -110,7 +110,7 @@ fn moments_of_samples_agree_with_the_reference() {
         let at = query["tau"].as_f64().unwrap() / step_s;
         let k = (at.floor() as usize).min(samples[0].len() - 2);
         let points: Vec<_> =
-            samples.iter().map(|s| between(&s[k], &s[k + 1], at - k as f64, angles)).collect();
+            samples.iter().map(|s| interpolated(&s[k], &s[k + 1], at - k as f64, angles)).collect();
         let found = sample_moments(&points, angles);
         let mut off = found.mean - numbers::<5>(&query["mean"]);
         off[2] = wrapped(off[2]);
