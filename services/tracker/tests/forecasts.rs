@@ -141,7 +141,7 @@ fn straight_on_error_m(options: TrackerOptions, sigma_m: f64, seed: u64) -> f64 
 #[test]
 fn controls_that_undo_noise_are_not_trusted() {
     let mut in_full = options(Prior::Learned);
-    in_full.detector.trust.even_heading_rad = 1e3;
+    in_full.detector.trust.half_gain_heading_rad = 1e3;
     let rms_m = |options| {
         let squares = (0..100).map(|seed| straight_on_error_m(options, 0.3, seed).powi(2));
         (squares.sum::<f64>() / 100.0).sqrt()

@@ -173,7 +173,7 @@ fn frames_in_any_order_give_the_same_estimates_to_the_bit() {
             let straight: Vec<usize> = (0..120).collect();
             let straight = deliver(&scene, &straight, options, identities);
             let late = deliver(&scene, &order, options, identities);
-            late_len += late.run.tracker.tally().late_len;
+            late_len += late.run.tracker.tally().out_of_sequence_len;
             let mut ids = [BTreeMap::new(), BTreeMap::new()];
             for frame in late.settled {
                 // Births are the same; ids are where none came late.

@@ -67,7 +67,7 @@ pub fn torture(prior: Prior, association: Association, seed: u64, ticks_len: usi
         survived.faults_len += tracked.faults_len;
         survived.published_len += tracks_len;
     }
-    survived.late_len = tracker.tally().late_len;
+    survived.late_len = tracker.tally().out_of_sequence_len;
     survived
 }
 
