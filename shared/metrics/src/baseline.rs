@@ -217,7 +217,7 @@ mod tests {
     }
 
     #[test]
-    fn decaying_turn_rate_integrates_to_the_course_at_constant_speed() {
+    fn decaying_turn_rate_integrates_to_the_course() {
         // 0.5 rad/s that decays in 2 s turns by 1 rad in all.
         let history = [state([0.0; 2], [8.0, 0.0], -0.25), state([0.0; 2], [8.0, 0.0], 0.0)];
         let forecast = constant_turn_rate_acceleration(&history, 0.5, 60).expect("present");

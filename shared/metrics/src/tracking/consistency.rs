@@ -210,8 +210,18 @@ mod tests {
 
     #[test]
     fn bounds_of_invalid_parameters_are_refused() {
-        for (degrees, level) in [(0, 0.95), (DEGREES_MAX + 1, 0.95), (1, 0.0), (1, 1.0), (1, f64::NAN)] {
-            assert!(chi_square_bounds(degrees, level).is_err(), "{degrees} {level}");
+        for (name, degrees, level) in [
+            ("degrees", 0, 0.95),
+            ("degrees", DEGREES_MAX + 1, 0.95),
+            ("level", 1, 0.0),
+            ("level", 1, 1.0),
+            ("level", 1, f64::NAN),
+        ] {
+            let refused = chi_square_bounds(degrees, level).unwrap_err();
+            assert!(
+                matches!(refused, TrackingError::Value { name: found, .. } if found == name),
+                "{refused}"
+            );
         }
     }
 
@@ -260,8 +270,14 @@ mod tests {
     #[test]
     fn invalid_squares_are_refused_and_none_have_no_summary() {
         let mut consistency = Consistency::default();
-        for (square, degrees) in [(f64::NAN, 2), (-1.0, 2), (f64::INFINITY, 2), (1.0, 0)] {
-            assert!(consistency.add(0, square, degrees).is_err(), "{square} {degrees}");
+        for (name, square, degrees) in
+            [("square", f64::NAN, 2), ("square", -1.0, 2), ("square", f64::INFINITY, 2), ("degrees", 1.0, 0)]
+        {
+            let refused = consistency.add(0, square, degrees).unwrap_err();
+            assert!(
+                matches!(refused, TrackingError::Value { name: found, .. } if found == name),
+                "{refused}"
+            );
         }
         assert_eq!(consistency.summary(0.95), Ok(None));
     }
