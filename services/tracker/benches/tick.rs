@@ -178,9 +178,9 @@ fn main() -> std::io::Result<()> {
             let ms = |rank: usize| times[rank] * 1e3;
             let (median_ms, p99_ms) = (ms(TICKS / 2), ms(TICKS * 99 / 100));
             let each_us = median_ms * 1e3 / scene.agents_len as f64;
-            let (name, seen_len) = (&scene.name, scene.frames[0].len());
+            let (name, detected_len) = (&scene.name, scene.frames[0].len());
             println!(
-                "| {name} | {seen_len} | {held_len} | {prior:?} | {median_ms:.3} | {p99_ms:.3} | {each_us:.2} |"
+                "| {name} | {detected_len} | {held_len} | {prior:?} | {median_ms:.3} | {p99_ms:.3} | {each_us:.2} |"
             );
         }
     }

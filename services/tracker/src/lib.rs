@@ -27,7 +27,8 @@
 //! Each module imports only from the lines below its own.
 //!
 //! ```text
-//! stage, settings       ports and the run's options
+//! stage                 the ports
+//! settings              the run's options
 //! tracker               the steps above, frame by frame
 //! replay                out-of-sequence frames: scans, checkpoints, rollback
 //! estimates             predict, associate, update and manage all agents

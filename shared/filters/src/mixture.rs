@@ -226,7 +226,8 @@ impl<P: Controlled<N>, const N: usize> Mixture<P, N> {
     /// of the mixture's posteriors under each observation and of the mixture itself:
     ///
     /// ```text
-    /// w'_k = Σ_j s_kj      s_kj = w_k β_j N_k(y_j) / Σ_i w_i N_i(y_j)      s_k0 = w_k β_0      β_kj = s_kj / w'_k
+    /// s_kj = w_k β_j N_k(y_j) / Σ_i w_i N_i(y_j)      s_k0 = w_k β_0
+    /// w'_k = Σ_j s_kj      β_kj = s_kj / w'_k
     /// ```
     ///
     /// A component that fails is dropped.

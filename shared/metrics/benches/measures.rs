@@ -1,5 +1,5 @@
-//! Times of the measures for one agent with 20 modes of 12 steps, which an evaluation repeats for every window, and of
-//! those of tracking for frames of 100 objects.
+//! Times of the measures for one agent with 20 modes of 12 steps, which an evaluation repeats for every
+//! window, and of those of tracking for frames of 100 objects.
 
 use std::hint::black_box;
 

@@ -12,7 +12,7 @@
 //! | [`SetDistance::gospa`] | distance of two sets, with its components | Rahmathullah et al. 2017 |
 //! | [`SetDistance::ospa`] | the same per object | Schuhmacher et al. 2008 |
 //! | [`StateErrors`] | RMSE and MAE of position and velocity | |
-//! | [`Consistency`] | whether covariances are consistent with errors (NEES, NIS) | Bar-Shalom et al. 2001, §5.4 |
+//! | [`Consistency`] | whether covariances fit the errors (NEES, NIS) | Bar-Shalom et al. 2001, §5.4 |
 //!
 //! The first three take [`Frame`]s in the order of time and return counts at the end, from which every ratio
 //! follows; counts of several recordings can be merged, and the ratios of the sum are those of the recordings

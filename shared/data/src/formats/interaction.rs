@@ -6,17 +6,18 @@
 //! | pedestrians and cyclists, as published | `track_id,frame_id,timestamp_ms,agent_type,x,y,vx,vy` |
 //! | the same without velocities | `track_id,frame_id,timestamp_ms,agent_type,x,y` |
 //!
-//! Pedestrians and cyclists have ids `P1`, `P2`, …; `P7` comes out as 1,000,000,007. A velocity gives the speed, and the
-//! heading from 0.1 m/s on.
+//! Pedestrians and cyclists have ids `P1`, `P2`, …; `P7` comes out as 1,000,000,007. A velocity gives the
+//! speed, and the heading from 0.1 m/s on.
 //!
-//! **Observed types.** The published files have a row in every frame of the vehicles' 10 Hz, so every frame observes
-//! pedestrians and cyclists. Files that were thinned to every fourth frame (2.5 Hz) are recognised by their stamps: most
-//! are whole multiples of 0.4 s. Then only frames at those multiples, and any other with a row of theirs, observe
-//! pedestrians and cyclists.
+//! **Observed types.** The published files have a row in every frame of the vehicles' 10 Hz, so every frame
+//! observes pedestrians and cyclists. Files that were thinned to every fourth frame (2.5 Hz) are recognised
+//! by their stamps: most are whole multiples of 0.4 s. Then only frames at those multiples, and any other
+//! with a row of theirs, observe pedestrians and cyclists.
 //!
-//! **Cyclists.** The data know one class `pedestrian/bicycle`. An agent counts as a pedestrian until the running median
-//! of its speeds (at least three of them, over at least 1.2 s) exceeds 2.5 m/s, and as a cyclist from then on, so that
-//! the class at a time depends on nothing later. The speeds are the file's where it has them, else those from row to row.
+//! **Cyclists.** The data know one class `pedestrian/bicycle`. An agent counts as a pedestrian until the
+//! running median of its speeds (at least three of them, over at least 1.2 s) exceeds 2.5 m/s, and as a
+//! cyclist from then on, so that the class at a time depends on nothing later. The speeds are the file's
+//! where it has them, else those from row to row.
 
 use std::cmp::Reverse;
 use std::collections::{BTreeMap, BinaryHeap};
@@ -195,7 +196,8 @@ fn is_pedestrian(detection: &Detection) -> bool {
     detection.id >= PEDESTRIAN_IDS
 }
 
-/// The interval of the file of pedestrians and cyclists: 0.4 s where most of its stamps are whole multiples of that.
+/// The interval of the file of pedestrians and cyclists: 0.4 s where most of its stamps are whole multiples
+/// of that.
 fn pedestrian_interval_ns(rows: &[Row<'_>]) -> u64 {
     let stamps_ns = || rows.iter().filter(|row| is_pedestrian(&row.detection)).map(|row| row.stamp_ns);
     let multiples_len = stamps_ns().filter(|stamp_ns| stamp_ns % THINNED_INTERVAL_NS as i64 == 0).count();
@@ -203,7 +205,8 @@ fn pedestrian_interval_ns(rows: &[Row<'_>]) -> u64 {
     if is_thinned { THINNED_INTERVAL_NS } else { INTERVAL_NS }
 }
 
-/// Whether a frame observed pedestrians and cyclists: at the ticks of their clock, and wherever there is one of them.
+/// Whether a frame observed pedestrians and cyclists: at the ticks of their clock, and wherever there is one
+/// of them.
 fn observes_pedestrians(frame: &Frame, interval_ns: u64) -> bool {
     frame.stamp_ns % interval_ns as i64 == 0 || frame.detections.iter().any(is_pedestrian)
 }
@@ -226,7 +229,8 @@ struct RunningSpeed {
     first_ns: Option<i64>,
     last: Option<(i64, [f32; 2])>,
     is_cyclist: bool,
-    /// The slower half of the speeds, and one more where their number is odd; as bits, which order as the speeds do.
+    /// The slower half of the speeds, and one more where their number is odd; as bits, which order as the
+    /// speeds do.
     slower: BinaryHeap<u32>,
     /// The faster half of the speeds.
     faster: BinaryHeap<Reverse<u32>>,
@@ -275,7 +279,8 @@ impl RunningSpeed {
 mod tests {
     use super::*;
 
-    /// Whether an agent counts as a cyclist after each row; the speed of a row is that since the row before it.
+    /// Whether an agent counts as a cyclist after each row; the speed of a row is that since the row before
+    /// it.
     fn classified(interval_ms: i64, speeds_mps: &[f32], has_speed: bool) -> Vec<bool> {
         let mut running = RunningSpeed::default();
         let mut x_m = 0.0;
