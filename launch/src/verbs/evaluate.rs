@@ -96,6 +96,7 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
             let mut report = evaluate(name, arguments, &arguments.weights_dir)?;
             let beside = arguments.beside.iter().map(|folder| evaluate(name, arguments, folder));
             report.add_beside(&beside.collect::<Result<Vec<_>, _>>()?);
+            report.left_out.iter().for_each(|line| eprintln!("warning: left out: {line}"));
             vec![Written::of_forecasts(&report, name)]
         }
     };

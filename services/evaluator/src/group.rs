@@ -39,8 +39,9 @@ impl Group {
     /// The agents of one subset of some blocks; `subset` is its place among the blocks' tallies.
     #[must_use]
     pub fn new(part: &str, subset: Subset, place: usize, blocks: &[Block]) -> Self {
-        let blocks = blocks.iter().map(|block| block.tallies[place].clone());
-        Self::of_tallies(part, subset, "m", blocks.filter(|tally| !tally.is_empty()).collect())
+        let tallies = || blocks.iter().map(|block| &block.tallies[place]);
+        let counted = tallies().filter(|tally| !tally.is_empty()).cloned().collect();
+        Self::of_tallies(part, subset, "m", horizons_len(tallies()), counted)
     }
 
     /// All agents of several groups.
@@ -48,18 +49,24 @@ impl Group {
     pub fn pooled(part: &str, groups: &[&Self]) -> Self {
         let (subset, unit) = groups.first().map_or((Subset::All, "m"), |group| (group.subset, group.unit));
         let blocks = groups.iter().flat_map(|group| group.blocks.iter().cloned()).collect();
-        Self::of_tallies(part, subset, unit, blocks)
+        Self::of_tallies(part, subset, unit, horizons_len(groups.iter().map(|group| &group.total)), blocks)
     }
 
     /// The same errors in another unit, so many of which make a metre.
     #[must_use]
     pub fn scaled(&self, unit: &'static str, per_m: f64) -> Self {
         let blocks = self.blocks.iter().map(|tally| tally.clone().scaled(per_m)).collect();
-        Self::of_tallies(&self.part, self.subset, unit, blocks)
+        Self::of_tallies(&self.part, self.subset, unit, self.total.horizons_len(), blocks)
     }
 
-    fn of_tallies(part: &str, subset: Subset, unit: &'static str, blocks: Vec<Tally>) -> Self {
-        let horizons_len = blocks.first().map_or(0, Tally::horizons_len);
+    /// The sum of `blocks`; it has its horizons even where there is no block.
+    fn of_tallies(
+        part: &str,
+        subset: Subset,
+        unit: &'static str,
+        horizons_len: usize,
+        blocks: Vec<Tally>,
+    ) -> Self {
         let mut total = Tally::new(horizons_len);
         blocks.iter().for_each(|block| total.merge(block));
         Self { part: part.to_owned(), subset, unit, total, blocks }
@@ -116,4 +123,9 @@ impl Group {
     pub const fn blocks_len(&self) -> usize {
         self.blocks.len()
     }
+}
+
+/// The number of horizons of tallies that have the same.
+fn horizons_len<'a>(mut tallies: impl Iterator<Item = &'a Tally>) -> usize {
+    tallies.next().map_or(0, Tally::horizons_len)
 }

@@ -235,7 +235,7 @@ impl Judge<'_> {
             let config = self.forecaster.config();
             let (limits, dt_s) = (limits(agent, config), config.dt_s as f32);
             for trajectory in of_method.modes.iter().map(Vec::as_slice).chain([of_method.best]) {
-                tally.broken[ours].add(limits.broken_by(&now, trajectory, dt_s));
+                tally.broken[ours].add(limits.violated_by(&now, trajectory, dt_s));
             }
         }
         Judged { agent, candidates, tally }
@@ -272,7 +272,7 @@ impl Judge<'_> {
             }
             let truth = &agent.future[..steps];
             let misses = |errors: metrics::Displacement| errors.is_miss().unwrap_or_default();
-            sureness.missed_best.add(misses(metrics::best_of(forecast.modes, truth)));
+            sureness.missed_best.add(misses(metrics::min_displacement(forecast.modes, truth)));
             sureness.missed_single.add(misses(metrics::displacement(forecast.best, truth)));
             first = steps;
         }

@@ -43,6 +43,8 @@ pub struct Report {
     pub title: String,
     /// By which weights.
     pub provenance: Vec<Provenance>,
+    /// What the tables leave out and why, a line each.
+    pub left_out: Vec<String>,
     /// For people.
     tables: Vec<Table>,
     /// For machines.
@@ -152,6 +154,13 @@ impl Report {
             text += &format!("{heading}{}", table.markdown(&made));
             text += "\n";
         }
+        if !self.left_out.is_empty() {
+            text += "Left out:\n\n";
+            for line in &self.left_out {
+                text += &format!("* {line}\n");
+            }
+            text += "\n";
+        }
         text += "Weights and maps of the tables above:\n\n";
         for provenance in &self.provenance {
             text += &format!("* {}\n", provenance.line());
@@ -194,7 +203,8 @@ impl Report {
     /// Everything as JSON.
     #[must_use]
     pub fn json(&self) -> serde_json::Value {
-        serde_json::json!({ "title": self.title, "provenance": self.provenance, "figures": self.figures })
+        let Self { title, provenance, left_out, figures, .. } = self;
+        serde_json::json!({ "title": title, "provenance": provenance, "left_out": left_out, "figures": figures })
     }
 
     /// Of the weights of a part; a part is named like its provenance or begins like it.

@@ -1,6 +1,6 @@
 //! Sums of errors over agents, from which every table is made.
 
-use metrics::{Displacement, Mean, Share, displacement, joint_best_of};
+use metrics::{Displacement, Mean, Share, displacement, joint_min_displacement};
 
 use crate::baselines::Candidate;
 use crate::{Agent, Method};
@@ -211,7 +211,7 @@ impl Tally {
                     self.counts[method][measure.index()] += u64::from(horizon == 0);
                 };
                 if !modes.is_empty() {
-                    add(Measure::BestOf, metrics::best_of(modes, truth));
+                    add(Measure::BestOf, metrics::min_displacement(modes, truth));
                 }
                 if let Some(single) = single {
                     add(Measure::Single, displacement(single, truth));
@@ -245,14 +245,14 @@ impl Tally {
                 let truths = scene.iter().map(|(agent, _)| &agent.future[..steps]);
                 let plain = scene.iter().map(|(_, candidates)| &candidates[method].modes[..]);
                 let pairs: Vec<_> = plain.zip(truths.clone()).collect();
-                self.add_joint(method, Measure::Joint, horizon, joint_best_of(&pairs));
+                self.add_joint(method, Measure::Joint, horizon, joint_min_displacement(&pairs));
                 if let Some(ranked) = &ranked {
                     let pairs: Vec<_> = ranked.iter().map(Vec::as_slice).zip(truths.clone()).collect();
-                    self.add_joint(method, Measure::JointRanked, horizon, joint_best_of(&pairs));
+                    self.add_joint(method, Measure::JointRanked, horizon, joint_min_displacement(&pairs));
                 }
                 if let Some(narrowed) = &narrowed {
                     let pairs: Vec<_> = narrowed.iter().map(Vec::as_slice).zip(truths).collect();
-                    self.add_joint(method, Measure::JointNarrowed, horizon, joint_best_of(&pairs));
+                    self.add_joint(method, Measure::JointNarrowed, horizon, joint_min_displacement(&pairs));
                 }
             }
         }
@@ -285,7 +285,7 @@ fn narrowed(candidate: &Candidate, present: usize) -> Option<Vec<Vec<metrics::Po
     let single = candidate.single.as_ref()?;
     let own = metrics::joint_spread(present, candidate.modes.len());
     let future =
-        |(k, mode): (usize, &Vec<_>)| metrics::part_way(single, mode, if k % 2 == 0 { 1.0 } else { own });
+        |(k, mode): (usize, &Vec<_>)| metrics::interpolated(single, mode, if k % 2 == 0 { 1.0 } else { own });
     Some(candidate.modes.iter().enumerate().map(future).collect())
 }
 

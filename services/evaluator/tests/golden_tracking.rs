@@ -29,8 +29,10 @@ fn folder() -> tempfile::TempDir {
     let folder = tempfile::tempdir().unwrap();
     let filters = shared("filters/tests/golden");
     copy_all(&filters, &folder.path().join("filters"));
-    copy_all(&filters.join("assignment"), &folder.path().join("assignment"));
     copy_all(&filters.join("unit"), &folder.path().join("unit"));
+    let association = shared("association/tests/golden");
+    copy_all(&association.join("assignment"), &folder.path().join("assignment"));
+    copy_all(&association.join("unit"), &folder.path().join("unit"));
     copy_all(&shared("metrics/tests/golden/tracking"), &folder.path().join("metrics"));
     // The largest matrices are not among the copies.
     let assignment = folder.path().join("assignment");

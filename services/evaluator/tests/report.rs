@@ -36,6 +36,15 @@ fn straight(folder: &Path, steps: usize) -> PathBuf {
     path
 }
 
+/// A vehicle that stands for `steps` tenths of a second.
+fn parked(folder: &Path, steps: usize) -> PathBuf {
+    let row = |step: usize| format!("{:.1},1,vehicle,3,4,0,0,4.5,1.8\n", step as f64 * 0.1);
+    let head = "stamp_s,id,type,x_m,y_m,heading_rad,speed_mps,length_m,width_m\n";
+    let path = folder.join(format!("parked_{steps}.csv"));
+    std::fs::write(&path, head.to_owned() + &(0..steps).map(row).collect::<String>()).unwrap();
+    path
+}
+
 /// Generated traffic with all agent types.
 fn traffic(folder: &Path) -> PathBuf {
     let options = SceneOptions { agents: 10, identities: true, clutter_mean: 0.0, ..SceneOptions::default() };
@@ -166,6 +175,55 @@ fn a_model_of_other_steps_is_refused() {
     let error = evaluator::sdd(&options(folder.path(), Some(path), 1), |_| ()).unwrap_err();
     assert!(matches!(error, EvaluateError::Steps { .. }), "{error}");
     assert!(error.to_string().contains("5 + 12 steps of 0.4 s"), "{error}");
+}
+
+#[test]
+fn recordings_without_a_complete_agent_are_left_out() {
+    let folder = tempfile::tempdir().unwrap();
+    let options = options(folder.path(), None, 2);
+    let [whole, short] = [straight(folder.path(), 120), parked(folder.path(), 40)];
+    let of = |paths: &[PathBuf]| evaluator::files(&options, paths, None, false, |_| ());
+    let alone = evaluate(&options, &whole).unwrap();
+    for paths in [[whole.clone(), short.clone()], [short.clone(), whole]] {
+        let report = of(&paths).unwrap();
+        assert_eq!(report.csv(), alone.csv(), "the others are judged as without it");
+        let name = format!("{}/parked_40", folder.path().file_name().unwrap().display());
+        let line = format!("{name}: no agent is present over 20 steps of 0.4 s");
+        assert_eq!(report.left_out, std::slice::from_ref(&line));
+        assert_eq!(report.json()["left_out"][0], line);
+        for text in [report.markdown(), report.summary()] {
+            assert!(text.contains(&format!("Left out:\n\n* {line}\n")), "{text}");
+        }
+        assert_eq!(report.provenance.len(), 1);
+    }
+    assert!(alone.left_out.is_empty() && !alone.markdown().contains("Left out"));
+    let error = of(&[short.clone(), parked(folder.path(), 41)]).unwrap_err();
+    assert!(matches!(error, EvaluateError::NoWindows { .. }), "{error}");
+    assert!(
+        error.to_string().contains("parked_40, ") && error.to_string().contains("parked_41: "),
+        "{error}"
+    );
+}
+
+#[test]
+fn a_recording_where_nobody_moves_has_no_table_of_moving_agents() {
+    let folder = tempfile::tempdir().unwrap();
+    let options = options(folder.path(), None, 2);
+    let stands = parked(folder.path(), 120);
+    let report = evaluate(&options, &stands).unwrap();
+    assert_eq!(report.left_out, ["moving agents: there are none"]);
+    assert!(report.figures.iter().all(|figure| figure.subset == "all"));
+    assert_eq!(figure(&report, "constant velocity", "K = 1", "FDE, m").value, 0.0);
+    assert_eq!(figure(&report, "ours", "K = 1", "FDE, m").agents, 11);
+    // Beside one where somebody does, its column of moving agents is empty.
+    let moves = straight(folder.path(), 120);
+    let report = evaluator::files(&options, &[stands, moves], None, false, |_| ()).unwrap();
+    assert!(report.left_out.is_empty());
+    let markdown = report.markdown();
+    let table = markdown.split("Errors: moving agents").nth(1).unwrap();
+    let row = table.lines().find(|line| line.contains("| K = 1") && line.contains("| ours ")).unwrap();
+    let cells: Vec<&str> = row.split('|').map(str::trim).collect();
+    assert_eq!((cells[3], cells[4] == cells[5]), ("-", true), "{row}");
 }
 
 #[test]

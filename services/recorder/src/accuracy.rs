@@ -12,7 +12,7 @@ mod truth;
 
 use std::collections::{BTreeMap, VecDeque};
 
-use metrics::{Displacement, DisplacementMean, Point, best_of, displacement};
+use metrics::{Displacement, DisplacementMean, Point, displacement, min_displacement};
 use wire::{AGENT_TYPES, AgentType, Forecast, HORIZON_MAX, Header, MODES_MAX, Quality, Rejected, Truth};
 
 use crate::report::{Accuracy, Errors};
@@ -172,13 +172,13 @@ impl Group {
             forecasts: self.best_of_draws.ade_m.len(),
             ade_m: rounded(self.best_of_draws.ade_m.value()),
             fde_m: rounded(self.best_of_draws.fde_m.value()),
-            miss_rate: rounded(self.best_of_draws.misses.value()),
+            miss_rate: rounded(self.best_of_draws.miss_rate.value()),
             single_ade_m: rounded(self.single.ade_m.value()),
             single_fde_m: rounded(self.single.fde_m.value()),
-            single_miss_rate: rounded(self.single.misses.value()),
+            single_miss_rate: rounded(self.single.miss_rate.value()),
             cv_ade_m: rounded(self.constant_velocity.ade_m.value()),
             cv_fde_m: rounded(self.constant_velocity.fde_m.value()),
-            cv_miss_rate: rounded(self.constant_velocity.misses.value()),
+            cv_miss_rate: rounded(self.constant_velocity.miss_rate.value()),
         }
     }
 }
@@ -218,7 +218,7 @@ impl Tally {
     fn add(&mut self, tick: &Waiting, forecast: &Judged, truth: &[Option<Point>]) {
         let modes_len = (forecast.modes_len as usize).min(MODES_MAX);
         let displacements = [
-            best_of(&forecast.modes[..modes_len], truth),
+            min_displacement(&forecast.modes[..modes_len], truth),
             displacement(&forecast.best, truth),
             displacement(&constant_velocity(forecast, tick.step_ns), truth),
         ];

@@ -1,8 +1,8 @@
-//! How long a tick of the tracker takes, associated by position: median and 99th percentile by the number of agents, in
-//! time of the processor, so that other programs on the machine do not count.
+//! Time of a tick of the tracker with association by position: median and 99th percentile by the number of
+//! agents, in time of the processor, which excludes other programs on the machine.
 //!
-//! `cargo bench -p stgdat-tracker --bench tick -- --csv FOLDER` writes the detections as well, one file per scene, for
-//! `tick_in_filterpy.py` beside this file, which runs by hand on the very same input.
+//! `cargo bench -p stgdat-tracker --bench tick -- --csv FOLDER` writes the detections as well, one file per
+//! scene, for `tick_in_filterpy.py` beside this file, which runs by hand on the very same input.
 
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
@@ -18,7 +18,7 @@ use wire::{
     detection_flags,
 };
 
-/// Frames of a scene: the time in which each agent comes round once.
+/// Frames of a scene: the time of one turn of each agent.
 const FRAMES: usize = 400;
 const WARM_UP: usize = 100;
 const TICKS: usize = 2_000;
@@ -26,7 +26,7 @@ const TICK_NS: i64 = 80_000_000;
 const STEP_NS: u64 = 400_000_000;
 const TRACKS_MAX: usize = 1_200;
 
-/// Agents that are seen again and again.
+/// Agents on circles, frame by frame.
 struct Scene {
     name: String,
     agents_len: usize,
@@ -40,13 +40,13 @@ impl Scene {
         Self::new(format!("{agents_len}"), agents_len, side_m, 0.4, AgentType::Vehicle)
     }
 
-    /// Walkers of one crowd at 0.25 m/s, one per m².
+    /// Pedestrians of one crowd at 0.25 m/s, one per m².
     fn of_crowd(agents_len: usize) -> Self {
         let side_m = (agents_len as f32).sqrt();
         Self::new(format!("{agents_len}_crowd"), agents_len, side_m, 0.02, AgentType::Pedestrian)
     }
 
-    /// Agents that go round circles of their own, spread evenly over a square.
+    /// Agents on circles of their own, spread evenly over a square.
     fn new(name: String, agents_len: usize, side_m: f32, step_m: f32, agent_type: AgentType) -> Self {
         let mut rng = ChaCha8Rng::seed_from_u64(1);
         let turn = std::f32::consts::TAU / FRAMES as f32;
@@ -57,23 +57,25 @@ impl Scene {
                 [place(), place(), rng.random_range(-3.0..3.0)]
             })
             .collect();
-        // A frame holds no more than `DETECTIONS_MAX`: of more agents, every second is seen in every second frame.
+        // A frame has at most `DETECTIONS_MAX`: of more agents, every second is detected in every second
+        // frame.
         let share = agents_len.div_ceil(DETECTIONS_MAX);
         let mut frame = |number: usize| {
-            let seen = centres.iter().skip(number % share).step_by(share);
-            seen.map(|&[x, y, first]| {
-                let heading = first + turn * number as f32;
-                let mut noise = || rng.random_range(-0.1..0.1_f32);
-                Detection {
-                    x_m: x + radius_m * heading.sin() + noise(),
-                    y_m: y - radius_m * heading.cos() + noise(),
-                    heading_rad: heading + noise(),
-                    agent_type: agent_type as u32,
-                    flags: detection_flags::HAS_HEADING,
-                    ..Detection::zeroed()
-                }
-            })
-            .collect()
+            let detected = centres.iter().skip(number % share).step_by(share);
+            detected
+                .map(|&[x, y, first]| {
+                    let heading = first + turn * number as f32;
+                    let mut noise = || rng.random_range(-0.1..0.1_f32);
+                    Detection {
+                        x_m: x + radius_m * heading.sin() + noise(),
+                        y_m: y - radius_m * heading.cos() + noise(),
+                        heading_rad: heading + noise(),
+                        agent_type: agent_type as u32,
+                        flags: detection_flags::HAS_HEADING,
+                        ..Detection::zeroed()
+                    }
+                })
+                .collect()
         };
         let frames = (0..FRAMES).map(&mut frame).collect();
         Self { name, agents_len, frames }
@@ -94,7 +96,7 @@ impl Scene {
         std::fs::write(folder.join(format!("{}.csv", self.name)), rows)
     }
 
-    /// Seconds of each tick, sorted, and tracks held in the end.
+    /// Seconds of each tick, sorted, and the number of tracks at the end.
     fn run(&self, prior: Prior) -> (Vec<f64>, usize) {
         let options = TrackerOptions { prior, tracks_max: TRACKS_MAX, ..TrackerOptions::default() };
         let mut tracker = Tracker::new(options);
@@ -126,7 +128,7 @@ impl Scene {
     }
 }
 
-/// Twenty ways to go on, by controls that differ.
+/// Twenty modes with different controls.
 fn forecast(track: &Track) -> Forecast {
     let bicycle = track.state_len == 5;
     let mut forecast = Forecast {
@@ -148,7 +150,7 @@ fn forecast(track: &Track) -> Forecast {
     forecast
 }
 
-/// Time that the processor has given this thread.
+/// Processor time of this thread.
 fn processor_s() -> f64 {
     let time = clock_gettime(ClockId::ThreadCPUTime);
     time.tv_sec as f64 + time.tv_nsec as f64 / 1e9
@@ -162,7 +164,9 @@ fn csv_folder() -> Option<PathBuf> {
 
 fn main() -> std::io::Result<()> {
     let csv_folder = csv_folder();
-    println!("| agents | seen per frame | tracks held | prior | median ms | p99 ms | median µs per track |");
+    println!(
+        "| agents | detections per frame | tracks held | prior | median ms | p99 ms | median µs per track |"
+    );
     println!("|---|---|---|---|---|---|---|");
     let scenes = [10, 30, 100, 300, 500, 1_000].map(Scene::of_density);
     for scene in scenes.iter().chain([&Scene::of_crowd(500)]) {
@@ -174,9 +178,9 @@ fn main() -> std::io::Result<()> {
             let ms = |rank: usize| times[rank] * 1e3;
             let (median_ms, p99_ms) = (ms(TICKS / 2), ms(TICKS * 99 / 100));
             let each_us = median_ms * 1e3 / scene.agents_len as f64;
-            let (name, seen_len) = (&scene.name, scene.frames[0].len());
+            let (name, detected_len) = (&scene.name, scene.frames[0].len());
             println!(
-                "| {name} | {seen_len} | {held_len} | {prior:?} | {median_ms:.3} | {p99_ms:.3} | {each_us:.2} |"
+                "| {name} | {detected_len} | {held_len} | {prior:?} | {median_ms:.3} | {p99_ms:.3} | {each_us:.2} |"
             );
         }
     }

@@ -1,4 +1,4 @@
-//! A million random ticks: what the tests do ten thousand times, until memory would show if it grew.
+//! A million random ticks, a hundred times those of the tests, in which growing memory would show.
 
 #[path = "../tests/support/torture.rs"]
 mod support;

@@ -1,19 +1,20 @@
 use filters::{
     Bicycle, ConstantVelocity, Filter, FilterFault, Forecast, ForecastFault, Gaussian, Integrator, Kind,
-    Mixture, Models, Motion, Observation, Priors, Unknown, acting_share, noise_left, turned_round,
+    Mixture, Models, Motion, Observation, Priors, Unknown, control_gain, noise_left, reversed,
 };
 use wire::{MODES_MAX, Steering};
 
 use crate::options::ForecastTrust;
 
-/// What is believed of an agent's motion: one Gaussian, and where a forecast takes part, the hypotheses that it sums up.
+/// The belief about an agent's motion: one Gaussian and, while a forecast is the prior, the mixture of
+/// hypotheses whose moments it has.
 #[derive(Debug)]
 pub struct Belief {
     filter: Filter,
     hypotheses: Option<Hypotheses>,
 }
 
-/// A filter for each mode of a forecast and one without, by what its controls stand for.
+/// A filter for each mode of a forecast and one without, by the kind of its controls.
 #[derive(Clone, Debug)]
 enum Hypotheses {
     Bicycle(Box<Mixture<Bicycle, 5>>),
@@ -21,7 +22,7 @@ enum Hypotheses {
 }
 
 impl Belief {
-    /// A belief in which no forecast takes part.
+    /// A belief without a forecast.
     #[must_use]
     pub const fn new(filter: Filter) -> Self {
         Self { filter, hypotheses: None }
@@ -33,7 +34,7 @@ impl Belief {
         &self.filter
     }
 
-    /// Moves the belief on by `dt_ns`; beyond the forecast's horizon the process model alone does.
+    /// Predicts the belief `dt_ns` ahead; beyond the forecast's horizon by the process model alone.
     ///
     /// # Errors
     /// [`FilterFault`]; the belief is then as before.
@@ -41,7 +42,7 @@ impl Belief {
         match &mut self.hypotheses {
             None => return self.filter.predict(dt_ns, models),
             Some(Hypotheses::Bicycle(mixture)) => {
-                mixture.priors = trust.bicycle(models, mixture.priors.control_share);
+                mixture.priors = trust.bicycle(models, mixture.priors.control_gain);
                 mixture.predict(dt_ns)?;
             }
             Some(Hypotheses::Displacement(mixture)) => {
@@ -49,35 +50,35 @@ impl Belief {
                 mixture.predict(dt_ns)?;
             }
         }
-        self.sum_up();
+        self.match_moments();
         Ok(())
     }
 
-    /// Corrects the belief, and the weights of the hypotheses, by observations of which at most one is of the agent, each
-    /// with the probability that it is.
+    /// Updates the belief, and the weights of the hypotheses, by observations of which at most one is of the
+    /// agent, each with the probability that it is.
     ///
     /// # Errors
     /// [`FilterFault`]; the belief is then as before.
-    pub fn update(&mut self, seen: &[(f64, Observation)], models: &Models) -> Result<(), FilterFault> {
+    pub fn update(&mut self, possible: &[(f64, Observation)], models: &Models) -> Result<(), FilterFault> {
         match &mut self.hypotheses {
-            None => return self.filter.update_jointly(seen, models),
-            Some(Hypotheses::Bicycle(mixture)) => mixture.update_jointly(seen)?,
-            Some(Hypotheses::Displacement(mixture)) => mixture.update_jointly(seen)?,
+            None => return self.filter.update_jointly(possible, models),
+            Some(Hypotheses::Bicycle(mixture)) => mixture.update_jointly(possible)?,
+            Some(Hypotheses::Displacement(mixture)) => mixture.update_jointly(possible)?,
         }
-        self.sum_up();
+        self.match_moments();
         Ok(())
     }
 
-    /// Whether a forecast by such controls can move the state.
+    /// Whether a forecast by such controls can predict the state.
     #[must_use]
-    pub const fn suits(&self, steering: Steering) -> bool {
+    pub const fn accepts(&self, steering: Steering) -> bool {
         matches!(
             (steering, &self.filter),
             (Steering::Bicycle, Filter::Bicycle(_)) | (Steering::Displacement, Filter::ConstantVelocity(_))
         )
     }
 
-    /// Takes a forecast as the prior from now on, if it [suits](Belief::suits).
+    /// Adopts a forecast as the prior from now on, if the belief [accepts](Belief::accepts) it.
     ///
     /// # Errors
     /// [`ForecastFault`]; the belief then goes on as before.
@@ -90,13 +91,13 @@ impl Belief {
         let (adopted, hypotheses) = match (&self.filter, self.hypotheses.take()) {
             (Filter::Bicycle(state), Some(Hypotheses::Bicycle(mut mixture))) => {
                 let before = mixture.priors;
-                mixture.priors = trust.bicycle(models, trust.control_share(state));
+                mixture.priors = trust.bicycle(models, trust.control_gain(state));
                 let adopted = mixture.adopt(forecast).inspect_err(|_| mixture.priors = before);
                 (adopted, Hypotheses::Bicycle(mixture))
             }
             (Filter::Bicycle(state), _) => {
                 let mut mixture =
-                    Mixture::new(*state, trust.bicycle(models, trust.control_share(state)), seed);
+                    Mixture::new(*state, trust.bicycle(models, trust.control_gain(state)), seed);
                 (mixture.adopt(forecast), Hypotheses::Bicycle(Box::new(mixture)))
             }
             (Filter::ConstantVelocity(_), Some(Hypotheses::Displacement(mut mixture))) => {
@@ -109,24 +110,24 @@ impl Belief {
             (Filter::ConstantAcceleration(_) | Filter::ConstantTurnRate(_), _) => return Ok(()),
         };
         self.hypotheses = Some(hypotheses);
-        self.sum_up();
+        self.match_moments();
         adopted
     }
 
-    /// The same motion in the state of another kind; no forecast takes part any more.
-    pub fn turn_into(&mut self, kind: Kind, unknown: &Unknown) {
+    /// Converts the motion to the state of another kind, and drops the forecast.
+    pub fn convert_to(&mut self, kind: Kind, unknown: &Unknown) {
         *self = Self::new(self.filter.into_kind(kind, unknown));
     }
 
-    /// Front and back exchanged; a forecast told of the old front and takes part no more.
-    pub fn turn_round(&mut self) {
+    /// Exchanges front and back, and drops the forecast, which is relative to the old front.
+    pub fn reverse(&mut self) {
         if let Filter::Bicycle(state) = &self.filter {
-            *self = Self::new(Filter::Bicycle(turned_round(state)));
+            *self = Self::new(Filter::Bicycle(reversed(state)));
         }
     }
 
-    /// Goes on without the forecast.
-    pub fn forget_forecast(&mut self) {
+    /// Drops the forecast: the process model alone is the prior from now on.
+    pub fn drop_forecast(&mut self) {
         self.hypotheses = None;
     }
 
@@ -142,7 +143,7 @@ impl Belief {
         self.filter.motion()
     }
 
-    /// Time since the start of the forecast that takes part.
+    /// Time since the start of the forecast that is the prior.
     #[must_use]
     pub fn forecast_age_ns(&self) -> Option<u64> {
         self.hypotheses.as_ref().and_then(Hypotheses::forecast_age_ns)
@@ -152,19 +153,19 @@ impl Belief {
     #[must_use]
     pub fn weights(&self) -> [f32; MODES_MAX + 1] {
         let mut weights = [0.0; MODES_MAX + 1];
-        let mut tell = |mode: Option<usize>, weight: f64| {
+        let mut add = |mode: Option<usize>, weight: f64| {
             weights[mode.unwrap_or(MODES_MAX).min(MODES_MAX)] += weight as f32;
         };
         match &self.hypotheses {
-            None => tell(None, 1.0),
-            Some(Hypotheses::Bicycle(mixture)) => mixture.components().for_each(|(k, w, _)| tell(k, w)),
-            Some(Hypotheses::Displacement(mixture)) => mixture.components().for_each(|(k, w, _)| tell(k, w)),
+            None => add(None, 1.0),
+            Some(Hypotheses::Bicycle(mixture)) => mixture.components().for_each(|(k, w, _)| add(k, w)),
+            Some(Hypotheses::Displacement(mixture)) => mixture.components().for_each(|(k, w, _)| add(k, w)),
         }
         weights
     }
 
-    /// Sums the hypotheses up; those of a forecast that is over are left behind.
-    fn sum_up(&mut self) {
+    /// Matches the Gaussian to the moments of the hypotheses, and drops those of a forecast that is over.
+    fn match_moments(&mut self) {
         let Some(hypotheses) = &self.hypotheses else { return };
         self.filter = match hypotheses {
             Hypotheses::Bicycle(mixture) => Filter::Bicycle(mixture.moments()),
@@ -181,7 +182,7 @@ impl Clone for Belief {
         Self { filter: self.filter, hypotheses: self.hypotheses.clone() }
     }
 
-    /// Uses the memory of hypotheses of the same kind again.
+    /// Reuses the memory of hypotheses of the same kind.
     fn clone_from(&mut self, source: &Self) {
         self.filter = source.filter;
         match (&mut self.hypotheses, &source.hypotheses) {
@@ -205,30 +206,34 @@ impl Hypotheses {
 }
 
 impl ForecastTrust {
-    /// Shares of acceleration and slip rate that act where a vehicle is known as well as this, by its speed and heading.
+    /// Gains of the controls acceleration and slip rate, by how well the speed and heading of a vehicle are
+    /// known.
     ///
-    /// The network reads the slip off how headings turned. The filter never had the slip that noise put there, since it weighs
-    /// every position by its noise; for it a control that undoes it is an error of its own.
-    fn control_share(&self, state: &Gaussian<5>) -> [f64; 2] {
-        let share =
-            |component: usize, even: f64| acting_share(even, state.covariance[(component, component)]);
-        [share(3, self.even_speed_mps), share(2, self.even_heading_rad)]
+    /// The network infers the slip from how headings turned. The filter never had the slip that noise put
+    /// there, since it weighs every position by its noise; a control that undoes it would be an error of its
+    /// own.
+    fn control_gain(&self, state: &Gaussian<5>) -> [f64; 2] {
+        let gain = |component: usize, half_gain_sigma: f64| {
+            control_gain(half_gain_sigma, state.covariance[(component, component)])
+        };
+        [gain(3, self.half_gain_speed_mps), gain(2, self.half_gain_heading_rad)]
     }
 
-    /// What does not act of a control is left to the process model, its noise and the decay of its slip: without any, a mode
-    /// is nothing else. Where a slip rate acts in full it tells by itself how the turn goes on and ends.
-    fn bicycle(&self, models: &Models, control_share: [f64; 2]) -> Priors<Bicycle> {
+    /// What the gain leaves out of a control stays with the process model, its noise and the decay of its
+    /// slip: at gain 0 a mode is the process model. At gain 1 a slip rate determines by itself how a turn
+    /// goes on and ends.
+    fn bicycle(&self, models: &Models, control_gain: [f64; 2]) -> Priors<Bicycle> {
         let kinematic = models.bicycle;
-        let [of_acceleration, of_slip_rate] = control_share.map(|share| noise_left(share, self.noise_share));
+        let [of_acceleration, of_slip_rate] = control_gain.map(|gain| noise_left(gain, self.noise_share));
         let learned = Bicycle {
-            // What the controls were learned for; Euler's steps fall behind under an acceleration.
+            // The integrator that the controls were learned for; Euler's lags behind under an acceleration.
             integrator: Integrator::Midpoint,
             acceleration_mps2: of_acceleration * kinematic.acceleration_mps2,
             slip_rate_radps: of_slip_rate * kinematic.slip_rate_radps,
-            slip_decay_per_s: (1.0 - control_share[1]) * kinematic.slip_decay_per_s,
+            slip_decay_per_s: (1.0 - control_gain[1]) * kinematic.slip_decay_per_s,
             ..kinematic
         };
-        Priors { control_share, ..self.priors(kinematic, learned) }
+        Priors { control_gain, ..self.priors(kinematic, learned) }
     }
 
     fn displacement(&self, models: &Models) -> Priors<ConstantVelocity> {
@@ -252,17 +257,17 @@ mod tests {
 
     use crate::TrackerOptions;
 
-    /// A slip rate that acts in full says where the slip goes: it must not decay besides.
+    /// A slip rate at gain 1 determines the slip, which must not decay as well.
     #[test]
-    fn slip_decays_as_far_as_no_control_acts() {
+    fn slip_decay_is_what_the_control_gain_leaves() {
         let input = TrackerOptions::default().detector;
         let models = input.models(AgentType::Vehicle, 4.5);
         let decay_per_s = models.bicycle.slip_decay_per_s;
         assert!(decay_per_s > 0.0);
-        for (share, left) in [(0.0, 1.0), (0.25, 0.75), (1.0, 0.0)] {
-            let priors = input.trust.bicycle(&models, [1.0, share]);
+        for (gain, left) in [(0.0, 1.0), (0.25, 0.75), (1.0, 0.0)] {
+            let priors = input.trust.bicycle(&models, [1.0, gain]);
             assert_eq!(priors.kinematic.slip_decay_per_s, decay_per_s);
-            assert_eq!(priors.learned.slip_decay_per_s, left * decay_per_s, "a share of {share}");
+            assert_eq!(priors.learned.slip_decay_per_s, left * decay_per_s, "a gain of {gain}");
         }
     }
 }

@@ -4,18 +4,19 @@ use wire::AgentType;
 const RIGHT: f64 = 0.9;
 /// Share that name one of the two wrong ones.
 const WRONG: f64 = 0.05;
-/// Log-odds between two types are held within this, so that a handful of detections can change the belief.
+/// Bound of the log-odds between two types, so that a handful of detections can change the belief.
 const LOG_ODDS_MAX: f64 = 6.0;
-/// A track changes its type when another is so much more probable than its own.
+/// Log-odds over its own type at which a track changes to another.
 const CHANGE_LOG_ODDS: f64 = 2.0;
 
-/// What type an agent is: belief gathered from the types that its detections name.
+/// The belief about an agent's type, from the types that its detections name.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Class {
     current: AgentType,
     /// Natural logarithms of the probabilities, the largest 0.
     log_weight: [f64; 3],
-    /// What follows from them, as most detections change nothing: the probabilities, and what speaks against each type.
+    /// What follows from them, kept because most detections change nothing: the probabilities, and the cost
+    /// of each type.
     probability: [f64; 3],
     disagreement: [f64; 3],
 }
@@ -36,7 +37,7 @@ impl Class {
         self.current
     }
 
-    /// Takes in the type that a detection names; returns whether the track's type changed by it.
+    /// Updates the belief by the type that a detection names; returns whether that changed the track's type.
     pub fn observe(&mut self, detected: AgentType) -> bool {
         let before = self.log_weight;
         for (index, log_weight) in self.log_weight.iter_mut().enumerate() {
@@ -47,10 +48,10 @@ impl Class {
             *log_weight = (*log_weight - most).max(-LOG_ODDS_MAX);
         }
         if self.log_weight != before {
-            self.conclude();
+            self.derive_costs();
         }
-        let lead = self.log_weight[detected.index()] - self.log_weight[self.current.index()];
-        let changed = detected != self.current && lead > CHANGE_LOG_ODDS;
+        let log_odds = self.log_weight[detected.index()] - self.log_weight[self.current.index()];
+        let changed = detected != self.current && log_odds > CHANGE_LOG_ODDS;
         if changed {
             self.current = detected;
         }
@@ -69,7 +70,7 @@ impl Class {
         self.disagreement[detected.index()]
     }
 
-    fn conclude(&mut self) {
+    fn derive_costs(&mut self) {
         let weight = self.log_weight.map(f64::exp);
         let sum: f64 = weight.iter().sum();
         self.probability = weight.map(|w| w / sum);

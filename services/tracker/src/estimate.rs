@@ -1,5 +1,5 @@
-mod sight;
 mod track;
+mod visibility;
 
 use std::f64::consts::{FRAC_PI_2, TAU};
 
@@ -9,21 +9,21 @@ use wire::{AgentType, Detection, Forecast, Steering, detection_flags};
 use crate::belief::Belief;
 use crate::class::Class;
 use crate::forecasts::{Controls, Forecasts};
-use crate::front::{Front, folded, under_way_rad};
-use crate::life::Life;
-use crate::observed::{observation, source_id};
+use crate::front::{Front, folded, rate_limited_rad};
+use crate::observation::{observation, source_id};
 use crate::options::{InputModel, TrackerOptions};
+use crate::track_management::TrackManagement;
 
-/// What nobody has observed, by type.
+/// Standard deviations of what the first detection leaves open, by type.
 const UNKNOWN: [Unknown; 3] = [
     Unknown { speed_mps: 10.0, acceleration_mps2: 3.0, turn_rate_radps: 0.3, slip_rad: 0.05 },
     Unknown { speed_mps: 5.0, acceleration_mps2: 2.0, turn_rate_radps: 0.5, slip_rad: 0.05 },
     Unknown { speed_mps: 2.0, acceleration_mps2: 1.0, turn_rate_radps: 1.0, slip_rad: 0.05 },
 ];
-/// An unknown heading counts as told once the course is known so well, at this speed.
-const COURSE_TOLD_RAD: f64 = 0.3;
-const COURSE_TOLD_MPS: f64 = 0.5;
-/// Slower than this, a course means nothing and the last heading holds.
+/// The course gives an unknown heading once it is known so well, from this speed on.
+const COURSE_SIGMA_MAX_RAD: f64 = 0.3;
+const COURSE_SPEED_MIN_MPS: f64 = 0.5;
+/// Below this speed a course means nothing, and the last heading holds.
 const COURSE_MIN_MPS: f64 = 0.1;
 /// Weight of a new detection's size.
 const SIZE_WEIGHT: f32 = 0.2;
@@ -51,7 +51,7 @@ impl Fit {
     }
 }
 
-/// The detection that started an estimate: what an agent is known by, in whatever order frames come.
+/// The detection that started an estimate: identifies an agent in whatever order frames arrive.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Birth {
     /// Stamp of its frame.
@@ -60,8 +60,9 @@ pub struct Birth {
     pub detection: u32,
 }
 
-/// What is believed of an agent at the stamp of a frame. It follows from the frames up to that one and the forecasts that
-/// came with them, in the order of their stamps: whatever came of it in the meantime, it can be made again.
+/// What is believed of an agent at the stamp of a frame. It depends on the frames up to that one and the
+/// forecasts that came with them, in the order of their stamps, and on nothing else, so that a replay
+/// reproduces it.
 #[derive(Debug)]
 pub struct Estimate {
     /// Its type.
@@ -71,30 +72,30 @@ pub struct Estimate {
     birth: Birth,
     /// The newest detection's own identity, 0 where it carries none.
     source_id: u64,
-    /// What is drawn at random for the belief.
+    /// Seed of what the belief draws at random.
     seed: u64,
     stamp_ns: i64,
     seen_ns: i64,
-    /// Stamp of the controls of the forecast that was taken last.
+    /// Stamp of the controls of the newest adopted forecast.
     controls_ns: Option<i64>,
-    /// Forecasts of earlier stamps tell of another front.
+    /// Forecasts of earlier stamps are relative to another front.
     front_ns: i64,
-    life: Life,
+    management: TrackManagement,
     front: Front,
     /// Whether more than a single position was observed, so that the velocity means something.
-    moving: bool,
-    /// Whether it was ready in an earlier frame, and so has been seen by others.
-    known: bool,
-    /// Time since the state before.
-    moved_ns: u64,
-    /// Share of the agent that the frame at hand could see past others; 1 where nobody asked.
-    visible_share: f64,
+    has_velocity: bool,
+    /// Whether it was ready in an earlier frame, and so is published.
+    was_ready: bool,
+    /// Time from the state before to this one.
+    dt_ns: u64,
+    /// Share of the agent that is visible to the frame at hand; 1 where occlusion was not asked for.
+    visibility: f64,
     /// The mean's motion at the end of the frame.
     motion: Motion,
     /// Heading, held where the filter has none.
     heading_rad: f64,
-    /// The heading as it is published where no frame comes late.
-    shown_heading_rad: f64,
+    /// The heading as it is published while frames come in sequence.
+    published_heading_rad: f64,
     length_m: f32,
     width_m: f32,
 }
@@ -111,7 +112,7 @@ impl Estimate {
     ) -> Self {
         let seen = observation(detection, agent_type, input);
         let belief = Belief::new(Filter::start(kind(agent_type), &seen, &UNKNOWN[agent_type.index()]));
-        let sized = detection.has(detection_flags::HAS_SIZE);
+        let has_size = detection.has(detection_flags::HAS_SIZE);
         Self {
             class: Class::new(agent_type),
             birth,
@@ -121,26 +122,26 @@ impl Estimate {
             seen_ns: birth.stamp_ns,
             controls_ns: None,
             front_ns: birth.stamp_ns,
-            life: Life::new(trusted),
+            management: TrackManagement::new(trusted),
             front: Front::new(),
-            moving: seen.velocity_mps().is_some(),
-            known: false,
-            moved_ns: 0,
-            visible_share: 1.0,
+            has_velocity: seen.velocity_mps().is_some(),
+            was_ready: false,
+            dt_ns: 0,
+            visibility: 1.0,
             motion: belief.motion(),
             heading_rad: seen.heading_rad.map_or(0.0, |(heading, _)| heading),
-            shown_heading_rad: 0.0,
-            length_m: if sized { detection.length_m } else { 0.0 },
-            width_m: if sized { detection.width_m } else { 0.0 },
+            published_heading_rad: 0.0,
+            length_m: if has_size { detection.length_m } else { 0.0 },
+            width_m: if has_size { detection.width_m } else { 0.0 },
             belief,
         }
     }
 
-    /// Takes one of the forecasts, the agent's own, as the prior from now on, where one is due; returns false where its numbers
-    /// can't be. The estimate then goes on as before.
+    /// Adopts one of the forecasts, the agent's own, as the prior from now on, where one is due; returns
+    /// false where its numbers are impossible. The estimate then goes on as before.
     ///
-    /// One is due every Δt, so that hypotheses live long enough to be told apart, and only if it knows more than the one
-    /// before: in a gap the last forecast of when the agent was seen holds.
+    /// One is due every Δt, so that measurements have time to weigh the hypotheses, and only if it knows of a
+    /// newer detection than the one before: through a gap the last forecast from before the gap holds.
     pub fn adopt(
         &mut self,
         (forecasts, forecast): (&Forecasts<'_>, &Forecast),
@@ -151,14 +152,15 @@ impl Estimate {
         let agent_type = self.class.current();
         let controls_ns = forecasts.controls_ns(forecast);
         let is_due = self.belief.forecast_age_ns().is_none_or(|age_ns| age_ns >= forecasts.step_ns());
-        let knows_more = self.is_seen() && self.controls_ns.is_none_or(|last_ns| controls_ns > last_ns);
+        let is_newer = self.is_seen() && self.controls_ns.is_none_or(|last_ns| controls_ns > last_ns);
         let turn_rad = wrapped(f64::from(forecast.frame_heading_rad) - self.heading_rad);
         let fits = (self.front_ns..=self.stamp_ns).contains(&controls_ns)
             && forecast.agent_type == agent_type as u32
-            && self.belief.suits(steering)
-            // What was published may have had the front where a late frame shows the back.
+            && self.belief.accepts(steering)
+            // The forecast may be relative to a front that an out-of-sequence frame has since shown to be the
+            // back.
             && (steering != Steering::Bicycle || turn_rad.abs() <= FRAC_PI_2);
-        if !(is_due && knows_more && fits) {
+        if !(is_due && is_newer && fits) {
             return true;
         }
         let trust = &input.trust;
@@ -174,15 +176,15 @@ impl Estimate {
         adopted
     }
 
-    /// Moves the motion on to `now_ns`.
+    /// Predicts the motion at `now_ns`.
     ///
     /// # Errors
     /// [`FilterFault`]; the motion is then as before.
     pub fn predict(&mut self, now_ns: i64, input: &InputModel) -> Result<(), FilterFault> {
         let dt_ns = now_ns.saturating_sub(self.stamp_ns).max(0).unsigned_abs();
         self.stamp_ns = now_ns;
-        self.moved_ns = dt_ns;
-        self.visible_share = 1.0;
+        self.dt_ns = dt_ns;
+        self.visibility = 1.0;
         let models = self.models(input);
         self.belief.predict(dt_ns, &models, &input.trust)
     }
@@ -198,8 +200,8 @@ impl Estimate {
         Fit { distance2, det }
     }
 
-    /// Takes in the detection of a frame. The motion is corrected by all that is `possible`: observations of which at most
-    /// one is of the agent, each with the probability that it is.
+    /// Updates the estimate by its detection in a frame. All that is `possible` corrects the motion:
+    /// observations of which at most one is of the agent, each with the probability that it is.
     ///
     /// # Errors
     /// [`FilterFault`]; the motion is then as predicted.
@@ -212,27 +214,27 @@ impl Estimate {
     ) -> Result<(), FilterFault> {
         let seen = observation(detection, agent_type, input);
         let log_density = self.fit(seen.position_m, seen.position_variance).log_density();
-        self.life.see(log_density, self.moved_ns, input, options);
+        self.management.hit(log_density, self.dt_ns, input, options);
         if self.class.observe(agent_type) {
-            self.belief.forget_forecast();
+            self.belief.drop_forecast();
             if self.class.current() == AgentType::Pedestrian {
-                self.belief.turn_into(Kind::ConstantVelocity, &UNKNOWN[agent_type.index()]);
+                self.belief.convert_to(Kind::ConstantVelocity, &UNKNOWN[agent_type.index()]);
             }
         }
         self.source_id = source_id(detection);
-        self.resize(detection);
+        self.smooth_size(detection);
         self.seen_ns = self.stamp_ns;
-        self.moving = true;
+        self.has_velocity = true;
         if let (Filter::Bicycle(_), Some((heading, _))) = (self.belief.filter(), seen.heading_rad) {
-            self.front.pointed(heading, self.heading_rad);
+            self.front.observe_heading(heading, self.heading_rad);
         }
         self.correct(possible, input)?;
-        self.find_front();
+        self.resolve_front();
         Ok(())
     }
 
-    /// Takes in that a frame which observed the agent's type did not see it; where something was `possible` after all, the
-    /// motion is corrected by that.
+    /// Counts a miss by a frame that observed the agent's type; where something was `possible` after all,
+    /// that corrects the motion.
     ///
     /// # Errors
     /// [`FilterFault`]; the motion is then as predicted.
@@ -242,7 +244,7 @@ impl Estimate {
         input: &InputModel,
         options: &TrackerOptions,
     ) -> Result<(), FilterFault> {
-        self.life.miss(self.visible_share, self.moved_ns, input, options);
+        self.management.miss(self.visibility, self.dt_ns, input, options);
         self.correct(possible, input)
     }
 
@@ -259,24 +261,24 @@ impl Estimate {
         self.belief.update(possible, &self.models(input))
     }
 
-    /// Ends a frame.
-    pub fn settle(&mut self) {
+    /// Ends a frame: finds the motion and heading to publish.
+    pub fn end_frame(&mut self) {
         self.motion = self.belief.motion();
         self.heading_rad = self.heading(&self.motion);
-        let last_rad = self.shown_heading_rad;
-        let under_way_rad = if self.known { under_way_rad(last_rad, self.heading_rad) } else { None };
-        if under_way_rad.is_some() {
-            // Forecasts that start from a heading under way do not fit the state.
+        let last_rad = self.published_heading_rad;
+        let limited_rad = if self.was_ready { rate_limited_rad(last_rad, self.heading_rad) } else { None };
+        if limited_rad.is_some() {
+            // Forecasts from a heading that still turns do not fit the state.
             self.front_ns = self.stamp_ns.saturating_add(1);
         }
-        self.shown_heading_rad = under_way_rad.unwrap_or(self.heading_rad);
-        self.known |= self.is_ready();
+        self.published_heading_rad = limited_rad.unwrap_or(self.heading_rad);
+        self.was_ready |= self.is_ready();
     }
 
-    /// Whether a settled estimate has come to its end.
+    /// Whether the estimate is to be deleted at the end of a frame.
     #[must_use]
     pub fn is_over(&self, input: &InputModel, options: &TrackerOptions) -> bool {
-        self.life.is_over(self.unseen_ns(self.stamp_ns), input, options) || !self.is_possible()
+        self.management.is_over(self.unseen_ns(self.stamp_ns), input, options) || !self.is_within_limits()
     }
 
     /// The detection that started it.
@@ -309,7 +311,7 @@ impl Estimate {
         self.heading_rad
     }
 
-    /// Whether the last frame saw the agent.
+    /// Whether the last frame detected the agent.
     #[must_use]
     pub const fn is_seen(&self) -> bool {
         self.seen_ns == self.stamp_ns
@@ -327,27 +329,27 @@ impl Estimate {
         self.unseen_ns(self.stamp_ns) as f64 / 1e9
     }
 
-    /// Whether it is fit to be published: confirmed, with a velocity that means something.
+    /// Whether it can be published: confirmed, with a velocity that means something.
     #[must_use]
     pub const fn is_ready(&self) -> bool {
-        self.life.is_confirmed() && self.moving
+        self.management.is_confirmed() && self.has_velocity
     }
 
-    /// Finds out which end is in front and the heading, after an update.
-    fn find_front(&mut self) {
+    /// Resolves the heading and which end is the front, after an update.
+    fn resolve_front(&mut self) {
         let agent_type = self.class.current();
         if kind(agent_type) == Kind::Bicycle
             && matches!(self.belief.filter(), Filter::ConstantVelocity(_))
-            && self.belief.motion().speed_mps > COURSE_TOLD_MPS
-            && self.belief.filter().course_sigma_rad() < COURSE_TOLD_RAD
+            && self.belief.motion().speed_mps > COURSE_SPEED_MIN_MPS
+            && self.belief.filter().course_sigma_rad() < COURSE_SIGMA_MAX_RAD
         {
-            self.belief.turn_into(Kind::Bicycle, &UNKNOWN[agent_type.index()]);
+            self.belief.convert_to(Kind::Bicycle, &UNKNOWN[agent_type.index()]);
         }
         if let Filter::Bicycle(state) = self.belief.filter() {
             let sigma_mps = state.covariance[(3, 3)].max(0.0).sqrt();
-            self.front.moved(state.mean[3], sigma_mps, self.known);
-            if self.front.take_turn(self.known) {
-                self.belief.turn_round();
+            self.front.observe_motion(state.mean[3], sigma_mps, self.was_ready);
+            if self.front.take_flip(self.was_ready) {
+                self.belief.reverse();
                 self.front_ns = self.stamp_ns;
             }
         }
@@ -366,7 +368,7 @@ impl Estimate {
         }
     }
 
-    fn resize(&mut self, detection: &Detection) {
+    fn smooth_size(&mut self, detection: &Detection) {
         if detection.has(detection_flags::HAS_SIZE) {
             let smooth = |old: f32, new: f32| if old == 0.0 { new } else { old + SIZE_WEIGHT * (new - old) };
             self.length_m = smooth(self.length_m, detection.length_m);
@@ -374,7 +376,7 @@ impl Estimate {
         }
     }
 
-    fn is_possible(&self) -> bool {
+    fn is_within_limits(&self) -> bool {
         self.motion.position_m.iter().all(|x| x.abs() <= f64::from(wire::POSITION_MAX_M))
             && self.motion.speed_mps.abs() <= f64::from(wire::SPEED_MAX_MPS)
     }
@@ -385,7 +387,7 @@ impl Clone for Estimate {
         Self { belief: self.belief.clone(), ..*self }
     }
 
-    /// Uses the memory of its hypotheses again.
+    /// Reuses the memory of its hypotheses.
     fn clone_from(&mut self, source: &Self) {
         let mut belief = std::mem::replace(&mut self.belief, Belief::new(*source.belief.filter()));
         belief.clone_from(&source.belief);
@@ -393,7 +395,7 @@ impl Clone for Estimate {
     }
 }
 
-/// How agents of a type move.
+/// The filter of a type.
 const fn kind(agent_type: AgentType) -> Kind {
     match agent_type {
         AgentType::Pedestrian => Kind::ConstantVelocity,

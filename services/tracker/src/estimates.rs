@@ -1,22 +1,25 @@
+use association::jpda::SIDE_MAX;
 use config::Prior;
-use filters::Observation;
-use filters::jpda::SIDE_MAX;
+use filters::{OBSERVATIONS_MAX, Observation};
 use wire::{AgentType, DETECTIONS_MAX, Detection, Header, flags};
 
 use crate::estimate::{Birth, Estimate};
 use crate::forecasts::{Controls, Forecasts};
-use crate::observed::observation;
+use crate::observation::observation;
 use crate::occlusion::Occlusion;
 use crate::options::TrackerOptions;
 use crate::pairing::Pairing;
 use crate::publication::Publications;
-use crate::scans::Scan;
-use crate::tracker::Tracked;
+use crate::scan::Scan;
+use crate::tracked::Tracked;
 
-/// What is believed of all agents at the stamp of a frame.
+// A filter takes all the detections that an association gives a track.
+const _: () = assert!(SIDE_MAX <= OBSERVATIONS_MAX);
+
+/// The estimates of all agents at the stamp of a frame.
 #[derive(Debug, Default)]
 pub struct Estimates {
-    /// In the order in which they were started.
+    /// In the order of their births.
     all: Vec<Estimate>,
     started_len: u64,
 }
@@ -26,7 +29,7 @@ pub struct Estimates {
 pub struct Scratch {
     pairing: Pairing,
     occlusion: Occlusion,
-    /// What may be of the agent at hand, each with the probability that it is.
+    /// Observations that may be of the agent at hand, each with the probability that it is.
     possible: Vec<(f64, Observation)>,
     controls: Controls,
 }
@@ -57,17 +60,17 @@ impl Estimates {
         &self.all
     }
 
-    /// Becomes the same as `source`, in the memory at hand.
+    /// Becomes a copy of `source`, in the memory at hand.
     pub fn copy(&mut self, source: &Self) {
         self.all.clone_from(&source.all);
         self.started_len = source.started_len;
     }
 
-    /// Takes in a scan that is newer than the estimates; tells what it did to them.
+    /// Processes a scan that is newer than the estimates; returns what it did to them.
     ///
-    /// `publications` tell whose forecasts they are, and learn where the scan shows that an agent was there before the
-    /// detection that had started it.
-    pub fn take_in(
+    /// `publications` match forecasts with agents, and are transferred where the scan shows an older birth of
+    /// an agent.
+    pub fn process(
         &mut self,
         scan: &Scan,
         publications: &mut Publications,
@@ -75,7 +78,7 @@ impl Estimates {
         options: &TrackerOptions,
     ) -> Tracked {
         let mut tracked = Tracked::default();
-        self.adopt(scan, publications, &mut scratch.controls, options, &mut tracked);
+        self.adopt_forecasts(scan, publications, &mut scratch.controls, options, &mut tracked);
         self.predict(&scan.header, options, &mut tracked);
         self.update(scan, publications, scratch, options, &mut tracked);
         self.start(scan, &scratch.pairing, options, &mut tracked);
@@ -83,9 +86,9 @@ impl Estimates {
         tracked
     }
 
-    /// Gives each estimate its forecast as the prior, where one is due. What is wrong with a forecast costs its agent no
-    /// more than that.
-    fn adopt(
+    /// Gives each estimate its forecast as the prior, where one is due. A wrong forecast is refused; its
+    /// agent goes on.
+    fn adopt_forecasts(
         &mut self,
         scan: &Scan,
         publications: &mut Publications,
@@ -135,11 +138,11 @@ impl Estimates {
         if options.trusts(header, detections) {
             tracked.duplicates_len = pairing.by_identity(&self.all, detections);
         } else {
-            self.look(header, options, occlusion, |_, estimate| estimate.is_coasting());
+            self.update_visibility(header, options, occlusion, |_, estimate| estimate.is_coasting());
             pairing.by_position(&self.all, detections, types, input, options);
             let missed =
                 |e: usize, estimate: &Estimate| !estimate.is_coasting() && pairing.paired(e).is_none();
-            self.look(header, options, occlusion, missed);
+            self.update_visibility(header, options, occlusion, missed);
         }
         for (e, estimate) in self.all.iter_mut().enumerate() {
             possible.clear();
@@ -147,39 +150,39 @@ impl Estimates {
                 let d = share.detection as usize;
                 (share.probability, observation(&detections[d], types[d], input))
             }));
-            let mut done = Ok(());
+            let mut outcome = Ok(());
             if let Some(detection) = pairing.paired(e) {
                 let d = detection as usize;
-                done = estimate.update((&detections[d], types[d]), possible, input, options);
+                outcome = estimate.update((&detections[d], types[d]), possible, input, options);
                 if has_births {
-                    publications.hand_on(Birth { stamp_ns: header.stamp_ns, detection }, estimate.birth());
+                    publications.transfer(Birth { stamp_ns: header.stamp_ns, detection }, estimate.birth());
                 }
             } else if header.observed_types & estimate.class.current().bit() != 0 {
-                done = estimate.miss(possible, input, options);
+                outcome = estimate.miss(possible, input, options);
             }
-            tracked.faults_len += usize::from(done.is_err());
+            tracked.faults_len += usize::from(outcome.is_err());
         }
     }
 
-    /// Finds out how much of each of those estimates the sensor can see past the others.
-    fn look(
+    /// Finds the visibility of the wanted estimates.
+    fn update_visibility(
         &mut self,
         header: &Header,
         options: &TrackerOptions,
         occlusion: &mut Occlusion,
-        is_meant: impl Fn(usize, &Estimate) -> bool,
+        is_wanted: impl Fn(usize, &Estimate) -> bool,
     ) {
-        let is_meant = |e: usize, estimate: &Estimate| estimate.is_ready() && is_meant(e, estimate);
+        let is_wanted = |e: usize, estimate: &Estimate| estimate.is_ready() && is_wanted(e, estimate);
         let mut all = self.all.iter().enumerate();
-        if !header.has(flags::SEEN_FROM_EGO) || !all.any(|(e, estimate)| is_meant(e, estimate)) {
+        if !header.has(flags::SEEN_FROM_EGO) || !all.any(|(e, estimate)| is_wanted(e, estimate)) {
             return;
         }
         let opaque = self.all.iter().filter(|estimate| estimate.is_opaque());
         let view = options.view.map(|view| (f64::from(header.ego_heading_rad), view));
-        occlusion.look(header.ego_m.map(f64::from), view, opaque.map(Estimate::outline));
+        occlusion.update(header.ego_m.map(f64::from), view, opaque.map(Estimate::outline));
         for (e, estimate) in self.all.iter_mut().enumerate() {
-            if is_meant(e, estimate) {
-                estimate.look(occlusion);
+            if is_wanted(e, estimate) {
+                estimate.update_visibility(occlusion);
             }
         }
     }
@@ -209,7 +212,7 @@ impl Estimates {
     fn end(&mut self, header: &Header, options: &TrackerOptions, tracked: &mut Tracked) {
         let input = options.input(header);
         let before = self.all.len();
-        self.all.iter_mut().for_each(Estimate::settle);
+        self.all.iter_mut().for_each(Estimate::end_frame);
         self.all.retain(|estimate| !estimate.is_over(input, options));
         tracked.ended_len += before - self.all.len();
         tracked.held_len = self.all.len();

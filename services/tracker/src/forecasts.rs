@@ -1,19 +1,19 @@
 use filters::ControlStep;
 use wire::{Forecast, HORIZON_MAX, Header, MODES_MAX, Rejected, SPEED_MAX_MPS, Steering};
 
-/// Beyond this no road user accelerates, m/s², or turns its course against its axis, rad/s.
+/// Greatest acceleration, m/s², and slip rate, rad/s, of any road user.
 const BICYCLE_MAX: [f32; 2] = [50.0, 10.0];
 
-/// The forecasts of an earlier tick, from which targets take their priors.
+/// The forecasts of an earlier tick, from which estimates take their priors.
 #[derive(Debug)]
 pub struct Forecasts<'a> {
     header: &'a Header,
     forecasts: &'a [Forecast],
-    /// Where the search begins: forecasts come in the order of the tracks, which is that of the targets.
+    /// Where the search begins: forecasts have the order of the tracks, which is that of the estimates.
     next: usize,
 }
 
-/// How one agent may go on: controls of each mode, mode by mode, in memory that is used again.
+/// The forecast of one agent as controls, mode by mode, in memory that is used again.
 #[derive(Clone, Debug)]
 pub struct Controls {
     probability: [f64; MODES_MAX],
@@ -25,7 +25,7 @@ impl<'a> Forecasts<'a> {
     /// The forecasts of a frame, none where it is no tick.
     ///
     /// # Errors
-    /// [`Rejected`] where the header can't be.
+    /// [`Rejected`] where the header is impossible.
     pub fn new(header: &'a Header, forecasts: &'a [Forecast]) -> Result<Option<Self>, Rejected> {
         if !header.is_tick() || forecasts.is_empty() {
             return Ok(None);
@@ -39,7 +39,7 @@ impl<'a> Forecasts<'a> {
         Err(Rejected::Impossible { field, value })
     }
 
-    /// The forecast of a track. Mostly it is the one after that which was found last.
+    /// The forecast of a track, mostly the one after the last that was found.
     pub fn find(&mut self, id: u64) -> Option<&'a Forecast> {
         let len = self.forecasts.len();
         let found = (self.next..len).chain(0..self.next.min(len)).find(|&i| self.forecasts[i].id == id)?;
@@ -75,7 +75,8 @@ impl Controls {
         }
     }
 
-    /// Takes the controls of a forecast; in the time `fade_in_s` after their stamp 1 − 1/e of displacements have come in.
+    /// Reads the controls of a forecast. Displacements fade in: `fade_in_s` after their stamp, 1 − 1/e of
+    /// them.
     ///
     /// # Errors
     /// [`Rejected`] where a number is not finite or impossible.
@@ -116,7 +117,7 @@ impl Controls {
         Ok(())
     }
 
-    /// The controls as a filter takes them, `age_ns` after their stamp.
+    /// The controls in the form of the filters, `age_ns` after their stamp.
     #[must_use]
     pub fn forecast(&self, age_ns: u64, step_ns: u64, heading_rad: f64) -> filters::Forecast<'_> {
         let probability = &self.probability[..self.modes_len];

@@ -1,11 +1,11 @@
 use wire::{AgentType, POSITION_MAX_M};
 
-/// Side of a cell: about the gate of a track that was seen a moment ago.
+/// Side of a cell: about the gate of a track that was just detected.
 const CELL_M: f64 = 2.0;
 /// Cells per detection, at least.
 const CELLS_RATIO: usize = 2;
 
-/// A detection as the gates see it.
+/// What gating needs of a detection.
 #[derive(Clone, Copy, Debug)]
 pub struct Spot {
     /// Position in the world frame.
@@ -18,10 +18,10 @@ pub struct Spot {
     pub agent_type: AgentType,
 }
 
-/// The detections of a frame by their place; holds only scratch memory.
+/// A spatial hash of the detections of a frame, the pre-gate of the association; holds only scratch memory.
 ///
-/// The plane is cut into cells of one size and rolled up: cells that lie a multiple of `side` apart share a list. So few cells
-/// hold a frame of any extent, and a stray detection far away changes nothing for the others.
+/// The plane is cut into cells of one size, and cells that lie a multiple of `side` apart share a list. So a
+/// frame of any extent needs few cells, and a stray detection far away changes nothing for the others.
 #[derive(Clone, Debug)]
 pub struct Grid {
     /// Cells along each axis, a power of two.
@@ -40,7 +40,7 @@ impl Grid {
         Self { side: 1, first: Vec::with_capacity(cells_len + 1), spots: Vec::with_capacity(detections_len) }
     }
 
-    /// Takes in the detections of a frame in place of those before.
+    /// Replaces the detections by those of a frame.
     pub fn fill(&mut self, spots: impl DoubleEndedIterator<Item = Spot> + Clone) {
         let spots_len = spots.clone().count();
         self.side = side(spots_len);
@@ -50,7 +50,8 @@ impl Grid {
             let cell = self.cell(spot.position_m.map(line));
             self.first[cell] += 1;
         }
-        // From the counts to where each cell ends; placing its spots from behind takes that to where it begins.
+        // Turns the counts into the end of each cell; placing its spots from behind moves that to its
+        // beginning.
         let mut end = 0;
         for count in &mut self.first {
             end += *count;

@@ -3,11 +3,11 @@ use wire::HistoryState;
 /// States kept per track: 5 s at 80 ms, more than the longest window.
 const STATES_MAX: usize = 64;
 
-/// The filtered states of one track, in time order, as they were told to the other stages.
+/// The filtered states of one track, in time order, as they were published.
 ///
-/// A state that has been published is never rewritten: the window at a later time shows the very same bits, so that
-/// whatever was computed for (track, stamp) stays valid. Where the window asks for a time between two states, it shows
-/// their interpolation, which depends on these two alone and so stays the same as well.
+/// A published state is never rewritten: the window at a later time has the very same bits, so that whatever
+/// was computed for (track, stamp) stays valid. A time between two states gets their interpolation, which
+/// depends on these two alone and so stays the same as well.
 #[derive(Clone, Copy, Debug)]
 pub struct History {
     /// States by their stamps.
@@ -25,15 +25,15 @@ impl History {
         Self { states: [(0, ABSENT); STATES_MAX], len: 0 }
     }
 
-    /// Appends the state of `stamp_ns`, which lies after all others; the oldest gives way in a full ring.
+    /// Appends the state of `stamp_ns`, which lies after all others; a full ring drops the oldest.
     pub fn push(&mut self, stamp_ns: i64, state: HistoryState) {
         self.states[self.len % STATES_MAX] = (stamp_ns, HistoryState { present: 1, ..state });
         self.len += 1;
     }
 
-    /// Gives all states the velocity and heading of `known`: for states that nobody has seen yet.
+    /// Gives all states the velocity and heading of `known`, as long as none is published.
     ///
-    /// The first state of a track that was seen at a position only has no velocity of its own.
+    /// The first state of a track whose first detection is a position has no velocity of its own.
     pub fn backfill(&mut self, known: &HistoryState) {
         for (_, state) in &mut self.states[..self.len.min(STATES_MAX)] {
             (state.vx_mps, state.vy_mps) = (known.vx_mps, known.vy_mps);
@@ -43,13 +43,13 @@ impl History {
 
     /// Writes the states at now − (len − 1 − k) Δt, oldest first; absent ones are zero.
     ///
-    /// A time without a state of its own takes the interpolation between its neighbours unless these lie more than
-    /// `gap_max_ns` apart.
+    /// A time without a state of its own takes the interpolation between its neighbours unless these lie more
+    /// than `gap_max_ns` apart.
     pub fn window(&self, now_ns: i64, step_ns: u64, gap_max_ns: u64, window: &mut [HistoryState]) {
         let held = self.len.min(STATES_MAX);
         // Steps back from the newest state; the window is filled from its newest end, so this only grows.
         let mut back = 0;
-        // Where frames come evenly, it grows as much each time.
+        // Frames at an even rate let it grow by as much each time.
         let mut stride = 0;
         for (k, entry) in window.iter_mut().rev().enumerate() {
             let wanted_ns = now_ns.saturating_sub_unsigned(step_ns.saturating_mul(k as u64));

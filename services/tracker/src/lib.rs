@@ -1,19 +1,43 @@
-//! Makes tracks of detections: which detection belongs to which agent, and how each agent moves.
+//! Multi-object tracking: makes tracks of detections, with forecasts as the prior.
 //!
-//! A *detection* is what the sensor saw of one object at one time. A *track* is the estimated past of one agent; its
-//! id is never reused. Every frame takes the same way: each track's filter ([`filters`]) is predicted to the frame's
-//! stamp, detections are associated with tracks ([`filters::assignment`]; recordings that carry identities go by these), paired
-//! tracks are updated, the others count a miss, and detections without a track start one.
+//! A *detection* is what the sensor measured of one object at one time. A *track* is the estimated past of
+//! one agent; its id is never reused. [`Tracker::step`] processes a frame of detections in the steps of a
+//! recursive Bayesian filter:
 //!
-//! A new track is *tentative*: unpublished until three of the last five frames that looked for its type have seen it
-//! and it surely exists, or at once where identities can be trusted. A track that is not seen is *coasting*: predicted and published until
-//! it was missed for too long, at most over the forecast's horizon. Where the sensor's place is known, a track that is hidden behind
-//! others is hardly missed: it coasts for longer, and takes fewer detections for its own.
+//! 1. **Predict.** Each track's [filter](filters) is predicted to the frame's stamp. The prior is a process
+//!    model ([`Prior::Kinematic`]), or the forecast that the pipeline made of the track at an earlier tick
+//!    ([`Prior::Learned`]).
+//! 2. **Associate.** Gating, then optimal assignment or joint probabilistic data association
+//!    ([`association`]); recordings whose detections carry identities go by these.
+//! 3. **Update.** A track with a detection is updated, one without counts a miss, a detection without a track
+//!    starts one.
+//! 4. **Manage.** A new track is *tentative*: unpublished until three of the last five frames that observed
+//!    its type have detected it and its existence is near certain, or at once where identities can be
+//!    trusted. A track that is missed *coasts*: it is predicted and published until its coast time is over,
+//!    at most to the forecast's horizon. Where the sensor's position is known, the miss probability depends
+//!    on occlusion: a track hidden behind others coasts for longer, and is less likely to take a detection.
+//! 5. **Publish.** Each track carries its history at exact Δt spacing, made of the states published before.
 //!
-//! The tracks that are published carry their history at exact Δt spacing, taken from what was published before.
+//! **Out of sequence.** An *estimate*, the belief about one agent, depends on the frames and the forecasts
+//! that came with them, in the order of their stamps. A frame that arrives after newer ones is processed by
+//! rollback and replay. What is published of an agent, its *publication*, stays as it is.
 //!
-//! What is believed of an agent, its *estimate*, follows from the frames and the forecasts that came with them, in the order of
-//! their stamps: where one comes late, it is made again from there. What has been told of the agent, its *publication*, stays as it is.
+//! # Modules
+//!
+//! Each module imports only from the lines below its own.
+//!
+//! ```text
+//! stage                 the ports
+//! settings              the run's options
+//! tracker               the steps above, frame by frame
+//! replay                out-of-sequence frames: scans, checkpoints, rollback
+//! estimates             predict, associate, update and manage all agents
+//! publication           ids and histories as published      pairing   gating and association
+//! estimate              one agent: belief, type, front, visibility, track management
+//! belief  forecasts     motion and its prior
+//! class  front  grid  history  observation  occlusion  scan  tally  tracked  track_management
+//! options
+//! ```
 
 mod belief;
 mod class;
@@ -23,19 +47,22 @@ mod forecasts;
 mod front;
 mod grid;
 mod history;
-mod life;
-mod observed;
+mod observation;
 mod occlusion;
 mod options;
 mod pairing;
 mod publication;
-mod scans;
+mod replay;
+mod scan;
 mod settings;
 pub mod stage;
 mod tally;
+mod track_management;
+mod tracked;
 mod tracker;
 
 pub use config::{Association, Prior};
 pub use options::{ForecastTrust, InputModel, MotionNoise, SensorNoise, TrackerOptions};
 pub use tally::Tally;
-pub use tracker::{Tracked, Tracker};
+pub use tracked::Tracked;
+pub use tracker::Tracker;

@@ -1,25 +1,26 @@
-//! Who hides whom: how much of an agent the sensor can see past the others.
+//! Occlusion: how much of an agent the sensor can see past the others.
 //!
-//! What the sensor can see at best is a sector of the ground about its heading; who is outside of it is as hidden as who is behind another.
+//! Seen from the sensor, every *outline* (a rectangle on the ground) covers an interval of bearings. The
+//! circle of bearings is cut into sectors, and each keeps its *reach*, the distance to behind the nearest
+//! outline that its ray meets. What lies beyond the reach is occluded. The *visibility* of an agent is the
+//! share of the bearings in which it may be that reach it: it falls and rises steadily as the agent passes
+//! behind another, and rises with the uncertainty of its position. Outside of the sensor's field of view, a
+//! sector of the ground about its heading, the reach is 0: an agent there counts as occluded.
 //!
-//! Seen from the sensor, every *outline* (a rectangle on the ground) fills an interval of bearings. All round the sensor the
-//! bearings are cut into sectors, and for each is kept how far one can see in it: to behind the nearest outline that its
-//! ray meets. What lies farther away is hidden there. The *visible share* of an agent is that of the bearings in which it may be,
-//! so that it falls and rises steadily as the agent passes behind another, and rises the less its place is known.
-//!
-//! Agents that overlap on the ground hide nothing of each other: where one was detected twice, neither excuses the other.
-//! The cost is linear in the number of agents and the sectors that they fill.
+//! Agents that overlap on the ground occlude nothing of each other, so that of two tracks of one agent
+//! neither excuses the misses of the other. The cost is linear in the number of agents and the sectors that
+//! they cover.
 
 use std::f64::consts::{PI, TAU};
 
 use config::View;
 use filters::wrapped;
 
-/// Sectors all round: a third of a degree each, 0.3 m at 50 m.
+/// Sectors of the full circle: a third of a degree each, 0.3 m at 50 m.
 const SECTORS: usize = 1024;
 const SECTOR_RAD: f64 = TAU / SECTORS as f64;
 
-/// Where an agent stands on the ground.
+/// An agent's extent on the ground.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Outline {
     /// Its centre.
@@ -32,18 +33,18 @@ pub struct Outline {
     pub half_m: [f64; 2],
 }
 
-/// How far the sensor can see; holds only scratch memory.
+/// How far the sensor can see at each bearing; holds only scratch memory.
 #[derive(Clone, Debug)]
 pub struct Occlusion {
     sensor_m: [f64; 2],
-    /// The middle of each sector as (cos, sin).
+    /// Direction of the middle of each sector as (cos, sin).
     rays: Vec<[f64; 2]>,
-    /// Distance behind which nothing can be seen, by sector.
+    /// Distance beyond which everything is occluded, by sector.
     reach_m: Vec<f64>,
 }
 
 impl Occlusion {
-    /// An open view.
+    /// A sensor whose view nothing limits.
     #[must_use]
     pub fn new() -> Self {
         let ray = |sector: usize| {
@@ -57,8 +58,9 @@ impl Occlusion {
         }
     }
 
-    /// Looks from a place at outlines that nothing can be seen through; within a view along the heading, if there is one.
-    pub fn look(
+    /// Finds the reach of a sensor at a position among `opaque` outlines, within a view about its heading
+    /// where there is one.
+    pub fn update(
         &mut self,
         sensor_m: [f64; 2],
         view: Option<(f64, View)>,
@@ -77,20 +79,20 @@ impl Occlusion {
         for outline in opaque {
             let [dx, dy] = self.offset_m(&outline);
             let (distance_m, radius_m) = (dx.hypot(dy), outline.half_m[0].hypot(outline.half_m[1]));
-            // Whoever stands within that may have to be looked for all round.
+            // A sensor within that radius may have the outline on all sides.
             let half_rad = if radius_m < distance_m { (radius_m / distance_m).asin() } else { PI };
-            let turned = Turned::new([dx, dy], &outline);
+            let relative = Relative::new([dx, dy], &outline);
             for (sector, _) in sectors(dy.atan2(dx), half_rad) {
-                if let Some(exit_m) = turned.exit_m(self.rays[sector]) {
+                if let Some(exit_m) = relative.exit_m(self.rays[sector]) {
                     self.reach_m[sector] = self.reach_m[sector].min(exit_m);
                 }
             }
         }
     }
 
-    /// Share of an outline that can be seen, within \[0, 1\].
+    /// Share of an outline that is visible, within \[0, 1\].
     #[must_use]
-    pub fn visible_share(&self, outline: &Outline) -> f64 {
+    pub fn visibility(&self, outline: &Outline) -> f64 {
         let [dx, dy] = self.offset_m(outline);
         let distance_m = dx.hypot(dy);
         if distance_m == 0.0 {
@@ -105,12 +107,12 @@ impl Occlusion {
         let variance_m2 =
             xx * across_x * across_x + 2.0 * xy * across_x * across_y + yy * across_y * across_y;
         let half_rad = ((extent_m + variance_m2.max(0.0).sqrt()) / distance_m).atan();
-        let (mut seen, mut all) = (0.0, 0.0);
+        let (mut visible, mut all) = (0.0, 0.0);
         for (sector, share) in sectors(dy.atan2(dx), half_rad) {
             all += share;
-            seen += if self.reach_m[sector] < distance_m { 0.0 } else { share };
+            visible += if self.reach_m[sector] < distance_m { 0.0 } else { share };
         }
-        if all > 0.0 { seen / all } else { 1.0 }
+        if all > 0.0 { visible / all } else { 1.0 }
     }
 
     fn offset_m(&self, outline: &Outline) -> [f64; 2] {
@@ -118,16 +120,16 @@ impl Occlusion {
     }
 }
 
-/// The sensor in the frame of an outline.
+/// The sensor relative to an outline, in its frame.
 #[derive(Clone, Copy, Debug)]
-struct Turned {
+struct Relative {
     sensor_m: [f64; 2],
     /// (cos, sin) of the outline's heading.
     axis: [f64; 2],
     half_m: [f64; 2],
 }
 
-impl Turned {
+impl Relative {
     fn new([dx, dy]: [f64; 2], outline: &Outline) -> Self {
         let (sin, cos) = outline.heading_rad.sin_cos();
         Self {
@@ -151,7 +153,7 @@ impl Turned {
     }
 }
 
-/// The sectors about a bearing, each with the share of it that lies within `half_rad`, at most half the circle.
+/// The sectors within `half_rad`, at most π, of a bearing, each with the share of it that lies within.
 fn sectors(bearing_rad: f64, half_rad: f64) -> impl Iterator<Item = (usize, f64)> {
     let [from, to] = [-half_rad, half_rad].map(|off_rad| (bearing_rad + off_rad) / SECTOR_RAD);
     let (first, last) = (from.floor() as i64, to.ceil() as i64);
@@ -172,7 +174,7 @@ mod tests {
         half_m: [4.0, 1.25],
     };
 
-    fn walker(x_m: f64, y_m: f64, sigma_m: f64) -> Outline {
+    fn pedestrian(x_m: f64, y_m: f64, sigma_m: f64) -> Outline {
         let variance_m2 = sigma_m * sigma_m;
         Outline {
             centre_m: [x_m, y_m],
@@ -182,15 +184,16 @@ mod tests {
         }
     }
 
-    fn share(sensor_m: [f64; 2], opaque: &[Outline], of: Outline) -> f64 {
+    fn visibility(sensor_m: [f64; 2], opaque: &[Outline], of: Outline) -> f64 {
         let mut occlusion = Occlusion::new();
-        occlusion.look(sensor_m, None, opaque.iter().copied());
-        occlusion.visible_share(&of)
+        occlusion.update(sensor_m, None, opaque.iter().copied());
+        occlusion.visibility(&of)
     }
 
-    /// Ahead to the left there is a lorry; the view goes 45 degrees to either side of the heading, and 50 m far.
+    /// A lorry stands ahead to the left; the view reaches 45 degrees to either side of the heading, and 50 m
+    /// far.
     #[test]
-    fn who_is_out_of_view_is_hidden() {
+    fn outlines_out_of_view_are_occluded() {
         let view = View { width_deg: 90.0, range_m: 50.0 };
         let mut occlusion = Occlusion::new();
         for heading_rad in [0.0, 3.0, -3.0] {
@@ -201,7 +204,7 @@ mod tests {
                 heading_rad: LORRY.heading_rad + heading_rad,
                 ..LORRY
             };
-            occlusion.look([0.0; 2], Some((heading_rad, view)), std::iter::once(lorry));
+            occlusion.update([0.0; 2], Some((heading_rad, view)), std::iter::once(lorry));
             for (x, y, expected) in [
                 (30.0, -5.0, 1.0),
                 (30.0, 15.0, 0.0),
@@ -211,58 +214,61 @@ mod tests {
                 (10.0, 8.0, 1.0),
             ] {
                 let [x_m, y_m] = turned(x, y);
-                let share = occlusion.visible_share(&walker(x_m, y_m, 0.1));
-                assert!((share - expected).abs() < 0.02, "{x}, {y} at {heading_rad}: {share}");
+                let visibility = occlusion.visibility(&pedestrian(x_m, y_m, 0.1));
+                assert!((visibility - expected).abs() < 0.02, "{x}, {y} at {heading_rad}: {visibility}");
             }
             let [x_m, y_m] = turned(20.0, -20.0);
-            let share = occlusion.visible_share(&walker(x_m, y_m, 0.1));
-            assert!((0.3..0.7).contains(&share), "at the edge: {share}");
+            let visibility = occlusion.visibility(&pedestrian(x_m, y_m, 0.1));
+            assert!((0.3..0.7).contains(&visibility), "at the edge: {visibility}");
         }
     }
 
     #[test]
-    fn who_is_behind_is_hidden_and_who_is_before_or_beside_is_not() {
+    fn only_what_is_behind_an_outline_is_occluded() {
         for (x, y, expected) in
             [(25.0, 0.0, 0.0), (25.0, 4.0, 0.0), (15.0, 0.0, 1.0), (25.0, 8.0, 1.0), (18.0, 3.0, 1.0)]
         {
-            assert_eq!(share([0.0; 2], &[LORRY], walker(x, y, 0.1)), expected, "{x}, {y}");
+            assert_eq!(visibility([0.0; 2], &[LORRY], pedestrian(x, y, 0.1)), expected, "{x}, {y}");
         }
-        // From the other side it is the other way round.
-        assert_eq!(share([40.0, 0.0], &[LORRY], walker(25.0, 0.0, 0.1)), 1.0);
-        assert_eq!(share([40.0, 0.0], &[LORRY], walker(15.0, 0.0, 0.1)), 0.0);
-        // Before the long side of a bus that passes close by, though farther away than its middle.
+        // Seen from the other side, before and behind change places.
+        assert_eq!(visibility([40.0, 0.0], &[LORRY], pedestrian(25.0, 0.0, 0.1)), 1.0);
+        assert_eq!(visibility([40.0, 0.0], &[LORRY], pedestrian(15.0, 0.0, 0.1)), 0.0);
+        // Before the long side of a bus close by, though farther away than its middle.
         let bus = Outline { centre_m: [5.0, 0.0], half_m: [9.0, 1.25], ..LORRY };
-        assert_eq!(share([0.0; 2], &[bus], walker(3.0, 7.0, 0.1)), 1.0);
-        assert_eq!(share([0.0; 2], &[bus], walker(7.0, 7.0, 0.1)), 0.0);
+        assert_eq!(visibility([0.0; 2], &[bus], pedestrian(3.0, 7.0, 0.1)), 1.0);
+        assert_eq!(visibility([0.0; 2], &[bus], pedestrian(7.0, 7.0, 0.1)), 0.0);
     }
 
     #[test]
-    fn the_share_falls_steadily_at_an_edge_and_rises_with_doubt() {
-        let shares: Vec<f64> = (0..40)
-            .map(|k| share([0.0; 2], &[LORRY], walker(25.0, 7.0 - 0.08 * f64::from(k), 0.1)))
+    fn visibility_is_steady_at_an_edge_and_rises_with_uncertainty() {
+        let visibilities: Vec<f64> = (0..40)
+            .map(|k| visibility([0.0; 2], &[LORRY], pedestrian(25.0, 7.0 - 0.08 * f64::from(k), 0.1)))
             .collect();
-        assert!(shares[0] == 1.0 && shares[39] == 0.0, "{shares:?}");
-        assert!(shares.windows(2).all(|pair| (0.0..0.35).contains(&(pair[0] - pair[1]))), "{shares:?}");
-        assert!(shares.iter().any(|share| (0.2..0.8).contains(share)), "{shares:?}");
-        let doubted =
-            [0.5, 4.0, 8.0, 16.0].map(|sigma_m| share([0.0; 2], &[LORRY], walker(25.0, 0.0, sigma_m)));
-        assert!(doubted[0] == 0.0 && doubted.windows(2).all(|pair| pair[0] <= pair[1]), "{doubted:?}");
-        assert!(doubted[3] > 0.5, "{doubted:?}");
+        assert!(visibilities[0] == 1.0 && visibilities[39] == 0.0, "{visibilities:?}");
+        assert!(
+            visibilities.windows(2).all(|pair| (0.0..0.35).contains(&(pair[0] - pair[1]))),
+            "{visibilities:?}"
+        );
+        assert!(visibilities.iter().any(|visibility| (0.2..0.8).contains(visibility)), "{visibilities:?}");
+        let by_sigma = [0.5, 4.0, 8.0, 16.0]
+            .map(|sigma_m| visibility([0.0; 2], &[LORRY], pedestrian(25.0, 0.0, sigma_m)));
+        assert!(by_sigma[0] == 0.0 && by_sigma.windows(2).all(|pair| pair[0] <= pair[1]), "{by_sigma:?}");
+        assert!(by_sigma[3] > 0.5, "{by_sigma:?}");
     }
 
     #[test]
-    fn who_overlaps_hides_nothing() {
+    fn overlapping_outlines_occlude_nothing_of_each_other() {
         let twice = Outline { centre_m: [20.6, 0.4], ..LORRY };
         for (opaque, of) in [(LORRY, twice), (twice, LORRY), (LORRY, LORRY)] {
-            let share = share([0.0; 2], &[opaque], of);
-            // But for a ray or two that cut a corner.
-            assert!(share > 0.95, "{share}");
+            let visibility = visibility([0.0; 2], &[opaque], of);
+            // A ray or two may cut a corner.
+            assert!(visibility > 0.95, "{visibility}");
         }
     }
 
-    /// Behind the sensor bearings go from π to −π.
+    /// Behind the sensor bearings jump from π to −π.
     #[test]
-    fn there_is_no_seam() {
+    fn visibility_is_the_same_all_round() {
         for k in 0..720 {
             let (sin, cos) = (f64::from(k) * PI / 360.0).sin_cos();
             let lorry = Outline {
@@ -270,21 +276,25 @@ mod tests {
                 heading_rad: sin.atan2(cos) + PI / 2.0,
                 ..LORRY
             };
-            assert_eq!(share([0.0; 2], &[lorry], walker(25.0 * cos, 25.0 * sin, 0.2)), 0.0, "{k}");
-            assert_eq!(share([0.0; 2], &[lorry], walker(-25.0 * cos, -25.0 * sin, 0.2)), 1.0, "{k}");
+            assert_eq!(visibility([0.0; 2], &[lorry], pedestrian(25.0 * cos, 25.0 * sin, 0.2)), 0.0, "{k}");
+            assert_eq!(visibility([0.0; 2], &[lorry], pedestrian(-25.0 * cos, -25.0 * sin, 0.2)), 1.0, "{k}");
         }
     }
 
-    /// The sensor on an agent, in one, or as far away as can be; agents without extent, with a covariance of zero.
+    /// The sensor on an agent, in one, or as far away as possible; agents without extent, with a covariance
+    /// of zero.
     #[test]
-    fn odd_places_give_a_share() {
+    fn visibility_of_degenerate_outlines_is_within_0_and_1() {
         let point = Outline { half_m: [0.0; 2], covariance_m2: [0.0; 3], ..LORRY };
         let wide = Outline { half_m: [1e3; 2], covariance_m2: [1e12, 0.0, 1e12], ..LORRY };
         for sensor_m in [[20.0, 0.0], [20.0, 1e-300], [21.25, 0.0], [21.25, 4.0], [-32_768.0, 32_768.0]] {
             for opaque in [LORRY, point, wide] {
-                for of in [LORRY, point, wide, walker(20.0, 0.0, 0.0)] {
-                    let share = share(sensor_m, &[opaque, opaque], of);
-                    assert!((0.0..=1.0).contains(&share), "{sensor_m:?} {opaque:?} {of:?}: {share}");
+                for of in [LORRY, point, wide, pedestrian(20.0, 0.0, 0.0)] {
+                    let visibility = visibility(sensor_m, &[opaque, opaque], of);
+                    assert!(
+                        (0.0..=1.0).contains(&visibility),
+                        "{sensor_m:?} {opaque:?} {of:?}: {visibility}"
+                    );
                 }
             }
         }

@@ -36,10 +36,10 @@ pub struct ForecastTrust {
     /// Share of the process model's noise (standard deviations) that the forecast's modes keep where their controls act
     /// in full.
     pub noise_share: f64,
-    /// Standard deviation of a vehicle's speed at which half of an acceleration acts.
-    pub even_speed_mps: f64,
-    /// Standard deviation of a vehicle's heading at which half of a slip rate acts.
-    pub even_heading_rad: f64,
+    /// Standard deviation of a vehicle's speed at which the gain of its acceleration control is one half.
+    pub half_gain_speed_mps: f64,
+    /// Standard deviation of a vehicle's heading at which the gain of its slip-rate control is one half.
+    pub half_gain_heading_rad: f64,
     /// Time constant with which displacements come in: at first the estimated state knows better. 0 for at once.
     pub fade_in_s: f64,
 }
@@ -98,8 +98,8 @@ const TRUST: ForecastTrust = ForecastTrust {
     kinematic_weight: 0.05,
     covariance_scale: 1.0,
     noise_share: 1.0,
-    even_speed_mps: 0.7,
-    even_heading_rad: 0.02,
+    half_gain_speed_mps: 0.7,
+    half_gain_heading_rad: 0.02,
     fade_in_s: 0.5,
 };
 

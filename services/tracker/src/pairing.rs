@@ -1,41 +1,43 @@
+use association::Candidate;
+use association::assignment::Assigner;
+use association::jpda::{Associator, Share};
 use config::Association;
-use filters::assignment::{Assigner, Candidate};
-use filters::jpda::{Associator, Share};
 use wire::{AgentType, Detection};
 
 use crate::estimate::Estimate;
 use crate::grid::{Grid, Spot};
-use crate::observed::position_sigma_m;
+use crate::observation::position_sigma_m;
 use crate::options::{InputModel, TrackerOptions};
 
 /// 99 % of a chi-squared variable of two degrees of freedom: the gate for positions.
 const GATE: f64 = 9.210_340_371_976_18;
-/// The gate for a confirmed track that got none of the detections within the first gate, and a detection that no track
-/// got: five standard deviations. A vehicle that brakes hard leaves the first gate, and would meet itself as a new track.
+/// The gate of the second round, of confirmed tracks and detections that the first left unpaired: five
+/// standard deviations. A vehicle that brakes hard leaves the first gate, and would start a second track.
 const WIDE_GATE: f64 = 25.0;
-/// A detection that carries an identity belongs to its track unless it would have had to move faster than this allows.
+/// A detection that carries an identity belongs to its track unless it is farther away than this and any
+/// speed allow.
 const JUMP_MIN_M: f64 = 5.0;
 
-/// Finds the estimate of each detection; holds only scratch memory.
+/// Associates detections with estimates; holds only scratch memory.
 #[derive(Clone, Debug)]
 pub struct Pairing {
-    /// The detections that have no estimate, in an order that does not depend on how they came.
-    left: Vec<u32>,
+    /// The unpaired detections, in an order that does not depend on that of the frame.
+    unpaired: Vec<u32>,
     grid: Grid,
     /// (identity, estimate), sorted.
     identities: Vec<(u64, u32)>,
     candidates: Vec<Candidate>,
-    /// The candidates within the first gate, for the associator.
+    /// The candidates of the first gate, for the associator.
     possible: Vec<Candidate>,
     assigner: Assigner,
     associator: Associator,
     /// Detection of each estimate, as its only share.
     paired: Vec<Option<Share>>,
-    /// Whether each estimate has the shares that the associator found instead.
+    /// Whether each estimate has the shares of the associator instead.
     joint: Vec<bool>,
-    /// The detection of each estimate, of one round alone.
+    /// The detection of each estimate in one round.
     round: Vec<Option<u32>>,
-    /// Whether each detection has an estimate, or is refused one.
+    /// Whether each detection is paired, or left aside as a duplicate.
     taken: Vec<bool>,
 }
 
@@ -44,7 +46,7 @@ impl Pairing {
     #[must_use]
     pub fn with_capacity(estimates_len: usize, detections_len: usize) -> Self {
         Self {
-            left: Vec::with_capacity(detections_len),
+            unpaired: Vec::with_capacity(detections_len),
             grid: Grid::with_capacity(detections_len),
             identities: Vec::with_capacity(estimates_len),
             candidates: Vec::with_capacity(8 * estimates_len),
@@ -58,13 +60,13 @@ impl Pairing {
         }
     }
 
-    /// The detection of an estimate, as last found; no two have the same.
+    /// The detection of an estimate; no two have the same.
     #[must_use]
     pub fn paired(&self, estimate: usize) -> Option<u32> {
         self.paired[estimate].map(|share| share.detection)
     }
 
-    /// What corrects an estimate: its detection, or all that may be its own.
+    /// What updates an estimate: its detection, or all that may be its own.
     #[must_use]
     pub fn shares(&self, estimate: usize) -> &[Share] {
         if self.joint[estimate] {
@@ -74,17 +76,18 @@ impl Pairing {
         }
     }
 
-    /// The detections that start estimates of their own, in an order that does not depend on how they came.
+    /// The detections that start tracks, in an order that does not depend on that of the frame.
     pub fn unpaired(&self) -> impl Iterator<Item = usize> + '_ {
-        self.left.iter().map(|&d| d as usize)
+        self.unpaired.iter().map(|&d| d as usize)
     }
 
-    /// Pairs by identity: a detection belongs to the estimate that the last detection of its identity belonged to.
+    /// Pairs by identity: a detection belongs to the estimate of the last detection of its identity.
     ///
-    /// Returns how many detections were left aside because another one of the frame carries the same identity.
+    /// Returns the number of detections left aside because another one of the frame carries the same
+    /// identity.
     pub fn by_identity(&mut self, estimates: &[Estimate], detections: &[Detection]) -> usize {
-        self.start(estimates, detections);
-        self.left.sort_unstable_by_key(|&d| {
+        self.clear(estimates, detections);
+        self.unpaired.sort_unstable_by_key(|&d| {
             let d = &detections[d as usize];
             (d.id, d.agent_type, d.x_m.to_bits(), d.y_m.to_bits())
         });
@@ -93,14 +96,14 @@ impl Pairing {
         self.identities.sort_unstable();
         let mut duplicates_len = 0;
         let mut last = None;
-        for &d in &self.left {
+        for &d in &self.unpaired {
             let detection = &detections[d as usize];
             if last.replace(detection.id) == Some(detection.id) {
                 self.taken[d as usize] = true;
                 duplicates_len += 1;
                 continue;
             }
-            // Of several estimates that had the identity the newest holds it.
+            // Of several estimates with the identity, the newest holds it.
             let end = self.identities.partition_point(|&(id, _)| id <= detection.id);
             let Some(&(id, t)) = end.checked_sub(1).and_then(|i| self.identities.get(i)) else { continue };
             if id == detection.id && !jumped(&estimates[t as usize], detection) {
@@ -108,16 +111,16 @@ impl Pairing {
                 self.taken[d as usize] = true;
             }
         }
-        self.left.retain(|&d| !self.taken[d as usize]);
+        self.unpaired.retain(|&d| !self.taken[d as usize]);
         duplicates_len
     }
 
-    /// Pairs by position and type: the cheapest assignment of all pairs within the gate.
+    /// Pairs by position and type: the optimal assignment of all pairs within the gate.
     ///
-    /// A pair costs d² + ln |S|, what the detection's type tells against it and what hides the agent; d² and S are those of the
-    /// position, so that a heading or speed that is off does not cost a track its detection. A second round with a wider gate
-    /// pairs what is left of confirmed tracks and detections. Who is hidden takes no part in it: that a place unseen gave no
-    /// detection asks for no explanation.
+    /// A pair costs d² + ln |S|, plus the cost of the detection's type and that of the agent's occlusion; d²
+    /// and S are those of the position, so that a wrong heading or speed does not cost a track its detection.
+    /// A second round with a wider gate pairs confirmed tracks and detections that are left. Occluded tracks
+    /// take no part in it: their miss needs no explanation.
     pub fn by_position(
         &mut self,
         estimates: &[Estimate],
@@ -126,11 +129,11 @@ impl Pairing {
         input: &InputModel,
         options: &TrackerOptions,
     ) {
-        self.start(estimates, detections);
-        let seen = detections.iter().zip(types).zip(0..detections.len() as u32);
-        self.grid.fill(seen.map(|((seen, &agent_type), detection)| Spot {
-            position_m: [f64::from(seen.x_m), f64::from(seen.y_m)],
-            variance: position_sigma_m(seen, agent_type, input).powi(2),
+        self.clear(estimates, detections);
+        let detected = detections.iter().zip(types).zip(0..detections.len() as u32);
+        self.grid.fill(detected.map(|((found, &agent_type), detection)| Spot {
+            position_m: [f64::from(found.x_m), f64::from(found.y_m)],
+            variance: position_sigma_m(found, agent_type, input).powi(2),
             detection,
             agent_type,
         }));
@@ -152,17 +155,18 @@ impl Pairing {
         if jointly {
             self.associate(estimates, detections.len(), options.miss_cost);
         }
-        self.left.retain(|&d| !self.taken[d as usize]);
-        self.left.sort_unstable_by(|&a, &b| {
+        self.unpaired.retain(|&d| !self.taken[d as usize]);
+        self.unpaired.sort_unstable_by(|&a, &b| {
             let (a, b) = (&detections[a as usize], &detections[b as usize]);
             a.x_m.total_cmp(&b.x_m).then(a.y_m.total_cmp(&b.y_m)).then(a.agent_type.cmp(&b.agent_type))
         });
     }
 
-    /// Finds what each pair within the first gate is worth to the estimates that are ready.
+    /// Finds the probability of each pair within the first gate, for the estimates that are ready.
     ///
-    /// Who was seen is for the assignment to say. Tentative estimates go by that alone: corrected by all that may be theirs,
-    /// those that clutter started would find more of it. So does one whose detection lies beyond the first gate.
+    /// The assignment alone decides which tracks are hit, and what updates the tentative ones: updated by all
+    /// that may be theirs, those that clutter started would follow more of it. The same holds for a track
+    /// whose detection lies beyond the first gate.
     fn associate(&mut self, estimates: &[Estimate], detections_len: usize, miss_cost: f64) {
         self.associator.associate(&mut self.possible, estimates.len(), detections_len, miss_cost);
         for (e, estimate) in estimates.iter().enumerate() {
@@ -172,16 +176,16 @@ impl Pairing {
         }
     }
 
-    /// All pairs within the gate of estimates and detections that are still alone.
+    /// Finds all pairs within the gate, of estimates and detections that are unpaired.
     fn find_candidates(&mut self, estimates: &[Estimate], gate: f64, options: &TrackerOptions) {
         let Self { grid, candidates, paired, taken, .. } = self;
         let largest = grid.spots().iter().fold(0.0, |largest, spot| spot.variance.max(largest));
         candidates.clear();
         for ((estimate, t), paired) in estimates.iter().zip(0..).zip(&*paired) {
-            if paired.is_some() || (gate > GATE && (!estimate.is_ready() || estimate.is_hidden())) {
+            if paired.is_some() || (gate > GATE && (!estimate.is_ready() || estimate.is_occluded())) {
                 continue;
             }
-            let hidden_cost = estimate.hidden_cost(options);
+            let occlusion_cost = estimate.occlusion_cost(options);
             let (centre_m, [xx, _, yy]) = estimate.belief.position();
             let reach_m = [xx, yy].map(|variance| (gate * (variance + largest)).sqrt());
             grid.near(centre_m, reach_m).for_each(|spot| {
@@ -191,16 +195,16 @@ impl Pairing {
                 }
                 let fit = estimate.fit(spot.position_m, spot.variance);
                 if fit.distance2 <= gate {
-                    let cost = fit.cost() + estimate.class.disagreement(spot.agent_type) + hidden_cost;
+                    let cost = fit.cost() + estimate.class.disagreement(spot.agent_type) + occlusion_cost;
                     candidates.push(Candidate { track: t, detection: spot.detection, cost });
                 }
             });
         }
     }
 
-    fn start(&mut self, estimates: &[Estimate], detections: &[Detection]) {
-        self.left.clear();
-        self.left.extend(0..detections.len() as u32);
+    fn clear(&mut self, estimates: &[Estimate], detections: &[Detection]) {
+        self.unpaired.clear();
+        self.unpaired.extend(0..detections.len() as u32);
         self.taken.clear();
         self.taken.resize(detections.len(), false);
         self.paired.clear();

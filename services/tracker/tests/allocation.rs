@@ -1,14 +1,18 @@
-//! A steady step takes no memory, nor does a frame that comes late.
+//! The memory of the tracker: none is allocated in steady state, and random ticks keep it bounded.
 
 #[path = "../../../tests/support/counting.rs"]
 mod counting;
-#[path = "support/forecaster.rs"]
-mod forecaster;
+mod support {
+    pub mod forecaster;
+    pub mod torture;
+}
 
 use bytemuck::Zeroable;
-use forecaster::{HORIZON_LEN, forecast, forecasts_header};
 use tracker::{Association, Prior, Tracker, TrackerOptions};
 use wire::{AGENTS_MAX, AgentType, Detection, Forecast, Header, Steering, Track, detection_flags, flags};
+
+use crate::support::forecaster::{HORIZON_LEN, forecast, forecasts_header};
+use crate::support::torture::torture;
 
 /// A hundred agents of all types, 4 m apart, each on a small circle of its own.
 fn detections(k: u32, missed: Option<u32>, out: &mut Vec<Detection>) {
@@ -27,24 +31,29 @@ fn detections(k: u32, missed: Option<u32>, out: &mut Vec<Detection>) {
     }
 }
 
-// One test only: another in this process would count as well.
+// One test only: the allocations and memory of another in this process would count as well.
 #[test]
-fn a_thousand_steady_steps_allocate_nothing() {
+fn steady_steps_allocate_nothing_and_random_ticks_keep_memory() {
+    steady_steps_allocate_nothing();
+    random_ticks_keep_memory();
+}
+
+fn steady_steps_allocate_nothing() {
     for (identities, name) in
         [(flags::HAS_IDENTITIES, "by identity"), (0, "by position"), (flags::SEEN_FROM_EGO, "one missed")]
     {
         for prior in [Prior::Kinematic, Prior::Learned] {
             for association in [Association::Assignment, Association::Jpda] {
-                steady_steps_allocate_nothing(identities, prior, association, name);
+                assert_steady_steps_allocate_nothing(identities, prior, association, name);
             }
         }
     }
 }
 
-fn steady_steps_allocate_nothing(identities: u32, prior: Prior, association: Association, name: &str) {
+fn assert_steady_steps_allocate_nothing(identities: u32, prior: Prior, association: Association, name: &str) {
     let mut tracker = Tracker::new(TrackerOptions { prior, association, ..TrackerOptions::default() });
     let mut out = vec![Track::zeroed(); AGENTS_MAX];
-    let mut seen = Vec::with_capacity(100);
+    let mut frame = Vec::with_capacity(100);
     let mut made: Vec<Forecast> = Vec::with_capacity(AGENTS_MAX);
     let mut made_ns = 0;
     let mut late_len = 0;
@@ -55,13 +64,13 @@ fn steady_steps_allocate_nothing(identities: u32, prior: Prior, association: Ass
             3..8 => number - 1,
             _ => number,
         };
-        detections(k, (identities == flags::SEEN_FROM_EGO && k > 8).then_some(k % 100), &mut seen);
+        detections(k, (identities == flags::SEEN_FROM_EGO && k > 8).then_some(k % 100), &mut frame);
         let stamp_ns = i64::from(k) * 80_000_000;
         let observed_types =
             AgentType::Vehicle.bit() | AgentType::Cyclist.bit() | AgentType::Pedestrian.bit();
         let header = Header { flags: identities, observed_types, ..Header::new(1, u64::from(k), stamp_ns) };
         let of = forecasts_header(made_ns, made.len());
-        let tracked = tracker.step(&header, &seen, Some((&of, &made)), &mut out).expect("a good frame");
+        let tracked = tracker.step(&header, &frame, Some((&of, &made)), &mut out).expect("a good frame");
         assert_eq!(tracked.refused_len, 0);
         if tracked.replayed_len > 0 {
             late_len += 1;
@@ -80,4 +89,26 @@ fn steady_steps_allocate_nothing(identities: u32, prior: Prior, association: Ass
     assert_eq!(late_len, 5 * 110, "{name}, {prior:?}");
     let learned = out.iter().filter(|track| track.prior_age_ns > 0).count();
     assert_eq!(learned > 50, prior == Prior::Learned, "{name}, {prior:?}: {learned} tracks by forecasts");
+}
+
+/// Random ticks: out-of-sequence, repeated, invalid, empty and crowded frames, targets that teleport, clocks
+/// that jump.
+fn random_ticks_keep_memory() {
+    for (prior, association) in [
+        (Prior::Kinematic, Association::Assignment),
+        (Prior::Kinematic, Association::Jpda),
+        (Prior::Learned, Association::Assignment),
+        (Prior::Learned, Association::Jpda),
+    ] {
+        let survived = torture(prior, association, 7, 2_500);
+        println!("{prior:?}, {association:?}: {survived:?}");
+        assert!(survived.out_of_sequence_len > 100, "{survived:?}");
+        assert!(survived.published_len > 20_000 && survived.refused.len() >= 3, "{survived:?}");
+        assert_eq!(survived.learned_len > 5_000, prior == Prior::Learned, "{survived:?}");
+        // Hypotheses of 20 KiB live as long as the track that has them: a few hundred at once. Those of all
+        // tracks ever would be hundreds of MiB. The last frames take memory as larger ones come.
+        if let [_, _, early, .., late] = survived.resident_kib[..] {
+            assert!(late.saturating_sub(early) < 16 * 1_024, "{survived:?}");
+        }
+    }
 }

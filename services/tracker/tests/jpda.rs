@@ -1,48 +1,46 @@
-//! Two agents that meet closely among false detections, each corrected by the detection that is assigned to it, or by all
-//! that may be its own.
-
-#[path = "support/run.rs"]
-mod run;
+//! Two agents that cross closely in clutter, tracked by assignment and by joint probabilistic data
+//! association.
 
 use std::collections::BTreeSet;
 use std::f64::consts::{PI, TAU};
 
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
-use run::{Run, TICK_NS, heading, noise, seen};
 use tracker::{Association, TrackerOptions};
 use wire::{AgentType, Detection, Track};
 
+use crate::support::harness::{Harness, TICK_NS, detected_at, noise, with_heading};
+
 const TICK_S: f64 = TICK_NS as f64 / 1e9;
 const SEEDS: u64 = 100;
-/// Frames of a meeting, and those about it, in which nobody asks whose track is whose.
+/// Frames of a crossing, and those about it, in which ids are not compared.
 const FRAMES: u64 = 75;
 const MEETING: std::ops::Range<u64> = 20..55;
-/// The first frames, in which tracks begin.
+/// The first frames, in which tracks start.
 const BEGIN: u64 = 10;
-/// Of the false detections per m², within this of either agent along each axis.
+/// False detections per m², and the distance of either agent along each axis within which they lie.
 const CLUTTER: f64 = 0.01;
 const CLUTTER_REACH_M: f64 = 10.0;
-/// A track so near an agent is its own.
+/// Distance within which a track is that of an agent.
 const NEAR_M: f64 = 1.5;
 
 struct Meeting {
     name: &'static str,
     agent_type: AgentType,
     sigma_m: f64,
-    /// Where each is when they meet, and how it moves.
+    /// Position of each at the crossing, and its velocity.
     agents: [([f64; 2], [f64; 2]); 2],
 }
 
 const MEETINGS: [Meeting; 4] = [
     Meeting {
-        name: "walkers at right angles",
+        name: "pedestrians at right angles",
         agent_type: AgentType::Pedestrian,
         sigma_m: 0.15,
         agents: [([0.0, 0.0], [1.4, 0.0]), ([0.3, 0.0], [0.0, 1.4])],
     },
     Meeting {
-        name: "walkers head on, 0.6 m apart",
+        name: "pedestrians head on, 0.6 m apart",
         agent_type: AgentType::Pedestrian,
         sigma_m: 0.15,
         agents: [([0.0, 0.0], [1.4, 0.0]), ([0.0, 0.6], [-1.2, 0.0])],
@@ -61,12 +59,12 @@ const MEETINGS: [Meeting; 4] = [
     },
 ];
 
-/// What became of the agents of all meetings.
+/// Results of all crossings.
 #[derive(Debug, Default)]
 struct Outcome {
-    /// Agents that had another id after the meeting, or more than one before or after.
+    /// Agents with another id after the crossing, or more than one before or after.
     switched_len: usize,
-    /// Meetings of which both agents had the same id, one after the other.
+    /// Crossings after which an id is that of the other agent.
     swapped_len: usize,
     /// Frames in which an agent had no track.
     lost_len: usize,
@@ -79,7 +77,7 @@ impl Outcome {
         (self.square_m2 / self.found_len as f64).sqrt()
     }
 
-    /// Takes in where an agent's track is; returns its id.
+    /// Finds an agent's track and counts its error; returns its id.
     fn find(&mut self, tracks: &[Track], [x, y, ..]: &[f64; 4]) -> Option<u64> {
         let off_m = |track: &Track| (f64::from(track.x_m) - x).hypot(f64::from(track.y_m) - y);
         let near = tracks.iter().map(|track| (off_m(track), track.id)).min_by(|a, b| a.0.total_cmp(&b.0));
@@ -95,8 +93,8 @@ impl Outcome {
 
 /// A detection, with a heading where the agents have one.
 fn detected(agent_type: AgentType, id: u64, x: f64, y: f64, course: f64) -> Detection {
-    let at = seen(agent_type, id, x, y);
-    if agent_type == AgentType::Vehicle { heading(at, course) } else { at }
+    let at = detected_at(agent_type, id, x, y);
+    if agent_type == AgentType::Vehicle { with_heading(at, course) } else { at }
 }
 
 /// The detections of a frame: each agent in nine of ten, and clutter about them.
@@ -120,7 +118,7 @@ fn frame(meeting: &Meeting, states: &[[f64; 4]; 2], rng: &mut ChaCha8Rng) -> Vec
 
 fn meet(meeting: &Meeting, association: Association) -> Outcome {
     let defaults = TrackerOptions::default();
-    // Two fields of clutter lie over one another.
+    // The clutter of both agents overlaps.
     let clutter_density = 2.0 * CLUTTER;
     let missed = 1.0 - defaults.detection_probability;
     let miss_cost = -2.0 * (TAU * clutter_density * missed / defaults.detection_probability).ln();
@@ -128,7 +126,7 @@ fn meet(meeting: &Meeting, association: Association) -> Outcome {
     let mut outcome = Outcome::default();
     for seed in 0..SEEDS {
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
-        let mut run = Run::new(options, 0);
+        let mut run = Harness::new(options, 0);
         let mut states = meeting.agents.map(|([x, y], [vx, vy])| [x - 3.0 * vx, y - 3.0 * vy, vx, vy]);
         let mut ids = [BTreeSet::new(), BTreeSet::new()];
         for k in 0..FRAMES {
@@ -155,7 +153,7 @@ fn meet(meeting: &Meeting, association: Association) -> Outcome {
 }
 
 #[test]
-fn agents_meet_in_clutter_no_worse_where_all_that_may_be_theirs_counts() {
+fn jpda_switches_fewer_ids_than_assignment_in_clutter() {
     for meeting in &MEETINGS {
         let [assigned, joint] =
             [Association::Assignment, Association::Jpda].map(|association| meet(meeting, association));

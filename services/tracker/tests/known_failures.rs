@@ -1,8 +1,4 @@
-//! Failures that trackers are known for: each is provoked over many seeds, and the figure of how often it happens is
-//! printed and bounded.
-
-#[path = "support/run.rs"]
-mod run;
+//! Known failures of trackers: each is provoked over many seeds, and its rate is printed and bounded.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::f64::consts::{FRAC_PI_2, PI};
@@ -10,28 +6,29 @@ use std::f64::consts::{FRAC_PI_2, PI};
 use filters::wrapped;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
-use run::{Run, TICK_NS, heading, noise, seen};
 use tracker::{Association, TrackerOptions};
 use wire::{AgentType, Detection, TrackStatus};
 
+use crate::support::harness::{Harness, TICK_NS, detected_at, noise, with_heading};
+
 const TICK_S: f64 = TICK_NS as f64 / 1e9;
 
-/// What 300 vehicles did whose headings are turned by π in 30 % of the frames.
+/// Headings of 300 vehicles of which a detector flips 30 % by π.
 #[derive(Debug, Default)]
 struct Turns {
-    /// Published headings that lay more than 90° from the one before.
+    /// Published headings more than 90° from the one before.
     jumps_len: usize,
     largest_rad: f64,
-    /// Headings published that were more than 90° wrong.
+    /// Published headings that are more than 90° wrong.
     wrong_len: usize,
     published_len: usize,
 }
 
-fn turned_headings(speed_mps: f64) -> Turns {
+fn flipped_headings(speed_mps: f64) -> Turns {
     let mut turns = Turns::default();
     for seed in 0..300 {
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
-        let mut run = Run::new(TrackerOptions::default(), 0);
+        let mut run = Harness::new(TrackerOptions::default(), 0);
         let mut course = rng.random_range(-PI..PI);
         let turn_rate = rng.random_range(-0.3..0.3) * f64::from(speed_mps > 0.0);
         let (mut x, mut y) = (0.0, 0.0);
@@ -40,9 +37,9 @@ fn turned_headings(speed_mps: f64) -> Turns {
             course += turn_rate * TICK_S;
             x += speed_mps * TICK_S * course.cos();
             y += speed_mps * TICK_S * course.sin();
-            let told = course + if rng.random_bool(0.3) { PI } else { 0.0 } + noise(&mut rng, 0.05);
-            let at = seen(AgentType::Vehicle, 1, x + noise(&mut rng, 0.1), y + noise(&mut rng, 0.1));
-            for track in run.step(&[heading(at, told)]) {
+            let detected_rad = course + if rng.random_bool(0.3) { PI } else { 0.0 } + noise(&mut rng, 0.05);
+            let at = detected_at(AgentType::Vehicle, 1, x + noise(&mut rng, 0.1), y + noise(&mut rng, 0.1));
+            for track in run.step(&[with_heading(at, detected_rad)]) {
                 let now = f64::from(track.heading_rad);
                 if let Some(before) = last.insert(track.id, now) {
                     let jump = wrapped(now - before).abs();
@@ -58,31 +55,31 @@ fn turned_headings(speed_mps: f64) -> Turns {
 }
 
 #[test]
-fn headings_do_not_jump_where_a_detector_turns_them() {
+fn flipped_detections_never_flip_published_headings() {
     for (pace, speed_mps) in [("driving", 8.0), ("crawling", 2.0), ("at rest", 0.0)] {
-        let turns = turned_headings(speed_mps);
-        println!("30 % of headings turned, {pace}: {turns:?}");
+        let turns = flipped_headings(speed_mps);
+        println!("30 % of headings flipped, {pace}: {turns:?}");
         assert_eq!(turns.jumps_len, 0, "{pace}: {turns:?}");
         assert!(turns.wrong_len * 20 < turns.published_len, "{pace}: {turns:?}");
     }
 }
 
-/// Two agents whose ways meet; each begins at a place with a velocity, and swerves a little.
+/// Two agents whose paths cross; each starts with a velocity and swerves slightly.
 struct Meeting {
     name: &'static str,
     agent_type: AgentType,
-    /// Where each is when they meet, and how it moves.
+    /// Position of each at the crossing, and its velocity.
     agents: [([f64; 2], [f64; 2]); 2],
 }
 
 const MEETINGS: [Meeting; 4] = [
     Meeting {
-        name: "walkers at right angles",
+        name: "pedestrians at right angles",
         agent_type: AgentType::Pedestrian,
         agents: [([0.0, 0.0], [1.4, 0.0]), ([0.3, 0.0], [0.0, 1.4])],
     },
     Meeting {
-        name: "walkers head on, 0.6 m apart",
+        name: "pedestrians head on, 0.6 m apart",
         agent_type: AgentType::Pedestrian,
         agents: [([0.0, 0.0], [1.4, 0.0]), ([0.0, 0.6], [-1.2, 0.0])],
     },
@@ -98,12 +95,12 @@ const MEETINGS: [Meeting; 4] = [
     },
 ];
 
-/// Agents of 200 meetings that had another id after 1.6 s in which neither was seen, and agents that were lost.
+/// Agents of 200 crossings that changed their id in 1.6 s without detections, and agents without a track.
 fn switches(meeting: &Meeting) -> (usize, usize) {
     let (mut switched_len, mut lost_len) = (0, 0);
     for seed in 0..200 {
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
-        let mut run = Run::new(TrackerOptions::default(), 0);
+        let mut run = Harness::new(TrackerOptions::default(), 0);
         let mut states = meeting.agents.map(|([x, y], [vx, vy])| [x - 5.0 * vx, y - 5.0 * vy, vx, vy]);
         let mut ids = [BTreeSet::new(), BTreeSet::new()];
         for k in 0..125 {
@@ -115,10 +112,10 @@ fn switches(meeting: &Meeting) -> (usize, usize) {
                     state[axis] += state[2 + axis] * TICK_S;
                 }
                 let (x, y) = (state[0] + noise(&mut rng, 0.1), state[1] + noise(&mut rng, 0.1));
-                let at = seen(meeting.agent_type, id, x, y);
-                let told = heading(at, state[3].atan2(state[2]) + noise(&mut rng, 0.1));
+                let at = detected_at(meeting.agent_type, id, x, y);
+                let headed = with_heading(at, state[3].atan2(state[2]) + noise(&mut rng, 0.1));
                 if !hidden && rng.random_bool(0.95) {
-                    detections.push(if meeting.agent_type == AgentType::Vehicle { told } else { at });
+                    detections.push(if meeting.agent_type == AgentType::Vehicle { headed } else { at });
                 }
             }
             for track in run.step(&detections).iter().filter(|t| t.status == TrackStatus::Confirmed as u32) {
@@ -132,45 +129,45 @@ fn switches(meeting: &Meeting) -> (usize, usize) {
 }
 
 #[test]
-fn identities_hold_where_agents_meet_unseen() {
+fn ids_persist_where_agents_cross_unseen() {
     for meeting in &MEETINGS {
         let (switched_len, lost_len) = switches(meeting);
-        println!("{}: {switched_len} of 400 switched, {lost_len} never seen", meeting.name);
+        println!("{}: {switched_len} of 400 switched, {lost_len} without a track", meeting.name);
         assert!(switched_len <= 24 && lost_len == 0, "{}: {switched_len} {lost_len}", meeting.name);
     }
 }
 
 /// False tracks of ten minutes.
 #[derive(Debug)]
-struct Ghosts {
+struct FalseTracks {
     per_minute: f64,
-    /// How long each was published, on average.
+    /// Mean time for which each was published.
     life_s: f64,
 }
 
-fn ghosts(agent_type: AgentType, clutter_len: usize) -> Ghosts {
+fn false_tracks(agent_type: AgentType, clutter_len: usize) -> FalseTracks {
     let mut ids = BTreeSet::new();
     let mut lived_s = 0.0;
     for seed in 0..10 {
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
-        let mut run = Run::new(TrackerOptions::default(), 0);
+        let mut run = Harness::new(TrackerOptions::default(), 0);
         for _ in 0..750 {
             let mut place = || rng.random_range(-50.0..50.0);
             let clutter: Vec<Detection> =
-                (0..clutter_len).map(|_| seen(agent_type, 0, place(), place())).collect();
+                (0..clutter_len).map(|_| detected_at(agent_type, 0, place(), place())).collect();
             for track in run.step(&clutter) {
                 ids.insert((seed, track.id));
                 lived_s += TICK_S;
             }
         }
     }
-    Ghosts { per_minute: ids.len() as f64 / 10.0, life_s: lived_s / ids.len().max(1) as f64 }
+    FalseTracks { per_minute: ids.len() as f64 / 10.0, life_s: lived_s / ids.len().max(1) as f64 }
 }
 
-/// Detections without a cause, evenly over a hectare, without heading or speed: a vehicle may then be anywhere within
-/// metres of where it was. Ten are what [`TrackerOptions::clutter_density`] expects.
+/// Clutter, evenly over a hectare, without heading or speed: a vehicle's gate is then metres wide. Ten
+/// detections are what [`TrackerOptions::clutter_density`] expects.
 #[test]
-fn clutter_raises_few_ghosts_and_they_are_gone_soon() {
+fn clutter_makes_few_and_short_false_tracks() {
     for (agent_type, clutter_len, per_minute_max) in [
         (AgentType::Pedestrian, 2, 0.2),
         (AgentType::Pedestrian, 10, 0.5),
@@ -179,15 +176,15 @@ fn clutter_raises_few_ghosts_and_they_are_gone_soon() {
         (AgentType::Vehicle, 10, 1.0),
         (AgentType::Vehicle, 50, 40.0),
     ] {
-        let ghosts = ghosts(agent_type, clutter_len);
-        println!("{clutter_len} false {agent_type:?} a frame: {ghosts:?}");
-        assert!(ghosts.per_minute <= per_minute_max && ghosts.life_s < 0.8, "{ghosts:?}");
+        let found = false_tracks(agent_type, clutter_len);
+        println!("{clutter_len} false {agent_type:?} a frame: {found:?}");
+        assert!(found.per_minute <= per_minute_max && found.life_s < 0.8, "{found:?}");
     }
 }
 
-/// Five hundred walkers in one crowd, a metre and a half apart: all are held, few change their id.
+/// Five hundred pedestrians, 1.5 m apart, all of which are tracked.
 #[test]
-fn a_crowd_keeps_its_identities() {
+fn fewer_than_2_percent_of_a_crowd_switch_ids() {
     for association in [Association::Assignment, Association::Jpda] {
         let (switched_len, compared_len) = switches_in_a_crowd(association);
         println!("{association:?}: {switched_len} switches of {compared_len} published states");
@@ -197,8 +194,8 @@ fn a_crowd_keeps_its_identities() {
 
 fn switches_in_a_crowd(association: Association) -> (usize, usize) {
     let mut rng = ChaCha8Rng::seed_from_u64(1);
-    let mut run = Run::new(TrackerOptions { association, ..TrackerOptions::default() }, 0);
-    let mut walkers: Vec<[f64; 4]> = (0..500)
+    let mut run = Harness::new(TrackerOptions { association, ..TrackerOptions::default() }, 0);
+    let mut pedestrians: Vec<[f64; 4]> = (0..500)
         .map(|i| {
             let mut off = || noise(&mut rng, 0.2);
             [1.5 * f64::from(i % 25) + off(), 1.5 * f64::from(i / 25) + off(), off(), off()]
@@ -208,12 +205,12 @@ fn switches_in_a_crowd(association: Association) -> (usize, usize) {
     let (mut switched_len, mut compared_len) = (0, 0);
     for k in 0..250 {
         let mut detections = Vec::new();
-        for (walker, id) in walkers.iter_mut().zip(1..) {
+        for (pedestrian, id) in pedestrians.iter_mut().zip(1..) {
             for axis in 0..2 {
-                walker[axis] += walker[2 + axis] * TICK_S;
+                pedestrian[axis] += pedestrian[2 + axis] * TICK_S;
             }
-            let (x, y) = (walker[0] + noise(&mut rng, 0.1), walker[1] + noise(&mut rng, 0.1));
-            detections.push(seen(AgentType::Pedestrian, id, x, y));
+            let (x, y) = (pedestrian[0] + noise(&mut rng, 0.1), pedestrian[1] + noise(&mut rng, 0.1));
+            detections.push(detected_at(AgentType::Pedestrian, id, x, y));
         }
         let tracked = run.try_step(&detections).expect("a good frame");
         assert!(k < 10 || (500..=512).contains(&tracked.held_len), "{k}: {tracked:?}");

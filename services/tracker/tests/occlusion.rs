@@ -1,8 +1,5 @@
-//! Agents that pass behind a parked vehicle, seen by a sensor at the roadside, among false detections: with the sensor's place
-//! known, and not. And agents that are out of view for a while, with the view known, and not.
-
-#[path = "support/run.rs"]
-mod run;
+//! Agents that pass behind a parked vehicle, in clutter, with the position of the roadside sensor known and
+//! unknown; and agents out of the field of view for a while, with that known and unknown.
 
 use std::collections::BTreeMap;
 use std::f64::consts::PI;
@@ -11,67 +8,73 @@ use config::View;
 use filters::wrapped;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
-use run::{Run, TICK_NS, heading, noise, seen};
 use tracker::TrackerOptions;
 use wire::{AgentType, Detection, Track, TrackStatus, detection_flags, flags};
+
+use crate::support::harness::{Harness, TICK_NS, detected_at, noise, with_heading};
 
 const TICK_S: f64 = TICK_NS as f64 / 1e9;
 const SEEDS: u64 = 200;
 /// False detections in each frame, over a hectare about the parked vehicle.
 const CLUTTER: usize = 10;
 const DETECTED: f64 = 0.9;
-/// Where the parked vehicle stands, across the view of the sensor at the origin; where its near side is.
+/// Position of the parked vehicle, across the view of the sensor at the origin, and of its near side.
 const PARKED_M: [f64; 2] = [0.0, 20.0];
 const PARKED_WIDTH_M: f64 = 2.5;
 const NEAR_SIDE_M: f64 = PARKED_M[1] - PARKED_WIDTH_M / 2.0;
-/// The parked vehicle is alone for so long; the agent is followed for so long once it can be seen again.
+/// Time of the parked vehicle alone, and of the agent after its occlusion.
 const ALONE_S: f64 = 1.0;
 const AFTER_S: f64 = 2.0;
-/// A track so near an agent may be its own; one farther from all is false.
+/// Distance within which a track may be that of an agent, and beyond which it is false.
 const NEAR_M: f64 = 2.0;
 const FALSE_M: f64 = 4.0;
 
-/// Agents of one type that pass on one line.
+/// Agents of one type that pass on a line.
 #[derive(Clone, Copy)]
 struct Passing {
     name: &'static str,
     agent_type: AgentType,
     speed_mps: f64,
     behind_m: f64,
-    /// For how long an agent is seen before it is hidden, and then hidden: drawn evenly.
+    /// Ranges of the time in which an agent is visible, and then hidden: drawn evenly.
     seen_s: (f64, f64),
     hidden_s: (f64, f64),
 }
 
-const WALKERS: Passing = Passing {
-    name: "walkers",
+const PEDESTRIANS: Passing = Passing {
+    name: "pedestrians",
     agent_type: AgentType::Pedestrian,
     speed_mps: 1.4,
     behind_m: 24.0,
     seen_s: (0.6, 3.0),
     hidden_s: (1.0, 3.0),
 };
-const VEHICLES: Passing =
-    Passing { name: "vehicles", agent_type: AgentType::Vehicle, speed_mps: 6.0, behind_m: 25.0, ..WALKERS };
+const VEHICLES: Passing = Passing {
+    name: "vehicles",
+    agent_type: AgentType::Vehicle,
+    speed_mps: 6.0,
+    behind_m: 25.0,
+    ..PEDESTRIANS
+};
 
-/// What became of the agents.
+/// Results for all agents.
 #[derive(Clone, Copy, Debug, Default)]
 struct Outcome {
-    /// Agents that had a track before they were hidden: the same one in the end, another one, or none.
+    /// Agents with a track before they were hidden, by the track after: the same, another, or none.
     kept_len: usize,
     switched_len: usize,
     lost_len: usize,
-    /// Frames in which an agent was hidden, and those of them in which its track was near.
+    /// Frames with a hidden agent, and those of them with its track near.
     hidden_len: usize,
     bridged_len: usize,
-    /// Tracks that were never near anything, and the time for which tracks were published far from everything.
-    ghosts_len: usize,
+    /// False tracks, never near anything, and the time for which tracks were published far from everything.
+    false_len: usize,
     false_s: f64,
 }
 
 fn detection(agent_type: AgentType, [x, y]: [f64; 2], course: f64, rng: &mut ChaCha8Rng) -> Detection {
-    let at = seen(agent_type, 0, x + noise(rng, 0.1), y + noise(rng, 0.1));
-    if agent_type == AgentType::Vehicle { heading(at, course + noise(rng, 0.1)) } else { at }
+    let at = detected_at(agent_type, 0, x + noise(rng, 0.1), y + noise(rng, 0.1));
+    if agent_type == AgentType::Vehicle { with_heading(at, course + noise(rng, 0.1)) } else { at }
 }
 
 fn clutter(agent_type: AgentType, detections: &mut Vec<Detection>, rng: &mut ChaCha8Rng) {
@@ -100,7 +103,7 @@ fn off_m(track: &Track, [x, y]: [f64; 2]) -> f64 {
 /// One agent passes from left to right.
 fn pass(passing: &Passing, seed: u64, sees_from: u32, outcome: &mut Outcome) {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
-    let mut run = Run::new(TrackerOptions::default(), sees_from);
+    let mut run = Harness::new(TrackerOptions::default(), sees_from);
     let Passing { agent_type, speed_mps, behind_m, .. } = *passing;
     let mut draw = |(from, to): (f64, f64)| rng.random_range(from..to);
     let (seen_s, hidden_s) = (draw(passing.seen_s), draw(passing.hidden_s));
@@ -149,7 +152,7 @@ fn pass(passing: &Passing, seed: u64, sees_from: u32, outcome: &mut Outcome) {
             }
         }
     }
-    outcome.ghosts_len += nearest_m.values().filter(|&&nearest_m| nearest_m > FALSE_M).count();
+    outcome.false_len += nearest_m.values().filter(|&&nearest_m| nearest_m > FALSE_M).count();
     match (before, last) {
         (None, _) => {}
         (Some(_), None) => outcome.lost_len += 1,
@@ -158,7 +161,7 @@ fn pass(passing: &Passing, seed: u64, sees_from: u32, outcome: &mut Outcome) {
     }
 }
 
-/// What comes of the same scenes with the sensor's place unknown, and known.
+/// The same scenes with the sensor's position unknown, and known.
 fn compare(passing: &Passing) -> [Outcome; 2] {
     [("unknown", 0), ("known", flags::SEEN_FROM_EGO)].map(|(name, sees_from)| {
         let mut outcome = Outcome::default();
@@ -169,28 +172,27 @@ fn compare(passing: &Passing) -> [Outcome; 2] {
 }
 
 #[test]
-fn who_passes_behind_keeps_its_identity() {
-    for passing in [WALKERS, VEHICLES] {
+fn ids_persist_behind_a_parked_vehicle() {
+    for passing in [PEDESTRIANS, VEHICLES] {
         let [unknown, known] = compare(&passing);
         let switched = |of: &Outcome| of.switched_len + of.lost_len;
         assert!(2 * known.kept_len > 3 * unknown.kept_len, "{known:?} {unknown:?}");
         assert!(3 * switched(&known) < 2 * switched(&unknown), "{known:?} {unknown:?}");
         assert!(known.bridged_len > unknown.bridged_len, "{known:?} {unknown:?}");
         assert!(
-            known.ghosts_len <= unknown.ghosts_len && known.false_s < unknown.false_s,
+            known.false_len <= unknown.false_len && known.false_s < unknown.false_s,
             "{known:?} {unknown:?}"
         );
     }
 }
 
-/// A quarter of the circle, as a camera sees it.
+/// A quarter of the circle, as of a camera.
 const VIEW: View = View { width_deg: 90.0, range_m: 60.0 };
 
-/// Whether a walker ahead, whom a sensor sees, then not, because it looks back for a while, then sees again, keeps its track; `None`
-/// if it had none.
+/// Whether a pedestrian ahead keeps its track while the sensor turns back for a time; `None` if it had none.
 fn looks_back(seed: u64, view: Option<View>) -> Option<bool> {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
-    let mut run = Run::new(TrackerOptions { view, ..TrackerOptions::default() }, flags::SEEN_FROM_EGO);
+    let mut run = Harness::new(TrackerOptions { view, ..TrackerOptions::default() }, flags::SEEN_FROM_EGO);
     let (seen_s, away_s) = (rng.random_range(1.0..3.0), rng.random_range(1.0..3.0));
     let course: f64 = rng.random_range(-PI..PI);
     let (mut place, step_m) = ([20.0, 0.0], 1.4 * TICK_S);
@@ -224,7 +226,7 @@ fn looks_back(seed: u64, view: Option<View>) -> Option<bool> {
 }
 
 #[test]
-fn who_is_out_of_view_keeps_its_identity() {
+fn ids_persist_out_of_the_field_of_view() {
     let [unknown, known] = [None, Some(VIEW)].map(|view| {
         let followed: Vec<bool> = (0..SEEDS).filter_map(|seed| looks_back(seed, view)).collect();
         let kept_len = followed.iter().filter(|kept| **kept).count();
@@ -234,12 +236,12 @@ fn who_is_out_of_view_keeps_its_identity() {
     assert!(2 * known > 3 * unknown && known > 100, "{known} with the view known, {unknown} without");
 }
 
-/// False tracks of ten minutes, and for how long each was published on average, where much of the view is behind a lorry.
-fn ghosts(sees_from: u32) -> (usize, f64) {
-    let (mut ghosts, mut lived_s) = (0, 0.0);
+/// False tracks of ten minutes, and the mean time of each, where much of the view is behind a lorry.
+fn false_tracks(sees_from: u32) -> (usize, f64) {
+    let (mut found_len, mut lived_s) = (0, 0.0);
     for seed in 0..10 {
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
-        let mut run = Run::new(TrackerOptions::default(), sees_from);
+        let mut run = Harness::new(TrackerOptions::default(), sees_from);
         let mut ids: BTreeMap<u64, usize> = BTreeMap::new();
         for _ in 0..750 {
             let mut detections: Vec<Detection> = parked(40.0, &mut rng).into_iter().collect();
@@ -248,25 +250,27 @@ fn ghosts(sees_from: u32) -> (usize, f64) {
                 *ids.entry(track.id).or_default() += 1;
             }
         }
-        ghosts += ids.len();
+        found_len += ids.len();
         lived_s += ids.values().sum::<usize>() as f64 * TICK_S;
     }
-    (ghosts, lived_s / ghosts as f64)
+    (found_len, lived_s / found_len as f64)
 }
 
 /// Forty false detections a frame, evenly over a hectare, a third of it behind a long lorry.
 #[test]
-fn ghosts_do_not_last_behind_a_lorry() {
-    let [unknown, known] = [0, flags::SEEN_FROM_EGO].map(ghosts);
-    println!("ghosts of 10 minutes and the time each lived, s: sensor unknown {unknown:?}, known {known:?}");
+fn false_tracks_do_not_last_behind_a_lorry() {
+    let [unknown, known] = [0, flags::SEEN_FROM_EGO].map(false_tracks);
+    println!(
+        "false tracks of 10 minutes and the time each lived, s: sensor unknown {unknown:?}, known {known:?}"
+    );
     assert!(unknown.0 > 20, "{unknown:?}");
     assert!(known.0 <= unknown.0 + unknown.0 / 20 && known.1 < 1.25 * unknown.1, "{unknown:?} {known:?}");
 }
 
-/// For how long a walker's track is published that goes behind a lorry, and stays there, after so long in view.
+/// Coast time of a pedestrian's track behind a lorry, after a time in view.
 fn coasts_s(seen_s: f64, sees_from: u32) -> f64 {
     let mut rng = ChaCha8Rng::seed_from_u64(4);
-    let mut run = Run::new(TrackerOptions::default(), sees_from);
+    let mut run = Harness::new(TrackerOptions::default(), sees_from);
     let (seen_len, mut coasting_len) = ((seen_s / TICK_S) as i32, 0);
     for k in -seen_len..80 {
         let lorry = detection(AgentType::Vehicle, PARKED_M, 0.0, &mut rng);
@@ -276,8 +280,9 @@ fn coasts_s(seen_s: f64, sees_from: u32) -> f64 {
             flags: lorry.flags | detection_flags::HAS_SIZE,
             ..lorry
         };
-        let walker = seen(AgentType::Pedestrian, 1, noise(&mut rng, 0.05), 24.0 + noise(&mut rng, 0.05));
-        let detections = if k < 0 { vec![lorry, walker] } else { vec![lorry] };
+        let pedestrian =
+            detected_at(AgentType::Pedestrian, 1, noise(&mut rng, 0.05), 24.0 + noise(&mut rng, 0.05));
+        let detections = if k < 0 { vec![lorry, pedestrian] } else { vec![lorry] };
         let coasts = |track: &&Track| {
             track.agent_type == AgentType::Pedestrian as u32 && track.status == TrackStatus::Coasting as u32
         };
@@ -287,11 +292,11 @@ fn coasts_s(seen_s: f64, sees_from: u32) -> f64 {
 }
 
 #[test]
-fn who_never_comes_back_is_gone_by_the_horizon() {
+fn hidden_tracks_are_deleted_by_the_horizon() {
     for seen_s in [0.4, 1.0, 4.0] {
         let [unknown_s, known_s] = [0, flags::SEEN_FROM_EGO].map(|from| coasts_s(seen_s, from));
         println!(
-            "seen for {seen_s} s, then coasting for {unknown_s:.2} s, behind a lorry for {known_s:.2} s"
+            "detected for {seen_s} s, then coasting for {unknown_s:.2} s, behind a lorry for {known_s:.2} s"
         );
         assert!(unknown_s <= 2.0 && known_s <= 4.8, "{unknown_s} {known_s}");
         assert!(known_s > unknown_s && known_s < 2.5 * unknown_s, "{unknown_s} {known_s}");

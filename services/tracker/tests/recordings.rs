@@ -1,4 +1,4 @@
-//! The tracker on real recordings, where there are any, and on generated ones.
+//! The tracker on real recordings, where they are available, and on generated ones.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
@@ -11,7 +11,7 @@ use rand_distr::{Distribution, Normal};
 use tracker::{Tracker, TrackerOptions};
 use wire::{AGENTS_MAX, AgentType, Header, Track, detection_flags, flags};
 
-/// The recording at `path` of the folder with recordings; says so where there is none.
+/// The recording at `path` in the folder of recordings; prints that it skips where there is none.
 fn recording(path: &str) -> Option<Recording> {
     let root = std::env::var_os("STGDAT_DATA")
         .map_or_else(|| Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared/data"), PathBuf::from);
@@ -23,7 +23,7 @@ fn recording(path: &str) -> Option<Recording> {
     Some(data::open(&path, None).expect("a readable recording"))
 }
 
-/// Tracks a recording and shows each frame with its tracks.
+/// Tracks a recording and passes each frame with its tracks to `show`.
 fn track(recording: &Recording, options: TrackerOptions, mut show: impl FnMut(&Frame, &[Track])) {
     let mut tracker = Tracker::new(options);
     let mut out = vec![Track::zeroed(); AGENTS_MAX];
@@ -64,7 +64,7 @@ impl Rms {
     }
 }
 
-/// How steadily agents keep their tracks.
+/// Track of each agent, and the number of identity switches.
 #[derive(Debug, Default)]
 struct Identities {
     track_of: BTreeMap<u64, u64>,
@@ -72,15 +72,15 @@ struct Identities {
 }
 
 impl Identities {
-    fn see(&mut self, agent: u64, track: u64) {
+    fn add(&mut self, agent: u64, track: u64) {
         let before = self.track_of.insert(agent, track);
         self.switches_len += usize::from(before.is_some_and(|before| before != track));
     }
 }
 
-/// Every agent that was seen twice is published, as itself, and the filtered state tells better where it is going than
-/// the velocities in the recording do.
-fn follows_identities(path: &str, agent_type: AgentType) {
+/// Asserts that every agent with two detections is published under its identity, and that the filtered
+/// velocity forecasts its position better than the recording's velocity.
+fn assert_follows_identities(path: &str, agent_type: AgentType) {
     let Some(recording) = recording(path) else { return };
     let ahead_ns = 800_000_000;
     let mut positions = BTreeMap::new();
@@ -92,7 +92,7 @@ fn follows_identities(path: &str, agent_type: AgentType) {
         }
     }
     let mut published: BTreeSet<u64> = BTreeSet::new();
-    let (mut position, mut filtered, mut told) = (Rms::default(), Rms::default(), Rms::default());
+    let (mut position, mut filtered, mut recorded) = (Rms::default(), Rms::default(), Rms::default());
     track(&recording, TrackerOptions::default(), |frame, tracks| {
         published.extend(tracks.iter().map(|t| t.source_id));
         for d in frame.detections.iter().filter(|d| d.agent_type == agent_type as u32) {
@@ -110,9 +110,9 @@ fn follows_identities(path: &str, agent_type: AgentType) {
             if d.has(detection_flags::HAS_SPEED) {
                 let (sin, cos) = f64::from(d.heading_rad).sin_cos();
                 let speed_mps = f64::from(d.speed_mps);
-                forecast(&mut told, x, y, speed_mps * cos, speed_mps * sin);
+                forecast(&mut recorded, x, y, speed_mps * cos, speed_mps * sin);
             } else {
-                forecast(&mut told, x, y, (x - before.0) / 0.4, (y - before.1) / 0.4);
+                forecast(&mut recorded, x, y, (x - before.0) / 0.4, (y - before.1) / 0.4);
             }
         }
     });
@@ -123,34 +123,34 @@ fn follows_identities(path: &str, agent_type: AgentType) {
         seen_len.len(),
         position.value(),
         filtered.value(),
-        told.value()
+        recorded.value()
     );
     assert_eq!(missing, 0);
     assert!(filtered.len > 100);
-    assert!(position.value() < 0.05 && filtered.value() < 1.02 * told.value());
+    assert!(position.value() < 0.05 && filtered.value() < 1.02 * recorded.value());
 }
 
 #[test]
-fn interaction_is_followed_by_its_identities() {
+fn interaction_is_tracked_by_its_identities() {
     let folder = "interaction/recorded_trackfiles";
-    follows_identities(
+    assert_follows_identities(
         &format!("{folder}/DR_USA_Intersection_GL/vehicle_tracks_000.csv"),
         AgentType::Vehicle,
     );
-    follows_identities(
+    assert_follows_identities(
         &format!("{folder}/DR_USA_Roundabout_SR/vehicle_tracks_000.csv"),
         AgentType::Pedestrian,
     );
 }
 
 #[test]
-fn walkers_at_two_and_a_half_frames_a_second_are_followed() {
-    follows_identities("eth_ucy/raw/biwi_hotel.txt", AgentType::Pedestrian);
+fn pedestrians_at_2_5_hz_are_tracked() {
+    assert_follows_identities("eth_ucy/raw/biwi_hotel.txt", AgentType::Pedestrian);
 }
 
-/// Positions that were made noisy come out of the filter nearer to the truth than they went in.
+/// Positions with noise of 0.2 m added.
 #[test]
-fn filtering_takes_noise_away() {
+fn filtering_reduces_noise_by_a_quarter() {
     let path = "interaction/recorded_trackfiles/DR_USA_Intersection_GL/vehicle_tracks_000.csv";
     let Some(mut recording) = recording(path) else { return };
     let mut rng = ChaCha8Rng::seed_from_u64(1);
@@ -175,7 +175,7 @@ fn filtering_takes_noise_away() {
             let Some(t) = tracks.iter().find(|t| t.source_id == d.id && t.unseen_ns == 0) else { continue };
             raw.add((f64::from(d.x_m) - x).hypot(f64::from(d.y_m) - y));
             filtered.add((f64::from(t.x_m) - x).hypot(f64::from(t.y_m) - y));
-            identities.see(d.id, t.id);
+            identities.add(d.id, t.id);
         }
     });
     let (raw_m, filtered_m) = (raw.value(), filtered.value());
@@ -184,19 +184,19 @@ fn filtering_takes_noise_away() {
     assert!(identities.switches_len * 1_000 < raw.len, "{identities:?}");
 }
 
-/// How well the agents that are there are followed, by tracks within 2 m.
+/// How well tracks within 2 m follow the true agents.
 #[derive(Debug, Default)]
 struct Followed {
     truths_len: usize,
     found_len: usize,
     tracks_len: usize,
-    /// Detections and tracks against the truth, in frames that saw the agent.
+    /// Errors of detections and tracks, in frames that detected the agent.
     raw: Rms,
     filtered: Rms,
     identities: Identities,
 }
 
-/// Follows the truth of a recording as CLEAR-MOT does: an agent keeps its track for as long as that is near.
+/// Compares tracks with the truth as CLEAR-MOT does: an agent keeps its track for as long as that is near.
 fn follow(recording: &Recording, types: u32) -> Followed {
     let mut followed = Followed::default();
     track(recording, TrackerOptions::default(), |frame, tracks| {
@@ -218,7 +218,7 @@ fn follow(recording: &Recording, types: u32) -> Followed {
                 let Some(found) = own.or(nearest) else { continue };
                 claimed.insert(found.id);
                 followed.found_len += 1;
-                followed.identities.see(truth.id, found.id);
+                followed.identities.add(truth.id, found.id);
                 let detected = frame.detections.iter().map(|d| distance(d.x_m, d.y_m));
                 let nearest = detected.filter(|&d| d < 2.0).min_by(f64::total_cmp);
                 if let Some(raw) = nearest.filter(|_| found.unseen_ns == 0) {
@@ -242,26 +242,26 @@ fn follow(recording: &Recording, types: u32) -> Followed {
 }
 
 #[test]
-fn a_detectors_output_is_followed() {
+fn a_detectors_output_is_tracked() {
     let Some(recording) = recording("kitti_tracking/detection/Car/0000.txt") else { return };
     let followed = follow(&recording, AgentType::Vehicle.bit());
     assert!(followed.found_len * 10 > followed.truths_len * 9);
     assert!(followed.identities.switches_len * 100 < followed.found_len);
 }
 
-/// Occlusion, misses, false detections and turned headings at an intersection of 32 agents.
+/// Occlusion, misses, clutter and flipped headings at an intersection of 32 agents.
 #[test]
-fn a_generated_intersection_is_followed() {
+fn a_generated_intersection_is_tracked() {
     for seed in [1, 2, 3] {
         let options = SceneOptions { seed, yaw_flip_probability: 0.3, ..SceneOptions::default() };
         let scene = GeneratedScene::new(options).expect("good options");
         let recording = scene.recording(750);
         let all = follow(&recording, 0b111);
         assert!(all.found_len * 100 > all.truths_len * 85);
-        assert!(all.tracks_len * 100 < all.truths_len * 115, "ghosts");
+        assert!(all.tracks_len * 100 < all.truths_len * 115, "too many false tracks");
         assert!(all.identities.switches_len * 200 < all.found_len);
-        // Pedestrians walk within 2 m of one another: a hidden one would be told as far off by its neighbour's track.
-        let riders = follow(&recording, AgentType::Vehicle.bit() | AgentType::Cyclist.bit());
-        assert!(riders.filtered.value() < 0.8 * riders.raw.value());
+        // Pedestrians walk within 2 m of one another: the track of a neighbour would count for a hidden one.
+        let vehicles_and_cyclists = follow(&recording, AgentType::Vehicle.bit() | AgentType::Cyclist.bit());
+        assert!(vehicles_and_cyclists.filtered.value() < 0.8 * vehicles_and_cyclists.raw.value());
     }
 }

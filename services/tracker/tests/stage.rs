@@ -1,23 +1,19 @@
-//! The stage over its ports: frames that come late or again reach the tracker, and every tick passes on.
-
-#[path = "support/forecaster.rs"]
-mod forecaster;
-#[path = "support/run.rs"]
-mod run;
+//! The stage over its ports: out-of-sequence and repeated frames reach the tracker, and every tick passes on.
 
 use std::time::{Duration, Instant};
 
 use config::Run;
-use forecaster::{HORIZON_LEN, forecast, forecasts_header};
 use ports::{Frame, Node, Publisher, Space, Subscriber};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
-use run::{ALL_TYPES, TICK_NS, heading, noise, seen};
 use rustix::process::{Signal, getpid, kill_process};
 use wire::{
     AgentType, Detection, DetectionsTopic, Forecast, ForecastsTopic, Header, HeartbeatsTopic, Quality,
     StageId, Steering, Topic, TracksTopic, flags,
 };
+
+use crate::support::forecaster::{HORIZON_LEN, forecast, forecasts_header};
+use crate::support::harness::{ALL_TYPES, Harness, TICK_NS, detected_at, noise, with_heading};
 
 const FRAMES: u32 = 40;
 /// Longest wait for an answer; far beyond what it takes.
@@ -46,7 +42,7 @@ impl Ends {
         }
     }
 
-    /// Sends forecasts that go straight on of these tracks; none, and VOID, where the tick has none.
+    /// Sends forecasts of constant velocity for these tracks; none, and VOID, where the tick has none.
     fn forecast(&self, tracks: &Frame<TracksTopic>) {
         let straight = [(1.0, [[0.0; 2]; HORIZON_LEN])];
         let forecasts: Vec<Forecast> =
@@ -57,7 +53,7 @@ impl Ends {
         self.forecasts.send_copy(&forecasts, header).expect("the transport works");
     }
 
-    /// Sends a frame; returns the tracks that the stage makes of it.
+    /// Sends a frame; returns the stage's tracks.
     fn give(&self, header: Header, frame: &[Detection]) -> Frame<TracksTopic> {
         let mut header = Header { observed_types: ALL_TYPES, ..header };
         header.counts.agents_len = frame.len() as u32;
@@ -89,7 +85,7 @@ impl Ends {
         while self.tracks.receive().expect("the transport works").is_some() {}
     }
 
-    /// Frames that the stage says it has refused, once there are any.
+    /// Number of frames that the stage reports as refused, once there are any.
     fn rejected_len(&self) -> u64 {
         let begin = Instant::now();
         while begin.elapsed() < LIMIT {
@@ -105,7 +101,7 @@ impl Ends {
     }
 }
 
-/// Asks the stage to end, also where the test fails.
+/// Stops the stage, also where the test fails.
 struct Stop;
 
 impl Drop for Stop {
@@ -114,17 +110,17 @@ impl Drop for Stop {
     }
 }
 
-/// One vehicle under way.
+/// One moving vehicle.
 fn drive(rng: &mut ChaCha8Rng) -> Vec<[Detection; 1]> {
     let frame = |k| {
         let (dx, dy) = (noise(rng, 0.1), noise(rng, 0.1));
-        [heading(seen(AgentType::Vehicle, 1, 0.4 * f64::from(k) + dx, dy), 0.0)]
+        [with_heading(detected_at(AgentType::Vehicle, 1, 0.4 * f64::from(k) + dx, dy), 0.0)]
     };
     (0..FRAMES).map(frame).collect()
 }
 
 #[test]
-fn late_frames_pass_on_without_tracks_and_show_in_the_next_and_forecasts_hold() {
+fn out_of_sequence_frames_pass_on_void_and_forecasts_hold() {
     let space = Space::create(u64::from(std::process::id()), 1 << 20).expect("shared memory has room");
     let ends = Ends::open(&space);
     let run = ends.run.clone();
@@ -133,7 +129,7 @@ fn late_frames_pass_on_without_tracks_and_show_in_the_next_and_forecasts_hold() 
     let header = |seq: usize, k: usize| Header::new(run.id, seq as u64, k as i64 * TICK_NS);
 
     let options = tracker::stage::options(&run);
-    let mut straight = run::Run::new(options, 0);
+    let mut straight = Harness::new(options, 0);
     straight.stamp_ns = -TICK_NS;
     for frame in &frames[..20] {
         straight.step(frame);
@@ -148,9 +144,9 @@ fn late_frames_pass_on_without_tracks_and_show_in_the_next_and_forecasts_hold() 
         let mut newest = None;
         for (seq, &k) in order.iter().enumerate() {
             let tracks = ends.give(header(seq, k), &frames[k]);
-            let refused_or_late = newest >= Some(k);
-            assert_eq!(tracks.header().has(flags::VOID), refused_or_late, "frame {k}");
-            assert_eq!(tracks.len(), usize::from(!refused_or_late && k >= 2), "frame {k}");
+            let is_void = newest >= Some(k);
+            assert_eq!(tracks.header().has(flags::VOID), is_void, "frame {k}");
+            assert_eq!(tracks.len(), usize::from(!is_void && k >= 2), "frame {k}");
             newest = newest.max(Some(k));
             if let Some(track) = tracks.first().filter(|_| k == 19) {
                 let of = |track: &wire::Track| (track.id, track.x_m, track.vx_mps, track.covariance);

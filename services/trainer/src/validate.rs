@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use data::sets::DataSet;
-use metrics::{Anchors, DisplacementMean, Point, best_of, constant_velocity, displacement};
+use metrics::{Anchors, DisplacementMean, Point, constant_velocity, displacement, min_displacement};
 use nn::{Latents, ModelConfig};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
@@ -257,9 +257,9 @@ impl Validation<'_> {
                 let (scene, agent) = batch.origin[position];
                 let view = &scenes[scene].agents[agent];
                 let truth: Vec<Option<Point>> = view.truth().collect();
-                sums.best.add(best_of(modes.of(i), &truth));
+                sums.best.add(min_displacement(modes.of(i), &truth));
                 sums.single.add(displacement(&single.of(i)[0], &truth));
-                sums.base_best.add(best_of(base_modes.of(i), &truth));
+                sums.base_best.add(min_displacement(base_modes.of(i), &truth));
                 sums.base_single.add(displacement(&base_single.of(i)[0], &truth));
                 self.add_baselines(set, &view.agent, sums);
             }
@@ -275,7 +275,7 @@ impl Validation<'_> {
         }
         let anchors = self.baselines.of(set, agent.agent_type);
         if let Some(modes) = anchors.and_then(|anchors| anchors.predict(&agent.history)) {
-            sums.anchors.add(best_of(&modes, &truth));
+            sums.anchors.add(min_displacement(&modes, &truth));
         }
     }
 

@@ -2,13 +2,16 @@
 
 use wire::{AgentType, Detection, Truth, detection_flags};
 
-use crate::text::Line;
+use crate::text::{Field, Line};
 use crate::{Ego, Frame, Input, ReadError};
 
 /// Most rows of a recording.
 pub const ROWS_MAX: usize = 8_000_000;
-/// In formats whose vehicles and pedestrians count their identities apart, the first identity of a pedestrian.
+/// In formats whose vehicles and pedestrians count their identities apart, the first identity of a
+/// pedestrian.
 pub(crate) const PEDESTRIAN_IDS: u64 = 1_000_000_000;
+/// Speed from which a direction of motion is a heading.
+pub(crate) const HEADING_SPEED_MPS: f32 = 0.1;
 /// Bits of all agent types.
 pub(crate) const ALL_TYPES: u32 =
     AgentType::Vehicle.bit() | AgentType::Cyclist.bit() | AgentType::Pedestrian.bit();
@@ -50,7 +53,8 @@ impl<'a> Rows<'a> {
     /// The rows by time and identity, however they were ordered in the file.
     ///
     /// # Errors
-    /// [`ReadError::Duplicate`] where an identity stands twice at one time, [`ReadError::Empty`] where there is no row.
+    /// [`ReadError::Duplicate`] where an identity stands twice at one time, [`ReadError::Empty`] where there
+    /// is no row.
     pub fn sorted(self, input: &Input) -> Result<Vec<Row<'a>>, ReadError> {
         match self.is_empty() {
             true => Err(ReadError::Empty { path: input.path.clone() }),
@@ -96,9 +100,32 @@ pub(crate) fn identified(agent_type: AgentType, position_m: [f32; 2], id: u64) -
     Detection { id, flags: detection_flags::HAS_ID, ..detection(agent_type, position_m) }
 }
 
-/// Frames of rows that are sorted by time, seen by a fixed sensor that looked for `observed_types` all the time. It is
-/// taken to look at the middle of what the first frame saw: that of all frames would tell of the future.
-/// The rows are their own truth.
+/// The detection with a velocity in the world frame: its speed, and its heading from [`HEADING_SPEED_MPS`]
+/// on.
+///
+/// # Errors
+/// [`ReadError::Value`] for a component or a speed that is none.
+pub(crate) fn with_velocity(
+    detection: Detection,
+    vx: Field<'_>,
+    vy: Field<'_>,
+) -> Result<Detection, ReadError> {
+    let [vx_mps, vy_mps] = [vx.speed_mps()?, vy.speed_mps()?];
+    let speed_mps = vx.speed_of(vx_mps.hypot(vy_mps))?;
+    let moves = speed_mps >= HEADING_SPEED_MPS;
+    Ok(Detection {
+        speed_mps,
+        heading_rad: if moves { vy_mps.atan2(vx_mps) } else { 0.0 },
+        flags: detection.flags
+            | detection_flags::HAS_SPEED
+            | if moves { detection_flags::HAS_HEADING } else { 0 },
+        ..detection
+    })
+}
+
+/// Frames of rows that are sorted by time, seen by a fixed sensor that looked for `observed_types` all the
+/// time. It is taken to look at the middle of what the first frame saw: that of all frames would tell of the
+/// future. The rows are their own truth.
 pub(crate) fn frames(rows: &[Row<'_>], observed_types: u32) -> Vec<Frame> {
     let first = rows.chunk_by(|a, b| a.stamp_ns == b.stamp_ns).next().unwrap_or(&[]);
     let ego = Ego { position_m: centre_m(first), ..Ego::default() };
@@ -112,7 +139,8 @@ pub(crate) fn frames(rows: &[Row<'_>], observed_types: u32) -> Vec<Frame> {
         .collect()
 }
 
-/// Sorts by type and identity, and where there is none by score and place, so that the order of rows never matters.
+/// Sorts by type and identity, and where there is none by score and place, so that the order of rows never
+/// matters.
 pub(crate) fn sort(detections: &mut [Detection]) {
     detections.sort_by(|a, b| {
         let numbers = |d: &Detection| [-d.score, d.x_m, d.y_m, d.heading_rad, d.length_m];

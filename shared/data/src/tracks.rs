@@ -5,10 +5,9 @@ use std::collections::BTreeMap;
 use scene::State;
 use wire::{AgentType, Detection, detection_flags};
 
+use crate::rows::HEADING_SPEED_MPS;
 use crate::{Recording, text};
 
-/// Speed from which a direction of motion is a heading.
-const HEADING_SPEED_MPS: f32 = 0.1;
 /// What a detection tells of its motion at most.
 const MOTION: u32 = detection_flags::HAS_HEADING | detection_flags::HAS_SPEED;
 

@@ -6,8 +6,10 @@ use data::{Format, Input, ReadError, Recording, Role, parse};
 const INTERACTION: &str = "track_id,frame_id,timestamp_ms,agent_type,x,y,vx,vy,psi_rad,length,width\n\
     1,1,100,car,981.284,1018.604,-4.36,-5.41,-2.249,9.61,2.6\n\
     1,2,200,car,980.876,1018.042,-4.315,-5.457,-2.24,9.61,2.6\n";
-const RIDERS: &str = "track_id,frame_id,timestamp_ms,agent_type,x,y\n\
-    P1,2,200,pedestrian/bicycle,980.56,1052.15\n";
+const PEDESTRIANS: &str = "track_id,frame_id,timestamp_ms,agent_type,x,y,vx,vy\n\
+    P1,2,200,pedestrian/bicycle,980.56,1052.15,1.25,-0.5\n";
+const PEDESTRIAN_POSITIONS: &str = "track_id,frame_id,timestamp_ms,agent_type,x,y\n\
+    P1,4,400,pedestrian/bicycle,980.56,1052.15\n";
 const VEHICLES: &str = "id,frame,label,x_est,y_est,psi_est,vel_est\n0,22,veh,12.52,3.64,1.64,3.34\n";
 const WALKERS: &str = "id,frame,label,x_est,y_est,vx_est,vy_est\n0,22,ped,5.55,7.73,1.66,-0.01\n";
 const VIDEO: &str = "0 789 399 815 436 0 0 0 0 \"Cart\"\n0 787 391 815 432 1 1 0 1 \"Cart\"\n";
@@ -42,7 +44,7 @@ fn good() -> Vec<(Format, Vec<Input>)> {
         (Format::SddRaw, vec![input(Role::Rows, "deathCircle/video2/a.txt", VIDEO), scales]),
         (
             Format::Interaction,
-            vec![input(Role::Vehicles, "a.txt", INTERACTION), input(Role::Pedestrians, "p.txt", RIDERS)],
+            vec![input(Role::Vehicles, "a.txt", INTERACTION), input(Role::Pedestrians, "p.txt", PEDESTRIANS)],
         ),
         (
             Format::VciDut,
@@ -313,6 +315,47 @@ fn what_belongs_to_a_file_is_checked_as_well() {
     assert_eq!(
         sdd("gates:\n video2:\n  scale: -1\n"),
         "scales.yaml:3:10: value = \"-1\": expected 0.0001 to 1"
+    );
+}
+
+#[test]
+fn interaction_pedestrian_rows_name_the_bad_value() {
+    let error = |header: &str, row: &str| {
+        let text = format!("{}{row}\n", self::header(header));
+        let alone = [input(Role::Pedestrians, "p.txt", text.clone())];
+        let beside = [input(Role::Vehicles, "a.txt", INTERACTION), input(Role::Pedestrians, "p.txt", text)];
+        let [alone, beside] = [parse(Format::Interaction, &alone), parse(Format::Interaction, &beside)]
+            .map(|read| read.expect_err("broken").to_string());
+        assert_eq!(alone, beside);
+        alone
+    };
+    let cases = [
+        ("P1,1,100,pedestrian/bicycle,9,1,fast,0", "p.txt:2:33: vx = \"fast\": not a number"),
+        ("P1,1,100,pedestrian/bicycle,9,1,0,-540", "p.txt:2:35: vy = \"-540\": expected -120 to 120"),
+        (
+            "P1,1,100,pedestrian/bicycle,9,1,110,110",
+            "p.txt:2:33: vx = \"110\": a speed of 155.56349 m/s, at most 120 expected",
+        ),
+        ("P1,1,100,pedestrian/bicycle,9,,0,0", "p.txt:2:31: y = \"\": not a number"),
+        ("P1,1,100,car,9,1,0,0", "p.txt:2:10: agent_type = \"car\": expected pedestrian/bicycle"),
+        ("1,1,100,pedestrian/bicycle,9,1,0,0", "p.txt:2:1: track_id = \"1\": expected P and a number"),
+        ("P1,1,1e2.5,pedestrian/bicycle,9,1,0,0", "p.txt:2:6: timestamp_ms = \"1e2.5\": not a number"),
+        (
+            "P1,1,100,pedestrian/bicycle,9,1,0",
+            "p.txt:2:1: 7 columns, expected 8: \"P1,1,100,pedestrian/bicycle,9,1,0\"",
+        ),
+    ];
+    for (row, expected) in cases {
+        assert_eq!(error(PEDESTRIANS, row), expected);
+    }
+    assert_eq!(
+        error(PEDESTRIAN_POSITIONS, "P1,1,100,pedestrian/bicycle,9,1,0,0"),
+        "p.txt:2:1: 8 columns, expected 6: \"P1,1,100,pedestrian/bicycle,9,1,0,0\""
+    );
+    assert_eq!(
+        error("track_id,frame_id,x,y", "P1,1,9,1"),
+        "p.txt:1:1: header = \"track_id,frame_id,x,y\": expected \
+         \"track_id,frame_id,timestamp_ms,agent_type,x,y,vx,vy\""
     );
 }
 

@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 use data::formats::kitti::Annotations;
 use data::sets::{DataSet, Fold, Part};
 use data::{Format, Recording, WindowOptions, open, windows};
+use wire::{AgentType, Detection, detection_flags};
 
 /// Where the recordings lie: `STGDAT_DATA`, else beside the workspace. None, and said so, where they are not.
 fn recordings() -> Option<PathBuf> {
@@ -108,6 +109,38 @@ fn every_format_is_told_by_its_content_and_read_whole() {
         assert_eq!(rows_len(&recording), expected, "{file}");
         let named = open(&path, Some(format)).unwrap();
         assert!(named == recording, "{file} is not read as {format}");
+    }
+}
+
+#[test]
+fn interaction_as_published_has_pedestrians_in_every_frame() {
+    let Some(root) = recordings() else { return };
+    let site = root.join("interaction_as_published/DR_USA_Intersection_EP0");
+    if !site.is_dir() {
+        println!("skipped: no recording at {}", site.display());
+        return;
+    }
+    let alone = read(&site.join("pedestrian_tracks_000.csv"));
+    let merged = read(&site.join("vehicle_tracks_000.csv"));
+    let is_pedestrian = |detection: &&Detection| detection.id >= 1_000_000_000;
+    for recording in [&alone, &merged] {
+        assert_sound(recording);
+        assert_eq!(recording.interval_ns, 100_000_000);
+        let pedestrians = recording.frames.iter().flat_map(|frame| &frame.detections).filter(is_pedestrian);
+        assert_eq!(pedestrians.clone().count(), 3_958);
+        assert!(pedestrians.clone().all(|pedestrian| pedestrian.has(detection_flags::HAS_SPEED)));
+        // Nobody in this recording rides: the fastest running median is 2.1 m/s.
+        assert!(pedestrians.clone().all(|row| row.agent_type == AgentType::Pedestrian as u32));
+    }
+    assert!(merged.frames.iter().all(|frame| frame.observed_types.count_ones() == 3));
+    assert!(alone.frames.iter().all(|frame| frame.observed_types.count_ones() == 2));
+    // The file's velocities fit its positions.
+    let [given, differences] = [data::tracks(&alone), data::tracks_from_positions(&alone)];
+    for (given, differences) in given.iter().zip(&differences) {
+        for ((_, given), (_, difference)) in given.states.iter().zip(&differences.states).skip(1) {
+            let off_mps = [0, 1].map(|axis| given.velocity_mps[axis] - difference.velocity_mps[axis]);
+            assert!(off_mps[0].hypot(off_mps[1]) < 0.5, "{given:?} {difference:?}");
+        }
     }
 }
 

@@ -145,12 +145,10 @@ fn in_between_states_are_interpolated_over_short_gaps_alone() {
 
 #[test]
 fn windows_stand_where_every_type_was_looked_for() {
-    let vehicles = "track_id,frame_id,timestamp_ms,agent_type,x,y,vx,vy,psi_rad,length,width\n".to_owned()
-        + &(1..=12).map(|k| format!("1,{k},{k}00,car,{k},0,10,0,0,4,2\n")).collect::<String>();
     let riders = "track_id,frame_id,timestamp_ms,agent_type,x,y\n".to_owned()
         + &[4, 8, 12].map(|k| format!("P1,{k},{k}00,pedestrian/bicycle,{k},5\n")).concat();
     let input = |role, text: String| Input { role, path: "a.csv".to_owned(), bytes: text.into() };
-    let inputs = [input(Role::Vehicles, vehicles), input(Role::Pedestrians, riders)];
+    let inputs = [input(Role::Vehicles, vehicles(1..=12)), input(Role::Pedestrians, riders)];
     let recording = parse(Format::Interaction, &inputs).unwrap();
     let stamps: Vec<i64> = windows(&recording, &WindowOptions::new(2, 1, STEP_NS))
         .iter()
@@ -161,6 +159,77 @@ fn windows_stand_where_every_type_was_looked_for() {
     assert_eq!(recording.frames[3].observed_types.count_ones(), 3);
     assert!(recording.frames[3].detections[0].has(detection_flags::HAS_SIZE));
     assert_eq!(recording.frames[3].detections[1].id, 1_000_000_001);
+}
+
+/// Rows at 10 Hz, from 0.3 s to 1.7 s, of a pedestrian, a cyclist at 5 m/s and someone who stands, in the published layout.
+fn published_pedestrians() -> String {
+    let rows = (3..=17).flat_map(|frame| {
+        let t_s = f64::from(frame) * 0.1;
+        let row = |id: u32, [x, y]: [f64; 2], [vx, vy]: [f64; 2]| {
+            format!("P{id},{frame},{frame}00,pedestrian/bicycle,{x:.3},{y:.3},{vx},{vy}\n")
+        };
+        [
+            row(1, [0.0, 5.0 + 1.5 * t_s], [0.0, 1.5]),
+            row(2, [3.0 * t_s, 4.0 * t_s], [3.0, 4.0]),
+            row(3, [7.0, 7.0], [0.03, 0.0]),
+        ]
+    });
+    "track_id,frame_id,timestamp_ms,agent_type,x,y,vx,vy\n".to_owned() + &rows.collect::<String>()
+}
+
+fn vehicles(frames: std::ops::RangeInclusive<u32>) -> String {
+    "track_id,frame_id,timestamp_ms,agent_type,x,y,vx,vy,psi_rad,length,width\n".to_owned()
+        + &frames.map(|frame| format!("1,{frame},{frame}00,car,{frame},0,10,0,0,4,2\n")).collect::<String>()
+}
+
+#[test]
+fn published_interaction_takes_velocities_from_the_file() {
+    let inputs =
+        [Input { role: Role::Pedestrians, path: "p.csv".to_owned(), bytes: published_pedestrians().into() }];
+    let recording = parse(Format::Interaction, &inputs).unwrap();
+    assert_eq!((recording.interval_ns, recording.frames.len()), (100_000_000, 15));
+    let first = &recording.frames[0];
+    assert_eq!((first.stamp_ns, first.detections.len()), (300_000_000, 3));
+    let motion = |index: usize| {
+        let detection: wire::Detection = first.detections[index];
+        let has = |flag| detection.has(flag).then_some(());
+        (
+            has(detection_flags::HAS_SPEED).map(|()| detection.speed_mps),
+            has(detection_flags::HAS_HEADING).map(|()| detection.heading_rad),
+        )
+    };
+    assert_eq!(motion(0), (Some(1.5), Some(std::f32::consts::FRAC_PI_2)));
+    assert_eq!(motion(1), (Some(5.0), Some(4.0_f32.atan2(3.0))));
+    assert_eq!(motion(2), (Some(0.03), None));
+    // Velocities are known from the first row on, and tell the cyclist apart after 1.2 s.
+    let types = |index: usize| {
+        recording.frames.iter().map(move |frame| {
+            let id = 1_000_000_001 + index as u64;
+            frame.detections.iter().find(|detection| detection.id == id).map(|detection| detection.agent_type)
+        })
+    };
+    assert!(types(0).chain(types(2)).all(|kind| kind == Some(AgentType::Pedestrian as u32)));
+    let rides: Vec<bool> = types(1).map(|kind| kind == Some(AgentType::Cyclist as u32)).collect();
+    assert_eq!(rides, [[false; 12].as_slice(), &[true; 3]].concat());
+}
+
+#[test]
+fn published_interaction_observes_pedestrians_in_every_frame() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("vehicle_tracks_000.csv");
+    std::fs::write(&path, vehicles(1..=20)).unwrap();
+    // A thinned file of the same recording yields to the published one.
+    let thinned =
+        "track_id,frame_id,timestamp_ms,agent_type,x,y\nP1,4,400,pedestrian/bicycle,0,5\n".to_owned();
+    std::fs::write(folder.path().join("pedestrian_tracks_000_2.5hz.csv"), &thinned).unwrap();
+    let observed = |path: &std::path::Path| {
+        let recording = data::open(path, None).unwrap_or_else(|error| panic!("{error}"));
+        assert_eq!((recording.interval_ns, recording.frames.len()), (100_000_000, 20));
+        recording.frames.iter().map(|frame| frame.observed_types.count_ones()).collect::<Vec<_>>()
+    };
+    assert_eq!(observed(&path), [1, 1, 1, 3].repeat(5));
+    std::fs::write(folder.path().join("pedestrian_tracks_000.csv"), published_pedestrians()).unwrap();
+    assert_eq!(observed(&path), [3; 20]);
 }
 
 #[test]

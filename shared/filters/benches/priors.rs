@@ -1,4 +1,4 @@
-//! One tick of 100 tracks: predicted, updated, and their moments taken, by each prior.
+//! Time of one tick of 100 tracks, predicted, updated and moment-matched, by each prior.
 
 #[path = "../tests/support/bicycle.rs"]
 mod bicycle;
@@ -17,7 +17,7 @@ const TICK_NS: u64 = 80_000_000;
 
 fn ticks(criterion: &mut Criterion) {
     let start = Gaussian::new([0.0, 0.0, 0.2, 8.0, 0.0], [0.01, 0.01, 0.001, 0.25, 1e-4]);
-    let seen = Observation {
+    let observed = Observation {
         position_m: [0.63, 0.12],
         position_variance: 0.04,
         heading_rad: Some((0.2, 0.01)),
@@ -41,7 +41,7 @@ fn ticks(criterion: &mut Criterion) {
             for state in &mut plain {
                 *state = start;
                 black_box(state.predict(TICK_NS, &BICYCLE)).ok();
-                black_box(state.update(&seen, &BICYCLE)).ok();
+                black_box(state.update(&observed, &BICYCLE)).ok();
             }
         });
     });
@@ -52,7 +52,7 @@ fn ticks(criterion: &mut Criterion) {
                 mixture.reset(start);
                 black_box(mixture.adopt(&forecast)).ok();
                 black_box(mixture.predict(TICK_NS)).ok();
-                black_box(mixture.update(&seen)).ok();
+                black_box(mixture.update(&observed)).ok();
                 black_box(mixture.moments());
             }
         });
@@ -65,7 +65,7 @@ fn ticks(criterion: &mut Criterion) {
             for cloud in &mut under_way {
                 black_box(cloud.adopt(&forecast)).ok();
                 black_box(cloud.predict(TICK_NS)).ok();
-                black_box(cloud.update(&seen)).ok();
+                black_box(cloud.update(&observed)).ok();
                 black_box(cloud.moments());
             }
         });

@@ -1,7 +1,9 @@
 use kinematics::{Integrator, Linearised};
 use nalgebra::{Matrix5, Vector2, Vector5};
 
-use crate::{Control, ControlStep, Gaussian, Innovation, Observation, Process, STEP_MAX_S, Steered, wrapped};
+use crate::{
+    Control, ControlStep, Controlled, Gaussian, Innovation, Observation, Process, STEP_MAX_S, wrapped,
+};
 
 /// Rows of the state.
 const HEADING: usize = 2;
@@ -10,44 +12,47 @@ const SLIP: usize = 4;
 
 /// \[x, y, ψ, v, β\]: position, heading, speed along the heading, slip angle.
 ///
-/// The process is [`kinematics::Bicycle`] under white acceleration and slip rate, the slip angle dying away: a turn ends.
+/// The process is [`kinematics::Bicycle`] under white acceleration and slip rate. The slip angle decays, so a
+/// turn ends.
 ///
 /// ```text
 /// β̇ = −λ β + u + w      β' = β + s (u − λ β) Δt,  s = (1 − e^(−λ Δt)) / (λ Δt)
 /// ```
 ///
-/// u is the slip rate of a control, 0 without one, and w the noise. The step from β to β' is exact; position and heading
-/// see it as the steady slip rate that leads there, so that at [`Integrator::Midpoint`] they take the mean of both. The
-/// Jacobian is taken at the mean before the step.
+/// u is the slip rate of a control, 0 without one, and w the noise. The step from β to β' is exact. Position
+/// and heading use the constant slip rate that leads there, so that [`Integrator::Midpoint`] takes the mean
+/// of both slips. The Jacobian is evaluated at the mean before the step.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Bicycle {
     /// From the reference point to the rear axle, l_r.
     pub rear_axle_m: f64,
-    /// Where in a step the motion is taken. Euler's steps are the paper's; under an acceleration they fall behind.
+    /// Where in a step the motion is evaluated. Euler's steps are the paper's; under an acceleration they lag
+    /// behind.
     pub integrator: Integrator,
     /// Standard deviation of the acceleration over a step of 80 ms; shorter steps keep its spectral density.
     pub acceleration_mps2: f64,
     /// Standard deviation of the slip rate over a step of 80 ms.
     pub slip_rate_radps: f64,
-    /// Rate λ at which the slip angle dies away; 0 where it stays.
+    /// Rate λ at which the slip angle decays; 0 where it stays.
     pub slip_decay_per_s: f64,
     /// Variances of \[x, y, ψ, v, β\] added in 80 ms: without them a position gets no noise in one step.
     pub floor: [f64; 5],
-    /// Largest magnitude of the mean slip; also bounds the spread that the slip gathers at rest, where nothing observes it.
+    /// Largest magnitude of the mean slip; also bounds the spread that the slip gains at rest, where it is
+    /// unobservable.
     pub slip_max_rad: f64,
 }
 
-/// A step of some length.
+/// The length of a step, and what follows from it.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Step {
     dt_s: f64,
-    /// s = (1 − e^(−λ Δt)) / (λ Δt), the mean over the step of what dies away as the slip does.
+    /// s = (1 − e^(−λ Δt)) / (λ Δt), the mean over the step of what decays as the slip does.
     slip_share: f64,
 }
 
 impl Bicycle {
     #[inline]
-    pub(crate) fn over(&self, dt_s: f64) -> Step {
+    pub(crate) fn step_of(&self, dt_s: f64) -> Step {
         Step { dt_s, slip_share: mean_decayed(self.slip_decay_per_s * dt_s) }
     }
 
@@ -61,8 +66,8 @@ impl Bicycle {
         if state.covariance[(SLIP, SLIP)] >= self.slip_max_rad.powi(2) {
             return (noise, 0.0);
         }
-        // A noise that comes early in the step has died away in part at its end, what it adds to the variance twice as fast:
-        // s of 2 λ is s (1 − s λ Δt / 2).
+        // Noise from early in the step has decayed in part at its end, and its variance twice as fast: s at 2
+        // λ is s (1 − s λ Δt / 2).
         let acting_s = dt_s * slip_share * (1.0 - slip_share * self.slip_decay_per_s * dt_s / 2.0);
         noise[SLIP] += self.slip_rate_radps.powi(2) * acting_s * STEP_MAX_S + of_slip * acting_s;
         (noise, cross * (dt_s * slip_share))
@@ -70,7 +75,7 @@ impl Bicycle {
 
     /// The mean after a step under a control, and its derivatives by the mean before and by the control.
     #[inline]
-    pub(crate) fn moved(&self, mean: &Vector5<f64>, rate: [f64; 2], step: &Step) -> Linearised<f64, 5> {
+    pub(crate) fn linearised(&self, mean: &Vector5<f64>, rate: [f64; 2], step: &Step) -> Linearised<f64, 5> {
         let [acceleration, slip_rate] = rate;
         let bicycle = kinematics::Bicycle {
             rear_axle_m: self.rear_axle_m,
@@ -92,24 +97,24 @@ impl Process<5> for Bicycle {
     const ANGLES: &'static [usize] = &[HEADING];
 
     fn step(&self, state: &Gaussian<5>, dt_s: f64) -> Gaussian<5> {
-        self.steer(state, &Control::default(), dt_s)
+        self.step_controlled(state, &Control::default(), dt_s)
     }
 
-    fn innovation(&self, mean: &Vector5<f64>, seen: &Observation) -> Innovation<5> {
-        seen.against_polar(mean)
+    fn innovation(&self, mean: &Vector5<f64>, observation: &Observation) -> Innovation<5> {
+        observation.against_polar(mean)
     }
 
-    fn settle(&self, mean: &mut Vector5<f64>) {
+    fn constrain(&self, mean: &mut Vector5<f64>) {
         mean[HEADING] = wrapped(mean[HEADING]);
         mean[SLIP] = wrapped(mean[SLIP]).clamp(-self.slip_max_rad, self.slip_max_rad);
     }
 }
 
-impl Steered<5> for Bicycle {
+impl Controlled<5> for Bicycle {
     #[inline]
-    fn steer(&self, state: &Gaussian<5>, control: &Control, dt_s: f64) -> Gaussian<5> {
-        let step = self.over(dt_s);
-        let moved = self.moved(&state.mean, control.rate, &step);
+    fn step_controlled(&self, state: &Gaussian<5>, control: &Control, dt_s: f64) -> Gaussian<5> {
+        let step = self.step_of(dt_s);
+        let moved = self.linearised(&state.mean, control.rate, &step);
         let (noise, cross) = self.noise(state, control, &step);
         let mut covariance = state.propagated(&moved.by_state, &noise);
         covariance[(SPEED, SLIP)] += cross;
@@ -117,8 +122,8 @@ impl Steered<5> for Bicycle {
         Gaussian { mean: moved.next, covariance }
     }
 
-    /// A control holds over its step. Its covariance is that of one draw per step; spread over shorter steps it keeps
-    /// its spectral density.
+    /// A control holds over its step. Its covariance is that of one draw per step; divided into shorter steps
+    /// it keeps its spectral density.
     fn control(steps: &[ControlStep], number: usize, step_s: f64, _: f64) -> Control {
         let step = steps.get(number).or(steps.last()).copied().unwrap_or_default();
         Control::new(step.mean, &(step.covariance() * step_s))
@@ -129,9 +134,10 @@ impl Steered<5> for Bicycle {
     }
 }
 
-/// (1 − e^(−x)) / x, the mean over a time of what decays by that exponent.
+/// (1 − e^(−x)) / x, the mean over a time of what decays by that exponent in it.
 fn mean_decayed(exponent: f64) -> f64 {
-    // Over a tick little decays: up to there these terms of the series, 1 / (n + 1)!, are exact to the last digit.
+    // Little decays in a tick: for small exponents these terms of the series, 1 / (n + 1)!, are exact to the
+    // last digit.
     const TERMS: [f64; 7] = [1.0, 1.0 / 2.0, 1.0 / 6.0, 1.0 / 24.0, 1.0 / 120.0, 1.0 / 720.0, 1.0 / 5040.0];
     if exponent.abs() < 0.02 {
         TERMS.iter().rfold(0.0, |sum, term| term - exponent * sum)
@@ -140,12 +146,12 @@ fn mean_decayed(exponent: f64) -> f64 {
     }
 }
 
-/// The same motion of a bicycle, told from the other end: front and back exchanged.
+/// The same motion of a bicycle with front and back exchanged.
 ///
 /// (ψ, v, β) becomes (ψ + π + 2β, −v, −β): course, velocity and yaw rate stay as they are, and the covariance
-/// turns with the Jacobian of that change.
+/// is transformed by the Jacobian of that change.
 #[must_use]
-pub fn turned_round(state: &Gaussian<5>) -> Gaussian<5> {
+pub fn reversed(state: &Gaussian<5>) -> Gaussian<5> {
     let mut mean = state.mean;
     mean[HEADING] = wrapped(mean[HEADING] + std::f64::consts::PI + 2.0 * mean[SLIP]);
     mean[SPEED] = -mean[SPEED];
@@ -174,21 +180,21 @@ mod tests {
     };
 
     #[test]
-    fn jacobians_agree_with_differences() {
+    fn jacobians_equal_finite_differences() {
         let mean = Vector5::new(3.0, -2.0, 0.4, 8.0, 0.05);
         let rate = [-0.5, 0.1];
         for integrator in [Integrator::Euler, Integrator::Midpoint] {
             let bicycle = Bicycle { integrator, ..DECAYING };
-            let step = bicycle.over(0.08);
-            let moved = bicycle.moved(&mean, rate, &step);
+            let step = bicycle.step_of(0.08);
+            let moved = bicycle.linearised(&mean, rate, &step);
             let difference =
                 |at: &dyn Fn(f64) -> Vector5<f64>| -> Vector5<f64> { (at(1e-5) - at(-1e-5)) / 2e-5 };
             let by_state = Matrix5::from_columns(&[0, 1, 2, 3, 4].map(|row| {
-                difference(&|off| bicycle.moved(&(mean + Vector5::ith(row, off)), rate, &step).next)
+                difference(&|off| bicycle.linearised(&(mean + Vector5::ith(row, off)), rate, &step).next)
             }));
             let by_control = Matrix5x2::from_columns(&[[1.0, 0.0], [0.0, 1.0]].map(|[first, second]| {
                 difference(&|off| {
-                    bicycle.moved(&mean, [rate[0] + first * off, rate[1] + second * off], &step).next
+                    bicycle.linearised(&mean, [rate[0] + first * off, rate[1] + second * off], &step).next
                 })
             }));
             assert!((by_state - moved.by_state).amax() < 1e-8, "{integrator:?}: {by_state}");
@@ -196,28 +202,31 @@ mod tests {
         }
     }
 
-    /// β = u/λ + (β_0 − u/λ) e^(−λt), and a variance that goes from the first to that of a slip left to itself.
+    /// β = u/λ + (β_0 − u/λ) e^(−λt), and a variance that goes from the first to the stationary one.
     #[test]
-    fn slip_dies_away_exactly_in_steps_of_any_length() {
+    fn slip_decay_is_exact_in_steps_of_any_length() {
         let start = Gaussian::new([0.0, 0.0, 0.0, 0.0, 0.2], [0.0, 0.0, 0.0, 0.0, 1e-4]);
         let control = Control { rate: [0.0, 0.04], density: [0.0, 0.0, 1e-4] };
         let (elapsed_s, decay_per_s) = (2.4, DECAYING.slip_decay_per_s);
-        let (meant, left) = (0.04 / decay_per_s, (-decay_per_s * elapsed_s).exp());
+        let (stationary, left) = (0.04 / decay_per_s, (-decay_per_s * elapsed_s).exp());
         let settled = (0.1_f64.powi(2) * STEP_MAX_S + 1e-4) / (2.0 * decay_per_s);
         for steps_len in [30, 48, 240] {
             let mut state = start;
             for _ in 0..steps_len {
-                state = DECAYING.steer(&state, &control, elapsed_s / f64::from(steps_len));
+                state = DECAYING.step_controlled(&state, &control, elapsed_s / f64::from(steps_len));
             }
-            assert!((state.mean[SLIP] - (meant + (0.2 - meant) * left)).abs() < 1e-12, "{steps_len} steps");
+            assert!(
+                (state.mean[SLIP] - (stationary + (0.2 - stationary) * left)).abs() < 1e-12,
+                "{steps_len} steps"
+            );
             let variance = settled + (1e-4 - settled) * left * left;
             assert!((state.covariance[(SLIP, SLIP)] - variance).abs() < 1e-12, "{steps_len} steps");
         }
     }
 
-    /// Heading and slip decay together in steps of 80 ms as they do in time.
+    /// Steps of 80 ms turn the heading by the integral of the decaying slip.
     #[test]
-    fn a_turn_ends() {
+    fn decaying_slip_ends_a_turn_at_the_integrated_heading() {
         let mut state = Gaussian::new([0.0, 0.0, 0.0, 9.0, 0.1], [1e-4; 5]);
         for _ in 0..500 {
             state = DECAYING.step(&state, STEP_MAX_S);
@@ -230,13 +239,13 @@ mod tests {
     }
 
     #[test]
-    fn a_slip_that_stays_moves_as_the_bicycle_to_the_bit() {
+    fn without_slip_decay_a_step_is_the_bicycle_to_the_bit() {
         let staying = Bicycle { slip_decay_per_s: 0.0, ..DECAYING };
         let mean = Vector5::new(3.0, -2.0, 0.4, 8.0, 0.05);
         let bicycle =
             kinematics::Bicycle { rear_axle_m: 1.2, slip_limit_rad: None, integrator: Integrator::Midpoint };
         let expected = bicycle.linearise(&mean, &Vector2::new(-0.5, 0.1), 0.08);
-        let found = staying.moved(&mean, [-0.5, 0.1], &staying.over(0.08));
+        let found = staying.linearised(&mean, [-0.5, 0.1], &staying.step_of(0.08));
         assert_eq!((found.next, found.by_state), (expected.next, expected.by_state));
         assert_eq!(found.by_control, expected.by_control);
     }

@@ -35,15 +35,15 @@ impl Process<6> for ConstantAcceleration {
         Gaussian { mean: transition * state.mean, covariance }
     }
 
-    fn innovation(&self, mean: &Vector6<f64>, seen: &Observation) -> Innovation<6> {
-        seen.against_cartesian(mean)
+    fn innovation(&self, mean: &Vector6<f64>, observation: &Observation) -> Innovation<6> {
+        observation.against_cartesian(mean)
     }
 
-    fn settle(&self, _: &mut Vector6<f64>) {}
+    fn constrain(&self, _: &mut Vector6<f64>) {}
 }
 
-/// Covariance that white noise of spectral density q gives a chain of three integrators in `dt_s`, the last first hit: that of
-/// position, velocity and acceleration along an axis under white jerk.
+/// Covariance that white noise of spectral density q at the input of a chain of three integrators causes in
+/// `dt_s`: that of position, velocity and acceleration along an axis under white jerk.
 #[must_use]
 pub fn chain_noise(density: f64, dt_s: f64) -> [[f64; 3]; 3] {
     let of = |power: i32, divisor: f64| density * dt_s.powi(power) / divisor;

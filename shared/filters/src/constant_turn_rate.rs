@@ -7,7 +7,7 @@ use crate::{Gaussian, Innovation, Observation, Process, wrapped};
 const HEADING: usize = 2;
 const SPEED: usize = 3;
 const TURN_RATE: usize = 4;
-/// Below this half turn the series of sin h / h is exact to the last digit.
+/// Half turn below which the series of sin h / h is exact to the last digit.
 const HALF_TURN_SMALL: f64 = 1e-3;
 
 /// \[x, y, ψ, v, ω\]: constant turn rate and velocity, under white acceleration and yaw acceleration.
@@ -22,8 +22,8 @@ pub struct ConstantTurnRate {
 impl ConstantTurnRate {
     /// The state after `dt_s` without noise, and its derivative by the state before.
     ///
-    /// The agent runs an arc; with the half turn h = ω Δt / 2 its chord has the length v Δt sin h / h and the direction
-    /// ψ + h, which needs no other formula for a straight course:
+    /// The agent runs an arc; with the half turn h = ω Δt / 2 its chord has the length v Δt sin h / h and the
+    /// direction ψ + h, which needs no other formula for a straight course:
     ///
     /// ```text
     /// x' = x + v Δt sinc h cos(ψ + h)      ψ' = ψ + ω Δt
@@ -54,8 +54,9 @@ impl ConstantTurnRate {
         (next, jacobian)
     }
 
-    /// Covariance that a step's noise adds, to first order about a straight course along (cos, sin): the acceleration
-    /// integrates to speed and way, the yaw acceleration to turn rate, heading and, by the speed, the way across.
+    /// Covariance that a step's noise adds, to first order about a straight course along (cos, sin): the
+    /// acceleration integrates to speed and distance, the yaw acceleration to turn rate, heading and, by the
+    /// speed, lateral distance.
     fn noise(&self, speed: f64, (sin, cos): (f64, f64), dt_s: f64) -> Matrix5<f64> {
         let density = self.acceleration_density;
         let mut body = Matrix5::zeros();
@@ -92,11 +93,11 @@ impl Process<5> for ConstantTurnRate {
         Gaussian { mean, ..moved }
     }
 
-    fn innovation(&self, mean: &Vector5<f64>, seen: &Observation) -> Innovation<5> {
-        seen.against_polar(mean)
+    fn innovation(&self, mean: &Vector5<f64>, observation: &Observation) -> Innovation<5> {
+        observation.against_polar(mean)
     }
 
-    fn settle(&self, mean: &mut Vector5<f64>) {
+    fn constrain(&self, mean: &mut Vector5<f64>) {
         mean[HEADING] = wrapped(mean[HEADING]);
     }
 }

@@ -1,6 +1,6 @@
 use nalgebra::{Matrix2, Matrix4, Vector2, Vector4};
 
-use crate::{Control, ControlStep, Gaussian, Innovation, Observation, Process, Steered};
+use crate::{Control, ControlStep, Controlled, Gaussian, Innovation, Observation, Process};
 
 /// \[x, y, vx, vy\] under white acceleration.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -13,21 +13,21 @@ impl Process<4> for ConstantVelocity {
     const ANGLES: &'static [usize] = &[];
 
     fn step(&self, state: &Gaussian<4>, dt_s: f64) -> Gaussian<4> {
-        self.steer(state, &Control::default(), dt_s)
+        self.step_controlled(state, &Control::default(), dt_s)
     }
 
-    fn innovation(&self, mean: &Vector4<f64>, seen: &Observation) -> Innovation<4> {
-        seen.against_cartesian(mean)
+    fn innovation(&self, mean: &Vector4<f64>, observation: &Observation) -> Innovation<4> {
+        observation.against_cartesian(mean)
     }
 
-    fn settle(&self, _: &mut Vector4<f64>) {}
+    fn constrain(&self, _: &mut Vector4<f64>) {}
 }
 
-impl Steered<4> for ConstantVelocity {
+impl Controlled<4> for ConstantVelocity {
     /// ```text
     /// p' = p + v Δt + a Δt²/2      v' = v + a Δt      Q = q [Δt³/3  Δt²/2; Δt²/2  Δt] per axis
     /// ```
-    fn steer(&self, state: &Gaussian<4>, control: &Control, dt_s: f64) -> Gaussian<4> {
+    fn step_controlled(&self, state: &Gaussian<4>, control: &Control, dt_s: f64) -> Gaussian<4> {
         let density = self.density;
         let mut transition = Matrix4::identity();
         transition[(0, 2)] = dt_s;
@@ -51,8 +51,9 @@ impl Steered<4> for ConstantVelocity {
         Gaussian { mean: transition * state.mean + pushed, covariance }
     }
 
-    /// Displacements as accelerations: a step's displacement is the velocity in the middle of the step, beyond that at
-    /// the stamp, and between these times it changes linearly. The displacement's covariance grows with time.
+    /// Converts displacements to accelerations. A step's displacement over its duration is the velocity in
+    /// the middle of the step, relative to that at the stamp; between these times the velocity changes
+    /// linearly. The displacement's covariance grows with time.
     fn control(steps: &[ControlStep], number: usize, step_s: f64, heading_rad: f64) -> Control {
         let (sin, cos) = heading_rad.sin_cos();
         let world_from_agent = Matrix2::new(cos, -sin, sin, cos);

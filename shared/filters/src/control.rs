@@ -9,9 +9,9 @@ pub const HYPOTHESES_MAX: usize = 32;
 /// The Gaussian u = μ + L ε of a control over one step of a forecast.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct ControlStep {
-    /// Mean μ, as it acts (after saturation): acceleration m/s² and slip rate rad/s for a [`crate::Bicycle`], displacement
-    /// in m beyond that of the velocity at the forecast's stamp, along and across the agent, for a
-    /// [`crate::ConstantVelocity`].
+    /// Mean μ after saturation: acceleration m/s² and slip rate rad/s for a [`crate::Bicycle`]; for a
+    /// [`crate::ConstantVelocity`] displacement in m relative to that of the velocity at the forecast's
+    /// stamp, along and across the agent.
     pub mean: [f64; 2],
     /// Lower Cholesky factor L as \[l11, l21, l22\].
     pub cholesky: [f64; 3],
@@ -29,35 +29,37 @@ impl ControlStep {
     }
 }
 
-/// Share of a forecast's control that acts where what it was read off is known with that variance.
+/// Gain of a forecast's control, within \[0, 1\], given the variance of the estimate that it was inferred
+/// from.
 ///
 /// ```text
-/// s = S² / (S² + σ²)      half of it acts at a deviation of S
+/// g = S² / (S² + σ²)      one half at the standard deviation S = half_gain_sigma
 /// ```
 ///
-/// The network takes its history for exact; much of what it reads off a noisy one is to undo motion that never was. So a control
-/// acts by the share of its variance that is not the noise of what it was read off.
+/// The network takes its history as exact, and much of what it infers from a noisy one undoes motion that
+/// never was. The gain is the share of a control's variance that is not the noise of that history.
 #[must_use]
 #[inline]
-pub fn acting_share(even: f64, variance: f64) -> f64 {
-    even.powi(2) / (even.powi(2) + variance.max(0.0))
+pub fn control_gain(half_gain_sigma: f64, variance: f64) -> f64 {
+    half_gain_sigma.powi(2) / (half_gain_sigma.powi(2) + variance.max(0.0))
 }
 
-/// Share of the process noise (standard deviations) that stays where so much of a control acts: all of it where none does,
-/// `noise_share` where it acts in full.
+/// Share of the process noise (standard deviations) that a control of that gain leaves: 1 at gain 0,
+/// `noise_share` at gain 1.
 #[must_use]
 #[inline]
-pub fn noise_left(acting_share: f64, noise_share: f64) -> f64 {
-    (1.0 - acting_share * (1.0 - noise_share.powi(2))).max(0.0).sqrt()
+pub fn noise_left(control_gain: f64, noise_share: f64) -> f64 {
+    (1.0 - control_gain * (1.0 - noise_share.powi(2))).max(0.0).sqrt()
 }
 
-/// What drives a state over a stretch of time, beside the process noise.
+/// The control input of a process over a stretch of time, besides its noise.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Control {
     /// Constant rates: (a, β̇) of a bicycle, acceleration (x, y) of a constant velocity.
     pub rate: [f64; 2],
-    /// Covariance per second (11, 21, 22) of the noise: on (v, β) of a bicycle, on the position of a constant velocity. Of a
-    /// [`crate::SingerBicycle`], which holds the rates in its state, the covariance of the rates themselves.
+    /// Covariance per second (11, 21, 22) of the control's noise: on (v, β) of a bicycle, on the position of
+    /// a constant velocity. For a [`crate::SingerBicycle`], which has the rates in its state, the covariance
+    /// of the rates themselves.
     pub density: [f64; 3],
 }
 
@@ -67,32 +69,33 @@ impl Control {
     }
 }
 
-/// A process that known controls drive.
-pub trait Steered<const N: usize>: Process<N> + Copy {
+/// A process with a control input.
+pub trait Controlled<const N: usize>: Process<N> + Copy {
     /// As [`Process::step`], under a control.
     #[must_use]
-    fn steer(&self, state: &Gaussian<N>, control: &Control, dt_s: f64) -> Gaussian<N>;
+    fn step_controlled(&self, state: &Gaussian<N>, control: &Control, dt_s: f64) -> Gaussian<N>;
 
-    /// This process where only a share of each component of a control acts, and what does not act is left to `unsteered`.
+    /// The process for controls of those gains: this one at gain 1, `uncontrolled` at gain 0, component by
+    /// component.
     ///
-    /// Unless a process says otherwise it is the same whatever acts: the share is then that of a whole forecast, and who set
-    /// the [`Priors`] has seen to it.
+    /// By default it is this one at any gain: the gain is then that of a whole forecast, for which the
+    /// [`Priors`] were made.
     #[must_use]
-    fn beside(&self, _unsteered: &Self, _acting_share: [f64; 2]) -> Self {
+    fn blended(&self, _uncontrolled: &Self, _control_gain: [f64; 2]) -> Self {
         *self
     }
 
-    /// The control that drives a forecast's state for the `number`th time; `steps` of `step_s` each are those of one
-    /// hypothesis, in axes along `heading_rad`.
+    /// The `number`th control input of a forecast; `steps` of `step_s` each are those of one hypothesis, in
+    /// axes along `heading_rad`.
     #[must_use]
     fn control(steps: &[ControlStep], number: usize, step_s: f64, heading_rad: f64) -> Control;
 
-    /// Duration of the first control; the others take a step each.
+    /// Duration of the first control input; the others take a step each.
     #[must_use]
     fn first_ns(step_ns: u64) -> u64;
 }
 
-/// How an agent may go on: equally long sequences of controls, one per hypothesis.
+/// A forecast of one agent: equally long sequences of controls, one per hypothesis.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Forecast<'a> {
     /// Time since the state from which the forecast starts.
@@ -110,7 +113,7 @@ pub struct Forecast<'a> {
 /// Why a forecast can't be a prior.
 #[derive(Clone, Copy, Debug, Error, PartialEq)]
 pub enum ForecastFault {
-    /// Nothing is forecast, or more than fits.
+    /// There is no control, more hypotheses than fit, or sequences of unequal length.
     #[error("{controls_len} controls of {hypotheses_len} hypotheses")]
     Shape {
         /// Hypotheses given.
@@ -127,7 +130,7 @@ pub enum ForecastFault {
         /// Number of the hypothesis.
         hypothesis: usize,
     },
-    /// The forecast ended before now.
+    /// The age is past the forecast's horizon.
     #[error("forecast of {horizon_ns} ns is {age_ns} ns old")]
     Over {
         /// Age.
@@ -181,13 +184,13 @@ pub(crate) struct Plan {
     step_ns: u64,
     heading_rad: f64,
     covariance_scale: f64,
-    control_share: [f64; 2],
-    faded_in_s: f64,
+    control_gain: [f64; 2],
+    fade_in_s: f64,
     pub horizon_ns: u64,
 }
 
 impl Plan {
-    /// Takes over a forecast, as far as the priors trust it.
+    /// Copies a forecast, and how far the priors trust it.
     ///
     /// # Errors
     /// [`ForecastFault`]; the plan is then as before.
@@ -199,21 +202,20 @@ impl Plan {
         self.step_ns = forecast.step_ns;
         self.heading_rad = forecast.heading_rad;
         self.covariance_scale = priors.covariance_scale;
-        self.control_share = priors.control_share;
-        self.faded_in_s = priors.faded_in_s;
+        self.control_gain = priors.control_gain;
+        self.fade_in_s = priors.fade_in_s;
         self.horizon_ns = forecast.horizon_ns();
         Ok(())
     }
 
-    /// Share of each component of the controls that acts at a time since the forecast's start.
-    pub fn acting(&self, time_ns: u64) -> [f64; 2] {
-        // Of a time constant of 0 all of it, at once.
-        let come_in = -(-(time_ns as f64 / 1e9) / self.faded_in_s).exp_m1();
-        self.control_share.map(|share| if self.faded_in_s > 0.0 { share * come_in } else { share })
+    /// Gain of each component of the controls at a time since the forecast's start.
+    pub fn gain(&self, time_ns: u64) -> [f64; 2] {
+        let faded_in = -(-(time_ns as f64 / 1e9) / self.fade_in_s).exp_m1();
+        self.control_gain.map(|gain| if self.fade_in_s > 0.0 { gain * faded_in } else { gain })
     }
 
-    /// The control of a hypothesis at a time since the forecast's start, by which the process `P` moves.
-    pub fn at<P: Steered<N>, const N: usize>(&self, hypothesis: usize, time_ns: u64) -> Control {
+    /// The control input that a hypothesis gives the process `P` at a time since the forecast's start.
+    pub fn at<P: Controlled<N>, const N: usize>(&self, hypothesis: usize, time_ns: u64) -> Control {
         let number = match time_ns.checked_sub(P::first_ns(self.step_ns)) {
             None => 0,
             Some(after_ns) => 1 + (after_ns / self.step_ns.max(1)) as usize,
@@ -221,9 +223,9 @@ impl Plan {
         let steps = &self.steps[hypothesis * self.steps_len..][..self.steps_len];
         let Control { rate: [first, second], density } =
             P::control(steps, number, self.step_ns as f64 / 1e9, self.heading_rad);
-        let [a, b] = self.acting(time_ns);
-        let shares = [a * a, a * b, b * b];
-        let scaled = |i: usize| self.covariance_scale * shares[i] * density[i];
+        let [a, b] = self.gain(time_ns);
+        let gains = [a * a, a * b, b * b];
+        let scaled = |i: usize| self.covariance_scale * gains[i] * density[i];
         Control { rate: [a * first, b * second], density: [scaled(0), scaled(1), scaled(2)] }
     }
 }
@@ -233,7 +235,7 @@ impl Clone for Plan {
         Self { steps: self.steps.clone(), ..*self }
     }
 
-    /// Uses the memory of the steps again.
+    /// Reuses the memory of the steps.
     fn clone_from(&mut self, source: &Self) {
         let mut steps = std::mem::take(&mut self.steps);
         steps.clone_from(&source.steps);

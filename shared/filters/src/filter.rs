@@ -48,7 +48,7 @@ pub struct Models {
     pub bicycle: Bicycle,
 }
 
-/// Standard deviations about 0 of what nobody has observed of an agent.
+/// Standard deviations about 0 of what the first observation leaves open.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Unknown {
     /// Speed, and velocity per axis.
@@ -61,7 +61,7 @@ pub struct Unknown {
     pub slip_rad: f64,
 }
 
-/// One agent's filter: its state, and by which model that moves.
+/// One agent's filter: its state, by the kind of its process model.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Filter {
     /// \[x, y, vx, vy\]
@@ -75,20 +75,21 @@ pub enum Filter {
 }
 
 impl Filter {
-    /// The state that a first observation tells.
+    /// The state after a first observation.
     ///
-    /// Where the kind's state has a heading and none was observed, it begins as [`Kind::ConstantVelocity`]: a linearised
-    /// heading with no idea of its value is worse than none. [`Filter::into_kind`] takes over once the motion shows it.
+    /// Where the kind's state has a heading and none was observed, the filter starts as
+    /// [`Kind::ConstantVelocity`]: a linearised heading of unknown value is worse than none.
+    /// [`Filter::into_kind`] converts it once the motion shows one.
     #[must_use]
-    pub fn start(kind: Kind, seen: &Observation, unknown: &Unknown) -> Self {
-        let ([x, y], var) = (seen.position_m, seen.position_variance);
+    pub fn start(kind: Kind, observation: &Observation, unknown: &Unknown) -> Self {
+        let ([x, y], var) = (observation.position_m, observation.position_variance);
         let unknown_speed = unknown.speed_mps.powi(2);
         let polar = |last: f64| {
-            let (heading, var_h) = seen.heading_rad?;
-            let (speed, var_v) = seen.speed_mps.unwrap_or((0.0, unknown_speed));
+            let (heading, var_h) = observation.heading_rad?;
+            let (speed, var_v) = observation.speed_mps.unwrap_or((0.0, unknown_speed));
             Some(Gaussian::new([x, y, heading, speed, 0.0], [var, var, var_h, var_v, last.powi(2)]))
         };
-        let ([vx, vy], var_v) = seen.velocity_mps().unwrap_or(([0.0; 2], unknown_speed));
+        let ([vx, vy], var_v) = observation.velocity_mps().unwrap_or(([0.0; 2], unknown_speed));
         let cartesian = Gaussian::new([x, y, vx, vy], [var, var, var_v, var_v]);
         match kind {
             Kind::Bicycle => polar(unknown.slip_rad).map(Self::Bicycle),
@@ -101,7 +102,7 @@ impl Filter {
         .unwrap_or(Self::ConstantVelocity(cartesian))
     }
 
-    /// Which model moves the state.
+    /// The kind of the process model.
     #[must_use]
     pub const fn kind(&self) -> Kind {
         match self {
@@ -112,7 +113,7 @@ impl Filter {
         }
     }
 
-    /// Moves the state on by `dt_ns`.
+    /// Predicts the state `dt_ns` ahead.
     ///
     /// # Errors
     /// [`FilterFault`]; the state is then as before.
@@ -125,38 +126,40 @@ impl Filter {
         }
     }
 
-    /// Corrects the state by what was observed.
+    /// Updates the state by an observation.
     ///
     /// # Errors
     /// [`FilterFault`]; the state is then as before.
-    pub fn update(&mut self, seen: &Observation, models: &Models) -> Result<Evidence, FilterFault> {
+    pub fn update(&mut self, observation: &Observation, models: &Models) -> Result<Evidence, FilterFault> {
         match self {
-            Self::ConstantVelocity(state) => state.update(seen, &models.constant_velocity),
-            Self::ConstantAcceleration(state) => state.update(seen, &models.constant_acceleration),
-            Self::ConstantTurnRate(state) => state.update(seen, &models.constant_turn_rate),
-            Self::Bicycle(state) => state.update(seen, &models.bicycle),
+            Self::ConstantVelocity(state) => state.update(observation, &models.constant_velocity),
+            Self::ConstantAcceleration(state) => state.update(observation, &models.constant_acceleration),
+            Self::ConstantTurnRate(state) => state.update(observation, &models.constant_turn_rate),
+            Self::Bicycle(state) => state.update(observation, &models.bicycle),
         }
     }
 
-    /// Corrects the state by observations of which at most one is of the agent, each with the probability that it is:
-    /// [`Gaussian::update_jointly`].
+    /// Updates the state by observations of which at most one is of the agent, each with the probability that
+    /// it is: [`Gaussian::update_jointly`].
     ///
     /// # Errors
     /// [`FilterFault`] where the update by any of them fails; the state is then as before.
     ///
     /// # Panics
-    /// If there are more than [`SIDE_MAX`](crate::jpda::SIDE_MAX) observations, or their probabilities are none or add up to
-    /// more than 1.
+    /// If there are more than [`OBSERVATIONS_MAX`](crate::OBSERVATIONS_MAX) observations, or their
+    /// probabilities are none or add up to more than 1.
     pub fn update_jointly(
         &mut self,
-        seen: &[(f64, Observation)],
+        observations: &[(f64, Observation)],
         models: &Models,
     ) -> Result<(), FilterFault> {
         match self {
-            Self::ConstantVelocity(state) => state.update_jointly(seen, &models.constant_velocity),
-            Self::ConstantAcceleration(state) => state.update_jointly(seen, &models.constant_acceleration),
-            Self::ConstantTurnRate(state) => state.update_jointly(seen, &models.constant_turn_rate),
-            Self::Bicycle(state) => state.update_jointly(seen, &models.bicycle),
+            Self::ConstantVelocity(state) => state.update_jointly(observations, &models.constant_velocity),
+            Self::ConstantAcceleration(state) => {
+                state.update_jointly(observations, &models.constant_acceleration)
+            }
+            Self::ConstantTurnRate(state) => state.update_jointly(observations, &models.constant_turn_rate),
+            Self::Bicycle(state) => state.update_jointly(observations, &models.bicycle),
         }
     }
 
@@ -183,7 +186,7 @@ impl Filter {
         }
     }
 
-    /// Standard deviation of the direction of motion; large where the agent hardly moves.
+    /// Standard deviation of the direction of motion; large at low speed.
     #[must_use]
     pub fn course_sigma_rad(&self) -> f64 {
         match self {
@@ -199,7 +202,7 @@ impl Filter {
         }
     }
 
-    /// Mean and covariance of \[x, y, vx, vy\], in the world frame: what all kinds tell.
+    /// Mean and covariance of \[x, y, vx, vy\] in the world frame, which all kinds have.
     #[must_use]
     pub fn cartesian(&self) -> Gaussian<4> {
         match self {
@@ -213,8 +216,8 @@ impl Filter {
         }
     }
 
-    /// The same motion in the state of another kind; what that adds is 0 with the standard deviation of `unknown`, and a
-    /// front points along the course.
+    /// The same motion in the state of another kind. Components that it adds are 0 with the standard
+    /// deviations of `unknown`; a heading points along the course.
     #[must_use]
     pub fn into_kind(self, kind: Kind, unknown: &Unknown) -> Self {
         if self.kind() == kind {
@@ -257,7 +260,7 @@ fn polar_motion(m: &Vector5<f64>, slip_rad: f64) -> Motion {
     }
 }
 
-/// \[x, y, vx, vy\] of a state \[x, y, ψ, v, …\]; the course turns with the components `turns`.
+/// \[x, y, vx, vy\] of a state \[x, y, ψ, v, …\]; the components `turns` add up to the course.
 fn cartesian(state: &Gaussian<5>, slip_rad: f64, turns: &[usize]) -> Gaussian<4> {
     let m = &state.mean;
     let (sin, cos) = (m[2] + slip_rad).sin_cos();
@@ -274,7 +277,8 @@ fn cartesian(state: &Gaussian<5>, slip_rad: f64, turns: &[usize]) -> Gaussian<4>
     state.transformed(mean, &jacobian)
 }
 
-/// \[x, y, ψ, v, …\] of a state \[x, y, vx, vy\]; the last component is 0 with the standard deviation `sigma`.
+/// \[x, y, ψ, v, …\] of a state \[x, y, vx, vy\]; the last component is 0 with the standard deviation
+/// `sigma`.
 fn polar(state: &Gaussian<4>, sigma: f64) -> Gaussian<5> {
     let m = &state.mean;
     let speed = m[2].hypot(m[3]).max(1e-6);

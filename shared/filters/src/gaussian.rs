@@ -2,16 +2,17 @@ use kinematics::semidefinite_cholesky;
 use nalgebra::{Const, SMatrix, SVector};
 use thiserror::Error;
 
-/// Why a prediction or update was not done; the state is as before.
+/// Why a prediction or update failed; the state is as before.
 #[derive(Clone, Copy, Debug, Error, PartialEq, Eq)]
 pub enum FilterFault {
     /// The innovation's covariance has no Cholesky factor.
     #[error("innovation covariance is not positive definite")]
     NotPositive,
-    /// Nobody can tell where an agent is after so long; the steps there would take longer than a tick.
+    /// The time to predict over exceeds [`GAP_MAX_NS`](crate::GAP_MAX_NS): its steps would take longer than a
+    /// tick.
     #[error("prediction over {0} ns")]
     TooLong(u64),
-    /// A mean or covariance came out as not finite.
+    /// A mean or covariance is not finite.
     #[error("state is not finite")]
     NotFinite,
 }
@@ -34,13 +35,13 @@ impl<const N: usize> Gaussian<N> {
 
     /// The covariance after a step with the given Jacobian and diagonal process noise: J P Jᵀ + Q.
     ///
-    /// The Jacobian is upper triangular, as all are where a component moves by itself and those after it alone: position
-    /// by velocity, velocity by acceleration. What lies below its diagonal is not looked at.
+    /// The Jacobian must be upper triangular, as it is where each component depends on itself and those after
+    /// it: position on velocity, velocity on acceleration. The values below its diagonal are not read.
     #[must_use]
     #[inline]
     pub fn propagated(&self, jacobian: &SMatrix<f64, N, N>, noise: &SVector<f64, N>) -> SMatrix<f64, N, N> {
         debug_assert!(*jacobian == jacobian.upper_triangle(), "{jacobian} is not upper triangular");
-        // Of a symmetric product the upper triangle does, and of J P, too.
+        // The upper triangle of a symmetric product, and of J P, is enough.
         let mut moved = SMatrix::<f64, N, N>::zeros();
         for j in 0..N {
             for i in 0..=j {
@@ -59,7 +60,8 @@ impl<const N: usize> Gaussian<N> {
         propagated
     }
 
-    /// A state drawn from the Gaussian with standard normal numbers; directions without variance keep the mean.
+    /// A state drawn from the Gaussian with standard normal numbers; directions without variance keep the
+    /// mean.
     #[must_use]
     pub fn sample(&self, mut normal: impl FnMut() -> f64) -> SVector<f64, N> {
         self.mean + semidefinite_cholesky(&self.covariance) * SVector::from_fn(|_, _| normal())
@@ -69,7 +71,7 @@ impl<const N: usize> Gaussian<N> {
     #[must_use]
     #[inline]
     pub fn is_finite(&self) -> bool {
-        // As their sum is: what is not finite stays so, whatever is added.
+        // A sum with a number that is not finite is not finite either.
         (self.mean + self.covariance.column_sum()).sum().is_finite()
     }
 

@@ -3,20 +3,21 @@ use std::f64::consts::TAU;
 
 use crate::{FilterFault, Gaussian};
 
-/// Most values that one update compares: x, y, ψ, v.
+/// Most values of one observation: x, y, ψ, v.
 pub const MEASURED_MAX: usize = 4;
 
-/// What a measurement tells beyond the prediction: values of components of the state, with independent errors.
+/// The innovation of a measurement: residuals of measured components of the state, with independent errors.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Innovation<const N: usize> {
     /// Residual and variance of each component that was measured.
     values: [Option<(f64, f64)>; MEASURED_MAX],
 }
 
-/// How well an update's measurement fitted the prediction.
+/// How well a measurement fits the prediction.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Evidence {
-    /// Normalised innovation squared, yᵀ S⁻¹ y: chi-squared with `measured_len` degrees of freedom where the model holds.
+    /// Normalised innovation squared, yᵀ S⁻¹ y: chi-squared with `measured_len` degrees of freedom where the
+    /// model holds.
     pub nis: f64,
     /// Logarithm of the measurement's density under the prediction: −½ (NIS + ln |S| + m ln 2π).
     pub log_likelihood: f64,
@@ -25,14 +26,15 @@ pub struct Evidence {
 }
 
 impl<const N: usize> Innovation<N> {
-    /// Of a position, observed directly as the first two components: measured less predicted, and variance per axis.
+    /// The innovation of a position, the first two components: measured less predicted, and variance per
+    /// axis.
     #[must_use]
     pub fn of_position(residual: [f64; 2], variance: f64) -> Self {
         let [x, y] = residual.map(|residual| Some((residual, variance)));
         Self { values: [x, y, None, None] }
     }
 
-    /// Adds a direct observation of a component: measured less predicted, angles wrapped, and its variance.
+    /// Adds a measured component: measured less predicted, angles wrapped, and its variance.
     ///
     /// # Panics
     /// If the component is none of the first [`MEASURED_MAX`] of the state.
@@ -41,7 +43,7 @@ impl<const N: usize> Innovation<N> {
         self.values[component] = Some((residual, variance));
     }
 
-    /// Logarithm of the measurement's density where the state is known for certain; not finite where a variance is not
+    /// Logarithm of the measurement's density given the exact state; not finite where a variance is not
     /// positive.
     #[must_use]
     pub fn log_density(&self) -> f64 {
@@ -52,7 +54,7 @@ impl<const N: usize> Innovation<N> {
     }
 }
 
-/// An update's innovation y against its covariance S.
+/// Statistics of an innovation y and its covariance S.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Misfit {
     /// yᵀ S⁻¹ y
@@ -75,18 +77,18 @@ impl Misfit {
 }
 
 impl<const N: usize> Gaussian<N> {
-    /// Becomes the posterior, in Joseph form.
+    /// Replaces the prior by the posterior, in Joseph form.
     ///
-    /// The measured values correct the state one after the other: as their errors are independent, that tells the same as
-    /// all at once, and no matrix is factored. Of a component r, seen with the variance R:
+    /// The measured values update the state sequentially: as their errors are independent, the result is that
+    /// of all at once, and no matrix is factored. For a component r, measured with the variance R:
     ///
     /// ```text
     /// s = P_rr + R      k = P e_r / s      x' = x + k y      P' = (I − k e_rᵀ) P (I − k e_rᵀ)ᵀ + k R kᵀ
     /// ```
     ///
     /// # Errors
-    /// [`FilterFault`] where the innovation's covariance is not positive definite or a result is not finite; the state is
-    /// then as before.
+    /// [`FilterFault`] where the innovation's covariance is not positive definite or a result is not finite;
+    /// the state is then as before.
     pub(crate) fn correct(&mut self, innovation: &Innovation<N>) -> Result<Misfit, FilterFault> {
         let mut correction = Correction {
             covariance: self.covariance,
@@ -94,10 +96,10 @@ impl<const N: usize> Gaussian<N> {
             misfit: Misfit { nis: 0.0, det: 1.0, measured_len: 0 },
         };
         let [x, y, third, fourth] = innovation.values;
-        correction.see::<0>(x)?;
-        correction.see::<1>(y)?;
-        correction.see::<2>(third)?;
-        correction.see::<3>(fourth)?;
+        correction.update::<0>(x)?;
+        correction.update::<1>(y)?;
+        correction.update::<2>(third)?;
+        correction.update::<3>(fourth)?;
         let Correction { covariance, shift, misfit } = correction;
         let posterior = Self { mean: self.mean + shift, covariance };
         if !(posterior.is_finite() && misfit.is_finite()) {
@@ -108,36 +110,36 @@ impl<const N: usize> Gaussian<N> {
     }
 }
 
-/// What the values seen so far make of a state.
+/// The posterior after some of the values.
 struct Correction<const N: usize> {
     covariance: SMatrix<f64, N, N>,
-    /// By how much they move the mean.
+    /// Change of the mean.
     shift: SVector<f64, N>,
-    /// S = L D Lᵀ: the spread of each value, given those before, is its entry of D.
+    /// With S = L D Lᵀ, the variance of each value given those before is its entry of D.
     misfit: Misfit,
 }
 
 impl<const N: usize> Correction<N> {
-    /// Takes in a value of the component `ROW`, if there is one: residual and variance.
+    /// Updates by a value of the component `ROW`, if there is one: residual and variance.
     #[inline]
-    fn see<const ROW: usize>(&mut self, value: Option<(f64, f64)>) -> Result<(), FilterFault> {
+    fn update<const ROW: usize>(&mut self, value: Option<(f64, f64)>) -> Result<(), FilterFault> {
         let Some((residual, variance)) = value else { return Ok(()) };
-        let seen = self.covariance.column(ROW).into_owned();
-        let spread = seen[ROW] + variance;
-        if spread.is_nan() || spread <= 0.0 {
+        let column = self.covariance.column(ROW).into_owned();
+        let innovation_variance = column[ROW] + variance;
+        if innovation_variance.is_nan() || innovation_variance <= 0.0 {
             return Err(FilterFault::NotPositive);
         }
-        let gain = seen / spread;
+        let gain = column / innovation_variance;
         let residual = residual - self.shift[ROW];
         self.shift += gain * residual;
-        self.misfit.nis += residual * residual / spread;
-        self.misfit.det *= spread;
+        self.misfit.nis += residual * residual / innovation_variance;
+        self.misfit.det *= innovation_variance;
         self.misfit.measured_len += 1;
         // Column `ROW` of (I − k e_rᵀ) P, less k R.
-        let rest = (seen - gain * seen[ROW]) - gain * variance;
+        let rest = (column - gain * column[ROW]) - gain * variance;
         for j in 0..N {
             for i in 0..=j {
-                let value = self.covariance[(i, j)] - gain[i] * seen[j] - rest[i] * gain[j];
+                let value = self.covariance[(i, j)] - gain[i] * column[j] - rest[i] * gain[j];
                 self.covariance[(i, j)] = value;
                 self.covariance[(j, i)] = value;
             }

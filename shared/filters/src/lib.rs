@@ -1,17 +1,104 @@
-//! Filters that estimate the motion of agents, in f64, and the [`assignment`] of detections to them.
+//! Recursive Bayesian filters of an agent's motion, with process models or forecasts as the prior, in f64.
 //!
-//! A *prediction* moves a state on in time by its [`Process`], an *update* corrects it by what was observed. Each is
-//! done on a copy that replaces the state only when every number in it is finite, so that a failure costs one step and
-//! never the track. Covariances are updated in Joseph form and kept exactly symmetric: they stay positive over millions
-//! of steps.
+//! A filter keeps a belief about the state of one agent and repeats two steps:
 //!
-//! A [`Gaussian`] under one process is an (extended) Kalman filter; [`Filter`] holds one of any [`Kind`]. The forecast
-//! of a model, given as controls of several hypotheses, becomes the process of a [`Mixture`] of
-//! linearised filters, or of [`Particles`].
+//! * **Predict**: a [`Process`] model moves the belief ahead in time and adds its noise. The uncertainty
+//!   grows.
+//! * **Update**: an [`Observation`] corrects the belief by its innovation. The uncertainty falls.
+//!
+//! | belief | update | for |
+//! |---|---|---|
+//! | [`Gaussian`] | Kalman filter, extended where the process is not linear | one process |
+//! | [`Mixture`] | Rao-Blackwellised: one extended Kalman filter per hypothesis | a forecast, linearised |
+//! | [`Particles`] | bootstrap, with kernels where it degenerates | a forecast, by Monte Carlo |
+//!
+//! **Processes.** [`ConstantVelocity`], [`ConstantAcceleration`], [`ConstantTurnRate`], the kinematic
+//! [`Bicycle`] and the [`SingerBicycle`] with correlated controls. [`Filter`] is a [`Gaussian`] under a
+//! [`Kind`] chosen at run time.
+//!
+//! **The learned prior.** A [`Forecast`] is a set of weighted hypotheses about an agent's controls. As the
+//! prior of a [`Mixture`] it bridges a gap in which no process model knows what the agent does, as below: the
+//! vehicle brakes while it is hidden for 1.6 s. Its controls predict the filter's own posterior, so that no
+//! measurement is lost, and measurements weigh the hypotheses.
+//!
+//! **Joint updates.** Where several observations may be of the agent, `update_jointly` weighs them by the
+//! probabilities of an association (probabilistic data association).
+//!
+//! Each step works on a copy that replaces the belief only when every number in it is finite, so that a
+//! failure costs one step and never the track. Covariances are updated in Joseph form and kept exactly
+//! symmetric: they stay positive over millions of steps.
+//!
+//! ```
+//! use filters::{
+//!     Bicycle, ControlStep, Forecast, Gaussian, Integrator, Mixture, Observation, Priors,
+//! };
+//!
+//! const TICK_NS: u64 = 80_000_000;
+//! const BRAKING_MPS2: f64 = -4.0;
+//!
+//! # fn main() -> Result<(), Box<dyn std::error::Error>> {
+//! // The state is [x, y, heading, speed, slip]. Under a forecast the process has less noise of its own.
+//! let kinematic = Bicycle {
+//!     rear_axle_m: 1.2,
+//!     integrator: Integrator::Midpoint,
+//!     acceleration_mps2: 2.8,
+//!     slip_rate_radps: 0.1,
+//!     slip_decay_per_s: 0.15,
+//!     floor: [1e-4, 1e-4, 1e-5, 0.0, 0.0],
+//!     slip_max_rad: 0.5,
+//! };
+//! let learned = Bicycle { acceleration_mps2: 0.8, ..kinematic };
+//! let start = Gaussian::new([0.0, 0.0, 0.0, 10.0, 0.0], [0.1, 0.1, 0.01, 1.0, 0.001]);
+//! let mut kalman = start;
+//! let mut mixture = Mixture::new(start, Priors::new(kinematic, learned), 1);
+//!
+//! // For 2 s the vehicle goes straight on at 10 m/s, and both filters measure its position.
+//! for tick in 1..=25 {
+//!     let observation = Observation {
+//!         position_m: [0.8 * f64::from(tick), 0.0],
+//!         position_variance: 0.01,
+//!         heading_rad: None,
+//!         speed_mps: None,
+//!     };
+//!     kalman.predict(TICK_NS, &kinematic)?;
+//!     kalman.update(&observation, &kinematic)?;
+//!     mixture.predict(TICK_NS)?;
+//!     mixture.update(&observation)?;
+//! }
+//!
+//! // Then it brakes, hidden for 1.6 s. A forecast expects that with 80 %, and constant speed with 20 %.
+//! let control = |mean| ControlStep { mean: [mean, 0.0], cholesky: [0.3, 0.0, 0.02] };
+//! let controls = [[control(BRAKING_MPS2); 12], [control(0.0); 12]].concat();
+//! let forecast = Forecast {
+//!     age_ns: 0,
+//!     step_ns: 400_000_000,
+//!     heading_rad: 0.0,
+//!     probability: &[0.8, 0.2],
+//!     controls: &controls,
+//! };
+//! mixture.adopt(&forecast)?;
+//! for _ in 0..20 {
+//!     kalman.predict(TICK_NS, &kinematic)?;
+//!     mixture.predict(TICK_NS)?;
+//! }
+//! let true_x_m = 20.0 + 10.0 * 1.6 + BRAKING_MPS2 / 2.0 * 1.6 * 1.6;
+//! let error_m = |state: &Gaussian<5>| (state.mean[0] - true_x_m).abs();
+//! assert!(error_m(&mixture.moments()) < 0.5 * error_m(&kalman));
+//!
+//! // The first measurement after the gap confirms the hypothesis that holds.
+//! let observation = Observation {
+//!     position_m: [true_x_m, 0.0],
+//!     position_variance: 0.01,
+//!     heading_rad: None,
+//!     speed_mps: None,
+//! };
+//! mixture.update(&observation)?;
+//! assert!(mixture.weight(0) > 0.95);
+//! # Ok(())
+//! # }
+//! ```
 
-pub mod assignment;
 mod bicycle;
-mod components;
 mod constant_acceleration;
 mod constant_turn_rate;
 mod constant_velocity;
@@ -19,7 +106,6 @@ mod control;
 mod filter;
 mod gaussian;
 mod innovation;
-pub mod jpda;
 pub mod mixture;
 mod moments;
 mod observation;
@@ -30,19 +116,19 @@ pub mod weights;
 
 pub use kinematics::Integrator;
 
-pub use bicycle::{Bicycle, turned_round};
+pub use bicycle::{Bicycle, reversed};
 pub use constant_acceleration::{ConstantAcceleration, chain_noise};
 pub use constant_turn_rate::ConstantTurnRate;
 pub use constant_velocity::ConstantVelocity;
 pub use control::{
-    Control, ControlStep, Forecast, ForecastFault, HYPOTHESES_MAX, Steered, acting_share, noise_left,
+    Control, ControlStep, Controlled, Forecast, ForecastFault, HYPOTHESES_MAX, control_gain, noise_left,
 };
 pub use filter::{Filter, Kind, Models, Unknown};
 pub use gaussian::{FilterFault, Gaussian};
 pub use innovation::{Evidence, Innovation, MEASURED_MAX};
 pub use mixture::{Mixture, Priors};
-pub use moments::{between, difference, mean, moments, sample_moments};
-pub use observation::{Motion, Observation};
+pub use moments::{difference, interpolated, mean, moments, sample_moments};
+pub use observation::{Motion, OBSERVATIONS_MAX, Observation};
 pub use particles::Particles;
 pub use process::Process;
 pub use singer::SingerBicycle;
@@ -55,7 +141,7 @@ const STEP_MAX_S: f64 = 0.08;
 /// Longest time that one prediction covers.
 pub const GAP_MAX_NS: u64 = 60_000_000_000;
 
-/// The angle's equal in [−π, π).
+/// The angle wrapped to [−π, π).
 #[must_use]
 #[inline]
 pub fn wrapped(angle_rad: f64) -> f64 {

@@ -1,64 +1,70 @@
-//! The learned prior, linearised: every draw of a forecast is a hypothesis of how the agent is steered, with a filter of
-//! its own, and measurements tell which of them holds.
+//! The learned prior, linearised: a mixture of Kalman filters, one per draw of a forecast.
 //!
-//! Given the controls, the state is nearly Gaussian; so only the choice among the draws is sampled, and the filter is
-//! *Rao-Blackwellised*. Weights follow the evidence, w_k ∝ w_k N(y; 0, S_k). One component more moves by the
-//! kinematic process alone and is there when no draw is right. A new forecast finds the mixture collapsed to the
-//! Gaussian of its moments: the forecast's controls move the posterior, never its states, which would drop every
-//! measurement since its stamp.
+//! Every draw of a forecast is a hypothesis about the agent's controls. Given the controls, the state is
+//! nearly Gaussian; so only the hypothesis is sampled, and the filter is *Rao-Blackwellised*. Measurements
+//! weigh the hypotheses by their evidence, w_k ∝ w_k N(y; 0, S_k). One more component, predicted by the
+//! kinematic process alone, covers the case that no draw is right. When a new forecast is adopted, the
+//! mixture collapses to the Gaussian of its moments. The forecast's controls then predict the posterior; its
+//! own states are never used, which would drop every measurement since its stamp.
 
 use nalgebra::SVector;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
 use crate::control::Plan;
-use crate::jpda::SIDE_MAX;
-use crate::process::{missed, steps};
+use crate::observation::OBSERVATIONS_MAX;
+use crate::process::{miss_probability, steps};
 use crate::weights::{effective_size, log_sum_exp, normalise, systematic};
-use crate::{FilterFault, Forecast, ForecastFault, Gaussian, HYPOTHESES_MAX, Observation, Steered, moments};
+use crate::{
+    Controlled, FilterFault, Forecast, ForecastFault, Gaussian, HYPOTHESES_MAX, Observation, moments,
+};
 
 /// The processes of a mixture, and how far it trusts a forecast.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Priors<P> {
-    /// Of the component without a forecast.
+    /// Process of the component without a forecast.
     pub kinematic: P,
-    /// Of the hypotheses: its noise comes on top of that of their controls.
+    /// Process of the hypotheses: its noise adds to that of their controls.
     pub learned: P,
-    /// Of the hypotheses as far as their controls do not act, see [`Steered::beside`].
-    pub unsteered: P,
-    /// Weight of the component without a forecast when a forecast comes, within \[0, 1\].
+    /// Process of the hypotheses at control gain 0, see [`Controlled::blended`].
+    pub uncontrolled: P,
+    /// Weight of the component without a forecast when one is adopted, within \[0, 1\].
     pub kinematic_weight: f64,
     /// Factor on the covariances of a forecast's controls.
     pub covariance_scale: f64,
-    /// Share of each component of a forecast's controls that acts, in the axes of the state.
-    pub control_share: [f64; 2],
-    /// Time constant with which that share comes in, as 1 − e^(−t/T) after the state from which a forecast starts; 0 for at once.
+    /// Gain of each component of a forecast's controls, within \[0, 1\], see
+    /// [`control_gain`](crate::control_gain).
+    pub control_gain: [f64; 2],
+    /// Time constant T with which the gain fades in, by 1 − e^(−t/T) at the time t after the forecast's
+    /// start; 0 for at once.
     ///
-    /// At first the state itself knows better how it moves; what it knows is worth less the longer ago it was seen.
-    pub faded_in_s: f64,
+    /// At first the filtered state is the better predictor of its motion, less so the longer ago it was
+    /// measured.
+    pub fade_in_s: f64,
 }
 
 impl<P: Copy> Priors<P> {
-    /// A kinematic component of weight 0.05, and controls as forecast; what does not act of them is left to `kinematic`.
+    /// A kinematic component of weight 0.05, and controls at gain 1; at gain 0 the hypotheses are
+    /// `kinematic`.
     #[must_use]
     pub const fn new(kinematic: P, learned: P) -> Self {
         Self {
             kinematic,
             learned,
-            unsteered: kinematic,
+            uncontrolled: kinematic,
             kinematic_weight: 0.05,
             covariance_scale: 1.0,
-            control_share: [1.0; 2],
-            faded_in_s: 0.0,
+            control_gain: [1.0; 2],
+            fade_in_s: 0.0,
         }
     }
 
-    /// Of the hypotheses where so much of their controls acts.
-    pub(crate) fn steered<const N: usize>(&self, acting_share: [f64; 2]) -> P
+    /// Process of the hypotheses at that gain of their controls.
+    pub(crate) fn controlled<const N: usize>(&self, control_gain: [f64; 2]) -> P
     where
-        P: Steered<N>,
+        P: Controlled<N>,
     {
-        self.learned.beside(&self.unsteered, acting_share)
+        self.learned.blended(&self.uncontrolled, control_gain)
     }
 
     const fn of<const N: usize>(&self, component: &Component<N>) -> &P {
@@ -75,7 +81,7 @@ struct Component<const N: usize> {
     log_weight: f64,
     /// `None`: the kinematic component.
     hypothesis: Option<usize>,
-    /// How many particles it stands for: those that were resampled from one hypothesis stay equal for ever.
+    /// Number of particles that it stands for: those resampled from one hypothesis stay equal for ever.
     copies: usize,
 }
 
@@ -85,14 +91,14 @@ pub struct Mixture<P, const N: usize> {
     /// Processes and trust; may be changed between calls.
     pub priors: Priors<P>,
     components: Vec<Component<N>>,
-    /// Components under way; they replace the others when all is well.
+    /// The components of the next state; they replace the others once the step succeeds.
     next: Vec<Component<N>>,
     plan: Plan,
     age_ns: u64,
     rng: ChaCha8Rng,
 }
 
-impl<P: Steered<N>, const N: usize> Mixture<P, N> {
+impl<P: Controlled<N>, const N: usize> Mixture<P, N> {
     /// A mixture of the kinematic component alone.
     #[must_use]
     pub fn new(state: Gaussian<N>, priors: Priors<P>, seed: u64) -> Self {
@@ -108,13 +114,13 @@ impl<P: Steered<N>, const N: usize> Mixture<P, N> {
         mixture
     }
 
-    /// Forgets the forecast and goes on from `state`.
+    /// Drops the forecast and goes on from `state`.
     pub fn reset(&mut self, state: Gaussian<N>) {
         self.components.clear();
         self.components.push(Component { state, log_weight: 0.0, hypothesis: None, copies: 1 });
     }
 
-    /// Takes a forecast as the prior from now on; the mixture before is collapsed to its moments.
+    /// Adopts a forecast as the prior from now on; the mixture collapses to its moments before.
     ///
     /// # Errors
     /// [`ForecastFault`]; the mixture then goes on as before.
@@ -139,12 +145,12 @@ impl<P: Steered<N>, const N: usize> Mixture<P, N> {
         Ok(())
     }
 
-    /// Moves all components on by `dt_ns`; beyond the forecast's horizon the kinematic process alone does.
+    /// Predicts all components `dt_ns` ahead; beyond the forecast's horizon by the kinematic process alone.
     ///
-    /// A component that fails is left out.
+    /// A component that fails is dropped.
     ///
     /// # Errors
-    /// [`FilterFault`] where all fail; the mixture is then as before, at most collapsed to its moments.
+    /// [`FilterFault`] where all fail; the mixture is then as before, or collapsed to its moments.
     pub fn predict(&mut self, dt_ns: u64) -> Result<(), FilterFault> {
         let (steps_len, dt_s) = steps(dt_ns)?;
         let age_ns = self.age_ns.saturating_add(dt_ns);
@@ -162,13 +168,13 @@ impl<P: Steered<N>, const N: usize> Mixture<P, N> {
                 }
                 Some(hypothesis) => {
                     for i in 0..steps_len {
-                        // The control in the middle of the step: a step that ends with a control's time is its own.
+                        // The control at the middle of the step, which no step shares with the next control.
                         let middle_ns = self.age_ns + dt_ns * (2 * i + 1) / (2 * steps_len);
                         let control = self.plan.at::<P, N>(hypothesis, middle_ns);
-                        let process = self.priors.steered(self.plan.acting(middle_ns));
-                        state = process.steer(&state, &control, dt_s);
+                        let process = self.priors.controlled(self.plan.gain(middle_ns));
+                        state = process.step_controlled(&state, &control, dt_s);
                     }
-                    self.priors.learned.settle(&mut state.mean);
+                    self.priors.learned.constrain(&mut state.mean);
                 }
             }
             if state.is_finite() {
@@ -179,23 +185,23 @@ impl<P: Steered<N>, const N: usize> Mixture<P, N> {
             return Err(FilterFault::NotFinite);
         }
         self.age_ns = age_ns;
-        self.take_next();
+        self.commit();
         Ok(())
     }
 
-    /// Corrects all components and their weights by what was observed; returns the logarithm of the observation's
-    /// density under the mixture.
+    /// Updates all components and their weights by an observation; returns the logarithm of its density under
+    /// the mixture.
     ///
-    /// A component that fails is left out.
+    /// A component that fails is dropped.
     ///
     /// # Errors
     /// [`FilterFault`] where all fail; the mixture is then as before.
-    pub fn update(&mut self, seen: &Observation) -> Result<f64, FilterFault> {
+    pub fn update(&mut self, observation: &Observation) -> Result<f64, FilterFault> {
         let mut fault = FilterFault::NotFinite;
         self.next.clear();
         for component in &self.components {
             let mut state = component.state;
-            match state.update(seen, self.priors.of(component)) {
+            match state.update(observation, self.priors.of(component)) {
                 Ok(evidence) => {
                     let log_weight = component.log_weight + evidence.log_likelihood;
                     self.next.push(Component { state, log_weight, ..*component });
@@ -207,50 +213,52 @@ impl<P: Steered<N>, const N: usize> Mixture<P, N> {
         if !log_likelihood.is_finite() {
             return Err(fault);
         }
-        self.take_next();
+        self.commit();
         self.resample();
         Ok(log_likelihood)
     }
 
-    /// Corrects all components and their weights by observations of which at most one is of the agent, each with the
-    /// probability β that it is; what these lack of 1 is that none is.
+    /// Updates all components and their weights by observations of which at most one is of the agent, each
+    /// with the probability β that it is; the rest of 1 is the probability that none is.
     ///
-    /// A component gains weight w by the observations that it foretold better than the mixture did, and these count for more
-    /// in its own [`Gaussian::update_jointly`]. Together the components have the moments of the mixture's posteriors under
-    /// each observation and of the mixture itself:
+    /// A component gains weight w by the observations that it predicted better than the mixture did, and
+    /// these count for more in its own [`Gaussian::update_jointly`]. Together the components have the moments
+    /// of the mixture's posteriors under each observation and of the mixture itself:
     ///
     /// ```text
-    /// w'_k = Σ_j s_kj      s_kj = w_k β_j N_k(y_j) / Σ_i w_i N_i(y_j)      s_k0 = w_k β_0      β_kj = s_kj / w'_k
+    /// s_kj = w_k β_j N_k(y_j) / Σ_i w_i N_i(y_j)      s_k0 = w_k β_0
+    /// w'_k = Σ_j s_kj      β_kj = s_kj / w'_k
     /// ```
     ///
-    /// A component that fails is left out.
+    /// A component that fails is dropped.
     ///
     /// # Errors
-    /// [`FilterFault`] where all fail, be it at one observation; the mixture is then as before.
+    /// [`FilterFault`] where all fail, even at a single observation; the mixture is then as before.
     ///
     /// # Panics
-    /// If there are more than [`SIDE_MAX`] observations, or their probabilities are none or add up to more than 1.
-    pub fn update_jointly(&mut self, seen: &[(f64, Observation)]) -> Result<(), FilterFault> {
-        let [first, ..] = seen else { return Ok(()) };
-        if seen.len() == 1 && first.0 == 1.0 {
+    /// If there are more than [`OBSERVATIONS_MAX`] observations, or their probabilities are none or add up to
+    /// more than 1.
+    pub fn update_jointly(&mut self, observations: &[(f64, Observation)]) -> Result<(), FilterFault> {
+        let [first, ..] = observations else { return Ok(()) };
+        if observations.len() == 1 && first.0 == 1.0 {
             return self.update(&first.1).map(drop);
         }
         let mut fault = FilterFault::NotFinite;
-        let mut own = [*first; SIDE_MAX];
+        let mut own = [*first; OBSERVATIONS_MAX];
         self.next.clear();
-        for (component, log_shares) in self.components.iter().zip(&self.log_shares(seen)?) {
+        for (component, log_shares) in self.components.iter().zip(&self.log_shares(observations)?) {
             let log_weight = log_sum_exp(log_shares.iter().copied());
             if !log_weight.is_finite() {
                 continue;
             }
-            // Far out, the difference of two logarithms is coarse: the shares are made to add up.
+            // The difference of two large logarithms is coarse: the shares are normalised again.
             let share = |log_share: &f64| (log_share - log_weight).exp();
             let sum: f64 = log_shares.iter().map(share).sum();
-            for ((own, seen), log_share) in own.iter_mut().zip(seen).zip(log_shares) {
-                *own = ((share(log_share) / sum).min(1.0), seen.1);
+            for ((own, observed), log_share) in own.iter_mut().zip(observations).zip(log_shares) {
+                *own = ((share(log_share) / sum).min(1.0), observed.1);
             }
             let mut state = component.state;
-            match state.update_jointly(&own[..seen.len()], self.priors.of(component)) {
+            match state.update_jointly(&own[..observations.len()], self.priors.of(component)) {
                 Ok(()) => self.next.push(Component { state, log_weight, ..*component }),
                 Err(found) => fault = found,
             }
@@ -258,7 +266,7 @@ impl<P: Steered<N>, const N: usize> Mixture<P, N> {
         if self.next.is_empty() {
             return Err(fault);
         }
-        self.take_next();
+        self.commit();
         self.resample();
         Ok(())
     }
@@ -266,15 +274,15 @@ impl<P: Steered<N>, const N: usize> Mixture<P, N> {
     /// ln s of each component, by observation, and last that of none.
     fn log_shares(
         &self,
-        seen: &[(f64, Observation)],
-    ) -> Result<[[f64; SIDE_MAX + 1]; HYPOTHESES_MAX + 1], FilterFault> {
-        let missed = missed(seen);
-        let mut log_shares = [[f64::NEG_INFINITY; SIDE_MAX + 1]; HYPOTHESES_MAX + 1];
-        for (j, (probability, seen)) in seen.iter().enumerate() {
+        observations: &[(f64, Observation)],
+    ) -> Result<[[f64; OBSERVATIONS_MAX + 1]; HYPOTHESES_MAX + 1], FilterFault> {
+        let missed = miss_probability(observations);
+        let mut log_shares = [[f64::NEG_INFINITY; OBSERVATIONS_MAX + 1]; HYPOTHESES_MAX + 1];
+        for (j, (probability, observation)) in observations.iter().enumerate() {
             let mut fault = FilterFault::NotFinite;
             for (component, of_component) in self.components.iter().zip(&mut log_shares) {
                 let mut state = component.state;
-                match state.update(seen, self.priors.of(component)) {
+                match state.update(observation, self.priors.of(component)) {
                     Ok(evidence) => of_component[j] = component.log_weight + evidence.log_likelihood,
                     Err(found) => fault = found,
                 }
@@ -288,7 +296,7 @@ impl<P: Steered<N>, const N: usize> Mixture<P, N> {
             }
         }
         for (component, of_component) in self.components.iter().zip(&mut log_shares) {
-            of_component[SIDE_MAX] = component.log_weight + missed.ln();
+            of_component[OBSERVATIONS_MAX] = component.log_weight + missed.ln();
         }
         Ok(log_shares)
     }
@@ -308,45 +316,45 @@ impl<P: Steered<N>, const N: usize> Mixture<P, N> {
         self.moments().mean
     }
 
-    /// The components that are left: number of the hypothesis, `None` for the kinematic one, with weight and state. The
-    /// weights sum to 1.
+    /// The remaining components: number of the hypothesis, `None` for the kinematic one, with weight and
+    /// state. The weights sum to 1.
     pub fn components(&self) -> impl Iterator<Item = (Option<usize>, f64, &Gaussian<N>)> {
         self.components.iter().map(|c| (c.hypothesis, c.log_weight.exp(), &c.state))
     }
 
-    /// Weight of a hypothesis, 0 where it was left behind.
+    /// Weight of a hypothesis, 0 where it was dropped.
     #[must_use]
     pub fn weight(&self, hypothesis: usize) -> f64 {
         self.components().find(|c| c.0 == Some(hypothesis)).map_or(0.0, |c| c.1)
     }
 
-    /// Whether a forecast takes part in the prediction.
+    /// Whether a forecast is the prior.
     #[must_use]
     pub fn is_learned(&self) -> bool {
         self.components.iter().any(|component| component.hypothesis.is_some())
     }
 
-    /// Time since the start of the forecast that takes part.
+    /// Time since the start of the forecast that is the prior.
     #[must_use]
     pub fn forecast_age_ns(&self) -> Option<u64> {
         self.is_learned().then_some(self.age_ns)
     }
 
-    /// Puts the components under way in place, with weights that sum to 1.
-    fn take_next(&mut self) {
+    /// Replaces the components by the next ones, with weights that sum to 1.
+    fn commit(&mut self) {
         std::mem::swap(&mut self.components, &mut self.next);
         normalise(&mut self.components, |component| &mut component.log_weight);
         self.components.retain(|component| component.log_weight > f64::NEG_INFINITY);
     }
 
-    /// Chooses the hypotheses anew by their weights where few of them hold most of it; the kinematic component keeps
-    /// its own.
+    /// Resamples the hypotheses where their effective number is below half of their particles; the kinematic
+    /// component keeps its weight.
     fn resample(&mut self) {
         let learned = |component: &&Component<N>| component.hypothesis.is_some();
         let hypotheses = || self.components.iter().filter(learned);
         let sum = log_sum_exp(hypotheses().map(|component| component.log_weight));
         let weights = || hypotheses().map(|component| (component.log_weight - sum).exp());
-        // A component of n copies weighs as n particles of w / n each.
+        // A component of n copies counts as n particles of weight w / n each.
         let particles_len: usize = hypotheses().map(|component| component.copies).sum();
         let root = hypotheses().map(|component| (component.copies as f64).sqrt());
         let effective = effective_size(weights().zip(root).map(|(weight, root)| weight / root));
@@ -380,7 +388,7 @@ impl<P: Clone, const N: usize> Clone for Mixture<P, N> {
         }
     }
 
-    /// Uses the memory of components and controls again.
+    /// Reuses the memory of components and controls.
     fn clone_from(&mut self, source: &Self) {
         self.priors.clone_from(&source.priors);
         self.components.clone_from(&source.components);

@@ -23,7 +23,7 @@ pub fn mean<'a, const N: usize>(
     mean
 }
 
-/// `point` less `from`, by the shorter way round for the components `angles`.
+/// `point` less `from`; the components `angles` take the shorter way around the circle.
 #[must_use]
 pub fn difference<const N: usize>(
     point: &SVector<f64, N>,
@@ -37,7 +37,8 @@ pub fn difference<const N: usize>(
     difference
 }
 
-/// The Gaussian with the moments of a mixture: the components' covariances and their spread. The weights sum to 1.
+/// Moment matching: the Gaussian with the moments of a mixture, the covariances of its components and the
+/// spread of their means. The weights sum to 1.
 #[must_use]
 pub fn moments<'a, const N: usize>(
     components: impl Iterator<Item = (f64, &'a Gaussian<N>)> + Clone,
@@ -52,7 +53,7 @@ pub fn moments<'a, const N: usize>(
     Gaussian { mean, covariance: symmetrised(&covariance) }
 }
 
-/// Mean of equally likely points and their covariance over n − 1: what a set of samples tells of where it came from.
+/// Sample mean of equally likely points, and their sample covariance over n − 1.
 #[must_use]
 pub fn sample_moments<const N: usize>(points: &[SVector<f64, N>], angles: &[usize]) -> Gaussian<N> {
     let weight = 1.0 / points.len().max(1) as f64;
@@ -76,9 +77,10 @@ pub(crate) fn scatter<'a, const N: usize>(
     symmetrised(&covariance)
 }
 
-/// The point that lies `share` of the way between two others, by the shorter way round for the components `angles`.
+/// The point at `share` of the way from `before` to `after`; the components `angles` take the shorter way
+/// around the circle.
 #[must_use]
-pub fn between<const N: usize>(
+pub fn interpolated<const N: usize>(
     before: &SVector<f64, N>,
     after: &SVector<f64, N>,
     share: f64,

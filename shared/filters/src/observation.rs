@@ -2,7 +2,10 @@ use nalgebra::SVector;
 
 use crate::{Innovation, wrapped};
 
-/// What a detection tells of an agent's motion. Each optional value comes with its variance.
+/// Most observations of which at most one is of the agent, in one update.
+pub const OBSERVATIONS_MAX: usize = 5;
+
+/// What a detection measures of an agent's motion. Each optional value comes with its variance.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Observation {
     /// Position (x, y) in the world frame.
@@ -24,10 +27,10 @@ impl Observation {
         Some(([speed * cos, speed * sin], variance))
     }
 
-    /// What it tells beyond a state that begins with x, y, vx, vy.
+    /// The innovation relative to a state that begins with x, y, vx, vy.
     ///
-    /// Heading and speed count as the velocity where both were observed. Either alone is left aside: nobody says that
-    /// a walker looks where it goes, and at rest neither has a derivative.
+    /// Heading and speed together measure the velocity. Either alone is left out: a pedestrian may look
+    /// elsewhere than it goes, and at rest neither has a derivative.
     #[must_use]
     pub fn against_cartesian<const N: usize>(&self, mean: &SVector<f64, N>) -> Innovation<N> {
         let mut innovation = self.position_against(mean);
@@ -38,7 +41,7 @@ impl Observation {
         innovation
     }
 
-    /// What it tells beyond a state that begins with x, y, ψ, v.
+    /// The innovation relative to a state that begins with x, y, ψ, v.
     #[must_use]
     pub fn against_polar<const N: usize>(&self, mean: &SVector<f64, N>) -> Innovation<N> {
         let mut innovation = self.position_against(mean);
@@ -57,7 +60,7 @@ impl Observation {
     }
 }
 
-/// An agent's motion as the rest of the pipeline wants it.
+/// An agent's motion, whatever the kind of its filter.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Motion {
     /// Position (x, y) in the world frame.

@@ -1,13 +1,14 @@
-//! The learned prior by Monte Carlo: a particle filter whose particles are steered by the draws of a forecast.
+//! The learned prior by Monte Carlo: a particle filter whose particles follow the controls of a forecast's
+//! draws.
 //!
-//! Every particle is a state and the number of a hypothesis, or of none, which then moves by the kinematic process. It
-//! draws its own noise, so nothing is linearised; the measurement weighs it by its density. The processes and the
+//! Every particle is a state and the number of a hypothesis, or of none for the kinematic process. It draws
+//! its own noise, so nothing is linearised; the measurement weighs it by its density. The processes and the
 //! forecast are those of the [`crate::Mixture`].
 //!
-//! A measurement that is sharp beside the cloud leaves few particles with any weight. The cloud then stands for a
-//! smooth density instead: every particle is the centre of a Gaussian *kernel*, drawn in towards the mean so that the
-//! cloud's moments stay. Kernels are corrected as Kalman filters are, and a particle is drawn from each \[K. Dahia,
-//! C. Musso, D. Pham: *The Kalman-particle kernel filter*, 2005\].
+//! A measurement that is sharp relative to the cloud leaves few particles with any weight (degeneracy). The
+//! cloud then represents a smooth density instead: every particle is the centre of a Gaussian *kernel*,
+//! shrunk towards the mean so that the cloud's moments stay. Kernels are updated as Kalman filters are, and a
+//! particle is drawn from each \[K. Dahia, C. Musso, D. Pham: *The Kalman-particle kernel filter*, 2005\].
 
 use kinematics::semidefinite_cholesky;
 use nalgebra::{SMatrix, SVector};
@@ -20,11 +21,13 @@ use crate::control::Plan;
 use crate::moments::scatter;
 use crate::process::steps;
 use crate::weights::{effective_size, log_sum_exp, normalise, systematic};
-use crate::{FilterFault, Forecast, ForecastFault, Gaussian, Observation, Priors, Steered, difference, mean};
+use crate::{
+    Controlled, FilterFault, Forecast, ForecastFault, Gaussian, Observation, Priors, difference, mean,
+};
 
-/// Kernels are widened no further than until so many of them count: width blurs, while more particles see more sharply.
-const ENOUGH: f64 = 250.0;
-/// From one width of the kernels to the next, as a factor on their covariance.
+/// Effective number of kernels up to which they are widened: width blurs, while more particles resolve more.
+const EFFECTIVE_SIZE_ENOUGH: f64 = 250.0;
+/// Factor on the covariance of the kernels from one width to the next.
 const WIDENING: f64 = 1.5;
 /// Most particles of one filter.
 pub const PARTICLES_MAX: usize = 10_000;
@@ -33,11 +36,11 @@ pub const PARTICLES_MAX: usize = 10_000;
 struct Particle<const N: usize> {
     state: SVector<f64, N>,
     log_weight: f64,
-    /// `None`: moves by the kinematic process.
+    /// `None`: the kinematic process.
     hypothesis: Option<usize>,
 }
 
-/// What a cloud's kernels told of an observation, and the covariance that they share after it.
+/// The evidence of a cloud's kernels for an observation, and their common covariance after it.
 struct Kernels<const N: usize> {
     log_likelihood: f64,
     covariance: SMatrix<f64, N, N>,
@@ -49,16 +52,16 @@ pub struct Particles<P, const N: usize> {
     /// Processes and trust; may be changed between calls.
     pub priors: Priors<P>,
     particles: Vec<Particle<N>>,
-    /// Particles under way; they replace the others when all is well.
+    /// The particles of the next state; they replace the others once the step succeeds.
     next: Vec<Particle<N>>,
-    /// Hypotheses of the particles under way.
+    /// Hypotheses drawn for the particles.
     drawn: Vec<Option<usize>>,
     plan: Plan,
     age_ns: u64,
     rng: ChaCha8Rng,
 }
 
-impl<P: Steered<N>, const N: usize> Particles<P, N> {
+impl<P: Controlled<N>, const N: usize> Particles<P, N> {
     /// Particles drawn from a Gaussian.
     ///
     /// # Panics
@@ -92,7 +95,7 @@ impl<P: Steered<N>, const N: usize> Particles<P, N> {
         }
     }
 
-    /// Takes a forecast as the prior from now on: every particle keeps its state and is dealt a hypothesis.
+    /// Adopts a forecast as the prior from now on: every particle keeps its state and draws a hypothesis.
     ///
     /// # Errors
     /// [`ForecastFault`]; the particles then go on as before.
@@ -104,9 +107,9 @@ impl<P: Steered<N>, const N: usize> Particles<P, N> {
         let learned = forecast.probability.iter().map(|probability| (1.0 - kinematic) * probability / sum);
         let shares = std::iter::once(kinematic).chain(learned);
         self.drawn.clear();
-        let dealt = systematic(shares, self.rng.random(), self.particles.len());
-        self.drawn.extend(dealt.map(|number| number.checked_sub(1)));
-        // Particles that were resampled from one stand side by side: they are to get different hypotheses.
+        let drawn = systematic(shares, self.rng.random(), self.particles.len());
+        self.drawn.extend(drawn.map(|number| number.checked_sub(1)));
+        // Particles resampled from one are neighbours, and must get different hypotheses.
         self.drawn.shuffle(&mut self.rng);
         for (particle, &hypothesis) in self.particles.iter_mut().zip(&self.drawn) {
             particle.hypothesis = hypothesis;
@@ -114,7 +117,7 @@ impl<P: Steered<N>, const N: usize> Particles<P, N> {
         Ok(())
     }
 
-    /// Moves all particles on by `dt_ns`; beyond the forecast's horizon the kinematic process alone does.
+    /// Predicts all particles `dt_ns` ahead; beyond the forecast's horizon by the kinematic process alone.
     ///
     /// # Errors
     /// [`FilterFault`]; the particles are then as before.
@@ -125,7 +128,7 @@ impl<P: Steered<N>, const N: usize> Particles<P, N> {
         done
     }
 
-    /// As [`Particles::predict`], with standard normal numbers from elsewhere: one per component, particle after
+    /// As [`Particles::predict`], with given standard normal numbers: one per component, particle after
     /// particle, in each step.
     ///
     /// # Errors
@@ -145,12 +148,12 @@ impl<P: Steered<N>, const N: usize> Particles<P, N> {
                     None => (&self.priors.kinematic, self.priors.kinematic.step(&from, dt_s)),
                     Some(hypothesis) => {
                         let control = self.plan.at::<P, N>(hypothesis, middle_ns);
-                        let process = self.priors.steered(self.plan.acting(middle_ns));
-                        (&self.priors.learned, process.steer(&from, &control, dt_s))
+                        let process = self.priors.controlled(self.plan.gain(middle_ns));
+                        (&self.priors.learned, process.step_controlled(&from, &control, dt_s))
                     }
                 };
                 particle.state = moved.sample(&mut normal);
-                process.settle(&mut particle.state);
+                process.constrain(&mut particle.state);
             }
         }
         if !self.next.iter().all(|particle| particle.state.iter().all(|x| x.is_finite())) {
@@ -161,50 +164,50 @@ impl<P: Steered<N>, const N: usize> Particles<P, N> {
         Ok(())
     }
 
-    /// Corrects the particles by what was observed; returns the logarithm of the observation's density.
+    /// Updates the particles by an observation; returns the logarithm of its density.
     ///
-    /// They are weighed, or where few would then hold most of the weight corrected as kernels, just wide enough that more
-    /// of them do.
+    /// The observation weighs them. Where the weights degenerate, it updates kernels instead, just wide
+    /// enough that they do not.
     ///
     /// # Errors
     /// As [`Particles::weigh`].
-    pub fn update(&mut self, seen: &Observation) -> Result<f64, FilterFault> {
-        let log_likelihood = self.weighed(seen)?;
-        if !is_poor(&self.next) {
+    pub fn update(&mut self, observation: &Observation) -> Result<f64, FilterFault> {
+        let log_likelihood = self.weighed(observation)?;
+        if !is_degenerate(&self.next) {
             std::mem::swap(&mut self.particles, &mut self.next);
             return Ok(log_likelihood);
         }
         let mut share = kernel_share(self.effective_size(), N);
-        let mut corrected = self.corrected(seen, share)?;
-        let enough = ENOUGH.min(self.particles.len() as f64 / 2.0);
+        let mut updated = self.updated_kernels(observation, share)?;
+        let enough = EFFECTIVE_SIZE_ENOUGH.min(self.particles.len() as f64 / 2.0);
         while share < 1.0 && effective_size(weights(&self.next)) < enough {
             share = (WIDENING * share).min(1.0);
-            corrected = self.corrected(seen, share)?;
+            updated = self.updated_kernels(observation, share)?;
         }
         std::mem::swap(&mut self.particles, &mut self.next);
         let centres = self.moments();
         let offset = self.rng.random();
         self.resample(offset);
-        self.scatter(&corrected.covariance);
-        self.stretch(&Gaussian { covariance: centres.covariance + corrected.covariance, ..centres });
-        Ok(corrected.log_likelihood)
+        self.draw_from_kernels(&updated.covariance);
+        self.match_moments(&Gaussian { covariance: centres.covariance + updated.covariance, ..centres });
+        Ok(updated.log_likelihood)
     }
 
-    /// Weighs the particles by what was observed; returns the logarithm of the observation's density.
+    /// Weighs the particles by an observation; returns the logarithm of its density.
     ///
     /// # Errors
     /// [`FilterFault`] where no particle has a finite density; the particles are then as before.
-    pub fn weigh(&mut self, seen: &Observation) -> Result<f64, FilterFault> {
-        let log_likelihood = self.weighed(seen)?;
+    pub fn weigh(&mut self, observation: &Observation) -> Result<f64, FilterFault> {
+        let log_likelihood = self.weighed(observation)?;
         std::mem::swap(&mut self.particles, &mut self.next);
         Ok(log_likelihood)
     }
 
-    /// Makes the particles under way those of now, weighed by what was observed.
-    fn weighed(&mut self, seen: &Observation) -> Result<f64, FilterFault> {
+    /// Writes to `next` the particles, weighed by an observation.
+    fn weighed(&mut self, observation: &Observation) -> Result<f64, FilterFault> {
         self.next.clone_from(&self.particles);
         for particle in &mut self.next {
-            let density = self.priors.kinematic.innovation(&particle.state, seen).log_density();
+            let density = self.priors.kinematic.innovation(&particle.state, observation).log_density();
             if density.is_nan() {
                 return Err(FilterFault::NotPositive);
             }
@@ -213,18 +216,18 @@ impl<P: Steered<N>, const N: usize> Particles<P, N> {
         self.normalised()
     }
 
-    /// Makes the particles under way the kernels about those of now, corrected by what was observed. A kernel's
-    /// covariance is this share of the cloud's.
-    fn corrected(&mut self, seen: &Observation, share: f64) -> Result<Kernels<N>, FilterFault> {
+    /// Writes to `next` the kernels about the particles, updated by an observation. A kernel's covariance is
+    /// this share of the cloud's.
+    fn updated_kernels(&mut self, observation: &Observation, share: f64) -> Result<Kernels<N>, FilterFault> {
         let cloud = self.moments();
         let covariance = cloud.covariance * share;
-        let drawn_in = (1.0 - share).sqrt();
+        let shrinkage = (1.0 - share).sqrt();
         let mut kernels = Kernels { log_likelihood: 0.0, covariance };
         self.next.clear();
         for particle in &self.particles {
             let off = difference(&particle.state, &cloud.mean, P::ANGLES);
-            let mut kernel = Gaussian { mean: cloud.mean + off * drawn_in, covariance };
-            let innovation = self.priors.kinematic.innovation(&kernel.mean, seen);
+            let mut kernel = Gaussian { mean: cloud.mean + off * shrinkage, covariance };
+            let innovation = self.priors.kinematic.innovation(&kernel.mean, observation);
             let evidence = kernel.correct(&innovation)?.evidence();
             kernels.covariance = kernel.covariance;
             let log_weight = particle.log_weight + evidence.log_likelihood;
@@ -234,34 +237,34 @@ impl<P: Steered<N>, const N: usize> Particles<P, N> {
         Ok(kernels)
     }
 
-    /// Draws every particle from the kernel of which it is the centre.
-    fn scatter(&mut self, covariance: &SMatrix<f64, N, N>) {
+    /// Draws every particle from its kernel.
+    fn draw_from_kernels(&mut self, covariance: &SMatrix<f64, N, N>) {
         let factor = semidefinite_cholesky(covariance);
         for particle in &mut self.particles {
             particle.state += factor * SVector::from_fn(|_, _| StandardNormal.sample(&mut self.rng));
         }
     }
 
-    /// Moves and stretches the cloud a little so that it has exactly the moments of what it was drawn from
-    /// \[J. Barraquand: *Numerical valuation of high dimensional multivariate European securities*, 1995\]; a cloud too
-    /// small to have any stays. States come back into their range.
-    fn stretch(&mut self, exact: &Gaussian<N>) {
+    /// Shifts and scales the cloud so that it has exactly the moments of the density that it was drawn from
+    /// \[J. Barraquand: *Numerical valuation of high dimensional multivariate European securities*, 1995\]; a
+    /// cloud too small to have moments stays. States are constrained to their range.
+    fn match_moments(&mut self, exact: &Gaussian<N>) {
         let cloud = self.moments();
         let root = cloud.covariance.cholesky();
-        let stretched = semidefinite_cholesky(&exact.covariance);
+        let factor = semidefinite_cholesky(&exact.covariance);
         for particle in &mut self.particles {
             let off = difference(&particle.state, &cloud.mean, P::ANGLES);
             if let Some(white) = root.and_then(|root| root.l_dirty().solve_lower_triangular(&off)) {
-                particle.state = exact.mean + stretched * white;
+                particle.state = exact.mean + factor * white;
             }
             match particle.hypothesis {
-                None => self.priors.kinematic.settle(&mut particle.state),
-                Some(_) => self.priors.learned.settle(&mut particle.state),
+                None => self.priors.kinematic.constrain(&mut particle.state),
+                Some(_) => self.priors.learned.constrain(&mut particle.state),
             }
         }
     }
 
-    /// Brings the weights of the particles under way to the sum 1; returns the logarithm of their sum before.
+    /// Normalises the weights of `next` to the sum 1; returns the logarithm of their sum before.
     fn normalised(&mut self) -> Result<f64, FilterFault> {
         let log_sum = log_sum_exp(self.next.iter().map(|particle| particle.log_weight));
         if !log_sum.is_finite() {
@@ -271,19 +274,20 @@ impl<P: Steered<N>, const N: usize> Particles<P, N> {
         Ok(log_sum)
     }
 
-    /// How many equally heavy particles would say as much.
+    /// Effective sample size: number of equally weighted particles that would carry as much information.
     #[must_use]
     pub fn effective_size(&self) -> f64 {
         effective_size(weights(&self.particles))
     }
 
-    /// Whether the effective size is less than half the number of particles.
+    /// Whether the effective sample size is below half the number of particles.
     #[must_use]
-    pub fn is_poor(&self) -> bool {
-        is_poor(&self.particles)
+    pub fn is_degenerate(&self) -> bool {
+        is_degenerate(&self.particles)
     }
 
-    /// Chooses the particles anew by their weights, systematically from `offset` within \[0, 1); all then weigh the same.
+    /// Resamples the particles by their weights, systematically from `offset` within
+    /// \[0, 1); all then weigh the same.
     pub fn resample(&mut self, offset: f64) {
         let Self { particles, next, .. } = self;
         let len = particles.len();
@@ -313,12 +317,12 @@ fn weights<const N: usize>(particles: &[Particle<N>]) -> impl Iterator<Item = f6
     particles.iter().map(|particle| particle.log_weight.exp())
 }
 
-fn is_poor<const N: usize>(particles: &[Particle<N>]) -> bool {
+fn is_degenerate<const N: usize>(particles: &[Particle<N>]) -> bool {
     effective_size(weights(particles)) < particles.len() as f64 / 2.0
 }
 
-/// Share of a cloud's covariance that its kernels get: the square of the width that is best for a Gaussian density of
-/// which `len` draws in `dimensions` are known \[B. Silverman: *Density estimation*, 1986, §4.3\].
+/// Share of a cloud's covariance for its kernels: the square of the bandwidth that is optimal for a Gaussian
+/// density of which `len` draws in `dimensions` are known \[B. Silverman: *Density estimation*, 1986, §4.3\].
 fn kernel_share(len: f64, dimensions: usize) -> f64 {
     let dimensions = dimensions as f64;
     (4.0 / ((dimensions + 2.0) * len)).powf(2.0 / (dimensions + 4.0)).min(1.0)

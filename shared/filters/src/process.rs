@@ -1,28 +1,30 @@
 use nalgebra::SVector;
 
 use crate::innovation::Misfit;
-use crate::jpda::SIDE_MAX;
+use crate::observation::OBSERVATIONS_MAX;
 use crate::{Evidence, FilterFault, GAP_MAX_NS, Gaussian, Innovation, Observation, STEP_MAX_NS, moments};
 
-/// How agents move and how they are seen: a state of `N` components, the first two the position, and its noise.
+/// A process and measurement model: how a state of `N` components moves, the first two being the position,
+/// and how observations measure it.
 pub trait Process<const N: usize> {
-    /// The components that go round: their means are taken on the circle. An angle that stays small is none of these.
+    /// The components that are angles on the full circle: their means are circular. An angle that stays small
+    /// is none of these.
     const ANGLES: &'static [usize];
 
     /// The state `dt_s` later, at most 80 ms.
     #[must_use]
     fn step(&self, state: &Gaussian<N>, dt_s: f64) -> Gaussian<N>;
 
-    /// What an observation tells beyond a state.
+    /// The innovation of an observation relative to a state.
     #[must_use]
-    fn innovation(&self, mean: &SVector<f64, N>, seen: &Observation) -> Innovation<N>;
+    fn innovation(&self, mean: &SVector<f64, N>, observation: &Observation) -> Innovation<N>;
 
-    /// Brings the mean after an update back into its range: angles wrapped, limits kept.
-    fn settle(&self, mean: &mut SVector<f64, N>);
+    /// Constrains the mean after an update to its range: wraps angles and applies limits.
+    fn constrain(&self, mean: &mut SVector<f64, N>);
 }
 
 impl<const N: usize> Gaussian<N> {
-    /// Moves the state on by `dt_ns`, in equal steps of at most 80 ms.
+    /// Predicts the state `dt_ns` ahead, in equal steps of at most 80 ms.
     ///
     /// # Errors
     /// [`FilterFault`]; the state is then as before.
@@ -42,68 +44,79 @@ impl<const N: usize> Gaussian<N> {
         Ok(())
     }
 
-    /// Corrects the state by what was observed.
+    /// Updates the state by an observation.
     ///
     /// # Errors
     /// [`FilterFault`]; the state is then as before.
-    pub fn update(&mut self, seen: &Observation, process: &impl Process<N>) -> Result<Evidence, FilterFault> {
-        self.take_in(seen, process).map(|misfit| misfit.evidence())
+    pub fn update(
+        &mut self,
+        observation: &Observation,
+        process: &impl Process<N>,
+    ) -> Result<Evidence, FilterFault> {
+        self.update_state(observation, process).map(|misfit| misfit.evidence())
     }
 
-    fn take_in(&mut self, seen: &Observation, process: &impl Process<N>) -> Result<Misfit, FilterFault> {
-        let misfit = self.correct(&process.innovation(&self.mean, seen))?;
-        process.settle(&mut self.mean);
+    fn update_state(
+        &mut self,
+        observation: &Observation,
+        process: &impl Process<N>,
+    ) -> Result<Misfit, FilterFault> {
+        let misfit = self.correct(&process.innovation(&self.mean, observation))?;
+        process.constrain(&mut self.mean);
         Ok(misfit)
     }
 
-    /// Corrects the state by observations of which at most one is of the agent, each with the probability that it is;
-    /// what these lack of 1 is the probability that none is.
+    /// Updates the state by observations of which at most one is of the agent, each with the probability that
+    /// it is; the rest of 1 is the probability that none is.
     ///
-    /// The state becomes the Gaussian with the [`moments`] of its posteriors under each observation and of itself. Where
-    /// all have the same noise, that is the probabilistic data association filter
-    /// \[Y. Bar-Shalom, E. Tse: *Tracking in a cluttered environment with probabilistic data association*, 1975\], its
-    /// spread of the innovations included. A single observation of probability 1 is an [update](Gaussian::update) to the bit,
-    /// none changes nothing.
+    /// The state becomes the Gaussian with the [`moments`](fn@crate::moments) of its posteriors under each
+    /// observation and of itself. Where all have the same noise, that is the probabilistic data association
+    /// filter \[Y. Bar-Shalom, E. Tse: *Tracking in a cluttered environment with probabilistic data
+    /// association*, 1975\], its spread of the innovations included. A single observation of probability 1 is an
+    /// [update](Gaussian::update) to the bit; without any the state stays.
     ///
     /// # Errors
     /// [`FilterFault`] where the update by any of them fails; the state is then as before.
     ///
     /// # Panics
-    /// If there are more than [`SIDE_MAX`] observations, or their probabilities are none or add up to more than 1.
+    /// If there are more than [`OBSERVATIONS_MAX`] observations, or their probabilities are none or add up to
+    /// more than 1.
     pub fn update_jointly<P: Process<N>>(
         &mut self,
-        seen: &[(f64, Observation)],
+        observations: &[(f64, Observation)],
         process: &P,
     ) -> Result<(), FilterFault> {
-        if seen.is_empty() {
+        if observations.is_empty() {
             return Ok(());
         }
-        let missed = missed(seen);
-        if let [(_, only)] = seen
+        let missed = miss_probability(observations);
+        if let [(_, only)] = observations
             && missed == 0.0
         {
-            return self.take_in(only, process).map(drop);
+            return self.update_state(only, process).map(drop);
         }
-        let mut posteriors = [(0.0, *self); SIDE_MAX + 1];
-        for ((weight, posterior), (probability, seen)) in posteriors[..SIDE_MAX].iter_mut().zip(seen) {
-            posterior.take_in(seen, process)?;
+        let mut posteriors = [(0.0, *self); OBSERVATIONS_MAX + 1];
+        let slots = posteriors[..OBSERVATIONS_MAX].iter_mut();
+        for ((weight, posterior), (probability, observation)) in slots.zip(observations) {
+            posterior.update_state(observation, process)?;
             *weight = *probability;
         }
-        posteriors[seen.len()].0 = missed;
-        let weighed = posteriors[..=seen.len()].iter().map(|(weight, state)| (*weight, state));
-        let corrected = moments(weighed, P::ANGLES);
-        if !corrected.is_finite() {
+        posteriors[observations.len()].0 = missed;
+        let weighed = posteriors[..=observations.len()].iter().map(|(weight, state)| (*weight, state));
+        let matched = moments(weighed, P::ANGLES);
+        if !matched.is_finite() {
             return Err(FilterFault::NotFinite);
         }
-        *self = corrected;
+        *self = matched;
         Ok(())
     }
 }
 
-/// Probability that none of the observations is of the agent; 0 to the bit where a single one is for certain.
-pub(crate) fn missed(seen: &[(f64, Observation)]) -> f64 {
-    assert!(seen.len() <= SIDE_MAX, "{} observations, at most {SIDE_MAX}", seen.len());
-    let missed = seen.iter().fold(1.0, |rest, (probability, _)| {
+/// Probability that none of the observations is of the agent; exactly 0 for a single one of probability 1.
+pub(crate) fn miss_probability(observations: &[(f64, Observation)]) -> f64 {
+    let len = observations.len();
+    assert!(len <= OBSERVATIONS_MAX, "{len} observations, at most {OBSERVATIONS_MAX}");
+    let missed = observations.iter().fold(1.0, |rest, (probability, _)| {
         assert!((0.0..=1.0).contains(probability), "{probability} is no probability");
         rest - probability
     });

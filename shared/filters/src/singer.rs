@@ -1,6 +1,6 @@
 use nalgebra::{SMatrix, SVector, Vector2};
 
-use crate::{Bicycle, Control, ControlStep, Gaussian, Innovation, Observation, Process, Steered, wrapped};
+use crate::{Bicycle, Control, ControlStep, Controlled, Gaussian, Innovation, Observation, Process, wrapped};
 
 /// Rows of the state.
 const HEADING: usize = 2;
@@ -8,27 +8,28 @@ const SLIP: usize = 4;
 const ACCELERATION: usize = 5;
 const SLIP_RATE: usize = 6;
 
-/// \[x, y, ψ, v, β, a, β̇\]: a [`Bicycle`] that knows its acceleration and its slip rate, which die away towards those that
-/// are meant.
+/// \[x, y, ψ, v, β, a, β̇\]: a [`Bicycle`] with its acceleration and slip rate as states, which decay towards
+/// the control input.
 ///
 /// ```text
 /// ȧ = −(a − u₁) / τ + w₁      β̈ = −(β̇ − u₂) / τ + w₂
 /// ```
 ///
-/// u is a control, 0 without one; w keeps the deviations of a − u₁ and β̇ − u₂ at their σ, and where the control itself is
-/// unsure at what its covariance adds to that. Without a control it is Singer's
-/// model of a manoeuvring target \[R. Singer: *Estimating optimal tracking filter performance for manned maneuvering
-/// targets*, 1970\], along the path and across it: neither the wheels nor the steering jump. A new forecast finds both as they
-/// were estimated, however often it comes.
+/// u is the control, 0 without one. The noise w keeps the deviations a − u₁ and β̇ − u₂ at their stationary
+/// σ; a control's own covariance adds to their variance. Without a control it is Singer's model of a
+/// manoeuvring target
+/// \[R. Singer: *Estimating optimal tracking filter performance for manned maneuvering targets*, 1970\],
+/// along the path and across it: neither the wheels nor the steering jump. A new forecast changes the
+/// control, not the estimated acceleration and slip rate.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SingerBicycle {
-    /// Geometry and noise besides; its white acceleration and slip rate come on top.
+    /// Geometry and other noise; its white acceleration and slip rate add to those here.
     pub bicycle: Bicycle,
-    /// Deviation σ of the acceleration from what is meant.
+    /// Stationary standard deviation σ of the acceleration from the control.
     pub acceleration_mps2: f64,
-    /// Deviation σ of the slip rate from what is meant.
+    /// Stationary standard deviation σ of the slip rate from the control.
     pub slip_rate_radps: f64,
-    /// Times τ in which these two die away to 1/e.
+    /// Times τ in which these two deviations decay to 1/e.
     pub decay_s: [f64; 2],
 }
 
@@ -55,24 +56,24 @@ impl SingerBicycle {
     }
 
     /// The mean after `dt_s` under a control, and its derivative by the mean before.
-    fn moved(
+    fn linearised(
         &self,
         mean: &SVector<f64, 7>,
-        meant: [f64; 2],
+        control: [f64; 2],
         dt_s: f64,
     ) -> (SVector<f64, 7>, SMatrix<f64, 7, 7>) {
-        let meant = Vector2::from(meant);
-        let deviation = mean.fixed_rows::<2>(ACCELERATION) - meant;
+        let control = Vector2::from(control);
+        let deviation = mean.fixed_rows::<2>(ACCELERATION) - control;
         let kept = self.decay_s.map(|decay_s| (-dt_s / decay_s).exp());
-        // Share of a deviation in its mean over the step.
+        // Mean of a deviation over the step, as a share of it.
         let share = [0, 1].map(|of| (1.0 - kept[of]) * self.decay_s[of] / dt_s);
-        let acting = meant + deviation.component_mul(&Vector2::from(share));
+        let mean_rate = control + deviation.component_mul(&Vector2::from(share));
         let planar: SVector<f64, 5> = mean.fixed_rows::<5>(0).into_owned();
-        let moved = self.bicycle.moved(&planar, acting.into(), &self.bicycle.over(dt_s));
+        let moved = self.bicycle.linearised(&planar, mean_rate.into(), &self.bicycle.step_of(dt_s));
         let mut next = SVector::<f64, 7>::zeros();
         next.fixed_rows_mut::<5>(0).copy_from(&moved.next);
         next.fixed_rows_mut::<2>(ACCELERATION)
-            .copy_from(&(meant + deviation.component_mul(&Vector2::from(kept))));
+            .copy_from(&(control + deviation.component_mul(&Vector2::from(kept))));
         let mut by_state = SMatrix::<f64, 7, 7>::zeros();
         by_state.fixed_view_mut::<5, 5>(0, 0).copy_from(&moved.by_state);
         by_state.fixed_view_mut::<5, 2>(0, ACCELERATION).copy_from(&moved.by_control);
@@ -88,28 +89,28 @@ impl Process<7> for SingerBicycle {
     const ANGLES: &'static [usize] = &[HEADING];
 
     fn step(&self, state: &Gaussian<7>, dt_s: f64) -> Gaussian<7> {
-        self.steer(state, &Control::default(), dt_s)
+        self.step_controlled(state, &Control::default(), dt_s)
     }
 
-    fn innovation(&self, mean: &SVector<f64, 7>, seen: &Observation) -> Innovation<7> {
-        seen.against_polar(mean)
+    fn innovation(&self, mean: &SVector<f64, 7>, observation: &Observation) -> Innovation<7> {
+        observation.against_polar(mean)
     }
 
-    fn settle(&self, mean: &mut SVector<f64, 7>) {
+    fn constrain(&self, mean: &mut SVector<f64, 7>) {
         mean[HEADING] = wrapped(mean[HEADING]);
         let slip_max_rad = self.bicycle.slip_max_rad;
         mean[SLIP] = wrapped(mean[SLIP]).clamp(-slip_max_rad, slip_max_rad);
     }
 }
 
-impl Steered<7> for SingerBicycle {
-    fn steer(&self, state: &Gaussian<7>, control: &Control, dt_s: f64) -> Gaussian<7> {
-        let (mean, mut by_state) = self.moved(&state.mean, control.rate, dt_s);
+impl Controlled<7> for SingerBicycle {
+    fn step_controlled(&self, state: &Gaussian<7>, control: &Control, dt_s: f64) -> Gaussian<7> {
+        let (mean, mut by_state) = self.linearised(&state.mean, control.rate, dt_s);
         let planar = Self::bicycle_of(state);
         if planar.covariance[(SLIP, SLIP)] >= self.bicycle.slip_max_rad.powi(2) {
             by_state[(SLIP, SLIP_RATE)] = 0.0;
         }
-        let (of_bicycle, _) = self.bicycle.noise(&planar, &Control::default(), &self.bicycle.over(dt_s));
+        let (of_bicycle, _) = self.bicycle.noise(&planar, &Control::default(), &self.bicycle.step_of(dt_s));
         let mut noise = SVector::<f64, 7>::zeros();
         noise.fixed_rows_mut::<5>(0).copy_from(&of_bicycle);
         let [of_acceleration, cross, of_slip_rate] = control.density;
@@ -124,15 +125,15 @@ impl Steered<7> for SingerBicycle {
         Gaussian { mean, covariance }
     }
 
-    /// Between the two in the rates at which deviations die away and in the densities σ² / τ of what drives them: where
-    /// nothing acts it is `unsteered` itself.
-    fn beside(&self, unsteered: &Self, acting_share: [f64; 2]) -> Self {
+    /// Interpolates the decay rates 1 / τ and the spectral densities σ² / τ of the driving noise: at gain 0
+    /// it is `uncontrolled` itself.
+    fn blended(&self, uncontrolled: &Self, control_gain: [f64; 2]) -> Self {
         let sigma = |process: &Self| [process.acceleration_mps2, process.slip_rate_radps];
         let [of_acceleration, of_slip_rate] = [0, 1].map(|of| {
-            let mix = |ours: f64, theirs: f64| theirs + acting_share[of] * (ours - theirs);
-            let decay_s = 1.0 / mix(1.0 / self.decay_s[of], 1.0 / unsteered.decay_s[of]);
+            let mix = |ours: f64, theirs: f64| theirs + control_gain[of] * (ours - theirs);
+            let decay_s = 1.0 / mix(1.0 / self.decay_s[of], 1.0 / uncontrolled.decay_s[of]);
             let density = |process: &Self| sigma(process)[of].powi(2) / process.decay_s[of];
-            ((mix(density(self), density(unsteered)) * decay_s).max(0.0).sqrt(), decay_s)
+            ((mix(density(self), density(uncontrolled)) * decay_s).max(0.0).sqrt(), decay_s)
         });
         Self {
             acceleration_mps2: of_acceleration.0,
@@ -142,7 +143,8 @@ impl Steered<7> for SingerBicycle {
         }
     }
 
-    /// The density is here the covariance of the control itself: it widens what the deviations from it are held at.
+    /// The density is the covariance of the control itself: it adds to the stationary variance of the
+    /// deviations.
     fn control(steps: &[ControlStep], number: usize, _: f64, _: f64) -> Control {
         let step = steps.get(number).or(steps.last()).copied().unwrap_or_default();
         Control::new(step.mean, &step.covariance())
@@ -178,14 +180,14 @@ mod tests {
     };
 
     #[test]
-    fn jacobian_agrees_with_differences() {
+    fn jacobian_equals_finite_differences() {
         let mean = SVector::from([3.0, -2.0, 0.4, 8.0, 0.05, 1.5, -0.03]);
-        let (_, jacobian) = SINGER.moved(&mean, [-0.5, 0.1], 0.08);
+        let (_, jacobian) = SINGER.linearised(&mean, [-0.5, 0.1], 0.08);
         for column in 0..7 {
             let at = |step: f64| {
                 let mut mean = mean;
                 mean[column] += step;
-                SINGER.moved(&mean, [-0.5, 0.1], 0.08).0
+                SINGER.linearised(&mean, [-0.5, 0.1], 0.08).0
             };
             let by_difference = (at(1e-5) - at(-1e-5)) / 2e-5;
             assert!((by_difference - jacobian.column(column)).amax() < 1e-8, "column {column}");
@@ -193,12 +195,12 @@ mod tests {
     }
 
     #[test]
-    fn acceleration_dies_away_towards_what_is_meant() {
+    fn acceleration_decays_towards_the_control() {
         let mut state = SINGER.of(&Gaussian::new([0.0, 0.0, 0.0, 10.0, 0.0], [1e-4; 5]));
         state.mean[ACCELERATION] = 3.0;
         let control = Control { rate: [-1.0, 0.0], density: [0.0; 3] };
         for _ in 0..100 {
-            state = SINGER.steer(&state, &control, 0.08);
+            state = SINGER.step_controlled(&state, &control, 0.08);
         }
         let (elapsed_s, kept) = (8.0_f64, (-4.0_f64).exp());
         assert!((state.mean[ACCELERATION] - (-1.0 + 4.0 * kept)).abs() < 1e-9);
@@ -209,12 +211,12 @@ mod tests {
     }
 
     #[test]
-    fn slip_rate_dies_away_towards_what_is_meant() {
+    fn slip_rate_decays_towards_the_control() {
         let mut state = SINGER.of(&Gaussian::new([0.0, 0.0, 0.0, 0.0, 0.0], [1e-4; 5]));
         state.mean[SLIP_RATE] = 0.05;
         let control = Control { rate: [0.0, -0.02], density: [0.0; 3] };
         for _ in 0..100 {
-            state = SINGER.steer(&state, &control, 0.08);
+            state = SINGER.step_controlled(&state, &control, 0.08);
         }
         let kept = (-4.0_f64).exp();
         assert!((state.mean[SLIP_RATE] - (-0.02 + 0.07 * kept)).abs() < 1e-9);
@@ -223,45 +225,45 @@ mod tests {
         assert!((state.covariance[(SLIP_RATE, SLIP_RATE)] - 0.01).abs() < 1e-9);
     }
 
-    /// Between two processes rates and densities are mixed component by component; at both ends it is one of the two.
+    /// Rates and densities are interpolated component by component; gains 0 and 1 give the two processes
+    /// themselves.
     #[test]
-    fn a_share_of_the_controls_leaves_the_rest_to_the_process_beside() {
+    fn blending_interpolates_decay_rates_and_noise_densities() {
         let calm =
             SingerBicycle { acceleration_mps2: 0.5, slip_rate_radps: 0.2, decay_s: [0.5, 4.0], ..SINGER };
-        let near = |found: &SingerBicycle, meant: &SingerBicycle| {
+        let near = |found: &SingerBicycle, expected: &SingerBicycle| {
             let numbers = |of: &SingerBicycle| {
                 SVector::from([of.acceleration_mps2, of.slip_rate_radps, of.decay_s[0], of.decay_s[1]])
             };
-            (numbers(found) - numbers(meant)).amax() < 1e-12
+            (numbers(found) - numbers(expected)).amax() < 1e-12
         };
-        assert!(near(&calm.beside(&SINGER, [0.0; 2]), &SINGER));
-        assert!(near(&calm.beside(&SINGER, [1.0; 2]), &calm));
+        assert!(near(&calm.blended(&SINGER, [0.0; 2]), &SINGER));
+        assert!(near(&calm.blended(&SINGER, [1.0; 2]), &calm));
         // Rates 0.5 and 2 meet at 0.875 per s; densities 1 / 2 and 0.25 / 0.5 are the same.
         let quarter = SingerBicycle {
             acceleration_mps2: (0.5_f64 / 0.875).sqrt(),
             decay_s: [1.0 / 0.875, 2.0],
             ..SINGER
         };
-        assert!(near(&calm.beside(&SINGER, [0.25, 0.0]), &quarter));
+        assert!(near(&calm.blended(&SINGER, [0.25, 0.0]), &quarter));
     }
 
-    /// Where a control is unsure, what is driven by it deviates the more.
     #[test]
-    fn covariance_of_a_control_widens_the_deviations() {
+    fn control_covariance_adds_to_the_stationary_variance() {
         let step = ControlStep { mean: [0.0; 2], cholesky: [2.0, 0.06, 0.08] };
         let control = SingerBicycle::control(&[step], 0, 0.4, 0.0);
         let mut state = SINGER.of(&Gaussian::new([0.0, 0.0, 0.0, 10.0, 0.0], [1e-4; 5]));
         for _ in 0..1_000 {
-            state = SINGER.steer(&state, &control, 0.02);
+            state = SINGER.step_controlled(&state, &control, 0.02);
         }
         let deviations = state.covariance.fixed_view::<2, 2>(ACCELERATION, ACCELERATION).into_owned();
-        let meant = Matrix2::new(1.0 + 4.0, 0.12, 0.12, 0.01 + 0.0036 + 0.0064);
-        assert!((deviations - meant).amax() < 1e-6, "{deviations}");
+        let expected = Matrix2::new(1.0 + 4.0, 0.12, 0.12, 0.01 + 0.0036 + 0.0064);
+        assert!((deviations - expected).amax() < 1e-6, "{deviations}");
     }
 
-    /// At rest nothing observes the slip.
+    /// At rest the slip is unobservable.
     #[test]
-    fn slip_of_a_vehicle_at_rest_stays_bounded() {
+    fn slip_sigma_of_a_vehicle_at_rest_stays_bounded() {
         let mut state = SINGER.of(&Gaussian::new([0.0; 5], [1e-4; 5]));
         let seen =
             Observation { position_m: [0.0; 2], position_variance: 1e-4, heading_rad: None, speed_mps: None };
@@ -273,9 +275,9 @@ mod tests {
         assert!((0.4..0.6).contains(&sigma_rad) && state.is_finite(), "{sigma_rad}");
     }
 
-    /// A vehicle that brakes steadily, measured ten times a second: its acceleration is found.
+    /// A vehicle that brakes steadily, measured at 10 Hz.
     #[test]
-    fn steady_braking_is_found_from_positions() {
+    fn steady_braking_is_estimated_from_positions() {
         let mut state = SINGER.of(&Gaussian::new([0.0, 0.0, 0.0, 12.0, 0.0], [1e-2, 1e-2, 1e-2, 1.0, 1e-3]));
         for tick in 1..=30 {
             let t_s = 0.1 * f64::from(tick);

@@ -1,11 +1,12 @@
-//! Whether covariances hold: a thousand runs of each filter, their truth drawn from the very process that it assumes.
+//! Consistency of covariances: a thousand runs of each filter, with truths drawn from the process that it
+//! assumes.
 //!
-//! At every tick the normalised squares (NEES) of all runs add up to a χ² variable where the filter is exact, so that 95 %
-//! of the ticks lie within its bounds. Only linear filters are; the others come near.
+//! At every tick the normalised squares (NEES) of all runs of an exact filter add up to a χ² variable, so
+//! that 95 % of the ticks lie within its bounds. Only linear filters are exact; the others are near.
 
 use filters::{
-    Bicycle, ConstantAcceleration, ConstantTurnRate, ConstantVelocity, Control, ControlStep, Forecast,
-    Gaussian, Integrator, Mixture, Observation, Particles, Priors, Process, SingerBicycle, Steered,
+    Bicycle, ConstantAcceleration, ConstantTurnRate, ConstantVelocity, Control, ControlStep, Controlled,
+    Forecast, Gaussian, Integrator, Mixture, Observation, Particles, Priors, Process, SingerBicycle,
     difference,
 };
 use metrics::tracking::{Consistency, ConsistencySummary, chi_square_bounds, normalised_square};
@@ -30,10 +31,10 @@ const BICYCLE: Bicycle = Bicycle {
     floor: [1e-4, 1e-4, 1e-5, 0.0, 0.0],
     slip_max_rad: 0.5,
 };
-/// A bicycle whose turns end.
+/// A bicycle whose slip decays.
 const DECAYING: Bicycle = Bicycle { slip_decay_per_s: 0.8, ..BICYCLE };
-/// As [`BICYCLE`] without noise of its own: what a forecast steers.
-const STEERED: Bicycle = Bicycle { acceleration_mps2: 0.0, slip_rate_radps: 0.0, ..BICYCLE };
+/// As [`BICYCLE`] without noise of its own, for forecasts.
+const NOISELESS: Bicycle = Bicycle { acceleration_mps2: 0.0, slip_rate_radps: 0.0, ..BICYCLE };
 const SINGER: SingerBicycle = SingerBicycle {
     bicycle: Bicycle { acceleration_mps2: 0.2, slip_rate_radps: 0.1, ..BICYCLE },
     acceleration_mps2: 1.5,
@@ -41,7 +42,7 @@ const SINGER: SingerBicycle = SingerBicycle {
     decay_s: [2.0; 2],
 };
 
-/// What is seen of an agent, and how sharply.
+/// Standard deviations of a sensor's measurements.
 #[derive(Clone, Copy)]
 struct Sensor {
     position_m: f64,
@@ -54,8 +55,8 @@ const POSITIONS: Sensor = Sensor { position_m: 0.2, heading_rad: None, speed_mps
 const ALL: Sensor = Sensor { position_m: 0.2, heading_rad: Some(0.1), speed_mps: Some(0.5) };
 
 impl Sensor {
-    /// The components of `state`, which begins with x, y, ψ, v where more than the position is seen.
-    fn see<const N: usize>(&self, state: &SVector<f64, N>, rng: &mut ChaCha8Rng) -> Observation {
+    /// Measures a state, which begins with x, y, ψ, v where more than the position is measured.
+    fn measure<const N: usize>(&self, state: &SVector<f64, N>, rng: &mut ChaCha8Rng) -> Observation {
         let mut noisy = |component: usize, sigma: f64| state[component] + sigma * normal(rng);
         Observation {
             position_m: [noisy(0, self.position_m), noisy(1, self.position_m)],
@@ -70,7 +71,7 @@ fn normal(rng: &mut ChaCha8Rng) -> f64 {
     StandardNormal.sample(rng)
 }
 
-/// The states of a truth that begins at `state`: one step of the process, its noise drawn.
+/// The next state of a truth: one step of the process with its noise drawn.
 fn drawn<const N: usize>(
     process: &impl Process<N>,
     state: &SVector<f64, N>,
@@ -79,7 +80,7 @@ fn drawn<const N: usize>(
 ) -> SVector<f64, N> {
     let certain = Gaussian::new((*state).into(), [0.0; N]);
     let mut next = step(&certain).sample(|| normal(rng));
-    process.settle(&mut next);
+    process.constrain(&mut next);
     next
 }
 
@@ -115,7 +116,8 @@ impl Squares {
     }
 }
 
-/// Runs of an extended Kalman filter that assumes `filter`, of agents that move by `truth` from a state drawn of `start`.
+/// Runs of an extended Kalman filter that assumes `filter`, for agents that move by `truth` from a state
+/// drawn of `start`.
 #[expect(clippy::unwrap_used, reason = "a failure here is the test's")]
 fn kalman<P: Process<N>, const N: usize>(
     (truth, filter): (&P, &P),
@@ -131,7 +133,7 @@ fn kalman<P: Process<N>, const N: usize>(
         for tick in 0..ticks_len {
             state = drawn(truth, &state, |from| truth.step(from, TICK_S), &mut rng);
             found.predict(TICK_NS, filter).unwrap();
-            let evidence = found.update(&sensor.see(&state, &mut rng), filter).unwrap();
+            let evidence = found.update(&sensor.measure(&state, &mut rng), filter).unwrap();
             squares.innovations.add(tick, evidence.nis, evidence.measured_len as u32).unwrap();
             squares.add(tick, &state, &found, P::ANGLES);
         }
@@ -139,8 +141,8 @@ fn kalman<P: Process<N>, const N: usize>(
     squares
 }
 
-/// Linear filters are exact: innovations are independent of one another, so that both the sum of all their squares and the
-/// number of ticks inside have distributions that are known to the digit; 99.9 % of all seeds pass.
+/// Linear filters are exact: innovations are independent, so the sum of all their squares and the number of
+/// ticks inside have known distributions; 99.9 % of all seeds pass.
 #[expect(clippy::unwrap_used, reason = "a failure here is the test's")]
 fn assert_exact(name: &str, squares: &Squares) {
     const SIGMAS: f64 = 3.29;
@@ -152,7 +154,7 @@ fn assert_exact(name: &str, squares: &Squares) {
     let degrees = 2 * innovations.squares_len;
     let bounds = chi_square_bounds(degrees, 0.999).unwrap();
     assert!(bounds.contain(innovations.per_degree * degrees as f64), "{name}: {innovations:?}");
-    // Errors of neighbouring ticks depend on one another: the same share, but it wanders more.
+    // Errors of neighbouring ticks are correlated: the same share, with a greater variance.
     let states = squares.summary(name);
     assert!((states.inside - 0.95).abs() < 2.0 * spread, "{name}: {states:?}");
     assert!((states.per_degree - 1.0).abs() < 0.01, "{name}: {states:?}");
@@ -165,20 +167,20 @@ fn assert_near(name: &str, squares: &Squares) {
 }
 
 #[test]
-fn linear_filters_are_exact() {
-    let walker = Gaussian::new([3.0, -1.0, 1.0, 0.5], [0.04, 0.04, 0.5, 0.5]);
+fn linear_filters_are_consistent() {
+    let pedestrian = Gaussian::new([3.0, -1.0, 1.0, 0.5], [0.04, 0.04, 0.5, 0.5]);
     let racer = Gaussian::new([3.0, -1.0, 5.0, 2.0, 0.0, 0.0], [0.04, 0.04, 0.5, 0.5, 1.0, 1.0]);
     for (name, sensor) in [("σ 0.02 m", SHARP), ("σ 0.2 m", POSITIONS)] {
-        let squares = kalman((&VELOCITY, &VELOCITY), &walker, sensor, 400);
+        let squares = kalman((&VELOCITY, &VELOCITY), &pedestrian, sensor, 400);
         assert_exact(&format!("constant velocity, {name}"), &squares);
         let squares = kalman((&ACCELERATION, &ACCELERATION), &racer, sensor, 400);
         assert_exact(&format!("constant acceleration, {name}"), &squares);
     }
 }
 
-/// The bounds would not be worth much if a filter passed that is a little wrong.
+/// The bounds must not pass a filter that is slightly wrong.
 #[test]
-fn a_process_noise_that_is_too_small_is_told() {
+fn too_small_a_process_noise_is_inconsistent() {
     let start = Gaussian::new([3.0, -1.0, 1.0, 0.5], [0.04, 0.04, 0.5, 0.5]);
     let wrong = ConstantVelocity { density: VELOCITY.density / 1.2 };
     let states = kalman((&VELOCITY, &wrong), &start, POSITIONS, 100).summary("too small a noise");
@@ -186,7 +188,7 @@ fn a_process_noise_that_is_too_small_is_told() {
 }
 
 #[test]
-fn linearised_filters_are_near() {
+fn linearised_filters_are_nearly_consistent() {
     let start = Gaussian::new([3.0, -1.0, 3.0, 8.0, 0.0], [0.04, 0.04, 0.01, 0.25, 1e-3]);
     let with_acceleration = SINGER.of(&start);
     for (name, sensor) in [("σ 0.02 m", SHARP), ("σ 0.2 m", POSITIONS), ("with heading and speed", ALL)] {
@@ -205,10 +207,10 @@ fn linearised_filters_are_near() {
 const STEP_NS: u64 = 400_000_000;
 const STEPS: usize = 4;
 const HYPOTHESES: usize = 20;
-/// Every so many ticks a new forecast comes, and the agent decides anew.
+/// Ticks from one forecast, and decision of the agent, to the next.
 const FORECAST_TICKS: u64 = 10;
 
-/// Agents of which a forecast tells the truth: they follow one of its hypotheses, as often as it is probable.
+/// Agents with calibrated forecasts: they follow one of the hypotheses, as often as it is probable.
 struct Scene<P, const N: usize> {
     priors: Priors<P>,
     start: Gaussian<N>,
@@ -216,7 +218,7 @@ struct Scene<P, const N: usize> {
     controls: [ControlStep; HYPOTHESES * STEPS],
 }
 
-impl<P: Steered<N> + Copy, const N: usize> Scene<P, N> {
+impl<P: Controlled<N> + Copy, const N: usize> Scene<P, N> {
     /// Hypotheses about a circle of the given radii in the plane of controls, some likelier than others.
     fn new(priors: Priors<P>, start: Gaussian<N>, radius: [f64; 2], cholesky: [f64; 3]) -> Self {
         let controls = std::array::from_fn(|i| {
@@ -265,18 +267,18 @@ impl<P: Steered<N> + Copy, const N: usize> Scene<P, N> {
         };
         let after_ns = (age_ns + TICK_NS / 2).checked_sub(P::first_ns(STEP_NS));
         let number = after_ns.map_or(0, |after_ns| 1 + (after_ns / STEP_NS) as usize);
-        let told: Control = P::control(steps, number, STEP_NS as f64 / 1e9, self.forecast().heading_rad);
-        let [a, b] = self.priors.control_share;
+        let input: Control = P::control(steps, number, STEP_NS as f64 / 1e9, self.forecast().heading_rad);
+        let [a, b] = self.priors.control_gain;
         let control = Control {
-            rate: [a * told.rate[0], b * told.rate[1]],
-            density: [a * a * told.density[0], a * b * told.density[1], b * b * told.density[2]],
+            rate: [a * input.rate[0], b * input.rate[1]],
+            density: [a * a * input.density[0], a * b * input.density[1], b * b * input.density[2]],
         };
         let process = &self.priors.learned;
-        drawn(process, state, |from| process.steer(from, &control, TICK_S), rng)
+        drawn(process, state, |from| process.step_controlled(from, &control, TICK_S), rng)
     }
 
-    /// Runs of a filter made of the seed, which is told forecasts, moved and corrected.
-    fn judge<F>(
+    /// Runs of a filter made of the seed, which adopts forecasts, predicts and updates.
+    fn evaluate<F>(
         &self,
         sensor: Sensor,
         ticks_len: u64,
@@ -291,12 +293,12 @@ impl<P: Steered<N> + Copy, const N: usize> Scene<P, N> {
             let mut decided = None;
             for tick in 0..ticks_len {
                 let since = tick % FORECAST_TICKS;
-                let told = (since == 0).then(|| self.forecast());
-                if told.is_some() {
+                let forecast = (since == 0).then(|| self.forecast());
+                if forecast.is_some() {
                     decided = self.decide(&mut rng);
                 }
                 state = self.step(&state, decided, since * TICK_NS, &mut rng);
-                let found = tick_of(&mut filter, told.as_ref(), &sensor.see(&state, &mut rng));
+                let found = tick_of(&mut filter, forecast.as_ref(), &sensor.measure(&state, &mut rng));
                 squares.add(tick, &state, &found, P::ANGLES);
             }
         }
@@ -306,12 +308,12 @@ impl<P: Steered<N> + Copy, const N: usize> Scene<P, N> {
     #[expect(clippy::unwrap_used, reason = "a failure here is the test's")]
     fn mixture(&self, sensor: Sensor, ticks_len: u64) -> Squares {
         let new = |seed| Mixture::new(self.start, self.priors, seed);
-        self.judge(sensor, ticks_len, new, |mixture, told, seen| {
-            if let Some(forecast) = told {
+        self.evaluate(sensor, ticks_len, new, |mixture, forecast, observed| {
+            if let Some(forecast) = forecast {
                 mixture.adopt(forecast).unwrap();
             }
             mixture.predict(TICK_NS).unwrap();
-            mixture.update(seen).unwrap();
+            mixture.update(observed).unwrap();
             mixture.moments()
         })
     }
@@ -319,12 +321,12 @@ impl<P: Steered<N> + Copy, const N: usize> Scene<P, N> {
     #[expect(clippy::unwrap_used, reason = "a failure here is the test's")]
     fn particles(&self, sensor: Sensor, ticks_len: u64, particles_len: usize) -> Squares {
         let new = |seed| Particles::new(&self.start, self.priors, particles_len, seed);
-        self.judge(sensor, ticks_len, new, |particles, told, seen| {
-            if let Some(forecast) = told {
+        self.evaluate(sensor, ticks_len, new, |particles, forecast, observed| {
+            if let Some(forecast) = forecast {
                 particles.adopt(forecast).unwrap();
             }
             particles.predict(TICK_NS).unwrap();
-            particles.update(seen).unwrap();
+            particles.update(observed).unwrap();
             particles.moments()
         })
     }
@@ -332,18 +334,18 @@ impl<P: Steered<N> + Copy, const N: usize> Scene<P, N> {
 
 fn vehicles() -> Scene<Bicycle, 5> {
     let start = Gaussian::new([3.0, -1.0, 3.0, 8.0, 0.0], [0.04, 0.04, 0.01, 0.25, 1e-3]);
-    Scene::new(Priors::new(BICYCLE, STEERED), start, [2.0, 0.1], [0.5, 0.0, 0.05])
+    Scene::new(Priors::new(BICYCLE, NOISELESS), start, [2.0, 0.1], [0.5, 0.0, 0.05])
 }
 
-/// As [`vehicles`], by controls of which a share acts while the slip decays by the rest.
-fn vehicles_in_part() -> Scene<Bicycle, 5> {
+/// As [`vehicles`], at control gains below 1 and with the slip decay that they leave.
+fn vehicles_at_partial_gain() -> Scene<Bicycle, 5> {
     let Scene { start, .. } = vehicles();
-    let learned = Bicycle { slip_decay_per_s: 0.4 * DECAYING.slip_decay_per_s, ..STEERED };
-    let priors = Priors { control_share: [0.8, 0.6], ..Priors::new(DECAYING, learned) };
+    let learned = Bicycle { slip_decay_per_s: 0.4 * DECAYING.slip_decay_per_s, ..NOISELESS };
+    let priors = Priors { control_gain: [0.8, 0.6], ..Priors::new(DECAYING, learned) };
     Scene::new(priors, start, [2.0, 0.1], [0.5, 0.0, 0.05])
 }
 
-fn walkers() -> Scene<ConstantVelocity, 4> {
+fn pedestrians() -> Scene<ConstantVelocity, 4> {
     let start = Gaussian::new([3.0, -1.0, 1.0, 0.5], [0.04, 0.04, 0.1, 0.1]);
     Scene::new(
         Priors::new(VELOCITY, ConstantVelocity { density: 0.05 }),
@@ -354,19 +356,19 @@ fn walkers() -> Scene<ConstantVelocity, 4> {
 }
 
 #[test]
-fn the_mixture_is_near() {
-    let (vehicles, in_part, walkers) = (vehicles(), vehicles_in_part(), walkers());
+fn mixtures_are_nearly_consistent() {
+    let (vehicles, in_part, pedestrians) = (vehicles(), vehicles_at_partial_gain(), pedestrians());
     for (name, sensor) in [("σ 0.02 m", SHARP), ("σ 0.2 m", POSITIONS), ("with heading and speed", ALL)] {
         assert_near(&format!("mixture of bicycles, {name}"), &vehicles.mixture(sensor, 50));
         assert_near(&format!("mixture of decaying slips, {name}"), &in_part.mixture(sensor, 50));
         if sensor.heading_rad.is_none() {
-            assert_near(&format!("mixture of constant velocities, {name}"), &walkers.mixture(sensor, 50));
+            assert_near(&format!("mixture of constant velocities, {name}"), &pedestrians.mixture(sensor, 50));
         }
     }
 }
 
 #[test]
-fn five_hundred_particles_are_near() {
+fn five_hundred_particles_are_nearly_consistent() {
     let vehicles = vehicles();
     for (name, sensor) in [("σ 0.02 m", SHARP), ("σ 0.2 m", POSITIONS)] {
         let states = vehicles.particles(sensor, 12, 500).summary(&format!("500 particles, {name}"));
@@ -374,9 +376,10 @@ fn five_hundred_particles_are_near() {
     }
 }
 
-/// So many are needed for the sums over all seeds to lie within their bounds as often as those of the other filters.
+/// It takes this many for the sums over all seeds to lie within their bounds as often as those of the other
+/// filters.
 #[test]
-fn four_thousand_particles_are_as_near_as_the_mixture() {
+fn four_thousand_particles_are_as_consistent_as_the_mixture() {
     let vehicles = vehicles();
     for (name, sensor) in [("σ 0.02 m", SHARP), ("σ 0.2 m", POSITIONS)] {
         assert_near(&format!("4,000 particles, {name}"), &vehicles.particles(sensor, 12, 4_000));

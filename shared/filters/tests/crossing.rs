@@ -1,7 +1,8 @@
-//! Two agents that cross among false detections: whether joint association keeps them apart, and its covariances hold.
+//! Two agents that cross in clutter, by assignment and by joint probabilistic data association.
 
-use filters::assignment::{Assigner, Candidate};
-use filters::jpda::Associator;
+use association::Candidate;
+use association::assignment::Assigner;
+use association::jpda::Associator;
 use filters::{ConstantVelocity, Gaussian, Observation, Process};
 use metrics::tracking::{Consistency, normalised_square};
 use rand::{RngExt, SeedableRng};
@@ -11,7 +12,7 @@ use rand_distr::{Distribution, Poisson, StandardNormal};
 const SEEDS: u64 = 200;
 const TICKS: u64 = 60;
 const TICK_NS: u64 = 80_000_000;
-const WALK: ConstantVelocity = ConstantVelocity { density: 0.2 };
+const PROCESS: ConstantVelocity = ConstantVelocity { density: 0.2 };
 const SIGMA_M: f64 = 0.3;
 const DETECTED: f64 = 0.9;
 /// False detections per m².
@@ -24,13 +25,13 @@ fn normal(rng: &mut ChaCha8Rng) -> f64 {
     StandardNormal.sample(rng)
 }
 
-/// What a frame shows: of each agent its position with noise, or nothing, and clutter, in no order.
+/// The observations of a frame: noisy positions of the agents, misses and clutter, sorted by x.
 fn frame(truths: &[Gaussian<4>; 2], rng: &mut ChaCha8Rng) -> Vec<Observation> {
     let mut positions = Vec::new();
     for truth in truths {
-        let seen = [0, 1].map(|axis| truth.mean[axis] + SIGMA_M * normal(rng));
+        let observed = [0, 1].map(|axis| truth.mean[axis] + SIGMA_M * normal(rng));
         if rng.random_bool(DETECTED) {
-            positions.push(seen);
+            positions.push(observed);
         }
     }
     let false_len = Poisson::new(CLUTTER * SIDE_M * SIDE_M).expect("a finite mean").sample(rng);
@@ -38,20 +39,20 @@ fn frame(truths: &[Gaussian<4>; 2], rng: &mut ChaCha8Rng) -> Vec<Observation> {
         positions.push([0, 1].map(|_| rng.random_range(-0.5..0.5) * SIDE_M));
     }
     positions.sort_by(|a, b| a[0].total_cmp(&b[0]));
-    let seen = |position_m| Observation {
+    let observed = |position_m| Observation {
         position_m,
         position_variance: SIGMA_M.powi(2),
         heading_rad: None,
         speed_mps: None,
     };
-    positions.into_iter().map(seen).collect()
+    positions.into_iter().map(observed).collect()
 }
 
-fn candidates(tracks: &[Gaussian<4>; 2], seen: &[Observation]) -> Vec<Candidate> {
+fn candidates(tracks: &[Gaussian<4>; 2], observed: &[Observation]) -> Vec<Candidate> {
     let mut candidates = Vec::new();
     for (track, state) in (0..).zip(tracks) {
-        for (detection, seen) in (0..).zip(seen) {
-            let evidence = state.clone().update(seen, &WALK).expect("a finite state");
+        for (detection, observed) in (0..).zip(observed) {
+            let evidence = state.clone().update(observed, &PROCESS).expect("a finite state");
             if evidence.nis < GATE {
                 candidates.push(Candidate { track, detection, cost: -2.0 * evidence.log_likelihood });
             }
@@ -68,7 +69,7 @@ enum By {
 
 #[derive(Debug, Default)]
 struct Outcome {
-    /// Crossings after which a track was nearer to the other agent, or to neither.
+    /// Tracks that after a crossing are nearer to the other agent, or near neither.
     swapped_len: usize,
     lost_len: usize,
     squares: Consistency,
@@ -92,26 +93,27 @@ fn cross(by: By, apart_m: f64) -> Outcome {
         let mut truths = [drawn(&start[0], &mut rng), drawn(&start[1], &mut rng)];
         for tick in 0..TICKS {
             for (truth, track) in truths.iter_mut().zip(&mut tracks) {
-                *truth = drawn(&WALK.step(truth, 0.08), &mut rng);
-                track.predict(TICK_NS, &WALK).unwrap();
+                *truth = drawn(&PROCESS.step(truth, 0.08), &mut rng);
+                track.predict(TICK_NS, &PROCESS).unwrap();
             }
-            let seen = frame(&truths, &mut rng);
-            let mut candidates = candidates(&tracks, &seen);
+            let observed = frame(&truths, &mut rng);
+            let mut candidates = candidates(&tracks, &observed);
             match by {
                 By::Assignment => {
                     let mut paired = [None; 2];
-                    assigner.solve(&mut candidates, seen.len(), miss_cost, &mut paired);
+                    assigner.solve(&mut candidates, observed.len(), miss_cost, &mut paired);
                     for (track, paired) in tracks.iter_mut().zip(paired) {
-                        paired.map(|d| track.update(&seen[d as usize], &WALK).unwrap());
+                        paired.map(|d| track.update(&observed[d as usize], &PROCESS).unwrap());
                     }
                 }
                 By::JointProbability => {
-                    associator.associate(&mut candidates, 2, seen.len(), miss_cost);
+                    associator.associate(&mut candidates, 2, observed.len(), miss_cost);
                     for (t, track) in tracks.iter_mut().enumerate() {
                         let shares = associator.of_track(t).iter();
-                        let shares: Vec<(f64, Observation)> =
-                            shares.map(|share| (share.probability, seen[share.detection as usize])).collect();
-                        track.update_jointly(&shares, &WALK).unwrap();
+                        let shares: Vec<(f64, Observation)> = shares
+                            .map(|share| (share.probability, observed[share.detection as usize]))
+                            .collect();
+                        track.update_jointly(&shares, &PROCESS).unwrap();
                     }
                 }
             }
@@ -130,10 +132,10 @@ fn cross(by: By, apart_m: f64) -> Outcome {
     outcome
 }
 
-/// Where two tracks may have each other's detections, their states depend on one another, and one Gaussian each can't tell
-/// that; but it is near. An assignment takes the false detection that lies nearer for the agent, and knows no doubt.
+/// Tracks that may have each other's detections are correlated, which one Gaussian each can't represent;
+/// still JPDA is nearly consistent. An assignment takes the nearest false detection as certain.
 #[test]
-fn joint_association_crosses_no_worse_and_knows_its_errors() {
+fn jpda_loses_fewer_tracks_and_is_nearly_consistent() {
     for apart_m in [0.0, 1.0, 2.0] {
         let [assigned, joint] = [By::Assignment, By::JointProbability].map(|by| cross(by, apart_m));
         for (name, outcome) in [("assigned", &assigned), ("joint", &joint)] {

@@ -1,16 +1,17 @@
-//! The particle filter against a reference run with all its random numbers, against the exact filter, and moments of
-//! sample sets against reference values.
+//! The particle filter against a reference run with all its random numbers and against the exact filter;
+//! moments of samples against reference values.
 
 use std::path::PathBuf;
 
 use filters::{
-    Bicycle, ConstantVelocity, Control, ControlStep, Forecast, Gaussian, Innovation, Integrator, Mixture,
-    Observation, Particles, Priors, Process, Steered, between, sample_moments, wrapped,
+    Bicycle, Control, ControlStep, Controlled, FilterFault, Forecast, Gaussian, Innovation, Integrator,
+    Mixture, Observation, Particles, Priors, Process, interpolated, sample_moments, wrapped,
 };
 use nalgebra::{SVector, Vector2};
 
+use crate::support::state::{PEDESTRIAN, at};
+
 const TICK_NS: u64 = 80_000_000;
-const WALK: ConstantVelocity = ConstantVelocity { density: 0.5 };
 
 fn golden(name: &str) -> serde_json::Value {
     let path = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("tests/golden/unit").join(name);
@@ -20,10 +21,6 @@ fn golden(name: &str) -> serde_json::Value {
 fn numbers<const N: usize>(value: &serde_json::Value) -> SVector<f64, N> {
     let list = value.as_array().expect("a list").iter();
     SVector::from_iterator(list.map(|x| x.as_f64().expect("a number")))
-}
-
-fn at(position_m: [f64; 2], sigma_m: f64) -> Observation {
-    Observation { position_m, position_variance: sigma_m.powi(2), heading_rad: None, speed_mps: None }
 }
 
 /// A point that moves by standard normal numbers, once per 80 ms.
@@ -39,16 +36,16 @@ impl Process<2> for RandomWalk {
         moved
     }
 
-    fn innovation(&self, mean: &Vector2<f64>, seen: &Observation) -> Innovation<2> {
-        let [x, y] = seen.position_m;
-        Innovation::of_position([x - mean[0], y - mean[1]], seen.position_variance)
+    fn innovation(&self, mean: &Vector2<f64>, observation: &Observation) -> Innovation<2> {
+        let [x, y] = observation.position_m;
+        Innovation::of_position([x - mean[0], y - mean[1]], observation.position_variance)
     }
 
-    fn settle(&self, _: &mut Vector2<f64>) {}
+    fn constrain(&self, _: &mut Vector2<f64>) {}
 }
 
-impl Steered<2> for RandomWalk {
-    fn steer(&self, state: &Gaussian<2>, _: &Control, dt_s: f64) -> Gaussian<2> {
+impl Controlled<2> for RandomWalk {
+    fn step_controlled(&self, state: &Gaussian<2>, _: &Control, dt_s: f64) -> Gaussian<2> {
         self.step(state, dt_s)
     }
 
@@ -62,7 +59,7 @@ impl Steered<2> for RandomWalk {
 }
 
 #[test]
-fn the_particle_filter_agrees_with_the_reference() {
+fn particle_filter_equals_the_reference() {
     let all = golden("pf_small.json");
     let list = |key: &str| all[key].as_array().unwrap().clone();
     let states: Vec<Vector2<f64>> = list("x0").iter().map(numbers).collect();
@@ -74,15 +71,20 @@ fn the_particle_filter_agrees_with_the_reference() {
         let noise: Vec<Vector2<f64>> = all["noise"][k].as_array().unwrap().iter().map(numbers).collect();
         let mut normals = noise.iter().flat_map(|pair| [pair[0], pair[1]]);
         particles.predict_with(TICK_NS, || normals.next().unwrap()).unwrap();
-        let log_likelihood = particles.weigh(&at(numbers::<2>(&all["z"][k]).into(), 0.3)).unwrap();
+        let log_likelihood = particles
+            .weigh(&{
+                let [x, y] = numbers::<2>(&all["z"][k]).into();
+                at(x, y, 0.3)
+            })
+            .unwrap();
         let number = |key: &str| expected[key].as_f64().unwrap();
-        // The reference leaves the density's constant out.
+        // The reference omits the density's constant.
         let constant = (std::f64::consts::TAU * 0.09).ln();
         assert!((log_likelihood + constant - number("loglik_unnormalised")).abs() < 1e-9);
         assert!((particles.effective_size() - number("ess")).abs() < 1e-9);
         assert!((particles.moments().mean - numbers::<2>(&expected["mean"])).amax() < 1e-9);
-        assert_eq!(particles.is_poor(), expected["resampled"].as_bool().unwrap());
-        if particles.is_poor() {
+        assert_eq!(particles.is_degenerate(), expected["resampled"].as_bool().unwrap());
+        if particles.is_degenerate() {
             let before: Vec<Vector2<f64>> = particles.particles().map(|p| *p.2).collect();
             particles.resample(all["u"][k].as_f64().unwrap());
             let chosen = expected["idx"].as_array().unwrap().iter().map(|i| i.as_u64().unwrap() as usize);
@@ -94,7 +96,7 @@ fn the_particle_filter_agrees_with_the_reference() {
 }
 
 #[test]
-fn moments_of_samples_agree_with_the_reference() {
+fn sample_moments_equal_the_reference() {
     let all = golden("sample_prior.json");
     let step_s = all["step"].as_f64().unwrap();
     let samples: Vec<Vec<SVector<f64, 5>>> = all["samples"]
@@ -110,7 +112,7 @@ fn moments_of_samples_agree_with_the_reference() {
         let at = query["tau"].as_f64().unwrap() / step_s;
         let k = (at.floor() as usize).min(samples[0].len() - 2);
         let points: Vec<_> =
-            samples.iter().map(|s| between(&s[k], &s[k + 1], at - k as f64, angles)).collect();
+            samples.iter().map(|s| interpolated(&s[k], &s[k + 1], at - k as f64, angles)).collect();
         let found = sample_moments(&points, angles);
         let mut off = found.mean - numbers::<5>(&query["mean"]);
         off[2] = wrapped(off[2]);
@@ -122,18 +124,18 @@ fn moments_of_samples_agree_with_the_reference() {
     }
 }
 
-/// Where everything is linear, many particles come to the Kalman filter's moments.
+/// A linear process, for which the Kalman filter is exact.
 #[test]
-fn many_particles_are_the_kalman_filter() {
+fn many_particles_have_the_kalman_filters_moments() {
     let mut exact = Gaussian::new([0.0, 0.0, 1.0, 0.0], [0.1, 0.1, 0.3, 0.3]);
-    let mut particles = Particles::new(&exact, Priors::new(WALK, WALK), 10_000, 7);
+    let mut particles = Particles::new(&exact, Priors::new(PEDESTRIAN, PEDESTRIAN), 10_000, 7);
     let (mut exact_log, mut log) = (0.0, 0.0);
     for tick in 1..=25 {
-        exact.predict(TICK_NS, &WALK).unwrap();
+        exact.predict(TICK_NS, &PEDESTRIAN).unwrap();
         particles.predict(TICK_NS).unwrap();
-        let seen = at([0.1 * f64::from(tick), 0.05], 0.3);
-        exact_log += exact.update(&seen, &WALK).unwrap().log_likelihood;
-        log += particles.update(&seen).unwrap();
+        let observed = at(0.1 * f64::from(tick), 0.05, 0.3);
+        exact_log += exact.update(&observed, &PEDESTRIAN).unwrap().log_likelihood;
+        log += particles.update(&observed).unwrap();
     }
     let found = particles.moments();
     let sigma = exact.covariance.map_diagonal(f64::sqrt);
@@ -143,7 +145,6 @@ fn many_particles_are_the_kalman_filter() {
     assert!((log - exact_log).abs() < 0.5, "{log} instead of {exact_log}");
 }
 
-/// Under the same forecast particles and mixture tell the same, and the same hypothesis comes out on top.
 #[test]
 fn particles_and_mixture_agree_under_a_forecast() {
     let bicycle = Bicycle {
@@ -175,8 +176,8 @@ fn particles_and_mixture_agree_under_a_forecast() {
         for tick in 1..=12 {
             particles.predict(TICK_NS).unwrap();
             let t = f64::from(tick) * 0.08;
-            let way = 6.0 * t + 1.5 * t * t;
-            particles.update(&at([-way * 0.999, way * 0.0416], 0.1)).unwrap();
+            let path_m = 6.0 * t + 1.5 * t * t;
+            particles.update(&at(-path_m * 0.999, path_m * 0.0416, 0.1)).unwrap();
         }
         particles
     };
@@ -184,8 +185,8 @@ fn particles_and_mixture_agree_under_a_forecast() {
     for tick in 1..=12 {
         mixture.predict(TICK_NS).unwrap();
         let t = f64::from(tick) * 0.08;
-        let way = 6.0 * t + 1.5 * t * t;
-        mixture.update(&at([-way * 0.999, way * 0.0416], 0.1)).unwrap();
+        let path_m = 6.0 * t + 1.5 * t * t;
+        mixture.update(&at(-path_m * 0.999, path_m * 0.0416, 0.1)).unwrap();
     }
     let particles = run();
     let mut weight = [0.0; 3];
@@ -208,18 +209,18 @@ fn particles_and_mixture_agree_under_a_forecast() {
 }
 
 #[test]
-fn observations_that_tell_nothing_change_nothing() {
+fn invalid_observations_are_refused_and_far_ones_are_found() {
     let start = Gaussian::new([0.0, 0.0, 1.0, 0.0], [0.1, 0.1, 0.3, 0.3]);
-    let mut particles = Particles::new(&start, Priors::new(WALK, WALK), 100, 7);
+    let mut particles = Particles::new(&start, Priors::new(PEDESTRIAN, PEDESTRIAN), 100, 7);
     let before = particles.moments();
-    let sigma = |position_variance| Observation { position_variance, ..at([0.0, 0.0], 1.0) };
+    let sigma = |position_variance| Observation { position_variance, ..at(0.0, 0.0, 1.0) };
     for variance in [f64::NAN, -1.0, 0.0] {
-        assert!(particles.update(&sigma(variance)).is_err(), "{variance}");
+        assert_eq!(particles.update(&sigma(variance)), Err(FilterFault::NotPositive), "{variance}");
     }
-    assert!(particles.update(&at([f64::NAN, 0.0], 1.0)).is_err());
+    assert_eq!(particles.update(&at(f64::NAN, 0.0, 1.0)), Err(FilterFault::NotPositive));
     assert_eq!(particles.moments(), before);
-    // Far away, and as sharp as can be: the cloud is there, though none of it was near.
-    particles.update(&at([1e6, -1e6], 1e-6)).unwrap();
+    // A far and sharp observation moves the cloud, though no particle was near.
+    particles.update(&at(1e6, -1e6, 1e-6)).unwrap();
     let found = particles.moments();
     assert!((found.mean.fixed_rows::<2>(0) - Vector2::new(1e6, -1e6)).amax() < 1e-3, "{}", found.mean);
     assert!(

@@ -1,11 +1,11 @@
-//! Times of the measures for one agent with 20 modes of 12 steps, which an evaluation repeats for every window, and of
-//! those of tracking for frames of 100 objects.
+//! Times of the measures for one agent with 20 modes of 12 steps, which an evaluation repeats for every
+//! window, and of those of tracking for frames of 100 objects.
 
 use std::hint::black_box;
 
 use criterion::{Criterion, criterion_group, criterion_main};
 use metrics::tracking::{ClearMot, Frame, Hota, Object, SetDistance, linear_similarity};
-use metrics::{Limits, Point, best_of, highest_density_level, kde_log_density};
+use metrics::{Limits, Point, highest_density_level, kde_log_density, min_displacement};
 use scene::State;
 
 const MODES: usize = 20;
@@ -23,7 +23,9 @@ fn modes() -> Vec<[Point; STEPS]> {
 fn displacements(c: &mut Criterion) {
     let modes = modes();
     let truth: [Option<Point>; STEPS] = std::array::from_fn(|step| Some([step as f32, 0.3]));
-    c.bench_function("best of 20", |bench| bench.iter(|| best_of(black_box(&modes), black_box(&truth))));
+    c.bench_function("minimum displacement of 20", |bench| {
+        bench.iter(|| min_displacement(black_box(&modes), black_box(&truth)));
+    });
 }
 
 fn densities(c: &mut Criterion) {
@@ -44,8 +46,9 @@ fn limits(c: &mut Criterion) {
     let now = State { velocity_mps: [1.0, 0.0], ..State::default() };
     let limits = Limits::vehicle(1.2);
     c.bench_function("limits of 20", |bench| {
-        bench
-            .iter(|| black_box(&modes).iter().filter(|mode| limits.broken_by(&now, &mode[1..], 1.0)).count());
+        bench.iter(|| {
+            black_box(&modes).iter().filter(|mode| limits.violated_by(&now, &mode[1..], 1.0)).count()
+        });
     });
 }
 

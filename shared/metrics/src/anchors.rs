@@ -6,16 +6,16 @@ use crate::{Point, constant_velocity, kmeans};
 pub const ANCHORS: usize = 20;
 /// Speed bins of the anchors.
 pub const SPEED_BINS: usize = 8;
-/// Borders of the speed bins of vehicles and cyclists.
+/// Bounds of the speed bins of vehicles and cyclists.
 pub const VEHICLE_SPEED_CUTS_MPS: [f32; SPEED_BINS - 1] = [0.5, 1.5, 3.0, 4.5, 6.0, 7.5, 9.5];
-/// Borders of the speed bins of pedestrians.
+/// Bounds of the speed bins of pedestrians.
 pub const PEDESTRIAN_SPEED_CUTS_MPS: [f32; SPEED_BINS - 1] = [0.2, 0.5, 0.8, 1.0, 1.2, 1.4, 1.7];
 
 /// A bin with fewer windows takes the anchors of its nearest neighbour.
 const WINDOWS_MIN: usize = 60;
 const KMEANS_ITERATIONS: usize = 50;
 
-/// Borders of the speed bins for an agent type.
+/// Bounds of the speed bins for an agent type.
 #[must_use]
 pub const fn speed_cuts_mps(agent_type: AgentType) -> [f32; SPEED_BINS - 1] {
     match agent_type {
@@ -24,7 +24,7 @@ pub const fn speed_cuts_mps(agent_type: AgentType) -> [f32; SPEED_BINS - 1] {
     }
 }
 
-/// What an agent did before and after one time.
+/// History and future of an agent at one time.
 #[derive(Clone, Copy, Debug)]
 pub struct Window<'a> {
     /// States up to that time, oldest first.
@@ -33,17 +33,17 @@ pub struct Window<'a> {
     pub future: &'a [Option<Point>],
 }
 
-/// The table of typical deviations from constant velocity: 20 per speed bin, the cheapest forecast with modes.
+/// A table of typical residuals of constant velocity, 20 per speed bin: the simplest multi-modal forecast.
 ///
-/// A window's residual is its future less the constant-velocity forecast, in the agent frame of the newest state; every
-/// residual counts a second time mirrored to the other side. k-means per speed bin makes the anchors. A forecast is
-/// constant velocity plus each anchor of the bin.
+/// A window's residual is its future less the constant-velocity forecast, in the agent frame of the newest
+/// state; every residual is counted again mirrored about the heading. The anchors are the k-means centres of
+/// each speed bin. A forecast is constant velocity plus each anchor of the bin.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Anchors {
     dt_s: f32,
     horizon: usize,
     speed_cuts_mps: [f32; SPEED_BINS - 1],
-    /// Per speed bin; all the same bin where training had too few windows to fill more than one.
+    /// Per speed bin; all the same where no bin had enough windows.
     bins: Vec<Bin>,
 }
 
@@ -55,8 +55,9 @@ struct Bin {
 }
 
 impl Anchors {
-    /// Clusters the residuals of the windows whose newest state and whole future (of `horizon` steps, `dt_s` apart) are
-    /// known; `None` where there is no such window. The same windows in the same order give the same anchors.
+    /// Clusters the residuals of the windows whose newest state and whole future (of `horizon` steps, `dt_s`
+    /// apart) are known; `None` where there is no such window. The same windows in the same order give the
+    /// same anchors.
     #[must_use]
     pub fn fit(
         windows: &[Window<'_>],
@@ -75,7 +76,7 @@ impl Anchors {
         }
         let row = horizon * 2;
         let enough = |bin: &[f32]| bin.len() >= 2 * WINDOWS_MIN * row;
-        // Where no bin has enough, all windows together are the one bin.
+        // Where no bin has enough windows, all of them make one bin.
         if !residuals.iter().any(|bin| enough(bin)) {
             let all = residuals.concat();
             let bin = (!all.is_empty()).then(|| Bin::cluster(&all, row, seed))?;
@@ -100,7 +101,8 @@ impl Anchors {
         Some(bin.residuals.iter().map(shifted).collect())
     }
 
-    /// The probability of each forecast of [`Anchors::predict`]: the share of training residuals in its cluster.
+    /// The probability of each forecast of [`Anchors::predict`]: the share of training residuals in its
+    /// cluster.
     #[must_use]
     pub fn probability(&self, history: &[Option<State>]) -> Option<&[f32]> {
         self.bin(history).map(|bin| &bin.probability[..])
@@ -149,7 +151,7 @@ fn residual(window: &Window<'_>, dt_s: f32, horizon: usize) -> Option<(f32, Vec<
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{best_of, displacement};
+    use crate::{displacement, min_displacement};
 
     const DT_S: f32 = 0.4;
     const HORIZON: usize = 4;
@@ -189,19 +191,19 @@ mod tests {
     }
 
     #[test]
-    fn anchors_cover_what_training_showed_in_any_direction_and_mirrored() {
+    fn anchors_cover_training_futures_rotated_and_mirrored() {
         let anchors = fitted(&[5.0]);
         for (heading, rate) in [(0.3, 0.0), (-2.0, 0.5), (1.0, -0.5)] {
             let (history, future) = window(heading, 5.0, rate);
             let modes = anchors.predict(&history).expect("present");
             assert_eq!(modes.len(), ANCHORS);
-            let ade_m = best_of(&modes, &future).ade_m.expect("known");
+            let ade_m = min_displacement(&modes, &future).ade_m.expect("known");
             assert!(ade_m < 1e-3, "heading {heading}, rate {rate}: {ade_m}");
         }
     }
 
     #[test]
-    fn probabilities_fall_and_sum_to_one() {
+    fn probabilities_are_sorted_and_sum_to_one() {
         let anchors = fitted(&[5.0]);
         let (history, straight) = window(0.0, 5.0, 0.0);
         let modes = anchors.predict(&history).expect("present");
@@ -215,7 +217,7 @@ mod tests {
     }
 
     #[test]
-    fn a_bin_without_windows_takes_its_neighbours() {
+    fn a_bin_without_windows_has_its_neighbours_anchors() {
         let anchors = fitted(&[5.0]);
         let slow = anchors.predict(&window(0.0, 0.2, 0.0).0).expect("present");
         let fast = anchors.predict(&window(0.0, 5.0, 0.0).0).expect("present");
@@ -224,17 +226,20 @@ mod tests {
     }
 
     #[test]
-    fn too_few_windows_share_one_bin_and_none_give_no_anchors() {
+    fn few_windows_share_one_bin_and_none_fit_nothing() {
         let (history, future) = window(0.0, 5.0, 0.5);
         let windows = [Window { history: &history, future: &future }];
         let anchors = Anchors::fit(&windows, DT_S, HORIZON, VEHICLE_SPEED_CUTS_MPS, 1).expect("one window");
-        assert!(best_of(&anchors.predict(&history).expect("present"), &future).ade_m.expect("known") < 1e-4);
+        assert!(
+            min_displacement(&anchors.predict(&history).expect("present"), &future).ade_m.expect("known")
+                < 1e-4
+        );
         let unknown = [Window { history: &history, future: &[None; HORIZON] }];
         assert_eq!(Anchors::fit(&unknown, DT_S, HORIZON, VEHICLE_SPEED_CUTS_MPS, 1), None);
     }
 
     #[test]
-    fn bins_are_closed_below() {
+    fn speed_bins_include_their_lower_bound() {
         assert_eq!(speed_bin(&VEHICLE_SPEED_CUTS_MPS, 0.0), 0);
         assert_eq!(speed_bin(&VEHICLE_SPEED_CUTS_MPS, 0.5), 1);
         assert_eq!(speed_bin(&VEHICLE_SPEED_CUTS_MPS, 99.0), 7);

@@ -1,8 +1,8 @@
-//! Forecasts without learning: the agent goes on as it did.
+//! Forecasts by kinematic models: constant velocity, acceleration and turn rate.
 //!
-//! A history holds one entry per step, oldest first, `None` where the agent was absent. All forecasts start from the
-//! newest entry and are `None` where that one is absent. Rates of change come from the newest two states present, over
-//! the time that really lies between them; with a single state they are 0.
+//! A history has one entry per step, oldest first, `None` where the agent was absent. All forecasts start
+//! from the newest entry and are `None` where that one is absent. Rates of change are differences of the
+//! newest two states present, over the time between them; with a single state they are 0.
 
 use kinematics::wrap_angle;
 use rand::Rng;
@@ -15,22 +15,22 @@ use crate::Point;
 pub const CVM_DRAWS: usize = 20;
 /// Standard deviation of its headings in the published comparison: 25°.
 pub const CVM_SIGMA_RAD: f32 = 25.0 * std::f32::consts::PI / 180.0;
-/// Time in which the acceleration of [`constant_turn_rate_acceleration`] falls to 1/e.
+/// Time in which the acceleration of [`constant_turn_rate_acceleration`] decays to 1/e.
 pub const ACCELERATION_DECAY_S: f32 = 1.0;
-/// Time in which its turn rate falls to 1/e.
+/// Time in which its turn rate decays to 1/e.
 pub const TURN_RATE_DECAY_S: f32 = 2.0;
 
 /// Midpoints per step in the path integral of [`constant_turn_rate_acceleration`].
 const MIDPOINTS: usize = 8;
 
-/// The agent keeps its velocity.
+/// Constant velocity (CV).
 #[must_use]
 pub fn constant_velocity(history: &[Option<State>], dt_s: f32, horizon: usize) -> Option<Vec<Point>> {
     let State { position_m: [x, y], velocity_mps: [vx, vy], .. } = (*history.last()?)?;
     Some(times(dt_s, horizon).map(|t| [x + vx * t, y + vy * t]).collect())
 }
 
-/// The agent keeps its acceleration.
+/// Constant acceleration (CA).
 #[must_use]
 pub fn constant_acceleration(history: &[Option<State>], dt_s: f32, horizon: usize) -> Option<Vec<Point>> {
     let State { position_m: [x, y], velocity_mps: [vx, vy], .. } = (*history.last()?)?;
@@ -41,7 +41,7 @@ pub fn constant_acceleration(history: &[Option<State>], dt_s: f32, horizon: usiz
     Some(times(dt_s, horizon).map(|t| [x + (vx + half * ax * t) * t, y + (vy + half * ay * t) * t]).collect())
 }
 
-/// The agent keeps its speed and its turn rate (CTRV): it drives on a circle.
+/// Constant turn rate and velocity (CTRV): the path is a circle.
 #[must_use]
 pub fn constant_turn_rate(history: &[Option<State>], dt_s: f32, horizon: usize) -> Option<Vec<Point>> {
     let State { position_m: [x, y], velocity_mps: [vx, vy], heading_rad } = (*history.last()?)?;
@@ -60,15 +60,16 @@ pub fn constant_turn_rate(history: &[Option<State>], dt_s: f32, horizon: usize) 
     Some(times(dt_s, horizon).map(turned).collect())
 }
 
-/// The agent lets go of its acceleration along the path and of its turn rate (CTRA, both decaying).
+/// Constant turn rate and acceleration along the path, both decaying (decaying CTRA).
 ///
 /// ```text
 /// v(t) = max(0, v₀ + a₀ τ_a (1 − e^(−t/τ_a)))      γ(t) = γ₀ + ω₀ τ_ω (1 − e^(−t/τ_ω))
 /// ```
 ///
-/// γ is the course, τ_a and τ_ω are [`ACCELERATION_DECAY_S`] and [`TURN_RATE_DECAY_S`]: held for seconds, a momentary
-/// acceleration or turn rate leads far astray. An agent that brakes stops and stays; one at rest leaves along its
-/// heading. Speed and course are exact, the path between them is summed over midpoints.
+/// γ is the course, τ_a and τ_ω are [`ACCELERATION_DECAY_S`] and [`TURN_RATE_DECAY_S`]: a momentary
+/// acceleration or turn rate that holds for seconds gives a bad forecast. An agent that brakes comes to rest
+/// and stays; one at rest departs along its heading. Speed and course are exact; the path is integrated by
+/// midpoints.
 #[must_use]
 pub fn constant_turn_rate_acceleration(
     history: &[Option<State>],
@@ -100,7 +101,7 @@ pub fn constant_turn_rate_acceleration(
     Some((0..horizon).map(step).collect())
 }
 
-/// Constant velocity in `draws` directions, turned from the true one by N(0, `sigma_rad`²) (CVM-S).
+/// Sampled constant velocity (CVM-S): `draws` directions, rotated from the true one by N(0, `sigma_rad`²).
 #[must_use]
 pub fn sampled_constant_velocity(
     history: &[Option<State>],
@@ -129,7 +130,7 @@ fn turn_rate_radps(before_rad: f32, now_rad: f32, elapsed_s: f32) -> f32 {
     wrap_angle(now_rad - before_rad) / elapsed_s
 }
 
-/// The newest state but one, and the time from it to the newest.
+/// The last state before the newest, and the time between them.
 fn before_newest(history: &[Option<State>], dt_s: f32) -> Option<(State, f32)> {
     let mut backwards = history.iter().rev().enumerate().skip(1);
     backwards.find_map(|(steps, state)| state.map(|state| (state, steps as f32 * dt_s)))
@@ -155,7 +156,7 @@ mod tests {
     }
 
     #[test]
-    fn constant_velocity_by_hand() {
+    fn constant_velocity_equals_values_by_hand() {
         let history = [None, state([1.0, 2.0], [2.0, -1.0], 0.0)];
         assert_eq!(constant_velocity(&history, 0.5, 2), Some(vec![[2.0, 1.5], [3.0, 1.0]]));
         assert_eq!(constant_velocity(&[history[1], None], 0.5, 2), None);
@@ -163,7 +164,7 @@ mod tests {
     }
 
     #[test]
-    fn constant_acceleration_by_hand() {
+    fn constant_acceleration_equals_values_by_hand() {
         // 2 m/s gained over two steps of 0.5 s, one of them unseen: 2 m/s².
         let history = [state([0.0; 2], [1.0, 0.0], 0.0), None, state([2.0, 0.0], [3.0, 0.0], 0.0)];
         let forecast = constant_acceleration(&history, 0.5, 2).expect("present");
@@ -189,8 +190,8 @@ mod tests {
     }
 
     #[test]
-    fn decaying_acceleration_gains_what_its_integral_says() {
-        // v(t) = 3 + 2 (1 − e^−t) m/s: after t the way is 5 t − 2 (1 − e^−t).
+    fn decaying_acceleration_integrates_to_speed_and_path() {
+        // v(t) = 3 + 2 (1 − e^−t) m/s: the path after t is 5 t − 2 (1 − e^−t).
         let history = [state([0.0; 2], [0.0, 2.0], 1.5), state([1.0, 0.0], [0.0, 3.0], 1.5)];
         let forecast = constant_turn_rate_acceleration(&history, 0.5, 6).expect("present");
         for (k, position) in forecast.iter().enumerate() {
@@ -204,9 +205,9 @@ mod tests {
     }
 
     #[test]
-    fn braking_ends_in_a_stop_that_lasts() {
-        // 4 m/s² of braking that decays in 1 s takes away 4 m/s in all; the agent has only 2: it stops after ln 2 s
-        // and 4 (1 − e^−t) − 2 t of going back there, that is 4/2 − 2 ln 2 m ahead.
+    fn braking_ends_at_rest_and_stays_there() {
+        // Braking of 4 m/s² that decays in 1 s reduces the speed by 4 m/s in all; an agent at 2 m/s is at
+        // rest after ln 2 s, when 4 (1 − e^−t) − 2 t is 4/2 − 2 ln 2 m.
         let history = [state([0.0; 2], [4.0, 0.0], 0.0), state([0.0; 2], [2.0, 0.0], 0.0)];
         let forecast = constant_turn_rate_acceleration(&history, 0.5, 8).expect("present");
         assert!(forecast.is_sorted_by(|a, b| a[0] <= b[0]), "{forecast:?}");
@@ -216,7 +217,7 @@ mod tests {
     }
 
     #[test]
-    fn decaying_turn_rate_turns_by_its_integral_and_keeps_the_speed() {
+    fn decaying_turn_rate_integrates_to_the_course() {
         // 0.5 rad/s that decays in 2 s turns by 1 rad in all.
         let history = [state([0.0; 2], [8.0, 0.0], -0.25), state([0.0; 2], [8.0, 0.0], 0.0)];
         let forecast = constant_turn_rate_acceleration(&history, 0.5, 60).expect("present");
@@ -230,7 +231,7 @@ mod tests {
     }
 
     #[test]
-    fn sampled_headings_repeat_by_seed_and_spread_as_told() {
+    fn sampled_headings_repeat_by_seed_with_the_given_sigma() {
         let history = [state([0.0; 2], [1.0, 0.0], 0.0)];
         let draw = |seed| {
             let mut rng = ChaCha8Rng::seed_from_u64(seed);
@@ -245,7 +246,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn all_agree_on_straight_motion_at_constant_speed(
+        fn all_models_agree_on_straight_motion_at_constant_speed(
             x in -50.0f32..50.0, y in -50.0f32..50.0, heading in -3.0f32..3.0, speed in 0.0f32..20.0,
         ) {
             let velocity = [speed * heading.cos(), speed * heading.sin()];

@@ -1,9 +1,9 @@
-//! How sure a difference between two forecasters is.
+//! Confidence intervals of differences between two forecasters, by the paired cluster bootstrap.
 //!
-//! Errors of agents of one window, and of windows of one recording, go together, so that the agents are no independent
-//! samples. The bootstrap draws whole *clusters* (windows or recordings) with replacement, as many as there are, and
-//! compares the two forecasters on each such draw; both see the same clusters. Where 95 % of the draws lie is the
-//! interval.
+//! Errors of agents of one window, and of windows of one recording, are correlated, so the agents are no
+//! independent samples. The bootstrap resamples whole *clusters* (windows or recordings) with replacement, as
+//! many as there are, and compares the two forecasters on the same clusters. The interval contains 95 % of
+//! the resamples.
 
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -33,28 +33,29 @@ impl PairedErrors {
     }
 }
 
-/// A figure and its 95 % interval.
+/// A figure and its 95 % confidence interval.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Interval {
     /// 2.5 % of the resamples lie below.
     pub low: f64,
-    /// The figure over all clusters as they are.
+    /// The figure of all clusters.
     pub mean: f64,
     /// 2.5 % of the resamples lie above.
     pub high: f64,
 }
 
-/// Our mean error less theirs, over all agents; below 0 where we are better, surely so where the whole interval is.
+/// Our mean error less theirs, over all agents: below 0 ours is better, significantly where the whole
+/// interval is.
 ///
-/// `None` where no cluster has an error or `resamples` is 0. The same seed gives the same interval. Cost: clusters ×
-/// resamples.
+/// `None` where no cluster has an error or `resamples` is 0. The same seed gives the same interval. Cost:
+/// clusters × resamples.
 #[must_use]
 pub fn paired_bootstrap(clusters: &[PairedErrors], resamples: usize, seed: u64) -> Option<Interval> {
     bootstrap(clusters, resamples, seed, |sum| (sum.ours - sum.theirs) / sum.len as f64)
 }
 
-/// Our mean error over theirs; below 1 where we are better. Otherwise as [`paired_bootstrap`]; also `None` where the
-/// other never errs.
+/// Our mean error over theirs: below 1 ours is better. Otherwise as [`paired_bootstrap`]; also `None` where
+/// their errors are all 0.
 #[must_use]
 pub fn paired_bootstrap_ratio(clusters: &[PairedErrors], resamples: usize, seed: u64) -> Option<Interval> {
     bootstrap(clusters, resamples, seed, |sum| sum.ours / sum.theirs).filter(|ratio| ratio.mean.is_finite())
@@ -66,7 +67,7 @@ fn bootstrap(
     seed: u64,
     figure: impl Fn(&PairedErrors) -> f64,
 ) -> Option<Interval> {
-    // Empty clusters carry nothing, and a draw of only such would have no mean.
+    // Empty clusters have no error, and a resample of only such would have no mean.
     let clusters: Vec<PairedErrors> = clusters.iter().filter(|cluster| cluster.len > 0).copied().collect();
     cluster_bootstrap(clusters.len(), resamples, seed, |drawn| {
         let sum = drawn.iter().fold(PairedErrors::default(), |mut sum, &cluster| {
@@ -77,9 +78,10 @@ fn bootstrap(
     })
 }
 
-/// A figure that need be no mean: `figure` tells it of the clusters with the given numbers, `None` where they have none.
+/// The interval of any figure: `figure` computes it for the clusters with the given numbers, `None` where
+/// they have none.
 ///
-/// `None` where the clusters as they are, or all resamples, have no figure. Otherwise as [`paired_bootstrap`].
+/// `None` where all clusters together, or all resamples, have no figure. Otherwise as [`paired_bootstrap`].
 #[must_use]
 pub fn cluster_bootstrap(
     clusters_len: usize,
@@ -133,7 +135,7 @@ mod tests {
     }
 
     #[test]
-    fn the_interval_has_the_width_of_the_clusters_standard_error() {
+    fn interval_width_equals_the_clusters_standard_error() {
         let clusters = clusters(400, 1);
         let found = paired_bootstrap(&clusters, 4_000, 2).expect("clusters");
         let differences: Vec<f64> = clusters.iter().map(|c| (c.ours - c.theirs) / 3.0).collect();
@@ -146,7 +148,7 @@ mod tests {
     }
 
     #[test]
-    fn intervals_hold_the_truth_about_as_often_as_they_say() {
+    fn intervals_cover_the_truth_in_95_percent() {
         let holds = |seed: &u64| {
             let found = paired_bootstrap(&clusters(60, *seed), 400, 3).expect("clusters");
             found.low <= -0.1 && -0.1 <= found.high
@@ -156,7 +158,7 @@ mod tests {
     }
 
     #[test]
-    fn large_clusters_weigh_more() {
+    fn clusters_weigh_by_their_number_of_errors() {
         let clusters = [
             PairedErrors { ours: 1.0, theirs: 2.0, len: 1 },
             PairedErrors { ours: 9.0, theirs: 6.0, len: 3 },
@@ -166,7 +168,7 @@ mod tests {
     }
 
     #[test]
-    fn the_ratio_of_proportional_errors_is_certain() {
+    fn ratio_of_proportional_errors_has_no_spread() {
         let halved: Vec<PairedErrors> =
             clusters(20, 4).iter().map(|c| PairedErrors { ours: 0.5 * c.theirs, ..*c }).collect();
         let found = paired_bootstrap_ratio(&halved, 50, 1).expect("clusters");
@@ -181,7 +183,7 @@ mod tests {
     }
 
     #[test]
-    fn nothing_counted_has_no_interval() {
+    fn no_errors_have_no_interval() {
         assert_eq!(paired_bootstrap(&[], 100, 1), None);
         assert_eq!(paired_bootstrap(&[PairedErrors::default(); 3], 100, 1), None);
         assert_eq!(paired_bootstrap(&clusters(3, 1), 0, 1), None);
@@ -190,7 +192,7 @@ mod tests {
     }
 
     #[test]
-    fn figures_of_drawn_clusters_leave_out_draws_without_one() {
+    fn resamples_without_a_figure_are_left_out() {
         let values = [1.0, 2.0, 6.0];
         let mean = |drawn: &[usize]| Some(drawn.iter().map(|&i| values[i]).sum::<f64>() / drawn.len() as f64);
         // One draw of 27 has the last cluster alone, one the first: more than a quantile of 2.5 %.
@@ -202,7 +204,7 @@ mod tests {
     }
 
     #[test]
-    fn quantiles_by_hand() {
+    fn quantiles_equal_values_by_hand() {
         assert_eq!(quantile(&[1.0, 2.0, 4.0], 0.5), 2.0);
         assert_eq!(quantile(&[1.0, 2.0, 4.0], 0.75), 3.0);
         assert_eq!(quantile(&[7.0], 0.975), 7.0);

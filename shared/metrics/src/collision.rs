@@ -1,19 +1,20 @@
 use crate::{Point, Share};
 
-/// A forecast that occupies a disc around each position.
+/// A forecast with the disc that the agent occupies at each position.
 #[derive(Clone, Copy, Debug)]
 pub struct Disc<'a> {
     /// Forecast positions, one per step.
     pub trajectory: &'a [Point],
-    /// Radius that is surely occupied: half the width of the agent.
+    /// Radius of the disc: half the width of the agent, which it occupies at any heading.
     pub radius_m: f32,
 }
 
-/// The share of forecasts that run into another forecast of the same scene.
+/// The share of forecasts that collide with another forecast of the same scene.
 ///
-/// All belong to one future of the scene: the single best forecasts, or one mode number. Two collide where their discs
-/// overlap at a step or, moving straight, between two steps; overlap by the discs is certain overlap of the agents'
-/// footprints, so long agents side-on are under-counted, never over-counted. Cost: square of the agents.
+/// All belong to one joint future: the single best forecasts, or one mode number. Two collide where their
+/// discs overlap at a step or, on straight lines, between two steps. Where the discs overlap, so do the
+/// agents' footprints: collisions of long agents are under-counted, never over-counted. Cost: square of the
+/// agents.
 #[must_use]
 pub fn collisions(forecasts: &[Disc<'_>]) -> Share {
     let mut share = Share::default();
@@ -52,7 +53,7 @@ mod tests {
     }
 
     #[test]
-    fn agents_that_swap_places_between_steps_collide() {
+    fn agents_that_swap_positions_between_steps_collide() {
         let (right, left) = ([[0.0, 0.0], [2.0, 0.0]], [[2.0, 0.0], [0.0, 0.0]]);
         let far = [[0.0, 9.0], [2.0, 9.0]];
         assert_eq!(collisions(&[disc(&right), disc(&left), disc(&far)]).value(), Some(2.0 / 3.0));
@@ -66,7 +67,7 @@ mod tests {
     }
 
     #[test]
-    fn the_same_place_at_another_time_is_no_collision() {
+    fn the_same_position_at_another_time_is_no_collision() {
         let (early, late) = ([[0.0, 0.0], [3.0, 0.0], [6.0, 0.0]], [[-6.0, 0.0], [-3.0, 0.0], [0.0, 0.0]]);
         assert_eq!(collisions(&[disc(&early), disc(&late)]).value(), Some(0.0));
     }

@@ -1,20 +1,21 @@
-//! How much probability a forecast puts where the agent really went.
+//! The density of a forecast at the true position (KDE-NLL).
 
 use crate::Point;
 
-/// Densities below e^−20 per m² count as this: one far outlier must not outweigh a thousand good forecasts.
+/// Lower bound of the log density per m²: one far outlier must not outweigh a thousand good forecasts.
 pub const LOG_DENSITY_MIN: f64 = -20.0;
-/// Smallest bandwidth: samples that coincide still have the extent of a measurement.
+/// Smallest bandwidth: samples that coincide have the uncertainty of a measurement.
 const BANDWIDTH_MIN_M: f64 = 0.01;
 
-/// Log density at `truth` of the weighted samples of one step: a product of Gaussian kernels with Silverman's bandwidth
+/// Log density at `truth` of the weighted samples of one step: a product of Gaussian kernels with Silverman's
+/// bandwidth
 ///
 /// ```text
 /// h_d = σ_d (4 / (n (D + 2)))^(1 / (D + 4)),   D = 2,   n = (Σ w)² / Σ w²
 /// ```
 ///
-/// where σ_d is the samples' weighted standard deviation on axis d. At least [`LOG_DENSITY_MIN`], also where no weight
-/// is positive.
+/// where σ_d is the samples' weighted standard deviation on axis d. At least [`LOG_DENSITY_MIN`], also where
+/// no weight is positive.
 ///
 /// # Panics
 /// Where there are not as many weights as samples.
@@ -33,7 +34,7 @@ pub fn kde_log_density(samples: &[Point], weights: &[f32], truth: Point) -> f64 
         let scaled = |axis: usize| (f64::from(truth[axis]) - f64::from(sample[axis])) / bandwidths_m[axis];
         -0.5 * (scaled(0).powi(2) + scaled(1).powi(2))
     });
-    // Factored by the largest exponent so that far truths do not underflow.
+    // The largest exponent is factored out so that far truths do not underflow.
     let largest = exponents.clone().fold(f64::NEG_INFINITY, f64::max);
     let sum: f64 = exponents.zip(weights).map(|(e, &w)| f64::from(w) / total * (e - largest).exp()).sum();
     let volume = std::f64::consts::TAU * bandwidths_m[0] * bandwidths_m[1];
@@ -55,8 +56,9 @@ mod tests {
     use proptest::prelude::*;
 
     #[test]
-    fn density_of_four_samples_by_hand() {
-        // σ = 1 on both axes, n = 4: h = 4^(−1/6); every sample is one h-scaled unit per axis from the centre.
+    fn density_of_four_samples_equals_value_by_hand() {
+        // σ = 1 on both axes, n = 4: h = 4^(−1/6); every sample is one h-scaled unit per axis from the
+        // centre.
         let samples = [[1.0, 1.0], [1.0, -1.0], [-1.0, 1.0], [-1.0, -1.0]];
         let h = 4.0_f64.powf(-1.0 / 6.0);
         let expected = -1.0 / (h * h) - (std::f64::consts::TAU * h * h).ln();
@@ -65,14 +67,14 @@ mod tests {
     }
 
     #[test]
-    fn weights_count_as_repetitions_of_samples_do_in_the_spread() {
+    fn density_rises_with_the_weight_of_near_samples() {
         let near = kde_log_density(&[[0.0, 0.0], [4.0, 4.0]], &[0.9, 0.1], [0.0, 0.0]);
         let even = kde_log_density(&[[0.0, 0.0], [4.0, 4.0]], &[0.5, 0.5], [0.0, 0.0]);
         assert!(near > even);
     }
 
     #[test]
-    fn far_truths_and_missing_weights_are_floored() {
+    fn far_truths_and_zero_weights_have_the_lower_bound() {
         assert_eq!(kde_log_density(&[[0.0, 0.0]], &[1.0], [1e4, 0.0]), LOG_DENSITY_MIN);
         assert_eq!(kde_log_density(&[[0.0, 0.0]], &[0.0], [0.0, 0.0]), LOG_DENSITY_MIN);
         assert_eq!(kde_log_density(&[], &[], [0.0, 0.0]), LOG_DENSITY_MIN);

@@ -1,4 +1,4 @@
-//! Lloyd's k-means with k-means++ seeding: typical residuals out of many.
+//! Lloyd's k-means with k-means++ seeding.
 
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -19,8 +19,8 @@ pub struct Clusters {
 /// Splits `points` (rows of `dimension` numbers) into `clusters` groups around their means.
 ///
 /// The first centres are drawn by squared distance from those before (k-means++), with `seed`; then at most
-/// `iterations` rounds of assignment and mean, fewer where nothing changes any more. A cluster that loses all its
-/// points takes the point that is farthest from its centre; where there are fewer distinct points than clusters,
+/// `iterations` rounds of assignment and mean follow, fewer where nothing changes. A cluster that loses all
+/// its points takes the point that is farthest from its centre; with fewer distinct points than clusters,
 /// centres repeat and the later of equals stay empty. Cost: points × clusters × dimension per round.
 ///
 /// # Panics
@@ -67,7 +67,7 @@ fn first_centres(points: &[f32], dimension: usize, clusters: usize, seed: u64) -
         }
         let total: f64 = squared.iter().map(|&s| f64::from(s)).sum();
         let mut left = rng.random::<f64>() * total;
-        // Rounding may leave a remainder past the last point: then the farthest is taken.
+        // Rounding may leave a remainder beyond the last point: the farthest is drawn then.
         let drawn = squared.iter().position(|&s| {
             left -= f64::from(s);
             left < 0.0
@@ -128,7 +128,7 @@ mod tests {
     use proptest::prelude::*;
 
     #[test]
-    fn finds_well_separated_groups() {
+    fn well_separated_groups_are_found() {
         let mut points = Vec::new();
         for i in 0..30 {
             let offset = (i % 5) as f32 * 0.01;
@@ -143,14 +143,14 @@ mod tests {
     }
 
     #[test]
-    fn one_cluster_is_the_mean() {
+    fn one_cluster_has_the_mean_as_centre() {
         let found = kmeans(&[1.0, 2.0, 3.0, 10.0], 1, 1, 0, 5);
         assert_eq!(found.centres, [4.0]);
         assert_eq!(found.inertia, 9.0 + 4.0 + 1.0 + 36.0);
     }
 
     #[test]
-    fn fewer_distinct_points_than_clusters() {
+    fn repeated_points_leave_clusters_empty() {
         let found = kmeans(&[5.0, 5.0, 5.0, 7.0], 1, 3, 1, 10);
         assert_eq!(found.inertia, 0.0);
         assert_eq!(found.sizes.iter().sum::<usize>(), 4);
@@ -168,7 +168,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn same_seed_same_clusters_and_every_point_at_its_nearest(
+        fn clusters_repeat_by_seed_and_points_are_at_their_nearest(
             points in prop::collection::vec(-10.0f32..10.0, 3..60),
             clusters in 1_usize..6,
             seed in any::<u64>(),

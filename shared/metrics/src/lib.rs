@@ -1,15 +1,44 @@
-//! How good forecasts are, and what they have to beat.
+//! Measures of forecasts and of tracking, and baselines to compare forecasts with.
 //!
-//! *Measures* compare the forecasts of an agent with its later positions: the mean (ADE) and the last (FDE) distance,
-//! of one trajectory or of the best of several, misses, density at the truth, coverage of the stated uncertainty,
-//! collisions and broken limits. *Baselines* forecast without learning (constant velocity and relatives) or with
-//! nothing but a table of typical residuals ([`Anchors`]); they see the same windows and are printed beside the model.
-//! Measures of *tracking*, of what is rather than of what will be, stand in a module of their own: [`tracking`].
+//! **Measures of forecasts** compare the forecasts of an agent with its later positions:
 //!
-//! A *truth* is a slice with one entry per step of the horizon, `None` where nobody knows the position; such steps
-//! count nowhere. A trajectory may be longer than the truth (payloads have room for the longest horizon), never
-//! shorter. All sums are f64 and in the order of the calls, so that a repeated evaluation agrees to the bit;
-//! accumulators ([`Mean`], [`Share`], [`DisplacementMean`]) of several parts can be merged.
+//! | measure | function |
+//! |---|---|
+//! | ADE and FDE of one trajectory | [`displacement()`] |
+//! | minADE and minFDE over K modes (minADE₂₀ for 20) | [`min_displacement`] |
+//! | the same over joint futures of a scene | [`joint_min_displacement`] |
+//! | top-1: the most likely mode | [`most_likely`] |
+//! | miss rate at 2 m (MR) | [`Displacement::is_miss`], [`DisplacementMean::miss_rate`] |
+//! | density at the truth (KDE-NLL) | [`kde_log_density`] |
+//! | calibration: coverage of highest-density regions | [`highest_density_level`] |
+//! | collisions between forecasts | [`collisions`] |
+//! | violated limits of motion | [`Limits`] |
+//!
+//! **Measures of tracking**, of estimated rather than of forecast positions, are in [`tracking`]. The paired
+//! **bootstrap** ([`paired_bootstrap`]) gives the confidence interval of a difference between two
+//! forecasters.
+//!
+//! **Baselines** forecast by constant velocity and its relatives, or by that and a table of typical residuals
+//! ([`Anchors`]); they get the same windows as the model.
+//!
+//! A *truth* is a slice with one entry per step of the horizon, `None` where the position is unknown; no
+//! measure counts such steps. A trajectory may be longer than the truth (payloads have room for the longest
+//! horizon), never shorter. All sums are f64 and in the order of the calls, so that a repeated evaluation
+//! agrees to the bit; accumulators ([`Mean`], [`Share`], [`DisplacementMean`]) of several parts can be
+//! merged.
+//!
+//! ```
+//! use metrics::{DisplacementMean, min_displacement};
+//!
+//! let truth = [Some([1.0, 0.0]), Some([2.0, 0.0])];
+//! let modes = [[[1.0, 0.3], [2.0, 0.5]], [[0.5, 0.0], [1.0, 0.0]]];
+//! let best = min_displacement(&modes, &truth);
+//! assert_eq!(best.fde_m, Some(0.5));
+//!
+//! let mut mean = DisplacementMean::default();
+//! mean.add(best);
+//! assert_eq!(mean.miss_rate.value(), Some(0.0));
+//! ```
 
 mod anchors;
 mod baseline;
@@ -35,8 +64,8 @@ pub use bootstrap::{Interval, PairedErrors, cluster_bootstrap, paired_bootstrap,
 pub use collision::{Disc, collisions};
 pub use density::{LOG_DENSITY_MIN, kde_log_density};
 pub use displacement::{
-    Displacement, DisplacementMean, MISS_RADIUS_M, best_of, displacement, joint_best_of, joint_spread,
-    most_likely, part_way,
+    Displacement, DisplacementMean, MISS_RADIUS_M, displacement, interpolated, joint_min_displacement,
+    joint_spread, min_displacement, most_likely,
 };
 pub use kmeans::{Clusters, kmeans};
 pub use limits::{BicycleLimits, Limits, PointLimits};

@@ -1,4 +1,4 @@
-//! What agents can physically do: a forecast beyond it is impossible, not just unlikely.
+//! Physical limits of motion: a forecast beyond them is impossible, not just unlikely.
 
 use scene::{AgentType, State};
 
@@ -8,13 +8,13 @@ use crate::steering::Steering;
 /// The limits of an agent.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Limits {
-    /// A kinematic bicycle: it goes where it points.
+    /// A kinematic bicycle: it moves along its heading, up to its slip.
     Bicycle(BicycleLimits),
-    /// Anything else: it can accelerate in any direction.
+    /// A point: it can accelerate in any direction.
     Point(PointLimits),
 }
 
-/// The limits of a vehicle whose centre moves at a slip angle to its heading, as the model's bicycle keeps them.
+/// The limits of a vehicle whose centre moves at a slip angle to its heading: those of the model's bicycle.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct BicycleLimits {
     /// Largest change of the speed per second.
@@ -39,7 +39,7 @@ pub struct PointLimits {
 }
 
 impl Limits {
-    /// The limits of an agent type; a vehicle counts as a very short one, which turns most tightly.
+    /// The limits of an agent type; a vehicle has those of a very short one, which turns most tightly.
     #[must_use]
     pub const fn of(agent_type: AgentType) -> Self {
         match agent_type {
@@ -53,22 +53,22 @@ impl Limits {
         }
     }
 
-    /// The limits of a vehicle whose rear axle is `rear_axle_m` behind its centre: those at which the model's controls
-    /// saturate by default. \[model §4\]
+    /// The limits of a vehicle whose rear axle is `rear_axle_m` behind its centre: those at which the model's
+    /// controls saturate by default. \[model §4\]
     #[must_use]
     pub const fn vehicle(rear_axle_m: f32) -> Self {
         let (acceleration_mps2, slip_rad, slip_rate_radps) = (6.0, 0.5, 1.0);
         Self::Bicycle(BicycleLimits { acceleration_mps2, slip_rad, slip_rate_radps, rear_axle_m })
     }
 
-    /// Whether a trajectory of steps `dt_s` apart that starts from `now` leaves the limits.
+    /// Whether a trajectory of steps `dt_s` apart that starts from `now` violates the limits.
     ///
-    /// Only what positions prove counts. Of a bicycle: no accelerations within the limit give these step lengths, or no
-    /// slip angles give these changes of course, over one step or several; forecasts rolled out by a bicycle within its
-    /// limits never break them, rounding included. Of a point: a finite difference is too large; curves count from
-    /// 1 m/s up, below which rounding decides the course.
+    /// A violation is what the positions prove. Bicycle: no accelerations within the limit give these step
+    /// lengths, or no slip angles give these changes of course, over one step or several; rollouts of a
+    /// bicycle within its limits never violate them, rounding included. Point: a finite difference is too
+    /// large; curves count from 1 m/s on, below which rounding decides the course.
     #[must_use]
-    pub fn broken_by(&self, now: &State, trajectory: &[Point], dt_s: f32) -> bool {
+    pub fn violated_by(&self, now: &State, trajectory: &[Point], dt_s: f32) -> bool {
         match self {
             Self::Bicycle(limits) => {
                 let mut steering = Steering::new(limits, now, dt_s);
@@ -79,9 +79,9 @@ impl Limits {
                 let mut velocity = now.velocity_mps;
                 trajectory.iter().any(|next| {
                     let moved = [(next[0] - position[0]) / dt_s, (next[1] - position[1]) / dt_s];
-                    let broken = limits.broken_between(velocity, moved, dt_s);
+                    let violated = limits.violated_between(velocity, moved, dt_s);
                     (position, velocity) = (*next, moved);
-                    broken
+                    violated
                 })
             }
         }
@@ -89,7 +89,7 @@ impl Limits {
 }
 
 impl PointLimits {
-    fn broken_between(&self, before: [f32; 2], after: [f32; 2], dt_s: f32) -> bool {
+    fn violated_between(&self, before: [f32; 2], after: [f32; 2], dt_s: f32) -> bool {
         let speed_mps = after[0].hypot(after[1]);
         let acceleration_mps2 = (after[0] - before[0]).hypot(after[1] - before[1]) / dt_s;
         let cross = before[0] * after[1] - before[1] * after[0];
@@ -107,37 +107,37 @@ mod tests {
 
     const NOW: State = State { position_m: [0.0; 2], velocity_mps: [10.0, 0.0], heading_rad: 0.0 };
 
-    fn broken(agent_type: AgentType, speed_mps: f32, trajectory: &[Point]) -> bool {
+    fn violated(agent_type: AgentType, speed_mps: f32, trajectory: &[Point]) -> bool {
         let now = State { velocity_mps: [speed_mps, 0.0], ..NOW };
-        Limits::of(agent_type).broken_by(&now, trajectory, 0.5)
+        Limits::of(agent_type).violated_by(&now, trajectory, 0.5)
     }
 
     #[test]
-    fn going_on_is_possible_for_all() {
+    fn constant_velocity_is_within_all_limits() {
         for agent_type in [AgentType::Vehicle, AgentType::Cyclist, AgentType::Pedestrian] {
-            assert!(!broken(agent_type, 10.0, &[[5.0, 0.0], [10.0, 0.0]]));
+            assert!(!violated(agent_type, 10.0, &[[5.0, 0.0], [10.0, 0.0]]));
         }
     }
 
     #[test]
-    fn a_jump_breaks_the_acceleration_of_all() {
+    fn a_jump_violates_the_acceleration_of_all_types() {
         for agent_type in [AgentType::Vehicle, AgentType::Cyclist, AgentType::Pedestrian] {
-            assert!(broken(agent_type, 10.0, &[[5.0, 0.0], [13.5, 0.0]]));
-            assert!(broken(agent_type, 10.0, &[[-5.0, 0.0]]));
+            assert!(violated(agent_type, 10.0, &[[5.0, 0.0], [13.5, 0.0]]));
+            assert!(violated(agent_type, 10.0, &[[-5.0, 0.0]]));
         }
     }
 
     #[test]
-    fn only_a_pedestrian_turns_on_the_spot() {
+    fn only_pedestrians_turn_on_the_spot() {
         let corner = [[0.0, 0.6]];
-        assert!(broken(AgentType::Vehicle, 1.2, &corner));
-        assert!(broken(AgentType::Cyclist, 1.2, &corner));
-        assert!(!broken(AgentType::Pedestrian, 1.2, &corner));
+        assert!(violated(AgentType::Vehicle, 1.2, &corner));
+        assert!(violated(AgentType::Cyclist, 1.2, &corner));
+        assert!(!violated(AgentType::Pedestrian, 1.2, &corner));
     }
 
     #[test]
-    fn speed_alone_is_too_much_for_a_cyclist() {
-        assert!(broken(AgentType::Cyclist, 24.0, &[[13.0, 0.0]]));
-        assert!(!broken(AgentType::Vehicle, 24.0, &[[12.5, 0.0]]));
+    fn speed_limit_holds_for_cyclists_only() {
+        assert!(violated(AgentType::Cyclist, 24.0, &[[13.0, 0.0]]));
+        assert!(!violated(AgentType::Vehicle, 24.0, &[[12.5, 0.0]]));
     }
 }

@@ -37,7 +37,7 @@ impl Mean {
     }
 }
 
-/// How many of the counted cases had a property: the mean of zeros and ones; can be merged with others.
+/// The share of the counted cases that have a property; can be merged with others.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Share(Mean);
 
@@ -76,7 +76,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn merged_parts_equal_the_whole() {
+    fn merged_means_equal_the_mean_of_the_whole() {
         let (mut left, mut right, mut whole) = (Mean::default(), Mean::default(), Mean::default());
         for x in [1.0, 2.0, 6.0] {
             left.add(x);
@@ -91,14 +91,14 @@ mod tests {
     }
 
     #[test]
-    fn nothing_counted_has_no_value() {
+    fn empty_means_have_no_value() {
         assert_eq!(Mean::default().value(), None);
         assert_eq!(Share::default().value(), None);
         assert!(Share::default().is_empty());
     }
 
     #[test]
-    fn share_counts_hits() {
+    fn share_is_hits_over_cases() {
         let mut share = Share::default();
         for hit in [true, false, false, true, true] {
             share.add(hit);

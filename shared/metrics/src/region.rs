@@ -1,8 +1,9 @@
-//! Highest-density regions of a Gaussian mixture: the smallest areas that hold a given share of a forecast.
+//! Highest-density regions of a Gaussian mixture: the smallest areas that contain a given probability.
 //!
-//! The region of *level* q is where the density exceeds the value that makes the region hold the probability q. A
-//! truth lies on the border of exactly one of them, and inside all of a higher level: its level is the mass of all
-//! places that are likelier than it. Where forecasts mean what they say, levels are uniform in 0..1.
+//! The region of *level* q is where the density exceeds the value at which the region has the probability q.
+//! A truth lies on the border of exactly one region, and inside all of a higher level: its level is the
+//! probability of all positions that are likelier than it. Levels of calibrated forecasts are uniform in
+//! 0..1.
 
 use std::f32::consts::{LN_2, LOG2_E, TAU};
 
@@ -11,21 +12,21 @@ use rand_chacha::ChaCha8Rng;
 
 use crate::Point;
 
-/// Draws from all components together; every component of positive probability has at least one.
+/// Number of draws from all components together; every component of positive probability has at least one.
 const DRAWS: usize = 400;
-/// Variances below count as this: no position is known better than to a centimetre.
+/// Least variance: no position is known better than to a centimetre.
 const VARIANCE_MIN_M2: f32 = 1e-4;
-/// Golden section: multiples of it, modulo 1, are spread evenly however many there are.
+/// Golden section: any number of its multiples, modulo 1, is spread evenly.
 const GOLDEN: f32 = 0.618_034;
 
-/// The level of the highest-density region of a Gaussian mixture on whose border `truth` lies, 0 to 1; the truth is
-/// inside the 90 % region if its level is at most 0.9.
+/// The level of the highest-density region of a Gaussian mixture on whose border `truth` lies, 0 to 1; the
+/// truth is inside the 90 % region if its level is at most 0.9.
 ///
-/// Covariances are (xx, xy, yy) in m². The probabilities need not sum to 1. The level is the share of draws that are
-/// likelier than the truth: a fixed number per component, each in its own ring of equal probability and spread evenly
-/// around, so that the error of one level is below 0.01 nearly always, and the error of the mean of many vanishes.
-/// The same seed gives the same level. 1 where no probability is positive or a component is not a number. Cost: about
-/// 10 µs for 20 components.
+/// Covariances are (xx, xy, yy) in m². The probabilities need not sum to 1. The level is the share of draws
+/// that are likelier than the truth: a fixed number per component, stratified into rings of equal probability
+/// and spread evenly around, so that the error of one level is nearly always below 0.01, and the error of the
+/// mean of many vanishes. The same seed gives the same level. It is 1 where no probability is positive or a
+/// component is not a number. Cost: about 10 µs for 20 components.
 ///
 /// # Panics
 /// Where there are not as many means, covariances and probabilities.
@@ -48,11 +49,11 @@ pub fn highest_density_level(
         })
         .collect();
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
-    let mut places = Places::default();
-    let draws: Vec<usize> = components.iter().map(|c| c.draw(&mut rng, &mut places)).collect();
+    let mut positions = Positions::default();
+    let draws: Vec<usize> = components.iter().map(|c| c.draw(&mut rng, &mut positions)).collect();
     // The origin is the truth.
-    places.push([0.0; 2]);
-    let densities = places.densities(&components);
+    positions.push([0.0; 2]);
+    let densities = positions.densities(&components);
     let Some((&at_truth, mut at_draws)) = densities.split_last().filter(|(at_truth, _)| **at_truth > 0.0)
     else {
         return 1.0;
@@ -83,11 +84,11 @@ impl Component {
         Self { probability, centre, factor: [l11, l21, l22] }
     }
 
-    /// Adds draws in proportion to the probability and returns how many.
+    /// Adds draws in proportion to the probability and returns their number.
     ///
-    /// Draw j of n lies in the j-th of n rings that hold 1/n each, at a golden section of a turn from the one before;
-    /// where in the rings and from which angle on is random.
-    fn draw(&self, rng: &mut ChaCha8Rng, places: &mut Places) -> usize {
+    /// Draw j of n lies in the j-th of n rings of probability 1/n, at a golden section of a turn from the one
+    /// before; the place in the rings and the first angle are random.
+    fn draw(&self, rng: &mut ChaCha8Rng, positions: &mut Positions) -> usize {
         let draws_len = ((self.probability * DRAWS as f32) as usize).max(1);
         let (ring_share, first_turn): (f32, f32) = (rng.random(), rng.random());
         let (mut sin, mut cos) = (first_turn * TAU).sin_cos();
@@ -97,7 +98,7 @@ impl Component {
             let outside = 1.0 - (ring as f32 + ring_share) / draws_len as f32;
             let radius = (-2.0 * outside.max(f32::EPSILON).ln()).sqrt();
             let (u, v) = (radius * cos, radius * sin);
-            places.push([self.centre[0] + l11 * u, self.centre[1] + l21 * u + l22 * v]);
+            positions.push([self.centre[0] + l11 * u, self.centre[1] + l21 * u + l22 * v]);
             (sin, cos) = (sin * golden_cos + cos * golden_sin, cos * golden_cos - sin * golden_sin);
         }
         draws_len
@@ -109,20 +110,20 @@ impl Component {
     }
 }
 
-/// Positions relative to the truth, by axis so that the density runs over many at once.
+/// Positions relative to the truth, by axis so that the density vectorises.
 #[derive(Default)]
-struct Places {
+struct Positions {
     x: Vec<f32>,
     y: Vec<f32>,
 }
 
-impl Places {
+impl Positions {
     fn push(&mut self, [x, y]: Point) {
         self.x.push(x);
         self.y.push(y);
     }
 
-    /// The density at each place, in units of the highest peak of a component.
+    /// The density at each position, in units of the highest peak of a component.
     fn densities(&self, components: &[Component]) -> Vec<f32> {
         let highest = components.iter().map(Component::log2_weight).fold(f32::NEG_INFINITY, f32::max);
         let mut densities = vec![0.0; self.x.len()];
@@ -144,13 +145,14 @@ impl Places {
     }
 }
 
-/// 2^x for x ≤ 0 to a relative 3e-7, 2^−126 below that; without calls or branches, so that loops over it vectorise.
+/// 2^x for x ≤ 0 to a relative 3e-7, 2^−126 below that; without calls or branches, so that loops over it
+/// vectorise.
 fn exp2(x: f32) -> f32 {
     // Taylor coefficients ln(2)ⁿ / n!.
     const C: [f32; 6] = [LN_2, 0.240_226_5, 0.055_504_11, 0.009_618_129, 0.001_333_355_8, 0.000_154_035_3];
     // Adding 1.5 · 2²³ rounds to whole numbers and leaves them in the low bits.
     const ROUND: f32 = 12_582_912.0;
-    // Not `max`: what is not a number has to stay so.
+    // Not `max`: NaN must stay NaN.
     let x = if x < -126.0 { -126.0 } else { x };
     let rounded = x + ROUND;
     let f = x - (rounded - ROUND);
@@ -172,7 +174,7 @@ mod tests {
         highest_density_level(&MEANS, &COVARIANCES, &PROBABILITY, truth, seed)
     }
 
-    /// Density of the mixture in double precision, straight from the formula.
+    /// Density of the mixture in double precision.
     fn density(x: f64, y: f64) -> f64 {
         let component = |k: usize| {
             let [xx, xy, yy] = COVARIANCES[k].map(f64::from);
@@ -185,7 +187,7 @@ mod tests {
     }
 
     #[test]
-    fn levels_agree_with_an_integral_over_a_fine_grid() {
+    fn levels_equal_an_integral_over_a_fine_grid() {
         const CELL_M: f64 = 0.02;
         let grid: Vec<f64> = (-500..500)
             .flat_map(|i| (-400..400).map(move |j| density(f64::from(i) * CELL_M, f64::from(j) * CELL_M)))
@@ -220,7 +222,7 @@ mod tests {
             })
             .collect();
         levels.sort_by(f64::total_cmp);
-        // Kolmogorov and Smirnov's distance; 1.63 / √n is passed by chance once in a hundred seeds.
+        // Kolmogorov-Smirnov distance; chance exceeds 1.63 / √n for one seed in a hundred.
         let n = levels.len() as f64;
         let distance =
             levels.iter().enumerate().map(|(i, l)| (l - (i as f64 + 0.5) / n).abs()).fold(0.0, f64::max);
@@ -234,7 +236,7 @@ mod tests {
     }
 
     #[test]
-    fn nothing_stated_covers_nothing() {
+    fn mixtures_without_probability_have_level_1() {
         assert_eq!(highest_density_level(&[], &[], &[], [0.0; 2], 1), 1.0);
         assert_eq!(highest_density_level(&[[0.0; 2]], &[[1.0, 0.0, 1.0]], &[0.0], [0.0; 2], 1), 1.0);
         assert_eq!(highest_density_level(&[[f32::NAN; 2]], &[[1.0, 0.0, 1.0]], &[1.0], [0.0; 2], 1), 1.0);
@@ -242,14 +244,14 @@ mod tests {
     }
 
     #[test]
-    fn a_certain_position_still_covers_what_cannot_be_told_from_it() {
+    fn a_zero_covariance_has_the_least_variance() {
         let certain = |truth| highest_density_level(&[[4.0, 4.0]], &[[0.0; 3]], &[1.0], truth, 1);
         assert!(certain([4.005, 4.0]) < 0.5);
         assert_eq!(certain([4.1, 4.0]), 1.0);
     }
 
     #[test]
-    fn impossible_components_change_nothing() {
+    fn components_of_probability_0_change_nothing() {
         let covariances = [[1.0, 0.0, 1.0]; 2];
         let both = highest_density_level(&[[0.0; 2], [1.0, 0.0]], &covariances, &[1.0, 0.0], [1.0, 0.0], 4);
         let alone = highest_density_level(&[[0.0; 2]], &covariances[..1], &[1.0], [1.0, 0.0], 4);
@@ -257,7 +259,7 @@ mod tests {
     }
 
     #[test]
-    fn powers_of_two_are_exact_to_rounding() {
+    fn exp2_is_exact_to_rounding() {
         for i in 0..=12_600 {
             let x = -0.01 * i as f32;
             let exact = f64::from(x).exp2();
@@ -269,7 +271,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn one_gaussian_has_the_level_of_its_ellipse(
+        fn level_of_one_gaussian_is_that_of_its_ellipse(
             mean in [-50.0f32..50.0, -50.0f32..50.0], l11 in 0.05f32..5.0, l21 in -3.0f32..3.0, l22 in 0.05f32..5.0,
             u in -3.0f32..3.0, v in -3.0f32..3.0, weight in 0.1f32..3.0, seed in 0u64..1_000,
         ) {
@@ -281,7 +283,7 @@ mod tests {
         }
 
         #[test]
-        fn the_unit_of_probability_is_free(x in -4.0f32..6.0, y in -4.0f32..4.0) {
+        fn scaling_all_probabilities_changes_nothing(x in -4.0f32..6.0, y in -4.0f32..4.0) {
             let doubled = PROBABILITY.map(|p| 2.0 * p);
             prop_assert_eq!(
                 highest_density_level(&MEANS, &COVARIANCES, &doubled, [x, y], 1),

@@ -5,45 +5,45 @@ use scene::State;
 use crate::Point;
 use crate::limits::BicycleLimits;
 
-/// Share by which every limit may be passed: what f32 leaves of it in a rollout.
+/// Share by which a rollout in f32 may exceed every limit.
 const ROUNDING: f64 = 1e-3;
 /// Units in the last place by which a coordinate may be off.
 const ULPS: f64 = 4.0;
 
-/// Follows the positions of a vehicle for as long as a bicycle could have driven them.
+/// Follows the positions of a vehicle for as long as a bicycle within its limits can reach them.
 ///
-/// A bicycle's step is a straight *chord* whose length is its mean speed times Δt and whose direction is the *course*,
-/// ψ + β in the middle of the step. In the time t between the middles of two chords
+/// A bicycle's step is a straight *chord* whose length is its mean speed times Δt and whose direction is the
+/// *course*, ψ + β in the middle of the step. In the time t between the middles of two chords
 ///
 /// ```text
 /// |Δ speed| ≤ a t      |Δ course| ≤ κ path + min(β̇ t, 2 β)      κ = sin β / l_r
 /// ```
 ///
-/// with the limits a, β and β̇: the heading turns by at most κ times the path, the rest is slip. Slip comes back, so that
-/// over any number of steps, too, the course turns by at most κ times the path and 2 β. The path between two middles
-/// is taken as the longer chord, which holds for the bicycle's Euler steps as well as for its midpoint steps. Driving
-/// backwards is driving with a negative speed along the opposite course.
+/// with the limits a, β and β̇: the heading turns by at most κ times the path, the rest is slip. Slip is
+/// bounded, so over any number of steps the course turns by at most κ times the path and 2 β. The longer
+/// chord stands for the path between two middles, which is valid for the bicycle's Euler steps and for its
+/// midpoint steps. Reversing is a negative speed along the opposite course.
 pub(crate) struct Steering {
     limits: Bounds,
     dt_s: f64,
     position_m: [f64; 2],
     /// Speed in the middle of the newest chord; negative in reverse.
     speed_mps: f64,
-    /// The newest course that is known; the heading before the first.
+    /// The newest known course; the heading before the first.
     course_rad: f64,
     is_heading: bool,
-    /// How far rounding of the positions may have turned it.
+    /// Error of the course by rounding of the positions.
     blur_rad: f64,
     /// Length of the newest chord; `None` before the first.
     chord_m: Option<f64>,
-    /// Time since, and path along which, the course is not known.
-    unseen_s: f64,
-    unseen_m: f64,
+    /// Time and path since the newest known course.
+    uncertain_s: f64,
+    uncertain_m: f64,
     left: Swing,
     right: Swing,
 }
 
-/// [`BicycleLimits`] in double precision, with the room for rounding.
+/// [`BicycleLimits`] in double precision, with a tolerance for rounding.
 struct Bounds {
     acceleration_mps2: f64,
     slip_rad: f64,
@@ -51,7 +51,7 @@ struct Bounds {
     curvature_radpm: f64,
 }
 
-/// How far the course has turned to one side, less the turn of the heading that the path explains.
+/// How far the course has turned to one side, less the turn that the heading can make along the path.
 #[derive(Clone, Copy)]
 struct Swing {
     now_rad: f64,
@@ -60,17 +60,17 @@ struct Swing {
 
 impl Steering {
     pub(crate) fn new(limits: &BicycleLimits, now: &State, dt_s: f32) -> Self {
-        let room = |limit: f32| f64::from(limit) * (1.0 + ROUNDING);
+        let tolerant = |limit: f32| f64::from(limit) * (1.0 + ROUNDING);
         let limits = Bounds {
-            acceleration_mps2: room(limits.acceleration_mps2),
-            slip_rad: room(limits.slip_rad),
-            slip_rate_radps: room(limits.slip_rate_radps),
-            curvature_radpm: room(limits.slip_rad).sin() / f64::from(limits.rear_axle_m),
+            acceleration_mps2: tolerant(limits.acceleration_mps2),
+            slip_rad: tolerant(limits.slip_rad),
+            slip_rate_radps: tolerant(limits.slip_rate_radps),
+            curvature_radpm: tolerant(limits.slip_rad).sin() / f64::from(limits.rear_axle_m),
         };
         let course_rad = f64::from(now.heading_rad);
         let (sin, cos) = course_rad.sin_cos();
         let [vx, vy] = now.velocity_mps.map(f64::from);
-        // The course may be off the heading by β to either side, not by 2 β.
+        // The course may differ from the heading by β to either side, not by 2 β.
         let swing = Swing { now_rad: 0.0, lowest_rad: -limits.slip_rad };
         Self {
             limits,
@@ -81,24 +81,24 @@ impl Steering {
             is_heading: true,
             blur_rad: 0.0,
             chord_m: None,
-            unseen_s: 0.0,
-            unseen_m: 0.0,
+            uncertain_s: 0.0,
+            uncertain_m: 0.0,
             left: swing,
             right: swing,
         }
     }
 
-    /// Drives one step further, to `next`; false where no bicycle within the limits can.
+    /// Advances one step, to `next`; false where no bicycle within the limits can.
     pub(crate) fn reaches(&mut self, next: Point) -> bool {
         let next = next.map(f64::from);
         let [dx, dy] = [0, 1].map(|axis| next[axis] - self.position_m[axis]);
         let chord_m = dx.hypot(dy);
         let largest_m = next.iter().chain(&self.position_m).fold(0.0_f64, |most, x| most.max(x.abs()));
         let rounding_m = ULPS * f64::from(f32::EPSILON) * largest_m;
-        // From now to the middle of the first chord is half a step.
+        // The middle of the first chord is half a step from now.
         let elapsed_s = if self.chord_m.is_some() { self.dt_s } else { 0.5 * self.dt_s };
-        self.unseen_s += elapsed_s;
-        self.unseen_m += self.chord_m.map_or(0.5 * chord_m, |before_m| before_m.max(chord_m));
+        self.uncertain_s += elapsed_s;
+        self.uncertain_m += self.chord_m.map_or(0.5 * chord_m, |before_m| before_m.max(chord_m));
 
         let speed_mps = chord_m / self.dt_s;
         let gain_mps = self.limits.acceleration_mps2 * elapsed_s + rounding_m / self.dt_s;
@@ -112,30 +112,30 @@ impl Steering {
             [false, true] => ways[1],
             [false, false] => return false,
         };
-        // Turned by more than this, a course is taken for another.
+        // A turn beyond this can't be told from one to the other side.
         let clear_rad = if within == [true, true] { 0.5 * PI } else { PI };
         self.speed_mps = speed_mps;
         self.position_m = next;
         self.chord_m = Some(chord_m);
-        // A chord that rounding can turn around has no course.
+        // A chord that rounding can reverse has no course.
         chord_m <= 2.0 * rounding_m || self.turns(turn_rad, clear_rad, rounding_m / chord_m)
     }
 
     fn turns(&mut self, turn_rad: f64, clear_rad: f64, blur_rad: f64) -> bool {
-        let heading_rad = self.limits.curvature_radpm * self.unseen_m;
+        let heading_rad = self.limits.curvature_radpm * self.uncertain_m;
         let both_slips_rad = 2.0 * self.limits.slip_rad;
         let slip_rad = if self.is_heading {
             self.limits.slip_rad
         } else {
-            both_slips_rad.min(self.limits.slip_rate_radps * self.unseen_s)
+            both_slips_rad.min(self.limits.slip_rate_radps * self.uncertain_s)
         };
         let blurs_rad = blur_rad + self.blur_rad;
         self.course_rad += turn_rad;
         self.is_heading = false;
         self.blur_rad = blur_rad;
-        (self.unseen_s, self.unseen_m) = (0.0, 0.0);
+        (self.uncertain_s, self.uncertain_m) = (0.0, 0.0);
         if heading_rad + slip_rad >= clear_rad {
-            // It may have turned so far that nothing ties this course to those before.
+            // A turn of any size is possible: this course is independent of those before.
             (self.left, self.right) = (Swing::new(blur_rad), Swing::new(blur_rad));
             return true;
         }
@@ -151,7 +151,7 @@ impl Swing {
         Self { now_rad: 0.0, lowest_rad: blur_rad }
     }
 
-    /// Turns by `rad` and returns by how much it surely is above its lowest.
+    /// Turns by `rad` and returns the least that it is above its lowest.
     fn advance(&mut self, rad: f64, blur_rad: f64) -> f64 {
         self.now_rad += rad;
         let above_rad = self.now_rad - blur_rad - self.lowest_rad;
@@ -214,64 +214,64 @@ mod tests {
         (now, controls.iter().map(step).collect())
     }
 
-    fn broken(rear_axle_m: f32, start: [f32; 5], driven: &BicycleLimits, control: [f32; 2]) -> bool {
+    fn violated(rear_axle_m: f32, start: [f32; 5], driven: &BicycleLimits, control: [f32; 2]) -> bool {
         let vehicle = vehicle(driven, Integrator::Midpoint, 0.5);
         let (now, trajectory) = drive(&vehicle, start, &[control; STEPS]);
-        Limits::vehicle(rear_axle_m).broken_by(&now, &trajectory, 0.5)
+        Limits::vehicle(rear_axle_m).violated_by(&now, &trajectory, 0.5)
     }
 
     #[test]
-    fn a_little_more_acceleration_than_the_limit_breaks_it() {
+    fn slightly_more_acceleration_violates_the_limit() {
         let start = [500.0, -300.0, 1.0, 5.0, 0.0];
         let strong = BicycleLimits { acceleration_mps2: 6.1, ..bicycle(1.2) };
-        assert!(!broken(1.2, start, &bicycle(1.2), [99.0, 0.0]));
-        assert!(broken(1.2, start, &strong, [99.0, 0.0]));
-        assert!(broken(1.2, start, &strong, [-99.0, 0.0]), "braking into reverse");
+        assert!(!violated(1.2, start, &bicycle(1.2), [99.0, 0.0]));
+        assert!(violated(1.2, start, &strong, [99.0, 0.0]));
+        assert!(violated(1.2, start, &strong, [-99.0, 0.0]), "braking into reverse");
     }
 
     #[test]
-    fn a_tighter_circle_than_the_slip_allows_breaks_it() {
+    fn a_circle_beyond_the_slip_violates_the_limit() {
         let loose = BicycleLimits { slip_rad: 0.8, ..bicycle(1.2) };
         for speed_mps in [1.0, 3.0, 8.0, -3.0] {
             let circle = [0.0, 0.0, -2.0, speed_mps, 0.5];
-            assert!(!broken(1.2, circle, &bicycle(1.2), [0.0, 99.0]), "{speed_mps} m/s");
-            assert!(broken(1.2, circle, &loose, [0.0, 99.0]), "{speed_mps} m/s");
+            assert!(!violated(1.2, circle, &bicycle(1.2), [0.0, 99.0]), "{speed_mps} m/s");
+            assert!(violated(1.2, circle, &loose, [0.0, 99.0]), "{speed_mps} m/s");
         }
     }
 
     #[test]
-    fn a_longer_vehicle_cannot_follow_a_shorter_one() {
+    fn the_circle_of_a_shorter_vehicle_violates_the_limit() {
         let circle = [0.0, 0.0, 0.0, 4.0, 0.5];
-        assert!(!broken(1.0, circle, &bicycle(1.0), [0.0, 99.0]));
-        assert!(broken(1.3, circle, &bicycle(1.0), [0.0, 99.0]));
+        assert!(!violated(1.0, circle, &bicycle(1.0), [0.0, 99.0]));
+        assert!(violated(1.3, circle, &bicycle(1.0), [0.0, 99.0]));
     }
 
     #[test]
-    fn a_kink_in_a_slow_path_breaks_the_slip_rate() {
+    fn a_kink_in_a_slow_path_violates_the_slip_rate() {
         let now = State { velocity_mps: [1.0, 0.0], ..State::default() };
         let kink = |turn: f32| [[0.5, 0.0], [1.0, 0.0], [1.0 + 0.5 * turn.cos(), 0.5 * turn.sin()]];
         // 0.5 s at 1 rad/s, and 0.5 m at 0.4 rad/m.
-        assert!(!Limits::vehicle(1.2).broken_by(&now, &kink(0.69), 0.5));
-        assert!(Limits::vehicle(1.2).broken_by(&now, &kink(0.71), 0.5));
+        assert!(!Limits::vehicle(1.2).violated_by(&now, &kink(0.69), 0.5));
+        assert!(Limits::vehicle(1.2).violated_by(&now, &kink(0.71), 0.5));
     }
 
     #[test]
-    fn moving_sideways_from_rest_breaks_it_and_backwards_does_not() {
+    fn sideways_motion_violates_limits_and_reversing_does_not() {
         let now = State::default();
-        assert!(Limits::vehicle(1.2).broken_by(&now, &[[0.0, 0.3]], 0.5));
-        assert!(!Limits::vehicle(1.2).broken_by(&now, &[[-0.3, 0.0], [-1.0, 0.0]], 0.5));
-        assert!(!Limits::vehicle(1.2).broken_by(&now, &[[0.0; 2]; 3], 0.5));
+        assert!(Limits::vehicle(1.2).violated_by(&now, &[[0.0, 0.3]], 0.5));
+        assert!(!Limits::vehicle(1.2).violated_by(&now, &[[-0.3, 0.0], [-1.0, 0.0]], 0.5));
+        assert!(!Limits::vehicle(1.2).violated_by(&now, &[[0.0; 2]; 3], 0.5));
     }
 
     #[test]
-    fn what_is_not_a_number_is_broken() {
-        assert!(Limits::vehicle(1.2).broken_by(&State::default(), &[[f32::NAN, 0.0]], 0.5));
+    fn nan_violates_the_limits() {
+        assert!(Limits::vehicle(1.2).violated_by(&State::default(), &[[f32::NAN, 0.0]], 0.5));
     }
 
     proptest! {
         #![proptest_config(ProptestConfig::with_cases(4_000))]
         #[test]
-        fn nothing_that_the_bicycle_drives_is_broken(
+        fn bicycle_rollouts_within_limits_never_violate_them(
             place in [-2e3f32..2e3, -2e3f32..2e3], heading in -3.2f32..3.2, slip in -0.46f32..0.46,
             speed in prop_oneof![Just(0.0f32), -2.0f32..2.0, -5.0f32..20.0],
             rear_axle_m in 0.8f32..2.5, dt_s in prop_oneof![Just(0.1f32), Just(0.4), Just(0.5)], euler: bool,
@@ -282,8 +282,8 @@ mod tests {
             let vehicle = vehicle(&bicycle(rear_axle_m), integrator, dt_s);
             let controls: Vec<[f32; 2]> = controls.iter().map(|c| [c[0] * size[0], c[1] * size[1]]).collect();
             let (now, trajectory) = drive(&vehicle, [place[0], place[1], heading, speed, slip], &controls);
-            let cut = (1..=STEPS).find(|&k| Limits::vehicle(rear_axle_m).broken_by(&now, &trajectory[..k], dt_s));
-            prop_assert!(cut.is_none(), "broken at step {cut:?}: {now:?} {trajectory:?}");
+            let cut = (1..=STEPS).find(|&k| Limits::vehicle(rear_axle_m).violated_by(&now, &trajectory[..k], dt_s));
+            prop_assert!(cut.is_none(), "violated at step {cut:?}: {now:?} {trajectory:?}");
         }
     }
 }

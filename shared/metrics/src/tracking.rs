@@ -1,25 +1,27 @@
-//! How good tracks are: against the truth, frame by frame.
+//! Measures of tracking: tracks against the truth, frame by frame.
 //!
-//! A [`Frame`] is one instant: the true objects and the tracks that stand for them, each an id and a position. It is
-//! checked once (finite positions, no id twice) and kept in the order of the ids, so that the order of the rows
-//! changes no figure. Classes are the caller's: one set of accumulators for each.
+//! A [`Frame`] is one instant: the true objects and the tracks, each an id and a position. It is validated
+//! once (finite positions, no id twice) and sorted by id, so that the order of the rows changes no figure.
+//! Classes are the caller's: one set of accumulators for each.
 //!
-//! | Measure | Says | Source |
+//! | measure | meaning | source |
 //! |---|---|---|
-//! | [`ClearMot`] | misses, false tracks, switches of identity: MOTA, MOTP | Bernardin & Stiefelhagen 2008 |
-//! | [`Identity`] | how long each truth kept one identity: IDF1 | Ristani et al. 2016 |
-//! | [`Hota`] | detection and association in balance: HOTA | Luiten et al. 2021 |
-//! | [`SetDistance::gospa`] | distance of two sets, split into its causes | Rahmathullah et al. 2017 |
+//! | [`ClearMot`] | misses, false tracks, identity switches: MOTA, MOTP | Bernardin & Stiefelhagen 2008 |
+//! | [`Identity`] | how long each truth keeps one identity: IDF1 | Ristani et al. 2016 |
+//! | [`Hota`] | detection and association, balanced: HOTA | Luiten et al. 2021 |
+//! | [`SetDistance::gospa`] | distance of two sets, with its components | Rahmathullah et al. 2017 |
 //! | [`SetDistance::ospa`] | the same per object | Schuhmacher et al. 2008 |
 //! | [`StateErrors`] | RMSE and MAE of position and velocity | |
-//! | [`Consistency`] | whether the stated covariances hold (NEES, NIS) | Bar-Shalom et al. 2001, §5.4 |
+//! | [`Consistency`] | whether covariances fit the errors (NEES, NIS) | Bar-Shalom et al. 2001, §5.4 |
 //!
-//! The first three are fed with [`Frame`]s in the order of time and hand out counts at the end, from which every ratio
-//! follows; counts of several recordings can be merged, and the ratios of the sum are those of the recordings as one
-//! (with identities of their own). Definitions are those of the programs that the field compares itself by:
-//! py-motmetrics for [`ClearMot`] and [`Identity`], `TrackEval` for [`Hota`], Stone Soup for the distances of sets.
+//! The first three take [`Frame`]s in the order of time and return counts at the end, from which every ratio
+//! follows; counts of several recordings can be merged, and the ratios of the sum are those of the recordings
+//! as one (with identities of their own). Definitions are those of the field's reference programs:
+//! py-motmetrics for [`ClearMot`] and [`Identity`], `TrackEval` for [`Hota`], Stone Soup for the distances of
+//! sets.
 //!
-//! * K. Bernardin, R. Stiefelhagen: *Evaluating multiple object tracking performance: the CLEAR MOT metrics*, 2008.
+//! * K. Bernardin, R. Stiefelhagen: *Evaluating multiple object tracking performance: the CLEAR MOT metrics*,
+//!   2008.
 //! * E. Ristani et al.: *Performance measures and a data set for multi-target, multi-camera tracking*, 2016.
 //! * J. Luiten et al.: *HOTA: a higher order metric for evaluating multi-object tracking*, 2021.
 //! * A. S. Rahmathullah et al.: *Generalized optimal sub-pattern assignment metric*, 2017.

@@ -1,5 +1,4 @@
-//! Agreement with py-motmetrics, `TrackEval` and Stone Soup on recorded scenarios.
-#![expect(clippy::unwrap_used, reason = "a broken fixture is a broken test")]
+//! Measures of tracking against py-motmetrics, `TrackEval` and Stone Soup on recorded scenarios.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -11,7 +10,7 @@ use serde_json::Value;
 
 type Part = fn(&HotaScore) -> f64;
 
-/// Largest distance of a pair, and the distance at which nothing is similar any more.
+/// Largest distance of a pair, and the distance at which the similarity is 0.
 const GATE_M: f64 = 1.0;
 const ZERO_M: f64 = 2.0;
 
@@ -60,7 +59,7 @@ fn clear_mot() -> ClearMotCounts {
 }
 
 #[test]
-fn clear_mot_is_that_of_motmetrics() {
+fn clear_mot_equals_motmetrics() {
     let counts = clear_mot();
     let figures = [
         ("num_frames", counts.frames_len as f64),
@@ -85,12 +84,12 @@ fn clear_mot_is_that_of_motmetrics() {
 }
 
 #[test]
-fn clear_mot_is_that_of_trackeval_where_both_define_the_same() {
+fn clear_mot_equals_trackeval_where_definitions_agree() {
     let counts = clear_mot();
     let truths = counts.truths_len() as f64;
     // A similarity of 1 − d / 2, linear in the distance below the gate.
     let similarity_sum = counts.matched_len as f64 - counts.distance_sum_m / ZERO_M;
-    let lives = (counts.mostly_tracked_len + counts.partly_tracked_len + counts.mostly_lost_len) as f64;
+    let truths_len = (counts.mostly_tracked_len + counts.partly_tracked_len + counts.mostly_lost_len) as f64;
     let figures = [
         ("MOTA", counts.mota().unwrap()),
         ("MODA", counts.moda().unwrap()),
@@ -111,15 +110,15 @@ fn clear_mot_is_that_of_trackeval_where_both_define_the_same() {
         ("MT", counts.mostly_tracked_len as f64),
         ("PT", counts.partly_tracked_len as f64),
         ("ML", counts.mostly_lost_len as f64),
-        ("MTR", counts.mostly_tracked_len as f64 / lives),
-        ("PTR", counts.partly_tracked_len as f64 / lives),
-        ("MLR", counts.mostly_lost_len as f64 / lives),
+        ("MTR", counts.mostly_tracked_len as f64 / truths_len),
+        ("PTR", counts.partly_tracked_len as f64 / truths_len),
+        ("MLR", counts.mostly_lost_len as f64 / truths_len),
     ];
     assert_all(&expected()["trackeval_CLEAR"], &figures);
 }
 
 #[test]
-fn identity_is_that_of_both() {
+fn identity_equals_motmetrics_and_trackeval() {
     let mut identity = Identity::new(GATE_M).unwrap();
     frames().iter().for_each(|frame| identity.add(frame));
     let counts = identity.finish();
@@ -134,7 +133,7 @@ fn identity_is_that_of_both() {
 }
 
 #[test]
-fn hota_is_that_of_trackeval_at_every_alpha() {
+fn hota_equals_trackeval_at_every_alpha() {
     let mut hota = Hota::default();
     frames().iter().for_each(|frame| hota.add(frame, |distance_m| linear_similarity(distance_m, ZERO_M)));
     let counts = hota.finish();
@@ -173,7 +172,7 @@ fn hota_is_that_of_trackeval_at_every_alpha() {
 }
 
 #[test]
-fn set_distances_are_those_of_stone_soup() {
+fn gospa_and_ospa_equal_stone_soup() {
     let cases: Vec<Value> = serde_json::from_str(&golden("gospa_ospa.json")).unwrap();
     assert_eq!(cases.len(), 126);
     for case in cases {

@@ -1,5 +1,4 @@
-//! What the measures of tracking are on scenes with a known answer, and what must not change them.
-#![expect(clippy::unwrap_used, reason = "a broken scene is a broken test")]
+//! Measures of tracking on scenes with a known result, and their invariants.
 
 use metrics::tracking::{
     ClearMot, ClearMotCounts, Frame, Hota, HotaCounts, HotaScore, Identity, IdentityCounts, Object,
@@ -32,7 +31,7 @@ fn measured(frames: &[Frame]) -> (ClearMotCounts, IdentityCounts, HotaCounts) {
 }
 
 #[test]
-fn nothing_at_all_has_no_ratios() {
+fn frames_without_objects_have_no_ratios() {
     for frames in [vec![], vec![Frame::default(); 3]] {
         let (clear_mot, identity, hota) = measured(&frames);
         assert_eq!(clear_mot, ClearMotCounts { frames_len: frames.len() as u64, ..Default::default() });
@@ -44,7 +43,7 @@ fn nothing_at_all_has_no_ratios() {
 }
 
 #[test]
-fn tracks_without_truth_are_false() {
+fn tracks_without_truth_are_false_tracks() {
     let (clear_mot, identity, hota) =
         measured(&[frame(&[], &[at(1, 0.0), at(2, 5.0)]), frame(&[], &[at(1, 0.0)])]);
     assert_eq!((clear_mot.false_len, clear_mot.missed_len), (3, 0));
@@ -54,7 +53,7 @@ fn tracks_without_truth_are_false() {
 }
 
 #[test]
-fn truths_without_track_are_missed_and_lost() {
+fn truths_without_track_are_missed_and_mostly_lost() {
     let (clear_mot, identity, hota) =
         measured(&[frame(&[at(1, 0.0)], &[]), frame(&[at(1, 0.0)], &[at(7, 1.5)])]);
     assert_eq!((clear_mot.missed_len, clear_mot.false_len, clear_mot.mostly_lost_len), (2, 1, 1));
@@ -66,7 +65,7 @@ fn truths_without_track_are_missed_and_lost() {
 }
 
 #[test]
-fn perfect_tracks_have_full_marks() {
+fn perfect_tracks_score_1() {
     let truths = |t: u32| [at(1, f64::from(t)), at(2, 100.0 - f64::from(t))];
     let tracks = |t: u32| [at(9, 100.0 - f64::from(t)), at(8, f64::from(t))];
     let frames: Vec<Frame> = (0..100).map(|t| frame(&truths(t), &tracks(t))).collect();
@@ -79,7 +78,7 @@ fn perfect_tracks_have_full_marks() {
 }
 
 #[test]
-fn a_kept_pair_goes_before_a_nearer_track() {
+fn a_kept_pair_precedes_a_nearer_track() {
     let truth = [at(1, 0.0)];
     let frames = [
         frame(&truth, &[at(7, 0.5)]),
@@ -97,14 +96,14 @@ fn a_kept_pair_goes_before_a_nearer_track() {
 }
 
 #[test]
-fn as_many_pairs_as_possible_before_near_ones() {
+fn the_number_of_pairs_precedes_their_distance() {
     let both = frame(&[at(1, 0.0), at(2, 0.9)], &[at(8, 0.8), at(9, 1.8)]);
     let (clear_mot, _, _) = measured(&[both]);
     assert_eq!((clear_mot.matched_len, clear_mot.missed_len), (2, 0));
 }
 
 #[test]
-fn exchanged_tracks_are_transferred() {
+fn exchanged_tracks_count_as_transfers() {
     let truths = [at(1, 0.0), at(2, 5.0)];
     let frames = [
         frame(&truths, &[at(7, 0.0), at(8, 5.0)]),
@@ -113,7 +112,7 @@ fn exchanged_tracks_are_transferred() {
     ];
     let (clear_mot, _, hota) = measured(&frames);
     assert_eq!((clear_mot.switches_len, clear_mot.transfers_len, clear_mot.migrations_len), (2, 3, 1));
-    // Detection is perfect; each of the five matches shares one frame of its truth's and its track's life.
+    // Detection is perfect; truth and track of each of the five matches share one frame.
     let score = hota.scores()[0];
     assert_eq!(score.det_a, 1.0);
     assert!((score.ass_pr - (2.0 / 2.0 + 3.0 / 3.0) / 5.0).abs() < 1e-12, "{score:?}");
@@ -125,13 +124,23 @@ fn parameters_out_of_range_are_refused() {
         assert!(matches!(ClearMot::new(gate_m), Err(TrackingError::Value { name: "gate_m", .. })));
         assert!(matches!(Identity::new(gate_m), Err(TrackingError::Value { name: "gate_m", .. })));
     }
-    for (cutoff_m, order) in [(0.0, 1.0), (f64::NAN, 1.0), (1.0, 0.5), (1.0, f64::INFINITY), (1e200, 2.0)] {
-        assert!(SetDistance::new(cutoff_m, order).is_err(), "{cutoff_m} {order}");
+    for (name, cutoff_m, order) in [
+        ("cutoff_m", 0.0, 1.0),
+        ("cutoff_m", f64::NAN, 1.0),
+        ("order", 1.0, 0.5),
+        ("order", 1.0, f64::INFINITY),
+        ("cutoff_m to the power of order", 1e200, 2.0),
+    ] {
+        let refused = SetDistance::new(cutoff_m, order);
+        assert!(
+            matches!(refused, Err(TrackingError::Value { name: found, .. }) if found == name),
+            "{refused:?}"
+        );
     }
 }
 
 #[test]
-fn unusable_similarities_count_as_none_or_full() {
+fn similarities_are_clamped_and_nan_counts_as_0() {
     let frame = frame(&[at(1, 0.0)], &[at(2, 0.0)]);
     let mut hota = Hota::default();
     hota.add(&frame, |_| f64::NAN);
@@ -142,7 +151,7 @@ fn unusable_similarities_count_as_none_or_full() {
 }
 
 #[test]
-fn gospa_names_its_causes() {
+fn gospa_splits_into_its_components() {
     let distance = SetDistance::new(2.0, 2.0).unwrap();
     let gospa = distance.gospa(&frame(&[at(0, 0.0), at(1, 10.0)], &[at(0, 1.0), at(1, 20.0), at(2, 30.0)]));
     assert_eq!((gospa.pairs_len, gospa.localisation, gospa.missed, gospa.false_tracks), (1, 1.0, 2.0, 4.0));
@@ -151,7 +160,7 @@ fn gospa_names_its_causes() {
 }
 
 #[test]
-fn merged_recordings_add_up() {
+fn merged_counts_equal_those_of_one_recording() {
     let parts = [
         vec![frame(&[at(1, 0.0)], &[at(5, 0.2)]), frame(&[at(1, 0.0)], &[])],
         vec![frame(&[at(1, 0.0), at(2, 3.0)], &[at(5, 3.2)])],
@@ -186,12 +195,12 @@ fn close(a: &HotaScore, b: &HotaScore) -> bool {
 
 proptest! {
     #[test]
-    fn names_and_rows_change_nothing(
+    fn ids_and_row_order_change_no_measure(
         recording in vec((rows(6), rows(8)), 1..12),
         names in Just((100..108).collect::<Vec<u64>>()).prop_shuffle(),
     ) {
         let frames: Vec<Frame> = recording.iter().map(|(truths, tracks)| frame(truths, tracks)).collect();
-        // Tracks get other names in another order, truths greater ones; the rows turn round.
+        // Tracks get other ids in another order, truths greater ones; rows are reversed.
         let renamed: Vec<Frame> = recording
             .iter()
             .map(|(truths, tracks)| {
@@ -209,7 +218,7 @@ proptest! {
     }
 
     #[test]
-    fn measures_keep_their_ranges(recording in vec((rows(6), rows(8)), 1..12)) {
+    fn measures_stay_in_their_ranges(recording in vec((rows(6), rows(8)), 1..12)) {
         let frames: Vec<Frame> = recording.iter().map(|(truths, tracks)| frame(truths, tracks)).collect();
         let (clear_mot, identity, hota) = measured(&frames);
         let truths_len: usize = recording.iter().map(|(truths, _)| truths.len()).sum();

@@ -174,7 +174,7 @@ impl<'a> Storyboard<'a> {
         let forecasts = self.forecast(scene, &wanted, memory);
         let rank = |(&place, forecast): (&usize, &Forecast)| {
             let agent = &scene.agents[place];
-            let ade_m = metrics::best_of(&forecast.modes, &agent.future).ade_m?;
+            let ade_m = metrics::min_displacement(&forecast.modes, &agent.future).ade_m?;
             Some(Ranked { ade_m, agent: agent.id, scene: number, place })
         };
         wanted.iter().zip(&forecasts).filter_map(rank).collect()
@@ -285,7 +285,7 @@ impl ShotErrors {
         let pair = |errors: Displacement| Some([errors.ade_m?, errors.fde_m?]);
         let errors = |(agent, forecast): &(&Agent, &Forecast)| {
             let truth: &[Option<Point>] = &agent.future;
-            let best = pair(metrics::best_of(&forecast.modes, truth))?;
+            let best = pair(metrics::min_displacement(&forecast.modes, truth))?;
             let likeliest = metrics::most_likely(&forecast.probability)?;
             Some([best, pair(metrics::displacement(&forecast.modes[likeliest], truth))?])
         };

@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use data::Format;
 
-use super::{GROWTH, MapChoice, Options, RATES, Rules, SEED, need_agents};
+use super::{GROWTH, MapChoice, Options, RATES, Rules, SEED, need_agents, no_agents};
 use crate::group::Group;
 use crate::maps::MapInput;
 use crate::report::{Column, Report, Table};
@@ -12,10 +12,10 @@ use crate::weights::EMBEDDED;
 use crate::{Baselines, Cut, EvaluateError, Subset};
 
 /// Judges one set of weights on the recordings at `paths`, in steps of the model; there is no training part for anchors
-/// or a site map.
+/// or a site map. A recording without an agent over a whole window is left out, and the report says so.
 ///
 /// # Errors
-/// Where weights or recordings can't be read, or hold no agent over a whole window.
+/// Where weights or recordings can't be read, or no recording has an agent over a whole window.
 pub fn files(
     options: &Options,
     paths: &[PathBuf],
@@ -35,23 +35,35 @@ pub fn files(
     };
     let mut report = Report::new("Recordings");
     let mut groups: [Vec<Group>; 2] = [Vec::new(), Vec::new()];
+    let mut names_left_out: Vec<String> = Vec::new();
     for footage in options.read(paths, format, &cut)? {
         let name = &footage.recording.name;
         progress(name);
         let blocks = rules.judge(&model, &baselines, &footage, map);
-        need_agents(&blocks, name, &cut)?;
+        if let Err(error) = need_agents(&blocks, name, &cut) {
+            report.left_out.push(error.to_string());
+            names_left_out.push(name.clone());
+            continue;
+        }
         report.provenance.push(model.provenance(name, told, &[&footage.recording]));
         for (place, (subset, groups)) in subsets.into_iter().zip(&mut groups).enumerate() {
             groups.push(Group::new(name, subset, place, &blocks));
         }
     }
+    if groups[0].is_empty() {
+        return Err(no_agents(&names_left_out.join(", "), &cut));
+    }
     let horizons_s = rules.horizons_s(&cut);
-    for mut groups in groups {
+    for (subset, mut groups) in subsets.into_iter().zip(groups) {
+        if groups.iter().all(|group| group.total.is_empty()) {
+            report.left_out.push(format!("{} agents: there are none", subset.name()));
+            continue;
+        }
         if groups.len() > 1 {
             groups.push(Group::pooled("all", &groups.iter().collect::<Vec<_>>()));
         }
         let columns: Vec<Column<'_>> = groups.iter().map(|group| Column::of(&group.part, group)).collect();
-        let title = |what: &str| format!("{what}: {} agents", groups[0].subset.name());
+        let title = |what: &str| format!("{what}: {} agents", subset.name());
         let note = format!("ADE / FDE, m, after {:.1} s.", horizons_s[rules.last()]);
         report.add_table(Table::errors(&title("Errors"), &note, &columns, rules.last()).main());
         report.add_table(Table::comparisons(&title("Beside the others"), &columns, rules.last()));

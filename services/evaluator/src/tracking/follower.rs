@@ -10,7 +10,7 @@ use wire::AgentType;
 
 use super::course::{Course, Instant, Seen};
 use super::hypotheses::{Estimate, Hypotheses, Oracle};
-use super::method::{Settings, TrackingMethod, UNKNOWN, control_share};
+use super::method::{Settings, TrackingMethod, UNKNOWN, control_gains};
 use super::smoother::smooth;
 use crate::Forecaster;
 
@@ -179,7 +179,7 @@ impl Follower<'_> {
             let Hypotheses { heading_rad, probability, controls } = hypotheses;
             let forecast =
                 Forecast { age_ns: 0, step_ns, heading_rad, probability: &probability, controls: &controls };
-            let priors = |state| self.settings.priors(self.method, track.length_m, control_share(state));
+            let priors = |state| self.settings.priors(self.method, track.length_m, control_gains(state));
             let adopted = match &mut track.belief {
                 Belief::Filter(_) => Ok(()),
                 Belief::Mixture(mixture) => {

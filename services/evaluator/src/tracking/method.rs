@@ -2,7 +2,7 @@
 
 use filters::{
     Bicycle, ConstantAcceleration, ConstantTurnRate, ConstantVelocity, Gaussian, Integrator, Kind, Models,
-    Priors, SingerBicycle, Unknown, acting_share,
+    Priors, SingerBicycle, Unknown, control_gain,
 };
 
 /// What nobody has observed of a vehicle.
@@ -41,10 +41,11 @@ const LENGTH_M: f32 = 4.5;
 const REAR_AXLE_RATIO: f32 = 0.26;
 /// Largest slip of the bicycle.
 const SLIP_MAX_RAD: f64 = 0.5;
-/// Deviations of speed, m/s, and heading, rad, of which half of a forecast's controls acts: those of the pipeline's tracker.
-const EVEN: [f64; 2] = [0.7, 0.02];
-/// Time constant with which a forecast's controls come in.
-const FADED_IN_S: f64 = 1.0;
+/// Standard deviations of speed, m/s, and heading, rad, at which the gain of a control is one half: those of the
+/// pipeline's tracker.
+const HALF_GAIN_SIGMA: [f64; 2] = [0.7, 0.02];
+/// Time constant with which a forecast's controls fade in.
+const FADE_IN_S: f64 = 1.0;
 /// Variances added to the bicycle in 80 ms whatever its noise.
 const FLOOR: [f64; 5] = [1e-6, 1e-6, 1e-6, 0.0, 0.0];
 
@@ -187,7 +188,7 @@ impl Settings {
         }
     }
 
-    /// The processes of a Singer bicycle with and without forecasts, of which so much of each control acts.
+    /// The processes of a Singer bicycle with and without forecasts, at these gains of the controls.
     ///
     /// Under a forecast it decays towards what that means, at its own pace once the controls have come in and at another at
     /// first, both driven by a share (standard deviations) of the white noise that drives the Singer bicycle: its density
@@ -197,7 +198,7 @@ impl Settings {
         &self,
         method: TrackingMethod,
         length_m: Option<f32>,
-        control_share: [f64; 2],
+        control_gain: [f64; 2],
     ) -> Priors<SingerBicycle> {
         let mixture = if method.is_learned() { method.tuned_as() } else { TrackingMethod::Learned };
         let [noise_share, first_decay_s, steered_decay_s] = self.of(mixture);
@@ -212,19 +213,19 @@ impl Settings {
             }
         };
         Priors {
-            unsteered: driven(noise_share, first_decay_s),
+            uncontrolled: driven(noise_share, first_decay_s),
             covariance_scale: 0.0,
-            control_share,
-            faded_in_s: FADED_IN_S,
+            control_gain,
+            fade_in_s: FADE_IN_S,
             ..Priors::new(driven(1.0, decay_s), driven(noise_share, steered_decay_s))
         }
     }
 }
 
-/// Shares of a forecast's acceleration and slip rate that act where a vehicle is known as well as this.
-pub(crate) fn control_share(state: &Gaussian<7>) -> [f64; 2] {
-    let share = |component: usize, even: f64| acting_share(even, state.covariance[(component, component)]);
-    [share(3, EVEN[0]), share(2, EVEN[1])]
+/// Gains of a forecast's acceleration and slip rate, by how well the vehicle's speed and heading are known.
+pub(crate) fn control_gains(state: &Gaussian<7>) -> [f64; 2] {
+    let gain = |component: usize, sigma: f64| control_gain(sigma, state.covariance[(component, component)]);
+    [gain(3, HALF_GAIN_SIGMA[0]), gain(2, HALF_GAIN_SIGMA[1])]
 }
 
 fn bicycle(acceleration_mps2: f64, slip_rate_radps: f64, length_m: Option<f32>) -> Bicycle {
@@ -251,7 +252,7 @@ mod tests {
             .with(TrackingMethod::SingerBicycle, [acceleration_mps2, slip_rate_radps, decay_s])
             .with(TrackingMethod::Learned, [1.0, decay_s, 0.5]);
         let priors = settings.priors(TrackingMethod::Learned, Some(4.0), [0.0; 2]);
-        assert_eq!(priors.unsteered, priors.kinematic);
+        assert_eq!(priors.uncontrolled, priors.kinematic);
         assert_eq!(priors.kinematic.decay_s, [decay_s; 2]);
         // Once steered it decays faster, and is driven as before.
         let ratio = priors.learned.acceleration_mps2 / acceleration_mps2;

@@ -4,10 +4,10 @@ use wire::{Quality, Track, TrackStatus};
 use crate::estimate::Estimate;
 
 impl Estimate {
-    /// Writes its part of the track that is published; `step_ns` is Δt.
+    /// Writes the estimate into the track that is published; `step_ns` is Δt.
     pub fn write(&self, step_ns: u64, track: &mut Track) {
         let motion = &self.motion;
-        let status = if self.life.is_hit() { TrackStatus::Confirmed } else { TrackStatus::Coasting };
+        let status = if self.management.was_hit() { TrackStatus::Confirmed } else { TrackStatus::Coasting };
         track.source_id = self.source_id;
         track.born_ns = self.birth.stamp_ns;
         track.unseen_ns = self.unseen_ns(self.stamp_ns);
@@ -19,7 +19,7 @@ impl Estimate {
         track.slip_rad = motion.slip_rad as f32;
         track.length_m = self.length_m;
         track.width_m = self.width_m;
-        track.existence = self.life.probability() as f32;
+        track.existence = self.management.existence_probability() as f32;
         track.type_probability = self.class.probability().map(|p| p as f32);
         track.state_len = match self.belief.filter() {
             Filter::Bicycle(state) => write_covariance(state, &mut track.covariance),
@@ -30,8 +30,8 @@ impl Estimate {
 
     fn write_prior(&self, step_ns: u64, track: &mut Track) {
         let age_ns = self.belief.forecast_age_ns();
-        // By its age when it began to move the state here.
-        let prior = match age_ns.map(|age_ns| age_ns.saturating_sub(self.moved_ns)) {
+        // By the age that it had when the step to this state began.
+        let prior = match age_ns.map(|age_ns| age_ns.saturating_sub(self.dt_ns)) {
             None => Quality::Kinematic,
             Some(age_ns) if age_ns < step_ns => Quality::Learned,
             Some(_) => Quality::Held,
@@ -42,7 +42,8 @@ impl Estimate {
     }
 }
 
-/// Writes the covariance row by row, which for a symmetric one is column by column, and 0 behind it; returns its rows.
+/// Writes the covariance row by row, for a symmetric one the same as column by column, and 0 behind it;
+/// returns the number of its rows.
 fn write_covariance<const N: usize>(state: &Gaussian<N>, numbers: &mut [f32; 25]) -> u32 {
     let (own, rest) = numbers.split_at_mut(N * N);
     for (number, value) in own.iter_mut().zip(state.covariance.as_slice()) {

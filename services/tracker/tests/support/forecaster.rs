@@ -1,4 +1,4 @@
-//! Forecasts by given controls, in the place of the stages behind the tracker.
+//! Forecasts of given controls, in place of the stages behind the tracker.
 
 use bytemuck::Zeroable;
 use wire::{ControlGaussian, Counts, Forecast, Header, Quality, Steering, Track};
@@ -32,8 +32,8 @@ pub fn forecast(track: &Track, steering: Steering, modes: &[(f32, Controls)]) ->
     };
     for (mode, (probability, controls)) in modes.iter().enumerate() {
         forecast.probability[mode] = *probability;
-        for (told, control) in forecast.controls[mode].iter_mut().zip(controls) {
-            *told = ControlGaussian { mean: control.map(|u| u as f32), cholesky: [0.1, 0.0, 0.02] };
+        for (written, control) in forecast.controls[mode].iter_mut().zip(controls) {
+            *written = ControlGaussian { mean: control.map(|u| u as f32), cholesky: [0.1, 0.0, 0.02] };
         }
     }
     forecast

@@ -1,4 +1,4 @@
-//! Frames that no sensor should send, and forecasts that no model should make, drawn at random, and a tracker under them.
+//! A tracker under random frames that no sensor should send and random forecasts that no model should make.
 
 use std::collections::BTreeMap;
 
@@ -12,27 +12,27 @@ use wire::{AGENTS_MAX, DETECTIONS_MAX, Detection, Forecast, Header, Quality, Tra
 
 const AGENTS: usize = 30;
 const TICK_NS: i64 = 80_000_000;
-/// Numbers that a frame must not bring into a track.
+/// Numbers that must not get from a frame into a track.
 const BAD: [f32; 6] = [f32::NAN, f32::INFINITY, f32::NEG_INFINITY, f32::MAX, 1e12, -1e9];
-/// Numbers that are possible, if hardly so.
+/// Extreme but possible numbers.
 const EXTREME: [f32; 6] = [0.0, 1e-38, 1e-12, 1e-3, 1e3, 1e6];
 
-/// What came of a tracker.
+/// What a tracker did under random frames.
 #[derive(Debug, Default)]
 pub struct Survived {
     pub published_len: usize,
-    /// Of these, moved by a forecast.
+    /// Of these, those with a forecast as the prior.
     pub learned_len: usize,
     pub faults_len: usize,
-    /// Frames that came late and were taken in.
-    pub late_len: u64,
+    /// Out-of-sequence frames that were processed.
+    pub out_of_sequence_len: u64,
     /// Frames that were refused, by the reason.
     pub refused: BTreeMap<String, usize>,
-    /// Memory of the process in KiB at each fifth of the way, where the system tells.
+    /// Memory of the process in KiB at each fifth of the frames, where the system reports it.
     pub resident_kib: Vec<usize>,
 }
 
-/// Gives a tracker so many random frames and forecasts; every state that it publishes must be sound.
+/// Steps a tracker through random frames and forecasts; asserts that every track that it publishes is sound.
 pub fn torture(prior: Prior, association: Association, seed: u64, ticks_len: usize) -> Survived {
     let mut torture = Torture::new(seed);
     let options = TrackerOptions { prior, association, ..TrackerOptions::default() };
@@ -67,7 +67,7 @@ pub fn torture(prior: Prior, association: Association, seed: u64, ticks_len: usi
         survived.faults_len += tracked.faults_len;
         survived.published_len += tracks_len;
     }
-    survived.late_len = tracker.tally().late_len;
+    survived.out_of_sequence_len = tracker.tally().out_of_sequence_len;
     survived
 }
 
@@ -77,7 +77,7 @@ fn resident_kib() -> Option<usize> {
     line.split_ascii_whitespace().nth(1)?.parse().ok()
 }
 
-/// A sensor gone mad.
+/// A sensor and forecaster that produce anything.
 struct Torture {
     rng: ChaCha8Rng,
     stamp_ns: i64,
@@ -155,7 +155,7 @@ impl Torture {
         }
     }
 
-    /// Makes forecasts of some tracks, and of some that there never were; returns their header.
+    /// Makes forecasts of some tracks, and of some that never existed; returns their header.
     fn forecast(&mut self, tracks: &[Track]) -> Header {
         let rng = &mut self.rng;
         self.forecasts.clear();
@@ -194,7 +194,7 @@ impl Torture {
     }
 }
 
-/// Any possible detection, most of them near the origin.
+/// Any possible detection, mostly near the origin.
 fn any(rng: &mut ChaCha8Rng) -> Detection {
     let side = if rng.random_ratio(1, 20) { 32_000.0 } else { 40.0 };
     Detection {
@@ -227,7 +227,8 @@ fn spoil(detection: &mut Detection, rng: &mut ChaCha8Rng) {
     }
 }
 
-/// What is wrong with a track's covariance: it must be symmetric to the bit, and positive up to the rounding of an f32.
+/// What is wrong with a track's covariance: it must be symmetric to the bit, and positive up to the rounding
+/// of an f32.
 fn fault(track: &Track) -> Option<&'static str> {
     let n = track.state_len as usize;
     let entry = |i: usize, j: usize| f64::from(track.covariance[i * 5 + j]);

@@ -1,11 +1,23 @@
-//! INTERACTION: vehicles at 10 Hz and, where there is such a file, pedestrians and cyclists at 2.5 Hz on the same clock.
+//! INTERACTION: vehicles at 10 Hz, and pedestrians and cyclists of the same recording on the same clock.
 //!
-//! `track_id,frame_id,timestamp_ms,agent_type,x,y,vx,vy,psi_rad,length,width` for vehicles,
-//! `track_id,frame_id,timestamp_ms,agent_type,x,y` with ids `P1`, `P2`, … for the others; metres. `P7` comes out as
-//! 1,000,000,007. The data know one class `pedestrian/bicycle`: an agent counts as a pedestrian until the running
-//! median of its speeds (at least three of them) exceeds 2.5 m/s, and as a cyclist from then on, so that the class
-//! at a time depends on nothing later. The 2.5 Hz clock ticks at whole multiples of 0.4 s; frames in between that have
-//! no pedestrian or cyclist observed vehicles only.
+//! | file | columns, in metres and m/s |
+//! |---|---|
+//! | vehicles | `track_id,frame_id,timestamp_ms,agent_type,x,y,vx,vy,psi_rad,length,width` |
+//! | pedestrians and cyclists, as published | `track_id,frame_id,timestamp_ms,agent_type,x,y,vx,vy` |
+//! | the same without velocities | `track_id,frame_id,timestamp_ms,agent_type,x,y` |
+//!
+//! Pedestrians and cyclists have ids `P1`, `P2`, …; `P7` comes out as 1,000,000,007. A velocity gives the
+//! speed, and the heading from 0.1 m/s on.
+//!
+//! **Observed types.** The published files have a row in every frame of the vehicles' 10 Hz, so every frame
+//! observes pedestrians and cyclists. Files that were thinned to every fourth frame (2.5 Hz) are recognised
+//! by their stamps: most are whole multiples of 0.4 s. Then only frames at those multiples, and any other
+//! with a row of theirs, observe pedestrians and cyclists.
+//!
+//! **Cyclists.** The data know one class `pedestrian/bicycle`. An agent counts as a pedestrian until the
+//! running median of its speeds (at least three of them, over at least 1.2 s) exceeds 2.5 m/s, and as a
+//! cyclist from then on, so that the class at a time depends on nothing later. The speeds are the file's
+//! where it has them, else those from row to row.
 
 use std::cmp::Reverse;
 use std::collections::{BTreeMap, BinaryHeap};
@@ -20,8 +32,10 @@ use crate::{Frame, Input, ReadError, Recording, Role};
 /// First line of a vehicle file.
 pub(crate) const VEHICLE_HEADER: &str =
     "track_id,frame_id,timestamp_ms,agent_type,x,y,vx,vy,psi_rad,length,width";
-/// First line of a file of pedestrians and cyclists.
-pub(crate) const PEDESTRIAN_HEADER: &str = "track_id,frame_id,timestamp_ms,agent_type,x,y";
+/// First line of a published file of pedestrians and cyclists.
+pub(crate) const PEDESTRIAN_HEADER: &str = "track_id,frame_id,timestamp_ms,agent_type,x,y,vx,vy";
+/// First line of such a file without velocities.
+pub(crate) const PEDESTRIAN_POSITIONS_HEADER: &str = "track_id,frame_id,timestamp_ms,agent_type,x,y";
 const VEHICLE_NAMES: [&str; 11] = [
     "track_id",
     "frame_id",
@@ -35,15 +49,20 @@ const VEHICLE_NAMES: [&str; 11] = [
     "length",
     "width",
 ];
-const PEDESTRIAN_NAMES: [&str; 6] = ["track_id", "frame_id", "timestamp_ms", "agent_type", "x", "y"];
-/// Interval between frames of vehicles.
-const VEHICLE_INTERVAL_NS: u64 = 100_000_000;
-/// Interval between frames of pedestrians and cyclists.
-const PEDESTRIAN_INTERVAL_NS: u64 = 400_000_000;
-/// Median speed above which someone is riding.
+const PEDESTRIAN_NAMES: [&str; 8] =
+    ["track_id", "frame_id", "timestamp_ms", "agent_type", "x", "y", "vx", "vy"];
+const PEDESTRIAN_POSITIONS_NAMES: [&str; 6] =
+    ["track_id", "frame_id", "timestamp_ms", "agent_type", "x", "y"];
+/// Interval between frames, as published.
+const INTERVAL_NS: u64 = 100_000_000;
+/// Interval between frames of pedestrians and cyclists that were thinned to every fourth.
+const THINNED_INTERVAL_NS: u64 = 400_000_000;
+/// Median speed above which an agent counts as a cyclist.
 const CYCLIST_SPEED_MPS: f32 = 2.5;
-/// Speeds without which there is no telling.
+/// Fewest speeds of which a median is taken.
 const CYCLIST_SPEEDS_MIN: usize = 3;
+/// Shortest time over which it is taken: that of three speeds from row to row at 2.5 Hz.
+const CYCLIST_SPAN_NS: i64 = 1_200_000_000;
 /// Latest time of a row: about 30 years.
 const STAMP_MAX_MS: i64 = 1_000_000_000_000;
 
@@ -63,16 +82,19 @@ pub fn parse(inputs: &[Input]) -> Result<Recording, ReadError> {
         read(input, VEHICLE_HEADER, &VEHICLE_NAMES, vehicle, &mut rows)?;
     }
     if let Some(input) = pedestrians {
-        read(input, PEDESTRIAN_HEADER, &PEDESTRIAN_NAMES, pedestrian, &mut rows)?;
+        read_pedestrians(input, &mut rows)?;
     }
     let mut rows = rows.sorted(first)?;
-    tell_cyclists(&mut rows);
+    classify_cyclists(&mut rows);
     let observed = if vehicles.is_some() { AgentType::Vehicle.bit() } else { 0 };
+    let pedestrian_interval_ns = pedestrian_interval_ns(&rows);
     let mut frames = rows::frames(&rows, observed);
-    for frame in frames.iter_mut().filter(|frame| pedestrians.is_some() && sees_pedestrians(frame)) {
+    let observes =
+        |frame: &Frame| pedestrians.is_some() && observes_pedestrians(frame, pedestrian_interval_ns);
+    for frame in frames.iter_mut().filter(|frame| observes(frame)) {
         frame.observed_types |= AgentType::Pedestrian.bit() | AgentType::Cyclist.bit();
     }
-    let interval_ns = if vehicles.is_some() { VEHICLE_INTERVAL_NS } else { PEDESTRIAN_INTERVAL_NS };
+    let interval_ns = if vehicles.is_some() { INTERVAL_NS } else { pedestrian_interval_ns };
     Ok(Recording { interval_ns, has_identities: true, frames, ..Recording::default() })
 }
 
@@ -80,8 +102,24 @@ pub fn parse(inputs: &[Input]) -> Result<Recording, ReadError> {
 pub(crate) fn role_of(first: &Line<'_>) -> Option<Role> {
     match first.text.trim() {
         VEHICLE_HEADER => Some(Role::Vehicles),
-        PEDESTRIAN_HEADER => Some(Role::Pedestrians),
+        PEDESTRIAN_HEADER | PEDESTRIAN_POSITIONS_HEADER => Some(Role::Pedestrians),
         _ => None,
+    }
+}
+
+/// Reads either layout; a first line that is neither is an error that shows the published one.
+fn read_pedestrians<'a>(input: &'a Input, rows: &mut Rows<'a>) -> Result<(), ReadError> {
+    let first = text::lines(input).next().transpose()?;
+    let only_positions = first.is_some_and(|line| line.text.trim() == PEDESTRIAN_POSITIONS_HEADER);
+    match only_positions {
+        true => read(
+            input,
+            PEDESTRIAN_POSITIONS_HEADER,
+            &PEDESTRIAN_POSITIONS_NAMES,
+            pedestrian_at_position,
+            rows,
+        ),
+        false => read(input, PEDESTRIAN_HEADER, &PEDESTRIAN_NAMES, pedestrian, rows),
     }
 }
 
@@ -126,7 +164,12 @@ fn vehicle(fields: [Field<'_>; 11]) -> ReadRow {
     Ok((stamp_ns(stamp)?, detection))
 }
 
-fn pedestrian([id, frame, stamp, kind, x, y]: [Field<'_>; 6]) -> ReadRow {
+fn pedestrian([id, frame, stamp, kind, x, y, vx, vy]: [Field<'_>; 8]) -> ReadRow {
+    let (stamp_ns, detection) = pedestrian_at_position([id, frame, stamp, kind, x, y])?;
+    Ok((stamp_ns, rows::with_velocity(detection, vx, vy)?))
+}
+
+fn pedestrian_at_position([id, frame, stamp, kind, x, y]: [Field<'_>; 6]) -> ReadRow {
     if kind.text != "pedestrian/bicycle" {
         return Err(kind.error("expected pedestrian/bicycle"));
     }
@@ -148,48 +191,73 @@ fn stamp_ns(field: Field<'_>) -> Result<i64, ReadError> {
     Err(field.error(format!("expected 0 to {STAMP_MAX_MS}")))
 }
 
-/// Whether pedestrians and cyclists were looked for: at the ticks of their clock, and wherever there is one of them.
-fn sees_pedestrians(frame: &Frame) -> bool {
-    frame.stamp_ns % PEDESTRIAN_INTERVAL_NS as i64 == 0
-        || frame.detections.iter().any(|detection| detection.id >= PEDESTRIAN_IDS)
+/// Whether a row is of the file of pedestrians and cyclists.
+fn is_pedestrian(detection: &Detection) -> bool {
+    detection.id >= PEDESTRIAN_IDS
 }
 
-/// Turns those who ride into cyclists; `rows` are in time order.
-fn tell_cyclists(rows: &mut [Row<'_>]) {
-    let mut gaits: BTreeMap<u64, Gait> = BTreeMap::new();
-    for row in rows.iter_mut().filter(|row| row.detection.id >= PEDESTRIAN_IDS) {
-        let gait = gaits.entry(row.detection.id).or_default();
-        gait.see(row.stamp_ns, [row.detection.x_m, row.detection.y_m]);
-        if gait.rides {
+/// The interval of the file of pedestrians and cyclists: 0.4 s where most of its stamps are whole multiples
+/// of that.
+fn pedestrian_interval_ns(rows: &[Row<'_>]) -> u64 {
+    let stamps_ns = || rows.iter().filter(|row| is_pedestrian(&row.detection)).map(|row| row.stamp_ns);
+    let multiples_len = stamps_ns().filter(|stamp_ns| stamp_ns % THINNED_INTERVAL_NS as i64 == 0).count();
+    let is_thinned = 2 * multiples_len >= stamps_ns().count();
+    if is_thinned { THINNED_INTERVAL_NS } else { INTERVAL_NS }
+}
+
+/// Whether a frame observed pedestrians and cyclists: at the ticks of their clock, and wherever there is one
+/// of them.
+fn observes_pedestrians(frame: &Frame, interval_ns: u64) -> bool {
+    frame.stamp_ns % interval_ns as i64 == 0 || frame.detections.iter().any(is_pedestrian)
+}
+
+/// Turns agents that ride into cyclists; `rows` are in time order.
+fn classify_cyclists(rows: &mut [Row<'_>]) {
+    let mut speeds: BTreeMap<u64, RunningSpeed> = BTreeMap::new();
+    for row in rows.iter_mut().filter(|row| is_pedestrian(&row.detection)) {
+        let running = speeds.entry(row.detection.id).or_default();
+        running.observe(row.stamp_ns, &row.detection);
+        if running.is_cyclist {
             row.detection.agent_type = AgentType::Cyclist as u32;
         }
     }
 }
 
-/// How fast someone has gone so far.
+/// The speeds of an agent so far.
 #[derive(Default)]
-struct Gait {
+struct RunningSpeed {
+    first_ns: Option<i64>,
     last: Option<(i64, [f32; 2])>,
-    rides: bool,
-    /// The slower half of the speeds, and one more where their number is odd; as bits, which order as the speeds do.
+    is_cyclist: bool,
+    /// The slower half of the speeds, and one more where their number is odd; as bits, which order as the
+    /// speeds do.
     slower: BinaryHeap<u32>,
     /// The faster half of the speeds.
     faster: BinaryHeap<Reverse<u32>>,
 }
 
-impl Gait {
-    fn see(&mut self, stamp_ns: i64, position_m: [f32; 2]) {
-        if let Some((last_ns, last_m)) = self.last.replace((stamp_ns, position_m))
-            && !self.rides
-        {
-            let dt_s = ((stamp_ns - last_ns) as f64 * 1e-9) as f32;
-            self.keep((position_m[0] - last_m[0]).hypot(position_m[1] - last_m[1]) / dt_s);
-            let enough = self.slower.len() + self.faster.len() >= CYCLIST_SPEEDS_MIN;
-            self.rides = enough && self.median_mps() > CYCLIST_SPEED_MPS;
+impl RunningSpeed {
+    fn observe(&mut self, stamp_ns: i64, detection: &Detection) {
+        let position_m = [detection.x_m, detection.y_m];
+        let last = self.last.replace((stamp_ns, position_m));
+        let first_ns = *self.first_ns.get_or_insert(stamp_ns);
+        if self.is_cyclist {
+            return;
         }
+        let difference_mps = last.map(|(last_ns, last_m)| {
+            let dt_s = ((stamp_ns - last_ns) as f64 * 1e-9) as f32;
+            (position_m[0] - last_m[0]).hypot(position_m[1] - last_m[1]) / dt_s
+        });
+        let given_mps = detection.has(detection_flags::HAS_SPEED).then_some(detection.speed_mps);
+        if let Some(speed_mps) = given_mps.or(difference_mps) {
+            self.insert(speed_mps);
+        }
+        let speeds_len = self.slower.len() + self.faster.len();
+        let enough = speeds_len >= CYCLIST_SPEEDS_MIN && stamp_ns - first_ns >= CYCLIST_SPAN_NS;
+        self.is_cyclist = enough && self.median_mps() > CYCLIST_SPEED_MPS;
     }
 
-    fn keep(&mut self, speed_mps: f32) {
+    fn insert(&mut self, speed_mps: f32) {
         self.slower.push(speed_mps.to_bits());
         if let Some(fastest) = self.slower.pop() {
             self.faster.push(Reverse(fastest));
@@ -211,16 +279,36 @@ impl Gait {
 mod tests {
     use super::*;
 
-    #[test]
-    fn a_rider_is_told_by_the_running_median_and_stays_one() {
-        let mut gait = Gait::default();
+    /// Whether an agent counts as a cyclist after each row; the speed of a row is that since the row before
+    /// it.
+    fn classified(interval_ms: i64, speeds_mps: &[f32], has_speed: bool) -> Vec<bool> {
+        let mut running = RunningSpeed::default();
         let mut x_m = 0.0;
-        let mut rides = Vec::new();
-        for (step, speed_mps) in [0.0, 1.0, 4.0, 4.0, 4.0, 0.0, 0.0].into_iter().enumerate() {
-            x_m += speed_mps * 0.4;
-            gait.see(step as i64 * 400_000_000, [x_m, 0.0]);
-            rides.push(gait.rides);
-        }
-        assert_eq!(rides, [false, false, false, true, true, true, true]);
+        let rows = speeds_mps.iter().enumerate();
+        rows.map(|(step, &speed_mps)| {
+            x_m += speed_mps * interval_ms as f32 * 1e-3;
+            let mut detection = rows::identified(AgentType::Pedestrian, [x_m, 0.0], PEDESTRIAN_IDS);
+            if has_speed {
+                detection.speed_mps = speed_mps;
+                detection.flags |= detection_flags::HAS_SPEED;
+            }
+            running.observe(step as i64 * interval_ms * 1_000_000, &detection);
+            running.is_cyclist
+        })
+        .collect()
+    }
+
+    #[test]
+    fn cyclist_from_running_median_of_differences_and_for_good() {
+        let is_cyclist = classified(400, &[0.0, 1.0, 4.0, 4.0, 4.0, 0.0, 0.0], false);
+        assert_eq!(is_cyclist, [false, false, false, true, true, true, true]);
+    }
+
+    #[test]
+    fn cyclist_from_given_speeds_after_as_long_a_time() {
+        let is_cyclist = classified(100, &[4.0; 14], true);
+        assert_eq!(is_cyclist.iter().position(|&is_cyclist| is_cyclist), Some(12));
+        let sprint = [vec![4.0; 6], vec![1.0; 12]].concat();
+        assert!(!classified(100, &sprint, true).contains(&true), "the median of the first 1.2 s is 1 m/s");
     }
 }

@@ -19,8 +19,6 @@ const VEHICLE_NAMES: [&str; 7] = ["id", "frame", "label", "x_est", "y_est", "psi
 const PEDESTRIAN_NAMES: [&str; 7] = ["id", "frame", "label", "x_est", "y_est", "vx_est", "vy_est"];
 /// 100 times the frame rate.
 const CENTIHERTZ: i64 = 2_398;
-/// Speed from which a direction of motion is a heading.
-const HEADING_SPEED_MPS: f32 = 0.1;
 
 /// Reads a pair, or one file of it.
 ///
@@ -65,22 +63,17 @@ fn row(
     if label.text != expected {
         return Err(label.error(format!("expected {expected}")));
     }
-    let mut detection =
+    let detection =
         rows::identified(agent_type, [x.position_m()?, y.position_m()?], id.id_below(PEDESTRIAN_IDS)?);
-    let (heading_rad, speed_mps) = match agent_type {
-        AgentType::Vehicle => (a.angle_rad()?, b.speed_mps()?),
-        _ => {
-            detection.id += PEDESTRIAN_IDS;
-            let [vx, vy] = [a.speed_mps()?, b.speed_mps()?];
-            (vy.atan2(vx), a.speed_of(vx.hypot(vy))?)
-        }
+    let detection = match agent_type {
+        AgentType::Vehicle => Detection {
+            heading_rad: a.angle_rad()?,
+            speed_mps: b.speed_mps()?,
+            flags: detection.flags | detection_flags::HAS_HEADING | detection_flags::HAS_SPEED,
+            ..detection
+        },
+        _ => rows::with_velocity(Detection { id: detection.id + PEDESTRIAN_IDS, ..detection }, a, b)?,
     };
-    detection.speed_mps = speed_mps;
-    detection.flags |= detection_flags::HAS_SPEED;
-    if agent_type == AgentType::Vehicle || speed_mps >= HEADING_SPEED_MPS {
-        detection.heading_rad = heading_rad;
-        detection.flags |= detection_flags::HAS_HEADING;
-    }
     Ok((stamp_ns(frame.frame()?), detection))
 }
 

@@ -2,7 +2,7 @@
 
 use filters::{Bicycle, Integrator};
 
-/// It goes on as its controls say, with some noise of its own.
+/// A bicycle with process noise of its own.
 pub const BICYCLE: Bicycle = Bicycle {
     rear_axle_m: 1.2,
     integrator: Integrator::Midpoint,

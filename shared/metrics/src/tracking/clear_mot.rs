@@ -5,26 +5,26 @@ use super::pairing::{Edge, best_pairs};
 
 /// CLEAR-MOT of a recording, frame by frame.
 ///
-/// A truth keeps the track that it was last paired with wherever both are present, within the gate and the track is
-/// not kept by another truth (of two that claim it, the smaller id has it); the rest is paired so that there are as
-/// many pairs as possible and, among those, the sum of distances is least. Memory: a few numbers per id.
+/// A truth keeps the track that it was last paired with wherever both are present and within the gate, unless
+/// another truth keeps the track (of two, the smaller id does). The rest is paired for as many pairs as
+/// possible and, among those, the least sum of distances. Memory: a few numbers per id.
 #[derive(Clone, Debug)]
 pub struct ClearMot {
     gate_m: f64,
     counts: ClearMotCounts,
-    truths: BTreeMap<u64, Life>,
-    /// The truth that each track was last paired with anew.
+    truths: BTreeMap<u64, TruthState>,
+    /// The truth of the newest new pair of each track.
     truth_of: BTreeMap<u64, u64>,
 }
 
-/// What happened so far to one truth.
+/// The state of one truth.
 #[derive(Clone, Copy, Debug, Default)]
-struct Life {
+struct TruthState {
     /// The track that it was last paired with.
     track: Option<u64>,
     present_len: u64,
     matched_len: u64,
-    /// It was missed since it was last paired.
+    /// Whether it was missed since it was last paired.
     interrupted: bool,
 }
 
@@ -52,17 +52,17 @@ impl ClearMot {
         }
         let mut matched_len = 0;
         for truth in frame.truths() {
-            let life = self.truths.entry(truth.id).or_default();
-            life.present_len += 1;
+            let state = self.truths.entry(truth.id).or_default();
+            state.present_len += 1;
             let paired = kept.get(&truth.id).or_else(|| fresh.get(&truth.id));
             let Some(track) = paired.and_then(|&id| frame.track(id)) else {
-                life.interrupted = life.matched_len > 0;
+                state.interrupted = state.matched_len > 0;
                 continue;
             };
-            self.counts.fragmentations_len += u64::from(life.interrupted);
-            life.interrupted = false;
-            life.track = Some(track.id);
-            life.matched_len += 1;
+            self.counts.fragmentations_len += u64::from(state.interrupted);
+            state.interrupted = false;
+            state.track = Some(track.id);
+            state.matched_len += 1;
             matched_len += 1;
             self.counts.distance_sum_m += distance_m(truth.position_m, track.position_m);
         }
@@ -75,10 +75,10 @@ impl ClearMot {
     /// The counts of all frames.
     #[must_use]
     pub fn finish(mut self) -> ClearMotCounts {
-        for life in self.truths.values() {
-            if 10 * life.matched_len >= 8 * life.present_len {
+        for state in self.truths.values() {
+            if 10 * state.matched_len >= 8 * state.present_len {
                 self.counts.mostly_tracked_len += 1;
-            } else if 10 * life.matched_len >= 2 * life.present_len {
+            } else if 10 * state.matched_len >= 2 * state.present_len {
                 self.counts.partly_tracked_len += 1;
             } else {
                 self.counts.mostly_lost_len += 1;
@@ -87,12 +87,12 @@ impl ClearMot {
         self.counts
     }
 
-    /// The track of each truth that goes on with the one before.
+    /// The track of each truth that keeps the one before.
     fn kept(&self, frame: &Frame) -> BTreeMap<u64, u64> {
         let mut kept = BTreeMap::new();
         let mut taken = Vec::new();
         for truth in frame.truths() {
-            let last = self.truths.get(&truth.id).and_then(|life| life.track);
+            let last = self.truths.get(&truth.id).and_then(|state| state.track);
             let Some(track) = last.and_then(|id| frame.track(id)) else { continue };
             let near = distance_m(truth.position_m, track.position_m) <= self.gate_m;
             if near && !taken.contains(&track.id) {
@@ -103,10 +103,10 @@ impl ClearMot {
         kept
     }
 
-    /// The track of each truth that is paired anew.
+    /// The track of each truth in a new pair.
     fn fresh(&self, frame: &Frame, kept: &BTreeMap<u64, u64>) -> BTreeMap<u64, u64> {
         let taken: Vec<u64> = kept.values().copied().collect();
-        // One pair more is worth more than all that can be won in distance.
+        // One more pair gains more than any change in distance.
         let pairs_max = frame.truths().len().min(frame.tracks().len()) as f64;
         let pair_gain = (pairs_max + 1.0) * self.gate_m + 1.0;
         let edges: Vec<Edge> = frame
@@ -123,9 +123,9 @@ impl ClearMot {
         best_pairs(&edges).into_iter().map(|i| (edges[i].truth, edges[i].track)).collect()
     }
 
-    /// Counts what a new pair says of the ones before.
+    /// Counts how a new pair changes the ones before.
     fn count_change(&mut self, truth: u64, track: u64) {
-        let last_track = self.truths.get(&truth).and_then(|life| life.track);
+        let last_track = self.truths.get(&truth).and_then(|state| state.track);
         let last_truth = self.truth_of.insert(track, truth);
         if last_track.is_some_and(|last| last != track) {
             self.counts.switches_len += 1;
@@ -138,7 +138,7 @@ impl ClearMot {
     }
 }
 
-/// What [`ClearMot`] counted; the ratios follow from it. `None` where a ratio would be one of nothing.
+/// The counts of [`ClearMot`], and their ratios: `None` where the denominator is 0.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct ClearMotCounts {
     /// Frames.
@@ -151,7 +151,7 @@ pub struct ClearMotCounts {
     pub false_len: u64,
     /// Pairs whose truth had another track before.
     pub switches_len: u64,
-    /// Times that a truth was lost and found again while it was present.
+    /// Times that a truth was missed and paired again while it was present.
     pub fragmentations_len: u64,
     /// New pairs whose track had another truth before.
     pub transfers_len: u64,
@@ -237,7 +237,7 @@ impl ClearMotCounts {
     }
 }
 
-/// `None` where there is nothing to share among.
+/// The ratio; `None` where the denominator is 0.
 pub(super) fn ratio(sum: f64, len: u64) -> Option<f64> {
     (len > 0).then(|| sum / len as f64)
 }

@@ -6,13 +6,13 @@ use statrs::distribution::{ChiSquared, ContinuousCDF};
 use super::frame::{TrackingError, check};
 use crate::Share;
 
-/// Most degrees of freedom of a χ² quantile: they are added to an f64 and their root counts the steps of a series.
+/// Most degrees of freedom of a χ² quantile: a series takes as many steps as their root.
 const DEGREES_MAX: u64 = 1 << 32;
 
-/// The squared length of an error in units of its covariance: eᵀ P⁻¹ e.
+/// The normalised square of an error: eᵀ P⁻¹ e.
 ///
-/// NEES for a state and its P, NIS for an innovation and its S. `None` where the covariance is not positive definite, or
-/// it or the result is not finite. Costs one Cholesky factorisation.
+/// NEES for a state and its P, NIS for an innovation and its S. `None` where the covariance is not positive
+/// definite, or it or the result is not finite. Cost: one Cholesky factorisation.
 #[must_use]
 pub fn normalised_square<const N: usize>(
     error: &SVector<f64, N>,
@@ -42,10 +42,11 @@ impl Bounds {
     }
 }
 
-/// Where a χ² variable of `degrees` degrees of freedom lies with probability `level`, equally often below and above.
+/// The range that contains a χ² variable of `degrees` degrees of freedom with probability `level`, equally
+/// often below and above.
 ///
-/// The sum of N independent squares of n degrees each has Nn degrees; the bounds of their mean are those of the sum
-/// over N.
+/// The sum of N independent squares of n degrees each has Nn degrees; the bounds of their mean are those of
+/// the sum over N.
 ///
 /// # Errors
 /// No degrees or more than 2³², a level that is not between 0 and 1.
@@ -58,11 +59,12 @@ pub fn chi_square_bounds(degrees: u64, level: f64) -> Result<Bounds, TrackingErr
     Ok(Bounds { low: distribution.inverse_cdf(below), high: distribution.inverse_cdf(1.0 - below) })
 }
 
-/// Whether a filter's covariances hold: normalised squares ([`normalised_square`]) of many runs, tick by tick.
+/// Whether a filter's covariances are consistent with its errors: normalised squares ([`normalised_square`])
+/// of many runs, tick by tick.
 ///
-/// At each tick the squares of all runs (seeds, or independent tracks) add up to a χ² variable where the filter is
-/// right, so that the sum should lie within its [`chi_square_bounds`]. Squares of one run at several ticks depend on
-/// one another (those of states do, those of innovations don't), which is why ticks are judged one by one.
+/// At each tick the squares of all runs (seeds, or independent tracks) of a consistent filter add up to a χ²
+/// variable, so the sum should lie within its [`chi_square_bounds`]. Squares of one run at several ticks are
+/// correlated (those of states; those of innovations are not), so each tick is compared by itself.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Consistency {
     ticks: BTreeMap<u64, TickSum>,
@@ -75,7 +77,7 @@ struct TickSum {
     degrees: u64,
 }
 
-/// What [`Consistency`] says of all ticks.
+/// The result of [`Consistency`] for all ticks.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ConsistencySummary {
     /// Squares counted.
@@ -84,13 +86,14 @@ pub struct ConsistencySummary {
     pub ticks_len: u64,
     /// Share of the ticks whose sum lies within its bounds.
     pub inside: f64,
-    /// Mean square per degree of freedom, over all ticks: 1 where the covariances are right, more where they are too
-    /// small.
+    /// Mean square per degree of freedom, over all ticks: 1 for consistent covariances, more where they are
+    /// too small.
     pub per_degree: f64,
 }
 
 impl Consistency {
-    /// Counts the normalised square of one run at a tick (its number or stamp), of an error with `degrees` components.
+    /// Counts the normalised square of one run at a tick (its number or stamp), of an error with `degrees`
+    /// components.
     ///
     /// # Errors
     /// A square that is not a finite number ≥ 0, or no degrees.
@@ -109,12 +112,12 @@ impl Consistency {
         }
     }
 
-    /// Judges all ticks by the bounds of this level (0.95 is usual); `None` where nothing was counted.
+    /// Compares all ticks with the bounds of this level (0.95 is usual); `None` where nothing was counted.
     ///
     /// # Errors
     /// A level that is not between 0 and 1, more than 2³² degrees of freedom at one tick.
     pub fn summary(&self, level: f64) -> Result<Option<ConsistencySummary>, TrackingError> {
-        // Most ticks have as many degrees as others, and quantiles are dear.
+        // Quantiles are expensive, and most ticks have equal degrees.
         let mut bounds_of = BTreeMap::new();
         let (mut total, mut inside) = (TickSum::default(), Share::default());
         for tick in self.ticks.values() {
@@ -157,7 +160,7 @@ mod tests {
     }
 
     #[test]
-    fn bounds_are_those_of_the_tables() {
+    fn bounds_equal_published_tables() {
         let table = [
             (1, 0.000_982_069_117, 5.023_886_187_314_888),
             (2, 0.050_635_615_968_579_75, 7.377_758_908_227_871),
@@ -184,7 +187,7 @@ mod tests {
     }
 
     #[test]
-    fn bounds_hold_for_a_thousand_seeds() {
+    fn bounds_are_the_exact_quantiles_of_even_degrees() {
         for half_degrees in [1, 7, 500, 2_500, 50_000] {
             let bounds = chi_square_bounds(2 * u64::from(half_degrees), 0.95).unwrap();
             assert!((even_cdf(half_degrees, bounds.low) - 0.025).abs() < 1e-9, "{half_degrees}: {bounds:?}");
@@ -198,7 +201,7 @@ mod tests {
         for degrees in [1 << 20, 1 << 26, DEGREES_MAX] {
             let bounds = chi_square_bounds(degrees, 0.95).unwrap();
             let (mean, sigma) = (degrees as f64, (2.0 * degrees as f64).sqrt());
-            // Cornish and Fisher's expansion up to the skewness.
+            // Cornish-Fisher expansion up to the skewness.
             let skew = 2.0 / 3.0 * (Z * Z - 1.0);
             assert_close((bounds.low - mean - skew) / sigma, -Z, 1e-3);
             assert_close((bounds.high - mean - skew) / sigma, Z, 1e-3);
@@ -206,14 +209,24 @@ mod tests {
     }
 
     #[test]
-    fn impossible_bounds_are_refused() {
-        for (degrees, level) in [(0, 0.95), (DEGREES_MAX + 1, 0.95), (1, 0.0), (1, 1.0), (1, f64::NAN)] {
-            assert!(chi_square_bounds(degrees, level).is_err(), "{degrees} {level}");
+    fn bounds_of_invalid_parameters_are_refused() {
+        for (name, degrees, level) in [
+            ("degrees", 0, 0.95),
+            ("degrees", DEGREES_MAX + 1, 0.95),
+            ("level", 1, 0.0),
+            ("level", 1, 1.0),
+            ("level", 1, f64::NAN),
+        ] {
+            let refused = chi_square_bounds(degrees, level).unwrap_err();
+            assert!(
+                matches!(refused, TrackingError::Value { name: found, .. } if found == name),
+                "{refused}"
+            );
         }
     }
 
     #[test]
-    fn square_is_measured_in_covariances() {
+    fn normalised_square_equals_value_by_hand() {
         let covariance = Matrix2::new(4.0, 1.0, 1.0, 2.0);
         // P⁻¹ = [2, −1; −1, 4] / 7.
         let square = normalised_square(&Vector2::new(1.0, -2.0), &covariance).unwrap();
@@ -226,7 +239,7 @@ mod tests {
         );
     }
 
-    /// Two hundred runs of three hundred ticks, their covariances stated `scale` times too small.
+    /// Two hundred runs of three hundred ticks, with covariances `scale` times too small.
     fn summary(scale: f64) -> ConsistencySummary {
         let mut rng = ChaCha8Rng::seed_from_u64(5);
         let mut whole = Consistency::default();
@@ -244,7 +257,7 @@ mod tests {
     }
 
     #[test]
-    fn right_covariances_are_told_from_wrong_ones() {
+    fn summary_separates_right_covariances_from_wrong_ones() {
         let right = summary(1.0);
         assert_eq!((right.squares_len, right.ticks_len), (60_000, 300));
         assert!((0.91..0.99).contains(&right.inside), "{right:?}");
@@ -255,10 +268,16 @@ mod tests {
     }
 
     #[test]
-    fn broken_squares_are_refused_and_nothing_has_no_summary() {
+    fn invalid_squares_are_refused_and_none_have_no_summary() {
         let mut consistency = Consistency::default();
-        for (square, degrees) in [(f64::NAN, 2), (-1.0, 2), (f64::INFINITY, 2), (1.0, 0)] {
-            assert!(consistency.add(0, square, degrees).is_err(), "{square} {degrees}");
+        for (name, square, degrees) in
+            [("square", f64::NAN, 2), ("square", -1.0, 2), ("square", f64::INFINITY, 2), ("degrees", 1.0, 0)]
+        {
+            let refused = consistency.add(0, square, degrees).unwrap_err();
+            assert!(
+                matches!(refused, TrackingError::Value { name: found, .. } if found == name),
+                "{refused}"
+            );
         }
         assert_eq!(consistency.summary(0.95), Ok(None));
     }

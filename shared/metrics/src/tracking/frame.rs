@@ -11,18 +11,18 @@ pub type Position = [f64; 2];
 /// A true object or a track at one instant.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Object {
-    /// The same in all frames of a recording, and no other object's.
+    /// The same in all frames of a recording, and unique on its side.
     pub id: u64,
     /// Where it is.
     pub position_m: Position,
 }
 
-/// Which of the two sets of a [`Frame`] an object stands in.
+/// Which of the two sets of a [`Frame`] an object is in.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Side {
-    /// What is really there.
+    /// The true objects.
     Truth,
-    /// What the tracker says.
+    /// The tracks.
     Track,
 }
 
@@ -35,10 +35,10 @@ impl fmt::Display for Side {
     }
 }
 
-/// Why a measure of tracking refuses its input; what was counted before stays as it was.
+/// Why a measure of tracking refuses its input; its counts are as before.
 #[derive(Clone, Copy, Debug, Error, PartialEq)]
 pub enum TrackingError {
-    /// A coordinate is infinite or no number.
+    /// A coordinate is not finite.
     #[error("{side} {id}: position ({}, {}) is not finite", position_m[0], position_m[1])]
     Position {
         /// Of which set.
@@ -48,7 +48,7 @@ pub enum TrackingError {
         /// As it was given.
         position_m: Position,
     },
-    /// An id that stands twice in one frame.
+    /// An id is in a frame twice.
     #[error("{side} {id} stands twice in one frame")]
     Duplicate {
         /// In which set.
@@ -64,7 +64,7 @@ pub enum TrackingError {
         /// How many.
         len: usize,
     },
-    /// A parameter or measured value out of its range.
+    /// A parameter or measured value is out of its range.
     #[error("{name} = {value} is not {range}")]
     Value {
         /// What the number is.
@@ -79,12 +79,12 @@ pub enum TrackingError {
 /// Largest gate of [`ClearMot`](super::ClearMot) and [`Identity`](super::Identity), in metres.
 const GATE_MAX_M: f64 = 1e6;
 
-/// Refuses gates that no distance can be compared with.
+/// Refuses gates out of range.
 pub(super) fn check_gate(gate_m: f64) -> Result<(), TrackingError> {
     check("gate_m", gate_m, (0.0..=GATE_MAX_M).contains(&gate_m), "between 0 and 1e6")
 }
 
-/// Refuses what is not in `range`.
+/// Refuses a value that is not valid.
 pub(super) fn check(
     name: &'static str,
     value: f64,
@@ -94,7 +94,7 @@ pub(super) fn check(
     if valid { Ok(()) } else { Err(TrackingError::Value { name, value, range }) }
 }
 
-/// The true objects and the tracks of one instant, checked and in the order of their ids.
+/// The true objects and the tracks of one instant, validated and sorted by id.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Frame {
     truths: Vec<Object>,
@@ -162,7 +162,7 @@ mod tests {
     const HERE: Object = Object { id: 3, position_m: [1.0, 2.0] };
 
     #[test]
-    fn broken_objects_are_refused_by_side_and_id() {
+    fn invalid_objects_are_refused_with_side_and_id() {
         let lost = Object { id: 4, position_m: [0.0, f64::NAN] };
         let refused = Frame::new(&[HERE], &[HERE, lost]).unwrap_err();
         assert_eq!(refused.to_string(), "track 4: position (0, NaN) is not finite");
@@ -176,7 +176,7 @@ mod tests {
     }
 
     #[test]
-    fn order_of_rows_does_not_matter() {
+    fn row_order_changes_no_frame() {
         let rows = [HERE, Object { id: 1, ..HERE }, Object { id: 2, ..HERE }];
         let turned = [rows[2], rows[0], rows[1]];
         assert_eq!(Frame::new(&rows, &turned).unwrap(), Frame::new(&turned, &rows).unwrap());

@@ -22,8 +22,9 @@ pub fn linear_similarity(distance_m: f64, zero_m: f64) -> f64 {
 
 /// HOTA of a recording, frame by frame.
 ///
-/// In each frame truths and tracks are paired by similarity, weighed with how well their whole lives agree: this needs
-/// all frames, so that those pairs that are similar at all are kept until the end. Memory: one entry per such pair.
+/// In each frame truths and tracks are paired by similarity, weighted by how well their trajectories align
+/// over the whole recording. That needs all frames, so the pairs of any similarity are stored until the end.
+/// Memory: one entry per such pair.
 #[derive(Clone, Debug, Default)]
 pub struct Hota {
     /// Frames of each truth, and of each track.
@@ -41,10 +42,10 @@ struct SimilarPair {
     similarity: f64,
 }
 
-/// What a truth and a track have in common.
+/// The overlap of a truth and a track.
 #[derive(Clone, Debug, Default)]
 struct Shared {
-    /// Frames in common, each weighed by how clear the pairing is.
+    /// Frames in common, each weighted by how unambiguous the pair is.
     overlap: f64,
     /// Frames in which they were matched, per α.
     matched: [u64; ALPHAS.len()],
@@ -53,7 +54,7 @@ struct Shared {
 impl Hota {
     /// Counts a frame; `similarity` turns a distance in metres into 0 (nothing in common) … 1 (the same).
     ///
-    /// What it returns is clamped to that range; NaN counts as 0.
+    /// Its result is clamped to that range; NaN counts as 0.
     pub fn add(&mut self, frame: &Frame, similarity: impl Fn(f64) -> f64) {
         frame.truths().iter().for_each(|truth| *self.truths.entry(truth.id).or_default() += 1);
         frame.tracks().iter().for_each(|track| *self.tracks.entry(track.id).or_default() += 1);
@@ -68,7 +69,8 @@ impl Hota {
         self.frames.push(pairs);
     }
 
-    /// Counts the pairs of a frame as overlaps: their similarity over all that truth and track have with anyone.
+    /// Adds the pairs of a frame to the overlaps: their similarity over the sum of all similarities of truth
+    /// and track.
     fn add_overlaps(&mut self, pairs: &[SimilarPair]) {
         let (mut of_truth, mut of_track) = (BTreeMap::<u64, f64>::new(), BTreeMap::<u64, f64>::new());
         for pair in pairs {
@@ -110,7 +112,7 @@ impl Hota {
         counts
     }
 
-    /// What each pair of a frame is worth: its similarity, weighed with the overlap of the whole lives.
+    /// The gain of each pair of a frame: its similarity, weighted by the overlap over the recording.
     fn edges(&self, pairs: &[SimilarPair]) -> Vec<Edge> {
         let edge = |&SimilarPair { truth, track, similarity }: &SimilarPair| {
             let overlap = self.shared[&(truth, track)].overlap;
@@ -121,14 +123,14 @@ impl Hota {
     }
 }
 
-/// What [`Hota`] counted.
+/// The counts of [`Hota`].
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct HotaCounts {
     /// Truths, all frames together.
     pub truths_len: u64,
     /// Tracks, all frames together.
     pub tracks_len: u64,
-    /// What was matched at each of [`ALPHAS`].
+    /// The matches at each of [`ALPHAS`].
     pub alphas: [AlphaCounts; ALPHAS.len()],
 }
 
@@ -181,15 +183,15 @@ pub struct HotaScore {
     pub det_re: f64,
     /// Matches per track.
     pub det_pr: f64,
-    /// Association: mean over the matches of how much truth and track share of their lives.
+    /// Association: mean over the matches of the frames that truth and track share, per frame of either.
     pub ass_a: f64,
-    /// The same per life of the truth.
+    /// The same per frame of the truth.
     pub ass_re: f64,
-    /// The same per life of the track.
+    /// The same per frame of the track.
     pub ass_pr: f64,
     /// Mean similarity of the matches.
     pub loc_a: f64,
-    /// Geometric mean of `det_re` and `ass_a`: HOTA that forgives false tracks.
+    /// Geometric mean of `det_re` and `ass_a`: HOTA without the penalty of false tracks.
     pub owta: f64,
 }
 
@@ -207,7 +209,7 @@ impl HotaCounts {
         self.alphas.each_ref().map(|alpha| self.score(alpha))
     }
 
-    /// The scores in the mean over [`ALPHAS`], as they are reported; HOTA is the mean of those at each α.
+    /// The mean of the scores over [`ALPHAS`], which is what papers report.
     #[must_use]
     pub fn mean(&self) -> HotaScore {
         let scores = self.scores();

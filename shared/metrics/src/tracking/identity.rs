@@ -4,7 +4,7 @@ use super::clear_mot::ratio;
 use super::frame::{Frame, TrackingError, check_gate};
 use super::pairing::{Edge, best_pairs};
 
-/// IDF1 of a recording, frame by frame: how much of the truth is told by one track per truth.
+/// IDF1 of a recording, frame by frame: how much of the truth is covered by one track per truth.
 ///
 /// Memory: one number per pair of ids that were ever near each other.
 #[derive(Clone, Debug)]
@@ -37,13 +37,14 @@ impl Identity {
         }
     }
 
-    /// The counts under the pairing of whole truths with whole tracks that shares most frames.
+    /// The counts under the one-to-one pairing of truths and tracks, over the recording, that shares most
+    /// frames.
     #[must_use]
     pub fn finish(self) -> IdentityCounts {
         let edge =
             |(&(truth, track), &shared): (&(u64, u64), &u64)| Edge { truth, track, gain: shared as f64 };
         let edges: Vec<Edge> = self.shared.iter().map(edge).collect();
-        // Frames are counted in whole numbers, exact in f64 up to 2⁵³.
+        // Numbers of frames are exact in f64 up to 2⁵³.
         let true_len = best_pairs(&edges).into_iter().map(|i| edges[i].gain).sum::<f64>() as u64;
         IdentityCounts {
             true_len,
@@ -53,14 +54,14 @@ impl Identity {
     }
 }
 
-/// What [`Identity`] counted; `None` where a ratio would be one of nothing.
+/// The counts of [`Identity`], and their ratios: `None` where the denominator is 0.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct IdentityCounts {
-    /// IDTP: truths told by their one track.
+    /// IDTP: truths covered by the track paired with them.
     pub true_len: u64,
-    /// IDFP: tracks that tell no truth, or one of another track.
+    /// IDFP: tracks without the truth paired with them.
     pub false_len: u64,
-    /// IDFN: truths not told by their one track.
+    /// IDFN: truths not covered by the track paired with them.
     pub missed_len: u64,
 }
 
@@ -78,13 +79,13 @@ impl IdentityCounts {
         ratio(2.0 * self.true_len as f64, 2 * self.true_len + self.false_len + self.missed_len)
     }
 
-    /// IDP: share of the tracks that are right.
+    /// IDP: share of the tracks that cover their truth.
     #[must_use]
     pub fn idp(&self) -> Option<f64> {
         ratio(self.true_len as f64, self.true_len + self.false_len)
     }
 
-    /// IDR: share of the truths that are told.
+    /// IDR: share of the truths that are covered.
     #[must_use]
     pub fn idr(&self) -> Option<f64> {
         ratio(self.true_len as f64, self.true_len + self.missed_len)

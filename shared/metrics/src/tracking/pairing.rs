@@ -1,17 +1,19 @@
-use filters::assignment::{Assigner, Candidate};
+use association::Candidate;
+use association::assignment::Assigner;
 
-/// A pair that may be chosen, and what choosing it is worth.
+/// A possible pair, and the gain of choosing it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Edge {
     pub truth: u64,
     pub track: u64,
-    /// Finite; pairs without a gain are never chosen.
+    /// Finite; pairs of a gain of 0 or less are never chosen.
     pub gain: f64,
 }
 
-/// Numbers (ascending) of the edges that together gain most, each truth and each track in at most one of them.
+/// Numbers (ascending) of the edges with the greatest total gain, each truth and each track in at most one of
+/// them.
 ///
-/// Truths and tracks are told apart by any numbers. Every pair may stand once only.
+/// Truths and tracks have ids of any value. Every pair may occur once only.
 pub(super) fn best_pairs(edges: &[Edge]) -> Vec<usize> {
     let truths = distinct(edges.iter().map(|edge| edge.truth));
     let tracks = distinct(edges.iter().map(|edge| edge.track));
@@ -50,14 +52,14 @@ mod tests {
     }
 
     #[test]
-    fn two_good_pairs_beat_the_best_one() {
+    fn two_pairs_of_greater_total_gain_are_chosen() {
         let edges = [edge(7, 90, 5.0), edge(7, 4, 4.0), edge(u64::MAX, 90, 4.0), edge(8, 1, 0.0)];
         assert_eq!(best_pairs(&edges), [1, 2]);
         assert_eq!(best_pairs(&[]), [0; 0]);
     }
 
     #[test]
-    fn one_great_pair_beats_two_poor_ones() {
+    fn one_pair_of_greater_gain_than_two_is_chosen() {
         assert_eq!(best_pairs(&[edge(0, 0, 9.0), edge(0, 1, 4.0), edge(1, 0, 4.0)]), [0]);
     }
 }

@@ -1,17 +1,18 @@
 use super::frame::{Frame, TrackingError, check};
 use super::pairing::{Edge, best_pairs};
 
-/// How far the tracks of one instant are from the truths, as sets of points without ids.
+/// Distances between the tracks and the truths of one instant, as sets of points without ids: GOSPA and OSPA.
 ///
-/// Pairs are chosen so that the sum of `d^p` over the pairs and of what the unpaired cost is least; no pair is farther
-/// apart than the cutoff `c`. A recording has the [`Mean`](crate::Mean) over its frames. Both distances are metrics: symmetric, 0 for equal sets only, no detour is shorter.
+/// The pairs minimise the sum of `d^p` over the pairs and of the cost of unpaired points; no pair is farther
+/// apart than the cutoff `c`. For a recording take the [`Mean`](crate::Mean) over its frames. Both distances
+/// are metrics: symmetric, 0 for equal sets only, and no detour is shorter.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SetDistance {
     cutoff_m: f64,
     order: f64,
 }
 
-/// GOSPA (α = 2) of one instant, and what it is made of.
+/// GOSPA (α = 2) of one instant, and its components.
 ///
 /// ```text
 /// distance_m^p = localisation + missed + false_tracks
@@ -31,7 +32,7 @@ pub struct Gospa {
 }
 
 impl SetDistance {
-    /// Distances with cutoff `c` in metres (what a miss costs) and order `p` (how much outliers weigh).
+    /// Distances with cutoff `c` in metres, the cost of a miss, and order `p`, the weight of outliers.
     ///
     /// # Errors
     /// A cutoff that is not above 0, an order below 1, or such that `c^p` is no ordinary number.
@@ -54,7 +55,8 @@ impl SetDistance {
         Gospa { distance_m, localisation, missed, false_tracks, pairs_len }
     }
 
-    /// The optimal sub-pattern assignment distance in metres: 0 for equal (or two empty) sets, the cutoff at most.
+    /// The optimal sub-pattern assignment distance in metres: 0 for equal (or two empty) sets, the cutoff at
+    /// most.
     #[must_use]
     pub fn ospa(&self, frame: &Frame) -> f64 {
         let objects_len = frame.truths().len().max(frame.tracks().len());
@@ -66,8 +68,8 @@ impl SetDistance {
         ((localisation + unpaired) / objects_len as f64).powf(self.order.recip())
     }
 
-    /// Number of the best pairs and sum of their `d^p`. Both distances choose the same pairs: what one pair saves is
-    /// `c^p − d^p` either way.
+    /// Number of the optimal pairs and sum of their `d^p`. Both distances have the same pairs: one pair saves
+    /// `c^p − d^p` in either.
     fn localisation(&self, frame: &Frame) -> (usize, f64) {
         let power = self.cutoff_m.powf(self.order);
         let mut powers = Vec::new();

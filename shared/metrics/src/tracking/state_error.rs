@@ -46,7 +46,7 @@ pub struct PlanarState {
     pub velocity_mps: [f64; 2],
 }
 
-/// Errors of position and velocity; norms over both axes, so that √2 times those of one axis.
+/// Errors of position and velocity, as norms over both axes: √2 times those of one axis.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct MotionErrors {
     /// Distances of the estimated from the true position, in metres.
@@ -63,12 +63,12 @@ impl MotionErrors {
     }
 }
 
-/// Errors of a tracker's states, apart for instants with and without a detection of the object.
+/// Errors of a tracker's states, separate for instants with and without a detection of the object.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct StateErrors {
-    /// Where the object was seen.
+    /// Instants with a detection.
     pub visible: MotionErrors,
-    /// Where it was not, and the track coasted.
+    /// Instants without one, in which the track coasts.
     pub occluded: MotionErrors,
 }
 
@@ -76,7 +76,7 @@ impl StateErrors {
     /// Counts the error of one object at one instant.
     ///
     /// # Errors
-    /// An error that is not finite (a broken estimate or truth); nothing is counted then.
+    /// An error that is not finite, of an invalid estimate or truth; nothing is counted then.
     pub fn add(
         &mut self,
         visible: bool,
@@ -119,7 +119,7 @@ mod tests {
     }
 
     #[test]
-    fn visible_and_occluded_stay_apart_and_merge() {
+    fn visible_and_occluded_errors_are_separate_and_merge() {
         let (mut first, mut second) = (StateErrors::default(), StateErrors::default());
         first.add(true, &TRUTH, &off_by(3.0, 0.5)).unwrap();
         second.add(true, &TRUTH, &off_by(-4.0, 0.5)).unwrap();
@@ -133,7 +133,7 @@ mod tests {
     }
 
     #[test]
-    fn broken_estimates_are_refused_whole() {
+    fn invalid_estimates_are_refused_whole() {
         let mut errors = StateErrors::default();
         let refused = errors.add(true, &TRUTH, &off_by(0.0, f64::NAN)).unwrap_err();
         assert_eq!(refused.to_string(), "velocity error = NaN is not finite");

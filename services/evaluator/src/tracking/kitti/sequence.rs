@@ -1,8 +1,9 @@
 use std::path::Path;
 
+use association::Candidate;
+use association::assignment::Assigner;
 use data::formats::kitti::{AnnotatedFrame, Annotations};
 use data::{Format, Recording};
-use filters::assignment::{Assigner, Candidate};
 use metrics::tracking::{Frame, Object};
 use wire::{AgentType, Detection};
 

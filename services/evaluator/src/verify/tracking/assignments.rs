@@ -1,6 +1,7 @@
 //! Pairings of rows with columns, at their optimal cost.
 
-use filters::assignment::{Assigner, Candidate};
+use association::Candidate;
+use association::assignment::Assigner;
 use serde::Deserialize;
 
 use super::ledger::{EXACT, Ledger};

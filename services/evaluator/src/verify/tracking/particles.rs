@@ -1,7 +1,7 @@
 use filters::weights::systematic;
 use filters::{
-    Control, ControlStep, FilterFault, Gaussian, Innovation, Observation, Particles, Priors, Process,
-    STEP_MAX_NS, Steered,
+    Control, ControlStep, Controlled, FilterFault, Gaussian, Innovation, Observation, Particles, Priors,
+    Process, STEP_MAX_NS,
 };
 use nalgebra::{Matrix2, Vector2};
 use serde::Deserialize;
@@ -61,12 +61,12 @@ impl Process<2> for RandomWalk {
         Innovation::of_position([x - mean.x, y - mean.y], seen.position_variance)
     }
 
-    fn settle(&self, _: &mut Vector2<f64>) {}
+    fn constrain(&self, _: &mut Vector2<f64>) {}
 }
 
 /// Nothing steers it.
-impl Steered<2> for RandomWalk {
-    fn steer(&self, state: &Gaussian<2>, _: &Control, dt_s: f64) -> Gaussian<2> {
+impl Controlled<2> for RandomWalk {
+    fn step_controlled(&self, state: &Gaussian<2>, _: &Control, dt_s: f64) -> Gaussian<2> {
         self.step(state, dt_s)
     }
 
@@ -163,8 +163,8 @@ impl Reference {
             found.sizes.push(particles.effective_size());
             let weights = particles.particles().map(|(_, weight, _)| weight);
             found.chosen.extend(systematic(weights, self.u[k], states.len()).map(|number| number as f64));
-            found.resampled.push(f64::from(u8::from(particles.is_poor())));
-            if particles.is_poor() {
+            found.resampled.push(f64::from(u8::from(particles.is_degenerate())));
+            if particles.is_degenerate() {
                 particles.resample(self.u[k]);
             }
         }

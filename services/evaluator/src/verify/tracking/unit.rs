@@ -2,8 +2,8 @@
 
 use std::path::Path;
 
-use filters::jpda::{JointAssociation, Sensor};
-use filters::{Integrator, between, sample_moments};
+use association::jpda::{JointAssociation, Sensor};
+use filters::{Integrator, interpolated, sample_moments};
 use kinematics::Bicycle;
 use nalgebra::{Vector2, Vector5};
 use serde::Deserialize;
@@ -65,7 +65,7 @@ struct AssociationCase {
     beta: Vec<Vec<f64>>,
 }
 
-/// `sample_prior.json`: bicycle states at equal steps, and the moments of these samples between the steps.
+/// `sample_prior.json`: bicycle states at equal steps, and the moments of these samples interpolated the steps.
 #[derive(Deserialize)]
 struct Samples {
     step: f64,
@@ -171,7 +171,7 @@ fn compare_samples(part: &mut Part, ledger: &mut Ledger) -> Result<(), VerifyErr
         let before = (at.floor() as usize).min(steps_len - 2);
         let share = at - before as f64;
         let point = |sample: &Vec<[f64; 5]>| {
-            between(&sample[before].into(), &sample[before + 1].into(), share, STATE.angles)
+            interpolated(&sample[before].into(), &sample[before + 1].into(), share, STATE.angles)
         };
         let points: Vec<Vector5<f64>> = samples.iter().map(point).collect();
         let found = sample_moments(&points, STATE.angles);

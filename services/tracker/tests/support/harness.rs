@@ -1,4 +1,4 @@
-//! A tracker, and the frames that it is given.
+//! A tracker, and frames for it.
 
 use bytemuck::Zeroable;
 use rand_chacha::ChaCha8Rng;
@@ -9,8 +9,8 @@ use wire::{AGENTS_MAX, AgentType, Detection, Forecast, Header, Rejected, Track, 
 pub const TICK_NS: i64 = 80_000_000;
 pub const ALL_TYPES: u32 = 0b111;
 
-/// A tracker and the frames that it has been given.
-pub struct Run {
+/// A tracker that processes frames at a steady rate.
+pub struct Harness {
     pub tracker: Tracker,
     pub tracks: Vec<Track>,
     pub flags: u32,
@@ -18,11 +18,11 @@ pub struct Run {
     pub observed_types: u32,
     pub tick_ns: i64,
     pub stamp_ns: i64,
-    /// Forecasts at hand for the next frame.
+    /// Forecasts for the next frame.
     pub prior: Option<(Header, Vec<Forecast>)>,
 }
 
-impl Run {
+impl Harness {
     pub fn new(options: TrackerOptions, flags: u32) -> Self {
         Self {
             tracker: Tracker::new(options),
@@ -63,8 +63,9 @@ impl Run {
     }
 }
 
-/// A detection with a position only; the id tells the test who it was, the tracker may use it only if a header says so.
-pub fn seen(agent_type: AgentType, id: u64, x_m: f64, y_m: f64) -> Detection {
+/// A detection with a position only. The id identifies the agent for the test; the tracker uses it only where
+/// a header sets `HAS_IDENTITIES`.
+pub fn detected_at(agent_type: AgentType, id: u64, x_m: f64, y_m: f64) -> Detection {
     Detection {
         id,
         x_m: x_m as f32,
@@ -76,7 +77,7 @@ pub fn seen(agent_type: AgentType, id: u64, x_m: f64, y_m: f64) -> Detection {
     }
 }
 
-pub fn heading(detection: Detection, heading_rad: f64) -> Detection {
+pub fn with_heading(detection: Detection, heading_rad: f64) -> Detection {
     let flags = detection.flags | detection_flags::HAS_HEADING;
     Detection { heading_rad: filters::wrapped(heading_rad) as f32, flags, ..detection }
 }

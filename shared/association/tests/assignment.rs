@@ -1,8 +1,9 @@
-//! Assignments against reference solutions and against trying everything.
+//! Assignments against reference solutions and against all pairings.
 
 use std::path::PathBuf;
 
-use filters::assignment::{Assigner, Candidate};
+use association::Candidate;
+use association::assignment::Assigner;
 use proptest::prelude::*;
 
 fn golden(name: &str) -> String {
@@ -17,7 +18,7 @@ fn matrix(name: &str) -> Vec<Vec<f64>> {
         .collect()
 }
 
-/// The pairing and its price: costs of the pairs, `miss_cost` for each row without.
+/// The pairing and its total cost: costs of the pairs, `miss_cost` for each row without.
 fn solve(costs: &[Vec<f64>], gate: f64, miss_cost: f64) -> (Vec<Option<u32>>, f64) {
     let mut candidates = Vec::new();
     for (row, track) in costs.iter().zip(0..) {
@@ -29,11 +30,11 @@ fn solve(costs: &[Vec<f64>], gate: f64, miss_cost: f64) -> (Vec<Option<u32>>, f6
     }
     let mut paired = vec![None; costs.len()];
     Assigner::default().solve(&mut candidates, costs[0].len(), miss_cost, &mut paired);
-    let mut seen: Vec<u32> = paired.iter().flatten().copied().collect();
-    seen.sort_unstable();
-    assert!(seen.windows(2).all(|w| w[0] != w[1]), "a detection has two tracks");
-    let price = |(row, column): (&Vec<f64>, &Option<u32>)| column.map_or(miss_cost, |c| row[c as usize]);
-    let total = costs.iter().zip(&paired).map(price).sum();
+    let mut paired_detections: Vec<u32> = paired.iter().flatten().copied().collect();
+    paired_detections.sort_unstable();
+    assert!(paired_detections.windows(2).all(|w| w[0] != w[1]), "a detection has two tracks");
+    let cost_of = |(row, column): (&Vec<f64>, &Option<u32>)| column.map_or(miss_cost, |c| row[c as usize]);
+    let total = costs.iter().zip(&paired).map(cost_of).sum();
     (paired, total)
 }
 
@@ -77,7 +78,8 @@ fn dense_problems_reach_the_reference_optimum() {
         }
         let costs = matrix(cells[3]);
         let optimum: f64 = cells[4].parse().unwrap();
-        // A miss dearer than any pair makes the gated problem the dense one, up to the rows that find no column.
+        // A miss that costs more than any pair makes the gated problem the dense one, up to rows without a
+        // column.
         let miss_cost = 1e4;
         let left_over = costs.len().saturating_sub(costs[0].len());
         let (_, total) = solve(&costs, f64::INFINITY, miss_cost);
@@ -88,7 +90,7 @@ fn dense_problems_reach_the_reference_optimum() {
     assert_eq!(solved, 10);
 }
 
-/// The least price over all pairings, by trying them.
+/// The least total cost over all pairings.
 fn brute_force(costs: &[Vec<f64>], gate: f64, miss_cost: f64, taken: u32) -> f64 {
     let Some((row, rest)) = costs.split_first() else { return 0.0 };
     let mut best = miss_cost + brute_force(rest, gate, miss_cost, taken);
@@ -102,7 +104,7 @@ fn brute_force(costs: &[Vec<f64>], gate: f64, miss_cost: f64, taken: u32) -> f64
 
 proptest! {
     #[test]
-    fn no_pairing_is_cheaper(
+    fn no_pairing_costs_less(
         rows in 1_usize..6, columns in 1_usize..6, gate in 1.0_f64..10.0, miss_cost in 0.5_f64..12.0,
         numbers in proptest::collection::vec(-2.0_f64..14.0, 25),
     ) {
@@ -114,7 +116,7 @@ proptest! {
 }
 
 #[test]
-fn costs_that_are_no_numbers_pair_nothing() {
+fn candidates_without_a_finite_cost_are_ignored() {
     let costs = [[f64::NAN, 1.0], [2.0, f64::NEG_INFINITY]];
     let mut candidates: Vec<Candidate> = (0..2)
         .flat_map(|track| (0..2).map(move |detection| (track, detection)))

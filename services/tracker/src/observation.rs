@@ -3,10 +3,10 @@ use wire::{AgentType, Detection, detection_flags};
 
 use crate::options::InputModel;
 
-/// What a detection may tell of its own noise: beyond that, variances leave the numbers of a published covariance.
+/// Bounds of a detection's own noise: beyond them, variances overflow or vanish in a published covariance.
 const SIGMA_RANGE_M: (f64, f64) = (1e-6, 1e3);
 
-/// What a detection tells, with the noise of its type where it tells none itself.
+/// The observation of a detection, with the noise of its type where it has none of its own.
 #[must_use]
 pub fn observation(detection: &Detection, agent_type: AgentType, input: &InputModel) -> Observation {
     let noise = &input.sensor[agent_type.index()];

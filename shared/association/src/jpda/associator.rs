@@ -1,8 +1,9 @@
 use super::{JointAssociation, SIDE_MAX};
-use crate::assignment::{Assigner, Candidate};
+use crate::Candidate;
+use crate::assignment::Assigner;
 use crate::components::Components;
 
-/// A detection that may be a track's, and the probability that it is.
+/// A detection that may be of a track, and the probability that it is.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Share {
     /// Number of the detection.
@@ -11,17 +12,18 @@ pub struct Share {
     pub probability: f64,
 }
 
-/// Finds how probable each pair of a frame is; holds the last result and scratch memory.
+/// Finds the probability of each pair of a frame; holds the last result and scratch memory.
 ///
-/// Events weigh what the [assignment](Assigner::solve) of the same candidates minimises, exp(−½ Σ cost): that finds the
-/// likeliest event, this sums over all. Components of up to [`SIDE_MAX`] tracks and detections are exact. A larger one is cut
-/// into such: the pairs of its cheapest assignment stay, then the cheapest of the others that keep within the bound; a pair
-/// that is cut counts as beyond the gate.
+/// The weight of an event is exp(−½ Σ cost), the cost being what the [assignment](Assigner::solve) of the
+/// same candidates minimises: that finds the likeliest event, this sums over all. Components of up to
+/// [`SIDE_MAX`] tracks and detections are exact. A larger one is cut into such: the pairs of its optimal
+/// assignment stay, then the cheapest of the others that keep within the bound; a pair that is cut counts as
+/// beyond the gate.
 #[derive(Clone, Debug, Default)]
 pub struct Associator {
     components: Components,
     assigner: Assigner,
-    /// Candidates for the assignment where a component is too large, and what it pairs.
+    /// Candidates and result of the assignment where a component is too large.
     for_assigner: Vec<Candidate>,
     paired: Vec<Option<u32>>,
     shares: Vec<Share>,
@@ -80,7 +82,7 @@ impl Associator {
         }
     }
 
-    /// The detections that a track may have, in rising order; what their probabilities lack of 1 is that of its miss.
+    /// The detections that may be of a track, in rising order; the rest of 1 is the probability of its miss.
     ///
     /// # Panics
     /// If there is no such track.
@@ -90,7 +92,7 @@ impl Associator {
         &self.shares[begin as usize..end as usize]
     }
 
-    /// Leaves out candidates until no component is too large. None of the others loses any.
+    /// Removes candidates of the components that are too large, until none is.
     fn cut(
         &mut self,
         candidates: &mut Vec<Candidate>,
@@ -113,7 +115,7 @@ impl Associator {
     }
 }
 
-/// The tracks of a component, each with its shares.
+/// The tracks of a component, each with the probabilities of its detections.
 fn probabilities(
     component: &[Candidate],
     miss_cost: f64,
@@ -140,7 +142,7 @@ fn probabilities(
     })
 }
 
-/// Where a candidate's detection stands among those of its component, or will.
+/// Column of a candidate's detection among those of its component, the next free one for a new detection.
 fn column(detections: &[Option<u32>; SIDE_MAX], candidate: &Candidate) -> usize {
     let found = detections.iter().position(|d| d.is_none_or(|d| d == candidate.detection));
     found.expect("a component within the bound")

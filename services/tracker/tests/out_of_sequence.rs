@@ -1,34 +1,31 @@
-//! Frames that come late: what is made of them is what would have been made of the frames in order.
-
-#[path = "support/forecaster.rs"]
-mod forecaster;
-#[path = "support/run.rs"]
-mod run;
+//! Out-of-sequence frames: rollback and replay give what the frames in sequence would have given.
 
 use std::collections::BTreeMap;
 use std::f64::consts::FRAC_PI_3;
 
 use bytemuck::Zeroable;
 use filters::wrapped;
-use forecaster::{HORIZON_LEN, STEP_NS, forecast, forecasts_header};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
-use run::{Run, TICK_NS, heading, noise, seen};
 use tracker::{Prior, Tally, TrackerOptions};
 use wire::{
     AGENT_TYPES, AgentType, Detection, Forecast, Header, HistoryState, Quality, Rejected, Steering, Track,
     flags,
 };
 
-/// Most newer frames that a late one may have.
-const LATE_MAX: usize = 8;
+use crate::support::forecaster::{HORIZON_LEN, STEP_NS, forecast, forecasts_header};
+use crate::support::harness::{Harness, TICK_NS, detected_at, noise, with_heading};
+
+/// Most frames that may be newer than an out-of-sequence one.
+const LAG_MAX: usize = 8;
 const FIRST_NS: i64 = 1_000_000_000;
 
 fn stamp_ns(frame: usize) -> i64 {
     FIRST_NS + frame as i64 * TICK_NS
 }
 
-/// Agents on circles of their own that come, go and are missed; some detections name a wrong type, some have no cause.
+/// Agents on circles of their own that appear, disappear and are missed; some detections name a wrong type,
+/// some are clutter.
 struct Scene {
     frames: Vec<Vec<Detection>>,
 }
@@ -52,7 +49,7 @@ impl Scene {
                 }
                 if coming && rng.random_ratio(1, 3) {
                     let (x, y) = (rng.random_range(-30.0..30.0), rng.random_range(-30.0..30.0));
-                    detections.push(seen(AgentType::Pedestrian, 1_000 + k as u64, x, y));
+                    detections.push(detected_at(AgentType::Pedestrian, 1_000 + k as u64, x, y));
                 }
                 detections
             })
@@ -73,24 +70,24 @@ impl Scene {
     fn detection(agent: usize, frame: usize, rng: &mut ChaCha8Rng) -> Detection {
         let [x, y, course] = Self::pose(agent, frame);
         let agent_type = AGENT_TYPES[if rng.random_ratio(1, 20) { 0 } else { agent % 3 }];
-        let at = seen(agent_type, agent as u64 + 1, x + noise(rng, 0.1), y + noise(rng, 0.1));
-        if agent.is_multiple_of(3) { heading(at, course + noise(rng, 0.05)) } else { at }
+        let at = detected_at(agent_type, agent as u64 + 1, x + noise(rng, 0.1), y + noise(rng, 0.1));
+        if agent.is_multiple_of(3) { with_heading(at, course + noise(rng, 0.05)) } else { at }
     }
 }
 
-/// The frames in an order in which none has more than [`LATE_MAX`] newer ones before it.
+/// The frames in an order in which at most [`LAG_MAX`] newer ones precede each.
 fn shuffled(frames_len: usize, in_order: usize, rng: &mut ChaCha8Rng) -> Vec<usize> {
     let mut due: Vec<(usize, usize)> = (0..frames_len)
         .map(|frame| {
             let late = frame >= in_order && rng.random_ratio(1, 4);
-            (frame + if late { rng.random_range(1..=LATE_MAX) } else { 0 }, frame)
+            (frame + if late { rng.random_range(1..=LAG_MAX) } else { 0 }, frame)
         })
         .collect();
     due.sort_unstable_by_key(|&(due, frame)| (due, std::cmp::Reverse(frame)));
     due.into_iter().map(|(_, frame)| frame).collect()
 }
 
-/// What a frame's forecasts say: of each agent that was published under an id, by the controls of its true circle or not.
+/// Forecasts of each published agent, by the controls of its true circle or by none.
 fn forecasts(frame: usize, tracks: &[Track]) -> (Header, Vec<Forecast>) {
     let made: Vec<Forecast> = tracks
         .iter()
@@ -108,24 +105,24 @@ fn forecasts(frame: usize, tracks: &[Track]) -> (Header, Vec<Forecast>) {
     (forecasts_header(stamp_ns(frame), made.len()), made)
 }
 
-/// A track without what depends on the tracks that were published before: the history, and the heading, which turns by no
-/// more than 60° at once. That of the state shows in its velocity.
+/// A track without what depends on the tracks published before: the history, and the heading, which is
+/// rate-limited. The velocity has the heading of the state.
 fn estimate(track: &Track) -> Track {
     Track { history: Track::zeroed().history, forecastable: 0, heading_rad: 0.0, ..*track }
 }
 
-/// What came of all frames in an order: tracks by frame, where any were published.
+/// Result of all frames in an order: tracks by frame, where any were published.
 struct Delivered {
-    run: Run,
+    run: Harness,
     tracks: BTreeMap<usize, Vec<Track>>,
-    /// Frames published when all before them had come.
+    /// Frames published after all before them had arrived.
     settled: Vec<usize>,
 }
 
-/// Hands a scene over in that order. Forecasts are of the tracks that were published at frame [`IN_ORDER`], so that they
-/// are the same in any order.
+/// Delivers a scene in that order. Forecasts are of the tracks published at frame [`IN_ORDER`], and so the
+/// same in any order.
 fn deliver(scene: &Scene, order: &[usize], options: TrackerOptions, identities: u32) -> Delivered {
-    let mut run = Run::new(options, identities);
+    let mut run = Harness::new(options, identities);
     let mut delivered = vec![false; scene.frames.len()];
     let (mut tracks, mut settled) = (BTreeMap::new(), Vec::new());
     let mut known: Vec<Track> = Vec::new();
@@ -137,7 +134,7 @@ fn deliver(scene: &Scene, order: &[usize], options: TrackerOptions, identities: 
         let tracked = run.try_step(&scene.frames[frame]).expect("a good frame");
         delivered[frame] = true;
         if tracked.replayed_len > 0 {
-            assert_eq!(run.published().len(), 0, "tracks of a late frame");
+            assert_eq!(run.published().len(), 0, "tracks of an out-of-sequence frame");
             continue;
         }
         if delivered[..frame].iter().all(|&delivered| delivered) {
@@ -151,7 +148,7 @@ fn deliver(scene: &Scene, order: &[usize], options: TrackerOptions, identities: 
     Delivered { run, tracks, settled }
 }
 
-/// Frames at the beginning that come in order where forecasts are the prior: those are of the tracks of then.
+/// First frames, which arrive in sequence where forecasts are the prior: the forecasts are of their tracks.
 const IN_ORDER: usize = 20;
 
 #[test]
@@ -173,10 +170,10 @@ fn frames_in_any_order_give_the_same_estimates_to_the_bit() {
             let straight: Vec<usize> = (0..120).collect();
             let straight = deliver(&scene, &straight, options, identities);
             let late = deliver(&scene, &order, options, identities);
-            late_len += late.run.tracker.tally().late_len;
+            late_len += late.run.tracker.tally().out_of_sequence_len;
             let mut ids = [BTreeMap::new(), BTreeMap::new()];
             for frame in late.settled {
-                // Births are the same; ids are where none came late.
+                // Births are the same in any order; ids only where no birth is out of sequence.
                 let mut pair = [&straight.tracks[&frame], &late.tracks[&frame]].map(|of| of.clone());
                 for tracks in &mut pair {
                     tracks.sort_by_key(|t| (t.born_ns, t.x_m.to_bits(), t.y_m.to_bits()));
@@ -194,15 +191,17 @@ fn frames_in_any_order_give_the_same_estimates_to_the_bit() {
             }
         }
     }
-    println!("{compared_len} tracks after {late_len} late frames are the same, {learned_len} by forecasts");
+    println!(
+        "{compared_len} tracks after {late_len} out-of-sequence frames are the same, {learned_len} by forecasts"
+    );
     assert!(compared_len > 20_000 && late_len > 3_000 && learned_len > 5_000);
 }
 
-/// Root mean square error of 20 vehicles' positions, where a frame in three comes up to four frames late and is taken in,
-/// or is dropped.
-fn error_m(seed: u64, take_in: bool) -> f64 {
+/// Root mean square error of 20 vehicles' positions, where a frame in three arrives up to four frames later
+/// and is replayed, or is dropped.
+fn error_m(seed: u64, replay: bool) -> f64 {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
-    let mut run = Run::new(TrackerOptions::default(), 0);
+    let mut run = Harness::new(TrackerOptions::default(), 0);
     let mut held_back: Vec<(usize, usize, Vec<Detection>)> = Vec::new();
     let (mut sum, mut len) = (0.0, 0);
     for k in 0..150 {
@@ -210,8 +209,8 @@ fn error_m(seed: u64, take_in: bool) -> f64 {
         for agent in (0..60).step_by(3) {
             let [x, y, course] = Scene::pose(agent, k);
             let at = (x + 40.0 * agent as f64 + noise(&mut rng, 0.2), y + noise(&mut rng, 0.2));
-            let at = seen(AgentType::Vehicle, agent as u64 + 1, at.0, at.1);
-            frame.push(heading(at, course + noise(&mut rng, 0.1)));
+            let at = detected_at(AgentType::Vehicle, agent as u64 + 1, at.0, at.1);
+            frame.push(with_heading(at, course + noise(&mut rng, 0.1)));
         }
         let due = k + rng.random_range(1..=4);
         if rng.random_ratio(1, 3) {
@@ -219,7 +218,7 @@ fn error_m(seed: u64, take_in: bool) -> f64 {
             continue;
         }
         for (_, late, frame) in held_back.extract_if(.., |(due, ..)| *due <= k) {
-            if take_in {
+            if replay {
                 run.stamp_ns = stamp_ns(late) - TICK_NS;
                 run.step(&frame);
             }
@@ -238,21 +237,21 @@ fn error_m(seed: u64, take_in: bool) -> f64 {
 }
 
 #[test]
-fn late_frames_that_are_taken_in_make_the_error_smaller() {
-    let (mut taken_m, mut dropped_m) = (0.0, 0.0);
+fn replaying_out_of_sequence_frames_reduces_the_error() {
+    let (mut replayed_m, mut dropped_m) = (0.0, 0.0);
     for seed in 0..10 {
-        let (taken, dropped) = (error_m(seed, true), error_m(seed, false));
-        assert!(taken < dropped, "seed {seed}: {taken} m, without the late frames {dropped} m");
-        taken_m += taken / 10.0;
+        let (replayed, dropped) = (error_m(seed, true), error_m(seed, false));
+        assert!(replayed < dropped, "seed {seed}: {replayed} m, without these frames {dropped} m");
+        replayed_m += replayed / 10.0;
         dropped_m += dropped / 10.0;
     }
-    println!("a third of the frames late: {taken_m:.4} m, without these {dropped_m:.4} m");
-    assert!(taken_m < 0.97 * dropped_m, "{taken_m} m, without the late frames {dropped_m} m");
+    println!("a third of the frames out of sequence: {replayed_m:.4} m, without these {dropped_m:.4} m");
+    assert!(replayed_m < 0.97 * dropped_m, "{replayed_m} m, without these frames {dropped_m} m");
 }
 
-/// What has been published stays: states are shown again as the very bits, and no heading jumps.
+/// Published states keep their bits in later histories, and no heading jumps.
 #[test]
-fn late_frames_change_nothing_that_was_published() {
+fn out_of_sequence_frames_change_no_published_state() {
     let (mut compared_len, mut turns_len) = (0, 0);
     for seed in 0..20 {
         let scene = Scene::new(seed, 120, 9, true);
@@ -280,16 +279,17 @@ fn late_frames_change_nothing_that_was_published() {
             }
         }
     }
-    println!("{compared_len} states shown again, {turns_len} turns by more than 0.5 rad");
+    println!("{compared_len} states published again, {turns_len} turns by more than 0.5 rad");
     assert!(compared_len > 10_000 && turns_len > 10, "{compared_len} {turns_len}");
 }
 
-/// The first detections of an agent come after others that have started its track, and after it was published.
+/// The first detections of an agent arrive after others that have started its track, and after it was
+/// published.
 #[test]
-fn an_agent_whose_first_frame_comes_late_keeps_its_id() {
+fn an_agent_keeps_its_id_when_its_birth_is_out_of_sequence() {
     for identities in [0, flags::HAS_IDENTITIES] {
-        let mut run = Run::new(TrackerOptions::default(), identities);
-        let at = |k: usize| heading(seen(AgentType::Vehicle, 7, 0.6 * k as f64, 3.0), 0.0);
+        let mut run = Harness::new(TrackerOptions::default(), identities);
+        let at = |k: usize| with_heading(detected_at(AgentType::Vehicle, 7, 0.6 * k as f64, 3.0), 0.0);
         let mut give = |k: usize, frame: &[Detection]| {
             run.stamp_ns = stamp_ns(k) - TICK_NS;
             run.step(frame).to_vec()
@@ -303,49 +303,50 @@ fn an_agent_whose_first_frame_comes_late_keeps_its_id() {
     }
 }
 
-/// An agent that a late frame shows to be there still is published again as itself.
+/// An out-of-sequence detection revives a deleted track under its id.
 #[test]
-fn an_agent_that_a_late_frame_brings_back_keeps_its_id() {
-    let mut run = Run::new(TrackerOptions::default(), 0);
-    let at = |k: usize| seen(AgentType::Pedestrian, 7, 0.1 * k as f64, 0.0);
+fn an_out_of_sequence_detection_revives_a_deleted_track() {
+    let mut run = Harness::new(TrackerOptions::default(), 0);
+    let at = |k: usize| detected_at(AgentType::Pedestrian, 7, 0.1 * k as f64, 0.0);
     let mut give = |k: usize, frame: &[Detection]| {
         run.stamp_ns = stamp_ns(k) - TICK_NS;
         run.step(frame).to_vec()
     };
-    // Seen four times it may go unseen for six frames.
+    // Four detections earn coast time for six frames.
     let id = (0..4).flat_map(|k| give(k, &[at(k)])).last().expect("a track").id;
     let ended = (4..16).filter(|&k| k != 9).find(|&k| give(k, &[]).is_empty()).expect("an end");
     assert!((10..=11).contains(&ended), "{ended}");
-    assert!(give(9, &[at(9)]).is_empty(), "a late frame is not published");
+    assert!(give(9, &[at(9)]).is_empty(), "an out-of-sequence frame is not published");
     let back = give(ended + 1, &[]);
     assert_eq!((back.len(), back[0].id), (1, id));
 }
 
 #[test]
-fn frames_that_are_too_late_or_repeated_are_refused_and_counted() {
-    let mut run = Run::new(TrackerOptions::default(), 0);
-    let mut other = Run::new(TrackerOptions::default(), 0);
-    let at = |k: usize| seen(AgentType::Pedestrian, 1, k as f64 * 0.1, 0.0);
-    let repeated_ns = [0, 5 * TICK_NS, LATE_MAX as i64 * TICK_NS];
-    let too_late_ns = [LATE_MAX as i64 * TICK_NS + 1, 2_000_000_000, i64::MAX];
+fn too_late_and_repeated_frames_are_refused_and_counted() {
+    let mut run = Harness::new(TrackerOptions::default(), 0);
+    let mut other = Harness::new(TrackerOptions::default(), 0);
+    let at = |k: usize| detected_at(AgentType::Pedestrian, 1, k as f64 * 0.1, 0.0);
+    let repeated_ns = [0, 5 * TICK_NS, LAG_MAX as i64 * TICK_NS];
+    let too_late_ns = [LAG_MAX as i64 * TICK_NS + 1, 2_000_000_000, i64::MAX];
     for k in 0..40 {
         assert_eq!(run.step(&[at(k)]), other.step(&[at(k)]));
         let last_ns = run.stamp_ns;
-        for back_ns in repeated_ns.into_iter().chain(too_late_ns).filter(|_| k > LATE_MAX) {
+        for back_ns in repeated_ns.into_iter().chain(too_late_ns).filter(|_| k > LAG_MAX) {
             let stamp_ns = last_ns.saturating_sub(back_ns);
             run.stamp_ns = stamp_ns.saturating_sub(TICK_NS);
             assert_eq!(run.try_step(&[at(0)]), Err(Rejected::NotNewer { stamp_ns, last_ns }));
-            assert!(run.published().is_empty(), "the header tells of tracks of a refused frame");
+            assert!(run.published().is_empty(), "the header counts tracks of a refused frame");
         }
         run.stamp_ns = last_ns;
     }
-    let refused_len = 3 * (40 - LATE_MAX as u64 - 1);
+    let refused_len = 3 * (40 - LAG_MAX as u64 - 1);
     let tally = Tally { repeated_len: refused_len, too_late_len: refused_len, ..Tally::default() };
     assert_eq!((run.tracker.tally(), other.tracker.tally()), (tally, Tally::default()));
     // At long intervals few frames are newer, but they are newer by far.
     run.stamp_ns += 60_000_000_000;
     run.step(&[]);
     run.stamp_ns -= 2 * TICK_NS + 4_800_000_000;
-    assert!(run.try_step(&[]).is_err());
+    let refused = run.try_step(&[]);
+    assert!(matches!(refused, Err(Rejected::NotNewer { .. })), "{refused:?}");
     assert_eq!(run.tracker.tally().too_late_len, refused_len + 1);
 }

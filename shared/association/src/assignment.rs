@@ -1,34 +1,24 @@
-//! Which detection belongs to which track: the cheapest pairing, where leaving a track unpaired has a price too.
+//! Optimal assignment of detections to tracks, with a cost for each track that is left unpaired.
 //!
-//! Gating leaves few possible pairs, so the problem falls apart into *connected components* that share no track and no
-//! detection. Each is solved on its own: a pair that nobody contests is one, a component with a single track or
-//! detection is solved by looking, any other by the optimal assignment of the `lsap` crate. Five hundred agents are then
+//! Gating leaves few possible pairs, so the problem separates into *connected components* that share no track
+//! and no detection. An uncontested pair is solved at once, a component with a single track or detection by
+//! its least cost, any other by the optimal assignment of the `lsap` crate. Five hundred agents are then
 //! hundreds of tiny problems, not one dense one.
 
+use crate::Candidate;
 use crate::components::Components;
-
-/// A pairing that the gate lets through.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Candidate {
-    /// Number of the track.
-    pub track: u32,
-    /// Number of the detection.
-    pub detection: u32,
-    /// Price of the pairing; finite.
-    pub cost: f64,
-}
 
 /// Solves assignments; holds only scratch memory.
 #[derive(Clone, Debug, Default)]
 pub struct Assigner {
-    /// Candidates of each track and of each detection.
+    /// Number of candidates of each track and of each detection.
     of_track: Vec<u32>,
     of_detection: Vec<u32>,
     components: Components,
     scratch: Scratch,
 }
 
-/// Of one component.
+/// Scratch memory of one component.
 #[derive(Clone, Debug, Default)]
 struct Scratch {
     /// Column of each detection of the frame, in the component at hand.
@@ -53,11 +43,12 @@ impl Assigner {
         }
     }
 
-    /// Writes to `paired[track]` the detection of each track, minimising the sum of the candidates' costs and of
-    /// `miss_cost` for each track without detection.
+    /// Writes to `paired[track]` the detection of each track, minimising the sum of the candidates' costs and
+    /// of `miss_cost` for each track without detection.
     ///
-    /// `paired` has one entry per track. Candidates are used up; one whose cost is not finite, or no less than
-    /// `miss_cost`, is left out. Allocates only for components of two and more tracks and detections (inside `lsap`).
+    /// `paired` has one entry per track. The candidates are consumed; one whose cost is not finite, or not
+    /// below `miss_cost`, is ignored. Allocates only for components of two and more tracks and detections
+    /// (inside `lsap`).
     ///
     /// # Panics
     /// If a candidate names a track or detection beyond the given numbers.
@@ -85,7 +76,7 @@ impl Assigner {
         }
     }
 
-    /// Pairs each track and detection that have no candidate but each other, and takes these candidates out.
+    /// Pairs each track and detection that have no candidate but each other, and removes these candidates.
     fn pair_uncontested(
         &mut self,
         candidates: &mut Vec<Candidate>,
@@ -128,8 +119,8 @@ impl Scratch {
             }
         }
         let rows_len = 1 + component.windows(2).filter(|pair| pair[0].track != pair[1].track).count();
-        // One more column per track stands for "no detection". A pair beyond the gate costs a miss as well: choosing
-        // it and missing are the same, so all costs stay of one magnitude.
+        // One more column per track represents a miss. A pair beyond the gate costs as much as a miss and
+        // counts as one, so that all costs stay of one magnitude.
         let columns_len = self.detections.len() + rows_len;
         self.costs.clear();
         self.costs.resize(rows_len * columns_len, miss_cost);
@@ -139,7 +130,7 @@ impl Scratch {
                 self.costs[row * columns_len + self.column[c.detection as usize] as usize] = c.cost;
             }
         }
-        // Every cost is finite and there are more columns than rows: the solver has no cause to refuse.
+        // The solver can't fail: every cost is finite and there are more columns than rows.
         let Ok((rows, columns)) = lsap::solve(rows_len, columns_len, &self.costs, false) else { return };
         let mut chosen = rows.into_iter().zip(columns);
         for (row, of_track) in by_track().enumerate() {

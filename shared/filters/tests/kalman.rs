@@ -1,13 +1,15 @@
-//! The filters against reference runs of an independent implementation, and under stress.
+//! Kalman filters against reference runs of an independent implementation, and under stress.
 
 use std::path::PathBuf;
 
 use filters::{
     Bicycle, ConstantAcceleration, ConstantTurnRate, ConstantVelocity, Filter, FilterFault, Gaussian,
-    Integrator, Kind, Models, Observation, Process, Unknown, turned_round, wrapped,
+    Integrator, Kind, Models, Observation, Process, Unknown, reversed, wrapped,
 };
 use nalgebra::{SMatrix, SVector, Vector5};
 use proptest::prelude::*;
+
+use crate::support::state::is_sound;
 
 const STEP_NS: u64 = 80_000_000;
 
@@ -30,7 +32,7 @@ fn parameters() -> serde_json::Value {
 }
 
 /// Mean, upper triangle of the covariance row by row, NIS: as in the reference files.
-fn told<const N: usize>(state: &Gaussian<N>, nis: f64) -> Vec<f64> {
+fn figures<const N: usize>(state: &Gaussian<N>, nis: f64) -> Vec<f64> {
     let upper = (0..N).flat_map(|row| (row..N).map(move |column| state.covariance[(row, column)]));
     state.mean.iter().copied().chain(upper).chain([nis]).collect()
 }
@@ -67,17 +69,17 @@ fn run<F>(
     assert!(measured.len() > 150 && measured.len() == reference.len());
     for (m, expected) in measured.iter().zip(&reference) {
         assert_eq!(m[..2], expected[..2]);
-        let seen = Observation {
+        let observed = Observation {
             position_m: [m[4], m[5]],
             position_variance: 0.1_f64.powi(2),
             heading_rad: with_heading.then_some((m[6], sigma_psi.powi(2))),
             speed_mps: None,
         };
         let found = if m[1] == 0.0 {
-            first(filter.insert(start(&seen, m[6])))
+            first(filter.insert(start(&observed, m[6])))
         } else {
             let running = filter.as_mut().expect("started at tick 0");
-            step(running, (m[3] == 1.0).then_some(&seen))
+            step(running, (m[3] == 1.0).then_some(&observed))
         };
         worst = worst.max(deviation(&found, &expected[2..], angle));
     }
@@ -108,25 +110,26 @@ fn bicycle_deviation(name: &str, key: &str, with_heading: bool) -> f64 {
         name,
         Some(2),
         with_heading,
-        |seen, heading| {
-            let [x, y] = seen.position_m;
-            let var = seen.position_variance;
+        |observed, heading| {
+            let [x, y] = observed.position_m;
+            let var = observed.position_variance;
             Gaussian::new(
                 [x, y, heading, 0.0, 0.0],
                 [var, var, heading_variance, speed_variance, slip_variance],
             )
         },
-        |filter, seen| {
+        |filter, observed| {
             filter.predict(STEP_NS, &model).expect("finite");
-            let nis = seen.map_or(f64::NAN, |seen| filter.update(seen, &model).expect("finite").nis);
-            told(filter, nis)
+            let nis =
+                observed.map_or(f64::NAN, |observed| filter.update(observed, &model).expect("finite").nis);
+            figures(filter, nis)
         },
-        |filter| told(filter, f64::NAN),
+        |filter| figures(filter, f64::NAN),
     )
 }
 
 #[test]
-fn the_bicycle_agrees_with_the_reference() {
+fn bicycle_equals_the_reference() {
     for (name, key, with_heading) in
         [("ekf_bic_heading.csv", "ekf_bic_heading", true), ("ekf_bic_posonly.csv", "ekf_bic_posonly", false)]
     {
@@ -137,7 +140,7 @@ fn the_bicycle_agrees_with_the_reference() {
 }
 
 #[test]
-fn constant_velocity_agrees_with_the_reference() {
+fn constant_velocity_equals_the_reference() {
     let all = parameters();
     let process = ConstantVelocity { density: all["cv"]["q"].as_f64().unwrap() };
     let velocity_variance = all["initial_velocity_variance"].as_f64().unwrap();
@@ -145,23 +148,23 @@ fn constant_velocity_agrees_with_the_reference() {
         "cv_kf.csv",
         None,
         false,
-        |seen, _| {
-            let ([x, y], var) = (seen.position_m, seen.position_variance);
+        |observed, _| {
+            let ([x, y], var) = (observed.position_m, observed.position_variance);
             Gaussian::new([x, y, 0.0, 0.0], [var, var, velocity_variance, velocity_variance])
         },
-        |filter, seen| {
+        |filter, observed| {
             filter.predict(STEP_NS, &process).unwrap();
-            let nis = seen.map_or(f64::NAN, |seen| filter.update(seen, &process).unwrap().nis);
-            told(filter, nis)
+            let nis = observed.map_or(f64::NAN, |observed| filter.update(observed, &process).unwrap().nis);
+            figures(filter, nis)
         },
-        |filter| told(filter, f64::NAN),
+        |filter| figures(filter, f64::NAN),
     );
     println!("cv_kf.csv: {worst:e}");
     assert!(worst < 1e-9, "deviates by {worst:e}");
 }
 
 #[test]
-fn constant_acceleration_agrees_with_the_reference() {
+fn constant_acceleration_equals_the_reference() {
     let all = parameters();
     let process = ConstantAcceleration { density: all["ca"]["q"].as_f64().unwrap() };
     let velocity_variance = all["initial_velocity_variance"].as_f64().unwrap();
@@ -170,25 +173,25 @@ fn constant_acceleration_agrees_with_the_reference() {
         "ca_kf.csv",
         None,
         false,
-        |seen, _| {
-            let ([x, y], p) = (seen.position_m, seen.position_variance);
+        |observed, _| {
+            let ([x, y], p) = (observed.position_m, observed.position_variance);
             let (v, a) = (velocity_variance, acceleration_variance);
             Gaussian::new([x, y, 0.0, 0.0, 0.0, 0.0], [p, p, v, v, a, a])
         },
-        |filter, seen| {
+        |filter, observed| {
             filter.predict(STEP_NS, &process).unwrap();
-            let nis = seen.map_or(f64::NAN, |seen| filter.update(seen, &process).unwrap().nis);
-            told(filter, nis)
+            let nis = observed.map_or(f64::NAN, |observed| filter.update(observed, &process).unwrap().nis);
+            figures(filter, nis)
         },
-        |filter| told(filter, f64::NAN),
+        |filter| figures(filter, f64::NAN),
     );
     println!("ca_kf.csv: {worst:e}");
     assert!(worst < 1e-9, "deviates by {worst:e}");
 }
 
-/// The bicycle's Jacobian and next state, seen through the filter: the covariance of a step is J P Jᵀ.
+/// The covariance of a step without noise is J P Jᵀ.
 #[test]
-fn the_bicycles_jacobian_agrees_with_the_reference() {
+fn bicycle_jacobian_equals_the_reference() {
     let text = std::fs::read_to_string(golden("unit/jacobian.json")).unwrap();
     let all: serde_json::Value = serde_json::from_str(&text).unwrap();
     let numbers = |value: &serde_json::Value| -> SVector<f64, 5> {
@@ -224,7 +227,7 @@ fn the_bicycles_jacobian_agrees_with_the_reference() {
 
 /// Central differences of a constant turn rate's arc, through the limit of a straight course.
 #[test]
-fn the_arcs_jacobian_is_its_derivative() {
+fn arc_jacobian_equals_finite_differences() {
     let dt_s = 0.08;
     for turn_rate in [-2.0, -0.3, -0.025_000_1, -1e-5, 0.0, 1e-12, 1e-4, 0.024_999_9, 0.7, 40.0] {
         for heading in [-3.0, 0.4, 2.5] {
@@ -250,41 +253,41 @@ fn the_arcs_jacobian_is_its_derivative() {
 
 /// NIS and likelihood against the density of the Gaussian written out.
 #[test]
-fn evidence_is_the_density_of_the_innovation() {
+fn evidence_equals_the_density_of_the_innovation() {
     let mut state = Gaussian::new([0.0, 0.0, 1.0, 0.0], [0.3, 0.5, 0.2, 0.2]);
     let process = ConstantVelocity { density: 1.0 };
-    let seen =
+    let observed =
         Observation { position_m: [0.6, -0.7], position_variance: 0.2, heading_rad: None, speed_mps: None };
     let (xx, yy) = (0.3 + 0.2, 0.5 + 0.2_f64);
     let nis: f64 = 0.36 / xx + 0.49 / yy;
     let density = (-0.5 * nis).exp() / (std::f64::consts::TAU * f64::sqrt(xx * yy));
-    let evidence = state.update(&seen, &process).unwrap();
+    let evidence = state.update(&observed, &process).unwrap();
     assert!((evidence.nis - nis).abs() < 1e-12);
     assert!((evidence.log_likelihood - density.ln()).abs() < 1e-12);
     assert_eq!(evidence.measured_len, 2);
 }
 
-/// Every kind takes position, heading and speed in any subset, and follows a circle told by these.
+/// Each kind is updated by positions with any subset of heading and speed.
 #[test]
-fn every_kind_follows_a_circle() {
+fn every_kind_tracks_a_circle() {
     let (radius_m, speed_mps) = (20.0, 8.0);
     let turn_rate = speed_mps / radius_m;
     for kind in Kind::ALL {
-        for told in 0..4_u32 {
-            let seen = |k: u32| {
+        for measured in 0..4_u32 {
+            let observed = |k: u32| {
                 let angle = turn_rate * 0.08 * f64::from(k);
                 let heading = wrapped(angle + std::f64::consts::FRAC_PI_2);
                 Observation {
                     position_m: [radius_m * angle.cos(), radius_m * angle.sin()],
                     position_variance: 0.01,
-                    heading_rad: (told & 1 != 0).then_some((heading, 0.01)),
-                    speed_mps: (told & 2 != 0).then_some((speed_mps, 0.04)),
+                    heading_rad: (measured & 1 != 0).then_some((heading, 0.01)),
+                    speed_mps: (measured & 2 != 0).then_some((speed_mps, 0.04)),
                 }
             };
-            let mut filter = Filter::start(kind, &seen(0), &UNKNOWN);
+            let mut filter = Filter::start(kind, &observed(0), &UNKNOWN);
             for k in 1..100 {
                 filter.predict(STEP_NS, &MODELS).unwrap();
-                let evidence = filter.update(&seen(k), &MODELS).unwrap();
+                let evidence = filter.update(&observed(k), &MODELS).unwrap();
                 assert!(evidence.log_likelihood.is_finite() && (2..=4).contains(&evidence.measured_len));
                 if filter.kind() != kind && filter.course_sigma_rad() < 0.3 {
                     filter = filter.into_kind(kind, &UNKNOWN);
@@ -292,17 +295,17 @@ fn every_kind_follows_a_circle() {
             }
             assert_eq!(filter.kind(), kind);
             let motion = filter.motion();
-            let [x, y] = seen(99).position_m;
+            let [x, y] = observed(99).position_m;
             let off_m = (motion.position_m[0] - x).hypot(motion.position_m[1] - y);
             let across = [-y / radius_m * speed_mps, x / radius_m * speed_mps];
             let off_mps = (motion.velocity_mps[0] - across[0]).hypot(motion.velocity_mps[1] - across[1]);
-            assert!(off_m < 0.15 && off_mps < 0.8, "{} {told}: {off_m} m, {off_mps} m/s", kind.name());
+            assert!(off_m < 0.15 && off_mps < 0.8, "{} {measured}: {off_m} m, {off_mps} m/s", kind.name());
         }
     }
 }
 
 #[test]
-fn subdivided_steps_are_those_of_shorter_frames() {
+fn a_long_prediction_equals_several_short_ones() {
     let start = Gaussian::new([1.0, 2.0, 0.5, -0.25], [0.1, 0.1, 1.0, 1.0]);
     let process = ConstantVelocity { density: 0.7 };
     let (mut long, mut short) = (start, start);
@@ -334,15 +337,7 @@ const MODELS: Models = Models {
 const UNKNOWN: Unknown =
     Unknown { speed_mps: 10.0, acceleration_mps2: 3.0, turn_rate_radps: 0.5, slip_rad: 0.1 };
 
-/// Whether a covariance is exactly symmetric, and positive once its components are brought to one scale.
-fn is_sound<const N: usize>(state: &Gaussian<N>) -> bool {
-    let p = state.covariance;
-    let scaled = SMatrix::<f64, N, N>::from_fn(|i, j| p[(i, j)] / (p[(i, i)] * p[(j, j)]).sqrt());
-    let eased = scaled + SMatrix::<f64, N, N>::identity() * 1e-9;
-    p == p.transpose() && state.is_finite() && eased.cholesky().is_some()
-}
-
-/// A filter's covariance must stay symmetric and positive whatever the noise of the measurements.
+/// Variances of the measurements from 1e-12 to 1e6.
 #[test]
 fn covariances_stay_positive_for_a_million_steps() {
     let start = Observation {
@@ -356,7 +351,7 @@ fn covariances_stay_positive_for_a_million_steps() {
         let time_s = f64::from(k) * 0.08;
         let exponent = -12.0 + f64::from(k * 7 % 19);
         let variance = 10_f64.powf(exponent);
-        let seen = Observation {
+        let observed = Observation {
             position_m: [30.0 * (time_s / 10.0).cos(), 30.0 * (time_s / 10.0).sin()],
             position_variance: variance,
             heading_rad: (k % 3 == 0).then_some((time_s / 10.0 + std::f64::consts::FRAC_PI_2, variance)),
@@ -364,7 +359,7 @@ fn covariances_stay_positive_for_a_million_steps() {
         };
         for filter in &mut all {
             filter.predict(STEP_NS, &MODELS).unwrap();
-            filter.update(&seen, &MODELS).unwrap();
+            filter.update(&observed, &MODELS).unwrap();
             let sound = match filter {
                 Filter::ConstantVelocity(state) => is_sound(state),
                 Filter::ConstantAcceleration(state) => is_sound(state),
@@ -379,35 +374,34 @@ fn covariances_stay_positive_for_a_million_steps() {
 fn a_failed_update_restores_the_state() {
     let mut bicycle = Gaussian::new([0.0, 0.0, 0.3, 5.0, 0.0], [1.0, 1.0, 0.01, 4.0, 0.01]);
     let before = bicycle;
-    let seen = |position_variance| Observation {
+    let observed = |position_variance| Observation {
         position_m: [0.1, 0.2],
         position_variance,
         heading_rad: None,
         speed_mps: None,
     };
-    assert!(bicycle.update(&seen(-5.0), &MODEL).is_err());
+    assert_eq!(bicycle.update(&observed(-5.0), &MODEL), Err(FilterFault::NotPositive));
     assert_eq!(bicycle, before);
-    assert!(bicycle.update(&seen(f64::NAN), &MODEL).is_err());
+    assert_eq!(bicycle.update(&observed(f64::NAN), &MODEL), Err(FilterFault::NotPositive));
     assert_eq!(bicycle, before);
     assert_eq!(bicycle.predict(u64::MAX, &MODEL), Err(FilterFault::TooLong(u64::MAX)));
     assert_eq!(bicycle, before);
 }
 
 proptest! {
-    /// Turning round tells the same motion from the other end, so it can't change how the track moves on.
     #[test]
-    fn turning_round_keeps_the_motion(
+    fn reversing_front_and_back_keeps_the_motion(
         heading in -3.0_f64..3.0, speed in -15.0_f64..15.0, slip in -0.4_f64..0.4,
     ) {
         let start = Gaussian::new([3.0, 4.0, heading, speed, slip], [0.2, 0.3, 0.02, 1.5, 0.01]);
-        let turned = turned_round(&start);
+        let turned = reversed(&start);
         let (a, b) = (Filter::Bicycle(start).motion(), Filter::Bicycle(turned).motion());
         prop_assert!((a.velocity_mps[0] - b.velocity_mps[0]).abs() < 1e-9);
         prop_assert!((a.velocity_mps[1] - b.velocity_mps[1]).abs() < 1e-9);
-        let back = turned_round(&turned);
+        let back = reversed(&turned);
         prop_assert!((back.covariance - start.covariance).amax() < 1e-9);
 
-        // The noise is told from one end, so the motion alone is compared.
+        // The noise depends on the end, so the motion alone is compared.
         let still =
             Bicycle { acceleration_mps2: 0.0, slip_rate_radps: 0.0, floor: [0.0; 5], ..MODEL };
         let (mut start, mut turned) = (start, turned);
@@ -419,16 +413,15 @@ proptest! {
         prop_assert!(ca.iter().zip(cb).all(|(x, y)| (x - y).abs() < 1e-9));
     }
 
-    /// To another kind and back is the motion that it was.
     #[test]
-    fn all_kinds_tell_the_same_motion(vx in -9.0_f64..9.0, vy in 0.5_f64..9.0) {
+    fn converting_to_another_kind_and_back_keeps_the_motion(vx in -9.0_f64..9.0, vy in 0.5_f64..9.0) {
         let start = Gaussian::new([3.0, 4.0, vx, vy], [0.2, 0.3, 0.5, 0.7]);
         for kind in Kind::ALL {
             let there = Filter::ConstantVelocity(start).into_kind(kind, &UNKNOWN);
             prop_assert_eq!(there.kind(), kind);
             let Filter::ConstantVelocity(back) = there.into_kind(Kind::ConstantVelocity, &UNKNOWN) else { panic!() };
             prop_assert!((back.mean - start.mean).amax() < 1e-9);
-            // What a slip is not known to be, the course is not known to be.
+            // The course has the uncertainty of the slip.
             let speed2 = vx * vx + vy * vy;
             let slip = if kind == Kind::Bicycle { UNKNOWN.slip_rad.powi(2) } else { 0.0 };
             let mut expected = start.covariance;

@@ -1,20 +1,16 @@
-//! The closed loop: forecasts of earlier ticks as the prior of this one.
+//! The learned prior: forecasts of earlier ticks as the prior of the next, in closed loop.
 
-#[path = "support/forecaster.rs"]
-mod forecaster;
-#[path = "support/run.rs"]
-mod run;
-
-use forecaster::{Controls, HORIZON_LEN, STEP_NS, forecast, forecasts_header};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
-use run::{Run, TICK_NS, heading, noise, seen};
 use tracker::{Prior, TrackerOptions};
 use wire::{AgentType, Detection, Forecast, Header, MODES_MAX, Quality, Steering, Track, flags};
 
+use crate::support::forecaster::{Controls, HORIZON_LEN, STEP_NS, forecast, forecasts_header};
+use crate::support::harness::{Harness, TICK_NS, detected_at, noise, with_heading};
+
 const TICK_S: f64 = TICK_NS as f64 / 1e9;
 const STEP_S: f64 = STEP_NS as f64 / 1e9;
-/// Of a vehicle whose length nobody tells.
+/// Of a vehicle of unknown length.
 const REAR_AXLE_M: f64 = 0.26 * 4.5;
 
 fn options(prior: Prior) -> TrackerOptions {
@@ -22,12 +18,12 @@ fn options(prior: Prior) -> TrackerOptions {
 }
 
 /// The tracks of a frame, after forecasts of the one before.
-fn step_after<'a>(run: &'a mut Run, made: &[Forecast], detections: &[Detection]) -> &'a [Track] {
+fn step_after<'a>(run: &'a mut Harness, made: &[Forecast], detections: &[Detection]) -> &'a [Track] {
     run.prior = Some((forecasts_header(run.stamp_ns, made.len()), made.to_vec()));
     run.step(detections)
 }
 
-/// A vehicle as the kinematic bicycle moves it.
+/// A vehicle that moves as a kinematic bicycle.
 #[derive(Clone, Copy, Debug)]
 struct Driven {
     x_m: f64,
@@ -54,9 +50,13 @@ impl Driven {
     }
 
     fn detected(&self, rng: &mut ChaCha8Rng, sigma_m: f64) -> Detection {
-        let place =
-            seen(AgentType::Vehicle, 7, self.x_m + noise(rng, sigma_m), self.y_m + noise(rng, sigma_m));
-        heading(place, self.heading_rad + noise(rng, 0.05))
+        let place = detected_at(
+            AgentType::Vehicle,
+            7,
+            self.x_m + noise(rng, sigma_m),
+            self.y_m + noise(rng, sigma_m),
+        );
+        with_heading(place, self.heading_rad + noise(rng, 0.05))
     }
 
     fn distance_m(&self, track: &Track) -> f64 {
@@ -64,22 +64,22 @@ impl Driven {
     }
 }
 
-/// What the vehicle does from the first tick of the gap on.
+/// Controls from the first tick of the gap on.
 const MANOEUVRE: [f64; 2] = [-2.5, 0.05];
 const SEEN_TICKS: usize = 50;
 const HIDDEN_TICKS: usize = 20;
 
-/// The vehicle brakes and turns while it is hidden for 1.6 s, and forecasts say so: how far the track is off at the end.
+/// Error of the track of a vehicle that brakes and turns, as forecast, while it is hidden for 1.6 s.
 fn error_after_gap_m(prior: Prior, seed: u64) -> f64 {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
-    let mut run = Run::new(options(prior), 0);
+    let mut run = Harness::new(options(prior), 0);
     let (mut truth, mut made) = (Driven::START, Vec::new());
     for tick in 0..SEEN_TICKS + HIDDEN_TICKS {
         let is_seen = tick < SEEN_TICKS;
         truth.tick(if is_seen { [0.0; 2] } else { MANOEUVRE });
         let detections: Vec<Detection> = is_seen.then(|| truth.detected(&mut rng, 0.1)).into_iter().collect();
         let tracks = step_after(&mut run, &made, &detections);
-        // The first mode knows what is to come, the second thinks that nothing is.
+        // The first mode has the true controls, the second none.
         let step = |k: usize| {
             let middle = tick as f64 + (k as f64 + 0.5) * STEP_NS as f64 / TICK_NS as f64;
             if middle < SEEN_TICKS as f64 { [0.0; 2] } else { MANOEUVRE }
@@ -99,14 +99,15 @@ fn error_after_gap_m(prior: Prior, seed: u64) -> f64 {
 }
 
 #[test]
-fn a_manoeuvre_that_was_forecast_is_followed_through_a_gap() {
+fn a_forecast_manoeuvre_is_tracked_through_a_gap() {
     let mean_m = |prior| (0..20).map(|seed| error_after_gap_m(prior, seed)).sum::<f64>() / 20.0;
     let (kinematic_m, learned_m) = (mean_m(Prior::Kinematic), mean_m(Prior::Learned));
     println!("after 1.6 s: kinematic {kinematic_m:.2} m, learned {learned_m:.2} m");
     assert!(learned_m < 0.6 * kinematic_m, "learned {learned_m:.2} m, kinematic {kinematic_m:.2} m");
 }
 
-/// Controls of a network that takes its history for exact: it reads the slip off the newest headings, and straightens it.
+/// Controls of a network that takes its history as exact: it infers the slip from the newest headings and
+/// removes it.
 fn straightening(track: &Track) -> Controls {
     let headings = track.history.map(|state| f64::from(state.heading_rad));
     let [.., oldest, older, newest] = headings;
@@ -118,15 +119,15 @@ fn straightening(track: &Track) -> Controls {
     controls
 }
 
-/// A vehicle goes straight on, seen by positions alone and then hidden for 1.6 s: how far the track is off at the end.
+/// Error of the track of a vehicle that goes straight, measured by positions alone and then hidden for 1.6 s.
 fn straight_on_error_m(options: TrackerOptions, sigma_m: f64, seed: u64) -> f64 {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
-    let mut run = Run::new(options, 0);
+    let mut run = Harness::new(options, 0);
     let (mut truth, mut made) = (Driven::START, Vec::new());
     for tick in 0..SEEN_TICKS + HIDDEN_TICKS {
         truth.tick([0.0; 2]);
         let [x_m, y_m] = [truth.x_m, truth.y_m].map(|at_m| at_m + noise(&mut rng, sigma_m));
-        let place = Detection { sigma_m: sigma_m as f32, ..seen(AgentType::Vehicle, 7, x_m, y_m) };
+        let place = Detection { sigma_m: sigma_m as f32, ..detected_at(AgentType::Vehicle, 7, x_m, y_m) };
         let detections: Vec<Detection> = (tick < SEEN_TICKS).then_some(place).into_iter().collect();
         made = step_after(&mut run, &made, &detections)
             .iter()
@@ -136,34 +137,37 @@ fn straight_on_error_m(options: TrackerOptions, sigma_m: f64, seed: u64) -> f64 
     truth.distance_m(run.published().first().expect("a track that coasts"))
 }
 
-/// Controls that undo what noise has put into a history lead a track astray where they act in full; as far as they are
-/// trusted, they do no harm.
+/// Controls inferred from a noisy history increase the error at gain 1, and not at the gain that the noise
+/// gives them.
 #[test]
-fn controls_that_undo_noise_are_not_trusted() {
-    let mut in_full = options(Prior::Learned);
-    in_full.detector.trust.even_heading_rad = 1e3;
+fn control_gain_protects_from_controls_that_undo_noise() {
+    let mut full_gain = options(Prior::Learned);
+    full_gain.detector.trust.half_gain_heading_rad = 1e3;
     let rms_m = |options| {
         let squares = (0..100).map(|seed| straight_on_error_m(options, 0.3, seed).powi(2));
         (squares.sum::<f64>() / 100.0).sqrt()
     };
     let (kinematic_m, learned_m) = (rms_m(options(Prior::Kinematic)), rms_m(options(Prior::Learned)));
-    let in_full_m = rms_m(in_full);
-    println!("after 1.6 s: kinematic {kinematic_m:.2} m, learned {learned_m:.2} m, in full {in_full_m:.2} m");
-    assert!(in_full_m > 1.1 * kinematic_m, "in full {in_full_m:.2} m, kinematic {kinematic_m:.2} m");
+    let full_gain_m = rms_m(full_gain);
+    println!(
+        "after 1.6 s: kinematic {kinematic_m:.2} m, learned {learned_m:.2} m, gain 1 {full_gain_m:.2} m"
+    );
+    assert!(full_gain_m > 1.1 * kinematic_m, "gain 1 {full_gain_m:.2} m, kinematic {kinematic_m:.2} m");
     assert!(learned_m < kinematic_m, "learned {learned_m:.2} m, kinematic {kinematic_m:.2} m");
 }
 
-/// A walker that turns left while it is hidden.
-fn walkers_error_m(prior: Prior) -> f64 {
+/// Error of the track of a pedestrian that turns left while it is hidden.
+fn pedestrian_error_m(prior: Prior) -> f64 {
     let mut rng = ChaCha8Rng::seed_from_u64(3);
-    let mut run = Run::new(options(prior), 0);
+    let mut run = Harness::new(options(prior), 0);
     let (mut x_m, mut y_m, mut made) = (0.0, 0.0, Vec::new());
     for tick in 0..SEEN_TICKS + HIDDEN_TICKS {
         let is_seen = tick < SEEN_TICKS;
         let course = if is_seen { 0.0 } else { 0.1 * (tick - SEEN_TICKS) as f64 };
         x_m += 1.4 * TICK_S * course.cos();
         y_m += 1.4 * TICK_S * course.sin();
-        let place = seen(AgentType::Pedestrian, 1, x_m + noise(&mut rng, 0.05), y_m + noise(&mut rng, 0.05));
+        let place =
+            detected_at(AgentType::Pedestrian, 1, x_m + noise(&mut rng, 0.05), y_m + noise(&mut rng, 0.05));
         let detections: Vec<Detection> = is_seen.then_some(place).into_iter().collect();
         let tracks = step_after(&mut run, &made, &detections);
         let step = |k: usize| {
@@ -183,13 +187,14 @@ fn walkers_error_m(prior: Prior) -> f64 {
 }
 
 #[test]
-fn displacements_move_walkers_through_a_gap() {
-    let (kinematic_m, learned_m) = (walkers_error_m(Prior::Kinematic), walkers_error_m(Prior::Learned));
-    println!("a walker after 1.6 s: kinematic {kinematic_m:.2} m, learned {learned_m:.2} m");
+fn displacements_move_pedestrians_through_a_gap() {
+    let (kinematic_m, learned_m) = (pedestrian_error_m(Prior::Kinematic), pedestrian_error_m(Prior::Learned));
+    println!("a pedestrian after 1.6 s: kinematic {kinematic_m:.2} m, learned {learned_m:.2} m");
     assert!(learned_m < 0.6 * kinematic_m, "learned {learned_m:.2} m, kinematic {kinematic_m:.2} m");
 }
 
-/// One vehicle, seen at every tick; `prior` makes what is at hand of the forecasts of the tick before.
+/// One vehicle, detected at every tick; `at_hand` makes the prior of a tick of the forecasts of the tick
+/// before.
 fn drive(
     options: TrackerOptions,
     ticks: usize,
@@ -197,7 +202,7 @@ fn drive(
     mut show: impl FnMut(usize, &Track, usize),
 ) {
     let mut rng = ChaCha8Rng::seed_from_u64(11);
-    let mut run = Run::new(options, 0);
+    let mut run = Harness::new(options, 0);
     let (mut truth, mut made) = (Driven::START, Vec::new());
     for tick in 0..ticks {
         truth.tick([1.0, 0.0]);
@@ -213,35 +218,35 @@ fn drive(
 }
 
 #[test]
-fn what_was_used_is_told() {
-    let mut told = Vec::new();
+fn tracks_report_the_prior_that_moved_them() {
+    let mut reported = Vec::new();
     drive(options(Prior::Learned), 120, |tick, header, made| (tick < 50).then_some((header, made)), {
         |tick, track, refused_len| {
             assert_eq!(refused_len, 0);
             let sum: f32 = track.prior_weights.iter().sum();
             assert!((sum - 1.0).abs() < 1e-5, "weights sum to {sum}");
             assert!(track.prior_weights[2..MODES_MAX].iter().all(|&weight| weight == 0.0));
-            told.push((tick, track.prior, track.prior_age_ns, track.prior_weights));
+            reported.push((tick, track.prior, track.prior_age_ns, track.prior_weights));
         }
     });
-    let of = |quality: Quality| told.iter().filter(move |told| told.1 == quality as u32);
+    let of = |quality: Quality| reported.iter().filter(move |track| track.1 == quality as u32);
     let last_learned = of(Quality::Learned).next_back().expect("forecasts are taken");
     let last_held = of(Quality::Held).next_back().expect("the last forecast is held");
-    // Taken once a step, and beyond that held until the end of its horizon.
+    // Adopted once a step, then held until the end of its horizon.
     assert!(last_learned.2 <= STEP_NS + TICK_NS as u64 && last_held.2 > 4_500_000_000, "{last_held:?}");
-    assert!(told.windows(2).all(|pair| pair[1].2 <= pair[0].2 + TICK_NS as u64));
-    let last = told.last().expect("tracks");
+    assert!(reported.windows(2).all(|pair| pair[1].2 <= pair[0].2 + TICK_NS as u64));
+    let last = reported.last().expect("tracks");
     assert_eq!((last.1, last.2, last.3[MODES_MAX]), (Quality::Kinematic as u32, 0, 1.0));
-    // It accelerates: the mode that brakes loses, however probable it was said to be.
-    let later = told.iter().find(|told| told.0 == 65).expect("a track");
+    // The vehicle accelerates: the mode that brakes loses, although it was the more probable.
+    let later = reported.iter().find(|track| track.0 == 65).expect("a track");
     assert!(last_learned.3[1] > 0.4 && later.3[0] > 0.9, "{last_learned:?}, {later:?}");
-    assert!(of(Quality::Kinematic).all(|told| told.0 < 10 || told.0 > 105));
+    assert!(of(Quality::Kinematic).all(|track| track.0 < 10 || track.0 > 105));
 }
 
-/// Makes a forecast, or the header of its frame, what it should not be.
+/// Makes a forecast, or the header of its frame, invalid.
 type Spoil = fn(&mut Header, &mut Forecast);
 
-/// Each fault of a forecast, and whether it counts as one.
+/// Each fault of a forecast, and whether it counts as refused.
 fn faults() -> Vec<(&'static str, bool, Spoil)> {
     vec![
         ("of another track", false, |_, forecast| forecast.id += 1),
@@ -266,7 +271,7 @@ fn faults() -> Vec<(&'static str, bool, Spoil)> {
 }
 
 #[test]
-fn a_forecast_that_cannot_be_the_prior_leaves_the_process_model() {
+fn an_unusable_forecast_leaves_the_process_model() {
     let alone = |prior: Prior, spoil: Spoil| {
         let (mut tracks, mut refused_len) = (Vec::new(), 0);
         drive(
@@ -294,10 +299,10 @@ fn a_forecast_that_cannot_be_the_prior_leaves_the_process_model() {
 }
 
 #[test]
-fn the_same_forecasts_in_any_order_give_the_same_bits() {
+fn the_order_of_forecasts_changes_no_bit() {
     let crowd = |reverse: bool| {
         let mut rng = ChaCha8Rng::seed_from_u64(5);
-        let mut run = Run::new(options(Prior::Learned), 0);
+        let mut run = Harness::new(options(Prior::Learned), 0);
         let mut all: Vec<Track> = Vec::new();
         let mut made: Vec<Forecast> = Vec::new();
         for tick in 0..60 {
@@ -305,7 +310,10 @@ fn the_same_forecasts_in_any_order_give_the_same_bits() {
                 .filter(|i| !(tick + i).is_multiple_of(7))
                 .map(|i| {
                     let x_m = f64::from(tick) * 0.5 + noise(&mut rng, 0.1);
-                    heading(seen(AgentType::Vehicle, 0, x_m, f64::from(i) * 6.0), noise(&mut rng, 0.05))
+                    with_heading(
+                        detected_at(AgentType::Vehicle, 0, x_m, f64::from(i) * 6.0),
+                        noise(&mut rng, 0.05),
+                    )
                 })
                 .collect();
             if reverse {
@@ -324,14 +332,13 @@ fn the_same_forecasts_in_any_order_give_the_same_bits() {
     assert_eq!(forwards, crowd(true));
 }
 
-/// A detector that takes the back for the front at first: the track turns round, and forecasts of the old front move it no
-/// more.
+/// A detector that flips the first headings: the track flips, and drops forecasts of the old front.
 #[test]
-fn a_front_that_was_the_back_takes_forecasts_anew() {
+fn a_flipped_track_adopts_only_forecasts_of_its_new_front() {
     let mut rng = ChaCha8Rng::seed_from_u64(2);
-    let mut run = Run::new(options(Prior::Learned), 0);
+    let mut run = Harness::new(options(Prior::Learned), 0);
     let (mut truth, mut made, mut late) = (Driven::START, Vec::new(), Vec::new());
-    let (mut turned, mut learned_since) = (None, 0);
+    let (mut flipped, mut learned_since) = (None, 0);
     for tick in 0..150 {
         truth.tick([0.0; 2]);
         let mut detection = truth.detected(&mut rng, 0.05);
@@ -339,7 +346,7 @@ fn a_front_that_was_the_back_takes_forecasts_anew() {
             detection.heading_rad =
                 filters::wrapped(f64::from(detection.heading_rad) + std::f64::consts::PI) as f32;
         }
-        // Forecasts come a tick late.
+        // Forecasts arrive a tick later.
         let stamp_ns = run.stamp_ns - TICK_NS;
         let prior = (forecasts_header(stamp_ns, Vec::len(&late)), std::mem::replace(&mut late, made));
         run.prior = Some(prior);
@@ -352,11 +359,11 @@ fn a_front_that_was_the_back_takes_forecasts_anew() {
         let Some(track) = track else { continue };
         assert!(tick < 20 || truth.distance_m(track) < 0.5, "tick {tick}: {} m", truth.distance_m(track));
         if track.speed_mps > 0.0 && tick >= 20 {
-            let first = *turned.get_or_insert(tick);
+            let first = *flipped.get_or_insert(tick);
             let learned = track.prior == Quality::Learned as u32;
-            assert!(tick != first || !learned, "tick {tick} goes on by a forecast of the old front");
+            assert!(tick != first || !learned, "tick {tick}: the prior is a forecast of the old front");
             learned_since += usize::from(learned);
         }
     }
-    assert!(turned.is_some() && learned_since > 80, "{turned:?}, {learned_since}");
+    assert!(flipped.is_some() && learned_since > 80, "{flipped:?}, {learned_since}");
 }

@@ -1,28 +1,21 @@
-//! Corrections by observations that may be of the agent, against references made of what is known of single ones.
+//! Joint updates by observations of which at most one is of the agent, against updates by each.
 
-#[path = "support/bicycle.rs"]
-mod bicycle;
-
-use bicycle::BICYCLE;
-use filters::assignment::Candidate;
-use filters::jpda::{Associator, SIDE_MAX, Share};
+use association::Candidate;
+use association::jpda::{Associator, Share};
 use filters::{
-    Bicycle, ConstantVelocity, ControlStep, Filter, FilterFault, Forecast, Gaussian, Mixture, Models,
-    Observation, Priors, Process, Steered, difference, moments,
+    Bicycle, ControlStep, Controlled, Filter, FilterFault, Forecast, Gaussian, Mixture, Models,
+    OBSERVATIONS_MAX, Observation, Priors, Process, difference, moments,
 };
-use nalgebra::{Matrix2, Matrix2x4, SMatrix, Vector2};
+use nalgebra::{Matrix2, Matrix2x4, Vector2};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
-const WALK: ConstantVelocity = ConstantVelocity { density: 0.5 };
+use crate::support::bicycle::BICYCLE;
+use crate::support::state::{PEDESTRIAN, at, is_sound};
 
-fn at(x: f64, y: f64, sigma_m: f64) -> Observation {
-    Observation { position_m: [x, y], position_variance: sigma_m.powi(2), heading_rad: None, speed_mps: None }
-}
-
-fn walker() -> Gaussian<4> {
+fn pedestrian() -> Gaussian<4> {
     let mut state = Gaussian::new([1.0, 2.0, 0.5, -0.3], [0.3, 0.2, 0.5, 0.4]);
-    state.predict(160_000_000, &WALK).expect("a finite state");
+    state.predict(160_000_000, &PEDESTRIAN).expect("a finite state");
     state
 }
 
@@ -32,33 +25,25 @@ fn vehicle() -> Gaussian<5> {
     state
 }
 
-/// Whether a covariance is exactly symmetric, and positive once its components are brought to one scale.
-fn is_sound<const N: usize>(state: &Gaussian<N>) -> bool {
-    let p = state.covariance;
-    let scaled = SMatrix::<f64, N, N>::from_fn(|i, j| p[(i, j)] / (p[(i, i)] * p[(j, j)]).sqrt());
-    let eased = scaled + SMatrix::<f64, N, N>::identity() * 1e-9;
-    p == p.transpose() && state.is_finite() && eased.cholesky().is_some()
-}
-
 fn assert_near<const N: usize>(found: &Gaussian<N>, expected: &Gaussian<N>) {
     let off = (found.mean - expected.mean).amax().max((found.covariance - expected.covariance).amax());
     assert!(off < 1e-9, "{off:e}: {found:?} instead of {expected:?}");
 }
 
-/// Kalman's gain for all, the covariance of the miss, and the spread of the innovations: the textbook's formulas.
+/// The formulas of the probabilistic data association filter.
 #[test]
-fn observations_of_equal_noise_correct_as_in_the_textbook() {
-    let prior = walker();
-    let seen = [(0.5, at(1.3, 2.2, 0.3)), (0.2, at(0.6, 1.5, 0.3)), (0.1, at(2.0, 2.0, 0.3))];
+fn equal_noise_gives_the_textbook_pda_update() {
+    let prior = pedestrian();
+    let observed = [(0.5, at(1.3, 2.2, 0.3)), (0.2, at(0.6, 1.5, 0.3)), (0.1, at(2.0, 2.0, 0.3))];
     let missed = 0.2;
     let pick = Matrix2x4::identity();
     let spread: Matrix2<f64> = pick * prior.covariance * pick.transpose() + Matrix2::identity() * 0.09;
     let gain = prior.covariance * pick.transpose() * spread.try_inverse().unwrap();
     let innovation =
         |o: &Observation| Vector2::from(o.position_m) - prior.mean.fixed_rows::<2>(0).into_owned();
-    let combined: Vector2<f64> = seen.iter().map(|(beta, o)| innovation(o) * *beta).sum();
+    let combined: Vector2<f64> = observed.iter().map(|(beta, o)| innovation(o) * *beta).sum();
     let squares: Matrix2<f64> =
-        seen.iter().map(|(beta, o)| innovation(o) * innovation(o).transpose() * *beta).sum();
+        observed.iter().map(|(beta, o)| innovation(o) * innovation(o).transpose() * *beta).sum();
     let certain = prior.covariance - gain * spread * gain.transpose();
     let expected = Gaussian {
         mean: prior.mean + gain * combined,
@@ -67,15 +52,15 @@ fn observations_of_equal_noise_correct_as_in_the_textbook() {
             + gain * (squares - combined * combined.transpose()) * gain.transpose(),
     };
     let mut found = prior;
-    found.update_jointly(&seen, &WALK).unwrap();
+    found.update_jointly(&observed, &PEDESTRIAN).unwrap();
     assert_near(&found, &expected);
 }
 
-/// Headings about π, and values that only some of the observations tell.
+/// Headings about π, and values that only some of the observations have.
 #[test]
-fn observations_of_any_kind_correct_to_the_moments_of_all() {
+fn update_has_the_moments_of_all_posteriors() {
     let prior = vehicle();
-    let seen = [
+    let observed = [
         (0.3, Observation { heading_rad: Some((-3.1, 0.02)), ..at(0.6, 2.1, 0.2) }),
         (0.25, Observation { speed_mps: Some((5.0, 0.25)), ..at(0.3, 1.8, 0.4) }),
         (
@@ -85,14 +70,14 @@ fn observations_of_any_kind_correct_to_the_moments_of_all() {
         (0.05, at(0.0, 2.0, 1.0)),
     ];
     let mut posteriors = vec![(0.2, prior)];
-    for (probability, seen) in &seen {
+    for (probability, observed) in &observed {
         let mut posterior = prior;
-        posterior.update(seen, &BICYCLE).unwrap();
+        posterior.update(observed, &BICYCLE).unwrap();
         posteriors.push((*probability, posterior));
     }
     let expected = moments(posteriors.iter().map(|(weight, state)| (*weight, state)), Bicycle::ANGLES);
     let mut found = Filter::Bicycle(prior);
-    found.update_jointly(&seen, &models()).unwrap();
+    found.update_jointly(&observed, &models()).unwrap();
     let Filter::Bicycle(found) = found else { panic!("another kind: {found:?}") };
     assert_near(&found, &expected);
     assert!(found.mean[2].abs() > 3.0, "the mean of headings about π: {}", found.mean[2]);
@@ -101,7 +86,7 @@ fn observations_of_any_kind_correct_to_the_moments_of_all() {
 
 fn models() -> Models {
     Models {
-        constant_velocity: WALK,
+        constant_velocity: PEDESTRIAN,
         constant_acceleration: filters::ConstantAcceleration { density: 1.0 },
         constant_turn_rate: filters::ConstantTurnRate { acceleration_density: 1.0, yaw_density: 0.1 },
         bicycle: BICYCLE,
@@ -109,26 +94,26 @@ fn models() -> Models {
 }
 
 #[test]
-fn one_certain_observation_is_an_update_to_the_bit() {
-    let seen = Observation { heading_rad: Some((-3.1, 0.02)), ..at(0.6, 2.1, 0.2) };
+fn one_certain_observation_is_a_plain_update_to_the_bit() {
+    let observed = Observation { heading_rad: Some((-3.1, 0.02)), ..at(0.6, 2.1, 0.2) };
     let (mut plain, mut joint) = (vehicle(), vehicle());
-    plain.update(&seen, &BICYCLE).unwrap();
-    joint.update_jointly(&[(1.0, seen)], &BICYCLE).unwrap();
+    plain.update(&observed, &BICYCLE).unwrap();
+    joint.update_jointly(&[(1.0, observed)], &BICYCLE).unwrap();
     assert_eq!(joint, plain);
     let (mut plain, mut joint) = (mixture(), mixture());
-    plain.update(&seen).unwrap();
-    joint.update_jointly(&[(1.0, seen)]).unwrap();
+    plain.update(&observed).unwrap();
+    joint.update_jointly(&[(1.0, observed)]).unwrap();
     assert_eq!(joint.moments(), plain.moments());
-    // A second one that can't be it changes no more than the rounding.
+    // A second one of probability 0 changes no more than the rounding.
     let mut beside = vehicle();
-    beside.update_jointly(&[(1.0, seen), (0.0, at(9.0, 9.0, 0.1))], &BICYCLE).unwrap();
+    beside.update_jointly(&[(1.0, observed), (0.0, at(9.0, 9.0, 0.1))], &BICYCLE).unwrap();
     let mut plain = vehicle();
-    plain.update(&seen, &BICYCLE).unwrap();
+    plain.update(&observed, &BICYCLE).unwrap();
     assert_near(&beside, &plain);
 }
 
 #[test]
-fn nothing_seen_changes_nothing() {
+fn an_update_without_observations_changes_nothing() {
     let mut joint = vehicle();
     joint.update_jointly(&[], &BICYCLE).unwrap();
     assert_eq!(joint, vehicle());
@@ -138,19 +123,19 @@ fn nothing_seen_changes_nothing() {
 }
 
 #[test]
-fn an_observation_that_fails_leaves_the_state() {
-    let seen = [(0.4, at(0.6, 2.1, 0.2)), (0.3, at(0.6, 2.1, f64::NAN))];
+fn a_failed_observation_leaves_the_state() {
+    let observed = [(0.4, at(0.6, 2.1, 0.2)), (0.3, at(0.6, 2.1, f64::NAN))];
     let mut joint = vehicle();
-    assert_eq!(joint.update_jointly(&seen, &BICYCLE), Err(FilterFault::NotPositive));
+    assert_eq!(joint.update_jointly(&observed, &BICYCLE), Err(FilterFault::NotPositive));
     assert_eq!(joint, vehicle());
     let mut joint = mixture();
-    assert_eq!(joint.update_jointly(&seen), Err(FilterFault::NotPositive));
+    assert_eq!(joint.update_jointly(&observed), Err(FilterFault::NotPositive));
     assert_eq!(joint.moments(), mixture().moments());
 }
 
-/// A mixture of four hypotheses that speed up and steer apart, and the kinematic component.
+/// A mixture of four hypotheses with different controls, and the kinematic component.
 #[expect(clippy::unwrap_used, reason = "a failure here is the test's")]
-fn mixture_of<P: Steered<N> + Copy, const N: usize>(process: P, start: Gaussian<N>) -> Mixture<P, N> {
+fn mixture_of<P: Controlled<N> + Copy, const N: usize>(process: P, start: Gaussian<N>) -> Mixture<P, N> {
     let priors = Priors { kinematic_weight: 0.2, ..Priors::new(process, process) };
     let mut mixture = Mixture::new(start, priors, 3);
     let controls = [[2.0, 0.1], [2.0, -0.1], [-2.0, 0.1], [-2.0, -0.1]];
@@ -171,22 +156,22 @@ fn mixture() -> Mixture<Bicycle, 5> {
     mixture_of(BICYCLE, vehicle())
 }
 
-/// Whether a mixture knows of all observations what it knows of each: by its weights, and by its moments, which are
-/// returned beside those expected.
+/// The moments of a mixture after a joint update, and those expected of its updates by each observation;
+/// asserts the weights.
 #[expect(clippy::unwrap_used, reason = "a failure here is the test's")]
-fn jointly<P: Steered<N> + Copy, const N: usize>(
+fn jointly<P: Controlled<N> + Copy, const N: usize>(
     prior: &Mixture<P, N>,
-    seen: &[(f64, Observation)],
+    observed: &[(f64, Observation)],
 ) -> (Gaussian<N>, Gaussian<N>) {
-    let missed = 1.0 - seen.iter().map(|(probability, _)| probability).sum::<f64>();
+    let missed = 1.0 - observed.iter().map(|(probability, _)| probability).sum::<f64>();
     let mut of_each = vec![(missed, prior.clone())];
-    for (probability, seen) in seen {
+    for (probability, observed) in observed {
         let mut updated = prior.clone();
-        updated.update(seen).unwrap();
+        updated.update(observed).unwrap();
         of_each.push((*probability, updated));
     }
     let mut found = prior.clone();
-    found.update_jointly(seen).unwrap();
+    found.update_jointly(observed).unwrap();
     assert_eq!(found.components().count(), 5);
     for (component, (number, weight, state)) in found.components().enumerate() {
         let expected: f64 =
@@ -200,33 +185,33 @@ fn jointly<P: Steered<N> + Copy, const N: usize>(
 }
 
 #[test]
-fn a_mixture_has_the_moments_of_its_updates() {
-    let seen = [(0.4, at(1.0, 2.2, 0.5)), (0.25, at(1.2, 1.7, 0.7)), (0.05, at(0.9, 2.0, 0.8))];
-    let (found, expected) = jointly(&mixture_of(WALK, walker()), &seen);
+fn mixture_has_the_moments_of_its_updates() {
+    let observed = [(0.4, at(1.0, 2.2, 0.5)), (0.25, at(1.2, 1.7, 0.7)), (0.05, at(0.9, 2.0, 0.8))];
+    let (found, expected) = jointly(&mixture_of(PEDESTRIAN, pedestrian()), &observed);
     assert_near(&found, &expected);
-    let seen = [
+    let observed = [
         (0.4, Observation { heading_rad: Some((3.1, 0.05)), ..at(-0.8, 2.2, 0.5) }),
         (0.25, at(-1.2, 1.7, 0.7)),
         (0.05, Observation { speed_mps: Some((5.0, 1.0)), ..at(-0.9, 2.0, 0.8) }),
     ];
-    // A mean on the circle of means on the circle is not quite that of all at once.
-    let (found, expected) = jointly(&mixture(), &seen);
+    // A circular mean of circular means differs slightly from that of all at once.
+    let (found, expected) = jointly(&mixture(), &observed);
     let off = (found.covariance - expected.covariance).amax();
     assert!(difference(&found.mean, &expected.mean, Bicycle::ANGLES).amax() < 1e-6 && off < 1e-5, "{off:e}");
 }
 
-/// Two walkers, three detections: each is corrected to its moments over all joint events, which are told here one by one.
+/// Two pedestrians, three detections, and all joint events enumerated here.
 #[test]
 fn two_agents_have_the_moments_of_all_joint_events() {
-    let mut second = walker();
+    let mut second = pedestrian();
     second.mean += nalgebra::Vector4::new(0.7, -0.2, -0.8, 0.4);
-    let priors = [walker(), second];
+    let priors = [pedestrian(), second];
     let detections = [at(1.2, 1.8, 0.3), at(1.6, 2.0, 0.3), at(1.5, 1.5, 0.3)];
     let (detected, clutter) = (0.8_f64, 0.1_f64);
     let update = |track: usize, option: Option<usize>| -> (f64, Gaussian<4>) {
         let mut posterior = priors[track];
         let Some(d) = option else { return (1.0 - detected, posterior) };
-        let evidence = posterior.update(&detections[d], &WALK).unwrap();
+        let evidence = posterior.update(&detections[d], &PEDESTRIAN).unwrap();
         (detected * evidence.log_likelihood.exp() / clutter, posterior)
     };
     let options = [None, Some(0), Some(1), Some(2)];
@@ -238,8 +223,8 @@ fn two_agents_have_the_moments_of_all_joint_events() {
 
     let mut candidates = Vec::new();
     for (track, prior) in (0..).zip(&priors) {
-        for (detection, seen) in (0..).zip(&detections) {
-            let evidence = prior.clone().update(seen, &WALK).unwrap();
+        for (detection, observed) in (0..).zip(&detections) {
+            let evidence = prior.clone().update(observed, &PEDESTRIAN).unwrap();
             candidates.push(Candidate { track, detection, cost: -2.0 * evidence.log_likelihood });
         }
     }
@@ -251,7 +236,7 @@ fn two_agents_have_the_moments_of_all_joint_events() {
             events.iter().map(|&event| (weight(event) / sum, update(track, event[track]).1)).collect();
         let expected = moments(posteriors.iter().map(|(weight, state)| (*weight, state)), &[]);
         let mut found = *prior;
-        found.update_jointly(&observations(associator.of_track(track), &detections), &WALK).unwrap();
+        found.update_jointly(&observations(associator.of_track(track), &detections), &PEDESTRIAN).unwrap();
         assert_near(&found, &expected);
     }
 }
@@ -260,15 +245,15 @@ fn observations(shares: &[Share], detections: &[Observation]) -> Vec<(f64, Obser
     shares.iter().map(|share| (share.probability, detections[share.detection as usize])).collect()
 }
 
-/// 10,000 corrections by anything.
+/// 10,000 random updates.
 #[expect(clippy::unwrap_used, reason = "a failure here is the test's")]
-fn stays_sound<P: Process<N>, const N: usize>(process: &P, start: Gaussian<N>) {
+fn assert_stays_sound<P: Process<N>, const N: usize>(process: &P, start: Gaussian<N>) {
     let mut rng = ChaCha8Rng::seed_from_u64(3);
     let mut state = start;
     for tick in 0..10_000 {
         state.predict(rng.random_range(0..200_000_000), process).unwrap();
         let mut rest = 1.0;
-        let seen: Vec<(f64, Observation)> = (0..rng.random_range(0..=SIDE_MAX))
+        let observed: Vec<(f64, Observation)> = (0..rng.random_range(0..=OBSERVATIONS_MAX))
             .map(|_| {
                 let probability = rng.random_range(0.0..=rest);
                 rest -= probability;
@@ -280,13 +265,13 @@ fn stays_sound<P: Process<N>, const N: usize>(process: &P, start: Gaussian<N>) {
                 (probability, Observation { heading_rad, speed_mps, ..at(x, y, sigma_m) })
             })
             .collect();
-        state.update_jointly(&seen, process).unwrap();
+        state.update_jointly(&observed, process).unwrap();
         assert!(is_sound(&state), "tick {tick}: {state:?}");
     }
 }
 
 #[test]
-fn random_corrections_keep_covariances_sound() {
-    stays_sound(&WALK, walker());
-    stays_sound(&BICYCLE, vehicle());
+fn random_joint_updates_keep_covariances_sound() {
+    assert_stays_sound(&PEDESTRIAN, pedestrian());
+    assert_stays_sound(&BICYCLE, vehicle());
 }

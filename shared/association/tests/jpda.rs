@@ -1,15 +1,16 @@
-//! Joint association probabilities against reference values and their own laws.
+//! JPDA against reference values, enumeration and the laws of probability.
 
 use std::path::PathBuf;
 
-use filters::assignment::{Assigner, Candidate};
-use filters::jpda::{Associator, JointAssociation, JpdaFault, SIDE_MAX, Sensor};
+use association::Candidate;
+use association::assignment::Assigner;
+use association::jpda::{Associator, JointAssociation, JpdaFault, SIDE_MAX, Sensor};
 use proptest::prelude::*;
 
 const SENSOR: Sensor = Sensor { detection_probability: 0.9, clutter_density: 0.05 };
 
 #[test]
-fn probabilities_agree_with_the_reference() {
+fn probabilities_equal_the_reference() {
     let path = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("tests/golden/unit/jpda.json");
     let all: serde_json::Value = serde_json::from_str(&std::fs::read_to_string(path).unwrap()).unwrap();
     let matrix = |value: &serde_json::Value| -> Vec<Vec<f64>> {
@@ -40,7 +41,7 @@ fn probabilities_agree_with_the_reference() {
 }
 
 #[test]
-fn impossible_inputs_are_refused_or_left_out() {
+fn invalid_inputs_are_refused_or_ignored() {
     let zero = |_, _| Some(0.0);
     let fault = JointAssociation::new(6, 2, &SENSOR, zero).unwrap_err();
     assert_eq!(fault, JpdaFault::TooLarge { tracks_len: 6, detections_len: 2 });
@@ -54,15 +55,15 @@ fn impossible_inputs_are_refused_or_left_out() {
     let odd = [f64::NAN, f64::INFINITY, f64::NEG_INFINITY];
     let found = JointAssociation::new(1, 3, &SENSOR, |_, detection| Some(odd[detection])).unwrap();
     assert_eq!(found.of_track(0), [0.0, 0.0, 0.0, 1.0]);
-    // Two tracks that both lie on one detection, told with all the certainty there is.
+    // Two tracks that share a detection of overwhelming likelihood.
     let found = JointAssociation::new(2, 1, &SENSOR, |_, _| Some(1e5)).unwrap();
     assert!((found.pair(0, 0) - 0.5).abs() < 1e-12 && (found.miss(1) - 0.5).abs() < 1e-12);
 }
 
 proptest! {
-    /// A track's probabilities sum to 1, a detection's to no more, and the order of the tracks does not matter.
+    /// A track's probabilities sum to 1, a detection's to at most 1; the order of the tracks changes none.
     #[test]
-    fn probabilities_keep_their_laws(
+    fn probabilities_sum_to_one_in_any_order_of_tracks(
         tracks in 1_usize..6, detections in 0_usize..6,
         logs in proptest::collection::vec(proptest::option::of(-300.0_f64..30.0), 25),
     ) {
@@ -99,15 +100,14 @@ fn associated(mut candidates: Vec<Candidate>, tracks_len: usize, detections_len:
     (0..tracks_len).map(of_track).collect()
 }
 
-/// −2 ln of what a miss of [`SENSOR`] weighs where a pair costs −2 ln N.
+/// Cost of a miss of [`SENSOR`] where a pair costs −2 ln N.
 fn miss_cost() -> f64 {
     -2.0 * ((1.0 - SENSOR.detection_probability) * SENSOR.clutter_density / SENSOR.detection_probability).ln()
 }
 
 proptest! {
-    /// However a small frame falls apart, its probabilities are those of all its events.
     #[test]
-    fn components_are_the_whole(
+    fn components_have_the_probabilities_of_the_whole_frame(
         tracks in 1_usize..6, detections in 1_usize..6,
         logs in proptest::collection::vec(proptest::option::of(-30.0_f64..5.0), 25),
     ) {
@@ -132,8 +132,14 @@ fn candidate(track: usize, detection: usize, cost: f64) -> Candidate {
     Candidate { track: track as u32, detection: detection as u32, cost }
 }
 
-/// Adds all events that go on from `track` to what they hold; returns what they weigh.
-fn gather(costs: &[Vec<Option<f64>>], track: usize, taken: u32, before: f64, beta: &mut [Vec<f64>]) -> f64 {
+/// Adds to β every event that continues from `track`; returns the sum of their weights.
+fn accumulate(
+    costs: &[Vec<Option<f64>>],
+    track: usize,
+    taken: u32,
+    before: f64,
+    beta: &mut [Vec<f64>],
+) -> f64 {
     let Some(row) = costs.get(track) else { return 1.0 };
     let mut sum = 0.0;
     for option in 0..=row.len() {
@@ -141,17 +147,18 @@ fn gather(costs: &[Vec<Option<f64>>], track: usize, taken: u32, before: f64, bet
         let cost = if option == row.len() { Some(miss_cost()) } else { row[option] };
         let Some(cost) = cost.filter(|_| option == row.len() || taken & bit == 0) else { continue };
         let weight = (-0.5 * cost).exp();
-        let from_here = weight * gather(costs, track + 1, taken | bit, before * weight, beta);
+        let from_here = weight * accumulate(costs, track + 1, taken | bit, before * weight, beta);
         beta[track][option] += before * from_here;
         sum += from_here;
     }
     sum
 }
 
-/// A queue of nine whose neighbours are within each other's gate: one component of nine, too large to be enumerated.
+/// A queue of nine whose neighbours are within each other's gate: one component of nine, too large to be
+/// enumerated.
 #[test]
-fn what_is_cut_from_a_large_component_is_what_matters_least() {
-    // 0.5 m of deviation in the innovation; each detection is seen beside its track.
+fn cutting_a_large_component_errs_by_less_than_a_tenth() {
+    // Innovations of 0.5 m standard deviation; each detection is near its track.
     let off_m = [0.3, -0.2, 0.4, 0.1, -0.5, 0.2, 0.0, -0.3, 0.4];
     let (spacing_m, sigma_m) = (0.8, 0.5_f64);
     let log_det = 2.0 * std::f64::consts::TAU.ln() + 4.0 * sigma_m.ln();
@@ -161,7 +168,7 @@ fn what_is_cut_from_a_large_component_is_what_matters_least() {
     };
     let costs: Vec<Vec<Option<f64>>> = (0..9).map(|t| (0..9).map(|d| cost(t, d)).collect()).collect();
     let mut exact = vec![vec![0.0; 10]; 9];
-    let sum = gather(&costs, 0, 0, 1.0, &mut exact);
+    let sum = accumulate(&costs, 0, 0, 1.0, &mut exact);
     let pairs = (0..81).filter_map(|i| Some(candidate(i / 9, i % 9, costs[i / 9][i % 9]?)));
     let mut candidates: Vec<Candidate> = pairs.collect();
     let found = associated(candidates.clone(), 9, 9);
@@ -174,7 +181,7 @@ fn what_is_cut_from_a_large_component_is_what_matters_least() {
     println!("a queue of nine: off by {worst:.4} at most");
     assert!(worst < 0.1, "{worst}");
 
-    // What the assignment pairs is still there, and the order of the candidates tells nothing.
+    // The pairs of the assignment stay, and the order of the candidates changes nothing.
     let mut paired = [None; 9];
     Assigner::default().solve(&mut candidates.clone(), 9, miss_cost(), &mut paired);
     for (row, detection) in found.iter().zip(paired) {
@@ -184,9 +191,9 @@ fn what_is_cut_from_a_large_component_is_what_matters_least() {
     assert_eq!(associated(candidates, 9, 9), found);
 }
 
-/// Three hundred tracks and detections of which each pair is possible, and one pair far away.
+/// Three hundred tracks and detections with every pair possible, and one pair far away.
 #[test]
-fn the_largest_component_is_bounded() {
+fn components_are_cut_to_the_bound() {
     let dense = |i: usize| candidate(i / 300, i % 300, ((i * 7919) % 1000) as f64 * 0.02);
     let mut candidates: Vec<Candidate> = (0..90_000).map(dense).collect();
     candidates.push(candidate(300, 300, 1.0));

@@ -1,17 +1,19 @@
-//! Joint probabilistic data association: how probable it is that each detection belongs to each track, over all ways to
-//! pair them at once, instead of one pairing for all.
+//! Joint probabilistic data association (JPDA): the probability that each detection belongs to each track,
+//! over all ways to pair them at once.
 //!
-//! A *joint event* gives every track one detection or none, and no detection two tracks. It weighs
+//! A *joint event* pairs every track with one detection or none, and no detection with two tracks. Its weight
+//! is
 //!
 //! ```text
 //! Π_paired P_D N(y_ij; 0, S_ij) / λ · Π_missed (1 − P_D)
 //! ```
 //!
-//! and the probability β_ij of a pair is the share of all events that hold it. A track is then
-//! [updated](crate::Filter::update_jointly) to the moments of its posteriors under each detection, weighted by β, and of its
-//! prior, weighted by that of the miss.
+//! and the probability β_ij of a pair is the share of the events that contain it, by weight. A track is then
+//! updated to the moments of its posteriors under each detection, weighted by β, and of its prior, weighted
+//! by the β of the miss.
 //!
-//! An [`JointAssociation`] enumerates the events of one small component; an [`Associator`] finds the components of a frame.
+//! A [`JointAssociation`] enumerates the events of one small component; an [`Associator`] separates a frame
+//! into components.
 
 mod associator;
 
@@ -21,12 +23,13 @@ use thiserror::Error;
 
 /// Most tracks, and most detections, of a component whose events are enumerated.
 pub const SIDE_MAX: usize = 5;
-/// A pair so much less likely than the best of its track counts as no less: it never matters, and events can't underflow.
+/// Least log-likelihood of a pair relative to the best of its track: less never matters, and events can't
+/// underflow.
 const LOG_RATIO_MIN: f64 = -100.0;
-/// A detection, or the miss, of one track.
+/// Options of one track: a detection, or the miss.
 const OPTIONS_MAX: usize = SIDE_MAX + 1;
 
-/// How the sensor sees.
+/// Detection model of the sensor.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Sensor {
     /// Probability that a track is detected, P_D, below 1.
@@ -35,7 +38,7 @@ pub struct Sensor {
     pub clutter_density: f64,
 }
 
-/// Why no association was made.
+/// Why there is no association.
 #[derive(Clone, Copy, Debug, Error, PartialEq)]
 pub enum JpdaFault {
     /// More events than are enumerated.
@@ -46,7 +49,7 @@ pub enum JpdaFault {
         /// Detections given.
         detections_len: usize,
     },
-    /// The sensor's numbers are no probability and density.
+    /// The sensor's numbers are not a probability and a density.
     #[error("{0:?} is no sensor")]
     Sensor(Sensor),
 }
@@ -62,8 +65,8 @@ pub struct JointAssociation {
 impl JointAssociation {
     /// Enumerates the joint events of a component.
     ///
-    /// `log_likelihood(track, detection)` is ln N(y; 0, S), `None` beyond the gate; one that is not finite counts as
-    /// beyond it.
+    /// `log_likelihood(track, detection)` is ln N(y; 0, S), `None` beyond the gate; one that is not finite
+    /// counts as beyond it.
     ///
     /// # Errors
     /// [`JpdaFault`]
@@ -85,7 +88,8 @@ impl JointAssociation {
         Ok(Self::enumerate(tracks_len, detections_len, log_miss, log_weight))
     }
 
-    /// As [`JointAssociation::new`], of a component within [`SIDE_MAX`], by what the pairs and a miss weigh in an event.
+    /// As [`JointAssociation::new`], for a component within [`SIDE_MAX`], given the log-weights of the pairs
+    /// and of a miss.
     fn enumerate(
         tracks_len: usize,
         detections_len: usize,
@@ -103,17 +107,18 @@ impl JointAssociation {
             *weight = logs.map(|log| log.map_or(0.0, |log| (log - most).max(LOG_RATIO_MIN).exp()));
         }
         let mut association = Self { beta: [[0.0; OPTIONS_MAX]; SIDE_MAX], tracks_len, detections_len };
-        let sum = association.gather(&weights, 0, 0, 1.0);
+        let sum = association.accumulate(&weights, 0, 0, 1.0);
         for beta in association.beta.as_flattened_mut() {
-            // A certain pair may come out above 1 by rounding.
+            // Rounding may bring a certain pair above 1.
             *beta = (*beta / sum).min(1.0);
         }
         association
     }
 
-    /// Adds every event that goes on from the pairs of the tracks before `track`, which weigh `before` and hold the
-    /// detections of the mask `taken`, to the pairs that it holds; returns the sum of what the events weigh from `track` on.
-    fn gather(
+    /// Adds to β every event that continues the pairs of the tracks before `track`, which have the weight
+    /// `before` and the detections of the mask `taken`; returns the sum of the events' weights from `track`
+    /// on.
+    fn accumulate(
         &mut self,
         weights: &[[f64; OPTIONS_MAX]; SIDE_MAX],
         track: usize,
@@ -130,7 +135,7 @@ impl JointAssociation {
             if weight == 0.0 || taken & bit != 0 {
                 continue;
             }
-            let from_here = weight * self.gather(weights, track + 1, taken | bit, before * weight);
+            let from_here = weight * self.accumulate(weights, track + 1, taken | bit, before * weight);
             self.beta[track][option] += before * from_here;
             sum += from_here;
         }

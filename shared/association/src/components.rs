@@ -1,12 +1,12 @@
-use crate::assignment::Candidate;
+use crate::Candidate;
 
-/// Groups of tracks and detections that candidates connect; holds only scratch memory.
+/// The connected components of tracks and detections, which candidates connect; holds only scratch memory.
 ///
 /// Union-find over the tracks, then the detections; the root of a component is its first track.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Components {
     parent: Vec<u32>,
-    /// Tracks and detections in the component of each root.
+    /// Numbers of tracks and detections in the component of each root.
     sides: Vec<[u32; 2]>,
     tracks_len: u32,
 }
@@ -17,7 +17,7 @@ impl Components {
         Self { parent: Vec::with_capacity(len), sides: Vec::with_capacity(len), tracks_len: 0 }
     }
 
-    /// Takes every track and detection apart.
+    /// Makes every track and detection a component of its own.
     pub(crate) fn clear(&mut self, tracks_len: usize, detections_len: usize) {
         self.tracks_len = tracks_len as u32;
         self.parent.clear();
@@ -27,8 +27,8 @@ impl Components {
         self.sides.resize(tracks_len + detections_len, [0, 1]);
     }
 
-    /// Joins what a candidate connects, unless the component would hold more than `side_max` tracks or detections;
-    /// returns whether it is one component.
+    /// Joins the components that a candidate connects, unless the result would have more than `side_max`
+    /// tracks or detections; returns whether they are one component.
     ///
     /// # Panics
     /// If the candidate names a track or detection beyond the numbers given before.
@@ -51,11 +51,11 @@ impl Components {
 
     /// Whether a component holds more than `side_max` tracks or detections.
     pub(crate) fn exceed(&self, side_max: usize) -> bool {
-        // A root that was joined to another one keeps the smaller numbers of before.
+        // A root that was joined to another one keeps its smaller numbers from before.
         self.sides.iter().flatten().any(|&len| len as usize > side_max)
     }
 
-    /// Sorts candidates by component, then track, then detection, and goes through the components.
+    /// Sorts candidates by component, then track, then detection, and iterates over the components.
     pub(crate) fn split<'a>(
         &'a mut self,
         candidates: &'a mut [Candidate],

@@ -1,0 +1,62 @@
+use crate::estimate::Estimate;
+use crate::occlusion::{Occlusion, Outline};
+use crate::options::TrackerOptions;
+
+/// Length and width where none are known, by type.
+const EXTENT_M: [[f64; 2]; 3] = [[4.5, 1.8], [1.8, 0.6], [0.5, 0.5]];
+/// Least visibility that a cost assumes: outlines are not exact, and a sensor sees some agents over and
+/// through others.
+const VISIBILITY_MIN: f64 = 0.02;
+/// Visibility from which on an agent counts as in view.
+const VISIBILITY_IN_VIEW: f64 = 0.8;
+
+impl Estimate {
+    /// Whether the agent occludes what is behind it.
+    #[must_use]
+    pub fn is_opaque(&self) -> bool {
+        self.is_ready() && self.management.is_certain()
+    }
+
+    /// Whether the track was missed by the last frame that observed its type.
+    #[must_use]
+    pub const fn is_coasting(&self) -> bool {
+        self.is_ready() && !self.management.was_hit()
+    }
+
+    /// Finds how much of the agent the sensor can see past the others.
+    pub fn update_visibility(&mut self, occlusion: &Occlusion) {
+        self.visibility = occlusion.visibility(&self.outline());
+    }
+
+    /// Whether more than the edge of the agent is occluded.
+    #[must_use]
+    pub fn is_occluded(&self) -> bool {
+        self.visibility < VISIBILITY_IN_VIEW
+    }
+
+    /// Cost that the agent's visibility adds to each of its pairs: −2 ln of the odds that it is detected,
+    /// relative to those in full view.
+    #[must_use]
+    pub fn occlusion_cost(&self, options: &TrackerOptions) -> f64 {
+        if self.visibility >= 1.0 {
+            return 0.0;
+        }
+        let odds = |visibility: f64| {
+            let probability = visibility * options.detection_probability;
+            probability / (1.0 - probability)
+        };
+        -2.0 * (odds(self.visibility.max(VISIBILITY_MIN)) / odds(1.0)).ln()
+    }
+
+    /// The agent's outline on the ground, with the extent that is usual for its type where its own is
+    /// unknown.
+    #[must_use]
+    pub fn outline(&self) -> Outline {
+        let (centre_m, covariance_m2) = self.belief.position();
+        let heading_rad = self.belief.motion().heading_rad.unwrap_or(self.heading_rad);
+        let usual_m = EXTENT_M[self.class.current().index()];
+        let known_m = [self.length_m, self.width_m].map(f64::from);
+        let half_m = [0, 1].map(|axis| 0.5 * if known_m[axis] > 0.0 { known_m[axis] } else { usual_m[axis] });
+        Outline { centre_m, covariance_m2, heading_rad, half_m }
+    }
+}

@@ -1,0 +1,25 @@
+/// What a frame did to the tracks.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Tracked {
+    /// Tracks written.
+    pub tracks_len: usize,
+    /// Newer frames that were replayed after this one, which came out of sequence; 0 for a frame in sequence.
+    pub replayed_len: usize,
+    /// Tracks that found no place in the frame: the farthest from the ego.
+    pub left_out_len: usize,
+    /// Tracks held, the tentative and the left out included.
+    pub held_len: usize,
+    /// Tracks started.
+    pub started_len: usize,
+    /// Tracks deleted.
+    pub ended_len: usize,
+    /// Detections that started no track because
+    /// [`TrackerOptions::tracks_max`](crate::TrackerOptions::tracks_max) are held.
+    pub overflow_len: usize,
+    /// Detections left aside because another one of the frame carries the same identity.
+    pub duplicates_len: usize,
+    /// Predictions and updates that failed; their tracks kept the state before.
+    pub faults_len: usize,
+    /// Forecasts that could not become a prior; their tracks went on by the one before, or without.
+    pub refused_len: usize,
+}

@@ -1,0 +1,16 @@
+//! Tests of the tracker: scenes with a known result, known failures of trackers, recordings, and the stage
+//! over its ports.
+
+mod support {
+    pub mod forecaster;
+    pub mod harness;
+}
+
+mod jpda;
+mod known_failures;
+mod learned_prior;
+mod occlusion;
+mod out_of_sequence;
+mod recordings;
+mod scenes;
+mod stage;

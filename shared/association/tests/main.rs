@@ -1,0 +1,4 @@
+//! Tests of data association: against reference solutions and against enumeration.
+
+mod assignment;
+mod jpda;

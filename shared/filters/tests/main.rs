@@ -1,0 +1,14 @@
+//! Tests of the filters: against reference runs of independent implementations, by their laws, and under
+//! stress.
+
+mod support {
+    pub mod bicycle;
+    pub mod state;
+}
+
+mod consistency;
+mod crossing;
+mod joint_update;
+mod kalman;
+mod mixture;
+mod particles;
