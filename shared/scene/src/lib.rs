@@ -12,7 +12,7 @@ pub use features::{AgentFrame, FeatureScales, MOVING_MPS, agent_frame, relation_
 pub use file::FileError;
 pub use graph::{EdgeRule, NEIGHBOURS_MAX, Vertex};
 pub use map::{CELLS_MAX, ContextMap, MapBuilder, ONLINE_SIDE, OnlineMap, PatchOptions};
-pub use motion::{states_from_positions, turn_rates};
+pub use motion::{motion_start, states_from_positions, turn_rates};
 pub use place::{Choice, Departures, Driving, Gait, LIKES_MAX, Like, Moment, PlaceMemory, Recall, Walking};
 pub use state::{State, track_history};
 pub use wire::AgentType;
