@@ -61,15 +61,17 @@ fn velocity(from: (usize, [f32; 2]), to: (usize, [f32; 2]), dt_s: f32) -> [f32; 
 pub fn turn_rates(history: &[Option<State>], dt_s: f32) -> [f32; 2] {
     let back = |steps: usize| history.len().checked_sub(steps).and_then(|step| history[step]);
     [1, 2].map(|steps| match (back(steps), back(steps + 1)) {
-        (Some(after), Some(before)) => wrapped(after.heading_rad - before.heading_rad) / dt_s,
+        (Some(after), Some(before)) => turn(before.heading_rad, after.heading_rad) / dt_s,
         _ => 0.0,
     })
 }
 
-/// The angle in [−π, π) that points the same way.
-pub(crate) fn wrapped(angle_rad: f32) -> f32 {
+/// The angle in [−π, π) by which one heading turns to become another.
+#[must_use]
+#[inline]
+pub fn turn(from_rad: f32, to_rad: f32) -> f32 {
     use std::f32::consts::{PI, TAU};
-    (angle_rad + PI).rem_euclid(TAU) - PI
+    (to_rad - from_rad + PI).rem_euclid(TAU) - PI
 }
 
 /// Where the motion of an agent that is `now` at the end of its history goes on from, in steps of `dt_s`.
