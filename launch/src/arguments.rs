@@ -6,8 +6,8 @@ use clap::Args;
 use config::{Association, MapChoice, Prior, Run, Scene, View};
 use data::Format;
 use nn::Weights;
+use retrieval::RetrievalMemory;
 use rustix::fs::Access;
-use scene::PlaceMemory;
 use source::{Playback, PlaybackOptions};
 
 use crate::failure::Failure;
@@ -88,8 +88,8 @@ impl PlaceArguments {
         if path.try_exists().map_err(|error| Failure::file(&path, &error))? {
             let config = weights.config();
             let steps = (config.horizon_len, config.step_ns());
-            let memory = PlaceMemory::load(&path, weights.sha256(), steps).map_err(Failure::data)?;
-            moments_len = memory.moments_len();
+            let memory = RetrievalMemory::load(&path, weights.sha256(), steps).map_err(Failure::data)?;
+            moments_len = memory.entries_len();
         }
         let folder = path.parent().unwrap_or(&path);
         let access = rustix::fs::access(folder, Access::WRITE_OK | Access::EXEC_OK);

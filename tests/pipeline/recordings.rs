@@ -99,8 +99,7 @@ fn a_memory_that_cannot_be_used_is_refused_before_anything_runs() {
     let recording = scratch.recording("scene.csv", 5);
     let path = scratch.file("a.memory", "x,y\n");
     let nowhere = scratch.path("nowhere/a.memory");
-    for (memory, told) in [(&path, "a.memory: not a memory of a place"), (&nowhere, "nowhere: No such file")]
-    {
+    for (memory, told) in [(&path, "a.memory: not a retrieval memory"), (&nowhere, "nowhere: No such file")] {
         for verb in [&["run", "--recording"][..], &["predict"], &["track"]] {
             let output = run(&[verb, &[&recording, "--memory", memory]].concat());
             assert_eq!(output.status.code(), Some(65), "{}", stderr(&output));

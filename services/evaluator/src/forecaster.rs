@@ -11,10 +11,11 @@ use nn::{
     AgentDraws, ContextCnn, ContextMemory, Decoder, DecoderGroup, Encoded, Gdat, GdatMemory, MlpMemory,
     ModelConfig, RelationMlp, StateMlp, Weights, WeightsError,
 };
-use scene::{Choice, EdgeRule, FeatureScales, Gait, PatchOptions, Recall};
-use wire::{CONTEXT_EMBEDDING, ControlGaussian, HORIZON_MAX, LATENT, STATE_FEATURES, TEMPORAL};
+use retrieval::{ControlAdapter, ControlChanges, ForecastControls, Retrieved};
+use scene::{EdgeRule, FeatureScales, PatchOptions};
+use wire::{CONTEXT_EMBEDDING, ControlGaussian, LATENT, STATE_FEATURES, TEMPORAL};
 
-use crate::motion::Mover;
+use crate::motion;
 use crate::tracking::Hypotheses;
 use crate::{Agent, Scene};
 use encode::Encoding;
@@ -211,17 +212,21 @@ impl Forecaster {
     }
 
     /// As [`Forecaster::lead`], the controls of each mode as they act instead of where they lead.
-    pub(crate) fn steer(&self, agent: &Agent, said: &Said, recall: Option<&Recall>) -> Hypotheses {
-        let mover = self.mover(agent);
-        let recalled = recall.map(|recall| self.recalling(agent, &mover, said, recall));
-        let (modes, probability) = match &recalled {
-            Some((modes, probability)) => (&modes[..], probability),
-            None => (&said.controls[..self.config.modes], &said.probability),
+    pub(crate) fn steer(&self, agent: &Agent, said: &Said, changes: Option<&ControlChanges>) -> Hypotheses {
+        let (model, controls) = (motion::model(agent, &self.config), self.controls(said));
+        let acting = |control: ControlGaussian| motion::acting(&model, &control);
+        let (probability, controls) = match changes {
+            Some(changes) => {
+                let modes = 0..controls.modes.len();
+                let steps = modes.flat_map(|mode| changes.mode(mode, &controls).map(acting));
+                (changes.probability(), steps.collect())
+            }
+            None => (&said.probability[..], controls.modes.iter().flatten().copied().map(acting).collect()),
         };
         Hypotheses {
-            heading_rad: f64::from(mover.heading_rad()),
+            heading_rad: f64::from(model.frame_heading_rad()),
             probability: probability.iter().map(|&p| f64::from(p)).collect(),
-            controls: modes.iter().flatten().map(|control| mover.acting(control)).collect(),
+            controls,
         }
     }
 
@@ -250,70 +255,49 @@ impl Forecaster {
         }
     }
 
-    /// The forecast that is said of an agent, and what it becomes by what memories of the place tell, if anything: one of the
-    /// recording alone, and one that began before.
+    /// The forecast that is said of an agent, and what it becomes by what is retrieved for it, if anything: from a memory of the
+    /// recording alone, and from one that began before.
     pub(crate) fn lead(
         &self,
         agent: &Agent,
         said: &Said,
-        [recalled, revisited]: [Option<&Recall>; 2],
+        [recalled, revisited]: [Option<&Retrieved>; 2],
     ) -> Forecast {
-        let mover = self.mover(agent);
-        let (modes, best) = (&said.controls[..self.config.modes], self.best(said));
-        let base = said.base.chunks_exact(self.config.horizon_len);
-        let mut of_base: Vec<_> = base.map(|controls| mover.follow(controls.iter().copied())).collect();
+        let (model, controls) = (motion::model(agent, &self.config), self.controls(said));
+        let (modes_len, steps_len) = (controls.modes.len(), self.config.horizon_len);
+        let base = said.base.chunks_exact(steps_len);
+        let mut of_base: Vec<_> =
+            base.map(|steps| motion::positions(&model, steps.iter().copied(), steps_len)).collect();
         let base = of_base.pop().map(|best| Paths { modes: of_base, best });
-        let with = |recall: &Recall| {
-            let (modes, probability) = self.recalling(agent, &mover, said, recall);
-            let (modes, covariance) = modes.iter().map(|steps| mover.spread(steps)).unzip();
-            let best = mover.follow(changed(best, &mover.changes(&recall.expected)));
+        let with = |retrieved: &Retrieved| {
+            let mut changes = ControlChanges::default();
+            ControlAdapter::default().adapt(retrieved, &model, &controls, &mut changes);
+            let mode = |mode| motion::spread(&model, changes.mode(mode, &controls), steps_len);
+            let (modes, covariance) = (0..modes_len).map(mode).unzip();
+            let best = motion::positions(&model, changes.best(&controls), steps_len);
+            let probability = changes.probability().to_vec();
             Recalled { paths: Paths { modes, best }, probability, covariance }
         };
         let (recalled, revisited) = (recalled.map(with), revisited.map(with));
-        let (modes, covariance) = modes.iter().map(|steps| mover.spread(steps)).unzip();
-        let best = mover.follow(best.iter().map(|control| control.mean));
+        let mode = |steps: &Vec<ControlGaussian>| motion::spread(&model, steps.iter().copied(), steps_len);
+        let (modes, covariance) = controls.modes.iter().map(mode).unzip();
+        let best = self.lead_best(agent, said);
         Forecast { modes, probability: said.probability.clone(), covariance, best, base, recalled, revisited }
-    }
-
-    /// The controls of an agent's modes with what the memory of the place tells of it, and their probabilities.
-    ///
-    /// Where a remembered path takes the place of a mode, the deviations of its controls stay.
-    fn recalling(
-        &self,
-        agent: &Agent,
-        mover: &Mover,
-        said: &Said,
-        recall: &Recall,
-    ) -> (Vec<Vec<ControlGaussian>>, Vec<f32>) {
-        let (modes, best) = (&said.controls[..self.config.modes], self.best(said));
-        let of_modes = mover.changes(&recall.expected_of_modes());
-        let means = modes.iter().map(|controls| changed(controls, &of_modes).collect::<Vec<_>>());
-        let likes = recall.likes.iter().map(|like| mover.changes(&like.departures));
-        let means: Vec<_> = means.chain(likes.map(|changes| changed(best, &changes).collect())).collect();
-        let (chosen, probability): (Vec<usize>, Vec<f32>) = if recall.likes.is_empty() {
-            ((0..modes.len()).collect(), said.probability.clone())
-        } else {
-            let path = |means: &Vec<[f32; 2]>| {
-                let path = mover.follow(means.iter().copied());
-                std::array::from_fn(|step| path.get(step).copied().unwrap_or_default())
-            };
-            let paths: Vec<[Point; HORIZON_MAX]> = means.iter().map(path).collect();
-            let gait = if self.config.drives(agent.agent_type) { Gait::Driving } else { Gait::Walking };
-            let weights = recall.likes.iter().map(|like| like.weight);
-            let mut choice = Choice::default();
-            choice.choose(gait, &paths, best.len(), &said.probability, weights);
-            choice.chosen().unzip()
-        };
-        let controls = chosen.iter().zip(modes).map(|(&chosen, own)| {
-            let steps = means[chosen].iter().zip(own);
-            steps.map(|(&mean, own)| ControlGaussian { mean, ..*own }).collect()
-        });
-        (controls.collect(), probability)
     }
 
     /// Where the single best forecast that is said of an agent leads.
     pub(crate) fn lead_best(&self, agent: &Agent, said: &Said) -> Vec<Point> {
-        self.mover(agent).follow(self.best(said).iter().map(|control| control.mean))
+        let means = self.best(said).iter().map(|control| control.mean);
+        motion::positions(&motion::model(agent, &self.config), means, self.config.horizon_len)
+    }
+
+    /// The controls that are said of an agent.
+    pub(crate) fn controls<'a>(&self, said: &'a Said) -> ForecastControls<'a, Vec<ControlGaussian>> {
+        ForecastControls {
+            modes: &said.controls[..self.config.modes],
+            probability: &said.probability,
+            best: self.best(said),
+        }
     }
 
     /// The controls of the single best forecast: its own, or those of the likeliest mode.
@@ -321,18 +305,4 @@ impl Forecaster {
         let likeliest = metrics::most_likely(&said.probability).unwrap_or(0);
         said.controls.get(self.config.modes).unwrap_or(&said.controls[likeliest])
     }
-
-    fn mover(&self, agent: &Agent) -> Mover {
-        let now = agent.newest().expect("a wanted agent is present");
-        let frame = scene::agent_frame(&agent.history).expect("a present agent has a frame");
-        Mover::new(agent, &now, &frame, &self.config)
-    }
-}
-
-/// Controls with what is added to them at each step.
-fn changed<'a>(
-    controls: &'a [ControlGaussian],
-    changes: &'a [[f32; 2]],
-) -> impl Iterator<Item = [f32; 2]> + 'a {
-    controls.iter().zip(changes).map(|(control, change)| [0, 1].map(|i| control.mean[i] + change[i]))
 }

@@ -3,7 +3,8 @@
 use data::Recording;
 use metrics::{Disc, Limits, Point, collisions, highest_density_level, kde_log_density};
 use nn::ModelConfig;
-use scene::{AgentType, PlaceMemory, Recall};
+use retrieval::{RetrievalMemory, Retrieved};
+use scene::AgentType;
 
 use crate::baselines::{Baselines, Candidate};
 use crate::forecaster::{Forecast, Paths, Recalled};
@@ -79,13 +80,13 @@ pub struct Judge<'a> {
 /// The memories of a place that take part.
 struct Memories<'a> {
     /// Of what the recording itself showed.
-    fresh: Option<PlaceMemory>,
+    fresh: Option<RetrievalMemory>,
     /// Of what earlier recordings showed as well.
-    visited: Option<&'a mut PlaceMemory>,
+    visited: Option<&'a mut RetrievalMemory>,
 }
 
 /// What memories tell of an agent: of what the recording showed, and of that and what earlier ones showed.
-type Recalls = [Option<Recall>; 2];
+type Recalls = [Option<Retrieved>; 2];
 
 /// A scene with its agents and what is remembered for them.
 struct Case<'a> {
@@ -108,7 +109,7 @@ impl Judge<'_> {
         recording: &Recording,
         scenes: &[Scene],
         map: MapInput<'_>,
-        visited: Option<&mut PlaceMemory>,
+        visited: Option<&mut RetrievalMemory>,
     ) -> Vec<Block> {
         let table = ContextTable::new(self.forecaster, recording, scenes, map, self.threads);
         let config = self.forecaster.config();

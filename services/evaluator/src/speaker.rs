@@ -2,7 +2,7 @@
 
 use data::Recording;
 use metrics::Point;
-use scene::{Moment, PlaceMemory, Recall};
+use retrieval::{Key, Query, RetrievalMemory, Retrieved};
 use wire::{CONTEXT_EMBEDDING, HORIZON_MAX};
 
 use crate::forecaster::{ForecasterMemory, Said};
@@ -24,15 +24,16 @@ pub(crate) struct Spoken {
     /// Its place in the scene.
     pub(crate) place: usize,
     pub(crate) said: Said,
-    /// The moment that is remembered of it, if any, and the single best forecast.
-    departure: Option<(Moment, Vec<Point>)>,
+    /// The key under which it is stored, if any, and the single best forecast.
+    entry: Option<(Key, Vec<Point>)>,
 }
 
 impl Speaker<'_> {
     /// A memory of nothing; none for a model that forecasts farther than the pipeline can carry: it recalls nothing.
-    pub(crate) fn memory(&self) -> Option<PlaceMemory> {
+    pub(crate) fn memory(&self) -> Option<RetrievalMemory> {
         let config = self.forecaster.config();
-        (config.horizon_len <= HORIZON_MAX).then(|| PlaceMemory::new(config.horizon_len, config.step_ns()))
+        (config.horizon_len <= HORIZON_MAX)
+            .then(|| RetrievalMemory::new(config.horizon_len, config.step_ns()))
     }
 
     /// Lets a memory take in a recording, as the forecaster would have forecast it, and leave.
@@ -41,7 +42,7 @@ impl Speaker<'_> {
         recording: &Recording,
         scenes: &[Scene],
         map: MapInput<'_>,
-        memory: &mut PlaceMemory,
+        memory: &mut RetrievalMemory,
     ) {
         let table = ContextTable::new(self.forecaster, recording, scenes, map, self.threads);
         for scenes in scenes.chunks(TOGETHER) {
@@ -49,7 +50,7 @@ impl Speaker<'_> {
                 recall(Some(memory), scene, &spoken);
             }
         }
-        memory.leave();
+        memory.end_session();
     }
 
     /// What is said of all who are there, in the agents' order, whether they count or not: scene by scene.
@@ -61,9 +62,9 @@ impl Speaker<'_> {
             let said = self.forecaster.say(scene, context, &wanted, memory);
             let spoken = |(place, said): (usize, Said)| {
                 let agent = &scene.agents[place];
-                let moment = motion::moment(agent, self.forecaster.config());
-                let departure = moment.map(|moment| (moment, self.forecaster.lead_best(agent, &said)));
-                Spoken { place, said, departure }
+                let key = motion::key(agent, self.forecaster.config());
+                let entry = key.map(|key| (key, self.forecaster.lead_best(agent, &said)));
+                Spoken { place, said, entry }
             };
             wanted.into_iter().zip(said).map(spoken).collect()
         };
@@ -82,25 +83,22 @@ impl Speaker<'_> {
     }
 }
 
-/// What a memory tells of the agents of a scene, in their order, all of which it then takes in; nothing without a memory.
+/// What is retrieved for the agents of a scene, in their order, all of which are then stored; nothing without a memory.
 pub(crate) fn recall(
-    memory: Option<&mut PlaceMemory>,
+    memory: Option<&mut RetrievalMemory>,
     scene: &Scene,
     spoken: &[Spoken],
-) -> Vec<Option<Recall>> {
+) -> Vec<Option<Retrieved>> {
     let Some(memory) = memory else { return vec![None; spoken.len()] };
-    memory.advance(scene.stamp_ns);
-    for agent in &scene.agents {
-        agent.newest().iter().for_each(|now| memory.observe(agent.id, now.position_m));
-    }
-    let of_agent = |Spoken { place, departure, .. }: &Spoken| {
-        let mut recall = Recall::default();
-        if let Some((moment, forecast)) = departure {
-            let id = scene.agents[*place].id;
-            memory.recall(id, moment, &mut recall);
-            memory.remember(id, moment, forecast, &recall);
+    let present = scene.agents.iter().filter_map(|agent| Some((agent.id, agent.newest()?.position_m)));
+    memory.observe(scene.stamp_ns, present);
+    let of_agent = |Spoken { place, entry, .. }: &Spoken| {
+        let mut retrieved = Retrieved::default();
+        if let Some((key, forecast)) = entry {
+            let query = Query { stamp_ns: scene.stamp_ns, agent: scene.agents[*place].id, key: *key };
+            memory.retrieve_and_store(&query, forecast, &mut retrieved);
         }
-        Some(recall)
+        Some(retrieved)
     };
     spoken.iter().map(of_agent).collect()
 }

@@ -1,6 +1,6 @@
 use config::Run;
 use ports::StageError;
-use scene::PlaceMemory;
+use retrieval::RetrievalMemory;
 
 use crate::Sampler;
 use crate::settings::options;
@@ -14,7 +14,7 @@ pub fn open(run: &Run) -> Result<Sampler, StageError> {
     if let Some(path) = run.memory.as_deref().filter(|path| run.recall && path.exists()) {
         let weights = run.open_weights().map_err(StageError::data)?;
         let steps = (run.model.horizon_len, run.model.step_ns());
-        sampler.recall(PlaceMemory::load(path, weights.sha256(), steps).map_err(StageError::data)?);
+        sampler.recall(RetrievalMemory::load(path, weights.sha256(), steps).map_err(StageError::data)?);
     }
     Ok(sampler)
 }

@@ -1,8 +1,6 @@
-use kinematics::{ControlGaussian, Moments};
+use kinematics::{ControlGaussian, Moments, MotionModel};
 use scene::AgentType;
 use wire::{Expert, Forecast, HORIZON_MAX, POSITION_MAX_M};
-
-use crate::mover::Mover;
 
 /// What an agent may do of which nothing is known.
 struct Freedom {
@@ -21,12 +19,12 @@ const fn freedom(agent_type: AgentType) -> Freedom {
 }
 
 /// Writes a single mode: the agent goes on without control, and ever less is known of where.
-pub(crate) fn forecast(mover: Mover, agent_type: AgentType, horizon_len: usize, out: &mut Forecast) {
+pub(crate) fn forecast(model: MotionModel, agent_type: AgentType, horizon_len: usize, out: &mut Forecast) {
     let freedom = freedom(agent_type);
     let controls = std::iter::repeat_n(ControlGaussian::centred(freedom.control), horizon_len);
     let mut moments = [Moments::default(); HORIZON_MAX];
-    let mover = mover.with_velocity_deviation(freedom.velocity_mps);
-    mover.carry(controls, &mut moments);
+    let model = model.with_velocity_deviation(freedom.velocity_mps);
+    model.moments(controls, &mut moments);
     out.modes_len = 1;
     out.probability[0] = 1.0;
     out.mode_expert[0] = Expert::ProcessModel as u8;

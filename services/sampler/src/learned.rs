@@ -1,8 +1,8 @@
-use kinematics::{ControlGaussian, Moments, Normals, mixture};
-use wire::{AgentControls, Expert, Forecast, HORIZON_MAX, MODES_MAX, Rejected};
+use kinematics::{ControlGaussian, Moments, MotionKind, MotionModel, Normals, mixture};
+use retrieval::{ControlChanges, ForecastControls};
+use wire::{AgentControls, Expert, Forecast, HORIZON_MAX, MODES_MAX, Rejected, Steering};
 
 use crate::Propagation;
-use crate::mover::Mover;
 
 /// The probabilities of an agent's modes may miss 1 by this much.
 const PROBABILITY_SLACK: f32 = 1e-3;
@@ -11,17 +11,8 @@ const PROBABILITY_SLACK: f32 = 1e-3;
 pub(crate) struct LearnedControls<'a> {
     controls: &'a AgentControls,
     horizon_len: usize,
-    /// What is added to the best forecast's controls.
-    change: Change,
-    /// What is added to every mode's controls.
-    change_of_modes: Change,
-    /// Modes that others take the place of: what is added to the best forecast's controls instead.
-    replaced: [Option<Change>; MODES_MAX],
-    probability: [f32; MODES_MAX],
 }
 
-/// What is added to controls, step by step.
-pub(crate) type Change = [[f32; 2]; HORIZON_MAX];
 
 impl<'a> LearnedControls<'a> {
     /// Refuses controls that are not finite, or modes whose probabilities are none.
@@ -37,81 +28,64 @@ impl<'a> LearnedControls<'a> {
         if (sum - 1.0).abs() > PROBABILITY_SLACK {
             return Err(impossible(sum));
         }
-        Ok(Self {
-            controls,
-            horizon_len,
-            change: Change::default(),
-            change_of_modes: Change::default(),
-            replaced: [None; MODES_MAX],
-            probability: controls.probability,
-        })
-    }
-
-    /// Adds to the controls of the best forecast, and of all modes.
-    pub(crate) const fn change(&mut self, of_best: Change, of_modes: Change) {
-        (self.change, self.change_of_modes) = (of_best, of_modes);
-    }
-
-    /// Gives a mode its probability and, where there is a change, the best forecast's controls with that change in place of its own;
-    /// its deviations stay.
-    pub(crate) const fn replace(&mut self, mode: usize, change: Option<Change>, probability: f32) {
-        (self.replaced[mode], self.probability[mode]) = (change, probability);
+        Ok(Self { controls, horizon_len })
     }
 
     /// The probability of each mode.
-    pub(crate) fn probability(&self) -> &[f32] {
-        &self.probability[..self.controls.modes_len as usize]
+    pub(crate) fn probability(&self) -> &'a [f32] {
+        &self.controls.probability[..self.controls.modes_len as usize]
     }
 
-    /// Where the best forecast leads.
-    pub(crate) fn best_path(&self, mover: &Mover) -> [[f32; 2]; HORIZON_MAX] {
-        self.path(mover, self.best_steps())
+    /// The controls as the decoder made them.
+    pub(crate) fn as_decoded(&self) -> ForecastControls<'a, [wire::ControlGaussian; HORIZON_MAX]> {
+        ForecastControls {
+            modes: &self.controls.modes[..self.controls.modes_len as usize],
+            probability: self.probability(),
+            best: &self.controls.best[..self.horizon_len],
+        }
     }
 
-    /// Where the modes lead.
-    pub(crate) fn mode_paths(&self, mover: &Mover, out: &mut Vec<[[f32; 2]; HORIZON_MAX]>) {
-        let modes_len = self.controls.modes_len as usize;
-        out.extend((0..modes_len).map(|mode| self.path(mover, self.mode_steps(mode))));
-    }
-
-    /// Where the best forecast's controls lead with a change of their own.
-    pub(crate) fn path_beside_best(&self, mover: &Mover, change: &Change) -> [[f32; 2]; HORIZON_MAX] {
-        self.path(mover, self.steps(&self.controls.best, &self.controls.best, *change))
-    }
-
-    /// Writes modes with their controls, best forecast and moments.
+    /// Writes modes with their controls as they are changed, best forecast and moments.
     pub(crate) fn forecast(
         &self,
-        mover: &Mover,
+        changes: &ControlChanges,
+        model: &MotionModel,
         propagation: Propagation,
         normals: &mut Normals,
         out: &mut Forecast,
     ) {
-        let modes_len = self.controls.modes_len as usize;
+        let (modes_len, controls) = (self.controls.modes_len as usize, self.as_decoded());
+        let mode_steps = |mode: usize| {
+            let steps = changes.mode(mode, &controls);
+            steps.map(|control| ControlGaussian::new(control.mean, control.cholesky))
+        };
         let mut moments = [[Moments::default(); HORIZON_MAX]; MODES_MAX];
         let modes = out.controls.iter_mut().zip(&mut moments).enumerate();
         for (mode, (told, moments)) in modes.take(modes_len) {
             let moments = &mut moments[..self.horizon_len];
             let mut acting = [ControlGaussian::centred([0.0; 2]); HORIZON_MAX];
-            for ((control, acting), told) in self.mode_steps(mode).zip(&mut acting).zip(told) {
-                *acting = mover.acting(&control);
-                *told = mover.told(acting);
+            for ((control, acting), told) in mode_steps(mode).zip(&mut acting).zip(told) {
+                *acting = model.acting(&control);
+                *told = published(&model.relative_to_start(acting));
             }
             match propagation {
-                Propagation::Linearised => mover.carry(acting.into_iter(), moments),
+                Propagation::Linearised => model.moments(acting.into_iter(), moments),
                 Propagation::MonteCarlo { particles } => {
-                    mover.scatter(self.mode_steps(mode), particles, normals, moments);
+                    model.particle_moments(mode_steps(mode), particles, normals, moments);
                 }
             }
         }
-        let (steering, frame_heading_rad) = mover.steering();
-        (out.steering, out.frame_heading_rad) = (steering as u32, frame_heading_rad);
-        mover.follow(self.best_steps(), &mut out.best[..self.horizon_len]);
+        out.steering = match model.kind() {
+            MotionKind::Bicycle => Steering::Bicycle,
+            MotionKind::Displacement => Steering::Displacement,
+        } as u32;
+        out.frame_heading_rad = model.frame_heading_rad();
+        model.positions(changes.best(&controls), &mut out.best[..self.horizon_len]);
         out.modes_len = self.controls.modes_len;
-        out.probability[..modes_len].copy_from_slice(self.probability());
+        out.probability[..modes_len].copy_from_slice(changes.probability());
 
-        for (expert, replaced) in out.mode_expert.iter_mut().zip(&self.replaced).take(modes_len) {
-            *expert = if replaced.is_some() { Expert::Retrieval } else { Expert::Network } as u8;
+        for (mode, expert) in out.mode_expert.iter_mut().enumerate().take(modes_len) {
+            *expert = if changes.is_replaced(mode) { Expert::Retrieval } else { Expert::Network } as u8;
         }
         for step in 0..self.horizon_len {
             let parts =
@@ -124,34 +98,9 @@ impl<'a> LearnedControls<'a> {
             }
         }
     }
+}
 
-    fn path(&self, mover: &Mover, steps: impl Iterator<Item = ControlGaussian>) -> [[f32; 2]; HORIZON_MAX] {
-        let mut path = [[0.0; 2]; HORIZON_MAX];
-        mover.follow(steps, &mut path[..self.horizon_len]);
-        path
-    }
-
-    fn best_steps(&self) -> impl Iterator<Item = ControlGaussian> + use<'a> {
-        self.steps(&self.controls.best, &self.controls.best, self.change)
-    }
-
-    fn mode_steps(&self, mode: usize) -> impl Iterator<Item = ControlGaussian> + use<'a> {
-        match self.replaced[mode] {
-            Some(change) => self.steps(&self.controls.best, &self.controls.modes[mode], change),
-            None => self.steps(&self.controls.modes[mode], &self.controls.modes[mode], self.change_of_modes),
-        }
-    }
-
-    fn steps(
-        &self,
-        means: &'a [wire::ControlGaussian; HORIZON_MAX],
-        spreads: &'a [wire::ControlGaussian; HORIZON_MAX],
-        change: Change,
-    ) -> impl Iterator<Item = ControlGaussian> + use<'a> {
-        let parts = means.iter().zip(spreads).zip(change).take(self.horizon_len);
-        parts.map(|((means, spreads), change)| {
-            let mean = [0, 1].map(|component| means.mean[component] + change[component]);
-            ControlGaussian::new(mean, spreads.cholesky)
-        })
-    }
+fn published(control: &ControlGaussian) -> wire::ControlGaussian {
+    let factor = &control.cholesky;
+    wire::ControlGaussian { mean: control.mean.into(), cholesky: [factor.m11, factor.m21, factor.m22] }
 }

@@ -1,4 +1,4 @@
-use kinematics::{ControlLimits, DisplacementKind, Integrator};
+use kinematics::{MotionKind, MotionOptions};
 
 /// How the spread of the controls is carried on to positions.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -20,22 +20,10 @@ pub struct SamplerOptions {
     pub history_len: usize,
     /// Steps of the forecast, T_f.
     pub horizon_len: usize,
-    /// Whether vehicles are moved by the controls of a bicycle; by displacements as all others otherwise.
-    pub vehicles_drive: bool,
-    /// Integrator of the bicycle.
-    pub integrator: Integrator,
-    /// Where a vehicle's controls saturate.
-    pub limits: ControlLimits,
-    /// Largest slip angle, if there is a limit.
-    pub slip_limit_rad: Option<f32>,
-    /// Whether a vehicle's first slip is read off its headings; 0 otherwise.
-    pub initial_slip: bool,
-    /// Distance of the rear axle from the centre over the length.
-    pub rear_axle_ratio: f32,
-    /// Length of vehicles whose length is unknown.
-    pub default_length_m: f32,
-    /// What a displacement stands for.
-    pub displacement: DisplacementKind,
+    /// What the controls of vehicles are; those of all others are displacements.
+    pub vehicle_motion: MotionKind,
+    /// The constants of motion.
+    pub motion: MotionOptions,
     /// Whether the track's own covariance is where a forecast's covariance begins; 0 otherwise.
     pub initial_covariance: bool,
     /// How the spread of the controls is carried on.
@@ -53,14 +41,8 @@ impl Default for SamplerOptions {
         Self {
             history_len: 8,
             horizon_len: 12,
-            vehicles_drive: true,
-            integrator: Integrator::Midpoint,
-            limits: ControlLimits { accel_mps2: 6.0, slip_rate_radps: 1.0 },
-            slip_limit_rad: Some(0.5),
-            initial_slip: true,
-            rear_axle_ratio: 0.26,
-            default_length_m: 4.5,
-            displacement: DisplacementKind::Residual,
+            vehicle_motion: MotionKind::Bicycle,
+            motion: MotionOptions::default(),
             initial_covariance: true,
             propagation: Propagation::Linearised,
             seed: 0,

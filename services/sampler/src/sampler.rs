@@ -1,5 +1,6 @@
-use kinematics::{Normals, PARTICLES_MAX};
-use scene::{AgentType, PlaceMemory, track_history};
+use kinematics::{DisplacementKind, MotionKind, MotionOptions, Normals, PARTICLES_MAX};
+use retrieval::{ControlChanges, Key, Query, Retrieval, RetrievalMemory};
+use scene::{AgentType, track_history};
 use wire::{
     AGENTS_MAX, AgentControls, Cause, Forecast, HISTORY_MAX, HORIZON_MAX, Header, POSITION_MAX_M, Quality,
     Rejected, SPEED_MAX_MPS, Track, finite,
@@ -7,16 +8,17 @@ use wire::{
 
 use crate::held::HeldForecasts;
 use crate::learned::LearnedControls;
-use crate::mover::Mover;
-use crate::recalling::Recalling;
+use crate::motion::{certain_motion, with_track_covariance};
 use crate::{Propagation, SamplerOptions, kinematic};
 
 /// Makes a forecast for every track.
 pub struct Sampler {
     options: SamplerOptions,
     held: HeldForecasts,
-    /// None where nothing is to be recalled, or no tick came yet.
-    recalling: Option<Recalling>,
+    /// None where nothing is to be retrieved, or no tick came yet.
+    retrieval: Option<Retrieval>,
+    /// Those of one agent after another.
+    changes: ControlChanges,
 }
 
 /// What is the same for all tracks of a frame.
@@ -45,18 +47,18 @@ impl Sampler {
         if let Propagation::MonteCarlo { particles } = options.propagation {
             assert!((1..=PARTICLES_MAX).contains(&particles), "{particles} particles");
         }
-        Self { options, held: HeldForecasts::new(), recalling: None }
+        Self { options, held: HeldForecasts::new(), retrieval: None, changes: ControlChanges::default() }
     }
 
-    /// Recalls from now on what was remembered before, of forecasts of the same model.
-    pub fn recall(&mut self, memory: PlaceMemory) {
-        self.recalling = Some(Recalling::new(memory, self.options.horizon_len));
+    /// Retrieves from now on from a memory of forecasts of the same model: a warm start.
+    pub fn recall(&mut self, memory: RetrievalMemory) {
+        self.retrieval = Some(Retrieval::new(memory));
     }
 
-    /// What is remembered of the place; none where nothing is to be recalled, or no tick came yet.
+    /// The retrieval memory; none where nothing is to be retrieved, or no tick came yet.
     #[must_use]
-    pub fn memory(&self) -> Option<&PlaceMemory> {
-        self.recalling.as_ref().map(Recalling::memory)
+    pub fn memory(&self) -> Option<&RetrievalMemory> {
+        self.retrieval.as_ref().map(Retrieval::memory)
     }
 
     /// Writes a forecast per track, in the tracks' order, by the controls of the same tick.
@@ -118,12 +120,13 @@ impl Sampler {
         tracks.iter().zip(out).try_for_each(|(track, out)| self.fall_back(tick, track, cause, out))
     }
 
-    /// Shows the memory of the place where everybody is now.
+    /// Shows the retrieval memory where all agents are that are seen now.
     fn observe(&mut self, tick: Tick, tracks: &[Track]) {
         if self.options.recalls && tick.step_ns > 0 {
-            let horizon_len = self.options.horizon_len;
-            let new = || Recalling::new(PlaceMemory::new(horizon_len, tick.step_ns), horizon_len);
-            self.recalling.get_or_insert_with(new).observe(tick.stamp_ns, tracks);
+            let new = || Retrieval::new(RetrievalMemory::new(self.options.horizon_len, tick.step_ns));
+            let seen = tracks.iter().filter(|track| track.unseen_ns == 0);
+            let positions_m = seen.map(|track| (track.id, [track.x_m, track.y_m]));
+            self.retrieval.get_or_insert_with(new).observe(tick.stamp_ns, positions_m);
         }
     }
 
@@ -135,20 +138,23 @@ impl Sampler {
         out: &mut Forecast,
     ) -> Result<(), Cause> {
         let agent_type = track.agent_type().map_err(|_| Cause::Rejected)?;
-        let mut controls =
+        let controls =
             LearnedControls::new(controls, self.options.horizon_len).map_err(|_| Cause::Rejected)?;
-        let mut mover = Mover::certain(track, agent_type, &self.options, tick.dt_s());
-        if let Some(recalling) = &mut self.recalling
-            && let Some(moment) = mover.moment(&track_history(track)[..self.options.history_len])
-        {
-            recalling.tell((tick.stamp_ns, track.id), &moment, &mover, &mut controls);
+        let mut model = certain_motion(track, agent_type, &self.options, tick.dt_s());
+        let key = || Key::new(model.kind(), &track_history(track)[..self.options.history_len], tick.dt_s());
+        match self.retrieval.as_mut().and_then(|retrieval| Some((retrieval, key()?))) {
+            Some((retrieval, key)) => {
+                let query = Query { stamp_ns: tick.stamp_ns, agent: track.id, key };
+                retrieval.adapt(&query, &model, &controls.as_decoded(), &mut self.changes);
+            }
+            None => self.changes.reset(controls.probability()),
         }
         if self.options.initial_covariance {
-            mover = mover.with_track_covariance(track);
+            model = with_track_covariance(model, track);
         }
         let mut normals = Normals::new(self.options.seed, track.id, tick.seq);
         begin(track, Quality::Learned, Cause::None, out);
-        controls.forecast(&mover, self.options.propagation, &mut normals, out);
+        controls.forecast(&self.changes, &model, self.options.propagation, &mut normals, out);
         if !is_within_the_world(out) {
             return Err(Cause::Rejected);
         }
@@ -174,11 +180,13 @@ impl Sampler {
     }
 
     fn write_kinematic(&self, tick: Tick, track: &Track, agent_type: AgentType, out: &mut Forecast) {
-        let displacement = kinematics::DisplacementKind::Residual;
-        let options = SamplerOptions { vehicles_drive: true, displacement, ..self.options };
-        let mover = Mover::certain(track, agent_type, &options, tick.dt_s()).along_its_course();
-        let mover = mover.with_track_covariance(track);
-        kinematic::forecast(mover, agent_type, self.options.horizon_len, out);
+        let motion = MotionOptions { displacement: DisplacementKind::Residual, ..self.options.motion };
+        let options = SamplerOptions { vehicle_motion: MotionKind::Bicycle, motion, ..self.options };
+        // Recorded headings are courses. A learned forecast begins at the recorded heading all the same, as in training: the
+        // network makes up for the slip.
+        let model = certain_motion(track, agent_type, &options, tick.dt_s()).with_course_along_heading();
+        let model = with_track_covariance(model, track);
+        kinematic::forecast(model, agent_type, self.options.horizon_len, out);
     }
 }
 

@@ -1,5 +1,4 @@
 use config::Run;
-use kinematics::{ControlLimits, DisplacementKind, Integrator};
 use wire::{AgentType, StageId};
 
 use crate::{Propagation, SamplerOptions};
@@ -15,23 +14,8 @@ pub fn options(run: &Run) -> SamplerOptions {
     SamplerOptions {
         history_len: model.history_len,
         horizon_len: model.horizon_len,
-        vehicles_drive: model.drives(AgentType::Vehicle),
-        integrator: match model.integrator {
-            nn::Integrator::Euler => Integrator::Euler,
-            nn::Integrator::Midpoint => Integrator::Midpoint,
-        },
-        limits: ControlLimits {
-            accel_mps2: model.accel_limit_mps2,
-            slip_rate_radps: model.slip_rate_limit_radps,
-        },
-        slip_limit_rad: model.slip_limit_rad,
-        initial_slip: model.initial_slip,
-        rear_axle_ratio: model.rear_axle_ratio,
-        default_length_m: model.default_length_m,
-        displacement: match model.displacement {
-            nn::Displacement::Residual => DisplacementKind::Residual,
-            nn::Displacement::Absolute => DisplacementKind::Absolute,
-        },
+        vehicle_motion: nn::motion_kind(model, AgentType::Vehicle),
+        motion: nn::motion_options(model),
         propagation: match settings.propagation.unwrap_or_default() {
             config::Propagation::Linearised => Propagation::Linearised,
             config::Propagation::MonteCarlo => Propagation::MonteCarlo { particles },

@@ -4,8 +4,8 @@
 mod counting;
 
 use bytemuck::Zeroable;
+use retrieval::RetrievalMemory;
 use sampler::{Propagation, Sampler, SamplerOptions};
-use scene::PlaceMemory;
 use wire::{AgentControls, Cause, ControlGaussian, Forecast, Header, HistoryState, Track};
 
 /// 32 agents of all types; one in eight is new at every tick.
@@ -57,7 +57,7 @@ fn a_thousand_steady_steps_allocate_nothing() {
         };
         (0..50).for_each(&mut step);
         assert_eq!(counting::allocations(|| (50..1_050).for_each(&mut step)), 0, "{propagation:?} {recalls}");
-        let remembered = sampler.memory().map_or(0, PlaceMemory::moments_len);
-        assert!(remembered > 6000 || !recalls, "{remembered} moments");
+        let stored = sampler.memory().map_or(0, RetrievalMemory::entries_len);
+        assert!(stored > 6000 || !recalls, "{stored} entries");
     }
 }

@@ -3,7 +3,7 @@
 #![expect(clippy::unwrap_used, reason = "a broken fixture should fail at once")]
 
 use bytemuck::Zeroable;
-use kinematics::DisplacementKind;
+use kinematics::{DisplacementKind, MotionKind, MotionOptions};
 use proptest::prelude::*;
 use sampler::{Propagation, Sampler, SamplerOptions};
 use wire::{
@@ -105,7 +105,8 @@ fn assert_near(found: [f32; 2], expected: [f32; 2], tolerance_m: f32, what: &str
 fn walkers_take_their_displacements_in_their_own_axes() {
     let heading_rad = std::f32::consts::FRAC_PI_2;
     for agent_type in TYPES {
-        let options = SamplerOptions { vehicles_drive: false, ..SamplerOptions::default() };
+        let options =
+            SamplerOptions { vehicle_motion: MotionKind::Displacement, ..SamplerOptions::default() };
         let track = track(1, agent_type, [3.0, 4.0], heading_rad, 1.5);
         let controls = controls(1, agent_type, &[[0.1, 0.05], [0.0, 0.0]], 0.1);
         let residual = &learned(&mut Sampler::new(options), 0, &[track], &[controls])[0];
@@ -127,7 +128,8 @@ fn walkers_take_their_displacements_in_their_own_axes() {
         }
         let driving = fallback(&mut Sampler::new(SamplerOptions::default()), 0, &[track]);
         assert_eq!(fallback(&mut Sampler::new(options), 0, &[track]), driving, "without a model");
-        let options = SamplerOptions { displacement: DisplacementKind::Absolute, ..options };
+        let motion = MotionOptions { displacement: DisplacementKind::Absolute, ..options.motion };
+        let options = SamplerOptions { motion, ..options };
         let absolute = &learned(&mut Sampler::new(options), 0, &[track], &[controls])[0];
         assert_near(absolute.best[11], [3.0 - 0.6, 4.0 + 1.2], 1e-4, "absolute");
     }
@@ -178,7 +180,8 @@ fn a_vehicle_in_a_turn_begins_with_the_slip_of_its_turn() {
         );
         assert_near(learned_one.best[step], on_circle(step, slip_rad), 0.05, "learned: the heading is");
     }
-    let straight = SamplerOptions { initial_slip: false, ..SamplerOptions::default() };
+    let motion = MotionOptions { initial_slip: false, ..MotionOptions::default() };
+    let straight = SamplerOptions { motion, ..SamplerOptions::default() };
     let forecast = &learned(&mut Sampler::new(straight), 0, &[turning], &[controls])[0];
     assert_near(forecast.best[11], [speed_mps * 12.0 * DT_S, 0.0], 1e-2, "straight on");
 }
@@ -446,8 +449,8 @@ fn told_controls_lead_where_the_modes_do() {
 
 #[test]
 fn held_forecasts_keep_their_controls_and_absolute_displacements_are_told_beyond_the_velocity() {
-    let displacement = DisplacementKind::Absolute;
-    let mut sampler = Sampler::new(SamplerOptions { displacement, ..SamplerOptions::default() });
+    let motion = MotionOptions { displacement: DisplacementKind::Absolute, ..MotionOptions::default() };
+    let mut sampler = Sampler::new(SamplerOptions { motion, ..SamplerOptions::default() });
     let walker = track(1, AgentType::Pedestrian, [0.0; 2], 1.2, 1.5);
     let whole = controls(1, AgentType::Pedestrian, &[[1.5 * DT_S + 0.1, 0.05]], 0.1);
     let fresh = learned(&mut sampler, 0, &[walker], &[whole])[0];

@@ -6,13 +6,12 @@ use std::sync::Arc;
 
 use data::Format;
 use data::sets::Part;
-use kinematics::{Bicycle, BicycleState, Displacement, DisplacementKind, Motion};
-use nalgebra::{SVector, Vector2, Vector4};
+use kinematics::MotionModel;
 use nn::base::BaseFeatures;
 use nn::{BurnIn, Draws, Latents, ModelConfig, Weights};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
-use scene::{AgentFrame, EdgeRule, PatchOptions, Vertex, relation_features, state_features};
+use scene::{EdgeRule, PatchOptions, Vertex, relation_features, state_features};
 use wire::{CONTEXT_EMBEDDING, NODE_ATTRIBUTES, STATE_FEATURES, TEMPORAL};
 
 use crate::base::BaseControl;
@@ -302,7 +301,7 @@ impl<'a> Onboard<'a> {
         assert!(network.mode_probabilities(&hidden, &[encoding], &mut memory, &mut probability));
         let controls = raw.iter().zip(base).map(|(raw, base)| {
             let [first, second] = nn::control_gaussian(*raw).mean;
-            Vector2::new(first + base[0], second + base[1])
+            [first + base[0], second + base[1]]
         });
         let controls: Vec<_> = controls.collect();
         let modes = controls.chunks_exact(config.horizon_len);
@@ -311,54 +310,16 @@ impl<'a> Onboard<'a> {
     }
 
     /// Where controls lead in the world, in the agent frame.
-    fn positions(&self, view: &View, controls: &[Vector2<f32>]) -> Vec<[f32; 2]> {
+    fn positions(&self, view: &View, controls: &[[f32; 2]]) -> Vec<[f32; 2]> {
         let Self { config, .. } = self;
         let now = view.history.last().copied().flatten().unwrap();
-        let ([x, y], [vx, vy], dt_s) = (now.position_m, now.velocity_mps, config.dt_s as f32);
-        let frame = &view.frame;
-        if !config.drives(view.agent.agent_type) {
-            let kind = match config.displacement {
-                nn::Displacement::Residual => DisplacementKind::Residual,
-                nn::Displacement::Absolute => DisplacementKind::Absolute,
-            };
-            let motion = Displacement::new(kind, frame.heading_rad, dt_s);
-            return follow(&motion, Vector4::new(x, y, vx, vy), controls, frame);
-        }
-        let rear_axle_m = config.rear_axle_ratio * view.agent.length_m.unwrap_or(config.default_length_m);
-        let integrator = match config.integrator {
-            nn::Integrator::Euler => kinematics::Integrator::Euler,
-            nn::Integrator::Midpoint => kinematics::Integrator::Midpoint,
-        };
-        let motion = kinematics::Vehicle {
-            bicycle: Bicycle { rear_axle_m, slip_limit_rad: config.slip_limit_rad, integrator },
-            limits: kinematics::ControlLimits {
-                accel_mps2: config.accel_limit_mps2,
-                slip_rate_radps: config.slip_rate_limit_radps,
-            },
-            dt_s,
-        };
-        let [speed_mps, _] = AgentFrame::new([x, y], now.heading_rad).rotate_into([vx, vy]);
-        let turn_rates = scene::turn_rates(&view.history, dt_s);
-        let slip_rad = if config.initial_slip {
-            kinematics::initial_slip(rear_axle_m, speed_mps, turn_rates)
-        } else {
-            0.0
-        };
-        let start = BicycleState::from([x, y, now.heading_rad, speed_mps, slip_rad]);
-        follow(&motion, start, controls, frame)
+        let (frame, agent, dt_s) = (&view.frame, &view.agent, config.dt_s as f32);
+        let start = scene::motion_start(&now, &view.history, agent.length_m, dt_s);
+        let kind = nn::motion_kind(config, agent.agent_type);
+        let motion = MotionModel::new(kind, &start, &nn::motion_options(config), dt_s);
+        let mut positions = vec![[0.0; 2]; controls.len()];
+        motion.positions(controls.iter().copied(), &mut positions);
+        let inside = |p: &[f32; 2]| frame.rotate_into([0, 1].map(|axis| p[axis] - frame.origin_m[axis]));
+        positions.iter().map(inside).collect()
     }
-}
-
-fn follow<const N: usize>(
-    motion: &impl Motion<N>,
-    mut state: SVector<f32, N>,
-    controls: &[Vector2<f32>],
-    frame: &AgentFrame,
-) -> Vec<[f32; 2]> {
-    let steps = controls.iter().map(|control| {
-        let (acting, _) = motion.saturate(control);
-        state = motion.step(&state, &acting);
-        frame.rotate_into([0, 1].map(|axis| state[axis] - frame.origin_m[axis]))
-    });
-    steps.collect()
 }

@@ -188,15 +188,13 @@ pub(crate) fn start(
     frame: &AgentFrame,
     config: &ModelConfig,
 ) -> Start {
-    let rear_axle_m = config.rear_axle_ratio * agent.length_m.unwrap_or(config.default_length_m);
+    let motion = nn::motion_options(config);
+    let rear_axle_m = motion.rear_axle_m(agent.length_m);
     let newest = history.last().copied().flatten().unwrap_or_default();
     let along = AgentFrame::new(newest.position_m, newest.heading_rad);
     let [speed_mps, _] = along.rotate_into(newest.velocity_mps);
-    let slip_rad = if config.initial_slip {
-        kinematics::initial_slip(rear_axle_m, speed_mps, scene::turn_rates(history, config.dt_s as f32))
-    } else {
-        0.0
-    };
+    let turn_rates_radps = scene::turn_rates(history, config.dt_s as f32);
+    let slip_rad = motion.start_slip_rad(rear_axle_m, speed_mps, turn_rates_radps);
     Start {
         velocity_mps: frame.rotate_into(newest.velocity_mps),
         heading_rad: kinematics::wrap_angle(newest.heading_rad - frame.heading_rad),

@@ -7,7 +7,7 @@
 
 use std::collections::BTreeMap;
 
-use kinematics::{Belief, Bicycle, BicycleState, ControlGaussian, ControlLimits, Integrator, Vehicle};
+use kinematics::{Belief, ControlGaussian};
 use nn::ModelConfig;
 use scene::AgentType;
 
@@ -156,9 +156,8 @@ fn moments(
         ControlGaussian::new(*mean, cholesky)
     });
     if agent_type == AgentType::Vehicle {
-        let vehicle = vehicle(config, start);
-        let state = [0.0, 0.0, start.heading_rad, start.speed_mps, start.slip_rad];
-        let mut belief = Belief::certain(BicycleState::from(state));
+        let (vehicle, state) = start.bicycle(config);
+        let mut belief = Belief::certain(state);
         let steps = controls.map(|control| {
             belief.advance(&vehicle, &control);
             let position = belief.position();
@@ -177,25 +176,6 @@ fn moments(
         (*position, covariance)
     });
     steps.collect()
-}
-
-fn vehicle(config: &ModelConfig, start: &Start) -> Vehicle {
-    let integrator = match config.integrator {
-        nn::Integrator::Euler => Integrator::Euler,
-        nn::Integrator::Midpoint => Integrator::Midpoint,
-    };
-    Vehicle {
-        bicycle: Bicycle {
-            rear_axle_m: start.rear_axle_m,
-            slip_limit_rad: config.slip_limit_rad,
-            integrator,
-        },
-        limits: ControlLimits {
-            accel_mps2: config.accel_limit_mps2,
-            slip_rate_radps: config.slip_rate_limit_radps,
-        },
-        dt_s: config.dt_s as f32,
-    }
 }
 
 /// The factor with which the regions hold the share [`LEVEL`] of the positions.

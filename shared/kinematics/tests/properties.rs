@@ -2,8 +2,8 @@
 
 use kinematics::{
     Belief, Bicycle, BicycleState, ControlGaussian, ControlLimits, Displacement, DisplacementKind,
-    DisplacementState, Integrator, Moments, Motion, Normals, Vehicle, advance_particles, initial_slip,
-    mixture, saturate, spread, wrap_angle,
+    DisplacementState, Integrator, Moments, Motion, MotionKind, MotionModel, MotionOptions, MotionStart,
+    Normals, Vehicle, advance_particles, initial_slip, mixture, saturate, spread, wrap_angle,
 };
 use nalgebra::{SVector, Vector2};
 use proptest::prelude::*;
@@ -187,4 +187,82 @@ fn a_mixture_has_the_moments_of_its_parts_and_of_their_spread() {
     assert_eq!(mixed.mean, [3.0, 1.5]);
     assert_eq!(mixed.covariance, [1.75 + 3.0, 0.125 + 1.5, 1.0 + 0.75]);
     assert_eq!(spread([[1.0, 5.0], [3.0, 5.0]].into_iter()).covariance, [1.0, 0.0, 0.0]);
+}
+
+/// A bicycle that turns in reverse, and an agent that moves by displacements of either kind.
+fn models() -> [MotionModel; 3] {
+    let start = MotionStart {
+        position_m: [3.0, -2.0],
+        velocity_mps: [-1.8, -1.1],
+        heading_rad: 0.6,
+        turn_rates_radps: [0.1, 0.2],
+        frame_heading_rad: 0.5,
+        length_m: Some(4.0),
+    };
+    let options = MotionOptions::default();
+    let absolute = MotionOptions { displacement: DisplacementKind::Absolute, ..options };
+    [
+        MotionModel::new(MotionKind::Bicycle, &start, &options, DT_S),
+        MotionModel::new(MotionKind::Displacement, &start, &options, DT_S),
+        MotionModel::new(MotionKind::Displacement, &start, &absolute, DT_S),
+    ]
+}
+
+#[test]
+fn a_model_starts_as_its_history_ends() {
+    let [bicycle, displacement, _] = models();
+    let MotionModel::Bicycle { motion, start } = bicycle else { panic!("{bicycle:?}") };
+    assert_eq!(motion.bicycle.rear_axle_m, 0.26 * 4.0);
+    let [x_m, y_m, heading_rad, speed_mps, slip_rad] = start.mean.into();
+    assert_eq!([x_m, y_m, heading_rad], [3.0, -2.0, 0.6]);
+    assert!((speed_mps + 1.8 * 0.6_f32.cos() + 1.1 * 0.6_f32.sin()).abs() < 1e-6, "{speed_mps}");
+    assert_eq!(slip_rad, initial_slip(0.26 * 4.0, speed_mps, [0.1, 0.2]));
+    assert_eq!(start.covariance.amax(), 0.0);
+    let course = bicycle.with_course_along_heading().frame_heading_rad();
+    assert!((course + slip_rad - 0.6).abs() < 1e-6);
+    let MotionModel::Displacement { start, .. } = displacement else { panic!("{displacement:?}") };
+    assert_eq!(<[f32; 4]>::from(start.mean), [3.0, -2.0, -1.8, -1.1]);
+    assert!((displacement.frame_heading_rad() - 0.5).abs() < 1e-6);
+    let options = MotionOptions { initial_slip: false, ..MotionOptions::default() };
+    assert_eq!(options.start_slip_rad(1.0, 5.0, [0.3, 0.3]), 0.0);
+    assert_eq!(options.rear_axle_m(None), 0.26 * 4.5);
+}
+
+/// Positions, linearised Gaussians and particles of the same controls; without any uncertainty all three agree.
+#[test]
+fn trajectories_agree_whichever_way_they_are_made() {
+    let means = [[0.8, 0.05], [-0.5, 0.1], [9.0, -0.2], [0.0, 0.0]];
+    for model in models() {
+        let mut path_m = [[0.0; 2]; 4];
+        model.positions(means.into_iter(), &mut path_m);
+        for deviation in [0.0, 0.1] {
+            let controls = means.map(|mean| ControlGaussian::new(mean, [deviation, 0.0, 0.2 * deviation]));
+            let mut moments = [Moments::default(); 4];
+            model.moments(controls.iter().map(|control| model.acting(control)), &mut moments);
+            assert_eq!(moments.map(|moments| moments.mean), path_m);
+            let mut drawn = [Moments::default(); 4];
+            model.particle_moments(controls.into_iter(), 32, &mut Normals::new(1, 2, 3), &mut drawn);
+            for (exact, drawn) in moments.iter().zip(&drawn) {
+                let width_m = (exact.covariance[0] + exact.covariance[2]).sqrt();
+                let off_m = [0, 1].map(|axis| (exact.mean[axis] - drawn.mean[axis]).abs());
+                assert!(off_m.iter().all(|off_m| *off_m < 0.6 * width_m + 1e-4), "{exact:?} {drawn:?}");
+                assert!((deviation > 0.0) == (width_m > 0.0), "{exact:?}");
+            }
+        }
+    }
+}
+
+#[test]
+fn controls_relative_to_the_start_do_not_depend_on_the_kind_of_displacement() {
+    let [bicycle, residual, absolute] = models();
+    let (mut residual_m, mut absolute_m) = ([[0.0; 2]; 3], [[0.0; 2]; 3]);
+    absolute.positions(std::iter::repeat([0.4, -0.1]), &mut absolute_m);
+    let control = ControlGaussian::new([0.4, -0.1], [0.1, 0.02, 0.1]);
+    let relative = absolute.relative_to_start(&absolute.acting(&control));
+    assert_eq!(relative.cholesky, control.cholesky);
+    residual.positions(std::iter::repeat(relative.mean.into()), &mut residual_m);
+    for (residual_m, absolute_m) in residual_m.iter().zip(&absolute_m) {
+        assert!((0..2).all(|axis| (residual_m[axis] - absolute_m[axis]).abs() < 1e-5), "{residual_m:?}");
+    }
+    assert_eq!([&bicycle, &residual].map(|model| model.relative_to_start(&control)), [control; 2]);
 }

@@ -19,6 +19,7 @@ mod decoder;
 mod embedding;
 mod encoding;
 mod linear;
+mod motion;
 mod weights;
 mod workers;
 
@@ -35,5 +36,6 @@ pub use decoder::{
 pub use embedding::{RelationMlp, StateMlp};
 pub use encoding::EncodingFunction;
 pub use linear::MlpMemory;
+pub use motion::{motion_kind, motion_options};
 pub use weights::{Weights, WeightsError};
 pub use workers::{Job, StartError, Workers};

@@ -1,4 +1,4 @@
-//! Files of what is known of a place: safetensors, written whole or not at all.
+//! Files of what is known of a site, context maps and retrieval memories: safetensors, written whole or not at all.
 
 use std::fs::{self, File};
 use std::io::{self, Read, Write};
@@ -28,16 +28,6 @@ pub enum FileError {
         /// What is wrong with it.
         source: SafeTensorError,
     },
-    /// The file remembers forecasts of other weights.
-    #[error("{}: remembers forecasts of the weights {found}, not of {expected}", path.display())]
-    OtherWeights {
-        /// The file.
-        path: PathBuf,
-        /// Beginning of their SHA-256.
-        found: String,
-        /// The same of those that are in use.
-        expected: String,
-    },
     /// The file's tensors do not make what it should hold.
     #[error("{}: not a {what}: {reason}", path.display())]
     Content {
@@ -51,15 +41,20 @@ pub enum FileError {
 }
 
 /// A file, and what it should hold.
-#[derive(Clone, Copy)]
-pub(crate) struct Target<'a> {
-    pub(crate) path: &'a Path,
-    pub(crate) what: &'static str,
+#[derive(Clone, Copy, Debug)]
+pub struct Target<'a> {
+    /// The file.
+    pub path: &'a Path,
+    /// What it should hold, as errors name it.
+    pub what: &'static str,
 }
 
 impl Target<'_> {
     /// Writes the file, all of it or nothing: a reader never meets half of it. Of a link the target is written; the link stays.
-    pub(crate) fn write(self, bytes: &[u8]) -> Result<(), FileError> {
+    ///
+    /// # Errors
+    /// [`FileError::Io`] where the folder can't be written.
+    pub fn write(self, bytes: &[u8]) -> Result<(), FileError> {
         let path = fs::canonicalize(self.path).unwrap_or_else(|_| self.path.to_owned());
         let mut partial = path.clone().into_os_string();
         // Two processes that write the same file don't write the same part of it.
@@ -75,7 +70,10 @@ impl Target<'_> {
     }
 
     /// Reads the file unless it is larger than it can be.
-    pub(crate) fn read(self, bytes_max: u64) -> Result<Vec<u8>, FileError> {
+    ///
+    /// # Errors
+    /// [`FileError::Io`] where it can't be read, [`FileError::Content`] where it is larger.
+    pub fn read(self, bytes_max: u64) -> Result<Vec<u8>, FileError> {
         let mut bytes = Vec::new();
         let file = File::open(self.path).map_err(|source| self.io(source))?;
         file.take(bytes_max + 1).read_to_end(&mut bytes).map_err(|source| self.io(source))?;
@@ -89,17 +87,24 @@ impl Target<'_> {
         FileError::Io { path: self.path.into(), source }
     }
 
-    pub(crate) fn format(self, source: SafeTensorError) -> FileError {
+    /// That the file is no safetensors file, or lacks a tensor.
+    #[must_use]
+    pub fn format(self, source: SafeTensorError) -> FileError {
         FileError::Format { path: self.path.into(), what: self.what, source }
     }
 
-    pub(crate) fn content(self, reason: String) -> FileError {
+    /// That the file's tensors do not make what it should hold.
+    #[must_use]
+    pub fn content(self, reason: String) -> FileError {
         FileError::Content { path: self.path.into(), what: self.what, reason }
     }
 }
 
 /// The numbers of a tensor of this shape, whatever they are.
-pub(crate) fn numbers(name: &str, view: &TensorView<'_>, shape: &[usize]) -> Result<Vec<f32>, String> {
+///
+/// # Errors
+/// Where it is of another type or shape, in words.
+pub fn numbers(name: &str, view: &TensorView<'_>, shape: &[usize]) -> Result<Vec<f32>, String> {
     if view.dtype() != Dtype::F32 || view.shape() != shape {
         return Err(format!("{name} is {:?} {:?}, expected F32 {shape:?}", view.dtype(), view.shape()));
     }
@@ -107,8 +112,11 @@ pub(crate) fn numbers(name: &str, view: &TensorView<'_>, shape: &[usize]) -> Res
     Ok(words.iter().map(|word| f32::from_le_bytes(*word)).collect())
 }
 
-/// The same, all of them finite.
-pub(crate) fn finite_numbers(name: &str, view: &TensorView<'_>, shape: &[usize]) -> Result<Vec<f32>, String> {
+/// As [`numbers`], all of them finite.
+///
+/// # Errors
+/// As [`numbers`], or where one is not finite.
+pub fn finite_numbers(name: &str, view: &TensorView<'_>, shape: &[usize]) -> Result<Vec<f32>, String> {
     let numbers = numbers(name, view, shape)?;
     match numbers.iter().position(|x| !x.is_finite()) {
         Some(at) => Err(format!("{name}[{at}] is {}", numbers[at])),

@@ -1,18 +1,17 @@
 //! The scene around the robot: agent states, their frames of reference, features, interaction graph and context maps.
 
+pub mod file;
+
 mod features;
-mod file;
 mod graph;
 mod map;
 mod motion;
-mod place;
 mod state;
 
 pub use features::{AgentFrame, FeatureScales, MOVING_MPS, agent_frame, relation_features, state_features};
 pub use file::FileError;
 pub use graph::{EdgeRule, NEIGHBOURS_MAX, Vertex};
 pub use map::{CELLS_MAX, ContextMap, MapBuilder, ONLINE_SIDE, OnlineMap, PatchOptions};
-pub use motion::{states_from_positions, turn_rates};
-pub use place::{Choice, Departures, Driving, Gait, LIKES_MAX, Like, Moment, PlaceMemory, Recall, Walking};
+pub use motion::{motion_start, states_from_positions, turn, turn_rates};
 pub use state::{State, track_history};
 pub use wire::AgentType;

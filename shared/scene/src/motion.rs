@@ -1,6 +1,8 @@
-//! Velocities and headings of agents that are known by their positions alone.
+//! Velocities and headings of agents that are known by their positions alone, and where their motion goes on from.
 
-use crate::{MOVING_MPS, State};
+use kinematics::MotionStart;
+
+use crate::{MOVING_MPS, State, agent_frame};
 
 /// Fills `states` with the velocities and headings that follow from `positions_m`, a row per step of `dt_s`.
 ///
@@ -59,13 +61,30 @@ fn velocity(from: (usize, [f32; 2]), to: (usize, [f32; 2]), dt_s: f32) -> [f32; 
 pub fn turn_rates(history: &[Option<State>], dt_s: f32) -> [f32; 2] {
     let back = |steps: usize| history.len().checked_sub(steps).and_then(|step| history[step]);
     [1, 2].map(|steps| match (back(steps), back(steps + 1)) {
-        (Some(after), Some(before)) => wrapped(after.heading_rad - before.heading_rad) / dt_s,
+        (Some(after), Some(before)) => turn(before.heading_rad, after.heading_rad) / dt_s,
         _ => 0.0,
     })
 }
 
-/// The angle in [−π, π) that points the same way.
-pub(crate) fn wrapped(angle_rad: f32) -> f32 {
+/// The angle in [−π, π) by which one heading turns to become another.
+#[must_use]
+#[inline]
+pub fn turn(from_rad: f32, to_rad: f32) -> f32 {
     use std::f32::consts::{PI, TAU};
-    (angle_rad + PI).rem_euclid(TAU) - PI
+    (to_rad - from_rad + PI).rem_euclid(TAU) - PI
+}
+
+/// Where the motion of an agent that is `now` at the end of its history goes on from, in steps of `dt_s`.
+///
+/// Without history the agent frame is that of its present state.
+#[must_use]
+pub fn motion_start(now: &State, history: &[Option<State>], length_m: Option<f32>, dt_s: f32) -> MotionStart {
+    MotionStart {
+        position_m: now.position_m,
+        velocity_mps: now.velocity_mps,
+        heading_rad: now.heading_rad,
+        turn_rates_radps: turn_rates(history, dt_s),
+        frame_heading_rad: agent_frame(history).map_or(now.heading_rad, |frame| frame.heading_rad),
+        length_m,
+    }
 }

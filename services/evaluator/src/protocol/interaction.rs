@@ -3,7 +3,8 @@
 use std::path::{Path, PathBuf};
 
 use data::sets::{DataSet, Part};
-use scene::{AgentType, ContextMap, PlaceMemory};
+use retrieval::RetrievalMemory;
+use scene::{AgentType, ContextMap};
 
 use super::{Footage, GROWTH, MapChoice, Options, RATES, Rules, SEED, fit, need_agents};
 use crate::group::Group;
@@ -102,7 +103,7 @@ impl Protocol<'_> {
         let footage = options.read_part(SET, options.part, cut)?;
         let mut sites: Vec<(String, Vec<Block>)> = Vec::new();
         // Recordings come site by site.
-        let mut visited: Option<(String, Option<PlaceMemory>)> = None;
+        let mut visited: Option<(String, Option<RetrievalMemory>)> = None;
         for footage in &footage {
             let site = site_of(footage);
             let map = (options.map == MapChoice::Site).then(|| map_of(training, &site)).flatten();
@@ -152,7 +153,7 @@ impl Protocol<'_> {
                 let Footage { recording, scenes } = &footage;
                 let map = input(options.map, None);
                 let blocks = judge.revisit(recording, scenes, map, memory.as_mut());
-                memory.iter_mut().for_each(PlaceMemory::leave);
+                memory.iter_mut().for_each(RetrievalMemory::end_session);
                 if part == options.part {
                     tests.extend(blocks.iter().cloned());
                 }

@@ -3,7 +3,8 @@
 use std::collections::BTreeMap;
 
 use filters::ControlStep;
-use scene::{OnlineMap, PlaceMemory, Recall, State};
+use retrieval::{ControlChanges, Query, Retrieval, RetrievalMemory};
+use scene::{OnlineMap, State};
 use wire::{AgentType, CONTEXT_EMBEDDING};
 
 use crate::forecaster::Said;
@@ -37,7 +38,7 @@ pub(crate) struct Place<'a> {
     /// An online map is of what filters believed so far.
     pub(crate) map: MapInput<'a>,
     /// What those who came by earlier did, if anybody remembers.
-    pub(crate) memory: Option<PlaceMemory>,
+    pub(crate) memory: Option<RetrievalMemory>,
 }
 
 /// Estimates at a stamp with their contexts.
@@ -48,7 +49,7 @@ pub(crate) struct Oracle<'a> {
     forecaster: &'a Forecaster,
     map: MapInput<'a>,
     online: OnlineMap,
-    place_memory: Option<PlaceMemory>,
+    retrieval: Option<Retrieval>,
     memory: ForecasterMemory,
     /// The context where no map tells anything.
     unknown: [f32; CONTEXT_EMBEDDING],
@@ -64,7 +65,7 @@ impl<'a> Oracle<'a> {
             forecaster,
             map: place.map,
             online: OnlineMap::new(),
-            place_memory: place.memory.clone().filter(|_| revisits),
+            retrieval: place.memory.clone().filter(|_| revisits).map(Retrieval::new),
             memory: ForecasterMemory::default(),
             unknown: unknown.unwrap_or([0.0; CONTEXT_EMBEDDING]),
             pasts: BTreeMap::new(),
@@ -107,27 +108,26 @@ impl<'a> Oracle<'a> {
             past(&estimates[agent], step as i64).map_or(self.unknown, |past| past.1)
         };
         let said = self.forecaster.say(&scene, context, &wanted, &mut self.memory);
-        if let Some(memory) = &mut self.place_memory {
-            memory.advance(now_ns);
+        if let Some(retrieval) = &mut self.retrieval {
             let seen = estimates.iter().filter(|estimate| estimate.is_seen);
-            seen.for_each(|estimate| memory.observe(estimate.id, estimate.state.position_m));
+            retrieval.observe(now_ns, seen.map(|estimate| (estimate.id, estimate.state.position_m)));
         }
         let steer = |(&place, said): (&usize, &Said)| {
             let agent = &scene.agents[place];
-            let recall = self.recall(agent, said);
-            (agent.id, self.forecaster.steer(agent, said, recall.as_ref()))
+            let changes = self.retrieve(now_ns, agent, said);
+            (agent.id, self.forecaster.steer(agent, said, changes.as_ref()))
         };
         wanted.iter().zip(&said).map(steer).collect()
     }
 
-    /// What the memory tells of an agent, which it remembers from now on.
-    fn recall(&mut self, agent: &Agent, said: &Said) -> Option<Recall> {
-        let memory = self.place_memory.as_mut()?;
-        let moment = motion::moment(agent, self.forecaster.config())?;
-        let mut recall = Recall::default();
-        memory.recall(agent.id, &moment, &mut recall);
-        memory.remember(agent.id, &moment, &self.forecaster.lead_best(agent, said), &recall);
-        Some(recall)
+    /// What an agent's controls are changed by, which is stored from now on.
+    fn retrieve(&mut self, stamp_ns: i64, agent: &Agent, said: &Said) -> Option<ControlChanges> {
+        let (config, retrieval) = (self.forecaster.config(), self.retrieval.as_mut()?);
+        let query = Query { stamp_ns, agent: agent.id, key: motion::key(agent, config)? };
+        let (model, controls) = (motion::model(agent, config), self.forecaster.controls(said));
+        let mut changes = ControlChanges::default();
+        retrieval.adapt(&query, &model, &controls, &mut changes);
+        Some(changes)
     }
 
     /// The context embeddings of estimates, in their order, which an online map then takes in.

@@ -4,9 +4,9 @@
 //! bicycle through the recorded positions, found by Levenberg-Marquardt from zero control with a weak pull towards zero,
 //! so that noise of the positions does not become steering.
 
-use kinematics::{Bicycle, BicycleState, ControlLimits, Motion, Vehicle};
+use kinematics::{BicycleState, Motion, Vehicle};
 use nalgebra::{DMatrix, DVector, SMatrix, Vector2};
-use nn::{Integrator, ModelConfig};
+use nn::ModelConfig;
 
 use crate::net::motion::Start;
 
@@ -41,20 +41,8 @@ pub(crate) struct Driver {
 
 impl Driver {
     pub(crate) fn new(start: &Start, config: &ModelConfig) -> Self {
-        let integrator = match config.integrator {
-            Integrator::Euler => kinematics::Integrator::Euler,
-            Integrator::Midpoint => kinematics::Integrator::Midpoint,
-        };
-        let bicycle =
-            Bicycle { rear_axle_m: start.rear_axle_m, slip_limit_rad: config.slip_limit_rad, integrator };
-        let limits = ControlLimits {
-            accel_mps2: config.accel_limit_mps2,
-            slip_rate_radps: config.slip_rate_limit_radps,
-        };
-        Self {
-            vehicle: Vehicle { bicycle, limits, dt_s: config.dt_s as f32 },
-            start: BicycleState::from([0.0, 0.0, start.heading_rad, start.speed_mps, start.slip_rad]),
-        }
+        let (vehicle, start) = start.bicycle(config);
+        Self { vehicle, start }
     }
 
     /// Positions (agent frame) under controls before saturation.

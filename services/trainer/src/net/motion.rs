@@ -8,6 +8,7 @@ mod bicycle;
 mod noise;
 mod reals;
 
+use kinematics::{BicycleState, Vehicle};
 use nn::{Displacement, ModelConfig};
 use wire::AgentType;
 
@@ -28,6 +29,14 @@ pub(crate) struct Start {
     pub(crate) slip_rad: f32,
     /// From the centre to the rear axle; positive for vehicles.
     pub(crate) rear_axle_m: f32,
+}
+
+impl Start {
+    /// The motion of a vehicle, and where it begins.
+    pub(crate) fn bicycle(&self, config: &ModelConfig) -> (Vehicle, BicycleState<f32>) {
+        let motion = nn::motion_options(config).vehicle(self.rear_axle_m, config.dt_s as f32);
+        (motion, BicycleState::from([0.0, 0.0, self.heading_rad, self.speed_mps, self.slip_rad]))
+    }
 }
 
 /// Positions `[rows, horizon × 2]` under `controls` of the same shape, those of vehicles before saturation; row r starts

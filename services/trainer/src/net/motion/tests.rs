@@ -1,6 +1,4 @@
-use kinematics::{
-    Bicycle, BicycleState, ControlLimits, Displacement, DisplacementKind, DisplacementState, Motion, Vehicle,
-};
+use kinematics::{Displacement, DisplacementKind, DisplacementState, Motion};
 use nalgebra::Vector2;
 use nn::Integrator;
 
@@ -56,23 +54,7 @@ fn vehicles_agree_with_the_kinematics() {
         let positions = positions(&config, AgentType::Vehicle, &starts, DRAWS, &controls);
         for row in 0..ROWS {
             let start = starts[row / DRAWS];
-            let vehicle = Vehicle {
-                bicycle: Bicycle {
-                    rear_axle_m: start.rear_axle_m,
-                    slip_limit_rad: config.slip_limit_rad,
-                    integrator: match config.integrator {
-                        Integrator::Euler => kinematics::Integrator::Euler,
-                        Integrator::Midpoint => kinematics::Integrator::Midpoint,
-                    },
-                },
-                limits: ControlLimits {
-                    accel_mps2: config.accel_limit_mps2,
-                    slip_rate_radps: config.slip_rate_limit_radps,
-                },
-                dt_s: config.dt_s as f32,
-            };
-            let mut state =
-                BicycleState::from([0.0, 0.0, start.heading_rad, start.speed_mps, start.slip_rad]);
+            let (vehicle, mut state) = start.bicycle(&config);
             for step in 0..STEPS {
                 let at = 2 * step;
                 let control = Vector2::from_row_slice(&controls.row(row)[at..at + 2]);

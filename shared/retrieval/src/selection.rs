@@ -1,37 +1,38 @@
-//! Which of the remembered paths stand in for modes of a forecast.
+//! Mode selection: which of the retrieved neighbours' paths stand in for modes of a forecast.
 
+use kinematics::MotionKind;
 use wire::{HORIZON_MAX, MODES_MAX};
 
-use super::{Gait, LIKES_MAX};
+use crate::RETRIEVED_MAX;
 
-/// Modes that remembered paths may take the place of, driving and walking.
+/// Most modes that neighbours' paths take the place of, by kind of motion.
 const SWAPS_MAX: [usize; 2] = [5, 3];
-/// As many remembered paths as the modes of a forecast together are worth, driving and walking: roads leave less choice.
-const WORTH: [f32; 2] = [4.0, 8.0];
+/// As many neighbours of weight 1 as the modes of a forecast together count for, by kind of motion: roads leave less choice.
+const MODES_WEIGHT: [f32; 2] = [4.0, 8.0];
 /// What the distance at the end counts beside the mean distance.
-const END: f32 = 0.3;
+const END_WEIGHT: f32 = 0.3;
 
-/// Chooses, in memory that it takes once.
+/// Selects modes, in memory that it takes once.
 #[derive(Clone, Debug)]
-pub struct Choice {
+pub struct ModeSelection {
     /// The paths' points by axis, step by step: those of all paths beside one another.
     points_m: [Vec<f32>; 2],
     /// Distances between all paths, row by row.
     distances_m: Vec<f32>,
     weights: Vec<f32>,
     nearest: Nearest,
-    chosen: Vec<usize>,
-    /// What each remembered path would help.
+    selected: Vec<usize>,
+    /// What each neighbour's path would gain.
     gains: Vec<f32>,
-    /// How much each of the chosen would be missed.
+    /// What would be lost with each of the selected.
     losses: Vec<f32>,
     probability: Vec<f32>,
 }
 
-/// How near all paths are to those that are chosen.
+/// How near all paths are to those that are selected.
 #[derive(Clone, Debug)]
 struct Nearest {
-    /// The place among the chosen of the nearest one.
+    /// The place among the selected of the nearest one.
     places: Vec<u32>,
     /// Distances to the nearest one.
     first_m: Vec<f32>,
@@ -39,9 +40,9 @@ struct Nearest {
     second_m: Vec<f32>,
 }
 
-impl Default for Choice {
+impl Default for ModeSelection {
     fn default() -> Self {
-        let paths_max = MODES_MAX + LIKES_MAX;
+        let paths_max = MODES_MAX + RETRIEVED_MAX;
         Self {
             points_m: [0, 1].map(|_| Vec::with_capacity(paths_max * HORIZON_MAX)),
             distances_m: Vec::with_capacity(paths_max * paths_max),
@@ -51,45 +52,48 @@ impl Default for Choice {
                 first_m: Vec::with_capacity(paths_max),
                 second_m: Vec::with_capacity(paths_max),
             },
-            chosen: Vec::with_capacity(MODES_MAX),
-            gains: Vec::with_capacity(LIKES_MAX),
+            selected: Vec::with_capacity(MODES_MAX),
+            gains: Vec::with_capacity(RETRIEVED_MAX),
             losses: Vec::with_capacity(MODES_MAX),
             probability: Vec::with_capacity(MODES_MAX),
         }
     }
 }
 
-impl Choice {
-    /// Chooses as many of `paths` as there are modes, so that a future drawn from all of them, by their weights, has a chosen one
-    /// near it: the modes come first, with their probabilities, remembered paths follow, with the weights of their moments.
+impl ModeSelection {
+    /// Selects as many of `paths` as there are modes, so that a future drawn from all of them, by their weights, has a selected
+    /// one near it: the modes come first, with their probabilities, neighbours' paths follow, with their own weights.
+    ///
+    /// This is the weighted k-medoids (k-median) problem, k being the number of modes:
     ///
     /// ```text
-    /// least Σ_i w_i min_{c chosen} d(i, c)      w = 4 p of modes, walking 8 p, of remembered paths their own
-    ///                                           d = mean over the steps of |Δp| + 0.3 |Δp| at the last
+    /// least Σ_i w_i min_{c selected} d(i, c)      w = 4 p of modes, of displacements 8 p, of neighbours their own
+    ///                                             d = mean over the steps of |Δp| + 0.3 |Δp| at the last
     /// ```
     ///
-    /// Greedily, from the modes on: the remembered path that helps most takes the place of the mode that is missed least, at most
-    /// five times, walking three.
+    /// It is solved greedily by vertex interchange (Teitz and Bart) from the modes on: the neighbour's path whose addition
+    /// lowers the sum most takes the place of the selected one whose removal then raises it least, as long as the sum falls,
+    /// at most five times, of displacements three. A mode's probability is the share of the weights that are nearest to it.
     ///
     /// # Panics
     /// Where there are not as many paths as weights, or steps than a payload holds.
-    pub fn choose(
+    pub fn select(
         &mut self,
-        gait: Gait,
+        kind: MotionKind,
         paths: &[[[f32; 2]; HORIZON_MAX]],
         horizon_len: usize,
         probability: &[f32],
-        remembered: impl Iterator<Item = f32>,
+        neighbours: impl Iterator<Item = f32>,
     ) {
         let modes_len = probability.len();
         self.weights.clear();
-        let worth = WORTH[gait as usize];
-        self.weights.extend(probability.iter().map(|p| worth * p).chain(remembered));
+        let modes_weight = MODES_WEIGHT[kind as usize];
+        self.weights.extend(probability.iter().map(|p| modes_weight * p).chain(neighbours));
         assert_eq!(self.weights.len(), paths.len(), "a weight for each path");
         self.measure(paths, horizon_len);
-        self.chosen.clear();
-        self.chosen.extend(0..modes_len);
-        for _ in 0..SWAPS_MAX[gait as usize].min(modes_len.saturating_sub(1)) {
+        self.selected.clear();
+        self.selected.extend(0..modes_len);
+        for _ in 0..SWAPS_MAX[kind as usize].min(modes_len.saturating_sub(1)) {
             self.find_nearest();
             if !self.swap(modes_len) {
                 break;
@@ -104,9 +108,9 @@ impl Choice {
         }
     }
 
-    /// For every mode the path that was chosen in its place: itself, or a remembered one; and its probability.
-    pub fn chosen(&self) -> impl Iterator<Item = (usize, f32)> {
-        self.chosen.iter().copied().zip(self.probability.iter().copied())
+    /// For every mode the path that was selected in its place: itself, or a neighbour's; and its probability.
+    pub fn selected(&self) -> impl Iterator<Item = (usize, f32)> {
+        self.selected.iter().copied().zip(self.probability.iter().copied())
     }
 
     fn measure(&mut self, paths: &[[[f32; 2]; HORIZON_MAX]], horizon_len: usize) {
@@ -119,7 +123,7 @@ impl Choice {
         self.distances_m.resize(len * len, 0.0);
         let [xs, ys] = self.points_m.each_ref().map(|points_m| points_m.chunks_exact(len.max(1)));
         for (step, (xs, ys)) in xs.zip(ys).enumerate() {
-            let last = if step + 1 == horizon_len { END } else { 0.0 };
+            let last = if step + 1 == horizon_len { END_WEIGHT } else { 0.0 };
             let weight = 1.0 / horizon_len as f32 + last;
             // From each path to those that come after it.
             for (place, row) in self.distances_m.chunks_exact_mut(len).enumerate() {
@@ -141,15 +145,15 @@ impl Choice {
     fn find_nearest(&mut self) {
         let len = self.weights.len();
         self.nearest.clear(len);
-        for (place, &path) in self.chosen.iter().enumerate() {
+        for (place, &path) in self.selected.iter().enumerate() {
             self.nearest.take_in(place as u32, &self.distances_m[path * len..(path + 1) * len]);
         }
     }
 
-    /// Puts the remembered path that helps most in the place of the chosen one that is missed least; false where that does not
-    /// help.
+    /// Puts the neighbour's path that gains most in the place of the selected one with which least is lost; false where the
+    /// sum does not fall.
     fn swap(&mut self, modes_len: usize) -> bool {
-        let Self { distances_m, weights, nearest, chosen, gains, losses, .. } = self;
+        let Self { distances_m, weights, nearest, selected, gains, losses, .. } = self;
         let len = weights.len();
         // Sums side by side, of one path after another.
         gains.clear();
@@ -164,7 +168,7 @@ impl Choice {
         let Some((entering, gain)) = best(gains, |other, best| other > best) else { return false };
         let entering = modes_len + entering;
         losses.clear();
-        losses.resize(chosen.len(), 0.0);
+        losses.resize(selected.len(), 0.0);
         let near = nearest.places.iter().zip(&nearest.first_m).zip(&nearest.second_m);
         let row = &distances_m[entering * len..(entering + 1) * len];
         for (((&place, first_m), second_m), (apart_m, weight)) in near.zip(row.iter().zip(&*weights)) {
@@ -172,7 +176,7 @@ impl Choice {
         }
         match best(losses, |other, best| other < best) {
             Some((place, loss)) if gain > loss => {
-                chosen[place] = entering;
+                selected[place] = entering;
                 true
             }
             _ => false,
@@ -197,14 +201,14 @@ impl Nearest {
         }
     }
 
-    /// Takes in a chosen one, from which all paths are so far.
-    fn take_in(&mut self, chosen: u32, distances_m: &[f32]) {
+    /// Takes in a selected one, from which all paths are so far.
+    fn take_in(&mut self, selected: u32, distances_m: &[f32]) {
         let own = self.places.iter_mut().zip(&mut self.first_m).zip(&mut self.second_m);
         for (((place, first_m), second_m), &apart_m) in own.zip(distances_m) {
             let nearer = apart_m < *first_m;
             *second_m = if nearer { *first_m } else { second_m.min(apart_m) };
             *first_m = if nearer { apart_m } else { *first_m };
-            *place = if nearer { chosen } else { *place };
+            *place = if nearer { selected } else { *place };
         }
     }
 }

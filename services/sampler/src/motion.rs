@@ -1,0 +1,89 @@
+use kinematics::{MotionKind, MotionModel};
+use nalgebra::{Matrix4, Matrix4x5, Matrix5, Matrix5x4, SMatrix};
+use scene::{AgentType, State, motion_start, track_history};
+use wire::Track;
+
+use crate::SamplerOptions;
+
+/// Below this speed a velocity says no more about a heading than at it.
+const STEADY_MPS: f32 = 1.0;
+/// A variance beyond this is no estimate.
+const VARIANCE_MAX: f32 = 1e6;
+
+/// The motion of a track that is at its present state for certain.
+pub(crate) fn certain_motion(
+    track: &Track,
+    agent_type: AgentType,
+    options: &SamplerOptions,
+    dt_s: f32,
+) -> MotionModel {
+    let now = State {
+        position_m: [track.x_m, track.y_m],
+        velocity_mps: [track.vx_mps, track.vy_mps],
+        heading_rad: track.heading_rad,
+    };
+    let kind = match agent_type {
+        AgentType::Vehicle => options.vehicle_motion,
+        AgentType::Cyclist | AgentType::Pedestrian => MotionKind::Displacement,
+    };
+    let length_m = (track.length_m > 0.0).then_some(track.length_m);
+    let start = motion_start(&now, &track_history(track)[..options.history_len], length_m, dt_s);
+    MotionModel::new(kind, &start, &options.motion, dt_s)
+}
+
+/// The same motion from a start that is as uncertain as its track. A covariance that is none leaves it certain.
+///
+/// A bicycle's slip stays certain: it is read off the headings, not taken from the filter.
+pub(crate) fn with_track_covariance(mut model: MotionModel, track: &Track) -> MotionModel {
+    let len = track.state_len as usize;
+    let entries_hold = track.covariance.iter().all(|entry| entry.abs() <= VARIANCE_MAX);
+    if !matches!(len, 4 | 5) || !entries_hold || (0..len).any(|i| track.covariance[i * len + i] < 0.0) {
+        return model;
+    }
+    match (&mut model, len) {
+        (MotionModel::Bicycle { start, .. }, 5) => {
+            start.covariance = Matrix5::from_row_slice(&track.covariance);
+            start.covariance.row_mut(4).fill(0.0);
+            start.covariance.column_mut(4).fill(0.0);
+        }
+        (MotionModel::Bicycle { start, .. }, _) => {
+            let covariance = Matrix4::from_row_slice(&track.covariance[..16]);
+            start.covariance = turned(&bicycle_by_velocity(track), &covariance);
+        }
+        (MotionModel::Displacement { start, .. }, 4) => {
+            start.covariance = Matrix4::from_row_slice(&track.covariance[..16]);
+        }
+        (MotionModel::Displacement { start, .. }, _) => {
+            let covariance = Matrix5::from_row_slice(&track.covariance);
+            start.covariance = turned(&velocity_by_bicycle(track), &covariance);
+        }
+    }
+    model
+}
+
+/// Derivative of \[x, y, ψ, v, β\] by \[x, y, vx, vy\] for a vehicle that moves along its heading.
+fn bicycle_by_velocity(track: &Track) -> Matrix5x4<f32> {
+    let (sin, cos) = track.heading_rad.sin_cos();
+    let speed_mps = track.speed_mps.abs().max(STEADY_MPS);
+    let mut derivative = Matrix5x4::identity();
+    derivative.fixed_view_mut::<2, 2>(2, 2).copy_from_slice(&[-sin / speed_mps, cos, cos / speed_mps, sin]);
+    derivative
+}
+
+/// Derivative of \[x, y, vx, vy\] by \[x, y, ψ, v, β\].
+fn velocity_by_bicycle(track: &Track) -> Matrix4x5<f32> {
+    let (sin, cos) = (track.heading_rad + track.slip_rad).sin_cos();
+    let across = [-track.speed_mps * sin, track.speed_mps * cos];
+    let mut derivative = Matrix4x5::identity();
+    derivative
+        .fixed_view_mut::<2, 3>(2, 2)
+        .copy_from_slice(&[across[0], across[1], cos, sin, across[0], across[1]]);
+    derivative
+}
+
+fn turned<const N: usize, const M: usize>(
+    derivative: &SMatrix<f32, N, M>,
+    covariance: &SMatrix<f32, M, M>,
+) -> SMatrix<f32, N, N> {
+    derivative * covariance * derivative.transpose()
+}

@@ -1,0 +1,219 @@
+use nalgebra::Vector2;
+
+use crate::{
+    Belief, BicycleState, ControlGaussian, Displacement, DisplacementState, Moments, Motion, MotionKind,
+    MotionOptions, Normals, PARTICLES_MAX, Vehicle, advance_particles, spread,
+};
+
+/// What is known of an agent at the end of its history, in the world frame: where its motion begins.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct MotionStart {
+    /// Position (x, y).
+    pub position_m: [f32; 2],
+    /// Velocity (vx, vy).
+    pub velocity_mps: [f32; 2],
+    /// Heading.
+    pub heading_rad: f32,
+    /// Turn rates of the newest two history intervals, newest first.
+    pub turn_rates_radps: [f32; 2],
+    /// Direction of the agent frame's x-axis, in which displacements are given.
+    pub frame_heading_rad: f32,
+    /// Length, where it is known.
+    pub length_m: Option<f32>,
+}
+
+/// An agent that controls set in motion: the equations of its kind, and the state from which they begin.
+///
+/// This is the one place where controls become trajectories. \[model §4\]
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum MotionModel {
+    /// By acceleration and slip rate.
+    Bicycle {
+        /// Equations of motion and saturation.
+        motion: Vehicle,
+        /// \[x, y, ψ, v, β\] at the end of the history.
+        start: Belief<5>,
+    },
+    /// By displacements in the agent frame.
+    Displacement {
+        /// Equations of motion.
+        motion: Displacement,
+        /// \[x, y, vx, vy\] at the end of the history.
+        start: Belief<4>,
+    },
+}
+
+impl MotionModel {
+    /// An agent whose start is known for certain.
+    ///
+    /// The speed of a bicycle is the velocity along its heading, negative in reverse; its slip angle is that of
+    /// [`MotionOptions::start_slip_rad`].
+    #[must_use]
+    pub fn new(kind: MotionKind, start: &MotionStart, options: &MotionOptions, dt_s: f32) -> Self {
+        let ([x, y], [vx, vy]) = (start.position_m, start.velocity_mps);
+        match kind {
+            MotionKind::Bicycle => {
+                let rear_axle_m = options.rear_axle_m(start.length_m);
+                let (sin, cos) = start.heading_rad.sin_cos();
+                let speed_mps = cos * vx + sin * vy;
+                let slip_rad = options.start_slip_rad(rear_axle_m, speed_mps, start.turn_rates_radps);
+                let state = BicycleState::from([x, y, start.heading_rad, speed_mps, slip_rad]);
+                let motion = options.vehicle(rear_axle_m, dt_s);
+                Self::Bicycle { motion, start: Belief::certain(state) }
+            }
+            MotionKind::Displacement => {
+                let motion = Displacement::new(options.displacement, start.frame_heading_rad, dt_s);
+                let start = Belief::certain(DisplacementState::new(x, y, vx, vy));
+                Self::Displacement { motion, start }
+            }
+        }
+    }
+
+    /// What the controls are.
+    #[must_use]
+    pub const fn kind(&self) -> MotionKind {
+        match self {
+            Self::Bicycle { .. } => MotionKind::Bicycle,
+            Self::Displacement { .. } => MotionKind::Displacement,
+        }
+    }
+
+    /// Heading in the world of the frame that the controls are given in: of a bicycle its own at the start, of
+    /// displacements that of the agent frame.
+    #[must_use]
+    pub fn frame_heading_rad(&self) -> f32 {
+        match self {
+            Self::Bicycle { start, .. } => start.mean[2],
+            Self::Displacement { motion, .. } => motion.heading_rad(),
+        }
+    }
+
+    /// The same agent, a bicycle with its heading turned by its slip angle, so that its course is the heading that was
+    /// observed; without turn it then goes straight on along that heading.
+    #[must_use]
+    pub fn with_course_along_heading(mut self) -> Self {
+        if let Self::Bicycle { start, .. } = &mut self {
+            start.mean[2] -= start.mean[4];
+        }
+        self
+    }
+
+    /// The same agent with more variance of a start velocity; a bicycle's speed gets its own from the controls.
+    #[must_use]
+    pub fn with_velocity_deviation(mut self, deviation_mps: f32) -> Self {
+        if let Self::Displacement { start, .. } = &mut self {
+            start.covariance[(2, 2)] += deviation_mps * deviation_mps;
+            start.covariance[(3, 3)] += deviation_mps * deviation_mps;
+        }
+        self
+    }
+
+    /// A control as it acts, after saturation: see [`Motion::acting`].
+    #[must_use]
+    #[inline]
+    pub fn acting(&self, control: &ControlGaussian) -> ControlGaussian {
+        match self {
+            Self::Bicycle { motion, .. } => motion.acting(control),
+            Self::Displacement { motion, .. } => motion.acting(control),
+        }
+    }
+
+    /// A control that acts with its mean taken relative to going on as before: displacements become those beyond the start
+    /// velocity's, whatever their [`DisplacementKind`](crate::DisplacementKind); a bicycle's controls are so already.
+    #[must_use]
+    #[inline]
+    pub fn relative_to_start(&self, acting: &ControlGaussian) -> ControlGaussian {
+        let mean = match self {
+            Self::Bicycle { .. } => acting.mean,
+            Self::Displacement { motion, start } => {
+                motion.residual(&acting.mean, [start.mean[2], start.mean[3]])
+            }
+        };
+        ControlGaussian { mean, ..*acting }
+    }
+
+    /// Writes the position after each control, before saturation: the trajectory of the means.
+    ///
+    /// As many positions as the shorter of the two has; the start itself is none of them.
+    pub fn positions(&self, controls: impl Iterator<Item = [f32; 2]>, out: &mut [[f32; 2]]) {
+        match self {
+            Self::Bicycle { motion, start } => positions(motion, start, controls, out),
+            Self::Displacement { motion, start } => positions(motion, start, controls, out),
+        }
+    }
+
+    /// Writes mean and covariance of the position after each control [that acts](MotionModel::acting): linearised
+    /// Gaussians, see [`Belief::advance`].
+    pub fn moments(&self, acting: impl Iterator<Item = ControlGaussian>, out: &mut [Moments]) {
+        match self {
+            Self::Bicycle { motion, start } => moments(motion, start, acting, out),
+            Self::Displacement { motion, start } => moments(motion, start, acting, out),
+        }
+    }
+
+    /// Writes mean and covariance of the position after each control, before saturation: those of `particles` particles
+    /// that are drawn from the start, see [`advance_particles`].
+    ///
+    /// # Panics
+    /// Where there are more than [`PARTICLES_MAX`].
+    pub fn particle_moments(
+        &self,
+        controls: impl Iterator<Item = ControlGaussian>,
+        particles: usize,
+        normals: &mut Normals,
+        out: &mut [Moments],
+    ) {
+        match self {
+            Self::Bicycle { motion, start } => {
+                particle_moments(motion, start, controls, particles, normals, out);
+            }
+            Self::Displacement { motion, start } => {
+                particle_moments(motion, start, controls, particles, normals, out);
+            }
+        }
+    }
+}
+
+fn positions<const N: usize>(
+    motion: &impl Motion<N>,
+    start: &Belief<N>,
+    controls: impl Iterator<Item = [f32; 2]>,
+    out: &mut [[f32; 2]],
+) {
+    let mut state = start.mean;
+    for (control, out) in controls.zip(out) {
+        let (acting, _) = motion.saturate(&Vector2::from(control));
+        state = motion.step(&state, &acting);
+        *out = [state[0], state[1]];
+    }
+}
+
+fn moments<const N: usize>(
+    motion: &impl Motion<N>,
+    start: &Belief<N>,
+    acting: impl Iterator<Item = ControlGaussian>,
+    out: &mut [Moments],
+) {
+    let mut belief = *start;
+    for (control, out) in acting.zip(out) {
+        belief.advance_by(motion, &control);
+        *out = belief.position();
+    }
+}
+
+fn particle_moments<const N: usize>(
+    motion: &impl Motion<N>,
+    start: &Belief<N>,
+    controls: impl Iterator<Item = ControlGaussian>,
+    particles: usize,
+    normals: &mut Normals,
+    out: &mut [Moments],
+) {
+    let mut cloud = [start.mean; PARTICLES_MAX];
+    let cloud = &mut cloud[..particles];
+    cloud.fill_with(|| start.sample(normals));
+    for (control, out) in controls.zip(out) {
+        advance_particles(motion, &control, cloud, normals);
+        *out = spread(cloud.iter().map(|particle| [particle[0], particle[1]]));
+    }
+}

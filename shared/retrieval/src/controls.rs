@@ -1,0 +1,163 @@
+//! What retrieved residuals change in the controls of a forecast.
+
+use kinematics::MotionModel;
+use wire::{ControlGaussian, HORIZON_MAX, MODES_MAX};
+
+use crate::{ControlChange, ModeSelection, RETRIEVED_MAX, Retrieved};
+
+/// The controls of one agent's forecast, step by step, of as many steps as the best forecast has; modes may have more.
+#[derive(Clone, Copy, Debug)]
+pub struct ForecastControls<'a, M> {
+    /// Of each mode.
+    pub modes: &'a [M],
+    /// The probability of each mode.
+    pub probability: &'a [f32],
+    /// Of the single best forecast.
+    pub best: &'a [ControlGaussian],
+}
+
+/// What is changed in the controls of one agent's forecast: their means, and the probabilities of the modes. Deviations stay.
+#[derive(Clone, Debug)]
+pub struct ControlChanges {
+    best: ControlChange,
+    modes: ControlChange,
+    /// Of each mode that a neighbour's path stands in for: the change of the best forecast's controls that leads along it.
+    replaced: Vec<Option<ControlChange>>,
+    probability: Vec<f32>,
+}
+
+/// Turns what is retrieved into [`ControlChanges`], for one agent after another, in memory that it takes once.
+#[derive(Clone, Debug)]
+pub struct ControlAdapter {
+    selection: ModeSelection,
+    paths: Vec<[[f32; 2]; HORIZON_MAX]>,
+}
+
+impl<'a, M: AsRef<[ControlGaussian]>> ForecastControls<'a, M> {
+    /// Where the best forecast leads, unchanged.
+    #[must_use]
+    pub fn best_path(&self, model: &MotionModel) -> [[f32; 2]; HORIZON_MAX] {
+        path(model, self.best.iter().map(|control| control.mean))
+    }
+
+    fn mode(&self, mode: usize) -> &'a [ControlGaussian] {
+        &self.modes[mode].as_ref()[..self.best.len()]
+    }
+}
+
+impl ControlChanges {
+    /// The probability of each mode.
+    #[must_use]
+    pub fn probability(&self) -> &[f32] {
+        &self.probability
+    }
+
+    /// The means of the best forecast's controls.
+    pub fn best<M>(&self, controls: &ForecastControls<'_, M>) -> impl Iterator<Item = [f32; 2]> {
+        changed(controls.best, &self.best)
+    }
+
+    /// The controls of a mode.
+    pub fn mode<M: AsRef<[ControlGaussian]>>(
+        &self,
+        mode: usize,
+        controls: &ForecastControls<'_, M>,
+    ) -> impl Iterator<Item = ControlGaussian> {
+        let own = controls.mode(mode);
+        let (means, change) = match &self.replaced[mode] {
+            Some(change) => (controls.best, change),
+            None => (own, &self.modes),
+        };
+        changed(means, change).zip(own).map(|(mean, own)| ControlGaussian { mean, ..*own })
+    }
+
+    /// Whether a neighbour's path stands in for the mode.
+    #[must_use]
+    pub fn is_replaced(&self, mode: usize) -> bool {
+        self.replaced[mode].is_some()
+    }
+
+    /// Goes back to no change, of modes with these probabilities.
+    pub fn reset(&mut self, probability: &[f32]) {
+        (self.best, self.modes) = Default::default();
+        self.replaced.clear();
+        self.replaced.resize(probability.len(), None);
+        self.probability.clear();
+        self.probability.extend_from_slice(probability);
+    }
+}
+
+impl Default for ControlChanges {
+    fn default() -> Self {
+        Self {
+            best: ControlChange::default(),
+            modes: ControlChange::default(),
+            replaced: Vec::with_capacity(MODES_MAX),
+            probability: Vec::with_capacity(MODES_MAX),
+        }
+    }
+}
+
+impl Default for ControlAdapter {
+    fn default() -> Self {
+        Self { selection: ModeSelection::default(), paths: Vec::with_capacity(MODES_MAX + RETRIEVED_MAX) }
+    }
+}
+
+impl ControlAdapter {
+    /// Writes what an agent's controls are changed by where this is retrieved for it.
+    ///
+    /// The best forecast gets the expected residuals, modes [half of them](Retrieved::expected_of_modes). Paths that follow the
+    /// best forecast with the residuals of one neighbour each then compete with the modes: see [`ModeSelection`].
+    pub fn adapt<M: AsRef<[ControlGaussian]>>(
+        &mut self,
+        retrieved: &Retrieved,
+        model: &MotionModel,
+        controls: &ForecastControls<'_, M>,
+        changes: &mut ControlChanges,
+    ) {
+        changes.reset(controls.probability);
+        if retrieved.is_empty() {
+            return;
+        }
+        changes.best = retrieved.expected.control_change(model);
+        changes.modes = retrieved.expected_of_modes().control_change(model);
+        if !retrieved.neighbours.is_empty() {
+            self.select(retrieved, model, controls, changes);
+        }
+    }
+
+    /// Lets neighbours' paths stand in for modes.
+    fn select<M: AsRef<[ControlGaussian]>>(
+        &mut self,
+        retrieved: &Retrieved,
+        model: &MotionModel,
+        controls: &ForecastControls<'_, M>,
+        changes: &mut ControlChanges,
+    ) {
+        let Self { selection, paths } = self;
+        let modes_len = controls.modes.len();
+        let change = |neighbour: usize| retrieved.neighbours[neighbour].residuals.control_change(model);
+        paths.clear();
+        paths.extend((0..modes_len).map(|mode| path(model, changed(controls.mode(mode), &changes.modes))));
+        let neighbours = 0..retrieved.neighbours.len();
+        paths.extend(neighbours.map(|neighbour| path(model, changed(controls.best, &change(neighbour)))));
+        let weights = retrieved.neighbours.iter().map(|neighbour| neighbour.weight);
+        selection.select(model.kind(), paths, controls.best.len(), controls.probability, weights);
+        for (mode, (selected, probability)) in selection.selected().enumerate() {
+            changes.replaced[mode] = selected.checked_sub(modes_len).map(change);
+            changes.probability[mode] = probability;
+        }
+    }
+}
+
+/// The means of controls with what is added to them.
+fn changed(controls: &[ControlGaussian], change: &ControlChange) -> impl Iterator<Item = [f32; 2]> {
+    controls.iter().zip(change).map(|(control, change)| [0, 1].map(|i| control.mean[i] + change[i]))
+}
+
+fn path(model: &MotionModel, controls: impl Iterator<Item = [f32; 2]>) -> [[f32; 2]; HORIZON_MAX] {
+    let mut path = [[0.0; 2]; HORIZON_MAX];
+    model.positions(controls, &mut path);
+    path
+}

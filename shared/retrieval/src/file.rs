@@ -1,0 +1,214 @@
+//! Memory files: N entries, oldest first, as safetensors.
+//!
+//! `memory.gait` u8 \[N\], kind of motion, 0 bicycle, 1 displacement; `memory.moment` f32 \[N, 6\], the keys, of a bicycle x, y, heading,
+//! speed, acceleration and turn rate, of displacements x, y and the velocity's x and y; `memory.driven` u8 \[N\], steps taken since;
+//! `memory.departure` f32 \[N, steps, 2\], the residuals, NaN where unknown; `memory.skill` f32 \[2 kinds, steps, 2, 2\], the sums of the
+//! shrinkage; `memory.step_ns` i64 \[1\]. The metadata `weights` are the SHA-256 of those whose forecasts the residuals are of. The
+//! tensors' names are those that files have had from the first: who renames one has to read both.
+
+use std::collections::{BTreeSet, HashMap};
+use std::path::{Path, PathBuf};
+
+use kinematics::MotionKind;
+use safetensors::tensor::{Dtype, SafeTensorError, TensorView};
+use safetensors::{SafeTensors, serialize};
+use scene::FileError;
+use scene::file::{Target, finite_numbers, numbers};
+use thiserror::Error;
+use wire::{HORIZON_MAX, POSITION_MAX_M};
+
+use crate::expectation::Shrinkage;
+use crate::key::COMPONENTS;
+use crate::memory::{ENTRIES_MAX, Value};
+use crate::residuals::RESIDUAL_MAX;
+use crate::{Key, Residuals, RetrievalMemory};
+
+const KIND: &str = "memory.gait";
+const KEY: &str = "memory.moment";
+const TAKEN: &str = "memory.driven";
+const RESIDUAL: &str = "memory.departure";
+const SHRINKAGE: &str = "memory.skill";
+const STEP_NS: &str = "memory.step_ns";
+const WEIGHTS: &str = "weights";
+/// The largest memory with a generous header.
+const BYTES_MAX: u64 = (ENTRIES_MAX * (2 + 4 * (COMPONENTS + 2 * HORIZON_MAX)) + (1 << 20)) as u64;
+
+/// Why a memory file could not be read or written.
+#[derive(Debug, Error)]
+pub enum MemoryError {
+    /// It can't be read or written, or is no memory.
+    #[error(transparent)]
+    File(#[from] FileError),
+    /// It is of the forecasts of other weights.
+    #[error("{}: a retrieval memory of the weights {found}, not of {expected}", path.display())]
+    OtherWeights {
+        /// The file.
+        path: PathBuf,
+        /// Beginning of their SHA-256.
+        found: String,
+        /// The same of those that are in use.
+        expected: String,
+    },
+}
+
+impl RetrievalMemory {
+    /// Writes the entries, of forecasts of these weights, to a file, all of it or nothing.
+    ///
+    /// # Errors
+    /// [`MemoryError::File`] where the folder can't be written.
+    pub fn save(&self, path: &Path, weights_sha256: &str) -> Result<(), MemoryError> {
+        let target = target(path);
+        let bytes = self.to_bytes(weights_sha256).map_err(|source| target.format(source))?;
+        Ok(target.write(&bytes)?)
+    }
+
+    /// Reads the entries of earlier sessions, of forecasts of these weights, which have so many steps of such a length.
+    ///
+    /// # Errors
+    /// [`MemoryError`] where the file can't be read, is no memory, is one of other weights' forecasts, or holds numbers that
+    /// no memory has.
+    pub fn load(
+        path: &Path,
+        weights_sha256: &str,
+        (horizon_len, step_ns): (usize, u64),
+    ) -> Result<Self, MemoryError> {
+        let target = target(path);
+        let memory = Self::from_bytes(&target.read(BYTES_MAX)?, weights_sha256, target)?;
+        if (memory.horizon_len, memory.step_ns) == (horizon_len, step_ns.cast_signed()) {
+            return Ok(memory);
+        }
+        let (found_len, found_ns) = (memory.horizon_len, memory.step_ns);
+        let expected = format!("expected {horizon_len} of {step_ns} ns");
+        Err(target
+            .content(format!("its forecasts have {found_len} steps of {found_ns} ns, {expected}"))
+            .into())
+    }
+
+    fn to_bytes(&self, weights_sha256: &str) -> Result<Vec<u8>, SafeTensorError> {
+        // Entries that no bucket reaches any more are never retrieved.
+        let kept: BTreeSet<usize> = self.buckets.keys().flat_map(|bucket| self.bucket(bucket)).collect();
+        let keys = || kept.iter().map(|place| &self.keys[*place].key);
+        let values = || kept.iter().map(|place| &self.values[*place]);
+        let (len, steps_len) = (kept.len(), self.horizon_len);
+        let bytes =
+            |numbers: &mut dyn Iterator<Item = f32>| numbers.flat_map(f32::to_le_bytes).collect::<Vec<u8>>();
+        let residuals = |value: &Value| value.residuals.steps()[..steps_len].as_flattened().to_vec();
+        let kind: Vec<u8> = keys().map(|key| key.kind() as u8).collect();
+        let key = bytes(&mut keys().flat_map(Key::components));
+        let taken: Vec<u8> = values().map(|value| value.taken_len as u8).collect();
+        let residual = bytes(&mut values().flat_map(residuals));
+        let shrinkage = bytes(&mut self.shrinkage.iter().flat_map(|shrinkage| shrinkage.numbers(steps_len)));
+        let step = self.step_ns.to_le_bytes();
+        serialize(
+            [
+                (KIND, TensorView::new(Dtype::U8, vec![len], &kind)?),
+                (KEY, TensorView::new(Dtype::F32, vec![len, COMPONENTS], &key)?),
+                (TAKEN, TensorView::new(Dtype::U8, vec![len], &taken)?),
+                (RESIDUAL, TensorView::new(Dtype::F32, vec![len, steps_len, 2], &residual)?),
+                (SHRINKAGE, TensorView::new(Dtype::F32, vec![2, steps_len, 2, 2], &shrinkage)?),
+                (STEP_NS, TensorView::new(Dtype::I64, vec![1], &step)?),
+            ],
+            Some([(WEIGHTS.to_owned(), weights_sha256.to_owned())].into()),
+        )
+    }
+
+    fn from_bytes(bytes: &[u8], weights_sha256: &str, target: Target<'_>) -> Result<Self, MemoryError> {
+        let (format, content) = (|source| target.format(source), |reason| target.content(reason));
+        let (_, metadata) = SafeTensors::read_metadata(bytes).map_err(format)?;
+        let tensors = SafeTensors::deserialize(bytes).map_err(format)?;
+        check_weights(metadata.metadata().as_ref(), weights_sha256, target)?;
+        let tensor = |name| tensors.tensor(name).map_err(format);
+        let step_ns = step_ns(&tensor(STEP_NS)?).map_err(content)?;
+        let residual = tensor(RESIDUAL)?;
+        let [len, steps_len, 2] = residual.shape()[..] else {
+            let shape = residual.shape();
+            return Err(
+                content(format!("{RESIDUAL} has shape {shape:?}, expected [entries, steps, 2]")).into()
+            );
+        };
+        if len > ENTRIES_MAX || !(1..=HORIZON_MAX).contains(&steps_len) {
+            let most = format!("at most {ENTRIES_MAX} of 1 to {HORIZON_MAX} allowed");
+            return Err(content(format!("{len} entries of {steps_len} steps, {most}")).into());
+        }
+        let kind = small(KIND, &tensor(KIND)?, len, 1).map_err(content)?;
+        let taken = small(TAKEN, &tensor(TAKEN)?, len, steps_len as u8).map_err(content)?;
+        let key = finite_numbers(KEY, &tensor(KEY)?, &[len, COMPONENTS]).map_err(content)?;
+        let residual = numbers(RESIDUAL, &residual, &[len, steps_len, 2]).map_err(content)?;
+        let shrinkage =
+            finite_numbers(SHRINKAGE, &tensor(SHRINKAGE)?, &[2, steps_len, 2, 2]).map_err(content)?;
+
+        // They lie as Σ predicted · actual, Σ predicted².
+        if let Some(negative) = shrinkage.iter().skip(1).step_by(2).find(|square| **square < 0.0) {
+            let why = format!("{SHRINKAGE} holds {negative}, a sum of squares can't be negative");
+            return Err(content(why).into());
+        }
+
+        let mut memory = Self::new(steps_len, step_ns);
+        for (shrinkage, numbers) in memory.shrinkage.iter_mut().zip(shrinkage.chunks_exact(4 * steps_len)) {
+            *shrinkage = Shrinkage::of_numbers(numbers);
+        }
+        let entries = key.as_chunks::<COMPONENTS>().0.iter().zip(residual.chunks_exact(2 * steps_len));
+        for (number, (components, residual)) in entries.enumerate() {
+            let kind = if kind[number] == 0 { MotionKind::Bicycle } else { MotionKind::Displacement };
+            if let Some(beyond) = components[..2].iter().find(|x| x.abs() > POSITION_MAX_M) {
+                let why = format!("{KEY}[{number}] is at {beyond} m, outside the world");
+                return Err(content(why).into());
+            }
+            let most = RESIDUAL_MAX[kind as usize];
+            let impossible =
+                |(place, x): (usize, &f32)| (x.is_infinite() || x.abs() > most[place % 2]).then_some(*x);
+            if let Some(residual) = residual.iter().enumerate().find_map(impossible) {
+                return Err(content(format!("{RESIDUAL}[{number}] holds {residual}")).into());
+            }
+            let (taken_len, residuals) = (usize::from(taken[number]), Residuals::of_numbers(residual));
+            let value = Value { agent: 0, session: 0, taken_len, residuals };
+            memory.push(Key::of_components(kind, components), value);
+        }
+        memory.end_session();
+        Ok(memory)
+    }
+}
+
+/// Refuses metadata that name other weights, or none.
+fn check_weights(
+    metadata: Option<&HashMap<String, String>>,
+    weights_sha256: &str,
+    target: Target<'_>,
+) -> Result<(), MemoryError> {
+    let Some(weights) = metadata.and_then(|metadata| metadata.get(WEIGHTS)) else {
+        return Err(target.content(format!("its metadata lack `{WEIGHTS}`")).into());
+    };
+    if weights == weights_sha256 {
+        return Ok(());
+    }
+    let [found, expected] =
+        [weights, weights_sha256].map(|sha256| sha256.chars().take(12).collect::<String>());
+    Err(MemoryError::OtherWeights { path: target.path.into(), found, expected })
+}
+
+/// The one number of a tensor, a length of time that steps may have.
+fn step_ns(view: &TensorView<'_>) -> Result<u64, String> {
+    let (Dtype::I64, Ok(bytes)) = (view.dtype(), view.data().try_into()) else {
+        return Err(format!("{STEP_NS} is {:?} {:?}, expected I64 [1]", view.dtype(), view.shape()));
+    };
+    let step_ns = i64::from_le_bytes(bytes);
+    if step_ns < 1 {
+        return Err(format!("{STEP_NS} is {step_ns}, expected 1 or more"));
+    }
+    Ok(step_ns.cast_unsigned())
+}
+
+/// Bytes of which none is larger.
+fn small(name: &str, view: &TensorView<'_>, len: usize, most: u8) -> Result<Vec<u8>, String> {
+    if view.dtype() != Dtype::U8 || view.shape() != [len] {
+        return Err(format!("{name} is {:?} {:?}, expected U8 [{len}]", view.dtype(), view.shape()));
+    }
+    match view.data().iter().position(|x| *x > most) {
+        Some(at) => Err(format!("{name}[{at}] is {}, at most {most} allowed", view.data()[at])),
+        None => Ok(view.data().to_vec()),
+    }
+}
+
+const fn target(path: &Path) -> Target<'_> {
+    Target { path, what: "retrieval memory" }
+}

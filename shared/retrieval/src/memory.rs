@@ -1,0 +1,360 @@
+//! The retrieval memory: entries of key and residuals, and the agents whose paths still fill them.
+
+use std::collections::{HashMap, VecDeque, hash_map};
+
+use kinematics::MotionKind;
+use wire::{AGENTS_MAX, HORIZON_MAX};
+
+use crate::expectation::{KernelMean, Shrinkage};
+use crate::key::Bucket;
+use crate::residuals::{StepPath, residual};
+use crate::{Key, RETRIEVED_MAX, Residuals};
+
+/// Newest entries of a bucket that are searched, by kind of motion: a bucket of displacements is larger.
+const BUCKET_MAX: [usize; 2] = [128, 512];
+/// Newest entries that are kept at all.
+pub(crate) const ENTRIES_MAX: usize = 131_072;
+/// Share of the expected residuals that modes are changed by.
+const MODES_SHARE: f32 = 0.5;
+/// A neighbour of less similarity is not retrieved.
+const SIMILARITY_MIN: f32 = 0.01;
+/// An agent that was not seen for so many steps is another one.
+const GAP_STEPS: f64 = 2.0;
+/// Agents that are followed at a time; of others nothing is stored.
+const TRACES_MAX: usize = 4 * AGENTS_MAX;
+
+/// What an entry holds under its key.
+#[derive(Clone, Debug)]
+pub(crate) struct Value {
+    pub(crate) agent: u64,
+    pub(crate) session: u64,
+    /// Steps of the path that were taken since.
+    pub(crate) taken_len: usize,
+    pub(crate) residuals: Residuals,
+}
+
+/// An entry whose steps are not all taken yet.
+#[derive(Clone, Debug)]
+struct Pending {
+    /// That of the entry.
+    number: u64,
+    stamp_ns: i64,
+    kind: MotionKind,
+    forecast: StepPath,
+    taken: StepPath,
+    /// The residuals that were predicted for it, before shrinkage.
+    predicted: Residuals,
+}
+
+/// An entry's key, kept apart from its value, which is mostly not looked at.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct IndexedKey {
+    pub(crate) key: Key,
+    /// How many numbers before it the last entry of its bucket was stored; 0 where it is the first.
+    back: u32,
+}
+
+/// Where an agent was seen last, and its entries that are pending.
+#[derive(Clone, Debug)]
+struct Trace {
+    stamp_ns: i64,
+    position_m: [f32; 2],
+    pending: VecDeque<Pending>,
+}
+
+/// How the paths of earlier agents differed from their forecasts, by place and motion: see the [crate](crate).
+///
+/// A new one takes address space for all that it may store, and no more later.
+#[derive(Clone, Debug)]
+pub struct RetrievalMemory {
+    pub(crate) horizon_len: usize,
+    pub(crate) step_ns: i64,
+    pub(crate) values: VecDeque<Value>,
+    /// Those of the values.
+    pub(crate) keys: VecDeque<IndexedKey>,
+    /// Number of the oldest entry.
+    oldest: u64,
+    /// Numbers of the newest entries.
+    pub(crate) buckets: HashMap<Bucket, u64>,
+    traces: HashMap<u64, Trace>,
+    /// Room for the pending entries of agents who are still to come.
+    spare: Vec<VecDeque<Pending>>,
+    /// By kind of motion.
+    pub(crate) shrinkage: [Shrinkage; 2],
+    /// How many sessions ended before.
+    session: u64,
+    now_ns: i64,
+}
+
+/// An agent that a memory is asked for.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Query {
+    /// Time of validity.
+    pub stamp_ns: i64,
+    /// Its number, the same from time to time.
+    pub agent: u64,
+    /// Where it is and how it moves then.
+    pub key: Key,
+}
+
+/// What is retrieved for an agent.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Retrieved {
+    /// The residuals to be expected: the kernel mean, shrunk.
+    pub expected: Residuals,
+    /// The nearest neighbours whose paths are complete, in no order.
+    pub neighbours: Vec<Neighbour>,
+    /// Which of them is the least similar.
+    least: usize,
+    /// The kernel mean.
+    mean: Residuals,
+}
+
+/// An earlier agent with a similar key.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Neighbour {
+    /// Similarity of the keys: 1 where they are the same.
+    pub weight: f32,
+    /// Of its path.
+    pub residuals: Residuals,
+}
+
+impl Retrieved {
+    /// Nothing yet, with room for all that may be retrieved.
+    #[must_use]
+    pub fn with_room() -> Self {
+        Self { neighbours: Vec::with_capacity(RETRIEVED_MAX), ..Self::default() }
+    }
+
+    /// Whether nothing was found.
+    #[must_use]
+    pub fn is_empty(&self) -> bool {
+        self.neighbours.is_empty() && self.expected.is_empty()
+    }
+
+    /// The residuals that the modes of a forecast are changed by: half of those to be expected, since some modes have them
+    /// already.
+    #[must_use]
+    pub fn expected_of_modes(&self) -> Residuals {
+        self.expected.scaled(MODES_SHARE)
+    }
+
+    /// Takes in one more neighbour, unless that many are more similar.
+    fn add(&mut self, weight: f32, residuals: &Residuals) {
+        if self.neighbours.len() < RETRIEVED_MAX {
+            self.neighbours.push(Neighbour { weight, residuals: residuals.clone() });
+        } else if weight > self.neighbours[self.least].weight {
+            self.neighbours[self.least] = Neighbour { weight, residuals: residuals.clone() };
+        } else {
+            return;
+        }
+        let weights = self.neighbours.iter().map(|neighbour| neighbour.weight).enumerate();
+        self.least = weights
+            .reduce(|least, other| if other.1 < least.1 { other } else { least })
+            .unwrap_or_default()
+            .0;
+    }
+}
+
+impl RetrievalMemory {
+    /// An empty memory, for forecasts of so many steps.
+    ///
+    /// # Panics
+    /// If a forecast has more steps than a payload holds.
+    #[must_use]
+    pub fn new(horizon_len: usize, step_ns: u64) -> Self {
+        assert!(horizon_len <= HORIZON_MAX, "horizon of {horizon_len} steps");
+        Self {
+            horizon_len,
+            step_ns: step_ns.cast_signed().max(1),
+            values: VecDeque::with_capacity(ENTRIES_MAX),
+            keys: VecDeque::with_capacity(ENTRIES_MAX),
+            oldest: 0,
+            // Half full at most, a table makes room for buckets that come and go without taking memory.
+            buckets: HashMap::with_capacity(2 * ENTRIES_MAX),
+            traces: HashMap::with_capacity(2 * TRACES_MAX),
+            spare: (0..TRACES_MAX).map(|_| VecDeque::with_capacity(horizon_len + 1)).collect(),
+            shrinkage: Default::default(),
+            session: 0,
+            now_ns: i64::MIN,
+        }
+    }
+
+    /// Entries that are stored.
+    #[must_use]
+    pub fn entries_len(&self) -> usize {
+        self.values.len()
+    }
+
+    /// Ends a session: what is stored lasts, but time begins anew and no agent who comes is one of those who were there.
+    pub fn end_session(&mut self) {
+        self.keep_traces(|_| false);
+        self.session += 1;
+        self.now_ns = i64::MIN;
+    }
+
+    /// Goes on to a time and takes in where agents are then, at the end of the path that each took since it was seen last;
+    /// returns whether the time is newer than the last one, without which nothing is taken in.
+    pub fn observe(&mut self, now_ns: i64, agents: impl IntoIterator<Item = (u64, [f32; 2])>) -> bool {
+        if now_ns <= self.now_ns {
+            return false;
+        }
+        self.now_ns = now_ns;
+        let gap_ns = (self.step_ns as f64 * GAP_STEPS) as i64;
+        self.keep_traces(|trace| now_ns.saturating_sub(trace.stamp_ns) <= gap_ns);
+        agents.into_iter().for_each(|(agent, position_m)| self.observe_one(agent, position_m));
+        true
+    }
+
+    fn observe_one(&mut self, agent: u64, position_m: [f32; 2]) {
+        let (now_ns, step_s) = (self.now_ns, self.step_s());
+        let trace = match self.traces.entry(agent) {
+            hash_map::Entry::Occupied(known) => known.into_mut(),
+            hash_map::Entry::Vacant(new) => {
+                let Some(pending) = self.spare.pop() else { return };
+                new.insert(Trace { stamp_ns: now_ns, position_m, pending })
+            }
+        };
+        let (since_ns, from_m) = (trace.stamp_ns, trace.position_m);
+        (trace.stamp_ns, trace.position_m) = (now_ns, position_m);
+        let (oldest, step_ns, horizon_len) = (self.oldest, self.step_ns, self.horizon_len);
+        let (values, shrinkage) = (&mut self.values, &mut self.shrinkage);
+        trace.pending.retain_mut(|pending| {
+            let place = pending.number.checked_sub(oldest).map(|place| place as usize);
+            let Some(value) = place.and_then(|place| values.get_mut(place)) else { return false };
+            let Pending { stamp_ns, kind, forecast, taken, predicted, .. } = pending;
+            while value.taken_len < horizon_len {
+                let step = value.taken_len;
+                let due_ns = stamp_ns.saturating_add(step_ns.saturating_mul(step as i64 + 1));
+                if due_ns > now_ns {
+                    return true;
+                }
+                let share = (due_ns - since_ns) as f32 / (now_ns - since_ns).max(1) as f32;
+                taken.push([0, 1].map(|axis| from_m[axis] + share * (position_m[axis] - from_m[axis])));
+                value.taken_len += 1;
+                let residuals = residual(*kind, forecast, taken, step, step_s);
+                for (component, residual) in residuals.into_iter().enumerate() {
+                    if let Some((step, residual)) = residual {
+                        value.residuals.set(step, component, residual);
+                        shrinkage[*kind as usize].learn(predicted, step, component, residual);
+                    }
+                }
+            }
+            false
+        });
+    }
+
+    /// Retrieves for an agent into `retrieved`, then stores the agent itself with the path that was forecast for it, of which
+    /// what is retrieved is no part.
+    pub fn retrieve_and_store(&mut self, query: &Query, forecast_m: &[[f32; 2]], retrieved: &mut Retrieved) {
+        self.retrieve(query.agent, &query.key, retrieved);
+        self.store(query, forecast_m, retrieved);
+    }
+
+    /// The residuals of other agents who were where the agent is now and moved alike, into `retrieved`.
+    ///
+    /// Each entry counts, as far as its steps were taken, by how similar its key is to this one.
+    pub fn retrieve(&self, agent: u64, key: &Key, retrieved: &mut Retrieved) {
+        let kind = key.kind();
+        let mut mean = KernelMean::default();
+        retrieved.neighbours.clear();
+        retrieved.least = 0;
+        for bucket in key.buckets_around() {
+            for place in self.bucket(&bucket) {
+                let Some(similarity) = self.keys[place].key.similarity(key) else { continue };
+                let value = &self.values[place];
+                if (value.session, value.agent) == (self.session, agent) {
+                    continue;
+                }
+                if similarity.in_mean > 0.0 {
+                    mean.add(similarity.in_mean, &value.residuals);
+                }
+                if similarity.as_neighbour >= SIMILARITY_MIN && value.taken_len == self.horizon_len {
+                    retrieved.add(similarity.as_neighbour, &value.residuals);
+                }
+            }
+        }
+        retrieved.mean = mean.residuals(kind);
+        retrieved.expected = self.shrinkage[kind as usize].shrink(kind, &retrieved.mean);
+    }
+
+    /// Stores an agent with the path that was forecast for it, and what was retrieved for it before.
+    ///
+    /// Nothing is stored of an agent that was not observed at the query's time, which must be the newest one, nor more than
+    /// once a step.
+    fn store(&mut self, query: &Query, forecast_m: &[[f32; 2]], retrieved: &Retrieved) {
+        let Query { stamp_ns, agent, key } = *query;
+        if stamp_ns != self.now_ns {
+            return;
+        }
+        let Some(trace) = self.traces.get_mut(&agent).filter(|trace| trace.stamp_ns == stamp_ns) else {
+            return;
+        };
+        let last_ns = trace.pending.back().map(|pending| pending.stamp_ns);
+        if last_ns.is_some_and(|last_ns| stamp_ns - last_ns < self.step_ns) {
+            return;
+        }
+        let taken = StepPath::new(key.position_m());
+        let mut forecast = taken.clone();
+        forecast_m.iter().take(self.horizon_len).for_each(|&position_m| forecast.push(position_m));
+        trace.pending.push_back(Pending {
+            number: self.oldest + self.values.len() as u64,
+            stamp_ns,
+            kind: key.kind(),
+            forecast,
+            taken,
+            predicted: retrieved.mean.clone(),
+        });
+        let (session, residuals) = (self.session, Residuals::default());
+        self.push(key, Value { agent, session, taken_len: 0, residuals });
+    }
+
+    /// Takes in an entry, for the oldest one where there are too many.
+    pub(crate) fn push(&mut self, key: Key, value: Value) {
+        if self.values.len() == ENTRIES_MAX {
+            self.drop_oldest();
+        }
+        let number = self.oldest + self.values.len() as u64;
+        let before = self.buckets.insert(key.bucket(), number);
+        self.keys.push_back(IndexedKey { key, back: before.map_or(0, |before| (number - before) as u32) });
+        self.values.push_back(value);
+    }
+
+    /// The places of a bucket's entries, the newest first.
+    pub(crate) fn bucket(&self, bucket: &Bucket) -> impl Iterator<Item = usize> {
+        let newest = self.buckets.get(bucket).map(|number| (number - self.oldest) as usize);
+        let before = |place: &usize| match self.keys[*place].back as usize {
+            0 => None,
+            back => place.checked_sub(back),
+        };
+        std::iter::successors(newest, before).take(BUCKET_MAX[bucket.0 as usize])
+    }
+
+    fn step_s(&self) -> f32 {
+        self.step_ns as f32 * 1e-9
+    }
+
+    fn drop_oldest(&mut self) {
+        self.values.pop_front();
+        let Some(entry) = self.keys.pop_front() else { return };
+        let bucket = entry.key.bucket();
+        if self.buckets.get(&bucket) == Some(&self.oldest) {
+            self.buckets.remove(&bucket);
+        }
+        self.oldest += 1;
+    }
+
+    /// Keeps some traces; the pending entries of the others are filled no further, their room is kept.
+    fn keep_traces(&mut self, mut keeps: impl FnMut(&Trace) -> bool) {
+        let spare = &mut self.spare;
+        self.traces.retain(|_, trace| {
+            let kept = keeps(trace);
+            if !kept {
+                let mut pending = std::mem::take(&mut trace.pending);
+                pending.clear();
+                spare.push(pending);
+            }
+            kept
+        });
+    }
+}
