@@ -18,8 +18,8 @@ pub mod track;
 pub mod train;
 pub mod verify;
 
+use ::run::Exit;
 use clap::Subcommand;
-use config::Exit;
 
 use crate::failure::Failure;
 

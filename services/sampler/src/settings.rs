@@ -1,24 +1,19 @@
-use config::Run;
 use kinematics::{ControlLimits, DisplacementKind, Integrator};
-use wire::{AgentType, StageId};
+use model::ModelConfig;
+use wire::AgentType;
 
-use crate::{Propagation, SamplerOptions};
+use crate::{Options, Propagation, PropagationKind, SamplerOptions};
 
-/// Particles of each mode, where the pipeline does not say.
-const PARTICLES: usize = 16;
-
-/// The run's settings of the sampler.
+/// The sampler's settings for a model.
 #[must_use]
-pub fn options(run: &Run) -> SamplerOptions {
-    let (model, settings) = (&run.model, run.options(StageId::Sampler));
-    let particles = settings.particles.unwrap_or(PARTICLES);
+pub fn settings(options: &Options, model: &ModelConfig, seed: u64) -> SamplerOptions {
     SamplerOptions {
         history_len: model.history_len,
         horizon_len: model.horizon_len,
         vehicles_drive: model.drives(AgentType::Vehicle),
         integrator: match model.integrator {
-            nn::Integrator::Euler => Integrator::Euler,
-            nn::Integrator::Midpoint => Integrator::Midpoint,
+            model::Integrator::Euler => Integrator::Euler,
+            model::Integrator::Midpoint => Integrator::Midpoint,
         },
         limits: ControlLimits {
             accel_mps2: model.accel_limit_mps2,
@@ -29,15 +24,15 @@ pub fn options(run: &Run) -> SamplerOptions {
         rear_axle_ratio: model.rear_axle_ratio,
         default_length_m: model.default_length_m,
         displacement: match model.displacement {
-            nn::Displacement::Residual => DisplacementKind::Residual,
-            nn::Displacement::Absolute => DisplacementKind::Absolute,
+            model::Displacement::Residual => DisplacementKind::Residual,
+            model::Displacement::Absolute => DisplacementKind::Absolute,
         },
-        propagation: match settings.propagation.unwrap_or_default() {
-            config::Propagation::Linearised => Propagation::Linearised,
-            config::Propagation::MonteCarlo => Propagation::MonteCarlo { particles },
+        propagation: match options.propagation {
+            PropagationKind::Linearised => Propagation::Linearised,
+            PropagationKind::MonteCarlo => Propagation::MonteCarlo { particles: options.particles },
         },
-        seed: run.seed,
-        recalls: run.recall,
+        seed,
+        recalls: options.retrieval,
         ..SamplerOptions::default()
     }
 }

@@ -1,4 +1,3 @@
-use config::Prior;
 use filters::Observation;
 use filters::jpda::SIDE_MAX;
 use wire::{AgentType, DETECTIONS_MAX, Detection, Header, flags};
@@ -7,7 +6,7 @@ use crate::estimate::{Birth, Estimate};
 use crate::forecasts::{Controls, Forecasts};
 use crate::observed::observation;
 use crate::occlusion::Occlusion;
-use crate::options::TrackerOptions;
+use crate::options::{Prior, TrackerOptions};
 use crate::pairing::Pairing;
 use crate::publication::Publications;
 use crate::scans::Scan;
@@ -175,7 +174,7 @@ impl Estimates {
             return;
         }
         let opaque = self.all.iter().filter(|estimate| estimate.is_opaque());
-        let view = options.view.map(|view| (f64::from(header.ego_heading_rad), view));
+        let view = options.fov.map(|view| (f64::from(header.ego_heading_rad), view));
         occlusion.look(header.ego_m.map(f64::from), view, opaque.map(Estimate::outline));
         for (e, estimate) in self.all.iter_mut().enumerate() {
             if is_meant(e, estimate) {

@@ -19,6 +19,7 @@ mod belief;
 mod class;
 mod estimate;
 mod estimates;
+mod field_of_view;
 mod forecasts;
 mod front;
 mod grid;
@@ -35,7 +36,9 @@ pub mod stage;
 mod tally;
 mod tracker;
 
-pub use config::{Association, Prior};
-pub use options::{ForecastTrust, InputModel, MotionNoise, SensorNoise, TrackerOptions};
+pub use field_of_view::{FieldOfView, UnknownFieldOfView};
+pub use options::{
+    Association, ForecastTrust, InputModel, MotionNoise, Options, Prior, STAGE, SensorNoise, TrackerOptions,
+};
 pub use tally::Tally;
 pub use tracker::{Tracked, Tracker};

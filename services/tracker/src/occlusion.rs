@@ -12,8 +12,9 @@
 
 use std::f64::consts::{PI, TAU};
 
-use config::View;
 use filters::wrapped;
+
+use crate::FieldOfView;
 
 /// Sectors all round: a third of a degree each, 0.3 m at 50 m.
 const SECTORS: usize = 1024;
@@ -61,12 +62,12 @@ impl Occlusion {
     pub fn look(
         &mut self,
         sensor_m: [f64; 2],
-        view: Option<(f64, View)>,
+        view: Option<(f64, FieldOfView)>,
         opaque: impl Iterator<Item = Outline>,
     ) {
         self.sensor_m = sensor_m;
         self.reach_m.fill(f64::INFINITY);
-        if let Some((heading_rad, View { width_deg, range_m })) = view {
+        if let Some((heading_rad, FieldOfView { width_deg, range_m })) = view {
             let half_rad = width_deg.to_radians() / 2.0;
             for (sector, reach_m) in self.reach_m.iter_mut().enumerate() {
                 let bearing_rad = (sector as f64 + 0.5) * SECTOR_RAD;
@@ -191,7 +192,7 @@ mod tests {
     /// Ahead to the left there is a lorry; the view goes 45 degrees to either side of the heading, and 50 m far.
     #[test]
     fn who_is_out_of_view_is_hidden() {
-        let view = View { width_deg: 90.0, range_m: 50.0 };
+        let view = FieldOfView { width_deg: 90.0, range_m: 50.0 };
         let mut occlusion = Occlusion::new();
         for heading_rad in [0.0, 3.0, -3.0] {
             let (sin, cos) = f64::sin_cos(heading_rad);

@@ -1,4 +1,3 @@
-use config::Association;
 use filters::assignment::{Assigner, Candidate};
 use filters::jpda::{Associator, Share};
 use wire::{AgentType, Detection};
@@ -6,7 +5,7 @@ use wire::{AgentType, Detection};
 use crate::estimate::Estimate;
 use crate::grid::{Grid, Spot};
 use crate::observed::position_sigma_m;
-use crate::options::{InputModel, TrackerOptions};
+use crate::options::{Association, InputModel, TrackerOptions};
 
 /// 99 % of a chi-squared variable of two degrees of freedom: the gate for positions.
 const GATE: f64 = 9.210_340_371_976_18;

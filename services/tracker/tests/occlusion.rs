@@ -7,12 +7,11 @@ mod run;
 use std::collections::BTreeMap;
 use std::f64::consts::PI;
 
-use config::View;
 use filters::wrapped;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use run::{Run, TICK_NS, heading, noise, seen};
-use tracker::TrackerOptions;
+use tracker::{FieldOfView, TrackerOptions};
 use wire::{AgentType, Detection, Track, TrackStatus, detection_flags, flags};
 
 const TICK_S: f64 = TICK_NS as f64 / 1e9;
@@ -184,13 +183,13 @@ fn who_passes_behind_keeps_its_identity() {
 }
 
 /// A quarter of the circle, as a camera sees it.
-const VIEW: View = View { width_deg: 90.0, range_m: 60.0 };
+const VIEW: FieldOfView = FieldOfView { width_deg: 90.0, range_m: 60.0 };
 
 /// Whether a walker ahead, whom a sensor sees, then not, because it looks back for a while, then sees again, keeps its track; `None`
 /// if it had none.
-fn looks_back(seed: u64, view: Option<View>) -> Option<bool> {
+fn looks_back(seed: u64, fov: Option<FieldOfView>) -> Option<bool> {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
-    let mut run = Run::new(TrackerOptions { view, ..TrackerOptions::default() }, flags::SEEN_FROM_EGO);
+    let mut run = Run::new(TrackerOptions { fov, ..TrackerOptions::default() }, flags::SEEN_FROM_EGO);
     let (seen_s, away_s) = (rng.random_range(1.0..3.0), rng.random_range(1.0..3.0));
     let course: f64 = rng.random_range(-PI..PI);
     let (mut place, step_m) = ([20.0, 0.0], 1.4 * TICK_S);

@@ -7,12 +7,12 @@ mod run;
 
 use std::time::{Duration, Instant};
 
-use config::Run;
+use self::run::{ALL_TYPES, TICK_NS, heading, noise, seen};
+use ::run::Run;
 use forecaster::{HORIZON_LEN, forecast, forecasts_header};
 use ports::{Frame, Node, Publisher, Space, Subscriber};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
-use run::{ALL_TYPES, TICK_NS, heading, noise, seen};
 use rustix::process::{Signal, getpid, kill_process};
 use wire::{
     AgentType, Detection, DetectionsTopic, Forecast, ForecastsTopic, Header, HeartbeatsTopic, Quality,
@@ -132,8 +132,10 @@ fn late_frames_pass_on_without_tracks_and_show_in_the_next_and_forecasts_hold() 
     let frames = drive(&mut rng);
     let header = |seq: usize, k: usize| Header::new(run.id, seq as u64, k as i64 * TICK_NS);
 
-    let options = tracker::stage::options(&run);
-    let mut straight = run::Run::new(options, 0);
+    let weights = nn::Weights::onboard();
+    weights.config().write(&run.root).expect("the run's directory is there");
+    let settings = tracker::stage::settings(&run, weights.config()).expect("defaults");
+    let mut straight = self::run::Run::new(settings, 0);
     straight.stamp_ns = -TICK_NS;
     for frame in &frames[..20] {
         straight.step(frame);

@@ -3,8 +3,8 @@
 #[path = "support/torture.rs"]
 mod support;
 
-use config::{Association, Prior};
 use support::torture;
+use tracker::{Association, Prior};
 
 // One test only: another in this process would take memory as well.
 #[test]

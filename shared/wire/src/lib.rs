@@ -16,6 +16,7 @@ mod check;
 mod header;
 mod layout;
 mod records;
+mod tick;
 mod topic;
 
 pub use agent::{AGENT_TYPES, AgentType, UnknownAgentType};
@@ -29,6 +30,7 @@ pub use records::{
     AgentControls, AgentEncoding, AgentFeatures, Cause, ControlGaussian, Detection, Forecast, Heartbeat,
     HistoryState, Quality, Steering, Track, TrackStatus, Truth, detection_flags,
 };
+pub use tick::{TICK_MS, TICK_NS};
 pub use topic::{
     ContextTopic, ControlsTopic, DetectionsTopic, EncodingsTopic, FeaturesTopic, ForecastsTopic,
     HeartbeatsTopic, Topic, TracksTopic, TruthTopic,
