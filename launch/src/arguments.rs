@@ -135,8 +135,12 @@ impl SceneArguments {
     /// What is set of the source.
     pub fn settings(&self) -> Result<Vec<Setting>, Failure> {
         let source = |flag, option, value: Value| Setting::of_flag(flag, StageId::Source, option, value);
+        let unset = |flag, option| Setting::unset(flag, StageId::Source, option);
         let recording = self.recording.as_deref().map(|path| text(&canonical(path)?)).transpose()?;
         let settings = [
+            // What the pipeline's file plays gives way: its format with its recording, its recording to a generated scene.
+            recording.is_some().then(|| unset("--recording", "format")),
+            self.agents.map(|_| unset("--agents", "recording")),
             recording.map(|path| source("--recording", "recording", path.into())),
             self.format.map(|format| source("--format", "format", format.name().into())),
             self.agents.map(|agents| source("--agents", "agents", agents.into())),

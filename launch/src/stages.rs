@@ -7,6 +7,9 @@ use run::options::OptionSchema;
 use run::{Declared, Run};
 use wire::StageId;
 
+/// Width of the help's lines, less their margin.
+const LINE: usize = 94;
+
 /// A stage that is inside this program.
 pub struct BuiltIn {
     /// What it declares.
@@ -54,7 +57,10 @@ pub fn options_help() -> String {
 fn option_help(stage: StageId, option: &OptionSchema) -> String {
     let OptionSchema { name, about, kind, expected, default, .. } = option;
     let default = default.as_ref().map_or_else(String::new, |default| format!(" [default: {default}]"));
-    let mut text = format!("  {}.{name} ({kind}): {expected}{default}\n", stage.name());
+    // Where what is expected tells the kind, once is enough.
+    let says_all = expected.ends_with(kind) || matches!(*kind, "truth value" | "name");
+    let kind = if says_all { String::new() } else { format!(" ({kind})") };
+    let mut text = format!("  {}.{name}{kind}: {expected}{default}\n", stage.name());
     let mut line = String::new();
     for word in about.split_whitespace() {
         if line.len() + word.len() > LINE {
@@ -65,9 +71,6 @@ fn option_help(stage: StageId, option: &OptionSchema) -> String {
     }
     text + &format!("     {line}\n")
 }
-
-/// Width of the help's lines, less their margin.
-const LINE: usize = 94;
 
 #[cfg(test)]
 mod tests {
