@@ -1,16 +1,21 @@
-//! What several verbs are asked alike: the scene and the model.
+//! What several verbs are asked alike: the scene, the model, and the options of the stages.
 
 use std::path::{Path, PathBuf};
 
 use clap::Args;
-use config::{Association, MapChoice, Prior, Run, Scene, View};
 use data::Format;
+use localiser::MapChoice;
+use model::ModelConfig;
 use nn::Weights;
 use retrieval::RetrievalMemory;
+use run::Run;
 use rustix::fs::Access;
 use source::{Playback, PlaybackOptions};
+use toml::Value;
+use wire::StageId;
 
 use crate::failure::Failure;
+use crate::options::{Setting, StageOptions, absolute, text, warn};
 
 /// Where the detections come from.
 #[derive(Clone, Debug, Args)]
@@ -20,17 +25,16 @@ pub struct SceneArguments {
     pub recording: Option<PathBuf>,
     /// The recording's format; found out where not given
     #[arg(long, requires = "recording")]
-    pub format: Option<Format>,
-    /// Generate an intersection with so many agents, where no recording is played
-    #[arg(long, value_name = "N", default_value_t = 32, conflicts_with = "recording",
-          value_parser = clap::value_parser!(u16).range(1..=wire::AGENTS_MAX as i64))]
-    pub agents: u16,
+    format: Option<Format>,
+    /// Generate an intersection with so many agents, 32 where not given, where no recording is played
+    #[arg(long, value_name = "N", conflicts_with = "recording")]
+    agents: Option<u32>,
     /// Seed of all that is random
     #[arg(long, default_value_t = 1)]
     pub seed: u64,
     /// End after so many ticks
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..))]
-    pub ticks: Option<u64>,
+    #[arg(long, value_name = "N")]
+    pub ticks: Option<u32>,
 }
 
 /// How detections become tracks.
@@ -38,64 +42,37 @@ pub struct SceneArguments {
 pub struct TrackerArguments {
     /// Associate detections by position even where they carry identities
     #[arg(long)]
-    pub associate: bool,
-    /// What moves tracks between two detections: `kinematic`, or `learned`: the forecasts made before [default: the pipeline
-    /// file's, else `learned`]
-    #[arg(long = "tracker.prior", value_name = "PRIOR")]
-    pub prior: Option<Prior>,
-    /// How detections correct tracks: `assignment`, each by one, or `jpda`: by all that may be its own [default: the pipeline
-    /// file's, else `assignment`]
-    #[arg(long = "tracker.association", value_name = "ASSOCIATION")]
-    pub association: Option<Association>,
-    /// What the sensor can see at best, as a sector about the ego's heading, 90,80 for example: who is outside is not missed, where
-    /// frames tell that they were made from the ego [default: the pipeline file's, else all there is]
-    #[arg(long = "tracker.view", value_name = "DEG,M")]
-    pub view: Option<View>,
+    associate: bool,
+    // The names of the version before.
+    #[arg(long = "tracker.prior", hide = true)]
+    prior: Option<String>,
+    #[arg(long = "tracker.association", hide = true)]
+    association: Option<String>,
+    #[arg(long = "tracker.view", hide = true)]
+    view: Option<String>,
 }
 
 /// What is remembered of the place.
 #[derive(Clone, Debug, Args)]
-pub struct PlaceArguments {
-    /// Forecast without a memory of how those who came by before departed from their forecasts
+pub struct RetrievalArguments {
+    /// Forecast without the retrieval memory of how those who came by before departed from their forecasts
     #[arg(long)]
+    no_retrieval: bool,
+    // The name of the version before.
+    #[arg(long, hide = true)]
     no_recall: bool,
-    /// Begin with the memory in this file, if there is one, and keep it there in the end
-    #[arg(long, value_name = "FILE", conflicts_with = "no_recall")]
+    /// Begin with the retrieval memory in this file, if there is one, and keep it there in the end
+    #[arg(long, value_name = "FILE", conflicts_with_all = ["no_retrieval", "no_recall"])]
     memory: Option<PathBuf>,
 }
 
-/// Where a memory is kept, and what is in it.
-pub struct KeptMemory {
-    /// The file.
-    pub path: PathBuf,
-    /// Moments that it begins with.
-    pub moments_len: usize,
-}
-
-impl PlaceArguments {
-    /// Whether the place is to be recalled, where the pipeline says this of it.
-    pub fn recalls(&self, pipeline: Option<bool>) -> bool {
-        !self.no_recall && (self.memory.is_some() || pipeline.unwrap_or(true))
-    }
-
-    /// Where its memory is kept: the file asked for, else the pipeline's. One that is there is opened to see that it is of these
-    /// weights; one that is not must have a folder that can be written to.
-    pub fn memory(&self, pipeline: Option<&Path>, weights: &Weights) -> Result<Option<KeptMemory>, Failure> {
-        let pipeline = pipeline.filter(|_| !self.no_recall);
-        let Some(path) = self.memory.as_deref().or(pipeline) else { return Ok(None) };
-        let path = std::path::absolute(path).map_err(|error| Failure::file(path, &error))?;
-        let mut moments_len = 0;
-        if path.try_exists().map_err(|error| Failure::file(&path, &error))? {
-            let config = weights.config();
-            let steps = (config.horizon_len, config.step_ns());
-            let memory = RetrievalMemory::load(&path, weights.sha256(), steps).map_err(Failure::data)?;
-            moments_len = memory.entries_len();
-        }
-        let folder = path.parent().unwrap_or(&path);
-        let access = rustix::fs::access(folder, Access::WRITE_OK | Access::EXEC_OK);
-        access.map_err(|error| Failure::file(folder, &error.into()))?;
-        Ok(Some(KeptMemory { path, moments_len }))
-    }
+/// Options of the stages.
+#[derive(Clone, Debug, Args)]
+pub struct SetArguments {
+    /// Set any option of a stage, tracker.fov=90,80 for example, over the pipeline's file and other arguments; the later one
+    /// counts. `stgdat stage --help` tells what there is
+    #[arg(long, value_name = "STAGE.OPTION=VALUE")]
+    pub set: Vec<Setting>,
 }
 
 /// What forecasts are made with.
@@ -121,69 +98,183 @@ pub struct PlaybackArguments {
     #[arg(long, default_value_t = 1)]
     seed: u64,
     /// End after so many ticks
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..))]
-    ticks: Option<u64>,
+    #[arg(long, value_name = "N")]
+    ticks: Option<u32>,
     #[command(flatten)]
     tracker: TrackerArguments,
     #[command(flatten)]
     model: ModelArguments,
     #[command(flatten)]
-    place: PlaceArguments,
+    retrieval: RetrievalArguments,
+    #[command(flatten)]
+    set: SetArguments,
+}
+
+/// A recording at its beginning, and the run that plays it.
+pub struct Played {
+    /// The recording.
+    pub playback: Playback,
+    /// The run, in lockstep.
+    pub run: Run,
+    /// Its model.
+    pub model: ModelConfig,
+}
+
+/// The stages that are played in this process.
+const IN_PROCESS: [StageId; 7] = [
+    StageId::Source,
+    StageId::Tracker,
+    StageId::Localiser,
+    StageId::Extractor,
+    StageId::Encoder,
+    StageId::Decoder,
+    StageId::Sampler,
+];
+
+impl SceneArguments {
+    /// What is set of the source.
+    pub fn settings(&self) -> Result<Vec<Setting>, Failure> {
+        let source = |flag, option, value: Value| Setting::of_flag(flag, StageId::Source, option, value);
+        let unset = |flag, option| Setting::unset(flag, StageId::Source, option);
+        let recording = self.recording.as_deref().map(|path| text(&canonical(path)?)).transpose()?;
+        let settings = [
+            // What the pipeline's file plays gives way: its format with its recording, its recording to a generated scene.
+            recording.is_some().then(|| unset("--recording", "format")),
+            self.agents.map(|_| unset("--agents", "recording")),
+            recording.map(|path| source("--recording", "recording", path.into())),
+            self.format.map(|format| source("--format", "format", format.name().into())),
+            self.agents.map(|agents| source("--agents", "agents", agents.into())),
+            self.ticks.map(|ticks| source("--ticks", "ticks", ticks.into())),
+        ];
+        Ok(settings.into_iter().flatten().collect())
+    }
+}
+
+impl TrackerArguments {
+    /// What is set of the tracker.
+    pub fn settings(&self) -> Vec<Setting> {
+        let associate =
+            self.associate.then(|| Setting::of_flag("--associate", StageId::Tracker, "associate", true));
+        let old = [
+            ("--tracker.prior", "prior", &self.prior),
+            ("--tracker.association", "association", &self.association),
+            ("--tracker.view", "fov", &self.view),
+        ];
+        let old = old.into_iter().filter_map(|(flag, option, value)| {
+            let value = value.as_ref()?;
+            warn(&format!("{flag} {value} is written --set tracker.{option}={value} now"));
+            Some(Setting::of_flag(flag, StageId::Tracker, option, value.as_str()))
+        });
+        associate.into_iter().chain(old).collect()
+    }
+}
+
+impl RetrievalArguments {
+    /// What is set of the sampler.
+    pub fn settings(&self) -> Result<Vec<Setting>, Failure> {
+        let retrieval = |flag, on: bool| Setting::of_flag(flag, StageId::Sampler, "retrieval", on);
+        if self.no_recall {
+            warn("--no-recall is called --no-retrieval now");
+        }
+        if self.no_retrieval || self.no_recall {
+            let flag = if self.no_retrieval { "--no-retrieval" } else { "--no-recall" };
+            return Ok(vec![Setting::unset(flag, StageId::Sampler, "memory"), retrieval(flag, false)]);
+        }
+        let Some(path) = &self.memory else { return Ok(Vec::new()) };
+        let memory = Setting::of_flag("--memory", StageId::Sampler, "memory", text(path)?);
+        Ok(vec![retrieval("--memory", true), memory])
+    }
+}
+
+impl ModelArguments {
+    /// What is set of the localiser.
+    pub fn settings(&self) -> Vec<Setting> {
+        let map = self
+            .map
+            .as_ref()
+            .map(|map| Setting::of_flag("--map", StageId::Localiser, "map", map.to_string()));
+        map.into_iter().collect()
+    }
+
+    /// Opens the weights: the ones asked for, else the pipeline's, else the embedded ones.
+    pub fn open_weights(&self, pipeline: Option<&Path>) -> Result<(Option<PathBuf>, Weights), Failure> {
+        let Some(path) = self.weights.as_deref().or(pipeline) else { return Ok((None, Weights::onboard())) };
+        let path = canonical(path)?;
+        let weights = Weights::open(&path).map_err(|error| Failure::weights(&path, &error))?;
+        Ok((Some(path), weights))
+    }
 }
 
 impl PlaybackArguments {
     /// Where the recording lies, absolute.
     pub fn path(&self) -> Result<PathBuf, Failure> {
-        let path = &self.recording;
-        path.canonicalize().map_err(|error| Failure::file(path, &error))
+        canonical(&self.recording)
     }
 
     /// The recording, at its beginning, and the run in lockstep that plays it.
-    pub fn start(&self) -> Result<(Playback, Run), Failure> {
+    pub fn start(&self) -> Result<Played, Failure> {
         let (weights_path, weights) = self.model.open_weights(None)?;
-        let format = self.format.map(|format| format.name().to_owned());
-        let scene = Scene::Recording { path: self.path()?, format };
-        let recording = source::recording(&scene, self.seed, self.ticks)?;
-        let options = PlaybackOptions { run_id: 0, ticks_max: self.ticks, lockstep: true };
-        let playback = Playback::new(recording, options);
+        let options = self.options()?;
+        check_memory(&options.read(&sampler::STAGE)?, &weights)?;
+        let source = source::Options { recording: Some(self.path()?), ..options.read(&source::STAGE)? };
+        let recording = source::recording(&source, self.seed)?;
+        let playing = PlaybackOptions { run_id: 0, ticks_max: source.ticks, lockstep: true };
+        let playback = Playback::new(recording, playing);
         let run = Run {
             interval_ns: playback.interval_ns(),
             lockstep: true,
             seed: self.seed,
-            scene,
-            ticks: self.ticks,
-            associate: self.tracker.associate,
-            prior: self.tracker.prior.unwrap_or_default(),
-            association: self.tracker.association.unwrap_or_default(),
-            view: self.tracker.view,
-            recall: self.place.recalls(None),
-            memory: self.place.memory(None, &weights)?.map(|kept| kept.path),
             weights: weights_path,
-            model: weights.config().clone(),
-            map: self.model.map.clone().unwrap_or(MapChoice::Online),
+            stages: options.stage_runs(),
             ..Run::default()
         };
-        Ok((playback, run))
+        Ok(Played { playback, run, model: weights.config().clone() })
     }
-}
 
-impl SceneArguments {
-    /// The scene as the run's record tells it; paths are made absolute, as stages may run elsewhere.
-    pub fn scene(&self) -> Result<Scene, Failure> {
-        let Some(path) = &self.recording else {
-            return Ok(Scene::Generated { agents_len: usize::from(self.agents) });
+    fn options(&self) -> Result<StageOptions, Failure> {
+        if let Some(set) = self.set.set.iter().find(|set| set.is_of(StageId::Source, "recording")) {
+            return Err(set.refused("the recording is named already"));
+        }
+        let scene = SceneArguments {
+            recording: None,
+            format: self.format,
+            agents: None,
+            seed: self.seed,
+            ticks: self.ticks,
         };
-        let path = path.canonicalize().map_err(|error| Failure::file(path, &error))?;
-        Ok(Scene::Recording { path, format: self.format.map(|format| format.name().to_owned()) })
+        let settings = [
+            scene.settings()?,
+            self.tracker.settings(),
+            self.model.settings(),
+            self.retrieval.settings()?,
+            self.set.set.clone(),
+        ];
+        let mut options = StageOptions::defaults(&IN_PROCESS);
+        options.apply(&settings.concat())?;
+        Ok(options)
     }
 }
 
-impl ModelArguments {
-    /// Opens the weights: the ones asked for, else the pipeline's, else the embedded ones.
-    pub fn open_weights(&self, pipeline: Option<&Path>) -> Result<(Option<PathBuf>, Weights), Failure> {
-        let Some(path) = self.weights.as_deref().or(pipeline) else { return Ok((None, Weights::onboard())) };
-        let path = path.canonicalize().map_err(|error| Failure::file(path, &error))?;
-        let weights = Weights::open(&path).map_err(|error| Failure::weights(&path, &error))?;
-        Ok((Some(path), weights))
+/// Where a file that is there lies, absolute.
+pub fn canonical(path: &Path) -> Result<PathBuf, Failure> {
+    path.canonicalize().map_err(|error| Failure::file(path, &error))
+}
+
+/// Moments in the retrieval memory that a sampler with these options begins with; none where it keeps none.
+///
+/// A file that is there is opened to see that it is of these weights; one that is not must have a folder that can be written to.
+pub fn check_memory(options: &sampler::Options, weights: &Weights) -> Result<Option<u64>, Failure> {
+    let Some(path) = &options.memory else { return Ok(None) };
+    let path = absolute(path)?;
+    let mut moments_len = 0;
+    if path.try_exists().map_err(|error| Failure::file(&path, &error))? {
+        let config = weights.config();
+        let steps = (config.horizon_len, config.step_ns());
+        let memory = RetrievalMemory::load(&path, weights.sha256(), steps).map_err(Failure::data)?;
+        moments_len = memory.entries_len();
     }
+    let folder = path.parent().unwrap_or(&path);
+    let access = rustix::fs::access(folder, Access::WRITE_OK | Access::EXEC_OK);
+    access.map_err(|error| Failure::file(folder, &error.into()))?;
+    Ok(Some(moments_len as u64))
 }

@@ -1,9 +1,10 @@
 use bytemuck::Zeroable;
-use config::Run;
 use decoder::Decoder;
 use encoder::Encoder;
 use extractor::Extractor;
 use localiser::Localiser;
+use nn::{ModelConfig, Weights};
+use run::Run;
 use sampler::Sampler;
 use tracker::Tracker;
 use wire::{
@@ -62,18 +63,18 @@ pub struct Load {
 }
 
 impl Chain {
-    /// Sets up all stages as the run's record says.
-    pub fn new(run: &Run) -> Result<Self, Failure> {
-        let weights = run.open_weights().map_err(Failure::data)?;
+    /// Sets up all stages of a run with that model as its record says.
+    pub fn new(run: &Run, model: &ModelConfig) -> Result<Self, Failure> {
+        let weights = Weights::of_model(run.weights.as_deref(), model).map_err(Failure::data)?;
         Ok(Self {
-            tracker: Tracker::new(tracker::stage::options(run)),
-            localiser: Localiser::new(localiser::stage::options(run)?),
-            extractor: Extractor::new(&weights, extractor::stage::options(run)).map_err(Failure::data)?,
+            tracker: Tracker::new(tracker::stage::settings(run, model)?),
+            localiser: Localiser::new(localiser::stage::settings(run, model)?),
+            extractor: Extractor::new(&weights, extractor::stage::settings(run)?).map_err(Failure::data)?,
             encoder: Encoder::new(&weights).map_err(Failure::data)?,
-            decoder: Decoder::new(&weights, decoder::stage::options(run)).map_err(Failure::data)?,
-            sampler: sampler::stage::open(run)?,
-            horizon_len: run.model.horizon_len as u32,
-            modes_len: run.model.modes as u32,
+            decoder: Decoder::new(&weights, decoder::stage::settings(run)?).map_err(Failure::data)?,
+            sampler: sampler::stage::open(run, model)?,
+            horizon_len: model.horizon_len as u32,
+            modes_len: model.modes as u32,
             frames: Frames {
                 tracks: vec![Track::zeroed(); AGENTS_MAX],
                 context: Vec::new(),

@@ -7,8 +7,8 @@ use std::sync::mpsc::Sender;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::JoinHandle;
 
-use config::{Exit, Run};
 use ports::{LAUNCHER_VARIABLE, RUN_VARIABLE};
+use run::{Exit, Run};
 use rustix::process::{Pid, Signal, kill_process};
 use wire::StageId;
 

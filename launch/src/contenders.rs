@@ -2,11 +2,12 @@
 
 use std::path::PathBuf;
 
-use config::{MapChoice, Prior, Run};
 use data::Recording;
 use evaluator::{Contender, Published, PublishedTrack};
 use nn::ModelConfig;
+use run::{Run, StageRun};
 use source::{Playback, PlaybackOptions};
+use tracker::Prior;
 use wire::{AgentType, Track};
 
 use crate::failure::Failure;
@@ -20,16 +21,11 @@ pub fn contenders<'a>(weights: Option<&'a PathBuf>, model: &'a ModelConfig) -> V
     let contender = |name, prior| Contender {
         name,
         track: Box::new(move |recording: &Recording| {
-            let run = Run {
-                lockstep: true,
-                seed: 1,
-                prior,
-                weights: weights.cloned(),
-                model: model.clone(),
-                map: MapChoice::Online,
-                ..Run::default()
-            };
-            track(recording, run).map_err(|failure| failure.to_string())
+            let options = tracker::Options { prior, ..tracker::Options::default() };
+            let tracker = StageRun::with_options(&tracker::STAGE, &options).map_err(|e| e.to_string())?;
+            let run =
+                Run { lockstep: true, weights: weights.cloned(), stages: vec![tracker], ..Run::default() };
+            track(recording, run, model).map_err(|failure| failure.to_string())
         }),
     };
     vec![
@@ -39,10 +35,10 @@ pub fn contenders<'a>(weights: Option<&'a PathBuf>, model: &'a ModelConfig) -> V
 }
 
 /// The tracks of each frame.
-fn track(recording: &Recording, run: Run) -> Result<Published, Failure> {
+fn track(recording: &Recording, run: Run, model: &ModelConfig) -> Result<Published, Failure> {
     let options = PlaybackOptions { run_id: 0, ticks_max: None, lockstep: true };
     let mut playback = Playback::new(recording.clone(), options);
-    let mut tracking = Tracking::new(&Run { interval_ns: playback.interval_ns(), ..run })?;
+    let mut tracking = Tracking::new(&Run { interval_ns: playback.interval_ns(), ..run }, model)?;
     let mut published = Vec::with_capacity(recording.frames.len());
     while let Some(tick) = playback.next_tick() {
         let tracks = tracking.tick(&tick.header, tick.detections).iter();

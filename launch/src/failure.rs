@@ -1,11 +1,12 @@
 use std::fmt::Write as _;
 use std::path::Path;
 
-use config::{Exit, PipelineError};
+use config::PipelineError;
 use miette::GraphicalReportHandler;
 use nn::WeightsError;
 use ports::{PortError, SpaceError, StageError};
 use recorder::is_standard_output;
+use run::{Exit, OptionError};
 use thiserror::Error;
 use wire::StageId;
 
@@ -111,6 +112,12 @@ impl Failure {
 impl From<PortError> for Failure {
     fn from(error: PortError) -> Self {
         Self::Unavailable(error.to_string())
+    }
+}
+
+impl From<OptionError> for Failure {
+    fn from(error: OptionError) -> Self {
+        Self::Config(error.to_string())
     }
 }
 

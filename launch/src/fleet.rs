@@ -3,7 +3,8 @@ use std::process::ExitStatus;
 use std::sync::mpsc::{Receiver, channel};
 use std::time::{Duration, Instant};
 
-use config::{Pipeline, Run};
+use config::Pipeline;
+use run::Run;
 use rustix::process::Signal;
 use wire::StageId;
 
@@ -26,10 +27,10 @@ pub struct Fleet {
 }
 
 impl Fleet {
-    /// Starts all stages of a pipeline.
-    pub fn start(pipeline: &Pipeline, run: &Run, record: &Path) -> Result<Self, Failure> {
+    /// Starts all stages of a pipeline; they get longer to end where a memory is to be kept.
+    pub fn start(pipeline: &Pipeline, run: &Run, record: &Path, keeps_memory: bool) -> Result<Self, Failure> {
         let (sender, lines) = channel();
-        let end_limit = if run.memory.is_some() { MEMORY_LIMIT } else { END_LIMIT };
+        let end_limit = if keeps_memory { MEMORY_LIMIT } else { END_LIMIT };
         let mut fleet = Self { children: Vec::new(), lines, end_limit };
         for stage in &pipeline.stages {
             fleet.children.push(Child::start(stage.id, stage.command.as_deref(), run, record, &sender)?);

@@ -8,9 +8,11 @@ mod child;
 mod contenders;
 mod failure;
 mod fleet;
+mod options;
 mod pipeline_file;
 mod readme;
 mod show;
+mod stages;
 mod tracking;
 mod verbs;
 mod version;
@@ -38,7 +40,7 @@ fn main() -> ExitCode {
     let cli = Cli::parse();
     if cli.version {
         print!("{}", version::text());
-        return config::Exit::Done.into();
+        return run::Exit::Done.into();
     }
     let outcome = match cli.verb {
         Some(verb) => verb.execute(),

@@ -3,14 +3,41 @@ use std::path::Path;
 use config::Pipeline;
 
 use crate::failure::Failure;
+use crate::options::warn;
+use crate::stages;
 
 /// The pipeline that runs where none is named.
 const SHIPPED: &str = include_str!("../pipeline.toml");
 
 /// Reads and checks a pipeline.toml, or the shipped one.
 pub fn load(path: Option<&Path>) -> Result<Pipeline, Failure> {
-    let Some(path) = path else { return Ok(Pipeline::parse("pipeline.toml", SHIPPED)?) };
+    let declared = stages::declared();
+    let Some(path) = path else { return Ok(Pipeline::parse("pipeline.toml", SHIPPED, &declared)?) };
     let text = std::fs::read_to_string(path)
         .map_err(|error| Failure::Config(format!("{}: {error}", path.display())))?;
-    Ok(Pipeline::parse(&path.display().to_string(), &text)?)
+    let name = path.display().to_string();
+    let pipeline = Pipeline::parse(&name, &text, &declared)?;
+    for warning in &pipeline.warnings {
+        warn(&format!("{name}: {warning}"));
+    }
+    Ok(pipeline)
+}
+
+#[cfg(test)]
+mod tests {
+    use wire::StageId;
+
+    use super::*;
+
+    #[test]
+    fn the_shipped_file_is_of_our_stages_and_wires_the_loop() {
+        let pipeline = load(None).unwrap();
+        assert_eq!(pipeline.stages.len(), stages::STAGES.len());
+        for (stage, declared) in pipeline.stages.iter().zip(stages::declared()) {
+            assert_eq!(stage.id, declared.id());
+            assert!(stage.reads == declared.reads() && stage.writes == declared.writes(), "{stage:?}");
+        }
+        assert!(pipeline.edges().contains(&(StageId::Sampler, "forecasts", StageId::Tracker)));
+        assert!(pipeline.warnings.is_empty());
+    }
 }

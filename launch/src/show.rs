@@ -1,7 +1,7 @@
 use std::io::{ErrorKind, Write as _};
 use std::path::Path;
 
-use config::Exit;
+use run::Exit;
 
 use crate::failure::Failure;
 

@@ -1,8 +1,9 @@
 //! From detections to tracks, in this process: the tracker alone, or in the chain whose forecasts are its prior.
 
 use bytemuck::Zeroable;
-use config::{Prior, Run};
-use tracker::Tracker;
+use model::ModelConfig;
+use run::Run;
+use tracker::{Prior, Tracker};
 use wire::{AGENTS_MAX, Detection, Header, Track};
 
 use crate::chain::Chain;
@@ -22,18 +23,19 @@ pub enum Tracking {
 }
 
 impl Tracking {
-    /// Sets up what the run's prior needs.
-    pub fn new(run: &Run) -> Result<Self, Failure> {
-        if run.memory.is_some() && run.prior == Prior::Kinematic {
+    /// Sets up what the prior of a run with that model needs.
+    pub fn new(run: &Run, model: &ModelConfig) -> Result<Self, Failure> {
+        let prior = tracker::STAGE.options(run)?.prior;
+        if prior == Prior::Kinematic && sampler::STAGE.options(run)?.memory.is_some() {
             let why = "forecasts take no part in tracks with the kinematic prior";
             return Err(Failure::Usage(format!("--memory changes nothing here: {why}")));
         }
-        Ok(match run.prior {
+        Ok(match prior {
             Prior::Kinematic => Self::Alone {
-                tracker: Box::new(Tracker::new(tracker::stage::options(run))),
+                tracker: Box::new(Tracker::new(tracker::stage::settings(run, model)?)),
                 tracks: vec![Track::zeroed(); AGENTS_MAX],
             },
-            Prior::Learned => Self::InChain(Box::new(Chain::new(run)?)),
+            Prior::Learned => Self::InChain(Box::new(Chain::new(run, model)?)),
         })
     }
 

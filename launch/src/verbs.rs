@@ -19,8 +19,8 @@ pub mod train;
 pub mod verify;
 pub mod wire;
 
+use ::run::Exit;
 use clap::Subcommand;
-use config::Exit;
 
 use crate::failure::Failure;
 

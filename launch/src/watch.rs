@@ -1,13 +1,13 @@
 use std::io::{IsTerminal, Stdout, stdout};
 use std::time::{Duration, Instant};
 
-use config::Run;
-use ports::{Node, Peers, Subscriber, Waiter, monotonic_ns};
+use ports::{Node, Peers, Subscriber, monotonic_ns};
 use ratatui::backend::CrosstermBackend;
 use ratatui::text::Line as Text;
 use ratatui::widgets::Widget;
 use ratatui::{Terminal, TerminalOptions, Viewport};
 use recorder::live::{LiveOptions, LiveView, draw};
+use run::Run;
 use wire::{ForecastsTopic, HeartbeatsTopic, StageId, Topic};
 
 use crate::child::Line;
@@ -23,7 +23,6 @@ const ROWS: u16 = 22;
 /// Follows a run from outside: who is linked, and how it goes.
 #[derive(Debug)]
 pub struct Watch {
-    waiter: Waiter,
     forecasts: Subscriber<ForecastsTopic>,
     peers: Peers,
     view: LiveView,
@@ -48,7 +47,6 @@ impl Watch {
     pub fn open(run: &Run, options: LiveOptions, quiet: bool) -> Result<Self, Failure> {
         let node = Node::open(run, "launcher")?;
         Ok(Self {
-            waiter: Waiter::new()?,
             forecasts: node.subscriber(ForecastsTopic::DEPTH_MAX)?,
             peers: Peers::new(node.subscriber(HeartbeatsTopic::DEPTH_MAX)?, run),
             view: LiveView::new(options),
@@ -65,7 +63,7 @@ impl Watch {
 
     /// Sleeps for a moment, or until something comes; takes it and shows it.
     pub fn follow(&mut self, lines: impl Iterator<Item = Line>) -> Result<(), Failure> {
-        self.waiter.sleep(self.peers.heartbeats(), PICTURE / 2)?;
+        self.peers.heartbeats().sleep(PICTURE / 2)?;
         for heartbeat in self.peers.listen()? {
             self.view.heartbeat(&heartbeat);
         }

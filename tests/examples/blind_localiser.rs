@@ -1,18 +1,24 @@
 //! A stage of one's own: a localiser that knows no map, `command = ["target/release/examples/blind_localiser"]` in its
 //! table of pipeline.toml.
 //!
-//! It shows what every stage does: open the ports, take a frame, write the next one straight into shared memory, send
+//! It shows what every stage does: declare its topics, open the ports, take a frame, write the next one straight into shared memory, send
 //! it. Heartbeats, warm-up frames and the end are in `ports::Stage`.
 
 use std::process::ExitCode;
 
-use config::Run;
+use model::ModelConfig;
 use ports::{Stage, StageError, stage_main};
-use wire::{ContextMut, ContextShape, ContextTopic, StageId, TracksTopic, context_rows};
+use run::{Declaration, NoOptions, Run};
+use wire::{ContextMut, ContextShape, ContextTopic, StageId, Topic, TracksTopic, context_rows};
+
+/// Which stage it plays, and what it reads and writes.
+const STAGE: Declaration<NoOptions> =
+    Declaration::new(StageId::Localiser, &[TracksTopic::NAME], &[ContextTopic::NAME]);
 
 fn run(run: &Run) -> Result<(), StageError> {
-    let (history_len, patch_side) = (run.model.history_len, run.model.patch_size);
-    let mut stage = Stage::open(run, StageId::Localiser)?;
+    let ModelConfig { history_len, patch_size: patch_side, .. } =
+        ModelConfig::of_run(&run.root).map_err(StageError::config)?;
+    let mut stage = Stage::open(run, &STAGE)?;
     let tracks = stage.subscribe::<TracksTopic>()?;
     let output = stage.publish::<ContextTopic>()?;
 

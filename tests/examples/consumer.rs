@@ -6,17 +6,16 @@
 use std::process::ExitCode;
 use std::time::Duration;
 
-use config::Run;
-use ports::{Node, StageError, Waiter, stage_main};
+use ports::{Node, StageError, stage_main};
+use run::Run;
 use wire::{AGENT_TYPES, ForecastsTopic, Quality, flags};
 
 fn run(run: &Run) -> Result<(), StageError> {
     let node = Node::open(run, "consumer")?;
     let forecasts = node.subscriber::<ForecastsTopic>(2)?;
-    let waiter = Waiter::new()?;
     while !node.stop().requested() {
         // Asleep until a frame comes; the subscriber lets through only what can be trusted.
-        waiter.sleep(&forecasts, Duration::from_secs(2))?;
+        forecasts.sleep(Duration::from_secs(2))?;
         while let Some(frame) = forecasts.receive()? {
             let header = frame.header();
             if header.has(flags::END) {

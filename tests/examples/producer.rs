@@ -7,13 +7,28 @@
 use std::process::ExitCode;
 
 use bytemuck::Zeroable;
-use config::Run;
 use ports::{Stage, StageError, monotonic_ns, stage_main};
+use run::{Declaration, Run};
+use serde::Deserialize;
 use wire::detection_flags::{HAS_HEADING, HAS_SIZE, HAS_SPEED};
-use wire::{AgentType, Detection, DetectionsTopic, Header, StageId, StampSource, TruthTopic, flags};
+use wire::{AgentType, Detection, DetectionsTopic, Header, StageId, StampSource, Topic, TruthTopic, flags};
 
-/// Ticks where the run is told no number of them.
-const TICKS: u64 = 125;
+/// Which stage it plays, and what it writes.
+const STAGE: Declaration<Options> =
+    Declaration::new(StageId::Source, &[], &[DetectionsTopic::NAME, TruthTopic::NAME]);
+
+/// Options of its own: `options = { ticks = 60 }` in its table of pipeline.toml, or `--set source.ticks=60`.
+#[derive(Deserialize)]
+#[serde(default)]
+struct Options {
+    ticks: u64,
+}
+
+impl Default for Options {
+    fn default() -> Self {
+        Self { ticks: 125 }
+    }
+}
 
 /// What the sensor sees at `t_s`: a car that passes, and someone on foot.
 fn detect(t_s: f32) -> [Detection; 2] {
@@ -35,7 +50,8 @@ fn detect(t_s: f32) -> [Detection; 2] {
 }
 
 fn run(run: &Run) -> Result<(), StageError> {
-    let mut stage = Stage::open(run, StageId::Source)?;
+    let Options { ticks } = STAGE.options(run)?;
+    let mut stage = Stage::open(run, &STAGE)?;
     let detections = stage.publish::<DetectionsTopic>()?;
     // A sensor knows no truth: that topic carries the frames that link the run, and no others.
     let truth = stage.publish::<TruthTopic>()?;
@@ -59,7 +75,7 @@ fn run(run: &Run) -> Result<(), StageError> {
         peers.listen()?;
     }
 
-    let (begin_ns, ticks) = (monotonic_ns(), run.ticks.unwrap_or(TICKS));
+    let begin_ns = monotonic_ns();
     for seq in 0..ticks {
         if !stage.sleep_until(begin_ns + seq * run.interval_ns)? {
             return Ok(());

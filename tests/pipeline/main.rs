@@ -3,6 +3,7 @@
 mod bad_input;
 mod endings;
 mod lockstep;
+mod options;
 mod programs;
 mod recordings;
 mod scratch;

@@ -8,7 +8,11 @@ use crate::started::{Started, assert_nothing_left, piped, run_well, stderr, stdo
 /// An example's program, which `cargo test --workspace` builds beside the tests.
 fn example(name: &str) -> String {
     let path = Path::new(env!("CARGO_BIN_EXE_stgdat")).with_file_name("examples").join(name);
-    assert!(path.exists(), "{} is missing: cargo build --release -p stgdat-tests --examples", path.display());
+    assert!(
+        path.exists(),
+        "{} is missing: cargo build --release -p stgdat-examples --examples",
+        path.display()
+    );
     path.display().to_string()
 }
 

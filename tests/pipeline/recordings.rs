@@ -37,6 +37,22 @@ fn predict_and_run_write_the_same_bytes() {
 }
 
 #[test]
+fn options_that_are_set_are_those_of_the_run_and_of_predict() {
+    let scratch = Scratch::new("set");
+    let recording = scratch.recording("scene.csv", 40);
+    let set = |set: &[&str]| same_bytes(&scratch, &recording, set);
+    let shipped = set(&[]);
+    let kinematic = set(&["--set", "tracker.prior=kinematic", "--set", "extractor.workers=2"]);
+    assert!(shipped != kinematic, "the prior is what was set");
+    let blind = set(&["--set", "localiser.map=none", "--set", "source.ticks=30"]);
+    assert_eq!(blind.iter().filter(|&&byte| byte == b'\n').count(), 30);
+    assert!(
+        blind == set(&["--map", "online", "--ticks", "30", "--set", "localiser.map=none"]),
+        "the later one counts"
+    );
+}
+
+#[test]
 fn a_map_of_the_site_gives_the_same_bytes_too() {
     let scratch = Scratch::new("map");
     let recording = scratch.recording("scene.csv", 30);
@@ -73,7 +89,7 @@ fn the_memory_of_a_place_outlasts_a_run() {
     let predict = |arguments: &[&str]| stdout(&run_well(&[&["predict", &recording], arguments].concat()));
     let first = predict(&["--memory", &copy]);
     assert_eq!(first, predict(&[]), "nothing is remembered before the first run");
-    assert_ne!(first, predict(&["--no-recall"]), "who came by is recalled");
+    assert_ne!(first, predict(&["--no-retrieval"]), "who came by is recalled");
     assert!(first.as_bytes() == scratch.read("run.jsonl"), "processes forecast as one does");
     assert!(scratch.read("a.memory") == scratch.read("b.memory"), "and remember the same");
 
@@ -88,8 +104,8 @@ fn the_memory_of_a_place_outlasts_a_run() {
     assert!(predict(&["--memory", &copy]).as_bytes() == scratch.read("run.jsonl"));
     assert!(scratch.read("a.memory") == scratch.read("b.memory"));
 
-    run_well(&[&play[..], &["--pipeline", &pipeline, "--no-recall", "--forecasts", &forecasts]].concat());
-    assert!(predict(&["--no-recall"]).as_bytes() == scratch.read("run.jsonl"));
+    run_well(&[&play[..], &["--pipeline", &pipeline, "--no-retrieval", "--forecasts", &forecasts]].concat());
+    assert!(predict(&["--no-retrieval"]).as_bytes() == scratch.read("run.jsonl"));
     assert!(scratch.read("a.memory") == scratch.read("b.memory"), "left alone");
 }
 
@@ -131,7 +147,13 @@ fn a_memory_that_cannot_be_kept_is_told_after_the_report() {
 fn a_memory_without_forecasts_is_no_use() {
     let scratch = Scratch::new("useless-memory");
     let recording = scratch.recording("scene.csv", 5);
-    let output =
-        run(&["track", &recording, "--tracker.prior", "kinematic", "--memory", &scratch.path("a.memory")]);
+    let output = run(&[
+        "track",
+        &recording,
+        "--set",
+        "tracker.prior=kinematic",
+        "--memory",
+        &scratch.path("a.memory"),
+    ]);
     assert_eq!(output.status.code(), Some(2), "{}", stderr(&output));
 }

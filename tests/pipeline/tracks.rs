@@ -37,7 +37,15 @@ fn forecasts_move_tracks_where_they_are_asked_for() {
     let scratch = Scratch::new("tracks-prior");
     let recording = scratch.recording("scene.csv", 40);
     let tracks = |prior: &str| {
-        stdout(&run_well(&["track", &recording, "--associate", "--tracker.prior", prior, "--as", "mot"]))
+        stdout(&run_well(&[
+            "track",
+            &recording,
+            "--associate",
+            "--set",
+            &format!("tracker.prior={prior}"),
+            "--as",
+            "mot",
+        ]))
     };
     let learned = tracks("learned");
     assert_eq!(learned, tracks("learned"), "the same bytes twice");

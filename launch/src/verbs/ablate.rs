@@ -4,9 +4,9 @@ mod variants;
 use std::path::{Path, PathBuf};
 
 use clap::Args;
-use config::Exit;
 use data::sets::Part;
 use evaluator::{Ablation, MapChoice, Options, WeightsChoice};
+use run::Exit;
 use trainer::{ModelCard, TrainOptions};
 
 use crate::failure::Failure;

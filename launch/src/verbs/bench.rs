@@ -7,10 +7,10 @@ use std::path::PathBuf;
 use std::time::Duration;
 
 use clap::Args;
-use config::Exit;
 use nn::kernels;
+use run::Exit;
 
-use crate::arguments::ModelArguments;
+use crate::arguments::{ModelArguments, SetArguments};
 use crate::failure::Failure;
 use crate::readme;
 
@@ -35,6 +35,8 @@ pub struct Arguments {
     readme: Option<PathBuf>,
     #[command(flatten)]
     model: ModelArguments,
+    #[command(flatten)]
+    set: SetArguments,
 }
 
 /// Measures compute per stage and the overhead of the chain beside this machine's own peaks, in one run.
@@ -49,7 +51,7 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
     );
     text += &stages::table(arguments, peak)?;
     if arguments.seconds > 0 {
-        text += &chain::table(&arguments.model, arguments.seconds)?;
+        text += &chain::table(&arguments.model, &arguments.set, arguments.seconds)?;
     }
     print!("{text}");
     if let Some(path) = &arguments.readme {

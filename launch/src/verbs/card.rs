@@ -3,8 +3,8 @@ mod table;
 use std::path::{Path, PathBuf};
 
 use clap::Args;
-use config::Exit;
 use nn::Weights;
+use run::Exit;
 use trainer::{Errors, ModelCard};
 
 use crate::failure::Failure;

@@ -1,7 +1,8 @@
 use std::path::PathBuf;
 
 use clap::Args;
-use config::{BUDGET_MAX_MS, Exit};
+use config::BUDGET_MAX_MS;
+use run::Exit;
 
 use crate::failure::Failure;
 use crate::pipeline_file;

@@ -1,5 +1,5 @@
 use clap::Args;
-use config::Exit;
+use run::Exit;
 
 use crate::failure::Failure;
 

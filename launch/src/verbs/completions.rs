@@ -1,6 +1,6 @@
 use clap::{Args, CommandFactory};
 use clap_complete::Shell;
-use config::Exit;
+use run::Exit;
 
 use crate::failure::Failure;
 use crate::show::show;

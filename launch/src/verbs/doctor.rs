@@ -3,7 +3,7 @@ use std::os::unix::fs::PermissionsExt;
 use std::path::Path;
 
 use clap::Args;
-use config::Exit;
+use run::Exit;
 use rustix::process::{Resource, Rlimit, getrlimit};
 
 use crate::failure::Failure;

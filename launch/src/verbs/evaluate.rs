@@ -1,11 +1,11 @@
 use std::path::{Path, PathBuf};
 
 use clap::{Args, ValueEnum};
-use config::Exit;
 use data::Format;
 use data::sets::Part;
 use evaluator::{InteractionPart, KittiReport, MapChoice, Options, Report, TrackingReport, WeightsChoice};
 use nn::Weights;
+use run::Exit;
 
 use crate::contenders::contenders;
 use crate::failure::Failure;

@@ -1,7 +1,8 @@
 use std::path::PathBuf;
 
 use clap::{Args, ValueEnum};
-use config::{Exit, Pipeline, Stage};
+use config::{Pipeline, Stage};
+use run::Exit;
 
 use crate::failure::Failure;
 use crate::pipeline_file;

@@ -1,8 +1,8 @@
 use std::path::PathBuf;
 
 use clap::Args;
-use config::Exit;
 use data::Format;
+use run::Exit;
 
 use crate::failure::Failure;
 

@@ -2,7 +2,7 @@ mod scene;
 mod training;
 
 use clap::{Args, Subcommand};
-use config::Exit;
+use run::Exit;
 
 use crate::failure::Failure;
 

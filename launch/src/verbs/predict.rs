@@ -2,11 +2,11 @@ use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 
 use clap::Args;
-use config::Exit;
 use recorder::{ForecastWriter, is_standard_output};
+use run::Exit;
 use source::Playback;
 
-use crate::arguments::PlaybackArguments;
+use crate::arguments::{PlaybackArguments, Played};
 use crate::chain::Chain;
 use crate::failure::Failure;
 
@@ -22,8 +22,8 @@ pub struct Arguments {
 
 /// Runs a recording through all stages in this process.
 pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
-    let (mut playback, run) = arguments.playback.start()?;
-    let mut chain = Chain::new(&run)?;
+    let Played { mut playback, run, model } = arguments.playback.start()?;
+    let mut chain = Chain::new(&run, &model)?;
     let played = play(&arguments.out, &mut playback, &mut chain);
     let kept = chain.keep_memory(&run);
     played?;

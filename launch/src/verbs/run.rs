@@ -1,18 +1,26 @@
 use std::path::{Path, PathBuf};
-use std::time::{Duration, Instant};
+use std::time::{Duration, Instant, SystemTime};
 
 use clap::{Args, ValueEnum};
-use config::{Exit, MapChoice, Options, Pipeline, Run, Stage, StageRun};
+use config::Pipeline;
+use localiser::MapChoice;
 use nn::Weights;
 use ports::{Space, Stop};
 use recorder::live::LiveOptions;
 use recorder::{Report, RunInfo};
+use run::{Exit, Run, StageRun};
+use scene::ContextMap;
 use source::{Playback, PlaybackOptions};
+use toml::Value;
 use wire::StageId;
 
-use crate::arguments::{ModelArguments, PlaceArguments, SceneArguments, TrackerArguments};
+use crate::arguments::{
+    ModelArguments, RetrievalArguments, SceneArguments, SetArguments, TrackerArguments, canonical,
+    check_memory,
+};
 use crate::failure::{Failure, StageDeath};
 use crate::fleet::Fleet;
+use crate::options::{Setting, StageOptions, text};
 use crate::pipeline_file;
 use crate::watch::Watch;
 
@@ -33,7 +41,9 @@ pub struct Arguments {
     #[command(flatten)]
     model: ModelArguments,
     #[command(flatten)]
-    place: PlaceArguments,
+    retrieval: RetrievalArguments,
+    #[command(flatten)]
+    set: SetArguments,
     /// Play in the recording's own time, or as fast as nothing is lost
     #[arg(long, value_enum, default_value = "real")]
     speed: Speed,
@@ -64,55 +74,100 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
     let stop = Stop::on_signals().map_err(|error| Failure::Unavailable(error.to_string()))?;
     let pipeline = pipeline_file::load(arguments.pipeline.as_deref())?;
     let (weights_path, weights) = arguments.model.open_weights(pipeline.weights.as_deref())?;
-    let scene = &arguments.scene;
-    let recording = source::recording(&scene.scene()?, scene.seed, scene.ticks)?;
+    let mut options = StageOptions::of_pipeline(&pipeline);
+    options.apply(&arguments.settings()?)?;
+    let source = source_options(arguments, &options)?;
+    let recording = source::recording(&source, arguments.scene.seed)?;
     // Read here only for what it tells of itself; the source reads it again in its own process.
-    let playback = Playback::new(recording, PlaybackOptions { ticks_max: scene.ticks, ..Default::default() });
-    let info = match pipeline.stages.iter().find(|stage| stage.id == StageId::Source) {
-        // What a source of the user's own plays is not known here.
-        Some(Stage { command: Some(_), .. }) => model_info(arguments, weights_path.as_deref(), &weights),
-        _ => info(arguments, &playback, weights_path.as_deref(), &weights),
-    };
+    let playing = PlaybackOptions { ticks_max: source.ticks, ..Default::default() };
+    let playback = Playback::new(recording, playing);
+    let info = info(arguments, &options, &source, &playback, weights_path.as_deref(), &weights)?;
+    check_map(&mut options)?;
 
-    let tracker = options(&pipeline, StageId::Tracker);
-    let sampler = options(&pipeline, StageId::Sampler);
-    let recall = arguments.place.recalls(sampler.recall);
-    let memory = arguments.place.memory(sampler.memory.as_deref(), &weights)?;
-    let memory_moments = memory.as_ref().map(|kept| kept.moments_len as u64);
-    let info = RunInfo { recalls: Some(recall), memory_moments, ..info };
     let run_id = random_id()?;
     let space = Space::create(run_id, SHARED_BYTES)?;
+    let report_path = report_path(&mut options, space.root())?;
     let run = Run {
         id: run_id,
         prefix: space.prefix().to_owned(),
         root: space.root().to_owned(),
         interval_ns: playback.interval_ns(),
         lockstep: arguments.speed == Speed::Max,
-        seed: scene.seed,
-        scene: scene.scene()?,
-        ticks: scene.ticks,
-        associate: arguments.tracker.associate,
-        prior: arguments.tracker.prior.or(tracker.prior).unwrap_or_default(),
-        association: arguments.tracker.association.or(tracker.association).unwrap_or_default(),
-        view: arguments.tracker.view.or(tracker.view),
-        recall,
-        memory: memory.map(|kept| kept.path),
+        seed: arguments.scene.seed,
         weights: weights_path,
-        model: weights.config().clone(),
-        map: map(&arguments.model, &pipeline)?,
-        report: space.root().join("report.json"),
-        forecasts: arguments.forecasts.as_deref().map(absolute).transpose()?,
-        stages: pipeline.stages.iter().map(stage_run).collect(),
+        stages: stage_runs(&pipeline, &options),
     };
+    weights.config().write(&run.root).map_err(Failure::data)?;
     let live = live_options(&run, &info, playback.ticks_len());
     drop((playback, weights));
 
-    let (exit, unkept) = supervise(&pipeline, &run, &stop, live, arguments.quiet)?;
+    let begun = SystemTime::now();
+    let keeps_memory = options.get(StageId::Sampler, "memory").is_some();
+    let (exit, unkept) = supervise(&pipeline, &run, &stop, live, arguments.quiet, keeps_memory)?;
     // Where a signal broke the run off, the report tells of what there was: nothing, if the recorder had not begun.
-    if exit == Exit::Done || run.report.exists() {
-        report(arguments, &run, info)?;
+    let written = std::fs::metadata(&report_path).and_then(|file| file.modified());
+    if exit == Exit::Done || written.is_ok_and(|written| written >= begun) {
+        report(arguments, &report_path, info)?;
     }
     unkept.map_or(Ok(exit), |death| Err(death.into()))
+}
+
+impl Arguments {
+    /// What the command line sets of the stages.
+    fn settings(&self) -> Result<Vec<Setting>, Failure> {
+        let forecasts = self.forecasts.as_deref().map(text).transpose()?;
+        let forecasts =
+            forecasts.map(|path| Setting::of_flag("--forecasts", StageId::Recorder, "forecasts", path));
+        let settings = [
+            self.scene.settings()?,
+            self.tracker.settings(),
+            self.model.settings(),
+            self.retrieval.settings()?,
+            forecasts.into_iter().collect(),
+            self.set.set.clone(),
+        ];
+        Ok(settings.concat())
+    }
+}
+
+/// What the source plays. What a program of the user's own plays is not known here: what the command line tells of it, or the
+/// generated scene, stands for it.
+fn source_options(arguments: &Arguments, options: &StageOptions) -> Result<source::Options, Failure> {
+    if options.is_built_in(StageId::Source) {
+        return options.read(&source::STAGE);
+    }
+    let mut told = StageOptions::defaults(&[StageId::Source]);
+    told.apply(&arguments.scene.settings()?)?;
+    told.read(&source::STAGE)
+}
+
+/// Opens a map that is a file, to see that it is one.
+fn check_map(options: &mut StageOptions) -> Result<(), Failure> {
+    let MapChoice::File(path) = options.read(&localiser::STAGE)?.map else { return Ok(()) };
+    let path = canonical(&path)?;
+    ContextMap::load(&path).map_err(Failure::data)?;
+    options.set_path(StageId::Localiser, "map", &path)
+}
+
+/// Where the recorder writes its report: as its options tell, else in the run's directory.
+fn report_path(options: &mut StageOptions, root: &Path) -> Result<PathBuf, Failure> {
+    if let Some(Value::String(path)) = options.get(StageId::Recorder, "report") {
+        return Ok(path.into());
+    }
+    let path = root.join("report.json");
+    options.set_path(StageId::Recorder, "report", &path)?;
+    Ok(path)
+}
+
+/// How the stages of a pipeline are run with these options, in the pipeline's order.
+fn stage_runs(pipeline: &Pipeline, options: &StageOptions) -> Vec<StageRun> {
+    let mut runs = options.stage_runs();
+    let place = |run: &StageRun| pipeline.stages.iter().position(|stage| stage.id as u32 == run.stage);
+    runs.sort_by_key(place);
+    for run in &mut runs {
+        run.budget_ms = place(run).and_then(|place| pipeline.stages[place].budget_ms);
+    }
+    runs
 }
 
 /// Starts the stages, follows them to the end of the scene, and ends them. Tells of a sampler that could not keep its memory of
@@ -123,11 +178,12 @@ fn supervise(
     stop: &Stop,
     live: LiveOptions,
     quiet: bool,
+    keeps_memory: bool,
 ) -> Result<(Exit, Option<StageDeath>), Failure> {
     let record = run.root.join("run");
     run.write(&record).map_err(|error| Failure::Config(error.to_string()))?;
     let mut watch = Watch::open(run, live, quiet)?;
-    let mut fleet = Fleet::start(pipeline, run, &record)?;
+    let mut fleet = Fleet::start(pipeline, run, &record, keeps_memory)?;
     let started = Instant::now();
     let mut linked = false;
     let outcome = loop {
@@ -149,14 +205,14 @@ fn supervise(
         }
     };
     fleet.end();
-    let unkept = run.memory.is_some().then(|| fleet.failure(StageId::Sampler)).flatten();
+    let unkept = keeps_memory.then(|| fleet.failure(StageId::Sampler)).flatten();
     watch.close(fleet.lines());
     outcome.map(|exit| (exit, unkept))
 }
 
 /// Completes the recorder's report, prints it, and writes it where that is asked for.
-fn report(arguments: &Arguments, run: &Run, info: RunInfo) -> Result<(), Failure> {
-    let mut report = Report::read(&run.report).map_err(Failure::data)?;
+fn report(arguments: &Arguments, written: &Path, info: RunInfo) -> Result<(), Failure> {
+    let mut report = Report::read(written).map_err(Failure::data)?;
     let heard = std::mem::take(&mut report.run);
     report.run = RunInfo {
         interval_ms: heard.interval_ms.or(info.interval_ms),
@@ -174,36 +230,40 @@ fn report(arguments: &Arguments, run: &Run, info: RunInfo) -> Result<(), Failure
     Ok(())
 }
 
+/// What is known of a run before it begins.
 fn info(
     arguments: &Arguments,
+    options: &StageOptions,
+    source: &source::Options,
     playback: &Playback,
     weights_path: Option<&Path>,
     weights: &Weights,
-) -> RunInfo {
-    let recording = playback.recording();
-    let recorded = arguments.scene.recording.is_some();
-    RunInfo {
-        recording: Some(recording.name.clone()),
-        recording_sha256: recorded.then(|| recording.sha256.clone()),
-        seen_in_training: recorded.then(|| seen_in_training(weights, &recording.sha256)).flatten(),
-        seed: Some(arguments.scene.seed),
-        scene_agents: (!recorded).then(|| u64::from(arguments.scene.agents)),
-        recorded_frames: recorded.then_some(recording.frames.len() as u64),
-        thinned_by: u32::try_from(playback.thinning()).ok(),
-        interval_ms: Some(playback.interval_ns() as f64 / 1e6),
-        ..model_info(arguments, weights_path, weights)
-    }
-}
-
-/// What is known of a run whatever it plays.
-fn model_info(arguments: &Arguments, weights_path: Option<&Path>, weights: &Weights) -> RunInfo {
-    RunInfo {
+) -> Result<RunInfo, Failure> {
+    let mut info = RunInfo {
         weights: Some(weights_path.map_or_else(|| "onboard".into(), |path| path.display().to_string())),
         weights_sha256: Some(weights.sha256().to_owned()),
         speed: arguments.speed.to_possible_value().map(|speed| speed.get_name().to_owned()),
-        ticks_limit: arguments.scene.ticks,
+        ticks_limit: source.ticks,
         ..RunInfo::default()
+    };
+    if options.is_built_in(StageId::Sampler) {
+        let sampler = options.read(&sampler::STAGE)?;
+        info.recalls = Some(sampler.retrieval);
+        info.memory_moments = check_memory(&sampler, weights)?;
     }
+    if options.is_built_in(StageId::Source) {
+        let recording = playback.recording();
+        let recorded = source.recording.is_some();
+        info.recording = Some(recording.name.clone());
+        info.recording_sha256 = recorded.then(|| recording.sha256.clone());
+        info.seen_in_training = recorded.then(|| seen_in_training(weights, &recording.sha256)).flatten();
+        info.seed = Some(arguments.scene.seed);
+        info.scene_agents = (!recorded).then_some(source.agents as u64);
+        info.recorded_frames = recorded.then_some(recording.frames.len() as u64);
+        info.thinned_by = u32::try_from(playback.thinning()).ok();
+        info.interval_ms = Some(playback.interval_ns() as f64 / 1e6);
+    }
+    Ok(info)
 }
 
 /// Whether the model card names the recording's fingerprint among what the weights were trained on, where there is one.
@@ -218,39 +278,6 @@ fn live_options(run: &Run, info: &RunInfo, ticks_len: u64) -> LiveOptions {
         ticks_limit: Some(ticks_len),
         ..LiveOptions::default()
     }
-}
-
-fn stage_run(stage: &Stage) -> StageRun {
-    StageRun {
-        stage: stage.id as u32,
-        budget_ms: stage.budget_ms,
-        built_in: stage.command.is_none(),
-        options: stage.options.clone(),
-    }
-}
-
-/// What the pipeline's file sets of a stage.
-fn options(pipeline: &Pipeline, id: StageId) -> Options {
-    let stage = pipeline.stages.iter().find(|stage| stage.id == id);
-    stage.map(|stage| stage.options.clone()).unwrap_or_default()
-}
-
-/// The map that is asked for, else the pipeline's.
-fn map(model: &ModelArguments, pipeline: &Pipeline) -> Result<MapChoice, Failure> {
-    let of_pipeline = options(pipeline, StageId::Localiser).map;
-    match model.map.clone().or(of_pipeline).unwrap_or_default() {
-        MapChoice::File(path) => {
-            let path = path.canonicalize().map_err(|error| Failure::file(&path, &error))?;
-            scene::ContextMap::load(&path).map_err(Failure::data)?;
-            Ok(MapChoice::File(path))
-        }
-        other => Ok(other),
-    }
-}
-
-/// The path from the root: stages may run elsewhere.
-fn absolute(path: &Path) -> Result<PathBuf, Failure> {
-    std::path::absolute(path).map_err(|error| Failure::file(path, &error))
 }
 
 /// A number that no other run has.

@@ -2,14 +2,16 @@ use std::path::PathBuf;
 
 use clap::Args;
 use clap::builder::PossibleValuesParser;
-use config::{Exit, Run};
 use ports::{RUN_VARIABLE, StageError};
+use run::{Exit, Run};
 use wire::StageId;
 
 use crate::failure::Failure;
+use crate::stages;
 
 /// Arguments of `stgdat stage`.
 #[derive(Debug, Args)]
+#[command(after_long_help = stages::options_help())]
 pub struct Arguments {
     /// Which stage
     #[arg(value_parser = PossibleValuesParser::new(StageId::ALL.map(StageId::name)))]
@@ -23,18 +25,9 @@ pub struct Arguments {
 pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
     ports::die_with_launcher()?;
     let stage = StageId::from_name(&arguments.name)
+        .and_then(stages::built_in)
         .ok_or_else(|| Failure::Usage(format!("there is no stage \"{}\"", arguments.name)))?;
     let run = Run::read(&arguments.run).map_err(StageError::config)?;
-    let body = match stage {
-        StageId::Source => source::stage::run,
-        StageId::Tracker => tracker::stage::run,
-        StageId::Localiser => localiser::stage::run,
-        StageId::Extractor => extractor::stage::run,
-        StageId::Encoder => encoder::stage::run,
-        StageId::Decoder => decoder::stage::run,
-        StageId::Sampler => sampler::stage::run,
-        StageId::Recorder => recorder::stage::run,
-    };
-    body(&run)?;
+    (stage.body)(&run)?;
     Ok(Exit::Done)
 }

@@ -2,13 +2,13 @@ use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 
 use clap::Args;
-use config::Exit;
 use data::formats::kitti::WorldFromCamera;
 use data::{TrackFormat, TrackRows, TrackWriter};
 use recorder::{WholeFile, is_standard_output};
+use run::Exit;
 use source::Playback;
 
-use crate::arguments::PlaybackArguments;
+use crate::arguments::{PlaybackArguments, Played};
 use crate::failure::Failure;
 use crate::tracking::Tracking;
 
@@ -39,8 +39,8 @@ pub struct Arguments {
 /// Runs a recording through the tracker in this process and writes what it publishes.
 pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
     let rows = rows(arguments.written_as, &arguments.playback.path()?)?;
-    let (mut playback, run) = arguments.playback.start()?;
-    let mut tracking = Tracking::new(&run)?;
+    let Played { mut playback, run, model } = arguments.playback.start()?;
+    let mut tracking = Tracking::new(&run, &model)?;
     let played = play(&arguments.out, rows, &mut playback, &mut tracking);
     let kept = tracking.keep_memory(&run);
     played?;

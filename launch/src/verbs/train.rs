@@ -1,7 +1,7 @@
 use std::path::PathBuf;
 
 use clap::Args;
-use config::Exit;
+use run::Exit;
 use trainer::TrainOptions;
 
 use super::card;

@@ -1,8 +1,8 @@
 use std::path::{Path, PathBuf};
 
 use clap::Args;
-use config::Exit;
 use evaluator::{Comparison, VerifyError};
+use run::Exit;
 
 use crate::failure::Failure;
 

@@ -6,7 +6,7 @@ mod python;
 mod text;
 
 use clap::Args;
-use config::Exit;
+use run::Exit;
 
 use crate::failure::Failure;
 use crate::show::show;

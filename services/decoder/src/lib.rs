@@ -4,11 +4,13 @@
 //! N(0, I), all equally probable, that depend on seed, track and tick alone. Beside them stands the single best forecast.
 
 mod draws;
+mod options;
 pub mod stage;
 mod unroll;
 
 pub use nn::StartError;
 use nn::{ModelConfig, Weights, WeightsError, Workers};
+pub use options::{Options, STAGE};
 use wire::{AGENT_TYPES, AGENTS_MAX, AgentControls, AgentEncoding, Header, Rejected};
 
 use unroll::Unroller;

@@ -1,21 +1,23 @@
 //! The decoder as a process: `encodings` in, `controls` out.
 
-use config::Run;
+use nn::{ModelConfig, Weights};
 use ports::{Stage, StageError};
-use wire::{ControlsTopic, EncodingsTopic, StageId};
+use run::{OptionError, Run};
+use wire::{ControlsTopic, EncodingsTopic};
 
-use crate::{Decoder, DecoderOptions};
+use crate::{Decoder, DecoderOptions, STAGE};
 
 /// Runs the stage until the process is asked to end.
 ///
 /// # Errors
-/// [`StageError`] where the weights or the run's shared memory can't be used.
+/// [`StageError`] where the weights or the run's model, options or shared memory can't be used.
 pub fn run(run: &Run) -> Result<(), StageError> {
-    let weights = run.open_weights().map_err(StageError::data)?;
-    let mut decoder = Decoder::new(&weights, options(run)).map_err(StageError::data)?;
+    let model = ModelConfig::of_run(&run.root).map_err(StageError::config)?;
+    let weights = Weights::of_model(run.weights.as_deref(), &model).map_err(StageError::data)?;
+    let mut decoder = Decoder::new(&weights, settings(run)?).map_err(StageError::data)?;
     drop(weights);
 
-    let mut stage = Stage::open(run, StageId::Decoder)?;
+    let mut stage = Stage::open(run, &STAGE)?;
     let encodings = stage.subscribe::<EncodingsTopic>()?;
     let output = stage.publish::<ControlsTopic>()?;
 
@@ -24,8 +26,8 @@ pub fn run(run: &Run) -> Result<(), StageError> {
         let forecast_len = Decoder::len(&input);
         let counts = &mut passage.header.counts;
         counts.agents_len = forecast_len as u32;
-        counts.horizon_len = run.model.horizon_len as u32;
-        counts.modes_len = run.model.modes as u32;
+        counts.horizon_len = model.horizon_len as u32;
+        counts.modes_len = model.modes as u32;
         let mut loan = output.loan(forecast_len)?;
         let result = decoder.step(input.header(), &input, &mut loan);
         stage.finish(passage, &output, result.map(|()| loan))?;
@@ -33,8 +35,10 @@ pub fn run(run: &Run) -> Result<(), StageError> {
     Ok(())
 }
 
-/// The run's settings of the decoder.
-#[must_use]
-pub fn options(run: &Run) -> DecoderOptions {
-    DecoderOptions { workers: run.options(StageId::Decoder).workers.unwrap_or(1), seed: run.seed }
+/// The decoder's settings in a run.
+///
+/// # Errors
+/// [`OptionError`] where the run's record holds options that the decoder does not have.
+pub fn settings(run: &Run) -> Result<DecoderOptions, OptionError> {
+    Ok(DecoderOptions { workers: STAGE.options(run)?.workers, seed: run.seed })
 }

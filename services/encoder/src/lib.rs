@@ -1,11 +1,14 @@
 //! Graph dual attention on the features of a frame: the temporal summary ṽ_h of each agent.
 
+mod options;
 pub mod stage;
 
 use nn::{Gdat, GdatMemory, Graph, ModelConfig, Weights, WeightsError};
 use wire::{
     AGENTS_MAX, AgentEncoding, AgentFeatures, Features, Header, NODE_ATTRIBUTES, Rejected, TEMPORAL, finite,
 };
+
+pub use options::{Options, STAGE};
 
 /// The encoder: its network and scratch memory.
 pub struct Encoder {

@@ -1,21 +1,23 @@
 //! The encoder as a process: `features` in, `encodings` out.
 
-use config::Run;
+use nn::{ModelConfig, Weights};
 use ports::{Stage, StageError};
-use wire::{EncodingsTopic, FeatureShape, Features, FeaturesTopic, StageId};
+use run::Run;
+use wire::{EncodingsTopic, FeatureShape, Features, FeaturesTopic};
 
-use crate::Encoder;
+use crate::{Encoder, STAGE};
 
 /// Runs the stage until the process is asked to end.
 ///
 /// # Errors
-/// [`StageError`] where the weights or the run's shared memory can't be used.
+/// [`StageError`] where the weights or the run's model or shared memory can't be used.
 pub fn run(run: &Run) -> Result<(), StageError> {
-    let weights = run.open_weights().map_err(StageError::data)?;
+    let model = ModelConfig::of_run(&run.root).map_err(StageError::config)?;
+    let weights = Weights::of_model(run.weights.as_deref(), &model).map_err(StageError::data)?;
     let mut encoder = Encoder::new(&weights).map_err(StageError::data)?;
     drop(weights);
 
-    let mut stage = Stage::open(run, StageId::Encoder)?;
+    let mut stage = Stage::open(run, &STAGE)?;
     let features = stage.subscribe::<FeaturesTopic>()?;
     let output = stage.publish::<EncodingsTopic>()?;
 

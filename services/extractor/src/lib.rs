@@ -9,10 +9,12 @@
 
 mod cache;
 mod embed;
+mod options;
 pub mod stage;
 
 pub use nn::StartError;
 use nn::{MlpMemory, ModelConfig, StateMlp, Weights, WeightsError, Workers};
+pub use options::{Options, STAGE};
 use scene::{AgentFrame, EdgeRule, FeatureScales, NEIGHBOURS_MAX, State, Vertex};
 use wire::{
     AGENT_TYPES, AGENTS_MAX, AgentFeatures, AgentType, CONTEXT_EMBEDDING, Context, ContextShape,

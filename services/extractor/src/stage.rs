@@ -1,21 +1,23 @@
 //! The extractor as a process: `context` in, `features` out.
 
-use config::Run;
+use nn::{ModelConfig, Weights};
 use ports::{Stage, StageError};
-use wire::{Context, ContextShape, ContextTopic, FeaturesMut, FeaturesTopic, StageId, feature_rows};
+use run::{OptionError, Run};
+use wire::{Context, ContextShape, ContextTopic, FeaturesMut, FeaturesTopic, feature_rows};
 
-use crate::{Extractor, ExtractorOptions};
+use crate::{Extractor, ExtractorOptions, STAGE};
 
 /// Runs the stage until the process is asked to end.
 ///
 /// # Errors
-/// [`StageError`] where the weights or the run's shared memory can't be used.
+/// [`StageError`] where the weights or the run's model, options or shared memory can't be used.
 pub fn run(run: &Run) -> Result<(), StageError> {
-    let weights = run.open_weights().map_err(StageError::data)?;
-    let mut extractor = Extractor::new(&weights, options(run)).map_err(StageError::data)?;
+    let model = ModelConfig::of_run(&run.root).map_err(StageError::config)?;
+    let weights = Weights::of_model(run.weights.as_deref(), &model).map_err(StageError::data)?;
+    let mut extractor = Extractor::new(&weights, settings(run)?).map_err(StageError::data)?;
     drop(weights);
 
-    let mut stage = Stage::open(run, StageId::Extractor)?;
+    let mut stage = Stage::open(run, &STAGE)?;
     let context = stage.subscribe::<ContextTopic>()?;
     let output = stage.publish::<FeaturesTopic>()?;
 
@@ -38,8 +40,10 @@ pub fn run(run: &Run) -> Result<(), StageError> {
     Ok(())
 }
 
-/// The run's settings of the extractor.
-#[must_use]
-pub fn options(run: &Run) -> ExtractorOptions {
-    ExtractorOptions { workers: run.options(StageId::Extractor).workers.unwrap_or(1) }
+/// The extractor's settings in a run.
+///
+/// # Errors
+/// [`OptionError`] where the run's record holds options that the extractor does not have.
+pub fn settings(run: &Run) -> Result<ExtractorOptions, OptionError> {
+    Ok(ExtractorOptions { workers: STAGE.options(run)?.workers })
 }

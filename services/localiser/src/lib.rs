@@ -13,6 +13,8 @@
 
 mod cache;
 mod localiser;
+mod options;
 pub mod stage;
 
 pub use localiser::{Localiser, LocaliserOptions, MapSource};
+pub use options::{MapChoice, Options, STAGE, UnknownMap};

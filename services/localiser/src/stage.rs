@@ -1,20 +1,22 @@
 //! The localiser as a process: `tracks` in, `context` out.
 
-use config::{MapChoice, Run};
+use model::ModelConfig;
 use ports::{Stage, StageError};
+use run::Run;
 use scene::{ContextMap, PatchOptions};
-use wire::{ContextMut, ContextTopic, StageId, TracksTopic, context_rows};
+use wire::{ContextMut, ContextTopic, TracksTopic, context_rows};
 
-use crate::{Localiser, LocaliserOptions, MapSource};
+use crate::{Localiser, LocaliserOptions, MapChoice, MapSource, STAGE};
 
 /// Runs the stage until the process is asked to end.
 ///
 /// # Errors
-/// [`StageError`] where the map or the run's shared memory can't be used.
+/// [`StageError`] where the map or the run's model, options or shared memory can't be used.
 pub fn run(run: &Run) -> Result<(), StageError> {
-    let mut localiser = Localiser::new(options(run)?);
+    let model = ModelConfig::of_run(&run.root).map_err(StageError::config)?;
+    let mut localiser = Localiser::new(settings(run, &model)?);
 
-    let mut stage = Stage::open(run, StageId::Localiser)?;
+    let mut stage = Stage::open(run, &STAGE)?;
     let tracks = stage.subscribe::<TracksTopic>()?;
     let output = stage.publish::<ContextTopic>()?;
 
@@ -30,20 +32,17 @@ pub fn run(run: &Run) -> Result<(), StageError> {
     Ok(())
 }
 
-/// The run's settings of the localiser, its map opened.
+/// The localiser's settings in a run with that model, its map opened.
 ///
 /// # Errors
-/// [`StageError::Data`] where the map can't be used.
-pub fn options(run: &Run) -> Result<LocaliserOptions, StageError> {
-    let map = match &run.map {
+/// [`StageError`] where the map or the run's options can't be used.
+pub fn settings(run: &Run, model: &ModelConfig) -> Result<LocaliserOptions, StageError> {
+    let map = match STAGE.options(run)?.map {
         MapChoice::Online => MapSource::Online,
         MapChoice::None => MapSource::None,
-        MapChoice::File(path) => MapSource::Fixed(ContextMap::load(path).map_err(StageError::data)?),
+        MapChoice::File(path) => MapSource::Fixed(ContextMap::load(&path).map_err(StageError::data)?),
     };
-    let patch = PatchOptions {
-        side: run.model.patch_size,
-        cell_m: run.model.patch_cell_m,
-        ahead_m: run.model.patch_ahead_m,
-    };
-    Ok(LocaliserOptions { history_len: run.model.history_len, patch, map })
+    let patch =
+        PatchOptions { side: model.patch_size, cell_m: model.patch_cell_m, ahead_m: model.patch_ahead_m };
+    Ok(LocaliserOptions { history_len: model.history_len, patch, map })
 }

@@ -13,7 +13,7 @@ use thiserror::Error;
 use wire::detection_flags::{HAS_HEADING, HAS_ID, HAS_SPEED};
 
 /// Least time between visits of one trajectory: a tick of the pipeline.
-pub const VISIT_INTERVAL_NS: i64 = 80_000_000;
+pub const VISIT_INTERVAL_NS: i64 = wire::TICK_NS.cast_signed();
 
 /// A map and what went into it.
 #[derive(Clone, Debug)]

@@ -13,6 +13,7 @@ mod distribution;
 mod forecast_lines;
 pub mod live;
 mod losses;
+mod options;
 pub mod passage;
 mod record;
 mod render;
@@ -22,6 +23,7 @@ mod text;
 mod whole_file;
 
 pub use forecast_lines::{FORECASTS_VERSION, ForecastWriter};
+pub use options::{Options, STAGE};
 pub use record::{Recorder, RecorderOptions, TICK_LIMIT_NS};
 pub use report::{REPORT_VERSION, Report, ReportError, RunInfo, Status, Verdict};
 pub use whole_file::{WholeFile, is_standard_output};

@@ -12,7 +12,7 @@ use crate::report::{
 };
 
 /// The time that a tick may take from release to forecast at 12.5 Hz.
-pub const TICK_LIMIT_NS: u64 = 80_000_000;
+pub const TICK_LIMIT_NS: u64 = wire::TICK_NS;
 
 /// What the recorder is told of the run.
 #[derive(Clone, Debug)]

@@ -1,27 +1,32 @@
 //! The recorder as a process: `forecasts` and `truth` in, a report and a file of forecasts out.
 
 use std::io;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
-use config::Run;
 use ports::{Stage, StageError};
-use wire::{ForecastsTopic, Header, Rejected, StageId, Topic, TruthTopic, flags};
+use run::Run;
+use wire::{ForecastsTopic, Header, Rejected, Topic, TruthTopic, flags};
 
-use crate::{ForecastWriter, Recorder, RecorderOptions};
+use crate::{ForecastWriter, Options, Recorder, RecorderOptions, STAGE};
+
+/// Name of the report in the run's directory.
+const REPORT: &str = "report.json";
 
 /// Runs the stage until the recording ends or the process is asked to end; then writes the report.
 ///
 /// # Errors
-/// [`StageError`] where the run's shared memory can't be used or a file can't be written.
+/// [`StageError`] where the run's options or shared memory can't be used or a file can't be written.
 pub fn run(run: &Run) -> Result<(), StageError> {
-    let mut recorder = Recorder::new(options(run));
+    let options = STAGE.options(run)?;
+    let mut recorder = Recorder::new(settings(run));
     let unwritable = |error: io::Error| {
-        let path = run.forecasts.as_deref().unwrap_or(Path::new("forecasts"));
+        let path = options.forecasts.as_deref().unwrap_or(Path::new("forecasts"));
         StageError::data(format!("{}: {error}", path.display()))
     };
-    let mut writer = run.forecasts.as_deref().map(ForecastWriter::create).transpose().map_err(unwritable)?;
+    let mut writer =
+        options.forecasts.as_deref().map(ForecastWriter::create).transpose().map_err(unwritable)?;
 
-    let mut stage = Stage::open(run, StageId::Recorder)?;
+    let mut stage = Stage::open(run, &STAGE)?;
     let forecasts = stage.subscribe_deep::<ForecastsTopic>(ForecastsTopic::DEPTH_MAX)?;
     let truth = stage.subscribe_deep::<TruthTopic>(TruthTopic::DEPTH_MAX)?;
     let mut peers = stage.peers(run)?;
@@ -49,7 +54,7 @@ pub fn run(run: &Run) -> Result<(), StageError> {
     if let Some(writer) = writer {
         writer.finish().map_err(unwritable)?;
     }
-    recorder.report().write(&run.report).map_err(StageError::data)
+    recorder.report().write(&report_path(run, &options)).map_err(StageError::data)
 }
 
 fn count(stage: &mut Stage, header: &Header, topic: &'static str, result: Result<(), Rejected>) {
@@ -60,6 +65,12 @@ fn count(stage: &mut Stage, header: &Header, topic: &'static str, result: Result
     }
 }
 
-fn options(run: &Run) -> RecorderOptions {
+/// Where the report of a run goes.
+#[must_use]
+pub fn report_path(run: &Run, options: &Options) -> PathBuf {
+    options.report.clone().unwrap_or_else(|| run.root.join(REPORT))
+}
+
+fn settings(run: &Run) -> RecorderOptions {
     RecorderOptions { budgets_ms: run.budgets_ms(), ..RecorderOptions::default() }
 }

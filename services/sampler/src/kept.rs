@@ -1,20 +1,23 @@
-use config::Run;
+use model::ModelConfig;
+use nn::Weights;
 use ports::StageError;
 use retrieval::RetrievalMemory;
+use run::Run;
 
-use crate::Sampler;
-use crate::settings::options;
+use crate::settings::settings;
+use crate::{Options, STAGE, Sampler};
 
 /// A sampler as the run's record says, with the memory of the place that the run begins with, if it has one.
 ///
 /// # Errors
-/// [`StageError`] where that memory can't be used.
-pub fn open(run: &Run) -> Result<Sampler, StageError> {
-    let mut sampler = Sampler::new(options(run));
-    if let Some(path) = run.memory.as_deref().filter(|path| run.recall && path.exists()) {
-        let weights = run.open_weights().map_err(StageError::data)?;
-        let steps = (run.model.horizon_len, run.model.step_ns());
-        sampler.recall(RetrievalMemory::load(path, weights.sha256(), steps).map_err(StageError::data)?);
+/// [`StageError`] where the run's options or that memory can't be used.
+pub fn open(run: &Run, model: &ModelConfig) -> Result<Sampler, StageError> {
+    let options = STAGE.options(run)?;
+    let mut sampler = Sampler::new(settings(&options, model, run.seed));
+    if let Some(path) = options.memory.filter(|path| path.exists()) {
+        let weights = Weights::of_model(run.weights.as_deref(), model).map_err(StageError::data)?;
+        let steps = (model.horizon_len, model.step_ns());
+        sampler.recall(RetrievalMemory::load(&path, weights.sha256(), steps).map_err(StageError::data)?);
     }
     Ok(sampler)
 }
@@ -24,7 +27,8 @@ pub fn open(run: &Run) -> Result<Sampler, StageError> {
 /// # Errors
 /// [`StageError`] where it can't be written.
 pub fn keep_memory(run: &Run, sampler: &Sampler) -> Result<(), StageError> {
-    let (Some(path), Some(memory)) = (&run.memory, sampler.memory()) else { return Ok(()) };
-    let weights = run.open_weights().map_err(StageError::data)?;
-    memory.save(path, weights.sha256()).map_err(StageError::data)
+    let Options { memory: path, .. } = STAGE.options(run)?;
+    let (Some(path), Some(memory)) = (path, sampler.memory()) else { return Ok(()) };
+    let weights = Weights::open_or_onboard(run.weights.as_deref()).map_err(StageError::data)?;
+    memory.save(&path, weights.sha256()).map_err(StageError::data)
 }

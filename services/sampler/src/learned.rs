@@ -13,7 +13,6 @@ pub(crate) struct LearnedControls<'a> {
     horizon_len: usize,
 }
 
-
 impl<'a> LearnedControls<'a> {
     /// Refuses controls that are not finite, or modes whose probabilities are none.
     pub(crate) fn new(controls: &'a AgentControls, horizon_len: usize) -> Result<Self, Rejected> {

@@ -20,5 +20,5 @@ mod sampler;
 mod settings;
 pub mod stage;
 
-pub use options::{Propagation, SamplerOptions};
+pub use options::{Options, Propagation, PropagationKind, STAGE, SamplerOptions};
 pub use sampler::Sampler;

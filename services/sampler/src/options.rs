@@ -1,4 +1,67 @@
-use kinematics::{MotionKind, MotionOptions};
+use std::path::PathBuf;
+
+use kinematics::{MotionKind, MotionOptions, PARTICLES_MAX};
+use run::{Conflict, Declaration};
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+use wire::{ControlsTopic, ForecastsTopic, StageId, TICK_MS, Topic, TracksTopic};
+
+/// The sampler.
+pub const STAGE: Declaration<Options> =
+    Declaration::new(StageId::Sampler, &[TracksTopic::NAME, ControlsTopic::NAME], &[ForecastsTopic::NAME])
+        .with_rule(Options::check);
+
+/// What may be set of the sampler.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields, default)]
+pub struct Options {
+    /// Time after its release for which a tick waits for its controls, in milliseconds; no longer than the interval, and in
+    /// lockstep for ever.
+    #[schemars(range(max = TICK_MS), extend("exclusiveMinimum" = 0.0))]
+    pub deadline_ms: f64,
+    /// Whether the retrieval memory takes part: how those who came by before departed from their forecasts.
+    #[schemars(extend("formerly" = "recall"))]
+    pub retrieval: bool,
+    /// File that the retrieval memory begins with, if there is one, and ends in.
+    #[schemars(extend("format" = "path"))]
+    pub memory: Option<PathBuf>,
+    /// How the spread of the controls is carried on to positions.
+    pub propagation: PropagationKind,
+    /// Particles of each mode of the Monte Carlo propagation.
+    #[schemars(range(min = 1, max = PARTICLES_MAX))]
+    pub particles: usize,
+}
+
+/// How the spread of the controls is carried on, as it is named.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "kebab-case")]
+pub enum PropagationKind {
+    /// Gaussians through the derivatives of the motion model.
+    #[default]
+    Linearised,
+    /// Particles through the motion model itself.
+    MonteCarlo,
+}
+
+impl Default for Options {
+    fn default() -> Self {
+        let propagation = PropagationKind::default();
+        Self { deadline_ms: 72.0, retrieval: true, memory: None, propagation, particles: 16 }
+    }
+}
+
+impl Options {
+    fn check(&self) -> Result<(), Conflict> {
+        match &self.memory {
+            Some(_) if !self.retrieval => Err(Conflict {
+                key: "memory",
+                reason: "a memory that nothing is to be retrieved from",
+                because: "`retrieval` is false",
+            }),
+            _ => Ok(()),
+        }
+    }
+}
 
 /// How the spread of the controls is carried on to positions.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]

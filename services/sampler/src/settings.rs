@@ -1,27 +1,22 @@
-use config::Run;
-use wire::{AgentType, StageId};
+use model::ModelConfig;
+use wire::AgentType;
 
-use crate::{Propagation, SamplerOptions};
+use crate::{Options, Propagation, PropagationKind, SamplerOptions};
 
-/// Particles of each mode, where the pipeline does not say.
-const PARTICLES: usize = 16;
-
-/// The run's settings of the sampler.
+/// The sampler's settings for a model.
 #[must_use]
-pub fn options(run: &Run) -> SamplerOptions {
-    let (model, settings) = (&run.model, run.options(StageId::Sampler));
-    let particles = settings.particles.unwrap_or(PARTICLES);
+pub fn settings(options: &Options, model: &ModelConfig, seed: u64) -> SamplerOptions {
     SamplerOptions {
         history_len: model.history_len,
         horizon_len: model.horizon_len,
         vehicle_motion: nn::motion_kind(model, AgentType::Vehicle),
         motion: nn::motion_options(model),
-        propagation: match settings.propagation.unwrap_or_default() {
-            config::Propagation::Linearised => Propagation::Linearised,
-            config::Propagation::MonteCarlo => Propagation::MonteCarlo { particles },
+        propagation: match options.propagation {
+            PropagationKind::Linearised => Propagation::Linearised,
+            PropagationKind::MonteCarlo => Propagation::MonteCarlo { particles: options.particles },
         },
-        seed: run.seed,
-        recalls: run.recall,
+        seed,
+        recalls: options.retrieval,
         ..SamplerOptions::default()
     }
 }

@@ -1,33 +1,31 @@
 //! The sampler as a process: `tracks` and `controls` in, `forecasts` out, whatever becomes of the controls.
 
-use config::Run;
+use model::ModelConfig;
 use ports::{Awaited, Stage, StageError};
-use wire::{Cause, ControlsTopic, ForecastsTopic, StageId, Topic, TracksTopic, flags};
+use run::Run;
+use wire::{Cause, ControlsTopic, ForecastsTopic, Topic, TracksTopic, flags};
 
-use crate::Sampler;
 pub use crate::kept::{keep_memory, open};
-pub use crate::settings::options;
-
-/// How long after its release a tick waits for its controls, where the pipeline does not say.
-const DEADLINE_MS: f64 = 72.0;
+use crate::{STAGE, Sampler};
 
 /// Runs the stage until the process is asked to end.
 ///
 /// # Errors
-/// [`StageError`] where the run's shared memory, or its memory of the place, can't be used.
+/// [`StageError`] where the run's model, options or shared memory, or its memory of the place, can't be used.
 pub fn run(run: &Run) -> Result<(), StageError> {
-    let mut sampler = open(run)?;
-    let followed = follow(run, &mut sampler);
+    let model = ModelConfig::of_run(&run.root).map_err(StageError::config)?;
+    let mut sampler = open(run, &model)?;
+    let followed = follow(run, &model, &mut sampler);
     let kept = keep_memory(run, &sampler);
     followed.and(kept)
 }
 
 /// Serves tick after tick.
-fn follow(run: &Run, sampler: &mut Sampler) -> Result<(), StageError> {
-    let deadline_ms = run.options(StageId::Sampler).deadline_ms.unwrap_or(DEADLINE_MS);
-    let deadline_ns = run.interval_ns.min((deadline_ms * 1e6) as u64);
+fn follow(run: &Run, model: &ModelConfig, sampler: &mut Sampler) -> Result<(), StageError> {
+    let options = STAGE.options(run)?;
+    let deadline_ns = run.interval_ns.min((options.deadline_ms * 1e6) as u64);
 
-    let mut stage = Stage::open(run, StageId::Sampler)?;
+    let mut stage = Stage::open(run, &STAGE)?;
     let tracks = stage.subscribe::<TracksTopic>()?;
     let controls = stage.subscribe::<ControlsTopic>()?;
     let output = stage.publish::<ForecastsTopic>()?;
@@ -51,8 +49,8 @@ fn follow(run: &Run, sampler: &mut Sampler) -> Result<(), StageError> {
         let result = cause.map_or(Ok(()), |cause| sampler.fallback(header, &input, cause, &mut loan));
         // The forecasts are of the tracks; the way through the pipeline is that of the controls.
         passage.header = header.with_hops_of(&passage.header);
-        passage.header.counts.horizon_len = run.model.horizon_len as u32;
-        passage.header.counts.modes_len = run.model.modes as u32;
+        passage.header.counts.horizon_len = model.horizon_len as u32;
+        passage.header.counts.modes_len = model.modes as u32;
         stage.finish(passage, &output, result.map(|()| loan))?;
     }
     Ok(())

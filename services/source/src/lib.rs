@@ -3,12 +3,14 @@
 //! [`Playback`] decides what goes out in which tick; when it goes out is for the caller, who has a clock and knows
 //! from [`Tick::due_ns`] how long after the first tick each one is due at the recording's own rate.
 
+mod options;
 mod outputs;
 mod pace;
 mod playback;
 mod scene;
 pub mod stage;
 
+pub use options::{Options, STAGE};
 pub use pace::Pace;
-pub use playback::{INTERVAL_MIN_NS, Playback, PlaybackOptions, Tick};
+pub use playback::{Playback, PlaybackOptions, Tick};
 pub use scene::recording;

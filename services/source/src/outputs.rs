@@ -1,5 +1,5 @@
-use config::Run;
 use ports::{Peers, PortError, Publisher, Stage, StageError, monotonic_ns};
+use run::Run;
 use wire::{Detection, DetectionsTopic, Header, StageId, Topic, Truth, TruthTopic};
 
 use crate::Tick;

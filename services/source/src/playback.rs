@@ -1,9 +1,7 @@
 use data::{Ego, Frame, Recording};
-use wire::{Counts, DETECTIONS_MAX, Detection, Header, StampSource, Truth, flags};
+use wire::{Counts, DETECTIONS_MAX, Detection, Header, StampSource, TICK_NS, Truth, flags};
 
-/// Shortest interval between ticks: 12.5 Hz. Faster recordings are thinned by whole frames.
-pub const INTERVAL_MIN_NS: u64 = 80_000_000;
-/// Part of [`INTERVAL_MIN_NS`] by which a recording may be faster before it is thinned: clocks wander.
+/// Part of a tick by which a recording may be faster before it is thinned: clocks wander.
 const TOLERANCE: u64 = 50;
 
 /// How a recording is played.
@@ -63,7 +61,7 @@ impl Playback {
     #[must_use]
     pub fn new(recording: Recording, options: PlaybackOptions) -> Self {
         let interval_ns = recording.interval_ns.max(1);
-        let thinning = (INTERVAL_MIN_NS - INTERVAL_MIN_NS / TOLERANCE).div_ceil(interval_ns).max(1);
+        let thinning = (TICK_NS - TICK_NS / TOLERANCE).div_ceil(interval_ns).max(1);
         let mut played = every_nth(&recording.frames, thinning, interval_ns);
         played.truncate(
             options.ticks_max.map_or(usize::MAX, |most| usize::try_from(most).unwrap_or(usize::MAX)),

@@ -1,11 +1,10 @@
 //! The source as a process: a recording or generated scene in, `detections` and `truth` out.
 
-use config::Run;
 use ports::{Stage, StageError, monotonic_ns};
-use wire::StageId;
+use run::Run;
 
 use crate::outputs::{Outputs, REPEAT_NS};
-use crate::{Pace, Playback, PlaybackOptions, recording};
+use crate::{Pace, Playback, PlaybackOptions, STAGE, recording};
 
 /// Longest wait for the stages to link, and in lockstep for a tick's forecasts.
 const ANSWER_LIMIT_NS: u64 = 60_000_000_000;
@@ -17,11 +16,12 @@ const END_LIMIT_NS: u64 = 2_000_000_000;
 /// # Errors
 /// [`StageError`] where the scene or the run's shared memory can't be used, or the other stages do not answer.
 pub fn run(run: &Run) -> Result<(), StageError> {
-    let scene = recording(&run.scene, run.seed, run.ticks)?;
-    let options = PlaybackOptions { run_id: run.id, ticks_max: run.ticks, lockstep: run.lockstep };
+    let options = STAGE.options(run)?;
+    let scene = recording(&options, run.seed)?;
+    let options = PlaybackOptions { run_id: run.id, ticks_max: options.ticks, lockstep: run.lockstep };
     let mut playback = Playback::new(scene, options);
 
-    let mut stage = Stage::open(run, StageId::Source)?;
+    let mut stage = Stage::open(run, &STAGE)?;
     let mut outputs = Outputs::open(&mut stage, run)?;
 
     let warm_up = playback.warm_up();

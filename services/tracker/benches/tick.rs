@@ -8,11 +8,10 @@ use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
 use bytemuck::Zeroable;
-use config::Prior;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rustix::time::{ClockId, clock_gettime};
-use tracker::{Tracker, TrackerOptions};
+use tracker::{Prior, Tracker, TrackerOptions};
 use wire::{
     AGENTS_MAX, AgentType, DETECTIONS_MAX, Detection, Forecast, Header, MODES_MAX, Steering, Track,
     detection_flags,

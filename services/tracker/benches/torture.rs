@@ -3,7 +3,7 @@
 #[path = "../tests/support/torture.rs"]
 mod support;
 
-use config::{Association, Prior};
+use tracker::{Association, Prior};
 
 fn main() {
     for (prior, association, seed) in [

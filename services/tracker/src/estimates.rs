@@ -1,5 +1,4 @@
 use association::jpda::SIDE_MAX;
-use config::Prior;
 use filters::{OBSERVATIONS_MAX, Observation};
 use wire::{AgentType, DETECTIONS_MAX, Detection, Header, flags};
 
@@ -7,7 +6,7 @@ use crate::estimate::{Birth, Estimate};
 use crate::forecasts::{Controls, Forecasts};
 use crate::observation::observation;
 use crate::occlusion::Occlusion;
-use crate::options::TrackerOptions;
+use crate::options::{Prior, TrackerOptions};
 use crate::pairing::Pairing;
 use crate::publication::Publications;
 use crate::scan::Scan;
@@ -178,7 +177,7 @@ impl Estimates {
             return;
         }
         let opaque = self.all.iter().filter(|estimate| estimate.is_opaque());
-        let view = options.view.map(|view| (f64::from(header.ego_heading_rad), view));
+        let view = options.fov.map(|view| (f64::from(header.ego_heading_rad), view));
         occlusion.update(header.ego_m.map(f64::from), view, opaque.map(Estimate::outline));
         for (e, estimate) in self.all.iter_mut().enumerate() {
             if is_wanted(e, estimate) {

@@ -43,6 +43,7 @@ mod belief;
 mod class;
 mod estimate;
 mod estimates;
+mod field_of_view;
 mod forecasts;
 mod front;
 mod grid;
@@ -61,8 +62,10 @@ mod track_management;
 mod tracked;
 mod tracker;
 
-pub use config::{Association, Prior};
-pub use options::{ForecastTrust, InputModel, MotionNoise, SensorNoise, TrackerOptions};
+pub use field_of_view::{FieldOfView, UnknownFieldOfView};
+pub use options::{
+    Association, ForecastTrust, InputModel, MotionNoise, Options, Prior, STAGE, SensorNoise, TrackerOptions,
+};
 pub use tally::Tally;
 pub use tracked::Tracked;
 pub use tracker::Tracker;

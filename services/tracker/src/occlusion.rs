@@ -13,8 +13,9 @@
 
 use std::f64::consts::{PI, TAU};
 
-use config::View;
 use filters::wrapped;
+
+use crate::FieldOfView;
 
 /// Sectors of the full circle: a third of a degree each, 0.3 m at 50 m.
 const SECTORS: usize = 1024;
@@ -63,12 +64,12 @@ impl Occlusion {
     pub fn update(
         &mut self,
         sensor_m: [f64; 2],
-        view: Option<(f64, View)>,
+        view: Option<(f64, FieldOfView)>,
         opaque: impl Iterator<Item = Outline>,
     ) {
         self.sensor_m = sensor_m;
         self.reach_m.fill(f64::INFINITY);
-        if let Some((heading_rad, View { width_deg, range_m })) = view {
+        if let Some((heading_rad, FieldOfView { width_deg, range_m })) = view {
             let half_rad = width_deg.to_radians() / 2.0;
             for (sector, reach_m) in self.reach_m.iter_mut().enumerate() {
                 let bearing_rad = (sector as f64 + 0.5) * SECTOR_RAD;
@@ -194,7 +195,7 @@ mod tests {
     /// far.
     #[test]
     fn outlines_out_of_view_are_occluded() {
-        let view = View { width_deg: 90.0, range_m: 50.0 };
+        let view = FieldOfView { width_deg: 90.0, range_m: 50.0 };
         let mut occlusion = Occlusion::new();
         for heading_rad in [0.0, 3.0, -3.0] {
             let (sin, cos) = f64::sin_cos(heading_rad);

@@ -1,6 +1,55 @@
-use config::{Association, Prior, View};
 use filters::{Bicycle, ConstantAcceleration, ConstantTurnRate, ConstantVelocity, Integrator, Models};
-use wire::{AgentType, Detection, HISTORY_MAX, Header, detection_flags, flags};
+use run::Declaration;
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+use wire::{
+    AgentType, Detection, DetectionsTopic, ForecastsTopic, HISTORY_MAX, Header, StageId, Topic, TracksTopic,
+    detection_flags, flags,
+};
+
+use crate::FieldOfView;
+
+/// The tracker.
+pub const STAGE: Declaration<Options> =
+    Declaration::new(StageId::Tracker, &[DetectionsTopic::NAME, ForecastsTopic::NAME], &[TracksTopic::NAME]);
+
+/// What may be set of the tracker.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields, default)]
+pub struct Options {
+    /// Whether detections are associated by position even where they carry identities.
+    pub associate: bool,
+    /// What moves tracks between two detections: `learned` are the forecasts made before.
+    pub prior: Prior,
+    /// How detections correct tracks: `assignment` each by one, `jpda` by all that may be its own.
+    pub association: Association,
+    /// Field of view of the sensor at best, where frames tell that they were made from the ego: a sector about the ego's
+    /// heading. Who is outside is not missed. All round and as far as it may be where not given.
+    #[schemars(extend("formerly" = "view"))]
+    pub fov: Option<FieldOfView>,
+}
+
+/// What moves a track between two detections.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "kebab-case")]
+pub enum Prior {
+    /// Its type's process model alone.
+    Kinematic,
+    /// The newest forecast of it, where there is one, beside the process model.
+    #[default]
+    Learned,
+}
+
+/// How detections without a trusted identity correct tracks.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "kebab-case")]
+pub enum Association {
+    /// Each track by the one that the cheapest assignment gives it.
+    #[default]
+    Assignment,
+    /// Each published track by all that may be its own, by how probable that is.
+    Jpda,
+}
 
 /// Standard deviations of what a detector measures, where the detection itself tells none.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -73,7 +122,7 @@ pub struct TrackerOptions {
     /// How detections correct tracks, where their identities do not tell.
     pub association: Association,
     /// What the sensor can see at best, where a frame tells that it was made from the ego; all there is where none.
-    pub view: Option<View>,
+    pub fov: Option<FieldOfView>,
     /// Inputs of a detector, to be associated.
     pub detector: InputModel,
     /// Inputs that carry identities: annotated or smoothed recordings, whose positions are nearly without noise.
@@ -148,7 +197,7 @@ impl Default for TrackerOptions {
             associate: false,
             prior: Prior::default(),
             association: Association::default(),
-            view: None,
+            fov: None,
             detector: DETECTOR,
             recorded: RECORDED,
             detection_probability: 0.9,

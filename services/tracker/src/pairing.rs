@@ -1,13 +1,12 @@
 use association::Candidate;
 use association::assignment::Assigner;
 use association::jpda::{Associator, Share};
-use config::Association;
 use wire::{AgentType, Detection};
 
 use crate::estimate::Estimate;
 use crate::grid::{Grid, Spot};
 use crate::observation::position_sigma_m;
-use crate::options::{InputModel, TrackerOptions};
+use crate::options::{Association, InputModel, TrackerOptions};
 
 /// 99 % of a chi-squared variable of two degrees of freedom: the gate for positions.
 const GATE: f64 = 9.210_340_371_976_18;

@@ -1,19 +1,23 @@
-use config::Run;
+use model::ModelConfig;
+use run::{OptionError, Run};
 
-use crate::TrackerOptions;
+use crate::{STAGE, TrackerOptions};
 
-/// The run's settings of the tracker.
-#[must_use]
-pub fn options(run: &Run) -> TrackerOptions {
-    let horizon_s = run.model.dt_s * run.model.horizon_len as f64;
-    TrackerOptions {
-        history_len: run.model.history_len,
-        step_ns: run.model.step_ns(),
+/// The tracker's settings in a run with that model.
+///
+/// # Errors
+/// [`OptionError`] where the run's record holds options that the tracker does not have.
+pub fn settings(run: &Run, model: &ModelConfig) -> Result<TrackerOptions, OptionError> {
+    let options = STAGE.options(run)?;
+    let horizon_s = model.dt_s * model.horizon_len as f64;
+    Ok(TrackerOptions {
+        history_len: model.history_len,
+        step_ns: model.step_ns(),
         horizon_ns: (horizon_s * 1e9) as u64,
-        associate: run.associate,
-        prior: run.prior,
-        association: run.association,
-        view: run.view,
+        associate: options.associate,
+        prior: options.prior,
+        association: options.association,
+        fov: options.fov,
         ..TrackerOptions::default()
-    }
+    })
 }

@@ -1,26 +1,27 @@
 //! The tracker as a process: `detections` and earlier `forecasts` in, `tracks` out.
 
 use bytemuck::Zeroable;
-use config::Run;
+use model::ModelConfig;
 use ports::{Awaited, Frame, Stage, StageError, Subscriber};
-use wire::{AGENTS_MAX, DetectionsTopic, ForecastsTopic, Header, StageId, Topic, Track, TracksTopic, flags};
+use run::Run;
+use wire::{AGENTS_MAX, DetectionsTopic, ForecastsTopic, Header, Topic, Track, TracksTopic, flags};
 
-pub use crate::settings::options;
-
-use crate::Tracker;
+pub use crate::settings::settings;
 use crate::tally::Warned;
+use crate::{STAGE, Tracker};
 
 /// Runs the stage until the process is asked to end.
 ///
 /// # Errors
-/// [`StageError`] where the run's shared memory can't be used.
+/// [`StageError`] where the run's model, options or shared memory can't be used.
 pub fn run(run: &Run) -> Result<(), StageError> {
-    let mut tracker = Tracker::new(options(run));
+    let model = ModelConfig::of_run(&run.root).map_err(StageError::config)?;
+    let mut tracker = Tracker::new(settings(run, &model)?);
     let mut tracks = vec![Track::zeroed(); AGENTS_MAX];
     let mut warned = Warned::default();
     let mut prior = None;
 
-    let mut stage = Stage::open(run, StageId::Tracker)?;
+    let mut stage = Stage::open(run, &STAGE)?;
     let detections = stage.subscribe::<DetectionsTopic>()?;
     let forecasts = stage.subscribe_deep::<ForecastsTopic>(ForecastsTopic::DEPTH_MAX)?;
     let output = stage.publish::<TracksTopic>()?;

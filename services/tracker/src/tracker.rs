@@ -1,10 +1,9 @@
-use config::Prior;
 use wire::{
     AGENTS_MAX, AgentType, Counts, DETECTIONS_MAX, Detection, Forecast, HISTORY_MAX, Header, Rejected, Track,
 };
 
 use crate::estimates::{Estimates, Scratch};
-use crate::options::TrackerOptions;
+use crate::options::{Prior, TrackerOptions};
 use crate::publication::Publications;
 use crate::replay::{Refusal, ReplayBuffer};
 use crate::tally::Tally;

@@ -4,11 +4,10 @@
 use std::collections::BTreeMap;
 use std::f64::consts::PI;
 
-use config::View;
 use filters::wrapped;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
-use tracker::TrackerOptions;
+use tracker::{FieldOfView, TrackerOptions};
 use wire::{AgentType, Detection, Track, TrackStatus, detection_flags, flags};
 
 use crate::support::harness::{Harness, TICK_NS, detected_at, noise, with_heading};
@@ -187,12 +186,12 @@ fn ids_persist_behind_a_parked_vehicle() {
 }
 
 /// A quarter of the circle, as of a camera.
-const VIEW: View = View { width_deg: 90.0, range_m: 60.0 };
+const VIEW: FieldOfView = FieldOfView { width_deg: 90.0, range_m: 60.0 };
 
 /// Whether a pedestrian ahead keeps its track while the sensor turns back for a time; `None` if it had none.
-fn looks_back(seed: u64, view: Option<View>) -> Option<bool> {
+fn looks_back(seed: u64, fov: Option<FieldOfView>) -> Option<bool> {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
-    let mut run = Harness::new(TrackerOptions { view, ..TrackerOptions::default() }, flags::SEEN_FROM_EGO);
+    let mut run = Harness::new(TrackerOptions { fov, ..TrackerOptions::default() }, flags::SEEN_FROM_EGO);
     let (seen_s, away_s) = (rng.random_range(1.0..3.0), rng.random_range(1.0..3.0));
     let course: f64 = rng.random_range(-PI..PI);
     let (mut place, step_m) = ([20.0, 0.0], 1.4 * TICK_S);

@@ -2,10 +2,10 @@
 
 use std::time::{Duration, Instant};
 
-use config::Run;
 use ports::{Frame, Node, Publisher, Space, Subscriber};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
+use run::Run;
 use rustix::process::{Signal, getpid, kill_process};
 use wire::{
     AgentType, Detection, DetectionsTopic, Forecast, ForecastsTopic, Header, HeartbeatsTopic, Quality,
@@ -128,8 +128,10 @@ fn out_of_sequence_frames_pass_on_void_and_forecasts_hold() {
     let frames = drive(&mut rng);
     let header = |seq: usize, k: usize| Header::new(run.id, seq as u64, k as i64 * TICK_NS);
 
-    let options = tracker::stage::options(&run);
-    let mut straight = Harness::new(options, 0);
+    let weights = nn::Weights::onboard();
+    weights.config().write(&run.root).expect("the run's directory is there");
+    let settings = tracker::stage::settings(&run, weights.config()).expect("defaults");
+    let mut straight = Harness::new(settings, 0);
     straight.stamp_ns = -TICK_NS;
     for frame in &frames[..20] {
         straight.step(frame);

@@ -1,18 +1,8 @@
-//! What a run is made of: the graph of stages, the record that every stage is started with, and the exit codes.
+//! The graph of stages, as a pipeline.toml tells it.
 //!
-//! [`Pipeline`] is the content of a pipeline.toml, checked as a whole: what it accepts can be started. [`Run`] is
-//! everything that one run has settled on (which recording, which weights, where its shared memory lies); the launcher
-//! writes it once and every stage reads it, so that no two of them can disagree.
+//! [`Pipeline`] is the content of the file, checked as a whole: what it accepts can be started. What this project's own
+//! programs read and write and which options they have, it takes from their declarations ([`run::Declared`]).
 
-mod exit;
-mod options;
 mod pipeline;
-pub mod record;
 
-pub use exit::Exit;
-pub use options::{
-    Association, MapChoice, Options, Prior, Propagation, UnknownAssociation, UnknownMap, UnknownPrior,
-    UnknownPropagation, UnknownView, View,
-};
-pub use pipeline::{BUDGET_MAX_MS, Pipeline, PipelineError, Stage, built_in_topics};
-pub use record::{Run, Scene, StageRun};
+pub use pipeline::{BUDGET_MAX_MS, Pipeline, PipelineError, Stage};

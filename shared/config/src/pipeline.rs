@@ -3,14 +3,14 @@
 mod check;
 mod error;
 mod file;
+mod options;
 
 use std::path::PathBuf;
 
-pub use check::{BUDGET_MAX_MS, built_in_topics};
+pub use check::BUDGET_MAX_MS;
 pub use error::PipelineError;
+use run::Declared;
 use wire::StageId;
-
-use crate::Options;
 
 /// A process of the pipeline.
 #[derive(Clone, Debug, PartialEq)]
@@ -25,8 +25,8 @@ pub struct Stage {
     pub writes: Vec<String>,
     /// Its share of the 80 ms of a tick; none for stages that no forecast waits for.
     pub budget_ms: Option<f64>,
-    /// Its settings.
-    pub options: Options,
+    /// Its options: those that its declaration knows, or whatever a program of one's own is given.
+    pub options: toml::Table,
 }
 
 /// A checked graph of stages, in the order of the file.
@@ -36,16 +36,19 @@ pub struct Pipeline {
     pub weights: Option<PathBuf>,
     /// The stages.
     pub stages: Vec<Stage>,
+    /// What the file says in words of the version before, to be told to its author.
+    pub warnings: Vec<String>,
 }
 
 impl Pipeline {
-    /// Reads and checks the text of a pipeline.toml; `name` is the file's name in errors.
+    /// Reads and checks the text of a pipeline.toml; `name` is the file's name in errors, `declared` are the stages that there
+    /// are programs for.
     ///
     /// # Errors
     /// [`PipelineError`] points to the first place in the text that is wrong.
-    pub fn parse(name: &str, text: &str) -> Result<Self, PipelineError> {
+    pub fn parse(name: &str, text: &str, declared: &[&dyn Declared]) -> Result<Self, PipelineError> {
         let file: file::File = toml::from_str(text).map_err(|e| PipelineError::syntax(name, text, &e))?;
-        check::check(&file).map_err(|fault| fault.at(name, text))
+        check::check(&file, declared).map_err(|fault| fault.at(name, text))
     }
 
     /// The edges of the graph as (producer, topic, consumer), in the order of the file.

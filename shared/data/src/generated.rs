@@ -26,8 +26,8 @@ use crate::{Frame, Recording};
 use sensor::Sensor;
 use traffic::{Population, Traffic};
 
-/// Time between two frames of a generated scene: 12.5 Hz.
-pub const FRAME_INTERVAL_NS: u64 = 80_000_000;
+/// Time between two frames of a generated scene.
+pub const FRAME_INTERVAL_NS: u64 = wire::TICK_NS;
 
 /// Steps of the simulation in a frame.
 const STEPS: u16 = 2;

@@ -14,7 +14,7 @@ use std::f32::consts::{PI, TAU};
 
 use wire::{AgentType, STATE_FEATURES};
 
-use crate::config::ModelConfig;
+use crate::ModelConfig;
 use crate::weights::{Weights, WeightsError};
 
 /// Features of the ridge regression.

@@ -8,8 +8,8 @@ mod conv;
 
 use wire::{CONTEXT_EMBEDDING, PATCH_CHANNELS};
 
+use crate::Stem;
 use crate::buffer::Buffer;
-use crate::config::Stem;
 use crate::kernels::product::PANEL;
 use crate::linear::{Activation, Linear};
 use crate::weights::{Weights, WeightsError};

@@ -8,9 +8,9 @@ mod group;
 
 use wire::{AGENT_TYPES, AgentType, ControlGaussian, LATENT, STATE_FEATURES, TEMPORAL};
 
+use crate::Latents;
 use crate::base::{Base, latent_scale};
 use crate::buffer::Buffer;
-use crate::config::Latents;
 use crate::kernels::exp_in_place;
 use crate::kernels::gates::{GATES, HIDDEN, gru_step};
 use crate::linear::{Activation, Linear};

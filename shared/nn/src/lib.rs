@@ -13,7 +13,6 @@ pub mod kernels;
 
 mod attention;
 mod buffer;
-mod config;
 mod context;
 mod decoder;
 mod embedding;
@@ -24,10 +23,6 @@ mod weights;
 mod workers;
 
 pub use attention::{Gdat, GdatMemory, Graph, GraphTrace, RoundTrace};
-pub use config::{
-    Attention, ConfigError, Displacement, Feedback, Integrator, Latents, ModelConfig, NodeTypes, Stem,
-    Temporal, VehicleMotion,
-};
 pub use context::{ContextCnn, ContextMemory};
 pub use decoder::{
     AgentDraws, BurnIn, Decoder, DecoderGroup, DecoderMemory, Draws, Encoded, RAW_CONTROL, TypeDecoder,
@@ -36,6 +31,10 @@ pub use decoder::{
 pub use embedding::{RelationMlp, StateMlp};
 pub use encoding::EncodingFunction;
 pub use linear::MlpMemory;
+pub use model::{
+    Attention, ConfigError, Displacement, Feedback, Integrator, Latents, ModelConfig, NodeTypes, Stem,
+    Temporal, VehicleMotion,
+};
 pub use motion::{motion_kind, motion_options};
 pub use weights::{Weights, WeightsError};
-pub use workers::{Job, StartError, Workers};
+pub use workers::{Job, StartError, WORKERS_MAX, Workers};

@@ -41,6 +41,16 @@ pub enum WeightsError {
     /// A value of the configuration is impossible.
     #[error("model configuration in the weights: {0}")]
     ConfigValue(#[from] ConfigError),
+    /// The weights are of another model than the run's.
+    #[error("the weights are of another model than the run's: {key} is {found}, not {expected}")]
+    OtherModel {
+        /// The first key of the configuration that differs.
+        key: String,
+        /// Its value in the weights, as JSON.
+        found: String,
+        /// The run's.
+        expected: String,
+    },
     /// A tensor that the model needs is not there.
     #[error("tensor {name} is missing")]
     Missing {
@@ -116,6 +126,26 @@ impl Weights {
         Self::from_bytes(ONBOARD).expect("the embedded weights are checked by a test")
     }
 
+    /// Reads a weights file, or takes the weights that the executable carries where none is named.
+    ///
+    /// # Errors
+    /// As [`Weights::open`].
+    pub fn open_or_onboard(path: Option<&Path>) -> Result<Self, WeightsError> {
+        path.map_or_else(|| Ok(Self::onboard()), Self::open)
+    }
+
+    /// The weights of a run, which must be of the run's `model`.
+    ///
+    /// # Errors
+    /// [`WeightsError::OtherModel`] where they are not; else as [`Weights::open`].
+    pub fn of_model(path: Option<&Path>, model: &ModelConfig) -> Result<Self, WeightsError> {
+        let weights = Self::open_or_onboard(path)?;
+        match difference(&weights.config, model) {
+            Some((key, found, expected)) => Err(WeightsError::OtherModel { key, found, expected }),
+            None => Ok(weights),
+        }
+    }
+
     /// Parses the bytes of a weights file.
     ///
     /// # Errors
@@ -186,6 +216,23 @@ impl Weights {
             })
         }
     }
+}
+
+/// The first key in which two configurations differ, with both values.
+fn difference(found: &ModelConfig, expected: &ModelConfig) -> Option<(String, String, String)> {
+    if found == expected {
+        return None;
+    }
+    let fields = |config| match serde_json::to_value(config) {
+        Ok(serde_json::Value::Object(fields)) => fields,
+        _ => serde_json::Map::new(),
+    };
+    let (found, expected) = (fields(found), fields(expected));
+    let differs = |(key, value): &(&String, &serde_json::Value)| expected.get(*key) != Some(*value);
+    let other = found.iter().find(differs);
+    let (key, value) = other.map_or_else(Default::default, |(key, value)| (key.clone(), value.to_string()));
+    let told = expected.get(&key).map(ToString::to_string).unwrap_or_default();
+    Some((key, value, told))
 }
 
 fn parse(bytes: &[u8]) -> Result<SafeTensors<'_>, WeightsError> {

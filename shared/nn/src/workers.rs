@@ -10,6 +10,9 @@ use thiserror::Error;
 
 use crate::WeightsError;
 
+/// Most threads that a stage may share its rows over.
+pub const WORKERS_MAX: usize = 64;
+
 /// Why a stage that runs the network on workers can't start.
 #[derive(Debug, Error)]
 pub enum StartError {

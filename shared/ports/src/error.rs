@@ -1,4 +1,4 @@
-use config::Exit;
+use run::{Exit, OptionError};
 use thiserror::Error;
 use wire::Rejected;
 
@@ -58,6 +58,12 @@ impl StageError {
             Self::Config(_) => Exit::Config,
             Self::Stuck(_) => Exit::Failed,
         }
+    }
+}
+
+impl From<OptionError> for StageError {
+    fn from(error: OptionError) -> Self {
+        Self::config(error)
     }
 }
 

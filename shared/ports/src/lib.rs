@@ -23,10 +23,11 @@ mod space;
 mod stage;
 mod stop;
 mod subscriber;
+mod wait;
 
 pub use clock::monotonic_ns;
 pub use error::{PortError, StageError};
-pub use node::{Node, Waiter};
+pub use node::Node;
 pub use peers::Peers;
 pub use program::{LAUNCHER_VARIABLE, RUN_VARIABLE, begin_logging, die_with_launcher, stage_main};
 pub use publisher::{Loan, Publisher};

@@ -1,9 +1,8 @@
 use std::time::Duration;
 
-use config::Run;
 use iceoryx2::prelude::*;
 use iceoryx2::service::port_factory::{event, publish_subscribe};
-use iceoryx2::waitset::WaitSetRunResult;
+use run::Run;
 use wire::{HeartbeatsTopic, StageId, Topic};
 
 use crate::element::{Element, Head};
@@ -169,71 +168,4 @@ fn transport_config(run: &Run) -> Result<Config, SemanticStringError> {
     config.global.node.cleanup_dead_nodes_on_destruction = false;
     config.global.service.cleanup_dead_nodes_on_open = false;
     Ok(config)
-}
-
-/// Sleeps until one of several topics has something to read.
-#[derive(Debug)]
-pub struct Waiter(WaitSet<ipc::Service>);
-
-/// A topic that can wake a [`Waiter`].
-pub(crate) trait Wakes {
-    /// What its events come in by.
-    fn listener(&self) -> &iceoryx2::port::listener::Listener<ipc::Service>;
-}
-
-impl Waiter {
-    /// A waiter for any topics of this process.
-    ///
-    /// # Errors
-    /// [`PortError`] where the system has no more descriptors.
-    pub fn new() -> Result<Self, PortError> {
-        WaitSetBuilder::new()
-            .signal_handling_mode(SignalHandlingMode::Disabled)
-            .create()
-            .map(Self)
-            .map_err(PortError::of("wait set", "(all)"))
-    }
-
-    /// Sleeps until something comes on a topic, a signal comes or the time is up.
-    ///
-    /// # Errors
-    /// [`PortError`] where the transport fails.
-    pub fn sleep<T: Topic>(&self, topic: &Subscriber<T>, timeout: Duration) -> Result<(), PortError> {
-        self.wait(&[topic], timeout)
-    }
-
-    /// Sleeps until a topic wakes it, a signal comes or the time is up. May return early; queues tell what came.
-    pub(crate) fn wait(&self, topics: &[&dyn Wakes], timeout: Duration) -> Result<(), PortError> {
-        let failed = |reason: String| PortError { what: "waiting", topic: "(several)", reason };
-        if topics.is_empty() {
-            std::thread::sleep(timeout);
-            return Ok(());
-        }
-        let mut guards = Vec::with_capacity(topics.len());
-        for topic in topics {
-            let guard = self.0.attach_notification(topic.listener()).map_err(|e| failed(format!("{e:?}")))?;
-            guards.push(guard);
-        }
-        let woken = |_| CallbackProgression::Continue;
-        match self.0.wait_and_process_once_with_timeout(woken, timeout) {
-            // A signal ends the wait too; whether it asks to end the process, `Stop` tells.
-            Ok(WaitSetRunResult::AllEventsHandled | WaitSetRunResult::Interrupt) => {}
-            Ok(other) => return Err(failed(format!("unexpected {other:?}"))),
-            Err(error) => return Err(failed(format!("{error:?}"))),
-        }
-        drop(guards);
-        for topic in topics {
-            // Events that stay would wake the next wait at once, for ever.
-            drain(topic.listener()).map_err(failed)?;
-        }
-        Ok(())
-    }
-}
-
-fn drain(listener: &iceoryx2::port::listener::Listener<ipc::Service>) -> Result<(), String> {
-    use iceoryx2::port::listener::ListenerWaitError;
-    match listener.try_wait(|_| ()) {
-        Ok(_) | Err(ListenerWaitError::InterruptSignal) => Ok(()),
-        Err(error) => Err(format!("{error:?}")),
-    }
 }

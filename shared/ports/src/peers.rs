@@ -1,6 +1,6 @@
 use std::collections::BTreeMap;
 
-use config::Run;
+use run::Run;
 use wire::{Heartbeat, HeartbeatsTopic, StageId};
 
 use crate::{PortError, Subscriber};

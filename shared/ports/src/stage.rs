@@ -1,16 +1,16 @@
 use std::rc::Rc;
 use std::time::Duration;
 
-use config::Run;
-use wire::{Counts, Header, Heartbeat, HeartbeatsTopic, Hop, Rejected, StageId, Topic, flags};
+use run::{Declaration, Run};
+use wire::{Counts, Header, Heartbeat, HeartbeatsTopic, Hop, Rejected, StageId, TICK_NS, Topic, flags};
 
 use crate::error::log_refused;
-use crate::node::Wakes;
 use crate::subscriber::Input;
-use crate::{Frame, Loan, Node, Peers, PortError, Publisher, Stop, Subscriber, Waiter, monotonic_ns};
+use crate::wait::{Wakes, wait};
+use crate::{Frame, Loan, Node, Peers, PortError, Publisher, Stop, Subscriber, monotonic_ns};
 
-/// Time between the heartbeats of a stage, whether it has work or not.
-pub const HEARTBEAT: Duration = Duration::from_millis(80);
+/// Time between the heartbeats of a stage, whether it has work or not: a tick.
+pub const HEARTBEAT: Duration = Duration::from_nanos(TICK_NS);
 /// Queue depth of a stage's input: the tick at hand and the next.
 const DEPTH: usize = 2;
 
@@ -20,7 +20,7 @@ pub struct Stage {
     id: StageId,
     incarnation: u32,
     node: Node,
-    waiter: Waiter,
+    declared: Topics,
     heartbeats: Publisher<HeartbeatsTopic>,
     inputs: Vec<Rc<dyn Input>>,
     /// Whether anything has been passed on, or nothing needs to be.
@@ -30,6 +30,16 @@ pub struct Stage {
     seq: u64,
     frames_len: u64,
     rejected_len: u64,
+}
+
+/// The topics that a stage has declared, and which of them it has opened.
+#[derive(Debug)]
+struct Topics {
+    reads: &'static [&'static str],
+    writes: &'static [&'static str],
+    opened: Vec<&'static str>,
+    /// Whether all are known to be open.
+    complete: bool,
 }
 
 /// A tick on its way through a stage.
@@ -55,22 +65,26 @@ pub enum Awaited<T: Topic> {
 }
 
 impl Stage {
-    /// Joins the run as one of its stages.
+    /// Joins the run as the stage that `declaration` tells.
+    ///
+    /// It opens the topics that are declared, and all of them before it first waits.
     ///
     /// # Errors
     /// [`PortError`] where the run's shared memory can't be used.
-    pub fn open(run: &Run, id: StageId) -> Result<Self, PortError> {
-        let incarnation = 0;
+    pub fn open<O>(run: &Run, declaration: &Declaration<O>) -> Result<Self, PortError> {
+        let (id, incarnation) = (declaration.id(), 0);
         let node = Node::open(run, id.name())?.of_stage(id, incarnation);
         let heartbeats = node.publisher()?;
-        let (waiter, inputs) = (Waiter::new()?, Vec::new());
+        let (reads, writes) = (declaration.reads(), declaration.writes());
+        let declared = Topics { reads, writes, opened: Vec::new(), complete: false };
+        let inputs = Vec::new();
         let (seq, frames_len, rejected_len, beat) = (0, 0, 0, 0);
         let (passed, next_beat_ns) = (true, 0);
         Ok(Self {
             id,
             incarnation,
             node,
-            waiter,
+            declared,
             heartbeats,
             inputs,
             passed,
@@ -86,6 +100,9 @@ impl Stage {
     ///
     /// # Errors
     /// As [`Node::subscriber`].
+    ///
+    /// # Panics
+    /// Where the stage has not declared that it reads the topic.
     pub fn subscribe<T: Topic>(&mut self) -> Result<Subscriber<T>, PortError> {
         self.subscribe_deep(DEPTH)
     }
@@ -94,7 +111,13 @@ impl Stage {
     ///
     /// # Errors
     /// As [`Node::subscriber`].
+    ///
+    /// # Panics
+    /// Where the stage has not declared that it reads the topic.
     pub fn subscribe_deep<T: Topic>(&mut self, depth: usize) -> Result<Subscriber<T>, PortError> {
+        let reads = self.declared.reads;
+        assert!(reads.contains(&T::NAME), "the {} declares no input \"{}\"", self.id.name(), T::NAME);
+        self.declared.opened.push(T::NAME);
         let subscriber = self.node.subscriber::<T>(depth)?;
         self.inputs.push(subscriber.input());
         Ok(subscriber)
@@ -104,7 +127,13 @@ impl Stage {
     ///
     /// # Errors
     /// As [`Node::publisher`].
+    ///
+    /// # Panics
+    /// Where the stage has not declared that it writes the topic.
     pub fn publish<T: Topic>(&mut self) -> Result<Publisher<T>, PortError> {
+        let writes = self.declared.writes;
+        assert!(writes.contains(&T::NAME), "the {} declares no output \"{}\"", self.id.name(), T::NAME);
+        self.declared.opened.push(T::NAME);
         self.passed = false;
         self.node.publisher()
     }
@@ -148,12 +177,16 @@ impl Stage {
     ///
     /// # Errors
     /// [`PortError`] where the transport fails.
+    ///
+    /// # Panics
+    /// Where a topic that the stage has declared is not open.
     pub fn take<I: Topic>(&mut self, input: &Subscriber<I>) -> Result<Option<Frame<I>>, PortError> {
+        self.check_topics();
         while !self.stop().requested() {
             if let Some(frame) = input.receive()? {
                 return Ok(Some(frame));
             }
-            self.sleep(&[input], None)?;
+            self.sleep([input], None)?;
         }
         Ok(None)
     }
@@ -168,6 +201,7 @@ impl Stage {
         seq: u64,
         deadline_ns: Option<u64>,
     ) -> Result<Awaited<I>, PortError> {
+        self.check_topics();
         while !self.stop().requested() {
             match input.of_tick(seq)? {
                 Some(frame) if frame.header().has(flags::VOID) => return Ok(Awaited::Void(frame)),
@@ -175,7 +209,7 @@ impl Stage {
                 None if deadline_ns.is_some_and(|deadline_ns| monotonic_ns() >= deadline_ns) => {
                     return Ok(Awaited::Late);
                 }
-                None => self.sleep(&[input], deadline_ns)?,
+                None => self.sleep([input], deadline_ns)?,
             }
         }
         Ok(Awaited::Stopped)
@@ -187,7 +221,7 @@ impl Stage {
     /// [`PortError`] where the transport fails.
     pub fn sleep_until(&mut self, until_ns: u64) -> Result<bool, PortError> {
         while !self.stop().requested() && monotonic_ns() < until_ns {
-            self.sleep(&[], Some(until_ns))?;
+            self.sleep([], Some(until_ns))?;
         }
         Ok(!self.stop().requested())
     }
@@ -197,7 +231,7 @@ impl Stage {
     /// # Errors
     /// [`PortError`] where the transport fails.
     pub fn sleep_on<I: Topic>(&mut self, input: &Subscriber<I>, until_ns: u64) -> Result<bool, PortError> {
-        self.sleep(&[input], Some(until_ns))?;
+        self.sleep([input], Some(until_ns))?;
         Ok(!self.stop().requested())
     }
 
@@ -323,11 +357,26 @@ impl Stage {
         if monotonic_ns() >= self.next_beat_ns { self.beat() } else { Ok(()) }
     }
 
+    /// A stage that does not open what it declares would leave others waiting for it: found at its first wait.
+    fn check_topics(&mut self) {
+        let Topics { reads, writes, opened, complete } = &mut self.declared;
+        if !*complete {
+            let missing = reads.iter().chain(*writes).find(|topic| !opened.contains(topic));
+            assert!(missing.is_none(), "the {} declares {missing:?} and has not opened it", self.id.name());
+            *complete = true;
+        }
+    }
+
     /// Sleeps until a topic wakes the stage, a heartbeat is due or `until_ns` has come.
-    fn sleep(&mut self, topics: &[&dyn Wakes], until_ns: Option<u64>) -> Result<(), PortError> {
+    fn sleep<const N: usize>(
+        &mut self,
+        topics: [&dyn Wakes; N],
+        until_ns: Option<u64>,
+    ) -> Result<(), PortError> {
+        self.check_topics();
         self.beat_if_due()?;
         let end_ns = until_ns.map_or(self.next_beat_ns, |until_ns| until_ns.min(self.next_beat_ns));
         let left = Duration::from_nanos(end_ns.saturating_sub(monotonic_ns()));
-        if left.is_zero() { Ok(()) } else { self.waiter.wait(topics, left) }
+        if left.is_zero() { Ok(()) } else { wait(topics, left) }
     }
 }

@@ -2,8 +2,8 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::Duration;
 
-use config::Exit;
 use iceoryx2::prelude::*;
+use run::Exit;
 use signal_hook::consts::{SIGINT, SIGTERM};
 
 /// Whether SIGTERM or SIGINT has asked the process to end.

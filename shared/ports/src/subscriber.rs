@@ -1,6 +1,7 @@
 use std::cell::{Cell, RefCell};
 use std::ops::Deref;
 use std::rc::Rc;
+use std::time::Duration;
 
 use bytemuck::TransparentWrapper;
 use iceoryx2::port::listener::Listener;
@@ -10,7 +11,7 @@ use wire::{Header, Rejected, Topic, flags};
 
 use crate::element::{Element, Head};
 use crate::error::log_refused;
-use crate::node::Wakes;
+use crate::wait::{Wakes, wait};
 use crate::{PortError, monotonic_ns};
 
 /// The reading end of a topic.
@@ -125,6 +126,14 @@ impl<T: Topic> Subscriber<T> {
             }
         }
         Ok(None)
+    }
+
+    /// Sleeps until something comes, a signal comes or the time is up. May return early; the queue tells what came.
+    ///
+    /// # Errors
+    /// [`PortError`] where the transport fails.
+    pub fn sleep(&self, timeout: Duration) -> Result<(), PortError> {
+        wait([self], timeout)
     }
 
     /// What the stage asks of each of its inputs.

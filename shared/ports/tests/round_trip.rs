@@ -1,13 +1,23 @@
 //! Frames between two ends of a topic, in one process and across two.
 
 use std::path::Path;
+use std::time::{Duration, Instant};
 
-use config::Run;
 use ports::{Awaited, Node, Space, Stage, StageError, leftovers, monotonic_ns};
+use run::{Declaration, NoOptions, Run};
 use wire::{
-    FeaturesTopic, ForecastsTopic, Header, HeartbeatsTopic, Protection, StageId, Topic, Track, TracksTopic,
-    flags,
+    ContextTopic, FeaturesTopic, ForecastsTopic, Header, HeartbeatsTopic, Protection, StageId, Topic, Track,
+    TracksTopic, flags,
 };
+
+/// A reader of tracks alone.
+const READER: Declaration<NoOptions> = Declaration::new(StageId::Localiser, &[TracksTopic::NAME], &[]);
+/// A stage that answers tracks with forecasts.
+const ECHO: Declaration<NoOptions> =
+    Declaration::new(StageId::Sampler, &[TracksTopic::NAME], &[ForecastsTopic::NAME]);
+/// Its other side.
+const CALLER: Declaration<NoOptions> =
+    Declaration::new(StageId::Tracker, &[ForecastsTopic::NAME], &[TracksTopic::NAME]);
 
 /// A run of its own for each test, so that they can go side by side.
 fn run() -> (Space, Run) {
@@ -53,7 +63,7 @@ fn headers_report_their_sender_and_no_protection_of_another_frame() {
     let node = Node::open(&run, "tool").unwrap();
     let (tracks, forecasts) =
         (node.subscriber::<TracksTopic>(2).unwrap(), node.subscriber::<ForecastsTopic>(2).unwrap());
-    let mut stage = Stage::open(&run, StageId::Sampler).unwrap();
+    let mut stage = Stage::open(&run, &ECHO).unwrap();
     let (output, input) =
         (stage.publish::<ForecastsTopic>().unwrap(), stage.subscribe::<TracksTopic>().unwrap());
     let tool = node.publisher::<TracksTopic>().unwrap();
@@ -119,7 +129,7 @@ fn payloads_grow_beyond_the_first_size_and_may_be_empty() {
 #[test]
 fn the_oldest_frames_are_dropped_and_counted() {
     let (_space, run) = run();
-    let mut reader = Stage::open(&run, StageId::Localiser).unwrap();
+    let mut reader = Stage::open(&run, &READER).unwrap();
     let tracks = reader.subscribe::<TracksTopic>().unwrap();
     let node = Node::open(&run, "tool").unwrap();
     let publisher = node.publisher::<TracksTopic>().unwrap();
@@ -140,7 +150,7 @@ fn the_oldest_frames_are_dropped_and_counted() {
 #[test]
 fn frames_of_other_runs_schemas_and_lengths_are_refused_and_counted() {
     let (_space, run) = run();
-    let mut reader = Stage::open(&run, StageId::Localiser).unwrap();
+    let mut reader = Stage::open(&run, &READER).unwrap();
     let tracks = reader.subscribe::<TracksTopic>().unwrap();
     let node = Node::open(&run, "tool").unwrap();
     let publisher = node.publisher::<TracksTopic>().unwrap();
@@ -166,7 +176,8 @@ fn frames_of_other_runs_schemas_and_lengths_are_refused_and_counted() {
 #[test]
 fn waiting_for_a_tick_lets_go_of_older_ones_and_keeps_newer_ones() {
     let (_space, run) = run();
-    let mut stage = Stage::open(&run, StageId::Sampler).unwrap();
+    let reader: Declaration<NoOptions> = Declaration::new(StageId::Sampler, &[ForecastsTopic::NAME], &[]);
+    let mut stage = Stage::open(&run, &reader).unwrap();
     let forecasts = stage.subscribe_deep::<ForecastsTopic>(8).unwrap();
     let node = Node::open(&run, "tool").unwrap();
     let publisher = node.publisher::<ForecastsTopic>().unwrap();
@@ -188,7 +199,7 @@ fn waiting_for_a_tick_lets_go_of_older_ones_and_keeps_newer_ones() {
 
 /// A stage of its own process: passes tracks on as forecasts of nobody.
 fn echo(run: &Run) -> Result<(), StageError> {
-    let mut stage = Stage::open(run, StageId::Sampler)?;
+    let mut stage = Stage::open(run, &ECHO)?;
     let tracks = stage.subscribe::<TracksTopic>()?;
     let forecasts = stage.publish::<ForecastsTopic>()?;
     while let Some(frame) = stage.next(&tracks, &forecasts)? {
@@ -223,7 +234,7 @@ fn a_stage_in_another_process_links_answers_refuses_and_ends_on_sigterm() {
         .env("STGDAT_TEST_ECHO", &record)
         .spawn()
         .unwrap();
-    let mut here = Stage::open(&run, StageId::Tracker).unwrap();
+    let mut here = Stage::open(&run, &CALLER).unwrap();
     let tracks = here.publish::<TracksTopic>().unwrap();
     let forecasts = here.subscribe::<ForecastsTopic>().unwrap();
     let limit_ns = monotonic_ns() + 20_000_000_000;
@@ -266,7 +277,7 @@ fn a_stage_in_another_process_links_answers_refuses_and_ends_on_sigterm() {
 #[test]
 fn a_dropped_space_leaves_nothing_and_a_living_one_is_no_leftover() {
     let (space, run) = run();
-    let stage = Stage::open(&run, StageId::Encoder).unwrap();
+    let stage = Stage::open(&run, &READER).unwrap();
     assert!(space.shared_bytes() > 0);
     assert!(leftovers().unwrap().iter().all(|leftover| leftover.prefix != run.prefix));
     let (prefix, root) = (run.prefix.clone(), run.root.clone());
@@ -286,4 +297,49 @@ fn too_little_shared_memory_is_told_before_anything_is_made() {
     let error =
         Space::create(u64::from(std::process::id()) << 8 | 0xff, u64::MAX).expect_err("nobody has that much");
     assert!(error.to_string().contains("MiB free"), "{error}");
+}
+
+#[test]
+#[should_panic(expected = "the localiser declares no input \"features\"")]
+fn a_stage_reads_only_what_it_declares() {
+    let (_space, run) = run();
+    let _ = Stage::open(&run, &READER).unwrap().subscribe::<FeaturesTopic>();
+}
+
+#[test]
+#[should_panic(expected = "the sampler declares no output \"context\"")]
+fn a_stage_writes_only_what_it_declares() {
+    let (_space, run) = run();
+    let _ = Stage::open(&run, &ECHO).unwrap().publish::<ContextTopic>();
+}
+
+#[test]
+#[should_panic(expected = "the sampler declares Some(\"forecasts\") and has not opened it")]
+fn a_stage_opens_all_that_it_declares_before_it_waits() {
+    let (_space, run) = run();
+    let mut stage = Stage::open(&run, &ECHO).unwrap();
+    let tracks = stage.subscribe::<TracksTopic>().unwrap();
+    let _ = stage.take(&tracks);
+}
+
+#[test]
+fn a_wait_ends_with_its_time_or_a_frame() {
+    let (_space, run) = run();
+    let node = Node::open(&run, "both").unwrap();
+    let subscriber = node.subscriber::<TracksTopic>(2).unwrap();
+    let publisher = node.publisher::<TracksTopic>().unwrap();
+    // Opening a topic is an event too.
+    subscriber.sleep(Duration::ZERO).unwrap();
+    let slept = |timeout: Duration| {
+        let begin = Instant::now();
+        subscriber.sleep(timeout).unwrap();
+        begin.elapsed()
+    };
+    assert!(slept(Duration::from_millis(30)) >= Duration::from_millis(30), "nothing comes");
+    for seq in 0..3 {
+        publisher.send_copy(&[track(seq)], header(&run, seq, 1)).unwrap();
+    }
+    assert!(slept(Duration::from_secs(60)) < Duration::from_secs(30), "frames are there");
+    assert!(slept(Duration::from_millis(30)) >= Duration::from_millis(30), "their events are gone");
+    assert!(subscriber.receive().unwrap().is_some());
 }

@@ -53,6 +53,7 @@ mod limits;
 mod records;
 mod stage;
 mod table;
+mod tick;
 mod topic;
 
 pub use agent::{AGENT_TYPES, AgentType, UnknownAgentType};
@@ -76,6 +77,7 @@ pub use table::{
     Constant, Field, Flags, Layout, Leaf, Number, Numbers, Primitive, Record, TABLE, Table, TopicEntry, Type,
     Value,
 };
+pub use tick::{TICK_MS, TICK_NS};
 pub use topic::{
     ContextTopic, ControlsTopic, DetectionsTopic, EncodingsTopic, FeaturesTopic, ForecastsTopic,
     HeartbeatsTopic, Topic, TracksTopic, TruthTopic,

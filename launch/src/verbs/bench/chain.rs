@@ -7,8 +7,9 @@ use std::time::Duration;
 use recorder::Report;
 
 use super::{percentile, pipe};
-use crate::arguments::ModelArguments;
+use crate::arguments::{ModelArguments, SetArguments};
 use crate::failure::Failure;
+use crate::options::Setting;
 
 /// Ticks in a second.
 const RATE: u64 = 25;
@@ -28,7 +29,7 @@ struct Memory {
 }
 
 /// Latency, overhead and memory of `seconds` at real-time rate, and a pipe's hop in the same run.
-pub(super) fn table(model: &ModelArguments, seconds: u64) -> Result<String, Failure> {
+pub(super) fn table(model: &ModelArguments, set: &SetArguments, seconds: u64) -> Result<String, Failure> {
     let unavailable = |error: std::io::Error| Failure::Unavailable(error.to_string());
     let report = std::env::temp_dir().join(format!("stgdat_bench_{}.json", std::process::id()));
     let mut command = Command::new(std::env::current_exe().map_err(unavailable)?);
@@ -39,6 +40,7 @@ pub(super) fn table(model: &ModelArguments, seconds: u64) -> Result<String, Fail
     if let Some(weights) = &model.weights {
         command.arg("--weights").arg(weights);
     }
+    command.args(set.set.iter().flat_map(Setting::arguments));
     let mut launcher = command.stdin(Stdio::null()).stdout(Stdio::null()).spawn().map_err(unavailable)?;
     let memory = watch(&mut launcher).map_err(unavailable)?;
     let status = launcher.wait().map_err(unavailable)?;

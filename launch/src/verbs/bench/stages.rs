@@ -2,9 +2,9 @@
 
 use std::time::Instant;
 
-use config::{MapChoice, Run};
 use data::{GeneratedScene, SceneOptions};
 use nn::ContextCnn;
+use run::Run;
 use source::{Playback, PlaybackOptions};
 use wire::StageId;
 
@@ -12,6 +12,7 @@ use super::work::Work;
 use super::{Arguments, percentile};
 use crate::chain::Chain;
 use crate::failure::Failure;
+use crate::options::StageOptions;
 
 /// Ticks before the measured ones: longer than the history, so that caches are as in a steady run.
 const WARM_UP: u64 = 60;
@@ -91,17 +92,18 @@ fn measure(arguments: &Arguments, agents: usize) -> Result<Measured, Failure> {
     let recording = scene.recording(usize::try_from(ticks).map_err(Failure::data)?);
     let mut playback = Playback::new(recording, PlaybackOptions { lockstep: true, ..Default::default() });
     let (weights, opened) = arguments.model.open_weights(None)?;
+    let mut options = StageOptions::defaults(&STAGES);
+    options.apply(&[arguments.model.settings(), arguments.set.set.clone()].concat())?;
     let run = Run {
         interval_ns: playback.interval_ns(),
         lockstep: true,
         weights,
-        map: arguments.model.map.clone().unwrap_or(MapChoice::Online),
-        model: opened.config().clone(),
+        stages: options.stage_runs(),
         ..Run::default()
     };
     let work = Work::of(&opened)?;
+    let mut chain = Chain::new(&run, opened.config())?;
     drop(opened);
-    let mut chain = Chain::new(&run)?;
     let mut measured = Measured {
         agents: 0.0,
         times_ms: std::array::from_fn(|_| Vec::with_capacity(ticks as usize)),

@@ -2,10 +2,11 @@ use std::path::{Path, PathBuf};
 
 use ::scene::ContextMap;
 use clap::{Args, ValueEnum};
-use config::{Exit, MapChoice};
 use data::Format;
 use evaluator::picture::{Mask, SceneDrawing, SceneOptions, Shot, Storyboard, save, scenes};
 use evaluator::{Forecaster, MapInput};
+use localiser::MapChoice;
+use run::Exit;
 
 use crate::arguments::ModelArguments;
 use crate::failure::Failure;

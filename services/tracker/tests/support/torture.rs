@@ -3,11 +3,10 @@
 use std::collections::BTreeMap;
 
 use bytemuck::Zeroable;
-use config::{Association, Prior};
 use rand::seq::IndexedRandom;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
-use tracker::{Tracker, TrackerOptions};
+use tracker::{Association, Prior, Tracker, TrackerOptions};
 use wire::{AGENTS_MAX, DETECTIONS_MAX, Detection, Forecast, Header, Quality, Track, flags};
 
 const AGENTS: usize = 30;

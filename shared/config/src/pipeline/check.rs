@@ -1,55 +1,22 @@
 use std::collections::BTreeMap;
-use std::ops::Range;
-use std::str::FromStr;
 
+use run::Declared;
 use toml::Spanned;
-use wire::{
-    ContextTopic, ControlsTopic, DetectionsTopic, EncodingsTopic, FeaturesTopic, ForecastsTopic, StageId,
-    Topic, TracksTopic, TruthTopic,
-};
+use wire::{ForecastsTopic, StageId, TICK_MS, Topic};
 
 use super::error::Fault;
-use super::file::{File, OptionsTable, StageTable};
+use super::file::{File, StageTable};
+use super::options::options;
 use super::{Pipeline, Stage};
-use crate::{Association, MapChoice, Options, Prior, Propagation, View};
 
 /// What all budgets together may be: one tick.
-pub const BUDGET_MAX_MS: f64 = 80.0;
-/// Most threads that a stage may share its rows over.
-const WORKERS_MAX: usize = 64;
-/// Most particles per mode; the wire carries no more.
-const PARTICLES_MAX: usize = 32;
-
-/// The topics whose producer and consumers pipeline.toml tells.
-const TOPICS: [&str; 8] = [
-    DetectionsTopic::NAME,
-    TruthTopic::NAME,
-    TracksTopic::NAME,
-    ContextTopic::NAME,
-    FeaturesTopic::NAME,
-    EncodingsTopic::NAME,
-    ControlsTopic::NAME,
-    ForecastsTopic::NAME,
-];
-
-/// The topics that this project's own program of a stage reads and writes.
-#[must_use]
-pub const fn built_in_topics(stage: StageId) -> (&'static [&'static str], &'static [&'static str]) {
-    match stage {
-        StageId::Source => (&[], &[DetectionsTopic::NAME, TruthTopic::NAME]),
-        StageId::Tracker => (&[DetectionsTopic::NAME, ForecastsTopic::NAME], &[TracksTopic::NAME]),
-        StageId::Localiser => (&[TracksTopic::NAME], &[ContextTopic::NAME]),
-        StageId::Extractor => (&[ContextTopic::NAME], &[FeaturesTopic::NAME]),
-        StageId::Encoder => (&[FeaturesTopic::NAME], &[EncodingsTopic::NAME]),
-        StageId::Decoder => (&[EncodingsTopic::NAME], &[ControlsTopic::NAME]),
-        StageId::Sampler => (&[TracksTopic::NAME, ControlsTopic::NAME], &[ForecastsTopic::NAME]),
-        StageId::Recorder => (&[ForecastsTopic::NAME, TruthTopic::NAME], &[]),
-    }
-}
+pub const BUDGET_MAX_MS: f64 = TICK_MS;
 
 /// Checks stage by stage, then the graph as a whole.
-pub(super) fn check(file: &File) -> Result<Pipeline, Fault> {
-    let stages = file.stages.iter().map(Spanned::get_ref).map(stage).collect::<Result<Vec<_>, _>>()?;
+pub(super) fn check(file: &File, declared: &[&dyn Declared]) -> Result<Pipeline, Fault> {
+    let mut warnings = Vec::new();
+    let tables = file.stages.iter().map(Spanned::get_ref);
+    let stages = tables.map(|table| stage(table, declared, &mut warnings)).collect::<Result<Vec<_>, _>>()?;
     let tables: Vec<&StageTable> = file.stages.iter().map(Spanned::get_ref).collect();
     unique_names(&tables)?;
     producers(file)?;
@@ -61,21 +28,27 @@ pub(super) fn check(file: &File) -> Result<Pipeline, Fault> {
             return Err(Fault::new(0..0, message, "needed in every pipeline"));
         }
     }
-    Ok(Pipeline { weights: file.weights.clone(), stages })
+    Ok(Pipeline { weights: file.weights.clone(), stages, warnings })
 }
 
-fn stage(table: &StageTable) -> Result<Stage, Fault> {
+fn stage(table: &StageTable, declared: &[&dyn Declared], warnings: &mut Vec<String>) -> Result<Stage, Fault> {
     let name = table.name.get_ref();
     let id = StageId::from_name(name).ok_or_else(|| {
         let known = StageId::ALL.map(StageId::name).join(", ");
         Fault::new(table.name.span(), format!("unknown stage \"{name}\""), "no stage has this name")
             .help(format!("the stages are {known}; `command` puts another program in a stage's place"))
     })?;
+    let mut topics: Vec<&str> = Vec::new();
+    for topic in declared.iter().flat_map(|stage| stage.writes().iter().chain(stage.reads())) {
+        if !topics.contains(topic) {
+            topics.push(topic);
+        }
+    }
     for topic in table.reads.iter().chain(&table.writes) {
-        if !TOPICS.contains(&topic.get_ref().as_str()) {
+        if !topics.contains(&topic.get_ref().as_str()) {
             let message = format!("unknown topic \"{}\"", topic.get_ref());
             return Err(Fault::new(topic.span(), message, "no topic has this name")
-                .help(format!("the topics are {}", TOPICS.join(", "))));
+                .help(format!("the topics are {}", topics.join(", "))));
         }
     }
     if let Some(command) = table.command.as_ref().filter(|c| c.get_ref().is_empty()) {
@@ -85,16 +58,27 @@ fn stage(table: &StageTable) -> Result<Stage, Fault> {
             "expected [\"program\", \"argument\", …]",
         ));
     }
-    if table.command.is_none() {
-        built_in(id, table)?;
-    }
+    let options = match (&table.command, declared.iter().find(|declared| declared.id() == id)) {
+        // A program of one's own knows alone what it takes.
+        (Some(_), _) => {
+            table.options.iter().map(|(k, v)| (k.get_ref().clone(), v.get_ref().clone())).collect()
+        }
+        (None, Some(built_in)) => {
+            topics_of(*built_in, table)?;
+            options(*built_in, &table.options, declared, warnings)?
+        }
+        (None, None) => {
+            let message = format!("there is no program for the {}", id.name());
+            return Err(Fault::new(table.name.span(), message, "needs a `command`"));
+        }
+    };
     Ok(Stage {
         id,
         command: table.command.as_ref().map(|c| c.get_ref().clone()),
         reads: names(&table.reads),
         writes: names(&table.writes),
         budget_ms: table.budget_ms.as_ref().map(|ms| *ms.get_ref()),
-        options: options(id, &table.options)?,
+        options,
     })
 }
 
@@ -103,9 +87,11 @@ fn names(topics: &[Spanned<String>]) -> Vec<String> {
 }
 
 /// This project's own programs speak fixed topics: a file that tells others would not be what runs.
-fn built_in(id: StageId, table: &StageTable) -> Result<(), Fault> {
-    let (reads, writes) = built_in_topics(id);
-    for (key, told, real) in [("reads", &table.reads, reads), ("writes", &table.writes, writes)] {
+fn topics_of(stage: &dyn Declared, table: &StageTable) -> Result<(), Fault> {
+    let id = stage.id();
+    for (key, told, real) in
+        [("reads", &table.reads, stage.reads()), ("writes", &table.writes, stage.writes())]
+    {
         let wrong = told.iter().find(|t| !real.contains(&t.get_ref().as_str()));
         let missing = real.iter().find(|r| !told.iter().any(|t| t.get_ref() == *r));
         let (span, label) = match (wrong, missing) {
@@ -121,83 +107,6 @@ fn built_in(id: StageId, table: &StageTable) -> Result<(), Fault> {
 
 fn verb(key: &str) -> &str {
     key.trim_end_matches('s')
-}
-
-fn options(id: StageId, table: &OptionsTable) -> Result<Options, Fault> {
-    let foreign = |span: Range<usize>, key: &str, of: &str| {
-        let message = format!("the {} has no option `{key}`", id.name());
-        Err(Fault::new(span, message, format!("an option of the {of}")))
-    };
-    let range = |span: Range<usize>, key: &str, expected: String| {
-        Err(Fault::new(span, format!("`{key}` is out of range"), format!("expected {expected}")))
-    };
-    match &table.deadline_ms {
-        Some(ms) if id != StageId::Sampler => return foreign(ms.span(), "deadline_ms", "sampler"),
-        Some(ms) if !(*ms.get_ref() > 0.0 && *ms.get_ref() <= BUDGET_MAX_MS) => {
-            return range(ms.span(), "deadline_ms", format!("more than 0 and at most {BUDGET_MAX_MS}"));
-        }
-        _ => {}
-    }
-    match &table.workers {
-        Some(n) if !matches!(id, StageId::Extractor | StageId::Decoder) => {
-            return foreign(n.span(), "workers", "extractor and the decoder");
-        }
-        Some(n) if !(1..=WORKERS_MAX).contains(n.get_ref()) => {
-            return range(n.span(), "workers", format!("1 to {WORKERS_MAX}"));
-        }
-        _ => {}
-    }
-    match &table.particles {
-        Some(n) if id != StageId::Sampler => return foreign(n.span(), "particles", "sampler"),
-        Some(n) if !(1..=PARTICLES_MAX).contains(n.get_ref()) => {
-            return range(n.span(), "particles", format!("1 to {PARTICLES_MAX}"));
-        }
-        _ => {}
-    }
-    if let Some(map) = table.map.as_ref().filter(|_| id != StageId::Localiser) {
-        return foreign(map.span(), "map", "localiser");
-    }
-    if let Some(prior) = table.prior.as_ref().filter(|_| id != StageId::Tracker) {
-        return foreign(prior.span(), "prior", "tracker");
-    }
-    if let Some(association) = table.association.as_ref().filter(|_| id != StageId::Tracker) {
-        return foreign(association.span(), "association", "tracker");
-    }
-    if let Some(view) = table.view.as_ref().filter(|_| id != StageId::Tracker) {
-        return foreign(view.span(), "view", "tracker");
-    }
-    if let Some(recall) = table.recall.as_ref().filter(|_| id != StageId::Sampler) {
-        return foreign(recall.span(), "recall", "sampler");
-    }
-    if let Some(memory) = table.memory.as_ref().filter(|_| id != StageId::Sampler) {
-        return foreign(memory.span(), "memory", "sampler");
-    }
-    if let (Some(memory), Some(recall)) = (&table.memory, &table.recall)
-        && !recall.get_ref()
-    {
-        let message = "a memory that is not to be recalled".to_owned();
-        return Err(Fault::new(memory.span(), message, "`recall` is false"));
-    }
-    if let Some(propagation) = table.propagation.as_ref().filter(|_| id != StageId::Sampler) {
-        return foreign(propagation.span(), "propagation", "sampler");
-    }
-    Ok(Options {
-        deadline_ms: table.deadline_ms.as_ref().map(|ms| *ms.get_ref()),
-        workers: table.workers.as_ref().map(|n| *n.get_ref()),
-        map: parsed::<MapChoice>(table.map.as_ref())?,
-        prior: parsed::<Prior>(table.prior.as_ref())?,
-        association: parsed::<Association>(table.association.as_ref())?,
-        view: parsed::<View>(table.view.as_ref())?,
-        recall: table.recall.as_ref().map(|recall| *recall.get_ref()),
-        memory: table.memory.as_ref().map(|memory| memory.get_ref().clone()),
-        propagation: parsed::<Propagation>(table.propagation.as_ref())?,
-        particles: table.particles.as_ref().map(|n| *n.get_ref()),
-    })
-}
-
-fn parsed<T: FromStr<Err: ToString>>(text: Option<&Spanned<String>>) -> Result<Option<T>, Fault> {
-    text.map(|t| t.get_ref().parse().map_err(|e: T::Err| Fault::new(t.span(), e.to_string(), "here")))
-        .transpose()
 }
 
 fn unique_names(tables: &[&StageTable]) -> Result<(), Fault> {

@@ -1,5 +1,6 @@
 //! pipeline.toml as it is written; every value knows its place in the text.
 
+use std::collections::BTreeMap;
 use std::path::PathBuf;
 
 use serde::Deserialize;
@@ -27,17 +28,5 @@ pub(super) struct StageTable {
     pub options: OptionsTable,
 }
 
-#[derive(Debug, Default, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub(super) struct OptionsTable {
-    pub deadline_ms: Option<Spanned<f64>>,
-    pub workers: Option<Spanned<usize>>,
-    pub map: Option<Spanned<String>>,
-    pub prior: Option<Spanned<String>>,
-    pub association: Option<Spanned<String>>,
-    pub view: Option<Spanned<String>>,
-    pub recall: Option<Spanned<bool>>,
-    pub memory: Option<Spanned<PathBuf>>,
-    pub propagation: Option<Spanned<String>>,
-    pub particles: Option<Spanned<usize>>,
-}
+/// A stage's options; the stage knows what they mean.
+pub(super) type OptionsTable = BTreeMap<Spanned<String>, Spanned<toml::Value>>;

@@ -1,14 +1,89 @@
-use std::path::Path;
-
 use miette::{GraphicalReportHandler, GraphicalTheme};
+use run::{Conflict, Declaration, NoOptions};
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+use wire::{
+    ContextTopic, ControlsTopic, DetectionsTopic, EncodingsTopic, FeaturesTopic, ForecastsTopic, Topic,
+    TracksTopic, TruthTopic,
+};
 
 use super::*;
-use crate::{Association, Prior, View};
 
 const FULL: &str = include_str!("../../../../launch/pipeline.toml");
 
+/// Options of the extractor and the decoder.
+#[derive(Default, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields, default)]
+struct Shared {
+    /// Threads.
+    #[schemars(range(min = 1, max = 64))]
+    workers: usize,
+}
+
+/// Options of the sampler.
+#[derive(Default, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields, default)]
+struct Deadline {
+    /// Time to wait.
+    #[schemars(range(max = 80.0), extend("exclusiveMinimum" = 0.0))]
+    deadline_ms: f64,
+    /// Whether.
+    #[schemars(extend("formerly" = "recall"))]
+    retrieval: Option<bool>,
+    /// Where.
+    memory: Option<String>,
+    /// How.
+    propagation: Propagation,
+}
+
+#[derive(Default, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "kebab-case")]
+enum Propagation {
+    #[default]
+    Linearised,
+    MonteCarlo,
+}
+
+impl Deadline {
+    fn check(&self) -> Result<(), Conflict> {
+        let unused = self.retrieval == Some(false) && self.memory.is_some();
+        let (key, reason, because) = ("memory", "a memory for nothing", "`retrieval` is false");
+        if unused { Err(Conflict { key, reason, because }) } else { Ok(()) }
+    }
+}
+
+const SOURCE: Declaration<NoOptions> =
+    Declaration::new(StageId::Source, &[], &[DetectionsTopic::NAME, TruthTopic::NAME]);
+const TRACKER: Declaration<NoOptions> =
+    Declaration::new(StageId::Tracker, &[DetectionsTopic::NAME, ForecastsTopic::NAME], &[TracksTopic::NAME]);
+const LOCALISER: Declaration<NoOptions> =
+    Declaration::new(StageId::Localiser, &[TracksTopic::NAME], &[ContextTopic::NAME]);
+const EXTRACTOR: Declaration<Shared> =
+    Declaration::new(StageId::Extractor, &[ContextTopic::NAME], &[FeaturesTopic::NAME]);
+const ENCODER: Declaration<NoOptions> =
+    Declaration::new(StageId::Encoder, &[FeaturesTopic::NAME], &[EncodingsTopic::NAME]);
+const DECODER: Declaration<Shared> =
+    Declaration::new(StageId::Decoder, &[EncodingsTopic::NAME], &[ControlsTopic::NAME]);
+const SAMPLER: Declaration<Deadline> =
+    Declaration::new(StageId::Sampler, &[TracksTopic::NAME, ControlsTopic::NAME], &[ForecastsTopic::NAME])
+        .with_rule(Deadline::check);
+const RECORDER: Declaration<NoOptions> =
+    Declaration::new(StageId::Recorder, &[ForecastsTopic::NAME, TruthTopic::NAME], &[]);
+
+/// Stages with the topics of the real ones and some options.
+const STAGES: [&dyn Declared; 8] =
+    [&SOURCE, &TRACKER, &LOCALISER, &EXTRACTOR, &ENCODER, &DECODER, &SAMPLER, &RECORDER];
+
+fn parsed(text: &str) -> Pipeline {
+    Pipeline::parse("pipeline.toml", text, &STAGES).unwrap()
+}
+
+fn stage(pipeline: &Pipeline, id: StageId) -> &Stage {
+    pipeline.stages.iter().find(|stage| stage.id == id).unwrap()
+}
+
 fn error(text: &str) -> String {
-    let error = Pipeline::parse("pipeline.toml", text).expect_err("the text is faulty");
+    let error = Pipeline::parse("pipeline.toml", text, &STAGES).expect_err("the text is faulty");
     let mut rendered = String::new();
     GraphicalReportHandler::new_themed(GraphicalTheme::unicode_nocolor())
         .with_width(100)
@@ -25,22 +100,22 @@ fn with(from: &str, to: &str) -> String {
 
 #[test]
 fn the_shipped_file_is_accepted_and_wires_the_loop() {
-    let pipeline = Pipeline::parse("pipeline.toml", FULL).unwrap();
+    let pipeline = parsed(FULL);
     assert_eq!(pipeline.stages.iter().map(|s| s.id).collect::<Vec<_>>(), StageId::ALL);
     let edges = pipeline.edges();
     assert!(edges.contains(&(StageId::Sampler, "forecasts", StageId::Tracker)));
     assert_eq!(edges.len(), 10);
-    for stage in &pipeline.stages {
-        let (reads, writes) = built_in_topics(stage.id);
-        assert!(stage.reads.iter().eq(reads) && stage.writes.iter().eq(writes), "{stage:?}");
+    for (stage, declared) in pipeline.stages.iter().zip(STAGES) {
+        assert!(stage.reads == declared.reads() && stage.writes == declared.writes(), "{stage:?}");
     }
+    assert!(pipeline.warnings.is_empty());
 }
 
 #[test]
 fn one_line_swaps_a_stage() {
     let text = with("name = \"encoder\"", "name = \"encoder\"\ncommand = [\"./mine\", \"--fast\"]");
-    let pipeline = Pipeline::parse("pipeline.toml", &text).unwrap();
-    let encoder = pipeline.stages.iter().find(|s| s.id == StageId::Encoder).unwrap();
+    let pipeline = parsed(&text);
+    let encoder = stage(&pipeline, StageId::Encoder);
     assert_eq!(encoder.command.as_deref(), Some(&["./mine".to_owned(), "--fast".to_owned()][..]));
 }
 
@@ -127,59 +202,47 @@ fn options_of_another_stage_or_out_of_range() {
 }
 
 #[test]
-fn the_trackers_prior() {
-    let tracker = |options: &str| with("budget_ms = 6", &format!("budget_ms = 6\noptions = {{ {options} }}"));
-    let pipeline = Pipeline::parse("p.toml", &tracker("prior = \"learned\"")).unwrap();
-    let stage = pipeline.stages.iter().find(|stage| stage.id == StageId::Tracker).unwrap();
-    assert_eq!(stage.options.prior, Some(Prior::Learned));
-    let wrong = error(&tracker("prior = \"guess\""));
-    assert!(wrong.contains("expected kinematic or learned"), "{wrong}");
-    let foreign = error(&with("deadline_ms = 72", "prior = \"learned\""));
-    assert!(foreign.contains("the sampler has no option `prior`"), "{foreign}");
+fn options_reach_their_stage_as_they_are_written() {
+    let pipeline = parsed(&with("deadline_ms = 72", "deadline_ms = 72, retrieval = true, memory = \"a\""));
+    let expected = "deadline_ms = 72\nretrieval = true\nmemory = \"a\"".parse().unwrap();
+    assert_eq!(stage(&pipeline, StageId::Sampler).options, expected);
+    assert!(stage(&pipeline, StageId::Encoder).options.is_empty());
 }
 
 #[test]
-fn the_samplers_memory_of_places() {
-    let pipeline = Pipeline::parse(
-        "p.toml",
-        &with("deadline_ms = 72", "deadline_ms = 72, recall = true, memory = \"a.memory\""),
-    )
-    .unwrap();
-    let stage = pipeline.stages.iter().find(|stage| stage.id == StageId::Sampler).unwrap();
-    assert_eq!(stage.options.recall, Some(true));
-    assert_eq!(stage.options.memory.as_deref(), Some(Path::new("a.memory")));
-    let tracker = with("budget_ms = 6", "budget_ms = 6\noptions = { recall = true }");
-    assert!(error(&tracker).contains("the tracker has no option `recall`"), "{}", error(&tracker));
-    let tracker = with("budget_ms = 6", "budget_ms = 6\noptions = { memory = \"a.memory\" }");
-    assert!(error(&tracker).contains("the tracker has no option `memory`"), "{}", error(&tracker));
-    let neither = with("deadline_ms = 72", "deadline_ms = 72, recall = false, memory = \"a.memory\"");
-    assert!(error(&neither).contains("a memory that is not to be recalled"), "{}", error(&neither));
+fn options_that_exclude_each_other() {
+    insta::assert_snapshot!(error(&with("deadline_ms = 72", "retrieval = false, memory = \"a\"")));
 }
 
 #[test]
-fn the_trackers_association() {
-    let tracker = |options: &str| with("budget_ms = 6", &format!("budget_ms = 6\noptions = {{ {options} }}"));
-    let pipeline = Pipeline::parse("p.toml", &tracker("association = \"jpda\"")).unwrap();
-    let stage = pipeline.stages.iter().find(|stage| stage.id == StageId::Tracker).unwrap();
-    assert_eq!(stage.options.association, Some(Association::Jpda));
-    let wrong = error(&tracker("association = \"guess\""));
-    assert!(wrong.contains("expected assignment or jpda"), "{wrong}");
-    let foreign = error(&with("deadline_ms = 72", "association = \"jpda\""));
-    assert!(foreign.contains("the sampler has no option `association`"), "{foreign}");
+fn unknown_option() {
+    insta::assert_snapshot!(error(&with("deadline_ms = 72", "deadline = 72")));
+    insta::assert_snapshot!(error(&with(
+        "writes = [\"encodings\"]",
+        "writes = [\"encodings\"]\noptions = { a = 1 }"
+    )));
 }
 
 #[test]
-fn the_trackers_view() {
-    let tracker = |options: &str| with("budget_ms = 6", &format!("budget_ms = 6\noptions = {{ {options} }}"));
-    let pipeline = Pipeline::parse("p.toml", &tracker("view = \"81, 70\"")).unwrap();
-    let stage = pipeline.stages.iter().find(|stage| stage.id == StageId::Tracker).unwrap();
-    assert_eq!(stage.options.view, Some(View { width_deg: 81.0, range_m: 70.0 }));
-    for wrong in ["90", "0,80", "400,80", "90,nan", "90,-1", "90,80,2"] {
-        let told = error(&tracker(&format!("view = \"{wrong}\"")));
-        assert!(told.contains(&format!("unknown view \"{wrong}\": expected WIDTH,RANGE")), "{told}");
-    }
-    let foreign = error(&with("deadline_ms = 72", "view = \"90,80\""));
-    assert!(foreign.contains("the sampler has no option `view`"), "{foreign}");
+fn an_option_of_another_type() {
+    insta::assert_snapshot!(error(&with("deadline_ms = 72", "deadline_ms = \"72\"")));
+}
+
+#[test]
+fn an_old_name_stands_for_the_new_one_and_is_told() {
+    let pipeline = parsed(&with("deadline_ms = 72", "recall = false"));
+    assert_eq!(stage(&pipeline, StageId::Sampler).options, "retrieval = false".parse().unwrap());
+    assert_eq!(pipeline.warnings, ["`recall` of the sampler is called `retrieval` now"]);
+    insta::assert_snapshot!(error(&with("deadline_ms = 72", "recall = 3")));
+    insta::assert_snapshot!(error(&with("deadline_ms = 72", "retrieval = true, recall = true")));
+}
+
+#[test]
+fn a_program_of_ones_own_has_options_of_its_own() {
+    let text =
+        with("name = \"encoder\"", "name = \"encoder\"\ncommand = [\"./mine\"]\noptions = { gain = [1, 2] }");
+    let pipeline = parsed(&text);
+    assert_eq!(stage(&pipeline, StageId::Encoder).options, "gain = [1, 2]".parse().unwrap());
 }
 
 #[test]

@@ -70,7 +70,7 @@ const NEEDED: [usize; 4] = [STAMP, 2, 3, 4];
 /// Greatest stamp: three centuries, which leave room for arithmetic in nanoseconds.
 const SECONDS_MAX: i64 = 4_000_000_000;
 /// The interval that is taken for granted where there is one frame.
-const INTERVAL_NS: u64 = 80_000_000;
+const INTERVAL_NS: u64 = wire::TICK_NS;
 
 /// A row: a detection, or the place of the sensor.
 enum Told {

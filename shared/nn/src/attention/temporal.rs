@@ -2,10 +2,10 @@ use wire::{NODE_ATTRIBUTES, TEMPORAL};
 
 use super::{Graph, leaky};
 use crate::buffer::Buffer;
-use crate::config::{Attention, Temporal};
 use crate::kernels::exp_in_place;
 use crate::linear::{Activation, Linear};
 use crate::weights::{Weights, WeightsError};
+use crate::{Attention, Temporal};
 
 /// Temporal attention: which steps of an agent matter.
 ///

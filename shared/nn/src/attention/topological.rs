@@ -2,10 +2,10 @@ use wire::{EDGE_ATTRIBUTES, NODE_ATTRIBUTES};
 
 use super::{Graph, leaky};
 use crate::buffer::Buffer;
-use crate::config::{Attention, ModelConfig};
 use crate::kernels::exp_in_place;
 use crate::linear::{Activation, Linear};
 use crate::weights::{Weights, WeightsError};
+use crate::{Attention, ModelConfig};
 
 /// Hidden units of the edge update.
 const UPDATE_HIDDEN: usize = 128;

@@ -3,8 +3,8 @@
 use wire::{ControlGaussian, LATENT, STATE_FEATURES, TEMPORAL};
 
 use super::{BurnIn, DecoderMemory, Draws, HIDDEN, RAW_CONTROL, TypeDecoder, control_gaussian};
+use crate::ModelConfig;
 use crate::base::{Base, BaseFeatures};
-use crate::config::ModelConfig;
 
 /// Agents of one type, encoded.
 pub trait Encoded {

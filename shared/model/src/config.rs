@@ -1,12 +1,10 @@
 //! The options of a model.
 
-mod choices;
-
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 use wire::AgentType;
 
-pub use choices::{
+use crate::{
     Attention, Displacement, Feedback, Integrator, Latents, NodeTypes, Stem, Temporal, VehicleMotion,
 };
 

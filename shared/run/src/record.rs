@@ -7,36 +7,18 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use bincode::config::standard;
-use nn::{ModelConfig, Weights, WeightsError};
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
-use wire::StageId;
+use wire::{StageId, TICK_NS};
 
-use crate::{Association, MapChoice, Options, Prior, View};
+use crate::{Declaration, OptionError};
 
 /// First bytes of a record's file, before the schema's number and a line break.
 pub const MAGIC: &str = "stgdat-run ";
 /// Version of the record; counts up with every change of [`Run`].
-pub const SCHEMA: u32 = 4;
+pub const SCHEMA: u32 = 5;
 /// Largest record that is read; real ones have a few kilobytes.
 const BYTES_MAX: u64 = 1 << 20;
-
-/// Where the detections come from.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub enum Scene {
-    /// A recording's file or folder.
-    Recording {
-        /// Where it lies.
-        path: PathBuf,
-        /// Its format's name; found out from the file where not given.
-        format: Option<String>,
-    },
-    /// The generated intersection.
-    Generated {
-        /// Agents in the scene, as many as have room.
-        agents_len: usize,
-    },
-}
 
 /// How one stage is run.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -47,8 +29,8 @@ pub struct StageRun {
     pub budget_ms: Option<f64>,
     /// Whether it is this project's own program, which tells of itself by heartbeats.
     pub built_in: bool,
-    /// Its settings.
-    pub options: Options,
+    /// Its options as TOML, for it alone to read.
+    pub options: String,
 }
 
 /// Everything that one run has settled on.
@@ -66,32 +48,8 @@ pub struct Run {
     pub lockstep: bool,
     /// Seed of all that is random.
     pub seed: u64,
-    /// Where the detections come from.
-    pub scene: Scene,
-    /// Ticks after which the run ends; the whole recording where none.
-    pub ticks: Option<u64>,
-    /// Whether the tracker associates even where the detections carry identities.
-    pub associate: bool,
-    /// What moves a track between two detections.
-    pub prior: Prior,
-    /// How detections correct tracks.
-    pub association: Association,
-    /// What the sensor can see at best, from the ego; all round and as far as it may be where none.
-    pub view: Option<View>,
-    /// Whether forecasts recall how others went on at the same place.
-    pub recall: bool,
-    /// Where that memory is kept from one run to the next; nowhere where none.
-    pub memory: Option<PathBuf>,
     /// The weights; the embedded ones where none.
     pub weights: Option<PathBuf>,
-    /// The configuration that these weights carry.
-    pub model: ModelConfig,
-    /// Where the context map comes from.
-    pub map: MapChoice,
-    /// Where the recorder writes its report for the launcher.
-    pub report: PathBuf,
-    /// Where the recorder writes the forecasts as JSON lines.
-    pub forecasts: Option<PathBuf>,
     /// The stages, in the order in which a tick passes them.
     pub stages: Vec<StageRun>,
 }
@@ -132,30 +90,34 @@ pub enum RecordError {
 }
 
 impl Default for Run {
-    /// A generated scene through the embedded model, in real time, by no stage at all.
+    /// The embedded weights in real time, by no stage at all.
     fn default() -> Self {
         Self {
             id: 0,
             prefix: String::new(),
             root: PathBuf::new(),
-            interval_ns: 80_000_000,
+            interval_ns: TICK_NS,
             lockstep: false,
             seed: 1,
-            scene: Scene::Generated { agents_len: 32 },
-            ticks: None,
-            associate: false,
-            prior: Prior::default(),
-            association: Association::default(),
-            view: None,
-            recall: true,
-            memory: None,
             weights: None,
-            model: Weights::onboard().config().clone(),
-            map: MapChoice::Online,
-            report: PathBuf::new(),
-            forecasts: None,
             stages: Vec::new(),
         }
+    }
+}
+
+impl StageRun {
+    /// This project's own program of a stage with these options, and no share of the tick.
+    ///
+    /// # Errors
+    /// [`OptionError::Unreadable`] where TOML can't hold them: paths that are not UTF-8.
+    pub fn with_options<O: Serialize>(
+        declaration: &Declaration<O>,
+        options: &O,
+    ) -> Result<Self, OptionError> {
+        let stage = declaration.id();
+        let options = toml::to_string(options)
+            .map_err(|error| OptionError::Unreadable { stage, reason: error.to_string() })?;
+        Ok(Self { stage: stage as u32, budget_ms: None, built_in: true, options })
     }
 }
 
@@ -166,25 +128,11 @@ impl Run {
         self.stages.iter().find(|s| s.stage == stage as u32)
     }
 
-    /// A stage's settings; the defaults where the pipeline does not have it.
-    #[must_use]
-    pub fn options(&self, stage: StageId) -> Options {
-        self.stage(stage).map(|s| s.options.clone()).unwrap_or_default()
-    }
-
     /// Each stage's share of the tick, of those that have one.
     #[must_use]
     pub fn budgets_ms(&self) -> BTreeMap<StageId, f64> {
         let stages = self.stages.iter();
         stages.filter_map(|stage| Some((StageId::from_number(stage.stage)?, stage.budget_ms?))).collect()
-    }
-
-    /// Opens the run's weights.
-    ///
-    /// # Errors
-    /// [`WeightsError`] where their file can't be used.
-    pub fn open_weights(&self) -> Result<Weights, WeightsError> {
-        self.weights.as_deref().map_or_else(|| Ok(Weights::onboard()), Weights::open)
     }
 
     /// Writes the record.
@@ -236,27 +184,15 @@ mod tests {
             id: 7,
             prefix: "stgdat_00000007_".into(),
             root: root.to_owned(),
-            interval_ns: 80_000_000,
+            interval_ns: TICK_NS,
             lockstep: true,
             seed: 3,
-            scene: Scene::Recording { path: "a.csv".into(), format: Some("own".into()) },
-            ticks: Some(20),
-            associate: false,
-            prior: Prior::Kinematic,
-            association: Association::Jpda,
-            view: Some(View { width_deg: 90.0, range_m: 80.0 }),
-            recall: true,
-            memory: Some("c.memory".into()),
-            weights: None,
-            model: Weights::onboard().config().clone(),
-            map: MapChoice::File("b.map".into()),
-            report: root.join("report.json"),
-            forecasts: None,
+            weights: Some("w.safetensors".into()),
             stages: vec![StageRun {
                 stage: StageId::Sampler as u32,
                 budget_ms: Some(8.0),
                 built_in: true,
-                options: Options { deadline_ms: Some(72.0), ..Options::default() },
+                options: "deadline_ms = 72.0\n".into(),
             }],
         }
     }
@@ -273,10 +209,7 @@ mod tests {
         in_temporary_file("same", |path| {
             let written = run(Path::new("/tmp/stgdat_00000007"));
             written.write(path).unwrap();
-            let read = Run::read(path).unwrap();
-            assert_eq!(read, written);
-            assert_eq!(read.options(StageId::Sampler).deadline_ms, Some(72.0));
-            assert_eq!(read.options(StageId::Tracker), Options::default());
+            assert_eq!(Run::read(path).unwrap(), written);
         });
     }
 

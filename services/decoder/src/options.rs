@@ -1,0 +1,24 @@
+use nn::WORKERS_MAX;
+use run::Declaration;
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+use wire::{ControlsTopic, EncodingsTopic, StageId, Topic};
+
+/// The decoder.
+pub const STAGE: Declaration<Options> =
+    Declaration::new(StageId::Decoder, &[EncodingsTopic::NAME], &[ControlsTopic::NAME]);
+
+/// What may be set of the decoder.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields, default)]
+pub struct Options {
+    /// Threads that share a tick's rows, the stage's own among them; forecasts do not depend on it.
+    #[schemars(range(min = 1, max = WORKERS_MAX))]
+    pub workers: usize,
+}
+
+impl Default for Options {
+    fn default() -> Self {
+        Self { workers: 1 }
+    }
+}

@@ -1,0 +1,51 @@
+use std::path::PathBuf;
+use std::str::FromStr;
+
+use data::Format;
+use run::Declaration;
+use schemars::JsonSchema;
+use serde::de::Error as _;
+use serde::{Deserialize, Deserializer, Serialize, Serializer};
+use wire::{AGENTS_MAX, DetectionsTopic, StageId, Topic, TruthTopic};
+
+/// The source.
+pub const STAGE: Declaration<Options> =
+    Declaration::new(StageId::Source, &[], &[DetectionsTopic::NAME, TruthTopic::NAME]);
+
+/// What may be set of the source.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields, default)]
+pub struct Options {
+    /// File or folder of the recording to play; without one an intersection is generated.
+    #[schemars(extend("format" = "path"))]
+    pub recording: Option<PathBuf>,
+    /// The recording's format; found out where not given.
+    #[serde(deserialize_with = "named", serialize_with = "name")]
+    #[schemars(with = "Option<String>", extend("expected" = formats()))]
+    pub format: Option<Format>,
+    /// Agents of the generated intersection, as many as have room.
+    #[schemars(range(min = 1, max = AGENTS_MAX))]
+    pub agents: usize,
+    /// Ticks after which the scene ends; the whole recording, or 20 s of a generated scene, where not given.
+    #[schemars(range(min = 1))]
+    pub ticks: Option<u64>,
+}
+
+impl Default for Options {
+    fn default() -> Self {
+        Self { recording: None, format: None, agents: 32, ticks: None }
+    }
+}
+
+fn formats() -> String {
+    format!("one of {}", Format::ALL.map(Format::name).join(", "))
+}
+
+fn named<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<Format>, D::Error> {
+    let name = Option::<String>::deserialize(deserializer)?;
+    name.map(|name| Format::from_str(&name).map_err(D::Error::custom)).transpose()
+}
+
+fn name<S: Serializer>(format: &Option<Format>, serializer: S) -> Result<S::Ok, S::Error> {
+    format.map(Format::name).serialize(serializer)
+}

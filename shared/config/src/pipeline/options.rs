@@ -1,0 +1,57 @@
+use run::{Declared, OptionError};
+use wire::StageId;
+
+use super::error::Fault;
+use super::file::OptionsTable;
+
+/// The options of one of this project's own programs, under the names of today.
+pub(super) fn options(
+    stage: &dyn Declared,
+    table: &OptionsTable,
+    declared: &[&dyn Declared],
+    warnings: &mut Vec<String>,
+) -> Result<toml::Table, Fault> {
+    let (schema, name) = (stage.schema(), stage.id().name());
+    let mut options = toml::Table::new();
+    // The place of each option in the text, by its name of today.
+    let mut places = Vec::new();
+    for (key, value) in table {
+        let written = key.get_ref();
+        let today = match schema.formerly(written).filter(|_| schema.get(written).is_none()) {
+            Some(option) => {
+                let today = &option.name;
+                if table.keys().any(|other| other.get_ref() == today) {
+                    let message = format!("`{today}` of the {name} is there twice");
+                    return Err(Fault::new(key.span(), message, format!("what `{today}` was called before")));
+                }
+                warnings.push(format!("`{written}` of the {name} is called `{today}` now"));
+                today
+            }
+            None => written,
+        };
+        options.insert(today.clone(), value.get_ref().clone());
+        places.push((today.clone(), key.span(), value.span()));
+    }
+    stage.check(&options).map_err(|error| {
+        let place = places.iter().find(|(key, ..)| error.key() == Some(key.as_str()));
+        let (key, value) = place.map_or((0..0, 0..0), |(_, key, value)| (key.clone(), value.clone()));
+        let (message, advice) = (error.to_string(), error.advice());
+        match &error {
+            OptionError::Unknown { key: unknown, .. } => {
+                Fault::new(key, message, owners(unknown, declared)).help(advice)
+            }
+            _ => Fault::new(value, message, advice),
+        }
+    })?;
+    Ok(options)
+}
+
+/// Whose option it is that a stage does not have.
+fn owners(key: &str, declared: &[&dyn Declared]) -> String {
+    let owners = declared.iter().filter(|stage| stage.schema().get(key).is_some());
+    let owners: Vec<&str> = owners.map(|stage| StageId::name(stage.id())).collect();
+    match &owners[..] {
+        [] => "no stage has an option of this name".to_owned(),
+        owners => format!("an option of the {}", owners.join(" and the ")),
+    }
+}

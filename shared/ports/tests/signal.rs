@@ -1,0 +1,32 @@
+//! A signal ends a wait at once. A program of its own: the signal must come to the thread that waits, as in a stage, which has
+//! but one; the threads of a test harness would take it.
+#![expect(clippy::unwrap_used, reason = "a test ends at what it can't do")]
+
+use std::time::{Duration, Instant};
+
+use ports::{Node, Space};
+use run::Run;
+use rustix::process::getpid;
+use wire::TracksTopic;
+
+fn main() {
+    let id = u64::from(std::process::id());
+    let space = Space::create(id, 1 << 20).unwrap();
+    let run = Run { id, prefix: space.prefix().into(), root: space.root().into(), ..Run::default() };
+    let node = Node::open(&run, "waiting").unwrap();
+    let subscriber = node.subscriber::<TracksTopic>(2).unwrap();
+    // Opening a topic is an event too.
+    subscriber.sleep(Duration::ZERO).unwrap();
+    let begin = Instant::now();
+    // Started by a process of its own: a thread of this one could take the signal.
+    let mut killer = std::process::Command::new("sh")
+        .args(["-c", &format!("sleep 0.2; kill -TERM {}", getpid().as_raw_nonzero())])
+        .spawn()
+        .unwrap();
+    while !node.stop().requested() {
+        subscriber.sleep(Duration::from_secs(60)).unwrap();
+    }
+    assert!(begin.elapsed() < Duration::from_secs(30), "the wait went on for {:?}", begin.elapsed());
+    assert!(killer.wait().unwrap().success());
+    println!("1 passed, 0 failed");
+}

@@ -1,0 +1,221 @@
+use std::fmt;
+
+use schemars::JsonSchema;
+use serde::de::DeserializeOwned;
+use serde::{Deserialize, Serialize};
+use thiserror::Error;
+use wire::StageId;
+
+use crate::Run;
+use crate::options::OptionsSchema;
+
+/// What a stage says of itself, in one constant: which it is, the topics of its program, and the struct of its options.
+pub struct Declaration<O> {
+    id: StageId,
+    reads: &'static [&'static str],
+    writes: &'static [&'static str],
+    rule: fn(&O) -> Result<(), Conflict>,
+}
+
+/// The declaration of any stage, for those who deal with them all.
+pub trait Declared: fmt::Debug + Sync {
+    /// Which stage it is.
+    fn id(&self) -> StageId;
+    /// The topics that its program reads.
+    fn reads(&self) -> &'static [&'static str];
+    /// The topics that its program writes.
+    fn writes(&self) -> &'static [&'static str];
+    /// Its options.
+    fn schema(&self) -> OptionsSchema;
+    /// Refuses a table that its program would not start with.
+    ///
+    /// # Errors
+    /// [`OptionError`] names the first key that is wrong.
+    fn check(&self, table: &toml::Table) -> Result<(), OptionError>;
+}
+
+/// Two options that exclude each other.
+#[derive(Clone, Debug, Error, PartialEq, Eq)]
+#[error("{reason}")]
+pub struct Conflict {
+    /// Key of the option that is to blame.
+    pub key: &'static str,
+    /// What is wrong.
+    pub reason: &'static str,
+    /// What of the other options makes it so.
+    pub because: &'static str,
+}
+
+/// What is wrong with a stage's options.
+#[derive(Clone, Debug, Error, PartialEq, Eq)]
+pub enum OptionError {
+    /// The stage has no such option.
+    #[error("the {} has no option `{key}`", stage.name())]
+    Unknown {
+        /// The stage.
+        stage: StageId,
+        /// The key.
+        key: String,
+        /// The keys that there are.
+        known: Vec<String>,
+    },
+    /// The value is of another kind than the option's.
+    #[error("`{key}` of the {}: {reason}", stage.name())]
+    Invalid {
+        /// The stage.
+        stage: StageId,
+        /// The key.
+        key: String,
+        /// What the option's type says.
+        reason: String,
+        /// What a value must be.
+        expected: String,
+    },
+    /// The number is not within the option's range.
+    #[error("`{key}` is out of range")]
+    OutOfRange {
+        /// The key.
+        key: String,
+        /// What a value must be.
+        expected: String,
+    },
+    /// The values exclude each other.
+    #[error(transparent)]
+    Conflict(#[from] Conflict),
+    /// The run's record holds options that this program can't read.
+    #[error("options of the {}: {reason}", stage.name())]
+    Unreadable {
+        /// The stage.
+        stage: StageId,
+        /// What the parser says.
+        reason: String,
+    },
+}
+
+impl OptionError {
+    /// The key that is to blame, where it is one.
+    #[must_use]
+    pub fn key(&self) -> Option<&str> {
+        match self {
+            Self::Unknown { key, .. } | Self::Invalid { key, .. } | Self::OutOfRange { key, .. } => Some(key),
+            Self::Conflict(conflict) => Some(conflict.key),
+            Self::Unreadable { .. } => None,
+        }
+    }
+
+    /// What would be right, as a sentence's part or list.
+    #[must_use]
+    pub fn advice(&self) -> String {
+        match self {
+            Self::Unknown { known, .. } if known.is_empty() => "it has none".to_owned(),
+            Self::Unknown { known, .. } => format!("its options are {}", known.join(", ")),
+            Self::Invalid { expected, .. } | Self::OutOfRange { expected, .. } => {
+                format!("expected {expected}")
+            }
+            Self::Conflict(conflict) => conflict.because.to_owned(),
+            Self::Unreadable { .. } => "launcher and stage must be of one version".to_owned(),
+        }
+    }
+}
+
+/// The options of a stage that has none.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct NoOptions {}
+
+impl<O> fmt::Debug for Declaration<O> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { id, reads, writes, .. } = self;
+        f.debug_struct("Declaration").field("id", id).field("reads", reads).field("writes", writes).finish()
+    }
+}
+
+impl<O> Declaration<O> {
+    /// A stage whose program reads and writes these topics, by their names.
+    #[must_use]
+    pub const fn new(id: StageId, reads: &'static [&'static str], writes: &'static [&'static str]) -> Self {
+        Self { id, reads, writes, rule: |_| Ok(()) }
+    }
+
+    /// The same, with a rule that goes beyond one option.
+    #[must_use]
+    pub const fn with_rule(self, rule: fn(&O) -> Result<(), Conflict>) -> Self {
+        Self { rule, ..self }
+    }
+
+    /// Which stage it is.
+    #[must_use]
+    pub const fn id(&self) -> StageId {
+        self.id
+    }
+
+    /// The topics that its program reads.
+    #[must_use]
+    pub const fn reads(&self) -> &'static [&'static str] {
+        self.reads
+    }
+
+    /// The topics that its program writes.
+    #[must_use]
+    pub const fn writes(&self) -> &'static [&'static str] {
+        self.writes
+    }
+}
+
+impl<O: Default + DeserializeOwned> Declaration<O> {
+    /// The stage's options in a run; the defaults where the run does not have the stage.
+    ///
+    /// # Errors
+    /// [`OptionError::Unreadable`] where the record holds others than this program knows, [`OptionError::Conflict`] where
+    /// they exclude each other.
+    pub fn options(&self, run: &Run) -> Result<O, OptionError> {
+        let Some(stage) = run.stage(self.id) else { return Ok(O::default()) };
+        let unreadable = |error: toml::de::Error| {
+            let reason = error.message().lines().next().unwrap_or_default().to_owned();
+            OptionError::Unreadable { stage: self.id, reason }
+        };
+        let options = toml::from_str(&stage.options).map_err(unreadable)?;
+        (self.rule)(&options)?;
+        Ok(options)
+    }
+}
+
+impl<O: DeserializeOwned + JsonSchema> Declared for Declaration<O> {
+    fn id(&self) -> StageId {
+        self.id
+    }
+
+    fn reads(&self) -> &'static [&'static str] {
+        self.reads
+    }
+
+    fn writes(&self) -> &'static [&'static str] {
+        self.writes
+    }
+
+    fn schema(&self) -> OptionsSchema {
+        OptionsSchema::of::<O>()
+    }
+
+    fn check(&self, table: &toml::Table) -> Result<(), OptionError> {
+        let (stage, schema) = (self.id, self.schema());
+        let parsed = |table: &toml::Table| toml::Value::Table(table.clone()).try_into::<O>();
+        for (key, value) in table {
+            let Some(option) = schema.get(key) else {
+                return Err(OptionError::Unknown { stage, key: key.clone(), known: schema.names() });
+            };
+            let expected = option.expected.clone();
+            // One option at a time, so that what the parser says is said of this one.
+            if let Err(error) = parsed(&toml::Table::from_iter([(key.clone(), value.clone())])) {
+                let reason = error.message().lines().next().unwrap_or_default().to_owned();
+                return Err(OptionError::Invalid { stage, key: key.clone(), reason, expected });
+            }
+            if !option.allows(value) {
+                return Err(OptionError::OutOfRange { key: key.clone(), expected });
+            }
+        }
+        let options = parsed(table)
+            .map_err(|error| OptionError::Unreadable { stage, reason: error.message().to_owned() })?;
+        Ok((self.rule)(&options)?)
+    }
+}

@@ -1,0 +1,184 @@
+//! A stage takes no memory in a steady tick: not in its step, and not in the loop around it, with its waits, frames and
+//! heartbeats.
+//!
+//! All stages that compute run as threads of this process, each with its own ports, as in a lockstep run; the test is the
+//! source before them and the reader after them. What a stage's thread allocates is counted by thread, so that it is the
+//! stage's and nobody else's.
+//!
+//! The transport (iceoryx2 0.10.0) takes 48 bytes for every loan, and nothing to send it, to receive a frame, to notify or to be
+//! waited for. Loans are one per frame that goes out: a tick or a heartbeat. The test finds their size by a loan of its own
+//! and counts allocations of that size apart; of all others there may be none.
+#![expect(clippy::unwrap_used, reason = "a test ends at what it can't do")]
+
+#[path = "../support/counting_threads.rs"]
+mod counting;
+
+use std::time::{Duration, Instant};
+
+use bytemuck::Zeroable;
+use ports::{Node, Publisher, Space, StageError, Subscriber};
+use run::Run;
+use rustix::process::{Signal, getpid, kill_process};
+use wire::{
+    AgentType, Detection, DetectionsTopic, ForecastsTopic, Header, HeartbeatsTopic, TICK_NS, Topic,
+    detection_flags, flags,
+};
+
+/// Longest wait for an answer; far beyond what it takes.
+const LIMIT: Duration = Duration::from_secs(60);
+const AGENTS: u64 = 24;
+/// The test's own place among the threads that are counted.
+const HERE: usize = 7;
+/// Ticks until all caches have been filled once.
+const WARM_UP: u64 = 150;
+const TICKS: u64 = 400;
+
+type Body = fn(&Run) -> Result<(), StageError>;
+
+const STAGES: [(&str, Body); 6] = [
+    ("tracker", tracker::stage::run),
+    ("localiser", localiser::stage::run),
+    ("extractor", extractor::stage::run),
+    ("encoder", encoder::stage::run),
+    ("decoder", decoder::stage::run),
+    ("sampler", sampler::stage::run),
+];
+
+/// Agents of all types, each on a small circle of its own.
+fn detections(tick: u64) -> Vec<Detection> {
+    let agent = |i: u64| {
+        let turn = tick as f64 * 0.02 + i as f64;
+        Detection {
+            id: i + 1,
+            x_m: ((i % 6) as f64 * 4.0 + turn.cos()) as f32,
+            y_m: ((i / 6) as f64 * 4.0 + turn.sin()) as f32,
+            heading_rad: (turn + std::f64::consts::FRAC_PI_2).rem_euclid(std::f64::consts::TAU) as f32,
+            agent_type: (i % 3) as u32,
+            flags: detection_flags::HAS_ID | detection_flags::HAS_HEADING,
+            ..Detection::zeroed()
+        }
+    };
+    (0..AGENTS).map(agent).collect()
+}
+
+/// The two ends of the pipeline.
+struct Ends {
+    run_id: u64,
+    detections: Publisher<DetectionsTopic>,
+    forecasts: Subscriber<ForecastsTopic>,
+    heartbeats: Subscriber<HeartbeatsTopic>,
+}
+
+impl Ends {
+    fn open(run: &Run) -> Self {
+        let node = Node::open(run, "test").unwrap();
+        Self {
+            run_id: run.id,
+            detections: node.publisher().unwrap(),
+            forecasts: node.subscriber(ForecastsTopic::DEPTH_MAX).unwrap(),
+            heartbeats: node.subscriber(HeartbeatsTopic::DEPTH_MAX).unwrap(),
+        }
+    }
+
+    /// Sends warm-up frames until all stages are linked.
+    fn link(&self) {
+        let begin = Instant::now();
+        let header = Header { flags: flags::WARM_UP | flags::LOCKSTEP, ..Header::new(self.run_id, 0, 0) };
+        let mut linked = std::collections::BTreeSet::new();
+        while linked.len() < STAGES.len() {
+            self.detections.send_copy(&[], header).unwrap();
+            std::thread::sleep(Duration::from_millis(20));
+            while let Some(frame) = self.heartbeats.receive().unwrap() {
+                linked.extend(frame.iter().filter(|beat| beat.linked == 1).map(|beat| beat.stage));
+            }
+            assert!(begin.elapsed() < LIMIT, "linked are {linked:?}");
+        }
+        // What is left of them must not push a tick out of a queue.
+        std::thread::sleep(Duration::from_millis(100));
+        while self.forecasts.receive().unwrap().is_some() {}
+    }
+
+    /// Takes a tick through all stages.
+    fn tick(&self, tick: u64) {
+        let observed_types =
+            AgentType::Vehicle.bit() | AgentType::Cyclist.bit() | AgentType::Pedestrian.bit();
+        let seen = detections(tick);
+        let mut header = Header {
+            flags: flags::LOCKSTEP | flags::HAS_IDENTITIES,
+            observed_types,
+            interval_ns: TICK_NS,
+            ..Header::new(self.run_id, tick, (tick * TICK_NS) as i64)
+        };
+        header.counts.agents_len = seen.len() as u32;
+        self.detections.send_copy(&seen, header).unwrap();
+        let begin = Instant::now();
+        loop {
+            self.forecasts.sleep(Duration::from_secs(1)).unwrap();
+            if let Some(frame) = self.forecasts.of_tick(tick).unwrap() {
+                assert!(!frame.header().has(flags::VOID), "tick {tick} was refused");
+                assert!(tick < 5 || frame.len() as u64 == AGENTS, "{} forecasts", frame.len());
+                return;
+            }
+            assert!(begin.elapsed() < LIMIT, "no forecasts of tick {tick}");
+        }
+    }
+}
+
+/// Bytes that the transport allocates for a loan, at once.
+fn loan_bytes(ends: &Ends) -> usize {
+    let counts = counting::allocations(|| drop(ends.detections.loan(1).unwrap()));
+    assert_eq!(counts[HERE], [0, 1], "a loan takes one allocation");
+    counting::newest_bytes()
+}
+
+/// Asks the stages to end, also where the test fails.
+struct Stop;
+
+impl Drop for Stop {
+    fn drop(&mut self) {
+        let _ = kill_process(getpid(), Signal::TERM);
+    }
+}
+
+// One test only: another in this process would be ended with the stages.
+#[test]
+fn the_loops_of_all_stages_take_no_memory_in_steady_ticks() {
+    let id = u64::from(std::process::id());
+    let space = Space::create(id, 48 << 20).unwrap();
+    let (prefix, root) = (space.prefix().into(), space.root().into());
+    let run = Run { id, prefix, root, lockstep: true, ..Run::default() };
+    nn::Weights::onboard().config().write(&run.root).unwrap();
+    std::thread::scope(|scope| {
+        let run = &run;
+        counting::count_as(HERE);
+        let ends = Ends::open(run);
+        counting::count_apart(loan_bytes(&ends));
+        let stages = STAGES.iter().enumerate().map(|(place, (name, body))| {
+            let thread = scope.spawn(move || {
+                counting::count_as(place);
+                body(run)
+            });
+            (name, thread)
+        });
+        let stages: Vec<_> = stages.collect();
+        let stop = Stop;
+        ends.link();
+        (0..WARM_UP).for_each(|tick| ends.tick(tick));
+        let begin = Instant::now();
+        let counts = counting::allocations(|| {
+            (WARM_UP..WARM_UP + TICKS).for_each(|tick| ends.tick(tick));
+            // Heartbeats are part of the loop.
+            std::thread::sleep(Duration::from_nanos(4 * TICK_NS));
+        });
+        let beats = (begin.elapsed().as_nanos() / u128::from(TICK_NS)) as usize;
+        for ((name, _), [loans, others]) in STAGES.iter().zip(counts) {
+            assert_eq!(others, 0, "the {name} in {TICKS} ticks and about {beats} heartbeats");
+            let frames = TICKS as usize..=TICKS as usize + beats + 2;
+            assert!(frames.contains(&loans), "the {name}: {loans} for {frames:?} frames");
+        }
+        drop(stop);
+        for (name, thread) in stages {
+            assert!(thread.join().unwrap().is_ok(), "{name}");
+        }
+    });
+}

@@ -1,0 +1,108 @@
+//! Options of the stages: what is refused, what goes by an old name, and what help tells.
+
+use run::Run;
+
+use crate::scratch::Scratch;
+use crate::started::{run, run_well, stderr, stdout};
+
+/// `stgdat` with these arguments ends with that code and says all of that.
+fn assert_refused(arguments: &[&str], code: i32, told: &[&str]) {
+    let output = run(arguments);
+    assert_eq!(output.status.code(), Some(code), "{arguments:?}: {}", stderr(&output));
+    for text in told {
+        assert!(stderr(&output).contains(text), "{arguments:?} does not tell {text:?}: {}", stderr(&output));
+    }
+}
+
+#[test]
+fn what_cannot_be_set_is_refused_before_anything_runs() {
+    let scratch = Scratch::new("refused");
+    let recording = scratch.recording("scene.csv", 5);
+    let cases: [(&str, &[&str]); 5] = [
+        ("tracker.fov=90", &["--set tracker.fov=90", "expected WIDTH,RANGE"]),
+        ("tracker.colour=red", &["the tracker has no option `colour`", "associate, association, fov, prior"]),
+        ("sampler.particles=0", &["`particles` is out of range", "1 to 32"]),
+        ("radar.fov=90,80", &["there is no stage \"radar\"", "tracker"]),
+        ("fov", &["expected STAGE.OPTION=VALUE"]),
+    ];
+    for (set, told) in cases {
+        for verb in [&["run"][..], &["predict", &recording], &["track", &recording], &["bench"]] {
+            assert_refused(&[verb, &["--set", set]].concat(), 2, told);
+        }
+    }
+    assert_refused(&["predict", &recording, "--set", "recorder.report=a"], 2, &["there is no recorder here"]);
+    assert_refused(&["bench", "--set", "source.agents=3"], 2, &["there is no source here"]);
+    assert_refused(&["predict", &recording, "--set", "source.recording=a"], 2, &["named already"]);
+    let pipeline = scratch.pipeline("p.toml", "budget_ms = 6", "budget_ms = 6\noptions = { fov = \"wide\" }");
+    assert_refused(
+        &["check", &pipeline],
+        78,
+        &["`fov` of the tracker", "p.toml:22:", "expected WIDTH,RANGE"],
+    );
+}
+
+#[test]
+fn old_names_are_understood_and_told() {
+    let scratch = Scratch::new("old");
+    let recording = scratch.recording("scene.csv", 30);
+    let predict = |arguments: &[&str]| run_well(&[&["predict", &recording], arguments].concat());
+    let pairs: [(&[&str], &[&str], &str); 5] = [
+        (&["--no-recall"], &["--no-retrieval"], "--no-retrieval"),
+        (
+            &["--tracker.prior", "kinematic"],
+            &["--set", "tracker.prior=kinematic"],
+            "--set tracker.prior=kinematic",
+        ),
+        (
+            &["--tracker.association", "jpda"],
+            &["--set", "tracker.association=jpda"],
+            "--set tracker.association",
+        ),
+        (&["--tracker.view", "90,80"], &["--set", "tracker.fov=90,80"], "--set tracker.fov=90,80"),
+        (&["--set", "sampler.recall=false"], &["--set", "sampler.retrieval=false"], "`retrieval`"),
+    ];
+    for (old, new, name) in pairs {
+        let (old, new) = (predict(old), predict(new));
+        assert!(old.stdout == new.stdout, "{name}");
+        assert!(stderr(&old).contains("warning: ") && stderr(&old).contains(name), "{}", stderr(&old));
+        assert_eq!(stderr(&new), "");
+    }
+    let pipeline = scratch.pipeline("p.toml", "deadline_ms = 72", "deadline_ms = 72, recall = false");
+    let told = stderr(&run_well(&["check", &pipeline]));
+    assert!(told.contains("p.toml: `recall` of the sampler is called `retrieval` now"), "{told}");
+    let help = stdout(&run_well(&["run", "--help"]));
+    assert!(!help.contains("--no-recall") && !help.contains("--tracker."), "{help}");
+}
+
+#[test]
+fn help_tells_every_option_of_every_stage() {
+    for arguments in [&["stage", "--help"][..], &["stage", "tracker", "--help"]] {
+        let help = stdout(&run_well(arguments));
+        for told in [
+            "tracker.fov (text): WIDTH,RANGE, up to 360 degrees and 1000 m",
+            "sampler.deadline_ms (number): more than 0 and at most 80 [default: 72.0]",
+            "Threads that share a tick's rows",
+        ] {
+            assert!(help.contains(told), "{help}");
+        }
+    }
+}
+
+#[test]
+fn a_stage_refuses_weights_of_another_model_than_the_runs() {
+    let scratch = Scratch::new("other-model");
+    let record = scratch.path("run");
+    // The stages end before they would join it.
+    let of_run = Run { root: scratch.path("").into(), ..Run::default() };
+    of_run.write(record.as_ref()).expect("the scratch folder can be written to");
+    let mut model = nn::Weights::onboard().config().clone();
+    for stage in ["tracker", "localiser", "encoder", "sampler"] {
+        assert_refused(&["stage", stage, "--run", &record], 78, &["model.json: No such file"]);
+    }
+    model.edge_radius_m += 1.0;
+    model.write(of_run.root.as_path()).expect("the scratch folder can be written to");
+    let told = "the weights are of another model than the run's: edge_radius_m is ";
+    for stage in ["extractor", "encoder", "decoder"] {
+        assert_refused(&["stage", stage, "--run", &record], 65, &[told]);
+    }
+}
