@@ -10,19 +10,20 @@
 //! and counts allocations of that size apart; of all others there may be none.
 #![expect(clippy::unwrap_used, reason = "a test ends at what it can't do")]
 
-#[path = "../support/counting_threads.rs"]
-mod counting;
-
 use std::time::{Duration, Instant};
 
 use bytemuck::Zeroable;
 use ports::{Node, Publisher, Space, StageError, Subscriber};
 use run::Run;
 use rustix::process::{Signal, getpid, kill_process};
+use testing::{AllocationCounts, CountingAllocator};
 use wire::{
     AgentType, Detection, DetectionsTopic, ForecastsTopic, Header, HeartbeatsTopic, TICK_NS, Topic,
     detection_flags, flags,
 };
+
+#[global_allocator]
+static ALLOCATOR: CountingAllocator = CountingAllocator;
 
 /// Longest wait for an answer; far beyond what it takes.
 const LIMIT: Duration = Duration::from_secs(60);
@@ -126,9 +127,9 @@ impl Ends {
 
 /// Bytes that the transport allocates for a loan, at once.
 fn loan_bytes(ends: &Ends) -> usize {
-    let counts = counting::allocations(|| drop(ends.detections.loan(1).unwrap()));
+    let counts = AllocationCounts::during(|| drop(ends.detections.loan(1).unwrap()));
     assert_eq!(counts[HERE], [0, 1], "a loan takes one allocation");
-    counting::newest_bytes()
+    AllocationCounts::newest_bytes()
 }
 
 /// Asks the stages to end, also where the test fails.
@@ -150,12 +151,12 @@ fn the_loops_of_all_stages_take_no_memory_in_steady_ticks() {
     nn::Weights::onboard().config().write(&run.root).unwrap();
     std::thread::scope(|scope| {
         let run = &run;
-        counting::count_as(HERE);
+        AllocationCounts::count_as(HERE);
         let ends = Ends::open(run);
-        counting::count_apart(loan_bytes(&ends));
+        AllocationCounts::count_apart(loan_bytes(&ends));
         let stages = STAGES.iter().enumerate().map(|(place, (name, body))| {
             let thread = scope.spawn(move || {
-                counting::count_as(place);
+                AllocationCounts::count_as(place);
                 body(run)
             });
             (name, thread)
@@ -165,7 +166,7 @@ fn the_loops_of_all_stages_take_no_memory_in_steady_ticks() {
         ends.link();
         (0..WARM_UP).for_each(|tick| ends.tick(tick));
         let begin = Instant::now();
-        let counts = counting::allocations(|| {
+        let counts = AllocationCounts::during(|| {
             (WARM_UP..WARM_UP + TICKS).for_each(|tick| ends.tick(tick));
             // Heartbeats are part of the loop.
             std::thread::sleep(Duration::from_nanos(4 * TICK_NS));

@@ -1,6 +1,8 @@
 //! Recordings: `predict` in one process and `run` in eight write the same bytes, whatever the settings.
 
-use crate::scratch::{Scratch, public_recording};
+use testing::public_recording;
+
+use crate::scratch::Scratch;
 use crate::started::{Started, run, run_well, stderr, stdout, stgdat};
 
 /// Plays a recording with the same arguments through one process twice and through a lockstep run; all must write the
@@ -72,7 +74,7 @@ fn predict_and_run_agree_on_public_recordings() {
     for (i, name) in names.into_iter().enumerate() {
         let Some(recording) = public_recording(name) else { continue };
         let scratch = Scratch::new(&format!("public-{i}"));
-        let lines = same_bytes(&scratch, &recording, &["--seed", "3", "--ticks", "80"]);
+        let lines = same_bytes(&scratch, &recording.display().to_string(), &["--seed", "3", "--ticks", "80"]);
         assert_eq!(lines.iter().filter(|&&byte| byte == b'\n').count(), 80, "{name}");
         assert!(learned_len(&lines) > 80, "{name}: {} learned forecasts", learned_len(&lines));
     }

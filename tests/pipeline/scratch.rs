@@ -1,7 +1,7 @@
 //! Files that a test makes, gone with it.
 
 use std::fmt::Write as _;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use data::{Frame, GeneratedScene, SceneOptions};
 use wire::{Detection, detection_flags};
@@ -86,15 +86,4 @@ fn write_row(csv: &mut String, frame: &Frame, detection: &Detection) {
         given(detection_flags::HAS_SIZE, detection.width_m),
     )
     .expect("a string takes all");
-}
-
-/// A file among the public recordings, where they are there; says so where not.
-pub fn public_recording(name: &str) -> Option<String> {
-    let beside = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../shared/data");
-    let path = std::env::var_os("STGDAT_DATA").map_or(beside, PathBuf::from).join(name);
-    if path.exists() {
-        return Some(path.display().to_string());
-    }
-    println!("skipped: no recordings at {}", path.display());
-    None
 }

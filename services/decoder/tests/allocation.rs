@@ -1,18 +1,20 @@
 //! A steady step takes no memory.
-#![expect(clippy::unwrap_used, reason = "a test ends at what it can't do")]
 
-#[path = "../../../tests/support/counting.rs"]
-mod counting;
-#[path = "support/frames.rs"]
-mod frames;
-#[path = "../../../tests/support/model.rs"]
-mod model;
+mod support {
+    pub mod frames;
+}
 
+use crate::support::frames;
 use decoder::{Decoder, DecoderOptions};
+use testing::Model;
+use testing::{CountingAllocator, allocations};
+
+#[global_allocator]
+static ALLOCATOR: CountingAllocator = CountingAllocator;
 
 #[test]
 fn a_thousand_steady_steps_allocate_nothing() {
-    let weights = model::Model::with_all_options().weights();
+    let weights = Model::with_all_options().weights();
     let mut decoder = Decoder::new(&weights, DecoderOptions { workers: 2, seed: 1 }).unwrap();
     let frames = [frames::encodings(6), frames::encodings(4)];
     let mut outs = frames.each_ref().map(|encodings| frames::room(encodings));
@@ -20,5 +22,5 @@ fn a_thousand_steady_steps_allocate_nothing() {
         decoder.step(&frames::header(i as u64), &frames[i % 2], &mut outs[i % 2]).unwrap();
     };
     (0..4).for_each(&mut step);
-    assert_eq!(counting::allocations(|| (4..1_004).for_each(&mut step)), 0);
+    assert_eq!(allocations(|| (4..1_004).for_each(&mut step)), 0);
 }

@@ -1,16 +1,12 @@
 //! The decoder against itself and its refusals; its numbers are held to the golden vectors with the layers.
 #![expect(clippy::unwrap_used, reason = "a test ends at what it can't do")]
 
-#[path = "support/frames.rs"]
-mod frames;
-#[path = "../../../tests/support/model.rs"]
-mod model;
-
+use crate::support::frames;
 use decoder::{Decoder, DecoderOptions};
 use frames::{encodings, header, room};
-use model::Model;
 use nn::Weights;
 use nn::base::{Base, BaseFeatures};
+use testing::Model;
 use wire::{AgentControls, AgentEncoding, ControlGaussian, Rejected};
 
 fn decode(workers: usize, seed: u64, seq: u64, encodings: &[AgentEncoding]) -> Vec<AgentControls> {

@@ -1,9 +1,14 @@
 //! A steady step takes no memory.
 
-#[path = "../../../tests/support/counting.rs"]
-mod counting;
-#[path = "support/frames.rs"]
-mod frames;
+mod support {
+    pub mod frames;
+}
+
+use crate::support::frames;
+use testing::{CountingAllocator, allocations};
+
+#[global_allocator]
+static ALLOCATOR: CountingAllocator = CountingAllocator;
 
 #[test]
 fn a_thousand_steady_steps_allocate_nothing() {
@@ -15,5 +20,5 @@ fn a_thousand_steady_steps_allocate_nothing() {
         encoder.step(&frame.header, &frame.features(), &mut outs[i % 2]).unwrap();
     };
     (0..4).for_each(&mut step);
-    assert_eq!(counting::allocations(|| (0..1_000).for_each(&mut step)), 0);
+    assert_eq!(allocations(|| (0..1_000).for_each(&mut step)), 0);
 }

@@ -1,8 +1,6 @@
 //! The encoder's refusals; its numbers are held to the golden vectors with the layers.
 
-#[path = "support/frames.rs"]
-mod frames;
-
+use crate::support::frames;
 use encoder::Encoder;
 use frames::Frame;
 use nn::Weights;

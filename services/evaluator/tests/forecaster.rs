@@ -2,9 +2,7 @@
 
 #![expect(clippy::unwrap_used, reason = "a test that cannot go on should panic")]
 
-#[path = "support/weights.rs"]
-mod weights;
-
+use crate::support::weights;
 use data::{GeneratedScene, SceneOptions};
 use evaluator::{
     Agent, Baselines, Cut, Forecast, Forecaster, ForecasterMemory, Judge, MapInput, Scene, Subset,

@@ -6,18 +6,13 @@ use std::path::PathBuf;
 
 use data::sets::{DataSet, Fold, Part};
 use evaluator::{Cut, Scene};
+use testing::{public_recording, recordings_folder};
 
 const CUT: Cut = Cut { history_len: 8, horizon_len: 12, dt_s: 0.4, from_positions: false };
 
 /// The folder with the recordings, where it is there.
 fn recordings(set: &str) -> Option<PathBuf> {
-    let beside = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../../../shared/data");
-    let root = std::env::var_os("STGDAT_DATA").map_or(beside, PathBuf::from);
-    if root.join(set).exists() {
-        return Some(root);
-    }
-    println!("skipped: no recordings at {}", root.join(set).display());
-    None
+    public_recording(set).map(|_| recordings_folder())
 }
 
 /// Numbers of windows with at least so many complete agents, and of those agents.

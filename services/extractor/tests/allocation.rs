@@ -1,10 +1,14 @@
 //! A steady step takes no memory.
-#![expect(clippy::unwrap_used, reason = "a test ends at what it can't do")]
 
-#[path = "../../../tests/support/counting.rs"]
-mod counting;
-#[path = "support/scene.rs"]
-mod scene;
+mod support {
+    pub mod scene;
+}
+
+use crate::support::scene;
+use testing::{CountingAllocator, allocations};
+
+#[global_allocator]
+static ALLOCATOR: CountingAllocator = CountingAllocator;
 
 #[test]
 fn a_thousand_steady_steps_allocate_nothing() {
@@ -13,7 +17,7 @@ fn a_thousand_steady_steps_allocate_nothing() {
     for tick in 0..100 {
         scene.tick(tick);
     }
-    let allocations = counting::allocations(|| {
+    let allocations = allocations(|| {
         for tick in 100..1_100 {
             scene.tick(tick);
         }

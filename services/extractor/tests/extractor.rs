@@ -1,9 +1,6 @@
 //! The extractor against itself: with and without cache, workers and bad frames.
-#![expect(clippy::unwrap_used, reason = "a test ends at what it can't do")]
 
-#[path = "support/scene.rs"]
-mod scene;
-
+use crate::support::scene;
 use extractor::Effort;
 use scene::Scene;
 use wire::{AgentFeatures, Edge, Features, Rejected};

@@ -1,12 +1,13 @@
 //! A steady step takes no memory.
 
-#[path = "../../../tests/support/counting.rs"]
-mod counting;
-
 use bytemuck::Zeroable;
 use localiser::{Localiser, LocaliserOptions, MapSource};
 use scene::PatchOptions;
+use testing::{CountingAllocator, allocations};
 use wire::{ContextMut, Header, HistoryState, Row, Track, context_rows};
+
+#[global_allocator]
+static ALLOCATOR: CountingAllocator = CountingAllocator;
 
 /// 32 agents that drive away from the first ego position for kilometres; one in eight is new at every tick.
 fn write_tracks(tick: u64, tracks: &mut [Track]) {
@@ -47,5 +48,5 @@ fn a_thousand_steady_steps_allocate_nothing() {
         assert!(tick == 0 || out.patches.iter().any(|x| *x > 0.0));
     };
     (0..50).for_each(&mut step);
-    assert_eq!(counting::allocations(|| (50..1_050).for_each(&mut step)), 0);
+    assert_eq!(allocations(|| (50..1_050).for_each(&mut step)), 0);
 }

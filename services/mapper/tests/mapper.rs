@@ -1,9 +1,9 @@
 //! Maps of made-up and of real recordings.
 
-use std::path::{Path, PathBuf};
-
+use data::sets::{DataSet, Part};
 use data::{Frame, Recording};
 use mapper::{MapError, build};
+use testing::{public_recording, recordings_folder};
 use wire::Detection;
 use wire::detection_flags::{HAS_HEADING, HAS_ID, HAS_SPEED};
 
@@ -72,22 +72,14 @@ fn recordings_that_make_no_map_are_refused() {
     assert_eq!(build(&[apart]).unwrap_err(), MapError::TooLarge { rows: 9_001, cols: 9_001 });
 }
 
-/// The folder of recordings, where there is one.
-fn recordings() -> PathBuf {
-    let beside = Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../../../shared/data"));
-    std::env::var_os("STGDAT_DATA").map_or_else(|| beside.to_path_buf(), PathBuf::from)
-}
-
 #[test]
 fn real_recordings_make_plausible_maps() {
-    let folder = recordings();
-    let sets = [data::sets::DataSet::EthUcy, data::sets::DataSet::Interaction];
-    for set in sets {
-        let files = set.files(&folder, data::sets::Part::Train).unwrap_or_default();
-        let Some(path) = files.first() else {
-            println!("skipped: no recordings at {}", folder.display());
-            return;
-        };
+    for (set, folder) in [(DataSet::EthUcy, "eth_ucy"), (DataSet::Interaction, "interaction")] {
+        if public_recording(folder).is_none() {
+            continue;
+        }
+        let files = set.files(&recordings_folder(), Part::Train).unwrap();
+        let path = &files[0];
         let recording = data::open(path, Some(set.format())).unwrap();
         let states: usize = data::tracks(&recording).iter().map(|track| track.states.len()).sum();
         let site = build(&[recording]).unwrap();

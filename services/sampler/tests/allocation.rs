@@ -1,12 +1,13 @@
 //! A steady step takes no memory.
 
-#[path = "../../../tests/support/counting.rs"]
-mod counting;
-
 use bytemuck::Zeroable;
 use retrieval::RetrievalMemory;
 use sampler::{Propagation, Sampler, SamplerOptions};
+use testing::{CountingAllocator, allocations};
 use wire::{AgentControls, Cause, ControlGaussian, Forecast, Header, HistoryState, Track};
+
+#[global_allocator]
+static ALLOCATOR: CountingAllocator = CountingAllocator;
 
 /// 32 agents of all types; one in eight is new at every tick.
 fn write_tick(tick: u64, tracks: &mut [Track], controls: &mut [AgentControls]) {
@@ -56,7 +57,7 @@ fn a_thousand_steady_steps_allocate_nothing() {
             assert!(out.iter().all(|forecast| forecast.modes_len > 0));
         };
         (0..50).for_each(&mut step);
-        assert_eq!(counting::allocations(|| (50..1_050).for_each(&mut step)), 0, "{propagation:?} {recalls}");
+        assert_eq!(allocations(|| (50..1_050).for_each(&mut step)), 0, "{propagation:?} {recalls}");
         let stored = sampler.memory().map_or(0, RetrievalMemory::entries_len);
         assert!(stored > 6000 || !recalls, "{stored} entries");
     }

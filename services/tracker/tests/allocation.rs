@@ -1,18 +1,20 @@
 //! The memory of the tracker: none is allocated in steady state, and random ticks keep it bounded.
 
-#[path = "../../../tests/support/counting.rs"]
-mod counting;
 mod support {
     pub mod forecaster;
     pub mod torture;
 }
 
 use bytemuck::Zeroable;
+use testing::{CountingAllocator, allocations};
 use tracker::{Association, Prior, Tracker, TrackerOptions};
 use wire::{AGENTS_MAX, AgentType, Detection, Forecast, Header, Steering, Track, detection_flags, flags};
 
 use crate::support::forecaster::{HORIZON_LEN, forecast, forecasts_header};
 use crate::support::torture::torture;
+
+#[global_allocator]
+static ALLOCATOR: CountingAllocator = CountingAllocator;
 
 /// A hundred agents of all types, 4 m apart, each on a small circle of its own.
 fn detections(k: u32, missed: Option<u32>, out: &mut Vec<Detection>) {
@@ -85,7 +87,7 @@ fn assert_steady_steps_allocate_nothing(identities: u32, prior: Prior, associati
         }));
     };
     (0..100).for_each(&mut step);
-    assert_eq!(counting::allocations(|| (100..1_100).for_each(&mut step)), 0, "{name}, {prior:?}");
+    assert_eq!(allocations(|| (100..1_100).for_each(&mut step)), 0, "{name}, {prior:?}");
     assert_eq!(late_len, 5 * 110, "{name}, {prior:?}");
     let learned = out.iter().filter(|track| track.prior_age_ns > 0).count();
     assert_eq!(learned > 50, prior == Prior::Learned, "{name}, {prior:?}: {learned} tracks by forecasts");

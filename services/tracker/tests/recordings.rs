@@ -1,25 +1,19 @@
 //! The tracker on real recordings, where they are available, and on generated ones.
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::path::{Path, PathBuf};
 
 use bytemuck::Zeroable;
 use data::{Frame, GeneratedScene, Recording, SceneOptions};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, Normal};
+use testing::public_recording;
 use tracker::{Tracker, TrackerOptions};
 use wire::{AGENTS_MAX, AgentType, Header, Track, detection_flags, flags};
 
 /// The recording at `path` in the folder of recordings; prints that it skips where there is none.
 fn recording(path: &str) -> Option<Recording> {
-    let root = std::env::var_os("STGDAT_DATA")
-        .map_or_else(|| Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared/data"), PathBuf::from);
-    let path = root.join(path);
-    if !path.exists() {
-        println!("skipped: no recordings at {}", path.display());
-        return None;
-    }
+    let path = public_recording(path)?;
     Some(data::open(&path, None).expect("a readable recording"))
 }
 

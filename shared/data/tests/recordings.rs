@@ -5,17 +5,12 @@ use std::path::{Path, PathBuf};
 use data::formats::kitti::Annotations;
 use data::sets::{DataSet, Fold, Part};
 use data::{Format, Recording, WindowOptions, open, windows};
+use testing::{public_recording, recordings_folder};
 use wire::{AgentType, Detection, detection_flags};
 
-/// Where the recordings lie: `STGDAT_DATA`, else beside the workspace. None, and said so, where they are not.
+/// The folder of the recordings, where they are there.
 fn recordings() -> Option<PathBuf> {
-    let beside = || PathBuf::from(concat!(env!("CARGO_MANIFEST_DIR"), "/../../../shared/data"));
-    let root = std::env::var_os("STGDAT_DATA").map_or_else(beside, PathBuf::from);
-    if root.join("eth_ucy").is_dir() {
-        return Some(root);
-    }
-    println!("skipped: no recordings at {}", root.display());
-    None
+    public_recording("eth_ucy").map(|_| recordings_folder())
 }
 
 fn read(path: &Path) -> Recording {
@@ -114,12 +109,7 @@ fn every_format_is_told_by_its_content_and_read_whole() {
 
 #[test]
 fn interaction_as_published_has_pedestrians_in_every_frame() {
-    let Some(root) = recordings() else { return };
-    let site = root.join("interaction_as_published/DR_USA_Intersection_EP0");
-    if !site.is_dir() {
-        println!("skipped: no recording at {}", site.display());
-        return;
-    }
+    let Some(site) = public_recording("interaction_as_published/DR_USA_Intersection_EP0") else { return };
     let alone = read(&site.join("pedestrian_tracks_000.csv"));
     let merged = read(&site.join("vehicle_tracks_000.csv"));
     let is_pedestrian = |detection: &&Detection| detection.id >= 1_000_000_000;

@@ -1,16 +1,13 @@
 //! What holds of the layers whatever the weights and inputs.
 #![expect(clippy::unwrap_used, reason = "a test ends at what it can't do")]
 
-#[path = "../../../tests/support/model.rs"]
-mod model;
-
-use model::{Model, value};
 use nn::base::latent_scale;
 use nn::{
     BurnIn, ContextCnn, ContextMemory, Decoder, DecoderMemory, Draws, Gdat, GdatMemory, Graph, GraphTrace,
     RAW_CONTROL, Weights,
 };
 use proptest::prelude::*;
+use testing::{Model, value};
 use wire::{AgentType, Edge};
 
 /// A graph of random presence and neighbours.

@@ -1,16 +1,12 @@
 //! Weights files that are whole, halved, cut short, spoilt or something else.
-#![expect(clippy::unwrap_used, reason = "a test ends at what it can't do")]
 
-#[path = "../../../tests/support/model.rs"]
-mod model;
-
-use model::Model;
 use nn::{
     ContextCnn, ContextMemory, Decoder, EncodingFunction, Gdat, MlpMemory, RelationMlp, StateMlp, Weights,
     WeightsError,
 };
 use proptest::prelude::*;
 use safetensors::Dtype;
+use testing::{Model, value};
 
 /// Builds every layer.
 fn build(weights: &Weights) -> Result<(), WeightsError> {
@@ -73,7 +69,7 @@ fn half_precision_changes_embeddings_by_its_rounding_alone() {
     let halved = Weights::from_bytes(&model.bytes(Dtype::F16)).unwrap();
     let embed = |weights: &Weights| {
         let cnn = ContextCnn::new(weights).unwrap();
-        let patch: Vec<f32> = (0..cnn.patch_len()).map(model::value).collect();
+        let patch: Vec<f32> = (0..cnn.patch_len()).map(value).collect();
         let mut out = [[0.0; 32]];
         cnn.embed(&patch, &mut ContextMemory::default(), &mut out);
         out[0]

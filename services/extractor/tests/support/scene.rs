@@ -1,4 +1,5 @@
 //! Agents that drive in circles, as the localiser would tell of them.
+#![expect(clippy::unwrap_used, reason = "a test ends at what it can't do")]
 
 use bytemuck::Zeroable;
 use extractor::{Extractor, ExtractorOptions};

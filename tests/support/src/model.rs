@@ -7,6 +7,7 @@ use safetensors::tensor::TensorView;
 
 /// A weights file in the making.
 pub struct Model {
+    /// Its configuration.
     pub config: serde_json::Value,
     /// Name, shape and values.
     pub tensors: Vec<(String, Vec<usize>, Vec<f32>)>,

@@ -1,0 +1,7 @@
+//! The extractor by its public interface.
+
+mod support {
+    pub mod scene;
+}
+
+mod extractor;

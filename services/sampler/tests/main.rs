@@ -1,0 +1,4 @@
+//! The sampler by its public interface: forecasts of every quality, and of several modes.
+
+mod modes;
+mod sampler;

@@ -1,0 +1,4 @@
+//! Motion models: golden vectors and properties.
+
+mod golden;
+mod properties;

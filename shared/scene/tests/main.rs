@@ -1,0 +1,4 @@
+//! Features, graphs and maps: golden vectors and properties.
+
+mod golden;
+mod properties;
