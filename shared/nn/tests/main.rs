@@ -1,5 +1,4 @@
-//! The network: golden vectors, properties of layers, and weights files.
+//! The network: properties of layers, and weights files.
 
-mod golden;
 mod properties;
 mod weights;
