@@ -49,7 +49,7 @@ struct Said {
 
 #[test]
 fn trainer_and_onboard_layers_agree_on_every_shipped_file() {
-    let folder = Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../../shared/weights"));
+    let folder = Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../../../shared/weights"));
     let files = std::fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path());
     let mut files: Vec<_> =
         files.filter(|path| path.extension().is_some_and(|e| e == "safetensors")).collect();

@@ -11,7 +11,7 @@ use evaluator::{Comparison, VerifyError, verify};
 type WrongCell = (&'static str, [usize; 2], &'static str, &'static str, &'static [usize]);
 
 fn shared(path: &str) -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join("../../shared").join(path)
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared").join(path)
 }
 
 fn copy_all(from: &Path, to: &Path) {

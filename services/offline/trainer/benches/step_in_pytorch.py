@@ -1,7 +1,7 @@
 """Times a training step of the network in PyTorch, on one thread, for comparison with `cargo bench --bench step`.
 
     python -m venv venv && venv/bin/pip install torch
-    venv/bin/python services/trainer/benches/step_in_pytorch.py [without_map] [with_map] [pedestrians]
+    venv/bin/python services/offline/trainer/benches/step_in_pytorch.py [without_map] [with_map] [pedestrians]
 
 Layer sizes and batches are those of the bench: clips of four windows that share most of their patches and relations,
 eight candidates without gradient, then four draws with gradient, displacement, energy score and mode probabilities, and

@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use evaluator::{VerifyError, verify};
 
 fn golden(folder: &str) -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tests/golden").join(folder)
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../tests/golden").join(folder)
 }
 
 /// A copy of a golden folder whose file `name` went through `change`.

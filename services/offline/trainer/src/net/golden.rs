@@ -43,7 +43,7 @@ impl Golden {
     }
 
     fn open(name: &'static str) -> Self {
-        let folder = PathBuf::from(concat!(env!("CARGO_MANIFEST_DIR"), "/../../tests/golden")).join(name);
+        let folder = PathBuf::from(concat!(env!("CARGO_MANIFEST_DIR"), "/../../../tests/golden")).join(name);
         let read = |file: &str| std::fs::read(folder.join(file)).unwrap();
         let bytes = read("weights.safetensors");
         let (_, header) = SafeTensors::read_metadata(&bytes).unwrap();
