@@ -191,7 +191,7 @@ impl Extractor {
         for (i, track) in context.tracks.iter().enumerate() {
             track.check()?;
             if context.tracks[..i].iter().any(|other| other.id == track.id) {
-                return Err(Rejected::Impossible { field: "track id given twice", value: track.id as f64 });
+                return Err(Rejected::Twice { field: "track", id: track.id });
             }
         }
         finite("context patches", context.patches)

@@ -26,7 +26,7 @@ mod subscriber;
 mod wait;
 
 pub use clock::monotonic_ns;
-pub use error::{PortError, StageError};
+pub use error::{Awaiting, PortError, StageError};
 pub use node::Node;
 pub use peers::Peers;
 pub use program::{LAUNCHER_VARIABLE, RUN_VARIABLE, begin_logging, die_with_launcher, stage_main};

@@ -48,16 +48,15 @@ impl Node {
     /// # Errors
     /// [`PortError`] where the run's files can't be made or the signals not be taken over.
     pub fn open(run: &Run, name: &str) -> Result<Self, PortError> {
-        let whole = "(all)";
-        let stop = Stop::on_signals().map_err(PortError::of("signal handlers", whole))?;
-        let node_name = NodeName::new(name).map_err(PortError::of("node name", whole))?;
-        let config = transport_config(run).map_err(PortError::of("paths", whole))?;
+        let stop = Stop::on_signals().map_err(PortError::of_node("taking over SIGTERM and SIGINT"))?;
+        let node_name = NodeName::new(name).map_err(PortError::of_node("name of the node"))?;
+        let config = transport_config(run).map_err(PortError::of_node("paths of the run"))?;
         let node = NodeBuilder::new()
             .name(&node_name)
             .config(&config)
             .signal_handling_mode(SignalHandlingMode::Disabled)
             .create::<ipc::Service>()
-            .map_err(PortError::of("node", whole))?;
+            .map_err(PortError::of_node("node"))?;
         let (interval, sender) = (Duration::from_nanos(run.interval_ns), Sender::default());
         Ok(Self { node, run_id: run.id, interval, stop, sender })
     }

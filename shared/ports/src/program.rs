@@ -42,7 +42,7 @@ pub fn stage_main(stage: fn(&Run) -> Result<(), StageError>) -> ExitCode {
 /// Asks the kernel to kill this process when its launcher dies, so that no stage outlives it.
 ///
 /// # Errors
-/// [`StageError::Stuck`] where the launcher has died already.
+/// [`StageError::LauncherGone`] where the launcher has died already.
 pub fn die_with_launcher() -> Result<(), StageError> {
     let launcher = std::env::var(LAUNCHER_VARIABLE).ok().and_then(|pid| Pid::from_raw(pid.parse().ok()?));
     if launcher.is_none() {
@@ -50,7 +50,7 @@ pub fn die_with_launcher() -> Result<(), StageError> {
     }
     // Refused only for signals that do not exist.
     let _ = set_parent_process_death_signal(Some(Signal::KILL));
-    if getppid() == launcher { Ok(()) } else { Err(StageError::Stuck("the launcher is gone".into())) }
+    if getppid() == launcher { Ok(()) } else { Err(StageError::LauncherGone) }
 }
 
 /// Writes the process's log to standard error: warnings, or what `RUST_LOG` asks for.

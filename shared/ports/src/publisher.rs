@@ -47,8 +47,7 @@ impl<T: Topic> Publisher<T> {
     /// [`PortError`] where `len` is beyond [`Topic::ELEMENTS_MAX`] or shared memory is full.
     pub fn loan(&self, len: usize) -> Result<Loan<T>, PortError> {
         if len > T::ELEMENTS_MAX {
-            let reason = format!("{len} elements, at most {}", T::ELEMENTS_MAX);
-            return Err(PortError { what: "loan", topic: T::NAME, reason });
+            return Err(PortError::TooMany { topic: T::NAME, found: len, most: T::ELEMENTS_MAX });
         }
         let sample = self.publisher.loan_slice_uninit(len).map_err(PortError::of("loan", T::NAME))?;
         // SAFETY: the memory is a mapping that the kernel zeroed, or holds an earlier frame: its bytes are defined, and

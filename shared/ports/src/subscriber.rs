@@ -177,7 +177,7 @@ impl<T: Topic> Port<T> {
         let header = frame.header();
         header.check()?;
         if header.run_id != self.run_id {
-            return Err(Rejected::Impossible { field: "run_id", value: header.run_id as f64 });
+            return Err(Rejected::ForeignRun { found: header.run_id, expected: self.run_id });
         }
         let expected = T::elements_len(&header.counts);
         if frame.len() != expected {

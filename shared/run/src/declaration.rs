@@ -60,14 +60,14 @@ pub enum OptionError {
         known: Vec<String>,
     },
     /// The value is of another kind than the option's.
-    #[error("`{key}` of the {}: {reason}", stage.name())]
+    #[error("`{key}` of the {}: {}", stage.name(), first_line(source))]
     Invalid {
         /// The stage.
         stage: StageId,
         /// The key.
         key: String,
-        /// What the option's type says.
-        reason: String,
+        /// The error of the option's type.
+        source: Box<toml::de::Error>,
         /// What a value must be.
         expected: String,
     },
@@ -83,23 +83,36 @@ pub enum OptionError {
     #[error(transparent)]
     Conflict(#[from] Conflict),
     /// The run's record holds options that this program can't read.
-    #[error("options of the {}: {reason}", stage.name())]
+    #[error("options of the {}: {}", stage.name(), first_line(source))]
     Unreadable {
         /// The stage.
         stage: StageId,
-        /// What the parser says.
-        reason: String,
+        /// The parser's error.
+        source: Box<toml::de::Error>,
+    },
+    /// TOML can't hold the options.
+    #[error("options of the {}: {source}", stage.name())]
+    Unwritable {
+        /// The stage.
+        stage: StageId,
+        /// The error of the writer.
+        source: toml::ser::Error,
     },
 }
 
+/// The message without the excerpt of the text, which is no file that anybody wrote.
+fn first_line(error: &toml::de::Error) -> &str {
+    error.message().lines().next().unwrap_or_default()
+}
+
 impl OptionError {
-    /// The key that is to blame, where it is one.
+    /// The key at fault, where it is one.
     #[must_use]
     pub fn key(&self) -> Option<&str> {
         match self {
             Self::Unknown { key, .. } | Self::Invalid { key, .. } | Self::OutOfRange { key, .. } => Some(key),
             Self::Conflict(conflict) => Some(conflict.key),
-            Self::Unreadable { .. } => None,
+            Self::Unreadable { .. } | Self::Unwritable { .. } => None,
         }
     }
 
@@ -114,6 +127,7 @@ impl OptionError {
             }
             Self::Conflict(conflict) => conflict.because.to_owned(),
             Self::Unreadable { .. } => "launcher and stage must be of one version".to_owned(),
+            Self::Unwritable { .. } => "paths must be UTF-8".to_owned(),
         }
     }
 }
@@ -170,10 +184,8 @@ impl<O: Default + DeserializeOwned> Declaration<O> {
     /// they exclude each other.
     pub fn options(&self, run: &Run) -> Result<O, OptionError> {
         let Some(stage) = run.stage(self.id) else { return Ok(O::default()) };
-        let unreadable = |error: toml::de::Error| {
-            let reason = error.message().lines().next().unwrap_or_default().to_owned();
-            OptionError::Unreadable { stage: self.id, reason }
-        };
+        let unreadable =
+            |error: toml::de::Error| OptionError::Unreadable { stage: self.id, source: error.into() };
         let options = toml::from_str(&stage.options).map_err(unreadable)?;
         (self.rule)(&options)?;
         Ok(options)
@@ -207,15 +219,15 @@ impl<O: DeserializeOwned + JsonSchema> Declared for Declaration<O> {
             let expected = option.expected.clone();
             // One option at a time, so that what the parser says is said of this one.
             if let Err(error) = parsed(&toml::Table::from_iter([(key.clone(), value.clone())])) {
-                let reason = error.message().lines().next().unwrap_or_default().to_owned();
-                return Err(OptionError::Invalid { stage, key: key.clone(), reason, expected });
+                let source = Box::new(error);
+                return Err(OptionError::Invalid { stage, key: key.clone(), source, expected });
             }
             if !option.allows(value) {
                 return Err(OptionError::OutOfRange { key: key.clone(), expected });
             }
         }
-        let options = parsed(table)
-            .map_err(|error| OptionError::Unreadable { stage, reason: error.message().to_owned() })?;
+        let options =
+            parsed(table).map_err(|error| OptionError::Unreadable { stage, source: error.into() })?;
         Ok((self.rule)(&options)?)
     }
 }
