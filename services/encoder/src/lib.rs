@@ -43,7 +43,8 @@ impl Encoder {
     /// Encodes the agents of a frame into `out`, in their order.
     ///
     /// # Errors
-    /// [`Rejected`] where the frame does not fit the model or holds impossible numbers; `out` is left as it is then.
+    /// [`Rejected`] where the frame does not fit the model or holds impossible numbers; `out` is then
+    /// unchanged.
     pub fn step(
         &mut self,
         header: &Header,

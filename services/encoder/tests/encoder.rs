@@ -1,4 +1,4 @@
-//! The encoder's refusals; its numbers are held to the golden vectors with the layers.
+//! The encoder's refusals; the golden vectors of the layers hold its numbers.
 
 use crate::support::frames;
 use encoder::Encoder;

@@ -7,7 +7,7 @@ use crate::Tick;
 /// Time between the frames that link the pipeline, and between those that end it.
 pub(crate) const REPEAT_NS: u64 = 25_000_000;
 
-/// The source's ends of its topics, and what it hears of the stages that follow.
+/// The source's ends of its topics, and the heartbeats of the stages that follow.
 #[derive(Debug)]
 pub(crate) struct Outputs {
     detections: Publisher<DetectionsTopic>,
@@ -20,7 +20,7 @@ impl Outputs {
         Ok(Self { detections: stage.publish()?, truth: stage.publish()?, peers: stage.peers(run)? })
     }
 
-    /// Releases a tick, the truth first: it is there when the forecasts come.
+    /// Releases a tick, the truth first, so that it is there when the forecasts come.
     pub fn send(&self, stage: &mut Stage, tick: &Tick<'_>) -> Result<(), PortError> {
         self.release(stage, tick.header, tick.detections, tick.truth_header(), tick.truth)
     }
@@ -42,7 +42,8 @@ impl Outputs {
     /// Sends an empty frame again and again until the peers have answered it.
     ///
     /// # Errors
-    /// [`StageError::NoAnswer`] where they have not within `limit_ns`. A request to end ends the wait without an error.
+    /// [`StageError::NoAnswer`] where they have not within `limit_ns`. A signal that asks the process to end
+    /// is no error.
     pub fn repeat(
         &mut self,
         stage: &mut Stage,

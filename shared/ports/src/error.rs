@@ -68,7 +68,8 @@ impl PortError {
 
 /// Why a stage ends before it is asked to.
 ///
-/// The variant gives the kind of failure, and with it the exit code; the source keeps the type of the crate that failed.
+/// The variant gives the kind of failure, and with it the exit code; the source keeps the type of the crate
+/// that failed.
 #[derive(Debug, Error)]
 pub enum StageError {
     /// A port or the transport under it is broken.

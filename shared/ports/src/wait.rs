@@ -1,7 +1,7 @@
 //! Sleeping until a topic has something to read: poll(2) on the sockets by which its events come in.
 //!
-//! The transport's own wait set attaches every listener anew for each wait and keeps what is attached on the heap; a stage
-//! waits several times a tick.
+//! The transport's own wait set attaches every listener anew for each wait and keeps what is attached on the
+//! heap; a stage waits several times a tick.
 #![expect(unsafe_code, reason = "the transport gives the descriptor of a listener as a number")]
 
 use std::io;
@@ -46,7 +46,8 @@ pub(crate) fn wait<const N: usize>(topics: [&dyn Wakes; N], timeout: Duration) -
 
 fn descriptor(topic: &dyn Wakes) -> BorrowedFd<'_> {
     let descriptor = topic.listener().file_descriptor();
-    // SAFETY: the listener owns the descriptor, does not close it before it is dropped, and is borrowed for as long.
+    // SAFETY: the listener owns the descriptor, does not close it before it is dropped, and is borrowed for
+    // as long.
     unsafe { BorrowedFd::borrow_raw(descriptor.native_handle()) }
 }
 

@@ -9,7 +9,7 @@ use wire::StageId;
 use crate::Run;
 use crate::options::OptionsSchema;
 
-/// What a stage says of itself, in one constant: which it is, the topics of its program, and the struct of its options.
+/// A stage in one constant: which it is, the topics of its program, and the struct of its options.
 pub struct Declaration<O> {
     id: StageId,
     reads: &'static [&'static str],
@@ -17,7 +17,7 @@ pub struct Declaration<O> {
     rule: fn(&O) -> Result<(), Conflict>,
 }
 
-/// The declaration of any stage, for those who deal with them all.
+/// The declaration of any stage, whatever the type of its options.
 pub trait Declared: fmt::Debug + Sync {
     /// Which stage it is.
     fn id(&self) -> StageId;
@@ -38,11 +38,11 @@ pub trait Declared: fmt::Debug + Sync {
 #[derive(Clone, Debug, Error, PartialEq, Eq)]
 #[error("{reason}")]
 pub struct Conflict {
-    /// Key of the option that is to blame.
+    /// Key of the option at fault.
     pub key: &'static str,
     /// What is wrong.
     pub reason: &'static str,
-    /// What of the other options makes it so.
+    /// The other setting that rules it out.
     pub because: &'static str,
 }
 
@@ -116,7 +116,7 @@ impl OptionError {
         }
     }
 
-    /// What would be right, as a sentence's part or list.
+    /// What to write instead, as part of a sentence or a list.
     #[must_use]
     pub fn advice(&self) -> String {
         match self {
@@ -180,8 +180,8 @@ impl<O: Default + DeserializeOwned> Declaration<O> {
     /// The stage's options in a run; the defaults where the run does not have the stage.
     ///
     /// # Errors
-    /// [`OptionError::Unreadable`] where the record holds others than this program knows, [`OptionError::Conflict`] where
-    /// they exclude each other.
+    /// [`OptionError::Unreadable`] where the record holds options that this program does not have,
+    /// [`OptionError::Conflict`] where they exclude each other.
     pub fn options(&self, run: &Run) -> Result<O, OptionError> {
         let Some(stage) = run.stage(self.id) else { return Ok(O::default()) };
         let unreadable =
@@ -217,7 +217,7 @@ impl<O: DeserializeOwned + JsonSchema> Declared for Declaration<O> {
                 return Err(OptionError::Unknown { stage, key: key.clone(), known: schema.names() });
             };
             let expected = option.expected.clone();
-            // One option at a time, so that what the parser says is said of this one.
+            // One option at a time, so that an error is that of this one.
             if let Err(error) = parsed(&toml::Table::from_iter([(key.clone(), value.clone())])) {
                 let source = Box::new(error);
                 return Err(OptionError::Invalid { stage, key: key.clone(), source, expected });

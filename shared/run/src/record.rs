@@ -1,7 +1,7 @@
 //! The run's record: written by the launcher, read by every stage.
 //!
-//! The one module that knows how it is encoded. The file starts with [`MAGIC`] and the schema as text, so that a stage
-//! of another version says so instead of misreading it.
+//! The encoding (bincode) is private to this module. The file starts with [`MAGIC`] and the schema as text,
+//! so that a stage of another version refuses it instead of misreading it.
 
 use std::collections::BTreeMap;
 use std::error::Error;
@@ -15,9 +15,9 @@ use wire::{StageId, TICK_NS};
 use crate::{Declaration, OptionError};
 
 /// First bytes of a record's file, before the schema's number and a line break.
-pub const MAGIC: &str = "stgdat-run ";
+const MAGIC: &str = "stgdat-run ";
 /// Version of the record; counts up with every change of [`Run`].
-pub const SCHEMA: u32 = 5;
+const SCHEMA: u32 = 5;
 /// Largest record that is read; real ones have a few kilobytes.
 const BYTES_MAX: u64 = 1 << 20;
 
@@ -28,16 +28,16 @@ pub struct StageRun {
     pub stage: u32,
     /// The stage's share of the tick; none for stages that no forecast waits for.
     pub budget_ms: Option<f64>,
-    /// Whether it is this project's own program, which tells of itself by heartbeats.
+    /// Whether it is this project's own program, which sends heartbeats.
     pub built_in: bool,
-    /// Its options as TOML, for it alone to read.
+    /// Its options as TOML, which no other program reads.
     pub options: String,
 }
 
-/// Everything that one run has settled on.
+/// What all stages of one run agree on.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Run {
-    /// Tells the frames of this run from all others.
+    /// Number in the header of every frame, which tells apart the frames of two runs.
     pub id: u64,
     /// What the names of the run's shared memory start with.
     pub prefix: String,
@@ -47,7 +47,7 @@ pub struct Run {
     pub interval_ns: u64,
     /// Whether each tick waits for the end of the one before, and no stage gives up waiting.
     pub lockstep: bool,
-    /// Seed of all that is random.
+    /// Seed of all random numbers.
     pub seed: u64,
     /// The weights; the embedded ones where none.
     pub weights: Option<PathBuf>,
@@ -154,7 +154,8 @@ impl Run {
     /// Writes the record.
     ///
     /// # Errors
-    /// [`RecordError::File`] where the file can't be written, [`RecordError::Unwritable`] where a path is not UTF-8.
+    /// [`RecordError::File`] where the file can't be written, [`RecordError::Unwritable`] where a path is not
+    /// UTF-8.
     pub fn write(&self, path: &Path) -> Result<(), RecordError> {
         let mut bytes = format!("{MAGIC}{SCHEMA}\n").into_bytes();
         let body = bincode::serde::encode_to_vec(self, standard())
@@ -229,7 +230,7 @@ mod tests {
     }
 
     #[test]
-    fn another_schema_is_told_as_such() {
+    fn a_record_of_another_schema_is_refused() {
         in_temporary_file("schema", |path| {
             std::fs::write(path, format!("{MAGIC}99\nabc")).unwrap();
             let error = Run::read(path).unwrap_err().to_string();

@@ -20,7 +20,7 @@ pub enum Rejected {
         expected: u64,
     },
     /// Two elements have one number.
-    #[error("{field} {id} is there twice")]
+    #[error("{field} {id} appears twice")]
     Twice {
         /// What the number stands for.
         field: &'static str,

@@ -4,7 +4,8 @@ use crate::declare::record;
 use crate::{AgentFeatures, Counts, EDGE_ATTRIBUTES, PATCH_CHANNELS, Rejected, Track};
 
 record! {
-    /// 64 bytes: one cache line, the unit of `context` and `features` payloads, whose sections are cast from it.
+    /// 64 bytes: one cache line, the unit of `context` and `features` payloads, whose sections are cast from
+    /// it.
     pub struct Row: 64 bytes, aligned 64 {
         /// The bytes, as numbers of single precision.
         0 => values: [f32; 16],
@@ -190,8 +191,9 @@ impl<'a> Features<'a> {
     /// The sections of a payload.
     ///
     /// # Errors
-    /// [`Rejected::Length`] where the payload has not the rows of the shape, [`Rejected::Impossible`] where an edge names an
-    /// agent or step that is not there, [`Rejected::OutOfOrder`] where the edges are not sorted or one is there twice.
+    /// [`Rejected::Length`] where the payload has not the rows of the shape, [`Rejected::Impossible`] where
+    /// an edge names an agent or step that is not there, [`Rejected::OutOfOrder`] where the edges are not
+    /// sorted or one is there twice.
     pub fn read(rows: &'a [Row], shape: FeatureShape, history_len: usize) -> Result<Self, Rejected> {
         expect(rows.len(), feature_rows(&shape))?;
         let (agents, rest) = rows.split_at(shape.agents_len * FEATURE_ROWS);
