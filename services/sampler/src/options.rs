@@ -56,7 +56,7 @@ impl Options {
         match &self.memory {
             Some(_) if !self.retrieval => Err(Conflict {
                 key: "memory",
-                reason: "a memory from which nothing would be retrieved",
+                reason: "a memory that nothing is to be retrieved from",
                 because: "`retrieval` is false",
             }),
             _ => Ok(()),
