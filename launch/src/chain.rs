@@ -130,7 +130,7 @@ impl Chain {
 
     /// Keeps the memory of the place where the run's record wants it.
     pub fn keep_memory(&self, run: &Run) -> Result<(), Failure> {
-        Ok(sampler::stage::keep_memory(run, &self.sampler)?)
+        Ok(sampler::stage::save_memory(run, &self.sampler)?)
     }
 
     /// The tracks of the last tick; none where it was refused.

@@ -1,13 +1,13 @@
-//! A stage takes no memory in a steady tick: not in its step, and not in the loop around it, with its waits, frames and
-//! heartbeats.
+//! A stage allocates nothing in a steady tick, neither in its step nor in the loop around it with its waits,
+//! frames and heartbeats.
 //!
-//! All stages that compute run as threads of this process, each with its own ports, as in a lockstep run; the test is the
-//! source before them and the reader after them. What a stage's thread allocates is counted by thread, so that it is the
-//! stage's and nobody else's.
+//! All stages that compute run as threads of this process, each with its own ports, as in a lockstep run; the
+//! test is the source before them and the reader after them. Allocations are counted by thread, so that each
+//! count is one stage's.
 //!
-//! The transport (iceoryx2 0.10.0) takes 48 bytes for every loan, and nothing to send it, to receive a frame, to notify or to be
-//! waited for. Loans are one per frame that goes out: a tick or a heartbeat. The test finds their size by a loan of its own
-//! and counts allocations of that size apart; of all others there may be none.
+//! The transport (iceoryx2 0.10.0) allocates 48 bytes for every loan, and nothing for sending, receiving,
+//! notifying or waiting. There is one loan per frame sent, a tick or a heartbeat. The test measures their
+//! size by a loan of its own and counts allocations of that size separately; there may be no others.
 #![expect(clippy::unwrap_used, reason = "a test ends at what it can't do")]
 
 use std::time::{Duration, Instant};
@@ -25,7 +25,7 @@ use wire::{
 #[global_allocator]
 static ALLOCATOR: CountingAllocator = CountingAllocator;
 
-/// Longest wait for an answer; far beyond what it takes.
+/// Longest wait for an answer, far longer than one takes.
 const LIMIT: Duration = Duration::from_secs(60);
 const AGENTS: u64 = 24;
 /// The test's own place among the threads that are counted.
@@ -94,7 +94,7 @@ impl Ends {
             }
             assert!(begin.elapsed() < LIMIT, "linked are {linked:?}");
         }
-        // What is left of them must not push a tick out of a queue.
+        // Warm-up frames still on their way must not push a tick out of a queue.
         std::thread::sleep(Duration::from_millis(100));
         while self.forecasts.receive().unwrap().is_some() {}
     }
@@ -103,15 +103,15 @@ impl Ends {
     fn tick(&self, tick: u64) {
         let observed_types =
             AgentType::Vehicle.bit() | AgentType::Cyclist.bit() | AgentType::Pedestrian.bit();
-        let seen = detections(tick);
+        let detections = detections(tick);
         let mut header = Header {
             flags: flags::LOCKSTEP | flags::HAS_IDENTITIES,
             observed_types,
             interval_ns: TICK_NS,
             ..Header::new(self.run_id, tick, (tick * TICK_NS) as i64)
         };
-        header.counts.agents_len = seen.len() as u32;
-        self.detections.send_copy(&seen, header).unwrap();
+        header.counts.agents_len = detections.len() as u32;
+        self.detections.send_copy(&detections, header).unwrap();
         let begin = Instant::now();
         loop {
             self.forecasts.sleep(Duration::from_secs(1)).unwrap();
@@ -125,14 +125,14 @@ impl Ends {
     }
 }
 
-/// Bytes that the transport allocates for a loan, at once.
+/// Bytes that the transport allocates for a loan, in one allocation.
 fn loan_bytes(ends: &Ends) -> usize {
     let counts = AllocationCounts::during(|| drop(ends.detections.loan(1).unwrap()));
     assert_eq!(counts[HERE], [0, 1], "a loan takes one allocation");
     AllocationCounts::newest_bytes()
 }
 
-/// Asks the stages to end, also where the test fails.
+/// Ends the stages, also where the test fails.
 struct Stop;
 
 impl Drop for Stop {
@@ -143,7 +143,7 @@ impl Drop for Stop {
 
 // One test only: another in this process would be ended with the stages.
 #[test]
-fn the_loops_of_all_stages_take_no_memory_in_steady_ticks() {
+fn the_loops_of_all_stages_allocate_nothing_in_steady_ticks() {
     let id = u64::from(std::process::id());
     let space = Space::create(id, 48 << 20).unwrap();
     let (prefix, root) = (space.prefix().into(), space.root().into());

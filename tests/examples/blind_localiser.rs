@@ -1,8 +1,8 @@
-//! A stage of one's own: a localiser that knows no map, `command = ["target/release/examples/blind_localiser"]` in its
-//! table of pipeline.toml.
+//! A stage in place of the project's: a localiser without a map,
+//! `command = ["target/release/examples/blind_localiser"]` in its table of pipeline.toml.
 //!
-//! It shows what every stage does: declare its topics, open the ports, take a frame, write the next one straight into shared memory, send
-//! it. Heartbeats, warm-up frames and the end are in `ports::Stage`.
+//! It shows what every stage does: declare its topics, open the ports, take a frame, write the next one
+//! straight into shared memory, send it. `ports::Stage` does heartbeats, warm-up frames and the end.
 
 use std::process::ExitCode;
 
@@ -11,7 +11,7 @@ use ports::{Stage, StageError, stage_main};
 use run::{Declaration, NoOptions, Run};
 use wire::{ContextMut, ContextShape, ContextTopic, StageId, Topic, TracksTopic, context_rows};
 
-/// Which stage it plays, and what it reads and writes.
+/// The stage that it replaces, with the topics that it reads and writes.
 const STAGE: Declaration<NoOptions> =
     Declaration::new(StageId::Localiser, &[TracksTopic::NAME], &[ContextTopic::NAME]);
 

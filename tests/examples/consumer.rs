@@ -1,7 +1,8 @@
-//! A planner's ear: prints the forecasts of a run, tick by tick. `consumer --run /tmp/stgdat_*/run`, beside `stgdat run`.
+//! A reader such as a planner: prints the forecasts of a run, tick by tick.
+//! `consumer --run /tmp/stgdat_*/run`, beside `stgdat run`.
 //!
-//! Positions are metres in the world frame; step k of a forecast lies at the frame's stamp + (k + 1) Δt. A planner does
-//! the same: wait, take the newest frame, use it where it lies in shared memory, let it go.
+//! Positions are metres in the world frame; step k of a forecast lies at the frame's stamp + (k + 1) Δt. A
+//! planner does the same: wait, take the newest frame, use it where it lies in shared memory, drop it.
 
 use std::process::ExitCode;
 use std::time::Duration;
@@ -14,7 +15,7 @@ fn run(run: &Run) -> Result<(), StageError> {
     let node = Node::open(run, "consumer")?;
     let forecasts = node.subscriber::<ForecastsTopic>(2)?;
     while !node.stop().requested() {
-        // Asleep until a frame comes; the subscriber lets through only what can be trusted.
+        // Asleep until a frame comes; the subscriber drops frames with an impossible header.
         forecasts.sleep(Duration::from_secs(2))?;
         while let Some(frame) = forecasts.receive()? {
             let header = frame.header();

@@ -1,8 +1,10 @@
-//! A detector in the source's place: `command = ["target/release/examples/producer"]` in its table of pipeline.toml.
+//! A detector in the source's place: `command = ["target/release/examples/producer"]` in its table of
+//! pipeline.toml.
 //!
-//! Positions are metres in the world frame (right-handed, z up, fixed to the ground), headings counter-clockwise from
-//! +x. The header of each frame tells the ego pose in that frame, and the stamp: the time at which the detections are
-//! valid, on the sensor's clock, no two alike. Put your detector in the place of [`detect`].
+//! Positions are metres in the world frame (right-handed, z up, fixed to the ground), headings
+//! counter-clockwise from +x. The header of each frame contains the ego pose in that frame and the stamp: the
+//! time at which the detections are valid, on the sensor's clock, different in every frame. Put your detector
+//! in the place of [`detect`].
 
 use std::process::ExitCode;
 
@@ -13,7 +15,7 @@ use serde::Deserialize;
 use wire::detection_flags::{HAS_HEADING, HAS_SIZE, HAS_SPEED};
 use wire::{AgentType, Detection, DetectionsTopic, Header, StageId, StampSource, Topic, TruthTopic, flags};
 
-/// Which stage it plays, and what it writes.
+/// The stage that it replaces, with the topics that it writes.
 const STAGE: Declaration<Options> =
     Declaration::new(StageId::Source, &[], &[DetectionsTopic::NAME, TruthTopic::NAME]);
 
@@ -30,7 +32,7 @@ impl Default for Options {
     }
 }
 
-/// What the sensor sees at `t_s`: a car that passes, and someone on foot.
+/// Detections at `t_s`: a car that passes, and a pedestrian.
 fn detect(t_s: f32) -> [Detection; 2] {
     let car = Detection {
         agent_type: AgentType::Vehicle as u32,
@@ -43,17 +45,17 @@ fn detect(t_s: f32) -> [Detection; 2] {
         score: 0.9,
         ..Detection::zeroed()
     };
-    let on_foot = AgentType::Pedestrian as u32;
-    let walker =
-        Detection { agent_type: on_foot, x_m: 5.0, y_m: -8.0 + 1.4 * t_s, score: 0.8, ..Detection::zeroed() };
-    [car, walker]
+    let agent_type = AgentType::Pedestrian as u32;
+    let pedestrian =
+        Detection { agent_type, x_m: 5.0, y_m: -8.0 + 1.4 * t_s, score: 0.8, ..Detection::zeroed() };
+    [car, pedestrian]
 }
 
 fn run(run: &Run) -> Result<(), StageError> {
     let Options { ticks } = STAGE.options(run)?;
     let mut stage = Stage::open(run, &STAGE)?;
     let detections = stage.publish::<DetectionsTopic>()?;
-    // A sensor knows no truth: that topic carries the frames that link the run, and no others.
+    // A sensor has no truth: that topic carries only the frames that link the run.
     let truth = stage.publish::<TruthTopic>()?;
     let mut peers = stage.peers(run)?;
     let observed_types = AgentType::Vehicle.bit() | AgentType::Pedestrian.bit();
@@ -65,7 +67,8 @@ fn run(run: &Run) -> Result<(), StageError> {
         ..Header::new(run.id, seq, (seq * run.interval_ns) as i64)
     };
 
-    // Frames reach a reader once it has mapped the connection: warm-up frames pass until every stage has had one.
+    // Frames reach a reader once it has mapped the connection: warm-up frames pass until every stage has had
+    // one.
     while !peers.unlinked().is_empty() {
         truth.send_copy(&[], header(0, flags::WARM_UP))?;
         stage.pass_empty(stage.release(header(0, flags::WARM_UP)), &detections)?;
@@ -80,11 +83,11 @@ fn run(run: &Run) -> Result<(), StageError> {
         if !stage.sleep_until(begin_ns + seq * run.interval_ns)? {
             return Ok(());
         }
-        // The sensor stands at the origin, where a header places the ego, and can't see past what stands in its way.
+        // The sensor is at the origin, where the header places the ego; agents can occlude one another.
         let mut passage = stage.release(header(seq, flags::SEEN_FROM_EGO));
-        let seen = detect((seq * run.interval_ns) as f32 / 1e9);
-        passage.header.counts.agents_len = seen.len() as u32;
-        let loan = detections.copy(&seen)?;
+        let detected = detect((seq * run.interval_ns) as f32 / 1e9);
+        passage.header.counts.agents_len = detected.len() as u32;
+        let loan = detections.copy(&detected)?;
         stage.finish(passage, &detections, Ok(loan))?;
     }
     stage.sleep_until(begin_ns + ticks * run.interval_ns)?;

@@ -1,10 +1,11 @@
-//! Fuzz targets of what comes in through shared memory: headers, records and sections, any of whose bytes may be wrong.
+//! Fuzz targets of what comes in through shared memory: headers, records and sections, any of whose bytes may
+//! be wrong.
 //!
-//! Each target writes words of the fuzzer into a good record: at places where a number lies, or anywhere. Checks must not
-//! panic, and whatever they let through has no number that is not finite, and no count or place beyond its limit. The
-//! sections of `context` and `features` are read by headers of any sizes.
+//! Each target writes words of the fuzzer into a good record: at places where a number lies, or anywhere.
+//! Checks must not panic, and whatever they let through has no number that is not finite, and no count or
+//! place beyond its limit. The sections of `context` and `features` are read by headers of any sizes.
 //!
-//! `readers.rs` says how to search for longer.
+//! `readers.rs` has the command for a longer search.
 
 use bytemuck::{Pod, Zeroable};
 use wire::{

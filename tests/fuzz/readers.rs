@@ -1,8 +1,8 @@
 //! Fuzz targets, one per reader of recordings.
 //!
-//! Each target starts from a small good recording and lets the fuzzer edit it: bytes overwritten, inserted and
-//! removed, lines repeated, words put in that break number parsers; and hands the reader the fuzzer's bytes as they
-//! are. Nothing may panic, and what is read must hold to what the pipeline relies on.
+//! Each target starts from a small good recording and lets the fuzzer edit it: bytes overwritten, inserted
+//! and removed, lines repeated, words put in that break number parsers; and hands the reader the fuzzer's
+//! bytes as they are. Nothing may panic, and what is read must hold to what the pipeline relies on.
 //!
 //! A test run does a bounded number of iterations. To search for longer:
 //!
@@ -89,9 +89,9 @@ fn interaction() {
 #[test]
 fn vci_dut() {
     let vehicles = "id,frame,label,x_est,y_est,psi_est,vel_est\n0,22,veh,12.52,3.64,1.64,3.34\n";
-    let walkers =
+    let pedestrians =
         "id,frame,label,x_est,y_est,vx_est,vy_est\n0,22,ped,5.55,7.73,1.66,-0.01\n0,23,ped,5.6,7.73,1.6,0\n";
-    fuzz(Format::VciDut, &[(Role::Vehicles, vehicles), (Role::Pedestrians, walkers)]);
+    fuzz(Format::VciDut, &[(Role::Vehicles, vehicles), (Role::Pedestrians, pedestrians)]);
 }
 
 #[test]
@@ -136,7 +136,7 @@ fn fuzz(format: Format, files: &[(Role, &str)]) {
         let mut replaced = sample.clone();
         replaced[file].bytes = bytes.to_vec();
         for inputs in [edited, replaced] {
-            // What a file is told to be must not matter for its safety, only for its meaning.
+            // A wrong role must not make a file unsafe to read.
             let _ = Format::detect(&inputs[file]);
             if let Ok(recording) = parse(format, &inputs) {
                 check(&recording);

@@ -99,7 +99,7 @@ fn a_pipeline_that_is_none_is_told_with_its_place() {
     let cases: [(&str, &[&str]); 4] = [
         (&unknown_key, &["unknown field `budget`", &place("key.toml", "budget_ms = 6")]),
         (&no_producer, &["no stage writes \"encodings\"", "producer.toml:"]),
-        (&cycle, &["waits for itself", "cycle.toml:"]),
+        (&cycle, &["needs its own output", "cycle.toml:"]),
         ("no/such.toml", &["no/such.toml"]),
     ];
     for (pipeline, told) in cases {

@@ -1,7 +1,8 @@
 //! Control Gaussians of each agent, mode and step, from the agents' temporal summaries.
 //!
-//! The modes are the model's latent points in their order, with the probabilities of the mode head; or draws from
-//! N(0, I), all equally probable, that depend on seed, track and tick alone. Beside them stands the single best forecast.
+//! The modes are the model's latent points in their order, with the probabilities of the mode head; or draws
+//! from N(0, I), all equally probable, that depend on seed, track and tick alone. Beside them stands the
+//! single best forecast.
 
 mod draws;
 mod options;
@@ -15,7 +16,7 @@ use wire::{AGENT_TYPES, AGENTS_MAX, AgentControls, AgentEncoding, Header, Reject
 
 use unroll::Unroller;
 
-/// How the decoder draws and shares its work.
+/// Settings of a [`Decoder`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct DecoderOptions {
     /// Threads that run the network, the stage's own among them; results do not depend on it.
@@ -52,7 +53,8 @@ impl Decoder {
     /// Decodes the forecastable agents of a frame into `out`, in their order.
     ///
     /// # Errors
-    /// [`Rejected`] where the frame does not fit the model or holds impossible numbers; `out` is left as it is then.
+    /// [`Rejected`] where the frame does not fit the model or holds impossible numbers; `out` is then
+    /// unchanged.
     pub fn step(
         &mut self,
         header: &Header,

@@ -12,7 +12,7 @@ pub const STAGE: Declaration<Options> =
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct Options {
-    /// Threads that share a tick's rows, the stage's own among them; forecasts do not depend on it.
+    /// Threads that share the work of a tick, the stage's own included; forecasts do not depend on it.
     #[schemars(range(min = 1, max = WORKERS_MAX))]
     pub workers: usize,
 }

@@ -8,7 +8,7 @@ use wire::{AgentControls, AgentEncoding, AgentType, LATENT, STATE_FEATURES, TEMP
 use crate::draws::Stream;
 use crate::{DecoderOptions, StartError};
 
-/// A worker's agents, sorted by type, and what becomes of them.
+/// A worker's agents, sorted by type, and their controls.
 pub(crate) struct Unroller {
     networks: Arc<Decoder>,
     config: ModelConfig,
@@ -92,34 +92,34 @@ impl Job for Unroller {
     }
 }
 
-/// What the network says of an agent, as a frame tells it.
-fn controls(agent: &AgentEncoding, said: AgentDraws<'_>, modes_len: usize) -> AgentControls {
+/// The network's output for an agent as an element of the payload.
+fn controls(agent: &AgentEncoding, decoded: AgentDraws<'_>, modes_len: usize) -> AgentControls {
     let mut controls = AgentControls {
         id: agent.id,
         agent_type: agent.agent_type,
         modes_len: modes_len as u32,
         ..AgentControls::default()
     };
-    controls.probability[..modes_len].copy_from_slice(said.probability);
+    controls.probability[..modes_len].copy_from_slice(decoded.probability);
     let all = controls.modes[..modes_len].iter_mut().chain([&mut controls.best]);
-    for (draw, out) in all.enumerate().take(said.draws_len()) {
-        out.iter_mut().zip(said.controls(draw)).for_each(|(out, control)| *out = control);
+    for (draw, out) in all.enumerate().take(decoded.draws_len()) {
+        out.iter_mut().zip(decoded.controls(draw)).for_each(|(out, control)| *out = control);
     }
-    if said.draws_len() == modes_len {
-        controls.best = controls.modes[likeliest(said.probability)];
+    if decoded.draws_len() == modes_len {
+        controls.best = controls.modes[most_probable(decoded.probability)];
     }
-    let base = said.best_base();
+    let base = decoded.best_base();
     controls.base[..base.len()].copy_from_slice(base);
     controls
 }
 
-/// The mode of the greatest probability, the first of equals.
-fn likeliest(probabilities: &[f32]) -> usize {
-    let mut likeliest = 0;
+/// The most probable mode, the first of equals.
+fn most_probable(probabilities: &[f32]) -> usize {
+    let mut best = 0;
     for (mode, probability) in probabilities.iter().enumerate() {
-        if *probability > probabilities[likeliest] {
-            likeliest = mode;
+        if *probability > probabilities[best] {
+            best = mode;
         }
     }
-    likeliest
+    best
 }

@@ -1,4 +1,4 @@
-//! The decoder against itself and its refusals; its numbers are held to the golden vectors with the layers.
+//! The decoder's determinism and refusals; the golden vectors of the layers hold its numbers.
 #![expect(clippy::unwrap_used, reason = "a test ends at what it can't do")]
 
 use crate::support::frames;
@@ -17,7 +17,7 @@ fn decode(workers: usize, seed: u64, seq: u64, encodings: &[AgentEncoding]) -> V
 }
 
 #[test]
-fn forecastable_agents_keep_their_order_and_their_probabilities_sum_to_one() {
+fn controls_keep_the_agents_order_and_sum_to_one() {
     let encodings = encodings(23);
     let out = decode(1, 0, 0, &encodings);
     let expected: Vec<u64> = encodings.iter().filter(|a| a.forecastable != 0).map(|a| a.id).collect();
@@ -32,7 +32,7 @@ fn forecastable_agents_keep_their_order_and_their_probabilities_sum_to_one() {
 }
 
 #[test]
-fn neither_workers_nor_company_change_a_bit() {
+fn workers_and_other_agents_change_no_bit() {
     let encodings = encodings(70);
     let out = decode(1, 5, 9, &encodings);
     assert_eq!(out, decode(3, 5, 9, &encodings));
@@ -102,6 +102,9 @@ fn the_base_control_is_added_to_the_means() {
             );
         }
         assert_eq!(with.probability, without.probability);
-        assert!(with.probability[..20].iter().any(|p| (p - 0.05).abs() > 1e-4), "the mode head speaks");
+        assert!(
+            with.probability[..20].iter().any(|p| (p - 0.05).abs() > 1e-4),
+            "the mode head has an effect"
+        );
     }
 }

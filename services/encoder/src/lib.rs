@@ -43,7 +43,8 @@ impl Encoder {
     /// Encodes the agents of a frame into `out`, in their order.
     ///
     /// # Errors
-    /// [`Rejected`] where the frame does not fit the model or holds impossible numbers; `out` is left as it is then.
+    /// [`Rejected`] where the frame does not fit the model or holds impossible numbers; `out` is then
+    /// unchanged.
     pub fn step(
         &mut self,
         header: &Header,
@@ -117,15 +118,12 @@ impl Encoder {
                 expected: features.edges.len(),
             });
         }
-        match features.edges.iter().find(|edge| !joins_present(edge)) {
-            Some(edge) => {
-                Err(Rejected::Impossible { field: "edge of an absent agent", value: f64::from(edge.step) })
-            }
-            None if !features.edges.is_sorted_by(|a, b| a < b) => {
-                Err(Rejected::Impossible { field: "order of the edges", value: features.edges.len() as f64 })
-            }
-            None => Ok(()),
+        if let Some(edge) = features.edges.iter().find(|edge| !joins_present(edge)) {
+            let value = f64::from(edge.step);
+            return Err(Rejected::Impossible { field: "edge of an absent agent", value });
         }
+        let unsorted = features.edges.windows(2).position(|pair| pair[0] >= pair[1]);
+        unsorted.map_or(Ok(()), |before| Err(Rejected::OutOfOrder { field: "edges", at: before + 1 }))
     }
 }
 

@@ -1,4 +1,4 @@
-//! The encoder's refusals; its numbers are held to the golden vectors with the layers.
+//! The encoder's refusals; the golden vectors of the layers hold its numbers.
 
 use crate::support::frames;
 use encoder::Encoder;
@@ -57,7 +57,7 @@ fn a_bad_frame_is_refused_and_leaves_the_output() {
     let dangling = refuse(&|frame| frame.edges[0].sender = 9);
     assert!(matches!(dangling, Rejected::Impossible { .. }));
     let unsorted = refuse(&|frame| frame.edges.swap(0, 1));
-    assert!(matches!(unsorted, Rejected::Impossible { field: "order of the edges", .. }));
+    assert!(matches!(unsorted, Rejected::OutOfOrder { field: "edges", .. }));
     let late = Edge { step: 8, ..Edge::default() };
     let late = refuse(&|frame| *frame.edges.last_mut().unwrap() = late);
     assert!(matches!(late, Rejected::Impossible { .. }));

@@ -1,4 +1,4 @@
-//! What was computed before, by stamp: context embeddings of tracks and relation embeddings of pairs of tracks.
+//! Cache by stamp: context embeddings of tracks and relation embeddings of pairs of tracks.
 
 use wire::{AgentFeatures, CONTEXT_EMBEDDING, EDGE_ATTRIBUTES, Edge, NODE_ATTRIBUTES};
 
@@ -7,7 +7,7 @@ const STAMPS: usize = 64;
 /// Marks a pair without relation.
 const NONE: u16 = u16::MAX;
 
-/// Embeddings of the newest stamps; the oldest stamp makes room for a new one.
+/// Embeddings of the newest stamps; a new stamp replaces the oldest.
 pub(crate) struct StampCache {
     stamps: Vec<Stamp>,
     /// Rows of the current frame's agents in the stamp in hand.
@@ -31,7 +31,7 @@ struct Stamp {
     relations: Vec<[f32; EDGE_ATTRIBUTES]>,
 }
 
-/// The embeddings of one stamp as the agents of the current frame see them.
+/// The embeddings of one stamp, addressed by the agents of the current frame.
 pub(crate) struct Kept<'a> {
     stamp: &'a Stamp,
     rows: &'a [Option<usize>],
@@ -63,12 +63,12 @@ impl Kept<'_> {
 }
 
 impl StampCache {
-    /// Forgets everything.
+    /// Drops all entries.
     pub(crate) fn clear(&mut self) {
         self.stamps.clear();
     }
 
-    /// What is kept of a stamp for the agents of the current frame.
+    /// The entries of a stamp for the agents of the current frame.
     pub(crate) fn at(&mut self, stamp_ns: i64, agents: &[AgentFeatures]) -> Option<Kept<'_>> {
         let stamp = self.stamps.iter().find(|stamp| stamp.stamp_ns == stamp_ns)?;
         self.rows.clear();
@@ -76,7 +76,7 @@ impl StampCache {
         Some(Kept { stamp, rows: &self.rows })
     }
 
-    /// Keeps the embeddings of a step of the current frame in place of what was kept of its stamp.
+    /// Stores the embeddings of a step of the current frame in place of the entries of its stamp.
     pub(crate) fn keep(
         &mut self,
         stamp_ns: i64,
@@ -133,7 +133,8 @@ impl StampCache {
         place
     }
 
-    /// Gives every stamp room for `len` relations, so that a scene that has once been seen needs no more memory.
+    /// Gives every stamp room for `len` relations, so that a scene as full as an earlier one allocates
+    /// nothing.
     fn make_room(&mut self, len: usize) {
         if len > self.relations_room {
             self.relations_room = len.next_power_of_two();

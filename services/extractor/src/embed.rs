@@ -8,14 +8,14 @@ use wire::{CONTEXT_EMBEDDING, Context, EDGE_ATTRIBUTES, HISTORY_MAX, RELATION_FE
 
 use crate::StartError;
 
-/// What a frame lacks.
+/// What must be computed for a frame.
 #[derive(Default)]
 pub(crate) struct Wanted {
-    /// (agent, step) whose context embedding is not known.
+    /// (agent, step) whose context embedding is not cached.
     patches: Vec<(usize, usize)>,
-    /// Edges whose relation embedding is not known.
+    /// Edges whose relation embedding is not cached.
     relations: Vec<usize>,
-    /// Steps that lack something.
+    /// Steps of these.
     steps: [bool; HISTORY_MAX],
 }
 
@@ -53,7 +53,7 @@ impl Wanted {
     }
 
     pub(crate) fn steps(&self) -> impl Iterator<Item = usize> {
-        self.steps.iter().enumerate().filter(|(_, lacks)| **lacks).map(|(step, _)| step)
+        self.steps.iter().enumerate().filter(|(_, wanted)| **wanted).map(|(step, _)| step)
     }
 }
 
@@ -106,7 +106,7 @@ fn share(len: usize, number: usize, workers: usize) -> Range<usize> {
     len * number / workers..len * (number + 1) / workers
 }
 
-/// Embeds all that is wanted and hands over each result.
+/// Computes all that is wanted and calls `take` with each result.
 pub(crate) fn run(
     workers: &mut Workers<Embedder>,
     wanted: &Wanted,

@@ -1,11 +1,13 @@
 //! Node and edge attributes of the history graph, from tracks and their context patches.
 //!
-//! A node is an agent at a history step, its attribute v = \[SE ‖ CE\]: the state embedding and the context embedding. An
-//! edge joins two agents that are near each other at a step, its attribute e is the relation embedding.
+//! A node is an agent at a history step, its attribute v = \[SE ‖ CE\]: the state embedding and the context
+//! embedding. An edge joins two agents that are near each other at a step, its attribute e is the relation
+//! embedding.
 //!
-//! SE is relative to the agent's newest state and is computed anew each tick. CE and e depend on states of their own step
-//! alone, which the tracker never rewrites once it has published them: they are kept by (track, stamp) and (pair, stamp),
-//! and in a steady run only those of the newest step are computed. After a restart the window refills the cache.
+//! SE is relative to the agent's newest state and is computed in each tick. CE and e depend on states of
+//! their own step alone, which the tracker never changes once it has published them: they are cached by
+//! (track, stamp) and (pair, stamp), and in a steady run only those of the newest step are computed. After a
+//! restart the window refills the cache.
 
 mod cache;
 mod embed;
@@ -25,14 +27,14 @@ use wire::{
 use cache::StampCache;
 use embed::{Embedder, Embedding, Wanted};
 
-/// How the extractor shares its work.
+/// Settings of an [`Extractor`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct ExtractorOptions {
     /// Threads that run the networks, the stage's own among them; results do not depend on it.
     pub workers: usize,
 }
 
-/// What was computed for a frame, and what was taken from the cache.
+/// What was computed for a frame because the cache did not have it, and what was left out.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Effort {
     /// Patches that went through the CNN.
@@ -124,18 +126,18 @@ impl Extractor {
         })
     }
 
-    /// What the last frame took.
+    /// What was computed for the last frame.
     #[must_use]
     pub const fn effort(&self) -> Effort {
         self.effort
     }
 
-    /// Computes the features of a frame and tells their size; [`Extractor::write`] hands them over. A frame that is no
-    /// tick has none.
+    /// Computes the features of a frame and returns their shape; [`Extractor::write`] writes them. A frame
+    /// that is no tick has none.
     ///
     /// # Errors
-    /// [`Rejected`] where the frame is not newer than the last, does not fit the model or holds impossible numbers.
-    /// Nothing is computed or remembered then.
+    /// [`Rejected`] where the frame is not newer than the last, does not fit the model or holds impossible
+    /// numbers. Nothing is computed or cached then.
     pub fn prepare(&mut self, header: &Header, context: &Context<'_>) -> Result<FeatureShape, Rejected> {
         if !header.is_tick() {
             header.check()?;
@@ -157,7 +159,7 @@ impl Extractor {
     /// Writes the features that [`Extractor::prepare`] computed.
     ///
     /// # Panics
-    /// Where `out` has another shape than `prepare` told.
+    /// Where `out` has another shape than `prepare` returned.
     pub fn write(&mut self, out: &mut FeaturesMut<'_>) {
         out.agents.copy_from_slice(&self.frame.agents);
         out.edges.copy_from_slice(&self.frame.edges);
@@ -191,7 +193,7 @@ impl Extractor {
         for (i, track) in context.tracks.iter().enumerate() {
             track.check()?;
             if context.tracks[..i].iter().any(|other| other.id == track.id) {
-                return Err(Rejected::Impossible { field: "track id given twice", value: track.id as f64 });
+                return Err(Rejected::Twice { field: "track", id: track.id });
             }
         }
         finite("context patches", context.patches)
@@ -255,7 +257,7 @@ impl Extractor {
         }
     }
 
-    /// Context and relation embeddings of all steps: from the cache, or computed and then kept.
+    /// Context and relation embeddings of all steps: from the cache, or computed and then cached.
     fn embed_history(&mut self, header: &Header, context: &Context<'_>) {
         let Frame { agents, edges, attributes, states, wanted, .. } = &mut self.frame;
         let history_len = self.config.history_len;
@@ -315,7 +317,7 @@ fn context_of(node: &mut [f32; NODE_ATTRIBUTES]) -> &mut [f32; CONTEXT_EMBEDDING
     node.last_chunk_mut().expect("a node holds a context embedding")
 }
 
-/// An agent with its state features; its node attributes are yet to come.
+/// An agent with its state features, without its node attributes.
 fn describe(
     track: &wire::Track,
     history: &[Option<State>; HISTORY_MAX],

@@ -1,4 +1,4 @@
-//! The extractor against itself: with and without cache, workers and bad frames.
+//! The extractor with and without cache, with several workers and bad frames.
 
 use crate::support::scene;
 use extractor::Effort;
@@ -87,7 +87,7 @@ fn a_refused_frame_leaves_no_trace() {
     spoilt.localise(&header, |context| context.tracks[1].history[2].vx_mps = f32::INFINITY);
     assert_eq!(spoilt.extract(&header).unwrap_err(), Rejected::NotFinite { field: "history" });
     spoilt.localise(&header, |context| context.tracks[1].id = context.tracks[0].id);
-    assert!(matches!(spoilt.extract(&header).unwrap_err(), Rejected::Impossible { .. }));
+    assert!(matches!(spoilt.extract(&header).unwrap_err(), Rejected::Twice { field: "track", .. }));
     spoilt.localise(&header, |_| {});
     let mut other = header;
     other.step_ns += 1;

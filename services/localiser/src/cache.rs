@@ -5,11 +5,11 @@ const STAMPS_MAX: usize = 40;
 
 /// The patches of the newest stamps of each track.
 ///
-/// Holds as many tracks as a frame can have; a new one takes the place of the one that was not asked for the longest.
+/// Holds as many tracks as a frame can have; a new one replaces the least recently used.
 pub(crate) struct PatchCache {
     patch_len: usize,
     entries: Vec<Entry>,
-    /// \[entry, stamp, patch\]; untouched parts cost no memory.
+    /// \[entry, stamp, patch\]; parts never written take no memory.
     patches: Vec<f32>,
 }
 
@@ -35,7 +35,7 @@ impl PatchCache {
         }
     }
 
-    /// Saves the slots of tracks from eviction until a later stamp.
+    /// Protects the slots of tracks from eviction until a later stamp.
     pub(crate) fn touch(&mut self, ids: impl Iterator<Item = u64>, now_ns: i64) {
         for id in ids {
             if let Some(entry) = self.entries.iter_mut().find(|entry| entry.id == id) {
@@ -75,7 +75,7 @@ impl PatchCache {
         Some(&self.patches[start..start + self.patch_len])
     }
 
-    /// Keeps the patch of a track at a stamp; the oldest gives way.
+    /// Stores the patch of a track at a stamp in place of its oldest.
     pub(crate) fn put(&mut self, slot: Slot, stamp_ns: i64, patch: &[f32]) {
         let entry = &mut self.entries[slot.0];
         let place = entry.len % STAMPS_MAX;

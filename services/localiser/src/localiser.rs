@@ -7,9 +7,9 @@ use crate::cache::PatchCache;
 
 /// Where the context map comes from.
 pub enum MapSource {
-    /// There is none: every patch is zero.
+    /// No map: every patch is zero.
     None,
-    /// A map of the site, made of earlier recordings.
+    /// A map of the site, built from earlier recordings.
     Fixed(ContextMap),
     /// It grows from what is observed.
     Online,
@@ -41,7 +41,7 @@ pub struct Localiser {
 }
 
 impl Localiser {
-    /// A localiser that has seen nothing.
+    /// A localiser that has observed nothing yet.
     ///
     /// # Panics
     /// Where history or patches are larger than a frame can hold.
@@ -58,7 +58,7 @@ impl Localiser {
         Self { history_len, patch, map, cache: PatchCache::new(patch.len()), last_ns: None }
     }
 
-    /// The shape of the frame that so many tracks make.
+    /// The shape of a frame of `tracks_len` tracks.
     #[must_use]
     pub const fn shape(&self, tracks_len: usize) -> ContextShape {
         ContextShape { agents_len: tracks_len, history_len: self.history_len, patch_side: self.patch.side }
@@ -67,11 +67,11 @@ impl Localiser {
     /// Writes the tracks and their patches, then adds what was observed to an online map.
     ///
     /// # Errors
-    /// [`Rejected`] where the frame is not newer than the last, does not fit the model or holds impossible numbers; the
-    /// localiser is then as it was.
+    /// [`Rejected`] where the frame is not newer than the last, does not fit the model or holds impossible
+    /// numbers; the localiser is then unchanged.
     ///
     /// # Panics
-    /// Where `out` has not the shape that [`Localiser::shape`] tells.
+    /// Where `out` has another shape than [`Localiser::shape`].
     pub fn step(
         &mut self,
         header: &Header,

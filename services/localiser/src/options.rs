@@ -17,8 +17,8 @@ pub const STAGE: Declaration<Options> =
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct Options {
-    /// Where the context map comes from: `online`, gathered from the tracks while the pipeline runs; `none`; or a file that
-    /// `stgdat map` wrote.
+    /// Context map: `online`, built from the tracks while the pipeline runs; `none`; or the path of a file
+    /// that `stgdat map` wrote.
     pub map: MapChoice,
 }
 
@@ -26,7 +26,7 @@ pub struct Options {
 #[derive(Clone, Debug, Default, PartialEq, Eq, Deserialize)]
 #[serde(try_from = "String")]
 pub enum MapChoice {
-    /// Gathered from the tracks while the pipeline runs, the past only.
+    /// Built from the tracks while the pipeline runs, from the past only.
     #[default]
     Online,
     /// No map: every patch is zero.
@@ -35,12 +35,12 @@ pub enum MapChoice {
     File(PathBuf),
 }
 
-/// An empty name for a map.
+/// The empty text, which names no map.
 #[derive(Debug, Error, PartialEq, Eq)]
 #[error("no map")]
 pub struct UnknownMap;
 
-/// How a map is named.
+/// What may be written for a map.
 const EXPECTED: &str = "online, none or the path of a map";
 
 impl FromStr for MapChoice {

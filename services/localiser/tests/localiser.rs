@@ -1,4 +1,4 @@
-//! What the localiser tells, tick by tick, of agents on circles.
+//! Context frames of agents on circles, tick by tick.
 
 #![expect(clippy::unwrap_used, reason = "a broken fixture should fail at once")]
 
@@ -23,7 +23,7 @@ fn header(tick: i64) -> Header {
     header
 }
 
-/// Agent `id` on its circle at a tick; each is first seen at tick 0.
+/// Agent `id` on its circle at a tick; each is first observed at tick 0.
 fn state(id: u64, tick: i64) -> Option<State> {
     let (radius_m, speed_mps) = (6.0 + id as f32, 5.0);
     let angle = speed_mps / radius_m * tick as f32 * 0.08 + id as f32;
@@ -68,7 +68,7 @@ fn patch(patches: &[f32], agent: usize, step: usize) -> &[f32] {
 }
 
 #[test]
-fn a_patch_keeps_to_its_stamp_as_it_grows_old() {
+fn a_patch_stays_the_same_as_its_stamp_ages() {
     let mut localiser = online();
     let told: Vec<_> = (0..80).map(|tick| step(&mut localiser, tick, &crowd(5, tick))).collect();
     for tick in 0..80 {
@@ -88,7 +88,7 @@ fn a_patch_keeps_to_its_stamp_as_it_grows_old() {
 }
 
 #[test]
-fn a_tick_shows_nothing_of_itself_and_coasting_tracks_leave_no_mark() {
+fn a_map_excludes_the_present_tick_and_coasting_tracks() {
     let run = |last: &dyn Fn() -> Vec<Track>, coasting: bool| {
         let mut localiser = online();
         for tick in 0..20 {
@@ -129,7 +129,7 @@ fn a_fixed_map_gives_its_own_patches_and_no_map_zeros() {
 }
 
 #[test]
-fn a_track_that_was_never_met_is_told_whole() {
+fn a_new_track_gets_patches_for_its_whole_history() {
     let mut localiser = online();
     (0..60).for_each(|tick| {
         step(&mut localiser, tick, &crowd(2, tick));
@@ -143,11 +143,11 @@ fn a_track_that_was_never_met_is_told_whole() {
 }
 
 #[test]
-fn tracks_beyond_the_cache_push_out_only_those_that_are_gone() {
+fn new_tracks_evict_only_tracks_that_are_gone() {
     let mut localiser = online();
     let mut newest = Vec::new();
     for tick in 0..120_i64 {
-        // Two tracks stay for good; a hundred others change their ids at every tick.
+        // Two tracks stay; a hundred others change their ids at every tick.
         let mut tracks = crowd(2, tick);
         tracks.extend((0..100).map(|i| Track { id: 1_000 + tick as u64 * 100 + i, ..track(i % 7, tick) }));
         tracks.rotate_left(tick as usize % 102);
@@ -161,7 +161,7 @@ fn tracks_beyond_the_cache_push_out_only_those_that_are_gone() {
 }
 
 #[test]
-fn frames_that_no_tick_can_have_are_refused_and_change_nothing() {
+fn impossible_frames_are_refused_and_change_nothing() {
     let mut localiser = online();
     let mut twin = online();
     for tick in 0..10 {

@@ -1,7 +1,7 @@
 //! The recorder as a process: `forecasts` and `truth` in, a report and a file of forecasts out.
 
 use std::io;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use ports::{Stage, StageError};
 use run::Run;
@@ -19,9 +19,9 @@ const REPORT: &str = "report.json";
 pub fn run(run: &Run) -> Result<(), StageError> {
     let options = STAGE.options(run)?;
     let mut recorder = Recorder::new(settings(run));
-    let unwritable = |error: io::Error| {
-        let path = options.forecasts.as_deref().unwrap_or(Path::new("forecasts"));
-        StageError::data(format!("{}: {error}", path.display()))
+    let unwritable = |source: io::Error| {
+        let path = options.forecasts.clone().unwrap_or_else(|| PathBuf::from("forecasts"));
+        StageError::File { path, source }
     };
     let mut writer =
         options.forecasts.as_deref().map(ForecastWriter::create).transpose().map_err(unwritable)?;

@@ -3,12 +3,12 @@ use wire::{AGENTS_MAX, Forecast, HORIZON_MAX, MODES_MAX};
 
 /// The last learned forecast of each track, for as many tracks as a frame can have.
 pub(crate) struct HeldForecasts {
-    /// Track and stamp of each forecast, apart from these: a search reads no others of their many bytes.
+    /// Track and stamp of each forecast, apart from the forecasts: a search reads these few bytes alone.
     keys: Vec<Key>,
     forecasts: Vec<Forecast>,
 }
 
-/// Of which track a forecast is, and of when.
+/// Track and time of a forecast.
 #[derive(Clone, Copy)]
 struct Key {
     id: u64,
@@ -23,7 +23,8 @@ impl HeldForecasts {
         Self { keys: Vec::with_capacity(AGENTS_MAX), forecasts: Vec::with_capacity(AGENTS_MAX) }
     }
 
-    /// Keeps a learned forecast; in its place gives way an older one of the track, or for a new track the oldest of all.
+    /// Keeps a learned forecast in place of an older one of the track or, for a new track, of the oldest of
+    /// all.
     pub(crate) fn keep(&mut self, stamp_ns: i64, forecast: &Forecast) {
         let key = Key { id: forecast.id, stamp_ns };
         let known = self.keys.iter().position(|held| held.id == key.id);
@@ -51,9 +52,10 @@ impl HeldForecasts {
 impl Held<'_> {
     /// Writes the forecast as of `age_steps` later, where the agent is at the position that `out` contains.
     ///
-    /// Each trajectory is taken from the point that it foresaw for now, moved so that this is where the agent is, and
-    /// beyond its horizon goes on at its last velocity. The covariances of the modes are those foreseen for the time; those
-    /// beyond the horizon grow with the square of time, as a velocity's do.
+    /// Each trajectory is cut at the point that it predicted for now, moved so that this point is where the
+    /// agent is, and beyond its horizon continued at its last velocity. The covariances of the modes are
+    /// those predicted for the time; those beyond the horizon grow with the square of time, as a velocity's
+    /// do.
     pub(crate) fn move_on(&self, age_steps: f32, horizon_len: usize, out: &mut Forecast) {
         let Self(held) = self;
         let modes_len = (held.modes_len as usize).min(MODES_MAX);
@@ -71,10 +73,10 @@ impl Held<'_> {
         }
         let steps = &steps[..horizon_len];
         let moved = |trajectory: &[[f32; 2]; HORIZON_MAX], out: &mut [[f32; 2]; HORIZON_MAX]| {
-            let foreseen_m = now.of(origin_m, trajectory);
+            let predicted_m = now.of(origin_m, trajectory);
             for (later, out) in steps.iter().zip(out) {
                 let there_m = later.position.of(origin_m, trajectory);
-                *out = [0, 1].map(|axis| now_m[axis] + (there_m[axis] - foreseen_m[axis]));
+                *out = [0, 1].map(|axis| now_m[axis] + (there_m[axis] - predicted_m[axis]));
             }
         };
         let modes = held.modes.iter().zip(&held.mode_covariance).take(modes_len);
@@ -110,13 +112,13 @@ fn within_modes(forecast: &Forecast, modes_len: usize, horizon_len: usize) -> [[
     within
 }
 
-/// A time of which a held forecast is asked, the same for all of its modes.
+/// A time at which a held forecast is evaluated, the same for all of its modes.
 #[derive(Clone, Copy, Default)]
 struct Later {
     position: Between,
     /// Within the horizon.
     covariance: Between,
-    /// By how much deviations have grown since the horizon.
+    /// Factor by which standard deviations have grown since the horizon.
     growth: f32,
 }
 
@@ -141,7 +143,7 @@ impl Later {
 struct Between {
     /// Steps before the place; 0 for the origin.
     before: usize,
-    /// The way to the next step.
+    /// Share of the way to the next step.
     share: f32,
 }
 
@@ -152,7 +154,7 @@ impl Between {
         Self { before, share: steps.max(0.0) - before as f32 }
     }
 
-    /// What a trajectory foresaw for the place.
+    /// The trajectory at the place.
     fn of<const D: usize>(&self, origin: [f32; D], knots: &[[f32; D]; HORIZON_MAX]) -> [f32; D] {
         let from = if self.before == 0 { origin } else { knots[self.before - 1] };
         let to = knots[self.before];

@@ -2,11 +2,11 @@ use kinematics::{ControlGaussian, Moments, MotionModel};
 use scene::AgentType;
 use wire::{Expert, Forecast, HORIZON_MAX, POSITION_MAX_M};
 
-/// What an agent may do of which nothing is known.
+/// Spread of the motion of an agent without a learned forecast.
 struct Freedom {
     /// Standard deviations of the controls: m/s² and rad/s of a vehicle, else m a step.
     control: [f32; 2],
-    /// Standard deviation of the velocity of those who move by displacements.
+    /// Standard deviation of the velocity of agents that move by displacements.
     velocity_mps: f32,
 }
 
@@ -18,7 +18,7 @@ const fn freedom(agent_type: AgentType) -> Freedom {
     }
 }
 
-/// Writes a single mode: the agent goes on without control, and ever less is known of where.
+/// Writes a single mode: zero control, with a covariance that grows.
 pub(crate) fn forecast(model: MotionModel, agent_type: AgentType, horizon_len: usize, out: &mut Forecast) {
     let freedom = freedom(agent_type);
     let controls = std::iter::repeat_n(ControlGaussian::centred(freedom.control), horizon_len);

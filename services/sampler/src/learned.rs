@@ -4,17 +4,17 @@ use wire::{AgentControls, Expert, Forecast, HORIZON_MAX, MODES_MAX, Rejected, St
 
 use crate::Propagation;
 
-/// The probabilities of an agent's modes may miss 1 by this much.
+/// Largest deviation of the sum of an agent's mode probabilities from 1.
 const PROBABILITY_SLACK: f32 = 1e-3;
 
-/// The controls of an agent that a forecast can be made of.
+/// Checked controls of an agent.
 pub(crate) struct LearnedControls<'a> {
     controls: &'a AgentControls,
     horizon_len: usize,
 }
 
 impl<'a> LearnedControls<'a> {
-    /// Refuses controls that are not finite, or modes whose probabilities are none.
+    /// Refuses controls that are not finite, and probabilities that are negative or do not sum to 1.
     pub(crate) fn new(controls: &'a AgentControls, horizon_len: usize) -> Result<Self, Rejected> {
         controls.check()?;
         let probability = &controls.probability[..controls.modes_len as usize];
@@ -44,7 +44,7 @@ impl<'a> LearnedControls<'a> {
         }
     }
 
-    /// Writes modes with their controls as they are changed, best forecast and moments.
+    /// Writes the modes with their changed controls, the best forecast and the moments.
     pub(crate) fn forecast(
         &self,
         changes: &ControlChanges,
@@ -60,12 +60,12 @@ impl<'a> LearnedControls<'a> {
         };
         let mut moments = [[Moments::default(); HORIZON_MAX]; MODES_MAX];
         let modes = out.controls.iter_mut().zip(&mut moments).enumerate();
-        for (mode, (told, moments)) in modes.take(modes_len) {
+        for (mode, (published_steps, moments)) in modes.take(modes_len) {
             let moments = &mut moments[..self.horizon_len];
             let mut acting = [ControlGaussian::centred([0.0; 2]); HORIZON_MAX];
-            for ((control, acting), told) in mode_steps(mode).zip(&mut acting).zip(told) {
+            for ((control, acting), out) in mode_steps(mode).zip(&mut acting).zip(published_steps) {
                 *acting = model.acting(&control);
-                *told = published(&model.relative_to_start(acting));
+                *out = published(&model.relative_to_start(acting));
             }
             match propagation {
                 Propagation::Linearised => model.moments(acting.into_iter(), moments),

@@ -1,19 +1,19 @@
 //! Turns controls into trajectories: the last stage of a tick.
 //!
-//! Every track gets a forecast at every tick, whatever became of its controls. The [`Sampler`] takes the best that there
-//! is, and the forecast tells which it was, why, and how old:
+//! Every track gets a forecast at every tick, also where its controls are late, missing or refused. The
+//! [`Sampler`] takes the first of these that it has, and the forecast contains its quality, cause and age:
 //!
-//! * *learned*: the controls of this tick, carried through the kinematic layer mode by mode — as linearised Gaussians or
-//!   as particles ([`Propagation`]);
+//! * *learned*: the controls of this tick, carried through the kinematic layer mode by mode — as linearised
+//!   Gaussians or as particles ([`Propagation`]);
 //! * *held*: the last learned forecast of the track, moved on to now, while it is not too old;
-//! * *kinematic*: no control at all, with a covariance that grows.
+//! * *kinematic*: zero control, with a covariance that grows.
 //!
-//! The modes of an agent make a mixture; its mean and covariance are told beside them.
+//! The modes of an agent make a mixture; its mean and covariance are published beside them.
 
 mod held;
-mod kept;
 mod kinematic;
 mod learned;
+mod memory;
 mod motion;
 mod options;
 mod sampler;

@@ -5,12 +5,12 @@ use wire::Track;
 
 use crate::SamplerOptions;
 
-/// Below this speed a velocity says no more about a heading than at it.
+/// Below this speed the heading of a velocity is taken to be as uncertain as at it.
 const STEADY_MPS: f32 = 1.0;
-/// A variance beyond this is no estimate.
+/// A covariance with a larger entry is no estimate.
 const VARIANCE_MAX: f32 = 1e6;
 
-/// The motion of a track that is at its present state for certain.
+/// The motion of a track from its present state, without uncertainty.
 pub(crate) fn certain_motion(
     track: &Track,
     agent_type: AgentType,
@@ -31,9 +31,9 @@ pub(crate) fn certain_motion(
     MotionModel::new(kind, &start, &options.motion, dt_s)
 }
 
-/// The same motion from a start that is as uncertain as its track. A covariance that is none leaves it certain.
+/// The same motion with the track's covariance at its start; without uncertainty where that is no covariance.
 ///
-/// A bicycle's slip stays certain: it is read off the headings, not taken from the filter.
+/// The slip of a bicycle has no variance: it comes from the headings, not from the filter.
 pub(crate) fn with_track_covariance(mut model: MotionModel, track: &Track) -> MotionModel {
     let len = track.state_len as usize;
     let entries_hold = track.covariance.iter().all(|entry| entry.abs() <= VARIANCE_MAX);

@@ -15,24 +15,25 @@ pub const STAGE: Declaration<Options> =
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct Options {
-    /// Time after its release for which a tick waits for its controls, in milliseconds; no longer than the interval, and in
-    /// lockstep for ever.
+    /// Time after its release for which a tick waits for its controls, in milliseconds; at most the interval,
+    /// and without limit in lockstep.
     #[schemars(range(max = TICK_MS), extend("exclusiveMinimum" = 0.0))]
     pub deadline_ms: f64,
-    /// Whether the retrieval memory takes part: how those who came by before departed from their forecasts.
+    /// Whether forecasts are corrected by the retrieval memory: by the residuals that agents before had to
+    /// their forecasts.
     #[schemars(extend("formerly" = "recall"))]
     pub retrieval: bool,
-    /// File that the retrieval memory begins with, if there is one, and ends in.
+    /// File of the retrieval memory: read at the start, if it exists (warm start), and written at the end.
     #[schemars(extend("format" = "path"))]
     pub memory: Option<PathBuf>,
-    /// How the spread of the controls is carried on to positions.
+    /// How the covariance of the controls becomes that of the positions.
     pub propagation: PropagationKind,
-    /// Particles of each mode of the Monte Carlo propagation.
+    /// Particles per mode of the Monte Carlo propagation.
     #[schemars(range(min = 1, max = PARTICLES_MAX))]
     pub particles: usize,
 }
 
-/// How the spread of the controls is carried on, as it is named.
+/// How the covariance of the controls becomes that of the positions, by name.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum PropagationKind {
@@ -63,7 +64,7 @@ impl Options {
     }
 }
 
-/// How the spread of the controls is carried on to positions.
+/// How the covariance of the controls becomes that of the positions.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Propagation {
     /// One Gaussian per mode, through the derivatives of the motion model.
@@ -87,15 +88,15 @@ pub struct SamplerOptions {
     pub vehicle_motion: MotionKind,
     /// The constants of motion.
     pub motion: MotionOptions,
-    /// Whether the track's own covariance is where a forecast's covariance begins; 0 otherwise.
+    /// Whether a forecast's covariance begins at the track's own; 0 otherwise.
     pub initial_covariance: bool,
-    /// How the spread of the controls is carried on.
+    /// How the covariance of the controls becomes that of the positions.
     pub propagation: Propagation,
     /// Seed of the particles' random numbers.
     pub seed: u64,
-    /// Whether forecasts learn from the memory of the place how those who came by earlier went on.
-    pub recalls: bool,
-    /// Oldest learned forecast that is still told as held.
+    /// Whether forecasts are corrected by the retrieval memory.
+    pub retrieval: bool,
+    /// Greatest age at which a learned forecast is published again as held.
     pub max_age_ns: u64,
 }
 
@@ -109,7 +110,7 @@ impl Default for SamplerOptions {
             initial_covariance: true,
             propagation: Propagation::Linearised,
             seed: 0,
-            recalls: true,
+            retrieval: true,
             max_age_ns: 1_600_000_000,
         }
     }

@@ -17,11 +17,11 @@ pub struct Sampler {
     held: HeldForecasts,
     /// None where nothing is to be retrieved, or no tick came yet.
     retrieval: Option<Retrieval>,
-    /// Those of one agent after another.
+    /// Scratch: the changes of the agent in hand.
     changes: ControlChanges,
 }
 
-/// What is the same for all tracks of a frame.
+/// The part of a header that the forecasts depend on.
 #[derive(Clone, Copy)]
 struct Tick {
     stamp_ns: i64,
@@ -50,8 +50,8 @@ impl Sampler {
         Self { options, held: HeldForecasts::new(), retrieval: None, changes: ControlChanges::default() }
     }
 
-    /// Retrieves from now on from a memory of forecasts of the same model: a warm start.
-    pub fn recall(&mut self, memory: RetrievalMemory) {
+    /// Retrieves from now on from a memory of forecasts of the same model.
+    pub fn warm_start(&mut self, memory: RetrievalMemory) {
         self.retrieval = Some(Retrieval::new(memory));
     }
 
@@ -63,9 +63,10 @@ impl Sampler {
 
     /// Writes a forecast per track, in the tracks' order, by the controls of the same tick.
     ///
-    /// A track that the controls do not name, or whose controls are refused or lead out of the world, gets a held or
-    /// kinematic forecast with its cause; the other tracks are not touched by it. Controls that name no track are left
-    /// out. Calling it later with an older tick is allowed: the forecasts are held where none newer is.
+    /// A track without controls, or whose controls are refused or lead out of the world, gets a held or
+    /// kinematic forecast with its cause, without effect on the other tracks. Controls without a track are
+    /// left out. A call with an older tick than before is allowed: its forecasts are held where none newer
+    /// is.
     ///
     /// # Errors
     /// [`Rejected`] where header or tracks are impossible; nothing was written or changed.
@@ -120,12 +121,12 @@ impl Sampler {
         tracks.iter().zip(out).try_for_each(|(track, out)| self.fall_back(tick, track, cause, out))
     }
 
-    /// Shows the retrieval memory where all agents are that are seen now.
+    /// Gives the retrieval memory the positions of all agents that were detected in this tick.
     fn observe(&mut self, tick: Tick, tracks: &[Track]) {
-        if self.options.recalls && tick.step_ns > 0 {
+        if self.options.retrieval && tick.step_ns > 0 {
             let new = || Retrieval::new(RetrievalMemory::new(self.options.horizon_len, tick.step_ns));
-            let seen = tracks.iter().filter(|track| track.unseen_ns == 0);
-            let positions_m = seen.map(|track| (track.id, [track.x_m, track.y_m]));
+            let detected = tracks.iter().filter(|track| track.unseen_ns == 0);
+            let positions_m = detected.map(|track| (track.id, [track.x_m, track.y_m]));
             self.retrieval.get_or_insert_with(new).observe(tick.stamp_ns, positions_m);
         }
     }
@@ -162,7 +163,7 @@ impl Sampler {
         Ok(())
     }
 
-    /// Held where there is a young enough learned forecast, else kinematic.
+    /// Held where a learned forecast is young enough, else kinematic.
     fn fall_back(&self, tick: Tick, track: &Track, cause: Cause, out: &mut Forecast) -> Result<(), Rejected> {
         let agent_type = track.agent_type()?;
         let cause = if track.forecastable == 0 { Cause::Young } else { cause };
@@ -182,8 +183,8 @@ impl Sampler {
     fn write_kinematic(&self, tick: Tick, track: &Track, agent_type: AgentType, out: &mut Forecast) {
         let motion = MotionOptions { displacement: DisplacementKind::Residual, ..self.options.motion };
         let options = SamplerOptions { vehicle_motion: MotionKind::Bicycle, motion, ..self.options };
-        // Recorded headings are courses. A learned forecast begins at the recorded heading all the same, as in training: the
-        // network makes up for the slip.
+        // Recorded headings are courses. A learned forecast begins at the recorded heading all the same, as
+        // in training: the network compensates for the slip.
         let model = certain_motion(track, agent_type, &options, tick.dt_s()).with_course_along_heading();
         let model = with_track_covariance(model, track);
         kinematic::forecast(model, agent_type, self.options.horizon_len, out);

@@ -16,7 +16,7 @@ pub fn settings(options: &Options, model: &ModelConfig, seed: u64) -> SamplerOpt
             PropagationKind::MonteCarlo => Propagation::MonteCarlo { particles: options.particles },
         },
         seed,
-        recalls: options.retrieval,
+        retrieval: options.retrieval,
         ..SamplerOptions::default()
     }
 }

@@ -1,26 +1,26 @@
-//! The sampler as a process: `tracks` and `controls` in, `forecasts` out, whatever becomes of the controls.
+//! The sampler as a process: `tracks` and `controls` in, `forecasts` out, with controls or without.
 
 use model::ModelConfig;
 use ports::{Awaited, Stage, StageError};
 use run::Run;
 use wire::{Cause, ControlsTopic, ForecastsTopic, Topic, TracksTopic, flags};
 
-pub use crate::kept::{keep_memory, open};
+pub use crate::memory::{open, save_memory};
 use crate::{STAGE, Sampler};
 
 /// Runs the stage until the process is asked to end.
 ///
 /// # Errors
-/// [`StageError`] where the run's model, options or shared memory, or its memory of the place, can't be used.
+/// [`StageError`] where the run's model, options, shared memory or memory file can't be used.
 pub fn run(run: &Run) -> Result<(), StageError> {
     let model = ModelConfig::of_run(&run.root).map_err(StageError::config)?;
     let mut sampler = open(run, &model)?;
     let followed = follow(run, &model, &mut sampler);
-    let kept = keep_memory(run, &sampler);
-    followed.and(kept)
+    let saved = save_memory(run, &sampler);
+    followed.and(saved)
 }
 
-/// Serves tick after tick.
+/// Answers every tick with forecasts.
 fn follow(run: &Run, model: &ModelConfig, sampler: &mut Sampler) -> Result<(), StageError> {
     let options = STAGE.options(run)?;
     let deadline_ns = run.interval_ns.min((options.deadline_ms * 1e6) as u64);
@@ -47,7 +47,7 @@ fn follow(run: &Run, model: &ModelConfig, sampler: &mut Sampler) -> Result<(), S
             Awaited::Stopped => break,
         };
         let result = cause.map_or(Ok(()), |cause| sampler.fallback(header, &input, cause, &mut loan));
-        // The forecasts are of the tracks; the way through the pipeline is that of the controls.
+        // The header is that of the tracks, the hops are those of the controls.
         passage.header = header.with_hops_of(&passage.header);
         passage.header.counts.horizon_len = model.horizon_len as u32;
         passage.header.counts.modes_len = model.modes as u32;

@@ -1,4 +1,4 @@
-//! A steady step takes no memory.
+//! A steady step allocates nothing.
 
 use bytemuck::Zeroable;
 use retrieval::RetrievalMemory;
@@ -40,8 +40,9 @@ fn a_thousand_steady_steps_allocate_nothing() {
         (Propagation::MonteCarlo { particles: 4 }, false),
         (Propagation::Linearised, true),
     ];
-    for (propagation, recalls) in kinds {
-        let mut sampler = Sampler::new(SamplerOptions { propagation, recalls, ..SamplerOptions::default() });
+    for (propagation, retrieval) in kinds {
+        let mut sampler =
+            Sampler::new(SamplerOptions { propagation, retrieval, ..SamplerOptions::default() });
         let mut tracks = vec![Track::zeroed(); 32];
         let mut controls = vec![AgentControls::zeroed(); 32];
         let mut out = vec![Forecast::zeroed(); 32];
@@ -49,16 +50,16 @@ fn a_thousand_steady_steps_allocate_nothing() {
             write_tick(tick, &mut tracks, &mut controls);
             let mut header = Header::new(1, tick, tick as i64 * 80_000_000);
             header.step_ns = 400_000_000;
-            let told = match tick % 4 {
+            let written = match tick % 4 {
                 3 => sampler.fallback(&header, &tracks, Cause::Late, &mut out),
                 _ => sampler.learned(&header, &tracks, &controls[..30], &mut out),
             };
-            told.expect("a good frame");
+            written.expect("a good frame");
             assert!(out.iter().all(|forecast| forecast.modes_len > 0));
         };
         (0..50).for_each(&mut step);
-        assert_eq!(allocations(|| (50..1_050).for_each(&mut step)), 0, "{propagation:?} {recalls}");
+        assert_eq!(allocations(|| (50..1_050).for_each(&mut step)), 0, "{propagation:?} {retrieval}");
         let stored = sampler.memory().map_or(0, RetrievalMemory::entries_len);
-        assert!(stored > 6000 || !recalls, "{stored} entries");
+        assert!(stored > 6000 || !retrieval, "{stored} entries");
     }
 }

@@ -73,7 +73,7 @@ fn total(forecast: &Forecast, step: usize) -> [f32; 3] {
 }
 
 #[test]
-fn the_modes_covariances_and_their_spread_are_the_mixtures() {
+fn the_mixture_has_the_moments_of_its_modes() {
     for agent_type in AGENT_TYPES {
         for propagation in [Propagation::Linearised, Propagation::MonteCarlo { particles: 32 }] {
             for forecast in learned_and_held(agent_type, propagation, 560_000_000) {
@@ -99,7 +99,7 @@ fn the_modes_covariances_and_their_spread_are_the_mixtures() {
 }
 
 #[test]
-fn held_modes_have_the_covariance_foreseen_for_the_time() {
+fn held_modes_have_the_covariance_predicted_for_the_time() {
     for agent_type in AGENT_TYPES {
         // Two steps and a half later.
         let [fresh, held] = learned_and_held(agent_type, Propagation::Linearised, 1_000_000_000);
@@ -122,7 +122,7 @@ fn causes_are_bits_and_the_process_model_is_an_expert() {
     let [learned, held] = learned_and_held(AgentType::Pedestrian, Propagation::Linearised, 80_000_000);
     assert_eq!((learned.cause, learned.causes), (0, 0));
     assert_eq!((held.cause, held.causes), (Cause::Late as u32, 1 << Cause::Late as u32));
-    assert_eq!(learned.expert_weights, [0.0; 8], "nobody reports them yet");
+    assert_eq!(learned.expert_weights, [0.0; 8], "reserved");
     let mut kinematic = [Forecast::default()];
     let young = Track { forecastable: 0, ..track(AgentType::Vehicle) };
     let mut sampler = Sampler::new(SamplerOptions::default());

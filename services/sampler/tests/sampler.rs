@@ -1,4 +1,4 @@
-//! What the sampler tells of tracks with good, bad, late and missing controls.
+//! Forecasts of the sampler for tracks with good, bad, late and missing controls.
 
 #![expect(clippy::unwrap_used, reason = "a broken fixture should fail at once")]
 
@@ -88,7 +88,7 @@ fn fallback(sampler: &mut Sampler, stamp_ns: i64, tracks: &[Track]) -> Vec<Forec
     out
 }
 
-fn told(forecast: &Forecast) -> (u32, u32) {
+fn quality_and_cause(forecast: &Forecast) -> (u32, u32) {
     (forecast.quality, forecast.cause)
 }
 
@@ -102,7 +102,7 @@ fn assert_near(found: [f32; 2], expected: [f32; 2], tolerance_m: f32, what: &str
 }
 
 #[test]
-fn walkers_take_their_displacements_in_their_own_axes() {
+fn displacements_are_in_the_agent_frame() {
     let heading_rad = std::f32::consts::FRAC_PI_2;
     for agent_type in TYPES {
         let options =
@@ -110,7 +110,7 @@ fn walkers_take_their_displacements_in_their_own_axes() {
         let track = track(1, agent_type, [3.0, 4.0], heading_rad, 1.5);
         let controls = controls(1, agent_type, &[[0.1, 0.05], [0.0, 0.0]], 0.1);
         let residual = &learned(&mut Sampler::new(options), 0, &[track], &[controls])[0];
-        assert_eq!(told(residual), is(Quality::Learned, Cause::None));
+        assert_eq!(quality_and_cause(residual), is(Quality::Learned, Cause::None));
         assert_eq!((residual.modes_len, residual.age_ns, residual.source_id), (2, 0, 101));
         for step in 0..12 {
             let k = (step + 1) as f32;
@@ -152,7 +152,7 @@ fn vehicles_obey_their_controls_within_limits() {
 }
 
 #[test]
-fn a_vehicle_in_a_turn_begins_with_the_slip_of_its_turn() {
+fn a_turning_vehicle_begins_with_the_slip_of_its_turn() {
     let (speed_mps, turn_rate) = (8.0_f32, 0.4_f32);
     let radius_m = speed_mps / turn_rate;
     let mut turning = track(1, AgentType::Vehicle, [0.0, 0.0], 0.0, speed_mps);
@@ -196,7 +196,7 @@ fn reversing_vehicles_go_backwards() {
 }
 
 #[test]
-fn the_tracks_covariance_is_where_the_forecasts_begins() {
+fn a_forecasts_covariance_begins_at_the_tracks() {
     let certain = SamplerOptions { initial_covariance: false, ..SamplerOptions::default() };
     for agent_type in TYPES {
         for state_len in [4, 5] {
@@ -224,7 +224,7 @@ fn the_tracks_covariance_is_where_the_forecasts_begins() {
 }
 
 #[test]
-fn particles_tell_what_gaussians_tell_and_the_same_twice() {
+fn particles_agree_with_gaussians_and_are_reproducible() {
     let tracks: Vec<_> = TYPES
         .into_iter()
         .enumerate()
@@ -255,16 +255,16 @@ fn particles_tell_what_gaussians_tell_and_the_same_twice() {
 }
 
 #[test]
-fn a_held_forecast_goes_on_from_where_the_agent_is_now() {
+fn a_held_forecast_begins_at_the_agents_present_position() {
     let mut sampler = Sampler::new(SamplerOptions::default());
     let start = track(1, AgentType::Pedestrian, [0.0, 0.0], 0.0, 1.0);
     let controls = controls(1, AgentType::Pedestrian, &[[0.1, 0.0], [0.0, 0.1]], 0.05);
     let first = learned(&mut sampler, 0, &[start], &[controls])[0];
     let within = first.covariance[0][2] - 0.05_f32.powi(2);
-    // 0.6 s later: one and a half steps; the agent is 0.2 m left of where the first mode saw it.
+    // 0.6 s later: one and a half steps; the agent is 0.2 m left of where the first mode predicted it.
     let later = track(1, AgentType::Pedestrian, [0.75, 0.2], 0.0, 1.0);
     let held = fallback(&mut sampler, 600_000_000, &[later])[0];
-    assert_eq!((told(&held), held.age_ns), (is(Quality::Held, Cause::Late), 600_000_000));
+    assert_eq!((quality_and_cause(&held), held.age_ns), (is(Quality::Held, Cause::Late), 600_000_000));
     assert_eq!((held.modes_len, held.probability), (2, first.probability));
     assert_eq!((held.x_m, held.y_m), (0.75, 0.2));
     for step in 0..12 {
@@ -277,7 +277,7 @@ fn a_held_forecast_goes_on_from_where_the_agent_is_now() {
         let least = within * (k + 1.5).min(12.0) + between - 1e-4;
         assert!(held.covariance[step][2] >= least, "{step}: {:?}", held.covariance[step]);
     }
-    // As the same tick has it, it is the very forecast.
+    // Without any age it is the same forecast.
     let same = fallback(&mut sampler, 0, &[start])[0];
     for step in 0..12 {
         assert_near(same.modes[1][step], first.modes[1][step], 1e-5, "same");
@@ -286,19 +286,32 @@ fn a_held_forecast_goes_on_from_where_the_agent_is_now() {
 }
 
 #[test]
-fn too_old_a_forecast_gives_way_to_the_kinematic_one() {
+fn a_forecast_too_old_is_replaced_by_the_kinematic_one() {
     let mut sampler = Sampler::new(SamplerOptions::default());
-    let walker = track(1, AgentType::Pedestrian, [0.0, 0.0], 0.0, 1.0);
-    learned(&mut sampler, 0, &[walker], &[controls(1, AgentType::Pedestrian, &[[0.1, 0.0]], 0.05)]);
-    let last = fallback(&mut sampler, 1_600_000_000, &[walker])[0];
-    assert_eq!(told(&last), is(Quality::Held, Cause::Late));
-    let gone = fallback(&mut sampler, 1_680_000_000, &[walker])[0];
-    assert_eq!((told(&gone), gone.age_ns, gone.modes_len), (is(Quality::Kinematic, Cause::Late), 0, 1));
-    // Controls that come late renew what is held, but never replace what is newer.
-    learned(&mut sampler, 800_000_000, &[walker], &[controls(1, AgentType::Pedestrian, &[[0.2, 0.0]], 0.05)]);
-    learned(&mut sampler, 400_000_000, &[walker], &[controls(1, AgentType::Pedestrian, &[[0.9, 0.0]], 0.05)]);
-    let renewed = fallback(&mut sampler, 1_680_000_000, &[walker])[0];
-    assert_eq!((told(&renewed), renewed.age_ns), (is(Quality::Held, Cause::Late), 880_000_000));
+    let pedestrian = track(1, AgentType::Pedestrian, [0.0, 0.0], 0.0, 1.0);
+    learned(&mut sampler, 0, &[pedestrian], &[controls(1, AgentType::Pedestrian, &[[0.1, 0.0]], 0.05)]);
+    let last = fallback(&mut sampler, 1_600_000_000, &[pedestrian])[0];
+    assert_eq!(quality_and_cause(&last), is(Quality::Held, Cause::Late));
+    let gone = fallback(&mut sampler, 1_680_000_000, &[pedestrian])[0];
+    assert_eq!(
+        (quality_and_cause(&gone), gone.age_ns, gone.modes_len),
+        (is(Quality::Kinematic, Cause::Late), 0, 1)
+    );
+    // Late controls renew the held forecast, but never replace a newer one.
+    learned(
+        &mut sampler,
+        800_000_000,
+        &[pedestrian],
+        &[controls(1, AgentType::Pedestrian, &[[0.2, 0.0]], 0.05)],
+    );
+    learned(
+        &mut sampler,
+        400_000_000,
+        &[pedestrian],
+        &[controls(1, AgentType::Pedestrian, &[[0.9, 0.0]], 0.05)],
+    );
+    let renewed = fallback(&mut sampler, 1_680_000_000, &[pedestrian])[0];
+    assert_eq!((quality_and_cause(&renewed), renewed.age_ns), (is(Quality::Held, Cause::Late), 880_000_000));
     assert_near(renewed.best[0], [0.6, 0.0], 1e-4, "the newer one");
 }
 
@@ -308,7 +321,7 @@ fn kinematic_forecasts_go_straight_on_with_growing_covariance() {
     for agent_type in TYPES {
         let young = Track { forecastable: 0, ..track(1, agent_type, [5.0, -3.0], 2.0, 4.0) };
         let forecast = fallback(&mut sampler, 0, &[young])[0];
-        assert_eq!(told(&forecast), is(Quality::Kinematic, Cause::Young));
+        assert_eq!(quality_and_cause(&forecast), is(Quality::Kinematic, Cause::Young));
         assert_eq!((forecast.modes_len, forecast.probability[0]), (1, 1.0));
         for step in 0..12 {
             let travelled_m = 4.0 * DT_S * (step + 1) as f32;
@@ -341,7 +354,7 @@ fn one_agents_bad_controls_leave_the_others_alone() {
     bad.push(controls(99, AgentType::Vehicle, &[[0.0, 0.0]], 0.1));
     let mut sampler = Sampler::new(SamplerOptions::default());
     let found = learned(&mut sampler, 0, &tracks, &bad);
-    let causes: Vec<_> = found.iter().map(told).collect();
+    let causes: Vec<_> = found.iter().map(quality_and_cause).collect();
     let refused = is(Quality::Kinematic, Cause::Rejected);
     let missing = is(Quality::Kinematic, Cause::Missing);
     let fine = is(Quality::Learned, Cause::None);
@@ -350,8 +363,8 @@ fn one_agents_bad_controls_leave_the_others_alone() {
     // Once there is a learned forecast, it is held for the refused ones.
     learned(&mut sampler, 80_000_000, &tracks, &good);
     let found = learned(&mut sampler, 160_000_000, &tracks, &bad);
-    assert_eq!(told(&found[0]), is(Quality::Held, Cause::Rejected));
-    assert_eq!(told(&found[3]), is(Quality::Held, Cause::Missing));
+    assert_eq!(quality_and_cause(&found[0]), is(Quality::Held, Cause::Rejected));
+    assert_eq!(quality_and_cause(&found[3]), is(Quality::Held, Cause::Missing));
 }
 
 #[test]
@@ -423,24 +436,24 @@ proptest! {
     }
 }
 
-/// The controls that a forecast tells lead, as they act, where its modes are: they need no saturation any more.
+/// Published controls, which are saturated already, lead to the positions of their modes.
 #[test]
-fn told_controls_lead_where_the_modes_do() {
+fn published_controls_reproduce_the_modes() {
     let track = track(1, AgentType::Vehicle, [3.0, 4.0], 0.4, 8.0);
-    let asked = controls(1, AgentType::Vehicle, &[[9.0, 0.4], [-2.0, -0.1]], 0.1);
-    let told = &learned(&mut Sampler::new(SamplerOptions::default()), 0, &[track], &[asked])[0];
-    assert_eq!((told.steering, told.frame_heading_rad), (Steering::Bicycle as u32, 0.4));
+    let decoded = controls(1, AgentType::Vehicle, &[[9.0, 0.4], [-2.0, -0.1]], 0.1);
+    let published = &learned(&mut Sampler::new(SamplerOptions::default()), 0, &[track], &[decoded])[0];
+    assert_eq!((published.steering, published.frame_heading_rad), (Steering::Bicycle as u32, 0.4));
     let bicycle = kinematics::Bicycle {
         rear_axle_m: 0.26 * track.length_m,
         slip_limit_rad: Some(0.5),
         integrator: kinematics::Integrator::Midpoint,
     };
-    for (mode, controls) in told.controls[..2].iter().enumerate() {
+    for (mode, controls) in published.controls[..2].iter().enumerate() {
         let mut state = kinematics::BicycleState::new(3.0, 4.0, 0.4, 8.0, 0.0);
         for (step, control) in controls.iter().enumerate() {
             assert!(control.mean[0] < 6.0 && control.cholesky[0] < 0.1, "{control:?}");
             state = bicycle.step(&state, &control.mean.into(), DT_S);
-            assert_near([state[0], state[1]], told.modes[mode][step], 1e-3, "mode");
+            assert_near([state[0], state[1]], published.modes[mode][step], 1e-3, "mode");
         }
     }
     let held = &fallback(&mut Sampler::new(SamplerOptions::default()), 0, &[track])[0];
@@ -448,28 +461,28 @@ fn told_controls_lead_where_the_modes_do() {
 }
 
 #[test]
-fn held_forecasts_keep_their_controls_and_absolute_displacements_are_told_beyond_the_velocity() {
+fn held_forecasts_keep_controls_relative_to_the_velocity() {
     let motion = MotionOptions { displacement: DisplacementKind::Absolute, ..MotionOptions::default() };
     let mut sampler = Sampler::new(SamplerOptions { motion, ..SamplerOptions::default() });
-    let walker = track(1, AgentType::Pedestrian, [0.0; 2], 1.2, 1.5);
+    let pedestrian = track(1, AgentType::Pedestrian, [0.0; 2], 1.2, 1.5);
     let whole = controls(1, AgentType::Pedestrian, &[[1.5 * DT_S + 0.1, 0.05]], 0.1);
-    let fresh = learned(&mut sampler, 0, &[walker], &[whole])[0];
+    let fresh = learned(&mut sampler, 0, &[pedestrian], &[whole])[0];
     assert_eq!(fresh.steering, Steering::Displacement as u32);
     assert!((fresh.frame_heading_rad - 1.2).abs() < 1e-6);
     for control in &fresh.controls[0] {
         assert_near(control.mean, [0.1, 0.05], 1e-5, "beyond the velocity");
         assert_eq!(control.cholesky, whole.modes[0][0].cholesky);
     }
-    let held = fallback(&mut sampler, 160_000_000, &[walker])[0];
+    let held = fallback(&mut sampler, 160_000_000, &[pedestrian])[0];
     assert_eq!((held.quality, held.age_ns), (Quality::Held as u32, 160_000_000));
     assert_eq!((held.controls, held.steering), (fresh.controls, fresh.steering));
     assert_eq!(held.frame_heading_rad, fresh.frame_heading_rad);
 }
 
-/// Vehicles at 8 m/s, each forecast to go on so, that slow down from x = 0 on at 1 m/s², one after the other; the forecast
-/// for one more at x = 0.
-fn after_others_braked(recalls: bool, others: u64) -> Forecast {
-    let mut sampler = Sampler::new(SamplerOptions { recalls, ..SamplerOptions::default() });
+/// The forecast for a vehicle at x = 0 after others, forecast at a steady 8 m/s, have braked from there at 1
+/// m/s².
+fn after_others_braked(retrieval: bool, others: u64) -> Forecast {
+    let mut sampler = Sampler::new(SamplerOptions { retrieval, ..SamplerOptions::default() });
     let steady = |id| controls(id, AgentType::Vehicle, &[[0.0; 2], [0.5, 0.0]], 0.1);
     let mut now_ns = 0;
     for id in 1..=others {
@@ -486,33 +499,30 @@ fn after_others_braked(recalls: bool, others: u64) -> Forecast {
     learned(&mut sampler, now_ns, &[next], &[steady(99)]).remove(0)
 }
 
-/// Where vehicles braked that were not expected to, the next one is; and its controls say so to the tracker.
+/// After vehicles that braked against their forecasts, the next forecast brakes, and so do its controls.
 #[test]
-fn the_place_is_recalled_unless_that_is_not_wanted() {
-    let forgetful = after_others_braked(false, 30);
-    assert_eq!(forgetful, after_others_braked(true, 0), "nothing to recall");
-    let recalling = after_others_braked(true, 30);
-    let (plain_m, recalled_m) = (forgetful.best[11][0], recalling.best[11][0]);
+fn retrieval_corrects_forecasts_unless_it_is_off() {
+    let without = after_others_braked(false, 30);
+    assert_eq!(without, after_others_braked(true, 0), "nothing to retrieve");
+    let with = after_others_braked(true, 30);
+    let (without_m, with_m) = (without.best[11][0], with.best[11][0]);
     let driven_m = 8.0 * 4.8 - 0.5 * 4.8 * 4.8;
-    assert!(
-        recalled_m < 0.4 * plain_m + 0.6 * driven_m,
-        "{recalled_m} m of {plain_m} m, {driven_m} m driven"
-    );
-    let brakes = |mode: &usize| (recalling.modes[*mode][11][0] - driven_m).abs() < 1.5;
-    let end_m = |mode: &usize| recalling.modes[*mode][11][0];
+    assert!(with_m < 0.4 * without_m + 0.6 * driven_m, "{with_m} m of {without_m} m, {driven_m} m driven");
+    let brakes = |mode: &usize| (with.modes[*mode][11][0] - driven_m).abs() < 1.5;
+    let end_m = |mode: &usize| with.modes[*mode][11][0];
     let mode =
         (0..2).filter(brakes).min_by(|a, b| end_m(a).total_cmp(&end_m(b))).expect("a mode that brakes");
-    let control = recalling.controls[mode][5];
+    let control = with.controls[mode][5];
     assert!(control.mean[0] < -0.8, "{control:?}");
-    assert_eq!(forgetful.mode_expert, [Expert::Network as u8; 20]);
-    assert_eq!(recalling.mode_expert[mode], Expert::Retrieval as u8);
-    assert!((recalling.probability.iter().sum::<f32>() - 1.0).abs() < 1e-5, "{:?}", recalling.probability);
-    assert!(recalling.best.iter().all(|[_, y]| (y - 0.2).abs() < 0.05), "{:?}", recalling.best);
+    assert_eq!(without.mode_expert, [Expert::Network as u8; 20]);
+    assert_eq!(with.mode_expert[mode], Expert::Retrieval as u8);
+    assert!((with.probability.iter().sum::<f32>() - 1.0).abs() < 1e-5, "{:?}", with.probability);
+    assert!(with.best.iter().all(|[_, y]| (y - 0.2).abs() < 0.05), "{:?}", with.best);
 }
 
-/// Where walkers went left that were not expected to, one of the modes does, and the best forecast bears that way.
+/// After pedestrians that went left against their forecasts, the best forecast and one of the modes go left.
 #[test]
-fn walkers_are_recalled_too() {
+fn retrieval_corrects_forecasts_of_pedestrians() {
     let mut sampler = Sampler::new(SamplerOptions::default());
     let ahead = |id| controls(id, AgentType::Pedestrian, &[[0.0; 2], [0.05, 0.0]], 0.1);
     let mut now_ns = 0;
@@ -520,19 +530,19 @@ fn walkers_are_recalled_too() {
         for tick in 0..70 {
             let t_s = 0.08 * tick as f32;
             let left_mps = if tick == 0 { 0.0 } else { 1.0 };
-            let mut walker = track(id, AgentType::Pedestrian, [1.25 * t_s, t_s], 0.0, 1.25);
-            (walker.vy_mps, walker.history[7].vy_mps) = (left_mps, left_mps);
-            learned(&mut sampler, now_ns, &[walker], &[ahead(id)]);
+            let mut pedestrian = track(id, AgentType::Pedestrian, [1.25 * t_s, t_s], 0.0, 1.25);
+            (pedestrian.vy_mps, pedestrian.history[7].vy_mps) = (left_mps, left_mps);
+            learned(&mut sampler, now_ns, &[pedestrian], &[ahead(id)]);
             now_ns += 80_000_000;
         }
         now_ns += 5_000_000_000;
     }
     let next = track(99, AgentType::Pedestrian, [0.1, 0.0], 0.0, 1.25);
     let forecast = learned(&mut sampler, now_ns, &[next], &[ahead(99)]).remove(0);
-    let went_m = 4.8;
-    assert!(forecast.best[11][1] > 0.6 * went_m, "{:?}", forecast.best);
+    let left_m = 4.8;
+    assert!(forecast.best[11][1] > 0.6 * left_m, "{:?}", forecast.best);
     assert!(
-        forecast.modes.iter().take(2).any(|mode| (mode[11][1] - went_m).abs() < 0.4),
+        forecast.modes.iter().take(2).any(|mode| (mode[11][1] - left_m).abs() < 0.4),
         "{:?}",
         forecast.modes
     );

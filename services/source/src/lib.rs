@@ -1,7 +1,7 @@
-//! The source: plays a recording tick by tick, as a sensor would have seen it.
+//! The source: plays a recording tick by tick, as a sensor would send it.
 //!
-//! [`Playback`] decides what goes out in which tick; when it goes out is for the caller, who has a clock and knows
-//! from [`Tick::due_ns`] how long after the first tick each one is due at the recording's own rate.
+//! [`Playback`] decides what goes out in which tick. The caller, which has the clock, decides when:
+//! [`Tick::due_ns`] is the time after the first tick at which each one is due at the recording's own rate.
 
 mod options;
 mod outputs;
@@ -11,6 +11,5 @@ mod scene;
 pub mod stage;
 
 pub use options::{Options, STAGE};
-pub use pace::Pace;
 pub use playback::{Playback, PlaybackOptions, Tick};
 pub use scene::recording;

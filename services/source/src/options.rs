@@ -19,11 +19,11 @@ pub struct Options {
     /// File or folder of the recording to play; without one an intersection is generated.
     #[schemars(extend("format" = "path"))]
     pub recording: Option<PathBuf>,
-    /// The recording's format; found out where not given.
+    /// The recording's format; detected where not given.
     #[serde(deserialize_with = "named", serialize_with = "name")]
     #[schemars(with = "Option<String>", extend("expected" = formats()))]
     pub format: Option<Format>,
-    /// Agents of the generated intersection, as many as have room.
+    /// Agents of the generated intersection; fewer where they have no room.
     #[schemars(range(min = 1, max = AGENTS_MAX))]
     pub agents: usize,
     /// Ticks after which the scene ends; the whole recording, or 20 s of a generated scene, where not given.

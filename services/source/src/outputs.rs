@@ -1,4 +1,4 @@
-use ports::{Peers, PortError, Publisher, Stage, StageError, monotonic_ns};
+use ports::{Awaiting, Peers, PortError, Publisher, Stage, StageError, monotonic_ns};
 use run::Run;
 use wire::{Detection, DetectionsTopic, Header, StageId, Topic, Truth, TruthTopic};
 
@@ -7,7 +7,7 @@ use crate::Tick;
 /// Time between the frames that link the pipeline, and between those that end it.
 pub(crate) const REPEAT_NS: u64 = 25_000_000;
 
-/// The source's ends of its topics, and what it hears of the stages that follow.
+/// The source's ends of its topics, and the heartbeats of the stages that follow.
 #[derive(Debug)]
 pub(crate) struct Outputs {
     detections: Publisher<DetectionsTopic>,
@@ -20,7 +20,7 @@ impl Outputs {
         Ok(Self { detections: stage.publish()?, truth: stage.publish()?, peers: stage.peers(run)? })
     }
 
-    /// Releases a tick, the truth first: it is there when the forecasts come.
+    /// Releases a tick, the truth first, so that it is there when the forecasts come.
     pub fn send(&self, stage: &mut Stage, tick: &Tick<'_>) -> Result<(), PortError> {
         self.release(stage, tick.header, tick.detections, tick.truth_header(), tick.truth)
     }
@@ -42,7 +42,8 @@ impl Outputs {
     /// Sends an empty frame again and again until the peers have answered it.
     ///
     /// # Errors
-    /// [`StageError::Stuck`] where they have not within `limit_ns`. A request to end ends the wait without an error.
+    /// [`StageError::NoAnswer`] where they have not within `limit_ns`. A signal that asks the process to end
+    /// is no error.
     pub fn repeat(
         &mut self,
         stage: &mut Stage,
@@ -50,8 +51,8 @@ impl Outputs {
         limit_ns: u64,
         answered: impl Fn(&Peers) -> bool,
     ) -> Result<(), StageError> {
-        let limit_ns = monotonic_ns() + limit_ns;
-        while monotonic_ns() < limit_ns && !stage.stop().requested() {
+        let end_ns = monotonic_ns() + limit_ns;
+        while monotonic_ns() < end_ns && !stage.stop().requested() {
             self.truth.send_copy(&[], header)?;
             let passage = stage.release(header);
             stage.pass_empty(passage, &self.detections)?;
@@ -59,7 +60,7 @@ impl Outputs {
                 return Ok(());
             }
         }
-        if stage.stop().requested() { Ok(()) } else { Err(self.stuck("the start or end of the run")) }
+        if stage.stop().requested() { Ok(()) } else { Err(self.unanswered(Awaiting::StartOrEnd, limit_ns)) }
     }
 
     /// Waits until the recorder has the forecasts of a tick.
@@ -76,7 +77,7 @@ impl Outputs {
         if self.wait_until(stage, monotonic_ns() + limit_ns, reached)? || stage.stop().requested() {
             return Ok(());
         }
-        Err(self.stuck(&format!("tick {seq}")))
+        Err(self.unanswered(Awaiting::Tick(seq), limit_ns))
     }
 
     fn wait_until(
@@ -96,12 +97,8 @@ impl Outputs {
         }
     }
 
-    fn stuck(&self, what: &str) -> StageError {
-        let names: Vec<&str> = self.peers.unlinked().into_iter().map(StageId::name).collect();
-        let who = if names.is_empty() { "a stage".to_owned() } else { names.join(", ") };
-        StageError::Stuck(format!(
-            "no answer to {what} of \"{}\": {who} did not pass it on",
-            DetectionsTopic::NAME
-        ))
+    fn unanswered(&self, awaited: Awaiting, limit_ns: u64) -> StageError {
+        let (topic, limit_ms) = (DetectionsTopic::NAME, limit_ns / 1_000_000);
+        StageError::NoAnswer { awaited, topic, limit_ms, unlinked: self.peers.unlinked() }
     }
 }

@@ -1,9 +1,9 @@
 /// When ticks go out: at the recording's own rate, each at its own absolute time, so that no error adds up.
 ///
-/// A source that was held up for longer than an interval does not make up for it: the rest is shifted, since ticks in a
-/// burst would only push one another out of the queues.
+/// A delay of more than an interval shifts all later ticks: sent in a burst they would push one another out
+/// of the queues.
 #[derive(Clone, Copy, Debug)]
-pub struct Pace {
+pub(crate) struct Pace {
     start_ns: u64,
     interval_ns: u64,
 }
@@ -11,13 +11,13 @@ pub struct Pace {
 impl Pace {
     /// The first tick goes out at `start_ns`.
     #[must_use]
-    pub const fn new(start_ns: u64, interval_ns: u64) -> Self {
+    pub(crate) const fn new(start_ns: u64, interval_ns: u64) -> Self {
         Self { start_ns, interval_ns }
     }
 
-    /// When a tick goes out that is due `due_ns` after the first, where it is `now_ns`.
+    /// When a tick that is due `due_ns` after the first goes out, given that it is `now_ns`.
     #[must_use]
-    pub const fn release_ns(&mut self, due_ns: u64, now_ns: u64) -> u64 {
+    pub(crate) const fn release_ns(&mut self, due_ns: u64, now_ns: u64) -> u64 {
         let planned_ns = self.start_ns + due_ns;
         let late_ns = now_ns.saturating_sub(planned_ns);
         if late_ns <= self.interval_ns {

@@ -1,7 +1,7 @@
 use data::{Ego, Frame, Recording};
 use wire::{Counts, DETECTIONS_MAX, Detection, Header, StampSource, TICK_NS, Truth, flags};
 
-/// Part of a tick by which a recording may be faster before it is thinned: clocks wander.
+/// Share of a tick by which a recording may be faster before it is thinned, for clocks that drift: 1 / 50.
 const TOLERANCE: u64 = 50;
 
 /// How a recording is played.
@@ -22,7 +22,7 @@ pub struct Tick<'a> {
     pub header: Header,
     /// At most [`DETECTIONS_MAX`] detections, in the recording's order.
     pub detections: &'a [Detection],
-    /// At most [`DETECTIONS_MAX`] true positions; empty where nobody knows.
+    /// At most [`DETECTIONS_MAX`] true positions; empty where the recording has none.
     pub truth: &'a [Truth],
     /// How long after the first tick this one is due at the recording's own rate.
     pub due_ns: u64,
@@ -113,8 +113,8 @@ impl Playback {
 
     /// The next tick; none after the last.
     ///
-    /// Of a frame with more than [`DETECTIONS_MAX`] detections those with the best scores go out, among equals the
-    /// nearest to the ego; the others are counted in the header.
+    /// Of a frame with more than [`DETECTIONS_MAX`] detections those with the best scores go out, among
+    /// equals the nearest to the ego; the others are counted in the header.
     pub fn next_tick(&mut self) -> Option<Tick<'_>> {
         let frame = &self.recording.frames[*self.played.get(usize::try_from(self.seq).ok()?)?];
         let first_ns = self.recording.frames[self.played[0]].stamp_ns;
@@ -145,7 +145,7 @@ impl Playback {
         Header { flags: header.flags | flags::WARM_UP, ..header }
     }
 
-    /// The header of the frame that tells every stage that nothing follows; its stamp is one interval after the last
+    /// The header of the last frame, after which no tick follows; its stamp is one interval after the last
     /// tick's.
     #[must_use]
     pub fn end(&self) -> Header {
@@ -161,7 +161,7 @@ impl Playback {
         }
     }
 
-    /// What the stamps were read off: only generated scenes come from no file.
+    /// Where the stamps come from: only generated scenes have no file.
     const fn stamp_source(&self) -> StampSource {
         if self.recording.sha256.is_empty() { StampSource::Generated } else { StampSource::Recording }
     }
@@ -184,7 +184,7 @@ impl Playback {
     }
 }
 
-/// The places of every `n`th frame by time, so that a frame that is missing shifts nothing.
+/// The places of every `n`th frame by time, so that a missing frame shifts no other.
 fn every_nth(frames: &[Frame], n: u64, interval_ns: u64) -> Vec<usize> {
     // Half an interval early is still the frame that is due.
     let apart_ns = n * interval_ns - interval_ns / 2;
@@ -266,7 +266,7 @@ mod tests {
     }
 
     #[test]
-    fn a_fast_recording_is_thinned_by_whole_frames_and_missing_ones_shift_nothing() {
+    fn a_fast_recording_is_thinned_by_whole_frames() {
         // 30 Hz without frames 4 and 5: every third frame is 10 Hz.
         let stamps: Vec<i64> =
             (0..12).filter(|k| ![4, 5].contains(k)).map(|k| k * 1_000_000_000 / 30).collect();
@@ -276,7 +276,7 @@ mod tests {
     }
 
     #[test]
-    fn twelve_and_a_half_hertz_with_a_wandering_clock_is_not_thinned() {
+    fn a_recording_of_12_5_hz_with_clock_drift_is_not_thinned() {
         let stamps: Vec<i64> = (0..4).map(|k| k * 79_900_000).collect();
         let playback = Playback::new(recording(79_900_000, &stamps), PlaybackOptions::default());
         assert_eq!(playback.thinning(), 1);
@@ -312,7 +312,7 @@ mod tests {
     }
 
     #[test]
-    fn a_full_frame_keeps_the_surest_then_the_nearest_and_tells_how_many_it_left_out() {
+    fn a_full_frame_keeps_the_best_scores_then_the_nearest() {
         let mut full = recording(100_000_000, &[0]);
         full.frames[0].detections =
             (0..DETECTIONS_MAX + 10).map(|k| detection(k as f32, if k < 5 { 0.1 } else { 0.9 })).collect();

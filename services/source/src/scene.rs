@@ -3,13 +3,14 @@ use ports::StageError;
 
 use crate::Options;
 
-/// Length of a generated scene where nobody says how many ticks: 20 s.
+/// Default length of a generated scene, in ticks: 20 s.
 const GENERATED_TICKS: u64 = 250;
 
 /// Opens the recording, or generates the scene, that a run with that seed plays.
 ///
 /// # Errors
-/// [`StageError::Data`] with file, line, column and value; [`StageError::Config`] where no such scene can be generated.
+/// [`StageError::Data`] with file, line, column and value; [`StageError::Config`] where no such scene can be
+/// generated.
 pub fn recording(options: &Options, seed: u64) -> Result<Recording, StageError> {
     if let Some(path) = &options.recording {
         return data::open(path, options.format).map_err(StageError::data);

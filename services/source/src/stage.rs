@@ -4,17 +4,19 @@ use ports::{Stage, StageError, monotonic_ns};
 use run::Run;
 
 use crate::outputs::{Outputs, REPEAT_NS};
-use crate::{Pace, Playback, PlaybackOptions, STAGE, recording};
+use crate::pace::Pace;
+use crate::{Playback, PlaybackOptions, STAGE, recording};
 
 /// Longest wait for the stages to link, and in lockstep for a tick's forecasts.
 const ANSWER_LIMIT_NS: u64 = 60_000_000_000;
-/// Longest wait for the last tick to pass, and then for the end to be heard.
+/// Longest wait for the last tick to pass, and then for the end to reach the stages.
 const END_LIMIT_NS: u64 = 2_000_000_000;
 
 /// Runs the stage until the scene has ended or the process is asked to end.
 ///
 /// # Errors
-/// [`StageError`] where the scene or the run's shared memory can't be used, or the other stages do not answer.
+/// [`StageError`] where the scene or the run's shared memory can't be used, or the other stages do not
+/// answer.
 pub fn run(run: &Run) -> Result<(), StageError> {
     let options = STAGE.options(run)?;
     let scene = recording(&options, run.seed)?;
@@ -26,7 +28,7 @@ pub fn run(run: &Run) -> Result<(), StageError> {
 
     let warm_up = playback.warm_up();
     outputs.repeat(&mut stage, warm_up, ANSWER_LIMIT_NS, |peers| peers.unlinked().is_empty())?;
-    // What is left of the warm-up frames passes before the first tick comes.
+    // The warm-up frames still on their way pass before the first tick.
     let mut pace = Pace::new(monotonic_ns() + 2 * REPEAT_NS, playback.interval_ns());
 
     while let Some(tick) = playback.next_tick() {
@@ -41,7 +43,7 @@ pub fn run(run: &Run) -> Result<(), StageError> {
     }
 
     let end = playback.end();
-    // The end must not push the last tick out of a queue; where a stage is too slow for it, the end comes all the same.
+    // The end must not push the last tick out of a queue; after END_LIMIT_NS it is sent all the same.
     let _ = outputs.wait_for_forecasts(&mut stage, end.seq.saturating_sub(1), END_LIMIT_NS);
     let _ = outputs.repeat(&mut stage, end, END_LIMIT_NS, |_| false);
     Ok(())

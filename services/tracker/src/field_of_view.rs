@@ -6,7 +6,7 @@ use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
-/// What the sensor can see at best: a sector of the ground about the ego's heading. As text `WIDTH,RANGE`.
+/// Field of view of a sensor: a sector of the ground about the ego's heading. As text `WIDTH,RANGE`.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(try_from = "String", into = "String")]
 pub struct FieldOfView {

@@ -17,25 +17,27 @@ pub const STAGE: Declaration<Options> =
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct Options {
-    /// Whether detections are associated by position even where they carry identities.
+    /// Whether to associate detections by position even where they carry identities.
     pub associate: bool,
-    /// What moves tracks between two detections: `learned` are the forecasts made before.
+    /// What predicts tracks between two detections: `learned`, earlier forecasts beside the process model;
+    /// `kinematic`, the process model alone.
     pub prior: Prior,
-    /// How detections correct tracks: `assignment` each by one, `jpda` by all that may be its own.
+    /// How detections correct tracks: `assignment`, each track by one detection; `jpda`, by all within its
+    /// gate, weighted.
     pub association: Association,
-    /// Field of view of the sensor at best, where frames tell that they were made from the ego: a sector about the ego's
-    /// heading. Who is outside is not missed. All round and as far as it may be where not given.
+    /// Field of view of the sensor, a sector about the ego's heading, for frames that are detected from the
+    /// ego. Tracks outside pay little for a miss. Without limits where not given.
     #[schemars(extend("formerly" = "view"))]
     pub fov: Option<FieldOfView>,
 }
 
-/// What moves a track between two detections.
+/// What predicts a track between two detections.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum Prior {
     /// Its type's process model alone.
     Kinematic,
-    /// The newest forecast of it, where there is one, beside the process model.
+    /// The newest forecast of the track, where there is one, beside the process model.
     #[default]
     Learned,
 }
@@ -44,14 +46,15 @@ pub enum Prior {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum Association {
-    /// Each track by the one that the cheapest assignment gives it.
+    /// Each track by one detection: the cheapest assignment.
     #[default]
     Assignment,
-    /// Each published track by all that may be its own, by how probable that is.
+    /// Each published track by all detections within its gate, weighted by their association probabilities
+    /// (JPDA).
     Jpda,
 }
 
-/// Standard deviations of what a detector measures, where the detection itself tells none.
+/// Standard deviations of a detector's measurements, where the detection itself contains none.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SensorNoise {
     /// Position per axis.
@@ -71,7 +74,7 @@ pub struct MotionNoise {
     pub acceleration_mps2: f64,
     /// Standard deviation of the slip rate in 80 ms: the bicycle.
     pub slip_rate_radps: f64,
-    /// Rate at which the slip angle dies away: the bicycle.
+    /// Rate at which the slip angle decays: the bicycle.
     pub slip_decay_per_s: f64,
 }
 
@@ -82,14 +85,15 @@ pub struct ForecastTrust {
     pub kinematic_weight: f64,
     /// Factor on the covariances of a forecast's controls.
     pub covariance_scale: f64,
-    /// Share of the process model's noise (standard deviations) that the forecast's modes keep where their controls act
-    /// in full.
+    /// Share of the process model's noise (standard deviations) that the forecast's modes keep where their
+    /// controls act in full.
     pub noise_share: f64,
     /// Standard deviation of a vehicle's speed at which the gain of its acceleration control is one half.
     pub half_gain_speed_mps: f64,
     /// Standard deviation of a vehicle's heading at which the gain of its slip-rate control is one half.
     pub half_gain_heading_rad: f64,
-    /// Time constant with which displacements come in: at first the estimated state knows better. 0 for at once.
+    /// Time constant with which displacements fade in, since at first the estimated state is the better
+    /// predictor. 0 for at once.
     pub fade_in_s: f64,
 }
 
@@ -102,7 +106,7 @@ pub struct InputModel {
     pub motion: [MotionNoise; 3],
     /// How far forecasts are trusted, where they are the prior.
     pub trust: ForecastTrust,
-    /// A track without a detection for so long, over frames that observed its type, ends.
+    /// Coast time: a track without a detection for so long, over frames that observed its type, ends.
     pub coast_ns: u64,
 }
 
@@ -117,32 +121,34 @@ pub struct TrackerOptions {
     pub tracks_max: usize,
     /// Associates by position even where the detections carry identities.
     pub associate: bool,
-    /// What moves tracks between two detections.
+    /// What predicts tracks between two detections.
     pub prior: Prior,
-    /// How detections correct tracks, where their identities do not tell.
+    /// How detections correct tracks, where they carry no identities.
     pub association: Association,
-    /// What the sensor can see at best, where a frame tells that it was made from the ego; all there is where none.
+    /// Field of view of the sensor, for frames that are detected from the ego; without limits where none.
     pub fov: Option<FieldOfView>,
     /// Inputs of a detector, to be associated.
     pub detector: InputModel,
-    /// Inputs that carry identities: annotated or smoothed recordings, whose positions are nearly without noise.
+    /// Inputs that carry identities: annotated or smoothed recordings, whose positions are nearly without
+    /// noise.
     pub recorded: InputModel,
     /// Probability that an agent in view is detected.
     pub detection_probability: f64,
     /// False detections per m² and frame.
     pub clutter_density: f64,
-    /// Price of leaving a track without detection, on the scale of −2 ln of a likelihood per m².
+    /// Cost of leaving a track without detection, on the scale of −2 ln of a likelihood per m².
     pub miss_cost: f64,
-    /// A track ends when it has not been seen for so long, whatever else: the forecast's horizon. Frames that come later
-    /// than that are refused.
+    /// A track without a detection for so long ends in any case: the forecast's horizon. Out-of-sequence
+    /// frames that are later than that are refused.
     pub horizon_ns: u64,
     /// History is not interpolated over longer gaps between states.
     pub gap_max_ns: u64,
 }
 
-/// Chosen by the errors of tracks and of the forecasts from them: among positions nearly without noise the modes follow best
-/// by the process model's own noise, among noisy ones their controls tell most of it. At which deviation half of a
-/// control acts was chosen on the validation recordings of INTERACTION, under noise of 0.02, 0.1 and 0.3 m.
+/// Chosen by the errors of tracks and of the forecasts from them: with nearly noise-free positions the modes
+/// track best under the process model's full noise, with noisy positions their controls explain most of it.
+/// The half-gain deviations were chosen on the validation recordings of INTERACTION, under noise of 0.02, 0.1
+/// and 0.3 m.
 const TRUST: ForecastTrust = ForecastTrust {
     kinematic_weight: 0.05,
     covariance_scale: 1.0,
@@ -152,10 +158,9 @@ const TRUST: ForecastTrust = ForecastTrust {
     fade_in_s: 0.5,
 };
 
-/// The noise of vehicles is chosen by the kinematic prior on the validation recordings of INTERACTION, by errors and identity
-/// switches under noise of 0.1 and 0.3 m.
-/// The decay of their slip lowers errors under noise of 0.02 m, too; a faster one would narrow the gate until identities switch
-/// more often.
+/// The noise of vehicles is chosen by the kinematic prior on the validation recordings of INTERACTION, by
+/// errors and identity switches under noise of 0.1 and 0.3 m. The decay of their slip lowers errors under
+/// noise of 0.02 m, too; a faster one would narrow the gate until identities switch more often.
 const DETECTOR: InputModel = InputModel {
     sensor: [
         SensorNoise { position_m: 0.25, heading_rad: 0.12, speed_mps: 1.0 },
@@ -171,8 +176,9 @@ const DETECTOR: InputModel = InputModel {
     coast_ns: 2_000_000_000,
 };
 
-/// Chosen so that the filtered state, moved on for 0.8 s at its velocity, comes nearest to where the agent then was:
-/// nearer than the velocity that the recording tells, or the backward difference of its positions.
+/// Chosen so that the filtered state, extrapolated for 0.8 s at its velocity, comes nearest to where the
+/// agent then was: nearer than by the velocity in the recording, or by the backward difference of its
+/// positions.
 const RECORDED: InputModel = InputModel {
     sensor: [
         SensorNoise { position_m: 0.03, heading_rad: 0.05, speed_mps: 0.1 },
@@ -210,7 +216,7 @@ impl Default for TrackerOptions {
 }
 
 impl TrackerOptions {
-    /// What is assumed of the input of that frame.
+    /// The model of the frame's kind of input.
     pub(crate) fn input(&self, header: &Header) -> &InputModel {
         if header.has(flags::HAS_IDENTITIES) { &self.recorded } else { &self.detector }
     }
@@ -225,7 +231,7 @@ impl TrackerOptions {
 
 /// Share of the length that lies between reference point and rear axle.
 const REAR_AXLE_RATIO: f64 = 0.26;
-/// Lengths where none is known.
+/// Lengths by agent type, for tracks of unknown length.
 const LENGTH_M: [f64; 3] = [4.5, 1.8, 1.8];
 
 impl InputModel {

@@ -35,13 +35,13 @@ pub fn run(run: &Run) -> Result<(), StageError> {
         let tracked = tracker.step(input.header(), &input, given, &mut tracks);
         passage.header = tracker.header(&passage.header);
         match tracked {
-            // Newer tracks are out already; what this frame told shows in the next.
+            // An out-of-sequence frame: newer tracks are out already, its effect shows in the next.
             Ok(tracked) if tracked.replayed_len > 0 => {
                 passage.header.flags |= flags::VOID;
                 stage.done(passage.header.seq);
                 stage.pass_empty(passage, &output)?;
             }
-            // How many tracks there are is known only now, so they are copied into shared memory.
+            // The number of tracks is known only now, so they are copied into shared memory.
             Ok(tracked) => {
                 let loan = output.copy(&tracks[..tracked.tracks_len])?;
                 stage.finish(passage, &output, Ok(loan))?;
@@ -53,8 +53,8 @@ pub fn run(run: &Run) -> Result<(), StageError> {
     Ok(())
 }
 
-/// Newer forecasts, if there are any; those at hand hold through ticks that have none, as late ones. In lockstep they are those
-/// of the tick before, whoever is the faster.
+/// Newer forecasts, if there are any; without, the caller keeps those that it has. In lockstep they are those
+/// of the tick before, so that timing has no effect.
 fn newer_prior(
     stage: &mut Stage,
     forecasts: &Subscriber<ForecastsTopic>,

@@ -1,7 +1,7 @@
-//! The graph of stages, as a pipeline.toml tells it.
+//! The graph of stages in a pipeline.toml.
 //!
-//! [`Pipeline`] is the content of the file, checked as a whole: what it accepts can be started. What this project's own
-//! programs read and write and which options they have, it takes from their declarations ([`run::Declared`]).
+//! [`Pipeline`] is the content of the file, checked as a whole: an accepted file can be started. The topics
+//! and options of this project's own programs come from their declarations ([`run::Declared`]).
 
 mod pipeline;
 

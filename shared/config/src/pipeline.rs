@@ -1,4 +1,4 @@
-//! The graph of stages, as pipeline.toml tells it.
+//! The graph of stages in pipeline.toml.
 
 mod check;
 mod error;
@@ -17,7 +17,7 @@ use wire::StageId;
 pub struct Stage {
     /// Which of the stages it is.
     pub id: StageId,
-    /// The program that plays it and its arguments; this project's own where none.
+    /// The program that runs as this stage, with its arguments; this project's own where none.
     pub command: Option<Vec<String>>,
     /// Names of the topics that it reads.
     pub reads: Vec<String>,
@@ -25,7 +25,7 @@ pub struct Stage {
     pub writes: Vec<String>,
     /// Its share of the 80 ms of a tick; none for stages that no forecast waits for.
     pub budget_ms: Option<f64>,
-    /// Its options: those that its declaration knows, or whatever a program of one's own is given.
+    /// Its options: checked by its declaration or, where it has a `command`, as written.
     pub options: toml::Table,
 }
 
@@ -36,13 +36,13 @@ pub struct Pipeline {
     pub weights: Option<PathBuf>,
     /// The stages.
     pub stages: Vec<Stage>,
-    /// What the file says in words of the version before, to be told to its author.
+    /// Warnings for the file's author: keys that have another name now.
     pub warnings: Vec<String>,
 }
 
 impl Pipeline {
-    /// Reads and checks the text of a pipeline.toml; `name` is the file's name in errors, `declared` are the stages that there
-    /// are programs for.
+    /// Reads and checks the text of a pipeline.toml; `name` is the file's name in errors, `declared` are the
+    /// stages that this project has programs for.
     ///
     /// # Errors
     /// [`PipelineError`] points to the first place in the text that is wrong.

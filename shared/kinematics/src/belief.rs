@@ -12,7 +12,7 @@ pub struct Belief<const N: usize> {
 }
 
 impl<const N: usize> Belief<N> {
-    /// A state known for certain.
+    /// A state without uncertainty.
     #[must_use]
     pub fn certain(mean: SVector<f32, N>) -> Self {
         Self { mean, covariance: SMatrix::zeros() }
@@ -26,7 +26,8 @@ impl<const N: usize> Belief<N> {
     ///
     /// u is the saturated mean of `control` and J the saturation's slope there. \[model §4\]
     ///
-    /// Differs from \[paper\]: the mean goes through f itself; its product with the Jacobian drops the affine term.
+    /// Differs from \[paper\]: the mean goes through f itself; its product with the Jacobian drops the affine
+    /// term.
     pub fn advance(&mut self, motion: &impl Motion<N>, control: &ControlGaussian) {
         self.advance_by(motion, &motion.acting(control));
     }
@@ -64,7 +65,7 @@ pub fn semidefinite_cholesky<T: RealField + Copy, const N: usize>(
 ) -> SMatrix<T, N, N> {
     let mut factor = SMatrix::<T, N, N>::zeros();
     for column in 0..N {
-        // What the columns before have of an entry.
+        // The part of an entry that the columns before account for.
         let known = |factor: &SMatrix<T, N, N>, row: usize| {
             (0..column).fold(T::zero(), |sum, k| sum + factor[(row, k)] * factor[(column, k)])
         };

@@ -7,17 +7,18 @@
 //! y' = y + v* sin γ* Δt      v' = v + a Δt
 //! ```
 //!
-//! `Euler` takes the state before the step: v* = v, β* = β, γ* = ψ + β \[paper, Eq. discretesystem\]. `Midpoint` takes the
-//! middle: v* = (v + v')/2, β* = (β + β')/2, γ* = ψ + ω* Δt/2 + β*.
+//! `Euler` takes the state before the step: v* = v, β* = β, γ* = ψ + β \[paper, Eq. discretesystem\].
+//! `Midpoint` takes the middle: v* = (v + v')/2, β* = (β + β')/2, γ* = ψ + ω* Δt/2 + β*.
 //!
-//! Differs from \[paper, Eq. discretesystem\]: with Euler the first control cannot move the first position, so midpoint is
-//! the default; and the derivative of x' by v is cos γ Δt, where the paper prints v_x Δt.
+//! Differs from \[paper, Eq. discretesystem\]: with Euler the first control cannot move the first position,
+//! so midpoint is the default; and the derivative of x' by v is cos γ Δt, where the paper prints v_x Δt.
 
 use nalgebra::{RealField, SMatrix, SVector, Vector2, convert};
 
 use crate::Linearised;
 
-/// \[x, y, ψ, v, β\]: position m, heading rad, speed along the heading m/s (negative in reverse), slip angle rad.
+/// \[x, y, ψ, v, β\]: position m, heading rad, speed along the heading m/s (negative in reverse), slip angle
+/// rad.
 pub type BicycleState<T> = SVector<T, 5>;
 
 const HEADING: usize = 2;
@@ -144,7 +145,8 @@ impl<T: RealField + Copy> Bicycle<T> {
     }
 }
 
-/// The slip angle with which a vehicle begins a forecast, from the turn rates of its newest two history intervals.
+/// The slip angle with which a vehicle begins a forecast, from the turn rates of its newest two history
+/// intervals.
 ///
 /// ```text
 /// β_0 = asin(clip(l_r ω̂ / v, ±0.45)),  ω̂ = 1.5 d₁ − 0.5 d₂          [model §4]

@@ -5,7 +5,7 @@ use crate::{Linearised, Motion};
 /// \[x, y, vx, vy\] in the world frame; the velocity is that of the last observed step and stays.
 pub type DisplacementState = SVector<f32, 4>;
 
-/// What a displacement control stands for.
+/// What a displacement control is relative to.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum DisplacementKind {
     /// The step's displacement beyond that of constant velocity.
@@ -15,8 +15,8 @@ pub enum DisplacementKind {
     Absolute,
 }
 
-/// The motion of cyclists and pedestrians: p' = p + v Δt + R u, or p' = p + R u where displacements are absolute, with
-/// u in the agent frame of the last observed step. \[model §4\]
+/// The motion of cyclists and pedestrians: p' = p + v Δt + R u, or p' = p + R u where displacements are
+/// absolute, with u in the agent frame of the last observed step. \[model §4\]
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Displacement {
     kind: DisplacementKind,

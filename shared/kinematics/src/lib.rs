@@ -1,25 +1,24 @@
-//! How controls become motion: the kinematic layer that ends the network.
-//!
-//! The network forecasts how an agent will be steered: a Gaussian control u = μ + L ε per step and mode. This crate turns
-//! controls into trajectories: a [`MotionModel`] is an agent with its equations of motion and its state at the end of its history.
-//! Lengths are in m, times in s, angles in rad, counter-clockwise from +x of the world frame.
+//! From controls to trajectories: the kinematic layer behind the network.
+//! The network predicts a Gaussian control u = μ + L ε per step and mode. This crate turns controls into
+//! trajectories: a [`MotionModel`] is an agent with its equations of motion and its state at the end of its
+//! history. Lengths are in m, times in s, angles in rad, counter-clockwise from +x of the world frame.
 //!
 //! # Equations
 //!
-//! Vehicles are kinematic bicycles ([`Bicycle`], [`Vehicle`]). The state \[x, y, ψ, v, β\] is position, heading, speed along
-//! the heading (negative in reverse) and slip angle; the control (a, β̇) is acceleration, m/s², and slip rate, rad/s; l_r is
-//! the distance from the centre to the rear axle.
+//! Vehicles are kinematic bicycles ([`Bicycle`], [`Vehicle`]). The state \[x, y, ψ, v, β\] is position,
+//! heading, speed along the heading (negative in reverse) and slip angle; the control (a, β̇) is
+//! acceleration, m/s², and slip rate, rad/s; l_r is the distance from the centre to the rear axle.
 //!
 //! ```text
 //! x' = x + v* cos γ* Δt      ψ' = ψ + ω* Δt,  ω* = v* sin β* / l_r      β' = clip(β + β̇ Δt, ±β_max)
 //! y' = y + v* sin γ* Δt      v' = v + a Δt
 //! ```
 //!
-//! (v*, β*, γ*) are speed, slip angle and course at the beginning of the step (`Euler`) or in its middle (`Midpoint`).
-//! Controls saturate smoothly, u ← u_max tanh(u / u_max).
+//! (v*, β*, γ*) are speed, slip angle and course at the beginning of the step (`Euler`) or in its middle
+//! (`Midpoint`). Controls saturate smoothly, u ← u_max tanh(u / u_max).
 //!
-//! Cyclists and pedestrians move by [`Displacement`]s in the agent frame, R turning them into the world; the velocity is the
-//! one last observed and stays.
+//! Cyclists and pedestrians move by [`Displacement`]s in the agent frame, R turning them into the world; the
+//! velocity is the one last observed and stays.
 //!
 //! ```text
 //! p' = p + v Δt + R u   (residual)      p' = p + R u   (absolute)
@@ -27,11 +26,13 @@
 //!
 //! # From controls to trajectories
 //!
-//! | [`MotionModel`] | gives, step by step | how |
-//! |---|---|---|
-//! | [`positions`](MotionModel::positions) | the trajectory of the controls' means | the motion itself |
-//! | [`moments`](MotionModel::moments) | mean and covariance of the position | *linearised Gaussian* ([`Belief::advance`]): the mean through the motion itself, the covariance through its Jacobians |
-//! | [`particle_moments`](MotionModel::particle_moments) | the same | *Monte Carlo* ([`advance_particles`]): particles that draw controls of their own |
+//! A [`MotionModel`] gives, step by step,
+//!
+//! * [`positions`](MotionModel::positions), the trajectory of the controls' means;
+//! * [`moments`](MotionModel::moments), mean and covariance of the position as a *linearised Gaussian*
+//!   ([`Belief::advance`]): the mean by the equations of motion, the covariance by their Jacobians;
+//! * [`particle_moments`](MotionModel::particle_moments), the same by *Monte Carlo* ([`advance_particles`]):
+//!   particles that draw controls of their own.
 //!
 //! The modes of an agent make a [`mixture()`].
 //!

@@ -7,7 +7,8 @@ pub struct Moments {
     pub covariance: [f32; 3],
 }
 
-/// The moments of a mixture of Gaussians whose weights sum to 1: its components' covariances and their spread.
+/// The moments of a mixture of Gaussians whose weights sum to 1: its components' covariances and their
+/// spread.
 #[must_use]
 pub fn mixture(components: impl Iterator<Item = (f32, Moments)> + Clone) -> Moments {
     let mut mixed = Moments::default();

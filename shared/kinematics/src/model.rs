@@ -5,7 +5,7 @@ use crate::{
     MotionOptions, Normals, PARTICLES_MAX, Vehicle, advance_particles, spread,
 };
 
-/// What is known of an agent at the end of its history, in the world frame: where its motion begins.
+/// The state of an agent at the end of its history, in the world frame, from which its motion begins.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct MotionStart {
     /// Position (x, y).
@@ -22,7 +22,7 @@ pub struct MotionStart {
     pub length_m: Option<f32>,
 }
 
-/// An agent that controls set in motion: the equations of its kind, and the state from which they begin.
+/// The equations of motion of an agent, and the state from which they begin.
 ///
 /// This is the one place where controls become trajectories. \[model §4\]
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -46,8 +46,8 @@ pub enum MotionModel {
 impl MotionModel {
     /// An agent whose start is known for certain.
     ///
-    /// The speed of a bicycle is the velocity along its heading, negative in reverse; its slip angle is that of
-    /// [`MotionOptions::start_slip_rad`].
+    /// The speed of a bicycle is the velocity along its heading, negative in reverse; its slip angle is that
+    /// of [`MotionOptions::start_slip_rad`].
     #[must_use]
     pub fn new(kind: MotionKind, start: &MotionStart, options: &MotionOptions, dt_s: f32) -> Self {
         let ([x, y], [vx, vy]) = (start.position_m, start.velocity_mps);
@@ -78,8 +78,8 @@ impl MotionModel {
         }
     }
 
-    /// Heading in the world of the frame that the controls are given in: of a bicycle its own at the start, of
-    /// displacements that of the agent frame.
+    /// World heading of the frame of the controls: of a bicycle its own at the start, of displacements that
+    /// of the agent frame.
     #[must_use]
     pub fn frame_heading_rad(&self) -> f32 {
         match self {
@@ -88,8 +88,8 @@ impl MotionModel {
         }
     }
 
-    /// The same agent, a bicycle with its heading turned by its slip angle, so that its course is the heading that was
-    /// observed; without turn it then goes straight on along that heading.
+    /// The same agent, a bicycle with its heading turned by its slip angle, so that its course is the
+    /// observed heading: without turn it goes straight along that heading.
     #[must_use]
     pub fn with_course_along_heading(mut self) -> Self {
         if let Self::Bicycle { start, .. } = &mut self {
@@ -98,7 +98,8 @@ impl MotionModel {
         self
     }
 
-    /// The same agent with more variance of a start velocity; a bicycle's speed gets its own from the controls.
+    /// The same agent with more variance of a start velocity; a bicycle's speed gets its own from the
+    /// controls.
     #[must_use]
     pub fn with_velocity_deviation(mut self, deviation_mps: f32) -> Self {
         if let Self::Displacement { start, .. } = &mut self {
@@ -118,8 +119,9 @@ impl MotionModel {
         }
     }
 
-    /// A control that acts with its mean taken relative to going on as before: displacements become those beyond the start
-    /// velocity's, whatever their [`DisplacementKind`](crate::DisplacementKind); a bicycle's controls are so already.
+    /// An acting control with its mean relative to constant velocity: displacements become those beyond the
+    /// start velocity's, whatever their [`DisplacementKind`](crate::DisplacementKind); a bicycle's controls
+    /// are relative already.
     #[must_use]
     #[inline]
     pub fn relative_to_start(&self, acting: &ControlGaussian) -> ControlGaussian {
@@ -142,8 +144,8 @@ impl MotionModel {
         }
     }
 
-    /// Writes mean and covariance of the position after each control [that acts](MotionModel::acting): linearised
-    /// Gaussians, see [`Belief::advance`].
+    /// Writes mean and covariance of the position after each control [that acts](MotionModel::acting):
+    /// linearised Gaussians, see [`Belief::advance`].
     pub fn moments(&self, acting: impl Iterator<Item = ControlGaussian>, out: &mut [Moments]) {
         match self {
             Self::Bicycle { motion, start } => moments(motion, start, acting, out),
@@ -151,8 +153,8 @@ impl MotionModel {
         }
     }
 
-    /// Writes mean and covariance of the position after each control, before saturation: those of `particles` particles
-    /// that are drawn from the start, see [`advance_particles`].
+    /// Writes mean and covariance of the position after each control, before saturation: those of `particles`
+    /// particles that are drawn from the start, see [`advance_particles`].
     ///
     /// # Panics
     /// Where there are more than [`PARTICLES_MAX`].

@@ -34,13 +34,14 @@ pub struct Linearised<T: RealField, const N: usize> {
     pub by_control: SMatrix<T, N, 2>,
 }
 
-/// A motion model of `N` state components, whose first two are the position, driven by two control components.
+/// A motion model of `N` state components, whose first two are the position, driven by two control
+/// components.
 pub trait Motion<const N: usize> {
-    /// The control that acts where `control` is asked for, and the derivative of each component by itself.
+    /// The saturated `control`, and the derivative of each component by itself.
     fn saturate(&self, control: &Vector2<f32>) -> (Vector2<f32>, Vector2<f32>);
 
-    /// The Gaussian of the control that acts where `control` is asked for: the saturated mean, and the factor J L, where J
-    /// is the saturation's slope there. \[model §4\]
+    /// The Gaussian of the saturated control: the saturated mean, and the factor J L, where J is the
+    /// saturation's slope there. \[model §4\]
     #[must_use]
     fn acting(&self, control: &ControlGaussian) -> ControlGaussian {
         let (mean, slope) = self.saturate(&control.mean);
@@ -51,7 +52,7 @@ pub trait Motion<const N: usize> {
         ControlGaussian { mean, cholesky }
     }
 
-    /// The state one step later under a control that acts.
+    /// The state one step later under a saturated control.
     #[must_use]
     fn step(&self, state: &SVector<f32, N>, control: &Vector2<f32>) -> SVector<f32, N>;
 

@@ -1,4 +1,5 @@
-/// Standard normal numbers by a counter: the same key gives the same numbers, whatever was drawn for other keys.
+/// Standard normal numbers by a counter: the same key gives the same numbers, whatever was drawn for other
+/// keys.
 ///
 /// SplitMix64 hashes (key, counter) to bits; Box and Muller's transform makes a pair of normals of each hash.
 #[derive(Clone, Debug)]

@@ -5,11 +5,11 @@ use crate::{Bicycle, ControlLimits, DisplacementKind, Integrator, Vehicle, initi
 pub enum MotionKind {
     /// Along a heading, as a kinematic bicycle: acceleration m/s² and slip rate rad/s.
     Bicycle,
-    /// Any way: a displacement (x, y) of each step in the agent frame, m.
+    /// In any direction: a displacement (x, y) of each step in the agent frame, m.
     Displacement,
 }
 
-/// The constants of motion that a model of a certain configuration was trained with.
+/// The constants of motion, which belong to a model's configuration.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct MotionOptions {
     /// Integrator of the bicycle.
@@ -18,13 +18,13 @@ pub struct MotionOptions {
     pub limits: ControlLimits,
     /// Largest slip angle, if there is a limit.
     pub slip_limit_rad: Option<f32>,
-    /// Whether a bicycle's first slip angle is read off its turn rates; 0 otherwise.
+    /// Whether a bicycle's first slip angle follows from its turn rates; 0 otherwise.
     pub initial_slip: bool,
     /// Distance of the rear axle from the centre over the length.
     pub rear_axle_ratio: f32,
     /// Length of vehicles whose length is unknown.
     pub default_length_m: f32,
-    /// What a displacement stands for.
+    /// What a displacement is relative to.
     pub displacement: DisplacementKind,
 }
 
@@ -49,8 +49,8 @@ impl MotionOptions {
         self.rear_axle_ratio * length_m.unwrap_or(self.default_length_m)
     }
 
-    /// The slip angle with which a bicycle of a signed speed begins, by the turn rates of its newest two history intervals,
-    /// newest first: [`initial_slip`], or 0.
+    /// The slip angle with which a bicycle of a signed speed begins, by the turn rates of its newest two
+    /// history intervals, newest first: [`initial_slip`], or 0.
     #[must_use]
     pub fn start_slip_rad(&self, rear_axle_m: f32, speed_mps: f32, turn_rates_radps: [f32; 2]) -> f32 {
         if self.initial_slip { initial_slip(rear_axle_m, speed_mps, turn_rates_radps) } else { 0.0 }

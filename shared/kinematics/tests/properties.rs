@@ -1,4 +1,4 @@
-//! What must hold for any state and control.
+//! Properties of the equations of motion for any state and control.
 
 use kinematics::{
     Belief, Bicycle, BicycleState, ControlGaussian, ControlLimits, Displacement, DisplacementKind,
@@ -37,7 +37,8 @@ proptest! {
     ) {
         let slip_limit_rad = limited.then_some(0.3);
         let bicycle = Bicycle { rear_axle_m: 1.4, slip_limit_rad, integrator };
-        // At the very limit the derivative is one-sided, and a slip outside jumps to it: neither has a derivative.
+        // At the very limit the derivative is one-sided, and a slip outside jumps to it: neither has a
+        // derivative.
         let next = state[4] + control[1] * 0.5;
         prop_assume!(slip_limit_rad.is_none_or(|limit: f64| (next.abs() - limit).abs() > 1e-3));
         let at = bicycle.linearise(&state, &control, 0.5);
@@ -138,7 +139,7 @@ fn displacements_add_to_constant_velocity_in_the_agents_axes() {
 }
 
 #[test]
-fn particles_agree_with_the_linearised_gaussian_where_the_motion_is_nearly_linear() {
+fn particles_agree_with_gaussians_in_nearly_linear_motion() {
     let motion = vehicle(Integrator::Midpoint);
     let control = ControlGaussian::new([0.8, 0.001], [0.3, 0.002, 0.004]);
     let mut belief = Belief::certain(BicycleState::from([5.0, -3.0, 0.4, 9.0, 0.01]));
@@ -228,7 +229,8 @@ fn a_model_starts_as_its_history_ends() {
     assert_eq!(options.rear_axle_m(None), 0.26 * 4.5);
 }
 
-/// Positions, linearised Gaussians and particles of the same controls; without any uncertainty all three agree.
+/// Positions, linearised Gaussians and particles of the same controls; without any uncertainty all three
+/// agree.
 #[test]
 fn trajectories_agree_whichever_way_they_are_made() {
     let means = [[0.8, 0.05], [-0.5, 0.1], [9.0, -0.2], [0.0, 0.0]];
@@ -253,7 +255,7 @@ fn trajectories_agree_whichever_way_they_are_made() {
 }
 
 #[test]
-fn controls_relative_to_the_start_do_not_depend_on_the_kind_of_displacement() {
+fn relative_controls_are_the_same_for_both_displacements() {
     let [bicycle, residual, absolute] = models();
     let (mut residual_m, mut absolute_m) = ([[0.0; 2]; 3], [[0.0; 2]; 3]);
     absolute.positions(std::iter::repeat([0.4, -0.1]), &mut absolute_m);

@@ -52,7 +52,7 @@ pub enum Latents {
     Points,
 }
 
-/// What the decoder is fed after the first forecast step.
+/// Input of the decoder after the first forecast step.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Feedback {
@@ -89,6 +89,6 @@ pub enum NodeTypes {
     /// A state MLP and a decoder each.
     #[default]
     Own,
-    /// Those of the pedestrian; every type moves in its own way all the same.
+    /// Those of the pedestrian; the equations of motion still differ by type.
     Same,
 }

@@ -16,13 +16,14 @@ pub struct ConfigError {
     pub key: &'static str,
     /// Its value.
     pub value: f64,
-    /// What is wrong with it.
+    /// The reason.
     pub reason: &'static str,
 }
 
 /// The options of a model, as the JSON that its weights carry under the metadata key `config`.
 ///
-/// Unknown keys are refused. Keys that later models added have defaults which leave earlier ones as they were.
+/// Unknown keys are refused. Keys that later models added have defaults which leave earlier ones as they
+/// were.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ModelConfig {
@@ -37,8 +38,8 @@ pub struct ModelConfig {
     /// How far ahead of the agent a patch's centre lies.
     #[serde(default)]
     pub patch_ahead_m: f32,
-    /// Largest distance between neighbours, d. One that nobody comes within, such as 0.001, leaves every agent alone
-    /// with itself: the topological attention is off.
+    /// Largest distance between neighbours, d. One that no two agents come within, such as 0.001, leaves self
+    /// edges alone: the topological attention is off.
     pub edge_radius_m: f32,
     /// Largest distance where both are pedestrians; `edge_radius_m` where it is null.
     #[serde(default)]
@@ -53,7 +54,7 @@ pub struct ModelConfig {
     pub rounds: usize,
     /// Heads of the topological attention, H.
     pub topological_heads: usize,
-    /// Heads of the temporal attention, H_t; the literal reading has 64 whatever stands here.
+    /// Heads of the temporal attention, H_t; ignored by the literal reading, which has 64.
     pub temporal_heads: usize,
     /// Reading of the temporal attention.
     pub temporal: Temporal,
@@ -88,7 +89,7 @@ pub struct ModelConfig {
     /// Limit of the slip angle; none where it is null.
     #[serde(default = "slip_limit_rad")]
     pub slip_limit_rad: Option<f32>,
-    /// Whether the first slip is read off the headings; 0 otherwise.
+    /// Whether the first slip follows from the headings; 0 otherwise.
     #[serde(default = "yes")]
     pub initial_slip: bool,
     /// Distance of the rear axle over the length.
@@ -97,7 +98,7 @@ pub struct ModelConfig {
     /// Length of vehicles whose length is unknown.
     #[serde(default = "default_length_m")]
     pub default_length_m: f32,
-    /// What a displacement is that controls an agent.
+    /// What the displacements of cyclists and pedestrians are relative to.
     #[serde(default = "residual")]
     pub displacement: Displacement,
     /// Where latent variables come from.
@@ -106,7 +107,7 @@ pub struct ModelConfig {
     /// Latent draws per agent, K.
     #[serde(default = "modes")]
     pub modes: usize,
-    /// Whether a head tells the modes' probabilities; they are equal otherwise.
+    /// Whether a head predicts the modes' probabilities; they are equal otherwise.
     #[serde(default)]
     pub mode_head: bool,
     /// Whether the single best forecast has a latent point of its own.
@@ -115,13 +116,13 @@ pub struct ModelConfig {
     /// Whether controls are residuals to the base control.
     #[serde(default)]
     pub base: bool,
-    /// Whether the latent variables of a draw tell its base control: a linear function of it is added to the point.
+    /// Whether latent points depend on the base control: a linear function of it is added to the point.
     #[serde(default)]
     pub base_latent: bool,
     /// Whether nodes carry a context embedding.
     #[serde(default = "yes")]
     pub context: bool,
-    /// What the decoder is fed after the first forecast step.
+    /// Input of the decoder after the first forecast step.
     #[serde(default = "zeros")]
     pub feedback: Feedback,
 }

@@ -7,7 +7,7 @@ use crate::{ConfigError, ModelConfig};
 /// Name of the file in a run's directory that holds the configuration of the run's model, as JSON.
 pub const FILE: &str = "model.json";
 
-/// Why a run's model is not known.
+/// Why the model file of a run can't be read or written.
 #[derive(Debug, Error)]
 pub enum ModelFileError {
     /// The file can't be read or written.
@@ -15,7 +15,7 @@ pub enum ModelFileError {
     File {
         /// The file.
         path: PathBuf,
-        /// What the system says.
+        /// The system's error.
         source: std::io::Error,
     },
     /// The file holds no configuration of a model.
@@ -23,7 +23,7 @@ pub enum ModelFileError {
     Json {
         /// The file.
         path: PathBuf,
-        /// What the parser says.
+        /// The parser's error.
         source: serde_json::Error,
     },
     /// A value of the configuration is impossible.
@@ -91,17 +91,17 @@ mod tests {
     }
 
     #[test]
-    fn a_missing_foreign_or_impossible_model_is_refused_with_its_path() {
+    fn a_model_that_cannot_be_used_is_refused_with_its_path() {
         let root = tempfile::tempdir().unwrap();
         let refused = || ModelConfig::of_run(root.path()).unwrap_err().to_string();
         assert!(refused().contains(FILE), "{}", refused());
-        for (text, told) in [
+        for (text, expected) in [
             ("{", "EOF"),
             (&PAPER.replace("width", "wide"), "unknown field `wide`"),
             (&PAPER.replace("\"rounds\": 2", "\"rounds\": 9"), "rounds = 9"),
         ] {
             std::fs::write(root.path().join(FILE), text).unwrap();
-            assert!(refused().contains(told) && refused().contains(FILE), "{}", refused());
+            assert!(refused().contains(expected) && refused().contains(FILE), "{}", refused());
         }
     }
 }

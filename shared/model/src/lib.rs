@@ -1,7 +1,8 @@
-//! What a model is like, without its tensors: the sizes of its layers, how its agents move, what its forecasts span.
+//! A model's configuration, without its tensors: the sizes of its layers, its equations of motion, its
+//! history and horizon.
 //!
-//! Weights carry the [`ModelConfig`] that they were trained for. The launcher of a run writes it as [`FILE`] into the run's
-//! directory, so that a stage that needs sizes alone opens no weights.
+//! Weights carry the [`ModelConfig`] that they were trained for. The launcher of a run writes it as [`FILE`]
+//! into the run's directory, so that a stage that needs sizes alone opens no weights.
 
 mod choices;
 mod config;

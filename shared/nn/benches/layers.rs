@@ -1,7 +1,7 @@
-//! Times of the layers beside what this processor can do.
+//! Times of the layers beside the processor's peak.
 //!
-//! Throughput is in live multiply-adds (two operations each): 1 Gelem/s is 2 GFLOP/s. The first lines print the peak that
-//! was measured in the same run.
+//! Throughput is in live multiply-adds (two operations each): 1 Gelem/s is 2 GFLOP/s. The first lines print
+//! the peak that was measured in the same run.
 
 use std::hint::black_box;
 use std::time::Duration;

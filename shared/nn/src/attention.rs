@@ -1,7 +1,8 @@
-//! Graph dual attention: who matters to an agent at a step (topological), then which steps matter (temporal).
+//! Graph dual attention: over an agent's neighbours at a step (topological), then over its steps (temporal).
 //!
-//! The graph is sparse. Its edges come sorted by (step, receiver, sender), so that the edges that an agent receives at a
-//! step are neighbours in memory and softmax and sums run along the list. Nodes are rows \[step, agent\].
+//! The graph is sparse. Its edges come sorted by (step, receiver, sender), so that the edges that an agent
+//! receives at a step are neighbours in memory and softmax and sums run along the list. Nodes are rows
+//! \[step, agent\].
 
 mod temporal;
 mod topological;
@@ -22,7 +23,8 @@ pub struct Graph<'a> {
     pub present: &'a [bool],
     /// Node attributes v, \[step, agent\]; rows of absent agents are ignored.
     pub nodes: &'a [[f32; NODE_ATTRIBUTES]],
-    /// Edges between present agents, sorted by (step, receiver, sender), each present agent's self edge among them.
+    /// Edges between present agents, sorted by (step, receiver, sender), each present agent's self edge among
+    /// them.
     pub edges: &'a [Edge],
     /// Edge attributes e, in the order of `edges`.
     pub attributes: &'a [[f32; EDGE_ATTRIBUTES]],

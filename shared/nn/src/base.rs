@@ -1,8 +1,8 @@
-//! The base control: what a linear rule makes of the newest steps, plus a typical deviation per mode.
+//! The base control B*: a linear function of the newest steps, plus an anchor per mode.
 //!
-//! A *ridge* regression per history class and speed bin gives the control sequence from 26 features of the last four
-//! steps. *Anchors* are typical residuals to it, a set per bin of speed, acceleration and yaw rate. The network's output
-//! is a residual to both:
+//! A *ridge* regression per history class and speed bin gives the control sequence from 26 features of the
+//! last four steps. *Anchors* are typical residuals to it, a set per bin of speed, acceleration and yaw rate.
+//! The network's output is a residual to both:
 //!
 //! ```text
 //! control of mode m at step t = ridge(features)\[t\] + anchors\[bin\]\[m\]\[t\] + μ\[m\]\[t\]
@@ -19,7 +19,7 @@ use crate::weights::{Weights, WeightsError};
 
 /// Features of the ridge regression.
 pub const FEATURES: usize = 26;
-/// Newest steps that the features see.
+/// Newest steps that the features use.
 pub const STEPS: usize = 4;
 /// Classes of histories: 2, 3, and 4 or more newest steps in a row.
 pub const CLASSES: usize = 3;
@@ -28,11 +28,11 @@ pub const SPEED_BINS: usize = 8;
 /// Bins of speed, acceleration and yaw rate.
 pub const BINS: usize = SPEED_BINS * 9;
 /// Cuts between the bins of the acceleration, m/s².
-pub const ACCEL_CUTS_MPS2: [f32; 2] = [-0.7, 0.5];
+const ACCEL_CUTS_MPS2: [f32; 2] = [-0.7, 0.5];
 /// Cuts between the bins of the yaw rate, rad/s.
-pub const YAW_RATE_CUTS_RADPS: [f32; 2] = [-0.06, 0.06];
+const YAW_RATE_CUTS_RADPS: [f32; 2] = [-0.06, 0.06];
 
-/// What the base control reads of a history, in metres and seconds.
+/// The inputs of the base control from a history, in metres and seconds.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct BaseFeatures {
     /// The inputs of the ridge regression.
@@ -47,7 +47,7 @@ pub struct BaseFeatures {
     pub yaw_rate_radps: f32,
 }
 
-/// A step as the features see it.
+/// A step in metres and seconds.
 #[derive(Clone, Copy)]
 struct Step {
     position_m: [f32; 2],
@@ -70,8 +70,9 @@ impl BaseFeatures {
     /// v ω₁, v ω₂, a₁, a₂, v² ω₁, v |ω₁|, v², v min(a₁, 0) · 1
     /// ```
     ///
-    /// Step 4 is the newest, v its speed; ω₁, a₁ are the changes of heading and speed over the last step, ω₂, a₂ over the
-    /// one before. Steps that are missing, that lie before a missing one, and what depends on them count as 0.
+    /// Step 4 is the newest, v its speed; ω₁, a₁ are the changes of heading and speed over the last step, ω₂,
+    /// a₂ over the one before. Steps that are missing, that lie before a missing one, and what depends on
+    /// them count as 0.
     #[must_use]
     pub fn new(
         states: &[[f32; STATE_FEATURES]],
@@ -160,7 +161,7 @@ impl Step {
     }
 }
 
-/// Factors that bring the controls of a type to a like magnitude, for what latent variables tell of a base control.
+/// Factors that bring the controls of a type to similar magnitudes, for latent points that depend on them.
 #[must_use]
 pub fn latent_scale(config: &ModelConfig, agent_type: AgentType) -> [f32; 2] {
     if config.drives(agent_type) { [0.5, 5.0] } else { [3.0, 3.0] }
@@ -279,7 +280,7 @@ mod tests {
     }
 
     #[test]
-    fn steps_before_a_gap_count_for_nothing() {
+    fn steps_before_a_gap_have_no_effect() {
         let (states, config) = (turn(6), config());
         let gap = BaseFeatures::new(&states, |step| step != 3, &config);
         let short = BaseFeatures::new(&states[4..], |_| true, &config);

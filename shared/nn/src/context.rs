@@ -1,8 +1,8 @@
 //! The context CNN: a ResNet-18 of any width, from a local patch of the context map to 32 numbers.
 //!
-//! Activations are \[position, image, channel\]: the images of a batch lie side by side, so that a register tile of the
-//! convolution reads the same position of consecutive images, for which the same taps are live. Channels are padded to
-//! multiples of 16 with zeros, which stay zeros through convolution and ReLU.
+//! Activations are \[position, image, channel\]: the images of a batch lie side by side, so that a register
+//! tile of the convolution reads the same position of consecutive images, for which the same taps are live.
+//! Channels are padded to multiples of 16 with zeros, which stay zeros through convolution and ReLU.
 
 mod conv;
 

@@ -1,8 +1,7 @@
 //! The decoder: a gated recurrent unit per agent type, from history and latent variable to control Gaussians.
-//!
-//! What does not depend on the draw is computed once: the burn-in and ṽ·W per agent, z·W per latent point. What a point
-//! is told of its base control is linear, so that W takes the control itself. From the second forecast step on the input
-//! is zero, so only its bias is left.
+//! What does not depend on the draw is computed once: the burn-in and ṽ·W per agent, z·W per latent point.
+//! The dependence of a point on its base control is linear, so that W takes the control itself. From the
+//! second forecast step on the input is zero, so only its bias is left.
 
 mod group;
 
@@ -48,14 +47,14 @@ pub struct TypeDecoder {
     idle: Buffer,
     head: Linear,
     points: Option<Points>,
-    /// From base controls to what they add to the gates.
+    /// From base controls to their addend to the gates.
     latent_base: Option<Linear>,
     best_latent: Option<[f32; LATENT]>,
     modes: Option<ModeHead>,
     base: Option<Base>,
 }
 
-/// Learned latent points, as what they add to the gates: z·W, the point of the best forecast last.
+/// Learned latent points as their addends to the gates: z·W, the point of the best forecast last.
 struct Points {
     gates: Buffer,
     len: usize,
@@ -81,8 +80,8 @@ pub struct BurnIn<'a> {
 /// Where the latent variables of a forecast come from.
 #[derive(Clone, Copy, Debug)]
 pub enum Draws<'a> {
-    /// The learned points of the type, which the base controls, \[agent, mode, step\] with those of the best forecast
-    /// behind the modes, move where the model is so made; no other model reads them.
+    /// The learned points of the type. The base controls, \[agent, mode, step\] with those of the best
+    /// forecast behind the modes, move them where the model has `base_latent`; no other model reads them.
     Points(&'a [[f32; 2]]),
     /// These, \[agent, draw\].
     Given(&'a [[f32; LATENT]]),
@@ -110,7 +109,8 @@ pub struct DecoderMemory {
 }
 
 impl Decoder {
-    /// The layers `decoder.*` and, where the configuration has them, latent points, mode head and base control.
+    /// The layers `decoder.*` and, where the configuration has them, latent points, mode head and base
+    /// control.
     ///
     /// # Errors
     /// Where a tensor is missing or has another shape.
@@ -210,13 +210,14 @@ impl TypeDecoder {
         }
     }
 
-    /// The head's outputs, \[agent, draw, step\], of agents with hidden states and temporal summaries as given.
+    /// The head's outputs, \[agent, draw, step\], of agents with hidden states and temporal summaries as
+    /// given.
     ///
-    /// With [`Draws::Points`] the draws are the learned points, and behind them the point of the best forecast where the
-    /// model has one.
+    /// With [`Draws::Points`] the draws are the learned points, and behind them the point of the best
+    /// forecast where the model has one.
     ///
     /// # Panics
-    /// Where the parts do not fit one another, or where points are asked for and the model has none.
+    /// Where the parts do not fit one another, or where there are to be points and the model has none.
     pub fn forecast(
         &self,
         hidden: &[[f32; HIDDEN]],
@@ -302,7 +303,8 @@ impl TypeDecoder {
         self.best_latent.as_ref()
     }
 
-    /// Probabilities of the modes, \[agent, mode\], or `false` where the model has no mode head and `out` is left.
+    /// Probabilities of the modes, \[agent, mode\], or `false` where the model has no mode head and `out` is
+    /// left.
     ///
     /// # Panics
     /// Where the parts do not fit one another.
@@ -341,7 +343,8 @@ impl TypeDecoder {
     }
 }
 
-/// W·M·diag(scale): from the controls that M reads, of alternating components, to the gates, \[gate, control\].
+/// W·M·diag(scale): from the controls that M reads, of alternating components, to the gates,
+/// \[gate, control\].
 fn fold<'w>(
     rows: impl Iterator<Item = &'w [f32]>,
     matrix: &[f32],
@@ -359,7 +362,8 @@ fn fold<'w>(
     folded
 }
 
-/// Adds what base controls tell of the first forecast step to the gates' input of `rows` of (agent, mode).
+/// Adds the base controls' addend to the gates' input at the first forecast step, for `rows` of (agent,
+/// mode).
 fn add_base(
     layer: &Linear,
     base: &[[f32; 2]],

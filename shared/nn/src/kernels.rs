@@ -1,8 +1,8 @@
-//! Hand-written f32 kernels on packed weights, chosen at run time by what the processor has.
+//! Hand-written f32 kernels on packed weights, chosen at run time by the processor's instruction sets.
 //!
-//! A kernel is written once, generic over `Lanes`: the operations of an instruction set, as a token that exists only
-//! where the processor has that set. `dispatch` hands a `Kernel` the token of the set in use, inside a function
-//! that is compiled for it.
+//! A kernel is written once, generic over `Lanes`: the operations of an instruction set, as a token that
+//! exists only where the processor has that set. `dispatch` hands a `Kernel` the token of the set in use,
+//! inside a function that is compiled for it.
 //!
 //! Three kernels carry the network: the `product` of gathered rows with packed panels (linear layers and
 //! convolutions alike), the `gates` of the GRU and the exponential function.
@@ -37,7 +37,7 @@ pub enum Isa {
     Avx2 = 2,
     /// 4 lanes, fused multiply-add.
     Neon = 3,
-    /// What the compiler makes of plain Rust, on any processor.
+    /// Plain Rust as the compiler translates it, on any processor.
     Portable = 4,
 }
 
@@ -104,8 +104,8 @@ pub fn force(isa: Isa) -> Result<(), Unavailable> {
     Ok(())
 }
 
-/// A computation that is compiled once for each instruction set. `run` must be `#[inline(always)]`, so that its body
-/// ends up in a function with the set's target features.
+/// A computation that is compiled once for each instruction set. `run` must be `#[inline(always)]`, so that
+/// its body ends up in a function with the set's target features.
 pub trait Kernel {
     /// What it returns.
     type Output;

@@ -1,12 +1,12 @@
 //! The network: weights, layers and the kernels that run them.
 //!
-//! Layers are built once from [`Weights`]: the constructor checks every shape, folds what is constant and packs the
-//! matrices in the order in which the kernels read them. A layer is then immutable; what a call needs besides its
-//! inputs lies in a *memory* of its own (`ContextMemory`, `GdatMemory`, …) that grows when a larger input is seen first,
-//! so that a steady caller never allocates.
+//! Layers are built once from [`Weights`]: the constructor checks every shape, folds what is constant and
+//! packs the matrices in the order in which the kernels read them. A layer is then immutable; what a call
+//! needs besides its inputs lies in a *memory* of its own (`ContextMemory`, `GdatMemory`, …) that grows when
+//! a larger input is seen first, so that a steady caller never allocates.
 //!
-//! Each row of a result depends on its own inputs alone and is summed in one fixed order. Rows may therefore be split
-//! over workers or batched in any way without changing a bit.
+//! Each row of a result depends on its own inputs alone and is summed in one fixed order. Rows may therefore
+//! be split over workers or batched in any way without changing a bit.
 
 pub mod base;
 pub mod kernels;

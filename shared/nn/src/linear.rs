@@ -43,7 +43,8 @@ impl Linear {
         Ok(Self::pack(matrix, None, [out_len, in_len], 0..in_len))
     }
 
-    /// The columns `columns` of a matrix \[out, in\]: the part of a layer that reads a section of a concatenation.
+    /// The columns `columns` of a matrix \[out, in\]: the part of a layer that reads a section of a
+    /// concatenation.
     pub(crate) fn pack(
         matrix: &[f32],
         bias: Option<&[f32]>,

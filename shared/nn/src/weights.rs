@@ -3,14 +3,14 @@
 use std::collections::BTreeMap;
 use std::path::Path;
 
-use safetensors::{Dtype, SafeTensors};
+use safetensors::{Dtype, SafeTensorError, SafeTensors};
 use sha2::{Digest, Sha256};
 use thiserror::Error;
 
 use crate::{ConfigError, ModelConfig};
 
 const ONBOARD: &[u8] = include_bytes!("../../weights/onboard.safetensors");
-/// Bytes that tell the length of a safetensors header.
+/// Bytes that hold the length of a safetensors header.
 const LENGTH_BYTES: usize = 8;
 
 /// Why weights can't be used.
@@ -24,20 +24,26 @@ pub enum WeightsError {
         /// The operating system's reason.
         source: std::io::Error,
     },
-    /// The file is shorter than its header tells.
+    /// The file is shorter than its header indicates.
     #[error("weights are truncated: {found} bytes of {expected}")]
     Truncated {
         /// Bytes that are there.
         found: usize,
-        /// Bytes that the header promises.
+        /// Bytes by the header.
         expected: usize,
     },
     /// The file is something else.
     #[error("not a safetensors file: {0}")]
-    NotSafetensors(String),
-    /// The metadata holds no usable configuration.
+    NotSafetensors(#[from] SafeTensorError),
+    /// The metadata hold no configuration.
+    #[error("model configuration in the weights: the metadata key \"config\" is missing")]
+    NoConfig,
+    /// The configuration is no JSON, or not one of this version's.
     #[error("model configuration in the weights: {0}")]
-    Config(String),
+    Config(#[source] serde_json::Error),
+    /// The model card is no JSON.
+    #[error("model card in the weights: {0}")]
+    Card(#[source] serde_json::Error),
     /// A value of the configuration is impossible.
     #[error("model configuration in the weights: {0}")]
     ConfigValue(#[from] ConfigError),
@@ -46,10 +52,10 @@ pub enum WeightsError {
     OtherModel {
         /// The first key of the configuration that differs.
         key: String,
-        /// Its value in the weights, as JSON.
-        found: String,
+        /// Its value in the weights; null where they do not have it.
+        found: serde_json::Value,
         /// The run's.
-        expected: String,
+        expected: serde_json::Value,
     },
     /// A tensor that the model needs is not there.
     #[error("tensor {name} is missing")]
@@ -68,12 +74,12 @@ pub enum WeightsError {
         expected: Vec<usize>,
     },
     /// A tensor holds other numbers than f32 or f16.
-    #[error("tensor {name} holds {dtype}, expected F32 or F16")]
+    #[error("tensor {name} holds {dtype:?}, expected F32 or F16")]
     Type {
         /// The tensor.
         name: String,
         /// The type of its values.
-        dtype: String,
+        dtype: Dtype,
     },
     /// A tensor holds an infinite value or NaN.
     #[error("tensor {name}: value {index} is {value}")]
@@ -110,7 +116,7 @@ impl Weights {
     /// Reads a weights file.
     ///
     /// # Errors
-    /// [`WeightsError`] tells what is wrong and, where one is to blame, names the tensor.
+    /// [`WeightsError`] gives the cause and names the tensor at fault, if it is one.
     pub fn open(path: &Path) -> Result<Self, WeightsError> {
         let bytes = std::fs::read(path)
             .map_err(|source| WeightsError::Unreadable { path: path.display().to_string(), source })?;
@@ -152,19 +158,14 @@ impl Weights {
     /// As [`Weights::open`].
     pub fn from_bytes(bytes: &[u8]) -> Result<Self, WeightsError> {
         let file = parse(bytes)?;
-        let (_, header) =
-            SafeTensors::read_metadata(bytes).map_err(|e| WeightsError::NotSafetensors(e.to_string()))?;
+        let (_, header) = SafeTensors::read_metadata(bytes)?;
         let metadata = header.metadata().as_ref();
         let text = |key| metadata.and_then(|m| m.get(key));
-        let config = text("config")
-            .ok_or_else(|| WeightsError::Config("the metadata key \"config\" is missing".into()))?;
-        let config: ModelConfig =
-            serde_json::from_str(config).map_err(|e| WeightsError::Config(e.to_string()))?;
+        let config = text("config").ok_or(WeightsError::NoConfig)?;
+        let config: ModelConfig = serde_json::from_str(config).map_err(WeightsError::Config)?;
         config.check()?;
-        let card = text("card")
-            .map(|card| serde_json::from_str(card))
-            .transpose()
-            .map_err(|e| WeightsError::Config(format!("model card: {e}")))?;
+        let card = text("card").map(|card| serde_json::from_str(card)).transpose();
+        let card = card.map_err(WeightsError::Card)?;
         let mut tensors = BTreeMap::new();
         for (name, view) in file.iter() {
             let values = floats(name, view.dtype(), view.data())?;
@@ -219,7 +220,10 @@ impl Weights {
 }
 
 /// The first key in which two configurations differ, with both values.
-fn difference(found: &ModelConfig, expected: &ModelConfig) -> Option<(String, String, String)> {
+fn difference(
+    found: &ModelConfig,
+    expected: &ModelConfig,
+) -> Option<(String, serde_json::Value, serde_json::Value)> {
     if found == expected {
         return None;
     }
@@ -227,12 +231,11 @@ fn difference(found: &ModelConfig, expected: &ModelConfig) -> Option<(String, St
         Ok(serde_json::Value::Object(fields)) => fields,
         _ => serde_json::Map::new(),
     };
-    let (found, expected) = (fields(found), fields(expected));
-    let differs = |(key, value): &(&String, &serde_json::Value)| expected.get(*key) != Some(*value);
-    let other = found.iter().find(differs);
-    let (key, value) = other.map_or_else(Default::default, |(key, value)| (key.clone(), value.to_string()));
-    let told = expected.get(&key).map(ToString::to_string).unwrap_or_default();
-    Some((key, value, told))
+    let (found, mut expected) = (fields(found), fields(expected));
+    let mut differing = found.into_iter().filter(|(key, value)| expected.get(key) != Some(value));
+    let (key, value) = differing.next().unwrap_or_default();
+    let of_the_run = expected.remove(&key).unwrap_or_default();
+    Some((key, value, of_the_run))
 }
 
 fn parse(bytes: &[u8]) -> Result<SafeTensors<'_>, WeightsError> {
@@ -251,10 +254,10 @@ fn parse(bytes: &[u8]) -> Result<SafeTensors<'_>, WeightsError> {
             return Err(WeightsError::Truncated { found: bytes.len(), expected });
         }
     }
-    SafeTensors::deserialize(bytes).map_err(|e| WeightsError::NotSafetensors(e.to_string()))
+    Ok(SafeTensors::deserialize(bytes)?)
 }
 
-/// Bytes of data that a header tells of; 0 where it can't be understood.
+/// Bytes of data by a header; 0 where it can't be parsed.
 fn data_len(header: &[u8]) -> usize {
     let Ok(serde_json::Value::Object(tensors)) = serde_json::from_slice(header) else {
         return 0;
@@ -269,6 +272,6 @@ fn floats(name: &str, dtype: Dtype, data: &[u8]) -> Result<Vec<f32>, WeightsErro
         Dtype::F16 => {
             Ok(data.as_chunks().0.iter().map(|&bytes| half::f16::from_le_bytes(bytes).to_f32()).collect())
         }
-        other => Err(WeightsError::Type { name: name.into(), dtype: format!("{other:?}") }),
+        other => Err(WeightsError::Type { name: name.into(), dtype: other }),
     }
 }

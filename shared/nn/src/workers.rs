@@ -1,7 +1,8 @@
-//! A small pool of threads that live as long as their stage and share a step's rows.
+//! A small pool of threads that run as long as their stage and share a step's rows.
 //!
-//! Each worker owns a job: inputs, outputs and scratch memory. The caller fills the jobs, [`Workers::run`] runs them all
-//! at once (the first on the caller's own thread) and returns when the last is done. Nothing is allocated by a run.
+//! Each worker owns a job: inputs, outputs and scratch memory. The caller fills the jobs, [`Workers::run`]
+//! runs them all at once (the first on the caller's own thread) and returns when the last is done. Nothing is
+//! allocated by a run.
 
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::thread::JoinHandle;
@@ -50,7 +51,7 @@ pub struct Workers<J: Job> {
     threads: Vec<JoinHandle<()>>,
 }
 
-/// Marks the job broken unless it ended well.
+/// Marks the job as panicked unless it ended.
 struct Watch<'a, J> {
     slot: &'a Slot<J>,
     finished: bool,
@@ -66,7 +67,7 @@ impl<J> Drop for Watch<'_, J> {
 }
 
 impl<J> Slot<J> {
-    /// The lock tells of a panic by its phase, not by poison.
+    /// A panic is reported by the phase, not by a poisoned lock.
     fn lock(&self) -> MutexGuard<'_, (J, Phase)> {
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
@@ -155,7 +156,7 @@ impl<J: Job> Drop for Workers<J> {
             slot.changed.notify_all();
         }
         for thread in self.threads.drain(..) {
-            // A worker that panicked has told so already.
+            // The panic of a worker has been reported already.
             let _ = thread.join();
         }
     }

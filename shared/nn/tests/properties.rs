@@ -1,4 +1,4 @@
-//! What holds of the layers whatever the weights and inputs.
+//! Properties of the layers for any weights and inputs.
 #![expect(clippy::unwrap_used, reason = "a test ends at what it can't do")]
 
 use nn::base::latent_scale;
@@ -85,7 +85,7 @@ proptest! {
     #![proptest_config(ProptestConfig::with_cases(48))]
 
     #[test]
-    fn attention_sums_to_one_where_there_is_something_to_attend((scene, _) in scenes()) {
+    fn attention_of_present_agents_sums_to_one((scene, _) in scenes()) {
         let weights = Weights::onboard();
         let heads = weights.config().topological_heads;
         let (out, trace) = summarise(&Gdat::new(&weights).unwrap(), &scene);
@@ -173,7 +173,7 @@ proptest! {
     }
 }
 
-/// Latent points with what the model tells them of base controls, \[agent, draw\]: z + M (scale · control).
+/// Latent points moved by their base controls, \[agent, draw\]: z + M (scale · control).
 fn told_of_base(
     weights: &Weights,
     agent_type: AgentType,

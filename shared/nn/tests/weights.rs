@@ -1,4 +1,4 @@
-//! Weights files that are whole, halved, cut short, spoilt or something else.
+//! Weights files: complete, in half precision, truncated, damaged, or of another format.
 
 use nn::{
     ContextCnn, ContextMemory, Decoder, EncodingFunction, Gdat, MlpMemory, RelationMlp, StateMlp, Weights,
@@ -81,7 +81,7 @@ fn half_precision_changes_embeddings_by_its_rounding_alone() {
 }
 
 #[test]
-fn a_short_file_is_told_from_another_kind_of_file() {
+fn truncated_files_and_other_formats_have_errors_of_their_own() {
     let bytes = Model::onboard().bytes(Dtype::F32);
     for len in [0, 7, 8, 100, 9_000, bytes.len() / 2, bytes.len() - 1] {
         let error = Weights::from_bytes(&bytes[..len]).unwrap_err();

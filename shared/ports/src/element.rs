@@ -1,4 +1,4 @@
-//! The payload types of `wire` as iceoryx2 wants them: `wire` itself knows nothing of the transport.
+//! The payload types of `wire` as types of iceoryx2: `wire` itself does not depend on the transport.
 #![expect(unsafe_code, reason = "iceoryx2's marker trait for types that may cross process borders is unsafe")]
 
 use std::fmt;
@@ -14,7 +14,8 @@ pub(crate) struct Element<T: Topic>(T::Element);
 // SAFETY: the struct is transparent over its one field.
 unsafe impl<T: Topic> TransparentWrapper<T::Element> for Element<T> {}
 
-// SAFETY: `Pod` elements have no pointers, references or padding, are `repr(C)`, and any bit pattern is a value.
+// SAFETY: `Pod` elements have no pointers, references or padding, are `repr(C)`, and any bit pattern is a
+// value.
 unsafe impl<T: Topic> ZeroCopySend for Element<T> {
     // SAFETY: the name carries the layout's version; a change of layout changes the name.
     unsafe fn type_name() -> &'static str {

@@ -1,62 +1,156 @@
+use std::error::Error;
+use std::io;
+use std::path::PathBuf;
+
 use run::{Exit, OptionError};
 use thiserror::Error;
-use wire::Rejected;
+use wire::{Rejected, StageId};
+
+/// The error of another library or crate, with its type for [`Error::source`] and `downcast_ref`.
+type Source = Box<dyn Error + Send + Sync>;
 
 /// A port or the transport under it is broken: the process can't go on.
 #[derive(Debug, Error)]
-#[error("{what} of topic \"{topic}\": {reason}")]
-pub struct PortError {
-    /// What was tried.
-    pub what: &'static str,
-    /// The topic.
-    pub topic: &'static str,
-    /// What the transport says.
-    pub reason: String,
+pub enum PortError {
+    /// This process can't join the run.
+    #[error("{operation}: {source:?}")]
+    Node {
+        /// What was tried.
+        operation: &'static str,
+        /// The error of the transport or the system.
+        source: Source,
+    },
+    /// The transport refuses an operation on a topic.
+    #[error("{operation} of topic \"{topic}\": {source:?}")]
+    Topic {
+        /// What was tried.
+        operation: &'static str,
+        /// The topic.
+        topic: &'static str,
+        /// The transport's error.
+        source: Source,
+    },
+    /// A frame is to have more elements than the topic allows.
+    #[error("loan of topic \"{topic}\": {found} elements, at most {most}")]
+    TooMany {
+        /// The topic.
+        topic: &'static str,
+        /// The elements asked for.
+        found: usize,
+        /// The limit.
+        most: usize,
+    },
+    /// The system can't wait for frames.
+    #[error("waiting for frames: {0}")]
+    Wait(#[source] io::Error),
+    /// The socket that reports a topic's events is closed or broken.
+    #[error("waiting for frames: a listener's socket is unusable, poll(2) reports events {events:#x}")]
+    Socket {
+        /// The `revents` of poll(2).
+        events: u16,
+    },
 }
 
 impl PortError {
     /// Turns an error of the transport into one that names the topic.
-    pub(crate) fn of<E: std::fmt::Debug>(what: &'static str, topic: &'static str) -> impl FnOnce(E) -> Self {
-        move |error| Self { what, topic, reason: format!("{error:?}") }
+    pub(crate) fn of<E: Into<Source>>(
+        operation: &'static str,
+        topic: &'static str,
+    ) -> impl FnOnce(E) -> Self {
+        move |source| Self::Topic { operation, topic, source: source.into() }
+    }
+
+    /// Turns an error of the transport or the system into one of this process's place in the run.
+    pub(crate) fn of_node<E: Into<Source>>(operation: &'static str) -> impl FnOnce(E) -> Self {
+        move |source| Self::Node { operation, source: source.into() }
     }
 }
 
-/// Why a stage ends before it is told to.
+/// Why a stage ends before it is asked to.
+///
+/// The variant gives the kind of failure, and with it the exit code; the source keeps the type of the crate
+/// that failed.
 #[derive(Debug, Error)]
 pub enum StageError {
     /// A port or the transport under it is broken.
     #[error(transparent)]
     Port(#[from] PortError),
-    /// A recording, map or weights file can't be used.
+    /// A recording, map, weights or memory file can't be used.
     #[error("{0}")]
-    Data(String),
-    /// The run's record or a setting can't be used.
+    Data(#[source] Source),
+    /// A file can't be opened or written.
+    #[error("{}: {source}", path.display())]
+    File {
+        /// The file.
+        path: PathBuf,
+        /// The system's error.
+        source: io::Error,
+    },
+    /// The run's record, its model or a setting can't be used.
     #[error("{0}")]
-    Config(String),
-    /// Another stage does not answer, or the launcher is gone.
-    #[error("{0}")]
-    Stuck(String),
+    Config(#[source] Source),
+    /// The stages have not passed on what the source sent.
+    #[error(
+        "no answer to {awaited} of \"{topic}\" within {limit_ms} ms: {} did not pass it on",
+        names(unlinked)
+    )]
+    NoAnswer {
+        /// What was sent.
+        awaited: Awaiting,
+        /// The topic on which it was sent.
+        topic: &'static str,
+        /// How long the source waited.
+        limit_ms: u64,
+        /// The stages that are not linked; empty where all are.
+        unlinked: Vec<StageId>,
+    },
+    /// The launcher died before the stage began.
+    #[error("the launcher is gone")]
+    LauncherGone,
+}
+
+/// What the source waits to see answered.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Awaiting {
+    /// Frames that link the stages, or end the run.
+    StartOrEnd,
+    /// The tick of this number.
+    Tick(u64),
+}
+
+impl std::fmt::Display for Awaiting {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match self {
+            Self::StartOrEnd => f.write_str("the start or end of the run"),
+            Self::Tick(seq) => write!(f, "tick {seq}"),
+        }
+    }
+}
+
+fn names(stages: &[StageId]) -> String {
+    let names: Vec<&str> = stages.iter().map(|stage| stage.name()).collect();
+    if names.is_empty() { "a stage".to_owned() } else { names.join(", ") }
 }
 
 impl StageError {
-    /// A recording, map or weights file can't be used.
-    pub fn data(error: impl std::fmt::Display) -> Self {
-        Self::Data(error.to_string())
+    /// A recording, map, weights or memory file can't be used.
+    pub fn data(error: impl Error + Send + Sync + 'static) -> Self {
+        Self::Data(error.into())
     }
 
-    /// The run's record or a setting can't be used.
-    pub fn config(error: impl std::fmt::Display) -> Self {
-        Self::Config(error.to_string())
+    /// The run's record, its model or a setting can't be used.
+    pub fn config(error: impl Error + Send + Sync + 'static) -> Self {
+        Self::Config(error.into())
     }
 
-    /// The exit code that tells the launcher what kind of failure it was.
+    /// The exit code that reports the kind of failure to the launcher.
     #[must_use]
     pub const fn exit(&self) -> Exit {
         match self {
             Self::Port(_) => Exit::Unavailable,
-            Self::Data(_) => Exit::Data,
+            Self::Data(_) | Self::File { .. } => Exit::Data,
             Self::Config(_) => Exit::Config,
-            Self::Stuck(_) => Exit::Failed,
+            Self::NoAnswer { .. } | Self::LauncherGone => Exit::Failed,
         }
     }
 }
@@ -67,7 +161,42 @@ impl From<OptionError> for StageError {
     }
 }
 
-/// Tells of a frame that was refused; nobody else will.
+/// Reports a refused frame in the log.
 pub(crate) fn log_refused(topic: &'static str, seq: u64, why: &Rejected) {
     tracing::warn!(topic, seq, "frame refused: {why}");
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use run::RecordError;
+
+    #[test]
+    fn a_stage_error_keeps_the_type_of_its_source() {
+        let error = StageError::config(RecordError::Foreign { path: "a".into() });
+        assert_eq!((error.to_string().as_str(), error.exit()), ("a: not the record of a run", Exit::Config));
+        let source = error.source().and_then(|source| source.downcast_ref::<RecordError>());
+        assert!(matches!(source, Some(RecordError::Foreign { .. })), "{source:?}");
+        let broken = PortError::of("frames", "tracks")(io::Error::from_raw_os_error(28));
+        let source = StageError::from(broken)
+            .source()
+            .and_then(|source| source.downcast_ref::<io::Error>())
+            .and_then(io::Error::raw_os_error);
+        assert_eq!(source, Some(28));
+    }
+
+    #[test]
+    fn an_unanswered_frame_names_the_stages_that_are_not_linked() {
+        let error = |unlinked| StageError::NoAnswer {
+            awaited: Awaiting::Tick(7),
+            topic: "detections",
+            limit_ms: 60_000,
+            unlinked,
+        };
+        let named = error(vec![StageId::Encoder, StageId::Sampler]);
+        let expected =
+            "no answer to tick 7 of \"detections\" within 60000 ms: encoder, sampler did not pass it on";
+        assert_eq!((named.to_string().as_str(), named.exit()), (expected, Exit::Failed));
+        assert!(error(Vec::new()).to_string().ends_with(": a stage did not pass it on"));
+    }
 }

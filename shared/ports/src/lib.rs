@@ -1,16 +1,45 @@
-//! How the stages meet: topics in shared memory, and what all stages do alike.
+//! How the stages meet: topics in shared memory, and the loop that all stages have in common.
 //!
-//! A *topic* is one iceoryx2 publish-subscribe service with its bounded queues and one event service of the same name
-//! that wakes the readers. A payload is written once, by its [`Publisher`], straight into shared memory ([`Loan`]), and
-//! read there by every [`Subscriber`] ([`Frame`]); nothing is copied or encoded on the way.
+//! A *topic* is one iceoryx2 publish-subscribe service with its bounded queues and one event service of the
+//! same name that wakes the readers. A payload is written once, by its [`Publisher`], straight into shared
+//! memory ([`Loan`]), and read there by every [`Subscriber`] ([`Frame`]); nothing is copied or encoded on the
+//! way.
 //!
-//! A *run* keeps to its own files ([`Space`]): every name in shared memory starts with the run's prefix, and removing
-//! them all by that prefix needs no help of the processes that made them, whatever they died of.
+//! A *run* keeps to its own files ([`Space`]): every name in shared memory starts with the run's prefix, so
+//! that all of them can be removed by that prefix after their processes ended, killed or not.
 //!
-//! [`Stage`] is one process's side: it waits, asleep, until a frame comes, sends heartbeats in between, passes frames
-//! on that are no ticks, stamps its passage into the header and ends on SIGTERM. *Linking*: before the first tick the
-//! source sends empty warm-up frames, which every stage passes on, because a connection carries frames only once the
-//! reader has mapped it. A stage is *linked* when a frame has come in on each of its inputs and one has gone out.
+//! [`Stage`] is one process of the pipeline: it waits, asleep, until a frame comes, sends heartbeats in
+//! between, passes frames on that are no ticks, stamps its passage into the header and ends on SIGTERM.
+//! *Linking*: before the first tick the source sends empty warm-up frames, which every stage passes on,
+//! because a connection carries frames only once the reader has mapped it. A stage is *linked* when a frame
+//! has come in on each of its inputs and one has gone out.
+//!
+//! A frame from one end of a topic to the other, here within one process:
+//!
+//! ```
+//! use ports::{Node, Space};
+//! use run::Run;
+//! use wire::{Header, Track, TracksTopic};
+//!
+//! // The launcher makes the run's files; dropping `space` removes them.
+//! let id = u64::from(std::process::id());
+//! let space = Space::create(id, 1 << 20)?;
+//! let run = Run { id, prefix: space.prefix().into(), root: space.root().into(), ..Run::default() };
+//!
+//! let node = Node::open(&run, "example")?;
+//! let subscriber = node.subscriber::<TracksTopic>(2)?;
+//! let publisher = node.publisher::<TracksTopic>()?;
+//!
+//! let mut header = Header::new(run.id, 0, 80_000_000);
+//! header.counts.agents_len = 1;
+//! let mut loan = publisher.loan(1)?;
+//! loan[0] = Track { id: 9, x_m: 2.5, ..bytemuck::Zeroable::zeroed() };
+//! publisher.send(loan, header)?;
+//!
+//! let frame = subscriber.receive()?.expect("the frame is in the queue");
+//! assert_eq!((frame.header().seq, frame[0].id, frame[0].x_m), (0, 9, 2.5));
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
 
 mod clock;
 mod element;
@@ -26,7 +55,7 @@ mod subscriber;
 mod wait;
 
 pub use clock::monotonic_ns;
-pub use error::{PortError, StageError};
+pub use error::{Awaiting, PortError, StageError};
 pub use node::Node;
 pub use peers::Peers;
 pub use program::{LAUNCHER_VARIABLE, RUN_VARIABLE, begin_logging, die_with_launcher, stage_main};

@@ -13,7 +13,7 @@ use crate::{HEARTBEAT, PortError, Publisher, Stop, Subscriber};
 const BORROWED_MAX: usize = 3;
 /// Frames that a publisher may prepare at a time.
 pub(crate) const LOANED_MAX: usize = 1;
-/// Frames that a reader who comes late still gets.
+/// Frames that a reader gets which opens the topic after they were sent.
 const HISTORY: usize = 1;
 /// Processes of a run that may use a topic: all stages, the launcher, and spares for tools.
 const NODES_MAX: usize = 20;
@@ -48,16 +48,15 @@ impl Node {
     /// # Errors
     /// [`PortError`] where the run's files can't be made or the signals not be taken over.
     pub fn open(run: &Run, name: &str) -> Result<Self, PortError> {
-        let whole = "(all)";
-        let stop = Stop::on_signals().map_err(PortError::of("signal handlers", whole))?;
-        let node_name = NodeName::new(name).map_err(PortError::of("node name", whole))?;
-        let config = transport_config(run).map_err(PortError::of("paths", whole))?;
+        let stop = Stop::on_signals().map_err(PortError::of_node("taking over SIGTERM and SIGINT"))?;
+        let node_name = NodeName::new(name).map_err(PortError::of_node("name of the node"))?;
+        let config = transport_config(run).map_err(PortError::of_node("paths of the run"))?;
         let node = NodeBuilder::new()
             .name(&node_name)
             .config(&config)
             .signal_handling_mode(SignalHandlingMode::Disabled)
             .create::<ipc::Service>()
-            .map_err(PortError::of("node", whole))?;
+            .map_err(PortError::of_node("node"))?;
         let (interval, sender) = (Duration::from_nanos(run.interval_ns), Sender::default());
         Ok(Self { node, run_id: run.id, interval, stop, sender })
     }
@@ -105,8 +104,8 @@ impl Node {
     /// Opens a topic for reading with a queue of `depth` frames; the oldest is dropped when it is full.
     ///
     /// # Errors
-    /// [`PortError`] where the topic has its most readers already, shared memory is short, or `depth` is more than
-    /// [`Topic::DEPTH_MAX`].
+    /// [`PortError`] where the topic has its most readers already, shared memory is short, or `depth` is more
+    /// than [`Topic::DEPTH_MAX`].
     pub fn subscriber<T: Topic>(&self, depth: usize) -> Result<Subscriber<T>, PortError> {
         let (frames, events) = self.services::<T>()?;
         let subscriber = frames
@@ -118,7 +117,7 @@ impl Node {
         Ok(Subscriber::new(subscriber, listener, self.run_id))
     }
 
-    /// Opens or makes the two services of a topic; all processes pass through here, so all ask for the same.
+    /// Opens or makes the two services of a topic, with the same settings in all processes.
     fn services<T: Topic>(&self) -> Result<Services<T>, PortError> {
         let name: ServiceName = format!("stgdat/{}", T::NAME)
             .as_str()
@@ -158,8 +157,8 @@ impl Node {
     }
 }
 
-/// The transport's settings for a run: its own names and directory, and no clean-up by the stages, which could hang on
-/// what a killed process left half made.
+/// The transport's settings for a run: its own names and directory, and no clean-up by the stages, which
+/// could block on a file that a killed process left half written.
 fn transport_config(run: &Run) -> Result<Config, SemanticStringError> {
     let mut config = Config::global_config().clone();
     config.global.prefix = FileName::new(run.prefix.as_bytes())?;

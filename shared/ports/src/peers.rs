@@ -5,18 +5,18 @@ use wire::{Heartbeat, HeartbeatsTopic, StageId};
 
 use crate::{PortError, Subscriber};
 
-/// What the stages of a run last said of themselves.
+/// The newest heartbeat of each stage of a run.
 #[derive(Debug)]
 pub struct Peers {
     heartbeats: Subscriber<HeartbeatsTopic>,
     newest: BTreeMap<u32, Heartbeat>,
-    /// Stages that tell of themselves.
+    /// Stages that send heartbeats.
     expected: Vec<StageId>,
 }
 
 impl Peers {
-    /// Listens to all stages of a run that send heartbeats. Programs put in a stage's place need not: when those that
-    /// read from it are linked, it is.
+    /// Expects heartbeats of this project's own programs. A program in a stage's place need not send any: it
+    /// is linked when the stages that read from it are.
     #[must_use]
     pub fn new(heartbeats: Subscriber<HeartbeatsTopic>, run: &Run) -> Self {
         let built_in = run.stages.iter().filter(|stage| stage.built_in);
@@ -37,7 +37,7 @@ impl Peers {
         Ok(came)
     }
 
-    /// The topic that wakes who waits for them.
+    /// The topic whose events end a wait for them.
     #[must_use]
     pub const fn heartbeats(&self) -> &Subscriber<HeartbeatsTopic> {
         &self.heartbeats
@@ -50,7 +50,7 @@ impl Peers {
         self.expected.iter().copied().filter(|stage| !linked(stage)).collect()
     }
 
-    /// Whether a stage has had tick `seq` in hand.
+    /// Whether a stage has finished or refused tick `seq`.
     #[must_use]
     pub fn reached(&self, stage: StageId, seq: u64) -> bool {
         let newest = self.newest.get(&(stage as u32));

@@ -10,7 +10,7 @@ use crate::StageError;
 /// The environment variable that names the run's record, for stages that get no `--run`.
 pub const RUN_VARIABLE: &str = "STGDAT_RUN";
 
-/// The environment variable in which the launcher tells its process number.
+/// The environment variable that holds the launcher's process number.
 pub const LAUNCHER_VARIABLE: &str = "STGDAT_LAUNCHER";
 
 /// The main function of a stage's own program: `program [--run FILE]`.
@@ -42,7 +42,7 @@ pub fn stage_main(stage: fn(&Run) -> Result<(), StageError>) -> ExitCode {
 /// Asks the kernel to kill this process when its launcher dies, so that no stage outlives it.
 ///
 /// # Errors
-/// [`StageError::Stuck`] where the launcher has died already.
+/// [`StageError::LauncherGone`] where the launcher has died already.
 pub fn die_with_launcher() -> Result<(), StageError> {
     let launcher = std::env::var(LAUNCHER_VARIABLE).ok().and_then(|pid| Pid::from_raw(pid.parse().ok()?));
     if launcher.is_none() {
@@ -50,13 +50,13 @@ pub fn die_with_launcher() -> Result<(), StageError> {
     }
     // Refused only for signals that do not exist.
     let _ = set_parent_process_death_signal(Some(Signal::KILL));
-    if getppid() == launcher { Ok(()) } else { Err(StageError::Stuck("the launcher is gone".into())) }
+    if getppid() == launcher { Ok(()) } else { Err(StageError::LauncherGone) }
 }
 
-/// Writes the process's log to standard error: warnings, or what `RUST_LOG` asks for.
+/// Writes the process's log to standard error: warnings, or what `RUST_LOG` selects.
 pub fn begin_logging() {
     let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new("warn"));
-    // Fails where a test or an embedding program has set one up already, which is as good.
+    // Fails where a test or an embedding program has set up a log already, which then serves.
     let _ = tracing_subscriber::fmt()
         .with_env_filter(filter)
         .with_writer(std::io::stderr)

@@ -19,7 +19,7 @@ pub struct Publisher<T: Topic> {
     sender: Sender,
 }
 
-/// Who sends, as the headers report it; zeros where it is no stage.
+/// The sender in the headers; zeros where it is no stage.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct Sender {
     /// The stage's number.
@@ -41,18 +41,17 @@ impl<T: Topic> Publisher<T> {
         Self { publisher, notifier, sender }
     }
 
-    /// Room for `len` elements; what they hold until written is any earlier frame or zeros.
+    /// Room for `len` elements; until written they hold an earlier frame or zeros.
     ///
     /// # Errors
     /// [`PortError`] where `len` is beyond [`Topic::ELEMENTS_MAX`] or shared memory is full.
     pub fn loan(&self, len: usize) -> Result<Loan<T>, PortError> {
         if len > T::ELEMENTS_MAX {
-            let reason = format!("{len} elements, at most {}", T::ELEMENTS_MAX);
-            return Err(PortError { what: "loan", topic: T::NAME, reason });
+            return Err(PortError::TooMany { topic: T::NAME, found: len, most: T::ELEMENTS_MAX });
         }
         let sample = self.publisher.loan_slice_uninit(len).map_err(PortError::of("loan", T::NAME))?;
-        // SAFETY: the memory is a mapping that the kernel zeroed, or holds an earlier frame: its bytes are defined, and
-        // any bit pattern is a value of a `Pod` element.
+        // SAFETY: the memory is a mapping that the kernel zeroed, or holds an earlier frame: its bytes are
+        // defined, and any bit pattern is a value of a `Pod` element.
         Ok(Loan(unsafe { sample.assume_init() }))
     }
 
@@ -62,16 +61,16 @@ impl<T: Topic> Publisher<T> {
     /// [`PortError`] where the transport fails.
     pub fn send(&self, mut loan: Loan<T>, header: Header) -> Result<(), PortError> {
         let Sender { stage: sender, incarnation } = self.sender;
-        // The protection of a frame that came in says nothing of the one that goes out.
+        // The protection of the frame that came in does not cover the one that goes out.
         let protection = Protection::default();
         *loan.0.user_header_mut() = Head(Header { protection, sender, incarnation, ..header });
         loan.0.send().map_err(PortError::of("sending", T::NAME))?;
-        // Errors here are late notifications, which were still delivered, and readers that have gone.
+        // Errors here are late notifications, which were delivered all the same, and readers that are gone.
         let _ = self.notifier.notify();
         Ok(())
     }
 
-    /// A frame with a copy of `elements`, where their number was not known before they were made.
+    /// A frame with a copy of `elements`, for results whose number is not known before they are computed.
     ///
     /// # Errors
     /// As [`Publisher::loan`].

@@ -1,8 +1,9 @@
-//! The files of a run: names in shared memory, a directory for sockets and records, and a lock that tells whether the
-//! run is alive.
+//! The files of a run: names in shared memory, a directory for sockets and records, and a lock that shows
+//! whether the run is alive.
 //!
-//! Everything in shared memory starts with the run's prefix. The lock lies there too: whoever can see a run's shared
-//! memory can see whether its launcher lives, which a process number could not tell across containers.
+//! Every name in shared memory starts with the run's prefix. The lock lies there too: a process that can see
+//! a run's shared memory can see whether its launcher is alive, which a process number does not show across
+//! containers.
 
 use std::fs::File;
 use std::io;
@@ -13,8 +14,8 @@ use thiserror::Error;
 
 /// Where POSIX shared memory shows as files.
 const SHARED_MEMORY: &str = "/dev/shm";
-/// Where the runs' directories lie. Not `TMPDIR`: a socket's path must stay under 108 bytes, and `stgdat clean` must
-/// find the directories of runs that were started with another one.
+/// Where the runs' directories lie. Not `TMPDIR`: a socket's path must stay under 108 bytes, and
+/// `stgdat clean` must find the directories of runs that were started with another one.
 const ROOTS: &str = "/tmp";
 /// What all names of all runs start with.
 const FAMILY: &str = "stgdat_";
@@ -30,7 +31,7 @@ pub enum SpaceError {
     File {
         /// Which.
         path: PathBuf,
-        /// What the system says.
+        /// The system's error.
         source: io::Error,
     },
     /// Shared memory has too little room.
@@ -51,11 +52,11 @@ pub enum SpaceError {
 pub struct Space {
     prefix: String,
     root: PathBuf,
-    /// Locked for as long as the launcher lives, whatever it dies of.
+    /// Locked until the launcher ends, killed or not.
     lock: File,
 }
 
-/// What a run left behind whose launcher is gone.
+/// Files of a run whose launcher is gone.
 #[derive(Debug)]
 pub struct Leftover {
     /// The run's prefix.
@@ -170,8 +171,8 @@ fn leftover(prefix: String) -> Option<Leftover> {
     Some(Leftover { files_len: files.len(), bytes, root, _lock: lock, prefix })
 }
 
-/// Makes the lock of a new run and takes it. Whoever looks for leftovers at that moment may hold it for a little while,
-/// and may have removed it as one.
+/// Makes the lock of a new run and takes it. A process that looks for leftovers at that moment may hold it
+/// for a short time, and may have removed it.
 fn make_lock(path: &Path) -> io::Result<File> {
     let make = || take_lock(path, OFlags::CREATE | OFlags::EXCL, FlockOperation::LockExclusive);
     match make() {
@@ -225,7 +226,7 @@ fn allocated(path: &Path) -> u64 {
     std::fs::symlink_metadata(path).map_or(0, |m| m.blocks() * 512)
 }
 
-/// Removes a run's files, the lock last: until then the run counts as being looked after.
+/// Removes a run's files, the lock last: until then no other process takes them for leftovers.
 fn remove(prefix: &str, root: &Path) {
     let lock = lock_path(prefix);
     for file in files_of(prefix).into_iter().filter(|file| *file != lock) {

@@ -14,7 +14,7 @@ pub const HEARTBEAT: Duration = Duration::from_nanos(TICK_NS);
 /// Queue depth of a stage's input: the tick at hand and the next.
 const DEPTH: usize = 2;
 
-/// One process of the pipeline: what all stages do alike, on one thread.
+/// One process of the pipeline: what all stages do, on one thread.
 #[derive(Debug)]
 pub struct Stage {
     id: StageId,
@@ -23,7 +23,7 @@ pub struct Stage {
     declared: Topics,
     heartbeats: Publisher<HeartbeatsTopic>,
     inputs: Vec<Rc<dyn Input>>,
-    /// Whether anything has been passed on, or nothing needs to be.
+    /// Whether a frame has gone out, or there is no output.
     passed: bool,
     next_beat_ns: u64,
     beat: u64,
@@ -38,7 +38,7 @@ struct Topics {
     reads: &'static [&'static str],
     writes: &'static [&'static str],
     opened: Vec<&'static str>,
-    /// Whether all are known to be open.
+    /// Whether a check has found all of them open.
     complete: bool,
 }
 
@@ -46,12 +46,12 @@ struct Topics {
 #[derive(Debug)]
 #[must_use = "a tick that is not finished is lost for all stages that follow"]
 pub struct Passage {
-    /// The header of the frame to be sent: the input's, until the stage says otherwise.
+    /// The header of the frame to be sent: the input's, unless the stage changes it.
     pub header: Header,
     hop: Hop,
 }
 
-/// What came of waiting for one tick's frame.
+/// Result of waiting for one tick's frame.
 #[derive(Debug)]
 pub enum Awaited<T: Topic> {
     /// The frame.
@@ -65,9 +65,8 @@ pub enum Awaited<T: Topic> {
 }
 
 impl Stage {
-    /// Joins the run as the stage that `declaration` tells.
-    ///
-    /// It opens the topics that are declared, and all of them before it first waits.
+    /// Joins the run as the stage of `declaration`, which must open all declared topics before it first
+    /// waits, and no others.
     ///
     /// # Errors
     /// [`PortError`] where the run's shared memory can't be used.
@@ -226,7 +225,8 @@ impl Stage {
         Ok(!self.stop().requested())
     }
 
-    /// Sleeps until a frame of `input` comes, at most until `until_ns`; false where the process has been asked to end.
+    /// Sleeps until a frame of `input` comes, at most until `until_ns`; false where the process has been
+    /// asked to end.
     ///
     /// # Errors
     /// [`PortError`] where the transport fails.
@@ -260,7 +260,8 @@ impl Stage {
         Passage { header: Header { released_ns: now_ns, ..header }, hop }
     }
 
-    /// Ends the work on a tick: sends the output or, where the input was refused, says so to the stages that follow.
+    /// Ends the work on a tick: sends the output or, where the input was refused, a VOID frame to the stages
+    /// that follow.
     ///
     /// # Errors
     /// [`PortError`] where the transport fails.
@@ -284,7 +285,7 @@ impl Stage {
         }
     }
 
-    /// Counts and tells of a frame that was refused, where something else takes the tick's place.
+    /// Counts and logs a refused frame, where something else takes the tick's place.
     pub fn refuse(&mut self, seq: u64, topic: &'static str, why: &Rejected) {
         self.seq = seq;
         self.rejected_len += 1;
@@ -357,7 +358,7 @@ impl Stage {
         if monotonic_ns() >= self.next_beat_ns { self.beat() } else { Ok(()) }
     }
 
-    /// A stage that does not open what it declares would leave others waiting for it: found at its first wait.
+    /// Finds, at the first wait, a declared topic that is not open: other stages would wait for it in vain.
     fn check_topics(&mut self) {
         let Topics { reads, writes, opened, complete } = &mut self.declared;
         if !*complete {

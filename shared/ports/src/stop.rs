@@ -8,7 +8,7 @@ use signal_hook::consts::{SIGINT, SIGTERM};
 
 /// Whether SIGTERM or SIGINT has asked the process to end.
 ///
-/// The flag stays set: a signal that comes between two looks, or before another one, is not lost.
+/// The flag stays set: a signal between two checks, or before another signal, is not lost.
 #[derive(Clone, Debug)]
 pub struct Stop(Arc<AtomicUsize>);
 
@@ -43,12 +43,12 @@ impl Stop {
     }
 }
 
-/// The transport sets handlers of its own when it first looks for a signal, in place of any that are there; let it do so
-/// before ours come, which call the earlier ones and stay.
+/// The transport replaces all handlers by its own when it first looks for a signal. This makes it do so
+/// before ours are registered, which then call the transport's and stay.
 fn take_transport_handlers() {
     set_log_level(LogLevel::Error);
     if let Ok(nothing_attached) = WaitSetBuilder::new().create::<ipc::Service>() {
-        // Looks for a signal, then refuses to wait for nothing.
+        // Looks for a signal, then returns an error because nothing is attached.
         let _ = nothing_attached
             .wait_and_process_once_with_timeout(|_| CallbackProgression::Continue, Duration::ZERO);
     }

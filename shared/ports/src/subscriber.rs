@@ -25,7 +25,7 @@ struct Port<T: Topic> {
     run_id: u64,
     /// Number of the newest tick received.
     newest: Cell<Option<u64>>,
-    /// A frame that came before it was asked for.
+    /// A frame of a later tick than the one awaited.
     early: RefCell<Option<Frame<T>>>,
     seen: Cell<bool>,
     rejected_len: Cell<u64>,
@@ -72,7 +72,8 @@ impl<T: Topic> Subscriber<T> {
         Self(Rc::new(Port { subscriber, listener, run_id, newest, early, seen, rejected_len, dropped_len }))
     }
 
-    /// The oldest frame of the queue, if there is one. Frames that can't be trusted are counted and left out.
+    /// The oldest frame of the queue, if there is one. Frames with an impossible header are counted and left
+    /// out.
     ///
     /// # Errors
     /// [`PortError`] where the transport fails.
@@ -96,7 +97,7 @@ impl<T: Topic> Subscriber<T> {
         Ok(None)
     }
 
-    /// The newest tick of the queue that is not VOID, if there is one; all others, and frames that are no ticks, are let go.
+    /// The newest tick of the queue that is not VOID, if there is one; all other frames are dropped.
     ///
     /// # Errors
     /// [`PortError`] where the transport fails.
@@ -110,7 +111,7 @@ impl<T: Topic> Subscriber<T> {
         Ok(newest)
     }
 
-    /// The frame of tick `seq`, if it is in the queue; older ones are let go, newer ones stay for later.
+    /// The frame of tick `seq`, if it is in the queue; older ones are dropped, newer ones stay for later.
     ///
     /// # Errors
     /// [`PortError`] where the transport fails.
@@ -128,7 +129,8 @@ impl<T: Topic> Subscriber<T> {
         Ok(None)
     }
 
-    /// Sleeps until something comes, a signal comes or the time is up. May return early; the queue tells what came.
+    /// Sleeps until an event of the topic, a signal or the end of `timeout`. May return early: look at the
+    /// queue.
     ///
     /// # Errors
     /// [`PortError`] where the transport fails.
@@ -136,13 +138,13 @@ impl<T: Topic> Subscriber<T> {
         wait([self], timeout)
     }
 
-    /// What the stage asks of each of its inputs.
+    /// The input as its stage counts it.
     pub(crate) fn input(&self) -> Rc<dyn Input> {
         self.0.clone()
     }
 }
 
-/// An input as its stage sees it, whatever its elements are.
+/// An input as its stage counts it, whatever its elements are.
 pub(crate) trait Input: std::fmt::Debug {
     /// Whether a frame has come, taken from the queue or not.
     fn linked(&self) -> bool;
@@ -177,7 +179,7 @@ impl<T: Topic> Port<T> {
         let header = frame.header();
         header.check()?;
         if header.run_id != self.run_id {
-            return Err(Rejected::Impossible { field: "run_id", value: header.run_id as f64 });
+            return Err(Rejected::ForeignRun { found: header.run_id, expected: self.run_id });
         }
         let expected = T::elements_len(&header.counts);
         if frame.len() != expected {
@@ -186,8 +188,8 @@ impl<T: Topic> Port<T> {
         Ok(())
     }
 
-    /// Ticks come in order of their numbers, without gaps at the source: a gap is what the queue dropped. A reader
-    /// that comes in the midst of a run, without a warm-up frame before, counts from the first tick that it sees.
+    /// Ticks arrive in order of their numbers, without gaps at the source: a gap is what the queue dropped. A
+    /// reader that joins a run without a warm-up frame counts from the first tick that it receives.
     fn count(&self, header: &Header) {
         let linked = self.seen.replace(true);
         if !header.is_tick() {

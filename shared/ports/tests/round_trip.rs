@@ -19,7 +19,7 @@ const ECHO: Declaration<NoOptions> =
 const CALLER: Declaration<NoOptions> =
     Declaration::new(StageId::Tracker, &[ForecastsTopic::NAME], &[TracksTopic::NAME]);
 
-/// A run of its own for each test, so that they can go side by side.
+/// A run of its own for each test, so that they can run in parallel.
 fn run() -> (Space, Run) {
     static COUNT: std::sync::atomic::AtomicU32 = std::sync::atomic::AtomicU32::new(0);
     let count = COUNT.fetch_add(1, std::sync::atomic::Ordering::Relaxed);
@@ -58,7 +58,7 @@ fn a_frame_is_read_where_it_was_written() {
 }
 
 #[test]
-fn headers_report_their_sender_and_no_protection_of_another_frame() {
+fn headers_report_their_sender_and_drop_protection() {
     let (_space, run) = run();
     let node = Node::open(&run, "tool").unwrap();
     let (tracks, forecasts) =
@@ -148,7 +148,7 @@ fn the_oldest_frames_are_dropped_and_counted() {
 }
 
 #[test]
-fn frames_of_other_runs_schemas_and_lengths_are_refused_and_counted() {
+fn frames_of_another_run_schema_or_length_are_counted() {
     let (_space, run) = run();
     let mut reader = Stage::open(&run, &READER).unwrap();
     let tracks = reader.subscribe::<TracksTopic>().unwrap();
@@ -174,7 +174,7 @@ fn frames_of_other_runs_schemas_and_lengths_are_refused_and_counted() {
 }
 
 #[test]
-fn waiting_for_a_tick_lets_go_of_older_ones_and_keeps_newer_ones() {
+fn waiting_for_a_tick_drops_older_and_keeps_newer_ones() {
     let (_space, run) = run();
     let reader: Declaration<NoOptions> = Declaration::new(StageId::Sampler, &[ForecastsTopic::NAME], &[]);
     let mut stage = Stage::open(&run, &reader).unwrap();
@@ -197,7 +197,8 @@ fn waiting_for_a_tick_lets_go_of_older_ones_and_keeps_newer_ones() {
     assert!(matches!(stage.wait_for(&forecasts, 8, soon()).unwrap(), Awaited::Late));
 }
 
-/// A stage of its own process: passes tracks on as forecasts of nobody.
+/// A stage in a process of its own: answers each track with a forecast that has twice its id and nothing
+/// else.
 fn echo(run: &Run) -> Result<(), StageError> {
     let mut stage = Stage::open(run, &ECHO)?;
     let tracks = stage.subscribe::<TracksTopic>()?;
@@ -217,7 +218,7 @@ fn echo(run: &Run) -> Result<(), StageError> {
     Ok(())
 }
 
-/// Not a test of its own: the process that the next test starts.
+/// No test: the process that the next test starts.
 #[test]
 fn echo_process() {
     let Some(record) = std::env::var_os("STGDAT_TEST_ECHO") else { return };
@@ -225,7 +226,7 @@ fn echo_process() {
 }
 
 #[test]
-fn a_stage_in_another_process_links_answers_refuses_and_ends_on_sigterm() {
+fn a_stage_in_another_process_links_answers_and_ends() {
     let (space, run) = run();
     let record = space.root().join("run");
     run.write(&record).unwrap();
@@ -275,7 +276,7 @@ fn a_stage_in_another_process_links_answers_refuses_and_ends_on_sigterm() {
 }
 
 #[test]
-fn a_dropped_space_leaves_nothing_and_a_living_one_is_no_leftover() {
+fn a_dropped_space_leaves_nothing_and_a_live_one_is_kept() {
     let (space, run) = run();
     let stage = Stage::open(&run, &READER).unwrap();
     assert!(space.shared_bytes() > 0);
@@ -293,9 +294,9 @@ fn a_dropped_space_leaves_nothing_and_a_living_one_is_no_leftover() {
 }
 
 #[test]
-fn too_little_shared_memory_is_told_before_anything_is_made() {
-    let error =
-        Space::create(u64::from(std::process::id()) << 8 | 0xff, u64::MAX).expect_err("nobody has that much");
+fn too_little_shared_memory_is_an_error_before_any_file() {
+    let error = Space::create(u64::from(std::process::id()) << 8 | 0xff, u64::MAX)
+        .expect_err("no machine has that much");
     assert!(error.to_string().contains("MiB free"), "{error}");
 }
 
@@ -323,7 +324,7 @@ fn a_stage_opens_all_that_it_declares_before_it_waits() {
 }
 
 #[test]
-fn a_wait_ends_with_its_time_or_a_frame() {
+fn a_wait_ends_at_its_timeout_or_with_a_frame() {
     let (_space, run) = run();
     let node = Node::open(&run, "both").unwrap();
     let subscriber = node.subscriber::<TracksTopic>(2).unwrap();

@@ -1,5 +1,5 @@
-//! A signal ends a wait at once. A program of its own: the signal must come to the thread that waits, as in a stage, which has
-//! but one; the threads of a test harness would take it.
+//! A signal ends a wait at once. A program of its own, without a test harness: the signal must reach the one
+//! thread that waits, as in a stage, and not a thread of the harness.
 #![expect(clippy::unwrap_used, reason = "a test ends at what it can't do")]
 
 use std::time::{Duration, Instant};
@@ -18,7 +18,7 @@ fn main() {
     // Opening a topic is an event too.
     subscriber.sleep(Duration::ZERO).unwrap();
     let begin = Instant::now();
-    // Started by a process of its own: a thread of this one could take the signal.
+    // A process of its own: a thread of this one could receive the signal.
     let mut killer = std::process::Command::new("sh")
         .args(["-c", &format!("sleep 0.2; kill -TERM {}", getpid().as_raw_nonzero())])
         .spawn()

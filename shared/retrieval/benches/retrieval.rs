@@ -23,7 +23,7 @@ fn path(of: u64) -> [[f32; 2]; HORIZON_MAX] {
     std::array::from_fn(|step| [3.2 * step as f32, 0.01 * (of % 50) as f32 * (step * step) as f32])
 }
 
-/// A memory of 20,000 agents that came by.
+/// A memory of 20,000 agents.
 fn full() -> RetrievalMemory {
     let mut memory = RetrievalMemory::new(HORIZON_MAX, STEP_NS);
     let mut retrieved = Retrieved::default();

@@ -1,11 +1,12 @@
-//! What retrieved residuals change in the controls of a forecast.
+//! From retrieved residuals to changes of a forecast's controls.
 
 use kinematics::MotionModel;
 use wire::{ControlGaussian, HORIZON_MAX, MODES_MAX};
 
 use crate::{ControlChange, ModeSelection, RETRIEVED_MAX, Retrieved};
 
-/// The controls of one agent's forecast, step by step, of as many steps as the best forecast has; modes may have more.
+/// The controls of one agent's forecast, step by step, of as many steps as the best forecast has; modes may
+/// have more.
 #[derive(Clone, Copy, Debug)]
 pub struct ForecastControls<'a, M> {
     /// Of each mode.
@@ -16,17 +17,19 @@ pub struct ForecastControls<'a, M> {
     pub best: &'a [ControlGaussian],
 }
 
-/// What is changed in the controls of one agent's forecast: their means, and the probabilities of the modes. Deviations stay.
+/// Changes of one agent's controls: of their means, and of the modes' probabilities. Covariances stay.
 #[derive(Clone, Debug)]
 pub struct ControlChanges {
     best: ControlChange,
     modes: ControlChange,
-    /// Of each mode that a neighbour's path stands in for: the change of the best forecast's controls that leads along it.
+    /// Of each mode that is replaced by a neighbour's path: the change of the best forecast's controls that
+    /// leads along it.
     replaced: Vec<Option<ControlChange>>,
     probability: Vec<f32>,
 }
 
-/// Turns what is retrieved into [`ControlChanges`], for one agent after another, in memory that it takes once.
+/// Turns what is retrieved into [`ControlChanges`], for one agent after another, with scratch memory
+/// allocated once.
 #[derive(Clone, Debug)]
 pub struct ControlAdapter {
     selection: ModeSelection,
@@ -34,9 +37,8 @@ pub struct ControlAdapter {
 }
 
 impl<'a, M: AsRef<[ControlGaussian]>> ForecastControls<'a, M> {
-    /// Where the best forecast leads, unchanged.
-    #[must_use]
-    pub fn best_path(&self, model: &MotionModel) -> [[f32; 2]; HORIZON_MAX] {
+    /// The path of the best forecast before any change.
+    pub(crate) fn best_path(&self, model: &MotionModel) -> [[f32; 2]; HORIZON_MAX] {
         path(model, self.best.iter().map(|control| control.mean))
     }
 
@@ -71,13 +73,13 @@ impl ControlChanges {
         changed(means, change).zip(own).map(|(mean, own)| ControlGaussian { mean, ..*own })
     }
 
-    /// Whether a neighbour's path stands in for the mode.
+    /// Whether a neighbour's path replaces the mode.
     #[must_use]
     pub fn is_replaced(&self, mode: usize) -> bool {
         self.replaced[mode].is_some()
     }
 
-    /// Goes back to no change, of modes with these probabilities.
+    /// Resets to no change, of modes with these probabilities.
     pub fn reset(&mut self, probability: &[f32]) {
         (self.best, self.modes) = Default::default();
         self.replaced.clear();
@@ -105,10 +107,11 @@ impl Default for ControlAdapter {
 }
 
 impl ControlAdapter {
-    /// Writes what an agent's controls are changed by where this is retrieved for it.
+    /// Writes the changes of an agent's controls that follow from what is retrieved for it.
     ///
-    /// The best forecast gets the expected residuals, modes [half of them](Retrieved::expected_of_modes). Paths that follow the
-    /// best forecast with the residuals of one neighbour each then compete with the modes: see [`ModeSelection`].
+    /// The best forecast gets the expected residuals, modes [half of them](Retrieved::expected_of_modes).
+    /// Paths that follow the best forecast with the residuals of one neighbour each then compete with the
+    /// modes: see [`ModeSelection`].
     pub fn adapt<M: AsRef<[ControlGaussian]>>(
         &mut self,
         retrieved: &Retrieved,
@@ -127,7 +130,7 @@ impl ControlAdapter {
         }
     }
 
-    /// Lets neighbours' paths stand in for modes.
+    /// Replaces modes by neighbours' paths.
     fn select<M: AsRef<[ControlGaussian]>>(
         &mut self,
         retrieved: &Retrieved,

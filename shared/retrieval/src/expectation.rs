@@ -1,15 +1,15 @@
-//! What residual is to be expected of an agent: the kernel mean of its neighbours' residuals, and its shrinkage.
+//! The residuals to be expected of an agent: the kernel mean of its neighbours' residuals, and its shrinkage.
 
 use kinematics::MotionKind;
 use wire::HORIZON_MAX;
 
 use crate::Residuals;
 
-/// λ: what of the shrinkage's sums lasts from one residual to the next: about the last thousand count.
+/// λ: factor by which the shrinkage's sums decay with each residual: about the last thousand count.
 const LASTING: f32 = 0.999;
-/// ρ: so much has to be predicted before it counts, in the squared units of residuals, by kind of motion.
+/// ρ: ridge of the regression, in the squared units of residuals, by kind of motion.
 const RIDGE: [[f32; 2]; 2] = [[5.0, 2e-3], [0.02, 0.02]];
-/// ν: the mean is drawn towards 0 by the weight of so many residuals of 0, by kind of motion.
+/// ν: weight of the prior mean 0, in residuals of similarity 1, by kind of motion.
 const PRIOR_WEIGHT: [f32; 2] = [1.0, 4.0];
 
 /// A mean of residuals weighted by a kernel: its sums.
@@ -21,7 +21,8 @@ pub(crate) struct KernelMean {
     sums: [[f32; 2]; HORIZON_MAX],
 }
 
-/// How well kernel means predicted residuals so far, by step and component: sums of predicted · actual and of predicted².
+/// How well kernel means predicted residuals so far, by step and component: sums of predicted · actual and of
+/// predicted².
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Shrinkage {
     steps: [[(f32, f32); 2]; HORIZON_MAX],
@@ -61,8 +62,8 @@ impl Shrinkage {
         *square = LASTING * *square + predicted * predicted;
     }
 
-    /// The residuals to be expected where these are predicted: shrunk by the slope of a ridge regression of actual on
-    /// predicted residuals so far.
+    /// The residuals to be expected where these are predicted: shrunk by the slope of a ridge regression of
+    /// actual on predicted residuals so far.
     ///
     /// ```text
     /// Δ'_k = c_k Δ_k      c_k = Σ Δ_k δ_k / (Σ Δ_k² + ρ), within [0, 1]
@@ -77,7 +78,7 @@ impl Shrinkage {
         })
     }
 
-    /// The sums of so many steps, as they are written.
+    /// The sums of `steps_len` steps in the order of the file.
     pub(crate) fn numbers(&self, steps_len: usize) -> impl Iterator<Item = f32> {
         self.steps[..steps_len].iter().flatten().flat_map(|&(product, square)| [product, square])
     }

@@ -1,10 +1,12 @@
 //! Memory files: N entries, oldest first, as safetensors.
 //!
-//! `memory.gait` u8 \[N\], kind of motion, 0 bicycle, 1 displacement; `memory.moment` f32 \[N, 6\], the keys, of a bicycle x, y, heading,
-//! speed, acceleration and turn rate, of displacements x, y and the velocity's x and y; `memory.driven` u8 \[N\], steps taken since;
-//! `memory.departure` f32 \[N, steps, 2\], the residuals, NaN where unknown; `memory.skill` f32 \[2 kinds, steps, 2, 2\], the sums of the
-//! shrinkage; `memory.step_ns` i64 \[1\]. The metadata `weights` are the SHA-256 of those whose forecasts the residuals are of. The
-//! tensors' names are those that files have had from the first: who renames one has to read both.
+//! `memory.gait` u8 \[N\], kind of motion, 0 bicycle, 1 displacement; `memory.moment` f32 \[N, 6\], the keys,
+//! of a bicycle x, y, heading, speed, acceleration and turn rate, of displacements x, y and the velocity's x
+//! and y; `memory.driven` u8 \[N\], steps taken since; `memory.departure` f32 \[N, steps, 2\], the residuals,
+//! NaN where unknown; `memory.skill` f32 \[2 kinds, steps, 2, 2\], the sums of the shrinkage;
+//! `memory.step_ns` i64 \[1\]. The metadata key `weights` holds the SHA-256 of the weights that made the
+//! forecasts. The tensors' names are those of the first version of the file, so that every version reads all
+//! files.
 
 use std::collections::{BTreeSet, HashMap};
 use std::path::{Path, PathBuf};
@@ -62,11 +64,12 @@ impl RetrievalMemory {
         Ok(target.write(&bytes)?)
     }
 
-    /// Reads the entries of earlier sessions, of forecasts of these weights, which have so many steps of such a length.
+    /// Reads the entries of earlier sessions, of forecasts of these weights, which have so many steps of such
+    /// a length.
     ///
     /// # Errors
-    /// [`MemoryError`] where the file can't be read, is no memory, is one of other weights' forecasts, or holds numbers that
-    /// no memory has.
+    /// [`MemoryError`] where the file can't be read, is no memory, is one of other weights' forecasts, or
+    /// holds numbers that no memory has.
     pub fn load(
         path: &Path,
         weights_sha256: &str,

@@ -1,20 +1,20 @@
-//! What a memory is asked by: keys, how similar two of them are, and the buckets that bring near ones together.
+//! Keys of the memory, the similarity of two keys, and the buckets that hold near ones together.
 
 use kinematics::MotionKind;
 use scene::{AgentFrame, MOVING_MPS, State, turn, turn_rates};
 
 /// Side of a bucket's cell, by kind of motion.
 const CELL_M: [f32; 2] = [2.0, 5.0];
-/// Headings of bicycles that buckets tell apart.
+/// Sectors of heading into which buckets divide bicycles.
 const DIRECTIONS: i32 = 8;
-/// Stands for a heading where buckets don't tell it apart.
+/// The sector of agents that move by displacements: buckets do not divide them by heading.
 const ANY_DIRECTION: i32 = -1;
 
-/// Support of the kernel, by kind of motion: half of the squared distance beyond which a similarity is 0. Of agents that move
-/// by displacements there are many more.
+/// Support of the kernel, by kind of motion: half of the squared distance beyond which a similarity is 0. Of
+/// agents that move by displacements there are many more.
 const REACH: [f32; 2] = [7.0, 4.0];
-/// Width of a displacement key's position in the kernel of means: farther off, agents have little in common, but where one
-/// went another still can.
+/// Width of a displacement key's position in the kernel of means; in that of single neighbours it is wider,
+/// since a path some metres off can still be taken though its residuals differ on average.
 const MEAN_WIDTH_M: f32 = 2.5;
 /// The same in the kernel of single neighbours: see [`MEAN_WIDTH_M`].
 const NEIGHBOUR_WIDTH_M: f32 = 4.0;
@@ -32,9 +32,9 @@ pub(crate) type Bucket = (MotionKind, [i32; 3]);
 /// Values of the similarity kernel for two keys, from 0 to 1.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Similarity {
-    /// As a weight in the mean of residuals.
+    /// Weight in the mean of residuals.
     pub(crate) in_mean: f32,
-    /// As the weight of a neighbour by itself: a wider kernel.
+    /// Weight of a single neighbour: a wider kernel.
     pub(crate) as_neighbour: f32,
 }
 
@@ -72,10 +72,10 @@ pub struct DisplacementKey {
 }
 
 impl Key {
-    /// The key of an agent at the end of its history, whose steps last `dt_s`; none where the agent is absent then.
-    ///
-    /// A bicycle that stands has none either: when it will start, others don't show. Nor has an agent that moves by
-    /// displacements and was absent the step before: its velocity is not known.
+    /// The key of an agent at the end of its history, whose steps last `dt_s`; none where the agent is absent
+    /// then.
+    /// A bicycle at rest has none either, since the paths of others do not show when it will start. Nor has
+    /// an agent that moves by displacements and was absent the step before, whose velocity is unknown.
     #[must_use]
     pub fn new(kind: MotionKind, history: &[Option<State>], dt_s: f32) -> Option<Self> {
         match kind {
@@ -142,8 +142,8 @@ impl Key {
     ///
     /// ```text
     /// k = exp(−d²/2)
-    /// d² = (Δy/0.8)² + (Δx/1.0)² + (Δψ/0.12)² + (Δv/1.5)² + (Δa/0.8)² + (Δω/0.1)²      bicycle, x along the heading, y across it;
-    ///                            all widths × 1.4 as a neighbour
+    /// d² = (Δy/0.8)² + (Δx/1.0)² + (Δψ/0.12)² + (Δv/1.5)² + (Δa/0.8)² + (Δω/0.1)²      bicycle, x along
+    ///                            the heading, y across it; all widths × 1.4 as a neighbour
     /// d² = |Δp|²/σ² + |Δv|²/0.3²      displacement, σ = 2.5 m in means, 4 m as a neighbour
     /// ```
     pub(crate) fn similarity(&self, other: &Self) -> Option<Similarity> {
@@ -215,7 +215,7 @@ impl BicycleKey {
             (other.acceleration_mps2 - self.acceleration_mps2) / 0.8,
             (other.turn_rate_radps - self.turn_rate_radps) / 0.1,
         ]);
-        // Most are too far whichever way they lie: the frame's sine and cosine cost more than all the rest.
+        // Most are too far in any direction, and the frame's sine and cosine cost more than all the rest.
         if of_motion + half_square(offset) > reach {
             return None;
         }

@@ -1,37 +1,41 @@
-//! The retrieval memory of a site: forecasts that learn, as they run, from how earlier agents differed from theirs.
-//!
-//! A model that never saw a site knows nothing of its stop lines, its bends and where people slow down. The agents that were
-//! forecast there a moment ago show it, without training: a *memory bank* is filled online and read by nearest neighbours.
+//! The retrieval memory of a site: corrects forecasts online by the residuals of earlier ones.
+//! A model that was not trained at a site has no information on its stop lines, its bends and where agents
+//! slow down. The agents that were forecast there a moment ago provide it, without training: a *memory bank*
+//! is filled online and read by nearest neighbours.
 //!
 //! # The idea
 //!
-//! * An **entry** is a [`Key`], where an agent was and how it moved, and the **forecast residuals** of its path from there on
-//!   ([`Residuals`]: path taken less path forecast, step by step). A step is filled in once it was taken, so that an entry never
-//!   contains anything of the future. The forecast is the model's own, before anything is retrieved.
-//! * To **retrieve** is to compare an agent's key with those stored around it by a Gaussian **similarity kernel** k = exp(−d²/2)
-//!   with finite support; d is the distance of position (m), heading (rad), velocity (m/s), acceleration (m/s²) and turn rate
-//!   (rad/s) in units of their widths. Entries lie in buckets by cell and heading; the agent's own are left out.
-//! * The **kernel mean** of the residuals (Nadaraya and Watson's, drawn towards 0) is what all have in common. **Shrinkage**
-//!   multiplies it by a factor that a ridge regression of actual on predicted residuals keeps up to date: near 0 where the
-//!   model knows the site, near 1 where all agents differ from their forecasts alike.
+//! * An **entry** is a [`Key`], where an agent was and how it moved, and the **forecast residuals** of its
+//!   path from there on ([`Residuals`]: path taken less path forecast, step by step). A step is filled in
+//!   once it was taken, so that an entry never contains anything of the future. The forecast is the model's
+//!   own, before anything is retrieved.
+//! * To **retrieve** is to compare an agent's key with those stored around it by a Gaussian **similarity
+//!   kernel** k = exp(−d²/2) with finite support; d is the distance of position (m), heading (rad), velocity
+//!   (m/s), acceleration (m/s²) and turn rate (rad/s) in units of their widths. Entries lie in buckets by
+//!   cell and heading; the agent's own are left out.
+//! * The **kernel mean** of the residuals (Nadaraya and Watson's, drawn towards 0) is their common part.
+//!   **Shrinkage** multiplies it by a factor that a ridge regression of actual on predicted residuals keeps
+//!   up to date: near 0 where the model was trained at the site, near 1 where all agents differ from their
+//!   forecasts alike.
 //!
 //! ```text
-//! Δ_k = Σ w δ_k / (Σ w + ν)      Δ'_k = c_k Δ_k,  c_k = Σ Δ_k δ_k / (Σ Δ_k² + ρ) ∈ [0, 1]      for each step k and component
+//! Δ_k = Σ w δ_k / (Σ w + ν)                                             for each step k and component
+//! Δ'_k = c_k Δ_k,  c_k = Σ Δ_k δ_k / (Σ Δ_k² + ρ) ∈ [0, 1]
 //! ```
 //!
-//! * The [nearest neighbours](Neighbour) are retrieved each by itself too, at most [`RETRIEVED_MAX`], by a wider kernel: their
-//!   paths are ways that one can go on. **Mode selection** lets some of them stand in for modes ([`ModeSelection`]: weighted
-//!   k-medoids, solved by greedy interchange from the modes on).
-//! * Residuals become changes of controls ([`Residuals::control_change`]), so that what is forecast stays drivable: the best
-//!   forecast is changed by Δ', modes by half of it, a neighbour's path is the best forecast changed by that neighbour's
-//!   residuals ([`ControlAdapter`]).
-//! * A **session** is the time over which agents keep their numbers. Entries outlast it, in [files](RetrievalMemory::save) also
-//!   the process, and serve the next one (*warm start*).
+//! * The [nearest neighbours](Neighbour) are also retrieved individually, at most [`RETRIEVED_MAX`], by a
+//!   wider kernel: their paths are candidate modes. **Mode selection** replaces modes by some of them
+//!   ([`ModeSelection`]: weighted k-medoids, solved by greedy interchange from the modes on).
+//! * Residuals become changes of controls ([`Residuals::control_change`]), so that what is forecast stays
+//!   drivable: the best forecast is changed by Δ', modes by half of it, a neighbour's path is the best
+//!   forecast changed by that neighbour's residuals ([`ControlAdapter`]).
+//! * A **session** is the time over which agents keep their numbers. Entries outlast it, in
+//!   [files](RetrievalMemory::save) also the process, and serve the next one (*warm start*).
 //!
-//! [`Retrieval`] does all of it for an online pipeline; [`RetrievalMemory`] and [`ControlAdapter`] do it in parts.
-//!
-//! Vehicles that are forecast at a steady 8 m/s pass one after the other, and all brake at 1 m/s²; what is then retrieved for
-//! the next one that comes along:
+//! [`Retrieval`] does all of it for an online pipeline; [`RetrievalMemory`] and [`ControlAdapter`] do it in
+//! parts.
+//! Vehicles that are forecast at a steady 8 m/s pass one after the other, and all brake at 1 m/s². What is
+//! then retrieved for the next vehicle:
 //!
 //! ```
 //! use kinematics::{MotionKind, MotionModel, MotionOptions, MotionStart};
@@ -56,7 +60,7 @@
 //! memory.retrieve(99, &key, &mut retrieved);
 //! assert_eq!(retrieved.neighbours.len(), 50);
 //!
-//! // As controls: about −1 m/s² at every step but the last, whose speed at the end nobody knows.
+//! // As controls: about −1 m/s² at every step but the last, whose final speed is unknown.
 //! let start = MotionStart { velocity_mps: [8.0, 0.0], ..MotionStart::default() };
 //! let model = MotionModel::new(MotionKind::Bicycle, &start, &MotionOptions::default(), 0.4);
 //! let change = retrieved.expected.control_change(&model);
@@ -80,5 +84,5 @@ pub use residuals::{ControlChange, Residuals};
 pub use retrieval::Retrieval;
 pub use selection::ModeSelection;
 
-/// Most neighbours that are retrieved one by one: the most similar ones.
+/// Most neighbours that are retrieved individually: the most similar ones.
 pub const RETRIEVED_MAX: usize = 64;

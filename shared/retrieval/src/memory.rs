@@ -12,23 +12,23 @@ use crate::{Key, RETRIEVED_MAX, Residuals};
 
 /// Newest entries of a bucket that are searched, by kind of motion: a bucket of displacements is larger.
 const BUCKET_MAX: [usize; 2] = [128, 512];
-/// Newest entries that are kept at all.
+/// Most entries; the newest are kept.
 pub(crate) const ENTRIES_MAX: usize = 131_072;
-/// Share of the expected residuals that modes are changed by.
+/// Share of the expected residuals by which modes are changed.
 const MODES_SHARE: f32 = 0.5;
 /// A neighbour of less similarity is not retrieved.
 const SIMILARITY_MIN: f32 = 0.01;
-/// An agent that was not seen for so many steps is another one.
+/// An agent that was not observed for so many steps counts as another one.
 const GAP_STEPS: f64 = 2.0;
-/// Agents that are followed at a time; of others nothing is stored.
+/// Most agents that are followed at a time; of others nothing is stored.
 const TRACES_MAX: usize = 4 * AGENTS_MAX;
 
-/// What an entry holds under its key.
+/// The value of an entry.
 #[derive(Clone, Debug)]
 pub(crate) struct Value {
     pub(crate) agent: u64,
     pub(crate) session: u64,
-    /// Steps of the path that were taken since.
+    /// Steps of the path taken since.
     pub(crate) taken_len: usize,
     pub(crate) residuals: Residuals,
 }
@@ -36,7 +36,7 @@ pub(crate) struct Value {
 /// An entry whose steps are not all taken yet.
 #[derive(Clone, Debug)]
 struct Pending {
-    /// That of the entry.
+    /// The entry's number.
     number: u64,
     stamp_ns: i64,
     kind: MotionKind,
@@ -46,15 +46,15 @@ struct Pending {
     predicted: Residuals,
 }
 
-/// An entry's key, kept apart from its value, which is mostly not looked at.
+/// An entry's key, stored apart from its value, which most searches do not read.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct IndexedKey {
     pub(crate) key: Key,
-    /// How many numbers before it the last entry of its bucket was stored; 0 where it is the first.
+    /// Number of this entry less that of the one before it in the bucket; 0 where it is the first.
     back: u32,
 }
 
-/// Where an agent was seen last, and its entries that are pending.
+/// The last observation of an agent, and its pending entries.
 #[derive(Clone, Debug)]
 struct Trace {
     stamp_ns: i64,
@@ -62,38 +62,37 @@ struct Trace {
     pending: VecDeque<Pending>,
 }
 
-/// How the paths of earlier agents differed from their forecasts, by place and motion: see the [crate](crate).
-///
-/// A new one takes address space for all that it may store, and no more later.
+/// Residuals of earlier agents' forecasts by place and motion: see the [crate](crate).
+/// A new one reserves the address space of all entries at once.
 #[derive(Clone, Debug)]
 pub struct RetrievalMemory {
     pub(crate) horizon_len: usize,
     pub(crate) step_ns: i64,
     pub(crate) values: VecDeque<Value>,
-    /// Those of the values.
+    /// The keys of the values.
     pub(crate) keys: VecDeque<IndexedKey>,
     /// Number of the oldest entry.
     oldest: u64,
     /// Numbers of the newest entries.
     pub(crate) buckets: HashMap<Bucket, u64>,
     traces: HashMap<u64, Trace>,
-    /// Room for the pending entries of agents who are still to come.
+    /// Free room for the pending entries of new agents.
     spare: Vec<VecDeque<Pending>>,
     /// By kind of motion.
     pub(crate) shrinkage: [Shrinkage; 2],
-    /// How many sessions ended before.
+    /// Number of the session: sessions that have ended.
     session: u64,
     now_ns: i64,
 }
 
-/// An agent that a memory is asked for.
+/// An agent for which residuals are retrieved.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Query {
     /// Time of validity.
     pub stamp_ns: i64,
-    /// Its number, the same from time to time.
+    /// The agent's number, the same throughout a session.
     pub agent: u64,
-    /// Where it is and how it moves then.
+    /// Its place and motion at that time.
     pub key: Key,
 }
 
@@ -104,7 +103,7 @@ pub struct Retrieved {
     pub expected: Residuals,
     /// The nearest neighbours whose paths are complete, in no order.
     pub neighbours: Vec<Neighbour>,
-    /// Which of them is the least similar.
+    /// Index of the least similar of them.
     least: usize,
     /// The kernel mean.
     mean: Residuals,
@@ -115,12 +114,12 @@ pub struct Retrieved {
 pub struct Neighbour {
     /// Similarity of the keys: 1 where they are the same.
     pub weight: f32,
-    /// Of its path.
+    /// Residuals of its path.
     pub residuals: Residuals,
 }
 
 impl Retrieved {
-    /// Nothing yet, with room for all that may be retrieved.
+    /// An empty result with room for the largest.
     #[must_use]
     pub fn with_room() -> Self {
         Self { neighbours: Vec::with_capacity(RETRIEVED_MAX), ..Self::default() }
@@ -132,14 +131,14 @@ impl Retrieved {
         self.neighbours.is_empty() && self.expected.is_empty()
     }
 
-    /// The residuals that the modes of a forecast are changed by: half of those to be expected, since some modes have them
-    /// already.
+    /// The residuals by which the modes of a forecast are changed: half of the expected ones, since some
+    /// modes have them already.
     #[must_use]
     pub fn expected_of_modes(&self) -> Residuals {
         self.expected.scaled(MODES_SHARE)
     }
 
-    /// Takes in one more neighbour, unless that many are more similar.
+    /// Adds a neighbour, unless [`RETRIEVED_MAX`](crate::RETRIEVED_MAX) are more similar.
     fn add(&mut self, weight: f32, residuals: &Residuals) {
         if self.neighbours.len() < RETRIEVED_MAX {
             self.neighbours.push(Neighbour { weight, residuals: residuals.clone() });
@@ -157,7 +156,7 @@ impl Retrieved {
 }
 
 impl RetrievalMemory {
-    /// An empty memory, for forecasts of so many steps.
+    /// An empty memory, for forecasts of `horizon_len` steps of `step_ns`.
     ///
     /// # Panics
     /// If a forecast has more steps than a payload holds.
@@ -170,7 +169,7 @@ impl RetrievalMemory {
             values: VecDeque::with_capacity(ENTRIES_MAX),
             keys: VecDeque::with_capacity(ENTRIES_MAX),
             oldest: 0,
-            // Half full at most, a table makes room for buckets that come and go without taking memory.
+            // A table at most half full replaces buckets without allocating.
             buckets: HashMap::with_capacity(2 * ENTRIES_MAX),
             traces: HashMap::with_capacity(2 * TRACES_MAX),
             spare: (0..TRACES_MAX).map(|_| VecDeque::with_capacity(horizon_len + 1)).collect(),
@@ -186,15 +185,16 @@ impl RetrievalMemory {
         self.values.len()
     }
 
-    /// Ends a session: what is stored lasts, but time begins anew and no agent who comes is one of those who were there.
+    /// Ends a session: entries stay, but time restarts, and no later agent is one of those before.
     pub fn end_session(&mut self) {
         self.keep_traces(|_| false);
         self.session += 1;
         self.now_ns = i64::MIN;
     }
 
-    /// Goes on to a time and takes in where agents are then, at the end of the path that each took since it was seen last;
-    /// returns whether the time is newer than the last one, without which nothing is taken in.
+    /// Records the positions of agents at a time and fills in the pending entries with the steps taken since
+    /// their last observation. Returns whether the time is newer than the last one; nothing is recorded
+    /// otherwise.
     pub fn observe(&mut self, now_ns: i64, agents: impl IntoIterator<Item = (u64, [f32; 2])>) -> bool {
         if now_ns <= self.now_ns {
             return false;
@@ -244,16 +244,15 @@ impl RetrievalMemory {
         });
     }
 
-    /// Retrieves for an agent into `retrieved`, then stores the agent itself with the path that was forecast for it, of which
-    /// what is retrieved is no part.
+    /// Retrieves for an agent into `retrieved`, then stores the agent with its forecast path, the one before
+    /// any change by retrieval.
     pub fn retrieve_and_store(&mut self, query: &Query, forecast_m: &[[f32; 2]], retrieved: &mut Retrieved) {
         self.retrieve(query.agent, &query.key, retrieved);
         self.store(query, forecast_m, retrieved);
     }
 
-    /// The residuals of other agents who were where the agent is now and moved alike, into `retrieved`.
-    ///
-    /// Each entry counts, as far as its steps were taken, by how similar its key is to this one.
+    /// Writes into `retrieved` the residuals of other agents whose keys are similar.
+    /// Each entry counts, as far as its steps were taken, by the similarity of its key.
     pub fn retrieve(&self, agent: u64, key: &Key, retrieved: &mut Retrieved) {
         let kind = key.kind();
         let mut mean = KernelMean::default();
@@ -278,10 +277,10 @@ impl RetrievalMemory {
         retrieved.expected = self.shrinkage[kind as usize].shrink(kind, &retrieved.mean);
     }
 
-    /// Stores an agent with the path that was forecast for it, and what was retrieved for it before.
+    /// Stores an agent with its forecast path and what was retrieved for it.
     ///
-    /// Nothing is stored of an agent that was not observed at the query's time, which must be the newest one, nor more than
-    /// once a step.
+    /// Nothing is stored of an agent that was not observed at the query's time, which must be the newest one,
+    /// nor more than once a step.
     fn store(&mut self, query: &Query, forecast_m: &[[f32; 2]], retrieved: &Retrieved) {
         let Query { stamp_ns, agent, key } = *query;
         if stamp_ns != self.now_ns {
@@ -309,7 +308,7 @@ impl RetrievalMemory {
         self.push(key, Value { agent, session, taken_len: 0, residuals });
     }
 
-    /// Takes in an entry, for the oldest one where there are too many.
+    /// Adds an entry, in place of the oldest one where there are [`ENTRIES_MAX`].
     pub(crate) fn push(&mut self, key: Key, value: Value) {
         if self.values.len() == ENTRIES_MAX {
             self.drop_oldest();
@@ -344,7 +343,8 @@ impl RetrievalMemory {
         self.oldest += 1;
     }
 
-    /// Keeps some traces; the pending entries of the others are filled no further, their room is kept.
+    /// Keeps the traces that `keeps` selects; pending entries of the others are filled no further, their room
+    /// is reused.
     fn keep_traces(&mut self, mut keeps: impl FnMut(&Trace) -> bool) {
         let spare = &mut self.spare;
         self.traces.retain(|_, trace| {

@@ -1,4 +1,5 @@
-//! Forecast residuals: how the path that an agent took differs from the one that was forecast, and back to controls.
+//! Forecast residuals: the path that an agent took less the one that was forecast; and from residuals to
+//! changes of controls.
 
 use kinematics::{MotionKind, MotionModel};
 use scene::{AgentFrame, turn};
@@ -6,7 +7,8 @@ use wire::HORIZON_MAX;
 
 /// Chords shorter than this have no direction.
 const CHORD_MIN_M: f32 = 0.5;
-/// Residuals are clipped to these magnitudes: of a bicycle's speed, m/s, and curvature, 1/m; of a displacement's x and y, m.
+/// Residuals are clipped to these magnitudes: of a bicycle's speed, m/s, and curvature, 1/m; of a
+/// displacement's x and y, m.
 pub(crate) const RESIDUAL_MAX: [[f32; 2]; 2] = [[6.0, 0.2], [2.0, 2.0]];
 
 /// Components of a bicycle's residual.
@@ -14,7 +16,7 @@ const SPEED: usize = 0;
 /// See [`SPEED`].
 const CURVATURE: usize = 1;
 
-/// What is added to the means of controls, step by step.
+/// Changes of the means of controls, step by step.
 pub type ControlChange = [[f32; 2]; HORIZON_MAX];
 
 /// A path in steps, from where it began.
@@ -26,11 +28,11 @@ pub(crate) struct StepPath {
 
 /// Forecast residuals, step by step: taken less forecast.
 ///
-/// Of a bicycle: mean speed over the step, m/s, and curvature to the left at the step's end, 1/m. Of displacements: x and y
-/// of the step in the world frame, m.
+/// Of a bicycle: mean speed over the step, m/s, and curvature to the left at the step's end, 1/m. Of
+/// displacements: x and y of the step in the world frame, m.
 #[derive(Clone, Debug)]
 pub struct Residuals {
-    /// NaN where nothing is known.
+    /// NaN where unknown.
     steps: [[f32; 2]; HORIZON_MAX],
 }
 
@@ -65,8 +67,9 @@ impl StepPath {
     }
 }
 
-/// The residual of a path that was `taken` up to the end of a step, by component, each with the step that it belongs to: a
-/// bicycle's speed to the step, its curvature to the step before; a displacement to the step itself.
+/// The residual of a path that was `taken` up to the end of a step, by component, each with the step that it
+/// belongs to: a bicycle's speed to the step, its curvature to the step before; a displacement to the step
+/// itself.
 pub(crate) fn residual(
     kind: MotionKind,
     forecast: &StepPath,
@@ -103,22 +106,22 @@ impl PartialEq for Residuals {
 }
 
 impl Residuals {
-    /// Residuals whose components are given one by one, NaN where nothing is known.
+    /// Residuals whose components are given one by one, NaN where unknown.
     pub(crate) fn from_fn(residual: impl Fn(usize, usize) -> f32) -> Self {
         Self { steps: std::array::from_fn(|step| [0, 1].map(|component| residual(step, component))) }
     }
 
-    /// That of a step, where it is known; no other steps than those of a payload are.
+    /// The residual of a step, where it is known; steps beyond those of a payload are not.
     pub(crate) fn at(&self, step: usize, component: usize) -> Option<f32> {
         Some(self.steps.get(step)?[component]).filter(|residual| !residual.is_nan())
     }
 
-    /// The components of all steps: NaN where nothing is known.
+    /// The components of all steps, NaN where unknown.
     pub(crate) const fn steps(&self) -> &[[f32; 2]; HORIZON_MAX] {
         &self.steps
     }
 
-    /// Takes in what is known of a step now.
+    /// Sets a component of a step.
     pub(crate) const fn set(&mut self, step: usize, component: usize, residual: f32) {
         self.steps[step][component] = residual;
     }
@@ -130,25 +133,26 @@ impl Residuals {
         residuals
     }
 
-    /// A share of them.
+    /// The residuals times `share`.
     pub(crate) fn scaled(&self, share: f32) -> Self {
         Self { steps: self.steps.map(|step| step.map(|residual| share * residual)) }
     }
 
-    /// Whether nothing is known of any step.
+    /// Whether no residual is known.
     #[must_use]
     pub fn is_empty(&self) -> bool {
         self.steps.as_flattened().iter().all(|residual| residual.is_nan())
     }
 
-    /// What an agent's controls have to be changed by so that its path gets these residuals.
+    /// The change of an agent's controls by which its path gets these residuals.
     ///
     /// ```text
-    /// bicycle        v_k += (Δs_k + Δs_(k+1)) / 2      β_k += l_r Δκ_k      a_k += (Δv_k − Δv_(k−1)) / Δt,  β̇ alike
+    /// bicycle        v_k += (Δs_k + Δs_(k+1)) / 2  β_k += l_r Δκ_k  a_k += (Δv_k − Δv_(k−1)) / Δt,  β̇ alike
     /// displacement   u_k += Rᵀ Δp_k
     /// ```
     ///
-    /// Where the residual of a step is not known, a bicycle keeps that of the step before, and a displacement stays.
+    /// Where the residual of a step is not known, a bicycle keeps that of the step before, and a displacement
+    /// stays.
     #[must_use]
     pub fn control_change(&self, model: &MotionModel) -> ControlChange {
         match model {

@@ -3,38 +3,36 @@ use wire::ControlGaussian;
 
 use crate::{ControlAdapter, ControlChanges, ForecastControls, Query, RetrievalMemory, Retrieved};
 
-/// A memory that adapts forecasts as it fills, one agent after another.
-///
-/// A steady one takes no memory.
+/// Adapts forecasts by a memory and fills it, one agent after another.
+/// In a steady pipeline it allocates nothing.
 #[derive(Clone, Debug)]
 pub struct Retrieval {
     memory: RetrievalMemory,
-    // Kept from one agent to the next for their memory's sake.
+    // Scratch, kept from one agent to the next so that nothing is allocated.
     retrieved: Retrieved,
     adapter: ControlAdapter,
 }
 
 impl Retrieval {
-    /// Retrieves from a memory.
+    /// Retrieval from a memory.
     #[must_use]
     pub fn new(memory: RetrievalMemory) -> Self {
         Self { memory, retrieved: Retrieved::with_room(), adapter: ControlAdapter::default() }
     }
 
-    /// What is stored.
+    /// The memory.
     #[must_use]
     pub const fn memory(&self) -> &RetrievalMemory {
         &self.memory
     }
 
-    /// Shows the memory where agents are: see [`RetrievalMemory::observe`].
+    /// Gives the memory the present positions of agents: see [`RetrievalMemory::observe`].
     pub fn observe(&mut self, now_ns: i64, agents: impl IntoIterator<Item = (u64, [f32; 2])>) {
         self.memory.observe(now_ns, agents);
     }
 
-    /// Writes what an agent's controls are changed by, and stores the agent with the forecast as it was.
-    ///
-    /// The controls of an agent that is older than what was observed last are changed, but not stored.
+    /// Writes the changes of an agent's controls, then stores the agent with its unchanged forecast.
+    /// An agent older than the newest observation gets its changes, but is not stored.
     pub fn adapt<M: AsRef<[ControlGaussian]>>(
         &mut self,
         query: &Query,

@@ -1,18 +1,19 @@
-//! Mode selection: which of the retrieved neighbours' paths stand in for modes of a forecast.
+//! Mode selection: which retrieved neighbours' paths replace modes of a forecast.
 
 use kinematics::MotionKind;
 use wire::{HORIZON_MAX, MODES_MAX};
 
 use crate::RETRIEVED_MAX;
 
-/// Most modes that neighbours' paths take the place of, by kind of motion.
+/// Most modes that are replaced by neighbours' paths, by kind of motion.
 const SWAPS_MAX: [usize; 2] = [5, 3];
-/// As many neighbours of weight 1 as the modes of a forecast together count for, by kind of motion: roads leave less choice.
+/// Weight of all modes of a forecast together, in neighbours of similarity 1, by kind of motion. That of
+/// bicycles is less, since a road confines them to the paths of others.
 const MODES_WEIGHT: [f32; 2] = [4.0, 8.0];
-/// What the distance at the end counts beside the mean distance.
+/// Weight of the distance at the last step beside the mean distance.
 const END_WEIGHT: f32 = 0.3;
 
-/// Selects modes, in memory that it takes once.
+/// Selects modes, with scratch memory allocated once.
 #[derive(Clone, Debug)]
 pub struct ModeSelection {
     /// The paths' points by axis, step by step: those of all paths beside one another.
@@ -22,14 +23,14 @@ pub struct ModeSelection {
     weights: Vec<f32>,
     nearest: Nearest,
     selected: Vec<usize>,
-    /// What each neighbour's path would gain.
+    /// Gain of adding each neighbour's path.
     gains: Vec<f32>,
-    /// What would be lost with each of the selected.
+    /// Loss of removing each of the selected.
     losses: Vec<f32>,
     probability: Vec<f32>,
 }
 
-/// How near all paths are to those that are selected.
+/// Each path's distance to the selected paths.
 #[derive(Clone, Debug)]
 struct Nearest {
     /// The place among the selected of the nearest one.
@@ -61,19 +62,21 @@ impl Default for ModeSelection {
 }
 
 impl ModeSelection {
-    /// Selects as many of `paths` as there are modes, so that a future drawn from all of them, by their weights, has a selected
-    /// one near it: the modes come first, with their probabilities, neighbours' paths follow, with their own weights.
+    /// Selects as many of `paths` as there are modes, so that a future drawn from all of them, by their
+    /// weights, has a selected one near it: the modes come first, with their probabilities, neighbours' paths
+    /// follow, with their own weights.
     ///
     /// This is the weighted k-medoids (k-median) problem, k being the number of modes:
     ///
     /// ```text
-    /// least Σ_i w_i min_{c selected} d(i, c)      w = 4 p of modes, of displacements 8 p, of neighbours their own
-    ///                                             d = mean over the steps of |Δp| + 0.3 |Δp| at the last
+    /// least Σ_i w_i min_{c selected} d(i, c)  w = 4 p of modes (displacements 8 p), of neighbours their own
+    ///                                         d = mean over the steps of |Δp| + 0.3 |Δp| at the last
     /// ```
     ///
-    /// It is solved greedily by vertex interchange (Teitz and Bart) from the modes on: the neighbour's path whose addition
-    /// lowers the sum most takes the place of the selected one whose removal then raises it least, as long as the sum falls,
-    /// at most five times, of displacements three. A mode's probability is the share of the weights that are nearest to it.
+    /// It is solved greedily by vertex interchange (Teitz and Bart) from the modes on: the neighbour's path
+    /// whose addition lowers the sum most takes the place of the selected one whose removal then raises it
+    /// least, as long as the sum falls, at most five times, of displacements three. A mode's probability is
+    /// the share of the weights that are nearest to it.
     ///
     /// # Panics
     /// Where there are not as many paths as weights, or steps than a payload holds.
@@ -150,8 +153,8 @@ impl ModeSelection {
         }
     }
 
-    /// Puts the neighbour's path that gains most in the place of the selected one with which least is lost; false where the
-    /// sum does not fall.
+    /// Replaces the selected path of least loss by the neighbour's path of greatest gain; false where the sum
+    /// does not fall.
     fn swap(&mut self, modes_len: usize) -> bool {
         let Self { distances_m, weights, nearest, selected, gains, losses, .. } = self;
         let len = weights.len();
@@ -191,7 +194,7 @@ fn best(values: &[f32], better: impl Fn(f32, f32) -> bool) -> Option<(usize, f32
 }
 
 impl Nearest {
-    /// Of so many paths, of which none is near any.
+    /// Resets to `len` paths, of which none is near any.
     fn clear(&mut self, len: usize) {
         self.places.clear();
         self.places.resize(len, 0);
@@ -201,7 +204,7 @@ impl Nearest {
         }
     }
 
-    /// Takes in a selected one, from which all paths are so far.
+    /// Adds a selected path, given the distances of all paths to it.
     fn take_in(&mut self, selected: u32, distances_m: &[f32]) {
         let own = self.places.iter_mut().zip(&mut self.first_m).zip(&mut self.second_m);
         for (((place, first_m), second_m), &apart_m) in own.zip(distances_m) {

@@ -9,7 +9,7 @@ use wire::StageId;
 use crate::Run;
 use crate::options::OptionsSchema;
 
-/// What a stage says of itself, in one constant: which it is, the topics of its program, and the struct of its options.
+/// A stage in one constant: which it is, the topics of its program, and the struct of its options.
 pub struct Declaration<O> {
     id: StageId,
     reads: &'static [&'static str],
@@ -17,7 +17,7 @@ pub struct Declaration<O> {
     rule: fn(&O) -> Result<(), Conflict>,
 }
 
-/// The declaration of any stage, for those who deal with them all.
+/// The declaration of any stage, whatever the type of its options.
 pub trait Declared: fmt::Debug + Sync {
     /// Which stage it is.
     fn id(&self) -> StageId;
@@ -38,11 +38,11 @@ pub trait Declared: fmt::Debug + Sync {
 #[derive(Clone, Debug, Error, PartialEq, Eq)]
 #[error("{reason}")]
 pub struct Conflict {
-    /// Key of the option that is to blame.
+    /// Key of the option at fault.
     pub key: &'static str,
     /// What is wrong.
     pub reason: &'static str,
-    /// What of the other options makes it so.
+    /// The other setting that rules it out.
     pub because: &'static str,
 }
 
@@ -60,14 +60,14 @@ pub enum OptionError {
         known: Vec<String>,
     },
     /// The value is of another kind than the option's.
-    #[error("`{key}` of the {}: {reason}", stage.name())]
+    #[error("`{key}` of the {}: {}", stage.name(), first_line(source))]
     Invalid {
         /// The stage.
         stage: StageId,
         /// The key.
         key: String,
-        /// What the option's type says.
-        reason: String,
+        /// The error of the option's type.
+        source: Box<toml::de::Error>,
         /// What a value must be.
         expected: String,
     },
@@ -83,27 +83,40 @@ pub enum OptionError {
     #[error(transparent)]
     Conflict(#[from] Conflict),
     /// The run's record holds options that this program can't read.
-    #[error("options of the {}: {reason}", stage.name())]
+    #[error("options of the {}: {}", stage.name(), first_line(source))]
     Unreadable {
         /// The stage.
         stage: StageId,
-        /// What the parser says.
-        reason: String,
+        /// The parser's error.
+        source: Box<toml::de::Error>,
+    },
+    /// TOML can't hold the options.
+    #[error("options of the {}: {source}", stage.name())]
+    Unwritable {
+        /// The stage.
+        stage: StageId,
+        /// The error of the writer.
+        source: toml::ser::Error,
     },
 }
 
+/// The message without the excerpt of the text, which is no file that anybody wrote.
+fn first_line(error: &toml::de::Error) -> &str {
+    error.message().lines().next().unwrap_or_default()
+}
+
 impl OptionError {
-    /// The key that is to blame, where it is one.
+    /// The key at fault, where it is one.
     #[must_use]
     pub fn key(&self) -> Option<&str> {
         match self {
             Self::Unknown { key, .. } | Self::Invalid { key, .. } | Self::OutOfRange { key, .. } => Some(key),
             Self::Conflict(conflict) => Some(conflict.key),
-            Self::Unreadable { .. } => None,
+            Self::Unreadable { .. } | Self::Unwritable { .. } => None,
         }
     }
 
-    /// What would be right, as a sentence's part or list.
+    /// What to write instead, as part of a sentence or a list.
     #[must_use]
     pub fn advice(&self) -> String {
         match self {
@@ -114,6 +127,7 @@ impl OptionError {
             }
             Self::Conflict(conflict) => conflict.because.to_owned(),
             Self::Unreadable { .. } => "launcher and stage must be of one version".to_owned(),
+            Self::Unwritable { .. } => "paths must be UTF-8".to_owned(),
         }
     }
 }
@@ -166,14 +180,12 @@ impl<O: Default + DeserializeOwned> Declaration<O> {
     /// The stage's options in a run; the defaults where the run does not have the stage.
     ///
     /// # Errors
-    /// [`OptionError::Unreadable`] where the record holds others than this program knows, [`OptionError::Conflict`] where
-    /// they exclude each other.
+    /// [`OptionError::Unreadable`] where the record holds options that this program does not have,
+    /// [`OptionError::Conflict`] where they exclude each other.
     pub fn options(&self, run: &Run) -> Result<O, OptionError> {
         let Some(stage) = run.stage(self.id) else { return Ok(O::default()) };
-        let unreadable = |error: toml::de::Error| {
-            let reason = error.message().lines().next().unwrap_or_default().to_owned();
-            OptionError::Unreadable { stage: self.id, reason }
-        };
+        let unreadable =
+            |error: toml::de::Error| OptionError::Unreadable { stage: self.id, source: error.into() };
         let options = toml::from_str(&stage.options).map_err(unreadable)?;
         (self.rule)(&options)?;
         Ok(options)
@@ -205,17 +217,17 @@ impl<O: DeserializeOwned + JsonSchema> Declared for Declaration<O> {
                 return Err(OptionError::Unknown { stage, key: key.clone(), known: schema.names() });
             };
             let expected = option.expected.clone();
-            // One option at a time, so that what the parser says is said of this one.
+            // One option at a time, so that an error is that of this one.
             if let Err(error) = parsed(&toml::Table::from_iter([(key.clone(), value.clone())])) {
-                let reason = error.message().lines().next().unwrap_or_default().to_owned();
-                return Err(OptionError::Invalid { stage, key: key.clone(), reason, expected });
+                let source = Box::new(error);
+                return Err(OptionError::Invalid { stage, key: key.clone(), source, expected });
             }
             if !option.allows(value) {
                 return Err(OptionError::OutOfRange { key: key.clone(), expected });
             }
         }
-        let options = parsed(table)
-            .map_err(|error| OptionError::Unreadable { stage, reason: error.message().to_owned() })?;
+        let options =
+            parsed(table).map_err(|error| OptionError::Unreadable { stage, source: error.into() })?;
         Ok((self.rule)(&options)?)
     }
 }

@@ -32,7 +32,7 @@ pub enum Exit {
 }
 
 impl Exit {
-    /// The exit code that stands for it, where it is one of these.
+    /// The variant of a process's exit code, if it is one of these.
     #[must_use]
     pub fn from_code(code: i32) -> Option<Self> {
         [

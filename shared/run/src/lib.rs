@@ -1,12 +1,42 @@
-//! What a run is: the record that every stage is started with, what a stage declares of itself, and the exit codes.
+//! What a run is: the record that every stage is started with, what a stage declares of itself, and the exit
+//! codes.
 //!
-//! [`Run`] is everything that all stages of one run must agree on (where its shared memory lies, which weights); the
-//! launcher writes it once and every stage reads it. What concerns one stage alone are its *options*: a table of TOML in
-//! the run's record, which that stage reads as a struct of its own.
+//! [`Run`] is everything that all stages of one run must agree on (where its shared memory lies, which
+//! weights); the launcher writes it once and every stage reads it. What concerns one stage alone are its
+//! *options*: a table of TOML in the run's record, which that stage reads as a struct of its own.
 //!
-//! A stage says in one constant, its [`Declaration`], which stage it is, which topics it reads and writes, and which
-//! struct holds its options. The struct's fields, their documentation, defaults and ranges are all that is known of an
-//! option anywhere: pipeline.toml and the command line are checked by it, and `stgdat stage --help` is made of it.
+//! One constant per stage, its [`Declaration`], names the stage, the topics that it reads and writes, and the
+//! struct of its options. The struct's fields, their documentation, defaults and ranges are the only
+//! definition of an option: pipeline.toml and the command line are checked against it, and
+//! `stgdat stage --help` is generated from it.
+//!
+//! ```
+//! use run::{Declaration, Declared, Run, StageRun};
+//! use schemars::JsonSchema;
+//! use serde::{Deserialize, Serialize};
+//! use wire::StageId;
+//!
+//! /// What may be set of the stage.
+//! #[derive(Default, Serialize, Deserialize, JsonSchema)]
+//! #[serde(deny_unknown_fields, default)]
+//! struct Options {
+//!     /// Most threads that compute; one for each core where not given.
+//!     #[schemars(range(min = 1, max = 64))]
+//!     workers: Option<usize>,
+//! }
+//!
+//! const STAGE: Declaration<Options> = Declaration::new(StageId::Encoder, &["features"], &["encodings"]);
+//!
+//! // The launcher checks what pipeline.toml and the command line set …
+//! let refused = STAGE.check(&"workers = 65".parse()?).unwrap_err();
+//! assert_eq!(format!("{refused}: {}", refused.advice()), "`workers` is out of range: expected 1 to 64");
+//!
+//! // … and writes it to the run's record, from which the stage reads it.
+//! let stages = vec![StageRun::with_options(&STAGE, &Options { workers: Some(4) })?];
+//! let run = Run { stages, ..Run::default() };
+//! assert_eq!(STAGE.options(&run)?.workers, Some(4));
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
 
 mod declaration;
 mod exit;
@@ -15,4 +45,4 @@ mod record;
 
 pub use declaration::{Conflict, Declaration, Declared, NoOptions, OptionError};
 pub use exit::Exit;
-pub use record::{MAGIC, RecordError, Run, SCHEMA, StageRun};
+pub use record::{RecordError, Run, StageRun};

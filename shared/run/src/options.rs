@@ -1,11 +1,11 @@
 //! The options of a stage as data, made of the schema of its struct.
 //!
-//! The struct derives `schemars::JsonSchema`; this module reads of its schema what there is to say of each option. Beside
-//! the keywords of JSON Schema it knows some of its own, given by `#[schemars(extend("key" = …))]`:
+//! The struct derives `schemars::JsonSchema`; this module reads each option's description from the schema.
+//! Beside the keywords of JSON Schema it reads some of its own, given by `#[schemars(extend("key" = …))]`:
 //!
 //! | key | value |
 //! |---|---|
-//! | `expected` | what a value must be, where type and range do not tell |
+//! | `expected` | what a value must be, where type and range do not say it |
 //! | `format` | `"path"` for the path of a file, which the launcher makes absolute |
 //! | `formerly` | the key that the option had in the version before |
 
@@ -20,13 +20,13 @@ pub struct OptionSchema {
     pub name: String,
     /// The key that it had in the version before, where that was another.
     pub formerly: Option<String>,
-    /// What it is, as its field's documentation tells.
+    /// The documentation of its field.
     pub about: String,
     /// What kind of value it takes.
     pub kind: &'static str,
     /// What a value must be, to follow "expected".
     pub expected: String,
-    /// Its default as TOML; none where it is not set unless somebody does.
+    /// Its default as TOML; none where it is unset by default.
     pub default: Option<String>,
     /// Whether its values are text, whatever they look like.
     pub is_text: bool,
@@ -35,7 +35,7 @@ pub struct OptionSchema {
     bounds: Bounds,
 }
 
-/// All options of a stage, by the alphabet.
+/// All options of a stage, in alphabetical order.
 #[derive(Clone, Debug, PartialEq)]
 pub struct OptionsSchema(Vec<OptionSchema>);
 
@@ -101,7 +101,7 @@ impl OptionSchema {
         }
     }
 
-    /// Whether a number is within the option's range; what is no number has none.
+    /// Whether a number is within the option's range; any other value is.
     #[must_use]
     pub fn allows(&self, value: &toml::Value) -> bool {
         match value {

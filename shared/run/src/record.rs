@@ -1,9 +1,10 @@
 //! The run's record: written by the launcher, read by every stage.
 //!
-//! The one module that knows how it is encoded. The file starts with [`MAGIC`] and the schema as text, so that a stage
-//! of another version says so instead of misreading it.
+//! The encoding (bincode) is private to this module. The file starts with [`MAGIC`] and the schema as text,
+//! so that a stage of another version refuses it instead of misreading it.
 
 use std::collections::BTreeMap;
+use std::error::Error;
 use std::path::{Path, PathBuf};
 
 use bincode::config::standard;
@@ -14,9 +15,9 @@ use wire::{StageId, TICK_NS};
 use crate::{Declaration, OptionError};
 
 /// First bytes of a record's file, before the schema's number and a line break.
-pub const MAGIC: &str = "stgdat-run ";
+const MAGIC: &str = "stgdat-run ";
 /// Version of the record; counts up with every change of [`Run`].
-pub const SCHEMA: u32 = 5;
+const SCHEMA: u32 = 5;
 /// Largest record that is read; real ones have a few kilobytes.
 const BYTES_MAX: u64 = 1 << 20;
 
@@ -27,16 +28,16 @@ pub struct StageRun {
     pub stage: u32,
     /// The stage's share of the tick; none for stages that no forecast waits for.
     pub budget_ms: Option<f64>,
-    /// Whether it is this project's own program, which tells of itself by heartbeats.
+    /// Whether it is this project's own program, which sends heartbeats.
     pub built_in: bool,
-    /// Its options as TOML, for it alone to read.
+    /// Its options as TOML, which no other program reads.
     pub options: String,
 }
 
-/// Everything that one run has settled on.
+/// What all stages of one run agree on.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Run {
-    /// Tells the frames of this run from all others.
+    /// Number in the header of every frame, which tells apart the frames of two runs.
     pub id: u64,
     /// What the names of the run's shared memory start with.
     pub prefix: String,
@@ -46,7 +47,7 @@ pub struct Run {
     pub interval_ns: u64,
     /// Whether each tick waits for the end of the one before, and no stage gives up waiting.
     pub lockstep: bool,
-    /// Seed of all that is random.
+    /// Seed of all random numbers.
     pub seed: u64,
     /// The weights; the embedded ones where none.
     pub weights: Option<PathBuf>,
@@ -62,7 +63,7 @@ pub enum RecordError {
     File {
         /// The record's file.
         path: PathBuf,
-        /// What the system says.
+        /// The system's error.
         source: std::io::Error,
     },
     /// The file is no record.
@@ -76,16 +77,32 @@ pub enum RecordError {
     Schema {
         /// The record's file.
         path: PathBuf,
-        /// The schema that it tells.
-        found: String,
+        /// The record's schema.
+        found: u32,
+    },
+    /// The record does not encode: a path is not UTF-8.
+    #[error("{}: {source}", path.display())]
+    Unwritable {
+        /// The record's file.
+        path: PathBuf,
+        /// The encoder's error.
+        source: Box<dyn Error + Send + Sync>,
     },
     /// The record does not decode.
-    #[error("{}: damaged record: {reason}", path.display())]
+    #[error("{}: damaged record: {source}", path.display())]
     Damaged {
         /// The record's file.
         path: PathBuf,
-        /// What the decoder says.
-        reason: String,
+        /// The decoder's error.
+        source: Box<dyn Error + Send + Sync>,
+    },
+    /// More bytes follow the record.
+    #[error("{}: damaged record: {excess_len} bytes too many", path.display())]
+    TooLong {
+        /// The record's file.
+        path: PathBuf,
+        /// Bytes after the record's end.
+        excess_len: usize,
     },
 }
 
@@ -109,14 +126,13 @@ impl StageRun {
     /// This project's own program of a stage with these options, and no share of the tick.
     ///
     /// # Errors
-    /// [`OptionError::Unreadable`] where TOML can't hold them: paths that are not UTF-8.
+    /// [`OptionError::Unwritable`] where TOML can't hold them: paths that are not UTF-8.
     pub fn with_options<O: Serialize>(
         declaration: &Declaration<O>,
         options: &O,
     ) -> Result<Self, OptionError> {
         let stage = declaration.id();
-        let options = toml::to_string(options)
-            .map_err(|error| OptionError::Unreadable { stage, reason: error.to_string() })?;
+        let options = toml::to_string(options).map_err(|source| OptionError::Unwritable { stage, source })?;
         Ok(Self { stage: stage as u32, budget_ms: None, built_in: true, options })
     }
 }
@@ -138,11 +154,12 @@ impl Run {
     /// Writes the record.
     ///
     /// # Errors
-    /// [`RecordError::File`] where the file can't be written, [`RecordError::Damaged`] where a path is not UTF-8.
+    /// [`RecordError::File`] where the file can't be written, [`RecordError::Unwritable`] where a path is not
+    /// UTF-8.
     pub fn write(&self, path: &Path) -> Result<(), RecordError> {
         let mut bytes = format!("{MAGIC}{SCHEMA}\n").into_bytes();
         let body = bincode::serde::encode_to_vec(self, standard())
-            .map_err(|e| RecordError::Damaged { path: path.to_owned(), reason: e.to_string() })?;
+            .map_err(|e| RecordError::Unwritable { path: path.to_owned(), source: e.into() })?;
         bytes.extend(body);
         std::fs::write(path, bytes).map_err(|source| RecordError::File { path: path.to_owned(), source })
     }
@@ -160,18 +177,17 @@ impl Run {
         let bytes = std::fs::read(path).map_err(file)?;
         let line_end = bytes.iter().position(|&b| b == b'\n').ok_or_else(foreign)?;
         let (first, body) = bytes.split_at(line_end);
-        let found =
-            std::str::from_utf8(first).ok().and_then(|line| line.strip_prefix(MAGIC)).ok_or_else(foreign)?;
-        if found != SCHEMA.to_string() {
-            return Err(RecordError::Schema { path: path.to_owned(), found: found.to_owned() });
+        let found = std::str::from_utf8(first).ok().and_then(|line| line.strip_prefix(MAGIC));
+        let found: u32 = found.and_then(|number| number.parse().ok()).ok_or_else(foreign)?;
+        if found != SCHEMA {
+            return Err(RecordError::Schema { path: path.to_owned(), found });
         }
-        let damaged = |reason: String| RecordError::Damaged { path: path.to_owned(), reason };
-        let (run, used) =
-            bincode::serde::decode_from_slice(&body[1..], standard()).map_err(|e| damaged(e.to_string()))?;
-        if used != body.len() - 1 {
-            return Err(damaged(format!("{} bytes too many", body.len() - 1 - used)));
+        let (run, used) = bincode::serde::decode_from_slice(&body[1..], standard())
+            .map_err(|e| RecordError::Damaged { path: path.to_owned(), source: e.into() })?;
+        match body.len() - 1 - used {
+            0 => Ok(run),
+            excess_len => Err(RecordError::TooLong { path: path.to_owned(), excess_len }),
         }
-        Ok(run)
     }
 }
 
@@ -214,7 +230,7 @@ mod tests {
     }
 
     #[test]
-    fn another_schema_is_told_as_such() {
+    fn a_record_of_another_schema_is_refused() {
         in_temporary_file("schema", |path| {
             std::fs::write(path, format!("{MAGIC}99\nabc")).unwrap();
             let error = Run::read(path).unwrap_err().to_string();
@@ -234,7 +250,8 @@ mod tests {
                 assert!(matches!(Run::read(path), Err(RecordError::Damaged { .. })), "cut to {len} bytes");
             }
             std::fs::write(path, [&whole[..], b"x"].concat()).unwrap();
-            assert!(matches!(Run::read(path), Err(RecordError::Damaged { .. })), "one byte more");
+            let too_long = Run::read(path);
+            assert!(matches!(too_long, Err(RecordError::TooLong { excess_len: 1, .. })), "{too_long:?}");
         });
     }
 }

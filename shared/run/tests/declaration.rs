@@ -9,7 +9,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use wire::StageId;
 
-/// Options of every kind.
+/// Options of every type.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 struct Options {
@@ -63,7 +63,7 @@ impl Options {
 const STAGE: Declaration<Options> =
     Declaration::new(StageId::Sampler, &["tracks"], &["forecasts"]).with_rule(Options::check);
 
-/// What is said of a table; nothing where it is accepted.
+/// Message and advice for a table; none where it is accepted.
 fn refusal(table: &str) -> Option<(String, String)> {
     let refused = STAGE.check(&table.parse().unwrap()).err()?;
     assert!(refused.key().is_some_and(|key| table.contains(key)), "{refused:?}");
@@ -112,7 +112,7 @@ fn values_in_their_ranges_are_accepted() {
 }
 
 #[test]
-fn what_cannot_be_is_refused_with_what_would_be_right() {
+fn wrong_values_are_refused_with_advice() {
     let cases = [
         ("speed = 3", "the sampler has no option `speed`", "its options are active, deadline_ms, "),
         ("deadline_ms = 0", "`deadline_ms` is out of range", "expected more than 0 and at most 80"),
@@ -133,8 +133,8 @@ fn what_cannot_be_is_refused_with_what_would_be_right() {
         ("file = \"a\"\nactive = false", "a file for nothing", "`active` is false"),
     ];
     for (table, message, advice) in cases {
-        let (told, advised) = refusal(table).unwrap_or_else(|| panic!("{table} is accepted"));
-        assert!(told.starts_with(message) && advised.starts_with(advice), "{table}: {told}: {advised}");
+        let (refused, advised) = refusal(table).unwrap_or_else(|| panic!("{table} is accepted"));
+        assert!(refused.starts_with(message) && advised.starts_with(advice), "{table}: {refused}: {advised}");
     }
 }
 
@@ -147,8 +147,8 @@ fn a_stage_reads_its_options_from_the_runs_record() {
     assert_eq!(of(vec![stage.clone()]), Ok(options));
     let written = |options: &str| of(vec![StageRun { options: options.into(), ..stage.clone() }]);
     assert_eq!(written(""), Ok(Options::default()));
-    let told = written("workres = 3").unwrap_err().to_string();
-    assert!(told.contains("options of the sampler: unknown field `workres`"), "{told}");
+    let unknown = written("workres = 3").unwrap_err().to_string();
+    assert!(unknown.contains("options of the sampler: unknown field `workres`"), "{unknown}");
     assert!(matches!(written("active = false\nfile = \"a\""), Err(OptionError::Conflict(_))));
 }
 

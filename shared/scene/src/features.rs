@@ -1,16 +1,16 @@
-//! State features s and relation features φ: what the network sees of one agent and of a pair of agents.
+//! State features s and relation features φ: the network's inputs for one agent and for a pair of agents.
 //!
-//! Both are relative: s to the *agent frame* (the agent's own pose at its last observed step), φ to the receiver's pose
-//! at the same step. Moving or turning the whole scene changes neither.
+//! Both are relative: s to the *agent frame* (the agent's own pose at its last observed step), φ to the
+//! receiver's pose at the same step. Moving or turning the whole scene changes neither.
 
 use wire::{RELATION_FEATURES, STATE_FEATURES};
 
 use crate::State;
 
-/// Below this speed a direction of motion means nothing, m/s.
+/// Below this speed, m/s, an agent counts as at rest and its direction of motion as undefined.
 pub const MOVING_MPS: f32 = 0.1;
 
-/// Factors that bring features to a like magnitude; 1 leaves them in metres and metres per second.
+/// Factors that bring features to similar magnitudes; 1 leaves them in metres and metres per second.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FeatureScales {
     /// Factor of positions.
@@ -59,8 +59,9 @@ impl AgentFrame {
 
 /// The frame of an agent's last observed step, or `None` where it has no state.
 ///
-/// The x-axis points along the heading of that step. An agent that stands there (below [`MOVING_MPS`]) has a heading
-/// that is old or arbitrary: the x-axis then follows the mean velocity of its history, if that is a motion.
+/// The x-axis points along the heading of that step. An agent that stands there (below [`MOVING_MPS`]) has a
+/// heading that is old or arbitrary: the x-axis then follows the mean velocity of its history, if that is a
+/// motion.
 #[must_use]
 pub fn agent_frame(history: &[Option<State>]) -> Option<AgentFrame> {
     let last = history.iter().rev().flatten().next()?;
@@ -77,14 +78,15 @@ pub fn agent_frame(history: &[Option<State>]) -> Option<AgentFrame> {
     Some(AgentFrame::new(last.position_m, heading_rad))
 }
 
-/// State features \[x', y', vx', vy', cos Δψ, sin Δψ\] of an agent at one step, in its agent frame. \[model §2\]
+/// State features \[x', y', vx', vy', cos Δψ, sin Δψ\] of an agent at one step, in its agent frame.
+/// \[model §2\]
 #[must_use]
 pub fn state_features(frame: &AgentFrame, state: &State, scales: FeatureScales) -> [f32; STATE_FEATURES] {
     relative(frame, state.position_m, state.velocity_mps, state.heading_rad, scales)
 }
 
-/// Relation features \[Δx', Δy', Δvx', Δvy', cos Δψ, sin Δψ\] of an edge, in the receiver's pose; Δ is sender minus
-/// receiver. The self edge has \[0, 0, 0, 0, 1, 0\]. \[model §2\]
+/// Relation features \[Δx', Δy', Δvx', Δvy', cos Δψ, sin Δψ\] of an edge, in the receiver's pose; Δ is sender
+/// minus receiver. The self edge has \[0, 0, 0, 0, 1, 0\]. \[model §2\]
 #[must_use]
 pub fn relation_features(
     receiver: &State,

@@ -1,4 +1,4 @@
-//! Files of what is known of a site, context maps and retrieval memories: safetensors, written whole or not at all.
+//! Files of a site, context maps and retrieval memories: safetensors, written whole or not at all.
 
 use std::fs::{self, File};
 use std::io::{self, Read, Write};
@@ -15,7 +15,7 @@ pub enum FileError {
     Io {
         /// The file.
         path: PathBuf,
-        /// Its reason.
+        /// The system's error.
         source: io::Error,
     },
     /// The file is no safetensors file, or lacks a tensor.
@@ -50,26 +50,27 @@ pub struct Target<'a> {
 }
 
 impl Target<'_> {
-    /// Writes the file, all of it or nothing: a reader never meets half of it. Of a link the target is written; the link stays.
+    /// Writes the file, all of it or nothing: a reader never meets half of it. Of a link the target is
+    /// written; the link stays.
     ///
     /// # Errors
     /// [`FileError::Io`] where the folder can't be written.
     pub fn write(self, bytes: &[u8]) -> Result<(), FileError> {
         let path = fs::canonicalize(self.path).unwrap_or_else(|_| self.path.to_owned());
         let mut partial = path.clone().into_os_string();
-        // Two processes that write the same file don't write the same part of it.
+        // Two processes that write the same file have partial files of their own.
         partial.push(format!(".{}.partial", std::process::id()));
         let written = File::create(&partial)
             .and_then(|mut file| file.write_all(bytes).and_then(|()| file.sync_all()))
             .and_then(|()| fs::rename(&partial, path));
         written.map_err(|source| {
-            // What is left of a failed attempt helps nobody; the first error is the one to tell.
+            // The partial file is of no use; the first error is the one to report.
             let _ = fs::remove_file(&partial);
             self.io(source)
         })
     }
 
-    /// Reads the file unless it is larger than it can be.
+    /// Reads the file unless it has more than `bytes_max` bytes.
     ///
     /// # Errors
     /// [`FileError::Io`] where it can't be read, [`FileError::Content`] where it is larger.
@@ -87,13 +88,13 @@ impl Target<'_> {
         FileError::Io { path: self.path.into(), source }
     }
 
-    /// That the file is no safetensors file, or lacks a tensor.
+    /// The error of a file that is no safetensors file, or lacks a tensor.
     #[must_use]
     pub fn format(self, source: SafeTensorError) -> FileError {
         FileError::Format { path: self.path.into(), what: self.what, source }
     }
 
-    /// That the file's tensors do not make what it should hold.
+    /// The error of a file whose tensors do not make what it should hold.
     #[must_use]
     pub fn content(self, reason: String) -> FileError {
         FileError::Content { path: self.path.into(), what: self.what, reason }

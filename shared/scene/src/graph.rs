@@ -1,4 +1,4 @@
-//! The interaction graph: who matters to whom at a step.
+//! The interaction graph: which agents are neighbours at a step.
 
 use wire::{AGENTS_MAX, AgentType, EDGES_MAX, Edge, HISTORY_MAX};
 
@@ -7,7 +7,7 @@ use wire::{AGENTS_MAX, AgentType, EDGES_MAX, Edge, HISTORY_MAX};
 pub struct Vertex {
     /// Position in the world frame.
     pub position_m: [f32; 2],
-    /// The kind of agent.
+    /// The agent's type.
     pub agent_type: AgentType,
 }
 
@@ -22,7 +22,8 @@ pub struct EdgeRule {
     pub neighbours_max: usize,
 }
 
-/// The neighbours that fit a frame whatever the scene: [`EDGES_MAX`] shared by all agents and steps.
+/// Most neighbours of an agent with which every scene fits a frame: [`EDGES_MAX`] shared by all agents and
+/// steps.
 pub const NEIGHBOURS_MAX: usize = EDGES_MAX / (AGENTS_MAX * HISTORY_MAX);
 
 impl EdgeRule {
@@ -32,8 +33,8 @@ impl EdgeRule {
         Self { radius_m, pedestrian_radius_m: radius_m, neighbours_max: usize::MAX }
     }
 
-    /// Appends the edges of a step, sorted by (receiver, sender). Every present agent has its self edge; agents that
-    /// are absent have none. Allocates only where `edges` lacks room.
+    /// Appends the edges of a step, sorted by (receiver, sender). Every present agent has its self edge;
+    /// agents that are absent have none. Allocates only where `edges` lacks room.
     ///
     /// Costs n² distances: 128 agents take about 30 µs.
     ///

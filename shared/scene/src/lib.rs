@@ -1,4 +1,5 @@
-//! The scene around the robot: agent states, their frames of reference, features, interaction graph and context maps.
+//! The scene around the robot: agent states, their frames of reference, features, interaction graph and
+//! context maps.
 
 pub mod file;
 

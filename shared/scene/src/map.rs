@@ -1,9 +1,10 @@
 //! The global context map and the local patches that are cut from it.
 //!
-//! A map has cells of 1 m × 1 m with two fields: the *density* B, the share of all visits that fell into the cell, and the
-//! *mean velocity* VF of those visits. Where agents went before tells where lanes and paths are. A [`ContextMap`] is made
-//! offline of training tracks ([`MapBuilder`]) and read from a file; an [`OnlineMap`] grows from what was observed so far
-//! and follows the ego. A *patch* is a small window of either, placed and turned with an agent. \[paper, App. A; model §2\]
+//! A map has cells of 1 m × 1 m with two fields: the *density* B, the share of all visits that fell into the
+//! cell, and the *mean velocity* VF of those visits. They show where lanes and paths are. A [`ContextMap`] is
+//! built offline from training tracks ([`MapBuilder`]) and read from a file; an [`OnlineMap`] grows from what
+//! was observed so far and follows the ego. A *patch* is a small window of either, placed and turned with an
+//! agent. \[paper, App. A; model §2\]
 
 mod build;
 mod file;
@@ -29,7 +30,8 @@ pub struct ContextMap {
 }
 
 impl ContextMap {
-    /// The map of the given densities and velocities (x, y), row-major; B̄ is the mean of the densities that are not zero.
+    /// The map of the given densities and velocities (x, y), row-major; B̄ is the mean of the densities that
+    /// are not zero.
     fn new(
         origin_m: [f32; 2],
         cols: usize,

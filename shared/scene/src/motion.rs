@@ -1,4 +1,4 @@
-//! Velocities and headings of agents that are known by their positions alone, and where their motion goes on from.
+//! Velocities and headings of agents from their positions alone, and the start of their future motion.
 
 use kinematics::MotionStart;
 
@@ -7,13 +7,14 @@ use crate::{MOVING_MPS, State, agent_frame};
 /// Fills `states` with the velocities and headings that follow from `positions_m`, a row per step of `dt_s`.
 ///
 /// ```text
-/// v^k = (p^k − p^j) / ((k − j) Δt),  j the last present step before k          ψ^k = atan2(vy, vx) if |v| ≥ 0.1 m/s
+/// v^k = (p^k − p^j) / ((k − j) Δt),  j the last present step before k
+/// ψ^k = atan2(vy, vx) if |v| ≥ 0.1 m/s
 /// ```
 ///
-/// Backward differences only: row k depends on rows up to k. The first present row copies the velocity of the second,
-/// unless that lies beyond the first `observed_len` rows while the first does not; it is then at rest. So no row of the
-/// first `observed_len` depends on a later one. The heading of an agent at rest is the last defined one, 0 where none
-/// is. \[model §1\]
+/// Backward differences only: row k depends on rows up to k. The first present row copies the velocity of the
+/// second, unless that lies beyond the first `observed_len` rows while the first does not; it is then at
+/// rest. So no row of the first `observed_len` depends on a later one. The heading of an agent at rest is the
+/// last defined one, 0 where none is. \[model §1\]
 ///
 /// # Panics
 /// Where the slices differ in length.
@@ -66,7 +67,7 @@ pub fn turn_rates(history: &[Option<State>], dt_s: f32) -> [f32; 2] {
     })
 }
 
-/// The angle in [−π, π) by which one heading turns to become another.
+/// The angle in [−π, π) from one heading to another.
 #[must_use]
 #[inline]
 pub fn turn(from_rad: f32, to_rad: f32) -> f32 {
@@ -74,7 +75,7 @@ pub fn turn(from_rad: f32, to_rad: f32) -> f32 {
     (to_rad - from_rad + PI).rem_euclid(TAU) - PI
 }
 
-/// Where the motion of an agent that is `now` at the end of its history goes on from, in steps of `dt_s`.
+/// The start of the motion of an agent whose history ends at `now`, in steps of `dt_s`.
 ///
 /// Without history the agent frame is that of its present state.
 #[must_use]

@@ -1,4 +1,4 @@
-//! What must hold for any scene: invariance, causality, and maps that agree with one another.
+//! Properties of any scene: invariance, causality, and maps that agree with one another.
 
 #![expect(clippy::unwrap_used, reason = "a broken fixture should fail at once")]
 
@@ -48,7 +48,7 @@ fn all_state_features(history: &[Option<State>]) -> Vec<f32> {
 
 proptest! {
     #[test]
-    fn features_do_not_depend_on_where_the_scene_lies(
+    fn features_are_invariant_to_moving_and_turning_the_scene(
         states in states(8), turn_rad in -3.0_f32..3.0, shift_m in [-500.0_f32..500.0, -500.0_f32..500.0],
         at_rest in any::<bool>(),
     ) {
@@ -125,7 +125,7 @@ proptest! {
     }
 
     #[test]
-    fn an_online_map_shows_what_an_offline_map_of_the_same_visits_shows(
+    fn online_and_offline_maps_of_the_same_visits_agree(
         visits in prop::collection::vec(([-30.0_f32..30.0, -30.0_f32..30.0], [-9.0_f32..9.0, -9.0_f32..9.0]), 1..300),
         states in states(3),
     ) {
@@ -147,7 +147,7 @@ proptest! {
 }
 
 #[test]
-fn an_agent_at_rest_looks_where_it_came_from_going() {
+fn an_agent_that_stops_takes_the_mean_direction_of_its_history() {
     let at = |velocity_mps, heading_rad| Some(State { position_m: [1.0, 2.0], velocity_mps, heading_rad });
     let walking = [at([0.0, 1.0], 1.0), None, at([0.0, 0.5], 0.3)];
     assert_eq!(agent_frame(&walking).unwrap().heading_rad, 0.3, "moving: the heading of the last step");
@@ -212,7 +212,7 @@ proptest! {
 }
 
 #[test]
-fn an_online_map_moves_with_the_ego_and_forgets_what_falls_behind() {
+fn an_online_map_moves_with_the_ego_and_clears_the_rest() {
     let mut map = OnlineMap::new();
     let visit = |x: f32| ([x, 0.5], [2.0, 0.0]);
     let brightest = |map: &OnlineMap, x: f32| {
@@ -228,7 +228,7 @@ fn an_online_map_moves_with_the_ego_and_forgets_what_falls_behind() {
         assert!(brightest(&map, x) > 0.0, "the window holds the ego's surroundings at {x} m");
     }
     assert_eq!(brightest(&map, 10.0), 0.0, "left behind");
-    // Only the window's visits count: a fresh map that saw no more shows the same.
+    // Only the window's visits count: a fresh map of these alone is the same.
     let mut fresh = OnlineMap::new();
     let (x, brink) = (2_999.0 * 0.8, brink(&map, 2_999.0 * 0.8));
     let remembered = (0..3_000).map(|tick| tick as f32 * 0.8).filter(|seen| *seen >= brink);
@@ -236,7 +236,7 @@ fn an_online_map_moves_with_the_ego_and_forgets_what_falls_behind() {
     assert_eq!(brightest(&map, x), brightest(&fresh, x));
 }
 
-/// The first metre along x that the map still remembers, found by its patches.
+/// The first metre along x that the map still holds, found by its patches.
 fn brink(map: &OnlineMap, ego_x_m: f32) -> f32 {
     let fine = PatchOptions { side: 1, cell_m: 1.0, ahead_m: 0.0 };
     let remembered = |x: &f32| {
@@ -256,7 +256,7 @@ fn small_map() -> ContextMap {
 }
 
 #[test]
-fn a_map_comes_back_from_its_file_and_two_files_of_it_are_alike() {
+fn a_map_is_read_as_written_and_its_files_are_equal() {
     let folder = tempfile::tempdir().unwrap();
     let (a, b) = (folder.path().join("a.map"), folder.path().join("b.map"));
     let map = small_map();

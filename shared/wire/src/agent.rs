@@ -3,7 +3,8 @@ use thiserror::Error;
 use crate::declare::numbers;
 
 numbers! {
-    /// The kinds of agents that the model tells apart; each has state MLP, decoder and motion model of its own.
+    /// The kinds of agents that the model tells apart; each has state MLP, decoder and motion model of its
+    /// own.
     #[derive(Hash, PartialOrd, Ord)]
     pub enum AgentType {
         /// Cars, trucks, buses, carts: kinematic bicycle.

@@ -11,6 +11,30 @@ pub enum Rejected {
         /// Ours.
         expected: u32,
     },
+    /// The frame belongs to another run.
+    #[error("run {found:016x}, this one is {expected:016x}")]
+    ForeignRun {
+        /// The frame's run.
+        found: u64,
+        /// The reader's.
+        expected: u64,
+    },
+    /// Two elements have one number.
+    #[error("{field} {id} appears twice")]
+    Twice {
+        /// What the number stands for.
+        field: &'static str,
+        /// The number.
+        id: u64,
+    },
+    /// Elements are not in the order that the payload demands.
+    #[error("{field} are out of order at element {at}")]
+    OutOfOrder {
+        /// The elements.
+        field: &'static str,
+        /// The first element that must come before the one before it.
+        at: usize,
+    },
     /// A count is beyond its limit.
     #[error("{field} = {found}, at most {most} allowed")]
     TooMany {

@@ -1,7 +1,8 @@
-//! The macros that declare the wire: each turns one readable declaration into Rust items and into an entry of [`crate::TABLE`].
+//! The macros that declare the wire: each turns one readable declaration into Rust items and into an entry of
+//! [`crate::TABLE`].
 //!
-//! [`record!`] declares a struct that crosses process borders. Every field stands with the byte offset at which it lies, so that the
-//! source shows the layout and the compiler proves it:
+//! [`record!`] declares a struct that crosses process borders. Every field stands with the byte offset at
+//! which it lies, so that the source shows the layout and the compiler proves it:
 //!
 //! ```text
 //! record! {
@@ -15,13 +16,14 @@
 //! }
 //! ```
 //!
-//! It becomes a `#[repr(C)]` struct of public fields that is `Pod`, its `Default` (all zeros), its [`crate::Record`] in the table, and
-//! compile-time assertions that each field lies at its offset, that no byte lies between two fields or behind the last, and that the
-//! size is the one told. A field's type is anything that has a [`crate::Layout`]: a primitive, a record, or an array of these. `: 64 bytes,
-//! aligned 64` sets an alignment; `#[derive(…)]` under the doc comment adds derives.
+//! It becomes a `#[repr(C)]` struct of public fields that is `Pod`, its `Default` (all zeros), its
+//! [`crate::Record`] in the table, and compile-time assertions that each field lies at its offset, that no
+//! byte lies between two fields or behind the last, and that the size is the one told. A field's type is
+//! anything that has a [`crate::Layout`]: a primitive, a record, or an array of these.
+//! `: 64 bytes, aligned 64` sets an alignment; `#[derive(…)]` under the doc comment adds derives.
 //!
-//! [`numbers!`] declares an enum whose variants travel as `u32`: each has its number and the name that files and reports use.
-//! [`constants!`] declares limits, sizes and bits of flags.
+//! [`numbers!`] declares an enum whose variants travel as `u32`: each has its number and the name that files
+//! and reports use. [`constants!`] declares limits, sizes and bits of flags.
 
 /// Declares a record; see the module.
 macro_rules! record {

@@ -17,11 +17,12 @@ pub mod flags {
         pub const HAS_IDENTITIES: u32 = 1 << 2;
         /// The tick runs in lockstep: no stage may give up waiting.
         pub const LOCKSTEP: u32 = 1 << 3;
-        /// A stage has refused this tick, or it came late and was taken in where it belongs: no agents. It passes on so that nobody
-        /// waits for it.
+        /// A stage has refused this tick, or it came late and was taken in where it belongs: no agents. It
+        /// passes on so that nobody waits for it.
         pub const VOID: u32 = 1 << 4;
-        /// The detections were made from [`Header::ego_m`](super::Header::ego_m), by a sensor that can't see past what stands in its
-        /// way. Not set for a view from above, or where nobody knows where the sensor stood.
+        /// The detections were made from [`Header::ego_m`](super::Header::ego_m), by a sensor that can't see
+        /// past what stands in its way. Not set for a view from above, or where nobody knows where the sensor
+        /// stood.
         pub const SEEN_FROM_EGO: u32 = 1 << 5;
     }
 }
@@ -35,7 +36,8 @@ numbers! {
         Recording = 1 => "recording",
         /// The sensor's own clock, at its measurement.
         SensorClock = 2 => "sensor clock",
-        /// A clock of the receiving computer, when the measurement had come in: later than the measurement by its way.
+        /// A clock of the receiving computer, when the measurement had come in: later than the measurement by
+        /// its way.
         Receipt = 3 => "time of receipt",
         /// A scene that was generated.
         Generated = 4 => "generated",
@@ -43,7 +45,8 @@ numbers! {
 }
 
 record! {
-    /// The end-to-end protection of a frame, in the order of AUTOSAR's E2E profile 7. All zeros: not protected.
+    /// The end-to-end protection of a frame, in the order of AUTOSAR's E2E profile 7. All zeros: not
+    /// protected.
     #[derive(Eq)]
     pub struct Protection: 24 bytes {
         /// CRC-64/XZ of the header behind this field and of the payload.
@@ -110,7 +113,8 @@ record! {
         32 => run_id: u64,
         /// The tick's number, from 0, without gaps at the source.
         40 => seq: u64,
-        /// Time of validity of the detections on the recording's or sensor's clock; the time of all algorithms.
+        /// Time of validity of the detections on the recording's or sensor's clock; the time of all
+        /// algorithms.
         48 => stamp_ns: i64,
         /// When the source released the tick, `CLOCK_MONOTONIC`; for latency and age only.
         56 => released_ns: u64,

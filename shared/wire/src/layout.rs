@@ -4,7 +4,8 @@ use crate::declare::record;
 use crate::{AgentFeatures, Counts, EDGE_ATTRIBUTES, PATCH_CHANNELS, Rejected, Track};
 
 record! {
-    /// 64 bytes: one cache line, the unit of `context` and `features` payloads, whose sections are cast from it.
+    /// 64 bytes: one cache line, the unit of `context` and `features` payloads, whose sections are cast from
+    /// it.
     pub struct Row: 64 bytes, aligned 64 {
         /// The bytes, as numbers of single precision.
         0 => values: [f32; 16],
@@ -190,25 +191,26 @@ impl<'a> Features<'a> {
     /// The sections of a payload.
     ///
     /// # Errors
-    /// [`Rejected::Length`] where the payload has not the rows of the shape, [`Rejected::Impossible`] where an edge
-    /// names an agent or step that is not there or the edges are not sorted.
+    /// [`Rejected::Length`] where the payload has not the rows of the shape, [`Rejected::Impossible`] where
+    /// an edge names an agent or step that is not there, [`Rejected::OutOfOrder`] where the edges are not
+    /// sorted or one is there twice.
     pub fn read(rows: &'a [Row], shape: FeatureShape, history_len: usize) -> Result<Self, Rejected> {
         expect(rows.len(), feature_rows(&shape))?;
         let (agents, rest) = rows.split_at(shape.agents_len * FEATURE_ROWS);
         let (edges, attributes) = rest.split_at(shape.edge_rows());
         let edges: &[Edge] = &bytemuck::cast_slice(edges)[..shape.edges_len];
         let mut last = None;
-        for edge in edges {
+        for (at, edge) in edges.iter().enumerate() {
             let outside =
                 [edge.receiver, edge.sender].into_iter().find(|&a| usize::from(a) >= shape.agents_len);
             if let Some(agent) = outside {
                 return Err(Rejected::Impossible { field: "edge's agent", value: f64::from(agent) });
             }
-            if usize::from(edge.step) >= history_len || last.is_some_and(|last| last >= *edge) {
-                return Err(Rejected::Impossible {
-                    field: "edge's step or order",
-                    value: f64::from(edge.step),
-                });
+            if usize::from(edge.step) >= history_len {
+                return Err(Rejected::Impossible { field: "edge's step", value: f64::from(edge.step) });
+            }
+            if last.is_some_and(|last| last >= *edge) {
+                return Err(Rejected::OutOfOrder { field: "edges", at });
             }
             last = Some(*edge);
         }
@@ -264,7 +266,7 @@ mod tests {
     fn unsorted_or_dangling_edges_and_wrong_lengths_are_refused() {
         let shape = FeatureShape { agents_len: 2, edges_len: 2 };
         let mut rows = vec![Row::default(); feature_rows(&shape)];
-        assert!(matches!(Features::read(&rows, shape, 8), Err(Rejected::Impossible { .. })), "equal edges");
+        assert!(matches!(Features::read(&rows, shape, 8), Err(Rejected::OutOfOrder { .. })), "equal edges");
         FeaturesMut::over(&mut rows, shape).unwrap().edges[1].sender = 2;
         assert!(matches!(Features::read(&rows, shape, 8), Err(Rejected::Impossible { .. })), "no agent 2");
         FeaturesMut::over(&mut rows, shape).unwrap().edges[1].sender = 1;

@@ -1,46 +1,80 @@
 //! What the stages exchange: topics, message headers and payload elements.
 //!
-//! A *topic* names a stream, fixes the element type of its messages and bounds every queue. A *frame* is one message:
-//! a [`Header`] and a slice of elements. All frames of one tick carry the same `seq` and `stamp_ns`, and each stage
-//! appends a [`Hop`], so that the last frame of a tick contains the way of the whole tick.
+//! A *topic* names a stream, fixes the element type of its messages and bounds every queue. A *frame* is one
+//! message: a [`Header`] and a slice of elements. All frames of one tick carry the same `seq` and `stamp_ns`,
+//! and each stage appends a [`Hop`], so that the last frame of a tick contains the way of the whole tick.
 //!
-//! Payloads are plain old data (`#[repr(C)]`, explicit padding, any bit pattern is a value, little-endian): they cross
-//! process borders as they lie in memory. Every record is declared once, with the offset of each field; from that come
-//! the struct, the assertions of its layout and its entry of [`TABLE`], which `stgdat wire` prints for C, C++, Python and
-//! everybody else.
+//! Payloads are plain old data (`#[repr(C)]`, explicit padding, any bit pattern is a value, little-endian):
+//! they cross process borders as they lie in memory. Every record is declared once, with the offset of each
+//! field; from that come the struct, the assertions of its layout and its entry of [`TABLE`], which
+//! `stgdat wire` prints for C, C++, Python and everybody else.
 //!
-//! Frames of reference: positions are in one right-handed, metric *world frame* (x, y; z up) whose origin lies within
-//! [`POSITION_MAX_M`]; headings are counter-clockwise from +x in radians. Times are nanoseconds: `stamp_ns` on the
-//! sensor's or recording's clock, all others on `CLOCK_MONOTONIC`.
+//! Frames of reference: positions are in one right-handed, metric *world frame* (x, y; z up) whose origin
+//! lies within [`POSITION_MAX_M`]; headings are counter-clockwise from +x in radians. Times are nanoseconds:
+//! `stamp_ns` on the sensor's or recording's clock, all others on `CLOCK_MONOTONIC`.
+//!
+//! A frame from its bytes, wherever they come from:
+//!
+//! ```
+//! use wire::{Header, Rejected, SCHEMA, Topic, Track, TracksTopic};
+//!
+//! fn tracks(header: &[u8], payload: &[u8]) -> Result<Vec<Track>, Rejected> {
+//!     let header: Header = bytemuck::pod_read_unaligned(header);
+//!     header.check()?;
+//!     let elements = payload.chunks_exact(size_of::<Track>());
+//!     let tracks: Vec<Track> = elements.map(bytemuck::pod_read_unaligned).collect();
+//!     let (found, expected) = (tracks.len(), TracksTopic::elements_len(&header.counts));
+//!     if found != expected {
+//!         return Err(Rejected::Length { found, expected });
+//!     }
+//!     tracks.iter().try_for_each(Track::check)?;
+//!     Ok(tracks)
+//! }
+//!
+//! let mut header = Header::new(7, 0, 80_000_000);
+//! header.counts.agents_len = 1;
+//! let track = Track { id: 4, x_m: 1.5, ..bytemuck::Zeroable::zeroed() };
+//! let payload = bytemuck::bytes_of(&track);
+//! assert_eq!(tracks(bytemuck::bytes_of(&header), payload), Ok(vec![track]));
+//!
+//! let other_version = Header { schema: 1, ..header };
+//! let refused = tracks(bytemuck::bytes_of(&other_version), payload);
+//! assert_eq!(refused, Err(Rejected::Schema { found: 1, expected: SCHEMA }));
+//! let nowhere = Track { x_m: f32::NAN, ..track };
+//! let refused = tracks(bytemuck::bytes_of(&header), bytemuck::bytes_of(&nowhere));
+//! assert!(matches!(refused, Err(Rejected::NotFinite { .. })));
+//! ```
 //!
 //! # Versions
 //!
-//! [`SCHEMA`] is the one version of the whole wire: of the header, of all payloads and of all topics. Every type name
-//! carries it (`stgdat.header.2`, `stgdat.forecasts.2`), and so does every header. Programs of one number understand each
-//! other, however old they are.
+//! [`SCHEMA`] is the one version of the whole wire: of the header, of all payloads and of all topics. Every
+//! type name carries it (`stgdat.header.2`, `stgdat.forecasts.2`), and so does every header. Programs of one
+//! number understand each other, however old they are.
 //!
 //! These changes need no new version:
 //!
-//! * *Reserved bytes* get a name and a meaning in which 0 stands for "not told" or for what was so before. Writers fill
-//!   bytes that they do not know with zeros, those of the header as they came in with the tick; readers do not look at
-//!   them. So it is with [`Header::protection`],
-//!   [`Header::incarnation`], [`Forecast::expert_weights`] and [`Forecast::out_of_distribution`] until something fills them in.
-//! * *New numbers* of [`StageId`], [`StampSource`], [`TrackStatus`], [`Cause`] and [`Expert`]. Readers take a number that
-//!   they do not know for an unknown one and refuse nothing for it.
+//! * *Reserved bytes* get a name and a meaning in which 0 stands for "not reported" or for what was so
+//!   before. Writers fill bytes that they do not know with zeros, those of the header as they came in with
+//!   the tick; readers do not look at them. So it is with [`Header::protection`], [`Header::incarnation`],
+//!   [`Forecast::expert_weights`] and [`Forecast::out_of_distribution`] until something fills them in.
+//! * *New numbers* of [`StageId`], [`StampSource`], [`TrackStatus`], [`Cause`] and [`Expert`]. Readers take a
+//!   number that they do not know for an unknown one and refuse nothing for it.
 //! * *New flags*, if a reader may overlook them: their absence means what was so before.
 //! * *New topics* and new constants.
 //!
-//! All else does: a field that moves or changes its size, type, unit or meaning; another limit; a new number of [`AgentType`],
-//! [`Quality`] or [`Steering`], which readers compute with and refuse where they do not know it.
+//! All else does: a field that moves or changes its size, type, unit or meaning; another limit; a new number
+//! of [`AgentType`], [`Quality`] or [`Steering`], which readers compute with and refuse where they do not
+//! know it.
 //!
-//! Who meets another version sees this:
+//! Programs of two versions meet like this:
 //!
-//! * *Ports do not connect.* Who opens a topic after a program of another version has made it gets iceoryx2's
-//!   `IncompatibleTypes`: with `ports` a `PortError`, `frames of topic "tracks": …(IncompatibleTypes)`, with which the process
-//!   ends (exit code 69); in Python a `PublishSubscribeOpenError`. No byte is exchanged.
-//! * *A header of another schema* under the right type name, from a writer that fills in a wrong [`Header::schema`], is
-//!   refused with [`Rejected::Schema`]. The frame is dropped, reported on standard error and counted in the
-//!   `rejected_len` of the reader's [`Heartbeat`]; the reader goes on.
+//! * *Ports do not connect.* A program that opens a topic after one of another version has made it gets
+//!   iceoryx2's `IncompatibleTypes`: with `ports` a `PortError`,
+//!   `frames of topic "tracks": …(IncompatibleTypes)`, with which the process ends (exit code 69); in Python
+//!   a `PublishSubscribeOpenError`. No byte is exchanged.
+//! * *A header of another schema* under the right type name, from a writer that fills in a wrong
+//!   [`Header::schema`], is refused with [`Rejected::Schema`]. The frame is dropped, reported on standard
+//!   error and counted in the `rejected_len` of the reader's [`Heartbeat`]; the reader goes on.
 
 mod agent;
 mod check;

@@ -12,7 +12,8 @@ pub(crate) use schema;
 constants! {
     /// Version of the whole wire: of the header, of every payload and of the topics' type names.
     pub const SCHEMA: u32 = schema!();
-    /// Most agents in a frame. When the tracker holds more, the nearest to the ego or the scene's centre are kept.
+    /// Most agents in a frame. When the tracker holds more, the nearest to the ego or the scene's centre are
+    /// kept.
     pub const AGENTS_MAX: usize = 128;
     /// Most detections in a frame.
     pub const DETECTIONS_MAX: usize = 512;

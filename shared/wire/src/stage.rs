@@ -1,8 +1,8 @@
 use crate::declare::numbers;
 
 numbers! {
-    /// A stage of the pipeline, by number. Numbers below 64 are kept for stages of stgdat's own, 0 stands for none of them; from 64 on
-    /// they are free for stages that a pipeline file defines.
+    /// A stage of the pipeline, by number. Numbers below 64 are kept for stages of stgdat's own, 0 stands for
+    /// none of them; from 64 on they are free for stages that a pipeline file defines.
     #[derive(Hash, PartialOrd, Ord)]
     pub enum StageId {
         /// Releases detections.

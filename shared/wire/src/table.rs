@@ -1,4 +1,5 @@
-//! The wire as data: what `stgdat wire` prints for programs in other languages. The macros of [`crate::declare`] make its entries.
+//! The wire as data: what `stgdat wire` prints for programs in other languages. The macros of
+//! [`crate::declare`] make its entries.
 
 use bytemuck::Pod;
 

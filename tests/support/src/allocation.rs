@@ -48,7 +48,7 @@ unsafe impl GlobalAlloc for CountingAllocator {
                 LAST.store(layout.size(), Ordering::Relaxed);
             }
         }
-        // SAFETY: the caller's promises are those that the system's allocator asks for.
+        // SAFETY: the caller keeps the contract of `GlobalAlloc`, which is that of the system's allocator.
         unsafe { System.alloc(layout) }
     }
 
@@ -65,7 +65,7 @@ pub fn allocations(work: impl FnOnce()) -> usize {
     ALL.load(Ordering::Relaxed) - before
 }
 
-/// Counts by thread, for those threads that asked to be counted.
+/// Counts by thread, of the threads that registered.
 #[derive(Clone, Copy, Debug)]
 pub struct AllocationCounts;
 

@@ -1,9 +1,9 @@
-//! What tests of several crates share.
+//! Helpers that the tests of several crates share.
 //!
-//! * [`public_recording`] finds recordings that are not part of the repository. Tests that need one return early where it
-//!   is missing, and fail where `STGDAT_REQUIRE_DATA=1` is set.
-//! * [`CountingAllocator`] counts allocations, for tests that a steady step makes none.
-//! * [`Model`] makes weights files out of the embedded one.
+//! * [`public_recording`] finds recordings that are not part of the repository. Tests that need one return
+//!   early where it is missing, and fail where `STGDAT_REQUIRE_DATA=1` is set.
+//! * [`CountingAllocator`] counts allocations, for tests that assert that a steady step makes none.
+//! * [`Model`] makes weights files from the embedded one.
 #![expect(clippy::unwrap_used, reason = "a test ends at what it can't do")]
 
 mod allocation;

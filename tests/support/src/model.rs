@@ -1,11 +1,11 @@
-//! Weights files made of the embedded model by changing a few of its tensors and options.
+//! Weights files made from the embedded model by changing a few of its tensors and options.
 
 use std::collections::HashMap;
 
 use safetensors::Dtype;
 use safetensors::tensor::TensorView;
 
-/// A weights file in the making.
+/// The content of a weights file, to be changed.
 pub struct Model {
     /// Its configuration.
     pub config: serde_json::Value,
@@ -34,7 +34,7 @@ impl Model {
     /// Adds a tensor of made-up values, or replaces one.
     pub fn set(&mut self, name: &str, shape: &[usize]) {
         let len = shape.iter().product();
-        self.tensors.retain(|(known, ..)| known != name);
+        self.tensors.retain(|(other, ..)| other != name);
         let values = (0..len).map(|i| value(i + name.len())).collect();
         self.tensors.push((name.to_owned(), shape.to_vec(), values));
     }
@@ -64,7 +64,8 @@ impl Model {
         nn::Weights::from_bytes(&self.bytes(Dtype::F32)).unwrap()
     }
 
-    /// Switches latent points that know of their base controls, mode head, best point and base control on.
+    /// The embedded model with all options on: latent points that depend on the base control, mode head,
+    /// latent point of the best forecast, base control.
     pub fn with_all_options() -> Self {
         let mut model = Self::onboard();
         let horizon_len = model.config["horizon_len"].as_u64().unwrap() as usize;
@@ -84,7 +85,7 @@ impl Model {
             model.set(&format!("base.{name}.ridge"), &[3, 8, 26, 2 * horizon_len]);
             model.set(&format!("base.{name}.anchors"), &[72, 20, horizon_len, 2]);
             let cuts = vec![0.5, 1.5, 3.0, 4.5, 6.0, 7.5, 9.5];
-            model.tensors.retain(|(known, ..)| known != &format!("base.{name}.speed_cuts"));
+            model.tensors.retain(|(other, ..)| other != &format!("base.{name}.speed_cuts"));
             model.tensors.push((format!("base.{name}.speed_cuts"), vec![7], cuts));
         }
         model

@@ -1,4 +1,4 @@
-//! Agents that drive in circles, as the localiser would tell of them.
+//! Context frames, as the localiser sends them, of agents that drive in circles.
 #![expect(clippy::unwrap_used, reason = "a test ends at what it can't do")]
 
 use bytemuck::Zeroable;
@@ -62,7 +62,7 @@ impl Scene {
         header
     }
 
-    /// The localiser's frame of a tick; `edit` may spoil it.
+    /// The localiser's frame of a tick; `edit` may change it.
     pub fn localise(&mut self, header: &Header, edit: impl FnOnce(&mut ContextMut<'_>)) {
         let (shape, step_ns) = (self.shape, self.step_ns as i64);
         let mut context = ContextMut::over(&mut self.context, shape).unwrap();

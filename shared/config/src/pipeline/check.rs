@@ -59,7 +59,7 @@ fn stage(table: &StageTable, declared: &[&dyn Declared], warnings: &mut Vec<Stri
         ));
     }
     let options = match (&table.command, declared.iter().find(|declared| declared.id() == id)) {
-        // A program of one's own knows alone what it takes.
+        // Only the program of the `command` can check its options.
         (Some(_), _) => {
             table.options.iter().map(|(k, v)| (k.get_ref().clone(), v.get_ref().clone())).collect()
         }
@@ -86,14 +86,14 @@ fn names(topics: &[Spanned<String>]) -> Vec<String> {
     topics.iter().map(|t| t.get_ref().clone()).collect()
 }
 
-/// This project's own programs speak fixed topics: a file that tells others would not be what runs.
+/// This project's own programs have fixed topics: a file with others would not describe what runs.
 fn topics_of(stage: &dyn Declared, table: &StageTable) -> Result<(), Fault> {
     let id = stage.id();
-    for (key, told, real) in
+    for (key, written, real) in
         [("reads", &table.reads, stage.reads()), ("writes", &table.writes, stage.writes())]
     {
-        let wrong = told.iter().find(|t| !real.contains(&t.get_ref().as_str()));
-        let missing = real.iter().find(|r| !told.iter().any(|t| t.get_ref() == *r));
+        let wrong = written.iter().find(|t| !real.contains(&t.get_ref().as_str()));
+        let missing = real.iter().find(|r| !written.iter().any(|t| t.get_ref() == *r));
         let (span, label) = match (wrong, missing) {
             (Some(topic), _) => (topic.span(), format!("the {} does not {} it", id.name(), verb(key))),
             (None, Some(topic)) => (table.name.span(), format!("its program also {key} \"{topic}\"")),
@@ -112,8 +112,8 @@ fn verb(key: &str) -> &str {
 fn unique_names(tables: &[&StageTable]) -> Result<(), Fault> {
     for (i, table) in tables.iter().enumerate() {
         if tables[..i].iter().any(|earlier| earlier.name == table.name) {
-            let message = format!("the stage \"{}\" is there twice", table.name.get_ref());
-            return Err(Fault::new(table.name.span(), message, "named before"));
+            let message = format!("the stage \"{}\" is defined twice", table.name.get_ref());
+            return Err(Fault::new(table.name.span(), message, "defined before"));
         }
     }
     Ok(())
@@ -139,7 +139,8 @@ fn producers(file: &File) -> Result<(), Fault> {
     }
 }
 
-/// Takes away, one by one, the stages whose inputs are all made by stages taken away before; what stays waits for itself.
+/// Removes, one by one, the stages whose inputs all come from stages removed before; those that remain form a
+/// cycle.
 fn acyclic(tables: &[&StageTable]) -> Result<(), Fault> {
     let mut open = tables.to_vec();
     while let Some(ready) = open.iter().position(|table| open_input(table, &open).is_none()) {
@@ -148,14 +149,14 @@ fn acyclic(tables: &[&StageTable]) -> Result<(), Fault> {
     let Some((stage, topic)) = open.first().and_then(|stage| Some((stage, open_input(stage, &open)?))) else {
         return Ok(());
     };
-    let message = format!("the {} waits for itself", stage.name.get_ref());
+    let message = format!("a cycle: the {} needs its own output", stage.name.get_ref());
     let label = format!("\"{}\" is made from what this stage writes", topic.get_ref());
     Err(Fault::new(topic.span(), message, label)
-        .help("the only loop that is allowed is the tracker reading \"forecasts\""))
+        .help("the only cycle allowed is that of the tracker, which reads \"forecasts\""))
 }
 
-/// The first input of a stage that one of the open stages writes. The tracker reads the forecasts of earlier ticks: that
-/// loop is meant.
+/// The first input of a stage that one of the open stages writes. The tracker reads the forecasts of earlier
+/// ticks: that cycle is meant.
 fn open_input<'a>(table: &'a StageTable, open: &[&StageTable]) -> Option<&'a Spanned<String>> {
     table.reads.iter().find(|read| {
         let topic = read.get_ref();

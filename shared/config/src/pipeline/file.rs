@@ -1,4 +1,4 @@
-//! pipeline.toml as it is written; every value knows its place in the text.
+//! pipeline.toml as it is written; every value has its span in the text.
 
 use std::collections::BTreeMap;
 use std::path::PathBuf;
@@ -28,5 +28,5 @@ pub(super) struct StageTable {
     pub options: OptionsTable,
 }
 
-/// A stage's options; the stage knows what they mean.
+/// A stage's options, which its declaration checks.
 pub(super) type OptionsTable = BTreeMap<Spanned<String>, Spanned<toml::Value>>;

@@ -4,7 +4,7 @@ use wire::StageId;
 use super::error::Fault;
 use super::file::OptionsTable;
 
-/// The options of one of this project's own programs, under the names of today.
+/// The options of one of this project's own programs, under their present names.
 pub(super) fn options(
     stage: &dyn Declared,
     table: &OptionsTable,
@@ -13,28 +13,28 @@ pub(super) fn options(
 ) -> Result<toml::Table, Fault> {
     let (schema, name) = (stage.schema(), stage.id().name());
     let mut options = toml::Table::new();
-    // The place of each option in the text, by its name of today.
-    let mut places = Vec::new();
+    // The spans of each option's key and value in the text, by its present name.
+    let mut spans = Vec::new();
     for (key, value) in table {
         let written = key.get_ref();
-        let today = match schema.formerly(written).filter(|_| schema.get(written).is_none()) {
+        let present = match schema.formerly(written).filter(|_| schema.get(written).is_none()) {
             Some(option) => {
-                let today = &option.name;
-                if table.keys().any(|other| other.get_ref() == today) {
-                    let message = format!("`{today}` of the {name} is there twice");
-                    return Err(Fault::new(key.span(), message, format!("what `{today}` was called before")));
+                let present = &option.name;
+                if table.keys().any(|other| other.get_ref() == present) {
+                    let message = format!("`{present}` of the {name} is set twice");
+                    return Err(Fault::new(key.span(), message, format!("the former name of `{present}`")));
                 }
-                warnings.push(format!("`{written}` of the {name} is called `{today}` now"));
-                today
+                warnings.push(format!("`{written}` of the {name} is called `{present}` now"));
+                present
             }
             None => written,
         };
-        options.insert(today.clone(), value.get_ref().clone());
-        places.push((today.clone(), key.span(), value.span()));
+        options.insert(present.clone(), value.get_ref().clone());
+        spans.push((present.clone(), key.span(), value.span()));
     }
     stage.check(&options).map_err(|error| {
-        let place = places.iter().find(|(key, ..)| error.key() == Some(key.as_str()));
-        let (key, value) = place.map_or((0..0, 0..0), |(_, key, value)| (key.clone(), value.clone()));
+        let at_fault = spans.iter().find(|(key, ..)| error.key() == Some(key.as_str()));
+        let (key, value) = at_fault.map_or((0..0, 0..0), |(_, key, value)| (key.clone(), value.clone()));
         let (message, advice) = (error.to_string(), error.advice());
         match &error {
             OptionError::Unknown { key: unknown, .. } => {
@@ -46,7 +46,7 @@ pub(super) fn options(
     Ok(options)
 }
 
-/// Whose option it is that a stage does not have.
+/// The stages that have the option which this one does not have.
 fn owners(key: &str, declared: &[&dyn Declared]) -> String {
     let owners = declared.iter().filter(|stage| stage.schema().get(key).is_some());
     let owners: Vec<&str> = owners.map(|stage| StageId::name(stage.id())).collect();

@@ -99,7 +99,7 @@ fn with(from: &str, to: &str) -> String {
 }
 
 #[test]
-fn the_shipped_file_is_accepted_and_wires_the_loop() {
+fn the_shipped_file_is_accepted() {
     let pipeline = parsed(FULL);
     assert_eq!(pipeline.stages.iter().map(|s| s.id).collect::<Vec<_>>(), StageId::ALL);
     let edges = pipeline.edges();
@@ -202,7 +202,7 @@ fn options_of_another_stage_or_out_of_range() {
 }
 
 #[test]
-fn options_reach_their_stage_as_they_are_written() {
+fn options_are_passed_on_as_written() {
     let pipeline = parsed(&with("deadline_ms = 72", "deadline_ms = 72, retrieval = true, memory = \"a\""));
     let expected = "deadline_ms = 72\nretrieval = true\nmemory = \"a\"".parse().unwrap();
     assert_eq!(stage(&pipeline, StageId::Sampler).options, expected);
@@ -229,7 +229,7 @@ fn an_option_of_another_type() {
 }
 
 #[test]
-fn an_old_name_stands_for_the_new_one_and_is_told() {
+fn an_old_name_is_accepted_with_a_warning() {
     let pipeline = parsed(&with("deadline_ms = 72", "recall = false"));
     assert_eq!(stage(&pipeline, StageId::Sampler).options, "retrieval = false".parse().unwrap());
     assert_eq!(pipeline.warnings, ["`recall` of the sampler is called `retrieval` now"]);
@@ -238,7 +238,7 @@ fn an_old_name_stands_for_the_new_one_and_is_told() {
 }
 
 #[test]
-fn a_program_of_ones_own_has_options_of_its_own() {
+fn the_options_of_a_command_are_not_checked() {
     let text =
         with("name = \"encoder\"", "name = \"encoder\"\ncommand = [\"./mine\"]\noptions = { gain = [1, 2] }");
     let pipeline = parsed(&text);

@@ -7,13 +7,14 @@ use crate::linear::{Activation, Linear};
 use crate::weights::{Weights, WeightsError};
 use crate::{Attention, Temporal};
 
-/// Temporal attention: which steps of an agent matter.
+/// Temporal attention: the weights of an agent's history steps.
 ///
 /// ```text
-/// β^k = softmax over present k of f_act(w_h · v̄^k)        ṽ^(h) = Σ_k β^k f_act(V^(h) v̄^k)        [model §3]
+/// β^k = softmax over present k of f_act(w_h · v̄^k)      ṽ^(h) = Σ_k β^k f_act(V^(h) v̄^k)      [model §3]
 /// ```
 ///
-/// In the literal reading V^(h) = w_hᵀ: 64 heads of one number. Equal attention is the same with all scores 0.
+/// In the literal reading V^(h) = w_hᵀ: 64 heads of one number. Equal attention is the same with all scores
+/// 0.
 pub(super) struct TemporalAttention {
     /// None where attention is equal.
     scores: Option<Linear>,

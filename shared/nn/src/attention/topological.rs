@@ -31,8 +31,8 @@ pub(super) struct Round {
     slope: f32,
 }
 
-/// The MLP of the edge update, its first matrix split into the parts of receiver, sender and edge: what depends on a
-/// node alone is computed once per node.
+/// The MLP of the edge update, its first matrix split into the parts of receiver, sender and edge: what
+/// depends on a node alone is computed once per node.
 struct EdgeUpdate {
     receiver: Linear,
     sender: Linear,

@@ -3,7 +3,7 @@ use crate::kernels::product::{Gather, Panels, Product, Taps};
 use crate::linear::Activation;
 use crate::weights::{Weights, WeightsError};
 
-/// What PyTorch adds to the variance.
+/// ε, which PyTorch adds to the variance.
 const BATCH_NORM_EPSILON: f64 = 1e-5;
 
 /// The square map and kernel of a convolution.

@@ -1,4 +1,4 @@
-//! Agents of one type on their way through the decoder together: burn-in, base controls, draws, probabilities.
+//! A group of agents of one type that is decoded together: burn-in, base controls, draws, probabilities.
 
 use wire::{ControlGaussian, LATENT, STATE_FEATURES, TEMPORAL};
 
@@ -8,7 +8,7 @@ use crate::base::{Base, BaseFeatures};
 
 /// Agents of one type, encoded.
 pub trait Encoded {
-    /// How many they are.
+    /// Number of agents.
     fn agents_len(&self) -> usize;
 
     /// State features s of an agent at a history step, where it is present.
@@ -17,11 +17,11 @@ pub trait Encoded {
     /// Temporal summary ṽ of an agent.
     fn temporal(&self, agent: usize) -> [f32; TEMPORAL];
 
-    /// Fills the modes of an agent with draws from N(0, I); asked of models without learned points.
+    /// Fills the modes of an agent with draws from N(0, I); called for models without learned points.
     fn draw(&self, agent: usize, latents: &mut [[f32; LATENT]]);
 }
 
-/// A group of agents of one type, and what the network says of them.
+/// A group of agents of one type, and the network's output for them.
 #[derive(Default)]
 pub struct DecoderGroup {
     /// \[step, agent\].
@@ -31,7 +31,8 @@ pub struct DecoderGroup {
     history: Vec<[f32; STATE_FEATURES]>,
     hidden: Vec<[f32; HIDDEN]>,
     temporal: Vec<[f32; TEMPORAL]>,
-    /// Base controls, \[agent, mode, step\], those of the best forecast behind the modes; empty where the model has none.
+    /// Base controls, \[agent, mode, step\], those of the best forecast behind the modes; empty where the
+    /// model has none.
     base: Vec<[f32; 2]>,
     /// \[agent, draw\].
     latents: Vec<[f32; LATENT]>,
@@ -43,27 +44,28 @@ pub struct DecoderGroup {
     memory: DecoderMemory,
 }
 
-/// What the network says of an agent.
+/// The network's output for an agent.
 #[derive(Clone, Copy, Debug)]
 pub struct AgentDraws<'a> {
     /// \[draw, step\].
     raw: &'a [[f32; RAW_CONTROL]],
     horizon_len: usize,
-    /// Base controls, \[mode, step\], those of the best forecast behind the modes; empty where the model has none.
+    /// Base controls, \[mode, step\], those of the best forecast behind the modes; empty where the model has
+    /// none.
     pub base: &'a [[f32; 2]],
     /// The probability of each mode.
     pub probability: &'a [f32],
 }
 
 impl DecoderGroup {
-    /// Agents that had best be decoded together, at most.
+    /// Most agents of a group, chosen for speed.
     pub const LEN: usize = 16;
 
     /// Decodes agents of a type by its network. Allocates only where a group is larger than all before.
     ///
-    /// The draws are the learned points, that of the best forecast last where the model has one. A model without learned
-    /// points takes [`Encoded::draw`]; without a point of its own its best forecast, always the last, then takes the
-    /// middle of the distribution.
+    /// The draws are the learned points, that of the best forecast last where the model has one. A model
+    /// without learned points takes [`Encoded::draw`]; without a point of its own its best forecast, always
+    /// the last, then takes the middle of the distribution.
     pub fn decode(&mut self, network: &TypeDecoder, config: &ModelConfig, agents: &impl Encoded) {
         let (agents_len, modes_len) = (agents.agents_len(), config.modes);
         self.gather(config.history_len, agents);
@@ -121,7 +123,7 @@ impl DecoderGroup {
         base.controls(&features, &mut self.base[first..]);
     }
 
-    /// What the network said of an agent of the group.
+    /// The network's output for an agent of the group.
     ///
     /// # Panics
     /// Where the group has no such agent.
@@ -135,7 +137,7 @@ impl DecoderGroup {
         }
     }
 
-    /// An agent's share of what all agents have as much of.
+    /// An agent's part of rows of which each agent has the same number.
     fn share<'a, T>(&self, agent: usize, of_all: &'a [T]) -> &'a [T] {
         let len = of_all.len() / self.hidden.len();
         &of_all[agent * len..][..len]
@@ -143,7 +145,7 @@ impl DecoderGroup {
 }
 
 impl AgentDraws<'_> {
-    /// How many draws there are: a mode each, and the best forecast behind them where it is one of its own.
+    /// Number of draws: one for each mode and, where the model has a latent point for it, the best forecast.
     #[must_use]
     pub const fn draws_len(&self) -> usize {
         self.raw.len() / self.horizon_len
@@ -155,7 +157,7 @@ impl AgentDraws<'_> {
         &self.base[self.base.len().saturating_sub(self.horizon_len)..]
     }
 
-    /// Control Gaussians of the steps of a draw, base control and all.
+    /// Control Gaussians of the steps of a draw, base control included.
     pub fn controls(&self, draw: usize) -> impl Iterator<Item = ControlGaussian> + '_ {
         let steps = draw * self.horizon_len..(draw + 1) * self.horizon_len;
         steps.map(|step| {

@@ -14,7 +14,8 @@ pub(crate) const GATES: usize = 3 * HIDDEN;
 /// r = σ(i_r + h_r)   z = σ(i_z + h_z)   n = tanh(i_n + r h_n)   h' = (1 − z) n + z h
 /// ```
 ///
-/// `input` is W_i x + b_i and `hidden` W_h h + b_h, each \[row, r ‖ z ‖ n\]; an `input` of one row serves all rows.
+/// `input` is W_i x + b_i and `hidden` W_h h + b_h, each \[row, r ‖ z ‖ n\]; an `input` of one row serves all
+/// rows.
 pub(crate) fn gru_step(input: &[f32], hidden: &[f32], state: &mut [f32]) {
     dispatch(Gru { input, hidden, state });
 }

@@ -1,6 +1,7 @@
 #![expect(unsafe_code, reason = "vector loads and stores")]
 
-/// The operations of one instruction set on vectors of `LEN` floats, as a token: who holds one may use the set.
+/// The operations of one instruction set on vectors of `LEN` floats, as a token: code that holds one may use
+/// the set.
 ///
 /// All methods are `#[inline(always)]`, see [`super::Kernel`].
 pub trait Lanes: Copy {

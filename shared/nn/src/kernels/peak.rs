@@ -1,4 +1,4 @@
-//! What this processor can do: the yardstick for the kernels, measured in the same run.
+//! The peak of this processor, the yardstick for the kernels, measured in the same run.
 
 use std::hint::black_box;
 use std::time::{Duration, Instant};

@@ -4,13 +4,14 @@
 //! out[q, o] = ( Σ_tap Σ_c  input[row(q, tap), c] · W[o, tap, c] + bias[o] + residual[q, o] )⁺
 //! ```
 //!
-//! A linear layer has one tap, and row q of its output reads row q of its input. A convolution has a tap for each cell of
-//! its kernel and reads the input *in place* (indirect convolution: no im2col copy). A tap that sees only padding is
-//! *dead* for that output and is skipped; where a register tile mixes outputs for which a tap is live and dead, the dead
-//! ones read a shared row of zeros.
+//! A linear layer has one tap, and row q of its output reads row q of its input. A convolution has a tap for
+//! each cell of its kernel and reads the input *in place* (indirect convolution: no im2col copy). A tap that
+//! sees only padding is *dead* for that output and is skipped; where a register tile mixes outputs for which
+//! a tap is live and dead, the dead ones read a shared row of zeros.
 //!
-//! W is packed as `[⌈out / 16⌉][tap][in][16]`, so that the innermost loop reads it front to back. Each output is one chain
-//! of multiply-adds in the order of (tap, c): neither the tile's shape nor the other rows of a batch change a bit of it.
+//! W is packed as `[⌈out / 16⌉][tap][in][16]`, so that the innermost loop reads it front to back. Each output
+//! is one chain of multiply-adds in the order of (tap, c): neither the tile's shape nor the other rows of a
+//! batch change a bit of it.
 
 #![expect(unsafe_code, reason = "the register tile reads through pointers")]
 
@@ -40,8 +41,8 @@ pub struct Panels {
 }
 
 impl Panels {
-    /// Packs the matrix whose entry for (out, tap, in) is `weight(out, tap, in)`. Outputs are padded to whole panels
-    /// with zeros.
+    /// Packs the matrix whose entry for (out, tap, in) is `weight(out, tap, in)`. Outputs are padded to whole
+    /// panels with zeros.
     ///
     /// # Panics
     /// Where a length is 0 or there are more than 49 taps.
@@ -79,7 +80,7 @@ impl Panels {
     }
 }
 
-/// Where each output position of a convolution finds the input of each tap.
+/// The input position of each tap at each output position of a convolution.
 pub struct Taps {
     /// \[output position, tap\]: input position or [`DEAD`].
     sources: Vec<u32>,
@@ -134,7 +135,8 @@ impl Taps {
         (Self { sources, taps_len: left.len(), in_positions: self.in_positions }, left)
     }
 
-    /// The way back: each *input* position finds the output position that reads it through each tap.
+    /// The table of the backward pass: each *input* position finds the output position that reads it through
+    /// each tap.
     #[must_use]
     pub fn transposed(&self) -> Self {
         let mut sources = vec![DEAD; self.in_positions * self.taps_len];
@@ -281,8 +283,8 @@ impl Kernel for Checked<'_> {
 impl Checked<'_> {
     /// All rows of all columns; `ACROSS` where the input rows are columns of a matrix.
     ///
-    /// The tile keeps R × V vectors in registers: enough to hide the latency of the multiply-adds, and few enough loads
-    /// for each of them.
+    /// The tile keeps R × V vectors in registers: enough to hide the latency of the multiply-adds, and few
+    /// enough loads for each of them.
     #[inline(always)]
     fn panels<L: Lanes, const ACROSS: bool>(&mut self, lanes: L) {
         let panels_len = self.product.panels.panels_len;
@@ -387,8 +389,8 @@ impl Checked<'_> {
     }
 
     /// # Safety
-    /// The tile's rows hold `in_len` floats each, as far apart as the gather says; panels, residual and output hold the
-    /// columns and rows addressed.
+    /// The tile's rows hold `in_len` floats each, as far apart as the gather gives; panels, residual and
+    /// output hold the columns and rows addressed.
     #[inline(always)]
     unsafe fn multiply<L: Lanes, const R: usize, const V: usize, const ACROSS: bool>(
         &mut self,

@@ -1,4 +1,4 @@
-//! Memory files: what is read is what was written, or refused.
+//! Memory files: read as written, or refused.
 
 use std::path::Path;
 
@@ -12,7 +12,7 @@ const WEIGHTS: &str = "0123456789abcdef";
 /// Their steps.
 const STEPS: (usize, u64) = (HORIZON_LEN, STEP_NS);
 
-/// The key of an agent about the origin, and where it goes in the steps after.
+/// The key of an agent about the origin, and its positions in the steps after.
 fn passage() -> impl Strategy<Value = (Key, Vec<[f32; 2]>)> {
     let near = || [-9.0_f32..9.0, -9.0_f32..9.0];
     let bicycle = (near(), -3.0_f32..3.0, 1.0_f32..9.0, -2.0_f32..2.0, -0.3_f32..0.3).prop_map(
@@ -33,7 +33,7 @@ fn passage() -> impl Strategy<Value = (Key, Vec<[f32; 2]>)> {
 }
 
 /// Agents pass, one after the other, all forecast to stand.
-fn go_by(memory: &mut RetrievalMemory, passages: &[(Key, Vec<[f32; 2]>)]) {
+fn pass_all(memory: &mut RetrievalMemory, passages: &[(Key, Vec<[f32; 2]>)]) {
     let position_m = |key: &Key| match key {
         Key::Bicycle(key) => key.position_m,
         Key::Displacement(key) => key.position_m,
@@ -59,7 +59,7 @@ proptest! {
         let folder = tempfile::tempdir().unwrap();
         let [path, again] = ["a.memory", "b.memory"].map(|name| folder.path().join(name));
         let mut memory = RetrievalMemory::new(HORIZON_LEN, STEP_NS);
-        go_by(&mut memory, &passages);
+        pass_all(&mut memory, &passages);
         memory.save(&path, WEIGHTS).unwrap();
         memory.end_session();
         let found = RetrievalMemory::load(&path, WEIGHTS, STEPS).unwrap();
@@ -72,8 +72,8 @@ proptest! {
     }
 }
 
-/// A file of the program's first version, of four vehicles that braked by 1 m/s² and four pedestrians that bore left by
-/// 0.2 m/s², one after the other.
+/// A file of the program's first version: four vehicles that braked at 1 m/s², then four pedestrians that
+/// turned left at 0.2 m/s².
 #[test]
 fn files_of_the_first_version_are_read_and_written_alike() {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/retrieval/data/earlier.memory");
@@ -88,9 +88,10 @@ fn files_of_the_first_version_are_read_and_written_alike() {
     assert!(std::fs::read(path).unwrap() == std::fs::read(again).unwrap());
 }
 
-/// Entries at one spot, and over so many that there is no room for all: the newest are kept, and only they are written.
+/// Entries at one place, and more at others than there is room for: the newest are kept, and only they are
+/// written.
 #[test]
-fn the_oldest_entries_give_way() {
+fn the_oldest_entries_are_dropped() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("a.memory");
     let kept = |memory: &RetrievalMemory| {
@@ -98,14 +99,14 @@ fn the_oldest_entries_give_way() {
         RetrievalMemory::load(&path, WEIGHTS, STEPS).unwrap().entries_len()
     };
     let mut memory = RetrievalMemory::new(HORIZON_LEN, STEP_NS);
-    go_by(&mut memory, &vec![(at_x(0.5), vec![[1.0, 0.0]; HORIZON_LEN]); 300]);
+    pass_all(&mut memory, &vec![(at_x(0.5), vec![[1.0, 0.0]; HORIZON_LEN]); 300]);
     assert_eq!((memory.entries_len(), kept(&memory)), (300, 128));
     let walk = |number: usize| {
         let position_m = [(number % 400) as f32 * 5.0, (number / 400) as f32 * 5.0];
         (Key::Displacement(DisplacementKey { position_m, velocity_mps: [1.0, 0.0] }), vec![[0.0; 2]])
     };
     memory.end_session();
-    go_by(&mut memory, &(0..131_072).map(walk).collect::<Vec<_>>());
+    pass_all(&mut memory, &(0..131_072).map(walk).collect::<Vec<_>>());
     assert_eq!((memory.entries_len(), kept(&memory)), (131_072, 131_072));
     assert!(retrieve(&memory, 0, &at_x(0.5)).is_empty(), "the first ones are gone");
     assert!(!retrieve(&memory, 0, &walk(0).0).is_empty());

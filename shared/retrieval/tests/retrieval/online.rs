@@ -1,4 +1,4 @@
-//! What is retrieved for whom, and when, and what it changes in controls.
+//! What is retrieved for which agent and when, and how it changes controls.
 
 use crate::passing::{AT_ZERO, HORIZON_LEN, STEP_NS, STEP_S, after, at_x, pass, retrieve, straight};
 use kinematics::{ControlLimits, MotionKind, MotionModel, MotionOptions, MotionStart};
@@ -16,7 +16,7 @@ fn vehicle() -> MotionModel {
     MotionModel::new(MotionKind::Bicycle, &start, &options, STEP_S)
 }
 
-/// The expected changes of acceleration of somebody else.
+/// The expected changes of acceleration of another agent.
 fn accelerations(memory: &RetrievalMemory, x_m: f32) -> Vec<f32> {
     let changes = retrieve(memory, 99, &at_x(x_m)).expected.control_change(&vehicle());
     changes[..HORIZON_LEN].iter().map(|[acceleration, _]| *acceleration).collect()
@@ -59,7 +59,7 @@ fn only_steps_that_were_taken_count() {
 }
 
 #[test]
-fn nothing_is_retrieved_of_oneself_or_of_dissimilar_keys() {
+fn own_entries_and_dissimilar_keys_are_not_retrieved() {
     let memory = after(1, -1.0, 0.5, 3.0);
     let finds = |agent: u64, key: Key| !retrieve(&memory, agent, &key).expected.is_empty();
     assert!(finds(2, at_x(0.0)));
@@ -70,7 +70,7 @@ fn nothing_is_retrieved_of_oneself_or_of_dissimilar_keys() {
 }
 
 #[test]
-fn in_another_session_time_begins_anew_and_agents_are_others() {
+fn another_session_restarts_time_and_agent_numbers() {
     let mut memory = after(1, -1.0, 0.5, 3.0);
     assert!(!memory.observe(0, []), "time does not go back");
     memory.end_session();
@@ -78,9 +78,9 @@ fn in_another_session_time_begins_anew_and_agents_are_others() {
     assert!(!retrieve(&memory, 1, &at_x(0.0)).is_empty(), "another agent of the same number");
 }
 
-/// Of a crowd too large to follow some are not stored; when it is gone there is room for others.
+/// Of a crowd beyond the limit some agents are not stored; when it is gone there is room for others.
 #[test]
-fn a_crowd_has_a_limit_and_leaves_its_room_to_others() {
+fn a_crowd_beyond_the_limit_is_stored_in_part() {
     let mut memory = RetrievalMemory::new(HORIZON_LEN, STEP_NS);
     for (crowd, stamp_ns) in [(0..600, 0), (600..1_200, 10_000_000_000)] {
         assert!(memory.observe(stamp_ns, crowd.clone().map(|agent| (agent, [0.0; 2]))));
@@ -124,9 +124,9 @@ fn vehicles_that_stand_have_no_key() {
     assert_eq!(key(&[None, state(1.0)]), None);
 }
 
-/// Pedestrians at 1.25 m/s along the diagonal, forecast to go on so, who bear to the left from the origin on.
+/// Pedestrians at 1.25 m/s along the diagonal, forecast to go straight on, that turn left from the origin on.
 #[test]
-fn bearing_left_is_expected_where_others_bore_left() {
+fn turning_left_is_expected_where_others_turned_left() {
     let mut memory = RetrievalMemory::new(HORIZON_LEN, STEP_NS);
     let at = |position_m| Key::Displacement(DisplacementKey { position_m, velocity_mps: [0.75, 1.0] });
     let straight: Vec<[f32; 2]> =
@@ -159,7 +159,8 @@ fn bearing_left_is_expected_where_others_bore_left() {
     assert!(retrieve(&memory, 99, &driver).is_empty(), "of the other kind");
 }
 
-/// Two modes, straight on and a little faster, and a best forecast, straight on; all with the same deviations.
+/// Two modes, straight on and a little faster, and a best forecast, straight on; all with the same
+/// deviations.
 struct Forecast {
     modes: [Vec<ControlGaussian>; 2],
     best: Vec<ControlGaussian>,
@@ -176,7 +177,7 @@ impl Forecast {
     }
 }
 
-/// Where changed controls lead in the end: the best forecast and the modes.
+/// Last positions of changed controls: of the best forecast and the modes.
 fn ends_m(changes: &ControlChanges, forecast: &Forecast) -> [f32; 3] {
     let end = |means: &mut dyn Iterator<Item = [f32; 2]>| {
         let mut path = [[0.0; 2]; HORIZON_LEN];
@@ -200,9 +201,9 @@ fn controls_stay_where_nothing_is_retrieved() {
     assert!(changes.best(&forecast.controls()).eq(forecast.best.iter().map(|control| control.mean)));
 }
 
-/// Where all others braked by 1 m/s², the best forecast does, and a mode is replaced by what they did.
+/// Where all others braked at 1 m/s², the best forecast brakes, and a mode is replaced by their path.
 #[test]
-fn the_best_forecast_is_changed_and_a_mode_follows_the_neighbours() {
+fn the_best_forecast_changes_and_a_mode_is_replaced() {
     let (forecast, mut changes) = (Forecast::new(), ControlChanges::default());
     let mut retrieval = Retrieval::new(after(60, -1.0, 0.5, 3.0));
     let query = Query { stamp_ns: i64::MAX, agent: 99, key: at_x(0.0) };

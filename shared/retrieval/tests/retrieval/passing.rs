@@ -1,4 +1,4 @@
-//! Memories that saw agents pass by.
+//! Memories filled by agents that pass.
 
 use retrieval::{BicycleKey, Key, Query, RetrievalMemory, Retrieved};
 
@@ -26,8 +26,8 @@ pub fn retrieve(memory: &RetrievalMemory, agent: u64, key: &Key) -> Retrieved {
     retrieved
 }
 
-/// Lets an agent pass that is at `path(0)` at `start_ns`, where it is stored with a forecast, and is observed every `tick_s`
-/// up to `until_s` later; returns the time then.
+/// Lets an agent pass that is at `path(0)` at `start_ns`, where it is stored with a forecast, and is observed
+/// every `tick_s` up to `until_s` later; returns the time then.
 pub fn pass(
     memory: &mut RetrievalMemory,
     (agent, key): (u64, Key),
@@ -52,8 +52,8 @@ pub fn straight() -> Vec<[f32; 2]> {
     (1..=HORIZON_LEN).map(|step| [4.0 * step as f32, 0.0]).collect()
 }
 
-/// A memory that saw agents, one after the other, who are forecast to go straight on from the origin at 8 m/s and brake by
-/// `acceleration_mps2` from there on, observed every `tick_s`.
+/// A memory of agents, one after the other, that are forecast to go straight on from the origin at 8 m/s and
+/// accelerate by `acceleration_mps2` from there on, observed every `tick_s`.
 pub fn after(agents: u64, acceleration_mps2: f32, tick_s: f32, until_s: f32) -> RetrievalMemory {
     let mut memory = RetrievalMemory::new(HORIZON_LEN, STEP_NS);
     let mut now_ns = 0;

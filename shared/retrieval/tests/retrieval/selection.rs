@@ -1,4 +1,4 @@
-//! Mode selection: which neighbours' paths stand in for modes.
+//! Mode selection: which neighbours' paths replace modes.
 
 use kinematics::MotionKind;
 use retrieval::ModeSelection;
@@ -25,7 +25,8 @@ fn select(
 
 #[test]
 fn a_common_path_replaces_the_mode_whose_loss_is_least() {
-    // The second mode is nearly the first. Two went left, where no mode goes; one went where the third mode goes.
+    // The second mode is nearly the first. Two went left, where no mode goes; one went where the third mode
+    // goes.
     let paths = [to(4.0, 0.0), to(4.1, 0.0), to(2.0, 0.0), to(0.0, 4.0), to(0.0, 4.2), to(2.0, 0.1)];
     let selected = select(MotionKind::Displacement, &paths, &[0.5, 0.2, 0.3], &[1.0, 0.9, 1.0]);
     assert_eq!(selected.iter().map(|(path, _)| *path).collect::<Vec<_>>(), [0, 3, 2]);

@@ -19,14 +19,16 @@ pub struct MapBuilder {
 }
 
 impl MapBuilder {
-    /// A map without visits, its lower left corner at `origin_m`; `None` where it has more than [`CELLS_MAX`] cells.
+    /// A map without visits, its lower left corner at `origin_m`; `None` where it has more than [`CELLS_MAX`]
+    /// cells.
     #[must_use]
     pub fn new(origin_m: [f32; 2], rows: usize, cols: usize) -> Option<Self> {
         let cells_len = rows.checked_mul(cols).filter(|len| *len <= CELLS_MAX)?;
         Some(Self { origin_m, rows, cols, sums: vec![Sums::default(); cells_len] })
     }
 
-    /// Counts an agent that was at a position with a velocity. One outside the map is dropped; tells whether it counted.
+    /// Counts an agent that was at a position with a velocity. One outside the map is dropped. Returns
+    /// whether it counted.
     pub fn visit(&mut self, position_m: [f32; 2], velocity_mps: [f32; 2]) -> bool {
         let [col, row] = [0, 1].map(|axis| f64::from(position_m[axis]) - f64::from(self.origin_m[axis]));
         let inside = |index: f64, len: usize| index >= 0.0 && index < len as f64;

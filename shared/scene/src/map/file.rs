@@ -1,4 +1,5 @@
-//! Map files: safetensors with `map.density` \[rows, cols\], `map.velocity` \[2, rows, cols\] m/s and `map.origin_m` \[2\], f32.
+//! Map files: safetensors with `map.density` \[rows, cols\], `map.velocity` \[2, rows, cols\] m/s and
+//! `map.origin_m` \[2\], f32.
 
 use std::path::Path;
 

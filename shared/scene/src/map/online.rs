@@ -15,11 +15,12 @@ struct Cell {
     velocity_mps: [f32; 2],
 }
 
-/// A map of what was observed so far, causal by construction: a patch shows only the visits added before it was cut.
+/// A map of what was observed so far, causal by construction: a patch shows only the visits added before it
+/// was cut.
 ///
-/// Memory is bounded: the map is a window of [`ONLINE_SIDE`]² cells around the ego, and what falls behind it is
-/// forgotten. Cells lie on whole metres of the world frame and are stored modulo the window's side, so that moving the
-/// window clears the strips that leave and copies nothing.
+/// Memory is bounded: the map is a window of [`ONLINE_SIDE`]² cells around the ego, and cells that leave it
+/// are cleared. Cells lie on whole metres of the world frame and are stored modulo the window's side, so that
+/// moving the window clears the strips that leave and copies nothing.
 #[derive(Clone)]
 pub struct OnlineMap {
     cells: Vec<Cell>,
@@ -39,7 +40,7 @@ impl Default for OnlineMap {
 }
 
 impl OnlineMap {
-    /// A map that has seen nothing; the first call of [`OnlineMap::observe`] places it.
+    /// A map without visits; the first call of [`OnlineMap::observe`] places it.
     #[must_use]
     pub fn new() -> Self {
         Self {
@@ -52,7 +53,8 @@ impl OnlineMap {
         }
     }
 
-    /// Adds the visits (position, velocity) of a tick, with the ego at `ego_m`. Visits outside the window are dropped.
+    /// Adds the visits (position, velocity) of a tick, with the ego at `ego_m`. Visits outside the window are
+    /// dropped.
     pub fn observe(&mut self, ego_m: [f32; 2], visits: impl Iterator<Item = ([f32; 2], [f32; 2])>) {
         self.follow(ego_m);
         for (position_m, velocity_mps) in visits {
@@ -103,14 +105,14 @@ impl OnlineMap {
         for (axis, corner) in wanted.into_iter().enumerate() {
             let shift = corner - self.corner[axis];
             if shift.abs() > SLACK {
-                self.forget_strip(axis, shift);
+                self.clear_strip(axis, shift);
                 self.corner[axis] = corner;
             }
         }
     }
 
     /// Clears the lines that leave when the window moves by `shift` cells along `axis`.
-    fn forget_strip(&mut self, axis: usize, shift: i32) {
+    fn clear_strip(&mut self, axis: usize, shift: i32) {
         let len = (shift.unsigned_abs() as usize).min(ONLINE_SIDE);
         let first = if shift > 0 { 0 } else { ONLINE_SIDE - len };
         for line in first..first + len {
@@ -147,7 +149,7 @@ impl Cells for OnlineMap {
     }
 }
 
-/// The world cell of a coordinate; what no coordinate can be is taken to the nearest that can.
+/// The world cell of a coordinate, clamped to the world.
 fn world_cell(coordinate_m: f32) -> i32 {
     coordinate_m.clamp(-wire::POSITION_MAX_M, wire::POSITION_MAX_M).floor() as i32
 }

@@ -12,7 +12,7 @@ pub struct PatchOptions {
     pub side: usize,
     /// Side of a patch's cell.
     pub cell_m: f32,
-    /// How far a patch's centre lies ahead of the agent: where it will be matters more than where it was.
+    /// Distance of a patch's centre ahead of the agent, towards where it will be.
     pub ahead_m: f32,
 }
 
@@ -55,8 +55,8 @@ pub(super) fn sample(map: &impl Cells, state: &State, options: PatchOptions, out
     let (sin, cos) = state.heading_rad.sin_cos();
     let half = (options.side as f32 - 1.0) * 0.5;
     let origin_m = map.origin_m();
-    // In units of cells from the centre of cell (0, 0). Whole and fraction are kept apart, so that the fractions are as
-    // exact far from the origin as they are near it.
+    // In units of cells from the centre of cell (0, 0). Whole and fraction are kept apart, so that the
+    // fractions are as exact far from the origin as they are near it.
     let [(whole_x, centre_x), (whole_y, centre_y)] = [0, 1].map(|axis| {
         let (position, origin) = (floor(state.position_m[axis]), floor(origin_m[axis]));
         let fraction = (state.position_m[axis] - position as f32) - (origin_m[axis] - origin as f32);

@@ -66,11 +66,13 @@ record! {
         12 => modes_len: u32,
         /// Probability of each mode; they sum to 1.
         16 => probability: [f32; MODES_MAX],
-        /// Controls of each mode and step, before saturation: of a vehicle acceleration and slip rate, else displacements.
+        /// Controls of each mode and step, before saturation: of a vehicle acceleration and slip rate, else
+        /// displacements.
         96 => modes: [[ControlGaussian; HORIZON_MAX]; MODES_MAX],
         /// Controls of the single best forecast (K = 1).
         4896 => best: [ControlGaussian; HORIZON_MAX],
-        /// The model's base control for the single best forecast, without what the network adds; zeros where the model has no base.
+        /// The model's base control for the single best forecast, without what the network adds; zeros where
+        /// the model has no base.
         5136 => base: [[f32; 2]; HORIZON_MAX],
         /// Zero.
         5232 => reserved: [u8; 80],

@@ -47,7 +47,8 @@ record! {
 }
 
 record! {
-    /// What was really there at the stamp of a frame: element of the topic `truth`, which the recorder alone reads.
+    /// What was really there at the stamp of a frame: element of the topic `truth`, which the recorder alone
+    /// reads.
     pub struct Truth: 32 bytes {
         /// Identity in the recording.
         0 => id: u64,

@@ -17,8 +17,9 @@ numbers! {
 numbers! {
     /// Why a forecast is not [`Quality::Learned`].
     ///
-    /// Numbers up to 31, a bit each in [`Forecast::causes`]. These are kept for causes to come: 5 shed to save time, 6 detections
-    /// missing, 7 stage restarted, 8 integrity check failed, 9 out of distribution, 10 source frozen.
+    /// Numbers up to 31, a bit each in [`Forecast::causes`]. These are kept for causes to come: 5 shed to
+    /// save time, 6 detections missing, 7 stage restarted, 8 integrity check failed, 9 out of distribution,
+    /// 10 source frozen.
     pub enum Cause {
         /// Nothing is wrong.
         None = 0 => "none",
@@ -40,7 +41,8 @@ numbers! {
         None = 0 => "none",
         /// Acceleration in m/s² and slip rate in rad/s of a kinematic bicycle.
         Bicycle = 1 => "bicycle",
-        /// Displacement of the step beyond that of the velocity at the forecast's start, in m along and across the agent.
+        /// Displacement of the step beyond that of the velocity at the forecast's start, in m along and
+        /// across the agent.
         Displacement = 2 => "displacement",
     }
 }
@@ -64,7 +66,8 @@ numbers! {
 }
 
 record! {
-    /// The forecast of an agent: element of the topic `forecasts`. Step k lies (k + 1) Δt after the frame's stamp.
+    /// The forecast of an agent: element of the topic `forecasts`. Step k lies (k + 1) Δt after the frame's
+    /// stamp.
     pub struct Forecast: 10240 bytes {
         /// The track.
         0 => id: u64,
@@ -104,10 +107,11 @@ record! {
         84 => length_m: f32,
         /// Extent across the heading; 0 where unknown.
         88 => width_m: f32,
-        /// How far the agent is from what the model was trained on, greater is farther; 0 where it is not told.
+        /// How far the agent is from what the model was trained on, greater is farther; 0 where it is not
+        /// told.
         92 => out_of_distribution: f32,
-        /// Weight of each [`Expert`] by its number: network, base, constant velocity, decaying turn, process model; zeros where they are
-        /// not told.
+        /// Weight of each [`Expert`] by its number: network, base, constant velocity, decaying turn, process
+        /// model; zeros where they are not told.
         96 => expert_weights: [f32; EXPERTS_MAX],
         /// Probability of each mode; they sum to 1.
         128 => probability: [f32; MODES_MAX],
@@ -125,8 +129,8 @@ record! {
         640 => modes: [[[f32; 2]; HORIZON_MAX]; MODES_MAX],
         /// Covariance of the position of each mode and step as (xx, xy, yy), m².
         2560 => mode_covariance: [[[f32; 3]; HORIZON_MAX]; MODES_MAX],
-        /// The controls that lead to `modes`, as they act (after saturation), their first step at the stamp of the controls;
-        /// zeros where `steering` says that there are none.
+        /// The controls that lead to `modes`, as they act (after saturation), their first step at the stamp
+        /// of the controls; zeros where `steering` says that there are none.
         5440 => controls: [[ControlGaussian; HORIZON_MAX]; MODES_MAX],
     }
 }

@@ -52,7 +52,8 @@ record! {
         48 => x_m: f32,
         /// Filtered position.
         52 => y_m: f32,
-        /// Filtered heading; turns by at most 60° from one frame to the next, also where the front is found to be the back.
+        /// Filtered heading; turns by at most 60° from one frame to the next, also where the front is found
+        /// to be the back.
         56 => heading_rad: f32,
         /// Filtered speed along the heading; negative in reverse.
         60 => speed_mps: f32,
@@ -72,11 +73,11 @@ record! {
         88 => type_probability: [f32; 3],
         /// Covariance of the filtered state, row-major, `state_len` × `state_len`, the rest 0.
         100 => covariance: [f32; 25],
-        /// States at now − (T_h − 1 − k) Δt, oldest first, in the first `history_len` entries. Once published for a
-        /// stamp, a state is never rewritten.
+        /// States at now − (T_h − 1 − k) Δt, oldest first, in the first `history_len` entries. Once published
+        /// for a stamp, a state is never rewritten.
         200 => history: [HistoryState; HISTORY_MAX],
-        /// [`crate::Quality`] of what moved the state to this stamp, as a number: a forecast, one that is older than Δt, or the
-        /// process model alone.
+        /// [`crate::Quality`] of what moved the state to this stamp, as a number: a forecast, one that is
+        /// older than Δt, or the process model alone.
         392 => prior: u32,
         /// Zero.
         396 => reserved: [u8; 4],

@@ -4,7 +4,8 @@ fn value(i: usize) -> f32 {
     ((i * 37) % 101) as f32 * 0.02 - 1.0
 }
 
-/// Products with a matrix's rows and with its columns beside their definition, for tiles and panels of every size.
+/// Products with a matrix's rows and with its columns beside their definition, for tiles and panels of every
+/// size.
 #[test]
 fn rows_and_columns_agree_with_the_definition() {
     for (rows_len, in_len, out_len) in [(1, 1, 1), (12, 3, 16), (31, 5, 33), (47, 96, 20), (6, 40, 64)] {
@@ -13,7 +14,7 @@ fn rows_and_columns_agree_with_the_definition() {
         let out_stride = panels.out_stride();
         let residual: Vec<f32> = (0..rows_len * out_stride).map(value).collect();
         for across in [false, true] {
-            // Some floats between the rows that no one may read for a result.
+            // Some floats between the rows, which no result may depend on.
             let stride = 3 + if across { rows_len } else { in_len };
             let input: Vec<f32> = (0..stride * rows_len.max(in_len)).map(value).collect();
             let gather = if across { Gather::Columns { stride } } else { Gather::Rows { stride } };

@@ -1,3 +1,5 @@
+//! The retrieval memory of a run on disk: where the sampler begins with it, and where it is saved at the end.
+
 use model::ModelConfig;
 use nn::Weights;
 use ports::StageError;
@@ -7,26 +9,28 @@ use run::Run;
 use crate::settings::settings;
 use crate::{Options, STAGE, Sampler};
 
-/// A sampler as the run's record says, with the memory of the place that the run begins with, if it has one.
+/// A sampler with the options of the run's record, warm-started from the memory file that they name, if it
+/// exists.
 ///
 /// # Errors
-/// [`StageError`] where the run's options or that memory can't be used.
+/// [`StageError`] where the run's options or that file can't be used.
 pub fn open(run: &Run, model: &ModelConfig) -> Result<Sampler, StageError> {
     let options = STAGE.options(run)?;
     let mut sampler = Sampler::new(settings(&options, model, run.seed));
     if let Some(path) = options.memory.filter(|path| path.exists()) {
         let weights = Weights::of_model(run.weights.as_deref(), model).map_err(StageError::data)?;
         let steps = (model.horizon_len, model.step_ns());
-        sampler.recall(RetrievalMemory::load(&path, weights.sha256(), steps).map_err(StageError::data)?);
+        sampler.warm_start(RetrievalMemory::load(&path, weights.sha256(), steps).map_err(StageError::data)?);
     }
     Ok(sampler)
 }
 
-/// Keeps what the sampler remembers of the place where the run's record wants it, for another run to begin with.
+/// Saves the sampler's memory to the file that the run's options name, if they do, for later runs to start
+/// from.
 ///
 /// # Errors
-/// [`StageError`] where it can't be written.
-pub fn keep_memory(run: &Run, sampler: &Sampler) -> Result<(), StageError> {
+/// [`StageError`] where the file can't be written.
+pub fn save_memory(run: &Run, sampler: &Sampler) -> Result<(), StageError> {
     let Options { memory: path, .. } = STAGE.options(run)?;
     let (Some(path), Some(memory)) = (path, sampler.memory()) else { return Ok(()) };
     let weights = Weights::open_or_onboard(run.weights.as_deref()).map_err(StageError::data)?;
