@@ -19,7 +19,7 @@ fn example(name: &str) -> String {
 #[test]
 fn one_line_puts_a_program_of_ones_own_in_a_stages_place() {
     let scratch = Scratch::new("swap");
-    let pipeline = scratch.pipeline_with("localiser", &[&example("blind_localiser")]);
+    let pipeline = scratch.pipeline_with("localiser", &[&example("area_localiser")]);
     let forecasts = |name: &str, arguments: &[&str]| {
         let file = scratch.path(name);
         let run =
@@ -27,9 +27,14 @@ fn one_line_puts_a_program_of_ones_own_in_a_stages_place() {
         run_well(&[&run[..], arguments].concat());
         scratch.read(name)
     };
-    let blind = forecasts("blind", &["--pipeline", &pipeline]);
-    assert!(blind == forecasts("no-map", &["--map", "none"]), "a stage without a map is as good as no map");
-    assert!(blind != forecasts("shipped", &[]), "the stage that was swapped out is not what ran");
+    let area = |radius_m: &str| {
+        let set = format!("localiser.radius_m={radius_m}");
+        forecasts("area", &["--pipeline", &pipeline, "--set", &set])
+    };
+    let empty = area("1e-6");
+    assert!(empty == forecasts("no-map", &["--map", "none"]), "an empty area is as good as no map");
+    assert!(empty != area("20"), "the option reaches the program");
+    assert!(empty != forecasts("shipped", &[]), "the stage that was swapped out is not what ran");
 }
 
 #[test]

@@ -1,0 +1,95 @@
+//! A stage in place of the project's: a localiser that knows a round drivable area,
+//! `command = ["target/release/examples/area_localiser"]` in its table of pipeline.toml.
+//!
+//! It shows what every stage does: declare its topics and options, open the ports, take a frame, write the
+//! next one straight into shared memory, send it. `ports::Stage` does heartbeats, warm-up frames and the end.
+
+use std::process::ExitCode;
+
+use model::ModelConfig;
+use ports::{Stage, StageError, stage_main};
+use run::{Conflict, Declaration, Run};
+use serde::Deserialize;
+use wire::{ContextMut, ContextShape, ContextTopic, HistoryState, StageId, Topic, TracksTopic, context_rows};
+
+/// The stage that it replaces, the topics that it reads and writes, and what its options must hold to.
+const STAGE: Declaration<Options> =
+    Declaration::new(StageId::Localiser, &[TracksTopic::NAME], &[ContextTopic::NAME])
+        .with_rule(Options::check);
+
+/// `options = { radius_m = 50 }` in its table of pipeline.toml, or `--set localiser.radius_m=50`.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields, default)]
+struct Options {
+    /// Radius of the drivable area about the origin of the world frame.
+    radius_m: f32,
+}
+
+impl Default for Options {
+    fn default() -> Self {
+        Self { radius_m: 50.0 }
+    }
+}
+
+impl Options {
+    fn check(&self) -> Result<(), Conflict> {
+        if self.radius_m > 0.0 {
+            return Ok(());
+        }
+        Err(Conflict {
+            key: "radius_m",
+            reason: "`radius_m` is not positive",
+            because: "an area has a radius",
+        })
+    }
+}
+
+fn run(run: &Run) -> Result<(), StageError> {
+    let model = ModelConfig::of_run(&run.root).map_err(StageError::config)?;
+    let options = STAGE.options(run)?;
+    let mut stage = Stage::open(run, &STAGE)?;
+    let tracks = stage.subscribe::<TracksTopic>()?;
+    let output = stage.publish::<ContextTopic>()?;
+
+    while let Some(input) = stage.next(&tracks, &output)? {
+        let mut passage = stage.begin(&input);
+        let shape = ContextShape {
+            agents_len: input.len(),
+            history_len: model.history_len,
+            patch_side: model.patch_size,
+        };
+        passage.header.counts.patch_side = shape.patch_side as u32;
+        let mut loan = output.loan(context_rows(&shape))?;
+        let result = ContextMut::over(&mut loan, shape).map(|mut context| {
+            context.tracks.copy_from_slice(&input);
+            // A loan may still hold an earlier frame.
+            context.patches.fill(0.0);
+            for (agent, track) in input.iter().enumerate() {
+                let history = track.history[..shape.history_len].iter().enumerate();
+                for (step, state) in history.filter(|(_, state)| state.present != 0) {
+                    write_density(state, &options, &model, context.patch_mut(agent, step));
+                }
+            }
+        });
+        stage.finish(passage, &output, result.map(|()| loan))?;
+    }
+    Ok(())
+}
+
+/// Writes channel 0 of a patch, \[channel, row, column\]: 1 where the area is, 0 elsewhere. Row 0 is farthest
+/// ahead of the agent, column 0 leftmost. Channels 1 and 2, the velocities, stay 0.
+fn write_density(state: &HistoryState, options: &Options, model: &ModelConfig, patch: &mut [f32]) {
+    let side = model.patch_size;
+    let half = (side as f32 - 1.0) / 2.0;
+    let (sin, cos) = state.heading_rad.sin_cos();
+    for (cell, density) in patch[..side * side].iter_mut().enumerate() {
+        let ahead_m = (half - (cell / side) as f32) * model.patch_cell_m + model.patch_ahead_m;
+        let left_m = (half - (cell % side) as f32) * model.patch_cell_m;
+        let (x_m, y_m) = (state.x_m + cos * ahead_m - sin * left_m, state.y_m + sin * ahead_m + cos * left_m);
+        *density = f32::from(u8::from(x_m.hypot(y_m) <= options.radius_m));
+    }
+}
+
+fn main() -> ExitCode {
+    stage_main(run)
+}
