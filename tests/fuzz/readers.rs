@@ -8,7 +8,8 @@
 //!
 //! ```sh
 //! BOLERO_RANDOM_ITERATIONS=10000000 cargo test --release -p stgdat-tests --test fuzz_readers csv
-//! cargo bolero test -p stgdat-tests csv --engine libfuzzer     # coverage-guided; needs cargo-bolero and nightly
+//! # Coverage-guided; needs cargo-bolero and a nightly compiler.
+//! cargo bolero test -p stgdat-tests csv --engine libfuzzer
 //! ```
 
 use data::{Format, Input, Recording, Role, WindowOptions, parse, tracks, windows};

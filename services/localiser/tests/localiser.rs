@@ -70,21 +70,21 @@ fn patch(patches: &[f32], agent: usize, step: usize) -> &[f32] {
 #[test]
 fn a_patch_stays_the_same_as_its_stamp_ages() {
     let mut localiser = online();
-    let told: Vec<_> = (0..80).map(|tick| step(&mut localiser, tick, &crowd(5, tick))).collect();
+    let ticks: Vec<_> = (0..80).map(|tick| step(&mut localiser, tick, &crowd(5, tick))).collect();
     for tick in 0..80 {
         for agent in 0..5 {
             for back in 0..HISTORY_LEN {
                 let then = tick as i64 - back as i64 * STEP_TICKS;
-                let now = patch(&told[tick], agent, HISTORY_LEN - 1 - back);
+                let now = patch(&ticks[tick], agent, HISTORY_LEN - 1 - back);
                 match usize::try_from(then) {
-                    Ok(then) => assert_eq!(now, patch(&told[then], agent, HISTORY_LEN - 1)),
+                    Ok(then) => assert_eq!(now, patch(&ticks[then], agent, HISTORY_LEN - 1)),
                     Err(_) => assert!(now.iter().all(|x| *x == 0.0), "absent: zeros"),
                 }
             }
         }
     }
-    assert!(told[0].iter().all(|x| *x == 0.0), "nothing was observed before the first tick");
-    assert!(told[79].iter().any(|x| *x > 0.0));
+    assert!(ticks[0].iter().all(|x| *x == 0.0), "nothing was observed before the first tick");
+    assert!(ticks[79].iter().any(|x| *x > 0.0));
 }
 
 #[test]

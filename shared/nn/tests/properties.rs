@@ -185,13 +185,13 @@ fn told_of_base(
     let matrix = weights.tensor(&name, &[32, controls_len]).unwrap();
     let scale = latent_scale(weights.config(), agent_type);
     let rows = points.as_chunks::<32>().0.iter().zip(base.as_flattened().chunks_exact(controls_len));
-    let told = |(point, controls): (&[f32; 32], &[f32])| {
+    let moved = |(point, controls): (&[f32; 32], &[f32])| {
         std::array::from_fn(|i| {
             let terms = matrix[i * controls_len..][..controls_len].iter().zip(controls).enumerate();
             point[i] + terms.map(|(k, (m, control))| m * scale[k % 2] * control).sum::<f32>()
         })
     };
-    rows.map(told).collect()
+    rows.map(moved).collect()
 }
 
 #[test]

@@ -231,20 +231,20 @@ fn an_online_map_moves_with_the_ego_and_clears_the_rest() {
     // Only the window's visits count: a fresh map of these alone is the same.
     let mut fresh = OnlineMap::new();
     let (x, brink) = (2_999.0 * 0.8, brink(&map, 2_999.0 * 0.8));
-    let remembered = (0..3_000).map(|tick| tick as f32 * 0.8).filter(|seen| *seen >= brink);
-    fresh.observe([brink + ONLINE_SIDE as f32 / 2.0, 0.0], remembered.map(visit));
+    let held = (0..3_000).map(|tick| tick as f32 * 0.8).filter(|seen| *seen >= brink);
+    fresh.observe([brink + ONLINE_SIDE as f32 / 2.0, 0.0], held.map(visit));
     assert_eq!(brightest(&map, x), brightest(&fresh, x));
 }
 
 /// The first metre along x that the map still holds, found by its patches.
 fn brink(map: &OnlineMap, ego_x_m: f32) -> f32 {
     let fine = PatchOptions { side: 1, cell_m: 1.0, ahead_m: 0.0 };
-    let remembered = |x: &f32| {
+    let held = |x: &f32| {
         let mut out = [0.0; 3];
         map.patch(&State { position_m: [x + 0.5, 0.5], ..State::default() }, fine, &mut out);
         out[0] > 0.0
     };
-    (0..=ego_x_m as i32).map(|x| x as f32).find(remembered).unwrap()
+    (0..=ego_x_m as i32).map(|x| x as f32).find(held).unwrap()
 }
 
 fn small_map() -> ContextMap {
