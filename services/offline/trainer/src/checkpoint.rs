@@ -1,4 +1,4 @@
-//! The state of a run on disk, so that it can go on where it stopped.
+//! The state of a run on disk, from which it can be resumed.
 
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
@@ -6,6 +6,7 @@ use std::path::{Path, PathBuf};
 use safetensors::SafeTensors;
 
 use crate::TrainError;
+use crate::error::TensorError;
 use crate::net::file::Precision;
 use crate::net::layout::layout;
 use crate::net::tensors::{Role, Tensors};
@@ -19,7 +20,7 @@ const FILE: &str = "checkpoint.safetensors";
 pub(crate) struct State {
     pub(crate) weights: Tensors,
     pub(crate) adam: Adam,
-    /// The averaged weights that validated best.
+    /// The averaged weights of the best validation.
     pub(crate) best: Tensors,
     pub(crate) progress: RunProgress,
 }
@@ -83,10 +84,12 @@ impl State {
         add("first", &moments(|moments| &moments.first));
         add("second", &moments(|moments| &moments.second));
         let run = serde_json::to_string(&self.progress).expect("numbers and strings are JSON");
-        let bytes = all.to_safetensors(Precision::F32, HashMap::from([("run".to_owned(), run)]))?;
+        let bytes = all.to_safetensors(Precision::F32, HashMap::from([("run".to_owned(), run)]));
+        let path = folder.join(FILE);
+        let bytes = bytes.map_err(|error| error.of(&path))?;
         let io = |source| TrainError::Io { path: folder.to_owned(), source };
         std::fs::create_dir_all(folder).map_err(io)?;
-        write_whole(&folder.join(FILE), &bytes)
+        write_whole(&path, &bytes)
     }
 
     /// Reads the checkpoint of a run with the same seed and model; `None` where there is none.
@@ -104,7 +107,7 @@ impl State {
             let mut entries = layout(&options.model);
             entries.retain(|entry| roles.contains(&entry.role));
             entries.iter_mut().for_each(|entry| entry.name = format!("{prefix}/{}", entry.name));
-            let tensors = Tensors::from_safetensors(&bytes, &entries)?;
+            let tensors = Tensors::from_safetensors(&bytes, &entries).map_err(|error| error.of(&path))?;
             let named = tensors.0.into_iter();
             Ok::<Tensors, TrainError>(Tensors(
                 named.map(|(name, tensor)| (name[prefix.len() + 1..].to_owned(), tensor)).collect(),
@@ -126,17 +129,22 @@ impl State {
 }
 
 fn read_progress(bytes: &[u8], path: &Path) -> Result<RunProgress, TrainError> {
-    let (_, header) = SafeTensors::read_metadata(bytes)?;
+    let (_, header) =
+        SafeTensors::read_metadata(bytes).map_err(|error| TensorError::Safetensors(error).of(path))?;
     let run = header.metadata().as_ref().and_then(|metadata| metadata.get("run"));
     let run = run.ok_or_else(|| refused(path, "it is no checkpoint: the metadata lack `run`"))?;
-    serde_json::from_str(run).map_err(|error| refused(path, &format!("metadata `run`: {error}")))
+    serde_json::from_str(run).map_err(|source| TrainError::Metadata {
+        path: path.to_owned(),
+        key: "run",
+        source,
+    })
 }
 
-fn refused(path: &Path, reason: &str) -> TrainError {
-    TrainError::Checkpoint { path: path.to_owned(), reason: reason.to_owned() }
+fn refused(path: &Path, reason: &'static str) -> TrainError {
+    TrainError::Checkpoint { path: path.to_owned(), reason }
 }
 
-/// Writes a file beside its place and moves it there.
+/// Writes a file under another name and moves it to `path`, so that `path` is never incomplete.
 pub(crate) fn write_whole(path: &Path, bytes: &[u8]) -> Result<(), TrainError> {
     let mut partial: PathBuf = path.to_owned();
     partial.set_extension("partial");

@@ -1,4 +1,4 @@
-//! The log of a run, a JSON object a line: what `stgdat plot training` draws.
+//! The log of a run: JSON lines, the input of `stgdat plot training`.
 
 use std::fs;
 use std::io::Write;
@@ -12,7 +12,7 @@ use crate::validate::SetScore;
 
 /// Name of the file in the checkpoint folder.
 const FILE: &str = "log.jsonl";
-/// Updates that a line tells the mean of.
+/// Updates that a line averages over.
 const EVERY: u64 = 20;
 
 /// A line of the log.
@@ -40,7 +40,7 @@ impl Line {
     }
 }
 
-/// The log as it is written.
+/// A log file that is being written.
 pub(crate) struct Log {
     path: PathBuf,
     sum: LossParts,
@@ -92,7 +92,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_resumed_log_forgets_what_came_after_the_checkpoint() {
+    fn a_resumed_log_drops_lines_after_the_checkpoint() {
         let folder = tempfile::tempdir().unwrap();
         let mut log = Log::open(folder.path(), 0).unwrap();
         let parts = LossParts { trajectory: 0.5, ..LossParts::default() };

@@ -11,7 +11,7 @@ use crate::TrainError;
 use crate::net::matrix::Matrix;
 use crate::net::topological::Edges;
 
-/// What the graph network sees of a batch.
+/// The graph of a batch as the network reads it.
 #[derive(Debug)]
 pub(crate) struct Graph {
     /// State features `[rows, 6]`.
@@ -22,11 +22,11 @@ pub(crate) struct Graph {
     pub(crate) relation: Matrix,
     /// Relation of every edge.
     pub(crate) relation_of_edge: Vec<u32>,
-    /// Which rows are joined.
+    /// The edges.
     pub(crate) edges: Edges,
     /// Row of every agent and step `[agents × steps]`; [`u32::MAX`] where the agent is absent.
     pub(crate) steps: Vec<u32>,
-    /// Steps of an agent.
+    /// Steps per agent.
     pub(crate) steps_len: usize,
     /// Map patches, each once `[patches, 3 × P × P]`; the first is empty.
     pub(crate) patches: Matrix,
@@ -34,7 +34,7 @@ pub(crate) struct Graph {
     pub(crate) patch_of_row: Vec<u32>,
 }
 
-/// Which steps a graph is of.
+/// The steps of a graph.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Steps {
     History,
@@ -56,7 +56,7 @@ impl Steps {
         }
     }
 
-    /// Place of the first step among the agent's patches.
+    /// Index of the first step among the agent's patches.
     fn first_patch(self, config: &ModelConfig) -> usize {
         match self {
             Self::History => 0,
@@ -168,7 +168,7 @@ impl Placed<'_> {
     }
 }
 
-/// Where the rows of a batch stand.
+/// The rows of a batch.
 struct Rows {
     /// State features, row by row.
     state: Vec<f32>,
@@ -211,7 +211,7 @@ impl Rows {
     }
 }
 
-/// Edges as they are collected.
+/// Edges in the order of collection.
 #[derive(Default)]
 struct Relations {
     receiver: Vec<u32>,
@@ -253,7 +253,7 @@ impl Relations {
     }
 }
 
-/// Swaps left and right of a patch `[3, side, side]`: columns, and the sign of the velocity to the left.
+/// Swaps left and right of a patch `[3, side, side]`: the columns, and the sign of the lateral velocity.
 fn mirror_patch(values: &mut [f32], side: usize) {
     values.chunks_exact_mut(side).for_each(<[f32]>::reverse);
     values[2 * side * side..].iter_mut().for_each(|value| *value = -*value);

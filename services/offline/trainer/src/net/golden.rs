@@ -1,4 +1,4 @@
-//! The golden vectors of an independent float64 implementation.
+//! The golden vectors: outputs of an independent float64 implementation.
 
 use std::path::PathBuf;
 
@@ -78,7 +78,7 @@ impl Golden {
         rows
     }
 
-    /// Holds `found` to `expected`.
+    /// Asserts that `found` is `expected` within the tolerance.
     pub(crate) fn check(&self, name: &str, found: &[f32], expected: &[f32]) {
         assert_eq!(found.len(), expected.len(), "{} {name}: length", self.name);
         let largest = expected.iter().fold(0.0_f32, |most, value| most.max(value.abs()));
@@ -86,7 +86,7 @@ impl Golden {
         assert!(worst <= TOLERANCE * largest, "{} {name}: off by {worst} of {largest}", self.name);
     }
 
-    /// Whether an agent is there at a step of the scene; the future's steps follow the history's.
+    /// Whether an agent is present at a step of the scene; the future's steps follow the history's.
     pub(crate) fn present(&self, step: usize, agent: usize) -> bool {
         self.scene["present"][step][agent].as_bool().unwrap()
     }

@@ -4,14 +4,14 @@ use std::collections::BTreeMap;
 
 use super::matrix::{View, ViewMut};
 
-/// What training does to a tensor.
+/// How training changes a tensor.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Role {
     /// Follows its gradient.
     Learned,
     /// Running mean or variance of a batch norm.
     Statistic,
-    /// Fitted before training (base control) and fixed since.
+    /// Fitted before training (base control) and then constant.
     Fixed,
 }
 

@@ -4,7 +4,7 @@
 //! y = γ (x − mean) / √(var + ε) + β
 //! ```
 //!
-//! Where mean and variance come from the batch, its N rows move them too:
+//! Where mean and variance are those of the batch, they depend on its N rows:
 //!
 //! ```text
 //! dx = γ / √(var + ε) · (dy − Σ dy / N − (x − mean) / (var + ε) · Σ dy (x − mean) / N)
@@ -27,7 +27,7 @@ const EPSILON: f64 = 1e-5;
 /// Weight of a new batch in the running mean and variance.
 const MOMENTUM: f32 = 0.1;
 
-/// A way forward through the network.
+/// A forward pass through the network.
 pub(super) struct Pass<'a> {
     pub(super) weights: &'a Tensors,
     pub(super) normalisation: Normalisation,
@@ -35,8 +35,8 @@ pub(super) struct Pass<'a> {
     pub(super) statistics: Vec<(String, Vec<f32>)>,
 }
 
-/// A way back through it.
-pub(super) struct WayBack<'a> {
+/// A backward pass through it.
+pub(super) struct BackwardPass<'a> {
     pub(super) weights: &'a Tensors,
     pub(super) gradients: &'a mut Gradients,
 }
@@ -53,7 +53,7 @@ pub(super) enum Then<'a> {
     AddRelu(&'a Map),
 }
 
-/// What the way back of a batch norm needs.
+/// What the backward pass of a batch norm needs.
 pub(super) struct NormTrace {
     x: Map,
     moments: Moments,
@@ -96,13 +96,13 @@ impl Norm {
         (y, NormTrace { x, moments, normalisation: pass.normalisation })
     }
 
-    /// The way back: gradient by the input.
+    /// The backward pass: gradient by the input.
     ///
-    /// `dy` is the gradient by the output `rectified` of the ReLU, if there is one; it becomes the gradient before the
-    /// ReLU, which is also that by the shortcut.
+    /// `dy` is the gradient by the output `rectified` of the ReLU, if there is one; it becomes the gradient
+    /// before the ReLU, which is also that by the shortcut.
     pub(super) fn backward(
         &self,
-        back: &mut WayBack<'_>,
+        pass: &mut BackwardPass<'_>,
         trace: &NormTrace,
         rectified: Option<&Map>,
         dy: &mut Map,
@@ -114,7 +114,7 @@ impl Norm {
             Normalisation::Batch => 1.0 / x.rows() as f64,
             Normalisation::Running => 0.0,
         };
-        let mut by_dy = self.gamma(back.weights);
+        let mut by_dy = self.gamma(pass.weights);
         let mut by_x = vec![[0.0; PANEL]; sums.len()];
         let mut constant = by_x.clone();
         for (panel, [sum, product]) in sums.iter().enumerate() {
@@ -128,7 +128,7 @@ impl Norm {
                     (-factor * sum[c] * share - slope * f64::from(moments.mean[panel][c])) as f32;
             }
         }
-        self.add_gradients(back.gradients, moments, &sums);
+        self.add_gradients(pass.gradients, moments, &sums);
         let mut dx = x.like();
         let plane = [by_dy.as_slice(), &by_x, &constant];
         dispatch(Plane { plane, x: dy.panels(), y: x.panels(), out: dx.panels_mut() });

@@ -47,9 +47,9 @@ fn gradients_agree_with_differences() {
             let (y, trace) = forward(&weights, normalisation, &x, shortcut);
             let mut dy = Map { values: direction.clone(), ..y };
             let mut gradients = Gradients::zeros(&weights);
-            let mut back = WayBack { weights: &weights, gradients: &mut gradients };
+            let mut pass = BackwardPass { weights: &weights, gradients: &mut gradients };
             let rectified = shortcut.map(|_| &y);
-            let dx = Norm("norm".to_owned()).backward(&mut back, &trace, rectified, &mut dy);
+            let dx = Norm("norm".to_owned()).backward(&mut pass, &trace, rectified, &mut dy);
             let loss = |weights: &Tensors, x: &Map, shortcut: Option<&Map>| {
                 weighted(&forward(weights, normalisation, x, shortcut).0.values, &direction)
             };
@@ -73,7 +73,7 @@ fn gradients_agree_with_differences() {
 }
 
 #[test]
-fn running_values_move_a_tenth_of_the_way_to_the_batch() {
+fn running_values_move_by_a_tenth_towards_the_batch() {
     let (weights, x) = (weights(), map(11));
     let mut pass = Pass { weights: &weights, normalisation: Normalisation::Batch, statistics: Vec::new() };
     Norm("norm".to_owned()).forward(&mut pass, x.clone(), Then::Nothing);
