@@ -68,7 +68,7 @@ pub enum ReadError {
         column: usize,
         /// The column's name.
         field: &'static str,
-        /// The value as it stands there, shortened.
+        /// The value, shortened.
         value: String,
         /// What is wrong with it.
         problem: String,

@@ -53,7 +53,7 @@ impl<'a> Rows<'a> {
     /// The rows by time and identity, however they were ordered in the file.
     ///
     /// # Errors
-    /// [`ReadError::Duplicate`] where an identity stands twice at one time, [`ReadError::Empty`] where there
+    /// [`ReadError::Duplicate`] where an identity has two rows at one time, [`ReadError::Empty`] where there
     /// is no row.
     pub fn sorted(self, input: &Input) -> Result<Vec<Row<'a>>, ReadError> {
         match self.is_empty() {

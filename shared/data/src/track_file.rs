@@ -2,7 +2,7 @@
 //!
 //! | [`TrackFormat`] | a row |
 //! |---|---|
-//! | `csv` | [`crate::formats::csv`] with velocity, status and covariance; an `ego` or `above` row per frame |
+//! | `csv` | [`crate::formats::csv`] with velocity, status, covariance; an `ego` or `above` row per frame |
 //! | `kitti` | `frame id type truncated occluded alpha x1 y1 x2 y2 h w l x y z rot_y score`, camera frame |
 //! | `mot` | `frame,id,-1,-1,-1,-1,confidence,x,y,z`, frames from 1, positions in the world frame, z 0 |
 //!

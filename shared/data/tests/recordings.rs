@@ -1,4 +1,4 @@
-//! The readers and windows against the real recordings, where they are at hand.
+//! The readers and windows on the real recordings, where they are available.
 
 use std::path::{Path, PathBuf};
 

@@ -60,7 +60,7 @@ fn step_s(options: &TrainOptions) -> Result<f64, Box<dyn Error>> {
         .filter_map(|line| Some((line.get("step")?.as_f64()?, line.get("seconds")?.as_f64()?)))
         .collect();
     let stretches = times.windows(2).map(|pair| (pair[1].1 - pair[0].1) / (pair[1].0 - pair[0].0));
-    stretches.reduce(f64::min).ok_or_else(|| "the log tells too few times".into())
+    stretches.reduce(f64::min).ok_or_else(|| "the log has too few times".into())
 }
 
 /// Position of a road user on its circle.

@@ -15,7 +15,7 @@ use scene::{EdgeRule, PatchOptions, Vertex, relation_features, state_features};
 use wire::{CONTEXT_EMBEDDING, NODE_ATTRIBUTES, STATE_FEATURES, TEMPORAL};
 
 use crate::base::BaseControl;
-use crate::batch::{Batch, BatchOptions, SceneView, View, scales};
+use crate::batch::{AgentView, Batch, BatchOptions, SceneView, scales};
 use crate::net::context::Normalisation;
 use crate::net::dense::softmax;
 use crate::net::graph::encode;
@@ -205,7 +205,7 @@ impl<'a> Onboard<'a> {
         scene.agents.iter().zip(encodings).map(|(agent, encoding)| self.forecast(agent, encoding)).collect()
     }
 
-    fn states(&self, agent: &View) -> Vec<[f32; STATE_FEATURES]> {
+    fn states(&self, agent: &AgentView) -> Vec<[f32; STATE_FEATURES]> {
         let state = |state: &Option<scene::State>| {
             state.map_or([0.0; STATE_FEATURES], |state| {
                 state_features(&agent.frame, &state, scales(self.config))
@@ -215,7 +215,7 @@ impl<'a> Onboard<'a> {
     }
 
     /// Node attributes of an agent at every step.
-    fn nodes(&self, scene: &SceneView<'_>, agent: &View) -> Vec<[f32; NODE_ATTRIBUTES]> {
+    fn nodes(&self, scene: &SceneView<'_>, agent: &AgentView) -> Vec<[f32; NODE_ATTRIBUTES]> {
         let Self { config, .. } = self;
         let len = config.state_embedding_len();
         let states = self.states(agent);
@@ -254,7 +254,7 @@ impl<'a> Onboard<'a> {
         let (mut present, mut nodes) = (Vec::new(), Vec::new());
         let (mut edges, mut relations) = (Vec::new(), Vec::new());
         for step in 0..config.history_len {
-            let vertex = |view: &View| {
+            let vertex = |view: &AgentView| {
                 let position_m = view.history[step]?.position_m;
                 Some(Vertex { position_m, agent_type: view.agent.agent_type })
             };
@@ -284,7 +284,7 @@ impl<'a> Onboard<'a> {
         encodings
     }
 
-    fn forecast(&self, view: &View, encoding: [f32; TEMPORAL]) -> Computed {
+    fn forecast(&self, view: &AgentView, encoding: [f32; TEMPORAL]) -> Computed {
         let Self { config, .. } = self;
         let network = self.decoder.of(view.agent.agent_type);
         let states = self.states(view);
@@ -312,7 +312,7 @@ impl<'a> Onboard<'a> {
     }
 
     /// Positions in the agent frame, m, under `controls`.
-    fn positions(&self, view: &View, controls: &[[f32; 2]]) -> Vec<[f32; 2]> {
+    fn positions(&self, view: &AgentView, controls: &[[f32; 2]]) -> Vec<[f32; 2]> {
         let Self { config, .. } = self;
         let now = view.history.last().copied().flatten().unwrap();
         let (frame, agent, dt_s) = (&view.frame, &view.agent, config.dt_s as f32);

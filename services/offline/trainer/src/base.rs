@@ -18,7 +18,7 @@ use wire::AGENT_TYPES;
 
 use crate::TrainError;
 use crate::net::layout::TYPE_NAMES;
-use crate::net::tensors::{Role, Tensors};
+use crate::net::tensors::{TensorRole, Tensors};
 use crate::samples::Agent;
 pub(crate) use fit::Augmentation;
 use fit::Sample;
@@ -109,7 +109,7 @@ impl BaseControl {
         let (modes, horizon) = (self.config.modes, self.config.horizon_len);
         for (name, base) in TYPE_NAMES.iter().zip(&self.types) {
             let mut fixed = |tensor: &str, shape: &[usize], values: Vec<f32>| {
-                weights.insert(&format!("base.{name}.{tensor}"), shape, values, Role::Fixed);
+                weights.insert(&format!("base.{name}.{tensor}"), shape, values, TensorRole::Fixed);
             };
             let shape = [binning::CLASSES, binning::SPEED_BINS, binning::FEATURES, controls_len];
             fixed("ridge", &shape, base.ridge.clone());

@@ -1,5 +1,8 @@
 //! Training scenes as matrices. \[model §2\]
 //!
+//! **In:** [`SceneView`]s, states in the world frame (m, m/s, rad). **Out:** a [`Batch`]: scaled features and
+//! targets in agent frames, shapes at its fields.
+//!
 //! A batch is ragged. The agents of many scenes are one list, sorted by type, those with a target first. A
 //! *row* is an agent at one step where it is present; rows are sorted by (agent, step), so that the rows of
 //! each type are contiguous. Edges join rows of the same scene and step.
@@ -29,7 +32,7 @@ use graph::{Placed, Steps};
 
 /// One agent as a training step shows it to the network, possibly with a shortened history.
 #[derive(Clone, Debug)]
-pub(crate) struct View {
+pub(crate) struct AgentView {
     pub(crate) agent: Arc<Agent>,
     pub(crate) history: Vec<Option<State>>,
     pub(crate) future: Vec<Option<State>>,
@@ -38,7 +41,7 @@ pub(crate) struct View {
     pub(crate) counts: bool,
 }
 
-impl View {
+impl AgentView {
     /// Recorded positions of the forecast steps in the agent frame.
     pub(crate) fn truth(&self) -> impl Iterator<Item = Option<[f32; 2]>> + '_ {
         self.future.iter().map(|state| state.map(|state| in_frame(&self.frame, state.position_m)))
@@ -53,7 +56,7 @@ fn in_frame(frame: &AgentFrame, position_m: [f32; 2]) -> [f32; 2] {
 /// Agents of one scene at one time.
 #[derive(Clone, Debug)]
 pub(crate) struct SceneView<'a> {
-    pub(crate) agents: Vec<View>,
+    pub(crate) agents: Vec<AgentView>,
     /// The map patches; `None` where the scene is shown without a map.
     pub(crate) map: Option<MapView<'a>>,
     /// Whether left and right are swapped.
@@ -116,7 +119,8 @@ impl<'a> Batch<'a> {
         let first = |at: (usize, bool)| origin.partition_point(|origin| place(origin) < at);
         let type_agents = [0, 1, 2].map(|of_type| first((of_type, false))..first((of_type + 1, false)));
         let forecast = [0, 1, 2].map(|of_type| first((of_type, false))..first((of_type, true)));
-        let agents: Vec<&View> = origin.iter().map(|&(scene, agent)| &scenes[scene].agents[agent]).collect();
+        let agents: Vec<&AgentView> =
+            origin.iter().map(|&(scene, agent)| &scenes[scene].agents[agent]).collect();
 
         let placed = Placed { scenes, origin: &origin, agents: &agents, type_agents: &type_agents };
         let graph = placed.graph(Steps::History, options)?;
@@ -150,7 +154,7 @@ struct Targets<'a> {
 }
 
 impl<'a> Targets<'a> {
-    fn of(agents: &[&View], options: BatchOptions<'a>) -> Self {
+    fn of(agents: &[&AgentView], options: BatchOptions<'a>) -> Self {
         let BatchOptions { config, base, .. } = options;
         let (agents_len, history_len, horizon_len) = (agents.len(), config.history_len, config.horizon_len);
         let scales = scales(config);
@@ -166,7 +170,7 @@ impl<'a> Targets<'a> {
                 counts.push(f32::from(u8::from(position.is_some())));
             }
         }
-        let of = |view: &&View| base.of(view.agent.agent_type, &view.history, &view.frame);
+        let of = |view: &&AgentView| base.of(view.agent.agent_type, &view.history, &view.frame);
         Self {
             state: Matrix::new(agents_len, history_len * 6, state),
             present: Matrix::new(agents_len, history_len, present),

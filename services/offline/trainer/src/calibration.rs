@@ -1,5 +1,7 @@
 //! Calibration of the covariances on validation data. \[model §5\]
 //!
+//! **In:** weights and validation scenes. **Out:** one factor per agent type, dimensionless.
+//!
 //! The energy score trains the shape of the covariances; their scale on held-out scenes is one factor per
 //! agent type. The control deviations of a type are multiplied by it, so that the 90 % highest-density
 //! regions of the mixtures hold 90 % of the validation's positions, pooled over agents and steps. The factor
@@ -121,7 +123,7 @@ impl Calibration<'_> {
                 let number = forecast.agents.start + agent;
                 let start = &batch.starts[number];
                 let rows = agent * config.modes..(agent + 1) * config.modes;
-                let modes: Vec<Moments> =
+                let modes: Vec<PositionMoments> =
                     rows.map(|row| moments(config, forecast.agent_type, start, &rollout, row)).collect();
                 let truth = batch.truth.row(number).as_chunks::<2>().0;
                 let known = truth.iter().zip(batch.counts.row(number)).enumerate();
@@ -139,7 +141,7 @@ impl Calibration<'_> {
 }
 
 /// Mean and covariance (xx, xy, yy) of the position at every step.
-type Moments = Vec<([f32; 2], [f32; 3])>;
+type PositionMoments = Vec<([f32; 2], [f32; 3])>;
 
 /// The linearised Gaussian of one row of a rollout, in the agent frame.
 fn moments(
@@ -148,7 +150,7 @@ fn moments(
     start: &Start,
     rollout: &Rollout,
     row: usize,
-) -> Moments {
+) -> PositionMoments {
     let raw = rollout.unroll.raw.row(row).as_chunks::<RAW>().0;
     let means = rollout.mean.row(row).as_chunks::<2>().0;
     let controls = raw.iter().zip(means).map(|(raw, mean)| {

@@ -9,7 +9,7 @@ use crate::TrainError;
 use crate::error::TensorError;
 use crate::net::file::Precision;
 use crate::net::layout::layout;
-use crate::net::tensors::{Role, Tensors};
+use crate::net::tensors::{TensorRole, Tensors};
 use crate::optimiser::{Adam, Moments};
 use crate::options::TrainOptions;
 
@@ -17,7 +17,7 @@ use crate::options::TrainOptions;
 const FILE: &str = "checkpoint.safetensors";
 
 /// A run between two updates.
-pub(crate) struct State {
+pub(crate) struct RunState {
     pub(crate) weights: Tensors,
     pub(crate) adam: Adam,
     /// The averaged weights of the best validation.
@@ -25,7 +25,7 @@ pub(crate) struct State {
     pub(crate) progress: RunProgress,
 }
 
-/// The numbers of a [`State`].
+/// The numbers of a [`RunState`].
 #[derive(Clone, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(crate) struct RunProgress {
@@ -46,7 +46,7 @@ pub(crate) struct RunProgress {
     pub(crate) model: nn::ModelConfig,
 }
 
-impl State {
+impl RunState {
     /// A run that has made no update.
     pub(crate) fn new(weights: Tensors, options: &TrainOptions) -> Self {
         let adam = Adam::new(options.optimiser.clone(), &options.model, &weights);
@@ -77,7 +77,7 @@ impl State {
             let mut tensors = Tensors::default();
             for (name, moments) in &self.adam.moments {
                 let shape = &self.weights.tensor(name).shape;
-                tensors.insert(name, shape, values(moments).clone(), Role::Learned);
+                tensors.insert(name, shape, values(moments).clone(), TensorRole::Learned);
             }
             tensors
         };
@@ -103,7 +103,7 @@ impl State {
         if progress.seed != options.seed || progress.model != options.model {
             return Err(refused(&path, "it was made with another seed or model"));
         }
-        let read = |prefix: &str, roles: &[Role]| {
+        let read = |prefix: &str, roles: &[TensorRole]| {
             let mut entries = layout(&options.model);
             entries.retain(|entry| roles.contains(&entry.role));
             entries.iter_mut().for_each(|entry| entry.name = format!("{prefix}/{}", entry.name));
@@ -113,12 +113,13 @@ impl State {
                 named.map(|(name, tensor)| (name[prefix.len() + 1..].to_owned(), tensor)).collect(),
             ))
         };
-        let all = [Role::Learned, Role::Statistic, Role::Fixed];
+        let all = [TensorRole::Learned, TensorRole::Statistic, TensorRole::Fixed];
         let weights = read("value", &all)?;
         let mut adam = Adam::new(options.optimiser.clone(), &options.model, &weights);
         adam.steps = progress.adam_steps;
         adam.average = read("average", &all)?;
-        let (mut first, mut second) = (read("first", &[Role::Learned])?, read("second", &[Role::Learned])?);
+        let (mut first, mut second) =
+            (read("first", &[TensorRole::Learned])?, read("second", &[TensorRole::Learned])?);
         for (name, moments) in &mut adam.moments {
             if let (Some(first), Some(second)) = (first.0.remove(name), second.0.remove(name)) {
                 (moments.first, moments.second) = (first.values, second.values);

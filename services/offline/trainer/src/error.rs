@@ -82,7 +82,7 @@ pub enum TrainError {
     /// The scratch file of scenes could not be written or read.
     #[error("scratch file in {}: {source}", folder.display())]
     Scratch {
-        /// The folder that it lies in.
+        /// Its folder.
         folder: PathBuf,
         /// The error of the operating system.
         source: std::io::Error,

@@ -1,4 +1,7 @@
 //! The objective of a training step. \[model §5\]
+//!
+//! **In:** an encoded [`Batch`] and the weights. **Out:** the [`LossParts`] (distances in metres) and the
+//! gradients of all learned tensors.
 
 mod paper;
 mod plus;

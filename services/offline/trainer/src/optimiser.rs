@@ -7,7 +7,7 @@ use nn::ModelConfig;
 use nn::kernels::{Kernel, Lanes, dispatch};
 
 use crate::net::layout::units;
-use crate::net::tensors::{Gradients, Role, Tensors};
+use crate::net::tensors::{Gradients, TensorRole, Tensors};
 
 /// Parameters of Adam.
 #[derive(Clone, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
@@ -64,7 +64,7 @@ pub(crate) struct Adam {
 impl Adam {
     /// An optimiser that starts from `weights` of a model.
     pub(crate) fn new(options: OptimiserOptions, config: &ModelConfig, weights: &Tensors) -> Self {
-        let learned = weights.0.iter().filter(|(_, tensor)| tensor.role == Role::Learned);
+        let learned = weights.0.iter().filter(|(_, tensor)| tensor.role == TensorRole::Learned);
         let moments = learned.map(|(name, tensor)| {
             let zeros = vec![0.0; tensor.values.len()];
             let units = units(config, name, &tensor.shape).unwrap_or_default();
@@ -123,7 +123,7 @@ impl Adam {
         let steps = self.steps as f64;
         let decay = self.options.average_decay.min((1.0 + steps) / (10.0 + steps)) as f32;
         for (average, tensor) in self.average.0.values_mut().zip(weights.0.values()) {
-            if tensor.role != Role::Fixed {
+            if tensor.role != TensorRole::Fixed {
                 dispatch(Mix { average: &mut average.values, new: &tensor.values, decay });
             }
         }
@@ -196,7 +196,7 @@ mod tests {
 
     fn weights(name: &str, values: &[f32]) -> Tensors {
         let mut weights = Tensors::default();
-        weights.insert(name, &[values.len()], values.to_vec(), Role::Learned);
+        weights.insert(name, &[values.len()], values.to_vec(), TensorRole::Learned);
         weights
     }
 
@@ -224,9 +224,9 @@ mod tests {
     #[test]
     fn weights_decay_and_biases_do_not() {
         let mut weights = Tensors::default();
-        weights.insert("weight", &[1, 2], vec![1.0, -2.0], Role::Learned);
-        weights.insert("bias", &[2], vec![1.0, -2.0], Role::Learned);
-        weights.insert("base", &[1, 2], vec![1.0, -2.0], Role::Fixed);
+        weights.insert("weight", &[1, 2], vec![1.0, -2.0], TensorRole::Learned);
+        weights.insert("bias", &[2], vec![1.0, -2.0], TensorRole::Learned);
+        weights.insert("base", &[1, 2], vec![1.0, -2.0], TensorRole::Fixed);
         let options = OptimiserOptions { weight_decay: 0.5, ..OptimiserOptions::default() };
         let mut adam = Adam::new(options, &onboard_config(), &weights);
         let mut gradients = Gradients::zeros(&weights);

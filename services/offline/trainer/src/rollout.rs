@@ -1,4 +1,7 @@
 //! From encodings and latent variables to trajectories, type by type. \[model §3, §4\]
+//!
+//! **In:** ṽ `[agents, 64]`, latent variables `[agents × draws, 32]` and base controls. **Out:** controls
+//! before saturation and positions in agent frames (m), `[agents × draws, horizon × 2]`.
 
 use std::ops::Range;
 

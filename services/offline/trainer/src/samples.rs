@@ -1,5 +1,9 @@
 //! Training and validation scenes: windows of recordings with the map patches that belong to them.
 //!
+//! **In:** the recordings of some data sets and one part. **Out:** per window the states of its agents at T_h
+//! history and T_f forecast steps (m, m/s, rad, world frame), and the map patch `[3, P, P]` of every agent
+//! and frame.
+//!
 //! Scenes are kept in a [spool](crate::spool). Memory holds their offsets and how many agents of a window
 //! count, and all of one recording only while that is cut. A batch reads the scenes and patches that it
 //! shows; passes over all of the data read one scene after the other.

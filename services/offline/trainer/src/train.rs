@@ -18,7 +18,7 @@ use crate::base::{Augmentation, BaseControl, FITTED_MAX};
 use crate::batch::{Batch, BatchOptions, SceneView};
 use crate::calibration::Calibration;
 use crate::card::{ModelCard, Seen};
-use crate::checkpoint::{State, write_whole};
+use crate::checkpoint::{RunState, write_whole};
 use crate::log::{Line, Log};
 use crate::machine;
 use crate::net::gru::Device;
@@ -51,7 +51,6 @@ pub struct Summary {
 ///
 /// # Errors
 /// [`TrainError`] names the recording, option, checkpoint or file at fault.
-/// [`TrainError`] says which recording, option, checkpoint or file is to blame.
 pub fn train(options: &TrainOptions) -> Result<Summary, TrainError> {
     options.check()?;
     machine::forget_peak();
@@ -114,10 +113,10 @@ impl<'a> Run<'a> {
     }
 
     /// The checkpoint, if there is one to resume, else new weights with a base control fitted to the data.
-    fn begin(&self, progress: &Progress) -> Result<(State, BaseControl), TrainError> {
+    fn begin(&self, progress: &Progress) -> Result<(RunState, BaseControl), TrainError> {
         let Self { options, .. } = *self;
         if options.resume
-            && let Some(state) = State::load(options)?
+            && let Some(state) = RunState::load(options)?
         {
             let base = BaseControl::load(&state.weights, &options.model);
             return Ok((state, base.unwrap_or_else(|| BaseControl::zero(&options.model))));
@@ -142,12 +141,12 @@ impl<'a> Run<'a> {
             )?;
             base.store(&mut weights);
         }
-        Ok((State::new(weights, options), base))
+        Ok((RunState::new(weights, options), base))
     }
 
     fn learn(
         &self,
-        state: &mut State,
+        state: &mut RunState,
         base: &BaseControl,
         progress: &mut Progress,
     ) -> Result<(), TrainError> {
@@ -176,7 +175,7 @@ impl<'a> Run<'a> {
     }
 
     /// One update. Its random numbers are seeded by the run's seed and the number of the update.
-    fn update(&self, state: &mut State, base: &BaseControl) -> Result<(LossParts, bool), TrainError> {
+    fn update(&self, state: &mut RunState, base: &BaseControl) -> Result<(LossParts, bool), TrainError> {
         let options = self.options;
         let mut random = ChaCha8Rng::seed_from_u64(options.seed);
         random.set_stream(state.progress.step + 1);
@@ -210,7 +209,7 @@ impl<'a> Run<'a> {
     /// Differentiates the parts of a batch in parallel, each with its own random stream.
     fn differentiate(
         &self,
-        state: &State,
+        state: &RunState,
         base: &BaseControl,
         parts: &[Vec<SceneView<'_>>],
         counted: usize,
@@ -288,7 +287,7 @@ impl<'a> Run<'a> {
 
     fn validate(
         &self,
-        state: &mut State,
+        state: &mut RunState,
         base: &BaseControl,
         progress: &Progress,
         log: &Log,
@@ -331,7 +330,12 @@ impl<'a> Run<'a> {
     }
 
     /// Writes the best weights, calibrated, with their card.
-    fn write(&self, state: &State, base: &BaseControl, agents_max: usize) -> Result<ModelCard, TrainError> {
+    fn write(
+        &self,
+        state: &RunState,
+        base: &BaseControl,
+        agents_max: usize,
+    ) -> Result<ModelCard, TrainError> {
         let mut weights = state.best.clone();
         let mut factors = BTreeMap::new();
         if self.options.model.latents == Latents::Points {

@@ -1,4 +1,8 @@
 //! Errors of the weights on validation scenes, beside forecasts without a network. \[model §6\]
+//!
+//! **In:** weights and the validation samples. **Out:** a [`SetScore`] per data set: ADE and FDE in metres of
+//! the best mode, of the single best forecast, of the base control (B\*) and of two baselines, over the
+//! agents with a target.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;

@@ -1,4 +1,7 @@
 //! Augmentation: which agents of a scene a batch shows, how much of their history, and how transformed.
+//!
+//! **In:** a recorded [`Scene`]. **Out:** a [`SceneView`] of the same window: cut, mirrored, scaled,
+//! differenced or noisy histories; futures transformed alike.
 
 use std::sync::Arc;
 
@@ -6,7 +9,7 @@ use rand::{Rng, RngExt};
 use rand_distr::{Distribution, StandardNormal};
 use scene::{State, agent_frame};
 
-use crate::batch::{SceneView, View};
+use crate::batch::{AgentView, SceneView};
 use crate::options::TrainOptions;
 use crate::samples::{Agent, MapView, Scene};
 
@@ -80,7 +83,7 @@ impl Clip {
 }
 
 /// Whether an agent moves at the end of its history or in its future.
-fn moves(view: &View) -> bool {
+fn moves(view: &AgentView) -> bool {
     let newest = view.history.last().copied().flatten().unwrap_or_default();
     let last = view.future.last().copied().flatten().unwrap_or(newest);
     let [x, y] = [0, 1].map(|axis| last.position_m[axis] - newest.position_m[axis]);
@@ -96,25 +99,25 @@ pub(crate) fn plain<'a>(scene: &Scene, map: Option<MapView<'a>>, agents_max: usi
 }
 
 /// An agent with its newest `history_len` states; `None` where it has none.
-pub(crate) fn shown(agent: &Arc<Agent>, history_len: usize, mirrored: bool) -> Option<View> {
+pub(crate) fn shown(agent: &Arc<Agent>, history_len: usize, mirrored: bool) -> Option<AgentView> {
     let mut history = agent.history_of(history_len);
     let mut future = agent.future.clone();
     if mirrored {
         history.iter_mut().chain(&mut future).flatten().for_each(mirror);
     }
     let frame = agent_frame(&history)?;
-    Some(View { agent: Arc::clone(agent), history, future, frame, counts: agent.counts })
+    Some(AgentView { agent: Arc::clone(agent), history, future, frame, counts: agent.counts })
 }
 
 /// The same agent as from a sensor that reports positions alone.
-pub(crate) fn differenced(mut view: View, dt_s: f64) -> View {
+pub(crate) fn differenced(mut view: AgentView, dt_s: f64) -> AgentView {
     let positions_m: Vec<_> = view.history.iter().map(|state| state.map(|state| state.position_m)).collect();
     scene::states_from_positions(&positions_m, positions_m.len(), dt_s as f32, &mut view.history);
-    View { frame: agent_frame(&view.history).unwrap_or(view.frame), ..view }
+    AgentView { frame: agent_frame(&view.history).unwrap_or(view.frame), ..view }
 }
 
 /// The same agent as from a noisy sensor. The strength is random too, seldom as much as [`NOISE`].
-pub(crate) fn noisy(mut view: View, random: &mut impl Rng) -> View {
+pub(crate) fn noisy(mut view: AgentView, random: &mut impl Rng) -> AgentView {
     let level = random.random::<f32>().powi(2);
     let is_vehicle = view.agent.agent_type == scene::AgentType::Vehicle;
     let (position_m, velocity_mps, heading_rad) = if is_vehicle { VEHICLE_NOISE } else { NOISE };
@@ -125,10 +128,10 @@ pub(crate) fn noisy(mut view: View, random: &mut impl Rng) -> View {
         state.velocity_mps = state.velocity_mps.map(|value| value + noise(velocity_mps));
         state.heading_rad += noise(heading_rad);
     }
-    View { frame: agent_frame(&view.history).unwrap_or(view.frame), ..view }
+    AgentView { frame: agent_frame(&view.history).unwrap_or(view.frame), ..view }
 }
 
-impl View {
+impl AgentView {
     /// Multiplies all lengths about the world's origin.
     pub(crate) fn scale(&mut self, factor: f32) {
         for state in self.history.iter_mut().chain(&mut self.future).flatten() {

@@ -22,7 +22,7 @@
 //! | `vx_mps`, `vy_mps` | | velocity in the world frame |
 //! | `status`, `unseen_s` | | `confirmed` or `coasting`; seconds since the agent was last detected |
 //! | `xx_m2`, `xy_m2`, `yy_m2` | | covariance of the position |
-//! | `prior`, `prior_age_s` | | prior of the state: `learned`, `held` or `kinematic`; age of its forecast, s |
+//! | `prior`, `prior_age_s` | | prior of the state: `learned`, `held`, `kinematic`; age of its forecast, s |
 //!
 //! The row of type `ego` is the pose of a sensor whose view other agents occlude; that of type `above` is the
 //! centre of a view from above, without occlusion.

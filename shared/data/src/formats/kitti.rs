@@ -12,7 +12,6 @@
 //! sequence to a world frame with x to the east, y to the north and its origin at the car's first position
 //! (m, rad). Each row of `oxts` makes a frame, also one without detections. [`Annotations`] holds what the
 //! evaluation of a tracker needs of the labels.
-//! judge a tracker.
 
 mod annotations;
 mod geometry;

@@ -29,7 +29,7 @@ struct Observed {
     run_over: usize,
     /// Longest time that one agent stood still.
     longest_still_s: f32,
-    /// Agents who left, by type.
+    /// Agents that left, by type.
     left: [usize; 3],
     /// Pedestrians on the roadway for which a road user stands, over all frames.
     yielded: usize,

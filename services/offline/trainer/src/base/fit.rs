@@ -11,7 +11,7 @@ use scene::AgentType;
 
 use super::targets::{self, Controls, Driver};
 use super::{Bins, Features, TypeBase, describe};
-use crate::batch::{View, start};
+use crate::batch::{AgentView, start};
 use crate::samples::Agent;
 use crate::view;
 
@@ -73,7 +73,13 @@ pub(crate) struct Augmentation {
 impl Augmentation {
     /// The augmented windows of a view, and whether they are scaled; those of cyclists and pedestrians, which
     /// keep to no side of the road, also `mirrored`.
-    fn of(self, view: &View, mirrored: Option<View>, dt_s: f64, random: &mut impl Rng) -> Vec<(View, bool)> {
+    fn of(
+        self,
+        view: &AgentView,
+        mirrored: Option<AgentView>,
+        dt_s: f64,
+        random: &mut impl Rng,
+    ) -> Vec<(AgentView, bool)> {
         match view.agent.agent_type {
             AgentType::Vehicle => {
                 let noisy = self.noise.then(|| (view::noisy(view.clone(), random), false));
@@ -127,15 +133,16 @@ impl Sample {
             let Some(view) = view::shown(agent, len, false) else { continue };
             let augmented = augmentation.of(&view, view::shown(agent, len, true), config.dt_s, random);
             let views = std::iter::once((view, false)).chain(augmented);
-            let sample =
-                |(view, scaled): (View, bool)| Some(Self { scaled, ..Self::new(&view, config, cuts_mps)? });
+            let sample = |(view, scaled): (AgentView, bool)| {
+                Some(Self { scaled, ..Self::new(&view, config, cuts_mps)? })
+            };
             samples.extend(views.filter_map(sample));
         }
         samples
     }
 
-    fn new(view: &View, config: &ModelConfig, cuts_mps: &[f32]) -> Option<Self> {
-        let View { agent, history, frame, .. } = view;
+    fn new(view: &AgentView, config: &ModelConfig, cuts_mps: &[f32]) -> Option<Self> {
+        let AgentView { agent, history, frame, .. } = view;
         let truth: Vec<[f32; 2]> = view.truth().collect::<Option<_>>()?;
         let newest = history.last().copied().flatten()?;
         let dt_s = config.dt_s as f32;

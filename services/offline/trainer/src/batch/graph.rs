@@ -6,7 +6,7 @@ use std::ops::Range;
 use nn::ModelConfig;
 use scene::{EdgeRule, PatchOptions, State, Vertex, relation_features, state_features};
 
-use super::{BatchOptions, SceneView, View, scales};
+use super::{AgentView, BatchOptions, SceneView, scales};
 use crate::TrainError;
 use crate::net::matrix::Matrix;
 use crate::net::topological::Edges;
@@ -42,7 +42,7 @@ pub(super) enum Steps {
 }
 
 impl Steps {
-    fn of(self, view: &View) -> &[Option<State>] {
+    fn of(self, view: &AgentView) -> &[Option<State>] {
         match self {
             Self::History => &view.history,
             Self::Future => &view.future,
@@ -69,7 +69,7 @@ impl Steps {
 pub(super) struct Placed<'a> {
     pub(super) scenes: &'a [SceneView<'a>],
     pub(super) origin: &'a [(usize, usize)],
-    pub(super) agents: &'a [&'a View],
+    pub(super) agents: &'a [&'a AgentView],
     pub(super) type_agents: &'a [Range<usize>; 3],
 }
 
@@ -179,7 +179,12 @@ struct Rows {
 }
 
 impl Rows {
-    fn new(agents: &[&View], steps: Steps, config: &ModelConfig, type_agents: &[Range<usize>; 3]) -> Self {
+    fn new(
+        agents: &[&AgentView],
+        steps: Steps,
+        config: &ModelConfig,
+        type_agents: &[Range<usize>; 3],
+    ) -> Self {
         let scales = scales(config);
         let mut state = Vec::new();
         let mut of_step = Vec::with_capacity(agents.len() * steps.len(config));

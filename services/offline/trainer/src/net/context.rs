@@ -1,11 +1,13 @@
-//! The context CNN: a ResNet-18 of any width, from a local patch of the context map to 32 numbers. \[model
-//! §3\]
+//! The context CNN: a ResNet-18 of any width, from a local patch of the context map to 32 numbers.
+//! \[model §3\]
 //!
 //! ```text
 //! stem:   convolution/2, batch norm, ReLU and, in the imagenet stem, a max-pool/2
 //! blocks: two in each of four stages, y = ReLU(norm(conv(ReLU(norm(conv x)))) + shortcut x)
 //! head:   mean over the positions, linear layer
 //! ```
+//!
+//! Patches are `[patch, 3, row, column]` (channels and units: \[model §2\]), embeddings `[patch, 32]`.
 //!
 //! A stage has twice the channels of the one before. The first block of every stage but the first has stride
 //! 2 and a convolution 1×1 as shortcut; the shortcut of all others is the identity.

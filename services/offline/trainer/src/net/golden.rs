@@ -6,7 +6,7 @@ use nn::ModelConfig;
 use safetensors::SafeTensors;
 use serde_json::Value;
 
-use super::tensors::{Role, Tensors};
+use super::tensors::{TensorRole, Tensors};
 use super::topological::Edges;
 
 const FOLDERS: [&str; 4] = ["vehicle", "pedestrian", "plus", "literal"];
@@ -50,7 +50,7 @@ impl Golden {
         let config = serde_json::from_str(&header.metadata().as_ref().unwrap()["config"]).unwrap();
         let mut weights = Tensors::default();
         for (name, view) in SafeTensors::deserialize(&bytes).unwrap().iter() {
-            let role = if name.contains(".running_") { Role::Statistic } else { Role::Learned };
+            let role = if name.contains(".running_") { TensorRole::Statistic } else { TensorRole::Learned };
             weights.insert(name, view.shape(), floats(view.data()), role);
         }
         let scene: Value = serde_json::from_slice(&read("scene.json")).unwrap();

@@ -1,5 +1,8 @@
 //! The graph network: from the features of a batch to the encoding of every agent, forward and backward.
 //! \[model §3\]
+//!
+//! **In:** the rows, edges, relation features and map patches of [`Graph`](crate::batch::Graph). **Out:** ṽ
+//! `[agents, 64]`, dimensionless; backward the gradients of all weights up to ṽ.
 
 use nn::ModelConfig;
 

@@ -1,6 +1,10 @@
 //! The GRU decoder: from the history of an agent and a latent variable to the Gaussians of its controls.
 //! \[model §3\]
 //!
+//! **In:** state features `[agents, steps × 6]` with their presence, ṽ `[agents, 64]` and z `[agents × draws,
+//! 32]`. **Out:** μ₁, μ₂, ln l₁₁, ln l₂₂, l₂₁ of every step `[agents × draws, horizon × 5]`, in m/s² and
+//! rad/s for the bicycle model, in m for the displacement model.
+//!
 //! A gated recurrent unit reads the present steps of the history ([`burn_in`]), then ṽ and z once, then zeros
 //! ([`unroll`]); a linear *head* reads every state of the forecast. Agents are processed in blocks that stay
 //! in the second-level cache over all steps, forward and backward. What does not depend on the draw is

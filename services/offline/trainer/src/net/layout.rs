@@ -6,7 +6,7 @@ use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal, Uniform};
 use wire::{AGENT_TYPES, AgentType};
 
-use super::tensors::{Role, Tensors};
+use super::tensors::{TensorRole, Tensors};
 
 /// The agent types in the names of tensors: vehicle, cyclist, pedestrian.
 pub(crate) const TYPE_NAMES: [&str; 3] = ["vehicle", "cyclist", "pedestrian"];
@@ -56,7 +56,7 @@ pub(crate) struct Entry {
     /// Shape.
     pub(crate) shape: Vec<usize>,
     /// How training changes it.
-    pub(crate) role: Role,
+    pub(crate) role: TensorRole,
     fill: Fill,
 }
 
@@ -135,12 +135,12 @@ pub(crate) fn units(config: &ModelConfig, name: &str, shape: &[usize]) -> Option
 struct Entries(Vec<Entry>);
 
 impl Entries {
-    fn push(&mut self, name: String, shape: &[usize], role: Role, fill: Fill) {
+    fn push(&mut self, name: String, shape: &[usize], role: TensorRole, fill: Fill) {
         self.0.push(Entry { name, shape: shape.to_vec(), role, fill });
     }
 
     fn learned(&mut self, name: String, shape: &[usize], fill: Fill) {
-        self.push(name, shape, Role::Learned, fill);
+        self.push(name, shape, TensorRole::Learned, fill);
     }
 
     /// Changes the initial values of a tensor that is listed already.
@@ -196,8 +196,8 @@ impl Entries {
         let name = format!("fe.context.{norm}");
         self.learned(format!("{name}.weight"), &[to], Fill::Constant(1.0));
         self.learned(format!("{name}.bias"), &[to], Fill::Constant(0.0));
-        self.push(format!("{name}.running_mean"), &[to], Role::Statistic, Fill::Constant(0.0));
-        self.push(format!("{name}.running_var"), &[to], Role::Statistic, Fill::Constant(1.0));
+        self.push(format!("{name}.running_mean"), &[to], TensorRole::Statistic, Fill::Constant(0.0));
+        self.push(format!("{name}.running_var"), &[to], TensorRole::Statistic, Fill::Constant(1.0));
     }
 
     fn attention(&mut self, config: &ModelConfig) {
@@ -260,7 +260,7 @@ impl Entries {
 
     fn base(&mut self, config: &ModelConfig, agent_type: &str) {
         let mut fixed = |tensor: &str, shape: &[usize]| {
-            self.push(format!("base.{agent_type}.{tensor}"), shape, Role::Fixed, Fill::Constant(0.0));
+            self.push(format!("base.{agent_type}.{tensor}"), shape, TensorRole::Fixed, Fill::Constant(0.0));
         };
         let controls = 2 * config.horizon_len;
         fixed("ridge", &[nn::base::CLASSES, nn::base::SPEED_BINS, nn::base::FEATURES, controls]);

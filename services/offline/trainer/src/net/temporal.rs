@@ -1,7 +1,7 @@
 //! Temporal attention: the steps of an agent summed to one encoding, forward and backward. \[model §3\]
 //!
 //! ```text
-//! β_k = softmax over the present steps k of f_act(w v_k)      ṽ = Σ_k β_k f_act(V v_k)      [paper, Eq. temporal]
+//! β_k = softmax over the present steps k of f_act(w v_k)    ṽ = Σ_k β_k f_act(V v_k)   [paper, Eq. temporal]
 //! ```
 //!
 //! The sum is that of messages from an agent's rows to the agent, as in [`super::topological`]. Every head

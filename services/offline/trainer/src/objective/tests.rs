@@ -9,7 +9,7 @@ use crate::base::BaseControl;
 use crate::batch::{BatchOptions, SceneView};
 use crate::net::gru::Device;
 use crate::net::layout::{initial, layout};
-use crate::net::tensors::Role;
+use crate::net::tensors::TensorRole;
 use crate::options::onboard_config;
 use crate::samples::Agent;
 use crate::view;
@@ -81,7 +81,7 @@ fn check(objective: &Objective, config: &ModelConfig) {
     let total = gradients.0.values().flat_map(|(_, values)| values).map(|g| g * g).sum::<f32>().sqrt();
     let mut checked = 0;
     let mut learned = layout(config);
-    learned.retain(|entry| entry.role == Role::Learned);
+    learned.retain(|entry| entry.role == TensorRole::Learned);
     for entry in &learned {
         let gradient = &gradients.0[&entry.name].1;
         let norm = gradient.iter().map(|g| g * g).sum::<f32>().sqrt();

@@ -9,7 +9,7 @@ use crate::net::context::Normalisation;
 use crate::net::graph::encode;
 use crate::net::gru::Device;
 use crate::net::layout::{TYPE_NAMES, layout};
-use crate::net::tensors::Role;
+use crate::net::tensors::TensorRole;
 use crate::rollout::TypeForecast;
 use crate::view;
 
@@ -74,7 +74,7 @@ fn a_resumed_run_repeats_to_the_bit() {
     let progress = Progress::new(options.steps, 0);
     let run = Run::prepare(&options, &progress).unwrap();
     let (mut state, base) = run.begin(&progress).unwrap();
-    let update = |state: &mut State, base: &BaseControl| {
+    let update = |state: &mut RunState, base: &BaseControl| {
         assert!(run.update(state, base).unwrap().1);
         state.progress.step += 1;
     };
@@ -88,7 +88,12 @@ fn a_resumed_run_repeats_to_the_bit() {
     }
     assert_eq!(state.weights, resumed.weights);
     let other = TrainOptions { seed: 2, ..options };
-    assert!(matches!(State::load(&other), Err(TrainError::Checkpoint { .. })));
+    assert!(matches!(RunState::load(&other), Err(TrainError::Checkpoint { .. })));
+    let file = other.checkpoints.join("checkpoint.safetensors");
+    std::fs::write(&file, "cut off").unwrap();
+    let refused = RunState::load(&other).err().unwrap();
+    assert!(refused.to_string().starts_with(&format!("{}: safetensors: ", file.display())), "{refused}");
+    assert!(std::error::Error::source(&refused).is_some());
 }
 
 #[test]
@@ -126,6 +131,11 @@ fn a_run_begins_with_given_weights_of_the_same_model() {
     other.model.modes = 5;
     let refused = train(&other).unwrap_err().to_string();
     assert!(refused.contains("weights.safetensors: its model is another"), "{refused}");
+    std::fs::write(&first.out, "cut off").unwrap();
+    let refused = train(&second).unwrap_err();
+    assert!(matches!(refused, TrainError::BeginWith { .. }), "{refused}");
+    assert!(refused.to_string().starts_with(&format!("begin_with {}: ", first.out.display())), "{refused}");
+    assert!(std::error::Error::source(&refused).is_some());
 }
 
 /// The golden vectors have no learned points, mode head or base control; here both implementations are
@@ -219,7 +229,7 @@ fn both_objectives_reach_every_learned_tensor_of_their_model() {
         };
         for (name, tensor) in &before.0 {
             let moved = tensor.values != state.weights.get(name);
-            let learned = tensor.role == Role::Learned && !unused(name);
+            let learned = tensor.role == TensorRole::Learned && !unused(name);
             assert!(moved || !learned, "{name} was not moved by {:?}", options.objective);
         }
     }

@@ -158,7 +158,7 @@ impl Outer<'_> {
 mod tests {
     use super::*;
     use crate::net::check::{check, values, weighted};
-    use crate::net::tensors::Role;
+    use crate::net::tensors::TensorRole;
 
     const NAME: &str = "weight";
     const IMAGES: usize = 5;
@@ -190,14 +190,14 @@ mod tests {
             let convolution = Convolution::new(NAME.to_owned(), geometry, [from, to]);
             let shape = [to, from, kernel, kernel];
             let mut weights = Tensors::default();
-            weights.insert(NAME, &shape, values(shape.iter().product(), 1.0, 1), Role::Learned);
+            weights.insert(NAME, &shape, values(shape.iter().product(), 1.0, 1), TensorRole::Learned);
             let (x, dy) = (map(side, from, 2), map(geometry.out_side(), to, 3));
             let mut gradients = Gradients::zeros(&weights);
             convolution.by_kernel(&mut gradients, &x, &dy);
             let name = format!("{geometry:?}");
             check(&name, weights.get(NAME), gradients.get_mut(NAME), (0.1, 20), |values| {
                 let mut moved = weights.clone();
-                moved.insert(NAME, &shape, values.to_vec(), Role::Learned);
+                moved.insert(NAME, &shape, values.to_vec(), TensorRole::Learned);
                 weighted(&convolution.forward(&moved, &x).values, &dy.values)
             });
             let dx = convolution.by_input(&weights, &dy, None);

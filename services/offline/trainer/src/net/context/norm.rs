@@ -56,12 +56,12 @@ pub(super) enum Then<'a> {
 /// What the backward pass of a batch norm needs.
 pub(super) struct NormTrace {
     x: Map,
-    moments: Moments,
+    moments: ChannelMoments,
     normalisation: Normalisation,
 }
 
 /// Mean and deviation of each channel.
-struct Moments {
+struct ChannelMoments {
     mean: Vec<Panel>,
     variance: Vec<Panel>,
 }
@@ -72,7 +72,7 @@ impl Norm {
         let moments = match pass.normalisation {
             Normalisation::Running => self.running(pass.weights),
             Normalisation::Batch => {
-                let moments = Moments::of(&x);
+                let moments = ChannelMoments::of(&x);
                 self.move_running(pass, &moments, x.rows());
                 moments
             }
@@ -136,7 +136,7 @@ impl Norm {
     }
 
     /// Adds the gradients by γ and β, given Σ dy and Σ dy (x − mean).
-    fn add_gradients(&self, gradients: &mut Gradients, moments: &Moments, sums: &[[Sums; 2]]) {
+    fn add_gradients(&self, gradients: &mut Gradients, moments: &ChannelMoments, sums: &[[Sums; 2]]) {
         for (c, d_beta) in gradients.get_mut(&self.part("bias")).iter_mut().enumerate() {
             *d_beta += sums[c / PANEL][0][c % PANEL] as f32;
         }
@@ -147,7 +147,7 @@ impl Norm {
     }
 
     /// The running moments, moved towards those of a batch with `rows_len` rows.
-    fn move_running(&self, pass: &mut Pass<'_>, batch: &Moments, rows_len: usize) {
+    fn move_running(&self, pass: &mut Pass<'_>, batch: &ChannelMoments, rows_len: usize) {
         let unbiased = (rows_len as f64 / (rows_len as f64 - 1.0).max(1.0)) as f32;
         for (part, new, factor) in
             [("running_mean", &batch.mean, 1.0), ("running_var", &batch.variance, unbiased)]
@@ -158,9 +158,9 @@ impl Norm {
         }
     }
 
-    fn running(&self, weights: &Tensors) -> Moments {
+    fn running(&self, weights: &Tensors) -> ChannelMoments {
         let moment = |part: &str| padded(self.tensor(weights, part));
-        Moments { mean: moment("running_mean"), variance: moment("running_var") }
+        ChannelMoments { mean: moment("running_mean"), variance: moment("running_var") }
     }
 
     fn gamma(&self, weights: &Tensors) -> Vec<Panel> {
@@ -176,7 +176,7 @@ impl Norm {
     }
 }
 
-impl Moments {
+impl ChannelMoments {
     /// Those of the rows of a map.
     fn of(x: &Map) -> Self {
         assert!(x.rows() > 0, "moments of no rows");

@@ -8,7 +8,7 @@ use safetensors::tensor::TensorView;
 
 use super::*;
 use crate::net::check::{values, weighted};
-use crate::net::tensors::Role;
+use crate::net::tensors::TensorRole;
 use crate::options::onboard_config;
 
 const EMBEDDING: usize = 32;
@@ -35,7 +35,7 @@ fn random(config: &ModelConfig) -> Tensors {
             _ => (0.3, 0.3),
         };
         let values = values(len, scale, seed as u64).iter().map(|value| middle + value).collect();
-        let role = if statistic { Role::Statistic } else { Role::Learned };
+        let role = if statistic { TensorRole::Statistic } else { TensorRole::Learned };
         weights.insert(&entry.name, &entry.shape, values, role);
     }
     weights

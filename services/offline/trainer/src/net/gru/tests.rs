@@ -2,7 +2,7 @@ use super::*;
 use crate::net::check::{check, values, weighted};
 use crate::net::dense::perceptron_backward;
 use crate::net::golden::Golden;
-use crate::net::tensors::Role;
+use crate::net::tensors::TensorRole;
 
 const NAME: &str = "decoder.pedestrian";
 const MODES: usize = 4;
@@ -24,7 +24,7 @@ fn weights() -> Tensors {
     ];
     for (seed, (name, shape)) in shapes.into_iter().enumerate() {
         let len = shape.iter().product();
-        weights.insert(&format!("{NAME}.{name}"), shape, values(len, 0.15, seed as u64), Role::Learned);
+        weights.insert(&format!("{NAME}.{name}"), shape, values(len, 0.15, seed as u64), TensorRole::Learned);
     }
     weights
 }
@@ -66,7 +66,7 @@ fn check_tensors(
         let gradient = gradients.get_mut(&name).to_vec();
         check(tensor, weights.get(&name), &gradient, (1e-2, 8), |values| {
             let mut moved = weights.clone();
-            moved.insert(&name, &weights.tensor(&name).shape, values.to_vec(), Role::Learned);
+            moved.insert(&name, &weights.tensor(&name).shape, values.to_vec(), TensorRole::Learned);
             loss(&moved)
         });
     }

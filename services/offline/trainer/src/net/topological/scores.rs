@@ -13,7 +13,7 @@ const RAW: [&str; 2] = ["lambda_raw", "mu_raw"];
 
 /// The linear map of the scores.
 pub(super) struct Coefficients {
-    /// −λ and −μ `[heads, 2]`, over the dimensions of node and edge where `distance_scale` says so.
+    /// −λ and −μ `[heads, 2]`, divided by the dimensions of node and edge under `distance_scale`.
     matrix: Matrix,
     attention: Attention,
     scale: [f32; 2],

@@ -1,7 +1,7 @@
 use super::*;
 use crate::net::check::{check, values, weighted};
 use crate::net::golden::Golden;
-use crate::net::tensors::Role;
+use crate::net::tensors::TensorRole;
 
 const ROWS: usize = 5;
 const SLOPE: f32 = 0.1;
@@ -43,7 +43,7 @@ fn weights(shape: AttentionShape) -> Tensors {
     let mut insert = |name: &str, shape: &[usize], scale: f32| {
         seed += 1;
         let values = values(shape.iter().product(), scale, seed);
-        weights.insert(&format!("gdat.topological.{ROUND}.{name}"), shape, values, Role::Learned);
+        weights.insert(&format!("gdat.topological.{ROUND}.{name}"), shape, values, TensorRole::Learned);
     };
     insert("w_n.weight", &[NODE, NODE], 0.3);
     if shape.attention == Attention::Dual {

@@ -1,13 +1,13 @@
 use super::*;
 use crate::net::check::{check, values, weighted};
-use crate::net::tensors::Role;
+use crate::net::tensors::TensorRole;
 
 const CHANNELS: usize = 20;
 
 fn weights() -> Tensors {
     let mut weights = Tensors::default();
-    let parts = [("weight", 1.0, Role::Learned), ("bias", 0.0, Role::Learned)];
-    let running = [("running_mean", 0.0, Role::Statistic), ("running_var", 1.0, Role::Statistic)];
+    let parts = [("weight", 1.0, TensorRole::Learned), ("bias", 0.0, TensorRole::Learned)];
+    let running = [("running_mean", 0.0, TensorRole::Statistic), ("running_var", 1.0, TensorRole::Statistic)];
     for (seed, (part, middle, role)) in parts.into_iter().chain(running).enumerate() {
         let values = values(CHANNELS, 0.5, seed as u64).iter().map(|value| middle + value).collect();
         weights.insert(&format!("norm.{part}"), &[CHANNELS], values, role);
@@ -25,7 +25,7 @@ fn map(seed: u64) -> Map {
     map
 }
 
-/// What the norm makes of `x` and, where there is one, a shortcut.
+/// Output of the norm for `x` and, where there is one, a shortcut.
 fn forward(
     weights: &Tensors,
     normalisation: Normalisation,
@@ -59,7 +59,7 @@ fn gradients_agree_with_differences() {
             for (part, (_, gradient)) in &gradients.0 {
                 check(&name(part), weights.get(part), gradient, (1e-3, 20), |values| {
                     let mut moved = weights.clone();
-                    moved.insert(part, &[CHANNELS], values.to_vec(), Role::Learned);
+                    moved.insert(part, &[CHANNELS], values.to_vec(), TensorRole::Learned);
                     loss(&moved, &x, shortcut)
                 });
             }

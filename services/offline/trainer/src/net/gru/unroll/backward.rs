@@ -52,7 +52,7 @@ impl Kept {
         let Self { inputs, .. } = self;
         let draws_len = inputs.draws_len();
         let stacked = stacked(weights, &inputs.name, "weight");
-        let mut pass = BackwardPass {
+        let mut pass = HorizonBackward {
             kept: self,
             to_state: to_state(&stacked),
             head_to_state: to_state(&stacked[GATES * HIDDEN..]),
@@ -75,7 +75,7 @@ impl Kept {
 }
 
 /// A backward pass in progress.
-struct BackwardPass<'a> {
+struct HorizonBackward<'a> {
     kept: &'a Kept,
     to_state: Panels,
     head_to_state: Panels,
@@ -99,7 +99,7 @@ pub(in super::super) struct First {
     pub(in super::super) d_input: Matrix,
 }
 
-impl BackwardPass<'_> {
+impl HorizonBackward<'_> {
     /// Processes a block of rows from the last step to the first.
     fn block(&mut self, rows: Range<usize>, d_raw: &Matrix) {
         let (len, horizon_len) = (rows.len(), self.horizon_len);
