@@ -6,12 +6,12 @@ use thiserror::Error;
 #[derive(Debug, Error)]
 pub enum ReadError {
     /// The file or its folder can't be opened or read.
-    #[error("{}: {error}", path.display())]
+    #[error("{}: {source}", path.display())]
     Io {
         /// The file.
         path: PathBuf,
-        /// What the operating system says.
-        error: std::io::Error,
+        /// The error of the operating system.
+        source: std::io::Error,
     },
     /// The file is larger than any recording.
     #[error("{path}: {bytes} bytes, at most {most} are read")]
@@ -57,7 +57,7 @@ pub enum ReadError {
         /// The row, shortened.
         text: String,
     },
-    /// A value is not what its column asks for.
+    /// A value is not of the kind, or not in the range, that its column asks for.
     #[error("{path}:{line}:{column}: {field} = \"{value}\": {problem}")]
     Value {
         /// The file.
@@ -68,12 +68,12 @@ pub enum ReadError {
         column: usize,
         /// The column's name.
         field: &'static str,
-        /// The value as it stands there, shortened.
+        /// The value, shortened.
         value: String,
         /// What is wrong with it.
         problem: String,
     },
-    /// One object is told twice at the same time.
+    /// One object has two rows at the same time.
     #[error("{path}:{line}: id {id} stands in this frame already, in {first_path}:{first_line}")]
     Duplicate {
         /// The file.
@@ -103,12 +103,12 @@ pub enum ReadError {
         /// Where it was looked for, as ` at PATH`, or nothing.
         searched: String,
     },
-    /// The format can't be told from the content.
+    /// The content fits no format, or more than one.
     #[error("{path}: {problem}; name the format (one of {known})", known = crate::Format::names())]
     UnknownFormat {
         /// The file.
         path: String,
-        /// What was seen.
+        /// What the content has instead.
         problem: String,
     },
 }

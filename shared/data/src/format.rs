@@ -7,7 +7,7 @@ use crate::formats::{csv, interaction, vci_dut};
 use crate::text::{self, Line, Separator};
 use crate::{Input, ReadError};
 
-/// How a recording is written.
+/// The file format of a recording.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Format {
     /// [`crate::formats::positions`], ETH/UCY.
@@ -30,12 +30,12 @@ pub enum Format {
     Csv,
 }
 
-/// A name that stands for no format.
+/// A name of no format.
 #[derive(Debug, Error, PartialEq, Eq)]
 #[error("unknown format \"{0}\": expected one of {known}", known = Format::names())]
 pub struct UnknownFormat(pub String);
 
-/// Lines after which no more is looked at to tell the format.
+/// Lines that detection of the format reads at most.
 const LINES_MAX: usize = 2_000;
 
 impl Format {
@@ -74,10 +74,11 @@ impl Format {
         Self::ALL.map(Self::name).join(", ")
     }
 
-    /// The format of a file, told from its content; its name decides nothing.
+    /// The format of a file, detected from its content alone; the file's name has no influence.
     ///
     /// # Errors
-    /// [`ReadError::UnknownFormat`] where the content fits none, [`ReadError::NotText`], [`ReadError::Empty`].
+    /// [`ReadError::UnknownFormat`] where the content fits none, [`ReadError::NotText`],
+    /// [`ReadError::Empty`].
     pub fn detect(input: &Input) -> Result<Self, ReadError> {
         let mut lines =
             text::lines(input).filter(|line| !matches!(line, Ok(line) if line.text.starts_with('#')));
@@ -104,7 +105,7 @@ impl Format {
     }
 }
 
-/// Tells the formats of four columns apart by the spacing of their frames: tens or dozens.
+/// Separates the formats of four columns by the spacing of their frames: tens or dozens.
 fn by_frames<'a>(
     first: &Line<'a>,
     rest: impl Iterator<Item = Result<Line<'a>, ReadError>>,
@@ -121,7 +122,7 @@ fn by_frames<'a>(
     match (tens, dozens) {
         (true, false) => Ok(Format::EthUcy),
         (false, true) => Ok(Format::SddTrajnet),
-        // One and the same to the reader but for the axes: what little there is fits both.
+        // Both readers give the same recording but for the axes; an all-zero file fits both formats.
         (true, true) if all_zero => {
             Ok(if first.text.contains('\t') { Format::EthUcy } else { Format::SddTrajnet })
         }

@@ -1,4 +1,5 @@
-//! The formats: one module each, which says what a row means and turns bytes into a recording.
+//! The file formats: one module each, which defines the columns and units of a row and turns bytes into a
+//! recording.
 
 pub mod csv;
 pub mod interaction;

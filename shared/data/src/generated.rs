@@ -1,21 +1,23 @@
-//! A generated scene: road users and pedestrians at an unsignalised intersection, and a sensor that watches them.
+//! A generated scene: road users and pedestrians at an unsignalised intersection, and a sensor that observes
+//! them.
 //!
-//! [`GeneratedScene`] moves everybody on by one frame at a time, without end and with bounded memory; the same options
-//! give the same frames to the bit. Vehicles and cyclists follow smooth routes with the intelligent-driver model, take
-//! turns by gap acceptance and stop for pedestrians; pedestrians walk by the social-force model from pavement to
-//! pavement. Nobody jumps, and everybody leaves at the end of their way while others enter.
+//! [`GeneratedScene`] advances by one frame at a time, without end and with bounded memory; the same options
+//! give the same frames to the bit. Vehicles and cyclists follow smooth routes by the intelligent-driver
+//! model, take turns by gap acceptance and stop for pedestrians; pedestrians walk by the social-force model
+//! from pavement to pavement. Motion is continuous; an agent that reaches the end of its route leaves, and
+//! another enters.
 //!
-//! The *sensor* sees them with noise, misses some, does not see who is hidden behind a vehicle, and reports clutter: it
+//! The *sensor* adds noise, misses agents, reports no agent that a vehicle occludes, and reports clutter. It
 //! draws from a random stream of its own, so that its options never change the truth.
 
 mod layout;
 mod options;
 mod path;
+mod pedestrian;
 mod right_of_way;
 mod road_user;
 mod sensor;
 mod traffic;
-mod walker;
 mod yielding;
 
 pub use options::{OptionError, SceneOptions};
@@ -27,16 +29,16 @@ use sensor::Sensor;
 use traffic::{Population, Traffic};
 
 /// Time between two frames of a generated scene.
-pub const FRAME_INTERVAL_NS: u64 = wire::TICK_NS;
+const FRAME_INTERVAL_NS: u64 = wire::TICK_NS;
 
 /// Steps of the simulation in a frame.
 const STEPS: u16 = 2;
-/// Frames that pass unseen before the first, so that it shows a scene in full swing.
+/// Frames simulated before the first that is returned, so that traffic is at its steady level.
 const WARM_UP_FRAMES: u16 = 625;
 
 type Point = [f32; 2];
 
-/// An agent as it really is.
+/// The true state of an agent.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Agent {
     id: u64,
@@ -48,7 +50,7 @@ struct Agent {
     width_m: f32,
 }
 
-/// An endless scene; it moves on by one frame at a time.
+/// An endless scene that advances by one frame at a time.
 #[derive(Clone, Debug)]
 pub struct GeneratedScene {
     options: SceneOptions,
@@ -59,7 +61,7 @@ pub struct GeneratedScene {
 }
 
 impl GeneratedScene {
-    /// A scene in full swing, before its first frame.
+    /// A scene with traffic at its steady level, before its first frame.
     ///
     /// # Errors
     /// [`OptionError`] names the option that is out of its range.
@@ -79,7 +81,7 @@ impl GeneratedScene {
         Ok(scene)
     }
 
-    /// The next frame: what the sensor sees, and where everybody really is. Stamps start at 0.
+    /// The next frame: the sensor's detections, and the truth. Stamps start at 0.
     pub fn next_frame(&mut self) -> Frame {
         self.advance();
         let mut truth: Vec<Truth> = self.agents.iter().map(Agent::truth).collect();
@@ -128,14 +130,14 @@ impl GeneratedScene {
                 width_m: user.width_m,
             }
         }));
-        self.agents.extend(traffic.walkers.iter().map(|walker| Agent {
-            id: walker.id,
+        self.agents.extend(traffic.pedestrians.iter().map(|pedestrian| Agent {
+            id: pedestrian.id,
             agent_type: AgentType::Pedestrian,
-            position_m: walker.position_m,
-            heading_rad: walker.velocity_mps[1].atan2(walker.velocity_mps[0]),
-            speed_mps: walker.speed_mps(),
-            length_m: 2.0 * walker::BODY_M,
-            width_m: 2.0 * walker::BODY_M,
+            position_m: pedestrian.position_m,
+            heading_rad: pedestrian.velocity_mps[1].atan2(pedestrian.velocity_mps[0]),
+            speed_mps: pedestrian.speed_mps(),
+            length_m: 2.0 * pedestrian::BODY_M,
+            width_m: 2.0 * pedestrian::BODY_M,
         }));
     }
 }

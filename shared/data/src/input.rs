@@ -1,9 +1,9 @@
 use crate::ReadError;
 
-/// Largest file that is read.
-pub const FILE_BYTES_MAX: u64 = 256 << 20;
+/// Size of the largest file that is read.
+pub(crate) const FILE_BYTES_MAX: u64 = 256 << 20;
 
-/// What a file tells about a recording.
+/// The content of a file of a recording.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Role {
     /// The rows of a format that has one file.
@@ -18,7 +18,7 @@ pub enum Role {
     Labels,
     /// Position and attitude of the ego vehicle.
     EgoMotion,
-    /// Places of the sensors on the ego vehicle.
+    /// Mounting poses of the sensors on the ego vehicle.
     Calibration,
     /// Metres per pixel.
     Scales,
@@ -41,12 +41,12 @@ impl Role {
     }
 }
 
-/// A file of a recording, read.
+/// A file of a recording, in memory.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Input {
-    /// What the file tells.
+    /// The kind of content.
     pub role: Role,
-    /// The path, for names and errors.
+    /// The path, for the recording's name and for errors.
     pub path: String,
     /// The content.
     pub bytes: Vec<u8>,

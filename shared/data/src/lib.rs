@@ -1,16 +1,40 @@
-//! Where detections come from: recordings of every known format, training windows, and generated scenes.
+//! Recordings of every known format, the windows that training and evaluation cut out of them, and generated
+//! scenes.
 //!
-//! A *recording* is a list of [`Frame`]s: what a sensor saw, and where known what was really there, at each time.
-//! [`open`] reads one from a file together with the files that belong to it; [`parse`] does the same from bytes.
-//! Positions come out in metres in one world frame, headings counter-clockwise in radians, stamps in nanoseconds on
-//! the recording's own clock. What a row of a file means is told by the module of its format in [`formats`].
+//! **In:** files as their makers publish them ([`Format`], one module each in [`formats`]), or the same bytes
+//! in memory. **Out:** a [`Recording`], a list of [`Frame`]s in time order: the sensor's detections and,
+//! where it is known, the truth. Positions are in metres in one right-handed world frame, headings in radians
+//! counter-clockwise from +x, speeds in m/s, stamps in nanoseconds on the recording's own clock.
 //!
-//! [`tracks`] turns a recording with identities into trajectories, [`windows`](windows()) cuts those into strictly causal
-//! histories and their futures, and [`sets`] names the files of the train, validation and test parts.
+//! * [`open`] reads a recording from a file together with the files that belong to it; [`parse`] does the
+//!   same from bytes. Bad input is a [`ReadError`] with file, line, column and value; no row is skipped in
+//!   silence.
+//! * [`tracks`] joins detections with identities to trajectories; [`windows`](windows()) cuts those into
+//!   strictly causal histories (T_h steps) and futures (T_f steps, \[model §1\]).
+//! * [`sets`] lists the files of the training, validation and test parts of each data set.
+//! * [`TrackWriter`] writes a tracker's output as CSV, KITTI results or MOT rows.
+//! * [`GeneratedScene`] needs no file: an endless intersection with truth and a sensor's detections.
 //!
-//! [`TrackWriter`] writes what a tracker says of a recording.
+//! ```
+//! use data::{Format, Input, Role, parse};
 //!
-//! [`GeneratedScene`] needs no file: an intersection that lives for ever, with truth and a sensor's detections.
+//! let text = "stamp_s,id,type,x_m,y_m\n0.0,7,pedestrian,1.0,2.0\n0.4,7,pedestrian,1.5,2.0\n";
+//! let input = Input { role: Role::Rows, path: "walk.csv".to_owned(), bytes: text.into() };
+//! assert_eq!(Format::detect(&input)?, Format::Csv);
+//!
+//! let recording = parse(Format::Csv, &[input])?;
+//! assert_eq!((recording.frames.len(), recording.interval_ns), (2, 400_000_000));
+//! let tracks = data::tracks(&recording);
+//! let (stamp_ns, newest) = tracks[0].states[1];
+//! assert_eq!((stamp_ns, newest.position_m), (400_000_000, [1.5, 2.0]));
+//! assert!((newest.velocity_mps[0] - 1.25).abs() < 1e-6); // m/s, a backward difference
+//!
+//! let text = "stamp_s,type,x_m,y_m\n0,car,1,2\n";
+//! let broken = Input { role: Role::Rows, path: "b.csv".to_owned(), bytes: text.into() };
+//! let error = parse(Format::Csv, &[broken]).unwrap_err().to_string();
+//! assert!(error.starts_with("b.csv:2:3: type = \"car\": expected vehicle"), "{error}");
+//! # Ok::<(), data::ReadError>(())
+//! ```
 
 mod error;
 mod format;
@@ -28,11 +52,10 @@ mod windows;
 
 pub use error::ReadError;
 pub use format::{Format, UnknownFormat};
-pub use generated::{FRAME_INTERVAL_NS, GeneratedScene, OptionError, SceneOptions};
-pub use input::{FILE_BYTES_MAX, Input, Role};
+pub use generated::{GeneratedScene, OptionError, SceneOptions};
+pub use input::{Input, Role};
 pub use open::{open, parse};
 pub use recording::{Ego, Frame, LeftOut, Recording};
-pub use rows::ROWS_MAX;
 pub use track_file::{TrackFormat, TrackRows, TrackWriter, UnknownTrackFormat};
-pub use tracks::{RecordedTrack, Told, tracks, tracks_from_positions};
+pub use tracks::{RecordedTrack, Reported, tracks, tracks_from_positions};
 pub use windows::{Window, WindowAgent, WindowOptions, windows};

@@ -7,10 +7,11 @@ use std::path::{Path, PathBuf};
 use sha2::{Digest, Sha256};
 
 use crate::formats::{csv, interaction, kitti, obsmat, positions, sdd_raw, vci_dut};
-use crate::{FILE_BYTES_MAX, Format, Input, ReadError, Recording, Role, text};
+use crate::input::FILE_BYTES_MAX;
+use crate::{Format, Input, ReadError, Recording, Role, text};
 
-/// Reads the recording of which `path` is a file, together with the other files that belong to it. Without a format
-/// it is told from the content.
+/// Reads the recording that `path` is a file of, together with the other files that belong to it. `None`
+/// detects the format from the content.
 ///
 /// # Errors
 /// [`ReadError`] with file, line, column and value.
@@ -25,7 +26,7 @@ pub fn open(path: &Path, format: Option<Format>) -> Result<Recording, ReadError>
 
 /// Reads a recording from the content of its files.
 ///
-/// The fingerprint is the SHA-256 of the files' contents one after the other, in the order given.
+/// [`Recording::sha256`] is that of the files' contents one after the other, in the order given.
 ///
 /// # Errors
 /// [`ReadError`] with file, line, column and value.
@@ -68,7 +69,7 @@ pub(crate) fn stem(path: &str) -> String {
 }
 
 fn read(path: &Path, role: Role) -> Result<Input, ReadError> {
-    let failed = |error| ReadError::Io { path: path.to_owned(), error };
+    let failed = |source| ReadError::Io { path: path.to_owned(), source };
     let file = File::open(path).map_err(failed)?;
     if !file.metadata().map_err(failed)?.is_file() {
         return Err(failed(io::Error::new(io::ErrorKind::InvalidInput, "not a regular file")));
@@ -87,7 +88,7 @@ fn read_if_there(path: &Path, role: Role) -> Result<Option<Input>, ReadError> {
     if path.exists() { read(path, role).map(Some) } else { Ok(None) }
 }
 
-/// The file at `path`, without which that at `opened` can't be read.
+/// The file at `path`, without which the file at `opened` can't be read.
 fn read_needed(path: &Path, role: Role, opened: &str) -> Result<Input, ReadError> {
     read_if_there(path, role)?.ok_or_else(|| ReadError::Missing {
         path: opened.to_owned(),
@@ -96,7 +97,7 @@ fn read_needed(path: &Path, role: Role, opened: &str) -> Result<Input, ReadError
     })
 }
 
-/// The opened file with its right role, and what belongs to it.
+/// The opened file with its role, and the files that belong to it.
 fn with_companions(path: &Path, mut opened: Input, format: Format) -> Result<Vec<Input>, ReadError> {
     let up = |depth: usize| path.ancestors().nth(depth).unwrap_or(Path::new(""));
     match format {
@@ -134,7 +135,8 @@ fn with_companions(path: &Path, mut opened: Input, format: Format) -> Result<Vec
     }
 }
 
-/// Which file of a pair it is; one that is neither is read as vehicles, which names what is wrong with its first line.
+/// The role of one file of a pair. A file that is neither is read as vehicles: the error then names its first
+/// line.
 fn role(input: &Input, role_of: fn(&text::Line<'_>) -> Option<Role>) -> Result<Role, ReadError> {
     let first = text::lines(input).next().transpose()?;
     Ok(first.as_ref().and_then(role_of).unwrap_or(Role::Vehicles))
@@ -155,7 +157,7 @@ fn pedestrian_tracks(vehicles: &Path) -> Option<PathBuf> {
     names.filter(belongs).min().map(|name| folder.join(name))
 }
 
-/// The outputs of the detectors for the three classes, and what puts them into the world.
+/// The outputs of the detectors for the three classes, and the files that locate them in the world.
 fn kitti_detections(path: &Path, opened: &Input) -> Result<Vec<Input>, ReadError> {
     let folder = path.ancestors().nth(2).unwrap_or(Path::new(""));
     let file = path.file_name().unwrap_or_default();
@@ -188,14 +190,15 @@ pub(crate) fn kitti_labels(path: &Path) -> Result<Input, ReadError> {
     read_needed(&kitti_file(path, "label"), Role::Labels, &path.to_string_lossy())
 }
 
-/// The file of the same sequence in another folder: two levels up from labels, three from a detector's output.
+/// The file of the same sequence in another folder: two levels up from labels, three from a detector's
+/// output.
 fn kitti_file(path: &Path, folder: &str) -> PathBuf {
     let up = |depth: usize| path.ancestors().nth(depth).unwrap_or(Path::new(""));
     let root = if up(3).join("calib").is_dir() { up(3) } else { up(2) };
     root.join(folder).join(path.file_name().unwrap_or_default())
 }
 
-/// The files by role, so that it does not matter which of them was opened.
+/// The files by role, so that the result does not depend on which of them was opened.
 fn in_order(mut inputs: Vec<Input>) -> Vec<Input> {
     inputs.sort_by_key(|input| input.role);
     inputs

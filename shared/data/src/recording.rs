@@ -7,26 +7,27 @@ pub struct Ego {
     pub position_m: [f32; 2],
     /// Heading, counter-clockwise from +x.
     pub heading_rad: f32,
-    /// Whether the sensor sees from there, so that agents hide others; a view from above, or an unknown one, has a centre only.
+    /// Whether the sensor is at this pose, so that agents can occlude others. If not (a view from above, or
+    /// not known), the pose is the scene's centre.
     pub is_sensor: bool,
 }
 
-/// What the sensor saw at one time.
+/// The detections of one time.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Frame {
     /// Time of validity on the recording's clock.
     pub stamp_ns: i64,
-    /// Bits ([`wire::AgentType::bit`]) of the types that the sensor looked for in this frame.
+    /// Bits ([`wire::AgentType::bit`]) of the types that the sensor can detect in this frame.
     pub observed_types: u32,
-    /// Where the sensor was.
+    /// Pose of the sensor.
     pub ego: Ego,
-    /// What it saw, sorted by (type, id) so that no result depends on the order of rows in a file.
+    /// The detections, sorted by (type, id) so that no result depends on the order of rows in a file.
     pub detections: Vec<Detection>,
-    /// Where the agents really were; empty where nobody knows.
+    /// The true positions; empty where unknown.
     pub truth: Vec<Truth>,
 }
 
-/// Rows of a file that by the rules of its format stand for no detection.
+/// Rows of a file that are no detections by the rules of its format.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct LeftOut {
     /// Why, in the format's words.
@@ -40,7 +41,7 @@ pub struct LeftOut {
 pub struct Recording {
     /// Name for reports.
     pub name: String,
-    /// SHA-256 of the files read, empty for generated scenes; tells whether a recording was seen in training.
+    /// SHA-256 of the files read, empty for generated scenes; identifies recordings that training used.
     pub sha256: String,
     /// Nominal interval between frames.
     pub interval_ns: u64,
@@ -48,8 +49,8 @@ pub struct Recording {
     pub has_identities: bool,
     /// The frames, strictly increasing in `stamp_ns`.
     pub frames: Vec<Frame>,
-    /// What the format told to leave out, so that nothing is skipped in silence.
+    /// The rows that the format leaves out, by reason.
     pub left_out: Vec<LeftOut>,
-    /// Metres per pixel of the video where the recording comes from one whose errors are published in pixels.
+    /// Metres per pixel of the recording's video where errors are published in pixels.
     pub pixel_m: Option<f64>,
 }

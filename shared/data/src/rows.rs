@@ -6,7 +6,7 @@ use crate::text::{Field, Line};
 use crate::{Ego, Frame, Input, ReadError};
 
 /// Most rows of a recording.
-pub const ROWS_MAX: usize = 8_000_000;
+pub(crate) const ROWS_MAX: usize = 8_000_000;
 /// In formats whose vehicles and pedestrians count their identities apart, the first identity of a
 /// pedestrian.
 pub(crate) const PEDESTRIAN_IDS: u64 = 1_000_000_000;
@@ -16,7 +16,7 @@ pub(crate) const HEADING_SPEED_MPS: f32 = 0.1;
 pub(crate) const ALL_TYPES: u32 =
     AgentType::Vehicle.bit() | AgentType::Cyclist.bit() | AgentType::Pedestrian.bit();
 
-/// A detection and where it was read.
+/// A detection and the line that it was read from.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Row<'a> {
     pub stamp_ns: i64,
@@ -53,7 +53,7 @@ impl<'a> Rows<'a> {
     /// The rows by time and identity, however they were ordered in the file.
     ///
     /// # Errors
-    /// [`ReadError::Duplicate`] where an identity stands twice at one time, [`ReadError::Empty`] where there
+    /// [`ReadError::Duplicate`] where an identity has two rows at one time, [`ReadError::Empty`] where there
     /// is no row.
     pub fn sorted(self, input: &Input) -> Result<Vec<Row<'a>>, ReadError> {
         match self.is_empty() {
@@ -62,7 +62,7 @@ impl<'a> Rows<'a> {
         }
     }
 
-    /// As [`Rows::sorted`], where it is no error to have no row.
+    /// As [`Rows::sorted`], except that no row is no error.
     pub fn sorted_or_none(mut self) -> Result<Vec<Row<'a>>, ReadError> {
         let has_id = |row: &Row<'_>| row.detection.has(detection_flags::HAS_ID);
         self.rows.sort_by_key(|row| (row.stamp_ns, has_id(row), row.detection.id, row.line));
@@ -84,7 +84,7 @@ impl<'a> Rows<'a> {
     }
 }
 
-/// A detection at a place, with nothing else known of it.
+/// A detection at a position, with no other attribute.
 pub(crate) fn detection(agent_type: AgentType, position_m: [f32; 2]) -> Detection {
     Detection {
         x_m: position_m[0],
@@ -100,8 +100,8 @@ pub(crate) fn identified(agent_type: AgentType, position_m: [f32; 2], id: u64) -
     Detection { id, flags: detection_flags::HAS_ID, ..detection(agent_type, position_m) }
 }
 
-/// The detection with a velocity in the world frame: its speed, and its heading from [`HEADING_SPEED_MPS`]
-/// on.
+/// The detection with a velocity in the world frame: its speed, and from [`HEADING_SPEED_MPS`] on its
+/// heading.
 ///
 /// # Errors
 /// [`ReadError::Value`] for a component or a speed that is none.
@@ -123,9 +123,9 @@ pub(crate) fn with_velocity(
     })
 }
 
-/// Frames of rows that are sorted by time, seen by a fixed sensor that looked for `observed_types` all the
-/// time. It is taken to look at the middle of what the first frame saw: that of all frames would tell of the
-/// future. The rows are their own truth.
+/// Frames of rows that are sorted by time, observed by a fixed sensor that detects `observed_types` all the
+/// time. The sensor's position is the mean position of the first frame's detections: that of all frames would
+/// leak the future. The rows are their own truth.
 pub(crate) fn frames(rows: &[Row<'_>], observed_types: u32) -> Vec<Frame> {
     let first = rows.chunk_by(|a, b| a.stamp_ns == b.stamp_ns).next().unwrap_or(&[]);
     let ego = Ego { position_m: centre_m(first), ..Ego::default() };
@@ -139,7 +139,7 @@ pub(crate) fn frames(rows: &[Row<'_>], observed_types: u32) -> Vec<Frame> {
         .collect()
 }
 
-/// Sorts by type and identity, and where there is none by score and place, so that the order of rows never
+/// Sorts by type and identity, and without identity by score and position, so that the order of rows never
 /// matters.
 pub(crate) fn sort(detections: &mut [Detection]) {
     detections.sort_by(|a, b| {
@@ -151,7 +151,7 @@ pub(crate) fn sort(detections: &mut [Detection]) {
     });
 }
 
-/// What a row tells of the truth, where the rows are the truth.
+/// The truth of a row, where the rows are the truth.
 pub(crate) fn truth_of(detection: &Detection) -> Truth {
     Truth {
         id: detection.id,
@@ -162,7 +162,7 @@ pub(crate) fn truth_of(detection: &Detection) -> Truth {
     }
 }
 
-/// The middle of all positions.
+/// The mean of all positions.
 fn centre_m(rows: &[Row<'_>]) -> [f32; 2] {
     let mean = |of: fn(&Detection) -> f32| {
         let sum: f64 = rows.iter().map(|row| f64::from(of(&row.detection))).sum();

@@ -1,8 +1,8 @@
 //! The data sets and their train, validation and test parts, as lists of files.
 //!
-//! Where a set brings no validation part: SDD TrajNet validates on the scenes `gates_*` and `nexus_*`; of each site
-//! of INTERACTION the last fifth of the recordings tests and the fifth before it validates; VCI-DUT validates on
-//! intersections 11 and 12; KITTI on the sequences from 0016 on.
+//! Validation parts where a set has none: of SDD TrajNet the scenes `gates_*` and `nexus_*`; of each site of
+//! INTERACTION the fifth of the recordings before the last fifth, which is the test part; of VCI-DUT the
+//! intersections 11 and 12; of KITTI the sequences from 0016 on.
 
 use std::fs;
 use std::io;
@@ -15,19 +15,19 @@ use crate::{Format, ReadError};
 pub enum DataSet {
     /// One of the leave-one-out folds of ETH/UCY.
     EthUcyFold(Fold),
-    /// Every scene of ETH/UCY once, by the scenes' own train and validation parts; nothing is left to test.
+    /// Every scene of ETH/UCY once, by the scenes' own train and validation parts; no test part.
     EthUcy,
     /// Stanford Drone, TrajNet split.
     SddTrajnet,
-    /// Stanford Drone, annotations of whole videos; nothing is left to test.
+    /// Stanford Drone, annotations of whole videos; no test part.
     SddRaw,
     /// INTERACTION, vehicles with the pedestrians of the same recordings.
     Interaction,
-    /// VCI-DUT, vehicles with pedestrians; nothing is left to test.
+    /// VCI-DUT, vehicles with pedestrians; no test part.
     VciDut,
-    /// KITTI tracking, true tracks; nothing is left to test.
+    /// KITTI tracking, true tracks; no test part.
     KittiLabels,
-    /// KITTI tracking, a detector's output; nothing is left to test.
+    /// KITTI tracking, a detector's output; no test part.
     KittiDetections,
 }
 
@@ -46,14 +46,14 @@ pub enum Fold {
     Zara2,
 }
 
-/// What a recording is for.
+/// A part of a data set.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Part {
-    /// To learn from.
+    /// For training.
     Train,
-    /// To choose by.
+    /// For the choice of weights and parameters.
     Validation,
-    /// To report on.
+    /// For reported figures.
     Test,
 }
 
@@ -116,7 +116,8 @@ impl DataSet {
         }
     }
 
-    /// The files to [`open`](crate::open) for a part, below the folder `root` that holds all sets, sorted by path.
+    /// The files to [`open`](crate::open) for a part, below the folder `root` that holds all sets, sorted by
+    /// path.
     ///
     /// # Errors
     /// [`ReadError::Io`] where a folder of the set can't be listed.
@@ -160,7 +161,8 @@ fn in_part(validates: bool, part: Part) -> bool {
     part == if validates { Part::Validation } else { Part::Train }
 }
 
-/// The same scene stands in the folds that do not leave it out: each file name is taken once.
+/// Each scene once: the folds share the files of the scenes that they do not leave out, so each file name is
+/// taken once.
 fn scenes_once(root: &Path, part: Part) -> Result<Vec<PathBuf>, ReadError> {
     if part == Part::Test {
         return Ok(Vec::new());
@@ -219,7 +221,7 @@ fn named(path: &Path) -> String {
 
 /// What a folder holds, sorted by name.
 fn list(folder: &Path) -> Result<Vec<PathBuf>, ReadError> {
-    let failed = |error: io::Error| ReadError::Io { path: folder.to_owned(), error };
+    let failed = |source: io::Error| ReadError::Io { path: folder.to_owned(), source };
     let entries = fs::read_dir(folder).map_err(failed)?;
     let mut files: Vec<PathBuf> =
         entries.map(|entry| entry.map(|entry| entry.path())).collect::<Result<_, _>>().map_err(failed)?;

@@ -1,4 +1,4 @@
-//! Lines and columns of text files, with their places for errors.
+//! Lines and columns of text files, with their positions for errors.
 
 use std::ops::RangeInclusive;
 
@@ -6,14 +6,14 @@ use wire::{POSITION_MAX_M, SPEED_MAX_MPS};
 
 use crate::{Input, ReadError};
 
-/// Longest piece of a file that an error repeats.
+/// Longest text that an error quotes.
 const SHOWN_MAX: usize = 60;
 /// Greatest frame number: at 2.5 frames a second a century of recording fits.
 const FRAME_MAX: i64 = 10_000_000_000;
 /// Largest integer below which every integer is an f64.
 const INTEGER_MAX: f64 = 9_007_199_254_740_992.0;
 
-/// What stands between the columns of a row.
+/// The separator of the columns of a row.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Separator {
     /// One comma; spaces around a value do not count.
@@ -94,7 +94,7 @@ impl<'a> Line<'a> {
         if found == N { Ok(fields) } else { Err(self.columns_error(found, N)) }
     }
 
-    /// Each value with its place in bytes from 1.
+    /// Each value with its position in bytes from 1.
     pub fn pieces(&self, separator: Separator) -> impl Iterator<Item = (usize, &'a str)> {
         let text = self.text;
         let place = move |piece: &str| piece.as_ptr().addr() - text.as_ptr().addr() + 1;
@@ -107,7 +107,7 @@ impl<'a> Line<'a> {
         .map(move |piece| (place(piece), piece))
     }
 
-    /// A value of this line under a name that is known at run time only to the caller.
+    /// A value of this line under the given column name.
     pub fn field(&self, name: &'static str, column: usize, text: &'a str) -> Field<'a> {
         Field { line: *self, name, column, text }
     }
@@ -125,7 +125,7 @@ impl<'a> Line<'a> {
 }
 
 impl<'a> Field<'a> {
-    /// The error that this value is.
+    /// An error about this value.
     pub fn error(&self, problem: impl Into<String>) -> ReadError {
         ReadError::Value {
             path: self.line.path.to_owned(),

@@ -1,15 +1,15 @@
-//! Tracks as files: what a tracker says of a recording, a row per track and frame.
+//! Tracks as files: a tracker's output, one row per track and frame.
 //!
 //! | [`TrackFormat`] | a row |
 //! |---|---|
-//! | `csv` | the project's own format ([`crate::formats::csv`]) with velocity, status and covariance; an `ego` or `above` row per frame |
-//! | `kitti` | `frame id type truncated occluded alpha x1 y1 x2 y2 h w l x y z rot_y score`, in the camera frame |
+//! | `csv` | [`crate::formats::csv`] with velocity, status, covariance; an `ego` or `above` row per frame |
+//! | `kitti` | `frame id type truncated occluded alpha x1 y1 x2 y2 h w l x y z rot_y score`, camera frame |
 //! | `mot` | `frame,id,-1,-1,-1,-1,confidence,x,y,z`, frames from 1, positions in the world frame, z 0 |
 //!
-//! The score is the probability that the object exists. All three leave out what a track does not know: the box in the
-//! image is -1, as are truncation and occlusion. KITTI's rows ask for a height, which no track has: that of a usual object of the type,
-//! standing on the plane that the car stands on. The CSV and, beside its `calib` and `oxts`, the KITTI file can be
-//! [opened](crate::open) again as recordings with identities.
+//! The score is the existence probability. What a track does not have is -1: the box in the image, truncation
+//! and occlusion. The height in KITTI's rows is the mean of the labelled objects of the type, and the
+//! position is on the plane that the car stands on. The CSV and, beside its `calib` and `oxts`, the KITTI
+//! file can be [opened](crate::open) again as recordings with identities.
 
 use std::fmt;
 use std::io::{self, Write};
@@ -22,7 +22,7 @@ use crate::formats::csv;
 use crate::formats::kitti::{self, WorldFromCamera};
 use crate::text;
 
-/// How tracks are written.
+/// A file format for tracks.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum TrackFormat {
     /// The project's own.
@@ -30,11 +30,11 @@ pub enum TrackFormat {
     Csv,
     /// KITTI's format for results of tracking.
     Kitti,
-    /// That of the MOT challenges, with positions in the world.
+    /// The format of the MOT challenges, with positions in the world frame.
     Mot,
 }
 
-/// A name that stands for no format of tracks.
+/// A name of no track format.
 #[derive(Debug, Error, PartialEq, Eq)]
 #[error("unknown format \"{0}\" of tracks: expected csv, kitti or mot")]
 pub struct UnknownTrackFormat(String);
@@ -69,7 +69,7 @@ impl FromStr for TrackFormat {
     }
 }
 
-/// A format with what its rows need.
+/// A format with the poses that its rows need.
 #[derive(Clone, Debug)]
 pub enum TrackRows {
     /// [`TrackFormat::Csv`].
@@ -91,7 +91,7 @@ impl<W: Write> TrackWriter<W> {
     /// Starts a file.
     ///
     /// # Errors
-    /// What the output says.
+    /// Those of the output.
     pub fn new(mut output: W, rows: TrackRows) -> io::Result<Self> {
         if matches!(rows, TrackRows::Csv) {
             writeln!(output, "{}", CSV_COLUMNS.join(","))?;
@@ -102,8 +102,8 @@ impl<W: Write> TrackWriter<W> {
     /// Writes the tracks of a frame.
     ///
     /// # Errors
-    /// What the output says; [`io::ErrorKind::InvalidInput`] for a type that is none, and in KITTI's format for a frame
-    /// whose pose is not known.
+    /// Those of the output; [`io::ErrorKind::InvalidInput`] for an unknown agent type, and in KITTI's format
+    /// for a frame without a pose.
     pub fn write(&mut self, header: &Header, tracks: &[Track]) -> io::Result<()> {
         if matches!(self.rows, TrackRows::Csv) {
             write_ego(&mut self.output, header)?;
@@ -123,21 +123,21 @@ impl<W: Write> TrackWriter<W> {
         Ok(())
     }
 
-    /// Hands out all that was buffered, and the output.
+    /// Flushes the output and returns it.
     ///
     /// # Errors
-    /// What the output says.
+    /// Those of the output.
     pub fn finish(mut self) -> io::Result<W> {
         self.output.flush()?;
         Ok(self.output)
     }
 }
 
-fn invalid(error: impl fmt::Display) -> io::Error {
-    io::Error::new(io::ErrorKind::InvalidInput, error.to_string())
+fn invalid(error: impl Into<Box<dyn std::error::Error + Send + Sync>>) -> io::Error {
+    io::Error::new(io::ErrorKind::InvalidInput, error)
 }
 
-/// What of the format's columns a track tells.
+/// The columns of [`csv::NAMES`] that a track has.
 const CSV_COLUMNS: [&str; csv::NAMES.len() - 1] = {
     let [stamp, id, kind, x, y, heading, speed, length, width, score, _sigma, rest @ ..] = csv::NAMES;
     let [vx, vy, status, unseen, xx, xy, yy, prior, age] = rest;
@@ -271,7 +271,7 @@ mod tests {
     }
 
     #[test]
-    fn csv_comes_back_as_a_recording_with_the_same_numbers() {
+    fn csv_reads_back_with_the_same_numbers() {
         let text = written(TrackRows::Csv, &frames()).unwrap();
         let rows: Vec<&str> = text.lines().collect();
         assert_eq!(rows[1], "-0.1,,ego,1.5,0,0.5,,,,,,,,,,,,,");
@@ -301,7 +301,7 @@ mod tests {
     }
 
     #[test]
-    fn kitti_comes_back_where_it_was_in_the_world() {
+    fn kitti_reads_back_with_the_same_world_positions() {
         let sensors = [input(Role::Calibration, CALIBRATION), input(Role::EgoMotion, EGO_MOTION)];
         let poses = WorldFromCamera::parse(&sensors[0], &sensors[1]).unwrap();
         let frames = &frames()[1..];
@@ -331,12 +331,12 @@ mod tests {
 
     #[test]
     fn seconds_are_exact() {
-        let told = [0, 80_000_000, 12_000_000_001, -500_000_000].map(|ns| Seconds(ns).to_string());
-        assert_eq!(told, ["0", "0.08", "12.000000001", "-0.5"]);
+        let written = [0, 80_000_000, 12_000_000_001, -500_000_000].map(|ns| Seconds(ns).to_string());
+        assert_eq!(written, ["0", "0.08", "12.000000001", "-0.5"]);
     }
 
     #[test]
-    fn formats_know_their_names() {
+    fn formats_parse_from_their_names() {
         assert!(TrackFormat::ALL.into_iter().all(|format| format.name().parse() == Ok(format)));
         assert_eq!(
             "xml".parse::<TrackFormat>().unwrap_err().to_string(),

@@ -8,27 +8,28 @@ use wire::{AgentType, Detection, detection_flags};
 use crate::rows::HEADING_SPEED_MPS;
 use crate::{Recording, text};
 
-/// What a detection tells of its motion at most.
+/// All flags of motion that a detection can have.
 const MOTION: u32 = detection_flags::HAS_HEADING | detection_flags::HAS_SPEED;
 
-/// One agent over all frames that saw it.
+/// One agent over all frames that detected it.
 #[derive(Clone, Debug, PartialEq)]
 pub struct RecordedTrack {
     /// Identity in the recording.
     pub id: u64,
     /// Stamps and states in time order. A state depends on nothing later than its stamp.
     pub states: Vec<(i64, State)>,
-    /// Whether the first state has no velocity and heading because no position came before it. Once the second state
-    /// is known, [`RecordedTrack::state_at`] gives it those.
+    /// Whether the first state has no velocity and heading because no position came before it. Once the
+    /// second state is known, [`RecordedTrack::state_at`] gives it those.
     pub starts_unmoved: bool,
-    /// From when on the recording told what, in time order, at least one: it may learn what it sees.
-    pub told: Vec<(i64, Told)>,
+    /// What the recording had reported of the agent from each of these stamps on, in time order, at least
+    /// one: attributes may become known or change.
+    pub reported: Vec<(i64, Reported)>,
 }
 
-/// What a recording has told of an agent so far, its states apart.
+/// What a recording has reported of an agent so far, its states apart.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Told {
-    /// What the agent is taken for.
+pub struct Reported {
+    /// The agent type.
     pub agent_type: AgentType,
     /// Length where known, else 0.
     pub length_m: f32,
@@ -41,33 +42,33 @@ pub struct Told {
 }
 
 impl RecordedTrack {
-    /// What was known of the agent at a time, from detections up to then alone; before the first of them, what that
-    /// one tells.
+    /// What was known of the agent at a time, from detections up to then alone; before the first detection,
+    /// what that one reports.
     ///
     /// # Panics
-    /// If `told` is empty.
+    /// If `reported` is empty.
     #[must_use]
-    pub fn told_at(&self, stamp_ns: i64) -> Told {
-        let known = self.told.partition_point(|(from_ns, _)| *from_ns <= stamp_ns);
-        self.told[known.saturating_sub(1)].1
+    pub fn reported_at(&self, stamp_ns: i64) -> Reported {
+        let known = self.reported.partition_point(|(from_ns, _)| *from_ns <= stamp_ns);
+        self.reported[known.saturating_sub(1)].1
     }
 
-    /// The state at a time as it could be told at `now_ns`, from states up to then alone: a recorded state as it is,
-    /// in between two of them at most `gap_max_ns` apart an interpolated one, else none.
+    /// The state at `stamp_ns` as known at `now_ns`, from states up to then alone: a recorded state
+    /// unchanged, between two that are at most `gap_max_ns` apart an interpolated one, else none.
     #[must_use]
     pub fn state_at(&self, stamp_ns: i64, now_ns: i64, gap_max_ns: i64) -> Option<State> {
         let next = self.states.partition_point(|(at_ns, _)| *at_ns < stamp_ns);
-        let (next_ns, to) = self.told(next, now_ns)?;
+        let (next_ns, to) = self.known(next, now_ns)?;
         if next_ns == stamp_ns {
             return Some(to);
         }
-        let (last_ns, from) = self.told(next.checked_sub(1)?, now_ns)?;
+        let (last_ns, from) = self.known(next.checked_sub(1)?, now_ns)?;
         let gap_ns = next_ns - last_ns;
         (gap_ns <= gap_max_ns).then(|| between(from, to, (stamp_ns - last_ns) as f32 / gap_ns as f32))
     }
 
-    /// A recorded state as it could be told at `now_ns`.
-    fn told(&self, index: usize, now_ns: i64) -> Option<(i64, State)> {
+    /// A recorded state as known at `now_ns`.
+    fn known(&self, index: usize, now_ns: i64) -> Option<(i64, State)> {
         let &(stamp_ns, state) = self.states.get(index).filter(|(stamp_ns, _)| *stamp_ns <= now_ns)?;
         match self.states.get(1) {
             Some((second_ns, second)) if index == 0 && self.starts_unmoved && *second_ns <= now_ns => {
@@ -78,14 +79,15 @@ impl RecordedTrack {
     }
 }
 
-/// The trajectories of a recording, by identity. Velocities and headings are the recording's where it has them, else
-/// backward differences; detections without identity are in none.
+/// The trajectories of a recording, by identity. Velocities and headings are the recording's where it has
+/// them, else backward differences \[model §1\]; detections without identity are left out.
 #[must_use]
 pub fn tracks(recording: &Recording) -> Vec<RecordedTrack> {
     follow(recording, true)
 }
 
-/// As [`tracks`], with velocities and headings from the positions alone: what one gets whose sensor measures neither.
+/// As [`tracks`], with velocities and headings from the positions alone, as from a sensor that measures
+/// neither.
 #[must_use]
 pub fn tracks_from_positions(recording: &Recording) -> Vec<RecordedTrack> {
     follow(recording, false)
@@ -100,13 +102,13 @@ fn follow(recording: &Recording, motion_is_given: bool) -> Vec<RecordedTrack> {
                 id: detection.id,
                 states: Vec::new(),
                 starts_unmoved: !(motion_is_given && detection.has(MOTION)),
-                told: Vec::new(),
+                reported: Vec::new(),
             });
             let stamp_ns = frame.stamp_ns;
-            let last = track.told.last().map(|(_, told)| *told);
-            let told = Told::after(last, detection, agent_type);
-            if last != Some(told) {
-                track.told.push((stamp_ns, told));
+            let last = track.reported.last().map(|(_, reported)| *reported);
+            let reported = Reported::after(last, detection, agent_type);
+            if last != Some(reported) {
+                track.reported.push((stamp_ns, reported));
             }
             let state = state(track.states.last(), stamp_ns, detection, motion_is_given);
             track.states.push((stamp_ns, state));
@@ -115,7 +117,7 @@ fn follow(recording: &Recording, motion_is_given: bool) -> Vec<RecordedTrack> {
     tracks.into_values().collect()
 }
 
-impl Told {
+impl Reported {
     fn after(last: Option<Self>, detection: &Detection, agent_type: AgentType) -> Self {
         let has = |flag: u32, before: fn(Self) -> bool| detection.has(flag) && last.is_none_or(before);
         let [length_m, width_m] = match detection.has(detection_flags::HAS_SIZE) {
@@ -154,7 +156,7 @@ fn state(last: Option<&(i64, State)>, stamp_ns: i64, detection: &Detection, moti
     State { position_m, velocity_mps, heading_rad }
 }
 
-/// The state at `share` of the way from one to the other; the heading goes the shorter way round.
+/// The state at `share` of the way from one to the other; the heading turns the shorter way.
 fn between(from: State, to: State, share: f32) -> State {
     let mix = |a: f32, b: f32| a + (b - a) * share;
     let turn_rad = text::wrapped(f64::from(to.heading_rad - from.heading_rad)) as f32;

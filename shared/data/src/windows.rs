@@ -1,6 +1,6 @@
-//! Windows of a recording: what a forecaster may know at a time, and what came after.
+//! Windows of a recording: what is known at one time (history), and what came after (future).
 
-use crate::{RecordedTrack, Recording, Told, tracks, tracks_from_positions};
+use crate::{RecordedTrack, Recording, Reported, tracks, tracks_from_positions};
 use scene::State;
 
 /// How a recording is cut into windows.
@@ -14,9 +14,10 @@ pub struct WindowOptions {
     pub step_ns: i64,
     /// Least time from one window to the next.
     pub stride_ns: i64,
-    /// Longest gap between recorded states over which is interpolated.
+    /// Longest gap between recorded states that is interpolated.
     pub gap_max_ns: i64,
-    /// Least history steps at which an agent must be present to be in the window; it must be at the newest anyway.
+    /// Least number of history steps at which an agent in the window is present; the newest is always one of
+    /// them.
     pub history_present_min: usize,
     /// Whether velocities and headings come from the positions even where the recording has its own.
     pub from_positions: bool,
@@ -44,7 +45,7 @@ pub struct WindowAgent {
     /// Identity in the recording.
     pub id: u64,
     /// What was known of it at the window's time.
-    pub told: Told,
+    pub reported: Reported,
     /// States at `stamp_ns − (T_h − 1 − k) Δt`, oldest first; none where absent.
     pub history: Vec<Option<State>>,
     /// Positions at `stamp_ns + (k + 1) Δt`; none where absent.
@@ -59,16 +60,15 @@ impl WindowAgent {
     }
 
     /// History steps at which the agent is present.
-    #[must_use]
-    pub fn history_present_len(&self) -> usize {
+    fn history_present_len(&self) -> usize {
         self.history.iter().flatten().count()
     }
 }
 
-/// A moment of a recording.
+/// One time of a recording, with the agents present.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Window {
-    /// The stamp of a frame: the newest time that the histories know of.
+    /// The stamp of a frame: the newest time of the histories.
     pub stamp_ns: i64,
     /// The agents, by identity.
     pub agents: Vec<WindowAgent>,
@@ -76,9 +76,9 @@ pub struct Window {
 
 /// Cuts a recording into windows, in time order.
 ///
-/// A window stands at a frame that looked for every type of agent that the recording ever looked for. Histories are
-/// interpolated only between states recorded at or before the window's time; steps at recorded times are the
-/// recorded states themselves. Windows without agents are left out.
+/// A window is at the stamp of a frame that observed every agent type that the recording ever observed.
+/// Histories are interpolated only between states recorded at or before the window's time; steps at recorded
+/// times are the recorded states themselves. Windows without agents are left out.
 ///
 /// # Panics
 /// If a length or the step of `options` is 0 or negative.
@@ -115,7 +115,7 @@ fn agent(track: &RecordedTrack, stamp_ns: i64, options: &WindowOptions) -> Optio
     state_at(0, stamp_ns)?;
     let agent = WindowAgent {
         id: track.id,
-        told: track.told_at(stamp_ns),
+        reported: track.reported_at(stamp_ns),
         history: (1 - steps..=0).map(|step| state_at(step, stamp_ns)).collect(),
         future: (1..=options.horizon_len as i64)
             .map(|step| state_at(step, i64::MAX).map(|state| state.position_m))
@@ -124,7 +124,7 @@ fn agent(track: &RecordedTrack, stamp_ns: i64, options: &WindowOptions) -> Optio
     (agent.history_present_len() >= options.history_present_min).then_some(agent)
 }
 
-/// Finds the tracks that span a time, for times that only grow.
+/// Finds the tracks that span a time, for increasing times.
 struct Alive<'a> {
     /// The tracks that have not begun, the next one last.
     waiting: Vec<&'a RecordedTrack>,

@@ -1,5 +1,5 @@
-//! Broken files of every format: each is an error that names file, line, column and value, never a panic and never a
-//! row that is skipped.
+//! Broken files of every format: each is an error that names file, line, column and value; no panic, and no
+//! row is skipped.
 
 use data::{Format, Input, ReadError, Recording, Role, parse};
 
@@ -11,7 +11,7 @@ const PEDESTRIANS: &str = "track_id,frame_id,timestamp_ms,agent_type,x,y,vx,vy\n
 const PEDESTRIAN_POSITIONS: &str = "track_id,frame_id,timestamp_ms,agent_type,x,y\n\
     P1,4,400,pedestrian/bicycle,980.56,1052.15\n";
 const VEHICLES: &str = "id,frame,label,x_est,y_est,psi_est,vel_est\n0,22,veh,12.52,3.64,1.64,3.34\n";
-const WALKERS: &str = "id,frame,label,x_est,y_est,vx_est,vy_est\n0,22,ped,5.55,7.73,1.66,-0.01\n";
+const PEDESTRIAN_ROWS: &str = "id,frame,label,x_est,y_est,vx_est,vy_est\n0,22,ped,5.55,7.73,1.66,-0.01\n";
 const VIDEO: &str = "0 789 399 815 436 0 0 0 0 \"Cart\"\n0 787 391 815 432 1 1 0 1 \"Cart\"\n";
 const SCALES: &str = "deathCircle:\n   video2:\n      scale: 0.04\n      certainty: 1.0\n";
 const CALIBRATION: &str = "P0: 1 0 0 0 0 1 0 0 0 0 1 0\n\
@@ -48,7 +48,10 @@ fn good() -> Vec<(Format, Vec<Input>)> {
         ),
         (
             Format::VciDut,
-            vec![input(Role::Vehicles, "a.txt", VEHICLES), input(Role::Pedestrians, "p.txt", WALKERS)],
+            vec![
+                input(Role::Vehicles, "a.txt", VEHICLES),
+                input(Role::Pedestrians, "p.txt", PEDESTRIAN_ROWS),
+            ],
         ),
         (Format::KittiDetections, [vec![input(Role::Vehicles, "a.txt", CARS)], sensors().to_vec()].concat()),
         (Format::KittiLabels, [rows(LABELS), sensors().to_vec()].concat()),
@@ -71,16 +74,21 @@ fn message(format: Format, text: impl Into<Vec<u8>>) -> String {
 }
 
 #[test]
-fn the_samples_are_read_and_told_apart() {
-    for (format, inputs) in good() {
+fn samples_of_every_format_are_read_and_detected() {
+    // Of each format: frames, detections, rows left out (a lost box; a `DontCare` region).
+    let counts =
+        [[2, 2, 0], [1, 1, 0], [2, 2, 0], [1, 1, 1], [2, 3, 0], [1, 2, 0], [1, 1, 0], [1, 1, 1], [2, 1, 0]];
+    for ((format, inputs), expected) in good().into_iter().zip(counts) {
         let recording = parse(format, &inputs).unwrap();
-        assert!(!recording.frames.is_empty(), "{format}");
+        let detections_len: usize = recording.frames.iter().map(|frame| frame.detections.len()).sum();
+        let left_out_len: usize = recording.left_out.iter().map(|left_out| left_out.rows_len).sum();
+        assert_eq!([recording.frames.len(), detections_len, left_out_len], expected, "{format}");
         assert_eq!(Format::detect(&inputs[0]).unwrap(), format);
     }
 }
 
 #[test]
-fn a_value_that_is_none_is_told_with_file_line_column_and_value() {
+fn bad_values_are_named_with_file_line_and_column() {
     let cases = [
         (Format::EthUcy, "780\t1.0\t8.46\tabc\n", "a.txt:1:14: y = \"abc\": not a number"),
         (Format::EthUcy, "780\t1.0\tnan\t3\n", "a.txt:1:9: x = \"nan\": not finite"),
@@ -142,7 +150,7 @@ fn a_value_that_is_none_is_told_with_file_line_column_and_value() {
 }
 
 #[test]
-fn a_value_that_is_none_is_told_in_files_with_a_header() {
+fn bad_values_below_a_header_are_named() {
     let interaction = |row: &str| message(Format::Interaction, format!("{}{row}\n", header(INTERACTION)));
     assert_eq!(
         interaction("1,1,100,car,981,1018,-4,-540,-2.2,9.6,2.6"),
@@ -191,7 +199,7 @@ fn header(sample: &str) -> String {
 }
 
 #[test]
-fn a_header_that_is_none_is_told() {
+fn bad_headers_are_named() {
     assert_eq!(
         message(Format::VciDut, "id,frame,x\n0,22,1\n"),
         "a.txt:1:1: header = \"id,frame,x\": expected \"id,frame,label,x_est,y_est,psi_est,vel_est\""
@@ -206,7 +214,7 @@ fn a_header_that_is_none_is_told() {
 }
 
 #[test]
-fn truncated_rows_are_errors_wherever_they_are_cut() {
+fn truncated_rows_are_errors() {
     for (format, inputs) in good() {
         let text = inputs[0].bytes.clone();
         let whole = parse(format, &inputs).unwrap();
@@ -214,8 +222,8 @@ fn truncated_rows_are_errors_wherever_they_are_cut() {
             recording.frames.iter().map(|frame| frame.detections.len()).sum()
         };
         for cut in 0..text.len() {
-            // A cut may fall where the rest is still a row with a shorter number; it must never be a panic, and what
-            // is read must never be more than the whole.
+            // A cut row may still be valid with a shorter number. No cut may panic, or give more detections
+            // than the whole.
             if let Ok(read) = with_rows(format, &text[..cut]) {
                 assert!(detections(&read) <= detections(&whole), "{format} cut at {cut}");
             }
@@ -256,7 +264,7 @@ fn binary_and_empty_files_are_errors() {
 }
 
 #[test]
-fn rows_may_stand_in_any_order_but_not_twice() {
+fn rows_in_any_order_are_read_and_duplicates_refused() {
     for (format, inputs) in good().into_iter().filter(|(format, _)| *format != Format::KittiDetections) {
         let text = String::from_utf8(inputs[0].bytes.clone()).unwrap();
         let has_header = matches!(format, Format::Interaction | Format::VciDut | Format::Csv);
@@ -280,7 +288,7 @@ fn rows_may_stand_in_any_order_but_not_twice() {
 }
 
 #[test]
-fn what_belongs_to_a_file_is_checked_as_well() {
+fn bad_companion_files_are_named() {
     let broken = |format: Format, role: Role, text: &str| {
         let (_, mut inputs) = good().into_iter().find(|(known, _)| *known == format).expect("known");
         let companion = inputs.iter_mut().find(|input| input.role == role).expect("has that file");
@@ -360,7 +368,7 @@ fn interaction_pedestrian_rows_name_the_bad_value() {
 }
 
 #[test]
-fn an_unknown_format_is_told_with_the_known_ones() {
+fn an_unknown_format_error_lists_the_known_ones() {
     let unknown = |text: &str| Format::detect(&rows(text)[0]).expect_err("fits none").to_string();
     assert_eq!(
         unknown("1 2 3\n"),
@@ -379,7 +387,7 @@ fn an_unknown_format_is_told_with_the_known_ones() {
 }
 
 #[test]
-fn files_that_are_not_there_are_named() {
+fn missing_files_are_named() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("a/b/annotations.txt");
     let error = data::open(&path, None).unwrap_err().to_string();

@@ -1,4 +1,4 @@
-//! The readers and windows against the real recordings, where they are at hand.
+//! The readers and windows on the real recordings, where they are available.
 
 use std::path::{Path, PathBuf};
 
@@ -21,7 +21,7 @@ fn files(set: DataSet, root: &Path, part: Part) -> Vec<PathBuf> {
     set.files(root, part).unwrap_or_else(|error| panic!("{error}"))
 }
 
-/// What every recording must hold to.
+/// Invariants of every recording.
 fn assert_sound(recording: &Recording) {
     assert!(!recording.frames.is_empty(), "{}", recording.name);
     assert_eq!(recording.sha256.len(), 64);
@@ -58,7 +58,7 @@ fn eth_ucy_counts(root: &Path, fold: Fold) -> [usize; 4] {
 }
 
 #[test]
-fn windows_of_eth_ucy_are_those_of_the_literature() {
+fn eth_ucy_has_the_window_counts_of_the_literature() {
     let Some(root) = recordings() else { return };
     assert_eq!(eth_ucy_counts(&root, Fold::Eth), [70, 181, 253, 364]);
     assert_eq!(eth_ucy_counts(&root, Fold::Hotel), [301, 1_053, 445, 1_197]);
@@ -68,7 +68,7 @@ fn windows_of_eth_ucy_are_those_of_the_literature() {
 }
 
 #[test]
-fn eth_in_true_time_has_the_frames_of_its_table() {
+fn obsmat_has_the_frames_of_the_eth_scene() {
     let Some(root) = recordings() else { return };
     let path = root.join("eth_ucy/obsmat/eth_0.4s.txt");
     let recording = read(&path);
@@ -79,7 +79,7 @@ fn eth_in_true_time_has_the_frames_of_its_table() {
 }
 
 #[test]
-fn every_format_is_told_by_its_content_and_read_whole() {
+fn every_format_is_detected_and_read_whole() {
     let Some(root) = recordings() else { return };
     let cases = [
         ("eth_ucy/raw/students003.txt", Format::EthUcy, 17_953),
@@ -119,7 +119,7 @@ fn interaction_as_published_has_pedestrians_in_every_frame() {
         let pedestrians = recording.frames.iter().flat_map(|frame| &frame.detections).filter(is_pedestrian);
         assert_eq!(pedestrians.clone().count(), 3_958);
         assert!(pedestrians.clone().all(|pedestrian| pedestrian.has(detection_flags::HAS_SPEED)));
-        // Nobody in this recording rides: the fastest running median is 2.1 m/s.
+        // No agent of this recording rides: the fastest running median is 2.1 m/s.
         assert!(pedestrians.clone().all(|row| row.agent_type == AgentType::Pedestrian as u32));
     }
     assert!(merged.frames.iter().all(|frame| frame.observed_types.count_ones() == 3));
@@ -160,7 +160,7 @@ fn every_file_of_every_part_is_read() {
 #[test]
 fn parked_cars_of_kitti_stand_still_in_the_world() {
     let Some(root) = recordings() else { return };
-    // Tracks of 5 to 20 s that the moving car passes; what is left is the labels' own wobble.
+    // Tracks of 5 to 20 s that the moving car passes; the rest of the variance is noise of the labels.
     for (sequence, id) in [("0002", 18), ("0002", 19), ("0010", 7), ("0010", 18), ("0010", 19), ("0020", 42)]
     {
         let recording = read(&root.join(format!("kitti_tracking/label/{sequence}.txt")));
@@ -177,27 +177,27 @@ fn parked_cars_of_kitti_stand_still_in_the_world() {
 }
 
 #[test]
-fn kitti_looked_where_it_labelled() {
+fn kitti_annotations_cover_their_own_labels() {
     let Some(root) = recordings() else { return };
     for file in files(DataSet::KittiDetections, &root, Part::Train) {
         let annotations = Annotations::open(&file).unwrap_or_else(|error| panic!("{error}"));
-        let (mut looked_at, mut labelled) = (0, 0);
+        let (mut covered, mut labelled) = (0, 0);
         for (index, (frame, seen)) in annotations.frames().iter().zip(read(&file).frames).enumerate() {
             let [ego_x, ego_y] = seen.ego.position_m.map(f64::from);
-            // Farther objects are smaller than is asked for.
+            // Farther objects are below the least height in the image.
             let near = |[x, y]: [f64; 2]| (x - ego_x).hypot(y - ego_y) < 40.0;
             for object in frame.objects.iter().filter(|object| object.counts && near(object.position_m)) {
                 labelled += 1;
-                looked_at += usize::from(annotations.looked_at(index, object.agent_type, object.position_m));
+                covered += usize::from(annotations.covers(index, object.agent_type, object.position_m));
             }
         }
-        assert!(10 * looked_at >= 9 * labelled && labelled > 100, "{file:?}: {looked_at} of {labelled}");
-        assert!(!annotations.looked_at(0, wire::AgentType::Vehicle, [1e4, 1e4]), "{file:?}");
+        assert!(10 * covered >= 9 * labelled && labelled > 100, "{file:?}: {covered} of {labelled}");
+        assert!(!annotations.covers(0, wire::AgentType::Vehicle, [1e4, 1e4]), "{file:?}");
     }
 }
 
 #[test]
-fn sure_detections_of_kitti_lie_on_their_labels() {
+fn confident_detections_of_kitti_match_their_labels() {
     let Some(root) = recordings() else { return };
     for file in files(DataSet::KittiDetections, &root, Part::Train) {
         let recording = read(&file);
@@ -216,7 +216,7 @@ fn sure_detections_of_kitti_lie_on_their_labels() {
 }
 
 #[test]
-fn stanford_drone_gives_the_scale_of_its_pixels() {
+fn stanford_drone_has_a_pixel_scale() {
     let Some(root) = recordings() else { return };
     for part in [Part::Train, Part::Test] {
         for file in files(DataSet::SddTrajnet, &root, part) {
@@ -228,13 +228,13 @@ fn stanford_drone_gives_the_scale_of_its_pixels() {
 }
 
 #[test]
-fn cyclists_are_told_from_pedestrians() {
+fn cyclists_are_classified_among_pedestrians() {
     let Some(root) = recordings() else { return };
     let mut tracks_len = [0; 3];
     for part in [Part::Train, Part::Validation, Part::Test] {
         for file in files(DataSet::Interaction, &root, part) {
             for track in data::tracks(&read(&file)).iter().filter(|track| track.id >= 1_000_000_000) {
-                tracks_len[track.told_at(i64::MAX).agent_type.index()] += 1;
+                tracks_len[track.reported_at(i64::MAX).agent_type.index()] += 1;
             }
         }
     }

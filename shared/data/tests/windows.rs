@@ -1,4 +1,4 @@
-//! Trajectories and windows: nothing of a history depends on what came later.
+//! Trajectories and windows: no history depends on later rows.
 
 use data::{
     Format, Input, Recording, Role, Window, WindowOptions, parse, tracks, tracks_from_positions, windows,
@@ -17,7 +17,8 @@ fn csv(rows: &str) -> Recording {
     read(Format::Csv, &format!("stamp_s,id,type,x_m,y_m,heading_rad,speed_mps\n{rows}"))
 }
 
-/// Pedestrians that wander at 2.5 Hz: `steps[k][i]` is the displacement of agent i in frame k, none where unseen.
+/// Pedestrians that wander at 2.5 Hz: `steps[k][i]` is the displacement of agent i in frame k, none where
+/// absent.
 fn wandering(steps: &[Vec<Option<[f32; 2]>>]) -> Recording {
     let mut text = String::new();
     let agents_len = steps.first().map_or(0, Vec::len);
@@ -41,15 +42,16 @@ fn steps() -> impl Strategy<Value = Vec<Vec<Option<[f32; 2]>>>> {
 
 fn histories(windows: &[Window], until_ns: i64) -> String {
     let known = windows.iter().filter(|window| window.stamp_ns <= until_ns);
-    let told = known.flat_map(|window| &window.agents).map(|agent| (agent.id, agent.told, &agent.history));
-    format!("{:?}", told.collect::<Vec<_>>())
+    let described =
+        known.flat_map(|window| &window.agents).map(|agent| (agent.id, agent.reported, &agent.history));
+    format!("{:?}", described.collect::<Vec<_>>())
 }
 
 proptest! {
     #![proptest_config(ProptestConfig { failure_persistence: None, ..ProptestConfig::default() })]
 
     #[test]
-    fn what_comes_later_changes_no_history(steps in steps(), now in 1_usize..20, kick in -30.0_f32..30.0) {
+    fn histories_do_not_depend_on_later_rows(steps in steps(), now in 1_usize..20, kick in -30.0_f32..30.0) {
         let now = now.min(steps.len() - 1);
         let mut changed = steps.clone();
         for displacement in changed.iter_mut().skip(now + 1).flatten().flatten() {
@@ -85,7 +87,7 @@ proptest! {
 }
 
 #[test]
-fn velocities_are_backward_differences_and_the_first_copies_the_second_once_that_is_known() {
+fn velocities_are_backward_differences() {
     let recording = csv("0,1,pedestrian,0,0,,\n0.4,1,pedestrian,0.4,0,,\n0.8,1,pedestrian,0.4,0.8,,\n");
     let track = &tracks(&recording)[0];
     let velocities: Vec<[f32; 2]> = track.states.iter().map(|(_, state)| state.velocity_mps).collect();
@@ -101,7 +103,7 @@ fn velocities_are_backward_differences_and_the_first_copies_the_second_once_that
 }
 
 #[test]
-fn a_heading_outlasts_a_stop() {
+fn the_heading_stays_during_a_stop() {
     let recording = csv("0,1,pedestrian,0,0,,\n0.4,1,pedestrian,0,1,,\n0.8,1,pedestrian,0,1.01,,\n");
     let headings: Vec<f32> =
         tracks(&recording)[0].states.iter().map(|(_, state)| state.heading_rad).collect();
@@ -109,16 +111,16 @@ fn a_heading_outlasts_a_stop() {
 }
 
 #[test]
-fn recorded_motion_is_used_unless_positions_alone_are_asked_for() {
+fn recorded_motion_is_used_unless_disabled() {
     let recording = csv("0,1,vehicle,0,0,1.5,3\n0.1,1,vehicle,0.4,0,1.5,3\n");
     let given = tracks(&recording)[0].states[1].1;
     assert_eq!((given.heading_rad, given.velocity_mps), (1.5, [3.0 * 1.5_f32.cos(), 3.0 * 1.5_f32.sin()]));
-    let told = tracks_from_positions(&recording)[0].states[1].1;
-    assert_eq!((told.heading_rad, told.velocity_mps), (0.0, [4.0, 0.0]));
+    let differenced = tracks_from_positions(&recording)[0].states[1].1;
+    assert_eq!((differenced.heading_rad, differenced.velocity_mps), (0.0, [4.0, 0.0]));
 }
 
 #[test]
-fn in_between_states_are_interpolated_over_short_gaps_alone() {
+fn states_are_interpolated_over_short_gaps_only() {
     let rows =
         "0,1,vehicle,0,0,3.1,1\n0.3,1,vehicle,3,0,-3.1,2\n0.6,1,vehicle,6,0,-3.1,2\n3.6,1,vehicle,9,0,0,0\n";
     let options = WindowOptions::new(4, 4, 200_000_000);
@@ -144,7 +146,7 @@ fn in_between_states_are_interpolated_over_short_gaps_alone() {
 }
 
 #[test]
-fn windows_stand_where_every_type_was_looked_for() {
+fn windows_are_where_every_type_was_observed() {
     let riders = "track_id,frame_id,timestamp_ms,agent_type,x,y\n".to_owned()
         + &[4, 8, 12].map(|k| format!("P1,{k},{k}00,pedestrian/bicycle,{k},5\n")).concat();
     let input = |role, text: String| Input { role, path: "a.csv".to_owned(), bytes: text.into() };
@@ -161,7 +163,8 @@ fn windows_stand_where_every_type_was_looked_for() {
     assert_eq!(recording.frames[3].detections[1].id, 1_000_000_001);
 }
 
-/// Rows at 10 Hz, from 0.3 s to 1.7 s, of a pedestrian, a cyclist at 5 m/s and someone who stands, in the published layout.
+/// Rows at 10 Hz, from 0.3 s to 1.7 s, of a pedestrian, a cyclist at 5 m/s and a standing pedestrian, as
+/// published.
 fn published_pedestrians() -> String {
     let rows = (3..=17).flat_map(|frame| {
         let t_s = f64::from(frame) * 0.1;
@@ -201,7 +204,7 @@ fn published_interaction_takes_velocities_from_the_file() {
     assert_eq!(motion(0), (Some(1.5), Some(std::f32::consts::FRAC_PI_2)));
     assert_eq!(motion(1), (Some(5.0), Some(4.0_f32.atan2(3.0))));
     assert_eq!(motion(2), (Some(0.03), None));
-    // Velocities are known from the first row on, and tell the cyclist apart after 1.2 s.
+    // Velocities are known from the first row on, and classify the cyclist after 1.2 s.
     let types = |index: usize| {
         recording.frames.iter().map(move |frame| {
             let id = 1_000_000_001 + index as u64;
@@ -218,7 +221,7 @@ fn published_interaction_observes_pedestrians_in_every_frame() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("vehicle_tracks_000.csv");
     std::fs::write(&path, vehicles(1..=20)).unwrap();
-    // A thinned file of the same recording yields to the published one.
+    // The published file of a recording is preferred to a thinned one.
     let thinned =
         "track_id,frame_id,timestamp_ms,agent_type,x,y\nP1,4,400,pedestrian/bicycle,0,5\n".to_owned();
     std::fs::write(folder.path().join("pedestrian_tracks_000_2.5hz.csv"), &thinned).unwrap();
@@ -233,13 +236,13 @@ fn published_interaction_observes_pedestrians_in_every_frame() {
 }
 
 #[test]
-fn someone_who_turns_out_to_ride_was_a_pedestrian_before() {
+fn a_cyclist_counts_as_pedestrian_until_classified() {
     let riders = "track_id,frame_id,timestamp_ms,agent_type,x,y\n".to_owned()
         + &(0..6).map(|k| format!("P1,{k},{}00,pedestrian/bicycle,{},5\n", 4 * k, 2 * k)).collect::<String>();
     let inputs = [Input { role: Role::Pedestrians, path: "a.csv".to_owned(), bytes: riders.into() }];
     let recording = parse(Format::Interaction, &inputs).unwrap();
     let track = &tracks(&recording)[0];
-    let types = [0, 1, 2, 3, 5].map(|k| track.told_at(k * STEP_NS).agent_type);
+    let types = [0, 1, 2, 3, 5].map(|k| track.reported_at(k * STEP_NS).agent_type);
     use AgentType::{Cyclist, Pedestrian};
     assert_eq!(types, [Pedestrian, Pedestrian, Pedestrian, Cyclist, Cyclist]);
 }

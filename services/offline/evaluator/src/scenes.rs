@@ -1,6 +1,6 @@
 //! Scenes: moments of a recording as a forecaster may see them, and what came after.
 
-use data::{Recording, Told, Window, WindowAgent, WindowOptions};
+use data::{Recording, Reported, Window, WindowAgent, WindowOptions};
 use metrics::Point;
 use nn::ModelConfig;
 use scene::{AgentType, State};
@@ -102,7 +102,7 @@ impl Cut {
     }
 
     fn agent(&self, agent: &WindowAgent) -> Agent {
-        let Told { agent_type, length_m, has_speed, has_heading, .. } = agent.told;
+        let Reported { agent_type, length_m, has_speed, has_heading, .. } = agent.reported;
         let history = if has_speed && has_heading && !self.from_positions {
             agent.history.clone()
         } else {

@@ -1,11 +1,14 @@
-//! Makes the context map of a site from recordings of it, for `stgdat map`.
+//! The context map of a site, from recordings of it (`stgdat map`).
 //!
-//! A *visit* is an agent at a place at a time. Every trajectory gives one per tick of the pipeline, however fast its
-//! recording is, so that a map made here and one gathered online weigh the same ground alike. Velocities are those of
-//! the recording where it has them, else backward differences; what has neither identity nor velocity is left out and
-//! counted.
+//! **In:** recordings that share one world frame. **Out:** a [`SiteMap`]: density and mean velocity (m/s) per
+//! cell of 1 m × 1 m, arrays as [row = y, column = x] \[model §2\].
 //!
-//! A map knows whole recordings: use recordings of the training part, never the one that is to be forecast.
+//! A *visit* is an agent at a position at a time. Every trajectory gives at most one per tick of the
+//! pipeline, whatever the rate of its recording, so that a map from recordings and one gathered online weigh
+//! the same ground alike. Velocities are those of the recording where it has them, else backward differences;
+//! detections with neither identity nor velocity are left out and counted.
+//!
+//! A map contains the whole recordings: use those of the training part, never the one that is to be forecast.
 
 use data::{RecordedTrack, Recording};
 use scene::{CELLS_MAX, ContextMap, MapBuilder};
@@ -13,7 +16,7 @@ use thiserror::Error;
 use wire::detection_flags::{HAS_HEADING, HAS_ID, HAS_SPEED};
 
 /// Least time between visits of one trajectory: a tick of the pipeline.
-pub const VISIT_INTERVAL_NS: i64 = wire::TICK_NS.cast_signed();
+const VISIT_INTERVAL_NS: i64 = wire::TICK_NS.cast_signed();
 
 /// A map and what went into it.
 #[derive(Clone, Debug)]
@@ -22,17 +25,17 @@ pub struct SiteMap {
     pub map: ContextMap,
     /// Visits counted.
     pub visits_len: usize,
-    /// Detections left out because nothing tells their velocity.
+    /// Detections left out because their velocity is unknown.
     pub left_out_len: usize,
 }
 
-/// Recordings that no map can be made of.
+/// Why recordings give no map.
 #[derive(Debug, Error, PartialEq, Eq)]
 pub enum MapError {
-    /// Nothing in them has a velocity.
+    /// No detection has a velocity.
     #[error("no visits: the recordings hold no trajectories and no detections with heading and speed")]
     NoVisits,
-    /// They lie too far apart.
+    /// The visits are too far apart.
     #[error(
         "the visits span {rows} × {cols} cells of 1 m, at most {CELLS_MAX} cells allowed: map one site at a time"
     )]
@@ -70,7 +73,7 @@ pub fn build(recordings: &[Recording]) -> Result<SiteMap, MapError> {
     Ok(SiteMap { map: builder.build(), visits_len, left_out_len })
 }
 
-/// Appends a trajectory's visits; tells how many states had no velocity.
+/// Appends a trajectory's visits; returns the number of states without velocity.
 fn visit_track(track: &RecordedTrack, visits: &mut Vec<Visit>) -> usize {
     if track.starts_unmoved && track.states.len() == 1 {
         return 1;
@@ -89,7 +92,7 @@ fn visit_track(track: &RecordedTrack, visits: &mut Vec<Visit>) -> usize {
     0
 }
 
-/// Appends the visits of detections without identity; tells how many had no velocity.
+/// Appends the visits of detections without identity; returns the number of those without velocity.
 fn visit_loose_detections(recording: &Recording, visits: &mut Vec<Visit>) -> usize {
     let mut left_out_len = 0;
     for detection in recording.frames.iter().flat_map(|frame| &frame.detections) {

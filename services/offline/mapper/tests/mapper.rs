@@ -1,4 +1,4 @@
-//! Maps of made-up and of real recordings.
+//! Maps of synthetic and of real recordings.
 
 use data::sets::{DataSet, Part};
 use data::{Frame, Recording};
@@ -7,11 +7,11 @@ use testing::{public_recording, recordings_folder};
 use wire::Detection;
 use wire::detection_flags::{HAS_HEADING, HAS_ID, HAS_SPEED};
 
-/// Frames `dt_ns` apart, each with the detections that `seen` tells at its time in seconds.
-fn recording(frames_len: i64, dt_ns: i64, seen: impl Fn(f32) -> Vec<Detection>) -> Recording {
+/// Frames `dt_ns` apart, each with the detections that `detections` gives for its time in seconds.
+fn recording(frames_len: i64, dt_ns: i64, detections: impl Fn(f32) -> Vec<Detection>) -> Recording {
     let frames = (0..frames_len).map(|k| Frame {
         stamp_ns: k * dt_ns,
-        detections: seen((k * dt_ns) as f32 * 1e-9),
+        detections: detections((k * dt_ns) as f32 * 1e-9),
         ..Frame::default()
     });
     Recording { interval_ns: dt_ns as u64, frames: frames.collect(), ..Recording::default() }
@@ -22,8 +22,8 @@ fn detection(id: u64, x_m: f32, y_m: f32) -> Detection {
 }
 
 #[test]
-fn a_walk_is_mapped_with_its_velocity() {
-    // 2 m/s along y = −0.5 from x = −3.75, and one that stands.
+fn a_trajectory_is_mapped_with_its_velocity() {
+    // One agent at 2 m/s along y = −0.5 from x = −3.75, and one that stands.
     let site = build(&[recording(25, 100_000_000, |t| {
         vec![detection(1, -3.75 + 2.0 * t, -0.5), detection(2, 0.5, 2.5)]
     })])
@@ -42,7 +42,7 @@ fn a_walk_is_mapped_with_its_velocity() {
 }
 
 #[test]
-fn a_faster_recording_weighs_no_more() {
+fn the_rate_of_a_recording_does_not_change_its_weight() {
     let walk =
         |dt_ns: i64, y_m: f32| recording(8_000_000_000 / dt_ns, dt_ns, move |t| vec![detection(1, t, y_m)]);
     let site = build(&[walk(100_000_000, 0.5), walk(10_000_000, 2.5)]).unwrap();
@@ -52,22 +52,22 @@ fn a_faster_recording_weighs_no_more() {
 }
 
 #[test]
-fn detections_without_identity_count_where_they_tell_their_motion() {
+fn detections_without_identity_need_heading_and_speed() {
     let heading_rad = std::f32::consts::FRAC_PI_2;
     let moving =
         Detection { flags: HAS_HEADING | HAS_SPEED, heading_rad, speed_mps: 3.0, ..detection(0, 0.5, 0.5) };
-    let silent = Detection { flags: HAS_HEADING, ..moving };
-    let site = build(&[recording(10, 100_000_000, |_| vec![moving, silent])]).unwrap();
+    let without_speed = Detection { flags: HAS_HEADING, ..moving };
+    let site = build(&[recording(10, 100_000_000, |_| vec![moving, without_speed])]).unwrap();
     assert_eq!((site.visits_len, site.left_out_len), (10, 10));
     let velocity = site.map.velocity_mps().next().unwrap();
     assert!(velocity[0].abs() < 1e-6 && (velocity[1] - 3.0).abs() < 1e-6);
 }
 
 #[test]
-fn recordings_that_make_no_map_are_refused() {
+fn recordings_without_visits_or_too_large_are_refused() {
     assert_eq!(build(&[]).unwrap_err(), MapError::NoVisits);
-    let glimpse = recording(1, 100_000_000, |_| vec![detection(1, 0.0, 0.0)]);
-    assert_eq!(build(&[glimpse]).unwrap_err(), MapError::NoVisits);
+    let one_frame = recording(1, 100_000_000, |_| vec![detection(1, 0.0, 0.0)]);
+    assert_eq!(build(&[one_frame]).unwrap_err(), MapError::NoVisits);
     let apart = recording(2, 100_000_000, |_| vec![detection(1, 0.0, 0.0), detection(2, 9_000.0, 9_000.0)]);
     assert_eq!(build(&[apart]).unwrap_err(), MapError::TooLarge { rows: 9_001, cols: 9_001 });
 }

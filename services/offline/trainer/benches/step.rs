@@ -1,7 +1,8 @@
-//! Time of a training step of whole configurations, on generated road users who go round in circles.
+//! Time of a training step of whole configurations, on generated road users that move in circles.
 //!
-//! The times come from the log of a run, which tells the time every few updates. Other work on the machine only ever adds
-//! time, so the shortest stretch counts. `step_in_pytorch.py` beside this file times the same step in PyTorch.
+//! The times are those of the run's log, which has one every few updates. Other load on the machine only adds
+//! time, so the shortest interval counts. `step_in_pytorch.py` beside this file times the same step in
+//! PyTorch.
 
 use std::error::Error;
 use std::fmt::Write;
@@ -10,11 +11,11 @@ use std::path::Path;
 use serde_json::Value;
 use trainer::{TrainOptions, recipe, train};
 
-/// Updates of a run.
+/// Updates per run.
 const STEPS: u64 = 120;
 /// Frames of a recording, 0.4 s apart.
 const FRAMES: u32 = 400;
-/// Metres of a pixel in the recordings that count those.
+/// Scale of the recordings in pixels, m per px.
 const PIXEL_M: f64 = 0.04;
 
 fn main() -> Result<(), Box<dyn Error>> {
@@ -59,10 +60,10 @@ fn step_s(options: &TrainOptions) -> Result<f64, Box<dyn Error>> {
         .filter_map(|line| Some((line.get("step")?.as_f64()?, line.get("seconds")?.as_f64()?)))
         .collect();
     let stretches = times.windows(2).map(|pair| (pair[1].1 - pair[0].1) / (pair[1].0 - pair[0].0));
-    stretches.reduce(f64::min).ok_or_else(|| "the log tells too few times".into())
+    stretches.reduce(f64::min).ok_or_else(|| "the log has too few times".into())
 }
 
-/// Where someone is who goes round with others.
+/// Position of a road user on its circle.
 fn place_m(frame: u32, id: u32) -> [f64; 2] {
     let radius_m = 1.5 + 0.2 * f64::from(id);
     let angle_rad = f64::from(id) + 1.2 * 0.4 * f64::from(frame) / radius_m;

@@ -1,32 +1,35 @@
-//! Ablations: trainings that differ from another in one part of the model, and those that only seem to.
+//! Ablations: trainings that differ from another in one part of the model, and the detection of those that do
+//! not differ in effect.
 
 use data::sets::{DataSet, Fold};
 
 use crate::options::TrainOptions;
 use crate::presets::{MODELS, PRESETS};
 
-/// What is left out or changed where only pedestrians are learned from, by positions alone.
+/// The ablations of trainings on pedestrians alone, from positions alone.
 const OF_PEDESTRIANS: [&str; 5] =
     ["no-attention", "equal-attention", "literal", "online-map", "paper/no-map"];
 
-/// What is left out or changed where there are vehicles and maps.
+/// The ablations of trainings with vehicles and maps.
 const OF_VEHICLES: &[&str] = PRESETS.split_at(MODELS).1;
 
 impl TrainOptions {
-    /// The ablations that tell something of these options: presets, or several joined by `/` that are made in turn.
+    /// The ablations that have an effect under these options: presets, or several joined by `/` that are
+    /// applied in turn.
     #[must_use]
     pub fn ablations(&self) -> &'static [&'static str] {
         if self.has_vehicles() { OF_VEHICLES } else { &OF_PEDESTRIANS }
     }
 
-    /// Whether a training with these options is, but for its files, its threads, its GPU and chance, one with `other`: options
-    /// that have no say, such as how vehicles move where there are none, may differ.
+    /// Whether a training with these options gives the same model as one with `other`, but for files,
+    /// threads, GPU and chance: options without effect, such as the motion of vehicles where there are none,
+    /// may differ.
     #[must_use]
     pub fn trains_like(&self, other: &Self) -> bool {
         self.effective() == other.effective()
     }
 
-    /// The options without name, threads and GPU, and those that have no say as they are by default.
+    /// The options without name, threads and GPU, and with those that have no effect at their defaults.
     fn effective(&self) -> Self {
         let default = Self::default();
         let mut options =
@@ -65,7 +68,7 @@ mod tests {
     }
 
     #[test]
-    fn every_ablation_but_the_whole_model_changes_its_recipe() {
+    fn ablations_change_their_recipe() {
         for name in RECIPES {
             let options = recipe(name).unwrap();
             let centred = options.model.patch_ahead_m == 0.0;
@@ -79,7 +82,7 @@ mod tests {
     }
 
     #[test]
-    fn what_has_no_say_makes_no_other_training() {
+    fn options_without_effect_do_not_distinguish_trainings() {
         let options = recipe("zara1").unwrap();
         for presets in ["T", "same-node", "no-map", "centred-patch", "full", "plus"] {
             assert!(options.trains_like(&changed("zara1", presets)), "{presets}");

@@ -1,4 +1,4 @@
-//! What the trainer makes of every shipped file of weights, the layers that run on board make of it too.
+//! The trainer's layers and the onboard layers compute the same from every shipped weights file.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -15,7 +15,7 @@ use scene::{EdgeRule, PatchOptions, Vertex, relation_features, state_features};
 use wire::{CONTEXT_EMBEDDING, NODE_ATTRIBUTES, STATE_FEATURES, TEMPORAL};
 
 use crate::base::BaseControl;
-use crate::batch::{Batch, BatchOptions, SceneView, View, scales};
+use crate::batch::{AgentView, Batch, BatchOptions, SceneView, scales};
 use crate::net::context::Normalisation;
 use crate::net::dense::softmax;
 use crate::net::graph::encode;
@@ -29,26 +29,28 @@ use crate::samples::{Ground, MapKind, Scene, Selection, cut};
 use crate::spool::{Spool, Spooling};
 use crate::view;
 
-/// Largest error, as a share of an agent's largest value; of positions, who goes less than a metre counts as going one.
+/// Largest error, as a share of an agent's largest value; of positions, as a share of at least one metre.
 const TOLERANCE: f32 = 1e-4;
 /// Neighbours of an agent, itself included, at most.
 const NEIGHBOURS_MAX: usize = 5;
 
-/// What is said of an agent.
+/// What the network computes of one agent.
 #[derive(Debug, Default)]
-struct Said {
+struct Computed {
     /// ṽ.
     encoding: Vec<f32>,
-    /// Of the modes.
+    /// Of the modes, `[modes]`.
     probability: Vec<f32>,
-    /// What the decoder's head says of every mode and step, and of the single best forecast behind them.
+    /// Output of the decoder's head for every mode and step, then for the single best forecast, `[(modes + 1)
+    /// × horizon × 5]`.
     raw: Vec<f32>,
-    /// In the agent frame, m: of every mode, and those of the single best forecast behind them.
+    /// Positions in the agent frame, m: of every mode, then of the single best forecast, `[(modes + 1) ×
+    /// horizon × 2]`.
     positions: Vec<f32>,
 }
 
 #[test]
-fn trainer_and_onboard_layers_agree_on_every_shipped_file() {
+fn trainer_and_onboard_agree_on_every_shipped_file() {
     let folder = Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../../../shared/weights"));
     let files = std::fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path());
     let mut files: Vec<_> =
@@ -69,7 +71,7 @@ fn trainer_and_onboard_layers_agree_on_every_shipped_file() {
         let mut compared = 0;
         for scene in &scenes {
             let view = view::plain(scene, map, usize::MAX);
-            let (ours, theirs) = (trained.say(&view), onboard.say(&view));
+            let (ours, theirs) = (trained.compute(&view), onboard.compute(&view));
             assert_eq!((ours.len(), theirs.len()), (scene.agents.len(), scene.agents.len()));
             for (ours, theirs) in ours.iter().zip(&theirs) {
                 let same = |what: &str, ours: &[f32], theirs: &[f32], least: f32| {
@@ -94,7 +96,7 @@ fn check(name: &str, ours: &[f32], theirs: &[f32], least: f32) {
     assert!(worst <= TOLERANCE * largest, "{name}: off by {worst} of {largest}");
 }
 
-/// Scenes of agents of all types, all of them held to what is known of their future, and where their patches lie.
+/// Scenes of agents of all types, all of them with a target, and the patches of their ground.
 fn recorded(config: &ModelConfig) -> (Vec<Scene>, Ground, Spool) {
     let folder = tempfile::tempdir().unwrap();
     let mut random = ChaCha8Rng::seed_from_u64(7);
@@ -122,7 +124,7 @@ fn recorded(config: &ModelConfig) -> (Vec<Scene>, Ground, Spool) {
     (scenes, ground, spooling.finish().unwrap())
 }
 
-/// The trainer's way.
+/// The trainer's layers.
 struct Trained<'a> {
     config: &'a ModelConfig,
     tensors: Tensors,
@@ -140,7 +142,7 @@ impl<'a> Trained<'a> {
         Self { config, tensors, base }
     }
 
-    fn say(&self, scene: &SceneView<'_>) -> Vec<Said> {
+    fn compute(&self, scene: &SceneView<'_>) -> Vec<Computed> {
         let Self { config, tensors, base } = self;
         let options = BatchOptions {
             config,
@@ -151,7 +153,7 @@ impl<'a> Trained<'a> {
         };
         let batch = Batch::new(std::slice::from_ref(scene), options).unwrap();
         let encoded = encode(tensors, config, &batch.graph, Normalisation::Running, false);
-        let mut said: Vec<Said> = scene.agents.iter().map(|_| Said::default()).collect();
+        let mut computed: Vec<Computed> = scene.agents.iter().map(|_| Computed::default()).collect();
         for of_type in 0..wire::AGENT_TYPES.len() {
             let Some(forecast) = TypeForecast::new(tensors, config, &batch, &encoded, of_type) else {
                 continue;
@@ -163,7 +165,7 @@ impl<'a> Trained<'a> {
             let (logits, _) = mode_logits(tensors, &forecast.name(), encoding, hidden);
             for (row, agent) in forecast.agents.clone().enumerate() {
                 let rows = row * draws_len..(row + 1) * draws_len;
-                said[batch.origin[agent].1] = Said {
+                computed[batch.origin[agent].1] = Computed {
                     encoding: encoding.row(row).to_vec(),
                     probability: softmax(logits.row(row)),
                     raw: rows.clone().flat_map(|row| rollout.unroll.raw.row(row)).copied().collect(),
@@ -171,11 +173,11 @@ impl<'a> Trained<'a> {
                 };
             }
         }
-        said
+        computed
     }
 }
 
-/// The way on board, by layers and equations alone.
+/// The onboard layers and equations.
 struct Onboard<'a> {
     config: &'a ModelConfig,
     state: nn::StateMlp,
@@ -198,12 +200,12 @@ impl<'a> Onboard<'a> {
         }
     }
 
-    fn say(&self, scene: &SceneView<'_>) -> Vec<Said> {
+    fn compute(&self, scene: &SceneView<'_>) -> Vec<Computed> {
         let encodings = self.encode(scene);
         scene.agents.iter().zip(encodings).map(|(agent, encoding)| self.forecast(agent, encoding)).collect()
     }
 
-    fn states(&self, agent: &View) -> Vec<[f32; STATE_FEATURES]> {
+    fn states(&self, agent: &AgentView) -> Vec<[f32; STATE_FEATURES]> {
         let state = |state: &Option<scene::State>| {
             state.map_or([0.0; STATE_FEATURES], |state| {
                 state_features(&agent.frame, &state, scales(self.config))
@@ -213,7 +215,7 @@ impl<'a> Onboard<'a> {
     }
 
     /// Node attributes of an agent at every step.
-    fn nodes(&self, scene: &SceneView<'_>, agent: &View) -> Vec<[f32; NODE_ATTRIBUTES]> {
+    fn nodes(&self, scene: &SceneView<'_>, agent: &AgentView) -> Vec<[f32; NODE_ATTRIBUTES]> {
         let Self { config, .. } = self;
         let len = config.state_embedding_len();
         let states = self.states(agent);
@@ -252,7 +254,7 @@ impl<'a> Onboard<'a> {
         let (mut present, mut nodes) = (Vec::new(), Vec::new());
         let (mut edges, mut relations) = (Vec::new(), Vec::new());
         for step in 0..config.history_len {
-            let vertex = |view: &View| {
+            let vertex = |view: &AgentView| {
                 let position_m = view.history[step]?.position_m;
                 Some(Vertex { position_m, agent_type: view.agent.agent_type })
             };
@@ -282,7 +284,7 @@ impl<'a> Onboard<'a> {
         encodings
     }
 
-    fn forecast(&self, view: &View, encoding: [f32; TEMPORAL]) -> Said {
+    fn forecast(&self, view: &AgentView, encoding: [f32; TEMPORAL]) -> Computed {
         let Self { config, .. } = self;
         let network = self.decoder.of(view.agent.agent_type);
         let states = self.states(view);
@@ -306,11 +308,11 @@ impl<'a> Onboard<'a> {
         let controls: Vec<_> = controls.collect();
         let modes = controls.chunks_exact(config.horizon_len);
         let positions = modes.flat_map(|controls| self.positions(view, controls)).flatten().collect();
-        Said { encoding: encoding.to_vec(), probability, raw: raw.concat(), positions }
+        Computed { encoding: encoding.to_vec(), probability, raw: raw.concat(), positions }
     }
 
-    /// Where controls lead in the world, in the agent frame.
-    fn positions(&self, view: &View, controls: &[[f32; 2]]) -> Vec<[f32; 2]> {
+    /// Positions in the agent frame, m, under `controls`.
+    fn positions(&self, view: &AgentView, controls: &[[f32; 2]]) -> Vec<[f32; 2]> {
         let Self { config, .. } = self;
         let now = view.history.last().copied().flatten().unwrap();
         let (frame, agent, dt_s) = (&view.frame, &view.agent, config.dt_s as f32);

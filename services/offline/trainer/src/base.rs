@@ -1,9 +1,9 @@
-//! The base control: what a forecast begins with before the network adds anything.
+//! The base control: the forecast before the network adds to it. \[model §3, Base control\]
 //!
-//! A ridge regression per history class and speed bin gives a control sequence from 26 features of the newest states.
-//! What is left between its forecasts and the recorded futures falls into 20 clusters per bin of (speed, acceleration,
-//! yaw rate); the mean control residual of a cluster is an *anchor*. Ridge plus anchors alone is a forecaster with
-//! modes, and the network starts from it.
+//! A ridge regression per history class and speed bin maps 26 features of the newest states to a control
+//! sequence `[horizon × 2]`. The residuals between its forecasts and the recorded futures form 20 clusters
+//! per bin of (speed, acceleration, yaw rate); the mean control residual of a cluster is an *anchor*. Ridge
+//! plus anchors is a forecaster with modes of its own (B\*), and the network starts from it.
 
 mod fit;
 mod targets;
@@ -18,14 +18,14 @@ use wire::AGENT_TYPES;
 
 use crate::TrainError;
 use crate::net::layout::TYPE_NAMES;
-use crate::net::tensors::{Role, Tensors};
+use crate::net::tensors::{TensorRole, Tensors};
 use crate::samples::Agent;
+pub(crate) use fit::Augmentation;
 use fit::Sample;
-pub(crate) use fit::Twins;
 
 type Features = [f32; binning::FEATURES];
 
-/// Agents of a type that are fitted to, at most; they are spread evenly.
+/// Agents of a type that the fit uses at most; they are spread evenly.
 pub(crate) const FITTED_MAX: usize = 60_000;
 
 /// The base control of all agent types.
@@ -54,7 +54,7 @@ pub(crate) struct AgentBase<'a> {
 }
 
 impl BaseControl {
-    /// A base that adds nothing: constant velocity for cyclists and pedestrians, no control for vehicles.
+    /// A base that adds nothing: constant velocity for cyclists and pedestrians, zero control for vehicles.
     pub(crate) fn zero(config: &ModelConfig) -> Self {
         let zero = |agent_type: &AgentType| TypeBase::zero(config, *agent_type);
         Self { config: config.clone(), types: AGENT_TYPES.iter().map(zero).collect() }
@@ -62,11 +62,11 @@ impl BaseControl {
 
     /// Fits ridge and anchors to the agents whose future is known, each with its history cut to every class.
     ///
-    /// `agents` reads those of a type; [`FITTED_MAX`] of them are enough.
+    /// `agents` reads those of a type; the fit uses [`FITTED_MAX`] of them at most.
     pub(crate) fn fit<A>(
         config: &ModelConfig,
         agents: impl Fn(AgentType) -> A,
-        twins: Twins,
+        augmentation: Augmentation,
         seed: u64,
     ) -> Result<Self, TrainError>
     where
@@ -78,7 +78,7 @@ impl BaseControl {
             let mut samples = Vec::new();
             for agent in agents(agent_type) {
                 let cuts_mps = &zero.speed_cuts_mps;
-                samples.extend(Sample::of_every_class(&agent?, config, cuts_mps, twins, &mut random));
+                samples.extend(Sample::of_every_class(&agent?, config, cuts_mps, augmentation, &mut random));
             }
             zero.fit(agent_type, &samples, config, seed);
             Ok(zero)
@@ -94,12 +94,12 @@ impl BaseControl {
         frame: &AgentFrame,
     ) -> AgentBase<'_> {
         let base = &self.types[agent_type as usize];
-        let (features, place) = describe(history, frame, &base.speed_cuts_mps, &self.config);
+        let (features, bins) = describe(history, frame, &base.speed_cuts_mps, &self.config);
         let controls_len = 2 * self.config.horizon_len;
         let per_bin = (self.config.modes + 1) * controls_len;
         AgentBase {
-            ridge: base.ridge(&features, place, controls_len),
-            anchors: &base.anchors[place.bin * per_bin..][..per_bin],
+            ridge: base.ridge(&features, bins, controls_len),
+            anchors: &base.anchors[bins.bin * per_bin..][..per_bin],
         }
     }
 
@@ -109,7 +109,7 @@ impl BaseControl {
         let (modes, horizon) = (self.config.modes, self.config.horizon_len);
         for (name, base) in TYPE_NAMES.iter().zip(&self.types) {
             let mut fixed = |tensor: &str, shape: &[usize], values: Vec<f32>| {
-                weights.insert(&format!("base.{name}.{tensor}"), shape, values, Role::Fixed);
+                weights.insert(&format!("base.{name}.{tensor}"), shape, values, TensorRole::Fixed);
             };
             let shape = [binning::CLASSES, binning::SPEED_BINS, binning::FEATURES, controls_len];
             fixed("ridge", &shape, base.ridge.clone());
@@ -141,9 +141,9 @@ impl BaseControl {
     }
 }
 
-/// Where in the tables an agent belongs.
+/// The bins of an agent in the tables.
 #[derive(Clone, Copy, Debug, PartialEq)]
-struct Place {
+struct Bins {
     class: usize,
     speed_bin: usize,
     bin: usize,
@@ -154,19 +154,19 @@ fn describe(
     frame: &AgentFrame,
     cuts_mps: &[f32],
     config: &ModelConfig,
-) -> (Features, Place) {
+) -> (Features, Bins) {
     let scales = FeatureScales { position: config.position_scale, velocity: config.velocity_scale };
     let states: Vec<[f32; 6]> = history
         .iter()
         .map(|state| state.map_or([0.0; 6], |state| state_features(frame, &state, scales)))
         .collect();
     let features = BaseFeatures::new(&states, |step| history[step].is_some(), config);
-    let place = Place {
+    let bins = Bins {
         class: features.class,
         speed_bin: features.speed_bin(cuts_mps),
         bin: features.anchor_bin(cuts_mps),
     };
-    (features.values, place)
+    (features.values, bins)
 }
 
 impl TypeBase {
@@ -179,9 +179,9 @@ impl TypeBase {
         }
     }
 
-    fn ridge(&self, features: &Features, place: Place, controls_len: usize) -> Vec<f32> {
+    fn ridge(&self, features: &Features, bins: Bins, controls_len: usize) -> Vec<f32> {
         let per_bin = binning::FEATURES * controls_len;
-        let table = &self.ridge[(place.class * binning::SPEED_BINS + place.speed_bin) * per_bin..][..per_bin];
+        let table = &self.ridge[(bins.class * binning::SPEED_BINS + bins.speed_bin) * per_bin..][..per_bin];
         let mut controls = vec![0.0; controls_len];
         for (feature, row) in features.iter().zip(table.chunks_exact(controls_len)) {
             controls.iter_mut().zip(row).for_each(|(control, weight)| *control += feature * weight);

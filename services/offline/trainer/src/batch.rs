@@ -1,11 +1,14 @@
-//! Training scenes to matrices.
+//! Training scenes as matrices. \[model §2\]
 //!
-//! A batch is ragged. Agents of many scenes stand in one list, sorted by type, those that are held to their future
-//! first; a *row* is an agent at one step where it is present, rows are sorted by (agent, step), so that the rows of each
-//! type are contiguous. Edges join rows of the same scene and step.
+//! **In:** [`SceneView`]s, states in the world frame (m, m/s, rad). **Out:** a [`Batch`]: scaled features and
+//! targets in agent frames, shapes at its fields.
 //!
-//! Neighbouring windows of a recording share most of their steps: what the network makes of a map patch or of a pair of
-//! agents at one step is computed once for all rows and edges that see the same.
+//! A batch is ragged. The agents of many scenes are one list, sorted by type, those with a target first. A
+//! *row* is an agent at one step where it is present; rows are sorted by (agent, step), so that the rows of
+//! each type are contiguous. Edges join rows of the same scene and step.
+//!
+//! Neighbouring windows of a recording share most of their steps: the features of a map patch, or of a pair
+//! of agents at one step, are computed once for all rows and edges that share them.
 
 mod graph;
 #[cfg(test)]
@@ -27,9 +30,9 @@ use crate::samples::{Agent, MapView};
 pub(crate) use graph::Graph;
 use graph::{Placed, Steps};
 
-/// One agent as one step of training shows it to the network: perhaps with a shortened history.
+/// One agent as a training step shows it to the network, possibly with a shortened history.
 #[derive(Clone, Debug)]
-pub(crate) struct View {
+pub(crate) struct AgentView {
     pub(crate) agent: Arc<Agent>,
     pub(crate) history: Vec<Option<State>>,
     pub(crate) future: Vec<Option<State>>,
@@ -38,7 +41,7 @@ pub(crate) struct View {
     pub(crate) counts: bool,
 }
 
-impl View {
+impl AgentView {
     /// Recorded positions of the forecast steps in the agent frame.
     pub(crate) fn truth(&self) -> impl Iterator<Item = Option<[f32; 2]>> + '_ {
         self.future.iter().map(|state| state.map(|state| in_frame(&self.frame, state.position_m)))
@@ -50,29 +53,29 @@ fn in_frame(frame: &AgentFrame, position_m: [f32; 2]) -> [f32; 2] {
     frame.rotate_into([0, 1].map(|axis| position_m[axis] - frame.origin_m[axis]))
 }
 
-/// Agents of one time and place.
+/// Agents of one scene at one time.
 #[derive(Clone, Debug)]
 pub(crate) struct SceneView<'a> {
-    pub(crate) agents: Vec<View>,
-    /// Where the map patches come from; `None` where the scene is shown without a map.
+    pub(crate) agents: Vec<AgentView>,
+    /// The map patches; `None` where the scene is shown without a map.
     pub(crate) map: Option<MapView<'a>>,
     /// Whether left and right are swapped.
     pub(crate) mirrored: bool,
 }
 
-/// What the network gets and what it is held to.
+/// Inputs of the network and targets of the loss.
 #[derive(Debug)]
 pub(crate) struct Batch<'a> {
     pub(crate) graph: Graph,
-    /// The graph of the forecast steps, where training needs it.
+    /// The graph of the forecast steps, where the objective needs it.
     pub(crate) future: Option<Graph>,
-    /// Agents of each type that are forecast.
+    /// Ranges of the agents of each type that are forecast.
     pub(crate) forecast: [Range<usize>; 3],
     /// State features `[agents, history × 6]`, zeros where absent.
     pub(crate) state: Matrix,
     /// 1 where the agent is present, `[agents, history]`.
     pub(crate) present: Matrix,
-    /// How the agents stand at the last observed step.
+    /// The state of every agent at the last observed step.
     pub(crate) starts: Vec<Start>,
     /// The base control of every agent.
     pub(crate) base: Vec<AgentBase<'a>>,
@@ -82,7 +85,7 @@ pub(crate) struct Batch<'a> {
     pub(crate) counts: Matrix,
     /// Scene and agent within it of every agent of the batch.
     pub(crate) origin: Vec<(usize, usize)>,
-    /// What decodes it.
+    /// The device of the decoder.
     pub(crate) device: &'a Device,
 }
 
@@ -95,7 +98,7 @@ pub(crate) struct BatchOptions<'a> {
     pub(crate) neighbours_max: usize,
     /// Whether the graph of the forecast steps is made too.
     pub(crate) with_future: bool,
-    /// What decodes the batch.
+    /// The device of the decoder.
     pub(crate) device: &'a Device,
 }
 
@@ -116,7 +119,8 @@ impl<'a> Batch<'a> {
         let first = |at: (usize, bool)| origin.partition_point(|origin| place(origin) < at);
         let type_agents = [0, 1, 2].map(|of_type| first((of_type, false))..first((of_type + 1, false)));
         let forecast = [0, 1, 2].map(|of_type| first((of_type, false))..first((of_type, true)));
-        let agents: Vec<&View> = origin.iter().map(|&(scene, agent)| &scenes[scene].agents[agent]).collect();
+        let agents: Vec<&AgentView> =
+            origin.iter().map(|&(scene, agent)| &scenes[scene].agents[agent]).collect();
 
         let placed = Placed { scenes, origin: &origin, agents: &agents, type_agents: &type_agents };
         let graph = placed.graph(Steps::History, options)?;
@@ -139,7 +143,7 @@ impl<'a> Batch<'a> {
     }
 }
 
-/// What does not depend on other agents.
+/// The parts of a batch that do not depend on other agents.
 struct Targets<'a> {
     state: Matrix,
     present: Matrix,
@@ -150,7 +154,7 @@ struct Targets<'a> {
 }
 
 impl<'a> Targets<'a> {
-    fn of(agents: &[&View], options: BatchOptions<'a>) -> Self {
+    fn of(agents: &[&AgentView], options: BatchOptions<'a>) -> Self {
         let BatchOptions { config, base, .. } = options;
         let (agents_len, history_len, horizon_len) = (agents.len(), config.history_len, config.horizon_len);
         let scales = scales(config);
@@ -166,7 +170,7 @@ impl<'a> Targets<'a> {
                 counts.push(f32::from(u8::from(position.is_some())));
             }
         }
-        let of = |view: &&View| base.of(view.agent.agent_type, &view.history, &view.frame);
+        let of = |view: &&AgentView| base.of(view.agent.agent_type, &view.history, &view.frame);
         Self {
             state: Matrix::new(agents_len, history_len * 6, state),
             present: Matrix::new(agents_len, history_len, present),
@@ -181,7 +185,7 @@ impl<'a> Targets<'a> {
     }
 }
 
-/// How an agent stands at the end of its history, in its agent frame.
+/// State at the end of the history, in the agent frame.
 pub(crate) fn start(
     agent: &Agent,
     history: &[Option<State>],

@@ -1,9 +1,11 @@
-//! The spread of the forecasts, brought to what validation finds.
+//! Calibration of the covariances on validation data. \[model §5\]
 //!
-//! The energy score trains the shape of the covariances; how wide they are on scenes that training never saw is one
-//! number per agent type. All control deviations of a type are multiplied by it, so that the 90 % highest-density regions
-//! of the mixtures hold 90 % of the validation's positions, pooled over agents and steps. The factor goes into the last
-//! layer of the decoder: what reads the weights needs not know of it.
+//! **In:** weights and validation scenes. **Out:** one factor per agent type, dimensionless.
+//!
+//! The energy score trains the shape of the covariances; their scale on held-out scenes is one factor per
+//! agent type. The control deviations of a type are multiplied by it, so that the 90 % highest-density
+//! regions of the mixtures hold 90 % of the validation's positions, pooled over agents and steps. The factor
+//! is folded into the last layer of the decoder: readers of the weights need not know it.
 
 use std::collections::BTreeMap;
 
@@ -26,20 +28,20 @@ use crate::rollout::{RAW, Rollout, TypeForecast};
 use crate::samples::{MapKind, Samples};
 use crate::view;
 
-/// Share of the positions that the regions are to hold.
+/// Share of the positions inside the regions after calibration.
 const LEVEL: f64 = 0.9;
-/// Agents of a type that are looked at, at most.
+/// Agents of a type that calibration uses at most.
 const AGENTS_MAX: usize = 1000;
-/// A type with fewer agents keeps its spread.
+/// A type with fewer agents is not calibrated.
 const AGENTS_MIN: usize = 50;
-/// Agents of a crowd that are shown, at most.
+/// Agents of a crowd that are shown at most.
 const SCENE_AGENTS: usize = 48;
 /// Smallest and largest factor.
 const FACTORS: [f64; 2] = [0.2, 5.0];
-/// Halvings of the interval of factors: to 0.1 %.
+/// Bisection steps over the factor: to 0.1 %.
 const HALVINGS: usize = 12;
 
-/// Mixtures over the positions of one step, and where the agent was.
+/// The mixture over the positions of one step, and the true position.
 struct Step {
     means_m: Vec<[f32; 2]>,
     covariances: Vec<[f32; 3]>,
@@ -52,18 +54,18 @@ struct Forecast {
     steps: Vec<Step>,
 }
 
-/// What calibration looks at.
+/// The inputs of calibration.
 #[derive(Clone, Copy)]
 pub(crate) struct Calibration<'a> {
     pub(crate) config: &'a ModelConfig,
     pub(crate) base: &'a BaseControl,
     pub(crate) validation: &'a Samples,
-    /// What decodes.
+    /// The device of the decoder.
     pub(crate) device: &'a Device,
 }
 
 impl Calibration<'_> {
-    /// Scales the spread of every type that has enough agents; returns the factors by the types' names.
+    /// Calibrates every type that has enough agents; returns the factors by the types' names.
     pub(crate) fn apply(&self, weights: &mut Tensors) -> Result<BTreeMap<String, f64>, TrainError> {
         let forecasts = self.forecasts(weights)?;
         let mut factors = BTreeMap::new();
@@ -121,7 +123,7 @@ impl Calibration<'_> {
                 let number = forecast.agents.start + agent;
                 let start = &batch.starts[number];
                 let rows = agent * config.modes..(agent + 1) * config.modes;
-                let modes: Vec<Moments> =
+                let modes: Vec<PositionMoments> =
                     rows.map(|row| moments(config, forecast.agent_type, start, &rollout, row)).collect();
                 let truth = batch.truth.row(number).as_chunks::<2>().0;
                 let known = truth.iter().zip(batch.counts.row(number)).enumerate();
@@ -139,7 +141,7 @@ impl Calibration<'_> {
 }
 
 /// Mean and covariance (xx, xy, yy) of the position at every step.
-type Moments = Vec<([f32; 2], [f32; 3])>;
+type PositionMoments = Vec<([f32; 2], [f32; 3])>;
 
 /// The linearised Gaussian of one row of a rollout, in the agent frame.
 fn moments(
@@ -148,7 +150,7 @@ fn moments(
     start: &Start,
     rollout: &Rollout,
     row: usize,
-) -> Moments {
+) -> PositionMoments {
     let raw = rollout.unroll.raw.row(row).as_chunks::<RAW>().0;
     let means = rollout.mean.row(row).as_chunks::<2>().0;
     let controls = raw.iter().zip(means).map(|(raw, mean)| {
@@ -237,9 +239,9 @@ mod tests {
 
     use super::*;
 
-    /// One Gaussian that says half of the true deviation.
+    /// One Gaussian with half of the true deviation.
     #[test]
-    fn a_spread_that_is_too_small_by_half_is_doubled() {
+    fn a_deviation_of_half_the_true_one_is_doubled() {
         let mut random = ChaCha8Rng::seed_from_u64(1);
         let mut normal = || -> f32 { StandardNormal.sample(&mut random) };
         let forecasts: Vec<Forecast> = (0..800)

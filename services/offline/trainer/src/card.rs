@@ -1,4 +1,4 @@
-//! The model card that travels with the weights.
+//! The model card in the metadata of the weights file.
 
 use std::collections::{BTreeMap, HashMap};
 
@@ -11,41 +11,42 @@ use crate::options::TrainOptions;
 use crate::samples::Source;
 use crate::validate::{SetScore, rounded};
 
-/// What is known of a set of weights.
+/// Provenance and figures of a set of weights.
 #[derive(Clone, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct ModelCard {
-    /// What the model does.
+    /// What the model forecasts.
     pub about: String,
     /// Options of the training run.
     pub options: TrainOptions,
-    /// Update whose averaged weights these are.
+    /// The update whose averaged weights these are.
     pub step: u64,
     /// Time that training took.
     pub wall_s: f64,
-    /// Largest resident memory since the training began or was resumed; cards of the first versions don't tell.
+    /// Largest resident memory since the training began or was resumed; absent from cards of the first
+    /// versions.
     #[serde(default)]
     pub peak_rss_mib: Option<u64>,
     /// CPU that training ended on.
     #[serde(default)]
     pub cpu: Option<String>,
-    /// Factors of the spread of each type's forecasts, fitted to the validation.
+    /// Calibration factors of each type's covariances, fitted to the validation.
     #[serde(default)]
     pub calibration: BTreeMap<String, f64>,
-    /// Numbers in the weights.
+    /// Number of parameters.
     pub parameters: usize,
-    /// Windows and agents that training saw.
+    /// Windows and agents of the training data.
     pub training: Seen,
     /// Validation with the online map, by data set.
     pub validation: Vec<SetScore>,
     /// Validation without a map, by data set.
     pub validation_without_map: Vec<SetScore>,
-    /// How much better than the baselines, by data set: share of their error that is gone.
+    /// Relative improvement over the baselines, by data set.
     pub gains: Vec<Gain>,
-    /// Every recording that training saw.
+    /// Every recording of the training data.
     pub recordings: Vec<Source>,
 }
 
-/// How much data training had.
+/// Size of the training data.
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct Seen {
     /// Windows.
@@ -54,7 +55,7 @@ pub struct Seen {
     pub agents: usize,
 }
 
-/// Share of a baseline's error that is gone, from the validation with the map.
+/// Relative reduction of a baseline's error (1 − error / baseline), from the validation with the map.
 #[derive(Clone, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct Gain {
     /// Name of the set.
@@ -111,12 +112,15 @@ impl ModelCard {
 
     /// The bytes of a weights file with this card.
     pub(crate) fn weights_file(&self, weights: &Tensors) -> Result<Vec<u8>, TrainError> {
-        let json =
-            |value: serde_json::Result<String>| value.map_err(|error| TrainError::Options(error.to_string()));
+        let path = &self.options.out;
+        let entry = |key: &'static str, json: serde_json::Result<String>| match json {
+            Ok(json) => Ok((key.to_owned(), json)),
+            Err(source) => Err(TrainError::Metadata { path: path.clone(), key, source }),
+        };
         let metadata = HashMap::from([
-            ("config".to_owned(), json(serde_json::to_string(&self.options.model))?),
-            ("card".to_owned(), json(serde_json::to_string(self))?),
+            entry("config", serde_json::to_string(&self.options.model))?,
+            entry("card", serde_json::to_string(self))?,
         ]);
-        weights.to_safetensors(Precision::F16, metadata)
+        weights.to_safetensors(Precision::F16, metadata).map_err(|error| error.of(path))
     }
 }

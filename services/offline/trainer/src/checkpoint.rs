@@ -1,4 +1,4 @@
-//! The state of a run on disk, so that it can go on where it stopped.
+//! The state of a run on disk, from which it can be resumed.
 
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
@@ -6,9 +6,10 @@ use std::path::{Path, PathBuf};
 use safetensors::SafeTensors;
 
 use crate::TrainError;
+use crate::error::TensorError;
 use crate::net::file::Precision;
 use crate::net::layout::layout;
-use crate::net::tensors::{Role, Tensors};
+use crate::net::tensors::{TensorRole, Tensors};
 use crate::optimiser::{Adam, Moments};
 use crate::options::TrainOptions;
 
@@ -16,15 +17,15 @@ use crate::options::TrainOptions;
 const FILE: &str = "checkpoint.safetensors";
 
 /// A run between two updates.
-pub(crate) struct State {
+pub(crate) struct RunState {
     pub(crate) weights: Tensors,
     pub(crate) adam: Adam,
-    /// The averaged weights that validated best.
+    /// The averaged weights of the best validation.
     pub(crate) best: Tensors,
     pub(crate) progress: RunProgress,
 }
 
-/// The numbers of a [`State`].
+/// The numbers of a [`RunState`].
 #[derive(Clone, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(crate) struct RunProgress {
@@ -45,7 +46,7 @@ pub(crate) struct RunProgress {
     pub(crate) model: nn::ModelConfig,
 }
 
-impl State {
+impl RunState {
     /// A run that has made no update.
     pub(crate) fn new(weights: Tensors, options: &TrainOptions) -> Self {
         let adam = Adam::new(options.optimiser.clone(), &options.model, &weights);
@@ -76,17 +77,19 @@ impl State {
             let mut tensors = Tensors::default();
             for (name, moments) in &self.adam.moments {
                 let shape = &self.weights.tensor(name).shape;
-                tensors.insert(name, shape, values(moments).clone(), Role::Learned);
+                tensors.insert(name, shape, values(moments).clone(), TensorRole::Learned);
             }
             tensors
         };
         add("first", &moments(|moments| &moments.first));
         add("second", &moments(|moments| &moments.second));
         let run = serde_json::to_string(&self.progress).expect("numbers and strings are JSON");
-        let bytes = all.to_safetensors(Precision::F32, HashMap::from([("run".to_owned(), run)]))?;
+        let bytes = all.to_safetensors(Precision::F32, HashMap::from([("run".to_owned(), run)]));
+        let path = folder.join(FILE);
+        let bytes = bytes.map_err(|error| error.of(&path))?;
         let io = |source| TrainError::Io { path: folder.to_owned(), source };
         std::fs::create_dir_all(folder).map_err(io)?;
-        write_whole(&folder.join(FILE), &bytes)
+        write_whole(&path, &bytes)
     }
 
     /// Reads the checkpoint of a run with the same seed and model; `None` where there is none.
@@ -100,22 +103,23 @@ impl State {
         if progress.seed != options.seed || progress.model != options.model {
             return Err(refused(&path, "it was made with another seed or model"));
         }
-        let read = |prefix: &str, roles: &[Role]| {
+        let read = |prefix: &str, roles: &[TensorRole]| {
             let mut entries = layout(&options.model);
             entries.retain(|entry| roles.contains(&entry.role));
             entries.iter_mut().for_each(|entry| entry.name = format!("{prefix}/{}", entry.name));
-            let tensors = Tensors::from_safetensors(&bytes, &entries)?;
+            let tensors = Tensors::from_safetensors(&bytes, &entries).map_err(|error| error.of(&path))?;
             let named = tensors.0.into_iter();
             Ok::<Tensors, TrainError>(Tensors(
                 named.map(|(name, tensor)| (name[prefix.len() + 1..].to_owned(), tensor)).collect(),
             ))
         };
-        let all = [Role::Learned, Role::Statistic, Role::Fixed];
+        let all = [TensorRole::Learned, TensorRole::Statistic, TensorRole::Fixed];
         let weights = read("value", &all)?;
         let mut adam = Adam::new(options.optimiser.clone(), &options.model, &weights);
         adam.steps = progress.adam_steps;
         adam.average = read("average", &all)?;
-        let (mut first, mut second) = (read("first", &[Role::Learned])?, read("second", &[Role::Learned])?);
+        let (mut first, mut second) =
+            (read("first", &[TensorRole::Learned])?, read("second", &[TensorRole::Learned])?);
         for (name, moments) in &mut adam.moments {
             if let (Some(first), Some(second)) = (first.0.remove(name), second.0.remove(name)) {
                 (moments.first, moments.second) = (first.values, second.values);
@@ -126,17 +130,22 @@ impl State {
 }
 
 fn read_progress(bytes: &[u8], path: &Path) -> Result<RunProgress, TrainError> {
-    let (_, header) = SafeTensors::read_metadata(bytes)?;
+    let (_, header) =
+        SafeTensors::read_metadata(bytes).map_err(|error| TensorError::Safetensors(error).of(path))?;
     let run = header.metadata().as_ref().and_then(|metadata| metadata.get("run"));
     let run = run.ok_or_else(|| refused(path, "it is no checkpoint: the metadata lack `run`"))?;
-    serde_json::from_str(run).map_err(|error| refused(path, &format!("metadata `run`: {error}")))
+    serde_json::from_str(run).map_err(|source| TrainError::Metadata {
+        path: path.to_owned(),
+        key: "run",
+        source,
+    })
 }
 
-fn refused(path: &Path, reason: &str) -> TrainError {
-    TrainError::Checkpoint { path: path.to_owned(), reason: reason.to_owned() }
+fn refused(path: &Path, reason: &'static str) -> TrainError {
+    TrainError::Checkpoint { path: path.to_owned(), reason }
 }
 
-/// Writes a file beside its place and moves it there.
+/// Writes a file under another name and moves it to `path`, so that `path` is never incomplete.
 pub(crate) fn write_whole(path: &Path, bytes: &[u8]) -> Result<(), TrainError> {
     let mut partial: PathBuf = path.to_owned();
     partial.set_extension("partial");

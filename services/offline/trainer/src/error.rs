@@ -1,14 +1,42 @@
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
+
+use data::ReadError;
+use nn::{ConfigError, WeightsError};
 
 /// Why a training run ended early.
 #[derive(Debug, thiserror::Error)]
 pub enum TrainError {
     /// A recording could not be read.
     #[error(transparent)]
-    Data(#[from] data::ReadError),
-    /// The options contradict one another or the model cannot have them.
+    Data(#[from] ReadError),
+    /// The options contradict one another.
     #[error("{0}")]
-    Options(String),
+    Options(&'static str),
+    /// The model's configuration is invalid.
+    #[error("model.{0}")]
+    Model(#[source] ConfigError),
+    /// A data set has an unknown name.
+    #[error("unknown data set \"{name}\": expected one of {known}")]
+    UnknownDataSet {
+        /// The name.
+        name: String,
+        /// All names, with commas between them.
+        known: String,
+    },
+    /// The weights to begin with can't be used.
+    #[error("begin_with {}: {source}", path.display())]
+    BeginWith {
+        /// The weights file.
+        path: PathBuf,
+        /// Why not.
+        source: WeightsError,
+    },
+    /// The weights to begin with are of another model.
+    #[error("begin_with {}: its model is another one than the options ask for", path.display())]
+    OtherModel {
+        /// The weights file.
+        path: PathBuf,
+    },
     /// The data hold no agent whose future is known.
     #[error("no {part} window has an agent with a known future below {}", root.display())]
     NoWindows {
@@ -17,7 +45,66 @@ pub enum TrainError {
         /// Folder that was searched.
         root: PathBuf,
     },
-    /// A safetensors file is malformed, or lacks a tensor.
+    /// The tensors of a weights file or checkpoint could not be read or written.
+    #[error("{}: {source}", path.display())]
+    Tensors {
+        /// The file.
+        path: PathBuf,
+        /// The tensor and its fault.
+        source: TensorError,
+    },
+    /// The metadata of a weights file or checkpoint could not be read or written.
+    #[error("{}: metadata `{key}`: {source}", path.display())]
+    Metadata {
+        /// The file.
+        path: PathBuf,
+        /// The key.
+        key: &'static str,
+        /// The fault of the JSON.
+        source: serde_json::Error,
+    },
+    /// A checkpoint does not belong to these options.
+    #[error("{}: {reason}", path.display())]
+    Checkpoint {
+        /// The checkpoint's file.
+        path: PathBuf,
+        /// How it differs.
+        reason: &'static str,
+    },
+    /// A file could not be read or written.
+    #[error("{}: {source}", path.display())]
+    Io {
+        /// The file.
+        path: PathBuf,
+        /// The error of the operating system.
+        source: std::io::Error,
+    },
+    /// The scratch file of scenes could not be written or read.
+    #[error("scratch file in {}: {source}", folder.display())]
+    Scratch {
+        /// Its folder.
+        folder: PathBuf,
+        /// The error of the operating system.
+        source: std::io::Error,
+    },
+    /// The GPU that was asked for can't be used.
+    #[error("gpu: {source}")]
+    Gpu {
+        /// The error of the graphics system, or that the build has no GPU backend.
+        source: Box<dyn std::error::Error + Send + Sync>,
+    },
+    /// The loss was not finite several times in a row.
+    #[error("the loss of step {step} is not finite; a lower learning rate may help")]
+    Diverged {
+        /// Update at which it happened.
+        step: u64,
+    },
+}
+
+/// Why the tensors of a file could not be read or written.
+#[derive(Debug, thiserror::Error)]
+pub enum TensorError {
+    /// The safetensors file is malformed, or lacks a tensor.
     #[error("safetensors: {0}")]
     Safetensors(#[from] safetensors::SafeTensorError),
     /// A tensor has another shape.
@@ -31,47 +118,18 @@ pub enum TrainError {
         found: Vec<usize>,
     },
     /// A tensor holds something else than f32 or f16.
-    #[error("tensor `{name}`: expected F32 or F16, found {found}")]
+    #[error("tensor `{name}`: expected F32 or F16, found {found:?}")]
     ElementType {
         /// Name of the tensor.
         name: String,
         /// Element type in the file.
-        found: String,
+        found: safetensors::Dtype,
     },
-    /// A checkpoint does not belong to these options.
-    #[error("{}: {reason}", path.display())]
-    Checkpoint {
-        /// The checkpoint's file.
-        path: PathBuf,
-        /// What is wrong with it.
-        reason: String,
-    },
-    /// A file could not be read or written.
-    #[error("{}: {source}", path.display())]
-    Io {
-        /// The file.
-        path: PathBuf,
-        /// What the system said.
-        source: std::io::Error,
-    },
-    /// The scratch file that scenes wait in could not be written or read.
-    #[error("scratch file in {}: {source}", folder.display())]
-    Scratch {
-        /// The folder that it lies in.
-        folder: PathBuf,
-        /// What the system said.
-        source: std::io::Error,
-    },
-    /// The GPU that was asked for can't be used.
-    #[error("gpu: {reason}")]
-    Gpu {
-        /// What the system said.
-        reason: String,
-    },
-    /// The loss left the numbers several times in a row.
-    #[error("the loss of step {step} is not finite; a lower learning rate may help")]
-    Diverged {
-        /// Update at which it happened.
-        step: u64,
-    },
+}
+
+impl TensorError {
+    /// The error with the file that it is about.
+    pub(crate) fn of(self, path: &Path) -> TrainError {
+        TrainError::Tensors { path: path.to_owned(), source: self }
+    }
 }

@@ -1,15 +1,20 @@
-//! Training of the STG-DAT network, from recordings to a weights file.
+//! Training of the STG-DAT network, from recordings to a weights file. \[model §5\]
 //!
-//! The network is written a second time here, layer by layer with its way back (`net`), under the tensor names of the
-//! weights file; features, maps and the base control come from the same code as onboard, and both forward passes are held
-//! to the same golden vectors.
+//! **In:** [`TrainOptions`] (a [recipe](recipe()), perhaps with [`PRESETS`]) and a folder of data sets, which
+//! crate `data` reads. **Out:** [`TrainOptions::out`], a safetensors file with the tensors of \[model §3\] in
+//! half precision, the model's configuration and a [`ModelCard`]; checkpoints and a log of JSON lines beside
+//! them. Errors are in metres.
 //!
-//! A run has three parts. Recordings become scenes (windows, and a causal map patch for every agent and frame), which
-//! wait in a scratch file beside the checkpoints: memory need only hold the largest recording. The *base control* — ridge
-//! regression and anchors — is fitted to them. Then the network learns what to add, batch by batch; its running average
-//! is validated from time to time, and the best one is written with a model card.
+//! The layers are implemented a second time here, each with its backward pass (`net`), under the tensor names
+//! of the weights file. Features, maps, base control and equations of motion are the code that runs onboard,
+//! and both forward passes are tested against the same golden vectors.
 //!
-//! A seed fixes everything random, so that a run on one machine can be repeated to the bit.
+//! [`train`] has three parts. Recordings become scenes (windows, and a causal map patch for every agent and
+//! frame) in a scratch file beside the checkpoints: memory need only hold the largest recording. The *base
+//! control* — ridge regression and anchors — is fitted to them. Then the network learns what to add, batch by
+//! batch; the running average of its weights is validated now and then, and the best is written.
+//!
+//! One seed determines all random numbers: a run on one machine repeats to the bit.
 
 mod ablations;
 #[cfg(test)]
@@ -39,12 +44,12 @@ mod validate;
 mod view;
 
 pub use card::{Gain, ModelCard, Seen};
-pub use error::TrainError;
-pub use objective::{LossParts, Objective};
+pub use error::{TensorError, TrainError};
+pub use objective::Objective;
 pub use optimiser::OptimiserOptions;
-pub use options::{TrainOptions, onboard_config};
+pub use options::TrainOptions;
 pub use presets::PRESETS;
 pub use recipes::{RECIPES, recipe};
 pub use samples::Source;
 pub use train::{Summary, train};
-pub use validate::{Errors, SetScore, choose_by};
+pub use validate::{Errors, SetScore};

@@ -1,7 +1,7 @@
-//! The log of a run, a JSON object a line: what `stgdat plot training` draws.
+//! The log of a run: JSON lines, the input of `stgdat plot training`.
 
 use std::fs;
-use std::io::Write;
+use std::io::{ErrorKind, Write};
 use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
@@ -12,7 +12,7 @@ use crate::validate::SetScore;
 
 /// Name of the file in the checkpoint folder.
 const FILE: &str = "log.jsonl";
-/// Updates that a line tells the mean of.
+/// Updates that a line averages over.
 const EVERY: u64 = 20;
 
 /// A line of the log.
@@ -40,7 +40,7 @@ impl Line {
     }
 }
 
-/// The log as it is written.
+/// A log file that is being written.
 pub(crate) struct Log {
     path: PathBuf,
     sum: LossParts,
@@ -53,7 +53,11 @@ impl Log {
         let path = folder.join(FILE);
         let io = |source| TrainError::Io { path: path.clone(), source };
         fs::create_dir_all(folder).map_err(io)?;
-        let before = if step > 0 { fs::read_to_string(&path).unwrap_or_default() } else { String::new() };
+        let before = match fs::read_to_string(&path) {
+            Ok(before) if step > 0 => before,
+            Err(source) if step > 0 && source.kind() != ErrorKind::NotFound => return Err(io(source)),
+            Ok(_) | Err(_) => String::new(),
+        };
         let is_kept = |line: &&str| serde_json::from_str::<Line>(line).is_ok_and(|line| line.step() <= step);
         let kept: String = before.lines().filter(is_kept).flat_map(|line| [line, "\n"]).collect();
         fs::write(&path, kept).map_err(io)?;
@@ -92,7 +96,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_resumed_log_forgets_what_came_after_the_checkpoint() {
+    fn a_resumed_log_drops_lines_after_the_checkpoint() {
         let folder = tempfile::tempdir().unwrap();
         let mut log = Log::open(folder.path(), 0).unwrap();
         let parts = LossParts { trajectory: 0.5, ..LossParts::default() };

@@ -1,23 +1,24 @@
-//! What a training ran on and what it took of it, for the model card.
+//! The machine of a training and the memory used, for the model card.
 
 use std::fs;
 
-/// The largest resident memory of this process since [`forget_peak`], in MiB; `None` where the system does not tell.
+/// The largest resident memory of this process since [`forget_peak`], MiB; `None` where the system does not
+/// report it.
 pub(crate) fn peak_rss_mib() -> Option<u64> {
     peak_of(&fs::read_to_string("/proc/self/status").ok()?)
 }
 
-/// Has [`peak_rss_mib`] tell of what is used from now on, where the system lets a process say so.
+/// Resets the peak that [`peak_rss_mib`] reports, where the system allows it.
 pub(crate) fn forget_peak() {
     const PEAK: &str = "5";
-    // Where it does not, the peak is that of the whole process, which is no less.
+    // Where it does not, the peak is that of the whole process, an upper bound.
     let _ = fs::write("/proc/self/clear_refs", PEAK);
 }
 
 /// The CPU's model as the system calls it, or else its architecture.
 pub(crate) fn cpu() -> String {
-    let told = fs::read_to_string("/proc/cpuinfo").ok();
-    told.and_then(|text| model_of(&text)).unwrap_or_else(|| std::env::consts::ARCH.to_owned())
+    let cpuinfo = fs::read_to_string("/proc/cpuinfo").ok();
+    cpuinfo.and_then(|text| model_of(&text)).unwrap_or_else(|| std::env::consts::ARCH.to_owned())
 }
 
 fn peak_of(status: &str) -> Option<u64> {
@@ -37,7 +38,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_system_s_files_are_understood() {
+    fn proc_files_are_parsed() {
         let status = "Name:\tstgdat\nVmPeak:\t  900000 kB\nVmHWM:\t  167957 kB\nVmRSS:\t     100 kB\n";
         assert_eq!(peak_of(status), Some(165));
         assert_eq!(peak_of("Name:\tstgdat\n"), None);
@@ -48,7 +49,7 @@ mod tests {
     }
 
     #[test]
-    fn memory_that_was_used_counts() {
+    fn the_peak_includes_freed_memory() {
         let Some(before) = peak_rss_mib() else { return };
         let filled = vec![1_u8; (before as usize + 64) << 20];
         assert!(filled.iter().all(|&byte| byte == 1));

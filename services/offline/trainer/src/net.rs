@@ -1,11 +1,11 @@
-//! The network as training sees it: every layer as a pair of functions, forward and backward.
+//! The network in training: every layer as a pair of functions, forward and backward pass. \[model §3\]
 //!
-//! A forward function returns its result with a *trace* of what the way back needs. A backward function takes the
-//! gradient of the loss by the result, adds to the [`Gradients`] of the weights and returns the gradients by the layer's
-//! inputs. There is no tape: the model calls the layers backward in the order that it knows.
+//! A forward function returns its result with a *trace* of what the backward pass needs. A backward function
+//! takes the gradient of the loss by the result, adds to the [`Gradients`] of the weights and returns the
+//! gradients by the layer's inputs. There is no tape: the model calls the layers backward in fixed order.
 //!
-//! The layers use the tensors of the weights file, under its names, and are held to finite differences, to the golden
-//! vectors and to the onboard network.
+//! The layers use the tensors of the weights file, under its names. Tests compare them with finite
+//! differences, with the golden vectors and with the onboard network.
 
 #[cfg(test)]
 pub(crate) mod check;

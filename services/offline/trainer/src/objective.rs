@@ -1,4 +1,7 @@
-//! What a training step minimises.
+//! The objective of a training step. \[model §5\]
+//!
+//! **In:** an encoded [`Batch`] and the weights. **Out:** the [`LossParts`] (distances in metres) and the
+//! gradients of all learned tensors.
 
 mod paper;
 mod plus;
@@ -29,9 +32,10 @@ pub enum Objective {
         /// Deviation of the posterior.
         sigma: f64,
     },
-    /// Best of the learned points, by the unsquared distance.
+    /// Variety loss: best of the learned points, by the unsquared distance.
     Plus {
-        /// Weight of a random mode, which keeps modes that never win alive; it falls to 0 over the training.
+        /// Weight of a random mode, which gives modes that never win a gradient; it falls to 0 over the
+        /// training.
         random_mode: f64,
         /// Weight of the point of the single best forecast.
         single: f64,
@@ -39,11 +43,13 @@ pub enum Objective {
         probability: f64,
         /// Weight of the energy score, which calibrates the covariances.
         spread: f64,
-        /// Weight of a vehicle beside any other agent: its errors, and even more their gradients, are larger.
+        /// Weight of a vehicle relative to any other agent: its errors, and even more their gradients, are
+        /// larger.
         vehicle: f64,
-        /// Modes, nearest by the base control, among which the network's own output chooses the winner.
+        /// Modes, nearest by the base control, that are decoded to find the winner.
         candidates: usize,
-        /// Weight of the error of the last step beside the mean over all steps; always 0.5 before it was an option.
+        /// Weight of the error of the last step relative to the mean over all steps; 0.5 in options that lack
+        /// it.
         #[serde(default = "last_step")]
         last_step: f64,
     },
@@ -76,7 +82,7 @@ impl Objective {
 }
 
 impl Objective {
-    /// The loss that the parts add up to.
+    /// The weighted sum of the parts.
     pub(crate) fn weigh(&self, parts: LossParts) -> f64 {
         let LossParts { trajectory, single, probability, spread } = parts;
         let [trajectory, single, probability, spread] =
@@ -90,9 +96,9 @@ impl Objective {
     }
 }
 
-/// The parts of a loss, for the progress line; which are in use depends on the [`Objective`].
+/// The parts of a loss, for the progress line; the [`Objective`] decides which are used.
 #[derive(Clone, Copy, Debug, Default, PartialEq, serde::Serialize, serde::Deserialize)]
-pub struct LossParts {
+pub(crate) struct LossParts {
     /// Error of the winner, or of the posterior draw.
     pub trajectory: f32,
     /// Error of the single best forecast.
@@ -104,7 +110,7 @@ pub struct LossParts {
 }
 
 impl LossParts {
-    /// These parts moved by `share` towards `new`.
+    /// Exponential moving average: these parts moved by `share` towards `new`.
     #[must_use]
     pub(crate) fn mixed(self, new: Self, share: f32) -> Self {
         let mix = |old: f32, new: f32| old + (new - old) * share;
@@ -116,7 +122,7 @@ impl LossParts {
         }
     }
 
-    /// These parts and those of another part of the same batch.
+    /// The sum of these parts and those of another part of the same batch.
     pub(crate) fn plus(self, other: Self) -> Self {
         Self {
             trajectory: self.trajectory + other.trajectory,
@@ -136,13 +142,13 @@ impl LossParts {
         }
     }
 
-    /// Whether all parts are numbers.
+    /// Whether all parts are finite.
     pub(crate) fn is_finite(self) -> bool {
         [self.trajectory, self.single, self.probability, self.spread].into_iter().all(f32::is_finite)
     }
 }
 
-/// A part of a batch, differentiated.
+/// Loss and gradients of a part of a batch.
 pub(crate) struct Differentiated {
     pub(crate) gradients: Gradients,
     pub(crate) parts: LossParts,
@@ -150,8 +156,8 @@ pub(crate) struct Differentiated {
     pub(crate) statistics: Vec<(String, Vec<f32>)>,
 }
 
-/// The loss of a part of a batch that counts `counted` agents in all, and its gradients, when the share `done` of the
-/// training is done.
+/// The loss of a part of a batch in which `counted` agents count in all, and its gradients, when the share
+/// `done` of the training is done.
 pub(crate) fn differentiate(
     objective: &Objective,
     config: &ModelConfig,

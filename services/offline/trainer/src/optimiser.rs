@@ -1,4 +1,5 @@
-//! Adam with gradient clipping, a warmed-up cosine schedule, and the running average that is shipped.
+//! Adam with gradient clipping, a warmed-up cosine schedule, and the running average of the weights, which is
+//! shipped.
 
 use std::collections::BTreeMap;
 
@@ -6,21 +7,22 @@ use nn::ModelConfig;
 use nn::kernels::{Kernel, Lanes, dispatch};
 
 use crate::net::layout::units;
-use crate::net::tensors::{Gradients, Role, Tensors};
+use crate::net::tensors::{Gradients, TensorRole, Tensors};
 
-/// What Adam is set to.
+/// Parameters of Adam.
 #[derive(Clone, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct OptimiserOptions {
-    /// Highest learning rate, reached after the warm-up.
+    /// Largest learning rate, reached after the warm-up.
     pub learning_rate: f64,
-    /// Steps over which the rate climbs from zero.
+    /// Steps over which the rate rises from zero.
     pub warm_up_steps: u64,
-    /// Greatest Euclidean norm of the whole gradient; a longer one is scaled down.
+    /// Largest Euclidean norm of the whole gradient; a larger one is scaled down.
     pub clip_norm: f64,
     /// Decay of the running average of the weights, reached gradually.
     pub average_decay: f64,
-    /// Share of a weight that an update at learning rate 1 takes away (decoupled weight decay); biases keep theirs.
+    /// Decoupled weight decay: share of a weight that an update at learning rate 1 subtracts; biases do not
+    /// decay.
     pub weight_decay: f64,
 }
 
@@ -40,7 +42,7 @@ const BETA_1: f64 = 0.9;
 const BETA_2: f64 = 0.999;
 const EPSILON: f32 = 1e-8;
 
-/// What Adam keeps of one tensor.
+/// Adam's moments of one tensor.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Moments {
     pub(crate) first: Vec<f32>,
@@ -62,7 +64,7 @@ pub(crate) struct Adam {
 impl Adam {
     /// An optimiser that starts from `weights` of a model.
     pub(crate) fn new(options: OptimiserOptions, config: &ModelConfig, weights: &Tensors) -> Self {
-        let learned = weights.0.iter().filter(|(_, tensor)| tensor.role == Role::Learned);
+        let learned = weights.0.iter().filter(|(_, tensor)| tensor.role == TensorRole::Learned);
         let moments = learned.map(|(name, tensor)| {
             let zeros = vec![0.0; tensor.values.len()];
             let units = units(config, name, &tensor.shape).unwrap_or_default();
@@ -71,7 +73,8 @@ impl Adam {
         Self { options, steps: 0, moments: moments.collect(), average: weights.clone() }
     }
 
-    /// Learning rate of update `step` (from zero) out of `steps`: linear warm-up, then half a cosine down to zero.
+    /// Learning rate of update `step` (from zero) out of `steps`: linear warm-up, then half a cosine down to
+    /// zero.
     pub(crate) fn rate(&self, step: u64, steps: u64) -> f64 {
         let warm_up = self.options.warm_up_steps.max(1);
         if step < warm_up {
@@ -81,8 +84,8 @@ impl Adam {
         self.options.learning_rate * 0.5 * (1.0 + (std::f64::consts::PI * done.min(1.0)).cos())
     }
 
-    /// Moves `weights` against `gradients` at learning rate `rate`; returns the gradient's norm before clipping. A
-    /// gradient that is not finite moves nothing.
+    /// Moves `weights` against `gradients` at learning rate `rate`; returns the gradient's norm before
+    /// clipping. A gradient that is not finite moves nothing.
     pub(crate) fn step(&mut self, weights: &mut Tensors, gradients: &mut Gradients, rate: f64) -> f64 {
         let mut square = 0.0;
         for ((_, gradient), moments) in gradients.0.values_mut().zip(self.moments.values()) {
@@ -120,14 +123,15 @@ impl Adam {
         let steps = self.steps as f64;
         let decay = self.options.average_decay.min((1.0 + steps) / (10.0 + steps)) as f32;
         for (average, tensor) in self.average.0.values_mut().zip(weights.0.values()) {
-            if tensor.role != Role::Fixed {
+            if tensor.role != TensorRole::Fixed {
                 dispatch(Mix { average: &mut average.values, new: &tensor.values, decay });
             }
         }
     }
 }
 
-/// By the chain rule a gradient, and a step back, is multiplied by the unit that its parameter is learned in.
+/// Multiplies values by the units that their parameters are learned in: the gradient by the chain rule, and
+/// likewise the step.
 fn in_units(values: &mut [f32], units: &[f32]) {
     values.iter_mut().zip(units).for_each(|(value, unit)| *value *= unit);
 }
@@ -192,7 +196,7 @@ mod tests {
 
     fn weights(name: &str, values: &[f32]) -> Tensors {
         let mut weights = Tensors::default();
-        weights.insert(name, &[values.len()], values.to_vec(), Role::Learned);
+        weights.insert(name, &[values.len()], values.to_vec(), TensorRole::Learned);
         weights
     }
 
@@ -220,9 +224,9 @@ mod tests {
     #[test]
     fn weights_decay_and_biases_do_not() {
         let mut weights = Tensors::default();
-        weights.insert("weight", &[1, 2], vec![1.0, -2.0], Role::Learned);
-        weights.insert("bias", &[2], vec![1.0, -2.0], Role::Learned);
-        weights.insert("base", &[1, 2], vec![1.0, -2.0], Role::Fixed);
+        weights.insert("weight", &[1, 2], vec![1.0, -2.0], TensorRole::Learned);
+        weights.insert("bias", &[2], vec![1.0, -2.0], TensorRole::Learned);
+        weights.insert("base", &[1, 2], vec![1.0, -2.0], TensorRole::Fixed);
         let options = OptimiserOptions { weight_decay: 0.5, ..OptimiserOptions::default() };
         let mut adam = Adam::new(options, &onboard_config(), &weights);
         let mut gradients = Gradients::zeros(&weights);
@@ -237,7 +241,7 @@ mod tests {
     }
 
     #[test]
-    fn a_gradient_that_is_no_number_moves_nothing() {
+    fn a_non_finite_gradient_changes_no_weight() {
         let mut weights = weights("a", &[3.0]);
         let mut adam = Adam::new(OptimiserOptions::default(), &onboard_config(), &weights);
         assert!(!update(&mut adam, &mut weights, "a", f32::NAN).is_finite());
@@ -245,7 +249,7 @@ mod tests {
     }
 
     #[test]
-    fn a_head_moves_in_its_units() {
+    fn a_head_is_learned_in_its_units() {
         let mut weights = weights(HEAD, &[0.0; 5]);
         let mut adam = Adam::new(OptimiserOptions::default(), &onboard_config(), &weights);
         update(&mut adam, &mut weights, HEAD, 1.0);
@@ -256,7 +260,7 @@ mod tests {
     }
 
     #[test]
-    fn the_rate_climbs_and_falls_to_zero() {
+    fn the_learning_rate_rises_and_falls_to_zero() {
         let options = OptimiserOptions { warm_up_steps: 100, ..OptimiserOptions::default() };
         let adam = Adam::new(options, &onboard_config(), &weights("a", &[0.0]));
         let rates: Vec<f64> = [0, 49, 99, 550, 1000].map(|step| adam.rate(step, 1000)).to_vec();

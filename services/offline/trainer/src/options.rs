@@ -10,34 +10,34 @@ use crate::TrainError;
 use crate::objective::Objective;
 use crate::optimiser::OptimiserOptions;
 
-/// Threads that a batch is split over, at most.
+/// Most threads that a batch is split over.
 const WORKERS_MAX: usize = 64;
 
-/// What to train, on what, and for how long.
+/// Data, model and duration of a training.
 #[derive(Clone, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct TrainOptions {
-    /// Name of the recipe that these options are of, see [`recipe`](crate::recipe).
+    /// Name of the recipe of these options, see [`recipe`](crate::recipe).
     pub recipe: Option<String>,
     /// Folder that holds the data sets.
     pub data: PathBuf,
-    /// Names of the data sets to learn from, see [`DataSet::name`].
+    /// Names of the data sets for training, see [`DataSet::name`].
     pub sets: Vec<String>,
-    /// Names of the data sets to validate on.
+    /// Names of the data sets for validation.
     pub validation_sets: Vec<String>,
-    /// Recordings whose path holds one of these are left out: sites or scenes that are to stay unseen.
+    /// Held-out sites or scenes: recordings whose path contains one of these are left out.
     pub leave_out: Vec<String>,
     /// Whether velocities and headings are differences of positions even where the recordings have their own.
     pub from_positions: bool,
-    /// Windows of each data set to learn from, at most; spread evenly over the set.
+    /// Training windows of each data set at most; spread evenly over the set.
     pub windows: usize,
     /// Safetensors file to write.
     pub out: PathBuf,
-    /// Folder for checkpoints, and for the nameless file in which scenes wait while a training runs.
+    /// Folder for checkpoints, and for the unnamed scratch file of scenes during a training.
     pub checkpoints: PathBuf,
-    /// Whether to go on from the newest checkpoint.
+    /// Whether to resume from the newest checkpoint.
     pub resume: bool,
-    /// Weights of the same model to begin with, their base control included; where there are none, training begins with
+    /// Weights of the same model to begin with, their base control included; if none, training begins with
     /// random ones and fits the base control.
     pub begin_with: Option<PathBuf>,
     /// Seed of everything random.
@@ -46,40 +46,42 @@ pub struct TrainOptions {
     pub steps: u64,
     /// Agents in a batch, at least; a batch is filled with whole scenes.
     pub batch_agents: usize,
-    /// Agents of a scene that are shown, at most.
+    /// Agents of a scene that are shown at most.
     pub scene_agents: usize,
-    /// Neighbours of an agent, itself included, at most.
+    /// Neighbours of an agent at most, itself included.
     pub neighbours: usize,
     /// Neighbouring windows that are shown together: they share most of their patches and relations.
     pub clip_windows: usize,
-    /// Parts of a batch that are differentiated side by side, a thread for each.
+    /// Parts of a batch that are differentiated in parallel, one thread each.
     pub workers: usize,
     /// Whether the decoder runs on a GPU; the build must have the feature `gpu`.
     pub gpu: bool,
-    /// Share of the clips that see no map.
+    /// Share of the clips that are shown without a map.
     pub without_map: f64,
-    /// Share of the clips that see the map of the site's other recordings; the rest see the online map.
+    /// Share of the clips that are shown with the map of the site's other recordings; the rest have the
+    /// online map.
     pub site_map: f64,
     /// Deviation of the logarithm of the scale at which scenes without vehicles are shown.
     pub scale_deviation: f64,
-    /// The same for the pedestrians that the base control is fitted to; 0 fits it to recorded scales alone.
+    /// The same for the pedestrians of the base control's fit; 0 fits recorded scales alone.
     pub base_scale_deviation: f64,
     /// Share of the standing agents that the loss counts.
     pub standing: f64,
-    /// Whether only agents with a whole history count, as the protocols of pedestrian data sets have it.
+    /// Whether only agents with a whole history count, as in the protocols of pedestrian data sets.
     pub whole_history: bool,
     /// Share of the agents whose history is cut to a random length of two steps or more.
     pub short_history: f64,
     /// Share of the agents whose history is made noisy.
     pub noisy_history: f64,
-    /// Share of the clips whose velocities and headings are differences of positions, whatever the recording tells. The
-    /// base control is then fitted to such histories too.
+    /// Share of the clips whose velocities and headings are differences of positions even where the recording
+    /// has its own. The base control is then fitted to such histories too.
     pub differenced_history: f64,
-    /// How evenly the sites of a data set are drawn: by their size where 0, by its root where 0.5, all alike where 1.
+    /// Evenness of the draw of sites in a data set: by size where 0, by its square root where 0.5, uniform
+    /// where 1.
     pub even_sites: f64,
     /// Updates between two validations.
     pub validate_every: u64,
-    /// Agents of each set in a validation during training, at most.
+    /// Agents of each set in a validation during training at most.
     pub validation_agents: usize,
     /// Validations without improvement after which training stops.
     pub patience: u32,
@@ -146,10 +148,10 @@ impl TrainOptions {
     /// Refuses options that cannot be trained.
     ///
     /// # Errors
-    /// [`TrainError::Options`] names what is wrong.
+    /// [`TrainError::Model`] or [`TrainError::Options`] with the options at fault.
     pub fn check(&self) -> Result<(), TrainError> {
-        self.model.check().map_err(|error| TrainError::Options(format!("model.{error}")))?;
-        let refuse = |reason: &str| Err(TrainError::Options(reason.to_owned()));
+        self.model.check().map_err(TrainError::Model)?;
+        let refuse = |reason| Err(TrainError::Options(reason));
         let points = self.model.latents == Latents::Points;
         match self.objective {
             Objective::Plus { .. } if !(points && self.model.best_latent && self.model.mode_head) => refuse(
@@ -191,7 +193,7 @@ impl TrainOptions {
 }
 
 impl TrainOptions {
-    /// The same options at the usual places: where files lay, and whether a run was resumed, says nothing about the model.
+    /// The same options with default paths and `resume`, which have no effect on the model.
     #[must_use]
     pub fn without_places(&self) -> Self {
         let Self { data, out, checkpoints, resume, .. } = Self::default();
@@ -214,7 +216,7 @@ impl TrainOptions {
 
 /// The model that the pipeline runs: all agent types in one, at 0.4 s.
 #[must_use]
-pub fn onboard_config() -> ModelConfig {
+pub(crate) fn onboard_config() -> ModelConfig {
     ModelConfig {
         width: 16,
         stem: Stem::Compact,

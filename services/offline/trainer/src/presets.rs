@@ -1,8 +1,8 @@
 //! Named changes of a training: the paper's model, sizes, and ablations.
 //!
-//! A *preset* changes what a recipe, or the default, says of the model and the loss, and leaves alone what it says of the
-//! data. Every one is nothing but values of [`TrainOptions`]. Presets may follow one another: `paper` and then `T` is
-//! the ablation T of the paper's model.
+//! A *preset* changes the model and the loss of a recipe, or of the defaults, and leaves its data unchanged.
+//! Each is nothing but values of [`TrainOptions`]. Presets can be chained: `paper` and then `T` is the
+//! ablation T of the paper's model.
 
 use nn::{
     Attention, Displacement, Integrator, Latents, ModelConfig, NodeTypes, Stem, Temporal, VehicleMotion,
@@ -11,19 +11,21 @@ use nn::{
 use crate::objective::Objective;
 use crate::options::{TrainOptions, onboard_config};
 
-/// Nobody comes nearer to anybody than this: no edges but self edges.
+/// An edge radius so small that only self edges remain, m.
 const ALONE_M: f32 = 1e-3;
 
 /// Names of the presets.
 ///
-/// * `paper` is the model as printed, `plus` the one that training defaults to;
+/// * `paper` is the model as printed, `plus` the default of training;
 /// * `compact` and `full` are sizes of the context CNN;
-/// * `T`, `T+C-ATT`, `T+C` and `T+C+K` are the paper's ablations: trajectories alone; with context but equal attention;
-///   with context; and with the kinematic layer, the whole model. The first three move vehicles by displacements;
+/// * `T`, `T+C-ATT`, `T+C` and `T+C+K` are the paper's ablations: trajectories alone; with context but equal
+///   attention; with context; and with the kinematic layer, the whole model. The first three move vehicles by
+///   displacements;
 /// * `same-node` gives all types the same networks, `equal-attention` weighs all neighbours and steps alike,
-///   `no-attention` leaves out the neighbours, `literal` takes the paper's temporal attention to the letter;
-/// * `no-map`, `site-map` and `online-map` train without context, with the map of the training recordings, and with the
-///   one of what was seen so far; `centred-patch` shows of the map what lies around an agent, not what lies ahead.
+///   `no-attention` leaves out the neighbours, `literal` reads the paper's temporal attention literally;
+/// * `no-map`, `site-map` and `online-map` train without context, with the map of the training recordings,
+///   and with the map of earlier observations; `centred-patch` centres the patch at the agent instead of
+///   ahead of it.
 pub const PRESETS: [&str; 16] = [
     "paper",
     "plus",
@@ -43,12 +45,12 @@ pub const PRESETS: [&str; 16] = [
     "centred-patch",
 ];
 
-/// How many of [`PRESETS`] come first that are whole models and sizes; the others are ablations.
+/// The first of [`PRESETS`], which are whole models and sizes; the others are ablations.
 pub(crate) const MODELS: usize = 4;
 
 impl TrainOptions {
-    /// These options as a preset changes them, files and recipe named after both; `None` for a name that is not among
-    /// [`PRESETS`].
+    /// These options changed by a preset, with files and recipe named after both; `None` for a name that is
+    /// not among [`PRESETS`].
     #[must_use]
     pub fn with_preset(mut self, name: &str) -> Option<Self> {
         match name {
@@ -61,7 +63,7 @@ impl TrainOptions {
         Some(self.named_after(name))
     }
 
-    /// Changes the options as an ablation asks; `None` where it is not known.
+    /// Changes the options by an ablation; `None` for an unknown name.
     fn ablate(&mut self, name: &str) -> Option<()> {
         let model = &mut self.model;
         match name {
@@ -148,7 +150,7 @@ fn plus(options: &mut TrainOptions) {
     }
 }
 
-/// Changes the size of the context CNN and of its patches, which go on to cover the same ground.
+/// Changes the size of the context CNN and of its patches, which still cover the same ground.
 fn size(model: &mut ModelConfig, width: usize, stem: Stem, patch_size: usize) {
     model.patch_cell_m *= model.patch_size as f32 / patch_size as f32;
     (model.width, model.stem, model.patch_size) = (width, stem, patch_size);
@@ -186,7 +188,7 @@ mod tests {
     }
 
     #[test]
-    fn presets_follow_one_another() {
+    fn presets_can_be_chained() {
         let options = TrainOptions::default().with_preset("paper").unwrap().with_preset("T").unwrap();
         assert_eq!(options.recipe.as_deref(), Some("paper-T"));
         assert_eq!(options.model.vehicle_motion, VehicleMotion::Displacement);

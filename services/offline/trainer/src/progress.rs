@@ -1,4 +1,4 @@
-//! What a run tells while it goes on: a bar in a terminal, plain lines elsewhere.
+//! Progress of a run: a bar in a terminal, plain lines elsewhere.
 
 use std::io::IsTerminal;
 use std::time::{Duration, Instant};
@@ -7,12 +7,12 @@ use indicatif::{ProgressBar, ProgressStyle};
 
 use crate::objective::LossParts;
 
-/// Plain lines come this often.
+/// Interval of the plain lines.
 const LINE_EVERY: Duration = Duration::from_secs(30);
 /// Weight of a new loss in the running mean that is shown.
 const SMOOTHING: f32 = 0.02;
 
-/// Shows how far a run is.
+/// The progress display.
 pub(crate) struct Progress {
     bar: ProgressBar,
     is_terminal: bool,
@@ -38,14 +38,14 @@ impl Progress {
         Self { bar, is_terminal, begun: now, begun_at: step, last_line: now, smoothed: None }
     }
 
-    /// Counts time and updates from here.
+    /// Restarts the count of time and updates.
     pub(crate) fn restart(&mut self, step: u64) {
         self.bar.set_position(step);
         self.bar.reset_eta();
         (self.begun, self.begun_at, self.last_line) = (Instant::now(), step, Instant::now());
     }
 
-    /// Tells a step of the preparation or a result.
+    /// Shows a step of the preparation or a result.
     pub(crate) fn note(&self, text: &str) {
         if self.is_terminal {
             self.bar.println(text);

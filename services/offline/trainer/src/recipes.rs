@@ -1,4 +1,4 @@
-//! The trainings that made the shipped weights, by name.
+//! The trainings of the shipped weights, by name.
 
 use data::sets::{DataSet, Fold};
 use nn::ModelConfig;
@@ -7,8 +7,9 @@ use crate::objective::Objective;
 use crate::optimiser::OptimiserOptions;
 use crate::options::{TrainOptions, onboard_config};
 
-/// Names of the shipped weights: `eth`, `hotel`, `univ`, `zara1` and `zara2` leave that scene out; `interaction` knows
-/// all sites, `interaction-without-FT` and `interaction-without-EP1` all but one; `onboard` is what the pipeline runs.
+/// Names of the shipped weights: `eth`, `hotel`, `univ`, `zara1` and `zara2` leave that scene out;
+/// `interaction` is trained at all sites, `interaction-without-FT` and `interaction-without-EP1` hold one
+/// out; `onboard` is what the pipeline runs.
 pub const RECIPES: [&str; 10] = [
     "eth",
     "hotel",
@@ -86,10 +87,10 @@ fn pedestrian_config() -> ModelConfig {
     ModelConfig { context: false, edge_radius_m: 10.0, ..onboard_config() }
 }
 
-/// Vehicles at 0.5 s, four steps to ten, mostly with the recorded speed, at all sites or all but one.
+/// Vehicles at 0.5 s, four steps to ten, mostly with the recorded speed, at all sites or with one held out.
 ///
-/// What is to forecast at a site that nobody has seen learns of all others alike, and is told no map there: that patches lie ahead
-/// serves those who know the ground.
+/// A model for a held-out site draws all other sites uniformly and gets no site map: a patch ahead of the
+/// agent helps only where the site was seen in training.
 fn vehicles(without: Option<&str>, steps: u64) -> TrainOptions {
     TrainOptions {
         sets: vec![DataSet::Interaction.name().to_owned()],

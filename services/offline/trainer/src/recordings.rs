@@ -1,4 +1,4 @@
-//! Small random recordings in every format of file, and others that go on differently after some time.
+//! Small random recordings in every file format, and variants with another future.
 
 use std::f64::consts::{PI, TAU};
 use std::fmt::Write;
@@ -8,19 +8,19 @@ use data::Format;
 use rand::{Rng, RngExt};
 use wire::{AGENT_TYPES, AgentType};
 
-/// How long a recording lasts.
+/// Duration of a recording.
 const DURATION_S: f64 = 8.0;
-/// Agents of a recording, in turns of each type.
+/// Agents of a recording, the types in turn.
 const AGENTS: u64 = 7;
-/// Metres of a pixel where a format counts those.
+/// Scale of formats in pixels, m per px.
 const PIXEL_M: f64 = 0.04;
-/// Frames without a place of the sensor at the beginning of a recording in the project's own format.
+/// Frames without a pose of the sensor at the beginning of a recording in the project's own format.
 const UNPLACED: usize = 20;
 const CALIBRATION: &str = "R_rect 1 0 0 0 1 0 0 0 1\n\
     Tr_velo_cam 0 -1 0 0.1 0 0 -1 0.2 1 0 0 0.3\n\
     Tr_imu_velo 1 0 0 0.8 0 1 0 -0.3 0 0 1 0.8\n";
 
-/// What a camera over some road users would see.
+/// The observations of a moving camera.
 #[derive(Clone, Debug)]
 pub(crate) struct Scenery {
     rows: Vec<Row>,
@@ -38,11 +38,11 @@ struct Row {
     speed_mps: f64,
     heading_rad: f64,
     length_m: f64,
-    /// Whether speed, heading and size are told, in a format that leaves it open.
-    tells_all: bool,
+    /// Whether speed, heading and size are written, in a format where they are optional.
+    is_detailed: bool,
 }
 
-/// Frames a second of a format's files.
+/// Frame rate of a format, Hz.
 pub(crate) fn frame_rate(format: Format) -> f64 {
     match format {
         Format::EthUcy | Format::Obsmat | Format::SddTrajnet => 2.5,
@@ -53,7 +53,7 @@ pub(crate) fn frame_rate(format: Format) -> f64 {
 }
 
 impl Scenery {
-    /// Agents who come, wander and go; some stand. The first is there from beginning to end.
+    /// Agents that appear, wander and disappear; some stand. The first is present in every frame.
     pub(crate) fn random(frame_rate: f64, random: &mut impl Rng) -> Self {
         let frames_len = (DURATION_S * frame_rate) as usize;
         let mut rows = Vec::new();
@@ -68,7 +68,7 @@ impl Scenery {
             let ends = if id == 0 { frames_len } else { random.random_range(begins + 2..=frames_len) };
             for frame in begins..ends {
                 row.frame = frame;
-                row.tells_all = random.random_bool(0.98);
+                row.is_detailed = random.random_bool(0.98);
                 rows.push(row.clone());
                 row.heading_rad += random.random_range(-0.5..0.5) / frame_rate;
                 let [vx, vy] = row.velocity_mps();
@@ -82,7 +82,7 @@ impl Scenery {
         Self { rows, sensor: (0..frames_len).map(pose).collect() }
     }
 
-    /// The same up to frame `now`; after it every row tells something else or is missing, and identities are mixed up.
+    /// The same up to frame `now`; after it every row differs or is missing, and identities are permuted.
     pub(crate) fn with_another_future(&self, now: usize, random: &mut impl Rng) -> Self {
         let mut rows = Vec::new();
         for frame in self.rows.chunk_by(|a, b| a.frame == b.frame) {
@@ -175,7 +175,7 @@ impl Scenery {
         std::iter::once(header.to_owned()).chain(lines).collect()
     }
 
-    /// The files that tell where the camera is.
+    /// The calibration and ego motion of a sequence.
     fn kitti(&self) -> Vec<(&'static str, String)> {
         let unused = " 0".repeat(24);
         let pose = |[east_m, north_m, heading_rad]: &[f64; 3]| {
@@ -201,7 +201,7 @@ fn stamp_s(frame: usize) -> String {
 }
 
 impl Row {
-    /// An agent anywhere, doing anything.
+    /// An agent with random state.
     fn random(frame: usize, id: u64, agent_type: AgentType, random: &mut impl Rng) -> Self {
         Self {
             frame,
@@ -211,7 +211,7 @@ impl Row {
             speed_mps: random.random_range(0.0..12.0),
             heading_rad: random.random_range(-PI..PI),
             length_m: random.random_range(1.0..12.0),
-            tells_all: random.random_bool(0.5),
+            is_detailed: random.random_bool(0.5),
         }
     }
 
@@ -276,7 +276,7 @@ impl Row {
 
     fn csv(&self) -> String {
         let Self { id, position_m: [x, y], heading_rad, speed_mps, length_m, .. } = self;
-        let more = match self.tells_all {
+        let more = match self.is_detailed {
             true => format!("{heading_rad},{speed_mps},{length_m},1.8"),
             false => ",,,".to_owned(),
         };

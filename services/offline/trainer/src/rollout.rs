@@ -1,4 +1,7 @@
-//! From encodings and latent variables to trajectories, type by type.
+//! From encodings and latent variables to trajectories, type by type. \[model §3, §4\]
+//!
+//! **In:** ṽ `[agents, 64]`, latent variables `[agents × draws, 32]` and base controls. **Out:** controls
+//! before saturation and positions in agent frames (m), `[agents × draws, horizon × 2]`.
 
 use std::ops::Range;
 
@@ -74,8 +77,8 @@ impl<'a> TypeForecast<'a> {
         decoder(self.config, self.agent_type)
     }
 
-    /// Learned points as latent variables, each with what it tells of its base control: `modes` holds some numbers per
-    /// agent, [`ModelConfig::modes`] being the point of the single best forecast.
+    /// Learned points as latent variables, each with the linear function of its base control: `modes` holds
+    /// the same number of modes per agent; [`ModelConfig::modes`] is the point of the single best forecast.
     fn points(&self, modes: &[usize], base: Option<&Matrix>) -> Matrix {
         let name = self.name();
         let points = self.weights.matrix(&format!("{name}.latents"));
@@ -93,7 +96,7 @@ impl<'a> TypeForecast<'a> {
         latent
     }
 
-    /// A base control as the latent variables see it.
+    /// A base control in the scale of the latent variables.
     fn scaled(&self, base: &Matrix) -> Matrix {
         let scale = nn::base::latent_scale(self.config, self.agent_type);
         let mut scaled = base.clone();
@@ -131,7 +134,8 @@ impl<'a> TypeForecast<'a> {
         self.decode(&self.points(modes, base.as_ref()), base, keep_trace)
     }
 
-    /// Base controls: `modes` holds some numbers per agent; the single best forecast has no anchor.
+    /// Base controls: `modes` holds the same number of modes per agent; the single best forecast has no
+    /// anchor.
     pub(crate) fn base(&self, modes: &[usize]) -> Matrix {
         let controls_len = 2 * self.config.horizon_len;
         let draws_len = modes.len() / self.agents.len();
@@ -157,14 +161,14 @@ impl<'a> TypeForecast<'a> {
         motion::positions_backward(self.config, self.agent_type, starts, draws_len, controls, d_positions)
     }
 
-    /// True positions `[agents, horizon × 2]` and what of them is known `[agents, horizon]`.
+    /// True positions `[agents, horizon × 2]` and which of them are known `[agents, horizon]`.
     pub(crate) fn truth(&self) -> (Matrix, Matrix) {
         let of = |matrix: &Matrix| matrix.rows_of(self.agents.clone());
         (of(&self.batch.truth), of(&self.batch.counts))
     }
 
-    /// The way back of a rollout and of the burn-in: adds the gradients of the decoder, and to `d_encoding`
-    /// `[all agents, 64]`; returns the gradient by the latent variables.
+    /// The backward pass of a rollout and of the burn-in: adds the gradients of the decoder, and to
+    /// `d_encoding` `[all agents, 64]`; returns the gradient by the latent variables.
     pub(crate) fn backward(
         &self,
         gradients: &mut Gradients,

@@ -1,8 +1,12 @@
 //! Training and validation scenes: windows of recordings with the map patches that belong to them.
 //!
-//! They lie in a [spool](crate::spool): memory holds where, and how many agents of a window count, and has room for all
-//! of one recording only while that is cut. A batch reads the scenes and patches that it shows; what looks at all of
-//! the data reads one scene after the other.
+//! **In:** the recordings of some data sets and one part. **Out:** per window the states of its agents at T_h
+//! history and T_f forecast steps (m, m/s, rad, world frame), and the map patch `[3, P, P]` of every agent
+//! and frame.
+//!
+//! Scenes are kept in a [spool](crate::spool). Memory holds their offsets and how many agents of a window
+//! count, and all of one recording only while that is cut. A batch reads the scenes and patches that it
+//! shows; passes over all of the data read one scene after the other.
 
 mod agents;
 mod cut;
@@ -25,7 +29,7 @@ pub(crate) use cut::cut;
 use ground::site_map;
 pub(crate) use ground::{Ground, MapKind, MapView};
 
-/// A recording that samples were taken of.
+/// A recording of the training data.
 #[derive(Clone, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct Source {
     /// Data set and part.
@@ -41,18 +45,18 @@ pub struct Source {
 pub(crate) struct SetSamples {
     pub(crate) set: DataSet,
     pub(crate) windows: Vec<Window>,
-    /// The windows of each site; all of them where the set tells no sites.
+    /// The windows of each site; all of them where the set has no sites.
     pub(crate) sites: Vec<Range<usize>>,
 }
 
 impl SetSamples {
-    /// Agents that are held to their future.
+    /// Agents with a target.
     pub(crate) fn counted_len(&self) -> usize {
         self.windows.iter().map(Window::counted_len).sum()
     }
 }
 
-/// All windows, and the spool that their scenes lie in.
+/// All windows, and the spool of their scenes.
 #[derive(Debug)]
 pub(crate) struct Samples {
     pub(crate) sets: Vec<SetSamples>,
@@ -66,14 +70,14 @@ pub(crate) struct Samples {
     sites: Vec<Option<PathBuf>>,
 }
 
-/// Which scenes to read.
+/// The scenes to read.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Selection<'a> {
     /// Folder that holds the data sets.
     pub(crate) root: &'a Path,
     pub(crate) sets: &'a [DataSet],
     pub(crate) part: Part,
-    /// Recordings whose path holds one of these are left out.
+    /// Recordings whose path contains one of these are left out.
     pub(crate) leave_out: &'a [String],
     /// Windows of each set, at most; they are spread evenly.
     pub(crate) windows_max: usize,
@@ -95,7 +99,8 @@ impl Selection<'_> {
 }
 
 impl Samples {
-    /// Reads recordings one after the other into the spool; `progress` is told the path of each file before it is read.
+    /// Reads recordings one after the other into the spool; calls `progress` with the path of each file
+    /// before it is read.
     pub(crate) fn read(
         selection: Selection<'_>,
         config: &ModelConfig,
@@ -132,7 +137,7 @@ impl Samples {
         Ok(Self { sets, sources, spool: spooling.finish()?, steps, grounds, sites })
     }
 
-    /// Gives every recording the map of what the *other* recordings of `training` saw of its site.
+    /// Gives every recording the site map of the *other* recordings of `training`.
     pub(crate) fn add_site_maps(&mut self, training: Option<&Self>) -> Result<(), TrainError> {
         let maps = (0..self.grounds.len()).map(|number| self.site_map(number, training.unwrap_or(self)));
         let maps: Vec<Option<ContextMap>> = maps.collect::<Result<_, _>>()?;
@@ -151,7 +156,7 @@ impl Samples {
         site_map(&from.spool, &others)
     }
 
-    /// The patches that scenes of a recording are shown with; `None` where there is no such map.
+    /// The patches of a recording by one kind of map; `None` where there is no such map.
     pub(crate) fn map(&self, recording: u32, kind: MapKind) -> Option<MapView<'_>> {
         self.grounds[recording as usize].view(&self.spool, recording, kind)
     }
@@ -161,7 +166,7 @@ impl Samples {
         Scene::read(&self.spool, window, self.steps)
     }
 
-    /// Reads agents of a type in `sets` that are held to their future: `len_max` at most, spread evenly. Scenes without
+    /// Reads agents of a type in `sets` that have a target: `len_max` at most, spread evenly. Scenes without
     /// any of them are not read.
     pub(crate) fn spread<'a>(
         &'a self,
@@ -189,7 +194,7 @@ impl Samples {
     }
 }
 
-/// Where neighbours belong together.
+/// Ranges of consecutive values that belong together.
 fn runs<T>(values: &[T], together: impl FnMut(&T, &T) -> bool) -> Vec<Range<usize>> {
     let mut end = 0;
     let run = |run: &[T]| {

@@ -1,8 +1,8 @@
-//! Values on disk: what a run reads again and again, and has no room for.
+//! A scratch file for values that a run reads repeatedly and that do not fit into memory.
 //!
-//! A spool is written once, front to back, and then read at any place by any thread. Its file has no name, so that it is
-//! gone with the process, however that ends. What is read often stays in the page cache of the system: a data set that
-//! fits into memory is read from there, and a larger one costs time, not memory.
+//! A spool is written once, front to back, and then read at any offset by any thread. Its file has no name,
+//! so that it is removed with the process, however that ends. Frequently read parts stay in the system's page
+//! cache: a data set that fits into memory is read from there, and a larger one costs time, not memory.
 
 use std::fs::File;
 use std::io::{BufWriter, Error, ErrorKind, Write};
@@ -13,7 +13,7 @@ use bytemuck::{AnyBitPattern, NoUninit};
 
 use crate::TrainError;
 
-/// Bytes that are written at once.
+/// Size of the write buffer.
 const BUFFER_BYTES: usize = 1 << 20;
 
 /// A spool that is being written.
@@ -24,7 +24,7 @@ pub(crate) struct Spooling {
     len: u64,
 }
 
-/// A spool that is written.
+/// A complete spool.
 #[derive(Debug)]
 pub(crate) struct Spool {
     file: File,
@@ -32,7 +32,7 @@ pub(crate) struct Spool {
 }
 
 impl Spooling {
-    /// An empty spool on the disk that holds `folder`, which is made where it is missing.
+    /// An empty spool on the disk of `folder`, which is created where missing.
     pub(crate) fn create(folder: &Path) -> Result<Self, TrainError> {
         let file = std::fs::create_dir_all(folder).and_then(|()| tempfile::tempfile_in(folder));
         let file = file.map_err(|source| failed(folder, source))?;
@@ -44,12 +44,12 @@ impl Spooling {
         Self { file, folder: folder.to_owned(), len: 0 }
     }
 
-    /// Bytes so far: where the next values will lie.
+    /// Bytes so far: the offset of the next values.
     pub(crate) const fn len(&self) -> u64 {
         self.len
     }
 
-    /// Adds values at the end; tells where they lie.
+    /// Adds values at the end; returns their offset.
     pub(crate) fn append<T: NoUninit>(&mut self, values: &[T]) -> Result<u64, TrainError> {
         let bytes: &[u8] = bytemuck::cast_slice(values);
         self.file.write_all(bytes).map_err(|source| failed(&self.folder, source))?;
@@ -81,7 +81,7 @@ impl Spool {
         Ok(values)
     }
 
-    /// What was read is not what was written.
+    /// The error of content that differs from what was written.
     pub(crate) fn damaged(&self, reason: impl std::error::Error + Send + Sync + 'static) -> TrainError {
         failed(&self.folder, Error::new(ErrorKind::InvalidData, reason))
     }
@@ -107,7 +107,7 @@ mod tests {
         #![proptest_config(ProptestConfig { cases: 64, failure_persistence: None, ..ProptestConfig::default() })]
 
         #[test]
-        fn what_goes_in_comes_out_in_any_order_and_leaves_no_file(
+        fn values_read_back_in_any_order_and_leave_no_file(
             records in proptest::collection::vec(proptest::collection::vec(any::<u32>(), 0..300), 1..40),
         ) {
             let folder = tempfile::tempdir().unwrap();
@@ -122,7 +122,7 @@ mod tests {
     }
 
     #[test]
-    fn a_full_disk_and_a_short_file_are_errors_that_name_the_folder() {
+    fn full_disks_and_short_files_are_errors_naming_the_folder() {
         let folder = Path::new("scratch/folder");
         let full = File::options().write(true).open("/dev/full").unwrap();
         let mut spooling = Spooling::over(full, folder);
@@ -141,7 +141,7 @@ mod tests {
     }
 
     #[test]
-    fn a_folder_that_cannot_be_made_is_an_error() {
+    fn a_folder_that_cannot_be_created_is_an_error() {
         let file = tempfile::NamedTempFile::new().unwrap();
         assert!(matches!(Spooling::create(&file.path().join("below")), Err(TrainError::Scratch { .. })));
     }

@@ -14,11 +14,11 @@ use rand::{Rng, RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
 use crate::TrainError;
-use crate::base::{BaseControl, FITTED_MAX, Twins};
+use crate::base::{Augmentation, BaseControl, FITTED_MAX};
 use crate::batch::{Batch, BatchOptions, SceneView};
 use crate::calibration::Calibration;
 use crate::card::{ModelCard, Seen};
-use crate::checkpoint::{State, write_whole};
+use crate::checkpoint::{RunState, write_whole};
 use crate::log::{Line, Log};
 use crate::machine;
 use crate::net::gru::Device;
@@ -34,10 +34,10 @@ use crate::view::Clip;
 
 /// Agents of each set in the validation that the model card reports.
 const CARD_AGENTS: usize = 4000;
-/// Losses in a row that may leave the numbers before a run is given up.
+/// Consecutive non-finite losses after which a run is given up.
 const DIVERGED_STEPS: u32 = 10;
 
-/// What a finished run did.
+/// Result of a finished run.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Summary {
     /// Updates made.
@@ -46,11 +46,11 @@ pub struct Summary {
     pub card: ModelCard,
 }
 
-/// Trains a model and writes its weights to [`TrainOptions::out`], whenever a validation is the best so far and at the
-/// end.
+/// Trains a model and writes its weights to [`TrainOptions::out`], whenever a validation is the best so far
+/// and at the end.
 ///
 /// # Errors
-/// [`TrainError`] says which recording, option, checkpoint or file is to blame.
+/// [`TrainError`] names the recording, option, checkpoint or file at fault.
 pub fn train(options: &TrainOptions) -> Result<Summary, TrainError> {
     options.check()?;
     machine::forget_peak();
@@ -112,17 +112,17 @@ impl<'a> Run<'a> {
         Ok(Self { options, training, validation, baselines, device })
     }
 
-    /// The checkpoint, if there is one to go on from, else new weights with a base control fitted to the data.
-    fn begin(&self, progress: &Progress) -> Result<(State, BaseControl), TrainError> {
+    /// The checkpoint, if there is one to resume, else new weights with a base control fitted to the data.
+    fn begin(&self, progress: &Progress) -> Result<(RunState, BaseControl), TrainError> {
         let Self { options, .. } = *self;
         if options.resume
-            && let Some(state) = State::load(options)?
+            && let Some(state) = RunState::load(options)?
         {
             let base = BaseControl::load(&state.weights, &options.model);
             return Ok((state, base.unwrap_or_else(|| BaseControl::zero(&options.model))));
         }
         let mut weights = match &options.begin_with {
-            Some(path) => given(path, &options.model)?,
+            Some(path) => read_weights(path, &options.model)?,
             None => initial(&options.model, options.seed),
         };
         let mut base =
@@ -132,7 +132,7 @@ impl<'a> Run<'a> {
             base = BaseControl::fit(
                 &options.model,
                 |agent_type| self.training.spread(&self.training.sets, agent_type, FITTED_MAX),
-                Twins {
+                Augmentation {
                     noise: options.noisy_history > 0.0,
                     differenced: options.differenced_history,
                     scale_deviation: options.base_scale_deviation as f32,
@@ -141,12 +141,12 @@ impl<'a> Run<'a> {
             )?;
             base.store(&mut weights);
         }
-        Ok((State::new(weights, options), base))
+        Ok((RunState::new(weights, options), base))
     }
 
     fn learn(
         &self,
-        state: &mut State,
+        state: &mut RunState,
         base: &BaseControl,
         progress: &mut Progress,
     ) -> Result<(), TrainError> {
@@ -174,8 +174,8 @@ impl<'a> Run<'a> {
         self.validate(state, base, progress, &log)
     }
 
-    /// One update. Everything random in it comes from the seed and the number of the update.
-    fn update(&self, state: &mut State, base: &BaseControl) -> Result<(LossParts, bool), TrainError> {
+    /// One update. Its random numbers are seeded by the run's seed and the number of the update.
+    fn update(&self, state: &mut RunState, base: &BaseControl) -> Result<(LossParts, bool), TrainError> {
         let options = self.options;
         let mut random = ChaCha8Rng::seed_from_u64(options.seed);
         random.set_stream(state.progress.step + 1);
@@ -206,10 +206,10 @@ impl<'a> Run<'a> {
         Ok((whole.parts, finite))
     }
 
-    /// Differentiates the parts of a batch side by side, each with random numbers of its own.
+    /// Differentiates the parts of a batch in parallel, each with its own random stream.
     fn differentiate(
         &self,
-        state: &State,
+        state: &RunState,
         base: &BaseControl,
         parts: &[Vec<SceneView<'_>>],
         counted: usize,
@@ -244,7 +244,8 @@ impl<'a> Run<'a> {
         })
     }
 
-    /// Clips of at least [`TrainOptions::batch_agents`] agents that count, from sets drawn by the root of their size.
+    /// Clips of at least [`TrainOptions::batch_agents`] agents that count, from sets drawn by the root of
+    /// their size.
     fn draw(&self, random: &mut impl Rng) -> Result<Vec<Vec<SceneView<'_>>>, TrainError> {
         let options = self.options;
         let sets: Vec<&SetSamples> =
@@ -286,7 +287,7 @@ impl<'a> Run<'a> {
 
     fn validate(
         &self,
-        state: &mut State,
+        state: &mut RunState,
         base: &BaseControl,
         progress: &Progress,
         log: &Log,
@@ -329,7 +330,12 @@ impl<'a> Run<'a> {
     }
 
     /// Writes the best weights, calibrated, with their card.
-    fn write(&self, state: &State, base: &BaseControl, agents_max: usize) -> Result<ModelCard, TrainError> {
+    fn write(
+        &self,
+        state: &RunState,
+        base: &BaseControl,
+        agents_max: usize,
+    ) -> Result<ModelCard, TrainError> {
         let mut weights = state.best.clone();
         let mut factors = BTreeMap::new();
         if self.options.model.latents == Latents::Points {
@@ -350,16 +356,16 @@ impl<'a> Run<'a> {
     }
 }
 
-/// The tensors of a weights file, whose model must be this one.
-fn given(path: &Path, model: &ModelConfig) -> Result<Tensors, TrainError> {
+/// The tensors of a weights file, whose model must be `model`.
+fn read_weights(path: &Path, model: &ModelConfig) -> Result<Tensors, TrainError> {
     let io = |source| TrainError::Io { path: path.to_owned(), source };
-    let refused = |reason: String| TrainError::Options(format!("begin_with {}: {reason}", path.display()));
+    let refused = |source| TrainError::BeginWith { path: path.to_owned(), source };
     let bytes = std::fs::read(path).map_err(io)?;
-    let weights = nn::Weights::from_bytes(&bytes).map_err(|error| refused(error.to_string()))?;
+    let weights = nn::Weights::from_bytes(&bytes).map_err(refused)?;
     if weights.config() != model {
-        return Err(refused("its model is another one than the options ask for".to_owned()));
+        return Err(TrainError::OtherModel { path: path.to_owned() });
     }
-    Tensors::from_safetensors(&bytes, &layout(model))
+    Tensors::from_safetensors(&bytes, &layout(model)).map_err(|error| error.of(path))
 }
 
 fn set_named(name: &str) -> Result<DataSet, TrainError> {
@@ -376,11 +382,11 @@ fn set_named(name: &str) -> Result<DataSet, TrainError> {
     let known = || sets.into_iter().chain(folds);
     known().find(|set| set.name() == name).ok_or_else(|| {
         let names: Vec<&str> = known().map(DataSet::name).collect();
-        TrainError::Options(format!("unknown data set \"{name}\": expected one of {}", names.join(", ")))
+        TrainError::UnknownDataSet { name: name.to_owned(), known: names.join(", ") }
     })
 }
 
-/// The clips dealt out to `parts` parts of about as many agents each.
+/// Deals the clips out to `parts` parts of about as many agents each.
 fn split(clips: Vec<Vec<SceneView<'_>>>, parts: usize) -> Vec<Vec<SceneView<'_>>> {
     let agents_len = |scenes: &[SceneView<'_>]| scenes.iter().map(|scene| scene.agents.len()).sum::<usize>();
     let mut dealt: Vec<Vec<SceneView<'_>>> = (0..parts).map(|_| Vec::new()).collect();

@@ -1,4 +1,8 @@
-//! How good the weights are on scenes that training never sees, beside forecasts without a network.
+//! Errors of the weights on validation scenes, beside forecasts without a network. \[model §6\]
+//!
+//! **In:** weights and the validation samples. **Out:** a [`SetScore`] per data set: ADE and FDE in metres of
+//! the best mode, of the single best forecast, of the base control (B\*) and of two baselines, over the
+//! agents with a target.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -28,15 +32,15 @@ use crate::view;
 const SCENE_AGENTS: usize = 48;
 /// Agents of a batch.
 const BATCH_AGENTS: usize = 96;
-/// Windows that the anchors of a set and type are fitted to, at most.
+/// Windows that the anchors of a set and type are fitted to at most.
 const ANCHOR_WINDOWS: usize = 20_000;
 
-/// Mean errors in metres.
+/// Mean errors, m.
 #[derive(Clone, Copy, Debug, Default, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct Errors {
-    /// Mean distance over the forecast.
+    /// Mean distance over the forecast (ADE).
     pub ade_m: f64,
-    /// Distance at its end.
+    /// Distance at its end (FDE).
     pub fde_m: f64,
 }
 
@@ -49,11 +53,11 @@ pub struct SetScore {
     pub windows: usize,
     /// Agents forecast.
     pub agents: usize,
-    /// The best of the network's modes.
+    /// minADE₂₀ and minFDE₂₀ of the network's modes.
     pub best_of_modes: Errors,
-    /// The network's single best forecast.
+    /// The network's single best forecast (K = 1).
     pub single: Errors,
-    /// The best of the base control's modes, without the network.
+    /// minADE₂₀ and minFDE₂₀ of the base control's modes, without the network.
     pub base_best_of_modes: Errors,
     /// The single base control, without the network.
     pub base_single: Errors,
@@ -64,7 +68,7 @@ pub struct SetScore {
 }
 
 impl SetScore {
-    /// Errors relative to the baselines: below 1 is better than they are.
+    /// Errors relative to the baselines: below 1 is better.
     #[must_use]
     pub fn relative(&self) -> f64 {
         let sum = |errors: Errors| errors.ade_m + 0.5 * errors.fde_m;
@@ -75,14 +79,14 @@ impl SetScore {
     }
 }
 
-/// A figure to four decimals: the rest is noise, and not worth its place in a card.
+/// A figure to four decimals: further digits are noise.
 pub(crate) fn rounded(value: f64) -> f64 {
     (value * 1e4).round() / 1e4
 }
 
-/// Figure by which checkpoints are chosen: the mean of [`SetScore::relative`] over the sets.
+/// Figure by which checkpoints are compared: the mean of [`SetScore::relative`] over the sets.
 #[must_use]
-pub fn choose_by(scores: &[SetScore]) -> f64 {
+pub(crate) fn choose_by(scores: &[SetScore]) -> f64 {
     scores.iter().map(SetScore::relative).sum::<f64>() / scores.len().max(1) as f64
 }
 
@@ -113,7 +117,7 @@ impl Baselines {
         Ok(baselines)
     }
 
-    /// The anchors of the set, or of all sets where training knows none of the type in this one.
+    /// The anchors of the set, or of all sets where the training data have none of the type in this one.
     fn of(&self, set: DataSet, agent_type: AgentType) -> Option<&Anchors> {
         self.of_set.get(&(set, agent_type)).or_else(|| self.pooled.get(&agent_type))
     }
@@ -139,13 +143,13 @@ pub(crate) struct Validation<'a> {
     pub(crate) config: &'a ModelConfig,
     pub(crate) base: &'a BaseControl,
     pub(crate) baselines: &'a Baselines,
-    /// The map that the network sees.
+    /// The kind of map.
     pub(crate) map: Option<MapKind>,
-    /// Agents of each set, at most.
+    /// Agents of each set at most.
     pub(crate) agents_max: usize,
-    /// Threads to forecast with.
+    /// Number of threads.
     pub(crate) workers: usize,
-    /// What decodes.
+    /// The device of the decoder.
     pub(crate) device: &'a Device,
 }
 
@@ -286,7 +290,7 @@ impl Validation<'_> {
             return both(agents_len, modes_len)
                 .map(|modes| Trajectories::new(&forecast.by_points(&modes, false).positions, agents_len));
         }
-        // The same draws at every validation, so that figures of two checkpoints can be compared.
+        // The same draws at every validation, so that figures of two checkpoints are comparable.
         let mut random = ChaCha8Rng::seed_from_u64(0);
         let draws = (0..agents_len * modes_len * LATENT).map(|_| StandardNormal.sample(&mut random));
         let draws = Matrix::new(agents_len * modes_len, LATENT, draws.collect());

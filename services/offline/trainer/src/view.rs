@@ -1,4 +1,7 @@
-//! What of a scene a batch shows: which agents, how much of their history, which way round.
+//! Augmentation: which agents of a scene a batch shows, how much of their history, and how transformed.
+//!
+//! **In:** a recorded [`Scene`]. **Out:** a [`SceneView`] of the same window: cut, mirrored, scaled,
+//! differenced or noisy histories; futures transformed alike.
 
 use std::sync::Arc;
 
@@ -6,15 +9,15 @@ use rand::{Rng, RngExt};
 use rand_distr::{Distribution, StandardNormal};
 use scene::{State, agent_frame};
 
-use crate::batch::{SceneView, View};
+use crate::batch::{AgentView, SceneView};
 use crate::options::TrainOptions;
 use crate::samples::{Agent, MapView, Scene};
 
 /// Deviations of the strongest noise: position (m), velocity (m/s), heading (rad).
 const NOISE: (f32, f32, f32) = (0.04, 0.12, 0.01);
-/// The same of a vehicle: what a filter leaves of a detector's noise.
+/// The same of a vehicle: the residual noise of filtered detections.
 const VEHICLE_NOISE: (f32, f32, f32) = (0.1, 0.4, 0.03);
-/// An agent below this speed that gets no farther than [`STANDING_M`] stands.
+/// Speed below which an agent that moves less than [`STANDING_M`] counts as standing.
 const STANDING_MPS: f32 = 0.3;
 /// See [`STANDING_MPS`].
 const STANDING_M: f32 = 0.5;
@@ -33,8 +36,8 @@ pub(crate) struct Clip {
 }
 
 impl Clip {
-    /// Scenes around an agent drawn at random, those without vehicles mirrored half the time and at another scale:
-    /// pedestrians keep to no side of the road, and children and hurried people walk alike.
+    /// Scenes around a random agent, those without vehicles mirrored half the time and at another scale:
+    /// pedestrians keep to no side of the road, and slow and fast ones walk alike.
     pub(crate) fn draw(scenes: &[Scene], options: &TrainOptions, random: &mut impl Rng) -> Self {
         let counted: Vec<&Arc<Agent>> =
             scenes.iter().flat_map(|scene| &scene.agents).filter(|agent| agent.counts).collect();
@@ -79,15 +82,15 @@ impl Clip {
     }
 }
 
-/// Whether an agent moves at the end of its history, or will.
-fn moves(view: &View) -> bool {
+/// Whether an agent moves at the end of its history or in its future.
+fn moves(view: &AgentView) -> bool {
     let newest = view.history.last().copied().flatten().unwrap_or_default();
     let last = view.future.last().copied().flatten().unwrap_or(newest);
     let [x, y] = [0, 1].map(|axis| last.position_m[axis] - newest.position_m[axis]);
     newest.speed_mps() > STANDING_MPS || x.hypot(y) > STANDING_M
 }
 
-/// Shows a scene as it was recorded; of crowds the `agents_max` nearest to the first agent that counts.
+/// Shows a scene as it was recorded; of crowds the `agents_max` agents nearest to the first that counts.
 pub(crate) fn plain<'a>(scene: &Scene, map: Option<MapView<'a>>, agents_max: usize) -> SceneView<'a> {
     let centre_m = scene.agents.iter().find(|agent| agent.counts).map_or([0.0; 2], position_m);
     let agents = nearest(scene, centre_m, agents_max);
@@ -96,25 +99,25 @@ pub(crate) fn plain<'a>(scene: &Scene, map: Option<MapView<'a>>, agents_max: usi
 }
 
 /// An agent with its newest `history_len` states; `None` where it has none.
-pub(crate) fn shown(agent: &Arc<Agent>, history_len: usize, mirrored: bool) -> Option<View> {
+pub(crate) fn shown(agent: &Arc<Agent>, history_len: usize, mirrored: bool) -> Option<AgentView> {
     let mut history = agent.history_of(history_len);
     let mut future = agent.future.clone();
     if mirrored {
         history.iter_mut().chain(&mut future).flatten().for_each(mirror);
     }
     let frame = agent_frame(&history)?;
-    Some(View { agent: Arc::clone(agent), history, future, frame, counts: agent.counts })
+    Some(AgentView { agent: Arc::clone(agent), history, future, frame, counts: agent.counts })
 }
 
-/// The same agent as a sensor that tells positions alone would give it.
-pub(crate) fn differenced(mut view: View, dt_s: f64) -> View {
+/// The same agent as from a sensor that reports positions alone.
+pub(crate) fn differenced(mut view: AgentView, dt_s: f64) -> AgentView {
     let positions_m: Vec<_> = view.history.iter().map(|state| state.map(|state| state.position_m)).collect();
     scene::states_from_positions(&positions_m, positions_m.len(), dt_s as f32, &mut view.history);
-    View { frame: agent_frame(&view.history).unwrap_or(view.frame), ..view }
+    AgentView { frame: agent_frame(&view.history).unwrap_or(view.frame), ..view }
 }
 
-/// The same agent as a noisy sensor would give it. How noisy is drawn too, seldom as much as [`NOISE`].
-pub(crate) fn noisy(mut view: View, random: &mut impl Rng) -> View {
+/// The same agent as from a noisy sensor. The strength is random too, seldom as much as [`NOISE`].
+pub(crate) fn noisy(mut view: AgentView, random: &mut impl Rng) -> AgentView {
     let level = random.random::<f32>().powi(2);
     let is_vehicle = view.agent.agent_type == scene::AgentType::Vehicle;
     let (position_m, velocity_mps, heading_rad) = if is_vehicle { VEHICLE_NOISE } else { NOISE };
@@ -125,11 +128,11 @@ pub(crate) fn noisy(mut view: View, random: &mut impl Rng) -> View {
         state.velocity_mps = state.velocity_mps.map(|value| value + noise(velocity_mps));
         state.heading_rad += noise(heading_rad);
     }
-    View { frame: agent_frame(&view.history).unwrap_or(view.frame), ..view }
+    AgentView { frame: agent_frame(&view.history).unwrap_or(view.frame), ..view }
 }
 
-impl View {
-    /// Multiplies all lengths, seen from the world's origin.
+impl AgentView {
+    /// Multiplies all lengths about the world's origin.
     pub(crate) fn scale(&mut self, factor: f32) {
         for state in self.history.iter_mut().chain(&mut self.future).flatten() {
             state.position_m = state.position_m.map(|value| value * factor);
@@ -168,22 +171,22 @@ mod tests {
 
     use super::*;
 
-    /// A vehicle at 2, 4, 7 and 11 m whose recording tells 3 m/s northward all the time.
+    /// A vehicle at 2, 4, 7 and 11 m whose recording reports 3 m/s northward all the time.
     fn vehicle() -> Arc<Agent> {
-        let told = |x: f32| State { position_m: [x, 5.0], velocity_mps: [0.0, 3.0], heading_rad: 1.5 };
+        let state = |x: f32| State { position_m: [x, 5.0], velocity_mps: [0.0, 3.0], heading_rad: 1.5 };
         Arc::new(Agent {
             id: 1,
             agent_type: scene::AgentType::Vehicle,
             length_m: None,
-            history: [2.0, 4.0, 7.0, 11.0].map(|x| Some(told(x))).to_vec(),
-            future: vec![Some(told(12.0))],
+            history: [2.0, 4.0, 7.0, 11.0].map(|x| Some(state(x))).to_vec(),
+            future: vec![Some(state(12.0))],
             patches: vec![None; 5],
             counts: true,
         })
     }
 
     #[test]
-    fn differenced_motion_is_that_of_the_positions_shown() {
+    fn differenced_motion_follows_the_shown_positions() {
         let view = differenced(shown(&vehicle(), 3, false).unwrap(), 0.5);
         let velocities: Vec<_> =
             view.history.iter().map(|state| state.map(|state| state.velocity_mps)).collect();
@@ -195,7 +198,7 @@ mod tests {
     }
 
     #[test]
-    fn clips_show_the_share_of_differenced_motion_that_is_asked_for() {
+    fn clips_have_the_requested_share_of_differenced_motion() {
         let scene = Scene { agents: vec![vehicle()] };
         let differenced_of = |share: f64| {
             let mut options = TrainOptions { differenced_history: share, ..TrainOptions::default() };

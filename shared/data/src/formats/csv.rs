@@ -11,26 +11,29 @@
 //! | column | | meaning |
 //! |---|---|---|
 //! | `stamp_s` | needed | time of validity in seconds on any clock, to the nanosecond; no exponent |
-//! | `type` | needed | `vehicle`, `cyclist`, `pedestrian`; or `ego`, whose row places a sensor that can't see past what stands in its way, or `above`, whose row places a view that hides nobody |
-//! | `x_m`, `y_m` | needed | position in a right-handed world frame (z up) whose origin is near: within 32,768 m |
+//! | `type` | needed | `vehicle`, `cyclist`, `pedestrian`; or `ego` or `above`, see below |
+//! | `x_m`, `y_m` | needed | position within ±32,768 m in a right-handed world frame (z up) |
 //! | `id` | | identity, a whole number from 0; where all rows have one the tracker may trust them |
 //! | `heading_rad` | | counter-clockwise from +x |
 //! | `speed_mps` | | along the heading, negative in reverse |
 //! | `length_m`, `width_m` | | extent along and across the heading; both or neither |
-//! | `score` | | the detector's confidence, greater is surer |
+//! | `score` | | the detector's confidence, larger is more confident |
 //! | `sigma_m` | | standard deviation of the position per axis |
 //! | `vx_mps`, `vy_mps` | | velocity in the world frame |
 //! | `status`, `unseen_s` | | `confirmed` or `coasting`; seconds since the agent was last detected |
 //! | `xx_m2`, `xy_m2`, `yy_m2` | | covariance of the position |
-//! | `prior`, `prior_age_s` | | what moved the state: `learned`, `held` or `kinematic`; seconds since the forecast was made |
+//! | `prior`, `prior_age_s` | | prior of the state: `learned`, `held`, `kinematic`; age of its forecast, s |
 //!
-//! The columns from `vx_mps` on are those that [`TrackWriter`](crate::TrackWriter) adds for tracks: they are checked, but
-//! make no part of the recording, so that tracks can be played again as detections with identities.
+//! The row of type `ego` is the pose of a sensor whose view other agents occlude; that of type `above` is the
+//! centre of a view from above, without occlusion.
 //!
-//! Columns stand in any order, those that are not needed may be missing or empty, lines that begin with `#` are
-//! comments, rows stand in any order. All rows of one stamp are a frame that looked for all types; an `ego` or `above` row
-//! alone makes a frame in which nothing was seen. Until the first of them the sensor is taken to stand in the middle of what
-//! the first frame saw, from then on where the last one put it.
+//! [`TrackWriter`](crate::TrackWriter) adds the columns from `vx_mps` on. The reader checks them and leaves
+//! them out of the recording, so that tracks can be replayed as detections with identities.
+//!
+//! Columns and rows may be in any order; columns that are not needed may be missing or empty; lines that
+//! begin with `#` are comments. All rows of one stamp are a frame in which all agent types were observed; an
+//! `ego` or `above` row alone makes a frame without detections. Each pose of the sensor holds until the next;
+//! before the first, the sensor's position is the mean position of the first frame's detections.
 
 use std::collections::BTreeMap;
 
@@ -63,27 +66,27 @@ pub(crate) const NAMES: [&str; 20] = [
     "prior",
     "prior_age_s",
 ];
-/// What the column `status` says.
+/// The values of the column `status`.
 pub(crate) const STATUS: [&str; 2] = ["confirmed", "coasting"];
 const STAMP: usize = 0;
 const NEEDED: [usize; 4] = [STAMP, 2, 3, 4];
 /// Greatest stamp: three centuries, which leave room for arithmetic in nanoseconds.
 const SECONDS_MAX: i64 = 4_000_000_000;
-/// The interval that is taken for granted where there is one frame.
+/// The interval of a recording with a single frame.
 const INTERVAL_NS: u64 = wire::TICK_NS;
 
-/// A row: a detection, or the place of the sensor.
-enum Told {
-    Seen(Detection),
+/// The content of a row: a detection, or the pose of the sensor.
+enum Content {
+    Detection(Detection),
     Ego(Ego),
 }
 
-/// The type of the row that places a sensor.
+/// The type of a row with the pose of a sensor.
 pub(crate) const EGO: &str = "ego";
-/// The type of the row that places a view from above.
+/// The type of a row with the centre of a view from above.
 pub(crate) const ABOVE: &str = "above";
 
-/// Where the columns stand: for each of [`NAMES`] its place in the file.
+/// For each of [`NAMES`] the index of its column in the file; `None` where the file lacks it.
 struct Header([Option<usize>; NAMES.len()]);
 
 /// Whether the line is a header of this format.
@@ -95,7 +98,7 @@ pub(crate) fn is_header(line: &Line<'_>) -> bool {
 ///
 /// # Errors
 /// [`ReadError`] with file, line, column and value.
-pub fn parse(inputs: &[Input]) -> Result<Recording, ReadError> {
+pub(crate) fn parse(inputs: &[Input]) -> Result<Recording, ReadError> {
     let input = need(inputs, Role::Rows)?;
     let mut lines = text::lines(input).filter(|line| !matches!(line, Ok(line) if line.text.starts_with('#')));
     let empty = || ReadError::Empty { path: input.path.clone() };
@@ -107,9 +110,9 @@ pub fn parse(inputs: &[Input]) -> Result<Recording, ReadError> {
         let line = line?;
         let fields = header.fields(&line)?;
         let stamp_ns = stamp_ns(fields[STAMP])?;
-        match told(&fields)? {
-            Told::Seen(detection) => rows.push(&line, stamp_ns, detection)?,
-            Told::Ego(ego) => match egos.insert(stamp_ns, (ego, line.number)) {
+        match content(&fields)? {
+            Content::Detection(detection) => rows.push(&line, stamp_ns, detection)?,
+            Content::Ego(ego) => match egos.insert(stamp_ns, (ego, line.number)) {
                 Some((_, first)) => {
                     return Err(
                         fields[STAMP].error(format!("has an {EGO} or {ABOVE} row already, in line {first}"))
@@ -164,14 +167,14 @@ impl Header {
     }
 }
 
-fn told(fields: &[Field<'_>; NAMES.len()]) -> Result<Told, ReadError> {
+fn content(fields: &[Field<'_>; NAMES.len()]) -> Result<Content, ReadError> {
     let &[_, id, kind, x, y, heading, speed, length, width, score, sigma, ref unused @ ..] = fields;
     check_unused(unused)?;
     let position_m = [x.position_m()?, y.position_m()?];
     let heading_rad = given(heading, Field::angle_rad)?;
     if [EGO, ABOVE].contains(&kind.text) {
         let heading_rad = heading_rad.unwrap_or(0.0);
-        return Ok(Told::Ego(Ego { position_m, heading_rad, is_sensor: kind.text == EGO }));
+        return Ok(Content::Ego(Ego { position_m, heading_rad, is_sensor: kind.text == EGO }));
     }
     let agent_type: AgentType =
         kind.text.parse().map_err(|_| kind.error("expected vehicle, cyclist, pedestrian, ego or above"))?;
@@ -190,7 +193,7 @@ fn told(fields: &[Field<'_>; NAMES.len()]) -> Result<Told, ReadError> {
         (size.is_some(), detection_flags::HAS_SIZE),
     ];
     let (length_m, width_m) = size.unwrap_or_default();
-    Ok(Told::Seen(Detection {
+    Ok(Content::Detection(Detection {
         id: id.unwrap_or(0),
         heading_rad: heading_rad.unwrap_or(0.0),
         speed_mps: speed_mps.unwrap_or(0.0),
@@ -203,7 +206,7 @@ fn told(fields: &[Field<'_>; NAMES.len()]) -> Result<Told, ReadError> {
     }))
 }
 
-/// Refuses what could not have been written for a track.
+/// Refuses values of the track columns that no [`TrackWriter`](crate::TrackWriter) writes.
 fn check_unused(&[vx, vy, status, unseen, xx, xy, yy, prior, age]: &[Field<'_>; 9]) -> Result<(), ReadError> {
     for number in [vx, vy, unseen, xx, xy, yy, age] {
         given(number, Field::number)?;
@@ -224,7 +227,7 @@ fn given<'a, T>(
     if field.text.is_empty() { Ok(None) } else { read(&field).map(Some) }
 }
 
-/// Decimal seconds as whole nanoseconds, without a float in between.
+/// Decimal seconds as whole nanoseconds, exactly (no floating point).
 fn stamp_ns(field: Field<'_>) -> Result<i64, ReadError> {
     let wrong = || field.error("expected seconds like 12.08, with at most 9 decimals");
     let (negative, digits) = match field.text.strip_prefix('-') {
@@ -245,7 +248,7 @@ fn stamp_ns(field: Field<'_>) -> Result<i64, ReadError> {
     Ok(if negative { -stamp_ns } else { stamp_ns })
 }
 
-/// Places the sensor, and adds the frames that have an ego row alone.
+/// Sets the sensor's pose of every frame, and adds the frames that have an ego row alone.
 fn with_egos(mut frames: Vec<Frame>, egos: &BTreeMap<i64, (Ego, usize)>) -> Vec<Frame> {
     let known =
         |frames: &[Frame], stamp_ns| frames.binary_search_by_key(&stamp_ns, |frame| frame.stamp_ns).is_ok();

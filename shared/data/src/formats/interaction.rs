@@ -73,7 +73,7 @@ type ReadRow = Result<(i64, Detection), ReadError>;
 ///
 /// # Errors
 /// [`ReadError`] with file, line, column and value.
-pub fn parse(inputs: &[Input]) -> Result<Recording, ReadError> {
+pub(crate) fn parse(inputs: &[Input]) -> Result<Recording, ReadError> {
     let first = need_any(inputs, &[Role::Vehicles, Role::Pedestrians])?;
     let mut rows = Rows::default();
     let vehicles = find(inputs, Role::Vehicles);
@@ -205,13 +205,13 @@ fn pedestrian_interval_ns(rows: &[Row<'_>]) -> u64 {
     if is_thinned { THINNED_INTERVAL_NS } else { INTERVAL_NS }
 }
 
-/// Whether a frame observed pedestrians and cyclists: at the ticks of their clock, and wherever there is one
-/// of them.
+/// Whether a frame observed pedestrians and cyclists: at the ticks of their clock, and wherever the frame has
+/// one of them.
 fn observes_pedestrians(frame: &Frame, interval_ns: u64) -> bool {
     frame.stamp_ns % interval_ns as i64 == 0 || frame.detections.iter().any(is_pedestrian)
 }
 
-/// Turns agents that ride into cyclists; `rows` are in time order.
+/// Sets the type of agents that ride to cyclist; `rows` are in time order.
 fn classify_cyclists(rows: &mut [Row<'_>]) {
     let mut speeds: BTreeMap<u64, RunningSpeed> = BTreeMap::new();
     for row in rows.iter_mut().filter(|row| is_pedestrian(&row.detection)) {

@@ -1,16 +1,17 @@
 //! KITTI tracking: a detector's output or the true tracks, 10 Hz, from a moving car.
 //!
-//! * detections, one file per class: `frame,type,x1,y1,x2,y2,score,h,w,l,x,y,z,rot_y,alpha`, type 1 pedestrian, 2 car,
-//!   3 cyclist; without identities. Labels of the same sequence, where there are any, become the truth.
-//! * labels: `frame id type truncated occluded alpha x1 y1 x2 y2 h w l x y z rot_y`. `DontCare` marks regions of the
-//!   image and `Misc` what is none of the agents (trailers and the like): left out and counted. Vans, trucks and trams
-//!   are vehicles, sitting people pedestrians. A tracker's results have a `score` behind these columns; they are read as
-//!   labels.
+//! * detections, one file per class: `frame,type,x1,y1,x2,y2,score,h,w,l,x,y,z,rot_y,alpha`, type 1
+//!   pedestrian, 2 car, 3 cyclist; without identities. Labels of the same sequence, where there are any,
+//!   become the truth.
+//! * labels: `frame id type truncated occluded alpha x1 y1 x2 y2 h w l x y z rot_y`. `DontCare` marks regions
+//!   of the image and `Misc` objects that are no agents (trailers and the like): left out and counted. Vans,
+//!   trucks and trams are vehicles, sitting people pedestrians. A tracker's results have a `score` behind
+//!   these columns; they are read as labels.
 //!
-//! Both are told in the frame of the camera; [`WorldFromCamera`] takes them to a world frame with x to the east, y to
-//! the north and its origin at the car's first position, by way of `oxts` and `calib` of the same sequence. There is
-//! a frame for each row of `oxts`, also where nothing was seen. [`Annotations`] tells what the labels say to those who
-//! judge a tracker.
+//! Both are in the camera frame; [`WorldFromCamera`] transforms them by `oxts` and `calib` of the same
+//! sequence to a world frame with x to the east, y to the north and its origin at the car's first position
+//! (m, rad). Each row of `oxts` makes a frame, also one without detections. [`Annotations`] holds what the
+//! evaluation of a tracker needs of the labels.
 
 mod annotations;
 mod geometry;
@@ -18,7 +19,7 @@ mod geometry;
 use wire::{AgentType, Detection, Truth, detection_flags};
 
 pub use annotations::{AnnotatedFrame, AnnotatedObject, Annotations};
-pub use geometry::{Camera, WorldFromCamera};
+pub use geometry::WorldFromCamera;
 
 use crate::input::{find, need, need_any};
 use crate::rows::{self, ALL_TYPES, PEDESTRIAN_IDS, Rows};
@@ -73,8 +74,8 @@ struct CameraBox<'a> {
 /// Reads the detectors' output.
 ///
 /// # Errors
-/// [`ReadError`] with file, line, column and value, and where calibration or ego motion are not to be had.
-pub fn parse_detections(inputs: &[Input]) -> Result<Recording, ReadError> {
+/// [`ReadError`] with file, line, column and value, and where calibration or ego motion are missing.
+pub(crate) fn parse_detections(inputs: &[Input]) -> Result<Recording, ReadError> {
     let poses = WorldFromCamera::parse(need(inputs, Role::Calibration)?, need(inputs, Role::EgoMotion)?)?;
     need_any(inputs, &[Role::Vehicles, Role::Pedestrians, Role::Cyclists])?;
     let classes = [
@@ -110,8 +111,8 @@ pub fn parse_detections(inputs: &[Input]) -> Result<Recording, ReadError> {
 /// Reads the true tracks.
 ///
 /// # Errors
-/// [`ReadError`] with file, line, column and value, and where calibration or ego motion are not to be had.
-pub fn parse_labels(inputs: &[Input]) -> Result<Recording, ReadError> {
+/// [`ReadError`] with file, line, column and value, and where calibration or ego motion are missing.
+pub(crate) fn parse_labels(inputs: &[Input]) -> Result<Recording, ReadError> {
     let input = need(inputs, Role::Rows)?;
     let poses = WorldFromCamera::parse(need(inputs, Role::Calibration)?, need(inputs, Role::EgoMotion)?)?;
     let labels = Labels::parse(input, &poses)?;
@@ -143,10 +144,10 @@ fn empty_frames(poses: &WorldFromCamera, observed_types: u32) -> Vec<Frame> {
 }
 
 fn limit(rows_len: usize, line: &Line<'_>) -> Result<(), ReadError> {
-    if rows_len <= crate::ROWS_MAX {
+    if rows_len <= crate::rows::ROWS_MAX {
         return Ok(());
     }
-    Err(ReadError::TooManyRows { path: line.path.to_owned(), line: line.number, most: crate::ROWS_MAX })
+    Err(ReadError::TooManyRows { path: line.path.to_owned(), line: line.number, most: crate::rows::ROWS_MAX })
 }
 
 /// The index of a frame that has a pose.
@@ -190,7 +191,7 @@ impl CameraBox<'_> {
         let [x, y, z] = self.centre;
         let centre_m = [x.number()?, y.number()?, z.number()?];
         let (position_m, heading_rad) = poses.object(frame, centre_m, self.rotation.angle_rad()?);
-        // Not-a-number fails the comparison as well.
+        // NaN fails the comparison as well.
         let near = position_m.iter().all(|x| x.abs() <= f64::from(wire::POSITION_MAX_M));
         if !near || !heading_rad.is_finite() {
             return Err(x.error("stands nowhere near the car's first position"));
@@ -229,8 +230,9 @@ impl<'a> Labels<'a> {
             let (frame, detection) = label(fields, poses)?;
             rows.push(&line, frame as i64 * INTERVAL_NS as i64, detection)?;
         }
-        let told = left_out.into_iter().filter(|(_, rows_len)| *rows_len > 0);
-        let left_out = told.map(|(kind, rows_len)| LeftOut { reason: kind.to_owned(), rows_len }).collect();
+        let counted = left_out.into_iter().filter(|(_, rows_len)| *rows_len > 0);
+        let left_out =
+            counted.map(|(kind, rows_len)| LeftOut { reason: kind.to_owned(), rows_len }).collect();
         Ok(Self { rows, left_out })
     }
 }

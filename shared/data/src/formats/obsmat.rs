@@ -1,7 +1,7 @@
 //! The ETH scene in its true time base: `frame id x z y vx vz vy`, 6 frames in 0.4 s, metres.
 //!
-//! The velocities are checked but not used: they are central differences of the positions, so they tell of the next
-//! row.
+//! The velocities are checked but not used: they are central differences of the positions, so they leak the
+//! next row.
 
 use wire::AgentType;
 
@@ -17,7 +17,7 @@ const NAMES: [&str; 8] = ["frame", "id", "x", "z", "y", "vx", "vz", "vy"];
 ///
 /// # Errors
 /// [`ReadError`] with file, line, column and value.
-pub fn parse(inputs: &[Input]) -> Result<Recording, ReadError> {
+pub(crate) fn parse(inputs: &[Input]) -> Result<Recording, ReadError> {
     let input = need(inputs, Role::Rows)?;
     let mut rows = Rows::default();
     for line in text::lines(input) {

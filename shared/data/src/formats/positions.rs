@@ -1,12 +1,13 @@
-//! Annotated pedestrians as `frame id x y`, in metres: the ETH/UCY folds and the TrajNet split of Stanford Drone.
+//! Annotated pedestrians as `frame id x y`, in metres: the ETH/UCY folds and the TrajNet split of Stanford
+//! Drone.
 //!
 //! | | frames | separator | axes |
 //! |---|---|---|---|
 //! | ETH/UCY | every 10th, 0.4 s | tab | world |
 //! | SDD TrajNet | every 12th, 0.4 s | space | the image's: y points down, so the scene is mirrored |
 //!
-//! Coordinates are passed on as they stand. All agents count as pedestrians: the files tell no classes. A frame
-//! without rows is no frame.
+//! Coordinates are passed on unchanged. All agents are pedestrians: the files contain no classes. A frame
+//! without rows is not part of the recording.
 
 use wire::AgentType;
 
@@ -23,15 +24,16 @@ pub(crate) const STEP_NS: u64 = 400_000_000;
 ///
 /// # Errors
 /// [`ReadError`] with file, line, column and value.
-pub fn parse_eth_ucy(inputs: &[Input]) -> Result<Recording, ReadError> {
+pub(crate) fn parse_eth_ucy(inputs: &[Input]) -> Result<Recording, ReadError> {
     parse(need(inputs, Role::Rows)?, 10)
 }
 
-/// Reads the TrajNet split of Stanford Drone; the scene's scale is taken from the table beside it, if there is one.
+/// Reads the TrajNet split of Stanford Drone; the scene's scale is taken from the table beside it, if there
+/// is one.
 ///
 /// # Errors
 /// [`ReadError`] with file, line, column and value.
-pub fn parse_trajnet(inputs: &[Input]) -> Result<Recording, ReadError> {
+pub(crate) fn parse_trajnet(inputs: &[Input]) -> Result<Recording, ReadError> {
     let input = need(inputs, Role::Rows)?;
     let mut recording = parse(input, 12)?;
     if let Some(table) = crate::input::find(inputs, Role::Scales) {

@@ -1,9 +1,10 @@
-//! Stanford Drone's own annotations: `id xmin ymin xmax ymax frame lost occluded generated "label"`, pixels, 30 Hz.
+//! Stanford Drone's own annotations: `id xmin ymin xmax ymax frame lost occluded generated "label"`, pixels,
+//! 30 Hz.
 //!
-//! An agent stands at the middle of its box. Pixels become metres by the scale of the video in
+//! The position of an agent is the centre of its box. Pixels become metres by the scale of the video in
 //! `estimated_scales.yaml`, two folders up; y is negated, since the image's y points down and the world is
-//! right-handed. Rows with `lost = 1` are outside the picture: left out and counted. Pedestrians and skaters are
-//! pedestrians, bikers cyclists, carts, cars and buses vehicles.
+//! right-handed. Rows with `lost = 1` are outside the image: left out and counted. Pedestrians and skaters
+//! are pedestrians, bikers cyclists, carts, cars and buses vehicles.
 
 use std::path::Path;
 
@@ -31,18 +32,18 @@ const TABLE_NAMES: [&str; 13] = [
     "Diff",
     "Ratio",
 ];
-/// Frames a second.
+/// Frames per second.
 const HERTZ: i64 = 30;
-/// Greatest pixel coordinate that is believed: at the largest scale it is still within the world.
+/// Largest valid pixel coordinate: at the largest scale it is still within the world.
 const PIXEL_MAX: f64 = wire::POSITION_MAX_M as f64;
-/// Scales that are believed, m.
+/// Valid scales, m per px.
 const PIXEL_M: std::ops::RangeInclusive<f64> = 1e-4..=1.0;
 
 /// Reads the annotations of a video.
 ///
 /// # Errors
-/// [`ReadError`] with file, line, column and value, and where the scale of the video is not to be had.
-pub fn parse(inputs: &[Input]) -> Result<Recording, ReadError> {
+/// [`ReadError`] with file, line, column and value, and where the scale of the video is missing.
+pub(crate) fn parse(inputs: &[Input]) -> Result<Recording, ReadError> {
     let input = need(inputs, Role::Rows)?;
     let pixel_m = video_pixel_m(need(inputs, Role::Scales)?, &input.path)?;
     let mut rows = Rows::default();
@@ -102,8 +103,8 @@ fn flag(field: Field<'_>) -> Result<bool, ReadError> {
     }
 }
 
-/// The scale of the video whose annotations lie at `path`, from `estimated_scales.yaml`: for each scene and video two
-/// levels of names that end with a colon, then `scale: NUMBER` and `certainty: NUMBER`.
+/// The scale (m per px) of the video with annotations at `path`, from `estimated_scales.yaml`: two levels of
+/// names (scene, video) that end with a colon, then `scale: NUMBER` and `certainty: NUMBER`.
 fn video_pixel_m(scales: &Input, path: &str) -> Result<f64, ReadError> {
     let folder = |depth: usize| Path::new(path).ancestors().nth(depth)?.file_name()?.to_str();
     let video = folder(2).zip(folder(1));
@@ -131,7 +132,7 @@ fn video_pixel_m(scales: &Input, path: &str) -> Result<f64, ReadError> {
     })
 }
 
-/// The number of `scale: NUMBER` or `certainty: NUMBER`.
+/// The value of `scale: NUMBER` or `certainty: NUMBER`.
 fn scale_value(line: &Line<'_>) -> Result<f64, ReadError> {
     let [key, value] = line.split(Separator::Space, &["key", "value"])?;
     match key.text {
@@ -141,8 +142,8 @@ fn scale_value(line: &Line<'_>) -> Result<f64, ReadError> {
     }
 }
 
-/// The scale of a scene of the TrajNet split from the table `H_SDD.txt`: the first of the two measurements, which is
-/// the one that the split was made with. None where the table does not have the scene.
+/// The scale (m per px) of a scene of the TrajNet split from the table `H_SDD.txt`: the first of the two
+/// measurements, with which the split was made. `None` where the table lacks the scene.
 pub(crate) fn table_pixel_m(table: &Input, scene: &str) -> Result<Option<f64>, ReadError> {
     for line in text::lines(table).skip(1) {
         let line = line?;

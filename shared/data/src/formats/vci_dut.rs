@@ -1,8 +1,9 @@
 //! VCI-DUT: vehicles and dense crowds on a campus, as a pair of files at 23.98 frames a second, metres.
 //!
-//! `id,frame,label,x_est,y_est,psi_est,vel_est` for vehicles, `…,vx_est,vy_est` for pedestrians. Both count frames
-//! on one clock and identities from 0, so pedestrians come out with 1,000,000,000 added. The positions are the data
-//! set's own causal filter's. A pedestrian slower than 0.1 m/s has no heading.
+//! `id,frame,label,x_est,y_est,psi_est,vel_est` for vehicles, `…,vx_est,vy_est` for pedestrians. Both count
+//! frames on one clock and identities from 0; the reader adds 1,000,000,000 to the identities of pedestrians.
+//! The positions are the output of the data set's own causal filter. A pedestrian slower than 0.1 m/s has no
+//! heading.
 
 use wire::{AgentType, Detection, detection_flags};
 
@@ -24,7 +25,7 @@ const CENTIHERTZ: i64 = 2_398;
 ///
 /// # Errors
 /// [`ReadError`] with file, line, column and value.
-pub fn parse(inputs: &[Input]) -> Result<Recording, ReadError> {
+pub(crate) fn parse(inputs: &[Input]) -> Result<Recording, ReadError> {
     let first = need_any(inputs, &[Role::Vehicles, Role::Pedestrians])?;
     let mut rows = Rows::default();
     let mut observed_types = 0;

@@ -1,8 +1,9 @@
-//! The intersection: lanes, crossings, pavements, and which paths get in each other's way.
+//! The intersection: lanes, crossings, pavements, and which routes conflict.
 //!
-//! Four arms meet at right angles in the origin: arm 0 points east (+x), 1 north, 2 west, 3 south. Traffic keeps right.
-//! On each arm, inwards and outwards, lie a lane for vehicles, a lane for cyclists and a pavement. A crossing for
-//! pedestrians lies across each arm near its mouth; vehicles wait before it. The east-west road has priority.
+//! Four arms meet at right angles in the origin: arm 0 points east (+x), 1 north, 2 west, 3 south. Traffic
+//! keeps right. Each arm has, inbound and outbound, a lane for vehicles, a lane for cyclists and a pavement.
+//! A crossing for pedestrians lies across each arm near its mouth; vehicles wait before it. The east-west
+//! road has priority.
 
 use std::ops::Range;
 
@@ -20,7 +21,7 @@ const STOP_LINE_M: f32 = 13.3;
 /// Paths lie closer together than the users' widths only within this square around the centre.
 const CONFLICTS_WITHIN_M: f32 = 16.0;
 
-/// Who drives on a lane.
+/// The kind of road user that uses a lane.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Kind {
     Vehicle,
@@ -47,7 +48,7 @@ impl Kind {
     }
 }
 
-/// A way over the intersection.
+/// A direction of travel over the intersection.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Turn {
     Left,
@@ -59,7 +60,7 @@ impl Turn {
     pub(super) const ALL: [Self; 3] = [Self::Left, Self::Straight, Self::Right];
 }
 
-/// A road user's whole way, with the places that matter as distances from its start.
+/// The whole route of a road user, with the positions that matter as distances from its start.
 #[derive(Clone, Debug)]
 pub(super) struct Route {
     pub(super) kind: Kind,
@@ -115,7 +116,7 @@ impl Layout {
         Self { routes, relations }
     }
 
-    /// How the route of that number shares the road with another.
+    /// How route `mine` shares the road with route `other`.
     pub(super) fn relation(&self, mine: usize, other: usize) -> &Relation {
         &self.relations[mine * self.routes.len() + other]
     }
@@ -129,7 +130,8 @@ impl Layout {
 impl Route {
     fn new(kind: Kind, from_arm: usize, turn: Turn) -> Self {
         let lane = kind.lane_m();
-        // Where the curve begins and ends, from the centre: right turns are tight and use the corner's whole width.
+        // Start and end of the curve, from the centre: right turns are tight and use the corner's whole
+        // width.
         let mouth = if turn == Turn::Right { CROSSING_M.end - 0.5 } else { CROSSING_M.start };
         let inwards = [-1.0, 0.0];
         let (to_arm, mouth_out, end, outwards) = match turn {
@@ -151,7 +153,7 @@ impl Route {
     }
 }
 
-/// Turns a point of an arm's own frame (x outwards along the arm) into the world.
+/// A point of an arm's own frame (x outwards along the arm) in the world frame.
 pub(super) fn to_world(arm: usize, [x, y]: Point) -> Point {
     match arm % 4 {
         0 => [x, y],
@@ -161,7 +163,7 @@ pub(super) fn to_world(arm: usize, [x, y]: Point) -> Point {
     }
 }
 
-/// Turns a point of the world into an arm's own frame.
+/// A point of the world frame in an arm's own frame.
 pub(super) fn to_arm(arm: usize, point: Point) -> Point {
     to_world(4 - arm % 4, point)
 }
@@ -219,7 +221,7 @@ mod tests {
     }
 
     #[test]
-    fn routes_are_found_by_their_number_and_end_in_their_arm() {
+    fn route_numbers_lead_to_their_arm() {
         let layout = Layout::new();
         for (i, route) in layout.routes.iter().enumerate() {
             assert_eq!(Layout::route(route.kind, route.from_arm, route.turn), i);
@@ -235,7 +237,7 @@ mod tests {
     }
 
     #[test]
-    fn who_gets_in_whose_way() {
+    fn conflicting_routes_are_related() {
         use Kind::{Cyclist, Vehicle};
         use Turn::{Left, Right, Straight};
         let crosses = |a, b| matches!(relation_of(a, b), Relation::Cross { .. });
@@ -253,7 +255,7 @@ mod tests {
     }
 
     #[test]
-    fn frames_of_arms_turn_there_and_back() {
+    fn arm_frames_are_inverses_of_each_other() {
         for arm in 0..4 {
             assert_eq!(to_arm(arm, to_world(arm, [3.0, 1.0])), [3.0, 1.0]);
         }

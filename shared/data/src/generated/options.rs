@@ -3,7 +3,7 @@ use wire::AGENTS_MAX;
 
 use crate::Ego;
 
-/// What a generated scene shows and how well its sensor sees.
+/// The agents of a generated scene and the errors of its sensor.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SceneOptions {
     /// Agents present at once, 1 to [`AGENTS_MAX`]; one or two may be missing while an entrance is blocked.
@@ -32,9 +32,9 @@ pub struct SceneOptions {
     pub clutter_mean: f32,
     /// Probability that a detected heading is turned by π.
     pub yaw_flip_probability: f32,
-    /// Whether agents behind a vehicle, as seen from the sensor, are hidden.
+    /// Whether agents behind a vehicle, as seen from the sensor, are occluded.
     pub occlusion: bool,
-    /// Where the sensor stands.
+    /// Pose of the sensor.
     pub sensor: Ego,
 }
 

@@ -1,4 +1,4 @@
-//! Lines that road users drive along.
+//! Paths of road users.
 
 use kinematics::wrap_angle;
 
@@ -6,11 +6,11 @@ use super::Point;
 
 /// Distance between two samples of a path.
 const STEP_M: f32 = 0.5;
-/// Speed on straight parts; drivers scale it by their own temper.
+/// Speed on straight parts; a driver's temper scales it.
 const STRAIGHT_SPEED_MPS: f32 = 12.0;
-/// Sideways acceleration that is comfortable in a curve.
+/// Comfortable lateral acceleration in a curve.
 const LATERAL_MPS2: f32 = 2.0;
-/// Braking that is comfortable before a curve.
+/// Comfortable braking before a curve.
 const BRAKING_MPS2: f32 = 1.3;
 
 /// A place on a path.
@@ -20,7 +20,7 @@ pub(super) struct Pose {
     pub(super) heading_rad: f32,
 }
 
-/// A smooth line, told by poses every [`STEP_M`] of its length, with the speed that its curves allow.
+/// A smooth line, sampled as poses every [`STEP_M`] of its length, with the speed that its curves allow.
 #[derive(Clone, Debug)]
 pub(super) struct Path {
     poses: Vec<Pose>,
@@ -56,7 +56,7 @@ impl Path {
         Pose { position_m: [between(0) - aside_m * sin, between(1) + aside_m * cos], heading_rad }
     }
 
-    /// The speed at that place which lets a driver take all later curves in comfort.
+    /// The speed there from which a driver takes all later curves in comfort.
     pub(super) fn speed_mps(&self, along_m: f32) -> f32 {
         let (i, share) = self.place(along_m);
         self.speeds_mps[i] + share * (self.speeds_mps[i + 1] - self.speeds_mps[i])
@@ -74,8 +74,8 @@ impl Path {
     }
 }
 
-/// A curve from `a`, leaving in direction `out`, to `b`, arriving in direction `into`, without curvature at its ends: a
-/// quintic Bézier whose first and last three control points are collinear.
+/// A curve from `a`, leaving in direction `out`, to `b`, arriving in direction `into`, without curvature at
+/// its ends: a quintic Bézier whose first and last three control points are collinear.
 pub(super) fn curve(a: Point, out: Point, b: Point, into: Point) -> impl Iterator<Item = Point> {
     const PIECES: u16 = 100;
     // A third of the legs makes the curve follow the corner like an arc.

@@ -1,33 +1,35 @@
-//! Who goes first: gap acceptance without signals.
+//! Priority at the intersection: gap acceptance without signals.
 //!
-//! A road user that comes near claims its turn. The claim of those who have to yield (the side road, left turns) counts
-//! some seconds later, so the main road goes first, yet nobody waits for ever. A user enters when it can pass behind
-//! everybody who entered before it and well ahead of everybody with an earlier claim. Entering gives it a place in one
-//! order, and where two routes cross the later one gives way: waits never form a circle.
+//! A road user that comes near claims its turn. Claims of users that have to yield (the side road, left
+//! turns) count some seconds later: the main road goes first, and every wait ends. A user enters when it can
+//! pass behind all users that entered before it and well ahead of all users with an earlier claim. Users are
+//! numbered in the order in which they enter, and where two routes cross the later number gives way: waits
+//! never form a cycle.
 
 use super::layout::{Layout, Relation, Route, Turn};
 use super::road_user::{RoadUser, TurnTaking};
 
-/// Users claim their turn from here, before the stop line.
+/// Users claim their turn at this distance before the stop line.
 const CLAIM_WITHIN_M: f32 = 35.0;
-/// Users decide to go from here, before the stop line, or farther where they need more to stop.
+/// Users decide to enter at this distance before the stop line, or farther where they need more to stop.
 const DECIDE_WITHIN_M: f32 = 8.0;
-/// A user passes at least so long behind another.
+/// Least time by which a user passes behind another.
 const BEHIND_S: f32 = 0.3;
-/// A user accepts a gap that leaves so much time before the arrival of another.
+/// Least time before the arrival of another user that an accepted gap leaves.
 const AHEAD_S: f32 = 1.2;
-/// Stretch of a shared exit lane that has to be free before the next may enter it.
+/// Stretch of a shared exit lane that has to be free before the next user may enter it.
 const MERGE_M: f32 = 7.0;
-/// Whoever has stood on the intersection for so long no longer waits for those who are merely due.
+/// A user that has stood on the intersection this long no longer waits for users that have not entered.
 const PATIENCE_S: f32 = 10.0;
 
-/// By how much a claim of that route counts later than it was made.
+/// Time that is added to the claims of a route.
 fn deference_s(route: &Route) -> f64 {
     let side_road: f64 = if route.from_arm % 2 == 1 { 5.0 } else { 0.0 };
     side_road + if route.turn == Turn::Left { 3.0 } else { 0.0 }
 }
 
-/// Gives claims to those who came near and lets enter who may. `going_len` counts those who ever entered.
+/// Gives claims to users that came near and lets users enter that may. `going_len` counts all that ever
+/// entered.
 pub(super) fn take_turns(users: &mut [RoadUser], layout: &Layout, now_s: f64, going_len: &mut u64) {
     give_up_turns(users, layout);
     claim(users, layout, now_s);
@@ -40,8 +42,8 @@ pub(super) fn take_turns(users: &mut [RoadUser], layout: &Layout, now_s: f64, go
     }
 }
 
-/// Takes the turn back from users that pedestrians hold up before the stop line, and from those behind them in their
-/// lane: others may go meanwhile.
+/// Withdraws the turn of users that pedestrians stop before the stop line, and of users behind them in their
+/// lane, so that others may go meanwhile.
 fn give_up_turns(users: &mut [RoadUser], layout: &Layout) {
     for i in 0..users.len() {
         let user = &users[i];
@@ -68,7 +70,7 @@ fn claim(users: &mut [RoadUser], layout: &Layout, now_s: f64) {
             user.turn_taking = TurnTaking::Waiting { claim_s: now_s + deference_s(route) };
         }
     }
-    // Nobody overtakes: a claim counts no earlier than that of the user ahead.
+    // Users don't overtake: a claim counts no earlier than that of the user ahead.
     for i in 0..users.len() {
         let TurnTaking::Waiting { claim_s } = users[i].turn_taking else { continue };
         let ahead = users.iter().filter(|u| same_lane(u, &users[i], layout) && u.along_m > users[i].along_m);
@@ -92,7 +94,7 @@ fn may_go(i: usize, claim_s: f64, users: &[RoadUser], layout: &Layout) -> bool {
     if user.yields || to_line_m > needs_m {
         return false;
     }
-    // Equal claims go by id, so that there is always a first.
+    // Equal claims are ordered by id, so that one is always first.
     let later = |others_s: f64, other: &RoadUser| (others_s, other.id) > (claim_s, user.id);
     users.iter().enumerate().filter(|(j, _)| *j != i).all(|(_, other)| match other.turn_taking {
         TurnTaking::Far => true,
@@ -102,7 +104,8 @@ fn may_go(i: usize, claim_s: f64, users: &[RoadUser], layout: &Layout) -> bool {
     })
 }
 
-/// The parts of both routes that only one may use at a time: where mine begins and ends, where the other's do.
+/// The stretches of both routes that one user at a time may use: start and end of mine, start and end of the
+/// other's.
 fn contested(user: &RoadUser, other: &RoadUser, layout: &Layout) -> Option<[f32; 4]> {
     match layout.relation(user.route, other.route) {
         Relation::Apart | Relation::SameStart { .. } => None,
@@ -113,7 +116,7 @@ fn contested(user: &RoadUser, other: &RoadUser, layout: &Layout) -> Option<[f32;
     }
 }
 
-/// Whether `user` would be across well before `other`, who has the earlier claim, could be there.
+/// Whether `user` would have crossed well before `other`, which has the earlier claim, could arrive.
 fn clears_ahead_of(user: &RoadUser, other: &RoadUser, layout: &Layout) -> bool {
     let Some([_, end, others_start, _]) = contested(user, other, layout) else { return true };
     let held = other.yields && other.speed_mps < 0.5;
@@ -123,7 +126,7 @@ fn clears_ahead_of(user: &RoadUser, other: &RoadUser, layout: &Layout) -> bool {
     held || mine_s + AHEAD_S < others_s
 }
 
-/// Whether `user` would come to the contested place only after `other`, who is on the way, has left it.
+/// Whether `user` would reach the contested stretch only after `other`, which has entered, has left it.
 fn passes_behind(user: &RoadUser, other: &RoadUser, layout: &Layout) -> bool {
     let Some([start, _, _, others_end]) = contested(user, other, layout) else { return true };
     let left_m = others_end - other.rear_m();
@@ -143,7 +146,8 @@ fn cruise_mps(user: &RoadUser, route: &Route) -> f32 {
     curve.min(user.temper.speed_max_mps)
 }
 
-/// The acceleration that the other road users leave to user `i`: following, waiting for its turn, giving way.
+/// The largest acceleration of user `i` that the other road users allow: following, waiting for its turn,
+/// giving way.
 pub(super) fn among_users_mps2(i: usize, users: &[RoadUser], layout: &Layout) -> f32 {
     let user = &users[i];
     let route = &layout.routes[user.route];
@@ -169,7 +173,7 @@ pub(super) fn among_users_mps2(i: usize, users: &[RoadUser], layout: &Layout) ->
                 }
             }
             Relation::SameEnd { mine_m, other_m } => {
-                // Distances are compared as left to the end of the shared lane.
+                // Distances are compared as those left to the end of the shared lane.
                 let gap_m = (other.rear_m() - other_m) - (user.front_m() - mine_m);
                 let first = precedes(other, order) || other.rear_m() > *other_m;
                 if first && other.along_m - other_m > user.along_m - mine_m {

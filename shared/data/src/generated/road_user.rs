@@ -1,4 +1,4 @@
-//! One driver or cyclist: temper, place on the route, and the intelligent-driver model.
+//! A driver or cyclist: temper, position on the route, and the intelligent-driver model.
 
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
@@ -10,17 +10,18 @@ use super::path::Pose;
 
 /// Hardest braking, in an emergency.
 pub(super) const BRAKING_MAX_MPS2: f32 = 7.0;
-/// Longest wait for pedestrians that is remembered: a little more than it takes to make them courteous.
+/// Longest wait for pedestrians that is counted: a little more than the time after which pedestrians give
+/// way.
 const YIELDED_MAX_S: f32 = 7.0;
-/// Hardest braking without a need.
+/// Hardest braking outside emergencies.
 const EASING_MPS2: f32 = 2.0;
 
-/// How a driver drives.
+/// Parameters of a driver.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Temper {
-    /// Share of the path's speed that the driver wants.
+    /// Desired speed as a share of the path's speed.
     pub(super) speed_share: f32,
-    /// Fastest that the driver goes anywhere.
+    /// Largest desired speed.
     pub(super) speed_max_mps: f32,
     pub(super) acceleration_mps2: f32,
     pub(super) braking_mps2: f32,
@@ -46,7 +47,7 @@ pub(super) struct RoadUser {
     pub(super) width_m: f32,
     pub(super) temper: Temper,
     pub(super) turn_taking: TurnTaking,
-    /// Whether pedestrians are in the way.
+    /// Whether pedestrians block the route.
     pub(super) yields: bool,
     /// How long pedestrians have kept the user waiting.
     pub(super) yielded_s: f32,
@@ -54,14 +55,14 @@ pub(super) struct RoadUser {
     pub(super) stood_s: f32,
 }
 
-/// Where a user stands in the order in which the intersection is entered.
+/// The state of a user in the order of entering the intersection.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum TurnTaking {
-    /// Too far away to matter.
+    /// Too far away to claim a turn.
     Far,
     /// Waits for its turn since about this time; the earliest claim goes first.
     Waiting { claim_s: f64 },
-    /// Goes, or has gone, over the intersection as the n-th; gets its claim back if it has to give up its turn.
+    /// Has entered the intersection as the n-th; gets its claim back if it loses its turn.
     Going { order: u64, claim_s: f64 },
 }
 
@@ -108,7 +109,7 @@ impl RoadUser {
         route.path.pose(self.along_m, self.aside_m)
     }
 
-    /// The speed that the user wants where it is.
+    /// The user's desired speed at its position.
     pub(super) fn wanted_mps(&self, route: &Route) -> f32 {
         (route.path.speed_mps(self.along_m) * self.temper.speed_share).min(self.temper.speed_max_mps)
     }
@@ -159,16 +160,16 @@ impl RoadUser {
         }
     }
 
-    /// Notes whether pedestrians keep the user waiting; the memory of it fades as it came.
+    /// Counts the time for which pedestrians keep the user waiting; the count falls as fast as it rose.
     pub(super) fn note_yielding(&mut self, yields: bool, dt_s: f32) {
         let change = if yields && self.speed_mps < 0.5 { dt_s } else { -dt_s };
         self.yielded_s = (self.yielded_s + change).clamp(0.0, YIELDED_MAX_S);
         self.yields = yields;
     }
 
-    /// Moves the user on by one step; it never reverses.
+    /// Advances the user by one step; it never reverses.
     pub(super) fn advance(&mut self, acceleration_mps2: f32, dt_s: f32) {
-        // Jerk is limited except when braking in earnest, so that cars don't nod at every decision.
+        // Jerk is limited except in hard braking, so that vehicles don't pitch at every decision.
         let jerk_mps3 = if acceleration_mps2 < -3.0 { 60.0 } else { 8.0 };
         let change = (acceleration_mps2 - self.acceleration_mps2).clamp(-jerk_mps3 * dt_s, jerk_mps3 * dt_s);
         let wanted = self.acceleration_mps2 + change;

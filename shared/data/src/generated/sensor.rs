@@ -1,4 +1,4 @@
-//! What a fixed sensor reports of the scene: noise, misses, hidden agents, clutter.
+//! The reports of a fixed sensor: noise, misses, occlusion, clutter.
 
 use kinematics::wrap_angle;
 use rand::{RngExt, SeedableRng};
@@ -10,10 +10,10 @@ use super::{Agent, SceneOptions};
 
 /// Clutter appears within this square around the centre.
 const CLUTTER_WITHIN_M: f32 = 40.0;
-/// Sets the sensor's random numbers apart from those of the traffic.
+/// Separates the sensor's random stream from that of the traffic.
 const STREAM: u64 = 1;
 
-/// The sensor's random numbers; where it stands and how well it sees is in the options.
+/// The sensor's random stream; its pose and its errors are in the options.
 #[derive(Clone, Debug)]
 pub(super) struct Sensor {
     rng: ChaCha8Rng,
@@ -21,7 +21,7 @@ pub(super) struct Sensor {
     shadows: Vec<Shadow>,
 }
 
-/// The sector that a vehicle hides.
+/// The sector that a vehicle occludes.
 #[derive(Clone, Copy, Debug)]
 struct Shadow {
     id: u64,
@@ -45,10 +45,10 @@ impl Sensor {
         let mut detections = Vec::with_capacity(agents.len());
         for agent in agents {
             let missed = self.rng.random_bool(f64::from(options.miss_probability));
-            // Drawn before it is known whether it shows, so that one option doesn't reshuffle all noise.
+            // Drawn whether or not the agent is reported, so that one option doesn't change all other draws.
             let detection = self.detection(agent, options);
-            let hidden = self.shadows.iter().any(|shadow| shadow.hides(agent, options));
-            if !missed && !hidden {
+            let occluded = self.shadows.iter().any(|shadow| shadow.occludes(agent, options));
+            if !missed && !occluded {
                 detections.push(detection);
             }
         }
@@ -83,7 +83,7 @@ impl Sensor {
             x_m: agent.position_m[0] + self.noise(sigma_m),
             y_m: agent.position_m[1] + self.noise(sigma_m),
             heading_rad: if on_wheels { heading_rad } else { 0.0 },
-            // A flipped heading turns the sign of the speed along it.
+            // A flipped heading changes the sign of the speed along it.
             speed_mps: if !has_speed {
                 0.0
             } else if flipped {
@@ -117,7 +117,8 @@ impl Sensor {
         len as usize
     }
 
-    /// A detection of nothing: anywhere, of any type, with a low score and an id that no agent has.
+    /// A false detection: at a random position, of a random type, with a low score and an id that no agent
+    /// has.
     fn clutter(&mut self, options: &SceneOptions) -> Detection {
         let within = CLUTTER_WITHIN_M;
         let agent_type = AGENT_TYPES[self.rng.random_range(0..AGENT_TYPES.len())];
@@ -141,7 +142,7 @@ impl Sensor {
 }
 
 impl Shadow {
-    fn hides(&self, agent: &Agent, options: &SceneOptions) -> bool {
+    fn occludes(&self, agent: &Agent, options: &SceneOptions) -> bool {
         let (bearing_rad, distance_m) = bearing(agent.position_m, options);
         agent.id != self.id
             && distance_m > self.distance_m
@@ -208,7 +209,7 @@ mod tests {
     }
 
     #[test]
-    fn who_stands_behind_a_vehicle_is_hidden() {
+    fn agents_behind_a_vehicle_are_occluded() {
         let agents = [
             agent(1, AgentType::Vehicle, [10.0, 0.0]),
             agent(2, AgentType::Pedestrian, [14.0, 0.5]),
@@ -254,7 +255,7 @@ mod tests {
     }
 
     #[test]
-    fn identities_are_hidden_unless_asked_for() {
+    fn detections_have_no_identity_unless_asked_for() {
         let agents = [agent(9, AgentType::Vehicle, [10.0, 0.0])];
         let options = SceneOptions { identities: false, clutter_mean: 3.0, ..CLEAN };
         let detections = Sensor::new(1).detect(&agents, &options);

@@ -14,12 +14,13 @@ fn scene(agents: usize, seed: u64) -> GeneratedScene {
     GeneratedScene::new(options(agents, seed)).expect("valid options")
 }
 
-/// What ten minutes of a scene show.
+/// Statistics of ten minutes of a scene.
 #[derive(Debug, Default)]
 struct Observed {
     /// Fewest agents present.
     agents_min: usize,
-    /// Most in one step, by type: distance per second, change of speed per second, turn of the heading per metre.
+    /// Most in one step, by type: distance per second, change of speed per second, turn of the heading per
+    /// metre.
     fastest_mps: [f32; 3],
     hardest_mps2: [f32; 3],
     /// Pairs of road users whose footprints overlap, over all frames.
@@ -28,9 +29,9 @@ struct Observed {
     run_over: usize,
     /// Longest time that one agent stood still.
     longest_still_s: f32,
-    /// Agents who left, by type.
+    /// Agents that left, by type.
     left: [usize; 3],
-    /// Pedestrians on the roadway for whom somebody on wheels stands, over all frames.
+    /// Pedestrians on the roadway for which a road user stands, over all frames.
     yielded: usize,
 }
 
@@ -70,10 +71,10 @@ fn count_encounters(agents: &[Agent], observed: &mut Observed) {
     for (i, a) in users.iter().enumerate() {
         observed.overlaps += users[..i].iter().filter(|b| overlap(a, b)).count();
         let stands_near = |p: &Agent| a.speed_mps < 0.2 && distance_m(p.position_m, a.position_m) < 8.0;
-        for walker in agents.iter().filter(on_foot) {
-            observed.run_over += usize::from(inside(walker.position_m, a));
-            let [x, y] = walker.position_m;
-            observed.yielded += usize::from(x.abs().min(y.abs()) < 5.0 && stands_near(walker));
+        for pedestrian in agents.iter().filter(on_foot) {
+            observed.run_over += usize::from(inside(pedestrian.position_m, a));
+            let [x, y] = pedestrian.position_m;
+            observed.yielded += usize::from(x.abs().min(y.abs()) < 5.0 && stands_near(pedestrian));
         }
     }
 }
@@ -109,7 +110,8 @@ fn overlap(a: &Agent, b: &Agent) -> bool {
         .all(|axis| dot(apart, axis).abs() < reach(a, axis) + reach(b, axis))
 }
 
-/// Nobody jumps, nobody is beyond the limits of its kind, nobody on wheels touches another or runs somebody over.
+/// Motion is continuous and within the limits of each type; footprints of road users do not overlap, and no
+/// pedestrian is inside one.
 fn assert_natural(observed: &Observed, agents: usize) {
     assert!(observed.agents_min + 2 >= agents, "{observed:?}");
     let limits = [(14.0, 7.1), (6.6, 7.1), (2.4, 3.6)];
@@ -176,7 +178,7 @@ fn the_sensor_does_not_change_the_truth() {
 }
 
 #[test]
-fn any_number_of_agents_can_be_had() {
+fn the_number_of_agents_is_as_asked_for() {
     for agents in [1, 2, 3, 7, 20, 100, 127] {
         let recording = scene(agents, 9).recording(50);
         for (i, frame) in recording.frames.iter().enumerate() {
@@ -188,7 +190,7 @@ fn any_number_of_agents_can_be_had() {
 }
 
 #[test]
-fn only_one_type_can_be_asked_for() {
+fn shares_of_one_give_a_single_type() {
     for (vehicle_share, cyclist_share, wanted) in [(1.0, 0.0, 0), (0.0, 1.0, 1), (0.0, 0.0, 2)] {
         let options = SceneOptions { vehicle_share, cyclist_share, ..options(10, 1) };
         let recording = GeneratedScene::new(options).expect("valid options").recording(20);
@@ -197,6 +199,7 @@ fn only_one_type_can_be_asked_for() {
 }
 
 #[test]
-fn impossible_options_are_refused() {
-    assert!(GeneratedScene::new(options(129, 1)).is_err());
+fn options_out_of_range_are_refused() {
+    let refused = GeneratedScene::new(options(129, 1)).unwrap_err();
+    assert_eq!(refused.to_string(), "generated scene: agents = 129, expected 1 to 128");
 }

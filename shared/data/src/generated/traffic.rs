@@ -1,4 +1,4 @@
-//! Everybody who is on the intersection, and one step of time.
+//! All agents of the scene, and one step of time.
 
 use rand::RngExt;
 use rand::SeedableRng;
@@ -7,10 +7,10 @@ use rand_chacha::ChaCha8Rng;
 use super::Point;
 use super::layout::{Kind, Layout, Turn};
 use super::path::Pose;
+use super::pedestrian::{BODY_M, Pedestrian};
 use super::right_of_way::{among_users_mps2, take_turns};
 use super::road_user::{BRAKING_MAX_MPS2, RoadUser};
-use super::walker::{BODY_M, Walker};
-use super::yielding::{avoid, for_walkers_mps2, may_step_out};
+use super::yielding::{avoid, for_pedestrians_mps2, may_step_out};
 
 /// Most vehicles that the lanes take before queues fill them.
 const VEHICLES_MAX: usize = 22;
@@ -18,10 +18,10 @@ const VEHICLES_MAX: usize = 22;
 const CYCLISTS_MAX: usize = 14;
 /// Free lane that an entering user needs.
 const ENTRY_GAP_M: f32 = 9.0;
-/// Entrances that are tried for one user before it waits for the next step.
+/// Entrances that are tried for one user per step.
 const ENTRY_TRIES: usize = 8;
 
-/// How many of each kind are wanted at once.
+/// Numbers of agents to keep, by kind.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Population {
     pub(super) agents: usize,
@@ -30,7 +30,7 @@ pub(super) struct Population {
 }
 
 impl Population {
-    /// Splits the agents by share; what the lanes can't take walks.
+    /// Splits the agents by share; agents beyond the lanes' capacity become pedestrians.
     pub(super) fn split(agents: usize, vehicle_share: f32, cyclist_share: f32) -> Self {
         let part = |share: f32| (agents as f32 * share).round() as usize;
         let vehicles = part(vehicle_share).min(VEHICLES_MAX);
@@ -43,18 +43,18 @@ impl Population {
 #[derive(Clone, Debug)]
 pub(super) struct Traffic {
     pub(super) users: Vec<RoadUser>,
-    pub(super) walkers: Vec<Walker>,
+    pub(super) pedestrians: Vec<Pedestrian>,
     layout: Layout,
     population: Population,
     rng: ChaCha8Rng,
     now_s: f64,
-    /// Who ever entered the intersection.
+    /// Number of users that ever entered the intersection.
     going_len: u64,
-    /// Who ever entered the scene: the last id given.
+    /// Number of agents that ever entered the scene: the last id given.
     entered_len: u64,
     /// Scratch: the accelerations of this step.
     user_mps2: Vec<f32>,
-    walker_mps2: Vec<Point>,
+    pedestrian_mps2: Vec<Point>,
     poses: Vec<Pose>,
 }
 
@@ -62,7 +62,7 @@ impl Traffic {
     pub(super) fn new(population: Population, seed: u64) -> Self {
         Self {
             users: Vec::new(),
-            walkers: Vec::new(),
+            pedestrians: Vec::new(),
             layout: Layout::new(),
             population,
             rng: ChaCha8Rng::seed_from_u64(seed),
@@ -70,7 +70,7 @@ impl Traffic {
             going_len: 0,
             entered_len: 0,
             user_mps2: Vec::new(),
-            walker_mps2: Vec::new(),
+            pedestrian_mps2: Vec::new(),
             poses: Vec::new(),
         }
     }
@@ -79,7 +79,7 @@ impl Traffic {
         user.pose(&self.layout.routes[user.route])
     }
 
-    /// Moves everybody on by `dt_s`; those at their end leave, and others enter for them.
+    /// Advances all agents by `dt_s`; those at their end leave, and others enter instead.
     pub(super) fn step(&mut self, dt_s: f32) {
         self.now_s += f64::from(dt_s);
         take_turns(&mut self.users, &self.layout, self.now_s, &mut self.going_len);
@@ -88,63 +88,63 @@ impl Traffic {
         for (user, &mps2) in self.users.iter_mut().zip(&self.user_mps2) {
             user.advance(mps2, dt_s);
         }
-        for (walker, &mps2) in self.walkers.iter_mut().zip(&self.walker_mps2) {
-            walker.advance(mps2, dt_s);
+        for (pedestrian, &mps2) in self.pedestrians.iter_mut().zip(&self.pedestrian_mps2) {
+            pedestrian.advance(mps2, dt_s);
         }
         let routes = &self.layout.routes;
         self.users.retain(|user| user.along_m < routes[user.route].path.length_m());
-        self.walkers.retain(|walker| !walker.has_arrived());
+        self.pedestrians.retain(|pedestrian| !pedestrian.has_arrived());
         self.fill();
     }
 
     fn step_out(&mut self) {
         let free = [0, 1, 2, 3].map(|arm| may_step_out(arm, &self.users, &self.layout));
-        for walker in &mut self.walkers {
-            if walker.waits_for().is_some_and(|arm| free[arm]) {
-                walker.step_on_crossing();
+        for pedestrian in &mut self.pedestrians {
+            if pedestrian.waits_for().is_some_and(|arm| free[arm]) {
+                pedestrian.step_on_crossing();
             }
         }
     }
 
-    /// Everybody chooses an acceleration by what all others do now.
+    /// Every agent chooses an acceleration by the present state of all others.
     fn decide(&mut self, dt_s: f32) {
         self.poses.clear();
         self.poses.extend(self.users.iter().map(|user| user.pose(&self.layout.routes[user.route])));
         self.user_mps2.clear();
         for i in 0..self.users.len() {
             let among_users = among_users_mps2(i, &self.users, &self.layout);
-            let for_walkers = for_walkers_mps2(&self.users[i], &self.walkers, &self.layout);
+            let for_pedestrians = for_pedestrians_mps2(&self.users[i], &self.pedestrians, &self.layout);
             let user = &mut self.users[i];
-            let yields = for_walkers.is_some_and(|mps2| mps2 < 0.5);
+            let yields = for_pedestrians.is_some_and(|mps2| mps2 < 0.5);
             user.note_yielding(yields, dt_s);
-            let mps2 = among_users.min(for_walkers.unwrap_or(f32::INFINITY));
+            let mps2 = among_users.min(for_pedestrians.unwrap_or(f32::INFINITY));
             self.user_mps2.push(mps2.max(-BRAKING_MAX_MPS2));
         }
-        self.walker_mps2.clear();
-        for i in 0..self.walkers.len() {
-            let mps2 = self.walker_acceleration(i);
-            self.walker_mps2.push(mps2);
+        self.pedestrian_mps2.clear();
+        for i in 0..self.pedestrians.len() {
+            let mps2 = self.pedestrian_acceleration(i);
+            self.pedestrian_mps2.push(mps2);
         }
     }
 
-    fn walker_acceleration(&self, i: usize) -> Point {
-        let walker = &self.walkers[i];
+    fn pedestrian_acceleration(&self, i: usize) -> Point {
+        let pedestrian = &self.pedestrians[i];
         let mut sum = [0.0; 2];
         let mut holds = false;
-        if walker.on_crossing().is_some() {
+        if pedestrian.on_crossing().is_some() {
             let near =
-                self.users.iter().zip(&self.poses).filter_map(|(user, pose)| avoid(walker, user, *pose));
+                self.users.iter().zip(&self.poses).filter_map(|(user, pose)| avoid(pedestrian, user, *pose));
             for avoidance in near {
                 holds |= avoidance.holds;
                 sum = added(sum, avoidance.acceleration_mps2);
             }
         }
-        let others = self.walkers.iter().enumerate().filter(|(j, _)| *j != i);
-        sum = others.fold(sum, |sum, (_, other)| added(sum, walker.repulsion_mps2(other)));
-        added(sum, walker.drive_mps2(holds))
+        let others = self.pedestrians.iter().enumerate().filter(|(j, _)| *j != i);
+        sum = others.fold(sum, |sum, (_, other)| added(sum, pedestrian.repulsion_mps2(other)));
+        added(sum, pedestrian.drive_mps2(holds))
     }
 
-    /// Lets agents enter until the wanted number is there, as far as the entrances are free.
+    /// Lets agents enter until the numbers are reached, as far as the entrances are free.
     fn fill(&mut self) {
         for (kind, wanted) in
             [(Kind::Vehicle, self.population.vehicles), (Kind::Cyclist, self.population.cyclists)]
@@ -154,13 +154,15 @@ impl Traffic {
                 len += 1;
             }
         }
-        let walkers_min = self.population.agents - self.population.vehicles - self.population.cyclists;
-        while self.len() < self.population.agents && self.walkers.len() < walkers_min && self.enter_walker() {
-        }
+        let pedestrians_min = self.population.agents - self.population.vehicles - self.population.cyclists;
+        while self.len() < self.population.agents
+            && self.pedestrians.len() < pedestrians_min
+            && self.enter_pedestrian()
+        {}
     }
 
     fn len(&self) -> usize {
-        self.users.len() + self.walkers.len()
+        self.users.len() + self.pedestrians.len()
     }
 
     fn enter_user(&mut self, kind: Kind) -> bool {
@@ -187,13 +189,13 @@ impl Traffic {
         false
     }
 
-    fn enter_walker(&mut self) -> bool {
+    fn enter_pedestrian(&mut self) -> bool {
         for _ in 0..ENTRY_TRIES {
-            let walker = Walker::new(self.entered_len + 1, &mut self.rng);
-            let [x, y] = walker.position_m;
+            let pedestrian = Pedestrian::new(self.entered_len + 1, &mut self.rng);
+            let [x, y] = pedestrian.position_m;
             let near = |p: Point| (p[0] - x).hypot(p[1] - y) < 4.0 * BODY_M;
-            if !self.walkers.iter().any(|other| near(other.position_m)) {
-                self.walkers.push(walker);
+            if !self.pedestrians.iter().any(|other| near(other.position_m)) {
+                self.pedestrians.push(pedestrian);
                 self.entered_len += 1;
                 return true;
             }

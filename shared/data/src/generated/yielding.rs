@@ -1,24 +1,25 @@
-//! What pedestrians and road users do for each other at crossings.
+//! How pedestrians and road users give way to each other at crossings.
 //!
-//! Pedestrians have priority: one who waits steps out as soon as everybody on wheels who comes near can still stop, or
-//! stands. Road users stop before a crossing while somebody is in, or about to reach, the strip that they need. So that
-//! an endless stream of pedestrians can't close the road, those at the kerb let a driver go who has waited long.
+//! Pedestrians have priority: a waiting pedestrian steps out as soon as every approaching road user can still
+//! stop, or stands. Road users stop before a crossing while a pedestrian is in, or about to reach, the strip
+//! that they need. A driver that has waited long gets way from the pedestrians at the kerb, so that an
+//! endless stream of pedestrians can't block the road.
 
 use super::Point;
 use super::layout::{Layout, Passage, to_arm};
 use super::path::Pose;
+use super::pedestrian::{BODY_M, Pedestrian};
 use super::road_user::RoadUser;
-use super::walker::{BODY_M, Walker};
 
-/// Braking that a pedestrian expects of others.
+/// Braking that a pedestrian expects of road users.
 const EXPECTED_BRAKING_MPS2: f32 = 1.6;
-/// Waiting time after which pedestrians at the kerb let a driver go.
+/// Waiting time of a driver after which pedestrians at the kerb give way.
 const COURTESY_S: f32 = 4.0;
-/// Road users stop so far before a crossing.
+/// Distance before a crossing at which road users stop.
 const STOP_BEFORE_M: f32 = 0.8;
-/// Room that road users leave between their side and a pedestrian.
+/// Lateral clearance of road users to a pedestrian.
 const SIDE_ROOM_M: f32 = 0.8;
-/// Road users give way to pedestrians who need at most so long to their strip.
+/// Road users give way to pedestrians that reach their strip within this time.
 const FORESIGHT_MAX_S: f32 = 4.5;
 
 /// Whether a pedestrian may step on the crossing of that arm.
@@ -36,25 +37,31 @@ pub(super) fn may_step_out(arm: usize, users: &[RoadUser], layout: &Layout) -> b
     })
 }
 
-/// The acceleration that pedestrians on crossings leave to a road user; `None` where nobody is in the way.
-pub(super) fn for_walkers_mps2(user: &RoadUser, walkers: &[Walker], layout: &Layout) -> Option<f32> {
+/// The largest acceleration of a road user that pedestrians on crossings allow; `None` where no pedestrian is
+/// in the way.
+pub(super) fn for_pedestrians_mps2(
+    user: &RoadUser,
+    pedestrians: &[Pedestrian],
+    layout: &Layout,
+) -> Option<f32> {
     let route = &layout.routes[user.route];
     let pose = user.pose(route);
     let wanted_mps = user.wanted_mps(route);
     let stop = |gap_m: f32| user.stopping_mps2(wanted_mps, gap_m);
-    let crossing = walkers.iter().filter_map(|w| w.on_crossing().map(|arm| (arm, w)));
+    let crossing = pedestrians.iter().filter_map(|w| w.on_crossing().map(|arm| (arm, w)));
     crossing
-        .flat_map(|(arm, walker)| {
+        .flat_map(|(arm, pedestrian)| {
             let near = route.crossings.iter().filter(move |p| p.arm == arm);
-            let gap = near.filter_map(|p| gap_before(p, user, walker)).reduce(f32::min);
-            [gap, gap_to(walker, user, pose)].into_iter().flatten()
+            let gap = near.filter_map(|p| gap_before(p, user, pedestrian)).reduce(f32::min);
+            [gap, gap_to(pedestrian, user, pose)].into_iter().flatten()
         })
         .map(stop)
         .reduce(f32::min)
 }
 
-/// The gap to the stop before a crossing where the pedestrian needs the user's strip about when the user would.
-fn gap_before(passage: &Passage, user: &RoadUser, walker: &Walker) -> Option<f32> {
+/// The gap to the stop before a crossing, where pedestrian and user would need the strip at about the same
+/// time.
+fn gap_before(passage: &Passage, user: &RoadUser, pedestrian: &Pedestrian) -> Option<f32> {
     let gap_m = passage.along_m.start - STOP_BEFORE_M - user.front_m();
     let braking_m = user.speed_mps.powi(2) / 2.0 + 12.0;
     if gap_m < -STOP_BEFORE_M - 0.3 || gap_m > braking_m {
@@ -62,10 +69,10 @@ fn gap_before(passage: &Passage, user: &RoadUser, walker: &Walker) -> Option<f32
     }
     let half_m = user.width_m / 2.0 + SIDE_ROOM_M;
     let strip = [passage.across_m.start - half_m, passage.across_m.end + half_m];
-    let at_m = to_arm(passage.arm, walker.position_m)[1];
-    let towards = to_arm(passage.arm, walker.direction())[1].signum();
+    let at_m = to_arm(passage.arm, pedestrian.position_m)[1];
+    let towards = to_arm(passage.arm, pedestrian.direction())[1].signum();
     let (first, last) = if towards > 0.0 { (strip[0], strip[1]) } else { (strip[1], strip[0]) };
-    let speed_mps = walker.speed_mps().max(0.7 * walker.wanted_mps);
+    let speed_mps = pedestrian.speed_mps().max(0.7 * pedestrian.wanted_mps);
     let (enters_s, leaves_s) = ((first - at_m) * towards / speed_mps, (last - at_m) * towards / speed_mps);
     let cruise_mps = user.speed_mps.max(4.0);
     let arrives_s = user.time_to_cover_s(gap_m + STOP_BEFORE_M, cruise_mps);
@@ -75,15 +82,15 @@ fn gap_before(passage: &Passage, user: &RoadUser, walker: &Walker) -> Option<f32
     meets.then_some(gap_m)
 }
 
-/// The gap to a pedestrian who stands or walks right before the user.
-fn gap_to(walker: &Walker, user: &RoadUser, pose: Pose) -> Option<f32> {
-    let [ahead_m, aside_m] = seen_from(pose, walker.position_m);
+/// The gap to a pedestrian right in front of the user.
+fn gap_to(pedestrian: &Pedestrian, user: &RoadUser, pose: Pose) -> Option<f32> {
+    let [ahead_m, aside_m] = in_frame_of(pose, pedestrian.position_m);
     let gap_m = ahead_m - user.length_m / 2.0;
     let before = (0.0..8.0).contains(&gap_m) && aside_m.abs() < user.width_m / 2.0 + 0.45;
     before.then_some(gap_m - 0.8)
 }
 
-/// What a road user nearby makes a pedestrian do.
+/// The reaction of a pedestrian to a road user nearby.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Avoidance {
     /// Whether the pedestrian stops for it.
@@ -93,8 +100,8 @@ pub(super) struct Avoidance {
 }
 
 /// How a pedestrian on a crossing avoids a road user; `None` where it is far.
-pub(super) fn avoid(walker: &Walker, user: &RoadUser, pose: Pose) -> Option<Avoidance> {
-    let [ahead_m, aside_m] = seen_from(pose, walker.position_m);
+pub(super) fn avoid(pedestrian: &Pedestrian, user: &RoadUser, pose: Pose) -> Option<Avoidance> {
+    let [ahead_m, aside_m] = in_frame_of(pose, pedestrian.position_m);
     let (half_length_m, half_width_m) = (user.length_m / 2.0, user.width_m / 2.0);
     let reach_m = 1.5 + user.speed_mps * 1.2;
     if ahead_m.abs() > half_length_m + reach_m || aside_m.abs() > half_width_m + 2.0 {
@@ -102,7 +109,7 @@ pub(super) fn avoid(walker: &Walker, user: &RoadUser, pose: Pose) -> Option<Avoi
     }
     let (sin, cos) = pose.heading_rad.sin_cos();
     let to_world = |[x, y]: Point| [cos * x - sin * y, sin * x + cos * y];
-    let direction = walker.direction();
+    let direction = pedestrian.direction();
     let towards = [cos * direction[0] + sin * direction[1], cos * direction[1] - sin * direction[0]];
     let approaches = towards[1] * aside_m < 0.0;
     let in_its_way = ahead_m > -half_length_m - 0.3 && ahead_m < half_length_m + reach_m - 1.0;
@@ -115,7 +122,7 @@ pub(super) fn avoid(walker: &Walker, user: &RoadUser, pose: Pose) -> Option<Avoi
     let apart = [ahead_m - nearest[0], aside_m - nearest[1]];
     let distance_m = apart[0].hypot(apart[1]).max(1e-3);
     let push = 4.0 * ((BODY_M + 0.1 - distance_m) / 0.25).exp().min(4.0);
-    // A body that stands in the way is walked around by its nearer end.
+    // A standing body is passed by its nearer end.
     let blocked =
         approaches && distance_m < 1.2 && user.speed_mps <= 0.3 && ahead_m.abs() < half_length_m + 0.3;
     let around = if blocked { 2.5 * ahead_m.signum() } else { 0.0 };
@@ -124,7 +131,7 @@ pub(super) fn avoid(walker: &Walker, user: &RoadUser, pose: Pose) -> Option<Avoi
 }
 
 /// A point in the frame of a pose: ahead, and to the left.
-fn seen_from(pose: Pose, point: Point) -> Point {
+fn in_frame_of(pose: Pose, point: Point) -> Point {
     let (sin, cos) = pose.heading_rad.sin_cos();
     let [x, y] = [point[0] - pose.position_m[0], point[1] - pose.position_m[1]];
     [cos * x + sin * y, cos * y - sin * x]

@@ -217,12 +217,12 @@ impl<'a> Storyboard<'a> {
     fn drawing(&self, agent: &Agent, stamp_ns: i64, forecast: Option<&Forecast>) -> Option<AgentDrawing> {
         let now = agent.newest()?;
         let (_, past) = agent.history.split_last()?;
-        let told = self.tracks.get(&agent.id).map(|track| track.told_at(stamp_ns));
+        let reported = self.tracks.get(&agent.id).map(|track| track.reported_at(stamp_ns));
         Some(AgentDrawing {
             id: agent.id,
             agent_type: agent.agent_type,
             length_m: agent.length_m,
-            width_m: told.map(|told| told.width_m).filter(|width_m| *width_m > 0.0),
+            width_m: reported.map(|reported| reported.width_m).filter(|width_m| *width_m > 0.0),
             heading_rad: now.heading_rad,
             now: now.position_m,
             history: past.iter().map(|state| state.map(|state| state.position_m)).collect(),

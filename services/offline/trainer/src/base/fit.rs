@@ -1,4 +1,4 @@
-//! Fitting ridge and anchors to windows.
+//! The fit of ridge and anchors to windows.
 
 use std::sync::Arc;
 
@@ -10,68 +10,76 @@ use rand_distr::{Distribution, StandardNormal};
 use scene::AgentType;
 
 use super::targets::{self, Controls, Driver};
-use super::{Features, Place, TypeBase, describe};
-use crate::batch::{View, start};
+use super::{Bins, Features, TypeBase, describe};
+use crate::batch::{AgentView, start};
 use crate::samples::Agent;
 use crate::view;
 
 /// Penalty on the squared ridge coefficients.
 const RIDGE: f64 = 1.0;
-/// A bin with fewer windows takes the coefficients of its neighbour.
+/// A bin with fewer windows takes the coefficients of the nearest other bin.
 const RIDGE_WINDOWS_MIN: usize = 300;
-/// A bin with fewer windows takes the anchors of its neighbour.
+/// A bin with fewer windows takes the anchors of the nearest other bin.
 const WINDOWS_MIN: usize = 60;
-/// Nobody gains or loses speed faster than this, m/s²: where a recorded future does, its annotation jumps.
+/// Largest change of speed, m/s²: a recorded future that exceeds it has a jump in its annotation.
 const ACCELERATION_MAX_MPS2: f32 = 9.0;
-/// A future that no controls come nearer to than this, m, teaches nothing about controls.
-const MISSED_MAX_M: f32 = 0.5;
-/// A bin with as many windows needs no twins at other scales.
+/// Futures to which no controls come nearer than this, m, are left out of the fit.
+const FIT_ERROR_MAX_M: f32 = 0.5;
+/// A bin with this many windows needs no augmented windows at other scales.
 const RECORDED_ENOUGH: usize = 2000;
 const KMEANS_ITERATIONS: usize = 30;
-/// Windows per bin that the clustering looks at.
+/// Windows per bin that the clustering uses.
 const CLUSTERED_MAX: usize = 4000;
 
-/// What moves an agent.
-enum Mover {
-    Driver(Driver),
-    /// By displacements beyond those of a velocity.
-    Other {
+/// The motion of an agent as the fit inverts it.
+enum Motion {
+    Bicycle(Driver),
+    /// Displacements beyond constant velocity.
+    Displacements {
         velocity_mps: [f32; 2],
         dt_s: f32,
     },
 }
 
-impl Mover {
+impl Motion {
     fn positions(&self, controls: &[[f32; 2]]) -> Vec<[f32; 2]> {
         match self {
-            Self::Driver(driver) => driver.positions(controls),
-            Self::Other { velocity_mps, dt_s } => targets::displaced(*velocity_mps, controls, *dt_s),
+            Self::Bicycle(driver) => driver.positions(controls),
+            Self::Displacements { velocity_mps, dt_s } => targets::displaced(*velocity_mps, controls, *dt_s),
         }
     }
 
     fn controls(&self, truth: &[[f32; 2]]) -> Controls {
         match self {
-            Self::Driver(driver) => driver.controls(truth),
-            Self::Other { velocity_mps, dt_s } => targets::displacements(*velocity_mps, truth, *dt_s),
+            Self::Bicycle(driver) => driver.controls(truth),
+            Self::Displacements { velocity_mps, dt_s } => targets::displacements(*velocity_mps, truth, *dt_s),
         }
     }
 }
 
-/// As what else a window counts.
+/// Augmentation: further windows that are fitted beside each recorded one.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Twins {
+pub(crate) struct Augmentation {
     /// Vehicles with noisy histories.
     pub(crate) noise: bool,
     /// Share of the vehicles whose motion is also shown as differences of positions.
     pub(crate) differenced: f64,
-    /// Pedestrians at other scales: deviation of the logarithm of the scale. The few who walk fast walk like the many;
-    /// speeds that are recorded often have anchors of their own scale alone, see [`RECORDED_ENOUGH`].
+    /// Pedestrians at other scales: deviation of the logarithm of the scale. Few pedestrians walk fast, and
+    /// they walk like the others; bins of frequent speeds have anchors of the recorded scale alone, see
+    /// [`RECORDED_ENOUGH`].
     pub(crate) scale_deviation: f32,
 }
 
-impl Twins {
-    /// The twins of a view, and whether they are scaled; cyclists and pedestrians, who keep to no side of the road, are also `mirrored`.
-    fn of(self, view: &View, mirrored: Option<View>, dt_s: f64, random: &mut impl Rng) -> Vec<(View, bool)> {
+impl Augmentation {
+    /// The augmented windows of a view, and whether they are scaled; those of cyclists and pedestrians, which
+    /// keep to no side of the road, also `mirrored`.
+    fn of(
+        self,
+        view: &AgentView,
+        mirrored: Option<AgentView>,
+        dt_s: f64,
+        random: &mut impl Rng,
+    ) -> Vec<(AgentView, bool)> {
         match view.agent.agent_type {
             AgentType::Vehicle => {
                 let noisy = self.noise.then(|| (view::noisy(view.clone(), random), false));
@@ -94,26 +102,27 @@ impl Twins {
     }
 }
 
-/// A window as the fit sees it.
+/// A window as the fit uses it.
 pub(super) struct Sample {
-    /// Whether it is shown at another scale than it was recorded.
+    /// Whether its scale is another than the recorded one.
     scaled: bool,
-    place: Place,
+    bins: Bins,
     features: Features,
-    mover: Mover,
-    /// Recorded positions in the agent frame.
+    motion: Motion,
+    /// Recorded positions in the agent frame, m.
     truth: Vec<[f32; 2]>,
-    /// The controls that make them.
+    /// The controls that lead through them.
     controls: Controls,
 }
 
 impl Sample {
-    /// The window with its whole history and, where that is long enough, cut to the shorter classes, and with its twins.
+    /// The window with its whole history and, where that is long enough, cut to the shorter classes, and its
+    /// augmented windows.
     pub(super) fn of_every_class(
         agent: &Arc<Agent>,
         config: &ModelConfig,
         cuts_mps: &[f32],
-        twins: Twins,
+        augmentation: Augmentation,
         random: &mut impl Rng,
     ) -> Vec<Self> {
         let present = agent.history.iter().rev().take_while(|state| state.is_some()).count();
@@ -122,17 +131,18 @@ impl Sample {
         let mut samples = Vec::new();
         for len in lens {
             let Some(view) = view::shown(agent, len, false) else { continue };
-            let twins = twins.of(&view, view::shown(agent, len, true), config.dt_s, random);
-            let views = std::iter::once((view, false)).chain(twins);
-            let sample =
-                |(view, scaled): (View, bool)| Some(Self { scaled, ..Self::new(&view, config, cuts_mps)? });
+            let augmented = augmentation.of(&view, view::shown(agent, len, true), config.dt_s, random);
+            let views = std::iter::once((view, false)).chain(augmented);
+            let sample = |(view, scaled): (AgentView, bool)| {
+                Some(Self { scaled, ..Self::new(&view, config, cuts_mps)? })
+            };
             samples.extend(views.filter_map(sample));
         }
         samples
     }
 
-    fn new(view: &View, config: &ModelConfig, cuts_mps: &[f32]) -> Option<Self> {
-        let View { agent, history, frame, .. } = view;
+    fn new(view: &AgentView, config: &ModelConfig, cuts_mps: &[f32]) -> Option<Self> {
+        let AgentView { agent, history, frame, .. } = view;
         let truth: Vec<[f32; 2]> = view.truth().collect::<Option<_>>()?;
         let newest = history.last().copied().flatten()?;
         let dt_s = config.dt_s as f32;
@@ -140,29 +150,29 @@ impl Sample {
         if jumps(velocity_mps, &truth, dt_s) {
             return None;
         }
-        let mover = match config.displacement {
+        let motion = match config.displacement {
             _ if config.drives(agent.agent_type) => {
-                Mover::Driver(Driver::new(&start(agent, history, frame, config), config))
+                Motion::Bicycle(Driver::new(&start(agent, history, frame, config), config))
             }
-            Displacement::Residual => Mover::Other { velocity_mps, dt_s },
-            Displacement::Absolute => Mover::Other { velocity_mps: [0.0; 2], dt_s },
+            Displacement::Residual => Motion::Displacements { velocity_mps, dt_s },
+            Displacement::Absolute => Motion::Displacements { velocity_mps: [0.0; 2], dt_s },
         };
-        let (features, place) = describe(history, frame, cuts_mps, config);
-        let controls = mover.controls(&truth);
-        if missed_m(&mover.positions(&controls), &truth) > MISSED_MAX_M {
+        let (features, bins) = describe(history, frame, cuts_mps, config);
+        let controls = motion.controls(&truth);
+        if mean_distance_m(&motion.positions(&controls), &truth) > FIT_ERROR_MAX_M {
             return None;
         }
-        Some(Self { scaled: false, place, features, mover, truth, controls })
+        Some(Self { scaled: false, bins, features, motion, truth, controls })
     }
 }
 
-/// Mean distance between two trajectories.
-fn missed_m(a: &[[f32; 2]], b: &[[f32; 2]]) -> f32 {
+/// Mean distance between two trajectories, m.
+fn mean_distance_m(a: &[[f32; 2]], b: &[[f32; 2]]) -> f32 {
     let distances = a.iter().zip(b).map(|(a, b)| (a[0] - b[0]).hypot(a[1] - b[1]));
     distances.sum::<f32>() / a.len().max(1) as f32
 }
 
-/// Whether positions (agent frame) after a velocity ask for impossible accelerations.
+/// Whether positions (agent frame) after a velocity need accelerations beyond [`ACCELERATION_MAX_MPS2`].
 fn jumps(velocity_mps: [f32; 2], positions: &[[f32; 2]], dt_s: f32) -> bool {
     let mut before = ([0.0; 2], velocity_mps);
     positions.iter().any(|&position| {
@@ -176,8 +186,9 @@ fn jumps(velocity_mps: [f32; 2], positions: &[[f32; 2]], dt_s: f32) -> bool {
 impl TypeBase {
     /// Fills the tables from windows.
     ///
-    /// Pedestrians keep constant velocity for their ridge, and one set of anchors per speed bin: the mean of what they do
-    /// is no better than constant velocity, and their accelerations and turns are mostly noise.
+    /// The ridge of pedestrians is constant velocity, and their anchors are one set per speed bin: the mean
+    /// of their motion is no better than constant velocity, and their accelerations and yaw rates are mostly
+    /// noise.
     pub(super) fn fit(&mut self, agent_type: AgentType, samples: &[Sample], config: &ModelConfig, seed: u64) {
         let controls_len = 2 * config.horizon_len;
         let walks = agent_type == AgentType::Pedestrian;
@@ -190,11 +201,10 @@ impl TypeBase {
     fn fit_ridge(&mut self, samples: &[Sample], controls_len: usize) {
         let per_bin = binning::FEATURES * controls_len;
         for class in 0..binning::CLASSES {
-            let of_class: Vec<&Sample> =
-                samples.iter().filter(|sample| sample.place.class == class).collect();
+            let of_class: Vec<&Sample> = samples.iter().filter(|sample| sample.bins.class == class).collect();
             let pooled = || ridge_regression(&of_class, controls_len);
             let own: Vec<Option<Vec<f32>>> = (0..binning::SPEED_BINS)
-                .map(|bin| of_class.iter().copied().filter(|s| s.place.speed_bin == bin).collect::<Vec<_>>())
+                .map(|bin| of_class.iter().copied().filter(|s| s.bins.speed_bin == bin).collect::<Vec<_>>())
                 .map(|of_bin| {
                     (of_bin.len() >= RIDGE_WINDOWS_MIN).then(|| ridge_regression(&of_bin, controls_len))
                 })
@@ -217,11 +227,11 @@ impl TypeBase {
         controls_len: usize,
         (by_speed_alone, seed): (bool, u64),
     ) {
-        let longest = samples.iter().filter(|sample| sample.place.class + 1 == binning::CLASSES);
+        let longest = samples.iter().filter(|sample| sample.bins.class + 1 == binning::CLASSES);
         let per_speed = binning::BINS / binning::SPEED_BINS;
         let mut by_bin: Vec<Vec<&Sample>> = vec![Vec::new(); binning::BINS];
         longest.for_each(|sample| {
-            let bin = sample.place.bin;
+            let bin = sample.bins.bin;
             by_bin[if by_speed_alone { bin / per_speed * per_speed } else { bin }].push(sample);
         });
         for of_bin in &mut by_bin {
@@ -247,16 +257,17 @@ impl TypeBase {
         }
     }
 
-    /// Mean control residuals of the clusters of position residuals, `[modes × controls]`, largest cluster first.
+    /// Mean control residuals of the clusters of position residuals, `[modes × controls]`, largest cluster
+    /// first.
     fn cluster(&self, samples: &[&Sample], modes: usize, controls_len: usize, seed: u64) -> Vec<f32> {
         let stride = samples.len().div_ceil(CLUSTERED_MAX);
         let samples: Vec<&Sample> = samples.iter().copied().step_by(stride).collect();
         let mut positions = Vec::with_capacity(samples.len() * controls_len);
         let mut residuals = Vec::with_capacity(samples.len() * controls_len);
         for sample in &samples {
-            let ridge = self.ridge(&sample.features, sample.place, controls_len);
+            let ridge = self.ridge(&sample.features, sample.bins, controls_len);
             let (ridge, _) = ridge.as_chunks::<2>();
-            let forecast = sample.mover.positions(ridge);
+            let forecast = sample.motion.positions(ridge);
             positions
                 .extend(sample.truth.iter().flatten().zip(forecast.iter().flatten()).map(|(t, f)| t - f));
             residuals
@@ -275,7 +286,7 @@ impl TypeBase {
     }
 }
 
-/// The entry nearest to where one is missing, the first of equals.
+/// The present entry nearest to an absent one; the first of equals.
 fn nearest<T>(entries: &[Option<T>], distance: impl Fn(usize) -> usize) -> Option<&T> {
     (0..entries.len())
         .filter(|&i| entries[i].is_some())
@@ -283,7 +294,7 @@ fn nearest<T>(entries: &[Option<T>], distance: impl Fn(usize) -> usize) -> Optio
         .and_then(|i| entries[i].as_ref())
 }
 
-/// How far apart two bins are: a step of acceleration or yaw rate is nearer than one of speed.
+/// Distance between two bins: a step of acceleration or yaw rate is shorter than one of speed.
 fn bin_distance(a: usize, b: usize) -> usize {
     let per_speed = binning::BINS / binning::SPEED_BINS;
     let turn_or_accel = |bin: usize| ((bin % per_speed) / 3, bin % 3);

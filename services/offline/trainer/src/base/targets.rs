@@ -1,8 +1,8 @@
-//! Which controls would have made the recorded future.
+//! The controls that lead through a recorded future: the targets of the base control's fit. \[model §4\]
 //!
-//! Cyclists and pedestrians: the displacements themselves. Vehicles: the controls before saturation that bring the
-//! bicycle through the recorded positions, found by Levenberg-Marquardt from zero control with a weak pull towards zero,
-//! so that noise of the positions does not become steering.
+//! Cyclists and pedestrians: the displacements themselves, m. Vehicles: the controls before saturation that
+//! lead the bicycle through the recorded positions, by Levenberg-Marquardt from zero control with a weak
+//! penalty on controls, so that noise of the positions does not become steering.
 
 use kinematics::{BicycleState, Motion, Vehicle};
 use nalgebra::{DMatrix, DVector, SMatrix, Vector2};
@@ -33,7 +33,7 @@ pub(crate) fn displaced(velocity_mps: [f32; 2], controls: &[[f32; 2]], dt_s: f32
     steps.collect()
 }
 
-/// A vehicle and where it stands.
+/// A vehicle with its state at the start.
 pub(crate) struct Driver {
     vehicle: Vehicle,
     start: BicycleState<f32>,
@@ -132,7 +132,7 @@ mod tests {
     }
 
     #[test]
-    fn a_driven_track_gives_its_controls_back() {
+    fn controls_of_a_bicycle_track_are_recovered() {
         let start =
             Start { heading_rad: 0.1, speed_mps: 8.0, slip_rad: 0.05, rear_axle_m: 1.2, ..Start::default() };
         let driver = Driver::new(&start, &config());

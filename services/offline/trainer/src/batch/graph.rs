@@ -6,12 +6,12 @@ use std::ops::Range;
 use nn::ModelConfig;
 use scene::{EdgeRule, PatchOptions, State, Vertex, relation_features, state_features};
 
-use super::{BatchOptions, SceneView, View, scales};
+use super::{AgentView, BatchOptions, SceneView, scales};
 use crate::TrainError;
 use crate::net::matrix::Matrix;
 use crate::net::topological::Edges;
 
-/// What the graph network sees of a batch.
+/// The graph of a batch as the network reads it.
 #[derive(Debug)]
 pub(crate) struct Graph {
     /// State features `[rows, 6]`.
@@ -22,11 +22,11 @@ pub(crate) struct Graph {
     pub(crate) relation: Matrix,
     /// Relation of every edge.
     pub(crate) relation_of_edge: Vec<u32>,
-    /// Which rows are joined.
+    /// The edges.
     pub(crate) edges: Edges,
     /// Row of every agent and step `[agents × steps]`; [`u32::MAX`] where the agent is absent.
     pub(crate) steps: Vec<u32>,
-    /// Steps of an agent.
+    /// Steps per agent.
     pub(crate) steps_len: usize,
     /// Map patches, each once `[patches, 3 × P × P]`; the first is empty.
     pub(crate) patches: Matrix,
@@ -34,7 +34,7 @@ pub(crate) struct Graph {
     pub(crate) patch_of_row: Vec<u32>,
 }
 
-/// Which steps a graph is of.
+/// The steps of a graph.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Steps {
     History,
@@ -42,7 +42,7 @@ pub(super) enum Steps {
 }
 
 impl Steps {
-    fn of(self, view: &View) -> &[Option<State>] {
+    fn of(self, view: &AgentView) -> &[Option<State>] {
         match self {
             Self::History => &view.history,
             Self::Future => &view.future,
@@ -56,7 +56,7 @@ impl Steps {
         }
     }
 
-    /// Place of the first step among the agent's patches.
+    /// Index of the first step among the agent's patches.
     fn first_patch(self, config: &ModelConfig) -> usize {
         match self {
             Self::History => 0,
@@ -69,7 +69,7 @@ impl Steps {
 pub(super) struct Placed<'a> {
     pub(super) scenes: &'a [SceneView<'a>],
     pub(super) origin: &'a [(usize, usize)],
-    pub(super) agents: &'a [&'a View],
+    pub(super) agents: &'a [&'a AgentView],
     pub(super) type_agents: &'a [Range<usize>; 3],
 }
 
@@ -168,7 +168,7 @@ impl Placed<'_> {
     }
 }
 
-/// Where the rows of a batch stand.
+/// The rows of a batch.
 struct Rows {
     /// State features, row by row.
     state: Vec<f32>,
@@ -179,7 +179,12 @@ struct Rows {
 }
 
 impl Rows {
-    fn new(agents: &[&View], steps: Steps, config: &ModelConfig, type_agents: &[Range<usize>; 3]) -> Self {
+    fn new(
+        agents: &[&AgentView],
+        steps: Steps,
+        config: &ModelConfig,
+        type_agents: &[Range<usize>; 3],
+    ) -> Self {
         let scales = scales(config);
         let mut state = Vec::new();
         let mut of_step = Vec::with_capacity(agents.len() * steps.len(config));
@@ -211,7 +216,7 @@ impl Rows {
     }
 }
 
-/// Edges as they are collected.
+/// Edges in the order of collection.
 #[derive(Default)]
 struct Relations {
     receiver: Vec<u32>,
@@ -253,7 +258,7 @@ impl Relations {
     }
 }
 
-/// Swaps left and right of a patch `[3, side, side]`: columns, and the sign of the velocity to the left.
+/// Swaps left and right of a patch `[3, side, side]`: the columns, and the sign of the lateral velocity.
 fn mirror_patch(values: &mut [f32], side: usize) {
     values.chunks_exact_mut(side).for_each(<[f32]>::reverse);
     values[2 * side * side..].iter_mut().for_each(|value| *value = -*value);

@@ -1,4 +1,4 @@
-//! Nothing that the network is given depends on what came later.
+//! No input of the network depends on later frames.
 
 use std::path::Path;
 use std::sync::LazyLock;
@@ -10,21 +10,21 @@ use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 
 use super::*;
-use crate::base::Twins;
+use crate::base::Augmentation;
 use crate::net::gru::Device;
-use crate::onboard_config;
+use crate::options::onboard_config;
 use crate::recordings::{Scenery, frame_rate};
 use crate::samples::{Ground, MapKind, Scene, Selection, cut};
 use crate::spool::{Spool, Spooling};
 use crate::view;
 
-/// A base control that was fitted to something else.
+/// A base control that was fitted to other data.
 static BASE: LazyLock<BaseControl> = LazyLock::new(|| {
     let mut random = ChaCha8Rng::seed_from_u64(1);
     let recording = read(&Scenery::random(frame_rate(Format::Csv), &mut random), Format::Csv);
     let config = onboard_config();
     let (scenes, _, _) = cut_all(&recording, selection(false), &config);
-    let twins = Twins { noise: false, differenced: 0.0, scale_deviation: 0.0 };
+    let twins = Augmentation { noise: false, differenced: 0.0, scale_deviation: 0.0 };
     let counted = |agent_type| {
         let agents = scenes.iter().flat_map(|scene| &scene.agents);
         agents.filter(move |agent| agent.counts && agent.agent_type == agent_type).cloned().map(Ok)
@@ -38,7 +38,7 @@ fn read(scenery: &Scenery, format: Format) -> Recording {
     data::open(&path, Some(format)).unwrap_or_else(|error| panic!("{format}: {error}"))
 }
 
-/// Scenes and ground of a recording, and the spool that its patches are in.
+/// Scenes and ground of a recording, and the spool of its patches.
 fn cut_all(
     recording: &Recording,
     selection: Selection<'_>,
@@ -62,11 +62,11 @@ fn selection(from_positions: bool) -> Selection<'static> {
     }
 }
 
-/// What the network is given and what it is held to in the windows of a recording up to a time.
+/// Inputs and targets in the windows of a recording up to a time.
 struct Shown {
     /// By name, to the bit.
     inputs: Vec<(&'static str, Vec<u32>)>,
-    /// What is no matrix, in words.
+    /// The parts that are no matrices, as text.
     words: String,
     truth: Vec<u32>,
 }
@@ -84,7 +84,8 @@ impl Shown {
         let windows_len = windows.partition_point(|window| window.stamp_ns <= now_ns);
         let (mut scenes, ground, spool) = cut_all(recording, selection, &config);
         scenes.truncate(windows_len);
-        // Who is held to their future may depend on it, and with that the order of a batch: here all are.
+        // Which agents have a target may depend on the future, and with it the order of a batch: here all
+        // have.
         scenes
             .iter_mut()
             .flat_map(|scene| &mut scene.agents)
@@ -106,7 +107,7 @@ impl Shown {
     }
 }
 
-/// All that is known of the agents but their futures, in words.
+/// All attributes of the agents but their futures, as text.
 fn agents(scenes: &[Scene]) -> String {
     let agents = scenes.iter().flat_map(|scene| &scene.agents);
     agents
@@ -148,7 +149,7 @@ proptest! {
     #![proptest_config(ProptestConfig { cases: 16, failure_persistence: None, ..ProptestConfig::default() })]
 
     #[test]
-    fn what_comes_later_changes_no_input_to_the_bit(
+    fn inputs_do_not_depend_on_later_frames(
         seed in any::<u64>(),
         now_s in 0.5_f64..6.0,
         from_positions in any::<bool>(),
@@ -167,7 +168,7 @@ proptest! {
             for ((name, values), (_, others)) in shown.inputs.iter().zip(&other.inputs) {
                 prop_assert!(values == others, "{format}: {name} differ");
             }
-            // A detector tells no identities: its recordings have no windows.
+            // A detector gives no identities: its recordings have no windows.
             if format == Format::KittiDetections {
                 prop_assert!(shown.truth.is_empty());
             } else {

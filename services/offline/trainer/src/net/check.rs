@@ -14,8 +14,8 @@ pub(crate) fn weighted(outputs: &[f32], weights: &[f32]) -> f64 {
     outputs.iter().zip(weights).map(|(y, w)| f64::from(*y) * f64::from(*w)).sum()
 }
 
-/// Holds `gradient` of `loss` at `at` to central differences of width `step`, along each of `axes` axes drawn at random
-/// and along the gradient itself.
+/// Holds `gradient` of `loss` at `at` to central differences of width `step`, along each of `axes` axes drawn
+/// at random and along the gradient itself.
 pub(crate) fn check(
     name: &str,
     at: &[f32],
@@ -37,7 +37,7 @@ pub(crate) fn check(
     let slope = difference(&along);
     assert!(
         (slope - norm).abs() < 0.02 * norm + 1e-4,
-        "{name}: {norm} by the way back, {slope} by differences"
+        "{name}: {norm} by the backward pass, {slope} by differences"
     );
     let mut random = ChaCha8Rng::seed_from_u64(7);
     for _ in 0..axes {
@@ -47,7 +47,7 @@ pub(crate) fn check(
         let (ours, slope) = (f64::from(gradient[axis]), difference(&direction));
         assert!(
             (slope - ours).abs() < 0.03 * ours.abs() + 0.01 * norm,
-            "{name}[{axis}]: {ours} by the way back, {slope} by differences"
+            "{name}[{axis}]: {ours} by the backward pass, {slope} by differences"
         );
     }
 }

@@ -1,4 +1,5 @@
 //! The context CNN: a ResNet-18 of any width, from a local patch of the context map to 32 numbers.
+//! \[model §3\]
 //!
 //! ```text
 //! stem:   convolution/2, batch norm, ReLU and, in the imagenet stem, a max-pool/2
@@ -6,8 +7,10 @@
 //! head:   mean over the positions, linear layer
 //! ```
 //!
-//! A stage has twice the channels of the one before. Its first block, but for the first stage's, takes every second row
-//! and column and has a convolution 1×1 as shortcut; all others hand x on.
+//! Patches are `[patch, 3, row, column]` (channels and units: \[model §2\]), embeddings `[patch, 32]`.
+//!
+//! A stage has twice the channels of the one before. The first block of every stage but the first has stride
+//! 2 and a convolution 1×1 as shortcut; the shortcut of all others is the identity.
 
 mod block;
 mod convolution;
@@ -26,7 +29,7 @@ use super::tensors::{Gradients, Tensors};
 use block::{Block, BlockTrace};
 use convolution::{Convolution, Geometry};
 use map::{Map, average, average_backward, max_pool, max_pool_backward};
-use norm::{Norm, NormTrace, Pass, Then, WayBack};
+use norm::{BackwardPass, Norm, NormTrace, Pass, Then};
 use stem::Stem;
 
 const STAGES: usize = 4;
@@ -34,10 +37,10 @@ const STAGES: usize = 4;
 const BLOCKS: usize = 2;
 const FC_BIAS: &str = "fe.context.fc.bias";
 
-/// Where the batch norms take their mean and variance from.
+/// The source of the batch norms' mean and variance.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Normalisation {
-    /// From the batch; the running values are moved on.
+    /// From the batch; the running values are updated.
     Batch,
     /// From the running values, as the onboard network does.
     Running,
@@ -52,12 +55,12 @@ pub(crate) struct Embedded {
     trace: Option<Trace>,
 }
 
-/// What the way back needs.
+/// What the backward pass needs.
 struct Trace {
     network: Network,
     patches: Vec<f32>,
     stem: NormTrace,
-    /// What the max-pool saw, where there is one.
+    /// Input of the max-pool, where there is one.
     unpooled: Option<Map>,
     blocks: Vec<BlockTrace>,
     /// The input of each block, and the output of the last.
@@ -107,7 +110,7 @@ impl Network {
     }
 }
 
-/// Embeds `patches` \[patch, 3, row, column\]. A way back needs `keep_trace`.
+/// Embeds `patches` \[patch, 3, row, column\]. A backward pass needs `keep_trace`.
 ///
 /// # Panics
 /// Where `patches` does not hold whole patches, or none for batch norms to take their statistics from.
@@ -150,7 +153,7 @@ pub(crate) fn embed(
 }
 
 impl Embedded {
-    /// The way back: adds to the gradients of the weights.
+    /// The backward pass: adds to the gradients of the weights.
     ///
     /// # Panics
     /// Where no trace was kept.
@@ -162,18 +165,18 @@ impl Embedded {
         let dy = Map { positions: 1, images, channels, values: d_embedding.values.clone() };
         network.fc.by_kernel(gradients, means, &dy);
         let d_means = network.fc.by_input(weights, &dy, None);
-        let mut back = WayBack { weights, gradients };
+        let mut pass = BackwardPass { weights, gradients };
         let positions = maps.last().map_or(1, |map| map.positions);
         let mut dx = average_backward(&d_means, positions);
         for ((block, trace), maps) in network.blocks.iter().zip(blocks).zip(maps.windows(2)).rev() {
-            dx = block.backward(&mut back, trace, [&maps[0], &maps[1]], dx);
+            dx = block.backward(&mut pass, trace, [&maps[0], &maps[1]], dx);
         }
         let mut stemmed = &maps[0];
         if let Some((taps, unpooled)) = network.pool.as_ref().zip(unpooled.as_ref()) {
             dx = max_pool_backward([unpooled, stemmed], taps, dx);
             stemmed = unpooled;
         }
-        let d_convolved = network.stem_norm.backward(&mut back, stem, Some(stemmed), &mut dx);
+        let d_convolved = network.stem_norm.backward(&mut pass, stem, Some(stemmed), &mut dx);
         network.stem.by_kernel(gradients, patches, &d_convolved);
     }
 }

@@ -63,7 +63,7 @@ pub(crate) fn perceptron(
     (y, PerceptronTrace(inputs))
 }
 
-/// The way back of [`perceptron`]; the gradient by its input only where `by_input` asks for it.
+/// The backward pass of [`perceptron`]; computes the gradient by its input only if `by_input`.
 pub(crate) fn perceptron_backward(
     weights: &Tensors,
     gradients: &mut Gradients,

@@ -7,7 +7,7 @@ use safetensors::{Dtype, SafeTensors, tensor::TensorView};
 
 use super::layout::Entry;
 use super::tensors::Tensors;
-use crate::TrainError;
+use crate::error::TensorError;
 
 /// How values are stored in a file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -50,7 +50,7 @@ impl Tensors {
         &self,
         precision: Precision,
         metadata: HashMap<String, String>,
-    ) -> Result<Vec<u8>, TrainError> {
+    ) -> Result<Vec<u8>, TensorError> {
         let encoded: Vec<(&str, &[usize], Vec<u8>)> = self
             .0
             .iter()
@@ -65,23 +65,21 @@ impl Tensors {
         Ok(safetensors::serialize(views, Some(metadata))?)
     }
 
-    /// The tensors that `layout` lists, from the bytes of a safetensors file; others in the file are left alone.
-    pub(crate) fn from_safetensors(bytes: &[u8], layout: &[Entry]) -> Result<Self, TrainError> {
+    /// The tensors that `layout` lists, from the bytes of a safetensors file; others in the file are ignored.
+    pub(crate) fn from_safetensors(bytes: &[u8], layout: &[Entry]) -> Result<Self, TensorError> {
         let file = SafeTensors::deserialize(bytes)?;
         let mut tensors = Self::default();
         for entry in layout {
             let view = file.tensor(&entry.name)?;
             if view.shape() != entry.shape {
-                return Err(TrainError::Shape {
+                return Err(TensorError::Shape {
                     name: entry.name.clone(),
                     expected: entry.shape.clone(),
                     found: view.shape().to_vec(),
                 });
             }
-            let values = decode(view.dtype(), view.data()).ok_or_else(|| TrainError::ElementType {
-                name: entry.name.clone(),
-                found: format!("{:?}", view.dtype()),
-            })?;
+            let values = decode(view.dtype(), view.data())
+                .ok_or_else(|| TensorError::ElementType { name: entry.name.clone(), found: view.dtype() })?;
             tensors.insert(&entry.name, &entry.shape, values, entry.role);
         }
         Ok(tensors)

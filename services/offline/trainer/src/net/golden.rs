@@ -1,4 +1,4 @@
-//! The golden vectors of an independent float64 implementation.
+//! The golden vectors: outputs of an independent float64 implementation.
 
 use std::path::PathBuf;
 
@@ -6,7 +6,7 @@ use nn::ModelConfig;
 use safetensors::SafeTensors;
 use serde_json::Value;
 
-use super::tensors::{Role, Tensors};
+use super::tensors::{TensorRole, Tensors};
 use super::topological::Edges;
 
 const FOLDERS: [&str; 4] = ["vehicle", "pedestrian", "plus", "literal"];
@@ -50,7 +50,7 @@ impl Golden {
         let config = serde_json::from_str(&header.metadata().as_ref().unwrap()["config"]).unwrap();
         let mut weights = Tensors::default();
         for (name, view) in SafeTensors::deserialize(&bytes).unwrap().iter() {
-            let role = if name.contains(".running_") { Role::Statistic } else { Role::Learned };
+            let role = if name.contains(".running_") { TensorRole::Statistic } else { TensorRole::Learned };
             weights.insert(name, view.shape(), floats(view.data()), role);
         }
         let scene: Value = serde_json::from_slice(&read("scene.json")).unwrap();
@@ -78,7 +78,7 @@ impl Golden {
         rows
     }
 
-    /// Holds `found` to `expected`.
+    /// Asserts that `found` is `expected` within the tolerance.
     pub(crate) fn check(&self, name: &str, found: &[f32], expected: &[f32]) {
         assert_eq!(found.len(), expected.len(), "{} {name}: length", self.name);
         let largest = expected.iter().fold(0.0_f32, |most, value| most.max(value.abs()));
@@ -86,7 +86,7 @@ impl Golden {
         assert!(worst <= TOLERANCE * largest, "{} {name}: off by {worst} of {largest}", self.name);
     }
 
-    /// Whether an agent is there at a step of the scene; the future's steps follow the history's.
+    /// Whether an agent is present at a step of the scene; the future's steps follow the history's.
     pub(crate) fn present(&self, step: usize, agent: usize) -> bool {
         self.scene["present"][step][agent].as_bool().unwrap()
     }

@@ -1,4 +1,8 @@
-//! The graph network: from the features of a batch to the encoding of every agent, and back.
+//! The graph network: from the features of a batch to the encoding of every agent, forward and backward.
+//! \[model §3\]
+//!
+//! **In:** the rows, edges, relation features and map patches of [`Graph`](crate::batch::Graph). **Out:** ṽ
+//! `[agents, 64]`, dimensionless; backward the gradients of all weights up to ṽ.
 
 use nn::ModelConfig;
 
@@ -11,10 +15,10 @@ use super::tensors::{Gradients, Tensors};
 use super::topological::{self, AttentionShape, Round};
 use crate::batch::Graph;
 
-/// Patches of which batch statistics say something.
+/// Least number of patches for batch statistics.
 const NORMALISED_PATCHES_MIN: usize = 16;
 
-/// What the graph network made of a batch.
+/// Output of the graph network for a batch.
 pub(crate) struct Encoded {
     /// ṽ `[agents, 64]`.
     pub(crate) encoding: Matrix,

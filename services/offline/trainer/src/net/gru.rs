@@ -1,12 +1,17 @@
 //! The GRU decoder: from the history of an agent and a latent variable to the Gaussians of its controls.
+//! \[model §3\]
 //!
-//! A gated recurrent unit reads the present steps of the history ([`burn_in`]), then ṽ and z once, then runs on its own
-//! ([`unroll`]); a linear *head* reads every state of the forecast. Agents pass in blocks that stay in the second-level
-//! cache over all steps, forward and backward. What does not depend on the draw is computed once per agent: the part of ṽ
-//! and the first recurrent product.
+//! **In:** state features `[agents, steps × 6]` with their presence, ṽ `[agents, 64]` and z `[agents × draws,
+//! 32]`. **Out:** μ₁, μ₂, ln l₁₁, ln l₂₂, l₂₁ of every step `[agents × draws, horizon × 5]`, in m/s² and
+//! rad/s for the bicycle model, in m for the displacement model.
 //!
-//! A step has two halves: the product of the state with W_h, on packed panels, and what happens element by element in the
-//! [`step`] kernels. The head reads a state together with W_h, as five more rows of one stacked matrix.
+//! A gated recurrent unit reads the present steps of the history ([`burn_in`]), then ṽ and z once, then zeros
+//! ([`unroll`]); a linear *head* reads every state of the forecast. Agents are processed in blocks that stay
+//! in the second-level cache over all steps, forward and backward. What does not depend on the draw is
+//! computed once per agent: the part of ṽ and the first recurrent product.
+//!
+//! A step has two halves: the product of the state with W_h, on packed panels, and the element-wise [`step`]
+//! kernels. The head reads a state together with W_h, as five more rows of one stacked matrix.
 
 mod burn_in;
 #[cfg_attr(not(feature = "gpu"), path = "gru/no_gpu.rs")]
@@ -43,17 +48,17 @@ const ENCODING_COLUMNS: Range<usize> = FEATURES..FEATURES + ENCODING;
 const LATENT_COLUMNS: Range<usize> = FEATURES + ENCODING..FEATURES + ENCODING + LATENT;
 /// Length of a row of the head.
 const CONTROL: usize = 5;
-/// Rows that pass all steps together.
+/// Rows of a block.
 const BLOCK: usize = 96;
 /// Layers of the mode head.
 const MODE_LAYERS: usize = 2;
 
-/// Where the recurrent unit runs over the horizon.
+/// The device of the recurrent unit over the horizon.
 #[derive(Debug)]
 pub(crate) enum Device {
-    /// On this thread.
+    /// The calling thread.
     Processor,
-    /// All steps of all draws at once.
+    /// A GPU: all steps of all draws at once.
     Gpu(Box<Gpu>),
 }
 
@@ -61,12 +66,12 @@ impl Device {
     /// A GPU.
     ///
     /// # Errors
-    /// [`TrainError::Gpu`] where there is none, or none is built in.
+    /// [`TrainError::Gpu`] where there is no GPU, or the build lacks the feature.
     pub(crate) fn gpu() -> Result<Self, TrainError> {
         Ok(Self::Gpu(Box::new(Gpu::open()?)))
     }
 
-    /// What it calls itself; `None` for the processor.
+    /// The GPU's name; `None` for the processor.
     pub(crate) fn name(&self) -> Option<&str> {
         match self {
             Self::Processor => None,
@@ -77,7 +82,7 @@ impl Device {
 
 /// Logits of the modes `[agents, modes]`, of [ṽ ‖ h]: `encoding` `[agents, 64]`, `hidden` `[agents, 128]`.
 ///
-/// Its gradient does not go into ṽ and h.
+/// No gradient is passed to ṽ and h.
 pub(crate) fn mode_logits(
     weights: &Tensors,
     name: &str,
@@ -91,7 +96,7 @@ pub(crate) fn mode_logits(
     perceptron(weights, &format!("{name}.mode"), MODE_LAYERS, input)
 }
 
-/// Some columns of W_i, packed; what they read is a part of the input.
+/// Some columns of W_i, packed, for a product with a part of the input.
 fn by_input(weights: &Tensors, name: &str, columns: Range<usize>, bias: Option<&[f32]>) -> Panels {
     let matrix = weights.tensor(&format!("{name}.gru.weight_ih"));
     let weight = |out: usize, i: usize| matrix.values[out * matrix.shape[1] + columns.start + i];
@@ -107,7 +112,7 @@ fn by_state(matrix: &[f32], bias: &[f32]) -> Panels {
     Panels::pack([bias.len(), 1, HIDDEN], |out, _, i| matrix[out * HIDDEN + i], |out| bias[out])
 }
 
-/// The same matrix, packed for the way back to the states.
+/// The same matrix, packed for the gradient by the states.
 fn to_state(matrix: &[f32]) -> Panels {
     Panels::pack([HIDDEN, 1, matrix.len() / HIDDEN], |i, _, out| matrix[out * HIDDEN + i], |_| 0.0)
 }

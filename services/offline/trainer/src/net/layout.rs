@@ -1,4 +1,4 @@
-//! Which tensors a model has: names, shapes, and how training begins with them.
+//! The tensors of a model \[model §3\]: names, shapes, and initial values.
 
 use nn::{Attention, Latents, ModelConfig, NodeTypes, Stem, Temporal};
 use rand::SeedableRng;
@@ -6,9 +6,9 @@ use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal, Uniform};
 use wire::{AGENT_TYPES, AgentType};
 
-use super::tensors::{Role, Tensors};
+use super::tensors::{TensorRole, Tensors};
 
-/// The agent types, as the names of tensors spell them; vehicle, cyclist, pedestrian.
+/// The agent types in the names of tensors: vehicle, cyclist, pedestrian.
 pub(crate) const TYPE_NAMES: [&str; 3] = ["vehicle", "cyclist", "pedestrian"];
 
 /// Linear layers of the state and relation perceptrons.
@@ -23,20 +23,20 @@ pub(crate) const LATENT: usize = 32;
 const CONTROL: usize = 5;
 /// Initial softplus argument of λ and μ: both are then 1.
 const SOFTPLUS_OF_ONE: f32 = 0.541_324_9;
-/// The last layers that add to a base start this much smaller, so that training starts from the base.
+/// Scale of the initial last layers that add to a base, so that training starts close to the base.
 const SMALL: f32 = 0.02;
-/// ln of the deviations with which controls start: acceleration (m/s²) and slip rate (rad/s).
+/// ln of the initial deviations of controls: acceleration (m/s²) and slip rate (rad/s).
 const VEHICLE_LN_DEVIATION: [f32; 2] = [-0.7, -2.5];
-/// ln of the deviations with which displacements (m) start.
+/// ln of the initial deviations of displacements (m).
 const LN_DEVIATION: [f32; 2] = [-2.5, -2.5];
 
-/// Units of a vehicle's accelerations (m/s²) and slip rates (rad/s) in which the head is learned. Where a constant
-/// slip rate acts for 4.8 s at 10 m/s, 0.001 rad/s are more than a metre.
+/// Units of a vehicle's accelerations (m/s²) and slip rates (rad/s) in which the head is learned. A constant
+/// slip rate of 0.001 rad/s moves the position after 4.8 s at 10 m/s by more than a metre.
 const VEHICLE_UNITS: [f32; 2] = [0.2, 0.01];
 /// Units of displacements (m) in which the heads of the other types are learned.
 const UNITS: [f32; 2] = [0.1, 0.1];
 
-/// How a tensor is filled before training.
+/// Initial values of a tensor.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Fill {
     Constant(f32),
@@ -55,8 +55,8 @@ pub(crate) struct Entry {
     pub(crate) name: String,
     /// Shape.
     pub(crate) shape: Vec<usize>,
-    /// What training does to it.
-    pub(crate) role: Role,
+    /// How training changes it.
+    pub(crate) role: TensorRole,
     fill: Fill,
 }
 
@@ -110,8 +110,8 @@ pub(crate) fn initial(config: &ModelConfig, seed: u64) -> Tensors {
 
 /// Units in which a tensor is learned, as if value / unit were the parameter; `None` where all are 1.
 ///
-/// The optimiser moves all its parameters by steps of about the same size. In a head's last layer such a step would
-/// throw every forecast metres off.
+/// The optimiser moves all its parameters by steps of about the same size; in a head's last layer such a step
+/// would shift every forecast by metres.
 pub(crate) fn units(config: &ModelConfig, name: &str, shape: &[usize]) -> Option<Vec<f32>> {
     let of_decoder = name.strip_prefix("decoder.")?;
     let (network, _) = of_decoder.split_once(".head.")?;
@@ -119,7 +119,7 @@ pub(crate) fn units(config: &ModelConfig, name: &str, shape: &[usize]) -> Option
     let [first, second] = match (of_vehicles && config.drives(AgentType::Vehicle), config.node_types) {
         (false, _) => UNITS,
         (true, NodeTypes::Own) => VEHICLE_UNITS,
-        // Small enough for all.
+        // The smallest, for all types.
         (true, NodeTypes::Same) => [0, 1].map(|control| UNITS[control].min(VEHICLE_UNITS[control])),
     };
     let row_len: usize = shape[1..].iter().product();
@@ -135,15 +135,15 @@ pub(crate) fn units(config: &ModelConfig, name: &str, shape: &[usize]) -> Option
 struct Entries(Vec<Entry>);
 
 impl Entries {
-    fn push(&mut self, name: String, shape: &[usize], role: Role, fill: Fill) {
+    fn push(&mut self, name: String, shape: &[usize], role: TensorRole, fill: Fill) {
         self.0.push(Entry { name, shape: shape.to_vec(), role, fill });
     }
 
     fn learned(&mut self, name: String, shape: &[usize], fill: Fill) {
-        self.push(name, shape, Role::Learned, fill);
+        self.push(name, shape, TensorRole::Learned, fill);
     }
 
-    /// Fills a tensor that is listed already in another way.
+    /// Changes the initial values of a tensor that is listed already.
     fn learned_as(&mut self, name: &str, fill: Fill) {
         self.0.iter_mut().filter(|entry| entry.name == name).for_each(|entry| entry.fill = fill);
     }
@@ -196,8 +196,8 @@ impl Entries {
         let name = format!("fe.context.{norm}");
         self.learned(format!("{name}.weight"), &[to], Fill::Constant(1.0));
         self.learned(format!("{name}.bias"), &[to], Fill::Constant(0.0));
-        self.push(format!("{name}.running_mean"), &[to], Role::Statistic, Fill::Constant(0.0));
-        self.push(format!("{name}.running_var"), &[to], Role::Statistic, Fill::Constant(1.0));
+        self.push(format!("{name}.running_mean"), &[to], TensorRole::Statistic, Fill::Constant(0.0));
+        self.push(format!("{name}.running_var"), &[to], TensorRole::Statistic, Fill::Constant(1.0));
     }
 
     fn attention(&mut self, config: &ModelConfig) {
@@ -260,7 +260,7 @@ impl Entries {
 
     fn base(&mut self, config: &ModelConfig, agent_type: &str) {
         let mut fixed = |tensor: &str, shape: &[usize]| {
-            self.push(format!("base.{agent_type}.{tensor}"), shape, Role::Fixed, Fill::Constant(0.0));
+            self.push(format!("base.{agent_type}.{tensor}"), shape, TensorRole::Fixed, Fill::Constant(0.0));
         };
         let controls = 2 * config.horizon_len;
         fixed("ridge", &[nn::base::CLASSES, nn::base::SPEED_BINS, nn::base::FEATURES, controls]);

@@ -38,20 +38,20 @@ impl Matrix {
         ViewMut { rows: self.rows, cols: self.cols, stride: self.cols, values: &mut self.values }
     }
 
-    /// Some rows in a row.
+    /// A range of rows.
     pub(crate) fn rows_of(&self, rows: std::ops::Range<usize>) -> Self {
         let values = self.values[rows.start * self.cols..rows.end * self.cols].to_vec();
         Self { rows: rows.len(), cols: self.cols, values }
     }
 
-    /// The rows with these numbers.
+    /// The rows with these indices.
     pub(crate) fn gather(&self, rows: &[u32]) -> Self {
         let mut values = Vec::with_capacity(rows.len() * self.cols);
         rows.iter().for_each(|&row| values.extend_from_slice(self.row(row as usize)));
         Self::new(rows.len(), self.cols, values)
     }
 
-    /// Adds each row of `from` to the row of `self` with its number: the way back of [`Matrix::gather`].
+    /// Adds each row of `from` to the row of `self` with its index: the backward pass of [`Matrix::gather`].
     pub(crate) fn scatter_add(&mut self, rows: &[u32], from: &Self) {
         for (row, from) in rows.iter().zip(from.values.chunks_exact(from.cols.max(1))) {
             self.row_mut(*row as usize).iter_mut().zip(from).for_each(|(sum, value)| *sum += value);
@@ -101,7 +101,7 @@ impl<'a> View<'a> {
     }
 }
 
-/// Some columns of a row-major matrix that is written to.
+/// Some columns of a row-major matrix, mutable.
 pub(crate) struct ViewMut<'a> {
     values: &'a mut [f32],
     rows: usize,
@@ -123,7 +123,7 @@ impl<'a> ViewMut<'a> {
         Self { values: self.values.get_mut(start..).unwrap_or_default(), cols: len, ..self }
     }
 
-    /// Takes the rows of a product, which are `stride` floats apart.
+    /// Stores the rows of a product, which are `stride` floats apart.
     fn take(&mut self, product: &[f32], stride: usize, into: Into) {
         for (row, product) in product.chunks_exact(stride).enumerate() {
             let out = &mut self.values[row * self.stride..][..self.cols];
@@ -142,7 +142,7 @@ pub(crate) enum Into {
     Add,
 }
 
-/// Rows of the batch that are multiplied at once for a matrix's gradient: their panels stay in the cache.
+/// Rows of the batch per block of a matrix gradient: their panels stay in the cache.
 const SUMMED: usize = 256;
 
 /// A linear layer: `out` `[n, o]` of `x` `[n, i]` · `w` `[o, i]`ᵀ.
@@ -156,7 +156,7 @@ pub(crate) fn by_input(dy: View<'_>, w: View<'_>, out: ViewMut<'_>, into: Into) 
     assert_eq!(
         (dy.cols, dy.rows, w.cols),
         (w.rows, out.rows, out.cols),
-        "shapes of a linear layer's way back"
+        "shapes of a linear layer's backward pass"
     );
     multiply(dy, || Panels::of_columns(w.columns_of()), out, into);
 }
@@ -223,9 +223,9 @@ mod tests {
         terms.map(|(a, b)| a * b).sum()
     }
 
-    /// Every product of a layer beside its definition, between columns that must stay as they are.
+    /// Compares every product of a layer with its definition, between columns that must stay unchanged.
     #[test]
-    fn products_agree_with_their_definition_and_touch_nothing_else() {
+    fn products_agree_with_their_definition() {
         for (n, o, i) in [(1, 1, 1), (5, 17, 3), (300, 20, 33), (13, 64, 128), (600, 5, 128)] {
             let (x, w, dy) = (random(n, i, 1), random(o, i, 2), random(n, o, 3));
             let framed = |rows: usize, cols: usize| Matrix::new(rows, cols + 4, vec![7.0; rows * (cols + 4)]);

@@ -1,8 +1,10 @@
-//! Controls to positions: the equations of the `kinematics` crate over a batch, in agent frames, and their gradients.
+//! Controls to positions: the equations of the `kinematics` crate over a batch, in agent frames, and their
+//! gradients. \[model §4\]
 //!
-//! Each row of a matrix is one trajectory, two columns a step; the rows of an agent, its *draws*, follow one another and
-//! have one [`Start`]. Vehicles drive bicycles unless the model has them move by displacements as all others do. The way back takes the controls again instead of a trace: to recompute the states costs less than
-//! to keep them.
+//! Each row of a matrix is one trajectory, two columns per step; the rows of an agent, its *draws*, are
+//! consecutive and share one [`Start`]. Vehicles move by the bicycle model unless the model's configuration
+//! moves them by displacements. The backward pass takes the controls instead of a trace: recomputing the
+//! states costs less than keeping them.
 
 mod bicycle;
 mod noise;
@@ -16,31 +18,31 @@ use super::matrix::Matrix;
 
 pub(crate) use noise::{noisy_controls, noisy_controls_backward};
 
-/// How an agent stands at the last observed step, at the origin of its frame. Cyclists and pedestrians have a velocity
-/// alone.
+/// State of an agent at the last observed step, at the origin of its frame. Of cyclists and pedestrians only
+/// the velocity is used.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(crate) struct Start {
-    /// In the agent frame.
+    /// In the agent frame, m/s.
     pub(crate) velocity_mps: [f32; 2],
-    /// In the agent frame.
+    /// In the agent frame, rad.
     pub(crate) heading_rad: f32,
-    /// Along the heading, negative in reverse.
+    /// Along the heading, negative in reverse, m/s.
     pub(crate) speed_mps: f32,
     pub(crate) slip_rad: f32,
-    /// From the centre to the rear axle; positive for vehicles.
+    /// From the centre to the rear axle, m; positive for vehicles.
     pub(crate) rear_axle_m: f32,
 }
 
 impl Start {
-    /// The motion of a vehicle, and where it begins.
+    /// The bicycle of a vehicle, and its initial state.
     pub(crate) fn bicycle(&self, config: &ModelConfig) -> (Vehicle, BicycleState<f32>) {
         let motion = nn::motion_options(config).vehicle(self.rear_axle_m, config.dt_s as f32);
         (motion, BicycleState::from([0.0, 0.0, self.heading_rad, self.speed_mps, self.slip_rad]))
     }
 }
 
-/// Positions `[rows, horizon × 2]` under `controls` of the same shape, those of vehicles before saturation; row r starts
-/// from `starts[r / draws_len]`. \[model §4\]
+/// Positions `[rows, horizon × 2]` under `controls` of the same shape, those of vehicles before saturation;
+/// row r starts from `starts[r / draws_len]`. \[model §4\]
 ///
 /// # Panics
 /// Where the starts don't fit the rows.
@@ -59,7 +61,7 @@ pub(crate) fn positions(
     }
 }
 
-/// Gradient by the controls of [`positions`], given that by the positions. Panics as it does.
+/// Gradient by the controls of [`positions`], given that by the positions. Panics under the same condition.
 pub(crate) fn positions_backward(
     config: &ModelConfig,
     agent_type: AgentType,
@@ -77,7 +79,7 @@ pub(crate) fn positions_backward(
     }
 }
 
-/// Sums of the displacements so far, beyond those of constant velocity where they are residual.
+/// Cumulative sums of the displacements, beyond those of constant velocity where they are residual.
 fn displace(config: &ModelConfig, starts: &[Start], draws_len: usize, controls: &Matrix) -> Matrix {
     let carried_s = match config.displacement {
         Displacement::Residual => config.dt_s as f32,

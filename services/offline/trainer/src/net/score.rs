@@ -1,8 +1,8 @@
-//! What forecasts are scored by: the terms of the loss and their gradients. \[model §5\]
+//! The terms of the loss and their gradients. \[model §5\]
 //!
-//! Trajectories are matrices `[rows, horizon × 2]` in agent frames, with the draws of an agent one below the other. Each
-//! term is a sum over rows or agents, weighted by the caller, who knows how many there are in the whole batch; gradients
-//! are those of the weighted sum.
+//! Trajectories are matrices `[rows, horizon × 2]` in agent frames, m, with the draws of an agent in
+//! consecutive rows. Each term is a sum over rows or agents, weighted by the caller, which knows the size of
+//! the whole batch; gradients are those of the weighted sum.
 
 mod distance;
 mod modes;
@@ -11,10 +11,10 @@ mod paper;
 pub(crate) use modes::{mode_cross_entropy, one_hot};
 pub(crate) use paper::{kl, mmd, squared_displacement};
 
-use self::distance::{distances, pull_back};
+use self::distance::{distances, distances_backward};
 use super::matrix::Matrix;
 
-/// What the agents of some trajectories really did.
+/// The targets of some trajectories.
 #[derive(Clone, Copy)]
 pub(crate) struct Truth<'a> {
     /// True positions `[agents, horizon × 2]`.
@@ -26,8 +26,8 @@ pub(crate) struct Truth<'a> {
 }
 
 impl Truth<'_> {
-    /// Weights of an agent's steps `[agents, horizon]`, with which a sum is the mean over the steps that count plus
-    /// `last` times the last one, if it does.
+    /// Weights of an agent's steps `[agents, horizon]`, with which a sum is the mean over the steps that
+    /// count plus `last` times the last one, if it does.
     fn step_weights(&self, last: f32) -> Matrix {
         let mut weights = self.counts.clone();
         for steps in weights.values.chunks_exact_mut(self.counts.cols.max(1)) {
@@ -40,8 +40,8 @@ impl Truth<'_> {
     }
 }
 
-/// Distance to the truth of every row, in the mean over the steps that count, plus `last_weight` times that of the last
-/// step.
+/// Distance to the truth of every row, m: the mean over the steps that count plus `last_weight` times that of
+/// the last step.
 pub(crate) fn trajectory_error(positions: &Matrix, truth: &Truth<'_>, last_weight: f32) -> Vec<f32> {
     let weights = truth.step_weights(last_weight);
     let distances = distances(positions, truth.positions, truth.draws_len);
@@ -56,18 +56,18 @@ pub(crate) fn trajectory_error_backward(
     row_weights: &[f32],
 ) -> Matrix {
     let slopes = slopes(truth, last_weight, row_weights);
-    pull_back(positions, truth.positions, truth.draws_len, &slopes)
+    distances_backward(positions, truth.positions, truth.draws_len, &slopes)
 }
 
-/// Energy score of forecasts that are known by two draws X of every row, and the gradients by the draws of its sum
+/// Energy score of forecasts that are given as two draws X per row, and the gradients by the draws of its sum
 /// weighted by `row_weights`:
 ///
 /// ```text
 /// ½ (‖X₁ − y‖ + ‖X₂ − y‖) − ½ ‖X₁ − X₂‖        mean over the steps that count
 /// ```
 ///
-/// A proper score: on average no spread of the draws does better than the true one, so it calibrates the covariances of
-/// the controls by what they do to positions, correlations between steps included.
+/// A proper score: its expectation is least for the true distribution, so it calibrates the covariances of
+/// the controls by the positions that follow, correlations between steps included.
 pub(crate) fn energy_score(
     draws: [&Matrix; 2],
     truth: &Truth<'_>,
@@ -84,9 +84,9 @@ pub(crate) fn energy_score(
 
     let halves: Vec<f32> = row_weights.iter().map(|weight| 0.5 * weight).collect();
     let slopes = slopes(truth, 0.0, &halves);
-    let apart = pull_back(draws[0], draws[1], 1, &slopes);
+    let apart = distances_backward(draws[0], draws[1], 1, &slopes);
     let [mut first, mut second] =
-        draws.map(|draw| pull_back(draw, truth.positions, truth.draws_len, &slopes));
+        draws.map(|draw| distances_backward(draw, truth.positions, truth.draws_len, &slopes));
     first.values.iter_mut().zip(&apart.values).for_each(|(by_first, apart)| *by_first -= apart);
     second.add(&apart);
     (scores, [first, second])

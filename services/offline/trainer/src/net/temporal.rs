@@ -1,12 +1,12 @@
-//! Temporal attention: an agent's steps summed into one encoding, and the way back.
+//! Temporal attention: the steps of an agent summed to one encoding, forward and backward. \[model §3\]
 //!
 //! ```text
-//! β_k = softmax over the present steps k of f_act(w v_k)      ṽ = Σ_k β_k f_act(V v_k)      [paper, Eq. temporal]
+//! β_k = softmax over the present steps k of f_act(w v_k)    ṽ = Σ_k β_k f_act(V v_k)   [paper, Eq. temporal]
 //! ```
 //!
-//! The sum is that of messages from an agent's rows to the agent, as in [`super::topological`]. Every head has a w of its
-//! own and its rows of V. Read to the letter, the paper's formula has as many heads as attributes, and w for V. Equal
-//! attention is the same with all scores 0.
+//! The sum is that of messages from an agent's rows to the agent, as in [`super::topological`]. Every head
+//! has a w of its own and its rows of V. In the `literal` reading of the paper's formula there are as many
+//! heads as attributes, and w takes the place of V. Equal attention is the same with all scores 0.
 
 use nn::{Attention, ModelConfig, Temporal};
 
@@ -19,12 +19,12 @@ use super::topological::{BLOCK, Block, Edges, NODE};
 #[cfg(test)]
 mod tests;
 
-/// The row of a step at which the agent is absent.
+/// The row of a step without the agent.
 const ABSENT: u32 = u32::MAX;
 const SCORE: &str = "gdat.temporal.score.weight";
 const VALUE: &str = "gdat.temporal.value.weight";
 
-/// How the layer reads the paper's formula.
+/// The reading of the paper's formula.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Reading {
     pub(crate) leaky_slope: f32,
@@ -47,7 +47,7 @@ impl Reading {
     }
 }
 
-/// Every agent's steps in one.
+/// The encodings of a batch.
 #[derive(Debug)]
 pub(crate) struct Summary {
     /// ṽ `[agents, 64]`; zeros for an agent that is never present.
@@ -57,7 +57,7 @@ pub(crate) struct Summary {
     trace: Trace,
 }
 
-/// What the way back needs besides.
+/// What the backward pass needs besides.
 #[derive(Debug)]
 struct Trace {
     reading: Reading,
@@ -68,8 +68,8 @@ struct Trace {
     value: Option<Matrix>,
 }
 
-/// Sums `node` `[rows, 64]` over the steps of every agent; `steps` `[agents × steps_len]` has their rows, `u32::MAX`
-/// where the agent is absent.
+/// Sums `node` `[rows, 64]` over the steps of every agent; `steps` `[agents × steps_len]` are their rows,
+/// `u32::MAX` where the agent is absent.
 pub(crate) fn temporal(
     weights: &Tensors,
     reading: Reading,

@@ -4,14 +4,14 @@ use std::collections::BTreeMap;
 
 use super::matrix::{View, ViewMut};
 
-/// What training does to a tensor.
+/// How training changes a tensor.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Role {
+pub enum TensorRole {
     /// Follows its gradient.
     Learned,
     /// Running mean or variance of a batch norm.
     Statistic,
-    /// Fitted before training (base control) and fixed since.
+    /// Fitted before training (base control) and then constant.
     Fixed,
 }
 
@@ -20,7 +20,7 @@ pub enum Role {
 pub(crate) struct Tensor {
     pub(crate) shape: Vec<usize>,
     pub(crate) values: Vec<f32>,
-    pub(crate) role: Role,
+    pub(crate) role: TensorRole,
 }
 
 /// All weights of a model, by name.
@@ -32,7 +32,7 @@ impl Tensors {
     ///
     /// # Panics
     /// Where `values` does not fill `shape`.
-    pub(crate) fn insert(&mut self, name: &str, shape: &[usize], values: Vec<f32>, role: Role) {
+    pub(crate) fn insert(&mut self, name: &str, shape: &[usize], values: Vec<f32>, role: TensorRole) {
         assert_eq!(values.len(), shape.iter().product::<usize>(), "`{name}` does not fill {shape:?}");
         self.0.insert(name.to_owned(), Tensor { shape: shape.to_vec(), values, role });
     }
@@ -62,7 +62,7 @@ pub(crate) struct Gradients(pub(crate) BTreeMap<String, (usize, Vec<f32>)>);
 impl Gradients {
     /// Zeros for every learned tensor.
     pub(crate) fn zeros(weights: &Tensors) -> Self {
-        let learned = weights.0.iter().filter(|(_, tensor)| tensor.role == Role::Learned);
+        let learned = weights.0.iter().filter(|(_, tensor)| tensor.role == TensorRole::Learned);
         let zeros = learned.map(|(name, tensor)| {
             let rows = tensor.shape.first().copied().unwrap_or(1);
             (name.clone(), (rows, vec![0.0; tensor.values.len()]))

@@ -1,15 +1,16 @@
-//! Topological attention over ragged graphs, and its way back.
+//! Topological attention over ragged graphs, forward and backward. \[model §3\]
 //!
-//! A *row* is an agent at one step where it is present; an *edge* joins the row that receives to a row that sends. With
-//! λ and μ of its own, every head computes
+//! A *row* is an agent at one step where it is present; an *edge* joins a receiving row to a sending row.
+//! Every head has its own λ and μ and computes
 //!
 //! ```text
 //! d_ij = ‖v_i − v_j‖²   l_ij = ‖e_ij‖²   α_ij = softmax_j∈N(i) of −(λ d_ij + μ l_ij)
 //! m_ij = f_act(W v_j + U e_ij)           v̄_i = Σ_j α_ij m_ij                       [paper, Eq. topological]
 //! ```
 //!
-//! (f(α x) = α f(x) since α ≥ 0.) Equal attention is the same with λ = μ = 0. What is wide and by edge is never kept: blocks of edges that fit the cache pass all of
-//! a layer, and the way back computes their messages anew.
+//! (f(α x) = α f(x) since α ≥ 0.) Equal attention is the same with λ = μ = 0. Wide values per edge are never
+//! kept: blocks of edges that fit the cache go through the whole layer, and the backward pass recomputes
+//! their messages.
 
 use nn::{Attention, ModelConfig};
 
@@ -29,15 +30,15 @@ mod update;
 pub(super) const NODE: usize = 64;
 /// Edge attributes.
 const EDGE: usize = 16;
-/// Edges that pass a layer together.
+/// Edges of a block.
 pub(super) const BLOCK: usize = 256;
 
-/// Which rows are joined.
+/// The edges of a graph.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Edges {
-    /// Row that receives, per edge, ascending.
+    /// Receiving row per edge, ascending.
     pub(crate) receiver: Vec<u32>,
-    /// Row that sends, per edge.
+    /// Sending row per edge.
     pub(crate) sender: Vec<u32>,
     /// First edge of every row, and the number of edges.
     pub(crate) first: Vec<u32>,
@@ -48,7 +49,7 @@ impl Edges {
         self.receiver.len()
     }
 
-    /// Rows that receive and send.
+    /// Receiving and sending row of each edge.
     #[inline(always)]
     fn ends(&self) -> impl Iterator<Item = (usize, usize)> {
         ends(&self.receiver, &self.sender)
@@ -65,7 +66,7 @@ fn ends(receiver: &[u32], sender: &[u32]) -> impl Iterator<Item = (usize, usize)
     receiver.iter().zip(sender).map(|(receiver, sender)| (*receiver as usize, *sender as usize))
 }
 
-/// Some edges in a row.
+/// Consecutive edges.
 #[derive(Clone, Copy)]
 pub(super) struct Block<'a> {
     start: usize,
@@ -78,7 +79,7 @@ impl Block<'_> {
         self.receiver.len()
     }
 
-    /// Rows that receive and send.
+    /// Receiving and sending row of each edge.
     #[inline(always)]
     fn ends(&self) -> impl Iterator<Item = (usize, usize)> {
         ends(self.receiver, self.sender)
@@ -103,14 +104,14 @@ impl Block<'_> {
     }
 }
 
-/// What the layer takes from the model's configuration.
+/// The part of the model's configuration that the layer uses.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct AttentionShape {
     pub(crate) attention: Attention,
     /// Divides 64.
     pub(crate) heads: usize,
     pub(crate) leaky_slope: f32,
-    /// Whether messages have the part U e.
+    /// Whether messages include U e.
     pub(crate) edge_in_message: bool,
     /// Whether d and l are divided by their dimensions.
     pub(crate) distance_scale: bool,
@@ -138,14 +139,14 @@ impl AttentionShape {
 pub(crate) struct Round {
     /// α `[edges, heads]`.
     pub(crate) alpha: Matrix,
-    /// New node attributes v̄ `[rows, 64]`; zeros where a row receives nothing.
+    /// New node attributes v̄ `[rows, 64]`; zeros for a row without edges.
     pub(crate) node: Matrix,
     /// New edge attributes `[edges, 16]`; `None` after the last round.
     pub(crate) edge: Option<Matrix>,
     trace: Trace,
 }
 
-/// What the way back needs besides.
+/// What the backward pass needs besides.
 #[derive(Debug)]
 struct Trace {
     /// Prefix of the tensors' names.
@@ -195,7 +196,7 @@ pub(crate) fn round(
 }
 
 impl Round {
-    /// Gradients by the node and edge attributes that the round was given, from those by its new ones.
+    /// Gradients by the node and edge attributes before the round, from those by the new ones.
     pub(crate) fn backward(
         &self,
         weights: &Tensors,
@@ -231,7 +232,7 @@ impl Round {
         (by_node, by_edge)
     }
 
-    /// Takes the gradient by v̄ back to the scores and W v, and adds to those of U and by the edges' attributes.
+    /// Gradients by the scores and by W v from that by v̄; adds to those of U and by the edges' attributes.
     fn messages_backward(
         &self,
         weights: &Tensors,
@@ -257,7 +258,7 @@ impl Round {
     }
 }
 
-/// U of the option `edge_in_message`.
+/// U, under the option `edge_in_message`.
 fn edge_matrix<'w>(weights: &'w Tensors, shape: AttentionShape, name: &str) -> Option<View<'w>> {
     shape.edge_in_message.then(|| weights.matrix(&format!("{name}.u_e.weight")))
 }

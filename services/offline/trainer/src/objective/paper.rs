@@ -1,5 +1,5 @@
-//! The paper's loss: one posterior draw, its divergence from the prior, and the discrepancy of the draws' distribution.
-//! \[paper, Eq. loss\]
+//! The objective of preset `paper`: one posterior draw, its divergence from the prior, and the discrepancy of
+//! the draws' distribution. \[paper, Eq. loss\] \[model §5\]
 
 use nn::ModelConfig;
 use rand::Rng;
@@ -15,7 +15,7 @@ use crate::net::score::{Truth, kl, mmd, squared_displacement};
 use crate::net::tensors::{Gradients, Tensors};
 use crate::rollout::TypeForecast;
 
-/// Layers of the encoding function.
+/// Layers of the posterior's perceptron.
 const ENCODER_LAYERS: usize = 3;
 
 /// The paper's objective of a batch.
@@ -23,12 +23,12 @@ pub(super) struct Paper<'a> {
     pub(super) objective: &'a Objective,
     pub(super) config: &'a ModelConfig,
     pub(super) weights: &'a Tensors,
-    /// Agents that the whole batch counts.
+    /// Agents that count in the whole batch.
     pub(super) counted: f32,
 }
 
 impl Paper<'_> {
-    /// Adds all gradients but those that come from the encodings of the history, which it adds to `d_encoding`.
+    /// Adds all gradients but those through the encodings of the history, which it adds to `d_encoding`.
     pub(super) fn backward(
         &self,
         batch: &Batch<'_>,

@@ -1,4 +1,4 @@
-//! Best of the learned points, by the unsquared distance.
+//! The objective of preset `plus`: best of the learned points, by the unsquared distance. \[model §5\]
 
 use nn::ModelConfig;
 use rand::{Rng, RngExt};
@@ -15,15 +15,15 @@ use crate::net::score::{
 use crate::net::tensors::Gradients;
 use crate::rollout::{Rollout, TypeForecast};
 
-/// Draws of every agent that are differentiated: the winner by the mean error, the winner by that of the last step, a
-/// random mode and the single best forecast.
+/// Draws of every agent that are differentiated: the winner by the mean error, the winner by that of the last
+/// step, a random mode and the single best forecast.
 const DRAWS: usize = 4;
 
 /// The plus objective of a batch.
 pub(super) struct Plus<'a> {
     pub(super) objective: &'a Objective,
     pub(super) config: &'a ModelConfig,
-    /// Agents that the whole batch counts.
+    /// Agents that count in the whole batch.
     pub(super) counted: f32,
     /// Share of the training that is done.
     pub(super) done: f32,
@@ -90,7 +90,8 @@ impl Plus<'_> {
         }
     }
 
-    /// The best modes of every agent, by the network's own forecasts of the modes that are nearest by the base control.
+    /// The best modes of every agent, by the network's own forecasts of the modes that are nearest by the
+    /// base control.
     fn winners(&self, forecast: &TypeForecast<'_>, last_step: f32) -> Winners {
         let modes_len = self.config.modes;
         let candidates = match *self.objective {
@@ -147,8 +148,9 @@ impl Plus<'_> {
     }
 }
 
-/// Displacement of the draws: adds its gradient to `d_raw`; returns the mean errors of the winners and of the single best
-/// forecast. The first winner answers for the mean over the steps, the second for the last step, the others for both.
+/// Displacement of the draws: adds its gradient to `d_raw`; returns the mean errors of the winners and of the
+/// single best forecast. The first winner is scored by the mean over the steps, the second by the last step,
+/// the others by both.
 fn displacement(
     forecast: &TypeForecast<'_>,
     rollout: &Rollout,
@@ -159,7 +161,7 @@ fn displacement(
     let truth = Truth { positions: &positions, counts: &counts, draws_len: DRAWS };
     let [by_mean, by_last, any, single] = scale.draws;
     let agents_len = forecast.agents.len();
-    // mean + last, less the mean, leaves the last step.
+    // (mean + last) less the mean leaves the last step.
     let parts = [(scale.last_step, [0.0, by_last, any, single]), (0.0, [by_mean, -by_last, 0.0, 0.0])];
     let mut d_positions = Matrix::zeros(rollout.positions.rows, rollout.positions.cols);
     let mut sums = [0.0; 2];
@@ -179,8 +181,8 @@ fn displacement(
     sums
 }
 
-/// Energy score of the positions under controls drawn about their means: adds its gradient by the covariances to
-/// `d_raw`; returns its mean.
+/// Energy score of the positions under controls drawn about their means: adds its gradient by the covariances
+/// to `d_raw`; returns its mean.
 fn energy(
     forecast: &TypeForecast<'_>,
     rollout: &Rollout,

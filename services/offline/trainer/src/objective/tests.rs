@@ -9,17 +9,17 @@ use crate::base::BaseControl;
 use crate::batch::{BatchOptions, SceneView};
 use crate::net::gru::Device;
 use crate::net::layout::{initial, layout};
-use crate::net::tensors::Role;
+use crate::net::tensors::TensorRole;
 use crate::options::onboard_config;
 use crate::samples::Agent;
 use crate::view;
 
 /// Width of the differences.
 const STEP: f32 = 2e-3;
-/// Share of the whole gradient below which a tensor's part drowns in the rounding of the differences.
+/// Share of the whole gradient below which a tensor's part is below the rounding of the differences.
 const SILENT: f32 = 3e-4;
 
-/// A vehicle that turns, a cyclist and two pedestrians, one of whom was seen late.
+/// A vehicle that turns, a cyclist and two pedestrians, one of which appears late.
 fn agents(config: &ModelConfig) -> Vec<Arc<Agent>> {
     let types = [AgentType::Vehicle, AgentType::Cyclist, AgentType::Pedestrian, AgentType::Pedestrian];
     let agent = |(number, agent_type): (usize, AgentType)| {
@@ -58,7 +58,7 @@ fn scene(agents: &[Arc<Agent>]) -> SceneView<'static> {
     SceneView { agents: views.collect(), map: None, mirrored: false }
 }
 
-/// The whole loss along the gradient of each tensor alone, by the way back and by central differences.
+/// Compares the derivative of the whole loss along the gradient of each tensor with central differences.
 fn check(objective: &Objective, config: &ModelConfig) {
     let agents = agents(config);
     let scenes = [scene(&agents)];
@@ -81,14 +81,14 @@ fn check(objective: &Objective, config: &ModelConfig) {
     let total = gradients.0.values().flat_map(|(_, values)| values).map(|g| g * g).sum::<f32>().sqrt();
     let mut checked = 0;
     let mut learned = layout(config);
-    learned.retain(|entry| entry.role == Role::Learned);
+    learned.retain(|entry| entry.role == TensorRole::Learned);
     for entry in &learned {
         let gradient = &gradients.0[&entry.name].1;
         let norm = gradient.iter().map(|g| g * g).sum::<f32>().sqrt();
         if norm < SILENT * total {
             continue;
         }
-        // A steep loss bends sooner.
+        // A steep loss has more curvature.
         let step = STEP / norm.max(1.0);
         let moved = |sign: f32| {
             let mut weights = weights.clone();
@@ -98,7 +98,11 @@ fn check(objective: &Objective, config: &ModelConfig) {
         };
         let slope = (moved(1.0) - moved(-1.0)) / (2.0 * f64::from(step));
         let error = (slope - f64::from(norm)).abs();
-        assert!(error < 0.05 * f64::from(norm) + 4e-3, "{}: {norm} by the way back, {slope}", entry.name);
+        assert!(
+            error < 0.05 * f64::from(norm) + 4e-3,
+            "{}: {norm} by the backward pass, {slope}",
+            entry.name
+        );
         checked += 1;
     }
     let least = learned.len() * 2 / 5;
@@ -140,7 +144,7 @@ fn gradients_of_the_paper_objective_agree_with_differences() {
         context: false,
         ..onboard_config()
     };
-    // The squared displacement of a vehicle bends too much for differences at its full weight.
+    // The squared displacement of a vehicle has too much curvature for differences at its full weight.
     let objective = Objective::Paper { gamma: 0.1, alpha: 0.1, beta: 1.0, sigma: 1.0 };
     check(&objective, &config);
 }

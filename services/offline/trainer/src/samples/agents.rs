@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use bytemuck::{Pod, Zeroable};
-use data::{Told, WindowAgent};
+use data::{Reported, WindowAgent};
 use nn::ModelConfig;
 use scene::{AgentType, State};
 
@@ -24,14 +24,14 @@ pub(crate) struct Agent {
     pub(crate) future: Vec<Option<State>>,
     /// Number of the map patch of every history and forecast step.
     pub(crate) patches: Vec<Option<u32>>,
-    /// Whether the agent is held to its future: it has two newest states, and its future is known to the end.
+    /// Whether the agent has a target: two newest states, and a future that is known to the end.
     pub(crate) counts: bool,
 }
 
 impl Agent {
-    /// Of motion, what the recording has told at every time so far stays, unless `from_positions` asks for differences.
-    /// The rest is differences over the model's step: those over the frames of a fast recording would be mostly noise,
-    /// which no tracker passes on.
+    /// Recorded motion is used where the recording reported it at every time so far, unless `from_positions`.
+    /// Else velocities and headings are differences over the model's step: those over the frames of a fast
+    /// recording would be mostly noise, which trackers filter out.
     pub(super) fn new(
         agent: &WindowAgent,
         patches: Vec<Option<u32>>,
@@ -48,7 +48,7 @@ impl Agent {
         let mut states = vec![None; positions.len()];
         scene::states_from_positions(&positions, history_len, config.dt_s as f32, &mut states);
         let future = states.split_off(history_len);
-        let Told { agent_type, length_m, has_speed, has_heading, .. } = agent.told;
+        let Reported { agent_type, length_m, has_speed, has_heading, .. } = agent.reported;
         let [keeps_velocity, keeps_heading] = [has_speed, has_heading].map(|has| has && !from_positions);
         let choose = |recorded: State, differenced: State| State {
             position_m: recorded.position_m,
@@ -85,31 +85,31 @@ impl Agent {
     }
 }
 
-/// The agents of a window; those who look at one share it.
+/// The agents of a window, shared by reference.
 #[derive(Clone, Debug)]
 pub(crate) struct Scene {
     pub(crate) agents: Vec<Arc<Agent>>,
 }
 
-/// Where a window lies in the spool, and what is asked of it before it is read.
+/// Offset of a window in the spool, and what is needed before it is read.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Window {
     offset: u64,
     agents_len: u32,
-    /// Number of the recording it is of.
+    /// Number of its recording.
     pub(crate) recording: u32,
-    /// Agents of each type that are held to their future.
+    /// Agents of each type that have a target.
     pub(crate) counted: [u32; 3],
 }
 
 impl Window {
-    /// Agents that are held to their future.
+    /// Agents that have a target.
     pub(crate) fn counted_len(&self) -> usize {
         self.counted.iter().map(|&len| len as usize).sum()
     }
 }
 
-/// An agent as it lies in the spool.
+/// An agent in the spool.
 #[derive(Clone, Copy, Pod, Zeroable)]
 #[repr(C)]
 struct StoredAgent {
@@ -120,10 +120,10 @@ struct StoredAgent {
     counts: u8,
 }
 
-/// A state as it lies in the spool: position, velocity and heading.
+/// A state in the spool: position (m), velocity (m/s) and heading (rad).
 pub(super) type StoredState = [f32; 5];
 
-/// One step of an agent as it lies in the spool; agent by agent behind the agents of a scene.
+/// One step of an agent in the spool; the steps follow agent by agent behind the agents of a scene.
 #[derive(Clone, Copy, Pod, Zeroable)]
 #[repr(C)]
 struct StoredStep {
@@ -143,7 +143,7 @@ pub(super) fn restored([x, y, vx, vy, heading_rad]: StoredState) -> State {
 }
 
 impl Scene {
-    /// Agents of each type that are held to their future.
+    /// Agents of each type that have a target.
     fn counted(&self) -> [u32; 3] {
         let mut counted = [0; 3];
         for agent in self.agents.iter().filter(|agent| agent.counts) {
@@ -152,7 +152,7 @@ impl Scene {
         counted
     }
 
-    /// Writes the scene as one of a recording with this number.
+    /// Writes the scene as one of the recording with this number.
     pub(super) fn append_to(&self, spooling: &mut Spooling, recording: u32) -> Result<Window, TrainError> {
         let agents: Vec<StoredAgent> = self.agents.iter().map(|agent| stored_agent(agent)).collect();
         let steps: Vec<StoredStep> = self.agents.iter().flat_map(|agent| stored_steps(agent)).collect();

@@ -1,4 +1,4 @@
-//! What agents see of the ground: a patch for every agent and frame.
+//! The map patches of agents: one for every agent and frame. \[model §2\]
 
 use half::f16;
 use scene::{ContextMap, MapBuilder, PatchOptions, State};
@@ -7,21 +7,21 @@ use super::agents::{StoredState, restored, stored};
 use crate::TrainError;
 use crate::spool::{Spool, Spooling};
 
-/// Where the map patches of a recording lie in the spool, and the map of its site.
+/// Offsets of the map patches of a recording in the spool, and the map of its site.
 #[derive(Debug)]
 pub(crate) struct Ground {
-    /// What was observed before each patch's time, patch by patch.
+    /// The patches of the online map, from observations before each patch's time.
     online: u64,
     /// State of the agent that each patch is of.
     states: u64,
     patches_len: usize,
-    /// Lower left and upper right of all agents.
+    /// Bounding box of all agents: lower left and upper right.
     corners_m: [[f32; 2]; 2],
-    /// What the site's other training recordings observed.
+    /// The map of the site's other training recordings.
     site: Option<ContextMap>,
 }
 
-/// The ground of a recording while its patches are written, one behind the other.
+/// The ground of a recording while its patches are written.
 #[derive(Debug)]
 pub(super) struct GroundSpooling<'a> {
     spooling: &'a mut Spooling,
@@ -34,7 +34,7 @@ impl<'a> GroundSpooling<'a> {
         Self { online: spooling.len(), spooling, states: Vec::new() }
     }
 
-    /// Adds a patch and the state that it is of.
+    /// Adds a patch and the state of its agent.
     pub(super) fn push(&mut self, state: &State, patch: &[f32]) -> Result<(), TrainError> {
         let halves: Vec<u16> = patch.iter().map(|&value| f16::from_f32(value).to_bits()).collect();
         self.spooling.append(&halves)?;
@@ -59,12 +59,12 @@ impl<'a> GroundSpooling<'a> {
     }
 }
 
-/// Which map a scene is shown with.
+/// The kind of map of a scene.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum MapKind {
-    /// What was observed before the present.
+    /// Observations before the present.
     Online,
-    /// What other recordings of the site observed.
+    /// The site's other recordings.
     Site,
 }
 
@@ -88,13 +88,14 @@ impl Ground {
         known.then_some(MapView { recording, ground: self, spool, kind })
     }
 
-    /// Shows the ground with another site map.
+    /// Sets the site map.
     pub(super) fn set_site(&mut self, site: Option<ContextMap>) {
         self.site = site;
     }
 }
 
-/// The map of all places where agents were seen; `None` where nothing was seen, or over more ground than a map has.
+/// The map of all positions of agents; `None` where there are none, or where they span more ground than a map
+/// can hold.
 pub(super) fn site_map(spool: &Spool, grounds: &[&Ground]) -> Result<Option<ContextMap>, TrainError> {
     let corner = |number: usize, pick: fn(f32, f32) -> f32, from: f32| {
         let corners = grounds.iter().map(|ground| ground.corners_m[number]);

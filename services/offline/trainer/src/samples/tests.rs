@@ -5,12 +5,12 @@ use scene::{MapBuilder, PatchOptions, State};
 
 use super::ground::GroundSpooling;
 use super::*;
-use crate::onboard_config;
+use crate::options::onboard_config;
 
 const STEPS: [usize; 2] = [4, 3];
 const PATCH: PatchOptions = PatchOptions { side: 4, cell_m: 2.0, ahead_m: 0.0 };
 
-/// Any bits, those of infinities and of what is no number too.
+/// Any bits, those of infinities and NaN included.
 fn float() -> impl Strategy<Value = f32> {
     any::<u32>().prop_map(f32::from_bits)
 }
@@ -42,8 +42,8 @@ fn bits(state: &State) -> [u32; 5] {
     [x, y, vx, vy, heading_rad].map(f32::to_bits)
 }
 
-/// All that is known of an agent, to the bit.
-fn told(agent: &Agent) -> impl PartialEq + std::fmt::Debug + use<> {
+/// All attributes of an agent, to the bit.
+fn attributes(agent: &Agent) -> impl PartialEq + std::fmt::Debug + use<> {
     let Agent { id, agent_type, length_m, history, future, patches, counts } = agent.clone();
     let states = |states: Vec<Option<State>>| -> Vec<Option<[u32; 5]>> {
         states.iter().map(|state| state.as_ref().map(bits)).collect()
@@ -51,7 +51,7 @@ fn told(agent: &Agent) -> impl PartialEq + std::fmt::Debug + use<> {
     ((id, agent_type, length_m.map(f32::to_bits), counts), states(history), states(future), patches)
 }
 
-/// The scenes as they are read back.
+/// The scenes after writing and reading.
 fn spooled(scenes: &[Scene]) -> Samples {
     let folder = tempfile::tempdir().unwrap();
     let mut spooling = Spooling::create(folder.path()).unwrap();
@@ -72,34 +72,34 @@ proptest! {
     #![proptest_config(ProptestConfig { cases: 64, failure_persistence: None, ..ProptestConfig::default() })]
 
     #[test]
-    fn scenes_come_back_to_the_bit(scenes in scenes()) {
+    fn scenes_read_back_to_the_bit(scenes in scenes()) {
         let samples = spooled(&scenes);
         for (scene, window) in scenes.iter().zip(&samples.sets[0].windows).rev() {
             let read = samples.scene(window).unwrap();
             prop_assert_eq!(scene.agents.len(), read.agents.len());
             for (agent, read) in scene.agents.iter().zip(&read.agents) {
-                prop_assert_eq!(told(agent), told(read));
+                prop_assert_eq!(attributes(agent), attributes(read));
             }
         }
     }
 
     #[test]
-    fn spread_agents_are_every_nth_of_those_that_count(scenes in scenes(), len_max in 1_usize..30) {
+    fn spread_agents_are_every_nth_with_a_target(scenes in scenes(), len_max in 1_usize..30) {
         let samples = spooled(&scenes);
         for agent_type in wire::AGENT_TYPES {
             let agents = || scenes.iter().flat_map(|scene| &scene.agents);
             let counted = || agents().filter(|agent| agent.counts && agent.agent_type == agent_type);
             let stride = counted().count().div_ceil(len_max).max(1);
-            let expected: Vec<_> = counted().step_by(stride).map(|agent| told(agent)).collect();
+            let expected: Vec<_> = counted().step_by(stride).map(|agent| attributes(agent)).collect();
             let spread = samples.spread(&samples.sets, agent_type, len_max);
-            let spread: Vec<_> = spread.map(|agent| told(&agent.unwrap())).collect();
+            let spread: Vec<_> = spread.map(|agent| attributes(&agent.unwrap())).collect();
             prop_assert!(spread.len() <= len_max);
             prop_assert_eq!(spread, expected);
         }
     }
 
     #[test]
-    fn patches_come_back_as_they_were_in_half_precision(
+    fn patches_read_back_in_half_precision(
         patches in proptest::collection::vec((state(), proptest::collection::vec(-70.0_f32..70.0, PATCH.len())), 1..9),
     ) {
         let folder = tempfile::tempdir().unwrap();
@@ -115,7 +115,7 @@ proptest! {
         prop_assert!(ground.view(&spool, 0, MapKind::Site).is_none());
         ground.set_site(Some(site.clone()));
         for (number, (state, patch)) in patches.iter().enumerate().rev() {
-            let seen = |kind: MapKind| {
+            let patch_of = |kind: MapKind| {
                 let mut values = vec![0.5];
                 let view = ground.view(&spool, 0, kind).unwrap();
                 view.extend(number as u32, PATCH, &mut values).unwrap();
@@ -123,17 +123,17 @@ proptest! {
             };
             let halves = patch.iter().map(|&value| half::f16::from_f32(value).to_f32());
             let online: Vec<f32> = std::iter::once(0.5).chain(halves).collect();
-            prop_assert_eq!(seen(MapKind::Online), online);
+            prop_assert_eq!(patch_of(MapKind::Online), online);
             let mut of_site = vec![0.5; 1 + PATCH.len()];
             site.patch(state, PATCH, &mut of_site[1..]);
             let bits = |values: Vec<f32>| values.into_iter().map(f32::to_bits).collect::<Vec<_>>();
-            prop_assert_eq!(bits(seen(MapKind::Site)), bits(of_site));
+            prop_assert_eq!(bits(patch_of(MapKind::Site)), bits(of_site));
         }
     }
 }
 
 #[test]
-fn what_a_short_file_lacks_is_an_error() {
+fn reading_beyond_a_short_file_is_an_error() {
     let folder = tempfile::tempdir().unwrap();
     let mut rows = String::new();
     for (frame, id) in (0..40).flat_map(|frame| (0..3).map(move |id| (frame, id))) {
@@ -158,12 +158,12 @@ fn what_a_short_file_lacks_is_an_error() {
     let last = samples.sets[0].windows.last().unwrap();
     let patch =
         PatchOptions { side: config.patch_size, cell_m: config.patch_cell_m, ahead_m: config.patch_ahead_m };
-    let seen = || samples.map(0, MapKind::Online).unwrap().extend(0, patch, &mut Vec::new());
+    let patch_of = || samples.map(0, MapKind::Online).unwrap().extend(0, patch, &mut Vec::new());
     samples.scene(last).unwrap();
-    seen().unwrap();
+    patch_of().unwrap();
     samples.spool.truncate(100);
     assert!(matches!(samples.scene(last), Err(TrainError::Scratch { .. })));
-    assert!(matches!(seen(), Err(TrainError::Scratch { .. })));
+    assert!(matches!(patch_of(), Err(TrainError::Scratch { .. })));
     let mut spread = samples.spread(&samples.sets, AgentType::Pedestrian, 5);
     assert!(matches!(spread.next(), Some(Err(TrainError::Scratch { .. }))));
 }

@@ -9,11 +9,11 @@ use crate::net::context::Normalisation;
 use crate::net::graph::encode;
 use crate::net::gru::Device;
 use crate::net::layout::{TYPE_NAMES, layout};
-use crate::net::tensors::Role;
+use crate::net::tensors::TensorRole;
 use crate::rollout::TypeForecast;
 use crate::view;
 
-/// Pedestrians who walk a circle of their own at 1.2 m/s: constant velocity misses them by metres.
+/// Pedestrians that walk in circles at 1.2 m/s: constant velocity errs by metres.
 fn circles(folder: &Path) {
     let mut rows = String::new();
     for frame in 0..60 {
@@ -52,7 +52,7 @@ fn options(folder: &Path, steps: u64) -> TrainOptions {
 }
 
 #[test]
-fn a_short_run_learns_circles_and_writes_weights_that_run_onboard() {
+fn a_short_run_learns_circles_and_its_weights_run_onboard() {
     let folder = tempfile::tempdir().unwrap();
     let mut options = options(folder.path(), 60);
     (options.model.base, options.model.base_latent, options.model.context) = (false, false, false);
@@ -68,13 +68,13 @@ fn a_short_run_learns_circles_and_writes_weights_that_run_onboard() {
 }
 
 #[test]
-fn a_resumed_run_goes_on_to_the_bit() {
+fn a_resumed_run_repeats_to_the_bit() {
     let folder = tempfile::tempdir().unwrap();
     let options = TrainOptions { resume: true, without_map: 0.5, ..options(folder.path(), 10) };
     let progress = Progress::new(options.steps, 0);
     let run = Run::prepare(&options, &progress).unwrap();
     let (mut state, base) = run.begin(&progress).unwrap();
-    let update = |state: &mut State, base: &BaseControl| {
+    let update = |state: &mut RunState, base: &BaseControl| {
         assert!(run.update(state, base).unwrap().1);
         state.progress.step += 1;
     };
@@ -88,11 +88,16 @@ fn a_resumed_run_goes_on_to_the_bit() {
     }
     assert_eq!(state.weights, resumed.weights);
     let other = TrainOptions { seed: 2, ..options };
-    assert!(matches!(State::load(&other), Err(TrainError::Checkpoint { .. })));
+    assert!(matches!(RunState::load(&other), Err(TrainError::Checkpoint { .. })));
+    let file = other.checkpoints.join("checkpoint.safetensors");
+    std::fs::write(&file, "cut off").unwrap();
+    let refused = RunState::load(&other).err().unwrap();
+    assert!(refused.to_string().starts_with(&format!("{}: safetensors: ", file.display())), "{refused}");
+    assert!(std::error::Error::source(&refused).is_some());
 }
 
 #[test]
-fn sites_are_drawn_by_their_size_or_all_alike() {
+fn sites_are_drawn_by_size_or_uniformly() {
     let mut random = ChaCha8Rng::seed_from_u64(1);
     let mut share_of_the_smaller = |even_sites| {
         let drawn: Vec<usize> =
@@ -107,7 +112,7 @@ fn sites_are_drawn_by_their_size_or_all_alike() {
 }
 
 #[test]
-fn a_run_begins_with_the_weights_of_another_of_the_same_model() {
+fn a_run_begins_with_given_weights_of_the_same_model() {
     let folder = tempfile::tempdir().unwrap();
     let first = options(folder.path(), 1);
     train(&first).unwrap();
@@ -126,9 +131,15 @@ fn a_run_begins_with_the_weights_of_another_of_the_same_model() {
     other.model.modes = 5;
     let refused = train(&other).unwrap_err().to_string();
     assert!(refused.contains("weights.safetensors: its model is another"), "{refused}");
+    std::fs::write(&first.out, "cut off").unwrap();
+    let refused = train(&second).unwrap_err();
+    assert!(matches!(refused, TrainError::BeginWith { .. }), "{refused}");
+    assert!(refused.to_string().starts_with(&format!("begin_with {}: ", first.out.display())), "{refused}");
+    assert!(std::error::Error::source(&refused).is_some());
 }
 
-/// The golden vectors have no learned points, mode head or base control: here both implementations meet.
+/// The golden vectors have no learned points, mode head or base control; here both implementations are
+/// compared.
 #[test]
 fn forecasts_by_points_agree_with_the_onboard_decoder() {
     let folder = tempfile::tempdir().unwrap();
@@ -198,7 +209,7 @@ fn both_objectives_reach_every_learned_tensor_of_their_model() {
     let folder = tempfile::tempdir().unwrap();
     for objective in [Objective::plus(), Objective::paper()] {
         let mut options = TrainOptions { without_map: 0.0, objective, ..options(folder.path(), 1) };
-        // A step that shows in every tensor, however small its gradient.
+        // A step large enough to change every tensor, however small its gradient.
         (options.optimiser.warm_up_steps, options.optimiser.learning_rate) = (1, 0.1);
         if matches!(options.objective, Objective::Paper { .. }) {
             options.model.latents = nn::Latents::Normal;
@@ -211,20 +222,20 @@ fn both_objectives_reach_every_learned_tensor_of_their_model() {
         let before = state.weights.clone();
         assert!(run.update(&mut state, &base).unwrap().1);
         let unused = |name: &str| {
-            // Nobody rides or drives here; the future is encoded by the paper's objective alone, whose mean
-            // trajectories do not depend on the spread.
+            // The data have no cyclists and vehicles; only the paper's objective encodes the future, and its
+            // mean trajectories do not depend on the spread.
             let of_others = ["vehicle", "cyclist"].iter().any(|other| name.contains(other));
             of_others || (name.starts_with("encoder.") && options.model.base)
         };
         for (name, tensor) in &before.0 {
             let moved = tensor.values != state.weights.get(name);
-            let learned = tensor.role == Role::Learned && !unused(name);
+            let learned = tensor.role == TensorRole::Learned && !unused(name);
             assert!(moved || !learned, "{name} was not moved by {:?}", options.objective);
         }
     }
 }
 
-/// One update of every preset, written and read back by the layers that run on board.
+/// One update of every preset, written and read by the onboard layers.
 #[test]
 fn every_preset_trains_a_model_that_runs_onboard() {
     let folder = tempfile::tempdir().unwrap();
@@ -253,7 +264,7 @@ fn every_preset_trains_a_model_that_runs_onboard() {
 }
 
 #[test]
-fn options_that_contradict_one_another_are_refused() {
+fn contradictory_options_are_refused() {
     let mut options = TrainOptions { objective: Objective::paper(), ..TrainOptions::default() };
     assert!(matches!(options.check(), Err(TrainError::Options(_))));
     options.objective = Objective::plus();

@@ -12,11 +12,12 @@ use crate::{ReadError, open};
 const OCCLUDED_MAX: i64 = 2;
 /// Size of the image, px; a few pixels more than those of some sequences.
 const IMAGE_PX: [f64; 2] = [1242.0, 375.0];
-/// An object whose image is lower is not asked for.
+/// Least height in the image, px, of an object that counts.
 const HEIGHT_MIN_PX: f64 = 25.0;
 
-/// What the labels of a sequence say of each frame: which objects a tracker must find, which it may, and where nobody
-/// has looked. The rules are those of the benchmark's own program, with places on the ground instead of boxes.
+/// The labels of a sequence as the evaluation of a tracker needs them: per frame the objects that a tracker
+/// must find, those that it may find, and the regions of the image without labels. The rules are those of the
+/// benchmark's own program, with positions on the ground instead of boxes.
 #[derive(Clone, Debug)]
 pub struct Annotations {
     poses: WorldFromCamera,
@@ -38,20 +39,21 @@ pub struct AnnotatedFrame {
 pub struct AnnotatedObject {
     /// The same in all frames.
     pub id: u64,
-    /// As what it is tracked.
+    /// The agent type as which a tracker reports it.
     pub agent_type: AgentType,
-    /// Where it is, in the world.
+    /// Position (x, y) in the world, m.
     pub position_m: [f64; 2],
-    /// Whether it must be found: a car, pedestrian or cyclist, wholly in the image, not occluded to an unknown degree.
-    /// Other objects (vans, people who sit, …) may be found or missed.
+    /// Whether a miss counts: a car, pedestrian or cyclist, wholly in the image and not occluded to an
+    /// unknown degree. Other objects (vans, sitting people, …) may be found or missed.
     pub counts: bool,
 }
 
 impl Annotations {
-    /// Reads the labels of the sequence of which a detector's output or the label file lies at `recording`.
+    /// Reads the labels of the sequence to which `recording` (a detector's output or the label file) belongs.
     ///
     /// # Errors
-    /// [`ReadError`] with file, line, column and value, and where labels, calibration or ego motion are not to be had.
+    /// [`ReadError`] with file, line, column and value, and where labels, calibration or ego motion are
+    /// missing.
     pub fn open(recording: &Path) -> Result<Self, ReadError> {
         let [calibration, ego_motion] = open::kitti_sensors(recording)?;
         let labels = open::kitti_labels(recording)?;
@@ -93,10 +95,10 @@ impl Annotations {
         &self.frames
     }
 
-    /// Whether an object at a place in the world would have been labelled: it is in the image, high enough, and not
-    /// where nobody has looked.
+    /// Whether an object at a world position would have been labelled: it is in the image, high enough, and
+    /// outside the unlabelled regions.
     #[must_use]
-    pub fn looked_at(&self, frame: usize, agent_type: AgentType, position_m: [f64; 2]) -> bool {
+    pub fn covers(&self, frame: usize, agent_type: AgentType, position_m: [f64; 2]) -> bool {
         let (Some(annotated), Some(([x, y, z], _))) =
             (self.frames.get(frame), self.poses.standing(frame, position_m, 0.0))
         else {

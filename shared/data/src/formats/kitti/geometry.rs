@@ -1,11 +1,12 @@
 //! From the camera of KITTI's car to a fixed world frame.
 //!
-//! A point of the rectified camera frame goes back through the calibration to the inertial unit,
-//! `imu = (R_rect · Tr_velo_cam · Tr_imu_velo)⁻¹ · camera`, and from there by the unit's pose to the world. Positions
-//! of the unit are latitude and longitude on a Mercator map that is true to scale at the first row, as in KITTI's
-//! own development kit; attitude is roll, pitch and yaw with yaw 0 to the east, counter-clockwise.
+//! A point of the rectified camera frame is transformed by the calibration to the inertial unit, `imu =
+//! (R_rect · Tr_velo_cam · Tr_imu_velo)⁻¹ · camera`, and from there by the unit's pose to the world (m).
+//! Positions of the unit are latitude and longitude on a Mercator map that is true to scale at the first row,
+//! as in KITTI's own development kit; attitude is roll, pitch and yaw with yaw 0 to the east,
+//! counter-clockwise.
 //!
-//! The way back needs a height: objects are taken to stand on the plane that the car stands on.
+//! The inverse transformation needs a height: objects are taken to stand on the plane that the car stands on.
 
 use std::path::Path;
 
@@ -14,11 +15,11 @@ use nalgebra::{Isometry3, Matrix2, Matrix3x4, Matrix4, Point3, Rotation3, Transl
 use crate::text::{self, Line, Separator};
 use crate::{Ego, Input, ReadError, open};
 
-/// Radius of the sphere that the map is drawn of, m.
+/// Radius of the sphere of the Mercator map, m.
 const EARTH_RADIUS_M: f64 = 6_378_137.0;
 /// Height of the inertial unit above the ground, m.
 const IMU_HEIGHT_M: f64 = 0.93;
-/// Objects nearer to the camera's plane than this have no image, m.
+/// Objects nearer to the camera's plane have no image, m.
 const DEPTH_MIN_M: f64 = 0.1;
 const EGO_NAMES: [&str; 30] = [
     "lat",
@@ -58,7 +59,7 @@ const EGO_NAMES: [&str; 30] = [
 pub struct WorldFromCamera {
     imu_from_camera: Matrix4<f64>,
     camera_from_imu: Matrix4<f64>,
-    /// At least one.
+    /// One per frame, at least one.
     world_from_imu: Vec<Isometry3<f64>>,
 }
 
@@ -72,10 +73,11 @@ impl WorldFromCamera {
         Ok(Self { imu_from_camera, camera_from_imu, world_from_imu: world_from_imu(ego_motion)? })
     }
 
-    /// The same of the sequence of which a detector's output or the label file lies at `recording`.
+    /// Reads calibration and ego motion of the sequence to which `recording` (a detector's output or the
+    /// label file) belongs.
     ///
     /// # Errors
-    /// [`ReadError`] with file, line, column and value, and where calibration or ego motion are not to be had.
+    /// [`ReadError`] with file, line, column and value, and where calibration or ego motion are missing.
     pub fn open(recording: &Path) -> Result<Self, ReadError> {
         let [calibration, ego_motion] = open::kitti_sensors(recording)?;
         Self::parse(&calibration, &ego_motion)
@@ -99,11 +101,11 @@ impl WorldFromCamera {
         })
     }
 
-    /// Position (x, y) and heading in the world of an object that stands at `centre_m` in the camera frame, turned by
-    /// `rotation_rad` about the camera's axis down.
+    /// World position (x, y), m, and heading, rad, of an object whose base is at `centre_m` in the camera
+    /// frame and that is turned by `rotation_rad` about the camera's y axis (down).
     ///
     /// # Panics
-    /// If there is no such frame.
+    /// If `frame` has no pose.
     #[must_use]
     pub fn object(&self, frame: usize, centre_m: [f64; 3], rotation_rad: f32) -> ([f64; 2], f64) {
         let pose = &self.world_from_imu[frame];
@@ -114,14 +116,14 @@ impl WorldFromCamera {
         ([centre.x, centre.y], ahead.y.atan2(ahead.x))
     }
 
-    /// Where in the camera frame an object stands that is at a place in the world, and its turn about the axis down:
-    /// the inverse of [`WorldFromCamera::object`]. `None` where there is no such frame.
+    /// Position in the camera frame, m, and rotation about its y axis, rad, of an object that stands at a
+    /// world position: the inverse of [`WorldFromCamera::object`]. `None` where `frame` has no pose.
     #[must_use]
     pub fn standing(&self, frame: usize, position_m: [f64; 2], heading_rad: f64) -> Option<([f64; 3], f64)> {
         let pose = self.world_from_imu.get(frame)?;
         let rotation = pose.rotation.to_rotation_matrix();
         let flat: Matrix2<f64> = rotation.matrix().fixed_view::<2, 2>(0, 0).into();
-        // What has that height in the car's frame and those two coordinates in the world's.
+        // The vector with this height in the car's frame and these two coordinates in the world's.
         let lifted = |xy: Vector2<f64>, height_m: f64| {
             let height: Vector2<f64> = rotation.matrix().fixed_view::<2, 1>(0, 2) * height_m;
             let xy = flat.try_inverse()? * (xy - height);
@@ -135,9 +137,9 @@ impl WorldFromCamera {
     }
 }
 
-/// How points of the rectified camera frame come into the image of the left colour camera.
+/// The projection of the rectified camera frame to the image of the left colour camera.
 #[derive(Clone, Debug)]
-pub struct Camera {
+pub(super) struct Camera {
     projection: Matrix3x4<f64>,
 }
 
@@ -146,7 +148,7 @@ impl Camera {
     ///
     /// # Errors
     /// [`ReadError`] with file, line, column and value.
-    pub fn parse(calibration: &Input) -> Result<Self, ReadError> {
+    pub(super) fn parse(calibration: &Input) -> Result<Self, ReadError> {
         for line in text::lines(calibration) {
             let line = line?;
             if line.pieces(Separator::Space).next().is_some_and(|(_, key)| key.trim_end_matches(':') == "P2")
@@ -157,10 +159,9 @@ impl Camera {
         Err(ReadError::Missing { path: calibration.path.clone(), role: "P2", searched: String::new() })
     }
 
-    /// Where a point is in the image, in pixels from its upper left corner, and how many pixels a metre is there;
-    /// `None` behind the camera.
-    #[must_use]
-    pub fn image_of(&self, [x, y, z]: [f64; 3]) -> Option<[f64; 3]> {
+    /// Image coordinates of a point, px from the upper left corner, and the scale there, px/m; `None` behind
+    /// the camera.
+    pub(super) fn image_of(&self, [x, y, z]: [f64; 3]) -> Option<[f64; 3]> {
         let image = self.projection * nalgebra::Vector4::new(x, y, z, 1.0);
         (image.z > DEPTH_MIN_M)
             .then(|| [image.x / image.z, image.y / image.z, self.projection[(1, 1)] / image.z])
@@ -245,9 +246,9 @@ fn world_from_imu(input: &Input) -> Result<Vec<Isometry3<f64>>, ReadError> {
         }
         let attitude = Rotation3::from_euler_angles(f64::from(roll), f64::from(pitch), f64::from(yaw));
         poses.push(Isometry3::from_parts(Translation3::from(position), attitude.into()));
-        if poses.len() > crate::ROWS_MAX {
+        if poses.len() > crate::rows::ROWS_MAX {
             let path = input.path.clone();
-            return Err(ReadError::TooManyRows { path, line: line.number, most: crate::ROWS_MAX });
+            return Err(ReadError::TooManyRows { path, line: line.number, most: crate::rows::ROWS_MAX });
         }
     }
     if poses.is_empty() { Err(ReadError::Empty { path: input.path.clone() }) } else { Ok(poses) }

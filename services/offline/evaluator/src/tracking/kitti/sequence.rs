@@ -118,7 +118,7 @@ impl Sequence {
         let matched = matches(&tracks, &positions_m);
         let counts = tracks.iter().zip(&matched).filter(|(track, matched)| match matched {
             Some(object) => objects[*object as usize].counts,
-            None => self.annotations.looked_at(index, agent_type, track.position_m),
+            None => self.annotations.covers(index, agent_type, track.position_m),
         });
         let truths = objects.iter().filter(|object| object.counts);
         let truths: Vec<Object> =
@@ -187,7 +187,7 @@ mod tests {
     }
 
     #[test]
-    fn only_what_was_looked_at_is_false() {
+    fn tracks_outside_the_labelled_regions_are_not_false() {
         const CAR: [f64; 2] = ahead(0.0, 20.0);
         assert_eq!(figures(&[CAR]), [Some(0.0), Some(0.0), Some(1.0)]);
         let [missed, wrong, _] = figures(&[]);

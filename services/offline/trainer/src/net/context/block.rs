@@ -2,7 +2,7 @@
 
 use super::convolution::{Convolution, Geometry};
 use super::map::Map;
-use super::norm::{Norm, NormTrace, Pass, Then, WayBack};
+use super::norm::{BackwardPass, Norm, NormTrace, Pass, Then};
 
 /// A convolution with the batch norm behind it.
 struct Unit {
@@ -28,15 +28,15 @@ impl Unit {
     /// Gradient by the input `x`, added to `sum` where there is one; `rectified` and `dy` as for the norm.
     fn backward(
         &self,
-        back: &mut WayBack<'_>,
+        pass: &mut BackwardPass<'_>,
         trace: &NormTrace,
         x: &Map,
         (rectified, dy): (Option<&Map>, &mut Map),
         sum: Option<&Map>,
     ) -> Map {
-        let d_convolved = self.norm.backward(back, trace, rectified, dy);
-        self.convolution.by_kernel(back.gradients, x, &d_convolved);
-        self.convolution.by_input(back.weights, &d_convolved, sum)
+        let d_convolved = self.norm.backward(pass, trace, rectified, dy);
+        self.convolution.by_kernel(pass.gradients, x, &d_convolved);
+        self.convolution.by_input(pass.weights, &d_convolved, sum)
     }
 }
 
@@ -49,7 +49,7 @@ pub(super) struct Block {
     out_side: usize,
 }
 
-/// What the way back of a block needs besides its input and output.
+/// What the backward pass of a block needs besides its input and output.
 pub(super) struct BlockTrace {
     first: NormTrace,
     inner: Map,
@@ -89,17 +89,17 @@ impl Block {
     /// Gradient by the input `x`, from the gradient `dy` by the output `y`.
     pub(super) fn backward(
         &self,
-        back: &mut WayBack<'_>,
+        pass: &mut BackwardPass<'_>,
         trace: &BlockTrace,
         [x, y]: [&Map; 2],
         mut dy: Map,
     ) -> Map {
         let BlockTrace { first, inner, second, projection } = trace;
-        let mut d_inner = self.second.backward(back, second, inner, (Some(y), &mut dy), None);
+        let mut d_inner = self.second.backward(pass, second, inner, (Some(y), &mut dy), None);
         // `dy` is now the gradient by the shortcut.
         if let Some((unit, trace)) = self.projection.as_ref().zip(projection.as_ref()) {
-            dy = unit.backward(back, trace, x, (None, &mut dy), None);
+            dy = unit.backward(pass, trace, x, (None, &mut dy), None);
         }
-        self.first.backward(back, first, x, (Some(inner), &mut d_inner), Some(&dy))
+        self.first.backward(pass, first, x, (Some(inner), &mut d_inner), Some(&dy))
     }
 }

@@ -1,7 +1,8 @@
-//! Convolutions between maps: forward, by the input and by the kernel.
+//! Convolutions between maps: forward pass, gradient by the input, gradient by the kernel.
 //!
-//! Forward and by the input are the onboard network's indirect convolution: the way back reads the gradient of the
-//! output through the transposed taps. By the kernel is a sum of outer products over images and positions.
+//! Forward pass and gradient by the input are the onboard network's indirect convolution; the latter reads
+//! the gradient of the output through the transposed taps. The gradient by the kernel is a sum of outer
+//! products over images and positions.
 
 use nn::kernels::product::{Gather, PANEL, Panels, Product, Taps};
 use nn::kernels::{Kernel, Lanes, dispatch};
@@ -34,7 +35,7 @@ pub(super) struct Convolution {
     in_channels: usize,
     out_channels: usize,
     kernel_len: usize,
-    /// The taps that see input somewhere, and their places in the kernel.
+    /// The taps that read input somewhere, and their positions in the kernel.
     taps: Taps,
     places: Vec<usize>,
 }
@@ -45,7 +46,7 @@ impl Convolution {
         Self { name, in_channels, out_channels, kernel_len: geometry.kernel * geometry.kernel, taps, places }
     }
 
-    /// Place of a weight in the kernel.
+    /// Position of a weight in the kernel.
     fn place(&self, out: usize, tap: usize, c: usize) -> usize {
         (out * self.in_channels + c) * self.kernel_len + self.places[tap]
     }
@@ -101,8 +102,8 @@ fn convolve(x: &Map, taps: &Taps, panels: &Panels, residual: Option<&Map>, mut y
     y
 }
 
-/// Adds Σ xᵀ y over rows of `x` \[row, in\] and `y` \[row, out\] to `sums` \[in, out\]; `lens` are in and out, multiples
-/// of 16.
+/// Adds Σ xᵀ y over rows of `x` \[row, in\] and `y` \[row, out\] to `sums` \[in, out\]; `lens` are in and
+/// out, multiples of 16.
 pub(super) fn add_outer([x, y]: [&[f32]; 2], lens: [usize; 2], sums: &mut [f32]) {
     assert!(lens.iter().all(|len| len.is_multiple_of(PANEL)), "whole panels");
     assert_eq!(sums.len(), lens[0] * lens[1], "sums for each pair");
@@ -119,7 +120,7 @@ struct Outer<'a> {
 impl Kernel for Outer<'_> {
     type Output = ();
 
-    /// A tile of sums stays in registers while all rows pass.
+    /// A tile of sums stays in registers over all rows.
     #[inline(always)]
     fn run<L: Lanes>(mut self, lanes: L) {
         for out in (0..self.lens[1]).step_by(L::LEN) {
@@ -157,7 +158,7 @@ impl Outer<'_> {
 mod tests {
     use super::*;
     use crate::net::check::{check, values, weighted};
-    use crate::net::tensors::Role;
+    use crate::net::tensors::TensorRole;
 
     const NAME: &str = "weight";
     const IMAGES: usize = 5;
@@ -189,14 +190,14 @@ mod tests {
             let convolution = Convolution::new(NAME.to_owned(), geometry, [from, to]);
             let shape = [to, from, kernel, kernel];
             let mut weights = Tensors::default();
-            weights.insert(NAME, &shape, values(shape.iter().product(), 1.0, 1), Role::Learned);
+            weights.insert(NAME, &shape, values(shape.iter().product(), 1.0, 1), TensorRole::Learned);
             let (x, dy) = (map(side, from, 2), map(geometry.out_side(), to, 3));
             let mut gradients = Gradients::zeros(&weights);
             convolution.by_kernel(&mut gradients, &x, &dy);
             let name = format!("{geometry:?}");
             check(&name, weights.get(NAME), gradients.get_mut(NAME), (0.1, 20), |values| {
                 let mut moved = weights.clone();
-                moved.insert(NAME, &shape, values.to_vec(), Role::Learned);
+                moved.insert(NAME, &shape, values.to_vec(), TensorRole::Learned);
                 weighted(&convolution.forward(&moved, &x).values, &dy.values)
             });
             let dx = convolution.by_input(&weights, &dy, None);

@@ -61,7 +61,7 @@ pub(super) fn max_pool(x: &Map, taps: &Taps) -> Map {
     y
 }
 
-/// The way back of [`max_pool`]: the gradient of a maximum goes to the first tap that has it.
+/// The backward pass of [`max_pool`]: the gradient of a maximum goes to the first tap that has it.
 pub(super) fn max_pool_backward([x, y]: [&Map; 2], taps: &Taps, mut dy: Map) -> Map {
     let mut dx = x.like();
     for position in 0..y.positions {
@@ -89,7 +89,7 @@ pub(super) fn average(x: &Map) -> Map {
     means
 }
 
-/// The way back of [`average`] over so many positions.
+/// The backward pass of [`average`] over so many positions.
 pub(super) fn average_backward(d_means: &Map, positions: usize) -> Map {
     let share = 1.0 / positions as f32;
     let dx: Vec<f32> = d_means.values.iter().map(|mean| share * mean).collect();

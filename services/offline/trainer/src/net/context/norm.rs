@@ -4,7 +4,7 @@
 //! y = γ (x − mean) / √(var + ε) + β
 //! ```
 //!
-//! Where mean and variance come from the batch, its N rows move them too:
+//! Where mean and variance are those of the batch, they depend on its N rows:
 //!
 //! ```text
 //! dx = γ / √(var + ε) · (dy − Σ dy / N − (x − mean) / (var + ε) · Σ dy (x − mean) / N)
@@ -27,7 +27,7 @@ const EPSILON: f64 = 1e-5;
 /// Weight of a new batch in the running mean and variance.
 const MOMENTUM: f32 = 0.1;
 
-/// A way forward through the network.
+/// A forward pass through the network.
 pub(super) struct Pass<'a> {
     pub(super) weights: &'a Tensors,
     pub(super) normalisation: Normalisation,
@@ -35,8 +35,8 @@ pub(super) struct Pass<'a> {
     pub(super) statistics: Vec<(String, Vec<f32>)>,
 }
 
-/// A way back through it.
-pub(super) struct WayBack<'a> {
+/// A backward pass through it.
+pub(super) struct BackwardPass<'a> {
     pub(super) weights: &'a Tensors,
     pub(super) gradients: &'a mut Gradients,
 }
@@ -53,15 +53,15 @@ pub(super) enum Then<'a> {
     AddRelu(&'a Map),
 }
 
-/// What the way back of a batch norm needs.
+/// What the backward pass of a batch norm needs.
 pub(super) struct NormTrace {
     x: Map,
-    moments: Moments,
+    moments: ChannelMoments,
     normalisation: Normalisation,
 }
 
 /// Mean and deviation of each channel.
-struct Moments {
+struct ChannelMoments {
     mean: Vec<Panel>,
     variance: Vec<Panel>,
 }
@@ -72,7 +72,7 @@ impl Norm {
         let moments = match pass.normalisation {
             Normalisation::Running => self.running(pass.weights),
             Normalisation::Batch => {
-                let moments = Moments::of(&x);
+                let moments = ChannelMoments::of(&x);
                 self.move_running(pass, &moments, x.rows());
                 moments
             }
@@ -96,13 +96,13 @@ impl Norm {
         (y, NormTrace { x, moments, normalisation: pass.normalisation })
     }
 
-    /// The way back: gradient by the input.
+    /// The backward pass: gradient by the input.
     ///
-    /// `dy` is the gradient by the output `rectified` of the ReLU, if there is one; it becomes the gradient before the
-    /// ReLU, which is also that by the shortcut.
+    /// `dy` is the gradient by the output `rectified` of the ReLU, if there is one; it becomes the gradient
+    /// before the ReLU, which is also that by the shortcut.
     pub(super) fn backward(
         &self,
-        back: &mut WayBack<'_>,
+        pass: &mut BackwardPass<'_>,
         trace: &NormTrace,
         rectified: Option<&Map>,
         dy: &mut Map,
@@ -114,7 +114,7 @@ impl Norm {
             Normalisation::Batch => 1.0 / x.rows() as f64,
             Normalisation::Running => 0.0,
         };
-        let mut by_dy = self.gamma(back.weights);
+        let mut by_dy = self.gamma(pass.weights);
         let mut by_x = vec![[0.0; PANEL]; sums.len()];
         let mut constant = by_x.clone();
         for (panel, [sum, product]) in sums.iter().enumerate() {
@@ -128,7 +128,7 @@ impl Norm {
                     (-factor * sum[c] * share - slope * f64::from(moments.mean[panel][c])) as f32;
             }
         }
-        self.add_gradients(back.gradients, moments, &sums);
+        self.add_gradients(pass.gradients, moments, &sums);
         let mut dx = x.like();
         let plane = [by_dy.as_slice(), &by_x, &constant];
         dispatch(Plane { plane, x: dy.panels(), y: x.panels(), out: dx.panels_mut() });
@@ -136,7 +136,7 @@ impl Norm {
     }
 
     /// Adds the gradients by γ and β, given Σ dy and Σ dy (x − mean).
-    fn add_gradients(&self, gradients: &mut Gradients, moments: &Moments, sums: &[[Sums; 2]]) {
+    fn add_gradients(&self, gradients: &mut Gradients, moments: &ChannelMoments, sums: &[[Sums; 2]]) {
         for (c, d_beta) in gradients.get_mut(&self.part("bias")).iter_mut().enumerate() {
             *d_beta += sums[c / PANEL][0][c % PANEL] as f32;
         }
@@ -147,7 +147,7 @@ impl Norm {
     }
 
     /// The running moments, moved towards those of a batch with `rows_len` rows.
-    fn move_running(&self, pass: &mut Pass<'_>, batch: &Moments, rows_len: usize) {
+    fn move_running(&self, pass: &mut Pass<'_>, batch: &ChannelMoments, rows_len: usize) {
         let unbiased = (rows_len as f64 / (rows_len as f64 - 1.0).max(1.0)) as f32;
         for (part, new, factor) in
             [("running_mean", &batch.mean, 1.0), ("running_var", &batch.variance, unbiased)]
@@ -158,9 +158,9 @@ impl Norm {
         }
     }
 
-    fn running(&self, weights: &Tensors) -> Moments {
+    fn running(&self, weights: &Tensors) -> ChannelMoments {
         let moment = |part: &str| padded(self.tensor(weights, part));
-        Moments { mean: moment("running_mean"), variance: moment("running_var") }
+        ChannelMoments { mean: moment("running_mean"), variance: moment("running_var") }
     }
 
     fn gamma(&self, weights: &Tensors) -> Vec<Panel> {
@@ -176,7 +176,7 @@ impl Norm {
     }
 }
 
-impl Moments {
+impl ChannelMoments {
     /// Those of the rows of a map.
     fn of(x: &Map) -> Self {
         assert!(x.rows() > 0, "moments of no rows");

@@ -1,7 +1,8 @@
 //! The first convolution, which reads patches as they come: \[image, channel, row, column\].
 //!
-//! Its three input channels would leave most of a vector empty. What an output position sees is therefore copied to rows
-//! \[image, (channel, row, column)\], in the order of the kernel, and multiplied as by a linear layer.
+//! Its three input channels would leave most of a vector empty. The receptive field of each output position
+//! is therefore copied to rows \[image, (channel, row, column)\], in the order of the kernel, and multiplied
+//! as by a linear layer.
 
 use nn::kernels::product::{Gather, PANEL, Panels, Product};
 use wire::PATCH_CHANNELS;
@@ -26,12 +27,12 @@ impl Stem {
         let images = patches.len() / self.patch_len();
         assert!(patches.len().is_multiple_of(self.patch_len()), "whole patches");
         let mut y = Map::zeros(self.positions(), images, self.out_channels);
-        let mut seen = self.nothing(images);
+        let mut field = self.empty_field(images);
         let gather = Gather::Rows { stride: self.stride() };
         for position in 0..y.positions {
-            self.see(patches, position, &mut seen);
+            self.copy_field(patches, position, &mut field);
             let out = y.position_mut(position);
-            Product { input: &seen, gather, panels: &panels, residual: None, relu: false, out }.run();
+            Product { input: &field, gather, panels: &panels, residual: None, relu: false, out }.run();
         }
         y
     }
@@ -40,10 +41,10 @@ impl Stem {
     pub(super) fn by_kernel(&self, gradients: &mut Gradients, patches: &[f32], dy: &Map) {
         let lens = [self.stride(), dy.channels];
         let mut sums = vec![0.0; lens[0] * lens[1]];
-        let mut seen = self.nothing(dy.images);
+        let mut field = self.empty_field(dy.images);
         for position in 0..dy.positions {
-            self.see(patches, position, &mut seen);
-            add_outer([&seen, dy.position(position)], lens, &mut sums);
+            self.copy_field(patches, position, &mut field);
+            add_outer([&field, dy.position(position)], lens, &mut sums);
         }
         let kernel = gradients.get_mut(&self.name).chunks_exact_mut(self.in_len());
         for (out, kernel) in kernel.enumerate() {
@@ -53,12 +54,12 @@ impl Stem {
         }
     }
 
-    /// Copies what the output `position` sees of each image to rows of `seen`; padding stays as it is, zero.
-    fn see(&self, patches: &[f32], position: usize, seen: &mut [f32]) {
+    /// Copies the receptive field of output `position` of each image to rows of `field`; padding stays zero.
+    fn copy_field(&self, patches: &[f32], position: usize, field: &mut [f32]) {
         let Geometry { side, kernel, stride, padding } = self.geometry;
         let out_side = self.geometry.out_side();
-        seen.fill(0.0);
-        // Kernel cells that lie on the patch, and the first patch cell that they see.
+        field.fill(0.0);
+        // Kernel cells that lie on the patch, and the first patch cell that they read.
         let inside = |out: usize| {
             let first = padding.saturating_sub(out * stride);
             let end = kernel.min(side + padding - out * stride);
@@ -66,19 +67,19 @@ impl Stem {
         };
         let (rows, top) = inside(position / out_side);
         let (columns, left) = inside(position % out_side);
-        let images = patches.chunks_exact(self.patch_len()).zip(seen.chunks_exact_mut(self.stride()));
-        for (patch, seen) in images {
+        let images = patches.chunks_exact(self.patch_len()).zip(field.chunks_exact_mut(self.stride()));
+        for (patch, field) in images {
             for (channel, plane) in patch.chunks_exact(side * side).enumerate() {
                 for (number, row) in rows.clone().enumerate() {
                     let cells = &plane[(top + number) * side + left..][..columns.len()];
                     let place = (channel * kernel + row) * kernel;
-                    seen[place..][columns.clone()].copy_from_slice(cells);
+                    field[place..][columns.clone()].copy_from_slice(cells);
                 }
             }
         }
     }
 
-    fn nothing(&self, images: usize) -> Vec<f32> {
+    fn empty_field(&self, images: usize) -> Vec<f32> {
         vec![0.0; images * self.stride()]
     }
 
@@ -90,7 +91,7 @@ impl Stem {
         PATCH_CHANNELS * self.geometry.side * self.geometry.side
     }
 
-    /// Cells that the kernel sees.
+    /// Cells of the receptive field.
     const fn in_len(&self) -> usize {
         PATCH_CHANNELS * self.geometry.kernel * self.geometry.kernel
     }

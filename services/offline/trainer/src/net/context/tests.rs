@@ -8,7 +8,7 @@ use safetensors::tensor::TensorView;
 
 use super::*;
 use crate::net::check::{values, weighted};
-use crate::net::tensors::Role;
+use crate::net::tensors::TensorRole;
 use crate::options::onboard_config;
 
 const EMBEDDING: usize = 32;
@@ -35,13 +35,13 @@ fn random(config: &ModelConfig) -> Tensors {
             _ => (0.3, 0.3),
         };
         let values = values(len, scale, seed as u64).iter().map(|value| middle + value).collect();
-        let role = if statistic { Role::Statistic } else { Role::Learned };
+        let role = if statistic { TensorRole::Statistic } else { TensorRole::Learned };
         weights.insert(&entry.name, &entry.shape, values, role);
     }
     weights
 }
 
-/// Patches, most of whose cells are empty as those of a map.
+/// Patches with mostly empty cells, as those of a map.
 fn patches(config: &ModelConfig, patches_len: usize) -> Vec<f32> {
     let len = patches_len * 3 * config.patch_size * config.patch_size;
     values(len, 1.0, 99).iter().map(|value| value.max(0.0)).collect()
@@ -79,8 +79,8 @@ fn running_normalisation_agrees_with_the_onboard_network() {
     }
 }
 
-/// Every tensor has its way back. That each way back is right to the percent is held layer by layer: here the kinks of
-/// seventeen ReLUs in a row, of which each difference crosses some, let a tenth pass.
+/// Every tensor has a gradient. Tests of the layers hold each gradient to a percent; here the differences
+/// cross kinks of seventeen ReLUs in a row, hence the tolerance of a tenth.
 #[test]
 fn gradients_by_all_tensors_agree_with_differences() {
     const PATCHES: usize = 64;
@@ -112,7 +112,7 @@ fn gradients_by_all_tensors_agree_with_differences() {
                 assert!(norm > 1.0, "{place}: a gradient of {norm} is lost in the noise");
                 assert!(
                     (slope / norm - 1.0).abs() < 0.1,
-                    "{place}: {norm} by the way back, {slope} by differences"
+                    "{place}: {norm} by the backward pass, {slope} by differences"
                 );
             }
         }

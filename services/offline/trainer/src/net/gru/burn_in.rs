@@ -8,7 +8,7 @@ use super::step::{GATES, HIDDEN, KEPT, KEPT_STATE, SUMS, Step, StepBackward};
 use super::sum::{MatrixSum, columns};
 use super::{BLOCK, FEATURE_COLUMNS, FEATURES, add_biases, by_input, by_state, product, to_state};
 
-/// The history as the recurrent unit has read it.
+/// The recurrent unit after the history.
 #[derive(Debug)]
 pub(crate) struct BurnIn {
     /// h of every agent, `[agents, 128]`.
@@ -19,8 +19,8 @@ pub(crate) struct BurnIn {
     kept: Vec<f32>,
 }
 
-/// Hidden states after the present history steps, from 0: `state` `[agents, steps × 6]`, `present` `[agents, steps]` of 0
-/// and 1.
+/// Hidden states after the present history steps, from 0: `state` `[agents, steps × 6]`, `present` `[agents,
+/// steps]` of 0 and 1.
 pub(crate) fn burn_in(weights: &Tensors, name: &str, state: &Matrix, present: &Matrix) -> BurnIn {
     let (agents_len, steps_len) = (present.rows, present.cols);
     assert_eq!((state.rows, state.cols), (agents_len, steps_len * FEATURES), "a state per agent and step");
@@ -82,7 +82,7 @@ impl BurnIn {
                     sums: &mut sums,
                 });
                 by_features.add(d_input, GATES, columns(state, self.state.cols, step * FEATURES, FEATURES));
-                // Before the first step the state is 0 whatever the weights are.
+                // Before the first step the state is 0, whatever the weights.
                 if step > 0 {
                     by_hidden.add(d_recurrent, GATES, columns(kept, KEPT, KEPT_STATE, HIDDEN));
                     product(&recurrent, d_recurrent, GATES, Some(d_state), d_earlier);

@@ -1,7 +1,8 @@
 //! The recurrent unit over the horizon on a GPU.
 //!
-//! What is little work (the products of the first step with ṽ and z) stays on the processor; all steps of all draws are one
-//! dispatch forward and one backward, and the gradients by W_h and the head another. What the way back needs stays on the GPU.
+//! The small products of the first step with ṽ and z run on the processor; all steps of all draws are one
+//! dispatch forward and one backward, and the gradients by W_h and the head another. The trace for the
+//! backward pass stays on the GPU.
 
 use std::sync::mpsc;
 
@@ -32,7 +33,7 @@ pub(crate) struct Gpu {
     name: String,
 }
 
-/// What the way back needs, on the GPU.
+/// What the backward pass needs, on the GPU.
 #[derive(Debug)]
 pub(crate) struct Trace {
     inputs: Inputs,
@@ -42,19 +43,18 @@ pub(crate) struct Trace {
 }
 
 impl Gpu {
-    /// The GPU that the system would give to a demanding program.
+    /// Opens the system's high-performance GPU.
     pub(crate) fn open() -> Result<Self, TrainError> {
-        let refused = |reason: String| TrainError::Gpu { reason };
         let instance = wgpu::Instance::default();
         let wanted = wgpu::RequestAdapterOptions {
             power_preference: wgpu::PowerPreference::HighPerformance,
             ..Default::default()
         };
         let adapter = pollster::block_on(instance.request_adapter(&wanted))
-            .map_err(|error| refused(error.to_string()))?;
+            .map_err(|error| TrainError::Gpu { source: error.into() })?;
         let descriptor = wgpu::DeviceDescriptor { required_limits: adapter.limits(), ..Default::default() };
         let (device, queue) = pollster::block_on(adapter.request_device(&descriptor))
-            .map_err(|error| refused(error.to_string()))?;
+            .map_err(|error| TrainError::Gpu { source: error.into() })?;
         let pipeline = |label: &str, parts: &[&str]| {
             let source = sizes() + &parts.concat();
             let module = device.create_shader_module(wgpu::ShaderModuleDescriptor {
@@ -87,12 +87,12 @@ impl Gpu {
         })
     }
 
-    /// What it calls itself.
+    /// Name and backend.
     pub(crate) fn name(&self) -> &str {
         &self.name
     }
 
-    /// The same as [`super::unroll`], with the inputs where the way back is to be kept.
+    /// The same as [`super::unroll`], with the inputs where the trace is to be kept.
     pub(super) fn unroll(
         &self,
         weights: &Tensors,
@@ -172,7 +172,7 @@ impl Gpu {
         self.queue.submit([encoder.finish()]);
     }
 
-    /// A buffer of so many numbers.
+    /// A buffer of `len` floats.
     fn empty(&self, len: usize) -> wgpu::Buffer {
         self.device.create_buffer(&wgpu::BufferDescriptor {
             label: None,
@@ -201,7 +201,7 @@ impl Gpu {
         })
     }
 
-    /// The first `len` numbers of a buffer.
+    /// The first `len` floats of a buffer.
     ///
     /// # Panics
     /// Where the GPU is lost.
@@ -216,19 +216,19 @@ impl Gpu {
         let mut encoder = self.device.create_command_encoder(&Default::default());
         encoder.copy_buffer_to_buffer(buffer, 0, &near, 0, size);
         self.queue.submit([encoder.finish()]);
-        let (told, heard) = mpsc::channel();
+        let (sender, receiver) = mpsc::channel();
         near.map_async(wgpu::MapMode::Read, .., move |mapped| {
-            // Whoever waits is there until it is told.
-            let _ = told.send(mapped);
+            // The receiver lives until the callback has run.
+            let _ = sender.send(mapped);
         });
         self.device.poll(wgpu::PollType::wait_indefinitely()).expect("the GPU answers");
-        heard.recv().expect("the mapping ends").expect("the GPU's memory is readable");
+        receiver.recv().expect("the mapping ends").expect("the GPU's memory is readable");
         let mapped = near.get_mapped_range(..).expect("the whole buffer is mapped");
         bytemuck::cast_slice(&mapped).to_vec()
     }
 }
 
-/// The sizes that the kernels share with the processor, as they are told in their language.
+/// The sizes that the kernels share with the processor, as WGSL constants.
 fn sizes() -> String {
     let sizes = [
         ("HIDDEN", HIDDEN),
@@ -247,7 +247,8 @@ fn turned(matrix: &[f32]) -> Vec<f32> {
     (0..HIDDEN).flat_map(|k| (0..STACKED).map(move |out| matrix[out * HIDDEN + k])).collect()
 }
 
-/// Adds the gradients by W_h, the head and all biases, `[517, 128 + 1]` with the sums of the rows in the last column.
+/// Adds the gradients by W_h, the head and all biases, `[517, 128 + 1]` with the sums of the rows in the last
+/// column.
 fn add_sums(gradients: &mut Gradients, name: &str, sums: &[f32]) {
     let (rows, _) = sums.as_chunks::<{ HIDDEN + 1 }>();
     let mut add = |part: &str, rows: &mut dyn Iterator<Item = &[f32]>| {

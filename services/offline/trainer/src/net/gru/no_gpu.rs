@@ -1,4 +1,4 @@
-//! What stands for a GPU in a build without the feature `gpu`: there is none, and none is opened.
+//! The GPU of a build without the feature `gpu`: opening one is an error.
 
 use super::super::matrix::Matrix;
 use super::super::tensors::{Gradients, Tensors};
@@ -9,7 +9,7 @@ use crate::TrainError;
 #[derive(Debug)]
 pub(crate) enum Gpu {}
 
-/// Nothing that lies on one.
+/// No trace.
 #[derive(Debug)]
 pub(crate) enum Trace {}
 
@@ -17,8 +17,7 @@ impl Gpu {
     /// # Errors
     /// Always.
     pub(crate) fn open() -> Result<Self, TrainError> {
-        let reason = "this build has no GPU backend; build with `--features gpu`".to_owned();
-        Err(TrainError::Gpu { reason })
+        Err(TrainError::Gpu { source: "this build has no GPU backend; build with `--features gpu`".into() })
     }
 
     pub(crate) fn name(&self) -> &str {

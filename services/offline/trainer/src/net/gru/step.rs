@@ -6,11 +6,11 @@ use nn::kernels::{Kernel, Lanes, sigmoid, tanh};
 pub(super) const HIDDEN: usize = 128;
 /// Length of the three gates.
 pub(super) const GATES: usize = 3 * HIDDEN;
-/// Length of what the way back keeps of a step of a row: r ‖ z ‖ n ‖ Hₙ ‖ h.
+/// Floats that the forward pass keeps of a step of a row for the backward pass: r ‖ z ‖ n ‖ Hₙ ‖ h.
 pub(super) const KEPT: usize = 5 * HIDDEN;
-/// Where h begins in it.
+/// Offset of h among them.
 pub(super) const KEPT_STATE: usize = 4 * HIDDEN;
-/// Length of the column sums that the way back collects: those of I and, behind them, of Hₙ.
+/// Length of the column sums of the backward pass: those of I and, behind them, of Hₙ.
 pub(super) const SUMS: usize = 4 * HIDDEN;
 
 /// One step of a batch of hidden states, in place:
@@ -25,9 +25,9 @@ pub(super) struct Step<'a> {
     pub(super) recurrent: &'a [f32],
     /// h, then h', `[rows, 128]`.
     pub(super) state: &'a mut [f32],
-    /// Where 0, the row keeps its state, `[rows]`; `None` where all rows move on.
+    /// Where 0, the row keeps its state, `[rows]`; `None` where no row does.
     pub(super) present: Option<&'a [f32]>,
-    /// Gets `[rows, KEPT]` for the way back.
+    /// Gets `[rows, KEPT]` for the backward pass.
     pub(super) kept: Option<&'a mut Vec<f32>>,
 }
 
@@ -70,7 +70,7 @@ impl Kernel for Step<'_> {
     }
 }
 
-/// What is kept of a row that keeps its state: z = 1 lets the gradient pass and no gate see it.
+/// The trace of a row that keeps its state: z = 1 passes the gradient through and gives the gates none.
 fn idle(state: &[f32; HIDDEN]) -> [f32; KEPT] {
     let mut kept = [0.0; KEPT];
     kept[HIDDEN..2 * HIDDEN].fill(1.0);
@@ -78,11 +78,11 @@ fn idle(state: &[f32; HIDDEN]) -> [f32; KEPT] {
     kept
 }
 
-/// The way back of [`Step`].
+/// The backward pass of [`Step`].
 pub(super) struct StepBackward<'a> {
     /// What the step kept, `[rows, KEPT]`.
     pub(super) kept: &'a [f32],
-    /// The gradient by h', replaced by the part of that by h which does not pass H, `[rows, 128]`.
+    /// The gradient by h', replaced by the part of that by h which does not go through H, `[rows, 128]`.
     pub(super) d_state: &'a mut [f32],
     /// Gets the gradient by H in the first columns, `[rows, …]`.
     pub(super) d_recurrent: &'a mut [f32],

@@ -19,7 +19,8 @@ impl MatrixSum {
         Self { sum: zeros.clone(), next: zeros, stride }
     }
 
-    /// Adds dyᵀ x, for rows of dy that lie `stride` floats apart; columns of dy beyond the sum's rows do not count.
+    /// Adds dyᵀ x, for rows of dy that are `stride` floats apart; columns of dy beyond the sum's rows are
+    /// ignored.
     pub(super) fn add(&mut self, dy: &[f32], stride: usize, x: Columns<'_>) {
         if x.rows_len == 0 {
             return;

@@ -2,7 +2,7 @@ use super::*;
 use crate::net::check::{check, values, weighted};
 use crate::net::dense::perceptron_backward;
 use crate::net::golden::Golden;
-use crate::net::tensors::Role;
+use crate::net::tensors::TensorRole;
 
 const NAME: &str = "decoder.pedestrian";
 const MODES: usize = 4;
@@ -24,7 +24,7 @@ fn weights() -> Tensors {
     ];
     for (seed, (name, shape)) in shapes.into_iter().enumerate() {
         let len = shape.iter().product();
-        weights.insert(&format!("{NAME}.{name}"), shape, values(len, 0.15, seed as u64), Role::Learned);
+        weights.insert(&format!("{NAME}.{name}"), shape, values(len, 0.15, seed as u64), TensorRole::Learned);
     }
     weights
 }
@@ -33,7 +33,7 @@ fn matrix(rows: usize, cols: usize, seed: u64) -> Matrix {
     Matrix::new(rows, cols, values(rows * cols, 1.0, seed))
 }
 
-/// States and presence of agents that come late, leave early or miss a step.
+/// States and presence of agents that appear late, disappear early or miss a step.
 fn history(agents_len: usize, steps_len: usize) -> (Matrix, Matrix) {
     let absent = |agent: usize, step: usize| match agent % 4 {
         0 => step < 2,
@@ -54,7 +54,7 @@ fn inputs(agents_len: usize, draws_len: usize) -> [Matrix; 3] {
     ]
 }
 
-/// Holds the gradients by `tensors` to differences of `loss` in the weights.
+/// Compares the gradients by `tensors` with differences of `loss` in the weights.
 fn check_tensors(
     weights: &Tensors,
     gradients: &mut Gradients,
@@ -66,7 +66,7 @@ fn check_tensors(
         let gradient = gradients.get_mut(&name).to_vec();
         check(tensor, weights.get(&name), &gradient, (1e-2, 8), |values| {
             let mut moved = weights.clone();
-            moved.insert(&name, &weights.tensor(&name).shape, values.to_vec(), Role::Learned);
+            moved.insert(&name, &weights.tensor(&name).shape, values.to_vec(), TensorRole::Learned);
             loss(&moved)
         });
     }
@@ -161,8 +161,9 @@ fn apart(found: &[f32], expected: &[f32]) -> f32 {
     found.iter().zip(expected).fold(0.0_f32, |most, (a, b)| most.max((a - b).abs())) / largest
 }
 
-/// Burn-in and forecast there and back: forecast, gradients by the weights, gradients by the latent variables.
-fn there_and_back(weights: &Tensors, agents: &[u32], draws_len: usize) -> (Matrix, Gradients, Matrix) {
+/// Burn-in and forecast, forward and backward: forecast, gradients by the weights, gradients by the latent
+/// variables.
+fn forward_and_backward(weights: &Tensors, agents: &[u32], draws_len: usize) -> (Matrix, Gradients, Matrix) {
     let (state, present) = history(2 * BLOCK, 5);
     let [_, encoding, latent] = inputs(2 * BLOCK, draws_len);
     let d_raw = matrix(latent.rows, 3 * CONTROL, 35);
@@ -188,10 +189,10 @@ fn there_and_back(weights: &Tensors, agents: &[u32], draws_len: usize) -> (Matri
 fn a_batch_of_many_blocks_is_the_sum_of_its_agents() {
     let weights = weights();
     let agents: Vec<u32> = (0..2 * BLOCK as u32 - 7).collect();
-    let (raw, gradients, latent) = there_and_back(&weights, &agents, 3);
+    let (raw, gradients, latent) = forward_and_backward(&weights, &agents, 3);
     let mut sum = Gradients::zeros(&weights);
     for &agent in &agents {
-        let (alone, gradients, by_latent) = there_and_back(&weights, &[agent], 3);
+        let (alone, gradients, by_latent) = forward_and_backward(&weights, &[agent], 3);
         sum.add(&gradients);
         let first = agent as usize * 3;
         assert_eq!(alone.values, raw.values[first * raw.cols..][..3 * raw.cols], "forecast of {agent}");
@@ -215,7 +216,7 @@ fn a_trace_changes_no_bit_of_the_forecast() {
 }
 
 #[test]
-fn no_agents_and_no_draws_are_no_work() {
+fn no_agents_or_draws_give_empty_results() {
     let weights = weights();
     let mut gradients = Gradients::zeros(&weights);
     let zeros = gradients.clone();
@@ -270,7 +271,8 @@ fn forecasts_agree_with_the_golden_vectors() {
     }
 }
 
-/// What the GPU does is what the processor does, there and back: with rows that fill no workgroup, and without draws.
+/// The GPU computes what the processor does, forward and backward: with a partial workgroup, and without
+/// draws.
 #[cfg(feature = "gpu")]
 #[test]
 fn a_gpu_agrees_with_the_processor() {
@@ -286,7 +288,7 @@ fn a_gpu_agrees_with_the_processor() {
     for (agents_len, draws_len) in [(1, 1), (7, 3), (41, 5), (3, 0)] {
         let [hidden, encoding, latent] = inputs(agents_len, draws_len);
         let d_raw = matrix(latent.rows, 12 * CONTROL, 36);
-        let there_and_back = |device: &Device| {
+        let forward_and_backward = |device: &Device| {
             let mut gradients = Gradients::zeros(&weights);
             let there = unroll(device, &weights, (NAME, &hidden, &encoding, &latent), 12, true);
             let untraced = unroll(device, &weights, (NAME, &hidden, &encoding, &latent), 12, false);
@@ -295,7 +297,7 @@ fn a_gpu_agrees_with_the_processor() {
             (there.raw, by, gradients)
         };
         let ((raw, by, gradients), (expected, by_expected, gradients_expected)) =
-            (there_and_back(&gpu), there_and_back(&Device::Processor));
+            (forward_and_backward(&gpu), forward_and_backward(&Device::Processor));
         if draws_len == 0 {
             assert_eq!((raw, gradients), (expected, gradients_expected));
             continue;

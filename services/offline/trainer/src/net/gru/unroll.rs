@@ -1,10 +1,10 @@
 //! The recurrent unit over the horizon.
 
-mod back;
+mod backward;
 
 #[cfg(feature = "gpu")]
-pub(super) use back::First;
-pub(crate) use back::UnrollGradients;
+pub(super) use backward::First;
+pub(crate) use backward::UnrollGradients;
 
 use std::ops::Range;
 
@@ -21,20 +21,20 @@ use super::{
 
 /// Rows of W_h and the head, stacked.
 pub(super) const STACKED: usize = GATES + CONTROL;
-/// Columns of what the stacked matrix puts out: a multiple of 16.
+/// Columns of the product with the stacked matrix: a multiple of 16.
 const STRIDE: usize = STACKED.next_multiple_of(PANEL);
-/// Columns of what the head alone puts out.
+/// Columns of the head's output.
 const HEAD_STRIDE: usize = CONTROL.next_multiple_of(PANEL);
 
 /// Controls of every draw of every agent.
 #[derive(Debug)]
 pub(crate) struct Unroll {
-    /// What the head put out, `[agents × draws, horizon × 5]`.
+    /// Output of the head, `[agents × draws, horizon × 5]`.
     pub(crate) raw: Matrix,
     trace: Option<Trace>,
 }
 
-/// What goes into the recurrent unit.
+/// Inputs of the recurrent unit.
 #[derive(Clone, Debug)]
 pub(super) struct Inputs {
     /// Prefix of the names of its weights.
@@ -47,14 +47,14 @@ pub(super) struct Inputs {
     pub(super) latent: Matrix,
 }
 
-/// What the way back needs.
+/// What the backward pass needs.
 #[derive(Debug)]
 enum Trace {
     Processor(Kept),
     Gpu(gpu::Trace),
 }
 
-/// What the way back needs on the processor.
+/// What the backward pass needs on the processor.
 #[derive(Debug)]
 struct Kept {
     inputs: Inputs,
@@ -64,10 +64,10 @@ struct Kept {
     last: Vec<f32>,
 }
 
-/// Controls of all draws over `horizon_len` steps: `hidden` `[agents, 128]`, `encoding` `[agents, 64]`, `latent`
-/// `[agents × draws, 32]`.
+/// Controls of all draws over `horizon_len` steps: `hidden` `[agents, 128]`, `encoding` `[agents, 64]`,
+/// `latent` `[agents × draws, 32]`.
 ///
-/// Without `keep_trace` there is no way back, and less to write.
+/// Without `keep_trace` there is no backward pass, and less to write.
 ///
 /// # Panics
 /// Where the shapes do not fit one another or there is no step.
@@ -80,7 +80,7 @@ pub(crate) fn unroll(
 ) -> Unroll {
     assert!(horizon_len > 0, "a step to forecast");
     let draws_len = draws_len(hidden, encoding, latent);
-    // Copied for the way back alone.
+    // Copied for the backward pass alone.
     let inputs = keep_trace.then(|| Inputs {
         name: name.to_owned(),
         hidden: hidden.clone(),
@@ -139,7 +139,7 @@ pub(super) fn stacked(weights: &Tensors, name: &str, part: &str) -> Vec<f32> {
     [weights.get(&format!("{name}.gru.{gru}")), weights.get(&format!("{name}.head.{part}"))].concat()
 }
 
-/// What enters at the steps: I.
+/// The input I of the steps.
 struct Entering<'a> {
     /// The columns of W_i that read z.
     latent: Panels,
@@ -154,7 +154,7 @@ struct Network<'a> {
     entering: Entering<'a>,
     stacked: Panels,
     head: Panels,
-    /// What the stacked matrix puts out for the states before the first step, `[agents, STRIDE]`.
+    /// Output of the stacked matrix for the states before the first step, `[agents, STRIDE]`.
     first: Matrix,
 }
 
@@ -164,10 +164,10 @@ struct Memory {
     /// I of the first step, without z and with it.
     context: Vec<f32>,
     input: Vec<f32>,
-    /// What the stacked matrix puts out.
+    /// Output of the stacked matrix.
     recurrent: Vec<f32>,
     state: Vec<f32>,
-    /// What the head alone puts out.
+    /// Output of the head alone.
     head: Vec<f32>,
 }
 
@@ -180,7 +180,7 @@ impl<'a> Entering<'a> {
         Self { latent: by_input(weights, name, LATENT_COLUMNS, None), idle, context }
     }
 
-    /// Puts I of the first step of all draws of `agents` into `input`, and what of it needs no z into `context`.
+    /// Writes I of the first step of all draws of `agents` to `input`, and its part without z to `context`.
     fn put(&self, agents: Range<usize>, latent: &[f32], context: &mut Vec<f32>, input: &mut Vec<f32>) {
         let rows_len = latent.len() / LATENT;
         let draws_len = rows_len / agents.len().max(1);
@@ -202,7 +202,7 @@ impl<'a> Network<'a> {
         Self { entering, stacked, head: by_state(&matrix[GATES * HIDDEN..], &bias[GATES..]), first }
     }
 
-    /// Lays out state, I and H of the first step of all draws of `agents`.
+    /// Sets state, I and H of the first step of all draws of `agents`.
     fn start(&self, agents: Range<usize>, hidden: &Matrix, latent: &[f32], memory: &mut Memory) {
         let rows_len = latent.len() / LATENT;
         let draws_len = rows_len / agents.len().max(1);
@@ -240,7 +240,7 @@ impl<'a> Network<'a> {
     }
 }
 
-/// Copies what the head put out at a step, one row every `stride` floats.
+/// Copies the head's output at a step, one row every `stride` floats.
 fn copy_controls(raw: &mut [f32], horizon_len: usize, step: usize, from: &[f32], stride: usize) {
     for (raw, from) in raw.chunks_exact_mut(horizon_len * CONTROL).zip(from.chunks(stride)) {
         raw[step * CONTROL..][..CONTROL].copy_from_slice(&from[..CONTROL]);

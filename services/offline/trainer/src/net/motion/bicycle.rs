@@ -1,7 +1,7 @@
 //! The kinematic bicycle of `kinematics::Bicycle` with saturated controls, many vehicles side by side.
+//! \[model §4\]
 //!
-//! A step is taken at an evaluation point, which lies the share h of the step after its beginning: 0 with Euler's
-//! integrator, ½ with the midpoint one.
+//! A step is evaluated at the share h of its duration: 0 by Euler's integrator, ½ by the midpoint rule.
 //!
 //! ```text
 //! v' = v + a Δt                 v* = v + h (v' − v)       x' = x + v* cos γ* Δt
@@ -16,7 +16,7 @@ use super::super::matrix::Matrix;
 use super::Start;
 use super::reals::Reals;
 
-/// Most lanes of an instruction set.
+/// Largest number of lanes of an instruction set.
 const LANES_MAX: usize = 16;
 
 /// As [`super::positions`], for vehicles.
@@ -46,15 +46,15 @@ pub(super) fn positions_backward(
     d_controls
 }
 
-/// What all vehicles share.
+/// Parameters that all vehicles share.
 #[derive(Clone, Copy)]
 struct Bicycle {
     dt_s: f32,
     accel_limit_mps2: f32,
     slip_rate_limit_radps: f32,
-    /// The largest float where there is none.
+    /// [`f32::MAX`] where there is no limit.
     slip_limit_rad: f32,
-    /// h: where in the step the evaluation point lies.
+    /// h: evaluation point of a step, as a share of it.
     evaluated_at: f32,
 }
 
@@ -66,7 +66,7 @@ struct State<L: Lanes> {
     slip: Reals<L>,
 }
 
-/// What holds over a step.
+/// Intermediate values of a step.
 #[derive(Clone, Copy)]
 struct Step<L: Lanes> {
     /// Controls over their limits, in ± 1.
@@ -94,7 +94,8 @@ impl Bicycle {
         }
     }
 
-    /// What holds over the step from `state` under `controls` before saturation, and the state after it.
+    /// Intermediate values of the step from `state` under `controls` before saturation, and the state after
+    /// it.
     #[inline(always)]
     fn step<L: Lanes>(
         &self,
@@ -126,7 +127,8 @@ impl Bicycle {
         [travelled * step.course_cos, travelled * step.course_sin]
     }
 
-    /// Gradients by the state before a step and by the controls, given those by the state after it and by the position.
+    /// Gradients by the state before a step and by the controls, given those by the state after it and by the
+    /// position.
     #[inline(always)]
     fn backward<L: Lanes>(
         &self,

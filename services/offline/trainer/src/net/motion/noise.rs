@@ -1,4 +1,4 @@
-//! Draws of the Gaussians that the decoder's head gives for the controls.
+//! Samples of the Gaussian controls that the decoder's head gives. \[model §3, Decoder\]
 
 use std::ops::RangeInclusive;
 
@@ -6,18 +6,18 @@ use super::super::matrix::Matrix;
 
 /// Columns of a step in the head's output: μ₁, μ₂, ln l₁₁, ln l₂₂, l₂₁.
 const RAW: usize = 5;
-/// The range in which the ln of a diagonal Cholesky entry is held.
+/// The range to which ln l₁₁ and ln l₂₂ are clamped.
 const LN_DIAGONAL: RangeInclusive<f32> = -5.0..=2.0;
 
-/// Controls drawn about their mean, u = μ + L ε with `noise` ε `[rows, horizon × 2]` from N(0, I).
+/// Controls sampled about their mean, u = μ + L ε with `noise` ε `[rows, horizon × 2]` from N(0, I).
 ///
 /// ```text
 /// L = | l₁₁  0  |
 ///     | l₂₁ l₂₂ |
 /// ```
 ///
-/// `raw` `[rows, horizon × 5]` is the head's output, of which only L is taken: `mean` is of the shape of the noise and
-/// holds the base control, too.
+/// Only L is taken from the head's output `raw` `[rows, horizon × 5]`: `mean`, of the shape of the noise,
+/// includes the base control.
 pub(crate) fn noisy_controls(raw: &Matrix, mean: &Matrix, noise: &Matrix) -> Matrix {
     assert_shapes(raw, [mean, noise]);
     let diagonal = diagonal(raw);
@@ -31,7 +31,8 @@ pub(crate) fn noisy_controls(raw: &Matrix, mean: &Matrix, noise: &Matrix) -> Mat
     controls
 }
 
-/// The way back of [`noisy_controls`]: adds to the gradient by the columns of L in `d_raw`. The mean gets none.
+/// The backward pass of [`noisy_controls`]: adds to the gradient by the columns of L in `d_raw`. The mean
+/// gets none.
 pub(crate) fn noisy_controls_backward(raw: &Matrix, noise: &Matrix, d_controls: &Matrix, d_raw: &mut Matrix) {
     assert_shapes(raw, [noise, d_controls]);
     assert_eq!((raw.rows, raw.cols), (d_raw.rows, d_raw.cols), "shape of the gradient");

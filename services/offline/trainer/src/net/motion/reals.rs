@@ -40,7 +40,7 @@ impl<L: Lanes> Reals<L> {
     pub(super) fn clamp(self, limit: f32) -> (Self, Self) {
         let l = self.lanes;
         let clamped = Self::new(l, l.max(l.min(self.values, l.splat(limit)), l.splat(-limit)));
-        // Lanes can't be compared, but whatever a float loses to the limit, times 1e15, is more than 1.
+        // Lanes have no comparison; the difference of a float to the limit, times 1e15, is more than 1.
         let excess = (self - clamped) * 1e15;
         let outside = Self::new(l, l.min((excess * excess).values, l.splat(1.0)));
         (clamped, Self::splat(l, 1.0) - outside)

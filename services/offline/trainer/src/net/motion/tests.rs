@@ -42,7 +42,7 @@ fn vehicle_configs() -> [ModelConfig; 4] {
     choices.map(|(integrator, slip_limit_rad)| ModelConfig {
         integrator,
         slip_limit_rad,
-        ..crate::onboard_config()
+        ..crate::options::onboard_config()
     })
 }
 
@@ -76,7 +76,7 @@ fn vehicles_agree_with_the_golden_vectors() {
         let vehicles: Vec<usize> =
             (0..golden.types.len()).filter(|&agent| golden.types[agent] == 0).collect();
         let draws_len = golden.tensor("bicycle.mean").0[0];
-        // By agent and then draw, of vectors that are by draw and then agent.
+        // Ours are by agent and then draw, the vectors by draw and then agent.
         let rows = |name: &str, agents: &[usize]| {
             golden.rows(
                 name,
@@ -127,7 +127,7 @@ fn displacements_agree_with_the_kinematics() {
         (nn::Displacement::Residual, DisplacementKind::Residual),
         (nn::Displacement::Absolute, DisplacementKind::Absolute),
     ] {
-        let config = ModelConfig { displacement, ..crate::onboard_config() };
+        let config = ModelConfig { displacement, ..crate::options::onboard_config() };
         let motion = Displacement::new(kind, 0.0, config.dt_s as f32);
         let positions = positions(&config, AgentType::Pedestrian, &starts, DRAWS, &controls);
         for row in 0..ROWS {
@@ -152,8 +152,8 @@ fn gradients_by_the_controls_agree_with_differences() {
     let mut cases: Vec<(AgentType, ModelConfig)> =
         vehicle_configs().map(|config| (AgentType::Vehicle, config)).into();
     let vehicle_motion = nn::VehicleMotion::Displacement;
-    cases.push((AgentType::Vehicle, ModelConfig { vehicle_motion, ..crate::onboard_config() }));
-    cases.push((AgentType::Cyclist, crate::onboard_config()));
+    cases.push((AgentType::Vehicle, ModelConfig { vehicle_motion, ..crate::options::onboard_config() }));
+    cases.push((AgentType::Cyclist, crate::options::onboard_config()));
     for (agent_type, config) in cases {
         let gradient = positions_backward(&config, agent_type, &starts, DRAWS, &controls, &weights);
         let name = format!("{agent_type:?}, {:?}, slip {:?}", config.integrator, config.slip_limit_rad);
@@ -168,7 +168,7 @@ fn gradients_by_the_controls_agree_with_differences() {
 fn no_rows_give_no_positions() {
     let none = Matrix::zeros(0, STEPS * 2);
     for agent_type in wire::AGENT_TYPES {
-        let config = crate::onboard_config();
+        let config = crate::options::onboard_config();
         assert_eq!(positions(&config, agent_type, &[], DRAWS, &none), none);
         assert_eq!(positions_backward(&config, agent_type, &[], DRAWS, &none, &none), none);
     }
@@ -201,7 +201,7 @@ fn gradients_by_the_cholesky_factor_agree_with_differences() {
     let (raw, mean) = (raw(), Matrix::zeros(ROWS, STEPS * 2));
     let noise = Matrix::new(ROWS, STEPS * 2, values(ROWS * STEPS * 2, 1.0, 5));
     let weights = Matrix::new(ROWS, STEPS * 2, values(ROWS * STEPS * 2, 1.0, 6));
-    // What other terms left there stays.
+    // Gradients of other terms stay unchanged.
     let mut gradient = Matrix::new(ROWS, STEPS * 5, vec![1.0; ROWS * STEPS * 5]);
     noisy_controls_backward(&raw, &noise, &weights, &mut gradient);
     gradient.values.iter_mut().for_each(|value| *value -= 1.0);

@@ -7,7 +7,8 @@ use super::super::matrix::Matrix;
 /// Keeps the square root of a distance differentiable at zero.
 const ROOT_EPSILON_M2: f32 = 1e-6;
 
-/// Distances `[rows, horizon]` between the positions of `a` and `b`; row r of `a` goes with row r / `draws_len` of `b`.
+/// Distances `[rows, horizon]` between the positions of `a` and `b`; row r of `a` goes with row r /
+/// `draws_len` of `b`.
 pub(super) fn distances(a: &Matrix, b: &Matrix, draws_len: usize) -> Matrix {
     assert_shapes(a, b, draws_len);
     let mut distances = Matrix::zeros(a.rows, a.cols / 2);
@@ -16,11 +17,11 @@ pub(super) fn distances(a: &Matrix, b: &Matrix, draws_len: usize) -> Matrix {
 }
 
 /// Gradient by `a`, given the `slopes` by its [`distances`] to `b`; that by `b` is its opposite.
-pub(super) fn pull_back(a: &Matrix, b: &Matrix, draws_len: usize, slopes: &Matrix) -> Matrix {
+pub(super) fn distances_backward(a: &Matrix, b: &Matrix, draws_len: usize, slopes: &Matrix) -> Matrix {
     assert_shapes(a, b, draws_len);
     assert_eq!((a.rows, a.cols), (slopes.rows, slopes.cols * 2), "a slope for every position");
     let mut gradient = Matrix::zeros(a.rows, a.cols);
-    dispatch(PullBack { a, b, draws_len, slopes, gradient: &mut gradient });
+    dispatch(DistancesBackward { a, b, draws_len, slopes, gradient: &mut gradient });
     gradient
 }
 
@@ -49,7 +50,7 @@ impl Kernel for Distances<'_> {
     }
 }
 
-struct PullBack<'a> {
+struct DistancesBackward<'a> {
     a: &'a Matrix,
     b: &'a Matrix,
     draws_len: usize,
@@ -57,7 +58,7 @@ struct PullBack<'a> {
     gradient: &'a mut Matrix,
 }
 
-impl Kernel for PullBack<'_> {
+impl Kernel for DistancesBackward<'_> {
     type Output = ();
 
     #[inline(always)]

@@ -1,4 +1,4 @@
-//! The terms of the paper's loss. \[paper, Eq. loss\]
+//! The terms of the loss of preset `paper`. \[paper, Eq. loss\] \[model §5\]
 
 use nn::kernels::{Kernel, Lanes, dispatch};
 
@@ -8,8 +8,8 @@ use super::Truth;
 /// Scales s of the inverse multiquadric kernels C/(C + ‖·‖²), C = 2 · 32 · s for latents of 32 components.
 const KERNEL_SCALES: [f32; 7] = [0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0];
 
-/// Squared displacements from the truth, summed over the steps that count and multiplied by `weight`, and the gradient by
-/// the positions. The paper's mean has one over the number of steps for the weight.
+/// Squared displacements from the truth, summed over the steps that count and multiplied by `weight`, and the
+/// gradient by the positions. The paper's mean has `weight` = 1 / number of steps.
 pub(crate) fn squared_displacement(positions: &Matrix, truth: &Truth<'_>, weight: f32) -> (f32, Matrix) {
     assert_eq!(positions.rows, truth.positions.rows * truth.draws_len, "rows of trajectories");
     assert_eq!(positions.cols, truth.positions.cols, "steps of trajectories");
@@ -28,15 +28,16 @@ pub(crate) fn squared_displacement(positions: &Matrix, truth: &Truth<'_>, weight
     (weight * sum, gradient)
 }
 
-/// KL(N(m, σ²) ‖ N(0, I)) of every agent's `mean` `[agents, latent]`: ½‖m‖² and what σ adds. Its gradient by m is m.
+/// KL(N(m, σ²) ‖ N(0, I)) of every agent's `mean` `[agents, latent]`: ½‖m‖² and what σ adds. Its gradient by
+/// m is m.
 pub(crate) fn kl(mean: &Matrix, sigma: f32) -> Vec<f32> {
     let of_sigma = 0.5 * mean.cols as f32 * (sigma * sigma - 1.0 - 2.0 * sigma.ln());
     let squared = |row: &[f32]| row.iter().map(|value| value * value).sum::<f32>();
     (0..mean.rows).map(|agent| 0.5 * squared(mean.row(agent)) + of_sigma).collect()
 }
 
-/// Unbiased squared maximum mean discrepancy between two sets of latents, `[n, latent]` with n > 1 each, and its gradient
-/// by `a`.
+/// Unbiased squared maximum mean discrepancy between two sets of latents, `[n, latent]` with n > 1 each, and
+/// its gradient by `a`.
 pub(crate) fn mmd(a: &Matrix, b: &Matrix) -> (f32, Matrix) {
     assert!(a.rows > 1 && b.rows > 1, "more than one latent in each set, not {} and {}", a.rows, b.rows);
     let of_set = |len: usize| 1.0 / (len as f64 * (len as f64 - 1.0));
@@ -45,7 +46,7 @@ pub(crate) fn mmd(a: &Matrix, b: &Matrix) -> (f32, Matrix) {
     let value =
         of_set(a.rows) * within_a.sum() + of_set(b.rows) * Pairs::within(b).sum() + of_both * across.sum();
     let mut gradient = Matrix::zeros(a.rows, a.cols);
-    // Each latent of `a` stands on both sides of the kernels within its set.
+    // Each latent of `a` is on both sides of the kernels within its set.
     within_a.add_gradient((2.0 * of_set(a.rows)) as f32, &mut gradient);
     across.add_gradient(of_both as f32, &mut gradient);
     (value as f32, gradient)

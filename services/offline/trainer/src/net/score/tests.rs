@@ -15,8 +15,8 @@ fn trajectories(seed: u64) -> Matrix {
     matrix(ROWS, STEPS * 2, 2.0, seed)
 }
 
-/// True positions and counts: an agent of which all is known, some without a first or last step, and one that doesn't
-/// count.
+/// True positions and counts: an agent with a complete truth, some without a first or last step, and one that
+/// doesn't count.
 fn truth() -> (Matrix, Matrix) {
     let counts = [[1, 1, 1, 1, 1], [0, 1, 0, 1, 1], [1, 1, 1, 0, 0], [0; 5]];
     let counts = counts.as_flattened().iter().map(|&counts| counts as f32).collect();
@@ -58,7 +58,7 @@ fn gradient_of_the_errors_agrees_with_differences() {
 }
 
 #[test]
-fn a_forecast_that_is_the_truth_has_a_finite_gradient() {
+fn a_perfect_forecast_has_a_finite_gradient() {
     let (positions, counts) = truth();
     let truth = Truth { positions: &positions, counts: &counts, draws_len: 1 };
     let weights = [1.0; AGENTS];
@@ -70,7 +70,7 @@ fn a_forecast_that_is_the_truth_has_a_finite_gradient() {
 }
 
 #[test]
-fn energy_score_and_its_gradients_agree_with_the_definition() {
+fn energy_score_and_gradients_agree_with_the_definition() {
     let (draws, (truth, counts)) = ([trajectories(4), trajectories(5)], truth());
     let held = Truth { positions: &truth, counts: &counts, draws_len: DRAWS };
     let weights = values(ROWS, 1.0, 6);
@@ -97,7 +97,7 @@ fn energy_score_and_its_gradients_agree_with_the_definition() {
 }
 
 #[test]
-fn cross_entropy_of_a_winner_is_the_negative_logarithm_of_its_probability() {
+fn cross_entropy_of_a_winner_is_its_negative_log_likelihood() {
     let logits = Matrix::new(2, 3, vec![0.0, 3.0_f32.ln(), 0.0, 1e4, 0.0, -1e4]);
     let (sum, gradient) = mode_cross_entropy(&logits, &one_hot(&[1, 0], 3), &[2.0, 1.0]);
     assert!((sum - 2.0 * (5.0_f32 / 3.0).ln()).abs() < 1e-5, "{sum}");
@@ -124,7 +124,7 @@ fn gradient_of_the_cross_entropy_agrees_with_differences() {
 }
 
 #[test]
-fn squared_displacement_and_its_gradient_agree_with_the_definition() {
+fn squared_displacement_agrees_with_the_definition() {
     let (positions, (truth, counts)) = (trajectories(10), truth());
     let held = Truth { positions: &truth, counts: &counts, draws_len: DRAWS };
     let (sum, gradient) = squared_displacement(&positions, &held, 0.25);

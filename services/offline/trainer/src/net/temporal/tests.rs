@@ -1,7 +1,7 @@
 use super::*;
 use crate::net::check::{check, values, weighted};
 use crate::net::golden::Golden;
-use crate::net::tensors::Role;
+use crate::net::tensors::TensorRole;
 
 const SLOPE: f32 = 0.1;
 /// Three agents: one with a gap, one that is never present, one with a single step.
@@ -24,10 +24,10 @@ const READINGS: [(Reading, usize); 5] = [
 fn weights(reading: Reading, heads: usize) -> Tensors {
     let mut weights = Tensors::default();
     if reading.attention == Attention::Dual || reading.temporal == Temporal::Literal {
-        weights.insert(SCORE, &[heads, NODE], values(heads * NODE, 0.5, 1), Role::Learned);
+        weights.insert(SCORE, &[heads, NODE], values(heads * NODE, 0.5, 1), TensorRole::Learned);
     }
     if reading.temporal == Temporal::ValueMatrix {
-        weights.insert(VALUE, &[NODE, NODE], values(NODE * NODE, 0.3, 2), Role::Learned);
+        weights.insert(VALUE, &[NODE, NODE], values(NODE * NODE, 0.3, 2), TensorRole::Learned);
     }
     weights
 }

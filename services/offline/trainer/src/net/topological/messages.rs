@@ -1,4 +1,4 @@
-//! Messages along the edges, weighted and summed by receiver, and their way back.
+//! Messages along the edges, weighted and summed by receiver, forward and backward.
 
 use std::ops::Range;
 
@@ -7,7 +7,7 @@ use nn::kernels::{Kernel, Lanes, dispatch};
 use super::{BLOCK, Block, NODE};
 use crate::net::matrix::{Into, Matrix, View, forward};
 
-/// The number of heads for which the kernels are compiled apart.
+/// The number of heads for which the kernels are specialised.
 const USUAL_HEADS: usize = 4;
 
 type Attributes = [f32; NODE];
@@ -31,7 +31,7 @@ impl Messages<'_> {
     }
 }
 
-/// The way back of all messages, and through the softmax to the scores s of which α is the result.
+/// The backward pass of all messages, and through the softmax to the scores s of which α is the result.
 ///
 /// ```text
 /// ∂m_ij = α_ij ∂v̄_i
@@ -60,8 +60,8 @@ impl MessagesBackward {
         Self { by_scores, by_values, terms: vec![0.0; BLOCK * NODE], head_sums }
     }
 
-    /// Takes a block back from v̄ and the gradient by it, `[rows, 64]`; `own` is U e of the block and becomes the gradient
-    /// by it.
+    /// Processes a block, given v̄ and the gradient by it, `[rows, 64]`; `own` is U e of the block and
+    /// becomes the gradient by it.
     pub(in crate::net) fn run(
         &mut self,
         messages: Messages<'_>,
@@ -70,7 +70,7 @@ impl MessagesBackward {
     ) {
         let Messages { block, alpha, .. } = messages;
         let terms = &mut self.terms[..block.len() * NODE];
-        dispatch(Back {
+        dispatch(Backward {
             messages,
             attended: attended.values.as_chunks().0,
             d_attended: d_attended.values.as_chunks().0,
@@ -85,7 +85,7 @@ impl MessagesBackward {
     }
 }
 
-/// The derivative of f_act at x, and what x is multiplied by.
+/// The derivative of f_act at x, which is also its factor.
 #[inline(always)]
 pub(in crate::net) const fn leaky_factor(slope: f32, x: f32) -> f32 {
     if x > 0.0 { 1.0 } else { slope }
@@ -130,7 +130,7 @@ impl Sum<'_> {
 
 /// Adds one message, weighted.
 ///
-/// A function of its own since arguments are known not to overlap: so it vectorises.
+/// A function of its own: its arguments are known not to overlap, and so it vectorises.
 #[inline(always)]
 fn add_message(slope: f32, alpha: &[f32], value: &Attributes, own: &Attributes, sum: &mut Attributes) {
     for (alpha, section) in alpha.iter().zip(sections(alpha.len())) {
@@ -141,7 +141,7 @@ fn add_message(slope: f32, alpha: &[f32], value: &Attributes, own: &Attributes, 
     }
 }
 
-struct Back<'a> {
+struct Backward<'a> {
     messages: Messages<'a>,
     attended: &'a [Attributes],
     d_attended: &'a [Attributes],
@@ -150,7 +150,7 @@ struct Back<'a> {
     by_values: &'a mut [Attributes],
 }
 
-impl Kernel for Back<'_> {
+impl Kernel for Backward<'_> {
     type Output = ();
 
     #[inline(always)]
@@ -162,7 +162,7 @@ impl Kernel for Back<'_> {
     }
 }
 
-impl Back<'_> {
+impl Backward<'_> {
     #[inline(always)]
     fn run_with(self, heads: usize) {
         let Messages { block, leaky_slope, values, alpha, .. } = self.messages;
@@ -176,7 +176,8 @@ impl Back<'_> {
     }
 }
 
-/// The way back of one message; `terms` are those of ∂v̄_i · m_ij − ∂v̄_i · v̄_i. A function of its own as [`add_message`] is.
+/// The backward pass of one message; `terms` are those of ∂v̄_i · m_ij − ∂v̄_i · v̄_i. A function of its own
+/// as [`add_message`] is.
 #[inline(always)]
 fn message_backward(
     slope: f32,

@@ -1,4 +1,5 @@
-//! The weights α of the edges, the softmax of scores that are linear in squared distances and lengths.
+//! The attention weights α of the edges: the softmax of scores that are linear in squared distances and
+//! lengths.
 
 use nn::Attention;
 use nn::kernels::{Kernel, Lanes, dispatch, exp_in_place};
@@ -12,7 +13,7 @@ const RAW: [&str; 2] = ["lambda_raw", "mu_raw"];
 
 /// The linear map of the scores.
 pub(super) struct Coefficients {
-    /// −λ and −μ `[heads, 2]`, over the dimensions of node and edge where `distance_scale` says so.
+    /// −λ and −μ `[heads, 2]`, divided by the dimensions of node and edge under `distance_scale`.
     matrix: Matrix,
     attention: Attention,
     scale: [f32; 2],
@@ -72,7 +73,8 @@ impl Coefficients {
     }
 }
 
-/// Softmax over groups of rows, column by column; a group begins at each of `first`, save the last, which is the end.
+/// Softmax over groups of rows, column by column; a group begins at each of `first` but the last, which is
+/// the end.
 pub(in crate::net) fn softmax(scores: &mut Matrix, first: &[u32]) {
     let columns = scores.cols;
     let groups = || first.windows(2).map(|ends| ends[0] as usize * columns..ends[1] as usize * columns);

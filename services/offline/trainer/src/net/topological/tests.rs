@@ -1,7 +1,7 @@
 use super::*;
 use crate::net::check::{check, values, weighted};
 use crate::net::golden::Golden;
-use crate::net::tensors::Role;
+use crate::net::tensors::TensorRole;
 
 const ROWS: usize = 5;
 const SLOPE: f32 = 0.1;
@@ -15,7 +15,7 @@ const EQUAL: AttentionShape = AttentionShape {
     distance_scale: true,
 };
 
-/// Rows that receive from three, one, no, four and two rows.
+/// Rows with three, one, no, four and two incoming edges.
 fn edges() -> Edges {
     Edges {
         receiver: vec![0, 0, 0, 1, 3, 3, 3, 3, 4, 4],
@@ -43,7 +43,7 @@ fn weights(shape: AttentionShape) -> Tensors {
     let mut insert = |name: &str, shape: &[usize], scale: f32| {
         seed += 1;
         let values = values(shape.iter().product(), scale, seed);
-        weights.insert(&format!("gdat.topological.{ROUND}.{name}"), shape, values, Role::Learned);
+        weights.insert(&format!("gdat.topological.{ROUND}.{name}"), shape, values, TensorRole::Learned);
     };
     insert("w_n.weight", &[NODE, NODE], 0.3);
     if shape.attention == Attention::Dual {
@@ -57,13 +57,13 @@ fn weights(shape: AttentionShape) -> Tensors {
     insert("edge.0.bias", &[128], 0.5);
     insert("edge.1.weight", &[EDGE, 128], 0.2);
     insert("edge.1.bias", &[EDGE], 0.2);
-    // Hidden units stay away from where their slope jumps.
+    // Hidden units are kept away from their kinks.
     let bias = weights.0.get_mut(&format!("gdat.topological.{ROUND}.edge.0.bias")).unwrap();
     bias.values.iter_mut().for_each(|bias| *bias += 0.5_f32.copysign(*bias));
     weights
 }
 
-/// Node and edge attributes near enough to one another for no weight to vanish.
+/// Node and edge attributes close enough to one another for no weight to vanish.
 fn attributes(edges: &Edges) -> (Matrix, Matrix) {
     let node = Matrix::new(ROWS, NODE, values(ROWS * NODE, 0.2, 20));
     (node, Matrix::new(edges.len(), EDGE, values(edges.len() * EDGE, 0.4, 21)))
@@ -102,7 +102,7 @@ fn gradients_agree_with_differences() {
                 );
                 continue;
             }
-            // λ and μ act smoothly and little.
+            // λ and μ have a smooth and small effect.
             let step = if name.ends_with("_raw") { 0.05 } else { 5e-4 };
             check(&at(name), weights.get(name), gradient, (step, 20), |moved| {
                 let mut weights = weights.clone();
@@ -114,7 +114,7 @@ fn gradients_agree_with_differences() {
 }
 
 #[test]
-fn weights_of_a_row_sum_to_one_and_a_row_without_edges_gets_zeros() {
+fn attention_sums_to_one_or_is_zero_without_edges() {
     let edges = edges();
     let (node, edge) = attributes(&edges);
     for shape in shapes() {
@@ -142,9 +142,9 @@ fn equal_attention_is_a_mean() {
     }
 }
 
-/// More edges than a block: every row hears all rows, so the same attributes everywhere are their own mean.
+/// More edges than a block: every row receives from all rows, so equal attributes are their own mean.
 #[test]
-fn blocks_join_without_a_seam() {
+fn blocks_of_edges_agree_with_one_block() {
     let rows = 20_u32;
     let edges = Edges {
         receiver: (0..rows * rows).map(|edge| edge / rows).collect(),
@@ -190,7 +190,7 @@ fn rounds_agree_with_the_reference() {
                 let round = round(&golden.weights, shape, number, node, edge, &graph.edges, last);
                 let name = |tensor: &str| format!("topo{number}.{tensor}");
                 golden.check(&name("node"), &round.node.values, &by_row(&name("node")));
-                // Theirs is [step, head, receiver, sender].
+                // The reference is by [step, head, receiver, sender].
                 let by_head = |joined: &Vec<usize>| {
                     let [step, receiver, sender] = [joined[0], joined[1], joined[2]];
                     (0..shape.heads).map(move |head| vec![step, head, receiver, sender])

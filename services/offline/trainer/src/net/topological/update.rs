@@ -1,10 +1,10 @@
-//! The edge update between two rounds.
+//! The edge update between two rounds. \[model §3\]
 //!
 //! ```text
 //! e'_ij = W₁ ReLU(W₀ [v̄_i ‖ v̄_j ‖ e_ij] + b₀) + b₁
 //! ```
 //!
-//! The parts of W₀ that meet a node are multiplied once per node.
+//! The columns of W₀ that multiply a node are applied once per node.
 
 use nn::kernels::{Kernel, Lanes, dispatch};
 
@@ -16,12 +16,12 @@ use crate::net::tensors::{Gradients, Tensors};
 const HIDDEN: usize = 128;
 type Units = [f32; HIDDEN];
 
-/// First columns of W₀ that meet the receiver, the sender and the edge.
+/// First columns of W₀ that multiply the receiver, the sender and the edge.
 const RECEIVER: usize = 0;
 const SENDER: usize = NODE;
 const OWN: usize = 2 * NODE;
 
-/// What the nodes bring to the hidden units.
+/// The nodes' part of the hidden units.
 #[derive(Debug)]
 pub(super) struct Update {
     /// b₀ included, `[rows, 128]`.
@@ -70,8 +70,8 @@ impl Update {
         hidden
     }
 
-    /// Adds to the gradients by `node` and `edge`, the attributes that the update was given, from `d_edge` by the new
-    /// ones.
+    /// Adds to the gradients by `node` and `edge`, the attributes before the update, given `d_edge` by the
+    /// new ones.
     pub(super) fn backward(
         &self,
         weights: &Tensors,

@@ -13,7 +13,7 @@ pub(super) type Sums = [f64; PANEL];
 /// Rows that are summed in single precision.
 const ROWS: usize = 256;
 
-/// Sums over rows that pass block by block: K of them for each panel of channels.
+/// Sums over rows that are processed block by block: K of them for each panel of channels.
 struct Totals<const K: usize>(Vec<[Sums; K]>);
 
 impl<const K: usize> Totals<K> {

@@ -1,13 +1,13 @@
 use super::*;
 use crate::net::check::{check, values, weighted};
-use crate::net::tensors::Role;
+use crate::net::tensors::TensorRole;
 
 const CHANNELS: usize = 20;
 
 fn weights() -> Tensors {
     let mut weights = Tensors::default();
-    let parts = [("weight", 1.0, Role::Learned), ("bias", 0.0, Role::Learned)];
-    let running = [("running_mean", 0.0, Role::Statistic), ("running_var", 1.0, Role::Statistic)];
+    let parts = [("weight", 1.0, TensorRole::Learned), ("bias", 0.0, TensorRole::Learned)];
+    let running = [("running_mean", 0.0, TensorRole::Statistic), ("running_var", 1.0, TensorRole::Statistic)];
     for (seed, (part, middle, role)) in parts.into_iter().chain(running).enumerate() {
         let values = values(CHANNELS, 0.5, seed as u64).iter().map(|value| middle + value).collect();
         weights.insert(&format!("norm.{part}"), &[CHANNELS], values, role);
@@ -25,7 +25,7 @@ fn map(seed: u64) -> Map {
     map
 }
 
-/// What the norm makes of `x` and, where there is one, a shortcut.
+/// Output of the norm for `x` and, where there is one, a shortcut.
 fn forward(
     weights: &Tensors,
     normalisation: Normalisation,
@@ -47,9 +47,9 @@ fn gradients_agree_with_differences() {
             let (y, trace) = forward(&weights, normalisation, &x, shortcut);
             let mut dy = Map { values: direction.clone(), ..y };
             let mut gradients = Gradients::zeros(&weights);
-            let mut back = WayBack { weights: &weights, gradients: &mut gradients };
+            let mut pass = BackwardPass { weights: &weights, gradients: &mut gradients };
             let rectified = shortcut.map(|_| &y);
-            let dx = Norm("norm".to_owned()).backward(&mut back, &trace, rectified, &mut dy);
+            let dx = Norm("norm".to_owned()).backward(&mut pass, &trace, rectified, &mut dy);
             let loss = |weights: &Tensors, x: &Map, shortcut: Option<&Map>| {
                 weighted(&forward(weights, normalisation, x, shortcut).0.values, &direction)
             };
@@ -59,7 +59,7 @@ fn gradients_agree_with_differences() {
             for (part, (_, gradient)) in &gradients.0 {
                 check(&name(part), weights.get(part), gradient, (1e-3, 20), |values| {
                     let mut moved = weights.clone();
-                    moved.insert(part, &[CHANNELS], values.to_vec(), Role::Learned);
+                    moved.insert(part, &[CHANNELS], values.to_vec(), TensorRole::Learned);
                     loss(&moved, &x, shortcut)
                 });
             }
@@ -73,7 +73,7 @@ fn gradients_agree_with_differences() {
 }
 
 #[test]
-fn running_values_move_a_tenth_of_the_way_to_the_batch() {
+fn running_values_move_by_a_tenth_towards_the_batch() {
     let (weights, x) = (weights(), map(11));
     let mut pass = Pass { weights: &weights, normalisation: Normalisation::Batch, statistics: Vec::new() };
     Norm("norm".to_owned()).forward(&mut pass, x.clone(), Then::Nothing);

@@ -1,4 +1,4 @@
-// What the kernels over the horizon are told.
+// Sizes of a dispatch of the kernels over the horizon.
 
 struct Size {
     // Agents × draws.

@@ -1,4 +1,4 @@
-//! The way back over the horizon.
+//! The backward pass over the horizon.
 
 use std::ops::Range;
 
@@ -26,8 +26,8 @@ pub(crate) struct UnrollGradients {
 }
 
 impl Unroll {
-    /// Adds to the gradients of recurrent unit and head, given that of `raw`; returns those by the inputs. It goes back where it
-    /// came from: `device` is that of [`super::unroll`].
+    /// Adds to the gradients of recurrent unit and head, given that of `raw`; returns those by the inputs.
+    /// `device` must be that of the forward pass ([`super::unroll`]).
     ///
     /// # Panics
     /// Where no trace was kept.
@@ -39,7 +39,7 @@ impl Unroll {
         d_raw: &Matrix,
     ) -> UnrollGradients {
         assert_eq!((d_raw.rows, d_raw.cols), (self.raw.rows, self.raw.cols), "a gradient per control");
-        match (self.trace.as_ref().expect("the way back needs a trace"), device) {
+        match (self.trace.as_ref().expect("the backward pass needs a trace"), device) {
             (Trace::Processor(kept), _) => kept.backward(weights, gradients, d_raw),
             (Trace::Gpu(trace), Device::Gpu(gpu)) => gpu.backward(trace, weights, gradients, d_raw),
             (Trace::Gpu(_), Device::Processor) => panic!("the trace lies on a GPU"),
@@ -52,7 +52,7 @@ impl Kept {
         let Self { inputs, .. } = self;
         let draws_len = inputs.draws_len();
         let stacked = stacked(weights, &inputs.name, "weight");
-        let mut back = Back {
+        let mut pass = HorizonBackward {
             kept: self,
             to_state: to_state(&stacked),
             head_to_state: to_state(&stacked[GATES * HIDDEN..]),
@@ -67,20 +67,20 @@ impl Kept {
             },
         };
         for agents in blocks(inputs.hidden.rows, draws_len) {
-            back.block(agents.start * draws_len..agents.end * draws_len, d_raw);
+            pass.block(agents.start * draws_len..agents.end * draws_len, d_raw);
         }
-        back.add_to(gradients, d_raw);
-        back.first.backward(weights, gradients, inputs)
+        pass.add_to(gradients, d_raw);
+        pass.first.backward(weights, gradients, inputs)
     }
 }
 
-/// The way back in progress.
-struct Back<'a> {
+/// A backward pass in progress.
+struct HorizonBackward<'a> {
     kept: &'a Kept,
     to_state: Panels,
     head_to_state: Panels,
     horizon_len: usize,
-    /// The gradient by the stacked matrix, without what the head reads of the last states.
+    /// The gradient by the stacked matrix, without the head's part of the last states.
     by_stacked: MatrixSum,
     /// The gradient by the head through the last states.
     by_head: MatrixSum,
@@ -92,14 +92,15 @@ struct Back<'a> {
 pub(in super::super) struct First {
     /// By the state before it, `[agents × draws, 128]`.
     pub(in super::super) d_state: Matrix,
-    /// By H, `[agents × draws, 384]`, where neither the gradient by the state nor that by W_h has it yet.
+    /// By H, `[agents × draws, 384]`, where neither the gradient by the state nor that by W_h includes it
+    /// yet.
     pub(in super::super) d_recurrent: Option<Matrix>,
     /// By I, `[agents × draws, 384]`.
     pub(in super::super) d_input: Matrix,
 }
 
-impl Back<'_> {
-    /// Takes a block of rows from the last step to the first.
+impl HorizonBackward<'_> {
+    /// Processes a block of rows from the last step to the first.
     fn block(&mut self, rows: Range<usize>, d_raw: &Matrix) {
         let (len, horizon_len) = (rows.len(), self.horizon_len);
         let d_raw = &d_raw.values[rows.start * d_raw.cols..rows.end * d_raw.cols];
@@ -150,7 +151,7 @@ impl Back<'_> {
 }
 
 impl First {
-    /// Takes a block of rows back through the first step's gates; `d_state` is the gradient by the state after it.
+    /// Processes the first step's gates of a block of rows; `d_state` is the gradient by the state after it.
     fn set(&mut self, rows: Range<usize>, kept: &[f32], d_state: &Matrix, sums: &mut [f32; SUMS]) {
         let through = &mut self.d_state.values[rows.start * HIDDEN..rows.end * HIDDEN];
         through.copy_from_slice(&d_state.values);
@@ -164,7 +165,8 @@ impl First {
         });
     }
 
-    /// The products of the first step: those with z row by row, the others with the sum over an agent's draws.
+    /// The products of the first step: those with z row by row, the others with the sum over an agent's
+    /// draws.
     pub(in super::super) fn backward(
         &self,
         weights: &Tensors,

@@ -1,4 +1,4 @@
-//! One pedestrian: a way along pavements and crossings, and the social force that bends it.
+//! A pedestrian: a route along pavements and crossings, and the social forces that bend it.
 
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
@@ -9,38 +9,38 @@ use super::road_user::drawn;
 
 /// Radius of a body.
 pub(super) const BODY_M: f32 = 0.25;
-/// Time in which a pedestrian takes up the wanted velocity.
+/// Relaxation time towards the desired velocity.
 const RELAXATION_S: f32 = 0.5;
 /// Strength and reach of the repulsion between two pedestrians.
 const REPULSION_MPS2: f32 = 4.5;
 const REPULSION_REACH_M: f32 = 0.35;
-/// Pedestrians farther away than this do not matter.
+/// Pedestrians farther away have no influence.
 const NEIGHBOUR_M: f32 = 3.0;
 /// Share of the repulsion that remains from behind.
 const BEHIND_SHARE: f32 = 0.4;
-/// How strongly those who meet head-on step to their right.
+/// Strength of the sidestep to the right when two pedestrians meet head-on.
 const SIDESTEP_MPS2: f32 = 1.2;
 const ACCELERATION_MAX_MPS2: f32 = 3.5;
-/// How far ahead on its way a pedestrian looks.
+/// Look-ahead distance along the route.
 const LOOK_AHEAD_M: f32 = 2.5;
-/// A waypoint is reached from here.
+/// Distance at which a waypoint counts as reached.
 const REACHED_M: f32 = 0.7;
 /// Middle of the pavement, from the arm's axis.
 const PAVEMENT_M: f32 = KERB_M + 2.0;
-/// Where pedestrians wait to cross, from the arm's axis.
+/// Waiting position before a crossing, from the arm's axis.
 const WAITING_M: f32 = KERB_M + 1.0;
 
-/// A point on a pedestrian's way.
+/// A point on a pedestrian's route.
 #[derive(Clone, Copy, Debug)]
 struct Waypoint {
     position_m: Point,
-    /// The arm that is crossed on the way to this point.
+    /// The arm whose crossing leads to this point.
     crosses: Option<usize>,
 }
 
-/// A pedestrian on its way.
+/// A pedestrian on its route.
 #[derive(Clone, Debug)]
-pub(super) struct Walker {
+pub(super) struct Pedestrian {
     pub(super) id: u64,
     pub(super) position_m: Point,
     pub(super) velocity_mps: Point,
@@ -70,8 +70,8 @@ impl PavementEnd {
     }
 }
 
-impl Walker {
-    /// A pedestrian at one end of a pavement on its way to another.
+impl Pedestrian {
+    /// A pedestrian at one end of a pavement with a route to another.
     pub(super) fn new(id: u64, rng: &mut ChaCha8Rng) -> Self {
         let from = PavementEnd::drawn(rng);
         let to = loop {
@@ -83,14 +83,14 @@ impl Walker {
         let way = way(from, to, rng);
         let wanted_mps = drawn(rng, 1.35, 0.2, 0.45);
         let start = way[0].position_m;
-        let mut walker =
+        let mut pedestrian =
             Self { id, position_m: start, velocity_mps: [0.0; 2], wanted_mps, way, next: 1, crossing: false };
-        let [ex, ey] = walker.direction();
-        walker.velocity_mps = [ex * wanted_mps, ey * wanted_mps];
-        walker
+        let [ex, ey] = pedestrian.direction();
+        pedestrian.velocity_mps = [ex * wanted_mps, ey * wanted_mps];
+        pedestrian
     }
 
-    /// Whether the way is done.
+    /// Whether the route is done.
     pub(super) fn has_arrived(&self) -> bool {
         self.next == self.way.len()
     }
@@ -117,7 +117,8 @@ impl Walker {
         self.way[self.next.min(self.way.len() - 1)]
     }
 
-    /// The direction in which the pedestrian wants to go: back to the straight line to the waypoint ahead, and along it.
+    /// The desired direction: along the straight line to the waypoint ahead, and back to it where the
+    /// pedestrian is off it.
     pub(super) fn direction(&self) -> Point {
         let (from, to) = (self.way[self.next - 1].position_m, self.ahead().position_m);
         let along = unit([to[0] - from[0], to[1] - from[1]]);
@@ -128,8 +129,8 @@ impl Walker {
         unit([aim[0] - self.position_m[0], aim[1] - self.position_m[1]])
     }
 
-    /// Acceleration towards the wanted velocity: on along the way, none for who `holds`, and back to the kerb for who waits
-    /// there and was pushed away.
+    /// Acceleration towards the desired velocity: along the route; zero velocity if the pedestrian `holds`;
+    /// back to the kerb if it waits there and was pushed away.
     pub(super) fn drive_mps2(&self, holds: bool) -> Point {
         let wanted = if self.waits_for().is_some() {
             let kerb = self.way[self.next - 1].position_m;
@@ -160,7 +161,7 @@ impl Walker {
         [away[0] * push + ey * sidestep, away[1] * push - ex * sidestep]
     }
 
-    /// Moves the pedestrian on by one step.
+    /// Advances the pedestrian by one step.
     pub(super) fn advance(&mut self, acceleration_mps2: Point, dt_s: f32) {
         let size = acceleration_mps2[0].hypot(acceleration_mps2[1]);
         let scale = (ACCELERATION_MAX_MPS2 / size.max(1e-6)).min(1.0);
@@ -187,7 +188,8 @@ impl Walker {
 
 /// The waypoints from one pavement end to another, around the corners and over the crossings between them.
 fn way(from: PavementEnd, to: PavementEnd, rng: &mut ChaCha8Rng) -> Vec<Waypoint> {
-    // Everybody keeps a line of their own, so that those with the same way do not walk in single file.
+    // Each pedestrian has a lateral offset of its own, so that those with the same route do not walk in
+    // single file.
     let pavement_m = PAVEMENT_M + drawn(rng, 0.0, 0.6, 1.1);
     let along_m = f32::midpoint(CROSSING_M.start, CROSSING_M.end) + drawn(rng, 0.0, 0.8, 1.5);
     let walk = |arm: usize, x: f32, y: f32| Waypoint { position_m: to_world(arm, [x, y]), crosses: None };
@@ -224,14 +226,14 @@ mod tests {
     use rand::SeedableRng;
 
     #[test]
-    fn ways_lead_from_end_to_end_over_crossings_only() {
+    fn routes_cross_the_road_on_crossings_only() {
         let mut rng = ChaCha8Rng::seed_from_u64(1);
         for id in 0..200 {
-            let walker = Walker::new(id, &mut rng);
+            let pedestrian = Pedestrian::new(id, &mut rng);
             let outer = |p: Point| p[0].abs().max(p[1].abs());
-            let (first, last) = (walker.way[0], walker.way[walker.way.len() - 1]);
+            let (first, last) = (pedestrian.way[0], pedestrian.way[pedestrian.way.len() - 1]);
             assert!(outer(first.position_m) > ARM_M - 1.0 && outer(last.position_m) > ARM_M - 1.0);
-            for pair in walker.way.windows(2) {
+            for pair in pedestrian.way.windows(2) {
                 let [a, b] = [pair[0].position_m, pair[1].position_m];
                 let on_road = (1..20).any(|i| {
                     let share = i as f32 / 20.0;
@@ -245,36 +247,36 @@ mod tests {
     }
 
     #[test]
-    fn a_lone_walker_keeps_its_speed_and_arrives() {
+    fn a_lone_pedestrian_keeps_its_speed_and_arrives() {
         let mut rng = ChaCha8Rng::seed_from_u64(4);
-        let mut walker = Walker::new(1, &mut rng);
+        let mut pedestrian = Pedestrian::new(1, &mut rng);
         let mut steps = 0;
-        while !walker.has_arrived() {
-            if walker.waits_for().is_some() {
-                walker.step_on_crossing();
+        while !pedestrian.has_arrived() {
+            if pedestrian.waits_for().is_some() {
+                pedestrian.step_on_crossing();
             }
-            walker.advance(walker.drive_mps2(false), 0.04);
+            pedestrian.advance(pedestrian.drive_mps2(false), 0.04);
             steps += 1;
-            assert!(steps < 10_000, "never arrives: {walker:?}");
-            assert!(walker.speed_mps() < 1.26 * walker.wanted_mps);
+            assert!(steps < 10_000, "never arrives: {pedestrian:?}");
+            assert!(pedestrian.speed_mps() < 1.26 * pedestrian.wanted_mps);
         }
     }
 
     #[test]
-    fn two_who_meet_head_on_pass_each_other() {
+    fn pedestrians_that_meet_head_on_pass_each_other() {
         let mut rng = ChaCha8Rng::seed_from_u64(2);
-        let template = Walker::new(1, &mut rng);
-        let walker = |from: Point, to: Point| {
+        let template = Pedestrian::new(1, &mut rng);
+        let pedestrian = |from: Point, to: Point| {
             let way = [from, to].map(|position_m| Waypoint { position_m, crosses: None }).to_vec();
-            Walker { position_m: from, velocity_mps: [0.0; 2], wanted_mps: 1.3, way, ..template.clone() }
+            Pedestrian { position_m: from, velocity_mps: [0.0; 2], wanted_mps: 1.3, way, ..template.clone() }
         };
-        let (mut a, mut b) = (walker([0.0, 0.0], [12.0, 0.0]), walker([12.0, 0.0], [0.0, 0.0]));
+        let (mut a, mut b) = (pedestrian([0.0, 0.0], [12.0, 0.0]), pedestrian([12.0, 0.0], [0.0, 0.0]));
         let mut nearest_m = f32::MAX;
         for _ in 0..400 {
             if a.has_arrived() || b.has_arrived() {
                 break;
             }
-            let push = |w: &Walker, other: &Walker| {
+            let push = |w: &Pedestrian, other: &Pedestrian| {
                 let (drive, away) = (w.drive_mps2(false), w.repulsion_mps2(other));
                 [drive[0] + away[0], drive[1] + away[1]]
             };
