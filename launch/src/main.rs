@@ -10,9 +10,9 @@ mod failure;
 mod fleet;
 mod options;
 mod pipeline_file;
-mod readme;
 mod show;
 mod stages;
+mod tables;
 mod tracking;
 mod verbs;
 mod version;
@@ -38,6 +38,7 @@ struct Cli {
 fn main() -> ExitCode {
     ports::begin_logging();
     let cli = Cli::parse();
+    options::warn_of_old_flags(std::env::args_os());
     if cli.version {
         print!("{}", version::text());
         return run::Exit::Done.into();

@@ -1,6 +1,7 @@
 //! The options of all stages: those of the pipeline's file, as the command line changes them.
 
 use std::collections::BTreeMap;
+use std::ffi::OsString;
 use std::fmt;
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
@@ -15,6 +16,9 @@ use wire::StageId;
 
 use crate::failure::Failure;
 use crate::stages;
+
+/// Flags that are aliases of others.
+const OLD_FLAGS: [(&str, &str); 1] = [("--readme", "--table")];
 
 /// What the command line wants of one option of one stage.
 #[derive(Clone, Debug)]
@@ -220,6 +224,17 @@ impl StageOptions {
             options: options.table.to_string(),
         };
         self.0.iter().map(of_stage).collect()
+    }
+}
+
+/// Warns of flags under the name of the version before, which clap takes for aliases of the new ones.
+pub fn warn_of_old_flags(arguments: impl Iterator<Item = OsString>) {
+    for argument in arguments {
+        let argument = argument.to_string_lossy();
+        let flag = argument.split_once('=').map_or(&*argument, |(flag, _)| flag);
+        if let Some((old, new)) = OLD_FLAGS.iter().find(|(old, _)| flag == *old) {
+            warn(&format!("{old} is called {new} now"));
+        }
     }
 }
 

@@ -9,6 +9,7 @@ pub mod completions;
 pub mod doctor;
 pub mod evaluate;
 pub mod graph;
+pub mod manual;
 pub mod map;
 pub mod plot;
 pub mod predict;
@@ -63,6 +64,9 @@ pub enum Verb {
     Wire(wire::Arguments),
     /// Print completions for a shell
     Completions(completions::Arguments),
+    /// Print this command line as Markdown, the page docs/cli.md
+    #[command(hide = true)]
+    Manual(manual::Arguments),
 }
 
 impl Verb {
@@ -87,6 +91,7 @@ impl Verb {
             Self::Clean(arguments) => clean::execute(&arguments),
             Self::Wire(arguments) => wire::execute(&arguments),
             Self::Completions(arguments) => completions::execute(&arguments),
+            Self::Manual(arguments) => manual::execute(&arguments),
         }
     }
 }

@@ -10,8 +10,8 @@ use run::Exit;
 use trainer::{ModelCard, TrainOptions};
 
 use crate::failure::Failure;
-use crate::readme;
 use crate::show::show;
+use crate::tables;
 use training::Trained;
 use variants::{Variant, Variants};
 
@@ -50,8 +50,8 @@ pub struct Arguments {
     #[arg(long, value_name = "FILE")]
     csv: Option<PathBuf>,
     /// Write the table between the marks `stgdat ablate RECIPE` of a Markdown file
-    #[arg(long, value_name = "FILE")]
-    readme: Option<PathBuf>,
+    #[arg(long, alias = "readme", value_name = "FILE")]
+    table: Option<PathBuf>,
 }
 
 /// Trains a recipe and variants of it with one and the same budget, and compares them on the same windows.
@@ -74,8 +74,8 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
         std::fs::write(path, ablation.csv()).map_err(|error| Failure::file(path, &error))?;
     }
     let exit = show(&text)?;
-    if let Some(path) = &arguments.readme {
-        readme::insert(path, &format!("ablate {}", arguments.recipe), &text)?;
+    if let Some(path) = &arguments.table {
+        tables::replace(path, &format!("ablate {}", arguments.recipe), &text)?;
     }
     Ok(exit)
 }

@@ -12,7 +12,7 @@ use run::Exit;
 
 use crate::arguments::{ModelArguments, SetArguments};
 use crate::failure::Failure;
-use crate::readme;
+use crate::tables;
 
 /// Time that is spent on measuring each of the machine's peaks.
 const PEAK_TIME: Duration = Duration::from_millis(400);
@@ -31,8 +31,8 @@ pub struct Arguments {
     #[arg(long, value_name = "S", default_value_t = 20)]
     seconds: u64,
     /// Write the tables between the marks `stgdat bench` of a Markdown file
-    #[arg(long, value_name = "FILE")]
-    readme: Option<PathBuf>,
+    #[arg(long, alias = "readme", value_name = "FILE")]
+    table: Option<PathBuf>,
     #[command(flatten)]
     model: ModelArguments,
     #[command(flatten)]
@@ -54,8 +54,8 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
         text += &chain::table(&arguments.model, &arguments.set, arguments.seconds)?;
     }
     print!("{text}");
-    if let Some(path) = &arguments.readme {
-        readme::insert(path, "bench", &text)?;
+    if let Some(path) = &arguments.table {
+        tables::replace(path, "bench", &text)?;
     }
     Ok(Exit::Done)
 }

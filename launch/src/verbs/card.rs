@@ -8,8 +8,8 @@ use run::Exit;
 use trainer::{Errors, ModelCard};
 
 use crate::failure::Failure;
-use crate::readme;
 use crate::show::show;
+use crate::tables;
 
 /// Arguments of `stgdat card`.
 #[derive(Debug, Args)]
@@ -20,8 +20,8 @@ pub struct Arguments {
     #[arg(long)]
     json: bool,
     /// Write the table between the marks `stgdat card`, of several cards `stgdat cards`, of a Markdown file
-    #[arg(long, value_name = "FILE")]
-    readme: Option<PathBuf>,
+    #[arg(long, alias = "readme", value_name = "FILE")]
+    table: Option<PathBuf>,
 }
 
 /// Prints the model card that weights carry: what they were trained on and how they did on what they never saw.
@@ -31,8 +31,8 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
         [path] => one(arguments, &open(path)?, &path.display().to_string())?,
         paths => ("cards", String::new(), several(arguments, paths)?),
     };
-    if let Some(path) = arguments.readme.as_ref().filter(|_| !arguments.json) {
-        readme::insert(path, name, &text)?;
+    if let Some(path) = arguments.table.as_ref().filter(|_| !arguments.json) {
+        tables::replace(path, name, &text)?;
     }
     show(&(heading + &text))
 }

@@ -9,8 +9,8 @@ use run::Exit;
 
 use crate::contenders::contenders;
 use crate::failure::Failure;
-use crate::readme;
 use crate::show::show;
+use crate::tables;
 
 /// Deviations of measured positions that make sense, m.
 const SIGMAS_M: std::ops::RangeInclusive<f64> = 0.001..=10.0;
@@ -70,8 +70,8 @@ pub struct Arguments {
     #[arg(long, value_name = "FILE")]
     json: Option<PathBuf>,
     /// Write the main tables between the marks `stgdat evaluate SET` of a Markdown file
-    #[arg(long, value_name = "FILE")]
-    readme: Option<PathBuf>,
+    #[arg(long, alias = "readme", value_name = "FILE")]
+    table: Option<PathBuf>,
 }
 
 /// What models that read a map are told.
@@ -108,9 +108,9 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
     }
     let markdown: Vec<&str> = written.iter().map(|part| part.markdown.as_str()).collect();
     let exit = show(&markdown.join("\n"))?;
-    if let Some(path) = &arguments.readme {
+    if let Some(path) = &arguments.table {
         for part in &written {
-            readme::insert(path, &part.mark, &part.summary)?;
+            tables::replace(path, &part.mark, &part.summary)?;
         }
     }
     Ok(exit)
