@@ -1,4 +1,4 @@
-//! `stgdat`: starts the pipeline, looks after it, and does what goes with it on the command line.
+//! `stgdat`: starts and supervises the pipeline, and has verbs for data, models and diagnosis.
 //!
 //! Each verb is a module of [`verbs`]. `stgdat` without a verb is `stgdat run`.
 
@@ -30,7 +30,7 @@ struct Cli {
     verb: Option<verbs::Verb>,
     #[command(flatten)]
     run: verbs::run::Arguments,
-    /// Print the version, the weights' fingerprint and the CPU kernels in use
+    /// Print the version, the SHA-256 of the embedded weights and the CPU kernels in use
     #[arg(short = 'V', long)]
     version: bool,
 }
@@ -50,7 +50,7 @@ fn main() -> ExitCode {
     match outcome {
         Ok(exit) => exit.into(),
         Err(failure) => {
-            failure.tell();
+            failure.print();
             failure.exit().into()
         }
     }

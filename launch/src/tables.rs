@@ -10,13 +10,13 @@ use crate::failure::Failure;
 /// # Errors
 /// [`Failure::Data`] with the file's name where it can't be read or written, or lacks the marks.
 pub fn replace(path: &Path, name: &str, table: &str) -> Result<(), Failure> {
-    let file = |error: std::io::Error| Failure::file(path, &error);
+    let file = |error: std::io::Error| Failure::file(path, error);
     let old = std::fs::read_to_string(path).map_err(file)?;
     let (begin, end) = (format!("<!-- begin stgdat {name} -->"), format!("<!-- end stgdat {name} -->"));
     let parts = old.split_once(&begin).and_then(|(head, rest)| Some((head, rest.split_once(&end)?.1)));
     let Some((head, tail)) = parts else {
         let path = path.display();
-        return Err(Failure::Data(format!("{path}: no place for the table: add the lines\n{begin}\n{end}")));
+        return Err(Failure::data(format!("{path}: no place for the table: add the lines\n{begin}\n{end}")));
     };
     std::fs::write(path, format!("{head}{begin}\n{}\n{end}{tail}", table.trim_end())).map_err(file)
 }

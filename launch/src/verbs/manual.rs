@@ -13,7 +13,7 @@ use crate::failure::Failure;
 use crate::show::show;
 use crate::stages;
 
-/// Longest line of the page, but for words that are longer and for usages.
+/// Longest line of the page; single words and usages may be longer.
 const WIDTH: usize = 110;
 
 /// The verbs by what they are for; a unit test finds the ones that are in no group.
