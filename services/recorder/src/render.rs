@@ -212,8 +212,8 @@ impl Report {
         write!(text, " {:LABEL_WIDTH$}{:>10}", "miss rate", format!("> {} m", accuracy.miss_radius_m))?;
         misses.iter().try_for_each(|&share| write!(text, "{:>group$}", percent(share)))?;
         writeln!(text)?;
-        let uncovered = format!("{} without truth over the horizon", count(accuracy.uncovered));
-        let unmatched = format!("{} without a matching agent", count(accuracy.unmatched));
+        let uncovered = format!("{} without complete truth", count(accuracy.uncovered));
+        let unmatched = format!("{} without a match", count(accuracy.unmatched));
         fact(text, "horizon", &[Some(format!("{horizon_s:.1} s"))])?;
         fact(text, "not scored", &[Some(uncovered), Some(unmatched)])
     }

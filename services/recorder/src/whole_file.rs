@@ -96,7 +96,7 @@ mod tests {
     }
 
     #[test]
-    fn missing_folders_and_folders_are_errors() {
+    fn a_folder_or_a_missing_folder_is_an_error() {
         let folder = tempfile::tempdir().unwrap();
         assert!(write(&folder.path().join("no/such/a.json"), b"").is_err());
         assert!(WholeFile::create(folder.path()).is_err(), "before anything is computed");
