@@ -6,6 +6,8 @@ mod arguments;
 mod chain;
 mod child;
 mod contenders;
+#[cfg(test)]
+mod docs;
 mod failure;
 mod fleet;
 mod options;
