@@ -1,4 +1,4 @@
-//! What several verbs are asked alike: the scene, the model, and the options of the stages.
+//! Arguments that verbs share: the scene, the model, and the options of the stages.
 
 use std::path::{Path, PathBuf};
 
@@ -17,33 +17,33 @@ use wire::StageId;
 use crate::failure::Failure;
 use crate::options::{Setting, StageOptions, absolute, text, warn};
 
-/// Where the detections come from.
+/// Source of the detections.
 #[derive(Clone, Debug, Args)]
 pub struct SceneArguments {
     /// Play a recording
     #[arg(long, value_name = "PATH")]
     pub recording: Option<PathBuf>,
-    /// The recording's format; found out where not given
+    /// Format of the recording; detected if not given
     #[arg(long, requires = "recording")]
     format: Option<Format>,
-    /// Generate an intersection with so many agents, 32 where not given, where no recording is played
+    /// Number of agents of the generated intersection (played without --recording), 32 if not given
     #[arg(long, value_name = "N", conflicts_with = "recording")]
     agents: Option<u32>,
-    /// Seed of all that is random
+    /// Seed of the random numbers
     #[arg(long, default_value_t = 1)]
     pub seed: u64,
-    /// End after so many ticks
+    /// Number of ticks after which to end
     #[arg(long, value_name = "N")]
     pub ticks: Option<u32>,
 }
 
-/// How detections become tracks.
+/// Options of the tracker.
 #[derive(Clone, Debug, Args)]
 pub struct TrackerArguments {
-    /// Associate detections by position even where they carry identities
+    /// Associate detections by position even if they carry identities
     #[arg(long)]
     associate: bool,
-    // The names of the version before.
+    // Names of the previous version.
     #[arg(long = "tracker.prior", hide = true)]
     prior: Option<String>,
     #[arg(long = "tracker.association", hide = true)]
@@ -52,16 +52,16 @@ pub struct TrackerArguments {
     view: Option<String>,
 }
 
-/// What is remembered of the place.
+/// Options of the retrieval memory.
 #[derive(Clone, Debug, Args)]
 pub struct RetrievalArguments {
-    /// Forecast without the retrieval memory of how those who came by before departed from their forecasts
+    /// Forecast without the retrieval memory
     #[arg(long)]
     no_retrieval: bool,
-    // The name of the version before.
+    // Name of the previous version.
     #[arg(long, hide = true)]
     no_recall: bool,
-    /// Begin with the retrieval memory in this file, if there is one, and keep it there in the end
+    /// File of the retrieval memory: read at the start if it exists, written at the end
     #[arg(long, value_name = "FILE", conflicts_with_all = ["no_retrieval", "no_recall"])]
     memory: Option<PathBuf>,
 }
@@ -69,35 +69,35 @@ pub struct RetrievalArguments {
 /// Options of the stages.
 #[derive(Clone, Debug, Args)]
 pub struct SetArguments {
-    /// Set any option of a stage, tracker.fov=90,80 for example, over the pipeline's file and other arguments; the later one
-    /// counts. `stgdat stage --help` tells what there is
+    /// Set an option of a stage, such as tracker.fov=90,80; overrides pipeline.toml and other arguments, and
+    /// of several the last counts. `stgdat stage --help` lists the options
     #[arg(long, value_name = "STAGE.OPTION=VALUE")]
     pub set: Vec<Setting>,
 }
 
-/// What forecasts are made with.
+/// The model and its map.
 #[derive(Clone, Debug, Args)]
 pub struct ModelArguments {
-    /// Weights other than the embedded ones
+    /// Weights to use instead of the embedded ones
     #[arg(long, value_name = "FILE")]
     pub weights: Option<PathBuf>,
-    /// Context map: `online`, `none` or a file that `stgdat map` wrote
+    /// Context map: `online`, `none` or a file written by `stgdat map`
     #[arg(long, value_name = "MAP")]
     pub map: Option<MapChoice>,
 }
 
-/// A recording that is played in this process, and what it is played with.
+/// A recording that is played in this process, with its options.
 #[derive(Debug, Args)]
 pub struct PlaybackArguments {
-    /// The recording
+    /// Recording to play
     recording: PathBuf,
-    /// The recording's format; found out where not given
+    /// Format of the recording; detected if not given
     #[arg(long)]
     format: Option<Format>,
-    /// Seed of all that is random
+    /// Seed of the random numbers
     #[arg(long, default_value_t = 1)]
     seed: u64,
-    /// End after so many ticks
+    /// Number of ticks after which to end
     #[arg(long, value_name = "N")]
     ticks: Option<u32>,
     #[command(flatten)]
@@ -110,7 +110,7 @@ pub struct PlaybackArguments {
     set: SetArguments,
 }
 
-/// A recording at its beginning, and the run that plays it.
+/// A recording at its start, and the run that plays it.
 pub struct Played {
     /// The recording.
     pub playback: Playback,
@@ -120,7 +120,7 @@ pub struct Played {
     pub model: ModelConfig,
 }
 
-/// The stages that are played in this process.
+/// The stages that run in this process.
 const IN_PROCESS: [StageId; 7] = [
     StageId::Source,
     StageId::Tracker,
@@ -132,13 +132,13 @@ const IN_PROCESS: [StageId; 7] = [
 ];
 
 impl SceneArguments {
-    /// What is set of the source.
+    /// Settings of the source.
     pub fn settings(&self) -> Result<Vec<Setting>, Failure> {
         let source = |flag, option, value: Value| Setting::of_flag(flag, StageId::Source, option, value);
         let unset = |flag, option| Setting::unset(flag, StageId::Source, option);
         let recording = self.recording.as_deref().map(|path| text(&canonical(path)?)).transpose()?;
         let settings = [
-            // What the pipeline's file plays gives way: its format with its recording, its recording to a generated scene.
+            // --recording replaces the format in pipeline.toml too, and --agents the recording.
             recording.is_some().then(|| unset("--recording", "format")),
             self.agents.map(|_| unset("--agents", "recording")),
             recording.map(|path| source("--recording", "recording", path.into())),
@@ -151,7 +151,7 @@ impl SceneArguments {
 }
 
 impl TrackerArguments {
-    /// What is set of the tracker.
+    /// Settings of the tracker.
     pub fn settings(&self) -> Vec<Setting> {
         let associate =
             self.associate.then(|| Setting::of_flag("--associate", StageId::Tracker, "associate", true));
@@ -170,7 +170,7 @@ impl TrackerArguments {
 }
 
 impl RetrievalArguments {
-    /// What is set of the sampler.
+    /// Settings of the sampler.
     pub fn settings(&self) -> Result<Vec<Setting>, Failure> {
         let retrieval = |flag, on: bool| Setting::of_flag(flag, StageId::Sampler, "retrieval", on);
         if self.no_recall {
@@ -187,7 +187,7 @@ impl RetrievalArguments {
 }
 
 impl ModelArguments {
-    /// What is set of the localiser.
+    /// Settings of the localiser.
     pub fn settings(&self) -> Vec<Setting> {
         let map = self
             .map
@@ -196,22 +196,22 @@ impl ModelArguments {
         map.into_iter().collect()
     }
 
-    /// Opens the weights: the ones asked for, else the pipeline's, else the embedded ones.
+    /// Opens the weights of the command line, else the pipeline's, else the embedded ones.
     pub fn open_weights(&self, pipeline: Option<&Path>) -> Result<(Option<PathBuf>, Weights), Failure> {
         let Some(path) = self.weights.as_deref().or(pipeline) else { return Ok((None, Weights::onboard())) };
         let path = canonical(path)?;
-        let weights = Weights::open(&path).map_err(|error| Failure::weights(&path, &error))?;
+        let weights = Weights::open(&path).map_err(|error| Failure::weights(&path, error))?;
         Ok((Some(path), weights))
     }
 }
 
 impl PlaybackArguments {
-    /// Where the recording lies, absolute.
+    /// Absolute path of the recording.
     pub fn path(&self) -> Result<PathBuf, Failure> {
         canonical(&self.recording)
     }
 
-    /// The recording, at its beginning, and the run in lockstep that plays it.
+    /// The recording at its start, and the lockstep run that plays it.
     pub fn start(&self) -> Result<Played, Failure> {
         let (weights_path, weights) = self.model.open_weights(None)?;
         let options = self.options()?;
@@ -233,7 +233,7 @@ impl PlaybackArguments {
 
     fn options(&self) -> Result<StageOptions, Failure> {
         if let Some(set) = self.set.set.iter().find(|set| set.is_of(StageId::Source, "recording")) {
-            return Err(set.refused("the recording is named already"));
+            return Err(set.refused("the recording is already an argument"));
         }
         let scene = SceneArguments {
             recording: None,
@@ -255,26 +255,28 @@ impl PlaybackArguments {
     }
 }
 
-/// Where a file that is there lies, absolute.
+/// Absolute path of an existing file.
 pub fn canonical(path: &Path) -> Result<PathBuf, Failure> {
-    path.canonicalize().map_err(|error| Failure::file(path, &error))
+    path.canonicalize().map_err(|error| Failure::file(path, error))
 }
 
-/// Moments in the retrieval memory that a sampler with these options begins with; none where it keeps none.
+/// Number of entries of the retrieval memory that a sampler with these options begins with; `None` without a
+/// file.
 ///
-/// A file that is there is opened to see that it is of these weights; one that is not must have a folder that can be written to.
+/// # Errors
+/// [`Failure::Data`] where the file is not a memory of these weights, or its folder can't be written to.
 pub fn check_memory(options: &sampler::Options, weights: &Weights) -> Result<Option<u64>, Failure> {
     let Some(path) = &options.memory else { return Ok(None) };
     let path = absolute(path)?;
-    let mut moments_len = 0;
-    if path.try_exists().map_err(|error| Failure::file(&path, &error))? {
+    let mut entries_len = 0;
+    if path.try_exists().map_err(|error| Failure::file(&path, error))? {
         let config = weights.config();
         let steps = (config.horizon_len, config.step_ns());
         let memory = RetrievalMemory::load(&path, weights.sha256(), steps).map_err(Failure::data)?;
-        moments_len = memory.entries_len();
+        entries_len = memory.entries_len();
     }
     let folder = path.parent().unwrap_or(&path);
     let access = rustix::fs::access(folder, Access::WRITE_OK | Access::EXEC_OK);
-    access.map_err(|error| Failure::file(folder, &error.into()))?;
-    Ok(Some(moments_len as u64))
+    access.map_err(|error| Failure::file(folder, std::io::Error::from(error)))?;
+    Ok(Some(entries_len as u64))
 }

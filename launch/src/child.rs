@@ -14,30 +14,30 @@ use wire::StageId;
 
 use crate::failure::{Failure, StageDeath};
 
-/// Lines of a stage's output that are kept for the case that it dies.
-const LAST_WORDS_MAX: usize = 12;
-/// Longest line that is kept whole.
+/// Lines of a stage's output that are kept to be shown if it dies.
+const LAST_LINES_MAX: usize = 12;
+/// Longest line that is not broken, in bytes.
 const LINE_BYTES_MAX: u64 = 4096;
 
-/// The signal that comes where shared memory has no page left.
+/// The signal raised when shared memory has no page left.
 const BUS_ERROR: i32 = Signal::BUS.as_raw();
 
-/// A line that a stage wrote.
+/// A line of a stage's output.
 pub type Line = (StageId, String);
 
 /// A stage's process.
 #[derive(Debug)]
 pub struct Child {
-    /// Which stage it plays.
+    /// The stage.
     pub stage: StageId,
     process: Process,
     ended: Option<ExitStatus>,
-    last_words: Arc<Mutex<VecDeque<String>>>,
+    last_lines: Arc<Mutex<VecDeque<String>>>,
     readers: Vec<JoinHandle<()>>,
 }
 
 impl Child {
-    /// Starts a stage: its own command, or this very program. Its output comes line by line through `lines`.
+    /// Starts a stage, by its own command or by this program, and sends its output through `lines`.
     pub fn start(
         stage: StageId,
         own: Option<&[String]>,
@@ -52,7 +52,7 @@ impl Child {
                 command
             }
             _ => {
-                let this = std::env::current_exe().map_err(|e| Failure::Unavailable(e.to_string()))?;
+                let this = std::env::current_exe().map_err(Failure::unavailable)?;
                 let mut command = Command::new(this);
                 command.args(["stage", stage.name(), "--run"]).arg(record);
                 command
@@ -68,13 +68,13 @@ impl Child {
             .stdin(Stdio::null())
             .stdout(Stdio::piped())
             .stderr(Stdio::piped())
-            // A group of its own: Ctrl-C in a terminal reaches the launcher alone, which ends all in order.
+            // A process group of its own: Ctrl-C reaches the launcher alone, which ends the stages in order.
             .process_group(0);
         let mut process = command.spawn().map_err(|error| {
             let program = own.and_then(<[String]>::first).map_or("stgdat", String::as_str);
-            Failure::Config(format!("the {} can't be started: {program}: {error}", stage.name()))
+            Failure::config_about(format!("the {} can't be started: {program}", stage.name()), error)
         })?;
-        let last_words = Arc::new(Mutex::new(VecDeque::new()));
+        let last_lines = Arc::new(Mutex::new(VecDeque::new()));
         let outputs: [Option<Box<dyn Read + Send>>; 2] = [
             process.stdout.take().map(|pipe| Box::new(pipe) as _),
             process.stderr.take().map(|pipe| Box::new(pipe) as _),
@@ -83,33 +83,33 @@ impl Child {
             .into_iter()
             .flatten()
             .map(|output| {
-                let (words, lines) = (last_words.clone(), lines.clone());
-                std::thread::spawn(move || read_lines(output, stage, &words, &lines))
+                let (kept, lines) = (last_lines.clone(), lines.clone());
+                std::thread::spawn(move || read_lines(output, stage, &kept, &lines))
             })
             .collect();
-        Ok(Self { stage, process, ended: None, last_words, readers })
+        Ok(Self { stage, process, ended: None, last_lines, readers })
     }
 
-    /// How it ended, where it has.
+    /// Its exit status, once it has ended.
     pub fn ended(&mut self) -> Option<ExitStatus> {
         if self.ended.is_none() {
-            // Fails only for processes that are no children.
+            // Fails only for processes that are not children.
             self.ended = self.process.try_wait().unwrap_or(None);
         }
         self.ended
     }
 
-    /// Asks it to end (`TERM`) or ends it (`KILL`); nothing where it has ended.
+    /// Sends a signal unless the process has ended.
     pub fn signal(&mut self, signal: Signal) {
         if self.ended().is_none() {
-            // It may end at this moment; until it is waited for, its number is nobody else's.
+            // It may end at this moment; its process id stays reserved until it is waited for.
             let _ = kill_process(Pid::from_child(&self.process), signal);
         }
     }
 
-    /// What to say of a child that ended by itself.
+    /// Describes the end of a child that was not asked to end.
     pub fn death(&mut self, status: ExitStatus) -> StageDeath {
-        // The pipes close with the process, so what it wrote is soon all there; a grandchild may hold them open.
+        // The pipes close with the process, so its output is soon complete; a grandchild may hold them open.
         let until = std::time::Instant::now() + std::time::Duration::from_millis(200);
         while !self.readers.iter().all(JoinHandle::is_finished) && std::time::Instant::now() < until {
             std::thread::sleep(std::time::Duration::from_millis(5));
@@ -120,17 +120,17 @@ impl Child {
             (None, Some(signal)) => format!("was killed by signal {signal}"),
             (None, None) => status.to_string(),
         };
-        let words = self.last_words.lock().unwrap_or_else(PoisonError::into_inner);
+        let kept = self.last_lines.lock().unwrap_or_else(PoisonError::into_inner);
         StageDeath {
             stage: self.stage,
             how,
             exit: status.code().and_then(Exit::from_code),
-            last_words: words.iter().cloned().collect(),
+            last_lines: kept.iter().cloned().collect(),
         }
     }
 }
 
-fn read_lines(output: impl Read, stage: StageId, words: &Mutex<VecDeque<String>>, lines: &Sender<Line>) {
+fn read_lines(output: impl Read, stage: StageId, kept: &Mutex<VecDeque<String>>, lines: &Sender<Line>) {
     let mut output = BufReader::new(output);
     let mut bytes = Vec::new();
     loop {
@@ -140,12 +140,12 @@ fn read_lines(output: impl Read, stage: StageId, words: &Mutex<VecDeque<String>>
             Ok(_) => {}
         }
         let line = String::from_utf8_lossy(&bytes).trim_end().to_owned();
-        let mut words = words.lock().unwrap_or_else(PoisonError::into_inner);
-        if words.len() == LAST_WORDS_MAX {
-            words.pop_front();
+        let mut kept = kept.lock().unwrap_or_else(PoisonError::into_inner);
+        if kept.len() == LAST_LINES_MAX {
+            kept.pop_front();
         }
-        words.push_back(line.clone());
-        // Nobody listens any more once the run has ended.
+        kept.push_back(line.clone());
+        // The receiver is gone once the run has ended.
         let _ = lines.send((stage, line));
     }
 }

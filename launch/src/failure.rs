@@ -1,4 +1,5 @@
-use std::fmt::Write as _;
+use std::error::Error;
+use std::fmt::Display;
 use std::path::Path;
 
 use config::PipelineError;
@@ -10,33 +11,59 @@ use run::{Exit, OptionError};
 use thiserror::Error;
 use wire::StageId;
 
+/// The error below, of whatever crate.
+type Cause = Box<dyn Error + Send + Sync>;
+
 /// Why a verb did not do what was asked, and with which exit code it ends.
 #[derive(Debug, Error)]
 pub enum Failure {
-    /// The command line asks for what can't be.
+    /// The command line is wrong.
     #[error("{0}")]
     Usage(String),
-    /// A recording, map or weights file can't be used.
-    #[error("{0}")]
-    Data(String),
+    /// A recording, map or weights file can't be used, or an output file can't be written.
+    #[error(transparent)]
+    Data(Cause),
     /// pipeline.toml can't be used.
     #[error(transparent)]
     Pipeline(#[from] PipelineError),
-    /// A setting or the run's record can't be used.
-    #[error("{0}")]
-    Config(String),
+    /// An option of a stage can't be used.
+    #[error(transparent)]
+    Option(#[from] OptionError),
+    /// The configuration or the run's record can't be used.
+    #[error(transparent)]
+    Config(Cause),
     /// There is no room or no right for the run's files.
     #[error(transparent)]
     Space(#[from] SpaceError),
-    /// A port or something else of the system is missing.
-    #[error("{0}")]
-    Unavailable(String),
-    /// A stage ended by itself.
+    /// A port can't be opened or used.
     #[error(transparent)]
-    Stage(#[from] StageDeath),
-    /// Something was checked and is not as it should be.
+    Port(#[from] PortError),
+    /// Another resource of the system is missing.
+    #[error(transparent)]
+    Unavailable(Cause),
+    /// A stage ended before the run did.
+    #[error(transparent)]
+    Death(#[from] StageDeath),
+    /// A stage that runs in this process failed.
+    #[error(transparent)]
+    Stage(#[from] StageError),
+    /// A check came out wrong.
     #[error("{0}")]
     Failed(String),
+}
+
+/// An error with what it is about, such as the path of a file.
+#[derive(Debug, Error)]
+#[error("{about}: {source}")]
+struct About {
+    about: String,
+    source: Cause,
+}
+
+impl About {
+    fn cause(about: impl Display, source: impl Into<Cause>) -> Cause {
+        Self { about: about.to_string(), source: source.into() }.into()
+    }
 }
 
 /// A stage that ended before the run did.
@@ -49,85 +76,140 @@ pub struct StageDeath {
     pub how: String,
     /// Its exit code, where it is one of [`Exit`].
     pub exit: Option<Exit>,
-    /// The last lines that it wrote to standard error.
-    pub last_words: Vec<String>,
+    /// The last lines of its output.
+    pub last_lines: Vec<String>,
 }
 
 impl Failure {
     /// A file can't be used.
-    pub fn data(error: impl std::fmt::Display) -> Self {
-        Self::Data(error.to_string())
+    pub fn data(error: impl Into<Cause>) -> Self {
+        Self::Data(error.into())
     }
 
-    /// A file can't be read or written.
-    pub fn file(path: &Path, error: &std::io::Error) -> Self {
-        Self::Data(format!("{}: {error}", path.display()))
+    /// A file can't be used; the error does not name it.
+    pub fn file(path: &Path, error: impl Into<Cause>) -> Self {
+        Self::data_about(path.display(), error)
     }
 
-    /// What `--out` names can't be written.
-    pub fn output(path: &Path, error: &std::io::Error) -> Self {
+    /// Data can't be used, with what the error is about.
+    pub fn data_about(about: impl Display, error: impl Into<Cause>) -> Self {
+        Self::Data(About::cause(about, error))
+    }
+
+    /// The file of `--out` can't be written.
+    pub fn output(path: &Path, error: std::io::Error) -> Self {
         Self::file(if is_standard_output(path) { Path::new("standard output") } else { path }, error)
     }
 
     /// Weights can't be used.
-    pub fn weights(path: &Path, error: &WeightsError) -> Self {
+    pub fn weights(path: &Path, error: WeightsError) -> Self {
         match error {
             WeightsError::Unreadable { .. } => Self::data(error),
-            _ => Self::Data(format!("{}: {error}", path.display())),
+            _ => Self::file(path, error),
         }
+    }
+
+    /// The configuration can't be used.
+    pub fn config(error: impl Into<Cause>) -> Self {
+        Self::Config(error.into())
+    }
+
+    /// The configuration can't be used, with what the error is about.
+    pub fn config_about(about: impl Display, error: impl Into<Cause>) -> Self {
+        Self::Config(About::cause(about, error))
+    }
+
+    /// A resource of the system is missing.
+    pub fn unavailable(error: impl Into<Cause>) -> Self {
+        Self::Unavailable(error.into())
+    }
+
+    /// A resource of the system is missing, with what the error is about.
+    pub fn unavailable_about(about: impl Display, error: impl Into<Cause>) -> Self {
+        Self::Unavailable(About::cause(about, error))
     }
 
     /// The exit code that stands for it.
-    pub fn exit(&self) -> Exit {
+    pub const fn exit(&self) -> Exit {
         match self {
             Self::Usage(_) => Exit::Usage,
             Self::Data(_) => Exit::Data,
-            Self::Pipeline(_) | Self::Config(_) => Exit::Config,
-            Self::Space(_) | Self::Unavailable(_) => Exit::Unavailable,
-            Self::Stage(StageDeath {
+            Self::Pipeline(_) | Self::Option(_) | Self::Config(_) => Exit::Config,
+            Self::Space(_) | Self::Port(_) | Self::Unavailable(_) => Exit::Unavailable,
+            Self::Death(StageDeath {
                 exit: Some(exit @ (Exit::Data | Exit::Config | Exit::Unavailable)),
                 ..
             }) => *exit,
-            Self::Stage(_) | Self::Failed(_) => Exit::Failed,
+            Self::Death(_) | Self::Failed(_) => Exit::Failed,
+            Self::Stage(error) => error.exit(),
         }
     }
 
-    /// Tells it on standard error.
-    pub fn tell(&self) {
+    /// Prints it on standard error.
+    pub fn print(&self) {
+        eprintln!("{}", self.message());
+    }
+
+    /// Its text, of a dead stage with the last lines of its output, and the errors below where they say more.
+    fn message(&self) -> String {
         let mut text = String::new();
-        // Writing to a string does not fail.
-        let _ = match self {
-            Self::Pipeline(error) => GraphicalReportHandler::new().render_report(&mut text, error),
-            Self::Stage(death) => {
-                let words: String =
-                    death.last_words.iter().fold(String::new(), |all, line| all + "\n  " + line);
-                write!(text, "error: {death}{words}")
+        match self {
+            Self::Pipeline(error) => {
+                // Writing to a string does not fail.
+                let _ = GraphicalReportHandler::new().render_report(&mut text, error);
+                return text;
             }
-            other => write!(text, "error: {other}"),
+            Self::Death(death) => {
+                text = format!("error: {death}");
+                death.last_lines.iter().for_each(|line| text += &format!("\n  {line}"));
+            }
+            other => text += &format!("error: {other}"),
+        }
+        let mut source = self.source();
+        while let Some(error) = source {
+            let below = error.to_string();
+            // Most errors contain the text of the one below.
+            if !text.contains(&below) {
+                text += &format!("\n  caused by: {below}");
+            }
+            source = error.source();
+        }
+        text
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[derive(Debug, Error)]
+    #[error("the checksum is wrong")]
+    struct Vague(#[source] std::io::Error);
+
+    #[test]
+    fn the_errors_below_are_printed_where_they_say_more() {
+        let missing = || std::io::Error::from(std::io::ErrorKind::NotFound);
+        let file = Failure::file(Path::new("a.csv"), missing());
+        assert_eq!(file.message(), format!("error: a.csv: {}", missing()));
+        assert!(file.source().is_some(), "the source is kept");
+        let vague = Failure::data(Vague(missing()));
+        assert_eq!(vague.message(), format!("error: the checksum is wrong\n  caused by: {}", missing()));
+    }
+
+    #[test]
+    fn a_dead_stage_ends_the_run_with_its_own_exit_code() {
+        let death = |exit| StageDeath {
+            stage: StageId::Decoder,
+            how: "ended".to_owned(),
+            exit,
+            last_lines: vec!["no weights".to_owned()],
         };
-        eprintln!("{text}");
-    }
-}
-
-impl From<PortError> for Failure {
-    fn from(error: PortError) -> Self {
-        Self::Unavailable(error.to_string())
-    }
-}
-
-impl From<OptionError> for Failure {
-    fn from(error: OptionError) -> Self {
-        Self::Config(error.to_string())
-    }
-}
-
-impl From<StageError> for Failure {
-    fn from(error: StageError) -> Self {
-        match error.exit() {
-            Exit::Data => Self::Data(error.to_string()),
-            Exit::Config => Self::Config(error.to_string()),
-            Exit::Unavailable => Self::Unavailable(error.to_string()),
-            _ => Self::Failed(error.to_string()),
+        let failure = Failure::from(death(Some(Exit::Data)));
+        assert_eq!(failure.exit(), Exit::Data);
+        assert_eq!(failure.message(), "error: the decoder ended\n  no weights");
+        // Ends that are not a stage's own refusal.
+        for exit in [None, Some(Exit::Done), Some(Exit::Interrupted)] {
+            assert_eq!(Failure::from(death(exit)).exit(), Exit::Failed);
         }
     }
 }

@@ -11,11 +11,11 @@ use wire::StageId;
 use crate::child::{Child, Line};
 use crate::failure::{Failure, StageDeath};
 
-/// Time that the stages have to end once they are asked to.
+/// Time that the stages have to end after a request.
 const END_LIMIT: Duration = Duration::from_secs(3);
-/// The same where a memory of the place is to be written.
+/// The same where the retrieval memory has to be written.
 const MEMORY_LIMIT: Duration = Duration::from_secs(20);
-/// Time between looks at processes that are about to end.
+/// Interval between checks of processes that are ending.
 const LOOK: Duration = Duration::from_millis(5);
 
 /// The processes of a run; dropping it ends them all.
@@ -27,7 +27,7 @@ pub struct Fleet {
 }
 
 impl Fleet {
-    /// Starts all stages of a pipeline; they get longer to end where a memory is to be kept.
+    /// Starts all stages of a pipeline; they have more time to end where `keeps_memory`.
     pub fn start(pipeline: &Pipeline, run: &Run, record: &Path, keeps_memory: bool) -> Result<Self, Failure> {
         let (sender, lines) = channel();
         let end_limit = if keeps_memory { MEMORY_LIMIT } else { END_LIMIT };
@@ -43,13 +43,13 @@ impl Fleet {
         self.lines.try_iter()
     }
 
-    /// Whether a stage has ended well.
+    /// Whether a stage has ended with success.
     pub fn done(&mut self, stage: StageId) -> bool {
         self.children.iter_mut().any(|c| c.stage == stage && c.ended().is_some_and(|status| status.success()))
     }
 
-    /// The first stage that ended though the run goes on. The source and the recorder may end well: their work can be
-    /// done.
+    /// The first stage that ended during the run. The source and the recorder may end with success: their
+    /// work can be done.
     pub fn death(&mut self) -> Option<StageDeath> {
         let unexpected = |child: &mut Child| {
             let may_end = matches!(child.stage, StageId::Source | StageId::Recorder);
@@ -60,11 +60,11 @@ impl Fleet {
         Some(child.death(status))
     }
 
-    /// Asks all stages to end, waits, and kills those that do not.
+    /// Asks all stages to end, waits, and kills those that do not end in time.
     pub fn end(&mut self) {
         for child in &mut self.children {
             child.signal(Signal::TERM);
-            // One that is stopped takes the request only when it goes on.
+            // A stopped process receives the request only when it continues.
             child.signal(Signal::CONT);
         }
         let start = Instant::now();
@@ -79,7 +79,7 @@ impl Fleet {
         }
     }
 
-    /// What a stage that was asked to end says, where it did not end well.
+    /// Describes the end of a stage that was asked to end and failed.
     pub fn failure(&mut self, stage: StageId) -> Option<StageDeath> {
         let child = self.children.iter_mut().find(|child| child.stage == stage)?;
         let status = child.ended().filter(|status| !status.success())?;

@@ -1,4 +1,4 @@
-//! `stgdat`: starts the pipeline, looks after it, and does what goes with it on the command line.
+//! `stgdat`: starts and supervises the pipeline, and has verbs for data, models and diagnosis.
 //!
 //! Each verb is a module of [`verbs`]. `stgdat` without a verb is `stgdat run`.
 
@@ -6,13 +6,15 @@ mod arguments;
 mod chain;
 mod child;
 mod contenders;
+#[cfg(test)]
+mod docs;
 mod failure;
 mod fleet;
 mod options;
 mod pipeline_file;
-mod readme;
 mod show;
 mod stages;
+mod tables;
 mod tracking;
 mod verbs;
 mod version;
@@ -30,7 +32,7 @@ struct Cli {
     verb: Option<verbs::Verb>,
     #[command(flatten)]
     run: verbs::run::Arguments,
-    /// Print the version, the weights' fingerprint and the CPU kernels in use
+    /// Print the version, the SHA-256 of the embedded weights and the CPU kernels in use
     #[arg(short = 'V', long)]
     version: bool,
 }
@@ -38,6 +40,7 @@ struct Cli {
 fn main() -> ExitCode {
     ports::begin_logging();
     let cli = Cli::parse();
+    options::warn_of_old_flags(std::env::args_os());
     if cli.version {
         print!("{}", version::text());
         return run::Exit::Done.into();
@@ -49,7 +52,7 @@ fn main() -> ExitCode {
     match outcome {
         Ok(exit) => exit.into(),
         Err(failure) => {
-            failure.tell();
+            failure.print();
             failure.exit().into()
         }
     }

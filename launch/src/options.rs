@@ -1,6 +1,7 @@
-//! The options of all stages: those of the pipeline's file, as the command line changes them.
+//! The options of all stages: those of pipeline.toml with the changes of the command line.
 
 use std::collections::BTreeMap;
+use std::ffi::OsString;
 use std::fmt;
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
@@ -16,31 +17,34 @@ use wire::StageId;
 use crate::failure::Failure;
 use crate::stages;
 
-/// What the command line wants of one option of one stage.
+/// Old flags and their new names.
+const OLD_FLAGS: [(&str, &str); 1] = [("--readme", "--table")];
+
+/// A setting of the command line: one option of one stage.
 #[derive(Clone, Debug)]
 pub struct Setting {
     stage: StageId,
     option: String,
     value: Given,
-    /// The words of the command line.
-    said: String,
+    /// The arguments that it was written as.
+    written: String,
 }
 
-/// What is given for an option.
+/// The value of a setting.
 #[derive(Clone, Debug)]
 enum Given {
-    /// Text in the place of a value, as a user writes it.
+    /// Text, as a user writes it.
     Written(String),
     /// A value.
     Value(Value),
-    /// The default, whatever the file says.
+    /// The default, also where the file has another value.
     Default,
 }
 
-/// Text that is no setting.
+/// Text that is not a setting.
 #[derive(Debug, Error)]
 pub enum SettingError {
-    /// It has not the form of one.
+    /// It does not have the form of one.
     #[error("expected STAGE.OPTION=VALUE, as in tracker.fov=90,80")]
     Form,
     /// No stage has that name.
@@ -60,48 +64,48 @@ impl FromStr for Setting {
             stage,
             option,
             value: Given::Written(value.trim().to_owned()),
-            said: format!("--set {text}"),
+            written: format!("--set {text}"),
         })
     }
 }
 
 impl Setting {
-    /// What a flag of the command line stands for.
+    /// The setting of a flag.
     pub fn of_flag(flag: &str, stage: StageId, option: &str, value: impl Into<Value>) -> Self {
         let value = value.into();
-        let said = match &value {
+        let written = match &value {
             Value::Boolean(_) => flag.to_owned(),
             Value::String(text) => format!("{flag} {text}"),
             other => format!("{flag} {other}"),
         };
-        Self { stage, option: option.to_owned(), value: Given::Value(value), said }
+        Self { stage, option: option.to_owned(), value: Given::Value(value), written }
     }
 
-    /// A flag that takes an option out of what the file sets.
+    /// The setting of a flag that resets an option to its default.
     pub fn unset(flag: &str, stage: StageId, option: &str) -> Self {
-        Self { stage, option: option.to_owned(), value: Given::Default, said: flag.to_owned() }
+        Self { stage, option: option.to_owned(), value: Given::Default, written: flag.to_owned() }
     }
 
-    /// As the command line takes it, its arguments one by one.
+    /// Its arguments on a command line.
     pub fn arguments(&self) -> impl Iterator<Item = &str> {
-        self.said.splitn(2, ' ')
+        self.written.splitn(2, ' ')
     }
 
-    /// Whether it is of that option.
+    /// Whether it sets that option.
     pub fn is_of(&self, stage: StageId, option: &str) -> bool {
         self.stage == stage && self.option == option
     }
 
-    /// Says why it can't be.
+    /// The failure of a setting that can't be used.
     pub fn refused(&self, why: impl fmt::Display) -> Failure {
-        Failure::Usage(format!("{}: {why}", self.said))
+        Failure::Usage(format!("{}: {why}", self.written))
     }
 }
 
 /// The options of one stage.
 #[derive(Clone, Debug)]
 struct Options {
-    /// What this project's own program declares; none for a program of one's own, which knows its options alone.
+    /// Declaration of the built-in stage; `None` for an external program, whose options are not known here.
     declared: Option<&'static dyn Declared>,
     table: Table,
 }
@@ -111,7 +115,7 @@ struct Options {
 pub struct StageOptions(BTreeMap<StageId, Options>);
 
 impl StageOptions {
-    /// What a pipeline's file sets.
+    /// The options in a pipeline.toml.
     pub fn of_pipeline(pipeline: &Pipeline) -> Self {
         let of_stage = |stage: &config::Stage| {
             let built_in = stages::built_in(stage.id).filter(|_| stage.command.is_none());
@@ -121,7 +125,7 @@ impl StageOptions {
         Self(pipeline.stages.iter().map(of_stage).collect())
     }
 
-    /// The defaults of this project's own programs of these stages.
+    /// The defaults of these built-in stages.
     pub fn defaults(ids: &[StageId]) -> Self {
         let of_stage = |id: &StageId| {
             let declared = stages::built_in(*id).map(|built_in| built_in.declared);
@@ -130,8 +134,7 @@ impl StageOptions {
         Self(ids.iter().map(of_stage).collect())
     }
 
-    /// Changes what the command line wants to be changed, the later setting over the earlier; paths are made absolute, as stages
-    /// may run elsewhere.
+    /// Applies settings in their order. Paths become absolute, as stages may run in other folders.
     pub fn apply(&mut self, settings: &[Setting]) -> Result<(), Failure> {
         for setting in settings {
             self.apply_one(setting)?;
@@ -143,7 +146,7 @@ impl StageOptions {
                 let of_stage = |setting: &&Setting| setting.stage == *id;
                 let setting = settings.iter().rfind(of_key).or_else(|| settings.iter().rfind(of_stage));
                 let why = format!("{error}: {}", error.advice());
-                setting.map_or_else(|| Failure::Config(why.clone()), |setting| setting.refused(&why))
+                setting.map_or_else(|| Failure::config(why.as_str()), |setting| setting.refused(&why))
             };
             declared.check(&options.table).map_err(refused)?;
             for option in declared.schema().iter().filter(|option| option.is_path) {
@@ -174,7 +177,7 @@ impl StageOptions {
                 return Ok(());
             }
         };
-        // On its own, so that what is wrong with it is said of it.
+        // Checked alone, so that the error names this setting.
         if let Some(declared) = declared {
             match declared.check(&Table::from_iter([(key.clone(), value.clone())])) {
                 Ok(()) | Err(OptionError::Conflict(_)) => {}
@@ -185,12 +188,12 @@ impl StageOptions {
         Ok(())
     }
 
-    /// Whether a stage is played by this project's own program.
+    /// Whether a stage is built in.
     pub fn is_built_in(&self, id: StageId) -> bool {
         self.0.get(&id).is_some_and(|options| options.declared.is_some())
     }
 
-    /// The value of an option that is set, as it stands in the table.
+    /// The value of an option, if it is set.
     pub fn get(&self, id: StageId, option: &str) -> Option<&Value> {
         self.0.get(&id)?.table.get(option)
     }
@@ -204,14 +207,14 @@ impl StageOptions {
         Ok(())
     }
 
-    /// A stage's options as its own struct; the defaults where the stage is not there or a program of one's own.
+    /// A stage's options as its struct; the defaults where the stage is missing or an external program.
     pub fn read<O: Default + DeserializeOwned>(&self, declaration: &Declaration<O>) -> Result<O, Failure> {
         let options = self.0.get(&declaration.id()).filter(|options| options.declared.is_some());
         let Some(Options { table, .. }) = options else { return Ok(O::default()) };
-        Value::Table(table.clone()).try_into().map_err(|error| Failure::Config(error.to_string()))
+        Value::Table(table.clone()).try_into().map_err(Failure::config)
     }
 
-    /// How each stage is run, by its options alone.
+    /// The stages of a run record, with their options and without budgets.
     pub fn stage_runs(&self) -> Vec<StageRun> {
         let of_stage = |(id, options): (&StageId, &Options)| StageRun {
             stage: *id as u32,
@@ -223,7 +226,18 @@ impl StageOptions {
     }
 }
 
-/// A value as it is written on the command line: TOML, or else text; text at once where the option takes nothing else.
+/// Warns of old flags that clap accepts as hidden aliases.
+pub fn warn_of_old_flags(arguments: impl Iterator<Item = OsString>) {
+    for argument in arguments {
+        let argument = argument.to_string_lossy();
+        let flag = argument.split_once('=').map_or(&*argument, |(flag, _)| flag);
+        if let Some((old, new)) = OLD_FLAGS.iter().find(|(old, _)| flag == *old) {
+            warn(&format!("{old} is called {new} now"));
+        }
+    }
+}
+
+/// Parses a value of the command line: TOML or else text; always text where the option takes nothing else.
 fn value(written: &str, option: Option<&OptionSchema>) -> Value {
     let parsed = format!("value = {written}").parse::<Table>().ok();
     let parsed = parsed.filter(|table| table.len() == 1).and_then(|mut table| table.remove("value"));
@@ -234,27 +248,27 @@ fn value(written: &str, option: Option<&OptionSchema>) -> Value {
     }
 }
 
-/// The path from the root.
+/// Absolute path of a file that may not exist.
 pub fn absolute(path: &Path) -> Result<PathBuf, Failure> {
-    std::path::absolute(path).map_err(|error| Failure::file(path, &error))
+    std::path::absolute(path).map_err(|error| Failure::file(path, error))
 }
 
-/// A path as an option holds it.
+/// A path as the value of an option.
 pub fn text(path: &Path) -> Result<String, Failure> {
     let text = path.to_str().map(str::to_owned);
     text.ok_or_else(|| Failure::Usage(format!("{}: a path must be UTF-8 to be an option", path.display())))
 }
 
-/// Tells of what will not be understood any more by the next version.
+/// Warns of an old name.
 pub fn warn(what: &str) {
-    eprintln!("warning: {what}; the old name goes with the next version");
+    eprintln!("warning: {what}; the next version drops the old name");
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
 
-    /// The options after these settings, or what is said against them.
+    /// The options after these settings, or the error.
     fn applied(pipeline: &str, settings: &[&str]) -> Result<StageOptions, String> {
         let pipeline = Pipeline::parse("p.toml", pipeline, &stages::declared()).expect("a good file");
         let mut options = StageOptions::of_pipeline(&pipeline);
@@ -274,7 +288,7 @@ mod tests {
     }
 
     #[test]
-    fn the_command_line_goes_over_the_file_and_the_file_over_the_default() {
+    fn settings_override_the_file_and_the_file_the_defaults() {
         let file = with_sampler("{ deadline_ms = 40, particles = 8 }");
         let sampler = |settings: &[&str]| {
             let options = applied(&file, settings)?.read(&sampler::STAGE).map_err(|e| e.to_string())?;
@@ -311,7 +325,7 @@ mod tests {
     }
 
     #[test]
-    fn what_cannot_be_set_is_refused_in_the_command_lines_words() {
+    fn refused_settings_are_quoted_with_the_reason() {
         let cases = [
             ("tracker.fov", "expected STAGE.OPTION=VALUE"),
             ("fov=90,80", "expected STAGE.OPTION=VALUE"),
@@ -337,15 +351,15 @@ mod tests {
             ("source.format=xml", "unknown format \"xml\""),
             ("tracker.association=guess", "expected assignment or jpda"),
         ];
-        for (setting, told) in cases {
+        for (setting, message) in cases {
             let refused = applied(SHIPPED, &[setting]).expect_err(setting);
-            assert!(refused.contains(told), "{setting}: {refused}");
+            assert!(refused.contains(message), "{setting}: {refused}");
         }
     }
 
     #[test]
-    fn options_that_exclude_each_other_are_refused_however_they_come() {
-        let told = "a memory that nothing is to be retrieved from: `retrieval` is false";
+    fn conflicting_options_are_refused_from_any_source() {
+        let message = "a memory that nothing is to be retrieved from: `retrieval` is false";
         let file = with_sampler("{ memory = \"a\" }");
         for (file, settings) in [
             (SHIPPED, &["sampler.memory=a", "sampler.retrieval=false"][..]),
@@ -353,21 +367,21 @@ mod tests {
             (&file, &["sampler.retrieval=false"]),
         ] {
             let refused = applied(file, settings).expect_err("both");
-            assert!(refused.contains(told), "{refused}");
+            assert!(refused.contains(message), "{refused}");
         }
         let turned_on = with_sampler("{ retrieval = false }");
         assert!(applied(&turned_on, &["sampler.memory=a", "sampler.retrieval=true"]).is_ok());
     }
 
     #[test]
-    fn an_old_name_stands_for_the_new_one() {
+    fn old_names_set_the_new_options() {
         let options = applied(SHIPPED, &["sampler.recall=false", "tracker.view=90,80"]).unwrap();
         assert!(!options.read(&sampler::STAGE).unwrap().retrieval);
         assert!(options.read(&tracker::STAGE).unwrap().fov.is_some());
     }
 
     #[test]
-    fn a_program_of_ones_own_takes_what_it_is_given() {
+    fn options_of_external_programs_are_passed_on_unchecked() {
         let file = SHIPPED.replace("name = \"encoder\"", "name = \"encoder\"\ncommand = [\"./mine\"]");
         let options = applied(&file, &["encoder.gain=[1, 2]", "encoder.mode=fast"]).unwrap();
         assert_eq!(options.get(StageId::Encoder, "mode"), Some(&Value::String("fast".into())));

@@ -6,15 +6,14 @@ use crate::failure::Failure;
 use crate::options::warn;
 use crate::stages;
 
-/// The pipeline that runs where none is named.
+/// The default pipeline.
 const SHIPPED: &str = include_str!("../pipeline.toml");
 
 /// Reads and checks a pipeline.toml, or the shipped one.
 pub fn load(path: Option<&Path>) -> Result<Pipeline, Failure> {
     let declared = stages::declared();
     let Some(path) = path else { return Ok(Pipeline::parse("pipeline.toml", SHIPPED, &declared)?) };
-    let text = std::fs::read_to_string(path)
-        .map_err(|error| Failure::Config(format!("{}: {error}", path.display())))?;
+    let text = std::fs::read_to_string(path).map_err(|error| Failure::config_about(path.display(), error))?;
     let name = path.display().to_string();
     let pipeline = Pipeline::parse(&name, &text, &declared)?;
     for warning in &pipeline.warnings {
@@ -30,7 +29,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_shipped_file_is_of_our_stages_and_wires_the_loop() {
+    fn the_shipped_pipeline_has_all_stages_and_the_loop() {
         let pipeline = load(None).unwrap();
         assert_eq!(pipeline.stages.len(), stages::STAGES.len());
         for (stage, declared) in pipeline.stages.iter().zip(stages::declared()) {

@@ -1,4 +1,4 @@
-//! The stages that this program holds: each crate's declaration and the function that is the stage.
+//! The built-in stages: each crate's declaration and the function that runs the stage.
 
 use std::fmt::Write as _;
 
@@ -7,18 +7,18 @@ use run::options::OptionSchema;
 use run::{Declared, Run};
 use wire::StageId;
 
-/// Width of the help's lines, less their margin.
+/// Width of the help's lines without their margin.
 const LINE: usize = 94;
 
-/// A stage that is inside this program.
+/// A stage of this program.
 pub struct BuiltIn {
-    /// What it declares.
+    /// Its declaration.
     pub declared: &'static dyn Declared,
-    /// Is the stage until the process is asked to end.
+    /// Runs the stage until the process is asked to end.
     pub body: fn(&Run) -> Result<(), StageError>,
 }
 
-/// All of them, in the order in which a tick passes them.
+/// All stages, in the order in which a tick passes them.
 pub const STAGES: [BuiltIn; 8] = [
     BuiltIn { declared: &source::STAGE, body: source::stage::run },
     BuiltIn { declared: &tracker::STAGE, body: tracker::stage::run },
@@ -35,12 +35,12 @@ pub fn built_in(id: StageId) -> Option<BuiltIn> {
     STAGES.into_iter().find(|stage| stage.declared.id() == id)
 }
 
-/// What all of them declare.
+/// The declarations of all stages.
 pub fn declared() -> [&'static dyn Declared; 8] {
     STAGES.map(|stage| stage.declared)
 }
 
-/// Every option of every stage, for people to read.
+/// Every option of every stage as text.
 pub fn options_help() -> String {
     let mut text =
         "Options, set by `options = { … }` in pipeline.toml or by --set STAGE.OPTION=VALUE:\n".to_owned();
@@ -57,9 +57,9 @@ pub fn options_help() -> String {
 fn option_help(stage: StageId, option: &OptionSchema) -> String {
     let OptionSchema { name, about, kind, expected, default, .. } = option;
     let default = default.as_ref().map_or_else(String::new, |default| format!(" [default: {default}]"));
-    // Where what is expected tells the kind, once is enough.
-    let says_all = expected.ends_with(kind) || matches!(*kind, "truth value" | "name");
-    let kind = if says_all { String::new() } else { format!(" ({kind})") };
+    // The kind is left out where the expectation contains it.
+    let is_implied = expected.ends_with(kind) || matches!(*kind, "truth value" | "name");
+    let kind = if is_implied { String::new() } else { format!(" ({kind})") };
     let mut text = format!("  {}.{name}{kind}: {expected}{default}\n", stage.name());
     let mut line = String::new();
     for word in about.split_whitespace() {
@@ -79,7 +79,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn every_stage_is_there_once() {
+    fn every_stage_exists_once() {
         assert_eq!(declared().map(|stage| stage.id()), StageId::ALL);
     }
 
@@ -92,19 +92,19 @@ mod tests {
     }
 
     #[test]
-    fn every_stage_starts_without_options() {
+    fn every_stage_accepts_empty_options() {
         for stage in declared() {
             assert_eq!(stage.check(&toml::Table::new()), Ok(()), "{}", stage.id().name());
         }
     }
 
     #[test]
-    fn every_option_says_what_it_is_and_its_default_is_accepted() {
+    fn every_option_has_documentation_and_a_valid_default() {
         for stage in declared() {
             for option in stage.schema().iter() {
                 let name = format!("{}.{}", stage.id().name(), option.name);
                 assert!(option.about.ends_with('.'), "{name} has no documentation: {:?}", option.about);
-                assert!(!option.expected.is_empty(), "{name} does not tell what it takes");
+                assert!(!option.expected.is_empty(), "{name} does not state its values");
                 let Some(default) = &option.default else { continue };
                 let table = format!("{} = {default}", option.name).parse().expect("a default is TOML");
                 assert_eq!(stage.check(&table), Ok(()), "{name}");
@@ -113,7 +113,7 @@ mod tests {
     }
 
     #[test]
-    fn all_options_are_told() {
+    fn the_help_lists_all_options() {
         insta::assert_snapshot!(options_help());
     }
 }

@@ -1,4 +1,4 @@
-//! What can be asked of `stgdat`, one module each.
+//! The verbs of `stgdat`, one module each.
 
 pub mod ablate;
 pub mod bench;
@@ -9,6 +9,7 @@ pub mod completions;
 pub mod doctor;
 pub mod evaluate;
 pub mod graph;
+pub mod manual;
 pub mod map;
 pub mod plot;
 pub mod predict;
@@ -27,46 +28,49 @@ use crate::failure::Failure;
 /// A verb with its arguments.
 #[derive(Debug, Subcommand)]
 pub enum Verb {
-    /// Start the pipeline, play a recording or a generated scene, report
+    /// Start the pipeline, play a recording or a generated scene, and report
     Run(run::Arguments),
-    /// Run a recording through the same stages in one process; forecasts as JSON lines
+    /// Run a recording through all stages in one process; write forecasts as JSON lines
     Predict(predict::Arguments),
-    /// Run a recording through the tracker in this process; tracks as CSV, KITTI or MOT results
+    /// Run a recording through the tracker in one process; write tracks as CSV, KITTI or MOT results
     Track(track::Arguments),
-    /// Be one stage of a run (`run` starts these)
+    /// Run one stage of a run (started by `run`)
     Stage(stage::Arguments),
     /// Check a pipeline.toml
     Check(check::Arguments),
     /// Print the graph of stages and topics
     Graph(graph::Arguments),
-    /// Make a context map of a site from its recordings
+    /// Build the context map of a site from its recordings
     Map(map::Arguments),
-    /// Draw forecasts or learning curves, as SVG or PNG
+    /// Plot forecasts or learning curves as SVG or PNG
     Plot(plot::Arguments),
     /// Train weights on recordings
     Train(train::Arguments),
     /// Train variants of a recipe with an equal budget and compare them
     Ablate(ablate::Arguments),
-    /// Measure forecasts and baselines on test data
+    /// Evaluate forecasts and baselines on test data
     Evaluate(evaluate::Arguments),
     /// Print the model card of weights
     Card(card::Arguments),
-    /// Recompute golden vectors on this machine, a row per tensor
+    /// Recompute golden vectors on this machine and compare, a row per tensor
     Verify(verify::Arguments),
-    /// Measure compute per stage and the overhead of the chain
+    /// Measure compute per stage and the overhead of the pipeline
     Bench(bench::Arguments),
-    /// Look at this machine: shared memory, limits, CPU, leftovers
+    /// Check this machine: shared memory, limits, CPU, leftovers
     Doctor(doctor::Arguments),
-    /// Remove what dead runs left in shared memory
+    /// Remove files that dead runs left in shared memory
     Clean(clean::Arguments),
-    /// Print the layouts of the topics for programs in other languages
+    /// Print the payload layouts of the topics for programs in other languages
     Wire(wire::Arguments),
     /// Print completions for a shell
     Completions(completions::Arguments),
+    /// Print the manual of the command line as Markdown: the page docs/cli.md
+    #[command(hide = true)]
+    Manual(manual::Arguments),
 }
 
 impl Verb {
-    /// Does it.
+    /// Executes the verb.
     pub fn execute(self) -> Result<Exit, Failure> {
         match self {
             Self::Run(arguments) => run::execute(&arguments),
@@ -87,6 +91,7 @@ impl Verb {
             Self::Clean(arguments) => clean::execute(&arguments),
             Self::Wire(arguments) => wire::execute(&arguments),
             Self::Completions(arguments) => completions::execute(&arguments),
+            Self::Manual(arguments) => manual::execute(&arguments),
         }
     }
 }

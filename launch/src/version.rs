@@ -1,6 +1,7 @@
 use nn::Weights;
 
-/// Version of the program, with what else decides its numbers: the weights that it carries and the kernels of this CPU.
+/// Version of the program, SHA-256 of the embedded weights and the kernels of this CPU, which decide its
+/// numbers.
 pub fn text() -> String {
     format!(
         "stgdat {}\nweights {}\nkernels {}\n",

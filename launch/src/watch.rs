@@ -13,14 +13,14 @@ use wire::{ForecastsTopic, HeartbeatsTopic, StageId, Topic};
 use crate::child::Line;
 use crate::failure::Failure;
 
-/// Time between pictures of the table, and the longest sleep.
-const PICTURE: Duration = Duration::from_millis(100);
-/// Time between lines where the output is no terminal.
+/// Interval between updates of the table, and the longest sleep.
+const UPDATE: Duration = Duration::from_millis(100);
+/// Interval between lines where the output is not a terminal.
 const LINE: Duration = Duration::from_secs(1);
 /// Rows of the table.
 const ROWS: u16 = 22;
 
-/// Follows a run from outside: who is linked, and how it goes.
+/// Follows a run from outside: which stages are linked, and its progress.
 #[derive(Debug)]
 pub struct Watch {
     forecasts: Subscriber<ForecastsTopic>,
@@ -28,22 +28,22 @@ pub struct Watch {
     view: LiveView,
     display: Display,
     shown: Instant,
-    told_ticks: u64,
+    printed_ticks: u64,
 }
 
-/// How the run is shown.
+/// How the progress is shown.
 #[derive(Debug)]
 enum Display {
     /// A table at the foot of the terminal.
     Table(Box<Terminal<CrosstermBackend<Stdout>>>),
-    /// Now and then a line on standard error.
+    /// A line per second on standard error.
     Lines,
     /// Not at all.
     Quiet,
 }
 
 impl Watch {
-    /// Joins a run as a listener.
+    /// Joins a run as a subscriber.
     pub fn open(run: &Run, options: LiveOptions, quiet: bool) -> Result<Self, Failure> {
         let node = Node::open(run, "launcher")?;
         Ok(Self {
@@ -52,7 +52,7 @@ impl Watch {
             view: LiveView::new(options),
             display: if quiet { Display::Quiet } else { Display::for_output() },
             shown: Instant::now(),
-            told_ticks: 0,
+            printed_ticks: 0,
         })
     }
 
@@ -61,9 +61,9 @@ impl Watch {
         self.peers.unlinked()
     }
 
-    /// Sleeps for a moment, or until something comes; takes it and shows it.
+    /// Sleeps until a heartbeat or for at most half an update interval; then shows what was received.
     pub fn follow(&mut self, lines: impl Iterator<Item = Line>) -> Result<(), Failure> {
-        self.peers.heartbeats().sleep(PICTURE / 2)?;
+        self.peers.heartbeats().sleep(UPDATE / 2)?;
         for heartbeat in self.peers.listen()? {
             self.view.heartbeat(&heartbeat);
         }
@@ -72,7 +72,7 @@ impl Watch {
         }
         self.view.clock(monotonic_ns());
         for (stage, line) in lines {
-            self.display.tell(&format!("{}: {line}", stage.name()));
+            self.display.line(&format!("{}: {line}", stage.name()));
         }
         self.show();
         Ok(())
@@ -80,12 +80,12 @@ impl Watch {
 
     fn show(&mut self) {
         match &mut self.display {
-            Display::Table(terminal) if self.shown.elapsed() >= PICTURE => {
-                // A terminal that is gone takes no pictures; the run does not depend on it.
+            Display::Table(terminal) if self.shown.elapsed() >= UPDATE => {
+                // A closed terminal can't be drawn to; the run does not depend on it.
                 let _ = terminal.draw(|frame| draw(&self.view, frame, frame.area()));
             }
-            Display::Lines if self.shown.elapsed() >= LINE && self.view.ticks() > self.told_ticks => {
-                self.told_ticks = self.view.ticks();
+            Display::Lines if self.shown.elapsed() >= LINE && self.view.ticks() > self.printed_ticks => {
+                self.printed_ticks = self.view.ticks();
                 eprintln!("{}", self.view.plain_line());
             }
             _ => return,
@@ -93,10 +93,10 @@ impl Watch {
         self.shown = Instant::now();
     }
 
-    /// Shows the last lines and leaves the terminal as it was, the cursor where the table began.
+    /// Shows the last lines and clears the table, with the cursor where it began.
     pub fn close(mut self, lines: impl Iterator<Item = Line>) {
         for (stage, line) in lines {
-            self.display.tell(&format!("{}: {line}", stage.name()));
+            self.display.line(&format!("{}: {line}", stage.name()));
         }
         if let Display::Table(terminal) = &mut self.display {
             let top = terminal.get_frame().area().as_position();
@@ -113,13 +113,13 @@ impl Display {
         if !stdout().is_terminal() {
             return Self::Lines;
         }
-        // Fails on terminals that do not tell where their cursor is.
+        // Fails on terminals that do not report the position of their cursor.
         Terminal::with_options(CrosstermBackend::new(stdout()), options)
             .map_or(Self::Lines, |terminal| Self::Table(Box::new(terminal)))
     }
 
-    /// Tells a line from one of the stages.
-    fn tell(&mut self, line: &str) {
+    /// Shows a line of a stage's output.
+    fn line(&mut self, line: &str) {
         match self {
             Self::Table(terminal) => {
                 let _ = terminal.insert_before(1, |buffer| Text::from(line).render(buffer.area, buffer));

@@ -1,4 +1,4 @@
-//! What can't be used is told with its place and an exit code; nothing hangs and nothing is left.
+//! Input that can't be used is refused with its place and an exit code, and leaves no files behind.
 
 use safetensors::SafeTensors;
 use safetensors::tensor::TensorView;
@@ -8,13 +8,18 @@ use crate::started::{LeftoverWatch, piped, run, run_well, stderr, stdout};
 
 const WEIGHTS: &[u8] = include_bytes!("../../shared/weights/onboard.safetensors");
 
-/// `stgdat` with these arguments ends with that code, says all of that, and leaves nothing.
-fn assert_refused(arguments: &[&str], code: i32, told: &[&str]) {
+/// `stgdat` with these arguments ends with that code and a message that contains these texts, and leaves no
+/// files.
+fn assert_refused(arguments: &[&str], code: i32, texts: &[&str]) {
     let watch = LeftoverWatch::begin();
     let output = run(arguments);
     assert_eq!(output.status.code(), Some(code), "{arguments:?}: {}", stderr(&output));
-    for text in told {
-        assert!(stderr(&output).contains(text), "{arguments:?} does not tell {text:?}: {}", stderr(&output));
+    for text in texts {
+        assert!(
+            stderr(&output).contains(text),
+            "{arguments:?} does not contain {text:?}: {}",
+            stderr(&output)
+        );
     }
     assert_eq!(stdout(&output), "", "{arguments:?}: nothing to report");
     watch.assert_nothing_new();
@@ -34,7 +39,7 @@ fn with_wrong_shape(tensor: &str) -> Vec<u8> {
 }
 
 #[test]
-fn weights_that_are_no_weights() {
+fn files_that_are_not_weights_are_refused() {
     let scratch = Scratch::new("weights");
     let recording = scratch.recording("scene.csv", 5);
     let foreign = scratch.file("foreign.safetensors", "PNG and nothing else");
@@ -46,29 +51,29 @@ fn weights_that_are_no_weights() {
         (&empty, "empty.safetensors"),
         ("no/such.safetensors", "no/such.safetensors"),
     ];
-    for (weights, told) in cases {
-        assert_refused(&["run", "--weights", weights], 65, &[told]);
-        assert_refused(&["predict", &recording, "--weights", weights], 65, &[told]);
-        assert_refused(&["card", weights], 65, &[told]);
+    for (weights, texts) in cases {
+        assert_refused(&["run", "--weights", weights], 65, &[texts]);
+        assert_refused(&["predict", &recording, "--weights", weights], 65, &[texts]);
+        assert_refused(&["card", weights], 65, &[texts]);
     }
 }
 
 #[test]
-fn weights_of_another_shape_are_refused_by_the_stage_that_needs_them() {
+fn tensors_of_another_shape_are_refused_by_their_stage() {
     let scratch = Scratch::new("shape");
     let recording = scratch.recording("scene.csv", 5);
     for (tensor, stage) in
         [("fe.context.fc.weight", "extractor"), ("decoder.vehicle.gru.weight_ih", "decoder")]
     {
         let weights = scratch.file("shape.safetensors", with_wrong_shape(tensor));
-        let told = format!("tensor {tensor} has shape [1, ");
-        assert_refused(&["predict", &recording, "--weights", &weights], 65, &[&told]);
-        assert_refused(&["run", "--ticks", "5", "--weights", &weights], 65, &[&told, stage]);
+        let texts = format!("tensor {tensor} has shape [1, ");
+        assert_refused(&["predict", &recording, "--weights", &weights], 65, &[&texts]);
+        assert_refused(&["run", "--ticks", "5", "--weights", &weights], 65, &[&texts, stage]);
     }
 }
 
 #[test]
-fn options_that_a_target_has_no_use_for_are_refused() {
+fn options_that_a_target_does_not_use_are_refused() {
     for (target, option) in [
         ("eth-ucy", &["--parts", "seen"][..]),
         ("interaction", &["--sigmas", "0.1"]),
@@ -76,13 +81,13 @@ fn options_that_a_target_has_no_use_for_are_refused() {
         ("tracking", &["--positions"]),
         ("interaction", &["--format", "csv"]),
     ] {
-        let told = format!("{} is for ", option[0]);
-        assert_refused(&[&["evaluate", target], option].concat(), 2, &[&told]);
+        let texts = format!("{} is for ", option[0]);
+        assert_refused(&[&["evaluate", target], option].concat(), 2, &[&texts]);
     }
 }
 
 #[test]
-fn a_pipeline_that_is_none_is_told_with_its_place() {
+fn errors_in_a_pipeline_are_reported_with_their_place() {
     let scratch = Scratch::new("pipeline");
     let place = |file: &str, text: &str| {
         let line =
@@ -102,14 +107,14 @@ fn a_pipeline_that_is_none_is_told_with_its_place() {
         (&cycle, &["needs its own output", "cycle.toml:"]),
         ("no/such.toml", &["no/such.toml"]),
     ];
-    for (pipeline, told) in cases {
-        assert_refused(&["check", pipeline], 78, told);
-        assert_refused(&["run", "--pipeline", pipeline], 78, told);
+    for (pipeline, texts) in cases {
+        assert_refused(&["check", pipeline], 78, texts);
+        assert_refused(&["run", "--pipeline", pipeline], 78, texts);
     }
 }
 
 #[test]
-fn a_stage_that_cannot_play_its_part_ends_the_run() {
+fn a_stage_that_cannot_start_or_ends_early_ends_the_run() {
     let scratch = Scratch::new("stage");
     let no_such_program = scratch.pipeline_with("localiser", &["./none"]);
     assert_refused(&["run", "--pipeline", &no_such_program], 78, &["the localiser", "./none"]);
@@ -125,7 +130,7 @@ fn a_stage_that_cannot_play_its_part_ends_the_run() {
 }
 
 #[test]
-fn recordings_that_cannot_be_read() {
+fn unreadable_recordings_are_refused_with_their_place() {
     let scratch = Scratch::new("recordings");
     let header = "stamp_s,id,type,x_m,y_m\n";
     let broken = scratch.file("broken.csv", format!("{header}0.00,1,vehicle,1.5,2\n0.08,1,vehicle,nan,2\n"));
@@ -141,15 +146,15 @@ fn recordings_that_cannot_be_read() {
         (&empty, &["empty.csv"]),
         ("no/such/file.txt", &["no/such/file.txt"]),
     ];
-    for (recording, told) in cases {
-        assert_refused(&["run", "--recording", recording], 65, told);
-        assert_refused(&["predict", recording], 65, told);
+    for (recording, texts) in cases {
+        assert_refused(&["run", "--recording", recording], 65, texts);
+        assert_refused(&["predict", recording], 65, texts);
     }
     assert_refused(&["run", "--map", &broken], 65, &["broken.csv"]);
 }
 
 #[test]
-fn command_lines_that_ask_for_what_cannot_be() {
+fn invalid_command_lines_end_with_exit_code_2() {
     let cases: [(&[&str], &str); 8] = [
         (&["runn"], "runn"),
         (&["run", "--tick", "3"], "--tick"),
@@ -160,15 +165,15 @@ fn command_lines_that_ask_for_what_cannot_be() {
         (&["run", "--recording", "a.csv", "--format", "xml"], "xml"),
         (&["predict"], "RECORDING"),
     ];
-    for (arguments, told) in cases {
-        assert_refused(arguments, 2, &[told]);
+    for (arguments, texts) in cases {
+        assert_refused(arguments, 2, &[texts]);
     }
 }
 
 #[test]
-fn shared_memory_that_is_full() {
+fn full_shared_memory_is_reported_with_exit_code_69() {
     let watch = LeftoverWatch::begin();
-    // A mount of our own hides the machine's shared memory from this one process and its children.
+    // A private mount hides the machine's shared memory from this one process and its children.
     let in_little_memory = |script: &str| {
         let script = format!("mount -t tmpfs -o size=16m tmpfs /dev/shm && {script}");
         piped("unshare").args(["-m", "sh", "-c", &script, env!("CARGO_BIN_EXE_stgdat")]).output()
@@ -186,7 +191,7 @@ fn shared_memory_that_is_full() {
 }
 
 #[test]
-fn verify_fails_where_one_weight_is_changed() {
+fn verify_fails_if_one_weight_is_changed() {
     let golden = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../tests/golden/pedestrian");
     let scratch = Scratch::new("verify");
     let mut names = Vec::new();
@@ -208,7 +213,7 @@ fn verify_fails_where_one_weight_is_changed() {
 }
 
 #[test]
-fn verify_skips_what_holds_no_vectors_beside_what_does() {
+fn verify_skips_folders_without_vectors() {
     let golden = |name: &str| format!("{}/../tests/golden/{name}", env!("CARGO_MANIFEST_DIR"));
     let [readme, reference, vectors] = ["README.md", "reference", "pedestrian"].map(golden);
     let output = run_well(&["verify", &readme, &vectors, &reference]);

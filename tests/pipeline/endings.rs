@@ -1,4 +1,4 @@
-//! However a run ends, it ends all of itself and leaves nothing behind.
+//! Ends of a run: all of its processes end and none of its files are left.
 
 use std::os::unix::process::ExitStatusExt;
 use std::time::Duration;
@@ -10,14 +10,14 @@ use crate::started::{
     LeftoverWatch, Started, assert_nothing_left, run_well, shared_files, stderr, stdout, wait_for,
 };
 
-/// Whether a process still does anything. A zombie does not: its new parent has not looked yet.
+/// Whether a process still runs. A zombie does not; its new parent has not waited for it yet.
 fn lives(pid: Pid) -> bool {
     let state = std::fs::read_to_string(format!("/proc/{}/stat", pid.as_raw_nonzero()));
     state.is_ok_and(|state| state.rsplit(") ").next().is_some_and(|rest| !rest.starts_with('Z')))
 }
 
 #[test]
-fn a_signal_ends_all_stages_and_the_report_still_comes() {
+fn a_signal_ends_all_stages_after_the_report() {
     for (signal, code) in [(Signal::TERM, 143), (Signal::INT, 130)] {
         let scratch = Scratch::new(&format!("signal-{code}"));
         let (report, forecasts) = (scratch.path("report.json"), scratch.path("forecasts.jsonl"));
@@ -43,39 +43,39 @@ fn a_signal_ends_all_stages_and_the_report_still_comes() {
 }
 
 #[test]
-fn a_signal_while_the_stages_start_ends_the_run_too() {
+fn a_signal_during_the_start_ends_the_run() {
     let watch = LeftoverWatch::begin();
     for delay_ms in [2, 5, 10, 20, 30, 50, 80, 120] {
         let run = Started::run(&["--agents", "6", "--quiet"]);
         std::thread::sleep(Duration::from_millis(delay_ms));
         run.signal(Signal::TERM);
         let output = run.output();
-        // At first the signal is not yet taken over, and ends a process that has done nothing.
+        // Before its handler is installed, the signal kills a process that has done nothing yet.
         let ended = output.status.code() == Some(143) || output.status.signal() == Some(15);
         assert!(ended, "after {delay_ms} ms: {:?}: {}", output.status, stderr(&output));
-        // A stage may tell that it was interrupted; for the launcher an end that was asked for is no error.
-        let told = stderr(&output);
-        assert!(!told.lines().any(|line| line.starts_with("error")), "after {delay_ms} ms: {told}");
+        // A stage may report that it was interrupted; for the launcher a requested end is no error.
+        let printed = stderr(&output);
+        assert!(!printed.lines().any(|line| line.starts_with("error")), "after {delay_ms} ms: {printed}");
     }
     watch.assert_nothing_new();
 }
 
 #[test]
-fn the_death_of_a_stage_ends_the_run_and_is_told() {
+fn the_death_of_a_stage_ends_the_run_and_is_reported() {
     for stage in ["tracker", "encoder", "recorder"] {
         let run = Started::run(&["--agents", "6"]);
         let root = run.wait_until_it_runs();
         run.signal_stage(stage, Signal::KILL);
         let output = run.output();
         assert_eq!(output.status.code(), Some(70));
-        let told = format!("the {stage} was killed by signal 9");
-        assert!(stderr(&output).contains(&told), "{}", stderr(&output));
+        let printed = format!("the {stage} was killed by signal 9");
+        assert!(stderr(&output).contains(&printed), "{}", stderr(&output));
         assert_nothing_left(&root);
     }
 }
 
 #[test]
-fn a_stage_that_is_stopped_holds_nothing_up_and_is_ended() {
+fn a_stopped_stage_is_ended_with_the_run() {
     let run = Started::run(&["--agents", "6"]);
     let root = run.wait_until_it_runs();
     run.signal_stage("decoder", Signal::STOP);
@@ -86,7 +86,7 @@ fn a_stage_that_is_stopped_holds_nothing_up_and_is_ended() {
 }
 
 #[test]
-fn after_the_launcher_is_killed_clean_removes_its_files_and_no_others() {
+fn clean_removes_the_files_of_dead_runs_only() {
     let watch = LeftoverWatch::begin();
     let living = Started::run(&["--agents", "6"]);
     let dead = Started::run(&["--agents", "6"]);
@@ -95,10 +95,10 @@ fn after_the_launcher_is_killed_clean_removes_its_files_and_no_others() {
     dead.signal(Signal::KILL);
     drop(dead);
     wait_for("stages outlive their launcher", || (!stages.iter().any(|(pid, _)| lives(*pid))).then_some(()));
-    assert!(!shared_files(&dead_root).is_empty(), "nobody was there to remove them");
+    assert!(!shared_files(&dead_root).is_empty(), "no process is left to remove them");
     let name = dead_root.file_name().and_then(|name| name.to_str()).expect("a run's directory has a name");
-    let told = stdout(&run_well(&["clean", "--dry-run"]));
-    assert!(told.contains(&format!("would remove {name}")), "{told}");
+    let printed = stdout(&run_well(&["clean", "--dry-run"]));
+    assert!(printed.contains(&format!("would remove {name}")), "{printed}");
     assert!(!shared_files(&dead_root).is_empty(), "a dry run removes nothing");
     run_well(&["clean"]);
     assert_nothing_left(&dead_root);

@@ -1,4 +1,4 @@
-//! Generated scenes in lockstep: nothing is lost, the same bytes come again, and the report says what happened.
+//! Generated scenes in lockstep: nothing is lost, runs repeat to the byte, and the report has its figures.
 
 use serde_json::Value;
 
@@ -8,7 +8,7 @@ use crate::started::{Started, run_well, stderr};
 /// The stages that a forecast passes.
 const PASSED: [&str; 7] = ["source", "tracker", "localiser", "extractor", "encoder", "decoder", "sampler"];
 
-/// A number of the report, which must be there and finite.
+/// A number of the report, which must exist and be finite.
 fn number(report: &Value, pointer: &str) -> f64 {
     let value = report.pointer(pointer).and_then(Value::as_f64);
     value.filter(|x| x.is_finite()).unwrap_or_else(|| panic!("no number at {pointer}: {report}"))
@@ -63,7 +63,7 @@ fn the_report_has_what_scripts_rely_on() {
 }
 
 #[test]
-fn a_full_scene_loses_nothing_and_its_forecasts_are_sound() {
+fn a_full_scene_has_valid_forecasts_and_no_losses() {
     let (report, lines) = lockstep("full", 300, wire::AGENTS_MAX);
     assert_eq!((&report["ticks"], &report["drops"]), (&300.into(), &0.into()));
     assert!(number(&report, "/agents/max") > 120.0, "{}", report["agents"]);
@@ -72,20 +72,20 @@ fn a_full_scene_loses_nothing_and_its_forecasts_are_sound() {
     for (tick, line) in lines.iter().enumerate() {
         assert_eq!(line["seq"], tick);
         for agent in line["agents"].as_array().expect("a list of agents") {
-            assert_sound(agent);
+            assert_valid(agent);
         }
     }
 }
 
-/// A forecast as every planner may expect it: numbers, no nulls, and probabilities that sum to 1.
-fn assert_sound(agent: &Value) {
+/// A forecast has finite numbers, valid covariances and probabilities that sum to 1.
+fn assert_valid(agent: &Value) {
     let probability = agent["probability"].as_array().expect("a list");
     let sum: f64 = probability.iter().filter_map(Value::as_f64).sum();
     assert!((sum - 1.0).abs() < 1e-4, "probabilities sum to {sum}: {agent}");
     assert_eq!(agent["modes_m"].as_array().map(Vec::len), Some(probability.len()), "{agent}");
     let here = [number(agent, "/x_m"), number(agent, "/y_m")];
     for (x_m, y_m) in points(&agent["modes_m"]).into_iter().chain(points(&agent["best_m"])) {
-        // 128 m/s over the horizon: nobody at an intersection gets that far.
+        // 128 m/s over the horizon: no agent of an intersection moves that far.
         assert!((x_m - here[0]).hypot(y_m - here[1]) < 600.0, "({x_m}, {y_m}) from {here:?}: {agent}");
     }
     for moments in agent["covariance_m2"].as_array().expect("a list") {
@@ -104,7 +104,7 @@ fn points(value: &Value) -> Vec<(f64, f64)> {
 }
 
 #[test]
-fn runs_side_by_side_write_what_one_alone_does() {
+fn concurrent_runs_write_the_same_bytes_as_one_alone() {
     let scratch = Scratch::new("side-by-side");
     let start = |name: &str, seed: &str| {
         let scene = ["--ticks", "60", "--agents", "12", "--speed", "max", "--quiet", "--seed", seed];

@@ -1,4 +1,4 @@
-//! The whole pipeline from outside: `stgdat` as its users start it.
+//! The whole pipeline from outside: the program `stgdat` and its stages as processes.
 
 mod bad_input;
 mod endings;

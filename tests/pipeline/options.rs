@@ -1,21 +1,25 @@
-//! Options of the stages: what is refused, what goes by an old name, and what help tells.
+//! Options of the stages: invalid values, old names and help.
 
 use run::Run;
 
 use crate::scratch::Scratch;
 use crate::started::{run, run_well, stderr, stdout};
 
-/// `stgdat` with these arguments ends with that code and says all of that.
-fn assert_refused(arguments: &[&str], code: i32, told: &[&str]) {
+/// `stgdat` with these arguments ends with that code and a message that contains these texts.
+fn assert_refused(arguments: &[&str], code: i32, texts: &[&str]) {
     let output = run(arguments);
     assert_eq!(output.status.code(), Some(code), "{arguments:?}: {}", stderr(&output));
-    for text in told {
-        assert!(stderr(&output).contains(text), "{arguments:?} does not tell {text:?}: {}", stderr(&output));
+    for text in texts {
+        assert!(
+            stderr(&output).contains(text),
+            "{arguments:?} does not contain {text:?}: {}",
+            stderr(&output)
+        );
     }
 }
 
 #[test]
-fn what_cannot_be_set_is_refused_before_anything_runs() {
+fn invalid_settings_are_refused_before_the_run() {
     let scratch = Scratch::new("refused");
     let recording = scratch.recording("scene.csv", 5);
     let cases: [(&str, &[&str]); 5] = [
@@ -25,14 +29,14 @@ fn what_cannot_be_set_is_refused_before_anything_runs() {
         ("radar.fov=90,80", &["there is no stage \"radar\"", "tracker"]),
         ("fov", &["expected STAGE.OPTION=VALUE"]),
     ];
-    for (set, told) in cases {
+    for (set, texts) in cases {
         for verb in [&["run"][..], &["predict", &recording], &["track", &recording], &["bench"]] {
-            assert_refused(&[verb, &["--set", set]].concat(), 2, told);
+            assert_refused(&[verb, &["--set", set]].concat(), 2, texts);
         }
     }
     assert_refused(&["predict", &recording, "--set", "recorder.report=a"], 2, &["there is no recorder here"]);
     assert_refused(&["bench", "--set", "source.agents=3"], 2, &["there is no source here"]);
-    assert_refused(&["predict", &recording, "--set", "source.recording=a"], 2, &["named already"]);
+    assert_refused(&["predict", &recording, "--set", "source.recording=a"], 2, &["already an argument"]);
     let pipeline = scratch.pipeline("p.toml", "budget_ms = 6", "budget_ms = 6\noptions = { fov = \"wide\" }");
     assert_refused(
         &["check", &pipeline],
@@ -42,7 +46,7 @@ fn what_cannot_be_set_is_refused_before_anything_runs() {
 }
 
 #[test]
-fn old_names_are_understood_and_told() {
+fn old_names_work_with_a_warning() {
     let scratch = Scratch::new("old");
     let recording = scratch.recording("scene.csv", 30);
     let predict = |arguments: &[&str]| run_well(&[&["predict", &recording], arguments].concat());
@@ -68,31 +72,31 @@ fn old_names_are_understood_and_told() {
         assert_eq!(stderr(&new), "");
     }
     let pipeline = scratch.pipeline("p.toml", "deadline_ms = 72", "deadline_ms = 72, recall = false");
-    let told = stderr(&run_well(&["check", &pipeline]));
-    assert!(told.contains("p.toml: `recall` of the sampler is called `retrieval` now"), "{told}");
+    let texts = stderr(&run_well(&["check", &pipeline]));
+    assert!(texts.contains("p.toml: `recall` of the sampler is called `retrieval` now"), "{texts}");
     let help = stdout(&run_well(&["run", "--help"]));
     assert!(!help.contains("--no-recall") && !help.contains("--tracker."), "{help}");
 }
 
 #[test]
-fn help_tells_every_option_of_every_stage() {
+fn help_lists_the_options_of_the_stages() {
     for arguments in [&["stage", "--help"][..], &["stage", "tracker", "--help"]] {
         let help = stdout(&run_well(arguments));
-        for told in [
+        for texts in [
             "tracker.fov (text): WIDTH,RANGE, up to 360 degrees and 1000 m",
             "sampler.deadline_ms (number): more than 0 and at most 80 [default: 72.0]",
             "Threads that share a tick's rows",
         ] {
-            assert!(help.contains(told), "{help}");
+            assert!(help.contains(texts), "{help}");
         }
     }
 }
 
 #[test]
-fn a_stage_refuses_weights_of_another_model_than_the_runs() {
+fn a_stage_refuses_weights_of_another_model() {
     let scratch = Scratch::new("other-model");
     let record = scratch.path("run");
-    // The stages end before they would join it.
+    // The stages end before they join it.
     let of_run = Run { root: scratch.path("").into(), ..Run::default() };
     of_run.write(record.as_ref()).expect("the scratch folder can be written to");
     let mut model = nn::Weights::onboard().config().clone();
@@ -101,8 +105,8 @@ fn a_stage_refuses_weights_of_another_model_than_the_runs() {
     }
     model.edge_radius_m += 1.0;
     model.write(of_run.root.as_path()).expect("the scratch folder can be written to");
-    let told = "the weights are of another model than the run's: edge_radius_m is ";
+    let texts = "the weights are of another model than the run's: edge_radius_m is ";
     for stage in ["extractor", "encoder", "decoder"] {
-        assert_refused(&["stage", stage, "--run", &record], 65, &[told]);
+        assert_refused(&["stage", stage, "--run", &record], 65, &[texts]);
     }
 }

@@ -1,4 +1,4 @@
-//! Programs of one's own in a run: stages that are swapped in, detectors and planners.
+//! External programs in a run: replaced stages, detectors and planners.
 
 use std::path::{Path, PathBuf};
 
@@ -17,7 +17,7 @@ fn example(name: &str) -> String {
 }
 
 #[test]
-fn one_line_puts_a_program_of_ones_own_in_a_stages_place() {
+fn one_line_replaces_a_stage_by_an_external_program() {
     let scratch = Scratch::new("swap");
     let pipeline = scratch.pipeline_with("localiser", &[&example("area_localiser")]);
     let forecasts = |name: &str, arguments: &[&str]| {
@@ -58,8 +58,8 @@ fn every_stage_runs_as_a_command_of_its_own() {
     }
 }
 
-/// What a consumer of the forecasts of a detector of one's own prints: a car and someone on foot, and then the end.
-fn assert_hears(printed: &str) {
+/// A consumer has printed learned forecasts of the detector's vehicle and pedestrian.
+fn assert_forecasts_of_both(printed: &str) {
     let learned = |name: &str| {
         let lines = printed.lines().filter(|line| line.trim_start().starts_with(name));
         lines.filter(|line| line.contains("20 modes") && line.contains("learned")).count()
@@ -76,13 +76,13 @@ fn a_detector_and_a_planner_in_rust_join_a_run() {
     let run = Started::run(&["--ticks", "60", "--pipeline", &pipeline, "--report", &report]);
     let root = run.wait_until_it_runs();
     let consumer = Started::spawn(piped(example("consumer")).arg("--run").arg(root.join("run")));
-    let heard = consumer.output();
-    assert!(heard.status.success(), "{}", stderr(&heard));
-    assert_hears(&stdout(&heard));
+    let consumed = consumer.output();
+    assert!(consumed.status.success(), "{}", stderr(&consumed));
+    assert_forecasts_of_both(&stdout(&consumed));
     let output = run.output();
     assert!(output.status.success(), "{}", stderr(&output));
     let report: serde_json::Value = serde_json::from_slice(&scratch.read("report.json")).expect("JSON");
-    // A busy machine may cost a tick.
+    // A busy machine may lose a tick.
     assert!(report["ticks"].as_u64().is_some_and(|ticks| (50..=60).contains(&ticks)), "{report}");
     assert_nothing_left(&root);
 }
@@ -106,10 +106,10 @@ fn a_detector_and_a_planner_in_python_join_a_run() {
     let mut consumer = piped(&python);
     let prefix = format!("{}_", root.file_name().and_then(|name| name.to_str()).expect("a run has a name"));
     consumer.arg(program("consumer.py")).env("STGDAT_ROOT", &root).env("STGDAT_PREFIX", prefix);
-    let heard = Started::spawn(&mut consumer).output();
-    assert!(heard.status.success(), "{}", stderr(&heard));
+    let consumed = Started::spawn(&mut consumer).output();
+    assert!(consumed.status.success(), "{}", stderr(&consumed));
     let output = run.output();
     assert!(output.status.success(), "{}", stderr(&output));
-    assert!(stdout(&heard).lines().count() > 20, "{}", stdout(&heard));
+    assert!(stdout(&consumed).lines().count() > 20, "{}", stdout(&consumed));
     assert_nothing_left(&root);
 }

@@ -1,12 +1,11 @@
-//! Recordings: `predict` in one process and `run` in eight write the same bytes, whatever the settings.
+//! Recordings: `predict` in one process and `run` in eight write the same bytes with any options.
 
 use testing::public_recording;
 
 use crate::scratch::Scratch;
 use crate::started::{Started, run, run_well, stderr, stdout, stgdat};
 
-/// Plays a recording with the same arguments through one process twice and through a lockstep run; all must write the
-/// same. Returns it.
+/// Plays a recording by `predict` twice and by a lockstep run, which must write the same bytes. Returns them.
 fn same_bytes(scratch: &Scratch, recording: &str, arguments: &[&str]) -> Vec<u8> {
     for name in ["once", "again"] {
         run_well(&[&["predict", recording, "--out", &scratch.path(name)], arguments].concat());
@@ -21,7 +20,7 @@ fn same_bytes(scratch: &Scratch, recording: &str, arguments: &[&str]) -> Vec<u8>
     once
 }
 
-/// Forecasts of the model itself in some JSON lines.
+/// Number of learned forecasts in JSON lines.
 fn learned_len(lines: &[u8]) -> usize {
     String::from_utf8_lossy(lines).matches("\"quality\":\"learned\"").count()
 }
@@ -35,34 +34,34 @@ fn predict_and_run_write_the_same_bytes() {
     assert!(learned_len(&trusted) > 200, "{} learned forecasts", learned_len(&trusted));
     let associated = same_bytes(&scratch, &recording, &["--seed", "3", "--ticks", "45", "--associate"]);
     assert!(learned_len(&associated) > 200);
-    assert!(trusted != associated, "tracks by position have numbers of their own");
+    assert!(trusted != associated, "tracks by position have other ids");
 }
 
 #[test]
-fn options_that_are_set_are_those_of_the_run_and_of_predict() {
+fn predict_and_run_agree_with_the_same_settings() {
     let scratch = Scratch::new("set");
     let recording = scratch.recording("scene.csv", 40);
     let set = |set: &[&str]| same_bytes(&scratch, &recording, set);
     let shipped = set(&[]);
     let kinematic = set(&["--set", "tracker.prior=kinematic", "--set", "extractor.workers=2"]);
-    assert!(shipped != kinematic, "the prior is what was set");
+    assert!(shipped != kinematic, "the setting changes the prior");
     let blind = set(&["--set", "localiser.map=none", "--set", "source.ticks=30"]);
     assert_eq!(blind.iter().filter(|&&byte| byte == b'\n').count(), 30);
     assert!(
         blind == set(&["--map", "online", "--ticks", "30", "--set", "localiser.map=none"]),
-        "the later one counts"
+        "the last one counts"
     );
 }
 
 #[test]
-fn a_map_of_the_site_gives_the_same_bytes_too() {
+fn predict_and_run_agree_with_a_map_of_the_site() {
     let scratch = Scratch::new("map");
     let recording = scratch.recording("scene.csv", 30);
     let map = scratch.path("site.map");
     run_well(&["map", &recording, "--out", &map]);
     let with_map = same_bytes(&scratch, &recording, &["--map", &map]);
     let without = same_bytes(&scratch, &recording, &["--map", "none"]);
-    assert!(with_map != without, "the map tells the model something");
+    assert!(with_map != without, "the map changes forecasts");
 }
 
 #[test]
@@ -81,7 +80,7 @@ fn predict_and_run_agree_on_public_recordings() {
 }
 
 #[test]
-fn the_memory_of_a_place_outlasts_a_run() {
+fn a_retrieval_memory_is_kept_between_runs() {
     let scratch = Scratch::new("memory");
     let recording = scratch.recording("scene.csv", 90);
     let [memory, copy] = ["a.memory", "b.memory"].map(|name| scratch.path(name));
@@ -90,14 +89,14 @@ fn the_memory_of_a_place_outlasts_a_run() {
     run_well(&[&play[..], &["--memory", &memory, "--forecasts", &forecasts]].concat());
     let predict = |arguments: &[&str]| stdout(&run_well(&[&["predict", &recording], arguments].concat()));
     let first = predict(&["--memory", &copy]);
-    assert_eq!(first, predict(&[]), "nothing is remembered before the first run");
-    assert_ne!(first, predict(&["--no-retrieval"]), "who came by is recalled");
-    assert!(first.as_bytes() == scratch.read("run.jsonl"), "processes forecast as one does");
-    assert!(scratch.read("a.memory") == scratch.read("b.memory"), "and remember the same");
+    assert_eq!(first, predict(&[]), "the memory is empty before the first run");
+    assert_ne!(first, predict(&["--no-retrieval"]), "the memory changes forecasts within a run");
+    assert!(first.as_bytes() == scratch.read("run.jsonl"), "predict and run agree");
+    assert!(scratch.read("a.memory") == scratch.read("b.memory"), "and store the same memory");
 
     let second = predict(&["--memory", &copy]);
-    assert_ne!(second, first, "what was remembered is recalled");
-    assert!(scratch.read("a.memory").len() < scratch.read("b.memory").len(), "and more is remembered");
+    assert_ne!(second, first, "a warm-started memory changes forecasts");
+    assert!(scratch.read("a.memory").len() < scratch.read("b.memory").len(), "and grows");
 
     std::fs::copy(&copy, &memory).expect("a scratch folder");
     let pipeline =
@@ -112,23 +111,23 @@ fn the_memory_of_a_place_outlasts_a_run() {
 }
 
 #[test]
-fn a_memory_that_cannot_be_used_is_refused_before_anything_runs() {
+fn an_unusable_memory_is_refused_before_the_run() {
     let scratch = Scratch::new("foreign-memory");
     let recording = scratch.recording("scene.csv", 5);
     let path = scratch.file("a.memory", "x,y\n");
     let nowhere = scratch.path("nowhere/a.memory");
-    for (memory, told) in [(&path, "a.memory: not a retrieval memory"), (&nowhere, "nowhere: No such file")] {
+    for (memory, text) in [(&path, "a.memory: not a retrieval memory"), (&nowhere, "nowhere: No such file")] {
         for verb in [&["run", "--recording"][..], &["predict"], &["track"]] {
             let output = run(&[verb, &[&recording, "--memory", memory]].concat());
             assert_eq!(output.status.code(), Some(65), "{}", stderr(&output));
-            assert!(stderr(&output).contains(told), "{}", stderr(&output));
+            assert!(stderr(&output).contains(text), "{}", stderr(&output));
         }
     }
     assert_eq!(scratch.read("a.memory"), b"x,y\n", "it stays as it was");
 }
 
 #[test]
-fn a_memory_that_cannot_be_kept_is_told_after_the_report() {
+fn an_unwritable_memory_fails_the_run_after_its_report() {
     let scratch = Scratch::new("unkept-memory");
     let recording = scratch.recording("scene.csv", 60);
     std::fs::create_dir(scratch.path("gone")).expect("a scratch folder");
@@ -136,7 +135,7 @@ fn a_memory_that_cannot_be_kept_is_told_after_the_report() {
     let mut run = stgdat();
     run.args(["run", "--recording", &recording, "--quiet", "--memory", &memory, "--report", &report]);
     let started = Started::spawn(&mut run);
-    // Five seconds of playing: the launcher has long looked at the folder.
+    // The recording plays for five seconds: the launcher has checked the folder by now.
     std::thread::sleep(std::time::Duration::from_secs(3));
     std::fs::remove_dir(scratch.path("gone")).expect("still empty");
     let output = started.output();
@@ -146,7 +145,7 @@ fn a_memory_that_cannot_be_kept_is_told_after_the_report() {
 }
 
 #[test]
-fn a_memory_without_forecasts_is_no_use() {
+fn a_memory_without_forecasts_is_refused() {
     let scratch = Scratch::new("useless-memory");
     let recording = scratch.recording("scene.csv", 5);
     let output = run(&[

@@ -1,4 +1,4 @@
-//! Files that a test makes, gone with it.
+//! Files of a test, removed at its end.
 
 use std::fmt::Write as _;
 use std::path::PathBuf;
@@ -6,7 +6,7 @@ use std::path::PathBuf;
 use data::{Frame, GeneratedScene, SceneOptions};
 use wire::{Detection, detection_flags};
 
-/// The pipeline that runs where none is named.
+/// The built-in pipeline.
 pub const SHIPPED_PIPELINE: &str = include_str!("../../launch/pipeline.toml");
 
 /// A directory of one test.
@@ -42,14 +42,14 @@ impl Scratch {
         self.file(name, SHIPPED_PIPELINE.replacen(from, to, 1))
     }
 
-    /// Writes the shipped pipeline with a program of one's own in a stage's place: by one line.
+    /// Writes the shipped pipeline with one line more: a stage is replaced by a program.
     pub fn pipeline_with(&self, stage: &str, command: &[&str]) -> String {
         let name = format!("name = \"{stage}\"\n");
         self.pipeline(&format!("{stage}.toml"), &name, &format!("{name}command = {command:?}\n"))
     }
 
-    /// Writes a recording in the project's own format: what a sensor tells of a generated intersection that knows who
-    /// is who.
+    /// Writes a recording in the project's own format: detections with identities of a generated
+    /// intersection.
     pub fn recording(&self, name: &str, ticks: usize) -> String {
         let options =
             SceneOptions { agents: 14, identities: true, clutter_mean: 0.0, ..SceneOptions::default() };
@@ -70,7 +70,7 @@ impl Drop for Scratch {
     }
 }
 
-/// Writes a detection with what it knows; the other columns stay empty.
+/// Writes a detection; columns of unknown values stay empty.
 fn write_row(csv: &mut String, frame: &Frame, detection: &Detection) {
     let given = |flag: u32, value: f32| if detection.has(flag) { value.to_string() } else { String::new() };
     let stamp_ms = frame.stamp_ns / 1_000_000;

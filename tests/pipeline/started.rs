@@ -7,9 +7,9 @@ use std::time::{Duration, Instant};
 
 use rustix::process::{Pid, Signal, kill_process};
 
-/// Longest wait for anything; far beyond what it takes, so that a busy machine fails no test.
+/// Longest wait; far longer than needed, so that no test fails on a busy machine.
 const LIMIT: Duration = Duration::from_secs(60);
-/// Processes of a run but the launcher.
+/// Processes of a run without the launcher.
 const STAGES: usize = 8;
 
 /// The program, its output kept.
@@ -24,12 +24,12 @@ pub fn piped(program: impl AsRef<std::ffi::OsStr>) -> Command {
     command
 }
 
-/// Runs `stgdat` to its end, which must come.
+/// Runs `stgdat` to its end.
 pub fn run(arguments: &[&str]) -> Output {
     Started::spawn(stgdat().args(arguments)).output()
 }
 
-/// Runs `stgdat` to its end, which must be a good one.
+/// Runs `stgdat` to its end, which must be a success.
 pub fn run_well(arguments: &[&str]) -> Output {
     let output = run(arguments);
     assert!(output.status.success(), "{arguments:?}: {}", stderr(&output));
@@ -46,7 +46,7 @@ pub fn stdout(output: &Output) -> String {
     String::from_utf8_lossy(&output.stdout).into_owned()
 }
 
-/// Waits until something is there; panics with `what` where it takes for ever.
+/// Waits for a value; panics with `what` after the limit.
 pub fn wait_for<T>(what: &str, mut look: impl FnMut() -> Option<T>) -> T {
     let start = Instant::now();
     loop {
@@ -84,7 +84,8 @@ impl Started {
         .collect()
     }
 
-    /// Waits until all stages are there and have their files in shared memory, and returns the run's directory.
+    /// Waits until all stages are there and have their files in shared memory, and returns the run's
+    /// directory.
     pub fn wait_until_it_runs(&self) -> PathBuf {
         wait_for("the run does not get going", || {
             let stages = self.stages();
@@ -151,22 +152,22 @@ pub fn assert_nothing_left(root: &Path) {
     assert_eq!(shared_files(root), Vec::<String>::new());
 }
 
-/// Watches for what dead runs leave, for runs that end too soon to tell their directory.
+/// Watches for files of dead runs, where a run ends before its directory is known.
 pub struct LeftoverWatch {
     before: Vec<String>,
-    /// No other test makes leftovers meanwhile.
+    /// No other test leaves files meanwhile.
     _alone: MutexGuard<'static, ()>,
 }
 
 impl LeftoverWatch {
-    /// Looks at what is there already.
+    /// Lists the dead runs before the test.
     pub fn begin() -> Self {
         static ALONE: Mutex<()> = Mutex::new(());
         let alone = ALONE.lock().unwrap_or_else(PoisonError::into_inner);
         Self { before: dead_runs(), _alone: alone }
     }
 
-    /// No more is there than before.
+    /// Asserts that there are no further dead runs.
     pub fn assert_nothing_new(&self) {
         // A run that is about to end has a moment in which its lock is gone and its process is not.
         wait_for("a run left files behind: see `stgdat clean --dry-run`", || {

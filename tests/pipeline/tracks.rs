@@ -1,4 +1,4 @@
-//! Tracks as files: `track` in all formats, and what comes of them when they are read again.
+//! Tracks as files: `track` in all formats, and tracks as recordings.
 
 use std::collections::BTreeSet;
 
@@ -11,7 +11,7 @@ fn rows(text: &str) -> Vec<Vec<&str>> {
 }
 
 #[test]
-fn tracks_come_back_as_a_recording_with_the_same_agents() {
+fn tracks_can_be_played_as_a_recording() {
     let scratch = Scratch::new("tracks");
     let recording = scratch.recording("scene.csv", 40);
     let path = scratch.path("tracks.csv");
@@ -33,7 +33,7 @@ fn tracks_come_back_as_a_recording_with_the_same_agents() {
 }
 
 #[test]
-fn forecasts_move_tracks_where_they_are_asked_for() {
+fn the_learned_prior_changes_tracks() {
     let scratch = Scratch::new("tracks-prior");
     let recording = scratch.recording("scene.csv", 40);
     let tracks = |prior: &str| {
@@ -53,7 +53,7 @@ fn forecasts_move_tracks_where_they_are_asked_for() {
 }
 
 #[test]
-fn standard_output_is_appended_to_where_a_shell_says_so() {
+fn output_can_be_appended_by_a_shell() {
     let scratch = Scratch::new("tracks-appended");
     let recording = scratch.recording("scene.csv", 5);
     let path = scratch.path("all.jsonl");
@@ -69,13 +69,13 @@ fn standard_output_is_appended_to_where_a_shell_says_so() {
 }
 
 #[test]
-fn results_in_the_camera_frame_need_a_camera() {
+fn kitti_results_need_a_kitti_sequence() {
     let scratch = Scratch::new("tracks-kitti");
     let recording = scratch.recording("scene.csv", 5);
     let out = scratch.path("out.txt");
     let output = run(&["track", &recording, "--as", "kitti", "--out", &out]);
     assert_eq!(output.status.code(), Some(65));
-    let told = stderr(&output);
-    assert!(told.contains("--as kitti needs a sequence of KITTI") && told.contains("calib"), "{told}");
+    let text = stderr(&output);
+    assert!(text.contains("--as kitti needs a sequence of KITTI") && text.contains("calib"), "{text}");
     assert!(!std::path::Path::new(&out).exists());
 }

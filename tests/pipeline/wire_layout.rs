@@ -1,4 +1,4 @@
-//! What `stgdat wire` prints, in the hands of those for whom it is: compilers of C and C++, and Python.
+//! The output of `stgdat wire` with compilers of C and C++, and with Python.
 
 use std::path::Path;
 
@@ -8,7 +8,7 @@ use crate::started::{piped, run, run_well, stderr, stdout};
 /// The module that the examples in Python use.
 const EXAMPLES_MODULE: &str = include_str!("../examples/stgdat_wire.py");
 
-/// Whether a program can be started here; says so where not.
+/// Whether a program exists on this machine; prints a note if not.
 fn is_here(program: &str) -> bool {
     let here = piped(program).arg("--version").output().is_ok_and(|output| output.status.success());
     if !here {
@@ -26,7 +26,7 @@ fn succeeds(command: &mut std::process::Command) -> String {
 
 /// The header asserts every offset and size itself.
 #[test]
-fn the_c_header_holds_for_c_and_cpp_compilers() {
+fn the_c_header_compiles_as_c_and_cpp() {
     let scratch = Scratch::new("wire-c");
     scratch.file("stgdat_wire.h", run_well(&["wire", "--c"]).stdout);
     let use_it = "#include \"stgdat_wire.h\"\n\
@@ -41,7 +41,7 @@ fn the_c_header_holds_for_c_and_cpp_compilers() {
 }
 
 #[test]
-fn the_python_examples_have_the_module_of_this_version() {
+fn the_python_module_of_the_examples_is_current() {
     let printed = stdout(&run_well(&["wire", "--python"]));
     assert!(
         printed == EXAMPLES_MODULE,
@@ -51,7 +51,7 @@ fn the_python_examples_have_the_module_of_this_version() {
 
 /// The module asserts every offset and size itself when it is imported.
 #[test]
-fn the_python_module_holds_without_anything_installed() {
+fn the_python_module_imports_without_packages() {
     let python = std::env::var("STGDAT_PYTHON").unwrap_or_else(|_| "python3".into());
     if !is_here(&python) {
         return;
@@ -72,7 +72,7 @@ fn the_python_module_holds_without_anything_installed() {
 }
 
 #[test]
-fn the_json_table_is_the_one_of_the_program() {
+fn the_json_table_matches_the_program() {
     let table: serde_json::Value =
         serde_json::from_slice(&run_well(&["wire", "--json"]).stdout).expect("JSON");
     assert_eq!(table["schema"], wire::SCHEMA);
@@ -89,7 +89,7 @@ fn the_json_table_is_the_one_of_the_program() {
 }
 
 #[test]
-fn one_language_at_a_time() {
+fn wire_takes_one_language_at_a_time() {
     for arguments in [&["wire"][..], &["wire", "--c", "--json"]] {
         let output = run(arguments);
         assert!(!output.status.success() && stdout(&output).is_empty());

@@ -10,48 +10,49 @@ use run::Exit;
 use trainer::{ModelCard, TrainOptions};
 
 use crate::failure::Failure;
-use crate::readme;
 use crate::show::show;
+use crate::tables;
 use training::Trained;
 use variants::{Variant, Variants};
 
 /// Arguments of `stgdat ablate`.
 #[derive(Debug, Args)]
 pub struct Arguments {
-    /// The recipe whose parts are left out or changed: a fold of ETH/UCY, sdd, interaction or interaction-without-SITE
+    /// Recipe to vary: a fold of ETH/UCY, sdd, interaction or interaction-without-SITE
     #[arg(long, value_name = "NAME")]
     recipe: String,
-    /// What is left out or changed: presets of `stgdat train`, several joined by `/` made in turn; by default those that
-    /// tell something of the recipe
+    /// Variants: presets of `stgdat train`, joined by `/` where several make one variant; by default the
+    /// ablations that matter for the recipe
     #[arg(long, value_name = "PRESETS,…", value_delimiter = ',')]
     presets: Vec<String>,
-    /// Any option for every variant, as in `stgdat train`; presets come after it
+    /// Set an option of every variant, as in `stgdat train`; presets are applied after it
     #[arg(long, value_name = "OPTION=VALUE")]
     set: Vec<String>,
-    /// Updates of every variant; those of the recipe where not given
+    /// Updates per variant; by default those of the recipe
     #[arg(long, value_name = "N")]
     steps: Option<u64>,
     /// Seed of every variant
     #[arg(long)]
     seed: Option<u64>,
-    /// Threads of training and judging
+    /// Threads of training and evaluation
     #[arg(long, value_name = "N")]
     workers: Option<usize>,
-    /// Folder with the data sets, laid out as published
+    /// Folder with the data sets in their published layout
     #[arg(long, value_name = "DIR", env = "STGDAT_DATA", default_value = "data")]
     data: PathBuf,
-    /// Folder for the variants' weights and checkpoints. What is trained already is kept, what was broken off goes on
+    /// Folder for the variants' weights and checkpoints; finished trainings are kept, interrupted ones
+    /// resumed
     #[arg(long, value_name = "FOLDER")]
     dir: PathBuf,
-    /// Judge the validation part instead of the test part
+    /// Evaluate the validation part instead of the test part
     #[arg(long)]
     validation: bool,
-    /// Write every figure, a line each
+    /// Write every figure as CSV, one per line
     #[arg(long, value_name = "FILE")]
     csv: Option<PathBuf>,
-    /// Write the table between the marks `stgdat ablate RECIPE` of a Markdown file
-    #[arg(long, value_name = "FILE")]
-    readme: Option<PathBuf>,
+    /// Markdown file whose marks `stgdat ablate RECIPE` get the table
+    #[arg(long, alias = "readme", value_name = "FILE")]
+    table: Option<PathBuf>,
 }
 
 /// Trains a recipe and variants of it with one and the same budget, and compares them on the same windows.
@@ -71,11 +72,11 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
     let (budget, table) = (budget(&arguments.recipe, &trained)?, ablation.markdown());
     let text = format!("{budget}\n\n{table}\n{}", told.join(" ")).trim_end().to_owned() + "\n";
     if let Some(path) = &arguments.csv {
-        std::fs::write(path, ablation.csv()).map_err(|error| Failure::file(path, &error))?;
+        std::fs::write(path, ablation.csv()).map_err(|error| Failure::file(path, error))?;
     }
     let exit = show(&text)?;
-    if let Some(path) = &arguments.readme {
-        readme::insert(path, &format!("ablate {}", arguments.recipe), &text)?;
+    if let Some(path) = &arguments.table {
+        tables::replace(path, &format!("ablate {}", arguments.recipe), &text)?;
     }
     Ok(exit)
 }

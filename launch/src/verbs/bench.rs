@@ -12,34 +12,34 @@ use run::Exit;
 
 use crate::arguments::{ModelArguments, SetArguments};
 use crate::failure::Failure;
-use crate::readme;
+use crate::tables;
 
-/// Time that is spent on measuring each of the machine's peaks.
+/// Time for measuring each of the machine's peaks.
 const PEAK_TIME: Duration = Duration::from_millis(400);
 
 /// Arguments of `stgdat bench`.
 #[derive(Debug, Args)]
 pub struct Arguments {
-    /// Numbers of agents whose compute is measured
+    /// Numbers of agents to measure compute with
     #[arg(long, value_name = "N,…", value_delimiter = ',', default_values_t = [1, 16, 64, 128],
           value_parser = clap::value_parser!(u16).range(1..=wire::AGENTS_MAX as i64))]
     agents: Vec<u16>,
-    /// Measured ticks of each number of agents
+    /// Measured ticks per number of agents
     #[arg(long, value_name = "N", default_value_t = 100, value_parser = clap::value_parser!(u64).range(10..))]
     ticks: u64,
-    /// Seconds for which the whole pipeline runs at 12.5 Hz; 0 leaves it out
+    /// Seconds for which the whole pipeline runs at 12.5 Hz; 0 skips it
     #[arg(long, value_name = "S", default_value_t = 20)]
     seconds: u64,
-    /// Write the tables between the marks `stgdat bench` of a Markdown file
-    #[arg(long, value_name = "FILE")]
-    readme: Option<PathBuf>,
+    /// Markdown file whose marks `stgdat bench` get the tables
+    #[arg(long, alias = "readme", value_name = "FILE")]
+    table: Option<PathBuf>,
     #[command(flatten)]
     model: ModelArguments,
     #[command(flatten)]
     set: SetArguments,
 }
 
-/// Measures compute per stage and the overhead of the chain beside this machine's own peaks, in one run.
+/// Measures compute per stage, the overhead of the pipeline and this machine's peaks, in one run.
 pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
     let peak = kernels::peak::product_gflops(PEAK_TIME);
     let mut text = format!(
@@ -54,13 +54,13 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
         text += &chain::table(&arguments.model, &arguments.set, arguments.seconds)?;
     }
     print!("{text}");
-    if let Some(path) = &arguments.readme {
-        readme::insert(path, "bench", &text)?;
+    if let Some(path) = &arguments.table {
+        tables::replace(path, "bench", &text)?;
     }
     Ok(Exit::Done)
 }
 
-/// The value below which a share of the sorted `values` lies, by the nearest rank.
+/// The quantile `share` of `values`, by nearest rank.
 fn percentile(values: &mut [f64], share: f64) -> f64 {
     values.sort_by(f64::total_cmp);
     let rank = (share * values.len() as f64).ceil() as usize;

@@ -8,31 +8,31 @@ use run::Exit;
 use trainer::{Errors, ModelCard};
 
 use crate::failure::Failure;
-use crate::readme;
 use crate::show::show;
+use crate::tables;
 
 /// Arguments of `stgdat card`.
 #[derive(Debug, Args)]
 pub struct Arguments {
-    /// Weights; the embedded ones where none are named, a row each where there are several
+    /// Weights, a row each if several; by default the embedded ones
     weights: Vec<PathBuf>,
-    /// Print the whole card as JSON; of several, an object by file
+    /// Print the whole card as JSON; of several an object by file
     #[arg(long)]
     json: bool,
-    /// Write the table between the marks `stgdat card`, of several cards `stgdat cards`, of a Markdown file
-    #[arg(long, value_name = "FILE")]
-    readme: Option<PathBuf>,
+    /// Markdown file whose marks `stgdat card` (of several weights `stgdat cards`) get the table
+    #[arg(long, alias = "readme", value_name = "FILE")]
+    table: Option<PathBuf>,
 }
 
-/// Prints the model card that weights carry: what they were trained on and how they did on what they never saw.
+/// Prints the model card of weights: their training data and their errors on held-out recordings.
 pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
     let (name, heading, text) = match &arguments.weights[..] {
         [] => one(arguments, &Weights::onboard(), "the embedded weights")?,
         [path] => one(arguments, &open(path)?, &path.display().to_string())?,
         paths => ("cards", String::new(), several(arguments, paths)?),
     };
-    if let Some(path) = arguments.readme.as_ref().filter(|_| !arguments.json) {
-        readme::insert(path, name, &text)?;
+    if let Some(path) = arguments.table.as_ref().filter(|_| !arguments.json) {
+        tables::replace(path, name, &text)?;
     }
     show(&(heading + &text))
 }
@@ -54,7 +54,7 @@ fn several(arguments: &Arguments, paths: &[PathBuf]) -> Result<String, Failure> 
     let (mut cards, mut by_file) = (Vec::new(), serde_json::Map::new());
     for path in paths {
         let (weights, name) = (open(path)?, path.display().to_string());
-        let bytes = std::fs::metadata(path).map_err(|error| Failure::file(path, &error))?.len();
+        let bytes = std::fs::metadata(path).map_err(|error| Failure::file(path, error))?.len();
         let stem = path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
         cards.push(table::Row { stem, card: card(&weights, &name)?, bytes });
         by_file.insert(name.clone(), json(&weights, &name)?.clone());
@@ -63,23 +63,23 @@ fn several(arguments: &Arguments, paths: &[PathBuf]) -> Result<String, Failure> 
 }
 
 fn open(path: &Path) -> Result<Weights, Failure> {
-    Weights::open(path).map_err(|error| Failure::weights(path, &error))
+    Weights::open(path).map_err(|error| Failure::weights(path, error))
 }
 
 fn json<'a>(weights: &'a Weights, name: &str) -> Result<&'a serde_json::Value, Failure> {
-    weights.card().ok_or_else(|| Failure::Data(format!("{name}: there is no card in it")))
+    weights.card().ok_or_else(|| Failure::data(format!("{name}: the weights have no card")))
 }
 
 fn card(weights: &Weights, name: &str) -> Result<ModelCard, Failure> {
     serde_json::from_value(json(weights, name)?.clone())
-        .map_err(|error| Failure::Data(format!("{name}: the card is of another version: {error}")))
+        .map_err(|error| Failure::data_about(format!("{name}: the card is of another version"), error))
 }
 
 fn pretty(json: &serde_json::Value) -> Result<String, Failure> {
     Ok(serde_json::to_string_pretty(json).map_err(Failure::data)? + "\n")
 }
 
-/// The card for people to read: Markdown that also reads well in a terminal.
+/// The card as Markdown that also reads well in a terminal.
 pub fn text(card: &ModelCard) -> String {
     let training = card.training;
     let mut text = format!(
@@ -101,7 +101,7 @@ pub fn text(card: &ModelCard) -> String {
     text += &format!("Validation, ADE / FDE in m over {horizon_s:.1} s{map}:\n\n");
     text += &format!(
         "| {:<12} | agents | {:>15} | {:>15} | {:>15} | {:>15} | {:>15} | {:>15} |\n",
-        "data set", "best of 20", "20 anchors", "gain", "K = 1", "const. velocity", "gain"
+        "data set", "min of 20", "20 anchors", "gain", "K = 1", "const. velocity", "gain"
     );
     text += &format!("|:{:-<12}-|-------:|{}\n", "", format!("{:->16}:|", "").repeat(6));
     for (score, gain) in card.validation.iter().zip(&card.gains) {

@@ -10,17 +10,17 @@ use crate::pipeline_file;
 /// Arguments of `stgdat check`.
 #[derive(Debug, Args)]
 pub struct Arguments {
-    /// The pipeline.toml; the shipped one where none is named
+    /// The pipeline.toml; by default the built-in one
     pipeline: Option<PathBuf>,
 }
 
-/// Checks a pipeline.toml and says what it holds.
+/// Checks a pipeline.toml and prints a summary.
 pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
     let pipeline = pipeline_file::load(arguments.pipeline.as_deref())?;
     let budget_ms: f64 = pipeline.stages.iter().filter_map(|stage| stage.budget_ms).sum();
     let own = pipeline.stages.iter().filter(|stage| stage.command.is_some()).count();
     println!(
-        "ok: {} stages ({own} by programs of their own), {} connections, budgets {budget_ms} of {BUDGET_MAX_MS} ms",
+        "ok: {} stages ({own} external), {} connections, budgets {budget_ms} of {BUDGET_MAX_MS} ms",
         pipeline.stages.len(),
         pipeline.edges().len()
     );

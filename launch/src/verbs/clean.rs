@@ -6,14 +6,14 @@ use crate::failure::Failure;
 /// Arguments of `stgdat clean`.
 #[derive(Debug, Args)]
 pub struct Arguments {
-    /// Only tell what would be removed
+    /// Print what would be removed, and remove nothing
     #[arg(long)]
     dry_run: bool,
 }
 
 /// Removes the files of runs whose launcher is gone; living runs are left alone.
 pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
-    let leftovers = ports::leftovers().map_err(|error| Failure::Unavailable(error.to_string()))?;
+    let leftovers = ports::leftovers().map_err(Failure::unavailable)?;
     let verb = if arguments.dry_run { "would remove" } else { "removed" };
     for leftover in leftovers {
         let run = leftover.prefix.trim_end_matches('_').to_owned();

@@ -17,22 +17,22 @@ const FILES: u64 = 1024;
 #[derive(Debug, Args)]
 pub struct Arguments {}
 
-/// One look at the machine.
+/// One check of the machine.
 struct Finding {
     what: &'static str,
     found: String,
-    /// What to do about it, where it is not as it should be.
+    /// What to do, where something is wrong.
     advice: Option<String>,
 }
 
-/// Looks at what a run needs of this machine, and says what to do where something is short.
+/// Checks what a run needs of this machine, and advises where something is missing.
 pub fn execute(_: &Arguments) -> Result<Exit, Failure> {
     let findings =
         [shared_memory(), rights(), leftovers(), files(), locked_memory(), cores(), kernels(), weights()];
     let mut well = true;
     for Finding { what, found, advice } in findings {
         well &= advice.is_none();
-        println!("{} {what:<16} {found}", if advice.is_none() { "ok  " } else { "look" });
+        println!("{} {what:<16} {found}", if advice.is_none() { "ok  " } else { "fix " });
         if let Some(advice) = advice {
             println!("     {:<16} {advice}", "");
         }
@@ -40,7 +40,7 @@ pub fn execute(_: &Arguments) -> Result<Exit, Failure> {
     if well {
         Ok(Exit::Done)
     } else {
-        Err(Failure::Unavailable("this machine wants a look, see above".into()))
+        Err(Failure::unavailable("this machine lacks what a run needs, see above"))
     }
 }
 
@@ -78,7 +78,7 @@ fn leftovers() -> Finding {
             let found = format!("{} dead runs, {} MiB", leftovers.len(), bytes >> 20);
             finding("leftovers", found, (!leftovers.is_empty()).then(|| "stgdat clean removes them".into()))
         }
-        Err(error) => finding("leftovers", error, Some("can't be looked for".into())),
+        Err(error) => finding("leftovers", error, Some("can't be listed".into())),
     }
 }
 
@@ -89,7 +89,7 @@ fn files() -> Finding {
 }
 
 fn locked_memory() -> Finding {
-    // Told only: nothing is locked unless real-time priority is asked for.
+    // For information: memory is locked only with real-time priority.
     finding("locked memory", limit(getrlimit(Resource::Memlock).current), None)
 }
 
@@ -99,7 +99,11 @@ fn limit(current: Option<u64>) -> String {
 
 fn cores() -> Finding {
     let cores = std::thread::available_parallelism().map_or(1, usize::from);
-    finding("cores", cores, (cores < 2).then(|| "the stages will wait for one another: 2 at least".into()))
+    finding(
+        "cores",
+        cores,
+        (cores < 2).then(|| "the stages will wait for one another: use at least 2".into()),
+    )
 }
 
 fn kernels() -> Finding {

@@ -9,8 +9,8 @@ use run::Exit;
 
 use crate::contenders::contenders;
 use crate::failure::Failure;
-use crate::readme;
 use crate::show::show;
+use crate::tables;
 
 /// Deviations of measured positions that make sense, m.
 const SIGMAS_M: std::ops::RangeInclusive<f64> = 0.001..=10.0;
@@ -22,59 +22,61 @@ const TRACKING_PARTS: [&str; 2] = ["interaction", "kitti"];
 /// Arguments of `stgdat evaluate`.
 #[derive(Debug, Args)]
 pub struct Arguments {
-    /// `eth-ucy`, `sdd`, `interaction`, `tracking`, or recordings
+    /// Data set `eth-ucy`, `sdd`, `interaction` or `tracking`, or recordings
     #[arg(required = true, value_name = "SET|FILE")]
     targets: Vec<PathBuf>,
-    /// Folder with the data sets, laid out as published
+    /// Folder with the data sets in their published layout
     #[arg(long, value_name = "DIR", env = "STGDAT_DATA", default_value = "data")]
     data: PathBuf,
-    /// Forecast the validation part instead of the test part: what options are chosen by
+    /// Evaluate the validation part, by which options are chosen, instead of the test part
     #[arg(long)]
     validation: bool,
-    /// The weights for everything
+    /// Weights for all recipes
     #[arg(long, value_name = "FILE")]
     weights: Option<PathBuf>,
-    /// Folder with the weights of each recipe, where no weights are named; recordings take the embedded ones
+    /// Folder with the weights of each recipe; recordings use the embedded weights
     #[arg(long, value_name = "DIR", default_value = "shared/weights", conflicts_with = "weights")]
     weights_dir: PathBuf,
-    /// Folders with other trainings of the same recipes, other seeds for example, whose errors are told beside
+    /// Folders with other trainings of the same recipes, such as other seeds, whose errors are reported
+    /// beside
     #[arg(long, value_name = "DIR,…", value_delimiter = ',', conflicts_with = "weights")]
     beside: Vec<PathBuf>,
-    /// What models that read a map are told; `site` is `none` at a site that training left out, `online` in data sets
-    /// that know no sites
+    /// Map for models that read one; `site` means `none` at held-out sites and `online` in data sets without
+    /// sites
     #[arg(long, value_enum, default_value_t = Map::Site)]
     map: Map,
-    /// Parts of `interaction`: `seen`, or a site that the weights know nothing of [default: seen,FT,EP1]; of `tracking`:
-    /// `interaction`, filters on noisy positions, and `kitti`, trackers on a detector's output [default: both]
+    /// Parts of `interaction`: `seen` or a held-out site [default: seen,FT,EP1]; of `tracking`: `interaction`
+    /// (filters on noisy positions) and `kitti` (trackers on a detector's output) [default: both]
     #[arg(long, value_name = "PART,…", value_delimiter = ',')]
     parts: Vec<String>,
-    /// Deviations of the measured positions in `tracking`, m; those of the protocol where none are given
+    /// Standard deviations of the measured positions in `tracking`, m; by default those of the protocol
     #[arg(long, value_name = "M,…", value_delimiter = ',', allow_negative_numbers = true)]
     sigmas: Vec<f64>,
-    /// Run the learned prior of `tracking` by Monte Carlo as well, which takes several times as long
+    /// Evaluate the learned prior of `tracking` with Monte Carlo propagation too, which takes several times
+    /// as long
     #[arg(long)]
     particles: bool,
-    /// Format of the recordings; found out where not given
+    /// Format of the recordings; detected if not given
     #[arg(long)]
     format: Option<Format>,
-    /// Take velocities and headings of the recordings from their positions alone
+    /// Derive velocities and headings of the recordings from their positions
     #[arg(long)]
     positions: bool,
-    /// Threads; figures do not depend on it
+    /// Number of threads; figures do not depend on it
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u8).range(1..))]
     threads: Option<u8>,
-    /// Write every figure, a line each
+    /// Write every figure as CSV, one per line
     #[arg(long, value_name = "FILE")]
     csv: Option<PathBuf>,
     /// Write every figure as JSON
     #[arg(long, value_name = "FILE")]
     json: Option<PathBuf>,
-    /// Write the main tables between the marks `stgdat evaluate SET` of a Markdown file
-    #[arg(long, value_name = "FILE")]
-    readme: Option<PathBuf>,
+    /// Markdown file whose marks `stgdat evaluate SET` get the main tables
+    #[arg(long, alias = "readme", value_name = "FILE")]
+    table: Option<PathBuf>,
 }
 
-/// What models that read a map are told.
+/// Map for models that read one.
 #[derive(Clone, Copy, Debug, ValueEnum)]
 enum Map {
     None,
@@ -82,8 +84,8 @@ enum Map {
     Site,
 }
 
-/// Measures forecasts, or filters that take them as their prior, against what really came, under the protocol of a data set or
-/// on any recordings.
+/// Measures forecasts, or filters that take them as their prior, against what really came, under the protocol
+/// of a data set or on any recordings.
 pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
     let name = match &arguments.targets[..] {
         [target] => target.to_str().unwrap_or_default(),
@@ -108,9 +110,9 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
     }
     let markdown: Vec<&str> = written.iter().map(|part| part.markdown.as_str()).collect();
     let exit = show(&markdown.join("\n"))?;
-    if let Some(path) = &arguments.readme {
+    if let Some(path) = &arguments.table {
         for part in &written {
-            readme::insert(path, &part.mark, &part.summary)?;
+            tables::replace(path, &part.mark, &part.summary)?;
         }
     }
     Ok(exit)
@@ -246,7 +248,7 @@ fn judge_trackers(options: &Options) -> Result<KittiReport, Failure> {
     let weights = options.weights.file.as_ref();
     let model = match weights {
         None => Weights::onboard(),
-        Some(path) => Weights::open(path).map_err(|error| Failure::weights(path, &error))?,
+        Some(path) => Weights::open(path).map_err(|error| Failure::weights(path, error))?,
     };
     let contenders = contenders(weights, model.config());
     evaluator::kitti(options, contenders, progress).map_err(Failure::data)
@@ -280,7 +282,8 @@ fn parts<'a>(arguments: &'a Arguments, all: &'a [&str]) -> impl Iterator<Item = 
     arguments.parts.iter().map(String::as_str).chain(all)
 }
 
-/// A part by its name; sites beside the usual ones only where weights are named, as no recipe leaves them out.
+/// A part by its name; sites beside the usual ones only where weights are named, as no recipe leaves them
+/// out.
 fn interaction_part(name: &str, arguments: &Arguments) -> Result<InteractionPart, Failure> {
     match name {
         "seen" => Ok(InteractionPart::Seen),
@@ -294,5 +297,5 @@ fn interaction_part(name: &str, arguments: &Arguments) -> Result<InteractionPart
 }
 
 fn write(path: &Path, text: &str) -> Result<(), Failure> {
-    std::fs::write(path, text).map_err(|error| Failure::file(path, &error))
+    std::fs::write(path, text).map_err(|error| Failure::file(path, error))
 }

@@ -10,7 +10,7 @@ use crate::pipeline_file;
 /// Arguments of `stgdat graph`.
 #[derive(Debug, Args)]
 pub struct Arguments {
-    /// The pipeline.toml; the shipped one where none is named
+    /// The pipeline.toml; by default the built-in one
     pipeline: Option<PathBuf>,
     /// Language of the graph
     #[arg(long, value_enum, default_value = "mermaid")]
@@ -58,7 +58,7 @@ fn dot(pipeline: &Pipeline) -> String {
     text + "}\n"
 }
 
-/// Name, budget and, where it is not this project's own, program of a stage.
+/// Name, budget and, if external, program of a stage.
 fn label(stage: &Stage, line_break: &str) -> String {
     let mut label = stage.id.name().to_owned();
     if let Some(budget_ms) = stage.budget_ms {

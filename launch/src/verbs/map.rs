@@ -9,18 +9,18 @@ use crate::failure::Failure;
 /// Arguments of `stgdat map`.
 #[derive(Debug, Args)]
 pub struct Arguments {
-    /// Recordings of one site, in one world frame. Leave out the ones that you want to forecast
+    /// Recordings of one site in one world frame, without those to be forecast
     #[arg(required = true, value_name = "RECORDING")]
     recordings: Vec<PathBuf>,
-    /// The recordings' format; found out from each file where not given
+    /// Format of the recordings; detected for each file if not given
     #[arg(long)]
     format: Option<Format>,
-    /// The map to write, for `--map FILE`
+    /// Map to write, for `--map FILE`
     #[arg(long, value_name = "FILE")]
     out: PathBuf,
 }
 
-/// Makes the context map of a site: how often and how fast agents passed each square metre.
+/// Builds the context map of a site: density and mean velocity of the agents per square metre.
 pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
     let open = |path: &PathBuf| data::open(path, arguments.format).map_err(Failure::data);
     let recordings = arguments.recordings.iter().map(open).collect::<Result<Vec<_>, _>>()?;
@@ -34,7 +34,7 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
         site.visits_len
     );
     if site.left_out_len > 0 {
-        println!("{} detections left out: nothing tells their velocity", site.left_out_len);
+        println!("{} detections left out: their velocity is unknown", site.left_out_len);
     }
     Ok(Exit::Done)
 }

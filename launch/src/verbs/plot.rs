@@ -15,9 +15,9 @@ pub struct Arguments {
 
 #[derive(Debug, Subcommand)]
 enum What {
-    /// Draw moments of a recording with what was forecast then
+    /// Plot scenes of a recording with their forecasts
     Scene(scene::Arguments),
-    /// Draw the learning curves of a training
+    /// Plot the learning curves of a training
     Training(training::Arguments),
 }
 

@@ -13,7 +13,7 @@ use crate::failure::Failure;
 /// Arguments of `stgdat predict`.
 #[derive(Debug, Args)]
 pub struct Arguments {
-    /// Where the forecasts go, a line of JSON per tick; `-` for standard output
+    /// Output file, a line of JSON per tick; `-` is standard output
     #[arg(long, value_name = "FILE", default_value = "-")]
     out: PathBuf,
     #[command(flatten)]
@@ -32,13 +32,13 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
 
 /// Writes the forecasts of all ticks.
 fn play(out: &Path, playback: &mut Playback, chain: &mut Chain) -> Result<(), Failure> {
-    let written = |error: std::io::Error| Failure::output(out, &error);
+    let written = |error: std::io::Error| Failure::output(out, error);
     let mut writer = ForecastWriter::create(out).map_err(written)?;
     let (mut ticks, mut forecasts_len) = (0_u64, 0_u64);
     while let Some(tick) = playback.next_tick() {
         let (header, forecasts) = chain.tick(&tick.header, tick.detections, |_| ());
         match writer.write(&header, forecasts) {
-            // The reader of a pipe has seen enough.
+            // The reader has closed the pipe.
             Err(error) if error.kind() == ErrorKind::BrokenPipe => return Ok(()),
             result => result.map_err(written)?,
         }

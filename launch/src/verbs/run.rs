@@ -24,11 +24,11 @@ use crate::options::{Setting, StageOptions, text};
 use crate::pipeline_file;
 use crate::watch::Watch;
 
-/// Time in which all stages must have started and be linked to their neighbours.
+/// Time limit for all stages to start and link to their neighbours.
 const START_LIMIT: Duration = Duration::from_secs(45);
-/// Shared memory that a run may need.
+/// Shared memory that a run may need, bytes.
 const SHARED_BYTES: u64 = 48 << 20;
-/// Width of the report where no terminal tells its own.
+/// Width of the report where the output is not a terminal.
 const REPORT_WIDTH: usize = 100;
 
 /// Arguments of `stgdat run`.
@@ -44,7 +44,7 @@ pub struct Arguments {
     retrieval: RetrievalArguments,
     #[command(flatten)]
     set: SetArguments,
-    /// Play in the recording's own time, or as fast as nothing is lost
+    /// Speed of playing
     #[arg(long, value_enum, default_value = "real")]
     speed: Speed,
     /// Write the report as JSON
@@ -53,32 +53,32 @@ pub struct Arguments {
     /// Write all forecasts as JSON lines
     #[arg(long, value_name = "FILE")]
     forecasts: Option<PathBuf>,
-    /// The stages and how they are wired
+    /// The pipeline.toml; by default the built-in one
     #[arg(long, value_name = "FILE")]
     pipeline: Option<PathBuf>,
-    /// Show nothing while it runs
+    /// Show no progress
     #[arg(long)]
     quiet: bool,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 enum Speed {
-    /// At the recording's own rate
+    /// Real time, at the recording's own rate
     Real,
-    /// In lockstep: each tick waits for the forecasts of the one before
+    /// As fast as possible, in lockstep: each tick waits for the forecasts of the one before
     Max,
 }
 
 /// Runs a pipeline to the end of its scene and reports.
 pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
-    let stop = Stop::on_signals().map_err(|error| Failure::Unavailable(error.to_string()))?;
+    let stop = Stop::on_signals().map_err(Failure::unavailable)?;
     let pipeline = pipeline_file::load(arguments.pipeline.as_deref())?;
     let (weights_path, weights) = arguments.model.open_weights(pipeline.weights.as_deref())?;
     let mut options = StageOptions::of_pipeline(&pipeline);
     options.apply(&arguments.settings()?)?;
     let source = source_options(arguments, &options)?;
     let recording = source::recording(&source, arguments.scene.seed)?;
-    // Read here only for what it tells of itself; the source reads it again in its own process.
+    // Read here for its name, length and interval; the source reads it again in its own process.
     let playing = PlaybackOptions { ticks_max: source.ticks, ..Default::default() };
     let playback = Playback::new(recording, playing);
     let info = info(arguments, &options, &source, &playback, weights_path.as_deref(), &weights)?;
@@ -104,7 +104,7 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
     let begun = SystemTime::now();
     let keeps_memory = options.get(StageId::Sampler, "memory").is_some();
     let (exit, unkept) = supervise(&pipeline, &run, &stop, live, arguments.quiet, keeps_memory)?;
-    // Where a signal broke the run off, the report tells of what there was: nothing, if the recorder had not begun.
+    // After a signal, a report exists if the recorder had begun.
     let written = std::fs::metadata(&report_path).and_then(|file| file.modified());
     if exit == Exit::Done || written.is_ok_and(|written| written >= begun) {
         report(arguments, &report_path, info)?;
@@ -113,7 +113,7 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
 }
 
 impl Arguments {
-    /// What the command line sets of the stages.
+    /// The settings of the command line.
     fn settings(&self) -> Result<Vec<Setting>, Failure> {
         let forecasts = self.forecasts.as_deref().map(text).transpose()?;
         let forecasts =
@@ -130,18 +130,18 @@ impl Arguments {
     }
 }
 
-/// What the source plays. What a program of the user's own plays is not known here: what the command line tells of it, or the
-/// generated scene, stands for it.
+/// Options of the source. Those of an external source are unknown here: the command line or the generated
+/// scene stands in.
 fn source_options(arguments: &Arguments, options: &StageOptions) -> Result<source::Options, Failure> {
     if options.is_built_in(StageId::Source) {
         return options.read(&source::STAGE);
     }
-    let mut told = StageOptions::defaults(&[StageId::Source]);
-    told.apply(&arguments.scene.settings()?)?;
-    told.read(&source::STAGE)
+    let mut options = StageOptions::defaults(&[StageId::Source]);
+    options.apply(&arguments.scene.settings()?)?;
+    options.read(&source::STAGE)
 }
 
-/// Opens a map that is a file, to see that it is one.
+/// Checks that the map, if it is a file, can be loaded.
 fn check_map(options: &mut StageOptions) -> Result<(), Failure> {
     let MapChoice::File(path) = options.read(&localiser::STAGE)?.map else { return Ok(()) };
     let path = canonical(&path)?;
@@ -149,7 +149,7 @@ fn check_map(options: &mut StageOptions) -> Result<(), Failure> {
     options.set_path(StageId::Localiser, "map", &path)
 }
 
-/// Where the recorder writes its report: as its options tell, else in the run's directory.
+/// Path of the recorder's report: from its options, else in the run's directory.
 fn report_path(options: &mut StageOptions, root: &Path) -> Result<PathBuf, Failure> {
     if let Some(Value::String(path)) = options.get(StageId::Recorder, "report") {
         return Ok(path.into());
@@ -159,7 +159,7 @@ fn report_path(options: &mut StageOptions, root: &Path) -> Result<PathBuf, Failu
     Ok(path)
 }
 
-/// How the stages of a pipeline are run with these options, in the pipeline's order.
+/// The stages of the run record, in the pipeline's order.
 fn stage_runs(pipeline: &Pipeline, options: &StageOptions) -> Vec<StageRun> {
     let mut runs = options.stage_runs();
     let place = |run: &StageRun| pipeline.stages.iter().position(|stage| stage.id as u32 == run.stage);
@@ -170,8 +170,8 @@ fn stage_runs(pipeline: &Pipeline, options: &StageOptions) -> Vec<StageRun> {
     runs
 }
 
-/// Starts the stages, follows them to the end of the scene, and ends them. Tells of a sampler that could not keep its memory of
-/// the place.
+/// Starts the stages, follows them to the end of the scene, and ends them. The second value is the failure of
+/// a sampler that could not write its retrieval memory.
 fn supervise(
     pipeline: &Pipeline,
     run: &Run,
@@ -181,7 +181,7 @@ fn supervise(
     keeps_memory: bool,
 ) -> Result<(Exit, Option<StageDeath>), Failure> {
     let record = run.root.join("run");
-    run.write(&record).map_err(|error| Failure::Config(error.to_string()))?;
+    run.write(&record).map_err(Failure::config)?;
     let mut watch = Watch::open(run, live, quiet)?;
     let mut fleet = Fleet::start(pipeline, run, &record, keeps_memory)?;
     let started = Instant::now();
@@ -210,15 +210,15 @@ fn supervise(
     outcome.map(|exit| (exit, unkept))
 }
 
-/// Completes the recorder's report, prints it, and writes it where that is asked for.
+/// Completes the recorder's report, prints it, and writes it to the file of `--report`.
 fn report(arguments: &Arguments, written: &Path, info: RunInfo) -> Result<(), Failure> {
     let mut report = Report::read(written).map_err(Failure::data)?;
-    let heard = std::mem::take(&mut report.run);
+    let measured = std::mem::take(&mut report.run);
     report.run = RunInfo {
-        interval_ms: heard.interval_ms.or(info.interval_ms),
-        played_s: heard.played_s,
-        elapsed_s: heard.elapsed_s,
-        lockstep: heard.lockstep,
+        interval_ms: measured.interval_ms.or(info.interval_ms),
+        played_s: measured.played_s,
+        elapsed_s: measured.elapsed_s,
+        lockstep: measured.lockstep,
         ..info
     };
     if let Some(path) = &arguments.report {
@@ -230,7 +230,7 @@ fn report(arguments: &Arguments, written: &Path, info: RunInfo) -> Result<(), Fa
     Ok(())
 }
 
-/// What is known of a run before it begins.
+/// Facts of a run that are known before it begins.
 fn info(
     arguments: &Arguments,
     options: &StageOptions,
@@ -248,8 +248,11 @@ fn info(
     };
     if options.is_built_in(StageId::Sampler) {
         let sampler = options.read(&sampler::STAGE)?;
-        info.recalls = Some(sampler.retrieval);
-        info.memory_moments = check_memory(&sampler, weights)?;
+        info.retrieval = Some(sampler.retrieval);
+        info.memory_entries = check_memory(&sampler, weights)?;
+        // Former keys.
+        info.recalls = info.retrieval;
+        info.memory_moments = info.memory_entries;
     }
     if options.is_built_in(StageId::Source) {
         let recording = playback.recording();
@@ -266,7 +269,7 @@ fn info(
     Ok(info)
 }
 
-/// Whether the model card names the recording's fingerprint among what the weights were trained on, where there is one.
+/// Whether the model card lists the recording's SHA-256 among the training data; `None` without a card.
 fn seen_in_training(weights: &Weights, sha256: &str) -> Option<bool> {
     weights.card().map(|card| card.to_string().contains(sha256))
 }
@@ -280,12 +283,12 @@ fn live_options(run: &Run, info: &RunInfo, ticks_len: u64) -> LiveOptions {
     }
 }
 
-/// A number that no other run has.
+/// A random id for the run.
 fn random_id() -> Result<u64, Failure> {
     let mut bytes = [0; 8];
     let urandom = Path::new("/dev/urandom");
     std::fs::File::open(urandom)
         .and_then(|mut file| std::io::Read::read_exact(&mut file, &mut bytes))
-        .map_err(|error| Failure::file(urandom, &error))?;
+        .map_err(|error| Failure::file(urandom, error))?;
     Ok(u64::from_le_bytes(bytes))
 }

@@ -13,15 +13,15 @@ use crate::stages;
 #[derive(Debug, Args)]
 #[command(after_long_help = stages::options_help())]
 pub struct Arguments {
-    /// Which stage
+    /// The stage
     #[arg(value_parser = PossibleValuesParser::new(StageId::ALL.map(StageId::name)))]
     name: String,
-    /// The run's record, which `stgdat run` writes
+    /// The run's record, written by `stgdat run`
     #[arg(long, env = RUN_VARIABLE)]
     run: PathBuf,
 }
 
-/// Is one stage of a run until told to end; the same as the stage's own program.
+/// Runs one stage of a run until it is asked to end, as the stage's own program does.
 pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
     ports::die_with_launcher()?;
     let stage = StageId::from_name(&arguments.name)

@@ -15,21 +15,23 @@ use crate::tracking::Tracking;
 /// Arguments of `stgdat track`.
 #[derive(Debug, Args)]
 pub struct Arguments {
-    /// Where the tracks go; `-` for standard output
+    /// Output file; `-` is standard output
     #[arg(long, value_name = "FILE", default_value = "-")]
     out: PathBuf,
-    /// How the tracks are written: `csv`, `kitti` or `mot`
+    /// Format of the tracks: `csv`, `kitti` or `mot`
     ///
-    /// csv: our own format of recordings, so that tracks can be played again: stamp_s, id, type, x_m, y_m, heading_rad, speed_mps,
-    /// length_m, width_m, score (probability that the object exists), vx_mps, vy_mps, status (confirmed or coasting), unseen_s (since
-    /// the last detection), xx_m2, xy_m2, yy_m2 (covariance of the position), prior (what moved the state: learned, held or
-    /// kinematic), prior_age_s (since the forecast was made); a row of type `ego` per
-    /// frame, or `above` where nobody hides another.
+    /// csv: stgdat's own recording format, so that tracks can be played again: stamp_s, id, type, x_m, y_m,
+    /// heading_rad, speed_mps, length_m, width_m, score (existence probability), vx_mps, vy_mps, status
+    /// (confirmed or coasting), unseen_s (coast time), xx_m2, xy_m2, yy_m2 (covariance of the position),
+    /// prior (learned, held or kinematic), prior_age_s (age of the forecast that is the prior); a row of type
+    /// `ego` per frame, or `above` for a view from above without occlusion.
     ///
-    /// kitti: frame id type truncated occluded alpha x1 y1 x2 y2 h w l x y z rot_y score, in the camera frame, of KITTI recordings alone.
-    /// Unknown are truncation, occlusion and the box in the image (-1) and the height (a usual one, on the plane the car stands on).
+    /// kitti: frame id type truncated occluded alpha x1 y1 x2 y2 h w l x y z rot_y score, in the camera
+    /// frame; KITTI recordings only. Truncation, occlusion and the box in the image are unknown (-1); the
+    /// height is a usual one, on the ground plane of the car.
     ///
-    /// mot: frame,id,-1,-1,-1,-1,score,x,y,0 with frames from 1 and positions in the world frame, m. Types are not told.
+    /// mot: frame,id,-1,-1,-1,-1,score,x,y,0 with frames from 1 and positions in the world frame, m; without
+    /// types.
     #[arg(long = "as", value_name = "FORMAT", default_value_t, verbatim_doc_comment)]
     written_as: TrackFormat,
     #[command(flatten)]
@@ -54,14 +56,14 @@ fn play(
     playback: &mut Playback,
     tracking: &mut Tracking,
 ) -> Result<(), Failure> {
-    let written = |error: std::io::Error| Failure::output(out, &error);
+    let written = |error: std::io::Error| Failure::output(out, error);
     let file = WholeFile::create(out).map_err(written)?;
     let mut writer = TrackWriter::new(file, rows).map_err(written)?;
     let (mut ticks, mut tracks_len) = (0_u64, 0_u64);
     while let Some(tick) = playback.next_tick() {
         let tracks = tracking.tick(&tick.header, tick.detections);
         match writer.write(&tick.header, tracks) {
-            // The reader of a pipe has seen enough.
+            // The reader has closed the pipe.
             Err(error) if error.kind() == ErrorKind::BrokenPipe => return Ok(()),
             result => result.map_err(written)?,
         }
@@ -75,14 +77,14 @@ fn play(
     Ok(())
 }
 
-/// The format of the rows, with what it takes from beside the recording.
+/// The format of the rows, with the calibration beside the recording where it needs one.
 fn rows(format: TrackFormat, recording: &Path) -> Result<TrackRows, Failure> {
     Ok(match format {
         TrackFormat::Csv => TrackRows::Csv,
         TrackFormat::Mot => TrackRows::Mot,
         TrackFormat::Kitti => {
             let poses = WorldFromCamera::open(recording)
-                .map_err(|error| Failure::Data(format!("--as kitti needs a sequence of KITTI: {error}")))?;
+                .map_err(|error| Failure::data_about("--as kitti needs a sequence of KITTI", error))?;
             TrackRows::Kitti(Box::new(poses))
         }
     })

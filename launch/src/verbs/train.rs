@@ -10,43 +10,43 @@ use crate::failure::Failure;
 /// Arguments of `stgdat train`.
 #[derive(Debug, Args)]
 pub struct Arguments {
-    /// Training of shipped weights: eth, hotel, univ, zara1, zara2, sdd, interaction, interaction-without-FT,
+    /// Recipe of shipped weights: eth, hotel, univ, zara1, zara2, sdd, interaction, interaction-without-FT,
     /// interaction-without-EP1 or onboard
     #[arg(long, value_name = "NAME", conflicts_with = "options")]
     recipe: Option<String>,
-    /// Change of the model: paper, plus, compact, full, T, T+C-ATT, T+C, T+C+K, same-node, equal-attention, no-attention,
-    /// literal, no-map, site-map, online-map or centred-patch; several are made in turn
+    /// Variant of the model: paper, plus, compact, full, T, T+C-ATT, T+C, T+C+K, same-node, equal-attention,
+    /// no-attention, literal, no-map, site-map, online-map or centred-patch; several are applied in order
     #[arg(long, value_name = "NAME")]
     preset: Vec<String>,
-    /// Any option by its place in what --print-options prints, `objective.plus.candidates=6` for example; several are
-    /// set in turn
+    /// Set an option by its path in the output of --print-options, such as `objective.plus.candidates=6`;
+    /// several are applied in order
     #[arg(long, value_name = "OPTION=VALUE")]
     set: Vec<String>,
-    /// Folder with the data sets, laid out as published
+    /// Folder with the data sets in their published layout
     #[arg(long, value_name = "DIR")]
     data: Option<PathBuf>,
-    /// Options as JSON, those of a model card for example; what is left out takes its default
+    /// Options as JSON, such as those of a model card; missing ones take their defaults
     #[arg(long, value_name = "FILE")]
     options: Option<PathBuf>,
-    /// Weights to write, whenever a validation is the best so far
+    /// Weights file, written whenever validation improves
     #[arg(long, value_name = "FILE")]
     out: Option<PathBuf>,
     /// Folder for checkpoints
     #[arg(long, value_name = "DIR")]
     checkpoints: Option<PathBuf>,
-    /// Go on from the newest checkpoint
+    /// Resume from the newest checkpoint
     #[arg(long)]
     resume: bool,
-    /// Seed of everything random
+    /// Seed of the random numbers
     #[arg(long)]
     seed: Option<u64>,
-    /// Updates to make
+    /// Number of updates
     #[arg(long, value_name = "N")]
     steps: Option<u64>,
-    /// Threads, each with its part of every batch; figures depend on their number in the last digits
+    /// Threads that share every batch; figures depend on their number in the last digits
     #[arg(long, value_name = "N")]
     workers: Option<usize>,
-    /// Print the options and end
+    /// Print the options and exit
     #[arg(long)]
     print_options: bool,
 }
@@ -71,9 +71,8 @@ fn options(arguments: &Arguments) -> Result<TrainOptions, Failure> {
         None => TrainOptions::default(),
     };
     if let Some(path) = &arguments.options {
-        let text = std::fs::read_to_string(path).map_err(|error| Failure::file(path, &error))?;
-        options = serde_json::from_str(&text)
-            .map_err(|error| Failure::Data(format!("{}: {error}", path.display())))?;
+        let text = std::fs::read_to_string(path).map_err(|error| Failure::file(path, error))?;
+        options = serde_json::from_str(&text).map_err(|error| Failure::file(path, error))?;
     }
     for name in &arguments.preset {
         options = with_preset(options, name)?;

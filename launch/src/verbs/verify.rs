@@ -9,13 +9,13 @@ use crate::failure::Failure;
 /// Arguments of `stgdat verify`.
 #[derive(Debug, Args)]
 pub struct Arguments {
-    /// Folders with scene.json, weights.safetensors and tensors.safetensors, or with filters, assignment, metrics and unit;
-    /// of several, whatever holds no vectors is skipped
+    /// Folders with golden vectors (scene.json, weights.safetensors and tensors.safetensors, or filters,
+    /// assignment, metrics and unit); of several, those without are skipped
     #[arg(required = true, value_name = "DIR")]
     folders: Vec<PathBuf>,
 }
 
-/// Recomputes the golden vectors of folders on this machine and tells which ones are off.
+/// Recomputes the golden vectors of folders on this machine and reports those that are off.
 pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
     let (mut off_len, mut verified_len) = (0, 0);
     for folder in &arguments.folders {
@@ -40,7 +40,7 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
         off_len += off;
     }
     if verified_len == 0 {
-        return Err(Failure::Data("none of the folders has golden vectors".to_owned()));
+        return Err(Failure::data("none of the folders has golden vectors"));
     }
     match off_len {
         0 => Ok(Exit::Done),

@@ -1,4 +1,4 @@
-//! The wire for programs in other languages: what [`wire::TABLE`] holds, as C, Python or JSON.
+//! The wire for programs in other languages: [`wire::TABLE`] as C, Python or JSON.
 
 mod c;
 mod json;
@@ -15,13 +15,13 @@ use crate::show::show;
 #[derive(Debug, Args)]
 #[group(required = true, multiple = false)]
 pub struct Arguments {
-    /// A header for C11 and C++17, `stgdat_wire.h`
+    /// Print a header for C11 and C++17, `stgdat_wire.h`
     #[arg(long)]
     c: bool,
-    /// A module for Python, `stgdat_wire.py`: structures of ctypes, and dtypes where numpy is installed
+    /// Print a module for Python, `stgdat_wire.py`: ctypes structures, and dtypes if numpy is installed
     #[arg(long)]
     python: bool,
-    /// The table itself
+    /// Print the table as JSON
     #[arg(long)]
     json: bool,
 }

@@ -1,12 +1,11 @@
-//! How far the published forecasts were from what came to pass.
+//! Errors of the published forecasts against the recording's later truth.
 //!
-//! Forecasts wait until the recording's truth has passed their horizon. A forecast belongs to the truth of the same
-//! identity where its detections carried one, else to the truth of the same type that was nearest to it at its stamp,
-//! at most 2 m away. The truth at step k is taken at exactly stamp + (k + 1) Δt, on the line between the two truths
-//! around it.
+//! Forecasts wait until the truth has passed their horizon. A forecast is matched with the truth of the same
+//! identity where its detections carried one, else with the nearest truth of the same type at its stamp, at
+//! most 2 m away. The truth at step k is interpolated linearly at stamp + (k + 1) Δt.
 //!
-//! An agent counts when its truth covers *all* steps of the horizon: a forecast of an agent that leaves the scene early
-//! would count only its easy first steps. Those are counted as uncovered, not scored.
+//! A forecast is scored if the truth covers *all* steps of its horizon. Otherwise an agent that leaves the
+//! scene early would contribute only the easy first steps; such forecasts are counted as uncovered.
 
 mod truth;
 
@@ -18,16 +17,16 @@ use wire::{AGENT_TYPES, AgentType, Forecast, HORIZON_MAX, Header, MODES_MAX, Qua
 use crate::report::{Accuracy, Errors};
 use truth::{GAP_MAX_NS, Paths};
 
-/// Farthest that a truth without identity may lie from the forecast it belongs to.
+/// Largest distance between a forecast and the truth it is matched with, where identities are missing.
 const MATCH_RADIUS_M: f32 = 2.0;
-/// How long the truth of a tick may lag behind its forecasts, or the other way round.
+/// Largest lag between the truth of a tick and its forecasts, in either direction.
 const LAG_MAX_NS: i64 = 2_000_000_000;
-/// Most ticks whose forecasts wait for truth; the oldest are given up beyond.
+/// Most ticks whose forecasts wait for truth; beyond, the oldest are scored as they are.
 const WAITING_MAX: usize = 256;
 
-/// What is judged of a forecast.
+/// What is scored of a forecast.
 #[derive(Clone, Copy, Debug)]
-struct Judged {
+struct Scored {
     source_id: u64,
     agent_type: u32,
     quality: u32,
@@ -38,7 +37,7 @@ struct Judged {
     best: [Point; HORIZON_MAX],
 }
 
-impl From<&Forecast> for Judged {
+impl From<&Forecast> for Scored {
     fn from(forecast: &Forecast) -> Self {
         Self {
             source_id: forecast.source_id,
@@ -59,7 +58,7 @@ struct Waiting {
     stamp_ns: i64,
     step_ns: i64,
     horizon_len: usize,
-    forecasts: Vec<Judged>,
+    forecasts: Vec<Scored>,
 }
 
 impl Waiting {
@@ -73,30 +72,31 @@ impl Waiting {
     }
 }
 
-/// Compares forecasts with truth that comes later. Memory is bounded, whatever comes or fails to come.
+/// Scores forecasts against later truth. Its memory is bounded, also where truth is missing.
 #[derive(Clone, Debug, Default)]
-pub struct Judge {
+pub struct Scorer {
     paths: Paths,
     waiting: VecDeque<Waiting>,
-    /// Empty buffers of ticks already judged.
-    spare: Vec<Vec<Judged>>,
+    /// Empty buffers of ticks that were scored.
+    spare: Vec<Vec<Scored>>,
     tally: Tally,
 }
 
-impl Judge {
-    /// Takes what was really there at the frame's stamp, and judges the forecasts whose horizon has passed.
+impl Scorer {
+    /// Takes the truth at the frame's stamp, and scores the forecasts whose horizon has passed.
     ///
     /// # Errors
-    /// [`Rejected`] where a number is impossible or the frame is not newer than the last; nothing changes then.
+    /// [`Rejected`] where a number is impossible or the frame is not newer than the last; nothing changes
+    /// then.
     pub fn truth(&mut self, header: &Header, truths: &[Truth]) -> Result<(), Rejected> {
         self.paths.add(header.stamp_ns, truths)?;
-        // Truths of one agent may be a whole gap apart: only then is the position at the horizon's end settled.
+        // The truth at the horizon's end is interpolated: the next sample may come a whole gap later.
         while self
             .waiting
             .front()
             .is_some_and(|tick| tick.end_ns().saturating_add(GAP_MAX_NS) <= header.stamp_ns)
         {
-            self.judge_oldest();
+            self.score_oldest();
         }
         let oldest_ns = self.waiting.front().map_or(i64::MAX, |tick| tick.stamp_ns);
         self.paths.forget_before(oldest_ns.min(header.stamp_ns.saturating_sub(LAG_MAX_NS)));
@@ -111,26 +111,27 @@ impl Judge {
             return;
         }
         let mut kept = self.spare.pop().unwrap_or_default();
-        kept.extend(forecasts.iter().map(Judged::from));
+        kept.extend(forecasts.iter().map(Scored::from));
         let tick = Waiting { stamp_ns: header.stamp_ns, step_ns, horizon_len, forecasts: kept };
-        // Where truth stays away, a tick is given up once truth would have been due long ago.
+        // Without truth, a tick is dropped once the truth of its whole horizon is overdue.
         let due =
             |oldest: &Waiting| oldest.end_ns().saturating_add(GAP_MAX_NS + LAG_MAX_NS) < header.stamp_ns;
         while self.waiting.len() >= WAITING_MAX || self.waiting.front().is_some_and(due) {
-            self.judge_oldest();
+            self.score_oldest();
         }
         self.waiting.push_back(tick);
     }
 
-    fn judge_oldest(&mut self) {
+    fn score_oldest(&mut self) {
         if let Some(mut tick) = self.waiting.pop_front() {
-            self.tally.judge(&tick, &self.paths);
+            self.tally.score(&tick, &self.paths);
             tick.forecasts.clear();
             self.spare.push(tick.forecasts);
         }
     }
 
-    /// What is known by now, with the forecasts whose horizon the truth covers already. All null without truth.
+    /// The errors so far, with the forecasts whose horizon the truth covers already. All `None` without
+    /// truth.
     #[must_use]
     pub fn accuracy(&self) -> Accuracy {
         let Some(newest_ns) = self.paths.newest_ns() else {
@@ -139,7 +140,7 @@ impl Judge {
         let mut tally = self.tally.clone();
         let (covered, open): (Vec<_>, Vec<_>) =
             self.waiting.iter().partition(|tick| tick.end_ns() <= newest_ns);
-        covered.iter().for_each(|tick| tally.judge(tick, &self.paths));
+        covered.iter().for_each(|tick| tally.score(tick, &self.paths));
         tally.uncovered_len += open.iter().map(|tick| tick.forecasts.len() as u64).sum::<u64>();
         tally.accuracy()
     }
@@ -154,14 +155,14 @@ impl Judge {
 /// Sums of the errors of one group of forecasts.
 #[derive(Clone, Copy, Debug, Default)]
 struct Group {
-    best_of_draws: DisplacementMean,
+    best_mode: DisplacementMean,
     single: DisplacementMean,
     constant_velocity: DisplacementMean,
 }
 
 impl Group {
-    fn add(&mut self, [best_of_draws, single, constant_velocity]: [Displacement; 3]) {
-        self.best_of_draws.add(best_of_draws);
+    fn add(&mut self, [best_mode, single, constant_velocity]: [Displacement; 3]) {
+        self.best_mode.add(best_mode);
         self.single.add(single);
         self.constant_velocity.add(constant_velocity);
     }
@@ -169,10 +170,10 @@ impl Group {
     fn errors(&self) -> Errors {
         let rounded = |value: Option<f64>| value.map(|v| (v * 1e4).round() / 1e4);
         Errors {
-            forecasts: self.best_of_draws.ade_m.len(),
-            ade_m: rounded(self.best_of_draws.ade_m.value()),
-            fde_m: rounded(self.best_of_draws.fde_m.value()),
-            miss_rate: rounded(self.best_of_draws.miss_rate.value()),
+            forecasts: self.best_mode.ade_m.len(),
+            ade_m: rounded(self.best_mode.ade_m.value()),
+            fde_m: rounded(self.best_mode.fde_m.value()),
+            miss_rate: rounded(self.best_mode.miss_rate.value()),
             single_ade_m: rounded(self.single.ade_m.value()),
             single_fde_m: rounded(self.single.fde_m.value()),
             single_miss_rate: rounded(self.single.miss_rate.value()),
@@ -183,7 +184,7 @@ impl Group {
     }
 }
 
-/// All that was judged so far.
+/// Sums of the errors so far.
 #[derive(Clone, Debug, Default)]
 struct Tally {
     all: Group,
@@ -196,7 +197,7 @@ struct Tally {
 }
 
 impl Tally {
-    fn judge(&mut self, tick: &Waiting, paths: &Paths) {
+    fn score(&mut self, tick: &Waiting, paths: &Paths) {
         for forecast in &tick.forecasts {
             let Some(id) = agent_of(forecast, tick.stamp_ns, paths) else {
                 self.unmatched_len += 1;
@@ -215,7 +216,7 @@ impl Tally {
         }
     }
 
-    fn add(&mut self, tick: &Waiting, forecast: &Judged, truth: &[Option<Point>]) {
+    fn add(&mut self, tick: &Waiting, forecast: &Scored, truth: &[Option<Point>]) {
         let modes_len = (forecast.modes_len as usize).min(MODES_MAX);
         let displacements = [
             min_displacement(&forecast.modes[..modes_len], truth),
@@ -234,7 +235,7 @@ impl Tally {
     }
 
     fn accuracy(&self) -> Accuracy {
-        let judged = !self.all.best_of_draws.ade_m.is_empty();
+        let is_scored = !self.all.best_mode.ade_m.is_empty();
         let by_type: BTreeMap<String, Errors> = AGENT_TYPES
             .iter()
             .map(|agent_type| (agent_type.name().to_owned(), self.by_type[agent_type.index()].errors()))
@@ -242,8 +243,8 @@ impl Tally {
             .collect();
         Accuracy {
             errors: self.all.errors(),
-            draws: judged.then_some(self.draws),
-            horizon_s: judged.then_some(self.horizon_ns as f64 / 1e9),
+            draws: is_scored.then_some(self.draws),
+            horizon_s: is_scored.then_some(self.horizon_ns as f64 / 1e9),
             miss_radius_m: metrics::MISS_RADIUS_M,
             learned: self.learned.errors(),
             by_type,
@@ -253,15 +254,15 @@ impl Tally {
     }
 }
 
-fn agent_of(forecast: &Judged, stamp_ns: i64, paths: &Paths) -> Option<u64> {
+fn agent_of(forecast: &Scored, stamp_ns: i64, paths: &Paths) -> Option<u64> {
     if forecast.source_id != 0 {
         return Some(forecast.source_id).filter(|&id| paths.knows(id));
     }
     paths.nearest(forecast.agent_type, forecast.position_m, stamp_ns, MATCH_RADIUS_M)
 }
 
-/// The agent keeps the velocity that its forecast starts from.
-fn constant_velocity(forecast: &Judged, step_ns: i64) -> [Point; HORIZON_MAX] {
+/// The baseline: the agent keeps the velocity that its forecast starts from.
+fn constant_velocity(forecast: &Scored, step_ns: i64) -> [Point; HORIZON_MAX] {
     std::array::from_fn(|step| {
         let t_s = ((step as i64 + 1) * step_ns) as f64 / 1e9;
         let along = |axis: usize| {

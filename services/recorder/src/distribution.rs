@@ -2,12 +2,12 @@ use hdrhistogram::Histogram;
 
 use crate::report::Percentiles;
 
-/// Longest time that is told apart; longer ones count as this.
+/// Longest time that is resolved; longer ones count as this.
 const LONGEST_NS: u64 = 60_000_000_000;
-/// Fewest values that make the 99.9th percentile more than the greatest few.
+/// Fewest values for a 99.9th percentile that rests on at least ten of them.
 const P999_LEAST_LEN: u64 = 10_000;
 
-/// How often a time took how long, to three digits and in bounded memory.
+/// Histogram of times, to three significant digits and in bounded memory.
 #[derive(Clone, Debug)]
 pub(crate) struct Distribution {
     histogram: Histogram<u32>,
@@ -44,7 +44,7 @@ impl Distribution {
         if self.is_empty() {
             return Percentiles::default();
         }
-        // The histogram answers with the upper end of a bucket, which may lie beyond the greatest value seen.
+        // The histogram returns the upper end of a bucket, which may lie beyond the greatest value recorded.
         let quantile_ms = |q| ms(self.histogram.value_at_quantile(q).clamp(self.least_ns, self.most_ns));
         Percentiles {
             p50: Some(quantile_ms(0.5)),
@@ -55,7 +55,7 @@ impl Distribution {
     }
 }
 
-/// Milliseconds to 0.1 µs, as far as a clock across processes can be believed.
+/// Milliseconds, rounded to 0.1 µs: clocks of different processes agree no better.
 pub(crate) fn ms(time_ns: u64) -> f64 {
     (time_ns as f64 / 100.0).round() / 10_000.0
 }
@@ -71,12 +71,12 @@ mod tests {
     }
 
     #[test]
-    fn nothing_recorded_is_unknown() {
+    fn without_values_all_percentiles_are_none() {
         assert_eq!(of([]), Percentiles::default());
     }
 
     #[test]
-    fn a_constant_is_told_exactly() {
+    fn percentiles_of_a_constant_are_exact() {
         let p = of([1_000_000; 7]);
         assert_eq!(p, Percentiles { p50: Some(1.0), p99: Some(1.0), p999: None, max: Some(1.0) });
     }

@@ -1,8 +1,7 @@
 //! Forecasts as JSON lines: `stgdat predict --out FILE` and `stgdat run --forecasts FILE`.
 //!
-//! One line per tick, in time order, also where there is no agent. Nothing in a line depends on when or by whom it was
-//! computed (no clock, run id or incarnation), so the same recording, seed and weights give the same bytes.
-//! Version 2:
+//! One line per tick, in time order, also without agents. Lines contain no clock, run id or incarnation, so
+//! the same recording, seed and weights give the same bytes. Version 2:
 //!
 //! | field | meaning |
 //! |---|---|
@@ -15,12 +14,13 @@
 //! | field of an agent | meaning |
 //! |---|---|
 //! | `id` | the track, never reused within a run (64 bits) |
-//! | `source_id` | the recording's own identity, 0 where it carries none (64 bits) |
+//! | `source_id` | the agent's identity in the recording, 0 where it has none (64 bits) |
 //! | `type` | `vehicle`, `cyclist`, `pedestrian` |
 //! | `quality` | `learned`, `held` (from an earlier tick), `kinematic` (constant control) |
-//! | `cause` | why it is not learned: `late`, `rejected`, `missing`, `young`; else `none` |
+//! | `cause` | why the forecast is not learned: `late`, `rejected`, `missing`, `young`; else `none` |
 //! | `age_s` | age of a held forecast, else 0 |
-//! | `prior`, `prior_age_s` | what moved the track's state to the stamp: `learned` (a forecast before), `held` (one older than Δt), `kinematic`; its age, else 0 |
+//! | `prior` | what predicted the track's state: `learned`, `held` (a forecast older than Δt), `kinematic` |
+//! | `prior_age_s` | age of the forecast that is the prior, else 0 |
 //! | `x_m`, `y_m` | position at the stamp, world frame |
 //! | `vx_mps`, `vy_mps` | velocity at the stamp, world frame |
 //! | `heading_rad` | heading at the stamp, counter-clockwise from +x |
@@ -31,8 +31,8 @@
 //! | `mean_m` | \[step\] = \[x, y\]: mean of the mixture of all modes |
 //! | `covariance_m2` | \[step\] = \[xx, xy, yy\] of the mixture |
 //!
-//! Numbers are rounded to four decimals (0.1 mm, well below what f32 resolves at the edge of the world frame), and
-//! probabilities and covariances to six.
+//! Numbers are rounded to four decimals (0.1 mm, well below what f32 resolves at the edge of the world
+//! frame), and probabilities and covariances to six.
 
 use std::io::{self, Write};
 use std::path::Path;
@@ -45,26 +45,26 @@ use crate::whole_file::WholeFile;
 /// Version of the lines' fields.
 pub const FORECASTS_VERSION: u32 = 2;
 
-/// Writes a line per tick. The file takes its name when it is finished; until then it lies beside it as
-/// `NAME.partial`. Pipes and devices are written directly.
+/// Writes a line per tick. Until it is finished the file is called `NAME.partial`. Pipes and devices are
+/// written directly.
 #[derive(Debug)]
 pub struct ForecastWriter {
     file: WholeFile,
 }
 
 impl ForecastWriter {
-    /// Starts a file, in place of one that has the name already.
+    /// Starts a file; it will replace one of that name.
     ///
     /// # Errors
-    /// What the file system says.
+    /// The error of the file system.
     pub fn create(path: &Path) -> io::Result<Self> {
         Ok(Self { file: WholeFile::create(path)? })
     }
 
-    /// Writes the forecasts of a tick; frames that link or end a pipeline have no line.
+    /// Writes the forecasts of a tick; warm-up and END frames have no line.
     ///
     /// # Errors
-    /// What the file system says, such as a full disk.
+    /// The error of the file system, such as a full disk.
     pub fn write(&mut self, header: &Header, forecasts: &[Forecast]) -> io::Result<()> {
         if header.is_tick() { write_line(&mut self.file, header, forecasts) } else { Ok(()) }
     }
@@ -72,7 +72,7 @@ impl ForecastWriter {
     /// Writes what is buffered and gives the file its name.
     ///
     /// # Errors
-    /// What the file system says, such as a full disk.
+    /// The error of the file system, such as a full disk.
     pub fn finish(self) -> io::Result<()> {
         self.file.finish()
     }
@@ -162,13 +162,13 @@ struct Rounded<const DECIMALS: i32>(f32);
 impl<const DECIMALS: i32> Serialize for Rounded<DECIMALS> {
     fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
         let scale = 10_f64.powi(DECIMALS);
-        // The quotient is the f64 nearest to the decimal number, so its shortest form is that number. Adding 0 turns
-        // -0 to 0.
+        // The quotient is the f64 nearest to the decimal number, so its shortest form is that number. Adding
+        // 0 turns -0 to 0.
         serializer.serialize_f64((f64::from(self.0) * scale).round() / scale + 0.0)
     }
 }
 
-/// A list made while it is written.
+/// A list whose items are made while it is written.
 struct Each<'a, T, F>(&'a [T], F);
 
 impl<'a, T, U: Serialize, F: Fn(&'a T) -> U> Serialize for Each<'a, T, F> {
@@ -254,14 +254,14 @@ mod tests {
     }
 
     #[test]
-    fn who_computed_it_and_when_leaves_no_trace() {
+    fn lines_do_not_depend_on_run_clock_or_hops() {
         let mut other = Header { run_id: 1, released_ns: 1, interval_ns: 5, ..header(1) };
         other.push_hop(wire::Hop { stage: 7, incarnation: 2, sent_ns: 9, ..wire::Hop::default() });
         assert_eq!(line(&other, &[forecast()]), line(&header(1), &[forecast()]));
     }
 
     #[test]
-    fn only_ticks_have_lines_and_the_file_is_whole() {
+    fn only_ticks_have_lines_and_the_file_is_complete() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("f.jsonl");
         let mut writer = ForecastWriter::create(&path).unwrap();

@@ -1,12 +1,13 @@
-//! Keeps what the report needs, and tells it.
+//! The recorder: measures latency, losses and accuracy of a run, and reports them.
 //!
-//! The [`Recorder`] reads the topics at the pipeline's ends: `forecasts`, whose headers tell the whole way of each tick
-//! ([`passage`]), `truth`, against which the forecasts are judged once their horizon has passed ([`accuracy`]), and
-//! `heartbeats`, which tell of frames lost and stages started again. It answers with a [`Report`]: as JSON for scripts,
-//! as tables for people ([`Report::render`]). [`live`] shows the same while it runs; [`ForecastWriter`] writes the
+//! The [`Recorder`] reads three topics: `forecasts`, whose headers hold the times of each tick in every stage
+//! ([`passage`]); `truth`, against which forecasts are scored once their horizon has passed ([`accuracy`]);
+//! and `heartbeats`, which count lost frames and restarts. Its [`Report`] is JSON for scripts and tables for
+//! people ([`Report::render`]). [`live`] shows the same during the run; [`ForecastWriter`] writes the
 //! forecasts themselves.
 //!
-//! A run may last for days: percentiles come from histograms, forecasts wait in bounded queues, and nothing else grows.
+//! A run may last for days: percentiles come from histograms, forecasts wait in bounded queues, and nothing
+//! else grows.
 
 pub mod accuracy;
 mod distribution;

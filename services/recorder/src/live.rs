@@ -1,7 +1,7 @@
-//! The run while it runs: what a table of stages, or a line a second, needs to know.
+//! The state of a run in progress, for a table of stages or one line per second.
 //!
-//! [`LiveView`] keeps the last ten seconds and some counts; [`draw`] shows it on a terminal, [`LiveView::plain_line`]
-//! where the output is none. Who drives them reads the topics and the clock.
+//! [`LiveView`] keeps the last ten seconds and some counts; [`draw`] shows it on a terminal,
+//! [`LiveView::plain_line`] elsewhere. The caller reads the topics and the clock.
 
 mod draw;
 
@@ -18,15 +18,15 @@ use crate::text::{count, number};
 
 /// Ticks in the window that the view shows: ten seconds at 12.5 Hz.
 const WINDOW_LEN: usize = 125;
-/// A stage is silent when its last heartbeat is older than two of its intervals and some.
+/// A stage is silent when its last heartbeat is older than this: two heartbeat intervals and some.
 const SILENT_NS: u64 = 200_000_000;
 
-/// What the view is told of the run.
+/// What the view shows of a run beside its topics.
 #[derive(Clone, Debug)]
 pub struct LiveOptions {
-    /// What runs, in a few words.
+    /// Title: the recording or scene.
     pub title: String,
-    /// Each stage's part of the tick limit; the stages that have a row from the start.
+    /// Each stage's share of the tick limit; these stages have a row from the start.
     pub budgets_ms: BTreeMap<StageId, f64>,
     /// A tick is late beyond this or the frame interval, whichever is shorter.
     pub tick_limit_ns: u64,
@@ -52,7 +52,7 @@ pub struct LiveStage {
     pub compute_ms_p50: Option<f64>,
     /// 99th percentile of compute within the window.
     pub compute_ms_p99: Option<f64>,
-    /// Its part of the tick limit.
+    /// Its share of the tick limit.
     pub budget_ms: Option<f64>,
     /// Frames that it finished.
     pub frames: u64,
@@ -60,9 +60,9 @@ pub struct LiveStage {
     pub late: u64,
     /// Frames lost in it.
     pub lost: u64,
-    /// How often it was started again.
+    /// Number of restarts.
     pub restarts: u32,
-    /// Whether it gives a sign of life; `None` before the first.
+    /// Whether its last heartbeat is recent; `None` before the first.
     pub alive: Option<bool>,
 }
 
@@ -78,7 +78,7 @@ pub struct LiveView {
     first_released_ns: Option<u64>,
     now_ns: u64,
     limit_ns: u64,
-    /// Number of the tick that comes next, once that is known.
+    /// Number of the next tick, once it is known.
     next_seq: Option<u64>,
     ticks: u64,
     late_ticks: u64,
@@ -145,7 +145,7 @@ impl LiveView {
         }
     }
 
-    /// Takes a stage's sign of life.
+    /// Takes a stage's heartbeat.
     pub fn heartbeat(&mut self, heartbeat: &Heartbeat) {
         self.losses.heartbeat(heartbeat);
         if let Some(stage) = StageId::from_number(heartbeat.stage) {
@@ -153,12 +153,12 @@ impl LiveView {
         }
     }
 
-    /// Takes the time, `CLOCK_MONOTONIC`: it tells how long the run lasts and which stage is silent.
+    /// Takes the time (`CLOCK_MONOTONIC`), from which the run's duration and silent stages follow.
     pub const fn clock(&mut self, now_ns: u64) {
         self.now_ns = now_ns;
     }
 
-    /// Ticks whose forecasts came.
+    /// Ticks whose forecasts were received.
     #[must_use]
     pub const fn ticks(&self) -> u64 {
         self.ticks
@@ -170,7 +170,7 @@ impl LiveView {
         self.first_released_ns.map_or(0.0, |first| self.now_ns.saturating_sub(first) as f64 / 1e9)
     }
 
-    /// The stages that have a budget, gave a sign of life or had a tick in hand, in the order of the chain.
+    /// The stages that have a budget, sent a heartbeat or passed the last tick, in the order of the chain.
     #[must_use]
     pub fn stages(&self) -> Vec<(StageId, LiveStage)> {
         let drops = self.losses.by_stage();
@@ -201,7 +201,8 @@ impl LiveView {
             .collect()
     }
 
-    /// One line for an output that is no terminal: ticks, latency of the last ten seconds, and what went wrong so far.
+    /// One line for outputs other than terminals: ticks, latency of the last ten seconds, late ticks and
+    /// losses.
     #[must_use]
     pub fn plain_line(&self) -> String {
         let of = self.options.ticks_limit.map_or_else(String::new, |limit| format!("/{limit}"));

@@ -5,7 +5,7 @@ use wire::{Heartbeat, StageId};
 use crate::passage::{STAGES_LEN, place};
 use crate::report::StageDrops;
 
-/// What one stage counted, over all its incarnations.
+/// Counters of one stage over all its incarnations.
 #[derive(Clone, Copy, Debug, Default)]
 struct Counters {
     incarnation: u32,
@@ -49,7 +49,7 @@ impl Losses {
         }
     }
 
-    /// Counts forecasts that never came to the recorder.
+    /// Counts frames of forecasts that never arrived at the recorder.
     pub fn forecast_gap(&mut self, len: u64) {
         self.stages[place(StageId::Recorder)].newest.gap += len;
     }
@@ -59,16 +59,16 @@ impl Losses {
         self.stages[place(StageId::Recorder)].newest.refused += 1;
     }
 
-    /// How often the stage was started again.
+    /// Number of restarts of a stage.
     pub const fn restarts(&self, stage: StageId) -> u32 {
         self.stages[place(stage)].incarnation
     }
 
     /// Losses of each stage, in the order of [`StageId::ALL`].
     ///
-    /// A frame that never left a stage is a gap for all that follow; it counts where it was lost first. A refused frame
-    /// is none: it passes on, void. The sampler publishes also without controls, so a tick is missing at the recorder
-    /// only if the tracker or the sampler lost it.
+    /// A frame lost in one stage is a gap in all later ones; it counts where it was lost first. A refused
+    /// frame is no gap: it is passed on as VOID. The sampler publishes also without controls, so a tick is
+    /// missing at the recorder only if the tracker or the sampler lost it.
     pub fn by_stage(&self) -> [StageDrops; STAGES_LEN] {
         let mut lost_before = 0;
         let mut own = self.stages.map(|counters| {
@@ -98,7 +98,7 @@ mod tests {
     }
 
     #[test]
-    fn a_loss_counts_where_it_happened() {
+    fn a_frame_counts_where_it_was_lost_first() {
         let mut losses = Losses::default();
         losses.heartbeat(&beat(StageId::Tracker, 0, 2, 1));
         losses.heartbeat(&beat(StageId::Localiser, 0, 2, 0));
@@ -113,7 +113,7 @@ mod tests {
     }
 
     #[test]
-    fn a_restart_adds_to_what_was_lost_before() {
+    fn losses_add_up_over_restarts() {
         let mut losses = Losses::default();
         losses.heartbeat(&beat(StageId::Encoder, 0, 4, 0));
         losses.heartbeat(&beat(StageId::Encoder, 1, 1, 0));

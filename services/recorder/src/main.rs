@@ -1,4 +1,4 @@
-//! The recorder as a program of its own.
+//! The recorder as a separate program.
 
 fn main() -> std::process::ExitCode {
     ports::stage_main(recorder::stage::run)

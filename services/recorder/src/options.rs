@@ -9,14 +9,14 @@ use wire::{ForecastsTopic, StageId, Topic, TruthTopic};
 pub const STAGE: Declaration<Options> =
     Declaration::new(StageId::Recorder, &[ForecastsTopic::NAME, TruthTopic::NAME], &[]);
 
-/// What may be set of the recorder.
+/// Options of the recorder.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct Options {
-    /// File for the report as the launcher finds it, in the run's directory where not given.
+    /// File for the recorder's report; by default report.json in the run's directory.
     #[schemars(extend("format" = "path"))]
     pub report: Option<PathBuf>,
-    /// File for the forecasts as JSON lines; they are not written where not given.
+    /// File for the forecasts as JSON lines; by default they are not written.
     #[schemars(extend("format" = "path"))]
     pub forecasts: Option<PathBuf>,
 }

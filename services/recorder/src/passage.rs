@@ -1,43 +1,43 @@
-//! The way of one tick through the pipeline, read from the hops of its header.
+//! The passage of one tick through the pipeline, from the hops of its header.
 //!
-//! Every stage stamps when it took its input, began and ended to compute, and sent its output. From the moment in
-//! which a stage's predecessor sent, four phases follow one another without gap or overlap:
+//! Every stage stamps when it received its input, started and finished its computation, and sent its output.
+//! From the sending of the stage before, four phases follow one another without gap or overlap:
 //!
-//! * *waiting*: the stage was busy with an earlier tick, or had its input in hand and did not begin yet (a sampler that
-//!   waits for controls until its deadline);
-//! * *wake-up*: transport, scheduler, and the check of the frame;
+//! * *waiting*: the stage was busy with an earlier tick, or had its input and waited for another (the sampler
+//!   for controls, until its deadline);
+//! * *wake-up*: transport, scheduling and the check of the frame;
 //! * *compute*;
-//! * *publish*: writing the header and handing the frame over.
+//! * *publish*: writing the header and sending the frame.
 //!
-//! So the phases of all stages add up to the time from release to forecast, and what is not compute is *overhead*.
+//! So the phases of all stages add up to the latency from release to forecast; all but compute is *overhead*.
 
 use wire::{Header, Hop, StageId};
 
 /// Stages that a tick can pass.
 pub const STAGES_LEN: usize = StageId::ALL.len();
 
-/// The place of a stage in tables by stage.
+/// Index of a stage in tables by stage.
 pub(crate) const fn place(stage: StageId) -> usize {
     stage as usize - 1
 }
 
-/// Where the time of one tick went in one stage.
+/// Phases of one tick in one stage.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Phases {
-    /// The input had been sent, but the stage was busy or waited for other input.
+    /// Time in which the input was there, but the stage was busy or waited for other input.
     pub waiting_ns: u64,
-    /// From the input's sending to its being taken up by a stage that was free.
+    /// From the sending of the input to its receipt by a stage that was free.
     pub wake_up_ns: u64,
-    /// From the beginning to the end of the computation.
+    /// From the start to the end of the computation.
     pub compute_ns: u64,
-    /// From the end of the computation to the output's sending.
+    /// From the end of the computation to the sending of the output.
     pub publish_ns: u64,
 }
 
 impl Phases {
-    /// Reads the phases of `hop`, whose input was sent at `ready_ns` and whose stage was free from `free_ns` on.
+    /// The phases of `hop`, whose input was sent at `ready_ns` and whose stage was free from `free_ns` on.
     fn of(hop: &Hop, ready_ns: u64, free_ns: u64) -> Self {
-        // A stage with two inputs may have taken the one before the other was sent: the rest is wake-up.
+        // A stage with two inputs may receive one before the other is sent: the rest is wake-up.
         let taken_ns = if hop.received_ns < ready_ns { hop.started_ns } else { hop.received_ns };
         let begin_ns = ready_ns.max(free_ns.min(taken_ns));
         Self {
@@ -49,14 +49,15 @@ impl Phases {
     }
 }
 
-/// One tick's way from release to forecast.
+/// Phases of one tick in all stages, from release to forecast.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Passage {
     stages: [Option<Phases>; STAGES_LEN],
-    /// From release at the source to the sending of the forecasts; `None` for a tick that did not pass the sampler.
+    /// From release at the source to the sending of the forecasts; `None` for a tick that did not pass the
+    /// sampler.
     pub end_to_end_ns: Option<u64>,
-    /// Whether the tick passed every stage from the tracker to the sampler, so that its forecasts rest on its own
-    /// controls. A sensor of one's own in the source's place need not stamp its passage.
+    /// Whether the tick passed every stage from the tracker to the sampler, so that its forecasts are made of
+    /// its own controls. A sensor that replaces the source need not stamp a hop.
     pub complete: bool,
 }
 
@@ -67,14 +68,14 @@ impl Passage {
         self.stages[place(stage)].as_ref()
     }
 
-    /// Compute of all stages passed: a tick passes them one after the other, so all of it lies on the critical path.
+    /// Compute of all stages: a tick passes them one after the other, so all of it is on the critical path.
     #[must_use]
     pub fn compute_ns(&self) -> u64 {
         self.stages.iter().flatten().map(|phases| phases.compute_ns).sum()
     }
 
-    /// What is not compute between release and forecast. `None` where the sampler gave up waiting: that is a deadline,
-    /// not a cost of handing over.
+    /// End-to-end latency less compute. `None` where the sampler's deadline passed: that time is no cost of
+    /// transport.
     #[must_use]
     pub fn overhead_ns(&self) -> Option<u64> {
         self.end_to_end_ns
@@ -83,14 +84,14 @@ impl Passage {
     }
 }
 
-/// Reads passages, tick after tick: when a stage became free is known from the tick before.
+/// Reads passages tick by tick, as the time at which a stage became free is known from the tick before.
 #[derive(Clone, Debug, Default)]
 pub struct Timeline {
     free_ns: [u64; STAGES_LEN],
 }
 
 impl Timeline {
-    /// The passage that `header` tells. Hops of unknown stages are left out.
+    /// The passage of a tick from its header. Hops of unknown stages are ignored.
     pub fn pass(&mut self, header: &Header) -> Passage {
         let mut passage = Passage::default();
         let mut ready_ns = header.released_ns;
@@ -158,7 +159,7 @@ mod tests {
     }
 
     #[test]
-    fn overhead_is_what_is_left_of_a_complete_tick() {
+    fn overhead_is_end_to_end_latency_less_compute() {
         let hops: Vec<Hop> = StageId::ALL[..7]
             .iter()
             .zip(0..)
@@ -182,7 +183,7 @@ mod tests {
     }
 
     #[test]
-    fn clocks_that_run_backwards_give_zeros_not_panics() {
+    fn clocks_that_run_backwards_give_zeros() {
         let hops = [hop(StageId::Source, [9, 8, 7, 6]), hop(StageId::Sampler, [5, 4, 3, 2])];
         let passage = Timeline::default().pass(&header(10, &hops));
         assert_eq!((passage.end_to_end_ns, passage.compute_ns()), (Some(0), 0));

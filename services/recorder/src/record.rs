@@ -2,7 +2,7 @@ use std::collections::BTreeMap;
 
 use wire::{Cause, Forecast, Header, Heartbeat, Quality, Rejected, StageId, Truth, flags};
 
-use crate::accuracy::Judge;
+use crate::accuracy::Scorer;
 use crate::distribution::{Distribution, ms};
 use crate::losses::Losses;
 use crate::passage::{Passage, Phases, Timeline, place};
@@ -14,12 +14,12 @@ use crate::report::{
 /// The time that a tick may take from release to forecast at 12.5 Hz.
 pub const TICK_LIMIT_NS: u64 = wire::TICK_NS;
 
-/// What the recorder is told of the run.
+/// What the recorder knows of the run beside its topics.
 #[derive(Clone, Debug)]
 pub struct RecorderOptions {
-    /// Stands in the report; what the recorder can tell itself (interval, durations, lockstep) may be left out.
+    /// Copied to the report; interval, durations and lockstep are measured where they are `None`.
     pub run: RunInfo,
-    /// Each stage's part of the tick limit.
+    /// Each stage's share of the tick limit.
     pub budgets_ms: BTreeMap<StageId, f64>,
     /// A tick is late beyond this or the frame interval, whichever is shorter.
     pub tick_limit_ns: u64,
@@ -31,7 +31,7 @@ impl Default for RecorderOptions {
     }
 }
 
-/// How long one stage's phases took.
+/// Durations of one stage's phases.
 #[derive(Clone, Debug, Default)]
 struct StageTimes {
     waiting: Distribution,
@@ -52,14 +52,14 @@ impl StageTimes {
     }
 }
 
-/// First and last of an increasing clock.
+/// First and last value of increasing clocks.
 #[derive(Clone, Copy, Debug)]
 struct Span {
     stamp_ns: [i64; 2],
     released_ns: [u64; 2],
 }
 
-/// Listens to a run and reports on it.
+/// Measures a run and reports on it.
 #[derive(Clone, Debug)]
 pub struct Recorder {
     options: RecorderOptions,
@@ -68,9 +68,9 @@ pub struct Recorder {
     overhead: Distribution,
     stages: BTreeMap<StageId, StageTimes>,
     losses: Losses,
-    judge: Judge,
+    scorer: Scorer,
     span: Option<Span>,
-    /// Number of the tick that comes next, once that is known.
+    /// Number of the next tick, once it is known.
     next_seq: Option<u64>,
     interval_ns: u64,
     lockstep: bool,
@@ -86,7 +86,7 @@ pub struct Recorder {
 }
 
 impl Recorder {
-    /// A recorder that has heard nothing yet.
+    /// A recorder before the first frame.
     #[must_use]
     pub fn new(options: RecorderOptions) -> Self {
         Self {
@@ -96,7 +96,7 @@ impl Recorder {
             overhead: Distribution::default(),
             stages: BTreeMap::new(),
             losses: Losses::default(),
-            judge: Judge::default(),
+            scorer: Scorer::default(),
             span: None,
             next_seq: None,
             interval_ns: 0,
@@ -113,24 +113,25 @@ impl Recorder {
         }
     }
 
-    /// Takes what was really there at the frame's stamp. Frames that are no ticks are passed over.
+    /// Takes the truth at the frame's stamp. Frames that are no ticks are ignored.
     ///
     /// # Errors
-    /// [`Rejected`] where a number is impossible or the frame is not newer than the last; nothing changes then.
+    /// [`Rejected`] where a number is invalid or the frame is not newer than the last; nothing changes then.
     pub fn truth(&mut self, header: &Header, truths: &[Truth]) -> Result<(), Rejected> {
         header.check()?;
-        if header.is_tick() { self.judge.truth(header, truths) } else { Ok(()) }
+        if header.is_tick() { self.scorer.truth(header, truths) } else { Ok(()) }
     }
 
-    /// Takes the forecasts of a tick and, from their header, its whole way through the pipeline.
+    /// Takes the forecasts of a tick and, from their header, its passage through the pipeline.
     ///
-    /// Ticks that never come are told by gaps: after a warm-up frame from tick 0 on, else from the first tick seen (a
-    /// recorder that comes in the midst of a run). The frame that ends a recording tells of ticks lost before it. A void
-    /// tick that is not newer than the last came late to the tracker: it is not lost, and tells nothing else.
+    /// Lost ticks are gaps in the sequence: after a warm-up frame from tick 0 on, else from the first tick
+    /// received (a recorder that starts during a run). The END frame of a recording reveals ticks lost before
+    /// it. A VOID tick that is not newer than the last arrived late at the tracker: it is not lost, and is
+    /// not counted otherwise.
     ///
     /// # Errors
-    /// [`Rejected`] where the frame is impossible or has forecasts that are not newer than the last; it is counted as
-    /// refused.
+    /// [`Rejected`] where the frame is invalid or has forecasts that are not newer than the last; it is
+    /// counted as refused.
     pub fn forecasts(&mut self, header: &Header, forecasts: &[Forecast]) -> Result<(), Rejected> {
         if header.has(flags::WARM_UP) {
             self.next_seq.get_or_insert(0);
@@ -146,12 +147,12 @@ impl Recorder {
         if header.is_tick() && self.newer_ns(header).is_none() {
             self.latency(header);
             self.qualities(forecasts);
-            self.judge.forecasts(header, forecasts);
+            self.scorer.forecasts(header, forecasts);
         }
         Ok(())
     }
 
-    /// Takes a stage's sign of life.
+    /// Takes a stage's heartbeat.
     pub fn heartbeat(&mut self, heartbeat: &Heartbeat) {
         self.losses.heartbeat(heartbeat);
     }
@@ -168,7 +169,7 @@ impl Recorder {
         forecasts.iter().try_for_each(Forecast::check)
     }
 
-    /// Stamp of the newest tick so far, where this one is not newer.
+    /// Stamp of the newest tick so far, where this tick is not newer.
     fn newer_ns(&self, header: &Header) -> Option<i64> {
         let last_ns = self.span?.stamp_ns[1];
         (header.is_tick() && header.stamp_ns <= last_ns).then_some(last_ns)
@@ -233,7 +234,7 @@ impl Recorder {
         }
     }
 
-    /// What is known by now. May be asked at any time; nothing is used up.
+    /// The report so far. May be called at any time; it changes nothing.
     #[must_use]
     pub fn report(&self) -> Report {
         let stages = self.stage_reports();
@@ -253,7 +254,7 @@ impl Recorder {
             end_to_end_ms: self.end_to_end.percentiles_ms(),
             overhead_ms: self.overhead.percentiles_ms(),
             stages,
-            accuracy: self.judge.accuracy(),
+            accuracy: self.scorer.accuracy(),
         };
         report.verdict = verdict(&report);
         report
@@ -334,7 +335,7 @@ impl Recorder {
     }
 }
 
-/// Judges a report: everything that a user of the forecasts should know of is a reason.
+/// Scorers a report: everything that a user of the forecasts should know of is a reason.
 fn verdict(report: &Report) -> Verdict {
     let mut reasons = Vec::new();
     let by_stage = |count: fn(&StageReport) -> u64| {
@@ -348,7 +349,7 @@ fn verdict(report: &Report) -> Verdict {
     if restarts > 0 {
         reasons.push(format!("restarts: {restarts} ({})", by_stage(|stage| u64::from(stage.restarts))));
     }
-    // In lockstep the source waits for every tick, so none can be late for anybody.
+    // In lockstep the source waits for every tick: there is no deadline.
     if let Some(limit_ms) = report.late_limit_ms
         && report.late_ticks > 0
         && report.run.lockstep != Some(true)
@@ -375,7 +376,7 @@ fn verdict(report: &Report) -> Verdict {
     Verdict { status, reasons }
 }
 
-/// `name count` of all that are not 0.
+/// `name count` of all counts other than 0.
 fn list<'a>(counts: impl Iterator<Item = (&'a str, u64)>) -> String {
     counts.filter(|&(_, n)| n > 0).map(|(name, n)| format!("{name} {n}")).collect::<Vec<_>>().join(", ")
 }

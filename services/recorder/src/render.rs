@@ -3,9 +3,9 @@
 use std::fmt::{self, Write};
 
 use crate::report::{Errors, Percentiles, Report, StageReport, Status};
-use crate::text::{bar, count, number, percent};
+use crate::text::{bar, count, number, percent, subscript};
 
-/// Narrowest and widest line that the tables are laid out for.
+/// Narrowest and widest lines of the report.
 const WIDTHS: std::ops::RangeInclusive<usize> = 80..=120;
 /// From this width on the stages' table shows every phase.
 const ALL_PHASES_WIDTH: usize = 96;
@@ -43,7 +43,7 @@ impl Report {
                 writeln!(text, " DEGRADED    {}", self.verdict.reasons.join("\n             "))?;
             }
             Status::Empty => {
-                writeln!(text, " EMPTY       no forecast came")?;
+                writeln!(text, " EMPTY       no forecast was received")?;
                 for reason in &self.verdict.reasons {
                     writeln!(text, "             {reason}")?;
                 }
@@ -62,18 +62,18 @@ impl Report {
         if run.weights.is_some() || run.weights_sha256.is_some() {
             let hash = run.weights_sha256.as_ref().map(|hash| hash.chars().take(12).collect());
             let seen = run.seen_in_training.map(|seen| match seen {
-                true => "trained on this recording: its accuracy flatters".to_owned(),
+                true => "trained on this recording: errors are optimistic".to_owned(),
                 false => "not trained on this recording".to_owned(),
             });
             fact(text, "weights", &[run.weights.clone(), hash, seen])?;
         }
-        if let Some(recalls) = run.recalls {
-            let memory = match run.memory_moments.filter(|&len| len > 0) {
-                _ if !recalls => "none of the place".to_owned(),
-                Some(len) => format!("of the place, began with {} moments of earlier runs", count(len)),
-                None => "of the place, began with nothing".to_owned(),
+        if let Some(retrieval) = run.retrieval {
+            let memory = match run.memory_entries.filter(|&len| len > 0) {
+                _ if !retrieval => "off".to_owned(),
+                Some(len) => format!("warm-started with {} entries of earlier runs", count(len)),
+                None => "online, began empty".to_owned(),
             };
-            fact(text, "memory", &[Some(memory)])?;
+            fact(text, "retrieval", &[Some(memory)])?;
         }
         let rate = run.interval_ms.map(|ms| format!("{} Hz", trimmed(1e3 / ms)));
         let thinned = run.thinned_by.filter(|&n| n > 1).map(|n| format!("1 frame in {n} of the recording"));
@@ -109,7 +109,7 @@ impl Report {
         writeln!(text)?;
         row(text, "overhead", &self.overhead_ms)?;
         writeln!(text, "   end to end less compute")?;
-        let note = if self.run.lockstep == Some(true) { " (nobody waited: lockstep)" } else { "" };
+        let note = if self.run.lockstep == Some(true) { " (lockstep: no deadline)" } else { "" };
         writeln!(
             text,
             " {:LABEL_WIDTH$}{:>8} of {}{note}",
@@ -180,15 +180,18 @@ impl Report {
             };
         };
         let group = if width >= ALL_PHASES_WIDTH { 22 } else { 18 };
-        let best = format!("best of {draws}");
+        let modes = format!("K = {draws} modes");
         writeln!(
             text,
-            "\n {:LABEL_WIDTH$}{:>10}{best:>group$}{:>group$}{:>group$}",
+            "\n {:LABEL_WIDTH$}{:>10}{modes:>group$}{:>group$}{:>group$}",
             "ACCURACY m", "forecasts", "single best", "const. velocity"
         )?;
         let column = group / 2;
-        let pair = || format!("{:>w$}{:>column$}", "ADE", "FDE", w = group - column);
-        writeln!(text, " {:LABEL_WIDTH$}{:>10}{}{}{}", "", "", pair(), pair(), pair())?;
+        let pair = |ade: &str, fde: &str| format!("{ade:>w$}{fde:>column$}", w = group - column);
+        let k = subscript(draws);
+        let best = pair(&format!("minADE{k}"), &format!("minFDE{k}"));
+        let single = pair("ADE", "FDE");
+        writeln!(text, " {:LABEL_WIDTH$}{:>10}{best}{single}{single}", "", "")?;
         let row = |text: &mut String, name: &str, errors: &Errors| {
             write!(text, " {name:LABEL_WIDTH$}{:>10}", count(errors.forecasts))?;
             let pairs = [
@@ -206,13 +209,13 @@ impl Report {
         row(text, "learned", &accuracy.learned)?;
         let misses =
             [accuracy.errors.miss_rate, accuracy.errors.single_miss_rate, accuracy.errors.cv_miss_rate];
-        write!(text, " {:LABEL_WIDTH$}{:>10}", "missed", format!("> {} m", accuracy.miss_radius_m))?;
+        write!(text, " {:LABEL_WIDTH$}{:>10}", "miss rate", format!("> {} m", accuracy.miss_radius_m))?;
         misses.iter().try_for_each(|&share| write!(text, "{:>group$}", percent(share)))?;
         writeln!(text)?;
-        let uncovered = format!("{} without truth to the end", count(accuracy.uncovered));
-        let unmatched = format!("{} of no known agent", count(accuracy.unmatched));
+        let uncovered = format!("{} without complete truth", count(accuracy.uncovered));
+        let unmatched = format!("{} without a match", count(accuracy.unmatched));
         fact(text, "horizon", &[Some(format!("{horizon_s:.1} s"))])?;
-        fact(text, "left out", &[Some(uncovered), Some(unmatched)])
+        fact(text, "not scored", &[Some(uncovered), Some(unmatched)])
     }
 }
 
@@ -236,7 +239,7 @@ fn stage_row(text: &mut String, stage: &StageReport, all: bool, cells: usize) ->
     writeln!(text)
 }
 
-/// `label  part · part`, leaving out what is unknown.
+/// `label  part · part`; unknown parts are left out.
 fn fact(text: &mut String, label: &str, parts: &[Option<String>]) -> fmt::Result {
     let known: Vec<&str> = parts.iter().flatten().map(String::as_str).collect();
     writeln!(text, " {label:LABEL_WIDTH$}{}", known.join(" · "))
@@ -248,12 +251,13 @@ fn trimmed(value: f64) -> String {
     fixed.trim_end_matches('0').trim_end_matches('.').to_owned()
 }
 
+/// A cause in words.
 fn meaning(cause: &str) -> &str {
     match cause {
-        "late" => "the controls came too late",
+        "late" => "the controls arrived too late",
         "rejected" => "the controls were refused",
-        "missing" => "the controls do not name the track",
-        "young" => "the track is still too young",
+        "missing" => "there are no controls for the track",
+        "young" => "the track's history is too short",
         other => other,
     }
 }

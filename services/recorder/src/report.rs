@@ -1,10 +1,10 @@
-//! What a run was like: the report as data.
+//! The report of a run as data.
 //!
-//! As JSON (`stgdat run --report FILE`) these top-level keys stay as they are within a [`REPORT_VERSION`]: `ticks`,
-//! `late_ticks`, `drops`, `forecasts {learned, held, kinematic}`, `end_to_end_ms {p50, p99, max}`,
+//! As JSON (`stgdat run --report FILE`) these top-level keys stay as they are within a [`REPORT_VERSION`]:
+//! `ticks`, `late_ticks`, `drops`, `forecasts {learned, held, kinematic}`, `end_to_end_ms {p50, p99, max}`,
 //! `overhead_ms {p50, p99}`, `stages [{name, compute_ms {p50, p99}, budget_ms}]` and
-//! `accuracy {ade_m, fde_m, cv_ade_m, cv_fde_m, draws}`. Units end the names; shares are 0 to 1; what is unknown is
-//! `null`, never NaN.
+//! `accuracy {ade_m, fde_m, cv_ade_m, cv_fde_m, draws}`. Units end the names; shares are 0 to 1; what is
+//! unknown is `null`, never NaN.
 
 use std::collections::BTreeMap;
 
@@ -13,67 +13,67 @@ use serde::{Deserialize, Serialize};
 /// Version of the report's fields.
 pub const REPORT_VERSION: u32 = 1;
 
-/// All that the recorder learned of a run.
+/// What the recorder measured of a run.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Report {
     /// [`REPORT_VERSION`].
     pub version: u32,
     /// Version of the program.
     pub stgdat_version: String,
-    /// Whether all went as it should, and if not, why.
+    /// Whether everything worked, and what did not.
     pub verdict: Verdict,
     /// What was run.
     pub run: RunInfo,
-    /// Ticks whose forecasts came.
+    /// Ticks whose forecasts were received.
     pub ticks: u64,
-    /// Ticks whose forecasts came later than `late_limit_ms` after their release.
+    /// Ticks whose forecasts were sent later than `late_limit_ms` after their release.
     pub late_ticks: u64,
     /// The tick limit or the frame interval, whichever is shorter.
     pub late_limit_ms: Option<f64>,
-    /// Frames lost on their way, all stages together; `stages` tells where and why.
+    /// Frames lost, summed over all stages; `stages` has them by stage and cause.
     pub drops: u64,
-    /// Agents that found no room in a full frame, summed over ticks.
+    /// Agents left out of full frames, summed over ticks.
     pub agents_left_out: u64,
     /// Agents per tick.
     pub agents: Agents,
-    /// Forecasts by quality, and why some were not learned.
+    /// Forecasts by quality, and the causes of those that are not learned.
     pub forecasts: ForecastCounts,
-    /// What moved the states of their tracks to each tick.
+    /// Track states by the prior that predicted them.
     #[serde(default)]
     pub priors: PriorCounts,
-    /// From release at the source to the sending of the forecasts.
+    /// Time from release at the source to the sending of the forecasts.
     pub end_to_end_ms: Percentiles,
     /// End to end less the compute of all stages, over the ticks that passed them all.
     pub overhead_ms: Percentiles,
     /// The stages in the order in which a tick passes them.
     pub stages: Vec<StageReport>,
-    /// How far forecasts were from what came to pass.
+    /// Errors of the forecasts against the recording's later truth.
     pub accuracy: Accuracy,
 }
 
-/// The run as a whole.
+/// Status of a run.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Status {
     /// Every tick in time, nothing lost, every forecast learned once its agent was old enough.
     Ok,
-    /// Forecasts came all the time, but not all as they should.
+    /// Forecasts were received, but some were late, lost or not learned.
     Degraded,
-    /// No forecast came.
+    /// No forecast was received.
     #[default]
     Empty,
 }
 
-/// The run in one word, and why it is not `ok`.
+/// The status of a run, and why it is not `ok`.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Verdict {
-    /// The word.
+    /// The status.
     pub status: Status,
     /// What went wrong, the worst first.
     pub reasons: Vec<String>,
 }
 
-/// What was run, as far as the caller tells.
+/// What was run; `None` where the caller does not know.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default)]
 pub struct RunInfo {
@@ -87,21 +87,25 @@ pub struct RunInfo {
     pub weights: Option<String>,
     /// SHA-256 of the weights.
     pub weights_sha256: Option<String>,
-    /// Whether forecasts recall how others went on at the same place.
+    /// Whether the retrieval memory corrects forecasts.
+    pub retrieval: Option<bool>,
+    /// Entries that the retrieval memory began with, where it has a file: they may be of this recording.
+    pub memory_entries: Option<u64>,
+    /// [`RunInfo::retrieval`] under its former key.
     pub recalls: Option<bool>,
-    /// Moments that the memory of the place began with, where one was kept: they may be of this recording.
+    /// [`RunInfo::memory_entries`] under its former key.
     pub memory_moments: Option<u64>,
     /// Seed of the run.
     pub seed: Option<u64>,
     /// `real` or `max`.
     pub speed: Option<String>,
-    /// Ticks after which the run was to end.
+    /// Limit of the run in ticks.
     pub ticks_limit: Option<u64>,
-    /// Agents asked of the generated scene.
+    /// Number of agents asked for in the generated scene.
     pub scene_agents: Option<u64>,
     /// Frames in the recording.
     pub recorded_frames: Option<u64>,
-    /// Of the recording's frames every so many-th was played; more than 1 where it is faster than 12.5 Hz.
+    /// One frame in this many was played: more than 1 where the recording is faster than 12.5 Hz.
     pub thinned_by: Option<u32>,
     /// Interval between frames.
     pub interval_ms: Option<f64>,
@@ -118,20 +122,21 @@ pub struct RunInfo {
 pub struct Agents {
     /// Mean over all ticks.
     pub mean: Option<f64>,
-    /// Most in one tick.
+    /// Maximum over all ticks.
     pub max: Option<u64>,
 }
 
 /// Forecasts of single agents by quality.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct ForecastCounts {
-    /// The model's, of the same tick.
+    /// Forecast by the model at the same tick.
     pub learned: u64,
-    /// The model's, of an earlier tick and moved on.
+    /// Forecast by the model at an earlier tick and shifted in time.
     pub held: u64,
     /// Constant control.
     pub kinematic: u64,
-    /// Why forecasts were held or kinematic: `late`, `rejected`, `missing`, or `young`, which is no fault.
+    /// Forecasts that are held or kinematic by cause: `late`, `rejected`, `missing`, or `young`, which is no
+    /// fault.
     pub causes: BTreeMap<String, u64>,
     /// Ticks with a forecast that is not learned for another cause than `young`.
     pub degraded_ticks: u64,
@@ -139,14 +144,14 @@ pub struct ForecastCounts {
     pub age_ms_max: Option<f64>,
 }
 
-/// States of tracks by what moved them there.
+/// Track states by the prior that predicted them.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct PriorCounts {
     /// A forecast of an earlier tick, at most a step old.
     pub learned: u64,
     /// An older forecast.
     pub held: u64,
-    /// The process model alone.
+    /// The kinematic prior: the process model alone.
     pub kinematic: u64,
 }
 
@@ -159,37 +164,37 @@ pub struct Percentiles {
     pub p99: Option<f64>,
     /// 99.9th percentile, from 10,000 values up.
     pub p999: Option<f64>,
-    /// Greatest.
+    /// Maximum.
     pub max: Option<f64>,
 }
 
-/// One stage's share in the run.
+/// Times and losses of one stage.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct StageReport {
     /// The stage's name.
     pub name: String,
-    /// Its part of the 80 ms.
+    /// Its share of the tick limit of 80 ms.
     pub budget_ms: Option<f64>,
     /// Median of compute over budget.
     pub budget_share_p50: Option<f64>,
     /// 99th percentile of compute over budget.
     pub budget_share_p99: Option<f64>,
-    /// The input had come, but the stage was busy or waited for other input.
+    /// Time in which the input was there, but the stage was busy or waited for other input.
     pub waiting_ms: Percentiles,
-    /// Transport, scheduler and check of the frame.
+    /// Transport, scheduling and the check of the frame.
     pub wake_up_ms: Percentiles,
     /// Computation.
     pub compute_ms: Percentiles,
-    /// Handing over the output.
+    /// Writing the header and sending the output.
     pub publish_ms: Percentiles,
     /// Ticks that passed the stage on their way to the forecast.
     pub ticks: u64,
     /// Ticks whose compute exceeded the budget.
     pub late_ticks: u64,
-    /// Frames lost in this stage, by cause: `gap` (never arrived: the queue was full or the sender was gone) and
-    /// `refused` (impossible content). A frame lost before counts there only.
+    /// Frames lost in this stage, by cause: `gap` (never arrived: the queue was full or the sender had ended)
+    /// and `refused` (invalid content). A frame counts only in the stage that lost it first.
     pub drops: StageDrops,
-    /// How often the stage was started again.
+    /// Number of restarts.
     pub restarts: u32,
 }
 
@@ -216,56 +221,56 @@ pub struct Accuracy {
     /// Errors of all forecasts.
     #[serde(flatten)]
     pub errors: Errors,
-    /// Most draws of an agent, K.
+    /// Most modes of a forecast, K.
     pub draws: Option<u32>,
-    /// How far ahead the last step lies.
+    /// Time from the stamp to the last step.
     pub horizon_s: Option<f64>,
-    /// An end farther from the truth than this is a miss.
+    /// A forecast whose last position is farther from the truth is a miss.
     pub miss_radius_m: f64,
     /// Errors of the learned forecasts alone.
     pub learned: Errors,
     /// Errors by agent type.
     pub by_type: BTreeMap<String, Errors>,
-    /// Forecasts whose agent has no truth for the whole horizon: it left, or the run ended.
+    /// Forecasts whose agent has no truth for the whole horizon: it left the scene, or the run ended.
     pub uncovered: u64,
-    /// Forecasts of what is no agent of the truth: false alarms, or no truth near.
+    /// Forecasts that match no agent of the truth: false alarms, or no truth near.
     pub unmatched: u64,
 }
 
-/// Errors of a group of forecasts; constant velocity on the same agents beside them.
+/// Errors of a group of forecasts, and those of constant velocity for the same agents.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Errors {
     /// Forecasts compared.
     pub forecasts: u64,
-    /// Mean distance over the horizon, the best of the draws of each agent.
+    /// minADE_K: mean distance over the horizon of each forecast's best mode.
     pub ade_m: Option<f64>,
-    /// Distance at the end of the horizon, the best of the draws of each agent.
+    /// minFDE_K: distance at the end of the horizon of each forecast's best mode.
     pub fde_m: Option<f64>,
-    /// Share of forecasts none of whose draws ends within the miss radius.
+    /// Miss rate: share of forecasts none of whose modes ends within the miss radius.
     pub miss_rate: Option<f64>,
-    /// Mean distance of the single best forecast (K = 1).
+    /// ADE of the single best forecast (K = 1).
     pub single_ade_m: Option<f64>,
-    /// Distance at the end of the single best forecast.
+    /// FDE of the single best forecast.
     pub single_fde_m: Option<f64>,
-    /// Share of single best forecasts that miss.
+    /// Miss rate of the single best forecast.
     pub single_miss_rate: Option<f64>,
-    /// Mean distance of constant velocity.
+    /// ADE of constant velocity.
     pub cv_ade_m: Option<f64>,
-    /// Distance at the end of constant velocity.
+    /// FDE of constant velocity.
     pub cv_fde_m: Option<f64>,
-    /// Share of constant velocities that miss.
+    /// Miss rate of constant velocity.
     pub cv_miss_rate: Option<f64>,
 }
 
 /// A report file could not be written or read.
 #[derive(Debug, thiserror::Error)]
 pub enum ReportError {
-    /// The file system refused.
+    /// The file can't be read or written.
     #[error("{path}: {source}")]
     File {
         /// The report's path.
         path: String,
-        /// What the system said.
+        /// The system's error.
         source: std::io::Error,
     },
     /// The file holds no report of this version.
@@ -273,7 +278,7 @@ pub enum ReportError {
     Format {
         /// The report's path.
         path: String,
-        /// Where and why.
+        /// The place in the file and the reason.
         source: serde_json::Error,
     },
 }

@@ -1,4 +1,4 @@
-//! The recorder as a process: `forecasts` and `truth` in, a report and a file of forecasts out.
+//! The recorder as a process: reads `forecasts` and `truth`, writes a report and a file of forecasts.
 
 use std::io;
 use std::path::PathBuf;
@@ -46,7 +46,7 @@ pub fn run(run: &Run) -> Result<(), StageError> {
         if frame.header().has(flags::END) {
             break;
         }
-        // In lockstep the source waits for this sign before it releases the next tick.
+        // In lockstep the source waits for this heartbeat before it releases the next tick.
         if frame.header().has(flags::LOCKSTEP) && frame.header().is_tick() {
             stage.beat()?;
         }
@@ -65,7 +65,7 @@ fn count(stage: &mut Stage, header: &Header, topic: &'static str, result: Result
     }
 }
 
-/// Where the report of a run goes.
+/// Path of a run's report.
 #[must_use]
 pub fn report_path(run: &Run, options: &Options) -> PathBuf {
     options.report.clone().unwrap_or_else(|| run.root.join(REPORT))

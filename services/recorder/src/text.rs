@@ -1,4 +1,4 @@
-//! Numbers and bars as the reports show them.
+//! Numbers and bars of the report and the live table.
 
 /// A bar of `width` cells, filled to `share`, in steps of an eighth of a cell. Beyond 1 it ends in an arrow.
 pub(crate) fn bar(share: f64, width: usize) -> String {
@@ -37,6 +37,12 @@ pub(crate) fn percent(share: Option<f64>) -> String {
     }
 }
 
+/// A number in subscript digits, as in minADE₂₀.
+pub(crate) fn subscript(number: u32) -> String {
+    const DIGITS: [char; 10] = ['₀', '₁', '₂', '₃', '₄', '₅', '₆', '₇', '₈', '₉'];
+    number.to_string().chars().filter_map(|digit| Some(DIGITS[digit.to_digit(10)? as usize])).collect()
+}
+
 /// A count with commas between thousands.
 pub(crate) fn count(count: u64) -> String {
     let digits = count.to_string();
@@ -59,7 +65,7 @@ mod tests {
         assert_eq!(bar(0.5, 4), "██··");
         assert_eq!(bar(0.406_25, 4), "█▋··");
         assert_eq!(bar(0.0, 3), "···");
-        assert_eq!(bar(0.001, 3), "▏··", "little is not nothing");
+        assert_eq!(bar(0.001, 3), "▏··", "small shares are visible");
         assert_eq!(bar(1.0, 3), "███");
         assert_eq!(bar(1.01, 3), "██▶");
         for share in (0..=120).map(|i| f64::from(i) / 100.0) {
@@ -68,15 +74,16 @@ mod tests {
     }
 
     #[test]
-    fn numbers_have_three_digits() {
+    fn numbers_have_three_significant_digits() {
         let shown = [0.0, 0.052, 9.994, 9.996, 12.34, 99.96, 1234.5].map(|v| number(Some(v)));
         assert_eq!(shown, ["0.000", "0.052", "9.99", "10.0", "12.3", "100", "1234"]);
         assert_eq!(number(None), "–");
     }
 
     #[test]
-    fn shares_and_counts() {
+    fn shares_counts_and_subscripts_are_formatted() {
         assert_eq!([0.0, 0.031, 0.5, 1.0].map(|s| percent(Some(s))), ["0 %", "3.1 %", "50 %", "100 %"]);
+        assert_eq!(subscript(20), "₂₀");
         assert_eq!([0, 999, 1_000, 1_234_567].map(count), ["0", "999", "1,000", "1,234,567"]);
     }
 }

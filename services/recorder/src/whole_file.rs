@@ -1,15 +1,15 @@
-//! Files that appear whole or not at all.
+//! Files that appear complete or not at all.
 
 use std::fs::{self, File};
 use std::io::{self, BufWriter, Write};
 use std::os::fd::AsFd;
 use std::path::{Path, PathBuf};
 
-/// A file that takes its name only when it is finished.
+/// A file that gets its name when it is finished.
 ///
-/// Until then its content lies beside the target as `NAME.partial`; so a run that is cut off leaves the partial file
-/// and never a short one under the real name. [Standard output](is_standard_output) and
-/// what exists and is no regular file (a pipe, a device) are written directly. Of a link the target is written; the link stays.
+/// Until then its content lies beside the target as `NAME.partial`: an interrupted run leaves the partial
+/// file and never a short one under the real name. [Standard output](is_standard_output), pipes and devices
+/// are written directly. A link is kept; its target is replaced.
 #[derive(Debug)]
 pub struct WholeFile {
     output: BufWriter<File>,
@@ -20,7 +20,7 @@ impl WholeFile {
     /// Starts the file.
     ///
     /// # Errors
-    /// What the file system says.
+    /// The error of the file system.
     pub fn create(path: &Path) -> io::Result<Self> {
         if is_standard_output(path) {
             return Ok(Self::direct(io::stdout().as_fd().try_clone_to_owned()?.into()));
@@ -46,7 +46,7 @@ impl WholeFile {
     /// Writes what is buffered and gives the file its name.
     ///
     /// # Errors
-    /// What the file system says, such as a full disk.
+    /// The error of the file system, such as a full disk.
     pub fn finish(mut self) -> io::Result<()> {
         self.output.flush()?;
         match &self.rename {
@@ -66,7 +66,7 @@ impl Write for WholeFile {
     }
 }
 
-/// Whether a path stands for standard output: `-` or `/dev/stdout`.
+/// Whether a path names standard output: `-` or `/dev/stdout`.
 #[must_use]
 pub fn is_standard_output(path: &Path) -> bool {
     path == Path::new("-") || path == Path::new("/dev/stdout")
@@ -84,7 +84,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_name_appears_with_the_last_byte() {
+    fn the_file_gets_its_name_when_it_is_finished() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("a.jsonl");
         let mut file = WholeFile::create(&path).unwrap();
@@ -96,14 +96,14 @@ mod tests {
     }
 
     #[test]
-    fn a_missing_folder_is_an_error() {
+    fn a_folder_or_a_missing_folder_is_an_error() {
         let folder = tempfile::tempdir().unwrap();
         assert!(write(&folder.path().join("no/such/a.json"), b"").is_err());
         assert!(WholeFile::create(folder.path()).is_err(), "before anything is computed");
     }
 
     #[test]
-    fn a_link_keeps_pointing_at_its_target() {
+    fn a_link_is_kept_and_its_target_replaced() {
         let folder = tempfile::tempdir().unwrap();
         let [target, link] = ["a.json", "link"].map(|name| folder.path().join(name));
         fs::write(&target, b"old").unwrap();

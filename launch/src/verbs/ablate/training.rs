@@ -54,7 +54,7 @@ pub(super) fn train(variant: &Variant) -> Result<Trained, Failure> {
         (_, Some(_)) => eprintln!("{name}: was trained with other options, trains again"),
         _ => eprintln!("{name}: trains"),
     }
-    let file = |error: std::io::Error| Failure::file(&told, &error);
+    let file = |error: std::io::Error| Failure::file(&told, error);
     std::fs::create_dir_all(&options.checkpoints).map_err(file)?;
     std::fs::write(&told, serde_json::to_string_pretty(options).map_err(Failure::data)?).map_err(file)?;
     let run = TrainOptions {
@@ -65,7 +65,7 @@ pub(super) fn train(variant: &Variant) -> Result<Trained, Failure> {
     };
     match trainer::train(&run) {
         Ok(summary) => {
-            std::fs::rename(&run.out, &options.out).map_err(|error| Failure::file(&options.out, &error))?;
+            std::fs::rename(&run.out, &options.out).map_err(|error| Failure::file(&options.out, error))?;
             Ok(Trained::To(Box::new(summary.card)))
         }
         Err(error @ TrainError::Diverged { .. }) => {

@@ -1,4 +1,4 @@
-//! The whole pipeline as it is used: separate processes at 12.5 Hz, and what they cost beside their compute.
+//! The whole pipeline as separate processes at 12.5 Hz: latency, overhead and memory.
 
 use std::path::Path;
 use std::process::{Child, Command, Stdio};
@@ -11,26 +11,26 @@ use crate::arguments::{ModelArguments, SetArguments};
 use crate::failure::Failure;
 use crate::options::Setting;
 
-/// Ticks in a second.
+/// Ticks in two seconds.
 const RATE: u64 = 25;
 /// Agents of the scene.
 const AGENTS: u64 = 32;
-/// Time between two looks at the memory of the processes.
-const LOOK: Duration = Duration::from_millis(500);
+/// Interval between samples of the memory of the processes.
+const SAMPLE_INTERVAL: Duration = Duration::from_millis(500);
 
-/// Largest memory seen.
+/// Largest memory observed.
 #[derive(Default)]
 struct Memory {
     processes: usize,
     resident_kib: u64,
-    /// Shared pages divided among those who share them.
+    /// Resident memory with shared pages divided among their processes.
     proportional_kib: u64,
     shared_kib: u64,
 }
 
-/// Latency, overhead and memory of `seconds` at real-time rate, and a pipe's hop in the same run.
+/// Latency, overhead and memory of a run of `seconds` in real time, and the latency of a pipe in the same run.
 pub(super) fn table(model: &ModelArguments, set: &SetArguments, seconds: u64) -> Result<String, Failure> {
-    let unavailable = |error: std::io::Error| Failure::Unavailable(error.to_string());
+    let unavailable = |error: std::io::Error| Failure::unavailable(error);
     let report = std::env::temp_dir().join(format!("stgdat_bench_{}.json", std::process::id()));
     let mut command = Command::new(std::env::current_exe().map_err(unavailable)?);
     let ticks = (seconds * RATE).div_ceil(2).to_string();
@@ -47,10 +47,10 @@ pub(super) fn table(model: &ModelArguments, set: &SetArguments, seconds: u64) ->
     if !status.success() {
         return Err(Failure::Failed(format!("stgdat run: {status}")));
     }
-    let told = Report::read(&report).map_err(Failure::data);
+    let result = Report::read(&report).map_err(Failure::data);
     std::fs::remove_file(&report).map_err(unavailable)?;
     let mut hops_ms = pipe::hops_ms(100)?;
-    Ok(text(&told?, &memory, [percentile(&mut hops_ms, 0.5), percentile(&mut hops_ms, 0.99)]))
+    Ok(text(&result?, &memory, [percentile(&mut hops_ms, 0.5), percentile(&mut hops_ms, 0.99)]))
 }
 
 fn text(report: &Report, memory: &Memory, [hop_p50, hop_p99]: [f64; 2]) -> String {
@@ -79,12 +79,12 @@ fn text(report: &Report, memory: &Memory, [hop_p50, hop_p99]: [f64; 2]) -> Strin
     )
 }
 
-/// Looks at the run's processes until it ends.
+/// Samples the memory of the run's processes until it ends.
 fn watch(launcher: &mut Child) -> std::io::Result<Memory> {
     let mut most = Memory::default();
     while launcher.try_wait()?.is_none() {
-        std::thread::sleep(LOOK);
-        let now = look(launcher.id());
+        std::thread::sleep(SAMPLE_INTERVAL);
+        let now = sample(launcher.id());
         most.processes = most.processes.max(now.processes);
         most.resident_kib = most.resident_kib.max(now.resident_kib);
         most.proportional_kib = most.proportional_kib.max(now.proportional_kib);
@@ -93,8 +93,8 @@ fn watch(launcher: &mut Child) -> std::io::Result<Memory> {
     Ok(most)
 }
 
-/// Memory of a launcher's stages and of the shared memory that they map, now. What has just ended counts for nothing.
-fn look(launcher: u32) -> Memory {
+/// Memory of a launcher's stages and the shared memory that they map, now. Ended processes count as 0.
+fn sample(launcher: u32) -> Memory {
     let mut memory = Memory::default();
     let mut files = std::collections::BTreeMap::new();
     let path = format!("/proc/{launcher}/task/{launcher}/children");

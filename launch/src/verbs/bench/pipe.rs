@@ -1,4 +1,4 @@
-//! The yardstick for a hop between processes: 64 bytes there and back through two pipes.
+//! The reference for a hop between processes: 64 bytes there and back through two pipes.
 
 use std::io::{Read, Write};
 use std::process::{Command, Stdio};
@@ -6,13 +6,13 @@ use std::time::{Duration, Instant};
 
 use crate::failure::Failure;
 
-/// Milliseconds that one way took, for each of `pings` at 12.5 Hz.
+/// One-way latency in ms of each of `pings` at 12.5 Hz.
 pub(super) fn hops_ms(pings: usize) -> Result<Vec<f64>, Failure> {
-    let unavailable = |error: std::io::Error| Failure::Unavailable(format!("cat: {error}"));
+    let unavailable = |error: std::io::Error| Failure::unavailable_about("cat", error);
     let mut echo =
         Command::new("cat").stdin(Stdio::piped()).stdout(Stdio::piped()).spawn().map_err(unavailable)?;
     let pipes = echo.stdin.take().zip(echo.stdout.take());
-    let (mut there, mut back) = pipes.ok_or_else(|| Failure::Unavailable("cat: no pipes".into()))?;
+    let (mut there, mut back) = pipes.ok_or_else(|| Failure::unavailable("cat: no pipes"))?;
     let mut message = [7_u8; 64];
     let mut hops_ms = Vec::with_capacity(pings);
     for _ in 0..pings {

@@ -31,7 +31,7 @@ struct Measured {
     agents: f64,
     /// Milliseconds per tick of each of [`STAGES`].
     times_ms: [Vec<f64>; 6],
-    /// Multiply-adds of all ticks of each of [`STAGES`], where the model tells them.
+    /// Multiply-adds of all ticks of each of [`STAGES`], where the model reports them.
     multiply_adds: [Option<f64>; 6],
 }
 

@@ -29,8 +29,8 @@ impl Work {
         Ok(Self { config: weights.config().clone(), cnn })
     }
 
-    /// Multiply-adds of a steady tick in tracker, localiser, extractor, encoder, decoder and sampler; none for those
-    /// whose work is no matrix product.
+    /// Multiply-adds of a steady tick in tracker, localiser, extractor, encoder, decoder and sampler; none
+    /// for those whose work is no matrix product.
     pub(super) fn tick(&self, load: &Load) -> [Option<f64>; 6] {
         let mlp = |input: usize, output: usize| HIDDEN * (input + 2 * HIDDEN + output);
         let state = load.nodes_len * mlp(STATE_FEATURES, STATE_EMBEDDING);

@@ -1,14 +1,14 @@
 use trainer::{Errors, ModelCard, SetScore};
 
-/// A card with what is to be told of its file.
+/// A card with facts of its file.
 pub(super) struct Row {
-    /// The file's name, which stands in for a recipe that the card does not name.
+    /// The file's name, shown where the card names no recipe.
     pub(super) stem: String,
     pub(super) card: ModelCard,
     pub(super) bytes: u64,
 }
 
-/// Several cards, a row each: what training took, and how the weights did in validation.
+/// Several cards, a row each: cost of the training and validation errors.
 pub(super) fn text(rows: &[Row]) -> String {
     let mut text = "ADE / FDE in m over the model's horizon, mean of all agents that validated, online map.\n\n\
                     | recipe | best update | seed | windows | agents | minutes | peak MiB | machine | best of 20 | K = 1 | file, MiB |\n\

@@ -14,9 +14,9 @@ use crate::failure::Failure;
 /// Arguments of `stgdat plot scene`.
 #[derive(Debug, Args)]
 pub struct Arguments {
-    /// The recording; its agents must carry identities
+    /// Recording whose agents carry identities
     recording: PathBuf,
-    /// The recording's format; found out where not given
+    /// Format of the recording; detected if not given
     #[arg(long)]
     format: Option<Format>,
     /// Times to show, in seconds from the recording's start, a panel each
@@ -28,16 +28,16 @@ pub struct Arguments {
         conflicts_with = "best_worst"
     )]
     at: Vec<f64>,
-    /// Show the N agents that were forecast best and the N that were forecast worst, a panel each
+    /// Show the N agents with the smallest and the N with the largest errors, a panel each
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=16))]
     best_worst: Option<u16>,
-    /// Agents to show the forecast of; all where not given
+    /// Agents whose forecasts are shown; by default all
     #[arg(long, value_name = "IDS", value_delimiter = ',', conflicts_with = "best_worst")]
     agents: Vec<u64>,
-    /// The picture, .svg or .png; named after the recording where not given
+    /// Output file, .svg or .png; by default named after the recording
     #[arg(long, value_name = "FILE")]
     out: Option<PathBuf>,
-    /// What the mask of the forecast distribution stands for
+    /// Meaning of the mask of the forecast distribution
     #[arg(long, value_enum, default_value_t)]
     mask: MaskChoice,
     /// Draw the map's mean velocities as arrows
@@ -55,7 +55,7 @@ pub struct Arguments {
     /// Height of a panel relative to its width
     #[arg(long, value_name = "RATIO", default_value_t = SceneOptions::default().height_per_width)]
     ratio: f64,
-    /// Least part of the world that a panel shows, in metres; the usual one of the agents' types where not given
+    /// Least extent of a panel in metres; by default that of the agents' types
     #[arg(long, value_name = "METRES")]
     extent: Option<f64>,
     #[command(flatten)]

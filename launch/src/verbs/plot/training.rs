@@ -9,20 +9,20 @@ use crate::failure::Failure;
 /// Arguments of `stgdat plot training`.
 #[derive(Debug, Args)]
 pub struct Arguments {
-    /// The log that `stgdat train` writes beside its checkpoints
+    /// Log that `stgdat train` writes beside its checkpoints
     #[arg(value_name = "LOG.jsonl")]
     log: PathBuf,
-    /// The picture, .svg or .png
+    /// Output file, .svg or .png
     #[arg(long, value_name = "FILE")]
     out: PathBuf,
-    /// What stands above it; the name of the log's folder where not given
+    /// Title; by default the name of the log's folder
     #[arg(long)]
     title: Option<String>,
 }
 
 /// Draws the learning curves of a training.
 pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
-    let path = arguments.log.canonicalize().map_err(|error| Failure::file(&arguments.log, &error))?;
+    let path = arguments.log.canonicalize().map_err(|error| Failure::file(&arguments.log, error))?;
     let log = TrainingLog::read(&path).map_err(Failure::data)?;
     let folder = path.parent().and_then(|folder| folder.file_name());
     let title = arguments.title.clone().or_else(|| Some(folder?.to_string_lossy().into_owned()));

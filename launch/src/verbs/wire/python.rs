@@ -1,4 +1,5 @@
-//! The table as a module for Python: structures of ctypes with the type names that iceoryx2 asks for, and dtypes of numpy.
+//! The table as a module for Python: structures of ctypes with the type names that iceoryx2 asks for, and
+//! dtypes of numpy.
 
 use std::collections::BTreeMap;
 use std::fmt::Write as _;

@@ -45,15 +45,15 @@ fn forecast(source_id: u64, tick: i64, y_m: f32) -> Forecast {
     forecast
 }
 
-/// Plays `ticks` of truth, with what `forecasts` tells of each.
-fn play(ticks: i64, truths: impl Fn(i64) -> Vec<Truth>, forecasts: impl Fn(i64) -> Vec<Forecast>) -> Judge {
-    let mut judge = Judge::default();
+/// Plays `ticks` of truth with the forecasts of each.
+fn play(ticks: i64, truths: impl Fn(i64) -> Vec<Truth>, forecasts: impl Fn(i64) -> Vec<Forecast>) -> Scorer {
+    let mut scorer = Scorer::default();
     for tick in 0..ticks {
-        judge.truth(&header(tick, 0), &truths(tick)).unwrap();
+        scorer.truth(&header(tick, 0), &truths(tick)).unwrap();
         let forecasts = forecasts(tick);
-        judge.forecasts(&header(tick, forecasts.len()), &forecasts);
+        scorer.forecasts(&header(tick, forecasts.len()), &forecasts);
     }
-    judge
+    scorer
 }
 
 fn close(found: Option<f64>, expected: f64) {
@@ -62,9 +62,9 @@ fn close(found: Option<f64>, expected: f64) {
 }
 
 #[test]
-fn a_straight_line_is_judged_exactly() {
-    let judge = play(100, |tick| vec![truth(7, tick, 2.0)], |tick| vec![forecast(7, tick, 2.0)]);
-    let accuracy = judge.accuracy();
+fn exact_forecasts_have_no_error() {
+    let scorer = play(100, |tick| vec![truth(7, tick, 2.0)], |tick| vec![forecast(7, tick, 2.0)]);
+    let accuracy = scorer.accuracy();
     assert_eq!(accuracy.errors.forecasts, 100 - HORIZON_TICKS as u64);
     close(accuracy.errors.ade_m, 0.0);
     close(accuracy.errors.fde_m, 0.0);
@@ -79,14 +79,14 @@ fn a_straight_line_is_judged_exactly() {
 }
 
 #[test]
-fn known_offsets_come_back() {
+fn known_offsets_are_the_errors() {
     // Without the exact mode the best is 3 m off; constant velocity at 9 m/s loses 1 m a second.
-    let judge = play(
+    let scorer = play(
         100,
         |tick| vec![truth(7, tick, 2.0)],
         |tick| vec![Forecast { modes_len: 1, vx_mps: 9.0, ..forecast(7, tick, 2.0) }],
     );
-    let errors = judge.accuracy().errors;
+    let errors = scorer.accuracy().errors;
     close(errors.ade_m, 3.0);
     close(errors.fde_m, 3.0);
     close(errors.miss_rate, 1.0);
@@ -98,44 +98,44 @@ fn known_offsets_come_back() {
 #[test]
 fn steps_between_recorded_truths_are_interpolated() {
     // Every third tick has truth (240 ms): only every fifth step falls on one.
-    let judge = play(
+    let scorer = play(
         120,
         |tick| if tick % 3 == 0 { vec![truth(7, tick, 2.0)] } else { Vec::new() },
         |tick| if tick == 1 { vec![forecast(7, tick, 2.0)] } else { Vec::new() },
     );
-    let errors = judge.accuracy().errors;
+    let errors = scorer.accuracy().errors;
     assert_eq!(errors.forecasts, 1);
     close(errors.ade_m, 0.0);
 }
 
 #[test]
-fn without_identities_the_nearest_of_the_type_counts() {
-    let judge = play(
+fn without_identities_the_nearest_of_the_type_is_matched() {
+    let scorer = play(
         100,
         |tick| vec![truth(1, tick, 0.0), truth(2, tick, 5.0)],
         |tick| vec![forecast(0, tick, 5.5), forecast(0, tick, 2.3)],
     );
-    let accuracy = judge.accuracy();
+    let accuracy = scorer.accuracy();
     assert_eq!(accuracy.unmatched, 100 - HORIZON_TICKS as u64, "2.3 m and more from all agents");
     close(accuracy.errors.ade_m, 0.5);
 }
 
 #[test]
 fn an_agent_that_leaves_is_not_scored() {
-    let judge = play(
+    let scorer = play(
         100,
         |tick| if tick < 30 { vec![truth(7, tick, 2.0)] } else { Vec::new() },
         |tick| if tick < 30 { vec![forecast(7, tick, 2.0)] } else { Vec::new() },
     );
-    let accuracy = judge.accuracy();
+    let accuracy = scorer.accuracy();
     assert_eq!((accuracy.errors.forecasts, accuracy.draws), (0, None));
     assert_eq!(accuracy.errors.ade_m, None);
     assert_eq!(accuracy.uncovered + accuracy.unmatched, 30);
 }
 
 #[test]
-fn learned_forecasts_are_also_counted_alone() {
-    let judge = play(
+fn learned_forecasts_have_errors_of_their_own() {
+    let scorer = play(
         100,
         |tick| vec![truth(7, tick, 2.0)],
         |tick| {
@@ -148,20 +148,20 @@ fn learned_forecasts_are_also_counted_alone() {
             vec![if tick % 2 == 0 { forecast(7, tick, 2.0) } else { fallback }]
         },
     );
-    let accuracy = judge.accuracy();
+    let accuracy = scorer.accuracy();
     close(accuracy.learned.ade_m, 0.0);
     close(accuracy.errors.ade_m, 1.5);
     assert_eq!(accuracy.learned.forecasts * 2, accuracy.errors.forecasts);
 }
 
 #[test]
-fn asking_in_between_changes_nothing() {
-    let mut asked = Judge::default();
-    let mut left_alone = Judge::default();
+fn reading_the_errors_changes_nothing() {
+    let mut asked = Scorer::default();
+    let mut left_alone = Scorer::default();
     for tick in 0..200 {
-        for judge in [&mut asked, &mut left_alone] {
-            judge.truth(&header(tick, 0), &[truth(7, tick, 2.0)]).unwrap();
-            judge.forecasts(&header(tick, 1), &[forecast(7, tick, 2.5)]);
+        for scorer in [&mut asked, &mut left_alone] {
+            scorer.truth(&header(tick, 0), &[truth(7, tick, 2.0)]).unwrap();
+            scorer.forecasts(&header(tick, 1), &[forecast(7, tick, 2.5)]);
         }
         let _ = asked.accuracy();
     }
@@ -171,7 +171,7 @@ fn asking_in_between_changes_nothing() {
 #[test]
 fn queues_stay_bounded_with_and_without_truth() {
     let bound = (HORIZON_TICKS + (GAP_MAX_NS + LAG_MAX_NS) / TICK_NS + 2) as usize;
-    let mut without_truth = Judge::default();
+    let mut without_truth = Scorer::default();
     for tick in 0..10_000 {
         without_truth.forecasts(&header(tick, 1), &[forecast(7, tick, 2.0)]);
         assert!(without_truth.waiting_len() <= bound, "{} ticks wait", without_truth.waiting_len());

@@ -1,15 +1,15 @@
-//! Where each agent really was, for as long as a forecast may still ask.
+//! True positions of all agents, kept as long as a waiting forecast may need them.
 
 use std::collections::{BTreeMap, VecDeque};
 
 use metrics::Point;
 use wire::{Rejected, Truth};
 
-/// Longest gap between two truths of an agent that is bridged by a straight line. Annotations at 2.5 Hz are 0.4 s apart.
+/// Longest gap between two samples of an agent that is interpolated. Annotations at 2.5 Hz are 0.4 s apart.
 pub const GAP_MAX_NS: i64 = 500_000_000;
-/// Most truths kept of one agent.
+/// Most samples kept of one agent.
 const SAMPLES_MAX: usize = 512;
-/// Most agents kept; truths of further ones are not.
+/// Most agents kept; further ones are ignored.
 const AGENTS_MAX: usize = 4_096;
 
 #[derive(Clone, Copy, Debug)]
@@ -25,7 +25,7 @@ struct Path {
 }
 
 impl Path {
-    /// The position at `stamp_ns`: as recorded, or on the line between two truths at most [`GAP_MAX_NS`] apart.
+    /// The position at `stamp_ns`: as recorded, or between two samples at most [`GAP_MAX_NS`] apart.
     fn at(&self, stamp_ns: i64) -> Option<Point> {
         let after = self.samples.partition_point(|sample| sample.stamp_ns < stamp_ns);
         let next = self.samples.get(after)?;
@@ -54,10 +54,11 @@ pub struct Paths {
 }
 
 impl Paths {
-    /// Adds what was there at `stamp_ns`.
+    /// Adds the truth at `stamp_ns`.
     ///
     /// # Errors
-    /// [`Rejected`] where a position is not finite or the stamp is not after the last one; nothing is added then.
+    /// [`Rejected`] where a position is not finite or the stamp is not after the last one; nothing is added
+    /// then.
     pub fn add(&mut self, stamp_ns: i64, truths: &[Truth]) -> Result<(), Rejected> {
         if let Some(last_ns) = self.newest_ns.filter(|&last_ns| stamp_ns <= last_ns) {
             return Err(Rejected::NotNewer { stamp_ns, last_ns });
@@ -91,7 +92,7 @@ impl Paths {
         self.newest_ns
     }
 
-    /// Forgets what no question about `stamp_ns` or later needs.
+    /// Removes samples that no position at `stamp_ns` or later depends on.
     pub fn forget_before(&mut self, stamp_ns: i64) {
         let oldest_ns = stamp_ns.saturating_sub(GAP_MAX_NS);
         self.paths.retain(|_, path| {
@@ -102,18 +103,18 @@ impl Paths {
         });
     }
 
-    /// Whether anything is known of the agent.
+    /// Whether there are samples of the agent.
     pub fn knows(&self, id: u64) -> bool {
         self.paths.contains_key(&id)
     }
 
-    /// Where agent `id` was at `stamp_ns`, if the truth covers it.
+    /// The position of agent `id` at `stamp_ns`, if the truth covers it.
     pub fn at(&self, id: u64, stamp_ns: i64) -> Option<Point> {
         self.paths.get(&id)?.at(stamp_ns)
     }
 
-    /// The agent of a type that was nearest to `position_m` at `stamp_ns`, at most `radius_m` away; the smaller identity
-    /// of two at the same distance.
+    /// The agent of a type nearest to `position_m` at `stamp_ns`, at most `radius_m` away; of two at the same
+    /// distance the one with the smaller identity.
     pub fn nearest(&self, agent_type: u32, position_m: Point, stamp_ns: i64, radius_m: f32) -> Option<u64> {
         let distance_m = |[x, y]: Point| (x - position_m[0]).hypot(y - position_m[1]);
         self.paths
@@ -150,7 +151,7 @@ mod tests {
     }
 
     #[test]
-    fn between_two_truths_lies_a_straight_line() {
+    fn positions_are_interpolated_and_not_extrapolated() {
         let paths = paths(&[(0, &[truth(1, 0.0)]), (400_000_000, &[truth(1, 4.0)])]);
         assert_eq!(paths.at(1, 100_000_000), Some([1.0, 0.0]));
         assert_eq!(paths.at(1, 400_000_000), Some([4.0, 0.0]));
@@ -160,13 +161,13 @@ mod tests {
     }
 
     #[test]
-    fn a_long_absence_is_not_bridged() {
+    fn long_gaps_are_not_interpolated() {
         let paths = paths(&[(0, &[truth(1, 0.0)]), (GAP_MAX_NS + 1, &[truth(1, 4.0)])]);
         assert_eq!(paths.at(1, 100), None);
     }
 
     #[test]
-    fn the_nearest_of_the_same_type_within_the_radius_is_taken() {
+    fn the_nearest_of_the_type_within_the_radius_matches() {
         let cyclist = Truth { agent_type: 1, ..truth(9, 0.1) };
         let paths = paths(&[(0, &[truth(1, 1.5), truth(2, -1.0), cyclist])]);
         assert_eq!(paths.nearest(0, [0.0, 0.0], 0, 2.0), Some(2));
@@ -175,7 +176,7 @@ mod tests {
     }
 
     #[test]
-    fn old_and_impossible_truth_is_refused_whole() {
+    fn stale_or_invalid_truth_is_refused_as_a_whole() {
         let mut paths = paths(&[(TICK_NS, &[truth(1, 0.0)])]);
         assert_eq!(
             paths.add(TICK_NS, &[truth(1, 1.0)]),
@@ -186,7 +187,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_forgotten_leaves_no_trace() {
+    fn forgotten_samples_free_their_memory() {
         let mut paths = Paths::default();
         for tick in 0..1_000 {
             paths.add(tick * TICK_NS, &[truth(tick as u64, 0.0)]).unwrap();

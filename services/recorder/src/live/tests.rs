@@ -67,17 +67,17 @@ fn drawn(view: &LiveView, width: u16, height: u16) -> Terminal<TestBackend> {
 }
 
 #[test]
-fn the_table_shows_what_happens() {
+fn the_table_has_latencies_losses_and_restarts() {
     insta::assert_snapshot!(drawn(&running(), 104, 20).backend());
 }
 
 #[test]
-fn a_run_that_has_not_begun_has_rows() {
+fn stages_have_rows_before_the_first_tick() {
     insta::assert_snapshot!(drawn(&view(), 80, 14).backend());
 }
 
 #[test]
-fn any_size_of_terminal_is_served() {
+fn any_terminal_size_can_be_drawn() {
     let view = running();
     for (width, height) in [(1, 1), (5, 40), (20, 3), (200, 60)] {
         drawn(&view, width, height);
@@ -85,7 +85,7 @@ fn any_size_of_terminal_is_served() {
 }
 
 #[test]
-fn a_plain_line_tells_the_same() {
+fn the_plain_line_has_the_same_numbers() {
     assert_eq!(
         running().plain_line(),
         "tick 155/500  12.4 s  end to end p50 18.0 ms, p99 24.0 ms  forecasts 2 learned, 1 held, 0 kinematic  \
@@ -103,7 +103,7 @@ fn the_window_is_bounded() {
 }
 
 #[test]
-fn stages_that_fell_silent_are_told_from_living_ones() {
+fn silent_stages_are_marked() {
     let alive = |stage| running().stages().into_iter().find(|(s, _)| *s == stage).map(|(_, row)| row.alive);
     assert_eq!(alive(StageId::Source), Some(Some(true)));
     assert_eq!(alive(StageId::Tracker), Some(Some(false)));

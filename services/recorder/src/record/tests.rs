@@ -132,7 +132,7 @@ fn known_hops_give_exact_percentiles() {
 }
 
 #[test]
-fn a_void_tick_that_came_late_is_not_lost() {
+fn a_late_void_tick_is_not_lost() {
     let mut recorder = recorder();
     for seq in 0..100 {
         let in_order = header(seq, 1, &whole_chain(2));
@@ -155,7 +155,7 @@ fn the_report_has_the_keys_that_scripts_rely_on() {
 }
 
 #[test]
-fn what_is_unknown_is_null() {
+fn unknown_values_are_null() {
     let json: serde_json::Value =
         serde_json::from_str(&Recorder::new(RecorderOptions::default()).report().to_json()).unwrap();
     assert_eq!(json["ticks"], 0);
@@ -168,7 +168,7 @@ fn what_is_unknown_is_null() {
 }
 
 #[test]
-fn a_report_comes_back_from_its_file() {
+fn a_report_can_be_read_from_its_file() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("report.json");
     let report = eventful();
@@ -180,7 +180,7 @@ fn a_report_comes_back_from_its_file() {
 }
 
 #[test]
-fn late_is_beyond_the_interval_or_the_limit() {
+fn ticks_beyond_the_interval_or_the_limit_are_late() {
     let mut recorder = recorder();
     let mut fast = header(0, 0, &whole_chain(7));
     fast.interval_ns = 40 * MS;
@@ -194,7 +194,7 @@ fn late_is_beyond_the_interval_or_the_limit() {
 }
 
 #[test]
-fn gaps_are_drops_and_the_end_tells_of_the_last() {
+fn gaps_are_drops_also_before_the_end_frame() {
     let mut recorder = recorder();
     for seq in [1, 2, 5] {
         recorder.forecasts(&header(seq, 0, &whole_chain(1)), &[]).unwrap();
@@ -208,14 +208,14 @@ fn gaps_are_drops_and_the_end_tells_of_the_last() {
 }
 
 #[test]
-fn a_recorder_that_comes_late_counts_from_its_first_tick() {
+fn a_recorder_started_late_counts_from_its_first_tick() {
     let mut recorder = Recorder::new(RecorderOptions::default());
     recorder.forecasts(&header(500, 0, &whole_chain(1)), &[]).unwrap();
     assert_eq!(recorder.report().drops, 0);
 }
 
 #[test]
-fn impossible_frames_change_nothing_but_a_count() {
+fn invalid_frames_are_only_counted() {
     let mut recorder = recorder();
     recorder.forecasts(&header(0, 1, &whole_chain(1)), &[learned()]).unwrap();
     let short = recorder.forecasts(&header(1, 2, &whole_chain(1)), &[learned()]);
@@ -229,7 +229,7 @@ fn impossible_frames_change_nothing_but_a_count() {
 }
 
 #[test]
-fn the_link_before_the_first_tick_counts_nowhere() {
+fn warm_up_frames_are_not_counted() {
     let mut recorder = recorder();
     let link = Header { flags: flags::WARM_UP, ..header(0, 0, &whole_chain(70)) };
     recorder.truth(&link, &[]).unwrap();

@@ -6,7 +6,7 @@ fn widest(text: &str) -> usize {
 }
 
 #[test]
-fn an_eventful_run_fits_eighty_columns() {
+fn an_eventful_run_fits_80_columns() {
     let text = eventful().render(80);
     assert!(widest(&text) <= 80 + "  restarted 1×".chars().count(), "{text}");
     insta::assert_snapshot!(text);
@@ -18,12 +18,12 @@ fn a_wide_terminal_shows_every_phase() {
 }
 
 #[test]
-fn a_run_without_a_tick_says_so() {
+fn a_run_without_ticks_is_empty() {
     insta::assert_snapshot!(Recorder::new(RecorderOptions::default()).report().render(80));
 }
 
 #[test]
-fn any_width_is_served() {
+fn any_width_can_be_rendered() {
     let mut report: Report = eventful();
     report.end_to_end_ms.p999 = Some(20.0);
     for width in 0..200 {
