@@ -4,6 +4,7 @@ use std::path::Path;
 use config::PipelineError;
 use miette::GraphicalReportHandler;
 use nn::WeightsError;
+use onboard::ChainError;
 use ports::{PortError, SpaceError, StageError};
 use recorder::is_standard_output;
 use run::{Exit, OptionError};
@@ -118,6 +119,17 @@ impl From<PortError> for Failure {
 impl From<OptionError> for Failure {
     fn from(error: OptionError) -> Self {
         Self::Config(error.to_string())
+    }
+}
+
+impl From<ChainError> for Failure {
+    fn from(error: ChainError) -> Self {
+        match error {
+            ChainError::Weights(error) => Self::data(error),
+            ChainError::Start(error) => Self::data(error),
+            ChainError::Options(error) => error.into(),
+            ChainError::Stage(error) => error.into(),
+        }
     }
 }
 
