@@ -34,8 +34,8 @@ impl Chain {
 
     /// Takes a tick through all stages; `passed` is called after each of them.
     ///
-    /// A tick that the tracker refuses, or that came late, has no forecasts; one that a later stage refuses has those of the
-    /// sampler's fallback.
+    /// A tick that the tracker refuses, or that came late, has no forecasts; one that a later stage refuses
+    /// has those of the sampler's fallback.
     pub fn tick(
         &mut self,
         header: &Header,

@@ -44,7 +44,8 @@ impl FeaturesToControls {
         })
     }
 
-    /// Takes the features of a tick to controls; `passed` is called after each stage. Without features there are none.
+    /// Takes the features of a tick to controls; `passed` is called after each stage. Without features there
+    /// are none.
     ///
     /// # Errors
     /// [`Rejected`] where a stage refuses the tick.

@@ -40,7 +40,8 @@ impl TracksToForecasts {
         }
     }
 
-    /// Forecasts the tracks of a tick, in their order, with the header of the forecasts; `passed` is called after each stage.
+    /// Forecasts the tracks of a tick, in their order, with the header of the forecasts; `passed` is called
+    /// after each stage.
     ///
     /// A tick that a stage before the sampler refuses has the sampler's fallback.
     ///

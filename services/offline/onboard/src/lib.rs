@@ -1,5 +1,5 @@
-//! The compute stages in one process: the same steps on the same settings as in a run of processes, so that forecasts are
-//! equal to the bit.
+//! The compute stages in one process: the same steps on the same settings as in a run of processes, so that
+//! forecasts are equal to the bit.
 //!
 //! ```text
 //! detections ─ tracker ─┬─ localiser ─ extractor ─┬─ encoder ─ decoder ─┬─ sampler ─ forecasts
@@ -9,8 +9,8 @@
 //!
 //! * [`Chain`] is the whole pipeline: `stgdat predict`, `track` and `bench` run it.
 //! * [`TracksToForecasts`] is its part from a `tracks` payload on.
-//! * [`TracksToFeatures`] and [`FeaturesToControls`] are the parts of that. The first depends on the ticks before, the second
-//!   on the tick alone, so that evaluations can share its ticks among threads.
+//! * [`TracksToFeatures`] and [`FeaturesToControls`] are the parts of that. The first depends on the ticks
+//!   before, the second on the tick alone, so that evaluations can share its ticks among threads.
 
 mod chain;
 mod controls;
