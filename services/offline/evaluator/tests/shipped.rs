@@ -3,6 +3,7 @@
 
 #![expect(clippy::unwrap_used, reason = "a test that cannot go on should panic")]
 
+use data::sets::{DataSet, Fold, Part};
 use data::{GeneratedScene, Recording, SceneOptions};
 use evaluator::{Cut, Forecast, Forecaster, MapInput, Scene, TracksPayload, Variants};
 use nn::Weights;
@@ -90,15 +91,15 @@ fn generated_traffic_of_all_types_is_forecast_as_shipped() {
 #[test]
 fn recorded_agents_of_each_type_are_forecast_as_shipped() {
     let recordings = [
-        ("eth_ucy", data::sets::DataSet::EthUcyFold(data::sets::Fold::Hotel), AgentType::Pedestrian),
-        ("sdd", data::sets::DataSet::SddRaw, AgentType::Cyclist),
-        ("interaction", data::sets::DataSet::Interaction, AgentType::Vehicle),
+        ("eth_ucy", DataSet::EthUcyFold(Fold::Hotel), Part::Test, AgentType::Pedestrian),
+        ("sdd", DataSet::SddRaw, Part::Train, AgentType::Cyclist),
+        ("interaction", DataSet::Interaction, Part::Test, AgentType::Vehicle),
     ];
-    for (folder, set, of_type) in recordings {
+    for (folder, set, part, of_type) in recordings {
         if public_recording(folder).is_none() {
             continue;
         }
-        let files = set.files(&testing::recordings_folder(), data::sets::Part::Test).unwrap();
+        let files = set.files(&testing::recordings_folder(), part).unwrap();
         let recordings = files.iter().map(|file| data::open(file, Some(set.format())).unwrap());
         let len = recordings.take(8).map(|recording| same(&recording, of_type)).find(|len| *len > 0);
         assert!(len.is_some(), "no {of_type:?} in {folder}");
