@@ -5,6 +5,7 @@ use std::path::Path;
 use config::PipelineError;
 use miette::GraphicalReportHandler;
 use nn::WeightsError;
+use onboard::ChainError;
 use ports::{PortError, SpaceError, StageError};
 use recorder::is_standard_output;
 use run::{Exit, OptionError};
@@ -175,6 +176,17 @@ impl Failure {
             source = error.source();
         }
         text
+    }
+}
+
+impl From<ChainError> for Failure {
+    fn from(error: ChainError) -> Self {
+        match error {
+            ChainError::Weights(error) => Self::data(error),
+            ChainError::Start(error) => Self::data(error),
+            ChainError::Options(error) => error.into(),
+            ChainError::Stage(error) => error.into(),
+        }
     }
 }
 

@@ -3,7 +3,6 @@
 //! Each verb is a module of [`verbs`]. `stgdat` without a verb is `stgdat run`.
 
 mod arguments;
-mod chain;
 mod child;
 mod contenders;
 #[cfg(test)]

@@ -2,11 +2,11 @@
 
 use bytemuck::Zeroable;
 use model::ModelConfig;
+use onboard::Chain;
 use run::Run;
 use tracker::{Prior, Tracker};
 use wire::{AGENTS_MAX, Detection, Header, Track};
 
-use crate::chain::Chain;
 use crate::failure::Failure;
 
 /// What of the pipeline it takes to make tracks: the same steps on the same settings as in a run.
@@ -57,7 +57,7 @@ impl Tracking {
     pub fn keep_memory(&self, run: &Run) -> Result<(), Failure> {
         match self {
             Self::Alone { .. } => Ok(()),
-            Self::InChain(chain) => chain.keep_memory(run),
+            Self::InChain(chain) => Ok(chain.keep_memory(run)?),
         }
     }
 }

@@ -2,12 +2,12 @@ use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 
 use clap::Args;
+use onboard::Chain;
 use recorder::{ForecastWriter, is_standard_output};
 use run::Exit;
 use source::Playback;
 
 use crate::arguments::{PlaybackArguments, Played};
-use crate::chain::Chain;
 use crate::failure::Failure;
 
 /// Arguments of `stgdat predict`.
@@ -27,7 +27,7 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
     let played = play(&arguments.out, &mut playback, &mut chain);
     let kept = chain.keep_memory(&run);
     played?;
-    kept.map(|()| Exit::Done)
+    Ok(kept.map(|()| Exit::Done)?)
 }
 
 /// Writes the forecasts of all ticks.

@@ -4,11 +4,13 @@
 //! from N(0, I), all equally probable, that depend on seed, track and tick alone. Beside them stands the
 //! single best forecast.
 
+mod base;
 mod draws;
 mod options;
 pub mod stage;
 mod unroll;
 
+pub use base::BaseDecoder;
 pub use nn::StartError;
 use nn::{ModelConfig, Weights, WeightsError, Workers};
 pub use options::{Options, STAGE};

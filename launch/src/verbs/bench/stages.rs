@@ -4,13 +4,13 @@ use std::time::Instant;
 
 use data::{GeneratedScene, SceneOptions};
 use nn::ContextCnn;
+use onboard::Chain;
 use run::Run;
 use source::{Playback, PlaybackOptions};
 use wire::StageId;
 
 use super::work::Work;
 use super::{Arguments, percentile};
-use crate::chain::Chain;
 use crate::failure::Failure;
 use crate::options::StageOptions;
 

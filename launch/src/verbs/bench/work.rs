@@ -1,12 +1,12 @@
 //! Multiply-adds of a tick, counted from the model's layers: only those whose result is used, not padding.
 
 use nn::{ContextCnn, ModelConfig, Weights};
+use onboard::Load;
 use wire::{
     CONTEXT_EMBEDDING, EDGE_ATTRIBUTES, LATENT, NODE_ATTRIBUTES, RELATION_FEATURES, STATE_EMBEDDING,
     STATE_FEATURES, TEMPORAL,
 };
 
-use crate::chain::Load;
 use crate::failure::Failure;
 
 /// Units of the hidden layers and of the GRU.

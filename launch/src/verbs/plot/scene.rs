@@ -83,7 +83,7 @@ enum MaskChoice {
 pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
     let (_, weights) = arguments.model.open_weights(None)?;
     let recording = data::open(&arguments.recording, arguments.format).map_err(Failure::data)?;
-    let forecaster = Forecaster::new(&weights, arguments.seed).map_err(Failure::data)?;
+    let forecaster = Forecaster::new(weights, arguments.seed).map_err(Failure::data)?;
     let site = match &arguments.model.map {
         Some(MapChoice::File(path)) => Some(ContextMap::load(path).map_err(Failure::data)?),
         _ => None,

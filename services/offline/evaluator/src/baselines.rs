@@ -7,7 +7,7 @@ use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use scene::AgentType;
 
-use crate::forecaster::{Forecast, Recalled};
+use crate::forecaster::{Forecast, Variants};
 use crate::{Agent, Cut, Method, Scene};
 
 /// Agents of a type that anchors are fitted to, at most; spread evenly over the training part.
@@ -61,22 +61,18 @@ impl Baselines {
         &self,
         scene: &Scene,
         agent: &Agent,
-        forecast: &Forecast,
+        forecast: &Variants,
     ) -> [Candidate; Method::ALL.len()] {
         Method::ALL.map(|method| self.candidate(method, scene, agent, forecast))
     }
 
-    fn candidate(&self, method: Method, scene: &Scene, agent: &Agent, forecast: &Forecast) -> Candidate {
+    fn candidate(&self, method: Method, scene: &Scene, agent: &Agent, forecast: &Variants) -> Candidate {
         let (history, dt_s, horizon_len) = (&agent.history[..], self.dt_s, self.horizon_len);
         let single = |single| Candidate { single, ..Candidate::default() };
         match method {
-            Method::Network => Candidate {
-                modes: forecast.modes.clone(),
-                probability: Some(forecast.probability.clone()),
-                single: Some(forecast.best.clone()),
-            },
-            Method::Recalling => of_recalled(forecast.recalled.as_ref()),
-            Method::Revisiting => of_recalled(forecast.revisited.as_ref()),
+            Method::Network => of_forecast(Some(&forecast.network)),
+            Method::Recalling => of_forecast(forecast.retrieved.as_ref()),
+            Method::Revisiting => of_forecast(forecast.warm_started.as_ref()),
             Method::Base => forecast.base.as_ref().map_or_else(Candidate::default, |base| Candidate {
                 modes: base.modes.clone(),
                 probability: None,
@@ -114,10 +110,10 @@ impl Baselines {
     }
 }
 
-fn of_recalled(recalled: Option<&Recalled>) -> Candidate {
-    recalled.map_or_else(Candidate::default, |recalled| Candidate {
-        modes: recalled.paths.modes.clone(),
-        probability: Some(recalled.probability.clone()),
-        single: Some(recalled.paths.best.clone()),
+fn of_forecast(forecast: Option<&Forecast>) -> Candidate {
+    forecast.map_or_else(Candidate::default, |forecast| Candidate {
+        modes: forecast.modes.clone(),
+        probability: Some(forecast.probability.clone()),
+        single: Some(forecast.best.clone()),
     })
 }

@@ -1,5 +1,6 @@
 use data::ReadError;
 use nn::WeightsError;
+use onboard::ChainError;
 use thiserror::Error;
 
 /// Why nothing could be evaluated.
@@ -31,6 +32,14 @@ pub enum EvaluateError {
         path: String,
         /// What is wrong with it.
         source: WeightsError,
+    },
+    /// The stages that run on board can't run the weights.
+    #[error("{path}: {source}")]
+    Stages {
+        /// The file.
+        path: String,
+        /// What is wrong.
+        source: ChainError,
     },
     /// The model is of another kind than the data set asks for.
     #[error("{path}: the model has {own}, {set} is told in {wanted}")]

@@ -1,26 +1,28 @@
-//! The forecaster: the model's layers on whole scenes, without the pipeline around them.
+//! Forecasts of windows by the stages that run on board.
 //!
-//! The layers and equations are those that run on board; what differs is only where scenes come from. Neighbours are
-//! all agents within the model's edge radius, however many there are.
+//! A window becomes a `tracks` payload, which the shipped stages take to `forecasts` payloads: this crate has
+//! no path of its own. What differs from a run is what comes before: recorded states in place of a tracker's
+//! estimates.
 
-mod encode;
-
-use kinematics::Normals;
+use bytemuck::Zeroable;
+use data::Recording;
+use decoder::BaseDecoder;
 use metrics::Point;
-use nn::{
-    AgentDraws, ContextCnn, ContextMemory, Decoder, DecoderGroup, Encoded, Gdat, GdatMemory, MlpMemory,
-    ModelConfig, RelationMlp, StateMlp, Weights, WeightsError,
-};
-use retrieval::{ControlAdapter, ControlChanges, ForecastControls, Retrieved};
-use scene::{EdgeRule, FeatureScales, PatchOptions};
-use wire::{CONTEXT_EMBEDDING, ControlGaussian, LATENT, STATE_FEATURES, TEMPORAL};
+use nn::{ModelConfig, Weights};
+use onboard::{ChainError, FeatureFrame, FeaturesToControls, TracksToFeatures, TracksToForecasts};
+use retrieval::RetrievalMemory;
+use run::{Run, StageRun};
+use sampler::Sampler;
+use wire::{AgentControls, Forecast as Payload, Header, Track};
 
-use crate::motion;
-use crate::tracking::Hypotheses;
-use crate::{Agent, Scene};
-use encode::Encoding;
+use crate::maps::MapInput;
+use crate::tracks::{Publisher, TracksPayload};
+use crate::{Crowding, Scene, threads};
 
-/// What is forecast for one agent.
+/// Windows that are decoded together before the samplers go on: bounds the memory.
+pub(crate) const TOGETHER: usize = 32;
+
+/// What is forecast for one agent, off a `forecasts` payload.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Forecast {
     /// The K modes.
@@ -31,278 +33,410 @@ pub struct Forecast {
     pub covariance: Vec<Vec<[f32; 3]>>,
     /// The single best forecast (K = 1).
     pub best: Vec<Point>,
-    /// The base control with the network switched off, where the model has one, ridge regression and anchors: baseline B*.
-    pub base: Option<Paths>,
-    /// The same forecast with what the place's memory tells, where it tells anything.
-    pub recalled: Option<Recalled>,
-    /// The same with a memory that began with what earlier recordings showed.
-    pub revisited: Option<Recalled>,
 }
 
-/// A forecast with what the memory of the place tells.
+/// The forecasts of one agent by the same controls with different retrieval memories.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Recalled {
-    /// Where it leads.
-    pub paths: Paths,
-    /// The probability of each mode.
-    pub probability: Vec<f32>,
-    /// Covariances of each mode's positions, as those of [`Forecast`].
-    pub covariance: Vec<Vec<[f32; 3]>>,
+pub struct Variants {
+    /// Without retrieval.
+    pub network: Forecast,
+    /// With the network switched off, where the model has base controls: ridge regression and anchors,
+    /// baseline B*.
+    pub base: Option<Forecast>,
+    /// With the memory of the recording alone.
+    pub retrieved: Option<Forecast>,
+    /// With a memory that began with earlier recordings, where there is one.
+    pub warm_started: Option<Forecast>,
 }
 
-/// What the decoder says of an agent.
-#[derive(Clone, Debug, PartialEq)]
-pub(crate) struct Said {
-    /// Of each mode, then of the best forecast where the model has one of its own, step by step.
-    controls: Vec<Vec<ControlGaussian>>,
-    /// Base controls, \[mode, step\], those of the best forecast behind the modes; empty where the model has none.
-    base: Vec<[f32; 2]>,
-    /// The probability of each mode.
-    probability: Vec<f32>,
-}
-
-/// Where modes and a single best forecast lead.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Paths {
-    /// The K modes.
-    pub modes: Vec<Vec<Point>>,
-    /// The single best forecast (K = 1).
-    pub best: Vec<Point>,
-}
-
-/// The networks of a weights file.
+/// A model, ready to forecast windows.
 pub struct Forecaster {
-    config: ModelConfig,
-    rule: EdgeRule,
-    scales: FeatureScales,
-    state_mlp: StateMlp,
-    relation_mlp: RelationMlp,
-    /// None where nodes carry no context.
-    context: Option<ContextCnn>,
-    gdat: Gdat,
-    decoder: Decoder,
-    seed: u64,
+    weights: Weights,
+    run: Run,
 }
 
-/// Scratch memory of a [`Forecaster`]; each thread has its own.
-#[derive(Default)]
-pub struct ForecasterMemory {
-    mlp: MlpMemory,
-    gdat: GdatMemory,
-    encoding: Encoding,
-    group: DecoderGroup,
+/// The stages up to the decoder over the windows of one recording, in time order.
+pub(crate) struct Session {
+    features: TracksToFeatures,
+    networks: Vec<Network>,
+    frames: Vec<FeatureFrame>,
+    publisher: Publisher,
 }
 
-/// Wanted agents of a scene, all of one type.
-struct Wanted<'a> {
-    agents: &'a [usize],
-    scene: &'a Scene,
-    encoding: &'a Encoding,
-    seed: u64,
+/// Encoder and decoder of a thread, and the decoder with its network switched off.
+struct Network {
+    controls: FeaturesToControls,
+    base: Option<BaseDecoder>,
 }
 
-impl Encoded for Wanted<'_> {
-    fn agents_len(&self) -> usize {
-        self.agents.len()
-    }
+/// A window up to its controls.
+pub(crate) struct Decoded {
+    pub(crate) payload: TracksPayload,
+    pub(crate) controls: Vec<AgentControls>,
+    /// Of the agents that count alone.
+    base: Vec<AgentControls>,
+    /// Tracks of the agents that count, by their place among the tracks.
+    counting: Vec<usize>,
+    /// Edges that the frame had no room for.
+    edges_left_out: usize,
+}
 
-    fn state(&self, agent: usize, step: usize) -> Option<[f32; STATE_FEATURES]> {
-        self.encoding.state(step, self.agents[agent])
-    }
-
-    fn temporal(&self, agent: usize) -> [f32; TEMPORAL] {
-        self.encoding.temporal[self.agents[agent]]
-    }
-
-    fn draw(&self, agent: usize, latents: &mut [[f32; LATENT]]) {
-        let id = self.scene.agents[self.agents[agent]].id;
-        let mut normals = Normals::new(self.seed, id, self.scene.stamp_ns as u64);
-        latents.as_flattened_mut().fill_with(|| normals.draw());
-    }
+/// A sampler for each of the variants.
+pub(crate) struct Samplers {
+    network: Sampler,
+    base: Sampler,
+    retrieved: Sampler,
+    warm_started: Option<Sampler>,
+    horizon_len: usize,
 }
 
 impl Forecaster {
-    /// Reads the networks; `seed` is that of latent variables where the model draws them from N(0, I).
+    /// Checks that the stages can run the weights; `seed` is that of latent variables where the model draws
+    /// them.
     ///
     /// # Errors
-    /// [`WeightsError`] where the weights do not hold the model.
-    pub fn new(weights: &Weights, seed: u64) -> Result<Self, WeightsError> {
-        let config = weights.config().clone();
-        Ok(Self {
-            rule: EdgeRule {
-                radius_m: config.edge_radius_m,
-                pedestrian_radius_m: config.pedestrian_edge_radius_m.unwrap_or(config.edge_radius_m),
-                neighbours_max: usize::MAX,
-            },
-            scales: FeatureScales { position: config.position_scale, velocity: config.velocity_scale },
-            state_mlp: StateMlp::new(weights)?,
-            relation_mlp: RelationMlp::new(weights)?,
-            context: config.context.then(|| ContextCnn::new(weights)).transpose()?,
-            gdat: Gdat::new(weights)?,
-            decoder: Decoder::new(weights)?,
-            seed,
-            config,
-        })
+    /// [`ChainError`] where the weights do not hold the model, or it does not fit the payloads.
+    pub fn new(weights: Weights, seed: u64) -> Result<Self, ChainError> {
+        let run = Run { lockstep: true, seed, ..Run::default() };
+        let forecaster = Self { weights, run };
+        FeaturesToControls::new(&forecaster.weights, decoder::stage::settings(&forecaster.run)?)?;
+        forecaster.tracks_to_features(MapInput::None, 1)?;
+        Ok(forecaster)
     }
 
     /// The model's options.
     #[must_use]
     pub const fn config(&self) -> &ModelConfig {
-        &self.config
+        self.weights.config()
     }
 
-    /// The patches that the model reads, where it reads any.
+    /// The weights.
     #[must_use]
-    pub fn patch_options(&self) -> Option<PatchOptions> {
-        let options = PatchOptions {
-            side: self.config.patch_size,
-            cell_m: self.config.patch_cell_m,
-            ahead_m: self.config.patch_ahead_m,
-        };
-        self.config.context.then_some(options)
+    pub const fn weights(&self) -> &Weights {
+        &self.weights
     }
 
-    /// Context embeddings CE of patches that lie one after the other; none where the model reads no map.
+    /// An empty retrieval memory.
     #[must_use]
-    pub fn embed_patches(&self, patches: &[f32]) -> Vec<[f32; CONTEXT_EMBEDDING]> {
-        let (Some(cnn), Some(options)) = (&self.context, self.patch_options()) else { return Vec::new() };
-        let mut embeddings = vec![[0.0; CONTEXT_EMBEDDING]; patches.len() / options.len()];
-        cnn.embed(patches, &mut ContextMemory::default(), &mut embeddings);
-        embeddings
+    pub fn memory(&self) -> RetrievalMemory {
+        RetrievalMemory::new(self.config().horizon_len, self.config().step_ns())
     }
 
-    /// Forecasts the agents of a scene whose places are `wanted`, in that order; all agents are seen.
+    /// Forecasts the agents of a recording's scenes, which come in time order, without retrieval: by scene
+    /// and by place in it, `None` for agents that are absent.
     ///
-    /// `context` gives the context embedding of an agent (its place) at a history step.
-    ///
-    /// # Panics
-    /// Where a wanted agent does not exist or is absent at the newest step.
+    /// Only scenes whose number is `wanted` are forecast; the others have no entries.
+    #[must_use]
     pub fn forecast(
         &self,
-        scene: &Scene,
-        context: impl Fn(usize, usize) -> [f32; CONTEXT_EMBEDDING],
-        wanted: &[usize],
-        memory: &mut ForecasterMemory,
-    ) -> Vec<Forecast> {
-        let said = self.say(scene, context, wanted, memory);
-        wanted
-            .iter()
-            .zip(&said)
-            .map(|(&agent, said)| self.lead(&scene.agents[agent], said, [None; 2]))
-            .collect()
-    }
-
-    /// What the decoder says of each wanted agent, which [`Forecaster::lead`] makes a forecast of.
-    pub(crate) fn say(
-        &self,
-        scene: &Scene,
-        context: impl Fn(usize, usize) -> [f32; CONTEXT_EMBEDDING],
-        wanted: &[usize],
-        memory: &mut ForecasterMemory,
-    ) -> Vec<Said> {
-        let mut said = vec![None; wanted.len()];
-        self.decode(scene, context, wanted, memory, |place, _, draws| {
-            said[place] = Some(Said {
-                controls: (0..draws.draws_len()).map(|draw| draws.controls(draw).collect()).collect(),
-                base: draws.base.to_vec(),
-                probability: draws.probability.to_vec(),
-            });
-        });
-        said.into_iter().flatten().collect()
-    }
-
-    /// As [`Forecaster::lead`], the controls of each mode as they act instead of where they lead.
-    pub(crate) fn steer(&self, agent: &Agent, said: &Said, changes: Option<&ControlChanges>) -> Hypotheses {
-        let (model, controls) = (motion::model(agent, &self.config), self.controls(said));
-        let acting = |control: ControlGaussian| motion::acting(&model, &control);
-        let (probability, controls) = match changes {
-            Some(changes) => {
-                let modes = 0..controls.modes.len();
-                let steps = modes.flat_map(|mode| changes.mode(mode, &controls).map(acting));
-                (changes.probability(), steps.collect())
-            }
-            None => (&said.probability[..], controls.modes.iter().flatten().copied().map(acting).collect()),
-        };
-        Hypotheses {
-            heading_rad: f64::from(model.frame_heading_rad()),
-            probability: probability.iter().map(|&p| f64::from(p)).collect(),
-            controls,
-        }
-    }
-
-    /// Hands out what the decoder says of each wanted agent, by its place among them.
-    fn decode(
-        &self,
-        scene: &Scene,
-        context: impl Fn(usize, usize) -> [f32; CONTEXT_EMBEDDING],
-        wanted: &[usize],
-        memory: &mut ForecasterMemory,
-        mut say: impl FnMut(usize, &Agent, AgentDraws<'_>),
-    ) {
-        self.encode(scene, context, memory);
-        for of_type in wire::AGENT_TYPES {
-            let is_of_type = |place: &usize| scene.agents[wanted[*place]].agent_type == of_type;
-            let places: Vec<usize> = (0..wanted.len()).filter(is_of_type).collect();
-            for places in places.chunks(DecoderGroup::LEN) {
-                let agents: Vec<usize> = places.iter().map(|&place| wanted[place]).collect();
-                let ForecasterMemory { encoding, group, .. } = memory;
-                let encoded = Wanted { agents: &agents, scene, encoding, seed: self.seed };
-                group.decode(self.decoder.of(of_type), &self.config, &encoded);
-                for (number, (&place, &agent)) in places.iter().zip(&agents).enumerate() {
-                    say(place, &scene.agents[agent], group.draws(number));
+        recording: &Recording,
+        scenes: &[Scene],
+        map: MapInput<'_>,
+        threads: usize,
+        wanted: impl Fn(usize) -> bool,
+    ) -> Vec<Vec<Option<Forecast>>> {
+        let mut session = Session::new(self, recording, map, threads);
+        let mut sampler = self.sampler(false);
+        let mut forecasts = Vec::with_capacity(scenes.len());
+        for (part, scenes) in scenes.chunks(TOGETHER).enumerate() {
+            let decoded = session.decode(scenes, |number| wanted(part * TOGETHER + number), |_| Vec::new());
+            for (scene, decoded) in scenes.iter().zip(decoded) {
+                let mut of_scene = Vec::new();
+                if let Some(decoded) = decoded {
+                    of_scene.resize(scene.agents.len(), None);
+                    let TracksPayload { header, tracks, places, .. } = &decoded.payload;
+                    let payloads = sample(&mut sampler, header, tracks, &decoded.controls);
+                    for (&place, payload) in places.iter().zip(&payloads) {
+                        of_scene[place] = Some(Forecast::of(payload, self.config().horizon_len));
+                    }
                 }
+                forecasts.push(of_scene);
             }
         }
+        forecasts
     }
 
-    /// The forecast that is said of an agent, and what it becomes by what is retrieved for it, if anything: from a memory of the
-    /// recording alone, and from one that began before.
-    pub(crate) fn lead(
+    /// The `tracks` payloads of a recording's scenes, which come in time order.
+    #[must_use]
+    pub fn payloads(&self, recording: &Recording, scenes: &[Scene]) -> Vec<TracksPayload> {
+        let mut publisher = Publisher::new(self.header(), recording);
+        scenes.iter().map(|scene| publisher.next(scene)).collect()
+    }
+
+    /// Forecasts the complete agents of a recording's scenes, which come in time order, without and with
+    /// retrieval: by scene, with their places in it. `memory` is what the warm-started forecasts retrieve
+    /// from at first.
+    #[must_use]
+    pub fn variants(
         &self,
-        agent: &Agent,
-        said: &Said,
-        [recalled, revisited]: [Option<&Retrieved>; 2],
-    ) -> Forecast {
-        let (model, controls) = (motion::model(agent, &self.config), self.controls(said));
-        let (modes_len, steps_len) = (controls.modes.len(), self.config.horizon_len);
-        let base = said.base.chunks_exact(steps_len);
-        let mut of_base: Vec<_> =
-            base.map(|steps| motion::positions(&model, steps.iter().copied(), steps_len)).collect();
-        let base = of_base.pop().map(|best| Paths { modes: of_base, best });
-        let with = |retrieved: &Retrieved| {
-            let mut changes = ControlChanges::default();
-            ControlAdapter::default().adapt(retrieved, &model, &controls, &mut changes);
-            let mode = |mode| motion::spread(&model, changes.mode(mode, &controls), steps_len);
-            let (modes, covariance) = (0..modes_len).map(mode).unzip();
-            let best = motion::positions(&model, changes.best(&controls), steps_len);
-            let probability = changes.probability().to_vec();
-            Recalled { paths: Paths { modes, best }, probability, covariance }
+        recording: &Recording,
+        scenes: &[Scene],
+        map: MapInput<'_>,
+        threads: usize,
+        memory: Option<RetrievalMemory>,
+    ) -> Vec<Vec<(usize, Variants)>> {
+        let mut session = Session::new(self, recording, map, threads);
+        let mut samplers = Samplers::new(self, memory);
+        let part = |scenes: &[Scene]| {
+            let decoded: Vec<_> =
+                session.decode(scenes, |_| true, Scene::complete).into_iter().flatten().collect();
+            samplers.forecast(&decoded, threads)
         };
-        let (recalled, revisited) = (recalled.map(with), revisited.map(with));
-        let mode = |steps: &Vec<ControlGaussian>| motion::spread(&model, steps.iter().copied(), steps_len);
-        let (modes, covariance) = controls.modes.iter().map(mode).unzip();
-        let best = self.lead_best(agent, said);
-        Forecast { modes, probability: said.probability.clone(), covariance, best, base, recalled, revisited }
+        scenes.chunks(TOGETHER).flat_map(part).collect()
     }
 
-    /// Where the single best forecast that is said of an agent leads.
-    pub(crate) fn lead_best(&self, agent: &Agent, said: &Said) -> Vec<Point> {
-        let means = self.best(said).iter().map(|control| control.mean);
-        motion::positions(&motion::model(agent, &self.config), means, self.config.horizon_len)
+    /// Fills a memory with a recording as its forecasts would have stored it, and ends the session.
+    pub fn visit(
+        &self,
+        recording: &Recording,
+        scenes: &[Scene],
+        map: MapInput<'_>,
+        threads: usize,
+        memory: &mut RetrievalMemory,
+    ) {
+        let mut session = Session::new(self, recording, map, threads);
+        let mut sampler = self.sampler(true);
+        sampler.warm_start(memory.clone());
+        for scenes in scenes.chunks(TOGETHER) {
+            for decoded in session.decode(scenes, |_| true, |_| Vec::new()).iter().flatten() {
+                let TracksPayload { header, tracks, .. } = &decoded.payload;
+                sample(&mut sampler, header, tracks, &decoded.controls);
+            }
+        }
+        if let Some(filled) = sampler.memory() {
+            *memory = filled.clone();
+        }
+        memory.end_session();
     }
 
-    /// The controls that are said of an agent.
-    pub(crate) fn controls<'a>(&self, said: &'a Said) -> ForecastControls<'a, Vec<ControlGaussian>> {
-        ForecastControls {
-            modes: &said.controls[..self.config.modes],
-            probability: &said.probability,
-            best: self.best(said),
+    /// The stages from `tracks` on, with a memory to retrieve from if there is one.
+    pub(crate) fn stages(&self, map: MapInput<'_>, memory: Option<RetrievalMemory>) -> TracksToForecasts {
+        let mut sampler = self.sampler(memory.is_some());
+        memory.into_iter().for_each(|memory| sampler.warm_start(memory));
+        let stages = self.tracks_to_features(map, 1).and_then(|features| {
+            let controls = FeaturesToControls::new(&self.weights, decoder::stage::settings(&self.run)?)?;
+            Ok(TracksToForecasts::of_stages(features, controls, sampler))
+        });
+        stages.expect("stages that started before start again")
+    }
+
+    /// The sampler of a run with or without retrieval.
+    pub(crate) fn sampler(&self, retrieval: bool) -> Sampler {
+        let options = sampler::Options { retrieval, ..sampler::Options::default() };
+        let stage = StageRun::with_options(&sampler::STAGE, &options).expect("the stage's own options");
+        let run = Run { stages: vec![stage], ..self.run.clone() };
+        sampler::stage::open(&run, self.config()).expect("a sampler without a file opens")
+    }
+
+    fn tracks_to_features(&self, map: MapInput<'_>, workers: usize) -> Result<TracksToFeatures, ChainError> {
+        let map = if self.config().context { map } else { MapInput::None };
+        self.config().check_frames().map_err(nn::WeightsError::from)?;
+        let localiser = localiser::LocaliserOptions {
+            map: map.source(),
+            ..localiser::stage::settings(&self.run, self.config())?
+        };
+        let extractor = extractor::ExtractorOptions { workers };
+        Ok(TracksToFeatures::new(&self.weights, localiser, extractor)?)
+    }
+
+    /// The header of a recording's first tick.
+    pub(crate) fn header(&self) -> Header {
+        let mut header = Header { step_ns: self.config().step_ns(), ..Header::new(1, 0, 0) };
+        header.counts.history_len = self.config().history_len as u32;
+        header
+    }
+}
+
+impl Session {
+    /// Stages that have seen nothing of a recording; so many threads share their work.
+    pub(crate) fn new(
+        forecaster: &Forecaster,
+        recording: &Recording,
+        map: MapInput<'_>,
+        threads: usize,
+    ) -> Self {
+        let threads = threads.clamp(1, nn::WORKERS_MAX);
+        let network = || {
+            let options = decoder::stage::settings(&forecaster.run)?;
+            let controls = FeaturesToControls::new(&forecaster.weights, options)?;
+            Ok::<_, ChainError>(Network { controls, base: BaseDecoder::new(&forecaster.weights)? })
+        };
+        let started = "stages that started before start again";
+        Self {
+            features: forecaster.tracks_to_features(map, threads).expect(started),
+            networks: (0..threads).map(|_| network().expect(started)).collect(),
+            frames: Vec::new(),
+            publisher: Publisher::new(forecaster.header(), recording),
         }
     }
 
-    /// The controls of the single best forecast: its own, or those of the likeliest mode.
-    fn best<'a>(&self, said: &'a Said) -> &'a [ControlGaussian] {
-        let likeliest = metrics::most_likely(&said.probability).unwrap_or(0);
-        said.controls.get(self.config.modes).unwrap_or(&said.controls[likeliest])
+    /// Takes the next scenes, and those that are `wanted` to their controls; `counts` names the agents, by
+    /// their place in a scene, whose forecasts are of interest.
+    pub(crate) fn decode(
+        &mut self,
+        scenes: &[Scene],
+        wanted: impl Fn(usize) -> bool,
+        counts: impl Fn(&Scene) -> Vec<usize>,
+    ) -> Vec<Option<Decoded>> {
+        self.frames.resize_with(self.frames.len().max(scenes.len()), FeatureFrame::default);
+        let mut begun = Vec::with_capacity(scenes.len());
+        for (number, scene) in scenes.iter().enumerate() {
+            let payload = self.publisher.next(scene);
+            let frame = &mut self.frames[number];
+            let is_refused = self.features.step(&payload.header, &payload.tracks, frame, |_| ()).is_err();
+            let edges_left_out = self.features.effort().edges_dropped;
+            let counting = if wanted(number) { counts(scene) } else { Vec::new() };
+            let counting = (0..payload.places.len())
+                .filter(|&track| counting.contains(&payload.places[track]))
+                .collect();
+            let decoded =
+                Decoded { payload, controls: Vec::new(), base: Vec::new(), counting, edges_left_out };
+            begun.push((wanted(number).then_some(decoded), is_refused));
+        }
+        let numbers: Vec<usize> = (0..scenes.len()).collect();
+        let made = threads::each_with(&numbers, &mut self.networks, |&number, network| {
+            match (&begun[number], &self.frames[number]) {
+                ((Some(decoded), false), frame) => network.step(frame, decoded),
+                _ => (Vec::new(), Vec::new()),
+            }
+        });
+        let filled = begun.into_iter().zip(made).map(|((decoded, _), (controls, base))| {
+            let decoded = decoded?;
+            Some(Decoded { controls, base, ..decoded })
+        });
+        filled.collect()
+    }
+}
+
+impl Network {
+    /// The controls of a tick, and the base controls of the agents that count.
+    fn step(&mut self, frame: &FeatureFrame, decoded: &Decoded) -> (Vec<AgentControls>, Vec<AgentControls>) {
+        let Ok(made) = self.controls.step(frame, |_| ()) else { return (Vec::new(), Vec::new()) };
+        let base = self.base.iter_mut().flat_map(|base| {
+            decoded.counting.iter().map(|&track| base.controls(&made.encodings[track])).collect::<Vec<_>>()
+        });
+        (made.controls.to_vec(), base.collect())
+    }
+}
+
+impl Samplers {
+    /// Samplers of a recording; `memory` is what the warm-started one begins with.
+    pub(crate) fn new(forecaster: &Forecaster, memory: Option<RetrievalMemory>) -> Self {
+        let warm_started = memory.map(|memory| {
+            let mut sampler = forecaster.sampler(true);
+            sampler.warm_start(memory);
+            sampler
+        });
+        Self {
+            network: forecaster.sampler(false),
+            base: forecaster.sampler(false),
+            retrieved: forecaster.sampler(true),
+            warm_started,
+            horizon_len: forecaster.config().horizon_len,
+        }
+    }
+
+    /// What the warm-started sampler's memory holds by now.
+    pub(crate) fn memory(&self) -> Option<&RetrievalMemory> {
+        self.warm_started.as_ref()?.memory()
+    }
+
+    /// The forecasts of the agents that count, with their places in the scene: scene by scene. An agent is
+    /// missing where a sampler refuses the payload.
+    pub(crate) fn forecast(&mut self, decoded: &[Decoded], threads: usize) -> Vec<Vec<(usize, Variants)>> {
+        let Self { network, base, retrieved, warm_started, horizon_len } = self;
+        let alone = |decoded: &Decoded| decoded.counting_tracks();
+        let mut without_retrieval = || {
+            let forecast = |decoded: &Decoded| {
+                let (header, tracks) = (&decoded.payload.header, alone(decoded));
+                let network = sample(network, header, &tracks, &decoded.controls);
+                let base = if decoded.base.is_empty() {
+                    Vec::new()
+                } else {
+                    sample(base, header, &tracks, &decoded.base)
+                };
+                [network, base].map(|payloads| forecasts(&payloads, *horizon_len))
+            };
+            decoded.iter().map(forecast).collect::<Vec<_>>()
+        };
+        let with_retrieval = |sampler: Option<&mut Sampler>| {
+            let Some(sampler) = sampler else { return vec![Vec::new(); decoded.len()] };
+            let forecast = |decoded: &Decoded| {
+                let TracksPayload { header, tracks, .. } = &decoded.payload;
+                let payloads = sample(sampler, header, tracks, &decoded.controls);
+                let counting = decoded.counting.iter().filter_map(|&track| payloads.get(track));
+                counting.map(|payload| Forecast::of(payload, *horizon_len)).collect::<Vec<_>>()
+            };
+            decoded.iter().map(forecast).collect::<Vec<_>>()
+        };
+        let (without, retrieved, warm_started) = if threads < 2 {
+            (without_retrieval(), with_retrieval(Some(retrieved)), with_retrieval(warm_started.as_mut()))
+        } else {
+            std::thread::scope(|scope| {
+                let retrieved = scope.spawn(|| with_retrieval(Some(retrieved)));
+                let warm_started = scope.spawn(|| with_retrieval(warm_started.as_mut()));
+                (without_retrieval(), threads::joined(retrieved), threads::joined(warm_started))
+            })
+        };
+        let with = retrieved.into_iter().zip(warm_started);
+        let all = decoded.iter().zip(without).zip(with);
+        all.map(|((decoded, [network, base]), (retrieved, warm_started))| {
+            let [mut base, mut retrieved, mut warm_started] =
+                [base, retrieved, warm_started].map(Vec::into_iter);
+            let variants = decoded.counting.iter().zip(network).map(|(&track, network)| {
+                let (base, retrieved) = (base.next(), retrieved.next());
+                let variants = Variants { network, base, retrieved, warm_started: warm_started.next() };
+                (decoded.payload.places[track], variants)
+            });
+            variants.collect()
+        })
+        .collect()
+    }
+}
+
+impl Decoded {
+    /// What the stages did not see of the window, counted.
+    pub(crate) fn crowding(&self) -> Crowding {
+        let (agents_len, edges_len) = (self.payload.left_out as u64, self.edges_left_out as u64);
+        Crowding { windows_len: u64::from(agents_len + edges_len > 0), agents_len, edges_len }
+    }
+
+    fn counting_tracks(&self) -> Vec<Track> {
+        self.counting.iter().map(|&track| self.payload.tracks[track]).collect()
+    }
+}
+
+impl Forecast {
+    /// What a payload contains, with so many steps.
+    ///
+    /// # Panics
+    /// Where the payload has fewer.
+    #[must_use]
+    pub fn of(payload: &Payload, horizon_len: usize) -> Self {
+        let modes = 0..payload.modes_len as usize;
+        Self {
+            modes: modes.clone().map(|mode| payload.modes[mode][..horizon_len].to_vec()).collect(),
+            probability: payload.probability[modes.clone()].to_vec(),
+            covariance: modes.map(|mode| payload.mode_covariance[mode][..horizon_len].to_vec()).collect(),
+            best: payload.best[..horizon_len].to_vec(),
+        }
+    }
+}
+
+fn forecasts(payloads: &[Payload], horizon_len: usize) -> Vec<Forecast> {
+    payloads.iter().map(|payload| Forecast::of(payload, horizon_len)).collect()
+}
+
+/// A forecast per track; none where the sampler refuses the payload.
+fn sample(
+    sampler: &mut Sampler,
+    header: &Header,
+    tracks: &[Track],
+    controls: &[AgentControls],
+) -> Vec<Payload> {
+    let mut payloads = vec![Payload::zeroed(); tracks.len()];
+    match sampler.learned(header, tracks, controls, &mut payloads) {
+        Ok(()) => payloads,
+        Err(_) => Vec::new(),
     }
 }

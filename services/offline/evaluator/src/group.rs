@@ -3,7 +3,7 @@
 use metrics::{Interval, PairedErrors, paired_bootstrap, paired_bootstrap_ratio};
 
 use crate::judge::Block;
-use crate::{Measure, Method, Subset, Tally};
+use crate::{Crowding, Measure, Method, Subset, Tally};
 
 /// Resamples of an interval.
 pub(crate) const RESAMPLES: usize = 1000;
@@ -49,7 +49,11 @@ impl Group {
     pub fn pooled(part: &str, groups: &[&Self]) -> Self {
         let (subset, unit) = groups.first().map_or((Subset::All, "m"), |group| (group.subset, group.unit));
         let blocks = groups.iter().flat_map(|group| group.blocks.iter().cloned()).collect();
-        Self::of_tallies(part, subset, unit, horizons_len(groups.iter().map(|group| &group.total)), blocks)
+        let horizons_len = horizons_len(groups.iter().map(|group| &group.total));
+        let mut pooled = Self::of_tallies(part, subset, unit, horizons_len, blocks);
+        // What payloads had no room for is reported with the parts.
+        pooled.total.crowding = Crowding::default();
+        pooled
     }
 
     /// The same errors in another unit, so many of which make a metre.
@@ -72,15 +76,15 @@ impl Group {
         Self { part: part.to_owned(), subset, unit, total, blocks }
     }
 
-    /// How our ADE and FDE compare with those of `theirs` on the same agents; `None` where they have none, or where
-    /// there is a single block, which tells nothing of how sure that is.
+    /// How our ADE and FDE compare with those of `theirs` on the same agents; `None` where they have none, or
+    /// where there is a single block, which tells nothing of how sure that is.
     #[must_use]
     pub fn compare(&self, theirs: Method, measure: Measure, horizon: usize) -> Option<[Contrast; 2]> {
         self.contrasts(self, theirs, measure, horizon)
     }
 
-    /// How the errors of this group's model compare with those of another model on the same blocks; `None` where the
-    /// blocks are not the same, or as in [`Self::compare`].
+    /// How the errors of this group's model compare with those of another model on the same blocks; `None`
+    /// where the blocks are not the same, or as in [`Self::compare`].
     #[must_use]
     pub fn beside(&self, other: &Self, measure: Measure, horizon: usize) -> Option<[Contrast; 2]> {
         let agents_len = |group: &Self| group.blocks.iter().map(|block| block.agents_len).collect::<Vec<_>>();

@@ -3,13 +3,12 @@
 use data::Recording;
 use metrics::{Disc, Limits, Point, collisions, highest_density_level, kde_log_density};
 use nn::ModelConfig;
-use retrieval::{RetrievalMemory, Retrieved};
+use retrieval::RetrievalMemory;
 use scene::AgentType;
 
 use crate::baselines::{Baselines, Candidate};
-use crate::forecaster::{Forecast, Paths, Recalled};
-use crate::maps::{ContextTable, MapInput};
-use crate::speaker::{Speaker, Spoken, TOGETHER, recall};
+use crate::forecaster::{Decoded, Forecast, Samplers, Session, TOGETHER, Variants};
+use crate::maps::MapInput;
 use crate::{Agent, Forecaster, Method, Scene, Tally, threads};
 
 /// Speed from which on an agent counts as moving, at its last observed step.
@@ -77,24 +76,6 @@ pub struct Judge<'a> {
     pub threads: usize,
 }
 
-/// The memories of a place that take part.
-struct Memories<'a> {
-    /// Of what the recording itself showed.
-    fresh: Option<RetrievalMemory>,
-    /// Of what earlier recordings showed as well.
-    visited: Option<&'a mut RetrievalMemory>,
-}
-
-/// What memories tell of an agent: of what the recording showed, and of that and what earlier ones showed.
-type Recalls = [Option<Retrieved>; 2];
-
-/// A scene with its agents and what is remembered for them.
-struct Case<'a> {
-    scene: &'a Scene,
-    complete: Vec<usize>,
-    spoken: Vec<(Spoken, Recalls)>,
-}
-
 impl Judge<'_> {
     /// Judges a recording's scenes that have an agent to count, block by block.
     #[must_use]
@@ -102,7 +83,8 @@ impl Judge<'_> {
         self.revisit(recording, scenes, map, None)
     }
 
-    /// As [`Judge::recording`], and besides with a memory of the place, which goes on; it is to have left whatever it saw before.
+    /// As [`Judge::recording`], and besides with a memory of the place, which goes on; its session has to
+    /// have ended.
     #[must_use]
     pub fn revisit(
         &self,
@@ -111,10 +93,10 @@ impl Judge<'_> {
         map: MapInput<'_>,
         visited: Option<&mut RetrievalMemory>,
     ) -> Vec<Block> {
-        let table = ContextTable::new(self.forecaster, recording, scenes, map, self.threads);
         let config = self.forecaster.config();
-        let mut memories = Memories { fresh: self.speaker().memory(), visited };
-        let parts = scenes.chunks(TOGETHER).flat_map(|scenes| self.part(scenes, &table, &mut memories));
+        let mut session = Session::new(self.forecaster, recording, map, self.threads);
+        let mut samplers = Samplers::new(self.forecaster, visited.as_deref().cloned());
+        let parts = scenes.chunks(TOGETHER).flat_map(|scenes| self.part(scenes, &mut session, &mut samplers));
         let block_ns = config.step_ns() as i64 * (config.history_len + config.horizon_len) as i64;
         let mut blocks: Vec<(i64, Block)> = Vec::new();
         for (stamp_ns, tallies) in parts {
@@ -126,47 +108,33 @@ impl Judge<'_> {
                 None => blocks.push((number, Block { tallies })),
             }
         }
+        if let (Some(visited), Some(memory)) = (visited, samplers.memory()) {
+            *visited = memory.clone();
+        }
         blocks.into_iter().map(|(_, block)| block).collect()
-    }
-
-    /// The model over whole recordings.
-    pub(crate) const fn speaker(&self) -> Speaker<'_> {
-        Speaker { forecaster: self.forecaster, threads: self.threads }
     }
 
     /// The tallies of the scenes, with their stamps, that have an agent to count.
     fn part(
         &self,
         scenes: &[Scene],
-        table: &ContextTable,
-        memories: &mut Memories<'_>,
+        session: &mut Session,
+        samplers: &mut Samplers,
     ) -> Vec<(i64, Vec<Tally>)> {
-        let spoken = self.speaker().spoken(scenes, table);
-        let recalls = self.recalls(scenes, &spoken, memories);
-        let cases = scenes.iter().zip(spoken.into_iter().zip(recalls)).map(|(scene, (spoken, recalls))| {
-            let complete = self.complete(scene);
-            let counts = |(spoken, _): &(Spoken, Recalls)| complete.contains(&spoken.place);
-            let spoken = spoken.into_iter().zip(recalls).filter(counts).collect();
-            Case { scene, complete, spoken }
-        });
-        let cases: Vec<Case<'_>> = cases.filter(|case| !case.complete.is_empty()).collect();
-        let tallies = threads::each(&cases, self.threads, |case, (): &mut ()| self.scene(case));
-        cases.iter().map(|case| case.scene.stamp_ns).zip(tallies).collect()
-    }
-
-    /// What memories of the place tell of each agent of each scene, as far as all had gone at the scene's time.
-    fn recalls(
-        &self,
-        scenes: &[Scene],
-        spoken: &[Vec<Spoken>],
-        memories: &mut Memories<'_>,
-    ) -> Vec<Vec<Recalls>> {
-        let of_scene = |(scene, spoken): (&Scene, &Vec<Spoken>)| {
-            let fresh = recall(memories.fresh.as_mut(), scene, spoken);
-            let visited = recall(memories.visited.as_deref_mut(), scene, spoken);
-            fresh.into_iter().zip(visited).map(Recalls::from).collect()
+        let decoded = session.decode(scenes, |_| true, |scene| self.complete(scene));
+        let decoded: Vec<Decoded> = decoded.into_iter().flatten().collect();
+        let forecasts = samplers.forecast(&decoded, self.threads);
+        let all = scenes.iter().zip(&decoded).zip(&forecasts);
+        let cases: Vec<_> = all.filter(|(_, forecasts)| !forecasts.is_empty()).collect();
+        let tally = |((scene, decoded), forecasts): &((&Scene, &Decoded), &Vec<(usize, Variants)>),
+                     (): &mut ()| {
+            let mut tallies = self.scene(scene, forecasts);
+            let counting = tallies.iter_mut().filter(|tally| !tally.is_empty());
+            counting.for_each(|tally| tally.crowding = decoded.crowding());
+            tallies
         };
-        scenes.iter().zip(spoken).map(of_scene).collect()
+        let tallies = threads::each(&cases, self.threads, tally);
+        cases.iter().map(|((scene, _), _)| scene.stamp_ns).zip(tallies).collect()
     }
 
     /// Places of the agents that can count.
@@ -176,17 +144,14 @@ impl Judge<'_> {
         scene.complete().into_iter().filter(is_of_type).collect()
     }
 
-    /// A tally of the scene for each subset.
-    fn scene(&self, case: &Case<'_>) -> Vec<Tally> {
-        let Case { scene, complete, spoken } = case;
-        let judged = |(Spoken { place, said, .. }, recalls): &(Spoken, Recalls)| {
-            let agent = &scene.agents[*place];
-            let forecast = self.forecaster.lead(agent, said, recalls.each_ref().map(Option::as_ref));
-            self.agent(scene, agent, &forecast)
-        };
-        let judged: Vec<Judged<'_>> = spoken.iter().map(judged).collect();
+    /// A tally of the scene for each subset, of its agents that count with their places.
+    fn scene(&self, scene: &Scene, forecasts: &[(usize, Variants)]) -> Vec<Tally> {
+        let complete: Vec<usize> = forecasts.iter().map(|(place, _)| *place).collect();
+        let judged =
+            |(place, variants): &(usize, Variants)| self.agent(scene, &scene.agents[*place], variants);
+        let judged: Vec<Judged<'_>> = forecasts.iter().map(judged).collect();
         let tally = |subset: &Subset| {
-            let members = subset.of(scene, complete);
+            let members = subset.of(scene, &complete);
             let members: Vec<&Judged<'_>> = complete
                 .iter()
                 .zip(&judged)
@@ -198,7 +163,8 @@ impl Judge<'_> {
         self.subsets.iter().map(tally).collect()
     }
 
-    /// The sums of some agents of a scene. Its futures are made for all who are there, whether they stay or not.
+    /// The sums of some agents of a scene. Its futures are made for all who are there, whether they stay or
+    /// not.
     fn together(&self, scene: &Scene, members: &[&Judged<'_>]) -> Tally {
         let mut tally = Tally::new(self.horizons.len());
         if members.is_empty() {
@@ -225,17 +191,18 @@ impl Judge<'_> {
         tally
     }
 
-    fn agent<'b>(&self, scene: &Scene, agent: &'b Agent, forecast: &Forecast) -> Judged<'b> {
+    fn agent<'b>(&self, scene: &Scene, agent: &'b Agent, forecast: &Variants) -> Judged<'b> {
         let candidates = self.baselines.candidates(scene, agent, forecast);
         let mut tally = Tally::new(self.horizons.len());
         tally.add_agent(agent, &candidates, self.horizons);
-        for (ours, of_method) in Certain::all(forecast).into_iter().enumerate() {
+        let variants = [Some(&forecast.network), forecast.retrieved.as_ref(), forecast.warm_started.as_ref()];
+        for (ours, of_method) in variants.into_iter().enumerate() {
             let Some(of_method) = of_method else { continue };
-            self.add_sureness(scene, agent, &of_method, ours, &mut tally);
+            self.add_sureness(scene, agent, of_method, ours, &mut tally);
             let Some(now) = agent.newest() else { continue };
             let config = self.forecaster.config();
             let (limits, dt_s) = (limits(agent, config), config.dt_s as f32);
-            for trajectory in of_method.modes.iter().map(Vec::as_slice).chain([of_method.best]) {
+            for trajectory in of_method.modes.iter().map(Vec::as_slice).chain([&of_method.best[..]]) {
                 tally.broken[ours].add(limits.violated_by(&now, trajectory, dt_s));
             }
         }
@@ -247,7 +214,7 @@ impl Judge<'_> {
         &self,
         scene: &Scene,
         agent: &Agent,
-        forecast: &Certain<'_>,
+        forecast: &Forecast,
         ours: usize,
         tally: &mut Tally,
     ) {
@@ -260,11 +227,11 @@ impl Judge<'_> {
                 let means: Vec<Point> = forecast.modes.iter().map(|mode| mode[step]).collect();
                 let covariances: Vec<[f32; 3]> =
                     forecast.covariance.iter().map(|covariance| covariance[step]).collect();
-                sureness.kde_nll.add(-kde_log_density(&means, forecast.probability, truth));
+                sureness.kde_nll.add(-kde_log_density(&means, &forecast.probability, truth));
                 let level = highest_density_level(
                     &means,
                     &covariances,
-                    forecast.probability,
+                    &forecast.probability,
                     truth,
                     seed ^ (step as u64) << 48,
                 );
@@ -273,34 +240,10 @@ impl Judge<'_> {
             }
             let truth = &agent.future[..steps];
             let misses = |errors: metrics::Displacement| errors.is_miss().unwrap_or_default();
-            sureness.missed_best.add(misses(metrics::min_displacement(forecast.modes, truth)));
-            sureness.missed_single.add(misses(metrics::displacement(forecast.best, truth)));
+            sureness.missed_best.add(misses(metrics::min_displacement(&forecast.modes, truth)));
+            sureness.missed_single.add(misses(metrics::displacement(&forecast.best, truth)));
             first = steps;
         }
-    }
-}
-
-/// What a forecast of ours says, and how sure it is.
-struct Certain<'a> {
-    modes: &'a [Vec<Point>],
-    covariance: &'a [Vec<[f32; 3]>],
-    probability: &'a [f32],
-    best: &'a [Point],
-}
-
-impl<'a> Certain<'a> {
-    /// Those of [`Method::OURS`].
-    fn all(forecast: &'a Forecast) -> [Option<Self>; Method::OURS.len()] {
-        let Forecast { modes, covariance, probability, best, recalled, revisited, .. } = forecast;
-        let with = |recalled: &'a Recalled| {
-            let Recalled { paths: Paths { modes, best }, covariance, probability } = recalled;
-            Self { modes, covariance, probability, best }
-        };
-        [
-            Some(Self { modes, covariance, probability, best }),
-            recalled.as_ref().map(with),
-            revisited.as_ref().map(with),
-        ]
     }
 }
 

@@ -1,16 +1,17 @@
-//! Offline checks of the pipeline's parts against references, and of its forecasts against what really came.
+//! Offline checks of the pipeline's parts against references, and of its forecasts against recorded futures.
 //!
-//! [`verify`] recomputes every tensor of a folder of golden vectors with the very code that runs on board and tells
-//! which ones are off: users run it on their own processor before they trust it.
+//! [`verify`] recomputes every tensor of a folder of golden vectors with the very code that runs on board and
+//! names those that are off: users run it on their own processor before they trust it.
 //!
-//! [`eth_ucy`], [`sdd`], [`interaction`] and [`files`] judge forecasts by what really came. A *protocol* reads recordings
-//! and cuts them into [`Scene`]s. The [`Forecaster`] runs the onboard layers on a scene; the [`Judge`] does so for every
-//! agent that counts, lets the baselines forecast the very same agents and adds up all errors in [`Tally`]s, a [`Block`]
-//! of a recording at a time. [`Group`]s of blocks (a fold, a site) make the tables of a [`Report`]. [`ablation()`] compares
-//! variants of a model with one another on the same blocks.
+//! [`eth_ucy`], [`sdd`], [`interaction`] and [`files`] judge forecasts by recorded futures. A *protocol*
+//! reads recordings and cuts them into [`Scene`]s. The [`Forecaster`] runs the shipped stages on the `tracks`
+//! payloads of scenes; the [`Judge`] does so for every agent that counts, lets the baselines forecast the
+//! very same agents and adds up all errors in [`Tally`]s, a [`Block`] of a recording at a time. [`Group`]s of
+//! blocks (a fold, a site) make the tables of a [`Report`]. [`ablation()`] compares variants of a model with
+//! one another on the same blocks.
 //!
-//! [`tracking()`] judges filters, with the model's forecasts as their prior and without, by the motion that they estimate;
-//! [`kitti()`] judges trackers by who they say is where.
+//! [`tracking()`] judges filters, with the model's forecasts as their prior and without, by the motion that
+//! they estimate; [`kitti()`] judges trackers by the identities and positions that they report.
 
 mod ablation;
 mod baselines;
@@ -20,23 +21,22 @@ mod group;
 mod judge;
 mod maps;
 mod method;
-mod motion;
 pub mod picture;
 mod protocol;
 mod reference;
 mod report;
 mod scenes;
-mod speaker;
 mod tally;
 mod threads;
 mod tracking;
+mod tracks;
 mod verify;
 mod weights;
 
 pub use ablation::{Ablation, AblationRow, Verdict};
 pub use baselines::{ANCHOR_AGENTS, Baselines};
 pub use error::EvaluateError;
-pub use forecaster::{Forecast, Forecaster, ForecasterMemory, Paths, Recalled};
+pub use forecaster::{Forecast, Forecaster, Variants};
 pub use group::{Contrast, Group};
 pub use judge::{Block, Judge, MOVING_MPS, Subset};
 pub use maps::{MapInput, site_map};
@@ -46,9 +46,10 @@ pub use protocol::{
 };
 pub use report::{Figure, Report};
 pub use scenes::{Agent, Cut, Scene};
-pub use tally::{Errors, Measure, Sureness, Tally};
+pub use tally::{Crowding, Errors, Measure, Sureness, Tally};
 pub use tracking::{
     Contender, KittiReport, MakeTracks, Published, PublishedTrack, TRACKING_COLUMNS, TrackingReport,
 };
+pub use tracks::TracksPayload;
 pub use verify::{Comparison, VerifyError, verify};
 pub use weights::{Provenance, WeightsChoice};

@@ -11,7 +11,7 @@ pub(crate) use table::{Column, Table, digits, percent};
 
 use crate::group::Group;
 use crate::weights::Provenance;
-use crate::{Measure, Method};
+use crate::{Crowding, Measure, Method};
 
 /// One number of a report.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -60,8 +60,21 @@ impl Report {
         self.tables.push(table);
     }
 
-    /// Adds every figure of a group.
+    /// Adds a line on windows of a part that do not fit a payload, once.
+    fn add_crowding(&mut self, group: &Group) {
+        let Crowding { windows_len, agents_len, edges_len } = group.total.crowding;
+        let mark = format!("{}: of ", group.part);
+        if windows_len > 0 && !self.left_out.iter().any(|line| line.starts_with(&mark)) {
+            self.left_out.push(format!(
+                "{mark}{windows_len} windows, {agents_len} agents and {edges_len} edges of the farthest neighbours, for which \
+                 payloads have no room"
+            ));
+        }
+    }
+
+    /// Adds every figure of a group, and what payloads had no room for.
     pub(crate) fn add_figures(&mut self, group: &Group, horizons_s: &[f64]) {
+        self.add_crowding(group);
         for (horizon, &horizon_s) in horizons_s.iter().enumerate() {
             let figure =
                 |quantity: String, method: Method, measure: &'static str, value: f64, agents: u64| Figure {
@@ -105,8 +118,9 @@ impl Report {
         }
     }
 
-    /// Adds what the same protocol made of other trainings of the same recipes, other seeds for example: our own rows of its main
-    /// tables, training by training. [`Report::csv`] and [`Report::json`] stay those of the first.
+    /// Adds what the same protocol made of other trainings of the same recipes, other seeds for example: our
+    /// own rows of its main tables, training by training. [`Report::csv`] and [`Report::json`] stay those of
+    /// the first.
     pub fn add_beside(&mut self, others: &[Self]) {
         if others.is_empty() {
             return;

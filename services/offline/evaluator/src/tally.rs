@@ -18,9 +18,9 @@ pub enum Measure {
     Joint,
     /// The best of 20 futures of the scene: the k-th most probable mode of every agent together.
     JointRanked,
-    /// The best of 20 futures of the scene: mode k of every agent together, which serves deviations that all share; every
-    /// other one is moved towards the single forecasts as [`metrics::joint_spread`] has it for those that are each
-    /// agent's own.
+    /// The best of 20 futures of the scene: mode k of every agent together, which serves deviations that all
+    /// share; every other one is moved towards the single forecasts as [`metrics::joint_spread`] has it for
+    /// those that are each agent's own.
     JointNarrowed,
 }
 
@@ -86,6 +86,26 @@ impl Sureness {
     }
 }
 
+/// Windows that do not fit a payload, and what the stages did not see of them.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Crowding {
+    /// Windows.
+    pub windows_len: u64,
+    /// Agents beyond those of a `tracks` payload: neighbours of nobody.
+    pub agents_len: u64,
+    /// Edges beyond those of a `features` payload: of the farthest neighbours.
+    pub edges_len: u64,
+}
+
+impl Crowding {
+    /// Counts all that `other` counted.
+    fn merge(&mut self, other: &Self) {
+        self.windows_len += other.windows_len;
+        self.agents_len += other.agents_len;
+        self.edges_len += other.edges_len;
+    }
+}
+
 /// Errors of all methods on some agents.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Tally {
@@ -105,6 +125,8 @@ pub struct Tally {
     pub truly_collided: Share,
     /// Modes and single forecasts that break a limit of their agent's type, by method of [`Method::OURS`].
     pub broken: [Share; OURS],
+    /// Windows of the scenes that do not fit a payload.
+    pub crowding: Crowding,
 }
 
 impl Tally {
@@ -120,6 +142,7 @@ impl Tally {
             collided: Share::default(),
             truly_collided: Share::default(),
             broken: [Share::default(); OURS],
+            crowding: Crowding::default(),
         }
     }
 
@@ -138,6 +161,7 @@ impl Tally {
             sureness.missed_best.merge(&more.missed_best);
             sureness.missed_single.merge(&more.missed_single);
         }
+        self.crowding.merge(&other.crowding);
         self.collided.merge(&other.collided);
         self.truly_collided.merge(&other.truly_collided);
         self.broken.iter_mut().zip(&other.broken).for_each(|(broken, more)| broken.merge(more));
@@ -183,7 +207,8 @@ impl Tally {
         self.sums.len()
     }
 
-    /// How sure the forecasts of a method were, its place in [`Method::OURS`] given, over all steps up to a horizon.
+    /// How sure the forecasts of a method were, its place in [`Method::OURS`] given, over all steps up to a
+    /// horizon.
     #[must_use]
     pub fn sureness(&self, ours: usize, horizon: usize) -> Sureness {
         let mut all = self.sureness[horizon][ours];
@@ -280,7 +305,8 @@ fn by_rank(candidate: &Candidate) -> Option<Vec<&[metrics::Point]>> {
     Some(order.into_iter().map(|mode| &candidate.modes[mode][..]).collect())
 }
 
-/// The modes as the futures of a scene of `present` agents have them; `None` where there is no single forecast.
+/// The modes as the futures of a scene of `present` agents have them; `None` where there is no single
+/// forecast.
 fn narrowed(candidate: &Candidate, present: usize) -> Option<Vec<Vec<metrics::Point>>> {
     let single = candidate.single.as_ref()?;
     let own = metrics::joint_spread(present, candidate.modes.len());

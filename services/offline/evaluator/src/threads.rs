@@ -2,28 +2,42 @@
 
 /// What `work` makes of each item; every thread has a memory of its own.
 ///
-/// The result of an item must not depend on what its memory saw before: then it is the same for any number of threads.
-pub(crate) fn each<T: Sync, R: Send, M: Default>(
+/// The result of an item must not depend on what its memory saw before: then it is the same for any number of
+/// threads.
+pub(crate) fn each<T: Sync, R: Send, M: Default + Send>(
     items: &[T],
     threads: usize,
     work: impl Fn(&T, &mut M) -> R + Sync,
 ) -> Vec<R> {
-    let threads = threads.clamp(1, items.len().max(1));
-    let share = |number: usize| {
-        let mut memory = M::default();
-        items.iter().skip(number).step_by(threads).map(|item| work(item, &mut memory)).collect::<Vec<R>>()
+    let mut memories: Vec<M> = (0..threads.clamp(1, items.len().max(1))).map(|_| M::default()).collect();
+    each_with(items, &mut memories, work)
+}
+
+/// As [`each`], with the memories of as many threads; there must be one.
+pub(crate) fn each_with<T: Sync, R: Send, M: Send>(
+    items: &[T],
+    memories: &mut [M],
+    work: impl Fn(&T, &mut M) -> R + Sync,
+) -> Vec<R> {
+    let threads = memories.len();
+    let share = |number: usize, memory: &mut M| {
+        items.iter().skip(number).step_by(threads).map(|item| work(item, memory)).collect::<Vec<R>>()
     };
     let share = &share;
+    let (first, others) = memories.split_first_mut().expect("a thread's memory");
     let mut shares: Vec<_> = std::thread::scope(|scope| {
-        let handles: Vec<_> = (1..threads).map(|number| scope.spawn(move || share(number))).collect();
-        let first = share(0);
-        let others = handles.into_iter().map(|handle| match handle.join() {
-            Ok(results) => results,
-            Err(panic) => std::panic::resume_unwind(panic),
-        });
-        std::iter::once(first).chain(others).map(Vec::into_iter).collect()
+        let others = (1..).zip(others);
+        let handles: Vec<_> =
+            others.map(|(number, memory)| scope.spawn(move || share(number, memory))).collect();
+        let first = share(0, first);
+        std::iter::once(first).chain(handles.into_iter().map(joined)).map(Vec::into_iter).collect()
     });
     (0..items.len()).filter_map(|item| shares[item % threads].next()).collect()
+}
+
+/// What a thread returned; panics as it panicked.
+pub(crate) fn joined<R>(handle: std::thread::ScopedJoinHandle<'_, R>) -> R {
+    handle.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic))
 }
 
 #[cfg(test)]

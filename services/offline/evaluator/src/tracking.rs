@@ -20,7 +20,7 @@ pub use report::TrackingReport;
 
 pub(crate) use course::{Course, Sensor};
 pub(crate) use follower::{Follower, Outcome};
-pub(crate) use hypotheses::{Hypotheses, Place};
+pub(crate) use hypotheses::Place;
 pub(crate) use kitti::{
     ByClass, CLASSES, Counts, KittiMeasure, KittiPart, KittiRow, LEAST_SCORES, Sequence, nearest_neighbours,
 };

@@ -67,19 +67,21 @@ impl WeightsChoice {
         } else {
             return Err(EvaluateError::NoWeights { path: told, recipe: recipe.to_owned() });
         };
-        let forecaster = Forecaster::new(&weights, seed).map_err(failed)?;
+        let failed = |source| EvaluateError::Stages { path: path.display().to_string(), source };
+        let forecaster = Forecaster::new(weights, seed).map_err(failed)?;
+        let weights = forecaster.weights();
         let card = weights.card();
         let entry =
             |name: &str| card.and_then(|card| card.get(name).or_else(|| card.get("options")?.get(name)));
         let recordings = card.and_then(|card| card.get("recordings")?.as_array());
         let fingerprint = |recording: &serde_json::Value| Some(recording.get("sha256")?.as_str()?.to_owned());
         Ok(Model {
-            forecaster,
             sha256: weights.sha256().to_owned(),
             recipe: entry("recipe").and_then(|recipe| Some(recipe.as_str()?.to_owned())),
             seed: entry("seed").and_then(serde_json::Value::as_u64),
             trained_on: recordings.into_iter().flatten().filter_map(fingerprint).collect(),
             path: told,
+            forecaster,
         })
     }
 }

@@ -3,10 +3,8 @@
 #![expect(clippy::unwrap_used, reason = "a test that cannot go on should panic")]
 
 use crate::support::weights;
-use data::{GeneratedScene, SceneOptions};
-use evaluator::{
-    Agent, Baselines, Cut, Forecast, Forecaster, ForecasterMemory, Judge, MapInput, Scene, Subset,
-};
+use data::{GeneratedScene, Recording, SceneOptions};
+use evaluator::{Agent, Cut, Forecast, Forecaster, MapInput, Scene, Variants};
 use nn::{Latents, VehicleMotion, Weights};
 use scene::AgentType;
 
@@ -28,12 +26,14 @@ fn scenes(forecaster: &Forecaster) -> Vec<Scene> {
 
 /// Forecasts of all complete agents; nothing is known of the ground.
 fn forecast(forecaster: &Forecaster, scene: &Scene) -> Vec<Forecast> {
-    let none = |_, _| [0.0; wire::CONTEXT_EMBEDDING];
-    forecaster.forecast(scene, none, &scene.complete(), &mut ForecasterMemory::default())
+    let scenes = std::slice::from_ref(scene);
+    let mut forecasts =
+        forecaster.forecast(&Recording::default(), scenes, MapInput::None, 1, |_| true).remove(0);
+    scene.complete().into_iter().map(|place| forecasts[place].take().unwrap()).collect()
 }
 
 fn onboard() -> Forecaster {
-    Forecaster::new(&Weights::onboard(), 1).unwrap()
+    Forecaster::new(Weights::onboard(), 1).unwrap()
 }
 
 #[test]
@@ -48,16 +48,16 @@ fn the_future_has_no_say_in_a_forecast() {
 }
 
 #[test]
-fn a_memory_that_was_used_before_changes_nothing() {
+fn forecasts_depend_neither_on_scenes_before_nor_on_threads() {
     let forecaster = onboard();
-    let none = |_, _| [0.0; wire::CONTEXT_EMBEDDING];
-    let mut memory = ForecasterMemory::default();
-    for scene in scenes(&forecaster).iter().take(4) {
-        let mut backwards = scene.complete();
-        backwards.reverse();
-        let mut used = forecaster.forecast(scene, none, &backwards, &mut memory);
-        used.reverse();
-        assert_eq!(used, forecast(&forecaster, scene));
+    let scenes = &scenes(&forecaster)[..4];
+    for threads in [1, 3] {
+        let together = forecaster.forecast(&Recording::default(), scenes, MapInput::None, threads, |_| true);
+        for (scene, together) in scenes.iter().zip(together) {
+            let complete: Vec<Forecast> =
+                scene.complete().into_iter().map(|place| together[place].clone().unwrap()).collect();
+            assert_eq!(complete, forecast(&forecaster, scene));
+        }
     }
 }
 
@@ -94,12 +94,13 @@ fn a_network_that_says_nothing_leaves_the_base_control() {
         }
     };
     let weights = Weights::from_bytes(&weights::changed(silent, |_| ())).unwrap();
-    let forecaster = Forecaster::new(&weights, 1).unwrap();
-    let forecasts = forecast(&forecaster, &scenes(&forecaster)[0]);
-    assert!(!forecasts.is_empty());
-    for forecast in forecasts {
-        let base = forecast.base.unwrap();
-        assert_eq!((forecast.modes, forecast.best), (base.modes, base.best));
+    let forecaster = Forecaster::new(weights, 1).unwrap();
+    let scenes = &scenes(&forecaster)[..1];
+    let variants = forecaster.variants(&Recording::default(), scenes, MapInput::None, 1, None).concat();
+    assert!(!variants.is_empty());
+    for (_, Variants { network, base, .. }) in variants {
+        let base = base.unwrap();
+        assert_eq!((network.modes, network.best), (base.modes, base.best));
     }
 }
 
@@ -114,7 +115,7 @@ fn vehicles_without_a_kinematic_layer_keep_their_velocity_where_the_network_says
         config.vehicle_motion = VehicleMotion::Displacement;
         (config.base, config.base_latent) = (false, false);
     });
-    let forecaster = Forecaster::new(&Weights::from_bytes(&bytes).unwrap(), 1).unwrap();
+    let forecaster = Forecaster::new(Weights::from_bytes(&bytes).unwrap(), 1).unwrap();
     let scenes = scenes(&forecaster);
     let scene =
         scenes.iter().find(|scene| scene.agents.iter().any(|a| a.agent_type == AgentType::Vehicle)).unwrap();
@@ -153,8 +154,7 @@ fn normal_latents_are_drawn_by_seed_and_agent() {
             config.base_latent = false;
         },
     );
-    let weights = Weights::from_bytes(&bytes).unwrap();
-    let with_seed = |seed| Forecaster::new(&weights, seed).unwrap();
+    let with_seed = |seed| Forecaster::new(Weights::from_bytes(&bytes).unwrap(), seed).unwrap();
     let scene = &scenes(&with_seed(1))[0];
     let forecasts = forecast(&with_seed(1), scene);
     assert_eq!(forecasts, forecast(&with_seed(1), scene));
@@ -180,26 +180,13 @@ fn what_a_recording_does_not_tell_comes_from_the_scene_alone() {
     }
 }
 
-/// The trainer makes models that forecast farther than the pipeline's frames can carry: they are judged, but recall nothing.
+/// The trainer makes models that forecast farther than a payload: what can't be shipped is not judged.
 #[test]
-fn a_longer_horizon_than_the_pipelines_is_judged() {
+fn a_longer_horizon_than_a_payloads_is_refused() {
     let longer = |model: &mut nn::ModelConfig| {
         (model.horizon_len, model.base, model.base_latent) = (wire::HORIZON_MAX + 2, false, false);
     };
-    let bytes = weights::changed(|_, _, _| (), longer);
-    let forecaster = Forecaster::new(&Weights::from_bytes(&bytes).unwrap(), 1).unwrap();
-    let options = SceneOptions { agents: 6, seed: 5, identities: true, ..SceneOptions::default() };
-    let recording = GeneratedScene::new(options).unwrap().recording(160);
-    let cut = Cut::of(forecaster.config());
-    let baselines = Baselines::fit(std::iter::empty(), &cut, 1);
-    let judge = Judge {
-        forecaster: &forecaster,
-        baselines: &baselines,
-        horizons: &[wire::HORIZON_MAX + 2],
-        subsets: &[Subset::All],
-        of_type: None,
-        threads: 1,
-    };
-    let blocks = judge.recording(&recording, &cut.scenes(&recording), MapInput::None);
-    assert!(!blocks.is_empty());
+    let weights = Weights::from_bytes(&weights::changed(|_, _, _| (), longer)).unwrap();
+    let refused = Forecaster::new(weights, 1).err().unwrap().to_string();
+    assert!(refused.contains("horizon_len"), "{refused}");
 }

@@ -9,4 +9,5 @@ mod golden;
 mod golden_tracking;
 mod kitti;
 mod report;
+mod shipped;
 mod windows;

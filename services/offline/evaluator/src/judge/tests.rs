@@ -13,33 +13,32 @@ fn footage(forecaster: &Forecaster, seed: u64, frames: usize) -> (Recording, Vec
     (recording, scenes)
 }
 
-/// What is recalled at each scene of a recording that ends after so many frames, another one having come before.
-fn recalled(forecaster: &Forecaster, frames: usize) -> Vec<(i64, Vec<Recalls>)> {
+/// The forecasts of each scene of a recording that ends after so many frames, another one having come before.
+fn variants(forecaster: &Forecaster, frames: usize) -> Vec<Vec<(usize, Variants)>> {
     let (recording, scenes) = footage(forecaster, 3, frames);
-    let baselines = Baselines::fit(std::iter::empty(), &Cut::of(forecaster.config()), 1);
-    let judge =
-        Judge { forecaster, baselines: &baselines, horizons: &[12], subsets: &[], of_type: None, threads: 2 };
-    let table = ContextTable::new(forecaster, &recording, &scenes, MapInput::None, 2);
-    let mut visited = judge.speaker().memory().unwrap();
+    let mut memory = forecaster.memory();
     let (before, scenes_before) = footage(forecaster, 4, 400);
-    judge.speaker().visit(&before, &scenes_before, MapInput::None, &mut visited);
-    let mut memories = Memories { fresh: judge.speaker().memory(), visited: Some(&mut visited) };
-    let recalls = judge.recalls(&scenes, &judge.speaker().spoken(&scenes, &table), &mut memories);
-    scenes.iter().map(|scene| scene.stamp_ns).zip(recalls).collect()
+    forecaster.visit(&before, &scenes_before, MapInput::None, 2, &mut memory);
+    forecaster.variants(&recording, &scenes, MapInput::None, 2, Some(memory))
 }
 
 #[test]
-fn what_comes_later_is_not_recalled() {
-    let forecaster = Forecaster::new(&Weights::onboard(), 1).unwrap();
-    let (short, long) = (recalled(&forecaster, 500), recalled(&forecaster, 700));
+fn retrieval_reads_nothing_of_the_future() {
+    let forecaster = Forecaster::new(Weights::onboard(), 1).unwrap();
+    let (short, long) = (variants(&forecaster, 500), variants(&forecaster, 700));
     assert!(short.len() > 60 && long.len() > short.len());
-    assert!(short.iter().zip(&long).all(|(short, long)| short == long));
-    let told = |memory: usize| {
-        let recalls =
-            short.iter().flat_map(|(_, recalls)| recalls).filter_map(|recalls| recalls[memory].as_ref());
-        recalls.filter(|recall| !recall.is_empty()).count()
+    for (short, long) in short.iter().zip(&long) {
+        for (place, variants) in short {
+            let same = long.iter().find(|(other, _)| other == place);
+            assert_eq!(same.map(|(_, variants)| variants), Some(variants));
+        }
+    }
+    let changed = |of: fn(&Variants) -> &Option<Forecast>| {
+        let all = short.iter().flatten();
+        all.filter(|(_, variants)| of(variants).as_ref().is_some_and(|of| *of != variants.network)).count()
     };
-    let [fresh, visited] = [0, 1].map(told);
-    assert!(fresh > 100, "{fresh} of the agents were told something");
-    assert!(visited > fresh + 100, "{visited} where another recording came before, {fresh} without");
+    let online = changed(|variants| &variants.retrieved);
+    let warm_started = changed(|variants| &variants.warm_started);
+    assert!(online > 100, "{online} forecasts changed by retrieval");
+    assert!(warm_started > online + 100, "{warm_started} with a warm start, {online} without");
 }

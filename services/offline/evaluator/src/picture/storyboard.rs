@@ -8,9 +8,7 @@ use scene::{ContextMap, MapBuilder, State};
 use thiserror::Error;
 
 use super::scene::{AgentDrawing, ForecastDrawing};
-use crate::forecaster::ForecasterMemory;
-use crate::maps::ContextTable;
-use crate::{Agent, Cut, Forecast, Forecaster, MOVING_MPS, MapInput, Scene, threads};
+use crate::{Agent, Cut, Forecast, Forecaster, MOVING_MPS, MapInput, Scene};
 
 /// Scenes of a recording that are ranked at most, evenly spread.
 pub const RANKED_MAX: usize = 240;
@@ -20,7 +18,7 @@ pub struct Storyboard<'a> {
     forecaster: &'a Forecaster,
     map: MapInput<'a>,
     scenes: Vec<Scene>,
-    context: ContextTable,
+    recording: Recording,
     tracks: BTreeMap<u64, RecordedTrack>,
     start_ns: i64,
     threads: usize,
@@ -88,7 +86,7 @@ pub enum StoryboardError {
 }
 
 impl<'a> Storyboard<'a> {
-    /// Cuts a recording into scenes a step of the model apart, and embeds their context.
+    /// Cuts a recording into scenes a step of the model apart.
     ///
     /// # Errors
     /// [`StoryboardError::NoScenes`] where there are none.
@@ -101,9 +99,8 @@ impl<'a> Storyboard<'a> {
         let scenes = Cut::of(forecaster.config()).scenes(recording);
         let first = recording.frames.first().filter(|_| !scenes.is_empty());
         let start_ns = first.ok_or(StoryboardError::NoScenes)?.stamp_ns;
-        let context = ContextTable::new(forecaster, recording, &scenes, map, threads);
         let tracks = data::tracks(recording).into_iter().map(|track| (track.id, track)).collect();
-        Ok(Self { forecaster, map, scenes, context, tracks, start_ns, threads })
+        Ok(Self { forecaster, map, scenes, recording: recording.clone(), tracks, start_ns, threads })
     }
 
     /// The first scene at or after a time with an agent that can be forecast. It is about the given agents, or all that
@@ -130,7 +127,8 @@ impl<'a> Storyboard<'a> {
         }
         let is_wanted = |place: &usize| agents.is_empty() || agents.contains(&scene.agents[*place].id);
         let wanted: Vec<usize> = able.into_iter().filter(is_wanted).collect();
-        Ok(self.shot(number, &wanted, &mut ForecasterMemory::default()))
+        let forecasts = self.forecasts(&[number]);
+        Ok(self.shot(number, &wanted, &forecasts[&number]))
     }
 
     /// The agents that were forecast best and worst, `len` of each and the extreme first, a shot about each of them.
@@ -143,24 +141,24 @@ impl<'a> Storyboard<'a> {
     pub fn extremes(&self, len: usize) -> Result<[Vec<Shot>; 2], StoryboardError> {
         let spacing = self.scenes.len().div_ceil(RANKED_MAX).max(1);
         let numbers: Vec<usize> = (0..self.scenes.len()).step_by(spacing).collect();
-        let ranked = threads::each(&numbers, self.threads, |&number, memory| self.ranked(number, memory));
-        let mut ranked = ranked.concat();
+        let forecasts = self.forecasts(&numbers);
+        let mut ranked: Vec<Ranked> =
+            forecasts.iter().flat_map(|(&number, forecasts)| self.ranked(number, forecasts)).collect();
         if ranked.is_empty() {
             return Err(StoryboardError::NothingToRank);
         }
         ranked.sort_by(|a, b| a.ade_m.total_cmp(&b.ade_m));
         let mut shown = BTreeSet::new();
-        let mut memory = ForecasterMemory::default();
         let mut take = |ranked: &mut dyn Iterator<Item = &Ranked>| -> Vec<Shot> {
             let fresh = ranked.filter(|entry| shown.insert(entry.agent)).take(len);
-            fresh.map(|entry| self.shot(entry.scene, &[entry.place], &mut memory)).collect()
+            fresh.map(|entry| self.shot(entry.scene, &[entry.place], &forecasts[&entry.scene])).collect()
         };
         let best = take(&mut ranked.iter());
         let worst = take(&mut ranked.iter().rev());
         Ok([best, worst])
     }
 
-    fn ranked(&self, number: usize, memory: &mut ForecasterMemory) -> Vec<Ranked> {
+    fn ranked(&self, number: usize, forecasts: &[Option<Forecast>]) -> Vec<Ranked> {
         let scene = &self.scenes[number];
         let horizon_s = scene.agents.first().map_or(0, |agent| agent.future.len()) as f32
             * self.forecaster.config().dt_s as f32;
@@ -171,29 +169,30 @@ impl<'a> Storyboard<'a> {
         };
         let wanted: Vec<usize> =
             scene.complete().into_iter().filter(|&place| moves(&scene.agents[place])).collect();
-        let forecasts = self.forecast(scene, &wanted, memory);
-        let rank = |(&place, forecast): (&usize, &Forecast)| {
+        let rank = |&place: &usize| {
+            let forecast = forecasts[place].as_ref()?;
             let agent = &scene.agents[place];
             let ade_m = metrics::min_displacement(&forecast.modes, &agent.future).ade_m?;
             Some(Ranked { ade_m, agent: agent.id, scene: number, place })
         };
-        wanted.iter().zip(&forecasts).filter_map(rank).collect()
+        wanted.iter().filter_map(rank).collect()
     }
 
-    fn forecast(&self, scene: &Scene, wanted: &[usize], memory: &mut ForecasterMemory) -> Vec<Forecast> {
-        let config = self.forecaster.config();
-        let context = |agent: usize, step: usize| {
-            let back_ns = (config.history_len - 1 - step) as i64 * config.step_ns() as i64;
-            self.context.of(scene.agents[agent].id, scene.stamp_ns - back_ns)
-        };
-        self.forecaster.forecast(scene, context, wanted, memory)
+    /// The forecasts of some scenes by their numbers, which must grow: an entry per agent, none where it is absent.
+    fn forecasts(&self, numbers: &[usize]) -> BTreeMap<usize, Vec<Option<Forecast>>> {
+        let len = numbers.last().map_or(0, |last| last + 1);
+        let scenes = &self.scenes[..len];
+        let is_wanted = |number: usize| numbers.binary_search(&number).is_ok();
+        let forecasts = self.forecaster.forecast(&self.recording, scenes, self.map, self.threads, is_wanted);
+        forecasts.into_iter().enumerate().filter(|(number, _)| is_wanted(*number)).collect()
     }
 
-    fn shot(&self, number: usize, wanted: &[usize], memory: &mut ForecasterMemory) -> Shot {
+    fn shot(&self, number: usize, wanted: &[usize], forecasts: &[Option<Forecast>]) -> Shot {
         let scene = &self.scenes[number];
-        let forecasts = self.forecast(scene, wanted, memory);
-        let of_agents: Vec<(&Agent, &Forecast)> =
-            wanted.iter().map(|&place| &scene.agents[place]).zip(&forecasts).collect();
+        let of_agents: Vec<(&Agent, &Forecast)> = wanted
+            .iter()
+            .filter_map(|&place| Some((&scene.agents[place], forecasts[place].as_ref()?)))
+            .collect();
         let errors = ShotErrors::of(&of_agents);
         let forecasts: BTreeMap<u64, &Forecast> =
             of_agents.into_iter().map(|(agent, forecast)| (agent.id, forecast)).collect();

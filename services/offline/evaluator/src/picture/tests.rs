@@ -198,7 +198,7 @@ fn walkers() -> data::Recording {
 
 #[test]
 fn a_storyboard_finds_moments_and_agents() {
-    let forecaster = Forecaster::new(&Weights::onboard(), 1).unwrap();
+    let forecaster = Forecaster::new(Weights::onboard(), 1).unwrap();
     let recording = walkers();
     let board = Storyboard::new(&forecaster, &recording, MapInput::Online, 1).unwrap();
     let shot = board.at(4.7, &[]).unwrap();
@@ -222,7 +222,7 @@ fn a_storyboard_finds_moments_and_agents() {
 
 #[test]
 fn a_storyboard_needs_agents() {
-    let forecaster = Forecaster::new(&Weights::onboard(), 1).unwrap();
+    let forecaster = Forecaster::new(Weights::onboard(), 1).unwrap();
     let empty = Storyboard::new(&forecaster, &data::Recording::default(), MapInput::None, 1);
     assert_eq!(empty.err(), Some(StoryboardError::NoScenes));
 }

@@ -103,23 +103,22 @@ impl Protocol<'_> {
         let footage = options.read_part(SET, options.part, cut)?;
         let mut sites: Vec<(String, Vec<Block>)> = Vec::new();
         // Recordings come site by site.
-        let mut visited: Option<(String, Option<RetrievalMemory>)> = None;
+        let mut visited: Option<(String, RetrievalMemory)> = None;
         for footage in &footage {
             let site = site_of(footage);
             let map = (options.map == MapChoice::Site).then(|| map_of(training, &site)).flatten();
             let map = input(options.map, map.as_ref());
             let judge = rules.judge_with(model, &baselines);
             if visited.as_ref().is_none_or(|(name, _)| *name != site) {
-                let mut memory = judge.speaker().memory();
+                let mut memory = model.forecaster.memory();
                 for earlier in training.iter().filter(|footage| site_of(footage) == site) {
-                    memory.iter_mut().for_each(|memory| {
-                        judge.speaker().visit(&earlier.recording, &earlier.scenes, map, memory);
-                    });
+                    let Footage { recording, scenes } = earlier;
+                    model.forecaster.visit(recording, scenes, map, options.threads, &mut memory);
                 }
                 visited = Some((site.clone(), memory));
             }
             // What other recordings of the part show is nobody's to know.
-            let mut memory = visited.as_ref().and_then(|(_, memory)| memory.clone());
+            let mut memory = visited.as_ref().map(|(_, memory)| memory.clone());
             let blocks = judge.revisit(&footage.recording, &footage.scenes, map, memory.as_mut());
             match sites.iter_mut().find(|(name, _)| *name == site) {
                 Some((_, all)) => all.extend(blocks),
@@ -143,7 +142,7 @@ impl Protocol<'_> {
         let (mut tests, mut all, mut recordings) = (Vec::new(), Vec::new(), Vec::new());
         let mut name = site.to_owned();
         let judge = rules.judge_with(model, &baselines);
-        let mut memory = judge.speaker().memory();
+        let mut memory = model.forecaster.memory();
         for part in [Part::Train, Part::Validation, Part::Test] {
             let of_site = |path: &PathBuf| short(&folder(path)) == site;
             let paths: Vec<PathBuf> = SET.files(&options.data, part)?.into_iter().filter(of_site).collect();
@@ -152,8 +151,8 @@ impl Protocol<'_> {
                 // Whatever was recorded at the site before belongs to nobody's training: no site map.
                 let Footage { recording, scenes } = &footage;
                 let map = input(options.map, None);
-                let blocks = judge.revisit(recording, scenes, map, memory.as_mut());
-                memory.iter_mut().for_each(RetrievalMemory::end_session);
+                let blocks = judge.revisit(recording, scenes, map, Some(&mut memory));
+                memory.end_session();
                 if part == options.part {
                     tests.extend(blocks.iter().cloned());
                 }

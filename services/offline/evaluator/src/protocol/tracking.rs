@@ -7,7 +7,6 @@ use scene::ContextMap;
 
 use super::interaction::{input, map_of, site_of, told};
 use super::{Footage, Options, SEED};
-use crate::speaker::Speaker;
 use crate::tracking::{
     Course, Follower, Judged, Place, Sensor, TrackingMethod, TrackingReport, Trials, tune,
 };
@@ -79,16 +78,13 @@ fn places<'a>(
     training: &[Footage],
     maps: &'a BTreeMap<String, Option<ContextMap>>,
 ) -> Places<'a> {
-    let speaker = Speaker { forecaster: &model.forecaster, threads: options.threads };
     let place = |(site, map): (&String, &'a Option<ContextMap>)| {
         let map = input(options.map, map.as_ref());
-        let mut memory = speaker.memory();
-        if let Some(memory) = &mut memory {
-            for Footage { recording, scenes } in training.iter().filter(|footage| site_of(footage) == *site) {
-                speaker.visit(recording, scenes, map, memory);
-            }
+        let mut memory = model.forecaster.memory();
+        for Footage { recording, scenes } in training.iter().filter(|footage| site_of(footage) == *site) {
+            model.forecaster.visit(recording, scenes, map, options.threads, &mut memory);
         }
-        (site.clone(), Place { map, memory })
+        (site.clone(), Place { map, memory: Some(memory) })
     };
     maps.iter().map(place).collect()
 }

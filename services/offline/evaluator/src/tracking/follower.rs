@@ -161,7 +161,7 @@ impl Follower<'_> {
     }
 
     /// Forecasts all agents from what is believed of them; the vehicles among them take that as their prior.
-    fn adopt(&self, oracle: &mut Oracle<'_>, instant: &Instant, tracks: &mut BTreeMap<u64, Track>) {
+    fn adopt(&self, oracle: &mut Oracle, instant: &Instant, tracks: &mut BTreeMap<u64, Track>) {
         let estimates: Vec<Estimate> = tracks
             .iter_mut()
             .map(|(&id, track)| Estimate {
@@ -318,7 +318,6 @@ mod tests {
     use super::*;
     use crate::Cut;
     use crate::maps::MapInput;
-    use crate::speaker::Speaker;
 
     const SENSOR: Sensor = Sensor { sigma_m: 0.1, gap_s: 1.6, seed: 1 };
 
@@ -327,11 +326,9 @@ mod tests {
     }
 
     fn follow_until(end_ns: i64, method: TrackingMethod) -> Outcome {
-        let weights = nn::Weights::onboard();
-        let forecaster = Forecaster::new(&weights, 1).unwrap();
+        let forecaster = Forecaster::new(nn::Weights::onboard(), 1).unwrap();
         let settings = Settings::first().with(TrackingMethod::ConstantVelocity, [0.01, 1.0, 1.0]);
-        let fresh = Speaker { forecaster: &forecaster, threads: 1 }.memory();
-        let place = Place { map: MapInput::Online, memory: fresh };
+        let place = Place { map: MapInput::Online, memory: Some(forecaster.memory()) };
         let course = Course::new(&recording(), [0, end_ns], SENSOR, &place);
         Follower { method, settings, forecaster: &forecaster }.follow(&course)
     }
@@ -385,12 +382,11 @@ mod tests {
     /// Where others turned, one that is not seen for 3.2 s is expected to turn as well.
     #[test]
     fn a_corner_that_is_remembered_is_taken_out_of_sight() {
-        let forecaster = Forecaster::new(&nn::Weights::onboard(), 1).unwrap();
-        let speaker = Speaker { forecaster: &forecaster, threads: 1 };
+        let forecaster = Forecaster::new(nn::Weights::onboard(), 1).unwrap();
         let (before, now) = (corner(30), corner(6));
-        let mut memory = speaker.memory().unwrap();
+        let mut memory = forecaster.memory();
         let scenes = Cut::of(forecaster.config()).scenes(&before);
-        speaker.visit(&before, &scenes, MapInput::None, &mut memory);
+        forecaster.visit(&before, &scenes, MapInput::None, 1, &mut memory);
         let place = Place { map: MapInput::None, memory: Some(memory) };
         let mean_m = |method| {
             let course =

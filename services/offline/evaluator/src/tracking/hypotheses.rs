@@ -1,15 +1,16 @@
-//! What the model says of how each agent will be steered.
+//! The forecasts of filtered agents, as controls of each mode.
 
 use std::collections::BTreeMap;
 
 use filters::ControlStep;
-use retrieval::{ControlChanges, Query, Retrieval, RetrievalMemory};
-use scene::{OnlineMap, State};
-use wire::{AgentType, CONTEXT_EMBEDDING};
+use onboard::TracksToForecasts;
+use retrieval::RetrievalMemory;
+use scene::State;
+use wire::{AgentType, Forecast as Payload, Header, Quality, TrackStatus};
 
-use crate::forecaster::Said;
 use crate::maps::MapInput;
-use crate::{Agent, Forecaster, ForecasterMemory, Scene, motion};
+use crate::tracks::TracksPayload;
+use crate::{Agent, Forecaster, Scene};
 
 /// Controls of all modes of one agent, as [`filters::Forecast`] wants them.
 #[derive(Clone, Debug)]
@@ -41,38 +42,33 @@ pub(crate) struct Place<'a> {
     pub(crate) memory: Option<RetrievalMemory>,
 }
 
-/// Estimates at a stamp with their contexts.
-type Past = BTreeMap<i64, (State, [f32; CONTEXT_EMBEDDING])>;
+/// Estimates by their stamps.
+type Past = BTreeMap<i64, State>;
 
-/// Forecasts from estimates: a model that is shown what filters believed, instant after instant, at a place.
-pub(crate) struct Oracle<'a> {
-    forecaster: &'a Forecaster,
-    map: MapInput<'a>,
-    online: OnlineMap,
-    retrieval: Option<Retrieval>,
-    memory: ForecasterMemory,
-    /// The context where no map tells anything.
-    unknown: [f32; CONTEXT_EMBEDDING],
+/// Forecasts from estimates by the stages that run on board: a `tracks` payload of what filters believed, instant after
+/// instant, at a site.
+pub(crate) struct Oracle {
+    stages: TracksToForecasts,
+    header: Header,
+    history_len: i64,
+    horizon_len: usize,
     pasts: BTreeMap<u64, Past>,
 }
 
-impl<'a> Oracle<'a> {
-    /// An oracle that has seen nothing yet; it remembers the place only if it `revisits` it.
-    pub(crate) fn new(forecaster: &'a Forecaster, place: &Place<'a>, revisits: bool) -> Self {
-        let empty = forecaster.patch_options().map_or_else(Vec::new, |options| vec![0.0; options.len()]);
-        let unknown = forecaster.embed_patches(&empty).first().copied();
+impl Oracle {
+    /// Stages that have seen nothing yet; they retrieve from the site's memory only if `warm_started`.
+    pub(crate) fn new(forecaster: &Forecaster, place: &Place<'_>, warm_started: bool) -> Self {
+        let memory = place.memory.clone().filter(|_| warm_started);
         Self {
-            forecaster,
-            map: place.map,
-            online: OnlineMap::new(),
-            retrieval: place.memory.clone().filter(|_| revisits).map(Retrieval::new),
-            memory: ForecasterMemory::default(),
-            unknown: unknown.unwrap_or([0.0; CONTEXT_EMBEDDING]),
+            stages: forecaster.stages(place.map, memory),
+            header: forecaster.header(),
+            history_len: forecaster.config().history_len as i64,
+            horizon_len: forecaster.config().horizon_len,
             pasts: BTreeMap::new(),
         }
     }
 
-    /// Takes in what is believed now, with the sensor at `ego_m`, and forecasts those who are wanted.
+    /// Takes in what is believed now, with the sensor at `ego_m`, and forecasts those that are wanted.
     ///
     /// Estimates stay as they were when they were made, as on board. A history has those that were made whole steps of the
     /// model ago.
@@ -82,69 +78,54 @@ impl<'a> Oracle<'a> {
         ego_m: [f32; 2],
         estimates: &[Estimate],
     ) -> Vec<(u64, Hypotheses)> {
-        let contexts = self.contexts(ego_m, estimates);
-        for (estimate, context) in estimates.iter().zip(contexts) {
-            self.pasts.entry(estimate.id).or_default().insert(now_ns, (estimate.state, context));
+        for estimate in estimates {
+            self.pasts.entry(estimate.id).or_default().insert(now_ns, estimate.state);
         }
-        let config = self.forecaster.config();
-        let step_ns = config.step_ns().cast_signed();
-        let history_len = config.history_len as i64;
+        let (step_ns, history_len) = (self.header.step_ns.cast_signed(), self.history_len);
         let stamp_ns = |step: i64| now_ns - (history_len - 1 - step) * step_ns;
         self.pasts.retain(|_, past| {
             past.retain(|&past_ns, _| past_ns >= stamp_ns(0));
             !past.is_empty()
         });
-        let past = |estimate: &Estimate, step: i64| self.pasts[&estimate.id].get(&stamp_ns(step));
+        let past = |estimate: &Estimate, step: i64| self.pasts[&estimate.id].get(&stamp_ns(step)).copied();
         let agents = estimates.iter().map(|estimate| Agent {
             id: estimate.id,
             agent_type: estimate.agent_type,
             length_m: estimate.length_m,
-            history: (0..history_len).map(|step| past(estimate, step).map(|past| past.0)).collect(),
+            history: (0..history_len).map(|step| past(estimate, step)).collect(),
             future: Vec::new(),
         });
         let scene = Scene { stamp_ns: now_ns, agents: agents.collect() };
-        let wanted: Vec<usize> = (0..estimates.len()).filter(|&agent| estimates[agent].wanted).collect();
-        let context = |agent: usize, step: usize| {
-            past(&estimates[agent], step as i64).map_or(self.unknown, |past| past.1)
-        };
-        let said = self.forecaster.say(&scene, context, &wanted, &mut self.memory);
-        if let Some(retrieval) = &mut self.retrieval {
-            let seen = estimates.iter().filter(|estimate| estimate.is_seen);
-            retrieval.observe(now_ns, seen.map(|estimate| (estimate.id, estimate.state.position_m)));
-        }
-        let steer = |(&place, said): (&usize, &Said)| {
-            let agent = &scene.agents[place];
-            let changes = self.retrieve(now_ns, agent, said);
-            (agent.id, self.forecaster.steer(agent, said, changes.as_ref()))
-        };
-        wanted.iter().zip(&said).map(steer).collect()
-    }
-
-    /// What an agent's controls are changed by, which is stored from now on.
-    fn retrieve(&mut self, stamp_ns: i64, agent: &Agent, said: &Said) -> Option<ControlChanges> {
-        let (config, retrieval) = (self.forecaster.config(), self.retrieval.as_mut()?);
-        let query = Query { stamp_ns, agent: agent.id, key: motion::key(agent, config)? };
-        let (model, controls) = (motion::model(agent, config), self.forecaster.controls(said));
-        let mut changes = ControlChanges::default();
-        retrieval.adapt(&query, &model, &controls, &mut changes);
-        Some(changes)
-    }
-
-    /// The context embeddings of estimates, in their order, which an online map then takes in.
-    fn contexts(&mut self, ego_m: [f32; 2], estimates: &[Estimate]) -> Vec<[f32; CONTEXT_EMBEDDING]> {
-        let options = self.forecaster.patch_options().filter(|_| !matches!(self.map, MapInput::None));
-        let Some(options) = options else { return vec![self.unknown; estimates.len()] };
-        let mut patches = vec![0.0; options.len() * estimates.len()];
-        for (estimate, patch) in estimates.iter().zip(patches.chunks_exact_mut(options.len())) {
-            match self.map {
-                MapInput::Site(map) => map.patch(&estimate.state, options, patch),
-                MapInput::Online | MapInput::None => self.online.patch(&estimate.state, options, patch),
+        self.header = Header { seq: self.header.seq + 1, ego_m, ..self.header };
+        let TracksPayload { header, mut tracks, places, .. } = TracksPayload::of(&scene, self.header);
+        for (track, &place) in tracks.iter_mut().zip(&places) {
+            let Estimate { is_seen, wanted, .. } = estimates[place];
+            track.forecastable = u32::from(wanted);
+            if !is_seen {
+                (track.status, track.unseen_ns) = (TrackStatus::Coasting as u32, self.header.step_ns);
             }
         }
-        if matches!(self.map, MapInput::Online) {
-            let seen = estimates.iter().filter(|estimate| estimate.is_seen).map(|estimate| estimate.state);
-            self.online.observe(ego_m, seen.map(|state| (state.position_m, state.velocity_mps)));
+        let Ok((_, forecasts)) = self.stages.step(&header, &tracks, |_| ()) else { return Vec::new() };
+        let learned = |payload: &&Payload| payload.quality == Quality::Learned as u32;
+        let horizon_len = self.horizon_len;
+        let of_agent = |payload: &Payload| (payload.id, Hypotheses::of(payload, horizon_len));
+        forecasts.iter().filter(learned).map(of_agent).collect()
+    }
+}
+
+impl Hypotheses {
+    /// The controls that a payload contains.
+    fn of(payload: &Payload, horizon_len: usize) -> Self {
+        let modes_len = payload.modes_len as usize;
+        let step = |control: &wire::ControlGaussian| ControlStep {
+            mean: control.mean.map(f64::from),
+            cholesky: control.cholesky.map(f64::from),
+        };
+        let modes = payload.controls[..modes_len].iter();
+        Self {
+            heading_rad: f64::from(payload.frame_heading_rad),
+            probability: payload.probability[..modes_len].iter().map(|&p| f64::from(p)).collect(),
+            controls: modes.flat_map(|steps| steps[..horizon_len].iter().map(step)).collect(),
         }
-        self.forecaster.embed_patches(&patches)
     }
 }

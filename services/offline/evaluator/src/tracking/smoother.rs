@@ -163,7 +163,7 @@ mod tests {
     /// Forwards it is the filter of the process; with what comes later it errs less, most of all in gaps.
     #[test]
     fn who_knows_the_future_errs_less_than_the_filter() {
-        let forecaster = Forecaster::new(&nn::Weights::onboard(), 1).unwrap();
+        let forecaster = Forecaster::new(nn::Weights::onboard(), 1).unwrap();
         let recording = corner(6);
         let course = Course::new(&recording, [0, i64::MAX], SENSOR, &NOWHERE);
         let [filter, smoother] =

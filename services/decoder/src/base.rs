@@ -1,0 +1,59 @@
+//! The decoder with its network switched off: base controls alone, baseline B*.
+
+use nn::base::BaseFeatures;
+use nn::{ModelConfig, Weights, WeightsError};
+use wire::{AgentControls, AgentEncoding, AgentType, ControlGaussian};
+
+/// The base controls of a model: ridge regression, and anchors around it.
+pub struct BaseDecoder {
+    networks: nn::Decoder,
+    config: ModelConfig,
+    /// \[mode, step\], those of the best forecast last.
+    controls: Vec<[f32; 2]>,
+}
+
+impl BaseDecoder {
+    /// The base of a model; `None` where it has none.
+    ///
+    /// # Errors
+    /// [`WeightsError`] where the weights do not hold the model.
+    pub fn new(weights: &Weights) -> Result<Option<Self>, WeightsError> {
+        let config = weights.config().clone();
+        config.check_frames()?;
+        if !config.base {
+            return Ok(None);
+        }
+        Ok(Some(Self { networks: nn::Decoder::new(weights)?, config, controls: Vec::new() }))
+    }
+
+    /// The base controls of an agent: certain, and all modes equally probable.
+    ///
+    /// # Panics
+    /// Where the agent's type is no number of one: encodings are to be checked.
+    pub fn controls(&mut self, agent: &AgentEncoding) -> AgentControls {
+        let agent_type = AgentType::try_from(agent.agent_type).expect("the encoding's type was checked");
+        let base = self.networks.of(agent_type).base().expect("a model with base controls");
+        let is_present = |step: usize| agent.present >> step & 1 == 1;
+        let features = BaseFeatures::new(&agent.state[..self.config.history_len], is_present, &self.config);
+        self.controls.resize(base.controls_len(), [0.0; 2]);
+        base.controls(&features, &mut self.controls);
+
+        let ModelConfig { modes: modes_len, horizon_len, .. } = self.config;
+        let mut out = AgentControls {
+            id: agent.id,
+            agent_type: agent.agent_type,
+            modes_len: modes_len as u32,
+            ..AgentControls::default()
+        };
+        out.probability[..modes_len].fill(1.0 / modes_len as f32);
+        let all = out.modes[..modes_len].iter_mut().chain([&mut out.best]);
+        for (steps, means) in all.zip(self.controls.chunks_exact(horizon_len)) {
+            for (control, &mean) in steps.iter_mut().zip(means) {
+                *control = ControlGaussian { mean, ..ControlGaussian::default() };
+            }
+        }
+        let (_, best) = self.controls.split_at(modes_len * horizon_len);
+        out.base[..horizon_len].copy_from_slice(best);
+        out
+    }
+}

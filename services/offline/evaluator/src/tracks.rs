@@ -1,0 +1,136 @@
+//! `tracks` payloads of windows: what the tracker would publish if it knew the recorded states for certain.
+
+use std::collections::BTreeMap;
+
+use data::Recording;
+use scene::State;
+use wire::{AGENTS_MAX, HISTORY_MAX, Header, HistoryState, Track, TrackStatus};
+
+use crate::{Agent, Scene};
+
+/// The `tracks` payload of a scene.
+#[derive(Clone, Debug)]
+pub struct TracksPayload {
+    /// The tick.
+    pub header: Header,
+    /// All agents that are present, as far as there is room.
+    pub tracks: Vec<Track>,
+    /// The place of each track among the scene's agents.
+    pub places: Vec<usize>,
+    /// Present agents for which the payload has no room.
+    pub left_out: usize,
+}
+
+/// Publishes the scenes of a recording, one after the other.
+pub(crate) struct Publisher {
+    header: Header,
+    egos: BTreeMap<i64, [f32; 2]>,
+    /// Histories of the scene before.
+    before: BTreeMap<u64, Vec<Option<State>>>,
+}
+
+impl Publisher {
+    /// Publishes scenes of a recording in ticks like that of `header`.
+    pub(crate) fn new(header: Header, recording: &Recording) -> Self {
+        let egos = recording.frames.iter().map(|frame| (frame.stamp_ns, frame.ego.position_m));
+        Self { header, egos: egos.collect(), before: BTreeMap::new() }
+    }
+
+    /// The next scene as a payload.
+    ///
+    /// Published states never change, and the extractor keeps what it made of them. Where a scene's history
+    /// contains a state that an earlier scene's contained otherwise, as histories made of positions alone do,
+    /// it is a run of its own.
+    pub(crate) fn next(&mut self, scene: &Scene) -> TracksPayload {
+        let step_ns = self.header.step_ns.cast_signed();
+        let is_next = self.header.stamp_ns.checked_add(step_ns) == Some(scene.stamp_ns);
+        let is_restated = |agent: &Agent| {
+            let Some((_, past)) = agent.history.split_last() else { return false };
+            match self.before.get(&agent.id) {
+                Some(before) => before[1..] != *past,
+                None => past.iter().any(Option::is_some),
+            }
+        };
+        if !is_next || scene.agents.iter().any(is_restated) {
+            self.header.run_id += 1;
+        }
+        self.before = scene.agents.iter().map(|agent| (agent.id, agent.history.clone())).collect();
+        let ego_m = self.egos.get(&scene.stamp_ns).copied().unwrap_or_default();
+        self.header = Header { seq: self.header.seq + 1, stamp_ns: scene.stamp_ns, ego_m, ..self.header };
+        TracksPayload::of(scene, self.header)
+    }
+}
+
+impl TracksPayload {
+    /// All agents that are present, in the scene's order: recorded states, certain, confirmed and
+    /// forecastable.
+    ///
+    /// A payload has room for [`AGENTS_MAX`]. Where more are present, those that count, which are there over
+    /// a whole window, come first, and among equals the nearest to the scene's middle.
+    pub(crate) fn of(scene: &Scene, header: Header) -> Self {
+        let present = |&place: &usize| scene.agents[place].newest().is_some();
+        let mut places: Vec<usize> = (0..scene.agents.len()).filter(present).collect();
+        let left_out = places.len().saturating_sub(AGENTS_MAX);
+        if left_out > 0 {
+            keep_nearest(scene, &mut places);
+        }
+        let tracks: Vec<Track> = places.iter().filter_map(|&place| track(&scene.agents[place])).collect();
+        let mut header = Header { stamp_ns: scene.stamp_ns, left_out_len: left_out as u32, ..header };
+        header.counts.agents_len = tracks.len() as u32;
+        Self { header, tracks, places, left_out }
+    }
+}
+
+/// Reduces places to as many as a payload has room for.
+fn keep_nearest(scene: &Scene, places: &mut Vec<usize>) {
+    let position = |place: usize| scene.agents[place].newest().map_or([0.0; 2], |state| state.position_m);
+    let middle = [0, 1].map(|axis| {
+        let sum: f64 = places.iter().map(|&place| f64::from(position(place)[axis])).sum();
+        (sum / places.len() as f64) as f32
+    });
+    let distance_m = |place: usize| (position(place)[0] - middle[0]).hypot(position(place)[1] - middle[1]);
+    places.sort_by(|&a, &b| {
+        let is_complete = |place: usize| scene.agents[place].is_complete();
+        is_complete(b).cmp(&is_complete(a)).then(distance_m(a).total_cmp(&distance_m(b)))
+    });
+    places.truncate(AGENTS_MAX);
+    places.sort_unstable();
+}
+
+/// An agent as a track; `None` where it is absent.
+pub(crate) fn track(agent: &Agent) -> Option<Track> {
+    let now = agent.newest()?;
+    let mut track = Track {
+        id: agent.id,
+        source_id: agent.id,
+        agent_type: agent.agent_type as u32,
+        status: TrackStatus::Confirmed as u32,
+        state_len: 4,
+        forecastable: 1,
+        x_m: now.position_m[0],
+        y_m: now.position_m[1],
+        heading_rad: now.heading_rad,
+        speed_mps: now.speed_mps(),
+        vx_mps: now.velocity_mps[0],
+        vy_mps: now.velocity_mps[1],
+        length_m: agent.length_m.unwrap_or(0.0),
+        existence: 1.0,
+        ..Track::default()
+    };
+    track.type_probability[agent.agent_type as usize] = 1.0;
+    for (step, state) in agent.history.iter().enumerate().take(HISTORY_MAX) {
+        track.history[step] = state.map_or_else(HistoryState::default, |state| history_state(&state));
+    }
+    Some(track)
+}
+
+fn history_state(state: &State) -> HistoryState {
+    HistoryState {
+        x_m: state.position_m[0],
+        y_m: state.position_m[1],
+        vx_mps: state.velocity_mps[0],
+        vy_mps: state.velocity_mps[1],
+        heading_rad: state.heading_rad,
+        present: 1,
+    }
+}

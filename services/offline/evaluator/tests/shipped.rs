@@ -1,0 +1,107 @@
+//! Published is shipped: from the same `tracks` payloads, the evaluator's forecasts are those of the chain
+//! that `predict` runs.
+
+#![expect(clippy::unwrap_used, reason = "a test that cannot go on should panic")]
+
+use data::sets::{DataSet, Fold, Part};
+use data::{GeneratedScene, Recording, SceneOptions};
+use evaluator::{Cut, Forecast, Forecaster, MapInput, Scene, TracksPayload, Variants};
+use nn::Weights;
+use onboard::TracksToForecasts;
+use run::{Run, StageRun};
+use scene::AgentType;
+use testing::public_recording;
+
+/// A run as `predict` sets it up.
+fn run(retrieval: bool, map: localiser::MapChoice, memory: Option<std::path::PathBuf>) -> Run {
+    let sampler = sampler::Options { retrieval, memory, ..sampler::Options::default() };
+    let localiser = localiser::Options { map };
+    Run {
+        lockstep: true,
+        seed: 1,
+        stages: vec![
+            StageRun::with_options(&sampler::STAGE, &sampler).unwrap(),
+            StageRun::with_options(&localiser::STAGE, &localiser).unwrap(),
+        ],
+        ..Run::default()
+    }
+}
+
+/// The forecasts of the complete agents by the shipped chain, scene by scene.
+fn shipped(run: &Run, scenes: &[Scene], payloads: &[TracksPayload]) -> Vec<Vec<(usize, Forecast)>> {
+    let weights = Weights::onboard();
+    let mut stages = TracksToForecasts::new(run, weights.config()).unwrap();
+    let of_scene = |(scene, payload): (&Scene, &TracksPayload)| {
+        let TracksPayload { header, tracks, places, .. } = payload;
+        let (_, forecasts) = stages.step(header, tracks, |_| ()).unwrap();
+        let forecasts = forecasts.iter().map(|payload| Forecast::of(payload, weights.config().horizon_len));
+        let complete = scene.complete();
+        places.iter().copied().zip(forecasts).filter(|(place, _)| complete.contains(place)).collect()
+    };
+    scenes.iter().zip(payloads).map(of_scene).collect()
+}
+
+/// The complete agents of a type, all of whose forecasts are the same from both.
+fn same(recording: &Recording, of_type: AgentType) -> usize {
+    let forecaster = Forecaster::new(Weights::onboard(), 1).unwrap();
+    let scenes = Cut::of(forecaster.config()).scenes(recording);
+    let scenes = &scenes[..scenes.len().min(150)];
+    let payloads = forecaster.payloads(recording, scenes);
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("memory");
+    let mut memory = forecaster.memory();
+    forecaster.visit(recording, scenes, MapInput::Online, 2, &mut memory);
+    memory.save(&path, forecaster.weights().sha256()).unwrap();
+
+    let online = || localiser::MapChoice::Online;
+    let variants = forecaster.variants(recording, scenes, MapInput::Online, 2, Some(memory));
+    let check = |run: &Run, of: fn(&Variants) -> &Forecast| {
+        let shipped = shipped(run, scenes, &payloads);
+        assert_eq!(shipped.len(), variants.len());
+        for (shipped, variants) in shipped.iter().zip(&variants) {
+            let evaluated: Vec<_> = variants.iter().map(|(place, variants)| (*place, of(variants))).collect();
+            let shipped: Vec<_> = shipped.iter().map(|(place, forecast)| (*place, forecast)).collect();
+            assert_eq!(evaluated, shipped);
+        }
+    };
+    check(&run(false, online(), None), |variants| &variants.network);
+    check(&run(true, online(), None), |variants| variants.retrieved.as_ref().unwrap());
+    check(&run(true, online(), Some(path)), |variants| variants.warm_started.as_ref().unwrap());
+
+    let all = || scenes.iter().zip(&variants).flat_map(|(scene, of)| of.iter().map(move |of| (scene, of)));
+    assert!(all().any(|(_, (_, of))| of.retrieved.as_ref() != Some(&of.network)), "nothing was retrieved");
+    all().filter(|(scene, (place, _))| scene.agents[*place].agent_type == of_type).count()
+}
+
+#[test]
+fn generated_traffic_of_all_types_is_forecast_as_shipped() {
+    let options = SceneOptions {
+        agents: 24,
+        seed: 3,
+        identities: true,
+        miss_probability: 0.0,
+        ..SceneOptions::default()
+    };
+    let recording = GeneratedScene::new(options).unwrap().recording(500);
+    for of_type in wire::AGENT_TYPES {
+        assert!(same(&recording, of_type) > 0, "{of_type:?}");
+    }
+}
+
+#[test]
+fn recorded_agents_of_each_type_are_forecast_as_shipped() {
+    let recordings = [
+        ("eth_ucy", DataSet::EthUcyFold(Fold::Hotel), Part::Test, AgentType::Pedestrian),
+        ("sdd", DataSet::SddRaw, Part::Train, AgentType::Cyclist),
+        ("interaction", DataSet::Interaction, Part::Test, AgentType::Vehicle),
+    ];
+    for (folder, set, part, of_type) in recordings {
+        if public_recording(folder).is_none() {
+            continue;
+        }
+        let files = set.files(&testing::recordings_folder(), part).unwrap();
+        let recordings = files.iter().map(|file| data::open(file, Some(set.format())).unwrap());
+        let len = recordings.take(8).map(|recording| same(&recording, of_type)).find(|len| *len > 0);
+        assert!(len.is_some(), "no {of_type:?} in {folder}");
+    }
+}

@@ -1,0 +1,84 @@
+use bytemuck::Zeroable;
+use decoder::{Decoder, DecoderOptions, StartError};
+use encoder::Encoder;
+use nn::Weights;
+use wire::{AGENTS_MAX, AgentControls, AgentEncoding, Header, Rejected, StageId};
+
+use crate::{FeatureFrame, Load};
+
+/// Encoder and decoder. What they make of a tick does not depend on other ticks.
+pub struct FeaturesToControls {
+    encoder: Encoder,
+    decoder: Decoder,
+    horizon_len: u32,
+    modes_len: u32,
+    encodings: Vec<AgentEncoding>,
+    encodings_len: usize,
+    controls: Vec<AgentControls>,
+}
+
+/// The encodings of a tick's agents and the controls of those that are forecast.
+#[derive(Clone, Copy, Debug)]
+pub struct Controls<'a> {
+    /// All agents of the frame.
+    pub encodings: &'a [AgentEncoding],
+    /// The agents that are forecast, in their order.
+    pub controls: &'a [AgentControls],
+}
+
+impl FeaturesToControls {
+    /// Stages with the model's networks.
+    ///
+    /// # Errors
+    /// [`StartError`] where the weights do not hold the model or a thread can't be had.
+    pub fn new(weights: &Weights, options: DecoderOptions) -> Result<Self, StartError> {
+        let model = weights.config();
+        Ok(Self {
+            horizon_len: model.horizon_len as u32,
+            modes_len: model.modes as u32,
+            encoder: Encoder::new(weights)?,
+            decoder: Decoder::new(weights, options)?,
+            encodings: vec![AgentEncoding::zeroed(); AGENTS_MAX],
+            encodings_len: 0,
+            controls: vec![AgentControls::zeroed(); AGENTS_MAX],
+        })
+    }
+
+    /// Takes the features of a tick to controls; `passed` is called after each stage. Without features there
+    /// are none.
+    ///
+    /// # Errors
+    /// [`Rejected`] where a stage refuses the tick.
+    pub fn step(
+        &mut self,
+        frame: &FeatureFrame,
+        mut passed: impl FnMut(StageId),
+    ) -> Result<Controls<'_>, Rejected> {
+        let Some(features) = frame.features() else { return Ok(Controls { encodings: &[], controls: &[] }) };
+        let (features, mut header): (_, Header) = (features?, *frame.header());
+        self.encodings_len = frame.agents_len();
+        let encodings = &mut self.encodings[..self.encodings_len];
+        self.encoder.step(&header, &features, encodings)?;
+        passed(StageId::Encoder);
+
+        let controls = &mut self.controls[..Decoder::len(encodings)];
+        header.counts.agents_len = controls.len() as u32;
+        header.counts.horizon_len = self.horizon_len;
+        header.counts.modes_len = self.modes_len;
+        self.decoder.step(&header, encodings, controls)?;
+        passed(StageId::Decoder);
+        Ok(Controls { encodings, controls })
+    }
+
+    /// Steps of the model's horizon, and its modes.
+    pub(crate) const fn lens(&self) -> (u32, u32) {
+        (self.horizon_len, self.modes_len)
+    }
+
+    /// How large the last tick was.
+    #[must_use]
+    pub fn load(&self, frame: &FeatureFrame) -> Load {
+        let Some(Ok(features)) = frame.features() else { return Load::default() };
+        Load::of(&features, &self.encodings[..self.encodings_len], frame.header().counts.history_len)
+    }
+}

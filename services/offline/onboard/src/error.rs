@@ -1,0 +1,21 @@
+use nn::{StartError, WeightsError};
+use ports::StageError;
+use run::OptionError;
+use thiserror::Error;
+
+/// Why the stages can't be set up in one process.
+#[derive(Debug, Error)]
+pub enum ChainError {
+    /// The weights do not hold the model.
+    #[error(transparent)]
+    Weights(#[from] WeightsError),
+    /// A stage that runs the network on workers can't start.
+    #[error(transparent)]
+    Start(#[from] StartError),
+    /// A stage's options can't be used.
+    #[error(transparent)]
+    Options(#[from] OptionError),
+    /// A stage's map or retrieval memory can't be used.
+    #[error(transparent)]
+    Stage(#[from] StageError),
+}

@@ -1,0 +1,27 @@
+//! The compute stages in one process: the same steps on the same settings as in a run of processes, so that
+//! forecasts are equal to the bit.
+//!
+//! ```text
+//! detections ─ tracker ─┬─ localiser ─ extractor ─┬─ encoder ─ decoder ─┬─ sampler ─ forecasts
+//!                       └─ TracksToFeatures ──────┴─ FeaturesToControls ┘
+//!              Chain    └─ TracksToForecasts ──────────────────────────────────────┘
+//! ```
+//!
+//! * [`Chain`] is the whole pipeline: `stgdat predict`, `track` and `bench` run it.
+//! * [`TracksToForecasts`] is its part from a `tracks` payload on.
+//! * [`TracksToFeatures`] and [`FeaturesToControls`] are the parts of that. The first depends on the ticks
+//!   before, the second on the tick alone, so that evaluations can share its ticks among threads.
+
+mod chain;
+mod controls;
+mod error;
+mod features;
+mod forecasts;
+mod load;
+
+pub use chain::Chain;
+pub use controls::{Controls, FeaturesToControls};
+pub use error::ChainError;
+pub use features::{FeatureFrame, TracksToFeatures};
+pub use forecasts::TracksToForecasts;
+pub use load::Load;

@@ -1,0 +1,34 @@
+use wire::{AgentEncoding, Edge, Features};
+
+/// How large the last tick was, for callers that count its work.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Load {
+    /// Agents.
+    pub agents_len: usize,
+    /// Agents at the history steps at which they are present.
+    pub nodes_len: usize,
+    /// Edges of all history steps.
+    pub edges_len: usize,
+    /// Edges of the newest step.
+    pub new_edges_len: usize,
+    /// Agents that are forecast.
+    pub forecast_len: usize,
+    /// States that the decoder's burn-in reads.
+    pub burn_in_len: usize,
+}
+
+impl Load {
+    pub(crate) fn of(features: &Features<'_>, encodings: &[AgentEncoding], history_len: u32) -> Self {
+        let states = |encoding: &AgentEncoding| encoding.present.count_ones() as usize;
+        let newest = |edge: &&Edge| u32::from(edge.step) + 1 == history_len;
+        let forecast = || encodings.iter().filter(|encoding| encoding.forecastable != 0);
+        Self {
+            agents_len: encodings.len(),
+            nodes_len: encodings.iter().map(states).sum(),
+            edges_len: features.edges.len(),
+            new_edges_len: features.edges.iter().filter(newest).count(),
+            forecast_len: forecast().count(),
+            burn_in_len: forecast().map(states).sum(),
+        }
+    }
+}
