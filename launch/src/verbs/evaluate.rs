@@ -3,9 +3,10 @@ use std::path::{Path, PathBuf};
 use clap::{Args, ValueEnum};
 use data::Format;
 use data::sets::Part;
-use evaluator::{InteractionPart, KittiReport, MapChoice, Options, Report, TrackingReport, WeightsChoice};
+use evaluator::{InteractionPart, MapChoice, Options, Report, WeightsChoice};
 use nn::Weights;
 use run::Exit;
+use tracking_evaluator::{KittiReport, TrackingReport};
 
 use crate::contenders::contenders;
 use crate::failure::Failure;
@@ -233,12 +234,13 @@ fn track(arguments: &Arguments) -> Result<Vec<Written>, Failure> {
         written.push(if part == "kitti" {
             Written::of_trackers(&judge_trackers(&options)?)
         } else {
-            let report = evaluator::tracking(&options, &arguments.sigmas, arguments.particles, progress);
+            let report =
+                tracking_evaluator::interaction(&options, &arguments.sigmas, arguments.particles, progress);
             Written::of_motion(&report.map_err(Failure::data)?)
         });
     }
     if let Some(first) = written.first_mut() {
-        first.csv.insert_str(0, evaluator::TRACKING_COLUMNS);
+        first.csv.insert_str(0, tracking_evaluator::COLUMNS);
     }
     Ok(written)
 }
@@ -251,7 +253,7 @@ fn judge_trackers(options: &Options) -> Result<KittiReport, Failure> {
         Some(path) => Weights::open(path).map_err(|error| Failure::weights(path, error))?,
     };
     let contenders = contenders(weights, model.config());
-    evaluator::kitti(options, contenders, progress).map_err(Failure::data)
+    tracking_evaluator::kitti(options, contenders, progress).map_err(Failure::data)
 }
 
 fn progress(step: &str) {

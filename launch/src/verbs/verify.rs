@@ -1,8 +1,8 @@
 use std::path::{Path, PathBuf};
 
 use clap::Args;
-use evaluator::{Comparison, VerifyError};
 use run::Exit;
+use verifier::{Comparison, VerifyError};
 
 use crate::failure::Failure;
 
@@ -19,7 +19,7 @@ pub struct Arguments {
 pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
     let (mut off_len, mut verified_len) = (0, 0);
     for folder in &arguments.folders {
-        let rows = match evaluator::verify(folder) {
+        let rows = match verifier::verify(folder) {
             // A shell's `golden/*` names the README beside the folders as well.
             Err(error) if arguments.folders.len() > 1 && holds_no_vectors(folder, &error) => {
                 eprintln!("{}: skipped, no golden vectors\n", folder.display());

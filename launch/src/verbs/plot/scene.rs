@@ -3,7 +3,7 @@ use std::path::{Path, PathBuf};
 use ::scene::ContextMap;
 use clap::{Args, ValueEnum};
 use data::Format;
-use evaluator::picture::{Mask, SceneDrawing, SceneOptions, Shot, Storyboard, save, scenes};
+use drawing::{Mask, SceneDrawing, SceneOptions, Shot, Storyboard, save, scenes};
 use evaluator::{Forecaster, MapInput};
 use localiser::MapChoice;
 use run::Exit;

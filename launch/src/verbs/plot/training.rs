@@ -1,7 +1,7 @@
 use std::path::PathBuf;
 
 use clap::Args;
-use evaluator::picture::{TrainingLog, learning_curves, save};
+use drawing::{TrainingLog, learning_curves, save};
 use run::Exit;
 
 use crate::failure::Failure;

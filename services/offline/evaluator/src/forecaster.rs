@@ -210,7 +210,7 @@ impl Forecaster {
     }
 
     /// The stages from `tracks` on, with a memory to retrieve from if there is one.
-    pub(crate) fn stages(&self, map: MapInput<'_>, memory: Option<RetrievalMemory>) -> TracksToForecasts {
+    pub fn stages(&self, map: MapInput<'_>, memory: Option<RetrievalMemory>) -> TracksToForecasts {
         let mut sampler = self.sampler(memory.is_some());
         memory.into_iter().for_each(|memory| sampler.warm_start(memory));
         let stages = self.tracks_to_features(map, 1).and_then(|features| {
@@ -240,7 +240,7 @@ impl Forecaster {
     }
 
     /// The header of a recording's first tick.
-    pub(crate) fn header(&self) -> Header {
+    pub fn header(&self) -> Header {
         let mut header = Header { step_ns: self.config().step_ns(), ..Header::new(1, 0, 0) };
         header.counts.history_len = self.config().history_len as u32;
         header

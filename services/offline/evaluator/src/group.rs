@@ -6,7 +6,7 @@ use crate::judge::Block;
 use crate::{Crowding, Measure, Method, Subset, Tally};
 
 /// Resamples of an interval.
-pub(crate) const RESAMPLES: usize = 1000;
+pub const RESAMPLES: usize = 1000;
 
 /// Seed of the resamples.
 const SEED: u64 = 1;

@@ -4,30 +4,27 @@ mod ablation;
 mod eth_ucy;
 mod files;
 mod interaction;
-mod kitti;
 mod sdd;
-mod tracking;
 
 use std::path::PathBuf;
 
 use data::sets::{DataSet, Part};
 use data::{Format, Recording};
+use scene::ContextMap;
 
 pub use ablation::{Variant, ablation};
 pub use eth_ucy::eth_ucy;
 pub use files::files;
 pub use interaction::{InteractionPart, interaction};
-pub use kitti::kitti;
 pub use sdd::sdd;
-pub use tracking::tracking;
 
 use crate::judge::Block;
-use crate::maps::MapInput;
+use crate::maps::{MapInput, site_map};
 use crate::weights::{Model, WeightsChoice};
 use crate::{Baselines, Cut, EvaluateError, Judge, Scene, Subset, threads};
 
 /// Seed of what is drawn or clustered on the way: latent variables, directions, anchors.
-const SEED: u64 = 1;
+pub const SEED: u64 = 1;
 
 /// What the network is told of the ground, from nothing to most.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -57,9 +54,49 @@ pub struct Options {
 }
 
 /// A recording and its scenes.
-struct Footage {
-    recording: Recording,
-    scenes: Vec<Scene>,
+pub struct Footage {
+    /// The recording.
+    pub recording: Recording,
+    /// Its windows.
+    pub scenes: Vec<Scene>,
+}
+
+impl Footage {
+    /// The site of a recording whose name begins with it: `DR_USA_Roundabout_FT`.
+    #[must_use]
+    pub fn site(&self) -> String {
+        self.recording.name.split('/').next().unwrap_or_default().to_owned()
+    }
+}
+
+impl MapChoice {
+    /// The map that was chosen. Without one of the site there is none at all: what a model has learned of maps
+    /// it has learned at other sites, and there it forecasts worse with the online map than with nothing.
+    #[must_use]
+    pub const fn input(self, site: Option<&ContextMap>) -> MapInput<'_> {
+        match (self, site) {
+            (Self::Online, _) => MapInput::Online,
+            (Self::Site, Some(site)) => MapInput::Site(site),
+            _ => MapInput::None,
+        }
+    }
+
+    /// Its name in reports.
+    #[must_use]
+    pub const fn label(self) -> &'static str {
+        match self {
+            Self::None => "none",
+            Self::Online => "online",
+            Self::Site => "of the site's training recordings",
+        }
+    }
+}
+
+/// The map of a site's recordings among `training`.
+#[must_use]
+pub fn map_of(training: &[Footage], site: &str) -> Option<ContextMap> {
+    let of_site = training.iter().filter(|footage| footage.site() == site);
+    site_map(of_site.flat_map(|footage| &footage.scenes))
 }
 
 impl Options {
@@ -78,7 +115,11 @@ impl Options {
         threads::each(paths, self.threads, read).into_iter().collect()
     }
 
-    fn read_part(&self, set: DataSet, part: Part, cut: &Cut) -> Result<Vec<Footage>, EvaluateError> {
+    /// Reads and cuts the recordings of a part of a data set.
+    ///
+    /// # Errors
+    /// [`EvaluateError`] where one can't be read.
+    pub fn read_part(&self, set: DataSet, part: Part, cut: &Cut) -> Result<Vec<Footage>, EvaluateError> {
         self.read(&set.files(&self.data, part)?, Some(set.format()), cut)
     }
 }

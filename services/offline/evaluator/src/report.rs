@@ -7,7 +7,8 @@ use std::collections::BTreeSet;
 use metrics::Interval;
 use serde::Serialize;
 
-pub(crate) use table::{Column, Table, digits, percent};
+pub(crate) use table::Column;
+pub use table::{Table, digits, percent};
 
 use crate::group::Group;
 use crate::weights::Provenance;

@@ -4,7 +4,7 @@
 ///
 /// The result of an item must not depend on what its memory saw before: then it is the same for any number of
 /// threads.
-pub(crate) fn each<T: Sync, R: Send, M: Default + Send>(
+pub fn each<T: Sync, R: Send, M: Default + Send>(
     items: &[T],
     threads: usize,
     work: impl Fn(&T, &mut M) -> R + Sync,
@@ -14,7 +14,7 @@ pub(crate) fn each<T: Sync, R: Send, M: Default + Send>(
 }
 
 /// As [`each`], with the memories of as many threads; there must be one.
-pub(crate) fn each_with<T: Sync, R: Send, M: Send>(
+pub fn each_with<T: Sync, R: Send, M: Send>(
     items: &[T],
     memories: &mut [M],
     work: impl Fn(&T, &mut M) -> R + Sync,

@@ -67,7 +67,7 @@ impl TracksPayload {
     ///
     /// A payload has room for [`AGENTS_MAX`]. Where more are present, those that count, which are there over
     /// a whole window, come first, and among equals the nearest to the scene's middle.
-    pub(crate) fn of(scene: &Scene, header: Header) -> Self {
+    pub fn of(scene: &Scene, header: Header) -> Self {
         let present = |&place: &usize| scene.agents[place].newest().is_some();
         let mut places: Vec<usize> = (0..scene.agents.len()).filter(present).collect();
         let left_out = places.len().saturating_sub(AGENTS_MAX);
@@ -98,7 +98,7 @@ fn keep_nearest(scene: &Scene, places: &mut Vec<usize>) {
 }
 
 /// An agent as a track; `None` where it is absent.
-pub(crate) fn track(agent: &Agent) -> Option<Track> {
+pub fn track(agent: &Agent) -> Option<Track> {
     let now = agent.newest()?;
     let mut track = Track {
         id: agent.id,

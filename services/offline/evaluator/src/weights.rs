@@ -8,7 +8,7 @@ use nn::{Latents, ModelConfig, Weights};
 use crate::{EvaluateError, Forecaster};
 
 /// The recipe whose weights the executable carries.
-pub(crate) const EMBEDDED: &str = "onboard";
+pub const EMBEDDED: &str = "onboard";
 
 /// Where weights come from.
 #[derive(Clone, Debug, PartialEq)]
@@ -20,8 +20,9 @@ pub struct WeightsChoice {
 }
 
 /// Weights, ready to forecast.
-pub(crate) struct Model {
-    pub(crate) forecaster: Forecaster,
+pub struct Model {
+    /// Its forecaster.
+    pub forecaster: Forecaster,
     pub(crate) path: String,
     sha256: String,
     recipe: Option<String>,
@@ -55,7 +56,10 @@ pub struct Provenance {
 
 impl WeightsChoice {
     /// Opens the weights that `recipe` makes, or those that were asked for in their place.
-    pub(crate) fn open(&self, recipe: &str, seed: u64) -> Result<Model, EvaluateError> {
+    ///
+    /// # Errors
+    /// [`EvaluateError`] where they are missing or can't be used.
+    pub fn open(&self, recipe: &str, seed: u64) -> Result<Model, EvaluateError> {
         let path = self.file.clone().unwrap_or_else(|| self.folder.join(format!("{recipe}.safetensors")));
         let mut told = path.display().to_string();
         let failed = |source| EvaluateError::Weights { path: path.display().to_string(), source };
@@ -88,12 +92,14 @@ impl WeightsChoice {
 
 impl Model {
     /// Fingerprint of the weights.
-    pub(crate) fn sha256(&self) -> &str {
+    #[must_use]
+    pub fn sha256(&self) -> &str {
         &self.sha256
     }
 
     /// What is to be told of the model's part in a report.
-    pub(crate) fn provenance(&self, part: &str, map: &str, recordings: &[&Recording]) -> Provenance {
+    #[must_use]
+    pub fn provenance(&self, part: &str, map: &str, recordings: &[&Recording]) -> Provenance {
         let seen = recordings.iter().filter(|recording| self.trained_on.contains(&recording.sha256));
         Provenance {
             part: part.to_owned(),

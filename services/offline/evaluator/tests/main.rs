@@ -1,13 +1,10 @@
-//! The evaluator: golden vectors, windows of recordings, figures and reports.
+//! The evaluator: windows of recordings, forecasts, figures and reports.
 
 mod support {
     pub mod weights;
 }
 
 mod forecaster;
-mod golden;
-mod golden_tracking;
-mod kitti;
 mod report;
 mod shipped;
 mod windows;

@@ -5,8 +5,8 @@ use std::collections::BTreeMap;
 use data::sets::{DataSet, Fold, Part};
 use scene::{AgentType, ContextMap};
 
-use super::interaction::{folder, input, map_of, short, site_of};
-use super::{Footage, MapChoice, Options, Rules, SEED, no_agents};
+use super::interaction::{folder, short};
+use super::{Footage, MapChoice, Options, Rules, SEED, map_of, no_agents};
 use crate::ablation::{Ablation, AblationRow};
 use crate::group::Group;
 use crate::weights::Model;
@@ -146,7 +146,7 @@ impl Windows {
         }
         let training = options.read_part(self.set, Part::Train, &self.cut)?;
         let mut maps = BTreeMap::new();
-        for site in footage.iter().map(site_of) {
+        for site in footage.iter().map(Footage::site) {
             if !maps.contains_key(&site)
                 && let Some(map) = map_of(&training, &site)
             {
@@ -174,7 +174,7 @@ impl Windows {
         let mut groups = Vec::new();
         for footage in footage {
             let name = &footage.recording.name;
-            let blocks = rules.judge(model, &baselines, footage, input(map, sites.get(&site_of(footage))));
+            let blocks = rules.judge(model, &baselines, footage, map.input(sites.get(&footage.site())));
             let group = Group::new(name, self.subset, 0, &blocks);
             groups.push(if self.in_pixels {
                 let no_scale = || EvaluateError::NoScale { name: name.clone() };

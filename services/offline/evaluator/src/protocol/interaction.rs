@@ -4,12 +4,11 @@ use std::path::{Path, PathBuf};
 
 use data::sets::{DataSet, Part};
 use retrieval::RetrievalMemory;
-use scene::{AgentType, ContextMap};
+use scene::AgentType;
 
-use super::{Footage, GROWTH, MapChoice, Options, RATES, Rules, SEED, fit, need_agents};
+use super::{Footage, GROWTH, MapChoice, Options, RATES, Rules, SEED, fit, map_of, need_agents};
 use crate::group::Group;
 use crate::judge::Block;
-use crate::maps::{MapInput, site_map};
 use crate::reference::{self, PaperRow};
 use crate::report::{Column, Report, Table};
 use crate::weights::Model;
@@ -105,13 +104,13 @@ impl Protocol<'_> {
         // Recordings come site by site.
         let mut visited: Option<(String, RetrievalMemory)> = None;
         for footage in &footage {
-            let site = site_of(footage);
+            let site = footage.site();
             let map = (options.map == MapChoice::Site).then(|| map_of(training, &site)).flatten();
-            let map = input(options.map, map.as_ref());
+            let map = options.map.input(map.as_ref());
             let judge = rules.judge_with(model, &baselines);
             if visited.as_ref().is_none_or(|(name, _)| *name != site) {
                 let mut memory = model.forecaster.memory();
-                for earlier in training.iter().filter(|footage| site_of(footage) == site) {
+                for earlier in training.iter().filter(|footage| footage.site() == site) {
                     let Footage { recording, scenes } = earlier;
                     model.forecaster.visit(recording, scenes, map, options.threads, &mut memory);
                 }
@@ -126,7 +125,7 @@ impl Protocol<'_> {
             }
         }
         let recordings: Vec<_> = footage.iter().map(|footage| &footage.recording).collect();
-        add_provenance(report, model.provenance("seen", told(options.map), &recordings));
+        add_provenance(report, model.provenance("seen", options.map.label(), &recordings));
         let judge = |(site, blocks): (String, Vec<Block>)| {
             need_agents(&blocks, &site, cut)?;
             Ok(Judged::new(format!("seen {}", short(&site)), site, &blocks))
@@ -137,7 +136,7 @@ impl Protocol<'_> {
     /// All recordings of a site, and those of the part that is judged by themselves.
     fn unseen(&self, model: &Model, site: &str, report: &mut Report) -> Result<Vec<Judged>, EvaluateError> {
         let Self { options, rules, cut, training } = self;
-        let others = training.iter().filter(|footage| short(&site_of(footage)) != site);
+        let others = training.iter().filter(|footage| short(&footage.site()) != site);
         let baselines = Baselines::fit(others.flat_map(|footage| &footage.scenes), cut, SEED);
         let (mut tests, mut all, mut recordings) = (Vec::new(), Vec::new(), Vec::new());
         let mut name = site.to_owned();
@@ -147,10 +146,10 @@ impl Protocol<'_> {
             let of_site = |path: &PathBuf| short(&folder(path)) == site;
             let paths: Vec<PathBuf> = SET.files(&options.data, part)?.into_iter().filter(of_site).collect();
             for footage in options.read(&paths, Some(SET.format()), cut)? {
-                name = site_of(&footage);
+                name = footage.site();
                 // Whatever was recorded at the site before belongs to nobody's training: no site map.
                 let Footage { recording, scenes } = &footage;
-                let map = input(options.map, None);
+                let map = options.map.input(None);
                 let blocks = judge.revisit(recording, scenes, map, Some(&mut memory));
                 memory.end_session();
                 if part == options.part {
@@ -282,39 +281,10 @@ fn add_provenance(report: &mut Report, provenance: crate::Provenance) {
     }
 }
 
-/// The map that was chosen. Without one of the site there is none at all: what a model has learned of maps it has learned
-/// at other sites, and there it forecasts worse with the online map than with nothing.
-pub(super) fn input(choice: MapChoice, site: Option<&ContextMap>) -> MapInput<'_> {
-    match (choice, site) {
-        (MapChoice::Online, _) => MapInput::Online,
-        (MapChoice::Site, Some(site)) => MapInput::Site(site),
-        _ => MapInput::None,
-    }
-}
-
-/// What is told of that map.
-pub(super) const fn told(choice: MapChoice) -> &'static str {
-    match choice {
-        MapChoice::None => "none",
-        MapChoice::Online => "online",
-        MapChoice::Site => "of the site's training recordings",
-    }
-}
-
-/// The map of a site's training recordings.
-pub(super) fn map_of(training: &[Footage], site: &str) -> Option<ContextMap> {
-    let of_site = training.iter().filter(|footage| site_of(footage) == site);
-    site_map(of_site.flat_map(|footage| &footage.scenes))
-}
-
 /// The folder of a recording: `DR_USA_Roundabout_FT`.
 pub(super) fn folder(path: &Path) -> String {
     let folder = path.parent().and_then(Path::file_name);
     folder.map_or_else(String::new, |folder| folder.to_string_lossy().into_owned())
-}
-
-pub(super) fn site_of(footage: &Footage) -> String {
-    footage.recording.name.split('/').next().unwrap_or_default().to_owned()
 }
 
 /// What a site is called among people: `FT`.

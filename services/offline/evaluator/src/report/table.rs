@@ -30,7 +30,7 @@ const SUMMARISED: [&str; 8] = [
 
 /// A table of text.
 #[derive(Clone, Debug)]
-pub(crate) struct Table {
+pub struct Table {
     title: String,
     note: String,
     head: Vec<String>,
@@ -66,12 +66,7 @@ impl<'a> Column<'a> {
 
 impl Table {
     /// An empty table with the `names` of its first columns.
-    pub(crate) fn new(
-        title: &str,
-        note: &str,
-        names: &[&str],
-        columns: impl Iterator<Item = String>,
-    ) -> Self {
+    pub fn new(title: &str, note: &str, names: &[&str], columns: impl Iterator<Item = String>) -> Self {
         let head = names.iter().map(|name| (*name).to_owned()).chain(columns).collect();
         Self {
             title: title.to_owned(),
@@ -85,7 +80,7 @@ impl Table {
     }
 
     /// The same table as one that belongs into a summary.
-    pub(crate) fn main(self) -> Self {
+    pub fn main(self) -> Self {
         Self { is_main: true, ..self }
     }
 
@@ -218,7 +213,7 @@ impl Table {
     }
 
     /// Adds a row of text.
-    pub(crate) fn push_row(&mut self, row: Vec<String>) {
+    pub fn push_row(&mut self, row: Vec<String>) {
         self.rows.push(row);
     }
 
@@ -235,13 +230,13 @@ impl Table {
     }
 
     /// The table as Markdown under a heading of the first level; `made` tells how its figures were made.
-    pub(crate) fn markdown(&self, made: &str) -> String {
+    pub fn markdown(&self, made: &str) -> String {
         let space = if self.note.is_empty() { "" } else { " " };
         format!("# {}\n\n{}{space}{made}\n\n{}", self.title, self.note, self.grid())
     }
 
     /// Head and rows alone.
-    pub(crate) fn grid(&self) -> String {
+    pub fn grid(&self) -> String {
         let columns_len = self.head.len();
         let rows = || std::iter::once(&self.head).chain(&self.rows);
         let width = |column: usize| rows().map(|row| row[column].chars().count()).max().unwrap_or(0);
@@ -268,12 +263,12 @@ fn names(columns: &[Column<'_>]) -> impl Iterator<Item = String> {
 }
 
 /// Three decimals, or two from 10 on.
-pub(crate) fn digits(value: f64) -> String {
+pub fn digits(value: f64) -> String {
     if value < 10.0 { format!("{value:.3}") } else { format!("{value:.2}") }
 }
 
 /// A ratio as what is more or less than the whole.
-pub(crate) fn percent(&Interval { low, mean, high }: &Interval) -> String {
+pub fn percent(&Interval { low, mean, high }: &Interval) -> String {
     let [low, mean, high] = [low, mean, high].map(|ratio| 100.0 * (ratio - 1.0));
     format!("{mean:+.1} [{low:+.1}, {high:+.1}]")
 }

@@ -1,0 +1,228 @@
+//! A recording as a noisy sensor with blind spells would give it.
+
+use std::collections::BTreeMap;
+
+use data::Recording;
+use kinematics::Normals;
+use metrics::tracking::PlanarState;
+use wire::{AgentType, detection_flags};
+
+use super::Place;
+
+/// A vehicle is seen for so long before its first gap, at least, and between two gaps.
+const SEEN_FIRST_S: f64 = 3.0;
+/// See [`SEEN_FIRST_S`].
+const SEEN_BETWEEN_S: f64 = 4.0;
+
+/// What a sensor does to the truth.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Sensor {
+    /// Standard deviation of a measured position, per axis.
+    pub(crate) sigma_m: f64,
+    /// How long a gap lasts; 0 for none.
+    pub(crate) gap_s: f64,
+    /// Of the noise, and of when gaps begin.
+    pub(crate) seed: u64,
+}
+
+/// An agent at one instant.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Seen {
+    pub(crate) id: u64,
+    pub(crate) agent_type: AgentType,
+    pub(crate) length_m: Option<f32>,
+    /// `None` at the ends of a track, where its velocity is not known.
+    pub(crate) truth: Option<PlanarState>,
+    /// Position, if it was measured.
+    pub(crate) measured_m: Option<[f64; 2]>,
+}
+
+/// All agents of an instant, in the order of their ids.
+#[derive(Clone, Debug)]
+pub(crate) struct Instant {
+    pub(crate) stamp_ns: i64,
+    /// Where the sensor is.
+    pub(crate) ego_m: [f32; 2],
+    pub(crate) agents: Vec<Seen>,
+}
+
+/// Instants in the order of time.
+#[derive(Clone, Debug)]
+pub(crate) struct Course<'a> {
+    pub(crate) sensor: Sensor,
+    /// What is known of the place before.
+    pub(crate) place: &'a Place<'a>,
+    pub(crate) instants: Vec<Instant>,
+}
+
+impl<'a> Course<'a> {
+    /// The frames between two times of a recording with identities, as the sensor gives them.
+    ///
+    /// The true velocity is the central difference of positions: neither late nor smoothed as that of the recording is.
+    pub(crate) fn new(
+        recording: &Recording,
+        [from_ns, to_ns]: [i64; 2],
+        sensor: Sensor,
+        place: &'a Place<'a>,
+    ) -> Self {
+        let mut positions: BTreeMap<(u64, i64), [f64; 2]> = BTreeMap::new();
+        let frames = || recording.frames.iter().filter(|frame| (from_ns..=to_ns).contains(&frame.stamp_ns));
+        let mut born: BTreeMap<u64, i64> = BTreeMap::new();
+        for frame in frames() {
+            for detection in &frame.detections {
+                let position_m = [detection.x_m, detection.y_m].map(f64::from);
+                positions.insert((detection.id, frame.stamp_ns), position_m);
+                born.entry(detection.id).or_insert(frame.stamp_ns);
+            }
+        }
+        let interval_ns = recording.interval_ns.cast_signed();
+        let truth = |id: u64, stamp_ns: i64| {
+            let before = positions.get(&(id, stamp_ns - interval_ns))?;
+            let after = positions.get(&(id, stamp_ns + interval_ns))?;
+            let elapsed_s = 2.0 * interval_ns as f64 / 1e9;
+            Some(PlanarState {
+                position_m: positions[&(id, stamp_ns)],
+                velocity_mps: [0, 1].map(|axis| (after[axis] - before[axis]) / elapsed_s),
+            })
+        };
+        let seen = |detection: &wire::Detection, stamp_ns: i64| {
+            let (id, agent_type) = (detection.id, detection.agent_type().ok()?);
+            let age_s = (stamp_ns - born[&id]) as f64 / 1e9;
+            let hidden = agent_type == AgentType::Vehicle && sensor.hides(id, age_s);
+            let sized = detection.flags & detection_flags::HAS_SIZE != 0;
+            Some(Seen {
+                id,
+                agent_type,
+                length_m: sized.then_some(detection.length_m),
+                truth: truth(id, stamp_ns),
+                measured_m: (!hidden).then(|| sensor.measure(id, stamp_ns, positions[&(id, stamp_ns)])),
+            })
+        };
+        let instants = frames().map(|frame| {
+            let mut agents: Vec<Seen> =
+                frame.detections.iter().filter_map(|detection| seen(detection, frame.stamp_ns)).collect();
+            agents.sort_by_key(|agent| agent.id);
+            Instant { stamp_ns: frame.stamp_ns, ego_m: frame.ego.position_m, agents }
+        });
+        Self { sensor, place, instants: instants.collect() }
+    }
+}
+
+impl Instant {
+    /// Whether an agent is measured.
+    pub(crate) fn measures(&self, id: u64) -> bool {
+        let place = self.agents.binary_search_by_key(&id, |seen| seen.id);
+        place.is_ok_and(|place| self.agents[place].measured_m.is_some())
+    }
+}
+
+impl Sensor {
+    /// Whether an agent is in a gap so long after it was first seen.
+    fn hides(&self, id: u64, age_s: f64) -> bool {
+        let period_s = SEEN_BETWEEN_S + self.gap_s;
+        // From 0 to 1, evenly.
+        let phase = f64::from(Normals::new(self.seed, id, 0).draw().abs()).fract();
+        let since_s = age_s - SEEN_FIRST_S - phase * SEEN_BETWEEN_S;
+        since_s >= 0.0 && since_s.rem_euclid(period_s) < self.gap_s
+    }
+
+    fn measure(&self, id: u64, stamp_ns: i64, position_m: [f64; 2]) -> [f64; 2] {
+        let mut normals = Normals::new(self.seed, id, stamp_ns.cast_unsigned());
+        position_m.map(|value| value + self.sigma_m * f64::from(normals.draw()))
+    }
+}
+
+#[cfg(test)]
+pub(crate) mod tests {
+    use data::{Frame, Recording};
+    use wire::Detection;
+
+    use super::*;
+    use evaluator::MapInput;
+
+    const INTERVAL_NS: i64 = 100_000_000;
+
+    /// A place of which nothing is known.
+    pub(crate) const NOWHERE: Place<'static> = Place { map: MapInput::None, memory: None };
+
+    /// A vehicle that drives straight at 10 m/s for 20 s.
+    pub(crate) fn recording() -> Recording {
+        let frames = (0..200).map(|frame| vec![vehicle(7, [frame as f32, 0.0])]);
+        recording_of(frames)
+    }
+
+    /// So many vehicles, one after the other, that turn left around the same corner at 7 m/s, 6.5 s after they come.
+    pub(crate) fn corner(vehicles: usize) -> Recording {
+        const RADIUS_M: f32 = 12.0;
+        const SPEED_MPS: f32 = 7.0;
+        let place = |since_s: f32| {
+            let beyond_m = SPEED_MPS * (since_s - 6.5);
+            let turned_rad = (beyond_m / RADIUS_M).clamp(0.0, std::f32::consts::FRAC_PI_2);
+            let left_m = beyond_m - RADIUS_M * turned_rad;
+            let (sin, cos) = turned_rad.sin_cos();
+            [RADIUS_M * sin + left_m * cos, RADIUS_M * (1.0 - cos) + left_m * sin]
+        };
+        let frames = (0..vehicles * 140).map(|frame| {
+            let (number, since) = (frame / 140, frame % 140);
+            // Nobody is there for the last 2 s.
+            let there = (since < 120).then(|| vehicle(number as u64, place(since as f32 / 10.0)));
+            there.into_iter().collect()
+        });
+        recording_of(frames)
+    }
+
+    fn vehicle(id: u64, [x_m, y_m]: [f32; 2]) -> Detection {
+        Detection {
+            id,
+            x_m,
+            y_m,
+            flags: detection_flags::HAS_ID,
+            agent_type: AgentType::Vehicle as u32,
+            ..bytemuck::Zeroable::zeroed()
+        }
+    }
+
+    fn recording_of(frames: impl Iterator<Item = Vec<Detection>>) -> Recording {
+        let frame = |(number, detections): (i64, Vec<Detection>)| Frame {
+            stamp_ns: number * INTERVAL_NS,
+            detections,
+            ..Frame::default()
+        };
+        Recording {
+            interval_ns: INTERVAL_NS.cast_unsigned(),
+            frames: (0..).zip(frames).map(frame).collect(),
+            ..Recording::default()
+        }
+    }
+
+    #[test]
+    fn positions_are_noisy_and_velocities_true() {
+        let sensor = Sensor { sigma_m: 0.1, gap_s: 0.0, seed: 1 };
+        let course = Course::new(&recording(), [0, i64::MAX], sensor, &NOWHERE);
+        let errors: Vec<f64> = course
+            .instants
+            .iter()
+            .map(|instant| &instant.agents[0])
+            .filter_map(|seen| Some(seen.measured_m?[0] - seen.truth?.position_m[0]))
+            .collect();
+        assert_eq!(errors.len(), 198);
+        let variance = errors.iter().map(|error| error * error).sum::<f64>() / 198.0;
+        assert!((0.007..0.013).contains(&variance), "{variance}");
+        let truths = course.instants[1..199].iter().map(|instant| instant.agents[0].truth.unwrap());
+        assert!(truths.clone().all(|truth| (truth.velocity_mps[0] - 10.0).abs() < 1e-4));
+    }
+
+    #[test]
+    fn gaps_have_their_length_and_come_late() {
+        let sensor = Sensor { sigma_m: 0.1, gap_s: 1.6, seed: 1 };
+        let course = Course::new(&recording(), [0, i64::MAX], sensor, &NOWHERE);
+        let hidden: Vec<bool> =
+            course.instants.iter().map(|instant| instant.agents[0].measured_m.is_none()).collect();
+        let spells: Vec<&[bool]> = hidden.chunk_by(|a, b| a == b).collect();
+        assert!(!spells[0][0] && spells[0].len() >= 30);
+        assert!(spells.len() > 3);
+        let gaps = spells[..spells.len() - 1].iter().filter(|spell| spell[0]);
+        assert!(gaps.clone().count() >= 2);
+        assert!(gaps.clone().all(|gap| gap.len().abs_diff(16) <= 1), "{spells:?}");
+    }
+}

@@ -1,0 +1,401 @@
+//! A filter per agent over a course.
+
+use std::collections::BTreeMap;
+
+use filters::{Filter, Forecast, Gaussian, Kind, Mixture, Observation, Particles, SingerBicycle};
+use metrics::tracking::{Consistency, PlanarState, normalised_square};
+use nalgebra::{Matrix2, Vector4};
+use scene::State;
+use wire::AgentType;
+
+use super::course::{Course, Instant, Seen};
+use super::hypotheses::{Estimate, Hypotheses, Oracle};
+use super::method::{Settings, TrackingMethod, UNKNOWN, control_gains};
+use super::smoother::smooth;
+use evaluator::Forecaster;
+
+/// A course is known once its direction is so sure, at this speed: then a state with a heading can take over.
+const COURSE_TOLD_RAD: f64 = 0.3;
+/// See [`COURSE_TOLD_RAD`].
+const COURSE_TOLD_MPS: f64 = 0.5;
+/// Particles of a vehicle.
+const PARTICLES: usize = 200;
+/// Degrees of freedom of a position.
+pub(crate) const DEGREES: u32 = 2;
+/// A track counts from this age on.
+pub(crate) const SETTLED_S: f64 = 1.0;
+
+/// The error of an estimate at an instant.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Error {
+    pub(crate) id: u64,
+    pub(crate) visible: bool,
+    pub(crate) position_m: f64,
+    pub(crate) velocity_mps: f64,
+}
+
+/// What came of a run over a course.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Outcome {
+    pub(crate) errors: Vec<Error>,
+    /// Normalised squares of the positions' errors, instant by instant: where they are measured, and in gaps.
+    pub(crate) nees: [Consistency; 2],
+    /// The same of the innovations.
+    pub(crate) nis: Consistency,
+    /// Of the logarithms of the densities that the filters gave each measurement before they saw it.
+    pub(crate) log_likelihood_sum: f64,
+    pub(crate) measured_len: u64,
+    /// Predictions and updates that failed.
+    pub(crate) faults_len: u64,
+}
+
+impl Outcome {
+    /// Mean negative logarithm of the likelihood of a measurement.
+    pub(crate) fn nll(outcomes: &[Self]) -> f64 {
+        let measured_len: u64 = outcomes.iter().map(|outcome| outcome.measured_len).sum();
+        -outcomes.iter().map(|outcome| outcome.log_likelihood_sum).sum::<f64>() / measured_len.max(1) as f64
+    }
+}
+
+/// Runs a method over courses.
+pub(crate) struct Follower<'a> {
+    pub(crate) method: TrackingMethod,
+    pub(crate) settings: Settings,
+    /// Forecasts for the learned prior.
+    pub(crate) forecaster: &'a Forecaster,
+}
+
+/// The belief in one agent.
+enum Belief {
+    Filter(Box<Filter>),
+    /// Of a single filter where nothing is forecast.
+    Mixture(Box<Mixture<SingerBicycle, 7>>),
+    Particles(Box<Particles<SingerBicycle, 7>>),
+}
+
+struct Track {
+    agent_type: AgentType,
+    length_m: Option<f32>,
+    born_ns: i64,
+    belief: Belief,
+    /// Held where the state has none.
+    heading_rad: f64,
+    /// Whether it was measured since it took a forecast: only then another one knows more.
+    is_fresh: bool,
+}
+
+impl Follower<'_> {
+    /// Follows all agents of a course; vehicles count.
+    pub(crate) fn follow(&self, course: &Course) -> Outcome {
+        if self.method == TrackingMethod::Smoother {
+            let [jerk_density, ..] = self.settings.of(self.method.tuned_as());
+            return smooth(course, jerk_density);
+        }
+        let mut outcome = Outcome::default();
+        let mut tracks: BTreeMap<u64, Track> = BTreeMap::new();
+        let mut oracle = Oracle::new(self.forecaster, course.place, self.method.revisits());
+        let step_ns = self.forecaster.config().step_ns().cast_signed();
+        let mut next_ns = course.instants.first().map_or(0, |first| first.stamp_ns);
+        let mut last_ns = None;
+        for (instant, tick) in course.instants.iter().zip(0..) {
+            let elapsed_ns = last_ns.map_or(0, |last: i64| instant.stamp_ns - last).cast_unsigned();
+            last_ns = Some(instant.stamp_ns);
+            self.advance((tick, instant), elapsed_ns, course.sensor.sigma_m, &mut tracks, &mut outcome);
+            // A forecast a step of the model: hypotheses live long enough to be told apart.
+            if self.method.is_learned() && instant.stamp_ns >= next_ns {
+                next_ns += step_ns;
+                self.adopt(&mut oracle, instant, &mut tracks);
+            }
+        }
+        outcome
+    }
+
+    /// Predicts, corrects and judges all tracks.
+    fn advance(
+        &self,
+        (tick, instant): (u64, &Instant),
+        elapsed_ns: u64,
+        sigma_m: f64,
+        tracks: &mut BTreeMap<u64, Track>,
+        outcome: &mut Outcome,
+    ) {
+        tracks.retain(|id, _| instant.agents.binary_search_by_key(id, |seen| seen.id).is_ok());
+        for seen in &instant.agents {
+            let observation = seen.measured_m.map(|position_m| Observation {
+                position_m,
+                position_variance: sigma_m * sigma_m,
+                heading_rad: None,
+                speed_mps: None,
+            });
+            let Some(track) = tracks.get_mut(&seen.id) else {
+                let started = observation.map(|first| Track::start(seen, instant.stamp_ns, &first));
+                tracks.extend(started.map(|track| (seen.id, track)));
+                continue;
+            };
+            let counts = seen.agent_type == AgentType::Vehicle;
+            let mut faults_len = u64::from(track.predict(elapsed_ns, &self.settings).is_none());
+            if let Some(observation) = observation {
+                track.is_fresh = true;
+                match track.update(&observation, &self.settings) {
+                    Some((nis, log_likelihood)) if counts => {
+                        faults_len += u64::from(outcome.nis.add(tick, nis, DEGREES).is_err());
+                        outcome.log_likelihood_sum += log_likelihood;
+                        outcome.measured_len += 1;
+                    }
+                    Some(_) => {}
+                    None => faults_len += 1,
+                }
+            }
+            track.ripen(self.method, &self.settings, seen.id);
+            outcome.faults_len += faults_len;
+            let age_s = (instant.stamp_ns - track.born_ns) as f64 / 1e9;
+            if let Some(truth) = seen.truth.filter(|_| counts && age_s >= SETTLED_S) {
+                let (error, nees) = track.error(seen, &truth);
+                outcome.errors.push(error);
+                if let Some(nees) = nees {
+                    let added = outcome.nees[usize::from(!error.visible)].add(tick, nees, DEGREES);
+                    outcome.faults_len += u64::from(added.is_err());
+                }
+            }
+        }
+    }
+
+    /// Forecasts all agents from what is believed of them; the vehicles among them take that as their prior.
+    fn adopt(&self, oracle: &mut Oracle, instant: &Instant, tracks: &mut BTreeMap<u64, Track>) {
+        let estimates: Vec<Estimate> = tracks
+            .iter_mut()
+            .map(|(&id, track)| Estimate {
+                id,
+                agent_type: track.agent_type,
+                length_m: track.length_m,
+                state: track.state(),
+                is_seen: instant.measures(id),
+                wanted: track.is_fresh && !matches!(track.belief, Belief::Filter(_)),
+            })
+            .collect();
+        let step_ns = self.forecaster.config().step_ns();
+        for (id, hypotheses) in oracle.forecast(instant.stamp_ns, instant.ego_m, &estimates) {
+            let Some(track) = tracks.get_mut(&id) else { continue };
+            let Hypotheses { heading_rad, probability, controls } = hypotheses;
+            let forecast =
+                Forecast { age_ns: 0, step_ns, heading_rad, probability: &probability, controls: &controls };
+            let priors = |state| self.settings.priors(self.method, track.length_m, control_gains(state));
+            let adopted = match &mut track.belief {
+                Belief::Filter(_) => Ok(()),
+                Belief::Mixture(mixture) => {
+                    mixture.priors = priors(&mixture.moments());
+                    mixture.adopt(&forecast)
+                }
+                Belief::Particles(particles) => {
+                    particles.priors = priors(&particles.moments());
+                    particles.adopt(&forecast)
+                }
+            };
+            // One that can't be used leaves the forecast before in its place.
+            track.is_fresh = adopted.is_err();
+        }
+    }
+}
+
+impl Track {
+    fn start(seen: &Seen, stamp_ns: i64, first: &Observation) -> Self {
+        let filter = Filter::start(Kind::ConstantVelocity, first, &UNKNOWN);
+        Self {
+            agent_type: seen.agent_type,
+            length_m: seen.length_m,
+            born_ns: stamp_ns,
+            belief: Belief::Filter(Box::new(filter)),
+            heading_rad: 0.0,
+            is_fresh: true,
+        }
+    }
+
+    fn predict(&mut self, elapsed_ns: u64, settings: &Settings) -> Option<()> {
+        match &mut self.belief {
+            Belief::Filter(filter) => filter.predict(elapsed_ns, &settings.models(self.length_m)).ok(),
+            Belief::Mixture(mixture) => mixture.predict(elapsed_ns).ok(),
+            Belief::Particles(particles) => particles.predict(elapsed_ns).ok(),
+        }
+    }
+
+    /// Normalised innovation squared and log-likelihood.
+    fn update(&mut self, seen: &Observation, settings: &Settings) -> Option<(f64, f64)> {
+        match &mut self.belief {
+            Belief::Filter(filter) => {
+                let evidence = filter.update(seen, &settings.models(self.length_m)).ok()?;
+                Some((evidence.nis, evidence.log_likelihood))
+            }
+            Belief::Mixture(mixture) => {
+                let nis = innovation_squared(&mixture.moments(), seen)?;
+                Some((nis, mixture.update(seen).ok()?))
+            }
+            Belief::Particles(particles) => {
+                let nis = innovation_squared(&particles.moments(), seen)?;
+                Some((nis, particles.update(seen).ok()?))
+            }
+        }
+    }
+
+    /// Takes on the state of the method once the motion shows a heading.
+    fn ripen(&mut self, method: TrackingMethod, settings: &Settings, id: u64) {
+        let Belief::Filter(filter) = &self.belief else { return };
+        let kind = method.kind();
+        let is_ripe = match kind {
+            Kind::ConstantVelocity => false,
+            Kind::ConstantAcceleration => true,
+            Kind::ConstantTurnRate | Kind::Bicycle => {
+                filter.motion().speed_mps > COURSE_TOLD_MPS && filter.course_sigma_rad() < COURSE_TOLD_RAD
+            }
+        };
+        if self.agent_type != AgentType::Vehicle || filter.kind() == kind || !is_ripe {
+            return;
+        }
+        let ripe = filter.into_kind(kind, &UNKNOWN);
+        let priors = settings.priors(method, self.length_m, [1.0; 2]);
+        self.belief = match (method, ripe) {
+            (
+                TrackingMethod::SingerBicycle | TrackingMethod::Learned | TrackingMethod::Revisiting,
+                Filter::Bicycle(state),
+            ) => Belief::Mixture(Box::new(Mixture::new(priors.kinematic.of(&state), priors, id))),
+            (TrackingMethod::LearnedParticles, Filter::Bicycle(state)) => {
+                let start = priors.kinematic.of(&state);
+                Belief::Particles(Box::new(Particles::new(&start, priors, PARTICLES, id)))
+            }
+            _ => Belief::Filter(Box::new(ripe)),
+        };
+    }
+
+    fn filter(&self) -> Filter {
+        match &self.belief {
+            Belief::Filter(filter) => **filter,
+            Belief::Mixture(mixture) => Filter::Bicycle(SingerBicycle::bicycle_of(&mixture.moments())),
+            Belief::Particles(particles) => Filter::Bicycle(SingerBicycle::bicycle_of(&particles.moments())),
+        }
+    }
+
+    /// What the model is told.
+    fn state(&mut self) -> State {
+        let motion = self.filter().motion();
+        let [vx, vy] = motion.velocity_mps;
+        let course = (vx.hypot(vy) > COURSE_TOLD_MPS).then(|| vy.atan2(vx));
+        self.heading_rad = motion.heading_rad.or(course).unwrap_or(self.heading_rad);
+        State {
+            position_m: motion.position_m.map(|value| value as f32),
+            velocity_mps: motion.velocity_mps.map(|value| value as f32),
+            heading_rad: self.heading_rad as f32,
+        }
+    }
+
+    fn error(&self, seen: &Seen, truth: &PlanarState) -> (Error, Option<f64>) {
+        let state = self.filter().cartesian();
+        let [[x, y], [vx, vy]] = [truth.position_m, truth.velocity_mps];
+        let error = state.mean - Vector4::new(x, y, vx, vy);
+        let nees = normalised_square(
+            &error.fixed_rows::<2>(0).into_owned(),
+            &state.covariance.fixed_view::<2, 2>(0, 0).into_owned(),
+        );
+        let error = Error {
+            id: seen.id,
+            visible: seen.measured_m.is_some(),
+            position_m: error[0].hypot(error[1]),
+            velocity_mps: error[2].hypot(error[3]),
+        };
+        (error, nees)
+    }
+}
+
+/// Normalised square of what a measurement tells beyond a prediction.
+fn innovation_squared(predicted: &Gaussian<7>, seen: &Observation) -> Option<f64> {
+    let innovation = [0, 1].map(|axis| seen.position_m[axis] - predicted.mean[axis]);
+    let noise = Matrix2::from_diagonal_element(seen.position_variance);
+    normalised_square(&innovation.into(), &(predicted.covariance.fixed_view::<2, 2>(0, 0) + noise))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::course::tests::{corner, recording};
+    use super::super::{Place, Sensor};
+    use super::*;
+    use evaluator::{Cut, MapInput};
+
+    const SENSOR: Sensor = Sensor { sigma_m: 0.1, gap_s: 1.6, seed: 1 };
+
+    fn follow(method: TrackingMethod) -> Outcome {
+        follow_until(i64::MAX, method)
+    }
+
+    fn follow_until(end_ns: i64, method: TrackingMethod) -> Outcome {
+        let forecaster = Forecaster::new(nn::Weights::onboard(), 1).unwrap();
+        let settings = Settings::first().with(TrackingMethod::ConstantVelocity, [0.01, 1.0, 1.0]);
+        let place = Place { map: MapInput::Online, memory: Some(forecaster.memory()) };
+        let course = Course::new(&recording(), [0, end_ns], SENSOR, &place);
+        Follower { method, settings, forecaster: &forecaster }.follow(&course)
+    }
+
+    #[test]
+    fn a_filter_with_the_right_model_errs_less_than_the_sensor_and_knows_how_much() {
+        let outcome = follow(TrackingMethod::ConstantVelocity);
+        let visible = || outcome.errors.iter().filter(|error| error.visible);
+        let mean_m = visible().map(|error| error.position_m).sum::<f64>() / visible().count() as f64;
+        assert!(mean_m < 0.07, "{mean_m}");
+        let nis = outcome.nis.summary(0.95).unwrap().unwrap();
+        assert_eq!(nis.squares_len, outcome.measured_len);
+        assert!((0.7..1.3).contains(&nis.per_degree) && nis.inside > 0.9, "{nis:?}");
+        let [visible, hidden] = outcome.nees.each_ref().map(|nees| nees.summary(0.95).unwrap().unwrap());
+        assert_eq!(visible.ticks_len + hidden.ticks_len, 189);
+        assert_eq!((outcome.faults_len, outcome.errors.len()), (0, 189));
+    }
+
+    #[test]
+    fn every_method_goes_through_gaps_without_a_fault() {
+        for method in TrackingMethod::ALL {
+            let outcome = follow(method);
+            let hidden = || outcome.errors.iter().filter(|error| !error.visible);
+            assert!(hidden().count() > 20);
+            let worst_m = hidden().map(|error| error.position_m).fold(0.0, f64::max);
+            assert!(worst_m < 6.0, "{}: {worst_m} m", method.name());
+            assert_eq!(outcome.faults_len, 0, "{}", method.name());
+        }
+    }
+
+    #[test]
+    fn forecasts_take_part_in_the_learned_prior_alone() {
+        let [singer, learned] = [TrackingMethod::SingerBicycle, TrackingMethod::Learned].map(follow);
+        assert_eq!(singer.errors.len(), learned.errors.len());
+        let worst_m =
+            singer.errors.iter().zip(&learned.errors).map(|(a, b)| (a.position_m - b.position_m).abs());
+        assert!(worst_m.fold(0.0, f64::max) > 1e-3);
+    }
+
+    #[test]
+    fn nothing_that_comes_later_changes_an_error() {
+        for method in [TrackingMethod::Learned, TrackingMethod::Revisiting] {
+            let whole = follow(method);
+            let half = follow_until(10_000_000_000, method);
+            // The last instant's true velocity needs the one after it.
+            assert_eq!(half.errors.len(), 90);
+            assert_eq!(half.errors[..], whole.errors[..90]);
+        }
+    }
+
+    /// Where others turned, one that is not seen for 3.2 s is expected to turn as well.
+    #[test]
+    fn a_corner_that_is_remembered_is_taken_out_of_sight() {
+        let forecaster = Forecaster::new(nn::Weights::onboard(), 1).unwrap();
+        let (before, now) = (corner(30), corner(6));
+        let mut memory = forecaster.memory();
+        let scenes = Cut::of(forecaster.config()).scenes(&before);
+        forecaster.visit(&before, &scenes, MapInput::None, 1, &mut memory);
+        let place = Place { map: MapInput::None, memory: Some(memory) };
+        let mean_m = |method| {
+            let course =
+                Course::new(&now, [0, i64::MAX], Sensor { gap_s: 3.2, sigma_m: 0.02, seed: 1 }, &place);
+            let settings = Settings::first();
+            let outcome = Follower { method, settings, forecaster: &forecaster }.follow(&course);
+            let hidden = || outcome.errors.iter().filter(|error| !error.visible);
+            hidden().map(|error| error.position_m).sum::<f64>() / hidden().count() as f64
+        };
+        let [learned, revisiting] = [TrackingMethod::Learned, TrackingMethod::Revisiting].map(mean_m);
+        assert!(revisiting < 0.97 * learned, "{revisiting} m with the memory, {learned} m without");
+    }
+}

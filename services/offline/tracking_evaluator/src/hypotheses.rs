@@ -1,0 +1,129 @@
+//! The forecasts of filtered agents, as controls of each mode.
+
+use std::collections::BTreeMap;
+
+use filters::ControlStep;
+use onboard::TracksToForecasts;
+use retrieval::RetrievalMemory;
+use scene::State;
+use wire::{AgentType, Forecast as Payload, Header, Quality, TrackStatus};
+
+use evaluator::{Agent, Forecaster, MapInput, Scene, TracksPayload};
+
+/// Controls of all modes of one agent, as [`filters::Forecast`] wants them.
+#[derive(Clone, Debug)]
+pub(crate) struct Hypotheses {
+    pub(crate) heading_rad: f64,
+    pub(crate) probability: Vec<f64>,
+    pub(crate) controls: Vec<ControlStep>,
+}
+
+/// What a filter believes of an agent.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Estimate {
+    pub(crate) id: u64,
+    pub(crate) agent_type: AgentType,
+    pub(crate) length_m: Option<f32>,
+    pub(crate) state: State,
+    /// Whether it is measured at this instant.
+    pub(crate) is_seen: bool,
+    /// Whether a forecast of the agent is wanted.
+    pub(crate) wanted: bool,
+}
+
+/// What is known of a place before anything is seen there.
+#[derive(Clone, Debug)]
+pub(crate) struct Place<'a> {
+    /// An online map is of what filters believed so far.
+    pub(crate) map: MapInput<'a>,
+    /// What those who came by earlier did, if anybody remembers.
+    pub(crate) memory: Option<RetrievalMemory>,
+}
+
+/// Estimates by their stamps.
+type Past = BTreeMap<i64, State>;
+
+/// Forecasts from estimates by the stages that run on board: a `tracks` payload of what filters believed, instant after
+/// instant, at a site.
+pub(crate) struct Oracle {
+    stages: TracksToForecasts,
+    header: Header,
+    history_len: i64,
+    horizon_len: usize,
+    pasts: BTreeMap<u64, Past>,
+}
+
+impl Oracle {
+    /// Stages that have seen nothing yet; they retrieve from the site's memory only if `warm_started`.
+    pub(crate) fn new(forecaster: &Forecaster, place: &Place<'_>, warm_started: bool) -> Self {
+        let memory = place.memory.clone().filter(|_| warm_started);
+        Self {
+            stages: forecaster.stages(place.map, memory),
+            header: forecaster.header(),
+            history_len: forecaster.config().history_len as i64,
+            horizon_len: forecaster.config().horizon_len,
+            pasts: BTreeMap::new(),
+        }
+    }
+
+    /// Takes in what is believed now, with the sensor at `ego_m`, and forecasts those that are wanted.
+    ///
+    /// Estimates stay as they were when they were made, as on board. A history has those that were made whole steps of the
+    /// model ago.
+    pub(crate) fn forecast(
+        &mut self,
+        now_ns: i64,
+        ego_m: [f32; 2],
+        estimates: &[Estimate],
+    ) -> Vec<(u64, Hypotheses)> {
+        for estimate in estimates {
+            self.pasts.entry(estimate.id).or_default().insert(now_ns, estimate.state);
+        }
+        let (step_ns, history_len) = (self.header.step_ns.cast_signed(), self.history_len);
+        let stamp_ns = |step: i64| now_ns - (history_len - 1 - step) * step_ns;
+        self.pasts.retain(|_, past| {
+            past.retain(|&past_ns, _| past_ns >= stamp_ns(0));
+            !past.is_empty()
+        });
+        let past = |estimate: &Estimate, step: i64| self.pasts[&estimate.id].get(&stamp_ns(step)).copied();
+        let agents = estimates.iter().map(|estimate| Agent {
+            id: estimate.id,
+            agent_type: estimate.agent_type,
+            length_m: estimate.length_m,
+            history: (0..history_len).map(|step| past(estimate, step)).collect(),
+            future: Vec::new(),
+        });
+        let scene = Scene { stamp_ns: now_ns, agents: agents.collect() };
+        self.header = Header { seq: self.header.seq + 1, ego_m, ..self.header };
+        let TracksPayload { header, mut tracks, places, .. } = TracksPayload::of(&scene, self.header);
+        for (track, &place) in tracks.iter_mut().zip(&places) {
+            let Estimate { is_seen, wanted, .. } = estimates[place];
+            track.forecastable = u32::from(wanted);
+            if !is_seen {
+                (track.status, track.unseen_ns) = (TrackStatus::Coasting as u32, self.header.step_ns);
+            }
+        }
+        let Ok((_, forecasts)) = self.stages.step(&header, &tracks, |_| ()) else { return Vec::new() };
+        let learned = |payload: &&Payload| payload.quality == Quality::Learned as u32;
+        let horizon_len = self.horizon_len;
+        let of_agent = |payload: &Payload| (payload.id, Hypotheses::of(payload, horizon_len));
+        forecasts.iter().filter(learned).map(of_agent).collect()
+    }
+}
+
+impl Hypotheses {
+    /// The controls that a payload contains.
+    fn of(payload: &Payload, horizon_len: usize) -> Self {
+        let modes_len = payload.modes_len as usize;
+        let step = |control: &wire::ControlGaussian| ControlStep {
+            mean: control.mean.map(f64::from),
+            cholesky: control.cholesky.map(f64::from),
+        };
+        let modes = payload.controls[..modes_len].iter();
+        Self {
+            heading_rad: f64::from(payload.frame_heading_rad),
+            probability: payload.probability[..modes_len].iter().map(|&p| f64::from(p)).collect(),
+            controls: modes.flat_map(|steps| steps[..horizon_len].iter().map(step)).collect(),
+        }
+    }
+}

@@ -1,0 +1,131 @@
+//! Tracking: the motion of INTERACTION's vehicles from noisy positions, with gaps, by filters with and without forecasts.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use data::sets::{DataSet, Part};
+use scene::ContextMap;
+
+use evaluator::{Cut, EvaluateError, Footage, Model, Options, SEED, map_of, threads};
+
+use crate::{Course, Follower, Judged, Place, Sensor, TrackingMethod, TrackingReport, Trials, tune};
+
+const SET: DataSet = DataSet::Interaction;
+/// Whose forecasts are the prior: the weights that learned from the same data set's training part.
+const RECIPE: &str = "interaction";
+/// Deviations of the measured positions, m.
+const SIGMAS_M: [f64; 5] = [0.01, 0.02, 0.05, 0.1, 0.3];
+/// Lengths of the gaps, s.
+const GAPS_S: [f64; 4] = [0.0, 0.8, 1.6, 3.2];
+/// How much of each recording is followed, from its middle, s.
+const JUDGED_S: f64 = 60.0;
+/// The same of the recordings that settings are tuned on, s.
+const TUNED_S: f64 = 40.0;
+
+/// What is known of each site before.
+type Places<'a> = BTreeMap<String, Place<'a>>;
+
+/// Estimates motion with every method under every noise and gap, and tells whose filter errs least.
+///
+/// Settings are tuned on the validation part, which neither the model's training nor the figures see; a gap of each length
+/// takes part. What is known of a site, its map and who came by, is of the training part as well. `sigmas_m` are deviations of the
+/// measured positions; without any, all of the protocol are taken. With `particles` the learned prior is run by Monte Carlo as well.
+///
+/// # Errors
+/// Where weights or recordings are missing or of another kind.
+pub fn interaction(
+    options: &Options,
+    sigmas_m: &[f64],
+    particles: bool,
+    mut progress: impl FnMut(&str),
+) -> Result<TrackingReport, EvaluateError> {
+    let model = options.weights.open(RECIPE, SEED)?;
+    let cut = Cut::of(model.forecaster.config());
+    progress("reading recordings");
+    let validation = options.read_part(SET, Part::Validation, &cut)?;
+    let judged = options.read_part(SET, options.part, &cut)?;
+    progress("what the training part tells of each site");
+    let training = options.read_part(SET, Part::Train, &cut)?;
+    let sites: BTreeSet<String> = validation.iter().chain(&judged).map(Footage::site).collect();
+    let maps = sites.into_iter().map(|site| (site.clone(), map_of(&training, &site))).collect();
+    let places = places(options, &model, &training, &maps);
+    let recordings: Vec<_> = judged.iter().map(|footage| &footage.recording).collect();
+    let provenance = model.provenance("tracking", options.map.label(), &recordings);
+    let methods = TrackingMethod::judged(particles);
+    let mut report = TrackingReport::new(provenance, JUDGED_S, TUNED_S);
+    let sigmas_m = if sigmas_m.is_empty() { &SIGMAS_M } else { sigmas_m };
+    for &sigma_m in sigmas_m {
+        progress(&format!("measured within {sigma_m} m: tuning"));
+        let trials =
+            tune(&courses(&validation, &places, sigma_m), &model.forecaster, &methods, options.threads);
+        for &gap_s in &GAPS_S {
+            progress(&format!("measured within {sigma_m} m, gaps of {gap_s} s"));
+            let sensor = Sensor { sigma_m, gap_s, seed: SEED };
+            report.add(judge(&judged, &places, &model, sensor, &trials, options.threads));
+        }
+        report.add_trials(sigma_m, trials);
+    }
+    Ok(report)
+}
+
+/// What each site's training recordings tell of it.
+fn places<'a>(
+    options: &Options,
+    model: &Model,
+    training: &[Footage],
+    maps: &'a BTreeMap<String, Option<ContextMap>>,
+) -> Places<'a> {
+    let place = |(site, map): (&String, &'a Option<ContextMap>)| {
+        let map = options.map.input(map.as_ref());
+        let mut memory = model.forecaster.memory();
+        for Footage { recording, scenes } in training.iter().filter(|footage| footage.site() == *site) {
+            model.forecaster.visit(recording, scenes, map, options.threads, &mut memory);
+        }
+        (site.clone(), Place { map, memory: Some(memory) })
+    };
+    maps.iter().map(place).collect()
+}
+
+/// A recording of each site to tune on, with gaps of one length after the other.
+fn courses<'a>(footage: &[Footage], places: &'a Places<'_>, sigma_m: f64) -> Vec<Course<'a>> {
+    let sites: BTreeMap<String, &Footage> = footage.iter().map(|footage| (footage.site(), footage)).collect();
+    let course = |(footage, &gap_s): (&&Footage, &f64)| {
+        course(footage, places, TUNED_S, Sensor { sigma_m, gap_s, seed: SEED + 1 })
+    };
+    sites.values().zip(GAPS_S.iter().cycle()).map(course).collect()
+}
+
+/// So many seconds from the middle of a recording.
+fn course<'a>(footage: &Footage, places: &'a Places<'_>, seconds: f64, sensor: Sensor) -> Course<'a> {
+    let frames = &footage.recording.frames;
+    let ends =
+        frames.first().zip(frames.last()).map_or([0; 2], |(first, last)| [first.stamp_ns, last.stamp_ns]);
+    let middle_ns = i64::midpoint(ends[0], ends[1]);
+    let half_ns = (seconds / 2.0 * 1e9) as i64;
+    Course::new(
+        &footage.recording,
+        [middle_ns - half_ns, middle_ns + half_ns],
+        sensor,
+        &places[&footage.site()],
+    )
+}
+
+/// Every method on every recording.
+fn judge(
+    footage: &[Footage],
+    places: &Places<'_>,
+    model: &Model,
+    sensor: Sensor,
+    trials: &Trials,
+    threads: usize,
+) -> Vec<Judged> {
+    let (settings, forecaster) = (trials.settings, &model.forecaster);
+    let methods = || trials.figures.iter().map(|&(method, _)| method);
+    let follow = |footage: &Footage, (): &mut ()| {
+        let course = course(footage, places, JUDGED_S, sensor);
+        let outcome = |method| Follower { method, settings, forecaster }.follow(&course);
+        methods().map(outcome).collect::<Vec<_>>()
+    };
+    let outcomes = threads::each(footage, threads, follow);
+    let of_method = |(place, method)| Judged::new(sensor, method, outcomes.iter().map(|of| &of[place]));
+    methods().enumerate().map(of_method).collect()
+}

@@ -1,0 +1,377 @@
+//! What is told of the filters' errors.
+
+use metrics::tracking::{Consistency, ConsistencySummary, ErrorNorms};
+use metrics::{PairedErrors, paired_bootstrap_ratio};
+
+use super::follower::Error;
+use super::{Outcome, Sensor, TRIALS, TrackingMethod, Trials};
+use evaluator::{Provenance, RESAMPLES, Table, digits, percent};
+
+/// Of the bootstrap.
+const SEED: u64 = 1;
+/// The χ² bounds within which squares should lie.
+const BOUNDS: f64 = 0.95;
+/// The deviation whose errors a summary tells, m: that at which a constant-velocity filter errs as much as in the paper.
+const SUMMARISED_M: f64 = 0.02;
+
+/// The errors of one method under one sensor.
+#[derive(Clone, Debug)]
+pub(crate) struct Judged {
+    sensor: Sensor,
+    method: TrackingMethod,
+    /// Track by track.
+    tracks: Vec<Vec<Error>>,
+    /// Of the positions that the column tells of, and of the innovations; `None` where there are none.
+    nees: Option<ConsistencySummary>,
+    nis: Option<ConsistencySummary>,
+    faults_len: u64,
+}
+
+/// What an evaluation of tracking found.
+#[derive(Clone, Debug)]
+pub struct TrackingReport {
+    provenance: Provenance,
+    judged_s: f64,
+    tuned_s: f64,
+    judged: Vec<Judged>,
+    trials: Vec<(f64, Trials)>,
+}
+
+/// A quantity that is estimated.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Quantity {
+    Position,
+    Velocity,
+}
+
+impl Quantity {
+    const ALL: [Self; 2] = [Self::Position, Self::Velocity];
+
+    const fn name(self) -> &'static str {
+        match self {
+            Self::Position => "position, m",
+            Self::Velocity => "velocity, m/s",
+        }
+    }
+
+    const fn of(self, error: &Error) -> f64 {
+        match self {
+            Self::Position => error.position_m,
+            Self::Velocity => error.velocity_mps,
+        }
+    }
+}
+
+impl Judged {
+    /// The outcomes of all recordings together; vehicles that are there at the same number of an instant are runs beside one
+    /// another to the χ² bounds.
+    pub(crate) fn new<'a>(
+        sensor: Sensor,
+        method: TrackingMethod,
+        outcomes: impl Iterator<Item = &'a Outcome>,
+    ) -> Self {
+        let (mut tracks, mut faults_len) = (Vec::new(), 0);
+        let (mut nees, mut nis) = (Consistency::default(), Consistency::default());
+        for outcome in outcomes {
+            let mut errors = outcome.errors.clone();
+            // Instants stay in their order.
+            errors.sort_by_key(|error| error.id);
+            tracks.extend(errors.chunk_by(|a, b| a.id == b.id).map(<[Error]>::to_vec));
+            nees.merge(&outcome.nees[usize::from(sensor.gap_s > 0.0)]);
+            nis.merge(&outcome.nis);
+            faults_len += outcome.faults_len;
+        }
+        let [nees, nis] = [nees, nis].map(|squares| squares.summary(BOUNDS).ok().flatten());
+        Self { sensor, method, tracks, nees, nis, faults_len }
+    }
+
+    /// Whether a column tells of an error: gaps where there are some, all instants where there are none.
+    fn tells(&self, error: &Error) -> bool {
+        error.visible == (self.sensor.gap_s == 0.0)
+    }
+
+    fn norms(&self, quantity: Quantity) -> ErrorNorms {
+        let mut norms = ErrorNorms::default();
+        let errors = self.tracks.iter().flatten().filter(|error| self.tells(error));
+        errors.for_each(|error| norms.add(quantity.of(error)));
+        norms
+    }
+
+    /// Track by track, beside another method on the same instants.
+    fn paired(&self, other: &Self, quantity: Quantity) -> Vec<PairedErrors> {
+        let of_track = |(ours, theirs): (&Vec<Error>, &Vec<Error>)| {
+            let mut sum = PairedErrors::default();
+            for (ours, theirs) in ours.iter().zip(theirs).filter(|(error, _)| self.tells(error)) {
+                sum.add(quantity.of(ours), quantity.of(theirs));
+            }
+            sum
+        };
+        self.tracks.iter().zip(&other.tracks).map(of_track).collect()
+    }
+}
+
+impl TrackingReport {
+    pub(crate) const fn new(provenance: Provenance, judged_s: f64, tuned_s: f64) -> Self {
+        Self { provenance, judged_s, tuned_s, judged: Vec::new(), trials: Vec::new() }
+    }
+
+    pub(crate) fn add(&mut self, judged: Vec<Judged>) {
+        self.judged.extend(judged);
+    }
+
+    pub(crate) fn add_trials(&mut self, sigma_m: f64, trials: Trials) {
+        self.trials.push((sigma_m, trials));
+    }
+
+    /// The sensors of a noise, one per column.
+    fn sensors(&self, sigma_m: f64) -> Vec<Sensor> {
+        let mut sensors: Vec<Sensor> =
+            self.judged.iter().map(|of| of.sensor).filter(|sensor| sensor.sigma_m == sigma_m).collect();
+        sensors.dedup();
+        sensors
+    }
+
+    fn of(&self, sensor: Sensor, method: TrackingMethod) -> Option<&Judged> {
+        self.judged.iter().find(|judged| judged.sensor == sensor && judged.method == method)
+    }
+
+    /// In the order of the tables.
+    fn methods(&self) -> impl Iterator<Item = TrackingMethod> + '_ {
+        self.trials.first().into_iter().flat_map(|(_, trials)| &trials.figures).map(|&(method, _)| method)
+    }
+
+    /// The kinematic filter whose mean error is the least.
+    fn best_kinematic(&self, sensor: Sensor, quantity: Quantity) -> Option<&Judged> {
+        let kinematic = TrackingMethod::ALL.into_iter().filter(|method| method.is_kinematic());
+        let judged = kinematic.filter_map(|method| self.of(sensor, method));
+        let mae = |judged: &&Judged| judged.norms(quantity).mae().unwrap_or(f64::INFINITY);
+        judged.min_by(|a, b| mae(a).total_cmp(&mae(b)))
+    }
+
+    fn columns(&self) -> Vec<String> {
+        let Some(&(sigma_m, _)) = self.trials.first() else { return Vec::new() };
+        let name = |sensor: &Sensor| match sensor.gap_s {
+            0.0 => "no gaps".to_owned(),
+            gap_s => format!("in gaps of {gap_s} s"),
+        };
+        self.sensors(sigma_m).iter().map(name).collect()
+    }
+
+    /// The report as Markdown that also reads well in a terminal.
+    #[must_use]
+    pub fn markdown(&self) -> String {
+        self.written(&self.tables(), "##")
+    }
+
+    /// The errors at one deviation, and the comparison at all, one heading lower.
+    #[must_use]
+    pub fn summary(&self) -> String {
+        let is_told = |sigma_m: f64| sigma_m == SUMMARISED_M;
+        let [position, velocity] = Quantity::ALL.map(|quantity| self.errors(quantity, is_told));
+        self.written(&[position, velocity, self.comparisons()], "###")
+    }
+
+    fn written(&self, tables: &[Table], heading: &str) -> String {
+        let mut text = format!("{heading} Tracking: INTERACTION's vehicles from noisy positions\n\n");
+        for table in tables {
+            text += &format!("{heading}{}\n", table.markdown(""));
+        }
+        text + &format!("Forecasts of the learned prior: {}\n", self.provenance.line())
+    }
+
+    fn tables(&self) -> Vec<Table> {
+        let mut tables: Vec<Table> = Quantity::ALL.map(|quantity| self.errors(quantity, |_| true)).into();
+        tables.extend([self.comparisons(), self.certainty(), self.settings()]);
+        tables
+    }
+
+    fn errors(&self, quantity: Quantity, is_told: impl Fn(f64) -> bool) -> Table {
+        let note = format!(
+            "RMSE / MAE. Positions are measured at 10 Hz with normal noise of the given deviation per axis; a gap of the given length \
+             comes after 3 to 7 s and then every 4 s. {} s from the middle of each recording. True velocities are central \
+             differences of the recorded positions. Tracks count from an age of 1 s on. The learned prior is forecast anew at \
+             every step of the model from the filter's own estimates and held through gaps; its controls come in gradually. \
+             Revisiting, the forecasts have the memory of the place as well, which begins with the site's training recordings. \
+             With the future known, all that is measured of a vehicle counts, later measurements too: a mark for filters, which can't know as much.",
+            self.judged_s
+        );
+        let mut table =
+            Table::new(quantity.name(), &note, &["deviation", "method"], self.columns().into_iter());
+        for &(sigma_m, _) in self.trials.iter().filter(|(sigma_m, _)| is_told(*sigma_m)) {
+            for method in self.methods() {
+                let cell = |sensor: Sensor| {
+                    let norms = self.of(sensor, method)?.norms(quantity);
+                    Some(format!("{} / {}", fine(norms.rmse()?), fine(norms.mae()?)))
+                };
+                table.push_row(self.row(sigma_m, method.name(), cell));
+            }
+        }
+        table
+    }
+
+    /// A row with a cell for each sensor of a noise.
+    fn row(&self, sigma_m: f64, name: &str, cell: impl Fn(Sensor) -> Option<String>) -> Vec<String> {
+        let cells =
+            self.sensors(sigma_m).into_iter().map(|sensor| cell(sensor).unwrap_or_else(|| "-".to_owned()));
+        [format!("{sigma_m} m"), name.to_owned()].into_iter().chain(cells).collect()
+    }
+
+    fn comparisons(&self) -> Table {
+        let note = format!(
+            "Mean error of the learned prior less that of the other filter on the same instants, in % of the latter: below 0 the \
+             learned prior is better, surely so where the whole 95 % interval is. The best kinematic filter is chosen cell by \
+             cell by the figures themselves. Paired bootstrap over tracks, {RESAMPLES} resamples."
+        );
+        let head = ["deviation", "method", "of what"];
+        let mut table =
+            Table::new("Learned prior beside the others", &note, &head, self.columns().into_iter());
+        for &(sigma_m, _) in &self.trials {
+            for learned in self.methods().filter(|method| method.is_learned()) {
+                for quantity in Quantity::ALL {
+                    let against = |sensor: Sensor, other: Option<&Judged>| {
+                        let paired = self.of(sensor, learned)?.paired(other?, quantity);
+                        Some(percent(&paired_bootstrap_ratio(&paired, RESAMPLES, SEED)?))
+                    };
+                    let best = |sensor| against(sensor, self.best_kinematic(sensor, quantity));
+                    let velocity =
+                        |sensor| against(sensor, self.of(sensor, TrackingMethod::ConstantVelocity));
+                    let name = quantity.name().split(',').next().unwrap_or_default();
+                    let mut push = |other: &str, cell: &dyn Fn(Sensor) -> Option<String>| {
+                        let mut row = self.row(sigma_m, learned.name(), cell);
+                        row.insert(2, format!("{name}, to {other}"));
+                        table.push_row(row);
+                    };
+                    push("the best kinematic", &best);
+                    push("constant velocity", &velocity);
+                }
+            }
+        }
+        table
+    }
+
+    fn certainty(&self) -> Table {
+        let note = "NEES of the position / NIS of the measurements: the mean per degree of freedom, 1 where covariances are right \
+                    and more where they are too small; in brackets the share of the instants at which the sum over all vehicles lies \
+                    within its 95 % χ² bounds. Faults are predictions and updates that failed.";
+        let columns = self.columns().into_iter().chain(["faults".to_owned()]);
+        let mut table = Table::new("Consistency", note, &["deviation", "method"], columns);
+        for &(sigma_m, _) in &self.trials {
+            for method in self.methods() {
+                let cell = |sensor: Sensor| {
+                    let judged = self.of(sensor, method)?;
+                    Some(format!("{} / {}", consistency(&judged.nees?), consistency(&judged.nis?)))
+                };
+                let mut row = self.row(sigma_m, method.name(), cell);
+                let judged = self.sensors(sigma_m).into_iter().filter_map(|sensor| self.of(sensor, method));
+                row.push(judged.map(|judged| judged.faults_len).sum::<u64>().to_string());
+                table.push_row(row);
+            }
+        }
+        table
+    }
+
+    fn settings(&self) -> Table {
+        let note = format!(
+            "Found by the mean negative log-likelihood (NLL) of the measured positions on the validation part, {} s of a recording \
+             per site, {TRIALS} trials for each method and deviation.",
+            self.tuned_s
+        );
+        let columns = ["setting", "NLL"].map(str::to_owned).into_iter();
+        let mut table = Table::new("Settings", &note, &["deviation", "method"], columns);
+        for (sigma_m, trials) in &self.trials {
+            for &(method, figure) in &trials.figures {
+                let numbers = method.told().iter().zip(trials.settings.of(method));
+                let setting: Vec<String> =
+                    numbers.map(|(what, value)| format!("{what} {value:.3}")).collect();
+                let setting = match &setting[..] {
+                    [] => format!("those of {}", method.tuned_as().name()),
+                    numbers => numbers.join(", "),
+                };
+                table.push_row(vec![
+                    format!("{sigma_m} m"),
+                    method.name().to_owned(),
+                    setting,
+                    format!("{figure:.3}"),
+                ]);
+            }
+        }
+        table
+    }
+
+    /// Every figure, a line each, in the columns of [`crate::COLUMNS`].
+    #[must_use]
+    pub fn csv(&self) -> String {
+        let sha256 = &self.provenance.sha256;
+        let line = |figures: &Figures, (measure, value): (&str, f64)| {
+            let Figures { sigma_m, gap_s, method, quantity, len, .. } = figures;
+            format!(
+                "interaction,{sigma_m},{gap_s},,,vehicle,\"{method}\",\"{quantity}\",{measure},{value:.6},{len},{sha256}\n"
+            )
+        };
+        let lines = |figures: Figures| {
+            let Figures { rmse, mae, nees, nis, nees_inside, nis_inside, .. } = figures;
+            let squares =
+                [("nees", nees), ("nis", nis), ("nees_inside", nees_inside), ("nis_inside", nis_inside)];
+            let known = squares.into_iter().filter_map(|(measure, value)| Some((measure, value?)));
+            let all = [("rmse", rmse), ("mae", mae)].into_iter().chain(known);
+            all.map(|told| line(&figures, told)).collect::<String>()
+        };
+        self.figures().map(lines).collect()
+    }
+
+    /// Everything as JSON.
+    #[must_use]
+    pub fn json(&self) -> serde_json::Value {
+        serde_json::json!({ "provenance": self.provenance, "figures": self.figures().collect::<Vec<_>>() })
+    }
+
+    fn figures(&self) -> impl Iterator<Item = Figures> + '_ {
+        let of = |judged: &Judged, quantity: Quantity| {
+            let norms = judged.norms(quantity);
+            Some(Figures {
+                sigma_m: judged.sensor.sigma_m,
+                gap_s: judged.sensor.gap_s,
+                method: judged.method.name(),
+                quantity: quantity.name(),
+                rmse: norms.rmse()?,
+                mae: norms.mae()?,
+                len: norms.len,
+                nees: judged.nees.map(|squares| squares.per_degree),
+                nis: judged.nis.map(|squares| squares.per_degree),
+                nees_inside: judged.nees.map(|squares| squares.inside),
+                nis_inside: judged.nis.map(|squares| squares.inside),
+            })
+        };
+        let pairs = self.judged.iter().flat_map(|judged| Quantity::ALL.map(|quantity| (judged, quantity)));
+        pairs.filter_map(move |(judged, quantity)| of(judged, quantity))
+    }
+}
+
+/// What is told of one method, sensor and quantity.
+#[derive(Clone, Copy, Debug, serde::Serialize)]
+struct Figures {
+    sigma_m: f64,
+    gap_s: f64,
+    method: &'static str,
+    quantity: &'static str,
+    rmse: f64,
+    mae: f64,
+    /// Instants.
+    len: u64,
+    /// Normalised squares per degree of freedom.
+    nees: Option<f64>,
+    nis: Option<f64>,
+    /// Shares of the instants within the χ² bounds.
+    nees_inside: Option<f64>,
+    nis_inside: Option<f64>,
+}
+
+/// Per degree of freedom, and how often within the bounds.
+fn consistency(squares: &ConsistencySummary) -> String {
+    format!("{} ({:.0} %)", digits(squares.per_degree), 100.0 * squares.inside)
+}
+
+/// Four decimals below 1: some errors are of millimetres.
+fn fine(value: f64) -> String {
+    if value < 1.0 { format!("{value:.4}") } else { digits(value) }
+}

@@ -1,0 +1,190 @@
+//! What can be known at best: the motion of each vehicle by all that is measured of it, before an instant and after it.
+//!
+//! A filter of the same process can't know as much. The smoother of Rauch, Tung and Striebel, for the process of
+//! [`filters::ConstantAcceleration`]: both axes are independent of each other and share their covariance.
+
+use std::collections::BTreeMap;
+
+use filters::chain_noise;
+use metrics::tracking::normalised_square;
+use nalgebra::{Matrix2, Matrix3, Matrix3x2, RowVector2, Vector2};
+use wire::AgentType;
+
+use super::course::{Course, Seen};
+use super::follower::{DEGREES, Error, Outcome, SETTLED_S};
+use super::method::UNKNOWN;
+
+/// Position, velocity and acceleration by axis, and their covariance along each.
+#[derive(Clone, Copy)]
+struct Belief {
+    mean: Matrix3x2<f64>,
+    covariance: Matrix3<f64>,
+}
+
+/// A vehicle at an instant.
+struct Moment<'a> {
+    tick: u64,
+    stamp_ns: i64,
+    seen: &'a Seen,
+    /// Before it is measured.
+    predicted: Belief,
+    /// By all that is measured up to now.
+    filtered: Belief,
+    /// From the instant before.
+    transition: Matrix3<f64>,
+}
+
+/// Smooths all vehicles of a course.
+pub(crate) fn smooth(course: &Course<'_>, jerk_density: f64) -> Outcome {
+    let mut outcome = Outcome::default();
+    let mut tracks: BTreeMap<u64, Vec<Moment<'_>>> = BTreeMap::new();
+    let variance = course.sensor.sigma_m.powi(2);
+    for (instant, tick) in course.instants.iter().zip(0..) {
+        let is_over = |id: &u64| instant.agents.binary_search_by_key(id, |seen| seen.id).is_err();
+        tracks.extract_if(.., |id, _| is_over(id)).for_each(|(_, track)| finish(&track, &mut outcome));
+        for seen in instant.agents.iter().filter(|seen| seen.agent_type == AgentType::Vehicle) {
+            let moment = |predicted, filtered, transition| Moment {
+                tick,
+                stamp_ns: instant.stamp_ns,
+                seen,
+                predicted,
+                filtered,
+                transition,
+            };
+            let Some(track) = tracks.get_mut(&seen.id) else {
+                let started = seen.measured_m.map(|position_m| Belief::start(position_m, variance));
+                tracks
+                    .extend(started.map(|start| (seen.id, vec![moment(start, start, Matrix3::identity())])));
+                continue;
+            };
+            let Some(last) = track.last() else { continue };
+            let dt_s = (instant.stamp_ns - last.stamp_ns) as f64 / 1e9;
+            let transition = transition(dt_s);
+            let predicted = last.filtered.after(&transition, &Matrix3::from(chain_noise(jerk_density, dt_s)));
+            let mut filtered = predicted;
+            if let Some(position_m) = seen.measured_m {
+                let (nis, log_likelihood) = filtered.update(position_m, variance);
+                outcome.faults_len += u64::from(outcome.nis.add(tick, nis, DEGREES).is_err());
+                outcome.log_likelihood_sum += log_likelihood;
+                outcome.measured_len += 1;
+            }
+            track.push(moment(predicted, filtered, transition));
+        }
+    }
+    tracks.values().for_each(|track| finish(track, &mut outcome));
+    outcome
+}
+
+/// Goes back over a track, and judges it from its first instant on.
+fn finish(track: &[Moment<'_>], outcome: &mut Outcome) {
+    let Some((last, first)) = track.last().zip(track.first()) else { return };
+    let mut smoothed = last.filtered;
+    let mut beliefs = vec![smoothed];
+    for pair in track.windows(2).rev() {
+        let [now, next] = pair else { continue };
+        // G = P Fᵀ P₋⁻¹
+        let Some(inverse) = next.predicted.covariance.try_inverse() else {
+            outcome.faults_len += 1;
+            return;
+        };
+        let gain = now.filtered.covariance * next.transition.transpose() * inverse;
+        smoothed = Belief {
+            mean: now.filtered.mean + gain * (smoothed.mean - next.predicted.mean),
+            covariance: now.filtered.covariance
+                + gain * (smoothed.covariance - next.predicted.covariance) * gain.transpose(),
+        };
+        beliefs.push(smoothed);
+    }
+    for (moment, belief) in track.iter().zip(beliefs.iter().rev()) {
+        let age_s = (moment.stamp_ns - first.stamp_ns) as f64 / 1e9;
+        let Some(truth) = moment.seen.truth.filter(|_| age_s >= SETTLED_S) else { continue };
+        let off = |row: usize, truth: [f64; 2]| belief.mean.row(row) - RowVector2::from(truth);
+        let [position, velocity] = [off(0, truth.position_m), off(1, truth.velocity_mps)];
+        let error = Error {
+            id: moment.seen.id,
+            visible: moment.seen.measured_m.is_some(),
+            position_m: position.norm(),
+            velocity_mps: velocity.norm(),
+        };
+        outcome.errors.push(error);
+        let spread = Matrix2::from_diagonal_element(belief.covariance[(0, 0)]);
+        let nees = normalised_square(&Vector2::from(position.transpose()), &spread);
+        let added =
+            nees.map(|nees| outcome.nees[usize::from(!error.visible)].add(moment.tick, nees, DEGREES));
+        outcome.faults_len += u64::from(added.is_none_or(|added| added.is_err()));
+    }
+}
+
+impl Belief {
+    /// That of a vehicle that was measured once.
+    fn start(position_m: [f64; 2], variance: f64) -> Self {
+        let [speed, acceleration] = [UNKNOWN.speed_mps, UNKNOWN.acceleration_mps2];
+        let mut mean = Matrix3x2::zeros();
+        mean.set_row(0, &RowVector2::from(position_m));
+        let variances = [variance, speed.powi(2), acceleration.powi(2)];
+        Self { mean, covariance: Matrix3::from_diagonal(&variances.into()) }
+    }
+
+    fn after(&self, transition: &Matrix3<f64>, noise: &Matrix3<f64>) -> Self {
+        Self {
+            mean: transition * self.mean,
+            covariance: transition * self.covariance * transition.transpose() + noise,
+        }
+    }
+
+    /// Takes in a measured position; returns its normalised innovation squared and its log-likelihood.
+    fn update(&mut self, position_m: [f64; 2], variance: f64) -> (f64, f64) {
+        let innovation = RowVector2::from(position_m) - self.mean.row(0);
+        let of_innovation = self.covariance[(0, 0)] + variance;
+        let gain = self.covariance.column(0) / of_innovation;
+        self.mean += gain * innovation;
+        self.covariance -= gain * gain.transpose() * of_innovation;
+        let nis = innovation.norm_squared() / of_innovation;
+        (nis, -(std::f64::consts::TAU * of_innovation).ln() - nis / 2.0)
+    }
+}
+
+/// Of position, velocity and acceleration over a time.
+fn transition(dt_s: f64) -> Matrix3<f64> {
+    Matrix3::new(1.0, dt_s, dt_s.powi(2) / 2.0, 0.0, 1.0, dt_s, 0.0, 0.0, 1.0)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::Sensor;
+    use super::super::course::tests::{NOWHERE, corner};
+    use super::super::follower::Follower;
+    use super::super::method::{Settings, TrackingMethod};
+    use super::*;
+    use evaluator::Forecaster;
+
+    const SENSOR: Sensor = Sensor { sigma_m: 0.05, gap_s: 1.6, seed: 1 };
+
+    /// Forwards it is the filter of the process; with what comes later it errs less, most of all in gaps.
+    #[test]
+    fn who_knows_the_future_errs_less_than_the_filter() {
+        let forecaster = Forecaster::new(nn::Weights::onboard(), 1).unwrap();
+        let recording = corner(6);
+        let course = Course::new(&recording, [0, i64::MAX], SENSOR, &NOWHERE);
+        let [filter, smoother] =
+            [TrackingMethod::ConstantAcceleration, TrackingMethod::Smoother].map(|method| {
+                let settings = Settings::first();
+                Follower { method, settings, forecaster: &forecaster }.follow(&course)
+            });
+        assert_eq!(filter.errors.len(), smoother.errors.len());
+        assert_eq!((filter.measured_len, smoother.faults_len), (smoother.measured_len, 0));
+        for (is_visible, most) in [(true, 0.8), (false, 0.3)] {
+            let mean = |outcome: &Outcome, of: fn(&Error) -> f64| {
+                let errors = outcome.errors.iter().filter(|error| error.visible == is_visible);
+                let (sum, len) = errors.fold((0.0, 0), |(sum, len), error| (sum + of(error), len + 1));
+                sum / f64::from(len)
+            };
+            for of in [|error: &Error| error.position_m, |error: &Error| error.velocity_mps] {
+                let ratio = mean(&smoother, of) / mean(&filter, of);
+                assert!(ratio < most, "{ratio} of the filter's error, visible: {is_visible}");
+            }
+        }
+        let inside = smoother.nees[0].summary(0.95).unwrap().unwrap();
+        assert!((0.4..1.6).contains(&inside.per_degree), "{inside:?}");
+    }
+}

@@ -1,0 +1,91 @@
+//! Finds each method's setting by the likelihood of measurements, with the same number of trials for all.
+
+use super::follower::Follower;
+use super::method::{Setting, Settings, TrackingMethod};
+use super::{Course, Outcome};
+use evaluator::{Forecaster, threads};
+
+/// Settings that each method may try.
+pub(crate) const TRIALS: usize = 36;
+/// Factors by which a number is changed, each until neither direction is better.
+const FACTORS: [f64; 2] = [2.0, std::f64::consts::SQRT_2];
+
+/// What tuning found.
+#[derive(Clone, Debug)]
+pub(crate) struct Trials {
+    /// The best settings of all methods.
+    pub(crate) settings: Settings,
+    /// The methods, and their mean negative log-likelihoods of a measured position.
+    pub(crate) figures: Vec<(TrackingMethod, f64)>,
+}
+
+/// Tunes methods on courses of one noise.
+///
+/// The Singer bicycle must come before the learned prior, which it is part of.
+pub(crate) fn tune(
+    courses: &[Course<'_>],
+    forecaster: &Forecaster,
+    methods: &[TrackingMethod],
+    threads: usize,
+) -> Trials {
+    let mut settings = Settings::first();
+    let mut figures = Vec::new();
+    for &method in methods {
+        let judge = |setting: Setting| {
+            let settings = settings.with(method, setting);
+            let follow =
+                |course: &Course<'_>, (): &mut ()| Follower { method, settings, forecaster }.follow(course);
+            let outcomes = threads::each(courses, threads, follow);
+            Outcome::nll(&outcomes)
+        };
+        let (setting, figure) = search(method.first_setting(), method.told().len(), judge);
+        settings = settings.with(method, setting);
+        figures.push((method, figure));
+    }
+    Trials { settings, figures }
+}
+
+/// Changes one number after the other by ever smaller factors, as long as that helps.
+fn search(first: Setting, axes: usize, mut judge: impl FnMut(Setting) -> f64) -> (Setting, f64) {
+    let mut best = (first, judge(first));
+    let mut left = TRIALS - 1;
+    for factor in FACTORS {
+        let mut improved = true;
+        while improved {
+            improved = false;
+            for (axis, change) in (0..axes).flat_map(|axis| [(axis, factor), (axis, 1.0 / factor)]) {
+                if left == 0 {
+                    return best;
+                }
+                let mut setting = best.0;
+                setting[axis] *= change;
+                left -= 1;
+                let figure = judge(setting);
+                if figure < best.1 {
+                    best = (setting, figure);
+                    improved = true;
+                }
+            }
+        }
+    }
+    best
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn search_comes_near_the_best_within_its_trials() {
+        let mut trials_len = 0;
+        let (found, figure) = search([1.0; 3], 2, |[a, b, _]| {
+            trials_len += 1;
+            (a / 6.0).ln().powi(2) + (b / 0.3).ln().powi(2)
+        });
+        assert!(trials_len <= TRIALS);
+        assert!((found[0] / 6.0).ln().abs() < 0.5 && (found[1] / 0.3).ln().abs() < 0.5, "{found:?}");
+        assert!(figure < 0.4);
+        let (same, _) = search([2.0, 7.0, 7.0], 1, |[a, ..]| (a - 2.0).abs());
+        assert_eq!(same, [2.0, 7.0, 7.0]);
+    }
+}

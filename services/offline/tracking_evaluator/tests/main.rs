@@ -1,0 +1,3 @@
+//! Trackers on made-up recordings with a known result.
+
+mod kitti;

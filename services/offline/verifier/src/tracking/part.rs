@@ -1,0 +1,81 @@
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+use serde::de::DeserializeOwned;
+
+use crate::VerifyError;
+
+/// Ends of the names of files that hold numbers.
+const NUMBERS: [&str; 2] = [".csv", ".json"];
+
+/// A part of a folder, and which of its files were asked for.
+pub(super) struct Part {
+    name: &'static str,
+    path: PathBuf,
+    files: BTreeMap<String, bool>,
+}
+
+impl Part {
+    /// A part, where it is there.
+    pub(super) fn open(folder: &Path, name: &'static str) -> Result<Option<Self>, VerifyError> {
+        let path = folder.join(name);
+        if !path.is_dir() {
+            return Ok(None);
+        }
+        let unreadable = |source| VerifyError::unreadable(&path, source);
+        let mut files = BTreeMap::new();
+        for entry in std::fs::read_dir(&path).map_err(unreadable)? {
+            let file = entry.map_err(unreadable)?.file_name().to_string_lossy().into_owned();
+            if NUMBERS.iter().any(|end| file.ends_with(end)) {
+                files.insert(file, false);
+            }
+        }
+        Ok(Some(Self { name, path, files }))
+    }
+
+    /// The files with numbers, in the order of their names.
+    pub(super) fn file_names(&self) -> impl Iterator<Item = &str> {
+        self.files.keys().map(String::as_str)
+    }
+
+    /// The path of a file, where it is there.
+    pub(super) fn find(&mut self, file: &str) -> Option<PathBuf> {
+        *self.files.get_mut(file)? = true;
+        Some(self.path.join(file))
+    }
+
+    /// The path of a file that another one makes necessary.
+    pub(super) fn expect(&mut self, file: &str) -> Result<PathBuf, VerifyError> {
+        self.find(file).ok_or_else(|| VerifyError::malformed(&self.path.join(file), "there is no such file"))
+    }
+
+    /// The name of something that a file tells: the part, the file without the end of its name, and `what`.
+    pub(super) fn vector(&self, file: &str, what: &str) -> String {
+        let stem = NUMBERS.iter().find_map(|end| file.strip_suffix(end)).unwrap_or(file);
+        format!("{}/{stem}.{what}", self.name)
+    }
+
+    /// What is wrong with the part as a whole.
+    pub(super) fn malformed(&self, reason: &str) -> VerifyError {
+        VerifyError::malformed(&self.path, reason)
+    }
+
+    /// Refuses a part with files that were not asked for, or without any.
+    pub(super) fn finish(&self) -> Result<(), VerifyError> {
+        if self.files.is_empty() {
+            return Err(self.malformed("there are no numbers"));
+        }
+        match self.files.iter().find(|(_, asked_for)| !**asked_for) {
+            Some((file, _)) => {
+                Err(VerifyError::malformed(&self.path.join(file), "nothing computes its numbers"))
+            }
+            None => Ok(()),
+        }
+    }
+}
+
+/// A JSON file.
+pub(super) fn document<T: DeserializeOwned>(path: &Path) -> Result<T, VerifyError> {
+    let bytes = std::fs::read(path).map_err(|source| VerifyError::unreadable(path, source))?;
+    serde_json::from_slice(&bytes).map_err(|e| VerifyError::malformed(path, e.to_string()))
+}
