@@ -1,8 +1,8 @@
 """A detector in Python: in pipeline.toml, `command = ["python3", "producer.py"]` in the source's table.
 
-Here it sees a car and someone on foot; put your detector in the place of `detect`. Positions are metres in the world
-frame, the stamp is the sensor's time of validity, and the ego pose belongs to each frame: see `stgdat_topics.py` for the
-whole contract. The launcher tells the run by environment: STGDAT_RUN_ID, STGDAT_PREFIX, STGDAT_ROOT, STGDAT_INTERVAL_NS.
+Here it detects a car and a pedestrian; put your detector in the place of `detect`. Positions are metres in the world
+frame, the stamp is the sensor's time of validity, and the ego pose belongs to each frame: see `stgdat_topics.py`, and
+docs/interfaces.md for all of it. The run comes by environment: STGDAT_RUN_ID, STGDAT_PREFIX, STGDAT_ROOT, STGDAT_INTERVAL_NS.
 """
 
 import ctypes
@@ -24,21 +24,24 @@ def detect(t_s):
     yield Detection(agent_type=AgentType.PEDESTRIAN, x_m=5, y_m=-8 + 1.4 * t_s, score=0.8)
 
 
-def send(topic, seq, stamp_ns, elements=(), flags=0):
-    """Writes a frame into shared memory and wakes its readers."""
+def send(topic, seq, stamp_ns, elements=(), flags=0, ego=(0, 0, 0)):
+    """Writes a frame into shared memory and wakes its readers; `ego` is the sensor's x, y (m) and heading (rad)."""
     publisher, notifier, element = topic
     now_ns = time.monotonic_ns()
     header = Header(schema=SCHEMA, flags=flags, run_id=run_id, seq=seq, stamp_ns=stamp_ns, released_ns=now_ns,
                     interval_ns=interval_ns, stamp_source=StampSource.SENSOR_CLOCK, sender=StageId.SOURCE,
                     observed_types=1 << AgentType.VEHICLE | 1 << AgentType.PEDESTRIAN, hops_len=1,
-                    counts=Counts(agents_len=len(elements)))
+                    counts=Counts(agents_len=len(elements)), ego_m=ego[:2], ego_heading_rad=ego[2])
     header.hops[0] = Hop(stage=StageId.SOURCE, received_ns=now_ns, started_ns=now_ns, finished_ns=now_ns, sent_ns=now_ns)
     sample = publisher.loan_slice_uninit(len(elements))
     ctypes.memmove(sample.user_header_ptr, ctypes.byref(header), ctypes.sizeof(header))
     payload = (element * len(elements))(*elements)
     ctypes.memmove(sample.payload_ptr, payload, ctypes.sizeof(payload))
     sample.assume_init().send()
-    notifier.notify()
+    try:
+        notifier.notify()
+    except iox2.NotifierNotifyError:
+        pass  # A frame after more than two intervals: the missed deadline is reported, the notification delivered.
 
 
 def output(name):
@@ -64,6 +67,8 @@ while not returned.has_samples():
 begin_ns = time.monotonic_ns()
 for seq in range(ticks):
     time.sleep(max(0, begin_ns + seq * interval_ns - time.monotonic_ns()) / 1e9)
-    send(detections, seq, seq * interval_ns, list(detect(seq * interval_ns / 1e9)), Flags.SEEN_FROM_EGO)
+    send(detections, seq, seq * interval_ns, list(detect(seq * interval_ns / 1e9)), Flags.SEEN_FROM_EGO,
+         ego=(0, 0, 0))
 send(detections, ticks, ticks * interval_ns, flags=Flags.END)
+# The frames stay readable as long as this process lives.
 time.sleep(1)

@@ -2,6 +2,8 @@
 
 use std::path::{Path, PathBuf};
 
+use rustix::process::Signal;
+
 use crate::scratch::Scratch;
 use crate::started::{Started, assert_nothing_left, piped, run_well, stderr, stdout};
 
@@ -106,7 +108,13 @@ fn a_detector_and_a_planner_in_python_join_a_run() {
     let mut consumer = piped(&python);
     let prefix = format!("{}_", root.file_name().and_then(|name| name.to_str()).expect("a run has a name"));
     consumer.arg(program("consumer.py")).env("STGDAT_ROOT", &root).env("STGDAT_PREFIX", prefix);
-    let consumed = Started::spawn(&mut consumer).output();
+    let consumer = Started::spawn(&mut consumer);
+    // A detector that pauses for longer than its readers' deadline goes on.
+    std::thread::sleep(std::time::Duration::from_secs(1));
+    run.signal_stage(&program("producer.py"), Signal::STOP);
+    std::thread::sleep(std::time::Duration::from_millis(400));
+    run.signal_stage(&program("producer.py"), Signal::CONT);
+    let consumed = consumer.output();
     assert!(consumed.status.success(), "{}", stderr(&consumed));
     let output = run.output();
     assert!(output.status.success(), "{}", stderr(&output));

@@ -11,12 +11,16 @@ use crate::pipeline_file;
 #[derive(Debug, Args)]
 pub struct Arguments {
     /// The pipeline.toml; by default the built-in one
+    #[arg(value_name = "FILE")]
+    file: Option<PathBuf>,
+    /// The same, as `run` takes it
+    #[arg(long, value_name = "FILE", conflicts_with = "file")]
     pipeline: Option<PathBuf>,
 }
 
 /// Checks a pipeline.toml and prints a summary.
 pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
-    let pipeline = pipeline_file::load(arguments.pipeline.as_deref())?;
+    let pipeline = pipeline_file::load(arguments.file.as_deref().or(arguments.pipeline.as_deref()))?;
     let budget_ms: f64 = pipeline.stages.iter().filter_map(|stage| stage.budget_ms).sum();
     let own = pipeline.stages.iter().filter(|stage| stage.command.is_some()).count();
     println!(

@@ -11,6 +11,10 @@ use crate::pipeline_file;
 #[derive(Debug, Args)]
 pub struct Arguments {
     /// The pipeline.toml; by default the built-in one
+    #[arg(value_name = "FILE")]
+    file: Option<PathBuf>,
+    /// The same, as `run` takes it
+    #[arg(long, value_name = "FILE", conflicts_with = "file")]
     pipeline: Option<PathBuf>,
     /// Language of the graph
     #[arg(long, value_enum, default_value = "mermaid")]
@@ -25,7 +29,7 @@ enum Format {
 
 /// Prints the graph of a pipeline.toml.
 pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
-    let pipeline = pipeline_file::load(arguments.pipeline.as_deref())?;
+    let pipeline = pipeline_file::load(arguments.file.as_deref().or(arguments.pipeline.as_deref()))?;
     print!(
         "{}",
         match arguments.format {

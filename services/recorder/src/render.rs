@@ -37,7 +37,7 @@ impl Report {
         match self.verdict.status {
             Status::Ok => {
                 let ticks = if self.run.lockstep == Some(true) { "forecast" } else { "in time" };
-                writeln!(text, " OK          every tick {ticks}, nothing lost, no fallback")?;
+                writeln!(text, " OK          every tick {ticks}, nothing lost, no fallback but of young tracks")?;
             }
             Status::Degraded => {
                 writeln!(text, " DEGRADED    {}", self.verdict.reasons.join("\n             "))?;
@@ -128,14 +128,14 @@ impl Report {
         let (max, publish) = if all { ("    max", " publish") } else { ("", "") };
         writeln!(
             text,
-            "\n {:LABEL_WIDTH$}    p50    p99{max} budget  {:bars$} waiting wake-up{publish}  late  lost",
+            "\n {:LABEL_WIDTH$}    p50    p99{max} budget  {:bars$} waiting wake-up{publish}  over  lost",
             "COMPUTE ms",
             "p99 of budget",
             bars = cells + 7,
         )?;
         self.stages.iter().try_for_each(|stage| stage_row(text, stage, all, cells))?;
         let publish = if all { ", publish" } else { "" };
-        writeln!(text, " {:LABEL_WIDTH$}waiting, wake-up{publish}: ms at p99; late: ticks; lost: frames", "")
+        writeln!(text, " {:LABEL_WIDTH$}waiting, wake-up{publish}: ms at p99; over: ticks over budget; lost: frames", "")
     }
 
     fn forecasts(&self, text: &mut String, width: usize) -> fmt::Result {

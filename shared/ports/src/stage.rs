@@ -49,6 +49,8 @@ pub struct Passage {
     /// The header of the frame to be sent: the input's, unless the stage changes it.
     pub header: Header,
     hop: Hop,
+    /// The topic that it came in by.
+    input: &'static str,
 }
 
 /// Result of waiting for one tick's frame.
@@ -244,7 +246,7 @@ impl Stage {
             started_ns: monotonic_ns(),
             ..Hop::default()
         };
-        Passage { header: *frame.header(), hop }
+        Passage { header: *frame.header(), hop, input: I::NAME }
     }
 
     /// Starts a tick that has no input: at the source.
@@ -257,7 +259,7 @@ impl Stage {
             started_ns: now_ns,
             ..Hop::default()
         };
-        Passage { header: Header { released_ns: now_ns, ..header }, hop }
+        Passage { header: Header { released_ns: now_ns, ..header }, hop, input: "none" }
     }
 
     /// Ends the work on a tick: sends the output or, where the input was refused, a VOID frame to the stages
@@ -278,7 +280,7 @@ impl Stage {
                 self.send(passage, output, loan)
             }
             Err(why) => {
-                self.refuse(passage.header.seq, O::NAME, &why);
+                self.refuse(passage.header.seq, passage.input, &why);
                 passage.header.flags |= flags::VOID;
                 self.pass_empty(passage, output)
             }

@@ -67,7 +67,7 @@ fn heading(cells: usize) -> Line<'static> {
         "p99 ms",
         "p99 of budget",
         "frames",
-        "late",
+        "over",
         "lost",
         bars = cells + 7
     );
