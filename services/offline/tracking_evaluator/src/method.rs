@@ -78,9 +78,9 @@ impl TrackingMethod {
             Self::Bicycle => "bicycle",
             Self::SingerBicycle => "Singer bicycle",
             Self::Learned => "learned, linearised",
-            Self::Revisiting => "learned, revisiting",
+            Self::Revisiting => "learned, warm-started retrieval",
             Self::LearnedParticles => "learned, Monte Carlo",
-            Self::Smoother => "future known, smoothed",
+            Self::Smoother => "smoother bound (oracle)",
         }
     }
 

@@ -54,6 +54,14 @@ impl Quantity {
         }
     }
 
+    /// The heading of its table.
+    const fn title(self) -> &'static str {
+        match self {
+            Self::Position => "Position error, m",
+            Self::Velocity => "Velocity error, m/s",
+        }
+    }
+
     const fn of(self, error: &Error) -> f64 {
         match self {
             Self::Position => error.position_m,
@@ -157,18 +165,18 @@ impl TrackingReport {
         self.sensors(sigma_m).iter().map(name).collect()
     }
 
-    /// The report as Markdown that also reads well in a terminal.
+    /// The report as a Markdown page that also reads well in a terminal.
     #[must_use]
     pub fn markdown(&self) -> String {
-        self.written(&self.tables(), "##")
+        self.written(&self.tables(), "#")
     }
 
-    /// The errors at one deviation, and the comparison at all, one heading lower.
+    /// The errors at one deviation and the comparisons at all, with headings from the second level on.
     #[must_use]
     pub fn summary(&self) -> String {
         let is_told = |sigma_m: f64| sigma_m == SUMMARISED_M;
         let [position, velocity] = Quantity::ALL.map(|quantity| self.errors(quantity, is_told));
-        self.written(&[position, velocity, self.comparisons()], "###")
+        self.written(&[position, velocity, self.comparisons()], "##")
     }
 
     fn written(&self, tables: &[Table], heading: &str) -> String {
@@ -187,16 +195,18 @@ impl TrackingReport {
 
     fn errors(&self, quantity: Quantity, is_told: impl Fn(f64) -> bool) -> Table {
         let note = format!(
-            "RMSE / MAE. Positions are measured at 10 Hz with normal noise of the given deviation per axis; a gap of the given length \
-             comes after 3 to 7 s and then every 4 s. {} s from the middle of each recording. True velocities are central \
-             differences of the recorded positions. Tracks count from an age of 1 s on. The learned prior is forecast anew at \
-             every step of the model from the filter's own estimates and held through gaps; its controls come in gradually. \
-             Revisiting, the forecasts have the memory of the place as well, which begins with the site's training recordings. \
-             With the future known, all that is measured of a vehicle counts, later measurements too: a mark for filters, which can't know as much.",
+            "RMSE / MAE; columns with gaps count the occluded instants alone. Positions are measured at 10 Hz with \
+             Gaussian noise of the given standard deviation per axis. A vehicle's first gap begins 3 to 7 s after it \
+             appears, each later one 4 s after the last. {} s from the middle of each recording; the reference \
+             velocity is the central difference of the recorded positions. Tracks count from an age of 1 s. Learned: \
+             every step of the model, forecasts from the filter's own estimates become its prior; their controls \
+             fade in, and gaps keep the last forecast. Warm-started retrieval: the forecasts also use the retrieval \
+             memory, which begins with the site's training recordings. Smoother bound (oracle): a smoother that uses \
+             all measurements of a vehicle, later ones too, which no filter has.",
             self.judged_s
         );
         let mut table =
-            Table::new(quantity.name(), &note, &["deviation", "method"], self.columns().into_iter());
+            Table::new(quantity.title(), &note, &["deviation", "method"], self.columns().into_iter());
         for &(sigma_m, _) in self.trials.iter().filter(|(sigma_m, _)| is_told(*sigma_m)) {
             for method in self.methods() {
                 let cell = |sensor: Sensor| {
@@ -218,13 +228,14 @@ impl TrackingReport {
 
     fn comparisons(&self) -> Table {
         let note = format!(
-            "Mean error of the learned prior less that of the other filter on the same instants, in % of the latter: below 0 the \
-             learned prior is better, surely so where the whole 95 % interval is. The best kinematic filter is chosen cell by \
-             cell by the figures themselves. Paired bootstrap over tracks, {RESAMPLES} resamples."
+            "Mean error of the learned prior less that of the reference on the same instants, in % of the latter: negative \
+             where the learned prior is better. In brackets the 95 % interval of a paired bootstrap over tracks, \
+             {RESAMPLES} resamples. The best kinematic filter is chosen cell by cell from these very figures, which \
+             favours it."
         );
-        let head = ["deviation", "method", "of what"];
+        let head = ["deviation", "method", "quantity, reference"];
         let mut table =
-            Table::new("Learned prior beside the others", &note, &head, self.columns().into_iter());
+            Table::new("Learned prior against the other filters", &note, &head, self.columns().into_iter());
         for &(sigma_m, _) in &self.trials {
             for learned in self.methods().filter(|method| method.is_learned()) {
                 for quantity in Quantity::ALL {
@@ -238,10 +249,10 @@ impl TrackingReport {
                     let name = quantity.name().split(',').next().unwrap_or_default();
                     let mut push = |other: &str, cell: &dyn Fn(Sensor) -> Option<String>| {
                         let mut row = self.row(sigma_m, learned.name(), cell);
-                        row.insert(2, format!("{name}, to {other}"));
+                        row.insert(2, format!("{name}, {other}"));
                         table.push_row(row);
                     };
-                    push("the best kinematic", &best);
+                    push("best kinematic filter", &best);
                     push("constant velocity", &velocity);
                 }
             }
@@ -250,9 +261,9 @@ impl TrackingReport {
     }
 
     fn certainty(&self) -> Table {
-        let note = "NEES of the position / NIS of the measurements: the mean per degree of freedom, 1 where covariances are right \
-                    and more where they are too small; in brackets the share of the instants at which the sum over all vehicles lies \
-                    within its 95 % χ² bounds. Faults are predictions and updates that failed.";
+        let note = "NEES of the position / NIS of the measurements: mean per degree of freedom, 1 where covariances are right \
+                    and more where they are too small; in brackets the share of instants at which the sum over all \
+                    vehicles lies within its 95 % χ² bounds. Faults are predictions and updates that failed.";
         let columns = self.columns().into_iter().chain(["faults".to_owned()]);
         let mut table = Table::new("Consistency", note, &["deviation", "method"], columns);
         for &(sigma_m, _) in &self.trials {
@@ -272,8 +283,8 @@ impl TrackingReport {
 
     fn settings(&self) -> Table {
         let note = format!(
-            "Found by the mean negative log-likelihood (NLL) of the measured positions on the validation part, {} s of a recording \
-             per site, {TRIALS} trials for each method and deviation.",
+            "Tuned for the least mean negative log-likelihood (NLL) of the measured positions on the validation part: {} s \
+             of one recording per site, {TRIALS} trials per method and deviation.",
             self.tuned_s
         );
         let columns = ["setting", "NLL"].map(str::to_owned).into_iter();

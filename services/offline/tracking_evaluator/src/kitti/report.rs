@@ -88,16 +88,16 @@ impl KittiReport {
         Self { provenance, parts }
     }
 
-    /// The report as Markdown that also reads well in a terminal.
+    /// The report as a Markdown page that also reads well in a terminal.
     #[must_use]
     pub fn markdown(&self) -> String {
-        self.written("##")
+        self.written("#")
     }
 
-    /// The same, one heading lower.
+    /// The same with headings from the second level on, for a page that has a title.
     #[must_use]
     pub fn summary(&self) -> String {
-        self.written("###")
+        self.written("##")
     }
 
     fn written(&self, heading: &str) -> String {
@@ -110,13 +110,14 @@ impl KittiReport {
     }
 
     fn figures(&self) -> Table {
-        let note = "Detections of PointRCNN, labels as the truth, both in the world frame; matched within 2 m on the ground, which is also \
-                    where HOTA's similarity ends and GOSPA and OSPA (p = 2, mean of the frames) cut off. Objects that are truncated, occluded to an \
-                    unknown degree or of a neighbouring class (vans, trucks, people who sit) may be found or missed; a track with no object is \
-                    false unless its place is out of the image, under 25 px high or in a region without labels. The least score of the \
-                    detections is each contender's own choice per class, by MOTA on the other sequences, of the same eight from -1 to 6. Of ours those tracks \
-                    count which the tracker takes for more probable than not.";
-        let columns = KittiMeasure::ALL.map(KittiMeasure::name).into_iter().chain(["least score"]);
+        let note = "PointRCNN's detections, KITTI's labels as the reference, both in the world frame, matched within 2 m on the \
+                    ground: there HOTA's similarity reaches 0, and GOSPA and OSPA (p = 2, mean of the frames) are cut off. \
+                    Objects that are truncated, occluded to an unknown degree or of a neighbouring class (vans, trucks, \
+                    sitting people) count neither as misses nor as hits. A track without an object is false unless it \
+                    lies outside the image, is less than 25 px high or lies in an unlabelled region. The score threshold \
+                    of the detections is chosen per tracker and class, for the highest MOTA on the other sequences, among \
+                    the same eight from -1 to 6. Our tracks count from an existence probability of 0.5.";
+        let columns = KittiMeasure::ALL.map(KittiMeasure::name).into_iter().chain(["score threshold"]);
         let mut table =
             Table::new("Trackers", note, &["class", "sequences", "tracker"], columns.map(str::to_owned));
         for (class, agent_type) in CLASSES.into_iter().enumerate() {
@@ -139,15 +140,15 @@ impl KittiReport {
 
     fn comparisons(&self) -> Table {
         let note = format!(
-            "What the tracker with the learned prior has more than the other on the very same detections, those of the other's least \
-             score; in brackets the paired bootstrap's 95 % interval, \
-             {RESAMPLES} resamples of whole sequences; none where fewer than {SEQUENCES_MIN} have objects of the class."
+            "Learned prior less the tracker of the row on the same detections, those above that tracker's threshold. In \
+             brackets the 95 % interval of a paired bootstrap over sequences, {RESAMPLES} resamples; none where fewer \
+             than {SEQUENCES_MIN} sequences contain objects of the class."
         );
         let columns = KittiMeasure::COMPARED.map(|measure| measure.name().to_owned()).into_iter();
         let mut table = Table::new(
-            "Learned prior beside the others",
+            "Learned prior against the other trackers",
             &note,
-            &["class", "sequences", "less that of"],
+            &["class", "sequences", "compared with"],
             columns,
         );
         for (class, agent_type) in CLASSES.into_iter().enumerate() {
