@@ -1,4 +1,4 @@
-//! What is told of the trackers.
+//! The report on trackers.
 
 use metrics::{Interval, cluster_bootstrap};
 
@@ -7,10 +7,10 @@ use evaluator::{Provenance, RESAMPLES, Table};
 
 /// Of the bootstrap.
 const SEED: u64 = 1;
-/// Fewer sequences say nothing of what others would give.
+/// Fewer sequences allow no interval.
 const SEQUENCES_MIN: usize = 3;
 
-/// What a judgement of trackers found.
+/// The result of an evaluation of trackers.
 #[derive(Clone, Debug)]
 pub struct KittiReport {
     /// Of the weights behind the forecasts, part by part.
@@ -18,7 +18,7 @@ pub struct KittiReport {
     parts: Vec<KittiPart>,
 }
 
-/// Sequences whose figures are told together.
+/// Sequences whose figures are reported together.
 #[derive(Clone, Debug)]
 pub(crate) struct KittiPart {
     /// Which they are.
@@ -32,7 +32,7 @@ pub(crate) struct KittiPart {
 pub(crate) struct KittiRow {
     /// The contender.
     pub(crate) name: &'static str,
-    /// Chosen elsewhere; several where parts are told together.
+    /// Chosen elsewhere; several where parts are reported together.
     pub(crate) least_scores: ByClass<Vec<f32>>,
     /// Sequence by sequence.
     pub(crate) counts: Vec<ByClass<Counts>>,
@@ -64,15 +64,15 @@ impl KittiRow {
         Counts::sum(self.counts.iter().map(|counts| &counts[class]))
     }
 
-    /// What the last contender has more than this one, with its interval where enough sequences have objects of the class.
+    /// The last contender's figure less this one's, with its interval where enough sequences have the class.
     fn lead_of_last(&self, class: usize, measure: KittiMeasure) -> Option<String> {
         let lead = |sequences: &[usize]| {
             let of = |counts| drawn(counts, class, sequences).figure(measure);
             Some(of(&self.last_on_same)? - of(&self.counts)?)
         };
         let len = self.counts.len();
-        let told_len = self.counts.iter().filter(|counts| counts[class].truths_len() > 0).count();
-        if told_len < SEQUENCES_MIN {
+        let with_class_len = self.counts.iter().filter(|counts| counts[class].truths_len() > 0).count();
+        if with_class_len < SEQUENCES_MIN {
             return lead(&(0..len).collect::<Vec<_>>()).map(|figure| format!("{figure:+.3}"));
         }
         let Interval { low, mean, high } = cluster_bootstrap(len, RESAMPLES, SEED, lead)?;
@@ -81,7 +81,7 @@ impl KittiRow {
 }
 
 impl KittiReport {
-    /// Tells the parts one by one and all together.
+    /// Reports the parts one by one and all together.
     pub(crate) fn new(mut parts: Vec<KittiPart>, provenance: Vec<Provenance>) -> Self {
         let all = parts.iter().cloned().reduce(KittiPart::joined);
         parts.extend(all.map(|all| KittiPart { name: "all".to_owned(), ..all }));
@@ -169,8 +169,8 @@ impl KittiReport {
     #[must_use]
     pub fn csv(&self) -> String {
         let sha256 = self.provenance.first().map_or("", |provenance| &provenance.sha256);
-        let line = |told: KittiValue<'_>| {
-            let KittiValue { sequences, class, tracker, least_scores, truths_len, measure, value } = told;
+        let line = |value: KittiValue<'_>| {
+            let KittiValue { sequences, class, tracker, least_scores, truths_len, measure, value } = value;
             format!(
                 "kitti,,,{sequences},{least_scores},{class},\"{tracker}\",tracks,\"{measure}\",{value:.6},{truths_len},{sha256}\n"
             )
