@@ -85,8 +85,8 @@ enum Map {
     Site,
 }
 
-/// Measures forecasts, or filters that take them as their prior, against the recorded future, under the protocol
-/// of a data set or on any recordings.
+/// Measures forecasts, or filters that take them as their prior, against the recorded future, under the
+/// protocol of a data set or on any recordings.
 pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
     let name = match &arguments.targets[..] {
         [target] => target.to_str().unwrap_or_default(),

@@ -152,7 +152,8 @@ pub(crate) mod tests {
         recording_of(frames)
     }
 
-    /// So many vehicles, one after the other, that turn left around the same corner at 7 m/s, 6.5 s after they appear.
+    /// So many vehicles, one after the other, that turn left around the same corner at 7 m/s, 6.5 s after
+    /// they appear.
     pub(crate) fn corner(vehicles: usize) -> Recording {
         const RADIUS_M: f32 = 12.0;
         const SPEED_MPS: f32 = 7.0;

@@ -14,7 +14,8 @@ use super::method::{Settings, TrackingMethod, UNKNOWN, control_gains};
 use super::smoother::smooth;
 use evaluator::Forecaster;
 
-/// Largest deviation of a known direction of motion; a state with a heading takes over at [`COURSE_KNOWN_MPS`].
+/// Largest deviation of a known direction of motion; a state with a heading takes over at
+/// [`COURSE_KNOWN_MPS`].
 const COURSE_KNOWN_RAD: f64 = 0.3;
 /// Least speed of a known direction of motion.
 const COURSE_KNOWN_MPS: f64 = 0.5;
@@ -101,7 +102,8 @@ impl Follower<'_> {
             let elapsed_ns = last_ns.map_or(0, |last: i64| instant.stamp_ns - last).cast_unsigned();
             last_ns = Some(instant.stamp_ns);
             self.advance((tick, instant), elapsed_ns, course.sensor.sigma_m, &mut tracks, &mut outcome);
-            // One forecast per step of the model: modes live long enough for measurements to distinguish them.
+            // One forecast per step of the model: modes live long enough for measurements to distinguish
+            // them.
             if self.method.is_learned() && instant.stamp_ns >= next_ns {
                 next_ns += step_ns;
                 self.adopt(&mut forecasts, instant, &mut tracks);

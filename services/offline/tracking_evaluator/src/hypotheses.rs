@@ -43,8 +43,8 @@ pub(crate) struct Place<'a> {
 /// Estimates by stamp.
 type Past = BTreeMap<i64, State>;
 
-/// Forecasts from estimates by the stages that run on board: one `tracks` payload of the filters' estimates per
-/// instant, at a site.
+/// Forecasts from estimates by the stages that run on board: one `tracks` payload of the filters' estimates
+/// per instant, at a site.
 pub(crate) struct OnboardForecasts {
     stages: TracksToForecasts,
     header: Header,
@@ -68,7 +68,8 @@ impl OnboardForecasts {
 
     /// Adds the estimates of now, with the sensor at `ego_m`, and forecasts the agents that are wanted.
     ///
-    /// Estimates are never revised, as on board. A history contains those that were made whole steps of the model ago.
+    /// Estimates are never revised, as on board. A history contains those that were made whole steps of the
+    /// model ago.
     pub(crate) fn forecast(
         &mut self,
         now_ns: i64,

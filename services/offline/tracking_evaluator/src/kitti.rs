@@ -1,8 +1,9 @@
 //! Evaluates trackers on a detector's output from a moving car, by KITTI's labels.
 //!
-//! A *contender* makes tracks of a recording. For each it may choose one number per class, the score threshold of
-//! the detections that it is given, among the same few for all and on sequences outside its evaluation. Its tracks
-//! are matched with the labels within 2 m on the ground, class by class, and counted by all measures ([`Counts`]).
+//! A *contender* makes tracks of a recording. For each it may choose one number per class, the score
+//! threshold of the detections that it is given, among the same few for all and on sequences outside its
+//! evaluation. Its tracks are matched with the labels within 2 m on the ground, class by class, and counted
+//! by all measures ([`Counts`]).
 
 mod counts;
 mod nearest;

@@ -1,13 +1,13 @@
 //! Evaluates tracking, beside filters and trackers without forecasts; `stgdat evaluate tracking` calls it.
 //!
-//! In go recordings in the layout of their data sets and weights ([`evaluator::Options`]), out come reports as
-//! Markdown, CSV and JSON.
+//! In go recordings in the layout of their data sets and weights ([`evaluator::Options`]), out come reports
+//! as Markdown, CSV and JSON.
 //!
-//! [`interaction()`] measures how well filters estimate the motion of vehicles whose positions are measured with
-//! noise and, during gaps, not at all. A `Course` is a recording as such a sensor reports it. A `Follower` runs one
-//! filter per agent over it, all agents at once, since the learned prior of one depends on the positions of the
-//! others. Every method is tuned with the same number of trials on recordings outside the evaluation, and all get
-//! the same noise and the same gaps.
+//! [`interaction()`] measures how well filters estimate the motion of vehicles whose positions are measured
+//! with noise and, during gaps, not at all. A `Course` is a recording as such a sensor reports it. A
+//! `Follower` runs one filter per agent over it, all agents at once, since the learned prior of one depends
+//! on the positions of the others. Every method is tuned with the same number of trials on recordings outside
+//! the evaluation, and all get the same noise and the same gaps.
 //!
 //! [`kitti()`] evaluates whole trackers by identities and positions, from a detector's output.
 

@@ -26,7 +26,8 @@ pub(crate) enum TrackingMethod {
     Learned,
     /// The same, the forecasts with a retrieval memory that begins with earlier recordings.
     WarmStarted,
-    /// The processes of [`TrackingMethod::Learned`] by Monte Carlo: particles, with the settings of the mixture.
+    /// The processes of [`TrackingMethod::Learned`] by Monte Carlo: particles, with the settings of the
+    /// mixture.
     LearnedParticles,
     /// Constant acceleration with later measurements as well: no filter, but a bound for them (oracle).
     Smoother,
@@ -41,8 +42,8 @@ const LENGTH_M: f32 = 4.5;
 const REAR_AXLE_RATIO: f32 = 0.26;
 /// Largest slip of the bicycle.
 const SLIP_MAX_RAD: f64 = 0.5;
-/// Standard deviations of speed, m/s, and heading, rad, at which the gain of a control is one half: those of the
-/// pipeline's tracker.
+/// Standard deviations of speed, m/s, and heading, rad, at which the gain of a control is one half: those of
+/// the pipeline's tracker.
 const HALF_GAIN_SIGMA: [f64; 2] = [0.7, 0.02];
 /// Time constant with which a forecast's controls fade in.
 const FADE_IN_S: f64 = 1.0;
@@ -190,10 +191,11 @@ impl Settings {
 
     /// The processes of a Singer bicycle with and without forecasts, at these gains of the controls.
     ///
-    /// Under a forecast, acceleration and slip rate decay towards the forecast's means, with one time constant at
-    /// first and another once the controls have faded in. A share (of standard deviations) of the white noise of the
-    /// Singer bicycle drives both: its density σ² / τ determines how fast a manoeuvre may change, whatever the
-    /// decay. The spread among the modes represents the uncertainty of the controls, that noise represents the rest.
+    /// Under a forecast, acceleration and slip rate decay towards the forecast's means, with one time
+    /// constant at first and another once the controls have faded in. A share (of standard deviations) of the
+    /// white noise of the Singer bicycle drives both: its density σ² / τ determines how fast a manoeuvre may
+    /// change, whatever the decay. The spread among the modes represents the uncertainty of the controls,
+    /// that noise represents the rest.
     pub(crate) fn priors(
         &self,
         method: TrackingMethod,

@@ -11,7 +11,8 @@ use evaluator::{Provenance, RESAMPLES, Table, digits, percent};
 const SEED: u64 = 1;
 /// The χ² bounds within which squares should lie.
 const BOUNDS: f64 = 0.95;
-/// The noise whose errors a summary reports, m: a constant-velocity filter errs there as much as in the paper.
+/// The noise whose errors a summary reports, m: a constant-velocity filter errs there as much as in the
+/// paper.
 const SUMMARISED_M: f64 = 0.02;
 
 /// The errors of one method under one sensor.
@@ -71,7 +72,8 @@ impl Quantity {
 }
 
 impl MethodErrors {
-    /// The outcomes of all recordings together; for the χ² bounds, vehicles at the same tick number are parallel runs.
+    /// The outcomes of all recordings together; for the χ² bounds, vehicles at the same tick number are
+    /// parallel runs.
     pub(crate) fn new<'a>(
         sensor: Sensor,
         method: TrackingMethod,

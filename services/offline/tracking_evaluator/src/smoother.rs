@@ -1,7 +1,8 @@
-//! The smoother bound (oracle): the motion of each vehicle from all of its measurements, earlier and later ones.
+//! The smoother bound (oracle): the motion of each vehicle from all of its measurements, earlier and later
+//! ones.
 //!
-//! No filter of the same process has as many. It is the smoother of Rauch, Tung and Striebel for the process of
-//! [`filters::ConstantAcceleration`]: both axes are independent of each other and share their covariance.
+//! No filter of the same process has as many. It is the smoother of Rauch, Tung and Striebel for the process
+//! of [`filters::ConstantAcceleration`]: both axes are independent of each other and share their covariance.
 
 use std::collections::BTreeMap;
 

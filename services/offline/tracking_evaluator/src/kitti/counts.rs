@@ -4,8 +4,8 @@ use metrics::tracking::{
     linear_similarity,
 };
 
-/// A track is matched with a truth at most so far away; there the similarity of HOTA is 0 and GOSPA and OSPA are cut
-/// off.
+/// A track is matched with a truth at most so far away; there the similarity of HOTA is 0 and GOSPA and OSPA
+/// are cut off.
 pub(crate) const GATE_M: f64 = 2.0;
 /// The order p of GOSPA and OSPA.
 const ORDER: f64 = 2.0;

@@ -64,7 +64,8 @@ impl Sequence {
         Ok(Self { recording, annotations: Annotations::open(path)? })
     }
 
-    /// Evaluates the tracks that a contender makes of the detections with at least these scores, class by class.
+    /// Evaluates the tracks that a contender makes of the detections with at least these scores, class by
+    /// class.
     pub(crate) fn evaluate(
         &self,
         contender: &Contender<'_>,
@@ -102,8 +103,8 @@ impl Sequence {
 
     /// The objects and tracks of a class that count in a frame.
     ///
-    /// A track that is best matched with an optional object does not count, nor does that object; one that is matched
-    /// with none is false only where its object would have been labelled.
+    /// A track that is best matched with an optional object does not count, nor does that object; one that is
+    /// matched with none is false only where its object would have been labelled.
     fn frame(
         &self,
         index: usize,

@@ -1,5 +1,5 @@
-//! Tracking: the motion of INTERACTION's vehicles from noisy positions, with gaps, by filters with and without
-//! forecasts.
+//! Tracking: the motion of INTERACTION's vehicles from noisy positions, with gaps, by filters with and
+//! without forecasts.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -11,7 +11,8 @@ use evaluator::{Cut, EvaluateError, Footage, Model, Options, SEED, map_of, threa
 use crate::{Course, Follower, MethodErrors, Place, Sensor, TrackingMethod, TrackingReport, Trials, tune};
 
 const SET: DataSet = DataSet::Interaction;
-/// The recipe of the weights whose forecasts are the prior: they trained on the same data set's training part.
+/// The recipe of the weights whose forecasts are the prior: they trained on the same data set's training
+/// part.
 const RECIPE: &str = "interaction";
 /// Deviations of the measured positions, m.
 const SIGMAS_M: [f64; 5] = [0.01, 0.02, 0.05, 0.1, 0.3];
@@ -27,10 +28,10 @@ type Places<'a> = BTreeMap<String, Place<'a>>;
 
 /// Estimates motion with every method under every noise and gap, and reports their errors.
 ///
-/// Settings are tuned on the validation part, which neither the model's training nor the figures use; a gap of each
-/// length takes part. Map and retrieval memory of a site come from the training part. `sigmas_m` are standard
-/// deviations of the measured positions, m; without any, those of the protocol are taken. With `particles` the
-/// learned prior runs by Monte Carlo as well.
+/// Settings are tuned on the validation part, which neither the model's training nor the figures use; a gap
+/// of each length takes part. Map and retrieval memory of a site come from the training part. `sigmas_m` are
+/// standard deviations of the measured positions, m; without any, those of the protocol are taken. With
+/// `particles` the learned prior runs by Monte Carlo as well.
 ///
 /// # Errors
 /// Where weights or recordings are missing or of another kind.

@@ -18,8 +18,8 @@ const PARTS: [Part; 2] = [Part::Train, Part::Validation];
 
 /// Evaluates trackers on KITTI's sequences, beside a plain one by nearest neighbours.
 ///
-/// The last of `contenders` is compared with all others on the very same detections; its forecasts come from the
-/// weights of `options` (the recipe `onboard` where none are named), which the report names.
+/// The last of `contenders` is compared with all others on the very same detections; its forecasts come from
+/// the weights of `options` (the recipe `onboard` where none are named), which the report names.
 ///
 /// # Errors
 /// Where weights or recordings are missing or of another kind, or a contender fails.
