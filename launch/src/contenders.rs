@@ -1,4 +1,4 @@
-//! The trackers that an evaluation judges: ours with either prior, in this process.
+//! The trackers that `stgdat evaluate tracking` compares: ours with either prior, in this process.
 
 use std::path::PathBuf;
 
@@ -13,8 +13,8 @@ use wire::{AgentType, Track};
 use crate::failure::Failure;
 use crate::tracking::Tracking;
 
-/// A track of which the tracker says that it is less probable than not claims nothing.
-const BELIEVED: f32 = 0.5;
+/// Tracks count from this existence probability on.
+const EXISTENCE_MIN: f32 = 0.5;
 
 /// Our tracker without forecasts, and last with those of the weights.
 pub fn contenders<'a>(weights: Option<&'a PathBuf>, model: &'a ModelConfig) -> Vec<Contender<'a>> {
@@ -42,13 +42,13 @@ fn track(recording: &Recording, run: Run, model: &ModelConfig) -> Result<Publish
     let mut published = Vec::with_capacity(recording.frames.len());
     while let Some(tick) = playback.next_tick() {
         let tracks = tracking.tick(&tick.header, tick.detections).iter();
-        let believed = tracks.filter(|track| track.existence >= BELIEVED);
-        published.push(believed.map(told).collect::<Result<_, _>>()?);
+        let probable = tracks.filter(|track| track.existence >= EXISTENCE_MIN);
+        published.push(probable.map(published_track).collect::<Result<_, _>>()?);
     }
     Ok(published)
 }
 
-fn told(track: &Track) -> Result<PublishedTrack, Failure> {
+fn published_track(track: &Track) -> Result<PublishedTrack, Failure> {
     Ok(PublishedTrack {
         id: track.id,
         agent_type: AgentType::try_from(track.agent_type).map_err(Failure::data)?,

@@ -1,4 +1,5 @@
-//! From detections to tracks, in this process: the tracker alone, or in the chain whose forecasts are its prior.
+//! From detections to tracks, in this process: the tracker alone, or in the chain whose forecasts are its
+//! prior.
 
 use bytemuck::Zeroable;
 use model::ModelConfig;
@@ -53,7 +54,7 @@ impl Tracking {
         }
     }
 
-    /// Keeps the memory of the place where the run's record wants it; without forecasts there is none.
+    /// Writes the retrieval memory where the run's record names a file; without forecasts there is none.
     pub fn keep_memory(&self, run: &Run) -> Result<(), Failure> {
         match self {
             Self::Alone { .. } => Ok(()),

@@ -58,19 +58,19 @@ pub struct Arguments {
 /// Trains a recipe and variants of it with one and the same budget, and compares them on the same windows.
 pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
     let variants = Variants::of(&recipe(arguments)?, &arguments.presets)?;
-    let Variants { all, mut told } = variants;
-    told.iter().for_each(|line| eprintln!("{line}"));
+    let Variants { all, mut notes } = variants;
+    notes.iter().for_each(|line| eprintln!("{line}"));
     let mut trained = Vec::new();
     for variant in &all {
         let outcome = training::train(variant)?;
         if outcome.card().is_none() {
-            told.push(format!("`{}` could not be trained: its loss left the numbers.", variant.name));
+            notes.push(format!("`{}` could not be trained: its loss became infinite or NaN.", variant.name));
         }
         trained.push((variant, outcome));
     }
-    let ablation = judge(arguments, &trained)?;
+    let ablation = evaluate(arguments, &trained)?;
     let (budget, table) = (budget(&arguments.recipe, &trained)?, ablation.markdown());
-    let text = format!("{budget}\n\n{table}\n{}", told.join(" ")).trim_end().to_owned() + "\n";
+    let text = format!("{budget}\n\n{table}\n{}", notes.join(" ")).trim_end().to_owned() + "\n";
     if let Some(path) = &arguments.csv {
         std::fs::write(path, ablation.csv()).map_err(|error| Failure::file(path, error))?;
     }
@@ -97,8 +97,8 @@ fn recipe(arguments: &Arguments) -> Result<TrainOptions, Failure> {
     Ok(options)
 }
 
-/// Judges those that could be trained.
-fn judge(arguments: &Arguments, trained: &[(&Variant, Trained)]) -> Result<Ablation, Failure> {
+/// Evaluates the variants that could be trained.
+fn evaluate(arguments: &Arguments, trained: &[(&Variant, Trained)]) -> Result<Ablation, Failure> {
     let options = Options {
         data: arguments.data.clone(),
         part: if arguments.validation { Part::Validation } else { Part::Test },
@@ -107,8 +107,8 @@ fn judge(arguments: &Arguments, trained: &[(&Variant, Trained)]) -> Result<Ablat
         threads: arguments.workers.unwrap_or(1),
     };
     let variants = trained.iter().filter(|(_, trained)| trained.card().is_some());
-    let variants: Vec<_> = variants.map(|(variant, _)| variant.to_judge()).collect();
-    let progress = |step: &str| eprintln!("judging: {step} …");
+    let variants: Vec<_> = variants.map(|(variant, _)| variant.for_evaluation()).collect();
+    let progress = |step: &str| eprintln!("evaluating: {step} …");
     evaluator::ablation(&options, &arguments.recipe, &variants, progress).map_err(Failure::data)
 }
 

@@ -85,8 +85,8 @@ enum Map {
     Site,
 }
 
-/// Measures forecasts, or filters that take them as their prior, against what really came, under the protocol
-/// of a data set or on any recordings.
+/// Measures forecasts, or filters that take them as their prior, against the recorded future, under the
+/// protocol of a data set or on any recordings.
 pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
     let name = match &arguments.targets[..] {
         [target] => target.to_str().unwrap_or_default(),
@@ -232,7 +232,7 @@ fn track(arguments: &Arguments) -> Result<Vec<Written>, Failure> {
     let mut written = Vec::new();
     for part in parts(arguments, &TRACKING_PARTS) {
         written.push(if part == "kitti" {
-            Written::of_trackers(&judge_trackers(&options)?)
+            Written::of_trackers(&evaluate_trackers(&options)?)
         } else {
             let report =
                 tracking_evaluator::interaction(&options, &arguments.sigmas, arguments.particles, progress);
@@ -246,7 +246,7 @@ fn track(arguments: &Arguments) -> Result<Vec<Written>, Failure> {
 }
 
 /// Our tracker beside a plain one.
-fn judge_trackers(options: &Options) -> Result<KittiReport, Failure> {
+fn evaluate_trackers(options: &Options) -> Result<KittiReport, Failure> {
     let weights = options.weights.file.as_ref();
     let model = match weights {
         None => Weights::onboard(),

@@ -6,14 +6,14 @@ use trainer::{ModelCard, TrainError, TrainOptions};
 use super::variants::Variant;
 use crate::failure::Failure;
 
-/// Name of the file in a checkpoint folder that tells which training the checkpoints are of.
+/// Name of the file in a checkpoint folder with the options of its training.
 const OPTIONS_FILE: &str = "options.json";
 
 /// What came of a training.
 pub(super) enum Trained {
     /// Weights with this card.
     To(Box<ModelCard>),
-    /// The losses left the numbers.
+    /// The losses became infinite or NaN.
     Diverged,
 }
 
@@ -38,12 +38,12 @@ impl Trained {
     }
 }
 
-/// Trains a variant as far as it is not trained yet. Its weights appear in their place when they are complete.
+/// Trains a variant as far as it is not trained yet. Its weights appear at their path when they are complete.
 pub(super) fn train(variant: &Variant) -> Result<Trained, Failure> {
     let Variant { name, options } = variant;
-    let told = options.checkpoints.join(OPTIONS_FILE);
+    let options_path = options.checkpoints.join(OPTIONS_FILE);
     let finished = card(&options.out);
-    let begun = std::fs::read_to_string(&told).ok().and_then(|text| serde_json::from_str(&text).ok());
+    let begun = std::fs::read_to_string(&options_path).ok().and_then(|text| serde_json::from_str(&text).ok());
     let course = Course::of(options, finished.as_ref().map(|card| &card.options), begun.as_ref());
     match (course, finished) {
         (Course::Keep, Some(card)) => {
@@ -54,12 +54,14 @@ pub(super) fn train(variant: &Variant) -> Result<Trained, Failure> {
         (_, Some(_)) => eprintln!("{name}: was trained with other options, trains again"),
         _ => eprintln!("{name}: trains"),
     }
-    let file = |error: std::io::Error| Failure::file(&told, error);
+    let file = |error: std::io::Error| Failure::file(&options_path, error);
     std::fs::create_dir_all(&options.checkpoints).map_err(file)?;
-    std::fs::write(&told, serde_json::to_string_pretty(options).map_err(Failure::data)?).map_err(file)?;
+    std::fs::write(&options_path, serde_json::to_string_pretty(options).map_err(Failure::data)?)
+        .map_err(file)?;
     let run = TrainOptions {
         resume: course == Course::Resume,
-        // The trainer writes after every good validation: weights of an unfinished training must not be taken for whole.
+        // The trainer writes after every good validation: weights of an unfinished training must not pass for
+        // complete ones.
         out: options.checkpoints.join("weights.safetensors"),
         ..options.clone()
     };
@@ -77,7 +79,7 @@ pub(super) fn train(variant: &Variant) -> Result<Trained, Failure> {
 }
 
 impl Course {
-    /// What `options` ask for, where weights of a `finished` training lie in their place and another has `begun`.
+    /// What `options` ask for, where weights of a `finished` training exist and another training has `begun`.
     fn of(options: &TrainOptions, finished: Option<&TrainOptions>, begun: Option<&TrainOptions>) -> Self {
         // The number of threads only touches the last digits.
         let alike = |other: &TrainOptions| {

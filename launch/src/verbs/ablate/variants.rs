@@ -23,16 +23,17 @@ pub(super) struct Variant {
 #[derive(Clone, Debug)]
 pub(super) struct Variants {
     pub(super) all: Vec<Variant>,
-    /// A line for each that was asked for and is none.
-    pub(super) told: Vec<String>,
+    /// A line for each preset that is left out.
+    pub(super) notes: Vec<String>,
 }
 
 impl Variants {
-    /// The recipe and what `presets` make of it, with its own budget; the files of all stand beside [`TrainOptions::out`].
-    /// Presets that ask for the same training as an earlier one are told and left out.
+    /// The recipe and what `presets` make of it, with its own budget; the files of all lie beside
+    /// [`TrainOptions::out`]. Presets that ask for the same training as an earlier one are noted and left
+    /// out.
     pub(super) fn of(recipe: &TrainOptions, presets: &[String]) -> Result<Self, Failure> {
         let folder = recipe.out.parent().unwrap_or(Path::new(""));
-        let mut variants = Self { all: vec![Variant::new(UNCHANGED, recipe, folder)], told: Vec::new() };
+        let mut variants = Self { all: vec![Variant::new(UNCHANGED, recipe, folder)], notes: Vec::new() };
         let usual = || recipe.ablations().iter().map(|&presets| presets.to_owned()).collect();
         for name in if presets.is_empty() { usual() } else { presets.to_vec() } {
             let changed = name.split('/').try_fold(recipe.clone(), with_preset)?;
@@ -43,7 +44,7 @@ impl Variants {
             match variants.all.iter().find(|earlier| earlier.options.trains_like(&changed)) {
                 Some(same) => {
                     let line = format!("`{name}` is the same training as “{}”.", same.name);
-                    variants.told.push(line);
+                    variants.notes.push(line);
                 }
                 None => variants.all.push(Variant::new(&name, &changed, folder)),
             }
@@ -66,8 +67,8 @@ impl Variant {
         Self { name: name.to_owned(), options }
     }
 
-    /// Its part in the evaluation. One that never saw the map of a site is not told any.
-    pub(super) fn to_judge(&self) -> evaluator::Variant {
+    /// The variant as the evaluation takes it; one whose training used no map of a site gets the online map.
+    pub(super) fn for_evaluation(&self) -> evaluator::Variant {
         let name = self.options.out.file_stem().unwrap_or_default().to_string_lossy().into_owned();
         let map = if self.options.site_map > 0.0 { MapChoice::Site } else { MapChoice::Online };
         evaluator::Variant { name: self.name.clone(), weights: name, map }
@@ -90,7 +91,7 @@ mod tests {
     }
 
     #[test]
-    fn every_variant_has_the_recipe_s_budget_and_files_of_its_own() {
+    fn variants_have_the_recipe_s_budget_and_their_own_files() {
         for recipe in ["zara1", "sdd", "interaction"] {
             let variants = variants(recipe, &[]).unwrap();
             let first = &variants.all[0].options;
@@ -113,10 +114,10 @@ mod tests {
     #[test]
     fn what_changes_nothing_is_told_and_left_out() {
         let vehicles = variants("interaction", &[]).unwrap();
-        assert_eq!(vehicles.told, ["`T+C+K` is the same training as “as recommended”."]);
+        assert_eq!(vehicles.notes, ["`T+C+K` is the same training as “as recommended”."]);
         let pedestrians = variants("zara1", &["T", "T+C", "T+C+K", "no-attention"]).unwrap();
         assert_eq!(names(&pedestrians), ["as recommended", "T+C", "no-attention"]);
-        assert_eq!(pedestrians.told[1], "`T+C+K` is the same training as “T+C”.");
+        assert_eq!(pedestrians.notes[1], "`T+C+K` is the same training as “T+C”.");
     }
 
     #[test]

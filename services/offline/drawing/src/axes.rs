@@ -7,7 +7,8 @@ use super::text::{self, Face};
 /// Sizes of type, pt.
 const TITLE_SIZE: f64 = 8.0;
 const LABEL_SIZE: f64 = 6.5;
-/// Room below and to the left for the labels of ticks, above for the title, and to the right for half a label, pt.
+/// Room below and to the left for the labels of ticks, above for the title, and to the right for half a
+/// label, pt.
 const ROOM: [f64; 4] = [20.0, 30.0, 12.0, 7.0];
 /// Names of curves side by side, and the height of a row of them, pt.
 const KEY_COLUMNS: usize = 2;
@@ -34,7 +35,7 @@ pub struct Mark {
     pub words: String,
 }
 
-/// A panel: its title tells the vertical axis, the horizontal one is the same for all panels.
+/// A panel: its title names the vertical axis, the horizontal one is the same for all panels.
 #[derive(Clone, Debug, Default)]
 pub struct Chart {
     pub title: String,
@@ -100,7 +101,8 @@ fn round_step(most: f64) -> f64 {
 }
 
 impl Chart {
-    /// Draws the panel into a frame that includes titles and labels; `steps` is the range of the horizontal axis.
+    /// Draws the panel into a frame that includes titles and labels; `steps` is the range of the horizontal
+    /// axis.
     pub fn draw(&self, canvas: &mut Canvas, frame: Frame, steps: [f64; 2]) {
         let [below, left, above, right] = ROOM;
         let plot = Frame {
@@ -128,7 +130,8 @@ impl Chart {
         self.draw_key(canvas, plot);
     }
 
-    /// The range of the vertical axis: all values but the highest few, which are those before training took hold.
+    /// The range of the vertical axis: all values but the highest few, which are those before training took
+    /// hold.
     fn range(&self) -> [f64; 2] {
         let mut values: Vec<f64> =
             self.curves.iter().flat_map(|curve| &curve.points).map(|point| point[1]).collect();

@@ -249,8 +249,8 @@ impl Canvas {
         width
     }
 
-    /// As [`Canvas::text`], in smaller type where the words would be wider than `width_max`, but not below three quarters;
-    /// what is still too long loses its end.
+    /// As [`Canvas::text`], in smaller type where the words would be wider than `width_max`, but not below
+    /// three quarters; what is still too long loses its end.
     pub fn fitted_text(&mut self, spot: Spot, look: Type, words: &str, width_max: f64) -> f64 {
         let width = |words: &str, size: f64| text::width(look.face, size, words);
         let size = look.size * (width_max / width(words, look.size).max(1e-9)).clamp(0.75, 1.0);

@@ -1,7 +1,7 @@
-//! Colours that readers tell apart whatever their eyes or printers see.
+//! Colours that readers distinguish whatever their eyes or printers see.
 //!
-//! The named ones are of the palette of Okabe and Ito, made for all kinds of colour blindness. Ramps are straight
-//! lines in Oklab, so that equal steps look equal.
+//! The named ones are of the palette of Okabe and Ito, made for all kinds of colour blindness. Ramps are
+//! straight lines in Oklab, so that equal steps look equal.
 
 use std::fmt;
 
@@ -46,7 +46,7 @@ impl fmt::Display for Colour {
     }
 }
 
-/// The colour at `share` of the way from one to the other, as the eye judges it.
+/// The colour at `share` of the way from one to the other, evenly spaced for the eye.
 pub fn mixed(from: Colour, to: Colour, share: f64) -> Colour {
     let (a, b) = (oklab(from), oklab(to));
     srgb([0, 1, 2].map(|axis| a[axis] + (b[axis] - a[axis]) * share))

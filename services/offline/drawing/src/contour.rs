@@ -6,8 +6,8 @@ pub type Place = [f64; 2];
 /// No edge follows.
 const NONE: usize = usize::MAX;
 
-/// Values at the nodes of a square grid. Whatever lies beyond counts as 0, and so do the outermost nodes, so that every
-/// contour closes.
+/// Values at the nodes of a square grid. Whatever lies beyond counts as 0, and so do the outermost nodes, so
+/// that every contour closes.
 #[derive(Clone, Debug)]
 pub struct Raster {
     /// The node of row 0, column 0.
@@ -23,8 +23,8 @@ pub struct Raster {
 }
 
 impl Raster {
-    /// A raster of zeros that covers the rectangle between two corners with a node to spare on each side; its longer
-    /// side has about `nodes` nodes.
+    /// A raster of zeros that covers the rectangle between two corners with a node to spare on each side; its
+    /// longer side has about `nodes` nodes.
     pub fn over(low: Place, high: Place, nodes: usize) -> Self {
         let extent = [0, 1].map(|axis| (high[axis] - low[axis]).max(1e-3));
         let spacing_m = extent[0].max(extent[1]) / nodes as f64;
@@ -53,7 +53,7 @@ impl Raster {
     /// # Panics
     /// Where `level` is not positive: then there is no outside.
     pub fn contours(&self, level: f64) -> Vec<Vec<Place>> {
-        assert!(level > 0.0, "level {level} does not tell inside from outside");
+        assert!(level > 0.0, "level {level} does not separate inside from outside");
         let mut next = self.links(level);
         let mut loops = Vec::new();
         for start in 0..next.len() {
@@ -75,8 +75,8 @@ impl Raster {
         if is_edge { 0.0 } else { self.values[row * self.cols + col] }
     }
 
-    /// For every edge of the grid at which a contour enters a cell, the edge at which it leaves the cell. Edges are
-    /// numbered by the node that they start at, twice, plus 1 where they go up.
+    /// For every edge of the grid at which a contour enters a cell, the edge at which it leaves the cell.
+    /// Edges are numbered by the node that they start at, twice, plus 1 where they go up.
     fn links(&self, level: f64) -> Vec<usize> {
         let mut next = vec![NONE; 2 * self.rows * self.cols];
         for row in 0..self.rows.saturating_sub(1) {
@@ -113,8 +113,8 @@ impl Raster {
     }
 }
 
-/// From which side to which side of a cell contours run. Sides are counted counter-clockwise, side i from corner i to
-/// corner i + 1. Where two opposite corners are inside, `joined` tells whether they belong together.
+/// From which side to which side of a cell contours run. Sides are counted counter-clockwise, side i from
+/// corner i to corner i + 1. Where two opposite corners are inside, `joined` is whether they belong together.
 fn crossings(inside: [bool; 4], joined: bool) -> impl Iterator<Item = (usize, usize)> {
     let leaves = move |side: usize| inside[side] && !inside[(side + 1) % 4];
     let enters = move |side: usize| !inside[side] && inside[(side + 1) % 4];
@@ -210,7 +210,7 @@ mod tests {
     }
 
     #[test]
-    fn simplifying_stays_within_its_tolerance_and_saves_most_of_a_line() {
+    fn simplifying_drops_most_points_within_its_tolerance() {
         let circle = &raster(|[x, y]| 4.0 - x.hypot(y)).contours(1.0)[0];
         let kept = simplified(circle, 0.01);
         assert!(kept.len() * 3 < circle.len(), "{} of {}", kept.len(), circle.len());

@@ -7,7 +7,8 @@ use super::error::PictureError;
 use super::text::Face;
 use super::training_log::{Progress, SetErrors, TrainingLog};
 
-/// Width of the picture, height of a panel, space between panels, edge of the sheet, and room for the title, pt.
+/// Width of the picture, height of a panel, space between panels, edge of the sheet, and room for the title,
+/// pt.
 const WIDTH: f64 = 516.0;
 const PANEL_HEIGHT: f64 = 128.0;
 const GAP: f64 = 10.0;
@@ -15,11 +16,11 @@ const EDGE: f64 = 4.0;
 const TITLE_HEIGHT: f64 = 16.0;
 const COLUMNS: usize = 3;
 
-/// Draws the learning curves of a training: the loss, its terms and the learning rate above; the figure by which
-/// checkpoints are chosen, with the chosen one marked, and the errors on each validation set below.
+/// Draws the learning curves of a training: the loss, its terms and the learning rate above; the figure by
+/// which checkpoints are chosen, with the chosen one marked, and the errors on each validation set below.
 ///
 /// # Errors
-/// [`PictureError::Empty`] where the log tells of nothing.
+/// [`PictureError::Empty`] where the log has no entries.
 pub fn learning_curves(log: &TrainingLog, title: &str) -> Result<String, PictureError> {
     let last_step = log.progress.last().map(|progress| progress.step);
     let last_step = last_step.max(log.validations.last().map(|entry| entry.step));

@@ -52,7 +52,7 @@ pub enum PictureError {
         /// The covariance (xx, xy, yy), m².
         covariance: [f32; 3],
     },
-    /// The name of a file tells no format that pictures are written in.
+    /// The extension of a file is of no format that pictures are written in.
     #[error("{path}: pictures are written as .svg or .png", path = path.display())]
     Format {
         /// The file.

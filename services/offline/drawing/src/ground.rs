@@ -76,8 +76,8 @@ impl Blocks {
         if inside { self.values[row as usize * self.cols + col as usize] } else { 0.0 }
     }
 
-    /// The blocks in and a little around the view as a cubic B-spline, which smooths by about one block; none where the
-    /// view lies beside the map.
+    /// The blocks in and a little around the view as a cubic B-spline, which smooths by about one block; none
+    /// where the view lies beside the map.
     fn smooth(&self, view: &View) -> Option<Raster> {
         let (low, high) = view.corners();
         let [cols, rows] = [(0, self.cols), (1, self.rows)].map(|(axis, len)| {

@@ -1,13 +1,15 @@
-//! Pictures for papers: forecast scenes and learning curves, as SVG and PNG.
+//! Pictures for papers, as SVG and PNG; `stgdat plot` calls it.
 //!
-//! A picture is made of *panels*. The panel of a scene shows, from bottom to top, how often the ground was visited
-//! (the context map), the *mask* of the forecast distribution, every mode as faint as it is improbable, what came
-//! true, the best and the most likely mode, and the agents in their true sizes. The mask is drawn as *highest-density
-//! regions*: the smallest areas that hold 50 % and 90 % of the mixture of all modes.
+//! [`scenes`] draws forecasts of recorded scenes, which a [`Storyboard`] selects; [`learning_curves`] draws a
+//! [`TrainingLog`]. A picture is made of *panels*. The panel of a scene shows, from bottom to top, how often the
+//! ground was visited (the context map), the *mask* of the forecast distribution, every mode as faint as it is
+//! improbable, the recorded future, the best and the most probable mode, and the agents in their true sizes. The
+//! mask is drawn as *highest-density regions*: the smallest areas that hold 50 % and 90 % of the mixture of all
+//! modes.
 //!
-//! All drawing is ours and comes out as one string of SVG, the same to the bit for the same input; text is drawn as
-//! outlines of an embedded font, so that a picture looks alike wherever it is opened. [`save`] writes the string, or
-//! has it rasterised where the file is to be a PNG. Lengths on paper are in points (pt, 1/72 inch).
+//! This crate writes the SVG itself, as one string that is the same to the bit for the same input; text is drawn
+//! as outlines of an embedded font, so that a picture looks alike wherever it is opened. [`save`] writes the
+//! string, or rasterises it for a PNG. Lengths on paper are in points (pt, 1/72 inch).
 
 mod axes;
 mod canvas;

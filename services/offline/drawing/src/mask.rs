@@ -15,7 +15,8 @@ pub enum Mask {
     /// All: the union of the regions of every moment up to the horizon.
     #[default]
     EveryMoment,
-    /// All pooled: the regions of the mixture over the whole horizon, in which the agent spends that share of it.
+    /// All pooled: the regions of the mixture over the whole horizon, in which the agent spends that share of
+    /// it.
     Pooled,
     /// The horizon's end.
     End,
@@ -27,7 +28,8 @@ pub enum Mask {
 pub type Outline = Vec<Vec<Place>>;
 
 impl Mask {
-    /// The regions of an agent's forecast that hold 90 % and 50 %; none where the mask is hidden or nothing is forecast.
+    /// The regions of an agent's forecast that hold 90 % and 50 %; none where the mask is off or the agent
+    /// has no forecast.
     pub fn regions(self, now: Place, forecast: &ForecastDrawing) -> Vec<Outline> {
         let regions = match self {
             Self::Hidden => None,
@@ -73,7 +75,8 @@ fn union(mixtures: &[Mixture]) -> Option<[Outline; 2]> {
 
 /// Where a field of relative densities is at least 1.
 fn within(mut field: Raster) -> Outline {
-    // Between two nodes the logarithm of a Gaussian is straighter than itself, so that its contours are smoother.
+    // Between two nodes the logarithm of a Gaussian is straighter than itself, so that its contours are
+    // smoother.
     field.values.iter_mut().for_each(|relative| *relative = relative.ln_1p());
     field.contours(LN_2)
 }

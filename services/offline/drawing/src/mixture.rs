@@ -129,7 +129,8 @@ pub fn add_density(mixture: &Mixture, share: f64, raster: &mut Raster) {
     }
 }
 
-/// For each of the `shares`, the density above which lies that share of the raster's mass; none where there is no mass.
+/// For each of the `shares`, the density above which lies that share of the raster's mass; none where there
+/// is no mass.
 pub fn highest_density_levels<const N: usize>(raster: &Raster, shares: [f64; N]) -> Option<[f64; N]> {
     let mut densities: Vec<f64> = raster.values.iter().copied().filter(|density| *density > 0.0).collect();
     densities.sort_by(|a, b| b.total_cmp(a));
@@ -196,7 +197,7 @@ mod tests {
     }
 
     #[test]
-    fn contours_enclose_the_share_of_draws_that_they_are_named_for() {
+    fn contours_enclose_their_share_of_draws() {
         let mixture = vec![
             gaussian([0.0, 0.0], [0.3, 0.1, 0.2], 0.5),
             gaussian([4.0, 1.0], [1.0, -0.6, 0.9], 0.3),

@@ -21,7 +21,7 @@ use legend::Legend;
 pub struct SceneDrawing<'a> {
     /// What the panel shows.
     pub title: String,
-    /// What else is to be told, in smaller type.
+    /// Further text, in smaller type.
     pub note: String,
     /// The context map to draw beneath.
     pub map: Option<&'a ContextMap>,
@@ -114,8 +114,8 @@ pub(super) const LABEL_SIZE: f64 = 7.0;
 /// Draws scenes as one picture, in reading order, with one heading and one legend for all.
 ///
 /// # Errors
-/// [`PictureError`] where there is no scene, an option or a number can't be drawn, or a forecast's parts have not the
-/// same lengths.
+/// [`PictureError`] where there is no scene, an option or a number can't be drawn, or a forecast's parts differ in
+/// length.
 pub fn scenes(
     heading: &str,
     drawings: &[SceneDrawing<'_>],

@@ -103,8 +103,8 @@ impl<'a> Storyboard<'a> {
         Ok(Self { forecaster, map, scenes, recording: recording.clone(), tracks, start_ns, threads })
     }
 
-    /// The first scene at or after a time with an agent that can be forecast. It is about the given agents, or all that
-    /// can be forecast where none are given.
+    /// The first scene at or after a time with an agent that can be forecast. It is about the given agents,
+    /// or all that can be forecast where none are given.
     ///
     /// # Errors
     /// [`StoryboardError`] where the recording has no such moment, or an agent can't be forecast then.
@@ -131,10 +131,11 @@ impl<'a> Storyboard<'a> {
         Ok(self.shot(number, &wanted, &forecasts[&number]))
     }
 
-    /// The agents that were forecast best and worst, `len` of each and the extreme first, a shot about each of them.
+    /// The agents that were forecast best and worst, `len` of each and the extreme first, a shot about each
+    /// of them.
     ///
-    /// Ranked by the ADE of the best mode are agents that move and go on moving, seen over a whole history and horizon, in
-    /// at most [`RANKED_MAX`] scenes; no agent is shown twice.
+    /// Ranked by the ADE of the best mode are agents that move and go on moving, seen over a whole history
+    /// and horizon, in at most [`RANKED_MAX`] scenes; no agent is shown twice.
     ///
     /// # Errors
     /// [`StoryboardError::NothingToRank`] where there are none.
@@ -178,7 +179,8 @@ impl<'a> Storyboard<'a> {
         wanted.iter().filter_map(rank).collect()
     }
 
-    /// The forecasts of some scenes by their numbers, which must grow: an entry per agent, none where it is absent.
+    /// The forecasts of some scenes by their numbers, which must grow: an entry per agent, none where it is
+    /// absent.
     fn forecasts(&self, numbers: &[usize]) -> BTreeMap<usize, Vec<Option<Forecast>>> {
         let len = numbers.last().map_or(0, |last| last + 1);
         let scenes = &self.scenes[..len];

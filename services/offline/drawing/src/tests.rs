@@ -165,7 +165,7 @@ fn learning_curves_show_each_set_and_the_best_checkpoint() {
     assert!(learning_curves(&TrainingLog::default(), "nothing").is_err());
 }
 
-/// Two pedestrians who walk, and one who is seen once.
+/// Two pedestrians who walk, and one that is observed once.
 fn walkers() -> data::Recording {
     let detection = |id: u64, x_m: f32, y_m: f32| Detection {
         id,

@@ -50,7 +50,8 @@ pub fn outline(face: Face, size: f64, words: &str, [x, y]: Spot) -> Path {
     path
 }
 
-/// Glyphs of a text and where along the baseline each of them ends. Characters that the font lacks show as its box.
+/// Glyphs of a text and where along the baseline each of them ends. Characters that the font lacks show as
+/// its box.
 fn glyphs(font: &'static Font<'static>, size: f64, words: &str) -> impl Iterator<Item = (GlyphId, f64)> {
     let scale = size / f64::from(font.units_per_em());
     let ids: Vec<GlyphId> =
@@ -63,8 +64,8 @@ fn glyphs(font: &'static Font<'static>, size: f64, words: &str) -> impl Iterator
     })
 }
 
-/// By how much the second glyph moves towards the first, in font units. The embedded font holds no positioning but
-/// kerning, so every lookup counts.
+/// By how much the second glyph moves towards the first, in font units. The embedded font holds no
+/// positioning but kerning, so every lookup counts.
 fn kerning(font: &Font<'_>, first: GlyphId, second: GlyphId) -> f64 {
     let Some(table) = font.tables().gpos else { return 0.0 };
     let pairs = table.lookups.into_iter().flat_map(|lookup| lookup.subtables.into_iter());

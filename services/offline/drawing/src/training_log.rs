@@ -63,7 +63,7 @@ pub struct Displacement {
     pub fde_m: f64,
 }
 
-/// All that a log tells of the training that went on to its end, by step.
+/// The entries of a log, by step, without those of abandoned branches of the training.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct TrainingLog {
     /// Lines of training.
@@ -107,7 +107,7 @@ pub enum LogError {
     },
 }
 
-/// Lines are told apart by what validation alone has.
+/// Fields that validations alone have distinguish the two.
 #[derive(Deserialize)]
 #[serde(untagged)]
 enum Entry {
@@ -118,8 +118,9 @@ enum Entry {
 impl TrainingLog {
     /// Reads a log.
     ///
-    /// Training that is resumed from a checkpoint goes back to its step; what an interrupted training had written beyond
-    /// it is left out. A last line without its end was cut off by an interruption and is left out, too.
+    /// Training that is resumed from a checkpoint goes back to its step; what an interrupted training had
+    /// written beyond it is left out. A last line without its end was cut off by an interruption and is left
+    /// out, too.
     ///
     /// # Errors
     /// [`LogError`] where the file can't be read, is too long, has no lines, or has one that is none of a log.
@@ -174,7 +175,7 @@ impl TrainingLog {
     }
 }
 
-/// What is wrong with a line: an untagged enum can only say that nothing fits.
+/// What is wrong with a line: the error of an untagged enum is only that nothing fits.
 fn reason(line: &str, error: &serde_json::Error) -> String {
     if error.is_syntax() || error.is_eof() {
         return format!("no JSON: {error}");

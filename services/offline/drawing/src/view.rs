@@ -3,7 +3,7 @@
 use super::canvas::{Frame, Spot};
 use super::contour::Place;
 
-/// Free ground around what must be seen, as a share of its extent, and at least.
+/// Free ground around what must be visible, as a share of its extent, and at least.
 const MARGIN: f64 = 0.06;
 const MARGIN_MIN_M: f64 = 1.0;
 
@@ -18,8 +18,8 @@ pub struct View {
 }
 
 impl View {
-    /// The view in which all places can be seen, at least `extent_min_m` of the world on the frame's shorter side;
-    /// none where there is no place.
+    /// The view in which all places can be seen, at least `extent_min_m` of the world on the frame's shorter
+    /// side; none where there is no place.
     pub fn of(places: impl Iterator<Item = Place>, frame: Frame, extent_min_m: f64) -> Option<Self> {
         let corners = places.fold(None, |corners: Option<(Place, Place)>, place| {
             let (low, high) = corners.unwrap_or((place, place));
@@ -54,7 +54,7 @@ impl View {
         ]
     }
 
-    /// The corners of what is seen, smaller and greater coordinates.
+    /// The corners of the visible part, smaller and greater coordinates.
     pub fn corners(&self) -> (Place, Place) {
         let half = self.frame.size.map(|size| size / 2.0 / self.scale);
         ([0, 1].map(|axis| self.centre[axis] - half[axis]), [0, 1].map(|axis| self.centre[axis] + half[axis]))

@@ -17,7 +17,7 @@ pub struct Chain {
 }
 
 impl Chain {
-    /// Sets up all stages of a run with that model as its record says.
+    /// Sets up all stages of a run with that model from its record.
     ///
     /// # Errors
     /// [`ChainError`] where weights, options, map or retrieval memory can't be used.

@@ -47,7 +47,7 @@ impl FeatureFrame {
 }
 
 impl TracksToFeatures {
-    /// Stages that have seen nothing.
+    /// Stages before their first frame.
     ///
     /// # Errors
     /// [`StartError`] where the weights do not hold the model or a thread can't be had.

@@ -16,7 +16,7 @@ pub struct TracksToForecasts {
 }
 
 impl TracksToForecasts {
-    /// Sets up the stages of a run with that model as its record says.
+    /// Sets up the stages of a run with that model from its record.
     ///
     /// # Errors
     /// [`ChainError`] where weights, options, map or retrieval memory can't be used.

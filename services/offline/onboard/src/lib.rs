@@ -1,6 +1,8 @@
 //! The compute stages in one process: the same steps on the same settings as in a run of processes, so that
 //! forecasts are equal to the bit.
 //!
+//! In go wire payloads (detections or tracks, tick by tick), out come tracks, controls and forecasts.
+//!
 //! ```text
 //! detections ─ tracker ─┬─ localiser ─ extractor ─┬─ encoder ─ decoder ─┬─ sampler ─ forecasts
 //!                       └─ TracksToFeatures ──────┴─ FeaturesToControls ┘

@@ -1,4 +1,4 @@
-//! A recording as a noisy sensor with blind spells would give it.
+//! A recording as a noisy sensor with gaps reports it.
 
 use std::collections::BTreeMap;
 
@@ -9,10 +9,10 @@ use wire::{AgentType, detection_flags};
 
 use super::Place;
 
-/// A vehicle is seen for so long before its first gap, at least, and between two gaps.
-const SEEN_FIRST_S: f64 = 3.0;
-/// See [`SEEN_FIRST_S`].
-const SEEN_BETWEEN_S: f64 = 4.0;
+/// A vehicle is measured for so long before its first gap, at least, and between two gaps.
+const MEASURED_FIRST_S: f64 = 3.0;
+/// See [`MEASURED_FIRST_S`].
+const MEASURED_BETWEEN_S: f64 = 4.0;
 
 /// What a sensor does to the truth.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -50,15 +50,16 @@ pub(crate) struct Instant {
 #[derive(Clone, Debug)]
 pub(crate) struct Course<'a> {
     pub(crate) sensor: Sensor,
-    /// What is known of the place before.
+    /// Prior knowledge of the site.
     pub(crate) place: &'a Place<'a>,
     pub(crate) instants: Vec<Instant>,
 }
 
 impl<'a> Course<'a> {
-    /// The frames between two times of a recording with identities, as the sensor gives them.
+    /// The frames between two times of a recording with identities, as the sensor reports them.
     ///
-    /// The true velocity is the central difference of positions: neither late nor smoothed as that of the recording is.
+    /// The true velocity is the central difference of positions, which is neither late nor smoothed as the
+    /// recording's is.
     pub(crate) fn new(
         recording: &Recording,
         [from_ns, to_ns]: [i64; 2],
@@ -88,14 +89,14 @@ impl<'a> Course<'a> {
         let seen = |detection: &wire::Detection, stamp_ns: i64| {
             let (id, agent_type) = (detection.id, detection.agent_type().ok()?);
             let age_s = (stamp_ns - born[&id]) as f64 / 1e9;
-            let hidden = agent_type == AgentType::Vehicle && sensor.hides(id, age_s);
+            let occluded = agent_type == AgentType::Vehicle && sensor.occludes(id, age_s);
             let sized = detection.flags & detection_flags::HAS_SIZE != 0;
             Some(Seen {
                 id,
                 agent_type,
                 length_m: sized.then_some(detection.length_m),
                 truth: truth(id, stamp_ns),
-                measured_m: (!hidden).then(|| sensor.measure(id, stamp_ns, positions[&(id, stamp_ns)])),
+                measured_m: (!occluded).then(|| sensor.measure(id, stamp_ns, positions[&(id, stamp_ns)])),
             })
         };
         let instants = frames().map(|frame| {
@@ -117,12 +118,12 @@ impl Instant {
 }
 
 impl Sensor {
-    /// Whether an agent is in a gap so long after it was first seen.
-    fn hides(&self, id: u64, age_s: f64) -> bool {
-        let period_s = SEEN_BETWEEN_S + self.gap_s;
+    /// Whether an agent is in a gap `age_s` after its first frame.
+    fn occludes(&self, id: u64, age_s: f64) -> bool {
+        let period_s = MEASURED_BETWEEN_S + self.gap_s;
         // From 0 to 1, evenly.
         let phase = f64::from(Normals::new(self.seed, id, 0).draw().abs()).fract();
-        let since_s = age_s - SEEN_FIRST_S - phase * SEEN_BETWEEN_S;
+        let since_s = age_s - MEASURED_FIRST_S - phase * MEASURED_BETWEEN_S;
         since_s >= 0.0 && since_s.rem_euclid(period_s) < self.gap_s
     }
 
@@ -142,7 +143,7 @@ pub(crate) mod tests {
 
     const INTERVAL_NS: i64 = 100_000_000;
 
-    /// A place of which nothing is known.
+    /// A site without map and memory.
     pub(crate) const NOWHERE: Place<'static> = Place { map: MapInput::None, memory: None };
 
     /// A vehicle that drives straight at 10 m/s for 20 s.
@@ -151,7 +152,8 @@ pub(crate) mod tests {
         recording_of(frames)
     }
 
-    /// So many vehicles, one after the other, that turn left around the same corner at 7 m/s, 6.5 s after they come.
+    /// So many vehicles, one after the other, that turn left around the same corner at 7 m/s, 6.5 s after
+    /// they appear.
     pub(crate) fn corner(vehicles: usize) -> Recording {
         const RADIUS_M: f32 = 12.0;
         const SPEED_MPS: f32 = 7.0;
@@ -164,7 +166,7 @@ pub(crate) mod tests {
         };
         let frames = (0..vehicles * 140).map(|frame| {
             let (number, since) = (frame / 140, frame % 140);
-            // Nobody is there for the last 2 s.
+            // No vehicle for the last 2 s.
             let there = (since < 120).then(|| vehicle(number as u64, place(since as f32 / 10.0)));
             there.into_iter().collect()
         });
@@ -213,12 +215,12 @@ pub(crate) mod tests {
     }
 
     #[test]
-    fn gaps_have_their_length_and_come_late() {
+    fn gaps_have_their_length_and_begin_after_3_s() {
         let sensor = Sensor { sigma_m: 0.1, gap_s: 1.6, seed: 1 };
         let course = Course::new(&recording(), [0, i64::MAX], sensor, &NOWHERE);
-        let hidden: Vec<bool> =
+        let occluded: Vec<bool> =
             course.instants.iter().map(|instant| instant.agents[0].measured_m.is_none()).collect();
-        let spells: Vec<&[bool]> = hidden.chunk_by(|a, b| a == b).collect();
+        let spells: Vec<&[bool]> = occluded.chunk_by(|a, b| a == b).collect();
         assert!(!spells[0][0] && spells[0].len() >= 30);
         assert!(spells.len() > 3);
         let gaps = spells[..spells.len() - 1].iter().filter(|spell| spell[0]);

@@ -9,15 +9,16 @@ use scene::State;
 use wire::AgentType;
 
 use super::course::{Course, Instant, Seen};
-use super::hypotheses::{Estimate, Hypotheses, Oracle};
+use super::hypotheses::{Estimate, Hypotheses, OnboardForecasts};
 use super::method::{Settings, TrackingMethod, UNKNOWN, control_gains};
 use super::smoother::smooth;
 use evaluator::Forecaster;
 
-/// A course is known once its direction is so sure, at this speed: then a state with a heading can take over.
-const COURSE_TOLD_RAD: f64 = 0.3;
-/// See [`COURSE_TOLD_RAD`].
-const COURSE_TOLD_MPS: f64 = 0.5;
+/// Largest deviation of a known direction of motion; a state with a heading takes over at
+/// [`COURSE_KNOWN_MPS`].
+const COURSE_KNOWN_RAD: f64 = 0.3;
+/// Least speed of a known direction of motion.
+const COURSE_KNOWN_MPS: f64 = 0.5;
 /// Particles of a vehicle.
 const PARTICLES: usize = 200;
 /// Degrees of freedom of a position.
@@ -34,7 +35,7 @@ pub(crate) struct Error {
     pub(crate) velocity_mps: f64,
 }
 
-/// What came of a run over a course.
+/// The result of a run over a course.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Outcome {
     pub(crate) errors: Vec<Error>,
@@ -42,7 +43,7 @@ pub(crate) struct Outcome {
     pub(crate) nees: [Consistency; 2],
     /// The same of the innovations.
     pub(crate) nis: Consistency,
-    /// Of the logarithms of the densities that the filters gave each measurement before they saw it.
+    /// Of the logarithms of each measurement's predicted density.
     pub(crate) log_likelihood_sum: f64,
     pub(crate) measured_len: u64,
     /// Predictions and updates that failed.
@@ -65,8 +66,8 @@ pub(crate) struct Follower<'a> {
     pub(crate) forecaster: &'a Forecaster,
 }
 
-/// The belief in one agent.
-enum Belief {
+/// The state estimate of one agent.
+enum Estimator {
     Filter(Box<Filter>),
     /// Of a single filter where nothing is forecast.
     Mixture(Box<Mixture<SingerBicycle, 7>>),
@@ -77,10 +78,10 @@ struct Track {
     agent_type: AgentType,
     length_m: Option<f32>,
     born_ns: i64,
-    belief: Belief,
+    estimator: Estimator,
     /// Held where the state has none.
     heading_rad: f64,
-    /// Whether it was measured since it took a forecast: only then another one knows more.
+    /// Whether it was measured since its last forecast: only then a new one contains more.
     is_fresh: bool,
 }
 
@@ -93,7 +94,7 @@ impl Follower<'_> {
         }
         let mut outcome = Outcome::default();
         let mut tracks: BTreeMap<u64, Track> = BTreeMap::new();
-        let mut oracle = Oracle::new(self.forecaster, course.place, self.method.revisits());
+        let mut forecasts = OnboardForecasts::new(self.forecaster, course.place, self.method.retrieves());
         let step_ns = self.forecaster.config().step_ns().cast_signed();
         let mut next_ns = course.instants.first().map_or(0, |first| first.stamp_ns);
         let mut last_ns = None;
@@ -101,16 +102,17 @@ impl Follower<'_> {
             let elapsed_ns = last_ns.map_or(0, |last: i64| instant.stamp_ns - last).cast_unsigned();
             last_ns = Some(instant.stamp_ns);
             self.advance((tick, instant), elapsed_ns, course.sensor.sigma_m, &mut tracks, &mut outcome);
-            // A forecast a step of the model: hypotheses live long enough to be told apart.
+            // One forecast per step of the model: modes live long enough for measurements to distinguish
+            // them.
             if self.method.is_learned() && instant.stamp_ns >= next_ns {
                 next_ns += step_ns;
-                self.adopt(&mut oracle, instant, &mut tracks);
+                self.adopt(&mut forecasts, instant, &mut tracks);
             }
         }
         outcome
     }
 
-    /// Predicts, corrects and judges all tracks.
+    /// Predicts and updates all tracks and records their errors.
     fn advance(
         &self,
         (tick, instant): (u64, &Instant),
@@ -146,7 +148,7 @@ impl Follower<'_> {
                     None => faults_len += 1,
                 }
             }
-            track.ripen(self.method, &self.settings, seen.id);
+            track.initialise(self.method, &self.settings, seen.id);
             outcome.faults_len += faults_len;
             let age_s = (instant.stamp_ns - track.born_ns) as f64 / 1e9;
             if let Some(truth) = seen.truth.filter(|_| counts && age_s >= SETTLED_S) {
@@ -160,8 +162,8 @@ impl Follower<'_> {
         }
     }
 
-    /// Forecasts all agents from what is believed of them; the vehicles among them take that as their prior.
-    fn adopt(&self, oracle: &mut Oracle, instant: &Instant, tracks: &mut BTreeMap<u64, Track>) {
+    /// Forecasts all agents from their estimates; the forecasts become the vehicles' priors.
+    fn adopt(&self, forecasts: &mut OnboardForecasts, instant: &Instant, tracks: &mut BTreeMap<u64, Track>) {
         let estimates: Vec<Estimate> = tracks
             .iter_mut()
             .map(|(&id, track)| Estimate {
@@ -169,24 +171,24 @@ impl Follower<'_> {
                 agent_type: track.agent_type,
                 length_m: track.length_m,
                 state: track.state(),
-                is_seen: instant.measures(id),
-                wanted: track.is_fresh && !matches!(track.belief, Belief::Filter(_)),
+                is_measured: instant.measures(id),
+                wanted: track.is_fresh && !matches!(track.estimator, Estimator::Filter(_)),
             })
             .collect();
         let step_ns = self.forecaster.config().step_ns();
-        for (id, hypotheses) in oracle.forecast(instant.stamp_ns, instant.ego_m, &estimates) {
+        for (id, hypotheses) in forecasts.forecast(instant.stamp_ns, instant.ego_m, &estimates) {
             let Some(track) = tracks.get_mut(&id) else { continue };
             let Hypotheses { heading_rad, probability, controls } = hypotheses;
             let forecast =
                 Forecast { age_ns: 0, step_ns, heading_rad, probability: &probability, controls: &controls };
             let priors = |state| self.settings.priors(self.method, track.length_m, control_gains(state));
-            let adopted = match &mut track.belief {
-                Belief::Filter(_) => Ok(()),
-                Belief::Mixture(mixture) => {
+            let adopted = match &mut track.estimator {
+                Estimator::Filter(_) => Ok(()),
+                Estimator::Mixture(mixture) => {
                     mixture.priors = priors(&mixture.moments());
                     mixture.adopt(&forecast)
                 }
-                Belief::Particles(particles) => {
+                Estimator::Particles(particles) => {
                     particles.priors = priors(&particles.moments());
                     particles.adopt(&forecast)
                 }
@@ -204,32 +206,32 @@ impl Track {
             agent_type: seen.agent_type,
             length_m: seen.length_m,
             born_ns: stamp_ns,
-            belief: Belief::Filter(Box::new(filter)),
+            estimator: Estimator::Filter(Box::new(filter)),
             heading_rad: 0.0,
             is_fresh: true,
         }
     }
 
     fn predict(&mut self, elapsed_ns: u64, settings: &Settings) -> Option<()> {
-        match &mut self.belief {
-            Belief::Filter(filter) => filter.predict(elapsed_ns, &settings.models(self.length_m)).ok(),
-            Belief::Mixture(mixture) => mixture.predict(elapsed_ns).ok(),
-            Belief::Particles(particles) => particles.predict(elapsed_ns).ok(),
+        match &mut self.estimator {
+            Estimator::Filter(filter) => filter.predict(elapsed_ns, &settings.models(self.length_m)).ok(),
+            Estimator::Mixture(mixture) => mixture.predict(elapsed_ns).ok(),
+            Estimator::Particles(particles) => particles.predict(elapsed_ns).ok(),
         }
     }
 
     /// Normalised innovation squared and log-likelihood.
     fn update(&mut self, seen: &Observation, settings: &Settings) -> Option<(f64, f64)> {
-        match &mut self.belief {
-            Belief::Filter(filter) => {
+        match &mut self.estimator {
+            Estimator::Filter(filter) => {
                 let evidence = filter.update(seen, &settings.models(self.length_m)).ok()?;
                 Some((evidence.nis, evidence.log_likelihood))
             }
-            Belief::Mixture(mixture) => {
+            Estimator::Mixture(mixture) => {
                 let nis = innovation_squared(&mixture.moments(), seen)?;
                 Some((nis, mixture.update(seen).ok()?))
             }
-            Belief::Particles(particles) => {
+            Estimator::Particles(particles) => {
                 let nis = innovation_squared(&particles.moments(), seen)?;
                 Some((nis, particles.update(seen).ok()?))
             }
@@ -237,39 +239,41 @@ impl Track {
     }
 
     /// Takes on the state of the method once the motion shows a heading.
-    fn ripen(&mut self, method: TrackingMethod, settings: &Settings, id: u64) {
-        let Belief::Filter(filter) = &self.belief else { return };
+    fn initialise(&mut self, method: TrackingMethod, settings: &Settings, id: u64) {
+        let Estimator::Filter(filter) = &self.estimator else { return };
         let kind = method.kind();
-        let is_ripe = match kind {
+        let is_ready = match kind {
             Kind::ConstantVelocity => false,
             Kind::ConstantAcceleration => true,
             Kind::ConstantTurnRate | Kind::Bicycle => {
-                filter.motion().speed_mps > COURSE_TOLD_MPS && filter.course_sigma_rad() < COURSE_TOLD_RAD
+                filter.motion().speed_mps > COURSE_KNOWN_MPS && filter.course_sigma_rad() < COURSE_KNOWN_RAD
             }
         };
-        if self.agent_type != AgentType::Vehicle || filter.kind() == kind || !is_ripe {
+        if self.agent_type != AgentType::Vehicle || filter.kind() == kind || !is_ready {
             return;
         }
         let ripe = filter.into_kind(kind, &UNKNOWN);
         let priors = settings.priors(method, self.length_m, [1.0; 2]);
-        self.belief = match (method, ripe) {
+        self.estimator = match (method, ripe) {
             (
-                TrackingMethod::SingerBicycle | TrackingMethod::Learned | TrackingMethod::Revisiting,
+                TrackingMethod::SingerBicycle | TrackingMethod::Learned | TrackingMethod::WarmStarted,
                 Filter::Bicycle(state),
-            ) => Belief::Mixture(Box::new(Mixture::new(priors.kinematic.of(&state), priors, id))),
+            ) => Estimator::Mixture(Box::new(Mixture::new(priors.kinematic.of(&state), priors, id))),
             (TrackingMethod::LearnedParticles, Filter::Bicycle(state)) => {
                 let start = priors.kinematic.of(&state);
-                Belief::Particles(Box::new(Particles::new(&start, priors, PARTICLES, id)))
+                Estimator::Particles(Box::new(Particles::new(&start, priors, PARTICLES, id)))
             }
-            _ => Belief::Filter(Box::new(ripe)),
+            _ => Estimator::Filter(Box::new(ripe)),
         };
     }
 
     fn filter(&self) -> Filter {
-        match &self.belief {
-            Belief::Filter(filter) => **filter,
-            Belief::Mixture(mixture) => Filter::Bicycle(SingerBicycle::bicycle_of(&mixture.moments())),
-            Belief::Particles(particles) => Filter::Bicycle(SingerBicycle::bicycle_of(&particles.moments())),
+        match &self.estimator {
+            Estimator::Filter(filter) => **filter,
+            Estimator::Mixture(mixture) => Filter::Bicycle(SingerBicycle::bicycle_of(&mixture.moments())),
+            Estimator::Particles(particles) => {
+                Filter::Bicycle(SingerBicycle::bicycle_of(&particles.moments()))
+            }
         }
     }
 
@@ -277,7 +281,7 @@ impl Track {
     fn state(&mut self) -> State {
         let motion = self.filter().motion();
         let [vx, vy] = motion.velocity_mps;
-        let course = (vx.hypot(vy) > COURSE_TOLD_MPS).then(|| vy.atan2(vx));
+        let course = (vx.hypot(vy) > COURSE_KNOWN_MPS).then(|| vy.atan2(vx));
         self.heading_rad = motion.heading_rad.or(course).unwrap_or(self.heading_rad);
         State {
             position_m: motion.position_m.map(|value| value as f32),
@@ -304,7 +308,7 @@ impl Track {
     }
 }
 
-/// Normalised square of what a measurement tells beyond a prediction.
+/// Normalised square of the innovation.
 fn innovation_squared(predicted: &Gaussian<7>, seen: &Observation) -> Option<f64> {
     let innovation = [0, 1].map(|axis| seen.position_m[axis] - predicted.mean[axis]);
     let noise = Matrix2::from_diagonal_element(seen.position_variance);
@@ -333,7 +337,7 @@ mod tests {
     }
 
     #[test]
-    fn a_filter_with_the_right_model_errs_less_than_the_sensor_and_knows_how_much() {
+    fn a_filter_with_the_right_model_beats_the_sensor_and_is_consistent() {
         let outcome = follow(TrackingMethod::ConstantVelocity);
         let visible = || outcome.errors.iter().filter(|error| error.visible);
         let mean_m = visible().map(|error| error.position_m).sum::<f64>() / visible().count() as f64;
@@ -341,8 +345,8 @@ mod tests {
         let nis = outcome.nis.summary(0.95).unwrap().unwrap();
         assert_eq!(nis.squares_len, outcome.measured_len);
         assert!((0.7..1.3).contains(&nis.per_degree) && nis.inside > 0.9, "{nis:?}");
-        let [visible, hidden] = outcome.nees.each_ref().map(|nees| nees.summary(0.95).unwrap().unwrap());
-        assert_eq!(visible.ticks_len + hidden.ticks_len, 189);
+        let [visible, occluded] = outcome.nees.each_ref().map(|nees| nees.summary(0.95).unwrap().unwrap());
+        assert_eq!(visible.ticks_len + occluded.ticks_len, 189);
         assert_eq!((outcome.faults_len, outcome.errors.len()), (0, 189));
     }
 
@@ -350,16 +354,16 @@ mod tests {
     fn every_method_goes_through_gaps_without_a_fault() {
         for method in TrackingMethod::ALL {
             let outcome = follow(method);
-            let hidden = || outcome.errors.iter().filter(|error| !error.visible);
-            assert!(hidden().count() > 20);
-            let worst_m = hidden().map(|error| error.position_m).fold(0.0, f64::max);
+            let occluded = || outcome.errors.iter().filter(|error| !error.visible);
+            assert!(occluded().count() > 20);
+            let worst_m = occluded().map(|error| error.position_m).fold(0.0, f64::max);
             assert!(worst_m < 6.0, "{}: {worst_m} m", method.name());
             assert_eq!(outcome.faults_len, 0, "{}", method.name());
         }
     }
 
     #[test]
-    fn forecasts_take_part_in_the_learned_prior_alone() {
+    fn forecasts_change_the_learned_prior_alone() {
         let [singer, learned] = [TrackingMethod::SingerBicycle, TrackingMethod::Learned].map(follow);
         assert_eq!(singer.errors.len(), learned.errors.len());
         let worst_m =
@@ -368,8 +372,8 @@ mod tests {
     }
 
     #[test]
-    fn nothing_that_comes_later_changes_an_error() {
-        for method in [TrackingMethod::Learned, TrackingMethod::Revisiting] {
+    fn later_frames_change_no_earlier_error() {
+        for method in [TrackingMethod::Learned, TrackingMethod::WarmStarted] {
             let whole = follow(method);
             let half = follow_until(10_000_000_000, method);
             // The last instant's true velocity needs the one after it.
@@ -378,9 +382,9 @@ mod tests {
         }
     }
 
-    /// Where others turned, one that is not seen for 3.2 s is expected to turn as well.
+    /// Where earlier vehicles turned, one that is occluded for 3.2 s is predicted to turn as well.
     #[test]
-    fn a_corner_that_is_remembered_is_taken_out_of_sight() {
+    fn retrieval_predicts_a_known_corner_during_occlusion() {
         let forecaster = Forecaster::new(nn::Weights::onboard(), 1).unwrap();
         let (before, now) = (corner(30), corner(6));
         let mut memory = forecaster.memory();
@@ -392,10 +396,10 @@ mod tests {
                 Course::new(&now, [0, i64::MAX], Sensor { gap_s: 3.2, sigma_m: 0.02, seed: 1 }, &place);
             let settings = Settings::first();
             let outcome = Follower { method, settings, forecaster: &forecaster }.follow(&course);
-            let hidden = || outcome.errors.iter().filter(|error| !error.visible);
-            hidden().map(|error| error.position_m).sum::<f64>() / hidden().count() as f64
+            let occluded = || outcome.errors.iter().filter(|error| !error.visible);
+            occluded().map(|error| error.position_m).sum::<f64>() / occluded().count() as f64
         };
-        let [learned, revisiting] = [TrackingMethod::Learned, TrackingMethod::Revisiting].map(mean_m);
-        assert!(revisiting < 0.97 * learned, "{revisiting} m with the memory, {learned} m without");
+        let [learned, warm_started] = [TrackingMethod::Learned, TrackingMethod::WarmStarted].map(mean_m);
+        assert!(warm_started < 0.97 * learned, "{warm_started} m with the memory, {learned} m without");
     }
 }

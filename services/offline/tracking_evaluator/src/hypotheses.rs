@@ -18,34 +18,34 @@ pub(crate) struct Hypotheses {
     pub(crate) controls: Vec<ControlStep>,
 }
 
-/// What a filter believes of an agent.
+/// A filter's estimate of an agent.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Estimate {
     pub(crate) id: u64,
     pub(crate) agent_type: AgentType,
     pub(crate) length_m: Option<f32>,
     pub(crate) state: State,
-    /// Whether it is measured at this instant.
-    pub(crate) is_seen: bool,
+    /// Whether a measurement of it exists at this instant.
+    pub(crate) is_measured: bool,
     /// Whether a forecast of the agent is wanted.
     pub(crate) wanted: bool,
 }
 
-/// What is known of a place before anything is seen there.
+/// Prior knowledge of a site.
 #[derive(Clone, Debug)]
 pub(crate) struct Place<'a> {
-    /// An online map is of what filters believed so far.
+    /// An online map contains the filters' estimates so far.
     pub(crate) map: MapInput<'a>,
-    /// What those who came by earlier did, if anybody remembers.
+    /// Residuals of earlier recordings, if there are some.
     pub(crate) memory: Option<RetrievalMemory>,
 }
 
-/// Estimates by their stamps.
+/// Estimates by stamp.
 type Past = BTreeMap<i64, State>;
 
-/// Forecasts from estimates by the stages that run on board: a `tracks` payload of what filters believed, instant after
-/// instant, at a site.
-pub(crate) struct Oracle {
+/// Forecasts from estimates by the stages that run on board: one `tracks` payload of the filters' estimates
+/// per instant, at a site.
+pub(crate) struct OnboardForecasts {
     stages: TracksToForecasts,
     header: Header,
     history_len: i64,
@@ -53,8 +53,8 @@ pub(crate) struct Oracle {
     pasts: BTreeMap<u64, Past>,
 }
 
-impl Oracle {
-    /// Stages that have seen nothing yet; they retrieve from the site's memory only if `warm_started`.
+impl OnboardForecasts {
+    /// Stages before their first frame; they retrieve from the site's memory only if `warm_started`.
     pub(crate) fn new(forecaster: &Forecaster, place: &Place<'_>, warm_started: bool) -> Self {
         let memory = place.memory.clone().filter(|_| warm_started);
         Self {
@@ -66,9 +66,9 @@ impl Oracle {
         }
     }
 
-    /// Takes in what is believed now, with the sensor at `ego_m`, and forecasts those that are wanted.
+    /// Adds the estimates of now, with the sensor at `ego_m`, and forecasts the agents that are wanted.
     ///
-    /// Estimates stay as they were when they were made, as on board. A history has those that were made whole steps of the
+    /// Estimates are never revised, as on board. A history contains those that were made whole steps of the
     /// model ago.
     pub(crate) fn forecast(
         &mut self,
@@ -97,9 +97,9 @@ impl Oracle {
         self.header = Header { seq: self.header.seq + 1, ego_m, ..self.header };
         let TracksPayload { header, mut tracks, places, .. } = TracksPayload::of(&scene, self.header);
         for (track, &place) in tracks.iter_mut().zip(&places) {
-            let Estimate { is_seen, wanted, .. } = estimates[place];
+            let Estimate { is_measured, wanted, .. } = estimates[place];
             track.forecastable = u32::from(wanted);
-            if !is_seen {
+            if !is_measured {
                 (track.status, track.unseen_ns) = (TrackStatus::Coasting as u32, self.header.step_ns);
             }
         }

@@ -1,8 +1,9 @@
-//! How well trackers tell who is where: a detector's output from a moving car, judged by the labels.
+//! Evaluates trackers on a detector's output from a moving car, by KITTI's labels.
 //!
-//! A *contender* makes tracks of a recording. Whatever it is, it may choose one number per class, the least score of the
-//! detections that it is given: the same few are tried for all, on sequences that it is not judged by. What it publishes is
-//! matched with the labels within 2 m of the ground, class by class, and counted by all measures at once ([`Counts`]).
+//! A *contender* makes tracks of a recording. For each it may choose one number per class, the score
+//! threshold of the detections that it is given, among the same few for all and on sequences outside its
+//! evaluation. Its tracks are matched with the labels within 2 m on the ground, class by class, and counted
+//! by all measures ([`Counts`]).
 
 mod counts;
 mod nearest;

@@ -5,7 +5,7 @@ use filters::{
     Priors, SingerBicycle, Unknown, control_gain,
 };
 
-/// What nobody has observed of a vehicle.
+/// Prior standard deviations of what no measurement of a vehicle contains.
 pub(crate) const UNKNOWN: Unknown =
     Unknown { speed_mps: 10.0, acceleration_mps2: 2.0, turn_rate_radps: 0.3, slip_rad: 0.05 };
 
@@ -20,15 +20,16 @@ pub(crate) enum TrackingMethod {
     ConstantTurnRate,
     /// Kinematic bicycle, extended Kalman filter.
     Bicycle,
-    /// Bicycle whose acceleration and slip rate die away (Singer), extended Kalman filter.
+    /// Bicycle whose acceleration and slip rate decay (Singer), extended Kalman filter.
     SingerBicycle,
-    /// The same, these dying away towards those of the model's forecasts: a mixture of extended Kalman filters.
+    /// The same, these decaying towards those of the model's forecasts: a mixture of extended Kalman filters.
     Learned,
-    /// The same, the forecasts with the memory of the place, which begins with earlier recordings.
-    Revisiting,
-    /// The processes of [`TrackingMethod::Learned`] by Monte Carlo: particles, with the settings of the mixture.
+    /// The same, the forecasts with a retrieval memory that begins with earlier recordings.
+    WarmStarted,
+    /// The processes of [`TrackingMethod::Learned`] by Monte Carlo: particles, with the settings of the
+    /// mixture.
     LearnedParticles,
-    /// Constant acceleration with all that is measured later as well: no filter, but a mark for them.
+    /// Constant acceleration with later measurements as well: no filter, but a bound for them (oracle).
     Smoother,
 }
 
@@ -41,8 +42,8 @@ const LENGTH_M: f32 = 4.5;
 const REAR_AXLE_RATIO: f32 = 0.26;
 /// Largest slip of the bicycle.
 const SLIP_MAX_RAD: f64 = 0.5;
-/// Standard deviations of speed, m/s, and heading, rad, at which the gain of a control is one half: those of the
-/// pipeline's tracker.
+/// Standard deviations of speed, m/s, and heading, rad, at which the gain of a control is one half: those of
+/// the pipeline's tracker.
 const HALF_GAIN_SIGMA: [f64; 2] = [0.7, 0.02];
 /// Time constant with which a forecast's controls fade in.
 const FADE_IN_S: f64 = 1.0;
@@ -58,13 +59,13 @@ impl TrackingMethod {
         Self::Bicycle,
         Self::SingerBicycle,
         Self::Learned,
-        Self::Revisiting,
+        Self::WarmStarted,
         Self::LearnedParticles,
         Self::Smoother,
     ];
 
-    /// The methods that are judged; particles take several times as long as all others together.
-    pub(crate) fn judged(particles: bool) -> Vec<Self> {
+    /// The methods that are evaluated; particles take several times as long as all others together.
+    pub(crate) fn evaluated(particles: bool) -> Vec<Self> {
         Self::ALL.into_iter().filter(|&method| particles || method != Self::LearnedParticles).collect()
     }
 
@@ -78,15 +79,15 @@ impl TrackingMethod {
             Self::Bicycle => "bicycle",
             Self::SingerBicycle => "Singer bicycle",
             Self::Learned => "learned, linearised",
-            Self::Revisiting => "learned, revisiting",
+            Self::WarmStarted => "learned, warm-started retrieval",
             Self::LearnedParticles => "learned, Monte Carlo",
-            Self::Smoother => "future known, smoothed",
+            Self::Smoother => "smoother bound (oracle)",
         }
     }
 
     /// Whether forecasts of the model take part.
     pub(crate) const fn is_learned(self) -> bool {
-        matches!(self, Self::Learned | Self::Revisiting | Self::LearnedParticles)
+        matches!(self, Self::Learned | Self::WarmStarted | Self::LearnedParticles)
     }
 
     /// Whether nothing of the future and no forecast takes part.
@@ -103,13 +104,13 @@ impl TrackingMethod {
         }
     }
 
-    /// Whether the memory of the place takes part in the forecasts.
-    pub(crate) const fn revisits(self) -> bool {
-        matches!(self, Self::Revisiting)
+    /// Whether the retrieval memory takes part in the forecasts.
+    pub(crate) const fn retrieves(self) -> bool {
+        matches!(self, Self::WarmStarted)
     }
 
-    /// What the numbers of its setting are.
-    pub(crate) const fn told(self) -> &'static [&'static str] {
+    /// The names of the numbers of its setting.
+    pub(crate) const fn setting_names(self) -> &'static [&'static str] {
         match self {
             Self::ConstantVelocity => &["acceleration density, m²/s³"],
             Self::ConstantAcceleration => &["jerk density, m²/s⁵"],
@@ -118,7 +119,7 @@ impl TrackingMethod {
             }
             Self::Bicycle => &["acceleration, m/s²", "slip rate, rad/s"],
             Self::SingerBicycle => &["acceleration, m/s²", "slip rate, rad/s", "decay, s"],
-            Self::Learned | Self::Revisiting => {
+            Self::Learned | Self::WarmStarted => {
                 &["share of the Singer bicycle's driving noise", "decay at first, s", "decay once steered, s"]
             }
             Self::LearnedParticles | Self::Smoother => &[],
@@ -132,7 +133,7 @@ impl TrackingMethod {
             Self::ConstantTurnRate => [2.0, 0.5, 1.0],
             Self::Bicycle => [2.0, 0.2, 1.0],
             Self::SingerBicycle => [1.0, 0.05, 2.0],
-            Self::Learned | Self::Revisiting => [1.0, 1.5, 0.8],
+            Self::Learned | Self::WarmStarted => [1.0, 1.5, 0.8],
             Self::LearnedParticles | Self::Smoother => [1.0; 3],
         }
     }
@@ -146,7 +147,7 @@ impl TrackingMethod {
             Self::Bicycle
             | Self::SingerBicycle
             | Self::Learned
-            | Self::Revisiting
+            | Self::WarmStarted
             | Self::LearnedParticles => Kind::Bicycle,
         }
     }
@@ -190,10 +191,11 @@ impl Settings {
 
     /// The processes of a Singer bicycle with and without forecasts, at these gains of the controls.
     ///
-    /// Under a forecast it decays towards what that means, at its own pace once the controls have come in and at another at
-    /// first, both driven by a share (standard deviations) of the white noise that drives the Singer bicycle: its density
-    /// σ² / τ tells how fast a manoeuvre may change, whatever the decay. How unsure a forecast is of its controls is told by the
-    /// spread among its modes; what they are unsure of besides, that noise stands for.
+    /// Under a forecast, acceleration and slip rate decay towards the forecast's means, with one time
+    /// constant at first and another once the controls have faded in. A share (of standard deviations) of the
+    /// white noise of the Singer bicycle drives both: its density σ² / τ determines how fast a manoeuvre may
+    /// change, whatever the decay. The spread among the modes represents the uncertainty of the controls,
+    /// that noise represents the rest.
     pub(crate) fn priors(
         &self,
         method: TrackingMethod,
@@ -244,9 +246,9 @@ fn bicycle(acceleration_mps2: f64, slip_rate_radps: f64, length_m: Option<f32>) 
 mod tests {
     use super::*;
 
-    /// Also where a share of 1 of the noise and its own decay at first are found.
+    /// At a share of 1 of the noise and with its own decay at first.
     #[test]
-    fn where_no_control_acts_the_learned_prior_is_the_singer_bicycle() {
+    fn without_controls_the_learned_prior_is_the_singer_bicycle() {
         let [acceleration_mps2, slip_rate_radps, decay_s] = [0.7, 0.03, 1.6];
         let settings = Settings::first()
             .with(TrackingMethod::SingerBicycle, [acceleration_mps2, slip_rate_radps, decay_s])

@@ -1,4 +1,4 @@
-//! What is told of the filters' errors.
+//! The report on the filters' errors.
 
 use metrics::tracking::{Consistency, ConsistencySummary, ErrorNorms};
 use metrics::{PairedErrors, paired_bootstrap_ratio};
@@ -11,29 +11,30 @@ use evaluator::{Provenance, RESAMPLES, Table, digits, percent};
 const SEED: u64 = 1;
 /// The χ² bounds within which squares should lie.
 const BOUNDS: f64 = 0.95;
-/// The deviation whose errors a summary tells, m: that at which a constant-velocity filter errs as much as in the paper.
+/// The noise whose errors a summary reports, m: a constant-velocity filter errs there as much as in the
+/// paper.
 const SUMMARISED_M: f64 = 0.02;
 
 /// The errors of one method under one sensor.
 #[derive(Clone, Debug)]
-pub(crate) struct Judged {
+pub(crate) struct MethodErrors {
     sensor: Sensor,
     method: TrackingMethod,
     /// Track by track.
     tracks: Vec<Vec<Error>>,
-    /// Of the positions that the column tells of, and of the innovations; `None` where there are none.
+    /// Of the positions that the column reports, and of the innovations; `None` where there are none.
     nees: Option<ConsistencySummary>,
     nis: Option<ConsistencySummary>,
     faults_len: u64,
 }
 
-/// What an evaluation of tracking found.
+/// The result of an evaluation of tracking.
 #[derive(Clone, Debug)]
 pub struct TrackingReport {
     provenance: Provenance,
-    judged_s: f64,
+    evaluated_s: f64,
     tuned_s: f64,
-    judged: Vec<Judged>,
+    evaluated: Vec<MethodErrors>,
     trials: Vec<(f64, Trials)>,
 }
 
@@ -54,6 +55,14 @@ impl Quantity {
         }
     }
 
+    /// The heading of its table.
+    const fn title(self) -> &'static str {
+        match self {
+            Self::Position => "Position error, m",
+            Self::Velocity => "Velocity error, m/s",
+        }
+    }
+
     const fn of(self, error: &Error) -> f64 {
         match self {
             Self::Position => error.position_m,
@@ -62,9 +71,9 @@ impl Quantity {
     }
 }
 
-impl Judged {
-    /// The outcomes of all recordings together; vehicles that are there at the same number of an instant are runs beside one
-    /// another to the χ² bounds.
+impl MethodErrors {
+    /// The outcomes of all recordings together; for the χ² bounds, vehicles at the same tick number are
+    /// parallel runs.
     pub(crate) fn new<'a>(
         sensor: Sensor,
         method: TrackingMethod,
@@ -85,14 +94,14 @@ impl Judged {
         Self { sensor, method, tracks, nees, nis, faults_len }
     }
 
-    /// Whether a column tells of an error: gaps where there are some, all instants where there are none.
-    fn tells(&self, error: &Error) -> bool {
+    /// Whether a column counts an error: occluded instants where there are gaps, else all.
+    fn counts(&self, error: &Error) -> bool {
         error.visible == (self.sensor.gap_s == 0.0)
     }
 
     fn norms(&self, quantity: Quantity) -> ErrorNorms {
         let mut norms = ErrorNorms::default();
-        let errors = self.tracks.iter().flatten().filter(|error| self.tells(error));
+        let errors = self.tracks.iter().flatten().filter(|error| self.counts(error));
         errors.for_each(|error| norms.add(quantity.of(error)));
         norms
     }
@@ -101,7 +110,7 @@ impl Judged {
     fn paired(&self, other: &Self, quantity: Quantity) -> Vec<PairedErrors> {
         let of_track = |(ours, theirs): (&Vec<Error>, &Vec<Error>)| {
             let mut sum = PairedErrors::default();
-            for (ours, theirs) in ours.iter().zip(theirs).filter(|(error, _)| self.tells(error)) {
+            for (ours, theirs) in ours.iter().zip(theirs).filter(|(error, _)| self.counts(error)) {
                 sum.add(quantity.of(ours), quantity.of(theirs));
             }
             sum
@@ -111,12 +120,12 @@ impl Judged {
 }
 
 impl TrackingReport {
-    pub(crate) const fn new(provenance: Provenance, judged_s: f64, tuned_s: f64) -> Self {
-        Self { provenance, judged_s, tuned_s, judged: Vec::new(), trials: Vec::new() }
+    pub(crate) const fn new(provenance: Provenance, evaluated_s: f64, tuned_s: f64) -> Self {
+        Self { provenance, evaluated_s, tuned_s, evaluated: Vec::new(), trials: Vec::new() }
     }
 
-    pub(crate) fn add(&mut self, judged: Vec<Judged>) {
-        self.judged.extend(judged);
+    pub(crate) fn add(&mut self, evaluated: Vec<MethodErrors>) {
+        self.evaluated.extend(evaluated);
     }
 
     pub(crate) fn add_trials(&mut self, sigma_m: f64, trials: Trials) {
@@ -126,13 +135,13 @@ impl TrackingReport {
     /// The sensors of a noise, one per column.
     fn sensors(&self, sigma_m: f64) -> Vec<Sensor> {
         let mut sensors: Vec<Sensor> =
-            self.judged.iter().map(|of| of.sensor).filter(|sensor| sensor.sigma_m == sigma_m).collect();
+            self.evaluated.iter().map(|of| of.sensor).filter(|sensor| sensor.sigma_m == sigma_m).collect();
         sensors.dedup();
         sensors
     }
 
-    fn of(&self, sensor: Sensor, method: TrackingMethod) -> Option<&Judged> {
-        self.judged.iter().find(|judged| judged.sensor == sensor && judged.method == method)
+    fn of(&self, sensor: Sensor, method: TrackingMethod) -> Option<&MethodErrors> {
+        self.evaluated.iter().find(|evaluated| evaluated.sensor == sensor && evaluated.method == method)
     }
 
     /// In the order of the tables.
@@ -141,11 +150,11 @@ impl TrackingReport {
     }
 
     /// The kinematic filter whose mean error is the least.
-    fn best_kinematic(&self, sensor: Sensor, quantity: Quantity) -> Option<&Judged> {
+    fn best_kinematic(&self, sensor: Sensor, quantity: Quantity) -> Option<&MethodErrors> {
         let kinematic = TrackingMethod::ALL.into_iter().filter(|method| method.is_kinematic());
-        let judged = kinematic.filter_map(|method| self.of(sensor, method));
-        let mae = |judged: &&Judged| judged.norms(quantity).mae().unwrap_or(f64::INFINITY);
-        judged.min_by(|a, b| mae(a).total_cmp(&mae(b)))
+        let evaluated = kinematic.filter_map(|method| self.of(sensor, method));
+        let mae = |evaluated: &&MethodErrors| evaluated.norms(quantity).mae().unwrap_or(f64::INFINITY);
+        evaluated.min_by(|a, b| mae(a).total_cmp(&mae(b)))
     }
 
     fn columns(&self) -> Vec<String> {
@@ -157,18 +166,18 @@ impl TrackingReport {
         self.sensors(sigma_m).iter().map(name).collect()
     }
 
-    /// The report as Markdown that also reads well in a terminal.
+    /// The report as a Markdown page that also reads well in a terminal.
     #[must_use]
     pub fn markdown(&self) -> String {
-        self.written(&self.tables(), "##")
+        self.written(&self.tables(), "#")
     }
 
-    /// The errors at one deviation, and the comparison at all, one heading lower.
+    /// The errors at one deviation and the comparisons at all, with headings from the second level on.
     #[must_use]
     pub fn summary(&self) -> String {
-        let is_told = |sigma_m: f64| sigma_m == SUMMARISED_M;
-        let [position, velocity] = Quantity::ALL.map(|quantity| self.errors(quantity, is_told));
-        self.written(&[position, velocity, self.comparisons()], "###")
+        let is_reported = |sigma_m: f64| sigma_m == SUMMARISED_M;
+        let [position, velocity] = Quantity::ALL.map(|quantity| self.errors(quantity, is_reported));
+        self.written(&[position, velocity, self.comparisons()], "##")
     }
 
     fn written(&self, tables: &[Table], heading: &str) -> String {
@@ -185,19 +194,21 @@ impl TrackingReport {
         tables
     }
 
-    fn errors(&self, quantity: Quantity, is_told: impl Fn(f64) -> bool) -> Table {
+    fn errors(&self, quantity: Quantity, is_reported: impl Fn(f64) -> bool) -> Table {
         let note = format!(
-            "RMSE / MAE. Positions are measured at 10 Hz with normal noise of the given deviation per axis; a gap of the given length \
-             comes after 3 to 7 s and then every 4 s. {} s from the middle of each recording. True velocities are central \
-             differences of the recorded positions. Tracks count from an age of 1 s on. The learned prior is forecast anew at \
-             every step of the model from the filter's own estimates and held through gaps; its controls come in gradually. \
-             Revisiting, the forecasts have the memory of the place as well, which begins with the site's training recordings. \
-             With the future known, all that is measured of a vehicle counts, later measurements too: a mark for filters, which can't know as much.",
-            self.judged_s
+            "RMSE / MAE; columns with gaps count the occluded instants alone. Positions are measured at 10 Hz with \
+             Gaussian noise of the given standard deviation per axis. A vehicle's first gap begins 3 to 7 s after it \
+             appears, each later one 4 s after the last. {} s from the middle of each recording; the reference \
+             velocity is the central difference of the recorded positions. Tracks count from an age of 1 s. Learned: \
+             every step of the model, forecasts from the filter's own estimates become its prior; their controls \
+             fade in, and gaps keep the last forecast. Warm-started retrieval: the forecasts also use the retrieval \
+             memory, which begins with the site's training recordings. Smoother bound (oracle): a smoother that uses \
+             all measurements of a vehicle, later ones too, which no filter has.",
+            self.evaluated_s
         );
         let mut table =
-            Table::new(quantity.name(), &note, &["deviation", "method"], self.columns().into_iter());
-        for &(sigma_m, _) in self.trials.iter().filter(|(sigma_m, _)| is_told(*sigma_m)) {
+            Table::new(quantity.title(), &note, &["deviation", "method"], self.columns().into_iter());
+        for &(sigma_m, _) in self.trials.iter().filter(|(sigma_m, _)| is_reported(*sigma_m)) {
             for method in self.methods() {
                 let cell = |sensor: Sensor| {
                     let norms = self.of(sensor, method)?.norms(quantity);
@@ -218,17 +229,18 @@ impl TrackingReport {
 
     fn comparisons(&self) -> Table {
         let note = format!(
-            "Mean error of the learned prior less that of the other filter on the same instants, in % of the latter: below 0 the \
-             learned prior is better, surely so where the whole 95 % interval is. The best kinematic filter is chosen cell by \
-             cell by the figures themselves. Paired bootstrap over tracks, {RESAMPLES} resamples."
+            "Mean error of the learned prior less that of the reference on the same instants, in % of the latter: negative \
+             where the learned prior is better. In brackets the 95 % interval of a paired bootstrap over tracks, \
+             {RESAMPLES} resamples. The best kinematic filter is chosen cell by cell from these very figures, which \
+             favours it."
         );
-        let head = ["deviation", "method", "of what"];
+        let head = ["deviation", "method", "quantity, reference"];
         let mut table =
-            Table::new("Learned prior beside the others", &note, &head, self.columns().into_iter());
+            Table::new("Learned prior against the other filters", &note, &head, self.columns().into_iter());
         for &(sigma_m, _) in &self.trials {
             for learned in self.methods().filter(|method| method.is_learned()) {
                 for quantity in Quantity::ALL {
-                    let against = |sensor: Sensor, other: Option<&Judged>| {
+                    let against = |sensor: Sensor, other: Option<&MethodErrors>| {
                         let paired = self.of(sensor, learned)?.paired(other?, quantity);
                         Some(percent(&paired_bootstrap_ratio(&paired, RESAMPLES, SEED)?))
                     };
@@ -238,10 +250,10 @@ impl TrackingReport {
                     let name = quantity.name().split(',').next().unwrap_or_default();
                     let mut push = |other: &str, cell: &dyn Fn(Sensor) -> Option<String>| {
                         let mut row = self.row(sigma_m, learned.name(), cell);
-                        row.insert(2, format!("{name}, to {other}"));
+                        row.insert(2, format!("{name}, {other}"));
                         table.push_row(row);
                     };
-                    push("the best kinematic", &best);
+                    push("best kinematic filter", &best);
                     push("constant velocity", &velocity);
                 }
             }
@@ -250,20 +262,21 @@ impl TrackingReport {
     }
 
     fn certainty(&self) -> Table {
-        let note = "NEES of the position / NIS of the measurements: the mean per degree of freedom, 1 where covariances are right \
-                    and more where they are too small; in brackets the share of the instants at which the sum over all vehicles lies \
-                    within its 95 % χ² bounds. Faults are predictions and updates that failed.";
+        let note = "NEES of the position / NIS of the measurements: mean per degree of freedom, 1 where covariances are right \
+                    and more where they are too small; in brackets the share of instants at which the sum over all \
+                    vehicles lies within its 95 % χ² bounds. Faults are predictions and updates that failed.";
         let columns = self.columns().into_iter().chain(["faults".to_owned()]);
         let mut table = Table::new("Consistency", note, &["deviation", "method"], columns);
         for &(sigma_m, _) in &self.trials {
             for method in self.methods() {
                 let cell = |sensor: Sensor| {
-                    let judged = self.of(sensor, method)?;
-                    Some(format!("{} / {}", consistency(&judged.nees?), consistency(&judged.nis?)))
+                    let evaluated = self.of(sensor, method)?;
+                    Some(format!("{} / {}", consistency(&evaluated.nees?), consistency(&evaluated.nis?)))
                 };
                 let mut row = self.row(sigma_m, method.name(), cell);
-                let judged = self.sensors(sigma_m).into_iter().filter_map(|sensor| self.of(sensor, method));
-                row.push(judged.map(|judged| judged.faults_len).sum::<u64>().to_string());
+                let evaluated =
+                    self.sensors(sigma_m).into_iter().filter_map(|sensor| self.of(sensor, method));
+                row.push(evaluated.map(|evaluated| evaluated.faults_len).sum::<u64>().to_string());
                 table.push_row(row);
             }
         }
@@ -272,15 +285,15 @@ impl TrackingReport {
 
     fn settings(&self) -> Table {
         let note = format!(
-            "Found by the mean negative log-likelihood (NLL) of the measured positions on the validation part, {} s of a recording \
-             per site, {TRIALS} trials for each method and deviation.",
+            "Tuned for the least mean negative log-likelihood (NLL) of the measured positions on the validation part: {} s \
+             of one recording per site, {TRIALS} trials per method and deviation.",
             self.tuned_s
         );
         let columns = ["setting", "NLL"].map(str::to_owned).into_iter();
         let mut table = Table::new("Settings", &note, &["deviation", "method"], columns);
         for (sigma_m, trials) in &self.trials {
             for &(method, figure) in &trials.figures {
-                let numbers = method.told().iter().zip(trials.settings.of(method));
+                let numbers = method.setting_names().iter().zip(trials.settings.of(method));
                 let setting: Vec<String> =
                     numbers.map(|(what, value)| format!("{what} {value:.3}")).collect();
                 let setting = match &setting[..] {
@@ -314,7 +327,7 @@ impl TrackingReport {
                 [("nees", nees), ("nis", nis), ("nees_inside", nees_inside), ("nis_inside", nis_inside)];
             let known = squares.into_iter().filter_map(|(measure, value)| Some((measure, value?)));
             let all = [("rmse", rmse), ("mae", mae)].into_iter().chain(known);
-            all.map(|told| line(&figures, told)).collect::<String>()
+            all.map(|figure| line(&figures, figure)).collect::<String>()
         };
         self.figures().map(lines).collect()
     }
@@ -326,28 +339,29 @@ impl TrackingReport {
     }
 
     fn figures(&self) -> impl Iterator<Item = Figures> + '_ {
-        let of = |judged: &Judged, quantity: Quantity| {
-            let norms = judged.norms(quantity);
+        let of = |evaluated: &MethodErrors, quantity: Quantity| {
+            let norms = evaluated.norms(quantity);
             Some(Figures {
-                sigma_m: judged.sensor.sigma_m,
-                gap_s: judged.sensor.gap_s,
-                method: judged.method.name(),
+                sigma_m: evaluated.sensor.sigma_m,
+                gap_s: evaluated.sensor.gap_s,
+                method: evaluated.method.name(),
                 quantity: quantity.name(),
                 rmse: norms.rmse()?,
                 mae: norms.mae()?,
                 len: norms.len,
-                nees: judged.nees.map(|squares| squares.per_degree),
-                nis: judged.nis.map(|squares| squares.per_degree),
-                nees_inside: judged.nees.map(|squares| squares.inside),
-                nis_inside: judged.nis.map(|squares| squares.inside),
+                nees: evaluated.nees.map(|squares| squares.per_degree),
+                nis: evaluated.nis.map(|squares| squares.per_degree),
+                nees_inside: evaluated.nees.map(|squares| squares.inside),
+                nis_inside: evaluated.nis.map(|squares| squares.inside),
             })
         };
-        let pairs = self.judged.iter().flat_map(|judged| Quantity::ALL.map(|quantity| (judged, quantity)));
-        pairs.filter_map(move |(judged, quantity)| of(judged, quantity))
+        let pairs =
+            self.evaluated.iter().flat_map(|evaluated| Quantity::ALL.map(|quantity| (evaluated, quantity)));
+        pairs.filter_map(move |(evaluated, quantity)| of(evaluated, quantity))
     }
 }
 
-/// What is told of one method, sensor and quantity.
+/// The figures of one method, sensor and quantity.
 #[derive(Clone, Copy, Debug, serde::Serialize)]
 struct Figures {
     sigma_m: f64,

@@ -1,7 +1,8 @@
-//! What can be known at best: the motion of each vehicle by all that is measured of it, before an instant and after it.
+//! The smoother bound (oracle): the motion of each vehicle from all of its measurements, earlier and later
+//! ones.
 //!
-//! A filter of the same process can't know as much. The smoother of Rauch, Tung and Striebel, for the process of
-//! [`filters::ConstantAcceleration`]: both axes are independent of each other and share their covariance.
+//! No filter of the same process has as many. It is the smoother of Rauch, Tung and Striebel for the process
+//! of [`filters::ConstantAcceleration`]: both axes are independent of each other and share their covariance.
 
 use std::collections::BTreeMap;
 
@@ -16,20 +17,20 @@ use super::method::UNKNOWN;
 
 /// Position, velocity and acceleration by axis, and their covariance along each.
 #[derive(Clone, Copy)]
-struct Belief {
+struct AxisGaussian {
     mean: Matrix3x2<f64>,
     covariance: Matrix3<f64>,
 }
 
 /// A vehicle at an instant.
-struct Moment<'a> {
+struct SmootherStep<'a> {
     tick: u64,
     stamp_ns: i64,
     seen: &'a Seen,
     /// Before it is measured.
-    predicted: Belief,
+    predicted: AxisGaussian,
     /// By all that is measured up to now.
-    filtered: Belief,
+    filtered: AxisGaussian,
     /// From the instant before.
     transition: Matrix3<f64>,
 }
@@ -37,13 +38,13 @@ struct Moment<'a> {
 /// Smooths all vehicles of a course.
 pub(crate) fn smooth(course: &Course<'_>, jerk_density: f64) -> Outcome {
     let mut outcome = Outcome::default();
-    let mut tracks: BTreeMap<u64, Vec<Moment<'_>>> = BTreeMap::new();
+    let mut tracks: BTreeMap<u64, Vec<SmootherStep<'_>>> = BTreeMap::new();
     let variance = course.sensor.sigma_m.powi(2);
     for (instant, tick) in course.instants.iter().zip(0..) {
         let is_over = |id: &u64| instant.agents.binary_search_by_key(id, |seen| seen.id).is_err();
         tracks.extract_if(.., |id, _| is_over(id)).for_each(|(_, track)| finish(&track, &mut outcome));
         for seen in instant.agents.iter().filter(|seen| seen.agent_type == AgentType::Vehicle) {
-            let moment = |predicted, filtered, transition| Moment {
+            let step = |predicted, filtered, transition| SmootherStep {
                 tick,
                 stamp_ns: instant.stamp_ns,
                 seen,
@@ -52,9 +53,8 @@ pub(crate) fn smooth(course: &Course<'_>, jerk_density: f64) -> Outcome {
                 transition,
             };
             let Some(track) = tracks.get_mut(&seen.id) else {
-                let started = seen.measured_m.map(|position_m| Belief::start(position_m, variance));
-                tracks
-                    .extend(started.map(|start| (seen.id, vec![moment(start, start, Matrix3::identity())])));
+                let started = seen.measured_m.map(|position_m| AxisGaussian::start(position_m, variance));
+                tracks.extend(started.map(|start| (seen.id, vec![step(start, start, Matrix3::identity())])));
                 continue;
             };
             let Some(last) = track.last() else { continue };
@@ -68,18 +68,18 @@ pub(crate) fn smooth(course: &Course<'_>, jerk_density: f64) -> Outcome {
                 outcome.log_likelihood_sum += log_likelihood;
                 outcome.measured_len += 1;
             }
-            track.push(moment(predicted, filtered, transition));
+            track.push(step(predicted, filtered, transition));
         }
     }
     tracks.values().for_each(|track| finish(track, &mut outcome));
     outcome
 }
 
-/// Goes back over a track, and judges it from its first instant on.
-fn finish(track: &[Moment<'_>], outcome: &mut Outcome) {
+/// Backward pass over a track; its errors count from the age of [`SETTLED_S`] on.
+fn finish(track: &[SmootherStep<'_>], outcome: &mut Outcome) {
     let Some((last, first)) = track.last().zip(track.first()) else { return };
     let mut smoothed = last.filtered;
-    let mut beliefs = vec![smoothed];
+    let mut estimates = vec![smoothed];
     for pair in track.windows(2).rev() {
         let [now, next] = pair else { continue };
         // G = P Fᵀ P₋⁻¹
@@ -88,34 +88,33 @@ fn finish(track: &[Moment<'_>], outcome: &mut Outcome) {
             return;
         };
         let gain = now.filtered.covariance * next.transition.transpose() * inverse;
-        smoothed = Belief {
+        smoothed = AxisGaussian {
             mean: now.filtered.mean + gain * (smoothed.mean - next.predicted.mean),
             covariance: now.filtered.covariance
                 + gain * (smoothed.covariance - next.predicted.covariance) * gain.transpose(),
         };
-        beliefs.push(smoothed);
+        estimates.push(smoothed);
     }
-    for (moment, belief) in track.iter().zip(beliefs.iter().rev()) {
-        let age_s = (moment.stamp_ns - first.stamp_ns) as f64 / 1e9;
-        let Some(truth) = moment.seen.truth.filter(|_| age_s >= SETTLED_S) else { continue };
-        let off = |row: usize, truth: [f64; 2]| belief.mean.row(row) - RowVector2::from(truth);
+    for (step, estimate) in track.iter().zip(estimates.iter().rev()) {
+        let age_s = (step.stamp_ns - first.stamp_ns) as f64 / 1e9;
+        let Some(truth) = step.seen.truth.filter(|_| age_s >= SETTLED_S) else { continue };
+        let off = |row: usize, truth: [f64; 2]| estimate.mean.row(row) - RowVector2::from(truth);
         let [position, velocity] = [off(0, truth.position_m), off(1, truth.velocity_mps)];
         let error = Error {
-            id: moment.seen.id,
-            visible: moment.seen.measured_m.is_some(),
+            id: step.seen.id,
+            visible: step.seen.measured_m.is_some(),
             position_m: position.norm(),
             velocity_mps: velocity.norm(),
         };
         outcome.errors.push(error);
-        let spread = Matrix2::from_diagonal_element(belief.covariance[(0, 0)]);
+        let spread = Matrix2::from_diagonal_element(estimate.covariance[(0, 0)]);
         let nees = normalised_square(&Vector2::from(position.transpose()), &spread);
-        let added =
-            nees.map(|nees| outcome.nees[usize::from(!error.visible)].add(moment.tick, nees, DEGREES));
+        let added = nees.map(|nees| outcome.nees[usize::from(!error.visible)].add(step.tick, nees, DEGREES));
         outcome.faults_len += u64::from(added.is_none_or(|added| added.is_err()));
     }
 }
 
-impl Belief {
+impl AxisGaussian {
     /// That of a vehicle that was measured once.
     fn start(position_m: [f64; 2], variance: f64) -> Self {
         let [speed, acceleration] = [UNKNOWN.speed_mps, UNKNOWN.acceleration_mps2];
@@ -160,9 +159,9 @@ mod tests {
 
     const SENSOR: Sensor = Sensor { sigma_m: 0.05, gap_s: 1.6, seed: 1 };
 
-    /// Forwards it is the filter of the process; with what comes later it errs less, most of all in gaps.
+    /// Its forward pass is the filter of the process; later measurements help most of all in gaps.
     #[test]
-    fn who_knows_the_future_errs_less_than_the_filter() {
+    fn the_smoother_errs_less_than_the_filter() {
         let forecaster = Forecaster::new(nn::Weights::onboard(), 1).unwrap();
         let recording = corner(6);
         let course = Course::new(&recording, [0, i64::MAX], SENSOR, &NOWHERE);

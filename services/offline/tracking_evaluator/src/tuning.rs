@@ -31,14 +31,14 @@ pub(crate) fn tune(
     let mut settings = Settings::first();
     let mut figures = Vec::new();
     for &method in methods {
-        let judge = |setting: Setting| {
+        let nll = |setting: Setting| {
             let settings = settings.with(method, setting);
             let follow =
                 |course: &Course<'_>, (): &mut ()| Follower { method, settings, forecaster }.follow(course);
             let outcomes = threads::each(courses, threads, follow);
             Outcome::nll(&outcomes)
         };
-        let (setting, figure) = search(method.first_setting(), method.told().len(), judge);
+        let (setting, figure) = search(method.first_setting(), method.setting_names().len(), nll);
         settings = settings.with(method, setting);
         figures.push((method, figure));
     }
@@ -46,8 +46,8 @@ pub(crate) fn tune(
 }
 
 /// Changes one number after the other by ever smaller factors, as long as that helps.
-fn search(first: Setting, axes: usize, mut judge: impl FnMut(Setting) -> f64) -> (Setting, f64) {
-    let mut best = (first, judge(first));
+fn search(first: Setting, axes: usize, mut nll: impl FnMut(Setting) -> f64) -> (Setting, f64) {
+    let mut best = (first, nll(first));
     let mut left = TRIALS - 1;
     for factor in FACTORS {
         let mut improved = true;
@@ -60,7 +60,7 @@ fn search(first: Setting, axes: usize, mut judge: impl FnMut(Setting) -> f64) ->
                 let mut setting = best.0;
                 setting[axis] *= change;
                 left -= 1;
-                let figure = judge(setting);
+                let figure = nll(setting);
                 if figure < best.1 {
                     best = (setting, figure);
                     improved = true;
@@ -76,7 +76,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn search_comes_near_the_best_within_its_trials() {
+    fn search_comes_near_the_optimum_within_its_trials() {
         let mut trials_len = 0;
         let (found, figure) = search([1.0; 3], 2, |[a, b, _]| {
             trials_len += 1;

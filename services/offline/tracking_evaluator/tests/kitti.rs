@@ -1,4 +1,4 @@
-//! Trackers on a detector's output: what each chooses, and on what it is judged.
+//! Trackers on a detector's output: which thresholds they choose, and on what they are evaluated.
 #![expect(clippy::unwrap_used, reason = "a test that can't write its files has failed")]
 
 use std::path::Path;
@@ -13,7 +13,7 @@ const CALIBRATION: &str = "P2: 721.5 0 609.5 44.8 0 721.5 172.8 0.2 0 0 1 0.003\
 const EGO_MOTION: &str = "49.0 8.4 112.8 0 0 0 0 0 0 0 0 0 0 0 0 0 0 0 0 0 0 0 0 0.1 0.1 4 10 4 4 0\n";
 const LABELS: &str = "0 0 Car 0 0 0 500 100 600 200 1.5 1.8 4.2 0 1.65 20 0\n";
 
-/// A sequence of one frame: the car, surely seen, and a ghost.
+/// A sequence of one frame: the car with a high score, and a false detection.
 fn write_sequence(root: &Path, name: &str, score_of_ghost: f32) {
     let detections = format!(
         "0,2,500,100,600,200,9.5,1.5,1.8,4.2,0,1.65,20,0,0\n\
@@ -32,7 +32,7 @@ fn write_sequence(root: &Path, name: &str, score_of_ghost: f32) {
     }
 }
 
-/// A sequence of each part, and how they are judged.
+/// A sequence of each part, and the options of their evaluation.
 fn options(root: &Path) -> Options {
     write_sequence(root, "0000", 2.5);
     write_sequence(root, "0016", 0.5);
@@ -59,19 +59,19 @@ fn credulous(recording: &Recording) -> Published {
 }
 
 #[test]
-fn scores_are_chosen_on_one_part_and_judged_on_the_other() {
+fn scores_are_chosen_on_one_part_for_the_other() {
     let root = tempfile::tempdir().unwrap();
     let options = options(root.path());
     let contender = Contender { name: "credulous", track: Box::new(|recording| Ok(credulous(recording))) };
     let report = tracking_evaluator::kitti(&options, vec![contender], |_| ()).unwrap().json();
     let figure = |sequences: &str, tracker: &str, measure: &str| {
-        let told = |of: &&serde_json::Value| {
+        let wanted = |of: &&serde_json::Value| {
             of["sequences"] == sequences
                 && of["tracker"] == tracker
                 && of["measure"] == measure
                 && of["class"] == "car"
         };
-        let found = report["figures"].as_array().unwrap().iter().find(told).unwrap();
+        let found = report["figures"].as_array().unwrap().iter().find(wanted).unwrap();
         (found["value"].as_f64().unwrap(), found["least_scores"].as_str().unwrap().to_owned())
     };
     // The ghost of 0016 is gone from 1 on, that of 0000 from 3 on.

@@ -9,8 +9,8 @@ pub struct Comparison {
     pub shape: Vec<usize>,
     /// Its largest magnitude.
     pub largest: f64,
-    /// Largest error. Of a model: relative to `largest`, of covariances to the largest entry of each matrix. Of
-    /// tracking: of a number above 1 relative to it, else absolute.
+    /// Largest error. Of a model: relative to `largest`, of covariances to the largest entry of each matrix.
+    /// Of tracking: of a number above 1 relative to it, else absolute.
     pub error: f64,
     /// Where the number with that error stands, an index per dimension.
     pub worst: Vec<usize>,

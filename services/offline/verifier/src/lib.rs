@@ -1,12 +1,14 @@
-//! Recomputes golden vectors with the very code that runs on board.
+//! Recomputes golden vectors with the very code that runs on board; `stgdat verify FOLDER` calls it.
 //!
-//! A folder of golden vectors holds inputs and what an independent implementation made of them. There are two forms,
-//! told apart by what the folder holds: the tensors of a [`model`], and the numbers of [`tracking`].
+//! In goes a folder of golden vectors: inputs, and what an independent implementation computed from them. Out
+//! comes a [`Comparison`] per vector. A folder has one of two forms, recognised by its files: the tensors of
+//! a [`model`], or the numbers of [`tracking`].
 
 mod comparison;
 mod model;
 mod tracking;
 
+use std::error::Error;
 use std::path::Path;
 
 use nn::WeightsError;
@@ -22,16 +24,18 @@ pub enum VerifyError {
     Unreadable {
         /// The file.
         path: String,
-        /// What the system says.
+        /// The error of the system.
         source: std::io::Error,
     },
-    /// A file is not what its name says.
+    /// A file is not of the form that its name requires.
     #[error("{path}: {reason}")]
     Malformed {
         /// The file.
         path: String,
         /// What is wrong with it.
         reason: String,
+        /// The error behind it, where there is one; `reason` contains its text.
+        source: Option<Box<dyn Error + Send + Sync>>,
     },
     /// The weights can't be used.
     #[error("{path}: {source}")]
@@ -58,15 +62,21 @@ impl VerifyError {
     }
 
     fn malformed(path: &Path, reason: impl Into<String>) -> Self {
-        Self::Malformed { path: path.display().to_string(), reason: reason.into() }
+        Self::Malformed { path: path.display().to_string(), reason: reason.into(), source: None }
+    }
+
+    /// A malformed file that `source` refuses; `context` precedes its text.
+    fn caused(path: &Path, context: &str, source: impl Error + Send + Sync + 'static) -> Self {
+        let reason = if context.is_empty() { source.to_string() } else { format!("{context}: {source}") };
+        Self::Malformed { path: path.display().to_string(), reason, source: Some(Box::new(source)) }
     }
 }
 
 /// Compares every number of a golden folder.
 ///
 /// # Errors
-/// [`VerifyError`] where a file can't be read, is malformed, the parts of the folder do not fit one another, or nothing
-/// computes what a file tells.
+/// [`VerifyError`] where a file can't be read or is malformed, the parts of the folder do not fit one another, or
+/// nothing computes the numbers of a file.
 pub fn verify(folder: &Path) -> Result<Vec<Comparison>, VerifyError> {
     std::fs::read_dir(folder).map_err(|source| VerifyError::unreadable(folder, source))?;
     if tracking::PARTS.iter().any(|part| folder.join(part).is_dir()) {

@@ -1,9 +1,10 @@
 //! Recomputes the tensors of a model.
 //!
-//! A folder holds `scene.json` (agents, states, constants), `weights.safetensors` and `tensors.safetensors` (what an
-//! independent implementation computed). Sizes, widths, stems and options are those of the folder: the weights carry
-//! their configuration. What is computed goes on into what follows, as on board; only the scene, the map's points, the
-//! latent draws and the samples of the losses are taken from the folder.
+//! A folder holds `scene.json` (agents, states, constants), `weights.safetensors` and `tensors.safetensors`
+//! (what an independent implementation computed). Sizes, widths, stems and options are those of the folder:
+//! the weights contain their configuration. Each step computes from our own results of the step before, as on
+//! board; only the scene, the map's points, the latent draws and the samples of the losses come from the
+//! folder.
 
 mod folder;
 mod graphs;

@@ -1,9 +1,10 @@
 //! Recomputes the numbers of filters, assignments and measures of tracking.
 //!
 //! A folder holds one to four *parts*, folders themselves: `filters` (runs of Kalman filters over recorded
-//! measurements), `assignment` (cost matrices and their optima), `metrics` (measures of one scenario, distances of sets)
-//! and `unit` (Jacobians, association probabilities, a particle filter with its random numbers, moments of samples).
-//! What is there is compared; a file that nothing computes is refused, so that none passes unseen.
+//! measurements), `assignment` (cost matrices and their optima), `metrics` (measures of one scenario,
+//! distances of sets) and `unit` (Jacobians, association probabilities, a particle filter with its random
+//! numbers, moments of samples). Every file is compared; one that nothing computes is refused, so that none
+//! stays unverified.
 
 mod assignments;
 mod figures;

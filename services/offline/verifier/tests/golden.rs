@@ -46,7 +46,7 @@ fn one_changed_weight_is_noticed() {
 }
 
 #[test]
-fn broken_folders_are_told_by_file() {
+fn errors_of_broken_folders_name_the_file() {
     let missing = verify(Path::new("no/such/folder")).unwrap_err();
     assert!(matches!(missing, VerifyError::Unreadable { .. }), "{missing}");
     let truncated = changed("plus", "tensors.safetensors", |bytes| bytes.truncate(1000));

@@ -54,7 +54,7 @@ fn folder() -> tempfile::TempDir {
 fn change(folder: &Path, file: &str, from: &str, to: &str) {
     let path = folder.join(file);
     let text = fs::read_to_string(&path).unwrap();
-    assert!(text.contains(from), "{file} does not tell {from}");
+    assert!(text.contains(from), "{file} does not contain {from}");
     fs::write(path, text.replacen(from, to, 1)).unwrap();
 }
 
@@ -121,7 +121,7 @@ fn a_wrong_number_is_found_and_named() {
     }
 }
 
-/// A track that is moved by a wrong measurement differs from there on, in all that the filters tell.
+/// A track that is moved by a wrong measurement differs from there on, in all estimates of the filters.
 #[test]
 fn a_wrong_measurement_is_found_by_every_filter() {
     let folder = folder();
@@ -145,7 +145,7 @@ fn parts_of_a_folder_are_enough() {
 }
 
 #[test]
-fn broken_files_are_told_by_name_and_line() {
+fn errors_of_broken_files_contain_name_and_line() {
     let broken: [(&str, [usize; 2], &str, &str); 6] = [
         ("filters/cv_kf.csv", [5, 3], "east", "cv_kf.csv: line 6: \"east\" is not a number"),
         ("filters/cv_kf.csv", [7, 1], "77", "cv_kf.csv: line 8: track 0, tick 77, where track 0, tick 6"),
@@ -154,12 +154,12 @@ fn broken_files_are_told_by_name_and_line() {
         ("assignment/index.csv", [2, 3], "other.csv", "other.csv: there is no such file"),
         ("metrics/gt.csv", [3, 2], "inf", "frame 2: truth 0: position (inf, 0) is not finite"),
     ];
-    for (file, cell, to, told) in broken {
+    for (file, cell, to, message) in broken {
         let folder = folder();
         change_cell(folder.path(), file, cell, to);
         let error = verify(folder.path()).unwrap_err();
         assert!(matches!(error, VerifyError::Malformed { .. }), "{error}");
-        assert!(error.to_string().contains(told), "{error}");
+        assert!(error.to_string().contains(message), "{error}");
     }
     let broken = [
         ("filters/parameters.json", "\"dt_s\": 0.08", "\"dt_s\": 8", "dt_s 8 is not above 0"),
@@ -174,16 +174,16 @@ fn broken_files_are_told_by_name_and_line() {
         ("unit/pf_small.json", "ESS<N/2", "ESS<N", "pf_small.json: model"),
         ("unit/sample_prior.json", "\"tau\": 5", "\"tau\": 55", "sample_prior.json: tau 55"),
     ];
-    for (file, from, to, told) in broken {
+    for (file, from, to, message) in broken {
         let folder = folder();
         change(folder.path(), file, from, to);
         let error = verify(folder.path()).unwrap_err().to_string();
-        assert!(error.contains(told), "{error}");
+        assert!(error.contains(message), "{error}");
     }
 }
 
 #[test]
-fn what_nothing_computes_is_refused() {
+fn files_that_nothing_computes_are_refused() {
     let folder = folder();
     fs::write(folder.path().join("filters/ctrv.csv"), "track,k\n").unwrap();
     let error = verify(folder.path()).unwrap_err().to_string();

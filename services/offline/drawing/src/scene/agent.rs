@@ -21,7 +21,7 @@ pub const OTHER: Stroke = Stroke::solid(PALE, 0.8);
 pub const REGION_OPACITY: [f64; 2] = [0.28, 0.42];
 /// Opacity of the least and the most likely mode.
 const MODE_OPACITY: [f64; 2] = [0.08, 0.8];
-/// White around lines that must be seen on any ground.
+/// White around lines that must be visible on any ground.
 const HALO: Stroke = Stroke::solid(WHITE, 2.6).faint(0.75);
 /// Radius of the mark at the end of a line, pt.
 const END_RADIUS: f64 = 1.5;
@@ -143,7 +143,7 @@ impl<'a> Sketch<'a> {
             ]);
             canvas.fill(&body, fill, 1.0);
             canvas.stroke(&body, &edge);
-            // The windscreen tells front from rear.
+            // The windscreen marks the front.
             let screen = Path::line([at(0.45 * length, 0.7 * width), at(0.45 * length, -0.7 * width)]);
             canvas.stroke(&screen, &edge);
             return;

@@ -4,7 +4,8 @@ use metrics::tracking::{
     linear_similarity,
 };
 
-/// A track stands for a truth that is at most so far away; the similarity of HOTA is 0 there, and GOSPA and OSPA cut off.
+/// A track is matched with a truth at most so far away; there the similarity of HOTA is 0 and GOSPA and OSPA
+/// are cut off.
 pub(crate) const GATE_M: f64 = 2.0;
 /// The order p of GOSPA and OSPA.
 const ORDER: f64 = 2.0;
@@ -42,7 +43,7 @@ impl Counts {
             clear.add(frame);
             identity.add(frame);
             hota.add(frame, |distance_m| linear_similarity(distance_m, GATE_M));
-            // Frames in which there is nothing to say would only thin out the mean.
+            // Frames in which there are neither truths nor tracks would only thin out the mean.
             if !(frame.truths().is_empty() && frame.tracks().is_empty()) {
                 gospa_m.add(distance.gospa(frame).distance_m);
                 ospa_m.add(distance.ospa(frame));

@@ -6,13 +6,13 @@ use super::{ByClass, CLASSES, Published, PublishedTrack};
 
 /// Standard deviation of a detection's position per axis, m.
 const SIGMA_M: f64 = 0.25;
-/// The same of a velocity that nobody has seen, m/s, class by class.
+/// The same of a velocity before any measurement, m/s, class by class.
 const SPEED_MPS: ByClass<f64> = [10.0, 2.0, 5.0];
 /// Density of the acceleration, m²/s³, class by class.
 const DENSITY: ByClass<f64> = [4.0, 0.5, 2.0];
 /// A detection belongs to a track at most so far away, m, class by class.
 const NEAR_M: ByClass<f64> = [3.0, 1.0, 2.0];
-/// Detections that make a track worth telling.
+/// Detections that confirm a track.
 const HITS_TO_CONFIRM: u32 = 3;
 /// A track ends with its third frame in a row without a detection.
 const MISSES_MAX: u32 = 2;
@@ -24,7 +24,7 @@ struct Target {
     misses_len: u32,
 }
 
-/// The plain tracker that others have to beat: a Kalman filter of constant velocity per track, each detection to the
+/// The baseline: a Kalman filter of constant velocity per track, each detection to the
 /// nearest track, the nearest pairs first, and fixed numbers of hits and misses.
 pub(crate) fn nearest_neighbours(recording: &Recording) -> Published {
     let mut published = vec![Vec::new(); recording.frames.len()];
@@ -52,8 +52,8 @@ pub(crate) fn nearest_neighbours(recording: &Recording) -> Published {
                 targets.push(Target::new(id, &seen[d], SPEED_MPS[class]));
                 next_id = id + 1;
             }
-            let told = targets.iter().filter(|target| target.hits_len >= HITS_TO_CONFIRM);
-            tracks.extend(told.map(|target| target.published(agent_type)));
+            let confirmed = targets.iter().filter(|target| target.hits_len >= HITS_TO_CONFIRM);
+            tracks.extend(confirmed.map(|target| target.published(agent_type)));
         }
     }
     published
@@ -120,7 +120,7 @@ mod tests {
 
     const INTERVAL_NS: i64 = 100_000_000;
 
-    /// Two cars that drive side by side, 4 m apart; `seen` tells which of them a frame shows.
+    /// Two cars that drive side by side, 4 m apart; `seen` selects which of them a frame shows.
     fn recording(frames_len: i64, seen: impl Fn(i64, u32) -> bool) -> Recording {
         let car = |frame: i64, lane: u32| Detection {
             x_m: frame as f32,
@@ -145,7 +145,7 @@ mod tests {
     }
 
     #[test]
-    fn tracks_are_told_from_their_third_hit_on_and_bridge_two_misses() {
+    fn three_hits_confirm_a_track_and_it_bridges_two_misses() {
         let published =
             nearest_neighbours(&recording(20, |frame, lane| lane == 0 || ![8, 9].contains(&frame)));
         assert!(published[1].is_empty());
@@ -155,7 +155,7 @@ mod tests {
     }
 
     #[test]
-    fn a_third_miss_ends_a_track_and_its_id_is_not_used_again() {
+    fn a_third_miss_ends_a_track_and_its_id_is_not_reused() {
         let published =
             nearest_neighbours(&recording(20, |frame, lane| lane == 0 || !(8..11).contains(&frame)));
         assert_eq!(ids(&published[9]), [1, 2]);

@@ -1,4 +1,4 @@
-//! What is told of the trackers.
+//! The report on trackers.
 
 use metrics::{Interval, cluster_bootstrap};
 
@@ -7,10 +7,10 @@ use evaluator::{Provenance, RESAMPLES, Table};
 
 /// Of the bootstrap.
 const SEED: u64 = 1;
-/// Fewer sequences say nothing of what others would give.
+/// Fewer sequences allow no interval.
 const SEQUENCES_MIN: usize = 3;
 
-/// What a judgement of trackers found.
+/// The result of an evaluation of trackers.
 #[derive(Clone, Debug)]
 pub struct KittiReport {
     /// Of the weights behind the forecasts, part by part.
@@ -18,7 +18,7 @@ pub struct KittiReport {
     parts: Vec<KittiPart>,
 }
 
-/// Sequences whose figures are told together.
+/// Sequences whose figures are reported together.
 #[derive(Clone, Debug)]
 pub(crate) struct KittiPart {
     /// Which they are.
@@ -32,7 +32,7 @@ pub(crate) struct KittiPart {
 pub(crate) struct KittiRow {
     /// The contender.
     pub(crate) name: &'static str,
-    /// Chosen elsewhere; several where parts are told together.
+    /// Chosen elsewhere; several where parts are reported together.
     pub(crate) least_scores: ByClass<Vec<f32>>,
     /// Sequence by sequence.
     pub(crate) counts: Vec<ByClass<Counts>>,
@@ -64,15 +64,15 @@ impl KittiRow {
         Counts::sum(self.counts.iter().map(|counts| &counts[class]))
     }
 
-    /// What the last contender has more than this one, with its interval where enough sequences have objects of the class.
+    /// The last contender's figure less this one's, with its interval where enough sequences have the class.
     fn lead_of_last(&self, class: usize, measure: KittiMeasure) -> Option<String> {
         let lead = |sequences: &[usize]| {
             let of = |counts| drawn(counts, class, sequences).figure(measure);
             Some(of(&self.last_on_same)? - of(&self.counts)?)
         };
         let len = self.counts.len();
-        let told_len = self.counts.iter().filter(|counts| counts[class].truths_len() > 0).count();
-        if told_len < SEQUENCES_MIN {
+        let with_class_len = self.counts.iter().filter(|counts| counts[class].truths_len() > 0).count();
+        if with_class_len < SEQUENCES_MIN {
             return lead(&(0..len).collect::<Vec<_>>()).map(|figure| format!("{figure:+.3}"));
         }
         let Interval { low, mean, high } = cluster_bootstrap(len, RESAMPLES, SEED, lead)?;
@@ -81,23 +81,23 @@ impl KittiRow {
 }
 
 impl KittiReport {
-    /// Tells the parts one by one and all together.
+    /// Reports the parts one by one and all together.
     pub(crate) fn new(mut parts: Vec<KittiPart>, provenance: Vec<Provenance>) -> Self {
         let all = parts.iter().cloned().reduce(KittiPart::joined);
         parts.extend(all.map(|all| KittiPart { name: "all".to_owned(), ..all }));
         Self { provenance, parts }
     }
 
-    /// The report as Markdown that also reads well in a terminal.
+    /// The report as a Markdown page that also reads well in a terminal.
     #[must_use]
     pub fn markdown(&self) -> String {
-        self.written("##")
+        self.written("#")
     }
 
-    /// The same, one heading lower.
+    /// The same with headings from the second level on, for a page that has a title.
     #[must_use]
     pub fn summary(&self) -> String {
-        self.written("###")
+        self.written("##")
     }
 
     fn written(&self, heading: &str) -> String {
@@ -110,13 +110,14 @@ impl KittiReport {
     }
 
     fn figures(&self) -> Table {
-        let note = "Detections of PointRCNN, labels as the truth, both in the world frame; matched within 2 m on the ground, which is also \
-                    where HOTA's similarity ends and GOSPA and OSPA (p = 2, mean of the frames) cut off. Objects that are truncated, occluded to an \
-                    unknown degree or of a neighbouring class (vans, trucks, people who sit) may be found or missed; a track with no object is \
-                    false unless its place is out of the image, under 25 px high or in a region without labels. The least score of the \
-                    detections is each contender's own choice per class, by MOTA on the other sequences, of the same eight from -1 to 6. Of ours those tracks \
-                    count which the tracker takes for more probable than not.";
-        let columns = KittiMeasure::ALL.map(KittiMeasure::name).into_iter().chain(["least score"]);
+        let note = "PointRCNN's detections, KITTI's labels as the reference, both in the world frame, matched within 2 m on the \
+                    ground: there HOTA's similarity reaches 0, and GOSPA and OSPA (p = 2, mean of the frames) are cut off. \
+                    Objects that are truncated, occluded to an unknown degree or of a neighbouring class (vans, trucks, \
+                    sitting people) count neither as misses nor as hits. A track without an object is false unless it \
+                    lies outside the image, is less than 25 px high or lies in an unlabelled region. The score threshold \
+                    of the detections is chosen per tracker and class, for the highest MOTA on the other sequences, among \
+                    the same eight from -1 to 6. Our tracks count from an existence probability of 0.5.";
+        let columns = KittiMeasure::ALL.map(KittiMeasure::name).into_iter().chain(["score threshold"]);
         let mut table =
             Table::new("Trackers", note, &["class", "sequences", "tracker"], columns.map(str::to_owned));
         for (class, agent_type) in CLASSES.into_iter().enumerate() {
@@ -139,15 +140,15 @@ impl KittiReport {
 
     fn comparisons(&self) -> Table {
         let note = format!(
-            "What the tracker with the learned prior has more than the other on the very same detections, those of the other's least \
-             score; in brackets the paired bootstrap's 95 % interval, \
-             {RESAMPLES} resamples of whole sequences; none where fewer than {SEQUENCES_MIN} have objects of the class."
+            "Learned prior less the tracker of the row on the same detections, those above that tracker's threshold. In \
+             brackets the 95 % interval of a paired bootstrap over sequences, {RESAMPLES} resamples; none where fewer \
+             than {SEQUENCES_MIN} sequences contain objects of the class."
         );
         let columns = KittiMeasure::COMPARED.map(|measure| measure.name().to_owned()).into_iter();
         let mut table = Table::new(
-            "Learned prior beside the others",
+            "Learned prior against the other trackers",
             &note,
-            &["class", "sequences", "less that of"],
+            &["class", "sequences", "compared with"],
             columns,
         );
         for (class, agent_type) in CLASSES.into_iter().enumerate() {
@@ -168,8 +169,8 @@ impl KittiReport {
     #[must_use]
     pub fn csv(&self) -> String {
         let sha256 = self.provenance.first().map_or("", |provenance| &provenance.sha256);
-        let line = |told: KittiValue<'_>| {
-            let KittiValue { sequences, class, tracker, least_scores, truths_len, measure, value } = told;
+        let line = |value: KittiValue<'_>| {
+            let KittiValue { sequences, class, tracker, least_scores, truths_len, measure, value } = value;
             format!(
                 "kitti,,,{sequences},{least_scores},{class},\"{tracker}\",tracks,\"{measure}\",{value:.6},{truths_len},{sha256}\n"
             )

@@ -17,7 +17,7 @@ pub(crate) type ByClass<T> = [T; CLASSES.len()];
 /// The least scores that are tried; the detectors' own scale, on which 0 is a toss-up.
 pub(crate) const LEAST_SCORES: [f32; 8] = [-1.0, 0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0];
 
-/// A track of a frame, as much of it as is judged.
+/// What is evaluated of a track in a frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PublishedTrack {
     /// The track's identity.
@@ -31,10 +31,10 @@ pub struct PublishedTrack {
 /// The tracks of each frame of a recording.
 pub type Published = Vec<Vec<PublishedTrack>>;
 
-/// Makes tracks of a recording, or tells why it can't.
+/// Makes tracks of a recording, or returns why it can't.
 pub type MakeTracks<'a> = Box<dyn Fn(&Recording) -> Result<Published, String> + Sync + 'a>;
 
-/// A tracker to be judged.
+/// A tracker to evaluate.
 pub struct Contender<'a> {
     /// The name in tables.
     pub name: &'static str,
@@ -64,8 +64,9 @@ impl Sequence {
         Ok(Self { recording, annotations: Annotations::open(path)? })
     }
 
-    /// Judges the tracks that a contender makes of the detections with at least these scores, class by class.
-    pub(crate) fn judge(
+    /// Evaluates the tracks that a contender makes of the detections with at least these scores, class by
+    /// class.
+    pub(crate) fn evaluate(
         &self,
         contender: &Contender<'_>,
         least_scores: ByClass<f32>,
@@ -88,7 +89,7 @@ impl Sequence {
         Ok(counts)
     }
 
-    /// The recording without the detections that are less sure.
+    /// The recording without the detections of lower scores.
     fn with_scores(&self, least_scores: ByClass<f32>) -> Recording {
         let mut recording = self.recording.clone();
         for frame in &mut recording.frames {
@@ -102,7 +103,7 @@ impl Sequence {
 
     /// The objects and tracks of a class that count in a frame.
     ///
-    /// A track that is best matched with an object which may be missed counts as little as that object; one that is
+    /// A track that is best matched with an optional object does not count, nor does that object; one that is
     /// matched with none is false only where its object would have been labelled.
     fn frame(
         &self,
@@ -179,10 +180,10 @@ mod tests {
     fn figures(places_m: &[[f64; 2]]) -> [Option<f64>; 3] {
         let track = |(&position_m, id)| PublishedTrack { id, agent_type: AgentType::Vehicle, position_m };
         let contender = Contender {
-            name: "told",
+            name: "given",
             track: Box::new(move |_| Ok(vec![places_m.iter().zip(1..).map(track).collect()])),
         };
-        let [cars, ..] = sequence().judge(&contender, [-1.0; 3]).unwrap();
+        let [cars, ..] = sequence().evaluate(&contender, [-1.0; 3]).unwrap();
         [KittiMeasure::Missed, KittiMeasure::False, KittiMeasure::Hota].map(|measure| cars.figure(measure))
     }
 
@@ -200,7 +201,7 @@ mod tests {
     }
 
     #[test]
-    fn contenders_get_the_detections_that_are_sure_enough() {
+    fn contenders_get_the_detections_above_their_threshold() {
         let contender = Contender {
             name: "plain",
             track: Box::new(|recording| {
@@ -210,8 +211,8 @@ mod tests {
                 Err(format!("{seen:?}"))
             }),
         };
-        let told = |least| sequence().judge(&contender, [least, 9.0, 9.0]).unwrap_err().to_string();
-        assert!(told(0.0).ends_with("the tracker \"plain\": [[5.5, 0.5]]"), "{}", told(0.0));
-        assert!(told(0.6).ends_with("[[5.5]]"), "{}", told(0.6));
+        let error = |least| sequence().evaluate(&contender, [least, 9.0, 9.0]).unwrap_err().to_string();
+        assert!(error(0.0).ends_with("the tracker \"plain\": [[5.5, 0.5]]"), "{}", error(0.0));
+        assert!(error(0.6).ends_with("[[5.5]]"), "{}", error(0.6));
     }
 }

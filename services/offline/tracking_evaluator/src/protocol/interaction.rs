@@ -1,4 +1,5 @@
-//! Tracking: the motion of INTERACTION's vehicles from noisy positions, with gaps, by filters with and without forecasts.
+//! Tracking: the motion of INTERACTION's vehicles from noisy positions, with gaps, by filters with and
+//! without forecasts.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -7,28 +8,30 @@ use scene::ContextMap;
 
 use evaluator::{Cut, EvaluateError, Footage, Model, Options, SEED, map_of, threads};
 
-use crate::{Course, Follower, Judged, Place, Sensor, TrackingMethod, TrackingReport, Trials, tune};
+use crate::{Course, Follower, MethodErrors, Place, Sensor, TrackingMethod, TrackingReport, Trials, tune};
 
 const SET: DataSet = DataSet::Interaction;
-/// Whose forecasts are the prior: the weights that learned from the same data set's training part.
+/// The recipe of the weights whose forecasts are the prior: they trained on the same data set's training
+/// part.
 const RECIPE: &str = "interaction";
 /// Deviations of the measured positions, m.
 const SIGMAS_M: [f64; 5] = [0.01, 0.02, 0.05, 0.1, 0.3];
 /// Lengths of the gaps, s.
 const GAPS_S: [f64; 4] = [0.0, 0.8, 1.6, 3.2];
 /// How much of each recording is followed, from its middle, s.
-const JUDGED_S: f64 = 60.0;
+const EVALUATED_S: f64 = 60.0;
 /// The same of the recordings that settings are tuned on, s.
 const TUNED_S: f64 = 40.0;
 
-/// What is known of each site before.
+/// Prior knowledge of each site.
 type Places<'a> = BTreeMap<String, Place<'a>>;
 
-/// Estimates motion with every method under every noise and gap, and tells whose filter errs least.
+/// Estimates motion with every method under every noise and gap, and reports their errors.
 ///
-/// Settings are tuned on the validation part, which neither the model's training nor the figures see; a gap of each length
-/// takes part. What is known of a site, its map and who came by, is of the training part as well. `sigmas_m` are deviations of the
-/// measured positions; without any, all of the protocol are taken. With `particles` the learned prior is run by Monte Carlo as well.
+/// Settings are tuned on the validation part, which neither the model's training nor the figures use; a gap
+/// of each length takes part. Map and retrieval memory of a site come from the training part. `sigmas_m` are
+/// standard deviations of the measured positions, m; without any, those of the protocol are taken. With
+/// `particles` the learned prior runs by Monte Carlo as well.
 ///
 /// # Errors
 /// Where weights or recordings are missing or of another kind.
@@ -42,16 +45,16 @@ pub fn interaction(
     let cut = Cut::of(model.forecaster.config());
     progress("reading recordings");
     let validation = options.read_part(SET, Part::Validation, &cut)?;
-    let judged = options.read_part(SET, options.part, &cut)?;
-    progress("what the training part tells of each site");
+    let evaluated = options.read_part(SET, options.part, &cut)?;
+    progress("maps and retrieval memories of the training part");
     let training = options.read_part(SET, Part::Train, &cut)?;
-    let sites: BTreeSet<String> = validation.iter().chain(&judged).map(Footage::site).collect();
+    let sites: BTreeSet<String> = validation.iter().chain(&evaluated).map(Footage::site).collect();
     let maps = sites.into_iter().map(|site| (site.clone(), map_of(&training, &site))).collect();
     let places = places(options, &model, &training, &maps);
-    let recordings: Vec<_> = judged.iter().map(|footage| &footage.recording).collect();
+    let recordings: Vec<_> = evaluated.iter().map(|footage| &footage.recording).collect();
     let provenance = model.provenance("tracking", options.map.label(), &recordings);
-    let methods = TrackingMethod::judged(particles);
-    let mut report = TrackingReport::new(provenance, JUDGED_S, TUNED_S);
+    let methods = TrackingMethod::evaluated(particles);
+    let mut report = TrackingReport::new(provenance, EVALUATED_S, TUNED_S);
     let sigmas_m = if sigmas_m.is_empty() { &SIGMAS_M } else { sigmas_m };
     for &sigma_m in sigmas_m {
         progress(&format!("measured within {sigma_m} m: tuning"));
@@ -60,14 +63,14 @@ pub fn interaction(
         for &gap_s in &GAPS_S {
             progress(&format!("measured within {sigma_m} m, gaps of {gap_s} s"));
             let sensor = Sensor { sigma_m, gap_s, seed: SEED };
-            report.add(judge(&judged, &places, &model, sensor, &trials, options.threads));
+            report.add(evaluate(&evaluated, &places, &model, sensor, &trials, options.threads));
         }
         report.add_trials(sigma_m, trials);
     }
     Ok(report)
 }
 
-/// What each site's training recordings tell of it.
+/// Map and retrieval memory of each site, from its training recordings.
 fn places<'a>(
     options: &Options,
     model: &Model,
@@ -110,22 +113,22 @@ fn course<'a>(footage: &Footage, places: &'a Places<'_>, seconds: f64, sensor: S
 }
 
 /// Every method on every recording.
-fn judge(
+fn evaluate(
     footage: &[Footage],
     places: &Places<'_>,
     model: &Model,
     sensor: Sensor,
     trials: &Trials,
     threads: usize,
-) -> Vec<Judged> {
+) -> Vec<MethodErrors> {
     let (settings, forecaster) = (trials.settings, &model.forecaster);
     let methods = || trials.figures.iter().map(|&(method, _)| method);
     let follow = |footage: &Footage, (): &mut ()| {
-        let course = course(footage, places, JUDGED_S, sensor);
+        let course = course(footage, places, EVALUATED_S, sensor);
         let outcome = |method| Follower { method, settings, forecaster }.follow(&course);
         methods().map(outcome).collect::<Vec<_>>()
     };
     let outcomes = threads::each(footage, threads, follow);
-    let of_method = |(place, method)| Judged::new(sensor, method, outcomes.iter().map(|of| &of[place]));
+    let of_method = |(place, method)| MethodErrors::new(sensor, method, outcomes.iter().map(|of| &of[place]));
     methods().enumerate().map(of_method).collect()
 }

@@ -13,13 +13,13 @@ use crate::{
 };
 
 const SET: DataSet = DataSet::KittiDetections;
-/// The parts that the set has: each is judged with what was chosen on the other.
+/// The parts that the set has: each is evaluated with the thresholds that were chosen on the other.
 const PARTS: [Part; 2] = [Part::Train, Part::Validation];
 
-/// Judges trackers on KITTI's sequences, beside a plain one by nearest neighbours.
+/// Evaluates trackers on KITTI's sequences, beside a plain one by nearest neighbours.
 ///
-/// The last of `contenders` is compared with all others on the very same detections; forecasts in it come from the weights of `options` (the recipe
-/// `onboard` where none are named), which the report tells of.
+/// The last of `contenders` is compared with all others on the very same detections; its forecasts come from
+/// the weights of `options` (the recipe `onboard` where none are named), which the report names.
 ///
 /// # Errors
 /// Where weights or recordings are missing or of another kind, or a contender fails.
@@ -35,7 +35,7 @@ pub fn kitti(
     let contenders: Vec<Contender<'_>> = std::iter::once(plain).chain(contenders).collect();
     let mut parts = Vec::new();
     for part in PARTS {
-        parts.push(Judged::open(options, part)?);
+        parts.push(PartEvaluation::open(options, part)?);
     }
     for contender in &contenders {
         progress(&format!("KITTI: {}", contender.name));
@@ -43,11 +43,11 @@ pub fn kitti(
         for part in &parts {
             choices.push(part.choose(contender, options.threads)?);
         }
-        // Each part has what was chosen on the other.
+        // Each part gets the thresholds that were chosen on the other.
         for (part, least_scores) in parts.iter_mut().zip(choices.into_iter().rev()) {
-            let counts = part.judge(contender, least_scores, options.threads)?;
+            let counts = part.evaluate(contender, least_scores, options.threads)?;
             let last = contenders.last().filter(|last| last.name != contender.name);
-            let last = last.map(|last| part.judge(last, least_scores, options.threads)).transpose()?;
+            let last = last.map(|last| part.evaluate(last, least_scores, options.threads)).transpose()?;
             let least_scores = least_scores.map(|score| vec![score]);
             let last_on_same = last.unwrap_or_else(|| counts.clone());
             part.rows.push(KittiRow { name: contender.name, least_scores, counts, last_on_same });
@@ -63,14 +63,14 @@ pub fn kitti(
 }
 
 /// A part of the set, and what was found of it so far.
-struct Judged {
+struct PartEvaluation {
     name: String,
     paths: Vec<PathBuf>,
     sequences: Vec<Sequence>,
     rows: Vec<KittiRow>,
 }
 
-impl Judged {
+impl PartEvaluation {
     fn open(options: &Options, part: Part) -> Result<Self, EvaluateError> {
         let paths = SET.files(&options.data, part)?;
         let sequences = paths.iter().map(|path| Sequence::open(path)).collect::<Result<_, _>>()?;
@@ -86,7 +86,7 @@ impl Judged {
     fn choose(&self, contender: &Contender<'_>, threads: usize) -> Result<ByClass<f32>, EvaluateError> {
         let mut best = [(f64::NEG_INFINITY, LEAST_SCORES[0]); CLASSES.len()];
         for least_score in LEAST_SCORES {
-            let counts = self.judge(contender, [least_score; CLASSES.len()], threads)?;
+            let counts = self.evaluate(contender, [least_score; CLASSES.len()], threads)?;
             for (class, best) in best.iter_mut().enumerate() {
                 let total = Counts::sum(counts.iter().map(|counts| &counts[class]));
                 let mota = total.figure(KittiMeasure::Mota).unwrap_or(f64::NEG_INFINITY);
@@ -99,17 +99,17 @@ impl Judged {
     }
 
     /// Sequence by sequence.
-    fn judge(
+    fn evaluate(
         &self,
         contender: &Contender<'_>,
         least_scores: ByClass<f32>,
         threads: usize,
     ) -> Result<Vec<ByClass<Counts>>, EvaluateError> {
-        let judge = |sequence: &Sequence, (): &mut ()| sequence.judge(contender, least_scores);
-        threads::each(&self.sequences, threads, judge).into_iter().collect()
+        let counts = |sequence: &Sequence, (): &mut ()| sequence.evaluate(contender, least_scores);
+        threads::each(&self.sequences, threads, counts).into_iter().collect()
     }
 
-    /// What the weights know of the sequences: training reads their labels, not the detectors' output.
+    /// Whether the weights' training used the sequences: it reads their labels, not the detectors' output.
     fn provenance(&self, model: &Model) -> Result<Provenance, EvaluateError> {
         let labels = |path: &PathBuf| {
             let root = path.ancestors().nth(3).unwrap_or(path);

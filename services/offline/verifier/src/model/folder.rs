@@ -7,7 +7,7 @@ use serde::Deserialize;
 
 use crate::VerifyError;
 
-/// What `scene.json` tells; keys that only its maker needs are left alone.
+/// The contents of `scene.json`; other keys are ignored.
 #[derive(Deserialize)]
 pub(super) struct Scene {
     types: Vec<String>,
@@ -40,21 +40,23 @@ impl Folder {
             let path = path.join(name);
             std::fs::read(&path).map_err(|source| VerifyError::unreadable(&path, source))
         };
-        let malformed = |name: &str, reason: String| VerifyError::malformed(&path.join(name), reason);
         let scene: Scene = serde_json::from_slice(&read("scene.json")?)
-            .map_err(|e| malformed("scene.json", e.to_string()))?;
+            .map_err(|e| VerifyError::caused(&path.join("scene.json"), "", e))?;
         let types = scene
             .types
             .iter()
-            .map(|name| name.parse::<AgentType>().map_err(|e| malformed("scene.json", e.to_string())))
+            .map(|name| {
+                name.parse::<AgentType>().map_err(|e| VerifyError::caused(&path.join("scene.json"), "", e))
+            })
             .collect::<Result<Vec<_>, _>>()?;
         let weights = Weights::from_bytes(&read("weights.safetensors")?).map_err(|source| {
             VerifyError::Weights { path: path.join("weights.safetensors").display().to_string(), source }
         })?;
         let tensors = read("tensors.safetensors")?;
-        SafeTensors::deserialize(&tensors).map_err(|e| malformed("tensors.safetensors", e.to_string()))?;
+        SafeTensors::deserialize(&tensors)
+            .map_err(|e| VerifyError::caused(&path.join("tensors.safetensors"), "", e))?;
         let folder = Self { path: path.to_owned(), scene, types, weights, tensors };
-        folder.check_sizes().map_err(|reason| malformed("scene.json", reason))?;
+        folder.check_sizes().map_err(|reason| VerifyError::malformed(&path.join("scene.json"), reason))?;
         Ok(folder)
     }
 
@@ -101,8 +103,9 @@ impl Folder {
     /// Shape and numbers of a tensor.
     pub(super) fn tensor(&self, name: &str) -> Result<(Vec<usize>, Vec<f32>), VerifyError> {
         let wrong = |reason: String| self.malformed(format!("{name}: {reason}"));
-        let tensors = SafeTensors::deserialize(&self.tensors).map_err(|e| wrong(e.to_string()))?;
-        let view = tensors.tensor(name).map_err(|e| wrong(e.to_string()))?;
+        let refused = |error| VerifyError::caused(&self.path.join("tensors.safetensors"), name, error);
+        let tensors = SafeTensors::deserialize(&self.tensors).map_err(refused)?;
+        let view = tensors.tensor(name).map_err(refused)?;
         if view.dtype() != Dtype::F32 {
             return Err(wrong(format!("is {:?}, expected F32", view.dtype())));
         }

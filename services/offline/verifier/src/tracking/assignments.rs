@@ -9,7 +9,8 @@ use super::part::{Part, document};
 use super::table::{Matrix, Table};
 use crate::VerifyError;
 
-/// A problem of `gated.json`: a pair at the gate or above is no pair, and a row without costs as much as is told.
+/// A problem of `gated.json`: costs at the gate or above make no pair; a row without a pair has a cost of its
+/// own.
 #[derive(Deserialize)]
 struct Gated {
     file: String,

@@ -43,7 +43,7 @@ impl Figures {
     }
 }
 
-/// What a filter tells at one tick.
+/// A filter's estimate at one tick.
 pub(super) struct Sample<'a> {
     /// The tick's row.
     pub(super) at: usize,
@@ -65,8 +65,8 @@ impl Truth {
         Ok(Self(rows.into_iter().map(state).collect()))
     }
 
-    /// The figures of a run: errors after the burn-in, the NIS of every update. What has no value is no number (NaN), as
-    /// are all errors where one of them is not finite.
+    /// The figures of a run: errors after the burn-in, the NIS of every update. A figure without a value is
+    /// NaN, as are all errors where one of them is not finite.
     pub(super) fn figures<'a>(&self, samples: impl Iterator<Item = Sample<'a>>) -> [f64; 8] {
         let mut errors = StateErrors::default();
         let (mut nis_sum, mut updates_len) = (0.0, 0_u64);

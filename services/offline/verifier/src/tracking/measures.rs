@@ -123,7 +123,7 @@ fn objects(positions: &[Position]) -> Vec<Object> {
     (0..).zip(positions).map(|(id, &position_m)| Object { id, position_m }).collect()
 }
 
-/// What our own measures tell of the scenario.
+/// Our own measures of the scenario.
 struct Scenario {
     clear: ClearMotCounts,
     identity: IdentityCounts,
@@ -134,7 +134,7 @@ struct Scenario {
 
 impl Scenario {
     fn measure(part: &mut Part, expected: &Path, gate_m: f64, zero_m: f64) -> Result<Self, VerifyError> {
-        let refused = |error: TrackingError| VerifyError::malformed(expected, error.to_string());
+        let refused = |error: TrackingError| VerifyError::caused(expected, "", error);
         let mut clear = ClearMot::new(gate_m).map_err(refused)?;
         let mut identity = Identity::new(gate_m).map_err(refused)?;
         let mut hota = Hota::default();
@@ -265,7 +265,8 @@ fn frames(part: &mut Part) -> Result<Vec<Frame>, VerifyError> {
         }
     }
     let frame = |(number, [truths, tracks]): (u64, [Vec<Object>; 2])| {
-        Frame::new(&truths, &tracks).map_err(|error| part.malformed(&format!("frame {number}: {error}")))
+        Frame::new(&truths, &tracks)
+            .map_err(|error| VerifyError::caused(part.path(), &format!("frame {number}"), error))
     };
     frames.into_iter().map(frame).collect()
 }

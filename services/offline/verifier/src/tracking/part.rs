@@ -49,10 +49,15 @@ impl Part {
         self.find(file).ok_or_else(|| VerifyError::malformed(&self.path.join(file), "there is no such file"))
     }
 
-    /// The name of something that a file tells: the part, the file without the end of its name, and `what`.
+    /// The name of a vector in a file: the part, the file without its extension, and `what`.
     pub(super) fn vector(&self, file: &str, what: &str) -> String {
         let stem = NUMBERS.iter().find_map(|end| file.strip_suffix(end)).unwrap_or(file);
         format!("{}/{stem}.{what}", self.name)
+    }
+
+    /// The path of the part as a whole.
+    pub(super) fn path(&self) -> &Path {
+        &self.path
     }
 
     /// What is wrong with the part as a whole.
@@ -77,5 +82,5 @@ impl Part {
 /// A JSON file.
 pub(super) fn document<T: DeserializeOwned>(path: &Path) -> Result<T, VerifyError> {
     let bytes = std::fs::read(path).map_err(|source| VerifyError::unreadable(path, source))?;
-    serde_json::from_slice(&bytes).map_err(|e| VerifyError::malformed(path, e.to_string()))
+    serde_json::from_slice(&bytes).map_err(|error| VerifyError::caused(path, "", error))
 }

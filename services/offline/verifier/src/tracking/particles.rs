@@ -10,7 +10,7 @@ use super::ledger::{EXACT, Ledger};
 use super::part::{Part, document};
 use crate::VerifyError;
 
-/// The only model of `pf_small.json` that is known, as its maker tells it.
+/// The only model of `pf_small.json` that is known, as the file names it.
 const MODEL: &str =
     "x+=noise; z=x+N(0,.3^2 I); log w += -|x-z|^2/(2*.09); resample systematically iff ESS<N/2";
 
@@ -45,7 +45,7 @@ struct Step {
     idx: Vec<usize>,
 }
 
-/// Moves by a standard normal step per axis and is seen where it is.
+/// Moves by a standard normal step per axis; its position is measured.
 #[derive(Clone, Copy)]
 struct RandomWalk;
 
@@ -64,7 +64,7 @@ impl Process<2> for RandomWalk {
     fn constrain(&self, _: &mut Vector2<f64>) {}
 }
 
-/// Nothing steers it.
+/// No control acts on it.
 impl Controlled<2> for RandomWalk {
     fn step_controlled(&self, state: &Gaussian<2>, _: &Control, dt_s: f64) -> Gaussian<2> {
         self.step(state, dt_s)
@@ -85,7 +85,7 @@ pub(super) fn compare(part: &mut Part, ledger: &mut Ledger) -> Result<(), Verify
     let reference: Reference = document(&path)?;
     reference.check().map_err(|reason| VerifyError::malformed(&path, reason))?;
     let found =
-        reference.run().map_err(|(k, fault)| VerifyError::malformed(&path, format!("step {k}: {fault}")))?;
+        reference.run().map_err(|(k, fault)| VerifyError::caused(&path, &format!("step {k}"), fault))?;
     let steps = &reference.steps;
     let number = |of: fn(&Step) -> f64| steps.iter().map(of).collect::<Vec<_>>();
     let steps_len = steps.len();

@@ -19,7 +19,7 @@ pub(super) struct Tick {
 pub(super) struct Run<P, const N: usize> {
     /// Start of the file's name.
     pub(super) file: &'static str,
-    /// How far the reference is from the truth, where it is told.
+    /// How far the reference is from the truth, where it is given.
     pub(super) figures: Option<[f64; 8]>,
     pub(super) process: P,
     pub(super) start: fn(&Tick) -> [f64; N],
@@ -29,7 +29,7 @@ pub(super) struct Run<P, const N: usize> {
     pub(super) filter: fn(Gaussian<N>) -> Filter,
 }
 
-/// What a filter tells after each tick.
+/// A filter's estimates after each tick.
 #[derive(Default)]
 struct Estimates {
     means: Vec<f64>,
@@ -41,7 +41,7 @@ struct Estimates {
     motions: Vec<Option<Motion>>,
 }
 
-/// The measurements, and the true motion where it is told.
+/// The measurements, and the true motion where it is given.
 pub(super) struct Recording {
     /// What the names of its files end with.
     end: String,
@@ -110,10 +110,10 @@ impl Recording {
         Ok(())
     }
 
-    /// The figures of the odd tracks, which the reference was judged by.
+    /// The figures of the odd tracks, which those of the reference are of.
     fn figures(&self, truth: &Truth, estimates: &Estimates) -> [f64; 8] {
-        let told = self.ticks.iter().zip(&estimates.motions).zip(&estimates.nis).enumerate();
-        let samples = told.map(|(at, ((tick, motion), nis))| Sample {
+        let rows = self.ticks.iter().zip(&estimates.motions).zip(&estimates.nis).enumerate();
+        let samples = rows.map(|(at, ((tick, motion), nis))| Sample {
             at,
             visible: tick.visible,
             burnt_in: tick.k >= self.burn_in_ticks,
@@ -154,8 +154,8 @@ impl Recording {
         estimates
     }
 
-    /// Predicts and, where there is a detection, updates: returns its NIS. A step that fails leaves the state behind, so
-    /// that the comparison shows it.
+    /// Predicts and, where there is a detection, updates: returns its NIS. A step that fails leaves the state
+    /// behind, so that the comparison shows it.
     fn advance<P: Process<N>, const N: usize>(
         &self,
         run: &Run<P, N>,

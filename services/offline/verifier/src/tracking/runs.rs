@@ -1,8 +1,8 @@
 //! Runs of Kalman filters over recorded measurements.
 //!
-//! `parameters.json` tells the noise, `meas*.csv` what was measured at every tick of every track; `cv_kf*.csv` and its
-//! like hold mean, covariance and normalised innovation squared (NIS) of each filter after each tick. A track's first
-//! detection starts it.
+//! `parameters.json` contains the noise, `meas*.csv` the measurements at every tick of every track;
+//! `cv_kf*.csv` and the other files contain mean, covariance and normalised innovation squared (NIS) of each
+//! filter after each tick. A track starts with its first detection.
 
 use filters::{Bicycle, ConstantAcceleration, ConstantVelocity, Filter, Integrator};
 use serde::Deserialize;
@@ -16,7 +16,7 @@ use crate::VerifyError;
 /// The step to which the noise of [`Bicycle`] refers, and the longest of a process.
 const STEP_S: f64 = 0.08;
 
-/// `parameters.json`; what is told of a filter is there where the filter is.
+/// `parameters.json`; a filter's parameters are there where the filter is.
 #[derive(Deserialize)]
 struct Parameters {
     dt_s: f64,

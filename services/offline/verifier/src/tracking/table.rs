@@ -1,3 +1,4 @@
+use std::num::ParseFloatError;
 use std::path::{Path, PathBuf};
 
 use crate::VerifyError;
@@ -126,7 +127,11 @@ fn cells(line: &str) -> impl Iterator<Item = &str> {
 }
 
 fn number(path: &Path, line: usize, cell: &str) -> Result<f64, VerifyError> {
-    cell.parse().map_err(|_| malformed(path, line, format!("\"{cell}\" is not a number")))
+    cell.parse().map_err(|error: ParseFloatError| VerifyError::Malformed {
+        path: path.display().to_string(),
+        reason: format!("line {line}: \"{cell}\" is not a number"),
+        source: Some(Box::new(error)),
+    })
 }
 
 fn malformed(path: &Path, line: usize, reason: impl AsRef<str>) -> VerifyError {

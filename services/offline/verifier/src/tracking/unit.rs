@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use association::jpda::{JointAssociation, Sensor};
+use association::jpda::{JointAssociation, JpdaFault, Sensor};
 use filters::{Integrator, interpolated, sample_moments};
 use kinematics::Bicycle;
 use nalgebra::{Vector2, Vector5};
@@ -65,7 +65,8 @@ struct AssociationCase {
     beta: Vec<Vec<f64>>,
 }
 
-/// `sample_prior.json`: bicycle states at equal steps, and the moments of these samples interpolated the steps.
+/// `sample_prior.json`: bicycle states at equal steps, and moments of these samples interpolated between
+/// steps.
 #[derive(Deserialize)]
 struct Samples {
     step: f64,
@@ -120,9 +121,8 @@ fn compare_associations(part: &mut Part, ledger: &mut Ledger) -> Result<(), Veri
         let d2 = rows(&path, &format!("case {number}, d2"), &case.d2, [tracks_len, detections_len])?;
         let beta =
             rows(&path, &format!("case {number}, beta"), &case.beta, [tracks_len, detections_len + 1])?;
-        let [found_d2, found_beta] = case
-            .associate()
-            .map_err(|reason| VerifyError::malformed(&path, format!("case {number}: {reason}")))?;
+        let [found_d2, found_beta] =
+            case.associate().map_err(|error| VerifyError::caused(&path, &format!("case {number}"), error))?;
         let vector = |what: &str| part.vector(file, &format!("{number}.{what}"));
         ledger.compare(vector("d2"), &[tracks_len, detections_len], &found_d2, &d2, &EXACT);
         ledger.compare(vector("beta"), &[tracks_len, detections_len + 1], &found_beta, &beta, &EXACT);
@@ -132,7 +132,7 @@ fn compare_associations(part: &mut Part, ledger: &mut Ledger) -> Result<(), Veri
 
 impl AssociationCase {
     /// Squared distances and probabilities, track by track.
-    fn associate(&self) -> Result<[Vec<f64>; 2], String> {
+    fn associate(&self) -> Result<[Vec<f64>; 2], JpdaFault> {
         let d2 = |track: usize, detection: usize| {
             let off = Vector2::from(self.meas[detection]) - Vector2::from(self.tracks[track]);
             off.norm_squared() / self.innovation_variance
@@ -145,8 +145,7 @@ impl AssociationCase {
             (d2 <= self.gate).then_some(-0.5 * d2 - log_root_det)
         };
         let (tracks_len, detections_len) = (self.tracks.len(), self.meas.len());
-        let association = JointAssociation::new(tracks_len, detections_len, &sensor, log_likelihood);
-        let association = association.map_err(|fault| fault.to_string())?;
+        let association = JointAssociation::new(tracks_len, detections_len, &sensor, log_likelihood)?;
         let pairs = (0..tracks_len).flat_map(|track| (0..detections_len).map(move |j| (track, j)));
         let beta = (0..tracks_len).flat_map(|track| association.of_track(track).iter().copied());
         Ok([pairs.map(|(track, detection)| d2(track, detection)).collect(), beta.collect()])
