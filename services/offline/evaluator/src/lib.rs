@@ -40,6 +40,6 @@ pub use protocol::{
 };
 pub use report::{Figure, Report, Table, digits, percent};
 pub use scenes::{Agent, Cut, Scene};
-pub use tally::{Crowding, Errors, Measure, Sureness, Tally};
+pub use tally::{Calibration, Crowding, Errors, Measure, Tally};
 pub use tracks::TracksPayload;
 pub use weights::{EMBEDDED, Model, Provenance, WeightsChoice};

@@ -185,12 +185,13 @@ fn no_agents(name: &str, cut: &Cut) -> EvaluateError {
     EvaluateError::NoWindows { name: name.to_owned(), steps, dt_s: cut.dt_s }
 }
 
-/// What the tables of certainty and plausibility tell of.
-const RATES: &str = "KDE of the 20 modes by their probabilities; regions of highest density of the mixture of the modes' Gaussians, over \
-                     agents and steps. Forecasts and futures collide where the discs of two agents meet, 0.9 m around vehicles, 0.3 m around \
-                     cyclists, 0.2 m around pedestrians. Limits as in `metrics::Limits`, of all modes and K = 1.";
+/// Caption of the tables of calibration and plausibility.
+const RATES: &str = "KDE-NLL: negative log density of the truth under a kernel density of the 20 modes, weighted by their probabilities. Coverage: \
+                     share of truths inside the highest-density region of the mixture of Gaussians, over agents and steps. Collision: the \
+                     discs of two agents meet, 0.9 m around vehicles, 0.3 m around cyclists, 0.2 m around pedestrians. Limits are those of \
+                     `metrics::Limits`, checked on all modes and K = 1.";
 
-/// The rows that tell how errors grow with the horizon.
+/// The rows of the tables of errors by horizon.
 const GROWTH: [(crate::Measure, crate::Method); 5] = [
     (crate::Measure::BestOf, crate::Method::Network),
     (crate::Measure::BestOf, crate::Method::Base),

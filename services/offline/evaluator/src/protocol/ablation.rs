@@ -115,7 +115,7 @@ impl Windows {
     fn told(&self, part: Part) -> String {
         let place = match (self.set, &self.site) {
             (DataSet::EthUcyFold(fold), _) => format!(", {}", fold.name()),
-            (_, Some(site)) => format!(", {site} unseen"),
+            (_, Some(site)) => format!(", held-out {site}"),
             _ => String::new(),
         };
         let agents = match self.subset {
@@ -200,7 +200,7 @@ mod tests {
             ("hotel", Some("ETH/UCY, hotel, test part, windows with 2 or more pedestrians")),
             ("sdd", Some("Stanford Drone, TrajNet split, test part")),
             ("interaction", Some("INTERACTION, test part, moving vehicles")),
-            ("interaction-without-FT", Some("INTERACTION, FT unseen, test part, moving vehicles")),
+            ("interaction-without-FT", Some("INTERACTION, held-out FT, test part, moving vehicles")),
             ("interaction-FT", None),
             ("onboard", None),
         ];

@@ -66,10 +66,10 @@ pub fn files(
         let title = |what: &str| format!("{what}: {} agents", subset.name());
         let note = format!("ADE / FDE, m, after {:.1} s.", horizons_s[rules.last()]);
         report.add_table(Table::errors(&title("Errors"), &note, &columns, rules.last()).main());
-        report.add_table(Table::comparisons(&title("Beside the others"), &columns, rules.last()));
-        report.add_table(Table::rates(&title("Certainty and plausibility"), RATES, &columns, rules.last()));
+        report.add_table(Table::comparisons(&title("Comparison with baselines"), &columns, rules.last()));
+        report.add_table(Table::rates(&title("Calibration and plausibility"), RATES, &columns, rules.last()));
         let all = &columns[columns.len() - 1..];
-        report.add_table(Table::horizons(&title("Growth, m"), "", all, &horizons_s, &GROWTH));
+        report.add_table(Table::horizons(&title("Errors by horizon, m"), "", all, &horizons_s, &GROWTH));
         groups.iter().for_each(|group| report.add_figures(group, &horizons_s));
     }
     Ok(report)
