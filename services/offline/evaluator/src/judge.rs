@@ -1,4 +1,4 @@
-//! The judge: forecasts every agent that counts in a recording's scenes and sums up how far off it was.
+//! Forecasts every agent that counts in a recording's scenes and sums up the errors.
 
 use data::Recording;
 use metrics::{Disc, Limits, Point, collisions, highest_density_level, kde_log_density};
@@ -60,7 +60,7 @@ pub struct Block {
     pub tallies: Vec<Tally>,
 }
 
-/// What forecasts are judged by.
+/// An evaluation: the model, the baselines and the agents that count.
 pub struct Judge<'a> {
     /// The model.
     pub forecaster: &'a Forecaster,
@@ -77,14 +77,14 @@ pub struct Judge<'a> {
 }
 
 impl Judge<'_> {
-    /// Judges a recording's scenes that have an agent to count, block by block.
+    /// Evaluates a recording's scenes that have an agent to count, block by block.
     #[must_use]
     pub fn recording(&self, recording: &Recording, scenes: &[Scene], map: MapInput<'_>) -> Vec<Block> {
         self.revisit(recording, scenes, map, None)
     }
 
-    /// As [`Judge::recording`], and besides with a memory of the place, which goes on; its session has to
-    /// have ended.
+    /// As [`Judge::recording`], and also warm-started from a retrieval memory, which the recording extends;
+    /// its session has to have ended.
     #[must_use]
     pub fn revisit(
         &self,
@@ -254,7 +254,7 @@ struct Judged<'a> {
     tally: Tally,
 }
 
-/// What an agent can physically do; of a vehicle as far as its length is known.
+/// Physical limits of an agent; of a vehicle as far as its length is known.
 fn limits(agent: &Agent, config: &ModelConfig) -> Limits {
     match agent.agent_type {
         AgentType::Vehicle => {

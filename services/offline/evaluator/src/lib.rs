@@ -1,4 +1,4 @@
-//! Evaluates forecasts against recorded futures, beside baselines on the very same agents.
+//! Evaluates forecasts against recorded futures, and baselines on the very same agents.
 //!
 //! [`eth_ucy`], [`sdd`], [`interaction`] and [`files`] are *protocols*: each reads recordings and cuts them into
 //! [`Scene`]s. The [`Forecaster`] runs the shipped stages on the `tracks` payloads of scenes; the [`Judge`]

@@ -1,4 +1,4 @@
-//! Protocols: which windows of which recordings are forecast by which weights, and which of their agents count.
+//! Protocols: which windows of which recordings are forecast with which weights, and which agents count.
 
 mod ablation;
 mod eth_ucy;
@@ -26,15 +26,15 @@ use crate::{Baselines, Cut, EvaluateError, Judge, Scene, Subset, threads};
 /// Seed of what is drawn or clustered on the way: latent variables, directions, anchors.
 pub const SEED: u64 = 1;
 
-/// What the network is told of the ground, from nothing to most.
+/// The map that the network reads, from none to the richest.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum MapChoice {
-    /// Nothing.
+    /// None.
     None,
-    /// What the recording showed so far.
+    /// The map of the recording so far.
     Online,
-    /// The map of the site's training recordings, nothing where there are none; what the recording showed so far in data
-    /// sets that know no sites.
+    /// The map of the site's training recordings, none where there are none; the online map in data sets without
+    /// sites.
     Site,
 }
 
@@ -47,7 +47,7 @@ pub struct Options {
     pub part: Part,
     /// The weights.
     pub weights: WeightsChoice,
-    /// What models that read a map are told.
+    /// The map for models that read one.
     pub map: MapChoice,
     /// Threads that share the work; results do not depend on it.
     pub threads: usize,
@@ -134,7 +134,7 @@ struct Rules<'a> {
 }
 
 impl Rules<'_> {
-    /// Judges a recording; one without an agent that counts is no error here.
+    /// Evaluates a recording; one without an agent that counts is no error here.
     fn judge(
         &self,
         model: &Model,
@@ -145,7 +145,7 @@ impl Rules<'_> {
         self.judge_with(model, baselines).recording(&footage.recording, &footage.scenes, map)
     }
 
-    /// The judge of a model by these rules.
+    /// The evaluation of a model by these rules.
     fn judge_with<'a>(&'a self, model: &'a Model, baselines: &'a Baselines) -> Judge<'a> {
         Judge {
             forecaster: &model.forecaster,

@@ -62,8 +62,8 @@ pub struct Errors {
     pub fde_m: f64,
 }
 
-/// How well the probabilities and covariances of a method's forecasts are calibrated, over the steps since the
-/// previous horizon.
+/// How well the probabilities and covariances of a method's forecasts are calibrated, over the steps since
+/// the previous horizon.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Calibration {
     /// Negative log density of the truth under the kernel density of the modes, over agents and steps.
@@ -124,7 +124,7 @@ pub struct Tally {
     pub collided: Share,
     /// Recorded futures that do so by the same rule.
     pub truly_collided: Share,
-    /// Modes and single forecasts that break a limit of their agent's type, by method of [`Method::OURS`].
+    /// Modes and single forecasts that violate a limit of their agent's type, by method of [`Method::OURS`].
     pub broken: [Share; OURS],
     /// Windows of the scenes that do not fit a payload.
     pub crowding: Crowding,

@@ -29,17 +29,17 @@ pub enum InteractionPart {
     HeldOut(String),
 }
 
-/// Recordings that are judged together, by subset.
+/// Recordings that are evaluated together, by subset.
 struct Judged {
     part: String,
     site: String,
     groups: [Group; 2],
 }
 
-/// Judges forecasts of 1 to 5 s, with the recorded speed and once more with what positions alone tell.
+/// Evaluates forecasts of 1 to 5 s, with the recorded speed and once more with motion from positions alone.
 ///
-/// Vehicles count that are there over all 14 steps; the network sees everybody at the newest of the 4. An agent moves
-/// whose speed at the last observed step is at least [`MOVING_MPS`]: the future has no say in it.
+/// Vehicles count that are present over all 14 steps; the network sees all agents at the newest of the 4. Moving
+/// agents have at least [`MOVING_MPS`] at the last observed step, whatever the future.
 ///
 /// # Errors
 /// Where weights or recordings are missing or of another kind.
@@ -96,7 +96,7 @@ struct Protocol<'a> {
 }
 
 impl Protocol<'_> {
-    /// The recordings of all sites in the part that is judged, by site.
+    /// The recordings of all sites in the evaluated part, by site.
     fn seen(&self, model: &Model, report: &mut Report) -> Result<Vec<Judged>, EvaluateError> {
         let Self { options, rules, cut, training } = self;
         let baselines = fit(training, cut);
@@ -117,7 +117,7 @@ impl Protocol<'_> {
                 }
                 visited = Some((site.clone(), memory));
             }
-            // What other recordings of the part show is nobody's to know.
+            // Other recordings of the part must not enter the memory.
             let mut memory = visited.as_ref().map(|(_, memory)| memory.clone());
             let blocks = judge.revisit(&footage.recording, &footage.scenes, map, memory.as_mut());
             match sites.iter_mut().find(|(name, _)| *name == site) {
@@ -134,7 +134,7 @@ impl Protocol<'_> {
         sites.into_iter().map(judge).collect()
     }
 
-    /// All recordings of a site, and those of the part that is judged by themselves.
+    /// All recordings of a site, and those of the evaluated part by themselves.
     fn held_out(&self, model: &Model, site: &str, report: &mut Report) -> Result<Vec<Judged>, EvaluateError> {
         let Self { options, rules, cut, training } = self;
         let others = training.iter().filter(|footage| short(&footage.site()) != site);
@@ -148,7 +148,7 @@ impl Protocol<'_> {
             let paths: Vec<PathBuf> = SET.files(&options.data, part)?.into_iter().filter(of_site).collect();
             for footage in options.read(&paths, Some(SET.format()), cut)? {
                 name = footage.site();
-                // Whatever was recorded at the site before belongs to nobody's training: no site map.
+                // The site's earlier recordings are part of no training: no site map.
                 let Footage { recording, scenes } = &footage;
                 let map = options.map.input(None);
                 let blocks = judge.revisit(recording, scenes, map, Some(&mut memory));
@@ -162,9 +162,9 @@ impl Protocol<'_> {
         }
         let of_part = format!("{} part", options.part.name());
         need_agents(&tests, &format!("{site}, {of_part}"), cut)?;
-        let told = if options.map == MapChoice::Online { "online" } else { "none" };
+        let map_label = if options.map == MapChoice::Online { "online" } else { "none" };
         let part = format!("held-out {site}");
-        add_provenance(report, model.provenance(&part, told, &recordings.iter().collect::<Vec<_>>()));
+        add_provenance(report, model.provenance(&part, map_label, &recordings.iter().collect::<Vec<_>>()));
         let by_itself = Judged::new(format!("{part}, {of_part}"), name.clone(), &tests);
         Ok(vec![by_itself, Judged::new(part, name, &all)])
     }
@@ -258,7 +258,7 @@ fn tables(
     }
 }
 
-/// Errors over the horizon, with the rows of the paper, which tell of all vehicles.
+/// Errors over the horizon, with the rows of the paper, which are of all vehicles.
 fn growth(title: &str, columns: &[Column<'_>], horizons_s: &[f64]) -> Table {
     let mut table = Table::horizons(title, "", columns, horizons_s, &GROWTH);
     let paper = reference::interaction();
@@ -275,7 +275,7 @@ fn of_paper(paper: &[PaperRow], method: &str, scene: &str, horizon_s: f64) -> Op
     paper.iter().find(wanted).map(|row| row.errors)
 }
 
-/// Weights are told once, whatever is done with them.
+/// Adds a provenance once, however often its weights are used.
 fn add_provenance(report: &mut Report, provenance: crate::Provenance) {
     if !report.provenance.contains(&provenance) {
         report.provenance.push(provenance);
@@ -288,7 +288,7 @@ pub(super) fn folder(path: &Path) -> String {
     folder.map_or_else(String::new, |folder| folder.to_string_lossy().into_owned())
 }
 
-/// What a site is called among people: `FT`.
+/// The short name of a site: `FT`.
 pub(super) fn short(site: &str) -> &str {
     site.rsplit('_').next().unwrap_or(site)
 }

@@ -188,7 +188,7 @@ impl Table {
         table
     }
 
-    /// Our errors beside theirs with 95 % intervals.
+    /// Our errors compared with those of baselines, with 95 % intervals.
     pub(crate) fn comparisons(title: &str, columns: &[Column<'_>], horizon: usize) -> Self {
         let note = format!(
             "Difference of the errors (ADE / FDE) on the same agents, ours minus the baseline's, in % of the baseline's. Negative: \
