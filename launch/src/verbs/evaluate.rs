@@ -290,7 +290,7 @@ fn interaction_part(name: &str, arguments: &Arguments) -> Result<InteractionPart
     match name {
         "seen" => Ok(InteractionPart::Seen),
         site if arguments.weights.is_some() || INTERACTION_PARTS.contains(&site) => {
-            Ok(InteractionPart::Unseen(site.to_owned()))
+            Ok(InteractionPart::HeldOut(site.to_owned()))
         }
         other => Err(Failure::Usage(format!(
             "--parts {other}: `interaction` has seen, FT and EP1, and other sites with --weights"

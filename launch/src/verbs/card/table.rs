@@ -11,7 +11,7 @@ pub(super) struct Row {
 /// Several cards, a row each: cost of the training and validation errors.
 pub(super) fn text(rows: &[Row]) -> String {
     let mut text = "ADE / FDE in m over the model's horizon, mean of all agents that validated, online map.\n\n\
-                    | recipe | best update | seed | windows | agents | minutes | peak MiB | machine | best of 20 | K = 1 | file, MiB |\n\
+                    | recipe | best update | seed | windows | agents | minutes | peak MiB | machine | minADE₂₀ / minFDE₂₀ | K = 1 | file, MiB |\n\
                     |:---|---:|---:|---:|---:|---:|---:|:---|---:|---:|---:|\n"
         .to_owned();
     for Row { stem, card, bytes } in rows {

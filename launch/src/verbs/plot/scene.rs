@@ -143,9 +143,9 @@ impl Arguments {
 fn drawing<'a>(shot: &'a Shot, site: Option<&'a ContextMap>) -> SceneDrawing<'a> {
     let note = shot.errors.map(|errors| {
         let [ade_m, fde_m] = errors.best;
-        let best = format!("best of {}: ADE {ade_m:.2} m, FDE {fde_m:.2} m", errors.modes_len);
+        let best = format!("best of {} modes: minADE {ade_m:.2} m, minFDE {fde_m:.2} m", errors.modes_len);
         let [ade_m, fde_m] = errors.likeliest;
-        let likeliest = format!("most likely: {ade_m:.2} m, {fde_m:.2} m");
+        let likeliest = format!("top-1: ADE {ade_m:.2} m, FDE {fde_m:.2} m");
         let agents =
             if errors.agents_len > 1 { format!(" ({} agents)", errors.agents_len) } else { String::new() };
         format!("{best}; {likeliest}{agents}")

@@ -1,4 +1,4 @@
-//! What an ablation found: variants of a model on the same agents, each beside the first.
+//! Results of an ablation: variants of a model on the same agents, each compared with the first.
 
 use metrics::Interval;
 
@@ -9,7 +9,7 @@ use crate::{Errors, Measure, Method};
 /// The measures that variants are compared by.
 const COMPARED: [Measure; 2] = [Measure::BestOf, Measure::Single];
 
-/// Variants of a model, judged on the same agents. The first is what the others are compared with.
+/// Variants of a model, evaluated on the same agents. The others are compared with the first.
 #[derive(Clone, Debug)]
 pub struct Ablation {
     /// Which agents, of which recordings.
@@ -36,14 +36,15 @@ pub enum Verdict {
     Worse,
     /// Smaller errors.
     Better,
-    /// ADE says one, FDE the other.
+    /// ADE is worse and FDE better, or the reverse.
     Mixed,
     /// Neither interval excludes 0.
     NoDifference,
 }
 
 impl Verdict {
-    /// By the 95 % intervals of ADE and FDE: one that excludes 0 tells, and the other must not tell the opposite.
+    /// By the 95 % intervals of ADE and FDE: an interval that excludes 0 decides, unless the other
+    /// excludes it on the other side.
     #[must_use]
     pub fn of(contrasts: &[Contrast; 2]) -> Self {
         let worse = contrasts.iter().any(|contrast| contrast.difference.low > 0.0);
@@ -69,7 +70,7 @@ impl Verdict {
 }
 
 impl Ablation {
-    /// The table as Markdown that also reads well in a terminal, below what it tells of.
+    /// The table as Markdown that also reads well in a terminal, below a caption.
     #[must_use]
     pub fn markdown(&self) -> String {
         let columns = COMPARED.iter().flat_map(|measure| {
@@ -92,8 +93,8 @@ impl Ablation {
         format!(
             "{}: ADE / FDE, {unit}, of the same {agents_len} forecasts for every variant. Differences are to the first row, in % of \
              its errors: above 0 the variant is worse, so that what it lacks helps. In brackets the paired bootstrap's 95 % \
-             interval, {RESAMPLES} resamples of {blocks_len} blocks as long as one window. It tells how sure the difference between \
-             these two trainings is, not what another seed would give; of twenty such intervals one misses by chance. The \
+             interval, {RESAMPLES} resamples of {blocks_len} blocks as long as one window. It covers the \
+             difference between these two trainings, not between seeds; one of twenty such intervals misses by chance. The \
              verdict says which side of 0 the intervals of ADE and FDE lie on.\n\n{}",
             self.about,
             table.grid()
@@ -105,8 +106,8 @@ impl Ablation {
         self.contrasts(row, measure).map_or_else(
             || ["", ""].map(str::to_owned),
             |contrasts| {
-                let told = contrasts.map(|contrast| percent(&contrast.ratio)).join(" / ");
-                [told, Verdict::of(&contrasts).name().to_owned()]
+                let differences = contrasts.map(|contrast| percent(&contrast.ratio)).join(" / ");
+                [differences, Verdict::of(&contrasts).name().to_owned()]
             },
         )
     }
@@ -205,7 +206,7 @@ mod tests {
     }
 
     #[test]
-    fn verdicts_say_what_the_errors_are() {
+    fn verdicts_follow_from_the_errors() {
         let first = |number: usize| 1.0 + 0.01 * number as f32;
         let ablation = ablation(vec![
             ("as recommended", group(first)),
@@ -237,7 +238,7 @@ mod tests {
     }
 
     #[test]
-    fn ade_and_fde_may_say_the_opposite() {
+    fn ade_and_fde_may_disagree() {
         let contrast = |low: f64, high: f64| {
             let difference = Interval { low, mean: f64::midpoint(low, high), high };
             Contrast { difference, ratio: difference }

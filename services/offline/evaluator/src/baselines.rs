@@ -71,8 +71,8 @@ impl Baselines {
         let single = |single| Candidate { single, ..Candidate::default() };
         match method {
             Method::Network => of_forecast(Some(&forecast.network)),
-            Method::Recalling => of_forecast(forecast.retrieved.as_ref()),
-            Method::Revisiting => of_forecast(forecast.warm_started.as_ref()),
+            Method::OnlineRetrieval => of_forecast(forecast.retrieved.as_ref()),
+            Method::WarmStartedRetrieval => of_forecast(forecast.warm_started.as_ref()),
             Method::Base => forecast.base.as_ref().map_or_else(Candidate::default, |base| Candidate {
                 modes: base.modes.clone(),
                 probability: None,

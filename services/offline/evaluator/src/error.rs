@@ -17,9 +17,9 @@ pub enum EvaluateError {
         /// The recipe that writes it.
         recipe: String,
     },
-    /// Nothing is kept apart to judge a recipe by.
+    /// No data are held out to evaluate a recipe on.
     #[error(
-        "no data are kept apart to judge variants of \"{recipe}\": expected a fold, sdd, interaction or interaction-without-SITE"
+        "no data are held out to evaluate variants of \"{recipe}\": expected a fold, sdd, interaction or interaction-without-SITE"
     )]
     NoPart {
         /// The recipe.
@@ -42,7 +42,7 @@ pub enum EvaluateError {
         source: ChainError,
     },
     /// The model is of another kind than the data set asks for.
-    #[error("{path}: the model has {own}, {set} is told in {wanted}")]
+    #[error("{path}: the model has {own}, {set} has {wanted}")]
     Steps {
         /// The weights file.
         path: String,
@@ -53,8 +53,8 @@ pub enum EvaluateError {
         /// The set's steps.
         wanted: String,
     },
-    /// Nothing tells how large a pixel is.
-    #[error("{name}: no scale is known of the video, so that nothing can be told in pixels")]
+    /// The size of a pixel is unknown.
+    #[error("{name}: the scale of the video is unknown, so that errors in pixels are too")]
     NoScale {
         /// The recording.
         name: String,
@@ -69,7 +69,7 @@ pub enum EvaluateError {
         /// The step.
         dt_s: f64,
     },
-    /// A tracker did not do what it is judged by.
+    /// A tracker failed on a recording.
     #[error("{recording}: the tracker \"{name}\": {problem}")]
     Contender {
         /// The tracker.

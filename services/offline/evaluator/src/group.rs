@@ -1,4 +1,4 @@
-//! Agents whose errors are told together: a fold, a site, a file.
+//! Agents whose errors are reported together: a fold, a site, a file.
 
 use metrics::{Interval, PairedErrors, paired_bootstrap, paired_bootstrap_ratio};
 
@@ -77,7 +77,7 @@ impl Group {
     }
 
     /// How our ADE and FDE compare with those of `theirs` on the same agents; `None` where they have none, or
-    /// where there is a single block, which tells nothing of how sure that is.
+    /// where there is a single block, which gives no interval.
     #[must_use]
     pub fn compare(&self, theirs: Method, measure: Measure, horizon: usize) -> Option<[Contrast; 2]> {
         self.contrasts(self, theirs, measure, horizon)

@@ -1,4 +1,4 @@
-//! The judge: forecasts every agent that counts in a recording's scenes and sums up how far off it was.
+//! Forecasts every agent that counts in a recording's scenes and sums up the errors.
 
 use data::Recording;
 use metrics::{Disc, Limits, Point, collisions, highest_density_level, kde_log_density};
@@ -60,7 +60,7 @@ pub struct Block {
     pub tallies: Vec<Tally>,
 }
 
-/// What forecasts are judged by.
+/// An evaluation: the model, the baselines and the agents that count.
 pub struct Judge<'a> {
     /// The model.
     pub forecaster: &'a Forecaster,
@@ -77,14 +77,14 @@ pub struct Judge<'a> {
 }
 
 impl Judge<'_> {
-    /// Judges a recording's scenes that have an agent to count, block by block.
+    /// Evaluates a recording's scenes that have an agent to count, block by block.
     #[must_use]
     pub fn recording(&self, recording: &Recording, scenes: &[Scene], map: MapInput<'_>) -> Vec<Block> {
         self.revisit(recording, scenes, map, None)
     }
 
-    /// As [`Judge::recording`], and besides with a memory of the place, which goes on; its session has to
-    /// have ended.
+    /// As [`Judge::recording`], and also warm-started from a retrieval memory, which the recording extends;
+    /// its session has to have ended.
     #[must_use]
     pub fn revisit(
         &self,
@@ -198,7 +198,7 @@ impl Judge<'_> {
         let variants = [Some(&forecast.network), forecast.retrieved.as_ref(), forecast.warm_started.as_ref()];
         for (ours, of_method) in variants.into_iter().enumerate() {
             let Some(of_method) = of_method else { continue };
-            self.add_sureness(scene, agent, of_method, ours, &mut tally);
+            self.add_calibration(scene, agent, of_method, ours, &mut tally);
             let Some(now) = agent.newest() else { continue };
             let config = self.forecaster.config();
             let (limits, dt_s) = (limits(agent, config), config.dt_s as f32);
@@ -210,7 +210,7 @@ impl Judge<'_> {
     }
 
     /// `ours` is the place of the method in [`Method::OURS`].
-    fn add_sureness(
+    fn add_calibration(
         &self,
         scene: &Scene,
         agent: &Agent,
@@ -221,13 +221,13 @@ impl Judge<'_> {
         let seed = agent.id.rotate_left(32) ^ scene.stamp_ns as u64;
         let mut first = 0;
         for (horizon, &steps) in self.horizons.iter().enumerate() {
-            let sureness = tally.sureness_mut(ours, horizon);
+            let calibration = tally.calibration_mut(ours, horizon);
             for step in first..steps {
                 let Some(truth) = agent.future[step] else { continue };
                 let means: Vec<Point> = forecast.modes.iter().map(|mode| mode[step]).collect();
                 let covariances: Vec<[f32; 3]> =
                     forecast.covariance.iter().map(|covariance| covariance[step]).collect();
-                sureness.kde_nll.add(-kde_log_density(&means, &forecast.probability, truth));
+                calibration.kde_nll.add(-kde_log_density(&means, &forecast.probability, truth));
                 let level = highest_density_level(
                     &means,
                     &covariances,
@@ -235,13 +235,13 @@ impl Judge<'_> {
                     truth,
                     seed ^ (step as u64) << 48,
                 );
-                sureness.covered_50.add(level <= 0.5);
-                sureness.covered_90.add(level <= 0.9);
+                calibration.covered_50.add(level <= 0.5);
+                calibration.covered_90.add(level <= 0.9);
             }
             let truth = &agent.future[..steps];
             let misses = |errors: metrics::Displacement| errors.is_miss().unwrap_or_default();
-            sureness.missed_best.add(misses(metrics::min_displacement(&forecast.modes, truth)));
-            sureness.missed_single.add(misses(metrics::displacement(&forecast.best, truth)));
+            calibration.missed_best.add(misses(metrics::min_displacement(&forecast.modes, truth)));
+            calibration.missed_single.add(misses(metrics::displacement(&forecast.best, truth)));
             first = steps;
         }
     }
@@ -254,7 +254,7 @@ struct Judged<'a> {
     tally: Tally,
 }
 
-/// What an agent can physically do; of a vehicle as far as its length is known.
+/// Physical limits of an agent; of a vehicle as far as its length is known.
 fn limits(agent: &Agent, config: &ModelConfig) -> Limits {
     match agent.agent_type {
         AgentType::Vehicle => {

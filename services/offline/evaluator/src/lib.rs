@@ -1,4 +1,4 @@
-//! Evaluates forecasts against recorded futures, beside baselines on the very same agents.
+//! Evaluates forecasts against recorded futures, and baselines on the very same agents.
 //!
 //! [`eth_ucy`], [`sdd`], [`interaction`] and [`files`] are *protocols*: each reads recordings and cuts them into
 //! [`Scene`]s. The [`Forecaster`] runs the shipped stages on the `tracks` payloads of scenes; the [`Judge`]
@@ -40,6 +40,6 @@ pub use protocol::{
 };
 pub use report::{Figure, Report, Table, digits, percent};
 pub use scenes::{Agent, Cut, Scene};
-pub use tally::{Crowding, Errors, Measure, Sureness, Tally};
+pub use tally::{Calibration, Crowding, Errors, Measure, Tally};
 pub use tracks::TracksPayload;
 pub use weights::{EMBEDDED, Model, Provenance, WeightsChoice};

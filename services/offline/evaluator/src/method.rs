@@ -1,14 +1,15 @@
-//! The methods that are judged, side by side on the same agents.
+//! The methods that are evaluated on the same agents.
 
-/// A forecaster that is judged.
+/// A forecasting method.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Method {
     /// The model.
     Network,
-    /// The model with the memory of the place: how those who came by earlier in the recording departed from its forecasts.
-    Recalling,
-    /// The same with a memory that begins with what earlier recordings of the place showed.
-    Revisiting,
+    /// The model with a retrieval memory that begins empty: residuals of forecasts earlier in the recording
+    /// correct new ones.
+    OnlineRetrieval,
+    /// The same with a memory that begins with the residuals of earlier recordings of the site.
+    WarmStartedRetrieval,
     /// The model's base control with the network switched off: ridge regression and anchors, B*.
     Base,
     /// Constant velocity plus 20 typical residuals.
@@ -29,8 +30,8 @@ impl Method {
     /// All methods, in the order of the reports.
     pub const ALL: [Self; 10] = [
         Self::Network,
-        Self::Recalling,
-        Self::Revisiting,
+        Self::OnlineRetrieval,
+        Self::WarmStartedRetrieval,
         Self::Base,
         Self::Anchors,
         Self::SampledVelocity,
@@ -40,16 +41,16 @@ impl Method {
         Self::TurnRateAcceleration,
     ];
 
-    /// Those that are the model's: they say how sure they are.
-    pub const OURS: [Self; 3] = [Self::Network, Self::Recalling, Self::Revisiting];
+    /// The variants of the model, whose forecasts have covariances and can be calibrated.
+    pub const OURS: [Self; 3] = [Self::Network, Self::OnlineRetrieval, Self::WarmStartedRetrieval];
 
     /// The name in reports.
     #[must_use]
     pub const fn name(self) -> &'static str {
         match self {
             Self::Network => "ours",
-            Self::Recalling => "ours, recalling",
-            Self::Revisiting => "ours, revisiting",
+            Self::OnlineRetrieval => "ours, online retrieval",
+            Self::WarmStartedRetrieval => "ours, warm-started retrieval",
             Self::Base => "B* (ridge + anchors)",
             Self::Anchors => "20 anchors",
             Self::SampledVelocity => "CVM-S",

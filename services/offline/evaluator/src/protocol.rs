@@ -1,4 +1,4 @@
-//! Protocols: which windows of which recordings are forecast by which weights, and which of their agents count.
+//! Protocols: which windows of which recordings are forecast with which weights, and which agents count.
 
 mod ablation;
 mod eth_ucy;
@@ -26,15 +26,15 @@ use crate::{Baselines, Cut, EvaluateError, Judge, Scene, Subset, threads};
 /// Seed of what is drawn or clustered on the way: latent variables, directions, anchors.
 pub const SEED: u64 = 1;
 
-/// What the network is told of the ground, from nothing to most.
+/// The map that the network reads, from none to the richest.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum MapChoice {
-    /// Nothing.
+    /// None.
     None,
-    /// What the recording showed so far.
+    /// The map of the recording so far.
     Online,
-    /// The map of the site's training recordings, nothing where there are none; what the recording showed so far in data
-    /// sets that know no sites.
+    /// The map of the site's training recordings, none where there are none; the online map in data sets without
+    /// sites.
     Site,
 }
 
@@ -47,7 +47,7 @@ pub struct Options {
     pub part: Part,
     /// The weights.
     pub weights: WeightsChoice,
-    /// What models that read a map are told.
+    /// The map for models that read one.
     pub map: MapChoice,
     /// Threads that share the work; results do not depend on it.
     pub threads: usize,
@@ -134,7 +134,7 @@ struct Rules<'a> {
 }
 
 impl Rules<'_> {
-    /// Judges a recording; one without an agent that counts is no error here.
+    /// Evaluates a recording; one without an agent that counts is no error here.
     fn judge(
         &self,
         model: &Model,
@@ -145,7 +145,7 @@ impl Rules<'_> {
         self.judge_with(model, baselines).recording(&footage.recording, &footage.scenes, map)
     }
 
-    /// The judge of a model by these rules.
+    /// The evaluation of a model by these rules.
     fn judge_with<'a>(&'a self, model: &'a Model, baselines: &'a Baselines) -> Judge<'a> {
         Judge {
             forecaster: &model.forecaster,
@@ -185,12 +185,13 @@ fn no_agents(name: &str, cut: &Cut) -> EvaluateError {
     EvaluateError::NoWindows { name: name.to_owned(), steps, dt_s: cut.dt_s }
 }
 
-/// What the tables of certainty and plausibility tell of.
-const RATES: &str = "KDE of the 20 modes by their probabilities; regions of highest density of the mixture of the modes' Gaussians, over \
-                     agents and steps. Forecasts and futures collide where the discs of two agents meet, 0.9 m around vehicles, 0.3 m around \
-                     cyclists, 0.2 m around pedestrians. Limits as in `metrics::Limits`, of all modes and K = 1.";
+/// Caption of the tables of calibration and plausibility.
+const RATES: &str = "KDE-NLL: negative log density of the truth under a kernel density of the 20 modes, weighted by their probabilities. Coverage: \
+                     share of truths inside the highest-density region of the mixture of Gaussians, over agents and steps. Collision: the \
+                     discs of two agents meet, 0.9 m around vehicles, 0.3 m around cyclists, 0.2 m around pedestrians. Limits are those of \
+                     `metrics::Limits`, checked on all modes and K = 1.";
 
-/// The rows that tell how errors grow with the horizon.
+/// The rows of the tables of errors by horizon.
 const GROWTH: [(crate::Measure, crate::Method); 5] = [
     (crate::Measure::BestOf, crate::Method::Network),
     (crate::Measure::BestOf, crate::Method::Base),

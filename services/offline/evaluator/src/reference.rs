@@ -45,7 +45,7 @@ pub(crate) fn methods(rows: &[PaperRow]) -> Vec<&'static str> {
     methods
 }
 
-/// Columns are told by the header; those of ADE and FDE come last.
+/// The header names the columns; those of ADE and FDE come last.
 fn rows(table: &'static str) -> Vec<PaperRow> {
     let mut lines = table.lines();
     let head: Vec<&str> = lines.next().unwrap_or_default().split(',').collect();

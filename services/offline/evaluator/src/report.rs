@@ -17,15 +17,15 @@ use crate::{Crowding, Measure, Method};
 /// One number of a report.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Figure {
-    /// What part of the data it is of.
+    /// The part of the data.
     pub part: String,
-    /// Which of its agents.
+    /// The subset of its agents.
     pub subset: &'static str,
-    /// What is told, with its unit.
+    /// The quantity, with its unit.
     pub quantity: String,
-    /// Whose forecasts.
+    /// The method that made the forecasts.
     pub method: &'static str,
-    /// By which comparison; empty where the quantity needs none.
+    /// How forecasts are compared with the truth; empty where the quantity needs none.
     pub measure: &'static str,
     /// Up to this time ahead.
     pub horizon_s: f64,
@@ -33,7 +33,7 @@ pub struct Figure {
     pub value: f64,
     /// Its 95 % interval, where it has one.
     pub interval: Option<[f64; 2]>,
-    /// Agents that it is of.
+    /// Number of agents.
     pub agents: u64,
 }
 
@@ -99,9 +99,9 @@ impl Report {
             }
             for rate in table::rates(&group.total, horizon) {
                 let agents = group.total.agents_len;
-                let told =
+                let of_rate =
                     rate.value.map(|value| figure(rate.name.to_owned(), rate.method, "", value, agents));
-                self.figures.extend(told);
+                self.figures.extend(of_rate);
             }
             if horizon + 1 < horizons_s.len() {
                 continue;
@@ -112,8 +112,8 @@ impl Report {
                     let Interval { low, mean, high } = contrast.difference;
                     let quantity = format!("ours less theirs, {name}, {}", group.unit);
                     let agents = group.total.len(method, measure);
-                    let told = figure(quantity, method, measure.name(), mean, agents);
-                    self.figures.push(Figure { interval: Some([low, high]), ..told });
+                    let difference = figure(quantity, method, measure.name(), mean, agents);
+                    self.figures.push(Figure { interval: Some([low, high]), ..difference });
                 }
             }
         }
@@ -152,13 +152,13 @@ impl Report {
     /// The report as Markdown that also reads well in a terminal.
     #[must_use]
     pub fn markdown(&self) -> String {
-        self.written(&self.tables, "##")
+        self.written(&self.tables, "#")
     }
 
     /// The main tables with their main rows, as Markdown one heading lower.
     #[must_use]
     pub fn summary(&self) -> String {
-        self.written(&self.tables.iter().filter_map(Table::summary).collect::<Vec<_>>(), "###")
+        self.written(&self.tables.iter().filter_map(Table::summary).collect::<Vec<_>>(), "##")
     }
 
     /// The title as a heading, the tables below it.
@@ -191,7 +191,7 @@ impl Report {
             self.provenance.iter().map(|p| p.sha256.get(..8).unwrap_or_default()).collect();
         weights.dedup();
         format!(
-            "Best of 20: ours {}; B* and anchors all of their 20 modes; CVM-S 20 of 20 draws. Weights {}.",
+            "The 20 modes: ours {}; B* and anchors all of their 20 modes; CVM-S 20 of 20 draws. Weights {}.",
             draws.join(" or "),
             weights.join(", "),
         )

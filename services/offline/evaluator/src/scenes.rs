@@ -10,7 +10,7 @@ use scene::{AgentType, State};
 pub struct Agent {
     /// Identity in the recording.
     pub id: u64,
-    /// What it was taken for at the scene's time.
+    /// Its type as known at the scene's time.
     pub agent_type: AgentType,
     /// `None` where unknown.
     pub length_m: Option<f32>,
@@ -57,8 +57,8 @@ impl Agent {
 }
 
 impl Scene {
-    /// Places of the agents that a measure can count: those present from the first history step to the last forecast
-    /// step.
+    /// Places of the agents that a measure can count: those present from the first history step to the last
+    /// forecast step.
     #[must_use]
     pub fn complete(&self) -> Vec<usize> {
         (0..self.agents.len()).filter(|&agent| self.agents[agent].is_complete()).collect()
@@ -66,7 +66,7 @@ impl Scene {
 }
 
 impl Cut {
-    /// The steps of a model, with the motion that recordings tell.
+    /// The steps of a model, with the motion that recordings contain.
     #[must_use]
     pub fn of(config: &ModelConfig) -> Self {
         Self {
@@ -85,9 +85,9 @@ impl Cut {
 
     /// The scenes of a recording, a step apart, in time order.
     ///
-    /// Velocities and headings are the recording's where it has told both of the agent at every time so far. Otherwise
-    /// they are backward differences over the step within the scene itself, the first step copying the second, so that
-    /// nothing before the history is known either.
+    /// Velocities and headings are the recording's where it contains both for the agent at every time so far.
+    /// Otherwise they are backward differences over the steps of the scene itself, the first step copying the
+    /// second, so that nothing before the history enters.
     #[must_use]
     pub fn scenes(&self, recording: &Recording) -> Vec<Scene> {
         let options = WindowOptions {

@@ -8,12 +8,12 @@ use crate::{Agent, Method};
 /// How the forecasts of a method are compared with the truth.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Measure {
-    /// The best of 20, each agent its own, ADE and FDE each their own minimum.
+    /// minADE₂₀ and minFDE₂₀: minima over the modes of each agent, ADE and FDE each their own.
     BestOf,
     /// The single best forecast, K = 1.
     Single,
-    /// The most probable of the 20.
-    MostLikely,
+    /// The most probable mode.
+    Top1,
     /// The best of 20 futures of the scene: mode k of every agent together.
     Joint,
     /// The best of 20 futures of the scene: the k-th most probable mode of every agent together.
@@ -27,16 +27,16 @@ pub enum Measure {
 impl Measure {
     /// All measures, in the order of the reports.
     pub const ALL: [Self; 6] =
-        [Self::BestOf, Self::Single, Self::MostLikely, Self::Joint, Self::JointRanked, Self::JointNarrowed];
+        [Self::BestOf, Self::Single, Self::Top1, Self::Joint, Self::JointRanked, Self::JointNarrowed];
 
     /// The name in reports.
     #[must_use]
     pub const fn name(self) -> &'static str {
         match self {
-            Self::BestOf => "best of 20",
+            Self::BestOf => "minADE₂₀ / minFDE₂₀",
             Self::Single => "K = 1",
-            Self::MostLikely => "most likely",
-            Self::Joint => "joint best of 20",
+            Self::Top1 => "top-1",
+            Self::Joint => "joint minADE₂₀ / minFDE₂₀",
             Self::JointRanked => "joint, by rank",
             Self::JointNarrowed => "joint, narrowed",
         }
@@ -62,23 +62,24 @@ pub struct Errors {
     pub fde_m: f64,
 }
 
-/// What forecasts of ours said of how sure they are, over the steps since the horizon before.
+/// How well the probabilities and covariances of a method's forecasts are calibrated, over the steps since
+/// the previous horizon.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Sureness {
+pub struct Calibration {
     /// Negative log density of the truth under the kernel density of the modes, over agents and steps.
     pub kde_nll: Mean,
     /// Truths inside the 50 % highest-density region of the mixture, over agents and steps.
     pub covered_50: Share,
     /// Truths inside the 90 % region.
     pub covered_90: Share,
-    /// Agents whose best of 20 ends more than 2 m off.
+    /// Agents whose minFDE₂₀ is above 2 m.
     pub missed_best: Share,
-    /// Agents whose single forecast ends more than 2 m off.
+    /// Agents whose single forecast has an FDE above 2 m.
     pub missed_single: Share,
 }
 
-impl Sureness {
-    /// Counts all that `other` counted; the misses are those of the later horizon.
+impl Calibration {
+    /// Adds the steps that `other` counted; the miss rates stay those of the later horizon.
     fn merge_steps(&mut self, other: &Self) {
         self.kde_nll.merge(&other.kde_nll);
         self.covered_50.merge(&other.covered_50);
@@ -118,12 +119,12 @@ pub struct Tally {
     /// Sums of (ADE, FDE), by horizon, method and measure.
     sums: Vec<[[[f64; 2]; MEASURES]; METHODS]>,
     /// By horizon and method of [`Method::OURS`].
-    sureness: Vec<[Sureness; OURS]>,
+    calibration: Vec<[Calibration; OURS]>,
     /// Single forecasts that run into another of the same scene.
     pub collided: Share,
     /// Recorded futures that do so by the same rule.
     pub truly_collided: Share,
-    /// Modes and single forecasts that break a limit of their agent's type, by method of [`Method::OURS`].
+    /// Modes and single forecasts that violate a limit of their agent's type, by method of [`Method::OURS`].
     pub broken: [Share; OURS],
     /// Windows of the scenes that do not fit a payload.
     pub crowding: Crowding,
@@ -138,7 +139,7 @@ impl Tally {
             agents_len: 0,
             counts: [[0; MEASURES]; METHODS],
             sums: vec![[[[0.0; 2]; MEASURES]; METHODS]; horizons_len],
-            sureness: vec![[Sureness::default(); OURS]; horizons_len],
+            calibration: vec![[Calibration::default(); OURS]; horizons_len],
             collided: Share::default(),
             truly_collided: Share::default(),
             broken: [Share::default(); OURS],
@@ -155,11 +156,11 @@ impl Tally {
             let sums = sums.as_flattened_mut().as_flattened_mut();
             add_all(sums, more.as_flattened().as_flattened());
         }
-        let (sureness, more) = (self.sureness.as_flattened_mut(), other.sureness.as_flattened());
-        for (sureness, more) in sureness.iter_mut().zip(more) {
-            sureness.merge_steps(more);
-            sureness.missed_best.merge(&more.missed_best);
-            sureness.missed_single.merge(&more.missed_single);
+        let (calibration, more) = (self.calibration.as_flattened_mut(), other.calibration.as_flattened());
+        for (calibration, more) in calibration.iter_mut().zip(more) {
+            calibration.merge_steps(more);
+            calibration.missed_best.merge(&more.missed_best);
+            calibration.missed_single.merge(&more.missed_single);
         }
         self.crowding.merge(&other.crowding);
         self.collided.merge(&other.collided);
@@ -207,18 +208,17 @@ impl Tally {
         self.sums.len()
     }
 
-    /// How sure the forecasts of a method were, its place in [`Method::OURS`] given, over all steps up to a
-    /// horizon.
+    /// The calibration of a method, given by its place in [`Method::OURS`], over all steps up to a horizon.
     #[must_use]
-    pub fn sureness(&self, ours: usize, horizon: usize) -> Sureness {
-        let mut all = self.sureness[horizon][ours];
-        self.sureness[..horizon].iter().for_each(|before| all.merge_steps(&before[ours]));
+    pub fn calibration(&self, ours: usize, horizon: usize) -> Calibration {
+        let mut all = self.calibration[horizon][ours];
+        self.calibration[..horizon].iter().for_each(|before| all.merge_steps(&before[ours]));
         all
     }
 
-    /// Counts what of an agent's sureness falls to a horizon.
-    pub(crate) fn sureness_mut(&mut self, ours: usize, horizon: usize) -> &mut Sureness {
-        &mut self.sureness[horizon][ours]
+    /// The calibration over the steps between the previous horizon and this one, to add to.
+    pub(crate) fn calibration_mut(&mut self, ours: usize, horizon: usize) -> &mut Calibration {
+        &mut self.calibration[horizon][ours]
     }
 
     /// Counts the marginal errors of one agent, `horizons` being numbers of steps.
@@ -242,7 +242,7 @@ impl Tally {
                     add(Measure::Single, displacement(single, truth));
                 }
                 if let Some(likely) = likely.and_then(|mode| modes.get(mode)) {
-                    add(Measure::MostLikely, displacement(likely, truth));
+                    add(Measure::Top1, displacement(likely, truth));
                 }
             }
         }
@@ -354,7 +354,7 @@ mod tests {
         let errors = |measure| tally.errors(Method::Network, measure, 1).map(|errors| errors.fde_m);
         assert_eq!(errors(Measure::BestOf), Some(1.0));
         assert_eq!(errors(Measure::Single), Some(1.0));
-        assert_eq!(errors(Measure::MostLikely), Some(3.0));
+        assert_eq!(errors(Measure::Top1), Some(3.0));
         assert_eq!(errors(Measure::Joint), None, "no scene was counted");
         assert_eq!(tally.errors(Method::Base, Measure::BestOf, 1), None);
     }

@@ -45,7 +45,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn results_come_in_the_order_of_the_items_for_any_number_of_threads() {
+    fn results_keep_the_order_of_items_for_any_thread_count() {
         let items: Vec<u64> = (0..37).collect();
         let expected: Vec<u64> = items.iter().map(|x| x * x).collect();
         for threads in [0, 1, 2, 3, 64] {

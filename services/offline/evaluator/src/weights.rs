@@ -1,4 +1,4 @@
-//! Which weights a table is made with, and what is to be told of them.
+//! Which weights a table is made with, and their provenance in reports.
 
 use std::path::PathBuf;
 
@@ -31,7 +31,7 @@ pub struct Model {
     trained_on: Vec<String>,
 }
 
-/// What a report tells of the weights behind a part of its figures.
+/// Provenance of the weights behind a part of a report's figures.
 #[derive(Clone, Debug, PartialEq, serde::Serialize)]
 pub struct Provenance {
     /// The part.
@@ -61,15 +61,15 @@ impl WeightsChoice {
     /// [`EvaluateError`] where they are missing or can't be used.
     pub fn open(&self, recipe: &str, seed: u64) -> Result<Model, EvaluateError> {
         let path = self.file.clone().unwrap_or_else(|| self.folder.join(format!("{recipe}.safetensors")));
-        let mut told = path.display().to_string();
+        let mut shown = path.display().to_string();
         let failed = |source| EvaluateError::Weights { path: path.display().to_string(), source };
         let weights = if self.file.is_none() && recipe == EMBEDDED {
-            "embedded".clone_into(&mut told);
+            "embedded".clone_into(&mut shown);
             Weights::onboard()
         } else if path.exists() {
             Weights::open(&path).map_err(failed)?
         } else {
-            return Err(EvaluateError::NoWeights { path: told, recipe: recipe.to_owned() });
+            return Err(EvaluateError::NoWeights { path: shown, recipe: recipe.to_owned() });
         };
         let failed = |source| EvaluateError::Stages { path: path.display().to_string(), source };
         let forecaster = Forecaster::new(weights, seed).map_err(failed)?;
@@ -84,7 +84,7 @@ impl WeightsChoice {
             recipe: entry("recipe").and_then(|recipe| Some(recipe.as_str()?.to_owned())),
             seed: entry("seed").and_then(serde_json::Value::as_u64),
             trained_on: recordings.into_iter().flatten().filter_map(fingerprint).collect(),
-            path: told,
+            path: shown,
             forecaster,
         })
     }
@@ -97,7 +97,7 @@ impl Model {
         &self.sha256
     }
 
-    /// What is to be told of the model's part in a report.
+    /// The model's provenance for a part of a report.
     #[must_use]
     pub fn provenance(&self, part: &str, map: &str, recordings: &[&Recording]) -> Provenance {
         let seen = recordings.iter().filter(|recording| self.trained_on.contains(&recording.sha256));
@@ -114,7 +114,7 @@ impl Model {
         }
     }
 
-    /// Refuses a model whose steps are not those in which a set is told.
+    /// Refuses a model whose steps are not those of a data set.
     pub(crate) fn check_steps(
         &self,
         set: &'static str,
@@ -153,8 +153,8 @@ impl Provenance {
     /// In one line.
     #[must_use]
     pub fn line(&self) -> String {
-        let recipe = self.recipe.as_deref().unwrap_or("not told");
-        let seed = self.seed.map_or_else(|| "not told".to_owned(), |seed| seed.to_string());
+        let recipe = self.recipe.as_deref().unwrap_or("unknown");
+        let seed = self.seed.map_or_else(|| "unknown".to_owned(), |seed| seed.to_string());
         let seen = match self.seen_in_training {
             0 => String::new(),
             seen => format!(", {seen} SEEN IN TRAINING"),

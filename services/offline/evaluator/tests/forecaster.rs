@@ -37,7 +37,7 @@ fn onboard() -> Forecaster {
 }
 
 #[test]
-fn the_future_has_no_say_in_a_forecast() {
+fn forecasts_do_not_depend_on_the_future() {
     let forecaster = onboard();
     let scene = &scenes(&forecaster)[0];
     let mut other = scene.clone();
@@ -48,7 +48,7 @@ fn the_future_has_no_say_in_a_forecast() {
 }
 
 #[test]
-fn forecasts_depend_neither_on_scenes_before_nor_on_threads() {
+fn forecasts_depend_on_neither_past_scenes_nor_threads() {
     let forecaster = onboard();
     let scenes = &scenes(&forecaster)[..4];
     for threads in [1, 3] {
@@ -87,7 +87,7 @@ fn a_moved_and_turned_scene_has_the_moved_and_turned_forecast() {
 }
 
 #[test]
-fn a_network_that_says_nothing_leaves_the_base_control() {
+fn a_network_with_zero_output_leaves_the_base_control() {
     let silent = |name: &str, _: &mut Vec<usize>, values: &mut Vec<f32>| {
         if name.contains(".head.") {
             values.fill(0.0);
@@ -105,7 +105,7 @@ fn a_network_that_says_nothing_leaves_the_base_control() {
 }
 
 #[test]
-fn vehicles_without_a_kinematic_layer_keep_their_velocity_where_the_network_says_nothing() {
+fn displacement_vehicles_keep_velocity_at_zero_output() {
     let silent = |name: &str, _: &mut Vec<usize>, values: &mut Vec<f32>| {
         if name.contains(".head.") {
             values.fill(0.0);
@@ -167,7 +167,7 @@ fn normal_latents_are_drawn_by_seed_and_agent() {
 }
 
 #[test]
-fn what_a_recording_does_not_tell_comes_from_the_scene_alone() {
+fn missing_velocities_are_differences_within_the_scene() {
     let forecaster = onboard();
     let recorded = &scenes(&forecaster)[3];
     let pedestrian = |agent: &&Agent| agent.agent_type == AgentType::Pedestrian && agent.is_complete();
@@ -180,7 +180,7 @@ fn what_a_recording_does_not_tell_comes_from_the_scene_alone() {
     }
 }
 
-/// The trainer makes models that forecast farther than a payload: what can't be shipped is not judged.
+/// The trainer makes models that forecast farther than a payload: what can't be shipped is not evaluated.
 #[test]
 fn a_longer_horizon_than_a_payloads_is_refused() {
     let longer = |model: &mut nn::ModelConfig| {

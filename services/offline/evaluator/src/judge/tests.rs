@@ -23,7 +23,7 @@ fn variants(forecaster: &Forecaster, frames: usize) -> Vec<Vec<(usize, Variants)
 }
 
 #[test]
-fn retrieval_reads_nothing_of_the_future() {
+fn retrieval_does_not_depend_on_the_future() {
     let forecaster = Forecaster::new(Weights::onboard(), 1).unwrap();
     let (short, long) = (variants(&forecaster, 500), variants(&forecaster, 700));
     assert!(short.len() > 60 && long.len() > short.len());

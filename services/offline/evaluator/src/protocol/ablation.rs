@@ -1,4 +1,4 @@
-//! Ablations: variants of a recipe on the same windows of the part that the recipe is judged on.
+//! Ablations: variants of a recipe on the same windows of the part that the recipe is evaluated on.
 
 use std::collections::BTreeMap;
 
@@ -19,11 +19,11 @@ pub struct Variant {
     pub name: String,
     /// Name of its weights in the folder of weights.
     pub weights: String,
-    /// The most that it is told of the ground.
+    /// The richest map that it may read.
     pub map: MapChoice,
 }
 
-/// The agents that a recipe is judged on.
+/// The agents that a recipe is evaluated on.
 struct Windows {
     set: DataSet,
     /// The set's name for people.
@@ -36,11 +36,11 @@ struct Windows {
     in_pixels: bool,
 }
 
-/// Judges variants of `recipe` on the same windows: in the part that `options` name, those of a fold with two or more
-/// pedestrians, all of Stanford Drone, or the moving vehicles of INTERACTION — at the one site that the recipe knows
-/// nothing of, if there is such a one.
+/// Evaluates variants of `recipe` on the same windows of the part that `options` name: those of a fold with two or
+/// more pedestrians, all of Stanford Drone, or the moving vehicles of INTERACTION, at the recipe's held-out site if
+/// it has one.
 ///
-/// Every variant is told of the ground what `options` and the variant itself agree on.
+/// Every variant reads the poorer of the maps that `options` and the variant name.
 ///
 /// # Errors
 /// Where no part of a data set is the recipe's own, or weights or recordings are missing or of another kind.
@@ -75,7 +75,7 @@ pub fn ablation(
             errors: windows.judge(options, &model, &footage, (map, &sites))?,
         });
     }
-    Ok(Ablation { about: windows.told(options.part), rows })
+    Ok(Ablation { about: windows.description(options.part), rows })
 }
 
 impl Windows {
@@ -112,10 +112,10 @@ impl Windows {
     }
 
     /// The windows for people.
-    fn told(&self, part: Part) -> String {
+    fn description(&self, part: Part) -> String {
         let place = match (self.set, &self.site) {
             (DataSet::EthUcyFold(fold), _) => format!(", {}", fold.name()),
-            (_, Some(site)) => format!(", {site} unseen"),
+            (_, Some(site)) => format!(", held-out {site}"),
             _ => String::new(),
         };
         let agents = match self.subset {
@@ -134,8 +134,8 @@ impl Windows {
         options.read(&paths, Some(self.set.format()), &self.cut)
     }
 
-    /// Maps of the training recordings of the footage's sites, by site. A set without sites has none, and of a site that
-    /// training left out nothing is known.
+    /// Maps of the training recordings of the footage's sites, by site. There are none in a set without sites, or
+    /// for a held-out site.
     fn site_maps(
         &self,
         options: &Options,
@@ -169,7 +169,7 @@ impl Windows {
             of_type: self.of_type,
             threads: options.threads,
         };
-        // Only the network's errors are told.
+        // Only the network's errors are reported.
         let baselines = Baselines::fit(std::iter::empty(), &self.cut, SEED);
         let mut groups = Vec::new();
         for footage in footage {
@@ -183,7 +183,7 @@ impl Windows {
                 group
             });
         }
-        let about = self.told(options.part);
+        let about = self.description(options.part);
         let group = Group::pooled(&about, &groups.iter().collect::<Vec<_>>());
         if group.total.is_empty() { Err(no_agents(&about, &self.cut)) } else { Ok(group) }
     }
@@ -195,17 +195,17 @@ mod tests {
 
     #[test]
     fn recipes_have_parts_of_their_own() {
-        let told = |recipe: &str| Windows::of(recipe).map(|windows| windows.told(Part::Test));
+        let description = |recipe: &str| Windows::of(recipe).map(|windows| windows.description(Part::Test));
         let expected = [
             ("hotel", Some("ETH/UCY, hotel, test part, windows with 2 or more pedestrians")),
             ("sdd", Some("Stanford Drone, TrajNet split, test part")),
             ("interaction", Some("INTERACTION, test part, moving vehicles")),
-            ("interaction-without-FT", Some("INTERACTION, FT unseen, test part, moving vehicles")),
+            ("interaction-without-FT", Some("INTERACTION, held-out FT, test part, moving vehicles")),
             ("interaction-FT", None),
             ("onboard", None),
         ];
         for (recipe, text) in expected {
-            assert_eq!(told(recipe).as_deref(), text, "{recipe}");
+            assert_eq!(description(recipe).as_deref(), text, "{recipe}");
         }
     }
 }

@@ -15,11 +15,11 @@ const STEPS: (usize, usize, f64) = (8, 12, 0.4);
 /// The ETH scene with its real 0.4 s between frames.
 const TRUE_TIME: &str = "eth_ucy/obsmat/eth_0.4s.txt";
 
-/// Judges the weights of the five folds under both window rules, and those of ETH on the scene in
+/// Evaluates the weights of the five folds under both window rules, and those of ETH on the scene in
 /// its true time as well.
 ///
-/// A window is 20 annotated frames in a row, one frame after the other; a pedestrian counts who is there in all of them.
-/// The network sees everybody who is there at the newest of the 8.
+/// A window is 20 annotated frames in a row, one frame after the other; pedestrians count that are present in all of
+/// them. The network sees all that are present at the newest of the 8.
 ///
 /// # Errors
 /// Where weights or recordings are missing or of another kind.
@@ -31,7 +31,7 @@ pub fn eth_ucy(options: &Options, mut progress: impl FnMut(&str)) -> Result<Repo
     let cut = Cut { history_len, horizon_len, dt_s, from_positions: false };
     let mut report = Report::new(&format!("ETH/UCY, leave one out, {} part", options.part.name()));
     let mut groups: [Vec<Group>; 2] = [Vec::new(), Vec::new()];
-    let (map, told) = match options.map {
+    let (map, map_label) = match options.map {
         MapChoice::None => (MapInput::None, "none"),
         MapChoice::Online | MapChoice::Site => (MapInput::Online, "online"),
     };
@@ -56,7 +56,7 @@ pub fn eth_ucy(options: &Options, mut progress: impl FnMut(&str)) -> Result<Repo
                 footage.iter().flat_map(|footage| rules.judge(&model, &baselines, footage, map)).collect();
             need_agents(&blocks, &name, &cut)?;
             let recordings: Vec<_> = footage.iter().map(|footage| &footage.recording).collect();
-            report.provenance.push(model.provenance(&name, told, &recordings));
+            report.provenance.push(model.provenance(&name, map_label, &recordings));
             for (place, (subset, groups)) in subsets.into_iter().zip(&mut groups).enumerate() {
                 groups.push(Group::new(&name, subset, place, &blocks));
             }
@@ -89,11 +89,11 @@ fn tables(report: &mut Report, groups: &[Group], rules: &Rules<'_>, horizons_s: 
     errors
         .add_paper(&paper, columns.len(), |paper, method, column| of_paper(paper, method, &columns[column]));
     report.add_table(if groups[0].subset == Subset::Company { errors.main() } else { errors });
-    report.add_table(Table::comparisons(&title("Beside the others"), &each, last));
+    report.add_table(Table::comparisons(&title("Comparison with baselines"), &each, last));
     let pooled_too = [&columns[..], &[of_group(&pooled)]].concat();
-    report.add_table(Table::rates(&title("Certainty and plausibility"), RATES, &pooled_too, last));
+    report.add_table(Table::rates(&title("Calibration and plausibility"), RATES, &pooled_too, last));
     report.add_table(Table::horizons(
-        &title("Growth, average of the folds, m"),
+        &title("Errors by horizon, average of the folds, m"),
         "",
         &[average],
         horizons_s,

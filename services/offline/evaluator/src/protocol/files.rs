@@ -1,4 +1,4 @@
-//! Any recordings, judged by one set of weights.
+//! Any recordings, evaluated with one set of weights.
 
 use std::path::PathBuf;
 
@@ -11,8 +11,8 @@ use crate::report::{Column, Report, Table};
 use crate::weights::EMBEDDED;
 use crate::{Baselines, Cut, EvaluateError, Subset};
 
-/// Judges one set of weights on the recordings at `paths`, in steps of the model; there is no training part for anchors
-/// or a site map. A recording without an agent over a whole window is left out, and the report says so.
+/// Evaluates one set of weights on the recordings at `paths`, in steps of the model; there is no training part for
+/// anchors or a site map. The report lists recordings without an agent over a whole window as left out.
 ///
 /// # Errors
 /// Where weights or recordings can't be read, or no recording has an agent over a whole window.
@@ -29,7 +29,7 @@ pub fn files(
     let subsets = [Subset::All, Subset::Moving];
     let rules = Rules { horizons: &horizons, subsets: &subsets, of_type: None, threads: options.threads };
     let baselines = Baselines::fit(std::iter::empty(), &cut, SEED);
-    let (map, told) = match options.map {
+    let (map, map_label) = match options.map {
         MapChoice::None => (MapInput::None, "none"),
         MapChoice::Online | MapChoice::Site => (MapInput::Online, "online"),
     };
@@ -45,7 +45,7 @@ pub fn files(
             names_left_out.push(name.clone());
             continue;
         }
-        report.provenance.push(model.provenance(name, told, &[&footage.recording]));
+        report.provenance.push(model.provenance(name, map_label, &[&footage.recording]));
         for (place, (subset, groups)) in subsets.into_iter().zip(&mut groups).enumerate() {
             groups.push(Group::new(name, subset, place, &blocks));
         }
@@ -66,10 +66,10 @@ pub fn files(
         let title = |what: &str| format!("{what}: {} agents", subset.name());
         let note = format!("ADE / FDE, m, after {:.1} s.", horizons_s[rules.last()]);
         report.add_table(Table::errors(&title("Errors"), &note, &columns, rules.last()).main());
-        report.add_table(Table::comparisons(&title("Beside the others"), &columns, rules.last()));
-        report.add_table(Table::rates(&title("Certainty and plausibility"), RATES, &columns, rules.last()));
+        report.add_table(Table::comparisons(&title("Comparison with baselines"), &columns, rules.last()));
+        report.add_table(Table::rates(&title("Calibration and plausibility"), RATES, &columns, rules.last()));
         let all = &columns[columns.len() - 1..];
-        report.add_table(Table::horizons(&title("Growth, m"), "", all, &horizons_s, &GROWTH));
+        report.add_table(Table::horizons(&title("Errors by horizon, m"), "", all, &horizons_s, &GROWTH));
         groups.iter().for_each(|group| report.add_figures(group, &horizons_s));
     }
     Ok(report)

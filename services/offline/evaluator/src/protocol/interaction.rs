@@ -1,4 +1,5 @@
-//! INTERACTION: vehicles at roundabouts (RA) and intersections (UI), at sites that training saw and at one it did not.
+//! INTERACTION: vehicles at roundabouts (RA) and intersections (UI), at the sites of
+//! training and at a held-out one.
 
 use std::path::{Path, PathBuf};
 
@@ -19,26 +20,26 @@ const STEPS: (usize, usize, f64) = (4, 10, 0.5);
 const SET: DataSet = DataSet::Interaction;
 const SUBSETS: [Subset; 2] = [Subset::All, Subset::Moving];
 
-/// Which weights are judged where.
+/// Which weights are evaluated where.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum InteractionPart {
-    /// The weights of all sites, on recordings of these sites that training did not see.
+    /// The weights of all sites, on held-out recordings of these sites.
     Seen,
-    /// The weights that know nothing of a site, on all recordings of this site.
-    Unseen(String),
+    /// The weights whose training left a site out, on all recordings of this site.
+    HeldOut(String),
 }
 
-/// Recordings that are judged together, by subset.
+/// Recordings that are evaluated together, by subset.
 struct Judged {
     part: String,
     site: String,
     groups: [Group; 2],
 }
 
-/// Judges forecasts of 1 to 5 s, with the recorded speed and once more with what positions alone tell.
+/// Evaluates forecasts of 1 to 5 s, with the recorded speed and once more with motion from positions alone.
 ///
-/// Vehicles count that are there over all 14 steps; the network sees everybody at the newest of the 4. An agent moves
-/// whose speed at the last observed step is at least [`MOVING_MPS`]: the future has no say in it.
+/// Vehicles count that are present over all 14 steps; the network sees all agents at the newest of the 4. Moving
+/// agents have at least [`MOVING_MPS`] at the last observed step, whatever the future.
 ///
 /// # Errors
 /// Where weights or recordings are missing or of another kind.
@@ -73,9 +74,9 @@ pub fn interaction(
                     progress(&format!("{motion}: seen sites"));
                     judged.extend(protocol.seen(model, &mut report)?);
                 }
-                InteractionPart::Unseen(site) => {
-                    progress(&format!("{motion}: {site} unseen"));
-                    judged.extend(protocol.unseen(model, site, &mut report)?);
+                InteractionPart::HeldOut(site) => {
+                    progress(&format!("{motion}: {site} held out"));
+                    judged.extend(protocol.held_out(model, site, &mut report)?);
                 }
             }
         }
@@ -95,7 +96,7 @@ struct Protocol<'a> {
 }
 
 impl Protocol<'_> {
-    /// The recordings of all sites in the part that is judged, by site.
+    /// The recordings of all sites in the evaluated part, by site.
     fn seen(&self, model: &Model, report: &mut Report) -> Result<Vec<Judged>, EvaluateError> {
         let Self { options, rules, cut, training } = self;
         let baselines = fit(training, cut);
@@ -116,7 +117,7 @@ impl Protocol<'_> {
                 }
                 visited = Some((site.clone(), memory));
             }
-            // What other recordings of the part show is nobody's to know.
+            // Other recordings of the part must not enter the memory.
             let mut memory = visited.as_ref().map(|(_, memory)| memory.clone());
             let blocks = judge.revisit(&footage.recording, &footage.scenes, map, memory.as_mut());
             match sites.iter_mut().find(|(name, _)| *name == site) {
@@ -133,8 +134,8 @@ impl Protocol<'_> {
         sites.into_iter().map(judge).collect()
     }
 
-    /// All recordings of a site, and those of the part that is judged by themselves.
-    fn unseen(&self, model: &Model, site: &str, report: &mut Report) -> Result<Vec<Judged>, EvaluateError> {
+    /// All recordings of a site, and those of the evaluated part by themselves.
+    fn held_out(&self, model: &Model, site: &str, report: &mut Report) -> Result<Vec<Judged>, EvaluateError> {
         let Self { options, rules, cut, training } = self;
         let others = training.iter().filter(|footage| short(&footage.site()) != site);
         let baselines = Baselines::fit(others.flat_map(|footage| &footage.scenes), cut, SEED);
@@ -147,7 +148,7 @@ impl Protocol<'_> {
             let paths: Vec<PathBuf> = SET.files(&options.data, part)?.into_iter().filter(of_site).collect();
             for footage in options.read(&paths, Some(SET.format()), cut)? {
                 name = footage.site();
-                // Whatever was recorded at the site before belongs to nobody's training: no site map.
+                // The site's earlier recordings are part of no training: no site map.
                 let Footage { recording, scenes } = &footage;
                 let map = options.map.input(None);
                 let blocks = judge.revisit(recording, scenes, map, Some(&mut memory));
@@ -161,9 +162,9 @@ impl Protocol<'_> {
         }
         let of_part = format!("{} part", options.part.name());
         need_agents(&tests, &format!("{site}, {of_part}"), cut)?;
-        let told = if options.map == MapChoice::Online { "online" } else { "none" };
-        let part = format!("unseen {site}");
-        add_provenance(report, model.provenance(&part, told, &recordings.iter().collect::<Vec<_>>()));
+        let map_label = if options.map == MapChoice::Online { "online" } else { "none" };
+        let part = format!("held-out {site}");
+        add_provenance(report, model.provenance(&part, map_label, &recordings.iter().collect::<Vec<_>>()));
         let by_itself = Judged::new(format!("{part}, {of_part}"), name.clone(), &tests);
         Ok(vec![by_itself, Judged::new(part, name, &all)])
     }
@@ -174,7 +175,7 @@ impl InteractionPart {
     fn recipe(&self) -> String {
         match self {
             Self::Seen => "interaction".to_owned(),
-            Self::Unseen(site) => format!("interaction-without-{site}"),
+            Self::HeldOut(site) => format!("interaction-without-{site}"),
         }
     }
 }
@@ -224,14 +225,14 @@ fn tables(
     let mut columns: Vec<Column<'_>> = kinds.iter().map(|group| Column::of(&group.part, group)).collect();
     columns.extend(foreign.iter().map(|judged| Column::of(&judged.part, &judged.groups[place])));
     if whole.len() > 1 {
-        columns.push(Column { name: "unseen, mean".to_owned(), groups: whole });
+        columns.push(Column { name: "held-out, mean".to_owned(), groups: whole });
     }
 
     let last = rules.last();
     let title = |what: &str| format!("{what}: {} vehicles, {motion}", SUBSETS[place].name());
     let note = format!(
-        "ADE / FDE, m, after 5 s. Moving: at least {MOVING_MPS} m/s at the last observed step. Unseen sites: all their \
-         recordings, one part by itself as well."
+        "ADE / FDE, m, after 5 s. Moving: at least {MOVING_MPS} m/s at the last observed step. Held-out sites: all \
+         their recordings, and those of one part alone."
     );
     let mut errors = Table::errors(&title("Errors"), &note, &columns, last).main();
     if SUBSETS[place] == Subset::All {
@@ -242,14 +243,14 @@ fn tables(
     }
     report.add_table(errors);
     let single: Vec<Column<'_>> = columns.iter().filter(|column| column.groups.len() == 1).cloned().collect();
-    report.add_table(Table::comparisons(&title("Beside the others"), &single, last));
+    report.add_table(Table::comparisons(&title("Comparison with baselines"), &single, last));
     let by_site: Vec<Column<'_>> =
         sites.iter().map(|judged| Column::of(&judged.part, &judged.groups[place])).collect();
     if !by_site.is_empty() {
         report.add_table(Table::errors(&title("Errors by site"), "ADE / FDE, m, after 5 s.", &by_site, last));
-        report.add_table(growth(&title("Growth, m"), &columns[..2.min(kinds.len())], horizons_s));
+        report.add_table(growth(&title("Errors by horizon, m"), &columns[..2.min(kinds.len())], horizons_s));
     }
-    report.add_table(Table::rates(&title("Certainty and plausibility"), RATES, &columns, last));
+    report.add_table(Table::rates(&title("Calibration and plausibility"), RATES, &columns, last));
     for group in kinds.iter().chain(judged.iter().map(|judged| &judged.groups[place])) {
         let mut group = group.clone();
         group.part += &format!(", {motion}");
@@ -257,7 +258,7 @@ fn tables(
     }
 }
 
-/// Errors over the horizon, with the rows of the paper, which tell of all vehicles.
+/// Errors over the horizon, with the rows of the paper, which are of all vehicles.
 fn growth(title: &str, columns: &[Column<'_>], horizons_s: &[f64]) -> Table {
     let mut table = Table::horizons(title, "", columns, horizons_s, &GROWTH);
     let paper = reference::interaction();
@@ -274,7 +275,7 @@ fn of_paper(paper: &[PaperRow], method: &str, scene: &str, horizon_s: f64) -> Op
     paper.iter().find(wanted).map(|row| row.errors)
 }
 
-/// Weights are told once, whatever is done with them.
+/// Adds a provenance once, however often its weights are used.
 fn add_provenance(report: &mut Report, provenance: crate::Provenance) {
     if !report.provenance.contains(&provenance) {
         report.provenance.push(provenance);
@@ -287,7 +288,7 @@ pub(super) fn folder(path: &Path) -> String {
     folder.map_or_else(String::new, |folder| folder.to_string_lossy().into_owned())
 }
 
-/// What a site is called among people: `FT`.
+/// The short name of a site: `FT`.
 pub(super) fn short(site: &str) -> &str {
     site.rsplit('_').next().unwrap_or(site)
 }

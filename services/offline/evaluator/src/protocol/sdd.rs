@@ -1,4 +1,4 @@
-//! Stanford Drone, TrajNet split: 2,829 test tracks of 20 points, told in pixels of the videos.
+//! Stanford Drone, TrajNet split: 2,829 test tracks of 20 points, errors in pixels of the videos.
 
 use data::sets::{DataSet, Part};
 
@@ -12,10 +12,10 @@ use crate::{Cut, EvaluateError, Subset};
 /// Steps of the protocol.
 const STEPS: (usize, usize, f64) = (8, 12, 0.4);
 
-/// Judges the weights `sdd` in pixels and in metres.
+/// Evaluates the weights `sdd` in pixels and in metres.
 ///
-/// Each test track is one window; the network sees everybody who is there at its eighth point. Metres become pixels by the
-/// scale of each video.
+/// Each test track is one window; the network sees all agents that are present at its eighth point. The scale of
+/// each video converts metres to pixels.
 ///
 /// # Errors
 /// Where weights or recordings are missing or of another kind, or a video has no scale.
@@ -31,7 +31,7 @@ pub fn sdd(options: &Options, mut progress: impl FnMut(&str)) -> Result<Report, 
     let baselines = fit(&options.read_part(DataSet::SddTrajnet, Part::Train, &cut)?, &cut);
     progress(&format!("{} part", options.part.name()));
     let footage = options.read_part(DataSet::SddTrajnet, options.part, &cut)?;
-    let (map, told) = match options.map {
+    let (map, map_label) = match options.map {
         MapChoice::None => (MapInput::None, "none"),
         MapChoice::Online | MapChoice::Site => (MapInput::Online, "online"),
     };
@@ -51,7 +51,7 @@ pub fn sdd(options: &Options, mut progress: impl FnMut(&str)) -> Result<Report, 
 
     let mut report = Report::new(&format!("Stanford Drone, TrajNet split, {} part", options.part.name()));
     let recordings: Vec<_> = footage.iter().map(|footage| &footage.recording).collect();
-    report.provenance.push(model.provenance(options.part.name(), told, &recordings));
+    report.provenance.push(model.provenance(options.part.name(), map_label, &recordings));
     let columns = [Column::of("px", &pixels), Column::of("m", &metres)];
     let (last, horizons_s) = (rules.last(), rules.horizons_s(&cut));
     let note = format!("ADE / FDE after 4.8 s, {} tracks.", metres.total.agents_len);
@@ -62,9 +62,9 @@ pub fn sdd(options: &Options, mut progress: impl FnMut(&str)) -> Result<Report, 
         row.map(|row| row.errors)
     });
     report.add_table(errors.main());
-    report.add_table(Table::comparisons("Beside the others", &columns, last));
-    report.add_table(Table::rates("Certainty and plausibility", RATES, &columns[1..], last));
-    report.add_table(Table::horizons("Growth, px", "", &columns[..1], &horizons_s, &GROWTH));
+    report.add_table(Table::comparisons("Comparison with baselines", &columns, last));
+    report.add_table(Table::rates("Calibration and plausibility", RATES, &columns[1..], last));
+    report.add_table(Table::horizons("Errors by horizon, px", "", &columns[..1], &horizons_s, &GROWTH));
     [&pixels, &metres].into_iter().for_each(|group| report.add_figures(group, &horizons_s));
     Ok(report)
 }

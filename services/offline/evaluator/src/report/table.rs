@@ -4,7 +4,7 @@ use metrics::Interval;
 
 use crate::group::{Group, RESAMPLES};
 use crate::reference::PaperRow;
-use crate::{Errors, Measure, Method, Sureness, Tally};
+use crate::{Calibration, Errors, Measure, Method, Tally};
 
 /// What our forecasts are compared with, and by which measure.
 pub(crate) const COMPARED: [(Measure, Method); 6] = [
@@ -16,11 +16,11 @@ pub(crate) const COMPARED: [(Measure, Method); 6] = [
     (Measure::Single, Method::ConstantVelocity),
 ];
 
-/// The methods that a summary tells of.
+/// The methods that a summary contains.
 const SUMMARISED: [&str; 8] = [
     Method::Network.name(),
-    Method::Recalling.name(),
-    Method::Revisiting.name(),
+    Method::OnlineRetrieval.name(),
+    Method::WarmStartedRetrieval.name(),
     Method::Base.name(),
     Method::Anchors.name(),
     Method::ConstantVelocity.name(),
@@ -39,11 +39,11 @@ pub struct Table {
     rows: Vec<Vec<String>>,
     /// Whether it belongs into a summary.
     is_main: bool,
-    /// Whether a summary tells of all its rows.
+    /// Whether a summary contains all its rows.
     is_brief: bool,
 }
 
-/// A column: some groups, of which it tells the mean.
+/// A column: the mean over some groups.
 #[derive(Clone, Debug)]
 pub(crate) struct Column<'a> {
     pub(crate) name: String,
@@ -86,9 +86,9 @@ impl Table {
 
     /// What of the table belongs into a summary: the rows of few methods, or nothing.
     pub(crate) fn summary(&self) -> Option<Self> {
-        let is_told =
+        let is_included =
             |row: &&Vec<String>| self.is_brief || self.names_len < 2 || SUMMARISED.contains(&&row[1][..]);
-        let rows = self.rows.iter().filter(is_told).filter(|row| row[0] != Measure::JointRanked.name());
+        let rows = self.rows.iter().filter(is_included).filter(|row| row[0] != Measure::JointRanked.name());
         self.is_main.then(|| Self { rows: rows.cloned().collect(), ..self.clone() })
     }
 
@@ -104,12 +104,12 @@ impl Table {
         table
     }
 
-    /// Of a main table of errors, the rows of our own forecasts beside those of the same table by other weights; each comes with
-    /// the name of its training.
+    /// Of a main table of errors, the rows of our own forecasts beside those of the same table by other
+    /// weights; each comes with the name of its training.
     pub(crate) fn beside(&self, name: &str, others: &[(&str, &Self)]) -> Option<Self> {
         let rows = self.rows.iter().enumerate().flat_map(|(place, row)| {
             let ours =
-                Method::OURS.iter().filter(|method| row.get(1).is_some_and(|told| told == method.name()));
+                Method::OURS.iter().filter(|method| row.get(1).is_some_and(|name| name == method.name()));
             ours.flat_map(move |method| {
                 let trainings = std::iter::once((name, self)).chain(others.iter().copied());
                 trainings.filter_map(move |(name, table)| {
@@ -161,11 +161,11 @@ impl Table {
     ) {
         for method in crate::reference::methods(paper) {
             let cells = (0..columns_len).map(|column| cell(paper, method, column));
-            self.push(["best of 20", &format!("{method} (paper)")], cells);
+            self.push([Measure::BestOf.name(), &format!("{method} (paper)")], cells);
         }
     }
 
-    /// Misses, densities, coverage, collisions and broken limits at one horizon.
+    /// Miss rates, densities, coverage, collisions and violated limits at one horizon.
     pub(crate) fn rates(title: &str, note: &str, columns: &[Column<'_>], horizon: usize) -> Self {
         let mut table = Self::new(title, note, &["share", "method"], names(columns));
         let of_columns: Vec<Vec<Vec<Rate>>> = columns
@@ -188,11 +188,12 @@ impl Table {
         table
     }
 
-    /// Our errors beside theirs with 95 % intervals.
+    /// Our errors compared with those of baselines, with 95 % intervals.
     pub(crate) fn comparisons(title: &str, columns: &[Column<'_>], horizon: usize) -> Self {
         let note = format!(
-            "Ours less theirs on the same agents, in % of theirs, ADE / FDE: below 0 we are better, surely so where the \
-             whole 95 % interval is. Paired bootstrap, {RESAMPLES} resamples of blocks as long as one window."
+            "Difference of the errors (ADE / FDE) on the same agents, ours minus the baseline's, in % of the baseline's. Negative: \
+             ours is better; significant where the whole 95 % interval is below 0. Paired bootstrap, {RESAMPLES} resamples \
+             of blocks as long as one window."
         );
         let mut table = Self::new(title, &note, &["measure", "against"], names(columns));
         for (measure, method) in COMPARED {
@@ -229,7 +230,7 @@ impl Table {
         self.rows.push(names.map(str::to_owned).into_iter().chain(cells.iter().map(text)).collect());
     }
 
-    /// The table as Markdown under a heading of the first level; `made` tells how its figures were made.
+    /// The table as Markdown under a heading of the first level; `made` describes how its figures were made.
     pub fn markdown(&self, made: &str) -> String {
         let space = if self.note.is_empty() { "" } else { " " };
         format!("# {}\n\n{}{space}{made}\n\n{}", self.title, self.note, self.grid())
@@ -273,7 +274,7 @@ pub fn percent(&Interval { low, mean, high }: &Interval) -> String {
     format!("{mean:+.1} [{low:+.1}, {high:+.1}]")
 }
 
-/// Something that is told of our forecasts besides errors.
+/// A figure of our forecasts besides errors.
 pub(crate) struct Rate {
     pub(crate) name: &'static str,
     pub(crate) method: Method,
@@ -281,29 +282,30 @@ pub(crate) struct Rate {
     decimals: usize,
 }
 
-/// What is told of our forecasts besides errors, and of how many scenes and agents.
+/// The figures of our forecasts besides errors, and the numbers of scenes and agents.
 pub(crate) fn rates(tally: &Tally, horizon: usize) -> Vec<Rate> {
     let rate = |name, method, value: Option<f64>, decimals: usize| Rate { name, method, value, decimals };
     let count = |name, len: u64| rate(name, Method::Network, Some(len as f64), 0);
     let percent = |name, method, share: &metrics::Share| {
         rate(name, method, share.value().map(|share| 100.0 * share), 1)
     };
-    let sureness =
-        Method::OURS.iter().enumerate().map(|(ours, &method)| (method, tally.sureness(ours, horizon)));
+    let calibration =
+        Method::OURS.iter().enumerate().map(|(ours, &method)| (method, tally.calibration(ours, horizon)));
     let mut rates = vec![count("scenes", tally.scenes_len), count("agents", tally.agents_len)];
-    rates.extend(sureness.clone().map(|(method, of)| rate("KDE-NLL", method, of.kde_nll.value(), 3)));
-    let mut shares = |name, share: fn(&Sureness) -> &metrics::Share| {
-        rates.extend(sureness.clone().map(|(method, of)| percent(name, method, share(&of))));
+    rates.extend(calibration.clone().map(|(method, of)| rate("KDE-NLL", method, of.kde_nll.value(), 3)));
+    let mut shares = |name, share: fn(&Calibration) -> &metrics::Share| {
+        rates.extend(calibration.clone().map(|(method, of)| percent(name, method, share(&of))));
     };
-    shares("in the 50 % region, %", |of| &of.covered_50);
-    shares("in the 90 % region, %", |of| &of.covered_90);
-    shares("best of 20 ends over 2 m off, %", |of| &of.missed_best);
-    shares("K = 1 ends over 2 m off, %", |of| &of.missed_single);
+    shares("coverage of the 50 % region, %", |of| &of.covered_50);
+    shares("coverage of the 90 % region, %", |of| &of.covered_90);
+    shares("miss rate (2 m), minFDE₂₀, %", |of| &of.missed_best);
+    shares("miss rate (2 m), K = 1, %", |of| &of.missed_single);
     rates.extend([
-        percent("K = 1 forecasts that collide, %", Method::Network, &tally.collided),
-        percent("recorded futures that collide, %", Method::Network, &tally.truly_collided),
+        percent("collision rate, K = 1 forecasts, %", Method::Network, &tally.collided),
+        percent("collision rate, recorded futures, %", Method::Network, &tally.truly_collided),
     ]);
     let broken = Method::OURS.iter().zip(&tally.broken);
-    rates.extend(broken.map(|(&method, broken)| percent("forecasts that break a limit, %", method, broken)));
+    rates
+        .extend(broken.map(|(&method, broken)| percent("forecasts that violate a limit, %", method, broken)));
     rates
 }
