@@ -70,13 +70,13 @@ pub enum EvaluateError {
         dt_s: f64,
     },
     /// A tracker failed on a recording.
-    #[error("{recording}: the tracker \"{name}\": {problem}")]
+    #[error("{recording}: the tracker \"{name}\": {source}")]
     Contender {
         /// The tracker.
         name: &'static str,
         /// What it was to track.
         recording: String,
         /// What is wrong.
-        problem: String,
+        source: Box<dyn std::error::Error + Send + Sync>,
     },
 }

@@ -74,7 +74,7 @@ impl Sequence {
         let failed = |problem: String| EvaluateError::Contender {
             name: contender.name,
             recording: self.recording.name.clone(),
-            problem,
+            source: problem.into(),
         };
         let published = (contender.track)(&self.with_scores(least_scores)).map_err(failed)?;
         let mut counts = [Counts::default(); CLASSES.len()];
