@@ -37,7 +37,10 @@ impl Report {
         match self.verdict.status {
             Status::Ok => {
                 let ticks = if self.run.lockstep == Some(true) { "forecast" } else { "in time" };
-                writeln!(text, " OK          every tick {ticks}, nothing lost, no fallback but of young tracks")?;
+                writeln!(
+                    text,
+                    " OK          every tick {ticks}, nothing lost, no fallback but of young tracks"
+                )?;
             }
             Status::Degraded => {
                 writeln!(text, " DEGRADED    {}", self.verdict.reasons.join("\n             "))?;
@@ -135,7 +138,11 @@ impl Report {
         )?;
         self.stages.iter().try_for_each(|stage| stage_row(text, stage, all, cells))?;
         let publish = if all { ", publish" } else { "" };
-        writeln!(text, " {:LABEL_WIDTH$}waiting, wake-up{publish}: ms at p99; over: ticks over budget; lost: frames", "")
+        writeln!(
+            text,
+            " {:LABEL_WIDTH$}waiting, wake-up{publish}: ms at p99; over: ticks over budget; lost: frames",
+            ""
+        )
     }
 
     fn forecasts(&self, text: &mut String, width: usize) -> fmt::Result {

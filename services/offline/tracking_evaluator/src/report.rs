@@ -198,7 +198,7 @@ impl TrackingReport {
         let note = format!(
             "RMSE / MAE; columns with gaps count the occluded instants alone. Positions are measured at 10 Hz with \
              Gaussian noise of the given standard deviation per axis. A vehicle's first gap begins 3 to 7 s after it \
-             appears, each later one 4 s after the last. {} s from the middle of each recording; the reference \
+             appears, each later one 4 s after the end of the last. {} s from the middle of each recording; the reference \
              velocity is the central difference of the recorded positions. Tracks count from an age of 1 s. Learned: \
              every step of the model, forecasts from the filter's own estimates become its prior; their controls \
              fade in, and gaps keep the last forecast. Warm-started retrieval: the forecasts also use the retrieval \
