@@ -2,7 +2,7 @@
 //!
 //! In goes a folder of golden vectors: inputs, and what an independent implementation computed from them. Out
 //! comes a [`Comparison`] per vector. A folder has one of two forms, recognised by its files: the tensors of
-//! a [`model`], or the numbers of [`tracking`].
+//! a `model`, or the numbers of `tracking`.
 
 mod comparison;
 mod model;
