@@ -72,8 +72,8 @@ impl<const N: usize> Gaussian<N> {
     /// The state becomes the Gaussian with the [`moments`](fn@crate::moments) of its posteriors under each
     /// observation and of itself. Where all have the same noise, that is the probabilistic data association
     /// filter \[Y. Bar-Shalom, E. Tse: *Tracking in a cluttered environment with probabilistic data
-    /// association*, 1975\], its spread of the innovations included. A single observation of probability 1 is an
-    /// [update](Gaussian::update) to the bit; without any the state stays.
+    /// association*, 1975\], its spread of the innovations included. A single observation of probability 1
+    /// is an [update](Gaussian::update) to the bit; without any the state stays.
     ///
     /// # Errors
     /// [`FilterFault`] where the update by any of them fails; the state is then as before.

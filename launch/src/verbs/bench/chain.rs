@@ -28,7 +28,8 @@ struct Memory {
     shared_kib: u64,
 }
 
-/// Latency, overhead and memory of a run of `seconds` in real time, and the latency of a pipe in the same run.
+/// Latency, overhead and memory of a run of `seconds` in real time, and the latency of a pipe in the same
+/// run.
 pub(super) fn table(model: &ModelArguments, set: &SetArguments, seconds: u64) -> Result<String, Failure> {
     let unavailable = |error: std::io::Error| Failure::unavailable(error);
     let report = std::env::temp_dir().join(format!("stgdat_bench_{}.json", std::process::id()));

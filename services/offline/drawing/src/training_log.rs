@@ -123,7 +123,8 @@ impl TrainingLog {
     /// out, too.
     ///
     /// # Errors
-    /// [`LogError`] where the file can't be read, is too long, has no lines, or has one that is none of a log.
+    /// [`LogError`] where the file can't be read, is too long, has no lines, or has one that is none of a
+    /// log.
     pub fn read(path: &Path) -> Result<Self, LogError> {
         let unreadable = |source| LogError::Unreadable { path: path.to_owned(), source };
         let mut lines = BufReader::new(File::open(path).map_err(unreadable)?.take(BYTES_MAX + 1));

@@ -172,8 +172,8 @@ mod tests {
     use crate::baselines::Candidate;
     use crate::{Agent, Block, Subset, Tally};
 
-    /// Blocks of one pedestrian who walks 1 m; the single forecast of the n-th is off by `off_m(n)`, its one mode by half
-    /// of that.
+    /// Blocks of one pedestrian who walks 1 m; the single forecast of the n-th is off by `off_m(n)`, its one
+    /// mode by half of that.
     fn group(off_m: impl Fn(usize) -> f32) -> Group {
         let block = |number: usize| {
             let agent = Agent {

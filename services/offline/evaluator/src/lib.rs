@@ -1,13 +1,14 @@
 //! Evaluates forecasts against recorded futures, and baselines on the very same agents.
 //!
-//! [`eth_ucy`], [`sdd`], [`interaction`] and [`files`] are *protocols*: each reads recordings and cuts them into
-//! [`Scene`]s. The [`Forecaster`] runs the shipped stages on the `tracks` payloads of scenes; the [`Judge`]
-//! does so for every agent that counts, lets the baselines forecast the very same agents and adds up all
-//! errors in [`Tally`]s, a [`Block`] of a recording at a time. [`Group`]s of blocks (a fold, a site) make the
-//! tables of a [`Report`]. [`ablation()`] compares variants of a model with one another on the same blocks.
+//! [`eth_ucy`], [`sdd`], [`interaction`] and [`files`] are *protocols*: each reads recordings and cuts them
+//! into [`Scene`]s. The [`Forecaster`] runs the shipped stages on the `tracks` payloads of scenes; the
+//! [`Judge`] does so for every agent that counts, lets the baselines forecast the very same agents and adds
+//! up all errors in [`Tally`]s, a [`Block`] of a recording at a time. [`Group`]s of blocks (a fold, a site)
+//! make the tables of a [`Report`]. [`ablation()`] compares variants of a model with one another on the same
+//! blocks.
 //!
-//! What other evaluations share lies here too: [`Options`] and [`Footage`] read data sets and weights, [`Table`]
-//! writes Markdown, [`threads`] splits work with results that do not depend on their number.
+//! What other evaluations share lies here too: [`Options`] and [`Footage`] read data sets and weights,
+//! [`Table`] writes Markdown, [`threads`] splits work with results that do not depend on their number.
 
 mod ablation;
 mod baselines;

@@ -33,8 +33,8 @@ pub enum MapChoice {
     None,
     /// The map of the recording so far.
     Online,
-    /// The map of the site's training recordings, none where there are none; the online map in data sets without
-    /// sites.
+    /// The map of the site's training recordings, none where there are none; the online map in data sets
+    /// without sites.
     Site,
 }
 
@@ -43,7 +43,8 @@ pub enum MapChoice {
 pub struct Options {
     /// Folder that holds the data sets, laid out as published.
     pub data: PathBuf,
-    /// The part of the data set that is forecast: the test part to report on, the validation part to choose by.
+    /// The part of the data set that is forecast: the test part to report on, the validation part to choose
+    /// by.
     pub part: Part,
     /// The weights.
     pub weights: WeightsChoice,
@@ -70,8 +71,9 @@ impl Footage {
 }
 
 impl MapChoice {
-    /// The map that was chosen. Without one of the site there is none at all: what a model has learned of maps
-    /// it has learned at other sites, and there it forecasts worse with the online map than with nothing.
+    /// The map that was chosen. Without one of the site there is none at all: what a model has learned of
+    /// maps it has learned at other sites, and there it forecasts worse with the online map than with
+    /// nothing.
     #[must_use]
     pub const fn input(self, site: Option<&ContextMap>) -> MapInput<'_> {
         match (self, site) {

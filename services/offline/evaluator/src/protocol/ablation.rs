@@ -36,9 +36,9 @@ struct Windows {
     in_pixels: bool,
 }
 
-/// Evaluates variants of `recipe` on the same windows of the part that `options` name: those of a fold with two or
-/// more pedestrians, all of Stanford Drone, or the moving vehicles of INTERACTION, at the recipe's held-out site if
-/// it has one.
+/// Evaluates variants of `recipe` on the same windows of the part that `options` name: those of a fold with
+/// two or more pedestrians, all of Stanford Drone, or the moving vehicles of INTERACTION, at the recipe's
+/// held-out site if it has one.
 ///
 /// Every variant reads the poorer of the maps that `options` and the variant name.
 ///
@@ -134,8 +134,8 @@ impl Windows {
         options.read(&paths, Some(self.set.format()), &self.cut)
     }
 
-    /// Maps of the training recordings of the footage's sites, by site. There are none in a set without sites, or
-    /// for a held-out site.
+    /// Maps of the training recordings of the footage's sites, by site. There are none in a set without
+    /// sites, or for a held-out site.
     fn site_maps(
         &self,
         options: &Options,

@@ -18,8 +18,8 @@ const TRUE_TIME: &str = "eth_ucy/obsmat/eth_0.4s.txt";
 /// Evaluates the weights of the five folds under both window rules, and those of ETH on the scene in
 /// its true time as well.
 ///
-/// A window is 20 annotated frames in a row, one frame after the other; pedestrians count that are present in all of
-/// them. The network sees all that are present at the newest of the 8.
+/// A window is 20 annotated frames in a row, one frame after the other; pedestrians count that are present
+/// in all of them. The network sees all that are present at the newest of the 8.
 ///
 /// # Errors
 /// Where weights or recordings are missing or of another kind.

@@ -11,8 +11,9 @@ use crate::report::{Column, Report, Table};
 use crate::weights::EMBEDDED;
 use crate::{Baselines, Cut, EvaluateError, Subset};
 
-/// Evaluates one set of weights on the recordings at `paths`, in steps of the model; there is no training part for
-/// anchors or a site map. The report lists recordings without an agent over a whole window as left out.
+/// Evaluates one set of weights on the recordings at `paths`, in steps of the model; there is no training
+/// part for anchors or a site map. The report lists recordings without an agent over a whole window as left
+/// out.
 ///
 /// # Errors
 /// Where weights or recordings can't be read, or no recording has an agent over a whole window.

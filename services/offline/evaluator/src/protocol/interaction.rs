@@ -38,8 +38,8 @@ struct Judged {
 
 /// Evaluates forecasts of 1 to 5 s, with the recorded speed and once more with motion from positions alone.
 ///
-/// Vehicles count that are present over all 14 steps; the network sees all agents at the newest of the 4. Moving
-/// agents have at least [`MOVING_MPS`] at the last observed step, whatever the future.
+/// Vehicles count that are present over all 14 steps; the network sees all agents at the newest of the 4.
+/// Moving agents have at least [`MOVING_MPS`] at the last observed step, whatever the future.
 ///
 /// # Errors
 /// Where weights or recordings are missing or of another kind.
