@@ -22,10 +22,10 @@ pub fn contenders<'a>(weights: Option<&'a PathBuf>, model: &'a ModelConfig) -> V
         name,
         track: Box::new(move |recording: &Recording| {
             let options = tracker::Options { prior, ..tracker::Options::default() };
-            let tracker = StageRun::with_options(&tracker::STAGE, &options).map_err(|e| e.to_string())?;
+            let tracker = StageRun::with_options(&tracker::STAGE, &options)?;
             let run =
                 Run { lockstep: true, weights: weights.cloned(), stages: vec![tracker], ..Run::default() };
-            track(recording, run, model).map_err(|failure| failure.to_string())
+            Ok(track(recording, run, model)?)
         }),
     };
     vec![

@@ -1,3 +1,4 @@
+use std::error::Error;
 use std::path::PathBuf;
 
 use thiserror::Error;
@@ -60,7 +61,7 @@ pub enum PictureError {
     },
     /// The picture could not be turned into pixels.
     #[error("the picture can't be rasterised: {0}")]
-    Raster(String),
+    Raster(#[source] Box<dyn Error + Send + Sync>),
     /// The file can't be written.
     #[error("{path}: {source}", path = path.display())]
     Write {

@@ -1,3 +1,4 @@
+use std::error::Error;
 use std::path::Path;
 
 use resvg::tiny_skia::{Pixmap, Transform};
@@ -30,14 +31,16 @@ pub fn save(svg: &str, path: &Path) -> Result<(), PictureError> {
 /// # Errors
 /// [`PictureError`] where it is not well-formed or has more pixels than 10⁸.
 pub fn png(svg: &str) -> Result<Vec<u8>, PictureError> {
-    let failed = |error: &dyn std::fmt::Display| PictureError::Raster(error.to_string());
-    let tree = Tree::from_str(svg, &Options::default()).map_err(|error| failed(&error))?;
+    fn failed(error: impl Into<Box<dyn Error + Send + Sync>>) -> PictureError {
+        PictureError::Raster(error.into())
+    }
+    let tree = Tree::from_str(svg, &Options::default()).map_err(failed)?;
     // CSS has 96 pixels to the inch.
     let scale = PNG_DOTS_PER_INCH / 96.0;
     let [width, height] =
         [tree.size().width(), tree.size().height()].map(|size| (size * scale).ceil() as u32);
     within("the number of pixels", f64::from(width) * f64::from(height), 1.0, PIXELS_MAX)?;
-    let mut pixels = Pixmap::new(width, height).ok_or_else(|| failed(&"it has no size"))?;
+    let mut pixels = Pixmap::new(width, height).ok_or_else(|| failed("it has no size"))?;
     resvg::render(&tree, Transform::from_scale(scale, scale), &mut pixels.as_mut());
-    pixels.encode_png().map_err(|error| failed(&error))
+    pixels.encode_png().map_err(failed)
 }

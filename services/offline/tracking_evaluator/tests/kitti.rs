@@ -86,7 +86,7 @@ fn scores_are_chosen_on_one_part_for_the_other() {
 fn a_tracker_that_fails_is_named() {
     let root = tempfile::tempdir().unwrap();
     let options = options(root.path());
-    let contender = Contender { name: "lost", track: Box::new(|_| Err("no idea".to_owned())) };
+    let contender = Contender { name: "lost", track: Box::new(|_| Err("no idea".into())) };
     let error = tracking_evaluator::kitti(&options, vec![contender], |_| ()).unwrap_err();
     assert_eq!(error.to_string(), "Car/0000: the tracker \"lost\": no idea");
 }

@@ -5,6 +5,7 @@ use association::assignment::Assigner;
 use data::formats::kitti::{AnnotatedFrame, Annotations};
 use data::{Format, Recording};
 use metrics::tracking::{Frame, Object};
+use std::error::Error;
 use wire::{AgentType, Detection};
 
 use super::{Counts, GATE_M};
@@ -32,7 +33,8 @@ pub struct PublishedTrack {
 pub type Published = Vec<Vec<PublishedTrack>>;
 
 /// Makes tracks of a recording, or returns why it can't.
-pub type MakeTracks<'a> = Box<dyn Fn(&Recording) -> Result<Published, String> + Sync + 'a>;
+pub type MakeTracks<'a> =
+    Box<dyn Fn(&Recording) -> Result<Published, Box<dyn Error + Send + Sync>> + Sync + 'a>;
 
 /// A tracker to evaluate.
 pub struct Contender<'a> {
@@ -71,10 +73,10 @@ impl Sequence {
         contender: &Contender<'_>,
         least_scores: ByClass<f32>,
     ) -> Result<ByClass<Counts>, EvaluateError> {
-        let failed = |problem: String| EvaluateError::Contender {
+        let failed = |source| EvaluateError::Contender {
             name: contender.name,
             recording: self.recording.name.clone(),
-            source: problem.into(),
+            source,
         };
         let published = (contender.track)(&self.with_scores(least_scores)).map_err(failed)?;
         let mut counts = [Counts::default(); CLASSES.len()];
@@ -83,8 +85,8 @@ impl Sequence {
                 let tracks = published.get(index).map_or(&[][..], Vec::as_slice);
                 self.frame(index, annotated, tracks, agent_type)
             });
-            let frames: Vec<Frame> = frames.collect::<Result<_, _>>().map_err(|e| failed(e.to_string()))?;
-            *counts = Counts::of(&frames).map_err(|error| failed(error.to_string()))?;
+            let frames: Vec<Frame> = frames.collect::<Result<_, _>>().map_err(|e| failed(e.into()))?;
+            *counts = Counts::of(&frames).map_err(|error| failed(error.into()))?;
         }
         Ok(counts)
     }
@@ -208,7 +210,7 @@ mod tests {
                 let seen =
                     recording.frames.iter().map(|frame| frame.detections.iter().map(|d| d.score).collect());
                 let seen: Vec<Vec<f32>> = seen.collect();
-                Err(format!("{seen:?}"))
+                Err(format!("{seen:?}").into())
             }),
         };
         let error = |least| sequence().evaluate(&contender, [least, 9.0, 9.0]).unwrap_err().to_string();
