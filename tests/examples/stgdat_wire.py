@@ -620,6 +620,7 @@ class Forecast(c.Structure):
         ("modes", c.c_float * 2 * 12 * 20),  # Mean positions (x, y) of each mode and step in the world frame, m.
         ("mode_covariance", c.c_float * 3 * 12 * 20),  # Covariance of the position of each mode and step as (xx, xy, yy), m².
         ("controls", ControlGaussian * 12 * 20),  # The controls that lead to `modes`, as they act (after saturation), their first step at the stamp of the controls; zeros where `steering` says that there are none.
+        ("reserved_end", c.c_uint8 * 64),  # Zero.
     ]
 
     @staticmethod
@@ -628,7 +629,7 @@ class Forecast(c.Structure):
         return "stgdat.forecasts.2"
 
 
-_check(Forecast, 10240, {
+_check(Forecast, 10304, {
     "id": 0,
     "source_id": 8,
     "age_ns": 16,
@@ -659,6 +660,7 @@ _check(Forecast, 10240, {
     "modes": 640,
     "mode_covariance": 2560,
     "controls": 5440,
+    "reserved_end": 10240,
 })
 
 

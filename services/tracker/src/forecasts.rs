@@ -87,7 +87,7 @@ impl Controls {
         steering: Steering,
         fade_in_s: f64,
     ) -> Result<(), Rejected> {
-        forecast.check()?;
+        forecast.check_controls()?;
         self.modes_len = forecast.modes_len as usize;
         if !(1..=MODES_MAX).contains(&self.modes_len) {
             let (found, most) = (u64::from(forecast.modes_len), MODES_MAX as u64);

@@ -152,19 +152,27 @@ impl Forecast {
                 self.vx_mps,
                 self.vy_mps,
                 self.heading_rad,
-                self.frame_heading_rad,
                 self.length_m,
                 self.width_m,
                 self.out_of_distribution,
             ],
         )?;
         finite("expert weights", &self.expert_weights)?;
-        finite("mode probabilities", &self.probability)?;
         finite("forecast modes", self.modes.as_flattened().as_flattened())?;
         finite("best forecast", self.best.as_flattened())?;
         finite("forecast mean", self.mean.as_flattened())?;
         finite("forecast covariance", self.covariance.as_flattened())?;
         finite("covariance of the modes", self.mode_covariance.as_flattened().as_flattened())?;
+        self.check_controls()
+    }
+
+    /// The part of [`Self::check`] that a reader of the controls alone needs.
+    ///
+    /// # Errors
+    /// [`Rejected`] names the field.
+    pub fn check_controls(&self) -> Result<(), Rejected> {
+        finite("heading of the controls", &[self.frame_heading_rad])?;
+        finite("mode probabilities", &self.probability)?;
         finite("forecast controls", bytemuck::cast_slice(self.controls.as_flattened()))
     }
 }

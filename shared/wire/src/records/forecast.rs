@@ -68,7 +68,7 @@ numbers! {
 record! {
     /// The forecast of an agent: element of the topic `forecasts`. Step k lies (k + 1) Δt after the frame's
     /// stamp.
-    pub struct Forecast: 10240 bytes {
+    pub struct Forecast: 10304 bytes {
         /// The track.
         0 => id: u64,
         /// The detections' own identity where they carry one, else 0.
@@ -132,6 +132,9 @@ record! {
         /// The controls that lead to `modes`, as they act (after saturation), their first step at the stamp
         /// of the controls; zeros where `steering` says that there are none.
         5440 => controls: [[ControlGaussian; HORIZON_MAX]; MODES_MAX],
+        /// Zero. They make the size an odd number of cache lines: at a multiple of 2 KiB, one field of many
+        /// forecasts would share few sets of a cache.
+        10240 => reserved_end: [u8; 64],
     }
 }
 
