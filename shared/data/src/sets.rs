@@ -1,7 +1,8 @@
 //! The data sets and their train, validation and test parts, as lists of files.
 //!
 //! Validation parts where a set has none: of SDD TrajNet the scenes `gates_*` and `nexus_*`; of each site of
-//! INTERACTION the fifth of the recordings before the last fifth, which is the test part; of VCI-DUT the
+//! INTERACTION the fifth of the recordings before the last fifth, which is the test part; of each source of
+//! `driving` the last fifth of the recordings, where it has five or more; of VCI-DUT the
 //! intersections 11 and 12; of KITTI the sequences from 0016 on.
 
 use std::fs;
@@ -29,6 +30,11 @@ pub enum DataSet {
     KittiLabels,
     /// KITTI tracking, a detector's output; no test part.
     KittiDetections,
+    /// Vehicle tracks of real roads by source, in the project's own format; no test part.
+    Driving,
+    /// Scenes of Waymo Open Motion in the project's own format, for validation alone: their licence would
+    /// bind weights that are trained on them.
+    Womd,
 }
 
 /// The scene that a fold of ETH/UCY leaves out of training.
@@ -99,6 +105,8 @@ impl DataSet {
             Self::VciDut => "vci-dut",
             Self::KittiLabels => "kitti-labels",
             Self::KittiDetections => "kitti-detections",
+            Self::Driving => "driving",
+            Self::Womd => WOMD,
         }
     }
 
@@ -113,6 +121,7 @@ impl DataSet {
             Self::VciDut => Format::VciDut,
             Self::KittiLabels => Format::KittiLabels,
             Self::KittiDetections => Format::KittiDetections,
+            Self::Driving | Self::Womd => Format::Csv,
         }
     }
 
@@ -143,8 +152,32 @@ impl DataSet {
             }
             Self::KittiLabels => sequences(&root.join("kitti_tracking/label"), part),
             Self::KittiDetections => sequences(&root.join("kitti_tracking/detection/Car"), part),
+            Self::Driving => sources(&root.join("driving"), part),
+            Self::Womd if part == Part::Validation => list(&root.join("driving").join(WOMD)),
+            Self::Womd => Ok(Vec::new()),
         }
     }
+}
+
+/// The folder of the source that is for validation alone.
+const WOMD: &str = "womd";
+/// A source of fewer recordings has no validation part.
+const VALIDATED_MIN: usize = 5;
+
+/// The recordings of all sources but [`WOMD`]; the last fifth of each is for validation.
+fn sources(root: &Path, part: Part) -> Result<Vec<PathBuf>, ReadError> {
+    let mut files = Vec::new();
+    for source in list(root)?.iter().filter(|source| source.is_dir() && named(source) != WOMD) {
+        let mut recordings = list(source)?;
+        let validates = if recordings.len() < VALIDATED_MIN { 0 } else { recordings.len() / 5 };
+        let learned = recordings.len() - validates;
+        files.extend(match part {
+            Part::Train => recordings.drain(..learned),
+            Part::Validation => recordings.drain(learned..),
+            Part::Test => continue,
+        });
+    }
+    Ok(files)
 }
 
 /// The folder of a fold's part.

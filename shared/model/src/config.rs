@@ -119,6 +119,10 @@ pub struct ModelConfig {
     /// Whether latent points depend on the base control: a linear function of it is added to the point.
     #[serde(default)]
     pub base_latent: bool,
+    /// Whether the base control has bounds of the features that it was fitted to, beyond which it shrinks to
+    /// zero control.
+    #[serde(default)]
+    pub base_support: bool,
     /// Whether nodes carry a context embedding.
     #[serde(default = "yes")]
     pub context: bool,

@@ -9,6 +9,14 @@
 //! ```
 //!
 //! The best forecast has no anchor.
+//!
+//! A base with *support* has a lower and an upper bound per history class and feature, within which nearly all
+//! windows of its fit lie. Features are clamped to them, and the further the farthest one lies outside, the
+//! more ridge and anchors shrink to zero control:
+//!
+//! ```text
+//! e = max |x − clamp(x)| / (upper − lower) · control := control / (1 + (e / 0.25)²)
+//! ```
 
 use std::f32::consts::{PI, TAU};
 
@@ -27,6 +35,8 @@ pub const CLASSES: usize = 3;
 pub const SPEED_BINS: usize = 8;
 /// Bins of speed, acceleration and yaw rate.
 pub const BINS: usize = SPEED_BINS * 9;
+/// Distance from the support, in its width, at which controls are half.
+pub const HALF_SUPPORT: f32 = 0.25;
 /// Cuts between the bins of the acceleration, m/s².
 const ACCEL_CUTS_MPS2: [f32; 2] = [-0.7, 0.5];
 /// Cuts between the bins of the yaw rate, rad/s.
@@ -149,6 +159,39 @@ fn bin(value: f32, cuts: &[f32]) -> usize {
     cuts.iter().filter(|&&cut| value >= cut).count()
 }
 
+/// Bounds of the features that a base was fitted to.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Support {
+    bounds: [[f32; 2]; FEATURES],
+}
+
+impl Support {
+    /// The support with a lower and an upper bound per feature.
+    ///
+    /// # Panics
+    /// Where there are not as many bounds as features.
+    #[must_use]
+    pub fn new(bounds: &[[f32; 2]]) -> Self {
+        Self { bounds: std::array::from_fn(|feature| bounds[feature]) }
+    }
+
+    /// The features clamped to the bounds, and the share of the controls that is kept for how far they lay
+    /// outside.
+    #[must_use]
+    pub fn clamp(&self, features: &[f32; FEATURES]) -> ([f32; FEATURES], f32) {
+        let mut farthest = 0.0_f32;
+        let clamped = std::array::from_fn(|feature| {
+            let (x, [lower, upper]) = (features[feature], self.bounds[feature]);
+            let clamped = x.max(lower).min(upper);
+            if clamped != x {
+                farthest = farthest.max((x - clamped).abs() / (upper - lower).max(f32::MIN_POSITIVE));
+            }
+            clamped
+        });
+        (clamped, 1.0 / (1.0 + (farthest / HALF_SUPPORT).powi(2)))
+    }
+}
+
 impl Step {
     fn new(&[x, y, vx, vy, cos, sin]: &[f32; STATE_FEATURES], config: &ModelConfig) -> Self {
         let velocity_mps = [vx / config.velocity_scale, vy / config.velocity_scale];
@@ -175,6 +218,8 @@ pub struct Base {
     /// \[bin, mode, step\].
     anchors: Vec<[f32; 2]>,
     speed_cuts_mps: Vec<f32>,
+    /// \[class\]; none where the features have no bounds.
+    support: Option<Vec<Support>>,
     horizon_len: usize,
     modes_len: usize,
 }
@@ -190,10 +235,18 @@ impl Base {
         let ridge = weights.tensor(&name("ridge"), &[CLASSES, SPEED_BINS, FEATURES, 2 * horizon_len])?;
         let anchors = weights.tensor(&name("anchors"), &[BINS, modes_len, horizon_len, 2])?;
         let speed_cuts_mps = weights.tensor(&name("speed_cuts"), &[SPEED_BINS - 1])?;
+        let support = match weights.config().base_support {
+            true => {
+                let bounds = weights.tensor(&name("support"), &[CLASSES, FEATURES, 2])?;
+                Some(bounds.as_chunks().0.chunks_exact(FEATURES).map(Support::new).collect())
+            }
+            false => None,
+        };
         Ok(Self {
             ridge: ridge.to_vec(),
             anchors: anchors.as_chunks().0.to_vec(),
             speed_cuts_mps: speed_cuts_mps.to_vec(),
+            support,
             horizon_len,
             modes_len,
         })
@@ -209,9 +262,20 @@ impl Base {
         let rows = self.ridge[table * row_len..].chunks_exact(row_len);
         let sums = controls[..self.horizon_len].as_flattened_mut();
         sums.fill(0.0);
-        for (x, row) in features.values.iter().zip(rows) {
+        let (values, share) = self.supported(features);
+        for (x, row) in values.iter().zip(rows) {
             sums.iter_mut().zip(row).for_each(|(sum, w)| *sum += x * w);
         }
+        if share < 1.0 {
+            sums.iter_mut().for_each(|sum| *sum *= share);
+        }
+    }
+
+    /// The features within the support, and the share of the controls that is kept.
+    fn supported(&self, features: &BaseFeatures) -> ([f32; FEATURES], f32) {
+        self.support
+            .as_ref()
+            .map_or((features.values, 1.0), |support| support[features.class].clamp(&features.values))
     }
 
     /// Controls that the base has for an agent: those of every mode, then those of the best forecast.
@@ -227,12 +291,13 @@ impl Base {
     pub fn controls(&self, features: &BaseFeatures, controls: &mut [[f32; 2]]) {
         assert_eq!(controls.len(), self.controls_len(), "a control per mode and step");
         let (modes, best) = controls.split_at_mut(self.modes_len * self.horizon_len);
+        let (_, share) = self.supported(features);
         self.ridge(features, best);
         for (mode, controls) in modes.chunks_exact_mut(self.horizon_len).enumerate() {
             for (control, (ridge, anchor)) in
                 controls.iter_mut().zip(best.iter().zip(self.anchor(features, mode)))
             {
-                *control = [ridge[0] + anchor[0], ridge[1] + anchor[1]];
+                *control = [ridge[0] + share * anchor[0], ridge[1] + share * anchor[1]];
             }
         }
     }

@@ -8,9 +8,10 @@
 mod fit;
 mod targets;
 
+use std::borrow::Cow;
 use std::sync::Arc;
 
-use nn::{ModelConfig, base as binning, base::BaseFeatures};
+use nn::{ModelConfig, base as binning, base::BaseFeatures, base::Support};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use scene::{AgentFrame, AgentType, FeatureScales, State, state_features};
@@ -42,6 +43,8 @@ struct TypeBase {
     ridge: Vec<f32>,
     /// `[bins, modes + 1, controls]`; the last of each bin is zero, for the single best forecast.
     anchors: Vec<f32>,
+    /// `[classes, features]`: lower and upper bounds; none where the model has none.
+    support: Option<Vec<[f32; 2]>>,
 }
 
 /// Base control of one agent.
@@ -50,7 +53,7 @@ pub(crate) struct AgentBase<'a> {
     /// `[horizon × 2]`.
     pub(crate) ridge: Vec<f32>,
     /// `[(modes + 1) × horizon × 2]`.
-    pub(crate) anchors: &'a [f32],
+    pub(crate) anchors: Cow<'a, [f32]>,
 }
 
 impl BaseControl {
@@ -67,6 +70,7 @@ impl BaseControl {
         config: &ModelConfig,
         agents: impl Fn(AgentType) -> A,
         augmentation: Augmentation,
+        vehicle_speed_cuts_mps: Option<[f32; binning::SPEED_BINS - 1]>,
         seed: u64,
     ) -> Result<Self, TrainError>
     where
@@ -74,6 +78,11 @@ impl BaseControl {
     {
         let types = AGENT_TYPES.iter().map(|&agent_type| {
             let mut zero = TypeBase::zero(config, agent_type);
+            if let Some(cuts_mps) = vehicle_speed_cuts_mps
+                && agent_type == AgentType::Vehicle
+            {
+                zero.speed_cuts_mps = cuts_mps;
+            }
             let mut random = ChaCha8Rng::seed_from_u64(seed);
             let mut samples = Vec::new();
             for agent in agents(agent_type) {
@@ -97,10 +106,13 @@ impl BaseControl {
         let (features, bins) = describe(history, frame, &base.speed_cuts_mps, &self.config);
         let controls_len = 2 * self.config.horizon_len;
         let per_bin = (self.config.modes + 1) * controls_len;
-        AgentBase {
-            ridge: base.ridge(&features, bins, controls_len),
-            anchors: &base.anchors[bins.bin * per_bin..][..per_bin],
+        let (features, share) = base.supported(&features, bins);
+        let mut ridge = base.ridge(&features, bins, controls_len);
+        let mut anchors = Cow::Borrowed(&base.anchors[bins.bin * per_bin..][..per_bin]);
+        if share < 1.0 {
+            ridge.iter_mut().chain(anchors.to_mut()).for_each(|control| *control *= share);
         }
+        AgentBase { ridge, anchors }
     }
 
     /// Adds the tensors `base.*`.
@@ -117,6 +129,10 @@ impl BaseControl {
             let anchors = per_bin.flat_map(|bin| &bin[..modes * controls_len]).copied().collect();
             fixed("anchors", &[binning::BINS, modes, horizon, 2], anchors);
             fixed("speed_cuts", &[binning::SPEED_BINS - 1], base.speed_cuts_mps.to_vec());
+            if let Some(support) = &base.support {
+                let bounds = support.as_flattened().to_vec();
+                fixed("support", &[binning::CLASSES, binning::FEATURES, 2], bounds);
+            }
         }
     }
 
@@ -130,6 +146,10 @@ impl BaseControl {
                 |bin: &[f32]| bin.iter().copied().chain(std::iter::repeat_n(0.0, controls_len)).collect();
             Some(TypeBase {
                 speed_cuts_mps: values("speed_cuts")?.try_into().ok()?,
+                support: match config.base_support {
+                    true => Some(values("support")?.as_chunks().0.to_vec()),
+                    false => None,
+                },
                 ridge: values("ridge")?,
                 anchors: values("anchors")?
                     .chunks_exact(per_bin)
@@ -176,7 +196,17 @@ impl TypeBase {
             speed_cuts_mps: metrics::speed_cuts_mps(agent_type),
             ridge: vec![0.0; binning::CLASSES * binning::SPEED_BINS * binning::FEATURES * controls_len],
             anchors: vec![0.0; binning::BINS * (config.modes + 1) * controls_len],
+            support: config
+                .base_support
+                .then(|| vec![[f32::MIN, f32::MAX]; binning::CLASSES * binning::FEATURES]),
         }
+    }
+
+    /// The features within the support, and the share of the controls that is kept.
+    fn supported(&self, features: &Features, bins: Bins) -> (Features, f32) {
+        self.support.as_ref().map_or((*features, 1.0), |support| {
+            Support::new(&support[bins.class * binning::FEATURES..]).clamp(features)
+        })
     }
 
     fn ridge(&self, features: &Features, bins: Bins, controls_len: usize) -> Vec<f32> {

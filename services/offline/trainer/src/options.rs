@@ -1,3 +1,4 @@
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use data::sets::DataSet;
@@ -79,6 +80,12 @@ pub struct TrainOptions {
     /// Evenness of the draw of sites in a data set: by size where 0, by its square root where 0.5, uniform
     /// where 1.
     pub even_sites: f64,
+    /// Share of the clips of fast roads that are shown at a larger scale, so that their vehicles are faster.
+    pub faster: f64,
+    /// Factors of the weights by which data sets are drawn, by name; 1 for all others.
+    pub set_weights: BTreeMap<String, f64>,
+    /// Bounds of the base control's speed bins of vehicles; if none, those of streets.
+    pub vehicle_speed_cuts_mps: Option<[f32; nn::base::SPEED_BINS - 1]>,
     /// Updates between two validations.
     pub validate_every: u64,
     /// Agents of each set in a validation during training at most.
@@ -134,6 +141,9 @@ impl Default for TrainOptions {
             noisy_history: 0.5,
             differenced_history: 0.15,
             even_sites: 1.0,
+            faster: 0.0,
+            set_weights: BTreeMap::new(),
+            vehicle_speed_cuts_mps: None,
             validate_every: 1_000,
             validation_agents: 400,
             patience: 12,
@@ -174,8 +184,8 @@ impl TrainOptions {
                 )
             }
             _ if !self.shares().iter().all(|share| (0.0..=1.0).contains(share)) => refuse(
-                "without_map, site_map and their sum, short_history, noisy_history, differenced_history and standing \
-                 must be 0 to 1",
+                "without_map, site_map and their sum, short_history, noisy_history, differenced_history, standing \
+                 and faster must be 0 to 1",
             ),
             _ if ![self.scale_deviation, self.base_scale_deviation]
                 .iter()
@@ -184,6 +194,9 @@ impl TrainOptions {
                 refuse("scale_deviation and base_scale_deviation must be 0 or more and less than 1")
             }
             _ if !(0.0..=1.0).contains(&self.even_sites) => refuse("even_sites must be 0 to 1"),
+            _ if self.set_weights.values().any(|weight| !(0.0..=1000.0).contains(weight)) => {
+                refuse("set_weights must be 0 to 1000")
+            }
             _ if self.steps == 0 || self.validate_every == 0 => {
                 refuse("steps and validate_every must be 1 or more")
             }
@@ -201,7 +214,7 @@ impl TrainOptions {
         Self { data, out, checkpoints, resume, begin_with, ..self.clone() }
     }
 
-    fn shares(&self) -> [f64; 7] {
+    fn shares(&self) -> [f64; 8] {
         [
             self.without_map,
             self.site_map,
@@ -210,6 +223,7 @@ impl TrainOptions {
             self.noisy_history,
             self.differenced_history,
             self.standing,
+            self.faster,
         ]
     }
 }
@@ -254,6 +268,7 @@ pub(crate) fn onboard_config() -> ModelConfig {
         best_latent: true,
         base: true,
         base_latent: true,
+        base_support: false,
         context: true,
         feedback: Feedback::Zeros,
     }

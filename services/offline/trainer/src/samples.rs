@@ -70,6 +70,11 @@ pub(crate) struct Samples {
     sites: Vec<Option<PathBuf>>,
 }
 
+/// The folder of a recording is what its set is drawn evenly by: a site or a source.
+fn folder(set: DataSet, path: &Path) -> Option<PathBuf> {
+    matches!(set, DataSet::Interaction | DataSet::Driving).then(|| path.parent().map(Path::to_owned))?
+}
+
 /// The scenes to read.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Selection<'a> {
@@ -108,7 +113,7 @@ impl Samples {
         mut progress: impl FnMut(&Path),
     ) -> Result<Self, TrainError> {
         let (mut sets, mut sources) = (Vec::new(), Vec::new());
-        let (mut grounds, mut sites) = (Vec::new(), Vec::new());
+        let (mut grounds, mut sites, mut folders) = (Vec::new(), Vec::new(), Vec::new());
         for &set in selection.sets {
             let mut windows = Vec::new();
             for path in selection.files(set)? {
@@ -121,6 +126,7 @@ impl Samples {
                 }
                 grounds.push(ground);
                 sites.push(site(set, &path));
+                folders.push(folder(set, &path));
                 sources.push(Source {
                     set: format!("{} {}", set.name(), selection.part.name()),
                     name: recording.name,
@@ -129,7 +135,7 @@ impl Samples {
             }
             let stride = windows.len().div_ceil(selection.windows_max).max(1);
             let windows: Vec<Window> = windows.into_iter().step_by(stride).collect();
-            let of_window = |window: &Window| sites[window.recording as usize].as_deref();
+            let of_window = |window: &Window| folders[window.recording as usize].as_deref();
             let sites = runs(&windows, |a, b| of_window(a) == of_window(b));
             sets.push(SetSamples { set, windows, sites });
         }

@@ -136,7 +136,9 @@ impl<'a> Run<'a> {
                     noise: options.noisy_history > 0.0,
                     differenced: options.differenced_history,
                     scale_deviation: options.base_scale_deviation as f32,
+                    faster: options.faster,
                 },
+                options.vehicle_speed_cuts_mps,
                 options.seed,
             )?;
             base.store(&mut weights);
@@ -250,7 +252,9 @@ impl<'a> Run<'a> {
         let options = self.options;
         let sets: Vec<&SetSamples> =
             self.training.sets.iter().filter(|set| !set.windows.is_empty()).collect();
-        let weights: Vec<f64> = sets.iter().map(|set| (set.windows.len() as f64).sqrt()).collect();
+        let factor = |set: &SetSamples| options.set_weights.get(set.set.name()).copied().unwrap_or(1.0);
+        let weights: Vec<f64> =
+            sets.iter().map(|set| factor(set) * (set.windows.len() as f64).sqrt()).collect();
         let mut clips: Vec<Vec<SceneView<'_>>> = Vec::new();
         let (mut agents_len, mut tries) = (0, 0);
         while agents_len < options.batch_agents && tries < options.batch_agents {
@@ -377,6 +381,8 @@ fn set_named(name: &str) -> Result<DataSet, TrainError> {
         DataSet::VciDut,
         DataSet::KittiLabels,
         DataSet::KittiDetections,
+        DataSet::Driving,
+        DataSet::Womd,
     ];
     let folds = data::sets::Fold::ALL.map(DataSet::EthUcyFold);
     let known = || sets.into_iter().chain(folds);

@@ -21,6 +21,10 @@ const VEHICLE_NOISE: (f32, f32, f32) = (0.1, 0.4, 0.03);
 const STANDING_MPS: f32 = 0.3;
 /// See [`STANDING_MPS`].
 const STANDING_M: f32 = 0.5;
+/// Speed from which on a vehicle is fast: roads of such speeds, shown at a larger scale, look like a motorway.
+const FAST_MPS: f32 = 9.0;
+/// Largest scale of fast roads.
+const FASTER_MAX: f32 = 2.5;
 
 /// How some neighbouring scenes of a recording are shown, the same for all of them.
 #[derive(Clone, Copy, Debug)]
@@ -31,6 +35,8 @@ pub(crate) struct Clip {
     mirrored: bool,
     /// Factor of all lengths.
     scale: f32,
+    /// Whether that makes a fast road faster.
+    faster: bool,
     /// Whether motion is differences of positions.
     differenced: bool,
 }
@@ -46,9 +52,14 @@ impl Clip {
         let free = agents.all(|agent| agent.agent_type != scene::AgentType::Vehicle);
         let mirrored = free && random.random_bool(0.5);
         let deviation: f32 = Distribution::<f32>::sample(&StandardNormal, random);
-        let scale = if free { (deviation * options.scale_deviation as f32).exp() } else { 1.0 };
+        let faster = !free && options.faster > 0.0 && is_fast(centre) && random.random_bool(options.faster);
+        let scale = match (free, faster) {
+            (true, _) => (deviation * options.scale_deviation as f32).exp(),
+            (_, true) => faster_scale(random),
+            _ => 1.0,
+        };
         let differenced = random.random_bool(options.differenced_history);
-        Self { centre: centre.id, centre_m: position_m(centre), mirrored, scale, differenced }
+        Self { centre: centre.id, centre_m: position_m(centre), mirrored, scale, faster, differenced }
     }
 
     /// Shows a scene: the agents around the middle, some with a shortened or noisy history.
@@ -78,8 +89,21 @@ impl Clip {
             view.counts &= moves(&view) || random.random_bool(options.standing);
             Some(view)
         });
+        // A map keeps its scale: a road that is shown faster than it is has none.
+        let map = map.filter(|_| !self.faster);
         SceneView { agents: agents.collect(), map, mirrored: self.mirrored }
     }
+}
+
+/// Whether an agent is a vehicle on a fast road.
+pub(crate) fn is_fast(agent: &Agent) -> bool {
+    let newest = agent.history.iter().rev().flatten().next();
+    agent.agent_type == scene::AgentType::Vehicle && newest.is_some_and(|state| state.speed_mps() > FAST_MPS)
+}
+
+/// A scale of a fast road.
+pub(crate) fn faster_scale(random: &mut impl Rng) -> f32 {
+    random.random_range(0.0..FASTER_MAX.ln()).exp()
 }
 
 /// Whether an agent moves at the end of its history or in its future.

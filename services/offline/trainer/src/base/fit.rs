@@ -30,6 +30,8 @@ const RECORDED_ENOUGH: usize = 2000;
 const KMEANS_ITERATIONS: usize = 30;
 /// Windows per bin that the clustering uses.
 const CLUSTERED_MAX: usize = 4000;
+/// Share of the windows that lie beyond a bound of the support, on either side.
+const BEYOND: f64 = 0.0005;
 
 /// The motion of an agent as the fit inverts it.
 enum Motion {
@@ -68,6 +70,8 @@ pub(crate) struct Augmentation {
     /// they walk like the others; bins of frequent speeds have anchors of the recorded scale alone, see
     /// [`RECORDED_ENOUGH`].
     pub(crate) scale_deviation: f32,
+    /// Share of the fast vehicles that are also shown at a larger scale.
+    pub(crate) faster: f64,
 }
 
 impl Augmentation {
@@ -85,7 +89,12 @@ impl Augmentation {
                 let noisy = self.noise.then(|| (view::noisy(view.clone(), random), false));
                 let is_differenced = random.random_bool(self.differenced);
                 let differenced = is_differenced.then(|| (view::differenced(view.clone(), dt_s), false));
-                noisy.into_iter().chain(differenced).collect()
+                let faster = (view::is_fast(&view.agent) && random.random_bool(self.faster)).then(|| {
+                    let mut view = view.clone();
+                    view.scale(view::faster_scale(random));
+                    (view, false)
+                });
+                noisy.into_iter().chain(differenced).chain(faster).collect()
             }
             AgentType::Pedestrian if self.scale_deviation > 0.0 => {
                 let scaled = [Some(view.clone()), mirrored.clone()].into_iter().flatten().map(|mut view| {
@@ -196,6 +205,25 @@ impl TypeBase {
             self.fit_ridge(samples, controls_len);
         }
         self.fit_anchors(samples, config.modes, controls_len, (walks, seed));
+        self.fit_support(samples);
+    }
+
+    /// Bounds of every feature, from the windows of its history class.
+    fn fit_support(&mut self, samples: &[Sample]) {
+        let Some(support) = &mut self.support else { return };
+        for (class, bounds) in support.chunks_exact_mut(binning::FEATURES).enumerate() {
+            for (feature, bounds) in bounds.iter_mut().enumerate() {
+                let of_class = samples.iter().filter(|sample| sample.bins.class == class);
+                let mut values: Vec<f32> = of_class.map(|sample| sample.features[feature]).collect();
+                if values.is_empty() {
+                    continue;
+                }
+                values.sort_unstable_by(f32::total_cmp);
+                let last = values.len() - 1;
+                let beyond = (BEYOND * last as f64) as usize;
+                *bounds = [values[beyond], values[last - beyond]];
+            }
+        }
     }
 
     fn fit_ridge(&mut self, samples: &[Sample], controls_len: usize) {

@@ -266,5 +266,8 @@ impl Entries {
         fixed("ridge", &[nn::base::CLASSES, nn::base::SPEED_BINS, nn::base::FEATURES, controls]);
         fixed("anchors", &[nn::base::BINS, config.modes, config.horizon_len, 2]);
         fixed("speed_cuts", &[nn::base::SPEED_BINS - 1]);
+        if config.base_support {
+            fixed("support", &[nn::base::CLASSES, nn::base::FEATURES, 2]);
+        }
     }
 }
