@@ -23,7 +23,7 @@ const TRACKING_PARTS: [&str; 2] = ["interaction", "kitti"];
 /// Arguments of `stgdat evaluate`.
 #[derive(Debug, Args)]
 pub struct Arguments {
-    /// Data set `eth-ucy`, `sdd`, `interaction` or `tracking`, or recordings
+    /// Data set `eth-ucy`, `sdd`, `interaction`, `driving` or `tracking`, or recordings
     #[arg(required = true, value_name = "SET|FILE")]
     targets: Vec<PathBuf>,
     /// Folder with the data sets in their published layout
@@ -47,7 +47,8 @@ pub struct Arguments {
     #[arg(long, value_enum, default_value_t = Map::Site)]
     map: Map,
     /// Parts of `interaction`: `seen` or a held-out site [default: seen,FT,EP1]; of `tracking`: `interaction`
-    /// (filters on noisy positions) and `kitti` (trackers on a detector's output) [default: both]
+    /// (filters on noisy positions) and `kitti` (trackers on a detector's output) [default: both]; of
+    /// `driving`: sources [default: all]
     #[arg(long, value_name = "PART,…", value_delimiter = ',')]
     parts: Vec<String>,
     /// Standard deviations of the measured positions in `tracking`, m; by default those of the protocol
@@ -57,6 +58,12 @@ pub struct Arguments {
     /// as long
     #[arg(long)]
     particles: bool,
+    /// Publish the network's forecasts in `driving` as they are, whatever earlier ones were worth
+    #[arg(long)]
+    without_evidence: bool,
+    /// Write what `driving` shows the experts to be worth, as a prior for other roads
+    #[arg(long, value_name = "FILE")]
+    prior: Option<PathBuf>,
     /// Format of the recordings; detected if not given
     #[arg(long)]
     format: Option<Format>,
@@ -95,6 +102,7 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
     refuse_unused(name, arguments)?;
     let written = match name {
         "tracking" => track(arguments)?,
+        "driving" => vec![drive(arguments)?],
         _ => {
             let mut report = evaluate(name, arguments, &arguments.weights_dir)?;
             let beside = arguments.beside.iter().map(|folder| evaluate(name, arguments, folder));
@@ -121,17 +129,19 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
 
 /// Refuses options that would change nothing.
 fn refuse_unused(name: &str, arguments: &Arguments) -> Result<(), Failure> {
-    let is_tracking = name == "tracking";
-    let has_parts = is_tracking || name == "interaction";
+    let (is_tracking, is_driving) = (name == "tracking", name == "driving");
+    let has_parts = is_tracking || is_driving || name == "interaction";
     let is_set = has_parts || ["eth-ucy", "sdd"].contains(&name);
     let options = [
         (
             "--beside",
             !arguments.beside.is_empty(),
-            is_set && !is_tracking,
+            is_set && !is_tracking && !is_driving,
             "`eth-ucy`, `sdd` and `interaction`",
         ),
-        ("--parts", !arguments.parts.is_empty(), has_parts, "`interaction` and `tracking`"),
+        ("--parts", !arguments.parts.is_empty(), has_parts, "`interaction`, `driving` and `tracking`"),
+        ("--without-evidence", arguments.without_evidence, is_driving, "`driving`"),
+        ("--prior", arguments.prior.is_some(), is_driving, "`driving`"),
         ("--sigmas", !arguments.sigmas.is_empty(), is_tracking, "`tracking`"),
         ("--particles", arguments.particles, is_tracking, "`tracking`"),
         ("--format", arguments.format.is_some(), !is_set, "recordings"),
@@ -213,6 +223,31 @@ fn options(arguments: &Arguments, weights_dir: &Path) -> Options {
         },
         threads: arguments.threads.map_or(threads, usize::from),
     }
+}
+
+/// Forecasts as a car gets them, on many roads.
+fn drive(arguments: &Arguments) -> Result<Written, Failure> {
+    let Options { data, threads, .. } = options(arguments, &arguments.weights_dir);
+    let options = driving_evaluator::Options {
+        folder: data.join("driving"),
+        sources: arguments.parts.clone(),
+        weights: arguments.weights.clone(),
+        map: !matches!(arguments.map, Map::None),
+        evidence: !arguments.without_evidence,
+        threads,
+    };
+    let report = driving_evaluator::evaluate(&options, progress).map_err(Failure::data)?;
+    if let Some(path) = &arguments.prior {
+        write(path, &report.prior().to_json())?;
+    }
+    Ok(Written {
+        name: "driving",
+        mark: "evaluate driving".to_owned(),
+        markdown: report.markdown(),
+        summary: report.summary(),
+        csv: report.csv(),
+        json: report.json(),
+    })
 }
 
 /// The parts of `tracking`, in one table of figures.

@@ -3,6 +3,7 @@ use retrieval::{ControlChanges, ForecastControls};
 use wire::{AgentControls, Expert, Forecast, HORIZON_MAX, MODES_MAX, Rejected, Steering};
 
 use crate::Propagation;
+use crate::experts::Spread;
 
 /// Largest deviation of the sum of an agent's mode probabilities from 1.
 const PROBABILITY_SLACK: f32 = 1e-3;
@@ -44,10 +45,16 @@ impl<'a> LearnedControls<'a> {
         }
     }
 
+    /// The controls of the model's base alone.
+    pub(crate) fn base(&self) -> impl Iterator<Item = [f32; 2]> {
+        self.controls.base[..self.horizon_len].iter().copied()
+    }
+
     /// Writes the modes with their changed controls, the best forecast and the moments.
     pub(crate) fn forecast(
         &self,
         changes: &ControlChanges,
+        spread: &Spread,
         model: &MotionModel,
         propagation: Propagation,
         normals: &mut Normals,
@@ -55,8 +62,14 @@ impl<'a> LearnedControls<'a> {
     ) {
         let (modes_len, controls) = (self.controls.modes_len as usize, self.as_decoded());
         let mode_steps = |mode: usize| {
-            let steps = changes.mode(mode, &controls);
-            steps.map(|control| ControlGaussian::new(control.mean, control.cholesky))
+            let steps = changes.mode(mode, &controls).zip(changes.best(&controls));
+            steps.map(|(control, best)| {
+                let mean = [0, 1].map(|i| match spread.modes == 1.0 {
+                    true => control.mean[i],
+                    false => best[i] + spread.modes * (control.mean[i] - best[i]),
+                });
+                ControlGaussian::new(mean, control.cholesky.map(|entry| spread.modes * entry))
+            })
         };
         let mut moments = [[Moments::default(); HORIZON_MAX]; MODES_MAX];
         let modes = out.controls.iter_mut().zip(&mut moments).enumerate();
@@ -72,6 +85,9 @@ impl<'a> LearnedControls<'a> {
                 Propagation::MonteCarlo { particles } => {
                     model.particle_moments(mode_steps(mode), particles, normals, moments);
                 }
+            }
+            for (step, moments) in moments.iter_mut().enumerate() {
+                moments.covariance = spread.of_covariance(step, moments.covariance);
             }
         }
         out.steering = match model.kind() {

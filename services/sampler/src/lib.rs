@@ -8,8 +8,12 @@
 //! * *held*: the last learned forecast of the track, moved on to now, while it is not too old;
 //! * *kinematic*: zero control, with a covariance that grows.
 //!
+//! A learned forecast is the blend of the network's and of kinematic experts' that their matured forecasts
+//! call for, as wide as these call for: see [`evidence`].
+//!
 //! The modes of an agent make a mixture; its mean and covariance are published beside them.
 
+mod experts;
 mod held;
 mod kinematic;
 mod learned;

@@ -23,6 +23,9 @@ pub struct Options {
     /// their forecasts.
     #[schemars(extend("formerly" = "recall"))]
     pub retrieval: bool,
+    /// Whether the forecasts that have matured decide how network and kinematic experts are blended, and how
+    /// wide regions are; without, the network's are published as they are.
+    pub evidence: bool,
     /// File of the retrieval memory: read at the start, if it exists (warm start), and written at the end.
     #[schemars(extend("format" = "path"))]
     pub memory: Option<PathBuf>,
@@ -47,7 +50,7 @@ pub enum PropagationKind {
 impl Default for Options {
     fn default() -> Self {
         let propagation = PropagationKind::default();
-        Self { deadline_ms: 72.0, retrieval: true, memory: None, propagation, particles: 16 }
+        Self { deadline_ms: 72.0, retrieval: true, evidence: true, memory: None, propagation, particles: 16 }
     }
 }
 
@@ -96,6 +99,8 @@ pub struct SamplerOptions {
     pub seed: u64,
     /// Whether forecasts are corrected by the retrieval memory.
     pub retrieval: bool,
+    /// Whether the forecasts that have matured decide on blend and widths.
+    pub evidence: bool,
     /// Greatest age at which a learned forecast is published again as held.
     pub max_age_ns: u64,
 }
@@ -111,6 +116,7 @@ impl Default for SamplerOptions {
             propagation: Propagation::Linearised,
             seed: 0,
             retrieval: true,
+            evidence: false,
             max_age_ns: 1_600_000_000,
         }
     }

@@ -1,3 +1,4 @@
+use evidence::Evidence;
 use kinematics::{DisplacementKind, MotionKind, MotionOptions, Normals, PARTICLES_MAX};
 use retrieval::{ControlChanges, Key, Query, Retrieval, RetrievalMemory};
 use scene::{AgentType, track_history};
@@ -6,6 +7,7 @@ use wire::{
     Rejected, SPEED_MAX_MPS, Track, finite,
 };
 
+use crate::experts::{Experts, Spread};
 use crate::held::HeldForecasts;
 use crate::learned::LearnedControls;
 use crate::motion::{certain_motion, with_track_covariance};
@@ -17,6 +19,8 @@ pub struct Sampler {
     held: HeldForecasts,
     /// None where nothing is to be retrieved, or no tick came yet.
     retrieval: Option<Retrieval>,
+    /// None where evidence does not count, or no tick came yet.
+    experts: Option<Experts>,
     /// Scratch: the changes of the agent in hand.
     changes: ControlChanges,
 }
@@ -47,7 +51,8 @@ impl Sampler {
         if let Propagation::MonteCarlo { particles } = options.propagation {
             assert!((1..=PARTICLES_MAX).contains(&particles), "{particles} particles");
         }
-        Self { options, held: HeldForecasts::new(), retrieval: None, changes: ControlChanges::default() }
+        let changes = ControlChanges::default();
+        Self { options, held: HeldForecasts::new(), retrieval: None, experts: None, changes }
     }
 
     /// Retrieves from now on from a memory of forecasts of the same model.
@@ -55,10 +60,25 @@ impl Sampler {
         self.retrieval = Some(Retrieval::new(memory));
     }
 
+    /// Goes on with what an earlier sampler of the same model has learned of its experts, as after the end of
+    /// its session.
+    pub fn continue_from(&mut self, earlier: Self) {
+        if self.options.evidence {
+            self.experts = earlier.experts;
+            self.experts.iter_mut().for_each(Experts::end_session);
+        }
+    }
+
     /// The retrieval memory; none where nothing is to be retrieved, or no tick came yet.
     #[must_use]
     pub fn memory(&self) -> Option<&RetrievalMemory> {
         self.retrieval.as_ref().map(Retrieval::memory)
+    }
+
+    /// The evidence on the experts; none where it does not count, or no tick came yet.
+    #[must_use]
+    pub fn evidence(&self) -> Option<&Evidence> {
+        self.experts.as_ref().map(Experts::evidence)
     }
 
     /// Writes a forecast per track, in the tracks' order, by the controls of the same tick.
@@ -129,6 +149,12 @@ impl Sampler {
             let positions_m = detected.map(|track| (track.id, [track.x_m, track.y_m]));
             self.retrieval.get_or_insert_with(new).observe(tick.stamp_ns, positions_m);
         }
+        if self.options.evidence && tick.step_ns > 0 {
+            let new = || Experts::new(self.options.horizon_len, tick.step_ns);
+            let detected = tracks.iter().filter(|track| track.unseen_ns == 0);
+            let positions_m = detected.map(|track| (track.id, [track.x_m, track.y_m]));
+            self.experts.get_or_insert_with(new).observe(tick.stamp_ns, positions_m);
+        }
     }
 
     fn learned_one(
@@ -142,7 +168,8 @@ impl Sampler {
         let controls =
             LearnedControls::new(controls, self.options.horizon_len).map_err(|_| Cause::Rejected)?;
         let mut model = certain_motion(track, agent_type, &self.options, tick.dt_s());
-        let key = || Key::new(model.kind(), &track_history(track)[..self.options.history_len], tick.dt_s());
+        let history = &track_history(track)[..self.options.history_len];
+        let key = || Key::new(model.kind(), history, tick.dt_s());
         match self.retrieval.as_mut().and_then(|retrieval| Some((retrieval, key()?))) {
             Some((retrieval, key)) => {
                 let query = Query { stamp_ns: tick.stamp_ns, agent: track.id, key };
@@ -150,12 +177,24 @@ impl Sampler {
             }
             None => self.changes.reset(controls.probability()),
         }
+        let blended = self.experts.as_ref().map(|experts| {
+            let decoded = controls.as_decoded();
+            let network = self.changes.best(&decoded);
+            experts.blend((track, agent_type), history, &model, (network, controls.base()), tick.dt_s())
+        });
+        if let Some(blended) = &blended {
+            self.changes.shift(&blended.shift);
+        }
         if self.options.initial_covariance {
             model = with_track_covariance(model, track);
         }
         let mut normals = Normals::new(self.options.seed, track.id, tick.seq);
         begin(track, Quality::Learned, Cause::None, out);
-        controls.forecast(&self.changes, &model, self.options.propagation, &mut normals, out);
+        let spread = blended.as_ref().map_or_else(Spread::default, |blended| blended.spread);
+        controls.forecast(&self.changes, &spread, &model, self.options.propagation, &mut normals, out);
+        if let Some((experts, blended)) = self.experts.as_mut().zip(blended) {
+            experts.publish(tick.stamp_ns, &blended, out);
+        }
         if !is_within_the_world(out) {
             return Err(Cause::Rejected);
         }

@@ -70,7 +70,7 @@ pub use displacement::{
 pub use kmeans::{Clusters, kmeans};
 pub use limits::{BicycleLimits, Limits, PointLimits};
 pub use mean::{Mean, Share};
-pub use region::highest_density_level;
+pub use region::{HighestDensity, highest_density_level};
 
 /// A position (x, y) in metres.
 pub type Point = [f32; 2];

@@ -38,37 +38,79 @@ pub fn highest_density_level(
     truth: Point,
     seed: u64,
 ) -> f64 {
-    assert_eq!(means.len(), probability.len(), "one probability per mean");
-    assert_eq!(covariances.len(), probability.len(), "one probability per covariance");
-    let possible = || probability.iter().enumerate().filter(|(_, p)| **p > 0.0);
-    let total: f32 = possible().map(|(_, p)| p).sum();
-    let components: Vec<Component> = possible()
-        .map(|(k, p)| {
+    HighestDensity::default().level(means, covariances, probability, truth, seed)
+}
+
+/// The computation of [`highest_density_level`] in memory that is used again: from the second call on, of no
+/// more components, it allocates nothing.
+#[derive(Clone, Debug, Default)]
+pub struct HighestDensity {
+    components: Vec<Component>,
+    draws: Vec<usize>,
+    positions: Positions,
+    densities: Vec<f32>,
+}
+
+impl HighestDensity {
+    /// Memory for mixtures of up to `components_max` components.
+    #[must_use]
+    pub fn with_room(components_max: usize) -> Self {
+        let positions_max = DRAWS + components_max + 1;
+        let axis = || Vec::with_capacity(positions_max);
+        Self {
+            components: Vec::with_capacity(components_max),
+            draws: Vec::with_capacity(components_max),
+            positions: Positions { x: axis(), y: axis() },
+            densities: axis(),
+        }
+    }
+
+    /// As [`highest_density_level`].
+    ///
+    /// # Panics
+    /// Where there are not as many means, covariances and probabilities.
+    pub fn level(
+        &mut self,
+        means: &[Point],
+        covariances: &[[f32; 3]],
+        probability: &[f32],
+        truth: Point,
+        seed: u64,
+    ) -> f64 {
+        assert_eq!(means.len(), probability.len(), "one probability per mean");
+        assert_eq!(covariances.len(), probability.len(), "one probability per covariance");
+        let Self { components, draws, positions, densities } = self;
+        let possible = || probability.iter().enumerate().filter(|(_, p)| **p > 0.0);
+        let total: f32 = possible().map(|(_, p)| p).sum();
+        components.clear();
+        components.extend(possible().map(|(k, p)| {
             let centre = [means[k][0] - truth[0], means[k][1] - truth[1]];
             Component::new(centre, covariances[k], p / total)
-        })
-        .collect();
-    let mut rng = ChaCha8Rng::seed_from_u64(seed);
-    let mut positions = Positions::default();
-    let draws: Vec<usize> = components.iter().map(|c| c.draw(&mut rng, &mut positions)).collect();
-    // The origin is the truth.
-    positions.push([0.0; 2]);
-    let densities = positions.densities(&components);
-    let Some((&at_truth, mut at_draws)) = densities.split_last().filter(|(at_truth, _)| **at_truth > 0.0)
-    else {
-        return 1.0;
-    };
-    let mut level = 0.0;
-    for (component, draws_len) in components.iter().zip(draws) {
-        let (own, others) = at_draws.split_at(draws_len);
-        let likelier = own.iter().filter(|density| **density > at_truth).count();
-        level += f64::from(component.probability) * likelier as f64 / draws_len as f64;
-        at_draws = others;
+        }));
+        let mut rng = ChaCha8Rng::seed_from_u64(seed);
+        positions.clear();
+        draws.clear();
+        draws.extend(components.iter().map(|c| c.draw(&mut rng, positions)));
+        // The origin is the truth.
+        positions.push([0.0; 2]);
+        positions.write_densities(components, densities);
+        let Some((&at_truth, mut at_draws)) = densities.split_last().filter(|(at_truth, _)| **at_truth > 0.0)
+        else {
+            return 1.0;
+        };
+        let mut level = 0.0;
+        for (component, &draws_len) in components.iter().zip(&*draws) {
+            let (own, others) = at_draws.split_at(draws_len);
+            let likelier = own.iter().filter(|density| **density > at_truth).count();
+            level += f64::from(component.probability) * likelier as f64 / draws_len as f64;
+            at_draws = others;
+        }
+        level.min(1.0)
     }
-    level.min(1.0)
 }
 
 /// A Gaussian of the mixture, relative to the truth.
+#[derive(Clone, Debug)]
 struct Component {
     probability: f32,
     centre: Point,
@@ -111,7 +153,7 @@ impl Component {
 }
 
 /// Positions relative to the truth, by axis so that the density vectorises.
-#[derive(Default)]
+#[derive(Clone, Debug, Default)]
 struct Positions {
     x: Vec<f32>,
     y: Vec<f32>,
@@ -123,10 +165,16 @@ impl Positions {
         self.y.push(y);
     }
 
-    /// The density at each position, in units of the highest peak of a component.
-    fn densities(&self, components: &[Component]) -> Vec<f32> {
+    fn clear(&mut self) {
+        self.x.clear();
+        self.y.clear();
+    }
+
+    /// Writes the density at each position, in units of the highest peak of a component.
+    fn write_densities(&self, components: &[Component], densities: &mut Vec<f32>) {
         let highest = components.iter().map(Component::log2_weight).fold(f32::NEG_INFINITY, f32::max);
-        let mut densities = vec![0.0; self.x.len()];
+        densities.clear();
+        densities.resize(self.x.len(), 0.0);
         for component in components {
             // e^(−q/2) = 2^(−(a² + b²)) with (a, b) the whitened offset, scaled by √(log₂ e / 2).
             let [l11, l21, l22] = component.factor;
@@ -141,7 +189,6 @@ impl Positions {
                 *density += exp2(log2_peak - a * a - b * b);
             }
         }
-        densities
     }
 }
 

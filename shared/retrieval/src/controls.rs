@@ -79,6 +79,16 @@ impl ControlChanges {
         self.replaced[mode].is_some()
     }
 
+    /// Changes the controls of all modes and of the best forecast further.
+    pub fn shift(&mut self, by: &ControlChange) {
+        let replaced = self.replaced.iter_mut().flatten();
+        for change in [&mut self.best, &mut self.modes].into_iter().chain(replaced) {
+            for (own, by) in change.as_flattened_mut().iter_mut().zip(by.as_flattened()) {
+                *own += by;
+            }
+        }
+    }
+
     /// Resets to no change, of modes with these probabilities.
     pub fn reset(&mut self, probability: &[f32]) {
         (self.best, self.modes) = Default::default();

@@ -106,6 +106,35 @@ impl PartialEq for Residuals {
 }
 
 impl Residuals {
+    /// The residuals of a path to a forecast, both from the same start.
+    ///
+    /// # Panics
+    /// Where one of them has more steps than a payload holds.
+    #[must_use]
+    pub fn between(
+        kind: MotionKind,
+        start_m: [f32; 2],
+        forecast_m: &[[f32; 2]],
+        taken_m: &[[f32; 2]],
+        step_s: f32,
+    ) -> Self {
+        let path = |points_m: &[[f32; 2]]| {
+            let mut path = StepPath::new(start_m);
+            points_m.iter().for_each(|&point_m| path.push(point_m));
+            path
+        };
+        let (forecast, taken) = (path(forecast_m), path(taken_m));
+        let mut residuals = Self::default();
+        for step in 0..taken_m.len() {
+            for (component, residual) in residual(kind, &forecast, &taken, step, step_s).into_iter().enumerate() {
+                if let Some((step, residual)) = residual {
+                    residuals.set(step, component, residual);
+                }
+            }
+        }
+        residuals
+    }
+
     /// Residuals whose components are given one by one, NaN where unknown.
     pub(crate) fn from_fn(residual: impl Fn(usize, usize) -> f32) -> Self {
         Self { steps: std::array::from_fn(|step| [0, 1].map(|component| residual(step, component))) }

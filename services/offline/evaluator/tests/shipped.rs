@@ -14,7 +14,7 @@ use testing::public_recording;
 
 /// A run as `predict` sets it up.
 fn run(retrieval: bool, map: localiser::MapChoice, memory: Option<std::path::PathBuf>) -> Run {
-    let sampler = sampler::Options { retrieval, memory, ..sampler::Options::default() };
+    let sampler = sampler::Options { retrieval, memory, evidence: false, ..sampler::Options::default() };
     let localiser = localiser::Options { map };
     Run {
         lockstep: true,

@@ -1,4 +1,5 @@
 use bytemuck::Zeroable;
+use evidence::Evidence;
 use nn::ModelConfig;
 use run::Run;
 use tracker::Tracker;
@@ -68,6 +69,17 @@ impl Chain {
     /// [`ChainError`] where it can't be written.
     pub fn keep_memory(&self, run: &Run) -> Result<(), ChainError> {
         Ok(sampler::stage::save_memory(run, self.rest.sampler())?)
+    }
+
+    /// Goes on with what an earlier chain's sampler has learned of its experts.
+    pub fn continue_from(&mut self, earlier: Self) {
+        self.rest.continue_from(earlier.rest);
+    }
+
+    /// The sampler's evidence on its experts.
+    #[must_use]
+    pub fn evidence(&self) -> Option<&Evidence> {
+        self.rest.sampler().evidence()
     }
 
     /// The tracks of the last tick; none where it was refused.

@@ -76,6 +76,11 @@ impl TracksToForecasts {
         &self.forecasts[..len]
     }
 
+    /// Goes on with what the sampler of earlier stages has learned of its experts.
+    pub(crate) fn continue_from(&mut self, earlier: Self) {
+        self.sampler.continue_from(earlier.sampler);
+    }
+
     /// The sampler, with its retrieval memory.
     #[must_use]
     pub const fn sampler(&self) -> &Sampler {

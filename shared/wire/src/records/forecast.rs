@@ -31,6 +31,8 @@ numbers! {
         Missing = 3 => "missing",
         /// The track has too short a history for the model.
         Young = 4 => "young",
+        /// Constant velocity has more than half of the weight: earlier forecasts of the like were worse.
+        Outdone = 11 => "outdone",
     }
 }
 
@@ -60,6 +62,8 @@ numbers! {
         DecayingTurn = 3 => "decaying turn",
         /// The tracker's process model: zero control.
         ProcessModel = 4 => "process model",
+        /// An acceleration that decays.
+        DecayingAcceleration = 5 => "decaying acceleration",
         /// The network's best forecast with residuals of others at the same place, from the retrieval memory.
         Retrieval = 255 => "retrieval",
     }

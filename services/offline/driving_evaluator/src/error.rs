@@ -1,0 +1,44 @@
+use std::path::PathBuf;
+
+use data::ReadError;
+use nn::WeightsError;
+use onboard::ChainError;
+use run::OptionError;
+
+/// Why nothing could be evaluated.
+#[derive(Debug, thiserror::Error)]
+pub enum DrivingError {
+    /// A folder can't be listed.
+    #[error("{path}: {source}")]
+    Folder {
+        /// The folder.
+        path: PathBuf,
+        /// Why.
+        source: std::io::Error,
+    },
+    /// There is no such source.
+    #[error("{name}: no such source; there are {known}")]
+    UnknownSource {
+        /// What was asked for.
+        name: String,
+        /// The sources' names.
+        known: String,
+    },
+    /// A recording can't be read.
+    #[error(transparent)]
+    Read(#[from] ReadError),
+    /// Weights can't be used.
+    #[error("{path}: {source}")]
+    Weights {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong with it.
+        source: WeightsError,
+    },
+    /// The stages can't be set up.
+    #[error(transparent)]
+    Stages(#[from] ChainError),
+    /// The stages' options can't be recorded.
+    #[error(transparent)]
+    Run(#[from] OptionError),
+}

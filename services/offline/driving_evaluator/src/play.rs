@@ -1,0 +1,152 @@
+//! Plays the recordings of a source through the chain.
+
+use std::collections::{BTreeMap, VecDeque};
+
+use data::RecordedTrack;
+use metrics::{Anchors, HighestDensity};
+use nn::ModelConfig;
+use onboard::Chain;
+use run::{Run, StageRun};
+use scene::AgentType;
+use source::{Playback, PlaybackOptions};
+use wire::{Forecast, MODES_MAX};
+
+use crate::sample::{Judge, Sample};
+use crate::source::Source;
+use crate::{DrivingError, Learned, Options};
+
+/// Time between two forecasts of an agent that count.
+const EVERY_NS: i64 = 400_000_000;
+/// Time over which turn rate and acceleration of the kinematic yardsticks are taken.
+const RATES_NS: i64 = 800_000_000;
+/// Forecasts from which on a context is learned of.
+const LEARNED_MIN: f64 = 30.0;
+
+/// A source's matured forecasts, and what the sampler learned of its experts.
+pub(crate) struct Played {
+    pub(crate) samples: Vec<Sample>,
+    pub(crate) seconds: f64,
+    pub(crate) learned: Learned,
+}
+
+/// Plays a source as one run.
+pub(crate) fn play(
+    source: &Source,
+    anchors: &BTreeMap<AgentType, Anchors>,
+    options: &Options,
+    model: &ModelConfig,
+) -> Result<Played, DrivingError> {
+    let mut judge = Judge {
+        anchors,
+        levels: HighestDensity::with_room(MODES_MAX),
+        dt_s: model.dt_s as f32,
+        horizon_len: model.horizon_len,
+    };
+    let (mut samples, mut played_s) = (Vec::new(), 0.0);
+    let mut before: Option<Chain> = None;
+    for (number, path) in source.files.iter().enumerate() {
+        let recording = source.open(path)?;
+        let tracks: BTreeMap<u64, RecordedTrack> =
+            data::tracks(&recording).into_iter().map(|track| (track.id, track)).collect();
+        let playback = Playback::new(recording, PlaybackOptions { lockstep: true, ..PlaybackOptions::default() });
+        let mut chain = Chain::new(&run(&playback, options)?, model)?;
+        if let Some(before) = before.take() {
+            chain.continue_from(before);
+        }
+        let agents = (number as u64) << 32;
+        let session = Session { agents, before_s: played_s, tracks: &tracks };
+        played_s += session.play(playback, &mut chain, &mut judge, &mut samples);
+        before = Some(chain);
+    }
+    let evidence = before.as_ref().and_then(Chain::evidence);
+    let learned = evidence.map(|evidence| evidence.as_prior(LEARNED_MIN));
+    Ok(Played { samples, seconds: played_s, learned })
+}
+
+fn run(playback: &Playback, options: &Options) -> Result<Run, DrivingError> {
+    let sampler = sampler::Options { evidence: options.evidence, ..sampler::Options::default() };
+    let map = if options.map { localiser::MapChoice::Online } else { localiser::MapChoice::None };
+    Ok(Run {
+        interval_ns: playback.interval_ns(),
+        lockstep: true,
+        weights: options.weights.clone(),
+        stages: vec![
+            StageRun::with_options(&sampler::STAGE, &sampler)?,
+            StageRun::with_options(&localiser::STAGE, &localiser::Options { map })?,
+        ],
+        ..Run::default()
+    })
+}
+
+/// One recording.
+struct Session<'a> {
+    /// Added to agents' numbers, which recordings share.
+    agents: u64,
+    /// Time that the source played before.
+    before_s: f64,
+    tracks: &'a BTreeMap<u64, RecordedTrack>,
+}
+
+/// The recent motion of an agent.
+#[derive(Default)]
+struct Recent {
+    counted_ns: Option<i64>,
+    velocities_mps: VecDeque<(i64, [f32; 2])>,
+}
+
+impl Session<'_> {
+    /// Plays a recording to its end and returns how long it is, s.
+    fn play(
+        &self,
+        mut playback: Playback,
+        chain: &mut Chain,
+        judge: &mut Judge<'_>,
+        samples: &mut Vec<Sample>,
+    ) -> f64 {
+        let mut recent: BTreeMap<u64, Recent> = BTreeMap::new();
+        let (mut first_ns, mut seconds) = (None, 0.0);
+        while let Some(tick) = playback.next_tick() {
+            let stamp_ns = tick.header.stamp_ns;
+            let since_ns = stamp_ns - *first_ns.get_or_insert(stamp_ns);
+            seconds = since_ns as f64 * 1e-9;
+            let (_, forecasts) = chain.tick(&tick.header, tick.detections, |_| ());
+            for forecast in forecasts {
+                let Some(track) = self.tracks.get(&forecast.source_id) else { continue };
+                let recent = recent.entry(forecast.id).or_default();
+                let before = recent.add(stamp_ns, forecast);
+                if forecast.modes_len < 2 || !recent.counts(stamp_ns) {
+                    continue;
+                }
+                if let Some(sample) = judge.judge(stamp_ns, forecast, before, track) {
+                    let (agent, source_s) = (self.agents + sample.agent, self.before_s + seconds);
+                    samples.push(Sample { agent, recording_s: seconds, source_s, ..sample });
+                }
+            }
+        }
+        seconds
+    }
+}
+
+impl Recent {
+    /// Adds the velocity of a time, and returns one some time ago.
+    fn add(&mut self, stamp_ns: i64, forecast: &Forecast) -> Option<([f32; 2], f32)> {
+        let oldest_ns = stamp_ns - RATES_NS;
+        while self.velocities_mps.len() > 1 && self.velocities_mps[1].0 <= oldest_ns {
+            self.velocities_mps.pop_front();
+        }
+        let before = self.velocities_mps.front().map(|(at_ns, velocity_mps)| {
+            (*velocity_mps, (stamp_ns - at_ns) as f32 * 1e-9)
+        });
+        self.velocities_mps.push_back((stamp_ns, [forecast.vx_mps, forecast.vy_mps]));
+        before
+    }
+
+    /// Whether a forecast of this time counts.
+    fn counts(&mut self, stamp_ns: i64) -> bool {
+        let counts = self.counted_ns.is_none_or(|counted_ns| stamp_ns >= counted_ns + EVERY_NS);
+        if counts {
+            self.counted_ns = Some(stamp_ns);
+        }
+        counts
+    }
+}

@@ -1,0 +1,197 @@
+//! One matured forecast, and its errors.
+
+use std::collections::BTreeMap;
+
+use data::RecordedTrack;
+use evidence::MotionNow;
+use metrics::{Anchors, Displacement, HighestDensity, displacement, min_displacement};
+use scene::{AgentType, State};
+use wire::{Expert, Forecast, MODES_MAX, Quality};
+
+/// Steps at which regions are judged, beside the last: 0.4, 1.2 and 2.4 s.
+pub(crate) const STEPS: [usize; 4] = [0, 2, 5, 11];
+/// A final position farther away than this is a miss.
+const MISS_M: f64 = 2.0;
+/// Longest gap of a recording between whose frames the truth is taken, ns.
+const GAP_NS: i64 = 1_000_000_000;
+/// −2 ln 0.1: the squared radius of the region of 90 % of a Gaussian.
+const RADIUS_SQUARED: f64 = 4.605_170;
+const SEED: u64 = 1;
+
+/// What is compared.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Method {
+    /// The single best forecast that was published.
+    Best,
+    /// The mode with the least error of those that were published.
+    BestOf,
+    /// Constant velocity.
+    ConstantVelocity,
+    /// A turn that decays.
+    DecayingTurn,
+    /// An acceleration that decays.
+    DecayingAcceleration,
+    /// The best of 20 anchors on constant velocity.
+    Anchors,
+}
+
+/// All methods.
+pub const METHODS: [Method; 6] = [
+    Method::Best,
+    Method::BestOf,
+    Method::ConstantVelocity,
+    Method::DecayingTurn,
+    Method::DecayingAcceleration,
+    Method::Anchors,
+];
+
+/// Mean and final error of a forecast, m.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Errors {
+    /// Over all steps.
+    pub ade_m: f64,
+    /// At the last.
+    pub fde_m: f64,
+}
+
+/// A matured forecast.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Sample {
+    /// The agent, the same for all of its forecasts.
+    pub agent: u64,
+    /// Its type.
+    pub agent_type: AgentType,
+    /// Its speed as tracked, m/s.
+    pub speed_mps: f32,
+    /// Time since the recording began, s.
+    pub recording_s: f64,
+    /// Time since the source began, s.
+    pub source_s: f64,
+    /// By [`METHODS`].
+    pub errors: [Errors; METHODS.len()],
+    /// Level of the highest-density region on whose border the truth was, at each of four steps.
+    pub levels: [f64; STEPS.len()],
+    /// Area of the 90 % region of the mixture's covariance at the end, m².
+    pub area_m2: f64,
+    /// Negative logarithm of the mixture's density at the truth at the end.
+    pub nll: f64,
+    /// Whether the single best forecast missed at the end.
+    pub missed: bool,
+    /// Whether it was called learned.
+    pub learned: bool,
+    /// The network's weight.
+    pub network: f32,
+    /// The published measure.
+    pub out_of_distribution: f32,
+}
+
+/// Judges forecasts in memory that is used again.
+pub(crate) struct Judge<'a> {
+    pub(crate) anchors: &'a BTreeMap<AgentType, Anchors>,
+    pub(crate) levels: HighestDensity,
+    pub(crate) dt_s: f32,
+    pub(crate) horizon_len: usize,
+}
+
+impl Errors {
+    fn of(displacement: Displacement) -> Self {
+        Self { ade_m: displacement.ade_m.unwrap_or(f64::NAN), fde_m: displacement.fde_m.unwrap_or(f64::NAN) }
+    }
+}
+
+impl Judge<'_> {
+    /// What became of a forecast; none where the recording does not have the agent to the end.
+    pub(crate) fn judge(
+        &mut self,
+        stamp_ns: i64,
+        forecast: &Forecast,
+        before: Option<([f32; 2], f32)>,
+        track: &RecordedTrack,
+    ) -> Option<Sample> {
+        let (len, step_ns) = (self.horizon_len, f64::from(self.dt_s) * 1e9);
+        let truth = (1..=len).map(|step| {
+            let at_ns = stamp_ns + (step as f64 * step_ns).round() as i64;
+            Some(track.state_at(at_ns, i64::MAX, GAP_NS)?.position_m)
+        });
+        let truth: Vec<Option<[f32; 2]>> = truth.collect();
+        if truth.iter().any(Option::is_none) {
+            return None;
+        }
+        let agent_type = AgentType::try_from(forecast.agent_type).ok()?;
+        let now = MotionNow::since(
+            [forecast.x_m, forecast.y_m],
+            [forecast.vx_mps, forecast.vy_mps],
+            before,
+        );
+        let path = |of: &dyn Fn(&mut [[f32; 2]])| {
+            let mut path = vec![[0.0; 2]; len];
+            of(&mut path);
+            Errors::of(displacement(&path, &truth))
+        };
+        let modes_len = forecast.modes_len as usize;
+        let modes = &forecast.modes[..modes_len];
+        let state = State {
+            position_m: now.position_m,
+            velocity_mps: now.velocity_mps,
+            heading_rad: forecast.heading_rad,
+        };
+        let anchors = self.anchors.get(&agent_type).and_then(|anchors| anchors.predict(&[Some(state)]));
+        let errors = METHODS.map(|method| match method {
+            Method::Best => Errors::of(displacement(&forecast.best, &truth)),
+            Method::BestOf => Errors::of(min_displacement(modes, &truth)),
+            Method::ConstantVelocity => path(&|path| now.steady(self.dt_s, path)),
+            Method::DecayingTurn => path(&|path| now.turning(self.dt_s, path)),
+            Method::DecayingAcceleration => path(&|path| now.accelerating(self.dt_s, path)),
+            Method::Anchors => anchors.as_ref().map_or(
+                Errors { ade_m: f64::NAN, fde_m: f64::NAN },
+                |anchors| Errors::of(min_displacement(anchors, &truth)),
+            ),
+        });
+        let probability = &forecast.probability[..modes_len];
+        let levels = STEPS.map(|step| {
+            let step = step.min(len - 1);
+            let (means, covariances) = at_step(forecast, step);
+            let truth = truth[step].unwrap_or_default();
+            self.levels.level(&means[..modes_len], &covariances[..modes_len], probability, truth, SEED)
+        });
+        let last = len - 1;
+        let [xx, xy, yy] = forecast.covariance[last].map(f64::from);
+        let (means, covariances) = at_step(forecast, last);
+        let end = truth[last].unwrap_or_default();
+        Some(Sample {
+            agent: track.id,
+            agent_type,
+            speed_mps: now.speed_mps(),
+            recording_s: 0.0,
+            source_s: 0.0,
+            errors,
+            levels,
+            area_m2: std::f64::consts::PI * RADIUS_SQUARED * (xx * yy - xy * xy).max(0.0).sqrt(),
+            nll: nll(&means[..modes_len], &covariances[..modes_len], probability, end),
+            missed: errors[0].fde_m > MISS_M,
+            learned: forecast.quality == Quality::Learned as u32,
+            network: forecast.expert_weights[Expert::Network as usize],
+            out_of_distribution: forecast.out_of_distribution,
+        })
+    }
+}
+
+/// Means and covariances of all modes at a step.
+fn at_step(forecast: &Forecast, step: usize) -> ([[f32; 2]; MODES_MAX], [[f32; 3]; MODES_MAX]) {
+    (forecast.modes.map(|mode| mode[step]), forecast.mode_covariance.map(|mode| mode[step]))
+}
+
+/// Negative logarithm of the density of a mixture; no mode is known better than to 1 cm.
+fn nll(means: &[[f32; 2]], covariances: &[[f32; 3]], probability: &[f32], truth: [f32; 2]) -> f64 {
+    let parts = means.iter().zip(covariances).zip(probability).map(|((mean, covariance), p)| {
+        let [xx, xy, yy] = covariance.map(f64::from);
+        let (xx, yy) = (xx + 1e-4, yy + 1e-4);
+        let det = (xx * yy - xy * xy).max(1e-8);
+        let [dx, dy] = [0, 1].map(|axis| f64::from(truth[axis] - mean[axis]));
+        let square = (yy * dx * dx - 2.0 * xy * dx * dy + xx * dy * dy) / det;
+        f64::from(*p).max(1e-12).ln() - 0.5 * square - 0.5 * det.ln() - std::f64::consts::TAU.ln()
+    });
+    let parts: Vec<f64> = parts.collect();
+    let most = parts.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+    -(most + parts.iter().map(|part| (part - most).exp()).sum::<f64>().ln())
+}

@@ -1,0 +1,3 @@
+//! Driving, judged on recordings whose answers are known.
+
+mod driving;

@@ -1,0 +1,54 @@
+use wire::AgentType;
+
+/// Speeds at which evidence is kept; in between it is shared.
+pub const SPEEDS_MPS: [f32; BANDS] = [0.5, 2.5, 6.0, 11.0, 18.0, 28.0];
+/// Number of [`SPEEDS_MPS`].
+pub const BANDS: usize = 6;
+
+/// Where a speed lies among [`SPEEDS_MPS`]: the band below, and the share of the next one.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Context {
+    /// Type of the agent.
+    pub agent_type: AgentType,
+    /// Index into [`SPEEDS_MPS`], at most `BANDS - 2`.
+    pub below: usize,
+    /// Share of the band above, 0 to 1.
+    pub share: f32,
+}
+
+impl Context {
+    /// The context of an agent.
+    #[must_use]
+    pub fn new(agent_type: AgentType, speed_mps: f32) -> Self {
+        let below = SPEEDS_MPS[1..BANDS - 1].iter().filter(|&&speed| speed_mps >= speed).count();
+        let [from, to] = [SPEEDS_MPS[below], SPEEDS_MPS[below + 1]];
+        Self { agent_type, below, share: ((speed_mps - from) / (to - from)).clamp(0.0, 1.0) }
+    }
+
+    /// The two bands and their shares.
+    #[must_use]
+    pub const fn bands(&self) -> [(usize, f32); 2] {
+        [(self.below, 1.0 - self.share), (self.below + 1, self.share)]
+    }
+
+    /// A quantity that is known at the bands.
+    pub(crate) fn between<const N: usize>(&self, at: impl Fn(usize) -> [f32; N]) -> [f32; N] {
+        let [below, above] = [at(self.below), at(self.below + 1)];
+        std::array::from_fn(|i| below[i] + self.share * (above[i] - below[i]))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn speeds_lie_between_their_bands() {
+        let at = |speed_mps| Context::new(AgentType::Vehicle, speed_mps);
+        assert_eq!((at(0.0).below, at(0.0).share), (0, 0.0));
+        assert_eq!((at(2.5).below, at(2.5).share), (1, 0.0));
+        assert_eq!((at(8.5).below, at(8.5).share), (2, 0.5));
+        assert_eq!((at(60.0).below, at(60.0).share), (BANDS - 2, 1.0));
+        assert_eq!(at(8.5).between(|band| [band as f32]), [2.5]);
+    }
+}

@@ -1,0 +1,398 @@
+//! The forecasts that have not matured, and what the matured ones add up to.
+
+use std::collections::{HashMap, VecDeque, hash_map};
+
+use wire::{AGENTS_MAX, AgentType, EXPERTS_MAX, Expert, HORIZON_MAX, MODES_MAX};
+
+use crate::width::Widths;
+use crate::{BANDS, Context, ContextPrior, EXPERTS, KNOTS, Paths, Prior, SLOTS, Statistics};
+
+/// Forecasts that the prior counts for.
+const PRIOR_LEN: f64 = 20.0;
+/// Time in which evidence fades to 1/e.
+const FADING_S: f64 = 120.0;
+/// Deviation of a truth at the first step; it grows with the root of the steps.
+const DEVIATION_M: f32 = 0.1;
+/// Steps after which an agent that was not observed counts as another one.
+const GAP_STEPS: i64 = 2;
+/// Most agents that are followed at a time.
+const TRACES_MAX: usize = 4 * AGENTS_MAX;
+/// Most forecasts whose mixtures are kept until they mature.
+const MIXTURES_MAX: usize = 1024;
+/// Most levels that are computed in a tick.
+const LEVELS_MAX: usize = 16;
+
+/// An agent at a time.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Agent {
+    /// Its number, the same throughout a session.
+    pub id: u64,
+    /// Its type.
+    pub agent_type: AgentType,
+    /// Its speed.
+    pub speed_mps: f32,
+}
+
+/// A forecast as a mixture of Gaussians at the knots, as it was published.
+#[derive(Clone, Copy, Debug)]
+pub struct Mixture<'a> {
+    /// Probability of each mode.
+    pub probability: &'a [f32],
+    /// Position of each mode and step, m.
+    pub modes_m: &'a [[[f32; 2]; HORIZON_MAX]; MODES_MAX],
+    /// Covariance of each mode and step as (xx, xy, yy), m².
+    pub covariances_m2: &'a [[[f32; 3]; HORIZON_MAX]; MODES_MAX],
+    /// Factors by which it was widened, step by step.
+    pub widths: &'a [f32; HORIZON_MAX],
+}
+
+/// A matured forecast at a knot, whose level is asked for.
+#[derive(Clone, Copy, Debug)]
+pub struct Matured<'a> {
+    /// Positions of the modes, m.
+    pub means_m: &'a [[f32; 2]],
+    /// Their covariances as (xx, xy, yy), m².
+    pub covariances_m2: &'a [[f32; 3]],
+    /// Their probabilities.
+    pub probability: &'a [f32],
+    /// Where the agent was.
+    pub truth_m: [f32; 2],
+}
+
+/// A mixture that is kept until it matures.
+#[derive(Clone, Debug)]
+struct Kept {
+    modes_len: usize,
+    probability: [f32; MODES_MAX],
+    means_m: [[[f32; 2]; MODES_MAX]; KNOTS],
+    covariances_m2: [[[f32; 3]; MODES_MAX]; KNOTS],
+    widths: [f32; KNOTS],
+}
+
+/// A forecast of an agent that has not matured.
+#[derive(Clone, Debug)]
+struct Pending {
+    stamp_ns: i64,
+    context: Context,
+    /// Knots that have matured.
+    matured_len: usize,
+    velocity_m: [[f32; 2]; KNOTS],
+    /// Less constant velocity.
+    experts_m: [[[f32; 2]; EXPERTS]; KNOTS],
+    /// Its place among the mixtures.
+    mixture: Option<usize>,
+}
+
+/// The last observation of an agent, and its pending forecasts.
+#[derive(Clone, Debug)]
+struct Trace {
+    stamp_ns: i64,
+    position_m: [f32; 2],
+    pending: VecDeque<Pending>,
+}
+
+/// What is known of one type at one speed.
+#[derive(Clone, Debug)]
+struct Knowledge {
+    prior: ContextPrior,
+    blend: [Statistics; KNOTS],
+    /// The weights of the blend with its prior.
+    weights: [[f32; EXPERTS]; KNOTS],
+    is_stale: bool,
+    widths: [Widths; KNOTS],
+}
+
+/// Evidence of all agents: see the [crate](crate).
+#[derive(Clone, Debug)]
+pub struct Evidence {
+    horizon_len: usize,
+    step_ns: i64,
+    /// Index of the step of each knot.
+    knots: [usize; KNOTS],
+    known: [[Knowledge; BANDS]; 3],
+    traces: HashMap<u64, Trace>,
+    spare: Vec<VecDeque<Pending>>,
+    mixtures: Vec<Kept>,
+    free: Vec<usize>,
+    now_ns: i64,
+}
+
+impl Knowledge {
+    fn new(prior: &ContextPrior) -> Self {
+        let widths = prior.log_width.map(|log| Widths::new(log.exp()));
+        let blend = Default::default();
+        let weights = Default::default();
+        let mut knowledge = Self { prior: *prior, blend, weights, is_stale: true, widths };
+        knowledge.solve();
+        knowledge
+    }
+
+    fn solve(&mut self) {
+        if std::mem::take(&mut self.is_stale) {
+            for ((weights, blend), prior) in
+                self.weights.iter_mut().zip(&self.blend).zip(&self.prior.blend)
+            {
+                let mut with_prior = *blend;
+                with_prior.add_scaled(prior, PRIOR_LEN);
+                *weights = with_prior.weights();
+            }
+        }
+    }
+}
+
+impl Evidence {
+    /// Evidence before any forecast, for forecasts of `horizon_len` steps of `step_ns`.
+    ///
+    /// # Panics
+    /// If a forecast has no step or more steps than a payload holds.
+    #[must_use]
+    pub fn new(horizon_len: usize, step_ns: u64, prior: &Prior) -> Self {
+        assert!((1..=HORIZON_MAX).contains(&horizon_len), "horizon of {horizon_len} steps");
+        let last = horizon_len - 1;
+        let empty = Kept {
+            modes_len: 0,
+            probability: [0.0; MODES_MAX],
+            means_m: [[[0.0; 2]; MODES_MAX]; KNOTS],
+            covariances_m2: [[[0.0; 3]; MODES_MAX]; KNOTS],
+            widths: [1.0; KNOTS],
+        };
+        Self {
+            horizon_len,
+            step_ns: step_ns.cast_signed().max(1),
+            knots: [0, last.min(2), last / 2, last],
+            known: std::array::from_fn(|of_type| {
+                std::array::from_fn(|band| Knowledge::new(&prior.0[of_type][band]))
+            }),
+            traces: HashMap::with_capacity(2 * TRACES_MAX),
+            spare: (0..TRACES_MAX).map(|_| VecDeque::with_capacity(horizon_len + 1)).collect(),
+            mixtures: vec![empty; MIXTURES_MAX],
+            free: (0..MIXTURES_MAX).collect(),
+            now_ns: i64::MIN,
+        }
+    }
+
+    /// Ends a session: what was learned stays, but time restarts, and no later agent is one of those before.
+    pub fn end_session(&mut self) {
+        let Self { traces, spare, free, .. } = self;
+        for (_, trace) in traces.drain() {
+            release(trace, spare, free);
+        }
+        self.now_ns = i64::MIN;
+    }
+
+    /// Records the positions of agents at a time, and learns from the forecasts that mature by them; of some,
+    /// `level` computes on the border of which region the truth lies, 0 to 1. A time that is not newer than the
+    /// last is left out.
+    pub fn observe_with(
+        &mut self,
+        now_ns: i64,
+        agents: impl IntoIterator<Item = (u64, [f32; 2])>,
+        mut level: impl FnMut(Matured<'_>) -> f64,
+    ) {
+        if now_ns <= self.now_ns {
+            return;
+        }
+        let passed_s = match self.now_ns {
+            i64::MIN => 0.0,
+            before_ns => now_ns.saturating_sub(before_ns) as f64 * 1e-9,
+        };
+        self.now_ns = now_ns;
+        let kept = (-passed_s / FADING_S).exp();
+        for knowledge in self.known.as_flattened_mut() {
+            knowledge.blend.iter_mut().for_each(|blend| blend.discount(kept));
+            knowledge.widths.iter_mut().for_each(|widths| widths.discount(kept));
+        }
+        let gap_ns = self.step_ns * GAP_STEPS;
+        let Self { traces, spare, free, .. } = self;
+        for (_, trace) in traces.extract_if(|_, trace| now_ns - trace.stamp_ns > gap_ns) {
+            release(trace, spare, free);
+        }
+        let mut levels_left = LEVELS_MAX;
+        for (id, position_m) in agents {
+            self.observe_one(id, position_m, &mut levels_left, &mut level);
+        }
+        self.known.as_flattened_mut().iter_mut().for_each(Knowledge::solve);
+    }
+
+    /// As [`Evidence::observe_with`], without levels.
+    pub fn observe(&mut self, now_ns: i64, agents: impl IntoIterator<Item = (u64, [f32; 2])>) {
+        self.observe_with(now_ns, agents, |_| f64::NAN);
+    }
+
+    fn observe_one(
+        &mut self,
+        id: u64,
+        position_m: [f32; 2],
+        levels_left: &mut usize,
+        level: &mut impl FnMut(Matured<'_>) -> f64,
+    ) {
+        let Self { now_ns, step_ns, knots, known, mixtures, free, .. } = self;
+        let (now_ns, step_ns) = (*now_ns, *step_ns);
+        let trace = match self.traces.entry(id) {
+            hash_map::Entry::Occupied(known) => known.into_mut(),
+            hash_map::Entry::Vacant(new) => {
+                let Some(pending) = self.spare.pop() else { return };
+                new.insert(Trace { stamp_ns: now_ns, position_m, pending })
+            }
+        };
+        let (since_ns, from_m) = (trace.stamp_ns, trace.position_m);
+        (trace.stamp_ns, trace.position_m) = (now_ns, position_m);
+        trace.pending.retain_mut(|pending| {
+            while pending.matured_len < KNOTS {
+                let knot = pending.matured_len;
+                let due_ns = pending.stamp_ns + step_ns * (knots[knot] as i64 + 1);
+                if due_ns > now_ns {
+                    return true;
+                }
+                let share = (due_ns - since_ns) as f32 / (now_ns - since_ns).max(1) as f32;
+                let truth_m = [0, 1].map(|axis| from_m[axis] + share * (position_m[axis] - from_m[axis]));
+                pending.matured_len += 1;
+                let of_type = &mut known[pending.context.agent_type.index()];
+                let velocity_m = pending.velocity_m[knot];
+                let taken_m = [0, 1].map(|axis| truth_m[axis] - velocity_m[axis]);
+                let deviation_m = DEVIATION_M * ((knots[knot] + 1) as f32).sqrt();
+                let radius = pending.mixture.filter(|_| *levels_left > 0).map(|place| {
+                    *levels_left -= 1;
+                    let kept = &mixtures[place];
+                    let (probability, len) = (&kept.probability[..kept.modes_len], kept.modes_len);
+                    let (means_m, covariances_m2) =
+                        (&kept.means_m[knot][..len], &kept.covariances_m2[knot][..len]);
+                    (level(Matured { means_m, covariances_m2, probability, truth_m }), kept.widths[knot])
+                });
+                for (band, share) in pending.context.bands() {
+                    let knowledge = &mut of_type[band];
+                    if share > 0.0 {
+                        let experts_m = &pending.experts_m[knot];
+                        knowledge.blend[knot].add(experts_m, taken_m, deviation_m, share);
+                        knowledge.is_stale = true;
+                        if let Some((level, factor)) = radius.filter(|(level, _)| level.is_finite()) {
+                            knowledge.widths[knot].add(level, factor, share);
+                        }
+                    }
+                }
+            }
+            free.extend(pending.mixture.take());
+            false
+        });
+    }
+
+    /// Keeps a forecast of an agent that was just observed until it matures, at most one each step.
+    pub fn store(&mut self, stamp_ns: i64, agent: &Agent, paths: &Paths, mixture: Option<Mixture<'_>>) {
+        let Some(trace) = self.traces.get_mut(&agent.id) else { return };
+        let newest_ns = trace.pending.back().map(|pending| pending.stamp_ns);
+        if trace.stamp_ns != stamp_ns
+            || newest_ns.is_some_and(|newest_ns| stamp_ns < newest_ns.saturating_add(self.step_ns))
+            || trace.pending.len() > self.horizon_len
+        {
+            return;
+        }
+        let knots = self.knots;
+        let velocity_m = knots.map(|step| paths.velocity[step]);
+        let experts_m = knots.map(|step| {
+            paths.experts.map(|path| [0, 1].map(|axis| path[step][axis] - paths.velocity[step][axis]))
+        });
+        let mixture = mixture.and_then(|mixture| {
+            let place = self.free.pop()?;
+            let kept = &mut self.mixtures[place];
+            kept.modes_len = mixture.probability.len();
+            kept.probability[..kept.modes_len].copy_from_slice(mixture.probability);
+            for (knot, step) in knots.into_iter().enumerate() {
+                for mode in 0..kept.modes_len {
+                    kept.means_m[knot][mode] = mixture.modes_m[mode][step];
+                    kept.covariances_m2[knot][mode] = mixture.covariances_m2[mode][step];
+                }
+                kept.widths[knot] = mixture.widths[step];
+            }
+            Some(place)
+        });
+        let context = Context::new(agent.agent_type, agent.speed_mps);
+        trace.pending.push_back(Pending { stamp_ns, context, matured_len: 0, velocity_m, experts_m, mixture });
+    }
+
+    /// The experts' weights at each step of the horizon, in the order of [`SLOTS`]; constant velocity has the
+    /// rest.
+    #[must_use]
+    pub fn weights(&self, agent_type: AgentType, speed_mps: f32) -> [[f32; EXPERTS]; HORIZON_MAX] {
+        let context = Context::new(agent_type, speed_mps);
+        let of_type = &self.known[agent_type.index()];
+        let at_knots: [[f32; EXPERTS]; KNOTS] =
+            std::array::from_fn(|knot| context.between(|band| of_type[band].weights[knot]));
+        self.between_knots(&at_knots)
+    }
+
+    /// The factors by which the regions widen, at each step of the horizon.
+    #[must_use]
+    pub fn widths(&self, agent_type: AgentType, speed_mps: f32) -> [f32; HORIZON_MAX] {
+        let context = Context::new(agent_type, speed_mps);
+        let of_type = &self.known[agent_type.index()];
+        let at_knots: [[f32; 1]; KNOTS] =
+            std::array::from_fn(|knot| context.between(|band| [of_type[band].widths[knot].log()]));
+        self.between_knots(&at_knots).map(|[log]| log.exp())
+    }
+
+    /// Writes the blend of the paths.
+    pub fn blend(&self, weights: &[[f32; EXPERTS]; HORIZON_MAX], paths: &Paths, out: &mut [[f32; 2]]) {
+        for (step, out) in out.iter_mut().enumerate() {
+            let velocity_m = paths.velocity[step];
+            *out = [0, 1].map(|axis| {
+                let differences = paths.experts.iter().map(|path| path[step][axis] - velocity_m[axis]);
+                let weighted = weights[step].iter().zip(differences).map(|(weight, d)| weight * d);
+                velocity_m[axis] + weighted.sum::<f32>()
+            });
+        }
+    }
+
+    /// The mean weights over the horizon by the slots of the wire, constant velocity's among them.
+    #[must_use]
+    pub fn slots(&self, weights: &[[f32; EXPERTS]; HORIZON_MAX]) -> [f32; EXPERTS_MAX] {
+        let mut slots = [0.0; EXPERTS_MAX];
+        let steps = &weights[..self.horizon_len];
+        for (expert, slot) in SLOTS.iter().enumerate() {
+            let sum: f32 = steps.iter().map(|weights| weights[expert]).sum();
+            slots[*slot as usize] = sum / self.horizon_len as f32;
+        }
+        slots[Expert::ConstantVelocity as usize] = (1.0 - slots.iter().sum::<f32>()).max(0.0);
+        slots
+    }
+
+    /// What was learned so far without the prior, per forecast, as a prior of its own; contexts of fewer than
+    /// `len_min` forecasts are empty.
+    #[must_use]
+    pub fn as_prior(&self, len_min: f64) -> Prior {
+        Prior(self.known.each_ref().map(|of_type| {
+            of_type.each_ref().map(|knowledge| {
+                let mean = |blend: &Statistics| {
+                    let mut mean = Statistics::default();
+                    if blend.len >= len_min {
+                        mean.add_scaled(blend, 1.0 / blend.len);
+                    }
+                    mean
+                };
+                ContextPrior {
+                    blend: knowledge.blend.each_ref().map(mean),
+                    log_width: knowledge.widths.each_ref().map(Widths::log),
+                }
+            })
+        }))
+    }
+
+    /// A quantity between the knots, linear in the step.
+    fn between_knots<const N: usize>(&self, at_knots: &[[f32; N]; KNOTS]) -> [[f32; N]; HORIZON_MAX] {
+        let knots = &self.knots;
+        std::array::from_fn(|step| {
+            let next = knots.iter().position(|&knot| knot >= step).unwrap_or(KNOTS - 1);
+            let before = next.saturating_sub(1);
+            let width = (knots[next] - knots[before]).max(1) as f32;
+            let share = (step.min(knots[next]) - knots[before].min(step)) as f32 / width;
+            std::array::from_fn(|i| {
+                at_knots[before][i] + share.min(1.0) * (at_knots[next][i] - at_knots[before][i])
+            })
+        })
+    }
+}
+
+/// Takes back what a trace holds.
+fn release(mut trace: Trace, spare: &mut Vec<VecDeque<Pending>>, free: &mut Vec<usize>) {
+    free.extend(trace.pending.drain(..).filter_map(|pending| pending.mixture));
+    spare.push(trace.pending);
+}

@@ -1,0 +1,156 @@
+use wire::HORIZON_MAX;
+
+use crate::EXPERTS;
+
+/// Largest acceleration across the motion, at any speed.
+const ACROSS_MAX_MPS2: f32 = 4.0;
+/// Largest turn rate.
+const TURN_RATE_MAX_RADPS: f32 = 0.6;
+/// Largest acceleration along the motion.
+const ALONG_MAX_MPS2: f32 = 4.0;
+/// Time in which a turn rate decays to 1/e.
+const TURN_S: f32 = 2.0;
+/// Time in which an acceleration decays to 1/e.
+const ACCELERATION_S: f32 = 1.5;
+/// Parts of a step in which a course is straight.
+const PARTS: usize = 4;
+/// A slower agent has no course.
+const COURSE_MIN_MPS: f32 = 0.3;
+
+/// Positions of an agent at each step of the horizon, by expert.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Paths {
+    /// Constant velocity's.
+    pub velocity: [[f32; 2]; HORIZON_MAX],
+    /// Of each expert beside it.
+    pub experts: [[[f32; 2]; HORIZON_MAX]; EXPERTS],
+}
+
+/// The motion of an agent at a time, from which kinematic experts go on.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct MotionNow {
+    /// Position.
+    pub position_m: [f32; 2],
+    /// Velocity.
+    pub velocity_mps: [f32; 2],
+    /// Turn rate of the course, to the left.
+    pub turn_rate_radps: f32,
+    /// Acceleration along the course.
+    pub acceleration_mps2: f32,
+}
+
+impl MotionNow {
+    /// The motion of an agent whose velocity was `before_mps` some time `since_s` ago.
+    #[must_use]
+    pub fn since(
+        position_m: [f32; 2],
+        velocity_mps: [f32; 2],
+        before: Option<([f32; 2], f32)>,
+    ) -> Self {
+        let steady = Self { position_m, velocity_mps, ..Self::default() };
+        let Some(([bx, by], since_s)) = before.filter(|(_, since_s)| *since_s > 0.0) else { return steady };
+        let [vx, vy] = velocity_mps;
+        let [speed, speed_before] = [vx.hypot(vy), bx.hypot(by)];
+        let turned = if speed.min(speed_before) < COURSE_MIN_MPS {
+            0.0
+        } else {
+            (bx * vy - by * vx).atan2(bx * vx + by * vy)
+        };
+        let turn_max = TURN_RATE_MAX_RADPS.min(ACROSS_MAX_MPS2 / speed.max(COURSE_MIN_MPS));
+        Self {
+            turn_rate_radps: (turned / since_s).clamp(-turn_max, turn_max),
+            acceleration_mps2: ((speed - speed_before) / since_s).clamp(-ALONG_MAX_MPS2, ALONG_MAX_MPS2),
+            ..steady
+        }
+    }
+
+    /// Speed.
+    #[must_use]
+    pub fn speed_mps(&self) -> f32 {
+        self.velocity_mps[0].hypot(self.velocity_mps[1])
+    }
+
+    /// Constant velocity.
+    pub fn steady(&self, dt_s: f32, out: &mut [[f32; 2]]) {
+        for (step, out) in out.iter_mut().enumerate() {
+            let time_s = (step + 1) as f32 * dt_s;
+            *out = [0, 1].map(|axis| self.position_m[axis] + time_s * self.velocity_mps[axis]);
+        }
+    }
+
+    /// Constant speed on a course whose turn rate decays: θ = θ₀ + ω τ (1 − e^(−t/τ)).
+    pub fn turning(&self, dt_s: f32, out: &mut [[f32; 2]]) {
+        let ([mut x, mut y], part_s) = (self.position_m, dt_s / PARTS as f32);
+        let [vx, vy] = self.velocity_mps;
+        for (step, out) in out.iter_mut().enumerate() {
+            for part in 0..PARTS {
+                let middle_s = ((step * PARTS + part) as f32 + 0.5) * part_s;
+                let turned = self.turn_rate_radps * TURN_S * (1.0 - (-middle_s / TURN_S).exp());
+                let (sin, cos) = turned.sin_cos();
+                x += (vx * cos - vy * sin) * part_s;
+                y += (vx * sin + vy * cos) * part_s;
+            }
+            *out = [x, y];
+        }
+    }
+
+    /// A straight course on which the acceleration decays, no further than to rest: v = v₀ + a τ (1 − e^(−t/τ)).
+    pub fn accelerating(&self, dt_s: f32, out: &mut [[f32; 2]]) {
+        let (speed, part_s) = (self.speed_mps(), dt_s / PARTS as f32);
+        let course = if speed > COURSE_MIN_MPS { self.velocity_mps.map(|v| v / speed) } else { [0.0; 2] };
+        let mut gone_m = 0.0;
+        for (step, out) in out.iter_mut().enumerate() {
+            for part in 0..PARTS {
+                let middle_s = ((step * PARTS + part) as f32 + 0.5) * part_s;
+                let gained = self.acceleration_mps2 * ACCELERATION_S * (1.0 - (-middle_s / ACCELERATION_S).exp());
+                gone_m += (speed + gained).max(0.0) * part_s;
+            }
+            *out = [0, 1].map(|axis| self.position_m[axis] + gone_m * course[axis]);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn end(of: impl Fn(&mut [[f32; 2]])) -> [f32; 2] {
+        let mut path = [[0.0; 2]; 12];
+        of(&mut path);
+        path[11]
+    }
+
+    #[test]
+    fn without_change_all_experts_go_straight_on() {
+        let now = MotionNow::since([1.0, 2.0], [3.0, 4.0], Some(([3.0, 4.0], 0.8)));
+        for [x, y] in [
+            end(|path| now.steady(0.4, path)),
+            end(|path| now.turning(0.4, path)),
+            end(|path| now.accelerating(0.4, path)),
+        ] {
+            assert!((x - 15.4).abs() < 1e-3 && (y - 21.2).abs() < 1e-3, "{x} {y}");
+        }
+    }
+
+    #[test]
+    fn a_braking_agent_comes_to_rest_and_stays() {
+        let now = MotionNow::since([0.0; 2], [2.0, 0.0], Some(([4.0, 0.0], 0.8)));
+        let mut path = [[0.0; 2]; 12];
+        now.accelerating(0.4, &mut path);
+        assert!((0.5..2.5).contains(&path[11][0]) && path[11] == path[8], "{path:?}");
+    }
+
+    #[test]
+    fn a_turn_to_the_left_ends_to_the_left_of_the_course() {
+        let now = MotionNow::since([0.0; 2], [10.0, 0.0], Some(([9.95, -1.0], 0.8)));
+        assert!((now.turn_rate_radps - 0.125).abs() < 0.01, "{now:?}");
+        let [x, y] = end(|path| now.turning(0.4, path));
+        assert!((3.0..12.0).contains(&y) && x < 48.0, "{x} {y}");
+    }
+
+    #[test]
+    fn fast_agents_do_not_turn_beyond_physics() {
+        let now = MotionNow::since([0.0; 2], [30.0, 0.0], Some(([29.0, -7.0], 0.4)));
+        assert!((now.turn_rate_radps * 30.0 - ACROSS_MAX_MPS2).abs() < 1e-3, "{now:?}");
+    }
+}

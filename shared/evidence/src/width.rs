@@ -1,0 +1,103 @@
+//! The factor by which regions widen: a discounted histogram of radii.
+
+/// Bins of the logarithm of the radius over that of a calibrated region of 90 %.
+const BINS: usize = 64;
+/// Least and largest logarithm.
+const RANGE: [f32; 2] = [-3.2, 3.2];
+/// Radius of the region of 90 % in standard deviations: √(−2 ln 0.1).
+const RADIUS: f32 = 2.145_966;
+/// Probability of the region that is calibrated.
+const LEVEL: f64 = 0.9;
+/// Radii that are assumed to have been seen at the start, of a calibrated region.
+const ASSUMED: f64 = 15.0;
+
+/// Radii of matured forecasts at one step of the horizon, in one context.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct Widths {
+    bins: [f64; BINS],
+    len: f64,
+    /// Logarithm of the factor.
+    log: f32,
+}
+
+impl Widths {
+    /// No radius yet; regions begin with `factor` times their own width.
+    pub(crate) fn new(factor: f32) -> Self {
+        Self { bins: [0.0; BINS], len: 0.0, log: factor.max(f32::MIN_POSITIVE).ln().clamp(RANGE[0], RANGE[1]) }
+            .begun()
+    }
+
+    /// Spreads the assumed radii as a two-dimensional Gaussian has them.
+    fn begun(mut self) -> Self {
+        let share = |radius: f64| 1.0 - (-0.5 * radius * radius).exp();
+        for (bin, count) in self.bins.iter_mut().enumerate() {
+            let edge = |bin: usize| f64::from(RADIUS * (log_of(bin) - self.log).exp());
+            *count = ASSUMED * (share(edge(bin + 1)) - share(edge(bin)));
+        }
+        self.len = self.bins.iter().sum();
+        self
+    }
+
+    /// Adds a forecast by the level on whose border the truth lay, of a region that was widened by `factor`.
+    pub(crate) fn add(&mut self, level: f64, factor: f32, weight: f32) {
+        let radius = (-2.0 * (1.0 - level).max(1e-6).ln()).sqrt() as f32;
+        let log = (radius.max(1e-3) / RADIUS).ln() + factor.ln();
+        let place = (log - RANGE[0]) / (RANGE[1] - RANGE[0]) * BINS as f32;
+        self.bins[(place.max(0.0) as usize).min(BINS - 1)] += f64::from(weight);
+        self.len += f64::from(weight);
+        self.log = self.quantile();
+    }
+
+    pub(crate) fn discount(&mut self, factor: f64) {
+        self.bins.iter_mut().for_each(|count| *count *= factor);
+        self.len *= factor;
+    }
+
+    /// Logarithm of the factor.
+    pub(crate) const fn log(&self) -> f32 {
+        self.log
+    }
+
+    /// The logarithm below which [`LEVEL`] of the radii lie.
+    fn quantile(&self) -> f32 {
+        let mut left = LEVEL * self.len;
+        for (bin, &count) in self.bins.iter().enumerate() {
+            if left < count {
+                return log_of(bin) + (left / count) as f32 * (log_of(1) - log_of(0));
+            }
+            left -= count;
+        }
+        RANGE[1]
+    }
+}
+
+fn log_of(edge: usize) -> f32 {
+    RANGE[0] + edge as f32 / BINS as f32 * (RANGE[1] - RANGE[0])
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn assumed_radii_keep_the_factor_they_begin_with() {
+        for factor in [0.3, 1.0, 2.5] {
+            let widths = Widths::new(factor);
+            assert!((widths.quantile() - factor.ln()).abs() < 0.05, "{factor}: {}", widths.quantile());
+        }
+    }
+
+    #[test]
+    fn regions_three_times_too_narrow_widen_until_they_hold() {
+        let mut widths = Widths::new(1.0);
+        for sample in 0..4000 {
+            // A radius of a Gaussian three times as wide as the forecast says.
+            let share = (f64::from(sample) * 0.618_034).fract();
+            let radius = 3.0 * (-2.0 * (1.0 - share).ln()).sqrt();
+            let factor = widths.log().exp();
+            let level = 1.0 - (-0.5 * (radius / f64::from(factor)).powi(2)).exp();
+            widths.add(level, factor, 1.0);
+        }
+        assert!((widths.log().exp() - 3.0).abs() < 0.2, "{}", widths.log().exp());
+    }
+}
