@@ -1,18 +1,22 @@
 //! Evidence on the experts in the sampler: what the network's forecasts have been worth, and the others'.
 
-use evidence::{Agent, EXPERTS, Evidence, Mixture, MotionNow, Paths, Prior};
+use evidence::{
+    Agent, Deviations, EXPERTS, Evidence, FAN, Mixture, ModeSet, MotionNow, Paths, Prior,
+};
 use kinematics::MotionModel;
 use metrics::HighestDensity;
-use retrieval::{ControlChange, Residuals};
+use retrieval::{ControlChange, ControlChanges, ForecastControls, Residuals};
 use scene::{AgentType, State};
 use wire::{Expert, Forecast, HORIZON_MAX, MODES_MAX, Quality, Track};
 
 /// History steps over which turn rate and acceleration are taken, where there are as many.
 const RATE_STEPS: usize = 2;
+/// A slower agent's course is its heading.
+const COURSE_MIN_MPS: f32 = 0.3;
 /// Seed of the levels; every forecast has the same draws.
 const SEED: u64 = 1;
-/// Least and largest factor of the spread of the modes; what is beyond changes covariances alone.
-const SPREAD: [f32; 2] = [0.1, 1.6];
+/// Least and largest factor of the standard deviations.
+const FACTORS: [f32; 2] = [0.25, 4.0];
 /// No agent is farther from where it would be without control than this acceleration takes it.
 const REACH_MPS2: f32 = 10.0;
 /// Deviation of a position that no physics bounds: that of the present one.
@@ -32,46 +36,61 @@ pub(crate) struct Blended {
     agent: Agent,
     paths: Paths,
     weights: [[f32; EXPERTS]; HORIZON_MAX],
+    start_m: [f32; 2],
     /// The single best forecast.
     pub(crate) best_m: [[f32; 2]; HORIZON_MAX],
     /// The change of controls that leads from the network's best forecast there.
     pub(crate) shift: ControlChange,
-    /// How the modes spread, and how wide their covariances are.
+    /// How wide the modes are.
     pub(crate) spread: Spread,
+    deviations: Deviations,
+    set: ModeSet,
+    /// The network's modes, the most probable ones first; written where the forecast is kept.
+    network_m: [[[f32; 2]; HORIZON_MAX]; MODES_MAX],
 }
 
-/// How a forecast widens.
+/// How wide the modes of a forecast are.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Spread {
-    /// Factor of the modes' deviation from the best forecast, and of their controls' standard deviations.
-    pub(crate) modes: f32,
-    /// Further factor of the standard deviations of the positions, step by step.
-    pub(crate) deviations: [f32; HORIZON_MAX],
+    /// Factor of the standard deviations of the positions, step by step.
+    factors: [f32; HORIZON_MAX],
     /// Largest variance of a position, step by step, m².
-    pub(crate) variance_max_m2: [f32; HORIZON_MAX],
+    variance_max_m2: [f32; HORIZON_MAX],
+    /// Modes of the fan, a bit each, and their own covariances.
+    fan: (u32, [[f32; 3]; HORIZON_MAX]),
 }
 
 impl Default for Spread {
     fn default() -> Self {
-        Self { modes: 1.0, deviations: [1.0; HORIZON_MAX], variance_max_m2: [f32::INFINITY; HORIZON_MAX] }
+        Self {
+            factors: [1.0; HORIZON_MAX],
+            variance_max_m2: [f32::INFINITY; HORIZON_MAX],
+            fan: (0, [[0.0; 3]; HORIZON_MAX]),
+        }
     }
 }
 
 impl Spread {
     /// The spread by which regions widen by these factors.
-    fn of(widths: &[f32; HORIZON_MAX], horizon_len: usize, dt_s: f32) -> Self {
-        let mean = widths[..horizon_len].iter().map(|width| width.ln()).sum::<f32>() / horizon_len as f32;
-        let modes = mean.exp().clamp(SPREAD[0], SPREAD[1]);
+    fn of(widths: &[f32; HORIZON_MAX], deviations: &Deviations, dt_s: f32) -> Self {
         let variance_max_m2 = std::array::from_fn(|step| {
             let time_s = (step + 1) as f32 * dt_s;
             ((REACH_M + 0.5 * REACH_MPS2 * time_s * time_s) / RADIUS).powi(2)
         });
-        Self { modes, deviations: widths.map(|width| width / modes), variance_max_m2 }
+        let factors = widths.map(|width| width.clamp(FACTORS[0], FACTORS[1]));
+        let covariances_m2 = std::array::from_fn(|step| deviations.covariance_m2(step));
+        Self { factors, variance_max_m2, fan: (0, covariances_m2) }
     }
 
-    /// A covariance of a step as (xx, xy, yy), widened, within physical limits.
-    pub(crate) fn of_covariance(&self, step: usize, covariance: [f32; 3]) -> [f32; 3] {
-        let factor = self.deviations[step] * self.deviations[step];
+    /// Whether a mode is one of the fan.
+    pub(crate) const fn is_fan(&self, mode: usize) -> bool {
+        self.fan.0 & (1 << mode) != 0
+    }
+
+    /// The covariance of a mode at a step as (xx, xy, yy), widened, within physical limits.
+    pub(crate) fn of_covariance(&self, mode: usize, step: usize, covariance: [f32; 3]) -> [f32; 3] {
+        let covariance = if self.is_fan(mode) { self.fan.1[step] } else { covariance };
+        let factor = self.factors[step] * self.factors[step];
         let [xx, xy, yy] = covariance.map(|entry| factor * entry);
         let largest = 0.5 * (xx + yy) + (0.25 * (xx - yy) * (xx - yy) + xy * xy).sqrt();
         let most = self.variance_max_m2[step];
@@ -121,7 +140,12 @@ impl Experts {
         model.positions(network, &mut by_network[..len]);
         model.positions(base, &mut by_base[..len]);
 
-        let agent = Agent { id: track.id, agent_type, speed_mps: now.speed_mps() };
+        let speed_mps = now.speed_mps();
+        let course = match speed_mps > COURSE_MIN_MPS {
+            true => track_course(track, speed_mps),
+            false => [track.heading_rad.cos(), track.heading_rad.sin()],
+        };
+        let agent = Agent { id: track.id, agent_type, speed_mps, course };
         let weights = self.evidence.weights(agent_type, agent.speed_mps);
         let mut best_m = [[0.0; 2]; HORIZON_MAX];
         self.evidence.blend(&weights, &paths, &mut best_m[..len]);
@@ -129,8 +153,61 @@ impl Experts {
         let shift = Residuals::between(model.kind(), now.position_m, network_m, &best_m[..len], dt_s)
             .control_change(model);
         let widths = self.evidence.widths(agent_type, agent.speed_mps);
-        let spread = Spread::of(&widths, len, dt_s);
-        Blended { agent, paths, weights, best_m, shift, spread }
+        let deviations = self.evidence.deviations(&agent);
+        let spread = Spread::of(&widths, &deviations, dt_s);
+        let set = self.evidence.mode_set(&agent);
+        let network_m = [[[0.0; 2]; HORIZON_MAX]; MODES_MAX];
+        let start_m = now.position_m;
+        Blended { agent, paths, weights, start_m, best_m, shift, spread, deviations, set, network_m }
+    }
+
+    /// Shifts the modes with the best forecast, and replaces the least probable of them by the fan's where that
+    /// has been nearer.
+    pub(crate) fn change<M: AsRef<[wire::ControlGaussian]>>(
+        &self,
+        stamp_ns: i64,
+        model: &MotionModel,
+        controls: &ForecastControls<'_, M>,
+        dt_s: f32,
+        blended: &mut Blended,
+        changes: &mut ControlChanges,
+    ) {
+        changes.shift(&blended.shift);
+        let (len, modes_len) = (self.horizon_len, controls.modes.len());
+        let mut order: [usize; MODES_MAX] = std::array::from_fn(|mode| mode);
+        let order = &mut order[..modes_len];
+        let probability = changes.probability();
+        order.sort_unstable_by(|&a, &b| probability[b].total_cmp(&probability[a]).then(a.cmp(&b)));
+        if self.evidence.wants(stamp_ns, blended.agent.id) {
+            for (path, &mode) in blended.network_m.iter_mut().zip(&*order) {
+                let means = changes.mode(mode, controls).map(|control| control.mean);
+                model.positions(means, &mut path[..len]);
+            }
+        }
+        let fan_len = blended.set.fan_len(modes_len);
+        if fan_len == 0 {
+            return;
+        }
+        let (kept, replaced) = order.split_at(modes_len - fan_len);
+        let of_network = kept.len() as f32 / modes_len as f32;
+        let kept_sum: f32 = kept.iter().map(|&mode| changes.probability()[mode]).sum();
+        for &mode in kept {
+            changes.scale_probability(mode, of_network / kept_sum.max(f32::MIN_POSITIVE));
+        }
+        let fan_sum: f32 = FAN[..fan_len].iter().map(|(_, p)| p).sum();
+        let best_m = &blended.best_m[..len];
+        for (number, &mode) in replaced.iter().enumerate() {
+            let mut path = [[0.0; 2]; HORIZON_MAX];
+            for (step, (path, best_m)) in path.iter_mut().zip(best_m).enumerate() {
+                let residual_m = blended.deviations.residual_m(number, step);
+                *path = [0, 1].map(|axis| best_m[axis] + residual_m[axis]);
+            }
+            let start_m = blended.start_m;
+            let residuals = Residuals::between(model.kind(), start_m, best_m, &path[..len], dt_s);
+            let probability = (1.0 - of_network) * FAN[number].1 / fan_sum;
+            changes.replace(mode, &residuals.control_change(model), probability);
+            blended.spread.fan.0 |= 1 << mode;
+        }
     }
 
     /// Writes into a forecast who made it, and keeps it until it matures.
@@ -141,15 +218,23 @@ impl Experts {
             out.quality = Quality::Kinematic as u32;
             (out.cause, out.causes) = (wire::Cause::Outdone as u32, wire::Cause::Outdone.bit());
         }
-        let widths = &std::array::from_fn(|step| blended.spread.modes * blended.spread.deviations[step]);
+        let modes_len = out.modes_len as usize;
+        for mode in (0..modes_len).filter(|&mode| blended.spread.is_fan(mode)) {
+            out.mode_expert[mode] = Expert::Fan as u8;
+        }
         let mixture = Mixture {
-            probability: &out.probability[..out.modes_len as usize],
+            probability: &out.probability[..modes_len],
             modes_m: &out.modes,
             covariances_m2: &out.mode_covariance,
-            widths,
+            widths: &blended.spread.factors,
+            network_m: &blended.network_m[..modes_len],
         };
-        self.evidence.store(stamp_ns, &blended.agent, &blended.paths, Some(mixture));
+        self.evidence.store(stamp_ns, &blended.agent, (&blended.paths, &blended.best_m), Some(mixture));
     }
+}
+
+fn track_course(track: &Track, speed_mps: f32) -> [f32; 2] {
+    [track.vx_mps / speed_mps, track.vy_mps / speed_mps]
 }
 
 /// The present motion of a track, its rates from the newest steps of its history.

@@ -62,14 +62,8 @@ impl<'a> LearnedControls<'a> {
     ) {
         let (modes_len, controls) = (self.controls.modes_len as usize, self.as_decoded());
         let mode_steps = |mode: usize| {
-            let steps = changes.mode(mode, &controls).zip(changes.best(&controls));
-            steps.map(|(control, best)| {
-                let mean = [0, 1].map(|i| match spread.modes == 1.0 {
-                    true => control.mean[i],
-                    false => best[i] + spread.modes * (control.mean[i] - best[i]),
-                });
-                ControlGaussian::new(mean, control.cholesky.map(|entry| spread.modes * entry))
-            })
+            let steps = changes.mode(mode, &controls);
+            steps.map(|control| ControlGaussian::new(control.mean, control.cholesky))
         };
         let mut moments = [[Moments::default(); HORIZON_MAX]; MODES_MAX];
         let modes = out.controls.iter_mut().zip(&mut moments).enumerate();
@@ -87,7 +81,7 @@ impl<'a> LearnedControls<'a> {
                 }
             }
             for (step, moments) in moments.iter_mut().enumerate() {
-                moments.covariance = spread.of_covariance(step, moments.covariance);
+                moments.covariance = spread.of_covariance(mode, step, moments.covariance);
             }
         }
         out.steering = match model.kind() {

@@ -177,13 +177,14 @@ impl Sampler {
             }
             None => self.changes.reset(controls.probability()),
         }
-        let blended = self.experts.as_ref().map(|experts| {
+        let mut blended = self.experts.as_ref().map(|experts| {
             let decoded = controls.as_decoded();
             let network = self.changes.best(&decoded);
             experts.blend((track, agent_type), history, &model, (network, controls.base()), tick.dt_s())
         });
-        if let Some(blended) = &blended {
-            self.changes.shift(&blended.shift);
+        if let Some((experts, blended)) = self.experts.as_ref().zip(blended.as_mut()) {
+            let decoded = controls.as_decoded();
+            experts.change(tick.stamp_ns, &model, &decoded, tick.dt_s(), blended, &mut self.changes);
         }
         if self.options.initial_covariance {
             model = with_track_covariance(model, track);

@@ -5,7 +5,7 @@ use std::collections::{HashMap, VecDeque, hash_map};
 use wire::{AGENTS_MAX, AgentType, EXPERTS_MAX, Expert, HORIZON_MAX, MODES_MAX};
 
 use crate::width::Widths;
-use crate::{BANDS, Context, ContextPrior, EXPERTS, KNOTS, Paths, Prior, SLOTS, Statistics};
+use crate::{BANDS, Context, ContextPrior, Deviations, EXPERTS, FAN, KNOTS, Paths, Prior, SLOTS, Statistics};
 
 /// Forecasts that the prior counts for.
 const PRIOR_LEN: f64 = 20.0;
@@ -22,6 +22,40 @@ const MIXTURES_MAX: usize = 1024;
 /// Most levels that are computed in a tick.
 const LEVELS_MAX: usize = 16;
 
+/// Deviations that the prior counts for.
+const DEVIATIONS_LEN: f64 = 10.0;
+/// A residual counts as no more than so many deviations: of jumps of identity there is no end.
+const OUTLIER: f32 = 6.0;
+/// Mode sets that the prior counts for.
+const SETS_LEN: f64 = 10.0;
+
+/// Where the modes of a forecast come from.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum ModeSet {
+    /// All from the network.
+    #[default]
+    Network,
+    /// The most probable half from the network, the others from the fan.
+    Half,
+    /// All from the [`FAN`] about the blend.
+    Fan,
+}
+
+impl ModeSet {
+    /// All sets.
+    pub const ALL: [Self; 3] = [Self::Network, Self::Half, Self::Fan];
+
+    /// How many of the fan's most probable modes it has, of `modes_len`.
+    #[must_use]
+    pub const fn fan_len(self, modes_len: usize) -> usize {
+        match self {
+            Self::Network => 0,
+            Self::Half => modes_len / 2,
+            Self::Fan => modes_len,
+        }
+    }
+}
+
 /// An agent at a time.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Agent {
@@ -31,6 +65,8 @@ pub struct Agent {
     pub agent_type: AgentType,
     /// Its speed.
     pub speed_mps: f32,
+    /// Cosine and sine of its course.
+    pub course: [f32; 2],
 }
 
 /// A forecast as a mixture of Gaussians at the knots, as it was published.
@@ -44,6 +80,8 @@ pub struct Mixture<'a> {
     pub covariances_m2: &'a [[[f32; 3]; HORIZON_MAX]; MODES_MAX],
     /// Factors by which it was widened, step by step.
     pub widths: &'a [f32; HORIZON_MAX],
+    /// The network's modes, whether they were published or not, the most probable ones first, m.
+    pub network_m: &'a [[[f32; 2]; HORIZON_MAX]],
 }
 
 /// A matured forecast at a knot, whose level is asked for.
@@ -67,6 +105,11 @@ struct Kept {
     means_m: [[[f32; 2]; MODES_MAX]; KNOTS],
     covariances_m2: [[[f32; 3]; MODES_MAX]; KNOTS],
     widths: [f32; KNOTS],
+    network_len: usize,
+    network_m: [[[f32; 2]; MODES_MAX]; KNOTS],
+    fan_m: [[[f32; 2]; MODES_MAX]; KNOTS],
+    /// Sums of the distances of each mode of network and fan from the truth so far.
+    distances_m: [[f32; MODES_MAX]; 2],
 }
 
 /// A forecast of an agent that has not matured.
@@ -77,6 +120,8 @@ struct Pending {
     /// Knots that have matured.
     matured_len: usize,
     velocity_m: [[f32; 2]; KNOTS],
+    blend_m: [[f32; 2]; KNOTS],
+    course: [f32; 2],
     /// Less constant velocity.
     experts_m: [[[f32; 2]; EXPERTS]; KNOTS],
     /// Its place among the mixtures.
@@ -100,6 +145,10 @@ struct Knowledge {
     weights: [[f32; EXPERTS]; KNOTS],
     is_stale: bool,
     widths: [Widths; KNOTS],
+    /// Sums of squares along and across the course, m², and their number.
+    squares: [([f64; 2], f64); KNOTS],
+    /// Sums of the distances of the nearest mode of each set, m, and their number.
+    nearest: ([f64; 3], f64),
 }
 
 /// Evidence of all agents: see the [crate](crate).
@@ -122,9 +171,29 @@ impl Knowledge {
         let widths = prior.log_width.map(|log| Widths::new(log.exp()));
         let blend = Default::default();
         let weights = Default::default();
-        let mut knowledge = Self { prior: *prior, blend, weights, is_stale: true, widths };
+        let squares = prior.deviation_m.map(|deviations| {
+            (deviations.map(|deviation_m| DEVIATIONS_LEN * f64::from(deviation_m).powi(2)), DEVIATIONS_LEN)
+        });
+        let nearest = (prior.nearest_m.map(|nearest_m| SETS_LEN * f64::from(nearest_m)), SETS_LEN);
+        let mut knowledge = Self { prior: *prior, blend, weights, is_stale: true, widths, squares, nearest };
         knowledge.solve();
         knowledge
+    }
+
+    fn discount(&mut self, kept: f64) {
+        self.blend.iter_mut().for_each(|blend| blend.discount(kept));
+        self.widths.iter_mut().for_each(|widths| widths.discount(kept));
+        for (squares, len) in &mut self.squares {
+            squares.iter_mut().chain([len]).for_each(|sum| *sum *= kept);
+        }
+        let (nearest, len) = &mut self.nearest;
+        nearest.iter_mut().chain([len]).for_each(|sum| *sum *= kept);
+    }
+
+    /// Deviations from the blend at a knot, m.
+    fn deviations_m(&self, knot: usize) -> [f32; 2] {
+        let (squares, len) = self.squares[knot];
+        squares.map(|sum| (sum / len.max(1e-9)).sqrt() as f32)
     }
 
     fn solve(&mut self) {
@@ -137,6 +206,49 @@ impl Knowledge {
                 *weights = with_prior.weights();
             }
         }
+    }
+}
+
+impl Knowledge {
+    /// Adds a residual at a knot along and across the course, one of at most [`OUTLIER`] deviations.
+    fn add_residual(&mut self, knot: usize, residual_m: [f32; 2], floor_m: f32, weight: f32) {
+        let deviations_m = self.deviations_m(knot);
+        let (squares, len) = &mut self.squares[knot];
+        for axis in 0..2 {
+            let most_m = OUTLIER * deviations_m[axis].max(floor_m);
+            let residual_m = residual_m[axis].clamp(-most_m, most_m);
+            squares[axis] += f64::from(weight * residual_m * residual_m);
+        }
+        *len += f64::from(weight);
+    }
+
+    fn add_nearest(&mut self, nearest_m: [f32; 3], weight: f32) {
+        let (sums, len) = &mut self.nearest;
+        for (sum, nearest_m) in sums.iter_mut().zip(nearest_m) {
+            *sum += f64::from(weight * nearest_m);
+        }
+        *len += f64::from(weight);
+    }
+}
+
+impl Kept {
+    /// Adds the distances of the modes from the truth at a knot.
+    fn add_distances(&mut self, knot: usize, truth_m: [f32; 2]) {
+        for (sums, modes_m) in
+            self.distances_m.iter_mut().zip([&self.network_m[knot], &self.fan_m[knot]])
+        {
+            for (sum, [x, y]) in sums.iter_mut().zip(modes_m) {
+                *sum += (x - truth_m[0]).hypot(y - truth_m[1]);
+            }
+        }
+    }
+
+    /// Mean distance over the knots of the nearest mode of a set.
+    fn nearest_m(&self, set: ModeSet) -> f32 {
+        let fan_len = set.fan_len(self.network_len).min(FAN.len());
+        let [network, fan] = &self.distances_m;
+        let modes = network[..self.network_len - fan_len].iter().chain(&fan[..fan_len]);
+        modes.copied().fold(f32::INFINITY, f32::min) / KNOTS as f32
     }
 }
 
@@ -155,6 +267,10 @@ impl Evidence {
             means_m: [[[0.0; 2]; MODES_MAX]; KNOTS],
             covariances_m2: [[[0.0; 3]; MODES_MAX]; KNOTS],
             widths: [1.0; KNOTS],
+            network_len: 0,
+            network_m: [[[0.0; 2]; MODES_MAX]; KNOTS],
+            fan_m: [[[0.0; 2]; MODES_MAX]; KNOTS],
+            distances_m: [[0.0; MODES_MAX]; 2],
         };
         Self {
             horizon_len,
@@ -199,8 +315,7 @@ impl Evidence {
         self.now_ns = now_ns;
         let kept = (-passed_s / FADING_S).exp();
         for knowledge in self.known.as_flattened_mut() {
-            knowledge.blend.iter_mut().for_each(|blend| blend.discount(kept));
-            knowledge.widths.iter_mut().for_each(|widths| widths.discount(kept));
+            knowledge.discount(kept);
         }
         let gap_ns = self.step_ns * GAP_STEPS;
         let Self { traces, spare, free, .. } = self;
@@ -251,6 +366,16 @@ impl Evidence {
                 let velocity_m = pending.velocity_m[knot];
                 let taken_m = [0, 1].map(|axis| truth_m[axis] - velocity_m[axis]);
                 let deviation_m = DEVIATION_M * ((knots[knot] + 1) as f32).sqrt();
+                if let Some(place) = pending.mixture {
+                    mixtures[place].add_distances(knot, truth_m);
+                }
+                let nearest_m = pending
+                    .mixture
+                    .filter(|_| pending.matured_len == KNOTS)
+                    .map(|place| ModeSet::ALL.map(|set| mixtures[place].nearest_m(set)));
+                let [x, y] = [0, 1].map(|axis| truth_m[axis] - pending.blend_m[knot][axis]);
+                let [cos, sin] = pending.course;
+                let residual_m = [x * cos + y * sin, y * cos - x * sin];
                 let radius = pending.mixture.filter(|_| *levels_left > 0).map(|place| {
                     *levels_left -= 1;
                     let kept = &mixtures[place];
@@ -265,6 +390,10 @@ impl Evidence {
                         let experts_m = &pending.experts_m[knot];
                         knowledge.blend[knot].add(experts_m, taken_m, deviation_m, share);
                         knowledge.is_stale = true;
+                        knowledge.add_residual(knot, residual_m, deviation_m, share);
+                        if let Some(nearest_m) = nearest_m {
+                            knowledge.add_nearest(nearest_m, share);
+                        }
                         if let Some((level, factor)) = radius.filter(|(level, _)| level.is_finite()) {
                             knowledge.widths[knot].add(level, factor, share);
                         }
@@ -277,15 +406,20 @@ impl Evidence {
     }
 
     /// Keeps a forecast of an agent that was just observed until it matures, at most one each step.
-    pub fn store(&mut self, stamp_ns: i64, agent: &Agent, paths: &Paths, mixture: Option<Mixture<'_>>) {
-        let Some(trace) = self.traces.get_mut(&agent.id) else { return };
-        let newest_ns = trace.pending.back().map(|pending| pending.stamp_ns);
-        if trace.stamp_ns != stamp_ns
-            || newest_ns.is_some_and(|newest_ns| stamp_ns < newest_ns.saturating_add(self.step_ns))
-            || trace.pending.len() > self.horizon_len
-        {
+    ///
+    /// `blend_m` is the blend that was published.
+    pub fn store(
+        &mut self,
+        stamp_ns: i64,
+        agent: &Agent,
+        (paths, blend_m): (&Paths, &[[f32; 2]; HORIZON_MAX]),
+        mixture: Option<Mixture<'_>>,
+    ) {
+        if !self.wants(stamp_ns, agent.id) {
             return;
         }
+        let deviations = self.deviations(agent);
+        let Some(trace) = self.traces.get_mut(&agent.id) else { return };
         let knots = self.knots;
         let velocity_m = knots.map(|step| paths.velocity[step]);
         let experts_m = knots.map(|step| {
@@ -295,18 +429,71 @@ impl Evidence {
             let place = self.free.pop()?;
             let kept = &mut self.mixtures[place];
             kept.modes_len = mixture.probability.len();
+            kept.network_len = mixture.network_m.len();
+            kept.distances_m = Default::default();
             kept.probability[..kept.modes_len].copy_from_slice(mixture.probability);
             for (knot, step) in knots.into_iter().enumerate() {
                 for mode in 0..kept.modes_len {
                     kept.means_m[knot][mode] = mixture.modes_m[mode][step];
                     kept.covariances_m2[knot][mode] = mixture.covariances_m2[mode][step];
                 }
+                for (kept, mode) in kept.network_m[knot].iter_mut().zip(mixture.network_m) {
+                    *kept = mode[step];
+                }
+                for (mode, kept) in kept.fan_m[knot].iter_mut().enumerate() {
+                    let residual_m = deviations.residual_m(mode, step);
+                    *kept = [0, 1].map(|axis| blend_m[step][axis] + residual_m[axis]);
+                }
                 kept.widths[knot] = mixture.widths[step];
             }
             Some(place)
         });
         let context = Context::new(agent.agent_type, agent.speed_mps);
-        trace.pending.push_back(Pending { stamp_ns, context, matured_len: 0, velocity_m, experts_m, mixture });
+        let (blend_m, course) = (knots.map(|step| blend_m[step]), agent.course);
+        trace.pending.push_back(Pending {
+            stamp_ns,
+            context,
+            matured_len: 0,
+            velocity_m,
+            blend_m,
+            course,
+            experts_m,
+            mixture,
+        });
+    }
+
+    /// Whether a forecast of an agent would be kept.
+    #[must_use]
+    pub fn wants(&self, stamp_ns: i64, agent: u64) -> bool {
+        self.traces.get(&agent).is_some_and(|trace| {
+            let newest_ns = trace.pending.back().map(|pending| pending.stamp_ns);
+            trace.stamp_ns == stamp_ns
+                && newest_ns.is_none_or(|newest_ns| stamp_ns >= newest_ns.saturating_add(self.step_ns))
+                && trace.pending.len() <= self.horizon_len
+        })
+    }
+
+    /// How far agents alike deviate from the blend.
+    #[must_use]
+    pub fn deviations(&self, agent: &Agent) -> Deviations {
+        let context = Context::new(agent.agent_type, agent.speed_mps);
+        let of_type = &self.known[agent.agent_type.index()];
+        let at_knots: [[f32; 2]; KNOTS] =
+            std::array::from_fn(|knot| context.between(|band| of_type[band].deviations_m(knot)));
+        Deviations { steps_m: self.between_knots(&at_knots), course: agent.course }
+    }
+
+    /// The set of modes whose nearest one has been nearest for agents alike.
+    #[must_use]
+    pub fn mode_set(&self, agent: &Agent) -> ModeSet {
+        let context = Context::new(agent.agent_type, agent.speed_mps);
+        let of_type = &self.known[agent.agent_type.index()];
+        let nearest_m: [f32; 3] = context.between(|band| {
+            let (nearest, len) = of_type[band].nearest;
+            nearest.map(|sum| (sum / len.max(1e-9)) as f32)
+        });
+        let sets = ModeSet::ALL.into_iter().zip(nearest_m);
+        sets.reduce(|best, set| if set.1 < best.1 { set } else { best }).map_or(ModeSet::Network, |set| set.0)
     }
 
     /// The experts' weights at each step of the horizon, in the order of [`SLOTS`]; constant velocity has the
@@ -368,9 +555,12 @@ impl Evidence {
                     }
                     mean
                 };
+                let (nearest, len) = knowledge.nearest;
                 ContextPrior {
                     blend: knowledge.blend.each_ref().map(mean),
                     log_width: knowledge.widths.each_ref().map(Widths::log),
+                    deviation_m: std::array::from_fn(|knot| knowledge.deviations_m(knot)),
+                    nearest_m: nearest.map(|sum| (sum / len.max(1e-9)) as f32),
                 }
             })
         }))

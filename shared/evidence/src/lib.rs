@@ -20,7 +20,10 @@
 //!   r = √(−2 ln (1 − level)), is 2.15 at nine of ten forecasts of calibrated regions. Its 0.9 quantile over
 //!   matured forecasts, discounted by age, is the factor by which regions widen ([`Evidence::widths`]).
 //!
-//! Both are kept at four steps of the horizon and linear between them, and for six speeds between which they
+//! * **Which modes.** The network's, a [fan](FAN) about the blend as wide as agents alike deviate from it, or
+//!   the most probable ones of both: the set whose nearest mode has been nearest.
+//!
+//! All are kept at four steps of the horizon and linear between them, and for six speeds between which they
 //! are linear too. Nothing here allocates after the start.
 //!
 //! A network that says "twice as far" where agents keep their velocity:
@@ -39,8 +42,9 @@
 //!     let network = std::array::from_fn(|step| [x_m + 8.0 * (step as f32 + 1.0), 0.0]);
 //!     let mut experts = [velocity; EXPERTS];
 //!     experts[Expert::Network as usize] = network;
-//!     let agent = Agent { id: 1, agent_type: AgentType::Vehicle, speed_mps: 10.0 };
-//!     evidence.store(tick * STEP_NS, &agent, &Paths { velocity, experts }, None);
+//!     let agent =
+//!         Agent { id: 1, agent_type: AgentType::Vehicle, speed_mps: 10.0, course: [1.0, 0.0] };
+//!     evidence.store(tick * STEP_NS, &agent, (&Paths { velocity, experts }, &velocity), None);
 //! }
 //! let after = evidence.weights(AgentType::Vehicle, 10.0)[11];
 //! assert!(after[Expert::Network as usize] < 0.1 * before[Expert::Network as usize].max(0.5));
@@ -48,6 +52,7 @@
 
 mod blend;
 mod context;
+mod fan;
 mod ledger;
 mod paths;
 mod prior;
@@ -55,7 +60,8 @@ mod width;
 
 pub use blend::Statistics;
 pub use context::{BANDS, Context, SPEEDS_MPS};
-pub use ledger::{Agent, Evidence, Matured, Mixture};
+pub use fan::{Deviations, FAN};
+pub use ledger::{Agent, Evidence, Matured, Mixture, ModeSet};
 pub use paths::{MotionNow, Paths};
 pub use prior::{ContextPrior, Prior, PriorError};
 

@@ -18,6 +18,10 @@ pub struct ContextPrior {
     pub blend: [Statistics; KNOTS],
     /// Logarithm of the factor of the widths, at each knot.
     pub log_width: [f32; KNOTS],
+    /// Deviations from the blend along and across the course at each knot, m.
+    pub deviation_m: [[f32; 2]; KNOTS],
+    /// Distance of the nearest mode of each [`ModeSet`](crate::ModeSet), m; zeros where it is unknown.
+    pub nearest_m: [f32; 3],
 }
 
 /// A prior that can't be read.

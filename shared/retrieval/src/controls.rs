@@ -89,6 +89,21 @@ impl ControlChanges {
         }
     }
 
+    /// Replaces a mode by the best forecast with a further change of its controls.
+    pub fn replace(&mut self, mode: usize, by: &ControlChange, probability: f32) {
+        let mut change = self.best;
+        for (own, by) in change.as_flattened_mut().iter_mut().zip(by.as_flattened()) {
+            *own += by;
+        }
+        self.replaced[mode] = Some(change);
+        self.probability[mode] = probability;
+    }
+
+    /// Multiplies the probability of a mode.
+    pub fn scale_probability(&mut self, mode: usize, factor: f32) {
+        self.probability[mode] *= factor;
+    }
+
     /// Resets to no change, of modes with these probabilities.
     pub fn reset(&mut self, probability: &[f32]) {
         (self.best, self.modes) = Default::default();

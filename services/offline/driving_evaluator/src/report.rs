@@ -253,6 +253,7 @@ impl Report {
                 let of_sources: Vec<&ContextPrior> =
                     learned.iter().map(|prior| &prior.0[of_type][band]).collect();
                 mean_context(&of_sources, context);
+                context.nearest_m = mean_nearest(&of_sources);
             }
             fill_gaps(contexts);
         }
@@ -269,8 +270,21 @@ fn mean_context(sources: &[&ContextPrior], mean: &mut ContextPrior) {
         known.iter().for_each(|source| mean.blend[knot].add_scaled(&source.blend[knot], share));
         let mut widths: Vec<f32> = known.iter().map(|source| source.log_width[knot]).collect();
         widths.sort_unstable_by(f32::total_cmp);
+        mean.deviation_m[knot] = [0, 1].map(|axis| {
+            let sum: f32 = known.iter().map(|source| source.deviation_m[knot][axis]).sum();
+            sum * share as f32
+        });
         mean.log_width[knot] = widths.get(widths.len() / 2).copied().unwrap_or(0.0);
     }
+}
+
+/// The mean over the sources of the distances of the nearest modes.
+fn mean_nearest(sources: &[&ContextPrior]) -> [f32; 3] {
+    let known = sources.iter().filter(|source| source.nearest_m[0] > 0.0);
+    let (sums, len) = known.fold(([0.0_f32; 3], 0_u8), |(sums, len), source| {
+        (std::array::from_fn(|set| sums[set] + source.nearest_m[set]), len + 1)
+    });
+    sums.map(|sum| sum / f32::from(len.max(1)))
 }
 
 /// Contexts that no source knows expect what the nearest known one does.
@@ -291,8 +305,8 @@ struct Cell<'a> {
 impl Cell<'_> {
     fn mean(&self, of: impl Fn(&Sample) -> f64) -> f64 {
         let values = self.samples.iter().map(|sample| of(sample)).filter(|value| value.is_finite());
-        let (sum, len) = values.fold((0.0, 0), |(sum, len), value| (sum + value, len + 1));
-        sum / f64::from(len.max(1))
+        let (sum, len) = values.fold((0.0, 0_u32), |(sum, len), value| (sum + value, len + 1));
+        sum / f64::from(len)
     }
 
     fn share(&self, of: impl Fn(&Sample) -> bool) -> f64 {
@@ -306,7 +320,7 @@ impl Cell<'_> {
 
     fn text(&self, method: Method) -> String {
         let Errors { ade_m, fde_m } = self.errors(method);
-        format!("{} / {}", digits(ade_m), digits(fde_m))
+        if ade_m.is_nan() { "-".to_owned() } else { format!("{} / {}", digits(ade_m), digits(fde_m)) }
     }
 
     fn held(&self, level: f64, step: usize) -> f64 {

@@ -64,6 +64,8 @@ numbers! {
         ProcessModel = 4 => "process model",
         /// An acceleration that decays.
         DecayingAcceleration = 5 => "decaying acceleration",
+        /// The single best forecast with a typical residual of agents alike.
+        Fan = 254 => "fan",
         /// The network's best forecast with residuals of others at the same place, from the retrieval memory.
         Retrieval = 255 => "retrieval",
     }
