@@ -20,7 +20,7 @@ const TRACES_MAX: usize = 4 * AGENTS_MAX;
 /// Most forecasts whose mixtures are kept until they mature.
 const MIXTURES_MAX: usize = 1024;
 /// Most levels that are computed in a tick.
-const LEVELS_MAX: usize = 16;
+const LEVELS_MAX: usize = 32;
 
 /// Deviations that the prior counts for.
 const DEVIATIONS_LEN: f64 = 10.0;
@@ -180,9 +180,9 @@ impl Knowledge {
         knowledge
     }
 
-    fn discount(&mut self, kept: f64) {
+    fn discount(&mut self, kept: f64, under_way: f64) {
         self.blend.iter_mut().for_each(|blend| blend.discount(kept));
-        self.widths.iter_mut().for_each(|widths| widths.discount(kept));
+        self.widths.iter_mut().for_each(|widths| widths.discount(kept, under_way));
         for (squares, len) in &mut self.squares {
             squares.iter_mut().chain([len]).for_each(|sum| *sum *= kept);
         }
@@ -314,8 +314,10 @@ impl Evidence {
         };
         self.now_ns = now_ns;
         let kept = (-passed_s / FADING_S).exp();
+        let horizon_s = (self.step_ns * self.horizon_len as i64) as f64 * 1e-9;
+        let under_way = (-passed_s / horizon_s).exp();
         for knowledge in self.known.as_flattened_mut() {
-            knowledge.discount(kept);
+            knowledge.discount(kept, under_way);
         }
         let gap_ns = self.step_ns * GAP_STEPS;
         let Self { traces, spare, free, .. } = self;

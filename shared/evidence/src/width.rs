@@ -1,4 +1,5 @@
-//! The factor by which regions widen: a discounted histogram of radii.
+//! The factor by which regions widen: a discounted histogram of radii finds it quickly, and adaptive conformal
+//! inference holds it: every miss widens all later regions a little, every hit narrows them by a ninth of that.
 
 /// Bins of the logarithm of the radius over that of a calibrated region of 90 %.
 const BINS: usize = 64;
@@ -8,6 +9,12 @@ const RANGE: [f32; 2] = [-3.2, 3.2];
 const RADIUS: f32 = 2.145_966;
 /// Probability of the region that is calibrated.
 const LEVEL: f64 = 0.9;
+/// Change of the logarithm while as many forecasts mature as are under way, if all miss or none does.
+const GAIN: f64 = 1.5;
+/// A single forecast changes the logarithm by no more.
+const STEP_MAX: f64 = 0.1;
+/// Largest correction of the histogram's logarithm.
+const CORRECTION_MAX: f64 = 1.5;
 /// Radii that are assumed to have been seen at the start, of a calibrated region.
 const ASSUMED: f64 = 15.0;
 
@@ -18,13 +25,17 @@ pub(crate) struct Widths {
     len: f64,
     /// Logarithm of the factor.
     log: f32,
+    /// What adaptive conformal inference adds to the histogram's logarithm.
+    correction: f64,
+    /// Forecasts that mature in the time of a horizon.
+    rate: f64,
 }
 
 impl Widths {
     /// No radius yet; regions begin with `factor` times their own width.
     pub(crate) fn new(factor: f32) -> Self {
-        Self { bins: [0.0; BINS], len: 0.0, log: factor.max(f32::MIN_POSITIVE).ln().clamp(RANGE[0], RANGE[1]) }
-            .begun()
+        let log = factor.max(f32::MIN_POSITIVE).ln().clamp(RANGE[0], RANGE[1]);
+        Self { bins: [0.0; BINS], len: 0.0, log, correction: 0.0, rate: 0.0 }.begun()
     }
 
     /// Spreads the assumed radii as a two-dimensional Gaussian has them.
@@ -45,10 +56,17 @@ impl Widths {
         let place = (log - RANGE[0]) / (RANGE[1] - RANGE[0]) * BINS as f32;
         self.bins[(place.max(0.0) as usize).min(BINS - 1)] += f64::from(weight);
         self.len += f64::from(weight);
-        self.log = self.quantile();
+        self.rate += f64::from(weight);
+        let step = (GAIN / self.rate.max(1.0)).min(STEP_MAX) * f64::from(weight);
+        let missed = if level > LEVEL { 1.0 } else { 0.0 };
+        let correction = self.correction + step * (missed - (1.0 - LEVEL));
+        self.correction = correction.clamp(-CORRECTION_MAX, CORRECTION_MAX);
+        self.log = (self.quantile() + self.correction as f32).clamp(RANGE[0], RANGE[1]);
     }
 
-    pub(crate) fn discount(&mut self, factor: f64) {
+    /// Lets evidence fade, and the count of what is under way, by these factors.
+    pub(crate) fn discount(&mut self, factor: f64, under_way: f64) {
+        self.rate *= under_way;
         self.bins.iter_mut().for_each(|count| *count *= factor);
         self.len *= factor;
     }
