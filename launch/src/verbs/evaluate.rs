@@ -61,7 +61,7 @@ pub struct Arguments {
     /// Publish the network's forecasts in `driving` as they are, whatever earlier ones were worth
     #[arg(long)]
     without_evidence: bool,
-    /// Write what `driving` shows the experts to be worth, as a prior for other roads
+    /// Write what `driving` shows the experts to be worth on each source, as priors for other roads
     #[arg(long, value_name = "FILE")]
     prior: Option<PathBuf>,
     /// Format of the recordings; detected if not given
@@ -238,7 +238,7 @@ fn drive(arguments: &Arguments) -> Result<Written, Failure> {
     };
     let report = driving_evaluator::evaluate(&options, progress).map_err(Failure::data)?;
     if let Some(path) = &arguments.prior {
-        write(path, &report.prior().to_json())?;
+        write(path, &(report.priors().to_json() + "\n"))?;
     }
     Ok(Written {
         name: "driving",

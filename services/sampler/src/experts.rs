@@ -99,8 +99,8 @@ impl Spread {
 }
 
 impl Experts {
-    pub(crate) fn new(horizon_len: usize, step_ns: u64) -> Self {
-        let evidence = Evidence::new(horizon_len, step_ns, &Prior::shipped());
+    pub(crate) fn new(horizon_len: usize, step_ns: u64, prior: &Prior) -> Self {
+        let evidence = Evidence::new(horizon_len, step_ns, prior);
         Self { evidence, levels: HighestDensity::with_room(MODES_MAX), horizon_len }
     }
 

@@ -1,4 +1,4 @@
-use evidence::Evidence;
+use evidence::{Evidence, Prior, Priors};
 use kinematics::{DisplacementKind, MotionKind, MotionOptions, Normals, PARTICLES_MAX};
 use retrieval::{ControlChanges, Key, Query, Retrieval, RetrievalMemory};
 use scene::{AgentType, track_history};
@@ -19,6 +19,8 @@ pub struct Sampler {
     held: HeldForecasts,
     /// None where nothing is to be retrieved, or no tick came yet.
     retrieval: Option<Retrieval>,
+    /// What is expected of the experts before any forecast has matured.
+    prior: Prior,
     /// None where evidence does not count, or no tick came yet.
     experts: Option<Experts>,
     /// Scratch: the changes of the agent in hand.
@@ -52,12 +54,18 @@ impl Sampler {
             assert!((1..=PARTICLES_MAX).contains(&particles), "{particles} particles");
         }
         let changes = ControlChanges::default();
-        Self { options, held: HeldForecasts::new(), retrieval: None, experts: None, changes }
+        let prior = if options.evidence { Priors::shipped().mean(|_| true) } else { Prior::default() };
+        Self { options, held: HeldForecasts::new(), retrieval: None, prior, experts: None, changes }
     }
 
     /// Retrieves from now on from a memory of forecasts of the same model.
     pub fn warm_start(&mut self, memory: RetrievalMemory) {
         self.retrieval = Some(Retrieval::new(memory));
+    }
+
+    /// Expects of the experts from the first tick on what `prior` says, not what is shipped.
+    pub fn expect(&mut self, prior: Prior) {
+        self.prior = prior;
     }
 
     /// Goes on with what an earlier sampler of the same model has learned of its experts, as after the end of
@@ -150,7 +158,7 @@ impl Sampler {
             self.retrieval.get_or_insert_with(new).observe(tick.stamp_ns, positions_m);
         }
         if self.options.evidence && tick.step_ns > 0 {
-            let new = || Experts::new(self.options.horizon_len, tick.step_ns);
+            let new = || Experts::new(self.options.horizon_len, tick.step_ns, &self.prior);
             let detected = tracks.iter().filter(|track| track.unseen_ns == 0);
             let positions_m = detected.map(|track| (track.id, [track.x_m, track.y_m]));
             self.experts.get_or_insert_with(new).observe(tick.stamp_ns, positions_m);

@@ -63,7 +63,7 @@ pub use context::{BANDS, Context, SPEEDS_MPS};
 pub use fan::{Deviations, FAN};
 pub use ledger::{Agent, Evidence, Matured, Mixture, ModeSet};
 pub use paths::{MotionNow, Paths};
-pub use prior::{ContextPrior, Prior, PriorError};
+pub use prior::{ContextPrior, Prior, PriorError, Priors};
 
 /// Experts beside constant velocity, in the order of their numbers in [`SLOTS`].
 pub const EXPERTS: usize = 4;

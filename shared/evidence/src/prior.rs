@@ -1,20 +1,23 @@
+use std::collections::BTreeMap;
 use std::fmt;
 
 use crate::{BANDS, KNOTS, Statistics};
 
+/// Deviations where no source tells any, m.
+const DEVIATIONS_M: [[f32; 2]; KNOTS] = [[0.1, 0.05], [0.5, 0.25], [1.8, 0.8], [6.0, 3.0]];
+/// Significant digits of the numbers in a file.
+const DIGITS: i32 = 4;
+
 /// What is expected before any forecast has matured, by type of agent and speed.
-///
-/// Sums per forecast over recordings that the network was not trained on, as JSON; an empty one expects
-/// constant velocity alone.
-#[derive(Clone, Debug, Default, PartialEq, serde::Serialize, serde::Deserialize)]
+#[derive(Clone, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
 #[serde(transparent)]
 pub struct Prior(pub [[ContextPrior; BANDS]; 3]);
 
 /// The expectation of one type at one speed.
-#[derive(Clone, Copy, Debug, Default, PartialEq, serde::Serialize, serde::Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ContextPrior {
-    /// Mean statistics of a forecast, at each knot.
+    /// Mean statistics of a forecast, at each knot; without forecasts, constant velocity has all weight.
     pub blend: [Statistics; KNOTS],
     /// Logarithm of the factor of the widths, at each knot.
     pub log_width: [f32; KNOTS],
@@ -24,13 +27,18 @@ pub struct ContextPrior {
     pub nearest_m: [f32; 3],
 }
 
-/// A prior that can't be read.
+/// What was learned on some sources of recordings that the network was not trained on, by name.
+#[derive(Clone, Debug, Default, PartialEq, serde::Serialize, serde::Deserialize)]
+#[serde(transparent)]
+pub struct Priors(pub BTreeMap<String, Prior>);
+
+/// Priors that can't be read.
 #[derive(Debug)]
 pub struct PriorError(serde_json::Error);
 
 impl fmt::Display for PriorError {
     fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(formatter, "the prior of the experts can't be read")
+        write!(formatter, "the priors of the experts can't be read")
     }
 }
 
@@ -40,29 +48,134 @@ impl std::error::Error for PriorError {
     }
 }
 
-impl Prior {
-    /// The shipped prior: from sources that were left out of the training of the network in turn.
-    #[must_use]
-    pub fn shipped() -> Self {
-        Self::from_json(include_str!("prior.json")).expect("the shipped prior is read by a test")
+impl Default for ContextPrior {
+    fn default() -> Self {
+        Self {
+            blend: Default::default(),
+            log_width: [0.0; KNOTS],
+            deviation_m: DEVIATIONS_M,
+            nearest_m: [0.0; 3],
+        }
+    }
+}
+
+impl Default for Prior {
+    fn default() -> Self {
+        Self([[ContextPrior::default(); BANDS]; 3])
+    }
+}
+
+impl ContextPrior {
+    /// Whether a source knows the context.
+    fn is_known(&self) -> bool {
+        self.blend.iter().all(|blend| blend.len > 0.0)
     }
 
-    /// From the text of [`Prior::to_json`].
+    /// The mean over sources, of the widths the median.
+    fn mean(sources: &[&Self]) -> Self {
+        let share = 1.0 / sources.len() as f64;
+        let mut mean = Self { deviation_m: [[0.0; 2]; KNOTS], ..Self::default() };
+        for source in sources {
+            for knot in 0..KNOTS {
+                mean.blend[knot].add_scaled(&source.blend[knot], share);
+                for axis in 0..2 {
+                    mean.deviation_m[knot][axis] += share as f32 * source.deviation_m[knot][axis];
+                }
+            }
+            for (mean, nearest_m) in mean.nearest_m.iter_mut().zip(source.nearest_m) {
+                *mean += share as f32 * nearest_m;
+            }
+        }
+        for (knot, log_width) in mean.log_width.iter_mut().enumerate() {
+            let mut widths: Vec<f32> = sources.iter().map(|source| source.log_width[knot]).collect();
+            widths.sort_unstable_by(f32::total_cmp);
+            *log_width = widths[widths.len() / 2];
+        }
+        mean
+    }
+
+    /// The numbers with few digits, as they are written.
+    fn rounded(&self) -> Self {
+        let blend = self.blend.map(|of| Statistics {
+            products: of.products.map(|row| row.map(rounded)),
+            targets: of.targets.map(rounded),
+            len: rounded(of.len),
+        });
+        let short = |value: f32| rounded(f64::from(value)) as f32;
+        Self {
+            blend,
+            log_width: self.log_width.map(short),
+            deviation_m: self.deviation_m.map(|of| of.map(short)),
+            nearest_m: self.nearest_m.map(short),
+        }
+    }
+}
+
+impl Priors {
+    /// The shipped priors: what the embedded weights were worth on sources that they were not trained on.
+    ///
+    /// # Panics
+    /// Never: a test reads them.
+    #[must_use]
+    pub fn shipped() -> Self {
+        Self::from_json(include_str!("priors.json")).expect("a test reads them")
+    }
+
+    /// The mean over the sources whose names are `wanted`: every source counts the same. Contexts that none
+    /// knows are those of the nearest speed that one does.
+    #[must_use]
+    pub fn mean(&self, wanted: impl Fn(&str) -> bool) -> Prior {
+        let sources: Vec<&Prior> =
+            self.0.iter().filter(|(name, _)| wanted(name)).map(|(_, prior)| prior).collect();
+        let mut mean = Prior::default();
+        for (of_type, contexts) in mean.0.iter_mut().enumerate() {
+            let mut known = [false; BANDS];
+            for (band, context) in contexts.iter_mut().enumerate() {
+                let of_sources = sources.iter().map(|source| &source.0[of_type][band]);
+                let of_sources: Vec<&ContextPrior> = of_sources.filter(|of| of.is_known()).collect();
+                known[band] = !of_sources.is_empty();
+                if known[band] {
+                    *context = ContextPrior::mean(&of_sources);
+                }
+            }
+            for band in 0..BANDS {
+                let nearest = (0..BANDS).filter(|&other| known[other]).min_by_key(|other| other.abs_diff(band));
+                contexts[band] = nearest.map_or(contexts[band], |nearest| contexts[nearest]);
+            }
+        }
+        mean
+    }
+
+    /// From the text of [`Priors::to_json`].
     ///
     /// # Errors
-    /// [`PriorError`] where it is another text or has a number that is not finite.
+    /// [`PriorError`] where it is another text.
     pub fn from_json(text: &str) -> Result<Self, PriorError> {
         serde_json::from_str(text).map_err(PriorError)
     }
 
-    /// As text.
+    /// As text, of a few digits.
     ///
     /// # Panics
-    /// Never: its numbers are finite.
+    /// Never: its keys are text.
     #[must_use]
     pub fn to_json(&self) -> String {
-        serde_json::to_string(self).expect("numbers")
+        let rounded = |prior: &Prior| Prior(prior.0.map(|of_type| of_type.map(|context| context.rounded())));
+        let rounded = Self(self.0.iter().map(|(name, prior)| (name.clone(), rounded(prior))).collect());
+        serde_json::to_string(&rounded).expect("keys are text")
     }
+}
+
+/// A number of [`DIGITS`] digits.
+fn rounded(value: f64) -> f64 {
+    if value == 0.0 || !value.is_finite() {
+        return 0.0;
+    }
+    let unit = 10_f64.powi(value.abs().log10().floor() as i32 + 1 - DIGITS);
+    // Written as the shortest text that is this number.
+    format!("{:e}", (value / unit).round() * unit)
+        .parse::<f64>()
+        .map_or(value, |value| format!("{value:.*e}", DIGITS as usize - 1).parse().unwrap_or(value))
 }
 
 #[cfg(test)]
@@ -70,10 +183,33 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_shipped_prior_expects_experts_to_be_worth_something() {
-        let prior = Prior::shipped();
+    fn the_shipped_priors_expect_experts_to_be_worth_something() {
+        let priors = Priors::shipped();
+        let prior = priors.mean(|_| true);
         let worth = |of: &ContextPrior| of.blend.iter().all(|at| at.weights().iter().sum::<f32>() > 0.0);
         assert!(prior.0[0].iter().all(worth), "{:?}", prior.0[0].map(|of| of.blend.map(|at| at.weights())));
-        assert_eq!(Prior::from_json(&prior.to_json()).unwrap(), prior);
+        assert_eq!(Priors::from_json(&priors.to_json()).unwrap(), priors);
+    }
+
+    #[test]
+    fn a_source_that_is_left_out_has_no_part() {
+        let prior = |width: f32| {
+            let blend = [Statistics { len: 1.0, ..Statistics::default() }; KNOTS];
+            let mut prior = Prior::default();
+            prior.0[0][2] = ContextPrior { blend, log_width: [width; KNOTS], ..ContextPrior::default() };
+            prior
+        };
+        let names = ["a", "b", "c"].into_iter().zip([1.0, 2.0, 5.0]);
+        let priors = Priors(names.map(|(name, width)| (name.to_owned(), prior(width))).collect());
+        let widths = |mean: Prior| mean.0[0].map(|context| context.log_width[0]);
+        assert_eq!(widths(priors.mean(|_| true)), [2.0; BANDS]);
+        assert_eq!(widths(priors.mean(|name| name != "c")), [2.0; BANDS]);
+        assert_eq!(widths(priors.mean(|name| name == "a")), [1.0; BANDS]);
+        assert_eq!(priors.mean(|_| false), Prior::default());
+    }
+
+    #[test]
+    fn numbers_are_written_with_four_digits() {
+        assert_eq!([0.123_456, -98_765.4, 0.0, 2.0].map(rounded), [0.1235, -98_770.0, 0.0, 2.0]);
     }
 }

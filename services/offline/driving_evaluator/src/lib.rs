@@ -7,7 +7,8 @@
 //!
 //! A source is played as one run: each recording goes through the chain of `stgdat predict` from detections to
 //! forecasts, tracker included, with new tracks, map and retrieval memory, as every recording is another
-//! place; what the sampler has learned of its experts goes on to the next one. The motorway is missing: fast
+//! place; what the sampler has learned of its experts goes on to the next one. Before the first it expects what the
+//! *other* sources have [shown](evidence::Priors). The motorway is missing: fast
 //! sources are also shown at twice their scale, as sources of their own.
 
 mod error;

@@ -3,6 +3,7 @@
 use std::collections::{BTreeMap, VecDeque};
 
 use data::RecordedTrack;
+use evidence::Priors;
 use metrics::{Anchors, HighestDensity};
 use nn::ModelConfig;
 use onboard::Chain;
@@ -50,8 +51,9 @@ pub(crate) fn play(
             data::tracks(&recording).into_iter().map(|track| (track.id, track)).collect();
         let playback = Playback::new(recording, PlaybackOptions { lockstep: true, ..PlaybackOptions::default() });
         let mut chain = Chain::new(&run(&playback, options)?, model)?;
-        if let Some(before) = before.take() {
-            chain.continue_from(before);
+        match before.take() {
+            Some(before) => chain.continue_from(before),
+            None => chain.expect(Priors::shipped().mean(|name| !source.is_of(name))),
         }
         let agents = (number as u64) << 32;
         let session = Session { agents, before_s: played_s, tracks: &tracks };

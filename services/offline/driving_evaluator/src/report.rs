@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::fmt::Write as _;
 
 use evaluator::{RESAMPLES, Table, digits};
-use evidence::{ContextPrior, Prior};
+use evidence::Priors;
 use metrics::{Interval, PairedErrors, paired_bootstrap_ratio};
 use nn::ModelConfig;
 use scene::AgentType;
@@ -243,57 +243,13 @@ impl Report {
         json!({ "made": self.made, "cells": cells.collect::<Vec<_>>() })
     }
 
-    /// What the sampler learned of its experts, as the mean over the sources: what to expect at another one.
+    /// What the sampler learned of its experts, by source.
     #[must_use]
-    pub fn prior(&self) -> Prior {
-        let learned: Vec<&Prior> = self.sources.iter().filter_map(|(_, played)| played.learned.as_ref()).collect();
-        let mut mean = Prior::default();
-        for (of_type, contexts) in mean.0.iter_mut().enumerate() {
-            for (band, context) in contexts.iter_mut().enumerate() {
-                let of_sources: Vec<&ContextPrior> =
-                    learned.iter().map(|prior| &prior.0[of_type][band]).collect();
-                mean_context(&of_sources, context);
-                context.nearest_m = mean_nearest(&of_sources);
-            }
-            fill_gaps(contexts);
-        }
-        mean
-    }
-}
-
-/// The mean of the sources that know a context, of its widths the median.
-fn mean_context(sources: &[&ContextPrior], mean: &mut ContextPrior) {
-    for knot in 0..mean.blend.len() {
-        let known: Vec<&&ContextPrior> =
-            sources.iter().filter(|source| source.blend[knot].len > 0.0).collect();
-        let share = 1.0 / known.len().max(1) as f64;
-        known.iter().for_each(|source| mean.blend[knot].add_scaled(&source.blend[knot], share));
-        let mut widths: Vec<f32> = known.iter().map(|source| source.log_width[knot]).collect();
-        widths.sort_unstable_by(f32::total_cmp);
-        mean.deviation_m[knot] = [0, 1].map(|axis| {
-            let sum: f32 = known.iter().map(|source| source.deviation_m[knot][axis]).sum();
-            sum * share as f32
+    pub fn priors(&self) -> Priors {
+        let learned = self.sources.iter().filter_map(|(source, played)| {
+            Some((source.name.clone(), played.learned.clone()?))
         });
-        mean.log_width[knot] = widths.get(widths.len() / 2).copied().unwrap_or(0.0);
-    }
-}
-
-/// The mean over the sources of the distances of the nearest modes.
-fn mean_nearest(sources: &[&ContextPrior]) -> [f32; 3] {
-    let known = sources.iter().filter(|source| source.nearest_m[0] > 0.0);
-    let (sums, len) = known.fold(([0.0_f32; 3], 0_u8), |(sums, len), source| {
-        (std::array::from_fn(|set| sums[set] + source.nearest_m[set]), len + 1)
-    });
-    sums.map(|sum| sum / f32::from(len.max(1)))
-}
-
-/// Contexts that no source knows expect what the nearest known one does.
-fn fill_gaps(contexts: &mut [ContextPrior]) {
-    let known: Vec<usize> = (0..contexts.len()).filter(|&band| contexts[band].blend[0].len > 0.0).collect();
-    for band in 0..contexts.len() {
-        if let Some(&nearest) = known.iter().min_by_key(|known| known.abs_diff(band)) {
-            contexts[band] = contexts[nearest];
-        }
+        Priors(learned.collect())
     }
 }
 

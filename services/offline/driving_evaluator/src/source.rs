@@ -68,6 +68,11 @@ fn list(folder: &Path) -> Result<Vec<PathBuf>, DrivingError> {
 }
 
 impl Source {
+    /// Whether a source of that name has the same recordings.
+    pub(crate) fn is_of(&self, name: &str) -> bool {
+        self.folder.file_name().is_some_and(|folder| name.starts_with(&*folder.to_string_lossy()))
+    }
+
     /// Opens a recording at the source's scale.
     pub(crate) fn open(&self, path: &Path) -> Result<Recording, DrivingError> {
         let mut recording = data::open(path, None)?;

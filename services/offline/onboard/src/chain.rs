@@ -1,5 +1,5 @@
 use bytemuck::Zeroable;
-use evidence::Evidence;
+use evidence::{Evidence, Prior};
 use nn::ModelConfig;
 use run::Run;
 use tracker::Tracker;
@@ -69,6 +69,11 @@ impl Chain {
     /// [`ChainError`] where it can't be written.
     pub fn keep_memory(&self, run: &Run) -> Result<(), ChainError> {
         Ok(sampler::stage::save_memory(run, self.rest.sampler())?)
+    }
+
+    /// Expects of the sampler's experts what `prior` says, not what is shipped.
+    pub fn expect(&mut self, prior: Prior) {
+        self.rest.expect(prior);
     }
 
     /// Goes on with what an earlier chain's sampler has learned of its experts.

@@ -1,4 +1,5 @@
 use bytemuck::Zeroable;
+use evidence::Prior;
 use nn::{ModelConfig, Weights};
 use run::Run;
 use sampler::Sampler;
@@ -74,6 +75,11 @@ impl TracksToForecasts {
     #[must_use]
     pub fn forecasts(&self, len: usize) -> &[Forecast] {
         &self.forecasts[..len]
+    }
+
+    /// Expects of the sampler's experts what `prior` says, not what is shipped.
+    pub(crate) fn expect(&mut self, prior: Prior) {
+        self.sampler.expect(prior);
     }
 
     /// Goes on with what the sampler of earlier stages has learned of its experts.
