@@ -17,7 +17,8 @@
 //! | `source_id` | the agent's identity in the recording, 0 where it has none (64 bits) |
 //! | `type` | `vehicle`, `cyclist`, `pedestrian` |
 //! | `quality` | `learned`, `held` (from an earlier tick), `kinematic` (constant control) |
-//! | `cause` | why the forecast is not learned: `late`, `rejected`, `missing`, `young`; else `none` |
+//! | `cause` | why the forecast is not learned: `late`, `rejected`, `missing`, `young`, `outdone`; else `none` |
+//! | `experts` | weights of the experts that have any, by name; empty without a blend |
 //! | `age_s` | age of a held forecast, else 0 |
 //! | `prior` | what predicted the track's state: `learned`, `held` (a forecast older than Δt), `kinematic` |
 //! | `prior_age_s` | age of the forecast that is the prior, else 0 |
@@ -38,7 +39,7 @@ use std::io::{self, Write};
 use std::path::Path;
 
 use serde::{Serialize, Serializer};
-use wire::{AgentType, Cause, Forecast, HORIZON_MAX, Header, MODES_MAX, Quality};
+use wire::{AgentType, Cause, EXPERTS_MAX, Expert, Forecast, HORIZON_MAX, Header, MODES_MAX, Quality};
 
 use crate::whole_file::WholeFile;
 
@@ -107,6 +108,7 @@ struct Agent<'a> {
     r#type: &'static str,
     quality: &'static str,
     cause: &'static str,
+    experts: Experts<'a>,
     age_s: f64,
     prior: &'static str,
     prior_age_s: f64,
@@ -133,6 +135,7 @@ impl<'a> Agent<'a> {
             r#type: AgentType::try_from(forecast.agent_type).map_or("unknown", AgentType::name),
             quality: quality_name(forecast.quality),
             cause: Cause::ALL.get(forecast.cause as usize).map_or("unknown", |cause| cause.name()),
+            experts: Experts(&forecast.expert_weights),
             age_s: forecast.age_ns as f64 / 1e9,
             prior: quality_name(forecast.prior),
             prior_age_s: forecast.prior_age_ns as f64 / 1e9,
@@ -149,6 +152,19 @@ impl<'a> Agent<'a> {
             mean_m: Rows(&forecast.mean[..horizon_len]),
             covariance_m2: Rows(&forecast.covariance[..horizon_len]),
         }
+    }
+}
+
+/// Weights of experts by name, those that are 0 left out.
+struct Experts<'a>(&'a [f32; EXPERTS_MAX]);
+
+impl Serialize for Experts<'_> {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        let weighted = Expert::ALL.iter().filter_map(|expert| {
+            let weight = self.0.get(*expert as usize).copied().filter(|weight| *weight > 0.0)?;
+            Some((expert.name(), Rounded::<4>(weight)))
+        });
+        serializer.collect_map(weighted)
     }
 }
 

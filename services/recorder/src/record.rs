@@ -219,7 +219,7 @@ impl Recorder {
             if let Some(count) = self.fallbacks_by_cause.get_mut(forecast.cause as usize) {
                 *count += 1;
             }
-            degraded |= forecast.cause != Cause::Young as u32;
+            degraded |= ![Cause::Young, Cause::Outdone].map(|cause| cause as u32).contains(&forecast.cause);
             if forecast.quality == Quality::Held as u32 {
                 self.age_ns_max = self.age_ns_max.max(Some(forecast.age_ns));
             }
@@ -358,7 +358,7 @@ fn verdict(report: &Report) -> Verdict {
     }
     let faults = || {
         let causes = report.forecasts.causes.iter().map(|(cause, &count)| (cause.as_str(), count));
-        causes.filter(|&(cause, _)| cause != Cause::Young.name())
+        causes.filter(|&(cause, _)| ![Cause::Young.name(), Cause::Outdone.name()].contains(&cause))
     };
     let fallbacks: u64 = faults().map(|(_, count)| count).sum();
     if fallbacks > 0 {

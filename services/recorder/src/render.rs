@@ -265,6 +265,7 @@ fn meaning(cause: &str) -> &str {
         "rejected" => "the controls were refused",
         "missing" => "there are no controls for the track",
         "young" => "the track's history is too short",
+        "outdone" => "constant velocity proved better",
         other => other,
     }
 }

@@ -36,13 +36,14 @@ fn write_tick(tick: u64, tracks: &mut [Track], controls: &mut [AgentControls]) {
 #[test]
 fn a_thousand_steady_steps_allocate_nothing() {
     let kinds = [
-        (Propagation::Linearised, false),
-        (Propagation::MonteCarlo { particles: 4 }, false),
-        (Propagation::Linearised, true),
+        (Propagation::Linearised, false, false),
+        (Propagation::MonteCarlo { particles: 4 }, false, false),
+        (Propagation::Linearised, true, false),
+        (Propagation::Linearised, true, true),
     ];
-    for (propagation, retrieval) in kinds {
-        let mut sampler =
-            Sampler::new(SamplerOptions { propagation, retrieval, ..SamplerOptions::default() });
+    for (propagation, retrieval, evidence) in kinds {
+        let options = SamplerOptions { propagation, retrieval, evidence, ..SamplerOptions::default() };
+        let mut sampler = Sampler::new(options);
         let mut tracks = vec![Track::zeroed(); 32];
         let mut controls = vec![AgentControls::zeroed(); 32];
         let mut out = vec![Forecast::zeroed(); 32];
@@ -58,7 +59,7 @@ fn a_thousand_steady_steps_allocate_nothing() {
             assert!(out.iter().all(|forecast| forecast.modes_len > 0));
         };
         (0..50).for_each(&mut step);
-        assert_eq!(allocations(|| (50..1_050).for_each(&mut step)), 0, "{propagation:?} {retrieval}");
+        assert_eq!(allocations(|| (50..1_050).for_each(&mut step)), 0, "{propagation:?} {retrieval} {evidence}");
         let stored = sampler.memory().map_or(0, RetrievalMemory::entries_len);
         assert!(stored > 6000 || !retrieval, "{stored} entries");
     }

@@ -145,6 +145,8 @@ fn every_file_of_every_part_is_read() {
         (DataSet::VciDut, [10, 2, 0]),
         (DataSet::KittiLabels, [8, 3, 0]),
         (DataSet::KittiDetections, [8, 3, 0]),
+        (DataSet::Driving, [62, 11, 0]),
+        (DataSet::Womd, [0, 161, 0]),
     ];
     for (set, expected) in parts {
         for (part, files_len) in [Part::Train, Part::Validation, Part::Test].into_iter().zip(expected) {

@@ -355,6 +355,18 @@ mod tests {
     }
 
     #[test]
+    fn features_within_the_support_keep_all_of_the_controls_and_others_less() {
+        let support = Support::new(&[[-1.0, 3.0]; FEATURES]);
+        let mut features = [0.5; FEATURES];
+        assert_eq!(support.clamp(&features), (features, 1.0));
+        (features[3], features[4]) = (4.0, -2.0);
+        let (clamped, share) = support.clamp(&features);
+        assert_eq!((clamped[3], clamped[4], share), (3.0, -1.0, 0.5));
+        features[0] = 103.0;
+        assert!(support.clamp(&features).1 < 1e-3);
+    }
+
+    #[test]
     fn angles_are_wrapped_to_half_a_turn() {
         for angle in [-9.0_f32, -3.2, -0.1, 0.0, 3.1, 3.2, 12.0] {
             assert!(wrap(angle).abs() <= PI + 1e-6);

@@ -1,1 +1,77 @@
+use std::fmt::Write as _;
+use std::path::Path;
 
+use driving_evaluator::{DrivingError, Options, evaluate, sources};
+
+/// A recording of 30 s at 10 Hz: some vehicles in lanes, each at a steady speed.
+fn steady(path: &Path, agents: u64) {
+    let mut rows = String::from("stamp_s,id,type,x_m,y_m,heading_rad,speed_mps,length_m,width_m\n");
+    for tick in 0..300 {
+        let stamp_s = f64::from(tick) / 10.0;
+        for agent in 1..=agents {
+            let (speed, y) = (8.0 + agent as f64, 4.0 * agent as f64);
+            let x = speed * stamp_s;
+            writeln!(rows, "{stamp_s:.2},{agent},vehicle,{x:.3},{y:.3},0.0,{speed:.2},4.5,1.8").unwrap();
+        }
+    }
+    std::fs::write(path, rows).unwrap();
+}
+
+fn options(folder: &Path, evidence: bool) -> Options {
+    Options { folder: folder.to_owned(), sources: Vec::new(), weights: None, map: false, evidence, threads: 2 }
+}
+
+#[test]
+fn steady_vehicles_are_no_further_than_constant_velocity_has_them() {
+    let folder = tempfile::tempdir().unwrap();
+    for source in ["one", "two"] {
+        std::fs::create_dir(folder.path().join(source)).unwrap();
+        (0..2).for_each(|file| steady(&folder.path().join(source).join(format!("{file}.csv")), 6));
+    }
+    let report = evaluate(&options(folder.path(), true), |_| ()).unwrap();
+    let cells = &report.json()["cells"];
+    for cell in cells.as_array().unwrap() {
+        let ade_m = |method: &str| cell["errors"][method]["ade_m"].as_f64().unwrap();
+        assert!(ade_m("ConstantVelocity") < 0.1, "{cell}");
+        assert!(ade_m("Best") < 0.3, "{cell}");
+        assert!(ade_m("BestOf") <= ade_m("Best"), "{cell}");
+        // 6 agents, 2 recordings, about 25 s of forecasts every 0.4 s.
+        assert!((500..900).contains(&cell["forecasts"].as_u64().unwrap()), "{cell}");
+    }
+    assert_eq!(cells.as_array().unwrap().len(), 2);
+    assert!(report.markdown().contains("| one "), "{}", report.markdown());
+    assert!(report.priors().0.keys().eq(["one", "two"]));
+}
+
+#[test]
+fn any_number_of_threads_makes_the_same_report() {
+    let folder = tempfile::tempdir().unwrap();
+    for source in ["one", "two"] {
+        std::fs::create_dir(folder.path().join(source)).unwrap();
+        steady(&folder.path().join(source).join("0.csv"), 8);
+    }
+    let csv = |threads| {
+        evaluate(&Options { threads, ..options(folder.path(), true) }, |_| ()).unwrap().csv()
+    };
+    assert_eq!(csv(1), csv(2));
+}
+
+#[test]
+fn a_missing_folder_and_an_unknown_source_are_named() {
+    let folder = tempfile::tempdir().unwrap();
+    std::fs::create_dir(folder.path().join("one")).unwrap();
+    let missing = evaluate(&options(&folder.path().join("none"), true), |_| ()).unwrap_err();
+    assert!(matches!(&missing, DrivingError::Folder { path, .. } if path.ends_with("none")), "{missing}");
+    let unknown = sources(folder.path(), &["three".to_owned()]).unwrap_err().to_string();
+    assert!(unknown.contains("three") && unknown.contains("one"), "{unknown}");
+}
+
+#[test]
+fn fast_sources_are_also_shown_at_twice_their_scale() {
+    let folder = tempfile::tempdir().unwrap();
+    std::fs::create_dir(folder.path().join("mona")).unwrap();
+    steady(&folder.path().join("mona/0.csv"), 1);
+    let names: Vec<(String, f32)> =
+        sources(folder.path(), &[]).unwrap().into_iter().map(|source| (source.name, source.scale)).collect();
+    assert_eq!(names, [("mona".to_owned(), 1.0), ("mona ×2".to_owned(), 2.0)]);
+}

@@ -17,9 +17,9 @@ numbers! {
 numbers! {
     /// Why a forecast is not [`Quality::Learned`].
     ///
-    /// Numbers up to 31, a bit each in [`Forecast::causes`]. These are kept for causes to come: 5 shed to
-    /// save time, 6 detections missing, 7 stage restarted, 8 integrity check failed, 9 out of distribution,
-    /// 10 source frozen.
+    /// Numbers up to 31, a bit each in [`Forecast::causes`]. These are kept for causes to come: 6 shed to
+    /// save time, 7 detections missing, 8 stage restarted, 9 integrity check failed, 10 out of distribution,
+    /// 11 source frozen.
     pub enum Cause {
         /// Nothing is wrong.
         None = 0 => "none",
@@ -31,8 +31,8 @@ numbers! {
         Missing = 3 => "missing",
         /// The track has too short a history for the model.
         Young = 4 => "young",
-        /// Constant velocity has more than half of the weight: earlier forecasts of the like were worse.
-        Outdone = 11 => "outdone",
+        /// Constant velocity has more than half of the weight: the other experts proved worse.
+        Outdone = 5 => "outdone",
     }
 }
 
