@@ -129,14 +129,15 @@ class Quality(enum.IntEnum):
 
 class Cause(enum.IntEnum):
     """Why a forecast is not `Quality.Learned`. Numbers up to 31, a bit each in `Forecast.causes`. These are kept for
-    causes to come: 5 shed to save time, 6 detections missing, 7 stage restarted, 8 integrity check failed, 9 out
-    of distribution, 10 source frozen."""
+    causes to come: 6 shed to save time, 7 detections missing, 8 stage restarted, 9 integrity check failed, 10 out
+    of distribution, 11 source frozen."""
 
     NONE = 0  # Nothing is wrong.
     LATE = 1  # The controls of this tick had not come at the deadline.
     REJECTED = 2  # The controls of this tick were refused as not finite or impossible.
     MISSING = 3  # The controls of this tick do not name the track.
     YOUNG = 4  # The track has too short a history for the model.
+    OUTDONE = 5  # Constant velocity has more than half of the weight: the other experts proved worse.
 
 
 class Steering(enum.IntEnum):
@@ -155,6 +156,8 @@ class Expert(enum.IntEnum):
     CONSTANT_VELOCITY = 2  # Constant velocity.
     DECAYING_TURN = 3  # A turn that decays.
     PROCESS_MODEL = 4  # The tracker's process model: zero control.
+    DECAYING_ACCELERATION = 5  # An acceleration that decays.
+    FAN = 254  # The single best forecast with a typical residual of agents alike.
     RETRIEVAL = 255  # The network's best forecast with residuals of others at the same place, from the retrieval memory.
 
 

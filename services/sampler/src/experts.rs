@@ -196,6 +196,9 @@ impl Experts {
         }
         let fan_sum: f32 = FAN[..fan_len].iter().map(|(_, p)| p).sum();
         let best_m = &blended.best_m[..len];
+        // From zero control on: the network's controls may be saturated, and then no change leads away.
+        let mut straight_m = [[0.0; 2]; HORIZON_MAX];
+        model.positions(std::iter::repeat_n([0.0; 2], len), &mut straight_m[..len]);
         for (number, &mode) in replaced.iter().enumerate() {
             let mut path = [[0.0; 2]; HORIZON_MAX];
             for (step, (path, best_m)) in path.iter_mut().zip(best_m).enumerate() {
@@ -203,9 +206,9 @@ impl Experts {
                 *path = [0, 1].map(|axis| best_m[axis] + residual_m[axis]);
             }
             let start_m = blended.start_m;
-            let residuals = Residuals::between(model.kind(), start_m, best_m, &path[..len], dt_s);
+            let residuals = Residuals::between(model.kind(), start_m, &straight_m[..len], &path[..len], dt_s);
             let probability = (1.0 - of_network) * FAN[number].1 / fan_sum;
-            changes.replace(mode, &residuals.control_change(model), probability);
+            changes.replace(mode, &residuals.control_change(model), controls, probability);
             blended.spread.fan.0 |= 1 << mode;
         }
     }

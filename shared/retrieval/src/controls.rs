@@ -89,11 +89,17 @@ impl ControlChanges {
         }
     }
 
-    /// Replaces a mode by the best forecast with a further change of its controls.
-    pub fn replace(&mut self, mode: usize, by: &ControlChange, probability: f32) {
-        let mut change = self.best;
-        for (own, by) in change.as_flattened_mut().iter_mut().zip(by.as_flattened()) {
-            *own += by;
+    /// Replaces the means of a mode's controls.
+    pub fn replace<M>(
+        &mut self,
+        mode: usize,
+        means: &ControlChange,
+        controls: &ForecastControls<'_, M>,
+        probability: f32,
+    ) {
+        let mut change = *means;
+        for (own, best) in change.iter_mut().zip(controls.best) {
+            *own = [0, 1].map(|i| own[i] - best.mean[i]);
         }
         self.replaced[mode] = Some(change);
         self.probability[mode] = probability;
