@@ -103,6 +103,16 @@ pub enum ReadError {
         /// Where it was looked for, as ` at PATH`, or nothing.
         searched: String,
     },
+    /// A frame rate was given for a format whose files have their times, or whose rate is always the same.
+    #[error("{path}: {format} has a time for every frame, and takes no frame rate: that is for {}", names.join(", "))]
+    FrameRate {
+        /// The file.
+        path: String,
+        /// Its format.
+        format: crate::Format,
+        /// The formats that take one.
+        names: Vec<&'static str>,
+    },
     /// The content fits no format, or more than one.
     #[error("{path}: {problem}; name the format (one of {known})", known = crate::Format::names())]
     UnknownFormat {

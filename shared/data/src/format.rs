@@ -3,9 +3,9 @@ use std::str::FromStr;
 
 use thiserror::Error;
 
-use crate::formats::{csv, interaction, vci_dut};
+use crate::formats::{csv, interaction, obsmat, positions, sdd_raw, vci_dut};
 use crate::text::{self, Line, Separator};
-use crate::{Input, ReadError};
+use crate::{FrameRate, Input, ReadError};
 
 /// The file format of a recording.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -65,6 +65,20 @@ impl Format {
             Self::KittiDetections => "kitti-detections",
             Self::KittiLabels => "kitti-labels",
             Self::Csv => "csv",
+        }
+    }
+
+    /// The rate at which frame numbers count unless another is given; `None` where the files have their times
+    /// or the rate is always the same.
+    #[must_use]
+    pub const fn frame_rate(self) -> Option<FrameRate> {
+        match self {
+            Self::EthUcy => Some(positions::ETH_UCY_RATE),
+            Self::Obsmat => Some(obsmat::RATE),
+            Self::SddTrajnet => Some(positions::TRAJNET_RATE),
+            Self::SddRaw => Some(sdd_raw::RATE),
+            Self::VciDut => Some(vci_dut::RATE),
+            Self::Interaction | Self::KittiDetections | Self::KittiLabels | Self::Csv => None,
         }
     }
 

@@ -4,12 +4,14 @@ use std::ops::RangeInclusive;
 
 use wire::{POSITION_MAX_M, SPEED_MAX_MPS};
 
-use crate::{Input, ReadError};
+use crate::{FrameRate, Input, ReadError};
 
 /// Longest text that an error quotes.
 const SHOWN_MAX: usize = 60;
 /// Greatest frame number: at 2.5 frames a second a century of recording fits.
 const FRAME_MAX: i64 = 10_000_000_000;
+/// Latest time of a frame: as that of a stamp in our own format.
+const STAMP_MAX_NS: i64 = 4_000_000_000_000_000_000;
 /// Largest integer below which every integer is an f64.
 const INTEGER_MAX: f64 = 9_007_199_254_740_992.0;
 
@@ -204,6 +206,12 @@ impl<'a> Field<'a> {
             return Ok(frame);
         }
         Err(self.error(format!("expected 0 to {FRAME_MAX}")))
+    }
+
+    /// The time of a frame that is numbered at this rate.
+    pub fn stamp_ns(&self, rate: FrameRate) -> Result<i64, ReadError> {
+        let stamp_ns = rate.stamp_ns(self.frame()?).filter(|stamp_ns| *stamp_ns <= STAMP_MAX_NS);
+        stamp_ns.ok_or_else(|| self.error(format!("beyond {} s at {rate} Hz", STAMP_MAX_NS / 1_000_000_000)))
     }
 
     /// An identity below `limit`.

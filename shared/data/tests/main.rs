@@ -1,5 +1,6 @@
 //! Readers: recordings as published, windows, and files that must be refused.
 
 mod bad_input;
+mod frame_rates;
 mod recordings;
 mod windows;

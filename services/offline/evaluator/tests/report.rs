@@ -6,7 +6,7 @@ use crate::support::weights;
 use std::path::{Path, PathBuf};
 
 use data::sets::Part;
-use data::{GeneratedScene, SceneOptions};
+use data::{GeneratedScene, OpenOptions, SceneOptions};
 use evaluator::{Cut, EvaluateError, Figure, MapChoice, Options, Report, WeightsChoice};
 
 fn options(folder: &Path, weights: Option<PathBuf>, threads: usize) -> Options {
@@ -61,7 +61,7 @@ fn traffic(folder: &Path) -> PathBuf {
 }
 
 fn evaluate(options: &Options, path: &Path) -> Result<Report, EvaluateError> {
-    evaluator::files(options, &[path.to_owned()], None, false, |_| ())
+    evaluator::files(options, &[path.to_owned()], OpenOptions::default(), false, |_| ())
 }
 
 /// The figure of all agents over the whole horizon.
@@ -180,7 +180,7 @@ fn recordings_without_a_complete_agent_are_left_out() {
     let folder = tempfile::tempdir().unwrap();
     let options = options(folder.path(), None, 2);
     let [whole, short] = [straight(folder.path(), 120), parked(folder.path(), 40)];
-    let of = |paths: &[PathBuf]| evaluator::files(&options, paths, None, false, |_| ());
+    let of = |paths: &[PathBuf]| evaluator::files(&options, paths, OpenOptions::default(), false, |_| ());
     let alone = evaluate(&options, &whole).unwrap();
     for paths in [[whole.clone(), short.clone()], [short.clone(), whole]] {
         let report = of(&paths).unwrap();
@@ -215,7 +215,7 @@ fn a_recording_without_moving_agents_has_no_table_of_them() {
     assert_eq!(figure(&report, "ours", "K = 1", "FDE, m").agents, 11);
     // Beside one where somebody does, its column of moving agents is empty.
     let moves = straight(folder.path(), 120);
-    let report = evaluator::files(&options, &[stands, moves], None, false, |_| ()).unwrap();
+    let report = evaluator::files(&options, &[stands, moves], OpenOptions::default(), false, |_| ()).unwrap();
     assert!(report.left_out.is_empty());
     let markdown = report.markdown();
     let table = markdown.split("Errors: moving agents").nth(1).unwrap();
