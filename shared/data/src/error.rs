@@ -73,6 +73,18 @@ pub enum ReadError {
         /// What is wrong with it.
         problem: String,
     },
+    /// The file does not follow the rules of its notation.
+    #[error("{path}:{line}:{column}: {problem}")]
+    Syntax {
+        /// The file.
+        path: String,
+        /// The line, from 1.
+        line: usize,
+        /// The column, from 1.
+        column: usize,
+        /// What is wrong.
+        problem: String,
+    },
     /// One object has two rows at the same time.
     #[error("{path}:{line}: id {id} stands in this frame already, in {first_path}:{first_line}")]
     Duplicate {

@@ -6,7 +6,9 @@ use std::path::{Path, PathBuf};
 
 use sha2::{Digest, Sha256};
 
-use crate::formats::{csv, interaction, kitti, obsmat, positions, sdd_raw, vci_dut};
+use crate::formats::{
+    commonroad, csv, highd, interaction, kitti, levelx, obsmat, positions, sdd_raw, vci_dut,
+};
 use crate::input::FILE_BYTES_MAX;
 use crate::{Format, FrameRate, Input, ReadError, Recording, Role, text};
 
@@ -83,6 +85,9 @@ pub fn parse_at(format: Format, inputs: &[Input], fps: Option<FrameRate>) -> Res
         Format::VciDut => vci_dut::parse(inputs, at(vci_dut::RATE)),
         Format::KittiDetections => kitti::parse_detections(inputs),
         Format::KittiLabels => kitti::parse_labels(inputs),
+        Format::LevelX => levelx::parse(inputs),
+        Format::HighD => highd::parse(inputs),
+        Format::CommonRoad => commonroad::parse(inputs),
         Format::Csv => csv::parse(inputs),
     }?;
     let mut hasher = Sha256::new();
@@ -144,7 +149,8 @@ fn read_needed(path: &Path, role: Role, opened: &str) -> Result<Input, ReadError
 fn with_companions(path: &Path, mut opened: Input, format: Format) -> Result<Vec<Input>, ReadError> {
     let up = |depth: usize| path.ancestors().nth(depth).unwrap_or(Path::new(""));
     match format {
-        Format::EthUcy | Format::Obsmat | Format::Csv => Ok(vec![opened]),
+        Format::EthUcy | Format::Obsmat | Format::CommonRoad | Format::Csv => Ok(vec![opened]),
+        Format::LevelX | Format::HighD => levelx_files(path, opened),
         Format::SddTrajnet => {
             let table = read_if_there(&up(2).join("H_SDD.txt"), Role::Scales)?;
             Ok(std::iter::once(opened).chain(table).collect())
@@ -176,6 +182,23 @@ fn with_companions(path: &Path, mut opened: Input, format: Format) -> Result<Vec
             Ok(vec![opened, calibration, ego_motion])
         }
     }
+}
+
+/// The rows of a levelX recording with the attributes of its tracks and its own: `07_tracks.csv`,
+/// `07_tracksMeta.csv`, `07_recordingMeta.csv`.
+fn levelx_files(path: &Path, opened: Input) -> Result<Vec<Input>, ReadError> {
+    let name =
+        path.file_name().and_then(|name| name.to_str()).and_then(|name| name.strip_suffix("_tracks.csv"));
+    let name = name.ok_or_else(|| ReadError::Missing {
+        path: opened.path.clone(),
+        role: Role::TracksMeta.name(),
+        searched: ": the file's name does not end in _tracks.csv".to_owned(),
+    })?;
+    let beside = |what: &str, role| {
+        read_needed(&path.with_file_name(format!("{name}_{what}.csv")), role, &opened.path)
+    };
+    let attributes = [beside("tracksMeta", Role::TracksMeta)?, beside("recordingMeta", Role::RecordingMeta)?];
+    Ok(std::iter::once(opened).chain(attributes).collect())
 }
 
 /// The role of one file of a pair. A file that is neither is read as vehicles: the error then names its first

@@ -3,4 +3,5 @@
 mod bad_input;
 mod frame_rates;
 mod recordings;
+mod strangers;
 mod windows;
