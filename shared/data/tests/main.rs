@@ -1,6 +1,7 @@
 //! Readers: recordings as published, windows, and files that must be refused.
 
 mod bad_input;
+mod converters;
 mod frame_rates;
 mod recordings;
 mod strangers;
