@@ -34,6 +34,21 @@ fn straight(folder: &Path, steps: usize) -> PathBuf {
     path
 }
 
+/// The same vehicles for 16 s at any rate, whose frames are off their grid by up to 2 ms.
+fn straight_at(folder: &Path, hertz: f64, has_motion: bool) -> PathBuf {
+    let mut text = "stamp_s,id,type,x_m,y_m,heading_rad,speed_mps\n".to_owned();
+    for frame in 0..(16.0 * hertz) as usize {
+        for (id, speed) in [(1, 5.0), (2, 8.0)] {
+            let seconds = frame as f64 / hertz + 0.002 * f64::from(frame as u32 % 3);
+            let motion = if has_motion { format!("0,{speed}") } else { ",".to_owned() };
+            text += &format!("{seconds:.9},{id},vehicle,{},{id}0,{motion}\n", speed * seconds);
+        }
+    }
+    let path = folder.join(format!("straight_{hertz}.csv"));
+    std::fs::write(&path, text).unwrap();
+    path
+}
+
 /// A vehicle that stands for `steps` tenths of a second.
 fn parked(folder: &Path, steps: usize) -> PathBuf {
     let row = |step: usize| format!("{:.1},1,vehicle,3,4,0,0,4.5,1.8\n", step as f64 * 0.1);
@@ -91,6 +106,24 @@ fn constant_velocity_predicts_straight_motion_exactly() {
     assert_eq!(figure(&report, "ours", "", "forecasts that violate a limit, %").value, 0.0);
     let sampled = figure(&report, "CVM-S", "minADE₂₀ / minFDE₂₀", "FDE, m").value;
     assert!(sampled > 0.0 && sampled < 8.0 * 4.8, "{sampled}");
+}
+
+#[test]
+fn straight_motion_is_predicted_exactly_from_any_rate() {
+    let folder = tempfile::tempdir().unwrap();
+    // 8 + 12 steps of 0.4 s fit into 16 s as many times as there are windows in 8.4 s.
+    for (hertz, agents) in [(2.0, 34), (2.5, 42), (3.0, 50), (10.0, 42), (23.98, 40), (25.0, 42), (29.97, 42)]
+    {
+        for has_motion in [true, false] {
+            let path = straight_at(folder.path(), hertz, has_motion);
+            let report = evaluate(&options(folder.path(), None, 2), &path).unwrap();
+            let error = figure(&report, "constant velocity", "K = 1", "FDE, m");
+            assert!(error.value < 5e-3, "{hertz} Hz: {error:?}");
+            let found = i64::try_from(error.agents).unwrap();
+            assert!((agents - 2..=agents + 2).contains(&found), "{hertz} Hz: {found} agents, about {agents}");
+            assert_eq!(report.warnings.as_slice(), &[] as &[String]);
+        }
+    }
 }
 
 #[test]
