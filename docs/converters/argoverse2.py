@@ -1,10 +1,11 @@
-"""Converts logs of the Argoverse 2 sensor data set to stgdat's own CSV, a file per log: annotated sweeps at 10 Hz.
+"""Converts logs of the Argoverse 2 sensor data set to stgdat's own CSV, a file per log at 10 Hz.
 
     python3 argoverse2.py /data/av2/sensor/val/adcf7d18-0510-35b0-a2fa-b4cea13a6d76 --out csv
 
 Reads annotations.feather and city_SE3_egovehicle.feather of a log's folder, for which it needs pyarrow
-(`pip install pyarrow`). Boxes are in the ego's frame of their sweep and come out in the city's. Speeds are not annotated and
-stay empty. Cycles beside their riders, strollers, animals and static objects are left out and counted.
+(`pip install pyarrow`). Boxes are in the ego's frame of their sweep and come out in the city's. Speeds are not
+annotated and stay empty. Cycles beside their riders, strollers, animals and static objects are left out and
+counted.
 """
 
 import math

@@ -2,9 +2,9 @@
 
     python3 nuplan.py /data/nuplan/mini/2021.05.12.22.28.35_veh-35_00620_01164.db --out csv [--every 2]
 
-Reads a log's SQLite data base: lidar_pc, ego_pose, lidar_box, track, category. Needs nothing but Python. Positions are UTM,
-from which the first pose of the ego is subtracted unless --origin says otherwise; the file's second line has it. Cones,
-barriers, signs and generic objects are left out and counted.
+Reads a log's SQLite data base: lidar_pc, ego_pose, lidar_box, track, category. Needs nothing but Python.
+Positions are UTM, from which the first pose of the ego is subtracted unless --origin says otherwise; the file's
+second line has it. Cones, barriers, signs and generic objects are left out and counted.
 """
 
 import argparse
@@ -22,7 +22,8 @@ SWEEPS = """SELECT lidar_pc.token, lidar_pc.timestamp, ego_pose.x, ego_pose.y,
     FROM lidar_pc JOIN ego_pose ON lidar_pc.ego_pose_token = ego_pose.token ORDER BY lidar_pc.timestamp"""
 BOXES = """SELECT lidar_box.track_token, category.name, lidar_box.x, lidar_box.y, lidar_box.yaw, lidar_box.vx,
     lidar_box.vy, lidar_box.length, lidar_box.width
-    FROM lidar_box JOIN track ON lidar_box.track_token = track.token JOIN category ON track.category_token = category.token
+    FROM lidar_box JOIN track ON lidar_box.track_token = track.token
+    JOIN category ON track.category_token = category.token
     WHERE lidar_box.lidar_pc_token = ? ORDER BY lidar_box.token"""
 
 
@@ -36,7 +37,7 @@ def convert_log(path, arguments):
             sweeps = connection.execute(SWEEPS).fetchall()
             for token, stamp_us, x_m, y_m, *rotation in sweeps[:: arguments.every]:
                 check(path, "ego_pose", [stamp_us, x_m, y_m, *rotation])
-                stamp_ns = stamp_us * 1000
+                stamp_ns = round(stamp_us) * 1000
                 recording.ego(stamp_ns, x_m, y_m, yaw_rad(*rotation))
                 for track, category, *box in connection.execute(BOXES, (token,)):
                     if category not in KINDS:

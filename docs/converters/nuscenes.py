@@ -2,10 +2,10 @@
 
     python3 nuscenes.py /data/nuscenes/v1.0-mini --out csv [--scene scene-0061 ...]
 
-Reads the tables of the data set (JSON, one folder per version): scene, sample, sample_annotation, instance, category,
-attribute, sample_data, ego_pose, calibrated_sensor, sensor. Needs nothing but Python. The sensor's pose is the ego pose
-of the key frame of LIDAR_TOP. Speeds are not annotated and stay empty. Bicycles and motorcycles without a rider, strollers,
-animals and static objects are left out and counted.
+Reads the tables of the data set (JSON, one folder per version): scene, sample, sample_annotation, instance,
+category, attribute, sample_data, ego_pose, calibrated_sensor, sensor. Needs nothing but Python. The sensor's
+pose is the ego pose of the key frame of LIDAR_TOP. Speeds are not annotated and stay empty. Bicycles and
+motorcycles without a rider, strollers, animals and static objects are left out and counted.
 """
 
 import json
@@ -31,7 +31,7 @@ KINDS = {
     "vehicle.trailer": "vehicle",
     "vehicle.truck": "vehicle",
 }
-OTHERS = ("animal", "human.pedestrian.stroller", "movable_object.", "static_object.", "vehicle.ego", "flat.", "static.")
+OTHERS = ("animal", "human.pedestrian.stroller", "movable_object.", "static_object.", "vehicle.ego")
 SENSOR = "LIDAR_TOP"
 
 
@@ -48,6 +48,8 @@ class Tables:
                 rows = json.load(file)
         except json.JSONDecodeError as error:
             raise Failed(f"{path}:{error.lineno}:{error.colno}: not JSON: {error.msg}") from error
+        except UnicodeDecodeError as error:
+            raise Failed(f"{path}: not JSON: byte {error.start} is not UTF-8") from error
         if not isinstance(rows, list):
             raise Failed(f"{path}: expected a list of records")
         return Table(path, rows)
@@ -59,7 +61,7 @@ class Table:
     def __init__(self, path, rows):
         self.path = path
         self.rows = rows
-        self.by_token = {self.get(row, "token"): row for row in rows}
+        self.by_token = {self.text(row, "token"): row for row in rows}
 
     def get(self, row, key):
         if not isinstance(row, dict) or key not in row:
@@ -74,9 +76,23 @@ class Table:
 
     def numbers(self, row, key, count):
         values = self.get(row, key)
-        if not isinstance(values, list) or len(values) != count or not all(isinstance(v, (int, float)) for v in values):
-            raise Failed(f"{self.path}: record {row.get('token', '?')}: {key} = {values!r}: expected {count} numbers")
+        is_list = isinstance(values, list) and len(values) == count
+        if not is_list or not all(isinstance(value, (int, float)) for value in values):
+            raise self.wrong(row, key, f"{count} numbers")
         return values
+
+    def text(self, row, key):
+        if not isinstance(self.get(row, key), str):
+            raise self.wrong(row, key, "a text")
+        return row[key]
+
+    def stamp_ns(self, row):
+        if not isinstance(self.get(row, "timestamp"), int):
+            raise self.wrong(row, "timestamp", "whole microseconds")
+        return row["timestamp"] * 1000
+
+    def wrong(self, row, key, expected):
+        return Failed(f"{self.path}: record {row.get('token', '?')}: {key} = {row[key]!r}: expected {expected}")
 
 
 def kind_of(category, attributes, path):
@@ -96,12 +112,12 @@ def key_frame_poses(tables):
     for row in data.rows:
         if not data.get(row, "is_key_frame"):
             continue
-        sensor = calibrated.record(data.get(row, "calibrated_sensor_token"))
-        if sensors.record(calibrated.get(sensor, "sensor_token"))["channel"] != SENSOR:
+        sensor = calibrated.record(data.text(row, "calibrated_sensor_token"))
+        if sensors.get(sensors.record(calibrated.text(sensor, "sensor_token")), "channel") != SENSOR:
             continue
-        pose = poses.record(data.get(row, "ego_pose_token"))
+        pose = poses.record(data.text(row, "ego_pose_token"))
         x_m, y_m, _ = poses.numbers(pose, "translation", 3)
-        found[data.get(row, "sample_token")] = (x_m, y_m, yaw_rad(*poses.numbers(pose, "rotation", 4)))
+        found[data.text(row, "sample_token")] = (x_m, y_m, yaw_rad(*poses.numbers(pose, "rotation", 4)))
     return found
 
 
@@ -111,29 +127,31 @@ def convert(arguments):
     instances, categories, attributes = (tables.read(name) for name in ("instance", "category", "attribute"))
     annotations = tables.read("sample_annotation")
     poses = key_frame_poses(tables)
-    names = {scenes.get(row, "name"): row for row in scenes.rows}
+    names = {scenes.text(row, "name"): row for row in scenes.rows}
     for name in arguments.scene:
         if name not in names:
             raise Failed(f"{scenes.path}: no scene {name}")
     of_sample = {}
     for row in annotations.rows:
-        of_sample.setdefault(annotations.get(row, "sample_token"), []).append(row)
+        of_sample.setdefault(annotations.text(row, "sample_token"), []).append(row)
     for name in arguments.scene or sorted(names):
         token = names[name]["token"]
         frames = [row for row in samples.rows if samples.get(row, "scene_token") == token]
         if not frames:
             raise Failed(f"{samples.path}: no sample of scene {name}")
         recording = Recording(scenes.path, arguments.origin)
-        for sample in sorted(frames, key=lambda row: samples.get(row, "timestamp")):
-            stamp_ns = samples.get(sample, "timestamp") * 1000
+        for sample in sorted(frames, key=samples.stamp_ns):
+            stamp_ns = samples.stamp_ns(sample)
             if sample["token"] not in poses:
-                raise Failed(f"{tables.folder}/sample_data.json: no key frame of {SENSOR} for sample {sample['token']}")
+                path = os.path.join(tables.folder, "sample_data.json")
+                raise Failed(f"{path}: no key frame of {SENSOR} for sample {sample['token']}")
             recording.ego(stamp_ns, *poses[sample["token"]])
             for row in of_sample.get(sample["token"], []):
-                instance = annotations.get(row, "instance_token")
-                category = categories.record(instances.get(instances.record(instance), "category_token"))
-                named = [attributes.record(token)["name"] for token in annotations.get(row, "attribute_tokens")]
-                kind = kind_of(categories.get(category, "name"), named, categories.path)
+                instance = annotations.text(row, "instance_token")
+                category = categories.record(instances.text(instances.record(instance), "category_token"))
+                tokens = annotations.get(row, "attribute_tokens")
+                named = [attributes.get(attributes.record(token), "name") for token in tokens]
+                kind = kind_of(categories.text(category, "name"), named, categories.path)
                 if kind is None:
                     recording.leave_out(category["name"])
                     continue
@@ -147,5 +165,6 @@ def convert(arguments):
 if __name__ == "__main__":
     options = parser(__doc__, "none")
     options.add_argument("folder", metavar="VERSION", help="folder with the tables, such as v1.0-mini")
-    options.add_argument("--scene", action="append", default=[], metavar="NAME", help="only this scene; repeatable")
+    only = "only this one; repeatable"
+    options.add_argument("--scene", action="append", default=[], metavar="NAME", help=only)
     run(convert, options)

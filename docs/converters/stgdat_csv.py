@@ -1,7 +1,7 @@
 """What the converters share: stgdat's own CSV, one file per recording, and the command line.
 
-Each row is an agent at one time, or the pose of the sensor (`ego`). Positions are metres in the data set's own world
-frame, from which an origin may be subtracted; stamps begin at 0.
+Each row is an agent at one time, or the pose of the sensor (`ego`). Positions are metres in the data set's
+own world frame, from which an origin may be subtracted; stamps begin at 0.
 """
 
 import argparse
@@ -48,13 +48,18 @@ class Recording:
 
     def ego(self, stamp_ns, x_m, y_m, heading_rad):
         """The pose of the sensor; a frame needs none of it, and without agents exists by it."""
+        self._check("ego", "", x=x_m, y=y_m, heading=heading_rad)
         if self.origin == "first":
             self.origin = (float(math.floor(x_m)), float(math.floor(y_m)))
-        self.frames.setdefault(stamp_ns, []).insert(0, self._row("", "ego", x_m, y_m, heading_rad, None, None))
+        row = self._row("", "ego", x_m, y_m, heading_rad, None, None)
+        self.frames.setdefault(stamp_ns, []).insert(0, row)
 
     def agent(self, stamp_ns, track, kind, x_m, y_m, heading_rad=None, speed_mps=None, size=None):
         """An agent; `track` is its identity in the data set, which the file numbers from 1."""
         number = self.ids.setdefault(track, len(self.ids) + 1)
+        length_m, width_m = size if size is not None else (None, None)
+        self._check(kind, number, x=x_m, y=y_m, heading=heading_rad, speed=speed_mps)
+        self._check(kind, number, length=length_m, width=width_m)
         row = self._row(number, kind, x_m, y_m, heading_rad, speed_mps, size)
         self.frames.setdefault(stamp_ns, []).append(row)
 
@@ -62,18 +67,22 @@ class Recording:
         """Counts an annotation that is no road user."""
         self.left_out[category] = self.left_out.get(category, 0) + 1
 
+    def _check(self, kind, number, **values):
+        for name, value in values.items():
+            if value is not None and not math.isfinite(value):
+                raise Failed(f"{self.source}: {kind} {number}: {name} = {value}: not finite")
+
     def _row(self, number, kind, x_m, y_m, heading_rad, speed_mps, size):
         if isinstance(self.origin, tuple):
             x_m, y_m = x_m - self.origin[0], y_m - self.origin[1]
-        for name, value in (("x", x_m), ("y", y_m), ("heading", heading_rad), ("speed", speed_mps)):
-            if value is not None and not math.isfinite(value):
-                raise Failed(f"{self.source}: {kind} {number}: {name} = {value}: not finite")
         if abs(x_m) > POSITION_MAX_M or abs(y_m) > POSITION_MAX_M:
             raise Failed(
-                f"{self.source}: {kind} {number} at ({x_m:.1f}, {y_m:.1f}) m: beyond ±{POSITION_MAX_M:.0f} m, "
-                "--origin first or --origin X,Y moves it nearer"
+                f"{self.source}: {kind} {number} at ({x_m:.1f}, {y_m:.1f}) m: beyond "
+                f"±{POSITION_MAX_M:.0f} m, --origin first or --origin X,Y moves it nearer"
             )
-        length, width = ("", "") if size is None or min(size) <= 0 else (f"{size[0]:.3f}", f"{size[1]:.3f}")
+        length = width = ""
+        if size is not None and min(size) > 0:
+            length, width = (f"{extent_m:.3f}" for extent_m in size)
         heading = "" if heading_rad is None else f"{heading_rad:.5f}"
         speed = "" if speed_mps is None else f"{speed_mps:.4f}"
         return f"{number},{kind},{x_m:.4f},{y_m:.4f},{heading},{speed},{length},{width}"
@@ -122,8 +131,8 @@ def parser(description, usual_origin):
         type=origin,
         default=usual_origin,
         metavar="X,Y",
-        help="what to subtract from all positions: `none`, `first` (the first pose of the sensor, whole metres) or "
-        f"X,Y in metres (default: {usual_origin})",
+        help="what to subtract from all positions: `none`, `first` (the first pose of the sensor, whole "
+        f"metres) or X,Y in metres (default: {usual_origin})",
     )
     return parser
 

@@ -2,9 +2,10 @@
 
     python3 waymo.py /data/womd/training_20s.tfrecord-00000-of-01000 --out csv [--scenario ID ...]
 
-Reads files of `Scenario` protocol buffers (not of tf.Example) by itself and needs nothing but Python. The autonomous vehicle
-is the sensor and no agent. Positions are moved by its first pose unless --origin says otherwise; the file's second line has
-it. States that are not valid, and objects of type other or unset, are left out.
+Reads files of `Scenario` protocol buffers (not of tf.Example) by itself and needs nothing but Python. The
+autonomous vehicle is the sensor and no agent. Its first pose is subtracted from all positions unless --origin
+says otherwise; the file's second line has it. States that are not valid, and objects of type other or unset,
+are left out.
 """
 
 import os
@@ -15,6 +16,8 @@ from stgdat_csv import Failed, Recording, motion, parser, run
 KINDS = {1: "vehicle", 2: "pedestrian", 3: "cyclist"}
 RECORD_MAX = 1 << 30
 """Largest record that is read, bytes."""
+STAMP_MAX_S = 4e9
+"""Latest time that stgdat reads."""
 
 # Castagnoli's polynomial, reflected.
 CRC_TABLE = []
@@ -34,7 +37,7 @@ def masked_crc(data):
 
 
 def records(path):
-    """The records of a TFRecord file; the checksum of each length is verified, that of the data is not, for its cost."""
+    """The records of a TFRecord file. The checksum of a length is verified, that of the data not, for its cost."""
     with open(path, "rb") as file:
         while True:
             at = file.tell()
@@ -97,6 +100,13 @@ def number(value, code):
     return struct.unpack(code, value)[0]
 
 
+def integer(value):
+    """An integer."""
+    if not isinstance(value, int):
+        raise Truncated
+    return value
+
+
 def stamps_of(value):
     """Doubles of a repeated field, packed or one by one."""
     if not isinstance(value, bytes) or len(value) % 8:
@@ -114,7 +124,7 @@ def state_of(data):
         elif key in state:
             state[key] = number(value, "<f")
         elif key == 11:
-            valid = value
+            valid = integer(value)
     return state if valid else None
 
 
@@ -123,9 +133,9 @@ def track_of(data):
     identity, kind, states = 0, 0, []
     for key, value in fields(data):
         if key == 1:
-            identity = value
+            identity = integer(value)
         elif key == 2:
-            kind = value
+            kind = integer(value)
         elif key == 3:
             states.append(state_of(value))
     return identity, kind, states
@@ -142,7 +152,7 @@ def scenario_of(data):
         elif key == 2:
             tracks.append(value)
         elif key == 6:
-            own = value
+            own = integer(value)
     return name, stamps_s, tracks, own
 
 
@@ -160,6 +170,8 @@ def convert_scenario(where, data, arguments):
     if own is None or own >= len(tracks):
         raise Failed(f"{where}: sdc_track_index = {own}: expected one of {len(tracks)} tracks")
     recording = Recording(f"{where}: {name}", arguments.origin)
+    if not all(abs(stamp_s) < STAMP_MAX_S for stamp_s in stamps_s):
+        raise Failed(f"{where}: timestamps_seconds = {stamps_s[:3]}…: beyond {STAMP_MAX_S:.0f} s")
     stamps_ns = [round(stamp_s * 1e9) for stamp_s in stamps_s]
     if any(later <= earlier for earlier, later in zip(stamps_ns, stamps_ns[1:])):
         raise Failed(f"{where}: timestamps_seconds do not increase")
@@ -196,5 +208,6 @@ def convert(arguments):
 if __name__ == "__main__":
     options = parser(__doc__, "first")
     options.add_argument("files", nargs="+", metavar="FILE", help="TFRecord of scenarios")
-    options.add_argument("--scenario", action="append", default=[], metavar="ID", help="only this one; repeatable")
+    only = "only this one; repeatable"
+    options.add_argument("--scenario", action="append", default=[], metavar="ID", help=only)
     run(convert, options)

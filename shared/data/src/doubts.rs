@@ -197,7 +197,8 @@ impl fmt::Display for Doubt {
                 write!(
                     f,
                     "{} that move have a median speed of {median_mps:.1} m/s and a 95th percentile of \
-                     {high_mps:.1} m/s; usual are {least_mps} to {most_mps} m/s and up to {most_high_mps} m/s: ",
+                     {high_mps:.1} m/s; usual are {least_mps} to {most_mps} m/s and up to {most_high_mps} \
+                     m/s: ",
                     plural(*agent_type)
                 )?;
                 match frame_rate {

@@ -116,7 +116,10 @@ pub enum ReadError {
         searched: String,
     },
     /// A frame rate was given for a format whose files have their times, or whose rate is always the same.
-    #[error("{path}: {format} has a time for every frame, and takes no frame rate: that is for {}", names.join(", "))]
+    #[error(
+        "{path}: {format} has a time for every frame, and takes no frame rate: that is for {}",
+        names.join(", ")
+    )]
     FrameRate {
         /// The file.
         path: String,

@@ -11,7 +11,11 @@ pub struct FrameRate {
 
 /// A rate that no recording is counted at.
 #[derive(Clone, Debug, Error, PartialEq)]
-#[error("no frame rate \"{0}\": expected frames a second from {min} to {max}, as in 29.97", min = FrameRate::MIN_HZ, max = FrameRate::MAX_HZ)]
+#[error(
+    "no frame rate \"{0}\": expected frames a second from {min} to {max}, as in 29.97",
+    min = FrameRate::MIN_HZ,
+    max = FrameRate::MAX_HZ
+)]
 pub struct UnknownFrameRate(pub String);
 
 /// Nanoseconds in a second, times the unit of [`FrameRate`].

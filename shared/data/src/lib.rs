@@ -7,8 +7,8 @@
 //! counter-clockwise from +x, speeds in m/s, stamps in nanoseconds on the recording's own clock.
 //!
 //! * [`open`] reads a recording from a file together with the files that belong to it; [`parse`] does the
-//!   same from bytes. [`open_with`] and [`parse_at`] take a frame rate as well. Bad input is a [`ReadError`] with file, line, column and value; no row is skipped in
-//!   silence.
+//!   same from bytes; [`open_with`] and [`parse_at`] take a frame rate as well. Bad input is a [`ReadError`]
+//!   with file, line, column and value; no row is skipped in silence.
 //! * [`doubts`] tells of speeds that speak for another frame rate or unit.
 //! * [`tracks`] joins detections with identities to trajectories; [`windows`](windows()) cuts those into
 //!   strictly causal histories (T_h steps) and futures (T_f steps, \[model §1\]).

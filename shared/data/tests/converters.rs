@@ -119,6 +119,11 @@ fn nuscenes_scenes_are_converted() {
             "instance.json: no record i-?",
         ),
         (text[..text.len() / 2].to_owned(), "sample_annotation.json:"),
+        (text.replacen("[420.0, 1200.0, 1.0]", "[NaN, 1200.0, 1.0]", 1), "vehicle 1: x = nan: not finite"),
+        (
+            text.replacen("\"instance_token\": \"i-car\"", "\"instance_token\": [1]", 1),
+            "instance_token = [1]: expected a text",
+        ),
     ];
     for (text, expected) in cases {
         std::fs::write(&annotations, text).unwrap();
