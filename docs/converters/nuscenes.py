@@ -92,7 +92,8 @@ class Table:
         return row["timestamp"] * 1000
 
     def wrong(self, row, key, expected):
-        return Failed(f"{self.path}: record {row.get('token', '?')}: {key} = {row[key]!r}: expected {expected}")
+        where = f"{self.path}: record {row.get('token', '?')}"
+        return Failed(f"{where}: {key} = {row[key]!r}: expected {expected}")
 
 
 def kind_of(category, attributes, path):

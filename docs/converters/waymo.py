@@ -37,7 +37,7 @@ def masked_crc(data):
 
 
 def records(path):
-    """The records of a TFRecord file. The checksum of a length is verified, that of the data not, for its cost."""
+    """The records of a TFRecord file. Checksums of lengths are verified, those of the data cost too much."""
     with open(path, "rb") as file:
         while True:
             at = file.tell()

@@ -92,6 +92,7 @@ struct Chord {
 }
 
 /// A finished chord.
+#[derive(Clone, Copy)]
 struct Ended {
     way_m: f64,
     elapsed_s: f64,

@@ -2,6 +2,8 @@
 //!
 //! `$STGDAT_PYTHON` names another Python than `python3`. Argoverse 2 needs one that has pyarrow.
 
+#![expect(clippy::unwrap_used, reason = "a test that cannot go on should panic")]
+
 use std::f32::consts::{FRAC_PI_2, PI};
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};

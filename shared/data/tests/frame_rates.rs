@@ -1,5 +1,7 @@
 //! Frame rates that files do not tell, and what gives a wrong one away.
 
+#![expect(clippy::unwrap_used, reason = "a test that cannot go on should panic")]
+
 use std::path::Path;
 
 use data::sets::{DataSet, Part};

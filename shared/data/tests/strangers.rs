@@ -1,5 +1,7 @@
 //! levelX and CommonRoad, by fixtures in the published layouts.
 
+#![expect(clippy::unwrap_used, reason = "a test that cannot go on should panic")]
+
 use std::f32::consts::{FRAC_PI_2, PI};
 use std::path::{Path, PathBuf};
 
