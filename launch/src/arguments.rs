@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use clap::Args;
-use data::Format;
+use data::{Format, FrameRate, OpenOptions, Recording};
 use localiser::MapChoice;
 use model::ModelConfig;
 use nn::Weights;
@@ -26,6 +26,10 @@ pub struct SceneArguments {
     /// Format of the recording; detected if not given
     #[arg(long, requires = "recording")]
     format: Option<Format>,
+    /// Frames a second that the recording's frame numbers count, where its files do not tell; as the data set
+    /// was published if not given
+    #[arg(long, value_name = "HZ", requires = "recording")]
+    fps: Option<FrameRate>,
     /// Number of agents of the generated intersection (played without --recording), 32 if not given
     #[arg(long, value_name = "N", conflicts_with = "recording")]
     agents: Option<u32>,
@@ -35,6 +39,18 @@ pub struct SceneArguments {
     /// Number of ticks after which to end
     #[arg(long, value_name = "N")]
     pub ticks: Option<u32>,
+}
+
+/// How recordings are read.
+#[derive(Clone, Debug, Args)]
+pub struct ReadArguments {
+    /// Format of the recordings; detected for each file if not given
+    #[arg(long)]
+    pub format: Option<Format>,
+    /// Frames a second that the recordings' frame numbers count, where the files do not tell; as the data set
+    /// was published if not given
+    #[arg(long, value_name = "HZ")]
+    pub fps: Option<FrameRate>,
 }
 
 /// Options of the tracker.
@@ -91,9 +107,8 @@ pub struct ModelArguments {
 pub struct PlaybackArguments {
     /// Recording to play
     recording: PathBuf,
-    /// Format of the recording; detected if not given
-    #[arg(long)]
-    format: Option<Format>,
+    #[command(flatten)]
+    read: ReadArguments,
     /// Seed of the random numbers
     #[arg(long, default_value_t = 1)]
     seed: u64,
@@ -138,15 +153,38 @@ impl SceneArguments {
         let unset = |flag, option| Setting::unset(flag, StageId::Source, option);
         let recording = self.recording.as_deref().map(|path| text(&canonical(path)?)).transpose()?;
         let settings = [
-            // --recording replaces the format in pipeline.toml too, and --agents the recording.
+            // --recording replaces format and rate in pipeline.toml too, and --agents the recording.
             recording.is_some().then(|| unset("--recording", "format")),
+            recording.is_some().then(|| unset("--recording", "fps")),
             self.agents.map(|_| unset("--agents", "recording")),
             recording.map(|path| source("--recording", "recording", path.into())),
             self.format.map(|format| source("--format", "format", format.name().into())),
+            self.fps.map(|fps| source("--fps", "fps", fps.hertz().into())),
             self.agents.map(|agents| source("--agents", "agents", agents.into())),
             self.ticks.map(|ticks| source("--ticks", "ticks", ticks.into())),
         ];
         Ok(settings.into_iter().flatten().collect())
+    }
+}
+
+impl ReadArguments {
+    /// What is known of the recordings.
+    pub const fn options(&self) -> OpenOptions {
+        OpenOptions { format: self.format, fps: self.fps }
+    }
+
+    /// Reads a recording, and warns of what is probably wrong with it.
+    pub fn open(&self, path: &Path) -> Result<Recording, Failure> {
+        let recording = data::open_with(path, self.options()).map_err(Failure::data)?;
+        warn_of_doubts(&recording);
+        Ok(recording)
+    }
+}
+
+/// Warns of what is probably wrong with a recording.
+pub fn warn_of_doubts(recording: &Recording) {
+    for doubt in data::doubts(recording) {
+        eprintln!("warning: {}: {doubt}", recording.name);
     }
 }
 
@@ -218,6 +256,7 @@ impl PlaybackArguments {
         check_memory(&options.read(&sampler::STAGE)?, &weights)?;
         let source = source::Options { recording: Some(self.path()?), ..options.read(&source::STAGE)? };
         let recording = source::recording(&source, self.seed)?;
+        warn_of_doubts(&recording);
         let playing = PlaybackOptions { run_id: 0, ticks_max: source.ticks, lockstep: true };
         let playback = Playback::new(recording, playing);
         let run = Run {
@@ -237,7 +276,8 @@ impl PlaybackArguments {
         }
         let scene = SceneArguments {
             recording: None,
-            format: self.format,
+            format: self.read.format,
+            fps: self.read.fps,
             agents: None,
             seed: self.seed,
             ticks: self.ticks,

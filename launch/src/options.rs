@@ -349,6 +349,8 @@ mod tests {
             ("extractor.workers=0", "`workers` is out of range: expected 1 to 64"),
             ("source.agents=129", "`agents` is out of range: expected 1 to 128"),
             ("source.format=xml", "unknown format \"xml\""),
+            ("source.fps=0.05", "`fps` is out of range: expected 0.1 to 1000"),
+            ("source.fps=fast", "--set source.fps=fast: `fps` of the source: invalid type: string"),
             ("tracker.association=guess", "expected assignment or jpda"),
         ];
         for (setting, message) in cases {

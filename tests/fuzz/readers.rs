@@ -19,7 +19,7 @@ const ITERATIONS: usize = 20_000;
 /// Longest list of edits, in bytes.
 const EDITS_BYTES_MAX: usize = 64;
 /// What tends to break parsers.
-const WORDS: [&[u8]; 16] = [
+const WORDS: [&[u8]; 20] = [
     b"nan",
     b"-inf",
     b"1e999",
@@ -36,6 +36,10 @@ const WORDS: [&[u8]; 16] = [
     b"\0",
     b"\xff",
     b"\xef\xbb\xbf",
+    b"<a>",
+    b"<!--",
+    b"&lt;",
+    b"<![CDATA[",
 ];
 
 const CALIBRATION: &str = "P0: 1 0 0 0 0 1 0 0 0 0 1 0\n\
@@ -111,6 +115,44 @@ fn kitti_detections() {
 fn kitti_labels() {
     let files = [(Role::Rows, LABELS), (Role::Calibration, CALIBRATION), (Role::EgoMotion, EGO_MOTION)];
     fuzz(Format::KittiLabels, &files);
+}
+
+#[test]
+fn levelx() {
+    let tracks = "recordingId,trackId,frame,trackLifetime,xCenter,yCenter,heading,width,length,xVelocity,yVelocity\n\
+        7,0,10,0,40.0,-30.0,359.5,1.842,4.516,10.0,0.0\n7,1,10,0,5.0,-8.0,181.3,0.0,0.0,-1.25,0.0\n\
+        7,0,11,1,40.4,-30.0,359.5,1.842,4.516,10.0,0.0\n";
+    let tracks_meta = "recordingId,trackId,initialFrame,class\n7,0,10,truck_bus\n7,1,10,pedestrian\n";
+    let recording_meta = "recordingId,locationId,frameRate,weekday\n7,1,25.0,tuesday\n";
+    fuzz(
+        Format::LevelX,
+        &[(Role::Rows, tracks), (Role::TracksMeta, tracks_meta), (Role::RecordingMeta, recording_meta)],
+    );
+}
+
+#[test]
+fn highd() {
+    let tracks = "frame,id,x,y,width,height,xVelocity,yVelocity,laneId\n1,1,362.26,21.68,4.85,2.12,40.85,0.0,5\n\
+        1,2,32760.0,9.4,12.1,2.5,-22.5,0.5,2\n2,1,363.89,21.68,4.85,2.12,40.85,0.0,5\n";
+    let tracks_meta = "id,width,height,class,drivingDirection\n1,4.85,2.12,Car,2\n2,12.1,2.5,Truck,1\n";
+    let recording_meta = "id,frameRate,locationId,startTime\n1,25,2,08:38\n";
+    fuzz(
+        Format::HighD,
+        &[(Role::Rows, tracks), (Role::TracksMeta, tracks_meta), (Role::RecordingMeta, recording_meta)],
+    );
+}
+
+#[test]
+fn commonroad() {
+    let xml = "<?xml version='1.0'?>\n<commonRoad timeStepSize=\"0.1\"><obstacle id='7'><role>dynamic</role>\n\
+        <type>car</type><shape><circle><radius>1</radius></circle></shape><initialState><position><point><x>1</x>\n\
+        <y>2</y></point></position><orientation><exact>0.1</exact></orientation><time><exact>0</exact></time>\n\
+        <velocity><exact>8.0</exact></velocity></initialState><trajectory><state><position><point><x>1.8</x>\n\
+        <y>2</y></point></position><time><exact>1</exact></time></state></trajectory></obstacle>\n\
+        <staticObstacle id=\"8\"><type>parkedVehicle</type><shape><rectangle><length>4</length><width>2</width>\n\
+        </rectangle></shape><initialState><position><point><x>5</x><y>2&#46;5</y></point></position>\n\
+        <time><exact>0</exact></time></initialState></staticObstacle></commonRoad>\n";
+    fuzz(Format::CommonRoad, &[(Role::Rows, xml)]);
 }
 
 #[test]

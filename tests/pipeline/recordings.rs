@@ -54,6 +54,39 @@ fn predict_and_run_agree_with_the_same_settings() {
 }
 
 #[test]
+fn a_frame_rate_is_used_wherever_a_recording_is_opened() {
+    let scratch = Scratch::new("fps");
+    let mut text = "id,frame,label,x_est,y_est,vx_est,vy_est\n".to_owned();
+    for (frame, id) in (0..360).flat_map(|frame| (0..3).map(move |id| (frame, id))) {
+        let x_m = 1.4 * f64::from(frame) / 29.97;
+        text += &format!("{id},{frame},ped,{x_m:.4},{id}.0,1.4,0.0\n");
+    }
+    let recording = scratch.file("walk_traj_ped_filtered.csv", &text);
+    let given = same_bytes(&scratch, &recording, &["--fps", "29.97"]);
+    assert!(given == same_bytes(&scratch, &recording, &["--set", "source.fps=29.97"]));
+    // 360 frames by threes are 10 Hz; at 23.98 frames a second every second one is played.
+    let lines_len = |lines: &[u8]| lines.iter().filter(|&&byte| byte == b'\n').count();
+    assert_eq!(lines_len(&given), 120);
+    assert_eq!(lines_len(&same_bytes(&scratch, &recording, &[])), 180);
+    let (out, tracks) = (scratch.path("site.map"), scratch.path("tracks.csv"));
+    for arguments in [
+        &["predict", &recording, "--out", &tracks][..],
+        &["track", &recording, "--out", &tracks],
+        &["evaluate", &recording, "--threads", "2"],
+        &["map", &recording, "--out", &out],
+    ] {
+        let usual = stderr(&run_well(arguments));
+        assert!(usual.contains("warning: ") && usual.contains("at 29.97 frames a second"), "{usual}");
+        let fitting = stderr(&run_well(&[arguments, &["--fps", "29.97"]].concat()));
+        assert!(!fitting.contains("warning: "), "{fitting}");
+    }
+    let refused = run(&["predict", &scratch.recording("own.csv", 5), "--fps", "25"]);
+    assert!(stderr(&refused).contains("csv has a time for every frame"), "{}", stderr(&refused));
+    let refused = run(&["evaluate", "sdd", "--fps", "25"]);
+    assert!(stderr(&refused).contains("--fps is for recordings"), "{}", stderr(&refused));
+}
+
+#[test]
 fn predict_and_run_agree_with_a_map_of_the_site() {
     let scratch = Scratch::new("map");
     let recording = scratch.recording("scene.csv", 30);

@@ -1,13 +1,13 @@
 use std::path::{Path, PathBuf};
 
 use clap::{Args, ValueEnum};
-use data::Format;
 use data::sets::Part;
 use evaluator::{InteractionPart, MapChoice, Options, Report, WeightsChoice};
 use nn::Weights;
 use run::Exit;
 use tracking_evaluator::{KittiReport, TrackingReport};
 
+use crate::arguments::ReadArguments;
 use crate::contenders::contenders;
 use crate::failure::Failure;
 use crate::show::show;
@@ -64,9 +64,8 @@ pub struct Arguments {
     /// Write what `driving` shows the experts to be worth on each source, as priors for other roads
     #[arg(long, value_name = "FILE")]
     prior: Option<PathBuf>,
-    /// Format of the recordings; detected if not given
-    #[arg(long)]
-    format: Option<Format>,
+    #[command(flatten)]
+    read: ReadArguments,
     /// Derive velocities and headings of the recordings from their positions
     #[arg(long)]
     positions: bool,
@@ -107,6 +106,7 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
             let mut report = evaluate(name, arguments, &arguments.weights_dir)?;
             let beside = arguments.beside.iter().map(|folder| evaluate(name, arguments, folder));
             report.add_beside(&beside.collect::<Result<Vec<_>, _>>()?);
+            report.warnings.iter().for_each(|line| eprintln!("warning: {line}"));
             report.left_out.iter().for_each(|line| eprintln!("warning: left out: {line}"));
             vec![Written::of_forecasts(&report, name)]
         }
@@ -144,7 +144,8 @@ fn refuse_unused(name: &str, arguments: &Arguments) -> Result<(), Failure> {
         ("--prior", arguments.prior.is_some(), is_driving, "`driving`"),
         ("--sigmas", !arguments.sigmas.is_empty(), is_tracking, "`tracking`"),
         ("--particles", arguments.particles, is_tracking, "`tracking`"),
-        ("--format", arguments.format.is_some(), !is_set, "recordings"),
+        ("--format", arguments.read.format.is_some(), !is_set, "recordings"),
+        ("--fps", arguments.read.fps.is_some(), !is_set, "recordings"),
         ("--positions", arguments.positions, !is_set, "recordings"),
     ];
     match options.into_iter().find(|(_, is_given, is_used, _)| *is_given && !is_used) {
@@ -306,8 +307,8 @@ fn evaluate(name: &str, arguments: &Arguments, weights_dir: &Path) -> Result<Rep
             evaluator::interaction(&options, &parts, progress)
         }
         _ => {
-            let (targets, format) = (&arguments.targets, arguments.format);
-            evaluator::files(&options, targets, format, arguments.positions, progress)
+            let (targets, read) = (&arguments.targets, arguments.read.options());
+            evaluator::files(&options, targets, read, arguments.positions, progress)
         }
     };
     report.map_err(Failure::data)

@@ -1,9 +1,9 @@
 use std::path::PathBuf;
 
 use clap::Args;
-use data::Format;
 use run::Exit;
 
+use crate::arguments::ReadArguments;
 use crate::failure::Failure;
 
 /// Arguments of `stgdat map`.
@@ -12,9 +12,8 @@ pub struct Arguments {
     /// Recordings of one site in one world frame, without those to be forecast
     #[arg(required = true, value_name = "RECORDING")]
     recordings: Vec<PathBuf>,
-    /// Format of the recordings; detected for each file if not given
-    #[arg(long)]
-    format: Option<Format>,
+    #[command(flatten)]
+    read: ReadArguments,
     /// Map to write, for `--map FILE`
     #[arg(long, value_name = "FILE")]
     out: PathBuf,
@@ -22,7 +21,7 @@ pub struct Arguments {
 
 /// Builds the context map of a site: density and mean velocity of the agents per square metre.
 pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
-    let open = |path: &PathBuf| data::open(path, arguments.format).map_err(Failure::data);
+    let open = |path: &PathBuf| arguments.read.open(path);
     let recordings = arguments.recordings.iter().map(open).collect::<Result<Vec<_>, _>>()?;
     let site = mapper::build(&recordings).map_err(Failure::data)?;
     site.map.save(&arguments.out).map_err(Failure::data)?;

@@ -16,7 +16,7 @@ use wire::StageId;
 
 use crate::arguments::{
     ModelArguments, RetrievalArguments, SceneArguments, SetArguments, TrackerArguments, canonical,
-    check_memory,
+    check_memory, warn_of_doubts,
 };
 use crate::failure::{Failure, StageDeath};
 use crate::fleet::Fleet;
@@ -78,6 +78,7 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
     options.apply(&arguments.settings()?)?;
     let source = source_options(arguments, &options)?;
     let recording = source::recording(&source, arguments.scene.seed)?;
+    warn_of_doubts(&recording);
     // Read here for its name, length and interval; the source reads it again in its own process.
     let playing = PlaybackOptions { ticks_max: source.ticks, ..Default::default() };
     let playback = Playback::new(recording, playing);

@@ -1,7 +1,7 @@
 use std::path::PathBuf;
 use std::str::FromStr;
 
-use data::Format;
+use data::{Format, FrameRate};
 use run::Declaration;
 use schemars::JsonSchema;
 use serde::de::Error as _;
@@ -23,6 +23,10 @@ pub struct Options {
     #[serde(deserialize_with = "named", serialize_with = "name")]
     #[schemars(with = "Option<String>", extend("expected" = formats()))]
     pub format: Option<Format>,
+    /// Frames a second that the recording's frame numbers count, for formats whose files do not tell; the
+    /// format's usual rate where not given.
+    #[schemars(range(min = FrameRate::MIN_HZ, max = FrameRate::MAX_HZ))]
+    pub fps: Option<f64>,
     /// Agents of the generated intersection; fewer where they have no room.
     #[schemars(range(min = 1, max = AGENTS_MAX))]
     pub agents: usize,
@@ -33,7 +37,7 @@ pub struct Options {
 
 impl Default for Options {
     fn default() -> Self {
-        Self { recording: None, format: None, agents: 32, ticks: None }
+        Self { recording: None, format: None, fps: None, agents: 32, ticks: None }
     }
 }
 

@@ -1,4 +1,4 @@
-use data::{GeneratedScene, Recording, SceneOptions};
+use data::{FrameRate, GeneratedScene, OpenOptions, Recording, SceneOptions};
 use ports::StageError;
 
 use crate::Options;
@@ -13,7 +13,9 @@ const GENERATED_TICKS: u64 = 250;
 /// generated.
 pub fn recording(options: &Options, seed: u64) -> Result<Recording, StageError> {
     if let Some(path) = &options.recording {
-        return data::open(path, options.format).map_err(StageError::data);
+        let fps = options.fps.map(FrameRate::new).transpose().map_err(StageError::config)?;
+        let open = OpenOptions { format: options.format, fps };
+        return data::open_with(path, open).map_err(StageError::data);
     }
     let scene = SceneOptions { agents: options.agents, seed, ..SceneOptions::default() };
     let scene = GeneratedScene::new(scene).map_err(StageError::config)?;

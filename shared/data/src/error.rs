@@ -73,6 +73,18 @@ pub enum ReadError {
         /// What is wrong with it.
         problem: String,
     },
+    /// The file does not follow the rules of its notation.
+    #[error("{path}:{line}:{column}: {problem}")]
+    Syntax {
+        /// The file.
+        path: String,
+        /// The line, from 1.
+        line: usize,
+        /// The column, from 1.
+        column: usize,
+        /// What is wrong.
+        problem: String,
+    },
     /// One object has two rows at the same time.
     #[error("{path}:{line}: id {id} stands in this frame already, in {first_path}:{first_line}")]
     Duplicate {
@@ -102,6 +114,19 @@ pub enum ReadError {
         role: &'static str,
         /// Where it was looked for, as ` at PATH`, or nothing.
         searched: String,
+    },
+    /// A frame rate was given for a format whose files have their times, or whose rate is always the same.
+    #[error(
+        "{path}: {format} has a time for every frame, and takes no frame rate: that is for {}",
+        names.join(", ")
+    )]
+    FrameRate {
+        /// The file.
+        path: String,
+        /// Its format.
+        format: crate::Format,
+        /// The formats that take one.
+        names: Vec<&'static str>,
     },
     /// The content fits no format, or more than one.
     #[error("{path}: {problem}; name the format (one of {known})", known = crate::Format::names())]

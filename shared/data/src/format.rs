@@ -3,9 +3,9 @@ use std::str::FromStr;
 
 use thiserror::Error;
 
-use crate::formats::{csv, interaction, vci_dut};
+use crate::formats::{commonroad, csv, highd, interaction, levelx, obsmat, positions, sdd_raw, vci_dut};
 use crate::text::{self, Line, Separator};
-use crate::{Input, ReadError};
+use crate::{FrameRate, Input, ReadError};
 
 /// The file format of a recording.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -26,6 +26,12 @@ pub enum Format {
     KittiDetections,
     /// [`crate::formats::kitti`], true tracks.
     KittiLabels,
+    /// [`crate::formats::levelx`]: inD, rounD, exiD, uniD.
+    LevelX,
+    /// [`crate::formats::highd`].
+    HighD,
+    /// [`crate::formats::commonroad`].
+    CommonRoad,
     /// [`crate::formats::csv`], the project's own.
     Csv,
 }
@@ -40,7 +46,7 @@ const LINES_MAX: usize = 2_000;
 
 impl Format {
     /// All formats.
-    pub const ALL: [Self; 9] = [
+    pub const ALL: [Self; 12] = [
         Self::EthUcy,
         Self::Obsmat,
         Self::SddTrajnet,
@@ -49,6 +55,9 @@ impl Format {
         Self::VciDut,
         Self::KittiDetections,
         Self::KittiLabels,
+        Self::LevelX,
+        Self::HighD,
+        Self::CommonRoad,
         Self::Csv,
     ];
 
@@ -64,7 +73,30 @@ impl Format {
             Self::VciDut => "vci-dut",
             Self::KittiDetections => "kitti-detections",
             Self::KittiLabels => "kitti-labels",
+            Self::LevelX => "levelx",
+            Self::HighD => "highd",
+            Self::CommonRoad => "commonroad",
             Self::Csv => "csv",
+        }
+    }
+
+    /// The rate at which frame numbers count unless another is given; `None` where the files have their times
+    /// or the rate is always the same.
+    #[must_use]
+    pub const fn frame_rate(self) -> Option<FrameRate> {
+        match self {
+            Self::EthUcy => Some(positions::ETH_UCY_RATE),
+            Self::Obsmat => Some(obsmat::RATE),
+            Self::SddTrajnet => Some(positions::TRAJNET_RATE),
+            Self::SddRaw => Some(sdd_raw::RATE),
+            Self::VciDut => Some(vci_dut::RATE),
+            Self::Interaction
+            | Self::KittiDetections
+            | Self::KittiLabels
+            | Self::LevelX
+            | Self::HighD
+            | Self::CommonRoad
+            | Self::Csv => None,
         }
     }
 
@@ -91,6 +123,18 @@ impl Format {
         }
         if csv::is_header(&first) {
             return Ok(Self::Csv);
+        }
+        if levelx::is_header(&first) {
+            return Ok(Self::LevelX);
+        }
+        if highd::is_header(&first) {
+            return Ok(Self::HighD);
+        }
+        if first.text.trim_start().starts_with('<') {
+            return match commonroad::is_root_among(std::iter::once(Ok(first)).chain(lines)) {
+                true => Ok(Self::CommonRoad),
+                false => Err(unknown(&first, "XML without an element commonRoad".to_owned())),
+            };
         }
         let commas = first.pieces(Separator::Comma).count();
         let spaces = first.pieces(Separator::Space).count();

@@ -1,9 +1,12 @@
 //! The file formats: one module each, which defines the columns and units of a row and turns bytes into a
 //! recording.
 
+pub mod commonroad;
 pub mod csv;
+pub mod highd;
 pub mod interaction;
 pub mod kitti;
+pub mod levelx;
 pub mod obsmat;
 pub mod positions;
 pub mod sdd_raw;

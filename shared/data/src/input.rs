@@ -1,7 +1,7 @@
 use crate::ReadError;
 
 /// Size of the largest file that is read.
-pub(crate) const FILE_BYTES_MAX: u64 = 256 << 20;
+pub(crate) const FILE_BYTES_MAX: u64 = 1 << 30;
 
 /// The content of a file of a recording.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -22,6 +22,10 @@ pub enum Role {
     Calibration,
     /// Metres per pixel.
     Scales,
+    /// Classes and other attributes of the tracks.
+    TracksMeta,
+    /// Frame rate and other attributes of the recording.
+    RecordingMeta,
 }
 
 impl Role {
@@ -37,6 +41,8 @@ impl Role {
             Self::EgoMotion => "ego motion",
             Self::Calibration => "calibration",
             Self::Scales => "scales",
+            Self::TracksMeta => "attributes of the tracks",
+            Self::RecordingMeta => "attributes of the recording",
         }
     }
 }

@@ -7,8 +7,9 @@
 //! counter-clockwise from +x, speeds in m/s, stamps in nanoseconds on the recording's own clock.
 //!
 //! * [`open`] reads a recording from a file together with the files that belong to it; [`parse`] does the
-//!   same from bytes. Bad input is a [`ReadError`] with file, line, column and value; no row is skipped in
-//!   silence.
+//!   same from bytes; [`open_with`] and [`parse_at`] take a frame rate as well. Bad input is a [`ReadError`]
+//!   with file, line, column and value; no row is skipped in silence.
+//! * [`doubts`] tells of speeds that speak for another frame rate or unit.
 //! * [`tracks`] joins detections with identities to trajectories; [`windows`](windows()) cuts those into
 //!   strictly causal histories (T_h steps) and futures (T_f steps, \[model §1\]).
 //! * [`sets`] lists the files of the training, validation and test parts of each data set.
@@ -36,9 +37,11 @@
 //! # Ok::<(), data::ReadError>(())
 //! ```
 
+mod doubts;
 mod error;
 mod format;
 pub mod formats;
+mod frame_rate;
 mod generated;
 mod input;
 mod open;
@@ -50,11 +53,13 @@ mod track_file;
 mod tracks;
 mod windows;
 
+pub use doubts::{Doubt, doubts};
 pub use error::ReadError;
 pub use format::{Format, UnknownFormat};
+pub use frame_rate::{FrameRate, UnknownFrameRate};
 pub use generated::{GeneratedScene, OptionError, SceneOptions};
 pub use input::{Input, Role};
-pub use open::{open, parse};
+pub use open::{OpenOptions, open, open_with, parse, parse_at};
 pub use recording::{Ego, Frame, LeftOut, Recording};
 pub use track_file::{TrackFormat, TrackRows, TrackWriter, UnknownTrackFormat};
 pub use tracks::{RecordedTrack, Reported, tracks, tracks_from_positions};

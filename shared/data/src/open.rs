@@ -6,9 +6,29 @@ use std::path::{Path, PathBuf};
 
 use sha2::{Digest, Sha256};
 
-use crate::formats::{csv, interaction, kitti, obsmat, positions, sdd_raw, vci_dut};
+use crate::formats::{
+    commonroad, csv, highd, interaction, kitti, levelx, obsmat, positions, sdd_raw, vci_dut,
+};
 use crate::input::FILE_BYTES_MAX;
-use crate::{Format, Input, ReadError, Recording, Role, text};
+use crate::{Format, FrameRate, Input, ReadError, Recording, Role, text};
+
+/// What is known of a recording beside its files.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct OpenOptions {
+    /// The format; `None` detects it from the content.
+    pub format: Option<Format>,
+    /// Frames a second that the frame numbers count, for formats whose files do not tell
+    /// ([`Format::frame_rate`]); `None` is the usual one.
+    pub fps: Option<FrameRate>,
+}
+
+impl OpenOptions {
+    /// A known format, at its usual rate.
+    #[must_use]
+    pub const fn of(format: Format) -> Self {
+        Self { format: Some(format), fps: None }
+    }
+}
 
 /// Reads the recording that `path` is a file of, together with the other files that belong to it. `None`
 /// detects the format from the content.
@@ -16,12 +36,21 @@ use crate::{Format, Input, ReadError, Recording, Role, text};
 /// # Errors
 /// [`ReadError`] with file, line, column and value.
 pub fn open(path: &Path, format: Option<Format>) -> Result<Recording, ReadError> {
+    open_with(path, OpenOptions { format, fps: None })
+}
+
+/// As [`open`], with all that may be given.
+///
+/// # Errors
+/// [`ReadError`] with file, line, column and value; [`ReadError::FrameRate`] where the files have their
+/// times.
+pub fn open_with(path: &Path, options: OpenOptions) -> Result<Recording, ReadError> {
     let opened = read(path, Role::Rows)?;
-    let format = match format {
+    let format = match options.format {
         Some(format) => format,
         None => Format::detect(&opened)?,
     };
-    parse(format, &with_companions(path, opened, format)?)
+    parse_at(format, &with_companions(path, opened, format)?, options.fps)
 }
 
 /// Reads a recording from the content of its files.
@@ -31,15 +60,36 @@ pub fn open(path: &Path, format: Option<Format>) -> Result<Recording, ReadError>
 /// # Errors
 /// [`ReadError`] with file, line, column and value.
 pub fn parse(format: Format, inputs: &[Input]) -> Result<Recording, ReadError> {
+    parse_at(format, inputs, None)
+}
+
+/// As [`parse`], with frame numbers that count so many frames a second.
+///
+/// # Errors
+/// [`ReadError`] with file, line, column and value; [`ReadError::FrameRate`] where the files have their
+/// times.
+pub fn parse_at(format: Format, inputs: &[Input], fps: Option<FrameRate>) -> Result<Recording, ReadError> {
+    if fps.is_some() && format.frame_rate().is_none() {
+        let names = Format::ALL.into_iter().filter(|format| format.frame_rate().is_some());
+        return Err(ReadError::FrameRate {
+            path: inputs.first().map_or_else(String::new, |input| input.path.clone()),
+            format,
+            names: names.map(Format::name).collect(),
+        });
+    }
+    let at = |usual: FrameRate| fps.unwrap_or(usual);
     let recording = match format {
-        Format::EthUcy => positions::parse_eth_ucy(inputs),
-        Format::Obsmat => obsmat::parse(inputs),
-        Format::SddTrajnet => positions::parse_trajnet(inputs),
-        Format::SddRaw => sdd_raw::parse(inputs),
+        Format::EthUcy => positions::parse_eth_ucy(inputs, at(positions::ETH_UCY_RATE)),
+        Format::Obsmat => obsmat::parse(inputs, at(obsmat::RATE)),
+        Format::SddTrajnet => positions::parse_trajnet(inputs, at(positions::TRAJNET_RATE)),
+        Format::SddRaw => sdd_raw::parse(inputs, at(sdd_raw::RATE)),
         Format::Interaction => interaction::parse(inputs),
-        Format::VciDut => vci_dut::parse(inputs),
+        Format::VciDut => vci_dut::parse(inputs, at(vci_dut::RATE)),
         Format::KittiDetections => kitti::parse_detections(inputs),
         Format::KittiLabels => kitti::parse_labels(inputs),
+        Format::LevelX => levelx::parse(inputs),
+        Format::HighD => highd::parse(inputs),
+        Format::CommonRoad => commonroad::parse(inputs),
         Format::Csv => csv::parse(inputs),
     }?;
     let mut hasher = Sha256::new();
@@ -101,7 +151,8 @@ fn read_needed(path: &Path, role: Role, opened: &str) -> Result<Input, ReadError
 fn with_companions(path: &Path, mut opened: Input, format: Format) -> Result<Vec<Input>, ReadError> {
     let up = |depth: usize| path.ancestors().nth(depth).unwrap_or(Path::new(""));
     match format {
-        Format::EthUcy | Format::Obsmat | Format::Csv => Ok(vec![opened]),
+        Format::EthUcy | Format::Obsmat | Format::CommonRoad | Format::Csv => Ok(vec![opened]),
+        Format::LevelX | Format::HighD => levelx_files(path, opened),
         Format::SddTrajnet => {
             let table = read_if_there(&up(2).join("H_SDD.txt"), Role::Scales)?;
             Ok(std::iter::once(opened).chain(table).collect())
@@ -133,6 +184,23 @@ fn with_companions(path: &Path, mut opened: Input, format: Format) -> Result<Vec
             Ok(vec![opened, calibration, ego_motion])
         }
     }
+}
+
+/// The rows of a levelX recording with the attributes of its tracks and its own: `07_tracks.csv`,
+/// `07_tracksMeta.csv`, `07_recordingMeta.csv`.
+fn levelx_files(path: &Path, opened: Input) -> Result<Vec<Input>, ReadError> {
+    let name =
+        path.file_name().and_then(|name| name.to_str()).and_then(|name| name.strip_suffix("_tracks.csv"));
+    let name = name.ok_or_else(|| ReadError::Missing {
+        path: opened.path.clone(),
+        role: Role::TracksMeta.name(),
+        searched: ": the file's name does not end in _tracks.csv".to_owned(),
+    })?;
+    let beside = |what: &str, role| {
+        read_needed(&path.with_file_name(format!("{name}_{what}.csv")), role, &opened.path)
+    };
+    let attributes = [beside("tracksMeta", Role::TracksMeta)?, beside("recordingMeta", Role::RecordingMeta)?];
+    Ok(std::iter::once(opened).chain(attributes).collect())
 }
 
 /// The role of one file of a pair. A file that is neither is read as vehicles: the error then names its first

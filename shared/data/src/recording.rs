@@ -1,5 +1,7 @@
 use wire::{Detection, Truth};
 
+use crate::FrameRate;
+
 /// Pose of the ego vehicle in the world frame, or the scene's centre for a fixed sensor.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Ego {
@@ -51,6 +53,8 @@ pub struct Recording {
     pub frames: Vec<Frame>,
     /// The rows that the format leaves out, by reason.
     pub left_out: Vec<LeftOut>,
+    /// The rate at which the frame numbers of the files were counted; none where the files have their times.
+    pub frame_rate: Option<FrameRate>,
     /// Metres per pixel of the recording's video where errors are published in pixels.
     pub pixel_m: Option<f64>,
 }

@@ -45,6 +45,11 @@ impl<'a> Rows<'a> {
         Ok(())
     }
 
+    /// The times of the rows, as they were read.
+    pub fn stamps(&self) -> impl Iterator<Item = i64> {
+        self.rows.iter().map(|row| row.stamp_ns)
+    }
+
     /// Whether no row was read.
     pub fn is_empty(&self) -> bool {
         self.rows.is_empty()

@@ -4,12 +4,14 @@ use std::ops::RangeInclusive;
 
 use wire::{POSITION_MAX_M, SPEED_MAX_MPS};
 
-use crate::{Input, ReadError};
+use crate::{FrameRate, Input, ReadError};
 
 /// Longest text that an error quotes.
 const SHOWN_MAX: usize = 60;
 /// Greatest frame number: at 2.5 frames a second a century of recording fits.
 const FRAME_MAX: i64 = 10_000_000_000;
+/// Latest time of a frame: as that of a stamp in our own format.
+pub(crate) const STAMP_MAX_NS: i64 = 4_000_000_000_000_000_000;
 /// Largest integer below which every integer is an f64.
 const INTEGER_MAX: f64 = 9_007_199_254_740_992.0;
 
@@ -74,6 +76,40 @@ fn expect_header(line: &Line<'_>, header: &'static str) -> Result<(), ReadError>
     }
     let field = Field { line: *line, name: "header", column: 1, text: line.text };
     Err(field.error(format!("expected \"{header}\"")))
+}
+
+/// The places of some columns in a file whose header names them among others.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Columns<const N: usize> {
+    names: &'static [&'static str; N],
+    places: [usize; N],
+    len: usize,
+}
+
+impl<const N: usize> Columns<N> {
+    /// The places of these columns by a header with commas.
+    pub fn of_header(line: &Line<'_>, names: &'static [&'static str; N]) -> Result<Self, ReadError> {
+        let mut places = [0; N];
+        for (place, name) in places.iter_mut().zip(names) {
+            let found = line.pieces(Separator::Comma).position(|(_, column)| column == *name);
+            *place = found
+                .ok_or_else(|| line.field("header", 1, line.text).error(format!("needs a column {name}")))?;
+        }
+        Ok(Self { names, places, len: line.pieces(Separator::Comma).count() })
+    }
+
+    /// The values of a row in the order of the names.
+    pub fn fields<'a>(&self, line: &Line<'a>) -> Result<[Field<'a>; N], ReadError> {
+        let mut fields = self.names.map(|name| line.field(name, 1, ""));
+        let mut found = 0;
+        for (column, text) in line.pieces(Separator::Comma) {
+            for (field, _) in fields.iter_mut().zip(&self.places).filter(|(_, place)| **place == found) {
+                *field = line.field(field.name, column, text);
+            }
+            found += 1;
+        }
+        if found == self.len { Ok(fields) } else { Err(line.columns_error(found, self.len)) }
+    }
 }
 
 impl<'a> Line<'a> {
@@ -204,6 +240,12 @@ impl<'a> Field<'a> {
             return Ok(frame);
         }
         Err(self.error(format!("expected 0 to {FRAME_MAX}")))
+    }
+
+    /// The time of a frame that is numbered at this rate.
+    pub fn stamp_ns(&self, rate: FrameRate) -> Result<i64, ReadError> {
+        let stamp_ns = rate.stamp_ns(self.frame()?).filter(|stamp_ns| *stamp_ns <= STAMP_MAX_NS);
+        stamp_ns.ok_or_else(|| self.error(format!("beyond {} s at {rate} Hz", STAMP_MAX_NS / 1_000_000_000)))
     }
 
     /// An identity below `limit`.

@@ -12,9 +12,11 @@ pub struct WindowOptions {
     pub horizon_len: usize,
     /// Time between steps, Δt.
     pub step_ns: i64,
-    /// Least time from one window to the next.
+    /// Time from one window to the next; where it is no multiple of the recording's interval, that to the frame
+    /// nearest to it.
     pub stride_ns: i64,
-    /// Longest gap between recorded states that is interpolated.
+    /// Longest gap between recorded states that is interpolated; at least one and a half of the recording's
+    /// intervals are, so that one slower than the steps has states at them too.
     pub gap_max_ns: i64,
     /// Least number of history steps at which an agent in the window is present; the newest is always one of
     /// them.
@@ -77,8 +79,10 @@ pub struct Window {
 /// Cuts a recording into windows, in time order.
 ///
 /// A window is at the stamp of a frame that observed every agent type that the recording ever observed.
-/// Histories are interpolated only between states recorded at or before the window's time; steps at recorded
-/// times are the recorded states themselves. Windows without agents are left out.
+/// Histories are interpolated only between states recorded at or before the window's time, futures between
+/// those after it as well; steps at recorded times are the recorded states themselves. So a recording of any
+/// rate has windows, and one whose interval divides the step none that is interpolated where no frame is
+/// missing. Windows without agents are left out.
 ///
 /// # Panics
 /// If a length or the step of `options` is 0 or negative.
@@ -89,6 +93,14 @@ pub fn windows(recording: &Recording, options: &WindowOptions) -> Vec<Window> {
     let ever_observed = recording.frames.iter().fold(0, |bits, frame| bits | frame.observed_types);
     let whole = recording.frames.iter().filter(|frame| frame.observed_types == ever_observed);
 
+    let interval_ns = i64::try_from(recording.interval_ns).unwrap_or(i64::MAX);
+    let options = &WindowOptions {
+        gap_max_ns: options.gap_max_ns.max(interval_ns.saturating_add(interval_ns / 2)),
+        ..*options
+    };
+    // Half an interval early is still the frame that is due.
+    let apart_ns = options.stride_ns.saturating_sub(interval_ns / 2).max(1);
+
     let mut alive = Alive::new(&tracks);
     let mut windows: Vec<Window> = Vec::new();
     let mut earliest_ns = i64::MIN;
@@ -96,7 +108,7 @@ pub fn windows(recording: &Recording, options: &WindowOptions) -> Vec<Window> {
         if frame.stamp_ns < earliest_ns {
             continue;
         }
-        earliest_ns = frame.stamp_ns.saturating_add(options.stride_ns);
+        earliest_ns = frame.stamp_ns.saturating_add(apart_ns);
         let agents: Vec<WindowAgent> =
             alive.at(frame.stamp_ns).filter_map(|track| agent(track, frame.stamp_ns, options)).collect();
         if !agents.is_empty() {

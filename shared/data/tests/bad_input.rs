@@ -23,6 +23,26 @@ const LABELS: &str = "0 -1 DontCare -1 -1 -10 219 188 245 218 -1000 -1000 -1000 
 const OWN: &str = "stamp_s,id,type,x_m,y_m,heading_rad,speed_mps,length_m,width_m,score,sigma_m\n\
     0.08,7,vehicle,12.5,-3.2,3.1,8.4,4.5,1.8,0.97,0.2\n0.00,,ego,1.0,2.0,0.5,,,,,\n";
 
+const LEVELX: [&str; 3] = [
+    include_str!("fixtures/levelx/07_tracks.csv"),
+    include_str!("fixtures/levelx/07_tracksMeta.csv"),
+    include_str!("fixtures/levelx/07_recordingMeta.csv"),
+];
+const HIGHD: [&str; 3] = [
+    include_str!("fixtures/highd/01_tracks.csv"),
+    include_str!("fixtures/highd/01_tracksMeta.csv"),
+    include_str!("fixtures/highd/01_recordingMeta.csv"),
+];
+const COMMONROAD: &str = include_str!("fixtures/commonroad/ZAM_Fixture-1_1_T-1.2020a.xml");
+
+fn levelx_files([tracks, tracks_meta, recording_meta]: [&str; 3]) -> Vec<Input> {
+    vec![
+        input(Role::Rows, "a.txt", tracks),
+        input(Role::TracksMeta, "tracksMeta.csv", tracks_meta),
+        input(Role::RecordingMeta, "recordingMeta.csv", recording_meta),
+    ]
+}
+
 fn input(role: Role, path: &str, text: impl Into<Vec<u8>>) -> Input {
     Input { role, path: path.to_owned(), bytes: text.into() }
 }
@@ -55,6 +75,9 @@ fn good() -> Vec<(Format, Vec<Input>)> {
         ),
         (Format::KittiDetections, [vec![input(Role::Vehicles, "a.txt", CARS)], sensors().to_vec()].concat()),
         (Format::KittiLabels, [rows(LABELS), sensors().to_vec()].concat()),
+        (Format::LevelX, levelx_files(LEVELX)),
+        (Format::HighD, levelx_files(HIGHD)),
+        (Format::CommonRoad, rows(COMMONROAD)),
         (Format::Csv, rows(OWN)),
     ]
 }
@@ -76,8 +99,20 @@ fn message(format: Format, text: impl Into<Vec<u8>>) -> String {
 #[test]
 fn samples_of_every_format_are_read_and_detected() {
     // Of each format: frames, detections, rows left out (a lost box; a `DontCare` region).
-    let counts =
-        [[2, 2, 0], [1, 1, 0], [2, 2, 0], [1, 1, 1], [2, 3, 0], [1, 2, 0], [1, 1, 0], [1, 1, 1], [2, 1, 0]];
+    let counts = [
+        [2, 2, 0],
+        [1, 1, 0],
+        [2, 2, 0],
+        [1, 1, 1],
+        [2, 3, 0],
+        [1, 2, 0],
+        [1, 1, 0],
+        [1, 1, 1],
+        [4, 11, 0],
+        [3, 6, 0],
+        [3, 9, 1],
+        [2, 1, 0],
+    ];
     for ((format, inputs), expected) in good().into_iter().zip(counts) {
         let recording = parse(format, &inputs).unwrap();
         let detections_len: usize = recording.frames.iter().map(|frame| frame.detections.len()).sum();
@@ -228,6 +263,11 @@ fn truncated_rows_are_errors() {
                 assert!(detections(&read) <= detections(&whole), "{format} cut at {cut}");
             }
         }
+        if format == Format::CommonRoad {
+            let error = message(format, &text[..text.len() / 2]);
+            assert!(error.starts_with("a.txt:") && error.contains("not XML: "), "{error}");
+            continue;
+        }
         let last_row = String::from_utf8(text).unwrap();
         let separators: &[char] = if last_row.contains(',') { &[','] } else { &[' ', '\t'] };
         let cut = last_row.rfind(separators).unwrap();
@@ -265,9 +305,14 @@ fn binary_and_empty_files_are_errors() {
 
 #[test]
 fn rows_in_any_order_are_read_and_duplicates_refused() {
-    for (format, inputs) in good().into_iter().filter(|(format, _)| *format != Format::KittiDetections) {
+    let has_rows =
+        |(format, _): &(Format, Vec<Input>)| !matches!(format, Format::KittiDetections | Format::CommonRoad);
+    for (format, inputs) in good().into_iter().filter(has_rows) {
         let text = String::from_utf8(inputs[0].bytes.clone()).unwrap();
-        let has_header = matches!(format, Format::Interaction | Format::VciDut | Format::Csv);
+        let has_header = matches!(
+            format,
+            Format::Interaction | Format::VciDut | Format::LevelX | Format::HighD | Format::Csv
+        );
         let (top, body) =
             if has_header { text.split_at(text.find('\n').unwrap() + 1) } else { ("", text.as_str()) };
         let mut reversed: Vec<&str> = body.lines().collect();
@@ -373,7 +418,7 @@ fn an_unknown_format_error_lists_the_known_ones() {
     assert_eq!(
         unknown("1 2 3\n"),
         "a.txt: the first row has 3 columns; name the format (one of eth-ucy, obsmat, sdd-trajnet, sdd-raw, \
-         interaction, vci-dut, kitti-detections, kitti-labels, csv)"
+         interaction, vci-dut, kitti-detections, kitti-labels, levelx, highd, commonroad, csv)"
     );
     assert!(unknown("7 1 2 3\n").starts_with("a.txt: frames are neither tens nor dozens;"));
     assert!(unknown("60 1 2 3\n").starts_with("a.txt: all frames are multiples of 60;"));

@@ -1,5 +1,8 @@
 //! Readers: recordings as published, windows, and files that must be refused.
 
 mod bad_input;
+mod converters;
+mod frame_rates;
 mod recordings;
+mod strangers;
 mod windows;

@@ -127,11 +127,19 @@ fn states_are_interpolated_over_short_gaps_only() {
     let windows = windows(&csv(rows), &options);
     let at_600 = windows.iter().find(|window| window.stamp_ns == 600_000_000).unwrap();
     let x_m: Vec<Option<f32>> = at_600.agents[0].history.iter().map(|s| s.map(|s| s.position_m[0])).collect();
-    // 0.2 s and 0.4 s lie in gaps of 0.3 s, longer than one step.
-    assert_eq!(x_m, [Some(0.0), None, None, Some(6.0)]);
+    // 0.2 s and 0.4 s lie in gaps of 0.3 s, longer than a step but as long as the recording's interval.
+    assert_eq!(x_m, [Some(0.0), Some(2.0), Some(4.0), Some(6.0)]);
+    // Where the frame of 0.3 s is missing, the gap is two intervals.
+    let without = |options: &WindowOptions| {
+        let rows = "0,1,vehicle,0,0,,\n0.6,1,vehicle,6,0,,\n0.9,1,vehicle,9,0,,\n1.2,1,vehicle,12,0,,\n";
+        let windows = data::windows(&csv(rows), options);
+        let window = windows.into_iter().find(|window| window.stamp_ns == 600_000_000).unwrap();
+        window.agents[0].history.iter().map(Option::is_some).collect::<Vec<_>>()
+    };
+    assert_eq!(without(&options), [true, false, false, true]);
+    let longer = WindowOptions { gap_max_ns: 600_000_000, ..options };
+    assert_eq!(without(&longer), [true; 4]);
 
-    let options = WindowOptions { gap_max_ns: 300_000_000, ..options };
-    let windows = data::windows(&csv(rows), &options);
     let agent = &windows.iter().find(|window| window.stamp_ns == 600_000_000).unwrap().agents[0];
     let state = agent.history[1].unwrap();
     assert!((state.position_m[0] - 2.0).abs() < 1e-6);
@@ -143,6 +151,101 @@ fn states_are_interpolated_over_short_gaps_only() {
             < 1e-5
     );
     assert_eq!(agent.future, [None; 4]);
+}
+
+/// A vehicle and a pedestrian on curved ways, recorded at a rate from 0 s to 20 s.
+fn recorded_at(hertz: f64, has_motion: bool) -> Recording {
+    let mut rows = String::new();
+    for frame in 0..=(20.0 * hertz) as usize {
+        let at_s = frame as f64 / hertz;
+        for (id, kind, speed_mps) in [(1, "vehicle", 9.0), (2, "pedestrian", 1.3)] {
+            let heading_rad = 0.1 * at_s;
+            let radius_m = speed_mps / 0.1;
+            let [x_m, y_m] = [radius_m * heading_rad.sin(), radius_m * (1.0 - heading_rad.cos())];
+            let motion = if has_motion { format!("{heading_rad},{speed_mps}") } else { ",".to_owned() };
+            rows += &format!("{at_s:.9},{id},{kind},{x_m},{y_m},{motion}\n");
+        }
+    }
+    csv(&rows)
+}
+
+/// Rates with the number of windows in 20 s: steps of 0.4 s, to the nearest frame.
+const RATES_HZ: [(f64, usize); 9] = [
+    (2.0, 41),
+    (2.5, 51),
+    (3.0, 61),
+    (4.0, 41),
+    (10.0, 51),
+    (12.5, 51),
+    (23.98, 48),
+    (25.0, 51),
+    (29.97, 50),
+];
+
+#[test]
+fn windows_of_any_rate_have_whole_histories_and_futures() {
+    for (hertz, expected_len) in RATES_HZ {
+        for has_motion in [true, false] {
+            let recording = recorded_at(hertz, has_motion);
+            let windows = windows(&recording, &WindowOptions::new(8, 12, STEP_NS));
+            assert_eq!(windows.len(), expected_len, "{hertz} Hz");
+            let inner = |window: &&Window| (2_800_000_000..=15_000_000_000).contains(&window.stamp_ns);
+            for window in windows.iter().filter(inner) {
+                assert_eq!(window.agents.len(), 2, "{hertz} Hz");
+                assert!(window.agents.iter().all(|agent| agent.is_complete()), "{hertz} Hz");
+                // Between frames a chord is 0.28 m at most from the way of the vehicle.
+                let vehicle = &window.agents[0];
+                for (step, position_m) in vehicle.future.iter().enumerate() {
+                    let at_s = window.stamp_ns as f64 * 1e-9 + 0.4 * (step + 1) as f64;
+                    let [x_m, y_m] = position_m.unwrap().map(f64::from);
+                    let expected_m = [90.0 * (0.1 * at_s).sin(), 90.0 * (1.0 - (0.1 * at_s).cos())];
+                    assert!(
+                        (x_m - expected_m[0]).hypot(y_m - expected_m[1]) < 0.03,
+                        "{hertz} Hz at {at_s} s"
+                    );
+                }
+            }
+        }
+    }
+}
+
+#[test]
+fn histories_of_any_rate_do_not_depend_on_later_frames() {
+    for (hertz, _) in RATES_HZ {
+        for has_motion in [true, false] {
+            let whole = recorded_at(hertz, has_motion);
+            let options = WindowOptions::new(8, 12, STEP_NS);
+            let all = windows(&whole, &options);
+            for window in all.iter().step_by(7) {
+                let mut cut = whole.clone();
+                cut.frames.retain(|frame| frame.stamp_ns <= window.stamp_ns);
+                let last = windows(&cut, &options).pop().unwrap();
+                assert_eq!(last.stamp_ns, window.stamp_ns, "{hertz} Hz");
+                let of = |window: &Window| histories(std::slice::from_ref(window), i64::MAX);
+                assert_eq!(of(&last), of(window), "{hertz} Hz at {}", window.stamp_ns);
+            }
+        }
+    }
+}
+
+#[test]
+fn rates_that_divide_the_step_are_not_interpolated() {
+    for hertz in [2.5, 5.0, 10.0, 12.5, 25.0] {
+        let recording = recorded_at(hertz, true);
+        let row = |stamp_ns: i64, id: u64| {
+            let frame = recording.frames.iter().find(|frame| frame.stamp_ns == stamp_ns)?;
+            frame.detections.iter().find(|detection| detection.id == id).map(|d| [d.x_m, d.y_m])
+        };
+        for window in windows(&recording, &WindowOptions::new(3, 4, STEP_NS)) {
+            assert_eq!(window.stamp_ns % STEP_NS, 0);
+            for agent in &window.agents {
+                for (step, state) in agent.history.iter().enumerate() {
+                    let at_ns = window.stamp_ns + (step as i64 - 2) * STEP_NS;
+                    assert_eq!(state.map(|state| state.position_m), row(at_ns, agent.id), "{hertz} Hz");
+                }
+            }
+        }
+    }
 }
 
 #[test]

@@ -2,13 +2,12 @@ use std::path::{Path, PathBuf};
 
 use ::scene::ContextMap;
 use clap::{Args, ValueEnum};
-use data::Format;
 use drawing::{Mask, SceneDrawing, SceneOptions, Shot, Storyboard, save, scenes};
 use evaluator::{Forecaster, MapInput};
 use localiser::MapChoice;
 use run::Exit;
 
-use crate::arguments::ModelArguments;
+use crate::arguments::{ModelArguments, ReadArguments};
 use crate::failure::Failure;
 
 /// Arguments of `stgdat plot scene`.
@@ -16,9 +15,8 @@ use crate::failure::Failure;
 pub struct Arguments {
     /// Recording whose agents carry identities
     recording: PathBuf,
-    /// Format of the recording; detected if not given
-    #[arg(long)]
-    format: Option<Format>,
+    #[command(flatten)]
+    read: ReadArguments,
     /// Times to show, in seconds from the recording's start, a panel each
     #[arg(
         long,
@@ -82,7 +80,7 @@ enum MaskChoice {
 /// Draws moments of a recording with what was forecast then.
 pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
     let (_, weights) = arguments.model.open_weights(None)?;
-    let recording = data::open(&arguments.recording, arguments.format).map_err(Failure::data)?;
+    let recording = arguments.read.open(&arguments.recording)?;
     let forecaster = Forecaster::new(weights, arguments.seed).map_err(Failure::data)?;
     let site = match &arguments.model.map {
         Some(MapChoice::File(path)) => Some(ContextMap::load(path).map_err(Failure::data)?),

@@ -9,7 +9,7 @@ mod sdd;
 use std::path::PathBuf;
 
 use data::sets::{DataSet, Part};
-use data::{Format, Recording};
+use data::{OpenOptions, Recording};
 use scene::ContextMap;
 
 pub use ablation::{Variant, ablation};
@@ -103,14 +103,9 @@ pub fn map_of(training: &[Footage], site: &str) -> Option<ContextMap> {
 
 impl Options {
     /// Reads and cuts recordings, telling of each before.
-    fn read(
-        &self,
-        paths: &[PathBuf],
-        format: Option<Format>,
-        cut: &Cut,
-    ) -> Result<Vec<Footage>, EvaluateError> {
+    fn read(&self, paths: &[PathBuf], open: OpenOptions, cut: &Cut) -> Result<Vec<Footage>, EvaluateError> {
         let read = |path: &PathBuf, (): &mut ()| {
-            let recording = data::open(path, format)?;
+            let recording = data::open_with(path, open)?;
             let scenes = cut.scenes(&recording);
             Ok(Footage { recording, scenes })
         };
@@ -122,7 +117,7 @@ impl Options {
     /// # Errors
     /// [`EvaluateError`] where one can't be read.
     pub fn read_part(&self, set: DataSet, part: Part, cut: &Cut) -> Result<Vec<Footage>, EvaluateError> {
-        self.read(&set.files(&self.data, part)?, Some(set.format()), cut)
+        self.read(&set.files(&self.data, part)?, OpenOptions::of(set.format()), cut)
     }
 }
 

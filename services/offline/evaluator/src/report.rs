@@ -44,6 +44,8 @@ pub struct Report {
     pub title: String,
     /// By which weights.
     pub provenance: Vec<Provenance>,
+    /// What is probably wrong with the recordings, a line each.
+    pub warnings: Vec<String>,
     /// What the tables leave out and why, a line each.
     pub left_out: Vec<String>,
     /// For people.

@@ -6,7 +6,7 @@ use crate::support::weights;
 use std::path::{Path, PathBuf};
 
 use data::sets::Part;
-use data::{GeneratedScene, SceneOptions};
+use data::{GeneratedScene, OpenOptions, SceneOptions};
 use evaluator::{Cut, EvaluateError, Figure, MapChoice, Options, Report, WeightsChoice};
 
 fn options(folder: &Path, weights: Option<PathBuf>, threads: usize) -> Options {
@@ -30,6 +30,21 @@ fn straight(folder: &Path, steps: usize) -> PathBuf {
         }
     }
     let path = folder.join("straight.csv");
+    std::fs::write(&path, text).unwrap();
+    path
+}
+
+/// The same vehicles for 16 s at any rate, whose frames are off their grid by up to 2 ms.
+fn straight_at(folder: &Path, hertz: f64, has_motion: bool) -> PathBuf {
+    let mut text = "stamp_s,id,type,x_m,y_m,heading_rad,speed_mps\n".to_owned();
+    for frame in 0..(16.0 * hertz) as usize {
+        for (id, speed) in [(1, 5.0), (2, 8.0)] {
+            let seconds = frame as f64 / hertz + 0.002 * f64::from(frame as u32 % 3);
+            let motion = if has_motion { format!("0,{speed}") } else { ",".to_owned() };
+            text += &format!("{seconds:.9},{id},vehicle,{},{id}0,{motion}\n", speed * seconds);
+        }
+    }
+    let path = folder.join(format!("straight_{hertz}.csv"));
     std::fs::write(&path, text).unwrap();
     path
 }
@@ -61,7 +76,7 @@ fn traffic(folder: &Path) -> PathBuf {
 }
 
 fn evaluate(options: &Options, path: &Path) -> Result<Report, EvaluateError> {
-    evaluator::files(options, &[path.to_owned()], None, false, |_| ())
+    evaluator::files(options, &[path.to_owned()], OpenOptions::default(), false, |_| ())
 }
 
 /// The figure of all agents over the whole horizon.
@@ -91,6 +106,24 @@ fn constant_velocity_predicts_straight_motion_exactly() {
     assert_eq!(figure(&report, "ours", "", "forecasts that violate a limit, %").value, 0.0);
     let sampled = figure(&report, "CVM-S", "minADE₂₀ / minFDE₂₀", "FDE, m").value;
     assert!(sampled > 0.0 && sampled < 8.0 * 4.8, "{sampled}");
+}
+
+#[test]
+fn straight_motion_is_predicted_exactly_from_any_rate() {
+    let folder = tempfile::tempdir().unwrap();
+    // 8 + 12 steps of 0.4 s fit into 16 s as many times as there are windows in 8.4 s.
+    for (hertz, agents) in [(2.0, 34), (2.5, 42), (3.0, 50), (10.0, 42), (23.98, 40), (25.0, 42), (29.97, 42)]
+    {
+        for has_motion in [true, false] {
+            let path = straight_at(folder.path(), hertz, has_motion);
+            let report = evaluate(&options(folder.path(), None, 2), &path).unwrap();
+            let error = figure(&report, "constant velocity", "K = 1", "FDE, m");
+            assert!(error.value < 5e-3, "{hertz} Hz: {error:?}");
+            let found = i64::try_from(error.agents).unwrap();
+            assert!((agents - 2..=agents + 2).contains(&found), "{hertz} Hz: {found} agents, about {agents}");
+            assert_eq!(report.warnings.as_slice(), &[] as &[String]);
+        }
+    }
 }
 
 #[test]
@@ -180,7 +213,7 @@ fn recordings_without_a_complete_agent_are_left_out() {
     let folder = tempfile::tempdir().unwrap();
     let options = options(folder.path(), None, 2);
     let [whole, short] = [straight(folder.path(), 120), parked(folder.path(), 40)];
-    let of = |paths: &[PathBuf]| evaluator::files(&options, paths, None, false, |_| ());
+    let of = |paths: &[PathBuf]| evaluator::files(&options, paths, OpenOptions::default(), false, |_| ());
     let alone = evaluate(&options, &whole).unwrap();
     for paths in [[whole.clone(), short.clone()], [short.clone(), whole]] {
         let report = of(&paths).unwrap();
@@ -215,7 +248,7 @@ fn a_recording_without_moving_agents_has_no_table_of_them() {
     assert_eq!(figure(&report, "ours", "K = 1", "FDE, m").agents, 11);
     // Beside one where somebody does, its column of moving agents is empty.
     let moves = straight(folder.path(), 120);
-    let report = evaluator::files(&options, &[stands, moves], None, false, |_| ()).unwrap();
+    let report = evaluator::files(&options, &[stands, moves], OpenOptions::default(), false, |_| ()).unwrap();
     assert!(report.left_out.is_empty());
     let markdown = report.markdown();
     let table = markdown.split("Errors: moving agents").nth(1).unwrap();

@@ -5,19 +5,21 @@
 
 use wire::AgentType;
 
-use super::positions::{STEP_NS, stamp_ns};
 use crate::input::need;
 use crate::rows::{self, Rows};
 use crate::text::{self, Separator};
-use crate::{Input, ReadError, Recording, Role};
+use crate::{FrameRate, Input, ReadError, Recording, Role};
 
+/// Frames a second of its numbers, and the frames of a step.
+pub(crate) const RATE: FrameRate = FrameRate::of_centihertz(1_500);
+const STEP: u32 = 6;
 const NAMES: [&str; 8] = ["frame", "id", "x", "z", "y", "vx", "vz", "vy"];
 
 /// Reads such a file.
 ///
 /// # Errors
 /// [`ReadError`] with file, line, column and value.
-pub(crate) fn parse(inputs: &[Input]) -> Result<Recording, ReadError> {
+pub(crate) fn parse(inputs: &[Input], rate: FrameRate) -> Result<Recording, ReadError> {
     let input = need(inputs, Role::Rows)?;
     let mut rows = Rows::default();
     for line in text::lines(input) {
@@ -31,8 +33,14 @@ pub(crate) fn parse(inputs: &[Input]) -> Result<Recording, ReadError> {
             [x.position_m()?, y.position_m()?],
             id.id_below(u64::MAX)?,
         );
-        rows.push(&line, stamp_ns(frame.frame()?, 6), detection)?;
+        rows.push(&line, frame.stamp_ns(rate)?, detection)?;
     }
     let frames = rows::frames(&rows.sorted(input)?, AgentType::Pedestrian.bit());
-    Ok(Recording { interval_ns: STEP_NS, has_identities: true, frames, ..Recording::default() })
+    Ok(Recording {
+        interval_ns: rate.interval_ns(STEP),
+        has_identities: true,
+        frames,
+        frame_rate: Some(rate),
+        ..Recording::default()
+    })
 }

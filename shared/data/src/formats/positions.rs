@@ -14,18 +14,22 @@ use wire::AgentType;
 use crate::input::need;
 use crate::rows::{self, Rows};
 use crate::text::{self, Separator};
-use crate::{Input, ReadError, Recording, Role};
+use crate::{FrameRate, Input, ReadError, Recording, Role};
 
 const NAMES: [&str; 4] = ["frame", "id", "x", "y"];
-/// Time between annotated frames.
-pub(crate) const STEP_NS: u64 = 400_000_000;
+/// Frames a second of ETH/UCY's numbers, and the frames of a step.
+pub(crate) const ETH_UCY_RATE: FrameRate = FrameRate::of_centihertz(2_500);
+const ETH_UCY_STEP: u32 = 10;
+/// Frames a second of the TrajNet split's numbers, and the frames of a step.
+pub(crate) const TRAJNET_RATE: FrameRate = FrameRate::of_centihertz(3_000);
+const TRAJNET_STEP: u32 = 12;
 
 /// Reads ETH/UCY.
 ///
 /// # Errors
 /// [`ReadError`] with file, line, column and value.
-pub(crate) fn parse_eth_ucy(inputs: &[Input]) -> Result<Recording, ReadError> {
-    parse(need(inputs, Role::Rows)?, 10)
+pub(crate) fn parse_eth_ucy(inputs: &[Input], rate: FrameRate) -> Result<Recording, ReadError> {
+    parse(need(inputs, Role::Rows)?, rate, ETH_UCY_STEP)
 }
 
 /// Reads the TrajNet split of Stanford Drone; the scene's scale is taken from the table beside it, if there
@@ -33,16 +37,16 @@ pub(crate) fn parse_eth_ucy(inputs: &[Input]) -> Result<Recording, ReadError> {
 ///
 /// # Errors
 /// [`ReadError`] with file, line, column and value.
-pub(crate) fn parse_trajnet(inputs: &[Input]) -> Result<Recording, ReadError> {
+pub(crate) fn parse_trajnet(inputs: &[Input], rate: FrameRate) -> Result<Recording, ReadError> {
     let input = need(inputs, Role::Rows)?;
-    let mut recording = parse(input, 12)?;
+    let mut recording = parse(input, rate, TRAJNET_STEP)?;
     if let Some(table) = crate::input::find(inputs, Role::Scales) {
         recording.pixel_m = super::sdd_raw::table_pixel_m(table, &crate::open::stem(&input.path))?;
     }
     Ok(recording)
 }
 
-fn parse(input: &Input, frames_per_step: i64) -> Result<Recording, ReadError> {
+fn parse(input: &Input, rate: FrameRate, frames_per_step: u32) -> Result<Recording, ReadError> {
     let mut rows = Rows::default();
     for line in text::lines(input) {
         let line = line?;
@@ -52,13 +56,14 @@ fn parse(input: &Input, frames_per_step: i64) -> Result<Recording, ReadError> {
             [x.position_m()?, y.position_m()?],
             id.id_below(u64::MAX)?,
         );
-        rows.push(&line, stamp_ns(frame.frame()?, frames_per_step), detection)?;
+        rows.push(&line, frame.stamp_ns(rate)?, detection)?;
     }
     let frames = rows::frames(&rows.sorted(input)?, AgentType::Pedestrian.bit());
-    Ok(Recording { interval_ns: STEP_NS, has_identities: true, frames, ..Recording::default() })
-}
-
-/// The time of a frame where `frames_per_step` frames last 0.4 s; exact at whole steps, else rounded.
-pub(crate) fn stamp_ns(frame: i64, frames_per_step: i64) -> i64 {
-    (frame * STEP_NS as i64 + frames_per_step / 2) / frames_per_step
+    Ok(Recording {
+        interval_ns: rate.interval_ns(frames_per_step),
+        has_identities: true,
+        frames,
+        frame_rate: Some(rate),
+        ..Recording::default()
+    })
 }

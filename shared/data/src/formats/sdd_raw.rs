@@ -13,7 +13,7 @@ use wire::{AgentType, Detection};
 use crate::input::need;
 use crate::rows::{self, ALL_TYPES, PEDESTRIAN_IDS, Rows};
 use crate::text::{self, Field, Line, Separator};
-use crate::{Input, LeftOut, ReadError, Recording, Role};
+use crate::{FrameRate, Input, LeftOut, ReadError, Recording, Role};
 
 const NAMES: [&str; 10] =
     ["id", "xmin", "ymin", "xmax", "ymax", "frame", "lost", "occluded", "generated", "label"];
@@ -32,8 +32,8 @@ const TABLE_NAMES: [&str; 13] = [
     "Diff",
     "Ratio",
 ];
-/// Frames per second.
-const HERTZ: i64 = 30;
+/// The frame rate of the videos.
+pub(crate) const RATE: FrameRate = FrameRate::of_centihertz(3_000);
 /// Largest valid pixel coordinate: at the largest scale it is still within the world.
 const PIXEL_MAX: f64 = wire::POSITION_MAX_M as f64;
 /// Valid scales, m per px.
@@ -43,7 +43,7 @@ const PIXEL_M: std::ops::RangeInclusive<f64> = 1e-4..=1.0;
 ///
 /// # Errors
 /// [`ReadError`] with file, line, column and value, and where the scale of the video is missing.
-pub(crate) fn parse(inputs: &[Input]) -> Result<Recording, ReadError> {
+pub(crate) fn parse(inputs: &[Input], rate: FrameRate) -> Result<Recording, ReadError> {
     let input = need(inputs, Role::Rows)?;
     let pixel_m = video_pixel_m(need(inputs, Role::Scales)?, &input.path)?;
     let mut rows = Rows::default();
@@ -51,7 +51,7 @@ pub(crate) fn parse(inputs: &[Input]) -> Result<Recording, ReadError> {
     for line in text::lines(input) {
         let line = line?;
         let fields = line.split(Separator::Space, &NAMES)?;
-        match row(fields, pixel_m)? {
+        match row(fields, pixel_m, rate)? {
             Some((stamp_ns, detection)) => rows.push(&line, stamp_ns, detection)?,
             None => lost_len += 1,
         }
@@ -60,16 +60,21 @@ pub(crate) fn parse(inputs: &[Input]) -> Result<Recording, ReadError> {
     let lost = LeftOut { reason: "lost = 1".to_owned(), rows_len: lost_len };
     let left_out = Vec::from_iter((lost_len > 0).then_some(lost));
     Ok(Recording {
-        interval_ns: (1_000_000_000 / HERTZ) as u64,
+        interval_ns: rate.interval_ns(1),
         has_identities: true,
         frames,
         left_out,
+        frame_rate: Some(rate),
         pixel_m: Some(pixel_m),
         ..Recording::default()
     })
 }
 
-fn row(fields: [Field<'_>; 10], pixel_m: f64) -> Result<Option<(i64, Detection)>, ReadError> {
+fn row(
+    fields: [Field<'_>; 10],
+    pixel_m: f64,
+    rate: FrameRate,
+) -> Result<Option<(i64, Detection)>, ReadError> {
     let [id, xmin, ymin, xmax, ymax, frame, lost, occluded, generated, label] = fields;
     let middle = |low: Field<'_>, high: Field<'_>| {
         let [from, to] = [low.number_in(-PIXEL_MAX..=PIXEL_MAX)?, high.number_in(-PIXEL_MAX..=PIXEL_MAX)?];
@@ -86,8 +91,7 @@ fn row(fields: [Field<'_>; 10], pixel_m: f64) -> Result<Option<(i64, Detection)>
             );
         }
     };
-    let stamp_ns =
-        ((i128::from(frame.frame()?) * 1_000_000_000 + i128::from(HERTZ / 2)) / i128::from(HERTZ)) as i64;
+    let stamp_ns = frame.stamp_ns(rate)?;
     let id = id.id_below(PEDESTRIAN_IDS)?;
     for bit in [occluded, generated] {
         flag(bit)?;

@@ -1,4 +1,5 @@
-//! VCI-DUT: vehicles and dense crowds on a campus, as a pair of files at 23.98 frames a second, metres.
+//! VCI-DUT and VCI-CITR: vehicles and dense crowds on a campus, as a pair of files, metres. The files do not
+//! tell their frame rate: DUT has 23.98 frames a second, CITR 29.97.
 //!
 //! `id,frame,label,x_est,y_est,psi_est,vel_est` for vehicles, `…,vx_est,vy_est` for pedestrians. Both count
 //! frames on one clock and identities from 0; the reader adds 1,000,000,000 to the identities of pedestrians.
@@ -10,7 +11,7 @@ use wire::{AgentType, Detection, detection_flags};
 use crate::input::{find, need_any};
 use crate::rows::{self, PEDESTRIAN_IDS, Rows};
 use crate::text::{self, Field, Line, Separator};
-use crate::{Input, ReadError, Recording, Role};
+use crate::{FrameRate, Input, ReadError, Recording, Role};
 
 /// First line of a vehicle file.
 pub(crate) const VEHICLE_HEADER: &str = "id,frame,label,x_est,y_est,psi_est,vel_est";
@@ -18,14 +19,14 @@ pub(crate) const VEHICLE_HEADER: &str = "id,frame,label,x_est,y_est,psi_est,vel_
 pub(crate) const PEDESTRIAN_HEADER: &str = "id,frame,label,x_est,y_est,vx_est,vy_est";
 const VEHICLE_NAMES: [&str; 7] = ["id", "frame", "label", "x_est", "y_est", "psi_est", "vel_est"];
 const PEDESTRIAN_NAMES: [&str; 7] = ["id", "frame", "label", "x_est", "y_est", "vx_est", "vy_est"];
-/// 100 times the frame rate.
-const CENTIHERTZ: i64 = 2_398;
+/// The frame rate of DUT.
+pub(crate) const RATE: FrameRate = FrameRate::of_centihertz(2_398);
 
 /// Reads a pair, or one file of it.
 ///
 /// # Errors
 /// [`ReadError`] with file, line, column and value.
-pub(crate) fn parse(inputs: &[Input]) -> Result<Recording, ReadError> {
+pub(crate) fn parse(inputs: &[Input], rate: FrameRate) -> Result<Recording, ReadError> {
     let first = need_any(inputs, &[Role::Vehicles, Role::Pedestrians])?;
     let mut rows = Rows::default();
     let mut observed_types = 0;
@@ -33,15 +34,25 @@ pub(crate) fn parse(inputs: &[Input]) -> Result<Recording, ReadError> {
     for (role, agent_type) in kinds {
         if let Some(input) = find(inputs, role) {
             observed_types |= agent_type.bit();
-            read(input, agent_type, &mut rows)?;
+            read(input, agent_type, rate, &mut rows)?;
         }
     }
     let frames = rows::frames(&rows.sorted(first)?, observed_types);
-    let interval_ns = (100_000_000_000 / CENTIHERTZ) as u64;
-    Ok(Recording { interval_ns, has_identities: true, frames, ..Recording::default() })
+    Ok(Recording {
+        interval_ns: rate.interval_ns(1),
+        has_identities: true,
+        frames,
+        frame_rate: Some(rate),
+        ..Recording::default()
+    })
 }
 
-fn read<'a>(input: &'a Input, agent_type: AgentType, rows: &mut Rows<'a>) -> Result<(), ReadError> {
+fn read<'a>(
+    input: &'a Input,
+    agent_type: AgentType,
+    rate: FrameRate,
+    rows: &mut Rows<'a>,
+) -> Result<(), ReadError> {
     let vehicle = agent_type == AgentType::Vehicle;
     let (header, names) = match vehicle {
         true => (VEHICLE_HEADER, &VEHICLE_NAMES),
@@ -50,7 +61,7 @@ fn read<'a>(input: &'a Input, agent_type: AgentType, rows: &mut Rows<'a>) -> Res
     for line in text::lines_below(input, header) {
         let line = line?;
         let fields = line.split(Separator::Comma, names)?;
-        let (stamp_ns, detection) = row(fields, agent_type)?;
+        let (stamp_ns, detection) = row(fields, agent_type, rate)?;
         rows.push(&line, stamp_ns, detection)?;
     }
     Ok(())
@@ -59,6 +70,7 @@ fn read<'a>(input: &'a Input, agent_type: AgentType, rows: &mut Rows<'a>) -> Res
 fn row(
     [id, frame, label, x, y, a, b]: [Field<'_>; 7],
     agent_type: AgentType,
+    rate: FrameRate,
 ) -> Result<(i64, Detection), ReadError> {
     let expected = if agent_type == AgentType::Vehicle { "veh" } else { "ped" };
     if label.text != expected {
@@ -75,12 +87,7 @@ fn row(
         },
         _ => rows::with_velocity(Detection { id: detection.id + PEDESTRIAN_IDS, ..detection }, a, b)?,
     };
-    Ok((stamp_ns(frame.frame()?), detection))
-}
-
-/// The time of a frame, rounded to the nanosecond.
-fn stamp_ns(frame: i64) -> i64 {
-    ((i128::from(frame) * 100_000_000_000 + i128::from(CENTIHERTZ / 2)) / i128::from(CENTIHERTZ)) as i64
+    Ok((frame.stamp_ns(rate)?, detection))
 }
 
 /// Which of the pair a file is, by its first line.

@@ -2,6 +2,7 @@
 
 use std::collections::BTreeMap;
 
+use data::OpenOptions;
 use data::sets::{DataSet, Fold, Part};
 use scene::{AgentType, ContextMap};
 
@@ -131,7 +132,7 @@ impl Windows {
         if let Some(site) = &self.site {
             paths.retain(|path| short(&folder(path)) == site);
         }
-        options.read(&paths, Some(self.set.format()), &self.cut)
+        options.read(&paths, OpenOptions::of(self.set.format()), &self.cut)
     }
 
     /// Maps of the training recordings of the footage's sites, by site. There are none in a set without

@@ -1,7 +1,7 @@
 //! ETH/UCY: five folds, each tested on the scene that its training left out.
 
-use data::Format;
 use data::sets::{DataSet, Fold, Part};
+use data::{Format, OpenOptions};
 
 use super::{GROWTH, MapChoice, Options, RATES, Rules, SEED, fit, need_agents};
 use crate::group::Group;
@@ -48,7 +48,7 @@ pub fn eth_ucy(options: &Options, mut progress: impl FnMut(&str)) -> Result<Repo
         let mut tests = vec![(fold.name().to_owned(), options.read_part(set, options.part, &cut)?)];
         if fold == Fold::Eth && options.part == Part::Test {
             let path = options.data.join(TRUE_TIME);
-            let footage = options.read(&[path], Some(Format::Obsmat), &cut)?;
+            let footage = options.read(&[path], OpenOptions::of(Format::Obsmat), &cut)?;
             tests.push(("eth, true time".to_owned(), footage));
         }
         for (name, footage) in tests {

@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use data::Format;
+use data::OpenOptions;
 
 use super::{GROWTH, MapChoice, Options, RATES, Rules, SEED, need_agents, no_agents};
 use crate::group::Group;
@@ -20,7 +20,7 @@ use crate::{Baselines, Cut, EvaluateError, Subset};
 pub fn files(
     options: &Options,
     paths: &[PathBuf],
-    format: Option<Format>,
+    open: OpenOptions,
     from_positions: bool,
     mut progress: impl FnMut(&str),
 ) -> Result<Report, EvaluateError> {
@@ -37,9 +37,11 @@ pub fn files(
     let mut report = Report::new("Recordings");
     let mut groups: [Vec<Group>; 2] = [Vec::new(), Vec::new()];
     let mut names_left_out: Vec<String> = Vec::new();
-    for footage in options.read(paths, format, &cut)? {
+    for footage in options.read(paths, open, &cut)? {
         let name = &footage.recording.name;
         progress(name);
+        let doubts = data::doubts(&footage.recording);
+        report.warnings.extend(doubts.iter().map(|doubt| format!("{name}: {doubt}")));
         let blocks = rules.judge(&model, &baselines, &footage, map);
         if let Err(error) = need_agents(&blocks, name, &cut) {
             report.left_out.push(error.to_string());

@@ -3,6 +3,7 @@
 
 use std::path::{Path, PathBuf};
 
+use data::OpenOptions;
 use data::sets::{DataSet, Part};
 use retrieval::RetrievalMemory;
 use scene::AgentType;
@@ -146,7 +147,7 @@ impl Protocol<'_> {
         for part in [Part::Train, Part::Validation, Part::Test] {
             let of_site = |path: &PathBuf| short(&folder(path)) == site;
             let paths: Vec<PathBuf> = SET.files(&options.data, part)?.into_iter().filter(of_site).collect();
-            for footage in options.read(&paths, Some(SET.format()), cut)? {
+            for footage in options.read(&paths, OpenOptions::of(SET.format()), cut)? {
                 name = footage.site();
                 // The site's earlier recordings are part of no training: no site map.
                 let Footage { recording, scenes } = &footage;

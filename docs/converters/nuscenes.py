@@ -1,0 +1,171 @@
+"""Converts scenes of nuScenes to stgdat's own CSV, a file per scene: annotated key frames at 2 Hz.
+
+    python3 nuscenes.py /data/nuscenes/v1.0-mini --out csv [--scene scene-0061 ...]
+
+Reads the tables of the data set (JSON, one folder per version): scene, sample, sample_annotation, instance,
+category, attribute, sample_data, ego_pose, calibrated_sensor, sensor. Needs nothing but Python. The sensor's
+pose is the ego pose of the key frame of LIDAR_TOP. Speeds are not annotated and stay empty. Bicycles and
+motorcycles without a rider, strollers, animals and static objects are left out and counted.
+"""
+
+import json
+import os
+
+from stgdat_csv import Failed, Recording, parser, run, yaw_rad
+
+KINDS = {
+    "human.pedestrian.adult": "pedestrian",
+    "human.pedestrian.child": "pedestrian",
+    "human.pedestrian.construction_worker": "pedestrian",
+    "human.pedestrian.personal_mobility": "cyclist",
+    "human.pedestrian.police_officer": "pedestrian",
+    "human.pedestrian.wheelchair": "pedestrian",
+    "vehicle.bicycle": "cyclist",
+    "vehicle.bus.bendy": "vehicle",
+    "vehicle.bus.rigid": "vehicle",
+    "vehicle.car": "vehicle",
+    "vehicle.construction": "vehicle",
+    "vehicle.emergency.ambulance": "vehicle",
+    "vehicle.emergency.police": "vehicle",
+    "vehicle.motorcycle": "vehicle",
+    "vehicle.trailer": "vehicle",
+    "vehicle.truck": "vehicle",
+}
+OTHERS = ("animal", "human.pedestrian.stroller", "movable_object.", "static_object.", "vehicle.ego")
+SENSOR = "LIDAR_TOP"
+
+
+class Tables:
+    """The tables of a version, by token."""
+
+    def __init__(self, folder):
+        self.folder = folder
+
+    def read(self, name):
+        path = os.path.join(self.folder, f"{name}.json")
+        try:
+            with open(path, encoding="utf-8") as file:
+                rows = json.load(file)
+        except json.JSONDecodeError as error:
+            raise Failed(f"{path}:{error.lineno}:{error.colno}: not JSON: {error.msg}") from error
+        except UnicodeDecodeError as error:
+            raise Failed(f"{path}: not JSON: byte {error.start} is not UTF-8") from error
+        if not isinstance(rows, list):
+            raise Failed(f"{path}: expected a list of records")
+        return Table(path, rows)
+
+
+class Table:
+    """The records of a table."""
+
+    def __init__(self, path, rows):
+        self.path = path
+        self.rows = rows
+        self.by_token = {self.text(row, "token"): row for row in rows}
+
+    def get(self, row, key):
+        if not isinstance(row, dict) or key not in row:
+            token = row.get("token", "?") if isinstance(row, dict) else row
+            raise Failed(f"{self.path}: record {token}: needs {key}")
+        return row[key]
+
+    def record(self, token):
+        if token not in self.by_token:
+            raise Failed(f"{self.path}: no record {token}")
+        return self.by_token[token]
+
+    def numbers(self, row, key, count):
+        values = self.get(row, key)
+        is_list = isinstance(values, list) and len(values) == count
+        if not is_list or not all(isinstance(value, (int, float)) for value in values):
+            raise self.wrong(row, key, f"{count} numbers")
+        return values
+
+    def text(self, row, key):
+        if not isinstance(self.get(row, key), str):
+            raise self.wrong(row, key, "a text")
+        return row[key]
+
+    def stamp_ns(self, row):
+        if not isinstance(self.get(row, "timestamp"), int):
+            raise self.wrong(row, "timestamp", "whole microseconds")
+        return row["timestamp"] * 1000
+
+    def wrong(self, row, key, expected):
+        where = f"{self.path}: record {row.get('token', '?')}"
+        return Failed(f"{where}: {key} = {row[key]!r}: expected {expected}")
+
+
+def kind_of(category, attributes, path):
+    """The type of an annotation; None where it is no road user."""
+    if category in KINDS:
+        return None if "cycle.without_rider" in attributes else KINDS[category]
+    if category.startswith(OTHERS):
+        return None
+    raise Failed(f"{path}: name = {category!r}: no category of nuScenes")
+
+
+def key_frame_poses(tables):
+    """The ego pose of each sample's key frame."""
+    sensors, calibrated = tables.read("sensor"), tables.read("calibrated_sensor")
+    data, poses = tables.read("sample_data"), tables.read("ego_pose")
+    found = {}
+    for row in data.rows:
+        if not data.get(row, "is_key_frame"):
+            continue
+        sensor = calibrated.record(data.text(row, "calibrated_sensor_token"))
+        if sensors.get(sensors.record(calibrated.text(sensor, "sensor_token")), "channel") != SENSOR:
+            continue
+        pose = poses.record(data.text(row, "ego_pose_token"))
+        x_m, y_m, _ = poses.numbers(pose, "translation", 3)
+        found[data.text(row, "sample_token")] = (x_m, y_m, yaw_rad(*poses.numbers(pose, "rotation", 4)))
+    return found
+
+
+def convert(arguments):
+    tables = Tables(arguments.folder)
+    scenes, samples = tables.read("scene"), tables.read("sample")
+    instances, categories, attributes = (tables.read(name) for name in ("instance", "category", "attribute"))
+    annotations = tables.read("sample_annotation")
+    poses = key_frame_poses(tables)
+    names = {scenes.text(row, "name"): row for row in scenes.rows}
+    for name in arguments.scene:
+        if name not in names:
+            raise Failed(f"{scenes.path}: no scene {name}")
+    of_sample = {}
+    for row in annotations.rows:
+        of_sample.setdefault(annotations.text(row, "sample_token"), []).append(row)
+    for name in arguments.scene or sorted(names):
+        token = names[name]["token"]
+        frames = [row for row in samples.rows if samples.get(row, "scene_token") == token]
+        if not frames:
+            raise Failed(f"{samples.path}: no sample of scene {name}")
+        recording = Recording(scenes.path, arguments.origin)
+        for sample in sorted(frames, key=samples.stamp_ns):
+            stamp_ns = samples.stamp_ns(sample)
+            if sample["token"] not in poses:
+                path = os.path.join(tables.folder, "sample_data.json")
+                raise Failed(f"{path}: no key frame of {SENSOR} for sample {sample['token']}")
+            recording.ego(stamp_ns, *poses[sample["token"]])
+            for row in of_sample.get(sample["token"], []):
+                instance = annotations.text(row, "instance_token")
+                category = categories.record(instances.text(instances.record(instance), "category_token"))
+                tokens = annotations.get(row, "attribute_tokens")
+                named = [attributes.get(attributes.record(token), "name") for token in tokens]
+                kind = kind_of(categories.text(category, "name"), named, categories.path)
+                if kind is None:
+                    recording.leave_out(category["name"])
+                    continue
+                x_m, y_m, _ = annotations.numbers(row, "translation", 3)
+                width_m, length_m, _ = annotations.numbers(row, "size", 3)
+                heading_rad = yaw_rad(*annotations.numbers(row, "rotation", 4))
+                recording.agent(stamp_ns, instance, kind, x_m, y_m, heading_rad, size=(length_m, width_m))
+        recording.write(os.path.join(arguments.out, f"{name}.csv"))
+
+
+if __name__ == "__main__":
+    options = parser(__doc__, "none")
+    options.add_argument("folder", metavar="VERSION", help="folder with the tables, such as v1.0-mini")
+    only = "only this one; repeatable"
+    options.add_argument("--scene", action="append", default=[], metavar="NAME", help=only)
+    run(convert, options)

@@ -1,0 +1,213 @@
+"""Converts scenarios of Waymo Open Motion to stgdat's own CSV, a file per scenario: 9 s to 20 s at 10 Hz.
+
+    python3 waymo.py /data/womd/training_20s.tfrecord-00000-of-01000 --out csv [--scenario ID ...]
+
+Reads files of `Scenario` protocol buffers (not of tf.Example) by itself and needs nothing but Python. The
+autonomous vehicle is the sensor and no agent. Its first pose is subtracted from all positions unless --origin
+says otherwise; the file's second line has it. States that are not valid, and objects of type other or unset,
+are left out.
+"""
+
+import os
+import struct
+
+from stgdat_csv import Failed, Recording, motion, parser, run
+
+KINDS = {1: "vehicle", 2: "pedestrian", 3: "cyclist"}
+RECORD_MAX = 1 << 30
+"""Largest record that is read, bytes."""
+STAMP_MAX_S = 4e9
+"""Latest time that stgdat reads."""
+
+# Castagnoli's polynomial, reflected.
+CRC_TABLE = []
+for _byte in range(256):
+    for _ in range(8):
+        _byte = (_byte >> 1) ^ (0x82F63B78 if _byte & 1 else 0)
+    CRC_TABLE.append(_byte)
+
+
+def masked_crc(data):
+    """The checksum of a TFRecord's length or data."""
+    crc = 0xFFFFFFFF
+    for byte in data:
+        crc = (crc >> 8) ^ CRC_TABLE[(crc ^ byte) & 0xFF]
+    crc ^= 0xFFFFFFFF
+    return ((crc >> 15 | crc << 17) + 0xA282EAD8) & 0xFFFFFFFF
+
+
+def records(path):
+    """The records of a TFRecord file. Checksums of lengths are verified, those of the data cost too much."""
+    with open(path, "rb") as file:
+        while True:
+            at = file.tell()
+            head = file.read(12)
+            if not head:
+                return
+            if len(head) < 12:
+                raise Failed(f"{path}: byte {at}: the file ends within a record's length")
+            length, crc = struct.unpack("<QI", head)
+            if crc != masked_crc(head[:8]) or length > RECORD_MAX:
+                raise Failed(f"{path}: byte {at}: not a TFRecord")
+            data = file.read(length)
+            if len(data) < length or len(file.read(4)) < 4:
+                raise Failed(f"{path}: byte {at}: the file ends within a record of {length} bytes")
+            yield at, data
+
+
+class Truncated(Exception):
+    """A message that ends too early, or is none."""
+
+
+def varint(data, at):
+    value = shift = 0
+    while True:
+        if at >= len(data) or shift > 63:
+            raise Truncated
+        byte = data[at]
+        at += 1
+        value |= (byte & 0x7F) << shift
+        if byte < 0x80:
+            return value & 0xFFFFFFFFFFFFFFFF, at
+        shift += 7
+
+
+def fields(data):
+    """The (number, value) pairs of a message: integers, or bytes of floats, doubles and messages."""
+    at = 0
+    while at < len(data):
+        key, at = varint(data, at)
+        wire = key & 7
+        if wire == 0:
+            value, at = varint(data, at)
+        elif wire in (1, 2, 5):
+            length = 8 if wire == 1 else 4
+            if wire == 2:
+                length, at = varint(data, at)
+            value = data[at : at + length]
+            at += length
+            if at > len(data):
+                raise Truncated
+        else:
+            raise Truncated
+        yield key >> 3, value
+
+
+def number(value, code):
+    """A float or double."""
+    if not isinstance(value, bytes) or len(value) != struct.calcsize(code):
+        raise Truncated
+    return struct.unpack(code, value)[0]
+
+
+def integer(value):
+    """An integer."""
+    if not isinstance(value, int):
+        raise Truncated
+    return value
+
+
+def stamps_of(value):
+    """Doubles of a repeated field, packed or one by one."""
+    if not isinstance(value, bytes) or len(value) % 8:
+        raise Truncated
+    return struct.unpack(f"<{len(value) // 8}d", value)
+
+
+def state_of(data):
+    """A valid state as a dictionary by field number, None for one that is not valid."""
+    state = {2: 0.0, 3: 0.0, 5: 0.0, 6: 0.0, 8: 0.0, 9: 0.0, 10: 0.0}
+    valid = 0
+    for key, value in fields(data):
+        if key in (2, 3):
+            state[key] = number(value, "<d")
+        elif key in state:
+            state[key] = number(value, "<f")
+        elif key == 11:
+            valid = integer(value)
+    return state if valid else None
+
+
+def track_of(data):
+    """Identity, type and states of a track."""
+    identity, kind, states = 0, 0, []
+    for key, value in fields(data):
+        if key == 1:
+            identity = integer(value)
+        elif key == 2:
+            kind = integer(value)
+        elif key == 3:
+            states.append(state_of(value))
+    return identity, kind, states
+
+
+def scenario_of(data):
+    """Name, stamps, tracks and the index of the autonomous vehicle's track."""
+    name, stamps_s, tracks, own = None, [], [], None
+    for key, value in fields(data):
+        if key == 5:
+            name = value.decode("utf-8", "replace")
+        elif key == 1:
+            stamps_s.extend(stamps_of(value))
+        elif key == 2:
+            tracks.append(value)
+        elif key == 6:
+            own = integer(value)
+    return name, stamps_s, tracks, own
+
+
+def convert_scenario(where, data, arguments):
+    """Writes a scenario that is wanted; its name."""
+    try:
+        name, stamps_s, tracks, own = scenario_of(data)
+        if not name or not name.replace("_", "").replace("-", "").isalnum() or not stamps_s:
+            raise Failed(f"{where}: not a Scenario: no scenario_id or no timestamps_seconds")
+        if arguments.scenario and name not in arguments.scenario:
+            return name
+        tracks = [track_of(track) for track in tracks]
+    except (Truncated, AttributeError, TypeError):
+        raise Failed(f"{where}: not a Scenario message") from None
+    if own is None or own >= len(tracks):
+        raise Failed(f"{where}: sdc_track_index = {own}: expected one of {len(tracks)} tracks")
+    recording = Recording(f"{where}: {name}", arguments.origin)
+    if not all(abs(stamp_s) < STAMP_MAX_S for stamp_s in stamps_s):
+        raise Failed(f"{where}: timestamps_seconds = {stamps_s[:3]}…: beyond {STAMP_MAX_S:.0f} s")
+    stamps_ns = [round(stamp_s * 1e9) for stamp_s in stamps_s]
+    if any(later <= earlier for earlier, later in zip(stamps_ns, stamps_ns[1:])):
+        raise Failed(f"{where}: timestamps_seconds do not increase")
+    order = [own] + [index for index in range(len(tracks)) if index != own]
+    for index in order:
+        identity, kind, states = tracks[index]
+        if len(states) != len(stamps_ns):
+            raise Failed(f"{where}: track {identity}: {len(states)} states, expected {len(stamps_ns)}")
+        for stamp_ns, state in zip(stamps_ns, states):
+            if state is None:
+                continue
+            if index == own:
+                recording.ego(stamp_ns, state[2], state[3], state[8])
+            elif kind not in KINDS:
+                recording.leave_out("other")
+            else:
+                moves = motion(KINDS[kind], state[8], state[9], state[10])
+                size = (state[5], state[6])
+                recording.agent(stamp_ns, identity, KINDS[kind], state[2], state[3], *moves, size=size)
+    recording.write(os.path.join(arguments.out, f"{name}.csv"))
+    return name
+
+
+def convert(arguments):
+    found = set()
+    for path in arguments.files:
+        for at, data in records(path):
+            found.add(convert_scenario(f"{path}: record at byte {at}", data, arguments))
+    missing = [name for name in arguments.scenario if name not in found]
+    if missing:
+        raise Failed(f"no scenario {missing[0]} in {', '.join(arguments.files)}")
+
+
+if __name__ == "__main__":
+    options = parser(__doc__, "first")
+    options.add_argument("files", nargs="+", metavar="FILE", help="TFRecord of scenarios")
+    only = "only this one; repeatable"
+    options.add_argument("--scenario", action="append", default=[], metavar="ID", help=only)
+    run(convert, options)
