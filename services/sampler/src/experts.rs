@@ -1,8 +1,6 @@
 //! Evidence on the experts in the sampler: what the network's forecasts have been worth, and the others'.
 
-use evidence::{
-    Agent, Deviations, EXPERTS, Evidence, FAN, Mixture, ModeSet, MotionNow, Paths, Prior,
-};
+use evidence::{Agent, Deviations, EXPERTS, Evidence, FAN, Mixture, ModeSet, MotionNow, Paths, Prior};
 use kinematics::MotionModel;
 use metrics::HighestDensity;
 use retrieval::{ControlChange, ControlChanges, ForecastControls, Residuals};
@@ -132,7 +130,8 @@ impl Experts {
     ) -> Blended {
         let len = self.horizon_len;
         let now = motion_now(track, history, dt_s);
-        let mut paths = Paths { velocity: [[0.0; 2]; HORIZON_MAX], experts: [[[0.0; 2]; HORIZON_MAX]; EXPERTS] };
+        let mut paths =
+            Paths { velocity: [[0.0; 2]; HORIZON_MAX], experts: [[[0.0; 2]; HORIZON_MAX]; EXPERTS] };
         let [by_network, by_base, by_turn, by_acceleration] = &mut paths.experts;
         now.steady(dt_s, &mut paths.velocity[..len]);
         now.turning(dt_s, &mut by_turn[..len]);

@@ -59,7 +59,11 @@ fn a_thousand_steady_steps_allocate_nothing() {
             assert!(out.iter().all(|forecast| forecast.modes_len > 0));
         };
         (0..50).for_each(&mut step);
-        assert_eq!(allocations(|| (50..1_050).for_each(&mut step)), 0, "{propagation:?} {retrieval} {evidence}");
+        assert_eq!(
+            allocations(|| (50..1_050).for_each(&mut step)),
+            0,
+            "{propagation:?} {retrieval} {evidence}"
+        );
         let stored = sampler.memory().map_or(0, RetrievalMemory::entries_len);
         assert!(stored > 6000 || !retrieval, "{stored} entries");
     }

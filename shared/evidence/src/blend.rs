@@ -17,13 +17,7 @@ pub struct Statistics {
 
 impl Statistics {
     /// Adds a forecast: the experts' positions and the truth, all less constant velocity's position.
-    pub fn add(
-        &mut self,
-        experts_m: &[[f32; 2]; EXPERTS],
-        truth_m: [f32; 2],
-        deviation_m: f32,
-        weight: f32,
-    ) {
+    pub fn add(&mut self, experts_m: &[[f32; 2]; EXPERTS], truth_m: [f32; 2], deviation_m: f32, weight: f32) {
         let square = |[x, y]: [f32; 2]| x * x + y * y;
         let farthest = experts_m.iter().copied().map(square).fold(0.0, f32::max);
         let scale = f64::from(weight / (square(truth_m) + farthest + deviation_m * deviation_m));

@@ -75,6 +75,9 @@ mod tests {
         assert_eq!(deviations.residual_m(2, 0), [0.0, -2.0]);
         assert_eq!(deviations.residual_m(4, 0), [-0.46, -0.7]);
         let [xx, xy, yy] = deviations.covariance_m2(3);
-        assert!(xy.abs() < 1e-6 && (xx - 0.0324).abs() < 1e-4 && (yy - 0.5184).abs() < 1e-4, "{xx} {xy} {yy}");
+        assert!(
+            xy.abs() < 1e-6 && (xx - 0.0324).abs() < 1e-4 && (yy - 0.5184).abs() < 1e-4,
+            "{xx} {xy} {yy}"
+        );
     }
 }

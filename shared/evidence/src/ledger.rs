@@ -198,9 +198,7 @@ impl Knowledge {
 
     fn solve(&mut self) {
         if std::mem::take(&mut self.is_stale) {
-            for ((weights, blend), prior) in
-                self.weights.iter_mut().zip(&self.blend).zip(&self.prior.blend)
-            {
+            for ((weights, blend), prior) in self.weights.iter_mut().zip(&self.blend).zip(&self.prior.blend) {
                 let mut with_prior = *blend;
                 with_prior.add_scaled(prior, PRIOR_LEN);
                 *weights = with_prior.weights();
@@ -234,9 +232,7 @@ impl Knowledge {
 impl Kept {
     /// Adds the distances of the modes from the truth at a knot.
     fn add_distances(&mut self, knot: usize, truth_m: [f32; 2]) {
-        for (sums, modes_m) in
-            self.distances_m.iter_mut().zip([&self.network_m[knot], &self.fan_m[knot]])
-        {
+        for (sums, modes_m) in self.distances_m.iter_mut().zip([&self.network_m[knot], &self.fan_m[knot]]) {
             for (sum, [x, y]) in sums.iter_mut().zip(modes_m) {
                 *sum += (x - truth_m[0]).hypot(y - truth_m[1]);
             }
@@ -595,8 +591,7 @@ mod tests {
     use crate::MotionNow;
 
     const STEP_NS: i64 = 400_000_000;
-    const AGENT: Agent =
-        Agent { id: 7, agent_type: AgentType::Vehicle, speed_mps: 10.0, course: [1.0, 0.0] };
+    const AGENT: Agent = Agent { id: 7, agent_type: AgentType::Vehicle, speed_mps: 10.0, course: [1.0, 0.0] };
 
     /// An agent at a steady 10 m/s whose network says `factor` times as far, with one mode there and the others
     /// at it; levels are `level`. Returns what is left in the end.

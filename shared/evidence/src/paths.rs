@@ -42,11 +42,7 @@ pub struct MotionNow {
 impl MotionNow {
     /// The motion of an agent whose velocity was `before_mps` some time `since_s` ago.
     #[must_use]
-    pub fn since(
-        position_m: [f32; 2],
-        velocity_mps: [f32; 2],
-        before: Option<([f32; 2], f32)>,
-    ) -> Self {
+    pub fn since(position_m: [f32; 2], velocity_mps: [f32; 2], before: Option<([f32; 2], f32)>) -> Self {
         let steady = Self { position_m, velocity_mps, ..Self::default() };
         let Some(([bx, by], since_s)) = before.filter(|(_, since_s)| *since_s > 0.0) else { return steady };
         let [vx, vy] = velocity_mps;
@@ -102,7 +98,8 @@ impl MotionNow {
         for (step, out) in out.iter_mut().enumerate() {
             for part in 0..PARTS {
                 let middle_s = ((step * PARTS + part) as f32 + 0.5) * part_s;
-                let gained = self.acceleration_mps2 * ACCELERATION_S * (1.0 - (-middle_s / ACCELERATION_S).exp());
+                let gained =
+                    self.acceleration_mps2 * ACCELERATION_S * (1.0 - (-middle_s / ACCELERATION_S).exp());
                 gone_m += (speed + gained).max(0.0) * part_s;
             }
             *out = [0, 1].map(|axis| self.position_m[axis] + gone_m * course[axis]);

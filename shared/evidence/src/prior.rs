@@ -139,7 +139,8 @@ impl Priors {
                 }
             }
             for band in 0..BANDS {
-                let nearest = (0..BANDS).filter(|&other| known[other]).min_by_key(|other| other.abs_diff(band));
+                let nearest =
+                    (0..BANDS).filter(|&other| known[other]).min_by_key(|other| other.abs_diff(band));
                 contexts[band] = nearest.map_or(contexts[band], |nearest| contexts[nearest]);
             }
         }

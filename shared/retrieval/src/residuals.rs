@@ -126,7 +126,9 @@ impl Residuals {
         let (forecast, taken) = (path(forecast_m), path(taken_m));
         let mut residuals = Self::default();
         for step in 0..taken_m.len() {
-            for (component, residual) in residual(kind, &forecast, &taken, step, step_s).into_iter().enumerate() {
+            for (component, residual) in
+                residual(kind, &forecast, &taken, step, step_s).into_iter().enumerate()
+            {
                 if let Some((step, residual)) = residual {
                     residuals.set(step, component, residual);
                 }

@@ -49,7 +49,8 @@ pub(crate) fn play(
         let recording = source.open(path)?;
         let tracks: BTreeMap<u64, RecordedTrack> =
             data::tracks(&recording).into_iter().map(|track| (track.id, track)).collect();
-        let playback = Playback::new(recording, PlaybackOptions { lockstep: true, ..PlaybackOptions::default() });
+        let playback =
+            Playback::new(recording, PlaybackOptions { lockstep: true, ..PlaybackOptions::default() });
         let mut chain = Chain::new(&run(&playback, options)?, model)?;
         match before.take() {
             Some(before) => chain.continue_from(before),
@@ -136,9 +137,10 @@ impl Recent {
         while self.velocities_mps.len() > 1 && self.velocities_mps[1].0 <= oldest_ns {
             self.velocities_mps.pop_front();
         }
-        let before = self.velocities_mps.front().map(|(at_ns, velocity_mps)| {
-            (*velocity_mps, (stamp_ns - at_ns) as f32 * 1e-9)
-        });
+        let before = self
+            .velocities_mps
+            .front()
+            .map(|(at_ns, velocity_mps)| (*velocity_mps, (stamp_ns - at_ns) as f32 * 1e-9));
         self.velocities_mps.push_back((stamp_ns, [forecast.vx_mps, forecast.vy_mps]));
         before
     }

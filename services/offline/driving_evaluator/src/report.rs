@@ -40,7 +40,12 @@ impl std::fmt::Debug for Played {
 }
 
 impl Report {
-    pub(crate) fn new(sources: Vec<Source>, played: Vec<Played>, options: &Options, model: &ModelConfig) -> Self {
+    pub(crate) fn new(
+        sources: Vec<Source>,
+        played: Vec<Played>,
+        options: &Options,
+        model: &ModelConfig,
+    ) -> Self {
         let weights = options.weights.as_ref().map_or("the embedded weights".to_owned(), |path| {
             path.file_name().unwrap_or_default().to_string_lossy().into_owned()
         });
@@ -80,8 +85,21 @@ impl Report {
 
     fn by_source(&self) -> String {
         let columns = [
-            "forecasts", "single best", "constant velocity", "/ CV, ADE", "/ CV, FDE", "turn", "acceleration", "best of 20",
-            "20 anchors", "missed", "area m²", "NLL", "regret", "network", "learned",
+            "forecasts",
+            "single best",
+            "constant velocity",
+            "/ CV, ADE",
+            "/ CV, FDE",
+            "turn",
+            "acceleration",
+            "best of 20",
+            "20 anchors",
+            "missed",
+            "area m²",
+            "NLL",
+            "regret",
+            "network",
+            "learned",
         ];
         let mut table = Table::new("", "", &["source", "type"], columns.map(str::to_owned).into_iter());
         let mut ratios: BTreeMap<AgentType, Vec<[f64; 2]>> = BTreeMap::new();
@@ -125,7 +143,16 @@ impl Report {
     }
 
     fn by_speed(&self) -> String {
-        let columns = ["forecasts", "single best", "constant velocity", "/ CV, ADE", "/ CV, FDE", "best of 20", "20 anchors", "held 90 %"];
+        let columns = [
+            "forecasts",
+            "single best",
+            "constant velocity",
+            "/ CV, ADE",
+            "/ CV, FDE",
+            "best of 20",
+            "20 anchors",
+            "held 90 %",
+        ];
         let mut table =
             Table::new("", "", &["source", "type", "m/s"], columns.map(str::to_owned).into_iter());
         for (source, agent_type, samples) in self.cells() {
@@ -138,8 +165,12 @@ impl Report {
                     continue;
                 }
                 let cell = Cell { samples: &of_band };
-                let mut row =
-                    vec![source.name.clone(), agent_type.name().to_owned(), (*name).to_owned(), of_band.len().to_string()];
+                let mut row = vec![
+                    source.name.clone(),
+                    agent_type.name().to_owned(),
+                    (*name).to_owned(),
+                    of_band.len().to_string(),
+                ];
                 row.extend([Method::Best, Method::ConstantVelocity].map(|method| cell.text(method)));
                 row.extend(cell.ratios().iter().map(|ratio| ratio.as_ref().map_or("-".to_owned(), interval)));
                 row.extend([Method::BestOf, Method::Anchors].map(|method| cell.text(method)));
@@ -165,8 +196,12 @@ impl Report {
                     continue;
                 }
                 let cell = Cell { samples: &part };
-                let mut row =
-                    vec![source.name.clone(), agent_type.name().to_owned(), name.to_owned(), part.len().to_string()];
+                let mut row = vec![
+                    source.name.clone(),
+                    agent_type.name().to_owned(),
+                    name.to_owned(),
+                    part.len().to_string(),
+                ];
                 for level in [0.5, 0.9] {
                     row.extend((0..STEPS.len()).map(|step| format!("{:.2}", cell.held(level, step))));
                 }
@@ -189,7 +224,8 @@ impl Report {
                 let part = samples.iter().copied().filter(|s| (from_s..to_s).contains(&s.recording_s));
                 let part: Vec<&Sample> = part.collect();
                 let cell = Cell { samples: &part };
-                let [ours, theirs] = [Method::Best, Method::ConstantVelocity].map(|method| cell.errors(method));
+                let [ours, theirs] =
+                    [Method::Best, Method::ConstantVelocity].map(|method| cell.errors(method));
                 row.push(if part.len() < CELL_MIN / 4 {
                     "-".to_owned()
                 } else {
@@ -228,9 +264,8 @@ impl Report {
                 let Errors { ade_m, fde_m } = cell.errors(method);
                 (format!("{method:?}"), json!({ "ade_m": ade_m, "fde_m": fde_m }))
             });
-            let held = [0.5, 0.9].map(|level| {
-                (0..STEPS.len()).map(|step| cell.held(level, step)).collect::<Vec<f64>>()
-            });
+            let held = [0.5, 0.9]
+                .map(|level| (0..STEPS.len()).map(|step| cell.held(level, step)).collect::<Vec<f64>>());
             json!({
                 "source": source.name,
                 "type": agent_type.name(),
@@ -246,9 +281,10 @@ impl Report {
     /// What the sampler learned of its experts, by source.
     #[must_use]
     pub fn priors(&self) -> Priors {
-        let learned = self.sources.iter().filter_map(|(source, played)| {
-            Some((source.name.clone(), played.learned.clone()?))
-        });
+        let learned = self
+            .sources
+            .iter()
+            .filter_map(|(source, played)| Some((source.name.clone(), played.learned.clone()?)));
         Priors(learned.collect())
     }
 }
@@ -288,8 +324,8 @@ impl Cell<'_> {
         [|errors: &Errors| errors.ade_m, |errors: &Errors| errors.fde_m].map(|of| {
             let mut clusters: BTreeMap<u64, PairedErrors> = BTreeMap::new();
             for sample in self.samples {
-                let [ours, theirs] =
-                    [Method::Best, Method::ConstantVelocity].map(|method| of(&sample.errors[method as usize]));
+                let [ours, theirs] = [Method::Best, Method::ConstantVelocity]
+                    .map(|method| of(&sample.errors[method as usize]));
                 clusters.entry(sample.agent).or_default().add(ours, theirs);
             }
             let clusters: Vec<PairedErrors> = clusters.into_values().collect();

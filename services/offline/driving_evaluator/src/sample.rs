@@ -118,11 +118,7 @@ impl Judge<'_> {
             return None;
         }
         let agent_type = AgentType::try_from(forecast.agent_type).ok()?;
-        let now = MotionNow::since(
-            [forecast.x_m, forecast.y_m],
-            [forecast.vx_mps, forecast.vy_mps],
-            before,
-        );
+        let now = MotionNow::since([forecast.x_m, forecast.y_m], [forecast.vx_mps, forecast.vy_mps], before);
         let path = |of: &dyn Fn(&mut [[f32; 2]])| {
             let mut path = vec![[0.0; 2]; len];
             of(&mut path);
@@ -142,10 +138,11 @@ impl Judge<'_> {
             Method::ConstantVelocity => path(&|path| now.steady(self.dt_s, path)),
             Method::DecayingTurn => path(&|path| now.turning(self.dt_s, path)),
             Method::DecayingAcceleration => path(&|path| now.accelerating(self.dt_s, path)),
-            Method::Anchors => anchors.as_ref().map_or(
-                Errors { ade_m: f64::NAN, fde_m: f64::NAN },
-                |anchors| Errors::of(min_displacement(anchors, &truth)),
-            ),
+            Method::Anchors => {
+                anchors.as_ref().map_or(Errors { ade_m: f64::NAN, fde_m: f64::NAN }, |anchors| {
+                    Errors::of(min_displacement(anchors, &truth))
+                })
+            }
         });
         let probability = &forecast.probability[..modes_len];
         let levels = STEPS.map(|step| {

@@ -43,11 +43,18 @@ pub fn sources(folder: &Path, named: &[String]) -> Result<Vec<Source>, DrivingEr
         let mut files = list(&folder)?;
         files.retain(|path| path.extension().is_some_and(|extension| extension == "csv"));
         let fast = FAST.contains(&&*name);
-        let twice = || Source { name: format!("{name} ×2"), folder: folder.clone(), files: files.clone(), scale: 2.0 };
+        let twice = || Source {
+            name: format!("{name} ×2"),
+            folder: folder.clone(),
+            files: files.clone(),
+            scale: 2.0,
+        };
         all.extend(fast.then(twice));
         all.push(Source { name, folder, files, scale: 1.0 });
     }
-    all.sort_by(|a, b| (a.scale, &a.name).partial_cmp(&(b.scale, &b.name)).unwrap_or(std::cmp::Ordering::Equal));
+    all.sort_by(|a, b| {
+        (a.scale, &a.name).partial_cmp(&(b.scale, &b.name)).unwrap_or(std::cmp::Ordering::Equal)
+    });
     if named.is_empty() {
         return Ok(all);
     }
@@ -80,8 +87,7 @@ impl Source {
             for frame in &mut recording.frames {
                 frame.ego.position_m = frame.ego.position_m.map(|x| self.scale * x);
                 for detection in &mut frame.detections {
-                    let lengths =
-                        [&mut detection.x_m, &mut detection.y_m, &mut detection.speed_mps];
+                    let lengths = [&mut detection.x_m, &mut detection.y_m, &mut detection.speed_mps];
                     lengths.into_iter().for_each(|length| *length *= self.scale);
                 }
             }

@@ -18,7 +18,14 @@ fn steady(path: &Path, agents: u64) {
 }
 
 fn options(folder: &Path, evidence: bool) -> Options {
-    Options { folder: folder.to_owned(), sources: Vec::new(), weights: None, map: false, evidence, threads: 2 }
+    Options {
+        folder: folder.to_owned(),
+        sources: Vec::new(),
+        weights: None,
+        map: false,
+        evidence,
+        threads: 2,
+    }
 }
 
 #[test]
@@ -50,9 +57,7 @@ fn any_number_of_threads_makes_the_same_report() {
         std::fs::create_dir(folder.path().join(source)).unwrap();
         steady(&folder.path().join(source).join("0.csv"), 8);
     }
-    let csv = |threads| {
-        evaluate(&Options { threads, ..options(folder.path(), true) }, |_| ()).unwrap().csv()
-    };
+    let csv = |threads| evaluate(&Options { threads, ..options(folder.path(), true) }, |_| ()).unwrap().csv();
     assert_eq!(csv(1), csv(2));
 }
 
