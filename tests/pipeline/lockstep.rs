@@ -38,7 +38,7 @@ fn the_report_has_what_scripts_rely_on() {
         ["learned", "held", "kinematic"].map(|quality| number(&report["forecasts"], &format!("/{quality}")));
     let written: usize = lines.iter().map(|line| line["agents"].as_array().map_or(0, Vec::len)).sum();
     assert_eq!(by_quality.iter().sum::<f64>(), written as f64, "every forecast is counted once");
-    assert!(by_quality[0] > 12.0 * 120.0 && by_quality[1] == 0.0, "{by_quality:?}");
+    assert!(by_quality[0] > 12.0 * 60.0 && by_quality[1] == 0.0, "{by_quality:?}");
 
     let in_order = ["p50", "p99", "max"].map(|key| number(&report, &format!("/end_to_end_ms/{key}")));
     assert!(in_order[0] > 0.0 && in_order.is_sorted(), "{in_order:?}");

@@ -145,7 +145,7 @@ fn every_file_of_every_part_is_read() {
         (DataSet::VciDut, [10, 2, 0]),
         (DataSet::KittiLabels, [8, 3, 0]),
         (DataSet::KittiDetections, [8, 3, 0]),
-        (DataSet::Driving, [62, 11, 0]),
+        (DataSet::Driving, [60, 11, 0]),
         (DataSet::Womd, [0, 161, 0]),
     ];
     for (set, expected) in parts {

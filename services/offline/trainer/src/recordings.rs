@@ -42,6 +42,12 @@ struct Row {
     is_detailed: bool,
 }
 
+/// The formats that are written; those of the others are read by the tests of `data`.
+pub(crate) fn written() -> impl Iterator<Item = Format> {
+    let others = [Format::LevelX, Format::HighD, Format::CommonRoad];
+    Format::ALL.into_iter().filter(move |format| !others.contains(format))
+}
+
 /// Frame rate of a format, Hz.
 pub(crate) fn frame_rate(format: Format) -> f64 {
     match format {
@@ -49,6 +55,7 @@ pub(crate) fn frame_rate(format: Format) -> f64 {
         Format::SddRaw => 30.0,
         Format::VciDut => 23.98,
         Format::Interaction | Format::KittiDetections | Format::KittiLabels | Format::Csv => 10.0,
+        Format::LevelX | Format::HighD | Format::CommonRoad => unreachable!("{format} is not written"),
     }
 }
 
@@ -167,6 +174,7 @@ impl Scenery {
                 [files, self.kitti()].concat()
             }
             Format::Csv => vec![("rows.csv", self.csv())],
+            Format::LevelX | Format::HighD | Format::CommonRoad => unreachable!("{format} is not written"),
         }
     }
 
