@@ -11,10 +11,11 @@ fn steady(path: &Path, agents: u64) {
         for agent in 1..=agents {
             let (speed, y) = (8.0 + agent as f64, 4.0 * agent as f64);
             let x = speed * stamp_s;
-            writeln!(rows, "{stamp_s:.2},{agent},vehicle,{x:.3},{y:.3},0.0,{speed:.2},4.5,1.8").unwrap();
+            writeln!(rows, "{stamp_s:.2},{agent},vehicle,{x:.3},{y:.3},0.0,{speed:.2},4.5,1.8")
+                .expect("a string takes what is written");
         }
     }
-    std::fs::write(path, rows).unwrap();
+    std::fs::write(path, rows).expect("the recording is written");
 }
 
 fn options(folder: &Path, evidence: bool) -> Options {
