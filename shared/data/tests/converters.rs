@@ -303,12 +303,12 @@ fn waymo_scenarios_are_converted() {
         return;
     }
     let [work, out, other] = [(); 3].map(|()| tempfile::tempdir().unwrap());
-    let records = [("19a486cd29abd7a7", false), ("b2", true)]
+    let records = [("19a486cd29a0d7a7", false), ("b2", true)]
         .map(|(name, packed)| scenario::record(&waymo_scenario(name, packed)))
         .concat();
     let file = path(&work, "training.tfrecord");
     std::fs::write(&file, &records).unwrap();
-    for (name, scenario) in [("19a486cd29abd7a7.csv", "19a486cd29abd7a7"), ("b2.csv", "b2")] {
+    for (name, scenario) in [("19a486cd29a0d7a7.csv", "19a486cd29a0d7a7"), ("b2.csv", "b2")] {
         let arguments = [file.as_str(), "--scenario", scenario];
         let (recording, printed) = converted("waymo.py", &arguments, out.path(), name);
         assert_eq!(frames(&recording), [(0, 1), (100, 2), (200, 2)]);
