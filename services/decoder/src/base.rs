@@ -43,6 +43,7 @@ impl BaseDecoder {
             id: agent.id,
             agent_type: agent.agent_type,
             modes_len: modes_len as u32,
+            out_of_distribution: base.outside(&features),
             ..AgentControls::default()
         };
         out.probability[..modes_len].fill(1.0 / modes_len as f32);

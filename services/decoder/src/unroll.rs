@@ -98,6 +98,7 @@ fn controls(agent: &AgentEncoding, decoded: AgentDraws<'_>, modes_len: usize) ->
         id: agent.id,
         agent_type: agent.agent_type,
         modes_len: modes_len as u32,
+        out_of_distribution: decoded.outside,
         ..AgentControls::default()
     };
     controls.probability[..modes_len].copy_from_slice(decoded.probability);

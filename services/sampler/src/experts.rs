@@ -1,6 +1,6 @@
 //! Evidence on the experts in the sampler: what the network's forecasts have been worth, and the others'.
 
-use evidence::{Agent, Deviations, EXPERTS, Evidence, FAN, Mixture, ModeSet, MotionNow, Paths, Prior};
+use evidence::{Agent, EXPERTS, Evidence, Fan, Mixture, ModeSet, MotionNow, Paths, Prior};
 use kinematics::MotionModel;
 use metrics::HighestDensity;
 use retrieval::{ControlChange, ControlChanges, ForecastControls, Residuals};
@@ -41,7 +41,7 @@ pub(crate) struct Blended {
     pub(crate) shift: ControlChange,
     /// How wide the modes are.
     pub(crate) spread: Spread,
-    deviations: Deviations,
+    fan: Fan,
     set: ModeSet,
     /// The network's modes, the most probable ones first; written where the forecast is kept.
     network_m: [[[f32; 2]; HORIZON_MAX]; MODES_MAX],
@@ -70,13 +70,13 @@ impl Default for Spread {
 
 impl Spread {
     /// The spread by which regions widen by these factors.
-    fn of(widths: &[f32; HORIZON_MAX], deviations: &Deviations, dt_s: f32) -> Self {
+    fn of(widths: &[f32; HORIZON_MAX], fan: &Fan, dt_s: f32) -> Self {
         let variance_max_m2 = std::array::from_fn(|step| {
             let time_s = (step + 1) as f32 * dt_s;
             ((REACH_M + 0.5 * REACH_MPS2 * time_s * time_s) / RADIUS).powi(2)
         });
         let factors = widths.map(|width| width.clamp(FACTORS[0], FACTORS[1]));
-        let covariances_m2 = std::array::from_fn(|step| deviations.covariance_m2(step));
+        let covariances_m2 = std::array::from_fn(|step| fan.covariance_m2(step));
         Self { factors, variance_max_m2, fan: (0, covariances_m2) }
     }
 
@@ -152,12 +152,12 @@ impl Experts {
         let shift = Residuals::between(model.kind(), now.position_m, network_m, &best_m[..len], dt_s)
             .control_change(model);
         let widths = self.evidence.widths(agent_type, agent.speed_mps);
-        let deviations = self.evidence.deviations(&agent);
-        let spread = Spread::of(&widths, &deviations, dt_s);
+        let fan = self.evidence.fan(&agent);
+        let spread = Spread::of(&widths, &fan, dt_s);
         let set = self.evidence.mode_set(&agent);
         let network_m = [[[0.0; 2]; HORIZON_MAX]; MODES_MAX];
         let start_m = now.position_m;
-        Blended { agent, paths, weights, start_m, best_m, shift, spread, deviations, set, network_m }
+        Blended { agent, paths, weights, start_m, best_m, shift, spread, fan, set, network_m }
     }
 
     /// Shifts the modes with the best forecast, and replaces the least probable of them by the fan's where that
@@ -193,7 +193,7 @@ impl Experts {
         for &mode in kept {
             changes.scale_probability(mode, of_network / kept_sum.max(f32::MIN_POSITIVE));
         }
-        let fan_sum: f32 = FAN[..fan_len].iter().map(|(_, p)| p).sum();
+        let fan_sum: f32 = blended.fan.probability[..fan_len].iter().sum();
         let best_m = &blended.best_m[..len];
         // From zero control on: the network's controls may be saturated, and then no change leads away.
         let mut straight_m = [[0.0; 2]; HORIZON_MAX];
@@ -201,12 +201,12 @@ impl Experts {
         for (number, &mode) in replaced.iter().enumerate() {
             let mut path = [[0.0; 2]; HORIZON_MAX];
             for (step, (path, best_m)) in path.iter_mut().zip(best_m).enumerate() {
-                let residual_m = blended.deviations.residual_m(number, step);
+                let residual_m = blended.fan.residual_m(number, step);
                 *path = [0, 1].map(|axis| best_m[axis] + residual_m[axis]);
             }
             let start_m = blended.start_m;
             let residuals = Residuals::between(model.kind(), start_m, &straight_m[..len], &path[..len], dt_s);
-            let probability = (1.0 - of_network) * FAN[number].1 / fan_sum;
+            let probability = (1.0 - of_network) * blended.fan.probability[number] / fan_sum;
             changes.replace(mode, &residuals.control_change(model), controls, probability);
             blended.spread.fan.0 |= 1 << mode;
         }
@@ -230,6 +230,7 @@ impl Experts {
             covariances_m2: &out.mode_covariance,
             widths: &blended.spread.factors,
             network_m: &blended.network_m[..modes_len],
+            fan: &blended.fan,
         };
         self.evidence.store(stamp_ns, &blended.agent, (&blended.paths, &blended.best_m), Some(mixture));
     }

@@ -45,6 +45,11 @@ impl<'a> LearnedControls<'a> {
         }
     }
 
+    /// How far the agent is from what the model was trained on.
+    pub(crate) const fn out_of_distribution(&self) -> f32 {
+        self.controls.out_of_distribution
+    }
+
     /// The controls of the model's base alone.
     pub(crate) fn base(&self) -> impl Iterator<Item = [f32; 2]> {
         self.controls.base[..self.horizon_len].iter().copied()

@@ -199,6 +199,7 @@ impl Sampler {
         }
         let mut normals = Normals::new(self.options.seed, track.id, tick.seq);
         begin(track, Quality::Learned, Cause::None, out);
+        out.out_of_distribution = controls.out_of_distribution();
         let spread = blended.as_ref().map_or_else(Spread::default, |blended| blended.spread);
         controls.forecast(&self.changes, &spread, &model, self.options.propagation, &mut normals, out);
         if let Some((experts, blended)) = self.experts.as_mut().zip(blended) {

@@ -9,7 +9,7 @@ use std::fs;
 use std::io;
 use std::path::{Path, PathBuf};
 
-use crate::{Format, ReadError};
+use crate::{Format, GeneratedScene, ReadError, Recording, SceneOptions};
 
 /// A data set, laid out as published.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -32,6 +32,10 @@ pub enum DataSet {
     KittiDetections,
     /// Vehicle tracks of real roads by source, in the project's own format; no test part.
     Driving,
+    /// The sources of [`Driving`](Self::Driving) that are NGSIM's, which anybody may use; no test part.
+    Ngsim,
+    /// Generated scenes, which need no files; no test part.
+    Generated,
     /// Scenes of Waymo Open Motion in the project's own format, for validation alone: their licence would
     /// bind weights that are trained on them.
     Womd,
@@ -106,6 +110,8 @@ impl DataSet {
             Self::KittiLabels => "kitti-labels",
             Self::KittiDetections => "kitti-detections",
             Self::Driving => "driving",
+            Self::Ngsim => "ngsim",
+            Self::Generated => "generated",
             Self::Womd => WOMD,
         }
     }
@@ -121,12 +127,46 @@ impl DataSet {
             Self::VciDut => Format::VciDut,
             Self::KittiLabels => Format::KittiLabels,
             Self::KittiDetections => Format::KittiDetections,
-            Self::Driving | Self::Womd => Format::Csv,
+            Self::Driving | Self::Ngsim | Self::Generated | Self::Womd => Format::Csv,
         }
     }
 
-    /// The files to [`open`](crate::open) for a part, below the folder `root` that holds all sets, sorted by
-    /// path.
+    /// What the set may be used for, by the words of who published it; by source where they differ.
+    #[must_use]
+    pub const fn licences(self) -> &'static [(&'static str, &'static str)] {
+        const NGSIM: (&str, &str) = ("ngsim", "public US data");
+        match self {
+            Self::EthUcyFold(_) | Self::EthUcy => &[("eth-ucy", "none stated")],
+            Self::SddTrajnet | Self::SddRaw => &[("sdd", "CC BY-NC-SA 3.0")],
+            Self::Interaction => &[("interaction", "non-commercial research")],
+            Self::VciDut => &[("vci-dut", "none stated")],
+            Self::KittiLabels | Self::KittiDetections => &[("kitti", "CC BY-NC-SA 3.0")],
+            Self::Driving => &[
+                ("apolloscape", "non-commercial"),
+                ("av2_sensor", "CC BY-NC-SA 4.0"),
+                ("mona", "research; none stated"),
+                NGSIM,
+                ("nuscenes_mini", "CC BY-NC-SA 4.0"),
+            ],
+            Self::Ngsim => &[NGSIM],
+            Self::Generated => &[("generated", "this project's own")],
+            Self::Womd => &[("womd", "Waymo non-commercial")],
+        }
+    }
+
+    /// Opens one of the set's [`files`](Self::files), or generates the scene that it stands for.
+    ///
+    /// # Errors
+    /// [`ReadError`] names the file and what is wrong with it.
+    pub fn open(self, file: &Path) -> Result<Recording, ReadError> {
+        match self {
+            Self::Generated => generated(file),
+            _ => crate::open(file, Some(self.format())),
+        }
+    }
+
+    /// The files to [`open`](Self::open) for a part, below the folder `root` that holds all sets, sorted by path.
+    /// Generated scenes have none: they are named by number.
     ///
     /// # Errors
     /// [`ReadError::Io`] where a folder of the set can't be listed.
@@ -152,7 +192,9 @@ impl DataSet {
             }
             Self::KittiLabels => sequences(&root.join("kitti_tracking/label"), part),
             Self::KittiDetections => sequences(&root.join("kitti_tracking/detection/Car"), part),
-            Self::Driving => sources(&root.join("driving"), part),
+            Self::Driving => sources(&root.join("driving"), part, |source| source != WOMD),
+            Self::Ngsim => sources(&root.join("driving"), part, |source| source.starts_with("ngsim_")),
+            Self::Generated => Ok(generated_scenes(part)),
             Self::Womd if part == Part::Validation => list(&root.join("driving").join(WOMD)),
             Self::Womd => Ok(Vec::new()),
         }
@@ -164,10 +206,52 @@ const WOMD: &str = "womd";
 /// A source of fewer recordings has no validation part.
 const VALIDATED_MIN: usize = 5;
 
-/// The recordings of all sources but [`WOMD`]; the last fifth of each is for validation.
-fn sources(root: &Path, part: Part) -> Result<Vec<PathBuf>, ReadError> {
+/// Generated scenes of the training and of the validation part.
+const GENERATED_LEN: [u64; 2] = [40, 4];
+/// Frames of a generated scene: a minute.
+const GENERATED_FRAMES: usize = 750;
+/// Agents of the generated scenes, in turn.
+const GENERATED_AGENTS: [usize; 4] = [12, 24, 40, 64];
+
+/// Names of the generated scenes of a part; the numbers are their seeds.
+fn generated_scenes(part: Part) -> Vec<PathBuf> {
+    let [learned, validated] = GENERATED_LEN;
+    let seeds = match part {
+        Part::Train => 1..=learned,
+        Part::Validation => learned + 1..=learned + validated,
+        Part::Test => return Vec::new(),
+    };
+    seeds.map(|seed| PathBuf::from(format!("generated/{seed:04}"))).collect()
+}
+
+/// The scene of a name, observed without errors.
+fn generated(name: &Path) -> Result<Recording, ReadError> {
+    let unknown = || ReadError::Io { path: name.to_owned(), source: io::ErrorKind::NotFound.into() };
+    let seed: u64 = named(name).parse().map_err(|_| unknown())?;
+    let options = SceneOptions {
+        agents: GENERATED_AGENTS[(seed % GENERATED_AGENTS.len() as u64) as usize],
+        seed,
+        identities: true,
+        speeds: true,
+        position_sigma_m: [0.0; 3],
+        heading_sigma_rad: 0.0,
+        speed_sigma_mps: 0.0,
+        size_sigma_share: 0.0,
+        miss_probability: 0.0,
+        clutter_mean: 0.0,
+        occlusion: false,
+        ..SceneOptions::default()
+    };
+    let scene = GeneratedScene::new(options).map_err(|_| unknown())?;
+    let mut recording = scene.recording(GENERATED_FRAMES);
+    recording.name = name.display().to_string();
+    Ok(recording)
+}
+
+/// The recordings of the sources whose folder `takes` accepts; the last fifth of each is for validation.
+fn sources(root: &Path, part: Part, takes: impl Fn(&str) -> bool) -> Result<Vec<PathBuf>, ReadError> {
     let mut files = Vec::new();
-    for source in list(root)?.iter().filter(|source| source.is_dir() && named(source) != WOMD) {
+    for source in list(root)?.iter().filter(|source| source.is_dir() && takes(&named(source))) {
         let mut recordings = list(source)?;
         let validates = if recordings.len() < VALIDATED_MIN { 0 } else { recordings.len() / 5 };
         let learned = recordings.len() - validates;

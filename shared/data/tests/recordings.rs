@@ -146,6 +146,8 @@ fn every_file_of_every_part_is_read() {
         (DataSet::KittiLabels, [8, 3, 0]),
         (DataSet::KittiDetections, [8, 3, 0]),
         (DataSet::Driving, [60, 11, 0]),
+        (DataSet::Ngsim, [18, 3, 0]),
+        (DataSet::Generated, [40, 4, 0]),
         (DataSet::Womd, [0, 161, 0]),
     ];
     for (set, expected) in parts {

@@ -2,8 +2,10 @@
 
 use wire::{HORIZON_MAX, MODES_MAX};
 
-/// Residuals at any step in units of their deviations, along and across the course, and how probable each is:
-/// the least that 20 points miss of the residuals of many roads, the same to the left and to the right.
+use crate::KNOTS;
+
+/// Residuals that learning begins with, at any step in units of their deviations, along and across the course,
+/// and how probable each is: the least that 20 points miss of the residuals of many roads, the same to the left and to the right.
 pub const FAN: [([f32; 2], f32); MODES_MAX] = [
     ([-0.38, 0.0], 0.165),
     ([0.14, 0.0], 0.16),
@@ -29,20 +31,100 @@ pub const FAN: [([f32; 2], f32); MODES_MAX] = [
 /// Deviation of the residuals about the nearest point of [`FAN`], in units of their own.
 const WITHIN: f32 = 0.36;
 
-/// How far agents alike deviate from the blend, along and across their course, step by step.
+/// Matured forecasts that the first place of a point counts for.
+const ASSUMED: f32 = 5.0;
+/// Matured forecasts that the first probabilities count for.
+const PROBABILITY_LEN: f32 = 20.0;
+
+/// Typical residuals of agents alike in units of their deviations, along and across the course, at the knots, and
+/// how probable each is. Every residual draws the nearest of them a little nearer (competitive learning,
+/// [MacQueen's k-means](https://projecteuclid.org/euclid.bsmsp/1200512992)).
+#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Pattern {
+    /// Residual of each point at the knots.
+    pub points: [[[f32; 2]; KNOTS]; MODES_MAX],
+    /// Probability of each point.
+    pub probability: [f32; MODES_MAX],
+}
+
+/// A [`Pattern`] as it is learned.
+#[derive(Clone, Debug)]
+pub(crate) struct LearnedPattern {
+    points: [[[f32; 2]; KNOTS]; MODES_MAX],
+    expected: [f32; MODES_MAX],
+    /// Forecasts to which each point was the nearest.
+    nearest: [f32; MODES_MAX],
+}
+
+impl Default for Pattern {
+    /// That of [`FAN`].
+    fn default() -> Self {
+        Self { points: FAN.map(|(point, _)| [point; KNOTS]), probability: FAN.map(|(_, p)| p) }
+    }
+}
+
+impl Pattern {
+    /// Whether nothing was learned.
+    #[must_use]
+    pub(crate) fn is_default(&self) -> bool {
+        *self == Self::default()
+    }
+}
+
+impl LearnedPattern {
+    pub(crate) const fn new(prior: &Pattern) -> Self {
+        Self { points: prior.points, expected: prior.probability, nearest: [0.0; MODES_MAX] }
+    }
+
+    pub(crate) fn discount(&mut self, kept: f32) {
+        self.nearest.iter_mut().for_each(|nearest| *nearest *= kept);
+    }
+
+    /// Draws a point nearer to a residual, in units of the deviations.
+    pub(crate) fn add(&mut self, point: usize, residual: &[[f32; 2]; KNOTS], weight: f32) {
+        self.nearest[point] += weight;
+        let share = (weight / (ASSUMED + self.nearest[point])).min(1.0);
+        let point = self.points[point].as_flattened_mut();
+        point.iter_mut().zip(residual.as_flattened()).for_each(|(at, &to)| *at += share * (to - *at));
+    }
+
+    pub(crate) const fn points(&self) -> &[[[f32; 2]; KNOTS]; MODES_MAX] {
+        &self.points
+    }
+
+    pub(crate) fn probability(&self) -> [f32; MODES_MAX] {
+        let sum: f32 = self.nearest.iter().sum();
+        std::array::from_fn(|point| {
+            (self.nearest[point] + PROBABILITY_LEN * self.expected[point]) / (sum + PROBABILITY_LEN)
+        })
+    }
+
+    pub(crate) fn as_prior(&self) -> Pattern {
+        Pattern { points: self.points, probability: self.probability() }
+    }
+}
+
+/// The modes of an agent about the blend, the most probable ones first.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Deviations {
-    /// Standard deviations, m.
+pub struct Fan {
+    /// Standard deviations of the residuals along and across the course, step by step, m.
     pub steps_m: [[f32; 2]; HORIZON_MAX],
     /// Cosine and sine of the course.
     pub course: [f32; 2],
+    /// Residual of each mode along and across the course, step by step, in units of the deviations.
+    pub points: [[[f32; 2]; HORIZON_MAX]; MODES_MAX],
+    /// Probability of each mode.
+    pub probability: [f32; MODES_MAX],
+    /// The mode's number in its [`Pattern`].
+    pub numbers: [u8; MODES_MAX],
 }
 
-impl Deviations {
+impl Fan {
     /// The residual of a mode at a step in the world frame, m.
     #[must_use]
     pub fn residual_m(&self, mode: usize, step: usize) -> [f32; 2] {
-        let ([along, across], [cos, sin]) = (FAN[mode].0, self.course);
+        let ([along, across], [cos, sin]) = (self.points[mode][step], self.course);
         let [along_m, across_m] = self.steps_m[step];
         let (along_m, across_m) = (along * along_m, across * across_m);
         [along_m * cos - across_m * sin, along_m * sin + across_m * cos]
@@ -71,13 +153,32 @@ mod tests {
 
     #[test]
     fn residuals_and_covariances_lie_along_the_course() {
-        let deviations = Deviations { steps_m: [[2.0, 0.5]; HORIZON_MAX], course: [0.0, 1.0] };
-        assert_eq!(deviations.residual_m(2, 0), [0.0, -2.0]);
-        assert_eq!(deviations.residual_m(4, 0), [-0.46, -0.7]);
-        let [xx, xy, yy] = deviations.covariance_m2(3);
+        let fan = Fan {
+            steps_m: [[2.0, 0.5]; HORIZON_MAX],
+            course: [0.0, 1.0],
+            points: FAN.map(|(point, _)| [point; HORIZON_MAX]),
+            probability: FAN.map(|(_, p)| p),
+            numbers: [0; MODES_MAX],
+        };
+        assert_eq!(fan.residual_m(2, 0), [0.0, -2.0]);
+        assert_eq!(fan.residual_m(4, 0), [-0.46, -0.7]);
+        let [xx, xy, yy] = fan.covariance_m2(3);
         assert!(
             xy.abs() < 1e-6 && (xx - 0.0324).abs() < 1e-4 && (yy - 0.5184).abs() < 1e-4,
             "{xx} {xy} {yy}"
         );
+    }
+
+    #[test]
+    fn points_move_to_what_is_nearest_to_them_and_become_probable() {
+        let mut learned = LearnedPattern::new(&Pattern::default());
+        for _ in 0..200 {
+            learned.add(8, &[[2.0, 0.1]; KNOTS], 1.0);
+        }
+        let [along, across] = learned.points()[8][3];
+        assert!((along - 2.0).abs() < 0.05 && (across - 0.1).abs() < 0.01, "{along} {across}");
+        assert_eq!(learned.points()[7], Pattern::default().points[7]);
+        let probability = learned.probability();
+        assert!(probability[8] > 0.9 && (probability.iter().sum::<f32>() - 1.0).abs() < 1e-3);
     }
 }

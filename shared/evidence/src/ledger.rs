@@ -5,7 +5,8 @@ use std::collections::{HashMap, VecDeque, hash_map};
 use wire::{AGENTS_MAX, AgentType, EXPERTS_MAX, Expert, HORIZON_MAX, MODES_MAX};
 
 use crate::width::Widths;
-use crate::{BANDS, Context, ContextPrior, Deviations, EXPERTS, FAN, KNOTS, Paths, Prior, SLOTS, Statistics};
+use crate::fan::LearnedPattern;
+use crate::{BANDS, Context, ContextPrior, EXPERTS, Fan, KNOTS, Paths, Prior, SLOTS, Statistics};
 
 /// Forecasts that the prior counts for.
 const PRIOR_LEN: f64 = 20.0;
@@ -37,7 +38,7 @@ pub enum ModeSet {
     Network,
     /// The most probable half from the network, the others from the fan.
     Half,
-    /// All from the [`FAN`] about the blend.
+    /// All from the [`Fan`] about the blend.
     Fan,
 }
 
@@ -82,6 +83,8 @@ pub struct Mixture<'a> {
     pub widths: &'a [f32; HORIZON_MAX],
     /// The network's modes, whether they were published or not, the most probable ones first, m.
     pub network_m: &'a [[[f32; 2]; HORIZON_MAX]],
+    /// The fan about the blend, whether it was published or not.
+    pub fan: &'a Fan,
 }
 
 /// A matured forecast at a knot, whose level is asked for.
@@ -108,6 +111,8 @@ struct Kept {
     network_len: usize,
     network_m: [[[f32; 2]; MODES_MAX]; KNOTS],
     fan_m: [[[f32; 2]; MODES_MAX]; KNOTS],
+    fan_numbers: [u8; MODES_MAX],
+    deviations_m: [[f32; 2]; KNOTS],
     /// Sums of the distances of each mode of network and fan from the truth so far.
     distances_m: [[f32; MODES_MAX]; 2],
 }
@@ -122,6 +127,8 @@ struct Pending {
     velocity_m: [[f32; 2]; KNOTS],
     blend_m: [[f32; 2]; KNOTS],
     course: [f32; 2],
+    /// What the truth is beyond the blend along and across the course, at the knots that have matured, m.
+    residuals_m: [[f32; 2]; KNOTS],
     /// Less constant velocity.
     experts_m: [[[f32; 2]; EXPERTS]; KNOTS],
     /// Its place among the mixtures.
@@ -149,6 +156,7 @@ struct Knowledge {
     squares: [([f64; 2], f64); KNOTS],
     /// Sums of the distances of the nearest mode of each set, m, and their number.
     nearest: ([f64; 3], f64),
+    pattern: LearnedPattern,
 }
 
 /// Evidence of all agents: see the [crate](crate).
@@ -175,7 +183,9 @@ impl Knowledge {
             (deviations.map(|deviation_m| DEVIATIONS_LEN * f64::from(deviation_m).powi(2)), DEVIATIONS_LEN)
         });
         let nearest = (prior.nearest_m.map(|nearest_m| SETS_LEN * f64::from(nearest_m)), SETS_LEN);
-        let mut knowledge = Self { prior: *prior, blend, weights, is_stale: true, widths, squares, nearest };
+        let pattern = LearnedPattern::new(&prior.pattern);
+        let mut knowledge =
+            Self { prior: *prior, blend, weights, is_stale: true, widths, squares, nearest, pattern };
         knowledge.solve();
         knowledge
     }
@@ -188,6 +198,7 @@ impl Knowledge {
         }
         let (nearest, len) = &mut self.nearest;
         nearest.iter_mut().chain([len]).for_each(|sum| *sum *= kept);
+        self.pattern.discount(kept as f32);
     }
 
     /// Deviations from the blend at a knot, m.
@@ -241,10 +252,23 @@ impl Kept {
 
     /// Mean distance over the knots of the nearest mode of a set.
     fn nearest_m(&self, set: ModeSet) -> f32 {
-        let fan_len = set.fan_len(self.network_len).min(FAN.len());
+        let fan_len = set.fan_len(self.network_len);
         let [network, fan] = &self.distances_m;
         let modes = network[..self.network_len - fan_len].iter().chain(&fan[..fan_len]);
         modes.copied().fold(f32::INFINITY, f32::min) / KNOTS as f32
+    }
+
+    /// The number of the fan's nearest mode, and a residual in units of the deviations.
+    fn nearest_of_fan(&self, residuals_m: &[[f32; 2]; KNOTS]) -> (usize, [[f32; 2]; KNOTS]) {
+        let fan = self.distances_m[1].iter().zip(&self.fan_numbers);
+        let nearest = fan.min_by(|a, b| a.0.total_cmp(b.0)).map_or(0, |(_, &number)| usize::from(number));
+        let units = std::array::from_fn(|knot| {
+            [0, 1].map(|axis| {
+                let deviation_m = self.deviations_m[knot][axis].max(f32::MIN_POSITIVE);
+                (residuals_m[knot][axis] / deviation_m).clamp(-OUTLIER, OUTLIER)
+            })
+        });
+        (nearest, units)
     }
 }
 
@@ -266,6 +290,8 @@ impl Evidence {
             network_len: 0,
             network_m: [[[0.0; 2]; MODES_MAX]; KNOTS],
             fan_m: [[[0.0; 2]; MODES_MAX]; KNOTS],
+            fan_numbers: [0; MODES_MAX],
+            deviations_m: [[1.0; 2]; KNOTS],
             distances_m: [[0.0; MODES_MAX]; 2],
         };
         Self {
@@ -374,6 +400,11 @@ impl Evidence {
                 let [x, y] = [0, 1].map(|axis| truth_m[axis] - pending.blend_m[knot][axis]);
                 let [cos, sin] = pending.course;
                 let residual_m = [x * cos + y * sin, y * cos - x * sin];
+                pending.residuals_m[knot] = residual_m;
+                let of_fan = pending
+                    .mixture
+                    .filter(|_| pending.matured_len == KNOTS)
+                    .map(|place| mixtures[place].nearest_of_fan(&pending.residuals_m));
                 let radius = pending.mixture.filter(|_| *levels_left > 0).map(|place| {
                     *levels_left -= 1;
                     let kept = &mixtures[place];
@@ -391,6 +422,9 @@ impl Evidence {
                         knowledge.add_residual(knot, residual_m, deviation_m, share);
                         if let Some(nearest_m) = nearest_m {
                             knowledge.add_nearest(nearest_m, share);
+                        }
+                        if let Some((number, units)) = &of_fan {
+                            knowledge.pattern.add(*number, units, share);
                         }
                         if let Some((level, factor)) = radius.filter(|(level, _)| level.is_finite()) {
                             knowledge.widths[knot].add(level, factor, share);
@@ -416,7 +450,6 @@ impl Evidence {
         if !self.wants(stamp_ns, agent.id) {
             return;
         }
-        let deviations = self.deviations(agent);
         let Some(trace) = self.traces.get_mut(&agent.id) else { return };
         let knots = self.knots;
         let velocity_m = knots.map(|step| paths.velocity[step]);
@@ -429,6 +462,7 @@ impl Evidence {
             kept.modes_len = mixture.probability.len();
             kept.network_len = mixture.network_m.len();
             kept.distances_m = Default::default();
+            kept.fan_numbers = mixture.fan.numbers;
             kept.probability[..kept.modes_len].copy_from_slice(mixture.probability);
             for (knot, step) in knots.into_iter().enumerate() {
                 for mode in 0..kept.modes_len {
@@ -438,8 +472,9 @@ impl Evidence {
                 for (kept, mode) in kept.network_m[knot].iter_mut().zip(mixture.network_m) {
                     *kept = mode[step];
                 }
+                kept.deviations_m[knot] = mixture.fan.steps_m[step];
                 for (mode, kept) in kept.fan_m[knot].iter_mut().enumerate() {
-                    let residual_m = deviations.residual_m(mode, step);
+                    let residual_m = mixture.fan.residual_m(mode, step);
                     *kept = [0, 1].map(|axis| blend_m[step][axis] + residual_m[axis]);
                 }
                 kept.widths[knot] = mixture.widths[step];
@@ -455,6 +490,7 @@ impl Evidence {
             velocity_m,
             blend_m,
             course,
+            residuals_m: [[0.0; 2]; KNOTS],
             experts_m,
             mixture,
         });
@@ -471,14 +507,24 @@ impl Evidence {
         })
     }
 
-    /// How far agents alike deviate from the blend.
+    /// The modes of an agent by how agents alike deviate from the blend.
     #[must_use]
-    pub fn deviations(&self, agent: &Agent) -> Deviations {
+    pub fn fan(&self, agent: &Agent) -> Fan {
         let context = Context::new(agent.agent_type, agent.speed_mps);
         let of_type = &self.known[agent.agent_type.index()];
         let at_knots: [[f32; 2]; KNOTS] =
             std::array::from_fn(|knot| context.between(|band| of_type[band].deviations_m(knot)));
-        Deviations { steps_m: self.between_knots(&at_knots), course: agent.course }
+        let probability = context.between(|band| of_type[band].pattern.probability());
+        let mut numbers: [u8; MODES_MAX] = std::array::from_fn(|number| number as u8);
+        let of = |number: &u8| probability[usize::from(*number)];
+        numbers.sort_unstable_by(|a, b| of(b).total_cmp(&of(a)).then(a.cmp(b)));
+        let points = numbers.map(|number| {
+            let at = |band: usize, knot: usize| of_type[band].pattern.points()[usize::from(number)][knot];
+            let at_knots = std::array::from_fn(|knot| context.between(|band| at(band, knot)));
+            self.between_knots(&at_knots)
+        });
+        let probability = numbers.map(|number| of(&number));
+        Fan { steps_m: self.between_knots(&at_knots), course: agent.course, points, probability, numbers }
     }
 
     /// The set of modes whose nearest one has been nearest for agents alike.
@@ -559,6 +605,7 @@ impl Evidence {
                     log_width: knowledge.widths.each_ref().map(Widths::log),
                     deviation_m: std::array::from_fn(|knot| knowledge.deviations_m(knot)),
                     nearest_m: nearest.map(|sum| (sum / len.max(1e-9)) as f32),
+                    pattern: knowledge.pattern.as_prior(),
                 }
             })
         }))
@@ -614,6 +661,7 @@ mod tests {
                 covariances_m2: &covariances_m2,
                 widths: &[1.0; HORIZON_MAX],
                 network_m: &modes_m,
+                fan: &evidence.fan(&AGENT),
             };
             let paths = Paths { velocity, experts };
             evidence.store(step * STEP_NS, &AGENT, (&paths, &velocity), Some(mixture));
@@ -635,7 +683,7 @@ mod tests {
 
     #[test]
     fn agents_that_keep_to_the_blend_have_a_narrow_fan() {
-        let [along_m, across_m] = drive(200, 1.0, 0.5).deviations(&AGENT).steps_m[11];
+        let [along_m, across_m] = drive(200, 1.0, 0.5).fan(&AGENT).steps_m[11];
         assert!(along_m < 2.0 && across_m < 1.0, "{along_m} {across_m}");
     }
 

@@ -1,7 +1,9 @@
 use std::collections::BTreeMap;
 use std::fmt;
 
-use crate::{BANDS, KNOTS, Statistics};
+use wire::MODES_MAX;
+
+use crate::{BANDS, KNOTS, Pattern, Statistics};
 
 /// Deviations where no source tells any, m.
 const DEVIATIONS_M: [[f32; 2]; KNOTS] = [[0.1, 0.05], [0.5, 0.25], [1.8, 0.8], [6.0, 3.0]];
@@ -25,6 +27,9 @@ pub struct ContextPrior {
     pub deviation_m: [[f32; 2]; KNOTS],
     /// Distance of the nearest mode of each [`ModeSet`](crate::ModeSet), m; zeros where it is unknown.
     pub nearest_m: [f32; 3],
+    /// Typical residuals from the blend; left out of a file where nothing was learned.
+    #[serde(default, skip_serializing_if = "Pattern::is_default")]
+    pub pattern: Pattern,
 }
 
 /// What was learned on some sources of recordings that the network was not trained on, by name.
@@ -55,6 +60,7 @@ impl Default for ContextPrior {
             log_width: [0.0; KNOTS],
             deviation_m: DEVIATIONS_M,
             nearest_m: [0.0; 3],
+            pattern: Pattern::default(),
         }
     }
 }
@@ -74,13 +80,21 @@ impl ContextPrior {
     /// The mean over sources, of the widths the median.
     fn mean(sources: &[&Self]) -> Self {
         let share = 1.0 / sources.len() as f64;
-        let mut mean = Self { deviation_m: [[0.0; 2]; KNOTS], ..Self::default() };
+        let nothing = Pattern { points: [[[0.0; 2]; KNOTS]; MODES_MAX], probability: [0.0; MODES_MAX] };
+        let mut mean = Self { deviation_m: [[0.0; 2]; KNOTS], pattern: nothing, ..Self::default() };
         for source in sources {
             for knot in 0..KNOTS {
                 mean.blend[knot].add_scaled(&source.blend[knot], share);
                 for axis in 0..2 {
                     mean.deviation_m[knot][axis] += share as f32 * source.deviation_m[knot][axis];
                 }
+            }
+            let points = source.pattern.points.as_flattened().as_flattened();
+            for (mean, at) in mean.pattern.points.as_flattened_mut().as_flattened_mut().iter_mut().zip(points) {
+                *mean += share as f32 * at;
+            }
+            for (mean, p) in mean.pattern.probability.iter_mut().zip(source.pattern.probability) {
+                *mean += share as f32 * p;
             }
             for (mean, nearest_m) in mean.nearest_m.iter_mut().zip(source.nearest_m) {
                 *mean += share as f32 * nearest_m;
@@ -102,11 +116,16 @@ impl ContextPrior {
             len: rounded(of.len),
         });
         let short = |value: f32| rounded(f64::from(value)) as f32;
+        let shorter = |value: f32| (value * 1e4).round() / 1e4;
         Self {
             blend,
             log_width: self.log_width.map(short),
             deviation_m: self.deviation_m.map(|of| of.map(short)),
             nearest_m: self.nearest_m.map(short),
+            pattern: Pattern {
+                points: self.pattern.points.map(|knots| knots.map(|point| point.map(shorter))),
+                probability: self.pattern.probability.map(shorter),
+            },
         }
     }
 }
@@ -189,7 +208,7 @@ mod tests {
         let prior = priors.mean(|_| true);
         let worth = |of: &ContextPrior| of.blend.iter().all(|at| at.weights().iter().sum::<f32>() > 0.0);
         assert!(prior.0[0].iter().all(worth), "{:?}", prior.0[0].map(|of| of.blend.map(|at| at.weights())));
-        assert_eq!(Priors::from_json(&priors.to_json()).unwrap(), priors);
+        assert!(Priors::from_json(&priors.to_json()).unwrap() == priors, "another one after a round trip");
     }
 
     #[test]

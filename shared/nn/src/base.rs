@@ -10,12 +10,13 @@
 //!
 //! The best forecast has no anchor.
 //!
-//! A base with *support* has a lower and an upper bound per history class and feature, within which nearly all
+//! A base with *support* has a lower and an upper bound per history class and feature, within which all
 //! windows of its fit lie. Features are clamped to them, and the further the farthest one lies outside, the
-//! more ridge and anchors shrink to zero control:
+//! more the ridge and what the network adds shrink to zero control, and leave the anchors:
 //!
 //! ```text
-//! e = max |x − clamp(x)| / (upper − lower) · control := control / (1 + (e / 0.25)²)
+//! e = max |x − clamp(x)| / (upper − lower)
+//! control of mode m at step t = (ridge(clamp(x))\[t\] + μ\[m\]\[t\]) / (1 + (e / 0.25)²) + anchors\[bin\]\[m\]\[t\]
 //! ```
 
 use std::f32::consts::{PI, TAU};
@@ -35,8 +36,14 @@ pub const CLASSES: usize = 3;
 pub const SPEED_BINS: usize = 8;
 /// Bins of speed, acceleration and yaw rate.
 pub const BINS: usize = SPEED_BINS * 9;
-/// Distance from the support, in its width, at which controls are half.
+/// Distance from the support, in its width, at which half of the controls is kept.
 pub const HALF_SUPPORT: f32 = 0.25;
+/// Place of the acceleration over the last step among the features, m/s².
+pub const ACCELERATION: usize = 19;
+/// Place of |ω| v among the features, m/s².
+pub const LATERAL_ACCELERATION: usize = 22;
+/// Place of v² among the features, (m/s)².
+pub const SPEED_SQUARED: usize = 23;
 /// Cuts between the bins of the acceleration, m/s².
 const ACCEL_CUTS_MPS2: [f32; 2] = [-0.7, 0.5];
 /// Cuts between the bins of the yaw rate, rad/s.
@@ -175,21 +182,27 @@ impl Support {
         Self { bounds: std::array::from_fn(|feature| bounds[feature]) }
     }
 
-    /// The features clamped to the bounds, and the share of the controls that is kept for how far they lay
-    /// outside.
+    /// The features clamped to the bounds, and how far outside the farthest of them lay, in the width of its
+    /// bounds: e.
     #[must_use]
     pub fn clamp(&self, features: &[f32; FEATURES]) -> ([f32; FEATURES], f32) {
-        let mut farthest = 0.0_f32;
+        let mut outside = 0.0_f32;
         let clamped = std::array::from_fn(|feature| {
             let (x, [lower, upper]) = (features[feature], self.bounds[feature]);
             let clamped = x.max(lower).min(upper);
             if clamped != x {
-                farthest = farthest.max((x - clamped).abs() / (upper - lower).max(f32::MIN_POSITIVE));
+                outside = outside.max((x - clamped).abs() / (upper - lower).max(f32::MIN_POSITIVE));
             }
             clamped
         });
-        (clamped, 1.0 / (1.0 + (farthest / HALF_SUPPORT).powi(2)))
+        (clamped, outside)
     }
+}
+
+/// The share of the controls that is kept at a distance e from the support.
+#[must_use]
+pub fn kept_share(outside: f32) -> f32 {
+    1.0 / (1.0 + (outside / HALF_SUPPORT).powi(2))
 }
 
 impl Step {
@@ -262,20 +275,27 @@ impl Base {
         let rows = self.ridge[table * row_len..].chunks_exact(row_len);
         let sums = controls[..self.horizon_len].as_flattened_mut();
         sums.fill(0.0);
-        let (values, share) = self.supported(features);
+        let (values, outside) = self.supported(features);
         for (x, row) in values.iter().zip(rows) {
             sums.iter_mut().zip(row).for_each(|(sum, w)| *sum += x * w);
         }
-        if share < 1.0 {
+        if outside > 0.0 {
+            let share = kept_share(outside);
             sums.iter_mut().for_each(|sum| *sum *= share);
         }
     }
 
-    /// The features within the support, and the share of the controls that is kept.
+    /// The features within the support, and how far outside they lay.
     fn supported(&self, features: &BaseFeatures) -> ([f32; FEATURES], f32) {
         self.support
             .as_ref()
-            .map_or((features.values, 1.0), |support| support[features.class].clamp(&features.values))
+            .map_or((features.values, 0.0), |support| support[features.class].clamp(&features.values))
+    }
+
+    /// How far the features lie outside of the support: e, 0 where the base has none.
+    #[must_use]
+    pub fn outside(&self, features: &BaseFeatures) -> f32 {
+        self.supported(features).1
     }
 
     /// Controls that the base has for an agent: those of every mode, then those of the best forecast.
@@ -291,13 +311,12 @@ impl Base {
     pub fn controls(&self, features: &BaseFeatures, controls: &mut [[f32; 2]]) {
         assert_eq!(controls.len(), self.controls_len(), "a control per mode and step");
         let (modes, best) = controls.split_at_mut(self.modes_len * self.horizon_len);
-        let (_, share) = self.supported(features);
         self.ridge(features, best);
         for (mode, controls) in modes.chunks_exact_mut(self.horizon_len).enumerate() {
             for (control, (ridge, anchor)) in
                 controls.iter_mut().zip(best.iter().zip(self.anchor(features, mode)))
             {
-                *control = [ridge[0] + share * anchor[0], ridge[1] + share * anchor[1]];
+                *control = [ridge[0] + anchor[0], ridge[1] + anchor[1]];
             }
         }
     }
@@ -358,12 +377,14 @@ mod tests {
     fn features_within_the_support_keep_all_of_the_controls_and_others_less() {
         let support = Support::new(&[[-1.0, 3.0]; FEATURES]);
         let mut features = [0.5; FEATURES];
-        assert_eq!(support.clamp(&features), (features, 1.0));
+        assert_eq!(support.clamp(&features), (features, 0.0));
+        assert_eq!(kept_share(0.0), 1.0);
         (features[3], features[4]) = (4.0, -2.0);
-        let (clamped, share) = support.clamp(&features);
-        assert_eq!((clamped[3], clamped[4], share), (3.0, -1.0, 0.5));
+        let (clamped, outside) = support.clamp(&features);
+        assert_eq!((clamped[3], clamped[4], outside), (3.0, -1.0, 0.25));
+        assert_eq!(kept_share(outside), 0.5);
         features[0] = 103.0;
-        assert!(support.clamp(&features).1 < 1e-3);
+        assert!(kept_share(support.clamp(&features).1) < 1e-3);
     }
 
     #[test]

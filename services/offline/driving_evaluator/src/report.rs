@@ -74,7 +74,7 @@ impl Report {
     /// The main tables as Markdown.
     #[must_use]
     pub fn summary(&self) -> String {
-        [self.by_source(), self.coverage(), self.first_seconds()].join("\n\n")
+        [self.by_source(), self.coverage(), self.out_of_distribution(), self.first_seconds()].join("\n\n")
     }
 
     /// All tables as Markdown.
@@ -210,6 +210,42 @@ impl Report {
         }
         format!(
             "## Coverage\n\nShare of the forecasts whose highest-density region of 50 and of 90 % held the truth, by horizon.\n\n{}",
+            table.grid()
+        )
+    }
+
+    fn out_of_distribution(&self) -> String {
+        let columns = ["sources", "lower half", "to nine tenths", "upper tenth", "upper / lower"];
+        let mut table = Table::new("", "", &["type"], columns.map(str::to_owned).into_iter());
+        for agent_type in wire::AGENT_TYPES {
+            let of_type = self.cells().filter(|(_, of, _)| *of == agent_type);
+            let (mut samples, mut sources_len) = (Vec::new(), 0);
+            for (_, _, of_source) in of_type {
+                samples.extend(of_source);
+                sources_len += 1;
+            }
+            if samples.is_empty() {
+                continue;
+            }
+            samples.sort_by(|a, b| a.out_of_distribution.total_cmp(&b.out_of_distribution));
+            let ratio = |part: &[&Sample]| {
+                let cell = Cell { samples: part };
+                cell.errors(Method::Best).ade_m / cell.errors(Method::ConstantVelocity).ade_m
+            };
+            let (half, tenth) = (samples.len() / 2, samples.len() - samples.len() / 10);
+            let parts = [&samples[..half], &samples[half..tenth], &samples[tenth..]];
+            let [lower, _, upper] = parts.map(ratio);
+            let mut row = vec![agent_type.name().to_owned(), sources_len.to_string()];
+            row.extend(parts.map(|part| {
+                let most = part.last().map_or(0.0, |sample| sample.out_of_distribution);
+                format!("{:.2} (to {most:.2})", ratio(part))
+            }));
+            row.push(format!("{:.2}", upper / lower));
+            table.push_row(row);
+        }
+        format!(
+            "## Out of distribution\n\nThe single best forecast's ADE over constant velocity's, of the forecasts of all sources in \
+             the order of their published measure, which reaches the number in brackets.\n\n{}",
             table.grid()
         )
     }

@@ -8,7 +8,7 @@
 mod fit;
 mod targets;
 
-use std::borrow::Cow;
+use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use nn::{ModelConfig, base as binning, base::BaseFeatures, base::Support};
@@ -18,6 +18,7 @@ use scene::{AgentFrame, AgentType, FeatureScales, State, state_features};
 use wire::AGENT_TYPES;
 
 use crate::TrainError;
+use crate::card::Fitness;
 use crate::net::layout::TYPE_NAMES;
 use crate::net::tensors::{TensorRole, Tensors};
 use crate::samples::Agent;
@@ -26,6 +27,8 @@ use fit::Sample;
 
 type Features = [f32; binning::FEATURES];
 
+/// Bounds of a feature that nothing lies outside of, in half precision too.
+const EVERYWHERE: [f32; 2] = [-65504.0, 65504.0];
 /// Agents of a type that the fit uses at most; they are spread evenly.
 pub(crate) const FITTED_MAX: usize = 60_000;
 
@@ -53,7 +56,9 @@ pub(crate) struct AgentBase<'a> {
     /// `[horizon × 2]`.
     pub(crate) ridge: Vec<f32>,
     /// `[(modes + 1) × horizon × 2]`.
-    pub(crate) anchors: Cow<'a, [f32]>,
+    pub(crate) anchors: &'a [f32],
+    /// What is kept of the network's controls, at this distance from the support.
+    pub(crate) share: f32,
 }
 
 impl BaseControl {
@@ -83,16 +88,40 @@ impl BaseControl {
             {
                 zero.speed_cuts_mps = cuts_mps;
             }
-            let mut random = ChaCha8Rng::seed_from_u64(seed);
-            let mut samples = Vec::new();
-            for agent in agents(agent_type) {
-                let cuts_mps = &zero.speed_cuts_mps;
-                samples.extend(Sample::of_every_class(&agent?, config, cuts_mps, augmentation, &mut random));
-            }
+            let samples = samples(
+                config,
+                agents(agent_type),
+                &zero.speed_cuts_mps,
+                augmentation,
+                &mut ChaCha8Rng::seed_from_u64(seed),
+            )?;
             zero.fit(agent_type, &samples, config, seed);
             Ok(zero)
         });
         Ok(Self { config: config.clone(), types: types.collect::<Result<_, TrainError>>()? })
+    }
+
+    /// Fits the support alone to the windows that [`BaseControl::fit`] would take.
+    pub(crate) fn fit_support<A>(
+        &mut self,
+        agents: impl Fn(AgentType) -> A,
+        augmentation: Augmentation,
+        seed: u64,
+    ) -> Result<(), TrainError>
+    where
+        A: Iterator<Item = Result<Arc<Agent>, TrainError>>,
+    {
+        for (&agent_type, base) in AGENT_TYPES.iter().zip(&mut self.types) {
+            let samples = samples(
+                &self.config,
+                agents(agent_type),
+                &base.speed_cuts_mps,
+                augmentation,
+                &mut ChaCha8Rng::seed_from_u64(seed),
+            )?;
+            base.fit_support(&samples);
+        }
+        Ok(())
     }
 
     /// The base control of an agent with this history.
@@ -106,13 +135,24 @@ impl BaseControl {
         let (features, bins) = describe(history, frame, &base.speed_cuts_mps, &self.config);
         let controls_len = 2 * self.config.horizon_len;
         let per_bin = (self.config.modes + 1) * controls_len;
-        let (features, share) = base.supported(&features, bins);
+        let (features, outside) = base.supported(&features, bins);
+        let share = binning::kept_share(outside);
         let mut ridge = base.ridge(&features, bins, controls_len);
-        let mut anchors = Cow::Borrowed(&base.anchors[bins.bin * per_bin..][..per_bin]);
+        let anchors = &base.anchors[bins.bin * per_bin..][..per_bin];
         if share < 1.0 {
-            ridge.iter_mut().chain(anchors.to_mut()).for_each(|control| *control *= share);
+            ridge.iter_mut().for_each(|control| *control *= share);
         }
-        AgentBase { ridge, anchors }
+        AgentBase { ridge, anchors, share }
+    }
+
+    /// What the support allows of each agent type with a whole history; none where there is no support.
+    pub(crate) fn fitness(&self) -> BTreeMap<String, Fitness> {
+        let of_type = |(name, base): (&&str, &TypeBase)| {
+            let whole = (binning::CLASSES - 1) * binning::FEATURES;
+            let bounds = base.support.as_ref()?.get(whole..)?;
+            Some(((*name).to_owned(), Fitness::within(bounds)))
+        };
+        TYPE_NAMES.iter().zip(&self.types).filter_map(of_type).collect()
     }
 
     /// Adds the tensors `base.*`.
@@ -146,9 +186,10 @@ impl BaseControl {
                 |bin: &[f32]| bin.iter().copied().chain(std::iter::repeat_n(0.0, controls_len)).collect();
             Some(TypeBase {
                 speed_cuts_mps: values("speed_cuts")?.try_into().ok()?,
-                support: match config.base_support {
-                    true => Some(values("support")?.as_chunks().0.to_vec()),
-                    false => None,
+                support: match (config.base_support, values("support")) {
+                    (true, Some(bounds)) => Some(bounds.as_chunks().0.to_vec()),
+                    (true, None) => Some(vec![EVERYWHERE; binning::CLASSES * binning::FEATURES]),
+                    (false, _) => None,
                 },
                 ridge: values("ridge")?,
                 anchors: values("anchors")?
@@ -159,6 +200,21 @@ impl BaseControl {
         });
         Some(Self { config: config.clone(), types: types.collect::<Option<_>>()? })
     }
+}
+
+/// The windows of a type that a fit uses.
+fn samples(
+    config: &ModelConfig,
+    agents: impl Iterator<Item = Result<Arc<Agent>, TrainError>>,
+    cuts_mps: &[f32],
+    augmentation: Augmentation,
+    random: &mut ChaCha8Rng,
+) -> Result<Vec<Sample>, TrainError> {
+    let mut samples = Vec::new();
+    for agent in agents {
+        samples.extend(Sample::of_every_class(&agent?, config, cuts_mps, augmentation, random));
+    }
+    Ok(samples)
 }
 
 /// The bins of an agent in the tables.
@@ -198,13 +254,13 @@ impl TypeBase {
             anchors: vec![0.0; binning::BINS * (config.modes + 1) * controls_len],
             support: config
                 .base_support
-                .then(|| vec![[f32::MIN, f32::MAX]; binning::CLASSES * binning::FEATURES]),
+                .then(|| vec![EVERYWHERE; binning::CLASSES * binning::FEATURES]),
         }
     }
 
-    /// The features within the support, and the share of the controls that is kept.
+    /// The features within the support, and how far outside they lay.
     fn supported(&self, features: &Features, bins: Bins) -> (Features, f32) {
-        self.support.as_ref().map_or((*features, 1.0), |support| {
+        self.support.as_ref().map_or((*features, 0.0), |support| {
             Support::new(&support[bins.class * binning::FEATURES..]).clamp(features)
         })
     }

@@ -9,6 +9,7 @@ use crate::net::file::Precision;
 use crate::net::tensors::Tensors;
 use crate::options::TrainOptions;
 use crate::samples::Source;
+use crate::train::set_named;
 use crate::validate::{SetScore, rounded};
 
 /// Provenance and figures of a set of weights.
@@ -44,6 +45,49 @@ pub struct ModelCard {
     pub gains: Vec<Gain>,
     /// Every recording of the training data.
     pub recordings: Vec<Source>,
+    /// The licence of each data set that the weights were trained on, by name; of `driving` by source. Absent
+    /// from cards of the first versions.
+    #[serde(default)]
+    pub licences: BTreeMap<String, String>,
+    /// The motion that nearly all training windows had, by agent type: within it the weights are fit for use.
+    /// Absent where the model has no support.
+    #[serde(default)]
+    pub fitness: BTreeMap<String, Fitness>,
+}
+
+/// Motion within which nearly all training windows of a type lie.
+#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
+pub struct Fitness {
+    /// Largest speed.
+    pub speed_max_mps: f64,
+    /// Strongest braking (negative) and acceleration along the course.
+    pub accel_mps2: [f64; 2],
+    /// Largest acceleration across the course.
+    pub lateral_accel_max_mps2: f64,
+}
+
+impl Fitness {
+    /// The motion within the bounds of the base control's features.
+    ///
+    /// # Panics
+    /// Where there are fewer bounds than features.
+    #[must_use]
+    pub(crate) fn within(bounds: &[[f32; 2]]) -> Self {
+        use nn::base::{ACCELERATION, LATERAL_ACCELERATION, SPEED_SQUARED};
+        let value = |x: f32| rounded(f64::from(x));
+        Self {
+            speed_max_mps: value(bounds[SPEED_SQUARED][1].max(0.0).sqrt()),
+            accel_mps2: bounds[ACCELERATION].map(value),
+            lateral_accel_max_mps2: value(bounds[LATERAL_ACCELERATION][1]),
+        }
+    }
+}
+
+/// The licences of data sets, by name.
+fn licences(sets: &[String]) -> BTreeMap<String, String> {
+    let known = sets.iter().filter_map(|name| set_named(name).ok());
+    let licences = known.flat_map(|set| set.licences());
+    licences.map(|&(name, licence)| (name.to_owned(), licence.to_owned())).collect()
 }
 
 /// Size of the training data.
@@ -88,6 +132,7 @@ impl ModelCard {
         (weights, calibration): (&Tensors, BTreeMap<String, f64>),
         training: Seen,
         recordings: Vec<Source>,
+        fitness: BTreeMap<String, Fitness>,
         [validation, validation_without_map]: [Vec<SetScore>; 2],
     ) -> Self {
         Self {
@@ -106,7 +151,30 @@ impl ModelCard {
             gains: validation.iter().map(Gain::of).collect(),
             validation,
             validation_without_map,
+            licences: licences(&options.sets),
             recordings,
+            fitness,
+        }
+    }
+
+    /// The card of weights that were trained earlier and have got the support of these options since.
+    pub(crate) fn revised(
+        self,
+        options: &TrainOptions,
+        fitness: BTreeMap<String, Fitness>,
+        [validation, validation_without_map]: [Vec<SetScore>; 2],
+    ) -> Self {
+        let mut trained = self.options;
+        trained.model = options.model.clone();
+        trained.out.clone_from(&options.out);
+        Self {
+            gains: validation.iter().map(Gain::of).collect(),
+            validation,
+            validation_without_map,
+            licences: licences(&trained.sets),
+            fitness,
+            options: trained.without_places(),
+            ..self
         }
     }
 

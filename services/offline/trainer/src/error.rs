@@ -37,6 +37,12 @@ pub enum TrainError {
         /// The weights file.
         path: PathBuf,
     },
+    /// The weights to begin with have no card.
+    #[error("begin_with {}: the weights have no card", path.display())]
+    NoCard {
+        /// The weights file.
+        path: PathBuf,
+    },
     /// The data hold no agent whose future is known.
     #[error("no {part} window has an agent with a known future below {}", root.display())]
     NoWindows {

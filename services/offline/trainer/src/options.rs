@@ -43,7 +43,8 @@ pub struct TrainOptions {
     pub begin_with: Option<PathBuf>,
     /// Seed of everything random.
     pub seed: u64,
-    /// Updates to make.
+    /// Updates to make. None, with `begin_with`, only add to its weights what they lack: the support of their base
+    /// control, fitted to the training data, and what a card of this version tells.
     pub steps: u64,
     /// Agents in a batch, at least; a batch is filled with whole scenes.
     pub batch_agents: usize,
@@ -197,8 +198,8 @@ impl TrainOptions {
             _ if self.set_weights.values().any(|weight| !(0.0..=1000.0).contains(weight)) => {
                 refuse("set_weights must be 0 to 1000")
             }
-            _ if self.steps == 0 || self.validate_every == 0 => {
-                refuse("steps and validate_every must be 1 or more")
+            _ if self.validate_every == 0 || (self.steps == 0 && self.begin_with.is_none()) => {
+                refuse("steps and validate_every must be 1 or more; steps may be 0 with begin_with")
             }
             _ => Ok(()),
         }

@@ -9,8 +9,9 @@ use crate::options::{TrainOptions, onboard_config};
 
 /// Names of the shipped weights: `eth`, `hotel`, `univ`, `zara1` and `zara2` leave that scene out;
 /// `interaction` is trained at all sites, `interaction-without-FT` and `interaction-without-EP1` hold one
-/// out; `onboard` is what the pipeline runs.
-pub const RECIPES: [&str; 10] = [
+/// out; `onboard` is what the pipeline runs; `onboard-free` is the same model, trained on nothing but data that
+/// anybody may use.
+pub const RECIPES: [&str; 11] = [
     "eth",
     "hotel",
     "univ",
@@ -21,6 +22,7 @@ pub const RECIPES: [&str; 10] = [
     "interaction-without-FT",
     "interaction-without-EP1",
     "onboard",
+    "onboard-free",
 ];
 
 /// The options of a recipe; `None` for a name that is not among [`RECIPES`].
@@ -34,9 +36,10 @@ pub fn recipe(name: &str) -> Option<TrainOptions> {
         ("interaction-without-FT", _) => vehicles(Some("Roundabout_FT"), 6_000),
         ("interaction-without-EP1", _) => vehicles(Some("Intersection_EP1"), 6_000),
         ("onboard", _) => TrainOptions {
-            model: ModelConfig { patch_ahead_m: 8.0, ..onboard_config() },
+            model: ModelConfig { patch_ahead_m: 8.0, base_support: true, ..onboard_config() },
             ..TrainOptions::default()
         },
+        ("onboard-free", _) => free(),
         _ => return None,
     };
     Some(TrainOptions {
@@ -45,6 +48,27 @@ pub fn recipe(name: &str) -> Option<TrainOptions> {
         checkpoints: format!("checkpoints/{name}").into(),
         ..options
     })
+}
+
+/// Speed bins of vehicles where motorways are among the training data.
+const ROAD_SPEED_CUTS_MPS: [f32; 7] = [1.0, 3.5, 6.5, 10.0, 14.5, 20.0, 28.0];
+
+/// All types on roads that anybody may use the recordings of, and at the generated intersection.
+fn free() -> TrainOptions {
+    let sets = || [DataSet::Ngsim, DataSet::Generated].map(|set| set.name().to_owned()).to_vec();
+    TrainOptions {
+        sets: sets(),
+        validation_sets: sets(),
+        set_weights: [(DataSet::Ngsim.name().to_owned(), 3.0)].into(),
+        faster: 0.4,
+        vehicle_speed_cuts_mps: Some(ROAD_SPEED_CUTS_MPS),
+        scale_deviation: 0.3,
+        base_scale_deviation: 0.3,
+        steps: 6_000,
+        site_map: 0.0,
+        model: ModelConfig { patch_ahead_m: 8.0, base_support: true, ..onboard_config() },
+        ..TrainOptions::default()
+    }
 }
 
 /// Pedestrians at 0.4 s, eight steps to twelve, from positions alone.

@@ -111,13 +111,14 @@ impl<'a> TypeForecast<'a> {
         let horizon_len = self.config.horizon_len;
         let name = self.name();
         let hidden = &self.burn_in.hidden;
-        let unroll = gru::unroll(
+        let mut unroll = gru::unroll(
             self.batch.device,
             self.weights,
             (&name, hidden, &self.encoding, latent),
             horizon_len,
             keep_trace,
         );
+        self.fade(&mut unroll.raw);
         let mut mean = base.unwrap_or_else(|| Matrix::zeros(latent.rows, 2 * horizon_len));
         let (raw, _) = unroll.raw.values.as_chunks::<RAW>();
         for (mean, raw) in mean.values.as_chunks_mut::<2>().0.iter_mut().zip(raw) {
@@ -126,6 +127,22 @@ impl<'a> TypeForecast<'a> {
         }
         let positions = self.positions(&mean);
         Rollout { unroll, mean, positions }
+    }
+
+    /// Scales the means of the network's controls, or gradients by them, `[agents × draws, horizon × 5]`, by what
+    /// is kept of them at the agents' distance from the base's support.
+    fn fade(&self, raw: &mut Matrix) {
+        let draws_len = raw.rows / self.agents.len();
+        for row in 0..raw.rows {
+            let share = match self.batch.base.get(self.agents.start + row / draws_len) {
+                Some(base) if base.share < 1.0 => base.share,
+                _ => continue,
+            };
+            for raw in raw.row_mut(row).as_chunks_mut::<RAW>().0 {
+                raw[0] *= share;
+                raw[1] *= share;
+            }
+        }
     }
 
     /// Forecasts by learned points, each with the base of its mode.
@@ -176,7 +193,9 @@ impl<'a> TypeForecast<'a> {
         d_raw: &Matrix,
         d_encoding: &mut Matrix,
     ) -> Matrix {
-        let back = rollout.unroll.backward(self.batch.device, self.weights, gradients, d_raw);
+        let mut d_raw = d_raw.clone();
+        self.fade(&mut d_raw);
+        let back = rollout.unroll.backward(self.batch.device, self.weights, gradients, &d_raw);
         self.burn_in.backward(self.weights, gradients, back.hidden);
         for (agent, d_row) in self.agents.clone().zip(back.encoding.values.chunks_exact(back.encoding.cols)) {
             d_encoding.row_mut(agent).iter_mut().zip(d_row).for_each(|(sum, d)| *sum += d);

@@ -72,7 +72,7 @@ pub(crate) struct Samples {
 
 /// The folder of a recording is what its set is drawn evenly by: a site or a source.
 fn folder(set: DataSet, path: &Path) -> Option<PathBuf> {
-    matches!(set, DataSet::Interaction | DataSet::Driving).then(|| path.parent().map(Path::to_owned))?
+    matches!(set, DataSet::Interaction | DataSet::Driving | DataSet::Ngsim).then(|| path.parent().map(Path::to_owned))?
 }
 
 /// The scenes to read.
@@ -118,7 +118,7 @@ impl Samples {
             let mut windows = Vec::new();
             for path in selection.files(set)? {
                 progress(&path);
-                let recording = data::open(&path, Some(set.format()))?;
+                let recording = set.open(&path)?;
                 let number = sources.len() as u32;
                 let (scenes, ground) = cut(&recording, selection, config, &mut spooling)?;
                 for scene in scenes.filter(|scene| scene.agents.iter().any(|agent| agent.counts)) {

@@ -57,6 +57,11 @@ pub fn train(options: &TrainOptions) -> Result<Summary, TrainError> {
     let mut progress = Progress::new(options.steps, 0);
     let run = Run::prepare(options, &progress)?;
     let (mut state, base) = run.begin(&progress)?;
+    if options.steps == 0 {
+        let card = run.write_revised(&state.weights, &base, CARD_AGENTS)?;
+        progress.finish();
+        return Ok(Summary { steps: 0, card });
+    }
     progress.restart(state.progress.step);
     run.learn(&mut state, &base, &mut progress)?;
     let card = run.write(&state, &base, CARD_AGENTS)?;
@@ -127,20 +132,21 @@ impl<'a> Run<'a> {
         };
         let mut base =
             BaseControl::load(&weights, &options.model).unwrap_or_else(|| BaseControl::zero(&options.model));
+        let agents = |agent_type| self.training.spread(&self.training.sets, agent_type, FITTED_MAX);
+        let augmentation = Augmentation {
+            noise: options.noisy_history > 0.0,
+            differenced: options.differenced_history,
+            scale_deviation: options.base_scale_deviation as f32,
+            faster: options.faster,
+        };
         if options.model.base && options.begin_with.is_none() {
             progress.note("fitting the base control");
-            base = BaseControl::fit(
-                &options.model,
-                |agent_type| self.training.spread(&self.training.sets, agent_type, FITTED_MAX),
-                Augmentation {
-                    noise: options.noisy_history > 0.0,
-                    differenced: options.differenced_history,
-                    scale_deviation: options.base_scale_deviation as f32,
-                    faster: options.faster,
-                },
-                options.vehicle_speed_cuts_mps,
-                options.seed,
-            )?;
+            let cuts_mps = options.vehicle_speed_cuts_mps;
+            base = BaseControl::fit(&options.model, agents, augmentation, cuts_mps, options.seed)?;
+            base.store(&mut weights);
+        } else if options.model.base_support && lacks_support(&weights) {
+            progress.note("fitting the support of the base control");
+            base.fit_support(agents, augmentation, options.seed)?;
             base.store(&mut weights);
         }
         Ok((RunState::new(weights, options), base))
@@ -354,25 +360,53 @@ impl<'a> Run<'a> {
             agents: self.training.sets.iter().map(SetSamples::counted_len).sum(),
         };
         let sources = self.training.sources.clone();
-        let card = ModelCard::new(self.options, &state.progress, (&weights, factors), seen, sources, scores);
-        write_whole(&self.options.out, &card.weights_file(&weights)?)?;
+        let (weights, fitness) = (&weights, base.fitness());
+        let card =
+            ModelCard::new(self.options, &state.progress, (weights, factors), seen, sources, fitness, scores);
+        write_whole(&self.options.out, &card.weights_file(weights)?)?;
+        Ok(card)
+    }
+
+    /// Writes the weights to begin with and what they have got since, with their own card revised.
+    fn write_revised(
+        &self,
+        weights: &Tensors,
+        base: &BaseControl,
+        agents_max: usize,
+    ) -> Result<ModelCard, TrainError> {
+        let Some(path) = &self.options.begin_with else { unreachable!("checked with the options") };
+        let begun = open(path)?;
+        let card = begun.card().cloned().ok_or_else(|| TrainError::NoCard { path: path.clone() })?;
+        let card: ModelCard = serde_json::from_value(card)
+            .map_err(|source| TrainError::Metadata { path: path.clone(), key: "card", source })?;
+        let scores = |map| self.scores(weights, base, map, agents_max);
+        let scores = [scores(Some(MapKind::Online))?, scores(None)?];
+        let card = card.revised(self.options, base.fitness(), scores);
+        write_whole(&self.options.out, &card.weights_file(weights)?)?;
         Ok(card)
     }
 }
 
-/// The tensors of a weights file, whose model must be `model`.
+fn open(path: &Path) -> Result<nn::Weights, TrainError> {
+    nn::Weights::open(path).map_err(|source| TrainError::BeginWith { path: path.to_owned(), source })
+}
+
+/// The tensors of a weights file, whose model must be `model`; the support of its base control may lack.
 fn read_weights(path: &Path, model: &ModelConfig) -> Result<Tensors, TrainError> {
-    let io = |source| TrainError::Io { path: path.to_owned(), source };
-    let refused = |source| TrainError::BeginWith { path: path.to_owned(), source };
-    let bytes = std::fs::read(path).map_err(io)?;
-    let weights = nn::Weights::from_bytes(&bytes).map_err(refused)?;
-    if weights.config() != model {
-        return Err(TrainError::OtherModel { path: path.to_owned() });
-    }
+    let weights = open(path)?;
+    let bytes = std::fs::read(path).map_err(|source| TrainError::Io { path: path.to_owned(), source })?;
+    let without = ModelConfig { base_support: false, ..model.clone() };
+    let model = [model, &without].into_iter().find(|model| weights.config() == *model);
+    let model = model.ok_or_else(|| TrainError::OtherModel { path: path.to_owned() })?;
     Tensors::from_safetensors(&bytes, &layout(model)).map_err(|error| error.of(path))
 }
 
-fn set_named(name: &str) -> Result<DataSet, TrainError> {
+/// Whether weights have no bounds of the base control's features.
+fn lacks_support(weights: &Tensors) -> bool {
+    !weights.0.keys().any(|name| name.starts_with("base.") && name.ends_with(".support"))
+}
+
+pub(crate) fn set_named(name: &str) -> Result<DataSet, TrainError> {
     let sets = [
         DataSet::EthUcy,
         DataSet::SddTrajnet,
@@ -382,6 +416,8 @@ fn set_named(name: &str) -> Result<DataSet, TrainError> {
         DataSet::KittiLabels,
         DataSet::KittiDetections,
         DataSet::Driving,
+        DataSet::Ngsim,
+        DataSet::Generated,
         DataSet::Womd,
     ];
     let folds = data::sets::Fold::ALL.map(DataSet::EthUcyFold);

@@ -4,7 +4,7 @@ use wire::{ControlGaussian, LATENT, STATE_FEATURES, TEMPORAL};
 
 use super::{BurnIn, DecoderMemory, Draws, HIDDEN, RAW_CONTROL, TypeDecoder, control_gaussian};
 use crate::ModelConfig;
-use crate::base::{Base, BaseFeatures};
+use crate::base::{Base, BaseFeatures, kept_share};
 
 /// Agents of one type, encoded.
 pub trait Encoded {
@@ -34,6 +34,8 @@ pub struct DecoderGroup {
     /// Base controls, \[agent, mode, step\], those of the best forecast behind the modes; empty where the
     /// model has none.
     base: Vec<[f32; 2]>,
+    /// How far outside of the base's support each agent is; 0 where it has none.
+    outside: Vec<f32>,
     /// \[agent, draw\].
     latents: Vec<[f32; LATENT]>,
     /// \[agent, draw, step\].
@@ -53,6 +55,8 @@ pub struct AgentDraws<'a> {
     /// Base controls, \[mode, step\], those of the best forecast behind the modes; empty where the model has
     /// none.
     pub base: &'a [[f32; 2]],
+    /// How far outside of the base's support the agent is: e.
+    pub outside: f32,
     /// The probability of each mode.
     pub probability: &'a [f32],
 }
@@ -73,6 +77,8 @@ impl DecoderGroup {
         let burn_in = BurnIn { agents_len, states: &self.states, present: &self.present };
         network.burn_in(&burn_in, &mut self.memory, &mut self.hidden);
         self.base.clear();
+        self.outside.clear();
+        self.outside.resize(agents_len, 0.0);
         if let Some(base) = network.base() {
             (0..agents_len).for_each(|agent| self.extend_base(base, config, agent));
         }
@@ -121,6 +127,7 @@ impl DecoderGroup {
         let first = self.base.len();
         self.base.resize(first + base.controls_len(), [0.0; 2]);
         base.controls(&features, &mut self.base[first..]);
+        self.outside[agent] = base.outside(&features);
     }
 
     /// The network's output for an agent of the group.
@@ -133,6 +140,7 @@ impl DecoderGroup {
             raw: self.share(agent, &self.raw),
             horizon_len: self.horizon_len,
             base: self.share(agent, &self.base),
+            outside: self.outside[agent],
             probability: self.share(agent, &self.probability),
         }
     }
@@ -157,11 +165,14 @@ impl AgentDraws<'_> {
         &self.base[self.base.len().saturating_sub(self.horizon_len)..]
     }
 
-    /// Control Gaussians of the steps of a draw, base control included.
+    /// Control Gaussians of the steps of a draw, base control included. What the network adds to the mean fades
+    /// outside of the base's support.
     pub fn controls(&self, draw: usize) -> impl Iterator<Item = ControlGaussian> + '_ {
         let steps = draw * self.horizon_len..(draw + 1) * self.horizon_len;
-        steps.map(|step| {
+        let share = kept_share(self.outside);
+        steps.map(move |step| {
             let mut control = control_gaussian(self.raw[step]);
+            control.mean = control.mean.map(|mean| share * mean);
             if let Some([first, second]) = self.base.get(step) {
                 control.mean[0] += first;
                 control.mean[1] += second;

@@ -74,7 +74,10 @@ record! {
         /// The model's base control for the single best forecast, without what the network adds; zeros where
         /// the model has no base.
         5136 => base: [[f32; 2]; HORIZON_MAX],
+        /// How far the history lies outside of what the base control was fitted to, in the width of that; 0
+        /// inside, and where the model does not tell.
+        5232 => out_of_distribution: f32,
         /// Zero.
-        5232 => reserved: [u8; 80],
+        5236 => reserved: [u8; 76],
     }
 }

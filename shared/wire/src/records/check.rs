@@ -134,7 +134,8 @@ impl AgentControls {
         let numbers: &[f32] = bytemuck::cast_slice(self.modes.as_flattened());
         finite("controls", numbers)?;
         finite("best controls", bytemuck::cast_slice(&self.best))?;
-        finite("base controls", self.base.as_flattened())
+        finite("base controls", self.base.as_flattened())?;
+        finite("out of distribution", &[self.out_of_distribution])
     }
 }
 

@@ -113,8 +113,8 @@ record! {
         84 => length_m: f32,
         /// Extent across the heading; 0 where unknown.
         88 => width_m: f32,
-        /// How far the agent is from what the model was trained on, greater is farther; 0 where it is not
-        /// told.
+        /// How far the agent's history lies outside of what the model was trained on, in the width of that; 0
+        /// inside, and where it is not told. At 0.25 the network adds half of what it would.
         92 => out_of_distribution: f32,
         /// Weight of each [`Expert`] by its number: network, base, constant velocity, decaying turn, process
         /// model; zeros where they are not told.

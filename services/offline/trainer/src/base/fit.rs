@@ -30,8 +30,6 @@ const RECORDED_ENOUGH: usize = 2000;
 const KMEANS_ITERATIONS: usize = 30;
 /// Windows per bin that the clustering uses.
 const CLUSTERED_MAX: usize = 4000;
-/// Share of the windows that lie beyond a bound of the support, on either side.
-const BEYOND: f64 = 0.0005;
 
 /// The motion of an agent as the fit inverts it.
 enum Motion {
@@ -208,20 +206,17 @@ impl TypeBase {
         self.fit_support(samples);
     }
 
-    /// Bounds of every feature, from the windows of its history class.
-    fn fit_support(&mut self, samples: &[Sample]) {
+    /// Bounds of every feature: within them lie all windows of a history class.
+    pub(super) fn fit_support(&mut self, samples: &[Sample]) {
         let Some(support) = &mut self.support else { return };
         for (class, bounds) in support.chunks_exact_mut(binning::FEATURES).enumerate() {
             for (feature, bounds) in bounds.iter_mut().enumerate() {
                 let of_class = samples.iter().filter(|sample| sample.bins.class == class);
-                let mut values: Vec<f32> = of_class.map(|sample| sample.features[feature]).collect();
-                if values.is_empty() {
-                    continue;
-                }
-                values.sort_unstable_by(f32::total_cmp);
-                let last = values.len() - 1;
-                let beyond = (BEYOND * last as f64) as usize;
-                *bounds = [values[beyond], values[last - beyond]];
+                let values = of_class.map(|sample| sample.features[feature]);
+                let all = values.fold(None, |all: Option<[f32; 2]>, x| {
+                    Some(all.map_or([x; 2], |[least, most]| [least.min(x), most.max(x)]))
+                });
+                *bounds = all.unwrap_or(*bounds);
             }
         }
     }

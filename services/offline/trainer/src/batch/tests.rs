@@ -141,7 +141,7 @@ fn inputs(batch: &Batch<'_>) -> Vec<(&'static str, Vec<u32>)> {
         ("presence", bits(&batch.present.values)),
         ("starts", batch.starts.iter().flat_map(start).collect()),
         ("ridge", batch.base.iter().flat_map(|base| bits(&base.ridge)).collect()),
-        ("anchors", batch.base.iter().flat_map(|base| bits(&base.anchors)).collect()),
+        ("anchors", batch.base.iter().flat_map(|base| bits(base.anchors)).collect()),
     ]
 }
 
