@@ -117,5 +117,31 @@ pub fn text(card: &ModelCard) -> String {
             share(gain.single_over_constant_velocity),
         );
     }
+    if !card.fitness.is_empty() {
+        text += &fitness(card);
+    }
+    if !card.licences.is_empty() {
+        let licences = card.licences.iter().map(|(set, licence)| format!("{set}: {licence}"));
+        text += &format!("\nLicences of the training data: {}.\n", licences.collect::<Vec<_>>().join("; "));
+    }
     text
+}
+
+/// For which motion and rate the weights are fit for use.
+fn fitness(card: &ModelCard) -> String {
+    let model = &card.options.model;
+    let types = card.fitness.iter().map(|(name, fit)| {
+        format!(
+            "{name}s to {:.1} m/s, {:.1} to {:.1} m/s² along and {:.1} m/s² across their course",
+            fit.speed_max_mps, fit.accel_mps2[0], fit.accel_mps2[1], fit.lateral_accel_max_mps2
+        )
+    });
+    format!(
+        "\nFit for {}; detections at {:.1} Hz or faster; histories of 2 to {} steps of {} s. Farther out the network adds \
+         less and less, and `out_of_distribution` says how far.\n",
+        types.collect::<Vec<_>>().join("; "),
+        1.0 / model.dt_s,
+        model.history_len,
+        model.dt_s
+    )
 }

@@ -5,6 +5,7 @@ use data::sets::Part;
 use evaluator::{InteractionPart, MapChoice, Options, Report, WeightsChoice};
 use nn::Weights;
 use run::Exit;
+use driving_evaluator::GapReport;
 use tracking_evaluator::{KittiReport, TrackingReport};
 
 use crate::arguments::ReadArguments;
@@ -18,7 +19,7 @@ const SIGMAS_M: std::ops::RangeInclusive<f64> = 0.001..=10.0;
 /// Parts of `interaction`, by default all of them.
 const INTERACTION_PARTS: [&str; 3] = ["seen", "FT", "EP1"];
 /// Parts of `tracking`, by default all of them.
-const TRACKING_PARTS: [&str; 2] = ["interaction", "kitti"];
+const TRACKING_PARTS: [&str; 3] = ["interaction", "kitti", "driving"];
 
 /// Arguments of `stgdat evaluate`.
 #[derive(Debug, Args)]
@@ -47,7 +48,8 @@ pub struct Arguments {
     #[arg(long, value_enum, default_value_t = Map::Site)]
     map: Map,
     /// Parts of `interaction`: `seen` or a held-out site [default: seen,FT,EP1]; of `tracking`: `interaction`
-    /// (filters on noisy positions) and `kitti` (trackers on a detector's output) [default: both]; of
+    /// (filters on noisy positions), `kitti` (trackers on a detector's output) and `driving` (gaps on many
+    /// roads) [default: all]; of
     /// `driving`: sources [default: all]
     #[arg(long, value_name = "PART,…", value_delimiter = ',')]
     parts: Vec<String>,
@@ -199,6 +201,17 @@ impl Written {
         }
     }
 
+    fn of_gaps(report: &GapReport) -> Self {
+        Self {
+            name: "driving",
+            mark: "evaluate tracking --parts driving".to_owned(),
+            markdown: report.markdown(),
+            summary: report.markdown(),
+            csv: report.csv(),
+            json: report.json(),
+        }
+    }
+
     fn of_trackers(report: &KittiReport) -> Self {
         Self {
             name: "kitti",
@@ -226,18 +239,22 @@ fn options(arguments: &Arguments, weights_dir: &Path) -> Options {
     }
 }
 
-/// Forecasts as a car gets them, on many roads.
-fn drive(arguments: &Arguments) -> Result<Written, Failure> {
+/// Sources of driving recordings, by default all.
+fn driving(arguments: &Arguments, sources: &[String]) -> driving_evaluator::Options {
     let Options { data, threads, .. } = options(arguments, &arguments.weights_dir);
-    let options = driving_evaluator::Options {
+    driving_evaluator::Options {
         folder: data.join("driving"),
-        sources: arguments.parts.clone(),
+        sources: sources.to_vec(),
         weights: arguments.weights.clone(),
         map: !matches!(arguments.map, Map::None),
         evidence: !arguments.without_evidence,
         threads,
-    };
-    let report = driving_evaluator::evaluate(&options, progress).map_err(Failure::data)?;
+    }
+}
+
+/// Forecasts as a car gets them, on many roads.
+fn drive(arguments: &Arguments) -> Result<Written, Failure> {
+    let report = driving_evaluator::evaluate(&driving(arguments, &arguments.parts), progress).map_err(Failure::data)?;
     if let Some(path) = &arguments.prior {
         write(path, &(report.priors().to_json() + "\n"))?;
     }
@@ -262,20 +279,25 @@ fn track(arguments: &Arguments) -> Result<Vec<Written>, Failure> {
     }
     let known = |part: &str| TRACKING_PARTS.contains(&part);
     if let Some(other) = arguments.parts.iter().find(|part| !known(part)) {
-        return Err(Failure::Usage(format!("--parts {other}: `tracking` has interaction and kitti")));
+        return Err(Failure::Usage(format!("--parts {other}: `tracking` has interaction, kitti and driving")));
     }
     let options = options(arguments, &arguments.weights_dir);
     let mut written = Vec::new();
     for part in parts(arguments, &TRACKING_PARTS) {
-        written.push(if part == "kitti" {
-            Written::of_trackers(&evaluate_trackers(&options)?)
-        } else {
-            let report =
-                tracking_evaluator::interaction(&options, &arguments.sigmas, arguments.particles, progress);
-            Written::of_motion(&report.map_err(Failure::data)?)
+        written.push(match part {
+            "kitti" => Written::of_trackers(&evaluate_trackers(&options)?),
+            "driving" => {
+                let report = driving_evaluator::through_gaps(&driving(arguments, &[]), progress);
+                Written::of_gaps(&report.map_err(Failure::data)?)
+            }
+            _ => {
+                let report =
+                    tracking_evaluator::interaction(&options, &arguments.sigmas, arguments.particles, progress);
+                Written::of_motion(&report.map_err(Failure::data)?)
+            }
         });
     }
-    if let Some(first) = written.first_mut() {
+    if let Some(first) = written.iter_mut().find(|part| part.name != "driving") {
         first.csv.insert_str(0, tracking_evaluator::COLUMNS);
     }
     Ok(written)

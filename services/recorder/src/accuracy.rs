@@ -11,7 +11,7 @@ mod truth;
 
 use std::collections::{BTreeMap, VecDeque};
 
-use metrics::{Displacement, DisplacementMean, Point, displacement, min_displacement};
+use metrics::{Displacement, DisplacementMean, HighestDensity, Point, displacement, min_displacement};
 use wire::{AGENT_TYPES, AgentType, Forecast, HORIZON_MAX, Header, MODES_MAX, Quality, Rejected, Truth};
 
 use crate::report::{Accuracy, Errors};
@@ -24,6 +24,13 @@ const LAG_MAX_NS: i64 = 2_000_000_000;
 /// Most ticks whose forecasts wait for truth; beyond, the oldest are scored as they are.
 const WAITING_MAX: usize = 256;
 
+/// Levels of the regions that the report tells the coverage of.
+const LEVELS: [f64; 2] = [0.5, 0.9];
+/// Forecasts of a tick at most whose regions are scored, spread evenly over its agents.
+const REGIONS_MAX: usize = 8;
+/// Seed of the draws that find a region's border.
+const SEED: u64 = 1;
+
 /// What is scored of a forecast.
 #[derive(Clone, Copy, Debug)]
 struct Scored {
@@ -35,6 +42,8 @@ struct Scored {
     modes_len: u32,
     modes: [[Point; HORIZON_MAX]; MODES_MAX],
     best: [Point; HORIZON_MAX],
+    probability: [f32; MODES_MAX],
+    mode_covariance_m2: [[[f32; 3]; HORIZON_MAX]; MODES_MAX],
 }
 
 impl From<&Forecast> for Scored {
@@ -48,7 +57,19 @@ impl From<&Forecast> for Scored {
             modes_len: forecast.modes_len,
             modes: forecast.modes,
             best: forecast.best,
+            probability: forecast.probability,
+            mode_covariance_m2: forecast.mode_covariance,
         }
+    }
+}
+
+impl Scored {
+    /// The level of the highest-density region at a step on whose border a position lies.
+    fn level(&self, step: usize, position_m: Point, levels: &mut HighestDensity) -> f64 {
+        let len = (self.modes_len as usize).min(MODES_MAX);
+        let means_m = self.modes.map(|mode| mode[step]);
+        let covariances_m2 = self.mode_covariance_m2.map(|mode| mode[step]);
+        levels.level(&means_m[..len], &covariances_m2[..len], &self.probability[..len], position_m, SEED)
     }
 }
 
@@ -73,13 +94,21 @@ impl Waiting {
 }
 
 /// Scores forecasts against later truth. Its memory is bounded, also where truth is missing.
-#[derive(Clone, Debug, Default)]
+#[derive(Clone, Debug)]
 pub struct Scorer {
     paths: Paths,
     waiting: VecDeque<Waiting>,
     /// Empty buffers of ticks that were scored.
     spare: Vec<Vec<Scored>>,
     tally: Tally,
+    levels: HighestDensity,
+}
+
+impl Default for Scorer {
+    fn default() -> Self {
+        let (paths, waiting, spare, tally) = Default::default();
+        Self { paths, waiting, spare, tally, levels: HighestDensity::with_room(MODES_MAX) }
+    }
 }
 
 impl Scorer {
@@ -124,7 +153,7 @@ impl Scorer {
 
     fn score_oldest(&mut self) {
         if let Some(mut tick) = self.waiting.pop_front() {
-            self.tally.score(&tick, &self.paths);
+            self.tally.score(&tick, &self.paths, &mut self.levels);
             tick.forecasts.clear();
             self.spare.push(tick.forecasts);
         }
@@ -140,7 +169,8 @@ impl Scorer {
         let mut tally = self.tally.clone();
         let (covered, open): (Vec<_>, Vec<_>) =
             self.waiting.iter().partition(|tick| tick.end_ns() <= newest_ns);
-        covered.iter().for_each(|tick| tally.score(tick, &self.paths));
+        let mut levels = self.levels.clone();
+        covered.iter().for_each(|tick| tally.score(tick, &self.paths, &mut levels));
         tally.uncovered_len += open.iter().map(|tick| tick.forecasts.len() as u64).sum::<u64>();
         tally.accuracy()
     }
@@ -158,6 +188,8 @@ struct Group {
     best_mode: DisplacementMean,
     single: DisplacementMean,
     constant_velocity: DisplacementMean,
+    /// Regions of each of [`LEVELS`] that held the truth, and all that were scored.
+    held: ([u64; LEVELS.len()], u64),
 }
 
 impl Group {
@@ -167,8 +199,16 @@ impl Group {
         self.constant_velocity.add(constant_velocity);
     }
 
+    fn add_level(&mut self, level: f64) {
+        let (held, len) = &mut self.held;
+        held.iter_mut().zip(LEVELS).for_each(|(held, of)| *held += u64::from(level <= of));
+        *len += 1;
+    }
+
     fn errors(&self) -> Errors {
         let rounded = |value: Option<f64>| value.map(|v| (v * 1e4).round() / 1e4);
+        let (held, len) = self.held;
+        let held = held.map(|held| (len > 0).then(|| held as f64 / len as f64));
         Errors {
             forecasts: self.best_mode.ade_m.len(),
             ade_m: rounded(self.best_mode.ade_m.value()),
@@ -180,6 +220,8 @@ impl Group {
             cv_ade_m: rounded(self.constant_velocity.ade_m.value()),
             cv_fde_m: rounded(self.constant_velocity.fde_m.value()),
             cv_miss_rate: rounded(self.constant_velocity.miss_rate.value()),
+            held_50: rounded(held[0]),
+            held_90: rounded(held[1]),
         }
     }
 }
@@ -197,8 +239,9 @@ struct Tally {
 }
 
 impl Tally {
-    fn score(&mut self, tick: &Waiting, paths: &Paths) {
-        for forecast in &tick.forecasts {
+    fn score(&mut self, tick: &Waiting, paths: &Paths, levels: &mut HighestDensity) {
+        let stride = tick.forecasts.len().div_ceil(REGIONS_MAX).max(1);
+        for (number, forecast) in tick.forecasts.iter().enumerate() {
             let Some(id) = agent_of(forecast, tick.stamp_ns, paths) else {
                 self.unmatched_len += 1;
                 continue;
@@ -213,6 +256,12 @@ impl Tally {
                 continue;
             }
             self.add(tick, forecast, truth);
+            // Another place in each tick, so that every agent is scored now and then.
+            let turn = (tick.stamp_ns / tick.step_ns.max(1)).unsigned_abs() as usize;
+            if let Some(Some(end_m)) = truth.last().filter(|_| (number + turn).is_multiple_of(stride)) {
+                let level = forecast.level(tick.horizon_len - 1, *end_m, levels);
+                self.groups(forecast).for_each(|group| group.add_level(level));
+            }
         }
     }
 
@@ -223,15 +272,18 @@ impl Tally {
             displacement(&forecast.best, truth),
             displacement(&constant_velocity(forecast, tick.step_ns), truth),
         ];
-        self.all.add(displacements);
-        if forecast.quality == Quality::Learned as u32 {
-            self.learned.add(displacements);
-        }
-        if let Ok(agent_type) = AgentType::try_from(forecast.agent_type) {
-            self.by_type[agent_type.index()].add(displacements);
-        }
+        self.groups(forecast).for_each(|group| group.add(displacements));
         self.draws = self.draws.max(forecast.modes_len);
         self.horizon_ns = self.horizon_ns.max(tick.end_ns() - tick.stamp_ns);
+    }
+
+    /// The groups that a forecast belongs to.
+    fn groups(&mut self, forecast: &Scored) -> impl Iterator<Item = &mut Group> {
+        let is_learned = forecast.quality == Quality::Learned as u32;
+        let learned = is_learned.then_some(&mut self.learned);
+        let by_type = AgentType::try_from(forecast.agent_type);
+        let by_type = by_type.ok().map(|agent_type| &mut self.by_type[agent_type.index()]);
+        std::iter::once(&mut self.all).chain(learned).chain(by_type)
     }
 
     fn accuracy(&self) -> Accuracy {

@@ -7,7 +7,7 @@ use crate::distribution::{Distribution, ms};
 use crate::losses::Losses;
 use crate::passage::{Passage, Phases, Timeline, place};
 use crate::report::{
-    Agents, ForecastCounts, Percentiles, PriorCounts, REPORT_VERSION, Report, RunInfo, StageDrops,
+    Agents, ForecastCounts, OutOfDistribution, Percentiles, PriorCounts, REPORT_VERSION, Report, RunInfo, StageDrops,
     StageReport, Status, Verdict,
 };
 
@@ -83,6 +83,22 @@ pub struct Recorder {
     states_by_prior: [u64; Quality::ALL.len()],
     degraded_ticks: u64,
     age_ns_max: Option<u64>,
+    out_of_distribution: OutOfDistribution,
+}
+
+/// From this measure on the network adds less than half of what it would.
+const OUTSIDE: f32 = 0.25;
+
+impl OutOfDistribution {
+    fn add(&mut self, forecast: &Forecast) {
+        let rounded = |value: f32| (f64::from(value) * 1e2).round() / 1e2;
+        let raise = |most: &mut Option<f64>, value: f64| *most = Some(most.map_or(value, |most| most.max(value)));
+        if forecast.out_of_distribution >= OUTSIDE {
+            self.forecasts += 1;
+            raise(&mut self.measure_max, rounded(forecast.out_of_distribution));
+            raise(&mut self.speed_mps_max, rounded(forecast.vx_mps.hypot(forecast.vy_mps)));
+        }
+    }
 }
 
 impl Recorder {
@@ -110,6 +126,7 @@ impl Recorder {
             states_by_prior: [0; Quality::ALL.len()],
             degraded_ticks: 0,
             age_ns_max: None,
+            out_of_distribution: OutOfDistribution::default(),
         }
     }
 
@@ -210,6 +227,7 @@ impl Recorder {
             if let Some(count) = self.forecasts_by_quality.get_mut(forecast.quality as usize) {
                 *count += 1;
             }
+            self.out_of_distribution.add(forecast);
             if let Some(count) = self.states_by_prior.get_mut(forecast.prior as usize) {
                 *count += 1;
             }
@@ -250,6 +268,7 @@ impl Recorder {
             agents_left_out: self.agents_left_out,
             agents: self.agents(),
             forecasts: self.forecast_counts(),
+            out_of_distribution: self.out_of_distribution,
             priors: self.prior_counts(),
             end_to_end_ms: self.end_to_end.percentiles_ms(),
             overhead_ms: self.overhead.percentiles_ms(),

@@ -171,6 +171,17 @@ impl Report {
         let share =
             |(name, n): (&str, u64)| format!("{name} {}", percent(Some(n as f64 / sum.max(1) as f64)));
         fact(text, "prior", &of_priors.map(|prior| (prior.1 > 0).then(|| share(prior))))?;
+        let outside = &self.out_of_distribution;
+        if let (Some(speed_mps), Some(most)) = (outside.speed_mps_max, outside.measure_max) {
+            let share = percent(Some(outside.forecasts as f64 / total as f64));
+            let (at_most, most) = (trimmed(speed_mps), trimmed(most));
+            writeln!(
+                text,
+                " {:LABEL_WIDTH$}{:>10}{share:>9}   never trained: speeds to {at_most} m/s, measure to {most}",
+                "outside",
+                count(outside.forecasts)
+            )?;
+        }
         let mut causes: Vec<_> = forecasts.causes.iter().filter(|&(_, &n)| n > 0).collect();
         causes.sort_by_key(|&(_, &n)| std::cmp::Reverse(n));
         causes.iter().try_for_each(|&(cause, &n)| {
@@ -219,6 +230,14 @@ impl Report {
         write!(text, " {:LABEL_WIDTH$}{:>10}", "miss rate", format!("> {} m", accuracy.miss_radius_m))?;
         misses.iter().try_for_each(|&share| write!(text, "{:>group$}", percent(share)))?;
         writeln!(text)?;
+        if let (Some(half), Some(most)) = (accuracy.errors.held_50, accuracy.errors.held_90) {
+            let held = format!(
+                "held the truth at the end: {} of 50 %, {} of 90 %",
+                percent(Some(half)).trim(),
+                percent(Some(most)).trim()
+            );
+            fact(text, "regions", &[Some(held)])?;
+        }
         let uncovered = format!("{} without complete truth", count(accuracy.uncovered));
         let unmatched = format!("{} without a match", count(accuracy.unmatched));
         fact(text, "horizon", &[Some(format!("{horizon_s:.1} s"))])?;

@@ -38,6 +38,9 @@ pub struct Report {
     pub agents: Agents,
     /// Forecasts by quality, and the causes of those that are not learned.
     pub forecasts: ForecastCounts,
+    /// Forecasts of agents that move as none did in training.
+    #[serde(default)]
+    pub out_of_distribution: OutOfDistribution,
     /// Track states by the prior that predicted them.
     #[serde(default)]
     pub priors: PriorCounts,
@@ -142,6 +145,17 @@ pub struct ForecastCounts {
     pub degraded_ticks: u64,
     /// Greatest age of a held forecast.
     pub age_ms_max: Option<f64>,
+}
+
+/// Forecasts whose out-of-distribution measure says that the network adds less than half of what it would.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct OutOfDistribution {
+    /// Forecasts beyond what was trained.
+    pub forecasts: u64,
+    /// The highest measure.
+    pub measure_max: Option<f64>,
+    /// The highest speed among them.
+    pub speed_mps_max: Option<f64>,
 }
 
 /// Track states by the prior that predicted them.
@@ -260,6 +274,12 @@ pub struct Errors {
     pub cv_fde_m: Option<f64>,
     /// Miss rate of constant velocity.
     pub cv_miss_rate: Option<f64>,
+    /// Share of the regions of 50 % at the end of the horizon that held the truth.
+    #[serde(default)]
+    pub held_50: Option<f64>,
+    /// Share of the regions of 90 % that held it.
+    #[serde(default)]
+    pub held_90: Option<f64>,
 }
 
 /// A report file could not be written or read.

@@ -10,14 +10,18 @@
 //! place; what the sampler has learned of its experts goes on to the next one. Before the first it expects what the
 //! *other* sources have [shown](evidence::Priors). The motorway is missing: fast
 //! sources are also shown at twice their scale, as sources of their own.
+//!
+//! [`through_gaps`] says what forecasts are worth to the tracker on the same sources: a [`GapReport`].
 
 mod error;
+mod gaps;
 mod play;
 mod report;
 mod sample;
 mod source;
 
 pub use error::DrivingError;
+pub use gaps::{GapReport, through_gaps};
 pub use report::Report;
 pub use sample::{Errors, METHODS, Method, Sample};
 pub use source::{Source, sources};
@@ -50,12 +54,7 @@ pub struct Options {
 /// # Errors
 /// [`DrivingError`] names the folder, recording or weights at fault.
 pub fn evaluate(options: &Options, progress: impl Fn(&str) + Sync) -> Result<Report, DrivingError> {
-    let weights = match &options.weights {
-        None => Weights::onboard(),
-        Some(path) => {
-            Weights::open(path).map_err(|source| DrivingError::Weights { path: path.clone(), source })?
-        }
-    };
+    let weights = model_of(options)?;
     let model = weights.config();
     let sources = sources(&options.folder, &options.sources)?;
     let windows = threads::each(&sources, options.threads, |source, _: &mut ()| {
@@ -71,6 +70,11 @@ pub fn evaluate(options: &Options, progress: impl Fn(&str) + Sync) -> Result<Rep
     });
     let played = played.into_iter().collect::<Result<Vec<_>, _>>()?;
     Ok(Report::new(sources, played, options, model))
+}
+
+fn model_of(options: &Options) -> Result<Weights, DrivingError> {
+    let Some(path) = &options.weights else { return Ok(Weights::onboard()) };
+    Weights::open(path).map_err(|source| DrivingError::Weights { path: path.clone(), source })
 }
 
 /// What evidence a source leaves, to expect at others.

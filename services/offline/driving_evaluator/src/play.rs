@@ -66,7 +66,7 @@ pub(crate) fn play(
     Ok(Played { samples, seconds: played_s, learned })
 }
 
-fn run(playback: &Playback, options: &Options) -> Result<Run, DrivingError> {
+pub(crate) fn run(playback: &Playback, options: &Options) -> Result<Run, DrivingError> {
     let sampler = sampler::Options { evidence: options.evidence, ..sampler::Options::default() };
     let map = if options.map { localiser::MapChoice::Online } else { localiser::MapChoice::None };
     Ok(Run {
