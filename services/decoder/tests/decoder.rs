@@ -67,7 +67,7 @@ fn close(a: [f32; 2], b: [f32; 2]) {
     assert!((a[0] - b[0]).abs() < 1e-4 && (a[1] - b[1]).abs() < 1e-4, "{a:?} is not {b:?}");
 }
 
-/// Ridge and anchors are added to the network's means, the best forecast gets no anchor.
+/// Ridge and anchors are added to what is kept of the network's means, the best forecast gets no anchor.
 #[test]
 fn the_base_control_is_added_to_the_means() {
     let mut model = Model::with_all_options();
@@ -91,9 +91,12 @@ fn the_base_control_is_added_to_the_means() {
         base.ridge(&features, &mut ridge);
         assert!(ridge.as_flattened().iter().any(|x| *x != 0.0));
         assert_eq!((with.base, without.base), (ridge, [[0.0; 2]; 12]));
+        let share = nn::base::kept_share(base.outside(&features));
+        assert!((0.0..1.0).contains(&share), "the random histories lie outside of a random support: {share}");
+        assert_eq!(with.out_of_distribution, base.outside(&features));
         for (step, (ridge, anchor)) in ridge.iter().zip(base.anchor(&features, 7)).enumerate() {
             let moved = |with: &ControlGaussian, without: &ControlGaussian| {
-                [0, 1].map(|c| with.mean[c] - without.mean[c])
+                [0, 1].map(|c| with.mean[c] - share * without.mean[c])
             };
             close(moved(&with.best[step], &without.best[step]), *ridge);
             close(

@@ -232,7 +232,7 @@ impl Report {
         writeln!(text)?;
         if let (Some(half), Some(most)) = (accuracy.errors.held_50, accuracy.errors.held_90) {
             let held = format!(
-                "held the truth at the end: {} of 50 %, {} of 90 %",
+                "of the ends, {} lay in the region of 50 % and {} in that of 90 %",
                 percent(Some(half)).trim(),
                 percent(Some(most)).trim()
             );

@@ -24,7 +24,8 @@ fn files(set: DataSet, root: &Path, part: Part) -> Vec<PathBuf> {
 /// Invariants of every recording.
 fn assert_sound(recording: &Recording) {
     assert!(!recording.frames.is_empty(), "{}", recording.name);
-    assert_eq!(recording.sha256.len(), 64);
+    let is_generated = recording.name.starts_with("generated/");
+    assert_eq!(recording.sha256.len(), if is_generated { 0 } else { 64 });
     assert!(recording.interval_ns > 0);
     assert!(recording.frames.is_sorted_by(|a, b| a.stamp_ns < b.stamp_ns), "{}", recording.name);
     for frame in &recording.frames {
@@ -155,7 +156,7 @@ fn every_file_of_every_part_is_read() {
             let files = files(set, &root, part);
             assert_eq!(files.len(), files_len, "{} {}", set.name(), part.name());
             for file in files {
-                assert_sound(&open(&file, Some(set.format())).unwrap_or_else(|error| panic!("{error}")));
+                assert_sound(&set.open(&file).unwrap_or_else(|error| panic!("{error}")));
             }
         }
     }

@@ -77,7 +77,8 @@ impl ContextPrior {
         self.blend.iter().all(|blend| blend.len > 0.0)
     }
 
-    /// The mean over sources, of the widths the median.
+    /// The mean over sources: of distances the geometric one, of the widths the median, so that a source of poor
+    /// positions does not rule.
     fn mean(sources: &[&Self]) -> Self {
         let share = 1.0 / sources.len() as f64;
         let nothing = Pattern { points: [[[0.0; 2]; KNOTS]; MODES_MAX], probability: [0.0; MODES_MAX] };
@@ -85,9 +86,6 @@ impl ContextPrior {
         for source in sources {
             for knot in 0..KNOTS {
                 mean.blend[knot].add_scaled(&source.blend[knot], share);
-                for axis in 0..2 {
-                    mean.deviation_m[knot][axis] += share as f32 * source.deviation_m[knot][axis];
-                }
             }
             let points = source.pattern.points.as_flattened().as_flattened();
             for (mean, at) in mean.pattern.points.as_flattened_mut().as_flattened_mut().iter_mut().zip(points) {
@@ -96,10 +94,12 @@ impl ContextPrior {
             for (mean, p) in mean.pattern.probability.iter_mut().zip(source.pattern.probability) {
                 *mean += share as f32 * p;
             }
-            for (mean, nearest_m) in mean.nearest_m.iter_mut().zip(source.nearest_m) {
-                *mean += share as f32 * nearest_m;
-            }
         }
+        mean.deviation_m = std::array::from_fn(|knot| {
+            [0, 1].map(|axis| geometric_mean(sources.iter().map(|source| source.deviation_m[knot][axis])))
+        });
+        mean.nearest_m =
+            std::array::from_fn(|set| geometric_mean(sources.iter().map(|source| source.nearest_m[set])));
         for (knot, log_width) in mean.log_width.iter_mut().enumerate() {
             let mut widths: Vec<f32> = sources.iter().map(|source| source.log_width[knot]).collect();
             widths.sort_unstable_by(f32::total_cmp);
@@ -184,6 +184,12 @@ impl Priors {
         let rounded = Self(self.0.iter().map(|(name, prior)| (name.clone(), rounded(prior))).collect());
         serde_json::to_string(&rounded).expect("keys are text")
     }
+}
+
+/// The geometric mean of distances; those below a millimetre count as one.
+fn geometric_mean(distances_m: impl Iterator<Item = f32>) -> f32 {
+    let (sum, len) = distances_m.fold((0.0, 0.0_f32), |(sum, len), x| (sum + x.max(1e-3).ln(), len + 1.0));
+    (sum / len.max(1.0)).exp()
 }
 
 /// A number of [`DIGITS`] digits.
