@@ -2,10 +2,10 @@ use std::path::{Path, PathBuf};
 
 use clap::{Args, ValueEnum};
 use data::sets::Part;
+use driving_evaluator::GapReport;
 use evaluator::{InteractionPart, MapChoice, Options, Report, WeightsChoice};
 use nn::Weights;
 use run::Exit;
-use driving_evaluator::GapReport;
 use tracking_evaluator::{KittiReport, TrackingReport};
 
 use crate::arguments::ReadArguments;
@@ -254,7 +254,8 @@ fn driving(arguments: &Arguments, sources: &[String]) -> driving_evaluator::Opti
 
 /// Forecasts as a car gets them, on many roads.
 fn drive(arguments: &Arguments) -> Result<Written, Failure> {
-    let report = driving_evaluator::evaluate(&driving(arguments, &arguments.parts), progress).map_err(Failure::data)?;
+    let report = driving_evaluator::evaluate(&driving(arguments, &arguments.parts), progress)
+        .map_err(Failure::data)?;
     if let Some(path) = &arguments.prior {
         write(path, &(report.priors().to_json() + "\n"))?;
     }
@@ -279,7 +280,9 @@ fn track(arguments: &Arguments) -> Result<Vec<Written>, Failure> {
     }
     let known = |part: &str| TRACKING_PARTS.contains(&part);
     if let Some(other) = arguments.parts.iter().find(|part| !known(part)) {
-        return Err(Failure::Usage(format!("--parts {other}: `tracking` has interaction, kitti and driving")));
+        return Err(Failure::Usage(format!(
+            "--parts {other}: `tracking` has interaction, kitti and driving"
+        )));
     }
     let options = options(arguments, &arguments.weights_dir);
     let mut written = Vec::new();
@@ -291,8 +294,12 @@ fn track(arguments: &Arguments) -> Result<Vec<Written>, Failure> {
                 Written::of_gaps(&report.map_err(Failure::data)?)
             }
             _ => {
-                let report =
-                    tracking_evaluator::interaction(&options, &arguments.sigmas, arguments.particles, progress);
+                let report = tracking_evaluator::interaction(
+                    &options,
+                    &arguments.sigmas,
+                    arguments.particles,
+                    progress,
+                );
                 Written::of_motion(&report.map_err(Failure::data)?)
             }
         });

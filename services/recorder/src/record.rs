@@ -7,8 +7,8 @@ use crate::distribution::{Distribution, ms};
 use crate::losses::Losses;
 use crate::passage::{Passage, Phases, Timeline, place};
 use crate::report::{
-    Agents, ForecastCounts, OutOfDistribution, Percentiles, PriorCounts, REPORT_VERSION, Report, RunInfo, StageDrops,
-    StageReport, Status, Verdict,
+    Agents, ForecastCounts, OutOfDistribution, Percentiles, PriorCounts, REPORT_VERSION, Report, RunInfo,
+    StageDrops, StageReport, Status, Verdict,
 };
 
 /// The time that a tick may take from release to forecast at 12.5 Hz.
@@ -92,7 +92,8 @@ const OUTSIDE: f32 = 0.25;
 impl OutOfDistribution {
     fn add(&mut self, forecast: &Forecast) {
         let rounded = |value: f32| (f64::from(value) * 1e2).round() / 1e2;
-        let raise = |most: &mut Option<f64>, value: f64| *most = Some(most.map_or(value, |most| most.max(value)));
+        let raise =
+            |most: &mut Option<f64>, value: f64| *most = Some(most.map_or(value, |most| most.max(value)));
         if forecast.out_of_distribution >= OUTSIDE {
             self.forecasts += 1;
             raise(&mut self.measure_max, rounded(forecast.out_of_distribution));

@@ -80,6 +80,11 @@ impl Spread {
         Self { factors, variance_max_m2, fan: (0, covariances_m2) }
     }
 
+    /// Whether modes and regions keep to what physics allows: those of a forecast with evidence do.
+    pub(crate) const fn is_limited(&self) -> bool {
+        self.variance_max_m2[0].is_finite()
+    }
+
     /// Whether a mode is one of the fan.
     pub(crate) const fn is_fan(&self, mode: usize) -> bool {
         self.fan.0 & (1 << mode) != 0

@@ -4,6 +4,7 @@ use wire::{AgentControls, Expert, Forecast, HORIZON_MAX, MODES_MAX, Rejected, St
 
 use crate::Propagation;
 use crate::experts::Spread;
+use crate::motion::LateralLimit;
 
 /// Largest deviation of the sum of an agent's mode probabilities from 1.
 const PROBABILITY_SLACK: f32 = 1e-3;
@@ -75,8 +76,12 @@ impl<'a> LearnedControls<'a> {
         for (mode, (published_steps, moments)) in modes.take(modes_len) {
             let moments = &mut moments[..self.horizon_len];
             let mut acting = [ControlGaussian::centred([0.0; 2]); HORIZON_MAX];
+            let mut limit = spread.is_limited().then(|| LateralLimit::new(model)).flatten();
             for ((control, acting), out) in mode_steps(mode).zip(&mut acting).zip(published_steps) {
                 *acting = model.acting(&control);
+                if let Some(limit) = &mut limit {
+                    limit.cut(acting);
+                }
                 *out = published(&model.relative_to_start(acting));
             }
             match propagation {

@@ -1,4 +1,4 @@
-use kinematics::{MotionKind, MotionModel};
+use kinematics::{ControlGaussian, MotionKind, MotionModel};
 use nalgebra::{Matrix4, Matrix4x5, Matrix5, Matrix5x4, SMatrix};
 use scene::{AgentType, State, motion_start, track_history};
 use wire::Track;
@@ -9,6 +9,46 @@ use crate::SamplerOptions;
 const STEADY_MPS: f32 = 1.0;
 /// A covariance with a larger entry is no estimate.
 const VARIANCE_MAX: f32 = 1e6;
+
+/// Largest acceleration across the course that tyres hold.
+const LATERAL_MAX_MPS2: f32 = 8.0;
+
+/// A vehicle along the controls of a mode, which it cuts to what tyres hold: |v² sin β / l_r| ≤ 8 m/s².
+pub(crate) struct LateralLimit {
+    rear_axle_m: f32,
+    dt_s: f32,
+    speed_mps: f32,
+    slip_rad: f32,
+}
+
+impl LateralLimit {
+    /// At the start of a motion; none of what is no vehicle.
+    pub(crate) fn new(model: &MotionModel) -> Option<Self> {
+        match model {
+            MotionModel::Bicycle { motion, start } => Some(Self {
+                rear_axle_m: motion.bicycle.rear_axle_m,
+                dt_s: motion.dt_s,
+                speed_mps: start.mean[3],
+                slip_rad: start.mean[4],
+            }),
+            MotionModel::Displacement { .. } => None,
+        }
+    }
+
+    /// Cuts the slip rate of the next step, and takes the step.
+    pub(crate) fn cut(&mut self, acting: &mut ControlGaussian) {
+        let next_mps = self.speed_mps + acting.mean[0] * self.dt_s;
+        let middle_mps = 0.5 * (self.speed_mps + next_mps);
+        let sine = LATERAL_MAX_MPS2 * self.rear_axle_m / (middle_mps * middle_mps).max(f32::MIN_POSITIVE);
+        let most_rad = if sine < 1.0 { sine.asin() } else { f32::INFINITY };
+        let next_rad = self.slip_rad + acting.mean[1] * self.dt_s;
+        let cut_rad = next_rad.clamp(-most_rad, most_rad);
+        if cut_rad != next_rad {
+            acting.mean[1] = (cut_rad - self.slip_rad) / self.dt_s;
+        }
+        (self.speed_mps, self.slip_rad) = (next_mps, cut_rad);
+    }
+}
 
 /// The motion of a track from its present state, without uncertainty.
 pub(crate) fn certain_motion(

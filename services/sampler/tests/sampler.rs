@@ -547,3 +547,25 @@ fn retrieval_corrects_forecasts_of_pedestrians() {
         forecast.modes
     );
 }
+
+/// At 30 m/s a slip rate that a street's corner takes would be beyond what tyres hold.
+#[test]
+fn vehicles_turn_no_harder_than_tyres_hold() {
+    let options = SamplerOptions { evidence: true, retrieval: false, ..SamplerOptions::default() };
+    for speed_mps in [4.0, 15.0, 30.0, 45.0] {
+        let track = track(1, AgentType::Vehicle, [3.0, 4.0], 0.4, speed_mps);
+        let decoded = controls(1, AgentType::Vehicle, &[[0.0, 0.8], [-5.0, -0.8]], 0.1);
+        let forecast = learned(&mut Sampler::new(options), 0, &[track], &[decoded])[0];
+        for mode in &forecast.modes[..2] {
+            let velocity = |step: usize| {
+                let before = if step == 0 { [3.0, 4.0] } else { mode[step - 1] };
+                [0, 1].map(|axis| (mode[step][axis] - before[axis]) / DT_S)
+            };
+            for step in 1..12 {
+                let (from, to) = (velocity(step - 1), velocity(step));
+                let across = (from[0] * to[1] - from[1] * to[0]) / from[0].hypot(from[1]).max(0.1) / DT_S;
+                assert!(across.abs() < 9.0, "{across} m/s² at {speed_mps} m/s");
+            }
+        }
+    }
+}

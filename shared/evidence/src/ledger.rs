@@ -4,8 +4,8 @@ use std::collections::{HashMap, VecDeque, hash_map};
 
 use wire::{AGENTS_MAX, AgentType, EXPERTS_MAX, Expert, HORIZON_MAX, MODES_MAX};
 
-use crate::width::Widths;
 use crate::fan::LearnedPattern;
+use crate::width::Widths;
 use crate::{BANDS, Context, ContextPrior, EXPERTS, Fan, KNOTS, Paths, Prior, SLOTS, Statistics};
 
 /// Forecasts that the prior counts for.

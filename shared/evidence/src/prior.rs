@@ -88,7 +88,8 @@ impl ContextPrior {
                 mean.blend[knot].add_scaled(&source.blend[knot], share);
             }
             let points = source.pattern.points.as_flattened().as_flattened();
-            for (mean, at) in mean.pattern.points.as_flattened_mut().as_flattened_mut().iter_mut().zip(points) {
+            for (mean, at) in mean.pattern.points.as_flattened_mut().as_flattened_mut().iter_mut().zip(points)
+            {
                 *mean += share as f32 * at;
             }
             for (mean, p) in mean.pattern.probability.iter_mut().zip(source.pattern.probability) {

@@ -87,7 +87,8 @@ fn track(source: &Source, options: &Options, model: &ModelConfig) -> Result<Vec<
             let stamp_ns = tick.header.stamp_ns;
             let time_s = (stamp_ns - *first_ns.get_or_insert(stamp_ns)) as f64 * 1e-9;
             let seen = tick.detections.iter().filter(|detection| gap(detection.id, time_s).is_none());
-            let measured: Vec<Detection> = seen.map(|detection| measured(detection, tick.header.seq)).collect();
+            let measured: Vec<Detection> =
+                seen.map(|detection| measured(detection, tick.header.seq)).collect();
             let header = tick.header;
             chain.tick(&header, &measured, |_| ());
             let plain_len = plain.step(&header, &measured, None, &mut plain_tracks);

@@ -252,9 +252,7 @@ impl TypeBase {
             speed_cuts_mps: metrics::speed_cuts_mps(agent_type),
             ridge: vec![0.0; binning::CLASSES * binning::SPEED_BINS * binning::FEATURES * controls_len],
             anchors: vec![0.0; binning::BINS * (config.modes + 1) * controls_len],
-            support: config
-                .base_support
-                .then(|| vec![EVERYWHERE; binning::CLASSES * binning::FEATURES]),
+            support: config.base_support.then(|| vec![EVERYWHERE; binning::CLASSES * binning::FEATURES]),
         }
     }
 

@@ -72,7 +72,8 @@ pub(crate) struct Samples {
 
 /// The folder of a recording is what its set is drawn evenly by: a site or a source.
 fn folder(set: DataSet, path: &Path) -> Option<PathBuf> {
-    matches!(set, DataSet::Interaction | DataSet::Driving | DataSet::Ngsim).then(|| path.parent().map(Path::to_owned))?
+    matches!(set, DataSet::Interaction | DataSet::Driving | DataSet::Ngsim)
+        .then(|| path.parent().map(Path::to_owned))?
 }
 
 /// The scenes to read.

@@ -377,8 +377,11 @@ impl<'a> Run<'a> {
         let Some(path) = &self.options.begin_with else { unreachable!("checked with the options") };
         let begun = open(path)?;
         let card = begun.card().cloned().ok_or_else(|| TrainError::NoCard { path: path.clone() })?;
-        let card: ModelCard = serde_json::from_value(card)
-            .map_err(|source| TrainError::Metadata { path: path.clone(), key: "card", source })?;
+        let card: ModelCard = serde_json::from_value(card).map_err(|source| TrainError::Metadata {
+            path: path.clone(),
+            key: "card",
+            source,
+        })?;
         let scores = |map| self.scores(weights, base, map, agents_max);
         let scores = [scores(Some(MapKind::Online))?, scores(None)?];
         let card = card.revised(self.options, base.fitness(), scores);
