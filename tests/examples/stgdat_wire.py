@@ -568,7 +568,8 @@ class AgentControls(c.Structure):
         ("modes", ControlGaussian * 12 * 20),  # Controls of each mode and step, before saturation: of a vehicle acceleration and slip rate, else displacements.
         ("best", ControlGaussian * 12),  # Controls of the single best forecast (K = 1).
         ("base", c.c_float * 2 * 12),  # The model's base control for the single best forecast, without what the network adds; zeros where the model has no base.
-        ("reserved", c.c_uint8 * 80),  # Zero.
+        ("out_of_distribution", c.c_float),  # How far the history lies outside of what the base control was fitted to, in the width of that; 0 inside, and where the model does not tell.
+        ("reserved", c.c_uint8 * 76),  # Zero.
     ]
 
     @staticmethod
@@ -585,7 +586,8 @@ _check(AgentControls, 5312, {
     "modes": 96,
     "best": 4896,
     "base": 5136,
-    "reserved": 5232,
+    "out_of_distribution": 5232,
+    "reserved": 5236,
 })
 
 
@@ -612,7 +614,7 @@ class Forecast(c.Structure):
         ("heading_rad", c.c_float),  # Heading at the stamp.
         ("length_m", c.c_float),  # Extent along the heading; 0 where unknown.
         ("width_m", c.c_float),  # Extent across the heading; 0 where unknown.
-        ("out_of_distribution", c.c_float),  # How far the agent is from what the model was trained on, greater is farther; 0 where it is not told.
+        ("out_of_distribution", c.c_float),  # How far the agent's history lies outside of what the model was trained on, in the width of that; 0 inside, and where it is not told.
         ("expert_weights", c.c_float * 8),  # Weight of each `Expert` by its number: network, base, constant velocity, decaying turn, process model; zeros where they are not told.
         ("probability", c.c_float * 20),  # Probability of each mode; they sum to 1.
         ("mode_expert", c.c_uint8 * 20),  # `Expert` of each mode as a number.

@@ -6,6 +6,7 @@ use clap::Args;
 use nn::Weights;
 use run::Exit;
 use trainer::{Errors, ModelCard};
+use wire::AgentType;
 
 use crate::failure::Failure;
 use crate::show::show;
@@ -131,10 +132,13 @@ pub fn text(card: &ModelCard) -> String {
 fn fitness(card: &ModelCard) -> String {
     let model = &card.options.model;
     let types = card.fitness.iter().map(|(name, fit)| {
-        format!(
-            "{name}s to {:.1} m/s, {:.1} to {:.1} m/s² along and {:.1} m/s² across their course",
-            fit.speed_max_mps, fit.accel_mps2[0], fit.accel_mps2[1], fit.lateral_accel_max_mps2
-        )
+        let speed = format!("{name}s to {:.1} m/s", fit.speed_max_mps);
+        // The others' accelerations are mostly noise of their positions.
+        if name != AgentType::Vehicle.name() {
+            return speed;
+        }
+        let ([braking, along], across) = (fit.accel_mps2, fit.lateral_accel_max_mps2);
+        format!("{speed}, {braking:.1} to {along:.1} m/s² along and {across:.1} m/s² across their course")
     });
     format!(
         "\nFit for {}; detections at {:.1} Hz or faster; histories of 2 to {} steps of {} s. Farther out the network adds \

@@ -89,7 +89,8 @@ fn track(source: &Source, options: &Options, model: &ModelConfig) -> Result<Vec<
             let seen = tick.detections.iter().filter(|detection| gap(detection.id, time_s).is_none());
             let measured: Vec<Detection> =
                 seen.map(|detection| measured(detection, tick.header.seq)).collect();
-            let header = tick.header;
+            let mut header = tick.header;
+            header.counts.agents_len = measured.len() as u32;
             chain.tick(&header, &measured, |_| ());
             let plain_len = plain.step(&header, &measured, None, &mut plain_tracks);
             let plain_len = plain_len.map_or(0, |tracked| tracked.tracks_len);
