@@ -294,11 +294,17 @@ impl<'a> Onboard<'a> {
         let burn_in = BurnIn { agents_len: 1, states: &states, present: &present };
         network.burn_in(&burn_in, &mut memory, &mut hidden);
         let mut base = vec![[0.0; 2]; (config.modes + 1) * config.horizon_len];
+        let mut share = 1.0;
         if let Some(of_type) = network.base() {
-            of_type.controls(&BaseFeatures::new(&states, |step| present[step], config), &mut base);
+            let features = BaseFeatures::new(&states, |step| present[step], config);
+            of_type.controls(&features, &mut base);
+            share = nn::base::kept_share(of_type.outside(&features));
         }
         let mut raw = vec![[0.0; nn::RAW_CONTROL]; base.len()];
         network.forecast(&hidden, &[encoding], Draws::Points(&base), &mut memory, &mut raw);
+        for [first, second, ..] in &mut raw {
+            (*first, *second) = (share * *first, share * *second);
+        }
         let mut probability = vec![0.0; config.modes];
         assert!(network.mode_probabilities(&hidden, &[encoding], &mut memory, &mut probability));
         let controls = raw.iter().zip(base).map(|(raw, base)| {
