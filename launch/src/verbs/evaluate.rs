@@ -46,6 +46,9 @@ pub struct Arguments {
     /// sites
     #[arg(long, value_enum, default_value_t = Map::Site)]
     map: Map,
+    /// Forecast vehicles of `interaction` along the lanes of each site's Lanelet2 map, in DIR/interaction/maps
+    #[arg(long)]
+    lanes: bool,
     /// Parts of `interaction`: `seen` or a held-out site [default: seen,FT,EP1]; of `tracking`: `interaction`
     /// (filters on noisy positions) and `kitti` (trackers on a detector's output) [default: both]; of
     /// `driving`: sources [default: all]
@@ -140,6 +143,7 @@ fn refuse_unused(name: &str, arguments: &Arguments) -> Result<(), Failure> {
             "`eth-ucy`, `sdd` and `interaction`",
         ),
         ("--parts", !arguments.parts.is_empty(), has_parts, "`interaction`, `driving` and `tracking`"),
+        ("--lanes", arguments.lanes, name == "interaction", "`interaction`"),
         ("--without-evidence", arguments.without_evidence, is_driving, "`driving`"),
         ("--prior", arguments.prior.is_some(), is_driving, "`driving`"),
         ("--sigmas", !arguments.sigmas.is_empty(), is_tracking, "`tracking`"),
@@ -222,6 +226,7 @@ fn options(arguments: &Arguments, weights_dir: &Path) -> Options {
             Map::Online => MapChoice::Online,
             Map::Site => MapChoice::Site,
         },
+        lanes: arguments.lanes,
         threads: arguments.threads.map_or(threads, usize::from),
     }
 }

@@ -14,7 +14,7 @@ use crate::judge::Block;
 use crate::reference::{self, PaperRow};
 use crate::report::{Column, Report, Table};
 use crate::weights::Model;
-use crate::{Baselines, Cut, Errors, EvaluateError, MOVING_MPS, Subset};
+use crate::{Baselines, Cut, Errors, EvaluateError, Judge, MOVING_MPS, Subset};
 
 /// Steps of the protocol: 2 Hz.
 const STEPS: (usize, usize, f64) = (4, 10, 0.5);
@@ -109,7 +109,7 @@ impl Protocol<'_> {
             let site = footage.site();
             let map = (options.map == MapChoice::Site).then(|| map_of(training, &site)).flatten();
             let map = options.map.input(map.as_ref());
-            let judge = rules.judge_with(model, &baselines);
+            let judge = Judge { lanes: options.lanes_of(&site)?, ..rules.judge_with(model, &baselines) };
             if visited.as_ref().is_none_or(|(name, _)| *name != site) {
                 let mut memory = model.forecaster.memory();
                 for earlier in training.iter().filter(|footage| footage.site() == site) {
@@ -142,13 +142,16 @@ impl Protocol<'_> {
         let baselines = Baselines::fit(others.flat_map(|footage| &footage.scenes), cut, SEED);
         let (mut tests, mut all, mut recordings) = (Vec::new(), Vec::new(), Vec::new());
         let mut name = site.to_owned();
-        let judge = rules.judge_with(model, &baselines);
+        let mut judge = rules.judge_with(model, &baselines);
         let mut memory = model.forecaster.memory();
         for part in [Part::Train, Part::Validation, Part::Test] {
             let of_site = |path: &PathBuf| short(&folder(path)) == site;
             let paths: Vec<PathBuf> = SET.files(&options.data, part)?.into_iter().filter(of_site).collect();
             for footage in options.read(&paths, OpenOptions::of(SET.format()), cut)? {
-                name = footage.site();
+                if name != footage.site() {
+                    name = footage.site();
+                    judge.lanes = options.lanes_of(&name)?;
+                }
                 // The site's earlier recordings are part of no training: no site map.
                 let Footage { recording, scenes } = &footage;
                 let map = options.map.input(None);
