@@ -42,8 +42,8 @@ pub struct Arguments {
     /// beside
     #[arg(long, value_name = "DIR,…", value_delimiter = ',', conflicts_with = "weights")]
     beside: Vec<PathBuf>,
-    /// Map for models that read one; `site` means `none` at held-out sites and `online` in data sets without
-    /// sites
+    /// Map for models that read one; `site` means `none` at held-out sites, the map of their lanes with
+    /// --lanes, and `online` in data sets without sites
     #[arg(long, value_enum, default_value_t = Map::Site)]
     map: Map,
     /// Forecast vehicles of `interaction` along the lanes of each site's Lanelet2 map, in DIR/interaction/maps
@@ -111,7 +111,7 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
             report.add_beside(&beside.collect::<Result<Vec<_>, _>>()?);
             report.warnings.iter().for_each(|line| eprintln!("warning: {line}"));
             report.left_out.iter().for_each(|line| eprintln!("warning: left out: {line}"));
-            vec![Written::of_forecasts(&report, name)]
+            vec![Written::of_forecasts(&report, name, arguments.lanes)]
         }
     };
     if let Some(path) = &arguments.csv {
@@ -181,10 +181,10 @@ struct Written {
 }
 
 impl Written {
-    fn of_forecasts(report: &Report, set: &str) -> Self {
+    fn of_forecasts(report: &Report, set: &str, lanes: bool) -> Self {
         Self {
             name: "forecasts",
-            mark: format!("evaluate {set}"),
+            mark: format!("evaluate {set}{}", if lanes { " --lanes" } else { "" }),
             markdown: report.markdown(),
             summary: report.summary(),
             csv: report.csv(),

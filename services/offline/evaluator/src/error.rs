@@ -13,6 +13,14 @@ pub enum EvaluateError {
     /// A map of lanes can't be read.
     #[error(transparent)]
     Lanes(#[from] LaneMapError),
+    /// A map of lanes gives no context map.
+    #[error("{site}: {source}")]
+    Map {
+        /// The site.
+        site: String,
+        /// Why.
+        source: mapper::MapError,
+    },
     /// Weights that a table needs are not there.
     #[error("{path}: no such weights; `stgdat train --recipe {recipe}` makes them, --weights names others")]
     NoWeights {

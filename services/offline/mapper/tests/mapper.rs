@@ -105,7 +105,7 @@ fn lane(tags: &str) -> LaneMap {
         node(3, 0.0, -2.0),
         node(4, 40.0, -2.0)
     );
-    LaneMap::parse("lane.osm", text.as_bytes(), Coordinates::Default).unwrap()
+    LaneMap::parse("lane.osm", text.as_bytes(), Coordinates::Default).expect("a good map")
 }
 
 #[test]

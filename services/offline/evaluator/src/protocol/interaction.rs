@@ -143,6 +143,7 @@ impl Protocol<'_> {
         let (mut tests, mut all, mut recordings) = (Vec::new(), Vec::new(), Vec::new());
         let mut name = site.to_owned();
         let mut judge = rules.judge_with(model, &baselines);
+        let mut drawn = None;
         let mut memory = model.forecaster.memory();
         for part in [Part::Train, Part::Validation, Part::Test] {
             let of_site = |path: &PathBuf| short(&folder(path)) == site;
@@ -151,10 +152,12 @@ impl Protocol<'_> {
                 if name != footage.site() {
                     name = footage.site();
                     judge.lanes = options.lanes_of(&name)?;
+                    let of_lanes = judge.lanes.as_deref().map(mapper::of_lanes).transpose();
+                    drawn = of_lanes.map_err(|source| EvaluateError::Map { site: name.clone(), source })?;
                 }
-                // The site's earlier recordings are part of no training: no site map.
+                // The site's earlier recordings are part of no training: no site map but that of its lanes.
                 let Footage { recording, scenes } = &footage;
-                let map = options.map.input(None);
+                let map = options.map.input(drawn.as_ref());
                 let blocks = judge.revisit(recording, scenes, map, Some(&mut memory));
                 memory.end_session();
                 if part == options.part {
@@ -166,7 +169,11 @@ impl Protocol<'_> {
         }
         let of_part = format!("{} part", options.part.name());
         need_agents(&tests, &format!("{site}, {of_part}"), cut)?;
-        let map_label = if options.map == MapChoice::Online { "online" } else { "none" };
+        let map_label = match options.map {
+            MapChoice::Online => "online",
+            MapChoice::Site if options.lanes => "of the site's lanes",
+            _ => "none",
+        };
         let part = format!("held-out {site}");
         add_provenance(report, model.provenance(&part, map_label, &recordings.iter().collect::<Vec<_>>()));
         let by_itself = Judged::new(format!("{part}, {of_part}"), name.clone(), &tests);
