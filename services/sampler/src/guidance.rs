@@ -8,7 +8,8 @@ use retrieval::{ControlChanges, ForecastControls, Residuals};
 use scene::AgentType;
 use wire::{ControlGaussian, HORIZON_MAX, MODES_MAX, Track};
 
-/// Corrections of the controls: one leaves some metres at the end, since residuals are of speed and curvature.
+/// Corrections of the controls: one leaves some metres at the end, since residuals are of speed and
+/// curvature.
 const PASSES: usize = 2;
 
 /// The lanes of a site, and scratch memory.

@@ -65,8 +65,9 @@ impl LaneGuide {
     /// votes       π_r = Σ_m P_m exp(−½ (D_mr − D_m)²)        made to sum to 1 over r for each m
     /// ```
     ///
-    /// c_r is the line that the agent would drive along route r; D is the mean distance between a path and the
-    /// line at the same lengths, D_m that of the nearest route; g(D) = exp(−½ D²/6²); s_k = t_k / 5 s, at most 1.
+    /// c_r is the line that the agent would drive along route r; D is the mean distance between a path and
+    /// the line at the same lengths, D_m that of the nearest route; g(D) = exp(−½ D²/6²); s_k = t_k / 5 s,
+    /// at most 1.
     ///
     /// # Panics
     /// Where there are more modes, or longer paths, than a payload holds, or not a probability for each.

@@ -16,6 +16,7 @@
 
 mod corridor;
 mod error;
+mod geometry;
 mod grid;
 mod guide;
 mod map;

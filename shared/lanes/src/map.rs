@@ -7,8 +7,9 @@ use std::path::Path;
 
 use wire::AgentType;
 
+use crate::geometry::{Sampled, align, near};
 use crate::grid::Grid;
-use crate::osm::{self, Elements, Line, Relation, Tags, XML_BYTES_MAX, shortened};
+use crate::osm::{self, Elements, Line, Relation, XML_BYTES_MAX, shortened};
 use crate::{Coordinates, Kind, LaneMapError, tags};
 
 /// Most lanes: a lanelet that is used both ways counts twice.
@@ -41,8 +42,6 @@ pub struct Lane {
     pub half_width_m: Vec<f32>,
     /// Length along the middle up to each point.
     pub along_m: Vec<f32>,
-    /// Where along the lane there are lines to stop or yield at.
-    pub stops_m: Vec<f32>,
     /// The bounds, left and right, in the direction of the lane.
     pub bounds_m: [Vec<[f32; 2]>; 2],
     /// Places in [`LaneMap::lanes`] of the lanes that begin where this one ends.
@@ -184,31 +183,6 @@ impl<'a, 'e> Reading<'a, 'e> {
         Self { elements, begun: Vec::new(), points_len: 0 }
     }
 
-    /// The lines at which a lanelet's regulatory elements have it stop or yield.
-    fn stop_lines(&self, relation: &Relation<'a>, id: i64) -> Result<Vec<Line>, String> {
-        let mut lines = Vec::new();
-        for member in relation.members.iter().filter(|member| member.role == "regulatory_element") {
-            let Some(rule) = self.elements.relations.get(&member.element.id) else { continue };
-            let of_rule = |role: &str, wanted: i64| {
-                let mut members = rule.members.iter();
-                members.any(|member| member.role == role && member.element.id == wanted)
-            };
-            let is_bound = match rule.tags.get("subtype") {
-                Some("right_of_way") => of_rule("yield", id),
-                Some("all_way_stop" | "traffic_sign" | "traffic_light") => true,
-                _ => false,
-            };
-            if !is_bound {
-                continue;
-            }
-            for line in rule.members.iter().filter(|member| member.role == "ref_line") {
-                let why = |why| format!("relation {}: role `ref_line`: {why}", member.element.id);
-                lines.push(self.elements.line(line.element.id).map_err(why)?);
-            }
-        }
-        Ok(lines)
-    }
-
     fn map(mut self) -> Result<LaneMap, LaneMapError> {
         let elements = self.elements;
         let mut areas = Vec::new();
@@ -251,7 +225,6 @@ impl<'a, 'e> Reading<'a, 'e> {
         let limit_mps = self.limit_mps(relation).map_err(failed)?;
         let both_ways = !tags::is_one_way(relation.tags).map_err(failed)?;
         let sampled = Sampled::of(&left, &right, given.as_ref());
-        let stop_lines = self.stop_lines(relation, id).map_err(failed)?;
         let tags_of = |line: &Line| elements.ways.get(&line.way).map(|way| way.tags);
         for is_reversed in [false, true] {
             if is_reversed && !both_ways {
@@ -269,11 +242,7 @@ impl<'a, 'e> Reading<'a, 'e> {
                 tags_of(line).is_some_and(|tags| tags::may_cross(tags, side, is_along))
             });
             self.points_len += sampled.centre_m.len() + left.points_m.len() + right.points_m.len();
-            let mut lane = sampled.lane(id, users, limit_mps, [&left, &right]);
-            let mut stops_m: Vec<f32> =
-                stop_lines.iter().filter_map(|line| crossing_m(&lane, line)).collect();
-            stops_m.sort_by(f32::total_cmp);
-            lane.stops_m = stops_m;
+            let lane = sampled.lane(id, users, limit_mps, [&left, &right]);
             self.begun.push(Begun {
                 lane,
                 start: [left.ends[0], right.ends[0]],
@@ -338,157 +307,6 @@ impl<'a, 'e> Reading<'a, 'e> {
     }
 }
 
-/// A lane's middle and bounds at points about [`SPACING_M`] apart.
-#[derive(Clone)]
-struct Sampled {
-    centre_m: Vec<[f32; 2]>,
-    half_width_m: Vec<f32>,
-}
-
-impl Sampled {
-    fn of(left: &Line, right: &Line, given: Option<&Line>) -> Self {
-        let bounds = [left, right].map(|line| Measured::new(&line.points_m));
-        let longest_m = bounds.iter().map(Measured::length_m).fold(0.0, f64::max);
-        let given = given.map(|line| {
-            let starts_at = |point: [f64; 2]| distance(point, left.points_m[0]);
-            let mut points_m = line.points_m.clone();
-            if starts_at(points_m[points_m.len() - 1]) < starts_at(points_m[0]) {
-                points_m.reverse();
-            }
-            Measured::new(&points_m)
-        });
-        let steps = (longest_m / SPACING_M).ceil().clamp(1.0, POINTS_MAX as f64) as usize;
-        let mut sampled = Self { centre_m: Vec::new(), half_width_m: Vec::new() };
-        for step in 0..=steps {
-            let share = step as f64 / steps as f64;
-            let [l, r] = bounds.each_ref().map(|bound| bound.at(share));
-            let middle = [0, 1].map(|axis| 0.5 * (l[axis] + r[axis]));
-            let centre_m = near(&given.as_ref().map_or(middle, |given| given.at(share)));
-            if sampled.centre_m.last() != Some(&centre_m) {
-                sampled.centre_m.push(centre_m);
-                sampled.half_width_m.push((0.5 * distance(l, r)) as f32);
-            }
-        }
-        if let ([only], Some(end)) = (&sampled.centre_m[..], left.points_m.last()) {
-            // Bounds that cross: any second point gives the lane a direction.
-            let beside = [only[0], only[1] + 0.01_f32.max((end[1].abs() * 1e-6) as f32)];
-            sampled.centre_m.push(beside);
-            sampled.half_width_m.push(0.0);
-        }
-        sampled
-    }
-
-    fn reversed(mut self) -> Self {
-        self.centre_m.reverse();
-        self.half_width_m.reverse();
-        self
-    }
-
-    fn lane(self, id: i64, users: Users, limit_mps: Option<f32>, bounds: [&Line; 2]) -> Lane {
-        let mut along_m = vec![0.0_f32];
-        for (before, after) in self.centre_m.iter().zip(&self.centre_m[1..]) {
-            let last_m = along_m.last().copied().unwrap_or(0.0);
-            along_m.push(last_m + (after[0] - before[0]).hypot(after[1] - before[1]));
-        }
-        Lane {
-            id,
-            users,
-            limit_mps,
-            centre_m: self.centre_m,
-            half_width_m: self.half_width_m,
-            along_m,
-            stops_m: Vec::new(),
-            bounds_m: bounds.map(|line| line.points_m.iter().map(near).collect()),
-            successors: Vec::new(),
-            beside: [None; 2],
-        }
-    }
-}
-
-/// A line with the length up to each of its points.
-struct Measured {
-    points_m: Vec<[f64; 2]>,
-    along_m: Vec<f64>,
-}
-
-impl Measured {
-    fn new(points_m: &[[f64; 2]]) -> Self {
-        let mut along_m = vec![0.0];
-        for pair in points_m.windows(2) {
-            along_m.push(along_m.last().copied().unwrap_or(0.0) + distance(pair[0], pair[1]));
-        }
-        Self { points_m: points_m.to_vec(), along_m }
-    }
-
-    fn length_m(&self) -> f64 {
-        self.along_m.last().copied().unwrap_or(0.0)
-    }
-
-    /// The point at a share of the length.
-    fn at(&self, share: f64) -> [f64; 2] {
-        let wanted_m = share * self.length_m();
-        let after =
-            self.along_m.partition_point(|along_m| *along_m < wanted_m).clamp(1, self.points_m.len() - 1);
-        let (from, to) = (self.points_m[after - 1], self.points_m[after]);
-        let (from_m, to_m) = (self.along_m[after - 1], self.along_m[after]);
-        let part = if to_m > from_m { ((wanted_m - from_m) / (to_m - from_m)).clamp(0.0, 1.0) } else { 0.0 };
-        [0, 1].map(|axis| from[axis] + part * (to[axis] - from[axis]))
-    }
-}
-
-/// Turns two bounds into the direction of their lanelet: both the same way, the left one on the left.
-fn align(left: &mut Line, right: &mut Line) -> Result<(), String> {
-    let ends = |line: &Line| [line.points_m[0], line.points_m[line.points_m.len() - 1]];
-    let ([l0, l1], [r0, r1]) = (ends(left), ends(right));
-    if distance(l0, r0) + distance(l1, r1) > distance(l0, r1) + distance(l1, r0) {
-        right.reverse();
-    }
-    let around = left.points_m.iter().chain(right.points_m.iter().rev());
-    let area = signed_area(around);
-    if area == 0.0 {
-        return Err(format!("ways {} and {} enclose no area", left.way, right.way));
-    }
-    if area > 0.0 {
-        left.reverse();
-        right.reverse();
-    }
-    Ok(())
-}
-
-/// Where along a lane a line crosses its middle, or the end of it where the line lies right beyond.
-fn crossing_m(lane: &Lane, line: &Line) -> Option<f32> {
-    const BEYOND_M: f32 = 2.0;
-    let last = lane.centre_m.len() - 1;
-    for pair in line.points_m.windows(2) {
-        let [a, b] = [near(&pair[0]), near(&pair[1])];
-        for (number, segment) in lane.centre_m.windows(2).enumerate() {
-            let along = [0, 1].map(|axis| segment[1][axis] - segment[0][axis]);
-            let length_m = along[0].hypot(along[1]).max(1e-6);
-            let side = |p: [f32; 2]| along[0] * (p[1] - segment[0][1]) - along[1] * (p[0] - segment[0][0]);
-            let (of_a, of_b) = (side(a), side(b));
-            if of_a * of_b > 0.0 || of_a == of_b {
-                continue;
-            }
-            let part = of_a / (of_a - of_b);
-            let at = [0, 1].map(|axis| a[axis] + part * (b[axis] - a[axis]) - segment[0][axis]);
-            let at_m = (at[0] * along[0] + at[1] * along[1]) / length_m;
-            let most_m = length_m + if number + 1 == last { BEYOND_M } else { 0.0 };
-            if (0.0..=most_m).contains(&at_m) {
-                return Some((lane.along_m[number] + at_m).min(lane.length_m()));
-            }
-        }
-    }
-    None
-}
-
-/// Twice the area inside a closed line; positive where it runs counter-clockwise.
-fn signed_area<'p>(points_m: impl Iterator<Item = &'p [f64; 2]> + Clone) -> f64 {
-    // About the first point, so that nothing cancels far from the origin.
-    let Some(&[x0, y0]) = points_m.clone().next() else { return 0.0 };
-    let next = points_m.clone().cycle().skip(1);
-    points_m.zip(next).map(|(a, b)| (a[0] - x0) * (b[1] - y0) - (b[0] - x0) * (a[1] - y0)).sum()
-}
-
 /// Finds for each lane those that follow it and those beside it.
 fn joined(begun: Vec<Begun>) -> Vec<Lane> {
     let mut by_start: BTreeMap<[i64; 2], Vec<u32>> = BTreeMap::new();
@@ -515,24 +333,4 @@ fn joined(begun: Vec<Begun>) -> Vec<Lane> {
         lanes.push(begun.lane);
     }
     lanes
-}
-
-fn distance(a: [f64; 2], b: [f64; 2]) -> f64 {
-    (a[0] - b[0]).hypot(a[1] - b[1])
-}
-
-fn near(point: &[f64; 2]) -> [f32; 2] {
-    point.map(|x| x as f32)
-}
-
-impl Tags<'_> {
-    /// Whether a tag says yes; none where it is not there.
-    pub(crate) fn yes(self, key: &str) -> Result<Option<bool>, String> {
-        match self.get(key) {
-            None => Ok(None),
-            Some("yes" | "true" | "1") => Ok(Some(true)),
-            Some("no" | "false" | "0") => Ok(Some(false)),
-            Some(other) => Err(format!("{key} = \"{}\": expected yes or no", shortened(other))),
-        }
-    }
 }

@@ -77,6 +77,16 @@ impl<'a> Tags<'a> {
         self.iter().find(|(own, _)| *own == key).map(|(_, value)| value)
     }
 
+    /// Whether a tag says yes; none where it is not there.
+    pub(crate) fn yes(self, key: &str) -> Result<Option<bool>, String> {
+        match self.get(key) {
+            None => Ok(None),
+            Some("yes" | "true" | "1") => Ok(Some(true)),
+            Some("no" | "false" | "0") => Ok(Some(false)),
+            Some(other) => Err(format!("{key} = \"{}\": expected yes or no", shortened(other))),
+        }
+    }
+
     /// All keys with their values.
     pub(crate) fn iter(self) -> impl Iterator<Item = (&'a str, &'a str)> {
         let tags = self.0.children().filter(|child| child.has_tag_name("tag"));

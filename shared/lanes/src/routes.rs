@@ -30,22 +30,14 @@ const SAME_M: f32 = 1.0;
 pub struct Route {
     /// Points [`ROUTE_STEP_M`] apart, straight on where the map ends.
     pub points_m: Vec<[f32; 2]>,
-    /// Speed limit at each point; infinite where there is none.
-    pub limit_mps: Vec<f32>,
     /// Half of the width at each point.
     pub half_width_m: Vec<f32>,
-    /// Distance to the first line to stop or yield at; infinite where there is none.
-    pub stop_m: f32,
     /// Distance of the agent to the left of the first point.
     pub offset_m: f32,
     /// Direction of the agent to the left of the route's.
     pub turn_rad: f32,
     /// Lanes that the route passes through, by their places.
     pub lanes: Vec<u32>,
-    /// Length of the route within the map.
-    pub mapped_m: f32,
-    /// Whether the route begins on a lane that the agent would change to.
-    pub is_change: bool,
 }
 
 /// The routes of one agent after another, with scratch memory allocated once.
@@ -66,7 +58,6 @@ struct Start {
     along_m: f32,
     offset_m: f32,
     turn_rad: f32,
-    is_change: bool,
     cost: f32,
 }
 
@@ -74,7 +65,6 @@ impl Default for Routes {
     fn default() -> Self {
         let route = || Route {
             points_m: Vec::with_capacity(ROUTE_POINTS_MAX),
-            limit_mps: Vec::with_capacity(ROUTE_POINTS_MAX),
             half_width_m: Vec::with_capacity(ROUTE_POINTS_MAX),
             lanes: Vec::with_capacity(ROUTE_LANES_MAX),
             ..Route::default()
@@ -131,7 +121,7 @@ impl Routes {
                     continue;
                 }
                 let there = Start::beside(lanes, beside, agent_type, position_m, heading_rad);
-                starts.extend(there.map(|start| Start { is_change: true, ..start }));
+                starts.extend(there);
             }
         }
         starts.sort_by(|a, b| a.cost.total_cmp(&b.cost).then(a.lane.cmp(&b.lane)));
@@ -167,7 +157,7 @@ impl Routes {
     fn add(&mut self, lanes: &[Lane], start: Start, points_len: usize) {
         let (routes, route) = self.routes.split_at_mut(self.len);
         let route = &mut route[0];
-        (route.offset_m, route.turn_rad, route.is_change) = (start.offset_m, start.turn_rad, start.is_change);
+        (route.offset_m, route.turn_rad) = (start.offset_m, start.turn_rad);
         route.lanes.clear();
         route.lanes.extend_from_slice(&self.lanes);
         route.draw(lanes, start.along_m, points_len);
@@ -185,18 +175,13 @@ impl Routes {
 impl Route {
     /// Writes the points along the route's lanes.
     fn draw(&mut self, lanes: &[Lane], from_m: f32, points_len: usize) {
-        let Self { points_m, limit_mps, half_width_m, stop_m, lanes: through, mapped_m, .. } = self;
+        let Self { points_m, half_width_m, lanes: through, .. } = self;
         points_m.clear();
-        limit_mps.clear();
         half_width_m.clear();
-        *stop_m = f32::INFINITY;
         // `passed_m`: length of the lanes before this one.
-        let (mut passed_m, mut direction, mut limit, mut half_m) = (-from_m, [1.0, 0.0], f32::INFINITY, 0.0);
+        let (mut passed_m, mut direction, mut half_m) = (-from_m, [1.0, 0.0], 0.0);
         for &lane in &*through {
             let lane = &lanes[lane as usize];
-            limit = lane.limit_mps.unwrap_or(f32::INFINITY);
-            let ahead = lane.stops_m.iter().map(|at_m| passed_m + at_m).find(|ahead_m| *ahead_m > 0.0);
-            *stop_m = stop_m.min(ahead.unwrap_or(f32::INFINITY));
             let segments = lane.centre_m.windows(2).zip(lane.along_m.windows(2));
             for ((segment, along_m), half_widths_m) in segments.zip(lane.half_width_m.windows(2)) {
                 let length_m = (along_m[1] - along_m[0]).max(1e-6);
@@ -207,7 +192,6 @@ impl Route {
                         break;
                     }
                     points_m.push([0, 1].map(|axis| segment[0][axis] + wanted_m * direction[axis]));
-                    limit_mps.push(limit);
                     let part = wanted_m / length_m;
                     half_m = half_widths_m[0] + part * (half_widths_m[1] - half_widths_m[0]);
                     half_width_m.push(half_m);
@@ -215,13 +199,11 @@ impl Route {
             }
             passed_m += lane.length_m();
         }
-        *mapped_m = passed_m;
         while points_m.len() < points_len {
             let beyond_m = points_m.len() as f32 * ROUTE_STEP_M - passed_m;
             let end = through.last().and_then(|&lane| lanes[lane as usize].centre_m.last());
             let end = end.copied().unwrap_or_default();
             points_m.push([0, 1].map(|axis| end[axis] + beyond_m * direction[axis]));
-            limit_mps.push(limit);
             half_width_m.push(half_m);
         }
     }
@@ -288,7 +270,7 @@ impl Start {
         let is_beyond = (share < 0.0 && number == 0) || (share > 1.0 && number + 2 == lane.centre_m.len());
         let along_m = lane.along_m[number] + share.clamp(0.0, 1.0) * length_m;
         let cost = offset_m * offset_m + (turn_rad / 0.25) * (turn_rad / 0.25);
-        let start = Self { lane: place, along_m, offset_m, turn_rad, is_change: false, cost };
+        let start = Self { lane: place, along_m, offset_m, turn_rad, cost };
         Some((start, lane.half_width_m[number], is_beyond))
     }
 }

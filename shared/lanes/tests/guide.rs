@@ -148,7 +148,6 @@ proptest! {
         prop_assert!(routes.as_slice().len() <= ROUTES_MAX);
         for route in routes.as_slice() {
             prop_assert!(route.points_m.len() == route.half_width_m.len());
-            prop_assert!(route.points_m.len() == route.limit_mps.len());
             prop_assert!(route.points_m.windows(2).all(|p| (p[0][0] - p[1][0]).hypot(p[0][1] - p[1][1]) < 1.01));
         }
     }
