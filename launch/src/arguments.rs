@@ -4,12 +4,14 @@ use std::path::{Path, PathBuf};
 
 use clap::Args;
 use data::{Format, FrameRate, OpenOptions, Recording};
+use lanes::{Coordinates, LaneMap, Origin};
 use localiser::MapChoice;
 use model::ModelConfig;
 use nn::Weights;
 use retrieval::RetrievalMemory;
 use run::Run;
 use rustix::fs::Access;
+use sampler::LanesOrigin;
 use source::{Playback, PlaybackOptions};
 use toml::Value;
 use wire::StageId;
@@ -100,6 +102,12 @@ pub struct ModelArguments {
     /// Context map: `online`, `none` or a file written by `stgdat map`
     #[arg(long, value_name = "MAP")]
     pub map: Option<MapChoice>,
+    /// Lanelet2 map of the site (OSM XML), along whose lanes the forecasts of vehicles go
+    #[arg(long, value_name = "FILE")]
+    lanes: Option<PathBuf>,
+    /// Latitude and longitude of the world frame's origin in the map of --lanes, degrees
+    #[arg(long, value_name = "LAT,LON", requires = "lanes", allow_hyphen_values = true)]
+    lanes_origin: Option<Origin>,
 }
 
 /// A recording that is played in this process, with its options.
@@ -225,13 +233,28 @@ impl RetrievalArguments {
 }
 
 impl ModelArguments {
-    /// Settings of the localiser.
-    pub fn settings(&self) -> Vec<Setting> {
+    /// Settings of the localiser and of the sampler.
+    pub fn settings(&self) -> Result<Vec<Setting>, Failure> {
         let map = self
             .map
             .as_ref()
             .map(|map| Setting::of_flag("--map", StageId::Localiser, "map", map.to_string()));
-        map.into_iter().collect()
+        let of_sampler =
+            |flag, option, value: String| Setting::of_flag(flag, StageId::Sampler, option, value);
+        let Some(path) = &self.lanes else { return Ok(map.into_iter().collect()) };
+        let lanes = of_sampler("--lanes", "lanes", text(&canonical(path)?)?);
+        let origin = match self.lanes_origin {
+            Some(origin) => of_sampler("--lanes-origin", "lanes_origin", origin.to_string()),
+            None => Setting::unset("--lanes", StageId::Sampler, "lanes_origin"),
+        };
+        Ok(map.into_iter().chain([lanes, origin]).collect())
+    }
+
+    /// Reads the map of lanes of the command line, if there is one.
+    pub fn open_lanes(&self) -> Result<Option<LaneMap>, Failure> {
+        let coordinates = self.lanes_origin.map_or_else(Coordinates::default, Coordinates::About);
+        let open = |path: &PathBuf| LaneMap::open(path, coordinates).map_err(Failure::data);
+        self.lanes.as_ref().map(open).transpose()
     }
 
     /// Opens the weights of the command line, else the pipeline's, else the embedded ones.
@@ -285,7 +308,7 @@ impl PlaybackArguments {
         let settings = [
             scene.settings()?,
             self.tracker.settings(),
-            self.model.settings(),
+            self.model.settings()?,
             self.retrieval.settings()?,
             self.set.set.clone(),
         ];
@@ -298,6 +321,17 @@ impl PlaybackArguments {
 /// Absolute path of an existing file.
 pub fn canonical(path: &Path) -> Result<PathBuf, Failure> {
     path.canonicalize().map_err(|error| Failure::file(path, error))
+}
+
+/// Refuses a map of lanes that can't be read, before a run begins.
+///
+/// # Errors
+/// [`Failure::Data`] with the element of the map that can't be used.
+pub fn check_lanes(options: &sampler::Options) -> Result<(), Failure> {
+    let Some(path) = &options.lanes else { return Ok(()) };
+    let coordinates = LanesOrigin::coordinates(options.lanes_origin);
+    LaneMap::open(&absolute(path)?, coordinates).map_err(Failure::data)?;
+    Ok(())
 }
 
 /// Number of entries of the retrieval memory that a sampler with these options begins with; `None` without a

@@ -1,4 +1,4 @@
-//! Fuzz targets, one per reader of recordings.
+//! Fuzz targets, one per reader of recordings, and one of maps of lanes.
 //!
 //! Each target starts from a small good recording and lets the fuzzer edit it: bytes overwritten, inserted
 //! and removed, lines repeated, words put in that break number parsers; and hands the reader the fuzzer's
@@ -13,6 +13,7 @@
 //! ```
 
 use data::{Format, Input, Recording, Role, WindowOptions, parse, tracks, windows};
+use lanes::{Coordinates, LaneMap, Routes};
 
 /// Iterations of a target in an ordinary test run.
 const ITERATIONS: usize = 20_000;
@@ -161,6 +162,57 @@ fn csv() {
         0.08,7,vehicle,12.5,-3.2,3.1,8.4,4.5,1.8,0.97,0.2\n0.16,7,vehicle,12.1,-3.2,3.1,8.4,,,,\n\
         # a comment\n0.00,,ego,1.0,2.0,0.5,,,,,\n-0.5,,pedestrian,1,2,,,,,,\n";
     fuzz(Format::Csv, &[(Role::Rows, rows)]);
+}
+
+/// A lanelet with its successor in degrees, one in local coordinates, an island and a limit.
+const LANES: &str = "<?xml version='1.0'?>\n<osm version='0.6'><node id='1' lat='0.0000' lon='0.0000'/>\n\
+    <node id='2' lat='0.0001' lon='0.0000'/><node id='3' lat='0.0000' lon='0.00003'/>\n\
+    <node id='4' lat='0.0001' lon='0.00003'/><node id='5' lat='0.0002' lon='0.0'/><node id='6' lat='0.0002' lon='0.00003'/>\n\
+    <node id='7'><tag k='local_x' v='30'/><tag k='local_y' v='5'/></node>\n\
+    <way id='10'><nd ref='1'/><nd ref='2'/><tag k='type' v='line_thin'/><tag k='subtype' v='dashed'/></way>\n\
+    <way id='11'><nd ref='3'/><nd ref='4'/></way><way id='12'><nd ref='2'/><nd ref='5'/></way>\n\
+    <way id='13'><nd ref='6'/><nd ref='4'/></way><way id='14'><nd ref='4'/><nd ref='7'/></way>\n\
+    <relation id='20'><member type='way' role='left' ref='10'/><member type='way' role='right' ref='11'/>\n\
+    <member type='relation' role='regulatory_element' ref='30'/><tag k='type' v='lanelet'/></relation>\n\
+    <relation id='21'><member type='way' role='left' ref='12'/><member type='way' role='right' ref='13'/>\n\
+    <member type='way' role='centerline' ref='14'/><tag k='type' v='lanelet'/><tag k='one_way' v='no'/></relation>\n\
+    <relation id='22'><member type='way' role='outer' ref='11'/><member type='way' role='outer' ref='13'/>\n\
+    <tag k='type' v='multipolygon'/><tag k='subtype' v='keepout'/></relation>\n\
+    <relation id='30'><member type='way' role='ref_line' ref='14'/><member type='relation' role='yield' ref='20'/>\n\
+    <tag k='type' v='regulatory_element'/><tag k='subtype' v='right_of_way'/><tag k='sign_type' v='25mph'/></relation>\n\
+    </osm>";
+
+#[test]
+fn lanelet2() {
+    let read = |text: &[u8]| LaneMap::parse("site.osm", text, Coordinates::Default);
+    check_lanes(&read(LANES.as_bytes()).unwrap_or_else(|error| panic!("the sample: {error}")));
+    bolero::check!().with_iterations(ITERATIONS).with_max_len(EDITS_BYTES_MAX).for_each(|bytes: &[u8]| {
+        let mut edited = LANES.as_bytes().to_vec();
+        edit(&mut edited, bytes);
+        for text in [&edited[..], bytes] {
+            if let Ok(map) = read(text) {
+                check_lanes(&map);
+            }
+        }
+    });
+}
+
+/// What those who follow lanes rely on.
+fn check_lanes(map: &LaneMap) {
+    assert!(!map.lanes().is_empty());
+    let mut routes = Routes::default();
+    for lane in map.lanes() {
+        let len = lane.centre_m.len();
+        assert!(len > 1 && lane.half_width_m.len() == len && lane.along_m.len() == len);
+        assert!(lane.centre_m.as_flattened().iter().all(|x| x.is_finite()));
+        assert!(lane.along_m.is_sorted() && lane.length_m().is_finite());
+        assert!(lane.limit_mps.is_none_or(|limit| limit > 0.0));
+        let named = lane.successors.iter().copied().chain(lane.beside.into_iter().flatten());
+        assert!(named.max().is_none_or(|place| (place as usize) < map.lanes().len()));
+        routes.find(map, wire::AgentType::Vehicle, lane.centre_m[0], 0.0, 50.0);
+        let points = routes.as_slice().iter().flat_map(|route| &route.points_m);
+        assert!(points.flatten().all(|x| x.is_finite()));
+    }
 }
 
 fn fuzz(format: Format, files: &[(Role, &str)]) {

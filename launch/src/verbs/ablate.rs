@@ -104,6 +104,7 @@ fn evaluate(arguments: &Arguments, trained: &[(&Variant, Trained)]) -> Result<Ab
         part: if arguments.validation { Part::Validation } else { Part::Test },
         weights: WeightsChoice { file: None, folder: arguments.dir.clone() },
         map: MapChoice::Site,
+        lanes: false,
         threads: arguments.workers.unwrap_or(1),
     };
     let variants = trained.iter().filter(|(_, trained)| trained.card().is_some());

@@ -43,10 +43,13 @@ pub struct Arguments {
     /// beside
     #[arg(long, value_name = "DIR,…", value_delimiter = ',', conflicts_with = "weights")]
     beside: Vec<PathBuf>,
-    /// Map for models that read one; `site` means `none` at held-out sites and `online` in data sets without
-    /// sites
+    /// Map for models that read one; `site` means `none` at held-out sites, the map of their lanes with
+    /// --lanes, and `online` in data sets without sites
     #[arg(long, value_enum, default_value_t = Map::Site)]
     map: Map,
+    /// Forecast vehicles of `interaction` along the lanes of each site's Lanelet2 map, in DIR/interaction/maps
+    #[arg(long)]
+    lanes: bool,
     /// Parts of `interaction`: `seen` or a held-out site [default: seen,FT,EP1]; of `tracking`: `interaction`
     /// (filters on noisy positions), `kitti` (trackers on a detector's output) and `driving` (gaps on many
     /// roads) [default: all]; of
@@ -110,7 +113,7 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
             report.add_beside(&beside.collect::<Result<Vec<_>, _>>()?);
             report.warnings.iter().for_each(|line| eprintln!("warning: {line}"));
             report.left_out.iter().for_each(|line| eprintln!("warning: left out: {line}"));
-            vec![Written::of_forecasts(&report, name)]
+            vec![Written::of_forecasts(&report, name, arguments.lanes)]
         }
     };
     if let Some(path) = &arguments.csv {
@@ -142,6 +145,7 @@ fn refuse_unused(name: &str, arguments: &Arguments) -> Result<(), Failure> {
             "`eth-ucy`, `sdd` and `interaction`",
         ),
         ("--parts", !arguments.parts.is_empty(), has_parts, "`interaction`, `driving` and `tracking`"),
+        ("--lanes", arguments.lanes, name == "interaction", "`interaction`"),
         ("--without-evidence", arguments.without_evidence, is_driving, "`driving`"),
         ("--prior", arguments.prior.is_some(), is_driving, "`driving`"),
         ("--sigmas", !arguments.sigmas.is_empty(), is_tracking, "`tracking`"),
@@ -179,10 +183,10 @@ struct Written {
 }
 
 impl Written {
-    fn of_forecasts(report: &Report, set: &str) -> Self {
+    fn of_forecasts(report: &Report, set: &str, lanes: bool) -> Self {
         Self {
             name: "forecasts",
-            mark: format!("evaluate {set}"),
+            mark: format!("evaluate {set}{}", if lanes { " --lanes" } else { "" }),
             markdown: report.markdown(),
             summary: report.summary(),
             csv: report.csv(),
@@ -235,6 +239,7 @@ fn options(arguments: &Arguments, weights_dir: &Path) -> Options {
             Map::Online => MapChoice::Online,
             Map::Site => MapChoice::Site,
         },
+        lanes: arguments.lanes,
         threads: arguments.threads.map_or(threads, usize::from),
     }
 }

@@ -16,7 +16,7 @@ use wire::StageId;
 
 use crate::arguments::{
     ModelArguments, RetrievalArguments, SceneArguments, SetArguments, TrackerArguments, canonical,
-    check_memory, warn_of_doubts,
+    check_lanes, check_memory, warn_of_doubts,
 };
 use crate::failure::{Failure, StageDeath};
 use crate::fleet::Fleet;
@@ -122,7 +122,7 @@ impl Arguments {
         let settings = [
             self.scene.settings()?,
             self.tracker.settings(),
-            self.model.settings(),
+            self.model.settings()?,
             self.retrieval.settings()?,
             forecasts.into_iter().collect(),
             self.set.set.clone(),
@@ -251,6 +251,7 @@ fn info(
         let sampler = options.read(&sampler::STAGE)?;
         info.retrieval = Some(sampler.retrieval);
         info.memory_entries = check_memory(&sampler, weights)?;
+        check_lanes(&sampler)?;
         // Former keys.
         info.recalls = info.retrieval;
         info.memory_moments = info.memory_entries;

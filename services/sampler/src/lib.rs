@@ -11,9 +11,12 @@
 //! A learned forecast is the blend of the network's and of kinematic experts' that their matured forecasts
 //! call for, as wide as these call for: see [`evidence`].
 //!
+//! Where the sampler has a map of lanes, the forecasts of vehicles go along them: see [`lanes`].
+//!
 //! The modes of an agent make a mixture; its mean and covariance are published beside them.
 
 mod experts;
+mod guidance;
 mod held;
 mod kinematic;
 mod learned;
@@ -24,5 +27,5 @@ mod sampler;
 mod settings;
 pub mod stage;
 
-pub use options::{Options, Propagation, PropagationKind, STAGE, SamplerOptions};
+pub use options::{LanesOrigin, Options, Propagation, PropagationKind, STAGE, SamplerOptions};
 pub use sampler::Sampler;

@@ -1,5 +1,8 @@
-//! The retrieval memory of a run on disk: where the sampler begins with it, and where it is saved at the end.
+//! Files of a run's sampler: the retrieval memory that it begins with and saves at the end, and the lanes.
 
+use std::sync::Arc;
+
+use lanes::LaneMap;
 use model::ModelConfig;
 use nn::Weights;
 use ports::StageError;
@@ -7,16 +10,20 @@ use retrieval::RetrievalMemory;
 use run::Run;
 
 use crate::settings::settings;
-use crate::{Options, STAGE, Sampler};
+use crate::{LanesOrigin, Options, STAGE, Sampler};
 
-/// A sampler with the options of the run's record, warm-started from the memory file that they name, if it
-/// exists.
+/// A sampler with the options of the run's record: warm-started from the memory file that they name, if it
+/// exists, and with the lanes of their map.
 ///
 /// # Errors
-/// [`StageError`] where the run's options or that file can't be used.
+/// [`StageError`] where the run's options or one of the files can't be used.
 pub fn open(run: &Run, model: &ModelConfig) -> Result<Sampler, StageError> {
     let options = STAGE.options(run)?;
     let mut sampler = Sampler::new(settings(&options, model, run.seed));
+    if let Some(path) = &options.lanes {
+        let map = LaneMap::open(path, LanesOrigin::coordinates(options.lanes_origin));
+        sampler.guide_along(Arc::new(map.map_err(StageError::data)?));
+    }
     if let Some(path) = options.memory.filter(|path| path.exists()) {
         let weights = Weights::of_model(run.weights.as_deref(), model).map_err(StageError::data)?;
         let steps = (model.horizon_len, model.step_ns());

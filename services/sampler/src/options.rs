@@ -1,9 +1,11 @@
+use std::borrow::Cow;
 use std::path::PathBuf;
 
 use kinematics::{MotionKind, MotionOptions, PARTICLES_MAX};
+use lanes::{Coordinates, Origin, UnknownOrigin};
 use run::{Conflict, Declaration};
-use schemars::JsonSchema;
-use serde::{Deserialize, Serialize};
+use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
+use serde::{Deserialize, Serialize, Serializer};
 use wire::{ControlsTopic, ForecastsTopic, StageId, TICK_MS, Topic, TracksTopic};
 
 /// The sampler.
@@ -29,11 +31,54 @@ pub struct Options {
     /// File of the retrieval memory: read at the start, if it exists (warm start), and written at the end.
     #[schemars(extend("format" = "path"))]
     pub memory: Option<PathBuf>,
+    /// Lanelet2 map of the site (OSM XML), along whose lanes the forecasts of vehicles go.
+    #[schemars(extend("format" = "path"))]
+    pub lanes: Option<PathBuf>,
+    /// Latitude and longitude of the world frame's origin in that map, degrees, as in `49.01,8.42`. Without,
+    /// the tags `local_x` and `local_y` of the map's nodes count, and where they have none, the origin is 0,0.
+    pub lanes_origin: Option<LanesOrigin>,
     /// How the covariance of the controls becomes that of the positions.
     pub propagation: PropagationKind,
     /// Particles per mode of the Monte Carlo propagation.
     #[schemars(range(min = 1, max = PARTICLES_MAX))]
     pub particles: usize,
+}
+
+/// The origin of a map of lanes, as text `LATITUDE,LONGITUDE`.
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+#[serde(try_from = "String")]
+pub struct LanesOrigin(pub Origin);
+
+impl LanesOrigin {
+    /// Where the positions of a map with this origin, if there is one, come from.
+    #[must_use]
+    pub fn coordinates(origin: Option<Self>) -> Coordinates {
+        origin.map_or_else(Coordinates::default, |Self(origin)| Coordinates::About(origin))
+    }
+}
+
+impl TryFrom<String> for LanesOrigin {
+    type Error = UnknownOrigin;
+
+    fn try_from(text: String) -> Result<Self, UnknownOrigin> {
+        text.parse().map(Self)
+    }
+}
+
+impl Serialize for LanesOrigin {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        serializer.collect_str(&self.0)
+    }
+}
+
+impl JsonSchema for LanesOrigin {
+    fn schema_name() -> Cow<'static, str> {
+        "LanesOrigin".into()
+    }
+
+    fn json_schema(_: &mut SchemaGenerator) -> Schema {
+        json_schema!({ "type": "string", "expected": "LATITUDE,LONGITUDE in degrees" })
+    }
 }
 
 /// How the covariance of the controls becomes that of the positions, by name.
@@ -50,12 +95,28 @@ pub enum PropagationKind {
 impl Default for Options {
     fn default() -> Self {
         let propagation = PropagationKind::default();
-        Self { deadline_ms: 72.0, retrieval: true, evidence: true, memory: None, propagation, particles: 16 }
+        Self {
+            deadline_ms: 72.0,
+            retrieval: true,
+            evidence: true,
+            memory: None,
+            lanes: None,
+            lanes_origin: None,
+            propagation,
+            particles: 16,
+        }
     }
 }
 
 impl Options {
     fn check(&self) -> Result<(), Conflict> {
+        if self.lanes_origin.is_some() && self.lanes.is_none() {
+            return Err(Conflict {
+                key: "lanes_origin",
+                reason: "an origin without a map",
+                because: "`lanes` is not set",
+            });
+        }
         match &self.memory {
             Some(_) if !self.retrieval => Err(Conflict {
                 key: "memory",

@@ -1,5 +1,8 @@
+use std::sync::Arc;
+
 use evidence::{Evidence, Prior, Priors};
 use kinematics::{DisplacementKind, MotionKind, MotionOptions, Normals, PARTICLES_MAX};
+use lanes::LaneMap;
 use retrieval::{ControlChanges, Key, Query, Retrieval, RetrievalMemory};
 use scene::{AgentType, track_history};
 use wire::{
@@ -8,6 +11,7 @@ use wire::{
 };
 
 use crate::experts::{Experts, Spread};
+use crate::guidance::Guidance;
 use crate::held::HeldForecasts;
 use crate::learned::LearnedControls;
 use crate::motion::{certain_motion, with_track_covariance};
@@ -23,6 +27,8 @@ pub struct Sampler {
     prior: Prior,
     /// None where evidence does not count, or no tick came yet.
     experts: Option<Experts>,
+    /// None where no map of lanes is known.
+    guidance: Option<Guidance>,
     /// Scratch: the changes of the agent in hand.
     changes: ControlChanges,
 }
@@ -55,12 +61,25 @@ impl Sampler {
         }
         let changes = ControlChanges::default();
         let prior = if options.evidence { Priors::shipped().mean(|_| true) } else { Prior::default() };
-        Self { options, held: HeldForecasts::new(), retrieval: None, prior, experts: None, changes }
+        Self {
+            options,
+            held: HeldForecasts::new(),
+            retrieval: None,
+            prior,
+            experts: None,
+            guidance: None,
+            changes,
+        }
     }
 
     /// Retrieves from now on from a memory of forecasts of the same model.
     pub fn warm_start(&mut self, memory: RetrievalMemory) {
         self.retrieval = Some(Retrieval::new(memory));
+    }
+
+    /// Takes the forecasts of vehicles along these lanes from now on.
+    pub fn guide_along(&mut self, map: Arc<LaneMap>) {
+        self.guidance = Some(Guidance::new(map));
     }
 
     /// Expects of the experts from the first tick on what `prior` says, not what is shipped.
@@ -184,6 +203,10 @@ impl Sampler {
                 retrieval.adapt(&query, &model, &controls.as_decoded(), &mut self.changes);
             }
             None => self.changes.reset(controls.probability()),
+        }
+        if let Some(guidance) = &mut self.guidance {
+            let decoded = controls.as_decoded();
+            guidance.change((track, agent_type), &model, &decoded, tick.dt_s(), &mut self.changes);
         }
         let mut blended = self.experts.as_ref().map(|experts| {
             let decoded = controls.as_decoded();

@@ -1,5 +1,9 @@
 //! A steady step allocates nothing.
 
+mod road;
+
+use std::sync::Arc;
+
 use bytemuck::Zeroable;
 use retrieval::RetrievalMemory;
 use sampler::{Propagation, Sampler, SamplerOptions};
@@ -36,14 +40,18 @@ fn write_tick(tick: u64, tracks: &mut [Track], controls: &mut [AgentControls]) {
 #[test]
 fn a_thousand_steady_steps_allocate_nothing() {
     let kinds = [
-        (Propagation::Linearised, false, false),
-        (Propagation::MonteCarlo { particles: 4 }, false, false),
-        (Propagation::Linearised, true, false),
-        (Propagation::Linearised, true, true),
+        (Propagation::Linearised, false, false, false),
+        (Propagation::MonteCarlo { particles: 4 }, false, false, false),
+        (Propagation::Linearised, true, false, false),
+        (Propagation::Linearised, true, true, false),
+        (Propagation::Linearised, true, true, true),
     ];
-    for (propagation, retrieval, evidence) in kinds {
+    for (propagation, retrieval, evidence, guided) in kinds {
         let options = SamplerOptions { propagation, retrieval, evidence, ..SamplerOptions::default() };
         let mut sampler = Sampler::new(options);
+        if guided {
+            sampler.guide_along(Arc::new(road::road()));
+        }
         let mut tracks = vec![Track::zeroed(); 32];
         let mut controls = vec![AgentControls::zeroed(); 32];
         let mut out = vec![Forecast::zeroed(); 32];
@@ -62,7 +70,7 @@ fn a_thousand_steady_steps_allocate_nothing() {
         assert_eq!(
             allocations(|| (50..1_050).for_each(&mut step)),
             0,
-            "{propagation:?} {retrieval} {evidence}"
+            "{propagation:?} {retrieval} {evidence} {guided}"
         );
         let stored = sampler.memory().map_or(0, RetrievalMemory::entries_len);
         assert!(stored > 6000 || !retrieval, "{stored} entries");

@@ -2,6 +2,8 @@
 
 #![expect(clippy::unwrap_used, reason = "a broken fixture should fail at once")]
 
+use std::sync::Arc;
+
 use sampler::{Propagation, Sampler, SamplerOptions};
 use wire::{
     AGENT_TYPES, AgentControls, AgentType, Cause, ControlGaussian, Expert, Forecast, Header, Quality, Track,
@@ -132,4 +134,39 @@ fn causes_are_bits_and_the_process_model_is_an_expert() {
     assert_eq!(kinematic.mode_expert[0], Expert::ProcessModel as u8);
     assert_eq!(kinematic.mode_covariance[0], kinematic.covariance);
     assert_eq!(kinematic.mode_covariance[1..], [[[0.0; 3]; 12]; 19]);
+}
+
+#[test]
+fn vehicles_are_guided_along_a_lane_and_pedestrians_are_not() {
+    let forecast = |agent_type: AgentType, guided: bool| {
+        let mut sampler = Sampler::new(SamplerOptions::default());
+        if guided {
+            sampler.guide_along(Arc::new(crate::road::road()));
+        }
+        let (tracks, mut out) = ([track(agent_type)], [Forecast::default()]);
+        sampler.learned(&header(0), &tracks, &[turning(agent_type)], &mut out).unwrap();
+        out[0].check().unwrap();
+        out[0]
+    };
+    let [free, guided] = [false, true].map(|guided| forecast(AgentType::Vehicle, guided));
+    let off_lane_m = |forecast: &Forecast| (forecast.best[11][1] - 0.5).abs();
+    assert!(off_lane_m(&free) > 3.0, "{:?}", free.best);
+    assert!(off_lane_m(&guided) < 0.6 * off_lane_m(&free), "{:?}", guided.best);
+    assert!((guided.best[0][1] - free.best[0][1]).abs() < 0.2, "the next moment is the agent's own");
+    for mode in 0..MODES {
+        assert!((guided.modes[mode][11][1] - 0.5).abs() < (free.modes[mode][11][1] - 0.5).abs());
+    }
+    assert_eq!(guided.probability, free.probability);
+    assert_eq!(forecast(AgentType::Vehicle, true), guided, "the same each time");
+    let [free, guided] = [false, true].map(|guided| forecast(AgentType::Pedestrian, guided));
+    assert_eq!(free, guided);
+}
+
+/// Controls of a steady turn to the left.
+fn turning(agent_type: AgentType) -> AgentControls {
+    let mut controls = controls(agent_type);
+    let step = ControlGaussian { mean: [0.0, 0.02], cholesky: [0.05, 0.0, 0.01] };
+    controls.best = [step; 12];
+    (0..MODES).for_each(|mode| controls.modes[mode] = [step; 12]);
+    controls
 }

@@ -25,6 +25,8 @@ pub struct ControlChanges {
     /// Of each mode that is replaced by a neighbour's path: the change of the best forecast's controls that
     /// leads along it.
     replaced: Vec<Option<ControlChange>>,
+    /// Of each mode that has one: a further change of its own.
+    own: Vec<Option<ControlChange>>,
     probability: Vec<f32>,
 }
 
@@ -70,7 +72,11 @@ impl ControlChanges {
             Some(change) => (controls.best, change),
             None => (own, &self.modes),
         };
-        changed(means, change).zip(own).map(|(mean, own)| ControlGaussian { mean, ..*own })
+        let further = self.own[mode].as_ref();
+        changed(means, change).zip(own).enumerate().map(move |(step, (mean, own))| {
+            let mean = further.map_or(mean, |further| [0, 1].map(|i| mean[i] + further[step][i]));
+            ControlGaussian { mean, ..*own }
+        })
     }
 
     /// Whether a neighbour's path replaces the mode.
@@ -83,10 +89,18 @@ impl ControlChanges {
     pub fn shift(&mut self, by: &ControlChange) {
         let replaced = self.replaced.iter_mut().flatten();
         for change in [&mut self.best, &mut self.modes].into_iter().chain(replaced) {
-            for (own, by) in change.as_flattened_mut().iter_mut().zip(by.as_flattened()) {
-                *own += by;
-            }
+            add(change, by);
         }
+    }
+
+    /// Changes the controls of the best forecast alone further.
+    pub fn shift_best(&mut self, by: &ControlChange) {
+        add(&mut self.best, by);
+    }
+
+    /// Changes the controls of one mode further.
+    pub fn shift_mode(&mut self, mode: usize, by: &ControlChange) {
+        add(self.own[mode].get_or_insert_default(), by);
     }
 
     /// Replaces the means of a mode's controls.
@@ -102,6 +116,7 @@ impl ControlChanges {
             *own = [0, 1].map(|i| own[i] - best.mean[i]);
         }
         self.replaced[mode] = Some(change);
+        self.own[mode] = None;
         self.probability[mode] = probability;
     }
 
@@ -115,6 +130,8 @@ impl ControlChanges {
         (self.best, self.modes) = Default::default();
         self.replaced.clear();
         self.replaced.resize(probability.len(), None);
+        self.own.clear();
+        self.own.resize(probability.len(), None);
         self.probability.clear();
         self.probability.extend_from_slice(probability);
     }
@@ -126,6 +143,7 @@ impl Default for ControlChanges {
             best: ControlChange::default(),
             modes: ControlChange::default(),
             replaced: Vec::with_capacity(MODES_MAX),
+            own: Vec::with_capacity(MODES_MAX),
             probability: Vec::with_capacity(MODES_MAX),
         }
     }
@@ -182,6 +200,12 @@ impl ControlAdapter {
             changes.replaced[mode] = selected.checked_sub(modes_len).map(change);
             changes.probability[mode] = probability;
         }
+    }
+}
+
+fn add(change: &mut ControlChange, by: &ControlChange) {
+    for (own, by) in change.as_flattened_mut().iter_mut().zip(by.as_flattened()) {
+        *own += by;
     }
 }
 

@@ -93,7 +93,7 @@ fn measure(arguments: &Arguments, agents: usize) -> Result<Measured, Failure> {
     let mut playback = Playback::new(recording, PlaybackOptions { lockstep: true, ..Default::default() });
     let (weights, opened) = arguments.model.open_weights(None)?;
     let mut options = StageOptions::defaults(&STAGES);
-    options.apply(&[arguments.model.settings(), arguments.set.set.clone()].concat())?;
+    options.apply(&[arguments.model.settings()?, arguments.set.set.clone()].concat())?;
     let run = Run {
         interval_ns: playback.interval_ns(),
         lockstep: true,

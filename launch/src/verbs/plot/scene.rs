@@ -1,9 +1,11 @@
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 use ::scene::ContextMap;
 use clap::{Args, ValueEnum};
 use drawing::{Mask, SceneDrawing, SceneOptions, Shot, Storyboard, save, scenes};
 use evaluator::{Forecaster, MapInput};
+use lanes::LaneMap;
 use localiser::MapChoice;
 use run::Exit;
 
@@ -81,7 +83,9 @@ enum MaskChoice {
 pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
     let (_, weights) = arguments.model.open_weights(None)?;
     let recording = arguments.read.open(&arguments.recording)?;
-    let forecaster = Forecaster::new(weights, arguments.seed).map_err(Failure::data)?;
+    let mut forecaster = Forecaster::new(weights, arguments.seed).map_err(Failure::data)?;
+    let lanes = arguments.model.open_lanes()?.map(Arc::new);
+    lanes.iter().for_each(|map| forecaster.guide_along(Arc::clone(map)));
     let site = match &arguments.model.map {
         Some(MapChoice::File(path)) => Some(ContextMap::load(path).map_err(Failure::data)?),
         _ => None,
@@ -94,7 +98,8 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
     let threads = std::thread::available_parallelism().map_or(1, usize::from);
     let storyboard = Storyboard::new(&forecaster, &recording, map, threads).map_err(Failure::data)?;
     let shots = arguments.shots(&storyboard)?;
-    let drawings: Vec<SceneDrawing<'_>> = shots.iter().map(|shot| drawing(shot, site.as_ref())).collect();
+    let drawings: Vec<SceneDrawing<'_>> =
+        shots.iter().map(|shot| drawing(shot, site.as_ref(), lanes.as_deref())).collect();
     let picture =
         scenes(&recording.name, &drawings, &arguments.options(drawings.len())).map_err(Failure::data)?;
     let usual = || Path::new(arguments.recording.file_stem().unwrap_or_default()).with_extension("png");
@@ -138,7 +143,8 @@ impl Arguments {
     }
 }
 
-fn drawing<'a>(shot: &'a Shot, site: Option<&'a ContextMap>) -> SceneDrawing<'a> {
+fn drawing<'a>(shot: &'a Shot, site: Option<&'a ContextMap>, lanes: Option<&LaneMap>) -> SceneDrawing<'a> {
+    let bounds = lanes.into_iter().flat_map(LaneMap::lanes).flat_map(|lane| lane.bounds_m.clone());
     let note = shot.errors.map(|errors| {
         let [ade_m, fde_m] = errors.best;
         let best = format!("best of {} modes: minADE {ade_m:.2} m, minFDE {fde_m:.2} m", errors.modes_len);
@@ -156,6 +162,7 @@ fn drawing<'a>(shot: &'a Shot, site: Option<&'a ContextMap>) -> SceneDrawing<'a>
         title: format!("{about}t = {:.1} s", shot.time_s),
         note: note.unwrap_or_default(),
         map: site.or(shot.online_map.as_ref()),
+        lines: bounds.collect(),
         agents: shot.agents.clone(),
     }
 }

@@ -2,6 +2,7 @@
 
 use std::collections::BTreeMap;
 
+use metrics::Point;
 use scene::ContextMap;
 
 use super::canvas::{Canvas, Path, Stroke};
@@ -126,6 +127,12 @@ fn spline(first_block: isize, node: usize) -> (isize, [f64; 4]) {
         share.powi(3) / 6.0,
     ];
     (first_block + (node / SPLIT) as isize - 1, weights)
+}
+
+/// Draws a line on the ground.
+pub fn draw_line(canvas: &mut Canvas, view: &View, line: &[Point]) {
+    let path = Path::line(line.iter().map(|point| view.spot(point.map(f64::from))));
+    canvas.stroke(&path, &Stroke::solid(GREY, 0.6).faint(0.8));
 }
 
 /// A stretch of ground with how it was passed.

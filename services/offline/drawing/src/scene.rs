@@ -25,6 +25,8 @@ pub struct SceneDrawing<'a> {
     pub note: String,
     /// The context map to draw beneath.
     pub map: Option<&'a ContextMap>,
+    /// Lines on the ground, such as the bounds of lanes.
+    pub lines: Vec<Vec<Point>>,
     /// The agents. Those with a forecast are what the panel is about.
     pub agents: Vec<AgentDrawing>,
 }
@@ -147,7 +149,7 @@ pub fn scenes(
         let frame = Frame { corner: [corner[0], corner[1] + head_height], size: [panel_width, panel_height] };
         let sketches: Vec<Sketch<'_>> =
             drawing.agents.iter().map(|agent| Sketch::new(agent, options.mask)).collect();
-        panel::draw(&mut canvas, frame, drawing.map, &sketches, options);
+        panel::draw(&mut canvas, frame, (drawing.map, &drawing.lines), &sketches, options);
     }
     legend.draw(&mut canvas, [EDGE, legend_top]);
     let titles: Vec<&str> = drawings.iter().map(|drawing| drawing.title.as_str()).collect();

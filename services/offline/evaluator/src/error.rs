@@ -1,4 +1,5 @@
 use data::ReadError;
+use lanes::LaneMapError;
 use nn::WeightsError;
 use onboard::ChainError;
 use thiserror::Error;
@@ -9,6 +10,17 @@ pub enum EvaluateError {
     /// A recording can't be read.
     #[error(transparent)]
     Read(#[from] ReadError),
+    /// A map of lanes can't be read.
+    #[error(transparent)]
+    Lanes(#[from] LaneMapError),
+    /// A map of lanes gives no context map.
+    #[error("{site}: {source}")]
+    Map {
+        /// The site.
+        site: String,
+        /// Why.
+        source: mapper::MapError,
+    },
     /// Weights that a table needs are not there.
     #[error("{path}: no such weights; `stgdat train --recipe {recipe}` makes them, --weights names others")]
     NoWeights {

@@ -4,9 +4,12 @@
 //! no path of its own. What differs from a run is what comes before: recorded states in place of a tracker's
 //! estimates.
 
+use std::sync::Arc;
+
 use bytemuck::Zeroable;
 use data::Recording;
 use decoder::BaseDecoder;
+use lanes::LaneMap;
 use metrics::Point;
 use nn::{ModelConfig, Weights};
 use onboard::{ChainError, FeatureFrame, FeaturesToControls, TracksToFeatures, TracksToForecasts};
@@ -53,6 +56,8 @@ pub struct Variants {
 pub struct Forecaster {
     weights: Weights,
     run: Run,
+    /// Along which its forecasts go.
+    lanes: Option<Arc<LaneMap>>,
 }
 
 /// The stages up to the decoder over the windows of one recording, in time order.
@@ -98,10 +103,15 @@ impl Forecaster {
     /// [`ChainError`] where the weights do not hold the model, or it does not fit the payloads.
     pub fn new(weights: Weights, seed: u64) -> Result<Self, ChainError> {
         let run = Run { lockstep: true, seed, ..Run::default() };
-        let forecaster = Self { weights, run };
+        let forecaster = Self { weights, run, lanes: None };
         FeaturesToControls::new(&forecaster.weights, decoder::stage::settings(&forecaster.run)?)?;
         forecaster.tracks_to_features(MapInput::None, 1)?;
         Ok(forecaster)
+    }
+
+    /// Takes the forecasts of vehicles along these lanes from now on.
+    pub fn guide_along(&mut self, map: Arc<LaneMap>) {
+        self.lanes = Some(map);
     }
 
     /// The model's options.
@@ -137,6 +147,7 @@ impl Forecaster {
     ) -> Vec<Vec<Option<Forecast>>> {
         let mut session = Session::new(self, recording, map, threads);
         let mut sampler = self.sampler(false);
+        self.lanes.iter().for_each(|map| sampler.guide_along(Arc::clone(map)));
         let mut forecasts = Vec::with_capacity(scenes.len());
         for (part, scenes) in scenes.chunks(TOGETHER).enumerate() {
             let decoded = session.decode(scenes, |number| wanted(part * TOGETHER + number), |_| Vec::new());
@@ -176,7 +187,7 @@ impl Forecaster {
         memory: Option<RetrievalMemory>,
     ) -> Vec<Vec<(usize, Variants)>> {
         let mut session = Session::new(self, recording, map, threads);
-        let mut samplers = Samplers::new(self, memory);
+        let mut samplers = Samplers::new(self, memory, self.lanes.as_ref());
         let part = |scenes: &[Scene]| {
             let decoded: Vec<_> =
                 session.decode(scenes, |_| true, Scene::complete).into_iter().flatten().collect();
@@ -320,17 +331,27 @@ impl Network {
 }
 
 impl Samplers {
-    /// Samplers of a recording; `memory` is what the warm-started one begins with.
-    pub(crate) fn new(forecaster: &Forecaster, memory: Option<RetrievalMemory>) -> Self {
+    /// Samplers of a recording; `memory` is what the warm-started one begins with, and `lanes` are those of
+    /// the site, along which all but the base go.
+    pub(crate) fn new(
+        forecaster: &Forecaster,
+        memory: Option<RetrievalMemory>,
+        lanes: Option<&Arc<LaneMap>>,
+    ) -> Self {
+        let sampler = |retrieval: bool| {
+            let mut sampler = forecaster.sampler(retrieval);
+            lanes.into_iter().for_each(|map| sampler.guide_along(Arc::clone(map)));
+            sampler
+        };
         let warm_started = memory.map(|memory| {
-            let mut sampler = forecaster.sampler(true);
+            let mut sampler = sampler(true);
             sampler.warm_start(memory);
             sampler
         });
         Self {
-            network: forecaster.sampler(false),
+            network: sampler(false),
             base: forecaster.sampler(false),
-            retrieved: forecaster.sampler(true),
+            retrieved: sampler(true),
             warm_started,
             horizon_len: forecaster.config().horizon_len,
         }

@@ -1,6 +1,9 @@
 //! Forecasts every agent that counts in a recording's scenes and sums up the errors.
 
+use std::sync::Arc;
+
 use data::Recording;
+use lanes::LaneMap;
 use metrics::{Disc, Limits, Point, collisions, highest_density_level, kde_log_density};
 use nn::ModelConfig;
 use retrieval::RetrievalMemory;
@@ -72,6 +75,8 @@ pub struct Judge<'a> {
     pub subsets: &'a [Subset],
     /// The type whose agents count; all types where it is `None`.
     pub of_type: Option<AgentType>,
+    /// The lanes of the site, along which our forecasts go.
+    pub lanes: Option<Arc<LaneMap>>,
     /// Threads that share the scenes; results do not depend on it.
     pub threads: usize,
 }
@@ -95,7 +100,7 @@ impl Judge<'_> {
     ) -> Vec<Block> {
         let config = self.forecaster.config();
         let mut session = Session::new(self.forecaster, recording, map, self.threads);
-        let mut samplers = Samplers::new(self.forecaster, visited.as_deref().cloned());
+        let mut samplers = Samplers::new(self.forecaster, visited.as_deref().cloned(), self.lanes.as_ref());
         let parts = scenes.chunks(TOGETHER).flat_map(|scenes| self.part(scenes, &mut session, &mut samplers));
         let block_ns = config.step_ns() as i64 * (config.history_len + config.horizon_len) as i64;
         let mut blocks: Vec<(i64, Block)> = Vec::new();

@@ -8,8 +8,11 @@ mod sdd;
 
 use std::path::PathBuf;
 
+use std::sync::Arc;
+
 use data::sets::{DataSet, Part};
 use data::{OpenOptions, Recording};
+use lanes::{Coordinates, LaneMap};
 use scene::ContextMap;
 
 pub use ablation::{Variant, ablation};
@@ -50,6 +53,8 @@ pub struct Options {
     pub weights: WeightsChoice,
     /// The map for models that read one.
     pub map: MapChoice,
+    /// Whether forecasts go along the lanes of each site's Lanelet2 map; INTERACTION has them in `maps`.
+    pub lanes: bool,
     /// Threads that share the work; results do not depend on it.
     pub threads: usize,
 }
@@ -102,6 +107,15 @@ pub fn map_of(training: &[Footage], site: &str) -> Option<ContextMap> {
 }
 
 impl Options {
+    /// The lanes of a site of INTERACTION, where they are asked for.
+    fn lanes_of(&self, site: &str) -> Result<Option<Arc<LaneMap>>, EvaluateError> {
+        if !self.lanes {
+            return Ok(None);
+        }
+        let path = self.data.join("interaction/maps").join(format!("{site}.osm"));
+        Ok(Some(Arc::new(LaneMap::open(&path, Coordinates::default())?)))
+    }
+
     /// Reads and cuts recordings, telling of each before.
     fn read(&self, paths: &[PathBuf], open: OpenOptions, cut: &Cut) -> Result<Vec<Footage>, EvaluateError> {
         let read = |path: &PathBuf, (): &mut ()| {
@@ -150,6 +164,7 @@ impl Rules<'_> {
             horizons: self.horizons,
             subsets: self.subsets,
             of_type: self.of_type,
+            lanes: None,
             threads: self.threads,
         }
     }

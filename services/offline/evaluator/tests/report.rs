@@ -15,6 +15,7 @@ fn options(folder: &Path, weights: Option<PathBuf>, threads: usize) -> Options {
         part: Part::Test,
         weights: WeightsChoice { file: weights, folder: folder.to_owned() },
         map: MapChoice::Online,
+        lanes: false,
         threads,
     }
 }

@@ -1,4 +1,4 @@
-//! The context map of a site, from recordings of it (`stgdat map`).
+//! The context map of a site, from recordings of it or from its lanes (`stgdat map`).
 //!
 //! **In:** recordings that share one world frame. **Out:** a [`SiteMap`]: density and mean velocity (m/s) per
 //! cell of 1 m × 1 m, arrays as [row = y, column = x] \[model §2\].
@@ -9,6 +9,10 @@
 //! detections with neither identity nor velocity are left out and counted.
 //!
 //! A map contains the whole recordings: use those of the training part, never the one that is to be forecast.
+
+mod from_lanes;
+
+pub use from_lanes::of_lanes;
 
 use data::{RecordedTrack, Recording};
 use scene::{CELLS_MAX, ContextMap, MapBuilder};
@@ -35,6 +39,9 @@ pub enum MapError {
     /// No detection has a velocity.
     #[error("no visits: the recordings hold no trajectories and no detections with heading and speed")]
     NoVisits,
+    /// No lane is for vehicles or cyclists.
+    #[error("the map has no lane that vehicles or cyclists use")]
+    NoRoads,
     /// The visits are too far apart.
     #[error(
         "the visits span {rows} × {cols} cells of 1 m, at most {CELLS_MAX} cells allowed: map one site at a time"

@@ -2,7 +2,8 @@
 
 use data::sets::{DataSet, Part};
 use data::{Frame, Recording};
-use mapper::{MapError, build};
+use lanes::{Coordinates, LaneMap};
+use mapper::{MapError, build, of_lanes};
 use testing::{public_recording, recordings_folder};
 use wire::Detection;
 use wire::detection_flags::{HAS_HEADING, HAS_ID, HAS_SPEED};
@@ -88,4 +89,38 @@ fn real_recordings_make_plausible_maps() {
         let fastest = site.map.velocity_mps().map(|[x, y]| x.hypot(y)).fold(0.0, f32::max);
         assert!(fastest > 0.5 && fastest < 40.0, "{fastest} m/s");
     }
+}
+
+/// A lane to the east, 4 m wide and 40 m long, with another limit and users if need be.
+fn lane(tags: &str) -> LaneMap {
+    let node = |id: u8, x: f32, y: f32| {
+        format!("<node id='{id}'><tag k='local_x' v='{x}'/><tag k='local_y' v='{y}'/></node>")
+    };
+    let text = format!(
+        "<osm>{}{}{}{}<way id='5'><nd ref='1'/><nd ref='2'/></way><way id='6'><nd ref='3'/><nd ref='4'/></way>\
+         <relation id='7'><member type='way' role='left' ref='5'/><member type='way' role='right' ref='6'/>\
+         <tag k='type' v='lanelet'/>{tags}</relation></osm>",
+        node(1, 0.0, 2.0),
+        node(2, 40.0, 2.0),
+        node(3, 0.0, -2.0),
+        node(4, 40.0, -2.0)
+    );
+    LaneMap::parse("lane.osm", text.as_bytes(), Coordinates::Default).expect("a good map")
+}
+
+#[test]
+fn a_lane_is_mapped_with_its_direction_and_limit() {
+    let map = of_lanes(&lane("<tag k='speed_limit' v='10 m/s'/>")).unwrap();
+    assert_eq!((map.origin_m(), map.cols(), map.rows()), ([0.0, -2.0], 41, 5));
+    let cells = map.density().zip(map.velocity_mps());
+    let visited: Vec<_> = cells.filter(|(density, _)| *density > 0.0).collect();
+    assert!(visited.iter().all(|(_, [vx, vy])| (vx - 10.0).abs() < 1e-3 && vy.abs() < 1e-3), "{visited:?}");
+    let density: Vec<f32> = map.density().collect();
+    let at = |row: usize| density[row * map.cols() + 20];
+    assert!(at(2) > at(0) && at(1) > at(0), "more in the middle");
+}
+
+#[test]
+fn a_map_without_roads_is_refused() {
+    assert_eq!(of_lanes(&lane("<tag k='subtype' v='crosswalk'/>")), Err(MapError::NoRoads));
 }

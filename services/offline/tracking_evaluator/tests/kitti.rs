@@ -41,6 +41,7 @@ fn options(root: &Path) -> Options {
         part: Part::Test,
         weights: WeightsChoice { file: None, folder: root.to_owned() },
         map: MapChoice::Online,
+        lanes: false,
         threads: 2,
     }
 }

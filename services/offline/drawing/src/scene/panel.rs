@@ -1,5 +1,6 @@
 //! The panel of a scene.
 
+use metrics::Point;
 use scene::{AgentType, ContextMap};
 
 use super::agent::{REGION_OPACITY, Sketch};
@@ -14,7 +15,7 @@ use crate::view::View;
 pub fn draw(
     canvas: &mut Canvas,
     frame: Frame,
-    map: Option<&ContextMap>,
+    (map, lines): (Option<&ContextMap>, &[Vec<Point>]),
     sketches: &[Sketch<'_>],
     options: &SceneOptions,
 ) {
@@ -32,6 +33,7 @@ pub fn draw(
                     ground::draw_velocity(canvas, &view, map);
                 }
             }
+            lines.iter().for_each(|line| ground::draw_line(canvas, &view, line));
             for (number, opacity) in REGION_OPACITY.into_iter().enumerate() {
                 let draw =
                     |sketch: &Sketch<'_>, canvas: &mut Canvas| sketch.draw_region(number, canvas, &view);

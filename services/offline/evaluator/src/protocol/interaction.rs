@@ -14,7 +14,7 @@ use crate::judge::Block;
 use crate::reference::{self, PaperRow};
 use crate::report::{Column, Report, Table};
 use crate::weights::Model;
-use crate::{Baselines, Cut, Errors, EvaluateError, MOVING_MPS, Subset};
+use crate::{Baselines, Cut, Errors, EvaluateError, Judge, MOVING_MPS, Subset};
 
 /// Steps of the protocol: 2 Hz.
 const STEPS: (usize, usize, f64) = (4, 10, 0.5);
@@ -109,7 +109,7 @@ impl Protocol<'_> {
             let site = footage.site();
             let map = (options.map == MapChoice::Site).then(|| map_of(training, &site)).flatten();
             let map = options.map.input(map.as_ref());
-            let judge = rules.judge_with(model, &baselines);
+            let judge = Judge { lanes: options.lanes_of(&site)?, ..rules.judge_with(model, &baselines) };
             if visited.as_ref().is_none_or(|(name, _)| *name != site) {
                 let mut memory = model.forecaster.memory();
                 for earlier in training.iter().filter(|footage| footage.site() == site) {
@@ -142,16 +142,22 @@ impl Protocol<'_> {
         let baselines = Baselines::fit(others.flat_map(|footage| &footage.scenes), cut, SEED);
         let (mut tests, mut all, mut recordings) = (Vec::new(), Vec::new(), Vec::new());
         let mut name = site.to_owned();
-        let judge = rules.judge_with(model, &baselines);
+        let mut judge = rules.judge_with(model, &baselines);
+        let mut drawn = None;
         let mut memory = model.forecaster.memory();
         for part in [Part::Train, Part::Validation, Part::Test] {
             let of_site = |path: &PathBuf| short(&folder(path)) == site;
             let paths: Vec<PathBuf> = SET.files(&options.data, part)?.into_iter().filter(of_site).collect();
             for footage in options.read(&paths, OpenOptions::of(SET.format()), cut)? {
-                name = footage.site();
-                // The site's earlier recordings are part of no training: no site map.
+                if name != footage.site() {
+                    name = footage.site();
+                    judge.lanes = options.lanes_of(&name)?;
+                    let of_lanes = judge.lanes.as_deref().map(mapper::of_lanes).transpose();
+                    drawn = of_lanes.map_err(|source| EvaluateError::Map { site: name.clone(), source })?;
+                }
+                // The site's earlier recordings are part of no training: no site map but that of its lanes.
                 let Footage { recording, scenes } = &footage;
-                let map = options.map.input(None);
+                let map = options.map.input(drawn.as_ref());
                 let blocks = judge.revisit(recording, scenes, map, Some(&mut memory));
                 memory.end_session();
                 if part == options.part {
@@ -163,7 +169,11 @@ impl Protocol<'_> {
         }
         let of_part = format!("{} part", options.part.name());
         need_agents(&tests, &format!("{site}, {of_part}"), cut)?;
-        let map_label = if options.map == MapChoice::Online { "online" } else { "none" };
+        let map_label = match options.map {
+            MapChoice::Online => "online",
+            MapChoice::Site if options.lanes => "of the site's lanes",
+            _ => "none",
+        };
         let part = format!("held-out {site}");
         add_provenance(report, model.provenance(&part, map_label, &recordings.iter().collect::<Vec<_>>()));
         let by_itself = Judged::new(format!("{part}, {of_part}"), name.clone(), &tests);

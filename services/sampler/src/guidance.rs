@@ -1,0 +1,84 @@
+//! Lanes in the sampler: controls that take a vehicle's forecasts along the lanes it is on.
+
+use std::sync::Arc;
+
+use kinematics::MotionModel;
+use lanes::{Guided, GuidedPath, LaneGuide, LaneMap};
+use retrieval::{ControlChanges, ForecastControls, Residuals};
+use scene::AgentType;
+use wire::{ControlGaussian, HORIZON_MAX, MODES_MAX, Track};
+
+/// Corrections of the controls: one leaves some metres at the end, since residuals are of speed and
+/// curvature.
+const PASSES: usize = 2;
+
+/// The lanes of a site, and scratch memory.
+pub(crate) struct Guidance {
+    guide: LaneGuide,
+    modes: Vec<GuidedPath>,
+}
+
+impl Guidance {
+    pub(crate) fn new(map: Arc<LaneMap>) -> Self {
+        Self { guide: LaneGuide::new(map), modes: Vec::with_capacity(MODES_MAX) }
+    }
+
+    /// Changes the controls so that modes and best forecast go along lanes. Only vehicles that do not reverse
+    /// are guided.
+    pub(crate) fn change<M: AsRef<[ControlGaussian]>>(
+        &mut self,
+        (track, agent_type): (&Track, AgentType),
+        model: &MotionModel,
+        controls: &ForecastControls<'_, M>,
+        step_s: f32,
+        changes: &mut ControlChanges,
+    ) {
+        let (sin, cos) = track.heading_rad.sin_cos();
+        if agent_type != AgentType::Vehicle || cos * track.vx_mps + sin * track.vy_mps < 0.0 {
+            return;
+        }
+        let Self { guide, modes } = self;
+        let (modes_len, horizon_len) = (controls.modes.len(), controls.best.len());
+        let position_m = [track.x_m, track.y_m];
+        modes.clear();
+        modes.extend((0..modes_len).map(|mode| mode_path(mode, model, controls, changes)));
+        let mut best = best_path(model, controls, changes);
+        let agent = Guided { agent_type, position_m, heading_rad: track.heading_rad, step_s };
+        if !guide.guide(&agent, horizon_len, modes, changes.probability(), &mut best) {
+            return;
+        }
+        let change = |from: &GuidedPath, to: &GuidedPath| {
+            let (from, to) = (&from[..horizon_len], &to[..horizon_len]);
+            Residuals::between(model.kind(), position_m, from, to, step_s).control_change(model)
+        };
+        for _ in 0..PASSES {
+            for (mode, guided) in modes.iter().enumerate() {
+                let by = change(&mode_path(mode, model, controls, changes), guided);
+                changes.shift_mode(mode, &by);
+            }
+            let by = change(&best_path(model, controls, changes), &best);
+            changes.shift_best(&by);
+        }
+    }
+}
+
+fn mode_path<M: AsRef<[ControlGaussian]>>(
+    mode: usize,
+    model: &MotionModel,
+    controls: &ForecastControls<'_, M>,
+    changes: &ControlChanges,
+) -> GuidedPath {
+    let mut path = [[0.0; 2]; HORIZON_MAX];
+    model.positions(changes.mode(mode, controls).map(|control| control.mean), &mut path);
+    path
+}
+
+fn best_path<M>(
+    model: &MotionModel,
+    controls: &ForecastControls<'_, M>,
+    changes: &ControlChanges,
+) -> GuidedPath {
+    let mut path = [[0.0; 2]; HORIZON_MAX];
+    model.positions(changes.best(controls), &mut path);
+    path
+}

@@ -1,0 +1,104 @@
+use std::path::PathBuf;
+
+use thiserror::Error;
+
+/// Why a Lanelet2 map could not be read.
+#[derive(Debug, Error)]
+pub enum LaneMapError {
+    /// The file can't be opened or read.
+    #[error("{}: {source}", path.display())]
+    Io {
+        /// The file.
+        path: PathBuf,
+        /// The error of the operating system.
+        source: std::io::Error,
+    },
+    /// The file is larger than any map that is read.
+    #[error("{path}: {bytes} bytes, at most {most} are read")]
+    TooLarge {
+        /// The file.
+        path: String,
+        /// Its size.
+        bytes: u64,
+        /// The limit.
+        most: u64,
+    },
+    /// The file is no OSM XML.
+    #[error("{path}:{line}:{column}: {problem}")]
+    Syntax {
+        /// The file.
+        path: String,
+        /// The line, from 1.
+        line: u32,
+        /// The column, from 1.
+        column: u32,
+        /// What is wrong.
+        problem: String,
+    },
+    /// An element of the map can't be used.
+    #[error("{path}:{line}: {element}: {problem}")]
+    Element {
+        /// The file.
+        path: String,
+        /// Its line, from 1.
+        line: u32,
+        /// The element.
+        element: Element,
+        /// What is wrong with it, with the value.
+        problem: String,
+    },
+    /// The map has more of a kind than are kept.
+    #[error("{path}: more than {most} {what}")]
+    TooMany {
+        /// The file.
+        path: String,
+        /// What there are too many of.
+        what: &'static str,
+        /// The limit.
+        most: usize,
+    },
+    /// There is nothing to drive or walk on.
+    #[error("{path}: no lanelet")]
+    NoLanelets {
+        /// The file.
+        path: String,
+    },
+}
+
+/// The kind of an element of OSM XML.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Kind {
+    /// A point.
+    Node,
+    /// A line of nodes.
+    Way,
+    /// A set of elements, such as a lanelet.
+    Relation,
+}
+
+impl Kind {
+    /// The name of the XML element.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Node => "node",
+            Self::Way => "way",
+            Self::Relation => "relation",
+        }
+    }
+}
+
+/// An element by kind and number; the number is 0 where it has none.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub struct Element {
+    /// Its kind.
+    pub kind: Kind,
+    /// Its number in the file; negative ones are those of elements that were never uploaded.
+    pub id: i64,
+}
+
+impl std::fmt::Display for Element {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "{} {}", self.kind.name(), self.id)
+    }
+}

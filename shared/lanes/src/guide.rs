@@ -1,0 +1,174 @@
+//! Forecasts along lanes: each path on the route that it is nearest to, at its own speed.
+
+use std::sync::Arc;
+
+use wire::{AgentType, HORIZON_MAX, MODES_MAX};
+
+use crate::corridor::{Corridor, Scratch};
+use crate::routes::{ROUTE_POINTS_MAX, ROUTE_STEP_M, ROUTES_MAX};
+use crate::{LaneMap, Routes};
+
+/// Positions of a forecast, step by step.
+pub type GuidedPath = [[f32; 2]; HORIZON_MAX];
+
+/// Time after which a path is wholly on its route; before it in proportion, since an agent's own motion tells
+/// more of the next second than its lane does.
+const WHOLLY_S: f32 = 5.0;
+/// A path whose mean distance to its route is this follows it by exp(−½).
+const OFF_ROAD_M: f32 = 6.0;
+/// How much nearer a mode is to one route than to another to vote for it by exp(−½).
+const VOTE_M: f32 = 1.0;
+/// The same of the best forecast.
+const BEST_M: f32 = 1.5;
+/// Routes go on so far beyond the longest forecast.
+const BEYOND_M: f32 = 15.0;
+
+/// Takes the forecasts of one agent after another onto its lanes, with scratch memory allocated once.
+#[derive(Clone, Debug)]
+pub struct LaneGuide {
+    map: Arc<LaneMap>,
+    routes: Routes,
+    corridors: Vec<Corridor>,
+    scratch: Scratch,
+    /// Share of the modes' probability that is nearest to each route.
+    votes: [f32; ROUTES_MAX],
+}
+
+/// An agent, as far as lanes need it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Guided {
+    /// Its type.
+    pub agent_type: AgentType,
+    /// Its position in the world frame.
+    pub position_m: [f32; 2],
+    /// Its heading.
+    pub heading_rad: f32,
+    /// Length of a step.
+    pub step_s: f32,
+}
+
+impl LaneGuide {
+    /// A guide along the lanes of a map.
+    #[must_use]
+    pub fn new(map: Arc<LaneMap>) -> Self {
+        let corridors = (0..ROUTES_MAX).map(|_| Corridor::with_room()).collect();
+        let (routes, scratch) = (Routes::default(), Scratch::default());
+        Self { map, routes, corridors, scratch, votes: [0.0; ROUTES_MAX] }
+    }
+
+    /// Moves the paths of an agent's modes and of its single best forecast onto its routes; false where it is
+    /// on no lane, and nothing was changed. Allocates nothing.
+    ///
+    /// ```text
+    /// mode m      p' = p + s_k g(D_mr) (c_r(ℓ_k) − p)        r the nearest route, ℓ_k the length of p up to k
+    /// best        p' = p + s_k g(D_r) (Σ w_r c_r(ℓ_k) − p)   w_r ∝ π_r exp(−½ D_r²/1.5²)
+    /// votes       π_r = Σ_m P_m exp(−½ (D_mr − D_m)²)        made to sum to 1 over r for each m
+    /// ```
+    ///
+    /// c_r is the line that the agent would drive along route r; D is the mean distance between a path and
+    /// the line at the same lengths, D_m that of the nearest route; g(D) = exp(−½ D²/6²); s_k = t_k / 5 s,
+    /// at most 1.
+    ///
+    /// # Panics
+    /// Where there are more modes, or longer paths, than a payload holds, or not a probability for each.
+    pub fn guide(
+        &mut self,
+        agent: &Guided,
+        horizon_len: usize,
+        modes: &mut [GuidedPath],
+        probability: &[f32],
+        best: &mut GuidedPath,
+    ) -> bool {
+        assert!(modes.len() <= MODES_MAX && horizon_len <= HORIZON_MAX, "{} modes", modes.len());
+        assert_eq!(modes.len(), probability.len(), "a probability for each mode");
+        let start_m = agent.position_m;
+        let longest_m = modes.iter().chain([&*best]).fold(0.0_f32, |most, path| {
+            most.max(lengths_m(start_m, &path[..horizon_len])[..horizon_len].last().copied().unwrap_or(0.0))
+        });
+        if !longest_m.is_finite() {
+            return false;
+        }
+        let reach_m = (longest_m + BEYOND_M).min((ROUTE_POINTS_MAX - 2) as f32 * ROUTE_STEP_M);
+        self.routes.find(&self.map, agent.agent_type, start_m, agent.heading_rad, reach_m);
+        let routes_len = self.routes.as_slice().len();
+        if routes_len == 0 {
+            return false;
+        }
+        for (route, corridor) in self.routes.as_slice().iter().zip(&mut self.corridors) {
+            corridor.draw(route, start_m, &mut self.scratch);
+        }
+        let shares: [f32; HORIZON_MAX] =
+            std::array::from_fn(|step| ((step + 1) as f32 * agent.step_s / WHOLLY_S).min(1.0));
+        self.votes = [0.0; ROUTES_MAX];
+        for (mode, probability) in modes.iter_mut().zip(probability) {
+            let (lines, apart_m) = self.lines(start_m, &mode[..horizon_len]);
+            let nearest = nearest(&apart_m[..routes_len]);
+            let vote = |route: usize| (-0.5 * ((apart_m[route] - apart_m[nearest]) / VOTE_M).powi(2)).exp();
+            let sum: f32 = (0..routes_len).map(vote).sum();
+            (0..routes_len).for_each(|route| self.votes[route] += probability * vote(route) / sum);
+            follow(&mut mode[..horizon_len], &lines[nearest], off_road(apart_m[nearest]), &shares);
+        }
+        let (lines, apart_m) = self.lines(start_m, &best[..horizon_len]);
+        let nearest = nearest(&apart_m[..routes_len]);
+        let least = apart_m[nearest] * apart_m[nearest];
+        let weight = |route: usize| {
+            let farther = apart_m[route] * apart_m[route] - least;
+            self.votes[route] * (-0.5 * farther / (BEST_M * BEST_M)).exp()
+        };
+        let sum: f32 = (0..routes_len).map(weight).sum();
+        let mut line = lines[nearest];
+        if sum > f32::MIN_POSITIVE {
+            for (step, point) in line.iter_mut().enumerate().take(horizon_len) {
+                *point = [0, 1].map(|axis| {
+                    (0..routes_len).map(|route| weight(route) / sum * lines[route][step][axis]).sum()
+                });
+            }
+        }
+        follow(&mut best[..horizon_len], &line, off_road(apart_m[nearest]), &shares);
+        true
+    }
+
+    /// The routes' lines at the lengths of a path, and the mean distance of each to the path.
+    fn lines(&self, start_m: [f32; 2], path: &[[f32; 2]]) -> ([GuidedPath; ROUTES_MAX], [f32; ROUTES_MAX]) {
+        let lengths_m = lengths_m(start_m, path);
+        let mut lines = [[[0.0; 2]; HORIZON_MAX]; ROUTES_MAX];
+        let mut apart_m = [f32::INFINITY; ROUTES_MAX];
+        let routes_len = self.routes.as_slice().len();
+        for ((corridor, line), apart_m) in
+            self.corridors[..routes_len].iter().zip(&mut lines).zip(&mut apart_m)
+        {
+            corridor.at(&lengths_m[..path.len()], line);
+            let sum: f32 = path.iter().zip(&*line).map(|(a, b)| (a[0] - b[0]).hypot(a[1] - b[1])).sum();
+            *apart_m = sum / path.len().max(1) as f32;
+        }
+        (lines, apart_m)
+    }
+}
+
+/// How far a path follows a route at that distance.
+fn off_road(apart_m: f32) -> f32 {
+    (-0.5 * (apart_m / OFF_ROAD_M).powi(2)).exp()
+}
+
+fn follow(path: &mut [[f32; 2]], line: &GuidedPath, part: f32, shares: &[f32; HORIZON_MAX]) {
+    for ((point, on_line), share) in path.iter_mut().zip(line).zip(shares) {
+        *point = [0, 1].map(|axis| point[axis] + share * part * (on_line[axis] - point[axis]));
+    }
+}
+
+/// The first of the least.
+fn nearest(apart_m: &[f32]) -> usize {
+    let places = apart_m.iter().copied().enumerate();
+    places.reduce(|least, other| if other.1 < least.1 { other } else { least }).map_or(0, |(place, _)| place)
+}
+
+/// Length of a path up to each of its points.
+fn lengths_m(start_m: [f32; 2], path: &[[f32; 2]]) -> [f32; HORIZON_MAX] {
+    let mut lengths_m = [0.0; HORIZON_MAX];
+    let (mut from, mut sum_m) = (start_m, 0.0);
+    for (point, length_m) in path.iter().zip(&mut lengths_m) {
+        sum_m += (point[0] - from[0]).hypot(point[1] - from[1]);
+        (*length_m, from) = (sum_m, *point);
+    }
+    lengths_m
+}

@@ -1,0 +1,336 @@
+//! Lanes: what a Lanelet2 map says of where agents go.
+
+use std::collections::BTreeMap;
+use std::fs::File;
+use std::io::Read;
+use std::path::Path;
+
+use wire::AgentType;
+
+use crate::geometry::{Sampled, align, near};
+use crate::grid::Grid;
+use crate::osm::{self, Elements, Line, Relation, XML_BYTES_MAX, shortened};
+use crate::{Coordinates, Kind, LaneMapError, tags};
+
+/// Most lanes: a lanelet that is used both ways counts twice.
+pub const LANES_MAX: usize = 200_000;
+/// Most points of all lanes together.
+pub const POINTS_MAX: usize = 8_000_000;
+/// Distance between the points of a lane, at most.
+pub const SPACING_M: f64 = 1.0;
+
+/// The lanes of a site, in the world frame.
+#[derive(Clone, Debug)]
+pub struct LaneMap {
+    lanes: Vec<Lane>,
+    areas: Vec<Area>,
+    grid: Grid,
+}
+
+/// A lanelet in one direction.
+#[derive(Clone, Debug)]
+pub struct Lane {
+    /// Number of the lanelet in the file.
+    pub id: i64,
+    /// Types of agents that use it.
+    pub users: Users,
+    /// Speed limit; none where neither the map nor its kind of road has one.
+    pub limit_mps: Option<f32>,
+    /// Points along the middle, at most [`SPACING_M`] apart, two or more, all different.
+    pub centre_m: Vec<[f32; 2]>,
+    /// Half of the width at each point.
+    pub half_width_m: Vec<f32>,
+    /// Length along the middle up to each point.
+    pub along_m: Vec<f32>,
+    /// The bounds, left and right, in the direction of the lane.
+    pub bounds_m: [Vec<[f32; 2]>; 2],
+    /// Places in [`LaneMap::lanes`] of the lanes that begin where this one ends.
+    pub successors: Vec<u32>,
+    /// Places of the lanes to the left and to the right that one may change to.
+    pub beside: [Option<u32>; 2],
+}
+
+/// An area of the map.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Area {
+    /// Number of the multipolygon in the file.
+    pub id: i64,
+    /// Whether nothing drives there: a traffic island, or grass.
+    pub is_keepout: bool,
+    /// Its outer bound, closed.
+    pub outline_m: Vec<[f32; 2]>,
+}
+
+/// Types of agents, a bit each.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Users(u8);
+
+impl Users {
+    /// These types.
+    #[must_use]
+    pub fn of(types: &[AgentType]) -> Self {
+        Self(types.iter().fold(0, |bits, &agent_type| bits | 1 << agent_type as u8))
+    }
+
+    /// Whether a type is among them.
+    #[must_use]
+    pub const fn contain(self, agent_type: AgentType) -> bool {
+        self.0 & 1 << agent_type as u8 != 0
+    }
+
+    pub(crate) const fn is_empty(self) -> bool {
+        self.0 == 0
+    }
+}
+
+impl LaneMap {
+    /// Reads a map from a file.
+    ///
+    /// # Errors
+    /// [`LaneMapError`] with the file, and the line, number and value of the element that can't be used.
+    pub fn open(path: &Path, coordinates: Coordinates) -> Result<Self, LaneMapError> {
+        let io = |source| LaneMapError::Io { path: path.into(), source };
+        let mut bytes = Vec::new();
+        let file = File::open(path).map_err(io)?;
+        file.take(XML_BYTES_MAX + 1).read_to_end(&mut bytes).map_err(io)?;
+        Self::parse(&path.display().to_string(), &bytes, coordinates)
+    }
+
+    /// Reads a map from bytes; `path` is for errors.
+    ///
+    /// # Errors
+    /// As [`LaneMap::open`].
+    pub fn parse(path: &str, bytes: &[u8], coordinates: Coordinates) -> Result<Self, LaneMapError> {
+        if bytes.len() as u64 > XML_BYTES_MAX {
+            let (bytes, most) = (bytes.len() as u64, XML_BYTES_MAX);
+            return Err(LaneMapError::TooLarge { path: path.to_owned(), bytes, most });
+        }
+        let text = str::from_utf8(bytes).map_err(|error| {
+            let before = &bytes[..error.valid_up_to()];
+            let line = before.iter().filter(|byte| **byte == b'\n').count() as u32 + 1;
+            let column = before.iter().rev().take_while(|byte| **byte != b'\n').count() as u32 + 1;
+            let problem = "not text: not UTF-8".to_owned();
+            LaneMapError::Syntax { path: path.to_owned(), line, column, problem }
+        })?;
+        let document = osm::parse(path, text)?;
+        let elements = Elements::of(path, &document, coordinates)?;
+        Reading::new(&elements).map()
+    }
+
+    /// The lanes, in the order of their numbers in the file.
+    #[must_use]
+    pub fn lanes(&self) -> &[Lane] {
+        &self.lanes
+    }
+
+    /// The areas, in the order of their numbers in the file.
+    #[must_use]
+    pub fn areas(&self) -> &[Area] {
+        &self.areas
+    }
+
+    /// Writes into `found` the places of lanes with a point of their middle within about `reach_m` of a
+    /// position, each once, in order.
+    pub(crate) fn near(&self, position_m: [f32; 2], reach_m: f32, found: &mut Vec<u32>) {
+        self.grid.near(position_m, reach_m, found);
+    }
+}
+
+impl Area {
+    /// Whether a position lies inside the outer bound.
+    #[must_use]
+    pub fn contains(&self, [x, y]: [f32; 2]) -> bool {
+        let next = self.outline_m.iter().cycle().skip(1);
+        // A ray to the right crosses the bound an odd number of times.
+        self.outline_m.iter().zip(next).fold(false, |inside, (a, b)| {
+            let is_crossed =
+                (a[1] > y) != (b[1] > y) && x < a[0] + (y - a[1]) / (b[1] - a[1]) * (b[0] - a[0]);
+            inside != is_crossed
+        })
+    }
+}
+
+impl Lane {
+    /// Length along the middle.
+    #[must_use]
+    pub fn length_m(&self) -> f32 {
+        self.along_m.last().copied().unwrap_or(0.0)
+    }
+}
+
+/// A lane, and where its bounds begin and end.
+struct Begun {
+    lane: Lane,
+    /// Left and right node at the start.
+    start: [i64; 2],
+    /// Left and right node at the end.
+    end: [i64; 2],
+    /// Way of each bound, and its first node in the direction of the lane.
+    bounds: [(i64, i64); 2],
+    /// Whether one may cross the bound from here.
+    may_cross: [bool; 2],
+}
+
+/// The lanes as they are read.
+struct Reading<'a, 'e> {
+    elements: &'e Elements<'a>,
+    begun: Vec<Begun>,
+    points_len: usize,
+}
+
+impl<'a, 'e> Reading<'a, 'e> {
+    const fn new(elements: &'e Elements<'a>) -> Self {
+        Self { elements, begun: Vec::new(), points_len: 0 }
+    }
+
+    fn map(mut self) -> Result<LaneMap, LaneMapError> {
+        let elements = self.elements;
+        let mut areas = Vec::new();
+        for (&id, relation) in &elements.relations {
+            match relation.tags.get("type") {
+                Some("lanelet") => self.lanelet(id, relation)?,
+                Some("multipolygon") => areas.extend(self.area(id, relation)?),
+                _ => (),
+            }
+            let too_many =
+                |what, most| Err(LaneMapError::TooMany { path: elements.source.path.to_owned(), what, most });
+            if self.begun.len() > LANES_MAX {
+                return too_many("lanes", LANES_MAX);
+            }
+            if self.points_len > POINTS_MAX {
+                return too_many("metres of lanes", POINTS_MAX);
+            }
+        }
+        if self.begun.is_empty() {
+            return Err(LaneMapError::NoLanelets { path: elements.source.path.to_owned() });
+        }
+        let lanes = joined(self.begun);
+        let grid = Grid::of(&lanes);
+        Ok(LaneMap { lanes, areas, grid })
+    }
+
+    /// Adds a lanelet, in both directions where it is used so.
+    fn lanelet(&mut self, id: i64, relation: &Relation<'a>) -> Result<(), LaneMapError> {
+        let elements = self.elements;
+        let failed = |problem: String| elements.error(id, problem);
+        let users = tags::users(relation.tags).map_err(failed)?;
+        if users.is_empty() {
+            return Ok(());
+        }
+        let bound = |role: &str| self.only_line(relation, role);
+        let (mut left, mut right) = (bound("left").map_err(failed)?, bound("right").map_err(failed)?);
+        align(&mut left, &mut right).map_err(failed)?;
+        let given = relation.members.iter().any(|member| member.role == "centerline");
+        let given = given.then(|| self.only_line(relation, "centerline")).transpose().map_err(failed)?;
+        let limit_mps = self.limit_mps(relation).map_err(failed)?;
+        let both_ways = !tags::is_one_way(relation.tags).map_err(failed)?;
+        let sampled = Sampled::of(&left, &right, given.as_ref());
+        let tags_of = |line: &Line| elements.ways.get(&line.way).map(|way| way.tags);
+        for is_reversed in [false, true] {
+            if is_reversed && !both_ways {
+                continue;
+            }
+            let sampled = if is_reversed { sampled.clone().reversed() } else { sampled.clone() };
+            if is_reversed {
+                std::mem::swap(&mut left, &mut right);
+                left.reverse();
+                right.reverse();
+            }
+            let may_cross = [(&left, 0), (&right, 1)].map(|(line, side)| {
+                let first = elements.ways.get(&line.way).and_then(|way| way.nodes.first().copied());
+                let is_along = first == Some(line.ends[0]);
+                tags_of(line).is_some_and(|tags| tags::may_cross(tags, side, is_along))
+            });
+            self.points_len += sampled.centre_m.len() + left.points_m.len() + right.points_m.len();
+            let lane = sampled.lane(id, users, limit_mps, [&left, &right]);
+            self.begun.push(Begun {
+                lane,
+                start: [left.ends[0], right.ends[0]],
+                end: [left.ends[1], right.ends[1]],
+                bounds: [(left.way, left.ends[0]), (right.way, right.ends[0])],
+                may_cross,
+            });
+        }
+        Ok(())
+    }
+
+    /// The line of the only way with a role.
+    fn only_line(&self, relation: &Relation<'a>, role: &str) -> Result<Line, String> {
+        let of_role = || relation.members.iter().filter(|member| member.role == role);
+        let mut ways = of_role().filter(|member| member.element.kind == Kind::Way);
+        match (ways.next(), of_role().count()) {
+            (Some(member), 1) => {
+                self.elements.line(member.element.id).map_err(|why| format!("role `{role}`: {why}"))
+            }
+            (_, len) => Err(format!("{len} members of role `{role}`, expected 1 way")),
+        }
+    }
+
+    /// The limit that the lanelet's own tag or one of its regulatory elements has, else that of its kind of
+    /// road.
+    fn limit_mps(&self, relation: &Relation<'a>) -> Result<Option<f32>, String> {
+        if let Some(value) = relation.tags.get("speed_limit") {
+            let limit = tags::speed_mps(value);
+            let why = || format!("speed_limit = \"{}\": expected a speed such as 50 km/h", shortened(value));
+            return limit.ok_or_else(why).map(Some);
+        }
+        for member in relation.members.iter().filter(|member| member.role == "regulatory_element") {
+            let id = member.element.id;
+            let rule = self.elements.relations.get(&id);
+            let rule = rule.ok_or_else(|| format!("role `regulatory_element`: relation {id} is missing"))?;
+            if rule.tags.get("subtype") == Some("speed_limit") {
+                let value =
+                    ["sign_type", "speed_limit", "max_speed"].into_iter().find_map(|key| rule.tags.get(key));
+                if let Some(limit) = value.and_then(tags::speed_mps) {
+                    return Ok(Some(limit));
+                }
+            }
+        }
+        Ok(tags::usual_limit_mps(relation.tags))
+    }
+
+    /// The area, where its outer bound encloses one.
+    fn area(&self, id: i64, relation: &Relation<'a>) -> Result<Option<Area>, LaneMapError> {
+        let mut outline_m: Vec<[f32; 2]> = Vec::new();
+        let mut last_node = None;
+        for member in relation.members.iter().filter(|member| member.role == "outer") {
+            let line = self.elements.line(member.element.id);
+            let mut line = line.map_err(|why| self.elements.error(id, format!("role `outer`: {why}")))?;
+            if last_node == Some(line.ends[1]) && last_node != Some(line.ends[0]) {
+                line.reverse();
+            }
+            last_node = Some(line.ends[1]);
+            outline_m.extend(line.points_m.iter().map(near));
+        }
+        let is_keepout = relation.tags.get("subtype") == Some("keepout");
+        Ok((outline_m.len() > 2).then_some(Area { id, is_keepout, outline_m }))
+    }
+}
+
+/// Finds for each lane those that follow it and those beside it.
+fn joined(begun: Vec<Begun>) -> Vec<Lane> {
+    let mut by_start: BTreeMap<[i64; 2], Vec<u32>> = BTreeMap::new();
+    let mut by_bound: [BTreeMap<(i64, i64), u32>; 2] = Default::default();
+    for (place, begun) in begun.iter().enumerate() {
+        by_start.entry(begun.start).or_default().push(place as u32);
+        for (side, bound) in begun.bounds.into_iter().enumerate() {
+            by_bound[side].entry(bound).or_insert(place as u32);
+        }
+    }
+    let users: Vec<Users> = begun.iter().map(|begun| begun.lane.users).collect();
+    let shares_users = |place: u32, own: Users| users[place as usize].0 & own.0 != 0;
+    let mut lanes = Vec::with_capacity(begun.len());
+    for (place, mut begun) in begun.into_iter().enumerate() {
+        let own = begun.lane.users;
+        let next = by_start.get(&begun.end).into_iter().flatten().copied();
+        begun.lane.successors =
+            next.filter(|&next| next != place as u32 && shares_users(next, own)).collect();
+        begun.lane.beside = [0, 1].map(|side| {
+            // The left bound of this lane is the right one of the lane to its left.
+            let there = by_bound[1 - side].get(&begun.bounds[side]).copied();
+            there.filter(|&there| begun.may_cross[side] && shares_users(there, own))
+        });
+        lanes.push(begun.lane);
+    }
+    lanes
+}

@@ -1,0 +1,116 @@
+//! What the tags of Lanelet2 mean: <https://github.com/fzi-forschungszentrum-informatik/Lanelet2>, tagging.
+
+use wire::AgentType;
+
+use crate::Users;
+use crate::osm::Tags;
+
+/// Fastest limit that a map may set.
+const LIMIT_MAX_MPS: f32 = 70.0;
+const KMH_PER_MPS: f32 = 3.6;
+const MPS_PER_MPH: f32 = 0.447_04;
+
+/// The agents that use a lanelet: those its `participant` tags name, else the usual ones of its subtype.
+pub(crate) fn users(tags: Tags<'_>) -> Result<Users, String> {
+    use AgentType::{Cyclist, Pedestrian, Vehicle};
+    let mut named = false;
+    let mut types = Vec::new();
+    for (key, value) in tags.iter() {
+        let Some(participant) = key.strip_prefix("participant:") else { continue };
+        let all: &[AgentType] = match participant.split(':').next().unwrap_or_default() {
+            "vehicle" => &[Vehicle],
+            "bicycle" => &[Cyclist],
+            "pedestrian" => &[Pedestrian],
+            _ => continue,
+        };
+        named = true;
+        // `no` takes nobody away who was not named.
+        if matches!(value, "yes" | "true" | "1") {
+            types.extend_from_slice(all);
+        } else if !matches!(value, "no" | "false" | "0") {
+            let value = crate::osm::shortened(value);
+            return Err(format!("{key} = \"{value}\": expected yes or no"));
+        }
+    }
+    let usual: &[AgentType] = match tags.get("subtype") {
+        Some("crosswalk" | "walkway" | "stairs" | "pedestrian_lane") => &[Pedestrian],
+        Some("shared_walkway") => &[Pedestrian, Cyclist],
+        Some("bicycle_lane") => &[Cyclist],
+        Some("play_street") => &[Vehicle, Cyclist, Pedestrian],
+        Some("highway" | "bus_lane" | "emergency_lane" | "road_shoulder") => &[Vehicle],
+        Some("rail") => &[],
+        _ => &[Vehicle, Cyclist],
+    };
+    Ok(Users::of(if named { &types } else { usual }))
+}
+
+/// Whether a lanelet is used in its own direction alone: roads are unless a tag says otherwise, ways of
+/// pedestrians are not.
+pub(crate) fn is_one_way(tags: Tags<'_>) -> Result<bool, String> {
+    let of_subtype = !matches!(
+        tags.get("subtype"),
+        Some("crosswalk" | "walkway" | "shared_walkway" | "stairs" | "pedestrian_lane")
+    );
+    Ok(tags.yes("one_way")?.unwrap_or(of_subtype))
+}
+
+/// Whether a vehicle may cross a bound: `side` is 0 where it is on the vehicle's left, 1 on its right;
+/// `is_along` where the line runs in the vehicle's direction.
+pub(crate) fn may_cross(tags: Tags<'_>, side: usize, is_along: bool) -> bool {
+    let said = |key: &str| tags.yes(key).ok().flatten();
+    // Crossing a line on the left goes from its right to its left, if it runs along.
+    let goes_left = (side == 0) == is_along;
+    let of_direction = said(if goes_left { "lane_change:left" } else { "lane_change:right" });
+    if let Some(allowed) = of_direction.or_else(|| said("lane_change")) {
+        return allowed;
+    }
+    match (tags.get("type"), tags.get("subtype")) {
+        (Some("line_thin" | "line_thick"), Some("dashed")) => true,
+        // The half that is nearer to the vehicle counts: left, then right in the line's direction.
+        (Some("line_thin" | "line_thick"), Some("dashed_solid")) => !goes_left,
+        (Some("line_thin" | "line_thick"), Some("solid_dashed")) => goes_left,
+        _ => false,
+    }
+}
+
+/// The limit where nothing else is said: 50 km/h in towns, 100 km/h elsewhere; none for other kinds.
+pub(crate) fn usual_limit_mps(tags: Tags<'_>) -> Option<f32> {
+    match (tags.get("subtype"), tags.get("location")) {
+        (Some("crosswalk" | "walkway" | "shared_walkway" | "stairs" | "pedestrian_lane"), _) => None,
+        (_, Some("nonurban")) => Some(100.0 / KMH_PER_MPS),
+        _ => Some(50.0 / KMH_PER_MPS),
+    }
+}
+
+/// A speed as maps write it: `50`, `50 km/h`, `30kmh`, `25mph`, `13.9 m/s`; without unit km/h.
+pub(crate) fn speed_mps(text: &str) -> Option<f32> {
+    let text = text.trim();
+    let end = text.find(|c: char| !c.is_ascii_digit() && c != '.').unwrap_or(text.len());
+    let (number, unit) = text.split_at(end);
+    let number: f32 = number.parse().ok()?;
+    let mps = match unit.trim().to_ascii_lowercase().as_str() {
+        "" | "km/h" | "kmh" | "kph" => number / KMH_PER_MPS,
+        "mph" => number * MPS_PER_MPH,
+        "m/s" | "mps" => number,
+        _ => return None,
+    };
+    (mps > 0.0 && mps <= LIMIT_MAX_MPS).then_some(mps)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn speeds_have_their_units() {
+        for (text, mps) in
+            [("50", 13.889), ("50 km/h", 13.889), ("30kmh", 8.333), ("25mph", 11.176), ("7 m/s", 7.0)]
+        {
+            let found = speed_mps(text).expect("a speed");
+            assert!((found - mps).abs() < 1e-3, "{text}: {found}");
+        }
+        for text in ["", "fast", "de274", "0", "-5", "999 km/h", "50 knots"] {
+            assert_eq!(speed_mps(text), None, "{text}");
+        }
+    }
+}
