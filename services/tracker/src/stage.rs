@@ -6,8 +6,8 @@ use ports::{Awaited, Frame, Stage, StageError, Subscriber, monotonic_ns};
 use run::Run;
 use wire::{AGENTS_MAX, DetectionsTopic, ForecastsTopic, Header, Topic, Track, TracksTopic, flags};
 
-pub use crate::settings::settings;
 use crate::missing::Missing;
+pub use crate::settings::settings;
 use crate::tally::Warned;
 use crate::{STAGE, Tracker};
 

@@ -63,9 +63,7 @@ pub use program::{
     stage_main,
 };
 pub use publisher::{Loan, Publisher};
-pub use space::{
-    Leftover, Space, SpaceError, leftovers, remove_half_made_connections, shared_memory_free,
-};
+pub use space::{Leftover, Space, SpaceError, leftovers, remove_half_made_connections, shared_memory_free};
 pub use stage::{Awaited, HEARTBEAT, Passage, Stage};
 pub use stop::Stop;
 pub use subscriber::{Frame, Subscriber};

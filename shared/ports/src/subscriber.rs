@@ -250,7 +250,8 @@ impl<T: Topic> Port<T> {
         let passed = header.hops().iter().map(|hop| (hop.stage, hop.incarnation));
         let mut is_new = false;
         for (stage, incarnation) in passed.chain([(header.sender, header.incarnation)]) {
-            if let Some(newest) = incarnations.get_mut(stage as usize).filter(|newest| **newest < incarnation) {
+            if let Some(newest) = incarnations.get_mut(stage as usize).filter(|newest| **newest < incarnation)
+            {
                 *newest = incarnation;
                 is_new = true;
             }
