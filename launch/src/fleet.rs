@@ -48,6 +48,8 @@ struct Member {
     health: Health,
     /// Number of the clean-up after its last death.
     ticket: u64,
+    /// Why the launcher has killed its process, if it has.
+    killed_for: Option<&'static str>,
 }
 
 /// What happened to a stage.
@@ -99,7 +101,15 @@ impl Fleet {
             let child = Child::start(stage.id, command.as_deref(), 0, run, record, &fleet.sender)?;
             let now = fleet.begun.elapsed();
             let (supervision, health) = (Supervision::new(stage.restart, now), Health::new(now));
-            fleet.members.push(Member { stage: stage.id, command, child, supervision, health, ticket: 0 });
+            fleet.members.push(Member {
+                stage: stage.id,
+                command,
+                child,
+                supervision,
+                health,
+                ticket: 0,
+                killed_for: None,
+            });
         }
         Ok(fleet)
     }
@@ -175,6 +185,7 @@ impl Fleet {
                     Child::start(member.stage, command, incarnation, &self.run, &self.record, &self.sender)?;
                 member.supervision.restarted(now);
                 member.health = Health::new(now);
+                member.killed_for = None;
                 // A program of the user's own reports no linking.
                 if member.command.is_some() {
                     member.supervision.linked();
@@ -231,7 +242,10 @@ impl Member {
         let stage = self.stage;
         match self.supervision.ended(end, now) {
             State::Waiting { .. } => {
-                let StageDeath { how, .. } = self.child.death(status);
+                let how = match self.killed_for {
+                    Some(why) => why.to_owned(),
+                    None => self.child.death(status).how,
+                };
                 Ok(Some(Event::Died { stage, how, next: self.supervision.incarnation() + 1 }))
             }
             // Without one of these there is no output that could go on.
@@ -254,17 +268,24 @@ impl Member {
     /// time: its end is then found like any other.
     fn examine(&mut self, now: Duration) -> Option<Event> {
         let policy = *self.supervision.policy();
-        if self.supervision.is_overdue(now) {
-            self.child.signal(Signal::KILL);
-            return None;
-        }
-        if !self.health.is_silent(now) {
-            return None;
-        }
-        match self.health.judge(look(self.child.pid())?, policy.hang_after, now) {
+        let finding = if self.supervision.is_overdue(now) {
+            self.killed_for = Some("was not linked within its start limit, and killed");
+            Finding::Hung
+        } else if self.health.is_silent(now) {
+            self.health.judge(look(self.child.pid())?, policy.hang_after, now)
+        } else {
+            Finding::Well
+        };
+        match finding {
             Finding::Well => None,
             Finding::Stopped | Finding::Hung if policy.restart == Restart::Never => None,
             Finding::Stopped | Finding::Hung => {
+                let why = if finding == Finding::Stopped {
+                    "was stopped, and killed"
+                } else {
+                    "hung, and was killed"
+                };
+                self.killed_for.get_or_insert(why);
                 self.child.signal(Signal::KILL);
                 None
             }

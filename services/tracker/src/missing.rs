@@ -29,9 +29,13 @@ impl Missing {
         *self = Self { last: can_miss.then_some(last), is_gone: false };
     }
 
-    /// The recording has ended: nothing follows.
-    pub fn ended(&mut self) {
-        *self = Self::default();
+    /// A frame has come that is no tick. The end of the recording: nothing follows. A warm-up frame: another
+    /// source begins, and until its first tick there is none.
+    pub fn is_no_tick(&mut self, header: &Header) {
+        if header.has(flags::END) {
+            *self = Self::default();
+        }
+        self.is_gone |= header.has(flags::WARM_UP);
     }
 
     /// When to look at the source, or to predict the next tick; none while nothing can be missing.
@@ -94,7 +98,9 @@ mod tests {
         assert_eq!((predicted.seq, predicted.stamp_ns), (9, 720));
         missing.came(&header(10, 0), 1_300);
         assert!(missing.predict(false, 1_460).is_none());
-        missing.ended();
+        missing.is_no_tick(&header(10, flags::WARM_UP));
+        assert!(missing.predict(false, 1_460).is_some(), "another source begins");
+        missing.is_no_tick(&header(10, flags::END));
         assert_eq!(missing.until_ns(), None);
     }
 

@@ -35,8 +35,8 @@ pub fn run(run: &Run) -> Result<(), StageError> {
                 Some(header) => (header, None),
                 None => continue,
             },
-            Awaited::Void(_) => {
-                missing.ended();
+            Awaited::Void(frame) => {
+                missing.is_no_tick(frame.header());
                 continue;
             }
             Awaited::Stopped => break,

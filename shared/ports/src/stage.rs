@@ -58,7 +58,7 @@ pub struct Passage {
 pub enum Awaited<T: Topic> {
     /// The frame.
     Frame(Frame<T>),
-    /// The frame of a tick that an earlier stage refused, or the end of the recording.
+    /// The frame of a tick that an earlier stage refused, or one that is no tick.
     Void(Frame<T>),
     /// Nothing until the deadline.
     Late,
@@ -182,7 +182,7 @@ impl Stage {
 
     /// The next tick to work on, asleep until it comes or until `until_ns` on `CLOCK_MONOTONIC`.
     ///
-    /// Frames that are no work go straight on to `output`, as by [`Stage::next`].
+    /// A frame that is no work goes straight on to `output`, and is returned as [`Awaited::Void`].
     ///
     /// # Errors
     /// [`PortError`] where the transport fails.
@@ -199,12 +199,9 @@ impl Stage {
                     return Ok(Awaited::Frame(frame));
                 }
                 Some(frame) => {
-                    let is_end = frame.header().has(flags::END);
                     let passage = self.begin(&frame);
                     self.pass_empty(passage, output)?;
-                    if is_end {
-                        return Ok(Awaited::Void(frame));
-                    }
+                    return Ok(Awaited::Void(frame));
                 }
                 None if until_ns.is_some_and(|until_ns| monotonic_ns() >= until_ns) => {
                     return Ok(Awaited::Late);

@@ -228,10 +228,11 @@ impl<T: Topic> Port<T> {
     /// without a warm-up frame counts from the first tick that it receives.
     fn count(&self, header: &Header) {
         let linked = self.seen.replace(true);
-        let restarted = T::PUBLISHERS_MAX == 1 && self.has_new_incarnation(header);
+        // A restarted source sends warm-up frames before its first tick: only ticks tell of a restart here.
         if !header.is_tick() {
             return;
         }
+        let restarted = T::PUBLISHERS_MAX == 1 && self.has_new_incarnation(header);
         let expected = match self.newest.get() {
             Some(newest) => newest + 1,
             None if linked => 0,
