@@ -41,7 +41,11 @@ impl Missing {
     /// When to look at the source, or to predict the next tick; none while nothing can be missing.
     pub fn until_ns(&self) -> Option<u64> {
         let last = self.last?;
-        let due_ns = last.received_ns + (last.predicted_len + 2) * last.header.interval_ns;
+        let interval_ns = last.header.interval_ns;
+        let after_ns = last.received_ns + last.predicted_len * interval_ns;
+        // Once the source is known to be gone, half an interval after the tick was due: the first tick of the
+        // next source finds the one before it answered.
+        let due_ns = after_ns + if self.is_gone { interval_ns + interval_ns / 2 } else { 2 * interval_ns };
         Some(due_ns.max(last.look_ns))
     }
 
@@ -93,8 +97,8 @@ mod tests {
         let predicted = missing.predict(true, 1_180).expect("the source is gone");
         assert_eq!((predicted.seq, predicted.stamp_ns), (8, 640));
         assert!(predicted.has(flags::PREDICTED) && predicted.observed_types == 0);
-        assert_eq!(missing.until_ns(), Some(1_240));
-        let predicted = missing.predict(false, 1_240).expect("back, and no tick yet");
+        assert_eq!(missing.until_ns(), Some(1_200));
+        let predicted = missing.predict(false, 1_200).expect("back, and no tick yet");
         assert_eq!((predicted.seq, predicted.stamp_ns), (9, 720));
         missing.came(&header(10, 0), 1_300);
         assert!(missing.predict(false, 1_460).is_none());
