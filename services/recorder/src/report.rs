@@ -357,7 +357,10 @@ impl Report {
         }
         // Restarts of which no heartbeat told.
         for outage in &supervision.outages {
-            if let Some(stage) = self.stages.iter_mut().find(|stage| stage.name == outage.stage) {
+            if !self.stages.iter().any(|stage| stage.name == outage.stage) {
+                self.stages.push(StageReport { name: outage.stage.clone(), ..StageReport::default() });
+            }
+            for stage in self.stages.iter_mut().filter(|stage| stage.name == outage.stage) {
                 stage.restarts = stage.restarts.max(outage.incarnation);
             }
         }
