@@ -1,3 +1,8 @@
+#![expect(
+    unsafe_code,
+    reason = "a call between fork and exec: whatever the program is, it dies with the launcher"
+)]
+
 use std::collections::VecDeque;
 use std::io::{BufRead, BufReader, Read};
 use std::os::unix::process::{CommandExt, ExitStatusExt};
@@ -7,9 +12,9 @@ use std::sync::mpsc::Sender;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::JoinHandle;
 
-use ports::{LAUNCHER_VARIABLE, RUN_VARIABLE};
+use ports::{INCARNATION_VARIABLE, LAUNCHER_VARIABLE, RUN_VARIABLE};
 use run::{Exit, Run};
-use rustix::process::{Pid, Signal, kill_process};
+use rustix::process::{Pid, Signal, kill_process, set_parent_process_death_signal};
 use wire::StageId;
 
 use crate::failure::{Failure, StageDeath};
@@ -41,6 +46,7 @@ impl Child {
     pub fn start(
         stage: StageId,
         own: Option<&[String]>,
+        incarnation: u32,
         run: &Run,
         record: &Path,
         lines: &Sender<Line>,
@@ -61,6 +67,7 @@ impl Child {
         command
             .env(RUN_VARIABLE, record)
             .env(LAUNCHER_VARIABLE, std::process::id().to_string())
+            .env(INCARNATION_VARIABLE, incarnation.to_string())
             .env("STGDAT_RUN_ID", run.id.to_string())
             .env("STGDAT_PREFIX", &run.prefix)
             .env("STGDAT_ROOT", &run.root)
@@ -70,6 +77,7 @@ impl Child {
             .stderr(Stdio::piped())
             // A process group of its own: Ctrl-C reaches the launcher alone, which ends the stages in order.
             .process_group(0);
+        die_with_this_process(&mut command);
         let mut process = command.spawn().map_err(|error| {
             let program = own.and_then(<[String]>::first).map_or("stgdat", String::as_str);
             Failure::config_about(format!("the {} can't be started: {program}", stage.name()), error)
@@ -88,6 +96,11 @@ impl Child {
             })
             .collect();
         Ok(Self { stage, process, ended: None, last_lines, readers })
+    }
+
+    /// Its process number.
+    pub fn pid(&self) -> Pid {
+        Pid::from_child(&self.process)
     }
 
     /// Its exit status, once it has ended.
@@ -127,6 +140,14 @@ impl Child {
             exit: status.code().and_then(Exit::from_code),
             last_lines: kept.iter().cloned().collect(),
         }
+    }
+}
+
+/// Has the kernel kill the program when the thread that starts it, the launcher's first, ends.
+pub fn die_with_this_process(command: &mut Command) {
+    // SAFETY: between fork and exec the closure makes one system call and touches no memory of this process.
+    unsafe {
+        command.pre_exec(|| Ok(set_parent_process_death_signal(Some(Signal::KILL))?));
     }
 }
 

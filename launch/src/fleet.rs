@@ -1,15 +1,18 @@
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::process::ExitStatus;
-use std::sync::mpsc::{Receiver, channel};
+use std::sync::mpsc::{Receiver, Sender, channel};
 use std::time::{Duration, Instant};
 
-use config::Pipeline;
-use run::Run;
+use config::{Pipeline, Restart};
+use run::{Exit, Run};
 use rustix::process::Signal;
-use wire::StageId;
+use wire::{Heartbeat, StageId};
 
 use crate::child::{Child, Line};
+use crate::cleaner::Cleaner;
 use crate::failure::{Failure, StageDeath};
+use crate::health::{Finding, Health, look};
+use crate::policy::{End, State, Supervision};
 
 /// Time that the stages have to end after a request.
 const END_LIMIT: Duration = Duration::from_secs(3);
@@ -17,13 +20,64 @@ const END_LIMIT: Duration = Duration::from_secs(3);
 const MEMORY_LIMIT: Duration = Duration::from_secs(20);
 /// Interval between checks of processes that are ending.
 const LOOK: Duration = Duration::from_millis(5);
+/// Between two looks of the launcher lie at most 50 ms; where it is ten times that, it was stopped or starved
+/// itself and knows nothing of the time between.
+const STOPPED: Duration = Duration::from_millis(500);
 
 /// The processes of a run; dropping it ends them all.
 #[derive(Debug)]
 pub struct Fleet {
-    children: Vec<Child>,
+    run: Run,
+    record: PathBuf,
+    members: Vec<Member>,
+    cleaner: Cleaner,
+    sender: Sender<Line>,
     lines: Receiver<Line>,
+    begun: Instant,
+    tended: Duration,
     end_limit: Duration,
+}
+
+/// A stage with its process.
+#[derive(Debug)]
+struct Member {
+    stage: StageId,
+    command: Option<Vec<String>>,
+    child: Child,
+    supervision: Supervision,
+    health: Health,
+    /// Number of the clean-up after its last death.
+    ticket: u64,
+    /// Why the launcher has killed its process, if it has.
+    killed_for: Option<&'static str>,
+}
+
+/// What happened to a stage.
+#[derive(Debug)]
+pub enum Event {
+    /// It has died and is started again.
+    Died {
+        /// Which.
+        stage: StageId,
+        /// How it ended, to follow its name.
+        how: String,
+        /// Its next incarnation.
+        next: u32,
+    },
+    /// It has ended and is not started again.
+    GivenUp {
+        /// Which.
+        stage: StageId,
+        /// How it ended, to follow its name.
+        how: String,
+        /// Why it is given up.
+        why: &'static str,
+    },
+    /// It gets no CPU.
+    Starved {
+        /// Which.
+        stage: StageId,
+    },
 }
 
 impl Fleet {
@@ -31,9 +85,31 @@ impl Fleet {
     pub fn start(pipeline: &Pipeline, run: &Run, record: &Path, keeps_memory: bool) -> Result<Self, Failure> {
         let (sender, lines) = channel();
         let end_limit = if keeps_memory { MEMORY_LIMIT } else { END_LIMIT };
-        let mut fleet = Self { children: Vec::new(), lines, end_limit };
+        let mut fleet = Self {
+            run: run.clone(),
+            record: record.to_owned(),
+            members: Vec::new(),
+            cleaner: Cleaner::new(record.to_owned(), run.prefix.clone()),
+            sender,
+            lines,
+            begun: Instant::now(),
+            tended: Duration::ZERO,
+            end_limit,
+        };
         for stage in &pipeline.stages {
-            fleet.children.push(Child::start(stage.id, stage.command.as_deref(), run, record, &sender)?);
+            let command = stage.command.clone();
+            let child = Child::start(stage.id, command.as_deref(), 0, run, record, &fleet.sender)?;
+            let now = fleet.begun.elapsed();
+            let (supervision, health) = (Supervision::new(stage.restart, now), Health::new(now));
+            fleet.members.push(Member {
+                stage: stage.id,
+                command,
+                child,
+                supervision,
+                health,
+                ticket: 0,
+                killed_for: None,
+            });
         }
         Ok(fleet)
     }
@@ -44,35 +120,93 @@ impl Fleet {
     }
 
     /// Whether a stage has ended with success.
-    pub fn done(&mut self, stage: StageId) -> bool {
-        self.children.iter_mut().any(|c| c.stage == stage && c.ended().is_some_and(|status| status.success()))
+    pub fn done(&self, stage: StageId) -> bool {
+        self.members.iter().any(|m| m.stage == stage && m.supervision.state() == State::Done)
     }
 
-    /// The first stage that ended during the run. The source and the recorder may end with success: their
-    /// work can be done.
-    pub fn death(&mut self) -> Option<StageDeath> {
-        let unexpected = |child: &mut Child| {
-            let may_end = matches!(child.stage, StageId::Source | StageId::Recorder);
-            child.ended().filter(|status| !(may_end && status.success()))
-        };
-        let (child, status): (&mut Child, ExitStatus) =
-            self.children.iter_mut().find_map(|child| unexpected(child).map(|status| (child, status)))?;
-        Some(child.death(status))
+    /// Whether the run can't give anything any more: its source has ended and its recorder is given up.
+    pub fn is_over(&self) -> bool {
+        let given_up = |m: &Member| matches!(m.supervision.state(), State::GivenUp { .. });
+        self.done(StageId::Source) && self.members.iter().any(|m| m.stage == StageId::Recorder && given_up(m))
+    }
+
+    /// Reaps, restarts and watches the stages. `is_linked` says whether the run has begun: before, a stage
+    /// that ends by itself can't be started, and ends the run. In lockstep every death does.
+    ///
+    /// # Errors
+    /// [`Failure::Death`] where a stage has ended without which there is no output.
+    pub fn tend(&mut self, heartbeats: &[Heartbeat], is_linked: bool) -> Result<Vec<Event>, Failure> {
+        let now = self.begun.elapsed();
+        let stopped = now.saturating_sub(self.tended);
+        self.tended = now;
+        let mut events = Vec::new();
+        for member in &mut self.members {
+            if stopped > STOPPED {
+                member.supervision.forgive(stopped);
+                member.health.forgive(now);
+            }
+            for heartbeat in heartbeats {
+                if heartbeat.stage == member.stage as u32
+                    && heartbeat.incarnation == member.supervision.incarnation()
+                {
+                    member.health.beat(now);
+                    if heartbeat.linked == 1 {
+                        member.supervision.linked();
+                    }
+                }
+            }
+            if !matches!(member.supervision.state(), State::Running { .. }) {
+                continue;
+            }
+            if let Some(status) = member.child.ended() {
+                member.ticket = self.cleaner.ticket();
+                // What a signal kills during the start can be started again; what ends by itself then can't.
+                let is_restartable = !self.run.lockstep && (is_linked || status.code().is_none());
+                events.extend(member.bury(status, is_restartable, now)?);
+            } else if is_linked && !self.run.lockstep {
+                events.extend(member.examine(now));
+            }
+        }
+        self.restart(now)?;
+        Ok(events)
+    }
+
+    /// Starts again the stages whose pause is over and whose dead predecessor is cleaned up.
+    fn restart(&mut self, now: Duration) -> Result<(), Failure> {
+        let waiting =
+            |m: &&Member| matches!(m.supervision.state(), State::Waiting { .. } | State::GivenUp { .. });
+        let wanted = self.members.iter().filter(waiting).map(|m| m.ticket).max().unwrap_or(0);
+        self.cleaner.tend(wanted, now)?;
+        for member in &mut self.members {
+            if member.supervision.is_due(now) && self.cleaner.is_done(member.ticket) {
+                let incarnation = member.supervision.incarnation() + 1;
+                let command = member.command.as_deref();
+                member.child =
+                    Child::start(member.stage, command, incarnation, &self.run, &self.record, &self.sender)?;
+                member.supervision.restarted(now);
+                member.health = Health::new(now);
+                member.killed_for = None;
+                // A program of the user's own reports no linking.
+                if member.command.is_some() {
+                    member.supervision.linked();
+                }
+            }
+        }
+        Ok(())
     }
 
     /// Asks all stages to end, waits, and kills those that do not end in time.
     pub fn end(&mut self) {
-        for child in &mut self.children {
+        for child in self.members.iter_mut().map(|member| &mut member.child) {
             child.signal(Signal::TERM);
             // A stopped process receives the request only when it continues.
             child.signal(Signal::CONT);
         }
         let start = Instant::now();
-        let running = |children: &mut Vec<Child>| children.iter_mut().any(|child| child.ended().is_none());
-        while running(&mut self.children) {
+        while self.members.iter_mut().any(|member| member.child.ended().is_none()) {
             if start.elapsed() > self.end_limit {
-                for child in &mut self.children {
-                    child.signal(Signal::KILL);
+                for member in &mut self.members {
+                    member.child.signal(Signal::KILL);
                 }
             }
             std::thread::sleep(LOOK);
@@ -81,9 +215,82 @@ impl Fleet {
 
     /// Describes the end of a stage that was asked to end and failed.
     pub fn failure(&mut self, stage: StageId) -> Option<StageDeath> {
-        let child = self.children.iter_mut().find(|child| child.stage == stage)?;
+        let child = &mut self.members.iter_mut().find(|member| member.stage == stage)?.child;
         let status = child.ended().filter(|status| !status.success())?;
         Some(child.death(status))
+    }
+}
+
+impl Member {
+    /// Takes note of its end.
+    fn bury(
+        &mut self,
+        status: ExitStatus,
+        is_restartable: bool,
+        now: Duration,
+    ) -> Result<Option<Event>, Failure> {
+        let may_end = matches!(self.stage, StageId::Source | StageId::Recorder);
+        let end = match status.code() {
+            Some(0) if may_end => End::Done,
+            Some(0) => End::Success,
+            Some(code) if code == Exit::Config as i32 => End::Config,
+            _ => End::Failure,
+        };
+        if end != End::Done && !is_restartable {
+            return Err(self.child.death(status).into());
+        }
+        let stage = self.stage;
+        match self.supervision.ended(end, now) {
+            State::Waiting { .. } => {
+                let how = match self.killed_for {
+                    Some(why) => why.to_owned(),
+                    None => self.child.death(status).how,
+                };
+                Ok(Some(Event::Died { stage, how, next: self.supervision.incarnation() + 1 }))
+            }
+            // Without one of these there is no output that could go on.
+            State::GivenUp { why }
+                if matches!(stage, StageId::Source | StageId::Tracker | StageId::Sampler) =>
+            {
+                let mut death = self.child.death(status);
+                death.how += &format!(" and is given up: {why}");
+                Err(death.into())
+            }
+            State::GivenUp { why } => {
+                let StageDeath { how, .. } = self.child.death(status);
+                Ok(Some(Event::GivenUp { stage, how, why }))
+            }
+            State::Running { .. } | State::Done => Ok(None),
+        }
+    }
+
+    /// Looks at the process where it is silent, and kills it where it is stopped, hangs or has not linked in
+    /// time: its end is then found like any other.
+    fn examine(&mut self, now: Duration) -> Option<Event> {
+        let policy = *self.supervision.policy();
+        let finding = if self.supervision.is_overdue(now) {
+            self.killed_for = Some("was not linked within its start limit, and killed");
+            Finding::Hung
+        } else if self.health.is_silent(now) {
+            self.health.judge(look(self.child.pid())?, policy.hang_after, now)
+        } else {
+            Finding::Well
+        };
+        match finding {
+            Finding::Well => None,
+            Finding::Stopped | Finding::Hung if policy.restart == Restart::Never => None,
+            Finding::Stopped | Finding::Hung => {
+                let why = if finding == Finding::Stopped {
+                    "was stopped, and killed"
+                } else {
+                    "hung, and was killed"
+                };
+                self.killed_for.get_or_insert(why);
+                self.child.signal(Signal::KILL);
+                None
+            }
+            Finding::Starved => Some(Event::Starved { stage: self.stage }),
+        }
     }
 }
 

@@ -4,13 +4,17 @@
 
 mod arguments;
 mod child;
+mod cleaner;
 mod contenders;
 #[cfg(test)]
 mod docs;
 mod failure;
 mod fleet;
+mod health;
 mod options;
+mod outages;
 mod pipeline_file;
+mod policy;
 mod show;
 mod stages;
 mod tables;

@@ -15,6 +15,7 @@ pub mod plot;
 pub mod predict;
 pub mod run;
 pub mod stage;
+pub mod sweep;
 pub mod track;
 pub mod train;
 pub mod verify;
@@ -64,6 +65,9 @@ pub enum Verb {
     Wire(wire::Arguments),
     /// Print completions for a shell
     Completions(completions::Arguments),
+    /// Clean up after dead stages of a living run (started by `run`)
+    #[command(hide = true)]
+    Sweep(sweep::Arguments),
     /// Print the manual of the command line as Markdown: the page docs/cli.md
     #[command(hide = true)]
     Manual(manual::Arguments),
@@ -91,6 +95,7 @@ impl Verb {
             Self::Clean(arguments) => clean::execute(&arguments),
             Self::Wire(arguments) => wire::execute(&arguments),
             Self::Completions(arguments) => completions::execute(&arguments),
+            Self::Sweep(arguments) => sweep::execute(&arguments),
             Self::Manual(arguments) => manual::execute(&arguments),
         }
     }

@@ -8,10 +8,12 @@ use ratatui::widgets::Widget;
 use ratatui::{Terminal, TerminalOptions, Viewport};
 use recorder::live::{LiveOptions, LiveView, draw};
 use run::Run;
-use wire::{ForecastsTopic, HeartbeatsTopic, StageId, Topic};
+use wire::{ForecastsTopic, Heartbeat, HeartbeatsTopic, StageId, Topic};
 
 use crate::child::Line;
 use crate::failure::Failure;
+use crate::fleet::Event;
+use crate::outages::Outages;
 
 /// Interval between updates of the table, and the longest sleep.
 const UPDATE: Duration = Duration::from_millis(100);
@@ -29,6 +31,7 @@ pub struct Watch {
     display: Display,
     shown: Instant,
     printed_ticks: u64,
+    outages: Outages,
 }
 
 /// How the progress is shown.
@@ -53,6 +56,7 @@ impl Watch {
             display: if quiet { Display::Quiet } else { Display::for_output() },
             shown: Instant::now(),
             printed_ticks: 0,
+            outages: Outages::default(),
         })
     }
 
@@ -62,20 +66,40 @@ impl Watch {
     }
 
     /// Sleeps until a heartbeat or for at most half an update interval; then shows what was received.
-    pub fn follow(&mut self, lines: impl Iterator<Item = Line>) -> Result<(), Failure> {
+    pub fn follow(&mut self, lines: impl Iterator<Item = Line>) -> Result<Vec<Heartbeat>, Failure> {
         self.peers.heartbeats().sleep(UPDATE / 2)?;
-        for heartbeat in self.peers.listen()? {
-            self.view.heartbeat(&heartbeat);
+        let heartbeats = self.peers.listen()?;
+        for heartbeat in &heartbeats {
+            self.view.heartbeat(heartbeat);
         }
         while let Some(frame) = self.forecasts.receive()? {
             self.view.forecasts(frame.header(), &frame);
+            self.outages.forecasts(frame.header(), &frame);
         }
         self.view.clock(monotonic_ns());
         for (stage, line) in lines {
             self.display.line(&format!("{}: {line}", stage.name()));
         }
         self.show();
-        Ok(())
+        Ok(heartbeats)
+    }
+
+    /// Shows a line of the launcher's own, and keeps what it is about for the report.
+    pub fn say(&mut self, event: &Event) {
+        match event {
+            Event::Died { stage, how, next } => {
+                self.outages.begin(*stage, *next, how);
+                self.display.line(&format!("launcher: the {} {how}: it is started again", stage.name()));
+            }
+            Event::GivenUp { stage, how, why } => {
+                self.outages.give_up(*stage, format!("{how}; {why}"));
+                self.display.line(&format!("launcher: the {} {how} and is given up: {why}", stage.name()));
+            }
+            Event::Starved { stage } => {
+                self.outages.starved(*stage);
+                self.display.line(&format!("launcher: the {} gets no CPU", stage.name()));
+            }
+        }
     }
 
     fn show(&mut self) {
@@ -93,8 +117,8 @@ impl Watch {
         self.shown = Instant::now();
     }
 
-    /// Shows the last lines and clears the table, with the cursor where it began.
-    pub fn close(mut self, lines: impl Iterator<Item = Line>) {
+    /// Shows the last lines and clears the table, with the cursor where it began; returns what outages cost.
+    pub fn close(mut self, lines: impl Iterator<Item = Line>) -> Outages {
         for (stage, line) in lines {
             self.display.line(&format!("{}: {line}", stage.name()));
         }
@@ -104,6 +128,7 @@ impl Watch {
             let _ = terminal.set_cursor_position(top);
             let _ = terminal.show_cursor();
         }
+        self.outages
     }
 }
 

@@ -69,6 +69,7 @@ class Flags(enum.IntFlag):
     LOCKSTEP = 8  # The tick runs in lockstep: no stage may give up waiting.
     VOID = 16  # A stage has refused this tick, or it came late and was taken in where it belongs: no agents.
     SEEN_FROM_EGO = 32  # The detections were made from `Header.ego_m`, by a sensor that can't see past what stands in its way.
+    PREDICTED = 64  # No detections have come for this tick: its tracks are predicted.
 
 
 class DetectionFlags(enum.IntFlag):

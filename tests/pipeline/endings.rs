@@ -61,22 +61,11 @@ fn a_signal_during_the_start_ends_the_run() {
 }
 
 #[test]
-fn the_death_of_a_stage_ends_the_run_and_is_reported() {
-    for stage in ["tracker", "encoder", "recorder"] {
-        let run = Started::run(&["--agents", "6"]);
-        let root = run.wait_until_it_runs();
-        run.signal_stage(stage, Signal::KILL);
-        let output = run.output();
-        assert_eq!(output.status.code(), Some(70));
-        let printed = format!("the {stage} was killed by signal 9");
-        assert!(stderr(&output).contains(&printed), "{}", stderr(&output));
-        assert_nothing_left(&root);
-    }
-}
-
-#[test]
 fn a_stopped_stage_is_ended_with_the_run() {
-    let run = Started::run(&["--agents", "6"]);
+    let scratch = Scratch::new("stopped-stage");
+    let name = "name = \"decoder\"\n";
+    let pipeline = scratch.pipeline("never.toml", name, &format!("{name}restart = \"never\"\n"));
+    let run = Started::run(&["--agents", "6", "--pipeline", &pipeline]);
     let root = run.wait_until_it_runs();
     run.signal_stage("decoder", Signal::STOP);
     std::thread::sleep(Duration::from_millis(500));

@@ -7,7 +7,7 @@ use localiser::MapChoice;
 use nn::Weights;
 use ports::{Space, Stop};
 use recorder::live::LiveOptions;
-use recorder::{Report, RunInfo};
+use recorder::{Report, RunInfo, Supervision};
 use run::{Exit, Run, StageRun};
 use scene::ContextMap;
 use source::{Playback, PlaybackOptions};
@@ -21,6 +21,7 @@ use crate::arguments::{
 use crate::failure::{Failure, StageDeath};
 use crate::fleet::Fleet;
 use crate::options::{Setting, StageOptions, text};
+use crate::outages::Outages;
 use crate::pipeline_file;
 use crate::watch::Watch;
 
@@ -104,13 +105,41 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
 
     let begun = SystemTime::now();
     let keeps_memory = options.get(StageId::Sampler, "memory").is_some();
-    let (exit, unkept) = supervise(&pipeline, &run, &stop, live, arguments.quiet, keeps_memory)?;
-    // After a signal, a report exists if the recorder had begun.
-    let written = std::fs::metadata(&report_path).and_then(|file| file.modified());
-    if exit == Exit::Done || written.is_ok_and(|written| written >= begun) {
-        report(arguments, &report_path, info)?;
+    let ended = supervise(&pipeline, &run, &stop, live, arguments.quiet, keeps_memory)?;
+    // However the run ended, the report tells what there was until then. After a signal or a failure, there is
+    // one if the recorder had begun; where it died too, what it had kept.
+    let modified = std::fs::metadata(&report_path).and_then(|file| file.modified());
+    let is_written = modified.is_ok_and(|written| written >= begun);
+    let measured = match &ended.outcome {
+        _ if is_written => Some(Report::read(&report_path).map_err(Failure::data)?),
+        Ok(Exit::Done) if ended.outages.given_up().is_empty() => {
+            Some(Report::read(&report_path).map_err(Failure::data)?)
+        }
+        _ => recorder::stage::kept_report(&run),
+    };
+    // A run that could not start has nothing to report but its failure.
+    if let Some(measured) = measured.filter(|_| ended.outcome.is_ok() || ended.linked) {
+        let ended_by = ended.outcome.as_ref().err().map(ToString::to_string);
+        let supervision = ended.outages.into_record(ended_by);
+        let given_up = !supervision.given_up.is_empty();
+        report(arguments, measured, info, supervision)?;
+        if given_up && matches!(ended.outcome, Ok(Exit::Done)) {
+            return Ok(Exit::Failed);
+        }
     }
-    unkept.map_or(Ok(exit), |death| Err(death.into()))
+    let exit = ended.outcome?;
+    ended.unkept.map_or(Ok(exit), |death| Err(death.into()))
+}
+
+/// How a run ended.
+struct Ended {
+    /// The exit code, or what ended it before its time.
+    outcome: Result<Exit, Failure>,
+    /// The failure of a sampler that could not write its retrieval memory.
+    unkept: Option<StageDeath>,
+    /// Whether the pipeline had been linked: the run had begun.
+    linked: bool,
+    outages: Outages,
 }
 
 impl Arguments {
@@ -171,8 +200,7 @@ fn stage_runs(pipeline: &Pipeline, options: &StageOptions) -> Vec<StageRun> {
     runs
 }
 
-/// Starts the stages, follows them to the end of the scene, and ends them. The second value is the failure of
-/// a sampler that could not write its retrieval memory.
+/// Starts the stages, follows them to the end of the scene, and ends them.
 fn supervise(
     pipeline: &Pipeline,
     run: &Run,
@@ -180,7 +208,7 @@ fn supervise(
     live: LiveOptions,
     quiet: bool,
     keeps_memory: bool,
-) -> Result<(Exit, Option<StageDeath>), Failure> {
+) -> Result<Ended, Failure> {
     let record = run.root.join("run");
     run.write(&record).map_err(Failure::config)?;
     let mut watch = Watch::open(run, live, quiet)?;
@@ -188,17 +216,21 @@ fn supervise(
     let started = Instant::now();
     let mut linked = false;
     let outcome = loop {
-        watch.follow(fleet.lines())?;
+        let heartbeats = match watch.follow(fleet.lines()) {
+            Ok(heartbeats) => heartbeats,
+            Err(failure) => break Err(failure),
+        };
         if let Some(exit) = stop.exit() {
             break Ok(exit);
         }
-        if let Some(death) = fleet.death() {
-            break Err(death.into());
+        linked = linked || watch.unlinked().is_empty();
+        match fleet.tend(&heartbeats, linked) {
+            Ok(events) => events.iter().for_each(|event| watch.say(event)),
+            Err(failure) => break Err(failure),
         }
-        if fleet.done(StageId::Recorder) {
+        if fleet.done(StageId::Recorder) || fleet.is_over() {
             break Ok(Exit::Done);
         }
-        linked = linked || watch.unlinked().is_empty();
         if !linked && started.elapsed() > START_LIMIT {
             let names: Vec<&str> = watch.unlinked().into_iter().map(StageId::name).collect();
             let seconds = START_LIMIT.as_secs();
@@ -207,13 +239,18 @@ fn supervise(
     };
     fleet.end();
     let unkept = keeps_memory.then(|| fleet.failure(StageId::Sampler)).flatten();
-    watch.close(fleet.lines());
-    outcome.map(|exit| (exit, unkept))
+    let outages = watch.close(fleet.lines());
+    Ok(Ended { outcome, unkept, linked, outages })
 }
 
 /// Completes the recorder's report, prints it, and writes it to the file of `--report`.
-fn report(arguments: &Arguments, written: &Path, info: RunInfo) -> Result<(), Failure> {
-    let mut report = Report::read(written).map_err(Failure::data)?;
+fn report(
+    arguments: &Arguments,
+    mut report: Report,
+    info: RunInfo,
+    supervision: Supervision,
+) -> Result<(), Failure> {
+    report.supervised(supervision);
     let measured = std::mem::take(&mut report.run);
     report.run = RunInfo {
         interval_ms: measured.interval_ms.or(info.interval_ms),

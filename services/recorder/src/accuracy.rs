@@ -12,6 +12,7 @@ mod truth;
 use std::collections::{BTreeMap, VecDeque};
 
 use metrics::{Displacement, DisplacementMean, HighestDensity, Point, displacement, min_displacement};
+use serde::{Deserialize, Serialize};
 use wire::{AGENT_TYPES, AgentType, Forecast, HORIZON_MAX, Header, MODES_MAX, Quality, Rejected, Truth};
 
 use crate::report::{Accuracy, Errors};
@@ -175,6 +176,12 @@ impl Scorer {
         tally.accuracy()
     }
 
+    pub(crate) fn checkpoint(&self) -> ScorerCheckpoint {
+        let mut tally = self.tally.clone();
+        tally.uncovered_len += self.waiting.iter().map(|tick| tick.forecasts.len() as u64).sum::<u64>();
+        ScorerCheckpoint(tally)
+    }
+
     /// Forecasts that wait for truth.
     #[cfg(test)]
     fn waiting_len(&self) -> usize {
@@ -182,8 +189,18 @@ impl Scorer {
     }
 }
 
+/// The sums of a [`Scorer`], with the forecasts that wait for truth counted as uncovered.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub(crate) struct ScorerCheckpoint(Tally);
+
+impl From<ScorerCheckpoint> for Scorer {
+    fn from(ScorerCheckpoint(tally): ScorerCheckpoint) -> Self {
+        Self { tally, ..Self::default() }
+    }
+}
+
 /// Sums of the errors of one group of forecasts.
-#[derive(Clone, Copy, Debug, Default)]
+#[derive(Clone, Copy, Debug, Default, Serialize, Deserialize)]
 struct Group {
     best_mode: DisplacementMean,
     single: DisplacementMean,
@@ -227,7 +244,7 @@ impl Group {
 }
 
 /// Sums of the errors so far.
-#[derive(Clone, Debug, Default)]
+#[derive(Clone, Debug, Default, Serialize, Deserialize)]
 struct Tally {
     all: Group,
     learned: Group,

@@ -1,4 +1,5 @@
 use hdrhistogram::Histogram;
+use serde::{Deserialize, Serialize};
 
 use crate::report::Percentiles;
 
@@ -20,6 +21,34 @@ impl Default for Distribution {
         let histogram = Histogram::new_with_bounds(1, LONGEST_NS, 3)
             .expect("the bounds are constants that hdrhistogram takes");
         Self { histogram, least_ns: u64::MAX, most_ns: 0 }
+    }
+}
+
+/// A distribution as it is kept in a file: values with their counts.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub(crate) struct Kept {
+    values: Vec<(u64, u32)>,
+    least_ns: u64,
+    most_ns: u64,
+}
+
+impl From<&Distribution> for Kept {
+    fn from(distribution: &Distribution) -> Self {
+        let recorded = distribution.histogram.iter_recorded();
+        let values = recorded.map(|step| (step.value_iterated_to(), step.count_at_value())).collect();
+        Self { values, least_ns: distribution.least_ns, most_ns: distribution.most_ns }
+    }
+}
+
+impl From<Kept> for Distribution {
+    fn from(kept: Kept) -> Self {
+        let mut distribution = Self::default();
+        for (value, count) in kept.values {
+            // Only values beyond the bounds are refused, and none was recorded.
+            let _ = distribution.histogram.record_n(value.min(LONGEST_NS), count);
+        }
+        (distribution.least_ns, distribution.most_ns) = (kept.least_ns, kept.most_ns);
+        distribution
     }
 }
 

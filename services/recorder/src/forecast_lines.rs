@@ -62,6 +62,22 @@ impl ForecastWriter {
         Ok(Self { file: WholeFile::create(path)? })
     }
 
+    /// Goes on with the file of a recorder that was killed.
+    ///
+    /// # Errors
+    /// The error of the file system.
+    pub fn resume(path: &Path) -> io::Result<Self> {
+        Ok(Self { file: WholeFile::resume(path)? })
+    }
+
+    /// Writes what is buffered, so that it outlives this process.
+    ///
+    /// # Errors
+    /// The error of the file system, such as a full disk.
+    pub fn flush(&mut self) -> io::Result<()> {
+        self.file.flush()
+    }
+
     /// Writes the forecasts of a tick; warm-up and END frames have no line.
     ///
     /// # Errors

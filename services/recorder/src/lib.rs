@@ -25,6 +25,6 @@ mod whole_file;
 
 pub use forecast_lines::{FORECASTS_VERSION, ForecastWriter};
 pub use options::{Options, STAGE};
-pub use record::{Recorder, RecorderOptions, TICK_LIMIT_NS};
-pub use report::{REPORT_VERSION, Report, ReportError, RunInfo, Status, Verdict};
+pub use record::{Checkpoint, Recorder, RecorderOptions, TICK_LIMIT_NS};
+pub use report::{Outage, REPORT_VERSION, Report, ReportError, RunInfo, Status, Supervision, Verdict};
 pub use whole_file::{WholeFile, is_standard_output};

@@ -118,7 +118,8 @@ impl LiveView {
         if !header.is_tick() {
             return;
         }
-        self.losses.forecast_gap(self.next_seq.map_or(0, |expected| header.seq.saturating_sub(expected)));
+        let gap = self.next_seq.map_or(0, |expected| header.seq.saturating_sub(expected));
+        self.losses.forecast_gap(header, gap);
         self.next_seq = Some(header.seq.saturating_add(1));
         self.ticks += 1;
         self.first_released_ns.get_or_insert(header.released_ns);

@@ -1,12 +1,13 @@
 //! Frames lost, by stage and cause, from heartbeats and from gaps in the forecasts.
 
-use wire::{Heartbeat, StageId};
+use serde::{Deserialize, Serialize};
+use wire::{Header, Heartbeat, StageId};
 
 use crate::passage::{STAGES_LEN, place};
 use crate::report::StageDrops;
 
 /// Counters of one stage over all its incarnations.
-#[derive(Clone, Copy, Debug, Default)]
+#[derive(Clone, Copy, Debug, Default, Serialize, Deserialize)]
 struct Counters {
     incarnation: u32,
     newest: StageDrops,
@@ -19,6 +20,7 @@ impl Counters {
         StageDrops {
             gap: self.newest.gap + self.before.gap,
             refused: self.newest.refused + self.before.refused,
+            restart: 0,
         }
     }
 
@@ -36,9 +38,13 @@ impl Counters {
 }
 
 /// Counts losses of all stages.
-#[derive(Clone, Copy, Debug, Default)]
+#[derive(Clone, Copy, Debug, Default, Serialize, Deserialize)]
 pub(crate) struct Losses {
     stages: [Counters; STAGES_LEN],
+    /// Ticks without forecasts that died with a stage, by the stage.
+    restart: [u64; STAGES_LEN],
+    /// The newest incarnation of each stage that the forecasts have passed.
+    passed: [u32; STAGES_LEN],
 }
 
 impl Losses {
@@ -49,9 +55,27 @@ impl Losses {
         }
     }
 
-    /// Counts frames of forecasts that never arrived at the recorder.
-    pub fn forecast_gap(&mut self, len: u64) {
-        self.stages[place(StageId::Recorder)].newest.gap += len;
+    /// Counts ticks whose forecasts never arrived at the recorder before those of `header`. Where a stage was
+    /// restarted meanwhile, they died with it; the first such stage on the way counts.
+    pub fn forecast_gap(&mut self, header: &Header, len: u64) {
+        let mut restarted = None;
+        for hop in header.hops() {
+            let Some(stage) = StageId::from_number(hop.stage) else { continue };
+            let passed = &mut self.passed[place(stage)];
+            if hop.incarnation > *passed {
+                *passed = hop.incarnation;
+                restarted = restarted.or(Some(stage));
+            }
+        }
+        match restarted {
+            Some(stage) => self.restart[place(stage)] += len,
+            None => self.stages[place(StageId::Recorder)].newest.gap += len,
+        }
+    }
+
+    /// Counts ticks whose forecasts came while the recorder was restarted.
+    pub const fn unrecorded(&mut self, len: u64) {
+        self.restart[place(StageId::Recorder)] += len;
     }
 
     /// Counts a frame that the recorder refused.
@@ -72,14 +96,17 @@ impl Losses {
     pub fn by_stage(&self) -> [StageDrops; STAGES_LEN] {
         let mut lost_before = 0;
         let mut own = self.stages.map(|counters| {
-            let StageDrops { gap, refused } = counters.total();
-            let own = StageDrops { gap: gap.saturating_sub(lost_before), refused };
+            let StageDrops { gap, refused, .. } = counters.total();
+            let own = StageDrops { gap: gap.saturating_sub(lost_before), refused, restart: 0 };
             lost_before = lost_before.max(gap);
             own
         });
         let before_recorder = own[place(StageId::Tracker)].gap + own[place(StageId::Sampler)].gap;
         let missed = self.stages[place(StageId::Recorder)].total().gap;
         own[place(StageId::Recorder)].gap = missed.saturating_sub(before_recorder);
+        for (own, restart) in own.iter_mut().zip(self.restart) {
+            own.restart = restart;
+        }
         own
     }
 }
@@ -88,6 +115,7 @@ impl Losses {
 mod tests {
     use super::*;
     use bytemuck::Zeroable;
+    use wire::Hop;
 
     fn beat(stage: StageId, incarnation: u32, dropped_len: u64, rejected_len: u64) -> Heartbeat {
         Heartbeat { stage: stage as u32, incarnation, dropped_len, rejected_len, ..Heartbeat::zeroed() }
@@ -104,12 +132,12 @@ mod tests {
         losses.heartbeat(&beat(StageId::Localiser, 0, 2, 0));
         losses.heartbeat(&beat(StageId::Extractor, 0, 4, 0));
         losses.heartbeat(&beat(StageId::Sampler, 0, 4, 0));
-        losses.forecast_gap(3);
-        assert_eq!(of(&losses, StageId::Tracker), StageDrops { gap: 2, refused: 1 });
+        losses.forecast_gap(&Header::new(1, 9, 0), 3);
+        assert_eq!(of(&losses, StageId::Tracker), StageDrops { gap: 2, refused: 1, restart: 0 });
         assert_eq!(of(&losses, StageId::Localiser), StageDrops::default());
-        assert_eq!(of(&losses, StageId::Extractor), StageDrops { gap: 2, refused: 0 });
+        assert_eq!(of(&losses, StageId::Extractor), StageDrops { gap: 2, refused: 0, restart: 0 });
         assert_eq!(of(&losses, StageId::Sampler), StageDrops::default());
-        assert_eq!(of(&losses, StageId::Recorder), StageDrops { gap: 1, refused: 0 });
+        assert_eq!(of(&losses, StageId::Recorder), StageDrops { gap: 1, refused: 0, restart: 0 });
     }
 
     #[test]
@@ -118,8 +146,23 @@ mod tests {
         losses.heartbeat(&beat(StageId::Encoder, 0, 4, 0));
         losses.heartbeat(&beat(StageId::Encoder, 1, 1, 0));
         losses.heartbeat(&beat(StageId::Encoder, 0, 9, 0));
-        assert_eq!(of(&losses, StageId::Encoder), StageDrops { gap: 5, refused: 0 });
+        assert_eq!(of(&losses, StageId::Encoder), StageDrops { gap: 5, refused: 0, restart: 0 });
         assert_eq!(losses.restarts(StageId::Encoder), 1);
+    }
+
+    #[test]
+    fn ticks_that_died_with_a_stage_are_put_down_to_it() {
+        let header = |incarnation| {
+            let mut header = Header::new(1, 9, 0);
+            header.push_hop(Hop { stage: StageId::Tracker as u32, incarnation, ..Hop::zeroed() });
+            header
+        };
+        let mut losses = Losses::default();
+        losses.forecast_gap(&header(0), 0);
+        losses.forecast_gap(&header(1), 3);
+        losses.forecast_gap(&header(1), 1);
+        assert_eq!(of(&losses, StageId::Tracker), StageDrops { gap: 0, refused: 0, restart: 3 });
+        assert_eq!(of(&losses, StageId::Recorder), StageDrops { gap: 1, refused: 0, restart: 0 });
     }
 
     #[test]

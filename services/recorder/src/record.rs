@@ -1,5 +1,8 @@
+mod checkpoint;
+
 use std::collections::BTreeMap;
 
+use serde::{Deserialize, Serialize};
 use wire::{Cause, Forecast, Header, Heartbeat, Quality, Rejected, StageId, Truth, flags};
 
 use crate::accuracy::Scorer;
@@ -8,8 +11,10 @@ use crate::losses::Losses;
 use crate::passage::{Passage, Phases, Timeline, place};
 use crate::report::{
     Agents, ForecastCounts, OutOfDistribution, Percentiles, PriorCounts, REPORT_VERSION, Report, RunInfo,
-    StageDrops, StageReport, Status, Verdict,
+    StageDrops, StageReport, Status, Supervision, Verdict,
 };
+
+pub use checkpoint::Checkpoint;
 
 /// The time that a tick may take from release to forecast at 12.5 Hz.
 pub const TICK_LIMIT_NS: u64 = wire::TICK_NS;
@@ -53,7 +58,7 @@ impl StageTimes {
 }
 
 /// First and last value of increasing clocks.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, Serialize, Deserialize)]
 struct Span {
     stamp_ns: [i64; 2],
     released_ns: [u64; 2],
@@ -82,8 +87,11 @@ pub struct Recorder {
     fallbacks_by_cause: [u64; Cause::ALL.len()],
     states_by_prior: [u64; Quality::ALL.len()],
     degraded_ticks: u64,
+    predicted_ticks: u64,
     age_ns_max: Option<u64>,
     out_of_distribution: OutOfDistribution,
+    /// Whether it goes on with what a recorder before has kept, and no tick has come yet.
+    resumed: bool,
 }
 
 /// From this measure on the network adds less than half of what it would.
@@ -126,8 +134,10 @@ impl Recorder {
             fallbacks_by_cause: [0; Cause::ALL.len()],
             states_by_prior: [0; Quality::ALL.len()],
             degraded_ticks: 0,
+            predicted_ticks: 0,
             age_ns_max: None,
             out_of_distribution: OutOfDistribution::default(),
+            resumed: false,
         }
     }
 
@@ -160,7 +170,12 @@ impl Recorder {
             return Err(rejected);
         }
         let gap = self.next_seq.map_or(0, |expected| header.seq.saturating_sub(expected));
-        self.losses.forecast_gap(gap);
+        if std::mem::take(&mut self.resumed) {
+            self.losses.forecast_gap(header, 0);
+            self.losses.unrecorded(gap);
+        } else {
+            self.losses.forecast_gap(header, gap);
+        }
         self.next_seq = Some(header.seq.saturating_add(1));
         if header.is_tick() && self.newer_ns(header).is_none() {
             self.latency(header);
@@ -219,6 +234,7 @@ impl Recorder {
             }
         }
         self.agents_left_out += u64::from(header.left_out_len);
+        self.predicted_ticks += u64::from(header.has(flags::PREDICTED));
     }
 
     fn qualities(&mut self, forecasts: &[Forecast]) {
@@ -275,6 +291,7 @@ impl Recorder {
             overhead_ms: self.overhead.percentiles_ms(),
             stages,
             accuracy: self.scorer.accuracy(),
+            supervision: Supervision::default(),
         };
         report.verdict = verdict(&report);
         report
@@ -313,7 +330,8 @@ impl Recorder {
             .map(|(cause, count)| (cause.name().to_owned(), count))
             .collect();
         let age_ms_max = self.age_ns_max.map(ms);
-        ForecastCounts { learned, held, kinematic, causes, degraded_ticks: self.degraded_ticks, age_ms_max }
+        let Self { degraded_ticks, predicted_ticks, .. } = *self;
+        ForecastCounts { learned, held, kinematic, causes, degraded_ticks, predicted_ticks, age_ms_max }
     }
 
     fn prior_counts(&self) -> PriorCounts {
@@ -384,6 +402,10 @@ fn verdict(report: &Report) -> Verdict {
     if fallbacks > 0 {
         let ticks = format!("in {} of {} ticks", report.forecasts.degraded_ticks, report.ticks);
         reasons.push(format!("forecasts not learned: {fallbacks} {ticks} ({})", list(faults())));
+    }
+    if report.forecasts.predicted_ticks > 0 {
+        let (ticks, all) = (report.forecasts.predicted_ticks, report.ticks);
+        reasons.push(format!("detections missing: tracks predicted in {ticks} of {all} ticks"));
     }
     if report.agents_left_out > 0 {
         reasons.push(format!("agents left out of full frames: {}", report.agents_left_out));

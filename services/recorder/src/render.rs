@@ -25,6 +25,7 @@ impl Report {
             }
             self.stages(text, width)?;
             self.forecasts(text, width)?;
+            self.supervision(text)?;
             self.accuracy(text, width)
         };
         write(&mut text).expect("writing to a string can't fail");
@@ -187,6 +188,38 @@ impl Report {
         causes.iter().try_for_each(|&(cause, &n)| {
             writeln!(text, " {:LABEL_WIDTH$}{:>10}   not learned: {}", "", count(n), meaning(cause))
         })
+    }
+
+    fn supervision(&self, text: &mut String) -> fmt::Result {
+        let supervision = &self.supervision;
+        if supervision.outages.is_empty() && supervision.starved.is_empty() {
+            return Ok(());
+        }
+        writeln!(text, "\n {:LABEL_WIDTH$}", "OUTAGES")?;
+        for outage in &supervision.outages {
+            let again = match outage.ticks_to_learned {
+                Some(0) => "without effect on the forecasts".to_owned(),
+                Some(ticks) => format!("learned again after {} ticks", count(ticks)),
+                None => "not learned again by the end".to_owned(),
+            };
+            let lost = [
+                (outage.ticks_lost, "lost"),
+                (outage.ticks_not_learned, "not learned"),
+                (outage.ticks_predicted, "predicted"),
+            ];
+            let lost = lost.iter().filter(|(n, _)| *n > 0).map(|(n, what)| format!(", {n} {what}"));
+            let (stage, tick, cause) = (&outage.stage, count(outage.tick), &outage.cause);
+            writeln!(text, " {stage:LABEL_WIDTH$}tick {tick}: {cause}; {again}{}", lost.collect::<String>())?;
+        }
+        if supervision.outages_unlisted > 0 {
+            let more = count(supervision.outages_unlisted);
+            writeln!(text, " {:LABEL_WIDTH$}and {more} more", "")?;
+        }
+        for (stage, times) in &supervision.starved {
+            let times = count(*times);
+            writeln!(text, " {stage:LABEL_WIDTH$}got no CPU for longer than its limit, {times} times")?;
+        }
+        Ok(())
     }
 
     fn accuracy(&self, text: &mut String, width: usize) -> fmt::Result {

@@ -52,6 +52,46 @@ pub struct Report {
     pub stages: Vec<StageReport>,
     /// Errors of the forecasts against the recording's later truth.
     pub accuracy: Accuracy,
+    /// Deaths, restarts and other events of the stages, as the launcher saw them.
+    #[serde(default)]
+    pub supervision: Supervision,
+}
+
+/// What the launcher saw of the stages.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default)]
+pub struct Supervision {
+    /// What ended the run before its time; none where the recording ended or a signal asked for it.
+    pub ended_by: Option<String>,
+    /// Stages that were given up for good, with the reason.
+    pub given_up: BTreeMap<String, String>,
+    /// Each death of a stage after which it was started again.
+    pub outages: Vec<Outage>,
+    /// Outages beyond those listed.
+    pub outages_unlisted: u64,
+    /// How often a stage got no CPU for longer than its `hang_after`, by stage.
+    pub starved: BTreeMap<String, u64>,
+}
+
+/// The time from a death of a stage until the forecasts are learned again.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Outage {
+    /// The stage.
+    pub stage: String,
+    /// The incarnation that takes over.
+    pub incarnation: u32,
+    /// How the one before ended.
+    pub cause: String,
+    /// Number of the newest tick with forecasts when its death was noticed.
+    pub tick: u64,
+    /// Ticks without forecasts.
+    pub ticks_lost: u64,
+    /// Ticks with forecasts that are held or kinematic for another cause than a young track.
+    pub ticks_not_learned: u64,
+    /// Ticks of predicted tracks: their detections are missing.
+    pub ticks_predicted: u64,
+    /// Ticks from its end until forecasts are learned again; none where the run ended before.
+    pub ticks_to_learned: Option<u64>,
 }
 
 /// Status of a run.
@@ -143,6 +183,9 @@ pub struct ForecastCounts {
     pub causes: BTreeMap<String, u64>,
     /// Ticks with a forecast that is not learned for another cause than `young`.
     pub degraded_ticks: u64,
+    /// Ticks of predicted tracks: their detections are missing.
+    #[serde(default)]
+    pub predicted_ticks: u64,
     /// Greatest age of a held forecast.
     pub age_ms_max: Option<f64>,
 }
@@ -219,13 +262,16 @@ pub struct StageDrops {
     pub gap: u64,
     /// Arrived and were refused.
     pub refused: u64,
+    /// Ticks without forecasts because the stage had died; of the recorder: ticks that it did not record.
+    #[serde(default)]
+    pub restart: u64,
 }
 
 impl StageDrops {
     /// All causes together.
     #[must_use]
     pub const fn total(&self) -> u64 {
-        self.gap + self.refused
+        self.gap + self.refused + self.restart
     }
 }
 
@@ -314,6 +360,32 @@ impl Report {
             serde_json::to_string_pretty(self).expect("names are strings, numbers are finite or null");
         json.push('\n');
         json
+    }
+
+    /// Completes the report with what the launcher saw; the verdict begins with what ended the run, and with
+    /// stages that were given up.
+    pub fn supervised(&mut self, supervision: Supervision) {
+        let mut reasons = Vec::new();
+        if let Some(ended_by) = &supervision.ended_by {
+            reasons.push(format!("ended before its time: {ended_by}"));
+        }
+        for (stage, why) in &supervision.given_up {
+            reasons.push(format!("the {stage} was given up: {why}"));
+        }
+        if !reasons.is_empty() && self.verdict.status == Status::Ok {
+            self.verdict.status = Status::Degraded;
+        }
+        // Restarts of which no heartbeat told.
+        for outage in &supervision.outages {
+            if !self.stages.iter().any(|stage| stage.name == outage.stage) {
+                self.stages.push(StageReport { name: outage.stage.clone(), ..StageReport::default() });
+            }
+            for stage in self.stages.iter_mut().filter(|stage| stage.name == outage.stage) {
+                stage.restarts = stage.restarts.max(outage.incarnation);
+            }
+        }
+        self.verdict.reasons.splice(0..0, reasons);
+        self.supervision = supervision;
     }
 
     /// Writes the report as JSON. The file appears whole or not at all.

@@ -3,12 +3,16 @@
 use std::io;
 use std::path::PathBuf;
 
-use ports::{Stage, StageError};
+use ports::{Stage, StageError, monotonic_ns};
 use run::Run;
 use wire::{ForecastsTopic, Header, Rejected, Topic, TruthTopic, flags};
 
-use crate::{ForecastWriter, Options, Recorder, RecorderOptions, STAGE};
+use crate::{Checkpoint, ForecastWriter, Options, Recorder, RecorderOptions, Report, STAGE};
 
+/// Time between checkpoints: what a death of the recorder loses at most.
+const KEEP_NS: u64 = 1_000_000_000;
+/// Name of the checkpoint in the run's directory.
+const CHECKPOINT: &str = "recorder-checkpoint.json";
 /// Name of the report in the run's directory.
 const REPORT: &str = "report.json";
 
@@ -18,18 +22,22 @@ const REPORT: &str = "report.json";
 /// [`StageError`] where the run's options or shared memory can't be used or a file can't be written.
 pub fn run(run: &Run) -> Result<(), StageError> {
     let options = STAGE.options(run)?;
-    let mut recorder = Recorder::new(settings(run));
+    let checkpoint = checkpoint_path(run);
+    let kept = (ports::incarnation() > 0).then(|| Checkpoint::read(&checkpoint).ok()).flatten();
+    let open_file = if kept.is_some() { ForecastWriter::resume } else { ForecastWriter::create };
+    let mut recorder =
+        kept.map_or_else(|| Recorder::new(settings(run)), |kept| Recorder::resume(settings(run), kept));
     let unwritable = |source: io::Error| {
         let path = options.forecasts.clone().unwrap_or_else(|| PathBuf::from("forecasts"));
         StageError::File { path, source }
     };
-    let mut writer =
-        options.forecasts.as_deref().map(ForecastWriter::create).transpose().map_err(unwritable)?;
+    let mut writer = options.forecasts.as_deref().map(open_file).transpose().map_err(unwritable)?;
 
     let mut stage = Stage::open(run, &STAGE)?;
     let forecasts = stage.subscribe_deep::<ForecastsTopic>(ForecastsTopic::DEPTH_MAX)?;
     let truth = stage.subscribe_deep::<TruthTopic>(TruthTopic::DEPTH_MAX)?;
     let mut peers = stage.peers(run)?;
+    let mut kept_ns = monotonic_ns();
 
     while let Some(frame) = stage.take(&forecasts)? {
         // The truth of a tick is sent before its detections, so it is there when the forecasts come.
@@ -45,6 +53,13 @@ pub fn run(run: &Run) -> Result<(), StageError> {
         count(&mut stage, frame.header(), ForecastsTopic::NAME, result);
         if frame.header().has(flags::END) {
             break;
+        }
+        if monotonic_ns().saturating_sub(kept_ns) >= KEEP_NS {
+            kept_ns = monotonic_ns();
+            if let Some(writer) = &mut writer {
+                writer.flush().map_err(unwritable)?;
+            }
+            recorder.checkpoint().write(&checkpoint).map_err(StageError::data)?;
         }
         // In lockstep the source waits for this heartbeat before it releases the next tick.
         if frame.header().has(flags::LOCKSTEP) && frame.header().is_tick() {
@@ -63,6 +78,18 @@ fn count(stage: &mut Stage, header: &Header, topic: &'static str, result: Result
         Ok(()) => {}
         Err(why) => stage.refuse(header.seq, topic, &why),
     }
+}
+
+fn checkpoint_path(run: &Run) -> PathBuf {
+    run.root.join(CHECKPOINT)
+}
+
+/// The report of a run whose recorder died and was not restarted, of what it had kept; none where it had kept
+/// nothing.
+#[must_use]
+pub fn kept_report(run: &Run) -> Option<Report> {
+    let kept = Checkpoint::read(&checkpoint_path(run)).ok()?;
+    Some(Recorder::resume(settings(run), kept).report())
 }
 
 /// Path of a run's report.

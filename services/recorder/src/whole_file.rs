@@ -1,7 +1,7 @@
 //! Files that appear complete or not at all.
 
 use std::fs::{self, File};
-use std::io::{self, BufWriter, Write};
+use std::io::{self, BufWriter, Read, Seek, SeekFrom, Write};
 use std::os::fd::AsFd;
 use std::path::{Path, PathBuf};
 
@@ -39,6 +39,27 @@ impl WholeFile {
         Ok(Self { output, rename: Some((partial, path)) })
     }
 
+    /// Goes on with the partial content that a process left which was killed, from its last whole line on;
+    /// starts the file where there is none.
+    ///
+    /// # Errors
+    /// The error of the file system.
+    pub fn resume(path: &Path) -> io::Result<Self> {
+        let mut name = path.file_name().ok_or(io::ErrorKind::IsADirectory)?.to_owned();
+        name.push(".partial");
+        let resolved = fs::canonicalize(path).unwrap_or_else(|_| path.to_owned());
+        let partial = resolved.with_file_name(name);
+        if is_standard_output(path) || !partial.is_file() {
+            return Self::create(path);
+        }
+        let mut output = File::options().read(true).write(true).open(&partial)?;
+        let whole_len = whole_lines_len(&mut output)?;
+        output.set_len(whole_len)?;
+        output.seek(SeekFrom::Start(whole_len))?;
+        let output = BufWriter::with_capacity(1 << 18, output);
+        Ok(Self { output, rename: Some((partial, resolved)) })
+    }
+
     fn direct(output: File) -> Self {
         Self { output: BufWriter::new(output), rename: None }
     }
@@ -64,6 +85,24 @@ impl Write for WholeFile {
     fn flush(&mut self) -> io::Result<()> {
         self.output.flush()
     }
+}
+
+/// Bytes up to the last line feed, which is searched from the end.
+fn whole_lines_len(file: &mut File) -> io::Result<u64> {
+    const BLOCK: u64 = 1 << 16;
+    let mut end = file.seek(SeekFrom::End(0))?;
+    let mut block = Vec::new();
+    while end > 0 {
+        let start = end.saturating_sub(BLOCK);
+        file.seek(SeekFrom::Start(start))?;
+        block.clear();
+        Read::take(&*file, end - start).read_to_end(&mut block)?;
+        if let Some(last) = block.iter().rposition(|&byte| byte == b'\n') {
+            return Ok(start + last as u64 + 1);
+        }
+        end = start;
+    }
+    Ok(0)
 }
 
 /// Whether a path names standard output: `-` or `/dev/stdout`.
@@ -93,6 +132,21 @@ mod tests {
         file.finish().unwrap();
         assert_eq!(fs::read(&path).unwrap(), b"one\n");
         assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 1, "no partial file is left");
+    }
+
+    #[test]
+    fn a_killed_writer_is_followed_from_its_last_whole_line() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.jsonl");
+        let mut killed = WholeFile::create(&path).unwrap();
+        killed.write_all(b"one\ntwo\nthr").unwrap();
+        killed.flush().unwrap();
+        drop(killed);
+        let mut next = WholeFile::resume(&path).unwrap();
+        next.write_all(b"four\n").unwrap();
+        next.finish().unwrap();
+        assert_eq!(fs::read(&path).unwrap(), b"one\ntwo\nfour\n");
+        assert!(WholeFile::resume(&folder.path().join("new")).is_ok());
     }
 
     #[test]

@@ -15,6 +15,9 @@ use crate::{STAGE, Sampler};
 pub fn run(run: &Run) -> Result<(), StageError> {
     let model = ModelConfig::of_run(&run.root).map_err(StageError::config)?;
     let mut sampler = open(run, &model)?;
+    if ports::incarnation() > 0 && sampler.memory().is_none() {
+        eprintln!("restarted: retrieval memory and evidence begin empty");
+    }
     let followed = follow(run, &model, &mut sampler);
     let saved = save_memory(run, &sampler);
     followed.and(saved)

@@ -6,6 +6,7 @@
 mod options;
 mod outputs;
 mod pace;
+mod plan;
 mod playback;
 mod scene;
 pub mod stage;

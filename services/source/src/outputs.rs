@@ -7,6 +7,10 @@ use crate::Tick;
 /// Time between the frames that link the pipeline, and between those that end it.
 pub(crate) const REPEAT_NS: u64 = 25_000_000;
 
+/// Empty frames with which a restarted source takes up its place. Each stage sends a heartbeat every 80 ms:
+/// those of all are there after four.
+const TAKE_OVER_LEN: usize = 4;
+
 /// The source's ends of its topics, and the heartbeats of the stages that follow.
 #[derive(Debug)]
 pub(crate) struct Outputs {
@@ -61,6 +65,22 @@ impl Outputs {
             }
         }
         if stage.stop().requested() { Ok(()) } else { Err(self.unanswered(Awaiting::StartOrEnd, limit_ns)) }
+    }
+
+    /// Takes up the place of a source that died: empty frames wake the readers, which then know this process.
+    /// Returns the number of the newest tick that the tracker has answered.
+    ///
+    /// # Errors
+    /// [`PortError`] where the transport fails.
+    pub fn take_over(&mut self, stage: &mut Stage, header: Header) -> Result<Option<u64>, PortError> {
+        for _ in 0..TAKE_OVER_LEN {
+            self.truth.send_copy(&[], header)?;
+            let passage = stage.release(header);
+            stage.pass_empty(passage, &self.detections)?;
+            self.wait_until(stage, monotonic_ns() + REPEAT_NS, |_| false)?;
+        }
+        let tracker = self.peers.newest(StageId::Tracker).filter(|heartbeat| heartbeat.frames_len > 0);
+        Ok(tracker.map(|heartbeat| heartbeat.seq))
     }
 
     /// Waits until the recorder has the forecasts of a tick.

@@ -15,6 +15,11 @@ impl Pace {
         Self { start_ns, interval_ns }
     }
 
+    /// When the first tick went out, moved by the delays since.
+    pub(crate) const fn start_ns(&self) -> u64 {
+        self.start_ns
+    }
+
     /// When a tick that is due `due_ns` after the first goes out, given that it is `now_ns`.
     #[must_use]
     pub(crate) const fn release_ns(&mut self, due_ns: u64, now_ns: u64) -> u64 {

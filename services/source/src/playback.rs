@@ -136,6 +136,15 @@ impl Playback {
         })
     }
 
+    /// Goes on at the first tick that is due at `due_ns` or later and has at least the number `seq`.
+    pub fn skip_to(&mut self, due_ns: u64, seq: u64) {
+        let Some(&first) = self.played.first() else { return };
+        let first_ns = self.recording.frames[first].stamp_ns;
+        let is_before = |&place: &usize| self.recording.frames[place].stamp_ns.abs_diff(first_ns) < due_ns;
+        let due_len = self.played.partition_point(is_before) as u64;
+        self.seq = self.seq.max(due_len).max(seq).min(self.ticks_len());
+    }
+
     /// The header of the frame that links the stages before the first tick.
     #[must_use]
     pub fn warm_up(&self) -> Header {

@@ -5,6 +5,7 @@ use run::Run;
 
 use crate::outputs::{Outputs, REPEAT_NS};
 use crate::pace::Pace;
+use crate::plan::Plan;
 use crate::{Playback, PlaybackOptions, STAGE, recording};
 
 /// Longest wait for the stages to link, and in lockstep for a tick's forecasts.
@@ -27,14 +28,29 @@ pub fn run(run: &Run) -> Result<(), StageError> {
     let mut outputs = Outputs::open(&mut stage, run)?;
 
     let warm_up = playback.warm_up();
-    outputs.repeat(&mut stage, warm_up, ANSWER_LIMIT_NS, |peers| peers.unlinked().is_empty())?;
-    // The warm-up frames still on their way pass before the first tick.
-    let mut pace = Pace::new(monotonic_ns() + 2 * REPEAT_NS, playback.interval_ns());
+    let plan = Plan::of(run);
+    let earlier_ns = (stage.incarnation() > 0).then(|| plan.start_ns()).flatten();
+    let mut pace = if let Some(start_ns) = earlier_ns {
+        let answered = outputs.take_over(&mut stage, warm_up)?;
+        // The tick that is due: those before it are lost, or the tracker has predicted them.
+        let due_ns = monotonic_ns().saturating_sub(start_ns);
+        playback.skip_to(due_ns, answered.map_or(0, |seq| seq + 1));
+        Pace::new(start_ns, playback.interval_ns())
+    } else {
+        outputs.repeat(&mut stage, warm_up, ANSWER_LIMIT_NS, |peers| peers.unlinked().is_empty())?;
+        // The warm-up frames still on their way pass before the first tick.
+        Pace::new(monotonic_ns() + 2 * REPEAT_NS, playback.interval_ns())
+    };
+    let mut planned_ns = None;
 
     while let Some(tick) = playback.next_tick() {
         let due_ns = if run.lockstep { 0 } else { tick.due_ns };
         if !stage.sleep_until(pace.release_ns(due_ns, monotonic_ns()))? {
             return Ok(());
+        }
+        if planned_ns != Some(pace.start_ns()) {
+            planned_ns = Some(pace.start_ns());
+            plan.write(pace.start_ns())?;
         }
         outputs.send(&mut stage, &tick)?;
         if run.lockstep {

@@ -48,6 +48,7 @@ mod forecasts;
 mod front;
 mod grid;
 mod history;
+mod missing;
 mod observation;
 mod occlusion;
 mod options;

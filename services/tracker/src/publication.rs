@@ -90,6 +90,11 @@ impl Publications {
         Self { all: Vec::with_capacity(len), next_id: 1, next: 0, last_ns: i64::MIN }
     }
 
+    /// Gives new publications ids from `first` on.
+    pub const fn set_next_id(&mut self, first: u64) {
+        self.next_id = first;
+    }
+
     /// The publication of an agent.
     pub fn find(&mut self, birth: Birth) -> Option<&Publication> {
         self.index_of(birth).map(|index| &self.all[index])

@@ -2,10 +2,11 @@
 
 use bytemuck::Zeroable;
 use model::ModelConfig;
-use ports::{Awaited, Frame, Stage, StageError, Subscriber};
+use ports::{Awaited, Frame, Stage, StageError, Subscriber, monotonic_ns};
 use run::Run;
 use wire::{AGENTS_MAX, DetectionsTopic, ForecastsTopic, Header, Topic, Track, TracksTopic, flags};
 
+use crate::missing::Missing;
 pub use crate::settings::settings;
 use crate::tally::Warned;
 use crate::{STAGE, Tracker};
@@ -16,23 +17,40 @@ use crate::{STAGE, Tracker};
 /// [`StageError`] where the run's model, options or shared memory can't be used.
 pub fn run(run: &Run) -> Result<(), StageError> {
     let model = ModelConfig::of_run(&run.root).map_err(StageError::config)?;
-    let mut tracker = Tracker::new(settings(run, &model)?);
+    let mut tracker = Tracker::new(settings(run, &model)?).with_ids_of(ports::incarnation());
     let mut tracks = vec![Track::zeroed(); AGENTS_MAX];
     let mut warned = Warned::default();
     let mut prior = None;
+    let mut missing = Missing::default();
 
     let mut stage = Stage::open(run, &STAGE)?;
     let detections = stage.subscribe::<DetectionsTopic>()?;
     let forecasts = stage.subscribe_deep::<ForecastsTopic>(ForecastsTopic::DEPTH_MAX)?;
     let output = stage.publish::<TracksTopic>()?;
 
-    while let Some(input) = stage.next(&detections, &output)? {
-        if let Some(newer) = newer_prior(&mut stage, &forecasts, input.header())? {
+    loop {
+        let (header, input) = match stage.next_until(&detections, &output, missing.until_ns())? {
+            Awaited::Frame(frame) => (*frame.header(), Some(frame)),
+            Awaited::Late => match missing.predict(detections.has_no_publisher(), monotonic_ns()) {
+                Some(header) => (header, None),
+                None => continue,
+            },
+            Awaited::Void(frame) => {
+                missing.is_no_tick(frame.header());
+                continue;
+            }
+            Awaited::Stopped => break,
+        };
+        if let Some(frame) = &input {
+            missing.came(&header, frame.received_ns());
+        }
+        if let Some(newer) = newer_prior(&mut stage, &forecasts, &header)? {
             prior = Some(newer);
         }
-        let mut passage = stage.begin(&input);
+        let mut passage = input.as_ref().map_or_else(|| stage.release(header), |frame| stage.begin(frame));
         let given = prior.as_ref().map(|frame| (frame.header(), &frame[..]));
-        let tracked = tracker.step(input.header(), &input, given, &mut tracks);
+        let detections = input.as_deref().unwrap_or_default();
+        let tracked = tracker.step(&header, detections, given, &mut tracks);
         passage.header = tracker.header(&passage.header);
         match tracked {
             // An out-of-sequence frame: newer tracks are out already, its effect shows in the next.

@@ -63,6 +63,14 @@ impl Tracker {
         }
     }
 
+    /// The same tracker as the `incarnation`th successor of one that died: its tracks get ids that no
+    /// predecessor has used. Each incarnation has 2⁴⁰ of them, which also doubles hold exactly.
+    #[must_use]
+    pub const fn with_ids_of(mut self, incarnation: u32) -> Self {
+        self.publications.set_next_id(((incarnation as u64) << 40) + 1);
+        self
+    }
+
     /// Processes the detections of a frame and writes the tracks at its stamp to `out`, in the order of their
     /// ids.
     ///

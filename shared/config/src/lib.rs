@@ -4,5 +4,7 @@
 //! and options of this project's own programs come from their declarations ([`run::Declared`]).
 
 mod pipeline;
+mod restart;
 
 pub use pipeline::{BUDGET_MAX_MS, Pipeline, PipelineError, Stage};
+pub use restart::{Restart, RestartPolicy};

@@ -12,6 +12,8 @@ pub use error::PipelineError;
 use run::Declared;
 use wire::StageId;
 
+use crate::RestartPolicy;
+
 /// A process of the pipeline.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Stage {
@@ -27,6 +29,8 @@ pub struct Stage {
     pub budget_ms: Option<f64>,
     /// Its options: checked by its declaration or, where it has a `command`, as written.
     pub options: toml::Table,
+    /// What happens when it ends.
+    pub restart: RestartPolicy,
 }
 
 /// A checked graph of stages, in the order of the file.

@@ -31,7 +31,7 @@ impl Displacement {
 
 /// Mean of many displacements; ADE and FDE have counts of their own, since some windows end before the
 /// horizon.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct DisplacementMean {
     /// Mean of the ADEs.
     pub ade_m: Mean,

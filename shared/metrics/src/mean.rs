@@ -1,5 +1,7 @@
+use serde::{Deserialize, Serialize};
+
 /// A running mean that can be merged with others.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Mean {
     sum: f64,
     len: u64,
@@ -38,7 +40,7 @@ impl Mean {
 }
 
 /// The share of the counted cases that have a property; can be merged with others.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Share(Mean);
 
 impl Share {

@@ -56,11 +56,14 @@ mod wait;
 
 pub use clock::monotonic_ns;
 pub use error::{Awaiting, PortError, StageError};
-pub use node::Node;
+pub use node::{Node, clean_dead_nodes};
 pub use peers::Peers;
-pub use program::{LAUNCHER_VARIABLE, RUN_VARIABLE, begin_logging, die_with_launcher, stage_main};
+pub use program::{
+    INCARNATION_VARIABLE, LAUNCHER_VARIABLE, RUN_VARIABLE, begin_logging, die_with_launcher, incarnation,
+    stage_main,
+};
 pub use publisher::{Loan, Publisher};
-pub use space::{Leftover, Space, SpaceError, leftovers, shared_memory_free};
+pub use space::{Leftover, Space, SpaceError, leftovers, remove_half_made_connections, shared_memory_free};
 pub use stage::{Awaited, HEARTBEAT, Passage, Stage};
 pub use stop::Stop;
 pub use subscriber::{Frame, Subscriber};

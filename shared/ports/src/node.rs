@@ -114,7 +114,7 @@ impl Node {
             .create()
             .map_err(PortError::of("subscriber", T::NAME))?;
         let listener = events.listener_builder().create().map_err(PortError::of("listener", T::NAME))?;
-        Ok(Subscriber::new(subscriber, listener, self.run_id))
+        Ok(Subscriber::new(subscriber, listener, frames, self.run_id))
     }
 
     /// Opens or makes the two services of a topic, with the same settings in all processes.
@@ -167,4 +167,18 @@ fn transport_config(run: &Run) -> Result<Config, SemanticStringError> {
     config.global.node.cleanup_dead_nodes_on_destruction = false;
     config.global.service.cleanup_dead_nodes_on_open = false;
     Ok(config)
+}
+
+/// Gives back what the dead processes of a run held in shared memory: their ports' places on the topics and
+/// the frames that they had borrowed. Returns how many were cleaned, and how many could not be.
+///
+/// May block for ever on a connection that a process was killed in the middle of making
+/// ([`remove_half_made_connections`](crate::remove_half_made_connections)): call it in a process that can be
+/// killed.
+///
+/// # Errors
+/// [`PortError`] where the run can't be joined.
+pub fn clean_dead_nodes(run: &Run) -> Result<(u64, u64), PortError> {
+    let cleaned = Node::open(run, "cleaner")?.node.try_cleanup_dead_nodes();
+    Ok((cleaned.cleanups, cleaned.failed_cleanups))
 }

@@ -33,8 +33,28 @@ impl Peers {
         while let Some(frame) = self.heartbeats.receive()? {
             came.extend_from_slice(&frame);
         }
-        self.newest.extend(came.iter().map(|heartbeat| (heartbeat.stage, *heartbeat)));
+        // A process that has been replaced may have left a heartbeat in the queue.
+        came.retain(|heartbeat: &Heartbeat| {
+            let newest = self.newest.get(&heartbeat.stage).map_or(0, |newest| newest.incarnation);
+            let is_new = heartbeat.incarnation >= newest;
+            if is_new {
+                self.newest.insert(heartbeat.stage, *heartbeat);
+            }
+            is_new
+        });
         Ok(came)
+    }
+
+    /// The newest heartbeat of a stage, of those that have been taken.
+    #[must_use]
+    pub fn newest(&self, stage: StageId) -> Option<&Heartbeat> {
+        self.newest.get(&(stage as u32))
+    }
+
+    /// Whether a stage is a program of this project's own, which sends heartbeats.
+    #[must_use]
+    pub fn expects(&self, stage: StageId) -> bool {
+        self.expected.contains(&stage)
     }
 
     /// The topic whose events end a wait for them.

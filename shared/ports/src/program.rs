@@ -13,6 +13,15 @@ pub const RUN_VARIABLE: &str = "STGDAT_RUN";
 /// The environment variable that holds the launcher's process number.
 pub const LAUNCHER_VARIABLE: &str = "STGDAT_LAUNCHER";
 
+/// The environment variable that holds how often the stage had been started before; 0 where it is not set.
+pub const INCARNATION_VARIABLE: &str = "STGDAT_INCARNATION";
+
+/// How often this process's stage had been started before, as its launcher has set it.
+#[must_use]
+pub fn incarnation() -> u32 {
+    std::env::var(INCARNATION_VARIABLE).ok().and_then(|number| number.parse().ok()).unwrap_or(0)
+}
+
 /// The main function of a stage's own program: `program [--run FILE]`.
 pub fn stage_main(stage: fn(&Run) -> Result<(), StageError>) -> ExitCode {
     begin_logging();

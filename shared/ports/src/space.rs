@@ -128,6 +128,18 @@ impl Leftover {
     }
 }
 
+/// Removes the connections of a run that have no content; returns how many. A process that is killed while it
+/// makes a connection leaves one, and clean-up waits for ever for it to be finished.
+#[must_use]
+pub fn remove_half_made_connections(prefix: &str) -> usize {
+    let is_half_made = |file: &&PathBuf| {
+        file.extension().is_some_and(|extension| extension == "connection")
+            && std::fs::metadata(file).is_ok_and(|metadata| metadata.len() == 0)
+    };
+    let files = files_of(prefix);
+    files.iter().filter(is_half_made).filter(|file| std::fs::remove_file(file).is_ok()).count()
+}
+
 /// Bytes free in shared memory.
 ///
 /// # Errors

@@ -58,7 +58,7 @@ pub struct Passage {
 pub enum Awaited<T: Topic> {
     /// The frame.
     Frame(Frame<T>),
-    /// The frame of a tick that an earlier stage refused.
+    /// The frame of a tick that an earlier stage refused, or one that is no tick.
     Void(Frame<T>),
     /// Nothing until the deadline.
     Late,
@@ -73,7 +73,7 @@ impl Stage {
     /// # Errors
     /// [`PortError`] where the run's shared memory can't be used.
     pub fn open<O>(run: &Run, declaration: &Declaration<O>) -> Result<Self, PortError> {
-        let (id, incarnation) = (declaration.id(), 0);
+        let (id, incarnation) = (declaration.id(), crate::incarnation());
         let node = Node::open(run, id.name())?.of_stage(id, incarnation);
         let heartbeats = node.publisher()?;
         let (reads, writes) = (declaration.reads(), declaration.writes());
@@ -147,6 +147,12 @@ impl Stage {
         Ok(Peers::new(self.node.subscriber(HeartbeatsTopic::DEPTH_MAX)?, run))
     }
 
+    /// How often the stage had been started before.
+    #[must_use]
+    pub const fn incarnation(&self) -> u32 {
+        self.incarnation
+    }
+
     /// The signals that ask the process to end.
     #[must_use]
     pub const fn stop(&self) -> &Stop {
@@ -172,6 +178,38 @@ impl Stage {
             self.pass_empty(passage, output)?;
         }
         Ok(None)
+    }
+
+    /// The next tick to work on, asleep until it comes or until `until_ns` on `CLOCK_MONOTONIC`.
+    ///
+    /// A frame that is no work goes straight on to `output`, and is returned as [`Awaited::Void`].
+    ///
+    /// # Errors
+    /// [`PortError`] where the transport fails.
+    pub fn next_until<I: Topic, O: Topic>(
+        &mut self,
+        input: &Subscriber<I>,
+        output: &Publisher<O>,
+        until_ns: Option<u64>,
+    ) -> Result<Awaited<I>, PortError> {
+        self.check_topics();
+        while !self.stop().requested() {
+            match input.receive()? {
+                Some(frame) if frame.header().is_tick() && !frame.header().has(flags::VOID) => {
+                    return Ok(Awaited::Frame(frame));
+                }
+                Some(frame) => {
+                    let passage = self.begin(&frame);
+                    self.pass_empty(passage, output)?;
+                    return Ok(Awaited::Void(frame));
+                }
+                None if until_ns.is_some_and(|until_ns| monotonic_ns() >= until_ns) => {
+                    return Ok(Awaited::Late);
+                }
+                None => self.sleep([input], until_ns)?,
+            }
+        }
+        Ok(Awaited::Stopped)
     }
 
     /// The next frame of any kind, asleep until it comes; none once the process has been asked to end.

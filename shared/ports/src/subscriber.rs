@@ -7,7 +7,9 @@ use bytemuck::TransparentWrapper;
 use iceoryx2::port::listener::Listener;
 use iceoryx2::prelude::ipc;
 use iceoryx2::sample::Sample;
-use wire::{Header, Rejected, Topic, flags};
+use iceoryx2::service::port_factory::PortFactory as _;
+use iceoryx2::service::port_factory::publish_subscribe::PortFactory;
+use wire::{Header, Rejected, StageId, Topic, flags};
 
 use crate::element::{Element, Head};
 use crate::error::log_refused;
@@ -22,6 +24,7 @@ pub struct Subscriber<T: Topic>(Rc<Port<T>>);
 struct Port<T: Topic> {
     subscriber: iceoryx2::port::subscriber::Subscriber<ipc::Service, [Element<T>], Head>,
     listener: Listener<ipc::Service>,
+    service: PortFactory<ipc::Service, [Element<T>], Head>,
     run_id: u64,
     /// Number of the newest tick received.
     newest: Cell<Option<u64>>,
@@ -30,7 +33,12 @@ struct Port<T: Topic> {
     seen: Cell<bool>,
     rejected_len: Cell<u64>,
     dropped_len: Cell<u64>,
+    /// The newest incarnation of each stage that a tick has passed, by the stage's number.
+    incarnations: Cell<[u32; STAGES_LEN]>,
 }
+
+/// One more than the greatest number of a stage of this project.
+const STAGES_LEN: usize = StageId::ALL.len() + 1;
 
 /// One frame, where it lies in shared memory; dropping it gives the memory back.
 #[derive(Debug)]
@@ -65,11 +73,24 @@ impl<T: Topic> Subscriber<T> {
     pub(crate) fn new(
         subscriber: iceoryx2::port::subscriber::Subscriber<ipc::Service, [Element<T>], Head>,
         listener: Listener<ipc::Service>,
+        service: PortFactory<ipc::Service, [Element<T>], Head>,
         run_id: u64,
     ) -> Self {
         let (newest, early) = (Cell::new(None), RefCell::new(None));
         let (seen, rejected_len, dropped_len) = (Cell::new(false), Cell::new(0), Cell::new(0));
-        Self(Rc::new(Port { subscriber, listener, run_id, newest, early, seen, rejected_len, dropped_len }))
+        let incarnations = Cell::new([0; STAGES_LEN]);
+        Self(Rc::new(Port {
+            subscriber,
+            listener,
+            service,
+            run_id,
+            newest,
+            early,
+            seen,
+            rejected_len,
+            dropped_len,
+            incarnations,
+        }))
     }
 
     /// The oldest frame of the queue, if there is one. Frames with an impossible header are counted and left
@@ -129,6 +150,13 @@ impl<T: Topic> Subscriber<T> {
         Ok(None)
     }
 
+    /// Whether no process has the topic open for writing. A writer that died counts until the launcher has
+    /// cleaned up after it.
+    #[must_use]
+    pub fn has_no_publisher(&self) -> bool {
+        self.0.service.dynamic_config().number_of_publishers() == 0
+    }
+
     /// Sleeps until an event of the topic, a signal or the end of `timeout`. May return early: look at the
     /// queue.
     ///
@@ -181,6 +209,13 @@ impl<T: Topic> Port<T> {
         if header.run_id != self.run_id {
             return Err(Rejected::ForeignRun { found: header.run_id, expected: self.run_id });
         }
+        // A topic with one writer: what a replaced process has left comes after its successor's first frame.
+        if T::PUBLISHERS_MAX == 1
+            && let Some(&newest) = self.incarnations.get().get(header.sender as usize)
+            && header.incarnation < newest
+        {
+            return Err(Rejected::OldIncarnation { found: header.incarnation, newest });
+        }
         let expected = T::elements_len(&header.counts);
         if frame.len() != expected {
             return Err(Rejected::Length { found: frame.len(), expected });
@@ -188,22 +223,43 @@ impl<T: Topic> Port<T> {
         Ok(())
     }
 
-    /// Ticks arrive in order of their numbers, without gaps at the source: a gap is what the queue dropped. A
-    /// reader that joins a run without a warm-up frame counts from the first tick that it receives.
+    /// Ticks arrive in order of their numbers, without gaps at the source: a gap is what the queue dropped,
+    /// unless a stage before was restarted meanwhile: then the ticks died with it. A reader that joins a run
+    /// without a warm-up frame counts from the first tick that it receives.
     fn count(&self, header: &Header) {
         let linked = self.seen.replace(true);
+        // A restarted source sends warm-up frames before its first tick: only ticks tell of a restart here.
         if !header.is_tick() {
             return;
         }
+        let restarted = T::PUBLISHERS_MAX == 1 && self.has_new_incarnation(header);
         let expected = match self.newest.get() {
             Some(newest) => newest + 1,
             None if linked => 0,
             None => header.seq,
         };
         // Writers of a topic that has several count each for themselves.
-        if T::PUBLISHERS_MAX == 1 {
+        if T::PUBLISHERS_MAX == 1 && !restarted {
             self.dropped_len.set(self.dropped_len.get() + header.seq.saturating_sub(expected));
         }
         self.newest.set(Some(header.seq));
+    }
+
+    /// Whether a stage that the frame has passed was restarted since the frame before.
+    fn has_new_incarnation(&self, header: &Header) -> bool {
+        let mut incarnations = self.incarnations.get();
+        let passed = header.hops().iter().map(|hop| (hop.stage, hop.incarnation));
+        let mut is_new = false;
+        for (stage, incarnation) in passed.chain([(header.sender, header.incarnation)]) {
+            if let Some(newest) = incarnations.get_mut(stage as usize).filter(|newest| **newest < incarnation)
+            {
+                *newest = incarnation;
+                is_new = true;
+            }
+        }
+        if is_new {
+            self.incarnations.set(incarnations);
+        }
+        is_new
     }
 }

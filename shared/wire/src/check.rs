@@ -19,6 +19,14 @@ pub enum Rejected {
         /// The reader's.
         expected: u64,
     },
+    /// The frame's sender has been replaced since by a newer process.
+    #[error("incarnation {found} of its sender, the newest is {newest}")]
+    OldIncarnation {
+        /// The frame's.
+        found: u32,
+        /// The newest that was received.
+        newest: u32,
+    },
     /// Two elements have one number.
     #[error("{field} {id} appears twice")]
     Twice {

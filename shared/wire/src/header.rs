@@ -24,6 +24,9 @@ pub mod flags {
         /// past what stands in its way. Not set for a view from above, or where nobody knows where the sensor
         /// stood.
         pub const SEEN_FROM_EGO: u32 = 1 << 5;
+        /// No detections have come for this tick: its tracks are predicted. Its number and stamp go on from
+        /// the tick before by one interval; it was released when the tracker predicted it.
+        pub const PREDICTED: u32 = 1 << 6;
     }
 }
 

@@ -1,4 +1,5 @@
 use std::collections::BTreeMap;
+use std::time::Duration;
 
 use run::Declared;
 use toml::Spanned;
@@ -8,6 +9,7 @@ use super::error::Fault;
 use super::file::{File, StageTable};
 use super::options::options;
 use super::{Pipeline, Stage};
+use crate::RestartPolicy;
 
 /// What all budgets together may be: one tick.
 pub const BUDGET_MAX_MS: f64 = TICK_MS;
@@ -79,6 +81,35 @@ fn stage(table: &StageTable, declared: &[&dyn Declared], warnings: &mut Vec<Stri
         writes: names(&table.writes),
         budget_ms: table.budget_ms.as_ref().map(|ms| *ms.get_ref()),
         options,
+        restart: restart(table)?,
+    })
+}
+
+/// The stage's restart policy: the defaults where the file says nothing.
+fn restart(table: &StageTable) -> Result<RestartPolicy, Fault> {
+    let defaults = RestartPolicy::default();
+    let number = |value: &Option<Spanned<u64>>, default: u64, [least, most]: [u64; 2]| match value {
+        None => Ok(default),
+        Some(value) if (least..=most).contains(value.get_ref()) => Ok(*value.get_ref()),
+        Some(value) => {
+            let advice = format!("expected {least} to {most}");
+            Err(Fault::new(value.span(), "a number of the restart policy is out of range", advice))
+        }
+    };
+    let ms = |of: Duration| of.as_millis() as u64;
+    let backoff_max_ms = ms(RestartPolicy::BACKOFF_MAX);
+    let backoff_ms = number(&table.backoff_ms, ms(defaults.backoff), [0, backoff_max_ms])?;
+    let restarts_max = number(&table.restarts_max, u64::from(defaults.restarts_max), [1, 1_000_000])?;
+    let window_s = number(&table.window_s, defaults.window.as_secs(), [1, 86_400])?;
+    let start_limit_s = number(&table.start_limit_s, defaults.start_limit.as_secs(), [1, 600])?;
+    let hang_after_ms = number(&table.hang_after_ms, ms(defaults.hang_after), [200, 600_000])?;
+    Ok(RestartPolicy {
+        restart: table.restart.unwrap_or_default(),
+        backoff: Duration::from_millis(backoff_ms),
+        restarts_max: restarts_max as u32,
+        window: Duration::from_secs(window_s),
+        start_limit: Duration::from_secs(start_limit_s),
+        hang_after: Duration::from_millis(hang_after_ms),
     })
 }
 

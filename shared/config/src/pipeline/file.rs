@@ -6,6 +6,8 @@ use std::path::PathBuf;
 use serde::Deserialize;
 use toml::Spanned;
 
+use crate::Restart;
+
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct File {
@@ -26,6 +28,12 @@ pub(super) struct StageTable {
     pub budget_ms: Option<Spanned<f64>>,
     #[serde(default)]
     pub options: OptionsTable,
+    pub restart: Option<Restart>,
+    pub backoff_ms: Option<Spanned<u64>>,
+    pub restarts_max: Option<Spanned<u64>>,
+    pub window_s: Option<Spanned<u64>>,
+    pub start_limit_s: Option<Spanned<u64>>,
+    pub hang_after_ms: Option<Spanned<u64>>,
 }
 
 /// A stage's options, which its declaration checks.

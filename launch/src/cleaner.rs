@@ -1,0 +1,85 @@
+//! Cleans up after dead stages, in a helper process: clean-up can block for ever, and the supervisor must not.
+
+use std::path::PathBuf;
+use std::process::{Child as Process, Command, Stdio};
+use std::time::Duration;
+
+use crate::child::die_with_this_process;
+use crate::failure::Failure;
+
+/// Time limit of a helper: it takes 30 ms, and a hundred times that on a machine under load is not reached.
+const LIMIT: Duration = Duration::from_secs(2);
+/// Helpers that may run out of time before the stages are started without: each removes what the one before
+/// has hung on.
+const TRIES_MAX: u32 = 3;
+
+/// The clean-up of a run.
+#[derive(Debug)]
+pub struct Cleaner {
+    record: PathBuf,
+    prefix: String,
+    work: Option<Work>,
+    tries: u32,
+    /// How often a helper has ended, in time or not: what died before it began is cleaned.
+    done: u64,
+}
+
+#[derive(Debug)]
+struct Work {
+    process: Process,
+    since: Duration,
+}
+
+impl Cleaner {
+    /// Of the run with that record and that prefix.
+    pub const fn new(record: PathBuf, prefix: String) -> Self {
+        Self { record, prefix, work: None, tries: 0, done: 0 }
+    }
+
+    /// The number of the clean-up that takes in a death of now: one that is running began before.
+    pub fn ticket(&self) -> u64 {
+        self.done + 1 + u64::from(self.work.is_some())
+    }
+
+    /// Whether the clean-up of that number is over.
+    pub const fn is_done(&self, ticket: u64) -> bool {
+        self.done >= ticket
+    }
+
+    /// Looks after the helper; starts one where a clean-up up to the number `wanted` is due.
+    pub fn tend(&mut self, wanted: u64, now: Duration) -> Result<(), Failure> {
+        if let Some(work) = &mut self.work {
+            // Fails only for processes that are not children.
+            if work.process.try_wait().unwrap_or(None).is_some() {
+                (self.work, self.tries, self.done) = (None, 0, self.done + 1);
+            } else if now.saturating_sub(work.since) > LIMIT {
+                let _ = work.process.kill();
+                let _ = work.process.wait();
+                (self.work, self.tries) = (None, self.tries + 1);
+                let _ = ports::remove_half_made_connections(&self.prefix);
+                if self.tries == TRIES_MAX {
+                    (self.tries, self.done) = (0, self.done + 1);
+                }
+            }
+        }
+        if self.work.is_none() && self.done < wanted {
+            let this = std::env::current_exe().map_err(Failure::unavailable)?;
+            let mut command = Command::new(this);
+            command.arg("sweep").arg("--run").arg(&self.record);
+            command.stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::null());
+            die_with_this_process(&mut command);
+            let process = command.spawn().map_err(Failure::unavailable)?;
+            self.work = Some(Work { process, since: now });
+        }
+        Ok(())
+    }
+}
+
+impl Drop for Cleaner {
+    fn drop(&mut self) {
+        if let Some(work) = &mut self.work {
+            let _ = work.process.kill();
+            let _ = work.process.wait();
+        }
+    }
+}

@@ -1,0 +1,261 @@
+//! When a stage that has ended is started again: a state machine without clock or process.
+//!
+//! ```text
+//!            ended, policy allows            pause over, cleaned up
+//! running ─────────────────────────▶ waiting ──────────────────────▶ running, incarnation + 1
+//!    │ ended: done                      
+//!    ├──────────────▶ done
+//!    │ ended: exit 78, policy forbids, or too often
+//!    └──────────────▶ given up, for good
+//! ```
+
+use std::collections::VecDeque;
+use std::time::Duration;
+
+use config::{Restart, RestartPolicy};
+
+/// How a process ended, as far as the policy asks.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum End {
+    /// With exit code 0, its work being done: source and recorder.
+    Done,
+    /// With exit code 0 during the run.
+    Success,
+    /// With exit code 78: its configuration can't be used.
+    Config,
+    /// With another exit code or by a signal.
+    Failure,
+}
+
+/// What a stage's process is for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum State {
+    /// It runs, since then.
+    Running {
+        /// When it was started.
+        since: Duration,
+        /// Whether it has been linked to its neighbours.
+        linked: bool,
+    },
+    /// It has ended, and is started again then at the earliest.
+    Waiting {
+        /// When the pause is over.
+        until: Duration,
+    },
+    /// It has ended with its work done.
+    Done,
+    /// It has ended and is never started again.
+    GivenUp {
+        /// Why, to follow "given up: ".
+        why: &'static str,
+    },
+}
+
+/// The state of one stage under its policy. Times are those of one monotonic clock.
+#[derive(Clone, Debug)]
+pub struct Supervision {
+    policy: RestartPolicy,
+    state: State,
+    incarnation: u32,
+    /// Times of the restarts within the window, the oldest first.
+    restarts: VecDeque<Duration>,
+}
+
+impl Supervision {
+    /// A stage that was started for the first time.
+    pub const fn new(policy: RestartPolicy, now: Duration) -> Self {
+        let state = State::Running { since: now, linked: false };
+        Self { policy, state, incarnation: 0, restarts: VecDeque::new() }
+    }
+
+    /// The state.
+    pub const fn state(&self) -> State {
+        self.state
+    }
+
+    /// How often the stage was started again.
+    pub const fn incarnation(&self) -> u32 {
+        self.incarnation
+    }
+
+    /// The policy.
+    pub const fn policy(&self) -> &RestartPolicy {
+        &self.policy
+    }
+
+    /// The process has ended.
+    pub fn ended(&mut self, end: End, now: Duration) -> State {
+        let window = self.policy.window;
+        while self.restarts.front().is_some_and(|&oldest| now.saturating_sub(oldest) > window) {
+            self.restarts.pop_front();
+        }
+        let given_up = |why| State::GivenUp { why };
+        self.state = match (end, self.policy.restart) {
+            (End::Done, _) => State::Done,
+            (End::Config, _) => given_up("its configuration can't be used"),
+            (_, Restart::Never) => given_up("its policy is never to restart it"),
+            (End::Success, Restart::OnFailure) => given_up("it ended by itself, which is no failure"),
+            _ if self.restarts.len() >= self.policy.restarts_max as usize => {
+                given_up("it was restarted too often")
+            }
+            _ => {
+                self.restarts.push_back(now);
+                State::Waiting { until: now + self.pause() }
+            }
+        };
+        self.state
+    }
+
+    /// The pause before the newest restart: none for the first of the window, then the backoff, twice that,
+    /// and so on.
+    fn pause(&self) -> Duration {
+        match self.restarts.len().saturating_sub(2) {
+            _ if self.restarts.len() < 2 => Duration::ZERO,
+            doublings => {
+                let factor = 1_u32.checked_shl(doublings as u32).unwrap_or(u32::MAX);
+                self.policy.backoff.saturating_mul(factor).min(RestartPolicy::BACKOFF_MAX)
+            }
+        }
+    }
+
+    /// Whether the pause before a restart is over.
+    pub fn is_due(&self, now: Duration) -> bool {
+        matches!(self.state, State::Waiting { until } if now >= until)
+    }
+
+    /// The process was started again.
+    pub const fn restarted(&mut self, now: Duration) {
+        self.incarnation = self.incarnation.saturating_add(1);
+        self.state = State::Running { since: now, linked: false };
+    }
+
+    /// The process is linked to its neighbours.
+    pub const fn linked(&mut self) {
+        if let State::Running { linked, .. } = &mut self.state {
+            *linked = true;
+        }
+    }
+
+    /// Whether a restarted process has missed its deadline for linking.
+    pub fn is_overdue(&self, now: Duration) -> bool {
+        let State::Running { since, linked: false } = self.state else { return false };
+        self.incarnation > 0 && now.saturating_sub(since) > self.policy.start_limit
+    }
+
+    /// The launcher itself was stopped for so long: deadlines that run move on by it.
+    pub fn forgive(&mut self, stopped: Duration) {
+        match &mut self.state {
+            State::Running { since: at, .. } | State::Waiting { until: at } => *at += stopped,
+            State::Done | State::GivenUp { .. } => {}
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const SECOND: Duration = Duration::from_secs(1);
+
+    fn supervision(restart: Restart) -> Supervision {
+        Supervision::new(RestartPolicy { restart, ..RestartPolicy::default() }, Duration::ZERO)
+    }
+
+    #[test]
+    fn exit_code_78_is_given_up_under_every_policy() {
+        for restart in [Restart::Never, Restart::OnFailure, Restart::Always] {
+            let mut stage = supervision(restart);
+            assert!(matches!(stage.ended(End::Config, SECOND), State::GivenUp { .. }), "{restart:?}");
+        }
+    }
+
+    #[test]
+    fn the_policy_decides_about_success_and_failure() {
+        let waits = |restart, end| matches!(supervision(restart).ended(end, SECOND), State::Waiting { .. });
+        assert_eq!([End::Success, End::Failure].map(|end| waits(Restart::Never, end)), [false, false]);
+        assert_eq!([End::Success, End::Failure].map(|end| waits(Restart::OnFailure, end)), [false, true]);
+        assert_eq!([End::Success, End::Failure].map(|end| waits(Restart::Always, end)), [true, true]);
+        assert_eq!(supervision(Restart::Always).ended(End::Done, SECOND), State::Done);
+    }
+
+    #[test]
+    fn the_first_restart_is_at_once_and_the_pauses_double() {
+        let mut stage = supervision(Restart::OnFailure);
+        let mut pauses_ms = Vec::new();
+        for death in 1..=5 {
+            let State::Waiting { until } = stage.ended(End::Failure, SECOND * death) else {
+                panic!("given up at death {death}");
+            };
+            pauses_ms.push((until - SECOND * death).as_millis());
+            stage.restarted(until);
+        }
+        assert_eq!(pauses_ms, [0, 80, 160, 320, 640]);
+        assert!(matches!(stage.ended(End::Failure, SECOND * 6), State::GivenUp { .. }));
+        assert_eq!(stage.incarnation(), 5);
+    }
+
+    #[test]
+    fn a_start_has_a_deadline_that_moves_with_a_stop_of_the_launcher() {
+        let mut stage = supervision(Restart::OnFailure);
+        assert!(!stage.is_overdue(SECOND * 100), "the first start has a limit of the run's own");
+        stage.ended(End::Failure, SECOND);
+        stage.restarted(SECOND);
+        assert!(!stage.is_overdue(SECOND * 11) && stage.is_overdue(SECOND * 12));
+        stage.forgive(SECOND * 5);
+        assert!(!stage.is_overdue(SECOND * 16) && stage.is_overdue(SECOND * 17));
+        stage.linked();
+        assert!(!stage.is_overdue(SECOND * 100));
+    }
+
+    /// A xorshift generator: the state and its next number.
+    fn next(state: &mut u64) -> u64 {
+        *state ^= *state << 13;
+        *state ^= *state >> 7;
+        *state ^= *state << 17;
+        *state
+    }
+
+    #[test]
+    fn random_lives_keep_the_limits() {
+        let ends = [End::Success, End::Config, End::Failure, End::Failure, End::Failure, End::Failure];
+        for seed in 1..=2_000_u64 {
+            let mut random = seed.wrapping_mul(0x9E37_79B9_7F4A_7C15);
+            let policy = RestartPolicy {
+                restart: [Restart::Never, Restart::OnFailure, Restart::Always][(seed % 3) as usize],
+                backoff: Duration::from_millis(next(&mut random) % 4_000),
+                restarts_max: (next(&mut random) % 7 + 1) as u32,
+                window: Duration::from_secs(next(&mut random) % 90 + 1),
+                ..RestartPolicy::default()
+            };
+            let (mut stage, mut now) = (Supervision::new(policy, Duration::ZERO), Duration::ZERO);
+            let (mut starts, mut given_up): (Vec<Duration>, bool) = (Vec::new(), false);
+            for _ in 0..60 {
+                now += Duration::from_millis(next(&mut random) % 20_000);
+                let end = ends[(next(&mut random) % 6) as usize];
+                let incarnation = stage.incarnation();
+                let deaths = starts.iter().filter(|&&at| now.saturating_sub(at) <= policy.window).count();
+                match stage.ended(end, now) {
+                    State::Waiting { until } => {
+                        assert!(
+                            !given_up && end != End::Config && policy.restart != Restart::Never,
+                            "{seed}"
+                        );
+                        assert!(until >= now && until - now <= RestartPolicy::BACKOFF_MAX, "{seed}");
+                        assert!(deaths < policy.restarts_max as usize, "seed {seed}: within its limit");
+                        assert!(stage.is_due(until), "{seed}");
+                        starts.push(now);
+                        now = until;
+                        stage.restarted(now);
+                        assert_eq!(stage.incarnation(), incarnation + 1, "seed {seed}");
+                    }
+                    State::GivenUp { .. } => {
+                        given_up = true;
+                        assert!(!stage.is_due(now + SECOND * 1_000), "seed {seed}: for good");
+                        break;
+                    }
+                    other => panic!("seed {seed}: {other:?}"),
+                }
+            }
+        }
+    }
+}

@@ -1,0 +1,117 @@
+//! Ticks without detections, once the source is gone.
+
+use wire::{Counts, Header, flags};
+
+/// When the tracker goes on without detections, and with which ticks.
+///
+/// Two intervals after the last tick it looks whether the source is gone. If it is, ticks are predicted, one
+/// per interval, until the first one with detections.
+#[derive(Debug, Default)]
+pub struct Missing {
+    last: Option<Last>,
+    is_gone: bool,
+}
+
+/// The last tick with detections, and the ticks predicted since.
+#[derive(Clone, Copy, Debug)]
+struct Last {
+    header: Header,
+    received_ns: u64,
+    predicted_len: u64,
+    look_ns: u64,
+}
+
+impl Missing {
+    /// A tick with detections has come, at `received_ns`. In lockstep nothing is missing, however late.
+    pub fn came(&mut self, header: &Header, received_ns: u64) {
+        let can_miss = header.interval_ns > 0 && !header.has(flags::LOCKSTEP);
+        let last = Last { header: *header, received_ns, predicted_len: 0, look_ns: 0 };
+        *self = Self { last: can_miss.then_some(last), is_gone: false };
+    }
+
+    /// A frame has come that is no tick. The end of the recording: nothing follows. A warm-up frame: another
+    /// source begins, and until its first tick there is none.
+    pub fn is_no_tick(&mut self, header: &Header) {
+        if header.has(flags::END) {
+            *self = Self::default();
+        }
+        self.is_gone |= header.has(flags::WARM_UP);
+    }
+
+    /// When to look at the source, or to predict the next tick; none while nothing can be missing.
+    pub fn until_ns(&self) -> Option<u64> {
+        let last = self.last?;
+        let interval_ns = last.header.interval_ns;
+        let after_ns = last.received_ns + last.predicted_len * interval_ns;
+        // Once the source is known to be gone, half an interval after the tick was due: the first tick of the
+        // next source finds the one before it answered.
+        let due_ns = after_ns + if self.is_gone { interval_ns + interval_ns / 2 } else { 2 * interval_ns };
+        Some(due_ns.max(last.look_ns))
+    }
+
+    /// The header of a tick that is to be predicted now, at `now_ns`; none where the source is there and
+    /// merely silent, as in a gap of a recording.
+    pub fn predict(&mut self, is_gone: bool, now_ns: u64) -> Option<Header> {
+        self.is_gone |= is_gone;
+        let last = self.last.as_mut()?;
+        if !self.is_gone {
+            // Looked at four times an interval: an outage is noticed soon, and looking costs little.
+            last.look_ns = now_ns + last.header.interval_ns / 4;
+            return None;
+        }
+        last.predicted_len += 1;
+        let after_ns = last.predicted_len.saturating_mul(last.header.interval_ns);
+        let way = Header::new(last.header.run_id, 0, 0);
+        let header = Header {
+            seq: last.header.seq + last.predicted_len,
+            stamp_ns: last.header.stamp_ns.saturating_add_unsigned(after_ns),
+            flags: last.header.flags | flags::PREDICTED,
+            // No type was looked for, so no track is missed.
+            observed_types: 0,
+            left_out_len: 0,
+            counts: Counts::default(),
+            ..last.header
+        };
+        Some(header.with_hops_of(&way))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const INTERVAL_NS: u64 = 80;
+
+    fn header(seq: u64, flags: u32) -> Header {
+        Header { interval_ns: INTERVAL_NS, flags, ..Header::new(1, seq, (seq * INTERVAL_NS) as i64) }
+    }
+
+    #[test]
+    fn ticks_are_predicted_one_per_interval_once_the_source_is_gone() {
+        let mut missing = Missing::default();
+        assert_eq!(missing.until_ns(), None);
+        missing.came(&header(7, 0), 1_000);
+        assert_eq!(missing.until_ns(), Some(1_160));
+        assert!(missing.predict(false, 1_160).is_none(), "the source is there");
+        assert_eq!(missing.until_ns(), Some(1_180));
+        let predicted = missing.predict(true, 1_180).expect("the source is gone");
+        assert_eq!((predicted.seq, predicted.stamp_ns), (8, 640));
+        assert!(predicted.has(flags::PREDICTED) && predicted.observed_types == 0);
+        assert_eq!(missing.until_ns(), Some(1_200));
+        let predicted = missing.predict(false, 1_200).expect("back, and no tick yet");
+        assert_eq!((predicted.seq, predicted.stamp_ns), (9, 720));
+        missing.came(&header(10, 0), 1_300);
+        assert!(missing.predict(false, 1_460).is_none());
+        missing.is_no_tick(&header(10, flags::WARM_UP));
+        assert!(missing.predict(false, 1_460).is_some(), "another source begins");
+        missing.is_no_tick(&header(10, flags::END));
+        assert_eq!(missing.until_ns(), None);
+    }
+
+    #[test]
+    fn in_lockstep_nothing_is_missing() {
+        let mut missing = Missing::default();
+        missing.came(&header(7, flags::LOCKSTEP), 1_000);
+        assert_eq!(missing.until_ns(), None);
+    }
+}

@@ -1,0 +1,102 @@
+//! Deaths and stops of stages in a run: the output goes on, and the report tells what each cost.
+
+use rustix::process::Signal;
+use serde_json::Value;
+
+use crate::scratch::Scratch;
+use crate::started::{Started, assert_nothing_left, stderr, stdout, wait_for};
+
+const STAGES: [&str; 8] =
+    ["source", "tracker", "localiser", "extractor", "encoder", "decoder", "sampler", "recorder"];
+
+/// A run in which `disturb` is done once forecasts come: its exit code and its report.
+fn disturbed(name: &str, arguments: &[&str], disturb: impl FnOnce(&Started)) -> (Option<i32>, Value) {
+    let scratch = Scratch::new(name);
+    let (report, forecasts) = (scratch.path("report.json"), scratch.path("forecasts.jsonl"));
+    let files = ["--report", &report, "--forecasts", &forecasts, "--agents", "6"];
+    let run = Started::run(&[&files[..], arguments].concat());
+    let root = run.wait_until_it_runs();
+    // The recorder has kept its first second.
+    let kept = root.join("recorder-checkpoint.json");
+    wait_for("no forecasts come", || kept.exists().then_some(()));
+    disturb(&run);
+    let output = run.output();
+    assert!(stdout(&output).contains("LATENCY"), "a report is printed: {}", stderr(&output));
+    assert_nothing_left(&root);
+    (output.status.code(), serde_json::from_slice(&scratch.read("report.json")).expect("JSON"))
+}
+
+fn restarts(report: &Value) -> Vec<(String, u64)> {
+    let stages = report["stages"].as_array().expect("stages");
+    let of = |stage: &Value| Some((stage["name"].as_str()?.to_owned(), stage["restarts"].as_u64()?));
+    stages.iter().filter_map(of).filter(|(_, restarts)| *restarts > 0).collect()
+}
+
+fn assert_recovered(stage: &str, (exit, report): &(Option<i32>, Value)) {
+    assert_eq!(*exit, Some(0), "{stage}: {:#}", report["supervision"]);
+    assert_eq!(restarts(report), [(stage.to_owned(), 1)], "{:#}", report["supervision"]);
+    let outages = report["supervision"]["outages"].as_array().expect("outages");
+    assert_eq!(outages.len(), 1, "{outages:?}");
+    assert_eq!(outages[0]["stage"], stage);
+    assert!(outages[0]["ticks_to_learned"].is_u64(), "{stage} is learned from again: {outages:?}");
+}
+
+#[test]
+fn a_killed_stage_is_restarted_and_forecasts_are_learned_again() {
+    for stage in STAGES {
+        let run = disturbed(&format!("killed-{stage}"), &["--ticks", "110"], |run| {
+            run.signal_stage(stage, Signal::KILL);
+        });
+        assert_recovered(stage, &run);
+    }
+}
+
+#[test]
+fn a_stopped_stage_is_replaced() {
+    let run = disturbed("stop", &["--ticks", "90"], |run| run.signal_stage("encoder", Signal::STOP));
+    assert_recovered("encoder", &run);
+}
+
+#[test]
+fn a_stage_that_may_not_be_restarted_is_given_up_and_the_run_goes_on() {
+    let scratch = Scratch::new("never");
+    let name = "name = \"encoder\"\n";
+    let pipeline = scratch.pipeline("never.toml", name, &format!("{name}restart = \"never\"\n"));
+    let arguments = ["--ticks", "60", "--pipeline", &pipeline];
+    let (exit, report) = disturbed("never-run", &arguments, |run| run.signal_stage("encoder", Signal::KILL));
+    assert_eq!((exit, report["ticks"].as_u64()), (Some(70), Some(60)), "{:#}", report["supervision"]);
+    assert!(report["supervision"]["given_up"]["encoder"].is_string(), "{:#}", report["supervision"]);
+}
+
+#[test]
+fn a_death_without_which_there_is_no_output_ends_the_run_with_a_report() {
+    let scratch = Scratch::new("fatal");
+    let name = "name = \"sampler\"\n";
+    let pipeline = scratch.pipeline("fatal.toml", name, &format!("{name}restart = \"never\"\n"));
+    let (exit, report) =
+        disturbed("fatal-run", &["--pipeline", &pipeline], |run| run.signal_stage("sampler", Signal::KILL));
+    assert_eq!(exit, Some(70));
+    let ended_by = report["supervision"]["ended_by"].as_str().unwrap_or_default();
+    assert!(ended_by.contains("the sampler was killed by signal 9"), "{ended_by}");
+    assert!(report["ticks"].as_u64() > Some(0));
+}
+
+#[test]
+fn the_restart_limit_and_exit_code_78_give_a_stage_up() {
+    // The first process of the stage runs; later ones end with the code.
+    for (code, restarts) in [(3, 2), (78, 1)] {
+        let scratch = Scratch::new(&format!("limit-{code}"));
+        let stgdat = env!("CARGO_BIN_EXE_stgdat");
+        let words = format!("test $STGDAT_INCARNATION = 0 || exit {code}; exec {stgdat} stage encoder");
+        let line = format!("name = \"encoder\"\ncommand = [\"sh\", \"-c\", {words:?}]\nrestarts_max = 2\n");
+        let pipeline = scratch.pipeline("limit.toml", "name = \"encoder\"\n", &line);
+        let (exit, report) =
+            disturbed(&format!("limit-run-{code}"), &["--ticks", "60", "--pipeline", &pipeline], |run| {
+                run.signal_stage("encoder", Signal::KILL);
+            });
+        assert_eq!((exit, report["ticks"].as_u64()), (Some(70), Some(60)), "{:#}", report["supervision"]);
+        let outages = report["supervision"]["outages"].as_array().map_or(0, Vec::len);
+        assert_eq!(outages, restarts, "{code}: {:#}", report["supervision"]);
+        assert!(report["supervision"]["given_up"]["encoder"].is_string(), "{code}");
+    }
+}
