@@ -96,6 +96,7 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
         interval_ns: playback.interval_ns(),
         lockstep: arguments.speed == Speed::Max,
         seed: arguments.scene.seed,
+        protected: pipeline.protected.clone(),
         weights: weights_path,
         stages: stage_runs(&pipeline, &options),
     };

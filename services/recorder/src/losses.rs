@@ -4,7 +4,8 @@ use serde::{Deserialize, Serialize};
 use wire::{Header, Heartbeat, StageId};
 
 use crate::passage::{STAGES_LEN, place};
-use crate::report::StageDrops;
+use crate::refusals::RefusalCounts;
+use crate::report::{RefusedFrames, StageDrops};
 
 /// Counters of one stage over all its incarnations.
 #[derive(Clone, Copy, Debug, Default, Serialize, Deserialize)]
@@ -38,13 +39,14 @@ impl Counters {
 }
 
 /// Counts losses of all stages.
-#[derive(Clone, Copy, Debug, Default, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, Serialize, Deserialize)]
 pub(crate) struct Losses {
     stages: [Counters; STAGES_LEN],
     /// Ticks without forecasts that died with a stage, by the stage.
     restart: [u64; STAGES_LEN],
     /// The newest incarnation of each stage that the forecasts have passed.
     passed: [u32; STAGES_LEN],
+    refusals: RefusalCounts,
 }
 
 impl Losses {
@@ -53,6 +55,12 @@ impl Losses {
         if let Some(stage) = StageId::from_number(heartbeat.stage) {
             self.stages[place(stage)].heartbeat(heartbeat);
         }
+        self.refusals.heartbeat(heartbeat);
+    }
+
+    /// Refused frames by reader, sender and cause.
+    pub fn refusals(&self) -> Vec<RefusedFrames> {
+        self.refusals.list()
     }
 
     /// Counts ticks whose forecasts never arrived at the recorder before those of `header`. Where a stage was

@@ -36,6 +36,7 @@ pub struct Node {
     interval: Duration,
     stop: Stop,
     sender: Sender,
+    protected: Vec<String>,
 }
 
 /// The two services of one topic.
@@ -58,11 +59,12 @@ impl Node {
             .create::<ipc::Service>()
             .map_err(PortError::of_node("node"))?;
         let (interval, sender) = (Duration::from_nanos(run.interval_ns), Sender::default());
-        Ok(Self { node, run_id: run.id, interval, stop, sender })
+        let protected = run.protected.clone();
+        Ok(Self { node, run_id: run.id, interval, stop, sender, protected })
     }
 
     /// The same node as that of a stage: the headers of all that it sends report so.
-    pub(crate) const fn of_stage(mut self, id: StageId, incarnation: u32) -> Self {
+    pub(crate) fn of_stage(mut self, id: StageId, incarnation: u32) -> Self {
         self.sender = Sender { stage: id as u32, incarnation };
         self
     }
@@ -98,7 +100,7 @@ impl Node {
             .default_event_id(EventId::new(event_id::FRAME))
             .create()
             .map_err(PortError::of("notifier", T::NAME))?;
-        Ok(Publisher::new(publisher, notifier, self.sender))
+        Ok(Publisher::new(publisher, notifier, self.sender, self.protects::<T>()))
     }
 
     /// Opens a topic for reading with a queue of `depth` frames; the oldest is dropped when it is full.
@@ -114,7 +116,12 @@ impl Node {
             .create()
             .map_err(PortError::of("subscriber", T::NAME))?;
         let listener = events.listener_builder().create().map_err(PortError::of("listener", T::NAME))?;
-        Ok(Subscriber::new(subscriber, listener, frames, self.run_id))
+        Ok(Subscriber::new(subscriber, listener, frames, self.run_id, self.protects::<T>()))
+    }
+
+    /// Whether the frames of the topic carry a check value.
+    fn protects<T: Topic>(&self) -> bool {
+        self.protected.iter().any(|name| name == T::NAME)
     }
 
     /// Opens or makes the two services of a topic, with the same settings in all processes.

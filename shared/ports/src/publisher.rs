@@ -1,5 +1,6 @@
 #![expect(unsafe_code, reason = "a loan hands out shared memory that was never written by this process")]
 
+use std::cell::Cell;
 use std::ops::{Deref, DerefMut};
 
 use bytemuck::TransparentWrapper;
@@ -17,6 +18,9 @@ pub struct Publisher<T: Topic> {
     publisher: iceoryx2::port::publisher::Publisher<ipc::Service, [Element<T>], Head>,
     notifier: Notifier<ipc::Service>,
     sender: Sender,
+    protects: bool,
+    /// Frames sent, for [`Protection::counter`].
+    counter: Cell<u32>,
 }
 
 /// The sender in the headers; zeros where it is no stage.
@@ -37,8 +41,9 @@ impl<T: Topic> Publisher<T> {
         publisher: iceoryx2::port::publisher::Publisher<ipc::Service, [Element<T>], Head>,
         notifier: Notifier<ipc::Service>,
         sender: Sender,
+        protects: bool,
     ) -> Self {
-        Self { publisher, notifier, sender }
+        Self { publisher, notifier, sender, protects, counter: Cell::new(0) }
     }
 
     /// Room for `len` elements; until written they hold an earlier frame or zeros.
@@ -62,8 +67,12 @@ impl<T: Topic> Publisher<T> {
     pub fn send(&self, mut loan: Loan<T>, header: Header) -> Result<(), PortError> {
         let Sender { stage: sender, incarnation } = self.sender;
         // The protection of the frame that came in does not cover the one that goes out.
-        let protection = Protection::default();
-        *loan.0.user_header_mut() = Head(Header { protection, sender, incarnation, ..header });
+        let mut header = Header { protection: Protection::default(), sender, incarnation, ..header };
+        if self.protects {
+            header.protection = Protection::of::<T>(&header, &loan, self.counter.get());
+            self.counter.set(self.counter.get().wrapping_add(1));
+        }
+        *loan.0.user_header_mut() = Head(header);
         loan.0.send().map_err(PortError::of("sending", T::NAME))?;
         // Errors here are late notifications, which were delivered all the same, and readers that are gone.
         let _ = self.notifier.notify();

@@ -2,7 +2,10 @@ use std::rc::Rc;
 use std::time::Duration;
 
 use run::{Declaration, Run};
-use wire::{Counts, Header, Heartbeat, HeartbeatsTopic, Hop, Rejected, StageId, TICK_NS, Topic, flags};
+use wire::{
+    Counts, Header, Heartbeat, HeartbeatsTopic, Hop, REFUSALS_MAX, Refusals, Rejected, StageId, TICK_NS,
+    Topic, flags,
+};
 
 use crate::error::log_refused;
 use crate::subscriber::Input;
@@ -30,6 +33,7 @@ pub struct Stage {
     seq: u64,
     frames_len: u64,
     rejected_len: u64,
+    refusals: [Refusals; REFUSALS_MAX],
 }
 
 /// The topics that a stage has declared, and which of them it has opened.
@@ -94,6 +98,7 @@ impl Stage {
             seq,
             frames_len,
             rejected_len,
+            refusals: [Refusals::default(); REFUSALS_MAX],
         })
     }
 
@@ -318,7 +323,7 @@ impl Stage {
                 self.send(passage, output, loan)
             }
             Err(why) => {
-                self.refuse(passage.header.seq, passage.input, &why);
+                self.refuse(&passage.header, passage.input, &why);
                 passage.header.flags |= flags::VOID;
                 self.pass_empty(passage, output)
             }
@@ -326,10 +331,11 @@ impl Stage {
     }
 
     /// Counts and logs a refused frame, where something else takes the tick's place.
-    pub fn refuse(&mut self, seq: u64, topic: &'static str, why: &Rejected) {
-        self.seq = seq;
+    pub fn refuse(&mut self, header: &Header, topic: &'static str, why: &Rejected) {
+        self.seq = header.seq;
         self.rejected_len += 1;
-        log_refused(topic, seq, why);
+        Refusals::count(&mut self.refusals, header.sender, why.cause(), 1);
+        log_refused(topic, header.seq, why);
     }
 
     /// Counts a tick as finished.
@@ -371,11 +377,22 @@ impl Stage {
     /// # Errors
     /// [`PortError`] where the transport fails.
     pub fn beat(&mut self) -> Result<(), PortError> {
-        let now_ns = monotonic_ns();
-        self.next_beat_ns = now_ns + HEARTBEAT.as_nanos() as u64;
+        let heartbeat = self.heartbeat();
+        self.next_beat_ns = heartbeat.sent_ns + HEARTBEAT.as_nanos() as u64;
+        let mut header = Header::new(self.node.run_id(), self.beat, 0);
+        header.counts.agents_len = 1;
+        self.beat += 1;
+        self.heartbeats.send_copy(&[heartbeat], header)
+    }
+
+    /// The stage's counters as they stand.
+    #[must_use]
+    pub fn heartbeat(&self) -> Heartbeat {
         let inputs = || self.inputs.iter();
         let linked = self.passed && inputs().all(|input| input.linked());
-        let heartbeat = Heartbeat {
+        let mut refusals = self.refusals;
+        inputs().for_each(|input| Refusals::add(&mut refusals, &input.refusals()));
+        Heartbeat {
             stage: self.id as u32,
             incarnation: self.incarnation,
             pid: std::process::id(),
@@ -385,13 +402,9 @@ impl Stage {
             frames_len: self.frames_len,
             rejected_len: self.rejected_len + inputs().map(|input| input.rejected_len()).sum::<u64>(),
             dropped_len: inputs().map(|input| input.dropped_len()).sum(),
-            sent_ns: now_ns,
-            ..Heartbeat::default()
-        };
-        let mut header = Header::new(self.node.run_id(), self.beat, 0);
-        header.counts.agents_len = 1;
-        self.beat += 1;
-        self.heartbeats.send_copy(&[heartbeat], header)
+            sent_ns: monotonic_ns(),
+            refusals,
+        }
     }
 
     fn beat_if_due(&mut self) -> Result<(), PortError> {

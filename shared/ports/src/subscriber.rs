@@ -9,7 +9,7 @@ use iceoryx2::prelude::ipc;
 use iceoryx2::sample::Sample;
 use iceoryx2::service::port_factory::PortFactory as _;
 use iceoryx2::service::port_factory::publish_subscribe::PortFactory;
-use wire::{Header, Rejected, StageId, Topic, flags};
+use wire::{Header, Protection, REFUSALS_MAX, Refusals, Rejected, StageId, Topic, flags};
 
 use crate::element::{Element, Head};
 use crate::error::log_refused;
@@ -26,12 +26,17 @@ struct Port<T: Topic> {
     listener: Listener<ipc::Service>,
     service: PortFactory<ipc::Service, [Element<T>], Head>,
     run_id: u64,
+    /// Whether frames without a check value are refused.
+    protected: bool,
     /// Number of the newest tick received.
     newest: Cell<Option<u64>>,
     /// A frame of a later tick than the one awaited.
     early: RefCell<Option<Frame<T>>>,
     seen: Cell<bool>,
     rejected_len: Cell<u64>,
+    refusals: Cell<[Refusals; REFUSALS_MAX]>,
+    /// Sender, incarnation and counter of the newest protected frame.
+    counter: Cell<Option<(u32, u32, u32)>>,
     dropped_len: Cell<u64>,
     /// The newest incarnation of each stage that a tick has passed, by the stage's number.
     incarnations: Cell<[u32; STAGES_LEN]>,
@@ -75,26 +80,31 @@ impl<T: Topic> Subscriber<T> {
         listener: Listener<ipc::Service>,
         service: PortFactory<ipc::Service, [Element<T>], Head>,
         run_id: u64,
+        protected: bool,
     ) -> Self {
         let (newest, early) = (Cell::new(None), RefCell::new(None));
         let (seen, rejected_len, dropped_len) = (Cell::new(false), Cell::new(0), Cell::new(0));
+        let (refusals, counter) = (Cell::default(), Cell::new(None));
         let incarnations = Cell::new([0; STAGES_LEN]);
         Self(Rc::new(Port {
             subscriber,
             listener,
             service,
             run_id,
+            protected,
             newest,
             early,
             seen,
             rejected_len,
+            refusals,
+            counter,
             dropped_len,
             incarnations,
         }))
     }
 
-    /// The oldest frame of the queue, if there is one. Frames with an impossible header are counted and left
-    /// out.
+    /// The oldest frame of the queue, if there is one. Frames with an impossible header or a wrong check value
+    /// are counted and left out.
     ///
     /// # Errors
     /// [`PortError`] where the transport fails.
@@ -110,7 +120,7 @@ impl<T: Topic> Subscriber<T> {
                     return Ok(Some(frame));
                 }
                 Err(why) => {
-                    self.0.rejected_len.set(self.0.rejected_len.get() + 1);
+                    self.0.refuse(frame.header().sender, &why);
                     log_refused(T::NAME, frame.header().seq, &why);
                 }
             }
@@ -178,6 +188,8 @@ pub(crate) trait Input: std::fmt::Debug {
     fn linked(&self) -> bool;
     /// Frames refused so far.
     fn rejected_len(&self) -> u64;
+    /// The same by sender and cause.
+    fn refusals(&self) -> [Refusals; REFUSALS_MAX];
     /// Frames that never arrived, so far.
     fn dropped_len(&self) -> u64;
 }
@@ -189,6 +201,10 @@ impl<T: Topic> Input for Port<T> {
 
     fn rejected_len(&self) -> u64 {
         self.rejected_len.get()
+    }
+
+    fn refusals(&self) -> [Refusals; REFUSALS_MAX] {
+        self.refusals.get()
     }
 
     fn dropped_len(&self) -> u64 {
@@ -220,7 +236,32 @@ impl<T: Topic> Port<T> {
         if frame.len() != expected {
             return Err(Rejected::Length { found: frame.len(), expected });
         }
+        if self.protected {
+            Protection::check::<T>(header, frame)?;
+            self.check_counter(header)?;
+        }
         Ok(())
+    }
+
+    /// Refuses frames that come again or that others have overtaken. Writers of a topic that has several count
+    /// each for themselves.
+    fn check_counter(&self, header: &Header) -> Result<(), Rejected> {
+        let Header { sender, incarnation, protection, .. } = *header;
+        if let Some((of, in_its, newest)) = self.counter.get()
+            && T::PUBLISHERS_MAX == 1
+            && (of, in_its) == (sender, incarnation)
+        {
+            protection.check_counter(newest)?;
+        }
+        self.counter.set(Some((sender, incarnation, protection.counter)));
+        Ok(())
+    }
+
+    fn refuse(&self, sender: u32, why: &Rejected) {
+        self.rejected_len.set(self.rejected_len.get() + 1);
+        let mut refusals = self.refusals.get();
+        Refusals::count(&mut refusals, sender, why.cause(), 1);
+        self.refusals.set(refusals);
     }
 
     /// Ticks arrive in order of their numbers, without gaps at the source: a gap is what the queue dropped,
