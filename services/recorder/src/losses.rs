@@ -112,6 +112,10 @@ impl Losses {
         let before_recorder = own[place(StageId::Tracker)].gap + own[place(StageId::Sampler)].gap;
         let missed = self.stages[place(StageId::Recorder)].total().gap;
         own[place(StageId::Recorder)].gap = missed.saturating_sub(before_recorder);
+        // What was refused whole is a gap as well, and counts once.
+        for (own, stage) in own.iter_mut().zip(StageId::ALL) {
+            own.gap = own.gap.saturating_sub(self.refusals.ticks_len(stage));
+        }
         for (own, restart) in own.iter_mut().zip(self.restart) {
             own.restart = restart;
         }
@@ -123,7 +127,7 @@ impl Losses {
 mod tests {
     use super::*;
     use bytemuck::Zeroable;
-    use wire::Hop;
+    use wire::{Hop, RefusalCause, Refusals};
 
     fn beat(stage: StageId, incarnation: u32, dropped_len: u64, rejected_len: u64) -> Heartbeat {
         Heartbeat { stage: stage as u32, incarnation, dropped_len, rejected_len, ..Heartbeat::zeroed() }
@@ -146,6 +150,20 @@ mod tests {
         assert_eq!(of(&losses, StageId::Extractor), StageDrops { gap: 2, refused: 0, restart: 0 });
         assert_eq!(of(&losses, StageId::Sampler), StageDrops::default());
         assert_eq!(of(&losses, StageId::Recorder), StageDrops { gap: 1, refused: 0, restart: 0 });
+    }
+
+    #[test]
+    fn a_tick_that_was_refused_whole_counts_once() {
+        let mut losses = Losses::default();
+        let mut heartbeat = beat(StageId::Tracker, 0, 3, 2);
+        Refusals::count(&mut heartbeat.refusals, StageId::Source as u32, RefusalCause::CheckValue, 2);
+        losses.heartbeat(&heartbeat);
+        losses.heartbeat(&beat(StageId::Localiser, 0, 3, 0));
+        losses.forecast_gap(&Header::new(1, 9, 0), 3);
+        assert_eq!(of(&losses, StageId::Tracker), StageDrops { gap: 1, refused: 2, restart: 0 });
+        for stage in [StageId::Localiser, StageId::Recorder] {
+            assert_eq!(of(&losses, stage), StageDrops::default());
+        }
     }
 
     #[test]

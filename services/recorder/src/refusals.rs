@@ -49,6 +49,18 @@ impl RefusalCounts {
         }
     }
 
+    /// Frames that a reader refused before it could tell of which tick they are: those ticks are gaps to it.
+    pub fn ticks_len(&self, reader: StageId) -> u64 {
+        let hides_the_tick = |entry: &&Entry| {
+            entry.reader == reader as u32
+                && matches!(
+                    RefusalCause::from_number(entry.cause),
+                    Some(RefusalCause::Schema | RefusalCause::CheckValue | RefusalCause::Unprotected)
+                )
+        };
+        self.0.iter().filter(hides_the_tick).map(|entry| entry.before + entry.newest).sum()
+    }
+
     /// The counts, the most frames first.
     pub fn list(&self) -> Vec<RefusedFrames> {
         let name = |stage| StageId::from_number(stage).map_or("unknown", StageId::name).to_owned();

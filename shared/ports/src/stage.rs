@@ -26,6 +26,8 @@ pub struct Stage {
     declared: Topics,
     heartbeats: Publisher<HeartbeatsTopic>,
     inputs: Vec<Rc<dyn Input>>,
+    /// How many of the inputs lie on a tick's way: the others are written by later stages.
+    on_the_way_len: usize,
     /// Whether a frame has gone out, or there is no output.
     passed: bool,
     next_beat_ns: u64,
@@ -84,7 +86,7 @@ impl Stage {
         let declared = Topics { reads, writes, opened: Vec::new(), complete: false };
         let inputs = Vec::new();
         let (seq, frames_len, rejected_len, beat) = (0, 0, 0, 0);
-        let (passed, next_beat_ns) = (true, 0);
+        let (passed, next_beat_ns, on_the_way_len) = (true, 0, 0);
         Ok(Self {
             id,
             incarnation,
@@ -92,6 +94,7 @@ impl Stage {
             declared,
             heartbeats,
             inputs,
+            on_the_way_len,
             passed,
             next_beat_ns,
             beat,
@@ -125,7 +128,23 @@ impl Stage {
         assert!(reads.contains(&T::NAME), "the {} declares no input \"{}\"", self.id.name(), T::NAME);
         self.declared.opened.push(T::NAME);
         let subscriber = self.node.subscriber::<T>(depth)?;
-        self.inputs.push(subscriber.input());
+        self.inputs.insert(self.on_the_way_len, subscriber.input());
+        self.on_the_way_len += 1;
+        Ok(subscriber)
+    }
+
+    /// Opens an input that a later stage writes, with a queue of `depth` frames. A tick that is missing in it
+    /// was lost, and counted, on its way there.
+    ///
+    /// # Errors
+    /// As [`Node::subscriber`].
+    ///
+    /// # Panics
+    /// Where the stage has not declared that it reads the topic.
+    pub fn subscribe_feedback<T: Topic>(&mut self, depth: usize) -> Result<Subscriber<T>, PortError> {
+        let subscriber = self.subscribe_deep(depth)?;
+        self.on_the_way_len -= 1;
+        self.inputs[self.on_the_way_len..].rotate_left(1);
         Ok(subscriber)
     }
 
@@ -401,7 +420,12 @@ impl Stage {
             seq: self.seq,
             frames_len: self.frames_len,
             rejected_len: self.rejected_len + inputs().map(|input| input.rejected_len()).sum::<u64>(),
-            dropped_len: inputs().map(|input| input.dropped_len()).sum(),
+            // A tick that was lost on the way is missing in all inputs.
+            dropped_len: inputs()
+                .take(self.on_the_way_len)
+                .map(|input| input.dropped_len())
+                .max()
+                .unwrap_or(0),
             sent_ns: monotonic_ns(),
             refusals,
         }
