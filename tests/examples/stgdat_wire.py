@@ -276,7 +276,8 @@ class Header(c.Structure):
         ("ego_heading_rad", c.c_float),  # Heading of the ego vehicle, 0 for a fixed sensor.
         ("counts", Counts),  # Sizes of the frame's tensors.
         ("hops", Hop * 12),  # The stages that the tick has passed, the source first.
-        ("reserved", c.c_uint8 * 80),  # Zero.
+        ("silent_len", c.c_uint32),  # Agents of which the forecasts say nothing, by the policy of degradation.
+        ("reserved", c.c_uint8 * 76),  # Zero.
     ]
 
     @staticmethod
@@ -306,7 +307,8 @@ _check(Header, 704, {
     "ego_heading_rad": 116,
     "counts": 120,
     "hops": 144,
-    "reserved": 624,
+    "silent_len": 624,
+    "reserved": 628,
 })
 
 

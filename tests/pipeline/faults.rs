@@ -52,6 +52,22 @@ fn a_killed_stage_is_restarted_and_forecasts_are_learned_again() {
 }
 
 #[test]
+fn forecasts_fall_silent_by_policy_once_their_stage_is_given_up() {
+    let scratch = Scratch::new("silent-pipeline");
+    let policy = include_str!("../../launch/pipeline.toml")
+        .replace("options = { deadline_ms = 72 }", "options = { held_s = 0.4, kinematic_s = 0.8 }")
+        .replace("name = \"decoder\"\n", "name = \"decoder\"\nrestart = \"never\"\n");
+    let pipeline = scratch.file("pipeline.toml", policy);
+    let arguments = ["--ticks", "90", "--pipeline", &pipeline];
+    let (_, report) = disturbed("silent", &arguments, |run| run.signal_stage("decoder", Signal::KILL));
+    let forecasts = &report["forecasts"];
+    for quality in ["learned", "held", "kinematic", "silent"] {
+        assert!(forecasts[quality].as_u64() > Some(0), "{quality}: {forecasts:#}");
+    }
+    assert!(forecasts["age_ms_max"].as_f64() <= Some(400.0), "{forecasts:#}");
+}
+
+#[test]
 fn a_stopped_stage_is_replaced() {
     let run = disturbed("stop", &["--ticks", "90"], |run| run.signal_stage("encoder", Signal::STOP));
     assert_recovered("encoder", &run);

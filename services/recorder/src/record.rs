@@ -88,6 +88,7 @@ pub struct Recorder {
     states_by_prior: [u64; Quality::ALL.len()],
     degraded_ticks: u64,
     predicted_ticks: u64,
+    silent: u64,
     age_ns_max: Option<u64>,
     out_of_distribution: OutOfDistribution,
     /// Whether it goes on with what a recorder before has kept, and no tick has come yet.
@@ -135,6 +136,7 @@ impl Recorder {
             states_by_prior: [0; Quality::ALL.len()],
             degraded_ticks: 0,
             predicted_ticks: 0,
+            silent: 0,
             age_ns_max: None,
             out_of_distribution: OutOfDistribution::default(),
             resumed: false,
@@ -235,6 +237,7 @@ impl Recorder {
         }
         self.agents_left_out += u64::from(header.left_out_len);
         self.predicted_ticks += u64::from(header.has(flags::PREDICTED));
+        self.silent += u64::from(header.silent_len);
     }
 
     fn qualities(&mut self, forecasts: &[Forecast]) {
@@ -331,8 +334,17 @@ impl Recorder {
             .map(|(cause, count)| (cause.name().to_owned(), count))
             .collect();
         let age_ms_max = self.age_ns_max.map(ms);
-        let Self { degraded_ticks, predicted_ticks, .. } = *self;
-        ForecastCounts { learned, held, kinematic, causes, degraded_ticks, predicted_ticks, age_ms_max }
+        let Self { degraded_ticks, predicted_ticks, silent, .. } = *self;
+        ForecastCounts {
+            learned,
+            held,
+            kinematic,
+            causes,
+            degraded_ticks,
+            predicted_ticks,
+            silent,
+            age_ms_max,
+        }
     }
 
     fn prior_counts(&self) -> PriorCounts {
@@ -407,6 +419,9 @@ fn verdict(report: &Report) -> Verdict {
     if report.forecasts.predicted_ticks > 0 {
         let (ticks, all) = (report.forecasts.predicted_ticks, report.ticks);
         reasons.push(format!("detections missing: tracks predicted in {ticks} of {all} ticks"));
+    }
+    if report.forecasts.silent > 0 {
+        reasons.push(format!("nothing said by policy: {} forecasts", report.forecasts.silent));
     }
     if report.agents_left_out > 0 {
         reasons.push(format!("agents left out of full frames: {}", report.agents_left_out));

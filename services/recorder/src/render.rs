@@ -186,6 +186,14 @@ impl Report {
                 count(outside.forecasts)
             )?;
         }
+        if forecasts.silent > 0 {
+            let silent = count(forecasts.silent);
+            writeln!(
+                text,
+                " {:LABEL_WIDTH$}{silent:>10}   not said: no learned forecast for longer than the policy allows",
+                "silent"
+            )?;
+        }
         let mut causes: Vec<_> = forecasts.causes.iter().filter(|&(_, &n)| n > 0).collect();
         causes.sort_by_key(|&(_, &n)| std::cmp::Reverse(n));
         causes.iter().try_for_each(|&(cause, &n)| {

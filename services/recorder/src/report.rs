@@ -203,6 +203,9 @@ pub struct ForecastCounts {
     /// Ticks of predicted tracks: their detections are missing.
     #[serde(default)]
     pub predicted_ticks: u64,
+    /// Agents of which nothing was said, by the policy of degradation, summed over ticks.
+    #[serde(default)]
+    pub silent: u64,
     /// Greatest age of a held forecast.
     pub age_ms_max: Option<f64>,
 }

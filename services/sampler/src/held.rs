@@ -41,11 +41,11 @@ impl HeldForecasts {
         }
     }
 
-    /// The forecast of a track and its age, if one of at most `max_age_ns` is kept.
-    pub(crate) fn find(&self, id: u64, now_ns: i64, max_age_ns: u64) -> Option<(Held<'_>, u64)> {
+    /// The last learned forecast of a track and its age, if one is kept.
+    pub(crate) fn find(&self, id: u64, now_ns: i64) -> Option<(Held<'_>, u64)> {
         let place = self.keys.iter().position(|held| held.id == id)?;
         let age_ns = u64::try_from(now_ns.checked_sub(self.keys[place].stamp_ns)?).ok()?;
-        (age_ns <= max_age_ns).then_some((Held(&self.forecasts[place]), age_ns))
+        Some((Held(&self.forecasts[place]), age_ns))
     }
 }
 

@@ -1,6 +1,7 @@
 //! Turns controls into trajectories: the last stage of a tick.
 //!
-//! Every track gets a forecast at every tick, also where its controls are late, missing or refused. The
+//! Every track gets a forecast at every tick, also where its controls are late, missing or refused, for as long
+//! as the policy of [`Degradation`] allows. The
 //! [`Sampler`] takes the first of these that it has, and the forecast contains its quality, cause and age:
 //!
 //! * *learned*: the controls of this tick, carried through the kinematic layer mode by mode — as linearised
@@ -15,6 +16,7 @@
 //!
 //! The modes of an agent make a mixture; its mean and covariance are published beside them.
 
+mod degradation;
 mod experts;
 mod guidance;
 mod held;
@@ -27,5 +29,6 @@ mod sampler;
 mod settings;
 pub mod stage;
 
+pub use degradation::{Change, Degradation, Level, TRANSITIONS};
 pub use options::{LanesOrigin, Options, Propagation, PropagationKind, STAGE, SamplerOptions};
 pub use sampler::Sampler;

@@ -8,6 +8,8 @@ use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
 use serde::{Deserialize, Serialize, Serializer};
 use wire::{ControlsTopic, ForecastsTopic, StageId, TICK_MS, Topic, TracksTopic};
 
+use crate::Degradation;
+
 /// The sampler.
 pub const STAGE: Declaration<Options> =
     Declaration::new(StageId::Sampler, &[TracksTopic::NAME, ControlsTopic::NAME], &[ForecastsTopic::NAME])
@@ -21,6 +23,14 @@ pub struct Options {
     /// and without limit in lockstep.
     #[schemars(range(max = TICK_MS), extend("exclusiveMinimum" = 0.0))]
     pub deadline_ms: f64,
+    /// Greatest age at which the last learned forecast of an agent is published again, moved on to now, while it
+    /// has no new one; in seconds. Then it is forecast by zero control.
+    #[schemars(range(min = 0, max = 10))]
+    pub held_s: f64,
+    /// Time for which an agent is then forecast by zero control, in seconds; after it, nothing is said of it until
+    /// it has a learned forecast again. Without limit where not given.
+    #[schemars(range(min = 0, max = 3600))]
+    pub kinematic_s: Option<f64>,
     /// Whether forecasts are corrected by the retrieval memory: by the residuals that agents before had to
     /// their forecasts.
     #[schemars(extend("formerly" = "recall"))]
@@ -97,6 +107,8 @@ impl Default for Options {
         let propagation = PropagationKind::default();
         Self {
             deadline_ms: 72.0,
+            held_s: 1.6,
+            kinematic_s: None,
             retrieval: true,
             evidence: true,
             memory: None,
@@ -109,6 +121,11 @@ impl Default for Options {
 }
 
 impl Options {
+    pub(crate) fn degradation(&self) -> Degradation {
+        let ns = |s: f64| (s * 1e9) as u64;
+        Degradation { held_ns: ns(self.held_s), kinematic_ns: self.kinematic_s.map(ns) }
+    }
+
     fn check(&self) -> Result<(), Conflict> {
         if self.lanes_origin.is_some() && self.lanes.is_none() {
             return Err(Conflict {
@@ -162,8 +179,8 @@ pub struct SamplerOptions {
     pub retrieval: bool,
     /// Whether the forecasts that have matured decide on blend and widths.
     pub evidence: bool,
-    /// Greatest age at which a learned forecast is published again as held.
-    pub max_age_ns: u64,
+    /// What is published of an agent without a learned forecast.
+    pub degradation: Degradation,
 }
 
 impl Default for SamplerOptions {
@@ -178,7 +195,7 @@ impl Default for SamplerOptions {
             seed: 0,
             retrieval: true,
             evidence: false,
-            max_age_ns: 1_600_000_000,
+            degradation: Degradation::default(),
         }
     }
 }

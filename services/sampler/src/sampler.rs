@@ -15,7 +15,7 @@ use crate::guidance::Guidance;
 use crate::held::HeldForecasts;
 use crate::learned::LearnedControls;
 use crate::motion::{certain_motion, with_track_covariance};
-use crate::{Propagation, SamplerOptions, kinematic};
+use crate::{Level, Propagation, SamplerOptions, kinematic};
 
 /// Makes a forecast for every track.
 pub struct Sampler {
@@ -29,6 +29,8 @@ pub struct Sampler {
     experts: Option<Experts>,
     /// None where no map of lanes is known.
     guidance: Option<Guidance>,
+    /// When an agent had a learned forecast last or, before the first, the time of the first tick.
+    newest_learned_ns: Option<i64>,
     /// Scratch: the changes of the agent in hand.
     changes: ControlChanges,
 }
@@ -68,6 +70,7 @@ impl Sampler {
             prior,
             experts: None,
             guidance: None,
+            newest_learned_ns: None,
             changes,
         }
     }
@@ -108,7 +111,8 @@ impl Sampler {
         self.experts.as_ref().map(Experts::evidence)
     }
 
-    /// Writes a forecast per track, in the tracks' order, by the controls of the same tick.
+    /// Writes a forecast per track, in the tracks' order, by the controls of the same tick, and returns how many:
+    /// agents of which the policy of degradation says nothing are left out.
     ///
     /// A track without controls, or whose controls are refused or lead out of the world, gets a held or
     /// kinematic forecast with its cause, without effect on the other tracks. Controls without a track are
@@ -126,11 +130,12 @@ impl Sampler {
         tracks: &[Track],
         controls: &[AgentControls],
         out: &mut [Forecast],
-    ) -> Result<(), Rejected> {
+    ) -> Result<usize, Rejected> {
         let tick = check(header, tracks, out)?;
         self.observe(tick, tracks);
-        let mut next = 0;
-        for (track, out) in tracks.iter().zip(out) {
+        let (mut next, mut written) = (0, 0);
+        for track in tracks {
+            let out = &mut out[written];
             // Controls come in the tracks' order: the search mostly ends where it begins.
             let found = (next..controls.len())
                 .chain(0..next.min(controls.len()))
@@ -142,14 +147,17 @@ impl Sampler {
                 }
                 None => Some(Cause::Missing),
             };
-            if let Some(cause) = cause {
-                self.fall_back(tick, track, cause, out)?;
-            }
+            let is_written = match cause {
+                Some(cause) => self.fall_back(tick, track, cause, out)?,
+                None => true,
+            };
+            written += usize::from(is_written);
         }
-        Ok(())
+        Ok(written)
     }
 
-    /// Writes a forecast per track, in the tracks' order, without controls.
+    /// Writes a forecast per track, in the tracks' order, without controls, and returns how many, as
+    /// [`Sampler::learned`] does.
     ///
     /// # Errors
     /// [`Rejected`] where header or tracks are impossible; nothing was written or changed.
@@ -162,14 +170,19 @@ impl Sampler {
         tracks: &[Track],
         cause: Cause,
         out: &mut [Forecast],
-    ) -> Result<(), Rejected> {
+    ) -> Result<usize, Rejected> {
         let tick = check(header, tracks, out)?;
         self.observe(tick, tracks);
-        tracks.iter().zip(out).try_for_each(|(track, out)| self.fall_back(tick, track, cause, out))
+        let mut written = 0;
+        for track in tracks {
+            written += usize::from(self.fall_back(tick, track, cause, &mut out[written])?);
+        }
+        Ok(written)
     }
 
     /// Gives the retrieval memory the positions of all agents that were detected in this tick.
     fn observe(&mut self, tick: Tick, tracks: &[Track]) {
+        self.newest_learned_ns.get_or_insert(tick.stamp_ns);
         if self.options.retrieval && tick.step_ns > 0 {
             let new = || Retrieval::new(RetrievalMemory::new(self.options.horizon_len, tick.step_ns));
             let detected = tracks.iter().filter(|track| track.unseen_ns == 0);
@@ -232,24 +245,38 @@ impl Sampler {
             return Err(Cause::Rejected);
         }
         self.held.keep(tick.stamp_ns, out);
+        self.newest_learned_ns = self.newest_learned_ns.max(Some(tick.stamp_ns));
         Ok(())
     }
 
-    /// Held where a learned forecast is young enough, else kinematic.
-    fn fall_back(&self, tick: Tick, track: &Track, cause: Cause, out: &mut Forecast) -> Result<(), Rejected> {
+    /// Held, kinematic or nothing, by the policy; whether something was written.
+    fn fall_back(
+        &self,
+        tick: Tick,
+        track: &Track,
+        cause: Cause,
+        out: &mut Forecast,
+    ) -> Result<bool, Rejected> {
         let agent_type = track.agent_type()?;
         let cause = if track.forecastable == 0 { Cause::Young } else { cause };
-        if let Some((held, age_ns)) = self.held.find(track.id, tick.stamp_ns, self.options.max_age_ns) {
+        let found = self.held.find(track.id, tick.stamp_ns);
+        let newest_ns = self.newest_learned_ns.unwrap_or(tick.stamp_ns);
+        let without_ns = u64::try_from(tick.stamp_ns.saturating_sub(newest_ns)).unwrap_or(0);
+        let level = self.options.degradation.level(found.as_ref().map(|(_, age_ns)| *age_ns), without_ns);
+        if level == Level::Silent {
+            return Ok(false);
+        }
+        if let Some((held, age_ns)) = found.filter(|_| level == Level::Held) {
             begin(track, Quality::Held, cause, out);
             out.age_ns = age_ns;
             held.move_on((age_ns as f64 / tick.step_ns as f64) as f32, self.options.horizon_len, out);
             if is_within_the_world(out) {
-                return Ok(());
+                return Ok(true);
             }
         }
         begin(track, Quality::Kinematic, cause, out);
         self.write_kinematic(tick, track, agent_type, out);
-        Ok(())
+        Ok(true)
     }
 
     fn write_kinematic(&self, tick: Tick, track: &Track, agent_type: AgentType, out: &mut Forecast) {

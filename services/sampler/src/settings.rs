@@ -18,6 +18,7 @@ pub fn settings(options: &Options, model: &ModelConfig, seed: u64) -> SamplerOpt
         seed,
         retrieval: options.retrieval,
         evidence: options.evidence,
+        degradation: options.degradation(),
         ..SamplerOptions::default()
     }
 }

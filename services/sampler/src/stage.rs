@@ -1,7 +1,7 @@
 //! The sampler as a process: `tracks` and `controls` in, `forecasts` out, with controls or without.
 
 use model::ModelConfig;
-use ports::{Awaited, Stage, StageError};
+use ports::{Awaited, Loan, PortError, Publisher, Stage, StageError};
 use run::Run;
 use wire::{Cause, ControlsTopic, ForecastsTopic, Topic, TracksTopic, flags};
 
@@ -38,24 +38,47 @@ fn follow(run: &Run, model: &ModelConfig, sampler: &mut Sampler) -> Result<(), S
         let until_ns = (!header.has(flags::LOCKSTEP)).then_some(header.released_ns + deadline_ns);
         let awaited = stage.wait_for(&controls, header.seq, until_ns)?;
         let mut loan = output.loan(input.len())?;
-        let (mut passage, cause) = match awaited {
+        let (mut passage, learned) = match awaited {
             Awaited::Frame(controls) => {
                 let passage = stage.begin(&controls);
-                let learned = sampler.learned(header, &input, &controls, &mut loan);
-                let refused =
-                    learned.map_err(|why| stage.refuse(controls.header(), ControlsTopic::NAME, &why));
-                (passage, refused.is_err().then_some(Cause::Rejected))
+                let learned = sampler.learned(header, &input, &controls, &mut loan).map_err(|why| {
+                    stage.refuse(controls.header(), ControlsTopic::NAME, &why);
+                    Cause::Rejected
+                });
+                (passage, learned)
             }
-            Awaited::Void(controls) => (stage.begin(&controls), Some(Cause::Rejected)),
-            Awaited::Late => (stage.begin(&input), Some(Cause::Late)),
+            Awaited::Void(controls) => (stage.begin(&controls), Err(Cause::Rejected)),
+            Awaited::Late => (stage.begin(&input), Err(Cause::Late)),
             Awaited::Stopped => break,
         };
-        let result = cause.map_or(Ok(()), |cause| sampler.fallback(header, &input, cause, &mut loan));
+        let written = match learned {
+            Ok(written) => Ok(written),
+            Err(cause) => sampler.fallback(header, &input, cause, &mut loan),
+        };
         // The header is that of the tracks, the hops are those of the controls.
         passage.header = header.with_hops_of(&passage.header);
         passage.header.counts.horizon_len = model.horizon_len as u32;
         passage.header.counts.modes_len = model.modes as u32;
-        stage.finish(passage, &output, result.map(|()| loan))?;
+        let result = match written {
+            Ok(written) if written < input.len() => {
+                passage.header.counts.agents_len = written as u32;
+                passage.header.silent_len = (input.len() - written) as u32;
+                Ok(shortened(&output, loan, written)?)
+            }
+            written => written.map(|_| loan),
+        };
+        stage.finish(passage, &output, result)?;
     }
     Ok(())
+}
+
+/// The first forecasts of a loan as a frame of their own: the length of a loan can't be changed.
+fn shortened(
+    output: &Publisher<ForecastsTopic>,
+    loan: Loan<ForecastsTopic>,
+    len: usize,
+) -> Result<Loan<ForecastsTopic>, PortError> {
+    let kept = loan[..len].to_vec();
+    drop(loan);
+    output.copy(&kept)
 }

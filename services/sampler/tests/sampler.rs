@@ -5,7 +5,7 @@
 use bytemuck::Zeroable;
 use kinematics::{DisplacementKind, MotionKind, MotionOptions};
 use proptest::prelude::*;
-use sampler::{Propagation, Sampler, SamplerOptions};
+use sampler::{Degradation, Propagation, Sampler, SamplerOptions};
 use wire::{
     AGENTS_MAX, AgentControls, AgentType, Cause, ControlGaussian, Expert, Forecast, Header, HistoryState,
     Quality, Rejected, Steering, Track,
@@ -86,6 +86,29 @@ fn fallback(sampler: &mut Sampler, stamp_ns: i64, tracks: &[Track]) -> Vec<Forec
     sampler.fallback(&header(stamp_ns), tracks, Cause::Late, &mut out).unwrap();
     out.iter().for_each(|forecast| forecast.check().unwrap());
     out
+}
+
+#[test]
+fn agents_of_which_nothing_is_said_are_left_out_and_come_back() {
+    const MS: u64 = 1_000_000;
+    let degradation = Degradation { held_ns: 400 * MS, kinematic_ns: Some(400 * MS) };
+    let mut sampler = Sampler::new(SamplerOptions { degradation, ..SamplerOptions::default() });
+    let of = |id| track(id, AgentType::Pedestrian, [id as f32, 0.0], 0.0, 1.0);
+    let controls_of = |id| controls(id, AgentType::Pedestrian, &[[0.0; 2]], 0.1);
+    let tracks = [of(1), of(2)];
+    learned(&mut sampler, 0, &tracks, &[controls_of(1), controls_of(2)]);
+    // Only the second one goes on being learned.
+    let mut written = Vec::new();
+    for tick in 1..=12_i64 {
+        let mut out = [Forecast::zeroed(); 2];
+        let header = header(tick * 80 * MS as i64);
+        let len = sampler.learned(&header, &tracks, &[controls_of(2)], &mut out).unwrap();
+        written.push(out[..len].iter().map(|forecast| forecast.id).collect::<Vec<_>>());
+    }
+    assert!(written[..10].iter().all(|ids| ids == &[1, 2]), "{written:?}");
+    assert!(written[10..].iter().all(|ids| ids == &[2]), "after 0.8 s: {written:?}");
+    let again = learned(&mut sampler, 2_000 * MS as i64, &tracks, &[controls_of(1), controls_of(2)]);
+    assert!(again.iter().all(|forecast| forecast.quality == Quality::Learned as u32));
 }
 
 fn quality_and_cause(forecast: &Forecast) -> (u32, u32) {

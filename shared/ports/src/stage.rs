@@ -384,6 +384,10 @@ impl Stage {
         output: &Publisher<O>,
         loan: Loan<O>,
     ) -> Result<(), PortError> {
+        if passage.header.has(flags::END) {
+            // What was counted since the last heartbeat; the report is written once the end has come by.
+            self.beat()?;
+        }
         passage.hop.sent_ns = monotonic_ns();
         passage.header.push_hop(passage.hop);
         output.send(loan, passage.header)?;

@@ -130,8 +130,10 @@ record! {
         120 => counts: Counts,
         /// The stages that the tick has passed, the source first.
         144 => hops: [Hop; HOPS_MAX],
+        /// Agents of which the forecasts say nothing, by the policy of degradation.
+        624 => silent_len: u32,
         /// Zero.
-        624 => reserved: [u8; 80],
+        628 => reserved: [u8; 76],
     }
 }
 

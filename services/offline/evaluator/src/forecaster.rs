@@ -457,7 +457,10 @@ fn sample(
 ) -> Vec<Payload> {
     let mut payloads = vec![Payload::zeroed(); tracks.len()];
     match sampler.learned(header, tracks, controls, &mut payloads) {
-        Ok(()) => payloads,
+        Ok(written) => {
+            payloads.truncate(written);
+            payloads
+        }
         Err(_) => Vec::new(),
     }
 }

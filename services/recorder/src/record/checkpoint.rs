@@ -36,6 +36,7 @@ pub struct Checkpoint {
     states_by_prior: [u64; Quality::ALL.len()],
     degraded_ticks: u64,
     predicted_ticks: u64,
+    silent: u64,
     age_ns_max: Option<u64>,
     out_of_distribution: OutOfDistribution,
 }
@@ -89,6 +90,7 @@ impl Recorder {
             states_by_prior: self.states_by_prior,
             degraded_ticks: self.degraded_ticks,
             predicted_ticks: self.predicted_ticks,
+            silent: self.silent,
             age_ns_max: self.age_ns_max,
             out_of_distribution: self.out_of_distribution,
         }
@@ -124,6 +126,7 @@ impl Recorder {
             states_by_prior: kept.states_by_prior,
             degraded_ticks: kept.degraded_ticks,
             predicted_ticks: kept.predicted_ticks,
+            silent: kept.silent,
             age_ns_max: kept.age_ns_max,
             out_of_distribution: kept.out_of_distribution,
             resumed: true,
