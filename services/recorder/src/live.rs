@@ -13,7 +13,7 @@ pub use draw::draw;
 
 use crate::losses::Losses;
 use crate::passage::{Passage, STAGES_LEN, Timeline, place};
-use crate::record::TICK_LIMIT_NS;
+use crate::record::{TICK_LIMIT_NS, is_outside};
 use crate::report::RefusedFrames;
 use crate::text::{count, number};
 
@@ -87,6 +87,8 @@ pub struct LiveView {
     late_ticks: u64,
     /// Forecasts of the newest tick by quality.
     newest: [u64; Quality::ALL.len()],
+    /// Forecasts of the newest tick of agents that move as none did in training.
+    newest_outside: u64,
     /// Forecasts of all ticks by quality.
     total: [u64; Quality::ALL.len()],
 }
@@ -109,6 +111,7 @@ impl LiveView {
             ticks: 0,
             late_ticks: 0,
             newest: [0; Quality::ALL.len()],
+            newest_outside: 0,
             total: [0; Quality::ALL.len()],
         }
     }
@@ -140,6 +143,7 @@ impl LiveView {
         }
         self.window.push_back(passage);
         self.newest = [0; Quality::ALL.len()];
+        self.newest_outside = forecasts.iter().filter(|forecast| is_outside(forecast)).count() as u64;
         for forecast in forecasts {
             let quality = forecast.quality as usize;
             if quality < Quality::ALL.len() {

@@ -98,12 +98,17 @@ pub struct Recorder {
 /// From this measure on the network adds less than half of what it would.
 const OUTSIDE: f32 = 0.25;
 
+/// Whether the forecast's agent moves as none did in training.
+pub(crate) fn is_outside(forecast: &Forecast) -> bool {
+    forecast.out_of_distribution >= OUTSIDE
+}
+
 impl OutOfDistribution {
     fn add(&mut self, forecast: &Forecast) {
         let rounded = |value: f32| (f64::from(value) * 1e2).round() / 1e2;
         let raise =
             |most: &mut Option<f64>, value: f64| *most = Some(most.map_or(value, |most| most.max(value)));
-        if forecast.out_of_distribution >= OUTSIDE {
+        if is_outside(forecast) {
             self.forecasts += 1;
             raise(&mut self.measure_max, rounded(forecast.out_of_distribution));
             raise(&mut self.speed_mps_max, rounded(forecast.vx_mps.hypot(forecast.vy_mps)));

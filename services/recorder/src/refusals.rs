@@ -71,7 +71,7 @@ impl RefusalCounts {
             frames: entry.before + entry.newest,
         };
         let mut list: Vec<RefusedFrames> = self.0.iter().map(told).collect();
-        list.sort_by(|a, b| b.frames.cmp(&a.frames));
+        list.sort_by_key(|refused| std::cmp::Reverse(refused.frames));
         list
     }
 }

@@ -175,15 +175,16 @@ fn draw_forecasts(view: &LiveView, frame: &mut Frame<'_>, area: Rect) {
     };
     let total: u64 = view.total.iter().sum();
     let share = (total > 0).then(|| view.total[0] as f64 / total as f64);
-    let lines = vec![
-        Line::raw(""),
-        Line::from(vec![
-            Span::raw("   forecasts  "),
-            quality(learned, "learned", Color::Green),
-            quality(held, "held", Color::Yellow),
-            quality(kinematic, "kinematic", Color::Yellow),
-            Span::styled(format!("{} so far, {} learned", count(total), percent(share)), DIM),
-        ]),
+    let mut spans = vec![
+        Span::raw("   forecasts  "),
+        quality(learned, "learned", Color::Green),
+        quality(held, "held", Color::Yellow),
+        quality(kinematic, "kinematic", Color::Yellow),
     ];
+    if view.newest_outside > 0 {
+        spans.push(quality(view.newest_outside, "never trained", Color::Yellow));
+    }
+    spans.push(Span::styled(format!("{} so far, {} learned", count(total), percent(share)), DIM));
+    let lines = vec![Line::raw(""), Line::from(spans)];
     frame.render_widget(Paragraph::new(lines), area);
 }
