@@ -19,6 +19,7 @@
 //! | `quality` | `learned`, `held` (from an earlier tick), `kinematic` (constant control) |
 //! | `cause` | why the forecast is not learned: `late`, `rejected`, `missing`, `young`, `outdone`; else `none` |
 //! | `experts` | weights of the experts that have any, by name; empty without a blend |
+//! | `out_of_distribution` | how far the agent moves from what the network was trained on; from 0.25 on the network adds less than half |
 //! | `age_s` | age of a held forecast, else 0 |
 //! | `prior` | what predicted the track's state: `learned`, `held` (a forecast older than Δt), `kinematic` |
 //! | `prior_age_s` | age of the forecast that is the prior, else 0 |
@@ -125,6 +126,7 @@ struct Agent<'a> {
     quality: &'static str,
     cause: &'static str,
     experts: Experts<'a>,
+    out_of_distribution: Rounded<4>,
     age_s: f64,
     prior: &'static str,
     prior_age_s: f64,
@@ -152,6 +154,7 @@ impl<'a> Agent<'a> {
             quality: quality_name(forecast.quality),
             cause: Cause::ALL.get(forecast.cause as usize).map_or("unknown", |cause| cause.name()),
             experts: Experts(&forecast.expert_weights),
+            out_of_distribution: Rounded(forecast.out_of_distribution),
             age_s: forecast.age_ns as f64 / 1e9,
             prior: quality_name(forecast.prior),
             prior_age_s: forecast.prior_age_ns as f64 / 1e9,
