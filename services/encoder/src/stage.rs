@@ -1,6 +1,6 @@
 //! The encoder as a process: `features` in, `encodings` out.
 
-use nn::{ModelConfig, Weights};
+use nn::{ModelConfig, Weights, kernels};
 use ports::{Stage, StageError};
 use run::Run;
 use wire::{EncodingsTopic, FeatureShape, Features, FeaturesTopic};
@@ -10,8 +10,9 @@ use crate::{Encoder, STAGE};
 /// Runs the stage until the process is asked to end.
 ///
 /// # Errors
-/// [`StageError`] where the weights or the run's model or shared memory can't be used.
+/// [`StageError`] where the weights, the instruction set or the run's model or shared memory can't be used.
 pub fn run(run: &Run) -> Result<(), StageError> {
+    kernels::follow_environment().map_err(StageError::config)?;
     let model = ModelConfig::of_run(&run.root).map_err(StageError::config)?;
     let weights = Weights::of_model(run.weights.as_deref(), &model).map_err(StageError::data)?;
     let mut encoder = Encoder::new(&weights).map_err(StageError::data)?;
