@@ -41,5 +41,8 @@ pub fn run(run: &Run) -> Result<(), StageError> {
 /// # Errors
 /// [`OptionError`] where the run's record holds options that the decoder does not have.
 pub fn settings(run: &Run) -> Result<DecoderOptions, OptionError> {
-    Ok(DecoderOptions { workers: STAGE.options(run)?.workers, seed: run.seed })
+    Ok(DecoderOptions {
+        workers: STAGE.options(run)?.workers.unwrap_or_else(nn::default_workers),
+        seed: run.seed,
+    })
 }

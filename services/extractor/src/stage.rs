@@ -46,5 +46,5 @@ pub fn run(run: &Run) -> Result<(), StageError> {
 /// # Errors
 /// [`OptionError`] where the run's record holds options that the extractor does not have.
 pub fn settings(run: &Run) -> Result<ExtractorOptions, OptionError> {
-    Ok(ExtractorOptions { workers: STAGE.options(run)?.workers })
+    Ok(ExtractorOptions { workers: STAGE.options(run)?.workers.unwrap_or_else(nn::default_workers) })
 }

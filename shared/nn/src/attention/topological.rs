@@ -88,6 +88,17 @@ impl Round {
         self.update.is_none()
     }
 
+    /// Gives `memory` room for graphs of so many nodes and edges.
+    pub(super) fn make_room(&self, nodes_len: usize, edges_len: usize, memory: &mut RoundMemory) {
+        let RoundMemory { alpha, values, receivers, senders, wide, hidden, .. } = memory;
+        alpha.reserve(edges_len * self.factors.len());
+        values.reserve(nodes_len * NODE_ATTRIBUTES);
+        receivers.reserve(nodes_len * UPDATE_HIDDEN);
+        senders.reserve(nodes_len * UPDATE_HIDDEN);
+        wide.reserve(BLOCK * UPDATE_HIDDEN);
+        hidden.reserve(BLOCK * UPDATE_HIDDEN);
+    }
+
     /// Computes v̄ of all nodes into `out`; rows of absent agents are 0.
     pub(super) fn attend(
         &self,
