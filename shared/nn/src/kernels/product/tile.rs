@@ -23,18 +23,18 @@ pub(super) struct Checked<'a> {
     pub(super) rows_len: usize,
 }
 
-/// The live taps of a register tile of R rows.
-struct Tile<const R: usize> {
+/// The live taps, of at most T, of a register tile of R rows.
+struct Tile<const R: usize, const T: usize> {
     /// Input rows of each live tap.
-    rows: [[*const f32; R]; TAPS_MAX],
+    rows: [[*const f32; R]; T],
     /// The live taps.
-    taps: [usize; TAPS_MAX],
+    taps: [usize; T],
     live_len: usize,
 }
 
-impl<const R: usize> Tile<R> {
+impl<const R: usize, const T: usize> Tile<R, T> {
     const fn new() -> Self {
-        Self { rows: [[std::ptr::null(); R]; TAPS_MAX], taps: [0; TAPS_MAX], live_len: 0 }
+        Self { rows: [[std::ptr::null(); R]; T], taps: [0; T], live_len: 0 }
     }
 
     #[inline(always)]
@@ -50,32 +50,32 @@ impl Kernel for Checked<'_> {
 
     #[inline(always)]
     fn run<L: Lanes>(mut self, lanes: L) {
-        if let Gather::Columns { .. } = self.product.gather {
-            self.panels::<L, true>(lanes);
-        } else {
-            self.panels::<L, false>(lanes);
+        match self.product.gather {
+            Gather::Rows { .. } => self.panels::<L, 1, false>(lanes),
+            Gather::Columns { .. } => self.panels::<L, 1, true>(lanes),
+            Gather::Taps { .. } => self.panels::<L, TAPS_MAX, false>(lanes),
         }
     }
 }
 
 impl Checked<'_> {
-    /// All rows of all columns; `ACROSS` where the input rows are columns of a matrix. The module has the table
+    /// All rows of all columns, with at most T taps; `ACROSS` where the input rows are columns of a matrix. The module has the table
     /// of tiles.
     #[inline(always)]
-    fn panels<L: Lanes, const ACROSS: bool>(&mut self, l: L) {
+    fn panels<L: Lanes, const T: usize, const ACROSS: bool>(&mut self, l: L) {
         let panels_len = self.product.panels.panels_len;
         let mut panel = 0;
         // No closures: they would be compiled without the set's features.
         while panel < panels_len {
             match (L::LEN, L::REGISTERS) {
                 (PANEL, _) if panel + 2 <= panels_len => {
-                    self.up_to_12::<L, 2, ACROSS>(l, panel);
+                    self.up_to_12::<L, 2, T, ACROSS>(l, panel);
                     panel += 1;
                 }
-                (PANEL, _) => self.up_to_12::<L, 1, ACROSS>(l, panel),
-                (8, _) => self.up_to_6::<L, 2, ACROSS>(l, panel),
-                (_, 32) => self.up_to_6::<L, 4, ACROSS>(l, panel),
-                _ => self.up_to_3::<L, 4, ACROSS>(l, panel, 0),
+                (PANEL, _) => self.up_to_12::<L, 1, T, ACROSS>(l, panel),
+                (8, _) => self.up_to_6::<L, 2, T, ACROSS>(l, panel),
+                (_, 32) => self.up_to_6::<L, 4, T, ACROSS>(l, panel),
+                _ => self.up_to_3::<L, 4, T, ACROSS>(l, panel, 0),
             }
             panel += 1;
         }
@@ -83,36 +83,41 @@ impl Checked<'_> {
 
     /// All rows of V vectors of columns, from `panel` on, in tiles of 12 rows and less.
     #[inline(always)]
-    fn up_to_12<L: Lanes, const V: usize, const ACROSS: bool>(&mut self, l: L, panel: usize) {
+    fn up_to_12<L: Lanes, const V: usize, const T: usize, const ACROSS: bool>(&mut self, l: L, panel: usize) {
         let mut row = 0;
-        row = self.tiles::<L, 12, V, ACROSS>(l, panel, row);
-        row = self.tiles::<L, 8, V, ACROSS>(l, panel, row);
-        row = self.tiles::<L, 4, V, ACROSS>(l, panel, row);
-        row = self.tiles::<L, 2, V, ACROSS>(l, panel, row);
-        self.tiles::<L, 1, V, ACROSS>(l, panel, row);
+        row = self.tiles::<L, 12, V, T, ACROSS>(l, panel, row);
+        row = self.tiles::<L, 8, V, T, ACROSS>(l, panel, row);
+        row = self.tiles::<L, 4, V, T, ACROSS>(l, panel, row);
+        row = self.tiles::<L, 2, V, T, ACROSS>(l, panel, row);
+        self.tiles::<L, 1, V, T, ACROSS>(l, panel, row);
     }
 
     /// The same in tiles of 6 rows and less.
     #[inline(always)]
-    fn up_to_6<L: Lanes, const V: usize, const ACROSS: bool>(&mut self, l: L, panel: usize) {
+    fn up_to_6<L: Lanes, const V: usize, const T: usize, const ACROSS: bool>(&mut self, l: L, panel: usize) {
         let mut row = 0;
-        row = self.tiles::<L, 6, V, ACROSS>(l, panel, row);
-        row = self.tiles::<L, 5, V, ACROSS>(l, panel, row);
-        row = self.tiles::<L, 4, V, ACROSS>(l, panel, row);
-        self.up_to_3::<L, V, ACROSS>(l, panel, row);
+        row = self.tiles::<L, 6, V, T, ACROSS>(l, panel, row);
+        row = self.tiles::<L, 5, V, T, ACROSS>(l, panel, row);
+        row = self.tiles::<L, 4, V, T, ACROSS>(l, panel, row);
+        self.up_to_3::<L, V, T, ACROSS>(l, panel, row);
     }
 
     /// The same in tiles of 3 rows and less, from `row` on.
     #[inline(always)]
-    fn up_to_3<L: Lanes, const V: usize, const ACROSS: bool>(&mut self, l: L, panel: usize, mut row: usize) {
-        row = self.tiles::<L, 3, V, ACROSS>(l, panel, row);
-        row = self.tiles::<L, 2, V, ACROSS>(l, panel, row);
-        self.tiles::<L, 1, V, ACROSS>(l, panel, row);
+    fn up_to_3<L: Lanes, const V: usize, const T: usize, const ACROSS: bool>(
+        &mut self,
+        l: L,
+        panel: usize,
+        mut row: usize,
+    ) {
+        row = self.tiles::<L, 3, V, T, ACROSS>(l, panel, row);
+        row = self.tiles::<L, 2, V, T, ACROSS>(l, panel, row);
+        self.tiles::<L, 1, V, T, ACROSS>(l, panel, row);
     }
 
     /// As many whole tiles of R rows as there are from `row` on; returns the first row that is left.
     #[inline(always)]
-    fn tiles<L: Lanes, const R: usize, const V: usize, const ACROSS: bool>(
+    fn tiles<L: Lanes, const R: usize, const V: usize, const T: usize, const ACROSS: bool>(
         &mut self,
         lanes: L,
         panel: usize,
@@ -121,11 +126,11 @@ impl Checked<'_> {
         if row + R > self.rows_len {
             return row;
         }
-        let mut tile = Tile::<R>::new();
+        let mut tile = Tile::<R, T>::new();
         while row + R <= self.rows_len {
             self.gather(row, &mut tile);
             // SAFETY: `Product::run` has checked that input, panels and output hold what the tile addresses.
-            unsafe { self.multiply::<L, R, V, ACROSS>(lanes, panel, row, &tile) };
+            unsafe { self.multiply::<L, R, V, T, ACROSS>(lanes, panel, row, &tile) };
             row += R;
         }
         row
@@ -133,7 +138,7 @@ impl Checked<'_> {
 
     /// Finds the input rows of a tile.
     #[inline(always)]
-    fn gather<const R: usize>(&self, row: usize, tile: &mut Tile<R>) {
+    fn gather<const R: usize, const T: usize>(&self, row: usize, tile: &mut Tile<R, T>) {
         let input = self.product.input.as_ptr();
         let in_len = self.product.panels.in_len;
         match self.product.gather {
@@ -179,12 +184,12 @@ impl Checked<'_> {
     /// The tile's rows hold `in_len` floats each, as far apart as the gather gives; panels, residual and
     /// output hold the columns and rows addressed.
     #[inline(always)]
-    unsafe fn multiply<L: Lanes, const R: usize, const V: usize, const ACROSS: bool>(
+    unsafe fn multiply<L: Lanes, const R: usize, const V: usize, const T: usize, const ACROSS: bool>(
         &mut self,
         l: L,
         panel: usize,
         row: usize,
-        tile: &Tile<R>,
+        tile: &Tile<R, T>,
     ) {
         let Panels { values, bias, in_len, .. } = self.product.panels;
         let panel_len = self.product.panels.panel_len();
