@@ -9,13 +9,19 @@
 //! microsecond): stages outnumber processors on most machines, and who spins there takes the processor from
 //! the one that is waited for.
 
+mod placement;
+
 use std::sync::atomic::{AtomicUsize, Ordering};
-use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError, RwLock, RwLockReadGuard, RwLockWriteGuard};
+use std::sync::{
+    Arc, Condvar, Mutex, MutexGuard, OnceLock, PoisonError, RwLock, RwLockReadGuard, RwLockWriteGuard,
+};
 use std::thread::JoinHandle;
 
+use rustix::thread::{Pid, gettid};
 use thiserror::Error;
 
 use crate::WeightsError;
+use placement::Placement;
 
 /// Most threads that a stage may share its work over.
 pub const WORKERS_MAX: usize = 64;
@@ -72,6 +78,8 @@ struct Slot<J> {
     /// Held by the worker while it works.
     state: Mutex<(J, Phase)>,
     changed: Condvar,
+    /// The worker's thread, once it is there.
+    thread: OnceLock<Pid>,
 }
 
 /// Jobs and the threads that run them.
@@ -81,6 +89,7 @@ pub struct Workers<J: Job> {
     own: J,
     slots: Vec<Arc<Slot<J>>>,
     threads: Vec<JoinHandle<()>>,
+    placement: Placement,
 }
 
 /// Marks the job as panicked unless it ended.
@@ -126,6 +135,8 @@ impl<J> Slot<J> {
 }
 
 fn serve<J: Job>(slot: &Slot<J>, step: &Step<J::Input>) {
+    // Empty before: a thread begins once.
+    let _ = slot.thread.set(gettid());
     let mut state = slot.lock();
     if state.1 == Phase::Starting {
         state.1 = Phase::Idle;
@@ -158,12 +169,18 @@ impl<J: Job> Workers<J> {
     {
         let mut jobs = jobs.into_iter();
         let own = jobs.next().expect("a pool has a job");
-        let slot =
-            |job| Arc::new(Slot { state: Mutex::new((job, Phase::Starting)), changed: Condvar::new() });
+        let slot = |job| {
+            Arc::new(Slot {
+                state: Mutex::new((job, Phase::Starting)),
+                changed: Condvar::new(),
+                thread: OnceLock::new(),
+            })
+        };
         let step =
             Step { input: RwLock::new(input), next: AtomicUsize::new(0), blocks_len: AtomicUsize::new(0) };
         let slots = jobs.map(slot).collect();
-        let mut pool = Self { step: Arc::new(step), own, slots, threads: Vec::new() };
+        let placement = Placement::new(Vec::new());
+        let mut pool = Self { step: Arc::new(step), own, slots, threads: Vec::new(), placement };
         for (number, slot) in pool.slots.iter().enumerate() {
             let (slot, step) = (Arc::clone(slot), Arc::clone(&pool.step));
             let name = format!("worker-{}", number + 1);
@@ -174,6 +191,8 @@ impl<J: Job> Workers<J> {
             let starting = |(_, phase): &mut (J, Phase)| *phase == Phase::Starting;
             drop(slot.changed.wait_while(slot.lock(), starting).unwrap_or_else(PoisonError::into_inner));
         }
+        pool.placement =
+            Placement::new(pool.slots.iter().filter_map(|slot| slot.thread.get().copied()).collect());
         Ok(pool)
     }
 
@@ -206,6 +225,9 @@ impl<J: Job> Workers<J> {
         self.step.blocks_len.store(blocks_len, Ordering::Relaxed);
         // One block is this thread's: no more are woken than can find another.
         let woken = &self.slots[..self.slots.len().min(blocks_len.saturating_sub(1))];
+        if !woken.is_empty() {
+            self.placement.keep_off();
+        }
         for slot in woken {
             let mut state = slot.lock();
             assert!(state.1 == Phase::Idle, "a worker panicked");
