@@ -10,7 +10,7 @@ use std::time::{Duration, Instant};
 use criterion::{BenchmarkId, Criterion, Throughput, criterion_group, criterion_main};
 use faer::linalg::matmul::matmul;
 use faer::{Accum, Mat, Par};
-use nn::kernels::{self, Isa, peak};
+use nn::kernels::{self, peak};
 use nn::{BurnIn, ContextCnn, ContextMemory, Decoder, DecoderMemory, Draws, RAW_CONTROL, Weights};
 use wire::AgentType;
 
@@ -65,7 +65,7 @@ impl Faer {
     fn multiply(&mut self) {
         let Self { a, b, out } = self;
         #[cfg(target_arch = "x86_64")]
-        if kernels::active() == Isa::Avx2 {
+        if kernels::active() == kernels::Isa::Avx2 {
             return on_avx2(a, b, out);
         }
         matmul(out, Accum::Replace, &*a, &*b, 1.0, Par::Seq);
