@@ -12,6 +12,7 @@ use std::sync::mpsc::Sender;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::JoinHandle;
 
+use nn::kernels;
 use ports::{INCARNATION_VARIABLE, LAUNCHER_VARIABLE, RUN_VARIABLE};
 use run::{Exit, Run};
 use rustix::process::{Pid, Signal, kill_process, set_parent_process_death_signal};
@@ -72,6 +73,7 @@ impl Child {
             .env("STGDAT_PREFIX", &run.prefix)
             .env("STGDAT_ROOT", &run.root)
             .env("STGDAT_INTERVAL_NS", run.interval_ns.to_string())
+            .envs(kernels::forced().map(|isa| (kernels::VARIABLE, isa.key())))
             .stdin(Stdio::null())
             .stdout(Stdio::piped())
             .stderr(Stdio::piped())

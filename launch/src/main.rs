@@ -26,6 +26,8 @@ mod watch;
 use std::process::ExitCode;
 
 use clap::Parser;
+use clap::builder::{PossibleValuesParser, TypedValueParser};
+use nn::kernels::{self, Isa};
 
 /// Onboard multi-agent tracking and prediction: detections in, forecasts out, as a pipeline of processes.
 #[derive(Debug, Parser)]
@@ -38,12 +40,25 @@ struct Cli {
     /// Print the version, the SHA-256 of the embedded weights and the CPU kernels in use
     #[arg(short = 'V', long)]
     version: bool,
+    /// Instruction set of the kernels, which this processor must have; the fastest if not given
+    #[arg(long, value_name = "SET", global = true, env = nn::kernels::VARIABLE, value_parser = instruction_set())]
+    kernels: Option<Isa>,
+}
+
+/// The instruction sets by their keys, without those that this processor lacks.
+fn instruction_set() -> impl TypedValueParser<Value = Isa> {
+    PossibleValuesParser::new(Isa::ALL.map(Isa::key)).try_map(|key| key.parse::<Isa>())
 }
 
 fn main() -> ExitCode {
     ports::begin_logging();
     let cli = Cli::parse();
     options::warn_of_old_flags(std::env::args_os());
+    if let Some(Err(error)) = cli.kernels.map(kernels::force) {
+        let failure = failure::Failure::Usage(error.to_string());
+        failure.print();
+        return failure.exit().into();
+    }
     if cli.version {
         print!("{}", version::text());
         return run::Exit::Done.into();

@@ -1,9 +1,10 @@
 //! Options of the stages: invalid values, old names and help.
 
+use nn::kernels::Isa;
 use run::Run;
 
 use crate::scratch::Scratch;
-use crate::started::{run, run_well, stderr, stdout};
+use crate::started::{run, run_well, stderr, stdout, stgdat};
 
 /// `stgdat` with these arguments ends with that code and a message that contains these texts.
 fn assert_refused(arguments: &[&str], code: i32, texts: &[&str]) {
@@ -43,6 +44,20 @@ fn invalid_settings_are_refused_before_the_run() {
         78,
         &["`fov` of the tracker", "p.toml:28:", "expected WIDTH,RANGE"],
     );
+}
+
+#[test]
+fn an_instruction_set_that_the_processor_lacks_is_refused() {
+    let lacking = if Isa::Neon.available() { Isa::Avx2 } else { Isa::Neon };
+    let message = format!("this processor has no {lacking}, only ");
+    assert_refused(&["verify", "golden", "--kernels", lacking.key()], 2, &[&message, "portable"]);
+    assert_refused(&["run", "--kernels", "sse"], 2, &["'sse'", "avx512, avx2, neon, portable"]);
+    let by_variable = stgdat().arg("doctor").env("STGDAT_KERNELS", lacking.key()).output().unwrap();
+    assert_eq!(by_variable.status.code(), Some(2), "{}", stderr(&by_variable));
+    let portable = stgdat().arg("--version").env("STGDAT_KERNELS", "portable").output().unwrap();
+    assert!(stdout(&portable).contains("kernels portable"), "{}", stdout(&portable));
+    let told = stdout(&run(&["doctor", "--kernels", "portable"]));
+    assert!(told.contains("portable (as --kernels or STGDAT_KERNELS says; this CPU has "), "{told}");
 }
 
 #[test]

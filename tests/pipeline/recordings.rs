@@ -1,5 +1,6 @@
 //! Recordings: `predict` in one process and `run` in eight write the same bytes with any options.
 
+use nn::kernels::Isa;
 use testing::public_recording;
 
 use crate::scratch::Scratch;
@@ -51,6 +52,25 @@ fn predict_and_run_agree_with_the_same_settings() {
         blind == set(&["--map", "online", "--ticks", "30", "--set", "localiser.map=none"]),
         "the last one counts"
     );
+}
+
+#[test]
+fn neither_workers_nor_instruction_sets_change_a_byte() {
+    let scratch = Scratch::new("workers");
+    let recording = scratch.recording("scene.csv", 40);
+    let default = same_bytes(&scratch, &recording, &[]);
+    assert!(learned_len(&default) > 200, "{} learned forecasts", learned_len(&default));
+    for workers in [1, 2, 4] {
+        let settings = ["extractor", "encoder", "decoder"].map(|stage| format!("{stage}.workers={workers}"));
+        let arguments: Vec<&str> = settings.iter().flat_map(|setting| ["--set", setting]).collect();
+        assert!(default == same_bytes(&scratch, &recording, &arguments), "{workers} workers");
+    }
+    let fused = [Isa::Avx512, Isa::Avx2, Isa::Neon].into_iter().filter(|isa| isa.available());
+    for isa in fused {
+        assert!(default == same_bytes(&scratch, &recording, &["--kernels", isa.key()]), "{isa}");
+    }
+    // Its multiply-adds round twice; the stages of the run follow the option as well.
+    assert!(default != same_bytes(&scratch, &recording, &["--kernels", "portable"]));
 }
 
 #[test]

@@ -3,6 +3,7 @@ use std::os::unix::fs::PermissionsExt;
 use std::path::Path;
 
 use clap::Args;
+use nn::kernels::{self, Isa};
 use run::Exit;
 use rustix::process::{Resource, Rlimit, getrlimit};
 
@@ -27,8 +28,16 @@ struct Finding {
 
 /// Checks what a run needs of this machine, and advises where something is missing.
 pub fn execute(_: &Arguments) -> Result<Exit, Failure> {
-    let findings =
-        [shared_memory(), rights(), leftovers(), files(), locked_memory(), cores(), kernels(), weights()];
+    let findings = [
+        shared_memory(),
+        rights(),
+        leftovers(),
+        files(),
+        locked_memory(),
+        cores(),
+        instruction_set(),
+        weights(),
+    ];
     let mut well = true;
     for Finding { what, found, advice } in findings {
         well &= advice.is_none();
@@ -106,11 +115,13 @@ fn cores() -> Finding {
     )
 }
 
-fn kernels() -> Finding {
-    let (active, available) =
-        (nn::kernels::active(), nn::kernels::Isa::ALL.into_iter().filter(|isa| isa.available()));
-    let available: Vec<&str> = available.map(nn::kernels::Isa::name).collect();
-    finding("kernels", format!("{} (this CPU has {})", active.name(), available.join(", ")), None)
+fn instruction_set() -> Finding {
+    let (active, available) = (kernels::active(), Isa::available_names());
+    let why = match kernels::forced() {
+        Some(_) => format!("as --kernels or {} says; this CPU has {available}", kernels::VARIABLE),
+        None => format!("the fastest of this CPU, which has {available}"),
+    };
+    finding("kernels", format!("{active} ({why})"), None)
 }
 
 fn weights() -> Finding {

@@ -57,6 +57,8 @@ pub fn execute(_: &Arguments) -> Result<Exit, Failure> {
 pub fn page() -> String {
     let mut program = crate::Cli::command().disable_help_flag(true).disable_help_subcommand(true);
     program.build();
+    let program_arguments: Vec<Arg> =
+        program.get_arguments().filter(|arg| arg.is_global_set()).cloned().collect();
     let mut verbs: BTreeMap<String, &mut Command> =
         program.get_subcommands_mut().map(|verb| (verb.get_name().to_owned(), verb)).collect();
     let mut text = HEAD.to_owned();
@@ -64,7 +66,8 @@ pub fn page() -> String {
         let links: Vec<String> = names.iter().map(|name| format!("[{name}](#stgdat-{name})")).collect();
         text += &format!("\n{}", wrapped(&links.join(", "), &format!("- {group}: "), "  "));
     }
-    text += "\n- [Options of the stages](#options-of-the-stages)\n";
+    text += "\n- [Options of the stages](#options-of-the-stages)\n\nEvery verb takes:\n\n";
+    text += &program_arguments.into_iter().map(|arg| item(&arg)).collect::<String>();
     for (group, names) in GROUPS {
         text += &format!("\n## {group}\n");
         for name in names {
@@ -83,7 +86,7 @@ fn section(verb: &mut Command, heading: &str) -> String {
     let usage = verb.render_usage().to_string();
     let usage = usage.trim_start_matches("Usage: ");
     let mut text = format!("\n{heading} {name}\n\n{}\n\n```text\n{usage}\n```\n", wrapped(&about, "", ""));
-    let shown = |arg: &&Arg| !arg.is_hide_set() && arg.get_id() != "help";
+    let shown = |arg: &&Arg| !arg.is_hide_set() && !arg.is_global_set() && arg.get_id() != "help";
     let (positionals, options): (Vec<&Arg>, Vec<&Arg>) =
         verb.get_arguments().filter(shown).partition(|arg| arg.is_positional());
     for (title, args) in [("Arguments", positionals), ("Options", options)] {

@@ -72,25 +72,20 @@ impl Decoder {
             let of_type = numbered.filter(|(.., encoding)| encoding.agent_type == of_type as u32);
             self.order.extend(of_type.map(|(agent, place, _)| (agent, place)));
         }
-        let workers_len = self.workers.len();
-        let share = |number: usize| {
-            &self.order
-                [self.order.len() * number / workers_len..self.order.len() * (number + 1) / workers_len]
-        };
-        self.workers.each(|number, job| {
-            job.take(header.seq, share(number).iter().map(|&(agent, _)| &encodings[agent]));
-        });
-        self.workers.run();
+        let blocks_len =
+            self.workers.input().take(header.seq, self.order.iter().map(|&(agent, _)| &encodings[agent]));
+        self.workers.each(Unroller::clear);
+        self.workers.run(blocks_len);
         let mut verdict = Ok(());
-        self.workers.each(|_, job| {
+        self.workers.each(|job| {
             if verdict.is_ok() {
-                verdict = job.controls().iter().try_for_each(AgentControls::check);
+                verdict = job.controls().iter().try_for_each(|(_, controls)| controls.check());
             }
         });
         verdict?;
-        self.workers.each(|number, job| {
-            for (&(_, place), controls) in share(number).iter().zip(job.controls()) {
-                out[place] = *controls;
+        self.workers.each(|job| {
+            for (ordered, controls) in job.controls() {
+                out[self.order[*ordered].1] = *controls;
             }
         });
         Ok(())

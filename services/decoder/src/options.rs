@@ -9,16 +9,11 @@ pub const STAGE: Declaration<Options> =
     Declaration::new(StageId::Decoder, &[EncodingsTopic::NAME], &[ControlsTopic::NAME]);
 
 /// What may be set of the decoder.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct Options {
-    /// Threads that share the work of a tick, the stage's own included; forecasts do not depend on it.
+    /// Threads that share the work of a tick, the stage's own included; if not given as many as there are
+    /// processors that the process may use, at most 4. Forecasts do not depend on it.
     #[schemars(range(min = 1, max = WORKERS_MAX))]
-    pub workers: usize,
-}
-
-impl Default for Options {
-    fn default() -> Self {
-        Self { workers: 1 }
-    }
+    pub workers: Option<usize>,
 }

@@ -1,22 +1,62 @@
 //! One worker's share of a frame: burn-in, draws and the conversion into controls.
 
+use std::ops::Range;
 use std::sync::Arc;
 
 use nn::{AgentDraws, Decoder, DecoderGroup, Encoded, Job, ModelConfig, Weights, Workers};
-use wire::{AgentControls, AgentEncoding, AgentType, LATENT, STATE_FEATURES, TEMPORAL};
+use wire::{
+    AGENT_TYPES, AGENTS_MAX, AgentControls, AgentEncoding, AgentType, LATENT, STATE_FEATURES, TEMPORAL,
+};
 
 use crate::draws::Stream;
 use crate::{DecoderOptions, StartError};
 
-/// A worker's agents, sorted by type, and their controls.
+/// A frame's agents that are forecast, sorted by type.
+#[derive(Default)]
+pub(crate) struct Frame {
+    seq: u64,
+    agents: Vec<AgentEncoding>,
+    /// Places of agents that are decoded together, of one type, the most first.
+    blocks: Vec<Range<usize>>,
+}
+
+/// A worker: its scratch memory, and the controls of the blocks that it did.
 pub(crate) struct Unroller {
     networks: Arc<Decoder>,
     config: ModelConfig,
     seed: u64,
-    seq: u64,
-    agents: Vec<AgentEncoding>,
-    controls: Vec<AgentControls>,
     group: DecoderGroup,
+    /// The place of an agent in the frame, and its controls.
+    controls: Vec<(usize, AgentControls)>,
+}
+
+impl Frame {
+    fn with_room() -> Self {
+        Self {
+            agents: Vec::with_capacity(AGENTS_MAX),
+            blocks: Vec::with_capacity(AGENTS_MAX),
+            ..Self::default()
+        }
+    }
+
+    /// Takes over the agents of a frame; returns the number of blocks that they are decoded in.
+    pub(crate) fn take<'a>(&mut self, seq: u64, agents: impl Iterator<Item = &'a AgentEncoding>) -> usize {
+        let Self { agents: all, blocks, .. } = self;
+        self.seq = seq;
+        all.clear();
+        all.extend(agents);
+        blocks.clear();
+        let mut first = 0;
+        for of_type in all.chunk_by(|a, b| a.agent_type == b.agent_type) {
+            for block in of_type.chunks(DecoderGroup::LEN) {
+                blocks.push(first..first + block.len());
+                first += block.len();
+            }
+        }
+        // The last blocks decide how long one worker waits for another.
+        blocks.sort_unstable_by_key(|block| (std::cmp::Reverse(block.len()), block.start));
+        blocks.len()
+    }
 }
 
 /// Some agents of a frame, all of one type.
@@ -54,40 +94,47 @@ impl Unroller {
             networks: Arc::clone(&networks),
             config: weights.config().clone(),
             seed: options.seed,
-            seq: 0,
-            agents: Vec::new(),
-            controls: Vec::new(),
             group: DecoderGroup::default(),
+            controls: Vec::with_capacity(AGENTS_MAX),
         };
-        Ok(Workers::new((0..options.workers.max(1)).map(unroller))?)
+        // Which worker meets a block is chance: each gets its scratch memory now.
+        let warm = |mut unroller: Self| {
+            unroller.warm_up();
+            unroller
+        };
+        Ok(Workers::new(Frame::with_room(), (0..options.workers.max(1)).map(unroller).map(warm))?)
     }
 
-    /// Takes over a share of a frame's agents.
-    pub(crate) fn take<'a>(&mut self, seq: u64, agents: impl Iterator<Item = &'a AgentEncoding>) {
-        self.seq = seq;
-        self.agents.clear();
-        self.agents.extend(agents);
+    fn warm_up(&mut self) {
+        let agents = vec![AgentEncoding::default(); DecoderGroup::LEN];
+        for agent_type in AGENT_TYPES {
+            let share = Share { agents: &agents, seed: 0, seq: 0 };
+            self.group.decode(self.networks.of(agent_type), &self.config, &share);
+        }
     }
 
-    /// The controls of the share.
-    pub(crate) fn controls(&self) -> &[AgentControls] {
+    /// Forgets the controls of the last frame.
+    pub(crate) fn clear(&mut self) {
+        self.controls.clear();
+    }
+
+    /// The controls of the blocks that it did, with the places of their agents.
+    pub(crate) fn controls(&self) -> &[(usize, AgentControls)] {
         &self.controls
     }
 }
 
 impl Job for Unroller {
-    fn run(&mut self) {
-        self.controls.clear();
-        for of_type in self.agents.chunk_by(|a, b| a.agent_type == b.agent_type) {
-            let agent_type =
-                AgentType::try_from(of_type[0].agent_type).expect("the encoding's type was checked");
-            let network = self.networks.of(agent_type);
-            for agents in of_type.chunks(DecoderGroup::LEN) {
-                self.group.decode(network, &self.config, &Share { agents, seed: self.seed, seq: self.seq });
-                for (i, agent) in agents.iter().enumerate() {
-                    self.controls.push(controls(agent, self.group.draws(i), self.config.modes));
-                }
-            }
+    type Input = Frame;
+
+    fn run(&mut self, frame: &Frame, block: usize) {
+        let places = frame.blocks[block].clone();
+        let agents = &frame.agents[places.clone()];
+        let agent_type = AgentType::try_from(agents[0].agent_type).expect("the encoding's type was checked");
+        let share = Share { agents, seed: self.seed, seq: frame.seq };
+        self.group.decode(self.networks.of(agent_type), &self.config, &share);
+        for (i, (agent, place)) in agents.iter().zip(places).enumerate() {
+            self.controls.push((place, controls(agent, self.group.draws(i), self.config.modes)));
         }
     }
 }

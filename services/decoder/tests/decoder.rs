@@ -35,7 +35,9 @@ fn controls_keep_the_agents_order_and_sum_to_one() {
 fn workers_and_other_agents_change_no_bit() {
     let encodings = encodings(70);
     let out = decode(1, 5, 9, &encodings);
-    assert_eq!(out, decode(3, 5, 9, &encodings));
+    for workers in [2, 4] {
+        assert_eq!(out, decode(workers, 5, 9, &encodings), "{workers} workers");
+    }
     for (i, agent) in encodings.iter().filter(|a| a.forecastable != 0).enumerate() {
         assert_eq!(out[i], decode(1, 5, 9, std::slice::from_ref(agent))[0], "agent {i} alone");
     }

@@ -2,22 +2,34 @@
 
 mod options;
 pub mod stage;
+mod steps;
 
-use nn::{Gdat, GdatMemory, Graph, ModelConfig, Weights, WeightsError};
+use std::sync::Arc;
+
+pub use nn::StartError;
+use nn::{Gdat, GdatMemory, ModelConfig, Weights, WeightsError, Workers};
 use wire::{
     AGENTS_MAX, AgentEncoding, AgentFeatures, Features, Header, NODE_ATTRIBUTES, Rejected, TEMPORAL, finite,
 };
 
 pub use options::{Options, STAGE};
+use steps::Attender;
 
-/// The encoder: its network and scratch memory.
+/// Settings of an [`Encoder`].
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct EncoderOptions {
+    /// Threads that run the network, the stage's own among them; results do not depend on it.
+    pub workers: usize,
+}
+
+/// The encoder: its network, its workers and scratch memory.
 pub struct Encoder {
     config: ModelConfig,
-    gdat: Gdat,
+    gdat: Arc<Gdat>,
+    workers: Workers<Attender>,
     memory: GdatMemory,
-    /// \[step, agent\].
-    present: Vec<bool>,
-    nodes: Vec<[f32; NODE_ATTRIBUTES]>,
+    /// Node attributes after all rounds, \[step, agent\].
+    attended: Vec<[f32; NODE_ATTRIBUTES]>,
     summaries: Vec<[f32; TEMPORAL]>,
 }
 
@@ -25,18 +37,18 @@ impl Encoder {
     /// An encoder with the model's graph attention.
     ///
     /// # Errors
-    /// [`WeightsError`] where the weights do not hold the model.
-    pub fn new(weights: &Weights) -> Result<Self, WeightsError> {
+    /// [`StartError`] where the weights do not hold the model or a thread can't be had.
+    pub fn new(weights: &Weights, options: EncoderOptions) -> Result<Self, StartError> {
         let config = weights.config().clone();
-        config.check_frames()?;
-        let nodes = AGENTS_MAX * config.history_len;
+        config.check_frames().map_err(WeightsError::from)?;
+        let gdat = Arc::new(Gdat::new(weights)?);
         Ok(Self {
-            config,
-            gdat: Gdat::new(weights)?,
+            workers: Attender::pool(weights, &gdat, options.workers)?,
+            gdat,
             memory: GdatMemory::default(),
-            present: Vec::with_capacity(nodes),
-            nodes: Vec::with_capacity(nodes),
+            attended: Vec::with_capacity(AGENTS_MAX * config.history_len),
             summaries: Vec::with_capacity(AGENTS_MAX),
+            config,
         })
     }
 
@@ -53,21 +65,7 @@ impl Encoder {
     ) -> Result<(), Rejected> {
         self.check(header, features, out.len())?;
         let agents = features.agents;
-        self.present.clear();
-        self.nodes.clear();
-        for step in 0..self.config.history_len {
-            self.present.extend(agents.iter().map(|agent| is_present(agent, step)));
-            self.nodes.extend(agents.iter().map(|agent| agent.node[step]));
-        }
-        self.summaries.resize(agents.len(), [0.0; TEMPORAL]);
-        let graph = Graph {
-            agents_len: agents.len(),
-            present: &self.present,
-            nodes: &self.nodes,
-            edges: features.edges,
-            attributes: features.attributes,
-        };
-        self.gdat.summarise(&graph, &mut self.memory, &mut self.summaries);
+        self.attend(features);
         finite("temporal summary", self.summaries.as_flattened())?;
         for ((out, agent), temporal) in out.iter_mut().zip(agents).zip(&self.summaries) {
             *out = AgentEncoding {
@@ -82,6 +80,27 @@ impl Encoder {
             };
         }
         Ok(())
+    }
+
+    /// The summaries of a frame's agents.
+    fn attend(&mut self, features: &Features<'_>) {
+        let agents_len = features.agents.len();
+        let mut frame = std::mem::take(&mut *self.workers.input());
+        frame.take(features, self.config.history_len);
+        self.workers.each(|job| job.begin(&frame));
+        let blocks_len = frame.blocks_len();
+        *self.workers.input() = frame;
+        self.workers.run(blocks_len);
+        let attended = &mut self.attended;
+        attended.resize(agents_len * self.config.history_len, [0.0; NODE_ATTRIBUTES]);
+        self.workers.each(|job| {
+            for (step, nodes) in job.attended() {
+                attended[step * agents_len..][..agents_len].copy_from_slice(nodes);
+            }
+        });
+        self.summaries.resize(agents_len, [0.0; TEMPORAL]);
+        let frame = self.workers.input();
+        self.gdat.summarise_attended(frame.present(), attended, &mut self.memory, &mut self.summaries);
     }
 
     fn check(&self, header: &Header, features: &Features<'_>, out_len: usize) -> Result<(), Rejected> {

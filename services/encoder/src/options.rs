@@ -1,3 +1,4 @@
+use nn::WORKERS_MAX;
 use run::Declaration;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -7,7 +8,12 @@ use wire::{EncodingsTopic, FeaturesTopic, StageId, Topic};
 pub const STAGE: Declaration<Options> =
     Declaration::new(StageId::Encoder, &[FeaturesTopic::NAME], &[EncodingsTopic::NAME]);
 
-/// What may be set of the encoder: nothing yet.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
-#[serde(deny_unknown_fields)]
-pub struct Options {}
+/// What may be set of the encoder.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields, default)]
+pub struct Options {
+    /// Threads that share the work of a tick, the stage's own included; if not given as many as there are
+    /// processors that the process may use, at most 4. Forecasts do not depend on it.
+    #[schemars(range(min = 1, max = WORKERS_MAX))]
+    pub workers: Option<usize>,
+}

@@ -1,20 +1,21 @@
 //! The encoder as a process: `features` in, `encodings` out.
 
-use nn::{ModelConfig, Weights};
+use nn::{ModelConfig, Weights, kernels};
 use ports::{Stage, StageError};
-use run::Run;
+use run::{OptionError, Run};
 use wire::{EncodingsTopic, FeatureShape, Features, FeaturesTopic};
 
-use crate::{Encoder, STAGE};
+use crate::{Encoder, EncoderOptions, STAGE};
 
 /// Runs the stage until the process is asked to end.
 ///
 /// # Errors
-/// [`StageError`] where the weights or the run's model or shared memory can't be used.
+/// [`StageError`] where the weights, the instruction set or the run's model, options or shared memory can't be used.
 pub fn run(run: &Run) -> Result<(), StageError> {
+    kernels::follow_environment().map_err(StageError::config)?;
     let model = ModelConfig::of_run(&run.root).map_err(StageError::config)?;
     let weights = Weights::of_model(run.weights.as_deref(), &model).map_err(StageError::data)?;
-    let mut encoder = Encoder::new(&weights).map_err(StageError::data)?;
+    let mut encoder = Encoder::new(&weights, settings(run)?).map_err(StageError::data)?;
     drop(weights);
 
     let mut stage = Stage::open(run, &STAGE)?;
@@ -30,4 +31,12 @@ pub fn run(run: &Run) -> Result<(), StageError> {
         stage.finish(passage, &output, result.map(|()| loan))?;
     }
     Ok(())
+}
+
+/// The encoder's settings in a run.
+///
+/// # Errors
+/// [`OptionError`] where the run's record holds options that the encoder does not have.
+pub fn settings(run: &Run) -> Result<EncoderOptions, OptionError> {
+    Ok(EncoderOptions { workers: STAGE.options(run)?.workers.unwrap_or_else(nn::default_workers) })
 }

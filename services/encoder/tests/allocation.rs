@@ -12,7 +12,8 @@ static ALLOCATOR: CountingAllocator = CountingAllocator;
 
 #[test]
 fn a_thousand_steady_steps_allocate_nothing() {
-    let mut encoder = encoder::Encoder::new(&nn::Weights::onboard()).unwrap();
+    let mut encoder =
+        encoder::Encoder::new(&nn::Weights::onboard(), encoder::EncoderOptions { workers: 2 }).unwrap();
     let frames = [frames::Frame::new(12), frames::Frame::new(9)];
     let mut outs = frames.each_ref().map(frames::Frame::out);
     let mut step = |i: usize| {

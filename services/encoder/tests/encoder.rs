@@ -1,15 +1,33 @@
 //! The encoder's refusals; the golden vectors of the layers hold its numbers.
 
 use crate::support::frames;
-use encoder::Encoder;
+use encoder::{Encoder, EncoderOptions};
 use frames::Frame;
 use nn::Weights;
 use wire::{Edge, Rejected};
 
+const ONE: EncoderOptions = EncoderOptions { workers: 1 };
+
+#[test]
+fn the_number_of_workers_changes_no_bit() {
+    let mut encoders =
+        [1, 2, 4].map(|workers| Encoder::new(&Weights::onboard(), EncoderOptions { workers }).unwrap());
+    for agents in [5, 1, 17, 0, 9] {
+        let frame = Frame::new(agents);
+        let outs = encoders.each_mut().map(|encoder| {
+            let mut out = frame.out();
+            encoder.step(&frame.header, &frame.features(), &mut out).unwrap();
+            out
+        });
+        assert_eq!(outs[0], outs[1]);
+        assert_eq!(outs[0], outs[2]);
+    }
+}
+
 #[test]
 fn every_agent_is_summarised() {
     let frame = Frame::new(5);
-    let mut encoder = Encoder::new(&Weights::onboard()).unwrap();
+    let mut encoder = Encoder::new(&Weights::onboard(), ONE).unwrap();
     let mut out = frame.out();
     encoder.step(&frame.header, &frame.features(), &mut out).unwrap();
     for (agent, encoding) in frame.agents.iter().zip(&out) {
@@ -23,7 +41,7 @@ fn the_order_of_the_agents_changes_rounding_alone() {
     let (frame, mut turned) = (Frame::new(6), Frame::new(6));
     turned.agents.reverse();
     turned.attributes.chunks_exact_mut(6 * 6).for_each(<[_]>::reverse);
-    let mut encoder = Encoder::new(&Weights::onboard()).unwrap();
+    let mut encoder = Encoder::new(&Weights::onboard(), ONE).unwrap();
     let (mut out, mut turned_out) = (frame.out(), frame.out());
     encoder.step(&frame.header, &frame.features(), &mut out).unwrap();
     encoder.step(&turned.header, &turned.features(), &mut turned_out).unwrap();
@@ -38,7 +56,7 @@ fn the_order_of_the_agents_changes_rounding_alone() {
 
 #[test]
 fn a_bad_frame_is_refused_and_leaves_the_output() {
-    let mut encoder = Encoder::new(&Weights::onboard()).unwrap();
+    let mut encoder = Encoder::new(&Weights::onboard(), ONE).unwrap();
     let good = Frame::new(4);
     let mut out = good.out();
     let mut refuse = |edit: &dyn Fn(&mut Frame)| {

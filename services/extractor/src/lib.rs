@@ -15,13 +15,13 @@ mod options;
 pub mod stage;
 
 pub use nn::StartError;
-use nn::{MlpMemory, ModelConfig, StateMlp, Weights, WeightsError, Workers};
+use nn::{ModelConfig, Weights, WeightsError, Workers};
 pub use options::{Options, STAGE};
 use scene::{AgentFrame, EdgeRule, FeatureScales, NEIGHBOURS_MAX, State, Vertex};
 use wire::{
     AGENT_TYPES, AGENTS_MAX, AgentFeatures, AgentType, CONTEXT_EMBEDDING, Context, ContextShape,
     EDGE_ATTRIBUTES, EDGES_MAX, Edge, FeatureShape, FeaturesMut, HISTORY_MAX, Header, NODE_ATTRIBUTES,
-    Rejected, STATE_FEATURES, finite,
+    Rejected, finite,
 };
 
 use cache::StampCache;
@@ -50,8 +50,6 @@ pub struct Extractor {
     config: ModelConfig,
     rule: EdgeRule,
     scales: FeatureScales,
-    state_mlp: StateMlp,
-    memory: MlpMemory,
     embedders: Workers<Embedder>,
     cache: StampCache,
     last: Option<(u64, i64)>,
@@ -68,26 +66,18 @@ struct Frame {
     /// States, \[agent, step\].
     states: Vec<[Option<State>; HISTORY_MAX]>,
     vertices: Vec<Option<Vertex>>,
-    /// Present (agent, step) of one type with their features and embeddings.
-    rows: Vec<(usize, usize)>,
-    features: Vec<[f32; STATE_FEATURES]>,
-    embedded: Vec<f32>,
     wanted: Wanted,
 }
 
 impl Frame {
     /// A frame with room for the largest scene.
     fn with_room() -> Self {
-        let nodes = AGENTS_MAX * HISTORY_MAX;
         Self {
             agents: Vec::with_capacity(AGENTS_MAX),
             edges: Vec::with_capacity(EDGES_MAX),
             attributes: Vec::with_capacity(EDGES_MAX),
             states: Vec::with_capacity(AGENTS_MAX),
             vertices: Vec::with_capacity(AGENTS_MAX),
-            rows: Vec::with_capacity(nodes),
-            features: Vec::with_capacity(nodes),
-            embedded: Vec::with_capacity(nodes * NODE_ATTRIBUTES),
             wanted: Wanted::default(),
         }
     }
@@ -115,8 +105,6 @@ impl Extractor {
         Ok(Self {
             rule,
             scales: FeatureScales { position: config.position_scale, velocity: config.velocity_scale },
-            state_mlp: StateMlp::new(weights)?,
-            memory: MlpMemory::default(),
             embedders: Embedder::pool(weights, options.workers.max(1))?,
             cache: StampCache::default(),
             last: None,
@@ -151,8 +139,7 @@ impl Extractor {
         self.last = Some((header.run_id, header.stamp_ns));
         self.place_agents(context);
         self.find_edges();
-        self.embed_states();
-        self.embed_history(header, context);
+        self.embed(header, context);
         Ok(FeatureShape { agents_len: self.frame.agents.len(), edges_len: self.frame.edges.len() })
     }
 
@@ -237,33 +224,20 @@ impl Extractor {
         }
     }
 
-    /// State embeddings of all present nodes, one network after the other.
-    fn embed_states(&mut self) {
-        let Frame { agents, rows, features, embedded, .. } = &mut self.frame;
-        let len = self.config.state_embedding_len();
-        for of_type in AGENT_TYPES {
-            rows.clear();
-            features.clear();
-            for (i, agent) in agents.iter().enumerate().filter(|(_, agent)| agent_type(agent) == of_type) {
-                let steps = (0..self.config.history_len).filter(|step| agent.present >> step & 1 == 1);
-                rows.extend(steps.clone().map(|step| (i, step)));
-                features.extend(steps.map(|step| agent.state[step]));
-            }
-            embedded.resize(rows.len() * len, 0.0);
-            self.state_mlp.embed(of_type, features, &mut self.memory, embedded);
-            for (&(agent, step), row) in rows.iter().zip(embedded.chunks_exact(len)) {
-                agents[agent].node[step][..len].copy_from_slice(row);
-            }
-        }
-    }
-
-    /// Context and relation embeddings of all steps: from the cache, or computed and then cached.
-    fn embed_history(&mut self, header: &Header, context: &Context<'_>) {
+    /// State embeddings of all present nodes; context and relation embeddings of all steps, from the cache, or
+    /// computed and then cached.
+    fn embed(&mut self, header: &Header, context: &Context<'_>) {
         let Frame { agents, edges, attributes, states, wanted, .. } = &mut self.frame;
         let history_len = self.config.history_len;
         attributes.clear();
         attributes.resize(edges.len(), [0.0; EDGE_ATTRIBUTES]);
         wanted.clear();
+        for of_type in AGENT_TYPES {
+            for (i, agent) in agents.iter().enumerate().filter(|(_, agent)| agent_type(agent) == of_type) {
+                let steps = (0..history_len).filter(|step| agent.present >> step & 1 == 1);
+                steps.for_each(|step| wanted.state(i, step, of_type));
+            }
+        }
         let stamp_ns = |step: usize| {
             let back = (history_len - 1 - step) as i64;
             header.stamp_ns.saturating_sub(back.saturating_mul(header.step_ns as i64))
@@ -291,7 +265,12 @@ impl Extractor {
             let state = |agent: u16| states[usize::from(agent)][usize::from(step)].unwrap_or_default();
             scene::relation_features(&state(receiver), &state(sender), scales)
         };
-        embed::run(&mut self.embedders, wanted, context, relation, |embedding| match embedding {
+        let state = |agent: usize, step: usize| agents[agent].state[step];
+        embed::run(&mut self.embedders, wanted, context, state, relation);
+        embed::collect(&mut self.embedders, wanted, |embedding| match embedding {
+            Embedding::State { agent, step, values } => {
+                agents[agent].node[step][..values.len()].copy_from_slice(values);
+            }
             Embedding::Context { agent, step, values } => {
                 *context_of(&mut agents[agent].node[step]) = *values;
             }

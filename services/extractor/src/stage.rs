@@ -1,6 +1,6 @@
 //! The extractor as a process: `context` in, `features` out.
 
-use nn::{ModelConfig, Weights};
+use nn::{ModelConfig, Weights, kernels};
 use ports::{Stage, StageError};
 use run::{OptionError, Run};
 use wire::{Context, ContextShape, ContextTopic, FeaturesMut, FeaturesTopic, feature_rows};
@@ -10,8 +10,9 @@ use crate::{Extractor, ExtractorOptions, STAGE};
 /// Runs the stage until the process is asked to end.
 ///
 /// # Errors
-/// [`StageError`] where the weights or the run's model, options or shared memory can't be used.
+/// [`StageError`] where the weights, the instruction set or the run's model, options or shared memory can't be used.
 pub fn run(run: &Run) -> Result<(), StageError> {
+    kernels::follow_environment().map_err(StageError::config)?;
     let model = ModelConfig::of_run(&run.root).map_err(StageError::config)?;
     let weights = Weights::of_model(run.weights.as_deref(), &model).map_err(StageError::data)?;
     let mut extractor = Extractor::new(&weights, settings(run)?).map_err(StageError::data)?;
@@ -45,5 +46,5 @@ pub fn run(run: &Run) -> Result<(), StageError> {
 /// # Errors
 /// [`OptionError`] where the run's record holds options that the extractor does not have.
 pub fn settings(run: &Run) -> Result<ExtractorOptions, OptionError> {
-    Ok(ExtractorOptions { workers: STAGE.options(run)?.workers })
+    Ok(ExtractorOptions { workers: STAGE.options(run)?.workers.unwrap_or_else(nn::default_workers) })
 }

@@ -35,9 +35,11 @@ fn the_cache_and_a_restart_change_no_bit() {
 
 #[test]
 fn the_number_of_workers_changes_no_bit() {
-    let (mut one, mut three) = (Scene::new(24, 1), Scene::new(24, 3));
+    let mut scenes = [1, 2, 4].map(|workers| Scene::new(24, workers));
     for tick in 0..8 {
-        assert_eq!(copy(&one.tick(tick)), copy(&three.tick(tick)), "tick {tick}");
+        let [one, two, four] = scenes.each_mut().map(|scene| copy(&scene.tick(tick)));
+        assert_eq!(one, two, "tick {tick}");
+        assert_eq!(one, four, "tick {tick}");
     }
 }
 

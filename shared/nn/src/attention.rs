@@ -109,9 +109,49 @@ impl Gdat {
         out: &mut [[f32; TEMPORAL]],
         mut trace: Option<&mut GraphTrace>,
     ) {
-        graph.assert_fits();
         assert_eq!(out.len(), graph.agents_len, "a row per agent");
-        let GdatMemory { nodes: [from, to], attributes, round: scratch, temporal } = memory;
+        let len = graph.nodes.len() * NODE_ATTRIBUTES;
+        self.attend_traced(graph, memory, trace.as_deref_mut());
+        let GdatMemory { nodes: [nodes, _], temporal, .. } = memory;
+        self.temporal.attend(graph.agents_len, graph.present, &nodes[..len], temporal, out);
+        if let Some(trace) = trace {
+            trace.temporal_heads = self.temporal.heads();
+            trace.beta = temporal.beta().to_vec();
+        }
+    }
+
+    /// Node attributes v̄ of a graph after all rounds of topological attention, \[step, agent\]; zero rows where
+    /// absent.
+    ///
+    /// A round does not leave its step, so that the steps of a scene may be attended to one by one, in any
+    /// order, and be joined by [`Gdat::summarise_attended`].
+    ///
+    /// # Panics
+    /// Where the parts of the graph do not fit one another.
+    pub fn attend<'a>(&self, graph: &Graph<'_>, memory: &'a mut GdatMemory) -> &'a [[f32; NODE_ATTRIBUTES]] {
+        self.attend_traced(graph, memory, None);
+        memory.nodes[0][..graph.nodes.len() * NODE_ATTRIBUTES].as_chunks().0
+    }
+
+    /// Temporal summaries ṽ of all agents from what [`Gdat::attend`] made of their nodes, \[step, agent\].
+    ///
+    /// # Panics
+    /// Where `nodes` and `present` do not fit one another, or `out` is empty beside them.
+    pub fn summarise_attended(
+        &self,
+        present: &[bool],
+        nodes: &[[f32; NODE_ATTRIBUTES]],
+        memory: &mut GdatMemory,
+        out: &mut [[f32; TEMPORAL]],
+    ) {
+        assert_eq!(present.len(), nodes.len(), "presence of each node");
+        self.temporal.attend(out.len(), present, nodes.as_flattened(), &mut memory.temporal, out);
+    }
+
+    /// All rounds; v̄ is left in the first of the memory's node buffers.
+    fn attend_traced(&self, graph: &Graph<'_>, memory: &mut GdatMemory, mut trace: Option<&mut GraphTrace>) {
+        graph.assert_fits();
+        let GdatMemory { nodes: [from, to], attributes, round: scratch, .. } = memory;
         let len = graph.nodes.len() * NODE_ATTRIBUTES;
         from.reserve(len);
         to.reserve(len);
@@ -130,11 +170,14 @@ impl Gdat {
             }
             std::mem::swap(from, to);
         }
-        self.temporal.attend(graph, &from[..len], temporal, out);
-        if let Some(trace) = trace {
-            trace.temporal_heads = self.temporal.heads();
-            trace.beta = temporal.beta().to_vec();
-        }
+    }
+
+    /// Gives `memory` room for graphs of so many nodes and edges, so that [`Gdat::attend`] does not allocate.
+    pub fn make_room(&self, nodes_len: usize, edges_len: usize, memory: &mut GdatMemory) {
+        let GdatMemory { nodes, attributes, round: scratch, .. } = memory;
+        nodes.iter_mut().for_each(|nodes| nodes.reserve(nodes_len * NODE_ATTRIBUTES));
+        attributes.reserve(edges_len.saturating_sub(attributes.len()));
+        self.rounds.iter().for_each(|round| round.make_room(nodes_len, edges_len, scratch));
     }
 }
 

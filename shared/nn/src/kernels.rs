@@ -7,6 +7,8 @@
 //! Three kernels carry the network: the `product` of gathered rows with packed panels (linear layers and
 //! convolutions alike), the `gates` of the GRU and the exponential function.
 
+use std::fmt;
+use std::str::FromStr;
 use std::sync::atomic::{AtomicU8, Ordering};
 
 use thiserror::Error;
@@ -41,10 +43,22 @@ pub enum Isa {
     Portable = 4,
 }
 
-/// The processor lacks an instruction set.
-#[derive(Clone, Copy, Debug, Error, PartialEq, Eq)]
-#[error("this processor has no {}", .0.name())]
-pub struct Unavailable(pub Isa);
+/// The environment variable that names the instruction set to use.
+pub const VARIABLE: &str = "STGDAT_KERNELS";
+
+/// Why an instruction set can't be used.
+#[derive(Clone, Debug, Error, PartialEq, Eq)]
+pub enum IsaError {
+    /// The processor lacks it.
+    #[error("this processor has no {}, only {}", .0.name(), Isa::available_names())]
+    Unavailable(Isa),
+    /// It has another name.
+    #[error("there is no instruction set {0:?}: one of avx512, avx2, neon, portable")]
+    Unknown(String),
+    /// [`VARIABLE`] names one that can't be used.
+    #[error("{VARIABLE}: {0}")]
+    Variable(Box<IsaError>),
+}
 
 impl Isa {
     /// All instruction sets, the fastest first.
@@ -59,6 +73,23 @@ impl Isa {
             Self::Neon => "NEON",
             Self::Portable => "portable",
         }
+    }
+
+    /// The name that options and [`VARIABLE`] take.
+    #[must_use]
+    pub const fn key(self) -> &'static str {
+        match self {
+            Self::Avx512 => "avx512",
+            Self::Avx2 => "avx2",
+            Self::Neon => "neon",
+            Self::Portable => "portable",
+        }
+    }
+
+    /// The names of all sets that this processor has, the fastest first.
+    #[must_use]
+    pub fn available_names() -> String {
+        Self::ALL.into_iter().filter(|isa| isa.available()).map(Self::name).collect::<Vec<_>>().join(", ")
     }
 
     /// Whether this processor has it.
@@ -77,29 +108,78 @@ impl Isa {
     }
 }
 
+impl fmt::Display for Isa {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(self.name())
+    }
+}
+
+/// A set that this processor has, by its [`Isa::key`].
+impl FromStr for Isa {
+    type Err = IsaError;
+
+    fn from_str(key: &str) -> Result<Self, IsaError> {
+        let isa = Self::ALL.into_iter().find(|isa| isa.key() == key);
+        let isa = isa.ok_or_else(|| IsaError::Unknown(key.to_owned()))?;
+        if isa.available() { Ok(isa) } else { Err(IsaError::Unavailable(isa)) }
+    }
+}
+
 /// The set in use as a number, 0 before the first kernel ran.
 static ACTIVE: AtomicU8 = AtomicU8::new(0);
+/// The set that was asked for as a number, 0 where none was.
+static FORCED: AtomicU8 = AtomicU8::new(0);
 
-/// The instruction set in use: the fastest that the processor has, unless [`force`] chose another.
+fn of_number(number: u8) -> Option<Isa> {
+    Isa::ALL.into_iter().find(|&isa| isa as u8 == number)
+}
+
+/// The instruction set in use: the one that [`force`] or [`VARIABLE`] chose, else the fastest that the
+/// processor has.
+///
+/// # Panics
+/// Where [`VARIABLE`] can't be followed; programs report that by [`follow_environment`] first.
 #[must_use]
 pub fn active() -> Isa {
-    let number = ACTIVE.load(Ordering::Relaxed);
-    if let Some(isa) = Isa::ALL.into_iter().find(|&isa| isa as u8 == number) {
-        return isa;
+    of_number(ACTIVE.load(Ordering::Relaxed)).unwrap_or_else(|| match follow_environment() {
+        Ok(isa) => isa,
+        Err(error) => panic!("{error}"),
+    })
+}
+
+/// The set that [`force`] or [`VARIABLE`] chose; none where the fastest is in use because it is.
+#[must_use]
+pub fn forced() -> Option<Isa> {
+    of_number(FORCED.load(Ordering::Relaxed))
+}
+
+/// Chooses the set that [`VARIABLE`] names, else the fastest; does nothing where one was chosen before.
+///
+/// # Errors
+/// [`IsaError::Variable`] where the variable names no set, or one that the processor lacks.
+pub fn follow_environment() -> Result<Isa, IsaError> {
+    if let Some(isa) = of_number(ACTIVE.load(Ordering::Relaxed)) {
+        return Ok(isa);
+    }
+    if let Some(key) = std::env::var_os(VARIABLE) {
+        let isa = key.to_string_lossy().parse().map_err(|error| IsaError::Variable(Box::new(error)))?;
+        force(isa)?;
+        return Ok(isa);
     }
     let isa = Isa::ALL.into_iter().find(|isa| isa.available()).unwrap_or(Isa::Portable);
     ACTIVE.store(isa as u8, Ordering::Relaxed);
-    isa
+    Ok(isa)
 }
 
 /// Makes all kernels of this process use `isa` from now on.
 ///
 /// # Errors
-/// [`Unavailable`] where the processor lacks it; nothing changes then.
-pub fn force(isa: Isa) -> Result<(), Unavailable> {
+/// [`IsaError::Unavailable`] where the processor lacks it; nothing changes then.
+pub fn force(isa: Isa) -> Result<(), IsaError> {
     if !isa.available() {
-        return Err(Unavailable(isa));
+        return Err(IsaError::Unavailable(isa));
     }
+    FORCED.store(isa as u8, Ordering::Relaxed);
     ACTIVE.store(isa as u8, Ordering::Relaxed);
     Ok(())
 }
@@ -127,5 +207,31 @@ pub fn dispatch<K: Kernel>(kernel: K) -> K::Output {
         // SAFETY: as above.
         Isa::Neon => unsafe { neon::run(kernel) },
         _ => portable::run(kernel),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_set_has_a_key_that_leads_back_to_it() {
+        for isa in Isa::ALL {
+            let expected = if isa.available() { Ok(isa) } else { Err(IsaError::Unavailable(isa)) };
+            assert_eq!(isa.key().parse(), expected);
+        }
+        assert_eq!("AVX2".parse::<Isa>(), Err(IsaError::Unknown("AVX2".to_owned())));
+        assert_eq!(
+            "sse".parse::<Isa>().unwrap_err().to_string(),
+            "there is no instruction set \"sse\": one of avx512, avx2, neon, portable"
+        );
+    }
+
+    #[test]
+    fn no_processor_has_both_neon_and_avx2() {
+        let lacking = if Isa::Neon.available() { Isa::Avx2 } else { Isa::Neon };
+        let message = force(lacking).unwrap_err().to_string();
+        assert!(message.starts_with(&format!("this processor has no {lacking}, only ")), "{message}");
+        assert!(message.ends_with("portable"), "{message}");
     }
 }

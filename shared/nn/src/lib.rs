@@ -37,4 +37,4 @@ pub use model::{
 };
 pub use motion::{motion_kind, motion_options};
 pub use weights::{Weights, WeightsError};
-pub use workers::{Job, StartError, WORKERS_MAX, Workers};
+pub use workers::{Job, StartError, WORKERS_MAX, Workers, default_workers};

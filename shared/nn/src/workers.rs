@@ -1,18 +1,32 @@
-//! A small pool of threads that run as long as their stage and share a step's rows.
+//! A small pool of threads that run as long as their stage and share a step's work.
 //!
-//! Each worker owns a job: inputs, outputs and scratch memory. The caller fills the jobs, [`Workers::run`]
-//! runs them all at once (the first on the caller's own thread) and returns when the last is done. Nothing is
-//! allocated by a run.
+//! A step's work is cut into blocks that depend on nothing but the step's input. Each worker, the stage's own
+//! thread first among them, takes the next block until there is none left: a worker whose processor is busy
+//! with something else takes fewer, or none, and nobody waits for more than the block that it has begun.
+//! Nothing is allocated by a run.
+//!
+//! A worker that has nothing to do sleeps, and spins no longer than the lock that it sleeps on (about a
+//! microsecond): stages outnumber processors on most machines, and who spins there takes the processor from
+//! the one that is waited for.
 
-use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
+mod placement;
+
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::{
+    Arc, Condvar, Mutex, MutexGuard, OnceLock, PoisonError, RwLock, RwLockReadGuard, RwLockWriteGuard,
+};
 use std::thread::JoinHandle;
 
+use rustix::thread::{Pid, gettid};
 use thiserror::Error;
 
 use crate::WeightsError;
+use placement::Placement;
 
-/// Most threads that a stage may share its rows over.
+/// Most threads that a stage may share its work over.
 pub const WORKERS_MAX: usize = 64;
+/// Most threads of a stage that was not told how many.
+const DEFAULT_MAX: usize = 4;
 
 /// Why a stage that runs the network on workers can't start.
 #[derive(Debug, Error)]
@@ -25,14 +39,34 @@ pub enum StartError {
     Thread(#[from] std::io::Error),
 }
 
-/// A share of a step's work with all the memory that it needs.
+/// Threads of a stage that was not told how many: the processors that this process may use by its affinity
+/// and the quota of its cgroup, at most 4.
+#[must_use]
+pub fn default_workers() -> usize {
+    std::thread::available_parallelism().map_or(1, usize::from).min(DEFAULT_MAX)
+}
+
+/// A worker's own memory: scratch, and the results of the blocks that it did.
 pub trait Job: Send + 'static {
-    /// Does the work.
-    fn run(&mut self);
+    /// What all workers read in a step.
+    type Input: Send + Sync;
+
+    /// Does a block of the step's work, and remembers with its results which.
+    fn run(&mut self, input: &Self::Input, block: usize);
+}
+
+/// The step in hand.
+struct Step<I> {
+    input: RwLock<I>,
+    /// The next block to be taken, and how many there are.
+    next: AtomicUsize,
+    blocks_len: AtomicUsize,
 }
 
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Phase {
+    /// The thread is not there yet.
+    Starting,
     Idle,
     Ready,
     Stopping,
@@ -41,27 +75,54 @@ enum Phase {
 }
 
 struct Slot<J> {
+    /// Held by the worker while it works.
     state: Mutex<(J, Phase)>,
     changed: Condvar,
+    /// The worker's thread, once it is there.
+    thread: OnceLock<Pid>,
 }
 
 /// Jobs and the threads that run them.
 pub struct Workers<J: Job> {
+    step: Arc<Step<J::Input>>,
+    /// The job of the caller's thread.
+    own: J,
     slots: Vec<Arc<Slot<J>>>,
     threads: Vec<JoinHandle<()>>,
+    placement: Placement,
 }
 
 /// Marks the job as panicked unless it ended.
 struct Watch<'a, J> {
-    slot: &'a Slot<J>,
+    state: MutexGuard<'a, (J, Phase)>,
     finished: bool,
 }
 
 impl<J> Drop for Watch<'_, J> {
     fn drop(&mut self) {
-        if !self.finished {
-            self.slot.lock().1 = Phase::Broken;
-            self.slot.changed.notify_all();
+        self.state.1 = if self.finished { Phase::Idle } else { Phase::Broken };
+    }
+}
+
+impl<I> Step<I> {
+    fn read(&self) -> RwLockReadGuard<'_, I> {
+        self.input.read().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn write(&self) -> RwLockWriteGuard<'_, I> {
+        self.input.write().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Does blocks until there is none left.
+    fn work<J: Job<Input = I>>(&self, job: &mut J) {
+        let input = self.read();
+        let blocks_len = self.blocks_len.load(Ordering::Relaxed);
+        loop {
+            let block = self.next.fetch_add(1, Ordering::Relaxed);
+            if block >= blocks_len {
+                return;
+            }
+            job.run(&input, block);
         }
     }
 }
@@ -71,28 +132,26 @@ impl<J> Slot<J> {
     fn lock(&self) -> MutexGuard<'_, (J, Phase)> {
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
-
-    fn wait_while(&self, phase: Phase) -> MutexGuard<'_, (J, Phase)> {
-        let state = self.lock();
-        self.changed.wait_while(state, |(_, now)| *now == phase).unwrap_or_else(PoisonError::into_inner)
-    }
 }
 
-fn serve<J: Job>(slot: &Slot<J>) {
+fn serve<J: Job>(slot: &Slot<J>, step: &Step<J::Input>) {
+    // Empty before: a thread begins once.
+    let _ = slot.thread.set(gettid());
+    let mut state = slot.lock();
+    if state.1 == Phase::Starting {
+        state.1 = Phase::Idle;
+    }
+    drop(state);
+    slot.changed.notify_all();
     loop {
-        let mut watch = Watch { slot, finished: false };
-        let mut state = slot.wait_while(Phase::Idle);
-        if state.1 == Phase::Ready {
-            state.0.run();
-            state.1 = Phase::Idle;
-        }
-        let stopping = state.1 == Phase::Stopping;
-        drop(state);
-        watch.finished = true;
-        slot.changed.notify_all();
-        if stopping {
+        let idle = |(_, phase): &mut (J, Phase)| *phase == Phase::Idle;
+        let state = slot.changed.wait_while(slot.lock(), idle).unwrap_or_else(PoisonError::into_inner);
+        if state.1 != Phase::Ready {
             return;
         }
+        let mut watch = Watch { state, finished: false };
+        step.work(&mut watch.state.0);
+        watch.finished = true;
     }
 }
 
@@ -104,16 +163,36 @@ impl<J: Job> Workers<J> {
     ///
     /// # Panics
     /// Where there is no job.
-    pub fn new(jobs: impl IntoIterator<Item = J>) -> std::io::Result<Self> {
-        let slot = |job| Arc::new(Slot { state: Mutex::new((job, Phase::Idle)), changed: Condvar::new() });
-        let slots: Vec<_> = jobs.into_iter().map(slot).collect();
-        assert!(!slots.is_empty(), "a pool needs a job");
-        let mut pool = Self { slots, threads: Vec::new() };
-        for (number, slot) in pool.slots.iter().enumerate().skip(1) {
-            let slot = Arc::clone(slot);
-            let name = format!("worker-{number}");
-            pool.threads.push(std::thread::Builder::new().name(name).spawn(move || serve(&slot))?);
+    pub fn new(input: J::Input, jobs: impl IntoIterator<Item = J>) -> std::io::Result<Self>
+    where
+        J::Input: 'static,
+    {
+        let mut jobs = jobs.into_iter();
+        let own = jobs.next().expect("a pool has a job");
+        let slot = |job| {
+            Arc::new(Slot {
+                state: Mutex::new((job, Phase::Starting)),
+                changed: Condvar::new(),
+                thread: OnceLock::new(),
+            })
+        };
+        let step =
+            Step { input: RwLock::new(input), next: AtomicUsize::new(0), blocks_len: AtomicUsize::new(0) };
+        let slots = jobs.map(slot).collect();
+        let placement = Placement::new(Vec::new());
+        let mut pool = Self { step: Arc::new(step), own, slots, threads: Vec::new(), placement };
+        for (number, slot) in pool.slots.iter().enumerate() {
+            let (slot, step) = (Arc::clone(slot), Arc::clone(&pool.step));
+            let name = format!("worker-{}", number + 1);
+            pool.threads.push(std::thread::Builder::new().name(name).spawn(move || serve(&slot, &step))?);
         }
+        for slot in &pool.slots {
+            // A thread that starts allocates: that is not to happen in a step.
+            let starting = |(_, phase): &mut (J, Phase)| *phase == Phase::Starting;
+            drop(slot.changed.wait_while(slot.lock(), starting).unwrap_or_else(PoisonError::into_inner));
+        }
+        pool.placement =
+            Placement::new(pool.slots.iter().filter_map(|slot| slot.thread.get().copied()).collect());
         Ok(pool)
     }
 
@@ -121,30 +200,47 @@ impl<J: Job> Workers<J> {
     #[must_use]
     #[expect(clippy::len_without_is_empty, reason = "a pool is never empty")]
     pub fn len(&self) -> usize {
-        self.slots.len()
+        1 + self.slots.len()
     }
 
-    /// Calls `visit` with each job and its number, one after the other on this thread.
-    pub fn each(&mut self, mut visit: impl FnMut(usize, &mut J)) {
-        for (number, slot) in self.slots.iter().enumerate() {
-            visit(number, &mut slot.lock().0);
+    /// What the workers will read in the next step.
+    pub fn input(&mut self) -> RwLockWriteGuard<'_, J::Input> {
+        self.step.write()
+    }
+
+    /// Calls `visit` with each job, one after the other on this thread.
+    pub fn each(&mut self, mut visit: impl FnMut(&mut J)) {
+        visit(&mut self.own);
+        for slot in &self.slots {
+            visit(&mut slot.lock().0);
         }
     }
 
-    /// Runs all jobs and returns when the last is done.
+    /// Does the blocks below `blocks_len` and returns when the last is done.
     ///
     /// # Panics
     /// Where a job panicked.
-    pub fn run(&mut self) {
-        let (first, others) = self.slots.split_first().expect("a pool has a job");
-        for slot in others {
-            slot.lock().1 = Phase::Ready;
-            slot.changed.notify_all();
+    pub fn run(&mut self, blocks_len: usize) {
+        self.step.next.store(0, Ordering::Relaxed);
+        self.step.blocks_len.store(blocks_len, Ordering::Relaxed);
+        // One block is this thread's: no more are woken than can find another.
+        let woken = &self.slots[..self.slots.len().min(blocks_len.saturating_sub(1))];
+        if !woken.is_empty() {
+            self.placement.keep_off();
         }
-        first.lock().0.run();
-        for slot in others {
-            let broken = slot.wait_while(Phase::Ready).1 == Phase::Broken;
-            assert!(!broken, "a worker panicked");
+        for slot in woken {
+            let mut state = slot.lock();
+            assert!(state.1 == Phase::Idle, "a worker panicked");
+            state.1 = Phase::Ready;
+            drop(state);
+            slot.changed.notify_one();
+        }
+        self.step.work(&mut self.own);
+        for slot in woken {
+            // A worker that has begun holds the lock to its end; one that has not is too late.
+            let mut state = slot.lock();
+            assert!(state.1 != Phase::Broken, "a worker panicked");
+            state.1 = Phase::Idle;
         }
     }
 }
@@ -153,7 +249,7 @@ impl<J: Job> Drop for Workers<J> {
     fn drop(&mut self) {
         for slot in &self.slots {
             slot.lock().1 = Phase::Stopping;
-            slot.changed.notify_all();
+            slot.changed.notify_one();
         }
         for thread in self.threads.drain(..) {
             // The panic of a worker has been reported already.
@@ -166,29 +262,82 @@ impl<J: Job> Drop for Workers<J> {
 mod tests {
     use super::*;
 
-    struct Square(Vec<u64>, bool);
+    /// Squares numbers, a block each.
+    #[derive(Default)]
+    struct Square {
+        done: Vec<(usize, u64)>,
+        breaks: bool,
+    }
 
     impl Job for Square {
-        fn run(&mut self) {
-            assert!(!self.1, "asked to break");
-            self.0.iter_mut().for_each(|x| *x *= *x);
+        type Input = Vec<u64>;
+
+        fn run(&mut self, input: &Vec<u64>, block: usize) {
+            assert!(!self.breaks, "asked to break");
+            self.done.push((block, input[block] * input[block]));
+        }
+    }
+
+    fn squares(pool: &mut Workers<Square>) -> Vec<(usize, u64)> {
+        let mut done = Vec::new();
+        pool.each(|job| done.append(&mut job.done));
+        done.sort_unstable();
+        done
+    }
+
+    #[test]
+    fn every_block_is_done_once_in_every_run() {
+        for workers_len in 1..=4 {
+            let mut pool = Workers::new(Vec::new(), (0..workers_len).map(|_| Square::default())).unwrap();
+            for blocks_len in (0..200).map(|i| i % 9) {
+                *pool.input() = (0..blocks_len as u64).map(|i| i + 2).collect();
+                pool.run(blocks_len);
+                let expected = (0..blocks_len).map(|i| (i, (i as u64 + 2).pow(2)));
+                assert_eq!(squares(&mut pool), expected.collect::<Vec<_>>());
+            }
+        }
+    }
+
+    /// Holds the first block until another worker has done the second.
+    struct Meet(Arc<(Mutex<bool>, Condvar)>);
+
+    impl Job for Meet {
+        type Input = ();
+
+        fn run(&mut self, (): &(), block: usize) {
+            let (met, changed) = &*self.0;
+            let met = met.lock().unwrap();
+            if block == 0 {
+                drop(changed.wait_while(met, |met| !*met).unwrap());
+            } else {
+                *{ met } = true;
+                changed.notify_all();
+            }
         }
     }
 
     #[test]
-    fn every_job_runs_once_a_call() {
-        let mut pool = Workers::new((0..3).map(|i| Square(vec![i + 2; 4], false))).unwrap();
-        pool.run();
-        pool.run();
-        let mut seen = Vec::new();
-        pool.each(|_, job| seen.extend_from_slice(&job.0[..1]));
-        assert_eq!(seen, [16, 81, 256]);
+    fn blocks_are_done_at_the_same_time() {
+        let meeting = Arc::new((Mutex::new(false), Condvar::new()));
+        Workers::new((), (0..2).map(|_| Meet(Arc::clone(&meeting)))).unwrap().run(2);
+        assert!(*meeting.0.lock().unwrap());
     }
 
     #[test]
     #[should_panic(expected = "a worker panicked")]
     fn a_panic_of_a_worker_reaches_the_caller() {
-        let mut pool = Workers::new((0..2).map(|i| Square(Vec::new(), i == 1))).unwrap();
-        pool.run();
+        let mut pool =
+            Workers::new(vec![2; 8], (0..2).map(|i| Square { breaks: i == 1, ..Square::default() })).unwrap();
+        // The worker may come too late for a run, but not for all of them.
+        loop {
+            pool.run(8);
+            std::thread::yield_now();
+        }
+    }
+
+    #[test]
+    fn the_default_is_what_the_process_may_use() {
+        let allowed = std::thread::available_parallelism().unwrap().get();
+        assert_eq!(default_workers(), allowed.min(4));
     }
 }

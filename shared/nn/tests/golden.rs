@@ -7,6 +7,7 @@
 use std::collections::BTreeMap;
 use std::path::PathBuf;
 
+use nn::kernels::product::{Gather, Panels, Product};
 use nn::kernels::{self, Isa};
 use nn::{
     BurnIn, ContextCnn, ContextMemory, Decoder, DecoderMemory, Draws, EncodingFunction, Gdat, GdatMemory,
@@ -237,15 +238,59 @@ fn check(folder: &str) {
     check_decoder(&reference, &history);
 }
 
+/// Products of every number of rows up to two of the largest tiles and some more, and of one to three panels;
+/// embeddings and forecasts.
+fn outputs() -> Vec<f32> {
+    let value = |i: usize| ((i * 37) % 101) as f32 * 0.02 - 1.0;
+    let mut all = Vec::new();
+    for rows_len in 1..=27 {
+        for out_len in [16, 32, 48] {
+            let in_len = 5 + rows_len;
+            let panels = Panels::pack([out_len, 1, in_len], |out, _, i| value(out * 7 + i * 3), value);
+            let input: Vec<f32> = (0..rows_len * in_len).map(value).collect();
+            let mut out = vec![0.0; rows_len * out_len];
+            let gather = Gather::Rows { stride: in_len };
+            Product { input: &input, gather, panels: &panels, residual: None, relu: false, out: &mut out }
+                .run();
+            all.append(&mut out);
+        }
+    }
+    let weights = Weights::onboard();
+    let cnn = ContextCnn::new(&weights).unwrap();
+    let patches: Vec<f32> = (0..7 * cnn.patch_len()).map(value).collect();
+    let mut embedded = vec![[0.0; 32]; 7];
+    cnn.embed(&patches, &mut ContextMemory::default(), &mut embedded);
+    all.extend(embedded.as_flattened());
+    let decoder = Decoder::new(&weights).unwrap();
+    let (hidden, temporal) = (vec![[0.3; 128]; 5], vec![[-0.2; 64]; 5]);
+    let latents: Vec<[f32; 32]> = (0..5 * 20).map(|i| [value(i); 32]).collect();
+    let mut controls = vec![[0.0; RAW_CONTROL]; latents.len() * 12];
+    let (decoder, memory) = (decoder.of(AgentType::Pedestrian), &mut DecoderMemory::default());
+    decoder.forecast(&hidden, &temporal, Draws::Given(&latents), memory, &mut controls);
+    all.extend(controls.as_flattened());
+    all
+}
+
 /// One test for all sets: the set in use belongs to the whole process.
 #[test]
 fn the_reference_is_reproduced_on_every_instruction_set() {
     let fastest = kernels::active();
+    let mut fused: Option<(Isa, Vec<f32>)> = None;
     for isa in Isa::ALL.into_iter().filter(|isa| isa.available()) {
         kernels::force(isa).unwrap();
         for folder in FOLDERS {
             println!("{folder} on {}", isa.name());
             check(folder);
+        }
+        let outputs = outputs();
+        match &fused {
+            // Its multiply-adds round twice.
+            _ if isa == Isa::Portable => {}
+            None => fused = Some((isa, outputs)),
+            Some((first, of_first)) => {
+                let same = of_first.iter().zip(&outputs).all(|(a, b)| a.to_bits() == b.to_bits());
+                assert!(same && of_first.len() == outputs.len(), "{isa} has other bits than {first}");
+            }
         }
     }
     kernels::force(fastest).unwrap();

@@ -1,4 +1,5 @@
-//! The network: properties of layers, and weights files.
+//! The network: properties of layers, weights files, and the emitted code.
 
+mod emitted;
 mod properties;
 mod weights;

@@ -12,7 +12,7 @@ use wire::StageId;
 use super::work::Work;
 use super::{Arguments, percentile};
 use crate::failure::Failure;
-use crate::options::StageOptions;
+use crate::options::{Setting, StageOptions};
 
 /// Ticks before the measured ones: longer than the history, so that caches are as in a steady run.
 const WARM_UP: u64 = 60;
@@ -93,7 +93,9 @@ fn measure(arguments: &Arguments, agents: usize) -> Result<Measured, Failure> {
     let mut playback = Playback::new(recording, PlaybackOptions { lockstep: true, ..Default::default() });
     let (weights, opened) = arguments.model.open_weights(None)?;
     let mut options = StageOptions::defaults(&STAGES);
-    options.apply(&[arguments.model.settings()?, arguments.set.set.clone()].concat())?;
+    let workers = |stage| Setting::of_flag("bench", stage, "workers", 1);
+    let one_thread = [StageId::Extractor, StageId::Encoder, StageId::Decoder].map(workers).to_vec();
+    options.apply(&[one_thread, arguments.model.settings()?, arguments.set.set.clone()].concat())?;
     let run = Run {
         interval_ns: playback.interval_ns(),
         lockstep: true,

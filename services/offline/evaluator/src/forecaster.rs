@@ -8,7 +8,8 @@ use std::sync::Arc;
 
 use bytemuck::Zeroable;
 use data::Recording;
-use decoder::BaseDecoder;
+use decoder::{BaseDecoder, DecoderOptions};
+use encoder::EncoderOptions;
 use lanes::LaneMap;
 use metrics::Point;
 use nn::{ModelConfig, Weights};
@@ -104,7 +105,7 @@ impl Forecaster {
     pub fn new(weights: Weights, seed: u64) -> Result<Self, ChainError> {
         let run = Run { lockstep: true, seed, ..Run::default() };
         let forecaster = Self { weights, run, lanes: None };
-        FeaturesToControls::new(&forecaster.weights, decoder::stage::settings(&forecaster.run)?)?;
+        forecaster.features_to_controls()?;
         forecaster.tracks_to_features(MapInput::None, 1)?;
         Ok(forecaster)
     }
@@ -225,8 +226,7 @@ impl Forecaster {
         let mut sampler = self.sampler(memory.is_some());
         memory.into_iter().for_each(|memory| sampler.warm_start(memory));
         let stages = self.tracks_to_features(map, 1).and_then(|features| {
-            let controls = FeaturesToControls::new(&self.weights, decoder::stage::settings(&self.run)?)?;
-            Ok(TracksToForecasts::of_stages(features, controls, sampler))
+            Ok(TracksToForecasts::of_stages(features, self.features_to_controls()?, sampler))
         });
         stages.expect("stages that started before start again")
     }
@@ -250,6 +250,12 @@ impl Forecaster {
         Ok(TracksToFeatures::new(&self.weights, localiser, extractor)?)
     }
 
+    /// Encoder and decoder on one thread: the threads of an evaluation have a pair each.
+    fn features_to_controls(&self) -> Result<FeaturesToControls, ChainError> {
+        let decoder = DecoderOptions { workers: 1, ..decoder::stage::settings(&self.run)? };
+        Ok(FeaturesToControls::new(&self.weights, EncoderOptions { workers: 1 }, decoder)?)
+    }
+
     /// The header of a recording's first tick.
     pub fn header(&self) -> Header {
         let mut header = Header { step_ns: self.config().step_ns(), ..Header::new(1, 0, 0) };
@@ -268,8 +274,7 @@ impl Session {
     ) -> Self {
         let threads = threads.clamp(1, nn::WORKERS_MAX);
         let network = || {
-            let options = decoder::stage::settings(&forecaster.run)?;
-            let controls = FeaturesToControls::new(&forecaster.weights, options)?;
+            let controls = forecaster.features_to_controls()?;
             Ok::<_, ChainError>(Network { controls, base: BaseDecoder::new(&forecaster.weights)? })
         };
         let started = "stages that started before start again";

@@ -1,6 +1,6 @@
 use bytemuck::Zeroable;
 use decoder::{Decoder, DecoderOptions, StartError};
-use encoder::Encoder;
+use encoder::{Encoder, EncoderOptions};
 use nn::Weights;
 use wire::{AGENTS_MAX, AgentControls, AgentEncoding, Header, Rejected, StageId};
 
@@ -31,13 +31,17 @@ impl FeaturesToControls {
     ///
     /// # Errors
     /// [`StartError`] where the weights do not hold the model or a thread can't be had.
-    pub fn new(weights: &Weights, options: DecoderOptions) -> Result<Self, StartError> {
+    pub fn new(
+        weights: &Weights,
+        encoder: EncoderOptions,
+        decoder: DecoderOptions,
+    ) -> Result<Self, StartError> {
         let model = weights.config();
         Ok(Self {
             horizon_len: model.horizon_len as u32,
             modes_len: model.modes as u32,
-            encoder: Encoder::new(weights)?,
-            decoder: Decoder::new(weights, options)?,
+            encoder: Encoder::new(weights, encoder)?,
+            decoder: Decoder::new(weights, decoder)?,
             encodings: vec![AgentEncoding::zeroed(); AGENTS_MAX],
             encodings_len: 0,
             controls: vec![AgentControls::zeroed(); AGENTS_MAX],

@@ -25,7 +25,8 @@ impl TracksToForecasts {
         let weights = Weights::of_model(run.weights.as_deref(), model)?;
         let localiser = localiser::stage::settings(run, model)?;
         let features = TracksToFeatures::new(&weights, localiser, extractor::stage::settings(run)?)?;
-        let controls = FeaturesToControls::new(&weights, decoder::stage::settings(run)?)?;
+        let (encoder, decoder) = (encoder::stage::settings(run)?, decoder::stage::settings(run)?);
+        let controls = FeaturesToControls::new(&weights, encoder, decoder)?;
         Ok(Self::of_stages(features, controls, sampler::stage::open(run, model)?))
     }
 

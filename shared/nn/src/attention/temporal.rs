@@ -1,6 +1,6 @@
 use wire::{NODE_ATTRIBUTES, TEMPORAL};
 
-use super::{Graph, leaky};
+use super::leaky;
 use crate::buffer::Buffer;
 use crate::kernels::exp_in_place;
 use crate::linear::{Activation, Linear};
@@ -72,15 +72,16 @@ impl TemporalAttention {
         self.scores.as_ref().map_or(self.heads, Linear::out_stride)
     }
 
-    /// Computes ṽ of all agents.
+    /// Computes ṽ of all agents from v̄, \[step, agent\].
     pub(super) fn attend(
         &self,
-        graph: &Graph<'_>,
+        agents_len: usize,
+        present: &[bool],
         nodes: &[f32],
         memory: &mut TemporalMemory,
         out: &mut [[f32; TEMPORAL]],
     ) {
-        let (nodes_len, stride) = (graph.nodes.len(), self.score_stride());
+        let (nodes_len, stride) = (present.len(), self.score_stride());
         let TemporalMemory { scores, values, beta, beta_len } = memory;
         scores.reserve(nodes_len * stride);
         values.reserve(nodes_len * TEMPORAL);
@@ -101,12 +102,12 @@ impl TemporalAttention {
             None => values.copy_from_slice(scores),
         }
         let beta = &mut beta[..*beta_len];
-        self.weigh(graph, scores, beta);
+        self.weigh(agents_len, present, scores, beta);
         out.as_flattened_mut().fill(0.0);
         let section = TEMPORAL / self.heads;
         let rows = values.chunks_exact(TEMPORAL).zip(beta.chunks_exact(self.heads));
         for (row, (values, beta)) in rows.enumerate() {
-            let out = &mut out[row % graph.agents_len];
+            let out = &mut out[row % agents_len];
             for (i, (sum, value)) in out.iter_mut().zip(values).enumerate() {
                 *sum += beta[i / section] * value;
             }
@@ -114,12 +115,11 @@ impl TemporalAttention {
     }
 
     /// Softmax over each agent's present steps into `beta`, \[node, head\].
-    fn weigh(&self, graph: &Graph<'_>, scores: &[f32], beta: &mut [f32]) {
+    fn weigh(&self, agents_len: usize, present: &[bool], scores: &[f32], beta: &mut [f32]) {
         let stride = self.score_stride();
         beta.fill(0.0);
-        for agent in 0..graph.agents_len {
-            let rows =
-                || (agent..graph.present.len()).step_by(graph.agents_len).filter(|&row| graph.present[row]);
+        for agent in 0..agents_len {
+            let rows = || (agent..present.len()).step_by(agents_len).filter(|&row| present[row]);
             for head in 0..self.heads {
                 let most = rows().fold(f32::NEG_INFINITY, |most, row| most.max(scores[row * stride + head]));
                 for row in rows() {
@@ -128,9 +128,9 @@ impl TemporalAttention {
             }
         }
         exp_in_place(beta);
-        for agent in 0..graph.agents_len {
-            let rows = || (agent..graph.present.len()).step_by(graph.agents_len);
-            for row in rows().filter(|&row| !graph.present[row]) {
+        for agent in 0..agents_len {
+            let rows = || (agent..present.len()).step_by(agents_len);
+            for row in rows().filter(|&row| !present[row]) {
                 beta[row * self.heads..][..self.heads].fill(0.0);
             }
             for head in 0..self.heads {

@@ -1,11 +1,14 @@
+mod edges;
+
 use wire::{EDGE_ATTRIBUTES, NODE_ATTRIBUTES};
 
 use super::{Graph, leaky};
 use crate::buffer::Buffer;
-use crate::kernels::exp_in_place;
+use crate::kernels::{dispatch, exp_in_place};
 use crate::linear::{Activation, Linear};
 use crate::weights::{Weights, WeightsError};
 use crate::{Attention, ModelConfig};
+use edges::{Gather, Score, Sum, SumWithEdges};
 
 /// Hidden units of the edge update.
 const UPDATE_HIDDEN: usize = 128;
@@ -88,6 +91,17 @@ impl Round {
         self.update.is_none()
     }
 
+    /// Gives `memory` room for graphs of so many nodes and edges.
+    pub(super) fn make_room(&self, nodes_len: usize, edges_len: usize, memory: &mut RoundMemory) {
+        let RoundMemory { alpha, values, receivers, senders, wide, hidden, .. } = memory;
+        alpha.reserve(edges_len * self.factors.len());
+        values.reserve(nodes_len * NODE_ATTRIBUTES);
+        receivers.reserve(nodes_len * UPDATE_HIDDEN);
+        senders.reserve(nodes_len * UPDATE_HIDDEN);
+        wide.reserve(BLOCK * UPDATE_HIDDEN);
+        hidden.reserve(BLOCK * UPDATE_HIDDEN);
+    }
+
     /// Computes v̄ of all nodes into `out`; rows of absent agents are 0.
     pub(super) fn attend(
         &self,
@@ -108,10 +122,8 @@ impl Round {
         }
         let values = &mut memory.values[..nodes.len()];
         values.iter_mut().for_each(|x| *x = leaky(self.slope, *x));
-        for (edge, alpha) in graph.edges.iter().zip(memory.alpha.chunks_exact(heads)) {
-            let [receiver, sender] = graph.ends(edge);
-            accumulate(alpha, row(values, sender), row_mut(out, receiver));
-        }
+        let alpha = &memory.alpha[..memory.alpha_len];
+        dispatch(Sum { graph, edges: graph.edges, alpha, heads, values, out });
     }
 
     /// α of all edges, \[edge, head\].
@@ -126,16 +138,7 @@ impl Round {
         memory.alpha_len = graph.edges.len() * heads;
         memory.alpha.reserve(memory.alpha_len);
         let alpha = &mut memory.alpha[..memory.alpha_len];
-        for ((edge, attribute), scores) in
-            graph.edges.iter().zip(attributes).zip(alpha.chunks_exact_mut(heads))
-        {
-            let [receiver, sender] = graph.ends(edge).map(|end| row(nodes, end));
-            let apart = squared_distance(receiver, sender);
-            let length = squared_distance(attribute, &[0.0; EDGE_ATTRIBUTES]);
-            for (score, [lambda, mu]) in scores.iter_mut().zip(&self.factors) {
-                *score = -(lambda * apart + mu * length);
-            }
-        }
+        dispatch(Score { graph, nodes, attributes, factors: &self.factors, scores: &mut *alpha });
         let mut start = 0;
         for received in graph.edges.chunk_by(|a, b| (a.step, a.receiver) == (b.step, b.receiver)) {
             let end = start + received.len() * heads;
@@ -159,14 +162,8 @@ impl Round {
         for ((edges, attributes), alpha) in blocks.zip(memory.alpha.chunks(BLOCK * heads)) {
             let messages = &mut memory.wide[..edges.len() * NODE_ATTRIBUTES];
             edge_values.run(attributes.as_flattened(), EDGE_ATTRIBUTES, Activation::None, messages);
-            let messages = messages.chunks_exact_mut(NODE_ATTRIBUTES);
-            for ((edge, message), alpha) in edges.iter().zip(messages).zip(alpha.chunks_exact(heads)) {
-                let [receiver, sender] = graph.ends(edge);
-                for (x, value) in message.iter_mut().zip(row(&memory.values, sender)) {
-                    *x = leaky(self.slope, *x + value);
-                }
-                accumulate(alpha, message, row_mut(out, receiver));
-            }
+            let (values, slope) = (&memory.values[..], self.slope);
+            dispatch(SumWithEdges { graph, edges, alpha, heads, values, slope, messages, out: &mut *out });
         }
     }
 
@@ -189,11 +186,7 @@ impl Round {
         update.sender.run(nodes, NODE_ATTRIBUTES, Activation::None, &mut senders[..len]);
         for (edges, attributes) in graph.edges.chunks(BLOCK).zip(attributes.chunks_mut(BLOCK)) {
             let len = edges.len() * UPDATE_HIDDEN;
-            for (edge, sum) in edges.iter().zip(wide.chunks_exact_mut(UPDATE_HIDDEN)) {
-                let [receiver, sender] = graph.ends(edge).map(|end| end * UPDATE_HIDDEN);
-                let parts = receivers[receiver..].iter().zip(&senders[sender..]);
-                sum.iter_mut().zip(parts).for_each(|(sum, (r, s))| *sum = r + s);
-            }
+            dispatch(Gather { graph, edges, receivers, senders, sums: &mut wide[..len] });
             let from = attributes.as_flattened();
             update.edge.run_onto(from, EDGE_ATTRIBUTES, &wide[..len], Activation::Relu, &mut hidden[..len]);
             update.out.run(&hidden[..len], UPDATE_HIDDEN, Activation::None, attributes.as_flattened_mut());
@@ -233,26 +226,6 @@ impl EdgeUpdate {
     }
 }
 
-fn row(nodes: &[f32], index: usize) -> &[f32] {
-    &nodes[index * NODE_ATTRIBUTES..][..NODE_ATTRIBUTES]
-}
-
-fn row_mut(nodes: &mut [f32], index: usize) -> &mut [f32] {
-    &mut nodes[index * NODE_ATTRIBUTES..][..NODE_ATTRIBUTES]
-}
-
-/// ‖a − b‖² in 16 partial sums, so that it vectorises.
-fn squared_distance(a: &[f32], b: &[f32]) -> f32 {
-    let mut sums = [0.0_f32; 16];
-    for (a, b) in a.as_chunks::<16>().0.iter().zip(b.as_chunks::<16>().0) {
-        for i in 0..16 {
-            let d = a[i] - b[i];
-            sums[i] += d * d;
-        }
-    }
-    sums.iter().sum()
-}
-
 /// Softmax down each column of \[row, column\].
 fn softmax_columns(scores: &mut [f32], columns: usize) {
     for column in 0..columns {
@@ -264,14 +237,5 @@ fn softmax_columns(scores: &mut [f32], columns: usize) {
         let sum: f32 = scores[column..].iter().step_by(columns).sum();
         let share = 1.0 / sum;
         scores[column..].iter_mut().step_by(columns).for_each(|x| *x *= share);
-    }
-}
-
-/// Adds α_h · message to the section of each head h.
-fn accumulate(alpha: &[f32], message: &[f32], out: &mut [f32]) {
-    let section = NODE_ATTRIBUTES / alpha.len();
-    let sections = message.chunks_exact(section).zip(out.chunks_exact_mut(section));
-    for (alpha, (message, out)) in alpha.iter().zip(sections) {
-        out.iter_mut().zip(message).for_each(|(sum, x)| *sum += alpha * x);
     }
 }

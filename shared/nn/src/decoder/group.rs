@@ -62,8 +62,9 @@ pub struct AgentDraws<'a> {
 }
 
 impl DecoderGroup {
-    /// Most agents of a group, chosen for speed.
-    pub const LEN: usize = 16;
+    /// Most agents of a group, chosen for speed: few enough to share a scene over workers, and enough rows of
+    /// draws to fill whole register tiles.
+    pub const LEN: usize = 8;
 
     /// Decodes agents of a type by its network. Allocates only where a group is larger than all before.
     ///

@@ -30,6 +30,7 @@ macro_rules! operations {
 impl Lanes for Avx2 {
     type V = __m256;
     const LEN: usize = 8;
+    const REGISTERS: usize = 16;
 
     operations! {
         add(a, b) = _mm256_add_ps;

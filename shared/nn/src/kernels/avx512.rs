@@ -30,6 +30,7 @@ macro_rules! operations {
 impl Lanes for Avx512 {
     type V = __m512;
     const LEN: usize = 16;
+    const REGISTERS: usize = 32;
 
     operations! {
         add(a, b) = _mm512_add_ps;

@@ -15,30 +15,39 @@ pub(crate) const GATES: usize = 3 * HIDDEN;
 /// ```
 ///
 /// `input` is W_i x + b_i and `hidden` W_h h + b_h, each \[row, r ‖ z ‖ n\]; an `input` of one row serves all
-/// rows.
-pub(crate) fn gru_step(input: &[f32], hidden: &[f32], state: &mut [f32]) {
+/// rows. Leaves other numbers in `hidden`.
+pub(crate) fn gru_step(input: &[f32], hidden: &mut [f32], state: &mut [f32]) {
     dispatch(Gru { input, hidden, state });
 }
 
 struct Gru<'a> {
     input: &'a [f32],
-    hidden: &'a [f32],
+    hidden: &'a mut [f32],
     state: &'a mut [f32],
 }
 
 impl Kernel for Gru<'_> {
     type Output = ();
 
+    /// Each row in two passes: r and n in one go are a chain too long for a processor to see the next one
+    /// behind it.
     #[inline(always)]
     fn run<L: Lanes>(self, l: L) {
         let stride = if self.input.len() == GATES { 0 } else { GATES };
-        let rows = self.state.chunks_exact_mut(HIDDEN).zip(self.hidden.chunks_exact(GATES));
+        let rows = self.state.chunks_exact_mut(HIDDEN).zip(self.hidden.chunks_exact_mut(GATES));
         for (row, (state, hidden)) in rows.enumerate() {
             let input = &self.input[row * stride..][..GATES];
             for i in (0..HIDDEN).step_by(L::LEN) {
                 let r = sigmoid(l, l.add(gate(l, input, 0, i), gate(l, hidden, 0, i)));
+                let n = l.fma(r, gate(l, hidden, 2, i), gate(l, input, 2, i));
+                l.store(&mut hidden[2 * HIDDEN + i..], n);
+            }
+            for i in (0..HIDDEN).step_by(L::LEN) {
                 let z = sigmoid(l, l.add(gate(l, input, 1, i), gate(l, hidden, 1, i)));
-                let n = tanh(l, l.fma(r, gate(l, hidden, 2, i), gate(l, input, 2, i)));
+                l.store(&mut hidden[HIDDEN + i..], z);
+            }
+            for i in (0..HIDDEN).step_by(L::LEN) {
+                let (z, n) = (gate(l, hidden, 1, i), tanh(l, gate(l, hidden, 2, i)));
                 let h = l.load(&state[i..]);
                 l.store(&mut state[i..], l.fma(z, l.sub(h, n), n));
             }

@@ -9,6 +9,8 @@ pub trait Lanes: Copy {
     type V: Copy;
     /// Its floats; divides 16.
     const LEN: usize;
+    /// Vector registers of the set.
+    const REGISTERS: usize;
 
     /// All lanes x.
     fn splat(self, x: f32) -> Self::V;

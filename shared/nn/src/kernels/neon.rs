@@ -30,6 +30,7 @@ macro_rules! operations {
 impl Lanes for Neon {
     type V = float32x4_t;
     const LEN: usize = 4;
+    const REGISTERS: usize = 32;
 
     operations! {
         add(a, b) = vaddq_f32;

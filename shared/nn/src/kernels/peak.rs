@@ -7,8 +7,6 @@ use super::product::{Gather, Panels, Product};
 use super::{Kernel, Lanes, dispatch};
 use crate::buffer::Buffer;
 
-/// Independent sums: enough to hide the latency of a multiply-add on any set.
-const CHAINS: usize = 24;
 /// Steps of the register loop in one timing.
 const STEPS: usize = 1 << 16;
 /// Side of the matrices that are multiplied.
@@ -19,23 +17,30 @@ struct Fma;
 impl Kernel for Fma {
     type Output = usize;
 
-    /// Runs [`STEPS`] × [`CHAINS`] multiply-adds in registers; returns the floating-point operations done.
+    /// Runs [`STEPS`] multiply-adds on each of independent sums; returns the floating-point operations done.
+    ///
+    /// The sums are as many as hide the latency of a multiply-add, and stay in registers beside two numbers.
     #[inline(always)]
     fn run<L: Lanes>(self, l: L) -> usize {
-        let (a, b) = (l.splat(black_box(0.999)), l.splat(black_box(1e-3)));
-        let mut sums = [b; CHAINS];
-        for _ in 0..STEPS {
-            for sum in &mut sums {
-                *sum = l.fma(*sum, a, b);
-            }
-        }
-        let mut total = [0.0; 16];
-        for sum in sums {
-            l.store(&mut total, sum);
-            black_box(&total);
-        }
-        2 * STEPS * CHAINS * L::LEN
+        if L::REGISTERS == 32 { chains::<L, 24>(l) } else { chains::<L, 12>(l) }
     }
+}
+
+#[inline(always)]
+fn chains<L: Lanes, const CHAINS: usize>(l: L) -> usize {
+    let (a, b) = (l.splat(black_box(0.999)), l.splat(black_box(1e-3)));
+    let mut sums = [b; CHAINS];
+    for _ in 0..STEPS {
+        for sum in &mut sums {
+            *sum = l.fma(*sum, a, b);
+        }
+    }
+    let mut total = [0.0; 16];
+    for sum in sums {
+        l.store(&mut total, sum);
+        black_box(&total);
+    }
+    2 * STEPS * CHAINS * L::LEN
 }
 
 /// Floating-point operations per second of multiply-adds in registers, the best of what fits in `budget`, in

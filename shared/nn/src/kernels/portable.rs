@@ -29,6 +29,7 @@ macro_rules! operations {
 impl Lanes for Portable {
     type V = [f32; 4];
     const LEN: usize = 4;
+    const REGISTERS: usize = 16;
 
     operations! {
         add(a, b) = a + b;

@@ -41,3 +41,21 @@ fn columns_beyond_the_input_are_refused() {
     let gather = Gather::Columns { stride: 8 };
     Product { input: &input, gather, panels: &panels, residual: None, relu: false, out: &mut out }.run();
 }
+
+/// Tiles of all sizes, whole and left over.
+#[test]
+fn a_row_has_the_same_bits_alone_and_in_a_batch() {
+    let (in_len, rows_max) = (37, 31);
+    let panels = Panels::pack([48, 1, in_len], |out, _, i| value(out * 7 + i * 3), value);
+    let input: Vec<f32> = (0..rows_max * in_len).map(value).collect();
+    let run = |input: &[f32]| {
+        let mut out = vec![0.0_f32; input.len() / in_len * 48];
+        let gather = Gather::Rows { stride: in_len };
+        Product { input, gather, panels: &panels, residual: None, relu: false, out: &mut out }.run();
+        out.into_iter().map(f32::to_bits).collect::<Vec<_>>()
+    };
+    let alone: Vec<u32> = input.chunks_exact(in_len).flat_map(run).collect();
+    for rows_len in 1..=rows_max {
+        assert_eq!(run(&input[..rows_len * in_len]), alone[..rows_len * 48], "{rows_len} rows");
+    }
+}

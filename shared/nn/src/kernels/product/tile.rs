@@ -1,0 +1,288 @@
+//! The register tile: R rows × V vectors of sums that stay in registers over the whole length of the chain.
+//!
+//! | set | registers | tile | sums |
+//! |---|---:|---|---:|
+//! | AVX-512 | 32 | 12 rows × 2 vectors of two panels | 24 |
+//! | AVX2 | 16 | 6 rows × 2 vectors of one panel | 12 |
+//! | NEON | 32 | 6 rows × 4 vectors of one panel | 24 |
+//! | portable | 16 | 3 rows × 4 vectors of one panel | 12 |
+//!
+//! Beside the sums stand the V vectors of weights and the row's number in all lanes. That must fit into the
+//! set's registers: one sum more, and the compiler moves sums to the stack and back in each step. There must
+//! also be enough sums to hide the latency of the multiply-adds, two at a time on most processors. Rows that
+//! are left below a whole tile get a smaller one.
+
+#![expect(unsafe_code, reason = "the register tile reads through pointers")]
+
+use super::{DEAD, Gather, PANEL, Panels, Product, TAPS_MAX};
+use crate::kernels::{Kernel, Lanes};
+
+/// A product whose slices fit one another.
+pub(super) struct Checked<'a> {
+    pub(super) product: Product<'a>,
+    pub(super) rows_len: usize,
+}
+
+/// The live taps, of at most T, of a register tile of R rows.
+struct Tile<const R: usize, const T: usize> {
+    /// Input rows of each live tap.
+    rows: [[*const f32; R]; T],
+    /// The live taps.
+    taps: [usize; T],
+    live_len: usize,
+}
+
+impl<const R: usize, const T: usize> Tile<R, T> {
+    const fn new() -> Self {
+        Self { rows: [[std::ptr::null(); R]; T], taps: [0; T], live_len: 0 }
+    }
+
+    #[inline(always)]
+    fn push(&mut self, tap: usize, rows: [*const f32; R]) {
+        self.rows[self.live_len] = rows;
+        self.taps[self.live_len] = tap;
+        self.live_len += 1;
+    }
+}
+
+impl Kernel for Checked<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run<L: Lanes>(mut self, lanes: L) {
+        match self.product.gather {
+            Gather::Rows { .. } => self.panels::<L, 1, false>(lanes),
+            Gather::Columns { .. } => self.panels::<L, 1, true>(lanes),
+            Gather::Taps { .. } => self.panels::<L, TAPS_MAX, false>(lanes),
+        }
+    }
+}
+
+impl Checked<'_> {
+    /// All rows of all columns, with at most T taps; `ACROSS` where the input rows are columns of a matrix. The module has the table
+    /// of tiles.
+    #[inline(always)]
+    fn panels<L: Lanes, const T: usize, const ACROSS: bool>(&mut self, l: L) {
+        let panels_len = self.product.panels.panels_len;
+        let mut panel = 0;
+        // No closures: they would be compiled without the set's features.
+        while panel < panels_len {
+            match (L::LEN, L::REGISTERS) {
+                (PANEL, _) if panel + 2 <= panels_len => {
+                    self.up_to_12::<L, 2, T, ACROSS>(l, panel);
+                    panel += 1;
+                }
+                (PANEL, _) => self.up_to_12::<L, 1, T, ACROSS>(l, panel),
+                (8, _) => self.up_to_6::<L, 2, T, ACROSS>(l, panel),
+                (_, 32) => self.up_to_6::<L, 4, T, ACROSS>(l, panel),
+                _ => self.up_to_3::<L, 4, T, ACROSS>(l, panel, 0),
+            }
+            panel += 1;
+        }
+    }
+
+    /// All rows of V vectors of columns, from `panel` on, in tiles of 12 rows and less.
+    #[inline(always)]
+    fn up_to_12<L: Lanes, const V: usize, const T: usize, const ACROSS: bool>(&mut self, l: L, panel: usize) {
+        let mut row = 0;
+        row = self.tiles::<L, 12, V, T, ACROSS>(l, panel, row);
+        row = self.tiles::<L, 8, V, T, ACROSS>(l, panel, row);
+        row = self.tiles::<L, 4, V, T, ACROSS>(l, panel, row);
+        row = self.tiles::<L, 2, V, T, ACROSS>(l, panel, row);
+        self.tiles::<L, 1, V, T, ACROSS>(l, panel, row);
+    }
+
+    /// The same in tiles of 6 rows and less.
+    #[inline(always)]
+    fn up_to_6<L: Lanes, const V: usize, const T: usize, const ACROSS: bool>(&mut self, l: L, panel: usize) {
+        let mut row = 0;
+        row = self.tiles::<L, 6, V, T, ACROSS>(l, panel, row);
+        row = self.tiles::<L, 5, V, T, ACROSS>(l, panel, row);
+        row = self.tiles::<L, 4, V, T, ACROSS>(l, panel, row);
+        self.up_to_3::<L, V, T, ACROSS>(l, panel, row);
+    }
+
+    /// The same in tiles of 3 rows and less, from `row` on.
+    #[inline(always)]
+    fn up_to_3<L: Lanes, const V: usize, const T: usize, const ACROSS: bool>(
+        &mut self,
+        l: L,
+        panel: usize,
+        mut row: usize,
+    ) {
+        row = self.tiles::<L, 3, V, T, ACROSS>(l, panel, row);
+        row = self.tiles::<L, 2, V, T, ACROSS>(l, panel, row);
+        self.tiles::<L, 1, V, T, ACROSS>(l, panel, row);
+    }
+
+    /// As many whole tiles of R rows as there are from `row` on; returns the first row that is left.
+    #[inline(always)]
+    fn tiles<L: Lanes, const R: usize, const V: usize, const T: usize, const ACROSS: bool>(
+        &mut self,
+        lanes: L,
+        panel: usize,
+        mut row: usize,
+    ) -> usize {
+        if row + R > self.rows_len {
+            return row;
+        }
+        let mut tile = Tile::<R, T>::new();
+        while row + R <= self.rows_len {
+            self.gather(row, &mut tile);
+            // SAFETY: `Product::run` has checked that input, panels and output hold what the tile addresses.
+            unsafe { self.multiply::<L, R, V, T, ACROSS>(lanes, panel, row, &tile) };
+            row += R;
+        }
+        row
+    }
+
+    /// Finds the input rows of a tile.
+    #[inline(always)]
+    fn gather<const R: usize, const T: usize>(&self, row: usize, tile: &mut Tile<R, T>) {
+        let input = self.product.input.as_ptr();
+        let in_len = self.product.panels.in_len;
+        match self.product.gather {
+            Gather::Rows { stride } => {
+                tile.live_len = 0;
+                tile.push(0, rows_from(input.wrapping_add(row * stride), stride));
+            }
+            Gather::Columns { .. } => {
+                tile.live_len = 0;
+                tile.push(0, rows_from(input.wrapping_add(row), 1));
+            }
+            Gather::Taps { taps, images_len, zeros } => {
+                tile.live_len = 0;
+                let (position, image) = (row / images_len, row % images_len);
+                if image + R <= images_len {
+                    let sources = taps.sources(position).iter().enumerate().filter(|(_, s)| **s != DEAD);
+                    for (tap, &source) in sources {
+                        let first = (source as usize * images_len + image) * in_len;
+                        tile.push(tap, rows_from(input.wrapping_add(first), in_len));
+                    }
+                    return;
+                }
+                let places = places::<R>(position, image, images_len);
+                for tap in 0..taps.taps_len {
+                    let mut rows = [zeros.as_ptr(); R];
+                    let mut live = false;
+                    for (from, (position, image)) in rows.iter_mut().zip(places) {
+                        let source = taps.sources[position * taps.taps_len + tap];
+                        if source != DEAD {
+                            *from = input.wrapping_add((source as usize * images_len + image) * in_len);
+                            live = true;
+                        }
+                    }
+                    if live {
+                        tile.push(tap, rows);
+                    }
+                }
+            }
+        }
+    }
+
+    /// # Safety
+    /// The tile's rows hold `in_len` floats each, as far apart as the gather gives; panels, residual and
+    /// output hold the columns and rows addressed.
+    #[inline(always)]
+    unsafe fn multiply<L: Lanes, const R: usize, const V: usize, const T: usize, const ACROSS: bool>(
+        &mut self,
+        l: L,
+        panel: usize,
+        row: usize,
+        tile: &Tile<R, T>,
+    ) {
+        let Panels { values, bias, in_len, .. } = self.product.panels;
+        let panel_len = self.product.panels.panel_len();
+        let stride = self.product.panels.out_stride();
+        let per_panel = PANEL / L::LEN;
+        let step = match self.product.gather {
+            Gather::Columns { stride } if ACROSS => stride,
+            _ => 1,
+        };
+        let mut sums = [[l.splat(0.0); V]; R];
+        for live in 0..tile.live_len {
+            let first = values.as_ptr().wrapping_add(panel * panel_len + tile.taps[live] * in_len * PANEL);
+            let mut weights = [first; V];
+            for (v, weights) in weights.iter_mut().enumerate() {
+                *weights = first.wrapping_add((v / per_panel) * panel_len + (v % per_panel) * L::LEN);
+            }
+            // SAFETY: the caller vouches for `in_len` floats in each row; the weights lie within the panels.
+            sums = unsafe { chain(l, tile.rows[live], weights, *in_len, step, sums) };
+        }
+        for (r, sums) in sums.iter().enumerate() {
+            for (v, sum) in sums.iter().enumerate() {
+                let column = panel * PANEL + v * L::LEN;
+                let place = (row + r) * stride + column;
+                // SAFETY: within the bias, which has a value for each column.
+                let mut y = l.add(*sum, unsafe { l.load_from(bias.as_ptr().wrapping_add(column)) });
+                if let Some(residual) = self.product.residual {
+                    // SAFETY: the residual has the output's length.
+                    y = l.add(y, unsafe { l.load_from(residual.as_ptr().wrapping_add(place)) });
+                }
+                if self.product.relu {
+                    y = l.max(y, l.splat(0.0));
+                }
+                // SAFETY: within the output.
+                unsafe { l.store_to(self.product.out.as_mut_ptr().wrapping_add(place), y) };
+            }
+        }
+    }
+}
+
+/// Goes on with the sums of a tile: `len` multiply-adds for each of them, in order.
+///
+/// A function of its own, with sums that come and go by value: so they stay in the registers in which they are
+/// (see the test of the emitted code).
+///
+/// # Safety
+/// Each of the rows is good for reading a float at every `step`, each of the weights a vector at every
+/// [`PANEL`], `len` times.
+#[inline(always)]
+unsafe fn chain<L: Lanes, const R: usize, const V: usize>(
+    l: L,
+    rows: [*const f32; R],
+    weights: [*const f32; V],
+    len: usize,
+    step: usize,
+    mut sums: [[L::V; V]; R],
+) -> [[L::V; V]; R] {
+    for c in 0..len {
+        let mut w = [l.splat(0.0); V];
+        for (w, weights) in w.iter_mut().zip(weights) {
+            // SAFETY: the caller vouches for them.
+            *w = unsafe { l.load_from(weights.wrapping_add(c * PANEL)) };
+        }
+        for (row, sums) in rows.iter().zip(&mut sums) {
+            // SAFETY: the caller vouches for the rows.
+            let x = l.splat(unsafe { *row.wrapping_add(c * step) });
+            for (sum, w) in sums.iter_mut().zip(&w) {
+                *sum = l.fma(x, *w, *sum);
+            }
+        }
+    }
+    sums
+}
+
+/// Position and image of R consecutive rows.
+#[inline(always)]
+fn places<const R: usize>(mut position: usize, mut image: usize, images_len: usize) -> [(usize, usize); R] {
+    let mut places = [(0, 0); R];
+    for place in &mut places {
+        *place = (position, image);
+        image += 1;
+        if image == images_len {
+            (position, image) = (position + 1, 0);
+        }
+    }
+    places
+}
+
+/// R rows that lie `stride` floats apart.
+#[inline(always)]
+fn rows_from<const R: usize>(start: *const f32, stride: usize) -> [*const f32; R] {
+    let mut rows = [start; R];
+    for (r, row) in rows.iter_mut().enumerate() {
+        *row = start.wrapping_add(r * stride);
+    }
+    rows
+}
