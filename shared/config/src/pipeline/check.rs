@@ -81,8 +81,34 @@ fn stage(table: &StageTable, declared: &[&dyn Declared], warnings: &mut Vec<Stri
         writes: names(&table.writes),
         budget_ms: table.budget_ms.as_ref().map(|ms| *ms.get_ref()),
         options,
+        topics: renamed(table, &topics)?,
         restart: restart(table)?,
     })
+}
+
+/// The topics that the stage opens under another name: its own ones, under names that no topic has.
+fn renamed(table: &StageTable, known: &[&str]) -> Result<BTreeMap<String, String>, Fault> {
+    for (topic, name) in &table.topics {
+        if !table.reads.iter().chain(&table.writes).any(|own| own.get_ref() == topic.get_ref()) {
+            let message =
+                format!("the {} neither reads nor writes \"{}\"", table.name.get_ref(), topic.get_ref());
+            return Err(Fault::new(topic.span(), message, "not one of its `reads` and `writes`"));
+        }
+        let is_plain = |c: char| c.is_ascii_lowercase() || c.is_ascii_digit() || c == '-';
+        let (text, span) = (name.get_ref(), name.span());
+        if text.is_empty() || !text.chars().all(is_plain) {
+            let message = format!("\"{text}\" can't be the name of a topic");
+            return Err(Fault::new(span, message, "expected lower case letters, digits and \"-\""));
+        }
+        if known.contains(&text.as_str()) {
+            return Err(Fault::new(
+                span,
+                format!("\"{text}\" is a topic of its own"),
+                "expected another name",
+            ));
+        }
+    }
+    Ok(table.topics.iter().map(|(topic, name)| (topic.get_ref().clone(), name.get_ref().clone())).collect())
 }
 
 /// The stage's restart policy: the defaults where the file says nothing.
