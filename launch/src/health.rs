@@ -70,8 +70,9 @@ impl Health {
         if look.state == b'T' {
             return Finding::Stopped;
         }
-        // Before its first heartbeat a stage loads what it needs; the deadline for its start holds.
-        if !self.beats {
+        // Before its first heartbeat a stage loads what it needs; the deadline for its start holds. A debugger
+        // stops a process for as long as it likes.
+        if !self.beats || look.state == b't' {
             return Finding::Well;
         }
         let first = *self.first.get_or_insert(look);

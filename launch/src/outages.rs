@@ -107,7 +107,7 @@ mod tests {
     #[test]
     fn an_outage_lasts_until_the_new_incarnation_is_learned_from() {
         let mut outages = Outages::default();
-        let mut tick = |outages: &mut Outages, seq, decoder| {
+        let tick = |outages: &mut Outages, seq, decoder| {
             let (header, forecast) = frame(seq, decoder);
             outages.forecasts(&header, &[forecast]);
         };

@@ -32,6 +32,8 @@ HORIZON_MAX = 12
 MODES_MAX = 20
 # Most experts that a forecast can be weighed of.
 EXPERTS_MAX = 8
+# Pairs of sender and cause by which a heartbeat counts refused frames.
+REFUSALS_MAX = 8
 # Most edges of all steps of the history graph together, the self edges included.
 EDGES_MAX = 32768
 # Channels of a local context patch: density and the two components of the mean velocity.
@@ -162,6 +164,20 @@ class Expert(enum.IntEnum):
     RETRIEVAL = 255  # The network's best forecast with residuals of others at the same place, from the retrieval memory.
 
 
+class RefusalCause(enum.IntEnum):
+    """Why frames were refused, as heartbeats and reports count it."""
+
+    SCHEMA = 1  # Another schema.
+    FOREIGN_RUN = 2  # A frame of another run.
+    OLD_INCARNATION = 3  # A frame of a process that has been replaced.
+    SIZE = 4  # Sizes beyond their limits, or that do not agree with each other or with the model.
+    VALUE = 5  # A number that is not finite or can't be.
+    ORDER = 6  # Stamps or elements out of order, or twice.
+    CHECK_VALUE = 7  # A check value that header and payload do not have.
+    UNPROTECTED = 8  # No check value, where pipeline.toml asks for one.
+    REPEATED = 9  # A frame that came before, or one that a newer frame has overtaken.
+
+
 def _check(record, size, offsets):
     """Refuses a machine on which a record does not lie as it does in stgdat."""
     found = {name: getattr(record, name).offset for name in offsets}
@@ -176,7 +192,7 @@ class Protection(c.Structure):
         ("crc", c.c_uint64),  # CRC-64/XZ of the header behind this field and of the payload.
         ("length", c.c_uint32),  # Bytes of header and payload together.
         ("counter", c.c_uint32),  # Counts the frames of the sender; wraps around.
-        ("data_id", c.c_uint32),  # Identifies the topic.
+        ("data_id", c.c_uint32),  # Identifies the topic: FNV-1a of its name, in 32 bits.
         ("reserved", c.c_uint8 * 4),  # Zero.
     ]
 
@@ -670,6 +686,23 @@ _check(Forecast, 10304, {
 })
 
 
+class Refusals(c.Structure):
+    """Frames of one sender that one reader refused for one cause."""
+
+    _fields_ = [
+        ("sender", c.c_uint16),  # The `StageId` of the frames' sender as a number, 0 where it is no stage.
+        ("cause", c.c_uint16),  # The `RefusalCause` as a number; 0: the entry is free.
+        ("frames_len", c.c_uint32),  # How many frames.
+    ]
+
+
+_check(Refusals, 8, {
+    "sender": 0,
+    "cause": 2,
+    "frames_len": 4,
+})
+
+
 class Heartbeat(c.Structure):
     """A stage's sign of life: element of the topic `heartbeats`."""
 
@@ -684,7 +717,7 @@ class Heartbeat(c.Structure):
         ("rejected_len", c.c_uint64),  # Frames refused.
         ("dropped_len", c.c_uint64),  # Frames that never arrived, by gaps in `seq`.
         ("sent_ns", c.c_uint64),  # `CLOCK_MONOTONIC` at sending.
-        ("reserved", c.c_uint8 * 64),  # Zero.
+        ("refusals", Refusals * 8),  # Frames refused, by their sender and the cause.
     ]
 
     @staticmethod
@@ -704,7 +737,7 @@ _check(Heartbeat, 128, {
     "rejected_len": 40,
     "dropped_len": 48,
     "sent_ns": 56,
-    "reserved": 64,
+    "refusals": 64,
 })
 
 
@@ -743,6 +776,7 @@ RECORDS = [
     ControlGaussian,
     AgentControls,
     Forecast,
+    Refusals,
     Heartbeat,
 ]
 
@@ -758,6 +792,44 @@ TOPICS = {
     "truth": Truth,  # Source → recorder: where the agents really were, for the report's accuracy.
     "heartbeats": Heartbeat,  # All stages → launcher, source, recorder: signs of life.
 }
+
+# What `Protection.data_id` is on each topic.
+DATA_IDS = {
+    "detections": 0x5e020e8d,
+    "tracks": 0x50b1805d,
+    "context": 0x8c87107c,
+    "features": 0x5f8383ca,
+    "encodings": 0x296ad139,
+    "controls": 0xfd20ce17,
+    "forecasts": 0x479c4999,
+    "truth": 0xd677fb5e,
+    "heartbeats": 0x4225a96c,
+}
+
+
+def _crc64(data):
+    """CRC-64/XZ of some bytes: the check value that the format .xz keeps of what it holds."""
+    import lzma  # Some builds of Python lack it.
+
+    fastest = {"id": lzma.FILTER_LZMA2, "preset": 0, "mf": lzma.MF_HC3, "nice_len": 3, "depth": 1}
+    packed = lzma.compress(data, lzma.FORMAT_XZ, lzma.CHECK_CRC64, filters=[fastest])
+    # Before the last 12 bytes lies the index, whose length they tell; before it the check value.
+    index = 4 * (int.from_bytes(packed[-8:-4], "little") + 1)
+    return int.from_bytes(packed[-20 - index:-12 - index], "little")
+
+
+def protect(header, payload, topic, counter):
+    """Protects a frame: the last thing before it is sent. `counter` counts the sender's frames."""
+    payload = bytes(payload)
+    header.protection = Protection(length=c.sizeof(header) + len(payload), counter=counter, data_id=DATA_IDS[topic])
+    header.protection.crc = _crc64(bytes(header)[8:] + payload)
+
+
+def is_intact(header, payload, topic):
+    """Whether a frame is what its sender protected."""
+    payload, protection = bytes(payload), header.protection
+    sizes = c.sizeof(header) + len(payload), DATA_IDS[topic]
+    return (protection.length, protection.data_id) == sizes and protection.crc == _crc64(bytes(header)[8:] + payload)
 
 DTYPES = {} if numpy is None else {record: numpy.dtype(record) for record in RECORDS}
 for _record, _dtype in DTYPES.items():

@@ -41,7 +41,7 @@ fn invalid_settings_are_refused_before_the_run() {
     assert_refused(
         &["check", &pipeline],
         78,
-        &["`fov` of the tracker", "p.toml:22:", "expected WIDTH,RANGE"],
+        &["`fov` of the tracker", "p.toml:28:", "expected WIDTH,RANGE"],
     );
 }
 

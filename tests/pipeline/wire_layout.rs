@@ -71,6 +71,88 @@ fn the_python_module_imports_without_packages() {
     }
 }
 
+/// A protected frame as header and payload, and the same with one bit of the payload changed.
+fn frames(scratch: &Scratch) -> [String; 3] {
+    let mut header = wire::Header::new(7, 3, 240_000_000);
+    header.counts.agents_len = 2;
+    let payload = [5, 6].map(|id| wire::Detection { id, x_m: 1.5, ..wire::Detection::default() });
+    header.protection = wire::Protection::of::<wire::DetectionsTopic>(&header, &payload, 9);
+    let mut changed = payload;
+    changed[1].id ^= 1;
+    let files: [(&str, &[u8]); 3] = [
+        ("header", bytemuck::bytes_of(&header)),
+        ("payload", bytemuck::cast_slice(&payload)),
+        ("changed", bytemuck::cast_slice(&changed)),
+    ];
+    files.map(|(name, bytes)| scratch.file(name, bytes))
+}
+
+#[test]
+fn the_c_functions_protect_and_check_like_the_program() {
+    if !is_here("cc") {
+        return;
+    }
+    let scratch = Scratch::new("wire-c-check");
+    scratch.file("stgdat_wire.h", run_well(&["wire", "--c"]).stdout);
+    let source = scratch.file(
+        "use.c",
+        r#"#include "stgdat_wire.h"
+#include <stdio.h>
+#include <string.h>
+static size_t contents(const char *path, void *into, size_t most) {
+    FILE *file = fopen(path, "rb");
+    const size_t length = fread(into, 1, most, file);
+    fclose(file);
+    return length;
+}
+int main(int count, char **paths) {
+    static stgdat_header header, again;
+    static char payload[4096], changed[4096];
+    const uint32_t id = STGDAT_DETECTIONS_DATA_ID;
+    if (count != 4 || contents(paths[1], &header, sizeof header) != sizeof header) return 2;
+    const size_t length = contents(paths[2], payload, sizeof payload);
+    if (contents(paths[3], changed, sizeof changed) != length) return 3;
+    if (!stgdat_is_intact(&header, payload, length, id)) return 4;
+    if (stgdat_is_intact(&header, changed, length, id)) return 5;
+    if (stgdat_is_intact(&header, payload, length, STGDAT_TRACKS_DATA_ID)) return 6;
+    again = header;
+    memset(&again.protection, 0, sizeof again.protection);
+    stgdat_protect(&again, payload, length, id, 9);
+    return memcmp(&again, &header, sizeof header) ? 7 : 0;
+}
+"#,
+    );
+    let program = scratch.path("use");
+    succeeds(piped("cc").args(["-std=c11", "-Wall", "-Wextra", "-Werror", "-o", &program]).arg(source));
+    succeeds(piped(&program).args(frames(&scratch)));
+}
+
+#[test]
+fn the_python_functions_protect_and_check_like_the_program() {
+    let python = std::env::var("STGDAT_PYTHON").unwrap_or_else(|_| "python3".into());
+    let has_lzma = || piped(&python).args(["-c", "import lzma"]).output().is_ok_and(|o| o.status.success());
+    if !is_here(&python) || !has_lzma() {
+        return;
+    }
+    let scratch = Scratch::new("wire-python-check");
+    scratch.file("stgdat_wire.py", EXAMPLES_MODULE);
+    let path = scratch.path("");
+    let script = format!(
+        "import sys; sys.dont_write_bytecode = True; sys.path.insert(0, {path:?})\n\
+         import stgdat_wire as w\n\
+         header, payload, changed = (open(path, 'rb').read() for path in sys.argv[1:])\n\
+         header = w.Header.from_buffer_copy(header)\n\
+         assert w.is_intact(header, payload, 'detections')\n\
+         assert not w.is_intact(header, changed, 'detections')\n\
+         assert not w.is_intact(header, payload, 'tracks')\n\
+         again = w.Header.from_buffer_copy(header)\n\
+         again.protection = w.Protection()\n\
+         w.protect(again, payload, 'detections', 9)\n\
+         assert bytes(again) == bytes(header)\n"
+    );
+    succeeds(piped(&python).args(["-c", &script]).args(frames(&scratch)));
+}
+
 #[test]
 fn the_json_table_matches_the_program() {
     let table: serde_json::Value =

@@ -142,7 +142,8 @@ impl Injector {
                 frame.header.incarnation += 1;
                 continue;
             }
-            if !acts {
+            // One frame at a time waits for the one that follows.
+            if !acts || (effect == Effect::Reorder && self.held.is_some()) {
                 continue;
             }
             acted.push(effect.name());

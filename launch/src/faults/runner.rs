@@ -468,6 +468,9 @@ fn pipeline(spec: &Spec) -> Result<String, Failure> {
         None => pipeline_file::SHIPPED.to_owned(),
     };
     let mut pipeline: toml::Table = toml::from_str(&text).map_err(Failure::config)?;
+    if let Some(topics) = &spec.run.protect {
+        pipeline.insert("protect".to_owned(), topics.clone().into());
+    }
     let mut stages: Vec<&mut toml::Table> = pipeline
         .get_mut("stage")
         .and_then(toml::Value::as_array_mut)

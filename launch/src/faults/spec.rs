@@ -48,6 +48,8 @@ pub struct RunSpec {
     pub pipeline: Option<PathBuf>,
     /// Where the recorder writes the forecasts; into the run's folder where none.
     pub forecasts: Option<PathBuf>,
+    /// Topics whose frames carry a check value; those of the pipeline.toml where none.
+    pub protect: Option<Vec<String>>,
     /// Keys of stages in place of those of the pipeline.toml, by the stage's name.
     pub stages: BTreeMap<String, toml::Table>,
     /// Further arguments of `stgdat run`.

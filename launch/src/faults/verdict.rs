@@ -83,13 +83,13 @@ impl Observation {
         Outputs(self.lines.iter().filter_map(Line::output).map(|output| (output.tick, output)).collect())
     }
 
-    /// Ticks on which a kind of fault has acted; on which any has, where no kind is given.
-    fn injected(&self, kind: Option<&str>) -> BTreeSet<u64> {
-        let acted = |line: &Line| match line {
-            Line::Injected { tick, kinds, .. } if kind.is_none_or(|kind| kinds.iter().any(|k| k == kind)) => {
-                Some(*tick)
-            }
-            _ => None,
+    /// Ticks on which a kind of fault has acted on a topic; on which any has, and on any topic, where none is
+    /// given.
+    fn injected(&self, kind: Option<&str>, topic: Option<&str>) -> BTreeSet<u64> {
+        let acted = |line: &Line| {
+            let Line::Injected { tick, kinds, topic: on } = line else { return None };
+            let is_kind = kind.is_none_or(|kind| kinds.iter().any(|acted| acted == kind));
+            (is_kind && topic.is_none_or(|topic| topic == on)).then_some(*tick)
         };
         self.lines.iter().filter_map(acted).collect()
     }
@@ -138,7 +138,7 @@ impl Observation {
         for outage in self.report.iter().flat_map(|report| &report.supervision.outages) {
             most = most.max(outage.ticks_to_learned?);
         }
-        for end in self.injected(None).last().into_iter().chain(&self.over) {
+        for end in self.injected(None, None).last().into_iter().chain(&self.over) {
             let learned = outputs.0.range(end + 1..).find(|(_, output)| output.is_learned());
             most = most.max(learned?.0 - end);
         }
@@ -149,7 +149,7 @@ impl Observation {
     /// forecasts without a cause.
     fn unexplained(&self, missing: &[u64], outputs: &Outputs<'_>) -> u64 {
         let outages = self.report.as_ref().map_or(&[][..], |report| &report.supervision.outages);
-        let acted = self.injected(None);
+        let acted = self.injected(None, None);
         let is_explained = |tick: &u64| {
             let in_outage = outages.iter().any(|outage| {
                 let end = outage.ticks_to_learned.map_or(u64::MAX, |ticks| outage.tick + ticks);
@@ -166,9 +166,11 @@ impl Observation {
     /// What every run must keep, whatever is injected.
     fn promises(&self) -> Vec<Check> {
         let forecasts = || self.lines.iter().filter_map(Line::output);
-        let steps = || forecasts().zip(forecasts().skip(1));
+        // A void frame says itself that it holds nothing of its tick.
+        let valid = || forecasts().filter(|output| !output.void);
+        let steps = || valid().zip(valid().skip(1));
         let backward = steps().filter(|(a, b)| b.tick <= a.tick).count() as u64;
-        let older = steps().filter(|(a, b)| b.stamp_ns <= a.stamp_ns && !b.void).count() as u64;
+        let older = steps().filter(|(a, b)| b.stamp_ns <= a.stamp_ns).count() as u64;
         let wrong_age: u64 = forecasts().map(|output| output.wrong_age).sum();
         let impossible = forecasts().find_map(|output| output.impossible.clone());
         vec![
@@ -242,7 +244,7 @@ pub fn judge(spec: &Spec, seen: &Observation, timing: bool) -> Vec<Check> {
         checks.push(check("ticks predicted", &format!("≥ {least}"), &found, found >= least));
     }
     for kind in spec.topic_faults().map(|fault| fault.effect.name()) {
-        let found = seen.injected(Some(kind)).len();
+        let found = seen.injected(Some(kind), None).len();
         checks.push(check(&format!("frames with \"{kind}\""), &"≥ 1", &found, found > 0));
     }
     checks.push(equal("files left", &expect.leftovers, &seen.leftovers));
@@ -302,7 +304,7 @@ fn supervised(spec: &Spec, seen: &Observation) -> Vec<Check> {
 /// The report's counters of frames lost.
 fn counted(expect: &Expect, seen: &Observation) -> Vec<Check> {
     let mut checks = Vec::new();
-    for Counted { stage, cause, as_injected, min, max } in &expect.counted {
+    for Counted { stage, cause, as_injected, topic, min, max } in &expect.counted {
         let stages = seen.report.iter().flat_map(|report| &report.stages);
         let drops = stages.filter(|of| of.name == *stage).map(|of| of.drops);
         let found: u64 = drops
@@ -314,7 +316,7 @@ fn counted(expect: &Expect, seen: &Observation) -> Vec<Check> {
             .sum();
         let what = format!("{cause} counted by the {stage}");
         if let Some(kind) = as_injected {
-            checks.push(equal(&what, &(seen.injected(Some(kind)).len() as u64), &found));
+            checks.push(equal(&what, &(seen.injected(Some(kind), topic.as_deref()).len() as u64), &found));
         }
         if let Some(least) = min {
             checks.push(check(&what, &format!("≥ {least}"), &found, found >= *least));
@@ -331,7 +333,8 @@ mod tests {
     use std::path::Path;
 
     use super::*;
-    use recorder::{Outage, StageReport, Supervision};
+    use recorder::report::StageReport;
+    use recorder::{Outage, Supervision};
 
     fn spec(expect: &str) -> Spec {
         let text = format!(
@@ -419,9 +422,13 @@ mod tests {
     }
 
     fn change(seen: &mut Observation, at: u64, change: impl FnOnce(&mut Output)) {
-        let of = |line| if let Line::Forecasts(output) = line { Some(output) } else { None };
-        change(
-            seen.lines.iter_mut().filter_map::<&mut Output, _>(of).find(|output| output.tick == at).unwrap(),
-        );
+        for line in &mut seen.lines {
+            if let Line::Forecasts(output) = line
+                && output.tick == at
+            {
+                return change(output);
+            }
+        }
+        panic!("no output of tick {at}");
     }
 }

@@ -99,6 +99,7 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
         interval_ns: playback.interval_ns(),
         lockstep: arguments.speed == Speed::Max,
         seed: arguments.scene.seed,
+        protected: pipeline.protected.clone(),
         weights: weights_path,
         stages: stage_runs(&pipeline, &options),
     };
@@ -119,7 +120,8 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
         Ok(Exit::Done) if ended.outages.given_up().is_empty() => {
             Some(Report::read(&report_path).map_err(Failure::data)?)
         }
-        _ => recorder::stage::kept_report(&run),
+        _ => recorder::stage::kept_report(&run)
+            .or_else(|| ended.linked.then(|| recorder::stage::empty_report(&run))),
     };
     // A run that could not start has nothing to report but its failure.
     if let Some(measured) = measured.filter(|_| ended.outcome.is_ok() || ended.linked) {

@@ -17,6 +17,7 @@ mod losses;
 mod options;
 pub mod passage;
 mod record;
+mod refusals;
 mod render;
 pub mod report;
 pub mod stage;
@@ -26,5 +27,7 @@ mod whole_file;
 pub use forecast_lines::{FORECASTS_VERSION, ForecastWriter};
 pub use options::{Options, STAGE};
 pub use record::{Checkpoint, Recorder, RecorderOptions, TICK_LIMIT_NS};
-pub use report::{Outage, REPORT_VERSION, Report, ReportError, RunInfo, Status, Supervision, Verdict};
+pub use report::{
+    Outage, REPORT_VERSION, RefusedFrames, Report, ReportError, RunInfo, Status, Supervision, Verdict,
+};
 pub use whole_file::{WholeFile, is_standard_output};

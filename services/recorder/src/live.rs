@@ -14,6 +14,7 @@ pub use draw::draw;
 use crate::losses::Losses;
 use crate::passage::{Passage, STAGES_LEN, Timeline, place};
 use crate::record::TICK_LIMIT_NS;
+use crate::report::RefusedFrames;
 use crate::text::{count, number};
 
 /// Ticks in the window that the view shows: ten seconds at 12.5 Hz.
@@ -46,7 +47,7 @@ impl Default for LiveOptions {
 }
 
 /// One stage's row.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct LiveStage {
     /// Median of compute within the window.
     pub compute_ms_p50: Option<f64>,
@@ -60,6 +61,8 @@ pub struct LiveStage {
     pub late: u64,
     /// Frames lost in it.
     pub lost: u64,
+    /// What it refused most: of which stage, and why.
+    pub refused: Option<RefusedFrames>,
     /// Number of restarts.
     pub restarts: u32,
     /// Whether its last heartbeat is recent; `None` before the first.
@@ -175,6 +178,7 @@ impl LiveView {
     #[must_use]
     pub fn stages(&self) -> Vec<(StageId, LiveStage)> {
         let drops = self.losses.by_stage();
+        let refusals = self.losses.refusals();
         StageId::ALL
             .into_iter()
             .filter(|stage| {
@@ -194,6 +198,7 @@ impl LiveView {
                     frames: beat.map_or(0, |beat| beat.frames_len),
                     late: self.late_by_stage[place(stage)],
                     lost: drops[place(stage)].total(),
+                    refused: refusals.iter().find(|refused| refused.reader == stage.name()).cloned(),
                     restarts: self.losses.restarts(stage),
                     alive: beat.map(|beat| self.now_ns.saturating_sub(beat.sent_ns) <= SILENT_NS),
                 };

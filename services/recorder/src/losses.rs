@@ -4,7 +4,8 @@ use serde::{Deserialize, Serialize};
 use wire::{Header, Heartbeat, StageId};
 
 use crate::passage::{STAGES_LEN, place};
-use crate::report::StageDrops;
+use crate::refusals::RefusalCounts;
+use crate::report::{RefusedFrames, StageDrops};
 
 /// Counters of one stage over all its incarnations.
 #[derive(Clone, Copy, Debug, Default, Serialize, Deserialize)]
@@ -31,20 +32,22 @@ impl Counters {
             self.incarnation = heartbeat.incarnation;
         }
         if heartbeat.incarnation == self.incarnation {
-            self.newest.gap = self.newest.gap.max(heartbeat.dropped_len);
+            // Fewer where a frame has come after all, late.
+            self.newest.gap = heartbeat.dropped_len;
             self.newest.refused = self.newest.refused.max(heartbeat.rejected_len);
         }
     }
 }
 
 /// Counts losses of all stages.
-#[derive(Clone, Copy, Debug, Default, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, Serialize, Deserialize)]
 pub(crate) struct Losses {
     stages: [Counters; STAGES_LEN],
     /// Ticks without forecasts that died with a stage, by the stage.
     restart: [u64; STAGES_LEN],
     /// The newest incarnation of each stage that the forecasts have passed.
     passed: [u32; STAGES_LEN],
+    refusals: RefusalCounts,
 }
 
 impl Losses {
@@ -53,6 +56,12 @@ impl Losses {
         if let Some(stage) = StageId::from_number(heartbeat.stage) {
             self.stages[place(stage)].heartbeat(heartbeat);
         }
+        self.refusals.heartbeat(heartbeat);
+    }
+
+    /// Refused frames by reader, sender and cause.
+    pub fn refusals(&self) -> Vec<RefusedFrames> {
+        self.refusals.list()
     }
 
     /// Counts ticks whose forecasts never arrived at the recorder before those of `header`. Where a stage was
@@ -104,6 +113,10 @@ impl Losses {
         let before_recorder = own[place(StageId::Tracker)].gap + own[place(StageId::Sampler)].gap;
         let missed = self.stages[place(StageId::Recorder)].total().gap;
         own[place(StageId::Recorder)].gap = missed.saturating_sub(before_recorder);
+        // What was refused whole is a gap as well, and counts once.
+        for (own, stage) in own.iter_mut().zip(StageId::ALL) {
+            own.gap = own.gap.saturating_sub(self.refusals.ticks_len(stage));
+        }
         for (own, restart) in own.iter_mut().zip(self.restart) {
             own.restart = restart;
         }
@@ -115,7 +128,7 @@ impl Losses {
 mod tests {
     use super::*;
     use bytemuck::Zeroable;
-    use wire::Hop;
+    use wire::{Hop, RefusalCause, Refusals};
 
     fn beat(stage: StageId, incarnation: u32, dropped_len: u64, rejected_len: u64) -> Heartbeat {
         Heartbeat { stage: stage as u32, incarnation, dropped_len, rejected_len, ..Heartbeat::zeroed() }
@@ -138,6 +151,20 @@ mod tests {
         assert_eq!(of(&losses, StageId::Extractor), StageDrops { gap: 2, refused: 0, restart: 0 });
         assert_eq!(of(&losses, StageId::Sampler), StageDrops::default());
         assert_eq!(of(&losses, StageId::Recorder), StageDrops { gap: 1, refused: 0, restart: 0 });
+    }
+
+    #[test]
+    fn a_tick_that_was_refused_whole_counts_once() {
+        let mut losses = Losses::default();
+        let mut heartbeat = beat(StageId::Tracker, 0, 3, 2);
+        Refusals::count(&mut heartbeat.refusals, StageId::Source as u32, RefusalCause::CheckValue, 2);
+        losses.heartbeat(&heartbeat);
+        losses.heartbeat(&beat(StageId::Localiser, 0, 3, 0));
+        losses.forecast_gap(&Header::new(1, 9, 0), 3);
+        assert_eq!(of(&losses, StageId::Tracker), StageDrops { gap: 1, refused: 2, restart: 0 });
+        for stage in [StageId::Localiser, StageId::Recorder] {
+            assert_eq!(of(&losses, stage), StageDrops::default());
+        }
     }
 
     #[test]

@@ -282,6 +282,7 @@ impl Recorder {
             late_ticks: self.late_ticks,
             late_limit_ms: (self.ticks > 0).then(|| ms(self.late_limit_ns())),
             drops: stages.iter().map(|stage| stage.drops.total()).sum(),
+            refusals: self.losses.refusals(),
             agents_left_out: self.agents_left_out,
             agents: self.agents(),
             forecasts: self.forecast_counts(),

@@ -2,7 +2,7 @@
 
 use std::fmt::{self, Write};
 
-use crate::report::{Errors, Percentiles, Report, StageReport, Status};
+use crate::report::{Errors, Percentiles, RefusedFrames, Report, StageReport, Status};
 use crate::text::{bar, count, number, percent, subscript};
 
 /// Narrowest and widest lines of the report.
@@ -10,6 +10,8 @@ const WIDTHS: std::ops::RangeInclusive<usize> = 80..=120;
 /// From this width on the stages' table shows every phase.
 const ALL_PHASES_WIDTH: usize = 96;
 const LABEL_WIDTH: usize = 12;
+/// Most rows of refusals; the JSON has all.
+const ROWS_MAX: usize = 8;
 
 impl Report {
     /// The report as plain text, laid out for lines of `width` characters, at least 80 and at most 120.
@@ -25,6 +27,7 @@ impl Report {
             }
             self.stages(text, width)?;
             self.forecasts(text, width)?;
+            self.refusals(text)?;
             self.supervision(text)?;
             self.accuracy(text, width)
         };
@@ -190,6 +193,17 @@ impl Report {
         })
     }
 
+    fn refusals(&self, text: &mut String) -> fmt::Result {
+        if !self.refusals.is_empty() {
+            writeln!(text, "\n REFUSED")?;
+        }
+        self.refusals.iter().take(ROWS_MAX).try_for_each(|refused| {
+            let (frames, RefusedFrames { reader, sender, cause, .. }) = (count(refused.frames), refused);
+            let frames = if refused.frames == 1 { "1 frame".to_owned() } else { format!("{frames} frames") };
+            writeln!(text, " {sender:LABEL_WIDTH$}{frames} refused by the {reader}: {}", why(cause))
+        })
+    }
+
     fn supervision(&self, text: &mut String) -> fmt::Result {
         let supervision = &self.supervision;
         if supervision.outages.is_empty() && supervision.starved.is_empty() {
@@ -308,6 +322,22 @@ fn fact(text: &mut String, label: &str, parts: &[Option<String>]) -> fmt::Result
 fn trimmed(value: f64) -> String {
     let fixed = format!("{value:.2}");
     fixed.trim_end_matches('0').trim_end_matches('.').to_owned()
+}
+
+/// The cause of a refusal in words.
+fn why(cause: &str) -> &str {
+    match cause {
+        "schema" => "of another version",
+        "foreign run" => "of another run",
+        "old incarnation" => "of a process that had been replaced",
+        "size" => "sizes that can't be",
+        "value" => "numbers that can't be",
+        "order" => "stamps or elements out of order",
+        "check value" => "header or payload changed on the way",
+        "unprotected" => "no check value: see `protect` in docs/faults.md",
+        "repeated" => "came again, or too late",
+        other => other,
+    }
 }
 
 /// A cause in words.

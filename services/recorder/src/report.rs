@@ -32,6 +32,9 @@ pub struct Report {
     pub late_limit_ms: Option<f64>,
     /// Frames lost, summed over all stages; `stages` has them by stage and cause.
     pub drops: u64,
+    /// Refused frames by reader, sender and cause.
+    #[serde(default)]
+    pub refusals: Vec<RefusedFrames>,
     /// Agents left out of full frames, summed over ticks.
     pub agents_left_out: u64,
     /// Agents per tick.
@@ -55,6 +58,20 @@ pub struct Report {
     /// Deaths, restarts and other events of the stages, as the launcher saw them.
     #[serde(default)]
     pub supervision: Supervision,
+}
+
+/// Frames that a stage refused.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct RefusedFrames {
+    /// The stage that refused them.
+    pub reader: String,
+    /// The stage that sent them, or `unknown`.
+    pub sender: String,
+    /// Why: `schema`, `foreign run`, `old incarnation`, `size`, `value`, `order`, `check value`, `unprotected` or
+    /// `repeated`.
+    pub cause: String,
+    /// How many.
+    pub frames: u64,
 }
 
 /// What the launcher saw of the stages.

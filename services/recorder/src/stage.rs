@@ -69,6 +69,8 @@ pub fn run(run: &Run) -> Result<(), StageError> {
     if let Some(writer) = writer {
         writer.finish().map_err(unwritable)?;
     }
+    // What it refused itself since its own last heartbeat.
+    recorder.heartbeat(&stage.heartbeat());
     recorder.report().write(&report_path(run, &options)).map_err(StageError::data)
 }
 
@@ -76,7 +78,7 @@ fn count(stage: &mut Stage, header: &Header, topic: &'static str, result: Result
     match result {
         Ok(()) if topic == ForecastsTopic::NAME && header.is_tick() => stage.done(header.seq),
         Ok(()) => {}
-        Err(why) => stage.refuse(header.seq, topic, &why),
+        Err(why) => stage.refuse(header, topic, &why),
     }
 }
 
@@ -90,6 +92,12 @@ fn checkpoint_path(run: &Run) -> PathBuf {
 pub fn kept_report(run: &Run) -> Option<Report> {
     let kept = Checkpoint::read(&checkpoint_path(run)).ok()?;
     Some(Recorder::resume(settings(run), kept).report())
+}
+
+/// The report of a run whose recorder has kept nothing.
+#[must_use]
+pub fn empty_report(run: &Run) -> Report {
+    Recorder::new(settings(run)).report()
 }
 
 /// Path of a run's report.

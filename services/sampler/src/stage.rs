@@ -42,7 +42,8 @@ fn follow(run: &Run, model: &ModelConfig, sampler: &mut Sampler) -> Result<(), S
             Awaited::Frame(controls) => {
                 let passage = stage.begin(&controls);
                 let learned = sampler.learned(header, &input, &controls, &mut loan);
-                let refused = learned.map_err(|why| stage.refuse(header.seq, ControlsTopic::NAME, &why));
+                let refused =
+                    learned.map_err(|why| stage.refuse(controls.header(), ControlsTopic::NAME, &why));
                 (passage, refused.is_err().then_some(Cause::Rejected))
             }
             Awaited::Void(controls) => (stage.begin(&controls), Some(Cause::Rejected)),

@@ -25,7 +25,7 @@ pub fn run(run: &Run) -> Result<(), StageError> {
 
     let mut stage = Stage::open(run, &STAGE)?;
     let detections = stage.subscribe::<DetectionsTopic>()?;
-    let forecasts = stage.subscribe_deep::<ForecastsTopic>(ForecastsTopic::DEPTH_MAX)?;
+    let forecasts = stage.subscribe_feedback::<ForecastsTopic>(ForecastsTopic::DEPTH_MAX)?;
     let output = stage.publish::<TracksTopic>()?;
 
     loop {

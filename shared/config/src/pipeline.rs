@@ -41,6 +41,8 @@ pub struct Stage {
 pub struct Pipeline {
     /// The weights; the embedded ones where none.
     pub weights: Option<PathBuf>,
+    /// Topics whose frames carry a check value.
+    pub protected: Vec<String>,
     /// The stages.
     pub stages: Vec<Stage>,
     /// Warnings for the file's author: keys that have another name now.

@@ -38,6 +38,7 @@ pub struct Node {
     stop: Stop,
     sender: Sender,
     names: Names,
+    protected: Vec<String>,
 }
 
 /// The two services of one topic.
@@ -60,7 +61,8 @@ impl Node {
             .create::<ipc::Service>()
             .map_err(PortError::of_node("node"))?;
         let (interval, sender) = (Duration::from_nanos(run.interval_ns), Sender::default());
-        Ok(Self { node, run_id: run.id, interval, stop, sender, names: Names::default() })
+        let (names, protected) = (Names::default(), run.protected.clone());
+        Ok(Self { node, run_id: run.id, interval, stop, sender, names, protected })
     }
 
     /// The same node as that of a stage: the headers of all that it sends report so, and its topics have the
@@ -89,7 +91,7 @@ impl Node {
     /// [`PortError`] where the topic has its writers already or shared memory is short.
     pub fn publisher<T: Topic>(&self) -> Result<Publisher<T>, PortError> {
         let (publisher, notifier) = publisher_of(&self.services::<T>(self.names.of(T::NAME))?)?;
-        Ok(Publisher::new(publisher, notifier, self.sender))
+        Ok(Publisher::new(publisher, notifier, self.sender, self.protects::<T>()))
     }
 
     /// Opens a topic for reading with a queue of `depth` frames; the oldest is dropped when it is full.
@@ -100,7 +102,12 @@ impl Node {
     pub fn subscriber<T: Topic>(&self, depth: usize) -> Result<Subscriber<T>, PortError> {
         let services = self.services::<T>(self.names.of(T::NAME))?;
         let (subscriber, listener) = subscriber_of(&services, depth)?;
-        Ok(Subscriber::new(subscriber, listener, services.0, self.run_id))
+        Ok(Subscriber::new(subscriber, listener, services.0, self.run_id, self.protects::<T>()))
+    }
+
+    /// Whether the frames of the topic carry a check value.
+    fn protects<T: Topic>(&self) -> bool {
+        self.protected.iter().any(|name| name == T::NAME)
     }
 
     /// Opens or makes the two services of a topic under a name, with the same settings in all processes.

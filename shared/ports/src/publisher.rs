@@ -1,5 +1,6 @@
 #![expect(unsafe_code, reason = "a loan hands out shared memory that was never written by this process")]
 
+use std::cell::Cell;
 use std::ops::{Deref, DerefMut};
 
 use bytemuck::TransparentWrapper;
@@ -18,6 +19,9 @@ pub struct Publisher<T: Topic> {
     publisher: iceoryx2::port::publisher::Publisher<ipc::Service, [Element<T>], Head>,
     notifier: Notifier<ipc::Service>,
     sender: Sender,
+    protects: bool,
+    /// Frames sent, for [`Protection::counter`].
+    counter: Cell<u32>,
 }
 
 /// The sender in the headers; zeros where it is no stage.
@@ -38,8 +42,9 @@ impl<T: Topic> Publisher<T> {
         publisher: iceoryx2::port::publisher::Publisher<ipc::Service, [Element<T>], Head>,
         notifier: Notifier<ipc::Service>,
         sender: Sender,
+        protects: bool,
     ) -> Self {
-        Self { publisher, notifier, sender }
+        Self { publisher, notifier, sender, protects, counter: Cell::new(0) }
     }
 
     /// Room for `len` elements; until written they hold an earlier frame or zeros.
@@ -67,14 +72,18 @@ impl<T: Topic> Publisher<T> {
         let is_ours = T::PUBLISHERS_MAX == 1;
         let at = |point| {
             if is_ours {
-                points::sending(point, &header)
+                points::sending(point, &header);
             }
         };
         at(Point::MidWrite);
         let Sender { stage: sender, incarnation } = self.sender;
         // The protection of the frame that came in does not cover the one that goes out.
-        let protection = Protection::default();
-        *loan.0.user_header_mut() = Head(Header { protection, sender, incarnation, ..header });
+        let mut header = Header { protection: Protection::default(), sender, incarnation, ..header };
+        if self.protects {
+            header.protection = Protection::of::<T>(&header, &loan, self.counter.get());
+            self.counter.set(self.counter.get().wrapping_add(1));
+        }
+        *loan.0.user_header_mut() = Head(header);
         loan.0.send().map_err(PortError::of("sending", T::NAME))?;
         at(Point::BeforeNotify);
         // Errors here are late notifications, which were delivered all the same, and readers that are gone.

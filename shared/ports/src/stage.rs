@@ -2,7 +2,10 @@ use std::rc::Rc;
 use std::time::Duration;
 
 use run::{Declaration, Run};
-use wire::{Counts, Header, Heartbeat, HeartbeatsTopic, Hop, Rejected, StageId, TICK_NS, Topic, flags};
+use wire::{
+    Counts, Header, Heartbeat, HeartbeatsTopic, Hop, REFUSALS_MAX, Refusals, Rejected, StageId, TICK_NS,
+    Topic, flags,
+};
 
 use crate::error::log_refused;
 use crate::points::{self, Point};
@@ -24,6 +27,8 @@ pub struct Stage {
     declared: Topics,
     heartbeats: Publisher<HeartbeatsTopic>,
     inputs: Vec<Rc<dyn Input>>,
+    /// How many of the inputs lie on a tick's way: the others are written by later stages.
+    on_the_way_len: usize,
     /// Whether a frame has gone out, or there is no output.
     passed: bool,
     next_beat_ns: u64,
@@ -31,6 +36,7 @@ pub struct Stage {
     seq: u64,
     frames_len: u64,
     rejected_len: u64,
+    refusals: [Refusals; REFUSALS_MAX],
 }
 
 /// The topics that a stage has declared, and which of them it has opened.
@@ -82,7 +88,7 @@ impl Stage {
         let declared = Topics { reads, writes, opened: Vec::new(), complete: false };
         let inputs = Vec::new();
         let (seq, frames_len, rejected_len, beat) = (0, 0, 0, 0);
-        let (passed, next_beat_ns) = (true, 0);
+        let (passed, next_beat_ns, on_the_way_len) = (true, 0, 0);
         Ok(Self {
             id,
             incarnation,
@@ -90,12 +96,14 @@ impl Stage {
             declared,
             heartbeats,
             inputs,
+            on_the_way_len,
             passed,
             next_beat_ns,
             beat,
             seq,
             frames_len,
             rejected_len,
+            refusals: [Refusals::default(); REFUSALS_MAX],
         })
     }
 
@@ -122,7 +130,23 @@ impl Stage {
         assert!(reads.contains(&T::NAME), "the {} declares no input \"{}\"", self.id.name(), T::NAME);
         self.declared.opened.push(T::NAME);
         let subscriber = self.node.subscriber::<T>(depth)?;
-        self.inputs.push(subscriber.input());
+        self.inputs.insert(self.on_the_way_len, subscriber.input());
+        self.on_the_way_len += 1;
+        Ok(subscriber)
+    }
+
+    /// Opens an input that a later stage writes, with a queue of `depth` frames. A tick that is missing in it
+    /// was lost, and counted, on its way there.
+    ///
+    /// # Errors
+    /// As [`Node::subscriber`].
+    ///
+    /// # Panics
+    /// Where the stage has not declared that it reads the topic.
+    pub fn subscribe_feedback<T: Topic>(&mut self, depth: usize) -> Result<Subscriber<T>, PortError> {
+        let subscriber = self.subscribe_deep(depth)?;
+        self.on_the_way_len -= 1;
+        self.inputs[self.on_the_way_len..].rotate_left(1);
         Ok(subscriber)
     }
 
@@ -320,7 +344,7 @@ impl Stage {
                 self.send(passage, output, loan)
             }
             Err(why) => {
-                self.refuse(passage.header.seq, passage.input, &why);
+                self.refuse(&passage.header, passage.input, &why);
                 passage.header.flags |= flags::VOID;
                 self.pass_empty(passage, output)
             }
@@ -328,10 +352,11 @@ impl Stage {
     }
 
     /// Counts and logs a refused frame, where something else takes the tick's place.
-    pub fn refuse(&mut self, seq: u64, topic: &'static str, why: &Rejected) {
-        self.seq = seq;
+    pub fn refuse(&mut self, header: &Header, topic: &'static str, why: &Rejected) {
+        self.seq = header.seq;
         self.rejected_len += 1;
-        log_refused(topic, seq, why);
+        Refusals::count(&mut self.refusals, header.sender, why.cause(), 1);
+        log_refused(topic, header.seq, why);
     }
 
     /// Counts a tick as finished.
@@ -374,11 +399,22 @@ impl Stage {
     /// # Errors
     /// [`PortError`] where the transport fails.
     pub fn beat(&mut self) -> Result<(), PortError> {
-        let now_ns = monotonic_ns();
-        self.next_beat_ns = now_ns + HEARTBEAT.as_nanos() as u64;
+        let heartbeat = self.heartbeat();
+        self.next_beat_ns = heartbeat.sent_ns + HEARTBEAT.as_nanos() as u64;
+        let mut header = Header::new(self.node.run_id(), self.beat, 0);
+        header.counts.agents_len = 1;
+        self.beat += 1;
+        self.heartbeats.send_copy(&[heartbeat], header)
+    }
+
+    /// The stage's counters as they stand.
+    #[must_use]
+    pub fn heartbeat(&self) -> Heartbeat {
         let inputs = || self.inputs.iter();
         let linked = self.passed && inputs().all(|input| input.linked());
-        let heartbeat = Heartbeat {
+        let mut refusals = self.refusals;
+        inputs().for_each(|input| Refusals::add(&mut refusals, &input.refusals()));
+        Heartbeat {
             stage: self.id as u32,
             incarnation: self.incarnation,
             pid: std::process::id(),
@@ -387,14 +423,15 @@ impl Stage {
             seq: self.seq,
             frames_len: self.frames_len,
             rejected_len: self.rejected_len + inputs().map(|input| input.rejected_len()).sum::<u64>(),
-            dropped_len: inputs().map(|input| input.dropped_len()).sum(),
-            sent_ns: now_ns,
-            ..Heartbeat::default()
-        };
-        let mut header = Header::new(self.node.run_id(), self.beat, 0);
-        header.counts.agents_len = 1;
-        self.beat += 1;
-        self.heartbeats.send_copy(&[heartbeat], header)
+            // A tick that was lost on the way is missing in all inputs.
+            dropped_len: inputs()
+                .take(self.on_the_way_len)
+                .map(|input| input.dropped_len())
+                .max()
+                .unwrap_or(0),
+            sent_ns: monotonic_ns(),
+            refusals,
+        }
     }
 
     fn beat_if_due(&mut self) -> Result<(), PortError> {

@@ -9,7 +9,7 @@ use iceoryx2::prelude::ipc;
 use iceoryx2::sample::Sample;
 use iceoryx2::service::port_factory::PortFactory as _;
 use iceoryx2::service::port_factory::publish_subscribe::PortFactory;
-use wire::{Header, Rejected, StageId, Topic, flags};
+use wire::{Header, Protection, REFUSALS_MAX, Refusals, Rejected, StageId, Topic, flags};
 
 use crate::element::{Element, Head};
 use crate::error::log_refused;
@@ -26,12 +26,17 @@ struct Port<T: Topic> {
     listener: Listener<ipc::Service>,
     service: PortFactory<ipc::Service, [Element<T>], Head>,
     run_id: u64,
-    /// Number of the newest tick received.
-    newest: Cell<Option<u64>>,
+    /// Whether frames without a check value are refused.
+    protected: bool,
+    /// Number and stamp of the newest tick received.
+    newest: Cell<Option<(u64, i64)>>,
     /// A frame of a later tick than the one awaited.
     early: RefCell<Option<Frame<T>>>,
     seen: Cell<bool>,
     rejected_len: Cell<u64>,
+    refusals: Cell<[Refusals; REFUSALS_MAX]>,
+    /// Sender, incarnation and counter of the newest protected frame.
+    counter: Cell<Option<(u32, u32, u32)>>,
     dropped_len: Cell<u64>,
     /// The newest incarnation of each stage that a tick has passed, by the stage's number.
     incarnations: Cell<[u32; STAGES_LEN]>,
@@ -39,6 +44,9 @@ struct Port<T: Topic> {
 
 /// One more than the greatest number of a stage of this project.
 const STAGES_LEN: usize = StageId::ALL.len() + 1;
+
+/// No stage is so many ticks ahead of another that waits for its frames: more than the deepest queue.
+const AHEAD_MAX: u64 = 16;
 
 /// One frame, where it lies in shared memory; dropping it gives the memory back.
 #[derive(Debug)]
@@ -75,26 +83,31 @@ impl<T: Topic> Subscriber<T> {
         listener: Listener<ipc::Service>,
         service: PortFactory<ipc::Service, [Element<T>], Head>,
         run_id: u64,
+        protected: bool,
     ) -> Self {
         let (newest, early) = (Cell::new(None), RefCell::new(None));
         let (seen, rejected_len, dropped_len) = (Cell::new(false), Cell::new(0), Cell::new(0));
+        let (refusals, counter) = (Cell::default(), Cell::new(None));
         let incarnations = Cell::new([0; STAGES_LEN]);
         Self(Rc::new(Port {
             subscriber,
             listener,
             service,
             run_id,
+            protected,
             newest,
             early,
             seen,
             rejected_len,
+            refusals,
+            counter,
             dropped_len,
             incarnations,
         }))
     }
 
-    /// The oldest frame of the queue, if there is one. Frames with an impossible header are counted and left
-    /// out.
+    /// The oldest frame of the queue, if there is one. Frames with an impossible header or a wrong check value
+    /// are counted and left out.
     ///
     /// # Errors
     /// [`PortError`] where the transport fails.
@@ -110,7 +123,7 @@ impl<T: Topic> Subscriber<T> {
                     return Ok(Some(frame));
                 }
                 Err(why) => {
-                    self.0.rejected_len.set(self.0.rejected_len.get() + 1);
+                    self.0.refuse(frame.header().sender, &why);
                     log_refused(T::NAME, frame.header().seq, &why);
                 }
             }
@@ -140,6 +153,12 @@ impl<T: Topic> Subscriber<T> {
         while let Some(frame) = self.receive()? {
             match (frame.header().is_tick(), frame.header().seq) {
                 (true, found) if found == seq => return Ok(Some(frame)),
+                (true, found) if found > seq + AHEAD_MAX => {
+                    // To wait for that tick would be to wait for ever.
+                    let why = Rejected::Impossible { field: "seq", value: found as f64 };
+                    self.0.refuse(frame.header().sender, &why);
+                    log_refused(T::NAME, found, &why);
+                }
                 (true, found) if found > seq => {
                     self.0.early.replace(Some(frame));
                     return Ok(None);
@@ -178,6 +197,8 @@ pub(crate) trait Input: std::fmt::Debug {
     fn linked(&self) -> bool;
     /// Frames refused so far.
     fn rejected_len(&self) -> u64;
+    /// The same by sender and cause.
+    fn refusals(&self) -> [Refusals; REFUSALS_MAX];
     /// Frames that never arrived, so far.
     fn dropped_len(&self) -> u64;
 }
@@ -189,6 +210,10 @@ impl<T: Topic> Input for Port<T> {
 
     fn rejected_len(&self) -> u64 {
         self.rejected_len.get()
+    }
+
+    fn refusals(&self) -> [Refusals; REFUSALS_MAX] {
+        self.refusals.get()
     }
 
     fn dropped_len(&self) -> u64 {
@@ -216,11 +241,53 @@ impl<T: Topic> Port<T> {
         {
             return Err(Rejected::OldIncarnation { found: header.incarnation, newest });
         }
+        self.check_repetition(header)?;
         let expected = T::elements_len(&header.counts);
         if frame.len() != expected {
             return Err(Rejected::Length { found: frame.len(), expected });
         }
+        if self.protected {
+            Protection::check::<T>(header, frame)?;
+            self.check_counter(header)?;
+        }
         Ok(())
+    }
+
+    /// Refuses a tick that has come before, from a stage that has been restarted since: the first frame that it
+    /// finds in its input is the last one that its predecessor had, and may have passed on.
+    fn check_repetition(&self, header: &Header) -> Result<(), Rejected> {
+        let Some((newest, last_ns)) = self.newest.get() else { return Ok(()) };
+        let is_new = |(stage, incarnation): (u32, u32)| {
+            self.incarnations.get().get(stage as usize).is_some_and(|newest| *newest < incarnation)
+        };
+        let mut passed = header.hops().iter().map(|hop| (hop.stage, hop.incarnation));
+        let restarted = is_new((header.sender, header.incarnation)) || passed.any(is_new);
+        let is_repeated = header.is_tick() && !header.has(flags::VOID) && header.seq <= newest;
+        if T::PUBLISHERS_MAX == 1 && restarted && is_repeated {
+            return Err(Rejected::NotNewer { stamp_ns: header.stamp_ns, last_ns });
+        }
+        Ok(())
+    }
+
+    /// Refuses frames that come again or that others have overtaken. Writers of a topic that has several count
+    /// each for themselves.
+    fn check_counter(&self, header: &Header) -> Result<(), Rejected> {
+        let Header { sender, incarnation, protection, .. } = *header;
+        if let Some((of, in_its, newest)) = self.counter.get()
+            && T::PUBLISHERS_MAX == 1
+            && (of, in_its) == (sender, incarnation)
+        {
+            protection.check_counter(newest)?;
+        }
+        self.counter.set(Some((sender, incarnation, protection.counter)));
+        Ok(())
+    }
+
+    fn refuse(&self, sender: u32, why: &Rejected) {
+        self.rejected_len.set(self.rejected_len.get() + 1);
+        let mut refusals = self.refusals.get();
+        Refusals::count(&mut refusals, sender, why.cause(), 1);
+        self.refusals.set(refusals);
     }
 
     /// Ticks arrive in order of their numbers, without gaps at the source: a gap is what the queue dropped,
@@ -234,15 +301,20 @@ impl<T: Topic> Port<T> {
         }
         let restarted = T::PUBLISHERS_MAX == 1 && self.has_new_incarnation(header);
         let expected = match self.newest.get() {
-            Some(newest) => newest + 1,
+            Some((newest, _)) => newest + 1,
             None if linked => 0,
             None => header.seq,
         };
+        if header.seq + 1 < expected {
+            // Others have overtaken it: it was counted as missing when they came.
+            self.dropped_len.set(self.dropped_len.get().saturating_sub(1));
+            return;
+        }
         // Writers of a topic that has several count each for themselves.
         if T::PUBLISHERS_MAX == 1 && !restarted {
             self.dropped_len.set(self.dropped_len.get() + header.seq.saturating_sub(expected));
         }
-        self.newest.set(Some(header.seq));
+        self.newest.set(Some((header.seq, header.stamp_ns)));
     }
 
     /// Whether a stage that the frame has passed was restarted since the frame before.

@@ -6,8 +6,8 @@ use std::time::{Duration, Instant};
 use ports::{Awaited, Node, Space, Stage, StageError, leftovers, monotonic_ns};
 use run::{Declaration, NoOptions, Run};
 use wire::{
-    ContextTopic, FeaturesTopic, ForecastsTopic, Header, HeartbeatsTopic, Protection, StageId, Topic, Track,
-    TracksTopic, flags,
+    ContextTopic, FeaturesTopic, ForecastsTopic, Header, HeartbeatsTopic, Protection, RefusalCause, Refusals,
+    StageId, Topic, Track, TracksTopic, flags,
 };
 
 /// A reader of tracks alone.
@@ -58,7 +58,7 @@ fn a_frame_is_read_where_it_was_written() {
 }
 
 #[test]
-fn headers_report_their_sender_and_drop_protection() {
+fn headers_report_their_sender_and_protect_anew() {
     let (_space, run) = run();
     let node = Node::open(&run, "tool").unwrap();
     let (tracks, forecasts) =
@@ -76,7 +76,25 @@ fn headers_report_their_sender_and_drop_protection() {
     let of_the_stage = forecasts.receive().unwrap().unwrap();
     let Header { sender, incarnation, protection, hops, .. } = *of_the_stage.header();
     assert_eq!((sender, incarnation), (hops[0].stage, hops[0].incarnation));
-    assert_eq!((sender, protection), (StageId::Sampler as u32, Protection::default()));
+    assert_eq!(sender, StageId::Sampler as u32);
+    assert!(!protection.is_absent() && protection.counter == 0, "forecasts are protected by default");
+}
+
+#[test]
+fn frames_without_a_check_value_are_refused_where_the_run_asks_for_one() {
+    let (_space, run) = run();
+    let careless = Run { protected: Vec::new(), ..run.clone() };
+    let sender = Node::open(&careless, "careless").unwrap().publisher::<ForecastsTopic>().unwrap();
+    let mut stage = Stage::open(&run, &CALLER).unwrap();
+    let (reader, _output) =
+        (stage.subscribe::<ForecastsTopic>().unwrap(), stage.publish::<TracksTopic>().unwrap());
+    for seq in 0..2 {
+        sender.send_copy(&[], header(&run, seq, 0)).unwrap();
+    }
+    assert!(reader.receive().unwrap().is_none());
+    let heartbeat = stage.heartbeat();
+    let refusals = Refusals { sender: 0, cause: RefusalCause::Unprotected as u16, frames_len: 2 };
+    assert_eq!((heartbeat.rejected_len, heartbeat.refusals[0]), (2, refusals));
 }
 
 /// The topic as a program of another version has it.

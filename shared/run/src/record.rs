@@ -17,9 +17,13 @@ use crate::{Declaration, OptionError};
 /// First bytes of a record's file, before the schema's number and a line break.
 const MAGIC: &str = "stgdat-run ";
 /// Version of the record; counts up with every change of [`Run`].
-const SCHEMA: u32 = 5;
+const SCHEMA: u32 = 6;
 /// Largest record that is read; real ones have a few kilobytes.
 const BYTES_MAX: u64 = 1 << 20;
+
+/// Topics that are protected where pipeline.toml does not say: what comes in from a sensor, and what leaves for a
+/// planner.
+pub const PROTECTED: [&str; 2] = ["detections", "forecasts"];
 
 /// How one stage is run.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -49,6 +53,8 @@ pub struct Run {
     pub lockstep: bool,
     /// Seed of all random numbers.
     pub seed: u64,
+    /// Topics whose frames carry a check value, which their readers demand.
+    pub protected: Vec<String>,
     /// The weights; the embedded ones where none.
     pub weights: Option<PathBuf>,
     /// The stages, in the order in which a tick passes them.
@@ -116,6 +122,7 @@ impl Default for Run {
             interval_ns: TICK_NS,
             lockstep: false,
             seed: 1,
+            protected: PROTECTED.map(str::to_owned).to_vec(),
             weights: None,
             stages: Vec::new(),
         }
@@ -203,6 +210,7 @@ mod tests {
             interval_ns: TICK_NS,
             lockstep: true,
             seed: 3,
+            protected: vec!["tracks".into()],
             weights: Some("w.safetensors".into()),
             stages: vec![StageRun {
                 stage: StageId::Sampler as u32,

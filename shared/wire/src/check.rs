@@ -27,6 +27,36 @@ pub enum Rejected {
         /// The newest that was received.
         newest: u32,
     },
+    /// The frame has no check value, and the run asks for one on its topic.
+    #[error(
+        "no check value: fill in the header's protection (`stgdat wire --c` and `--python` have the function), \
+         or leave the topic out of `protect` in pipeline.toml"
+    )]
+    Unprotected,
+    /// Header and payload are not those that the sender protected.
+    #[error("check value {found:016x}, header and payload have {expected:016x}")]
+    CheckValue {
+        /// The header's check value.
+        found: u64,
+        /// That of header and payload as they came.
+        expected: u64,
+    },
+    /// The frame was protected for another topic.
+    #[error("protected for the topic of number {found:08x}, this one has {expected:08x}")]
+    Misdirected {
+        /// The frame's topic.
+        found: u32,
+        /// The topic that it came on.
+        expected: u32,
+    },
+    /// The frame has come before, or a newer one has overtaken it.
+    #[error("frame {counter} of its sender is repeated or late, the newest is {newest}")]
+    Repeated {
+        /// The frame's counter.
+        counter: u32,
+        /// The counter of the newest one.
+        newest: u32,
+    },
     /// Two elements have one number.
     #[error("{field} {id} appears twice")]
     Twice {

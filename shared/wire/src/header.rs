@@ -1,7 +1,8 @@
 use crate::declare::{constants, numbers, record};
 use crate::limits::schema;
 use crate::{
-    AGENT_TYPES, AGENTS_MAX, HISTORY_MAX, HOPS_MAX, HORIZON_MAX, MODES_MAX, Rejected, SCHEMA, StageId,
+    AGENT_TYPES, AGENTS_MAX, HISTORY_MAX, HOPS_MAX, HORIZON_MAX, MODES_MAX, Protection, Rejected, SCHEMA,
+    StageId,
 };
 
 /// Bits of [`Header::flags`].
@@ -44,24 +45,6 @@ numbers! {
         Receipt = 3 => "time of receipt",
         /// A scene that was generated.
         Generated = 4 => "generated",
-    }
-}
-
-record! {
-    /// The end-to-end protection of a frame, in the order of AUTOSAR's E2E profile 7. All zeros: not
-    /// protected.
-    #[derive(Eq)]
-    pub struct Protection: 24 bytes {
-        /// CRC-64/XZ of the header behind this field and of the payload.
-        0 => crc: u64,
-        /// Bytes of header and payload together.
-        8 => length: u32,
-        /// Counts the frames of the sender; wraps around.
-        12 => counter: u32,
-        /// Identifies the topic.
-        16 => data_id: u32,
-        /// Zero.
-        20 => reserved: [u8; 4],
     }
 }
 

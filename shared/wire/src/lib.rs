@@ -55,8 +55,8 @@
 //!
 //! * *Reserved bytes* get a name and a meaning in which 0 stands for "not reported" or for what was so
 //!   before. Writers fill bytes that they do not know with zeros, those of the header as they came in with
-//!   the tick; readers do not look at them. So it is with [`Header::protection`], [`Header::incarnation`],
-//!   [`Forecast::expert_weights`] and [`Forecast::out_of_distribution`] until something fills them in.
+//!   the tick; readers do not look at them. So it is with [`Header::protection`], [`Heartbeat::refusals`],
+//!   [`Forecast::expert_weights`] and [`Forecast::out_of_distribution`] of a writer that does not know them.
 //! * *New numbers* of [`StageId`], [`StampSource`], [`TrackStatus`], [`Cause`] and [`Expert`]. Readers take a
 //!   number that they do not know for an unknown one and refuse nothing for it.
 //! * *New flags*, if a reader may overlook them: their absence means what was so before.
@@ -84,6 +84,7 @@ mod distinct;
 mod header;
 mod layout;
 mod limits;
+mod protection;
 mod records;
 mod stage;
 mod table;
@@ -92,7 +93,7 @@ mod topic;
 
 pub use agent::{AGENT_TYPES, AgentType, UnknownAgentType};
 pub use check::{Rejected, finite};
-pub use header::{Counts, Header, Hop, Protection, StampSource, flags};
+pub use header::{Counts, Header, Hop, StampSource, flags};
 pub use layout::{
     Context, ContextMut, ContextShape, Edge, FeatureShape, Features, FeaturesMut, Row, context_rows,
     feature_rows,
@@ -100,8 +101,10 @@ pub use layout::{
 pub use limits::{
     AGENTS_MAX, CONTEXT_EMBEDDING, DETECTIONS_MAX, EDGE_ATTRIBUTES, EDGES_MAX, EXPERTS_MAX, HISTORY_MAX,
     HOPS_MAX, HORIZON_MAX, LATENT, MODES_MAX, NODE_ATTRIBUTES, PATCH_CHANNELS, PATCH_SIDE_MAX,
-    POSITION_MAX_M, RELATION_FEATURES, SCHEMA, SPEED_MAX_MPS, STATE_EMBEDDING, STATE_FEATURES, TEMPORAL,
+    POSITION_MAX_M, REFUSALS_MAX, RELATION_FEATURES, SCHEMA, SPEED_MAX_MPS, STATE_EMBEDDING, STATE_FEATURES,
+    TEMPORAL,
 };
+pub use protection::{Protection, RefusalCause, Refusals, data_id};
 pub use records::{
     AgentControls, AgentEncoding, AgentFeatures, Cause, ControlGaussian, Detection, Expert, Forecast,
     Heartbeat, HistoryState, Quality, Steering, Track, TrackStatus, Truth, detection_flags,

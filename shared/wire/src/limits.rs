@@ -27,6 +27,8 @@ constants! {
     pub const MODES_MAX: usize = 20;
     /// Most experts that a forecast can be weighed of.
     pub const EXPERTS_MAX: usize = 8;
+    /// Pairs of sender and cause by which a heartbeat counts refused frames.
+    pub const REFUSALS_MAX: usize = 8;
     /// Most edges of all steps of the history graph together, the self edges included.
     pub const EDGES_MAX: usize = 32_768;
     /// Channels of a local context patch: density and the two components of the mean velocity.

@@ -6,8 +6,8 @@ use bytemuck::Pod;
 use crate::topic::TOPICS;
 use crate::{
     AgentControls, AgentEncoding, AgentFeatures, AgentType, Cause, ControlGaussian, Counts, Detection, Edge,
-    Expert, Forecast, Header, Heartbeat, HistoryState, Hop, Protection, Quality, Row, SCHEMA, StageId,
-    StampSource, Steering, Track, TrackStatus, Truth, detection_flags, flags, limits,
+    Expert, Forecast, Header, Heartbeat, HistoryState, Hop, Protection, Quality, RefusalCause, Refusals, Row,
+    SCHEMA, StageId, StampSource, Steering, Track, TrackStatus, Truth, detection_flags, flags, limits,
 };
 
 /// All that programs of other languages need to read and write frames.
@@ -285,6 +285,7 @@ pub const TABLE: Table = Table {
         Cause::NUMBERS,
         Steering::NUMBERS,
         Expert::NUMBERS,
+        RefusalCause::NUMBERS,
     ],
     records: &[
         Protection::RECORD,
@@ -302,6 +303,7 @@ pub const TABLE: Table = Table {
         ControlGaussian::RECORD,
         AgentControls::RECORD,
         Forecast::RECORD,
+        Refusals::RECORD,
         Heartbeat::RECORD,
     ],
     topics: &TOPICS,

@@ -78,6 +78,7 @@ fn check(path: &Path, file: File) -> Result<Spec, Mistake> {
         seed: file.run.seed,
         pipeline: file.run.pipeline.map(beside),
         forecasts: file.run.forecasts.map(beside),
+        protect: file.run.protect,
         arguments: file.run.arguments,
     };
     let faults = file.faults.iter().map(|table| fault(table, &run)).collect::<Result<Vec<_>, _>>()?;

@@ -29,6 +29,7 @@ pub(super) struct RunTable {
     pub seed: u64,
     pub pipeline: Option<PathBuf>,
     pub forecasts: Option<PathBuf>,
+    pub protect: Option<Vec<String>>,
     #[serde(default)]
     pub stages: BTreeMap<Spanned<String>, toml::Table>,
     #[serde(default)]
@@ -155,6 +156,8 @@ pub struct Counted {
     pub cause: String,
     /// The count must be the number of frames that this kind of fault acted on.
     pub as_injected: Option<String>,
+    /// Of the frames of this topic alone.
+    pub topic: Option<String>,
     /// The count must be at least that.
     pub min: Option<u64>,
     /// The count must be at most that.

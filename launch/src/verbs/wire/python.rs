@@ -4,7 +4,7 @@
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
 
-use ::wire::{Header, Primitive, Record, Table, Type, Value};
+use ::wire::{Header, Primitive, Record, Table, Type, Value, data_id};
 
 use super::text::{camel, capitals, plain, summary, wrapped};
 
@@ -42,6 +42,33 @@ for _record, _dtype in DTYPES.items():
         raise ImportError(f"numpy lays {_record.__name__} out otherwise")
 "#;
 
+const PROTECTION: &str = r#"
+
+def _crc64(data):
+    """CRC-64/XZ of some bytes: the check value that the format .xz keeps of what it holds."""
+    import lzma  # Some builds of Python lack it.
+
+    fastest = {"id": lzma.FILTER_LZMA2, "preset": 0, "mf": lzma.MF_HC3, "nice_len": 3, "depth": 1}
+    packed = lzma.compress(data, lzma.FORMAT_XZ, lzma.CHECK_CRC64, filters=[fastest])
+    # Before the last 12 bytes lies the index, whose length they tell; before it the check value.
+    index = 4 * (int.from_bytes(packed[-8:-4], "little") + 1)
+    return int.from_bytes(packed[-20 - index:-12 - index], "little")
+
+
+def protect(header, payload, topic, counter):
+    """Protects a frame: the last thing before it is sent. `counter` counts the sender's frames."""
+    payload = bytes(payload)
+    header.protection = Protection(length=c.sizeof(header) + len(payload), counter=counter, data_id=DATA_IDS[topic])
+    header.protection.crc = _crc64(bytes(header)[8:] + payload)
+
+
+def is_intact(header, payload, topic):
+    """Whether a frame is what its sender protected."""
+    payload, protection = bytes(payload), header.protection
+    sizes = c.sizeof(header) + len(payload), DATA_IDS[topic]
+    return (protection.length, protection.data_id) == sizes and protection.crc == _crc64(bytes(header)[8:] + payload)
+"#;
+
 /// The module.
 pub fn module(table: &Table) -> String {
     let mut text = format!(
@@ -53,6 +80,7 @@ pub fn module(table: &Table) -> String {
     text += CHECK;
     table.records.iter().for_each(|of| record(&mut text, table, of));
     topics(&mut text, table);
+    text += PROTECTION;
     text += DTYPES;
     text
 }
@@ -144,6 +172,11 @@ fn topics(text: &mut String, table: &Table) {
     line(text, "\n# Elements by topic; the service of iceoryx2 is \"stgdat/NAME\".\nTOPICS = {");
     for topic in table.topics {
         line(text, &format!("    \"{}\": {},  # {}", topic.name, elements[topic.name], plain(topic.doc)));
+    }
+    line(text, "}");
+    line(text, "\n# What `Protection.data_id` is on each topic.\nDATA_IDS = {");
+    for topic in table.topics {
+        line(text, &format!("    \"{}\": 0x{:08x},", topic.name, data_id(topic.name)));
     }
     line(text, "}");
 }

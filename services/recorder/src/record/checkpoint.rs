@@ -74,7 +74,7 @@ impl Recorder {
             end_to_end: (&self.end_to_end).into(),
             overhead: (&self.overhead).into(),
             stages: stages.collect(),
-            losses: self.losses,
+            losses: self.losses.clone(),
             scorer: self.scorer.checkpoint(),
             span: self.span,
             next_seq: self.next_seq,

@@ -1,7 +1,7 @@
 use std::collections::BTreeMap;
 use std::time::Duration;
 
-use run::Declared;
+use run::{Declared, PROTECTED};
 use toml::Spanned;
 use wire::{ForecastsTopic, StageId, TICK_MS, Topic};
 
@@ -30,7 +30,14 @@ pub(super) fn check(file: &File, declared: &[&dyn Declared]) -> Result<Pipeline,
             return Err(Fault::new(0..0, message, "needed in every pipeline"));
         }
     }
-    Ok(Pipeline { weights: file.weights.clone(), stages, warnings })
+    let protected = match &file.protect {
+        None => PROTECTED.map(str::to_owned).to_vec(),
+        Some(topics) => {
+            topics.iter().try_for_each(|topic| known(topic, declared))?;
+            names(topics)
+        }
+    };
+    Ok(Pipeline { weights: file.weights.clone(), protected, stages, warnings })
 }
 
 fn stage(table: &StageTable, declared: &[&dyn Declared], warnings: &mut Vec<String>) -> Result<Stage, Fault> {
@@ -40,19 +47,7 @@ fn stage(table: &StageTable, declared: &[&dyn Declared], warnings: &mut Vec<Stri
         Fault::new(table.name.span(), format!("unknown stage \"{name}\""), "no stage has this name")
             .help(format!("the stages are {known}; `command` puts another program in a stage's place"))
     })?;
-    let mut topics: Vec<&str> = Vec::new();
-    for topic in declared.iter().flat_map(|stage| stage.writes().iter().chain(stage.reads())) {
-        if !topics.contains(topic) {
-            topics.push(topic);
-        }
-    }
-    for topic in table.reads.iter().chain(&table.writes) {
-        if !topics.contains(&topic.get_ref().as_str()) {
-            let message = format!("unknown topic \"{}\"", topic.get_ref());
-            return Err(Fault::new(topic.span(), message, "no topic has this name")
-                .help(format!("the topics are {}", topics.join(", "))));
-        }
-    }
+    table.reads.iter().chain(&table.writes).try_for_each(|topic| known(topic, declared))?;
     if let Some(command) = table.command.as_ref().filter(|c| c.get_ref().is_empty()) {
         return Err(Fault::new(
             command.span(),
@@ -81,13 +76,13 @@ fn stage(table: &StageTable, declared: &[&dyn Declared], warnings: &mut Vec<Stri
         writes: names(&table.writes),
         budget_ms: table.budget_ms.as_ref().map(|ms| *ms.get_ref()),
         options,
-        topics: renamed(table, &topics)?,
+        topics: renamed(table, declared)?,
         restart: restart(table)?,
     })
 }
 
 /// The topics that the stage opens under another name: its own ones, under names that no topic has.
-fn renamed(table: &StageTable, known: &[&str]) -> Result<BTreeMap<String, String>, Fault> {
+fn renamed(table: &StageTable, declared: &[&dyn Declared]) -> Result<BTreeMap<String, String>, Fault> {
     for (topic, name) in &table.topics {
         if !table.reads.iter().chain(&table.writes).any(|own| own.get_ref() == topic.get_ref()) {
             let message =
@@ -100,15 +95,28 @@ fn renamed(table: &StageTable, known: &[&str]) -> Result<BTreeMap<String, String
             let message = format!("\"{text}\" can't be the name of a topic");
             return Err(Fault::new(span, message, "expected lower case letters, digits and \"-\""));
         }
-        if known.contains(&text.as_str()) {
-            return Err(Fault::new(
-                span,
-                format!("\"{text}\" is a topic of its own"),
-                "expected another name",
-            ));
+        if known(name, declared).is_ok() {
+            let message = format!("\"{text}\" is a topic of its own");
+            return Err(Fault::new(span, message, "expected another name"));
         }
     }
     Ok(table.topics.iter().map(|(topic, name)| (topic.get_ref().clone(), name.get_ref().clone())).collect())
+}
+
+/// Refuses a topic that no stage reads or writes.
+fn known(topic: &Spanned<String>, declared: &[&dyn Declared]) -> Result<(), Fault> {
+    let mut topics: Vec<&str> = Vec::new();
+    for topic in declared.iter().flat_map(|stage| stage.writes().iter().chain(stage.reads())) {
+        if !topics.contains(topic) {
+            topics.push(topic);
+        }
+    }
+    if topics.contains(&topic.get_ref().as_str()) {
+        return Ok(());
+    }
+    let message = format!("unknown topic \"{}\"", topic.get_ref());
+    Err(Fault::new(topic.span(), message, "no topic has this name")
+        .help(format!("the topics are {}", topics.join(", "))))
 }
 
 /// The stage's restart policy: the defaults where the file says nothing.

@@ -12,6 +12,7 @@ use crate::Restart;
 #[serde(deny_unknown_fields)]
 pub(super) struct File {
     pub weights: Option<PathBuf>,
+    pub protect: Option<Vec<Spanned<String>>>,
     #[serde(rename = "stage", default)]
     pub stages: Vec<Spanned<StageTable>>,
 }

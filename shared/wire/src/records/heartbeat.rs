@@ -1,4 +1,5 @@
 use crate::declare::record;
+use crate::{REFUSALS_MAX, Refusals};
 
 record! {
     /// A stage's sign of life: element of the topic `heartbeats`.
@@ -24,7 +25,7 @@ record! {
         48 => dropped_len: u64,
         /// `CLOCK_MONOTONIC` at sending.
         56 => sent_ns: u64,
-        /// Zero.
-        64 => reserved: [u8; 64],
+        /// Frames refused, by their sender and the cause. What finds no place is part of `rejected_len` alone.
+        64 => refusals: [Refusals; REFUSALS_MAX],
     }
 }

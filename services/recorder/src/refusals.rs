@@ -1,0 +1,117 @@
+//! Frames refused, by reader, sender and cause, from heartbeats.
+
+use serde::{Deserialize, Serialize};
+use wire::{Heartbeat, RefusalCause, StageId};
+
+use crate::report::RefusedFrames;
+
+/// Most triples of reader, sender and cause: senders may write any number.
+const ENTRIES_MAX: usize = 256;
+
+/// What one reader refused of one sender for one cause.
+#[derive(Clone, Copy, Debug, Serialize, Deserialize)]
+struct Entry {
+    reader: u32,
+    sender: u32,
+    cause: u32,
+    /// Of the reader.
+    incarnation: u32,
+    newest: u64,
+    /// Of the reader's incarnations before.
+    before: u64,
+}
+
+/// Counts refusals over all incarnations of the readers.
+#[derive(Clone, Debug, Default, Serialize, Deserialize)]
+pub(crate) struct RefusalCounts(Vec<Entry>);
+
+impl RefusalCounts {
+    /// Takes a reader's own counts. Those of an earlier incarnation are stale and ignored.
+    pub fn heartbeat(&mut self, heartbeat: &Heartbeat) {
+        let Heartbeat { stage: reader, incarnation, refusals, .. } = *heartbeat;
+        for refusal in refusals.iter().filter(|refusal| refusal.cause > 0) {
+            let (sender, cause) = (u32::from(refusal.sender), u32::from(refusal.cause));
+            let frames = u64::from(refusal.frames_len);
+            let of_all =
+                |entry: &&mut Entry| (entry.reader, entry.sender, entry.cause) == (reader, sender, cause);
+            let is_full = self.0.len() >= ENTRIES_MAX;
+            match self.0.iter_mut().find(of_all) {
+                Some(entry) if incarnation > entry.incarnation => {
+                    let before = entry.before + entry.newest;
+                    *entry = Entry { incarnation, newest: frames, before, ..*entry };
+                }
+                Some(entry) if incarnation == entry.incarnation => entry.newest = entry.newest.max(frames),
+                None if !is_full => {
+                    self.0.push(Entry { reader, sender, cause, incarnation, newest: frames, before: 0 });
+                }
+                _ => {}
+            }
+        }
+    }
+
+    /// Frames that a reader refused before it could tell of which tick they are: those ticks are gaps to it.
+    pub fn ticks_len(&self, reader: StageId) -> u64 {
+        let hides_the_tick = |entry: &&Entry| {
+            entry.reader == reader as u32
+                && matches!(
+                    RefusalCause::from_number(entry.cause),
+                    Some(RefusalCause::Schema | RefusalCause::CheckValue | RefusalCause::Unprotected)
+                )
+        };
+        self.0.iter().filter(hides_the_tick).map(|entry| entry.before + entry.newest).sum()
+    }
+
+    /// The counts, the most frames first.
+    pub fn list(&self) -> Vec<RefusedFrames> {
+        let name = |stage| StageId::from_number(stage).map_or("unknown", StageId::name).to_owned();
+        let told = |entry: &Entry| RefusedFrames {
+            reader: name(entry.reader),
+            sender: name(entry.sender),
+            cause: RefusalCause::from_number(entry.cause).map_or("unknown", RefusalCause::name).to_owned(),
+            frames: entry.before + entry.newest,
+        };
+        let mut list: Vec<RefusedFrames> = self.0.iter().map(told).collect();
+        list.sort_by_key(|b| std::cmp::Reverse(b.frames));
+        list
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use wire::{REFUSALS_MAX, Refusals};
+
+    fn beat(incarnation: u32, frames_len: u32) -> Heartbeat {
+        let mut refusals = [Refusals::default(); REFUSALS_MAX];
+        Refusals::count(&mut refusals, StageId::Decoder as u32, RefusalCause::CheckValue, frames_len);
+        Heartbeat { stage: StageId::Sampler as u32, incarnation, refusals, ..Heartbeat::default() }
+    }
+
+    #[test]
+    fn refusals_add_up_over_the_restarts_of_their_reader() {
+        let mut counts = RefusalCounts::default();
+        for (incarnation, frames) in [(0, 2), (0, 5), (1, 1), (0, 9)] {
+            counts.heartbeat(&beat(incarnation, frames));
+        }
+        let told = |name: &str| name.to_owned();
+        let expected = RefusedFrames {
+            reader: told("sampler"),
+            sender: told("decoder"),
+            cause: told("check value"),
+            frames: 6,
+        };
+        assert_eq!(counts.list(), [expected]);
+    }
+
+    #[test]
+    fn senders_of_any_number_take_bounded_room() {
+        let mut counts = RefusalCounts::default();
+        for sender in 0..1_000 {
+            let mut heartbeat = beat(0, 1);
+            heartbeat.refusals[0].sender = sender;
+            counts.heartbeat(&heartbeat);
+        }
+        assert_eq!(counts.list().len(), ENTRIES_MAX);
+        assert_eq!(counts.list()[0].sender, "unknown");
+    }
+}

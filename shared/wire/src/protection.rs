@@ -1,0 +1,275 @@
+//! End-to-end protection: what a frame's sender computed over header and payload, and its reader again.
+
+use bytemuck::{bytes_of, cast_slice};
+use crc_fast::{CrcAlgorithm, Digest};
+
+use crate::declare::{numbers, record};
+use crate::{Header, Rejected, Topic};
+
+record! {
+    /// The end-to-end protection of a frame, in the order of AUTOSAR's E2E profile 7. All zeros: not
+    /// protected.
+    #[derive(Eq)]
+    pub struct Protection: 24 bytes {
+        /// CRC-64/XZ of the header behind this field and of the payload.
+        0 => crc: u64,
+        /// Bytes of header and payload together.
+        8 => length: u32,
+        /// Counts the frames of the sender; wraps around.
+        12 => counter: u32,
+        /// Identifies the topic: FNV-1a of its name, in 32 bits.
+        16 => data_id: u32,
+        /// Zero.
+        20 => reserved: [u8; 4],
+    }
+}
+
+numbers! {
+    /// Why frames were refused, as heartbeats and reports count it.
+    pub enum RefusalCause {
+        /// Another schema.
+        Schema = 1 => "schema",
+        /// A frame of another run.
+        ForeignRun = 2 => "foreign run",
+        /// A frame of a process that has been replaced.
+        OldIncarnation = 3 => "old incarnation",
+        /// Sizes beyond their limits, or that do not agree with each other or with the model.
+        Size = 4 => "size",
+        /// A number that is not finite or can't be.
+        Value = 5 => "value",
+        /// Stamps or elements out of order, or twice.
+        Order = 6 => "order",
+        /// A check value that header and payload do not have.
+        CheckValue = 7 => "check value",
+        /// No check value, where pipeline.toml asks for one.
+        Unprotected = 8 => "unprotected",
+        /// A frame that came before, or one that a newer frame has overtaken.
+        Repeated = 9 => "repeated",
+    }
+}
+
+record! {
+    /// Frames of one sender that one reader refused for one cause.
+    #[derive(Eq)]
+    pub struct Refusals: 8 bytes {
+        /// The [`StageId`](crate::StageId) of the frames' sender as a number, 0 where it is no stage.
+        0 => sender: u16,
+        /// The [`RefusalCause`] as a number; 0: the entry is free.
+        2 => cause: u16,
+        /// How many frames.
+        4 => frames_len: u32,
+    }
+}
+
+/// The number of a topic in [`Protection::data_id`]: FNV-1a of its name, in 32 bits.
+#[must_use]
+pub const fn data_id(topic: &str) -> u32 {
+    let (bytes, mut hash, mut i) = (topic.as_bytes(), 0x811C_9DC5_u32, 0);
+    while i < bytes.len() {
+        hash = (hash ^ bytes[i] as u32).wrapping_mul(0x0100_0193);
+        i += 1;
+    }
+    hash
+}
+
+impl Protection {
+    /// A frame whose counter is at most this far behind the newest one is a repeated or an overtaken one; one
+    /// that is farther behind comes from a sender that began anew.
+    pub const REPEATED_MAX: u32 = 16;
+
+    /// The protection of a frame: of all of `header` but its own check value, and of `payload`.
+    #[must_use]
+    pub fn of<T: Topic>(header: &Header, payload: &[T::Element], counter: u32) -> Self {
+        let length = length::<T>(payload);
+        let unchecked = Self { crc: 0, length, counter, data_id: data_id(T::NAME), reserved: [0; 4] };
+        Self { crc: crc::<T>(&Header { protection: unchecked, ..*header }, payload), ..unchecked }
+    }
+
+    /// Whether the frame has no protection.
+    #[must_use]
+    pub fn is_absent(&self) -> bool {
+        *self == Self::default()
+    }
+
+    /// Refuses a frame that is not what its sender protected.
+    ///
+    /// # Errors
+    /// [`Rejected::Unprotected`], [`Rejected::CheckValue`], or [`Rejected::Misdirected`] for a frame of another
+    /// topic.
+    pub fn check<T: Topic>(header: &Header, payload: &[T::Element]) -> Result<(), Rejected> {
+        let protection = header.protection;
+        if protection.is_absent() {
+            return Err(Rejected::Unprotected);
+        }
+        let expected = crc::<T>(header, payload);
+        if protection.crc != expected || protection.length != length::<T>(payload) {
+            return Err(Rejected::CheckValue { found: protection.crc, expected });
+        }
+        let expected = data_id(T::NAME);
+        if protection.data_id != expected {
+            return Err(Rejected::Misdirected { found: protection.data_id, expected });
+        }
+        Ok(())
+    }
+
+    /// Refuses a frame that its reader has had, or that one after it has overtaken; `newest` is the counter
+    /// of the newest frame of the same sender.
+    ///
+    /// # Errors
+    /// [`Rejected::Repeated`].
+    pub const fn check_counter(&self, newest: u32) -> Result<(), Rejected> {
+        if newest.wrapping_sub(self.counter) <= Self::REPEATED_MAX {
+            return Err(Rejected::Repeated { counter: self.counter, newest });
+        }
+        Ok(())
+    }
+}
+
+fn length<T: Topic>(payload: &[T::Element]) -> u32 {
+    (size_of::<Header>() + size_of_val(payload)) as u32
+}
+
+fn crc<T: Topic>(header: &Header, payload: &[T::Element]) -> u64 {
+    let mut digest = Digest::new(CrcAlgorithm::Crc64Xz);
+    digest.update(&bytes_of(header)[size_of::<u64>()..]);
+    digest.update(cast_slice(payload));
+    digest.finalize()
+}
+
+impl Rejected {
+    /// The cause under which refused frames are counted.
+    #[must_use]
+    pub const fn cause(&self) -> RefusalCause {
+        match self {
+            Self::Schema { .. } => RefusalCause::Schema,
+            Self::ForeignRun { .. } => RefusalCause::ForeignRun,
+            Self::OldIncarnation { .. } => RefusalCause::OldIncarnation,
+            Self::TooMany { .. } | Self::Length { .. } | Self::Mismatch { .. } => RefusalCause::Size,
+            Self::NotFinite { .. } | Self::Impossible { .. } => RefusalCause::Value,
+            Self::Twice { .. } | Self::OutOfOrder { .. } | Self::NotNewer { .. } => RefusalCause::Order,
+            Self::CheckValue { .. } | Self::Misdirected { .. } => RefusalCause::CheckValue,
+            Self::Unprotected => RefusalCause::Unprotected,
+            Self::Repeated { .. } => RefusalCause::Repeated,
+        }
+    }
+}
+
+impl Refusals {
+    /// Counts frames of `sender` that were refused for `cause`. Where all entries are taken by others they
+    /// are only part of the reader's total.
+    pub fn count(entries: &mut [Self], sender: u32, cause: RefusalCause, frames_len: u32) {
+        let (sender, cause) = (sender.min(u32::from(u16::MAX)) as u16, cause as u16);
+        let of_both = |entry: &&mut Self| entry.cause == 0 || (entry.sender, entry.cause) == (sender, cause);
+        if let Some(entry) = entries.iter_mut().find(of_both) {
+            let frames_len = entry.frames_len.saturating_add(frames_len);
+            *entry = Self { sender, cause, frames_len };
+        }
+    }
+
+    /// Adds the counts of `others`.
+    pub fn add(entries: &mut [Self], others: &[Self]) {
+        for other in others {
+            if let Some(cause) = RefusalCause::from_number(u32::from(other.cause)) {
+                Self::count(entries, u32::from(other.sender), cause, other.frames_len);
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{DetectionsTopic, Forecast, ForecastsTopic, TracksTopic};
+    use bytemuck::Zeroable;
+
+    fn forecasts() -> (Header, Vec<Forecast>) {
+        let mut header = Header::new(7, 3, 240_000_000);
+        header.counts.agents_len = 3;
+        (header, vec![Forecast { id: 5, x_m: 1.5, ..Zeroable::zeroed() }; 3])
+    }
+
+    fn protected(header: &Header, payload: &[Forecast], counter: u32) -> Header {
+        Header { protection: Protection::of::<ForecastsTopic>(header, payload, counter), ..*header }
+    }
+
+    #[test]
+    fn the_check_value_is_that_of_crc_64_xz() {
+        // The catalogue's check value of the ASCII digits 1 to 9.
+        let mut digest = Digest::new(CrcAlgorithm::Crc64Xz);
+        digest.update(b"123456789");
+        assert_eq!(digest.finalize(), 0x995D_C9BB_DF19_39FA);
+        assert_eq!(data_id(""), 0x811C_9DC5);
+        assert_eq!(data_id("a"), 0xE40C_292C);
+    }
+
+    #[test]
+    fn a_protected_frame_passes_and_its_parts_are_told_apart() {
+        let (header, payload) = forecasts();
+        let good = protected(&header, &payload, 9);
+        assert_eq!(Protection::check::<ForecastsTopic>(&good, &payload), Ok(()));
+        let shorter = Protection::check::<ForecastsTopic>(&good, &payload[..2]);
+        assert!(matches!(shorter, Err(Rejected::CheckValue { .. })));
+        let unprotected = Protection::check::<ForecastsTopic>(&header, &payload);
+        assert_eq!(unprotected, Err(Rejected::Unprotected));
+        let empty = Header { protection: Protection::of::<TracksTopic>(&header, &[], 0), ..header };
+        let elsewhere = Protection::check::<DetectionsTopic>(&empty, &[]);
+        assert!(matches!(elsewhere, Err(Rejected::Misdirected { .. })), "{elsewhere:?}");
+    }
+
+    #[test]
+    fn repeated_and_overtaken_frames_are_refused_and_new_senders_are_not() {
+        let counter = |counter| Protection { counter, ..Protection::default() };
+        assert_eq!(counter(8).check_counter(7), Ok(()));
+        assert_eq!(counter(0).check_counter(u32::MAX), Ok(()), "it wraps around");
+        assert_eq!(counter(7).check_counter(7), Err(Rejected::Repeated { counter: 7, newest: 7 }));
+        assert!(counter(u32::MAX).check_counter(3).is_err());
+        assert_eq!(counter(0).check_counter(17), Ok(()), "a sender that began anew");
+    }
+
+    #[test]
+    fn refusals_add_up_by_sender_and_cause_and_overflow_quietly() {
+        let mut entries = [Refusals::default(); 2];
+        Refusals::count(&mut entries, 3, RefusalCause::Value, 1);
+        Refusals::count(&mut entries, 3, RefusalCause::Value, 2);
+        Refusals::count(&mut entries, 4, RefusalCause::Value, 1);
+        Refusals::count(&mut entries, 5, RefusalCause::Value, 1);
+        let of = |sender, frames_len| Refusals { sender, cause: RefusalCause::Value as u16, frames_len };
+        assert_eq!(entries, [of(3, 3), of(4, 1)]);
+        let mut sum = [Refusals::default(); 8];
+        Refusals::add(&mut sum, &entries);
+        Refusals::add(&mut sum, &entries);
+        assert_eq!(sum[..3], [of(3, 6), of(4, 2), Refusals::default()]);
+    }
+
+    /// A xorshift generator: the state and its next number.
+    fn next(state: &mut u64) -> u64 {
+        *state ^= *state << 13;
+        *state ^= *state >> 7;
+        *state ^= *state << 17;
+        *state
+    }
+
+    #[test]
+    fn ten_thousand_bit_flips_are_refused() {
+        let (header, mut payload) = forecasts();
+        for (i, byte) in bytemuck::cast_slice_mut::<_, u8>(&mut payload).iter_mut().enumerate() {
+            *byte = (i * 31 % 251) as u8;
+        }
+        let good = protected(&header, &payload, 9);
+        let bits = 8 * (size_of::<Header>() + size_of_val(&payload[..])) as u64;
+        let mut random = 0x9E37_79B9_7F4A_7C15;
+        for flip in 0..10_000 {
+            let (mut header, mut payload) = (good, payload.clone());
+            for _ in 0..=flip % 3 {
+                let bit = (next(&mut random) % bits) as usize;
+                let (byte, mask) = (bit / 8, 1 << (bit % 8));
+                match byte.checked_sub(size_of::<Header>()) {
+                    None => bytemuck::bytes_of_mut(&mut header)[byte] ^= mask,
+                    Some(byte) => bytemuck::cast_slice_mut::<_, u8>(&mut payload)[byte] ^= mask,
+                }
+            }
+            let refused = Protection::check::<ForecastsTopic>(&header, &payload);
+            assert!(refused.is_err(), "flip {flip} passes");
+        }
+    }
+}
