@@ -157,6 +157,7 @@ impl<T: Topic> Subscriber<T> {
                     // To wait for that tick would be to wait for ever.
                     let why = Rejected::Impossible { field: "seq", value: found as f64 };
                     self.0.refuse(frame.header().sender, &why);
+                    self.0.uncount(found, seq);
                     log_refused(T::NAME, found, &why);
                 }
                 (true, found) if found > seq => {
@@ -315,6 +316,12 @@ impl<T: Topic> Port<T> {
             self.dropped_len.set(self.dropped_len.get() + header.seq.saturating_sub(expected));
         }
         self.newest.set(Some((header.seq, header.stamp_ns)));
+    }
+
+    /// Takes back that a frame was counted as tick `found`, before which all ticks from `awaited` on were missing.
+    fn uncount(&self, found: u64, awaited: u64) {
+        self.dropped_len.set(self.dropped_len.get().saturating_sub(found - awaited));
+        self.newest.set(awaited.checked_sub(1).map(|before| (before, i64::MIN)));
     }
 
     /// Whether a stage that the frame has passed was restarted since the frame before.
