@@ -216,6 +216,10 @@ impl<'a> Session<'a> {
         let record = Path::new(&record);
         // The run may have ended already.
         let Ok(run) = Run::read(record) else { return Ok(()) };
+        // A run that can't start its stages is about to remove its files, and nobody may make new ones.
+        if self.launcher.stages().len() < run.stages.len() {
+            return Ok(());
+        }
         let mut writers = vec![Writer::start(&["follow"], record, &self.sender)?];
         for topic in self.spec.injected_topics() {
             let faults: Vec<&TopicFault> =
