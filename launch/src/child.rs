@@ -13,7 +13,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::JoinHandle;
 
 use nn::kernels;
-use ports::{INCARNATION_VARIABLE, LAUNCHER_VARIABLE, RUN_VARIABLE};
+use ports::{INCARNATION_VARIABLE, LAUNCHER_VARIABLE, RUN_VARIABLE, TOPICS_VARIABLE};
 use run::{Exit, Run};
 use rustix::process::{Pid, Signal, kill_process, set_parent_process_death_signal};
 use wire::StageId;
@@ -25,11 +25,31 @@ const LAST_LINES_MAX: usize = 12;
 /// Longest line that is not broken, in bytes.
 const LINE_BYTES_MAX: u64 = 4096;
 
+/// The environment variable that holds the name of a process's stage.
+pub const STAGE_VARIABLE: &str = "STGDAT_STAGE";
+
 /// The signal raised when shared memory has no page left.
 const BUS_ERROR: i32 = Signal::BUS.as_raw();
 
 /// A line of a stage's output.
 pub type Line = (StageId, String);
+
+/// What is started as a stage.
+#[derive(Clone, Debug)]
+pub struct Program {
+    /// The program with its arguments; this one where none.
+    pub command: Option<Vec<String>>,
+    /// Topics that it opens under another name, as `topic=name`.
+    pub topics: Vec<String>,
+}
+
+impl Program {
+    /// That of a stage of a pipeline.
+    pub fn of(stage: &config::Stage) -> Self {
+        let topics = stage.topics.iter().map(|(topic, name)| format!("{topic}={name}")).collect();
+        Self { command: stage.command.clone(), topics }
+    }
+}
 
 /// A stage's process.
 #[derive(Debug)]
@@ -46,13 +66,13 @@ impl Child {
     /// Starts a stage, by its own command or by this program, and sends its output through `lines`.
     pub fn start(
         stage: StageId,
-        own: Option<&[String]>,
+        own: &Program,
         incarnation: u32,
         run: &Run,
         record: &Path,
         lines: &Sender<Line>,
     ) -> Result<Self, Failure> {
-        let mut command = match own {
+        let mut command = match own.command.as_deref() {
             Some([program, arguments @ ..]) => {
                 let mut command = Command::new(program);
                 command.args(arguments);
@@ -69,6 +89,8 @@ impl Child {
             .env(RUN_VARIABLE, record)
             .env(LAUNCHER_VARIABLE, std::process::id().to_string())
             .env(INCARNATION_VARIABLE, incarnation.to_string())
+            .env(STAGE_VARIABLE, stage.name())
+            .env(TOPICS_VARIABLE, own.topics.join(","))
             .env("STGDAT_RUN_ID", run.id.to_string())
             .env("STGDAT_PREFIX", &run.prefix)
             .env("STGDAT_ROOT", &run.root)
@@ -81,7 +103,7 @@ impl Child {
             .process_group(0);
         die_with_this_process(&mut command);
         let mut process = command.spawn().map_err(|error| {
-            let program = own.and_then(<[String]>::first).map_or("stgdat", String::as_str);
+            let program = own.command.as_deref().and_then(<[String]>::first).map_or("stgdat", String::as_str);
             Failure::config_about(format!("the {} can't be started: {program}", stage.name()), error)
         })?;
         let last_lines = Arc::new(Mutex::new(VecDeque::new()));

@@ -12,6 +12,8 @@ use run::{Exit, OptionError};
 use thiserror::Error;
 use wire::StageId;
 
+use crate::faults::spec::SpecError;
+
 /// The error below, of whatever crate.
 type Cause = Box<dyn Error + Send + Sync>;
 
@@ -27,6 +29,9 @@ pub enum Failure {
     /// pipeline.toml can't be used.
     #[error(transparent)]
     Pipeline(#[from] PipelineError),
+    /// The specification of a fault run can't be used.
+    #[error(transparent)]
+    Spec(#[from] SpecError),
     /// An option of a stage can't be used.
     #[error(transparent)]
     Option(#[from] OptionError),
@@ -135,7 +140,7 @@ impl Failure {
         match self {
             Self::Usage(_) => Exit::Usage,
             Self::Data(_) => Exit::Data,
-            Self::Pipeline(_) | Self::Option(_) | Self::Config(_) => Exit::Config,
+            Self::Pipeline(_) | Self::Spec(_) | Self::Option(_) | Self::Config(_) => Exit::Config,
             Self::Space(_) | Self::Port(_) | Self::Unavailable(_) => Exit::Unavailable,
             Self::Death(StageDeath {
                 exit: Some(exit @ (Exit::Data | Exit::Config | Exit::Unavailable)),
@@ -157,6 +162,10 @@ impl Failure {
         match self {
             Self::Pipeline(error) => {
                 // Writing to a string does not fail.
+                let _ = GraphicalReportHandler::new().render_report(&mut text, error);
+                return text;
+            }
+            Self::Spec(error) => {
                 let _ = GraphicalReportHandler::new().render_report(&mut text, error);
                 return text;
             }

@@ -8,7 +8,7 @@ use run::{Exit, Run};
 use rustix::process::Signal;
 use wire::{Heartbeat, StageId};
 
-use crate::child::{Child, Line};
+use crate::child::{Child, Line, Program};
 use crate::cleaner::Cleaner;
 use crate::failure::{Failure, StageDeath};
 use crate::health::{Finding, Health, look};
@@ -42,7 +42,7 @@ pub struct Fleet {
 #[derive(Debug)]
 struct Member {
     stage: StageId,
-    command: Option<Vec<String>>,
+    program: Program,
     child: Child,
     supervision: Supervision,
     health: Health,
@@ -97,13 +97,13 @@ impl Fleet {
             end_limit,
         };
         for stage in &pipeline.stages {
-            let command = stage.command.clone();
-            let child = Child::start(stage.id, command.as_deref(), 0, run, record, &fleet.sender)?;
+            let program = Program::of(stage);
+            let child = Child::start(stage.id, &program, 0, run, record, &fleet.sender)?;
             let now = fleet.begun.elapsed();
             let (supervision, health) = (Supervision::new(stage.restart, now), Health::new(now));
             fleet.members.push(Member {
                 stage: stage.id,
-                command,
+                program,
                 child,
                 supervision,
                 health,
@@ -180,14 +180,14 @@ impl Fleet {
         for member in &mut self.members {
             if member.supervision.is_due(now) && self.cleaner.is_done(member.ticket) {
                 let incarnation = member.supervision.incarnation() + 1;
-                let command = member.command.as_deref();
+                let program = &member.program;
                 member.child =
-                    Child::start(member.stage, command, incarnation, &self.run, &self.record, &self.sender)?;
+                    Child::start(member.stage, program, incarnation, &self.run, &self.record, &self.sender)?;
                 member.supervision.restarted(now);
                 member.health = Health::new(now);
                 member.killed_for = None;
                 // A program of the user's own reports no linking.
-                if member.command.is_some() {
+                if member.program.command.is_some() {
                     member.supervision.linked();
                 }
             }

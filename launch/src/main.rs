@@ -9,6 +9,7 @@ mod contenders;
 #[cfg(test)]
 mod docs;
 mod failure;
+mod faults;
 mod fleet;
 mod health;
 mod options;

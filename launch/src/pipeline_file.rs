@@ -7,7 +7,7 @@ use crate::options::warn;
 use crate::stages;
 
 /// The default pipeline.
-const SHIPPED: &str = include_str!("../pipeline.toml");
+pub const SHIPPED: &str = include_str!("../pipeline.toml");
 
 /// Reads and checks a pipeline.toml, or the shipped one.
 pub fn load(path: Option<&Path>) -> Result<Pipeline, Failure> {

@@ -8,6 +8,7 @@ pub mod clean;
 pub mod completions;
 pub mod doctor;
 pub mod evaluate;
+pub mod fault;
 pub mod graph;
 pub mod manual;
 pub mod map;
@@ -57,6 +58,9 @@ pub enum Verb {
     Verify(verify::Arguments),
     /// Measure compute per stage and the overhead of the pipeline
     Bench(bench::Arguments),
+    /// Inject faults into runs and check what they promise
+    #[command(subcommand)]
+    Fault(fault::Verb),
     /// Check this machine: shared memory, limits, CPU, leftovers
     Doctor(doctor::Arguments),
     /// Remove files that dead runs left in shared memory
@@ -91,6 +95,7 @@ impl Verb {
             Self::Card(arguments) => card::execute(&arguments),
             Self::Verify(arguments) => verify::execute(&arguments),
             Self::Bench(arguments) => bench::execute(&arguments),
+            Self::Fault(verb) => verb.execute(),
             Self::Doctor(arguments) => doctor::execute(&arguments),
             Self::Clean(arguments) => clean::execute(&arguments),
             Self::Wire(arguments) => wire::execute(&arguments),

@@ -2,6 +2,7 @@
 
 mod bad_input;
 mod endings;
+mod fault_runs;
 mod faults;
 mod lockstep;
 mod options;

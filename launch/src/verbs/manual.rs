@@ -21,7 +21,7 @@ const GROUPS: [(&str, &[&str]); 4] = [
     ("Run", &["run", "predict", "track", "check", "graph", "stage", "wire"]),
     ("Data", &["map", "plot"]),
     ("Model", &["train", "ablate", "evaluate", "card"]),
-    ("Diagnose", &["verify", "bench", "doctor", "clean", "completions", "manual"]),
+    ("Diagnose", &["verify", "bench", "fault", "doctor", "clean", "completions", "manual"]),
 ];
 
 /// What the page begins with.
@@ -95,7 +95,7 @@ fn section(verb: &mut Command, heading: &str) -> String {
             text += &args.into_iter().map(item).collect::<String>();
         }
     }
-    for below in verb.get_subcommands_mut() {
+    for below in verb.get_subcommands_mut().filter(|below| !below.is_hide_set()) {
         text += &section(below, &format!("{heading}#"));
     }
     text

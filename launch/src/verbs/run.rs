@@ -60,6 +60,9 @@ pub struct Arguments {
     /// Show no progress
     #[arg(long)]
     quiet: bool,
+    /// Write the path of the run's record to this file before the stages start
+    #[arg(long, value_name = "FILE", hide = true)]
+    announce: Option<PathBuf>,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
@@ -106,7 +109,8 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
 
     let begun = SystemTime::now();
     let keeps_memory = options.get(StageId::Sampler, "memory").is_some();
-    let ended = supervise(&pipeline, &run, &stop, live, arguments.quiet, keeps_memory)?;
+    let record = write_record(&run, arguments.announce.as_deref())?;
+    let ended = supervise(&pipeline, &run, &record, &stop, live, arguments.quiet, keeps_memory)?;
     // However the run ended, the report tells what there was until then. After a signal or a failure, there is
     // one if the recorder had begun; where it died too, what it had kept.
     let modified = std::fs::metadata(&report_path).and_then(|file| file.modified());
@@ -116,7 +120,8 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
         Ok(Exit::Done) if ended.outages.given_up().is_empty() => {
             Some(Report::read(&report_path).map_err(Failure::data)?)
         }
-        _ => recorder::stage::kept_report(&run),
+        _ => recorder::stage::kept_report(&run)
+            .or_else(|| ended.linked.then(|| recorder::stage::empty_report(&run))),
     };
     // A run that could not start has nothing to report but its failure.
     if let Some(measured) = measured.filter(|_| ended.outcome.is_ok() || ended.linked) {
@@ -201,19 +206,31 @@ fn stage_runs(pipeline: &Pipeline, options: &StageOptions) -> Vec<StageRun> {
     runs
 }
 
+/// Writes the run's record, and its path to the file that is to announce it, which appears whole.
+fn write_record(run: &Run, announce: Option<&Path>) -> Result<PathBuf, Failure> {
+    let record = run.root.join("run");
+    run.write(&record).map_err(Failure::config)?;
+    if let Some(announce) = announce {
+        let part = announce.with_extension("part");
+        std::fs::write(&part, record.as_os_str().as_encoded_bytes())
+            .and_then(|()| std::fs::rename(&part, announce))
+            .map_err(|error| Failure::file(announce, error))?;
+    }
+    Ok(record)
+}
+
 /// Starts the stages, follows them to the end of the scene, and ends them.
 fn supervise(
     pipeline: &Pipeline,
     run: &Run,
+    record: &Path,
     stop: &Stop,
     live: LiveOptions,
     quiet: bool,
     keeps_memory: bool,
 ) -> Result<Ended, Failure> {
-    let record = run.root.join("run");
-    run.write(&record).map_err(Failure::config)?;
     let mut watch = Watch::open(run, live, quiet)?;
-    let mut fleet = Fleet::start(pipeline, run, &record, keeps_memory)?;
+    let mut fleet = Fleet::start(pipeline, run, record, keeps_memory)?;
     let started = Instant::now();
     let mut linked = false;
     let outcome = loop {

@@ -32,7 +32,8 @@ impl Counters {
             self.incarnation = heartbeat.incarnation;
         }
         if heartbeat.incarnation == self.incarnation {
-            self.newest.gap = self.newest.gap.max(heartbeat.dropped_len);
+            // Fewer where a frame has come after all, late.
+            self.newest.gap = heartbeat.dropped_len;
             self.newest.refused = self.newest.refused.max(heartbeat.rejected_len);
         }
     }

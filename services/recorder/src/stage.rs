@@ -94,6 +94,12 @@ pub fn kept_report(run: &Run) -> Option<Report> {
     Some(Recorder::resume(settings(run), kept).report())
 }
 
+/// The report of a run whose recorder has kept nothing.
+#[must_use]
+pub fn empty_report(run: &Run) -> Report {
+    Recorder::new(settings(run)).report()
+}
+
 /// Path of a run's report.
 #[must_use]
 pub fn report_path(run: &Run, options: &Options) -> PathBuf {

@@ -5,6 +5,7 @@ mod error;
 mod file;
 mod options;
 
+use std::collections::BTreeMap;
 use std::path::PathBuf;
 
 pub use check::BUDGET_MAX_MS;
@@ -29,6 +30,8 @@ pub struct Stage {
     pub budget_ms: Option<f64>,
     /// Its options: checked by its declaration or, where it has a `command`, as written.
     pub options: toml::Table,
+    /// Topics that it opens under another name, with that name.
+    pub topics: BTreeMap<String, String>,
     /// What happens when it ends.
     pub restart: RestartPolicy,
 }

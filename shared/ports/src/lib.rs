@@ -44,10 +44,13 @@
 mod clock;
 mod element;
 mod error;
+mod names;
 mod node;
 mod peers;
+mod points;
 mod program;
 mod publisher;
+mod relay;
 mod space;
 mod stage;
 mod stop;
@@ -56,13 +59,16 @@ mod wait;
 
 pub use clock::monotonic_ns;
 pub use error::{Awaiting, PortError, StageError};
+pub use names::TOPICS_VARIABLE;
 pub use node::{Node, clean_dead_nodes};
 pub use peers::Peers;
+pub use points::{POINTS_VARIABLE, Point};
 pub use program::{
     INCARNATION_VARIABLE, LAUNCHER_VARIABLE, RUN_VARIABLE, begin_logging, die_with_launcher, incarnation,
     stage_main,
 };
 pub use publisher::{Loan, Publisher};
+pub use relay::{RawFrame, Relay};
 pub use space::{Leftover, Space, SpaceError, leftovers, remove_half_made_connections, shared_memory_free};
 pub use stage::{Awaited, HEARTBEAT, Passage, Stage};
 pub use stop::Stop;

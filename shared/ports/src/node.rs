@@ -6,6 +6,7 @@ use run::Run;
 use wire::{HeartbeatsTopic, StageId, Topic};
 
 use crate::element::{Element, Head};
+use crate::names::Names;
 use crate::publisher::Sender;
 use crate::{HEARTBEAT, PortError, Publisher, Stop, Subscriber};
 
@@ -36,11 +37,12 @@ pub struct Node {
     interval: Duration,
     stop: Stop,
     sender: Sender,
+    names: Names,
     protected: Vec<String>,
 }
 
 /// The two services of one topic.
-type Services<T> =
+pub(crate) type Services<T> =
     (publish_subscribe::PortFactory<ipc::Service, [Element<T>], Head>, event::PortFactory<ipc::Service>);
 
 impl Node {
@@ -59,13 +61,15 @@ impl Node {
             .create::<ipc::Service>()
             .map_err(PortError::of_node("node"))?;
         let (interval, sender) = (Duration::from_nanos(run.interval_ns), Sender::default());
-        let protected = run.protected.clone();
-        Ok(Self { node, run_id: run.id, interval, stop, sender, protected })
+        let (names, protected) = (Names::default(), run.protected.clone());
+        Ok(Self { node, run_id: run.id, interval, stop, sender, names, protected })
     }
 
-    /// The same node as that of a stage: the headers of all that it sends report so.
+    /// The same node as that of a stage: the headers of all that it sends report so, and its topics have the
+    /// names of its process.
     pub(crate) fn of_stage(mut self, id: StageId, incarnation: u32) -> Self {
         self.sender = Sender { stage: id as u32, incarnation };
+        self.names = Names::of_process();
         self
     }
 
@@ -86,20 +90,7 @@ impl Node {
     /// # Errors
     /// [`PortError`] where the topic has its writers already or shared memory is short.
     pub fn publisher<T: Topic>(&self) -> Result<Publisher<T>, PortError> {
-        let (frames, events) = self.services::<T>()?;
-        let publisher = frames
-            .publisher_builder()
-            .max_loaned_samples(LOANED_MAX)
-            .initial_max_slice_len(T::ELEMENTS_START)
-            .allocation_strategy(AllocationStrategy::PowerOfTwo)
-            .backpressure_strategy(BackpressureStrategy::DiscardData)
-            .create()
-            .map_err(PortError::of("publisher", T::NAME))?;
-        let notifier = events
-            .notifier_builder()
-            .default_event_id(EventId::new(event_id::FRAME))
-            .create()
-            .map_err(PortError::of("notifier", T::NAME))?;
+        let (publisher, notifier) = publisher_of(&self.services::<T>(self.names.of(T::NAME))?)?;
         Ok(Publisher::new(publisher, notifier, self.sender, self.protects::<T>()))
     }
 
@@ -109,14 +100,9 @@ impl Node {
     /// [`PortError`] where the topic has its most readers already, shared memory is short, or `depth` is more
     /// than [`Topic::DEPTH_MAX`].
     pub fn subscriber<T: Topic>(&self, depth: usize) -> Result<Subscriber<T>, PortError> {
-        let (frames, events) = self.services::<T>()?;
-        let subscriber = frames
-            .subscriber_builder()
-            .buffer_size(depth)
-            .create()
-            .map_err(PortError::of("subscriber", T::NAME))?;
-        let listener = events.listener_builder().create().map_err(PortError::of("listener", T::NAME))?;
-        Ok(Subscriber::new(subscriber, listener, frames, self.run_id, self.protects::<T>()))
+        let services = self.services::<T>(self.names.of(T::NAME))?;
+        let (subscriber, listener) = subscriber_of(&services, depth)?;
+        Ok(Subscriber::new(subscriber, listener, services.0, self.run_id, self.protects::<T>()))
     }
 
     /// Whether the frames of the topic carry a check value.
@@ -124,12 +110,10 @@ impl Node {
         self.protected.iter().any(|name| name == T::NAME)
     }
 
-    /// Opens or makes the two services of a topic, with the same settings in all processes.
-    fn services<T: Topic>(&self) -> Result<Services<T>, PortError> {
-        let name: ServiceName = format!("stgdat/{}", T::NAME)
-            .as_str()
-            .try_into()
-            .map_err(PortError::of("service name", T::NAME))?;
+    /// Opens or makes the two services of a topic under a name, with the same settings in all processes.
+    pub(crate) fn services<T: Topic>(&self, name: &str) -> Result<Services<T>, PortError> {
+        let name: ServiceName =
+            format!("stgdat/{name}").as_str().try_into().map_err(PortError::of("service name", T::NAME))?;
         let alignment = Alignment::new(ALIGNMENT).expect("64 is a power of two");
         let frames = self
             .node
@@ -162,6 +146,44 @@ impl Node {
             .map_err(PortError::of("events", T::NAME))?;
         Ok((frames, events))
     }
+}
+
+/// The writing ends of a topic's services.
+pub(crate) type Writing<T> = (
+    iceoryx2::port::publisher::Publisher<ipc::Service, [Element<T>], Head>,
+    iceoryx2::port::notifier::Notifier<ipc::Service>,
+);
+/// The reading ends of a topic's services.
+type Reading<T> = (
+    iceoryx2::port::subscriber::Subscriber<ipc::Service, [Element<T>], Head>,
+    iceoryx2::port::listener::Listener<ipc::Service>,
+);
+
+pub(crate) fn publisher_of<T: Topic>((frames, events): &Services<T>) -> Result<Writing<T>, PortError> {
+    let publisher = frames
+        .publisher_builder()
+        .max_loaned_samples(LOANED_MAX)
+        .initial_max_slice_len(T::ELEMENTS_START)
+        .allocation_strategy(AllocationStrategy::PowerOfTwo)
+        .backpressure_strategy(BackpressureStrategy::DiscardData)
+        .create()
+        .map_err(PortError::of("publisher", T::NAME))?;
+    let notifier = events
+        .notifier_builder()
+        .default_event_id(EventId::new(event_id::FRAME))
+        .create()
+        .map_err(PortError::of("notifier", T::NAME))?;
+    Ok((publisher, notifier))
+}
+
+pub(crate) fn subscriber_of<T: Topic>(
+    (frames, events): &Services<T>,
+    depth: usize,
+) -> Result<Reading<T>, PortError> {
+    let builder = frames.subscriber_builder().buffer_size(depth);
+    let subscriber = builder.create().map_err(PortError::of("subscriber", T::NAME))?;
+    let listener = events.listener_builder().create().map_err(PortError::of("listener", T::NAME))?;
+    Ok((subscriber, listener))
 }
 
 /// The transport's settings for a run: its own names and directory, and no clean-up by the stages, which

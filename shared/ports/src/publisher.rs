@@ -11,6 +11,7 @@ use wire::{Header, Protection, Topic};
 
 use crate::PortError;
 use crate::element::{Element, Head};
+use crate::points::{self, Point};
 
 /// The writing end of a topic.
 #[derive(Debug)]
@@ -54,6 +55,9 @@ impl<T: Topic> Publisher<T> {
         if len > T::ELEMENTS_MAX {
             return Err(PortError::TooMany { topic: T::NAME, found: len, most: T::ELEMENTS_MAX });
         }
+        if T::PUBLISHERS_MAX == 1 {
+            points::reach(Point::BeforeLoan);
+        }
         let sample = self.publisher.loan_slice_uninit(len).map_err(PortError::of("loan", T::NAME))?;
         // SAFETY: the memory is a mapping that the kernel zeroed, or holds an earlier frame: its bytes are
         // defined, and any bit pattern is a value of a `Pod` element.
@@ -65,6 +69,13 @@ impl<T: Topic> Publisher<T> {
     /// # Errors
     /// [`PortError`] where the transport fails.
     pub fn send(&self, mut loan: Loan<T>, header: Header) -> Result<(), PortError> {
+        let is_ours = T::PUBLISHERS_MAX == 1;
+        let at = |point| {
+            if is_ours {
+                points::sending(point, &header);
+            }
+        };
+        at(Point::MidWrite);
         let Sender { stage: sender, incarnation } = self.sender;
         // The protection of the frame that came in does not cover the one that goes out.
         let mut header = Header { protection: Protection::default(), sender, incarnation, ..header };
@@ -74,8 +85,10 @@ impl<T: Topic> Publisher<T> {
         }
         *loan.0.user_header_mut() = Head(header);
         loan.0.send().map_err(PortError::of("sending", T::NAME))?;
+        at(Point::BeforeNotify);
         // Errors here are late notifications, which were delivered all the same, and readers that are gone.
         let _ = self.notifier.notify();
+        at(Point::AfterSend);
         Ok(())
     }
 

@@ -8,6 +8,7 @@ use wire::{
 };
 
 use crate::error::log_refused;
+use crate::points::{self, Point};
 use crate::subscriber::Input;
 use crate::wait::{Wakes, wait};
 use crate::{Frame, Loan, Node, Peers, PortError, Publisher, Stop, Subscriber, monotonic_ns};
@@ -80,6 +81,7 @@ impl Stage {
     /// [`PortError`] where the run's shared memory can't be used.
     pub fn open<O>(run: &Run, declaration: &Declaration<O>) -> Result<Self, PortError> {
         let (id, incarnation) = (declaration.id(), crate::incarnation());
+        points::arm(id, incarnation);
         let node = Node::open(run, id.name())?.of_stage(id, incarnation);
         let heartbeats = node.publisher()?;
         let (reads, writes) = (declaration.reads(), declaration.writes());
@@ -359,6 +361,7 @@ impl Stage {
 
     /// Counts a tick as finished.
     pub fn done(&mut self, seq: u64) {
+        points::finished(seq);
         self.seq = seq;
         self.frames_len += 1;
     }
@@ -459,6 +462,7 @@ impl Stage {
         self.beat_if_due()?;
         let end_ns = until_ns.map_or(self.next_beat_ns, |until_ns| until_ns.min(self.next_beat_ns));
         let left = Duration::from_nanos(end_ns.saturating_sub(monotonic_ns()));
+        points::reach(Point::Idle);
         if left.is_zero() { Ok(()) } else { wait(topics, left) }
     }
 }

@@ -28,8 +28,8 @@ struct Port<T: Topic> {
     run_id: u64,
     /// Whether frames without a check value are refused.
     protected: bool,
-    /// Number of the newest tick received.
-    newest: Cell<Option<u64>>,
+    /// Number and stamp of the newest tick received.
+    newest: Cell<Option<(u64, i64)>>,
     /// A frame of a later tick than the one awaited.
     early: RefCell<Option<Frame<T>>>,
     seen: Cell<bool>,
@@ -44,6 +44,9 @@ struct Port<T: Topic> {
 
 /// One more than the greatest number of a stage of this project.
 const STAGES_LEN: usize = StageId::ALL.len() + 1;
+
+/// No stage is so many ticks ahead of another that waits for its frames: more than the deepest queue.
+const AHEAD_MAX: u64 = 16;
 
 /// One frame, where it lies in shared memory; dropping it gives the memory back.
 #[derive(Debug)]
@@ -150,6 +153,13 @@ impl<T: Topic> Subscriber<T> {
         while let Some(frame) = self.receive()? {
             match (frame.header().is_tick(), frame.header().seq) {
                 (true, found) if found == seq => return Ok(Some(frame)),
+                (true, found) if found > seq + AHEAD_MAX => {
+                    // To wait for that tick would be to wait for ever.
+                    let why = Rejected::Impossible { field: "seq", value: found as f64 };
+                    self.0.refuse(frame.header().sender, &why);
+                    self.0.uncount(found, seq);
+                    log_refused(T::NAME, found, &why);
+                }
                 (true, found) if found > seq => {
                     self.0.early.replace(Some(frame));
                     return Ok(None);
@@ -232,6 +242,7 @@ impl<T: Topic> Port<T> {
         {
             return Err(Rejected::OldIncarnation { found: header.incarnation, newest });
         }
+        self.check_repetition(header)?;
         let expected = T::elements_len(&header.counts);
         if frame.len() != expected {
             return Err(Rejected::Length { found: frame.len(), expected });
@@ -239,6 +250,22 @@ impl<T: Topic> Port<T> {
         if self.protected {
             Protection::check::<T>(header, frame)?;
             self.check_counter(header)?;
+        }
+        Ok(())
+    }
+
+    /// Refuses a tick that has come before, from a stage that has been restarted since: the first frame that it
+    /// finds in its input is the last one that its predecessor had, and may have passed on.
+    fn check_repetition(&self, header: &Header) -> Result<(), Rejected> {
+        let Some((newest, last_ns)) = self.newest.get() else { return Ok(()) };
+        let is_new = |(stage, incarnation): (u32, u32)| {
+            self.incarnations.get().get(stage as usize).is_some_and(|newest| *newest < incarnation)
+        };
+        let mut passed = header.hops().iter().map(|hop| (hop.stage, hop.incarnation));
+        let restarted = is_new((header.sender, header.incarnation)) || passed.any(is_new);
+        let is_repeated = header.is_tick() && !header.has(flags::VOID) && header.seq <= newest;
+        if T::PUBLISHERS_MAX == 1 && restarted && is_repeated {
+            return Err(Rejected::NotNewer { stamp_ns: header.stamp_ns, last_ns });
         }
         Ok(())
     }
@@ -275,15 +302,26 @@ impl<T: Topic> Port<T> {
         }
         let restarted = T::PUBLISHERS_MAX == 1 && self.has_new_incarnation(header);
         let expected = match self.newest.get() {
-            Some(newest) => newest + 1,
+            Some((newest, _)) => newest + 1,
             None if linked => 0,
             None => header.seq,
         };
+        if header.seq + 1 < expected {
+            // Others have overtaken it: it was counted as missing when they came.
+            self.dropped_len.set(self.dropped_len.get().saturating_sub(1));
+            return;
+        }
         // Writers of a topic that has several count each for themselves.
         if T::PUBLISHERS_MAX == 1 && !restarted {
             self.dropped_len.set(self.dropped_len.get() + header.seq.saturating_sub(expected));
         }
-        self.newest.set(Some(header.seq));
+        self.newest.set(Some((header.seq, header.stamp_ns)));
+    }
+
+    /// Takes back that a frame was counted as tick `found`, before which all ticks from `awaited` on were missing.
+    fn uncount(&self, found: u64, awaited: u64) {
+        self.dropped_len.set(self.dropped_len.get().saturating_sub(found - awaited));
+        self.newest.set(awaited.checked_sub(1).map(|before| (before, i64::MIN)));
     }
 
     /// Whether a stage that the frame has passed was restarted since the frame before.

@@ -76,8 +76,31 @@ fn stage(table: &StageTable, declared: &[&dyn Declared], warnings: &mut Vec<Stri
         writes: names(&table.writes),
         budget_ms: table.budget_ms.as_ref().map(|ms| *ms.get_ref()),
         options,
+        topics: renamed(table, declared)?,
         restart: restart(table)?,
     })
+}
+
+/// The topics that the stage opens under another name: its own ones, under names that no topic has.
+fn renamed(table: &StageTable, declared: &[&dyn Declared]) -> Result<BTreeMap<String, String>, Fault> {
+    for (topic, name) in &table.topics {
+        if !table.reads.iter().chain(&table.writes).any(|own| own.get_ref() == topic.get_ref()) {
+            let message =
+                format!("the {} neither reads nor writes \"{}\"", table.name.get_ref(), topic.get_ref());
+            return Err(Fault::new(topic.span(), message, "not one of its `reads` and `writes`"));
+        }
+        let is_plain = |c: char| c.is_ascii_lowercase() || c.is_ascii_digit() || c == '-';
+        let (text, span) = (name.get_ref(), name.span());
+        if text.is_empty() || !text.chars().all(is_plain) {
+            let message = format!("\"{text}\" can't be the name of a topic");
+            return Err(Fault::new(span, message, "expected lower case letters, digits and \"-\""));
+        }
+        if known(name, declared).is_ok() {
+            let message = format!("\"{text}\" is a topic of its own");
+            return Err(Fault::new(span, message, "expected another name"));
+        }
+    }
+    Ok(table.topics.iter().map(|(topic, name)| (topic.get_ref().clone(), name.get_ref().clone())).collect())
 }
 
 /// Refuses a topic that no stage reads or writes.

@@ -29,6 +29,8 @@ pub(super) struct StageTable {
     pub budget_ms: Option<Spanned<f64>>,
     #[serde(default)]
     pub options: OptionsTable,
+    #[serde(default)]
+    pub topics: BTreeMap<Spanned<String>, Spanned<String>>,
     pub restart: Option<Restart>,
     pub backoff_ms: Option<Spanned<u64>>,
     pub restarts_max: Option<Spanned<u64>>,

@@ -255,3 +255,15 @@ fn no_recorder() {
 fn empty_command() {
     insta::assert_snapshot!(error(&with("name = \"encoder\"", "name = \"encoder\"\ncommand = []")));
 }
+
+#[test]
+fn a_topic_is_opened_under_another_name() {
+    let from = "writes = [\"encodings\"]";
+    let renamed = |entry: &str| with(from, &format!("{from}\ntopics = {{ {entry} }}"));
+    let pipeline = parsed(&renamed("encodings = \"encodings-raw\""));
+    assert_eq!(stage(&pipeline, StageId::Encoder).topics["encodings"], "encodings-raw");
+    assert!(stage(&pipeline, StageId::Decoder).topics.is_empty());
+    insta::assert_snapshot!(error(&renamed("tracks = \"a\"")));
+    insta::assert_snapshot!(error(&renamed("encodings = \"tracks\"")));
+    insta::assert_snapshot!(error(&renamed("encodings = \"a b\"")));
+}

@@ -1,0 +1,337 @@
+//! What an injector does to frames: pure functions of a frame, the faults of its topic and their seeds.
+
+use serde::{Deserialize, Serialize};
+use wire::{Header, Leaf, Primitive, Record};
+
+use crate::faults::spec::TopicFault;
+
+/// What is done to a frame.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Effect {
+    /// It is passed on later; later frames may overtake it.
+    Delay {
+        /// By so many milliseconds.
+        ms: u64,
+        /// And up to so many more.
+        jitter_ms: u64,
+    },
+    /// It is not passed on.
+    Drop,
+    /// It is passed on twice.
+    Duplicate,
+    /// It is passed on after the frame that follows.
+    Reorder,
+    /// Some of its bits are flipped.
+    BitFlip {
+        /// How many.
+        bits: u32,
+        /// Where.
+        part: Part,
+    },
+    /// One of its numbers is not finite.
+    NotFinite,
+    /// One of its numbers is 1e30.
+    Huge,
+    /// It has one element less, or one where it had none.
+    WrongLength,
+    /// Its schema is the next one.
+    WrongSchema,
+    /// It belongs to another run.
+    ForeignRun,
+    /// From the first tick on the sender is of the next incarnation; the frames acted on are of the one before.
+    OldIncarnation,
+    /// It has the stamp or the payload of the first one.
+    Frozen {
+        /// Which of the two.
+        part: Part,
+    },
+    /// Its stamp is later, or earlier where negative.
+    ClockJump {
+        /// By so many milliseconds.
+        ms: i64,
+    },
+}
+
+/// A part of a frame.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Part {
+    /// The header.
+    Header,
+    /// The elements.
+    Payload,
+    /// The time of validity.
+    Stamp,
+}
+
+impl Effect {
+    /// The kind of fault, as in a specification.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Delay { .. } => "delay",
+            Self::Drop => "drop",
+            Self::Duplicate => "duplicate",
+            Self::Reorder => "reorder",
+            Self::BitFlip { .. } => "bit-flip",
+            Self::NotFinite => "not-finite",
+            Self::Huge => "huge",
+            Self::WrongLength => "wrong-length",
+            Self::WrongSchema => "wrong-schema",
+            Self::ForeignRun => "foreign-run",
+            Self::OldIncarnation => "old-incarnation",
+            Self::Frozen { .. } => "frozen",
+            Self::ClockJump { .. } => "clock-jump",
+        }
+    }
+}
+
+/// A frame on its way through the injector: its elements as bytes.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Raw {
+    /// The header.
+    pub header: Header,
+    /// The elements, one behind the other.
+    pub payload: Vec<u8>,
+}
+
+/// A frame to be sent, after a delay.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Due {
+    /// The frame.
+    pub frame: Raw,
+    /// Nanoseconds from now.
+    pub delay_ns: u64,
+}
+
+/// The faults of one topic with what they keep between frames.
+#[derive(Debug)]
+pub struct Injector {
+    faults: Vec<TopicFault>,
+    /// Size of an element in bytes.
+    size: usize,
+    /// Numbers of single precision in an element.
+    reals: Vec<usize>,
+    /// The first frame that each fault acted on.
+    first: Vec<Option<Raw>>,
+    /// A frame that waits for the one that follows.
+    held: Option<Raw>,
+}
+
+impl Injector {
+    /// For a topic whose elements are such records.
+    pub fn new(faults: Vec<TopicFault>, element: &Record) -> Self {
+        let leaves = element.leaves();
+        let is_real = |leaf: &&Leaf| leaf.primitive == Primitive::F32;
+        let reals = leaves.iter().filter(is_real).map(|leaf| leaf.offset).collect();
+        let first = faults.iter().map(|_| None).collect();
+        Self { faults, size: element.size, reals, first, held: None }
+    }
+
+    /// What becomes of a frame, and the kinds of faults that acted on it.
+    pub fn pass(&mut self, frame: Raw) -> (Vec<Due>, Vec<&'static str>) {
+        let mut acted = Vec::new();
+        let (tick, mut frame) = (frame_tick(&frame), frame);
+        let (mut delay_ns, mut copies, mut holds) = (0, 1, false);
+        for i in 0..self.faults.len() {
+            let TopicFault { effect, ticks: [first, last], probability, seed, .. } = self.faults[i];
+            let Some(tick) = tick else { continue };
+            let mut random = Random::new(seed ^ (i as u64) << 32, tick);
+            let acts = (first..=last).contains(&tick) && random.share() < probability;
+            if effect == Effect::OldIncarnation && tick >= first && (!acts || tick == first) {
+                frame.header.incarnation += 1;
+                continue;
+            }
+            // One frame at a time waits for the one that follows.
+            if !acts || (effect == Effect::Reorder && self.held.is_some()) {
+                continue;
+            }
+            acted.push(effect.name());
+            match effect {
+                Effect::Delay { ms, jitter_ms } => {
+                    delay_ns += 1_000_000 * (ms + random.below(jitter_ms + 1));
+                }
+                Effect::Drop => copies = 0,
+                Effect::Duplicate => copies *= 2,
+                Effect::Reorder => holds = true,
+                _ => self.change(i, effect, &mut frame, &mut random),
+            }
+        }
+        let mut due = vec![Due { frame: frame.clone(), delay_ns }; copies];
+        if holds && copies > 0 && self.held.is_none() {
+            self.held = due.pop().map(|due| due.frame);
+        } else if let Some(held) = self.held.take() {
+            due.push(Due { frame: held, delay_ns });
+        }
+        (due, acted)
+    }
+
+    /// Changes the content of a frame.
+    fn change(&mut self, fault: usize, effect: Effect, frame: &mut Raw, random: &mut Random) {
+        let first = self.first[fault].get_or_insert_with(|| frame.clone());
+        let Raw { header, payload } = frame;
+        match effect {
+            Effect::BitFlip { bits, part: Part::Payload } => flip(payload, bits, random),
+            Effect::BitFlip { bits, .. } => {
+                flip(bytemuck::bytes_of_mut(header), bits, random);
+            }
+            Effect::NotFinite => self.set_real(payload, f32::NAN, random),
+            Effect::Huge => self.set_real(payload, 1e30, random),
+            Effect::WrongLength if payload.is_empty() => payload.resize(self.size, 0),
+            Effect::WrongLength => payload.truncate(payload.len() - self.size),
+            Effect::WrongSchema => header.schema += 1,
+            Effect::ForeignRun => header.run_id ^= 1,
+            Effect::Frozen { part: Part::Payload } => {
+                payload.clone_from(&first.payload);
+                header.counts = first.header.counts;
+            }
+            Effect::Frozen { .. } => header.stamp_ns = first.header.stamp_ns,
+            Effect::ClockJump { ms } => header.stamp_ns += ms * 1_000_000,
+            Effect::Delay { .. }
+            | Effect::Drop
+            | Effect::Duplicate
+            | Effect::Reorder
+            | Effect::OldIncarnation => {}
+        }
+    }
+
+    /// Overwrites one number of single precision of one element.
+    fn set_real(&self, payload: &mut [u8], value: f32, random: &mut Random) {
+        let elements = payload.len() / self.size;
+        if elements > 0 && !self.reals.is_empty() {
+            let real = self.reals[random.below(self.reals.len() as u64) as usize];
+            let at = random.below(elements as u64) as usize * self.size + real;
+            payload[at..at + 4].copy_from_slice(&value.to_le_bytes());
+        }
+    }
+}
+
+/// The frame's tick; none for frames that link or end the pipeline.
+fn frame_tick(frame: &Raw) -> Option<u64> {
+    frame.header.is_tick().then_some(frame.header.seq)
+}
+
+fn flip(bytes: &mut [u8], bits: u32, random: &mut Random) {
+    for _ in 0..bits {
+        if !bytes.is_empty() {
+            let bit = random.below(8 * bytes.len() as u64);
+            bytes[bit as usize / 8] ^= 1 << (bit % 8);
+        }
+    }
+}
+
+/// Random numbers of a seed and a tick, the same whatever came before: SplitMix64.
+struct Random(u64);
+
+impl Random {
+    const fn new(seed: u64, tick: u64) -> Self {
+        Self(seed.wrapping_mul(0x9E37_79B9_7F4A_7C15) ^ tick.wrapping_mul(0xD1B5_4A32_D192_ED03))
+    }
+
+    const fn next(&mut self) -> u64 {
+        self.0 = self.0.wrapping_add(0x9E37_79B9_7F4A_7C15);
+        let mut z = self.0;
+        z = (z ^ (z >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
+        z = (z ^ (z >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
+        z ^ (z >> 31)
+    }
+
+    /// From 0 up to 1, which is never reached.
+    const fn share(&mut self) -> f64 {
+        (self.next() >> 11) as f64 / (1_u64 << 53) as f64
+    }
+
+    /// Less than `limit`, which is not 0.
+    const fn below(&mut self, limit: u64) -> u64 {
+        self.next() % limit
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use wire::{TABLE, Track, flags};
+
+    fn injector(effect: Effect, ticks: [u64; 2], probability: f64) -> Injector {
+        let tracks = TABLE.topics.iter().find(|topic| topic.name == "tracks").unwrap();
+        let fault = TopicFault { topic: "tracks".into(), effect, ticks, probability, seed: 3 };
+        Injector::new(vec![fault], tracks.element)
+    }
+
+    fn frame(seq: u64) -> Raw {
+        let mut header = Header::new(7, seq, seq as i64 * 80_000_000);
+        header.counts.agents_len = 2;
+        Raw { header, payload: vec![0; 2 * size_of::<Track>()] }
+    }
+
+    /// The ticks of the frames that leave, and how many were acted on.
+    fn order(injector: &mut Injector, len: u64) -> (Vec<u64>, usize) {
+        let (mut ticks, mut acted) = (Vec::new(), 0);
+        for seq in 0..len {
+            let (due, kinds) = injector.pass(frame(seq));
+            ticks.extend(due.iter().map(|due| due.frame.header.seq));
+            acted += kinds.len();
+        }
+        (ticks, acted)
+    }
+
+    #[test]
+    fn frames_are_dropped_duplicated_and_reordered_in_the_range_alone() {
+        assert_eq!(order(&mut injector(Effect::Drop, [1, 2], 1.0), 5), (vec![0, 3, 4], 2));
+        assert_eq!(order(&mut injector(Effect::Duplicate, [1, 1], 1.0), 3), (vec![0, 1, 1, 2], 1));
+        assert_eq!(order(&mut injector(Effect::Reorder, [1, 1], 1.0), 4), (vec![0, 2, 1, 3], 1));
+    }
+
+    #[test]
+    fn a_probability_repeats_with_its_seed_and_is_met() {
+        let drop = || injector(Effect::Drop, [0, 9_999], 0.25);
+        let (kept, dropped) = order(&mut drop(), 10_000);
+        assert_eq!(order(&mut drop(), 10_000), (kept, dropped));
+        assert!((2_300..2_700).contains(&dropped), "{dropped}");
+    }
+
+    #[test]
+    fn content_is_changed_where_the_fault_says() {
+        let changed = |effect| {
+            let mut injector = injector(effect, [1, 9], 1.0);
+            let _ = injector.pass(frame(1));
+            injector.pass(frame(2)).0.remove(0).frame
+        };
+        let count_bits = |a: &[u8], b: &[u8]| a.iter().zip(b).map(|(a, b)| (a ^ b).count_ones()).sum::<u32>();
+        let same = frame(2);
+        let flipped = changed(Effect::BitFlip { bits: 1, part: Part::Payload });
+        assert_eq!((count_bits(&flipped.payload, &same.payload), flipped.header), (1, same.header));
+        let flipped = changed(Effect::BitFlip { bits: 1, part: Part::Header });
+        let bits = count_bits(bytemuck::bytes_of(&flipped.header), bytemuck::bytes_of(&same.header));
+        assert_eq!((bits, flipped.payload == same.payload), (1, true));
+        let not_finite = changed(Effect::NotFinite).payload;
+        assert_eq!(not_finite.chunks(4).filter(|bytes| *bytes == f32::NAN.to_le_bytes()).count(), 1);
+        assert_eq!(not_finite.len(), 2 * size_of::<Track>());
+        assert_eq!(changed(Effect::WrongLength).payload.len(), size_of::<Track>());
+        assert_eq!(changed(Effect::ForeignRun).header.run_id, 6);
+        assert_eq!(changed(Effect::WrongSchema).header.schema, wire::SCHEMA + 1);
+        assert_eq!(changed(Effect::Frozen { part: Part::Stamp }).header.stamp_ns, 80_000_000);
+        assert_eq!(changed(Effect::ClockJump { ms: -80 }).header.stamp_ns, 80_000_000);
+        assert_eq!(
+            injector(Effect::Delay { ms: 40, jitter_ms: 0 }, [0, 9], 1.0).pass(frame(1)).0[0].delay_ns,
+            40_000_000
+        );
+    }
+
+    #[test]
+    fn an_old_incarnation_comes_after_the_new_one() {
+        let mut injector = injector(Effect::OldIncarnation, [1, 3], 1.0);
+        let incarnations: Vec<u32> =
+            (0..6).map(|seq| injector.pass(frame(seq)).0[0].frame.header.incarnation).collect();
+        assert_eq!(incarnations, [0, 1, 0, 0, 1, 1]);
+    }
+
+    #[test]
+    fn frames_that_link_the_pipeline_pass_untouched() {
+        let mut injector = injector(Effect::Drop, [0, 99], 1.0);
+        let mut warm_up = frame(0);
+        warm_up.header.flags = flags::WARM_UP;
+        let (due, acted) = injector.pass(warm_up.clone());
+        assert_eq!((due, acted), (vec![Due { frame: warm_up, delay_ns: 0 }], vec![]));
+    }
+}

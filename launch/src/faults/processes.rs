@@ -1,0 +1,152 @@
+//! The processes of a fault run: the launcher, its stages, the follower and the injectors.
+
+use std::io::{BufRead as _, BufReader};
+use std::path::Path;
+use std::process::{Child, Command, ExitStatus, Stdio};
+use std::sync::mpsc::Sender;
+use std::thread::JoinHandle;
+use std::time::{Duration, Instant};
+
+use rustix::process::{Pid, Resource as Limited, Rlimit, Signal, kill_process, prlimit};
+use wire::StageId;
+
+use crate::child::{STAGE_VARIABLE, die_with_this_process};
+use crate::failure::Failure;
+use crate::faults::history::Line;
+use crate::faults::spec::Resource;
+
+/// Time that a process has to end after a request.
+const END_LIMIT: Duration = Duration::from_secs(3);
+
+/// This program as another process, which dies with this one.
+pub fn this_program() -> Result<Command, Failure> {
+    let mut command = Command::new(std::env::current_exe().map_err(Failure::unavailable)?);
+    command.stdin(Stdio::null());
+    die_with_this_process(&mut command);
+    Ok(command)
+}
+
+/// A process that writes lines of history; it is asked to end, and killed, when this is dropped.
+#[derive(Debug)]
+pub struct Writer {
+    child: Child,
+    reader: Option<JoinHandle<()>>,
+}
+
+impl Writer {
+    /// Starts `stgdat fault …`, whose lines are sent on.
+    pub fn start(arguments: &[&str], record: &Path, lines: &Sender<Line>) -> Result<Self, Failure> {
+        let mut command = this_program()?;
+        command.arg("fault").args(arguments).arg("--run").arg(record);
+        let mut child = command.stdout(Stdio::piped()).spawn().map_err(Failure::unavailable)?;
+        let (output, lines) = (child.stdout.take(), lines.clone());
+        let reader = output.map(|output| {
+            std::thread::spawn(move || {
+                for text in BufReader::new(output).lines().map_while(Result::ok) {
+                    // What is no line of history is no concern of the run's; the receiver lives as long.
+                    if let Ok(line) = serde_json::from_str(&text) {
+                        let _ = lines.send(line);
+                    }
+                }
+            })
+        });
+        Ok(Self { child, reader })
+    }
+}
+
+impl Drop for Writer {
+    fn drop(&mut self) {
+        // Ended already where this fails.
+        let _ = kill_process(Pid::from_child(&self.child), Signal::TERM);
+        let begun = Instant::now();
+        while begun.elapsed() < END_LIMIT && matches!(self.child.try_wait(), Ok(None)) {
+            std::thread::sleep(Duration::from_millis(5));
+        }
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+        if let Some(reader) = self.reader.take() {
+            let _ = reader.join();
+        }
+    }
+}
+
+/// The launcher, which is killed when this is dropped.
+#[derive(Debug)]
+pub struct Launcher(Child);
+
+impl Launcher {
+    /// Of a process that was started.
+    pub const fn new(child: Child) -> Self {
+        Self(child)
+    }
+
+    /// Its process number.
+    pub fn pid(&self) -> Pid {
+        Pid::from_child(&self.0)
+    }
+
+    /// Its exit status, once it has ended.
+    pub fn ended(&mut self) -> Result<Option<ExitStatus>, Failure> {
+        self.0.try_wait().map_err(Failure::unavailable)
+    }
+
+    /// The processes of its stages.
+    pub fn stages(&self) -> Vec<(Pid, StageId)> {
+        let pid = self.pid().as_raw_nonzero();
+        let Ok(children) = std::fs::read_to_string(format!("/proc/{pid}/task/{pid}/children")) else {
+            return Vec::new();
+        };
+        let pids = children.split_whitespace().filter_map(|pid| Pid::from_raw(pid.parse().ok()?));
+        pids.filter_map(|pid| Some((pid, stage_of(pid)?))).collect()
+    }
+
+    /// The process of a stage.
+    pub fn stage(&self, stage: StageId) -> Option<Pid> {
+        self.stages().into_iter().find(|(_, of)| *of == stage).map(|(pid, _)| pid)
+    }
+}
+
+impl Drop for Launcher {
+    fn drop(&mut self) {
+        let _ = self.0.kill();
+        let _ = self.0.wait();
+    }
+}
+
+/// The stage of a process, by its environment: whatever the program is, its launcher has set it.
+fn stage_of(pid: Pid) -> Option<StageId> {
+    let environment = std::fs::read(format!("/proc/{}/environ", pid.as_raw_nonzero())).ok()?;
+    let prefix = format!("{STAGE_VARIABLE}=");
+    let mut variables = environment.split(|byte| *byte == 0);
+    let name = variables.find_map(|variable| variable.strip_prefix(prefix.as_bytes()))?;
+    StageId::from_name(std::str::from_utf8(name).ok()?)
+}
+
+/// Whether a process is there and no zombie.
+pub fn is_alive(pid: Pid) -> bool {
+    let stat = std::fs::read_to_string(format!("/proc/{}/stat", pid.as_raw_nonzero())).unwrap_or_default();
+    stat.rsplit_once(") ").is_some_and(|(_, rest)| !rest.starts_with(['Z', 'X']))
+}
+
+/// Limits a resource of a process.
+pub fn limit(pid: Pid, resource: Resource, value: u64) -> Result<(), Failure> {
+    let resource = match resource {
+        Resource::Descriptors => Limited::Nofile,
+        Resource::FileSize => Limited::Fsize,
+        Resource::Memory => Limited::As,
+    };
+    let limits = Rlimit { current: Some(value), maximum: Some(value) };
+    prlimit(Some(pid), resource, limits).map_err(Failure::unavailable)?;
+    Ok(())
+}
+
+/// Uses the CPU by so many threads for a time.
+pub fn use_cpu(threads: usize, time: Duration) -> Vec<JoinHandle<()>> {
+    let end = Instant::now() + time;
+    let spin = move || {
+        while Instant::now() < end {
+            std::hint::spin_loop();
+        }
+    };
+    (0..threads).map(|_| std::thread::spawn(spin)).collect()
+}

@@ -1,0 +1,558 @@
+//! Runs a specification: starts the run, injects the faults as it goes, and judges it.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::fs::File;
+use std::io::{BufRead as _, BufReader, Write as _};
+use std::os::unix::process::ExitStatusExt as _;
+use std::path::{Path, PathBuf};
+use std::process::{Command, ExitStatus, Stdio};
+use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
+use std::time::{Duration, Instant};
+
+use ports::POINTS_VARIABLE;
+use recorder::Report;
+use run::Run;
+use rustix::process::{Pid, Signal, kill_process};
+use serde::Serialize;
+use wire::StageId;
+
+use crate::failure::Failure;
+use crate::faults::history::Line;
+use crate::faults::processes::{Launcher, Writer, is_alive, limit, this_program, use_cpu};
+use crate::faults::raw_name;
+use crate::faults::spec::{Fault, Spec, Target, TopicFault, When};
+use crate::faults::verdict::{Check, Cost, Observation, Outcome, judge};
+use crate::pipeline_file;
+
+/// Interval between looks at the run.
+const LOOK: Duration = Duration::from_millis(2);
+/// A run that gives no sign of life for so long, beyond what is injected, is killed.
+const SILENCE_LIMIT: Duration = Duration::from_secs(120);
+/// Time after the launcher's death in which all stages must have ended.
+const SURVIVAL_LIMIT: Duration = Duration::from_secs(2);
+
+/// What became of a specification.
+#[derive(Debug, Serialize)]
+pub struct Verdict {
+    /// Its name.
+    pub name: String,
+    /// What it shows.
+    pub shows: String,
+    /// Whether everything expected is met.
+    pub passed: bool,
+    /// What is expected, with what was found.
+    pub checks: Vec<Check>,
+    /// What the faults cost.
+    pub cost: Cost,
+    /// Duration of the run in seconds.
+    pub seconds: f64,
+    /// The command that repeats it.
+    pub repeat: String,
+    /// The folder with log, report, forecasts and history, where it is kept.
+    pub kept: Option<PathBuf>,
+}
+
+/// How specifications are run.
+#[derive(Clone, Debug)]
+pub struct Options {
+    /// Whether numbers of ticks are asserted.
+    pub timing: bool,
+    /// Seed in place of the specification's.
+    pub seed: Option<u64>,
+    /// The folder in which all runs are kept; only failed ones are, in the temporary folder, where none.
+    pub keep: Option<PathBuf>,
+}
+
+/// Runs a specification to its end.
+pub fn run(spec: &Spec, options: &Options) -> Result<Verdict, Failure> {
+    let spec = &seeded(spec, options.seed);
+    let folder = match &options.keep {
+        Some(keep) => keep.join(&spec.name),
+        None => std::env::temp_dir().join(format!("stgdat-fault-{}-{}", spec.name, std::process::id())),
+    };
+    std::fs::create_dir_all(&folder).map_err(|error| Failure::file(&folder, error))?;
+    let begun = Instant::now();
+    let seen = Session::start(spec, &folder)?.follow()?;
+    let checks = judge(spec, &seen, options.timing);
+    let passed = checks.iter().all(|check| check.outcome != Outcome::Failed);
+    let seed = options.seed.map_or_else(String::new, |seed| format!(" --seed {seed}"));
+    let verdict = Verdict {
+        name: spec.name.clone(),
+        shows: spec.shows.clone(),
+        passed,
+        checks,
+        cost: seen.cost(spec),
+        seconds: begun.elapsed().as_secs_f64(),
+        repeat: format!("stgdat fault run {}{seed}", spec.path.display()),
+        kept: (!passed || options.keep.is_some()).then(|| folder.clone()),
+    };
+    if verdict.kept.is_none() {
+        let _ = std::fs::remove_dir_all(&folder);
+    }
+    Ok(verdict)
+}
+
+/// The specification with another seed, for the scene and all faults.
+fn seeded(spec: &Spec, seed: Option<u64>) -> Spec {
+    let mut spec = spec.clone();
+    if let Some(seed) = seed {
+        spec.run.seed = seed;
+        for fault in &mut spec.faults {
+            if let Fault::Topic(fault) = fault {
+                fault.seed = seed;
+            }
+        }
+    }
+    spec
+}
+
+/// A run with its faults.
+struct Session<'a> {
+    spec: &'a Spec,
+    folder: &'a Path,
+    launcher: Launcher,
+    begun: Instant,
+    /// When the first process of each stage was seen.
+    started: BTreeMap<StageId, Instant>,
+    sender: Sender<Line>,
+    lines: Receiver<Line>,
+    /// The run, once it has been announced, with the processes beside it.
+    run: Option<(Run, Vec<Writer>)>,
+    /// What is still to be done at a tick or time.
+    due: Vec<Action>,
+    /// Stopped processes, and when they go on.
+    stopped: Vec<(Instant, Pid, &'static str)>,
+    /// When the last fault without a frame of its own is over.
+    over_at: Option<Instant>,
+    /// The newest tick that any stage has reached.
+    tick: Option<u64>,
+    seen: Observation,
+}
+
+/// Something to be done to a process once its time has come.
+#[derive(Clone, Debug)]
+struct Action {
+    at: Due,
+    what: What,
+}
+
+#[derive(Clone, Copy, Debug)]
+enum Due {
+    Tick(u64),
+    AfterStart(Target, Duration),
+}
+
+#[derive(Clone, Debug)]
+enum What {
+    Kill(Target),
+    Stop(Target, Duration),
+    Limit(StageId, crate::faults::spec::Resource, u64),
+    Cpu(usize, Duration),
+}
+
+impl<'a> Session<'a> {
+    /// Starts `stgdat run`.
+    fn start(spec: &'a Spec, folder: &'a Path) -> Result<Self, Failure> {
+        let file = |name: &str| folder.join(name);
+        let pipeline = pipeline(spec)?;
+        std::fs::write(file("pipeline.toml"), pipeline).map_err(|error| Failure::file(folder, error))?;
+        for name in ["announce", "report.json", "forecasts.jsonl"] {
+            let _ = std::fs::remove_file(file(name));
+        }
+        let log = File::create(file("log.txt")).map_err(|error| Failure::file(folder, error))?;
+        let mut command = this_program()?;
+        arguments(&mut command, spec, folder);
+        command
+            .env(POINTS_VARIABLE, points(spec))
+            .stderr(log.try_clone().map_err(|error| Failure::file(folder, error))?)
+            .stdout(log);
+        let launcher = Launcher::new(command.spawn().map_err(Failure::unavailable)?);
+        let (sender, lines) = channel();
+        Ok(Self {
+            spec,
+            folder,
+            launcher,
+            begun: Instant::now(),
+            started: BTreeMap::new(),
+            sender,
+            lines,
+            run: None,
+            due: actions(spec),
+            stopped: Vec::new(),
+            over_at: None,
+            tick: None,
+            seen: Observation::default(),
+        })
+    }
+
+    /// Follows the run to its end and gathers what is left of it.
+    fn follow(mut self) -> Result<Observation, Failure> {
+        let mut sign = Instant::now();
+        let status = loop {
+            if let Some(status) = self.launcher.ended()? {
+                break status;
+            }
+            if self.run.is_none() {
+                self.attend()?;
+            }
+            match self.lines.recv_timeout(LOOK) {
+                Ok(line) => {
+                    sign = Instant::now();
+                    self.take(line);
+                }
+                Err(RecvTimeoutError::Timeout | RecvTimeoutError::Disconnected) => {}
+            }
+            self.act()?;
+            if sign.elapsed() > SILENCE_LIMIT {
+                let _ = kill_process(self.launcher.pid(), Signal::KILL);
+            }
+        };
+        self.gather(status)
+    }
+
+    /// Starts follower, injectors and consumers once the run has announced itself.
+    fn attend(&mut self) -> Result<(), Failure> {
+        let Ok(record) = std::fs::read_to_string(self.folder.join("announce")) else { return Ok(()) };
+        let record = Path::new(&record);
+        // The run may have ended already.
+        let Ok(run) = Run::read(record) else { return Ok(()) };
+        // A run that can't start its stages is about to remove its files, and nobody may make new ones.
+        if self.launcher.stages().len() < run.stages.len() {
+            return Ok(());
+        }
+        let mut writers = vec![Writer::start(&["follow"], record, &self.sender)?];
+        for topic in self.spec.injected_topics() {
+            let faults: Vec<&TopicFault> =
+                self.spec.topic_faults().filter(|fault| fault.topic == topic).collect();
+            let plan = self.folder.join(format!("inject-{topic}.json"));
+            let text = serde_json::to_vec_pretty(&faults).map_err(Failure::data)?;
+            std::fs::write(&plan, text).map_err(|error| Failure::file(&plan, error))?;
+            let plan = plan.display().to_string();
+            writers.push(Writer::start(&["inject", "--plan", &plan], record, &self.sender)?);
+        }
+        for fault in &self.spec.faults {
+            if let Fault::Consumer { topic, hold_ms } = fault {
+                let hold = hold_ms.map(|ms| ms.to_string());
+                let mut arguments = vec!["consume", topic];
+                arguments.extend(hold.iter().flat_map(|ms| ["--hold-ms", ms.as_str()]));
+                writers.push(Writer::start(&arguments, record, &self.sender)?);
+            }
+        }
+        self.run = Some((run, writers));
+        Ok(())
+    }
+
+    fn take(&mut self, line: Line) {
+        let tick = match &line {
+            Line::Forecasts(output) => Some(output.tick),
+            Line::Reached { tick, .. } => Some(*tick),
+            _ => None,
+        };
+        self.tick = self.tick.max(tick);
+        self.seen.lines.push(line);
+    }
+
+    /// Does what is due.
+    fn act(&mut self) -> Result<(), Failure> {
+        for (_, pid, name) in self.stopped.extract_if(.., |(until, ..)| Instant::now() >= *until) {
+            // It may have been killed for being stopped, and be gone.
+            let _ = kill_process(pid, Signal::CONT);
+            self.seen.lines.push(signalled(name, "continued", self.tick));
+            self.seen.over.extend(self.tick);
+        }
+        if self.over_at.is_some_and(|at| Instant::now() >= at) {
+            self.over_at = None;
+            self.seen.lines.push(signalled("machine", "has its CPU again", self.tick));
+            self.seen.over.extend(self.tick);
+        }
+        if self.due.iter().any(|action| matches!(action.at, Due::AfterStart(..))) {
+            for (_, stage) in self.launcher.stages() {
+                self.started.entry(stage).or_insert_with(Instant::now);
+            }
+        }
+        let (tick, begun, started) = (self.tick, self.begun, &self.started);
+        let is_due = |action: &mut Action| match action.at {
+            Due::Tick(at) => tick.is_some_and(|tick| tick >= at),
+            Due::AfterStart(Target::Launcher, after) => begun.elapsed() >= after,
+            Due::AfterStart(Target::Stage(stage), after) => {
+                started.get(&stage).is_some_and(|started| started.elapsed() >= after)
+            }
+        };
+        let now: Vec<Action> = self.due.extract_if(.., is_due).collect();
+        for action in now {
+            if !self.inflict(&action.what)? {
+                // The process is not there at this moment: it is being replaced.
+                self.due.push(action);
+            }
+        }
+        Ok(())
+    }
+
+    /// Does one thing to a process; false where it is not there.
+    fn inflict(&mut self, what: &What) -> Result<bool, Failure> {
+        let find = |target: Target| match target {
+            Target::Launcher => Some(self.launcher.pid()),
+            Target::Stage(stage) => self.launcher.stage(stage),
+        };
+        let (target, done) = match what {
+            What::Kill(target) => {
+                let Some(pid) = find(*target) else { return Ok(false) };
+                let stages = self.launcher.stages();
+                let _ = kill_process(pid, Signal::KILL);
+                if *target == Target::Launcher {
+                    self.seen.survivors = survivors(&stages);
+                }
+                (target.name(), "killed")
+            }
+            What::Stop(target, time) => {
+                let Some(pid) = find(*target) else { return Ok(false) };
+                let _ = kill_process(pid, Signal::STOP);
+                self.stopped.push((Instant::now() + *time, pid, target.name()));
+                (target.name(), "stopped")
+            }
+            What::Limit(stage, resource, value) => {
+                let Some(pid) = find(Target::Stage(*stage)) else { return Ok(false) };
+                limit(pid, *resource, *value)?;
+                (stage.name(), "limited")
+            }
+            What::Cpu(threads, time) => {
+                // They end by themselves.
+                drop(use_cpu(*threads, *time));
+                self.over_at = Some(Instant::now() + *time);
+                ("machine", "has no CPU left")
+            }
+        };
+        self.seen.lines.push(signalled(target, done, self.tick));
+        Ok(true)
+    }
+
+    /// Ends what runs beside the run, and reads what the run has left.
+    fn gather(mut self, status: ExitStatus) -> Result<Observation, Failure> {
+        self.seen.exit = status.code().unwrap_or_else(|| -status.signal().unwrap_or(0));
+        let run = self.run.take().map(|(run, writers)| {
+            drop(writers);
+            run
+        });
+        while let Ok(line) = self.lines.try_recv() {
+            self.take(line);
+        }
+        if let Some(run) = run {
+            if self.spec.kills_launcher() {
+                // As `stgdat clean` does.
+                for leftover in ports::leftovers().map_err(Failure::unavailable)? {
+                    if leftover.prefix == run.prefix {
+                        leftover.remove();
+                    }
+                }
+            }
+            self.seen.leftovers = left(&run);
+        }
+        self.seen.report = Report::read(&self.folder.join("report.json")).ok();
+        self.seen.recorded = recorded(&self.folder.join("forecasts.jsonl"));
+        let history = self.folder.join("history.jsonl");
+        write_lines(&history, &self.seen.lines).map_err(|error| Failure::file(&history, error))?;
+        Ok(self.seen)
+    }
+}
+
+fn signalled(target: &str, what: &str, tick: Option<u64>) -> Line {
+    Line::Signalled { target: target.to_owned(), what: what.to_owned(), tick: tick.unwrap_or(0) }
+}
+
+/// How many stages are still there a while after their launcher was killed.
+fn survivors(stages: &[(Pid, StageId)]) -> u64 {
+    let begun = Instant::now();
+    loop {
+        let alive = stages.iter().filter(|(pid, _)| is_alive(*pid)).count() as u64;
+        if alive == 0 || begun.elapsed() > SURVIVAL_LIMIT {
+            return alive;
+        }
+        std::thread::sleep(LOOK);
+    }
+}
+
+/// Files of a run in shared memory, and its folder.
+fn left(run: &Run) -> u64 {
+    let entries = std::fs::read_dir("/dev/shm").into_iter().flatten().filter_map(Result::ok);
+    let ours = entries.filter(|entry| entry.file_name().to_string_lossy().starts_with(&run.prefix)).count();
+    ours as u64 + u64::from(run.root.exists())
+}
+
+/// The ticks of a file of forecasts.
+fn recorded(path: &Path) -> BTreeSet<u64> {
+    #[derive(serde::Deserialize)]
+    struct Tick {
+        seq: u64,
+    }
+    let Ok(file) = File::open(path) else { return BTreeSet::new() };
+    let lines = BufReader::new(file).lines().map_while(Result::ok);
+    lines.filter_map(|line| serde_json::from_str::<Tick>(&line).ok()).map(|tick| tick.seq).collect()
+}
+
+fn write_lines(path: &Path, lines: &[Line]) -> std::io::Result<()> {
+    let mut file = std::io::BufWriter::new(File::create(path)?);
+    for line in lines {
+        serde_json::to_writer(&mut file, line)?;
+        file.write_all(b"\n")?;
+    }
+    file.flush()
+}
+
+/// What is to be done at ticks and times.
+fn actions(spec: &Spec) -> Vec<Action> {
+    let mut actions = Vec::new();
+    for fault in &spec.faults {
+        let mut at = |at, what| actions.push(Action { at, what });
+        match fault {
+            Fault::Kill { target, when: When::Ticks(ticks) } => {
+                ticks.iter().for_each(|tick| at(Due::Tick(*tick), What::Kill(*target)));
+            }
+            Fault::Kill { target, when: When::AfterStart { ms } } => {
+                at(Due::AfterStart(*target, Duration::from_millis(*ms)), What::Kill(*target));
+            }
+            Fault::Stop { target, ticks, for_ms } => {
+                let time = Duration::from_millis(*for_ms);
+                ticks.iter().for_each(|tick| at(Due::Tick(*tick), What::Stop(*target, time)));
+            }
+            Fault::Limit { stage, tick, resource, value } => {
+                at(Due::Tick(*tick), What::Limit(*stage, *resource, *value));
+            }
+            Fault::CrashLoop { stage, tick, .. } => at(Due::Tick(*tick), What::Kill(Target::Stage(*stage))),
+            Fault::Cpu { tick, for_ms, threads } => {
+                at(Due::Tick(*tick), What::Cpu(*threads, Duration::from_millis(*for_ms)));
+            }
+            Fault::KillAt { .. } | Fault::Command { .. } | Fault::Topic(_) | Fault::Consumer { .. } => {}
+        }
+    }
+    actions
+}
+
+/// The points at which stages kill themselves, as their variable has them.
+fn points(spec: &Spec) -> String {
+    let mut points: Vec<(u64, String)> = Vec::new();
+    for fault in &spec.faults {
+        if let Fault::KillAt { stage, point, ticks } = fault {
+            let entry = |tick: &u64| (*tick, format!("{}:{}@{tick}", stage.name(), point.name()));
+            points.extend(ticks.iter().map(entry));
+        }
+    }
+    points.sort();
+    let entries: Vec<String> = points.into_iter().map(|(_, entry)| entry).collect();
+    entries.join(",")
+}
+
+/// The arguments of `stgdat run`.
+fn arguments(command: &mut Command, spec: &Spec, folder: &Path) {
+    let run = &spec.run;
+    let forecasts = run.forecasts.clone().unwrap_or_else(|| folder.join("forecasts.jsonl"));
+    command.arg("run").arg("--quiet").stdin(Stdio::null());
+    command
+        .arg("--pipeline")
+        .arg(folder.join("pipeline.toml"))
+        .arg("--announce")
+        .arg(folder.join("announce"));
+    command.arg("--report").arg(folder.join("report.json")).arg("--forecasts").arg(forecasts);
+    command.arg("--ticks").arg(run.ticks.to_string()).arg("--seed").arg(run.seed.to_string());
+    if let Some(agents) = run.agents {
+        command.arg("--agents").arg(agents.to_string());
+    }
+    if let Some(recording) = &run.recording {
+        command.arg("--recording").arg(recording);
+    }
+    command.args(&run.arguments);
+}
+
+/// The pipeline of the run: with other names for the topics that an injector is on, and other programs where
+/// a fault puts them.
+fn pipeline(spec: &Spec) -> Result<String, Failure> {
+    let text = match &spec.run.pipeline {
+        Some(path) => {
+            std::fs::read_to_string(path).map_err(|error| Failure::config_about(path.display(), error))?
+        }
+        None => pipeline_file::SHIPPED.to_owned(),
+    };
+    let mut pipeline: toml::Table = toml::from_str(&text).map_err(Failure::config)?;
+    if let Some(topics) = &spec.run.protect {
+        pipeline.insert("protect".to_owned(), topics.clone().into());
+    }
+    let mut stages: Vec<&mut toml::Table> = pipeline
+        .get_mut("stage")
+        .and_then(toml::Value::as_array_mut)
+        .into_iter()
+        .flatten()
+        .filter_map(toml::Value::as_table_mut)
+        .collect();
+    for table in &mut stages {
+        let name = table.get("name").and_then(toml::Value::as_str);
+        if let Some(keys) = name.and_then(|name| spec.run.stages.get(name)) {
+            table.extend(keys.clone());
+        }
+    }
+    for topic in spec.injected_topics() {
+        let writes = |stage: &&mut &mut toml::Table| {
+            let topics = stage.get("writes").and_then(toml::Value::as_array);
+            topics.is_some_and(|topics| topics.iter().any(|name| name.as_str() == Some(topic)))
+        };
+        if let Some(writer) = stages.iter_mut().find(writes) {
+            let topics = writer.entry("topics").or_insert_with(|| toml::Table::new().into());
+            if let Some(topics) = topics.as_table_mut() {
+                topics.insert(topic.to_owned(), raw_name(topic).into());
+            }
+        }
+    }
+    for fault in &spec.faults {
+        let (stage, command) = match fault {
+            Fault::Command { stage, command } => (*stage, command.clone()),
+            Fault::CrashLoop { stage, exit_code, .. } => (*stage, crashing(*stage, *exit_code)?),
+            _ => continue,
+        };
+        let is_it = |table: &&mut &mut toml::Table| {
+            table.get("name").and_then(toml::Value::as_str) == Some(stage.name())
+        };
+        if let Some(table) = stages.iter_mut().find(is_it) {
+            table.insert("command".to_owned(), command.into());
+        }
+    }
+    toml::to_string(&pipeline).map_err(Failure::config)
+}
+
+/// A command whose first process is the stage and whose further ones end at once.
+fn crashing(stage: StageId, exit_code: u8) -> Result<Vec<String>, Failure> {
+    let this = std::env::current_exe().map_err(Failure::unavailable)?;
+    let words =
+        format!("test $STGDAT_INCARNATION = 0 || exit {exit_code}; exec \"$0\" stage {}", stage.name());
+    Ok(vec!["sh".to_owned(), "-c".to_owned(), words, this.display().to_string()])
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn spec(faults: &str) -> Spec {
+        let text = format!("shows = \"a test\"\n[run]\nticks = 90\n{faults}");
+        Spec::parse(Path::new("a.toml"), &text).unwrap()
+    }
+
+    #[test]
+    fn points_of_all_faults_are_in_the_order_of_their_ticks() {
+        let spec = spec(
+            "[[fault]]\nkind = \"kill\"\nstage = \"decoder\"\npoint = \"idle\"\nat = [40, 80]\n\
+             [[fault]]\nkind = \"kill\"\nstage = \"decoder\"\npoint = \"mid-write\"\nat = 60",
+        );
+        assert_eq!(points(&spec), "decoder:idle@40,decoder:mid-write@60,decoder:idle@80");
+    }
+
+    #[test]
+    fn the_writer_of_a_faulty_topic_opens_it_under_another_name() {
+        let spec = spec(
+            "[[fault]]\nkind = \"drop\"\ntopic = \"tracks\"\nticks = [1, 2]\n\
+             [[fault]]\nkind = \"command\"\nstage = \"encoder\"\ncommand = [\"/nowhere\"]",
+        );
+        let declared = crate::stages::declared();
+        let pipeline = config::Pipeline::parse("a.toml", &pipeline(&spec).unwrap(), &declared).unwrap();
+        let stage = |id| pipeline.stages.iter().find(|stage| stage.id == id).unwrap();
+        assert_eq!(stage(StageId::Tracker).topics["tracks"], "tracks-injected");
+        assert!(stage(StageId::Localiser).topics.is_empty());
+        assert_eq!(stage(StageId::Encoder).command.as_deref(), Some(&["/nowhere".to_owned()][..]));
+    }
+}

@@ -1,0 +1,88 @@
+//! The specifications that are built in, and those of files and folders.
+
+use std::path::{Path, PathBuf};
+
+use crate::failure::Failure;
+use crate::faults::spec::Spec;
+
+/// Names the files of `tests/faults`, with their texts.
+macro_rules! scenarios {
+    ($($name:literal),* $(,)?) => {
+        &[$(($name, include_str!(concat!("../../../tests/faults/", $name, ".toml")))),*]
+    };
+}
+
+/// The built-in specifications, by name.
+const BUILT_IN: &[(&str, &str)] = scenarios![
+    "01-kill",
+    "02-kill-in-a-step",
+    "02-reclaim",
+    "03-kill-at-start",
+    "04-broken-command",
+    "04-crash-loop",
+    "05-stop",
+    "05-stopped-launcher",
+    "06-delay",
+    "07-drop",
+    "07-drop-controls",
+    "08-duplicate",
+    "08-reorder",
+    "08-reorder-unchecked",
+    "09-bit-flip",
+    "09-bit-flip-header-unchecked",
+    "09-bit-flip-unchecked",
+    "10-foreign",
+    "10-not-finite",
+    "11-frozen-stamps",
+    "12-clock-jump-back",
+    "12-clock-jump-forward",
+    "13-greedy-consumer",
+    "14-descriptors",
+    "14-disk-full",
+    "14-file-limit",
+    "15-cpu",
+    "16-launcher-killed",
+];
+
+/// The built-in specifications.
+pub fn built_in() -> Result<Vec<Spec>, Failure> {
+    BUILT_IN.iter().map(|(name, text)| Ok(Spec::parse(Path::new(&format!("{name}.toml")), text)?)).collect()
+}
+
+/// The specifications of files, of all files of folders, and the built-in ones of these names.
+pub fn find_all(places: &[PathBuf]) -> Result<Vec<Spec>, Failure> {
+    let mut specs = Vec::new();
+    for place in places {
+        let name = place.to_string_lossy();
+        if place.is_dir() {
+            let entries = std::fs::read_dir(place).map_err(|error| Failure::file(place, error))?;
+            let mut files: Vec<PathBuf> = entries.filter_map(|entry| Some(entry.ok()?.path())).collect();
+            files.retain(|file| file.extension().is_some_and(|extension| extension == "toml"));
+            files.sort();
+            for file in files {
+                specs.push(Spec::read(&file)?);
+            }
+        } else if let Some((_, text)) = BUILT_IN.iter().find(|(known, _)| *known == name && !place.exists()) {
+            specs.push(Spec::parse(place, text)?);
+        } else {
+            specs.push(Spec::read(place)?);
+        }
+    }
+    if specs.is_empty() {
+        return Err(Failure::Usage("no specification in these folders: they end with .toml".to_owned()));
+    }
+    Ok(specs)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_file_of_the_folder_is_built_in_and_can_be_used() {
+        let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../tests/faults");
+        let in_folder: Vec<String> = find_all(&[folder]).unwrap().into_iter().map(|spec| spec.name).collect();
+        let known: Vec<String> = built_in().unwrap().into_iter().map(|spec| spec.name).collect();
+        assert_eq!(in_folder, known);
+    }
+}

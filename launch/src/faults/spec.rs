@@ -1,0 +1,241 @@
+//! The specification of a fault run, in TOML.
+
+mod check;
+mod error;
+mod table;
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+use ports::Point;
+use serde::{Deserialize, Serialize};
+use wire::StageId;
+
+use crate::failure::Failure;
+use crate::faults::effect::Effect;
+pub use error::SpecError;
+pub use table::{Counted, Expect};
+
+/// What to run, what to inject, and what to expect.
+#[derive(Clone, Debug)]
+pub struct Spec {
+    /// The file's name without its folder and ending.
+    pub name: String,
+    /// The file.
+    pub path: PathBuf,
+    /// What it shows, in a sentence.
+    pub shows: String,
+    /// The run.
+    pub run: RunSpec,
+    /// The faults.
+    pub faults: Vec<Fault>,
+    /// What is expected.
+    pub expect: Expect,
+}
+
+/// The run that the faults are injected into.
+#[derive(Clone, Debug)]
+pub struct RunSpec {
+    /// Its length.
+    pub ticks: u64,
+    /// Agents of the generated scene; the default of `run` where none.
+    pub agents: Option<u64>,
+    /// The recording; a generated scene where none.
+    pub recording: Option<PathBuf>,
+    /// Seed of the scene and of all faults that have none of their own.
+    pub seed: u64,
+    /// The pipeline.toml; the built-in one where none.
+    pub pipeline: Option<PathBuf>,
+    /// Where the recorder writes the forecasts; into the run's folder where none.
+    pub forecasts: Option<PathBuf>,
+    /// Topics whose frames carry a check value; those of the pipeline.toml where none.
+    pub protect: Option<Vec<String>>,
+    /// Keys of stages in place of those of the pipeline.toml, by the stage's name.
+    pub stages: BTreeMap<String, toml::Table>,
+    /// Further arguments of `stgdat run`.
+    pub arguments: Vec<String>,
+}
+
+/// One fault.
+#[derive(Clone, Debug)]
+pub enum Fault {
+    /// A process is sent SIGKILL.
+    Kill {
+        /// Which.
+        target: Target,
+        /// When.
+        when: When,
+    },
+    /// A stage kills itself at a point of its step.
+    KillAt {
+        /// The stage.
+        stage: StageId,
+        /// The point.
+        point: Point,
+        /// From which tick on: the n-th is for its n-th process.
+        ticks: Vec<u64>,
+    },
+    /// A process is sent SIGSTOP, and SIGCONT after a time.
+    Stop {
+        /// Which.
+        target: Target,
+        /// At which ticks.
+        ticks: Vec<u64>,
+        /// The time between the two.
+        for_ms: u64,
+    },
+    /// A resource of a stage's process is limited.
+    Limit {
+        /// The stage.
+        stage: StageId,
+        /// At which tick.
+        tick: u64,
+        /// The resource.
+        resource: Resource,
+        /// The limit.
+        value: u64,
+    },
+    /// A stage is killed, and every further process of it ends at once.
+    CrashLoop {
+        /// The stage.
+        stage: StageId,
+        /// At which tick it is killed.
+        tick: u64,
+        /// The exit code of its further processes.
+        exit_code: u8,
+    },
+    /// Another program is put in a stage's place.
+    Command {
+        /// The stage.
+        stage: StageId,
+        /// The program with its arguments.
+        command: Vec<String>,
+    },
+    /// Frames of a topic are changed between its writer and its readers.
+    Topic(TopicFault),
+    /// Threads that do nothing but use the CPU.
+    Cpu {
+        /// At which tick.
+        tick: u64,
+        /// For how long.
+        for_ms: u64,
+        /// How many.
+        threads: usize,
+    },
+    /// One more consumer, which gives the frames that it holds back late or never.
+    Consumer {
+        /// The topic.
+        topic: String,
+        /// Time for which it holds each frame; for ever where none.
+        hold_ms: Option<u64>,
+    },
+}
+
+/// A process that a signal is sent to.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Target {
+    /// A stage, of our own or of a command.
+    Stage(StageId),
+    /// The launcher.
+    Launcher,
+}
+
+impl Target {
+    /// Its name.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Stage(stage) => stage.name(),
+            Self::Launcher => "launcher",
+        }
+    }
+}
+
+/// When a process is killed.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum When {
+    /// At these ticks.
+    Ticks(Vec<u64>),
+    /// So long after its first process has begun, once.
+    AfterStart {
+        /// Milliseconds.
+        ms: u64,
+    },
+}
+
+/// A resource of a process.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Resource {
+    /// Open descriptors.
+    Descriptors,
+    /// Size of files that it writes: a full disk. Counts for its shared memory too.
+    FileSize,
+    /// Address space.
+    Memory,
+}
+
+/// A fault between a topic's writer and its readers.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct TopicFault {
+    /// The topic.
+    pub topic: String,
+    /// What is done to a frame.
+    pub effect: Effect,
+    /// The ticks on which it may act, the last one included.
+    pub ticks: [u64; 2],
+    /// The probability with which it acts on each of them.
+    pub probability: f64,
+    /// Seed of that choice and of what is done.
+    pub seed: u64,
+}
+
+impl Spec {
+    /// Reads and checks a specification.
+    ///
+    /// # Errors
+    /// [`Failure::Spec`] points to the first place in the text that is wrong.
+    pub fn read(path: &Path) -> Result<Self, Failure> {
+        let text =
+            std::fs::read_to_string(path).map_err(|error| Failure::config_about(path.display(), error))?;
+        Ok(Self::parse(path, &text)?)
+    }
+
+    /// Checks the text of a specification.
+    pub fn parse(path: &Path, text: &str) -> Result<Self, SpecError> {
+        check::parse(path, text)
+    }
+
+    /// The faults between topics.
+    pub fn topic_faults(&self) -> impl Iterator<Item = &TopicFault> {
+        self.faults
+            .iter()
+            .filter_map(|fault| if let Fault::Topic(fault) = fault { Some(fault) } else { None })
+    }
+
+    /// The topics with an injector, each once.
+    pub fn injected_topics(&self) -> Vec<&str> {
+        let mut topics: Vec<&str> = self.topic_faults().map(|fault| fault.topic.as_str()).collect();
+        topics.sort_unstable();
+        topics.dedup();
+        topics
+    }
+
+    /// The stages that a fault is aimed at: their restarts are expected.
+    pub fn targets(&self) -> Vec<StageId> {
+        let of = |fault: &Fault| match fault {
+            Fault::Kill { target: Target::Stage(stage), .. }
+            | Fault::Stop { target: Target::Stage(stage), .. } => Some(*stage),
+            Fault::KillAt { stage, .. }
+            | Fault::Limit { stage, .. }
+            | Fault::CrashLoop { stage, .. }
+            | Fault::Command { stage, .. } => Some(*stage),
+            _ => None,
+        };
+        self.faults.iter().filter_map(of).collect()
+    }
+
+    /// Whether the launcher itself is killed.
+    pub fn kills_launcher(&self) -> bool {
+        self.faults.iter().any(|fault| matches!(fault, Fault::Kill { target: Target::Launcher, .. }))
+    }
+}

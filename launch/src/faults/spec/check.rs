@@ -1,0 +1,435 @@
+//! From the text of a specification to what it means.
+
+use std::ops::Range;
+use std::path::{Path, PathBuf};
+
+use ports::Point;
+use toml::Spanned;
+use wire::{StageId, TABLE};
+
+use super::error::Mistake;
+use super::table::{At, Expect, FaultTable, File};
+use super::{Fault, RunSpec, Spec, SpecError, Target, TopicFault, When};
+use crate::faults::effect::{Effect, Part};
+
+/// Kinds of faults on processes, with the keys that each must and may have.
+const KINDS: [(&str, &[&str], &[&str]); 7] = [
+    ("kill", &["stage"], &["at", "after_start_ms", "point"]),
+    ("stop", &["stage", "at", "for_ms"], &[]),
+    ("limit", &["stage", "at", "resource", "value"], &[]),
+    ("crash-loop", &["stage", "at"], &["exit_code"]),
+    ("command", &["stage", "command"], &[]),
+    ("cpu", &["at", "for_ms"], &["threads"]),
+    ("consumer", &["topic"], &["hold_ms"]),
+];
+/// Kinds of faults on a topic, with the keys that each must and may have beside those of all of them.
+const EFFECTS: [(&str, &[&str], &[&str]); 13] = [
+    ("delay", &["delay_ms"], &["jitter_ms"]),
+    ("drop", &[], &[]),
+    ("duplicate", &[], &[]),
+    ("reorder", &[], &[]),
+    ("bit-flip", &[], &["bits", "in"]),
+    ("not-finite", &[], &[]),
+    ("huge", &[], &[]),
+    ("wrong-length", &[], &[]),
+    ("wrong-schema", &[], &[]),
+    ("foreign-run", &[], &[]),
+    ("old-incarnation", &[], &[]),
+    ("frozen", &["in"], &[]),
+    ("clock-jump", &["jump_ms"], &[]),
+];
+/// Keys that every fault on a topic must and may have.
+const OF_TOPIC: (&[&str], &[&str]) = (&["topic", "ticks"], &["probability", "seed"]);
+/// Causes of frames lost in a stage.
+const COUNTERS: [&str; 3] = ["gap", "refused", "restart"];
+/// Threads per core of a CPU fault: enough that a stage's share is small.
+const HOGS_PER_CORE: usize = 8;
+
+pub(super) fn parse(path: &Path, text: &str) -> Result<Spec, SpecError> {
+    let file: File = toml::from_str(text).map_err(|error| {
+        let message = error.message().lines().next().unwrap_or("not a specification").to_owned();
+        Mistake::new(error.span().unwrap_or(0..text.len().min(1)), message, "here").at(path, text)
+    })?;
+    check(path, file).map_err(|mistake| mistake.at(path, text))
+}
+
+fn check(path: &Path, file: File) -> Result<Spec, Mistake> {
+    let folder = path.parent().unwrap_or(Path::new(""));
+    let ticks = *file.run.ticks.get_ref();
+    if ticks == 0 {
+        return Err(Mistake::new(
+            file.run.ticks.span(),
+            "`ticks` = 0: a run without ticks",
+            "expected 1 or more",
+        ));
+    }
+    let beside = |path: PathBuf| if path.is_absolute() { path } else { folder.join(path) };
+    if let Some((name, _)) =
+        file.run.stages.iter().find(|(name, _)| StageId::from_name(name.get_ref()).is_none())
+    {
+        let label = format!("expected one of {}", StageId::ALL.map(StageId::name).join(", "));
+        return Err(Mistake::new(name.span(), format!("unknown stage \"{}\"", name.get_ref()), label));
+    }
+    let run = RunSpec {
+        stages: file.run.stages.into_iter().map(|(name, keys)| (name.into_inner(), keys)).collect(),
+        ticks,
+        agents: file.run.agents,
+        recording: file.run.recording.map(beside),
+        seed: file.run.seed,
+        pipeline: file.run.pipeline.map(beside),
+        forecasts: file.run.forecasts.map(beside),
+        protect: file.run.protect,
+        arguments: file.run.arguments,
+    };
+    let faults = file.faults.iter().map(|table| fault(table, &run)).collect::<Result<Vec<_>, _>>()?;
+    for (i, table) in file.faults.iter().enumerate() {
+        not_mixed(table, &faults[i], &faults[..i])?;
+    }
+    expectations(&file.expect)?;
+    let name = path.file_stem().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
+    Ok(Spec { name, path: path.to_owned(), shows: file.shows, run, faults, expect: file.expect })
+}
+
+/// The entries of a stage's points are for its processes in turn: a kill by signal in between would take one.
+fn not_mixed(table: &Spanned<FaultTable>, fault: &Fault, earlier: &[Fault]) -> Result<(), Mistake> {
+    let of = |fault: &Fault| match fault {
+        Fault::KillAt { stage, .. } => Some((*stage, true)),
+        Fault::Kill { target: Target::Stage(stage), .. }
+        | Fault::Stop { target: Target::Stage(stage), .. } => Some((*stage, false)),
+        _ => None,
+    };
+    let Some((stage, at_point)) = of(fault) else { return Ok(()) };
+    if earlier.iter().filter_map(of).any(|(other, point)| other == stage && point != at_point) {
+        let message = format!("the {} is killed at a point and by signals in one run", stage.name());
+        return Err(Mistake::new(table.span(), message, "make it a specification of its own"));
+    }
+    Ok(())
+}
+
+fn fault(table: &Spanned<FaultTable>, run: &RunSpec) -> Result<Fault, Mistake> {
+    let (span, table) = (table.span(), table.get_ref());
+    let kind = table.kind.get_ref().as_str();
+    let of_kind = |list: &[(&'static str, &'static [&'static str], &'static [&'static str])]| {
+        list.iter().find(|(name, ..)| *name == kind).map(|(_, must, may)| (*must, *may))
+    };
+    let (must, may) = match (of_kind(&KINDS), of_kind(&EFFECTS)) {
+        (Some((must, may)), _) => (must.to_vec(), may.to_vec()),
+        (None, Some((must, may))) => ([OF_TOPIC.0, must].concat(), [OF_TOPIC.1, may].concat()),
+        (None, None) => {
+            let known: Vec<&str> = KINDS.iter().chain(&EFFECTS).map(|(name, ..)| *name).collect();
+            let label = format!("expected one of {}", known.join(", "));
+            return Err(Mistake::new(table.kind.span(), format!("unknown kind of fault \"{kind}\""), label));
+        }
+    };
+    let keys = table.keys();
+    if let Some((key, span)) = keys.iter().find(|(key, _)| !must.contains(key) && !may.contains(key)) {
+        let expected = [&must[..], &may[..]].concat().join(", ");
+        let label = format!("a \"{kind}\" has {expected}");
+        return Err(Mistake::new(
+            span.clone(),
+            format!("`{key}` means nothing to a fault \"{kind}\""),
+            label,
+        ));
+    }
+    if let Some(missing) = must.iter().find(|key| !keys.iter().any(|(set, _)| set == *key)) {
+        return Err(Mistake::new(span, format!("a fault \"{kind}\" needs `{missing}`"), "in this fault"));
+    }
+    match kind {
+        "kill" => kill(table, span, run),
+        "stop" => Ok(Fault::Stop {
+            target: target(table)?,
+            ticks: ticks(table, run)?,
+            for_ms: value(&table.for_ms),
+        }),
+        "limit" => {
+            let resource = *table.resource.as_ref().expect("a key that the kind must have").get_ref();
+            let (stage, tick) = (stage(table)?, tick(table, run)?);
+            Ok(Fault::Limit { stage, tick, resource, value: value(&table.value) })
+        }
+        "crash-loop" => {
+            let exit_code = table.exit_code.as_ref().map_or(3, |code| *code.get_ref());
+            Ok(Fault::CrashLoop { stage: stage(table)?, tick: tick(table, run)?, exit_code })
+        }
+        "command" => {
+            let command = table.command.as_ref().expect("a key that the kind must have");
+            if command.get_ref().is_empty() {
+                return Err(Mistake::new(command.span(), "`command` is empty", "expected [\"program\", …]"));
+            }
+            Ok(Fault::Command { stage: stage(table)?, command: command.get_ref().clone() })
+        }
+        "cpu" => {
+            let cores = std::thread::available_parallelism().map_or(1, std::num::NonZero::get);
+            let threads = table.threads.as_ref().map_or(HOGS_PER_CORE * cores, |threads| *threads.get_ref());
+            Ok(Fault::Cpu { tick: tick(table, run)?, for_ms: value(&table.for_ms), threads })
+        }
+        "consumer" => {
+            let hold_ms = table.hold_ms.as_ref().map(|ms| *ms.get_ref());
+            Ok(Fault::Consumer { topic: topic(table)?, hold_ms })
+        }
+        _ => of_topic(kind, table, run).map(Fault::Topic),
+    }
+}
+
+fn kill(table: &FaultTable, span: Range<usize>, run: &RunSpec) -> Result<Fault, Mistake> {
+    match (&table.point, &table.at, &table.after_start_ms) {
+        (Some(point), Some(_), None) => {
+            let (stage, name) = (stage(table)?, point.get_ref());
+            let known = Point::ALL.map(Point::name).join(", ");
+            let found = Point::from_name(name).ok_or_else(|| {
+                let label = format!("expected one of {known}");
+                Mistake::new(point.span(), format!("unknown point \"{name}\" of a stage's step"), label)
+            })?;
+            if stage == StageId::Recorder && found != Point::Idle {
+                let message = format!("the recorder has no point \"{name}\": it sends nothing");
+                return Err(Mistake::new(point.span(), message, "it has \"idle\" alone"));
+            }
+            Ok(Fault::KillAt { stage, point: found, ticks: ticks(table, run)? })
+        }
+        (None, Some(_), None) => {
+            Ok(Fault::Kill { target: target(table)?, when: When::Ticks(ticks(table, run)?) })
+        }
+        (None, None, Some(ms)) => {
+            Ok(Fault::Kill { target: target(table)?, when: When::AfterStart { ms: *ms.get_ref() } })
+        }
+        _ => Err(Mistake::new(
+            span,
+            "when does it kill?",
+            "needs `at`, alone or with a `point`, or `after_start_ms`",
+        )),
+    }
+}
+
+fn of_topic(kind: &str, table: &FaultTable, run: &RunSpec) -> Result<TopicFault, Mistake> {
+    let effect = match kind {
+        "delay" => Effect::Delay {
+            ms: value(&table.delay_ms),
+            jitter_ms: table.jitter_ms.as_ref().map_or(0, |ms| *ms.get_ref()),
+        },
+        "drop" => Effect::Drop,
+        "duplicate" => Effect::Duplicate,
+        "reorder" => Effect::Reorder,
+        "bit-flip" => {
+            let bits = table.bits.as_ref().map_or(1, |bits| *bits.get_ref());
+            Effect::BitFlip { bits, part: part(table, &["header", "payload"])?.unwrap_or(Part::Payload) }
+        }
+        "not-finite" => Effect::NotFinite,
+        "huge" => Effect::Huge,
+        "wrong-length" => Effect::WrongLength,
+        "wrong-schema" => Effect::WrongSchema,
+        "foreign-run" => Effect::ForeignRun,
+        "old-incarnation" => Effect::OldIncarnation,
+        "frozen" => Effect::Frozen { part: part(table, &["stamp", "payload"])?.unwrap_or(Part::Stamp) },
+        _ => Effect::ClockJump { ms: table.jump_ms.as_ref().map_or(0, |ms| *ms.get_ref()) },
+    };
+    let ticks = table.ticks.as_ref().expect("a key that the kind must have");
+    let [first, last] = *ticks.get_ref();
+    if first > last || last >= run.ticks {
+        let message = format!("`ticks` = [{first}, {last}] of a run of {} ticks", run.ticks);
+        return Err(Mistake::new(
+            ticks.span(),
+            message,
+            format!("expected 0 ≤ first ≤ last < {}", run.ticks),
+        ));
+    }
+    let probability = table.probability.as_ref().map_or(1.0, |probability| *probability.get_ref());
+    if !(probability > 0.0 && probability <= 1.0) {
+        let span = table.probability.as_ref().map_or(0..0, Spanned::span);
+        return Err(Mistake::new(
+            span,
+            format!("`probability` = {probability}"),
+            "expected more than 0, at most 1",
+        ));
+    }
+    let seed = table.seed.as_ref().map_or(run.seed, |seed| *seed.get_ref());
+    Ok(TopicFault { topic: topic(table)?, effect, ticks: [first, last], probability, seed })
+}
+
+fn part(table: &FaultTable, known: &[&str]) -> Result<Option<Part>, Mistake> {
+    let Some(part) = &table.r#in else { return Ok(None) };
+    let found = match part.get_ref().as_str() {
+        "header" => Some(Part::Header),
+        "payload" => Some(Part::Payload),
+        "stamp" => Some(Part::Stamp),
+        _ => None,
+    };
+    match found.filter(|_| known.contains(&part.get_ref().as_str())) {
+        Some(found) => Ok(Some(found)),
+        None => {
+            let label = format!("expected {}", known.join(" or "));
+            Err(Mistake::new(part.span(), format!("`in` = \"{}\"", part.get_ref()), label))
+        }
+    }
+}
+
+fn value(of: &Option<Spanned<u64>>) -> u64 {
+    of.as_ref().map_or(0, |value| *value.get_ref())
+}
+
+fn ticks(table: &FaultTable, run: &RunSpec) -> Result<Vec<u64>, Mistake> {
+    let at = table.at.as_ref().expect("a key that the kind must have");
+    let ticks = match at.get_ref() {
+        At::One(tick) => vec![*tick],
+        At::Many(ticks) => ticks.clone(),
+    };
+    if ticks.is_empty() || !ticks.is_sorted_by(|a, b| a < b) {
+        return Err(Mistake::new(
+            at.span(),
+            format!("`at` = {ticks:?}"),
+            "expected ticks, each after the one before",
+        ));
+    }
+    match ticks.last() {
+        Some(last) if *last >= run.ticks => {
+            let message = format!("`at` = {last} of a run of {} ticks", run.ticks);
+            Err(Mistake::new(at.span(), message, format!("expected less than {}", run.ticks)))
+        }
+        _ => Ok(ticks),
+    }
+}
+
+fn tick(table: &FaultTable, run: &RunSpec) -> Result<u64, Mistake> {
+    match &ticks(table, run)?[..] {
+        [tick] => Ok(*tick),
+        more => {
+            let span = table.at.as_ref().map_or(0..0, Spanned::span);
+            Err(Mistake::new(
+                span,
+                format!("`at` = {more:?}"),
+                "expected a single tick for this kind of fault",
+            ))
+        }
+    }
+}
+
+fn target(table: &FaultTable) -> Result<Target, Mistake> {
+    match &table.stage {
+        Some(name) if name.get_ref() == "launcher" => Ok(Target::Launcher),
+        _ => stage(table).map(Target::Stage),
+    }
+}
+
+fn stage(table: &FaultTable) -> Result<StageId, Mistake> {
+    let name = table.stage.as_ref().expect("a key that the kind must have");
+    StageId::from_name(name.get_ref()).ok_or_else(|| {
+        let label = format!("expected one of {}", StageId::ALL.map(StageId::name).join(", "));
+        Mistake::new(name.span(), format!("unknown stage \"{}\"", name.get_ref()), label)
+    })
+}
+
+fn topic(table: &FaultTable) -> Result<String, Mistake> {
+    let name = table.topic.as_ref().expect("a key that the kind must have");
+    let topics: Vec<&str> =
+        TABLE.topics.iter().filter(|topic| topic.publishers_max == 1).map(|topic| topic.name).collect();
+    if topics.contains(&name.get_ref().as_str()) {
+        return Ok(name.get_ref().clone());
+    }
+    let label = format!("expected one of {}", topics.join(", "));
+    Err(Mistake::new(name.span(), format!("unknown topic \"{}\"", name.get_ref()), label))
+}
+
+/// Names in the block of expectations, which has no places of its own in the text.
+fn expectations(expect: &Expect) -> Result<(), Mistake> {
+    let stages = expect.outages.iter().map(|outages| &outages.stage);
+    let stages = stages.chain(expect.counted.iter().map(|counted| &counted.stage)).chain(&expect.given_up);
+    let mut starved = expect.starved.iter().filter(|name| *name != "any");
+    if let Some(name) = stages.chain(&mut starved).find(|name| StageId::from_name(name).is_none()) {
+        let label = format!("in `[expect]`; the stages are {}", StageId::ALL.map(StageId::name).join(", "));
+        return Err(Mistake::new(0..0, format!("unknown stage \"{name}\""), label));
+    }
+    for counted in &expect.counted {
+        if !COUNTERS.contains(&counted.cause.as_str()) {
+            let label = format!("in `[[expect.counted]]`; the causes are {}", COUNTERS.join(", "));
+            return Err(Mistake::new(0..0, format!("unknown cause \"{}\"", counted.cause), label));
+        }
+        if counted.as_injected.is_none() && counted.min.is_none() && counted.max.is_none() {
+            let label = "in `[[expect.counted]]`: set `as_injected`, `min` or `max`";
+            return Err(Mistake::new(
+                0..0,
+                format!("nothing is expected of the {}'s count", counted.stage),
+                label,
+            ));
+        }
+        let kinds = || EFFECTS.iter().map(|(name, ..)| *name);
+        if let Some(kind) =
+            counted.as_injected.as_ref().filter(|kind| !kinds().any(|known| known == kind.as_str()))
+        {
+            let label =
+                format!("in `[[expect.counted]]`; the kinds are {}", kinds().collect::<Vec<_>>().join(", "));
+            return Err(Mistake::new(0..0, format!("unknown kind of fault \"{kind}\""), label));
+        }
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn spec(body: &str) -> Result<Spec, String> {
+        let text = format!("shows = \"a test\"\n[run]\nticks = 100\n{body}");
+        parse(Path::new("folder/07-test.toml"), &text).map_err(|error| error.to_string())
+    }
+
+    fn refused(body: &str, with: &str) {
+        let error = spec(body).expect_err(body);
+        assert!(error.starts_with("folder/07-test.toml:") && error.contains(with), "{body}: {error}");
+    }
+
+    #[test]
+    fn a_specification_is_read() {
+        let read = spec(
+            "recording = \"a.csv\"\nseed = 4\n[[fault]]\nkind = \"drop\"\ntopic = \"tracks\"\nticks = [20, 40]\n\
+             probability = 0.5\n[[fault]]\nkind = \"kill\"\nstage = \"decoder\"\nat = [30, 60]\npoint = \"mid-write\"\n\
+             [expect]\nhole_max = 3\ncounted = [{ stage = \"localiser\", cause = \"gap\", as_injected = \"drop\" }]",
+        )
+        .unwrap();
+        assert_eq!((read.name.as_str(), read.run.recording), ("07-test", Some("folder/a.csv".into())));
+        let topic = TopicFault {
+            topic: "tracks".into(),
+            effect: Effect::Drop,
+            ticks: [20, 40],
+            probability: 0.5,
+            seed: 4,
+        };
+        assert!(matches!(&read.faults[0], Fault::Topic(fault) if *fault == topic), "{:?}", read.faults);
+        let Fault::KillAt { stage: StageId::Decoder, point: Point::MidWrite, ticks } = &read.faults[1] else {
+            panic!("{:?}", read.faults)
+        };
+        assert_eq!((ticks, read.expect.hole_max), (&vec![30, 60], Some(3)));
+    }
+
+    #[test]
+    fn mistakes_name_the_line_the_value_and_what_is_expected() {
+        refused("[[fault]]\nkind = \"explode\"", ":5: unknown kind of fault \"explode\"");
+        refused(
+            "[[fault]]\nkind = \"kill\"\nstage = \"decoder\"\nat = 100",
+            ":7: `at` = 100 of a run of 100 ticks",
+        );
+        refused("[[fault]]\nkind = \"kill\"\nstage = \"enkoder\"\nat = 10", ":6: unknown stage \"enkoder\"");
+        refused("[[fault]]\nkind = \"kill\"\nstage = \"decoder\"", ":4: when does it kill?");
+        refused(
+            "[[fault]]\nkind = \"stop\"\nstage = \"decoder\"\nat = 10",
+            ":4: a fault \"stop\" needs `for_ms`",
+        );
+        refused(
+            "[[fault]]\nkind = \"cpu\"\nat = 10\nfor_ms = 5\nbits = 2",
+            ":8: `bits` means nothing to a fault \"cpu\"",
+        );
+        refused(
+            "[[fault]]\nkind = \"kill\"\nstage = \"recorder\"\npoint = \"mid-write\"\nat = 9",
+            ":7: the recorder has no point \"mid-write\"",
+        );
+        refused(
+            "[[fault]]\nkind = \"drop\"\ntopic = \"trucks\"\nticks = [1, 2]",
+            ":6: unknown topic \"trucks\"",
+        );
+        refused("[[fault]]\nkind = \"drop\"\ntopic = \"tracks\"\nticks = [3, 2]", ":7: `ticks` = [3, 2]");
+        refused("[expect]\nhole = 3", ":5: unknown field `hole`");
+        refused("[expect]\ngiven_up = [\"me\"]", "unknown stage \"me\"");
+        refused(
+            "[[fault]]\nkind = \"kill\"\nstage = \"decoder\"\nat = 9\n[[fault]]\nkind = \"kill\"\nstage = \"decoder\"\n\
+             point = \"idle\"\nat = 20",
+            ":8: the decoder is killed at a point and by signals",
+        );
+    }
+}

@@ -1,0 +1,165 @@
+//! The specification as it is written; values that can be wrong have their span in the text.
+
+use std::collections::BTreeMap;
+use std::path::PathBuf;
+
+use serde::Deserialize;
+use toml::Spanned;
+
+use super::Resource;
+
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct File {
+    pub shows: String,
+    pub run: RunTable,
+    #[serde(rename = "fault", default)]
+    pub faults: Vec<Spanned<FaultTable>>,
+    #[serde(default)]
+    pub expect: Expect,
+}
+
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct RunTable {
+    pub ticks: Spanned<u64>,
+    pub agents: Option<u64>,
+    pub recording: Option<PathBuf>,
+    #[serde(default = "one")]
+    pub seed: u64,
+    pub pipeline: Option<PathBuf>,
+    pub forecasts: Option<PathBuf>,
+    pub protect: Option<Vec<String>>,
+    #[serde(default)]
+    pub stages: BTreeMap<Spanned<String>, toml::Table>,
+    #[serde(default)]
+    pub arguments: Vec<String>,
+}
+
+const fn one() -> u64 {
+    1
+}
+
+/// A fault with the keys of all kinds; which of them a kind has is checked.
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct FaultTable {
+    pub kind: Spanned<String>,
+    pub stage: Option<Spanned<String>>,
+    pub topic: Option<Spanned<String>>,
+    pub at: Option<Spanned<At>>,
+    pub after_start_ms: Option<Spanned<u64>>,
+    pub point: Option<Spanned<String>>,
+    pub for_ms: Option<Spanned<u64>>,
+    pub ticks: Option<Spanned<[u64; 2]>>,
+    pub probability: Option<Spanned<f64>>,
+    pub seed: Option<Spanned<u64>>,
+    pub delay_ms: Option<Spanned<u64>>,
+    pub jitter_ms: Option<Spanned<u64>>,
+    pub jump_ms: Option<Spanned<i64>>,
+    pub bits: Option<Spanned<u32>>,
+    pub r#in: Option<Spanned<String>>,
+    pub hold_ms: Option<Spanned<u64>>,
+    pub resource: Option<Spanned<Resource>>,
+    pub value: Option<Spanned<u64>>,
+    pub exit_code: Option<Spanned<u8>>,
+    pub command: Option<Spanned<Vec<String>>>,
+    pub threads: Option<Spanned<usize>>,
+}
+
+/// One tick or several.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(untagged)]
+pub(super) enum At {
+    One(u64),
+    Many(Vec<u64>),
+}
+
+impl FaultTable {
+    /// The keys that are set beside `kind`, with the place of their values.
+    pub fn keys(&self) -> Vec<(&'static str, std::ops::Range<usize>)> {
+        macro_rules! spans {
+            ($($key:literal $field:ident),*) => {
+                [$(self.$field.as_ref().map(|value| ($key, value.span()))),*]
+            };
+        }
+        let spans = spans!(
+            "stage" stage, "topic" topic, "at" at, "after_start_ms" after_start_ms, "point" point,
+            "for_ms" for_ms, "ticks" ticks, "probability" probability, "seed" seed, "delay_ms" delay_ms,
+            "jitter_ms" jitter_ms, "jump_ms" jump_ms, "bits" bits, "in" r#in, "hold_ms" hold_ms,
+            "resource" resource, "value" value, "exit_code" exit_code, "command" command, "threads" threads
+        );
+        spans.into_iter().flatten().collect()
+    }
+}
+
+/// What is expected of a run. What is not set is not checked, but for the defaults.
+#[derive(Clone, Debug, Default, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Expect {
+    /// The run's exit code; -9 for an end by signal 9.
+    pub exit_code: i32,
+    /// Longest hole in the output, in ticks.
+    pub hole_max: Option<u64>,
+    /// Most ticks without forecasts.
+    pub lost_max: Option<u64>,
+    /// Most ticks with forecasts that are not learned.
+    pub not_learned_max: Option<u64>,
+    /// Most ticks from the end of a fault until forecasts are learned again.
+    pub learned_within: Option<u64>,
+    /// Outages that the report must list.
+    pub outages: Vec<Outages>,
+    /// Restarts of stages that no fault is aimed at.
+    pub restarts_of_others: u64,
+    /// Stages that must be given up, and no others.
+    pub given_up: Vec<String>,
+    /// Files that may be left in shared memory and the run's folder.
+    pub leftovers: u64,
+    /// Missing ticks and not learned forecasts without a counted cause.
+    pub unexplained: u64,
+    /// Causes that forecasts must have.
+    pub causes: Vec<String>,
+    /// Least number of ticks with predicted tracks.
+    pub predicted_min: Option<u64>,
+    /// Greatest age of a held forecast.
+    pub age_ms_max: Option<f64>,
+    /// Counters of frames lost that the report must have.
+    pub counted: Vec<Counted>,
+    /// Stages that the report must name as starved; "any" for one at least.
+    pub starved: Vec<String>,
+    /// Least number of ticks that the report counts as late.
+    pub late_ticks_min: Option<u64>,
+    /// Text that the report must give as what ended the run.
+    pub ended_by: Option<String>,
+}
+
+/// Outages of a stage.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Outages {
+    /// The stage.
+    pub stage: String,
+    /// Text that their cause contains.
+    #[serde(default)]
+    pub cause: String,
+    /// How many there must be.
+    pub count: u64,
+}
+
+/// A counter of frames lost in a stage.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Counted {
+    /// The stage.
+    pub stage: String,
+    /// `gap`, `refused` or `restart`.
+    pub cause: String,
+    /// The count must be the number of frames that this kind of fault acted on.
+    pub as_injected: Option<String>,
+    /// Of the frames of this topic alone.
+    pub topic: Option<String>,
+    /// The count must be at least that.
+    pub min: Option<u64>,
+    /// The count must be at most that.
+    pub max: Option<u64>,
+}

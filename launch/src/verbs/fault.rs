@@ -1,0 +1,165 @@
+use std::path::{Path, PathBuf};
+
+use clap::{Args, Subcommand};
+use run::Exit;
+
+use crate::failure::Failure;
+use crate::faults::runner::{Options, Verdict};
+use crate::faults::spec::Spec;
+use crate::faults::{follow, inject, output, runner, scenarios};
+use crate::show::show;
+
+/// The verbs of `stgdat fault`.
+#[derive(Debug, Subcommand)]
+pub enum Verb {
+    /// Run pipelines with injected faults and check what is expected of them
+    Run(RunArguments),
+    /// List the specifications of a folder, by default those of the scenarios that are built in
+    List(ListArguments),
+    /// Check specifications without running them
+    Check(CheckArguments),
+    /// Write the history of a run (started by `fault run`)
+    #[command(hide = true)]
+    Follow(FollowArguments),
+    /// Inject faults between a topic's writer and its readers (started by `fault run`)
+    #[command(hide = true)]
+    Inject(InjectArguments),
+    /// Read a topic and give its frames back late or never (started by `fault run`)
+    #[command(hide = true)]
+    Consume(ConsumeArguments),
+}
+
+/// Arguments of `stgdat fault run`.
+#[derive(Debug, Args)]
+pub struct RunArguments {
+    /// Specifications, folders of them, or names of built-in scenarios
+    #[arg(value_name = "SPEC", required = true)]
+    specs: Vec<PathBuf>,
+    /// Seed of the scene and of all faults, in place of those of the specification
+    #[arg(long)]
+    seed: Option<u64>,
+    /// Times that each specification is run; the seed counts up
+    #[arg(long, value_name = "N", default_value_t = 1)]
+    repeat: u64,
+    /// Assert causes and counts, but no numbers of ticks: for busy machines
+    #[arg(long)]
+    no_timing: bool,
+    /// Keep log, report, forecasts and history of all runs in this folder; by default those of failed runs are
+    /// kept in the temporary folder
+    #[arg(long, value_name = "DIR")]
+    keep: Option<PathBuf>,
+    /// Write the verdicts as JUnit's XML
+    #[arg(long, value_name = "FILE")]
+    junit: Option<PathBuf>,
+    /// Write the verdicts as JSON
+    #[arg(long, value_name = "FILE")]
+    json: Option<PathBuf>,
+}
+
+/// Arguments of `stgdat fault list`.
+#[derive(Debug, Args)]
+pub struct ListArguments {
+    /// The folder
+    #[arg(value_name = "DIR")]
+    folder: Option<PathBuf>,
+}
+
+/// Arguments of `stgdat fault check`.
+#[derive(Debug, Args)]
+pub struct CheckArguments {
+    /// Specifications, folders of them, or names of built-in scenarios
+    #[arg(value_name = "SPEC", required = true)]
+    specs: Vec<PathBuf>,
+}
+
+/// Arguments of `stgdat fault follow`.
+#[derive(Debug, Args)]
+pub struct FollowArguments {
+    /// The run's record
+    #[arg(long)]
+    run: PathBuf,
+}
+
+/// Arguments of `stgdat fault inject`.
+#[derive(Debug, Args)]
+pub struct InjectArguments {
+    /// The run's record
+    #[arg(long)]
+    run: PathBuf,
+    /// The faults of one topic as JSON
+    #[arg(long)]
+    plan: PathBuf,
+}
+
+/// Arguments of `stgdat fault consume`.
+#[derive(Debug, Args)]
+pub struct ConsumeArguments {
+    /// The topic
+    topic: String,
+    /// Time for which a frame is held; for ever if not given
+    #[arg(long)]
+    hold_ms: Option<u64>,
+    /// The run's record
+    #[arg(long)]
+    run: PathBuf,
+}
+
+impl Verb {
+    /// Executes the verb.
+    pub fn execute(self) -> Result<Exit, Failure> {
+        match self {
+            Self::Run(arguments) => run_all(&arguments),
+            Self::List(arguments) => list(&arguments),
+            Self::Check(arguments) => check(&arguments),
+            Self::Follow(FollowArguments { run }) => follow::follow(&run),
+            Self::Inject(InjectArguments { run, plan }) => inject::inject(&run, &plan),
+            Self::Consume(ConsumeArguments { topic, hold_ms, run }) => inject::consume(&run, &topic, hold_ms),
+        }
+    }
+}
+
+fn run_all(arguments: &RunArguments) -> Result<Exit, Failure> {
+    let specs = scenarios::find_all(&arguments.specs)?;
+    let mut verdicts: Vec<Verdict> = Vec::new();
+    for spec in &specs {
+        for turn in 0..arguments.repeat {
+            let first = arguments.seed.or((arguments.repeat > 1).then_some(spec.run.seed));
+            let seed = first.map(|first| first + turn);
+            let options = Options { timing: !arguments.no_timing, seed, keep: arguments.keep.clone() };
+            let verdict = runner::run(spec, &options)?;
+            show(&output::table(&verdict))?;
+            verdicts.push(verdict);
+        }
+    }
+    let failed: Vec<&str> = verdicts.iter().filter(|v| !v.passed).map(|v| v.name.as_str()).collect();
+    show(&format!("{} of {} passed\n", verdicts.len() - failed.len(), verdicts.len()))?;
+    if let Some(path) = &arguments.junit {
+        write(path, &output::junit(&verdicts))?;
+    }
+    if let Some(path) = &arguments.json {
+        write(path, &(serde_json::to_string_pretty(&verdicts).map_err(Failure::data)? + "\n"))?;
+    }
+    Ok(if failed.is_empty() { Exit::Done } else { Exit::Failed })
+}
+
+fn write(path: &Path, text: &str) -> Result<(), Failure> {
+    std::fs::write(path, text).map_err(|error| Failure::output(path, error))
+}
+
+fn list(arguments: &ListArguments) -> Result<Exit, Failure> {
+    let specs = match &arguments.folder {
+        Some(folder) => scenarios::find_all(std::slice::from_ref(folder))?,
+        None => scenarios::built_in()?,
+    };
+    let width = specs.iter().map(|spec| spec.name.chars().count()).max().unwrap_or(0);
+    let lines = specs.iter().map(|Spec { name, shows, .. }| format!("{name:width$}  {shows}\n"));
+    show(&lines.collect::<String>())
+}
+
+fn check(arguments: &CheckArguments) -> Result<Exit, Failure> {
+    for spec in scenarios::find_all(&arguments.specs)? {
+        let (path, faults, ticks) = (spec.path.display(), spec.faults.len(), spec.run.ticks);
+        show(&format!("{path}: ok, {faults} faults in {ticks} ticks\n"))?;
+    }
+    Ok(Exit::Done)
+}

@@ -1,0 +1,118 @@
+//! Frames as they lie in shared memory, unchecked: for a program between a topic's writer and its readers.
+#![expect(unsafe_code, reason = "a loan hands out shared memory that was never written by this process")]
+
+use std::time::Duration;
+
+use bytemuck::TransparentWrapper;
+use iceoryx2::port::listener::Listener;
+use iceoryx2::port::subscriber::Subscriber;
+use iceoryx2::prelude::ipc;
+use iceoryx2::sample::Sample;
+use run::Run;
+use wire::{Header, Topic};
+
+use crate::element::{Element, Head};
+use crate::node::{Writing, publisher_of, subscriber_of};
+use crate::wait::{Wakes, wait};
+use crate::{Node, PortError, Stop};
+
+/// Takes frames of a topic under one name and sends frames under its own: any header, any payload.
+#[derive(Debug)]
+pub struct Relay<T: Topic> {
+    writer: Option<Writing<T>>,
+    subscriber: Subscriber<ipc::Service, [Element<T>], Head>,
+    listener: Listener<ipc::Service>,
+    node: Node,
+}
+
+/// A frame as it came: its header and its elements were not looked at.
+#[derive(Debug)]
+pub struct RawFrame<T: Topic>(Sample<ipc::Service, [Element<T>], Head>);
+
+impl<T: Topic> RawFrame<T> {
+    /// The header, unchecked.
+    #[must_use]
+    pub fn header(&self) -> &Header {
+        &self.0.user_header().0
+    }
+
+    /// The elements.
+    #[must_use]
+    pub fn elements(&self) -> &[T::Element] {
+        Element::<T>::peel_slice(self.0.payload())
+    }
+}
+
+impl<T: Topic> Relay<T> {
+    /// Reads what is written under `name`, and writes to the readers of the topic.
+    ///
+    /// # Errors
+    /// [`PortError`] where the run's shared memory can't be used.
+    pub fn open(run: &Run, name: &str) -> Result<Self, PortError> {
+        let node = Node::open(run, "injector")?;
+        let (subscriber, listener) = subscriber_of::<T>(&node.services::<T>(name)?, T::DEPTH_MAX)?;
+        let writer = Some(publisher_of::<T>(&node.services::<T>(T::NAME)?)?);
+        Ok(Self { writer, subscriber, listener, node })
+    }
+
+    /// Only reads the topic, as one more consumer, with a queue of `depth` frames.
+    ///
+    /// # Errors
+    /// [`PortError`] where the run's shared memory can't be used.
+    pub fn consumer(run: &Run, depth: usize) -> Result<Self, PortError> {
+        let node = Node::open(run, "consumer")?;
+        let (subscriber, listener) = subscriber_of::<T>(&node.services::<T>(T::NAME)?, depth)?;
+        Ok(Self { writer: None, subscriber, listener, node })
+    }
+
+    /// The oldest frame of the queue, if there is one.
+    ///
+    /// # Errors
+    /// [`PortError`] where the transport fails: also where more frames are held than a reader may hold.
+    pub fn receive(&self) -> Result<Option<RawFrame<T>>, PortError> {
+        let sample = self.subscriber.receive().map_err(PortError::of("receiving", T::NAME))?;
+        Ok(sample.map(RawFrame))
+    }
+
+    /// Sends a frame; elements beyond [`Topic::ELEMENTS_MAX`] are left out.
+    ///
+    /// # Errors
+    /// [`PortError`] where the transport fails.
+    ///
+    /// # Panics
+    /// For a relay that only reads.
+    pub fn send(&self, header: &Header, elements: &[T::Element]) -> Result<(), PortError> {
+        let (publisher, notifier) = self.writer.as_ref().expect("a consumer sends nothing");
+        let elements = &elements[..elements.len().min(T::ELEMENTS_MAX)];
+        let loan = publisher.loan_slice_uninit(elements.len()).map_err(PortError::of("loan", T::NAME))?;
+        // SAFETY: the memory is a mapping that the kernel zeroed, or holds an earlier frame: its bytes are
+        // defined, and any bit pattern is a value of a `Pod` element.
+        let mut loan = unsafe { loan.assume_init() };
+        Element::<T>::peel_slice_mut(loan.payload_mut()).copy_from_slice(elements);
+        *loan.user_header_mut() = Head(*header);
+        loan.send().map_err(PortError::of("sending", T::NAME))?;
+        // Errors here are late notifications, which were delivered all the same, and readers that are gone.
+        let _ = notifier.notify();
+        Ok(())
+    }
+
+    /// Sleeps until a frame comes, a signal or the end of `timeout`. May return early.
+    ///
+    /// # Errors
+    /// [`PortError`] where the transport fails.
+    pub fn sleep(&self, timeout: Duration) -> Result<(), PortError> {
+        wait([self as &dyn Wakes], timeout)
+    }
+
+    /// The signals that ask the process to end.
+    #[must_use]
+    pub const fn stop(&self) -> &Stop {
+        self.node.stop()
+    }
+}
+
+impl<T: Topic> Wakes for Relay<T> {
+    fn listener(&self) -> &Listener<ipc::Service> {
+        &self.listener
+    }
+}

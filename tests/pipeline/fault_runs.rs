@@ -1,0 +1,91 @@
+//! `stgdat fault`: the scenarios of `tests/faults` meet what they expect; mistakes and failures are told.
+
+use serde_json::Value;
+
+use crate::scratch::Scratch;
+use crate::started::{run, run_well, stderr, stdout};
+
+/// Scenarios of each kind of fault that take the least time. The others are run by `stgdat fault run`.
+const SHORT: [&str; 8] = [
+    "02-kill-in-a-step",
+    "03-kill-at-start",
+    "04-broken-command",
+    "07-drop",
+    "08-duplicate",
+    "09-bit-flip",
+    "10-foreign",
+    "16-launcher-killed",
+];
+
+/// Runs scenarios without asserting numbers of ticks: their verdicts.
+fn verdicts(scratch: &Scratch, specs: &[&str]) -> (Option<i32>, Vec<Value>, String) {
+    let json = scratch.path("verdicts.json");
+    let arguments = [&["fault", "run", "--no-timing", "--json", &json], specs].concat();
+    let output = run(&arguments);
+    let text = stdout(&output) + &stderr(&output);
+    (output.status.code(), serde_json::from_slice(&scratch.read("verdicts.json")).expect("JSON"), text)
+}
+
+#[test]
+fn scenarios_meet_what_they_expect() {
+    let scratch = Scratch::new("scenarios");
+    let (exit, verdicts, text) = verdicts(&scratch, &SHORT);
+    assert_eq!(exit, Some(0), "{text}");
+    assert_eq!(verdicts.len(), SHORT.len());
+    for verdict in &verdicts {
+        assert_eq!(
+            (&verdict["passed"], &verdict["cost"]["unexplained"]),
+            (&true.into(), &0.into()),
+            "{verdict:#}"
+        );
+        let checks = verdict["checks"].as_array().expect("checks");
+        for what in ["files left", "forecasts with a wrong age", "ticks that came twice or back in order"] {
+            assert!(checks.iter().any(|check| check["what"] == what), "{what}: {verdict:#}");
+        }
+    }
+    let dropped = verdicts.iter().find(|verdict| verdict["name"] == "07-drop").expect("it was run");
+    let (lost, injected) = (&dropped["cost"]["lost"], &dropped["cost"]["injected"]["detections: drop"]);
+    assert!(injected.as_u64() > Some(0) && lost.as_u64() >= injected.as_u64(), "{dropped:#}");
+}
+
+#[test]
+fn a_failure_is_told_kept_and_repeatable() {
+    let scratch = Scratch::new("failure");
+    let spec = scratch.file(
+        "wrong.toml",
+        "shows = \"an expectation that is not met\"\n[run]\nticks = 20\nagents = 4\n[[fault]]\nkind = \"drop\"\n\
+         topic = \"controls\"\nticks = [5, 9]\n[expect]\nexit_code = 70\n",
+    );
+    let (junit, keep) = (scratch.path("junit.xml"), scratch.path("keep"));
+    let output =
+        run(&["fault", "run", &spec, "--seed", "3", "--no-timing", "--junit", &junit, "--keep", &keep]);
+    assert_eq!(output.status.code(), Some(70), "{}", stderr(&output));
+    let text = stdout(&output);
+    let again = format!("again: stgdat fault run {spec} --seed 3");
+    assert!(text.contains("exit code") && text.contains("0 of 1 passed") && text.contains(&again), "{text}");
+    let junit = String::from_utf8(scratch.read("junit.xml")).expect("UTF-8");
+    assert!(junit.contains("failures=\"1\"") && junit.contains("exit code: 0, expected 70"), "{junit}");
+    let history = String::from_utf8(scratch.read("keep/wrong/history.jsonl")).expect("UTF-8");
+    let lines: Vec<Value> = history.lines().map(|line| serde_json::from_str(line).expect("JSON")).collect();
+    let dropped: Vec<&Value> = lines.iter().filter_map(|line| line.get("injected")?.get("tick")).collect();
+    assert_eq!(dropped, [5, 6, 7, 8, 9]);
+    for file in ["pipeline.toml", "report.json", "forecasts.jsonl", "log.txt", "inject-controls.json"] {
+        scratch.read(&format!("keep/wrong/{file}"));
+    }
+}
+
+#[test]
+fn specifications_are_listed_and_checked() {
+    let listed = stdout(&run_well(&["fault", "list"]));
+    assert!(SHORT.iter().all(|name| listed.lines().any(|line| line.starts_with(name))), "{listed}");
+    let folder = concat!(env!("CARGO_MANIFEST_DIR"), "/../tests/faults");
+    let checked = stdout(&run_well(&["fault", "check", folder]));
+    assert_eq!(checked.lines().count(), listed.lines().count(), "{checked}");
+    let scratch = Scratch::new("mistake");
+    let spec =
+        scratch.file("bad.toml", "shows = \"a mistake\"\n[run]\nticks = 9\n[[fault]]\nkind = \"kil\"\n");
+    let output = run(&["fault", "check", &spec]);
+    let text = stderr(&output);
+    assert_eq!(output.status.code(), Some(78), "{text}");
+    assert!(text.contains("bad.toml:5") && text.contains("unknown kind of fault \"kil\""), "{text}");
+}
