@@ -6,9 +6,8 @@ use crate::scratch::Scratch;
 use crate::started::{run, run_well, stderr, stdout};
 
 /// Scenarios of each kind of fault that take the least time. The others are run by `stgdat fault run`.
-const SHORT: [&str; 8] = [
+const SHORT: [&str; 7] = [
     "02-kill-in-a-step",
-    "03-kill-at-start",
     "04-broken-command",
     "07-drop",
     "08-duplicate",
