@@ -58,7 +58,7 @@ pub fn find_all(places: &[PathBuf]) -> Result<Vec<Spec>, Failure> {
             let entries = std::fs::read_dir(place).map_err(|error| Failure::file(place, error))?;
             let mut files: Vec<PathBuf> = entries.filter_map(|entry| Some(entry.ok()?.path())).collect();
             files.retain(|file| file.extension().is_some_and(|extension| extension == "toml"));
-            files.sort();
+            files.sort_by(|a, b| a.file_stem().cmp(&b.file_stem()));
             for file in files {
                 specs.push(Spec::read(&file)?);
             }
