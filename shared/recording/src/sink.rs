@@ -1,0 +1,64 @@
+use std::fs::File;
+use std::io::{self, Read, Seek, SeekFrom, Write};
+use std::path::Path;
+
+/// Where a recording is written: whole blocks, one behind the other.
+pub trait Sink {
+    /// Appends a block, or nothing of it.
+    ///
+    /// # Errors
+    /// The error of the file system, such as a full disk; later blocks may be taken again.
+    fn append(&mut self, block: &[u8]) -> io::Result<()>;
+}
+
+/// A file.
+#[derive(Debug)]
+pub struct FileSink {
+    file: File,
+    /// What was appended.
+    len: u64,
+}
+
+impl FileSink {
+    /// Makes the file.
+    ///
+    /// # Errors
+    /// Where there is one of that name, which may be worth more than this recording, or it can't be made.
+    pub fn create(path: &Path) -> io::Result<Self> {
+        match File::options().read(true).write(true).create_new(true).open(path) {
+            Ok(file) => Ok(Self { file, len: 0 }),
+            Err(error) if error.kind() == io::ErrorKind::AlreadyExists => {
+                Err(io::Error::new(error.kind(), "there is a file of that name, which is not replaced"))
+            }
+            Err(error) => Err(error),
+        }
+    }
+}
+
+impl Sink for FileSink {
+    fn append(&mut self, block: &[u8]) -> io::Result<()> {
+        if let Err(error) = self.file.write_all(block) {
+            // A part may be there; without it the file ends with a whole record again.
+            self.file.set_len(self.len)?;
+            self.file.seek(SeekFrom::Start(self.len))?;
+            return Err(error);
+        }
+        self.len += block.len() as u64;
+        Ok(())
+    }
+}
+
+impl Sink for Vec<u8> {
+    fn append(&mut self, block: &[u8]) -> io::Result<()> {
+        self.extend_from_slice(block);
+        Ok(())
+    }
+}
+
+/// Reads `len` bytes at a place of a file.
+pub(crate) fn read_at(file: &mut File, offset: u64, len: usize) -> io::Result<Vec<u8>> {
+    file.seek(SeekFrom::Start(offset))?;
+    let mut bytes = vec![0; len];
+    file.read_exact(&mut bytes)?;
+    Ok(bytes)
+}

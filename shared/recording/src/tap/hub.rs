@@ -1,0 +1,280 @@
+use std::collections::VecDeque;
+use std::io::{self, ErrorKind, Write};
+use std::sync::Arc;
+
+use wire::TABLE;
+
+use super::protocol::{self, Lost, LostAt, Want};
+use crate::{Event, LogLine};
+
+/// Bytes that wait for a tool at most: some five seconds of all topics of a full scene.
+pub const QUEUE_BYTES: usize = 64 << 20;
+/// Tools that may be attached at once.
+pub const TOOLS_MAX: usize = 16;
+
+/// The tap's side: what goes to which tool. `C` is where a tool's items are written, which must not block.
+#[derive(Debug)]
+pub struct Hub<C> {
+    tools: Vec<Tool<C>>,
+    queue_bytes: usize,
+}
+
+/// An attached tool.
+#[derive(Debug)]
+pub struct Tool<C> {
+    /// Its name.
+    pub name: String,
+    /// What it wants.
+    pub want: Want,
+    /// Where its items are written.
+    pub connection: C,
+    queue: VecDeque<Arc<[u8]>>,
+    queued_bytes: usize,
+    /// Bytes of the first item that are written.
+    written: usize,
+    /// Frames lost in its queue that it was not told of, by topic.
+    untold: Vec<u64>,
+    /// Frames lost in its queue.
+    lost: u64,
+}
+
+impl<C: Write> Hub<C> {
+    /// A tap without tools; `queue_bytes` is [`QUEUE_BYTES`] but in tests.
+    #[must_use]
+    pub const fn new(queue_bytes: usize) -> Self {
+        Self { tools: Vec::new(), queue_bytes }
+    }
+
+    /// Attaches a tool; the connection comes back where there are [`TOOLS_MAX`] already.
+    ///
+    /// # Errors
+    /// The connection.
+    pub fn attach(&mut self, name: String, want: Want, connection: C) -> Result<(), C> {
+        if self.tools.len() >= TOOLS_MAX {
+            return Err(connection);
+        }
+        let untold = vec![0; TABLE.topics.len()];
+        let (queue, queued_bytes, written, lost) = (VecDeque::new(), 0, 0, 0);
+        self.tools.push(Tool { name, want, connection, queue, queued_bytes, written, untold, lost });
+        Ok(())
+    }
+
+    /// The tools.
+    #[must_use]
+    pub fn tools(&self) -> &[Tool<C>] {
+        &self.tools
+    }
+
+    /// Detaches the tools for which `gone` is true; returns them.
+    pub fn detach(&mut self, mut gone: impl FnMut(&mut Tool<C>) -> bool) -> Vec<Tool<C>> {
+        self.tools.extract_if(.., |tool| gone(tool)).collect()
+    }
+
+    /// Whether a tool wants the frames of that topic.
+    #[must_use]
+    pub fn wants(&self, topic: u8) -> bool {
+        self.tools.iter().any(|tool| tool.want.has(topic))
+    }
+
+    /// Whether a tool wants events and log lines.
+    #[must_use]
+    pub fn wants_events(&self) -> bool {
+        self.tools.iter().any(|tool| tool.want.events)
+    }
+
+    /// Hands on a frame: copied once, whatever the number of tools.
+    pub fn frame(&mut self, topic: u8, received_ns: u64, header: &[u8], payload: &[u8]) {
+        let packet = protocol::frame(topic, received_ns, header, payload);
+        let limit = self.queue_bytes;
+        for tool in self.tools.iter_mut().filter(|tool| tool.want.has(topic)) {
+            tool.push(topic, &packet, limit);
+        }
+    }
+
+    /// Tells the tools of frames that the tap itself has lost.
+    pub fn lost(&mut self, topic: u8, frames: u64) {
+        let packet = protocol::lost(&Lost { at: LostAt::Tap, topic, frames });
+        for tool in self.tools.iter_mut().filter(|tool| tool.want.has(topic)) {
+            tool.enqueue(packet.clone());
+        }
+    }
+
+    /// Hands on an event.
+    pub fn event(&mut self, event: &Event) {
+        self.broadcast(&protocol::event(event));
+    }
+
+    /// Hands on a log line.
+    pub fn line(&mut self, line: &LogLine) {
+        self.broadcast(&protocol::line(line));
+    }
+
+    fn broadcast(&mut self, packet: &Arc<[u8]>) {
+        let limit = self.queue_bytes;
+        for tool in self.tools.iter_mut().filter(|tool| tool.want.events) {
+            // A stage that writes lines without end must not fill the memory.
+            if tool.queued_bytes + packet.len() <= limit {
+                tool.enqueue(packet.clone());
+            }
+        }
+    }
+
+    /// Writes what the connections take; tools whose connection has failed are detached and returned.
+    pub fn write(&mut self) -> Vec<Tool<C>> {
+        self.detach(|tool| tool.write().is_err())
+    }
+}
+
+impl<C: Write> Tool<C> {
+    /// Whether something waits to be written.
+    #[must_use]
+    pub fn is_waiting(&self) -> bool {
+        !self.queue.is_empty()
+    }
+
+    /// Frames that it has lost in its queue.
+    #[must_use]
+    pub const fn lost(&self) -> u64 {
+        self.lost
+    }
+
+    fn push(&mut self, topic: u8, packet: &Arc<[u8]>, limit: usize) {
+        // A queue that is empty takes any frame.
+        if self.queued_bytes > 0 && self.queued_bytes + packet.len() > limit {
+            self.untold[usize::from(topic)] += 1;
+            self.lost += 1;
+            return;
+        }
+        for topic in 0..self.untold.len() {
+            let frames = std::mem::take(&mut self.untold[topic]);
+            if frames > 0 {
+                self.enqueue(protocol::lost(&Lost { at: LostAt::Queue, topic: topic as u8, frames }));
+            }
+        }
+        self.enqueue(packet.clone());
+    }
+
+    fn enqueue(&mut self, packet: Arc<[u8]>) {
+        self.queued_bytes += packet.len();
+        self.queue.push_back(packet);
+    }
+
+    /// Writes as much as the connection takes now.
+    fn write(&mut self) -> io::Result<()> {
+        while let Some(packet) = self.queue.front() {
+            match self.connection.write(&packet[self.written..]) {
+                Ok(0) => return Err(ErrorKind::WriteZero.into()),
+                Ok(len) => self.written += len,
+                Err(error) if error.kind() == ErrorKind::WouldBlock => return Ok(()),
+                Err(error) if error.kind() == ErrorKind::Interrupted => {}
+                Err(error) => return Err(error),
+            }
+            if self.written == packet.len() {
+                self.queued_bytes -= packet.len();
+                self.written = 0;
+                self.queue.pop_front();
+            }
+        }
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::tap::protocol::{Item, Request, take};
+    use wire::Header;
+
+    /// A connection that takes so many bytes in all.
+    #[derive(Debug)]
+    struct Pipe {
+        taken: Vec<u8>,
+        room: usize,
+    }
+
+    impl Write for Pipe {
+        fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+            let len = bytes.len().min(self.room);
+            if len == 0 {
+                return Err(ErrorKind::WouldBlock.into());
+            }
+            self.room -= len;
+            self.taken.extend_from_slice(&bytes[..len]);
+            Ok(len)
+        }
+
+        fn flush(&mut self) -> io::Result<()> {
+            Ok(())
+        }
+    }
+
+    fn attach(hub: &mut Hub<Pipe>, name: &str, room: usize) {
+        let topics = vec!["detections".to_owned()];
+        let request = Request { tool: name.to_owned(), topics, events: true, mark: None };
+        let pipe = Pipe { taken: Vec::new(), room };
+        hub.attach(name.to_owned(), Want::of(&request), pipe).expect("there is room");
+    }
+
+    fn items(mut bytes: &[u8]) -> Vec<Item> {
+        let mut items = Vec::new();
+        while let Some((item, len)) = take(bytes).expect("whole items") {
+            items.push(item);
+            bytes = &bytes[len..];
+        }
+        items
+    }
+
+    #[test]
+    fn a_slow_tool_loses_frames_that_are_counted_and_the_others_none() {
+        let mut hub = Hub::new(3_000);
+        attach(&mut hub, "slow", 0);
+        attach(&mut hub, "fast", usize::MAX);
+        for seq in 0..10 {
+            let header = Header::new(1, seq, 0);
+            hub.frame(0, seq, bytemuck::bytes_of(&header), &[]);
+            assert!(hub.write().is_empty());
+        }
+        assert_eq!(hub.tools()[0].lost(), 6, "four frames of 720 bytes have room");
+        assert_eq!(items(&hub.tools()[1].connection.taken).len(), 10);
+
+        hub.detach(|tool| {
+            tool.connection.room = usize::MAX;
+            false
+        });
+        hub.write();
+        hub.frame(0, 10, bytemuck::bytes_of(&Header::new(1, 10, 0)), &[]);
+        hub.write();
+        let got = items(&hub.tools()[0].connection.taken);
+        let seqs: Vec<u64> = got
+            .iter()
+            .filter_map(|item| if let Item::Frame(frame) = item { Some(frame.header().seq) } else { None })
+            .collect();
+        assert_eq!(seqs, [0, 1, 2, 3, 10]);
+        assert!(got.contains(&Item::Lost(Lost { at: LostAt::Queue, topic: 0, frames: 6 })), "{got:?}");
+    }
+
+    #[test]
+    fn nothing_is_wanted_after_the_last_tool_has_gone() {
+        let mut hub = Hub::new(QUEUE_BYTES);
+        assert!(!hub.wants(0));
+        attach(&mut hub, "a", 1);
+        assert!(hub.wants(0) && !hub.wants(1) && hub.wants_events());
+        assert_eq!(hub.detach(|tool| tool.name == "a").len(), 1);
+        assert!(!hub.wants(0) && !hub.wants_events());
+    }
+
+    #[test]
+    fn items_are_read_back_however_they_arrive() {
+        let mut hub = Hub::new(QUEUE_BYTES);
+        attach(&mut hub, "a", usize::MAX);
+        hub.line(&LogLine { at_ns: 5, stage: "tracker".to_owned(), line: "hello".to_owned() });
+        hub.lost(0, 3);
+        hub.write();
+        let bytes = &hub.tools()[0].connection.taken;
+        for cut in 0..bytes.len() {
+            assert!(items(&bytes[..cut]).len() < 2);
+        }
+        assert_eq!(items(bytes).len(), 2);
+        assert!(take(&[0xFF; 64]).is_err());
+    }
+}

@@ -1,0 +1,409 @@
+use std::collections::BTreeMap;
+use std::io::{self, Write as _};
+use std::path::{Path, PathBuf};
+
+use crc32fast::Hasher;
+use lz4_flex::frame::{BlockMode, BlockSize, FrameEncoder, FrameInfo};
+use serde::Serialize;
+use wire::{Header, TABLE};
+
+use crate::format::{Body, FOOTER, LZ4, MAGIC, PREFIX, op};
+use crate::sink::FileSink;
+use crate::{About, EVENTS, Event, Frame, Happened, LOG, LogLine, Sink, WriteError, topic_number};
+
+/// A chunk is written when it has so many bytes …
+pub const CHUNK_BYTES: usize = 1 << 20;
+/// … or when its messages span so much time: what a crash loses at most.
+pub const CHUNK_NS: u64 = 1_000_000_000;
+
+/// Identifies the layout of frames; the channels name the header's record and that of the elements.
+const WIRE_SCHEMA: u16 = 1;
+/// Identifies the schema of events and log lines.
+const JSON_SCHEMA: u16 = 2;
+/// Channels of topics have the topic's number and this.
+pub(crate) const TOPIC_CHANNELS: u16 = 1;
+pub(crate) const EVENT_CHANNEL: u16 = 100;
+pub(crate) const LOG_CHANNEL: u16 = 101;
+/// Names of the metadata at the file's begin and at its end.
+pub(crate) const BEGIN: &str = "stgdat.run";
+pub(crate) const END: &str = "stgdat.end";
+
+/// Messages that are not in the file, by topic.
+pub type Losses = BTreeMap<String, u64>;
+
+/// What a recording has come to.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
+pub struct Written {
+    /// Messages in the file.
+    pub messages: u64,
+    /// The same by topic.
+    pub by_topic: BTreeMap<String, u64>,
+    /// Bytes of the file.
+    pub bytes: u64,
+    /// Bytes before compression.
+    pub uncompressed_bytes: u64,
+    /// Messages that the disk did not take.
+    pub lost: Losses,
+}
+
+/// Writes a recording. A block that the disk does not take is lost and counted; later ones are tried again.
+#[derive(Debug)]
+pub struct Writer<S: Sink = FileSink> {
+    sink: S,
+    path: PathBuf,
+    clock_offset_ns: i64,
+    /// Check value of all that the sink took, behind the first magic bytes too.
+    checked: Hasher,
+    chunk: Chunk,
+    /// Schemas and channels, once more for the summary.
+    head: Vec<u8>,
+    schemas_len: u32,
+    channels: Vec<(u16, String)>,
+    chunks: Vec<ChunkIndex>,
+    metadata: Vec<(u64, u64, &'static str)>,
+    written: Written,
+    /// Losses that no event in the file tells yet.
+    untold: Losses,
+    /// The last error of the sink.
+    error: Option<io::Error>,
+}
+
+/// The messages of a chunk.
+#[derive(Debug, Default)]
+struct Chunk {
+    bytes: Vec<u8>,
+    /// Time and place of each message, by channel.
+    index: BTreeMap<u16, Vec<(u64, u64)>>,
+    begin_ns: u64,
+    end_ns: u64,
+}
+
+#[derive(Debug)]
+struct ChunkIndex {
+    times_ns: [u64; 2],
+    offset: u64,
+    len: u64,
+    index_offsets: Vec<(u16, u64)>,
+    index_len: u64,
+    sizes: [u64; 2],
+}
+
+impl Writer {
+    /// Begins a file. `layout` is the document of `stgdat wire --json`.
+    ///
+    /// # Errors
+    /// [`WriteError`] where there is a file of that name or it can't be begun.
+    pub fn create(path: &Path, about: &About, layout: &str) -> Result<Self, WriteError> {
+        let failed = |source| WriteError { path: path.to_owned(), source };
+        let sink = FileSink::create(path).map_err(failed)?;
+        Ok(Self { path: path.to_owned(), ..Self::over(sink, about, layout).map_err(failed)? })
+    }
+}
+
+impl<S: Sink> Writer<S> {
+    /// Begins a recording in any sink.
+    ///
+    /// # Errors
+    /// Where the sink does not take its begin.
+    pub fn over(sink: S, about: &About, layout: &str) -> io::Result<Self> {
+        let mut head = Vec::new();
+        let wire = format!("stgdat.wire.{}", about.schema);
+        Body::default()
+            .u16(WIRE_SCHEMA)
+            .text(&wire)
+            .text("stgdat-wire-json")
+            .text(layout)
+            .record(op::SCHEMA, &mut head);
+        let object = r#"{"type":"object","properties":{"at_ns":{"type":"integer"}}}"#;
+        Body::default()
+            .u16(JSON_SCHEMA)
+            .text("stgdat.json")
+            .text("jsonschema")
+            .text(object)
+            .record(op::SCHEMA, &mut head);
+        let mut channels = Vec::new();
+        for (number, topic) in TABLE.topics.iter().enumerate() {
+            if !about.topics.is_empty() && !about.topics.iter().any(|name| name == topic.name) {
+                continue;
+            }
+            let id = number as u16 + TOPIC_CHANNELS;
+            let metadata = [
+                ("element", topic.element.name.to_owned()),
+                ("element_bytes", topic.element.size.to_string()),
+                ("header", Header::RECORD.name.to_owned()),
+                ("header_bytes", Header::RECORD.size.to_string()),
+                ("type_name", topic.type_name.to_owned()),
+            ];
+            let body = Body::default().u16(id).u16(WIRE_SCHEMA).text(topic.name).text("stgdat-wire");
+            body.texts(&metadata).record(op::CHANNEL, &mut head);
+            channels.push((id, topic.name.to_owned()));
+        }
+        for (id, name) in [(EVENT_CHANNEL, EVENTS), (LOG_CHANNEL, LOG)] {
+            let body = Body::default().u16(id).u16(JSON_SCHEMA).text(name).text("json");
+            body.texts(&[]).record(op::CHANNEL, &mut head);
+            channels.push((id, name.to_owned()));
+        }
+
+        let mut writer = Self {
+            sink,
+            path: PathBuf::new(),
+            clock_offset_ns: about.clock_offset_ns,
+            checked: Hasher::new(),
+            chunk: Chunk::default(),
+            head: Vec::new(),
+            schemas_len: 2,
+            channels,
+            chunks: Vec::new(),
+            metadata: Vec::new(),
+            written: Written::default(),
+            untold: Losses::new(),
+            error: None,
+        };
+        let mut begin = MAGIC.to_vec();
+        Body::default().text("stgdat").text(&about.program).record(op::HEADER, &mut begin);
+        let at = begin.len() as u64;
+        Body::default().text(BEGIN).texts(&about.pairs()).record(op::METADATA, &mut begin);
+        writer.metadata.push((at, begin.len() as u64 - at, BEGIN));
+        begin.extend(&head);
+        writer.head = head;
+        writer.append(&begin)?;
+        Ok(writer)
+    }
+
+    /// Adds a frame.
+    pub fn frame(&mut self, frame: &Frame) {
+        let channel = u16::from(frame.number()) + TOPIC_CHANNELS;
+        if self.channels.iter().all(|(id, _)| *id != channel) {
+            return;
+        }
+        let (received_ns, sent_ns) = (frame.received_ns(), frame.sent_ns());
+        self.message(channel, frame.header().seq as u32, [received_ns, sent_ns], frame.bytes());
+    }
+
+    /// Adds an event.
+    pub fn event(&mut self, event: &Event) {
+        // Numbers, texts and keys that are texts: JSON holds them all.
+        let json = serde_json::to_vec(event).unwrap_or_default();
+        self.message(EVENT_CHANNEL, 0, [event.at_ns; 2], &json);
+    }
+
+    /// Adds a log line.
+    pub fn line(&mut self, line: &LogLine) {
+        let json = serde_json::to_vec(line).unwrap_or_default();
+        self.message(LOG_CHANNEL, 0, [line.at_ns; 2], &json);
+    }
+
+    /// What the file has come to so far.
+    #[must_use]
+    pub const fn written(&self) -> &Written {
+        &self.written
+    }
+
+    /// The last error of the disk, once.
+    pub fn take_error(&mut self) -> Option<io::Error> {
+        self.error.take()
+    }
+
+    fn message(&mut self, channel: u16, sequence: u32, times_ns: [u64; 2], data: &[u8]) {
+        // Unix time, as tools expect it.
+        let [log_ns, publish_ns] = times_ns.map(|ns| ns.saturating_add_signed(self.clock_offset_ns));
+        let is_full = self.chunk.bytes.len() + data.len() > CHUNK_BYTES
+            || log_ns.saturating_sub(self.chunk.begin_ns) >= CHUNK_NS;
+        if is_full && !self.chunk.index.is_empty() {
+            self.flush();
+        }
+        let chunk = &mut self.chunk;
+        if chunk.index.is_empty() {
+            (chunk.begin_ns, chunk.end_ns) = (log_ns, log_ns);
+        }
+        (chunk.begin_ns, chunk.end_ns) = (chunk.begin_ns.min(log_ns), chunk.end_ns.max(log_ns));
+        chunk.index.entry(channel).or_default().push((log_ns, chunk.bytes.len() as u64));
+        let body = Body::default().u16(channel).u32(sequence).u64(log_ns).u64(publish_ns);
+        body.raw(data).record(op::MESSAGE, &mut chunk.bytes);
+    }
+
+    /// Writes the chunk in hand; where the disk does not take it, its messages are lost and counted.
+    pub fn flush(&mut self) {
+        if self.chunk.index.is_empty() {
+            return;
+        }
+        let mut chunk = std::mem::take(&mut self.chunk);
+        match self.write_chunk(&chunk) {
+            Ok(()) => {
+                for (channel, index) in &chunk.index {
+                    let topic = self.topic(*channel).to_owned();
+                    *self.written.by_topic.entry(topic).or_default() += index.len() as u64;
+                    self.written.messages += index.len() as u64;
+                }
+                self.written.uncompressed_bytes += chunk.bytes.len() as u64;
+                self.tell_losses(chunk.end_ns);
+            }
+            Err(error) => {
+                self.error = Some(error);
+                for (channel, index) in &chunk.index {
+                    let topic = self.topic(*channel).to_owned();
+                    *self.written.lost.entry(topic.clone()).or_default() += index.len() as u64;
+                    *self.untold.entry(topic).or_default() += index.len() as u64;
+                }
+            }
+        }
+        if self.chunk.index.is_empty() {
+            // The memory is used again.
+            chunk.bytes.clear();
+            self.chunk.bytes = chunk.bytes;
+        }
+    }
+
+    /// Puts into the file what was not told yet, once it takes blocks again.
+    fn tell_losses(&mut self, end_ns: u64) {
+        let at_ns = end_ns.saturating_add_signed(-self.clock_offset_ns);
+        for (topic, frames) in std::mem::take(&mut self.untold) {
+            let what = Happened::Lost { at: "disk".to_owned(), topic, frames };
+            self.event(&Event { at_ns, what });
+        }
+    }
+
+    fn write_chunk(&mut self, chunk: &Chunk) -> io::Result<()> {
+        let compressed = compress(&chunk.bytes)?;
+        let sizes = [compressed.len() as u64, chunk.bytes.len() as u64];
+        let mut block = Vec::with_capacity(compressed.len() + 1024);
+        let body = Body::default().u64(chunk.begin_ns).u64(chunk.end_ns).u64(sizes[1]);
+        let body = body.u32(crc32fast::hash(&chunk.bytes)).text(LZ4).u64(sizes[0]).raw(&compressed);
+        body.record(op::CHUNK, &mut block);
+        let (offset, len) = (self.written.bytes, block.len() as u64);
+        let mut index_offsets = Vec::new();
+        for (channel, index) in &chunk.index {
+            index_offsets.push((*channel, offset + block.len() as u64));
+            let entries = index.iter().fold(Body::default(), |body, (time, at)| body.u64(*time).u64(*at));
+            let mut bytes = Vec::new();
+            entries.record(0, &mut bytes);
+            Body::default().u16(*channel).bytes(&bytes[PREFIX..]).record(op::MESSAGE_INDEX, &mut block);
+        }
+        self.append(&block)?;
+        let index_len = block.len() as u64 - len;
+        let times_ns = [chunk.begin_ns, chunk.end_ns];
+        self.chunks.push(ChunkIndex { times_ns, offset, len, index_offsets, index_len, sizes });
+        Ok(())
+    }
+
+    fn append(&mut self, block: &[u8]) -> io::Result<()> {
+        self.sink.append(block)?;
+        self.checked.update(block);
+        self.written.bytes += block.len() as u64;
+        Ok(())
+    }
+
+    fn topic(&self, channel: u16) -> &str {
+        let found = self.channels.iter().find(|(id, _)| *id == channel);
+        found.map_or("unknown", |(_, name)| name)
+    }
+
+    /// Writes the chunk in hand, what was lost, and the index. `how` says why the recording ends.
+    ///
+    /// # Errors
+    /// [`WriteError`] where the disk does not take the end: the file is readable up to its last chunk, and
+    /// readers call it incomplete.
+    pub fn finish(mut self, how: &str) -> Result<Written, WriteError> {
+        // A second time for the events that the first has made.
+        self.flush();
+        self.flush();
+        let ended = self.end(how);
+        let (path, written) = (self.path, self.written);
+        ended.map(|()| written).map_err(|source| WriteError { path, source })
+    }
+
+    fn end(&mut self, how: &str) -> io::Result<()> {
+        let mut block = Vec::new();
+        let offset = self.written.bytes;
+        // A map of texts to numbers.
+        let lost = serde_json::to_string(&self.written.lost).unwrap_or_default();
+        let pairs = [("ended", how.to_owned()), ("lost_on_disk", lost)];
+        Body::default().text(END).texts(&pairs).record(op::METADATA, &mut block);
+        self.metadata.push((offset, block.len() as u64, END));
+        let mut checked = self.checked.clone();
+        checked.update(&block);
+        Body::default().u32(checked.finalize()).record(op::DATA_END, &mut block);
+        let start = offset + block.len() as u64;
+        let summary = self.summary(start);
+        block.extend(summary);
+        self.append(&block)
+    }
+
+    /// Index, footer and magic bytes of a summary that begins at `start`.
+    fn summary(&self, start: u64) -> Vec<u8> {
+        let mut out = Vec::new();
+        let mut groups: Vec<(u8, u64, u64)> = Vec::new();
+        let mut group = |number: u8, out: &mut Vec<u8>, records: Vec<u8>| {
+            groups.push((number, start + out.len() as u64, records.len() as u64));
+            out.extend(records);
+        };
+        let schemas = self.records_of(op::SCHEMA);
+        group(op::SCHEMA, &mut out, schemas);
+        let channels = self.records_of(op::CHANNEL);
+        group(op::CHANNEL, &mut out, channels);
+        group(op::STATISTICS, &mut out, self.statistics());
+        let mut chunks = Vec::new();
+        for chunk in &self.chunks {
+            let body = Body::default().u64(chunk.times_ns[0]).u64(chunk.times_ns[1]);
+            let body = body.u64(chunk.offset).u64(chunk.len).counts(chunk.index_offsets.iter().copied());
+            let body = body.u64(chunk.index_len).text(LZ4).u64(chunk.sizes[0]).u64(chunk.sizes[1]);
+            body.record(op::CHUNK_INDEX, &mut chunks);
+        }
+        group(op::CHUNK_INDEX, &mut out, chunks);
+        let mut metadata = Vec::new();
+        for (offset, len, name) in &self.metadata {
+            Body::default().u64(*offset).u64(*len).text(name).record(op::METADATA_INDEX, &mut metadata);
+        }
+        group(op::METADATA_INDEX, &mut out, metadata);
+        let offsets_start = start + out.len() as u64;
+        for (number, offset, len) in groups.into_iter().filter(|(_, _, len)| *len > 0) {
+            Body::default().raw(&[number]).u64(offset).u64(len).record(op::SUMMARY_OFFSET, &mut out);
+        }
+        Body::default().u64(start).u64(offsets_start).u32(0).record(op::FOOTER, &mut out);
+        // The check value covers the footer up to itself.
+        let value_at = out.len() - 4;
+        debug_assert!(out.len() > FOOTER);
+        let value = crc32fast::hash(&out[..value_at]);
+        out[value_at..].copy_from_slice(&value.to_le_bytes());
+        out.extend(MAGIC);
+        out
+    }
+
+    /// The schemas or the channels.
+    fn records_of(&self, number: u8) -> Vec<u8> {
+        let mut parts = crate::format::Parts(&self.head);
+        let mut out = Vec::new();
+        while let Some((op, body)) = parts.record() {
+            if op == number {
+                Body::default().raw(body).record(op, &mut out);
+            }
+        }
+        out
+    }
+
+    fn statistics(&self) -> Vec<u8> {
+        let begin_ns = self.chunks.iter().map(|chunk| chunk.times_ns[0]).min().unwrap_or(0);
+        let end_ns = self.chunks.iter().map(|chunk| chunk.times_ns[1]).max().unwrap_or(0);
+        let counts =
+            self.channels.iter().filter_map(|(id, name)| Some((*id, *self.written.by_topic.get(name)?)));
+        let body = Body::default().u64(self.written.messages).u16(self.schemas_len as u16);
+        let body = body.u32(self.channels.len() as u32).u32(0).u32(self.metadata.len() as u32);
+        let body = body.u32(self.chunks.len() as u32).u64(begin_ns).u64(end_ns).counts(counts);
+        let mut out = Vec::new();
+        body.record(op::STATISTICS, &mut out);
+        out
+    }
+}
+
+/// A frame of LZ4, as MCAP asks for.
+fn compress(bytes: &[u8]) -> io::Result<Vec<u8>> {
+    let info = FrameInfo::new().block_mode(BlockMode::Linked).block_size(BlockSize::Max1MB);
+    let mut encoder = FrameEncoder::with_frame_info(info, Vec::with_capacity(bytes.len() / 2));
+    encoder.write_all(bytes)?;
+    encoder.finish().map_err(io::Error::other)
+}
+
+/// The channel of a topic's name.
+pub(crate) fn channel_topic(name: &str) -> Option<u8> {
+    topic_number(name)
+}

@@ -1,0 +1,225 @@
+//! Files of recordings: what was written is read back, however the file was hurt.
+
+use std::fs;
+use std::io::{self, ErrorKind};
+use std::path::{Path, PathBuf};
+
+use proptest::prelude::*;
+use recording::{
+    About, Ending, Event, Frame, Happened, LogLine, Message, ReadError, Recording, Sink, Writer,
+};
+use tempfile::TempDir;
+use wire::{Detection, DetectionsTopic, Forecast, ForecastsTopic, Header, Hop, StageId};
+
+/// Time between ticks.
+const TICK_NS: u64 = 80_000_000;
+
+fn about() -> About {
+    About {
+        program: "stgdat 0".to_owned(),
+        pipeline: "[[stage]]\n".to_owned(),
+        clock_offset_ns: 1_700_000_000_000_000_000,
+        ..About::default()
+    }
+}
+
+fn header(seq: u64, agents_len: u32) -> Header {
+    let mut header = Header::new(7, seq, (seq * TICK_NS) as i64);
+    header.counts.agents_len = agents_len;
+    let sent_ns = seq * TICK_NS + 5;
+    header.push_hop(Hop { stage: StageId::Source as u32, sent_ns, ..Hop::default() });
+    header
+}
+
+/// The messages of so many ticks: detections, forecasts, and now and then an event and a line.
+fn messages(ticks: u64) -> Vec<Message> {
+    let mut messages = Vec::new();
+    for seq in 0..ticks {
+        let at_ns = seq * TICK_NS + 10;
+        let detections: Vec<Detection> = (0..seq % 5)
+            .map(|id| Detection { id, x_m: seq as f32 * 0.1, ..bytemuck::Zeroable::zeroed() })
+            .collect();
+        let len = detections.len() as u32;
+        let frame = Frame::of::<DetectionsTopic>(&header(seq, len), &detections, at_ns);
+        messages.push(Message::Frame(frame));
+        let forecast = Forecast { id: seq, ..bytemuck::Zeroable::zeroed() };
+        messages.push(Message::Frame(Frame::of::<ForecastsTopic>(&header(seq, 1), &[forecast], at_ns + 1)));
+        if seq % 7 == 3 {
+            let what = Happened::Died { stage: "encoder".to_owned(), how: "was killed".to_owned(), next: 1 };
+            messages.push(Message::Event(Event { at_ns: at_ns + 2, what }));
+            let line = LogLine { at_ns: at_ns + 3, stage: "encoder".to_owned(), line: "\"x\" ü".to_owned() };
+            messages.push(Message::Line(line));
+        }
+    }
+    messages
+}
+
+fn add<S: Sink>(writer: &mut Writer<S>, message: &Message) {
+    match message {
+        Message::Frame(frame) => writer.frame(frame),
+        Message::Event(event) => writer.event(event),
+        Message::Line(line) => writer.line(line),
+    }
+}
+
+/// A recording as a file in a folder that lives as long as the first part.
+fn written(messages: &[Message]) -> (TempDir, PathBuf) {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let path = folder.path().join("a.mcap");
+    let mut writer = Writer::create(&path, &about(), "{\"schema\":2}").expect("the file can be made");
+    messages.iter().for_each(|message| add(&mut writer, message));
+    writer.finish("the run has ended").expect("the file can be finished");
+    (folder, path)
+}
+
+fn read(path: &Path) -> Vec<Message> {
+    let recording = Recording::open(path).expect("a recording");
+    recording.messages().collect::<Result<_, _>>().expect("whole messages")
+}
+
+#[test]
+fn what_was_written_is_read_back() {
+    let all = messages(60);
+    let (_folder, path) = written(&all);
+    let recording = Recording::open(&path).unwrap();
+    assert_eq!(recording.about(), &about());
+    let how = "the run has ended".to_owned();
+    assert_eq!(recording.ending(), &Ending::Complete { how, lost_on_disk: "{}".to_owned() });
+    recording.verify().unwrap();
+    assert_eq!(read(&path), all);
+}
+
+#[test]
+fn a_cut_file_is_read_up_to_its_last_whole_chunk_and_called_incomplete() {
+    let all = messages(60);
+    let (folder, path) = written(&all);
+    let whole = fs::read(&path).unwrap();
+    let cut = folder.path().join("cut.mcap");
+    let mut found_len = 0;
+    // Every place would take long; a prime step comes by all kinds of records.
+    let places: Vec<usize> =
+        (1..).map(|i| i * whole.len() / 211).take_while(|at| *at < whole.len()).collect();
+    assert!(places.len() > 100);
+    for at in places {
+        fs::write(&cut, &whole[..at]).unwrap();
+        let Ok(recording) = Recording::open(&cut) else {
+            assert!(at < 4_000, "only without its metadata is it none: cut to {at}");
+            continue;
+        };
+        assert!(!recording.is_complete(), "cut to {at} of {}", whole.len());
+        let messages: Vec<Message> = recording.messages().collect::<Result<_, _>>().unwrap();
+        assert_eq!(messages, all[..messages.len()], "cut to {at}");
+        assert!(messages.len() >= found_len, "a longer file has no fewer messages");
+        found_len = messages.len();
+    }
+    assert_eq!(found_len, all.len(), "the index alone was cut off last");
+}
+
+#[test]
+fn a_flipped_bit_is_found_wherever_it_is() {
+    let (folder, path) = written(&messages(20));
+    let whole = fs::read(&path).unwrap();
+    let hurt = folder.path().join("hurt.mcap");
+    for at in (0..whole.len()).step_by(13) {
+        let mut bytes = whole.clone();
+        bytes[at] ^= 1 << (at % 8);
+        fs::write(&hurt, &bytes).unwrap();
+        let is_found = match Recording::open(&hurt) {
+            Err(_) => true,
+            Ok(recording) => !recording.is_complete() || recording.verify().is_err(),
+        };
+        assert!(is_found, "byte {at} of {}", whole.len());
+    }
+}
+
+#[test]
+fn a_damaged_chunk_is_named_and_the_next_ones_are_read() {
+    let all = messages(60);
+    let (_folder, path) = written(&all);
+    let mut bytes = fs::read(&path).unwrap();
+    // The first chunk begins behind the channels; its content behind its sizes.
+    let lz4 = b"\x03\0\0\0lz4";
+    let first = bytes.windows(lz4.len()).position(|window| window == lz4).unwrap();
+    bytes[first + 60] ^= 0x10;
+    fs::write(&path, &bytes).unwrap();
+    let recording = Recording::open(&path).unwrap();
+    let results: Vec<_> = recording.messages().collect();
+    let Some(Err(ReadError::Damaged { offset, .. })) = results.first() else {
+        panic!("{:?}", results.first())
+    };
+    assert!((*offset as usize) < first);
+    let rest: Vec<Message> = results.into_iter().skip(1).map(Result::unwrap).collect();
+    assert!(!rest.is_empty() && all.ends_with(&rest));
+}
+
+/// A disk that does not take its third and fourth block.
+#[derive(Default)]
+struct Disk {
+    blocks_len: usize,
+    bytes: u64,
+}
+
+impl Sink for Disk {
+    fn append(&mut self, block: &[u8]) -> io::Result<()> {
+        self.blocks_len += 1;
+        if (3..5).contains(&self.blocks_len) {
+            return Err(ErrorKind::StorageFull.into());
+        }
+        self.bytes += block.len() as u64;
+        Ok(())
+    }
+}
+
+#[test]
+fn what_a_full_disk_did_not_take_is_counted_in_the_file() {
+    let all = messages(75);
+    let mut writer = Writer::over(Disk::default(), &about(), "{}").unwrap();
+    all.iter().for_each(|message| add(&mut writer, message));
+    assert!(matches!(writer.take_error(), Some(error) if error.kind() == ErrorKind::StorageFull));
+    let written = writer.finish("over").unwrap();
+    let lost: u64 = written.lost.values().sum();
+    assert!(lost > 20 && written.lost["forecasts"] > 5, "{written:?}");
+    let events_of_loss = written.lost.len() as u64;
+    assert_eq!(written.messages, all.len() as u64 - lost + events_of_loss, "{written:?}");
+}
+
+#[test]
+fn other_files_are_refused_by_name() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("a.mcap");
+    let refusal = |bytes: &[u8]| {
+        fs::write(&path, bytes).unwrap();
+        Recording::open(&path).unwrap_err().to_string()
+    };
+    assert!(refusal(b"id,x,y\n").ends_with("a.mcap: not an MCAP file"));
+    assert!(refusal(b"\x89MCAP0\r\n").contains("no metadata \"stgdat.run\""));
+    let foreign = About { schema: 1, program: "stgdat 0.0.1".to_owned(), ..about() };
+    fs::remove_file(&path).unwrap();
+    Writer::create(&path, &foreign, "{}").unwrap().finish("").unwrap();
+    let bytes = fs::read(&path).unwrap();
+    let text = refusal(&bytes);
+    assert!(text.contains("wire schema 1") && text.contains("stgdat 0.0.1"), "{text}");
+    fs::write(&path, "kept").unwrap();
+    let error = Writer::create(&path, &about(), "{}").unwrap_err().to_string();
+    assert!(error.contains("a.mcap") && error.contains("not replaced"), "{error}");
+    assert_eq!(fs::read(&path).unwrap(), b"kept");
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(32))]
+
+    /// Any bytes after a true begin are an end or an error, and no panic.
+    #[test]
+    fn any_bytes_are_read_without_a_panic(tail in prop::collection::vec(any::<u8>(), 0..600), cut in 0_usize..20_000) {
+        let (folder, path) = written(&messages(4));
+        let mut bytes = fs::read(&path).unwrap();
+        bytes.truncate(cut);
+        bytes.extend(tail);
+        let hurt = folder.path().join("hurt.mcap");
+        fs::write(&hurt, &bytes).unwrap();
+        if let Ok(recording) = Recording::open(&hurt) {
+            let _ = recording.verify();
+            let _ = recording.messages().count();
+        }
+    }
+}
