@@ -4,6 +4,7 @@ use std::sync::mpsc::{Receiver, Sender, channel};
 use std::time::{Duration, Instant};
 
 use config::{Pipeline, Restart};
+use recording::Happened;
 use run::{Exit, Run};
 use rustix::process::Signal;
 use wire::{Heartbeat, StageId};
@@ -36,6 +37,8 @@ pub struct Fleet {
     begun: Instant,
     tended: Duration,
     end_limit: Duration,
+    /// Number of the clean-up after the last death of a process that is no stage.
+    other_ticket: u64,
 }
 
 /// A stage with its process.
@@ -80,6 +83,22 @@ pub enum Event {
     },
 }
 
+impl Event {
+    /// The same for the tools of the run.
+    pub fn happened(&self) -> Happened {
+        let name = |stage: &StageId| stage.name().to_owned();
+        match self {
+            Self::Died { stage, how, next } => {
+                Happened::Died { stage: name(stage), how: how.clone(), next: *next }
+            }
+            Self::GivenUp { stage, how, why } => {
+                Happened::GivenUp { stage: name(stage), how: how.clone(), why: (*why).to_owned() }
+            }
+            Self::Starved { stage } => Happened::Starved { stage: name(stage) },
+        }
+    }
+}
+
 impl Fleet {
     /// Starts all stages of a pipeline; they have more time to end where `keeps_memory`.
     pub fn start(pipeline: &Pipeline, run: &Run, record: &Path, keeps_memory: bool) -> Result<Self, Failure> {
@@ -95,6 +114,7 @@ impl Fleet {
             begun: Instant::now(),
             tended: Duration::ZERO,
             end_limit,
+            other_ticket: 0,
         };
         for stage in &pipeline.stages {
             let program = Program::of(stage);
@@ -175,7 +195,8 @@ impl Fleet {
     fn restart(&mut self, now: Duration) -> Result<(), Failure> {
         let waiting =
             |m: &&Member| matches!(m.supervision.state(), State::Waiting { .. } | State::GivenUp { .. });
-        let wanted = self.members.iter().filter(waiting).map(|m| m.ticket).max().unwrap_or(0);
+        let wanted =
+            self.members.iter().filter(waiting).map(|m| m.ticket).max().unwrap_or(0).max(self.other_ticket);
         self.cleaner.tend(wanted, now)?;
         for member in &mut self.members {
             if member.supervision.is_due(now) && self.cleaner.is_done(member.ticket) {
@@ -193,6 +214,11 @@ impl Fleet {
             }
         }
         Ok(())
+    }
+
+    /// A process of the run that is no stage has died: what it held is cleaned up.
+    pub fn clean_up(&mut self) {
+        self.other_ticket = self.cleaner.ticket();
     }
 
     /// Asks all stages to end, waits, and kills those that do not end in time.

@@ -6,6 +6,7 @@ pub mod card;
 pub mod check;
 pub mod clean;
 pub mod completions;
+pub mod diff;
 pub mod doctor;
 pub mod evaluate;
 pub mod fault;
@@ -14,9 +15,12 @@ pub mod manual;
 pub mod map;
 pub mod plot;
 pub mod predict;
+pub mod record;
+pub mod replay;
 pub mod run;
 pub mod stage;
 pub mod sweep;
+pub mod tap;
 pub mod track;
 pub mod train;
 pub mod verify;
@@ -61,6 +65,12 @@ pub enum Verb {
     /// Inject faults into runs and check what they promise
     #[command(subcommand)]
     Fault(fault::Verb),
+    /// Record a run that goes on: frames, events and log lines in one MCAP file
+    Record(record::Arguments),
+    /// Take a recording of `record` through the stages once more and compare
+    Replay(replay::Arguments),
+    /// Compare two recordings of `record`: the first number that differs, and how that grows
+    Diff(diff::Arguments),
     /// Check this machine: shared memory, limits, CPU, leftovers
     Doctor(doctor::Arguments),
     /// Remove files that dead runs left in shared memory
@@ -72,6 +82,9 @@ pub enum Verb {
     /// Clean up after dead stages of a living run (started by `run`)
     #[command(hide = true)]
     Sweep(sweep::Arguments),
+    /// Hand the frames of a run on to its tools (started by `run`)
+    #[command(hide = true)]
+    Tap(tap::Arguments),
     /// Print the manual of the command line as Markdown: the page docs/cli.md
     #[command(hide = true)]
     Manual(manual::Arguments),
@@ -96,11 +109,15 @@ impl Verb {
             Self::Verify(arguments) => verify::execute(&arguments),
             Self::Bench(arguments) => bench::execute(&arguments),
             Self::Fault(verb) => verb.execute(),
+            Self::Record(arguments) => record::execute(&arguments),
+            Self::Replay(arguments) => replay::execute(&arguments),
+            Self::Diff(arguments) => diff::execute(&arguments),
             Self::Doctor(arguments) => doctor::execute(&arguments),
             Self::Clean(arguments) => clean::execute(&arguments),
             Self::Wire(arguments) => wire::execute(&arguments),
             Self::Completions(arguments) => completions::execute(&arguments),
             Self::Sweep(arguments) => sweep::execute(&arguments),
+            Self::Tap(arguments) => tap::execute(&arguments),
             Self::Manual(arguments) => manual::execute(&arguments),
         }
     }

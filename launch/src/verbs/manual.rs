@@ -36,6 +36,7 @@ const HEAD: &str = "\
 | exit code | meaning |
 |---|---|
 | 0 | done |
+| 1 | `diff` and `replay` have found differences |
 | 2 | wrong usage of the command line |
 | 65 | a recording, map or weights file can't be used, or an output file can't be written |
 | 69 | a resource is missing: shared memory, space, a port |

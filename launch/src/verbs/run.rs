@@ -8,6 +8,7 @@ use nn::Weights;
 use ports::{Space, Stop};
 use recorder::live::LiveOptions;
 use recorder::{Report, RunInfo, Supervision};
+use recording::{About, Happened};
 use run::{Exit, Run, StageRun};
 use scene::ContextMap;
 use source::{Playback, PlaybackOptions};
@@ -18,11 +19,14 @@ use crate::arguments::{
     ModelArguments, RetrievalArguments, SceneArguments, SetArguments, TrackerArguments, canonical,
     check_lanes, check_memory, warn_of_doubts,
 };
+use crate::child::Line;
 use crate::failure::{Failure, StageDeath};
 use crate::fleet::Fleet;
 use crate::options::{Setting, StageOptions, text};
 use crate::outages::Outages;
 use crate::pipeline_file;
+use crate::tap::{Recording, Tap};
+use crate::verbs::record;
 use crate::watch::Watch;
 
 /// Time limit for all stages to start and link to their neighbours.
@@ -57,6 +61,12 @@ pub struct Arguments {
     /// The pipeline.toml; by default the built-in one
     #[arg(long, value_name = "FILE")]
     pipeline: Option<PathBuf>,
+    /// Record the run in this MCAP file; there must be none of that name
+    #[arg(long, value_name = "FILE")]
+    record: Option<PathBuf>,
+    /// Topics that are recorded, separated by commas, or `all`
+    #[arg(long, value_name = "LIST", requires = "record", default_value = record::TOPICS, value_parser = record_topics)]
+    record_topics: String,
     /// Show no progress
     #[arg(long)]
     quiet: bool,
@@ -109,8 +119,14 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
 
     let begun = SystemTime::now();
     let keeps_memory = options.get(StageId::Sampler, "memory").is_some();
-    let record = write_record(&run, arguments.announce.as_deref())?;
-    let ended = supervise(&pipeline, &run, &record, &stop, live, arguments.quiet, keeps_memory)?;
+    let record_file = write_record(&run, arguments.announce.as_deref())?;
+    about(arguments, &info, &run)?.write(&run.root).map_err(|error| Failure::file(&run.root, error))?;
+    let tap = Tap::start(&record_file)?;
+    let recording = arguments.record.as_deref();
+    let recording =
+        recording.map(|file| Recording::start(&run.root, file, &arguments.record_topics)).transpose()?;
+    let following = Following { tap, recording, live, quiet: arguments.quiet };
+    let ended = supervise(&pipeline, &run, &record_file, &stop, following, keeps_memory)?;
     // However the run ended, the report tells what there was until then. After a signal or a failure, there is
     // one if the recorder had begun; where it died too, what it had kept.
     let modified = std::fs::metadata(&report_path).and_then(|file| file.modified());
@@ -129,6 +145,7 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
         let supervision = ended.outages.into_record(ended_by);
         let given_up = !supervision.given_up.is_empty();
         report(arguments, measured, info, supervision)?;
+        ended.recorded.iter().for_each(|line| println!("{line}"));
         if given_up && matches!(ended.outcome, Ok(Exit::Done)) {
             return Ok(Exit::Failed);
         }
@@ -146,6 +163,16 @@ struct Ended {
     /// Whether the pipeline had been linked: the run had begun.
     linked: bool,
     outages: Outages,
+    /// What the recording says of its file.
+    recorded: Vec<String>,
+}
+
+/// Who follows a run besides its stages.
+struct Following {
+    tap: Tap,
+    recording: Option<Recording>,
+    live: LiveOptions,
+    quiet: bool,
 }
 
 impl Arguments {
@@ -225,25 +252,36 @@ fn supervise(
     run: &Run,
     record: &Path,
     stop: &Stop,
-    live: LiveOptions,
-    quiet: bool,
+    following: Following,
     keeps_memory: bool,
 ) -> Result<Ended, Failure> {
+    let Following { mut tap, recording, live, quiet } = following;
     let mut watch = Watch::open(run, live, quiet)?;
     let mut fleet = Fleet::start(pipeline, run, record, keeps_memory)?;
     let started = Instant::now();
     let mut linked = false;
     let outcome = loop {
-        let heartbeats = match watch.follow(fleet.lines()) {
+        let lines: Vec<Line> = fleet.lines().collect();
+        lines.iter().for_each(|(stage, line)| tap.line(stage.name(), line));
+        if tap.tend() {
+            fleet.clean_up();
+        }
+        let heartbeats = match watch.follow(lines.into_iter()) {
             Ok(heartbeats) => heartbeats,
             Err(failure) => break Err(failure),
         };
         if let Some(exit) = stop.exit() {
             break Ok(exit);
         }
-        linked = linked || watch.unlinked().is_empty();
+        if !linked && watch.unlinked().is_empty() {
+            linked = true;
+            tap.event(Happened::Linked);
+        }
         match fleet.tend(&heartbeats, linked) {
-            Ok(events) => events.iter().for_each(|event| watch.say(event)),
+            Ok(events) => events.iter().for_each(|event| {
+                watch.say(event);
+                tap.event(event.happened());
+            }),
             Err(failure) => break Err(failure),
         }
         if fleet.done(StageId::Recorder) || fleet.is_over() {
@@ -256,9 +294,23 @@ fn supervise(
         }
     };
     fleet.end();
+    let lines: Vec<Line> = fleet.lines().collect();
+    lines.iter().for_each(|(stage, line)| tap.line(stage.name(), line));
+    let how = outcome.as_ref().map_or_else(ToString::to_string, |exit| format!("{exit:?}").to_lowercase());
+    tap.event(Happened::Ended { how });
+    tap.end();
+    let mut recorded = Vec::new();
+    if let Some(recording) = recording {
+        let (said, is_whole) = recording.end();
+        recorded = said;
+        if !is_whole {
+            recorded
+                .push("the recording is incomplete: it is readable up to its last whole chunk".to_owned());
+        }
+    }
     let unkept = keeps_memory.then(|| fleet.failure(StageId::Sampler)).flatten();
-    let outages = watch.close(fleet.lines());
-    Ok(Ended { outcome, unkept, linked, outages })
+    let outages = watch.close(lines.into_iter());
+    Ok(Ended { outcome, unkept, linked, outages, recorded })
 }
 
 /// Completes the recorder's report, prints it, and writes it to the file of `--report`.
@@ -329,6 +381,23 @@ fn info(
 /// Whether the model card lists the recording's SHA-256 among the training data; `None` without a card.
 fn seen_in_training(weights: &Weights, sha256: &str) -> Option<bool> {
     weights.card().map(|card| card.to_string().contains(sha256))
+}
+
+/// What a recording says about the run.
+fn about(arguments: &Arguments, info: &RunInfo, run: &Run) -> Result<About, Failure> {
+    Ok(About {
+        program: concat!("stgdat ", env!("CARGO_PKG_VERSION")).to_owned(),
+        pipeline: pipeline_file::text(arguments.pipeline.as_deref())?,
+        weights_sha256: info.weights_sha256.clone().unwrap_or_default(),
+        kernels: nn::kernels::active().name().to_owned(),
+        scene: info.recording.clone().unwrap_or_default(),
+        run: run.clone(),
+        ..About::default()
+    })
+}
+
+fn record_topics(list: &str) -> Result<String, String> {
+    record::topics(list).map(|_| list.to_owned())
 }
 
 fn live_options(run: &Run, info: &RunInfo, ticks_len: u64) -> LiveOptions {

@@ -50,6 +50,7 @@ mod peers;
 mod points;
 mod program;
 mod publisher;
+mod raw;
 mod relay;
 mod space;
 mod stage;
@@ -68,8 +69,12 @@ pub use program::{
     stage_main,
 };
 pub use publisher::{Loan, Publisher};
+pub use raw::RawSubscriber;
 pub use relay::{RawFrame, Relay};
-pub use space::{Leftover, Space, SpaceError, leftovers, remove_half_made_connections, shared_memory_free};
+pub use space::{
+    Leftover, LivingRun, Space, SpaceError, leftovers, living_runs, remove_half_made_connections,
+    shared_memory_free,
+};
 pub use stage::{Awaited, HEARTBEAT, Passage, Stage};
 pub use stop::Stop;
 pub use subscriber::{Frame, Subscriber};

@@ -30,6 +30,10 @@ pub struct Relay<T: Topic> {
 pub struct RawFrame<T: Topic>(Sample<ipc::Service, [Element<T>], Head>);
 
 impl<T: Topic> RawFrame<T> {
+    pub(crate) const fn of(sample: Sample<ipc::Service, [Element<T>], Head>) -> Self {
+        Self(sample)
+    }
+
     /// The header, unchecked.
     #[must_use]
     pub fn header(&self) -> &Header {

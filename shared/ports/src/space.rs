@@ -70,6 +70,15 @@ pub struct Leftover {
     _lock: Option<File>,
 }
 
+/// A run whose launcher is alive.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct LivingRun {
+    /// Its name: that of its directory.
+    pub name: String,
+    /// Its directory, where its record lies.
+    pub root: PathBuf,
+}
+
 impl Space {
     /// Takes names for a run whose number is `run_id`.
     ///
@@ -154,6 +163,23 @@ pub fn shared_memory_free() -> io::Result<u64> {
 /// # Errors
 /// Where the directories can't be read.
 pub fn leftovers() -> io::Result<Vec<Leftover>> {
+    Ok(prefixes()?.into_iter().filter_map(leftover).collect())
+}
+
+/// The runs of this user that go on.
+///
+/// # Errors
+/// Where the directories can't be read.
+pub fn living_runs() -> io::Result<Vec<LivingRun>> {
+    let living = prefixes()?
+        .into_iter()
+        .filter(|prefix| is_locked(prefix))
+        .map(|prefix| LivingRun { root: root_of(&prefix), name: prefix.trim_end_matches('_').to_owned() });
+    Ok(living.filter(|run| is_ours(&run.root)).collect())
+}
+
+/// The prefixes of all runs that have files.
+fn prefixes() -> io::Result<Vec<String>> {
     let mut prefixes = Vec::new();
     for directory in [SHARED_MEMORY, ROOTS] {
         for entry in std::fs::read_dir(directory)? {
@@ -163,7 +189,15 @@ pub fn leftovers() -> io::Result<Vec<Leftover>> {
     }
     prefixes.sort();
     prefixes.dedup();
-    Ok(prefixes.into_iter().filter_map(leftover).collect())
+    Ok(prefixes)
+}
+
+/// Whether a run's launcher holds its lock.
+fn is_locked(prefix: &str) -> bool {
+    let path = lock_path(prefix);
+    // Shared: two processes that look at once do not take each other for a launcher.
+    let taken = take_lock(&path, OFlags::empty(), FlockOperation::NonBlockingLockShared);
+    is_ours(&path) && taken.is_err_and(|error| error.kind() == io::ErrorKind::WouldBlock)
 }
 
 /// The leftover of a run, where it is dead and ours.
