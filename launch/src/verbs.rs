@@ -13,6 +13,7 @@ pub mod fault;
 pub mod graph;
 pub mod manual;
 pub mod map;
+pub mod mark;
 pub mod plot;
 pub mod predict;
 pub mod record;
@@ -67,6 +68,8 @@ pub enum Verb {
     Fault(fault::Verb),
     /// Record a run that goes on: frames, events and log lines in one MCAP file
     Record(record::Arguments),
+    /// Mark this moment in the recordings of a run
+    Mark(mark::Arguments),
     /// Take a recording of `record` through the stages once more and compare
     Replay(replay::Arguments),
     /// Compare two recordings of `record`: the first number that differs, and how that grows
@@ -110,6 +113,7 @@ impl Verb {
             Self::Bench(arguments) => bench::execute(&arguments),
             Self::Fault(verb) => verb.execute(),
             Self::Record(arguments) => record::execute(&arguments),
+            Self::Mark(arguments) => mark::execute(&arguments),
             Self::Replay(arguments) => replay::execute(&arguments),
             Self::Diff(arguments) => diff::execute(&arguments),
             Self::Doctor(arguments) => doctor::execute(&arguments),

@@ -35,6 +35,8 @@ enum Followed {
     TimeOver,
     /// The run has ended.
     RunEnded,
+    /// The tap has closed before it said that the run has ended: what it still had is missing.
+    TapGone,
 }
 
 impl Followed {
@@ -43,22 +45,27 @@ impl Followed {
             Self::Stopped => "the recording was ended",
             Self::TimeOver => "its time was over",
             Self::RunEnded => "the run has ended",
+            Self::TapGone => {
+                "the tap was killed with its run, or gave up waiting: the last frames may be missing"
+            }
         }
     }
 }
 
-/// Writes all that comes until the run ends, `limit` is over or the process is asked to end.
+/// Writes all that comes until the run ends, `limit` is over or the process is asked to end; events and log lines
+/// where `events`. The request asks for them all the same: they tell of the run's end.
 pub fn follow(
     root: &Path,
     request: &Request,
     mut client: Client,
     mut writer: Writer,
+    events: bool,
     limit: Option<Duration>,
     stop: &Stop,
 ) -> Result<Recorded, Failure> {
     let begun = Instant::now();
     let mut lost = BTreeMap::new();
-    let mut said = None;
+    let (mut said, mut has_ended) = (None, false);
     let how = loop {
         if stop.requested() {
             break Followed::Stopped;
@@ -68,7 +75,14 @@ pub fn follow(
         }
         let left = limit.map_or(WAIT, |limit| limit.saturating_sub(begun.elapsed()).min(WAIT));
         match client.next(left).map_err(Failure::unavailable)? {
-            Some(item) => add(&mut writer, item, &mut lost),
+            Some(item) => {
+                has_ended |=
+                    matches!(&item, Item::Event(event) if matches!(event.what, Happened::Ended { .. }));
+                if events || !matches!(item, Item::Event(_) | Item::Line(_)) {
+                    add(&mut writer, item, &mut lost);
+                }
+            }
+            None if client.is_closed() && has_ended => break Followed::RunEnded,
             None if client.is_closed() => match again(root, request, stop) {
                 Some(next) => {
                     client = next;
@@ -76,7 +90,7 @@ pub fn follow(
                         "the tap has died and was started again: frames between are missing".to_owned();
                     writer.event(&Event { at_ns: monotonic_ns(), what: Happened::Mark { text } });
                 }
-                None => break Followed::RunEnded,
+                None => break Followed::TapGone,
             },
             // Nothing happens: what there is, is safe.
             None => writer.flush(),

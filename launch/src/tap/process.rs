@@ -22,7 +22,7 @@ const PAUSE: Duration = Duration::from_secs(1);
 /// Time that the tap has to open its socket, and a recording to attach.
 const START_LIMIT: Duration = Duration::from_secs(10);
 /// Time that the tap has to hand on what is last.
-const END_LIMIT: Duration = Duration::from_secs(4);
+const END_LIMIT: Duration = Duration::from_secs(7);
 /// Time that a recording has to write what is last: a disk may be slow.
 const RECORDING_LIMIT: Duration = Duration::from_secs(20);
 /// Bytes for a tap that does not read, beyond what the pipe holds; lines that have no room are left out.

@@ -7,14 +7,14 @@ use std::os::unix::net::{UnixListener, UnixStream};
 use std::path::Path;
 use std::time::{Duration, Instant};
 
-use ports::{Node, Stop, monotonic_ns};
+use ports::{Node, Publisher, Stop, TAP, monotonic_ns};
 use recording::tap::{Hub, QUEUE_BYTES, REQUEST_BYTES_MAX, Request, SOCKET, Want};
 use recording::{Event, Happened, LogLine};
 use run::{Exit, Run};
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use rustix::io::Errno;
 use serde::{Deserialize, Serialize};
-use wire::{Heartbeat, HeartbeatsTopic, REFUSALS_MAX, RefusalCause, Refusals, StageId, TABLE, Topic};
+use wire::{Header, Heartbeat, HeartbeatsTopic, REFUSALS_MAX, RefusalCause, Refusals, StageId, TABLE, Topic};
 
 use crate::failure::Failure;
 use crate::tap::topic::{self, Input, Taken};
@@ -22,7 +22,7 @@ use crate::tap::topic::{self, Input, Taken};
 /// Longest sleep, after which it looks whether the run is still there.
 const SLEEP: Duration = Duration::from_millis(500);
 /// Time that the tools have to take what waits for them when the run ends.
-const END_LIMIT: Duration = Duration::from_secs(2);
+const END_LIMIT: Duration = Duration::from_secs(5);
 /// Bytes of the launcher's messages that are read at a time.
 const BLOCK: usize = 1 << 14;
 
@@ -45,6 +45,12 @@ struct Server {
     pending: Vec<(UnixStream, Vec<u8>)>,
     inputs: Vec<Box<dyn Input>>,
     refusals: Watched,
+    /// Heartbeats, for which the source waits in lockstep so that the tap loses nothing.
+    beats: Option<Publisher<HeartbeatsTopic>>,
+    /// The newest tick that was handed on, and the newest that a heartbeat told.
+    newest: u64,
+    beaten: u64,
+    beat: u64,
     /// What the launcher said, up to the last whole line.
     told: Vec<u8>,
 }
@@ -67,12 +73,17 @@ pub fn serve(record: &Path) -> Result<Exit, Failure> {
         pending: Vec::new(),
         inputs: Vec::new(),
         refusals: Watched::default(),
+        beats: None,
+        newest: 0,
+        beaten: 0,
+        beat: 0,
         told: Vec::new(),
     };
     let mut input = std::io::stdin();
     loop {
         let ready = server.wait(&listener, input.as_fd(), SLEEP).map_err(Failure::unavailable)?;
         server.pump()?;
+        server.beat()?;
         if ready.launcher && !server.listen(&mut input) {
             break;
         }
@@ -123,9 +134,13 @@ impl Server {
 
     /// Hands on the frames that have come.
     fn pump(&mut self) -> Result<(), Failure> {
-        let Self { hub, inputs, refusals, .. } = self;
+        let Self { hub, inputs, refusals, newest, .. } = self;
         for input in inputs {
             input.take(&mut |frame: &Taken<'_>| {
+                let is_heartbeat = is_heartbeats(frame.topic);
+                if !is_heartbeat && frame.header.is_tick() {
+                    *newest = frame.header.seq.max(*newest);
+                }
                 if frame.lost > 0 {
                     hub.lost(frame.topic, frame.lost);
                 }
@@ -145,6 +160,39 @@ impl Server {
                     }
                 }
             })?;
+        }
+        Ok(())
+    }
+
+    /// Tells the source how far it is, where the run is in lockstep and ticks are read.
+    fn beat(&mut self) -> Result<(), Failure> {
+        let reads_ticks = self.inputs.iter().any(|input| !is_heartbeats(input.number()));
+        if !self.run.lockstep || !reads_ticks && self.beats.is_none() {
+            return Ok(());
+        }
+        if self.beats.is_none() {
+            self.beats = self.node.as_ref().map(|node| node.publisher()).transpose()?;
+        } else if reads_ticks && self.beaten == self.newest {
+            return Ok(());
+        }
+        let Some(beats) = &self.beats else { return Ok(()) };
+        let heartbeat = Heartbeat {
+            stage: TAP,
+            linked: u32::from(reads_ticks),
+            pid: std::process::id(),
+            beat: self.beat,
+            seq: self.newest,
+            frames_len: 1,
+            sent_ns: monotonic_ns(),
+            ..bytemuck::Zeroable::zeroed()
+        };
+        let mut header = Header::new(self.run.id, self.beat, 0);
+        header.counts.agents_len = 1;
+        beats.send_copy(&[heartbeat], header)?;
+        (self.beat, self.beaten) = (self.beat + 1, self.newest);
+        if !reads_ticks {
+            // Nothing is read any more, which the last heartbeat says.
+            self.beats = None;
         }
         Ok(())
     }
@@ -244,10 +292,9 @@ impl Server {
             tracing::info!("{} has gone; it lost {} frames in its queue", tool.name, tool.lost());
         }
         let hub = &self.hub;
-        let heartbeats = |number: u8| TABLE.topics[usize::from(number)].name == HeartbeatsTopic::NAME;
         self.inputs.retain(|input| {
             let number = input.number();
-            hub.wants(number) || heartbeats(number) && hub.wants_events()
+            hub.wants(number) || is_heartbeats(number) && hub.wants_events()
         });
     }
 
@@ -261,9 +308,13 @@ impl Server {
             self.flush();
         }
         // The launcher removes the run's files; ports that end after it would look for theirs.
-        std::mem::forget((self.inputs, self.node));
+        std::mem::forget((self.inputs, self.beats, self.node));
         Ok(Exit::Done)
     }
+}
+
+fn is_heartbeats(topic: u8) -> bool {
+    TABLE.topics[usize::from(topic)].name == HeartbeatsTopic::NAME
 }
 
 /// The refusals that heartbeats have told so far.

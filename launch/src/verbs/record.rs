@@ -78,13 +78,13 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
     let about = About { topics: names.clone(), clock_offset_ns: clock_offset_ns(), ..about };
     let writer = Writer::create(&arguments.file, &about, &layout()).map_err(Failure::data)?;
 
-    let request = Request { tool: "record".to_owned(), topics: names, events, mark: None };
+    let request = Request { tool: "record".to_owned(), topics: names, events: true, mark: None };
     let mut client = Client::attach(&run.root, &request).map_err(Failure::unavailable)?;
     if client.next(ATTACH_LIMIT).map_err(Failure::unavailable)? != Some(Item::Attached) {
         return Err(Failure::Failed(format!("the tap of {} does not answer", run.name)));
     }
     say(&format!("recording {} to {}; Ctrl-C ends it", run.name, arguments.file.display()));
-    let recorded = follow(&run.root, &request, client, writer, limit, &stop)?;
+    let recorded = follow(&run.root, &request, client, writer, events, limit, &stop)?;
     say(&summary(&arguments.file, &recorded));
     let lost = recorded.lost.values().chain(recorded.written.lost.values()).sum::<u64>();
     if lost > 0 {

@@ -131,7 +131,8 @@ fn writer(
 
 /// What the replay has found.
 fn told(replayed: &Replayed) -> String {
-    let Replayed { comparison, ticks, guessed, missing_before, without_detections, close_priors } = replayed;
+    let Replayed { comparison, ticks, guessed, missing_before, without_detections, close_priors, impossible } =
+        replayed;
     let mut text = table(comparison, ["recorded", "replayed"]);
     if let Some(first) = missing_before {
         text += &format!(
@@ -152,6 +153,9 @@ fn told(replayed: &Replayed) -> String {
             let more = if ticks.len() > LISTED_MAX { ", …" } else { "" };
             text += &format!("{} ticks {what}: {}{more}\n", ticks.len(), listed.join(", "));
         }
+    }
+    if let Some(error) = impossible {
+        text += &format!("frames that no stage can have taken are left out, the first: {error}\n");
     }
     let last = comparison.topics.iter().filter_map(|(_, topic)| topic.last).max();
     let alone: u64 = comparison.topics.iter().map(|(_, topic)| topic.only_a + topic.only_b).sum();

@@ -62,7 +62,7 @@ pub use clock::monotonic_ns;
 pub use error::{Awaiting, PortError, StageError};
 pub use names::TOPICS_VARIABLE;
 pub use node::{Node, clean_dead_nodes};
-pub use peers::Peers;
+pub use peers::{Peers, TAP};
 pub use points::{POINTS_VARIABLE, Point};
 pub use program::{
     INCARNATION_VARIABLE, LAUNCHER_VARIABLE, RUN_VARIABLE, begin_logging, die_with_launcher, incarnation,

@@ -57,14 +57,6 @@ pub enum ReplayError {
         /// What to record.
         advice: &'static str,
     },
-    /// A frame of the file can't be what a stage was given.
-    #[error("{path}: {source}")]
-    Frame {
-        /// The file.
-        path: String,
-        /// What is wrong.
-        source: FrameError,
-    },
 }
 
 /// What a replay has found.
@@ -82,12 +74,13 @@ pub struct Replayed {
     pub without_detections: Vec<u64>,
     /// Ticks whose prior came in while the tracker began: either may have been at hand.
     pub close_priors: Vec<u64>,
+    /// The first frame that no stage can have taken: a fault that was injected, or a faulty sender.
+    pub impossible: Option<FrameError>,
 }
 
 /// A recording in replay.
 pub struct Replay<'a> {
     recording: &'a Recording,
-    path: String,
     stages: Stages,
     /// The one stage that is replayed; all where none.
     alone: Option<StageId>,
@@ -126,7 +119,6 @@ impl<'a> Replay<'a> {
         let stages = Stages::new(&recording.about().run, weights)?;
         Ok(Self {
             recording,
-            path,
             stages,
             alone,
             incarnations: BTreeMap::new(),
@@ -145,18 +137,17 @@ impl<'a> Replay<'a> {
         let mut ticks: BTreeMap<u64, Tick> = BTreeMap::new();
         // The ticks in the order in which the tracker answered them.
         let mut order: VecDeque<u64> = VecDeque::new();
-        let leads = if self.recording.has_topic(TracksTopic::NAME) {
-            TracksTopic::NAME
-        } else {
-            DetectionsTopic::NAME
-        };
+        // Of one stage alone the topics around it are enough.
+        let inputs = STAGES.iter().flat_map(|(_, reads, _)| reads.iter().copied());
+        let leads =
+            [TracksTopic::NAME].into_iter().chain(inputs).find(|topic| self.recording.has_topic(topic));
         for message in self.recording.messages() {
             let Message::Frame(frame) = message? else { continue };
             if !frame.header().is_tick() {
                 continue;
             }
             let (seq, name) = (frame.header().seq, frame.topic().name);
-            if name == leads && !order.contains(&seq) {
+            if Some(name) == leads && !order.contains(&seq) {
                 order.push_back(seq);
             }
             ticks.entry(seq).or_default().add(frame);
@@ -183,11 +174,10 @@ impl<'a> Replay<'a> {
         }
         self.newest = Some(seq);
         self.found.ticks += 1;
-        let read = |source| ReplayError::Frame { path: self.path.clone(), source };
-
-        let recorded_tracks = tick.own::<TracksTopic>().map_err(read)?;
-        let recorded_controls = tick.own::<ControlsTopic>().map_err(read)?;
-        let recorded_forecasts = tick.own::<ForecastsTopic>().map_err(read)?;
+        let impossible = &mut self.found.impossible;
+        let recorded_tracks = tick.own::<TracksTopic>(impossible);
+        let recorded_controls = tick.own::<ControlsTopic>(impossible);
+        let recorded_forecasts = tick.own::<ForecastsTopic>(impossible);
         let does = |stage| self.alone.is_none_or(|alone| alone == stage);
         let [tracks_here, samples_here] = [StageId::Tracker, StageId::Sampler].map(does);
         // Of a stage alone the input is the file's.
@@ -196,11 +186,14 @@ impl<'a> Replay<'a> {
             tracks = self.track(seq, tick, recorded_tracks.as_ref())?;
             self.compare(tick, tracks.as_ref(), each);
         }
-        let controls = match &tracks {
-            Some(tracks) if !(tracks_here && self.alone.is_some()) => self.network(tick, tracks, each)?,
-            _ => None,
+        let controls = match (self.alone, &tracks) {
+            (Some(alone), _) => {
+                self.one(alone, tick, each)?;
+                recorded_controls
+            }
+            (None, Some(tracks)) => self.network(tick, tracks, each)?,
+            (None, None) => None,
         };
-        let controls = if self.alone.is_some() { recorded_controls } else { controls };
         let sampled = match (&tracks, &recorded_forecasts) {
             // A tick that the run's sampler had not answered.
             (_, None) if self.recording.has_topic(ForecastsTopic::NAME) => None,
@@ -240,8 +233,7 @@ impl<'a> Replay<'a> {
         if let Some(incarnation) = tick.incarnation(StageId::Tracker, TracksTopic::NAME) {
             self.renew(StageId::Tracker, incarnation)?;
         }
-        let read = |source| ReplayError::Frame { path: self.path.clone(), source };
-        let (header, detections) = match tick.own::<DetectionsTopic>().map_err(read)? {
+        let (header, detections) = match tick.own::<DetectionsTopic>(&mut self.found.impossible) {
             Some(detections) if !recorded.is_some_and(|tracks| tracks.header.has(flags::PREDICTED)) => {
                 (detections.header, detections.elements)
             }
@@ -297,10 +289,6 @@ impl<'a> Replay<'a> {
         tracks: &OwnFrame<TracksTopic>,
         each: &mut impl FnMut(&Frame),
     ) -> Result<Option<OwnFrame<ControlsTopic>>, ReplayError> {
-        if let Some(alone) = self.alone {
-            self.one(alone, tick, each)?;
-            return Ok(None);
-        }
         if !self.has_passed(StageId::Localiser, tick, ContextTopic::NAME)? {
             return Ok(None);
         }
@@ -330,23 +318,22 @@ impl<'a> Replay<'a> {
         if matches!(stage, StageId::Tracker | StageId::Sampler) || !self.has_passed(stage, tick, writes)? {
             return Ok(());
         }
-        let path = self.path.clone();
-        let read = |source| ReplayError::Frame { path: path.clone(), source };
+        let impossible = &mut self.found.impossible;
         match stage {
             StageId::Localiser => {
-                let made = tick.own().map_err(read)?.map(|input| self.stages.locate(&input));
+                let made = tick.own(impossible).map(|input| self.stages.locate(&input));
                 self.compare(tick, made.as_ref(), each);
             }
             StageId::Extractor => {
-                let made = tick.own().map_err(read)?.map(|input| self.stages.extract(&input));
+                let made = tick.own(impossible).map(|input| self.stages.extract(&input));
                 self.compare(tick, made.as_ref(), each);
             }
             StageId::Encoder => {
-                let made = tick.own().map_err(read)?.map(|input| self.stages.encode(&input));
+                let made = tick.own(impossible).map(|input| self.stages.encode(&input));
                 self.compare(tick, made.as_ref(), each);
             }
             _ => {
-                let made = tick.own().map_err(read)?.map(|input| self.stages.decode(&input));
+                let made = tick.own(impossible).map(|input| self.stages.decode(&input));
                 self.compare(tick, made.as_ref(), each);
             }
         }

@@ -20,10 +20,17 @@ impl Tick {
         self.0.iter().find(|frame| frame.topic().name == topic)
     }
 
-    /// The frame of a topic with its elements.
-    pub fn own<T: Topic>(&self) -> Result<Option<OwnFrame<T>>, FrameError> {
-        let own = |frame: &Frame| Ok(OwnFrame { header: *frame.header(), elements: frame.elements::<T>()? });
-        self.frame(T::NAME).map(own).transpose()
+    /// The frame of a topic with its elements; none where the frame is impossible, as a faulty sender makes it: the
+    /// stages refuse such a frame before they look at it. The first is told in `impossible`.
+    pub fn own<T: Topic>(&self, impossible: &mut Option<FrameError>) -> Option<OwnFrame<T>> {
+        let frame = self.frame(T::NAME)?;
+        match frame.elements::<T>() {
+            Ok(elements) => Some(OwnFrame { header: *frame.header(), elements }),
+            Err(error) => {
+                impossible.get_or_insert(error);
+                None
+            }
+        }
     }
 
     /// The incarnation of a stage that had the tick, by its output or by the forecasts' hops; none where neither
