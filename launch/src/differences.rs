@@ -13,10 +13,9 @@ pub fn title(recording: &Recording) -> String {
     let pace = if about.run.lockstep { "lockstep" } else { "real time" };
     let weights: String = about.weights_sha256.chars().take(DIGITS).collect();
     let mut text = format!(
-        "{}: {}, seed {}, {pace}, weights {weights}, kernels {}\n",
+        "{}: {}, {pace}, weights {weights}, kernels {}\n",
         recording.path().display(),
         about.scene,
-        about.run.seed,
         about.kernels
     );
     match recording.ending() {
