@@ -75,6 +75,10 @@ pub fn follow(
         }
         let left = limit.map_or(WAIT, |limit| limit.saturating_sub(begun.elapsed()).min(WAIT));
         match client.next(left).map_err(Failure::unavailable)? {
+            Some(Item::Attached) => {
+                let text = "the tap has died and was started again: frames between are missing".to_owned();
+                writer.event(&Event { at_ns: monotonic_ns(), what: Happened::Mark { text } });
+            }
             Some(item) => {
                 has_ended |=
                     matches!(&item, Item::Event(event) if matches!(event.what, Happened::Ended { .. }));
@@ -84,12 +88,7 @@ pub fn follow(
             }
             None if client.is_closed() && has_ended => break Followed::RunEnded,
             None if client.is_closed() => match again(root, request, stop) {
-                Some(next) => {
-                    client = next;
-                    let text =
-                        "the tap has died and was started again: frames between are missing".to_owned();
-                    writer.event(&Event { at_ns: monotonic_ns(), what: Happened::Mark { text } });
-                }
+                Some(next) => client = next,
                 None => break Followed::TapGone,
             },
             // Nothing happens: what there is, is safe.
@@ -112,6 +111,7 @@ fn add(writer: &mut Writer, item: Item, lost: &mut Losses) {
         Item::Frame(frame) => writer.frame(&frame),
         Item::Event(event) => writer.event(&event),
         Item::Line(line) => writer.line(&line),
+        // Taken before the first of these, and told where it comes again.
         Item::Attached => {}
         Item::Lost(loss) => {
             let (at, topic) = (loss.at.name().to_owned(), loss.topic().to_owned());
