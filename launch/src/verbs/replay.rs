@@ -131,8 +131,16 @@ fn writer(
 
 /// What the replay has found.
 fn told(replayed: &Replayed) -> String {
-    let Replayed { comparison, ticks, guessed, missing_before, without_detections, close_priors, impossible } =
-        replayed;
+    let Replayed {
+        comparison,
+        ticks,
+        newest,
+        guessed,
+        missing_before,
+        without_detections,
+        close_priors,
+        impossible,
+    } = replayed;
     let mut text = table(comparison, ["recorded", "replayed"]);
     if let Some(first) = missing_before {
         text += &format!(
@@ -165,6 +173,7 @@ fn told(replayed: &Replayed) -> String {
         }
         None if alone == 0 => format!("equal to the byte: {ticks} ticks\n"),
         None => format!("equal where both have a frame; {alone} frames are on one side alone\n"),
+        last if last == *newest => "the last tick differs still\n".to_owned(),
         Some(last) => format!("the replay agrees from tick {} on\n", last + 1),
     };
     text

@@ -68,6 +68,8 @@ pub struct Replayed {
     pub ticks: u64,
     /// Ticks of which the record does not say which stages had them, the topics between being not recorded.
     pub guessed: u64,
+    /// The last tick that was replayed.
+    pub newest: Option<u64>,
     /// The first tick that the run has had and the recording not from its begin.
     pub missing_before: Option<u64>,
     /// Numbers of detections without which a tick was replayed that had some.
@@ -88,7 +90,6 @@ pub struct Replay<'a> {
     /// The newest forecasts: when they were sent, and the frame; VOID ones are not among them.
     forecasts: VecDeque<(u64, OwnFrame<ForecastsTopic>)>,
     prior: Option<OwnFrame<ForecastsTopic>>,
-    newest: Option<u64>,
     found: Replayed,
 }
 
@@ -124,7 +125,6 @@ impl<'a> Replay<'a> {
             incarnations: BTreeMap::new(),
             forecasts: VecDeque::new(),
             prior: None,
-            newest: None,
             found: Replayed::default(),
         })
     }
@@ -169,10 +169,10 @@ impl<'a> Replay<'a> {
     }
 
     fn tick(&mut self, seq: u64, tick: &Tick, each: &mut impl FnMut(&Frame)) -> Result<(), ReplayError> {
-        if self.newest.is_none() && seq > 0 {
+        if self.found.newest.is_none() && seq > 0 {
             self.found.missing_before = Some(seq);
         }
-        self.newest = Some(seq);
+        self.found.newest = Some(seq);
         self.found.ticks += 1;
         let impossible = &mut self.found.impossible;
         let recorded_tracks = tick.own::<TracksTopic>(impossible);
