@@ -100,6 +100,7 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
         lockstep: arguments.speed == Speed::Max,
         seed: arguments.scene.seed,
         protected: pipeline.protected.clone(),
+        shed: pipeline.shed,
         weights: weights_path,
         stages: stage_runs(&pipeline, &options),
     };

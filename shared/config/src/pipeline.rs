@@ -43,6 +43,8 @@ pub struct Pipeline {
     pub weights: Option<PathBuf>,
     /// Topics whose frames carry a check value.
     pub protected: Vec<String>,
+    /// Whether a tick that has no time for all agents serves some and leaves out the others.
+    pub shed: bool,
     /// The stages.
     pub stages: Vec<Stage>,
     /// Warnings for the file's author: keys that have another name now.

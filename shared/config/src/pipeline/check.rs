@@ -37,7 +37,11 @@ pub(super) fn check(file: &File, declared: &[&dyn Declared]) -> Result<Pipeline,
             names(topics)
         }
     };
-    Ok(Pipeline { weights: file.weights.clone(), protected, stages, warnings })
+    let shed = file.shed.unwrap_or(true);
+    if shed {
+        warnings.extend(late_controls(&tables));
+    }
+    Ok(Pipeline { weights: file.weights.clone(), protected, shed, stages, warnings })
 }
 
 fn stage(table: &StageTable, declared: &[&dyn Declared], warnings: &mut Vec<String>) -> Result<Stage, Fault> {
@@ -227,6 +231,27 @@ fn open_input<'a>(table: &'a StageTable, open: &[&StageTable]) -> Option<&'a Spa
         let topic = read.get_ref();
         let meant = table.name.get_ref() == "tracker" && topic == ForecastsTopic::NAME;
         !meant && open.iter().any(|other| other.writes.iter().any(|written| written.get_ref() == topic))
+    })
+}
+
+/// A warning where the sampler gives up waiting before the stages ahead of it stop serving agents.
+fn late_controls(tables: &[&StageTable]) -> Option<String> {
+    let sampler = tables.iter().find(|table| table.name.get_ref() == StageId::Sampler.name())?;
+    let (_, deadline_ms) = sampler.options.iter().find(|(key, _)| key.get_ref() == "deadline_ms")?;
+    let deadline_ms = match deadline_ms.get_ref() {
+        toml::Value::Float(ms) => *ms,
+        toml::Value::Integer(ms) => *ms as f64,
+        _ => return None,
+    };
+    let is_before =
+        |name: &str| StageId::from_name(name).is_some_and(|id| (id as u32) < StageId::Sampler as u32);
+    let before = tables.iter().filter(|table| is_before(table.name.get_ref()));
+    let sum_ms: f64 = before.filter_map(|table| table.budget_ms.as_ref()).map(|ms| *ms.get_ref()).sum();
+    (sum_ms > deadline_ms).then(|| {
+        format!(
+            "the budgets before the sampler add up to {sum_ms} ms, its deadline_ms is {deadline_ms}: where load is \
+             shed, the decoder serves agents until their controls are too late"
+        )
     })
 }
 

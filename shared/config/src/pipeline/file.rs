@@ -13,6 +13,7 @@ use crate::Restart;
 pub(super) struct File {
     pub weights: Option<PathBuf>,
     pub protect: Option<Vec<Spanned<String>>>,
+    pub shed: Option<bool>,
     #[serde(rename = "stage", default)]
     pub stages: Vec<Spanned<StageTable>>,
 }

@@ -112,6 +112,20 @@ fn the_shipped_file_is_accepted() {
 }
 
 #[test]
+fn load_is_shed_unless_the_file_forbids_it_and_late_controls_are_warned_of() {
+    assert!(parsed(FULL).shed);
+    let never = format!("shed = false\n{FULL}");
+    assert!(!parsed(&never).shed);
+    let hasty = |text: &str| parsed(&text.replacen("deadline_ms = 72", "deadline_ms = 60", 1)).warnings;
+    assert_eq!(hasty(&never), Vec::<String>::new(), "nothing is served until a deadline");
+    let warnings = hasty(FULL);
+    assert!(
+        warnings.len() == 1 && warnings[0].contains("add up to 66 ms, its deadline_ms is 60"),
+        "{warnings:?}"
+    );
+}
+
+#[test]
 fn one_line_swaps_a_stage() {
     let text = with("name = \"encoder\"", "name = \"encoder\"\ncommand = [\"./mine\", \"--fast\"]");
     let pipeline = parsed(&text);
