@@ -6,6 +6,7 @@ use ports::{Awaited, Frame, Stage, StageError, Subscriber, monotonic_ns};
 use run::Run;
 use wire::{AGENTS_MAX, DetectionsTopic, ForecastsTopic, Header, Topic, Track, TracksTopic, flags};
 
+use crate::feedback;
 use crate::missing::Missing;
 pub use crate::settings::settings;
 use crate::tally::Warned;
@@ -61,7 +62,11 @@ pub fn run(run: &Run) -> Result<(), StageError> {
             }
             // The number of tracks is known only now, so they are copied into shared memory.
             Ok(tracked) => {
-                let loan = output.copy(&tracks[..tracked.tracks_len])?;
+                let tracks = &mut tracks[..tracked.tracks_len];
+                if !header.has(flags::LOCKSTEP) {
+                    feedback::tell(&mut passage.header, tracks, given);
+                }
+                let loan = output.copy(tracks)?;
                 stage.finish(passage, &output, Ok(loan))?;
             }
             Err(rejected) => stage.finish(passage, &output, Err(rejected))?,
