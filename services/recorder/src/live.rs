@@ -13,7 +13,7 @@ pub use draw::draw;
 
 use crate::losses::Losses;
 use crate::passage::{Passage, STAGES_LEN, Timeline, place};
-use crate::record::{TICK_LIMIT_NS, is_outside};
+use crate::record::{TICK_LIMIT_NS, is_outside, is_shed};
 use crate::report::RefusedFrames;
 use crate::text::{count, number};
 
@@ -89,6 +89,9 @@ pub struct LiveView {
     newest: [u64; Quality::ALL.len()],
     /// Forecasts of the newest tick of agents that move as none did in training.
     newest_outside: u64,
+    /// Agents that the newest tick left out to save time, and all ticks.
+    newest_shed: u64,
+    total_shed: u64,
     /// Forecasts of all ticks by quality.
     total: [u64; Quality::ALL.len()],
 }
@@ -112,6 +115,8 @@ impl LiveView {
             late_ticks: 0,
             newest: [0; Quality::ALL.len()],
             newest_outside: 0,
+            newest_shed: 0,
+            total_shed: 0,
             total: [0; Quality::ALL.len()],
         }
     }
@@ -144,6 +149,8 @@ impl LiveView {
         self.window.push_back(passage);
         self.newest = [0; Quality::ALL.len()];
         self.newest_outside = forecasts.iter().filter(|forecast| is_outside(forecast)).count() as u64;
+        self.newest_shed = forecasts.iter().filter(|forecast| is_shed(forecast)).count() as u64;
+        self.total_shed += self.newest_shed;
         for forecast in forecasts {
             let quality = forecast.quality as usize;
             if quality < Quality::ALL.len() {
@@ -219,9 +226,13 @@ impl LiveView {
         let [p50, p99] = self.end_to_end_ms();
         let [learned, held, kinematic] = self.newest;
         let lost: u64 = self.losses.by_stage().iter().map(|drops| drops.total()).sum();
+        let shed = match self.total_shed {
+            0 => String::new(),
+            total => format!(", shed {} ({} so far)", self.newest_shed, count(total)),
+        };
         format!(
             "tick {}{of}  {:.1} s  end to end p50 {} ms, p99 {} ms  forecasts {learned} learned, {held} held, \
-             {kinematic} kinematic  late {}, lost {lost}",
+             {kinematic} kinematic{shed}  late {}, lost {lost}",
             self.ticks,
             self.elapsed_s(),
             number(p50),

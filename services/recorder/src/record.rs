@@ -1,4 +1,5 @@
 mod checkpoint;
+mod shed;
 
 use std::collections::BTreeMap;
 
@@ -15,6 +16,8 @@ use crate::report::{
 };
 
 pub use checkpoint::Checkpoint;
+use shed::ShedCounts;
+pub(crate) use shed::is_shed;
 
 /// The time that a tick may take from release to forecast at 12.5 Hz.
 pub const TICK_LIMIT_NS: u64 = wire::TICK_NS;
@@ -90,6 +93,7 @@ pub struct Recorder {
     predicted_ticks: u64,
     silent: u64,
     age_ns_max: Option<u64>,
+    shed: ShedCounts,
     out_of_distribution: OutOfDistribution,
     /// Whether it goes on with what a recorder before has kept, and no tick has come yet.
     resumed: bool,
@@ -143,6 +147,7 @@ impl Recorder {
             predicted_ticks: 0,
             silent: 0,
             age_ns_max: None,
+            shed: ShedCounts::default(),
             out_of_distribution: OutOfDistribution::default(),
             resumed: false,
         }
@@ -247,6 +252,7 @@ impl Recorder {
 
     fn qualities(&mut self, forecasts: &[Forecast]) {
         self.agents_max = self.agents_max.max(forecasts.len() as u64);
+        self.shed.add(forecasts);
         let mut degraded = false;
         for forecast in forecasts {
             if let Some(count) = self.forecasts_by_quality.get_mut(forecast.quality as usize) {
@@ -349,6 +355,7 @@ impl Recorder {
             predicted_ticks,
             silent,
             age_ms_max,
+            shed: self.shed.report(learned + held + kinematic),
         }
     }
 

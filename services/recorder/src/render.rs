@@ -2,7 +2,7 @@
 
 use std::fmt::{self, Write};
 
-use crate::report::{Errors, Percentiles, RefusedFrames, Report, StageReport, Status};
+use crate::report::{Errors, Percentiles, RefusedFrames, Report, Shed, StageReport, Status};
 use crate::text::{bar, count, number, percent, subscript};
 
 /// Narrowest and widest lines of the report.
@@ -186,6 +186,18 @@ impl Report {
                 count(outside.forecasts)
             )?;
         }
+        if forecasts.shed.forecasts > 0 {
+            let Shed { forecasts: shed, ticks, share, agents_max, age_ms_max } = forecasts.shed;
+            let age = age_ms_max.map_or_else(String::new, |ms| format!(", at most {} ms old", trimmed(ms)));
+            writeln!(
+                text,
+                " {:LABEL_WIDTH$}{:>10}{:>9}   no time: in {} ticks, at most {agents_max} agents{age}",
+                "shed",
+                count(shed),
+                percent(share),
+                count(ticks),
+            )?;
+        }
         if forecasts.silent > 0 {
             let silent = count(forecasts.silent);
             writeln!(
@@ -356,6 +368,7 @@ fn meaning(cause: &str) -> &str {
         "missing" => "there are no controls for the track",
         "young" => "the track's history is too short",
         "outdone" => "constant velocity proved better",
+        "shed" => "the tick had no time for all agents",
         other => other,
     }
 }

@@ -195,8 +195,8 @@ pub struct ForecastCounts {
     pub held: u64,
     /// Constant control.
     pub kinematic: u64,
-    /// Forecasts that are held or kinematic by cause: `late`, `rejected`, `missing`, or `young`, which is no
-    /// fault.
+    /// Forecasts that are held or kinematic by cause: `late`, `rejected`, `missing`, `shed`, or `young` and
+    /// `outdone`, which are no fault.
     pub causes: BTreeMap<String, u64>,
     /// Ticks with a forecast that is not learned for another cause than `young`.
     pub degraded_ticks: u64,
@@ -207,6 +207,24 @@ pub struct ForecastCounts {
     #[serde(default)]
     pub silent: u64,
     /// Greatest age of a held forecast.
+    pub age_ms_max: Option<f64>,
+    /// What was left out because ticks had no time for all agents.
+    #[serde(default)]
+    pub shed: Shed,
+}
+
+/// Agents that were left out of ticks that had no time for all.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Shed {
+    /// Agents left out, summed over ticks.
+    pub forecasts: u64,
+    /// Ticks that left out any.
+    pub ticks: u64,
+    /// Share of all forecasts.
+    pub share: Option<f64>,
+    /// Most agents that a tick left out.
+    pub agents_max: u64,
+    /// Greatest age of the forecast that stands for one left out.
     pub age_ms_max: Option<f64>,
 }
 

@@ -8,7 +8,7 @@ use std::path::Path;
 use serde::{Deserialize, Serialize};
 use wire::{Cause, Quality, StageId};
 
-use super::{Recorder, RecorderOptions, Span, StageTimes};
+use super::{Recorder, RecorderOptions, ShedCounts, Span, StageTimes};
 use crate::accuracy::ScorerCheckpoint;
 use crate::distribution::Kept;
 use crate::losses::Losses;
@@ -38,6 +38,7 @@ pub struct Checkpoint {
     predicted_ticks: u64,
     silent: u64,
     age_ns_max: Option<u64>,
+    shed: ShedCounts,
     out_of_distribution: OutOfDistribution,
 }
 
@@ -92,6 +93,7 @@ impl Recorder {
             predicted_ticks: self.predicted_ticks,
             silent: self.silent,
             age_ns_max: self.age_ns_max,
+            shed: self.shed,
             out_of_distribution: self.out_of_distribution,
         }
     }
@@ -128,6 +130,7 @@ impl Recorder {
             predicted_ticks: kept.predicted_ticks,
             silent: kept.silent,
             age_ns_max: kept.age_ns_max,
+            shed: kept.shed,
             out_of_distribution: kept.out_of_distribution,
             resumed: true,
             ..Self::new(options)
