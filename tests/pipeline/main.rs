@@ -9,6 +9,7 @@ mod options;
 mod programs;
 mod recordings;
 mod scratch;
+mod shedding;
 mod started;
 mod tracks;
 mod wire_layout;
