@@ -2,6 +2,7 @@ use bytemuck::Zeroable;
 use wire::{AgentType, Counts, Hop};
 
 use super::*;
+use crate::report::Shed;
 
 const TICK_NS: u64 = 80_000_000;
 const MS: u64 = 1_000_000;
