@@ -140,6 +140,10 @@ impl Fleet {
         let stopped = now.saturating_sub(self.tended);
         self.tended = now;
         let mut events = Vec::new();
+        let is_again = |m: &Member| {
+            m.supervision.incarnation() > 0 || matches!(m.supervision.state(), State::Waiting { .. })
+        };
+        let one_died = self.members.iter().any(is_again);
         for member in &mut self.members {
             if stopped > STOPPED {
                 member.supervision.forgive(stopped);
@@ -160,11 +164,16 @@ impl Fleet {
             }
             if let Some(status) = member.child.ended() {
                 member.ticket = self.cleaner.ticket();
-                // What a signal kills during the start can be started again; what ends by itself then can't.
-                let is_restartable = !self.run.lockstep && (is_linked || status.code().is_none());
+                // What a signal kills during the start can be started again; what ends by itself then can't, unless
+                // it met what one that was killed has left half made.
+                let is_in_the_way = one_died && status.code() == Some(Exit::Unavailable as i32);
+                let is_by_signal = status.code().is_none();
+                let is_restartable = !self.run.lockstep && (is_linked || is_by_signal || is_in_the_way);
                 events.extend(member.bury(status, is_restartable, now)?);
             } else if is_linked && !self.run.lockstep {
                 events.extend(member.examine(now));
+            } else if one_died && !self.run.lockstep {
+                member.free(now);
             }
         }
         self.restart(now)?;
@@ -261,6 +270,16 @@ impl Member {
                 Ok(Some(Event::GivenUp { stage, how, why }))
             }
             State::Running { .. } | State::Done => Ok(None),
+        }
+    }
+
+    /// Before the pipeline is linked: kills a process that gives no sign of life, where another has died. It may wait
+    /// for ever for what that one has left half made.
+    fn free(&mut self, now: Duration) {
+        let sends_heartbeats = self.program.command.is_none();
+        if sends_heartbeats && self.supervision.is_stuck(now) && self.health.is_silent(now) {
+            self.killed_for.get_or_insert("was not linked within its start limit, and killed");
+            self.child.signal(Signal::KILL);
         }
     }
 

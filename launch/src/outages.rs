@@ -6,7 +6,7 @@ use recorder::{Outage, Supervision};
 use wire::{Cause, Forecast, Header, Quality, StageId, flags};
 
 /// Most outages that are listed; further ones are counted.
-const LISTED_MAX: usize = 256;
+const LISTED_MAX: usize = 2048;
 
 /// The outages of a run, from its forecasts and the launcher's restarts.
 #[derive(Debug, Default)]

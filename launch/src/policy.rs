@@ -138,8 +138,13 @@ impl Supervision {
 
     /// Whether a restarted process has missed its deadline for linking.
     pub fn is_overdue(&self, now: Duration) -> bool {
+        self.incarnation > 0 && self.is_stuck(now)
+    }
+
+    /// Whether a process, be it the first one, was not linked in the time that a restarted one has.
+    pub fn is_stuck(&self, now: Duration) -> bool {
         let State::Running { since, linked: false } = self.state else { return false };
-        self.incarnation > 0 && now.saturating_sub(since) > self.policy.start_limit
+        now.saturating_sub(since) > self.policy.start_limit
     }
 
     /// The launcher itself was stopped for so long: deadlines that run move on by it.
@@ -198,6 +203,7 @@ mod tests {
     fn a_start_has_a_deadline_that_moves_with_a_stop_of_the_launcher() {
         let mut stage = supervision(Restart::OnFailure);
         assert!(!stage.is_overdue(SECOND * 100), "the first start has a limit of the run's own");
+        assert!(stage.is_stuck(SECOND * 100) && !stage.is_stuck(SECOND * 9));
         stage.ended(End::Failure, SECOND);
         stage.restarted(SECOND);
         assert!(!stage.is_overdue(SECOND * 11) && stage.is_overdue(SECOND * 12));

@@ -176,6 +176,7 @@ class RefusalCause(enum.IntEnum):
     CHECK_VALUE = 7  # A check value that header and payload do not have.
     UNPROTECTED = 8  # No check value, where pipeline.toml asks for one.
     REPEATED = 9  # A frame that came before, or one that a newer frame has overtaken.
+    FROZEN = 10  # Content that stands still while its stamps go on.
 
 
 def _check(record, size, offsets):

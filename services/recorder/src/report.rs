@@ -67,8 +67,8 @@ pub struct RefusedFrames {
     pub reader: String,
     /// The stage that sent them, or `unknown`.
     pub sender: String,
-    /// Why: `schema`, `foreign run`, `old incarnation`, `size`, `value`, `order`, `check value`, `unprotected` or
-    /// `repeated`.
+    /// Why: `schema`, `foreign run`, `old incarnation`, `size`, `value`, `order`, `check value`, `unprotected`,
+    /// `repeated` or `frozen`.
     pub cause: String,
     /// How many.
     pub frames: u64,

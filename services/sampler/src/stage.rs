@@ -33,7 +33,20 @@ fn follow(run: &Run, model: &ModelConfig, sampler: &mut Sampler) -> Result<(), S
     let controls = stage.subscribe::<ControlsTopic>()?;
     let output = stage.publish::<ForecastsTopic>()?;
 
-    while let Some(input) = stage.next(&tracks, &output)? {
+    loop {
+        let input = match stage.next_until(&tracks, &output, None)? {
+            Awaited::Frame(input) => input,
+            Awaited::Void(tracks) => {
+                // Their controls are VOID as well. Left in the queue, they would push out later ones: gaps
+                // that are none.
+                if tracks.header().is_tick() {
+                    controls.of_tick(tracks.header().seq)?;
+                }
+                continue;
+            }
+            Awaited::Late | Awaited::Lost => continue,
+            Awaited::Stopped => break,
+        };
         let header = input.header();
         let until_ns = (!header.has(flags::LOCKSTEP)).then_some(header.released_ns + deadline_ns);
         let awaited = stage.wait_for(&controls, header.seq, until_ns)?;
@@ -48,6 +61,7 @@ fn follow(run: &Run, model: &ModelConfig, sampler: &mut Sampler) -> Result<(), S
                 (passage, learned)
             }
             Awaited::Void(controls) => (stage.begin(&controls), Err(Cause::Rejected)),
+            Awaited::Lost => (stage.begin(&input), Err(Cause::Rejected)),
             Awaited::Late => (stage.begin(&input), Err(Cause::Late)),
             Awaited::Stopped => break,
         };

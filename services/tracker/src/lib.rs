@@ -46,6 +46,7 @@ mod estimates;
 mod field_of_view;
 mod forecasts;
 mod front;
+mod frozen;
 mod grid;
 mod history;
 mod missing;

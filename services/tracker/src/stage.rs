@@ -4,7 +4,7 @@ use bytemuck::Zeroable;
 use model::ModelConfig;
 use ports::{Awaited, Frame, Stage, StageError, Subscriber, monotonic_ns};
 use run::Run;
-use wire::{AGENTS_MAX, DetectionsTopic, ForecastsTopic, Header, Topic, Track, TracksTopic, flags};
+use wire::{AGENTS_MAX, DetectionsTopic, ForecastsTopic, Header, Rejected, Topic, Track, TracksTopic, flags};
 
 use crate::missing::Missing;
 pub use crate::settings::settings;
@@ -39,6 +39,7 @@ pub fn run(run: &Run) -> Result<(), StageError> {
                 missing.is_no_tick(frame.header());
                 continue;
             }
+            Awaited::Lost => continue,
             Awaited::Stopped => break,
         };
         if let Some(frame) = &input {
@@ -61,6 +62,10 @@ pub fn run(run: &Run) -> Result<(), StageError> {
             }
             // The number of tracks is known only now, so they are copied into shared memory.
             Ok(tracked) => {
+                if tracked.frozen_len > 0 {
+                    let (field, frames) = ("detections", tracked.frozen_len);
+                    stage.refuse(&header, DetectionsTopic::NAME, &Rejected::Frozen { field, frames });
+                }
                 let loan = output.copy(&tracks[..tracked.tracks_len])?;
                 stage.finish(passage, &output, Ok(loan))?;
             }
@@ -83,6 +88,6 @@ fn newer_prior(
     }
     match stage.wait_for(forecasts, header.seq - 1, None)? {
         Awaited::Frame(frame) => Ok(Some(frame)),
-        Awaited::Void(_) | Awaited::Late | Awaited::Stopped => Ok(None),
+        Awaited::Void(_) | Awaited::Late | Awaited::Lost | Awaited::Stopped => Ok(None),
     }
 }

@@ -8,6 +8,7 @@
 use std::fs::File;
 use std::io;
 use std::path::{Path, PathBuf};
+use std::time::Duration;
 
 use rustix::fs::{FlockOperation, Mode, OFlags, StatVfs, flock, fstat, open, statvfs};
 use thiserror::Error;
@@ -22,6 +23,8 @@ const FAMILY: &str = "stgdat_";
 /// Digits of a run's name after [`FAMILY`].
 const DIGITS: usize = 8;
 const LOCK_SUFFIX: &str = "lock";
+/// The folder of a run's directory with the descriptions of its services.
+const SERVICES: &str = "services";
 
 /// Why a run's files can't be made.
 #[derive(Debug, Error)]
@@ -140,6 +143,22 @@ pub fn remove_half_made_connections(prefix: &str) -> usize {
     files.iter().filter(is_half_made).filter(|file| std::fs::remove_file(file).is_ok()).count()
 }
 
+/// Removes the services of a run that have been half made for longer than `age`; returns how many. A process
+/// that is killed while it makes one leaves it, others wait for it to be finished, and clean-up refuses it.
+pub(crate) fn remove_half_made_services(root: &Path, age: Duration) -> usize {
+    use std::os::unix::fs::PermissionsExt;
+    /// Until a service's description is whole, its owner may write it.
+    const HALF_MADE: u32 = 0o200;
+    let is_half_made = |path: &Path| {
+        let Ok(metadata) = std::fs::metadata(path) else { return false };
+        let is_old = metadata.modified().is_ok_and(|at| at.elapsed().is_ok_and(|elapsed| elapsed > age));
+        metadata.is_file() && metadata.permissions().mode() & HALF_MADE != 0 && is_old
+    };
+    let Ok(entries) = std::fs::read_dir(root.join(SERVICES)) else { return 0 };
+    let files = entries.filter_map(|entry| Some(entry.ok()?.path()));
+    files.filter(|path| is_half_made(path) && std::fs::remove_file(path).is_ok()).count()
+}
+
 /// Bytes free in shared memory.
 ///
 /// # Errors
@@ -248,4 +267,30 @@ fn remove(prefix: &str, root: &Path) {
         let _ = std::fs::remove_dir_all(root);
     }
     let _ = std::fs::remove_file(lock);
+}
+
+#[cfg(test)]
+mod tests {
+    use std::fs::Permissions;
+    use std::os::unix::fs::PermissionsExt as _;
+
+    use super::*;
+
+    #[test]
+    fn half_made_services_alone_are_removed_once_they_are_old() {
+        let root = std::env::temp_dir().join(format!("stgdat_half_made_{}", std::process::id()));
+        let services = root.join(SERVICES);
+        std::fs::create_dir_all(&services).unwrap();
+        for (name, mode) in [("whole.service", 0o400), ("half.service", 0o600)] {
+            std::fs::write(services.join(name), "x").unwrap();
+            std::fs::set_permissions(services.join(name), Permissions::from_mode(mode)).unwrap();
+        }
+        let young = remove_half_made_services(&root, Duration::from_secs(3_600));
+        std::thread::sleep(Duration::from_millis(2));
+        let old = remove_half_made_services(&root, Duration::ZERO);
+        let is_left = ["whole.service", "half.service"].map(|name| services.join(name).exists());
+        std::fs::remove_dir_all(&root).unwrap();
+        assert_eq!((young, old, is_left), (0, 1, [true, false]));
+        assert_eq!(remove_half_made_services(&root, Duration::ZERO), 0, "a run that is gone has none");
+    }
 }

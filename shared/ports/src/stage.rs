@@ -69,6 +69,8 @@ pub enum Awaited<T: Topic> {
     Void(Frame<T>),
     /// Nothing until the deadline.
     Late,
+    /// In lockstep: the frame has come and was refused, and nobody will send it again.
+    Lost,
     /// The process has been asked to end.
     Stopped,
 }
@@ -196,19 +198,19 @@ impl Stage {
         input: &Subscriber<I>,
         output: &Publisher<O>,
     ) -> Result<Option<Frame<I>>, PortError> {
-        while let Some(frame) = self.take(input)? {
-            if frame.header().is_tick() && !frame.header().has(flags::VOID) {
-                return Ok(Some(frame));
+        loop {
+            match self.next_until(input, output, None)? {
+                Awaited::Frame(frame) => return Ok(Some(frame)),
+                Awaited::Stopped => return Ok(None),
+                Awaited::Void(_) | Awaited::Late | Awaited::Lost => {}
             }
-            let passage = self.begin(&frame);
-            self.pass_empty(passage, output)?;
         }
-        Ok(None)
     }
 
     /// The next tick to work on, asleep until it comes or until `until_ns` on `CLOCK_MONOTONIC`.
     ///
-    /// A frame that is no work goes straight on to `output`, and is returned as [`Awaited::Void`].
+    /// A frame that is no work goes straight on to `output`, and is returned as [`Awaited::Void`]. In lockstep
+    /// the tick of a frame that was refused goes on as VOID, and [`Awaited::Lost`] is returned.
     ///
     /// # Errors
     /// [`PortError`] where the transport fails.
@@ -229,10 +231,17 @@ impl Stage {
                     self.pass_empty(passage, output)?;
                     return Ok(Awaited::Void(frame));
                 }
-                None if until_ns.is_some_and(|until_ns| monotonic_ns() >= until_ns) => {
-                    return Ok(Awaited::Late);
+                None => {
+                    if let Some(header) = input.take_lost() {
+                        let passage = self.start(header, monotonic_ns(), I::NAME);
+                        self.pass_empty(passage, output)?;
+                        return Ok(Awaited::Lost);
+                    }
+                    if until_ns.is_some_and(|until_ns| monotonic_ns() >= until_ns) {
+                        return Ok(Awaited::Late);
+                    }
+                    self.sleep([input], until_ns)?;
                 }
-                None => self.sleep([input], until_ns)?,
             }
         }
         Ok(Awaited::Stopped)
@@ -250,6 +259,11 @@ impl Stage {
         while !self.stop().requested() {
             if let Some(frame) = input.receive()? {
                 return Ok(Some(frame));
+            }
+            if let Some(header) = input.take_lost() {
+                // The source waits for this stage's answer, which is that it has none.
+                self.seq = header.seq;
+                self.beat()?;
             }
             self.sleep([input], None)?;
         }
@@ -271,6 +285,9 @@ impl Stage {
             match input.of_tick(seq)? {
                 Some(frame) if frame.header().has(flags::VOID) => return Ok(Awaited::Void(frame)),
                 Some(frame) => return Ok(Awaited::Frame(frame)),
+                None if input.take_lost().is_some_and(|header| header.seq >= seq) => {
+                    return Ok(Awaited::Lost);
+                }
                 None if deadline_ns.is_some_and(|deadline_ns| monotonic_ns() >= deadline_ns) => {
                     return Ok(Awaited::Late);
                 }
@@ -303,27 +320,24 @@ impl Stage {
 
     /// Starts the work on a tick.
     pub fn begin<I: Topic>(&self, frame: &Frame<I>) -> Passage {
+        self.start(*frame.header(), frame.received_ns(), I::NAME)
+    }
+
+    fn start(&self, header: Header, received_ns: u64, input: &'static str) -> Passage {
         let hop = Hop {
             stage: self.id as u32,
             incarnation: self.incarnation,
-            received_ns: frame.received_ns(),
+            received_ns,
             started_ns: monotonic_ns(),
             ..Hop::default()
         };
-        Passage { header: *frame.header(), hop, input: I::NAME }
+        Passage { header, hop, input }
     }
 
     /// Starts a tick that has no input: at the source.
     pub fn release(&self, header: Header) -> Passage {
         let now_ns = monotonic_ns();
-        let hop = Hop {
-            stage: self.id as u32,
-            incarnation: self.incarnation,
-            received_ns: now_ns,
-            started_ns: now_ns,
-            ..Hop::default()
-        };
-        Passage { header: Header { released_ns: now_ns, ..header }, hop, input: "none" }
+        self.start(Header { released_ns: now_ns, ..header }, now_ns, "none")
     }
 
     /// Ends the work on a tick: sends the output or, where the input was refused, a VOID frame to the stages

@@ -188,14 +188,24 @@ impl Header {
         self.flags & (flags::WARM_UP | flags::END) == 0
     }
 
+    /// Refuses another schema, in which all other fields may mean something else.
+    ///
+    /// # Errors
+    /// [`Rejected::Schema`].
+    pub const fn check_schema(&self) -> Result<(), Rejected> {
+        if self.schema == SCHEMA {
+            Ok(())
+        } else {
+            Err(Rejected::Schema { found: self.schema, expected: SCHEMA })
+        }
+    }
+
     /// Refuses what no stage may work on: another schema, sizes beyond the limits, impossible numbers.
     ///
     /// # Errors
     /// [`Rejected`] names the first field that is off.
     pub fn check(&self) -> Result<(), Rejected> {
-        if self.schema != SCHEMA {
-            return Err(Rejected::Schema { found: self.schema, expected: SCHEMA });
-        }
+        self.check_schema()?;
         let known = AGENT_TYPES.iter().fold(0, |bits, t| bits | t.bit());
         let limits = [
             ("agents_len", self.counts.agents_len, crate::DETECTIONS_MAX.max(AGENTS_MAX) as u32),
