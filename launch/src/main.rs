@@ -11,6 +11,8 @@ mod docs;
 mod failure;
 mod faults;
 mod fleet;
+#[cfg(test)]
+mod fuzz;
 mod health;
 mod options;
 mod outages;
