@@ -3,7 +3,7 @@
 //!
 //! It shares no code with the pipeline but the payloads: what the stages decide (which forecast is held, when a tick
 //! is lost, who is restarted) is looked at from outside. A [history](Line) has a line of JSON for each thing that was
-//! seen while the run went on, and at its end what the run itself reports of it; [`check`] holds one against the
+//! seen while the run went on, and at its end what the run itself reports of it; [`check()`] holds one against the
 //! other.
 
 mod check;
