@@ -9,7 +9,7 @@ use super::error::Fault;
 use super::file::{File, StageTable};
 use super::options::options;
 use super::{Pipeline, Stage};
-use crate::RestartPolicy;
+use crate::{RestartPolicy, Scheduling};
 
 /// What all budgets together may be: one tick.
 pub const BUDGET_MAX_MS: f64 = TICK_MS;
@@ -78,6 +78,7 @@ fn stage(table: &StageTable, declared: &[&dyn Declared], warnings: &mut Vec<Stri
         options,
         topics: renamed(table, declared)?,
         restart: restart(table)?,
+        scheduling: scheduling(table)?,
     })
 }
 
@@ -145,6 +146,36 @@ fn restart(table: &StageTable) -> Result<RestartPolicy, Fault> {
         start_limit: Duration::from_secs(start_limit_s),
         hang_after: Duration::from_millis(hang_after_ms),
     })
+}
+
+/// The stage's place among the processors, and its priority.
+fn scheduling(table: &StageTable) -> Result<Scheduling, Fault> {
+    let mut cpus = Vec::new();
+    if let Some(list) = &table.cpu {
+        if list.get_ref().is_empty() {
+            let advice = "expected numbers of processors such as [0, 1]";
+            return Err(Fault::new(list.span(), "`cpu` is empty", advice));
+        }
+        for cpu in list.get_ref() {
+            let number = u32::try_from(*cpu.get_ref()).ok().filter(|&cpu| cpu <= Scheduling::CPU_MAX);
+            let Some(number) = number else {
+                let advice = format!("expected 0 to {}", Scheduling::CPU_MAX);
+                return Err(Fault::new(cpu.span(), "no processor has such a number", advice));
+            };
+            if cpus.contains(&number) {
+                return Err(Fault::new(cpu.span(), format!("processor {number} is listed twice"), "again"));
+            }
+            cpus.push(number);
+        }
+    }
+    cpus.sort_unstable();
+    let [least, most] = Scheduling::PRIORITIES;
+    let priority = table.priority.as_ref().map(|priority| {
+        let number = u8::try_from(*priority.get_ref()).ok().filter(|number| (least..=most).contains(number));
+        let message = "a real-time priority is out of range";
+        number.ok_or_else(|| Fault::new(priority.span(), message, format!("expected {least} to {most}")))
+    });
+    Ok(Scheduling { cpus, priority: priority.transpose()? })
 }
 
 fn names(topics: &[Spanned<String>]) -> Vec<String> {

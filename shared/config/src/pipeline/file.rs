@@ -37,6 +37,8 @@ pub(super) struct StageTable {
     pub window_s: Option<Spanned<u64>>,
     pub start_limit_s: Option<Spanned<u64>>,
     pub hang_after_ms: Option<Spanned<u64>>,
+    pub cpu: Option<Spanned<Vec<Spanned<u64>>>>,
+    pub priority: Option<Spanned<u64>>,
 }
 
 /// A stage's options, which its declaration checks.

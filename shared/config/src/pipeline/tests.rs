@@ -123,7 +123,7 @@ fn one_line_swaps_a_stage() {
 fn unknown_key() {
     insta::assert_snapshot!(error(&with(
         "[[stage]]\nname = \"encoder\"",
-        "[[stage]]\npriority = 3\nname = \"encoder\""
+        "[[stage]]\nurgency = 3\nname = \"encoder\""
     )));
 }
 
@@ -243,6 +243,20 @@ fn the_options_of_a_command_are_not_checked() {
         with("name = \"encoder\"", "name = \"encoder\"\ncommand = [\"./mine\"]\noptions = { gain = [1, 2] }");
     let pipeline = parsed(&text);
     assert_eq!(stage(&pipeline, StageId::Encoder).options, "gain = [1, 2]".parse().unwrap());
+}
+
+#[test]
+fn processors_and_priority_of_a_stage() {
+    let of = |keys: &str| with("name = \"encoder\"", &format!("name = \"encoder\"\n{keys}"));
+    let set = parsed(&of("cpu = [3, 1]\npriority = 50"));
+    let expected = Scheduling { cpus: vec![1, 3], priority: Some(50) };
+    assert_eq!(stage(&set, StageId::Encoder).scheduling, expected);
+    assert!(stage(&set, StageId::Decoder).scheduling.is_default());
+    insta::assert_snapshot!(error(&of("cpu = []")));
+    insta::assert_snapshot!(error(&of("cpu = [0, 1024]")));
+    insta::assert_snapshot!(error(&of("cpu = [1, 1]")));
+    insta::assert_snapshot!(error(&of("priority = 0")));
+    insta::assert_snapshot!(error(&of("priority = 100")));
 }
 
 #[test]
