@@ -44,6 +44,7 @@
 mod clock;
 mod element;
 mod error;
+mod memory;
 mod names;
 mod node;
 mod peers;

@@ -8,6 +8,7 @@ use wire::{
 };
 
 use crate::error::log_refused;
+use crate::memory::ResidentMemory;
 use crate::points::{self, Point};
 use crate::subscriber::Input;
 use crate::wait::{Wakes, wait};
@@ -37,6 +38,7 @@ pub struct Stage {
     frames_len: u64,
     rejected_len: u64,
     refusals: [Refusals; REFUSALS_MAX],
+    memory: ResidentMemory,
 }
 
 /// The topics that a stage has declared, and which of them it has opened.
@@ -104,6 +106,7 @@ impl Stage {
             frames_len,
             rejected_len,
             refusals: [Refusals::default(); REFUSALS_MAX],
+            memory: ResidentMemory::of_stage(),
         })
     }
 
@@ -408,7 +411,9 @@ impl Stage {
         let mut header = Header::new(self.node.run_id(), self.beat, 0);
         header.counts.agents_len = 1;
         self.beat += 1;
-        self.heartbeats.send_copy(&[heartbeat], header)
+        self.heartbeats.send_copy(&[heartbeat], header)?;
+        self.memory.tend();
+        Ok(())
     }
 
     /// The stage's counters as they stand.
