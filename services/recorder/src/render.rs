@@ -1,8 +1,12 @@
 //! The report as text for a terminal.
 
+mod pace;
+
 use std::fmt::{self, Write};
 
-use crate::report::{Errors, Percentiles, RefusedFrames, Report, StageReport, Status};
+use crate::report::{
+    Errors, Percentiles, RefusedFrames, Report, StageMemory, StageReport, Status, Supervision,
+};
 use crate::text::{bar, count, number, percent, subscript};
 
 /// Narrowest and widest lines of the report.
@@ -29,6 +33,7 @@ impl Report {
             self.forecasts(text, width)?;
             self.refusals(text)?;
             self.supervision(text)?;
+            self.memory(text, width)?;
             self.accuracy(text, width)
         };
         write(&mut text).expect("writing to a string can't fail");
@@ -48,6 +53,9 @@ impl Report {
             }
             Status::Degraded => {
                 writeln!(text, " DEGRADED    {}", self.verdict.reasons.join("\n             "))?;
+                for line in self.too_slow().into_iter().flatten() {
+                    writeln!(text, "             {line}")?;
+                }
             }
             Status::Empty => {
                 writeln!(text, " EMPTY       no forecast was received")?;
@@ -242,6 +250,47 @@ impl Report {
             writeln!(text, " {stage:LABEL_WIDTH$}got no CPU for longer than its limit, {times} times")?;
         }
         Ok(())
+    }
+
+    /// Page faults of the stages, what is locked, and settings that were not allowed.
+    fn memory(&self, text: &mut String, width: usize) -> fmt::Result {
+        let Supervision { memory, notes, .. } = &self.supervision;
+        for (i, note) in notes.iter().enumerate() {
+            let heading = if i == 0 { "\n NOT ALLOWED" } else { " " };
+            writeln!(text, "{heading:w$}{note}", w = LABEL_WIDTH + if i == 0 { 2 } else { 1 })?;
+        }
+        if memory.is_empty() {
+            return Ok(());
+        }
+        let ticks = memory.values().map(|stage| stage.ticks).max().unwrap_or(0);
+        let faulty = memory.iter().filter(|(_, stage)| stage.minor_faults + stage.major_faults > 0);
+        let mut faults: Vec<String> = faulty
+            .map(|(name, stage)| match stage.major_faults {
+                0 => format!("{name} {}", count(stage.minor_faults)),
+                major => format!("{name} {} and {} that read", count(stage.minor_faults), count(major)),
+            })
+            .collect();
+        let last = faults.len().saturating_sub(1);
+        faults.iter_mut().take(last).for_each(|part| part.push(','));
+        let ticks = count(ticks);
+        let mut line = format!(" {:LABEL_WIDTH$}page faults in the last {ticks} ticks:", "MEMORY");
+        writeln!(text)?;
+        for part in if faults.is_empty() { vec!["none".to_owned()] } else { faults } {
+            if line.chars().count() + part.len() + 1 > width {
+                writeln!(text, "{line}")?;
+                line = format!(" {:LABEL_WIDTH$}", "");
+                line.pop();
+            }
+            line = format!("{line} {part}");
+        }
+        writeln!(text, "{line}")?;
+        let sum = |of: fn(&StageMemory) -> u64| memory.values().map(of).sum::<u64>() >> 10;
+        let (resident, locked) = (sum(|stage| stage.resident_kib), sum(|stage| stage.locked_kib));
+        let locked = match locked {
+            _ if locked == resident => "all locked".to_owned(),
+            _ => format!("{locked} MiB locked, the rest is over ulimit -l"),
+        };
+        fact(text, "", &[Some(format!("{resident} MiB resident")), Some(locked)])
     }
 
     fn accuracy(&self, text: &mut String, width: usize) -> fmt::Result {

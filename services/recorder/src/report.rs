@@ -88,6 +88,25 @@ pub struct Supervision {
     pub outages_unlisted: u64,
     /// How often a stage got no CPU for longer than its `hang_after`, by stage.
     pub starved: BTreeMap<String, u64>,
+    /// Settings of pipeline.toml that the system did not allow.
+    pub notes: Vec<String>,
+    /// Page faults and memory of each stage.
+    pub memory: BTreeMap<String, StageMemory>,
+}
+
+/// Memory of a stage's newest process, after its first ticks.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct StageMemory {
+    /// Ticks in which its faults were counted.
+    pub ticks: u64,
+    /// Page faults that needed no file or swap.
+    pub minor_faults: u64,
+    /// Page faults that had to read.
+    pub major_faults: u64,
+    /// Resident memory.
+    pub resident_kib: u64,
+    /// How much of it is locked.
+    pub locked_kib: u64,
 }
 
 /// The time from a death of a stage until the forecasts are learned again.

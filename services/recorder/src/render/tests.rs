@@ -1,5 +1,5 @@
 use crate::record::tests::eventful;
-use crate::{Recorder, RecorderOptions, Report};
+use crate::{Recorder, RecorderOptions, Report, StageMemory};
 
 fn widest(text: &str) -> usize {
     text.lines().map(|line| line.chars().count()).max().unwrap_or(0)
@@ -20,6 +20,24 @@ fn a_wide_terminal_shows_every_phase() {
 #[test]
 fn a_run_without_ticks_is_empty() {
     insta::assert_snapshot!(Recorder::new(RecorderOptions::default()).report().render(80));
+}
+
+#[test]
+fn page_faults_and_refused_settings_fit_80_columns() {
+    let mut report = Report { stages: Vec::new(), ..eventful() };
+    let memory =
+        StageMemory { ticks: 1_900, minor_faults: 12_345, resident_kib: 40 << 10, ..Default::default() };
+    let stages = wire::StageId::ALL.map(|stage| (stage.name().to_owned(), memory));
+    report.supervision.memory = stages.into();
+    report.supervision.notes = vec!["the encoder can't have processor 9: it runs on any".to_owned(); 2];
+    let text = report.render(80);
+    assert!(widest(&text) <= 80, "{text}");
+    assert!(text.contains(" NOT ALLOWED the encoder can't have processor 9"), "{text}");
+    assert!(text.contains("1,900 ticks: ") && text.contains("tracker 12,345"), "{text}");
+    assert!(text.contains("320 MiB resident · 0 MiB locked, the rest is over ulimit -l"), "{text}");
+    report.supervision.memory =
+        [("tracker".to_owned(), StageMemory { ticks: 9, ..StageMemory::default() })].into();
+    assert!(report.render(80).contains("page faults in the last 9 ticks: none"));
 }
 
 #[test]
