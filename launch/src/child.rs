@@ -12,6 +12,7 @@ use std::sync::mpsc::Sender;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::JoinHandle;
 
+use config::Scheduling;
 use nn::kernels;
 use ports::{INCARNATION_VARIABLE, LAUNCHER_VARIABLE, RUN_VARIABLE, TOPICS_VARIABLE};
 use run::{Exit, Run};
@@ -19,6 +20,7 @@ use rustix::process::{Pid, Signal, kill_process, set_parent_process_death_signal
 use wire::StageId;
 
 use crate::failure::{Failure, StageDeath};
+use crate::scheduling;
 
 /// Lines of a stage's output that are kept to be shown if it dies.
 const LAST_LINES_MAX: usize = 12;
@@ -27,6 +29,13 @@ const LINE_BYTES_MAX: u64 = 4096;
 
 /// The environment variable that holds the name of a process's stage.
 pub const STAGE_VARIABLE: &str = "STGDAT_STAGE";
+
+/// The environment variable of glibc's settings.
+const ALLOCATOR_VARIABLE: &str = "GLIBC_TUNABLES";
+/// Memory that was freed stays with the process, and its heap grows by a MiB at a time, so that the next allocation
+/// meets no page that has to be had first.
+const ALLOCATOR: &str =
+    "glibc.malloc.trim_threshold=268435456:glibc.malloc.mmap_threshold=4194304:glibc.malloc.top_pad=1048576";
 
 /// The signal raised when shared memory has no page left.
 const BUS_ERROR: i32 = Signal::BUS.as_raw();
@@ -41,13 +50,15 @@ pub struct Program {
     pub command: Option<Vec<String>>,
     /// Topics that it opens under another name, as `topic=name`.
     pub topics: Vec<String>,
+    /// Its processors and priority.
+    pub scheduling: Scheduling,
 }
 
 impl Program {
     /// That of a stage of a pipeline.
     pub fn of(stage: &config::Stage) -> Self {
         let topics = stage.topics.iter().map(|(topic, name)| format!("{topic}={name}")).collect();
-        Self { command: stage.command.clone(), topics }
+        Self { command: stage.command.clone(), topics, scheduling: stage.scheduling.clone() }
     }
 }
 
@@ -101,7 +112,11 @@ impl Child {
             .stderr(Stdio::piped())
             // A process group of its own: Ctrl-C reaches the launcher alone, which ends the stages in order.
             .process_group(0);
+        if std::env::var_os(ALLOCATOR_VARIABLE).is_none() {
+            command.env(ALLOCATOR_VARIABLE, ALLOCATOR);
+        }
         die_with_this_process(&mut command);
+        scheduling::set_at_start(&mut command, &own.scheduling);
         let mut process = command.spawn().map_err(|error| {
             let program = own.command.as_deref().and_then(<[String]>::first).map_or("stgdat", String::as_str);
             Failure::config_about(format!("the {} can't be started: {program}", stage.name()), error)

@@ -13,6 +13,7 @@ use crate::cleaner::Cleaner;
 use crate::failure::{Failure, StageDeath};
 use crate::health::{Finding, Health, look};
 use crate::policy::{End, State, Supervision};
+use crate::scheduling;
 
 /// Time that the stages have to end after a request.
 const END_LIMIT: Duration = Duration::from_secs(3);
@@ -112,6 +113,12 @@ impl Fleet {
             });
         }
         Ok(fleet)
+    }
+
+    /// Settings of pipeline.toml that do not hold for the running processes.
+    pub fn notes(&self) -> Vec<String> {
+        let of = |m: &Member| scheduling::refused(m.stage, m.child.pid(), &m.program.scheduling);
+        self.members.iter().flat_map(of).collect()
     }
 
     /// Lines that the stages wrote since the last look.

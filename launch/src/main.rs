@@ -8,14 +8,18 @@ mod cleaner;
 mod contenders;
 #[cfg(test)]
 mod docs;
+mod fail_if;
 mod failure;
 mod faults;
 mod fleet;
 mod health;
+mod memory;
 mod options;
 mod outages;
 mod pipeline_file;
 mod policy;
+mod prediction;
+mod scheduling;
 mod show;
 mod stages;
 mod tables;

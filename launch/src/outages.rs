@@ -46,6 +46,11 @@ impl Outages {
         *self.record.starved.entry(stage.name().to_owned()).or_default() += 1;
     }
 
+    /// A setting of pipeline.toml is not allowed.
+    pub fn note(&mut self, note: String) {
+        self.record.notes.push(note);
+    }
+
     /// The forecasts of a tick have come.
     pub fn forecasts(&mut self, header: &Header, forecasts: &[Forecast]) {
         if !header.is_tick() || self.newest.is_some_and(|newest| header.seq <= newest) {

@@ -102,6 +102,12 @@ impl Watch {
         }
     }
 
+    /// Shows a setting of pipeline.toml that the system does not allow, and keeps it for the report.
+    pub fn note(&mut self, note: String) {
+        self.display.line(&format!("launcher: {note}"));
+        self.outages.note(note);
+    }
+
     fn show(&mut self) {
         match &mut self.display {
             Display::Table(terminal) if self.shown.elapsed() >= UPDATE => {

@@ -7,6 +7,7 @@ mod faults;
 mod lockstep;
 mod options;
 mod programs;
+mod real_time;
 mod recordings;
 mod scratch;
 mod started;

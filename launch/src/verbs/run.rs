@@ -18,8 +18,10 @@ use crate::arguments::{
     ModelArguments, RetrievalArguments, SceneArguments, SetArguments, TrackerArguments, canonical,
     check_lanes, check_memory, warn_of_doubts,
 };
+use crate::fail_if::{self, Condition};
 use crate::failure::{Failure, StageDeath};
 use crate::fleet::Fleet;
+use crate::memory::Memory;
 use crate::options::{Setting, StageOptions, text};
 use crate::outages::Outages;
 use crate::pipeline_file;
@@ -57,6 +59,10 @@ pub struct Arguments {
     /// The pipeline.toml; by default the built-in one
     #[arg(long, value_name = "FILE")]
     pipeline: Option<PathBuf>,
+    /// Fail, with exit code 70, where the report has such a figure, as `end_to_end_p99 > 75 ms`; may be given several
+    /// times, and a wrong name lists the figures that there are
+    #[arg(long, value_name = "CONDITION")]
+    fail_if: Vec<Condition>,
     /// Show no progress
     #[arg(long)]
     quiet: bool,
@@ -126,11 +132,15 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
     // A run that could not start has nothing to report but its failure.
     if let Some(measured) = measured.filter(|_| ended.outcome.is_ok() || ended.linked) {
         let ended_by = ended.outcome.as_ref().err().map(ToString::to_string);
-        let supervision = ended.outages.into_record(ended_by);
+        let mut supervision = ended.outages.into_record(ended_by);
+        supervision.memory = ended.memory.into_report();
         let given_up = !supervision.given_up.is_empty();
-        report(arguments, measured, info, supervision)?;
-        if given_up && matches!(ended.outcome, Ok(Exit::Done)) {
-            return Ok(Exit::Failed);
+        let measured = report(arguments, measured, info, supervision)?;
+        if matches!(ended.outcome, Ok(Exit::Done)) {
+            fail_if::check(&arguments.fail_if, &measured)?;
+            if given_up {
+                return Ok(Exit::Failed);
+            }
         }
     }
     let exit = ended.outcome?;
@@ -146,6 +156,7 @@ struct Ended {
     /// Whether the pipeline had been linked: the run had begun.
     linked: bool,
     outages: Outages,
+    memory: Memory,
 }
 
 impl Arguments {
@@ -231,6 +242,8 @@ fn supervise(
 ) -> Result<Ended, Failure> {
     let mut watch = Watch::open(run, live, quiet)?;
     let mut fleet = Fleet::start(pipeline, run, record, keeps_memory)?;
+    fleet.notes().into_iter().for_each(|note| watch.note(note));
+    let mut memory = Memory::default();
     let started = Instant::now();
     let mut linked = false;
     let outcome = loop {
@@ -238,6 +251,7 @@ fn supervise(
             Ok(heartbeats) => heartbeats,
             Err(failure) => break Err(failure),
         };
+        heartbeats.iter().for_each(|heartbeat| memory.heartbeat(heartbeat));
         if let Some(exit) = stop.exit() {
             break Ok(exit);
         }
@@ -258,7 +272,7 @@ fn supervise(
     fleet.end();
     let unkept = keeps_memory.then(|| fleet.failure(StageId::Sampler)).flatten();
     let outages = watch.close(fleet.lines());
-    Ok(Ended { outcome, unkept, linked, outages })
+    Ok(Ended { outcome, unkept, linked, outages, memory })
 }
 
 /// Completes the recorder's report, prints it, and writes it to the file of `--report`.
@@ -267,7 +281,7 @@ fn report(
     mut report: Report,
     info: RunInfo,
     supervision: Supervision,
-) -> Result<(), Failure> {
+) -> Result<Report, Failure> {
     report.supervised(supervision);
     let measured = std::mem::take(&mut report.run);
     report.run = RunInfo {
@@ -283,7 +297,7 @@ fn report(
     let width = rustix::termios::tcgetwinsize(std::io::stdout())
         .map_or(REPORT_WIDTH, |size| usize::from(size.ws_col).max(1));
     print!("{}", report.render(width));
-    Ok(())
+    Ok(report)
 }
 
 /// Facts of a run that are known before it begins.
