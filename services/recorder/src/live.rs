@@ -7,14 +7,14 @@ mod draw;
 
 use std::collections::{BTreeMap, VecDeque};
 
-use wire::{Forecast, Header, Heartbeat, Quality, StageId, flags};
+use wire::{Cause, Forecast, Header, Heartbeat, Quality, StageId, flags};
 
 pub use draw::draw;
 
 use crate::losses::Losses;
 use crate::passage::{Passage, STAGES_LEN, Timeline, place};
 use crate::record::{TICK_LIMIT_NS, is_outside};
-use crate::report::RefusedFrames;
+use crate::report::{Percentiles, RefusedFrames};
 use crate::text::{count, number};
 
 /// Ticks in the window that the view shows: ten seconds at 12.5 Hz.
@@ -89,6 +89,8 @@ pub struct LiveView {
     newest: [u64; Quality::ALL.len()],
     /// Forecasts of the newest tick of agents that move as none did in training.
     newest_outside: u64,
+    /// Forecasts of the newest tick that are not learned, by cause.
+    newest_causes: [u64; Cause::ALL.len()],
     /// Forecasts of all ticks by quality.
     total: [u64; Quality::ALL.len()],
 }
@@ -112,6 +114,7 @@ impl LiveView {
             late_ticks: 0,
             newest: [0; Quality::ALL.len()],
             newest_outside: 0,
+            newest_causes: [0; Cause::ALL.len()],
             total: [0; Quality::ALL.len()],
         }
     }
@@ -143,12 +146,16 @@ impl LiveView {
         }
         self.window.push_back(passage);
         self.newest = [0; Quality::ALL.len()];
+        self.newest_causes = [0; Cause::ALL.len()];
         self.newest_outside = forecasts.iter().filter(|forecast| is_outside(forecast)).count() as u64;
         for forecast in forecasts {
             let quality = forecast.quality as usize;
             if quality < Quality::ALL.len() {
                 self.newest[quality] += 1;
                 self.total[quality] += 1;
+            }
+            if let Some(count) = self.newest_causes.get_mut(forecast.cause as usize) {
+                *count += u64::from(forecast.quality != Quality::Learned as u32);
             }
         }
     }
@@ -211,6 +218,69 @@ impl LiveView {
             .collect()
     }
 
+    /// The recording or scene.
+    #[must_use]
+    pub fn title(&self) -> &str {
+        &self.options.title
+    }
+
+    /// Ticks after which the run ends, if that is known.
+    #[must_use]
+    pub const fn ticks_limit(&self) -> Option<u64> {
+        self.options.ticks_limit
+    }
+
+    /// Number of the newest tick with forecasts.
+    #[must_use]
+    pub fn newest_tick(&self) -> Option<u64> {
+        self.next_seq.filter(|_| self.ticks > 0)?.checked_sub(1)
+    }
+
+    /// A stage's newest heartbeat.
+    #[must_use]
+    pub const fn beat(&self, stage: StageId) -> Option<&Heartbeat> {
+        self.beats[place(stage)].as_ref()
+    }
+
+    /// Forecasts of the newest tick by quality.
+    #[must_use]
+    pub const fn newest_qualities(&self) -> &[u64] {
+        &self.newest
+    }
+
+    /// Forecasts of the newest tick that are not learned, by cause.
+    #[must_use]
+    pub const fn newest_causes(&self) -> &[u64] {
+        &self.newest_causes
+    }
+
+    /// Forecasts of the newest tick of agents that move as none did in training.
+    #[must_use]
+    pub const fn newest_outside(&self) -> u64 {
+        self.newest_outside
+    }
+
+    /// Ticks in the window of the last ten seconds.
+    #[must_use]
+    pub fn recent_ticks(&self) -> u64 {
+        self.window.len() as u64
+    }
+
+    /// End-to-end latency within the window.
+    #[must_use]
+    pub fn recent_end_to_end_ms(&self) -> Percentiles {
+        recent(self.window.iter().filter_map(|tick| tick.end_to_end_ns))
+    }
+
+    /// A stage's times of waiting, wake-up, compute and publish within the window.
+    #[must_use]
+    pub fn recent_ms(&self, stage: StageId) -> [Percentiles; 4] {
+        [0, 1, 2, 3].map(|phase| {
+            let phases = self.window.iter().filter_map(|tick| tick.phases(stage));
+            recent(phases.map(|phases| phases.each_ns()[phase]))
+        })
+    }
+
     /// One line for outputs other than terminals: ticks, latency of the last ten seconds, late ticks and
     /// losses.
     #[must_use]
@@ -234,6 +304,18 @@ impl LiveView {
     fn end_to_end_ms(&self) -> [Option<f64>; 2] {
         percentiles(self.window.iter().filter_map(|tick| tick.end_to_end_ns))
     }
+}
+
+/// Median, 99th percentile and maximum of a few values, in ms to a microsecond.
+fn recent(times_ns: impl Iterator<Item = u64>) -> Percentiles {
+    let (mut most_ns, mut any) = (0, false);
+    let [p50, p99] = percentiles(times_ns.inspect(|&time_ns| {
+        most_ns = most_ns.max(time_ns);
+        any = true;
+    }));
+    let rounded = |value: f64| (value * 1e3).round() / 1e3;
+    let max = any.then(|| rounded(most_ns as f64 / 1e6));
+    Percentiles { p50: p50.map(rounded), p99: p99.map(rounded), p999: None, max }
 }
 
 /// Median and 99th percentile of a few values, in ms.

@@ -2,7 +2,7 @@
 
 use std::fmt::{self, Write};
 
-use crate::report::{Errors, Percentiles, RefusedFrames, Report, StageReport, Status};
+use crate::report::{Errors, Percentiles, RefusedFrames, Report, StageReport, Status, WorstTick};
 use crate::text::{bar, count, number, percent, subscript};
 
 /// Narrowest and widest lines of the report.
@@ -12,6 +12,8 @@ const ALL_PHASES_WIDTH: usize = 96;
 const LABEL_WIDTH: usize = 12;
 /// Most rows of refusals; the JSON has all.
 const ROWS_MAX: usize = 8;
+/// Rows of the worst ticks of a run in which nothing was late.
+const SLOWEST_LEN: usize = 3;
 
 impl Report {
     /// The report as plain text, laid out for lines of `width` characters, at least 80 and at most 120.
@@ -29,6 +31,7 @@ impl Report {
             self.forecasts(text, width)?;
             self.refusals(text)?;
             self.supervision(text)?;
+            self.worst_ticks(text, width)?;
             self.accuracy(text, width)
         };
         write(&mut text).expect("writing to a string can't fail");
@@ -244,6 +247,34 @@ impl Report {
         Ok(())
     }
 
+    /// Late and degraded ticks and those without forecasts; of a run that had none, the slowest few.
+    fn worst_ticks(&self, text: &mut String, width: usize) -> fmt::Result {
+        let is_lockstep = self.run.lockstep == Some(true);
+        let is_late = |tick: &WorstTick| {
+            !is_lockstep && tick.end_to_end_ms.zip(self.late_limit_ms).is_some_and(|(ms, limit)| ms > limit)
+        };
+        let is_bad = |tick: &&WorstTick| tick.ticks_lost > 0 || tick.not_learned > 0 || is_late(tick);
+        let bad: Vec<&WorstTick> = self.worst_ticks.iter().filter(is_bad).collect();
+        let (name, rows) = match bad.is_empty() {
+            true => ("SLOWEST", self.worst_ticks.iter().take(SLOWEST_LEN).collect()),
+            false => ("WORST TICKS", bad),
+        };
+        if rows.is_empty() {
+            return Ok(());
+        }
+        writeln!(text, "\n {name:LABEL_WIDTH$}{:>9}{:>9}", "tick", "ms")?;
+        for tick in rows {
+            let mut lines = wrapped(&tick.cause, width - LABEL_WIDTH - 22).into_iter();
+            let first = lines.next().unwrap_or_default();
+            let (number_of, time) = (count(tick.tick), number(tick.end_to_end_ms));
+            writeln!(text, " {:LABEL_WIDTH$}{number_of:>9}{time:>9}   {first}", "")?;
+            for line in lines {
+                writeln!(text, " {:LABEL_WIDTH$}{:>9}{:>9}   {line}", "", "", "")?;
+            }
+        }
+        Ok(())
+    }
+
     fn accuracy(&self, text: &mut String, width: usize) -> fmt::Result {
         let accuracy = &self.accuracy;
         let (Some(draws), Some(horizon_s)) = (accuracy.draws, accuracy.horizon_s) else {
@@ -324,6 +355,21 @@ fn stage_row(text: &mut String, stage: &StageReport, all: bool, cells: usize) ->
 fn fact(text: &mut String, label: &str, parts: &[Option<String>]) -> fmt::Result {
     let known: Vec<&str> = parts.iter().flatten().map(String::as_str).collect();
     writeln!(text, " {label:LABEL_WIDTH$}{}", known.join(" · "))
+}
+
+/// A sentence in lines of at most `width` characters, where its words allow.
+fn wrapped(sentence: &str, width: usize) -> Vec<String> {
+    let mut lines: Vec<String> = Vec::new();
+    for word in sentence.split(' ') {
+        match lines.last_mut() {
+            Some(line) if line.chars().count() + 1 + word.chars().count() <= width => {
+                line.push(' ');
+                line.push_str(word);
+            }
+            _ => lines.push(word.to_owned()),
+        }
+    }
+    lines
 }
 
 /// At most two decimals, without zeros at the end.

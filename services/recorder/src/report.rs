@@ -55,9 +55,35 @@ pub struct Report {
     pub stages: Vec<StageReport>,
     /// Errors of the forecasts against the recording's later truth.
     pub accuracy: Accuracy,
+    /// The worst ticks, the worst first: those without forecasts, then those with the longest latency.
+    #[serde(default)]
+    pub worst_ticks: Vec<WorstTick>,
     /// Deaths, restarts and other events of the stages, as the launcher saw them.
     #[serde(default)]
     pub supervision: Supervision,
+}
+
+/// One of the worst ticks of a run.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct WorstTick {
+    /// Its number; of several ticks without forecasts, the first.
+    pub tick: u64,
+    /// Its stamp; of ticks without forecasts, that of the next tick.
+    pub stamp_ns: i64,
+    /// From its release to the sending of its forecasts; none without forecasts.
+    pub end_to_end_ms: Option<f64>,
+    /// Ticks without forecasts; 0 for a tick with forecasts.
+    pub ticks_lost: u64,
+    /// Its forecasts.
+    pub agents: u64,
+    /// Those that are not learned for another cause than `young` and `outdone`.
+    pub not_learned: u64,
+    /// The stage that cost most.
+    pub stage: Option<String>,
+    /// The phase in which it did: `waiting`, `wake-up`, `compute` or `publish`; or `restart`.
+    pub phase: Option<String>,
+    /// What happened, in a sentence.
+    pub cause: String,
 }
 
 /// Frames that a stage refused.
@@ -208,6 +234,14 @@ pub struct ForecastCounts {
     pub silent: u64,
     /// Greatest age of a held forecast.
     pub age_ms_max: Option<f64>,
+}
+
+impl ForecastCounts {
+    /// The counts with the names of their qualities.
+    #[must_use]
+    pub const fn by_quality(&self) -> [(&'static str, u64); 3] {
+        [("learned", self.learned), ("held", self.held), ("kinematic", self.kinematic)]
+    }
 }
 
 /// Forecasts whose out-of-distribution measure says that the network adds less than half of what it would.

@@ -13,6 +13,8 @@ use crate::{Checkpoint, ForecastWriter, Options, Recorder, RecorderOptions, Repo
 const KEEP_NS: u64 = 1_000_000_000;
 /// Name of the checkpoint in the run's directory.
 const CHECKPOINT: &str = "recorder-checkpoint.json";
+/// Name of the file in the run's directory that tells the forecasts' errors so far, for the launcher.
+const ACCURACY: &str = "accuracy.json";
 /// Name of the report in the run's directory.
 const REPORT: &str = "report.json";
 
@@ -60,6 +62,8 @@ pub fn run(run: &Run) -> Result<(), StageError> {
                 writer.flush().map_err(unwritable)?;
             }
             recorder.checkpoint().write(&checkpoint).map_err(StageError::data)?;
+            tell_accuracy(run, &recorder)
+                .map_err(|source| StageError::File { path: accuracy_path(run), source })?;
         }
         // In lockstep the source waits for this heartbeat before it releases the next tick.
         if frame.header().has(flags::LOCKSTEP) && frame.header().is_tick() {
@@ -80,6 +84,18 @@ fn count(stage: &mut Stage, header: &Header, topic: &'static str, result: Result
         Ok(()) => {}
         Err(why) => stage.refuse(header, topic, &why),
     }
+}
+
+/// Tells the launcher what the forecasts are worth so far.
+fn tell_accuracy(run: &Run, recorder: &Recorder) -> io::Result<()> {
+    let json = serde_json::to_vec(&recorder.accuracy().errors)?;
+    crate::whole_file::write(&accuracy_path(run), &json)
+}
+
+/// Path of the file that tells the forecasts' errors so far, as JSON of [`crate::Errors`].
+#[must_use]
+pub fn accuracy_path(run: &Run) -> PathBuf {
+    run.root.join(ACCURACY)
 }
 
 fn checkpoint_path(run: &Run) -> PathBuf {

@@ -13,6 +13,7 @@ use crate::accuracy::ScorerCheckpoint;
 use crate::distribution::Kept;
 use crate::losses::Losses;
 use crate::report::{OutOfDistribution, ReportError};
+use crate::worst::Worst;
 
 /// All counts of a [`Recorder`].
 #[derive(Clone, Debug, Serialize, Deserialize)]
@@ -39,6 +40,7 @@ pub struct Checkpoint {
     silent: u64,
     age_ns_max: Option<u64>,
     out_of_distribution: OutOfDistribution,
+    worst: Worst,
 }
 
 impl Checkpoint {
@@ -93,6 +95,7 @@ impl Recorder {
             silent: self.silent,
             age_ns_max: self.age_ns_max,
             out_of_distribution: self.out_of_distribution,
+            worst: self.worst.clone(),
         }
     }
 
@@ -129,6 +132,7 @@ impl Recorder {
             silent: kept.silent,
             age_ns_max: kept.age_ns_max,
             out_of_distribution: kept.out_of_distribution,
+            worst: kept.worst.with_room(),
             resumed: true,
             ..Self::new(options)
         }
