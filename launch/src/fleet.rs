@@ -5,7 +5,7 @@ use std::time::{Duration, Instant};
 
 use config::{Pipeline, Restart};
 use run::{Exit, Run};
-use rustix::process::Signal;
+use rustix::process::{Pid, Signal};
 use wire::{Heartbeat, StageId};
 
 use crate::child::{Child, Line, Program};
@@ -50,6 +50,19 @@ struct Member {
     ticket: u64,
     /// Why the launcher has killed its process, if it has.
     killed_for: Option<&'static str>,
+}
+
+/// A stage's process, as the supervisor knows it.
+#[derive(Clone, Copy, Debug)]
+pub struct Process {
+    /// The stage.
+    pub stage: StageId,
+    /// `running`, `restarting`, `given up` or `ended`.
+    pub state: &'static str,
+    /// Its number, while it runs.
+    pub pid: Option<Pid>,
+    /// How often it has been started before.
+    pub incarnation: u32,
 }
 
 /// What happened to a stage.
@@ -117,6 +130,20 @@ impl Fleet {
     /// Lines that the stages wrote since the last look.
     pub fn lines(&self) -> impl Iterator<Item = Line> {
         self.lines.try_iter()
+    }
+
+    /// The processes of all stages.
+    pub fn processes(&self) -> impl Iterator<Item = Process> {
+        self.members.iter().map(|member| {
+            let (state, runs) = match member.supervision.state() {
+                State::Running { .. } => ("running", true),
+                State::Waiting { .. } => ("restarting", false),
+                State::GivenUp { .. } => ("given up", false),
+                State::Done => ("ended", false),
+            };
+            let pid = runs.then(|| member.child.pid());
+            Process { stage: member.stage, state, pid, incarnation: member.supervision.incarnation() }
+        })
     }
 
     /// Whether a stage has ended with success.

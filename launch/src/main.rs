@@ -12,17 +12,22 @@ mod failure;
 mod faults;
 mod fleet;
 mod health;
+mod observe;
 mod options;
 mod outages;
 mod pipeline_file;
 mod policy;
+mod recorded;
+mod runs;
 mod show;
 mod stages;
 mod tables;
+mod top;
 mod tracking;
 mod verbs;
 mod version;
 mod watch;
+mod waterfall;
 
 use std::process::ExitCode;
 

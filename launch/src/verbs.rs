@@ -17,6 +17,9 @@ pub mod predict;
 pub mod run;
 pub mod stage;
 pub mod sweep;
+pub mod tick;
+pub mod top;
+pub mod trace;
 pub mod track;
 pub mod train;
 pub mod verify;
@@ -61,6 +64,12 @@ pub enum Verb {
     /// Inject faults into runs and check what they promise
     #[command(subcommand)]
     Fault(fault::Verb),
+    /// Show a run that goes on: latency, losses, quality and processes, stage by stage
+    Top(top::Arguments),
+    /// Write the trace of a recorded run for Perfetto
+    Trace(trace::Arguments),
+    /// Tell one tick of a recorded run: each stage's time in it, and what became of each agent
+    Tick(tick::Arguments),
     /// Check this machine: shared memory, limits, CPU, leftovers
     Doctor(doctor::Arguments),
     /// Remove files that dead runs left in shared memory
@@ -96,6 +105,9 @@ impl Verb {
             Self::Verify(arguments) => verify::execute(&arguments),
             Self::Bench(arguments) => bench::execute(&arguments),
             Self::Fault(verb) => verb.execute(),
+            Self::Top(arguments) => top::execute(&arguments),
+            Self::Trace(arguments) => trace::execute(&arguments),
+            Self::Tick(arguments) => tick::execute(&arguments),
             Self::Doctor(arguments) => doctor::execute(&arguments),
             Self::Clean(arguments) => clean::execute(&arguments),
             Self::Wire(arguments) => wire::execute(&arguments),

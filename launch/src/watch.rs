@@ -12,7 +12,8 @@ use wire::{ForecastsTopic, Heartbeat, HeartbeatsTopic, StageId, Topic};
 
 use crate::child::Line;
 use crate::failure::Failure;
-use crate::fleet::Event;
+use crate::fleet::{Event, Fleet};
+use crate::observe::Observer;
 use crate::outages::Outages;
 
 /// Interval between updates of the table, and the longest sleep.
@@ -23,7 +24,6 @@ const LINE: Duration = Duration::from_secs(1);
 const ROWS: u16 = 22;
 
 /// Follows a run from outside: which stages are linked, and its progress.
-#[derive(Debug)]
 pub struct Watch {
     forecasts: Subscriber<ForecastsTopic>,
     peers: Peers,
@@ -32,6 +32,7 @@ pub struct Watch {
     shown: Instant,
     printed_ticks: u64,
     outages: Outages,
+    observer: Observer,
 }
 
 /// How the progress is shown.
@@ -47,7 +48,7 @@ enum Display {
 
 impl Watch {
     /// Joins a run as a subscriber.
-    pub fn open(run: &Run, options: LiveOptions, quiet: bool) -> Result<Self, Failure> {
+    pub fn open(run: &Run, options: LiveOptions, quiet: bool, observer: Observer) -> Result<Self, Failure> {
         let node = Node::open(run, "launcher")?;
         Ok(Self {
             forecasts: node.subscriber(ForecastsTopic::DEPTH_MAX)?,
@@ -57,6 +58,7 @@ impl Watch {
             shown: Instant::now(),
             printed_ticks: 0,
             outages: Outages::default(),
+            observer,
         })
     }
 
@@ -71,10 +73,12 @@ impl Watch {
         let heartbeats = self.peers.listen()?;
         for heartbeat in &heartbeats {
             self.view.heartbeat(heartbeat);
+            self.observer.heartbeat(heartbeat);
         }
         while let Some(frame) = self.forecasts.receive()? {
             self.view.forecasts(frame.header(), &frame);
             self.outages.forecasts(frame.header(), &frame);
+            self.observer.forecasts(frame.header(), &frame);
         }
         self.view.clock(monotonic_ns());
         for (stage, line) in lines {
@@ -84,8 +88,14 @@ impl Watch {
         Ok(heartbeats)
     }
 
+    /// Answers what others ask about the run.
+    pub fn answer(&mut self, fleet: &Fleet, is_linked: bool) {
+        self.observer.answer(&self.view, fleet, is_linked);
+    }
+
     /// Shows a line of the launcher's own, and keeps what it is about for the report.
     pub fn say(&mut self, event: &Event) {
+        self.observer.event(event);
         match event {
             Event::Died { stage, how, next } => {
                 self.outages.begin(*stage, *next, how);
@@ -117,9 +127,11 @@ impl Watch {
         self.shown = Instant::now();
     }
 
-    /// Shows the last lines and clears the table, with the cursor where it began; returns what outages cost.
-    pub fn close(mut self, lines: impl Iterator<Item = Line>) -> Outages {
-        for (stage, line) in lines {
+    /// Shows the last lines and clears the table, with the cursor where it began; returns what outages cost, and
+    /// what went wrong with files about the run.
+    pub fn close(mut self, fleet: &Fleet) -> (Outages, Vec<Failure>) {
+        let unwritten = self.observer.close(&self.view, fleet);
+        for (stage, line) in fleet.lines() {
             self.display.line(&format!("{}: {line}", stage.name()));
         }
         if let Display::Table(terminal) = &mut self.display {
@@ -128,7 +140,7 @@ impl Watch {
             let _ = terminal.set_cursor_position(top);
             let _ = terminal.show_cursor();
         }
-        self.outages
+        (self.outages, unwritten)
     }
 }
 

@@ -5,6 +5,7 @@ mod endings;
 mod fault_runs;
 mod faults;
 mod lockstep;
+mod observing;
 mod options;
 mod programs;
 mod recordings;

@@ -17,8 +17,9 @@ use crate::stages;
 const WIDTH: usize = 110;
 
 /// The verbs by what they are for; a unit test finds the ones that are in no group.
-const GROUPS: [(&str, &[&str]); 4] = [
+const GROUPS: [(&str, &[&str]); 5] = [
     ("Run", &["run", "predict", "track", "check", "graph", "stage", "wire"]),
+    ("Observe", &["top", "trace", "tick"]),
     ("Data", &["map", "plot"]),
     ("Model", &["train", "ablate", "evaluate", "card"]),
     ("Diagnose", &["verify", "bench", "fault", "doctor", "clean", "completions", "manual"]),

@@ -20,6 +20,7 @@ use crate::arguments::{
 };
 use crate::failure::{Failure, StageDeath};
 use crate::fleet::Fleet;
+use crate::observe::{ObserveArguments, Observer};
 use crate::options::{Setting, StageOptions, text};
 use crate::outages::Outages;
 use crate::pipeline_file;
@@ -57,6 +58,8 @@ pub struct Arguments {
     /// The pipeline.toml; by default the built-in one
     #[arg(long, value_name = "FILE")]
     pipeline: Option<PathBuf>,
+    #[command(flatten)]
+    observe: ObserveArguments,
     /// Show no progress
     #[arg(long)]
     quiet: bool,
@@ -110,7 +113,9 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
     let begun = SystemTime::now();
     let keeps_memory = options.get(StageId::Sampler, "memory").is_some();
     let record = write_record(&run, arguments.announce.as_deref())?;
-    let ended = supervise(&pipeline, &run, &record, &stop, live, arguments.quiet, keeps_memory)?;
+    let observer = Observer::open(&run, &arguments.observe)?;
+    let watch = Watch::open(&run, live, arguments.quiet, observer)?;
+    let ended = supervise(&pipeline, &run, &record, &stop, watch, keeps_memory)?;
     // However the run ended, the report tells what there was until then. After a signal or a failure, there is
     // one if the recorder had begun; where it died too, what it had kept.
     let modified = std::fs::metadata(&report_path).and_then(|file| file.modified());
@@ -134,6 +139,9 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
         }
     }
     let exit = ended.outcome?;
+    if let Some(failure) = ended.unwritten.into_iter().next() {
+        return Err(failure);
+    }
     ended.unkept.map_or(Ok(exit), |death| Err(death.into()))
 }
 
@@ -146,6 +154,8 @@ struct Ended {
     /// Whether the pipeline had been linked: the run had begun.
     linked: bool,
     outages: Outages,
+    /// Files about the run that could not be written.
+    unwritten: Vec<Failure>,
 }
 
 impl Arguments {
@@ -225,11 +235,9 @@ fn supervise(
     run: &Run,
     record: &Path,
     stop: &Stop,
-    live: LiveOptions,
-    quiet: bool,
+    mut watch: Watch,
     keeps_memory: bool,
 ) -> Result<Ended, Failure> {
-    let mut watch = Watch::open(run, live, quiet)?;
     let mut fleet = Fleet::start(pipeline, run, record, keeps_memory)?;
     let started = Instant::now();
     let mut linked = false;
@@ -246,6 +254,7 @@ fn supervise(
             Ok(events) => events.iter().for_each(|event| watch.say(event)),
             Err(failure) => break Err(failure),
         }
+        watch.answer(&fleet, linked);
         if fleet.done(StageId::Recorder) || fleet.is_over() {
             break Ok(Exit::Done);
         }
@@ -257,8 +266,8 @@ fn supervise(
     };
     fleet.end();
     let unkept = keeps_memory.then(|| fleet.failure(StageId::Sampler)).flatten();
-    let outages = watch.close(fleet.lines());
-    Ok(Ended { outcome, unkept, linked, outages })
+    let (outages, unwritten) = watch.close(&fleet);
+    Ok(Ended { outcome, unkept, linked, outages, unwritten })
 }
 
 /// Completes the recorder's report, prints it, and writes it to the file of `--report`.
