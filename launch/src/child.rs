@@ -6,14 +6,14 @@
 use std::collections::VecDeque;
 use std::io::{BufRead, BufReader, Read};
 use std::os::unix::process::{CommandExt, ExitStatusExt};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::process::{Child as Process, Command, ExitStatus, Stdio};
 use std::sync::mpsc::Sender;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::JoinHandle;
 
 use nn::kernels;
-use ports::{INCARNATION_VARIABLE, LAUNCHER_VARIABLE, RUN_VARIABLE, TOPICS_VARIABLE};
+use ports::{INCARNATION_VARIABLE, LAUNCHER_VARIABLE, RUN_VARIABLE, STANDBY_VARIABLE, TOPICS_VARIABLE};
 use run::{Exit, Run};
 use rustix::process::{Pid, Signal, kill_process, set_parent_process_death_signal};
 use wire::StageId;
@@ -41,13 +41,15 @@ pub struct Program {
     pub command: Option<Vec<String>>,
     /// Topics that it opens under another name, as `topic=name`.
     pub topics: Vec<String>,
+    /// A record of its own, with other options than the run's.
+    pub record: Option<PathBuf>,
 }
 
 impl Program {
     /// That of a stage of a pipeline.
     pub fn of(stage: &config::Stage) -> Self {
         let topics = stage.topics.iter().map(|(topic, name)| format!("{topic}={name}")).collect();
-        Self { command: stage.command.clone(), topics }
+        Self { command: stage.command.clone(), topics, record: None }
     }
 }
 
@@ -63,7 +65,8 @@ pub struct Child {
 }
 
 impl Child {
-    /// Starts a stage, by its own command or by this program, and sends its output through `lines`.
+    /// Starts a stage, by its own command or by this program, and sends its output through `lines`. With
+    /// `standby`, the launcher's socket, it is to replace a process that still runs.
     pub fn start(
         stage: StageId,
         own: &Program,
@@ -71,7 +74,9 @@ impl Child {
         run: &Run,
         record: &Path,
         lines: &Sender<Line>,
+        standby: Option<&Path>,
     ) -> Result<Self, Failure> {
+        let record = own.record.as_deref().unwrap_or(record);
         let mut command = match own.command.as_deref() {
             Some([program, arguments @ ..]) => {
                 let mut command = Command::new(program);
@@ -95,6 +100,8 @@ impl Child {
             .env("STGDAT_PREFIX", &run.prefix)
             .env("STGDAT_ROOT", &run.root)
             .env("STGDAT_INTERVAL_NS", run.interval_ns.to_string())
+            .env_remove(STANDBY_VARIABLE)
+            .envs(standby.map(|socket| (STANDBY_VARIABLE, socket)))
             .envs(kernels::forced().map(|isa| (kernels::VARIABLE, isa.key())))
             .stdin(Stdio::null())
             .stdout(Stdio::piped())

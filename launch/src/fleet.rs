@@ -1,3 +1,5 @@
+mod replace;
+
 use std::path::{Path, PathBuf};
 use std::process::ExitStatus;
 use std::sync::mpsc::{Receiver, Sender, channel};
@@ -13,6 +15,8 @@ use crate::cleaner::Cleaner;
 use crate::failure::{Failure, StageDeath};
 use crate::health::{Finding, Health, look};
 use crate::policy::{End, State, Supervision};
+pub use replace::Replaced;
+use replace::Trial;
 
 /// Time that the stages have to end after a request.
 const END_LIMIT: Duration = Duration::from_secs(3);
@@ -36,6 +40,10 @@ pub struct Fleet {
     begun: Instant,
     tended: Duration,
     end_limit: Duration,
+    /// The stage that is being replaced.
+    trial: Option<Trial>,
+    /// Number of the clean-up after a new process that was not used.
+    swept: u64,
 }
 
 /// A stage with its process.
@@ -78,6 +86,10 @@ pub enum Event {
         /// Which.
         stage: StageId,
     },
+    /// Its process has ended for another one, whose turn it is.
+    HandedOver(Replaced),
+    /// What came of a replacement.
+    Tried(Replaced),
 }
 
 impl Fleet {
@@ -95,10 +107,12 @@ impl Fleet {
             begun: Instant::now(),
             tended: Duration::ZERO,
             end_limit,
+            trial: None,
+            swept: 0,
         };
         for stage in &pipeline.stages {
             let program = Program::of(stage);
-            let child = Child::start(stage.id, &program, 0, run, record, &fleet.sender)?;
+            let child = Child::start(stage.id, &program, 0, run, record, &fleet.sender, None)?;
             let now = fleet.begun.elapsed();
             let (supervision, health) = (Supervision::new(stage.restart, now), Health::new(now));
             fleet.members.push(Member {
@@ -159,6 +173,12 @@ impl Fleet {
                 continue;
             }
             if let Some(status) = member.child.ended() {
+                let failed = |trial: &mut Trial| trial.has_turn(member.stage) && !member.is_done(status);
+                if let Some(trial) = self.trial.take_if(failed) {
+                    member.ticket = self.cleaner.ticket();
+                    events.push(trial.roll_back(member, status, now));
+                    continue;
+                }
                 member.ticket = self.cleaner.ticket();
                 // What a signal kills during the start can be started again; what ends by itself then can't.
                 let is_restartable = !self.run.lockstep && (is_linked || status.code().is_none());
@@ -167,6 +187,7 @@ impl Fleet {
                 events.extend(member.examine(now));
             }
         }
+        events.extend(self.tend_trial(stopped, now));
         self.restart(now)?;
         Ok(events)
     }
@@ -176,13 +197,14 @@ impl Fleet {
         let waiting =
             |m: &&Member| matches!(m.supervision.state(), State::Waiting { .. } | State::GivenUp { .. });
         let wanted = self.members.iter().filter(waiting).map(|m| m.ticket).max().unwrap_or(0);
-        self.cleaner.tend(wanted, now)?;
+        self.cleaner.tend(wanted.max(self.swept), now)?;
         for member in &mut self.members {
             if member.supervision.is_due(now) && self.cleaner.is_done(member.ticket) {
                 let incarnation = member.supervision.incarnation() + 1;
                 let program = &member.program;
+                let (run, record) = (&self.run, &self.record);
                 member.child =
-                    Child::start(member.stage, program, incarnation, &self.run, &self.record, &self.sender)?;
+                    Child::start(member.stage, program, incarnation, run, record, &self.sender, None)?;
                 member.supervision.restarted(now);
                 member.health = Health::new(now);
                 member.killed_for = None;
@@ -197,6 +219,7 @@ impl Fleet {
 
     /// Asks all stages to end, waits, and kills those that do not end in time.
     pub fn end(&mut self) {
+        self.trial = None;
         for child in self.members.iter_mut().map(|member| &mut member.child) {
             child.signal(Signal::TERM);
             // A stopped process receives the request only when it continues.
@@ -222,6 +245,11 @@ impl Fleet {
 }
 
 impl Member {
+    /// Whether it has ended because its work is done.
+    fn is_done(&self, status: ExitStatus) -> bool {
+        status.success() && matches!(self.stage, StageId::Source | StageId::Recorder)
+    }
+
     /// Takes note of its end.
     fn bury(
         &mut self,
@@ -229,9 +257,8 @@ impl Member {
         is_restartable: bool,
         now: Duration,
     ) -> Result<Option<Event>, Failure> {
-        let may_end = matches!(self.stage, StageId::Source | StageId::Recorder);
         let end = match status.code() {
-            Some(0) if may_end => End::Done,
+            Some(0) if self.is_done(status) => End::Done,
             Some(0) => End::Success,
             Some(code) if code == Exit::Config as i32 => End::Config,
             _ => End::Failure,

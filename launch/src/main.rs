@@ -6,6 +6,7 @@ mod arguments;
 mod child;
 mod cleaner;
 mod contenders;
+mod control;
 #[cfg(test)]
 mod docs;
 mod failure;

@@ -238,7 +238,7 @@ pub fn warn_of_old_flags(arguments: impl Iterator<Item = OsString>) {
 }
 
 /// Parses a value of the command line: TOML or else text; always text where the option takes nothing else.
-fn value(written: &str, option: Option<&OptionSchema>) -> Value {
+pub fn value(written: &str, option: Option<&OptionSchema>) -> Value {
     let parsed = format!("value = {written}").parse::<Table>().ok();
     let parsed = parsed.filter(|table| table.len() == 1).and_then(|mut table| table.remove("value"));
     let takes_text = option.is_some_and(|option| option.is_text);

@@ -129,6 +129,17 @@ impl Supervision {
         self.state = State::Running { since: now, linked: false };
     }
 
+    /// Another process has taken its place while it ran, which is no restart.
+    pub const fn replaced(&mut self, now: Duration) {
+        self.restarted(now);
+    }
+
+    /// The process that has taken its place failed: the program before is started again at once, which is no
+    /// restart either.
+    pub const fn rolled_back(&mut self, now: Duration) {
+        self.state = State::Waiting { until: now };
+    }
+
     /// The process is linked to its neighbours.
     pub const fn linked(&mut self) {
         if let State::Running { linked, .. } = &mut self.state {

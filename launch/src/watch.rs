@@ -8,7 +8,7 @@ use ratatui::widgets::Widget;
 use ratatui::{Terminal, TerminalOptions, Viewport};
 use recorder::live::{LiveOptions, LiveView, draw};
 use run::Run;
-use wire::{ForecastsTopic, Heartbeat, HeartbeatsTopic, StageId, Topic};
+use wire::{ForecastsTopic, Header, Heartbeat, HeartbeatsTopic, StageId, Topic};
 
 use crate::child::Line;
 use crate::failure::Failure;
@@ -32,6 +32,8 @@ pub struct Watch {
     shown: Instant,
     printed_ticks: u64,
     outages: Outages,
+    /// Header of the newest forecasts.
+    newest: Option<Header>,
 }
 
 /// How the progress is shown.
@@ -57,6 +59,7 @@ impl Watch {
             shown: Instant::now(),
             printed_ticks: 0,
             outages: Outages::default(),
+            newest: None,
         })
     }
 
@@ -72,16 +75,43 @@ impl Watch {
         for heartbeat in &heartbeats {
             self.view.heartbeat(heartbeat);
         }
-        while let Some(frame) = self.forecasts.receive()? {
-            self.view.forecasts(frame.header(), &frame);
-            self.outages.forecasts(frame.header(), &frame);
-        }
+        self.take_forecasts()?;
         self.view.clock(monotonic_ns());
         for (stage, line) in lines {
             self.display.line(&format!("{}: {line}", stage.name()));
         }
         self.show();
         Ok(heartbeats)
+    }
+
+    fn take_forecasts(&mut self) -> Result<(), Failure> {
+        while let Some(frame) = self.forecasts.receive()? {
+            self.view.forecasts(frame.header(), &frame);
+            self.outages.forecasts(frame.header(), &frame);
+            self.newest = Some(*frame.header());
+        }
+        Ok(())
+    }
+
+    /// Ticks whose forecasts have come.
+    pub const fn ticks(&self) -> u64 {
+        self.view.ticks()
+    }
+
+    /// Sleeps until the forecasts of a further tick have come, at most so long: then most stages wait for the next.
+    pub fn await_tick(&mut self, limit: Duration) -> Result<(), Failure> {
+        self.take_forecasts()?;
+        let (begun, before) = (Instant::now(), self.view.ticks());
+        while self.view.ticks() == before && begun.elapsed() < limit {
+            self.forecasts.sleep(limit.saturating_sub(begun.elapsed()))?;
+            self.take_forecasts()?;
+        }
+        Ok(())
+    }
+
+    /// The incarnation of a stage that the newest tick has passed.
+    pub fn passed(&self, stage: StageId) -> Option<u32> {
+        self.newest.as_ref()?.hop(stage).map(|hop| hop.incarnation)
     }
 
     /// Shows a line of the launcher's own, and keeps what it is about for the report.
@@ -94,6 +124,12 @@ impl Watch {
             Event::GivenUp { stage, how, why } => {
                 self.outages.give_up(*stage, format!("{how}; {why}"));
                 self.display.line(&format!("launcher: the {} {how} and is given up: {why}", stage.name()));
+            }
+            Event::HandedOver(replaced) => self.outages.handed_over(replaced),
+            Event::Tried(replaced) => {
+                self.outages.tried(replaced);
+                self.view.replaced(replaced.stage, replaced.outcome);
+                self.display.line(&format!("launcher: {replaced}"));
             }
             Event::Starved { stage } => {
                 self.outages.starved(*stage);

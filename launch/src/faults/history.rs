@@ -40,6 +40,13 @@ pub enum Line {
         /// The longest time.
         us_max: u64,
     },
+    /// The verb that replaces a stage has ended.
+    Replaced {
+        /// The stage.
+        stage: String,
+        /// Its exit code: 0 where the new process stays.
+        exit: i32,
+    },
     /// A process was sent a signal or given a limit.
     Signalled {
         /// The process.

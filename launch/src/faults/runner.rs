@@ -5,11 +5,11 @@ use std::fs::File;
 use std::io::{BufRead as _, BufReader, Write as _};
 use std::os::unix::process::ExitStatusExt as _;
 use std::path::{Path, PathBuf};
-use std::process::{Command, ExitStatus, Stdio};
+use std::process::{Child, Command, ExitStatus, Stdio};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
 use std::time::{Duration, Instant};
 
-use ports::POINTS_VARIABLE;
+use ports::{POINTS_VARIABLE, Point};
 use recorder::Report;
 use run::Run;
 use rustix::process::{Pid, Signal, kill_process};
@@ -122,6 +122,8 @@ struct Session<'a> {
     due: Vec<Action>,
     /// Stopped processes, and when they go on.
     stopped: Vec<(Instant, Pid, &'static str)>,
+    /// The verbs that replace a stage.
+    replacing: Vec<(StageId, Child)>,
     /// When the last fault without a frame of its own is over.
     over_at: Option<Instant>,
     /// The newest tick that any stage has reached.
@@ -148,6 +150,7 @@ enum What {
     Stop(Target, Duration),
     Limit(StageId, crate::faults::spec::Resource, u64),
     Cpu(usize, Duration),
+    Replace(StageId, Vec<String>),
 }
 
 impl<'a> Session<'a> {
@@ -177,8 +180,9 @@ impl<'a> Session<'a> {
             sender,
             lines,
             run: None,
-            due: actions(spec),
+            due: actions(spec)?,
             stopped: Vec::new(),
+            replacing: Vec::new(),
             over_at: None,
             tick: None,
             seen: Observation::default(),
@@ -315,6 +319,19 @@ impl<'a> Session<'a> {
                 limit(pid, *resource, *value)?;
                 (stage.name(), "limited")
             }
+            What::Replace(stage, command) => {
+                let Some((run, _)) = &self.run else { return Ok(false) };
+                let mut verb = this_program()?;
+                verb.args(["stage", "replace", stage.name(), "--run"]).arg(&run.root);
+                if !command.is_empty() {
+                    verb.arg("--exec").args(command);
+                }
+                let log = File::options().append(true).open(self.folder.join("log.txt"));
+                let log = log.map_err(|error| Failure::file(self.folder, error))?;
+                verb.stdout(Stdio::null()).stderr(log);
+                self.replacing.push((*stage, verb.spawn().map_err(Failure::unavailable)?));
+                (stage.name(), "ordered to be replaced")
+            }
             What::Cpu(threads, time) => {
                 // They end by themselves.
                 drop(use_cpu(*threads, *time));
@@ -335,6 +352,12 @@ impl<'a> Session<'a> {
         });
         while let Ok(line) = self.lines.try_recv() {
             self.take(line);
+        }
+        for (stage, mut verb) in self.replacing.drain(..) {
+            // It ends with the launcher at the latest.
+            let status = verb.wait().map_err(Failure::unavailable)?;
+            let (stage, exit) = (stage.name().to_owned(), status.code().unwrap_or(-1));
+            self.seen.lines.push(Line::Replaced { stage, exit });
         }
         if let Some(run) = run {
             if self.spec.kills_launcher() {
@@ -399,7 +422,7 @@ fn write_lines(path: &Path, lines: &[Line]) -> std::io::Result<()> {
 }
 
 /// What is to be done at ticks and times.
-fn actions(spec: &Spec) -> Vec<Action> {
+fn actions(spec: &Spec) -> Result<Vec<Action>, Failure> {
     let mut actions = Vec::new();
     for fault in &spec.faults {
         let mut at = |at, what| actions.push(Action { at, what });
@@ -418,13 +441,20 @@ fn actions(spec: &Spec) -> Vec<Action> {
                 at(Due::Tick(*tick), What::Limit(*stage, *resource, *value));
             }
             Fault::CrashLoop { stage, tick, .. } => at(Due::Tick(*tick), What::Kill(Target::Stage(*stage))),
+            Fault::Replace { stage, ticks, command, point } => {
+                let command = match point {
+                    Some(point) => dying(*stage, *point)?,
+                    None => command.clone().unwrap_or_default(),
+                };
+                ticks.iter().for_each(|tick| at(Due::Tick(*tick), What::Replace(*stage, command.clone())));
+            }
             Fault::Cpu { tick, for_ms, threads } => {
                 at(Due::Tick(*tick), What::Cpu(*threads, Duration::from_millis(*for_ms)));
             }
             Fault::KillAt { .. } | Fault::Command { .. } | Fault::Topic(_) | Fault::Consumer { .. } => {}
         }
     }
-    actions
+    Ok(actions)
 }
 
 /// The points at which stages kill themselves, as their variable has them.
@@ -521,6 +551,17 @@ fn crashing(stage: StageId, exit_code: u8) -> Result<Vec<String>, Failure> {
     let this = std::env::current_exe().map_err(Failure::unavailable)?;
     let words =
         format!("test $STGDAT_INCARNATION = 0 || exit {exit_code}; exec \"$0\" stage {}", stage.name());
+    Ok(vec!["sh".to_owned(), "-c".to_owned(), words, this.display().to_string()])
+}
+
+/// The built-in stage as a command that kills itself at a point of its first step, in whichever incarnation.
+fn dying(stage: StageId, point: Point) -> Result<Vec<String>, Failure> {
+    let this = std::env::current_exe().map_err(Failure::unavailable)?;
+    let (stage, point) = (stage.name(), point.name());
+    let words = format!(
+        "for i in $(seq 0 $STGDAT_INCARNATION); do p=${{p}}{stage}:{point}@0,; done; export {POINTS_VARIABLE}=$p; \
+         exec \"$0\" stage {stage}"
+    );
     Ok(vec!["sh".to_owned(), "-c".to_owned(), words, this.display().to_string()])
 }
 

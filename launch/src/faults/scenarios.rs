@@ -42,6 +42,8 @@ const BUILT_IN: &[(&str, &str)] = scenarios![
     "14-file-limit",
     "15-cpu",
     "16-launcher-killed",
+    "17-broken-replacement",
+    "17-replace",
 ];
 
 /// The built-in specifications.

@@ -111,6 +111,17 @@ pub enum Fault {
         /// The program with its arguments.
         command: Vec<String>,
     },
+    /// A stage is replaced while the run goes on.
+    Replace {
+        /// The stage.
+        stage: StageId,
+        /// At which ticks.
+        ticks: Vec<u64>,
+        /// The new program with its arguments; the built-in one where none.
+        command: Option<Vec<String>>,
+        /// The point of its first step at which the new process kills itself.
+        point: Option<Point>,
+    },
     /// Frames of a topic are changed between its writer and its readers.
     Topic(TopicFault),
     /// Threads that do nothing but use the CPU.
@@ -228,6 +239,7 @@ impl Spec {
             Fault::KillAt { stage, .. }
             | Fault::Limit { stage, .. }
             | Fault::CrashLoop { stage, .. }
+            | Fault::Replace { stage, .. }
             | Fault::Command { stage, .. } => Some(*stage),
             _ => None,
         };

@@ -3,7 +3,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt::Display;
 
-use recorder::Report;
+use recorder::{Outage, ReplacementOutcome, Report};
 use serde::Serialize;
 use wire::StageId;
 
@@ -135,7 +135,7 @@ impl Observation {
     /// The most ticks until forecasts were learned again: after outages, frames acted on and other faults.
     fn to_learned(&self, outputs: &Outputs<'_>) -> Option<u64> {
         let mut most = 0;
-        for outage in self.report.iter().flat_map(|report| &report.supervision.outages) {
+        for outage in self.outages() {
             most = most.max(outage.ticks_to_learned?);
         }
         for end in self.injected(None, None).last().into_iter().chain(&self.over) {
@@ -148,7 +148,7 @@ impl Observation {
     /// Missing ticks that lie in no outage, that no fault acted on and that no stage has counted, and
     /// forecasts without a cause.
     fn unexplained(&self, missing: &[u64], outputs: &Outputs<'_>) -> u64 {
-        let outages = self.report.as_ref().map_or(&[][..], |report| &report.supervision.outages);
+        let outages: Vec<&Outage> = self.outages().collect();
         let acted = self.injected(None, None);
         let is_explained = |tick: &u64| {
             let in_outage = outages.iter().any(|outage| {
@@ -161,6 +161,14 @@ impl Observation {
         let stages = self.report.iter().flat_map(|report| &report.stages);
         let counted: u64 = stages.map(|stage| stage.drops.gap + stage.drops.refused).sum();
         without.saturating_sub(counted) + outputs.0.values().map(|output| output.uncaused).sum::<u64>()
+    }
+
+    /// The outages of the report, those of replacements too.
+    fn outages(&self) -> impl Iterator<Item = &Outage> {
+        let supervision = || self.report.iter().map(|report| &report.supervision);
+        let replacements = supervision().flat_map(|of| &of.replacements);
+        let handed_over = replacements.filter(|of| of.outcome != ReplacementOutcome::NotUsed);
+        supervision().flat_map(|of| &of.outages).chain(handed_over.map(|of| &of.outage))
     }
 
     /// What every run must keep, whatever is injected.
@@ -274,6 +282,18 @@ fn supervised(spec: &Spec, seen: &Observation) -> Vec<Check> {
         let what = format!("outages of the {}, \"{}\"", expected.stage, expected.cause);
         checks.push(equal(&what, &expected.count, &found));
     }
+    for expected in &expect.replacements {
+        let of = |replacement: &&recorder::Replacement| {
+            let outage = &replacement.outage;
+            outage.stage == expected.stage
+                && replacement.outcome == expected.outcome
+                && outage.cause.contains(expected.cause.as_str())
+        };
+        let found = supervision.replacements.iter().filter(of).count() as u64;
+        let what = format!("{} {}, \"{}\"", expected.stage, expected.outcome.name(), expected.cause);
+        checks.push(equal(what.trim_end_matches(", \"\""), &expected.count, &found));
+    }
+    checks.extend(replaced(seen, &supervision.replacements));
     let given_up: Vec<&str> = supervision.given_up.keys().map(String::as_str).collect();
     checks.push(equal("given up", &expect.given_up.join(", "), &given_up.join(", ")));
     for stage in &expect.starved {
@@ -299,6 +319,22 @@ fn supervised(spec: &Spec, seen: &Observation) -> Vec<Check> {
         checks.push(check("ended by", text, &found, met));
     }
     checks
+}
+
+/// What the verb has told of the replacements, beside the report; nothing where there were none.
+fn replaced(seen: &Observation, reported: &[recorder::Replacement]) -> Option<Check> {
+    let told = seen.lines.iter().filter_map(|line| match line {
+        Line::Replaced { exit, .. } => Some(*exit == 0),
+        _ => None,
+    });
+    let reported = reported.iter().map(|of| of.outcome == ReplacementOutcome::Replaced);
+    let count = |outcomes: Vec<bool>| {
+        let replaced = outcomes.iter().filter(|is_replaced| **is_replaced).count();
+        format!("{replaced} replaced, {} not", outcomes.len() - replaced)
+    };
+    let (told, reported): (Vec<bool>, Vec<bool>) = (told.collect(), reported.collect());
+    let any = !told.is_empty() || !reported.is_empty();
+    any.then(|| equal("replacements by the verb's exit codes", &count(reported), &count(told)))
 }
 
 /// The report's counters of frames lost.

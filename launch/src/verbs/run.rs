@@ -18,6 +18,7 @@ use crate::arguments::{
     ModelArguments, RetrievalArguments, SceneArguments, SetArguments, TrackerArguments, canonical,
     check_lanes, check_memory, warn_of_doubts,
 };
+use crate::control::{Control, Request};
 use crate::failure::{Failure, StageDeath};
 use crate::fleet::Fleet;
 use crate::options::{Setting, StageOptions, text};
@@ -230,6 +231,7 @@ fn supervise(
     keeps_memory: bool,
 ) -> Result<Ended, Failure> {
     let mut watch = Watch::open(run, live, quiet)?;
+    let control = Control::open(run)?;
     let mut fleet = Fleet::start(pipeline, run, record, keeps_memory)?;
     let started = Instant::now();
     let mut linked = false;
@@ -246,6 +248,9 @@ fn supervise(
             Ok(events) => events.iter().for_each(|event| watch.say(event)),
             Err(failure) => break Err(failure),
         }
+        if let Err(failure) = replace(&mut watch, &mut fleet, &control, run, linked) {
+            break Err(failure);
+        }
         if fleet.done(StageId::Recorder) || fleet.is_over() {
             break Ok(Exit::Done);
         }
@@ -259,6 +264,32 @@ fn supervise(
     let unkept = keeps_memory.then(|| fleet.failure(StageId::Sampler)).flatten();
     let outages = watch.close(fleet.lines());
     Ok(Ended { outcome, unkept, linked, outages })
+}
+
+/// Takes orders to replace stages, and gives a new process that is warm its turn between two ticks.
+fn replace(
+    watch: &mut Watch,
+    fleet: &mut Fleet,
+    control: &Control,
+    run: &Run,
+    linked: bool,
+) -> Result<(), Failure> {
+    for request in control.requests() {
+        match request {
+            Request::Replace(order, client) => fleet.replace(&order, client, linked),
+            Request::Ready(stage, incarnation, client) => {
+                fleet.ready(stage, incarnation, client, watch.ticks());
+            }
+        }
+    }
+    if fleet.is_warm(watch.ticks()) {
+        watch.await_tick(Duration::from_nanos(2 * run.interval_ns))?;
+        if let Some(event) = fleet.hand_over()? {
+            watch.say(&event);
+        }
+    }
+    fleet.passed(|stage| watch.passed(stage));
+    Ok(())
 }
 
 /// Completes the recorder's report, prints it, and writes it to the file of `--report`.

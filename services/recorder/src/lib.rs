@@ -28,6 +28,7 @@ pub use forecast_lines::{FORECASTS_VERSION, ForecastWriter};
 pub use options::{Options, STAGE};
 pub use record::{Checkpoint, Recorder, RecorderOptions, TICK_LIMIT_NS};
 pub use report::{
-    Outage, REPORT_VERSION, RefusedFrames, Report, ReportError, RunInfo, Status, Supervision, Verdict,
+    Outage, REPORT_VERSION, RefusedFrames, Replacement, ReplacementOutcome, Report, ReportError, RunInfo,
+    Status, Supervision, Verdict, program_name,
 };
 pub use whole_file::{WholeFile, is_standard_output};

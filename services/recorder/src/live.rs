@@ -14,7 +14,7 @@ pub use draw::draw;
 use crate::losses::Losses;
 use crate::passage::{Passage, STAGES_LEN, Timeline, place};
 use crate::record::{TICK_LIMIT_NS, is_outside};
-use crate::report::RefusedFrames;
+use crate::report::{RefusedFrames, ReplacementOutcome};
 use crate::text::{count, number};
 
 /// Ticks in the window that the view shows: ten seconds at 12.5 Hz.
@@ -65,6 +65,8 @@ pub struct LiveStage {
     pub refused: Option<RefusedFrames>,
     /// Number of restarts.
     pub restarts: u32,
+    /// Times that it was replaced.
+    pub replaced: u32,
     /// Whether its last heartbeat is recent; `None` before the first.
     pub alive: Option<bool>,
 }
@@ -78,6 +80,8 @@ pub struct LiveView {
     window: VecDeque<Passage>,
     beats: [Option<Heartbeat>; STAGES_LEN],
     late_by_stage: [u64; STAGES_LEN],
+    /// Times that each stage was replaced, and the incarnations that were no restarts.
+    replaced: [(u32, u32); STAGES_LEN],
     first_released_ns: Option<u64>,
     now_ns: u64,
     limit_ns: u64,
@@ -105,6 +109,7 @@ impl LiveView {
             window: VecDeque::with_capacity(WINDOW_LEN),
             beats: [None; STAGES_LEN],
             late_by_stage: [0; STAGES_LEN],
+            replaced: [(0, 0); STAGES_LEN],
             first_released_ns: None,
             now_ns: 0,
             next_seq: None,
@@ -161,6 +166,13 @@ impl LiveView {
         }
     }
 
+    /// Takes what came of a stage's replacement.
+    pub fn replaced(&mut self, stage: StageId, outcome: ReplacementOutcome) {
+        let (times, incarnations) = &mut self.replaced[place(stage)];
+        *times += u32::from(outcome == ReplacementOutcome::Replaced);
+        *incarnations += outcome.incarnations();
+    }
+
     /// Takes the time (`CLOCK_MONOTONIC`), from which the run's duration and silent stages follow.
     pub const fn clock(&mut self, now_ns: u64) {
         self.now_ns = now_ns;
@@ -203,7 +215,8 @@ impl LiveView {
                     late: self.late_by_stage[place(stage)],
                     lost: drops[place(stage)].total(),
                     refused: refusals.iter().find(|refused| refused.reader == stage.name()).cloned(),
-                    restarts: self.losses.restarts(stage),
+                    restarts: self.losses.restarts(stage).saturating_sub(self.replaced[place(stage)].1),
+                    replaced: self.replaced[place(stage)].0,
                     alive: beat.map(|beat| self.now_ns.saturating_sub(beat.sent_ns) <= SILENT_NS),
                 };
                 (stage, row)

@@ -11,7 +11,7 @@ use crate::losses::Losses;
 use crate::passage::{Passage, Phases, Timeline, place};
 use crate::report::{
     Agents, ForecastCounts, OutOfDistribution, Percentiles, PriorCounts, REPORT_VERSION, Report, RunInfo,
-    StageDrops, StageReport, Status, Supervision, Verdict,
+    StageDrops, StageReport, Status, Supervision, Verdict, restarts,
 };
 
 pub use checkpoint::Checkpoint;
@@ -190,6 +190,12 @@ impl Recorder {
             self.scorer.forecasts(header, forecasts);
         }
         Ok(())
+    }
+
+    /// Whether the recorder before has recorded the tick, which a topic keeps for new readers.
+    #[must_use]
+    pub fn is_recorded(&self, header: &Header) -> bool {
+        self.resumed && self.newer_ns(header).is_some()
     }
 
     /// Takes a stage's heartbeat.
@@ -387,6 +393,7 @@ impl Recorder {
             late_ticks: times.map_or(0, |times| times.late_ticks),
             drops,
             restarts: self.losses.restarts(stage),
+            replacements: 0,
         }
     }
 }
@@ -401,10 +408,7 @@ fn verdict(report: &Report) -> Verdict {
     if report.drops > 0 {
         reasons.push(format!("frames lost: {} ({})", report.drops, by_stage(|stage| stage.drops.total())));
     }
-    let restarts: u64 = report.stages.iter().map(|stage| u64::from(stage.restarts)).sum();
-    if restarts > 0 {
-        reasons.push(format!("restarts: {restarts} ({})", by_stage(|stage| u64::from(stage.restarts))));
-    }
+    reasons.extend(restarts(&report.stages));
     // In lockstep the source waits for every tick: there is no deadline.
     if let Some(limit_ms) = report.late_limit_ms
         && report.late_ticks > 0

@@ -2,7 +2,9 @@
 
 use std::fmt::{self, Write};
 
-use crate::report::{Errors, Percentiles, RefusedFrames, Report, StageReport, Status};
+use crate::report::{
+    Errors, Outage, Percentiles, RefusedFrames, Replacement, ReplacementOutcome, Report, StageReport, Status,
+};
 use crate::text::{bar, count, number, percent, subscript};
 
 /// Narrowest and widest lines of the report.
@@ -29,6 +31,7 @@ impl Report {
             self.forecasts(text, width)?;
             self.refusals(text)?;
             self.supervision(text)?;
+            self.replacements(text)?;
             self.accuracy(text, width)
         };
         write(&mut text).expect("writing to a string can't fail");
@@ -244,6 +247,41 @@ impl Report {
         Ok(())
     }
 
+    fn replacements(&self, text: &mut String) -> fmt::Result {
+        if !self.supervision.replacements.is_empty() {
+            writeln!(text, "\n {:LABEL_WIDTH$}", "REPLACED")?;
+        }
+        self.supervision.replacements.iter().try_for_each(|replacement| {
+            let Replacement { outcome, outage, .. } = replacement;
+            let Outage { stage, tick, cause, ticks_lost, ticks_not_learned, ticks_to_learned, .. } = outage;
+            let (program, tick) = (replacement.program(), count(*tick));
+            let warm =
+                replacement.warm_up_ms.map_or_else(String::new, |ms| format!(", warm after {ms:.0} ms"));
+            let over = replacement
+                .hand_over_ms
+                .map_or_else(String::new, |ms| format!(", handed over in {ms:.0} ms"));
+            let ticks = || {
+                let again = ticks_to_learned.map_or_else(
+                    || "not learned again by the end".to_owned(),
+                    |ticks| format!("learned again after {}", count(ticks)),
+                );
+                format!(
+                    "ticks: {} lost, {} not learned, {again}",
+                    count(*ticks_lost),
+                    count(*ticks_not_learned)
+                )
+            };
+            let came = match outcome {
+                ReplacementOutcome::Replaced => format!("by {program}{warm}{over}; {}", ticks()),
+                ReplacementOutcome::NotUsed => format!("not by {program}: it {cause}; the old one went on"),
+                ReplacementOutcome::RolledBack => {
+                    format!("rolled back from {program}: it {cause}; {}", ticks())
+                }
+            };
+            writeln!(text, " {stage:LABEL_WIDTH$}tick {tick}: {came}")
+        })
+    }
+
     fn accuracy(&self, text: &mut String, width: usize) -> fmt::Result {
         let accuracy = &self.accuracy;
         let (Some(draws), Some(horizon_s)) = (accuracy.draws, accuracy.horizon_s) else {
@@ -316,6 +354,9 @@ fn stage_row(text: &mut String, stage: &StageReport, all: bool, cells: usize) ->
     write!(text, "{:>6}{:>6}", count(stage.late_ticks), count(stage.drops.total()))?;
     if stage.restarts > 0 {
         write!(text, "  restarted {}×", stage.restarts)?;
+    }
+    if stage.replacements > 0 {
+        write!(text, "  replaced {}×", stage.replacements)?;
     }
     writeln!(text)
 }

@@ -88,6 +88,76 @@ pub struct Supervision {
     pub outages_unlisted: u64,
     /// How often a stage got no CPU for longer than its `hang_after`, by stage.
     pub starved: BTreeMap<String, u64>,
+    /// Stages that were replaced while the run went on, or were to be.
+    pub replacements: Vec<Replacement>,
+    /// Replacements beyond those listed.
+    pub replacements_unlisted: u64,
+}
+
+/// A stage that was replaced while the run went on, or was to be.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Replacement {
+    /// The new program with its arguments; empty for the built-in one.
+    pub command: Vec<String>,
+    /// What came of it.
+    pub outcome: ReplacementOutcome,
+    /// Time from the start of the new process until it was ready.
+    pub warm_up_ms: Option<f64>,
+    /// Time from the request to the old process to end until the new one was told to begin.
+    pub hand_over_ms: Option<f64>,
+    /// The ticks from the hand-over until the forecasts are learned again, by the incarnation that stays; its
+    /// `cause` is why the new one is not used.
+    #[serde(flatten)]
+    pub outage: Outage,
+}
+
+/// What came of a replacement.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum ReplacementOutcome {
+    /// The new process is linked, and stays.
+    Replaced,
+    /// The new process failed before its turn: the old one went on, untouched.
+    #[default]
+    NotUsed,
+    /// The new process failed after its turn: the old program was started again.
+    RolledBack,
+}
+
+impl ReplacementOutcome {
+    /// In words.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Replaced => "replaced",
+            Self::NotUsed => "not used",
+            Self::RolledBack => "rolled back",
+        }
+    }
+
+    /// Incarnations of the stage that were no restarts: the new process, and the old program after it.
+    #[must_use]
+    pub const fn incarnations(self) -> u32 {
+        match self {
+            Self::Replaced => 1,
+            Self::NotUsed => 0,
+            Self::RolledBack => 2,
+        }
+    }
+}
+
+impl Replacement {
+    /// The program, as a person would call it.
+    #[must_use]
+    pub fn program(&self) -> String {
+        program_name(&self.command)
+    }
+}
+
+/// A command as a person would call it: "the built-in one" where it is empty.
+#[must_use]
+pub fn program_name(command: &[String]) -> String {
+    if command.is_empty() { "the built-in one".to_owned() } else { command.join(" ") }
 }
 
 /// The time from a death of a stage until the forecasts are learned again.
@@ -271,8 +341,22 @@ pub struct StageReport {
     /// Frames lost in this stage, by cause: `gap` (never arrived: the queue was full or the sender had ended)
     /// and `refused` (invalid content). A frame counts only in the stage that lost it first.
     pub drops: StageDrops,
-    /// Number of restarts.
+    /// Number of restarts after a death.
     pub restarts: u32,
+    /// Times that it was replaced while the run went on.
+    #[serde(default)]
+    pub replacements: u32,
+}
+
+/// What the reason of a verdict begins with that counts restarts.
+const RESTARTS: &str = "restarts: ";
+
+/// The restarts of all stages as a reason of the verdict; none where there were none.
+pub(crate) fn restarts(stages: &[StageReport]) -> Option<String> {
+    let all: u32 = stages.iter().map(|stage| stage.restarts).sum();
+    let named = stages.iter().filter(|stage| stage.restarts > 0);
+    let named: Vec<String> = named.map(|stage| format!("{} {}", stage.name, stage.restarts)).collect();
+    (all > 0).then(|| format!("{RESTARTS}{all} ({})", named.join(", ")))
 }
 
 /// Frames lost in one stage.
@@ -392,6 +476,12 @@ impl Report {
         for (stage, why) in &supervision.given_up {
             reasons.push(format!("the {stage} was given up: {why}"));
         }
+        for Replacement { outcome, outage, .. } in &supervision.replacements {
+            if *outcome == ReplacementOutcome::RolledBack {
+                let Outage { stage, cause, .. } = outage;
+                reasons.push(format!("the replacement of the {stage} was rolled back: it {cause}"));
+            }
+        }
         if !reasons.is_empty() && self.verdict.status == Status::Ok {
             self.verdict.status = Status::Degraded;
         }
@@ -406,6 +496,29 @@ impl Report {
         }
         self.verdict.reasons.splice(0..0, reasons);
         self.supervision = supervision;
+        self.without_replacements();
+    }
+
+    /// Takes back what the recorder has counted as restarts, by their incarnations, and were replacements.
+    fn without_replacements(&mut self) {
+        let outcomes = self.supervision.replacements.iter();
+        let outcomes: Vec<_> = outcomes.map(|of| (of.outage.stage.clone(), of.outcome)).collect();
+        if outcomes.is_empty() {
+            return;
+        }
+        for (name, outcome) in outcomes {
+            for stage in self.stages.iter_mut().filter(|stage| stage.name == name) {
+                stage.restarts = stage.restarts.saturating_sub(outcome.incarnations());
+                stage.replacements += u32::from(outcome == ReplacementOutcome::Replaced);
+            }
+        }
+        let place = self.verdict.reasons.iter().position(|reason| reason.starts_with(RESTARTS));
+        if let Some(place) = place {
+            self.verdict.reasons.splice(place..=place, restarts(&self.stages));
+        }
+        if self.verdict.reasons.is_empty() && self.verdict.status == Status::Degraded {
+            self.verdict.status = Status::Ok;
+        }
     }
 
     /// Writes the report as JSON. The file appears whole or not at all.

@@ -3,9 +3,9 @@
 use std::io;
 use std::path::PathBuf;
 
-use ports::{Stage, StageError, monotonic_ns};
+use ports::{Stage, StageError, Stop, await_turn, monotonic_ns};
 use run::Run;
-use wire::{ForecastsTopic, Header, Rejected, Topic, TruthTopic, flags};
+use wire::{ForecastsTopic, Header, Rejected, StageId, Topic, TruthTopic, flags};
 
 use crate::{Checkpoint, ForecastWriter, Options, Recorder, RecorderOptions, Report, STAGE};
 
@@ -22,6 +22,9 @@ const REPORT: &str = "report.json";
 /// [`StageError`] where the run's options or shared memory can't be used or a file can't be written.
 pub fn run(run: &Run) -> Result<(), StageError> {
     let options = STAGE.options(run)?;
+    let stop = Stop::on_signals().map_err(|source| StageError::File { path: run.root.clone(), source })?;
+    // It goes on with what the process before leaves at its end.
+    await_turn(StageId::Recorder, &stop)?;
     let checkpoint = checkpoint_path(run);
     let kept = (ports::incarnation() > 0).then(|| Checkpoint::read(&checkpoint).ok()).flatten();
     let open_file = if kept.is_some() { ForecastWriter::resume } else { ForecastWriter::create };
@@ -46,6 +49,9 @@ pub fn run(run: &Run) -> Result<(), StageError> {
             count(&mut stage, frame.header(), TruthTopic::NAME, result);
         }
         peers.listen()?.iter().for_each(|heartbeat| recorder.heartbeat(heartbeat));
+        if recorder.is_recorded(frame.header()) {
+            continue;
+        }
         let result = recorder.forecasts(frame.header(), &frame);
         if let (Ok(()), Some(writer)) = (&result, &mut writer) {
             writer.write(frame.header(), &frame).map_err(unwritable)?;
@@ -65,6 +71,10 @@ pub fn run(run: &Run) -> Result<(), StageError> {
         if frame.header().has(flags::LOCKSTEP) && frame.header().is_tick() {
             stage.beat()?;
         }
+    }
+    if stage.stop().requested() {
+        // Another process may go on where this one is asked to end.
+        recorder.checkpoint().write(&checkpoint).map_err(StageError::data)?;
     }
     if let Some(writer) = writer {
         writer.finish().map_err(unwritable)?;

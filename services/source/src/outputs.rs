@@ -67,7 +67,7 @@ impl Outputs {
         if stage.stop().requested() { Ok(()) } else { Err(self.unanswered(Awaiting::StartOrEnd, limit_ns)) }
     }
 
-    /// Takes up the place of a source that died: empty frames wake the readers, which then know this process.
+    /// Takes up the place of a source that died, or has ended for this one: empty frames wake the readers, which then know this process.
     /// Returns the number of the newest tick that the tracker has answered.
     ///
     /// # Errors
@@ -77,6 +77,10 @@ impl Outputs {
             self.truth.send_copy(&[], header)?;
             let passage = stage.release(header);
             stage.pass_empty(passage, &self.detections)?;
+            // Of a source that it has replaced while that ran it knows the newest tick: no time is lost.
+            if let Some(seq) = stage.taken_over() {
+                return Ok(Some(seq));
+            }
             self.wait_until(stage, monotonic_ns() + REPEAT_NS, |_| false)?;
         }
         let tracker = self.peers.newest(StageId::Tracker).filter(|heartbeat| heartbeat.frames_len > 0);

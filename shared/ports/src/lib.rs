@@ -53,6 +53,7 @@ mod publisher;
 mod relay;
 mod space;
 mod stage;
+mod standby;
 mod stop;
 mod subscriber;
 mod wait;
@@ -69,7 +70,10 @@ pub use program::{
 };
 pub use publisher::{Loan, Publisher};
 pub use relay::{RawFrame, Relay};
-pub use space::{Leftover, Space, SpaceError, leftovers, remove_half_made_connections, shared_memory_free};
+pub use space::{
+    Leftover, Space, SpaceError, leftovers, living, remove_half_made_connections, shared_memory_free,
+};
 pub use stage::{Awaited, HEARTBEAT, Passage, Stage};
+pub use standby::{GO, STANDBY_VARIABLE, await_turn};
 pub use stop::Stop;
 pub use subscriber::{Frame, Subscriber};

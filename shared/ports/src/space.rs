@@ -166,6 +166,25 @@ pub fn leftovers() -> io::Result<Vec<Leftover>> {
     Ok(prefixes.into_iter().filter_map(leftover).collect())
 }
 
+/// The directories of this user's runs whose launcher lives.
+///
+/// # Errors
+/// Where the directory of all runs can't be read.
+pub fn living() -> io::Result<Vec<PathBuf>> {
+    let mut roots = Vec::new();
+    for entry in std::fs::read_dir(ROOTS)? {
+        let Some(prefix) = entry?.file_name().to_str().and_then(prefix_of) else { continue };
+        let lock = take_lock(&lock_path(&prefix), OFlags::empty(), FlockOperation::NonBlockingLockExclusive);
+        let root = root_of(&prefix);
+        if lock.is_err_and(|error| error.kind() == io::ErrorKind::WouldBlock) && is_ours(&root) {
+            roots.push(root);
+        }
+    }
+    roots.sort();
+    roots.dedup();
+    Ok(roots)
+}
+
 /// The leftover of a run, where it is dead and ours.
 fn leftover(prefix: String) -> Option<Leftover> {
     let lock = match take_lock(&lock_path(&prefix), OFlags::empty(), FlockOperation::NonBlockingLockExclusive)

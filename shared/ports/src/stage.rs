@@ -11,12 +11,15 @@ use crate::error::log_refused;
 use crate::points::{self, Point};
 use crate::subscriber::Input;
 use crate::wait::{Wakes, wait};
-use crate::{Frame, Loan, Node, Peers, PortError, Publisher, Stop, Subscriber, monotonic_ns};
+use crate::{Frame, Loan, Node, Peers, PortError, Publisher, Stop, Subscriber, monotonic_ns, standby};
 
 /// Time between the heartbeats of a stage, whether it has work or not: a tick.
 pub const HEARTBEAT: Duration = Duration::from_nanos(TICK_NS);
 /// Queue depth of a stage's input: the tick at hand and the next.
 const DEPTH: usize = 2;
+/// Longest wait for the place of a process that has ended to become free, and the pause between two tries.
+const PLACE_LIMIT: Duration = Duration::from_secs(1);
+const PLACE_PAUSE: Duration = Duration::from_millis(2);
 
 /// One process of the pipeline: what all stages do, on one thread.
 #[derive(Debug)]
@@ -37,6 +40,8 @@ pub struct Stage {
     frames_len: u64,
     rejected_len: u64,
     refusals: [Refusals; REFUSALS_MAX],
+    /// Number of the newest tick of the process that this one has replaced.
+    taken_over: Option<u64>,
 }
 
 /// The topics that a stage has declared, and which of them it has opened.
@@ -104,6 +109,7 @@ impl Stage {
             frames_len,
             rejected_len,
             refusals: [Refusals::default(); REFUSALS_MAX],
+            taken_over: None,
         })
     }
 
@@ -152,8 +158,11 @@ impl Stage {
 
     /// Opens an output. The stage is linked only once a frame has gone out.
     ///
+    /// A process that is to replace one that still runs waits here until that one has ended: open the inputs, and
+    /// load what takes time, before.
+    ///
     /// # Errors
-    /// As [`Node::publisher`].
+    /// As [`Node::publisher`] and [`await_turn`](crate::await_turn).
     ///
     /// # Panics
     /// Where the stage has not declared that it writes the topic.
@@ -162,7 +171,40 @@ impl Stage {
         assert!(writes.contains(&T::NAME), "the {} declares no output \"{}\"", self.id.name(), T::NAME);
         self.declared.opened.push(T::NAME);
         self.passed = false;
-        self.node.publisher()
+        if standby::is_standby() {
+            self.take_over::<T>()?;
+        }
+        let begun = std::time::Instant::now();
+        loop {
+            match self.node.publisher() {
+                // The place of the process before is free once the transport knows of its end.
+                Err(_) if self.taken_over.is_some() && begun.elapsed() < PLACE_LIMIT => {
+                    std::thread::sleep(PLACE_PAUSE);
+                }
+                opened => return opened,
+            }
+        }
+    }
+
+    /// Waits for its turn, and goes on after the newest tick that the process before has sent.
+    fn take_over<T: Topic>(&mut self) -> Result<(), PortError> {
+        let sent = self.node.subscriber::<T>(DEPTH)?;
+        standby::await_turn(self.id, self.stop())?;
+        while let Some(frame) = sent.receive()? {
+            if frame.header().is_tick() {
+                self.taken_over = self.taken_over.max(Some(frame.header().seq));
+            }
+        }
+        if let Some(seq) = self.taken_over {
+            self.inputs[..self.on_the_way_len].iter().for_each(|input| input.resume_after(seq));
+        }
+        Ok(())
+    }
+
+    /// Number of the newest tick that the process before has sent, where this one has replaced it while it ran.
+    #[must_use]
+    pub const fn taken_over(&self) -> Option<u64> {
+        self.taken_over
     }
 
     /// The heartbeats of all stages; they do not count as an input.

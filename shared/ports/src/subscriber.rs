@@ -40,6 +40,8 @@ struct Port<T: Topic> {
     dropped_len: Cell<u64>,
     /// The newest incarnation of each stage that a tick has passed, by the stage's number.
     incarnations: Cell<[u32; STAGES_LEN]>,
+    /// Ticks up to this one were answered by the process that this one has replaced.
+    answered: Cell<Option<u64>>,
 }
 
 /// One more than the greatest number of a stage of this project.
@@ -103,6 +105,7 @@ impl<T: Topic> Subscriber<T> {
             counter,
             dropped_len,
             incarnations,
+            answered: Cell::new(None),
         }))
     }
 
@@ -117,6 +120,9 @@ impl<T: Topic> Subscriber<T> {
         }
         while let Some(sample) = self.0.subscriber.receive().map_err(PortError::of("receiving", T::NAME))? {
             let frame = Frame { sample, received_ns: monotonic_ns() };
+            if self.0.is_answered(frame.header()) {
+                continue;
+            }
             match self.0.check(&frame) {
                 Ok(()) => {
                     self.0.count(frame.header());
@@ -202,6 +208,8 @@ pub(crate) trait Input: std::fmt::Debug {
     fn refusals(&self) -> [Refusals; REFUSALS_MAX];
     /// Frames that never arrived, so far.
     fn dropped_len(&self) -> u64;
+    /// Ticks up to this one are left out: another process has answered them.
+    fn resume_after(&self, seq: u64);
 }
 
 impl<T: Topic> Input for Port<T> {
@@ -219,6 +227,12 @@ impl<T: Topic> Input for Port<T> {
 
     fn dropped_len(&self) -> u64 {
         self.dropped_len.get()
+    }
+
+    fn resume_after(&self, seq: u64) {
+        self.answered.set(Some(seq));
+        // The ticks that follow are expected without a gap.
+        self.newest.set(Some((seq, i64::MIN)));
     }
 }
 
@@ -282,6 +296,16 @@ impl<T: Topic> Port<T> {
         }
         self.counter.set(Some((sender, incarnation, protection.counter)));
         Ok(())
+    }
+
+    /// Whether the frame is a tick that the process before has answered. They lie in the queue before all others.
+    fn is_answered(&self, header: &Header) -> bool {
+        let Some(answered) = self.answered.get() else { return false };
+        let is_answered = header.is_tick() && header.seq <= answered;
+        if header.is_tick() && !is_answered {
+            self.answered.set(None);
+        }
+        is_answered
     }
 
     fn refuse(&self, sender: u32, why: &Rejected) {

@@ -13,12 +13,13 @@ use super::{Fault, RunSpec, Spec, SpecError, Target, TopicFault, When};
 use crate::faults::effect::{Effect, Part};
 
 /// Kinds of faults on processes, with the keys that each must and may have.
-const KINDS: [(&str, &[&str], &[&str]); 7] = [
+const KINDS: [(&str, &[&str], &[&str]); 8] = [
     ("kill", &["stage"], &["at", "after_start_ms", "point"]),
     ("stop", &["stage", "at", "for_ms"], &[]),
     ("limit", &["stage", "at", "resource", "value"], &[]),
     ("crash-loop", &["stage", "at"], &["exit_code"]),
     ("command", &["stage", "command"], &[]),
+    ("replace", &["stage", "at"], &["command", "point"]),
     ("cpu", &["at", "for_ms"], &["threads"]),
     ("consumer", &["topic"], &["hold_ms"]),
 ];
@@ -151,11 +152,17 @@ fn fault(table: &Spanned<FaultTable>, run: &RunSpec) -> Result<Fault, Mistake> {
             Ok(Fault::CrashLoop { stage: stage(table)?, tick: tick(table, run)?, exit_code })
         }
         "command" => {
-            let command = table.command.as_ref().expect("a key that the kind must have");
-            if command.get_ref().is_empty() {
-                return Err(Mistake::new(command.span(), "`command` is empty", "expected [\"program\", …]"));
+            let command = command(table)?.expect("a key that the kind must have");
+            Ok(Fault::Command { stage: stage(table)?, command })
+        }
+        "replace" => {
+            let (stage, ticks, command) = (stage(table)?, ticks(table, run)?, command(table)?);
+            let point = table.point.as_ref().map(|point| known_point(stage, point)).transpose()?;
+            if let Some(command) = table.command.as_ref().filter(|_| point.is_some()) {
+                let label = "without it the new process is the built-in one, which has points";
+                return Err(Mistake::new(command.span(), "`command` and `point` exclude each other", label));
             }
-            Ok(Fault::Command { stage: stage(table)?, command: command.get_ref().clone() })
+            Ok(Fault::Replace { stage, ticks, command, point })
         }
         "cpu" => {
             let cores = std::thread::available_parallelism().map_or(1, std::num::NonZero::get);
@@ -173,17 +180,8 @@ fn fault(table: &Spanned<FaultTable>, run: &RunSpec) -> Result<Fault, Mistake> {
 fn kill(table: &FaultTable, span: Range<usize>, run: &RunSpec) -> Result<Fault, Mistake> {
     match (&table.point, &table.at, &table.after_start_ms) {
         (Some(point), Some(_), None) => {
-            let (stage, name) = (stage(table)?, point.get_ref());
-            let known = Point::ALL.map(Point::name).join(", ");
-            let found = Point::from_name(name).ok_or_else(|| {
-                let label = format!("expected one of {known}");
-                Mistake::new(point.span(), format!("unknown point \"{name}\" of a stage's step"), label)
-            })?;
-            if stage == StageId::Recorder && found != Point::Idle {
-                let message = format!("the recorder has no point \"{name}\": it sends nothing");
-                return Err(Mistake::new(point.span(), message, "it has \"idle\" alone"));
-            }
-            Ok(Fault::KillAt { stage, point: found, ticks: ticks(table, run)? })
+            let stage = stage(table)?;
+            Ok(Fault::KillAt { stage, point: known_point(stage, point)?, ticks: ticks(table, run)? })
         }
         (None, Some(_), None) => {
             Ok(Fault::Kill { target: target(table)?, when: When::Ticks(ticks(table, run)?) })
@@ -196,6 +194,30 @@ fn kill(table: &FaultTable, span: Range<usize>, run: &RunSpec) -> Result<Fault, 
             "when does it kill?",
             "needs `at`, alone or with a `point`, or `after_start_ms`",
         )),
+    }
+}
+
+/// A point that the stage has.
+fn known_point(stage: StageId, point: &Spanned<String>) -> Result<Point, Mistake> {
+    let name = point.get_ref();
+    let found = Point::from_name(name).ok_or_else(|| {
+        let label = format!("expected one of {}", Point::ALL.map(Point::name).join(", "));
+        Mistake::new(point.span(), format!("unknown point \"{name}\" of a stage's step"), label)
+    })?;
+    if stage == StageId::Recorder && found != Point::Idle {
+        let message = format!("the recorder has no point \"{name}\": it sends nothing");
+        return Err(Mistake::new(point.span(), message, "it has \"idle\" alone"));
+    }
+    Ok(found)
+}
+
+/// The command, where there is one.
+fn command(table: &FaultTable) -> Result<Option<Vec<String>>, Mistake> {
+    match &table.command {
+        Some(command) if command.get_ref().is_empty() => {
+            Err(Mistake::new(command.span(), "`command` is empty", "expected [\"program\", …]"))
+        }
+        command => Ok(command.as_ref().map(|command| command.get_ref().clone())),
     }
 }
 
@@ -331,6 +353,7 @@ fn topic(table: &FaultTable) -> Result<String, Mistake> {
 fn expectations(expect: &Expect) -> Result<(), Mistake> {
     let stages = expect.outages.iter().map(|outages| &outages.stage);
     let stages = stages.chain(expect.counted.iter().map(|counted| &counted.stage)).chain(&expect.given_up);
+    let stages = stages.chain(expect.replacements.iter().map(|replaced| &replaced.stage));
     let mut starved = expect.starved.iter().filter(|name| *name != "any");
     if let Some(name) = stages.chain(&mut starved).find(|name| StageId::from_name(name).is_none()) {
         let label = format!("in `[expect]`; the stages are {}", StageId::ALL.map(StageId::name).join(", "));
@@ -424,6 +447,10 @@ mod tests {
             ":6: unknown topic \"trucks\"",
         );
         refused("[[fault]]\nkind = \"drop\"\ntopic = \"tracks\"\nticks = [3, 2]", ":7: `ticks` = [3, 2]");
+        refused(
+            "[[fault]]\nkind = \"replace\"\nstage = \"encoder\"\nat = 9\npoint = \"idle\"\ncommand = [\"a\"]",
+            ":9: `command` and `point` exclude each other",
+        );
         refused("[expect]\nhole = 3", ":5: unknown field `hole`");
         refused("[expect]\ngiven_up = [\"me\"]", "unknown stage \"me\"");
         refused(

@@ -111,6 +111,8 @@ pub struct Expect {
     pub outages: Vec<Outages>,
     /// Restarts of stages that no fault is aimed at.
     pub restarts_of_others: u64,
+    /// Replacements that the report must list.
+    pub replacements: Vec<Replacements>,
     /// Stages that must be given up, and no others.
     pub given_up: Vec<String>,
     /// Files that may be left in shared memory and the run's folder.
@@ -139,6 +141,21 @@ pub struct Expect {
 pub struct Outages {
     /// The stage.
     pub stage: String,
+    /// Text that their cause contains.
+    #[serde(default)]
+    pub cause: String,
+    /// How many there must be.
+    pub count: u64,
+}
+
+/// Replacements of a stage.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Replacements {
+    /// The stage.
+    pub stage: String,
+    /// What must have come of them.
+    pub outcome: recorder::ReplacementOutcome,
     /// Text that their cause contains.
     #[serde(default)]
     pub cause: String,

@@ -95,6 +95,9 @@ fn stage_line(name: &str, stage: &LiveStage, cells: usize) -> Line<'static> {
     if stage.restarts > 0 {
         spans.push(Span::styled(format!("  restarted {}×", stage.restarts), Color::Yellow));
     }
+    if stage.replaced > 0 {
+        spans.push(Span::styled(format!("  replaced {}×", stage.replaced), Color::Cyan));
+    }
     if let Some(refused) = &stage.refused {
         let text = format!("  refused {} of the {}: {}", refused.frames, refused.sender, refused.cause);
         spans.push(Span::styled(text, Color::Red));
