@@ -6,19 +6,21 @@
 use std::collections::VecDeque;
 use std::io::{BufRead, BufReader, Read};
 use std::os::unix::process::{CommandExt, ExitStatusExt};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::process::{Child as Process, Command, ExitStatus, Stdio};
 use std::sync::mpsc::Sender;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::JoinHandle;
 
+use config::Scheduling;
 use nn::kernels;
-use ports::{INCARNATION_VARIABLE, LAUNCHER_VARIABLE, RUN_VARIABLE, TOPICS_VARIABLE};
+use ports::{INCARNATION_VARIABLE, LAUNCHER_VARIABLE, RUN_VARIABLE, STANDBY_VARIABLE, TOPICS_VARIABLE};
 use run::{Exit, Run};
 use rustix::process::{Pid, Signal, kill_process, set_parent_process_death_signal};
 use wire::StageId;
 
 use crate::failure::{Failure, StageDeath};
+use crate::scheduling;
 
 /// Lines of a stage's output that are kept to be shown if it dies.
 const LAST_LINES_MAX: usize = 12;
@@ -27,6 +29,13 @@ const LINE_BYTES_MAX: u64 = 4096;
 
 /// The environment variable that holds the name of a process's stage.
 pub const STAGE_VARIABLE: &str = "STGDAT_STAGE";
+
+/// The environment variable of glibc's settings.
+const ALLOCATOR_VARIABLE: &str = "GLIBC_TUNABLES";
+/// Memory that was freed stays with the process, and its heap grows by a MiB at a time, so that the next allocation
+/// meets no page that has to be had first.
+const ALLOCATOR: &str =
+    "glibc.malloc.trim_threshold=268435456:glibc.malloc.mmap_threshold=4194304:glibc.malloc.top_pad=1048576";
 
 /// The signal raised when shared memory has no page left.
 const BUS_ERROR: i32 = Signal::BUS.as_raw();
@@ -41,13 +50,17 @@ pub struct Program {
     pub command: Option<Vec<String>>,
     /// Topics that it opens under another name, as `topic=name`.
     pub topics: Vec<String>,
+    /// Its processors and priority.
+    pub scheduling: Scheduling,
+    /// A record of its own, with other options than the run's.
+    pub record: Option<PathBuf>,
 }
 
 impl Program {
     /// That of a stage of a pipeline.
     pub fn of(stage: &config::Stage) -> Self {
         let topics = stage.topics.iter().map(|(topic, name)| format!("{topic}={name}")).collect();
-        Self { command: stage.command.clone(), topics }
+        Self { command: stage.command.clone(), topics, scheduling: stage.scheduling.clone(), record: None }
     }
 }
 
@@ -63,7 +76,8 @@ pub struct Child {
 }
 
 impl Child {
-    /// Starts a stage, by its own command or by this program, and sends its output through `lines`.
+    /// Starts a stage, by its own command or by this program, and sends its output through `lines`. With
+    /// `standby`, the launcher's socket, it is to replace a process that still runs.
     pub fn start(
         stage: StageId,
         own: &Program,
@@ -71,7 +85,9 @@ impl Child {
         run: &Run,
         record: &Path,
         lines: &Sender<Line>,
+        standby: Option<&Path>,
     ) -> Result<Self, Failure> {
+        let record = own.record.as_deref().unwrap_or(record);
         let mut command = match own.command.as_deref() {
             Some([program, arguments @ ..]) => {
                 let mut command = Command::new(program);
@@ -95,13 +111,19 @@ impl Child {
             .env("STGDAT_PREFIX", &run.prefix)
             .env("STGDAT_ROOT", &run.root)
             .env("STGDAT_INTERVAL_NS", run.interval_ns.to_string())
+            .env_remove(STANDBY_VARIABLE)
+            .envs(standby.map(|socket| (STANDBY_VARIABLE, socket)))
             .envs(kernels::forced().map(|isa| (kernels::VARIABLE, isa.key())))
             .stdin(Stdio::null())
             .stdout(Stdio::piped())
             .stderr(Stdio::piped())
             // A process group of its own: Ctrl-C reaches the launcher alone, which ends the stages in order.
             .process_group(0);
+        if std::env::var_os(ALLOCATOR_VARIABLE).is_none() {
+            command.env(ALLOCATOR_VARIABLE, ALLOCATOR);
+        }
         die_with_this_process(&mut command);
+        scheduling::set_at_start(&mut command, &own.scheduling);
         let mut process = command.spawn().map_err(|error| {
             let program = own.command.as_deref().and_then(<[String]>::first).map_or("stgdat", String::as_str);
             Failure::config_about(format!("the {} can't be started: {program}", stage.name()), error)

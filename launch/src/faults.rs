@@ -7,13 +7,13 @@
 
 pub mod effect;
 pub mod follow;
-pub mod history;
 pub mod inject;
 pub mod output;
 pub mod processes;
 pub mod runner;
 pub mod scenarios;
 pub mod spec;
+pub mod table;
 pub mod verdict;
 
 /// The name under which a topic's writer opens it where an injector stands between it and the readers.

@@ -1,11 +1,14 @@
+mod replace;
+
 use std::path::{Path, PathBuf};
 use std::process::ExitStatus;
 use std::sync::mpsc::{Receiver, Sender, channel};
 use std::time::{Duration, Instant};
 
 use config::{Pipeline, Restart};
+use recording::Happened;
 use run::{Exit, Run};
-use rustix::process::Signal;
+use rustix::process::{Pid, Signal};
 use wire::{Heartbeat, StageId};
 
 use crate::child::{Child, Line, Program};
@@ -13,6 +16,9 @@ use crate::cleaner::Cleaner;
 use crate::failure::{Failure, StageDeath};
 use crate::health::{Finding, Health, look};
 use crate::policy::{End, State, Supervision};
+use crate::scheduling;
+pub use replace::Replaced;
+use replace::Trial;
 
 /// Time that the stages have to end after a request.
 const END_LIMIT: Duration = Duration::from_secs(3);
@@ -36,6 +42,12 @@ pub struct Fleet {
     begun: Instant,
     tended: Duration,
     end_limit: Duration,
+    /// Number of the clean-up after the last death of a process that is no stage.
+    other_ticket: u64,
+    /// The stage that is being replaced.
+    trial: Option<Trial>,
+    /// Number of the clean-up after a new process that was not used.
+    swept: u64,
 }
 
 /// A stage with its process.
@@ -50,6 +62,19 @@ struct Member {
     ticket: u64,
     /// Why the launcher has killed its process, if it has.
     killed_for: Option<&'static str>,
+}
+
+/// A stage's process, as the supervisor knows it.
+#[derive(Clone, Copy, Debug)]
+pub struct Process {
+    /// The stage.
+    pub stage: StageId,
+    /// `running`, `restarting`, `given up` or `ended`.
+    pub state: &'static str,
+    /// Its number, while it runs.
+    pub pid: Option<Pid>,
+    /// How often it has been started before.
+    pub incarnation: u32,
 }
 
 /// What happened to a stage.
@@ -78,6 +103,33 @@ pub enum Event {
         /// Which.
         stage: StageId,
     },
+    /// Its process has ended for another one, whose turn it is.
+    HandedOver(Replaced),
+    /// What came of a replacement.
+    Tried(Replaced),
+}
+
+impl Event {
+    /// The same for the tools of the run; nothing of what is not over.
+    pub fn happened(&self) -> Option<Happened> {
+        let name = |stage: &StageId| stage.name().to_owned();
+        Some(match self {
+            Self::Died { stage, how, next } => {
+                Happened::Died { stage: name(stage), how: how.clone(), next: *next }
+            }
+            Self::GivenUp { stage, how, why } => {
+                Happened::GivenUp { stage: name(stage), how: how.clone(), why: (*why).to_owned() }
+            }
+            Self::Starved { stage } => Happened::Starved { stage: name(stage) },
+            Self::HandedOver(_) => return None,
+            Self::Tried(Replaced { stage, command, outcome, cause, .. }) => Happened::Replaced {
+                stage: name(stage),
+                outcome: outcome.name().to_owned(),
+                program: recorder::program_name(command),
+                cause: cause.clone(),
+            },
+        })
+    }
 }
 
 impl Fleet {
@@ -95,10 +147,13 @@ impl Fleet {
             begun: Instant::now(),
             tended: Duration::ZERO,
             end_limit,
+            other_ticket: 0,
+            trial: None,
+            swept: 0,
         };
         for stage in &pipeline.stages {
             let program = Program::of(stage);
-            let child = Child::start(stage.id, &program, 0, run, record, &fleet.sender)?;
+            let child = Child::start(stage.id, &program, 0, run, record, &fleet.sender, None)?;
             let now = fleet.begun.elapsed();
             let (supervision, health) = (Supervision::new(stage.restart, now), Health::new(now));
             fleet.members.push(Member {
@@ -114,9 +169,29 @@ impl Fleet {
         Ok(fleet)
     }
 
+    /// Settings of pipeline.toml that do not hold for the running processes.
+    pub fn notes(&self) -> Vec<String> {
+        let of = |m: &Member| scheduling::refused(m.stage, m.child.pid(), &m.program.scheduling);
+        self.members.iter().flat_map(of).collect()
+    }
+
     /// Lines that the stages wrote since the last look.
     pub fn lines(&self) -> impl Iterator<Item = Line> {
         self.lines.try_iter()
+    }
+
+    /// The processes of all stages.
+    pub fn processes(&self) -> impl Iterator<Item = Process> {
+        self.members.iter().map(|member| {
+            let (state, runs) = match member.supervision.state() {
+                State::Running { .. } => ("running", true),
+                State::Waiting { .. } => ("restarting", false),
+                State::GivenUp { .. } => ("given up", false),
+                State::Done => ("ended", false),
+            };
+            let pid = runs.then(|| member.child.pid());
+            Process { stage: member.stage, state, pid, incarnation: member.supervision.incarnation() }
+        })
     }
 
     /// Whether a stage has ended with success.
@@ -140,6 +215,10 @@ impl Fleet {
         let stopped = now.saturating_sub(self.tended);
         self.tended = now;
         let mut events = Vec::new();
+        let is_again = |m: &Member| {
+            m.supervision.incarnation() > 0 || matches!(m.supervision.state(), State::Waiting { .. })
+        };
+        let one_died = self.members.iter().any(is_again);
         for member in &mut self.members {
             if stopped > STOPPED {
                 member.supervision.forgive(stopped);
@@ -159,14 +238,26 @@ impl Fleet {
                 continue;
             }
             if let Some(status) = member.child.ended() {
+                let failed = |trial: &mut Trial| trial.has_turn(member.stage) && !member.is_done(status);
+                if let Some(trial) = self.trial.take_if(failed) {
+                    member.ticket = self.cleaner.ticket();
+                    events.push(trial.roll_back(member, status, now));
+                    continue;
+                }
                 member.ticket = self.cleaner.ticket();
-                // What a signal kills during the start can be started again; what ends by itself then can't.
-                let is_restartable = !self.run.lockstep && (is_linked || status.code().is_none());
+                // What a signal kills during the start can be started again; what ends by itself then can't, unless
+                // it met what one that was killed has left half made.
+                let is_in_the_way = one_died && status.code() == Some(Exit::Unavailable as i32);
+                let is_by_signal = status.code().is_none();
+                let is_restartable = !self.run.lockstep && (is_linked || is_by_signal || is_in_the_way);
                 events.extend(member.bury(status, is_restartable, now)?);
             } else if is_linked && !self.run.lockstep {
                 events.extend(member.examine(now));
+            } else if one_died && !self.run.lockstep {
+                member.free(now);
             }
         }
+        events.extend(self.tend_trial(stopped, now));
         self.restart(now)?;
         Ok(events)
     }
@@ -176,13 +267,14 @@ impl Fleet {
         let waiting =
             |m: &&Member| matches!(m.supervision.state(), State::Waiting { .. } | State::GivenUp { .. });
         let wanted = self.members.iter().filter(waiting).map(|m| m.ticket).max().unwrap_or(0);
-        self.cleaner.tend(wanted, now)?;
+        self.cleaner.tend(wanted.max(self.other_ticket).max(self.swept), now)?;
         for member in &mut self.members {
             if member.supervision.is_due(now) && self.cleaner.is_done(member.ticket) {
                 let incarnation = member.supervision.incarnation() + 1;
                 let program = &member.program;
+                let (run, record) = (&self.run, &self.record);
                 member.child =
-                    Child::start(member.stage, program, incarnation, &self.run, &self.record, &self.sender)?;
+                    Child::start(member.stage, program, incarnation, run, record, &self.sender, None)?;
                 member.supervision.restarted(now);
                 member.health = Health::new(now);
                 member.killed_for = None;
@@ -195,8 +287,14 @@ impl Fleet {
         Ok(())
     }
 
+    /// A process of the run that is no stage has died: what it held is cleaned up.
+    pub fn clean_up(&mut self) {
+        self.other_ticket = self.cleaner.ticket();
+    }
+
     /// Asks all stages to end, waits, and kills those that do not end in time.
     pub fn end(&mut self) {
+        self.trial = None;
         for child in self.members.iter_mut().map(|member| &mut member.child) {
             child.signal(Signal::TERM);
             // A stopped process receives the request only when it continues.
@@ -222,6 +320,11 @@ impl Fleet {
 }
 
 impl Member {
+    /// Whether it has ended because its work is done.
+    fn is_done(&self, status: ExitStatus) -> bool {
+        status.success() && matches!(self.stage, StageId::Source | StageId::Recorder)
+    }
+
     /// Takes note of its end.
     fn bury(
         &mut self,
@@ -229,9 +332,8 @@ impl Member {
         is_restartable: bool,
         now: Duration,
     ) -> Result<Option<Event>, Failure> {
-        let may_end = matches!(self.stage, StageId::Source | StageId::Recorder);
         let end = match status.code() {
-            Some(0) if may_end => End::Done,
+            Some(0) if self.is_done(status) => End::Done,
             Some(0) => End::Success,
             Some(code) if code == Exit::Config as i32 => End::Config,
             _ => End::Failure,
@@ -261,6 +363,16 @@ impl Member {
                 Ok(Some(Event::GivenUp { stage, how, why }))
             }
             State::Running { .. } | State::Done => Ok(None),
+        }
+    }
+
+    /// Before the pipeline is linked: kills a process that gives no sign of life, where another has died. It may wait
+    /// for ever for what that one has left half made.
+    fn free(&mut self, now: Duration) {
+        let sends_heartbeats = self.program.command.is_none();
+        if sends_heartbeats && self.supervision.is_stuck(now) && self.health.is_silent(now) {
+            self.killed_for.get_or_insert("was not linked within its start limit, and killed");
+            self.child.signal(Signal::KILL);
         }
     }
 

@@ -6,23 +6,37 @@ mod arguments;
 mod child;
 mod cleaner;
 mod contenders;
+mod control;
+mod differences;
 #[cfg(test)]
 mod docs;
+mod fail_if;
 mod failure;
 mod faults;
 mod fleet;
+#[cfg(test)]
+mod fuzz;
 mod health;
+mod memory;
+mod observe;
 mod options;
 mod outages;
 mod pipeline_file;
 mod policy;
+mod prediction;
+mod recorded;
+mod runs;
+mod scheduling;
 mod show;
 mod stages;
 mod tables;
+mod tap;
+mod top;
 mod tracking;
 mod verbs;
 mod version;
 mod watch;
+mod waterfall;
 
 use std::process::ExitCode;
 

@@ -238,7 +238,7 @@ pub fn warn_of_old_flags(arguments: impl Iterator<Item = OsString>) {
 }
 
 /// Parses a value of the command line: TOML or else text; always text where the option takes nothing else.
-fn value(written: &str, option: Option<&OptionSchema>) -> Value {
+pub fn value(written: &str, option: Option<&OptionSchema>) -> Value {
     let parsed = format!("value = {written}").parse::<Table>().ok();
     let parsed = parsed.filter(|table| table.len() == 1).and_then(|mut table| table.remove("value"));
     let takes_text = option.is_some_and(|option| option.is_text);
@@ -332,7 +332,7 @@ mod tests {
             ("radar.fov=90,80", "there is no stage \"radar\": expected one of source, tracker"),
             (
                 "tracker.view_deg=90",
-                "--set tracker.view_deg=90: the tracker has no option `view_deg`: its options are associate, association, fov, prior",
+                "--set tracker.view_deg=90: the tracker has no option `view_deg`: its options are associate, association, fov, frozen_frames, prior",
             ),
             (
                 "tracker.fov=90",

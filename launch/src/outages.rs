@@ -2,20 +2,31 @@
 
 use std::collections::BTreeMap;
 
-use recorder::{Outage, Supervision};
+use recorder::{Outage, Replacement, ReplacementOutcome, Supervision};
 use wire::{Cause, Forecast, Header, Quality, StageId, flags};
 
+use crate::fleet::Replaced;
+
 /// Most outages that are listed; further ones are counted.
-const LISTED_MAX: usize = 256;
+const LISTED_MAX: usize = 2048;
 
 /// The outages of a run, from its forecasts and the launcher's restarts.
 #[derive(Debug, Default)]
 pub struct Outages {
     record: Supervision,
-    /// Indices of those after which the forecasts are not learned again yet, with the stages.
-    open: Vec<(usize, StageId)>,
+    /// Those after which the forecasts are not learned again yet, with the stages.
+    open: Vec<(Place, StageId)>,
+    /// Index of the replacement whose new process has had its turn and is not linked yet.
+    trial: Option<usize>,
     /// The newest tick with forecasts.
     newest: Option<u64>,
+}
+
+/// Where an outage is listed.
+#[derive(Clone, Copy, Debug)]
+enum Place {
+    Outage(usize),
+    Replacement(usize),
 }
 
 impl Outages {
@@ -32,8 +43,69 @@ impl Outages {
         if stage == StageId::Recorder {
             list.last_mut().expect("just pushed").ticks_to_learned = Some(0);
         } else {
-            self.open.push((list.len() - 1, stage));
+            self.open.push((Place::Outage(list.len() - 1), stage));
         }
+    }
+
+    /// A stage's process has ended for another one.
+    pub fn handed_over(&mut self, replaced: &Replaced) {
+        self.trial = self.list(replaced);
+        if let Some(index) = self.trial.filter(|_| replaced.stage != StageId::Recorder) {
+            self.open.push((Place::Replacement(index), replaced.stage));
+        }
+    }
+
+    /// What came of a replacement.
+    pub fn tried(&mut self, replaced: &Replaced) {
+        let index = match replaced.outcome {
+            ReplacementOutcome::NotUsed => self.list(replaced),
+            ReplacementOutcome::Replaced | ReplacementOutcome::RolledBack => self.trial.take(),
+        };
+        if let Some(index) = index {
+            let listed = &mut self.record.replacements[index];
+            listed.outcome = replaced.outcome;
+            listed.outage.cause.clone_from(&replaced.cause);
+            if listed.outage.incarnation != replaced.incarnation {
+                // Forecasts of the one that failed are not what is waited for.
+                (listed.outage.incarnation, listed.outage.ticks_to_learned) = (replaced.incarnation, None);
+                let is_open = self
+                    .open
+                    .iter()
+                    .any(|(place, _)| matches!(place, Place::Replacement(of) if *of == index));
+                if !is_open && replaced.stage != StageId::Recorder {
+                    self.open.push((Place::Replacement(index), replaced.stage));
+                }
+            }
+        }
+    }
+
+    /// Lists a replacement, and returns its index.
+    fn list(&mut self, replaced: &Replaced) -> Option<usize> {
+        let list = &mut self.record.replacements;
+        if list.len() == LISTED_MAX {
+            self.record.replacements_unlisted += 1;
+            return None;
+        }
+        let ms = |time: std::time::Duration| (time.as_secs_f64() * 1e4).round() / 1e1;
+        // Nothing waits for the recorder, and nothing for a process that was not used.
+        let is_awaited =
+            replaced.stage != StageId::Recorder && replaced.outcome != ReplacementOutcome::NotUsed;
+        let outage = Outage {
+            stage: replaced.stage.name().to_owned(),
+            incarnation: replaced.incarnation,
+            cause: replaced.cause.clone(),
+            tick: self.newest.unwrap_or(0),
+            ticks_to_learned: (!is_awaited).then_some(0),
+            ..Outage::default()
+        };
+        list.push(Replacement {
+            command: replaced.command.clone(),
+            outcome: replaced.outcome,
+            warm_up_ms: replaced.warm_up.map(ms),
+            hand_over_ms: replaced.hand_over.map(ms),
+            outage,
+        });
+        Some(list.len() - 1)
     }
 
     /// A stage is given up for good.
@@ -44,6 +116,11 @@ impl Outages {
     /// A stage got no CPU.
     pub fn starved(&mut self, stage: StageId) {
         *self.record.starved.entry(stage.name().to_owned()).or_default() += 1;
+    }
+
+    /// A setting of pipeline.toml is not allowed.
+    pub fn note(&mut self, note: String) {
+        self.record.notes.push(note);
     }
 
     /// The forecasts of a tick have come.
@@ -61,9 +138,12 @@ impl Outages {
         let is_learned = |forecast: &Forecast| forecast.quality == Quality::Learned as u32;
         let all_learned = !void && forecasts.iter().all(|f| is_learned(f) || excused.contains(&f.cause));
         let some_learned = forecasts.is_empty() || forecasts.iter().any(is_learned);
-        let list = &mut self.record.outages;
-        self.open.retain(|&(index, stage)| {
-            let outage = &mut list[index];
+        let Supervision { outages, replacements, .. } = &mut self.record;
+        self.open.retain(|&(place, stage)| {
+            let outage = match place {
+                Place::Outage(index) => &mut outages[index],
+                Place::Replacement(index) => &mut replacements[index].outage,
+            };
             outage.ticks_lost += lost;
             outage.ticks_predicted += u64::from(predicted);
             outage.ticks_not_learned += u64::from(!all_learned);
@@ -102,6 +182,48 @@ mod tests {
         let (quality, cause) =
             if learned { (Quality::Learned, Cause::None) } else { (Quality::Held, Cause::Late) };
         (header, Forecast { quality: quality as u32, cause: cause as u32, ..Forecast::zeroed() })
+    }
+
+    #[test]
+    fn a_replacement_costs_until_the_incarnation_that_stays_is_learned_from() {
+        let mut outages = Outages::default();
+        let tick = |outages: &mut Outages, seq, decoder| {
+            let (header, forecast) = frame(seq, decoder);
+            outages.forecasts(&header, &[forecast]);
+        };
+        let mut replaced = Replaced {
+            stage: StageId::Decoder,
+            command: vec!["./mine".to_owned()],
+            outcome: ReplacementOutcome::Replaced,
+            incarnation: 1,
+            cause: String::new(),
+            warm_up: None,
+            hand_over: None,
+        };
+        tick(&mut outages, 10, Some(0));
+        outages.handed_over(&replaced);
+        tick(&mut outages, 11, None);
+        replaced = Replaced { outcome: ReplacementOutcome::RolledBack, incarnation: 2, ..replaced };
+        outages.tried(&replaced);
+        tick(&mut outages, 12, None);
+        tick(&mut outages, 14, Some(2));
+        outages.tried(&Replaced {
+            outcome: ReplacementOutcome::NotUsed,
+            cause: "ended".to_owned(),
+            ..replaced
+        });
+        let record = outages.into_record(None);
+        let rolled_back = &record.replacements[0];
+        assert_eq!(rolled_back.outcome, ReplacementOutcome::RolledBack);
+        let outage = &rolled_back.outage;
+        assert_eq!((outage.tick, outage.ticks_lost, outage.ticks_not_learned), (10, 1, 2));
+        assert_eq!(outage.ticks_to_learned, Some(4));
+        let not_used = &record.replacements[1].outage;
+        assert_eq!(
+            (not_used.tick, not_used.cause.as_str(), not_used.ticks_to_learned),
+            (14, "ended", Some(0))
+        );
+        assert!(record.outages.is_empty(), "a replacement is no death");
     }
 
     #[test]

@@ -12,14 +12,20 @@ pub const SHIPPED: &str = include_str!("../pipeline.toml");
 /// Reads and checks a pipeline.toml, or the shipped one.
 pub fn load(path: Option<&Path>) -> Result<Pipeline, Failure> {
     let declared = stages::declared();
-    let Some(path) = path else { return Ok(Pipeline::parse("pipeline.toml", SHIPPED, &declared)?) };
-    let text = std::fs::read_to_string(path).map_err(|error| Failure::config_about(path.display(), error))?;
+    let text = text(path)?;
+    let Some(path) = path else { return Ok(Pipeline::parse("pipeline.toml", &text, &declared)?) };
     let name = path.display().to_string();
     let pipeline = Pipeline::parse(&name, &text, &declared)?;
     for warning in &pipeline.warnings {
         warn(&format!("{name}: {warning}"));
     }
     Ok(pipeline)
+}
+
+/// The text of a pipeline.toml, or of the shipped one.
+pub fn text(path: Option<&Path>) -> Result<String, Failure> {
+    let Some(path) = path else { return Ok(SHIPPED.to_owned()) };
+    std::fs::read_to_string(path).map_err(|error| Failure::config_about(path.display(), error))
 }
 
 #[cfg(test)]

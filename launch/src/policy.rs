@@ -129,6 +129,17 @@ impl Supervision {
         self.state = State::Running { since: now, linked: false };
     }
 
+    /// Another process has taken its place while it ran, which is no restart.
+    pub const fn replaced(&mut self, now: Duration) {
+        self.restarted(now);
+    }
+
+    /// The process that has taken its place failed: the program before is started again at once, which is no
+    /// restart either.
+    pub const fn rolled_back(&mut self, now: Duration) {
+        self.state = State::Waiting { until: now };
+    }
+
     /// The process is linked to its neighbours.
     pub const fn linked(&mut self) {
         if let State::Running { linked, .. } = &mut self.state {
@@ -138,8 +149,13 @@ impl Supervision {
 
     /// Whether a restarted process has missed its deadline for linking.
     pub fn is_overdue(&self, now: Duration) -> bool {
+        self.incarnation > 0 && self.is_stuck(now)
+    }
+
+    /// Whether a process, be it the first one, was not linked in the time that a restarted one has.
+    pub fn is_stuck(&self, now: Duration) -> bool {
         let State::Running { since, linked: false } = self.state else { return false };
-        self.incarnation > 0 && now.saturating_sub(since) > self.policy.start_limit
+        now.saturating_sub(since) > self.policy.start_limit
     }
 
     /// The launcher itself was stopped for so long: deadlines that run move on by it.
@@ -198,6 +214,7 @@ mod tests {
     fn a_start_has_a_deadline_that_moves_with_a_stop_of_the_launcher() {
         let mut stage = supervision(Restart::OnFailure);
         assert!(!stage.is_overdue(SECOND * 100), "the first start has a limit of the run's own");
+        assert!(stage.is_stuck(SECOND * 100) && !stage.is_stuck(SECOND * 9));
         stage.ended(End::Failure, SECOND);
         stage.restarted(SECOND);
         assert!(!stage.is_overdue(SECOND * 11) && stage.is_overdue(SECOND * 12));

@@ -21,6 +21,38 @@ pub fn replace(path: &Path, name: &str, table: &str) -> Result<(), Failure> {
     std::fs::write(path, format!("{head}{begin}\n{}\n{end}{tail}", table.trim_end())).map_err(file)
 }
 
+/// Replaces the section of that heading between the marks `stgdat NAME`, or adds it: what other machines have written
+/// stays.
+///
+/// # Errors
+/// As [`replace`].
+pub fn replace_section(path: &Path, name: &str, heading: &str, text: &str) -> Result<(), Failure> {
+    let old = std::fs::read_to_string(path).map_err(|error| Failure::file(path, error))?;
+    let [begin, end] = ["begin", "end"].map(|end| format!("<!-- {end} stgdat {name} -->"));
+    let between = old.split_once(&begin).and_then(|(_, rest)| rest.split_once(&end));
+    replace(path, name, &with_section(between.map_or("", |(between, _)| between), heading, text))
+}
+
+/// Sections, which begin with `### HEADING`, with that of `heading` replaced, or added behind them.
+fn with_section(old: &str, heading: &str, text: &str) -> String {
+    let new = format!("### {heading}\n\n{}\n", text.trim());
+    let mut sections: Vec<String> = Vec::new();
+    for line in old.trim().lines() {
+        match sections.last_mut() {
+            Some(last) if !line.starts_with("### ") => *last += &format!("{line}\n"),
+            _ => sections.push(format!("{line}\n")),
+        }
+    }
+    let first_line = format!("### {heading}\n");
+    match sections.iter_mut().find(|section| section.starts_with(&first_line)) {
+        Some(section) => *section = new,
+        None => sections.push(new),
+    }
+    let sections: Vec<&str> =
+        sections.iter().map(|section| section.trim()).filter(|s| !s.is_empty()).collect();
+    sections.join("\n\n")
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -51,6 +83,21 @@ mod tests {
         let page = Page::new("replace", &format!("a\n{begin}\nold\n{end}\nb\n"));
         replace(&page.0, "x", "new\n").unwrap();
         assert_eq!(std::fs::read_to_string(&page.0).unwrap(), format!("a\n{begin}\nnew\n{end}\nb\n"));
+    }
+
+    #[test]
+    fn a_machine_replaces_its_own_section_alone() {
+        let one = with_section("", "A, 2 cores", "| 1 |\n");
+        assert_eq!(one, "### A, 2 cores\n\n| 1 |");
+        let two = with_section(&one, "B, 4 cores", "| 2 |\n\nmore\n");
+        assert_eq!(two, "### A, 2 cores\n\n| 1 |\n\n### B, 4 cores\n\n| 2 |\n\nmore");
+        let again = with_section(&two, "A, 2 cores", "| 3 |");
+        assert_eq!(again, "### A, 2 cores\n\n| 3 |\n\n### B, 4 cores\n\n| 2 |\n\nmore");
+        let [begin, end] = MARKS;
+        let page = Page::new("section", &format!("a\n{begin}\n{two}\n{end}\nb\n"));
+        replace_section(&page.0, "x", "B, 4 cores", "new").unwrap();
+        let written = std::fs::read_to_string(&page.0).unwrap();
+        assert_eq!(written, format!("a\n{begin}\n{one}\n\n### B, 4 cores\n\nnew\n{end}\nb\n"));
     }
 
     #[test]

@@ -6,17 +6,25 @@ pub mod card;
 pub mod check;
 pub mod clean;
 pub mod completions;
+pub mod diff;
 pub mod doctor;
 pub mod evaluate;
 pub mod fault;
 pub mod graph;
 pub mod manual;
 pub mod map;
+pub mod mark;
 pub mod plot;
 pub mod predict;
+pub mod record;
+pub mod replay;
 pub mod run;
 pub mod stage;
 pub mod sweep;
+pub mod tap;
+pub mod tick;
+pub mod top;
+pub mod trace;
 pub mod track;
 pub mod train;
 pub mod verify;
@@ -31,7 +39,7 @@ use crate::failure::Failure;
 #[derive(Debug, Subcommand)]
 pub enum Verb {
     /// Start the pipeline, play a recording or a generated scene, and report
-    Run(run::Arguments),
+    Run(Box<run::Arguments>),
     /// Run a recording through all stages in one process; write forecasts as JSON lines
     Predict(predict::Arguments),
     /// Run a recording through the tracker in one process; write tracks as CSV, KITTI or MOT results
@@ -61,6 +69,20 @@ pub enum Verb {
     /// Inject faults into runs and check what they promise
     #[command(subcommand)]
     Fault(fault::Verb),
+    /// Record a run that goes on: frames, events and log lines in one MCAP file
+    Record(record::Arguments),
+    /// Mark this moment in the recordings of a run
+    Mark(mark::Arguments),
+    /// Take a recording of `record` through the stages once more and compare
+    Replay(replay::Arguments),
+    /// Compare two recordings of `record`: the first number that differs, and how that grows
+    Diff(diff::Arguments),
+    /// Show a run that goes on: latency, losses, quality and processes, stage by stage
+    Top(top::Arguments),
+    /// Write the trace of a recorded run for Perfetto
+    Trace(trace::Arguments),
+    /// Tell one tick of a recorded run: each stage's time in it, and what became of each agent
+    Tick(tick::Arguments),
     /// Check this machine: shared memory, limits, CPU, leftovers
     Doctor(doctor::Arguments),
     /// Remove files that dead runs left in shared memory
@@ -72,6 +94,9 @@ pub enum Verb {
     /// Clean up after dead stages of a living run (started by `run`)
     #[command(hide = true)]
     Sweep(sweep::Arguments),
+    /// Hand the frames of a run on to its tools (started by `run`)
+    #[command(hide = true)]
+    Tap(tap::Arguments),
     /// Print the manual of the command line as Markdown: the page docs/cli.md
     #[command(hide = true)]
     Manual(manual::Arguments),
@@ -96,11 +121,19 @@ impl Verb {
             Self::Verify(arguments) => verify::execute(&arguments),
             Self::Bench(arguments) => bench::execute(&arguments),
             Self::Fault(verb) => verb.execute(),
+            Self::Record(arguments) => record::execute(&arguments),
+            Self::Mark(arguments) => mark::execute(&arguments),
+            Self::Replay(arguments) => replay::execute(&arguments),
+            Self::Diff(arguments) => diff::execute(&arguments),
+            Self::Top(arguments) => top::execute(&arguments),
+            Self::Trace(arguments) => trace::execute(&arguments),
+            Self::Tick(arguments) => tick::execute(&arguments),
             Self::Doctor(arguments) => doctor::execute(&arguments),
             Self::Clean(arguments) => clean::execute(&arguments),
             Self::Wire(arguments) => wire::execute(&arguments),
             Self::Completions(arguments) => completions::execute(&arguments),
             Self::Sweep(arguments) => sweep::execute(&arguments),
+            Self::Tap(arguments) => tap::execute(&arguments),
             Self::Manual(arguments) => manual::execute(&arguments),
         }
     }

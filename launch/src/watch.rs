@@ -8,11 +8,12 @@ use ratatui::widgets::Widget;
 use ratatui::{Terminal, TerminalOptions, Viewport};
 use recorder::live::{LiveOptions, LiveView, draw};
 use run::Run;
-use wire::{ForecastsTopic, Heartbeat, HeartbeatsTopic, StageId, Topic};
+use wire::{ForecastsTopic, Header, Heartbeat, HeartbeatsTopic, StageId, Topic};
 
 use crate::child::Line;
 use crate::failure::Failure;
-use crate::fleet::Event;
+use crate::fleet::{Event, Fleet};
+use crate::observe::Observer;
 use crate::outages::Outages;
 
 /// Interval between updates of the table, and the longest sleep.
@@ -23,7 +24,6 @@ const LINE: Duration = Duration::from_secs(1);
 const ROWS: u16 = 22;
 
 /// Follows a run from outside: which stages are linked, and its progress.
-#[derive(Debug)]
 pub struct Watch {
     forecasts: Subscriber<ForecastsTopic>,
     peers: Peers,
@@ -32,6 +32,9 @@ pub struct Watch {
     shown: Instant,
     printed_ticks: u64,
     outages: Outages,
+    observer: Observer,
+    /// Header of the newest forecasts.
+    newest: Option<Header>,
 }
 
 /// How the progress is shown.
@@ -47,7 +50,7 @@ enum Display {
 
 impl Watch {
     /// Joins a run as a subscriber.
-    pub fn open(run: &Run, options: LiveOptions, quiet: bool) -> Result<Self, Failure> {
+    pub fn open(run: &Run, options: LiveOptions, quiet: bool, observer: Observer) -> Result<Self, Failure> {
         let node = Node::open(run, "launcher")?;
         Ok(Self {
             forecasts: node.subscriber(ForecastsTopic::DEPTH_MAX)?,
@@ -57,6 +60,8 @@ impl Watch {
             shown: Instant::now(),
             printed_ticks: 0,
             outages: Outages::default(),
+            observer,
+            newest: None,
         })
     }
 
@@ -71,11 +76,9 @@ impl Watch {
         let heartbeats = self.peers.listen()?;
         for heartbeat in &heartbeats {
             self.view.heartbeat(heartbeat);
+            self.observer.heartbeat(heartbeat);
         }
-        while let Some(frame) = self.forecasts.receive()? {
-            self.view.forecasts(frame.header(), &frame);
-            self.outages.forecasts(frame.header(), &frame);
-        }
+        self.take_forecasts()?;
         self.view.clock(monotonic_ns());
         for (stage, line) in lines {
             self.display.line(&format!("{}: {line}", stage.name()));
@@ -84,8 +87,45 @@ impl Watch {
         Ok(heartbeats)
     }
 
+    /// Answers what others ask about the run.
+    pub fn answer(&mut self, fleet: &Fleet, is_linked: bool) {
+        self.observer.answer(&self.view, fleet, is_linked);
+    }
+
+    fn take_forecasts(&mut self) -> Result<(), Failure> {
+        while let Some(frame) = self.forecasts.receive()? {
+            self.view.forecasts(frame.header(), &frame);
+            self.outages.forecasts(frame.header(), &frame);
+            self.observer.forecasts(frame.header(), &frame);
+            self.newest = Some(*frame.header());
+        }
+        Ok(())
+    }
+
+    /// Ticks whose forecasts have come.
+    pub const fn ticks(&self) -> u64 {
+        self.view.ticks()
+    }
+
+    /// Sleeps until the forecasts of a further tick have come, at most so long: then most stages wait for the next.
+    pub fn await_tick(&mut self, limit: Duration) -> Result<(), Failure> {
+        self.take_forecasts()?;
+        let (begun, before) = (Instant::now(), self.view.ticks());
+        while self.view.ticks() == before && begun.elapsed() < limit {
+            self.forecasts.sleep(limit.saturating_sub(begun.elapsed()))?;
+            self.take_forecasts()?;
+        }
+        Ok(())
+    }
+
+    /// The incarnation of a stage that the newest tick has passed.
+    pub fn passed(&self, stage: StageId) -> Option<u32> {
+        self.newest.as_ref()?.hop(stage).map(|hop| hop.incarnation)
+    }
+
     /// Shows a line of the launcher's own, and keeps what it is about for the report.
     pub fn say(&mut self, event: &Event) {
+        self.observer.event(event);
         match event {
             Event::Died { stage, how, next } => {
                 self.outages.begin(*stage, *next, how);
@@ -95,11 +135,23 @@ impl Watch {
                 self.outages.give_up(*stage, format!("{how}; {why}"));
                 self.display.line(&format!("launcher: the {} {how} and is given up: {why}", stage.name()));
             }
+            Event::HandedOver(replaced) => self.outages.handed_over(replaced),
+            Event::Tried(replaced) => {
+                self.outages.tried(replaced);
+                self.view.replaced(replaced.stage, replaced.outcome);
+                self.display.line(&format!("launcher: {replaced}"));
+            }
             Event::Starved { stage } => {
                 self.outages.starved(*stage);
                 self.display.line(&format!("launcher: the {} gets no CPU", stage.name()));
             }
         }
+    }
+
+    /// Shows a setting of pipeline.toml that the system does not allow, and keeps it for the report.
+    pub fn note(&mut self, note: String) {
+        self.display.line(&format!("launcher: {note}"));
+        self.outages.note(note);
     }
 
     fn show(&mut self) {
@@ -117,8 +169,10 @@ impl Watch {
         self.shown = Instant::now();
     }
 
-    /// Shows the last lines and clears the table, with the cursor where it began; returns what outages cost.
-    pub fn close(mut self, lines: impl Iterator<Item = Line>) -> Outages {
+    /// Shows the last lines and clears the table, with the cursor where it began; returns what outages cost, and
+    /// what went wrong with files about the run.
+    pub fn close(mut self, lines: impl Iterator<Item = Line>, fleet: &Fleet) -> (Outages, Vec<Failure>) {
+        let unwritten = self.observer.close(&self.view, fleet);
         for (stage, line) in lines {
             self.display.line(&format!("{}: {line}", stage.name()));
         }
@@ -128,7 +182,7 @@ impl Watch {
             let _ = terminal.set_cursor_position(top);
             let _ = terminal.show_cursor();
         }
-        self.outages
+        (self.outages, unwritten)
     }
 }
 

@@ -15,6 +15,7 @@ The contract
 
 import glob
 import os
+import socket
 import time
 
 import iceoryx2 as iox2
@@ -36,6 +37,20 @@ def join(name):
     config.global_cfg.node.cleanup_dead_nodes_on_destruction = False
     config.global_cfg.service.cleanup_dead_nodes_on_open = False
     return iox2.NodeBuilder.new().name(iox2.NodeName.new(name)).config(config).create(iox2.ServiceType.Ipc)
+
+
+def await_turn():
+    """Waits, where this process is to replace one that still runs (`stgdat stage replace`), until that one has ended.
+
+    Call it once the inputs are open and what takes time is loaded, before the outputs are opened."""
+    path = os.environ.get("STGDAT_STANDBY")
+    if path is None:
+        return
+    with socket.socket(socket.AF_UNIX) as launcher:
+        launcher.connect(path)
+        launcher.sendall(f"ready {os.environ['STGDAT_STAGE']} {os.environ['STGDAT_INCARNATION']}\n".encode())
+        if launcher.makefile().readline().strip() != "go":
+            raise SystemExit("the launcher is gone")
 
 
 def topic(node, name, patience_s=10):

@@ -20,6 +20,8 @@ except ModuleNotFoundError:
 SCHEMA = 2
 # Most agents in a frame.
 AGENTS_MAX = 128
+# Numbers of 32 bits that hold a bit for each agent of a frame.
+SHED_WORDS = 4
 # Most detections in a frame.
 DETECTIONS_MAX = 512
 # Most stages that a tick can pass.
@@ -132,8 +134,8 @@ class Quality(enum.IntEnum):
 
 class Cause(enum.IntEnum):
     """Why a forecast is not `Quality.Learned`. Numbers up to 31, a bit each in `Forecast.causes`. These are kept for
-    causes to come: 6 shed to save time, 7 detections missing, 8 stage restarted, 9 integrity check failed, 10 out
-    of distribution, 11 source frozen."""
+    causes to come: 7 detections missing, 8 stage restarted, 9 integrity check failed, 10 out of distribution, 11
+    source frozen."""
 
     NONE = 0  # Nothing is wrong.
     LATE = 1  # The controls of this tick had not come at the deadline.
@@ -141,6 +143,7 @@ class Cause(enum.IntEnum):
     MISSING = 3  # The controls of this tick do not name the track.
     YOUNG = 4  # The track has too short a history for the model.
     OUTDONE = 5  # Constant velocity has more than half of the weight: the other experts proved worse.
+    SHED = 6  # The agent was left out of this tick, which had no time for all.
 
 
 class Steering(enum.IntEnum):
@@ -176,6 +179,7 @@ class RefusalCause(enum.IntEnum):
     CHECK_VALUE = 7  # A check value that header and payload do not have.
     UNPROTECTED = 8  # No check value, where pipeline.toml asks for one.
     REPEATED = 9  # A frame that came before, or one that a newer frame has overtaken.
+    FROZEN = 10  # Content that stands still while its stamps go on.
 
 
 def _check(record, size, offsets):
@@ -277,7 +281,12 @@ class Header(c.Structure):
         ("counts", Counts),  # Sizes of the frame's tensors.
         ("hops", Hop * 12),  # The stages that the tick has passed, the source first.
         ("silent_len", c.c_uint32),  # Agents of which the forecasts say nothing, by the policy of degradation.
-        ("reserved", c.c_uint8 * 76),  # Zero.
+        ("reserved", c.c_uint8 * 4),  # Zero.
+        ("feedback_age_ns", c.c_uint64),  # Time between the stamp of the newest forecasts that the tracker has and this frame's; 0 where it has none, or does not tell.
+        ("chain_ns", c.c_uint64),  # How long the agents of those forecasts took from the extractor's end to the decoder's; 0 where they did not pass both.
+        ("chain_len", c.c_uint32),  # How many of those agents the decoder served.
+        ("shed", c.c_uint32 * 4),  # Agents of the tick, by their place among its tracks, whose controls were left out to save time: bit `place % 32` of number `place / 32`.
+        ("reserved_end", c.c_uint8 * 36),  # Zero.
     ]
 
     @staticmethod
@@ -309,6 +318,11 @@ _check(Header, 704, {
     "hops": 144,
     "silent_len": 624,
     "reserved": 628,
+    "feedback_age_ns": 632,
+    "chain_ns": 640,
+    "chain_len": 648,
+    "shed": 652,
+    "reserved_end": 668,
 })
 
 
@@ -430,7 +444,9 @@ class Track(c.Structure):
         ("reserved", c.c_uint8 * 4),  # Zero.
         ("prior_age_ns", c.c_uint64),  # Time since the stamp of that forecast's controls; 0 where there is none.
         ("prior_weights", c.c_float * 21),  # Weight of each of its modes, and last that of the process model alone; they sum to 1.
-        ("reserved_end", c.c_uint8 * 20),  # Zero.
+        ("reserved_middle", c.c_uint8 * 4),  # Zero.
+        ("learned_age_ns", c.c_uint64),  # Time between the stamp of the controls of the track's newest learned forecast that the tracker has seen and this frame's; 0 where it has seen none, or does not tell.
+        ("reserved_end", c.c_uint8 * 8),  # Zero.
     ]
 
     @staticmethod
@@ -465,7 +481,9 @@ _check(Track, 512, {
     "reserved": 396,
     "prior_age_ns": 400,
     "prior_weights": 408,
-    "reserved_end": 492,
+    "reserved_middle": 492,
+    "learned_age_ns": 496,
+    "reserved_end": 504,
 })
 
 
@@ -494,7 +512,9 @@ class AgentFeatures(c.Structure):
         ("length_m", c.c_float),  # Length where known, else 0; sets the rear axle of the bicycle.
         ("state", c.c_float * 6 * 8),  # State features s, scaled as the model wants them; zero rows where absent.
         ("node", c.c_float * 64 * 8),  # Node attributes v = [SE ‖ CE]; zero rows where absent.
-        ("reserved", c.c_uint8 * 40),  # Zero.
+        ("turn", c.c_uint32),  # Its turn where a tick has no time for all, from 1 on; 0 where the order of the frame counts.
+        ("shed", c.c_uint32),  # 1 where the agent is left out of this tick to save time: it is there for its neighbours alone.
+        ("reserved", c.c_uint8 * 32),  # Zero.
     ]
 
 
@@ -506,7 +526,9 @@ _check(AgentFeatures, 2304, {
     "length_m": 20,
     "state": 24,
     "node": 216,
-    "reserved": 2264,
+    "turn": 2264,
+    "shed": 2268,
+    "reserved": 2272,
 })
 
 
@@ -540,7 +562,9 @@ class AgentEncoding(c.Structure):
         ("length_m", c.c_float),  # Length where known, else 0.
         ("state", c.c_float * 6 * 8),  # State features s as in `AgentFeatures`: the decoder's burn-in and the base control read them.
         ("temporal", c.c_float * 64),  # The temporal summary ṽ_h.
-        ("reserved", c.c_uint8 * 40),  # Zero.
+        ("turn", c.c_uint32),  # Its turn where a tick has no time for all, from 1 on; 0 where the order of the frame counts.
+        ("shed", c.c_uint32),  # 1 where the agent is left out of this tick to save time: it is there for its neighbours alone.
+        ("reserved", c.c_uint8 * 32),  # Zero.
     ]
 
     @staticmethod
@@ -557,7 +581,9 @@ _check(AgentEncoding, 512, {
     "length_m": 20,
     "state": 24,
     "temporal": 216,
-    "reserved": 472,
+    "turn": 472,
+    "shed": 476,
+    "reserved": 480,
 })
 
 

@@ -6,13 +6,15 @@ use crate::scratch::Scratch;
 use crate::started::{run, run_well, stderr, stdout};
 
 /// Scenarios of each kind of fault that take the least time. The others are run by `stgdat fault run`.
-const SHORT: [&str; 7] = [
+const SHORT: [&str; 9] = [
     "02-kill-in-a-step",
     "04-broken-command",
     "07-drop",
     "08-duplicate",
     "09-bit-flip",
+    "09-bit-flip-lockstep",
     "10-foreign",
+    "11-frozen-content",
     "16-launcher-killed",
 ];
 
@@ -61,12 +63,20 @@ fn a_failure_is_told_kept_and_repeatable() {
     assert!(text.contains("exit code") && text.contains("0 of 1 passed") && text.contains(&again), "{text}");
     let junit = String::from_utf8(scratch.read("junit.xml")).expect("UTF-8");
     assert!(junit.contains("failures=\"1\"") && junit.contains("exit code: 0, expected 70"), "{junit}");
-    let history = String::from_utf8(scratch.read("keep/wrong/history.jsonl")).expect("UTF-8");
+    let history = String::from_utf8(scratch.read("keep/wrong-3/history.jsonl")).expect("UTF-8");
     let lines: Vec<Value> = history.lines().map(|line| serde_json::from_str(line).expect("JSON")).collect();
     let dropped: Vec<&Value> = lines.iter().filter_map(|line| line.get("injected")?.get("tick")).collect();
     assert_eq!(dropped, [5, 6, 7, 8, 9]);
+    let history = scratch.path("keep/wrong-3/history.jsonl");
+    let verified = run(&["fault", "verify", &history]);
+    assert_eq!(verified.status.code(), Some(0), "{}{}", stdout(&verified), stderr(&verified));
+    assert!(stdout(&verified).contains("     0  forecasts with a wrong age"), "{}", stdout(&verified));
+    let text = String::from_utf8(scratch.read("keep/wrong-3/history.jsonl")).expect("UTF-8");
+    let lie = scratch.file("lie.jsonl", text.replace("\"learned\"", "\"held\""));
+    let found = run(&["fault", "verify", &lie]);
+    assert_eq!(found.status.code(), Some(70), "{}", stdout(&found));
     for file in ["pipeline.toml", "report.json", "forecasts.jsonl", "log.txt", "inject-controls.json"] {
-        scratch.read(&format!("keep/wrong/{file}"));
+        scratch.read(&format!("keep/wrong-3/{file}"));
     }
 }
 

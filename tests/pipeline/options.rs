@@ -25,7 +25,10 @@ fn invalid_settings_are_refused_before_the_run() {
     let recording = scratch.recording("scene.csv", 5);
     let cases: [(&str, &[&str]); 5] = [
         ("tracker.fov=90", &["--set tracker.fov=90", "expected WIDTH,RANGE"]),
-        ("tracker.colour=red", &["the tracker has no option `colour`", "associate, association, fov, prior"]),
+        (
+            "tracker.colour=red",
+            &["the tracker has no option `colour`", "associate, association, fov, frozen_frames, prior"],
+        ),
         ("sampler.particles=0", &["`particles` is out of range", "1 to 32"]),
         ("radar.fov=90,80", &["there is no stage \"radar\"", "tracker"]),
         ("fov", &["expected STAGE.OPTION=VALUE"]),

@@ -1,14 +1,15 @@
 //! External programs in a run: replaced stages, detectors and planners.
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use rustix::process::Signal;
 
+use crate::python::{EXAMPLES, python};
 use crate::scratch::Scratch;
 use crate::started::{Started, assert_nothing_left, piped, run_well, stderr, stdout};
 
 /// An example's program, which `cargo test --workspace` builds beside the tests.
-fn example(name: &str) -> String {
+pub fn example(name: &str) -> String {
     let path = Path::new(env!("CARGO_BIN_EXE_stgdat")).with_file_name("examples").join(name);
     assert!(
         path.exists(),
@@ -91,15 +92,8 @@ fn a_detector_and_a_planner_in_rust_join_a_run() {
 
 #[test]
 fn a_detector_and_a_planner_in_python_join_a_run() {
-    let python = std::env::var("STGDAT_PYTHON").unwrap_or_else(|_| "python3".into());
-    let found = piped(&python).args(["-c", "import iceoryx2"]).output();
-    if !found.is_ok_and(|output| output.status.success()) {
-        println!(
-            "skipped: {python} has no iceoryx2 (`pip install iceoryx2==0.10.0`, STGDAT_PYTHON names another)"
-        );
-        return;
-    }
-    let examples = PathBuf::from(concat!(env!("CARGO_MANIFEST_DIR"), "/../tests/examples"));
+    let Some(python) = python() else { return };
+    let examples = Path::new(EXAMPLES);
     let program = |name: &str| examples.join(name).display().to_string();
     let scratch = Scratch::new("python");
     let pipeline = scratch.pipeline_with("source", &[&python, &program("producer.py"), "60"]);

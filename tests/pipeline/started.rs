@@ -79,7 +79,10 @@ impl Started {
         let pids = children.split_whitespace().filter_map(|pid| pid.parse().ok());
         pids.filter_map(|pid: i32| {
             let line = std::fs::read_to_string(format!("/proc/{pid}/cmdline")).ok()?;
-            Some((Pid::from_raw(pid)?, line.split('\0').map(str::to_owned).collect()))
+            let line: Vec<String> = line.split('\0').map(str::to_owned).collect();
+            // The tap and a recording follow the run; they are no stages.
+            let is_stage = line.get(1).is_none_or(|verb| verb != "tap" && verb != "record");
+            is_stage.then_some((Pid::from_raw(pid)?, line))
         })
         .collect()
     }

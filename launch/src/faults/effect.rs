@@ -66,6 +66,21 @@ pub enum Part {
 }
 
 impl Effect {
+    /// Whether it stands for a sender that says what is wrong, not for damage on the way.
+    const fn is_lie(self) -> bool {
+        matches!(
+            self,
+            Self::NotFinite
+                | Self::Huge
+                | Self::WrongLength
+                | Self::WrongSchema
+                | Self::ForeignRun
+                | Self::OldIncarnation
+                | Self::Frozen { .. }
+                | Self::ClockJump { .. }
+        )
+    }
+
     /// The kind of fault, as in a specification.
     pub const fn name(self) -> &'static str {
         match self {
@@ -93,6 +108,9 @@ pub struct Raw {
     pub header: Header,
     /// The elements, one behind the other.
     pub payload: Vec<u8>,
+    /// Whether its sender itself is to have been wrong: the check value is that of the wrong content. Damage on
+    /// the way has none.
+    pub is_lie: bool,
 }
 
 /// A frame to be sent, after a delay.
@@ -140,6 +158,7 @@ impl Injector {
             let acts = (first..=last).contains(&tick) && random.share() < probability;
             if effect == Effect::OldIncarnation && tick >= first && (!acts || tick == first) {
                 frame.header.incarnation += 1;
+                frame.is_lie = true;
                 continue;
             }
             // One frame at a time waits for the one that follows.
@@ -169,7 +188,8 @@ impl Injector {
     /// Changes the content of a frame.
     fn change(&mut self, fault: usize, effect: Effect, frame: &mut Raw, random: &mut Random) {
         let first = self.first[fault].get_or_insert_with(|| frame.clone());
-        let Raw { header, payload } = frame;
+        let Raw { header, payload, is_lie } = frame;
+        *is_lie = effect.is_lie();
         match effect {
             Effect::BitFlip { bits, part: Part::Payload } => flip(payload, bits, random),
             Effect::BitFlip { bits, .. } => {
@@ -221,10 +241,11 @@ fn flip(bytes: &mut [u8], bits: u32, random: &mut Random) {
 }
 
 /// Random numbers of a seed and a tick, the same whatever came before: SplitMix64.
-struct Random(u64);
+pub struct Random(u64);
 
 impl Random {
-    const fn new(seed: u64, tick: u64) -> Self {
+    /// Those of a seed and a tick.
+    pub const fn new(seed: u64, tick: u64) -> Self {
         Self(seed.wrapping_mul(0x9E37_79B9_7F4A_7C15) ^ tick.wrapping_mul(0xD1B5_4A32_D192_ED03))
     }
 
@@ -242,7 +263,7 @@ impl Random {
     }
 
     /// Less than `limit`, which is not 0.
-    const fn below(&mut self, limit: u64) -> u64 {
+    pub const fn below(&mut self, limit: u64) -> u64 {
         self.next() % limit
     }
 }
@@ -261,7 +282,7 @@ mod tests {
     fn frame(seq: u64) -> Raw {
         let mut header = Header::new(7, seq, seq as i64 * 80_000_000);
         header.counts.agents_len = 2;
-        Raw { header, payload: vec![0; 2 * size_of::<Track>()] }
+        Raw { header, payload: vec![0; 2 * size_of::<Track>()], is_lie: false }
     }
 
     /// The ticks of the frames that leave, and how many were acted on.
@@ -301,6 +322,7 @@ mod tests {
         let same = frame(2);
         let flipped = changed(Effect::BitFlip { bits: 1, part: Part::Payload });
         assert_eq!((count_bits(&flipped.payload, &same.payload), flipped.header), (1, same.header));
+        assert!(!flipped.is_lie && changed(Effect::NotFinite).is_lie && changed(Effect::ForeignRun).is_lie);
         let flipped = changed(Effect::BitFlip { bits: 1, part: Part::Header });
         let bits = count_bits(bytemuck::bytes_of(&flipped.header), bytemuck::bytes_of(&same.header));
         assert_eq!((bits, flipped.payload == same.payload), (1, true));

@@ -4,12 +4,12 @@ use std::io::Write as _;
 use std::path::Path;
 use std::time::Duration;
 
+use checker::{Line, Output};
 use ports::{Node, Peers};
 use run::{Exit, Run};
 use wire::{ForecastsTopic, HeartbeatsTopic, StageId, Topic};
 
 use crate::failure::Failure;
-use crate::faults::history::{Line, Output};
 
 /// Longest sleep: heartbeats wake nobody here.
 const SLEEP: Duration = Duration::from_millis(20);

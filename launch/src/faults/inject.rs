@@ -3,17 +3,17 @@
 use std::path::Path;
 use std::time::Duration;
 
+use checker::Line;
 use ports::{Relay, monotonic_ns};
 use run::{Exit, Run};
 use wire::{
-    ContextTopic, ControlsTopic, DetectionsTopic, EncodingsTopic, FeaturesTopic, ForecastsTopic, Record,
-    TABLE, Topic, TracksTopic, TruthTopic,
+    ContextTopic, ControlsTopic, DetectionsTopic, EncodingsTopic, FeaturesTopic, ForecastsTopic, Protection,
+    Record, TABLE, Topic, TracksTopic, TruthTopic,
 };
 
 use crate::failure::Failure;
 use crate::faults::effect::{Due, Injector, Raw};
 use crate::faults::follow::print;
-use crate::faults::history::Line;
 use crate::faults::raw_name;
 use crate::faults::spec::TopicFault;
 
@@ -68,10 +68,14 @@ fn relay<T: Topic>(run: &Run, faults: Vec<TopicFault>) -> Result<Exit, Failure> 
     let mut waiting: Vec<(u64, Raw)> = Vec::new();
     let mut costs_ns = Vec::new();
     while !relay.stop().requested() && run.root.exists() {
+        if waiting.is_empty() {
+            // A new writer's first frame must find the topic open.
+            relay.follow_writer()?;
+        }
         while let Some(frame) = relay.receive()? {
             let begun_ns = monotonic_ns();
-            let raw =
-                Raw { header: *frame.header(), payload: bytemuck::cast_slice(frame.elements()).to_vec() };
+            let payload = bytemuck::cast_slice(frame.elements()).to_vec();
+            let raw = Raw { header: *frame.header(), payload, is_lie: false };
             drop(frame);
             let (tick, is_tick) = (raw.header.seq, raw.header.is_tick());
             let (due, kinds) = injector.pass(raw);
@@ -111,11 +115,15 @@ fn relay<T: Topic>(run: &Run, faults: Vec<TopicFault>) -> Result<Exit, Failure> 
     Ok(Exit::Done)
 }
 
-/// Sends the elements; bytes beyond the last whole one are left out.
-fn send<T: Topic>(relay: &Relay<T>, Raw { header, payload }: &Raw) -> Result<(), Failure> {
+/// Sends the elements; bytes beyond the last whole one are left out. A lie has the check value of what it says.
+fn send<T: Topic>(relay: &Relay<T>, Raw { header, payload, is_lie }: &Raw) -> Result<(), Failure> {
     let elements = payload.chunks_exact(size_of::<T::Element>()).map(bytemuck::pod_read_unaligned);
     let elements: Vec<T::Element> = elements.collect();
-    Ok(relay.send(header, &elements)?)
+    let mut header = *header;
+    if *is_lie && !header.protection.is_absent() {
+        header.protection = Protection::of::<T>(&header, &elements, header.protection.counter);
+    }
+    Ok(relay.send(&header, &elements)?)
 }
 
 fn hold<T: Topic>(run: &Run, hold_ms: Option<u64>) -> Result<Exit, Failure> {

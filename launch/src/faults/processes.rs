@@ -7,12 +7,12 @@ use std::sync::mpsc::Sender;
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
+use checker::Line;
 use rustix::process::{Pid, Resource as Limited, Rlimit, Signal, kill_process, prlimit};
 use wire::StageId;
 
 use crate::child::{STAGE_VARIABLE, die_with_this_process};
 use crate::failure::Failure;
-use crate::faults::history::Line;
 use crate::faults::spec::Resource;
 
 /// Time that a process has to end after a request.
@@ -120,6 +120,13 @@ fn stage_of(pid: Pid) -> Option<StageId> {
     let mut variables = environment.split(|byte| *byte == 0);
     let name = variables.find_map(|variable| variable.strip_prefix(prefix.as_bytes()))?;
     StageId::from_name(std::str::from_utf8(name).ok()?)
+}
+
+/// Resident memory of a process; 0 where it is gone.
+pub fn resident_bytes(pid: Pid) -> u64 {
+    let statm = std::fs::read_to_string(format!("/proc/{}/statm", pid.as_raw_nonzero())).unwrap_or_default();
+    let pages = statm.split_whitespace().nth(1).and_then(|pages| pages.parse::<u64>().ok());
+    pages.unwrap_or(0) * rustix::param::page_size() as u64
 }
 
 /// Whether a process is there and no zombie.

@@ -5,11 +5,12 @@ use std::fs::File;
 use std::io::{BufRead as _, BufReader, Write as _};
 use std::os::unix::process::ExitStatusExt as _;
 use std::path::{Path, PathBuf};
-use std::process::{Command, ExitStatus, Stdio};
+use std::process::{Child, Command, ExitStatus, Stdio};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
 use std::time::{Duration, Instant};
 
-use ports::POINTS_VARIABLE;
+use checker::Line;
+use ports::{POINTS_VARIABLE, Point};
 use recorder::Report;
 use run::Run;
 use rustix::process::{Pid, Signal, kill_process};
@@ -17,8 +18,8 @@ use serde::Serialize;
 use wire::StageId;
 
 use crate::failure::Failure;
-use crate::faults::history::Line;
-use crate::faults::processes::{Launcher, Writer, is_alive, limit, this_program, use_cpu};
+use crate::faults::effect::Random;
+use crate::faults::processes::{Launcher, Writer, is_alive, limit, resident_bytes, this_program, use_cpu};
 use crate::faults::raw_name;
 use crate::faults::spec::{Fault, Spec, Target, TopicFault, When};
 use crate::faults::verdict::{Check, Cost, Observation, Outcome, judge};
@@ -28,6 +29,8 @@ use crate::pipeline_file;
 const LOOK: Duration = Duration::from_millis(2);
 /// A run that gives no sign of life for so long, beyond what is injected, is killed.
 const SILENCE_LIMIT: Duration = Duration::from_secs(120);
+/// Time between looks at what the run takes.
+const RESOURCES_INTERVAL: Duration = Duration::from_secs(1);
 /// Time after the launcher's death in which all stages must have ended.
 const SURVIVAL_LIMIT: Duration = Duration::from_secs(2);
 
@@ -67,12 +70,17 @@ pub struct Options {
 pub fn run(spec: &Spec, options: &Options) -> Result<Verdict, Failure> {
     let spec = &seeded(spec, options.seed);
     let folder = match &options.keep {
+        Some(keep) if options.seed.is_some() => keep.join(format!("{}-{}", spec.name, spec.run.seed)),
         Some(keep) => keep.join(&spec.name),
-        None => std::env::temp_dir().join(format!("stgdat-fault-{}-{}", spec.name, std::process::id())),
+        None => {
+            // With its seed: a repetition that passes must not remove one that failed.
+            let name = format!("stgdat-fault-{}-{}-{}", spec.name, spec.run.seed, std::process::id());
+            std::env::temp_dir().join(name)
+        }
     };
     std::fs::create_dir_all(&folder).map_err(|error| Failure::file(&folder, error))?;
     let begun = Instant::now();
-    let seen = Session::start(spec, &folder)?.follow()?;
+    let seen = observe(spec, &folder)?;
     let checks = judge(spec, &seen, options.timing);
     let passed = checks.iter().all(|check| check.outcome != Outcome::Failed);
     let seed = options.seed.map_or_else(String::new, |seed| format!(" --seed {seed}"));
@@ -90,6 +98,11 @@ pub fn run(spec: &Spec, options: &Options) -> Result<Verdict, Failure> {
         let _ = std::fs::remove_dir_all(&folder);
     }
     Ok(verdict)
+}
+
+/// Runs a specification to its end, with its files in `folder`: what was seen of it.
+pub fn observe(spec: &Spec, folder: &Path) -> Result<Observation, Failure> {
+    Session::start(spec, folder)?.follow()
 }
 
 /// The specification with another seed, for the scene and all faults.
@@ -118,14 +131,20 @@ struct Session<'a> {
     lines: Receiver<Line>,
     /// The run, once it has been announced, with the processes beside it.
     run: Option<(Run, Vec<Writer>)>,
+    /// Prefix of the run's files, once its launcher was killed.
+    prefix: Option<String>,
     /// What is still to be done at a tick or time.
     due: Vec<Action>,
     /// Stopped processes, and when they go on.
     stopped: Vec<(Instant, Pid, &'static str)>,
+    /// The verbs that replace a stage.
+    replacing: Vec<(StageId, Child)>,
     /// When the last fault without a frame of its own is over.
     over_at: Option<Instant>,
     /// The newest tick that any stage has reached.
     tick: Option<u64>,
+    /// When the run's resources were looked at last.
+    looked: Instant,
     seen: Observation,
 }
 
@@ -148,6 +167,7 @@ enum What {
     Stop(Target, Duration),
     Limit(StageId, crate::faults::spec::Resource, u64),
     Cpu(usize, Duration),
+    Replace(StageId, Vec<String>),
 }
 
 impl<'a> Session<'a> {
@@ -177,10 +197,13 @@ impl<'a> Session<'a> {
             sender,
             lines,
             run: None,
-            due: actions(spec),
+            prefix: None,
+            due: actions(spec)?,
             stopped: Vec::new(),
+            replacing: Vec::new(),
             over_at: None,
             tick: None,
+            looked: Instant::now(),
             seen: Observation::default(),
         })
     }
@@ -203,6 +226,7 @@ impl<'a> Session<'a> {
                 Err(RecvTimeoutError::Timeout | RecvTimeoutError::Disconnected) => {}
             }
             self.act()?;
+            self.look();
             if sign.elapsed() > SILENCE_LIMIT {
                 let _ = kill_process(self.launcher.pid(), Signal::KILL);
             }
@@ -240,6 +264,27 @@ impl<'a> Session<'a> {
         }
         self.run = Some((run, writers));
         Ok(())
+    }
+
+    /// Notes what the run takes, once it runs.
+    fn look(&mut self) {
+        let (Some((run, _)), Some(tick)) = (&self.run, self.tick) else { return };
+        if self.looked.elapsed() < RESOURCES_INTERVAL {
+            return;
+        }
+        self.looked = Instant::now();
+        let launcher = self.launcher.pid();
+        let descriptors = std::fs::read_dir(format!("/proc/{}/fd", launcher.as_raw_nonzero()));
+        let in_folder = std::fs::read_dir(&run.root).map_or(0, |entries| entries.count() as u64);
+        let [files, shared_bytes] = shared(&run.prefix);
+        self.seen.lines.push(Line::Resources {
+            tick,
+            launcher_bytes: resident_bytes(launcher),
+            descriptors: descriptors.map_or(0, |entries| entries.count() as u64),
+            stages_bytes: self.launcher.stages().iter().map(|(pid, _)| resident_bytes(*pid)).sum(),
+            files: files + in_folder,
+            shared_bytes,
+        });
     }
 
     fn take(&mut self, line: Line) {
@@ -298,6 +343,9 @@ impl<'a> Session<'a> {
             What::Kill(target) => {
                 let Some(pid) = find(*target) else { return Ok(false) };
                 let stages = self.launcher.stages();
+                if *target == Target::Launcher {
+                    self.prefix = prefix_of(pid);
+                }
                 let _ = kill_process(pid, Signal::KILL);
                 if *target == Target::Launcher {
                     self.seen.survivors = survivors(&stages);
@@ -314,6 +362,19 @@ impl<'a> Session<'a> {
                 let Some(pid) = find(Target::Stage(*stage)) else { return Ok(false) };
                 limit(pid, *resource, *value)?;
                 (stage.name(), "limited")
+            }
+            What::Replace(stage, command) => {
+                let Some((run, _)) = &self.run else { return Ok(false) };
+                let mut verb = this_program()?;
+                verb.args(["stage", "replace", stage.name(), "--run"]).arg(&run.root);
+                if !command.is_empty() {
+                    verb.arg("--exec").args(command);
+                }
+                let log = File::options().append(true).open(self.folder.join("log.txt"));
+                let log = log.map_err(|error| Failure::file(self.folder, error))?;
+                verb.stdout(Stdio::null()).stderr(log);
+                self.replacing.push((*stage, verb.spawn().map_err(Failure::unavailable)?));
+                (stage.name(), "ordered to be replaced")
             }
             What::Cpu(threads, time) => {
                 // They end by themselves.
@@ -336,19 +397,27 @@ impl<'a> Session<'a> {
         while let Ok(line) = self.lines.try_recv() {
             self.take(line);
         }
-        if let Some(run) = run {
+        for (stage, mut verb) in self.replacing.drain(..) {
+            // It ends with the launcher at the latest.
+            let status = verb.wait().map_err(Failure::unavailable)?;
+            let (stage, exit) = (stage.name().to_owned(), status.code().unwrap_or(-1));
+            self.seen.lines.push(Line::Replaced { stage, exit });
+        }
+        // A launcher may be killed before its run is announced.
+        if let Some(prefix) = self.prefix.take().or_else(|| run.map(|run| run.prefix)) {
             if self.spec.kills_launcher() {
                 // As `stgdat clean` does.
                 for leftover in ports::leftovers().map_err(Failure::unavailable)? {
-                    if leftover.prefix == run.prefix {
+                    if leftover.prefix == prefix {
                         leftover.remove();
                     }
                 }
             }
-            self.seen.leftovers = left(&run);
+            self.seen.leftovers = left(&prefix);
         }
         self.seen.report = Report::read(&self.folder.join("report.json")).ok();
         self.seen.recorded = recorded(&self.folder.join("forecasts.jsonl"));
+        self.seen = self.seen.concluded(self.spec);
         let history = self.folder.join("history.jsonl");
         write_lines(&history, &self.seen.lines).map_err(|error| Failure::file(&history, error))?;
         Ok(self.seen)
@@ -372,10 +441,28 @@ fn survivors(stages: &[(Pid, StageId)]) -> u64 {
 }
 
 /// Files of a run in shared memory, and its folder.
-fn left(run: &Run) -> u64 {
+fn left(prefix: &str) -> u64 {
+    let root = Path::new("/tmp").join(prefix.trim_end_matches('_'));
+    shared(prefix)[0] + u64::from(root.exists())
+}
+
+/// The prefix of a launcher's run, by the lock that it holds; none before it has one.
+fn prefix_of(launcher: Pid) -> Option<String> {
+    let descriptors = std::fs::read_dir(format!("/proc/{}/fd", launcher.as_raw_nonzero())).ok()?;
+    let files = descriptors.filter_map(|entry| std::fs::read_link(entry.ok()?.path()).ok());
+    let mut locks =
+        files.filter_map(|file| Some(file.file_name()?.to_str()?.strip_suffix("lock")?.to_owned()));
+    locks.find(|prefix| prefix.starts_with("stgdat_"))
+}
+
+/// Files of a run in shared memory, and their bytes.
+fn shared(prefix: &str) -> [u64; 2] {
+    use std::os::unix::fs::MetadataExt as _;
     let entries = std::fs::read_dir("/dev/shm").into_iter().flatten().filter_map(Result::ok);
-    let ours = entries.filter(|entry| entry.file_name().to_string_lossy().starts_with(&run.prefix)).count();
-    ours as u64 + u64::from(run.root.exists())
+    let ours = entries.filter(|entry| entry.file_name().to_string_lossy().starts_with(prefix));
+    ours.fold([0, 0], |[files, bytes], entry| {
+        [files + 1, bytes + entry.metadata().map_or(0, |file| 512 * file.blocks())]
+    })
 }
 
 /// The ticks of a file of forecasts.
@@ -399,7 +486,7 @@ fn write_lines(path: &Path, lines: &[Line]) -> std::io::Result<()> {
 }
 
 /// What is to be done at ticks and times.
-fn actions(spec: &Spec) -> Vec<Action> {
+fn actions(spec: &Spec) -> Result<Vec<Action>, Failure> {
     let mut actions = Vec::new();
     for fault in &spec.faults {
         let mut at = |at, what| actions.push(Action { at, what });
@@ -410,6 +497,21 @@ fn actions(spec: &Spec) -> Vec<Action> {
             Fault::Kill { target, when: When::AfterStart { ms } } => {
                 at(Due::AfterStart(*target, Duration::from_millis(*ms)), What::Kill(*target));
             }
+            Fault::Kill { target, when: When::Within { ms: [shortest, longest] } } => {
+                let ms = shortest + Random::new(spec.run.seed, 0).below(longest - shortest + 1);
+                at(Due::AfterStart(*target, Duration::from_millis(ms)), What::Kill(*target));
+            }
+            Fault::Random { stages, ticks: [first, last], count, stop_ms } => {
+                for place in 0..*count {
+                    let mut random = Random::new(spec.run.seed, place);
+                    let target = Target::Stage(stages[random.below(stages.len() as u64) as usize]);
+                    let what = match stop_ms {
+                        Some(ms) => What::Stop(target, Duration::from_millis(*ms)),
+                        None => What::Kill(target),
+                    };
+                    at(Due::Tick(first + random.below(last - first + 1)), what);
+                }
+            }
             Fault::Stop { target, ticks, for_ms } => {
                 let time = Duration::from_millis(*for_ms);
                 ticks.iter().for_each(|tick| at(Due::Tick(*tick), What::Stop(*target, time)));
@@ -418,13 +520,20 @@ fn actions(spec: &Spec) -> Vec<Action> {
                 at(Due::Tick(*tick), What::Limit(*stage, *resource, *value));
             }
             Fault::CrashLoop { stage, tick, .. } => at(Due::Tick(*tick), What::Kill(Target::Stage(*stage))),
+            Fault::Replace { stage, ticks, command, point } => {
+                let command = match point {
+                    Some(point) => dying(*stage, *point)?,
+                    None => command.clone().unwrap_or_default(),
+                };
+                ticks.iter().for_each(|tick| at(Due::Tick(*tick), What::Replace(*stage, command.clone())));
+            }
             Fault::Cpu { tick, for_ms, threads } => {
                 at(Due::Tick(*tick), What::Cpu(*threads, Duration::from_millis(*for_ms)));
             }
             Fault::KillAt { .. } | Fault::Command { .. } | Fault::Topic(_) | Fault::Consumer { .. } => {}
         }
     }
-    actions
+    Ok(actions)
 }
 
 /// The points at which stages kill themselves, as their variable has them.
@@ -521,6 +630,17 @@ fn crashing(stage: StageId, exit_code: u8) -> Result<Vec<String>, Failure> {
     let this = std::env::current_exe().map_err(Failure::unavailable)?;
     let words =
         format!("test $STGDAT_INCARNATION = 0 || exit {exit_code}; exec \"$0\" stage {}", stage.name());
+    Ok(vec!["sh".to_owned(), "-c".to_owned(), words, this.display().to_string()])
+}
+
+/// The built-in stage as a command that kills itself at a point of its first step, in whichever incarnation.
+fn dying(stage: StageId, point: Point) -> Result<Vec<String>, Failure> {
+    let this = std::env::current_exe().map_err(Failure::unavailable)?;
+    let (stage, point) = (stage.name(), point.name());
+    let words = format!(
+        "for i in $(seq 0 $STGDAT_INCARNATION); do p=${{p}}{stage}:{point}@0,; done; export {POINTS_VARIABLE}=$p; \
+         exec \"$0\" stage {stage}"
+    );
     Ok(vec!["sh".to_owned(), "-c".to_owned(), words, this.display().to_string()])
 }
 

@@ -15,11 +15,13 @@ macro_rules! scenarios {
 /// The built-in specifications, by name.
 const BUILT_IN: &[(&str, &str)] = scenarios![
     "01-kill",
+    "01-kill-behind-injector",
     "02-kill-in-a-step",
     "02-reclaim",
     "03-kill-at-start",
     "04-broken-command",
     "04-crash-loop",
+    "04-restart-limit",
     "05-stop",
     "05-stopped-launcher",
     "06-delay",
@@ -30,9 +32,11 @@ const BUILT_IN: &[(&str, &str)] = scenarios![
     "08-reorder-unchecked",
     "09-bit-flip",
     "09-bit-flip-header-unchecked",
+    "09-bit-flip-lockstep",
     "09-bit-flip-unchecked",
     "10-foreign",
     "10-not-finite",
+    "11-frozen-content",
     "11-frozen-stamps",
     "12-clock-jump-back",
     "12-clock-jump-forward",
@@ -42,6 +46,8 @@ const BUILT_IN: &[(&str, &str)] = scenarios![
     "14-file-limit",
     "15-cpu",
     "16-launcher-killed",
+    "17-broken-replacement",
+    "17-replace",
 ];
 
 /// The built-in specifications.

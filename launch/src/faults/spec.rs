@@ -66,6 +66,17 @@ pub enum Fault {
         /// When.
         when: When,
     },
+    /// Stages are killed, or stopped for a time, at random ticks.
+    Random {
+        /// Which of them.
+        stages: Vec<StageId>,
+        /// The range of ticks, the last one included.
+        ticks: [u64; 2],
+        /// How often.
+        count: u64,
+        /// The time between SIGSTOP and SIGCONT; SIGKILL where none.
+        stop_ms: Option<u64>,
+    },
     /// A stage kills itself at a point of its step.
     KillAt {
         /// The stage.
@@ -110,6 +121,17 @@ pub enum Fault {
         stage: StageId,
         /// The program with its arguments.
         command: Vec<String>,
+    },
+    /// A stage is replaced while the run goes on.
+    Replace {
+        /// The stage.
+        stage: StageId,
+        /// At which ticks.
+        ticks: Vec<u64>,
+        /// The new program with its arguments; the built-in one where none.
+        command: Option<Vec<String>>,
+        /// The point of its first step at which the new process kills itself.
+        point: Option<Point>,
     },
     /// Frames of a topic are changed between its writer and its readers.
     Topic(TopicFault),
@@ -159,6 +181,11 @@ pub enum When {
     AfterStart {
         /// Milliseconds.
         ms: u64,
+    },
+    /// The same, after a random time by the run's seed.
+    Within {
+        /// The shortest and the longest time in milliseconds.
+        ms: [u64; 2],
     },
 }
 
@@ -222,16 +249,34 @@ impl Spec {
 
     /// The stages that a fault is aimed at: their restarts are expected.
     pub fn targets(&self) -> Vec<StageId> {
+        let random = self
+            .faults
+            .iter()
+            .filter_map(|fault| if let Fault::Random { stages, .. } = fault { Some(stages) } else { None });
         let of = |fault: &Fault| match fault {
             Fault::Kill { target: Target::Stage(stage), .. }
             | Fault::Stop { target: Target::Stage(stage), .. } => Some(*stage),
             Fault::KillAt { stage, .. }
             | Fault::Limit { stage, .. }
             | Fault::CrashLoop { stage, .. }
+            | Fault::Replace { stage, .. }
             | Fault::Command { stage, .. } => Some(*stage),
             _ => None,
         };
-        self.faults.iter().filter_map(of).collect()
+        random.flatten().copied().chain(self.faults.iter().filter_map(of)).collect()
+    }
+
+    /// Greatest age of a held forecast by the sampler's policy; none where the pipeline is not the built-in one.
+    pub fn held_max_ns(&self) -> Option<u64> {
+        let of_run = || {
+            let options = self.run.stages.get(StageId::Sampler.name())?.get("options")?;
+            let held_s = options.get("held_s")?;
+            held_s.as_float().or_else(|| held_s.as_integer().map(|held_s| held_s as f64))
+        };
+        let is_set =
+            self.run.pipeline.is_some() || self.run.arguments.iter().any(|text| text.contains("held_s"));
+        let by_default = (!is_set).then(|| sampler::Options::default().held_s);
+        of_run().or(by_default).map(|held_s| (held_s * 1e9) as u64)
     }
 
     /// Whether the launcher itself is killed.

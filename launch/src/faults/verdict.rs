@@ -3,15 +3,15 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt::Display;
 
-use recorder::Report;
+use checker::{Finding, Line, Output, Promise, Told};
+use recorder::{Outage, ReplacementOutcome, Report};
 use serde::Serialize;
 use wire::StageId;
 
-use crate::faults::history::{Line, Output};
 use crate::faults::spec::{Counted, Expect, Spec};
 
 /// What was seen of a run.
-#[derive(Debug, Default)]
+#[derive(Clone, Debug, Default)]
 pub struct Observation {
     /// Its exit code; the signal that ended it, negative.
     pub exit: i32,
@@ -73,12 +73,40 @@ pub struct Cost {
     pub injector_us: BTreeMap<String, [u64; 2]>,
     /// Missing ticks and not learned forecasts without a counted cause.
     pub unexplained: u64,
+    /// What the run's processes took at its beginning and end; none for a short run.
+    pub resources: Option<[Resources; 2]>,
 }
+
+/// What a run's processes take: medians of some looks at them.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+pub struct Resources {
+    /// Resident memory of the launcher, in KiB.
+    pub launcher_kib: u64,
+    /// Resident memory of all stages, in KiB, what they share counted in each.
+    pub stages_kib: u64,
+    /// Open descriptors of the launcher.
+    pub descriptors: u64,
+    /// The run's files in shared memory and in its folder.
+    pub files: u64,
+    /// Shared memory, in KiB.
+    pub shared_kib: u64,
+}
+
+/// Promises about what is to be explained.
+const EXPLANATIONS: [Promise; 3] =
+    [Promise::MissingTicksExplained, Promise::CausesSaid, Promise::CausesCounted];
 
 /// The outputs by their tick.
 struct Outputs<'a>(BTreeMap<u64, &'a Output>);
 
 impl Observation {
+    /// The observation with what the run reports of itself as its last line.
+    pub fn concluded(mut self, spec: &Spec) -> Self {
+        let told = self.told(spec);
+        self.lines.push(Line::Told(Box::new(told)));
+        self
+    }
+
     fn outputs(&self) -> Outputs<'_> {
         Outputs(self.lines.iter().filter_map(Line::output).map(|output| (output.tick, output)).collect())
     }
@@ -97,15 +125,16 @@ impl Observation {
     /// What the faults cost.
     pub fn cost(&self, spec: &Spec) -> Cost {
         let outputs = self.outputs();
-        let missing = self.missing(spec, &outputs);
+        let missing = self.missing_of(spec, &outputs);
         let mut cost = Cost {
             ticks: outputs.0.len() as u64,
             lost: missing.len() as u64,
             hole: longest_run(&missing),
-            not_learned: outputs.0.values().filter(|output| output.degraded > 0 || output.void).count()
+            not_learned: outputs.0.values().filter(|output| output.degraded() > 0 || output.void).count()
                 as u64,
             to_learned: self.to_learned(&outputs),
-            unexplained: self.unexplained(&missing, &outputs),
+            unexplained: self.unexplained(),
+            resources: self.resources(),
             ..Cost::default()
         };
         for line in &self.lines {
@@ -126,16 +155,33 @@ impl Observation {
 
     /// Ticks without forecasts: neither the follower nor the recorder has seen any. A run that was to end
     /// early is looked at up to its newest tick.
-    fn missing(&self, spec: &Spec, outputs: &Outputs<'_>) -> Vec<u64> {
+    fn missing_of(&self, spec: &Spec, outputs: &Outputs<'_>) -> Vec<u64> {
         let newest = outputs.0.keys().chain(&self.recorded).max().map_or(0, |newest| newest + 1);
         let end = if spec.expect.exit_code == 0 { spec.run.ticks } else { newest };
         (0..end).filter(|tick| !outputs.0.contains_key(tick) && !self.recorded.contains(tick)).collect()
     }
 
+    /// Ticks without forecasts.
+    pub fn missing(&self, spec: &Spec) -> BTreeSet<u64> {
+        self.missing_of(spec, &self.outputs()).into_iter().collect()
+    }
+
+    /// Ticks with a forecast that is not learned, for another cause than a young track.
+    pub fn degraded(&self) -> BTreeSet<u64> {
+        let outputs = self.lines.iter().filter_map(Line::output);
+        outputs.filter(|output| output.void || output.degraded() > 0).map(|output| output.tick).collect()
+    }
+
+    /// Ticks whose tracks are predicted.
+    pub fn predicted(&self) -> BTreeSet<u64> {
+        let outputs = self.lines.iter().filter_map(Line::output);
+        outputs.filter(|output| output.predicted).map(|output| output.tick).collect()
+    }
+
     /// The most ticks until forecasts were learned again: after outages, frames acted on and other faults.
     fn to_learned(&self, outputs: &Outputs<'_>) -> Option<u64> {
         let mut most = 0;
-        for outage in self.report.iter().flat_map(|report| &report.supervision.outages) {
+        for outage in self.outages() {
             most = most.max(outage.ticks_to_learned?);
         }
         for end in self.injected(None, None).last().into_iter().chain(&self.over) {
@@ -145,49 +191,126 @@ impl Observation {
         Some(most)
     }
 
-    /// Missing ticks that lie in no outage, that no fault acted on and that no stage has counted, and
-    /// forecasts without a cause.
-    fn unexplained(&self, missing: &[u64], outputs: &Outputs<'_>) -> u64 {
-        let outages = self.report.as_ref().map_or(&[][..], |report| &report.supervision.outages);
-        let acted = self.injected(None, None);
-        let is_explained = |tick: &u64| {
-            let in_outage = outages.iter().any(|outage| {
-                let end = outage.ticks_to_learned.map_or(u64::MAX, |ticks| outage.tick + ticks);
-                (outage.tick..=end).contains(tick)
-            });
-            in_outage || acted.contains(tick)
-        };
-        let without = missing.iter().filter(|tick| !is_explained(tick)).count() as u64;
-        let stages = self.report.iter().flat_map(|report| &report.stages);
-        let counted: u64 = stages.map(|stage| stage.drops.gap + stage.drops.refused).sum();
-        without.saturating_sub(counted) + outputs.0.values().map(|output| output.uncaused).sum::<u64>()
+    /// The outages of the report, those of replacements too.
+    fn outages(&self) -> impl Iterator<Item = &Outage> {
+        let supervision = || self.report.iter().map(|report| &report.supervision);
+        let replacements = supervision().flat_map(|of| &of.replacements);
+        let handed_over = replacements.filter(|of| of.outcome != ReplacementOutcome::NotUsed);
+        supervision().flat_map(|of| &of.outages).chain(handed_over.map(|of| &of.outage))
     }
 
-    /// What every run must keep, whatever is injected.
-    fn promises(&self) -> Vec<Check> {
-        let forecasts = || self.lines.iter().filter_map(Line::output);
-        // A void frame says itself that it holds nothing of its tick.
-        let valid = || forecasts().filter(|output| !output.void);
-        let steps = || valid().zip(valid().skip(1));
-        let backward = steps().filter(|(a, b)| b.tick <= a.tick).count() as u64;
-        let older = steps().filter(|(a, b)| b.stamp_ns <= a.stamp_ns).count() as u64;
-        let wrong_age: u64 = forecasts().map(|output| output.wrong_age).sum();
-        let impossible = forecasts().find_map(|output| output.impossible.clone());
-        vec![
-            equal("ticks that came twice or back in order", &0, &backward),
-            equal("stamps that are not after the one before", &0, &older),
-            equal("forecasts with a wrong age", &0, &wrong_age),
-            check(
-                "impossible numbers",
-                &"none",
-                &impossible.as_deref().unwrap_or("none"),
-                impossible.is_none(),
-            ),
-        ]
+    /// What the checker finds in the history; nothing before it has been told how the run ended.
+    fn findings(&self) -> Vec<Finding> {
+        checker::check(&self.lines)
+    }
+
+    /// Missing ticks that lie in no outage, that no fault acted on and that no stage has counted, and
+    /// forecasts without a cause, or with one that nobody counted.
+    fn unexplained(&self) -> u64 {
+        let findings = self.findings().into_iter();
+        findings.filter(|found| EXPLANATIONS.contains(&found.promise)).map(|found| found.count).sum()
+    }
+
+    /// What every run must keep, whatever is injected. What a specification may expect otherwise is checked
+    /// with it.
+    fn promises(&self, expect: &Expect) -> Vec<Check> {
+        let mut elsewhere = vec![Promise::OthersUntouched, Promise::NothingLeft];
+        if expect.unexplained > 0 {
+            elsewhere.extend(EXPLANATIONS);
+        }
+        let findings = self.findings().into_iter().filter(|found| !elsewhere.contains(&found.promise));
+        let told = |found: Finding| match found.count {
+            0 => equal(found.promise.broken_by(), &0, &0),
+            count => {
+                let found_text = format!("{count}, first {}", found.first);
+                check(found.promise.broken_by(), &0, &found_text, false)
+            }
+        };
+        findings.map(told).collect()
+    }
+
+    /// What the checker is to know beside what was seen: the run's own report, and what was expected to happen.
+    pub fn told(&self, spec: &Spec) -> Told {
+        let expect = &spec.expect;
+        let seen = self.outputs();
+        let mut told = Told {
+            ticks: (expect.exit_code == 0).then_some(spec.run.ticks),
+            held_max_ns: spec.held_max_ns(),
+            targets: spec.targets().into_iter().map(|stage| stage.name().to_owned()).collect(),
+            restarts_of_others: expect.restarts_of_others,
+            leftovers: expect.leftovers,
+            reported: self.report.is_some(),
+            recorded_alone: self.recorded.iter().copied().filter(|tick| !seen.0.contains_key(tick)).collect(),
+            files_left: self.leftovers,
+            stages_left: self.survivors,
+            ..Told::default()
+        };
+        let Some(report) = &self.report else { return told };
+        told.lockstep = report.run.lockstep.unwrap_or(false);
+        let outage = |outage: &recorder::Outage| checker::Outage {
+            stage: outage.stage.clone(),
+            tick: outage.tick,
+            ticks_to_learned: outage.ticks_to_learned,
+        };
+        let replaced = report
+            .supervision
+            .replacements
+            .iter()
+            .flat_map(|of| std::iter::repeat_n(&of.outage, of.outcome.incarnations() as usize));
+        told.outages = report.supervision.outages.iter().chain(replaced).map(outage).collect();
+        told.outages_unlisted = report.supervision.outages_unlisted;
+        let lost = |stage: &recorder::report::StageReport| {
+            (stage.name.clone(), stage.drops.gap + stage.drops.refused)
+        };
+        told.lost = report.stages.iter().map(lost).collect();
+        told.causes.clone_from(&report.forecasts.causes);
+        told.late_ticks = report.late_ticks;
+        told
+    }
+
+    /// What was taken at the beginning and at the end: medians, for stages come and go.
+    fn resources(&self) -> Option<[Resources; 2]> {
+        let looks: Vec<Resources> = self.lines.iter().filter_map(look).collect();
+        if looks.len() < 2 * LOOKS {
+            return None;
+        }
+        Some([median(&looks[..LOOKS]), median(&looks[looks.len() - LOOKS..])])
     }
 }
 
-fn longest_run(ticks: &[u64]) -> u64 {
+/// Looks at a run's resources that a median is of.
+const LOOKS: usize = 9;
+
+fn look(line: &Line) -> Option<Resources> {
+    let Line::Resources { launcher_bytes, descriptors, stages_bytes, files, shared_bytes, .. } = *line else {
+        return None;
+    };
+    Some(Resources {
+        launcher_kib: launcher_bytes / 1024,
+        stages_kib: stages_bytes / 1024,
+        descriptors,
+        files,
+        shared_kib: shared_bytes / 1024,
+    })
+}
+
+fn median(looks: &[Resources]) -> Resources {
+    let of = |value: fn(&Resources) -> u64| {
+        let mut values: Vec<u64> = looks.iter().map(value).collect();
+        values.sort_unstable();
+        values.get(values.len() / 2).copied().unwrap_or(0)
+    };
+    Resources {
+        launcher_kib: of(|look| look.launcher_kib),
+        stages_kib: of(|look| look.stages_kib),
+        descriptors: of(|look| look.descriptors),
+        files: of(|look| look.files),
+        shared_kib: of(|look| look.shared_kib),
+    }
+}
+
+/// The longest run of ticks in a row.
+pub fn longest_run(ticks: &[u64]) -> u64 {
     let (mut longest, mut run, mut before) = (0, 0, None);
     for &tick in ticks {
         run = if before.is_some_and(|before: u64| before + 1 == tick) { run + 1 } else { 1 };
@@ -226,17 +349,17 @@ pub fn judge(spec: &Spec, seen: &Observation, timing: bool) -> Vec<Check> {
     if let Some(to_learned) = cost.to_learned {
         at_most("ticks to learned again", expect.learned_within, to_learned);
     }
-    let age_ms = outputs.0.values().map(|output| output.age_ms_max).fold(0.0, f64::max);
+    let age_ms = outputs.0.values().map(|output| output.age_ms_max()).fold(0.0, f64::max);
     at_most("greatest age held, ms", expect.age_ms_max.map(|most| most as u64), age_ms.ceil() as u64);
     if expect.learned_within.is_some() && cost.to_learned.is_none() {
         checks.push(check("learned again", &"yes", &"no", false));
     }
     checks.push(equal("unexplained", &expect.unexplained, &cost.unexplained));
-    checks.extend(seen.promises());
+    checks.extend(seen.promises(expect));
     checks.extend(supervised(spec, seen));
     checks.extend(counted(expect, seen));
     for cause in &expect.causes {
-        let found: u64 = outputs.0.values().filter_map(|output| output.causes.get(cause)).sum();
+        let found: u64 = outputs.0.values().filter_map(|output| output.causes().remove(cause.as_str())).sum();
         checks.push(check(&format!("forecasts with cause \"{cause}\""), &"≥ 1", &found, found > 0));
     }
     if let Some(least) = expect.predicted_min {
@@ -247,9 +370,32 @@ pub fn judge(spec: &Spec, seen: &Observation, timing: bool) -> Vec<Check> {
         let found = seen.injected(Some(kind), None).len();
         checks.push(check(&format!("frames with \"{kind}\""), &"≥ 1", &found, found > 0));
     }
+    checks.extend(grown(expect, &cost));
     checks.push(equal("files left", &expect.leftovers, &seen.leftovers));
     checks.push(equal("stages left", &0, &seen.survivors));
     checks
+}
+
+/// One of the resources.
+type Amount = fn(&Resources) -> u64;
+
+/// What the run took more at its end than at its beginning.
+fn grown(expect: &Expect, cost: &Cost) -> Vec<Check> {
+    let limits: [(&str, Option<u64>, Amount); 4] = [
+        ("growth of the launcher, KiB", expect.launcher_growth_kib_max, |r| r.launcher_kib),
+        ("growth of all stages, KiB", expect.stages_growth_kib_max, |r| r.stages_kib),
+        ("growth in open descriptors", expect.descriptors_growth_max, |r| r.descriptors),
+        ("growth in files", expect.files_growth_max, |r| r.files),
+    ];
+    let limited = limits.into_iter().filter_map(|(what, most, of)| Some((what, most?, of)));
+    let check_one = |(what, most, of): (&str, u64, Amount)| match &cost.resources {
+        Some([begin, end]) => {
+            let growth = of(end).saturating_sub(of(begin));
+            check(what, &format!("≤ {most}"), &growth, growth <= most)
+        }
+        None => check(what, &format!("≤ {most}"), &"too few looks: a longer run", false),
+    };
+    limited.map(check_one).collect()
 }
 
 /// What the report says of the stages' deaths and starvation.
@@ -274,6 +420,18 @@ fn supervised(spec: &Spec, seen: &Observation) -> Vec<Check> {
         let what = format!("outages of the {}, \"{}\"", expected.stage, expected.cause);
         checks.push(equal(&what, &expected.count, &found));
     }
+    for expected in &expect.replacements {
+        let of = |replacement: &&recorder::Replacement| {
+            let outage = &replacement.outage;
+            outage.stage == expected.stage
+                && replacement.outcome == expected.outcome
+                && outage.cause.contains(expected.cause.as_str())
+        };
+        let found = supervision.replacements.iter().filter(of).count() as u64;
+        let what = format!("{} {}, \"{}\"", expected.stage, expected.outcome.name(), expected.cause);
+        checks.push(equal(what.trim_end_matches(", \"\""), &expected.count, &found));
+    }
+    checks.extend(replaced(seen, &supervision.replacements));
     let given_up: Vec<&str> = supervision.given_up.keys().map(String::as_str).collect();
     checks.push(equal("given up", &expect.given_up.join(", "), &given_up.join(", ")));
     for stage in &expect.starved {
@@ -301,19 +459,35 @@ fn supervised(spec: &Spec, seen: &Observation) -> Vec<Check> {
     checks
 }
 
+/// What the verb has told of the replacements, beside the report; nothing where there were none.
+fn replaced(seen: &Observation, reported: &[recorder::Replacement]) -> Option<Check> {
+    let told = seen.lines.iter().filter_map(|line| match line {
+        Line::Replaced { exit, .. } => Some(*exit == 0),
+        _ => None,
+    });
+    let reported = reported.iter().map(|of| of.outcome == ReplacementOutcome::Replaced);
+    let count = |outcomes: Vec<bool>| {
+        let replaced = outcomes.iter().filter(|is_replaced| **is_replaced).count();
+        format!("{replaced} replaced, {} not", outcomes.len() - replaced)
+    };
+    let (told, reported): (Vec<bool>, Vec<bool>) = (told.collect(), reported.collect());
+    let any = !told.is_empty() || !reported.is_empty();
+    any.then(|| equal("replacements by the verb's exit codes", &count(reported), &count(told)))
+}
+
 /// The report's counters of frames lost.
 fn counted(expect: &Expect, seen: &Observation) -> Vec<Check> {
     let mut checks = Vec::new();
     for Counted { stage, cause, as_injected, topic, min, max } in &expect.counted {
         let stages = seen.report.iter().flat_map(|report| &report.stages);
-        let drops = stages.filter(|of| of.name == *stage).map(|of| of.drops);
-        let found: u64 = drops
-            .map(|drops| match cause.as_str() {
-                "gap" => drops.gap,
-                "refused" => drops.refused,
-                _ => drops.restart,
-            })
-            .sum();
+        let drops = || stages.clone().filter(|of| of.name == *stage).map(|of| of.drops);
+        let refusals = seen.report.iter().flat_map(|report| &report.refusals);
+        let found: u64 = match cause.as_str() {
+            "gap" => drops().map(|drops| drops.gap).sum(),
+            "refused" => drops().map(|drops| drops.refused).sum(),
+            "restart" => drops().map(|drops| drops.restart).sum(),
+            cause => refusals.filter(|r| r.reader == *stage && r.cause == cause).map(|r| r.frames).sum(),
+        };
         let what = format!("{cause} counted by the {stage}");
         if let Some(kind) = as_injected {
             checks.push(equal(&what, &(seen.injected(Some(kind), topic.as_deref()).len() as u64), &found));
@@ -333,6 +507,7 @@ mod tests {
     use std::path::Path;
 
     use super::*;
+    use checker::ForecastSeen;
     use recorder::report::StageReport;
     use recorder::{Outage, Supervision};
 
@@ -345,7 +520,10 @@ mod tests {
 
     fn output(tick: u64) -> Line {
         let stamp_ns = tick as i64 * 80_000_000;
-        Line::Forecasts(Output { tick, stamp_ns, qualities: [3, 0, 0], ..Output::default() })
+        let learned =
+            |id| ForecastSeen { id, quality: "learned".into(), cause: "none".into(), ..Default::default() };
+        let forecasts = (1..4).map(learned).collect();
+        Line::Forecasts(Output { tick, stamp_ns, forecasts, ..Output::default() })
     }
 
     /// A run that misses the ticks 6 to 8, which the report explains.
@@ -369,7 +547,8 @@ mod tests {
     }
 
     fn failed(expect: &str, seen: &Observation) -> Vec<String> {
-        let checks = judge(&spec(expect), seen, true).into_iter();
+        let spec = spec(expect);
+        let checks = judge(&spec, &seen.clone().concluded(&spec), true).into_iter();
         checks.filter(|check| check.outcome == Outcome::Failed).map(|check| check.what).collect()
     }
 
@@ -378,7 +557,7 @@ mod tests {
         let expect = "[expect]\nhole_max = 3\nlearned_within = 4\nlost_max = 3\n\
                       outages = [{ stage = \"sampler\", cause = \"signal 9\", count = 1 }]";
         assert_eq!(failed(expect, &seen()), Vec::<String>::new());
-        let cost = seen().cost(&spec(expect));
+        let cost = seen().concluded(&spec(expect)).cost(&spec(expect));
         assert_eq!((cost.lost, cost.hole, cost.to_learned, cost.unexplained), (3, 3, Some(4), 0));
     }
 
@@ -389,8 +568,8 @@ mod tests {
             (|seen| seen.lines.retain(|line| *line != output(15)), "unexplained"),
             (|seen| seen.lines.push(output(3)), "ticks that came twice or back in order"),
             (|seen| change(seen, 12, |o| o.stamp_ns = 0), "stamps that are not after the one before"),
-            (|seen| change(seen, 12, |o| o.wrong_age = 1), "forecasts with a wrong age"),
-            (|seen| change(seen, 12, |o| o.uncaused = 1), "unexplained"),
+            (|seen| change(seen, 12, |o| o.forecasts[0].age_ns = 1), "forecasts with a wrong age"),
+            (|seen| change(seen, 12, |o| o.forecasts[0].quality = "kinematic".into()), "unexplained"),
             (|seen| change(seen, 12, |o| o.impossible = Some("NaN".into())), "impossible numbers"),
             (|seen| seen.leftovers = 1, "files left"),
             (|seen| seen.survivors = 1, "stages left"),
@@ -417,7 +596,8 @@ mod tests {
             assert!(failed("", &seen).contains(&found.to_owned()), "{found}: {:?}", failed("", &seen));
         }
         assert_eq!(failed("[expect]\nhole_max = 2", &seen()), ["longest hole, ticks"]);
-        let lax = judge(&spec("[expect]\nhole_max = 2"), &seen(), false);
+        let spec = spec("[expect]\nhole_max = 2");
+        let lax = judge(&spec, &seen().concluded(&spec), false);
         assert!(lax.iter().all(|check| check.outcome != Outcome::Failed), "{lax:?}");
     }
 

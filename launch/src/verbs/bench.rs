@@ -1,4 +1,8 @@
 mod chain;
+mod cost;
+mod handover;
+mod modes;
+mod peers;
 mod pipe;
 mod stages;
 mod work;
@@ -11,6 +15,7 @@ use nn::kernels;
 use run::Exit;
 
 use crate::arguments::{ModelArguments, SetArguments};
+use crate::fail_if::{self, Condition};
 use crate::failure::Failure;
 use crate::tables;
 
@@ -30,7 +35,22 @@ pub struct Arguments {
     /// Seconds for which the whole pipeline runs at 12.5 Hz; 0 skips it
     #[arg(long, value_name = "S", default_value_t = 20)]
     seconds: u64,
-    /// Markdown file whose marks `stgdat bench` get the tables
+    /// Compare layers with faer, ONNX Runtime and PyTorch instead, one thread each and by turns; the two come in a
+    /// Python environment that is made once, and are skipped where it can't be
+    #[arg(long)]
+    peers: bool,
+    /// Python with numpy, onnx, onnxruntime and torch for --peers, instead of an environment of its own
+    #[arg(long, value_name = "PROGRAM", requires = "peers")]
+    python: Option<PathBuf>,
+    /// Measure what agents and modes cost instead: 1 to 128 agents by 1, 6 and 20 modes
+    #[arg(long, conflicts_with_all = ["peers", "agents"])]
+    cost: bool,
+    /// Fail, with exit code 70, where the run of --seconds has such a figure, as `end_to_end_p99 > 75 ms`; may be
+    /// given several times, and a wrong name lists the figures that there are
+    #[arg(long, value_name = "CONDITION", conflicts_with_all = ["peers", "cost"])]
+    fail_if: Vec<Condition>,
+    /// Markdown file whose marks `stgdat bench` (`stgdat bench peers`, `stgdat bench cost`) get the tables, as the
+    /// section of this processor
     #[arg(long, alias = "readme", value_name = "FILE")]
     table: Option<PathBuf>,
     #[command(flatten)]
@@ -39,25 +59,60 @@ pub struct Arguments {
     set: SetArguments,
 }
 
-/// Measures compute per stage, the overhead of the pipeline and this machine's peaks, in one run.
+/// Measures compute per stage, the overhead of the pipeline and this machine's peaks, in one run; or what is asked
+/// for instead.
 pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
+    if !arguments.fail_if.is_empty() && arguments.seconds == 0 {
+        return Err(Failure::Usage("--fail-if is about the run of --seconds, which is 0".to_owned()));
+    }
+    let mut report = None;
+    let (mark, text) = if arguments.peers {
+        ("bench peers", peers::table(arguments, arguments.python.clone())?)
+    } else if arguments.cost {
+        ("bench cost", cost::table(arguments)?)
+    } else {
+        let mut text = speed(arguments)?;
+        if arguments.seconds > 0 {
+            let (run, measured) = chain::table(&arguments.model, &arguments.set, arguments.seconds)?;
+            text += &run;
+            report = Some(measured);
+        }
+        ("bench", text)
+    };
+    let heading = machine();
+    print!("### {heading}\n\n{text}");
+    if let Some(path) = &arguments.table {
+        tables::replace_section(path, mark, &heading, &text)?;
+    }
+    report.map_or(Ok(()), |report| fail_if::check(&arguments.fail_if, &report))?;
+    Ok(Exit::Done)
+}
+
+/// Peaks, compute by stage and the hand-over to workers.
+fn speed(arguments: &Arguments) -> Result<String, Failure> {
     let peak = kernels::peak::product_gflops(PEAK_TIME);
     let mut text = format!(
-        "{} kernels, {} cores; matrix product {peak:.0} GFLOP/s and multiply-adds in registers {:.0} GFLOP/s on one \
-         thread.\n\n",
-        kernels::active().name(),
-        std::thread::available_parallelism().map_or(1, usize::from),
+        "Matrix product {peak:.0} GFLOP/s and multiply-adds in registers {:.0} GFLOP/s on one thread.\n\n",
         kernels::peak::fma_gflops(PEAK_TIME),
     );
     text += &stages::table(arguments, peak)?;
-    if arguments.seconds > 0 {
-        text += &chain::table(&arguments.model, &arguments.set, arguments.seconds)?;
-    }
-    print!("{text}");
-    if let Some(path) = &arguments.table {
-        tables::replace(path, "bench", &text)?;
-    }
-    Ok(Exit::Done)
+    text += &handover::line()?.unwrap_or_default();
+    Ok(text)
+}
+
+/// What was measured on: the processor, how many cores of it, and the kernels.
+fn machine() -> String {
+    let cores = std::thread::available_parallelism().map_or(1, usize::from);
+    let cpus = std::fs::read_to_string("/proc/cpuinfo").unwrap_or_default();
+    let model = processor(&cpus).unwrap_or("unknown processor").to_owned();
+    format!("{model}, {cores} cores, {}", kernels::active())
+}
+
+/// The processor's name in /proc/cpuinfo; Arm's have none there.
+fn processor(cpus: &str) -> Option<&str> {
+    let named = |line: &'_ str| line.starts_with("model name");
+    let line = cpus.lines().find(|line| named(line))?;
+    line.split_once(':').map(|(_, name)| name.trim())
 }
 
 /// The quantile `share` of `values`, by nearest rank.

@@ -6,8 +6,10 @@ use clap::Args;
 use nn::kernels::{self, Isa};
 use run::Exit;
 use rustix::process::{Resource, Rlimit, getrlimit};
+use rustix::thread::{CapabilitySet, capabilities};
 
 use crate::failure::Failure;
+use crate::prediction::{self, LIMIT_MS, Prediction};
 
 /// Shared memory below which a run of many agents may not fit.
 const SHARED_BYTES: u64 = 128 << 20;
@@ -16,7 +18,11 @@ const FILES: u64 = 1024;
 
 /// Arguments of `stgdat doctor`.
 #[derive(Debug, Args)]
-pub struct Arguments {}
+pub struct Arguments {
+    /// Number of agents that are to fit this machine, beside those of the default demo
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=wire::AGENTS_MAX as i64))]
+    agents: Option<u32>,
+}
 
 /// One check of the machine.
 struct Finding {
@@ -27,7 +33,7 @@ struct Finding {
 }
 
 /// Checks what a run needs of this machine, and advises where something is missing.
-pub fn execute(_: &Arguments) -> Result<Exit, Failure> {
+pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
     let findings = [
         shared_memory(),
         rights(),
@@ -36,8 +42,10 @@ pub fn execute(_: &Arguments) -> Result<Exit, Failure> {
         locked_memory(),
         cores(),
         instruction_set(),
+        real_time(),
         weights(),
     ];
+    let slow = speed(arguments.agents)?;
     let mut well = true;
     for Finding { what, found, advice } in findings {
         well &= advice.is_none();
@@ -45,6 +53,11 @@ pub fn execute(_: &Arguments) -> Result<Exit, Failure> {
         if let Some(advice) = advice {
             println!("     {:<16} {advice}", "");
         }
+    }
+    // A run goes on, degraded: a machine that is busy now lacks nothing.
+    println!("{} {:<16} {}", if slow.advice.is_none() { "ok  " } else { "slow" }, slow.what, slow.found);
+    if let Some(advice) = slow.advice {
+        println!("     {:<16} {advice}", "");
     }
     if well {
         Ok(Exit::Done)
@@ -98,8 +111,57 @@ fn files() -> Finding {
 }
 
 fn locked_memory() -> Finding {
-    // For information: memory is locked only with real-time priority.
-    finding("locked memory", limit(getrlimit(Resource::Memlock).current), None)
+    // For information: a run goes on without.
+    let found = match getrlimit(Resource::Memlock).current {
+        _ if may(CapabilitySet::IPC_LOCK) => {
+            "no limit for this user: all memory of the stages is locked".to_owned()
+        }
+        None => "no limit: all memory of the stages is locked".to_owned(),
+        Some(bytes) => format!(
+            "{} KiB a process: of the stages' memory what fits is locked, what ticks use most first (ulimit -l)",
+            bytes >> 10
+        ),
+    };
+    finding("locked memory", found, None)
+}
+
+/// Whether this process has a privilege.
+fn may(capability: CapabilitySet) -> bool {
+    capabilities(None).is_ok_and(|sets| sets.effective.contains(capability))
+}
+
+fn real_time() -> Finding {
+    // For information: only a pipeline.toml with `priority` asks for it.
+    let found = match getrlimit(Resource::Rtprio).current {
+        _ if may(CapabilitySet::SYS_NICE) => "any `priority` of a stage is allowed".to_owned(),
+        None => "any `priority` of a stage is allowed".to_owned(),
+        Some(0) => "no `priority` of a stage is allowed (CAP_SYS_NICE or ulimit -r)".to_owned(),
+        Some(most) => format!("a `priority` of a stage up to {most} is allowed (ulimit -r)"),
+    };
+    finding("real time", found, None)
+}
+
+/// Whether the default demo, and so many agents, fit: predicted from a measurement of this machine as it is now.
+fn speed(asked: Option<u32>) -> Result<Finding, Failure> {
+    let machine = Prediction::measure()?;
+    let numbers = [Some(prediction::AGENTS), asked.filter(|&agents| agents != prediction::AGENTS)];
+    let numbers: Vec<u32> = numbers.into_iter().flatten().collect();
+    let ticks = numbers.iter().map(|&agents| {
+        let [p50, p99] = machine.tick_ms(agents);
+        let fits = if machine.fits(agents) { "fit" } else { "do not fit" };
+        format!("{agents} agents {fits}: about {p50:.0} ms a tick, {p99:.0} at p99, of {LIMIT_MS:.0}")
+    });
+    let most = machine.agents_max();
+    let found = format!("{}; at most {most} fit", ticks.collect::<Vec<_>>().join("; "));
+    let advice = numbers.iter().any(|&agents| !machine.fits(agents)).then(|| {
+        format!(
+            "run fewer agents (--agents {}), close what else computes, or give the stages more cores; `stgdat bench \
+             --agents {}` measures it",
+            most.max(1),
+            numbers[numbers.len() - 1]
+        )
+    });
+    Ok(finding("speed", found, advice))
 }
 
 fn limit(current: Option<u64>) -> String {

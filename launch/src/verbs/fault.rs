@@ -2,12 +2,15 @@ use std::path::{Path, PathBuf};
 
 use clap::{Args, Subcommand};
 use run::Exit;
+use wire::StageId;
 
 use crate::failure::Failure;
 use crate::faults::runner::{Options, Verdict};
 use crate::faults::spec::Spec;
+use crate::faults::table::{self, Row, Series};
 use crate::faults::{follow, inject, output, runner, scenarios};
 use crate::show::show;
+use crate::tables;
 
 /// The verbs of `stgdat fault`.
 #[derive(Debug, Subcommand)]
@@ -18,6 +21,10 @@ pub enum Verb {
     List(ListArguments),
     /// Check specifications without running them
     Check(CheckArguments),
+    /// Measure what killing and stopping each stage costs, as a table
+    Table(TableArguments),
+    /// Verify what a run promises by a history that `fault run --keep` has written
+    Verify(VerifyArguments),
     /// Write the history of a run (started by `fault run`)
     #[command(hide = true)]
     Follow(FollowArguments),
@@ -72,6 +79,41 @@ pub struct CheckArguments {
     specs: Vec<PathBuf>,
 }
 
+/// Arguments of `stgdat fault table`.
+#[derive(Debug, Args)]
+pub struct TableArguments {
+    /// A stage; all if not given
+    #[arg(long = "stage", value_name = "STAGE", value_parser = stage)]
+    stages: Vec<StageId>,
+    /// Deaths of each stage at each point of its step, and stops of each duration
+    #[arg(long, value_name = "N", default_value_t = 20, value_parser = clap::value_parser!(u64).range(1..=100))]
+    turns: u64,
+    /// Seed of the scene and of the moments
+    #[arg(long, default_value_t = 1)]
+    seed: u64,
+    /// Agents of the scene
+    #[arg(long, value_name = "N", default_value_t = 8)]
+    agents: u64,
+    /// Markdown file whose marks `stgdat fault table` get the table
+    #[arg(long, value_name = "FILE")]
+    table: Option<PathBuf>,
+    /// Write the rows as JSON
+    #[arg(long, value_name = "FILE")]
+    json: Option<PathBuf>,
+}
+
+/// Arguments of `stgdat fault verify`.
+#[derive(Debug, Args)]
+pub struct VerifyArguments {
+    /// The history
+    #[arg(value_name = "HISTORY")]
+    history: PathBuf,
+}
+
+fn stage(name: &str) -> Result<StageId, String> {
+    StageId::from_name(name).ok_or_else(|| format!("one of {}", StageId::ALL.map(StageId::name).join(", ")))
+}
+
 /// Arguments of `stgdat fault follow`.
 #[derive(Debug, Args)]
 pub struct FollowArguments {
@@ -111,6 +153,8 @@ impl Verb {
             Self::Run(arguments) => run_all(&arguments),
             Self::List(arguments) => list(&arguments),
             Self::Check(arguments) => check(&arguments),
+            Self::Table(arguments) => measure(&arguments),
+            Self::Verify(VerifyArguments { history }) => verify(&history),
             Self::Follow(FollowArguments { run }) => follow::follow(&run),
             Self::Inject(InjectArguments { run, plan }) => inject::inject(&run, &plan),
             Self::Consume(ConsumeArguments { topic, hold_ms, run }) => inject::consume(&run, &topic, hold_ms),
@@ -140,6 +184,46 @@ fn run_all(arguments: &RunArguments) -> Result<Exit, Failure> {
         write(path, &(serde_json::to_string_pretty(&verdicts).map_err(Failure::data)? + "\n"))?;
     }
     Ok(if failed.is_empty() { Exit::Done } else { Exit::Failed })
+}
+
+fn measure(arguments: &TableArguments) -> Result<Exit, Failure> {
+    let TableArguments { turns, seed, agents, .. } = *arguments;
+    let stages = if arguments.stages.is_empty() { StageId::ALL.to_vec() } else { arguments.stages.clone() };
+    let load_before = table::load_average();
+    let mut rows = Vec::new();
+    show(table::HEAD)?;
+    for stage in stages {
+        for series in [Series::Kills, Series::Stops] {
+            let measured = table::measure(&table::Plan { stage, series, turns, seed, agents })?;
+            show(&measured.iter().map(Row::line).collect::<String>())?;
+            rows.extend(measured);
+        }
+    }
+    if let Some(path) = &arguments.json {
+        write(path, &(serde_json::to_string_pretty(&rows).map_err(Failure::data)? + "\n"))?;
+    }
+    if let Some(path) = &arguments.table {
+        let told = format!(
+            "{turns} turns of each, seed {seed}, {agents} agents at 12.5 Hz, {} processors, load average {load_before} \
+             before and {} after.\n\n",
+            std::thread::available_parallelism().map_or(1, std::num::NonZero::get),
+            table::load_average(),
+        );
+        let lines: String = rows.iter().map(Row::line).collect();
+        tables::replace(path, "fault table", &(told + table::HEAD + &lines))?;
+    }
+    Ok(Exit::Done)
+}
+
+fn verify(path: &Path) -> Result<Exit, Failure> {
+    let findings = checker::check(&checker::read(path).map_err(Failure::data)?);
+    let mut is_kept = true;
+    for checker::Finding { promise, count, first } in findings {
+        is_kept &= count == 0;
+        let first = if count == 0 { String::new() } else { format!(", first {first}") };
+        show(&format!("{count:6}  {}{first}\n", promise.broken_by()))?;
+    }
+    Ok(if is_kept { Exit::Done } else { Exit::Failed })
 }
 
 fn write(path: &Path, text: &str) -> Result<(), Failure> {

@@ -17,8 +17,10 @@ use crate::stages;
 const WIDTH: usize = 110;
 
 /// The verbs by what they are for; a unit test finds the ones that are in no group.
-const GROUPS: [(&str, &[&str]); 4] = [
+const GROUPS: [(&str, &[&str]); 6] = [
     ("Run", &["run", "predict", "track", "check", "graph", "stage", "wire"]),
+    ("Observe", &["top", "trace", "tick"]),
+    ("Record", &["record", "mark", "replay", "diff"]),
     ("Data", &["map", "plot"]),
     ("Model", &["train", "ablate", "evaluate", "card"]),
     ("Diagnose", &["verify", "bench", "fault", "doctor", "clean", "completions", "manual"]),
@@ -36,6 +38,7 @@ const HEAD: &str = "\
 | exit code | meaning |
 |---|---|
 | 0 | done |
+| 1 | `diff` and `replay` have found differences |
 | 2 | wrong usage of the command line |
 | 65 | a recording, map or weights file can't be used, or an output file can't be written |
 | 69 | a resource is missing: shared memory, space, a port |

@@ -8,6 +8,7 @@ use nn::Weights;
 use ports::{Space, Stop};
 use recorder::live::LiveOptions;
 use recorder::{Report, RunInfo, Supervision};
+use recording::{About, Happened};
 use run::{Exit, Run, StageRun};
 use scene::ContextMap;
 use source::{Playback, PlaybackOptions};
@@ -18,11 +19,18 @@ use crate::arguments::{
     ModelArguments, RetrievalArguments, SceneArguments, SetArguments, TrackerArguments, canonical,
     check_lanes, check_memory, warn_of_doubts,
 };
+use crate::child::Line;
+use crate::control::{Control, Request};
+use crate::fail_if::{self, Condition};
 use crate::failure::{Failure, StageDeath};
 use crate::fleet::Fleet;
+use crate::memory::Memory;
+use crate::observe::{ObserveArguments, Observer};
 use crate::options::{Setting, StageOptions, text};
 use crate::outages::Outages;
 use crate::pipeline_file;
+use crate::tap::{Recording, Tap};
+use crate::verbs::record;
 use crate::watch::Watch;
 
 /// Time limit for all stages to start and link to their neighbours.
@@ -57,6 +65,18 @@ pub struct Arguments {
     /// The pipeline.toml; by default the built-in one
     #[arg(long, value_name = "FILE")]
     pipeline: Option<PathBuf>,
+    /// Fail, with exit code 70, where the report has such a figure, as `end_to_end_p99 > 75 ms`; may be given several
+    /// times, and a wrong name lists the figures that there are
+    #[arg(long, value_name = "CONDITION")]
+    fail_if: Vec<Condition>,
+    /// Record the run in this MCAP file; there must be none of that name
+    #[arg(long, value_name = "FILE")]
+    record: Option<PathBuf>,
+    /// Topics that are recorded, separated by commas, or `all`
+    #[arg(long, value_name = "LIST", requires = "record", default_value = record::TOPICS, value_parser = record_topics)]
+    record_topics: String,
+    #[command(flatten)]
+    observe: ObserveArguments,
     /// Show no progress
     #[arg(long)]
     quiet: bool,
@@ -100,6 +120,7 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
         lockstep: arguments.speed == Speed::Max,
         seed: arguments.scene.seed,
         protected: pipeline.protected.clone(),
+        shed: pipeline.shed,
         weights: weights_path,
         stages: stage_runs(&pipeline, &options),
     };
@@ -109,8 +130,16 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
 
     let begun = SystemTime::now();
     let keeps_memory = options.get(StageId::Sampler, "memory").is_some();
-    let record = write_record(&run, arguments.announce.as_deref())?;
-    let ended = supervise(&pipeline, &run, &record, &stop, live, arguments.quiet, keeps_memory)?;
+    let record_file = write_record(&run, arguments.announce.as_deref())?;
+    about(arguments, &info, &run)?.write(&run.root).map_err(|error| Failure::file(&run.root, error))?;
+    let tap = Tap::start(&record_file)?;
+    let recording = arguments.record.as_deref();
+    let recording =
+        recording.map(|file| Recording::start(&run.root, file, &arguments.record_topics)).transpose()?;
+    let observer = Observer::open(&run, &arguments.observe)?;
+    let watch = Watch::open(&run, live, arguments.quiet, observer)?;
+    let following = Following { tap, recording, watch };
+    let ended = supervise(&pipeline, &run, &record_file, &stop, following, keeps_memory)?;
     // However the run ended, the report tells what there was until then. After a signal or a failure, there is
     // one if the recorder had begun; where it died too, what it had kept.
     let modified = std::fs::metadata(&report_path).and_then(|file| file.modified());
@@ -126,14 +155,22 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
     // A run that could not start has nothing to report but its failure.
     if let Some(measured) = measured.filter(|_| ended.outcome.is_ok() || ended.linked) {
         let ended_by = ended.outcome.as_ref().err().map(ToString::to_string);
-        let supervision = ended.outages.into_record(ended_by);
+        let mut supervision = ended.outages.into_record(ended_by);
+        supervision.memory = ended.memory.into_report();
         let given_up = !supervision.given_up.is_empty();
-        report(arguments, measured, info, supervision)?;
-        if given_up && matches!(ended.outcome, Ok(Exit::Done)) {
-            return Ok(Exit::Failed);
+        let measured = report(arguments, measured, info, supervision)?;
+        ended.recorded.iter().for_each(|line| println!("{line}"));
+        if matches!(ended.outcome, Ok(Exit::Done)) {
+            fail_if::check(&arguments.fail_if, &measured)?;
+            if given_up {
+                return Ok(Exit::Failed);
+            }
         }
     }
     let exit = ended.outcome?;
+    if let Some(failure) = ended.unwritten.into_iter().next() {
+        return Err(failure);
+    }
     ended.unkept.map_or(Ok(exit), |death| Err(death.into()))
 }
 
@@ -146,6 +183,18 @@ struct Ended {
     /// Whether the pipeline had been linked: the run had begun.
     linked: bool,
     outages: Outages,
+    memory: Memory,
+    /// What the recording says of its file.
+    recorded: Vec<String>,
+    /// Files about the run that could not be written.
+    unwritten: Vec<Failure>,
+}
+
+/// Who follows a run besides its stages.
+struct Following {
+    tap: Tap,
+    recording: Option<Recording>,
+    watch: Watch,
 }
 
 impl Arguments {
@@ -225,26 +274,44 @@ fn supervise(
     run: &Run,
     record: &Path,
     stop: &Stop,
-    live: LiveOptions,
-    quiet: bool,
+    following: Following,
     keeps_memory: bool,
 ) -> Result<Ended, Failure> {
-    let mut watch = Watch::open(run, live, quiet)?;
+    let Following { mut tap, recording, mut watch } = following;
+    let control = Control::open(run)?;
     let mut fleet = Fleet::start(pipeline, run, record, keeps_memory)?;
+    fleet.notes().into_iter().for_each(|note| watch.note(note));
+    let mut memory = Memory::default();
     let started = Instant::now();
     let mut linked = false;
     let outcome = loop {
-        let heartbeats = match watch.follow(fleet.lines()) {
+        let lines: Vec<Line> = fleet.lines().collect();
+        lines.iter().for_each(|(stage, line)| tap.line(stage.name(), line));
+        if tap.tend() {
+            fleet.clean_up();
+        }
+        let heartbeats = match watch.follow(lines.into_iter()) {
             Ok(heartbeats) => heartbeats,
             Err(failure) => break Err(failure),
         };
+        heartbeats.iter().for_each(|heartbeat| memory.heartbeat(heartbeat));
         if let Some(exit) = stop.exit() {
             break Ok(exit);
         }
-        linked = linked || watch.unlinked().is_empty();
+        if !linked && watch.unlinked().is_empty() {
+            linked = true;
+            tap.event(Happened::Linked);
+        }
         match fleet.tend(&heartbeats, linked) {
-            Ok(events) => events.iter().for_each(|event| watch.say(event)),
+            Ok(events) => events.iter().for_each(|event| {
+                watch.say(event);
+                event.happened().into_iter().for_each(|what| tap.event(what));
+            }),
             Err(failure) => break Err(failure),
+        }
+        watch.answer(&fleet, linked);
+        if let Err(failure) = replace(&mut watch, &mut tap, &mut fleet, &control, run, linked) {
+            break Err(failure);
         }
         if fleet.done(StageId::Recorder) || fleet.is_over() {
             break Ok(Exit::Done);
@@ -256,9 +323,51 @@ fn supervise(
         }
     };
     fleet.end();
+    let lines: Vec<Line> = fleet.lines().collect();
+    lines.iter().for_each(|(stage, line)| tap.line(stage.name(), line));
+    let how = outcome.as_ref().map_or_else(ToString::to_string, |exit| format!("{exit:?}").to_lowercase());
+    tap.event(Happened::Ended { how });
+    tap.end();
+    let mut recorded = Vec::new();
+    if let Some(recording) = recording {
+        let (said, is_whole) = recording.end();
+        recorded = said;
+        if !is_whole {
+            recorded
+                .push("the recording is incomplete: it is readable up to its last whole chunk".to_owned());
+        }
+    }
     let unkept = keeps_memory.then(|| fleet.failure(StageId::Sampler)).flatten();
-    let outages = watch.close(fleet.lines());
-    Ok(Ended { outcome, unkept, linked, outages })
+    let (outages, unwritten) = watch.close(lines.into_iter(), &fleet);
+    Ok(Ended { outcome, unkept, linked, outages, memory, recorded, unwritten })
+}
+
+/// Takes orders to replace stages, and gives a new process that is warm its turn between two ticks.
+fn replace(
+    watch: &mut Watch,
+    tap: &mut Tap,
+    fleet: &mut Fleet,
+    control: &Control,
+    run: &Run,
+    linked: bool,
+) -> Result<(), Failure> {
+    for request in control.requests() {
+        match request {
+            Request::Replace(order, client) => fleet.replace(&order, client, linked),
+            Request::Ready(stage, incarnation, client) => {
+                fleet.ready(stage, incarnation, client, watch.ticks());
+            }
+        }
+    }
+    if fleet.is_warm(watch.ticks()) {
+        watch.await_tick(Duration::from_nanos(2 * run.interval_ns))?;
+        if let Some(event) = fleet.hand_over()? {
+            watch.say(&event);
+            event.happened().into_iter().for_each(|what| tap.event(what));
+        }
+    }
+    fleet.passed(|stage| watch.passed(stage));
+    Ok(())
 }
 
 /// Completes the recorder's report, prints it, and writes it to the file of `--report`.
@@ -267,7 +376,7 @@ fn report(
     mut report: Report,
     info: RunInfo,
     supervision: Supervision,
-) -> Result<(), Failure> {
+) -> Result<Report, Failure> {
     report.supervised(supervision);
     let measured = std::mem::take(&mut report.run);
     report.run = RunInfo {
@@ -283,7 +392,7 @@ fn report(
     let width = rustix::termios::tcgetwinsize(std::io::stdout())
         .map_or(REPORT_WIDTH, |size| usize::from(size.ws_col).max(1));
     print!("{}", report.render(width));
-    Ok(())
+    Ok(report)
 }
 
 /// Facts of a run that are known before it begins.
@@ -329,6 +438,23 @@ fn info(
 /// Whether the model card lists the recording's SHA-256 among the training data; `None` without a card.
 fn seen_in_training(weights: &Weights, sha256: &str) -> Option<bool> {
     weights.card().map(|card| card.to_string().contains(sha256))
+}
+
+/// What a recording says about the run.
+fn about(arguments: &Arguments, info: &RunInfo, run: &Run) -> Result<About, Failure> {
+    Ok(About {
+        program: concat!("stgdat ", env!("CARGO_PKG_VERSION")).to_owned(),
+        pipeline: pipeline_file::text(arguments.pipeline.as_deref())?,
+        weights_sha256: info.weights_sha256.clone().unwrap_or_default(),
+        kernels: nn::kernels::active().name().to_owned(),
+        scene: info.recording.clone().unwrap_or_default(),
+        run: run.clone(),
+        ..About::default()
+    })
+}
+
+fn record_topics(list: &str) -> Result<String, String> {
+    record::topics(list).map(|_| list.to_owned())
 }
 
 fn live_options(run: &Run, info: &RunInfo, ticks_len: u64) -> LiveOptions {

@@ -35,3 +35,8 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
     };
     show(&print(&::wire::TABLE))
 }
+
+/// The table as JSON: the layout of all frames.
+pub fn layout() -> String {
+    json::document(&::wire::TABLE)
+}

@@ -12,7 +12,7 @@ mod unroll;
 
 pub use base::BaseDecoder;
 pub use nn::StartError;
-use nn::{ModelConfig, Weights, WeightsError, Workers};
+use nn::{Deadline, DecoderGroup, ModelConfig, Weights, WeightsError, Workers};
 pub use options::{Options, STAGE};
 use wire::{AGENT_TYPES, AGENTS_MAX, AgentControls, AgentEncoding, Header, Rejected};
 
@@ -31,8 +31,21 @@ pub struct DecoderOptions {
 pub struct Decoder {
     config: ModelConfig,
     workers: Workers<Unroller>,
-    /// Forecastable agents by type: (place in the frame, place in the output).
-    order: Vec<(usize, usize)>,
+    /// The agents to be served, those that are decoded together side by side.
+    order: Vec<Turn>,
+    /// By place in the frame, whether the agent's controls are there.
+    is_served: [bool; AGENTS_MAX],
+}
+
+/// An agent to be served.
+#[derive(Clone, Copy)]
+struct Turn {
+    /// Number of the block that it is decoded in.
+    block: usize,
+    /// Its turn.
+    turn: u32,
+    /// Its place in the frame.
+    agent: usize,
 }
 
 impl Decoder {
@@ -43,13 +56,18 @@ impl Decoder {
     pub fn new(weights: &Weights, options: DecoderOptions) -> Result<Self, StartError> {
         let config = weights.config().clone();
         config.check_frames().map_err(WeightsError::from)?;
-        Ok(Self { config, workers: Unroller::pool(weights, options)?, order: Vec::with_capacity(AGENTS_MAX) })
+        Ok(Self {
+            config,
+            workers: Unroller::pool(weights, options)?,
+            order: Vec::with_capacity(AGENTS_MAX),
+            is_served: [false; AGENTS_MAX],
+        })
     }
 
-    /// Agents of a frame that are forecast.
+    /// Agents of a frame that are to be forecast.
     #[must_use]
     pub fn len(encodings: &[AgentEncoding]) -> usize {
-        encodings.iter().filter(|agent| agent.forecastable != 0).count()
+        encodings.iter().filter(|agent| is_wanted(agent)).count()
     }
 
     /// Decodes the forecastable agents of a frame into `out`, in their order.
@@ -63,43 +81,102 @@ impl Decoder {
         encodings: &[AgentEncoding],
         out: &mut [AgentControls],
     ) -> Result<(), Rejected> {
-        self.check(header, encodings, out.len())?;
-        self.order.clear();
-        for of_type in AGENT_TYPES {
-            let forecastable = encodings.iter().enumerate().filter(|(_, agent)| agent.forecastable != 0);
-            let numbered =
-                forecastable.enumerate().map(|(place, (agent, encoding))| (agent, place, encoding));
-            let of_type = numbered.filter(|(.., encoding)| encoding.agent_type == of_type as u32);
-            self.order.extend(of_type.map(|(agent, place, _)| (agent, place)));
+        let (found, expected) = (out.len(), Self::len(encodings));
+        if found != expected {
+            return Err(Rejected::Length { found, expected });
         }
-        let blocks_len =
-            self.workers.input().take(header.seq, self.order.iter().map(|&(agent, _)| &encodings[agent]));
+        self.serve(header, encodings, None)?;
+        self.write(out);
+        Ok(())
+    }
+
+    /// Decodes the forecastable agents of a frame in the order of their turns until the deadline, and returns for
+    /// how many there was time; [`Decoder::write`] writes them. Blocks of a few agents of a type are decoded
+    /// together, the first in any case; in which block an agent is, and who else is served, changes no bit.
+    ///
+    /// # Errors
+    /// [`Rejected`] where the frame does not fit the model or holds impossible numbers.
+    pub fn serve(
+        &mut self,
+        header: &Header,
+        encodings: &[AgentEncoding],
+        deadline: Option<Deadline>,
+    ) -> Result<usize, Rejected> {
+        self.check(header, encodings)?;
+        self.is_served.fill(false);
+        self.assign(encodings, deadline.is_some());
+        let in_order = self.order.iter().map(|turn| (turn.block, &encodings[turn.agent]));
+        let blocks_len = self.workers.input().take(header.seq, in_order, deadline.is_none());
         self.workers.each(Unroller::clear);
-        self.workers.run(blocks_len);
-        let mut verdict = Ok(());
+        self.workers.run_until(blocks_len, deadline);
+        let (mut verdict, mut served_len) = (Ok(()), 0);
         self.workers.each(|job| {
             if verdict.is_ok() {
                 verdict = job.controls().iter().try_for_each(|(_, controls)| controls.check());
             }
+            served_len += job.controls().len();
+            job.controls().iter().for_each(|(place, _)| self.is_served[self.order[*place].agent] = true);
         });
-        verdict?;
-        self.workers.each(|job| {
-            for (ordered, controls) in job.controls() {
-                out[self.order[*ordered].1] = *controls;
-            }
-        });
-        Ok(())
+        if verdict.is_err() {
+            self.is_served.fill(false);
+        }
+        verdict.map(|()| served_len)
     }
 
-    fn check(&self, header: &Header, encodings: &[AgentEncoding], out_len: usize) -> Result<(), Rejected> {
+    /// Whether the agent at a place of the last frame was served.
+    #[must_use]
+    pub fn is_served(&self, agent: usize) -> bool {
+        self.is_served[agent]
+    }
+
+    /// Writes the controls of the agents that [`Decoder::serve`] served, in the order of the frame.
+    ///
+    /// # Panics
+    /// Where `out` has not a place for each of them.
+    pub fn write(&mut self, out: &mut [AgentControls]) {
+        let mut places = [0; AGENTS_MAX];
+        let served = self.is_served.iter().enumerate().filter(|(_, served)| **served);
+        for (place, (agent, _)) in served.enumerate() {
+            places[agent] = place;
+        }
+        self.workers.each(|job| {
+            for (place, controls) in job.controls() {
+                out[places[self.order[*place].agent]] = *controls;
+            }
+        });
+    }
+
+    /// Puts the agents to be served into blocks of one type: type by type or, `by_turn`, in the order of their
+    /// turns, each into the open block of its type; a block has the place of its first agent.
+    fn assign(&mut self, encodings: &[AgentEncoding], by_turn: bool) {
+        self.order.clear();
+        let wanted = encodings.iter().enumerate().filter(|(_, agent)| is_wanted(agent));
+        self.order.extend(wanted.map(|(agent, encoding)| Turn { block: 0, turn: encoding.turn, agent }));
+        let type_of = |turn: &Turn| encodings[turn.agent].agent_type as usize;
+        if by_turn {
+            self.order.sort_unstable_by_key(|turn| (turn.turn, turn.agent));
+        } else {
+            self.order.sort_unstable_by_key(|turn| (type_of(turn), turn.agent));
+        }
+        // By type: the open block and how many agents it has.
+        let (mut open, mut blocks_len) = ([(0, DecoderGroup::LEN); AGENT_TYPES.len()], 0);
+        for turn in &mut self.order {
+            let (block, len) = &mut open[type_of(turn)];
+            if *len == DecoderGroup::LEN {
+                (*block, *len) = (blocks_len, 0);
+                blocks_len += 1;
+            }
+            *len += 1;
+            turn.block = *block;
+        }
+        self.order.sort_unstable_by_key(|turn| (turn.block, turn.turn, turn.agent));
+    }
+
+    fn check(&self, header: &Header, encodings: &[AgentEncoding]) -> Result<(), Rejected> {
         header.check()?;
         if encodings.len() > AGENTS_MAX {
             let (found, most) = (encodings.len() as u64, AGENTS_MAX as u64);
             return Err(Rejected::TooMany { field: "agents_len", found, most });
-        }
-        let expected = Self::len(encodings);
-        if out_len != expected {
-            return Err(Rejected::Length { found: out_len, expected });
         }
         let history_len = self.config.history_len;
         for agent in encodings {
@@ -110,4 +187,9 @@ impl Decoder {
         }
         Ok(())
     }
+}
+
+/// Whether an agent is to be forecast.
+const fn is_wanted(agent: &AgentEncoding) -> bool {
+    agent.forecastable != 0 && agent.shed == 0
 }

@@ -1,9 +1,9 @@
 //! The decoder as a process: `encodings` in, `controls` out.
 
-use nn::{ModelConfig, Weights, kernels};
-use ports::{Stage, StageError};
+use nn::{Deadline, ModelConfig, Weights, kernels};
+use ports::{Stage, StageError, monotonic_ns};
 use run::{OptionError, Run};
-use wire::{ControlsTopic, EncodingsTopic};
+use wire::{ControlsTopic, EncodingsTopic, StageId, flags};
 
 use crate::{Decoder, DecoderOptions, STAGE};
 
@@ -17,6 +17,7 @@ pub fn run(run: &Run) -> Result<(), StageError> {
     let weights = Weights::of_model(run.weights.as_deref(), &model).map_err(StageError::data)?;
     let mut decoder = Decoder::new(&weights, settings(run)?).map_err(StageError::data)?;
     drop(weights);
+    let deadline_ns = run.deadline_ns(StageId::Decoder);
 
     let mut stage = Stage::open(run, &STAGE)?;
     let encodings = stage.subscribe::<EncodingsTopic>()?;
@@ -24,14 +25,27 @@ pub fn run(run: &Run) -> Result<(), StageError> {
 
     while let Some(input) = stage.next(&encodings, &output)? {
         let mut passage = stage.begin(&input);
-        let forecast_len = Decoder::len(&input);
-        let counts = &mut passage.header.counts;
-        counts.agents_len = forecast_len as u32;
-        counts.horizon_len = model.horizon_len as u32;
-        counts.modes_len = model.modes as u32;
-        let mut loan = output.loan(forecast_len)?;
-        let result = decoder.step(input.header(), &input, &mut loan);
-        stage.finish(passage, &output, result.map(|()| loan))?;
+        let header = input.header();
+        let deadline_ns = deadline_ns.filter(|_| !header.has(flags::LOCKSTEP));
+        let deadline =
+            deadline_ns.map(|ns| Deadline { until_ns: header.released_ns + ns, clock: monotonic_ns });
+        let result = match decoder.serve(header, &input, deadline) {
+            Ok(served_len) => {
+                let counts = &mut passage.header.counts;
+                counts.agents_len = served_len as u32;
+                counts.horizon_len = model.horizon_len as u32;
+                counts.modes_len = model.modes as u32;
+                let forecastable = input.iter().enumerate().filter(|(_, agent)| agent.forecastable != 0);
+                for (place, _) in forecastable.filter(|(place, _)| !decoder.is_served(*place)) {
+                    passage.header.mark_shed(place);
+                }
+                let mut loan = output.loan(served_len)?;
+                decoder.write(&mut loan);
+                Ok(loan)
+            }
+            Err(rejected) => Err(rejected),
+        };
+        stage.finish(passage, &output, result)?;
     }
     Ok(())
 }

@@ -11,12 +11,12 @@ use wire::{
 use crate::draws::Stream;
 use crate::{DecoderOptions, StartError};
 
-/// A frame's agents that are forecast, sorted by type.
+/// A frame's agents that are to be forecast, block by block.
 #[derive(Default)]
 pub(crate) struct Frame {
     seq: u64,
     agents: Vec<AgentEncoding>,
-    /// Places of agents that are decoded together, of one type, the most first.
+    /// Places of agents that are decoded together, of one type.
     blocks: Vec<Range<usize>>,
 }
 
@@ -39,22 +39,29 @@ impl Frame {
         }
     }
 
-    /// Takes over the agents of a frame; returns the number of blocks that they are decoded in.
-    pub(crate) fn take<'a>(&mut self, seq: u64, agents: impl Iterator<Item = &'a AgentEncoding>) -> usize {
+    /// Takes over the agents of a frame, each with the number of its block, in the order of these; returns the
+    /// number of blocks. They are done in their order, or the largest first.
+    pub(crate) fn take<'a>(
+        &mut self,
+        seq: u64,
+        agents: impl Iterator<Item = (usize, &'a AgentEncoding)>,
+        largest_first: bool,
+    ) -> usize {
         let Self { agents: all, blocks, .. } = self;
         self.seq = seq;
         all.clear();
-        all.extend(agents);
         blocks.clear();
-        let mut first = 0;
-        for of_type in all.chunk_by(|a, b| a.agent_type == b.agent_type) {
-            for block in of_type.chunks(DecoderGroup::LEN) {
-                blocks.push(first..first + block.len());
-                first += block.len();
+        for (block, agent) in agents {
+            if block == blocks.len() {
+                blocks.push(all.len()..all.len());
             }
+            all.push(*agent);
+            blocks[block].end = all.len();
         }
-        // The last blocks decide how long one worker waits for another.
-        blocks.sort_unstable_by_key(|block| (std::cmp::Reverse(block.len()), block.start));
+        if largest_first {
+            // The last blocks decide how long one worker waits for another.
+            blocks.sort_unstable_by_key(|block| (std::cmp::Reverse(block.len()), block.start));
+        }
         blocks.len()
     }
 }

@@ -1,11 +1,14 @@
 //! The decoder's determinism and refusals; the golden vectors of the layers hold its numbers.
 #![expect(clippy::unwrap_used, reason = "a test ends at what it can't do")]
 
+use std::sync::atomic::{AtomicU64, Ordering};
+
 use crate::support::frames;
+use bytemuck::Zeroable;
 use decoder::{Decoder, DecoderOptions};
 use frames::{encodings, header, room};
-use nn::Weights;
 use nn::base::{Base, BaseFeatures};
+use nn::{Deadline, Weights};
 use testing::Model;
 use wire::{AgentControls, AgentEncoding, ControlGaussian, Rejected};
 
@@ -41,6 +44,54 @@ fn workers_and_other_agents_change_no_bit() {
     for (i, agent) in encodings.iter().filter(|a| a.forecastable != 0).enumerate() {
         assert_eq!(out[i], decode(1, 5, 9, std::slice::from_ref(agent))[0], "agent {i} alone");
     }
+}
+
+/// A clock that goes on by one with each look.
+fn ticking() -> u64 {
+    static NOW: AtomicU64 = AtomicU64::new(0);
+    NOW.fetch_add(1, Ordering::Relaxed)
+}
+
+#[test]
+fn whoever_is_served_until_the_deadline_has_the_same_bits() {
+    let mut encodings = encodings(90);
+    // Turns from the last agent to the first, and some that an earlier stage had no time for.
+    for (i, agent) in encodings.iter_mut().enumerate() {
+        agent.turn = 90 - i as u32;
+        agent.shed = u32::from(i % 11 == 0);
+    }
+    let whole: Vec<AgentEncoding> =
+        encodings.iter().map(|agent| AgentEncoding { shed: 0, ..*agent }).collect();
+    let expected = decode(1, 5, 9, &whole);
+    let mut decoder = Decoder::new(&Weights::onboard(), DecoderOptions { workers: 1, seed: 5 }).unwrap();
+    let all_len = Decoder::len(&encodings);
+    let mut last_len = 0;
+    for looks in [0, 5, 9, 13, 1_000] {
+        let deadline = Deadline { until_ns: ticking() + looks, clock: ticking };
+        let served_len = decoder.serve(&header(9), &encodings, Some(deadline)).unwrap();
+        assert!(served_len > last_len && served_len <= all_len, "{served_len} of {all_len}");
+        last_len = served_len;
+        let mut out = vec![AgentControls::zeroed(); served_len];
+        decoder.write(&mut out);
+        let served: Vec<u64> =
+            (0..90).filter(|place| decoder.is_served(*place)).map(|place| encodings[place].id).collect();
+        assert!(served.iter().all(|id| (id - 100) % 11 != 0), "{served:?}");
+        assert!(
+            out.iter().map(|controls| controls.id).eq(served.iter().copied()),
+            "in the order of the frame"
+        );
+        for controls in &out {
+            assert_eq!(Some(controls), expected.iter().find(|whole| whole.id == controls.id));
+        }
+        // Nobody of a type is served before another whose turn is earlier.
+        for agent_type in 0..3 {
+            let wanted = encodings.iter().filter(|a| a.forecastable != 0 && a.shed == 0);
+            let mut of_type: Vec<_> = wanted.filter(|a| a.agent_type == agent_type).collect();
+            of_type.sort_by_key(|agent| agent.turn);
+            assert!(of_type.iter().map(|agent| served.contains(&agent.id)).is_sorted_by(|a, b| a >= b));
+        }
+    }
+    assert_eq!(last_len, all_len, "there was time for all");
 }
 
 #[test]

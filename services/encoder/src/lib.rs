@@ -7,7 +7,7 @@ mod steps;
 use std::sync::Arc;
 
 pub use nn::StartError;
-use nn::{Gdat, GdatMemory, ModelConfig, Weights, WeightsError, Workers};
+use nn::{AgentSet, Gdat, GdatMemory, ModelConfig, Weights, WeightsError, Workers};
 use wire::{
     AGENTS_MAX, AgentEncoding, AgentFeatures, Features, Header, NODE_ATTRIBUTES, Rejected, TEMPORAL, finite,
 };
@@ -31,6 +31,8 @@ pub struct Encoder {
     /// Node attributes after all rounds, \[step, agent\].
     attended: Vec<[f32; NODE_ATTRIBUTES]>,
     summaries: Vec<[f32; TEMPORAL]>,
+    /// Scratch: (turn, place) of the agents that can be served.
+    turns: Vec<(u32, usize)>,
 }
 
 impl Encoder {
@@ -48,6 +50,7 @@ impl Encoder {
             memory: GdatMemory::default(),
             attended: Vec::with_capacity(AGENTS_MAX * config.history_len),
             summaries: Vec::with_capacity(AGENTS_MAX),
+            turns: Vec::with_capacity(AGENTS_MAX),
             config,
         })
     }
@@ -63,12 +66,32 @@ impl Encoder {
         features: &Features<'_>,
         out: &mut [AgentEncoding],
     ) -> Result<(), Rejected> {
+        self.step_most(header, features, usize::MAX, out).map(|_| ())
+    }
+
+    /// The same, but serves `served_max` agents at most, those whose turn comes first; the others are marked as
+    /// shed, and the summaries of the served are the same to the bit. Returns how many were served.
+    ///
+    /// # Errors
+    /// As [`Encoder::step`].
+    pub fn step_most(
+        &mut self,
+        header: &Header,
+        features: &Features<'_>,
+        served_max: usize,
+        out: &mut [AgentEncoding],
+    ) -> Result<usize, Rejected> {
         self.check(header, features, out.len())?;
         let agents = features.agents;
-        self.attend(features);
+        let wanted = self.choose(agents, served_max);
+        self.attend(features, wanted);
         finite("temporal summary", self.summaries.as_flattened())?;
-        for ((out, agent), temporal) in out.iter_mut().zip(agents).zip(&self.summaries) {
+        for (place, ((out, agent), temporal)) in out.iter_mut().zip(agents).zip(&self.summaries).enumerate() {
+            let is_wanted = wanted.is_none_or(|wanted| wanted[place]);
+            let temporal = if is_wanted { temporal } else { &[0.0; TEMPORAL] };
             *out = AgentEncoding {
+                turn: agent.turn,
+                shed: u32::from(agent.forecastable != 0 && !is_wanted),
                 id: agent.id,
                 agent_type: agent.agent_type,
                 forecastable: agent.forecastable,
@@ -79,14 +102,31 @@ impl Encoder {
                 ..AgentEncoding::default()
             };
         }
-        Ok(())
+        Ok(self.turns.len())
     }
 
-    /// The summaries of a frame's agents.
-    fn attend(&mut self, features: &Features<'_>) {
+    /// The agents to serve, at most `served_max`, in the order of their turns; none where that is all.
+    fn choose(&mut self, agents: &[AgentFeatures], served_max: usize) -> Option<AgentSet> {
+        let forecastable = agents.iter().enumerate().filter(|(_, agent)| agent.forecastable != 0);
+        let forecastable_len = forecastable.clone().count();
+        self.turns.clear();
+        let served = forecastable.filter(|(_, agent)| agent.shed == 0);
+        self.turns.extend(served.map(|(place, agent)| (agent.turn, place)));
+        self.turns.sort_unstable();
+        self.turns.truncate(served_max);
+        if self.turns.len() == forecastable_len {
+            return None;
+        }
+        let mut wanted = [false; AGENTS_MAX];
+        self.turns.iter().for_each(|&(_, place)| wanted[place] = true);
+        Some(wanted)
+    }
+
+    /// The summaries of a frame's agents, or of those that are wanted.
+    fn attend(&mut self, features: &Features<'_>, wanted: Option<AgentSet>) {
         let agents_len = features.agents.len();
         let mut frame = std::mem::take(&mut *self.workers.input());
-        frame.take(features, self.config.history_len);
+        frame.take(features, self.config.history_len, wanted);
         self.workers.each(|job| job.begin(&frame));
         let blocks_len = frame.blocks_len();
         *self.workers.input() = frame;

@@ -1,9 +1,10 @@
 //! The encoder as a process: `features` in, `encodings` out.
 
 use nn::{ModelConfig, Weights, kernels};
-use ports::{Stage, StageError};
+use ports::{Stage, StageError, monotonic_ns};
 use run::{OptionError, Run};
-use wire::{EncodingsTopic, FeatureShape, Features, FeaturesTopic};
+use shedding::Capacity;
+use wire::{EncodingsTopic, FeatureShape, Features, FeaturesTopic, StageId, flags};
 
 use crate::{Encoder, EncoderOptions, STAGE};
 
@@ -17,6 +18,8 @@ pub fn run(run: &Run) -> Result<(), StageError> {
     let weights = Weights::of_model(run.weights.as_deref(), &model).map_err(StageError::data)?;
     let mut encoder = Encoder::new(&weights, settings(run)?).map_err(StageError::data)?;
     drop(weights);
+    let deadline_ns = run.deadline_ns(StageId::Encoder);
+    let mut capacity = Capacity::default();
 
     let mut stage = Stage::open(run, &STAGE)?;
     let features = stage.subscribe::<FeaturesTopic>()?;
@@ -24,11 +27,18 @@ pub fn run(run: &Run) -> Result<(), StageError> {
 
     while let Some(input) = stage.next(&features, &output)? {
         let passage = stage.begin(&input);
-        let counts = &input.header().counts;
+        let (header, begin_ns) = (input.header(), monotonic_ns());
+        let until_ns = deadline_ns.filter(|_| !header.has(flags::LOCKSTEP)).map(|ns| header.released_ns + ns);
+        let served_max =
+            until_ns.map_or(usize::MAX, |until_ns| capacity.fit(until_ns.saturating_sub(begin_ns)));
+        let counts = &header.counts;
         let mut loan = output.loan(counts.agents_len as usize)?;
         let result = Features::read(&input, FeatureShape::of(counts), counts.history_len as usize)
-            .and_then(|features| encoder.step(input.header(), &features, &mut loan));
-        stage.finish(passage, &output, result.map(|()| loan))?;
+            .and_then(|features| encoder.step_most(header, &features, served_max, &mut loan));
+        if let Ok(served_len) = result {
+            capacity.took(monotonic_ns() - begin_ns, served_len);
+        }
+        stage.finish(passage, &output, result.map(|_| loan))?;
     }
     Ok(())
 }

@@ -3,13 +3,15 @@
 use std::ops::Range;
 use std::sync::Arc;
 
-use nn::{Gdat, GdatMemory, Graph, Job, StartError, Weights, Workers};
+use nn::{AgentSet, Gdat, GdatMemory, Graph, Job, StartError, Weights, Workers};
 use wire::{AGENTS_MAX, EDGE_ATTRIBUTES, Edge, Features, NODE_ATTRIBUTES};
 
 /// A frame's graph, step by step.
 #[derive(Default)]
 pub(crate) struct Steps {
     agents_len: usize,
+    /// The agents whose nodes are wanted; none where all are.
+    wanted: Option<AgentSet>,
     /// \[step, agent\].
     present: Vec<bool>,
     nodes: Vec<[f32; NODE_ATTRIBUTES]>,
@@ -41,8 +43,9 @@ impl Steps {
     }
 
     /// Takes over a frame whose edges are sorted by step.
-    pub(crate) fn take(&mut self, features: &Features<'_>, history_len: usize) {
+    pub(crate) fn take(&mut self, features: &Features<'_>, history_len: usize, wanted: Option<AgentSet>) {
         let agents = features.agents;
+        self.wanted = wanted;
         self.agents_len = agents.len();
         self.present.clear();
         self.nodes.clear();
@@ -120,7 +123,10 @@ impl Job for Attender {
             edges: &frame.edges[edges.clone()],
             attributes: &frame.attributes[edges],
         };
-        self.nodes.extend_from_slice(self.gdat.attend(&graph, &mut self.memory));
+        self.nodes.extend_from_slice(match &frame.wanted {
+            None => self.gdat.attend(&graph, &mut self.memory),
+            Some(wanted) => self.gdat.attend_wanted(&graph, wanted, &mut self.memory),
+        });
         self.steps.push(step);
     }
 }

@@ -54,6 +54,70 @@ fn the_order_of_the_agents_changes_rounding_alone() {
     }
 }
 
+/// Agents in a row that see their neighbours alone, of whom every fourth has been shed before.
+fn row(len: usize) -> Frame {
+    let mut frame = Frame::new(len);
+    let near = |edge: &Edge| edge.receiver.abs_diff(edge.sender) <= 1;
+    let kept: Vec<bool> = frame.edges.iter().map(near).collect();
+    let mut keep = kept.iter();
+    frame.attributes.retain(|_| *keep.next().unwrap_or(&false));
+    frame.edges.retain(near);
+    for (i, agent) in frame.agents.iter_mut().enumerate() {
+        (agent.forecastable, agent.turn) = (1, (len - i) as u32);
+    }
+    frame
+}
+
+#[test]
+fn whoever_is_served_has_the_same_bits() {
+    let whole = row(30);
+    let mut partial = row(30);
+    partial.agents.iter_mut().step_by(4).for_each(|agent| agent.shed = 1);
+    for workers in [1, 3] {
+        let mut encoder = Encoder::new(&Weights::onboard(), EncoderOptions { workers }).unwrap();
+        let mut expected = whole.out();
+        assert_eq!(encoder.step_most(&whole.header, &whole.features(), 99, &mut expected), Ok(30));
+        assert!(expected.iter().all(|agent| agent.shed == 0));
+        for served_max in [0, 1, 5, 21, 22, 99] {
+            let mut out = partial.out();
+            let served_len =
+                encoder.step_most(&partial.header, &partial.features(), served_max, &mut out).unwrap();
+            assert_eq!(served_len, served_max.min(22));
+            let served = out.iter().zip(&expected).filter(|(own, _)| own.shed == 0);
+            assert!(served.clone().all(|(own, whole)| own == whole), "at most {served_max}");
+            // Turns go from the last to the first.
+            let turns: Vec<u64> = served.map(|(own, _)| own.id).collect();
+            let wanted = (0..30).rev().filter(|id| id % 4 != 0).take(served_len);
+            assert!(wanted.eq(turns.into_iter().rev()), "at most {served_max}");
+        }
+    }
+}
+
+/// What the extractor leaves out: nodes and edges on which no served agent depends in any round.
+#[test]
+fn nobody_served_depends_on_what_may_be_left_out() {
+    let whole = row(12);
+    let mut partial = row(12);
+    partial.agents.iter_mut().for_each(|agent| agent.shed = u32::from(agent.id != 3));
+    // Two rounds: receivers from 2 to 4, senders from 1 to 5.
+    let needed = |edge: &Edge| (2..=4).contains(&edge.receiver);
+    let kept: Vec<bool> = partial.edges.iter().map(needed).collect();
+    let mut keep = kept.iter();
+    partial.attributes.retain(|_| *keep.next().unwrap_or(&false));
+    partial.edges.retain(needed);
+    partial
+        .agents
+        .iter_mut()
+        .filter(|agent| !(1..=5).contains(&agent.id))
+        .for_each(|a| a.node = [[0.0; 64]; 8]);
+    let mut encoder = Encoder::new(&Weights::onboard(), ONE).unwrap();
+    let (mut expected, mut out) = (whole.out(), partial.out());
+    encoder.step(&whole.header, &whole.features(), &mut expected).unwrap();
+    encoder.step(&partial.header, &partial.features(), &mut out).unwrap();
+    assert_eq!(out[3], expected[3]);
+    assert_ne!(out[3].temporal, [0.0; 64]);
+}
+
 #[test]
 fn a_bad_frame_is_refused_and_leaves_the_output() {
     let mut encoder = Encoder::new(&Weights::onboard(), ONE).unwrap();

@@ -76,17 +76,17 @@ impl StampCache {
         Some(Kept { stamp, rows: &self.rows })
     }
 
-    /// Stores the embeddings of a step of the current frame in place of the entries of its stamp.
+    /// Stores the embeddings of a step of the current frame, of the agents that have been computed, in place of the
+    /// entries of its stamp.
     pub(crate) fn keep(
         &mut self,
         stamp_ns: i64,
         step: usize,
-        agents: &[AgentFeatures],
-        edges: &[Edge],
-        relations: &[[f32; EDGE_ATTRIBUTES]],
+        (agents, is_computed): (&[AgentFeatures], impl Fn(usize) -> bool),
+        (edges, relations): (&[Edge], &[[f32; EDGE_ATTRIBUTES]]),
     ) {
         self.order.clear();
-        self.order.extend((0..agents.len()).filter(|&i| agents[i].present >> step & 1 == 1));
+        self.order.extend((0..agents.len()).filter(|&i| is_computed(i)));
         self.order.sort_unstable_by_key(|&i| agents[i].id);
         self.rows.clear();
         self.rows.resize(agents.len(), None);

@@ -12,10 +12,11 @@
 mod cache;
 mod embed;
 mod options;
+mod queue;
 pub mod stage;
 
 pub use nn::StartError;
-use nn::{ModelConfig, Weights, WeightsError, Workers};
+use nn::{AgentSet, ModelConfig, Weights, WeightsError, Workers, with_senders};
 pub use options::{Options, STAGE};
 use scene::{AgentFrame, EdgeRule, FeatureScales, NEIGHBOURS_MAX, State, Vertex};
 use wire::{
@@ -26,6 +27,7 @@ use wire::{
 
 use cache::StampCache;
 use embed::{Embedder, Embedding, Wanted};
+use queue::Queue;
 
 /// Settings of an [`Extractor`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -52,6 +54,7 @@ pub struct Extractor {
     scales: FeatureScales,
     embedders: Workers<Embedder>,
     cache: StampCache,
+    queue: Queue,
     last: Option<(u64, i64)>,
     frame: Frame,
     effort: Effort,
@@ -66,6 +69,8 @@ struct Frame {
     /// States, \[agent, step\].
     states: Vec<[Option<State>; HISTORY_MAX]>,
     vertices: Vec<Option<Vertex>>,
+    /// The agents that count at each step; empty where all do.
+    needed: Vec<AgentSet>,
     wanted: Wanted,
 }
 
@@ -78,6 +83,7 @@ impl Frame {
             attributes: Vec::with_capacity(EDGES_MAX),
             states: Vec::with_capacity(AGENTS_MAX),
             vertices: Vec::with_capacity(AGENTS_MAX),
+            needed: Vec::with_capacity(HISTORY_MAX),
             wanted: Wanted::default(),
         }
     }
@@ -107,6 +113,7 @@ impl Extractor {
             scales: FeatureScales { position: config.position_scale, velocity: config.velocity_scale },
             embedders: Embedder::pool(weights, options.workers.max(1))?,
             cache: StampCache::default(),
+            queue: Queue::new(),
             last: None,
             frame: Frame::with_room(),
             effort: Effort::default(),
@@ -127,6 +134,21 @@ impl Extractor {
     /// [`Rejected`] where the frame is not newer than the last, does not fit the model or holds impossible
     /// numbers. Nothing is computed or cached then.
     pub fn prepare(&mut self, header: &Header, context: &Context<'_>) -> Result<FeatureShape, Rejected> {
+        self.prepare_most(header, context, None)
+    }
+
+    /// The same but, where there is a limit, gives all agents that can be forecast their turns and serves
+    /// `served_max` of them: the others are marked as shed. Nodes and edges that none of the served depends on
+    /// are left out; all that they depend on is the same to the bit.
+    ///
+    /// # Errors
+    /// As [`Extractor::prepare`].
+    pub fn prepare_most(
+        &mut self,
+        header: &Header,
+        context: &Context<'_>,
+        served_max: Option<usize>,
+    ) -> Result<FeatureShape, Rejected> {
         if !header.is_tick() {
             header.check()?;
             self.frame.clear();
@@ -138,7 +160,11 @@ impl Extractor {
         }
         self.last = Some((header.run_id, header.stamp_ns));
         self.place_agents(context);
+        if let Some(served_max) = served_max {
+            self.queue.choose(header, context.tracks, served_max, &mut self.frame.agents);
+        }
         self.find_edges();
+        self.leave_out();
         self.embed(header, context);
         Ok(FeatureShape { agents_len: self.frame.agents.len(), edges_len: self.frame.edges.len() })
     }
@@ -211,6 +237,30 @@ impl Extractor {
         }
     }
 
+    /// Leaves out the edges that no served agent depends on, and finds the nodes that they depend on.
+    fn leave_out(&mut self) {
+        let Frame { agents, edges, needed, .. } = &mut self.frame;
+        needed.clear();
+        if agents.iter().all(|agent| agent.shed == 0) {
+            return;
+        }
+        let mut served = [false; AGENTS_MAX];
+        for (served, agent) in served.iter_mut().zip(agents.iter()) {
+            *served = agent.forecastable != 0 && agent.shed == 0;
+        }
+        // A round of attention looks at the senders of its receivers: the first needs the most of them.
+        let receivers = |step: usize| {
+            let of_step = &edges[span(edges, step)];
+            (1..self.config.rounds).fold(served, |receivers, _| with_senders(&receivers, of_step))
+        };
+        let mut received = [[false; AGENTS_MAX]; HISTORY_MAX];
+        for (step, received) in received[..self.config.history_len].iter_mut().enumerate() {
+            *received = receivers(step);
+            needed.push(with_senders(received, &edges[span(edges, step)]));
+        }
+        edges.retain(|edge| received[usize::from(edge.step)][usize::from(edge.receiver)]);
+    }
+
     fn append_edges(&mut self, rule: EdgeRule) {
         let Frame { agents, edges, states, vertices, .. } = &mut self.frame;
         edges.clear();
@@ -227,14 +277,16 @@ impl Extractor {
     /// State embeddings of all present nodes; context and relation embeddings of all steps, from the cache, or
     /// computed and then cached.
     fn embed(&mut self, header: &Header, context: &Context<'_>) {
-        let Frame { agents, edges, attributes, states, wanted, .. } = &mut self.frame;
+        let Frame { agents, edges, attributes, states, needed, wanted, .. } = &mut self.frame;
+        let is_needed = |agent: usize, step: usize| needed.get(step).is_none_or(|needed| needed[agent]);
         let history_len = self.config.history_len;
         attributes.clear();
         attributes.resize(edges.len(), [0.0; EDGE_ATTRIBUTES]);
         wanted.clear();
         for of_type in AGENT_TYPES {
             for (i, agent) in agents.iter().enumerate().filter(|(_, agent)| agent_type(agent) == of_type) {
-                let steps = (0..history_len).filter(|step| agent.present >> step & 1 == 1);
+                let present = (0..history_len).filter(|step| agent.present >> step & 1 == 1);
+                let steps = present.filter(|step| is_needed(i, *step));
                 steps.for_each(|step| wanted.state(i, step, of_type));
             }
         }
@@ -245,7 +297,8 @@ impl Extractor {
         for step in 0..history_len {
             let kept = self.cache.at(stamp_ns(step), agents);
             if self.config.context {
-                for (i, agent) in agents.iter_mut().enumerate().filter(|(_, a)| a.present >> step & 1 == 1) {
+                let present = agents.iter_mut().enumerate().filter(|(_, a)| a.present >> step & 1 == 1);
+                for (i, agent) in present.filter(|(i, _)| is_needed(*i, step)) {
                     match kept.as_ref().and_then(|kept| kept.context(i)) {
                         Some(context) => *context_of(&mut agent.node[step]) = *context,
                         None => wanted.patch(i, step),
@@ -278,7 +331,9 @@ impl Extractor {
         });
         for step in wanted.steps() {
             let of_step = span(edges, step);
-            self.cache.keep(stamp_ns(step), step, agents, &edges[of_step.clone()], &attributes[of_step]);
+            let of_step = (&edges[of_step.clone()], &attributes[of_step]);
+            let is_computed = |agent: usize| agents[agent].present >> step & 1 == 1 && is_needed(agent, step);
+            self.cache.keep(stamp_ns(step), step, (agents, is_computed), of_step);
         }
         self.effort.patches_len = wanted.patches_len();
         self.effort.relations_len = wanted.relations_len();

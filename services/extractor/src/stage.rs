@@ -1,9 +1,10 @@
 //! The extractor as a process: `context` in, `features` out.
 
 use nn::{ModelConfig, Weights, kernels};
-use ports::{Stage, StageError};
+use ports::{Stage, StageError, monotonic_ns};
 use run::{OptionError, Run};
-use wire::{Context, ContextShape, ContextTopic, FeaturesMut, FeaturesTopic, feature_rows};
+use shedding::Capacity;
+use wire::{Context, ContextShape, ContextTopic, FeaturesMut, FeaturesTopic, StageId, feature_rows, flags};
 
 use crate::{Extractor, ExtractorOptions, STAGE};
 
@@ -17,6 +18,10 @@ pub fn run(run: &Run) -> Result<(), StageError> {
     let weights = Weights::of_model(run.weights.as_deref(), &model).map_err(StageError::data)?;
     let mut extractor = Extractor::new(&weights, settings(run)?).map_err(StageError::data)?;
     drop(weights);
+    // The choice is made here for the stages up to the decoder, which has to be done by then.
+    let deadline_ns =
+        run.deadline_ns(StageId::Decoder).filter(|_| run.deadline_ns(StageId::Extractor).is_some());
+    let mut capacity = Capacity::default();
 
     let mut stage = Stage::open(run, &STAGE)?;
     let context = stage.subscribe::<ContextTopic>()?;
@@ -24,8 +29,14 @@ pub fn run(run: &Run) -> Result<(), StageError> {
 
     while let Some(input) = stage.next(&context, &output)? {
         let mut passage = stage.begin(&input);
-        let prepared = Context::read(&input, ContextShape::of(&input.header().counts))
-            .and_then(|context| extractor.prepare(input.header(), &context));
+        let (header, begin_ns) = (input.header(), monotonic_ns());
+        let until_ns = deadline_ns.filter(|_| !header.has(flags::LOCKSTEP)).map(|ns| header.released_ns + ns);
+        let served_max = until_ns.map(|until_ns| {
+            capacity.took(header.chain_ns, header.chain_len as usize);
+            capacity.fit(until_ns.saturating_sub(begin_ns))
+        });
+        let prepared = Context::read(&input, ContextShape::of(&header.counts))
+            .and_then(|context| extractor.prepare_most(header, &context, served_max));
         let result = match prepared {
             Ok(shape) => {
                 passage.header.counts.edges_len = shape.edges_len as u32;
@@ -36,6 +47,7 @@ pub fn run(run: &Run) -> Result<(), StageError> {
             }
             Err(rejected) => Err(rejected),
         };
+        capacity.took_fixed(monotonic_ns() - begin_ns);
         stage.finish(passage, &output, result)?;
     }
     Ok(())

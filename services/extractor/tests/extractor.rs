@@ -43,6 +43,54 @@ fn the_number_of_workers_changes_no_bit() {
     }
 }
 
+/// Moves the second half of the agents out of sight of the first.
+fn part(context: &mut wire::ContextMut<'_>) {
+    let half = context.tracks.len() / 2;
+    for track in &mut context.tracks[half..] {
+        track.x_m += 300.0;
+        track.history.iter_mut().for_each(|state| state.x_m += 300.0);
+    }
+}
+
+#[test]
+fn what_the_served_depend_on_has_the_same_bits_and_nothing_else_is_computed() {
+    let (mut whole, mut partial) = (Scene::new(24, 1), Scene::new(24, 2));
+    for tick in 0..30 {
+        let header = whole.header(tick);
+        whole.localise(&header, part);
+        partial.localise(&header, part);
+        let expected = copy(&whole.extract(&header).unwrap());
+        // Every few ticks there is time for all: what was left out before is computed then.
+        if tick % 7 == 6 {
+            assert_eq!(copy(&partial.extract(&header).unwrap()), expected, "tick {tick}");
+            continue;
+        }
+        let (agents, edges, attributes) = copy(&partial.extract_most(&header, 5).unwrap());
+        let served: Vec<usize> = (0..24).filter(|&i| agents[i].shed == 0).collect();
+        assert_eq!(served.len(), 5, "tick {tick}");
+        assert!(
+            agents
+                .iter()
+                .all(|agent| (1..=24).contains(&agent.turn) && (agent.turn <= 5) == (agent.shed == 0))
+        );
+        for (edge, attribute) in edges.iter().zip(&attributes) {
+            let place = expected.1.iter().position(|other| other == edge).unwrap();
+            assert_eq!(attribute, &expected.2[place]);
+            let ends = [edge.receiver, edge.sender].map(usize::from);
+            let step = usize::from(edge.step);
+            assert!(ends.into_iter().all(|end| agents[end].node[step] == expected.0[end].node[step]));
+        }
+        let is_served = |edge: &&Edge| served.contains(&usize::from(edge.receiver));
+        assert!(
+            edges.iter().filter(is_served).eq(expected.1.iter().filter(is_served)),
+            "all that they receive"
+        );
+        if served.iter().all(|&i| i < 12) {
+            assert!(agents[12..].iter().all(|agent| agent.node == [[0.0; 64]; 8]), "out of sight");
+        }
+    }
+}
+
 #[test]
 fn absent_steps_have_neither_edges_nor_attributes() {
     let mut scene = Scene::new(6, 1);

@@ -14,13 +14,14 @@ pub(crate) struct Distribution {
     histogram: Histogram<u32>,
     least_ns: u64,
     most_ns: u64,
+    sum_ns: u64,
 }
 
 impl Default for Distribution {
     fn default() -> Self {
         let histogram = Histogram::new_with_bounds(1, LONGEST_NS, 3)
             .expect("the bounds are constants that hdrhistogram takes");
-        Self { histogram, least_ns: u64::MAX, most_ns: 0 }
+        Self { histogram, least_ns: u64::MAX, most_ns: 0, sum_ns: 0 }
     }
 }
 
@@ -30,13 +31,16 @@ pub(crate) struct Kept {
     values: Vec<(u64, u32)>,
     least_ns: u64,
     most_ns: u64,
+    #[serde(default)]
+    sum_ns: u64,
 }
 
 impl From<&Distribution> for Kept {
     fn from(distribution: &Distribution) -> Self {
         let recorded = distribution.histogram.iter_recorded();
         let values = recorded.map(|step| (step.value_iterated_to(), step.count_at_value())).collect();
-        Self { values, least_ns: distribution.least_ns, most_ns: distribution.most_ns }
+        let Distribution { least_ns, most_ns, sum_ns, .. } = *distribution;
+        Self { values, least_ns, most_ns, sum_ns }
     }
 }
 
@@ -47,8 +51,8 @@ impl From<Kept> for Distribution {
             // Only values beyond the bounds are refused, and none was recorded.
             let _ = distribution.histogram.record_n(value.min(LONGEST_NS), count);
         }
-        (distribution.least_ns, distribution.most_ns) = (kept.least_ns, kept.most_ns);
-        distribution
+        let Kept { least_ns, most_ns, sum_ns, .. } = kept;
+        Self { least_ns, most_ns, sum_ns, ..distribution }
     }
 }
 
@@ -57,6 +61,32 @@ impl Distribution {
         self.histogram.saturating_record(time_ns);
         self.least_ns = self.least_ns.min(time_ns);
         self.most_ns = self.most_ns.max(time_ns);
+        self.sum_ns = self.sum_ns.saturating_add(time_ns);
+    }
+
+    /// Median; 0 where nothing was recorded.
+    pub fn median_ns(&self) -> u64 {
+        self.histogram.value_at_quantile(0.5).min(self.most_ns)
+    }
+
+    /// Sum of all times.
+    pub const fn sum_ns(&self) -> u64 {
+        self.sum_ns
+    }
+
+    /// How many times are at most each of `bounds_ns`, which increase, to the histogram's three digits.
+    pub fn counts_up_to<const N: usize>(&self, bounds_ns: &[u64; N]) -> [u64; N] {
+        let mut counts = [0; N];
+        for step in self.histogram.iter_recorded() {
+            let place = bounds_ns.partition_point(|&bound_ns| bound_ns < step.value_iterated_to());
+            if let Some(count) = counts.get_mut(place) {
+                *count += u64::from(step.count_at_value());
+            }
+        }
+        for place in 1..N {
+            counts[place] += counts[place - 1];
+        }
+        counts
     }
 
     /// Times recorded.
@@ -117,6 +147,16 @@ mod tests {
             let found_ms = found.expect("10,000 values give all percentiles");
             assert!((found_ms / expected_ms - 1.0).abs() < 1e-3, "{found_ms} ms, expected {expected_ms} ms");
         }
+    }
+
+    #[test]
+    fn counts_up_to_bounds_add_up() {
+        let mut distribution = Distribution::default();
+        [1_000, 2_000_000, 2_000_000, 90_000_000].into_iter().for_each(|t| distribution.record(t));
+        assert_eq!(distribution.counts_up_to(&[1_000_000, 10_000_000, 80_000_000]), [1, 3, 3]);
+        assert_eq!(distribution.sum_ns(), 94_001_000);
+        let kept = Distribution::from(Kept::from(&distribution));
+        assert_eq!((kept.sum_ns(), kept.len(), kept.median_ns()), (94_001_000, 4, distribution.median_ns()));
     }
 
     #[test]

@@ -11,6 +11,7 @@
 
 pub mod accuracy;
 mod distribution;
+pub mod exposition;
 mod forecast_lines;
 pub mod live;
 mod losses;
@@ -21,13 +22,17 @@ mod refusals;
 mod render;
 pub mod report;
 pub mod stage;
-mod text;
+pub mod status;
+pub mod text;
+pub mod trace;
 mod whole_file;
+mod worst;
 
 pub use forecast_lines::{FORECASTS_VERSION, ForecastWriter};
 pub use options::{Options, STAGE};
 pub use record::{Checkpoint, Recorder, RecorderOptions, TICK_LIMIT_NS};
 pub use report::{
-    Outage, REPORT_VERSION, RefusedFrames, Report, ReportError, RunInfo, Status, Supervision, Verdict,
+    Errors, Outage, REPORT_VERSION, RefusedFrames, Replacement, ReplacementOutcome, Report, ReportError,
+    RunInfo, StageMemory, Status, Supervision, Verdict, WorstTick, program_name,
 };
 pub use whole_file::{WholeFile, is_standard_output};

@@ -7,14 +7,14 @@ mod draw;
 
 use std::collections::{BTreeMap, VecDeque};
 
-use wire::{Forecast, Header, Heartbeat, Quality, StageId, flags};
+use wire::{Cause, Forecast, Header, Heartbeat, Quality, StageId, flags};
 
 pub use draw::draw;
 
 use crate::losses::Losses;
 use crate::passage::{Passage, STAGES_LEN, Timeline, place};
-use crate::record::{TICK_LIMIT_NS, is_outside};
-use crate::report::RefusedFrames;
+use crate::record::{TICK_LIMIT_NS, is_outside, is_shed};
+use crate::report::{Percentiles, RefusedFrames, ReplacementOutcome};
 use crate::text::{count, number};
 
 /// Ticks in the window that the view shows: ten seconds at 12.5 Hz.
@@ -65,6 +65,8 @@ pub struct LiveStage {
     pub refused: Option<RefusedFrames>,
     /// Number of restarts.
     pub restarts: u32,
+    /// Times that it was replaced.
+    pub replaced: u32,
     /// Whether its last heartbeat is recent; `None` before the first.
     pub alive: Option<bool>,
 }
@@ -78,6 +80,8 @@ pub struct LiveView {
     window: VecDeque<Passage>,
     beats: [Option<Heartbeat>; STAGES_LEN],
     late_by_stage: [u64; STAGES_LEN],
+    /// Times that each stage was replaced, and the incarnations that were no restarts.
+    replaced: [(u32, u32); STAGES_LEN],
     first_released_ns: Option<u64>,
     now_ns: u64,
     limit_ns: u64,
@@ -89,6 +93,11 @@ pub struct LiveView {
     newest: [u64; Quality::ALL.len()],
     /// Forecasts of the newest tick of agents that move as none did in training.
     newest_outside: u64,
+    /// Agents that the newest tick left out to save time, and all ticks.
+    newest_shed: u64,
+    total_shed: u64,
+    /// Forecasts of the newest tick that are not learned, by cause.
+    newest_causes: [u64; Cause::ALL.len()],
     /// Forecasts of all ticks by quality.
     total: [u64; Quality::ALL.len()],
 }
@@ -105,6 +114,7 @@ impl LiveView {
             window: VecDeque::with_capacity(WINDOW_LEN),
             beats: [None; STAGES_LEN],
             late_by_stage: [0; STAGES_LEN],
+            replaced: [(0, 0); STAGES_LEN],
             first_released_ns: None,
             now_ns: 0,
             next_seq: None,
@@ -112,6 +122,9 @@ impl LiveView {
             late_ticks: 0,
             newest: [0; Quality::ALL.len()],
             newest_outside: 0,
+            newest_shed: 0,
+            total_shed: 0,
+            newest_causes: [0; Cause::ALL.len()],
             total: [0; Quality::ALL.len()],
         }
     }
@@ -143,12 +156,18 @@ impl LiveView {
         }
         self.window.push_back(passage);
         self.newest = [0; Quality::ALL.len()];
+        self.newest_causes = [0; Cause::ALL.len()];
         self.newest_outside = forecasts.iter().filter(|forecast| is_outside(forecast)).count() as u64;
+        self.newest_shed = forecasts.iter().filter(|forecast| is_shed(forecast)).count() as u64;
+        self.total_shed += self.newest_shed;
         for forecast in forecasts {
             let quality = forecast.quality as usize;
             if quality < Quality::ALL.len() {
                 self.newest[quality] += 1;
                 self.total[quality] += 1;
+            }
+            if let Some(count) = self.newest_causes.get_mut(forecast.cause as usize) {
+                *count += u64::from(forecast.quality != Quality::Learned as u32);
             }
         }
     }
@@ -159,6 +178,13 @@ impl LiveView {
         if let Some(stage) = StageId::from_number(heartbeat.stage) {
             self.beats[place(stage)] = Some(*heartbeat);
         }
+    }
+
+    /// Takes what came of a stage's replacement.
+    pub fn replaced(&mut self, stage: StageId, outcome: ReplacementOutcome) {
+        let (times, incarnations) = &mut self.replaced[place(stage)];
+        *times += u32::from(outcome == ReplacementOutcome::Replaced);
+        *incarnations += outcome.incarnations();
     }
 
     /// Takes the time (`CLOCK_MONOTONIC`), from which the run's duration and silent stages follow.
@@ -203,12 +229,76 @@ impl LiveView {
                     late: self.late_by_stage[place(stage)],
                     lost: drops[place(stage)].total(),
                     refused: refusals.iter().find(|refused| refused.reader == stage.name()).cloned(),
-                    restarts: self.losses.restarts(stage),
+                    restarts: self.losses.restarts(stage).saturating_sub(self.replaced[place(stage)].1),
+                    replaced: self.replaced[place(stage)].0,
                     alive: beat.map(|beat| self.now_ns.saturating_sub(beat.sent_ns) <= SILENT_NS),
                 };
                 (stage, row)
             })
             .collect()
+    }
+
+    /// The recording or scene.
+    #[must_use]
+    pub fn title(&self) -> &str {
+        &self.options.title
+    }
+
+    /// Ticks after which the run ends, if that is known.
+    #[must_use]
+    pub const fn ticks_limit(&self) -> Option<u64> {
+        self.options.ticks_limit
+    }
+
+    /// Number of the newest tick with forecasts.
+    #[must_use]
+    pub fn newest_tick(&self) -> Option<u64> {
+        self.next_seq.filter(|_| self.ticks > 0)?.checked_sub(1)
+    }
+
+    /// A stage's newest heartbeat.
+    #[must_use]
+    pub const fn beat(&self, stage: StageId) -> Option<&Heartbeat> {
+        self.beats[place(stage)].as_ref()
+    }
+
+    /// Forecasts of the newest tick by quality.
+    #[must_use]
+    pub const fn newest_qualities(&self) -> &[u64] {
+        &self.newest
+    }
+
+    /// Forecasts of the newest tick that are not learned, by cause.
+    #[must_use]
+    pub const fn newest_causes(&self) -> &[u64] {
+        &self.newest_causes
+    }
+
+    /// Forecasts of the newest tick of agents that move as none did in training.
+    #[must_use]
+    pub const fn newest_outside(&self) -> u64 {
+        self.newest_outside
+    }
+
+    /// Ticks in the window of the last ten seconds.
+    #[must_use]
+    pub fn recent_ticks(&self) -> u64 {
+        self.window.len() as u64
+    }
+
+    /// End-to-end latency within the window.
+    #[must_use]
+    pub fn recent_end_to_end_ms(&self) -> Percentiles {
+        recent(self.window.iter().filter_map(|tick| tick.end_to_end_ns))
+    }
+
+    /// A stage's times of waiting, wake-up, compute and publish within the window.
+    #[must_use]
+    pub fn recent_ms(&self, stage: StageId) -> [Percentiles; 4] {
+        [0, 1, 2, 3].map(|phase| {
+            let phases = self.window.iter().filter_map(|tick| tick.phases(stage));
+            recent(phases.map(|phases| phases.each_ns()[phase]))
+        })
     }
 
     /// One line for outputs other than terminals: ticks, latency of the last ten seconds, late ticks and
@@ -219,9 +309,13 @@ impl LiveView {
         let [p50, p99] = self.end_to_end_ms();
         let [learned, held, kinematic] = self.newest;
         let lost: u64 = self.losses.by_stage().iter().map(|drops| drops.total()).sum();
+        let shed = match self.total_shed {
+            0 => String::new(),
+            total => format!(", shed {} ({} so far)", self.newest_shed, count(total)),
+        };
         format!(
             "tick {}{of}  {:.1} s  end to end p50 {} ms, p99 {} ms  forecasts {learned} learned, {held} held, \
-             {kinematic} kinematic  late {}, lost {lost}",
+             {kinematic} kinematic{shed}  late {}, lost {lost}",
             self.ticks,
             self.elapsed_s(),
             number(p50),
@@ -234,6 +328,18 @@ impl LiveView {
     fn end_to_end_ms(&self) -> [Option<f64>; 2] {
         percentiles(self.window.iter().filter_map(|tick| tick.end_to_end_ns))
     }
+}
+
+/// Median, 99th percentile and maximum of a few values, in ms to a microsecond.
+fn recent(times_ns: impl Iterator<Item = u64>) -> Percentiles {
+    let (mut most_ns, mut any) = (0, false);
+    let [p50, p99] = percentiles(times_ns.inspect(|&time_ns| {
+        most_ns = most_ns.max(time_ns);
+        any = true;
+    }));
+    let rounded = |value: f64| (value * 1e3).round() / 1e3;
+    let max = any.then(|| rounded(most_ns as f64 / 1e6));
+    Percentiles { p50: p50.map(rounded), p99: p99.map(rounded), p999: None, max }
 }
 
 /// Median and 99th percentile of a few values, in ms.

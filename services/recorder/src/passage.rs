@@ -11,6 +11,7 @@
 //!
 //! So the phases of all stages add up to the latency from release to forecast; all but compute is *overhead*.
 
+use serde::{Deserialize, Serialize};
 use wire::{Header, Hop, StageId};
 
 /// Stages that a tick can pass.
@@ -21,8 +22,37 @@ pub(crate) const fn place(stage: StageId) -> usize {
     stage as usize - 1
 }
 
-/// Phases of one tick in one stage.
+/// When one stage went from one phase of a tick to the next; `CLOCK_MONOTONIC`. No time is before the one above
+/// it but `taken_ns`, which a stage with two inputs has of the first.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Timestamps {
+    /// The stage before had sent the input.
+    pub ready_ns: u64,
+    /// The input was there, and the stage had sent the tick before.
+    pub free_ns: u64,
+    /// The stage had taken the input from its queue.
+    pub taken_ns: u64,
+    /// The computation began.
+    pub started_ns: u64,
+    /// The computation ended.
+    pub finished_ns: u64,
+    /// The output was sent.
+    pub sent_ns: u64,
+}
+
+impl Timestamps {
+    /// Those of `hop`, whose input was sent at `ready_ns` and whose stage was free from `free_ns` on.
+    fn of(hop: &Hop, ready_ns: u64, free_ns: u64) -> Self {
+        // A stage with two inputs may receive one before the other is sent: the rest is wake-up.
+        let taken_ns = if hop.received_ns < ready_ns { hop.started_ns } else { hop.received_ns };
+        let free_ns = ready_ns.max(free_ns.min(taken_ns));
+        let Hop { started_ns, finished_ns, sent_ns, .. } = *hop;
+        Self { ready_ns, free_ns, taken_ns, started_ns, finished_ns, sent_ns }
+    }
+}
+
+/// Phases of one tick in one stage.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Phases {
     /// Time in which the input was there, but the stage was busy or waited for other input.
     pub waiting_ns: u64,
@@ -35,22 +65,30 @@ pub struct Phases {
 }
 
 impl Phases {
-    /// The phases of `hop`, whose input was sent at `ready_ns` and whose stage was free from `free_ns` on.
-    fn of(hop: &Hop, ready_ns: u64, free_ns: u64) -> Self {
-        // A stage with two inputs may receive one before the other is sent: the rest is wake-up.
-        let taken_ns = if hop.received_ns < ready_ns { hop.started_ns } else { hop.received_ns };
-        let begin_ns = ready_ns.max(free_ns.min(taken_ns));
+    /// Their names, in the order of [`Phases::each_ns`].
+    pub const NAMES: [&str; 4] = ["waiting", "wake-up", "compute", "publish"];
+
+    /// Waiting, wake-up, compute and publish.
+    #[must_use]
+    pub const fn each_ns(&self) -> [u64; 4] {
+        [self.waiting_ns, self.wake_up_ns, self.compute_ns, self.publish_ns]
+    }
+}
+
+impl From<Timestamps> for Phases {
+    fn from(times: Timestamps) -> Self {
+        let Timestamps { ready_ns, free_ns, taken_ns, started_ns, finished_ns, sent_ns } = times;
         Self {
-            waiting_ns: (begin_ns - ready_ns) + hop.started_ns.saturating_sub(taken_ns),
-            wake_up_ns: taken_ns.saturating_sub(begin_ns),
-            compute_ns: hop.finished_ns.saturating_sub(hop.started_ns),
-            publish_ns: hop.sent_ns.saturating_sub(hop.finished_ns),
+            waiting_ns: (free_ns - ready_ns) + started_ns.saturating_sub(taken_ns),
+            wake_up_ns: taken_ns.saturating_sub(free_ns),
+            compute_ns: finished_ns.saturating_sub(started_ns),
+            publish_ns: sent_ns.saturating_sub(finished_ns),
         }
     }
 }
 
 /// Phases of one tick in all stages, from release to forecast.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Passage {
     stages: [Option<Phases>; STAGES_LEN],
     /// From release at the source to the sending of the forecasts; `None` for a tick that did not pass the
@@ -94,21 +132,26 @@ impl Timeline {
     /// The passage of a tick from its header. Hops of unknown stages are ignored.
     pub fn pass(&mut self, header: &Header) -> Passage {
         let mut passage = Passage::default();
-        let mut ready_ns = header.released_ns;
-        for hop in header.hops() {
-            if let Some(stage) = StageId::from_number(hop.stage) {
-                let free_ns = &mut self.free_ns[place(stage)];
-                passage.stages[place(stage)] = Some(Phases::of(hop, ready_ns, *free_ns));
-                *free_ns = hop.sent_ns;
-            }
-            ready_ns = hop.sent_ns;
-        }
+        self.follow(header, |stage, _, times| passage.stages[place(stage)] = Some(times.into()));
         passage.end_to_end_ns =
             header.hop(StageId::Sampler).map(|hop| hop.sent_ns.saturating_sub(header.released_ns));
         passage.complete = StageId::ALL[place(StageId::Tracker)..place(StageId::Recorder)]
             .iter()
             .all(|&stage| passage.stages[place(stage)].is_some());
         passage
+    }
+
+    /// Tells the timestamps of a tick, stage by stage.
+    pub fn follow(&mut self, header: &Header, mut tell: impl FnMut(StageId, &Hop, Timestamps)) {
+        let mut ready_ns = header.released_ns;
+        for hop in header.hops() {
+            if let Some(stage) = StageId::from_number(hop.stage) {
+                let free_ns = &mut self.free_ns[place(stage)];
+                tell(stage, hop, Timestamps::of(hop, ready_ns, *free_ns));
+                *free_ns = hop.sent_ns;
+            }
+            ready_ns = hop.sent_ns;
+        }
     }
 }
 

@@ -1,4 +1,5 @@
 mod checkpoint;
+mod shed;
 
 use std::collections::BTreeMap;
 
@@ -10,11 +11,14 @@ use crate::distribution::{Distribution, ms};
 use crate::losses::Losses;
 use crate::passage::{Passage, Phases, Timeline, place};
 use crate::report::{
-    Agents, ForecastCounts, OutOfDistribution, Percentiles, PriorCounts, REPORT_VERSION, Report, RunInfo,
-    StageDrops, StageReport, Status, Supervision, Verdict,
+    Accuracy, Agents, ForecastCounts, OutOfDistribution, Percentiles, PriorCounts, REPORT_VERSION, Report,
+    RunInfo, StageDrops, StageReport, Status, Supervision, Verdict, WorstTick, restarts,
 };
+use crate::worst::{Usual, Worst};
 
 pub use checkpoint::Checkpoint;
+use shed::ShedCounts;
+pub(crate) use shed::is_shed;
 
 /// The time that a tick may take from release to forecast at 12.5 Hz.
 pub const TICK_LIMIT_NS: u64 = wire::TICK_NS;
@@ -28,11 +32,22 @@ pub struct RecorderOptions {
     pub budgets_ms: BTreeMap<StageId, f64>,
     /// A tick is late beyond this or the frame interval, whichever is shorter.
     pub tick_limit_ns: u64,
+    /// Whether forecasts are kept until truth comes and then scored. Without, only times and counts are taken,
+    /// and the forecasts' numbers are not checked.
+    pub scores: bool,
+    /// A tick whose cause [`Recorder::explained`] tells.
+    pub explain: Option<u64>,
 }
 
 impl Default for RecorderOptions {
     fn default() -> Self {
-        Self { run: RunInfo::default(), budgets_ms: BTreeMap::new(), tick_limit_ns: TICK_LIMIT_NS }
+        Self {
+            run: RunInfo::default(),
+            budgets_ms: BTreeMap::new(),
+            tick_limit_ns: TICK_LIMIT_NS,
+            scores: true,
+            explain: None,
+        }
     }
 }
 
@@ -90,7 +105,9 @@ pub struct Recorder {
     predicted_ticks: u64,
     silent: u64,
     age_ns_max: Option<u64>,
+    shed: ShedCounts,
     out_of_distribution: OutOfDistribution,
+    worst: Worst,
     /// Whether it goes on with what a recorder before has kept, and no tick has come yet.
     resumed: bool,
 }
@@ -143,7 +160,9 @@ impl Recorder {
             predicted_ticks: 0,
             silent: 0,
             age_ns_max: None,
+            shed: ShedCounts::default(),
             out_of_distribution: OutOfDistribution::default(),
+            worst: Worst::default(),
             resumed: false,
         }
     }
@@ -176,20 +195,30 @@ impl Recorder {
             self.losses.forecast_refused();
             return Err(rejected);
         }
-        let gap = self.next_seq.map_or(0, |expected| header.seq.saturating_sub(expected));
+        let mut gap = self.next_seq.map_or(0, |expected| header.seq.saturating_sub(expected));
         if std::mem::take(&mut self.resumed) {
             self.losses.forecast_gap(header, 0);
             self.losses.unrecorded(gap);
+            gap = 0;
         } else {
             self.losses.forecast_gap(header, gap);
         }
         self.next_seq = Some(header.seq.saturating_add(1));
         if header.is_tick() && self.newer_ns(header).is_none() {
-            self.latency(header);
+            let passage = self.latency(header);
+            self.worst.take(header, forecasts, &passage, gap, self.options.explain);
             self.qualities(forecasts);
-            self.scorer.forecasts(header, forecasts);
+            if self.options.scores {
+                self.scorer.forecasts(header, forecasts);
+            }
         }
         Ok(())
+    }
+
+    /// Whether the recorder before has recorded the tick, which a topic keeps for new readers.
+    #[must_use]
+    pub fn is_recorded(&self, header: &Header) -> bool {
+        self.resumed && self.newer_ns(header).is_some()
     }
 
     /// Takes a stage's heartbeat.
@@ -206,7 +235,7 @@ impl Recorder {
         if let Some(last_ns) = self.newer_ns(header).filter(|_| !header.has(flags::VOID)) {
             return Err(Rejected::NotNewer { stamp_ns: header.stamp_ns, last_ns });
         }
-        forecasts.iter().try_for_each(Forecast::check)
+        if self.options.scores { forecasts.iter().try_for_each(Forecast::check) } else { Ok(()) }
     }
 
     /// Stamp of the newest tick so far, where this tick is not newer.
@@ -215,7 +244,7 @@ impl Recorder {
         (header.is_tick() && header.stamp_ns <= last_ns).then_some(last_ns)
     }
 
-    fn latency(&mut self, header: &Header) {
+    fn latency(&mut self, header: &Header) -> Passage {
         self.ticks += 1;
         self.interval_ns = header.interval_ns;
         self.lockstep |= header.has(flags::LOCKSTEP);
@@ -226,7 +255,7 @@ impl Recorder {
         span.released_ns[1] = header.released_ns;
 
         let limit_ns = self.late_limit_ns();
-        let passage: Passage = self.timeline.pass(header);
+        let passage = self.timeline.pass(header);
         if let Some(end_to_end_ns) = passage.end_to_end_ns {
             self.end_to_end.record(end_to_end_ns);
             self.late_ticks += u64::from(end_to_end_ns > limit_ns);
@@ -243,10 +272,12 @@ impl Recorder {
         self.agents_left_out += u64::from(header.left_out_len);
         self.predicted_ticks += u64::from(header.has(flags::PREDICTED));
         self.silent += u64::from(header.silent_len);
+        passage
     }
 
     fn qualities(&mut self, forecasts: &[Forecast]) {
         self.agents_max = self.agents_max.max(forecasts.len() as u64);
+        self.shed.add(forecasts);
         let mut degraded = false;
         for forecast in forecasts {
             if let Some(count) = self.forecasts_by_quality.get_mut(forecast.quality as usize) {
@@ -300,6 +331,7 @@ impl Recorder {
             overhead_ms: self.overhead.percentiles_ms(),
             stages,
             accuracy: self.scorer.accuracy(),
+            worst_ticks: self.worst.list(&self.usual()),
             supervision: Supervision::default(),
         };
         report.verdict = verdict(&report);
@@ -319,6 +351,41 @@ impl Recorder {
             }
         }
         run
+    }
+
+    /// The tick that was to be explained, with what took it longest; none where it has not come.
+    #[must_use]
+    pub fn explained(&self) -> Option<WorstTick> {
+        self.worst.explained(&self.usual())
+    }
+
+    /// Errors of the forecasts so far.
+    #[must_use]
+    pub fn accuracy(&self) -> Accuracy {
+        self.scorer.accuracy()
+    }
+
+    /// The latency from release to forecasts, and that less the compute of all stages.
+    pub(crate) const fn latencies(&self) -> [&Distribution; 2] {
+        [&self.end_to_end, &self.overhead]
+    }
+
+    /// A stage's times of waiting, wake-up, compute and publish; none where no tick has passed it.
+    pub(crate) fn phases(&self, stage: StageId) -> Option<[&Distribution; 4]> {
+        let times = self.stages.get(&stage)?;
+        Some([&times.waiting, &times.wake_up, &times.compute, &times.publish])
+    }
+
+    /// What is usual in this run.
+    fn usual(&self) -> Usual {
+        let median = |times: &StageTimes| {
+            [&times.waiting, &times.wake_up, &times.compute, &times.publish].map(Distribution::median_ns)
+        };
+        let mut usual = Usual { agents: self.agents().mean.unwrap_or(0.0), ..Usual::default() };
+        for (&stage, times) in &self.stages {
+            usual.phases_ns[place(stage)] = median(times);
+        }
+        usual
     }
 
     fn agents(&self) -> Agents {
@@ -349,6 +416,7 @@ impl Recorder {
             predicted_ticks,
             silent,
             age_ms_max,
+            shed: self.shed.report(learned + held + kinematic),
         }
     }
 
@@ -387,6 +455,7 @@ impl Recorder {
             late_ticks: times.map_or(0, |times| times.late_ticks),
             drops,
             restarts: self.losses.restarts(stage),
+            replacements: 0,
         }
     }
 }
@@ -401,10 +470,7 @@ fn verdict(report: &Report) -> Verdict {
     if report.drops > 0 {
         reasons.push(format!("frames lost: {} ({})", report.drops, by_stage(|stage| stage.drops.total())));
     }
-    let restarts: u64 = report.stages.iter().map(|stage| u64::from(stage.restarts)).sum();
-    if restarts > 0 {
-        reasons.push(format!("restarts: {restarts} ({})", by_stage(|stage| u64::from(stage.restarts))));
-    }
+    reasons.extend(restarts(&report.stages));
     // In lockstep the source waits for every tick: there is no deadline.
     if let Some(limit_ms) = report.late_limit_ms
         && report.late_ticks > 0

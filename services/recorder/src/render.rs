@@ -1,8 +1,13 @@
 //! The report as text for a terminal.
 
+mod pace;
+
 use std::fmt::{self, Write};
 
-use crate::report::{Errors, Percentiles, RefusedFrames, Report, StageReport, Status};
+use crate::report::{
+    Errors, Outage, Percentiles, RefusedFrames, Replacement, ReplacementOutcome, Report, Shed, StageMemory,
+    StageReport, Status, Supervision, WorstTick,
+};
 use crate::text::{bar, count, number, percent, subscript};
 
 /// Narrowest and widest lines of the report.
@@ -12,6 +17,8 @@ const ALL_PHASES_WIDTH: usize = 96;
 const LABEL_WIDTH: usize = 12;
 /// Most rows of refusals; the JSON has all.
 const ROWS_MAX: usize = 8;
+/// Rows of the worst ticks of a run in which nothing was late.
+const SLOWEST_LEN: usize = 3;
 
 impl Report {
     /// The report as plain text, laid out for lines of `width` characters, at least 80 and at most 120.
@@ -29,6 +36,9 @@ impl Report {
             self.forecasts(text, width)?;
             self.refusals(text)?;
             self.supervision(text)?;
+            self.replacements(text)?;
+            self.memory(text, width)?;
+            self.worst_ticks(text, width)?;
             self.accuracy(text, width)
         };
         write(&mut text).expect("writing to a string can't fail");
@@ -48,6 +58,9 @@ impl Report {
             }
             Status::Degraded => {
                 writeln!(text, " DEGRADED    {}", self.verdict.reasons.join("\n             "))?;
+                for line in self.too_slow().into_iter().flatten() {
+                    writeln!(text, "             {line}")?;
+                }
             }
             Status::Empty => {
                 writeln!(text, " EMPTY       no forecast was received")?;
@@ -186,6 +199,18 @@ impl Report {
                 count(outside.forecasts)
             )?;
         }
+        if forecasts.shed.forecasts > 0 {
+            let Shed { forecasts: shed, ticks, share, agents_max, age_ms_max } = forecasts.shed;
+            let age = age_ms_max.map_or_else(String::new, |ms| format!(", at most {} ms old", trimmed(ms)));
+            writeln!(
+                text,
+                " {:LABEL_WIDTH$}{:>10}{:>9}   no time: in {} ticks, at most {agents_max} agents{age}",
+                "shed",
+                count(shed),
+                percent(share),
+                count(ticks),
+            )?;
+        }
         if forecasts.silent > 0 {
             let silent = count(forecasts.silent);
             writeln!(
@@ -242,6 +267,110 @@ impl Report {
             writeln!(text, " {stage:LABEL_WIDTH$}got no CPU for longer than its limit, {times} times")?;
         }
         Ok(())
+    }
+
+    /// Page faults of the stages, what is locked, and settings that were not allowed.
+    fn memory(&self, text: &mut String, width: usize) -> fmt::Result {
+        let Supervision { memory, notes, .. } = &self.supervision;
+        for (i, note) in notes.iter().enumerate() {
+            let heading = if i == 0 { "\n NOT ALLOWED" } else { " " };
+            writeln!(text, "{heading:w$}{note}", w = LABEL_WIDTH + if i == 0 { 2 } else { 1 })?;
+        }
+        if memory.is_empty() {
+            return Ok(());
+        }
+        let ticks = memory.values().map(|stage| stage.ticks).max().unwrap_or(0);
+        let faulty = memory.iter().filter(|(_, stage)| stage.minor_faults + stage.major_faults > 0);
+        let mut faults: Vec<String> = faulty
+            .map(|(name, stage)| match stage.major_faults {
+                0 => format!("{name} {}", count(stage.minor_faults)),
+                major => format!("{name} {} and {} that read", count(stage.minor_faults), count(major)),
+            })
+            .collect();
+        let last = faults.len().saturating_sub(1);
+        faults.iter_mut().take(last).for_each(|part| part.push(','));
+        let ticks = count(ticks);
+        let mut line = format!(" {:LABEL_WIDTH$}page faults in the last {ticks} ticks:", "MEMORY");
+        writeln!(text)?;
+        for part in if faults.is_empty() { vec!["none".to_owned()] } else { faults } {
+            if line.chars().count() + part.len() + 1 > width {
+                writeln!(text, "{line}")?;
+                line = format!(" {:LABEL_WIDTH$}", "");
+                line.pop();
+            }
+            line = format!("{line} {part}");
+        }
+        writeln!(text, "{line}")?;
+        let sum = |of: fn(&StageMemory) -> u64| memory.values().map(of).sum::<u64>() >> 10;
+        let (resident, locked) = (sum(|stage| stage.resident_kib), sum(|stage| stage.locked_kib));
+        let locked = match locked {
+            _ if locked == resident => "all locked".to_owned(),
+            _ => format!("{locked} MiB locked, the rest is over ulimit -l"),
+        };
+        fact(text, "", &[Some(format!("{resident} MiB resident")), Some(locked)])
+    }
+
+    /// Late and degraded ticks and those without forecasts; of a run that had none, the slowest few.
+    fn worst_ticks(&self, text: &mut String, width: usize) -> fmt::Result {
+        let is_lockstep = self.run.lockstep == Some(true);
+        let is_late = |tick: &WorstTick| {
+            !is_lockstep && tick.end_to_end_ms.zip(self.late_limit_ms).is_some_and(|(ms, limit)| ms > limit)
+        };
+        let is_bad = |tick: &&WorstTick| tick.ticks_lost > 0 || tick.not_learned > 0 || is_late(tick);
+        let bad: Vec<&WorstTick> = self.worst_ticks.iter().filter(is_bad).collect();
+        let (name, rows) = match bad.is_empty() {
+            true => ("SLOWEST", self.worst_ticks.iter().take(SLOWEST_LEN).collect()),
+            false => ("WORST TICKS", bad),
+        };
+        if rows.is_empty() {
+            return Ok(());
+        }
+        writeln!(text, "\n {name:LABEL_WIDTH$}{:>9}{:>9}", "tick", "ms")?;
+        for tick in rows {
+            let mut lines = wrapped(&tick.cause, width - LABEL_WIDTH - 22).into_iter();
+            let first = lines.next().unwrap_or_default();
+            let (number_of, time) = (count(tick.tick), number(tick.end_to_end_ms));
+            writeln!(text, " {:LABEL_WIDTH$}{number_of:>9}{time:>9}   {first}", "")?;
+            for line in lines {
+                writeln!(text, " {:LABEL_WIDTH$}{:>9}{:>9}   {line}", "", "", "")?;
+            }
+        }
+        Ok(())
+    }
+
+    fn replacements(&self, text: &mut String) -> fmt::Result {
+        if !self.supervision.replacements.is_empty() {
+            writeln!(text, "\n {:LABEL_WIDTH$}", "REPLACED")?;
+        }
+        self.supervision.replacements.iter().try_for_each(|replacement| {
+            let Replacement { outcome, outage, .. } = replacement;
+            let Outage { stage, tick, cause, ticks_lost, ticks_not_learned, ticks_to_learned, .. } = outage;
+            let (program, tick) = (replacement.program(), count(*tick));
+            let warm =
+                replacement.warm_up_ms.map_or_else(String::new, |ms| format!(", warm after {ms:.0} ms"));
+            let over = replacement
+                .hand_over_ms
+                .map_or_else(String::new, |ms| format!(", handed over in {ms:.0} ms"));
+            let ticks = || {
+                let again = ticks_to_learned.map_or_else(
+                    || "not learned again by the end".to_owned(),
+                    |ticks| format!("learned again after {}", count(ticks)),
+                );
+                format!(
+                    "ticks: {} lost, {} not learned, {again}",
+                    count(*ticks_lost),
+                    count(*ticks_not_learned)
+                )
+            };
+            let came = match outcome {
+                ReplacementOutcome::Replaced => format!("by {program}{warm}{over}; {}", ticks()),
+                ReplacementOutcome::NotUsed => format!("not by {program}: it {cause}; the old one went on"),
+                ReplacementOutcome::RolledBack => {
+                    format!("rolled back from {program}: it {cause}; {}", ticks())
+                }
+            };
+            writeln!(text, " {stage:LABEL_WIDTH$}tick {tick}: {came}")
+        })
     }
 
     fn accuracy(&self, text: &mut String, width: usize) -> fmt::Result {
@@ -317,6 +446,9 @@ fn stage_row(text: &mut String, stage: &StageReport, all: bool, cells: usize) ->
     if stage.restarts > 0 {
         write!(text, "  restarted {}×", stage.restarts)?;
     }
+    if stage.replacements > 0 {
+        write!(text, "  replaced {}×", stage.replacements)?;
+    }
     writeln!(text)
 }
 
@@ -324,6 +456,21 @@ fn stage_row(text: &mut String, stage: &StageReport, all: bool, cells: usize) ->
 fn fact(text: &mut String, label: &str, parts: &[Option<String>]) -> fmt::Result {
     let known: Vec<&str> = parts.iter().flatten().map(String::as_str).collect();
     writeln!(text, " {label:LABEL_WIDTH$}{}", known.join(" · "))
+}
+
+/// A sentence in lines of at most `width` characters, where its words allow.
+fn wrapped(sentence: &str, width: usize) -> Vec<String> {
+    let mut lines: Vec<String> = Vec::new();
+    for word in sentence.split(' ') {
+        match lines.last_mut() {
+            Some(line) if line.chars().count() + 1 + word.chars().count() <= width => {
+                line.push(' ');
+                line.push_str(word);
+            }
+            _ => lines.push(word.to_owned()),
+        }
+    }
+    lines
 }
 
 /// At most two decimals, without zeros at the end.
@@ -356,6 +503,7 @@ fn meaning(cause: &str) -> &str {
         "missing" => "there are no controls for the track",
         "young" => "the track's history is too short",
         "outdone" => "constant velocity proved better",
+        "shed" => "the tick had no time for all agents",
         other => other,
     }
 }

@@ -55,9 +55,35 @@ pub struct Report {
     pub stages: Vec<StageReport>,
     /// Errors of the forecasts against the recording's later truth.
     pub accuracy: Accuracy,
+    /// The worst ticks, the worst first: those without forecasts, then those with the longest latency.
+    #[serde(default)]
+    pub worst_ticks: Vec<WorstTick>,
     /// Deaths, restarts and other events of the stages, as the launcher saw them.
     #[serde(default)]
     pub supervision: Supervision,
+}
+
+/// One of the worst ticks of a run.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct WorstTick {
+    /// Its number; of several ticks without forecasts, the first.
+    pub tick: u64,
+    /// Its stamp; of ticks without forecasts, that of the next tick.
+    pub stamp_ns: i64,
+    /// From its release to the sending of its forecasts; none without forecasts.
+    pub end_to_end_ms: Option<f64>,
+    /// Ticks without forecasts; 0 for a tick with forecasts.
+    pub ticks_lost: u64,
+    /// Its forecasts.
+    pub agents: u64,
+    /// Those that are not learned for another cause than `young` and `outdone`.
+    pub not_learned: u64,
+    /// The stage that cost most.
+    pub stage: Option<String>,
+    /// The phase in which it did: `waiting`, `wake-up`, `compute` or `publish`; or `restart`.
+    pub phase: Option<String>,
+    /// What happened, in a sentence.
+    pub cause: String,
 }
 
 /// Frames that a stage refused.
@@ -67,8 +93,8 @@ pub struct RefusedFrames {
     pub reader: String,
     /// The stage that sent them, or `unknown`.
     pub sender: String,
-    /// Why: `schema`, `foreign run`, `old incarnation`, `size`, `value`, `order`, `check value`, `unprotected` or
-    /// `repeated`.
+    /// Why: `schema`, `foreign run`, `old incarnation`, `size`, `value`, `order`, `check value`, `unprotected`,
+    /// `repeated` or `frozen`.
     pub cause: String,
     /// How many.
     pub frames: u64,
@@ -88,6 +114,95 @@ pub struct Supervision {
     pub outages_unlisted: u64,
     /// How often a stage got no CPU for longer than its `hang_after`, by stage.
     pub starved: BTreeMap<String, u64>,
+    /// Settings of pipeline.toml that the system did not allow.
+    pub notes: Vec<String>,
+    /// Page faults and memory of each stage.
+    pub memory: BTreeMap<String, StageMemory>,
+    /// Stages that were replaced while the run went on, or were to be.
+    pub replacements: Vec<Replacement>,
+    /// Replacements beyond those listed.
+    pub replacements_unlisted: u64,
+}
+
+/// Memory of a stage's newest process, after its first ticks.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct StageMemory {
+    /// Ticks in which its faults were counted.
+    pub ticks: u64,
+    /// Page faults that needed no file or swap.
+    pub minor_faults: u64,
+    /// Page faults that had to read.
+    pub major_faults: u64,
+    /// Resident memory.
+    pub resident_kib: u64,
+    /// How much of it is locked.
+    pub locked_kib: u64,
+}
+
+/// A stage that was replaced while the run went on, or was to be.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Replacement {
+    /// The new program with its arguments; empty for the built-in one.
+    pub command: Vec<String>,
+    /// What came of it.
+    pub outcome: ReplacementOutcome,
+    /// Time from the start of the new process until it was ready.
+    pub warm_up_ms: Option<f64>,
+    /// Time from the request to the old process to end until the new one was told to begin.
+    pub hand_over_ms: Option<f64>,
+    /// The ticks from the hand-over until the forecasts are learned again, by the incarnation that stays; its
+    /// `cause` is why the new one is not used.
+    #[serde(flatten)]
+    pub outage: Outage,
+}
+
+/// What came of a replacement.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum ReplacementOutcome {
+    /// The new process is linked, and stays.
+    Replaced,
+    /// The new process failed before its turn: the old one went on, untouched.
+    #[default]
+    NotUsed,
+    /// The new process failed after its turn: the old program was started again.
+    RolledBack,
+}
+
+impl ReplacementOutcome {
+    /// In words.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Replaced => "replaced",
+            Self::NotUsed => "not used",
+            Self::RolledBack => "rolled back",
+        }
+    }
+
+    /// Incarnations of the stage that were no restarts: the new process, and the old program after it.
+    #[must_use]
+    pub const fn incarnations(self) -> u32 {
+        match self {
+            Self::Replaced => 1,
+            Self::NotUsed => 0,
+            Self::RolledBack => 2,
+        }
+    }
+}
+
+impl Replacement {
+    /// The program, as a person would call it.
+    #[must_use]
+    pub fn program(&self) -> String {
+        program_name(&self.command)
+    }
+}
+
+/// A command as a person would call it: "the built-in one" where it is empty.
+#[must_use]
+pub fn program_name(command: &[String]) -> String {
+    if command.is_empty() { "the built-in one".to_owned() } else { command.join(" ") }
 }
 
 /// The time from a death of a stage until the forecasts are learned again.
@@ -195,8 +310,8 @@ pub struct ForecastCounts {
     pub held: u64,
     /// Constant control.
     pub kinematic: u64,
-    /// Forecasts that are held or kinematic by cause: `late`, `rejected`, `missing`, or `young`, which is no
-    /// fault.
+    /// Forecasts that are held or kinematic by cause: `late`, `rejected`, `missing`, `shed`, or `young` and
+    /// `outdone`, which are no fault.
     pub causes: BTreeMap<String, u64>,
     /// Ticks with a forecast that is not learned for another cause than `young`.
     pub degraded_ticks: u64,
@@ -208,6 +323,32 @@ pub struct ForecastCounts {
     pub silent: u64,
     /// Greatest age of a held forecast.
     pub age_ms_max: Option<f64>,
+    /// What was left out because ticks had no time for all agents.
+    #[serde(default)]
+    pub shed: Shed,
+}
+
+/// Agents that were left out of ticks that had no time for all.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Shed {
+    /// Agents left out, summed over ticks.
+    pub forecasts: u64,
+    /// Ticks that left out any.
+    pub ticks: u64,
+    /// Share of all forecasts.
+    pub share: Option<f64>,
+    /// Most agents that a tick left out.
+    pub agents_max: u64,
+    /// Greatest age of the forecast that stands for one left out.
+    pub age_ms_max: Option<f64>,
+}
+
+impl ForecastCounts {
+    /// The counts with the names of their qualities.
+    #[must_use]
+    pub const fn by_quality(&self) -> [(&'static str, u64); 3] {
+        [("learned", self.learned), ("held", self.held), ("kinematic", self.kinematic)]
+    }
 }
 
 /// Forecasts whose out-of-distribution measure says that the network adds less than half of what it would.
@@ -271,8 +412,22 @@ pub struct StageReport {
     /// Frames lost in this stage, by cause: `gap` (never arrived: the queue was full or the sender had ended)
     /// and `refused` (invalid content). A frame counts only in the stage that lost it first.
     pub drops: StageDrops,
-    /// Number of restarts.
+    /// Number of restarts after a death.
     pub restarts: u32,
+    /// Times that it was replaced while the run went on.
+    #[serde(default)]
+    pub replacements: u32,
+}
+
+/// What the reason of a verdict begins with that counts restarts.
+const RESTARTS: &str = "restarts: ";
+
+/// The restarts of all stages as a reason of the verdict; none where there were none.
+pub(crate) fn restarts(stages: &[StageReport]) -> Option<String> {
+    let all: u32 = stages.iter().map(|stage| stage.restarts).sum();
+    let named = stages.iter().filter(|stage| stage.restarts > 0);
+    let named: Vec<String> = named.map(|stage| format!("{} {}", stage.name, stage.restarts)).collect();
+    (all > 0).then(|| format!("{RESTARTS}{all} ({})", named.join(", ")))
 }
 
 /// Frames lost in one stage.
@@ -392,6 +547,12 @@ impl Report {
         for (stage, why) in &supervision.given_up {
             reasons.push(format!("the {stage} was given up: {why}"));
         }
+        for Replacement { outcome, outage, .. } in &supervision.replacements {
+            if *outcome == ReplacementOutcome::RolledBack {
+                let Outage { stage, cause, .. } = outage;
+                reasons.push(format!("the replacement of the {stage} was rolled back: it {cause}"));
+            }
+        }
         if !reasons.is_empty() && self.verdict.status == Status::Ok {
             self.verdict.status = Status::Degraded;
         }
@@ -406,6 +567,29 @@ impl Report {
         }
         self.verdict.reasons.splice(0..0, reasons);
         self.supervision = supervision;
+        self.without_replacements();
+    }
+
+    /// Takes back what the recorder has counted as restarts, by their incarnations, and were replacements.
+    fn without_replacements(&mut self) {
+        let outcomes = self.supervision.replacements.iter();
+        let outcomes: Vec<_> = outcomes.map(|of| (of.outage.stage.clone(), of.outcome)).collect();
+        if outcomes.is_empty() {
+            return;
+        }
+        for (name, outcome) in outcomes {
+            for stage in self.stages.iter_mut().filter(|stage| stage.name == name) {
+                stage.restarts = stage.restarts.saturating_sub(outcome.incarnations());
+                stage.replacements += u32::from(outcome == ReplacementOutcome::Replaced);
+            }
+        }
+        let place = self.verdict.reasons.iter().position(|reason| reason.starts_with(RESTARTS));
+        if let Some(place) = place {
+            self.verdict.reasons.splice(place..=place, restarts(&self.stages));
+        }
+        if self.verdict.reasons.is_empty() && self.verdict.status == Status::Degraded {
+            self.verdict.status = Status::Ok;
+        }
     }
 
     /// Writes the report as JSON. The file appears whole or not at all.

@@ -3,9 +3,9 @@
 use std::io;
 use std::path::PathBuf;
 
-use ports::{Stage, StageError, monotonic_ns};
+use ports::{Stage, StageError, Stop, await_turn, monotonic_ns};
 use run::Run;
-use wire::{ForecastsTopic, Header, Rejected, Topic, TruthTopic, flags};
+use wire::{ForecastsTopic, Header, Rejected, StageId, Topic, TruthTopic, flags};
 
 use crate::{Checkpoint, ForecastWriter, Options, Recorder, RecorderOptions, Report, STAGE};
 
@@ -13,6 +13,8 @@ use crate::{Checkpoint, ForecastWriter, Options, Recorder, RecorderOptions, Repo
 const KEEP_NS: u64 = 1_000_000_000;
 /// Name of the checkpoint in the run's directory.
 const CHECKPOINT: &str = "recorder-checkpoint.json";
+/// Name of the file in the run's directory that tells the forecasts' errors so far, for the launcher.
+const ACCURACY: &str = "accuracy.json";
 /// Name of the report in the run's directory.
 const REPORT: &str = "report.json";
 
@@ -22,6 +24,9 @@ const REPORT: &str = "report.json";
 /// [`StageError`] where the run's options or shared memory can't be used or a file can't be written.
 pub fn run(run: &Run) -> Result<(), StageError> {
     let options = STAGE.options(run)?;
+    let stop = Stop::on_signals().map_err(|source| StageError::File { path: run.root.clone(), source })?;
+    // It goes on with what the process before leaves at its end.
+    await_turn(StageId::Recorder, &stop)?;
     let checkpoint = checkpoint_path(run);
     let kept = (ports::incarnation() > 0).then(|| Checkpoint::read(&checkpoint).ok()).flatten();
     let open_file = if kept.is_some() { ForecastWriter::resume } else { ForecastWriter::create };
@@ -46,6 +51,9 @@ pub fn run(run: &Run) -> Result<(), StageError> {
             count(&mut stage, frame.header(), TruthTopic::NAME, result);
         }
         peers.listen()?.iter().for_each(|heartbeat| recorder.heartbeat(heartbeat));
+        if recorder.is_recorded(frame.header()) {
+            continue;
+        }
         let result = recorder.forecasts(frame.header(), &frame);
         if let (Ok(()), Some(writer)) = (&result, &mut writer) {
             writer.write(frame.header(), &frame).map_err(unwritable)?;
@@ -60,11 +68,17 @@ pub fn run(run: &Run) -> Result<(), StageError> {
                 writer.flush().map_err(unwritable)?;
             }
             recorder.checkpoint().write(&checkpoint).map_err(StageError::data)?;
+            tell_accuracy(run, &recorder)
+                .map_err(|source| StageError::File { path: accuracy_path(run), source })?;
         }
         // In lockstep the source waits for this heartbeat before it releases the next tick.
         if frame.header().has(flags::LOCKSTEP) && frame.header().is_tick() {
             stage.beat()?;
         }
+    }
+    if stage.stop().requested() {
+        // Another process may go on where this one is asked to end.
+        recorder.checkpoint().write(&checkpoint).map_err(StageError::data)?;
     }
     if let Some(writer) = writer {
         writer.finish().map_err(unwritable)?;
@@ -80,6 +94,18 @@ fn count(stage: &mut Stage, header: &Header, topic: &'static str, result: Result
         Ok(()) => {}
         Err(why) => stage.refuse(header, topic, &why),
     }
+}
+
+/// Tells the launcher what the forecasts are worth so far.
+fn tell_accuracy(run: &Run, recorder: &Recorder) -> io::Result<()> {
+    let json = serde_json::to_vec(&recorder.accuracy().errors)?;
+    crate::whole_file::write(&accuracy_path(run), &json)
+}
+
+/// Path of the file that tells the forecasts' errors so far, as JSON of [`crate::Errors`].
+#[must_use]
+pub fn accuracy_path(run: &Run) -> PathBuf {
+    run.root.join(ACCURACY)
 }
 
 fn checkpoint_path(run: &Run) -> PathBuf {

@@ -1,7 +1,8 @@
 //! Numbers and bars of the report and the live table.
 
 /// A bar of `width` cells, filled to `share`, in steps of an eighth of a cell. Beyond 1 it ends in an arrow.
-pub(crate) fn bar(share: f64, width: usize) -> String {
+#[must_use]
+pub fn bar(share: f64, width: usize) -> String {
     const PARTS: [char; 8] = [' ', '▏', '▎', '▍', '▌', '▋', '▊', '▉'];
     if share > 1.0 {
         return "█".repeat(width.saturating_sub(1)) + "▶";
@@ -18,7 +19,8 @@ pub(crate) fn bar(share: f64, width: usize) -> String {
 }
 
 /// Three significant digits and at most three decimals, or `–` where unknown.
-pub(crate) fn number(value: Option<f64>) -> String {
+#[must_use]
+pub fn number(value: Option<f64>) -> String {
     match value {
         None => "–".to_owned(),
         Some(v) if v.abs() < 0.0995 => format!("{v:.3}"),
@@ -29,7 +31,8 @@ pub(crate) fn number(value: Option<f64>) -> String {
 }
 
 /// A share in percent, or `–` where unknown.
-pub(crate) fn percent(share: Option<f64>) -> String {
+#[must_use]
+pub fn percent(share: Option<f64>) -> String {
     match share.map(|share| share * 100.0) {
         None => "–".to_owned(),
         Some(p) if p > 0.0 && p < 9.95 => format!("{p:.1} %"),
@@ -38,13 +41,15 @@ pub(crate) fn percent(share: Option<f64>) -> String {
 }
 
 /// A number in subscript digits, as in minADE₂₀.
-pub(crate) fn subscript(number: u32) -> String {
+#[must_use]
+pub fn subscript(number: u32) -> String {
     const DIGITS: [char; 10] = ['₀', '₁', '₂', '₃', '₄', '₅', '₆', '₇', '₈', '₉'];
     number.to_string().chars().filter_map(|digit| Some(DIGITS[digit.to_digit(10)? as usize])).collect()
 }
 
 /// A count with commas between thousands.
-pub(crate) fn count(count: u64) -> String {
+#[must_use]
+pub fn count(count: u64) -> String {
     let digits = count.to_string();
     let mut grouped = String::with_capacity(digits.len() + digits.len() / 3);
     for (i, digit) in digits.chars().enumerate() {

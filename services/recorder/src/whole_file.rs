@@ -39,8 +39,8 @@ impl WholeFile {
         Ok(Self { output, rename: Some((partial, path)) })
     }
 
-    /// Goes on with the partial content that a process left which was killed, from its last whole line on;
-    /// starts the file where there is none.
+    /// Goes on with the content that a process of this run left which was killed or replaced, from its last whole
+    /// line on; starts the file where there is none.
     ///
     /// # Errors
     /// The error of the file system.
@@ -49,7 +49,13 @@ impl WholeFile {
         name.push(".partial");
         let resolved = fs::canonicalize(path).unwrap_or_else(|_| path.to_owned());
         let partial = resolved.with_file_name(name);
-        if is_standard_output(path) || !partial.is_file() {
+        if is_standard_output(path) {
+            return Self::create(path);
+        }
+        if !partial.is_file() && resolved.is_file() {
+            // A process that was asked to end has finished its file.
+            fs::rename(&resolved, &partial)?;
+        } else if !partial.is_file() {
             return Self::create(path);
         }
         let mut output = File::options().read(true).write(true).open(&partial)?;

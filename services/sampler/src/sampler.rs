@@ -115,7 +115,8 @@ impl Sampler {
     /// agents of which the policy of degradation says nothing are left out.
     ///
     /// A track without controls, or whose controls are refused or lead out of the world, gets a held or
-    /// kinematic forecast with its cause, without effect on the other tracks. Controls without a track are
+    /// kinematic forecast with its cause, without effect on the other tracks; the header tells of whom there are
+    /// none to save time ([`Header::shed`]). Controls without a track are
     /// left out. A call with an older tick than before is allowed: its forecasts are held where none newer
     /// is.
     ///
@@ -134,7 +135,7 @@ impl Sampler {
         let tick = check(header, tracks, out)?;
         self.observe(tick, tracks);
         let (mut next, mut written) = (0, 0);
-        for track in tracks {
+        for (place, track) in tracks.iter().enumerate() {
             let out = &mut out[written];
             // Controls come in the tracks' order: the search mostly ends where it begins.
             let found = (next..controls.len())
@@ -145,6 +146,7 @@ impl Sampler {
                     next = found + 1;
                     self.learned_one(tick, track, &controls[found], out).err()
                 }
+                None if header.is_shed(place) => Some(Cause::Shed),
                 None => Some(Cause::Missing),
             };
             let is_written = match cause {

@@ -33,27 +33,42 @@ fn follow(run: &Run, model: &ModelConfig, sampler: &mut Sampler) -> Result<(), S
     let controls = stage.subscribe::<ControlsTopic>()?;
     let output = stage.publish::<ForecastsTopic>()?;
 
-    while let Some(input) = stage.next(&tracks, &output)? {
-        let header = input.header();
+    loop {
+        let input = match stage.next_until(&tracks, &output, None)? {
+            Awaited::Frame(input) => input,
+            Awaited::Void(tracks) => {
+                // Their controls are VOID as well. Left in the queue, they would push out later ones: gaps
+                // that are none.
+                if tracks.header().is_tick() {
+                    controls.of_tick(tracks.header().seq)?;
+                }
+                continue;
+            }
+            Awaited::Late | Awaited::Lost => continue,
+            Awaited::Stopped => break,
+        };
+        let mut header = *input.header();
         let until_ns = (!header.has(flags::LOCKSTEP)).then_some(header.released_ns + deadline_ns);
         let awaited = stage.wait_for(&controls, header.seq, until_ns)?;
         let mut loan = output.loan(input.len())?;
         let (mut passage, learned) = match awaited {
             Awaited::Frame(controls) => {
                 let passage = stage.begin(&controls);
-                let learned = sampler.learned(header, &input, &controls, &mut loan).map_err(|why| {
+                header.shed = controls.header().shed;
+                let learned = sampler.learned(&header, &input, &controls, &mut loan).map_err(|why| {
                     stage.refuse(controls.header(), ControlsTopic::NAME, &why);
                     Cause::Rejected
                 });
                 (passage, learned)
             }
             Awaited::Void(controls) => (stage.begin(&controls), Err(Cause::Rejected)),
+            Awaited::Lost => (stage.begin(&input), Err(Cause::Rejected)),
             Awaited::Late => (stage.begin(&input), Err(Cause::Late)),
             Awaited::Stopped => break,
         };
         let written = match learned {
             Ok(written) => Ok(written),
-            Err(cause) => sampler.fallback(header, &input, cause, &mut loan),
+            Err(cause) => sampler.fallback(&header, &input, cause, &mut loan),
         };
         // The header is that of the tracks, the hops are those of the controls.
         passage.header = header.with_hops_of(&passage.header);

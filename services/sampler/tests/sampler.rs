@@ -111,6 +111,34 @@ fn agents_of_which_nothing_is_said_are_left_out_and_come_back() {
     assert!(again.iter().all(|forecast| forecast.quality == Quality::Learned as u32));
 }
 
+#[test]
+fn agents_that_were_shed_are_held_and_say_so_at_the_right_age() {
+    let mut sampler = Sampler::new(SamplerOptions::default());
+    let of = |id| track(id, AgentType::Pedestrian, [id as f32, 0.0], 0.0, 1.0);
+    let controls_of = |id| controls(id, AgentType::Pedestrian, &[[0.0; 2]], 0.1);
+    let mut young = of(5);
+    young.forecastable = 0;
+    let tracks = [of(1), of(2), of(3), of(4), young];
+    learned(&mut sampler, 0, &tracks, &[controls_of(1), controls_of(2), controls_of(3)]);
+    let mut header = header(160_000_000);
+    [1, 3, 4].into_iter().for_each(|place| header.mark_shed(place));
+    let mut out = vec![Forecast::zeroed(); tracks.len()];
+    sampler.learned(&header, &tracks, &[controls_of(1)], &mut out).unwrap();
+    let expected = [
+        is(Quality::Learned, Cause::None),
+        is(Quality::Held, Cause::Shed),
+        is(Quality::Held, Cause::Missing),
+        is(Quality::Kinematic, Cause::Shed),
+        is(Quality::Kinematic, Cause::Young),
+    ];
+    assert_eq!(out.iter().map(quality_and_cause).collect::<Vec<_>>(), expected);
+    assert_eq!(
+        out.iter().map(|forecast| forecast.age_ns / 1_000_000).collect::<Vec<_>>(),
+        [0, 160, 160, 0, 0]
+    );
+    assert_eq!(out[1].causes, Cause::Shed.bit());
+}
+
 fn quality_and_cause(forecast: &Forecast) -> (u32, u32) {
     (forecast.quality, forecast.cause)
 }

@@ -67,7 +67,7 @@ impl Outputs {
         if stage.stop().requested() { Ok(()) } else { Err(self.unanswered(Awaiting::StartOrEnd, limit_ns)) }
     }
 
-    /// Takes up the place of a source that died: empty frames wake the readers, which then know this process.
+    /// Takes up the place of a source that died, or has ended for this one: empty frames wake the readers, which then know this process.
     /// Returns the number of the newest tick that the tracker has answered.
     ///
     /// # Errors
@@ -77,13 +77,18 @@ impl Outputs {
             self.truth.send_copy(&[], header)?;
             let passage = stage.release(header);
             stage.pass_empty(passage, &self.detections)?;
+            // Of a source that it has replaced while that ran it knows the newest tick: no time is lost.
+            if let Some(seq) = stage.taken_over() {
+                return Ok(Some(seq));
+            }
             self.wait_until(stage, monotonic_ns() + REPEAT_NS, |_| false)?;
         }
         let tracker = self.peers.newest(StageId::Tracker).filter(|heartbeat| heartbeat.frames_len > 0);
         Ok(tracker.map(|heartbeat| heartbeat.seq))
     }
 
-    /// Waits until the recorder has the forecasts of a tick.
+    /// Waits until the recorder has the forecasts of a tick, and the tap has seen the tick where it follows the run:
+    /// in lockstep nothing is lost, in no recording either.
     ///
     /// # Errors
     /// As [`Outputs::repeat`].
@@ -93,7 +98,8 @@ impl Outputs {
         seq: u64,
         limit_ns: u64,
     ) -> Result<(), StageError> {
-        let reached = |peers: &Peers| peers.reached(StageId::Recorder, seq);
+        let reached =
+            |peers: &Peers| peers.reached(StageId::Recorder, seq) && peers.tap_reached(seq, monotonic_ns());
         if self.wait_until(stage, monotonic_ns() + limit_ns, reached)? || stage.stop().requested() {
             return Ok(());
         }

@@ -28,6 +28,7 @@
 //!
 //! ```text
 //! stage                 the ports
+//! feedback              what the newest forecasts tell the stages that follow
 //! settings              the run's options
 //! tracker               the steps above, frame by frame
 //! replay                out-of-sequence frames: scans, checkpoints, rollback
@@ -43,9 +44,11 @@ mod belief;
 mod class;
 mod estimate;
 mod estimates;
+mod feedback;
 mod field_of_view;
 mod forecasts;
 mod front;
+mod frozen;
 mod grid;
 mod history;
 mod missing;

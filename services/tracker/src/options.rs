@@ -14,7 +14,7 @@ pub const STAGE: Declaration<Options> =
     Declaration::new(StageId::Tracker, &[DetectionsTopic::NAME, ForecastsTopic::NAME], &[TracksTopic::NAME]);
 
 /// What may be set of the tracker.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct Options {
     /// Whether to associate detections by position even where they carry identities.
@@ -29,6 +29,23 @@ pub struct Options {
     /// ego. Tracks outside pay little for a miss. Without limits where not given.
     #[schemars(extend("formerly" = "view"))]
     pub fov: Option<FieldOfView>,
+    /// Frames in a row with the same detections, bit by bit, from which on the source counts as frozen, where
+    /// something moves in them: tracks are then predicted. 0 for never.
+    #[schemars(range(max = 1000))]
+    pub frozen_frames: u32,
+}
+
+impl Default for Options {
+    fn default() -> Self {
+        Self {
+            associate: false,
+            prior: Prior::default(),
+            association: Association::default(),
+            fov: None,
+            // A quarter of a second: a sensor that is slower than the ticks may send a frame twice.
+            frozen_frames: 4,
+        }
+    }
 }
 
 /// What predicts a track between two detections.
@@ -127,6 +144,8 @@ pub struct TrackerOptions {
     pub association: Association,
     /// Field of view of the sensor, for frames that are detected from the ego; without limits where none.
     pub fov: Option<FieldOfView>,
+    /// Frames in a row with the same detections from which on the source counts as frozen; 0 for never.
+    pub frozen_frames: u32,
     /// Inputs of a detector, to be associated.
     pub detector: InputModel,
     /// Inputs that carry identities: annotated or smoothed recordings, whose positions are nearly without
@@ -204,6 +223,7 @@ impl Default for TrackerOptions {
             prior: Prior::default(),
             association: Association::default(),
             fov: None,
+            frozen_frames: 0,
             detector: DETECTOR,
             recorded: RECORDED,
             detection_probability: 0.9,

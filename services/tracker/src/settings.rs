@@ -18,6 +18,7 @@ pub fn settings(run: &Run, model: &ModelConfig) -> Result<TrackerOptions, Option
         prior: options.prior,
         association: options.association,
         fov: options.fov,
+        frozen_frames: options.frozen_frames,
         ..TrackerOptions::default()
     })
 }

@@ -4,8 +4,9 @@ use bytemuck::Zeroable;
 use model::ModelConfig;
 use ports::{Awaited, Frame, Stage, StageError, Subscriber, monotonic_ns};
 use run::Run;
-use wire::{AGENTS_MAX, DetectionsTopic, ForecastsTopic, Header, Topic, Track, TracksTopic, flags};
+use wire::{AGENTS_MAX, DetectionsTopic, ForecastsTopic, Header, Rejected, Topic, Track, TracksTopic, flags};
 
+use crate::feedback;
 use crate::missing::Missing;
 pub use crate::settings::settings;
 use crate::tally::Warned;
@@ -39,6 +40,7 @@ pub fn run(run: &Run) -> Result<(), StageError> {
                 missing.is_no_tick(frame.header());
                 continue;
             }
+            Awaited::Lost => continue,
             Awaited::Stopped => break,
         };
         if let Some(frame) = &input {
@@ -61,7 +63,15 @@ pub fn run(run: &Run) -> Result<(), StageError> {
             }
             // The number of tracks is known only now, so they are copied into shared memory.
             Ok(tracked) => {
-                let loan = output.copy(&tracks[..tracked.tracks_len])?;
+                if tracked.frozen_len > 0 {
+                    let (field, frames) = ("detections", tracked.frozen_len);
+                    stage.refuse(&header, DetectionsTopic::NAME, &Rejected::Frozen { field, frames });
+                }
+                let tracks = &mut tracks[..tracked.tracks_len];
+                if !header.has(flags::LOCKSTEP) {
+                    feedback::tell(&mut passage.header, tracks, given);
+                }
+                let loan = output.copy(tracks)?;
                 stage.finish(passage, &output, Ok(loan))?;
             }
             Err(rejected) => stage.finish(passage, &output, Err(rejected))?,
@@ -83,6 +93,6 @@ fn newer_prior(
     }
     match stage.wait_for(forecasts, header.seq - 1, None)? {
         Awaited::Frame(frame) => Ok(Some(frame)),
-        Awaited::Void(_) | Awaited::Late | Awaited::Stopped => Ok(None),
+        Awaited::Void(_) | Awaited::Late | Awaited::Lost | Awaited::Stopped => Ok(None),
     }
 }

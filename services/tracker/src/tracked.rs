@@ -3,6 +3,9 @@
 pub struct Tracked {
     /// Tracks written.
     pub tracks_len: usize,
+    /// Frames in a row with these detections, which are left aside because their source is frozen; 0 where it is
+    /// not.
+    pub frozen_len: u32,
     /// Newer frames that were replayed after this one, which came out of sequence; 0 for a frame in sequence.
     pub replayed_len: usize,
     /// Tracks that found no place in the frame: the farthest from the ego.

@@ -1,8 +1,10 @@
 use wire::{
     AGENTS_MAX, AgentType, Counts, DETECTIONS_MAX, Detection, Forecast, HISTORY_MAX, Header, Rejected, Track,
+    flags,
 };
 
 use crate::estimates::{Estimates, Scratch};
+use crate::frozen::{Repetition, is_moving};
 use crate::options::{Prior, TrackerOptions};
 use crate::publication::Publications;
 use crate::replay::{Refusal, ReplayBuffer};
@@ -27,6 +29,7 @@ pub struct Tracker {
     options: TrackerOptions,
     estimates: Estimates,
     replay: ReplayBuffer,
+    repetition: Repetition,
     publications: Publications,
     last: Tracked,
     tally: Tally,
@@ -54,6 +57,7 @@ impl Tracker {
             options,
             estimates: Estimates::with_capacity(options.tracks_max),
             replay: ReplayBuffer::new(),
+            repetition: Repetition::new(),
             publications: Publications::with_capacity(options.tracks_max),
             last: Tracked::default(),
             tally: Tally::default(),
@@ -89,6 +93,9 @@ impl Tracker {
     /// the next one on. An agent whose first detection comes out of sequence keeps the id under which it was
     /// published.
     ///
+    /// Of a frozen source, whose detections are the same for [`TrackerOptions::frozen_frames`] frames though
+    /// something moves in them, the detections are left aside: the tracks are predicted.
+    ///
     /// # Errors
     /// [`Rejected`] for a frame whose stamp was processed before, one that is too late, too large, or holds
     /// an impossible number; the tracks are then as before.
@@ -110,8 +117,17 @@ impl Tracker {
         self.check(header, detections)?;
         let position = self.position(header)?;
         let prior = prior.filter(|_| self.options.prior == Prior::Learned);
-        let position = self.replay.insert(position, header, (detections, &self.types), prior);
-        let mut tracked = self.process(position);
+        let frozen_len = self.frozen_len(header, detections);
+        // No type was looked for, so no track is missed.
+        let unseen = Header { observed_types: 0, ..*header };
+        let (seen, detections) = if frozen_len > 0 {
+            self.types.clear();
+            (&unseen, &[][..])
+        } else {
+            (header, detections)
+        };
+        let position = self.replay.insert(position, seen, (detections, &self.types), prior);
+        let mut tracked = Tracked { frozen_len, ..self.process(position) };
         if tracked.replayed_len == 0 {
             self.publish(header, out, &mut tracked);
         }
@@ -122,11 +138,23 @@ impl Tracker {
         Ok(tracked)
     }
 
+    /// Frames in a row with the same detections; 0 while their source is not frozen.
+    fn frozen_len(&mut self, header: &Header, detections: &[Detection]) -> u32 {
+        if self.options.frozen_frames == 0 {
+            return 0;
+        }
+        let mut speeds_mps = self.estimates.all().iter().map(|estimate| estimate.motion().speed_mps);
+        let frames = self.repetition.look(header.stamp_ns, detections, || speeds_mps.any(is_moving));
+        if frames >= self.options.frozen_frames.max(2) { frames } else { 0 }
+    }
+
     /// The header of the last frame's tracks, of which there are none where it was refused or out of
     /// sequence: that of its detections, with the sizes and Δt of the tracks.
     #[must_use]
     pub fn header(&self, detections: &Header) -> Header {
         Header {
+            flags: detections.flags | if self.last.frozen_len > 0 { flags::PREDICTED } else { 0 },
+            observed_types: if self.last.frozen_len > 0 { 0 } else { detections.observed_types },
             step_ns: self.options.step_ns,
             left_out_len: self.last.left_out_len as u32,
             counts: Counts {

@@ -6,6 +6,7 @@ mod support {
     pub mod harness;
 }
 
+mod frozen;
 mod jpda;
 mod known_failures;
 mod learned_prior;

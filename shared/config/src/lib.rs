@@ -5,6 +5,8 @@
 
 mod pipeline;
 mod restart;
+mod scheduling;
 
 pub use pipeline::{BUDGET_MAX_MS, Pipeline, PipelineError, Stage};
 pub use restart::{Restart, RestartPolicy};
+pub use scheduling::Scheduling;

@@ -13,7 +13,7 @@ pub use error::PipelineError;
 use run::Declared;
 use wire::StageId;
 
-use crate::RestartPolicy;
+use crate::{RestartPolicy, Scheduling};
 
 /// A process of the pipeline.
 #[derive(Clone, Debug, PartialEq)]
@@ -34,6 +34,8 @@ pub struct Stage {
     pub topics: BTreeMap<String, String>,
     /// What happens when it ends.
     pub restart: RestartPolicy,
+    /// Where and with what priority it runs.
+    pub scheduling: Scheduling,
 }
 
 /// A checked graph of stages, in the order of the file.
@@ -43,6 +45,8 @@ pub struct Pipeline {
     pub weights: Option<PathBuf>,
     /// Topics whose frames carry a check value.
     pub protected: Vec<String>,
+    /// Whether a tick that has no time for all agents serves some and leaves out the others.
+    pub shed: bool,
     /// The stages.
     pub stages: Vec<Stage>,
     /// Warnings for the file's author: keys that have another name now.

@@ -4,13 +4,15 @@
 //! receives at a step are neighbours in memory and softmax and sums run along the list. Nodes are rows
 //! \[step, agent\].
 
+mod reach;
 mod temporal;
 mod topological;
 
-use wire::{EDGE_ATTRIBUTES, Edge, NODE_ATTRIBUTES, TEMPORAL};
+use wire::{AGENTS_MAX, EDGE_ATTRIBUTES, Edge, NODE_ATTRIBUTES, TEMPORAL};
 
 use crate::buffer::Buffer;
 use crate::weights::{Weights, WeightsError};
+pub use reach::{AgentSet, with_senders};
 use temporal::{TemporalAttention, TemporalMemory};
 use topological::{Round, RoundMemory};
 
@@ -63,9 +65,14 @@ pub struct Gdat {
 pub struct GdatMemory {
     nodes: [Buffer; 2],
     attributes: Vec<[f32; EDGE_ATTRIBUTES]>,
+    /// Edges that count, where not all do.
+    edges: Vec<Edge>,
     round: RoundMemory,
     temporal: TemporalMemory,
 }
+
+/// Most rounds of a model, the last one's receivers apart.
+const ROUNDS_MAX: usize = 3;
 
 impl Gdat {
     /// The layers `gdat.*`.
@@ -133,6 +140,50 @@ impl Gdat {
         memory.nodes[0][..graph.nodes.len() * NODE_ATTRIBUTES].as_chunks().0
     }
 
+    /// The same for a graph of one step of which only some agents' nodes are wanted; theirs are the same to the
+    /// bit, and all others anything. What nobody depends on is not computed.
+    ///
+    /// # Panics
+    /// Where the parts of the graph do not fit one another, or it has more than one step or
+    /// [`AGENTS_MAX`] agents.
+    pub fn attend_wanted<'a>(
+        &self,
+        graph: &Graph<'_>,
+        wanted: &AgentSet,
+        memory: &'a mut GdatMemory,
+    ) -> &'a [[f32; NODE_ATTRIBUTES]] {
+        graph.assert_fits();
+        assert!(graph.nodes.len() == graph.agents_len && graph.agents_len <= AGENTS_MAX, "one step");
+        // Receivers that count in each round, the last first.
+        let mut receivers = [*wanted; ROUNDS_MAX];
+        for round in 1..self.rounds.len() {
+            receivers[round] = with_senders(&receivers[round - 1], graph.edges);
+        }
+        let mut edges = std::mem::take(&mut memory.edges);
+        edges.clear();
+        edges.extend_from_slice(graph.edges);
+        let len = memory.load(graph);
+        for (place, round) in self.rounds.iter().enumerate() {
+            let GdatMemory { nodes: [from, to], attributes, round: scratch, .. } = memory;
+            let left = self.rounds.len() - 1 - place;
+            keep_received(&receivers[left], &mut edges, attributes);
+            round.attend(
+                &Graph { edges: &edges, ..*graph },
+                &from[..len],
+                attributes,
+                scratch,
+                &mut to[..len],
+            );
+            if left > 0 {
+                keep_received(&receivers[left - 1], &mut edges, attributes);
+                round.update_edges(&Graph { edges: &edges, ..*graph }, &to[..len], attributes, scratch);
+            }
+            std::mem::swap(from, to);
+        }
+        memory.edges = edges;
+        memory.nodes[0][..len].as_chunks().0
+    }
+
     /// Temporal summaries ṽ of all agents from what [`Gdat::attend`] made of their nodes, \[step, agent\].
     ///
     /// # Panics
@@ -151,13 +202,8 @@ impl Gdat {
     /// All rounds; v̄ is left in the first of the memory's node buffers.
     fn attend_traced(&self, graph: &Graph<'_>, memory: &mut GdatMemory, mut trace: Option<&mut GraphTrace>) {
         graph.assert_fits();
+        let len = memory.load(graph);
         let GdatMemory { nodes: [from, to], attributes, round: scratch, .. } = memory;
-        let len = graph.nodes.len() * NODE_ATTRIBUTES;
-        from.reserve(len);
-        to.reserve(len);
-        from[..len].copy_from_slice(graph.nodes.as_flattened());
-        attributes.clear();
-        attributes.extend_from_slice(graph.attributes);
         for round in &self.rounds {
             round.attend(graph, &from[..len], attributes, scratch, &mut to[..len]);
             round.update_edges(graph, &to[..len], attributes, scratch);
@@ -174,11 +220,39 @@ impl Gdat {
 
     /// Gives `memory` room for graphs of so many nodes and edges, so that [`Gdat::attend`] does not allocate.
     pub fn make_room(&self, nodes_len: usize, edges_len: usize, memory: &mut GdatMemory) {
-        let GdatMemory { nodes, attributes, round: scratch, .. } = memory;
+        let GdatMemory { nodes, attributes, edges, round: scratch, .. } = memory;
+        edges.reserve(edges_len.saturating_sub(edges.len()));
         nodes.iter_mut().for_each(|nodes| nodes.reserve(nodes_len * NODE_ATTRIBUTES));
         attributes.reserve(edges_len.saturating_sub(attributes.len()));
         self.rounds.iter().for_each(|round| round.make_room(nodes_len, edges_len, scratch));
     }
+}
+
+impl GdatMemory {
+    /// Takes over a graph's nodes and edge attributes; returns the numbers of its nodes.
+    fn load(&mut self, graph: &Graph<'_>) -> usize {
+        let Self { nodes: [from, to], attributes, .. } = self;
+        let len = graph.nodes.len() * NODE_ATTRIBUTES;
+        from.reserve(len);
+        to.reserve(len);
+        from[..len].copy_from_slice(graph.nodes.as_flattened());
+        attributes.clear();
+        attributes.extend_from_slice(graph.attributes);
+        len
+    }
+}
+
+/// Drops the edges that none of `receivers` receives, with their attributes.
+fn keep_received(receivers: &AgentSet, edges: &mut Vec<Edge>, attributes: &mut Vec<[f32; EDGE_ATTRIBUTES]>) {
+    let mut kept = 0;
+    for i in 0..edges.len() {
+        if receivers[usize::from(edges[i].receiver)] {
+            (edges[kept], attributes[kept]) = (edges[i], attributes[i]);
+            kept += 1;
+        }
+    }
+    edges.truncate(kept);
+    attributes.truncate(kept);
 }
 
 impl Graph<'_> {

@@ -22,7 +22,7 @@ mod motion;
 mod weights;
 mod workers;
 
-pub use attention::{Gdat, GdatMemory, Graph, GraphTrace, RoundTrace};
+pub use attention::{AgentSet, Gdat, GdatMemory, Graph, GraphTrace, RoundTrace, with_senders};
 pub use context::{ContextCnn, ContextMemory};
 pub use decoder::{
     AgentDraws, BurnIn, Decoder, DecoderGroup, DecoderMemory, Draws, Encoded, RAW_CONTROL, TypeDecoder,
@@ -37,4 +37,4 @@ pub use model::{
 };
 pub use motion::{motion_kind, motion_options};
 pub use weights::{Weights, WeightsError};
-pub use workers::{Job, StartError, WORKERS_MAX, Workers, default_workers};
+pub use workers::{Deadline, Job, StartError, WORKERS_MAX, Workers, default_workers};

@@ -11,7 +11,7 @@
 
 mod placement;
 
-use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
 use std::sync::{
     Arc, Condvar, Mutex, MutexGuard, OnceLock, PoisonError, RwLock, RwLockReadGuard, RwLockWriteGuard,
 };
@@ -55,9 +55,21 @@ pub trait Job: Send + 'static {
     fn run(&mut self, input: &Self::Input, block: usize);
 }
 
+/// Until when blocks are begun, and the clock that tells.
+#[derive(Clone, Copy, Debug)]
+pub struct Deadline {
+    /// The time on `clock`.
+    pub until_ns: u64,
+    /// Returns the time; never goes back.
+    pub clock: fn() -> u64,
+}
+
 /// The step in hand.
 struct Step<I> {
     input: RwLock<I>,
+    deadline: RwLock<Option<Deadline>>,
+    /// The longest that a block of the step has taken.
+    block_ns: AtomicU64,
     /// The next block to be taken, and how many there are.
     next: AtomicUsize,
     blocks_len: AtomicUsize,
@@ -113,17 +125,45 @@ impl<I> Step<I> {
         self.input.write().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Does blocks until there is none left.
+    /// Does blocks until there is none left, or no time.
     fn work<J: Job<Input = I>>(&self, job: &mut J) {
         let input = self.read();
+        let deadline = *self.deadline.read().unwrap_or_else(PoisonError::into_inner);
         let blocks_len = self.blocks_len.load(Ordering::Relaxed);
         loop {
             let block = self.next.fetch_add(1, Ordering::Relaxed);
             if block >= blocks_len {
                 return;
             }
-            job.run(&input, block);
+            match deadline {
+                Some(deadline) if !self.run_in_time(job, &input, block, deadline) => {
+                    // Nobody else is to begin one: those that follow count for less.
+                    self.next.store(blocks_len, Ordering::Relaxed);
+                    return;
+                }
+                Some(_) => {}
+                None => job.run(&input, block),
+            }
         }
+    }
+
+    /// Does a block if one as long as the longest so far ends in time, and the first in any case.
+    fn run_in_time<J: Job<Input = I>>(
+        &self,
+        job: &mut J,
+        input: &I,
+        block: usize,
+        deadline: Deadline,
+    ) -> bool {
+        let Deadline { until_ns, clock } = deadline;
+        let begin_ns = clock();
+        let expected_ns = self.block_ns.load(Ordering::Relaxed);
+        if block > 0 && begin_ns.saturating_add(expected_ns) >= until_ns {
+            return false;
+        }
+        job.run(input, block);
+        self.block_ns.fetch_max(clock().saturating_sub(begin_ns), Ordering::Relaxed);
+        true
     }
 }
 
@@ -176,8 +216,13 @@ impl<J: Job> Workers<J> {
                 thread: OnceLock::new(),
             })
         };
-        let step =
-            Step { input: RwLock::new(input), next: AtomicUsize::new(0), blocks_len: AtomicUsize::new(0) };
+        let step = Step {
+            input: RwLock::new(input),
+            deadline: RwLock::new(None),
+            block_ns: AtomicU64::new(0),
+            next: AtomicUsize::new(0),
+            blocks_len: AtomicUsize::new(0),
+        };
         let slots = jobs.map(slot).collect();
         let placement = Placement::new(Vec::new());
         let mut pool = Self { step: Arc::new(step), own, slots, threads: Vec::new(), placement };
@@ -221,6 +266,17 @@ impl<J: Job> Workers<J> {
     /// # Panics
     /// Where a job panicked.
     pub fn run(&mut self, blocks_len: usize) {
+        self.run_until(blocks_len, None);
+    }
+
+    /// The same, but from the deadline on no block is begun, nor one that would not end before it if it took as
+    /// long as the longest of the step so far. Blocks are begun in their order, and the first is always done.
+    ///
+    /// # Panics
+    /// Where a job panicked.
+    pub fn run_until(&mut self, blocks_len: usize, deadline: Option<Deadline>) {
+        *self.step.deadline.write().unwrap_or_else(PoisonError::into_inner) = deadline;
+        self.step.block_ns.store(0, Ordering::Relaxed);
         self.step.next.store(0, Ordering::Relaxed);
         self.step.blocks_len.store(blocks_len, Ordering::Relaxed);
         // One block is this thread's: no more are woken than can find another.
@@ -296,6 +352,27 @@ mod tests {
                 assert_eq!(squares(&mut pool), expected.collect::<Vec<_>>());
             }
         }
+    }
+
+    #[test]
+    fn no_block_is_begun_that_would_end_too_late() {
+        /// A clock that goes on by one with each look, so by two with each block.
+        fn clock() -> u64 {
+            static NOW: AtomicU64 = AtomicU64::new(0);
+            NOW.fetch_add(1, Ordering::Relaxed)
+        }
+        let mut pool = Workers::new((2..22).collect(), [Square::default()]).unwrap();
+        // Blocks begin at 0, 2, 4 … and are expected to take 1.
+        pool.run_until(20, Some(Deadline { until_ns: 10, clock }));
+        assert_eq!(
+            squares(&mut pool).into_iter().map(|(block, _)| block).collect::<Vec<_>>(),
+            [0, 1, 2, 3, 4]
+        );
+        // It is too late for all: the first is done, so that there is progress.
+        pool.run_until(20, Some(Deadline { until_ns: 3, clock }));
+        assert_eq!(squares(&mut pool), [(0, 4)]);
+        pool.run(20);
+        assert_eq!(squares(&mut pool).len(), 20, "without a deadline all are done");
     }
 
     /// Holds the first block until another worker has done the second.

@@ -40,6 +40,9 @@ pub enum PortError {
         /// The limit.
         most: usize,
     },
+    /// The process was to replace another one, and was asked to end before its turn.
+    #[error("asked to end before its turn")]
+    NotNeeded,
     /// The system can't wait for frames.
     #[error("waiting for frames: {0}")]
     Wait(#[source] io::Error),

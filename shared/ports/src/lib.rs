@@ -44,15 +44,18 @@
 mod clock;
 mod element;
 mod error;
+mod memory;
 mod names;
 mod node;
 mod peers;
 mod points;
 mod program;
 mod publisher;
+mod raw;
 mod relay;
 mod space;
 mod stage;
+mod standby;
 mod stop;
 mod subscriber;
 mod wait;
@@ -61,15 +64,20 @@ pub use clock::monotonic_ns;
 pub use error::{Awaiting, PortError, StageError};
 pub use names::TOPICS_VARIABLE;
 pub use node::{Node, clean_dead_nodes};
-pub use peers::Peers;
+pub use peers::{Peers, TAP};
 pub use points::{POINTS_VARIABLE, Point};
 pub use program::{
     INCARNATION_VARIABLE, LAUNCHER_VARIABLE, RUN_VARIABLE, begin_logging, die_with_launcher, incarnation,
     stage_main,
 };
 pub use publisher::{Loan, Publisher};
+pub use raw::RawSubscriber;
 pub use relay::{RawFrame, Relay};
-pub use space::{Leftover, Space, SpaceError, leftovers, remove_half_made_connections, shared_memory_free};
+pub use space::{
+    Leftover, LivingRun, Space, SpaceError, leftovers, living_runs, remove_half_made_connections,
+    shared_memory_free,
+};
 pub use stage::{Awaited, HEARTBEAT, Passage, Stage};
+pub use standby::{GO, STANDBY_VARIABLE, await_turn};
 pub use stop::Stop;
 pub use subscriber::{Frame, Subscriber};

@@ -1,6 +1,10 @@
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use iceoryx2::prelude::*;
+use iceoryx2::service::builder::event::{EventCreateError, EventOpenError, EventOpenOrCreateError};
+use iceoryx2::service::builder::publish_subscribe::{
+    PublishSubscribeCreateError, PublishSubscribeOpenError, PublishSubscribeOpenOrCreateError,
+};
 use iceoryx2::service::port_factory::{event, publish_subscribe};
 use run::Run;
 use wire::{HeartbeatsTopic, StageId, Topic};
@@ -8,6 +12,7 @@ use wire::{HeartbeatsTopic, StageId, Topic};
 use crate::element::{Element, Head};
 use crate::names::Names;
 use crate::publisher::Sender;
+use crate::space::remove_half_made_services;
 use crate::{HEARTBEAT, PortError, Publisher, Stop, Subscriber};
 
 /// Frames that one reader may hold at a time: one for long, and while it looks for the newest two more.
@@ -20,6 +25,14 @@ const HISTORY: usize = 1;
 const NODES_MAX: usize = 20;
 /// A payload starts at a cache line, wide enough for every vector load.
 const ALIGNMENT: usize = 64;
+
+/// Longest time for which a half-made service is tried again: the time that a stage has to start by default.
+const OPEN_LIMIT: Duration = Duration::from_secs(10);
+/// Pause between two tries, each of which waits for up to a second itself.
+const OPEN_PAUSE: Duration = Duration::from_millis(50);
+
+/// A service that is half made for so long was left by a process that was killed.
+const HALF_MADE_LIMIT: Duration = Duration::from_millis(500);
 
 /// Meanings of the events that wake a topic's readers.
 mod event_id {
@@ -39,6 +52,7 @@ pub struct Node {
     sender: Sender,
     names: Names,
     protected: Vec<String>,
+    lockstep: bool,
 }
 
 /// The two services of one topic.
@@ -62,7 +76,8 @@ impl Node {
             .map_err(PortError::of_node("node"))?;
         let (interval, sender) = (Duration::from_nanos(run.interval_ns), Sender::default());
         let (names, protected) = (Names::default(), run.protected.clone());
-        Ok(Self { node, run_id: run.id, interval, stop, sender, names, protected })
+        let (run_id, lockstep) = (run.id, run.lockstep);
+        Ok(Self { node, run_id, interval, stop, sender, names, protected, lockstep })
     }
 
     /// The same node as that of a stage: the headers of all that it sends report so, and its topics have the
@@ -102,7 +117,8 @@ impl Node {
     pub fn subscriber<T: Topic>(&self, depth: usize) -> Result<Subscriber<T>, PortError> {
         let services = self.services::<T>(self.names.of(T::NAME))?;
         let (subscriber, listener) = subscriber_of(&services, depth)?;
-        Ok(Subscriber::new(subscriber, listener, services.0, self.run_id, self.protects::<T>()))
+        let (protected, lockstep) = (self.protects::<T>(), self.lockstep);
+        Ok(Subscriber::new(subscriber, listener, services.0, self.run_id, protected, lockstep))
     }
 
     /// Whether the frames of the topic carry a check value.
@@ -115,37 +131,91 @@ impl Node {
         let name: ServiceName =
             format!("stgdat/{name}").as_str().try_into().map_err(PortError::of("service name", T::NAME))?;
         let alignment = Alignment::new(ALIGNMENT).expect("64 is a power of two");
-        let frames = self
-            .node
-            .service_builder(&name)
-            .publish_subscribe::<[Element<T>]>()
-            .user_header::<Head>()
-            .payload_alignment(alignment)
-            .max_publishers(T::PUBLISHERS_MAX)
-            .max_subscribers(T::SUBSCRIBERS_MAX)
-            .max_nodes(NODES_MAX)
-            .subscriber_max_buffer_size(T::DEPTH_MAX)
-            .subscriber_max_borrowed_samples(BORROWED_MAX)
-            .history_size(HISTORY)
-            .enable_safe_overflow(true)
-            .open_or_create()
-            .map_err(PortError::of("frames", T::NAME))?;
+        let frames = || {
+            self.node
+                .service_builder(&name)
+                .publish_subscribe::<[Element<T>]>()
+                .user_header::<Head>()
+                .payload_alignment(alignment)
+                .max_publishers(T::PUBLISHERS_MAX)
+                .max_subscribers(T::SUBSCRIBERS_MAX)
+                .max_nodes(NODES_MAX)
+                .subscriber_max_buffer_size(T::DEPTH_MAX)
+                .subscriber_max_borrowed_samples(BORROWED_MAX)
+                .history_size(HISTORY)
+                .enable_safe_overflow(true)
+                .open_or_create()
+        };
+        let frames = self.patiently(frames, is_half_made_topic).map_err(PortError::of("frames", T::NAME))?;
         let interval = if T::NAME == HeartbeatsTopic::NAME { HEARTBEAT } else { self.interval };
-        let events = self
-            .node
-            .service_builder(&name)
-            .event()
-            .deadline(2 * interval)
-            .max_notifiers(T::PUBLISHERS_MAX)
-            .max_listeners(T::SUBSCRIBERS_MAX)
-            .max_nodes(NODES_MAX)
-            .notifier_created_event(EventId::new(event_id::CREATED))
-            .notifier_dropped_event(EventId::new(event_id::DROPPED))
-            .notifier_dead_event(EventId::new(event_id::DEAD))
-            .open_or_create()
-            .map_err(PortError::of("events", T::NAME))?;
+        let events = || {
+            self.node
+                .service_builder(&name)
+                .event()
+                .deadline(2 * interval)
+                .max_notifiers(T::PUBLISHERS_MAX)
+                .max_listeners(T::SUBSCRIBERS_MAX)
+                .max_nodes(NODES_MAX)
+                .notifier_created_event(EventId::new(event_id::CREATED))
+                .notifier_dropped_event(EventId::new(event_id::DROPPED))
+                .notifier_dead_event(EventId::new(event_id::DEAD))
+                .open_or_create()
+        };
+        let events = self.patiently(events, is_half_made_event).map_err(PortError::of("events", T::NAME))?;
         Ok((frames, events))
     }
+
+    /// Opens a service again and again while it is half made: another process is making it, or was killed at
+    /// it and is cleaned up after.
+    fn patiently<S, E>(&self, open: impl Fn() -> Result<S, E>, is_half_made: fn(&E) -> bool) -> Result<S, E> {
+        let begun = Instant::now();
+        loop {
+            match open() {
+                Err(error)
+                    if is_half_made(&error) && begun.elapsed() < OPEN_LIMIT && !self.stop.requested() =>
+                {
+                    std::thread::sleep(OPEN_PAUSE);
+                }
+                opened => return opened,
+            }
+        }
+    }
+}
+
+/// Whether the service of a topic is being made, removed, or both in turn.
+const fn is_half_made_topic(error: &PublishSubscribeOpenOrCreateError) -> bool {
+    use PublishSubscribeOpenOrCreateError as Error;
+    matches!(
+        error,
+        Error::SystemInFlux
+            | Error::PublishSubscribeOpenError(
+                PublishSubscribeOpenError::HangsInCreation
+                    | PublishSubscribeOpenError::IsMarkedForDestruction
+                    | PublishSubscribeOpenError::DoesNotExist
+            )
+            | Error::PublishSubscribeCreateError(
+                PublishSubscribeCreateError::HangsInCreation
+                    | PublishSubscribeCreateError::AlreadyExists
+                    | PublishSubscribeCreateError::IsBeingCreatedByAnotherInstance
+            )
+    )
+}
+
+/// The same of the events.
+const fn is_half_made_event(error: &EventOpenOrCreateError) -> bool {
+    use EventOpenOrCreateError as Error;
+    matches!(
+        error,
+        Error::SystemInFlux
+            | Error::EventOpenError(
+                EventOpenError::HangsInCreation
+                    | EventOpenError::IsMarkedForDestruction
+                    | EventOpenError::DoesNotExist
+            )
+            | Error::EventCreateError(
+                EventCreateError::AlreadyExists | EventCreateError::IsBeingCreatedByAnotherInstance
+            )
+    )
 }
 
 /// The writing ends of a topic's services.
@@ -199,7 +269,8 @@ fn transport_config(run: &Run) -> Result<Config, SemanticStringError> {
 }
 
 /// Gives back what the dead processes of a run held in shared memory: their ports' places on the topics and
-/// the frames that they had borrowed. Returns how many were cleaned, and how many could not be.
+/// the frames that they had borrowed. Returns how many were cleaned, and how many could not be. A service that
+/// one of them was killed in the middle of making is removed, so that others can make it.
 ///
 /// May block for ever on a connection that a process was killed in the middle of making
 /// ([`remove_half_made_connections`](crate::remove_half_made_connections)): call it in a process that can be
@@ -208,6 +279,16 @@ fn transport_config(run: &Run) -> Result<Config, SemanticStringError> {
 /// # Errors
 /// [`PortError`] where the run can't be joined.
 pub fn clean_dead_nodes(run: &Run) -> Result<(u64, u64), PortError> {
-    let cleaned = Node::open(run, "cleaner")?.node.try_cleanup_dead_nodes();
-    Ok((cleaned.cleanups, cleaned.failed_cleanups))
+    let node = Node::open(run, "cleaner")?.node;
+    let cleaned = node.try_cleanup_dead_nodes();
+    if cleaned.failed_cleanups == 0 {
+        return Ok((cleaned.cleanups, 0));
+    }
+    // A service takes milliseconds to be made: what is half made for so long, nobody will finish.
+    std::thread::sleep(HALF_MADE_LIMIT);
+    if remove_half_made_services(&run.root, HALF_MADE_LIMIT) == 0 {
+        return Ok((cleaned.cleanups, cleaned.failed_cleanups));
+    }
+    let again = node.try_cleanup_dead_nodes();
+    Ok((cleaned.cleanups + again.cleanups, again.failed_cleanups))
 }

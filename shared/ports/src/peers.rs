@@ -5,6 +5,13 @@ use wire::{Heartbeat, HeartbeatsTopic, StageId};
 
 use crate::{PortError, Subscriber};
 
+/// The number in the place of a stage's under which the tap of a run sends heartbeats, in lockstep and while a tool
+/// is attached. It is no stage: nothing but [`Peers::tap_reached`] looks for it.
+pub const TAP: u32 = 64;
+
+/// Heartbeats of the tap that are older are those of one that died or was stopped: nothing waits for it.
+const TAP_SILENT_NS: u64 = 2_000_000_000;
+
 /// The newest heartbeat of each stage of a run.
 #[derive(Debug)]
 pub struct Peers {
@@ -68,6 +75,14 @@ impl Peers {
     pub fn unlinked(&self) -> Vec<StageId> {
         let linked = |stage: &StageId| self.newest.get(&(*stage as u32)).is_some_and(|h| h.linked == 1);
         self.expected.iter().copied().filter(|stage| !linked(stage)).collect()
+    }
+
+    /// Whether the tap has seen tick `seq` at `now_ns`, or does not follow the run.
+    #[must_use]
+    pub fn tap_reached(&self, seq: u64, now_ns: u64) -> bool {
+        self.newest.get(&TAP).is_none_or(|tap| {
+            tap.linked == 0 || tap.seq >= seq || now_ns.saturating_sub(tap.sent_ns) > TAP_SILENT_NS
+        })
     }
 
     /// Whether a stage has finished or refused tick `seq`.

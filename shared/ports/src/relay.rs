@@ -1,6 +1,7 @@
 //! Frames as they lie in shared memory, unchecked: for a program between a topic's writer and its readers.
 #![expect(unsafe_code, reason = "a loan hands out shared memory that was never written by this process")]
 
+use std::cell::{Cell, RefCell};
 use std::time::Duration;
 
 use bytemuck::TransparentWrapper;
@@ -8,18 +9,24 @@ use iceoryx2::port::listener::Listener;
 use iceoryx2::port::subscriber::Subscriber;
 use iceoryx2::prelude::ipc;
 use iceoryx2::sample::Sample;
+use iceoryx2::service::port_factory::PortFactory as _;
 use run::Run;
 use wire::{Header, Topic};
 
 use crate::element::{Element, Head};
-use crate::node::{Writing, publisher_of, subscriber_of};
+use crate::node::{Services, Writing, publisher_of, subscriber_of};
 use crate::wait::{Wakes, wait};
 use crate::{Node, PortError, Stop};
 
 /// Takes frames of a topic under one name and sends frames under its own: any header, any payload.
 #[derive(Debug)]
 pub struct Relay<T: Topic> {
-    writer: Option<Writing<T>>,
+    /// Whether it writes at all.
+    writes: bool,
+    writer: RefCell<Option<Writing<T>>>,
+    /// Whether the name that it reads had a writer at the last look.
+    had_writer: Cell<bool>,
+    services: Services<T>,
     subscriber: Subscriber<ipc::Service, [Element<T>], Head>,
     listener: Listener<ipc::Service>,
     node: Node,
@@ -30,6 +37,10 @@ pub struct Relay<T: Topic> {
 pub struct RawFrame<T: Topic>(Sample<ipc::Service, [Element<T>], Head>);
 
 impl<T: Topic> RawFrame<T> {
+    pub(crate) const fn of(sample: Sample<ipc::Service, [Element<T>], Head>) -> Self {
+        Self(sample)
+    }
+
     /// The header, unchecked.
     #[must_use]
     pub fn header(&self) -> &Header {
@@ -50,9 +61,10 @@ impl<T: Topic> Relay<T> {
     /// [`PortError`] where the run's shared memory can't be used.
     pub fn open(run: &Run, name: &str) -> Result<Self, PortError> {
         let node = Node::open(run, "injector")?;
-        let (subscriber, listener) = subscriber_of::<T>(&node.services::<T>(name)?, T::DEPTH_MAX)?;
-        let writer = Some(publisher_of::<T>(&node.services::<T>(T::NAME)?)?);
-        Ok(Self { writer, subscriber, listener, node })
+        let services = node.services::<T>(name)?;
+        let (subscriber, listener) = subscriber_of::<T>(&services, T::DEPTH_MAX)?;
+        let writer = RefCell::new(Some(publisher_of::<T>(&node.services::<T>(T::NAME)?)?));
+        Ok(Self { writes: true, writer, had_writer: Cell::new(false), services, subscriber, listener, node })
     }
 
     /// Only reads the topic, as one more consumer, with a queue of `depth` frames.
@@ -61,8 +73,25 @@ impl<T: Topic> Relay<T> {
     /// [`PortError`] where the run's shared memory can't be used.
     pub fn consumer(run: &Run, depth: usize) -> Result<Self, PortError> {
         let node = Node::open(run, "consumer")?;
-        let (subscriber, listener) = subscriber_of::<T>(&node.services::<T>(T::NAME)?, depth)?;
-        Ok(Self { writer: None, subscriber, listener, node })
+        let services = node.services::<T>(T::NAME)?;
+        let (subscriber, listener) = subscriber_of::<T>(&services, depth)?;
+        let (writer, had_writer) = (RefCell::new(None), Cell::new(false));
+        Ok(Self { writes: false, writer, had_writer, services, subscriber, listener, node })
+    }
+
+    /// Has the topic open for writing as long as somebody writes under the name that is read: its readers see
+    /// the end of a writer that dies. Until the first one has come the topic stays open.
+    ///
+    /// # Errors
+    /// [`PortError`] where the topic can't be opened again.
+    pub fn follow_writer(&self) -> Result<(), PortError> {
+        let has_writer = self.services.0.dynamic_config().number_of_publishers() > 0;
+        if self.had_writer.replace(has_writer) && !has_writer {
+            self.writer.replace(None);
+        } else if has_writer && self.writes && self.writer.borrow().is_none() {
+            self.writer.replace(Some(publisher_of::<T>(&self.node.services::<T>(T::NAME)?)?));
+        }
+        Ok(())
     }
 
     /// The oldest frame of the queue, if there is one.
@@ -74,15 +103,14 @@ impl<T: Topic> Relay<T> {
         Ok(sample.map(RawFrame))
     }
 
-    /// Sends a frame; elements beyond [`Topic::ELEMENTS_MAX`] are left out.
+    /// Sends a frame; elements beyond [`Topic::ELEMENTS_MAX`] are left out. A relay that has closed the topic
+    /// ([`Relay::follow_writer`]), or that only reads, sends nothing.
     ///
     /// # Errors
     /// [`PortError`] where the transport fails.
-    ///
-    /// # Panics
-    /// For a relay that only reads.
     pub fn send(&self, header: &Header, elements: &[T::Element]) -> Result<(), PortError> {
-        let (publisher, notifier) = self.writer.as_ref().expect("a consumer sends nothing");
+        let writer = self.writer.borrow();
+        let Some((publisher, notifier)) = writer.as_ref() else { return Ok(()) };
         let elements = &elements[..elements.len().min(T::ELEMENTS_MAX)];
         let loan = publisher.loan_slice_uninit(elements.len()).map_err(PortError::of("loan", T::NAME))?;
         // SAFETY: the memory is a mapping that the kernel zeroed, or holds an earlier frame: its bytes are

@@ -8,6 +8,7 @@
 use std::fs::File;
 use std::io;
 use std::path::{Path, PathBuf};
+use std::time::Duration;
 
 use rustix::fs::{FlockOperation, Mode, OFlags, StatVfs, flock, fstat, open, statvfs};
 use thiserror::Error;
@@ -22,6 +23,8 @@ const FAMILY: &str = "stgdat_";
 /// Digits of a run's name after [`FAMILY`].
 const DIGITS: usize = 8;
 const LOCK_SUFFIX: &str = "lock";
+/// The folder of a run's directory with the descriptions of its services.
+const SERVICES: &str = "services";
 
 /// Why a run's files can't be made.
 #[derive(Debug, Error)]
@@ -68,6 +71,15 @@ pub struct Leftover {
     root: PathBuf,
     /// Held so that no two processes clean up the same run. None where the lock's file was gone.
     _lock: Option<File>,
+}
+
+/// A run whose launcher is alive.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct LivingRun {
+    /// Its name: that of its directory.
+    pub name: String,
+    /// Its directory, where its record lies.
+    pub root: PathBuf,
 }
 
 impl Space {
@@ -140,6 +152,22 @@ pub fn remove_half_made_connections(prefix: &str) -> usize {
     files.iter().filter(is_half_made).filter(|file| std::fs::remove_file(file).is_ok()).count()
 }
 
+/// Removes the services of a run that have been half made for longer than `age`; returns how many. A process
+/// that is killed while it makes one leaves it, others wait for it to be finished, and clean-up refuses it.
+pub(crate) fn remove_half_made_services(root: &Path, age: Duration) -> usize {
+    use std::os::unix::fs::PermissionsExt;
+    /// Until a service's description is whole, its owner may write it.
+    const HALF_MADE: u32 = 0o200;
+    let is_half_made = |path: &Path| {
+        let Ok(metadata) = std::fs::metadata(path) else { return false };
+        let is_old = metadata.modified().is_ok_and(|at| at.elapsed().is_ok_and(|elapsed| elapsed > age));
+        metadata.is_file() && metadata.permissions().mode() & HALF_MADE != 0 && is_old
+    };
+    let Ok(entries) = std::fs::read_dir(root.join(SERVICES)) else { return 0 };
+    let files = entries.filter_map(|entry| Some(entry.ok()?.path()));
+    files.filter(|path| is_half_made(path) && std::fs::remove_file(path).is_ok()).count()
+}
+
 /// Bytes free in shared memory.
 ///
 /// # Errors
@@ -154,6 +182,23 @@ pub fn shared_memory_free() -> io::Result<u64> {
 /// # Errors
 /// Where the directories can't be read.
 pub fn leftovers() -> io::Result<Vec<Leftover>> {
+    Ok(prefixes()?.into_iter().filter_map(leftover).collect())
+}
+
+/// The runs of this user that go on.
+///
+/// # Errors
+/// Where the directories can't be read.
+pub fn living_runs() -> io::Result<Vec<LivingRun>> {
+    let living = prefixes()?
+        .into_iter()
+        .filter(|prefix| is_locked(prefix))
+        .map(|prefix| LivingRun { root: root_of(&prefix), name: prefix.trim_end_matches('_').to_owned() });
+    Ok(living.filter(|run| is_ours(&run.root)).collect())
+}
+
+/// The prefixes of all runs that have files.
+fn prefixes() -> io::Result<Vec<String>> {
     let mut prefixes = Vec::new();
     for directory in [SHARED_MEMORY, ROOTS] {
         for entry in std::fs::read_dir(directory)? {
@@ -163,7 +208,15 @@ pub fn leftovers() -> io::Result<Vec<Leftover>> {
     }
     prefixes.sort();
     prefixes.dedup();
-    Ok(prefixes.into_iter().filter_map(leftover).collect())
+    Ok(prefixes)
+}
+
+/// Whether a run's launcher holds its lock.
+fn is_locked(prefix: &str) -> bool {
+    let path = lock_path(prefix);
+    // Shared: two processes that look at once do not take each other for a launcher.
+    let taken = take_lock(&path, OFlags::empty(), FlockOperation::NonBlockingLockShared);
+    is_ours(&path) && taken.is_err_and(|error| error.kind() == io::ErrorKind::WouldBlock)
 }
 
 /// The leftover of a run, where it is dead and ours.
@@ -248,4 +301,30 @@ fn remove(prefix: &str, root: &Path) {
         let _ = std::fs::remove_dir_all(root);
     }
     let _ = std::fs::remove_file(lock);
+}
+
+#[cfg(test)]
+mod tests {
+    use std::fs::Permissions;
+    use std::os::unix::fs::PermissionsExt as _;
+
+    use super::*;
+
+    #[test]
+    fn half_made_services_alone_are_removed_once_they_are_old() {
+        let root = std::env::temp_dir().join(format!("stgdat_half_made_{}", std::process::id()));
+        let services = root.join(SERVICES);
+        std::fs::create_dir_all(&services).unwrap();
+        for (name, mode) in [("whole.service", 0o400), ("half.service", 0o600)] {
+            std::fs::write(services.join(name), "x").unwrap();
+            std::fs::set_permissions(services.join(name), Permissions::from_mode(mode)).unwrap();
+        }
+        let young = remove_half_made_services(&root, Duration::from_secs(3_600));
+        std::thread::sleep(Duration::from_millis(2));
+        let old = remove_half_made_services(&root, Duration::ZERO);
+        let is_left = ["whole.service", "half.service"].map(|name| services.join(name).exists());
+        std::fs::remove_dir_all(&root).unwrap();
+        assert_eq!((young, old, is_left), (0, 1, [true, false]));
+        assert_eq!(remove_half_made_services(&root, Duration::ZERO), 0, "a run that is gone has none");
+    }
 }

@@ -8,15 +8,19 @@ use wire::{
 };
 
 use crate::error::log_refused;
+use crate::memory::ResidentMemory;
 use crate::points::{self, Point};
 use crate::subscriber::Input;
 use crate::wait::{Wakes, wait};
-use crate::{Frame, Loan, Node, Peers, PortError, Publisher, Stop, Subscriber, monotonic_ns};
+use crate::{Frame, Loan, Node, Peers, PortError, Publisher, Stop, Subscriber, monotonic_ns, standby};
 
 /// Time between the heartbeats of a stage, whether it has work or not: a tick.
 pub const HEARTBEAT: Duration = Duration::from_nanos(TICK_NS);
 /// Queue depth of a stage's input: the tick at hand and the next.
 const DEPTH: usize = 2;
+/// Longest wait for the place of a process that has ended to become free, and the pause between two tries.
+const PLACE_LIMIT: Duration = Duration::from_secs(1);
+const PLACE_PAUSE: Duration = Duration::from_millis(2);
 
 /// One process of the pipeline: what all stages do, on one thread.
 #[derive(Debug)]
@@ -37,6 +41,9 @@ pub struct Stage {
     frames_len: u64,
     rejected_len: u64,
     refusals: [Refusals; REFUSALS_MAX],
+    memory: ResidentMemory,
+    /// Number of the newest tick of the process that this one has replaced.
+    taken_over: Option<u64>,
 }
 
 /// The topics that a stage has declared, and which of them it has opened.
@@ -69,6 +76,8 @@ pub enum Awaited<T: Topic> {
     Void(Frame<T>),
     /// Nothing until the deadline.
     Late,
+    /// In lockstep: the frame has come and was refused, and nobody will send it again.
+    Lost,
     /// The process has been asked to end.
     Stopped,
 }
@@ -104,6 +113,8 @@ impl Stage {
             frames_len,
             rejected_len,
             refusals: [Refusals::default(); REFUSALS_MAX],
+            memory: ResidentMemory::of_stage(),
+            taken_over: None,
         })
     }
 
@@ -152,8 +163,11 @@ impl Stage {
 
     /// Opens an output. The stage is linked only once a frame has gone out.
     ///
+    /// A process that is to replace one that still runs waits here until that one has ended: open the inputs, and
+    /// load what takes time, before.
+    ///
     /// # Errors
-    /// As [`Node::publisher`].
+    /// As [`Node::publisher`] and [`await_turn`](crate::await_turn).
     ///
     /// # Panics
     /// Where the stage has not declared that it writes the topic.
@@ -162,7 +176,40 @@ impl Stage {
         assert!(writes.contains(&T::NAME), "the {} declares no output \"{}\"", self.id.name(), T::NAME);
         self.declared.opened.push(T::NAME);
         self.passed = false;
-        self.node.publisher()
+        if standby::is_standby() {
+            self.take_over::<T>()?;
+        }
+        let begun = std::time::Instant::now();
+        loop {
+            match self.node.publisher() {
+                // The place of the process before is free once the transport knows of its end.
+                Err(_) if self.taken_over.is_some() && begun.elapsed() < PLACE_LIMIT => {
+                    std::thread::sleep(PLACE_PAUSE);
+                }
+                opened => return opened,
+            }
+        }
+    }
+
+    /// Waits for its turn, and goes on after the newest tick that the process before has sent.
+    fn take_over<T: Topic>(&mut self) -> Result<(), PortError> {
+        let sent = self.node.subscriber::<T>(DEPTH)?;
+        standby::await_turn(self.id, self.stop())?;
+        while let Some(frame) = sent.receive()? {
+            if frame.header().is_tick() {
+                self.taken_over = self.taken_over.max(Some(frame.header().seq));
+            }
+        }
+        if let Some(seq) = self.taken_over {
+            self.inputs[..self.on_the_way_len].iter().for_each(|input| input.resume_after(seq));
+        }
+        Ok(())
+    }
+
+    /// Number of the newest tick that the process before has sent, where this one has replaced it while it ran.
+    #[must_use]
+    pub const fn taken_over(&self) -> Option<u64> {
+        self.taken_over
     }
 
     /// The heartbeats of all stages; they do not count as an input.
@@ -196,19 +243,19 @@ impl Stage {
         input: &Subscriber<I>,
         output: &Publisher<O>,
     ) -> Result<Option<Frame<I>>, PortError> {
-        while let Some(frame) = self.take(input)? {
-            if frame.header().is_tick() && !frame.header().has(flags::VOID) {
-                return Ok(Some(frame));
+        loop {
+            match self.next_until(input, output, None)? {
+                Awaited::Frame(frame) => return Ok(Some(frame)),
+                Awaited::Stopped => return Ok(None),
+                Awaited::Void(_) | Awaited::Late | Awaited::Lost => {}
             }
-            let passage = self.begin(&frame);
-            self.pass_empty(passage, output)?;
         }
-        Ok(None)
     }
 
     /// The next tick to work on, asleep until it comes or until `until_ns` on `CLOCK_MONOTONIC`.
     ///
-    /// A frame that is no work goes straight on to `output`, and is returned as [`Awaited::Void`].
+    /// A frame that is no work goes straight on to `output`, and is returned as [`Awaited::Void`]. In lockstep
+    /// the tick of a frame that was refused goes on as VOID, and [`Awaited::Lost`] is returned.
     ///
     /// # Errors
     /// [`PortError`] where the transport fails.
@@ -229,10 +276,17 @@ impl Stage {
                     self.pass_empty(passage, output)?;
                     return Ok(Awaited::Void(frame));
                 }
-                None if until_ns.is_some_and(|until_ns| monotonic_ns() >= until_ns) => {
-                    return Ok(Awaited::Late);
+                None => {
+                    if let Some(header) = input.take_lost() {
+                        let passage = self.start(header, monotonic_ns(), I::NAME);
+                        self.pass_empty(passage, output)?;
+                        return Ok(Awaited::Lost);
+                    }
+                    if until_ns.is_some_and(|until_ns| monotonic_ns() >= until_ns) {
+                        return Ok(Awaited::Late);
+                    }
+                    self.sleep([input], until_ns)?;
                 }
-                None => self.sleep([input], until_ns)?,
             }
         }
         Ok(Awaited::Stopped)
@@ -250,6 +304,11 @@ impl Stage {
         while !self.stop().requested() {
             if let Some(frame) = input.receive()? {
                 return Ok(Some(frame));
+            }
+            if let Some(header) = input.take_lost() {
+                // The source waits for this stage's answer, which is that it has none.
+                self.seq = header.seq;
+                self.beat()?;
             }
             self.sleep([input], None)?;
         }
@@ -271,6 +330,9 @@ impl Stage {
             match input.of_tick(seq)? {
                 Some(frame) if frame.header().has(flags::VOID) => return Ok(Awaited::Void(frame)),
                 Some(frame) => return Ok(Awaited::Frame(frame)),
+                None if input.take_lost().is_some_and(|header| header.seq >= seq) => {
+                    return Ok(Awaited::Lost);
+                }
                 None if deadline_ns.is_some_and(|deadline_ns| monotonic_ns() >= deadline_ns) => {
                     return Ok(Awaited::Late);
                 }
@@ -303,27 +365,24 @@ impl Stage {
 
     /// Starts the work on a tick.
     pub fn begin<I: Topic>(&self, frame: &Frame<I>) -> Passage {
+        self.start(*frame.header(), frame.received_ns(), I::NAME)
+    }
+
+    fn start(&self, header: Header, received_ns: u64, input: &'static str) -> Passage {
         let hop = Hop {
             stage: self.id as u32,
             incarnation: self.incarnation,
-            received_ns: frame.received_ns(),
+            received_ns,
             started_ns: monotonic_ns(),
             ..Hop::default()
         };
-        Passage { header: *frame.header(), hop, input: I::NAME }
+        Passage { header, hop, input }
     }
 
     /// Starts a tick that has no input: at the source.
     pub fn release(&self, header: Header) -> Passage {
         let now_ns = monotonic_ns();
-        let hop = Hop {
-            stage: self.id as u32,
-            incarnation: self.incarnation,
-            received_ns: now_ns,
-            started_ns: now_ns,
-            ..Hop::default()
-        };
-        Passage { header: Header { released_ns: now_ns, ..header }, hop, input: "none" }
+        self.start(Header { released_ns: now_ns, ..header }, now_ns, "none")
     }
 
     /// Ends the work on a tick: sends the output or, where the input was refused, a VOID frame to the stages
@@ -408,7 +467,9 @@ impl Stage {
         let mut header = Header::new(self.node.run_id(), self.beat, 0);
         header.counts.agents_len = 1;
         self.beat += 1;
-        self.heartbeats.send_copy(&[heartbeat], header)
+        self.heartbeats.send_copy(&[heartbeat], header)?;
+        self.memory.tend();
+        Ok(())
     }
 
     /// The stage's counters as they stand.

@@ -9,7 +9,9 @@ use iceoryx2::prelude::ipc;
 use iceoryx2::sample::Sample;
 use iceoryx2::service::port_factory::PortFactory as _;
 use iceoryx2::service::port_factory::publish_subscribe::PortFactory;
-use wire::{Header, Protection, REFUSALS_MAX, Refusals, Rejected, StageId, Topic, flags};
+use wire::{
+    Counts, Header, Protection, REFUSALS_MAX, RefusalCause, Refusals, Rejected, SCHEMA, StageId, Topic, flags,
+};
 
 use crate::element::{Element, Head};
 use crate::error::log_refused;
@@ -28,6 +30,8 @@ struct Port<T: Topic> {
     run_id: u64,
     /// Whether frames without a check value are refused.
     protected: bool,
+    /// Whether nobody gives up waiting for a tick: one that is refused here is declared lost.
+    lockstep: bool,
     /// Number and stamp of the newest tick received.
     newest: Cell<Option<(u64, i64)>>,
     /// A frame of a later tick than the one awaited.
@@ -40,10 +44,21 @@ struct Port<T: Topic> {
     dropped_len: Cell<u64>,
     /// The newest incarnation of each stage that a tick has passed, by the stage's number.
     incarnations: Cell<[u32; STAGES_LEN]>,
+    /// Frames of an older incarnation in a row.
+    old_len: Cell<u32>,
+    /// In lockstep: the header of the newest tick, and that of a tick that was refused since.
+    last: Cell<Option<Header>>,
+    lost: Cell<Option<Header>>,
+    /// Ticks up to this one were answered by the process that this one has replaced.
+    answered: Cell<Option<u64>>,
 }
 
 /// One more than the greatest number of a stage of this project.
 const STAGES_LEN: usize = StageId::ALL.len() + 1;
+
+/// Frames of a replaced process that are refused in a row: twice what the deepest queue holds. More of them say that
+/// the newer incarnation was a flipped bit, on a topic without check values.
+const OLD_MAX: u32 = 16;
 
 /// No stage is so many ticks ahead of another that waits for its frames: more than the deepest queue.
 const AHEAD_MAX: u64 = 16;
@@ -84,17 +99,20 @@ impl<T: Topic> Subscriber<T> {
         service: PortFactory<ipc::Service, [Element<T>], Head>,
         run_id: u64,
         protected: bool,
+        lockstep: bool,
     ) -> Self {
         let (newest, early) = (Cell::new(None), RefCell::new(None));
         let (seen, rejected_len, dropped_len) = (Cell::new(false), Cell::new(0), Cell::new(0));
         let (refusals, counter) = (Cell::default(), Cell::new(None));
         let incarnations = Cell::new([0; STAGES_LEN]);
+        let (last, lost, old_len) = (Cell::new(None), Cell::new(None), Cell::new(0));
         Self(Rc::new(Port {
             subscriber,
             listener,
             service,
             run_id,
             protected,
+            lockstep,
             newest,
             early,
             seen,
@@ -103,6 +121,10 @@ impl<T: Topic> Subscriber<T> {
             counter,
             dropped_len,
             incarnations,
+            old_len,
+            last,
+            lost,
+            answered: Cell::new(None),
         }))
     }
 
@@ -117,18 +139,27 @@ impl<T: Topic> Subscriber<T> {
         }
         while let Some(sample) = self.0.subscriber.receive().map_err(PortError::of("receiving", T::NAME))? {
             let frame = Frame { sample, received_ns: monotonic_ns() };
+            if self.0.is_answered(frame.header()) {
+                continue;
+            }
             match self.0.check(&frame) {
                 Ok(()) => {
                     self.0.count(frame.header());
                     return Ok(Some(frame));
                 }
                 Err(why) => {
-                    self.0.refuse(frame.header().sender, &why);
+                    self.0.refuse(self.0.sender_of(frame.header(), &why), &why);
                     log_refused(T::NAME, frame.header().seq, &why);
+                    self.0.lose(frame.header(), &why);
                 }
             }
         }
         Ok(None)
+    }
+
+    /// In lockstep: the VOID header of a tick that was refused since the last call. Nobody will send it again.
+    pub(crate) fn take_lost(&self) -> Option<Header> {
+        self.0.lost.take()
     }
 
     /// The newest tick of the queue that is not VOID, if there is one; all other frames are dropped.
@@ -202,6 +233,8 @@ pub(crate) trait Input: std::fmt::Debug {
     fn refusals(&self) -> [Refusals; REFUSALS_MAX];
     /// Frames that never arrived, so far.
     fn dropped_len(&self) -> u64;
+    /// Ticks up to this one are left out: another process has answered them.
+    fn resume_after(&self, seq: u64);
 }
 
 impl<T: Topic> Input for Port<T> {
@@ -220,6 +253,12 @@ impl<T: Topic> Input for Port<T> {
     fn dropped_len(&self) -> u64 {
         self.dropped_len.get()
     }
+
+    fn resume_after(&self, seq: u64) {
+        self.answered.set(Some(seq));
+        // The ticks that follow are expected without a gap.
+        self.newest.set(Some((seq, i64::MIN)));
+    }
 }
 
 impl<T: Topic> Wakes for Subscriber<T> {
@@ -231,6 +270,11 @@ impl<T: Topic> Wakes for Subscriber<T> {
 impl<T: Topic> Port<T> {
     fn check(&self, frame: &Frame<T>) -> Result<(), Rejected> {
         let header = frame.header();
+        // In this order: of a frame that is not what its sender sent, no other field says why.
+        header.check_schema()?;
+        if self.protected {
+            Protection::check::<T>(header, frame)?;
+        }
         header.check()?;
         if header.run_id != self.run_id {
             return Err(Rejected::ForeignRun { found: header.run_id, expected: self.run_id });
@@ -238,9 +282,15 @@ impl<T: Topic> Port<T> {
         // A topic with one writer: what a replaced process has left comes after its successor's first frame.
         if T::PUBLISHERS_MAX == 1
             && let Some(&newest) = self.incarnations.get().get(header.sender as usize)
-            && header.incarnation < newest
         {
-            return Err(Rejected::OldIncarnation { found: header.incarnation, newest });
+            let found = header.incarnation;
+            self.old_len.set(if found < newest { self.old_len.get() + 1 } else { 0 });
+            if (1..=OLD_MAX).contains(&self.old_len.get()) {
+                return Err(Rejected::OldIncarnation { found, newest });
+            }
+            if found < newest {
+                self.believe(header.sender, found);
+            }
         }
         self.check_repetition(header)?;
         let expected = T::elements_len(&header.counts);
@@ -248,16 +298,77 @@ impl<T: Topic> Port<T> {
             return Err(Rejected::Length { found: frame.len(), expected });
         }
         if self.protected {
-            Protection::check::<T>(header, frame)?;
             self.check_counter(header)?;
         }
         Ok(())
+    }
+
+    /// Who a refused frame is counted with: where its header can't be believed, the sender of the newest frame
+    /// that could be.
+    fn sender_of(&self, header: &Header, why: &Rejected) -> u32 {
+        match (self.counter.get(), why.cause()) {
+            (Some((sender, ..)), RefusalCause::CheckValue) if T::PUBLISHERS_MAX == 1 => sender,
+            _ => header.sender,
+        }
+    }
+
+    /// Declares the tick of a refused frame lost, in lockstep: the one after the newest, for there is no gap.
+    /// The frame may also be one too many: then no tick is lost with it.
+    fn lose(&self, header: &Header, why: &Rejected) {
+        let is_extra = matches!(
+            why.cause(),
+            RefusalCause::Repeated | RefusalCause::Order | RefusalCause::OldIncarnation
+        );
+        if !self.lockstep || T::PUBLISHERS_MAX != 1 || is_extra || !header.is_tick() {
+            return;
+        }
+        let seq = self.newest.get().map_or(0, |(newest, _)| newest + 1);
+        let is_believed = !matches!(
+            why.cause(),
+            RefusalCause::Schema | RefusalCause::CheckValue | RefusalCause::Unprotected
+        ) && header.check().is_ok()
+            && (header.run_id, header.seq) == (self.run_id, seq);
+        let next = |last: Header| Header {
+            stamp_ns: last.stamp_ns.saturating_add_unsigned(last.interval_ns),
+            released_ns: last.released_ns.saturating_add(last.interval_ns),
+            ..last
+        };
+        let base = match self.last.get() {
+            _ if is_believed => *header,
+            Some(last) => next(last).with_hops_of(&Header::default()),
+            None => Header::default(),
+        };
+        let lost = Header {
+            run_id: self.run_id,
+            seq,
+            flags: base.flags | flags::VOID | flags::LOCKSTEP,
+            counts: Counts::default(),
+            ..Header { schema: SCHEMA, ..base }
+        };
+        self.newest.set(Some((seq, lost.stamp_ns)));
+        self.last.set(Some(lost));
+        self.lost.set(Some(lost));
+    }
+
+    /// Takes back that a stage was restarted: the process that was taken for dead sends more than it can have left.
+    fn believe(&self, stage: u32, incarnation: u32) {
+        let mut incarnations = self.incarnations.get();
+        if let Some(newest) = incarnations.get_mut(stage as usize) {
+            *newest = incarnation;
+        }
+        self.incarnations.set(incarnations);
+        self.old_len.set(0);
     }
 
     /// Refuses a tick that has come before, from a stage that has been restarted since: the first frame that it
     /// finds in its input is the last one that its predecessor had, and may have passed on.
     fn check_repetition(&self, header: &Header) -> Result<(), Rejected> {
         let Some((newest, last_ns)) = self.newest.get() else { return Ok(()) };
+        // The frame of a tick that was declared lost: one of another had come in its place.
+        let is_lost = self.last.get().is_some_and(|last| last.has(flags::VOID) && last.seq == header.seq);
+        if self.lockstep && is_lost && header.is_tick() && !header.has(flags::VOID) {
+            return Err(Rejected::NotNewer { stamp_ns: header.stamp_ns, last_ns });
+        }
         let is_new = |(stage, incarnation): (u32, u32)| {
             self.incarnations.get().get(stage as usize).is_some_and(|newest| *newest < incarnation)
         };
@@ -282,6 +393,16 @@ impl<T: Topic> Port<T> {
         }
         self.counter.set(Some((sender, incarnation, protection.counter)));
         Ok(())
+    }
+
+    /// Whether the frame is a tick that the process before has answered. They lie in the queue before all others.
+    fn is_answered(&self, header: &Header) -> bool {
+        let Some(answered) = self.answered.get() else { return false };
+        let is_answered = header.is_tick() && header.seq <= answered;
+        if header.is_tick() && !is_answered {
+            self.answered.set(None);
+        }
+        is_answered
     }
 
     fn refuse(&self, sender: u32, why: &Rejected) {
@@ -316,6 +437,9 @@ impl<T: Topic> Port<T> {
             self.dropped_len.set(self.dropped_len.get() + header.seq.saturating_sub(expected));
         }
         self.newest.set(Some((header.seq, header.stamp_ns)));
+        if self.lockstep {
+            self.last.set(Some(*header));
+        }
     }
 
     /// Takes back that a frame was counted as tick `found`, before which all ticks from `awaited` on were missing.

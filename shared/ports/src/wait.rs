@@ -44,14 +44,14 @@ pub(crate) fn wait<const N: usize>(topics: [&dyn Wakes; N], timeout: Duration) -
     Ok(())
 }
 
-fn descriptor(topic: &dyn Wakes) -> BorrowedFd<'_> {
+pub(crate) fn descriptor(topic: &dyn Wakes) -> BorrowedFd<'_> {
     let descriptor = topic.listener().file_descriptor();
     // SAFETY: the listener owns the descriptor, does not close it before it is dropped, and is borrowed for
     // as long.
     unsafe { BorrowedFd::borrow_raw(descriptor.native_handle()) }
 }
 
-fn drain(listener: &Listener<ipc::Service>) -> Result<(), PortError> {
+pub(crate) fn drain(listener: &Listener<ipc::Service>) -> Result<(), PortError> {
     match listener.try_wait(|_| ()) {
         Ok(_) | Err(ListenerWaitError::InterruptSignal) => Ok(()),
         Err(error) => Err(PortError::Wait(io::Error::other(error))),

@@ -1,9 +1,14 @@
 //! Frames between two ends of a topic, in one process and across two.
 
+use std::io::{BufRead as _, BufReader, Write as _};
+use std::os::unix::net::UnixListener;
 use std::path::Path;
 use std::time::{Duration, Instant};
 
-use ports::{Awaited, Node, Space, Stage, StageError, leftovers, monotonic_ns};
+use ports::{
+    Awaited, GO, INCARNATION_VARIABLE, Node, STANDBY_VARIABLE, Space, Stage, StageError, leftovers,
+    monotonic_ns,
+};
 use run::{Declaration, NoOptions, Run};
 use wire::{
     ContextTopic, FeaturesTopic, ForecastsTopic, Header, HeartbeatsTopic, Protection, RefusalCause, Refusals,
@@ -248,7 +253,7 @@ fn a_stage_in_another_process_links_answers_and_ends() {
     let (space, run) = run();
     let record = space.root().join("run");
     run.write(&record).unwrap();
-    let mut child = std::process::Command::new(std::env::current_exe().unwrap())
+    let mut child = std::process::Command::new(std::env::current_exe().expect("a test has a file"))
         .args(["--exact", "echo_process", "--nocapture"])
         .env("STGDAT_TEST_ECHO", &record)
         .spawn()
@@ -291,6 +296,75 @@ fn a_stage_in_another_process_links_answers_and_ends() {
     let pid = rustix::process::Pid::from_child(&child);
     rustix::process::kill_process(pid, rustix::process::Signal::TERM).unwrap();
     assert!(child.wait().unwrap().success(), "a stage that is asked to end returns from its loop");
+}
+
+/// Starts the echo as a process; with a socket, as one that is to replace another.
+fn start_echo(record: &Path, standby: Option<&Path>) -> std::process::Child {
+    std::process::Command::new(std::env::current_exe().expect("a test has a file"))
+        .args(["--exact", "echo_process", "--nocapture"])
+        .env("STGDAT_TEST_ECHO", record)
+        .envs(standby.map(|socket| (STANDBY_VARIABLE, socket)))
+        .env(INCARNATION_VARIABLE, if standby.is_some() { "1" } else { "0" })
+        .spawn()
+        .expect("a test can start itself")
+}
+
+#[test]
+fn a_process_takes_over_after_the_newest_tick_that_was_answered() {
+    let (space, run) = run();
+    let record = space.root().join("run");
+    run.write(&record).unwrap();
+    let mut here = Stage::open(&run, &CALLER).unwrap();
+    let tracks = here.publish::<TracksTopic>().unwrap();
+    let forecasts = here.subscribe::<ForecastsTopic>().unwrap();
+    let limit_ns = monotonic_ns() + 20_000_000_000;
+    let ask = |stage: &mut Stage, seq: u64| {
+        let passage = stage.release(header(&run, seq, 1));
+        let loan = tracks.copy(&[track(seq + 5)]).unwrap();
+        stage.finish(passage, &tracks, Ok(loan)).unwrap();
+    };
+    let answer = |stage: &mut Stage| loop {
+        assert!(monotonic_ns() < limit_ns, "no answer");
+        stage.sleep_on(&forecasts, monotonic_ns() + 20_000_000).unwrap();
+        let frame = forecasts.receive().unwrap();
+        if let Some(frame) = frame {
+            let hop = frame.header().hop(StageId::Sampler).expect("the echo has stamped it");
+            return (frame.header().seq, hop.incarnation);
+        }
+    };
+
+    let mut old = start_echo(&record, None);
+    // Frames reach the old process once it is there: the first tick that it answers.
+    let first = (0..).find(|&seq| {
+        assert!(monotonic_ns() < limit_ns, "no answer");
+        ask(&mut here, seq);
+        here.sleep_on(&forecasts, monotonic_ns() + 20_000_000).unwrap();
+        forecasts.receive().unwrap().is_some()
+    });
+    let first = first.expect("it answers");
+    let socket = space.root().join("control");
+    let listener = UnixListener::bind(&socket).unwrap();
+    let mut new = start_echo(&record, Some(&socket));
+    let (mut turn, _) = listener.accept().unwrap();
+    let mut ready = String::new();
+    BufReader::new(&turn).read_line(&mut ready).unwrap();
+    assert_eq!(ready, "ready sampler 1\n");
+    for seq in first + 1..first + 4 {
+        ask(&mut here, seq);
+        while answer(&mut here) != (seq, 0) {}
+    }
+    let pid = rustix::process::Pid::from_child(&old);
+    rustix::process::kill_process(pid, rustix::process::Signal::TERM).unwrap();
+    assert!(old.wait().unwrap().success());
+    // A tick that comes while there is no stage is answered by the new one, and none is answered twice.
+    ask(&mut here, first + 4);
+    writeln!(turn, "{GO}").unwrap();
+    assert_eq!(answer(&mut here), (first + 4, 1));
+    ask(&mut here, first + 5);
+    assert_eq!(answer(&mut here), (first + 5, 1));
+    let pid = rustix::process::Pid::from_child(&new);
+    rustix::process::kill_process(pid, rustix::process::Signal::TERM).unwrap();
+    assert!(new.wait().unwrap().success());
 }
 
 #[test]

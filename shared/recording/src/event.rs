@@ -34,6 +34,17 @@ pub enum Happened {
         /// Why it is given up.
         why: String,
     },
+    /// A stage was to be replaced by another program.
+    Replaced {
+        /// The stage.
+        stage: String,
+        /// What came of it: `replaced`, `not used` or `rolled back`.
+        outcome: String,
+        /// The new program.
+        program: String,
+        /// Why it is not used, to follow "it "; empty where it is.
+        cause: String,
+    },
     /// A stage gets no CPU.
     Starved {
         /// The stage.

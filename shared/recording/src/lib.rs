@@ -34,6 +34,7 @@
 //! [`tap`] is how tools get the frames of a run that goes on: one process reads the topics and hands them on.
 
 mod about;
+mod compare;
 mod error;
 mod event;
 mod format;
@@ -44,6 +45,7 @@ pub mod tap;
 mod writer;
 
 pub use about::{ABOUT, About};
+pub use compare::{Comparison, Difference, FrameDifference, TopicComparison, compare, computed};
 pub use error::{ReadError, WriteError};
 pub use event::{Event, Happened, LogLine};
 pub use frame::{Frame, FrameError, topic_number};

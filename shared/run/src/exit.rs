@@ -3,6 +3,7 @@
 /// | code | meaning |
 /// |---|---|
 /// | 0 | done |
+/// | 1 | `diff` and `replay` have found differences |
 /// | 2 | wrong usage of the command line |
 /// | 65 | a recording, map or weights file can't be used, or an output file can't be written |
 /// | 69 | a resource is missing: shared memory, space, a port |
@@ -15,6 +16,8 @@
 pub enum Exit {
     /// Done.
     Done = 0,
+    /// A comparison has found differences.
+    Different = 1,
     /// Wrong usage of the command line.
     Usage = 2,
     /// A recording, map or weights file can't be used.
@@ -37,6 +40,7 @@ impl Exit {
     pub fn from_code(code: i32) -> Option<Self> {
         [
             Self::Done,
+            Self::Different,
             Self::Usage,
             Self::Data,
             Self::Unavailable,

@@ -17,7 +17,7 @@ use crate::{Declaration, OptionError};
 /// First bytes of a record's file, before the schema's number and a line break.
 const MAGIC: &str = "stgdat-run ";
 /// Version of the record; counts up with every change of [`Run`].
-const SCHEMA: u32 = 6;
+const SCHEMA: u32 = 7;
 /// Largest record that is read; real ones have a few kilobytes.
 const BYTES_MAX: u64 = 1 << 20;
 
@@ -55,6 +55,8 @@ pub struct Run {
     pub seed: u64,
     /// Topics whose frames carry a check value, which their readers demand.
     pub protected: Vec<String>,
+    /// Whether a tick that has no time for all agents serves some and leaves out the others.
+    pub shed: bool,
     /// The weights; the embedded ones where none.
     pub weights: Option<PathBuf>,
     /// The stages, in the order in which a tick passes them.
@@ -123,6 +125,7 @@ impl Default for Run {
             lockstep: false,
             seed: 1,
             protected: PROTECTED.map(str::to_owned).to_vec(),
+            shed: true,
             weights: None,
             stages: Vec::new(),
         }
@@ -156,6 +159,21 @@ impl Run {
     pub fn budgets_ms(&self) -> BTreeMap<StageId, f64> {
         let stages = self.stages.iter();
         stages.filter_map(|stage| Some((StageId::from_number(stage.stage)?, stage.budget_ms?))).collect()
+    }
+
+    /// Time after the release of a tick by which a stage has to be done with it, so that agents that it has not
+    /// served by then are left out: the budgets up to its own, scaled to the interval where that is shorter than a
+    /// tick. None in lockstep, where nothing is to be shed, and for a stage without a budget.
+    #[must_use]
+    pub fn deadline_ns(&self, stage: StageId) -> Option<u64> {
+        let budgets_ms = self.budgets_ms();
+        if self.lockstep || !self.shed || !budgets_ms.contains_key(&stage) {
+            return None;
+        }
+        let up_to = StageId::ALL.iter().take_while(|other| **other != stage).chain([&stage]);
+        let sum_ms: f64 = up_to.filter_map(|stage| budgets_ms.get(stage)).sum();
+        let scale = self.interval_ns.min(TICK_NS) as f64 / TICK_NS as f64;
+        Some((sum_ms * 1e6 * scale) as u64)
     }
 
     /// Writes the record.
@@ -211,6 +229,7 @@ mod tests {
             lockstep: true,
             seed: 3,
             protected: vec!["tracks".into()],
+            shed: false,
             weights: Some("w.safetensors".into()),
             stages: vec![StageRun {
                 stage: StageId::Sampler as u32,
@@ -235,6 +254,33 @@ mod tests {
             written.write(path).unwrap();
             assert_eq!(Run::read(path).unwrap(), written);
         });
+    }
+
+    #[test]
+    fn deadlines_are_the_budgets_up_to_a_stage() {
+        let stage = |stage: StageId, budget_ms| StageRun {
+            stage: stage as u32,
+            budget_ms,
+            built_in: true,
+            options: String::new(),
+        };
+        // Not in the order of the chain: a pipeline file may have any.
+        let stages = vec![
+            stage(StageId::Decoder, Some(20.0)),
+            stage(StageId::Source, Some(1.0)),
+            stage(StageId::Tracker, Some(6.0)),
+            stage(StageId::Recorder, None),
+        ];
+        let run = Run { stages, ..Run::default() };
+        assert_eq!(run.deadline_ns(StageId::Tracker), Some(7_000_000));
+        assert_eq!(run.deadline_ns(StageId::Decoder), Some(27_000_000));
+        assert_eq!(run.deadline_ns(StageId::Recorder), None);
+        let faster = Run { interval_ns: TICK_NS / 2, ..run.clone() };
+        assert_eq!(faster.deadline_ns(StageId::Decoder), Some(13_500_000));
+        let slower = Run { interval_ns: TICK_NS * 2, ..run.clone() };
+        assert_eq!(slower.deadline_ns(StageId::Decoder), Some(27_000_000));
+        assert_eq!(Run { lockstep: true, ..run.clone() }.deadline_ns(StageId::Decoder), None);
+        assert_eq!(Run { shed: false, ..run }.deadline_ns(StageId::Decoder), None);
     }
 
     #[test]

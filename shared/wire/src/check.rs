@@ -113,6 +113,14 @@ pub enum Rejected {
         /// The stamp of the newest frame processed.
         last_ns: i64,
     },
+    /// The frame's elements are those of the frames before it, though something moves in them.
+    #[error("the same {field} for {frames} frames, and something moves in them")]
+    Frozen {
+        /// The elements.
+        field: &'static str,
+        /// Frames with these elements, this one included.
+        frames: u32,
+    },
     /// The frame's sizes are not those of the loaded model.
     #[error("{field} = {found}, the model has {expected}")]
     Mismatch {

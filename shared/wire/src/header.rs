@@ -2,7 +2,7 @@ use crate::declare::{constants, numbers, record};
 use crate::limits::schema;
 use crate::{
     AGENT_TYPES, AGENTS_MAX, HISTORY_MAX, HOPS_MAX, HORIZON_MAX, MODES_MAX, Protection, Rejected, SCHEMA,
-    StageId,
+    SHED_WORDS, StageId,
 };
 
 /// Bits of [`Header::flags`].
@@ -133,7 +133,21 @@ record! {
         /// Agents of which the forecasts say nothing, by the policy of degradation.
         624 => silent_len: u32,
         /// Zero.
-        628 => reserved: [u8; 76],
+        628 => reserved: [u8; 4],
+        /// Time between the stamp of the newest forecasts that the tracker has and this frame's; 0 where it has
+        /// none, or does not tell. Their cost and [`Track::learned_age_ns`](crate::Track::learned_age_ns) are
+        /// told with it, for the choice of what the tick has time for.
+        632 => feedback_age_ns: u64,
+        /// How long the agents of those forecasts took from the extractor's end to the decoder's; 0 where they
+        /// did not pass both.
+        640 => chain_ns: u64,
+        /// How many of those agents the decoder served.
+        648 => chain_len: u32,
+        /// Agents of the tick, by their place among its tracks, whose controls were left out to save time: bit
+        /// `place % 32` of number `place / 32`.
+        652 => shed: [u32; SHED_WORDS],
+        /// Zero.
+        668 => reserved_end: [u8; 36],
     }
 }
 
@@ -176,6 +190,19 @@ impl Header {
         Self { hops: way.hops, hops_len: way.hops_len, hops_missing_len: way.hops_missing_len, ..self }
     }
 
+    /// Whether the controls of the track at `place` were left out to save time.
+    #[must_use]
+    pub fn is_shed(&self, place: usize) -> bool {
+        self.shed.get(place / 32).is_some_and(|bits| bits >> (place % 32) & 1 == 1)
+    }
+
+    /// Tells that the controls of the track at `place`, below [`AGENTS_MAX`], are left out to save time.
+    pub fn mark_shed(&mut self, place: usize) {
+        if let Some(bits) = self.shed.get_mut(place / 32) {
+            *bits |= 1 << (place % 32);
+        }
+    }
+
     /// Whether all bits of `flag` are set.
     #[must_use]
     pub const fn has(&self, flag: u32) -> bool {
@@ -188,14 +215,24 @@ impl Header {
         self.flags & (flags::WARM_UP | flags::END) == 0
     }
 
+    /// Refuses another schema, in which all other fields may mean something else.
+    ///
+    /// # Errors
+    /// [`Rejected::Schema`].
+    pub const fn check_schema(&self) -> Result<(), Rejected> {
+        if self.schema == SCHEMA {
+            Ok(())
+        } else {
+            Err(Rejected::Schema { found: self.schema, expected: SCHEMA })
+        }
+    }
+
     /// Refuses what no stage may work on: another schema, sizes beyond the limits, impossible numbers.
     ///
     /// # Errors
     /// [`Rejected`] names the first field that is off.
     pub fn check(&self) -> Result<(), Rejected> {
-        if self.schema != SCHEMA {
-            return Err(Rejected::Schema { found: self.schema, expected: SCHEMA });
-        }
+        self.check_schema()?;
         let known = AGENT_TYPES.iter().fold(0, |bits, t| bits | t.bit());
         let limits = [
             ("agents_len", self.counts.agents_len, crate::DETECTIONS_MAX.max(AGENTS_MAX) as u32),
@@ -219,6 +256,17 @@ impl Header {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn every_place_among_the_tracks_has_a_bit_of_its_own() {
+        let mut header = Header::new(1, 2, 3);
+        for place in (0..AGENTS_MAX).step_by(3) {
+            header.mark_shed(place);
+        }
+        assert!((0..AGENTS_MAX).all(|place| header.is_shed(place) == (place % 3 == 0)));
+        assert!(!header.is_shed(AGENTS_MAX), "there is no such place");
+        assert_eq!(header.shed.iter().map(|bits| bits.count_ones()).sum::<u32>(), 43);
+    }
 
     #[test]
     fn passages_beyond_the_room_are_counted_and_the_first_ones_kept() {

@@ -55,8 +55,9 @@
 //!
 //! * *Reserved bytes* get a name and a meaning in which 0 stands for "not reported" or for what was so
 //!   before. Writers fill bytes that they do not know with zeros, those of the header as they came in with
-//!   the tick; readers do not look at them. So it is with [`Header::protection`], [`Heartbeat::refusals`],
-//!   [`Forecast::expert_weights`] and [`Forecast::out_of_distribution`] of a writer that does not know them.
+//!   the tick; readers do not look at them. So it is with [`Header::protection`], [`Header::shed`],
+//!   [`Heartbeat::refusals`], [`Track::learned_age_ns`], [`Forecast::expert_weights`] and
+//!   [`Forecast::out_of_distribution`] of a writer that does not know them.
 //! * *New numbers* of [`StageId`], [`StampSource`], [`TrackStatus`], [`Cause`] and [`Expert`]. Readers take a
 //!   number that they do not know for an unknown one and refuse nothing for it.
 //! * *New flags*, if a reader may overlook them: their absence means what was so before.
@@ -101,8 +102,8 @@ pub use layout::{
 pub use limits::{
     AGENTS_MAX, CONTEXT_EMBEDDING, DETECTIONS_MAX, EDGE_ATTRIBUTES, EDGES_MAX, EXPERTS_MAX, HISTORY_MAX,
     HOPS_MAX, HORIZON_MAX, LATENT, MODES_MAX, NODE_ATTRIBUTES, PATCH_CHANNELS, PATCH_SIDE_MAX,
-    POSITION_MAX_M, REFUSALS_MAX, RELATION_FEATURES, SCHEMA, SPEED_MAX_MPS, STATE_EMBEDDING, STATE_FEATURES,
-    TEMPORAL,
+    POSITION_MAX_M, REFUSALS_MAX, RELATION_FEATURES, SCHEMA, SHED_WORDS, SPEED_MAX_MPS, STATE_EMBEDDING,
+    STATE_FEATURES, TEMPORAL,
 };
 pub use protection::{Protection, RefusalCause, Refusals, data_id};
 pub use records::{

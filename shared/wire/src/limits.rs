@@ -15,6 +15,8 @@ constants! {
     /// Most agents in a frame. When the tracker holds more, the nearest to the ego or the scene's centre are
     /// kept.
     pub const AGENTS_MAX: usize = 128;
+    /// Numbers of 32 bits that hold a bit for each agent of a frame.
+    pub const SHED_WORDS: usize = AGENTS_MAX / 32;
     /// Most detections in a frame.
     pub const DETECTIONS_MAX: usize = 512;
     /// Most stages that a tick can pass.

@@ -45,6 +45,8 @@ numbers! {
         Unprotected = 8 => "unprotected",
         /// A frame that came before, or one that a newer frame has overtaken.
         Repeated = 9 => "repeated",
+        /// Content that stands still while its stamps go on.
+        Frozen = 10 => "frozen",
     }
 }
 
@@ -150,6 +152,7 @@ impl Rejected {
             Self::CheckValue { .. } | Self::Misdirected { .. } => RefusalCause::CheckValue,
             Self::Unprotected => RefusalCause::Unprotected,
             Self::Repeated { .. } => RefusalCause::Repeated,
+            Self::Frozen { .. } => RefusalCause::Frozen,
         }
     }
 }

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use ports::Point;
 use toml::Spanned;
-use wire::{StageId, TABLE};
+use wire::{RefusalCause, StageId, TABLE};
 
 use super::error::Mistake;
 use super::table::{At, Expect, FaultTable, File};
@@ -13,12 +13,14 @@ use super::{Fault, RunSpec, Spec, SpecError, Target, TopicFault, When};
 use crate::faults::effect::{Effect, Part};
 
 /// Kinds of faults on processes, with the keys that each must and may have.
-const KINDS: [(&str, &[&str], &[&str]); 7] = [
-    ("kill", &["stage"], &["at", "after_start_ms", "point"]),
+const KINDS: [(&str, &[&str], &[&str]); 9] = [
+    ("kill", &["stage"], &["at", "after_start_ms", "within_ms", "point"]),
+    ("random", &["ticks", "count"], &["stages", "for_ms"]),
     ("stop", &["stage", "at", "for_ms"], &[]),
     ("limit", &["stage", "at", "resource", "value"], &[]),
     ("crash-loop", &["stage", "at"], &["exit_code"]),
     ("command", &["stage", "command"], &[]),
+    ("replace", &["stage", "at"], &["command", "point"]),
     ("cpu", &["at", "for_ms"], &["threads"]),
     ("consumer", &["topic"], &["hold_ms"]),
 ];
@@ -136,6 +138,7 @@ fn fault(table: &Spanned<FaultTable>, run: &RunSpec) -> Result<Fault, Mistake> {
     }
     match kind {
         "kill" => kill(table, span, run),
+        "random" => random(table, run),
         "stop" => Ok(Fault::Stop {
             target: target(table)?,
             ticks: ticks(table, run)?,
@@ -151,11 +154,17 @@ fn fault(table: &Spanned<FaultTable>, run: &RunSpec) -> Result<Fault, Mistake> {
             Ok(Fault::CrashLoop { stage: stage(table)?, tick: tick(table, run)?, exit_code })
         }
         "command" => {
-            let command = table.command.as_ref().expect("a key that the kind must have");
-            if command.get_ref().is_empty() {
-                return Err(Mistake::new(command.span(), "`command` is empty", "expected [\"program\", …]"));
+            let command = command(table)?.expect("a key that the kind must have");
+            Ok(Fault::Command { stage: stage(table)?, command })
+        }
+        "replace" => {
+            let (stage, ticks, command) = (stage(table)?, ticks(table, run)?, command(table)?);
+            let point = table.point.as_ref().map(|point| known_point(stage, point)).transpose()?;
+            if let Some(command) = table.command.as_ref().filter(|_| point.is_some()) {
+                let label = "without it the new process is the built-in one, which has points";
+                return Err(Mistake::new(command.span(), "`command` and `point` exclude each other", label));
             }
-            Ok(Fault::Command { stage: stage(table)?, command: command.get_ref().clone() })
+            Ok(Fault::Replace { stage, ticks, command, point })
         }
         "cpu" => {
             let cores = std::thread::available_parallelism().map_or(1, std::num::NonZero::get);
@@ -171,19 +180,22 @@ fn fault(table: &Spanned<FaultTable>, run: &RunSpec) -> Result<Fault, Mistake> {
 }
 
 fn kill(table: &FaultTable, span: Range<usize>, run: &RunSpec) -> Result<Fault, Mistake> {
+    let is_alone = table.point.is_none() && table.at.is_none() && table.after_start_ms.is_none();
+    if let Some(within) = &table.within_ms {
+        let ms = *within.get_ref();
+        if !is_alone {
+            return Err(Mistake::new(span, "when does it kill?", "`within_ms` needs no other time"));
+        }
+        if ms[0] >= ms[1] {
+            let message = format!("`within_ms` = {ms:?}");
+            return Err(Mistake::new(within.span(), message, "expected [shortest, longest]"));
+        }
+        return Ok(Fault::Kill { target: target(table)?, when: When::Within { ms } });
+    }
     match (&table.point, &table.at, &table.after_start_ms) {
         (Some(point), Some(_), None) => {
-            let (stage, name) = (stage(table)?, point.get_ref());
-            let known = Point::ALL.map(Point::name).join(", ");
-            let found = Point::from_name(name).ok_or_else(|| {
-                let label = format!("expected one of {known}");
-                Mistake::new(point.span(), format!("unknown point \"{name}\" of a stage's step"), label)
-            })?;
-            if stage == StageId::Recorder && found != Point::Idle {
-                let message = format!("the recorder has no point \"{name}\": it sends nothing");
-                return Err(Mistake::new(point.span(), message, "it has \"idle\" alone"));
-            }
-            Ok(Fault::KillAt { stage, point: found, ticks: ticks(table, run)? })
+            let stage = stage(table)?;
+            Ok(Fault::KillAt { stage, point: known_point(stage, point)?, ticks: ticks(table, run)? })
         }
         (None, Some(_), None) => {
             Ok(Fault::Kill { target: target(table)?, when: When::Ticks(ticks(table, run)?) })
@@ -194,8 +206,67 @@ fn kill(table: &FaultTable, span: Range<usize>, run: &RunSpec) -> Result<Fault, 
         _ => Err(Mistake::new(
             span,
             "when does it kill?",
-            "needs `at`, alone or with a `point`, or `after_start_ms`",
+            "needs `at`, alone or with a `point`, `after_start_ms` or `within_ms`",
         )),
+    }
+}
+
+/// Kills or stops at random ticks, of all stages where none are named.
+fn random(table: &FaultTable, run: &RunSpec) -> Result<Fault, Mistake> {
+    let stages = match &table.stages {
+        None => StageId::ALL.to_vec(),
+        Some(names) => {
+            let of = |name: &String| {
+                StageId::from_name(name).ok_or_else(|| {
+                    let label = format!("expected some of {}", StageId::ALL.map(StageId::name).join(", "));
+                    Mistake::new(names.span(), format!("unknown stage \"{name}\""), label)
+                })
+            };
+            names.get_ref().iter().map(of).collect::<Result<_, _>>()?
+        }
+    };
+    if stages.is_empty() {
+        let span = table.stages.as_ref().map_or(0..0, Spanned::span);
+        return Err(Mistake::new(span, "`stages` is empty", "expected names of stages"));
+    }
+    let ticks = range(table, run)?;
+    let stop_ms = table.for_ms.as_ref().map(|ms| *ms.get_ref());
+    Ok(Fault::Random { stages, ticks, count: value(&table.count), stop_ms })
+}
+
+/// The range of ticks in which a fault may act.
+fn range(table: &FaultTable, run: &RunSpec) -> Result<[u64; 2], Mistake> {
+    let ticks = table.ticks.as_ref().expect("a key that the kind must have");
+    let [first, last] = *ticks.get_ref();
+    if first > last || last >= run.ticks {
+        let message = format!("`ticks` = [{first}, {last}] of a run of {} ticks", run.ticks);
+        let label = format!("expected 0 ≤ first ≤ last < {}", run.ticks);
+        return Err(Mistake::new(ticks.span(), message, label));
+    }
+    Ok([first, last])
+}
+
+/// A point that the stage has.
+fn known_point(stage: StageId, point: &Spanned<String>) -> Result<Point, Mistake> {
+    let name = point.get_ref();
+    let found = Point::from_name(name).ok_or_else(|| {
+        let label = format!("expected one of {}", Point::ALL.map(Point::name).join(", "));
+        Mistake::new(point.span(), format!("unknown point \"{name}\" of a stage's step"), label)
+    })?;
+    if stage == StageId::Recorder && found != Point::Idle {
+        let message = format!("the recorder has no point \"{name}\": it sends nothing");
+        return Err(Mistake::new(point.span(), message, "it has \"idle\" alone"));
+    }
+    Ok(found)
+}
+
+/// The command, where there is one.
+fn command(table: &FaultTable) -> Result<Option<Vec<String>>, Mistake> {
+    match &table.command {
+        Some(command) if command.get_ref().is_empty() => {
+            Err(Mistake::new(command.span(), "`command` is empty", "expected [\"program\", …]"))
+        }
+        command => Ok(command.as_ref().map(|command| command.get_ref().clone())),
     }
 }
 
@@ -221,16 +292,7 @@ fn of_topic(kind: &str, table: &FaultTable, run: &RunSpec) -> Result<TopicFault,
         "frozen" => Effect::Frozen { part: part(table, &["stamp", "payload"])?.unwrap_or(Part::Stamp) },
         _ => Effect::ClockJump { ms: table.jump_ms.as_ref().map_or(0, |ms| *ms.get_ref()) },
     };
-    let ticks = table.ticks.as_ref().expect("a key that the kind must have");
-    let [first, last] = *ticks.get_ref();
-    if first > last || last >= run.ticks {
-        let message = format!("`ticks` = [{first}, {last}] of a run of {} ticks", run.ticks);
-        return Err(Mistake::new(
-            ticks.span(),
-            message,
-            format!("expected 0 ≤ first ≤ last < {}", run.ticks),
-        ));
-    }
+    let [first, last] = range(table, run)?;
     let probability = table.probability.as_ref().map_or(1.0, |probability| *probability.get_ref());
     if !(probability > 0.0 && probability <= 1.0) {
         let span = table.probability.as_ref().map_or(0..0, Spanned::span);
@@ -331,14 +393,17 @@ fn topic(table: &FaultTable) -> Result<String, Mistake> {
 fn expectations(expect: &Expect) -> Result<(), Mistake> {
     let stages = expect.outages.iter().map(|outages| &outages.stage);
     let stages = stages.chain(expect.counted.iter().map(|counted| &counted.stage)).chain(&expect.given_up);
+    let stages = stages.chain(expect.replacements.iter().map(|replaced| &replaced.stage));
     let mut starved = expect.starved.iter().filter(|name| *name != "any");
     if let Some(name) = stages.chain(&mut starved).find(|name| StageId::from_name(name).is_none()) {
         let label = format!("in `[expect]`; the stages are {}", StageId::ALL.map(StageId::name).join(", "));
         return Err(Mistake::new(0..0, format!("unknown stage \"{name}\""), label));
     }
     for counted in &expect.counted {
-        if !COUNTERS.contains(&counted.cause.as_str()) {
-            let label = format!("in `[[expect.counted]]`; the causes are {}", COUNTERS.join(", "));
+        let refusals = || RefusalCause::ALL.into_iter().map(RefusalCause::name);
+        if !COUNTERS.into_iter().chain(refusals()).any(|known| known == counted.cause) {
+            let known: Vec<&str> = COUNTERS.into_iter().chain(refusals()).collect();
+            let label = format!("in `[[expect.counted]]`; the causes are {}", known.join(", "));
             return Err(Mistake::new(0..0, format!("unknown cause \"{}\"", counted.cause), label));
         }
         if counted.as_injected.is_none() && counted.min.is_none() && counted.max.is_none() {
@@ -424,6 +489,10 @@ mod tests {
             ":6: unknown topic \"trucks\"",
         );
         refused("[[fault]]\nkind = \"drop\"\ntopic = \"tracks\"\nticks = [3, 2]", ":7: `ticks` = [3, 2]");
+        refused(
+            "[[fault]]\nkind = \"replace\"\nstage = \"encoder\"\nat = 9\npoint = \"idle\"\ncommand = [\"a\"]",
+            ":9: `command` and `point` exclude each other",
+        );
         refused("[expect]\nhole = 3", ":5: unknown field `hole`");
         refused("[expect]\ngiven_up = [\"me\"]", "unknown stage \"me\"");
         refused(

@@ -49,6 +49,9 @@ pub(super) struct FaultTable {
     pub topic: Option<Spanned<String>>,
     pub at: Option<Spanned<At>>,
     pub after_start_ms: Option<Spanned<u64>>,
+    pub within_ms: Option<Spanned<[u64; 2]>>,
+    pub stages: Option<Spanned<Vec<String>>>,
+    pub count: Option<Spanned<u64>>,
     pub point: Option<Spanned<String>>,
     pub for_ms: Option<Spanned<u64>>,
     pub ticks: Option<Spanned<[u64; 2]>>,
@@ -84,7 +87,8 @@ impl FaultTable {
             };
         }
         let spans = spans!(
-            "stage" stage, "topic" topic, "at" at, "after_start_ms" after_start_ms, "point" point,
+            "stage" stage, "topic" topic, "at" at, "after_start_ms" after_start_ms,
+            "within_ms" within_ms, "stages" stages, "count" count, "point" point,
             "for_ms" for_ms, "ticks" ticks, "probability" probability, "seed" seed, "delay_ms" delay_ms,
             "jitter_ms" jitter_ms, "jump_ms" jump_ms, "bits" bits, "in" r#in, "hold_ms" hold_ms,
             "resource" resource, "value" value, "exit_code" exit_code, "command" command, "threads" threads
@@ -111,6 +115,8 @@ pub struct Expect {
     pub outages: Vec<Outages>,
     /// Restarts of stages that no fault is aimed at.
     pub restarts_of_others: u64,
+    /// Replacements that the report must list.
+    pub replacements: Vec<Replacements>,
     /// Stages that must be given up, and no others.
     pub given_up: Vec<String>,
     /// Files that may be left in shared memory and the run's folder.
@@ -129,6 +135,14 @@ pub struct Expect {
     pub starved: Vec<String>,
     /// Least number of ticks that the report counts as late.
     pub late_ticks_min: Option<u64>,
+    /// Most that the launcher's resident memory may grow by, in KiB.
+    pub launcher_growth_kib_max: Option<u64>,
+    /// The same of all stages together.
+    pub stages_growth_kib_max: Option<u64>,
+    /// Most descriptors that the launcher may have open more at the end.
+    pub descriptors_growth_max: Option<u64>,
+    /// Most files that the run may have more at its end.
+    pub files_growth_max: Option<u64>,
     /// Text that the report must give as what ended the run.
     pub ended_by: Option<String>,
 }
@@ -146,13 +160,28 @@ pub struct Outages {
     pub count: u64,
 }
 
+/// Replacements of a stage.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Replacements {
+    /// The stage.
+    pub stage: String,
+    /// What must have come of them.
+    pub outcome: recorder::ReplacementOutcome,
+    /// Text that their cause contains.
+    #[serde(default)]
+    pub cause: String,
+    /// How many there must be.
+    pub count: u64,
+}
+
 /// A counter of frames lost in a stage.
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Counted {
     /// The stage.
     pub stage: String,
-    /// `gap`, `refused` or `restart`.
+    /// `gap`, `refused` or `restart`, or the cause of refusals, as `check value`.
     pub cause: String,
     /// The count must be the number of frames that this kind of fault acted on.
     pub as_injected: Option<String>,

@@ -29,8 +29,12 @@ struct Memory {
 }
 
 /// Latency, overhead and memory of a run of `seconds` in real time, and the latency of a pipe in the same
-/// run.
-pub(super) fn table(model: &ModelArguments, set: &SetArguments, seconds: u64) -> Result<String, Failure> {
+/// run; with the run's report.
+pub(super) fn table(
+    model: &ModelArguments,
+    set: &SetArguments,
+    seconds: u64,
+) -> Result<(String, Report), Failure> {
     let unavailable = |error: std::io::Error| Failure::unavailable(error);
     let report = std::env::temp_dir().join(format!("stgdat_bench_{}.json", std::process::id()));
     let mut command = Command::new(std::env::current_exe().map_err(unavailable)?);
@@ -50,8 +54,10 @@ pub(super) fn table(model: &ModelArguments, set: &SetArguments, seconds: u64) ->
     }
     let result = Report::read(&report).map_err(Failure::data);
     std::fs::remove_file(&report).map_err(unavailable)?;
+    let result = result?;
     let mut hops_ms = pipe::hops_ms(100)?;
-    Ok(text(&result?, &memory, [percentile(&mut hops_ms, 0.5), percentile(&mut hops_ms, 0.99)]))
+    let hops = [percentile(&mut hops_ms, 0.5), percentile(&mut hops_ms, 0.99)];
+    Ok((text(&result, &memory, hops), result))
 }
 
 fn text(report: &Report, memory: &Memory, [hop_p50, hop_p99]: [f64; 2]) -> String {

@@ -1,9 +1,10 @@
 //! Compute per stage, all stages in one process on generated scenes.
 
+use std::path::Path;
 use std::time::Instant;
 
 use data::{GeneratedScene, SceneOptions};
-use nn::ContextCnn;
+use nn::{ContextCnn, Weights};
 use onboard::Chain;
 use run::Run;
 use source::{Playback, PlaybackOptions};
@@ -27,12 +28,21 @@ const STAGES: [StageId; 6] = [
 ];
 
 /// Times and work of the measured ticks of one scene.
-struct Measured {
-    agents: f64,
+pub(super) struct Measured {
+    /// Mean number that is forecast.
+    pub agents: f64,
     /// Milliseconds per tick of each of [`STAGES`].
     times_ms: [Vec<f64>; 6],
     /// Multiply-adds of all ticks of each of [`STAGES`], where the model reports them.
     multiply_adds: [Option<f64>; 6],
+}
+
+impl Measured {
+    /// Milliseconds of each tick, all stages together.
+    pub(super) fn ticks_ms(&self) -> Vec<f64> {
+        let len = self.times_ms.iter().map(Vec::len).min().unwrap_or(0);
+        (0..len).map(|tick| self.times_ms.iter().map(|times| times[tick]).sum()).collect()
+    }
 }
 
 /// A row per number of agents and stage.
@@ -41,7 +51,7 @@ pub(super) fn table(arguments: &Arguments, peak_gflops: f64) -> Result<String, F
         "| agents | stage | compute p50 ms | p99 ms | GFLOP/s | of the matrix product |\n|---:|---|---:|---:|---:|---:|\n",
     );
     for &agents in &arguments.agents {
-        let mut measured = measure(arguments, usize::from(agents))?;
+        let mut measured = measure(arguments, usize::from(agents), None)?;
         let mut total_ms = 0.0;
         for (stage, id) in STAGES.iter().enumerate() {
             let seconds: f64 = measured.times_ms[stage].iter().sum::<f64>() * 1e-3;
@@ -78,7 +88,12 @@ fn cnn(arguments: &Arguments, peak_gflops: f64) -> Result<String, Failure> {
     Ok(format!("| | CNN, {PATCHES} patches | {p50:.3} | {p99:.3} | {rate:.1} | {share:.2} |\n"))
 }
 
-fn measure(arguments: &Arguments, agents: usize) -> Result<Measured, Failure> {
+/// Times all stages on a generated scene, with the weights of a file or those of the arguments.
+pub(super) fn measure(
+    arguments: &Arguments,
+    agents: usize,
+    file: Option<&Path>,
+) -> Result<Measured, Failure> {
     let options = SceneOptions {
         agents,
         identities: true,
@@ -91,7 +106,12 @@ fn measure(arguments: &Arguments, agents: usize) -> Result<Measured, Failure> {
     let ticks = WARM_UP + arguments.ticks;
     let recording = scene.recording(usize::try_from(ticks).map_err(Failure::data)?);
     let mut playback = Playback::new(recording, PlaybackOptions { lockstep: true, ..Default::default() });
-    let (weights, opened) = arguments.model.open_weights(None)?;
+    let (weights, opened) = match file {
+        Some(path) => {
+            (Some(path.to_owned()), Weights::open(path).map_err(|error| Failure::weights(path, error))?)
+        }
+        None => arguments.model.open_weights(None)?,
+    };
     let mut options = StageOptions::defaults(&STAGES);
     let workers = |stage| Setting::of_flag("bench", stage, "workers", 1);
     let one_thread = [StageId::Extractor, StageId::Encoder, StageId::Decoder].map(workers).to_vec();

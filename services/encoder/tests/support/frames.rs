@@ -27,6 +27,7 @@ impl Frame {
                 id: i as u64,
                 agent_type: (i % 3) as u32,
                 present: 0xff,
+                forecastable: 1,
                 ..AgentFeatures::zeroed()
             };
             for (k, x) in agent.node.as_flattened_mut().iter_mut().enumerate() {

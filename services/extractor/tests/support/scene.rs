@@ -86,8 +86,17 @@ impl Scene {
 
     /// Extracts the frame in hand.
     pub fn extract(&mut self, header: &Header) -> Result<Features<'_>, Rejected> {
+        self.extract_of(header, None)
+    }
+
+    /// Extracts the frame in hand where there is time for so many agents.
+    pub fn extract_most(&mut self, header: &Header, served_max: usize) -> Result<Features<'_>, Rejected> {
+        self.extract_of(header, Some(served_max))
+    }
+
+    fn extract_of(&mut self, header: &Header, served_max: Option<usize>) -> Result<Features<'_>, Rejected> {
         let context = Context::read(&self.context, self.shape).unwrap();
-        let shape = self.extractor.prepare(header, &context)?;
+        let shape = self.extractor.prepare_most(header, &context, served_max)?;
         self.features.clear();
         self.features.resize(feature_rows(&shape), Row::zeroed());
         self.extractor.write(&mut FeaturesMut::over(&mut self.features, shape).unwrap());

@@ -13,6 +13,7 @@
 //! * [`TracksToForecasts`] is its part from a `tracks` payload on.
 //! * [`TracksToFeatures`] and [`FeaturesToControls`] are the parts of that. The first depends on the ticks
 //!   before, the second on the tick alone, so that evaluations can share its ticks among threads.
+//! * [`Stages`] are the same stages one by one, from frame to frame, and [`Replay`] takes a recording through them.
 
 mod chain;
 mod controls;
@@ -20,6 +21,8 @@ mod error;
 mod features;
 mod forecasts;
 mod load;
+mod replay;
+mod stages;
 
 pub use chain::Chain;
 pub use controls::{Controls, FeaturesToControls};
@@ -27,3 +30,5 @@ pub use error::ChainError;
 pub use features::{FeatureFrame, TracksToFeatures};
 pub use forecasts::TracksToForecasts;
 pub use load::Load;
+pub use replay::{Replay, ReplayError, Replayed, STAGES};
+pub use stages::{OwnFrame, Stages};

@@ -95,6 +95,9 @@ fn stage_line(name: &str, stage: &LiveStage, cells: usize) -> Line<'static> {
     if stage.restarts > 0 {
         spans.push(Span::styled(format!("  restarted {}×", stage.restarts), Color::Yellow));
     }
+    if stage.replaced > 0 {
+        spans.push(Span::styled(format!("  replaced {}×", stage.replaced), Color::Cyan));
+    }
     if let Some(refused) = &stage.refused {
         let text = format!("  refused {} of the {}: {}", refused.frames, refused.sender, refused.cause);
         spans.push(Span::styled(text, Color::Red));
@@ -181,6 +184,12 @@ fn draw_forecasts(view: &LiveView, frame: &mut Frame<'_>, area: Rect) {
         quality(held, "held", Color::Yellow),
         quality(kinematic, "kinematic", Color::Yellow),
     ];
+    if view.total_shed > 0 {
+        let share = percent((total > 0).then(|| view.total_shed as f64 / total as f64));
+        let text = format!("{} shed, {} so far   ", view.newest_shed, share.trim());
+        let style = if view.newest_shed > 0 { Style::new().fg(Color::Yellow) } else { DIM };
+        spans.push(Span::styled(text, style));
+    }
     if view.newest_outside > 0 {
         spans.push(quality(view.newest_outside, "never trained", Color::Yellow));
     }

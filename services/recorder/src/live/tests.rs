@@ -77,6 +77,19 @@ fn stages_have_rows_before_the_first_tick() {
 }
 
 #[test]
+fn what_is_shed_stands_in_the_table_and_in_the_plain_line() {
+    let mut view = running();
+    let shed =
+        Forecast { quality: Quality::Held as u32, cause: wire::Cause::Shed as u32, ..Forecast::zeroed() };
+    let late = Forecast { cause: wire::Cause::Late as u32, ..shed };
+    view.forecasts(&tick(155), &[shed, shed, late]);
+    let line = view.plain_line();
+    assert!(line.contains("0 learned, 3 held, 0 kinematic, shed 2 (2 so far)  late 0"), "{line}");
+    let table = drawn(&view, 104, 20).backend().to_string();
+    assert!(table.contains("0 learned   3 held   0 kinematic   2 shed, 0.4 % so far"), "{table}");
+}
+
+#[test]
 fn any_terminal_size_can_be_drawn() {
     let view = running();
     for (width, height) in [(1, 1), (5, 40), (20, 3), (200, 60)] {

@@ -8,11 +8,12 @@ use std::path::Path;
 use serde::{Deserialize, Serialize};
 use wire::{Cause, Quality, StageId};
 
-use super::{Recorder, RecorderOptions, Span, StageTimes};
+use super::{Recorder, RecorderOptions, ShedCounts, Span, StageTimes};
 use crate::accuracy::ScorerCheckpoint;
 use crate::distribution::Kept;
 use crate::losses::Losses;
 use crate::report::{OutOfDistribution, ReportError};
+use crate::worst::Worst;
 
 /// All counts of a [`Recorder`].
 #[derive(Clone, Debug, Serialize, Deserialize)]
@@ -38,7 +39,9 @@ pub struct Checkpoint {
     predicted_ticks: u64,
     silent: u64,
     age_ns_max: Option<u64>,
+    shed: ShedCounts,
     out_of_distribution: OutOfDistribution,
+    worst: Worst,
 }
 
 impl Checkpoint {
@@ -92,7 +95,9 @@ impl Recorder {
             predicted_ticks: self.predicted_ticks,
             silent: self.silent,
             age_ns_max: self.age_ns_max,
+            shed: self.shed,
             out_of_distribution: self.out_of_distribution,
+            worst: self.worst.clone(),
         }
     }
 
@@ -128,7 +133,9 @@ impl Recorder {
             predicted_ticks: kept.predicted_ticks,
             silent: kept.silent,
             age_ns_max: kept.age_ns_max,
+            shed: kept.shed,
             out_of_distribution: kept.out_of_distribution,
+            worst: kept.worst.with_room(),
             resumed: true,
             ..Self::new(options)
         }

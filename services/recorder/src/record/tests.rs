@@ -2,6 +2,7 @@ use bytemuck::Zeroable;
 use wire::{AgentType, Counts, Hop};
 
 use super::*;
+use crate::report::Shed;
 
 const TICK_NS: u64 = 80_000_000;
 const MS: u64 = 1_000_000;
@@ -129,6 +130,41 @@ fn known_hops_give_exact_percentiles() {
     }
     assert_eq!(report.verdict, Verdict { status: Status::Ok, reasons: Vec::new() });
     assert_eq!(report.run.played_s, Some(7.92));
+}
+
+#[test]
+fn what_was_shed_is_counted_with_its_share_and_greatest_age() {
+    let mut recorder = recorder();
+    let held = |age_ms: u64| Forecast { age_ns: age_ms * 1_000_000, ..forecast(Quality::Held, Cause::Shed) };
+    for seq in 0..100 {
+        let forecasts = match seq {
+            10 => [learned(), held(80), held(240)],
+            20 => [learned(), held(160), forecast(Quality::Kinematic, Cause::Shed)],
+            30 => [
+                learned(),
+                held(80),
+                Forecast { age_ns: 800_000_000, ..forecast(Quality::Held, Cause::Late) },
+            ],
+            _ => [learned(); 3],
+        };
+        recorder.forecasts(&header(seq, 3, &whole_chain(2)), &forecasts).unwrap();
+    }
+    let kept: Checkpoint =
+        serde_json::from_slice(&serde_json::to_vec(&recorder.checkpoint()).unwrap()).unwrap();
+    for report in [recorder.report(), Recorder::resume(RecorderOptions::default(), kept).report()] {
+        let Shed { forecasts, ticks, share, agents_max, age_ms_max } = report.forecasts.shed;
+        assert_eq!((forecasts, ticks, agents_max), (5, 3, 2));
+        assert_eq!((share, age_ms_max), (Some(0.0167), Some(240.0)));
+        assert_eq!((report.forecasts.causes["shed"], report.forecasts.degraded_ticks), (5, 3));
+        let text = report.render(80);
+        assert!(
+            text.contains(
+                " shed                 5    1.7 %   no time: in 3 ticks, at most 2 agents, at most 240 ms old"
+            ),
+            "{text}"
+        );
+        assert!(text.contains("forecasts not learned: 6 in 3 of 100 ticks (late 1, shed 5)"), "{text}");
+    }
 }
 
 #[test]

@@ -1,5 +1,9 @@
 use crate::record::tests::eventful;
-use crate::{Recorder, RecorderOptions, Report};
+use crate::report::StageReport;
+use crate::{
+    Outage, Recorder, RecorderOptions, Replacement, ReplacementOutcome, Report, StageMemory, Status,
+    Supervision, Verdict,
+};
 
 fn widest(text: &str) -> usize {
     text.lines().map(|line| line.chars().count()).max().unwrap_or(0)
@@ -23,10 +27,80 @@ fn a_run_without_ticks_is_empty() {
 }
 
 #[test]
+fn page_faults_and_refused_settings_fit_80_columns() {
+    let mut report = Report { stages: Vec::new(), ..eventful() };
+    let memory =
+        StageMemory { ticks: 1_900, minor_faults: 12_345, resident_kib: 40 << 10, ..Default::default() };
+    let stages = wire::StageId::ALL.map(|stage| (stage.name().to_owned(), memory));
+    report.supervision.memory = stages.into();
+    report.supervision.notes = vec!["the encoder can't have processor 9: it runs on any".to_owned(); 2];
+    let text = report.render(80);
+    assert!(widest(&text) <= 80, "{text}");
+    assert!(text.contains(" NOT ALLOWED the encoder can't have processor 9"), "{text}");
+    assert!(text.contains("1,900 ticks: ") && text.contains("tracker 12,345"), "{text}");
+    assert!(text.contains("320 MiB resident · 0 MiB locked, the rest is over ulimit -l"), "{text}");
+    report.supervision.memory =
+        [("tracker".to_owned(), StageMemory { ticks: 9, ..StageMemory::default() })].into();
+    assert!(report.render(80).contains("page faults in the last 9 ticks: none"));
+}
+
+#[test]
 fn any_width_can_be_rendered() {
     let mut report: Report = eventful();
     report.end_to_end_ms.p999 = Some(20.0);
     for width in 0..200 {
         assert!(!report.render(width).is_empty());
     }
+}
+
+#[test]
+fn replacements_are_listed_and_are_no_restarts() {
+    let replacement = |outcome, stage: &str, incarnation, cause: &str| Replacement {
+        command: if outcome == ReplacementOutcome::Replaced { Vec::new() } else { vec!["./mine".into()] },
+        outcome,
+        warm_up_ms: Some(310.4),
+        hand_over_ms: Some(9.2),
+        outage: Outage {
+            stage: stage.into(),
+            incarnation,
+            cause: cause.into(),
+            tick: 54,
+            ticks_to_learned: Some(1),
+            ..Outage::default()
+        },
+    };
+    let supervised = |replacements, restarts| {
+        let stage = StageReport { name: "encoder".into(), restarts, ..StageReport::default() };
+        let reasons = vec![format!("restarts: {restarts} (encoder {restarts})")];
+        let verdict = Verdict { status: Status::Degraded, reasons };
+        let mut report = Report { ticks: 90, stages: vec![stage], verdict, ..Report::default() };
+        report.supervised(Supervision { replacements, ..Supervision::default() });
+        report
+    };
+    let replaced = replacement(ReplacementOutcome::Replaced, "encoder", 1, "");
+    let report = supervised(vec![replaced.clone()], 1);
+    assert_eq!((report.verdict.status, report.stages[0].restarts), (Status::Ok, 0));
+    assert_eq!(report.stages[0].replacements, 1);
+
+    let not_used = replacement(ReplacementOutcome::NotUsed, "encoder", 1, "ended with exit code 3");
+    let rolled_back = replacement(ReplacementOutcome::RolledBack, "encoder", 3, "was killed by signal 9");
+    let report = supervised(vec![replaced, not_used, rolled_back], 4);
+    let reasons = [
+        "the replacement of the encoder was rolled back: it was killed by signal 9",
+        "restarts: 1 (encoder 1)",
+    ];
+    assert_eq!(
+        (report.verdict.status, &report.verdict.reasons[..]),
+        (Status::Degraded, &reasons.map(String::from)[..])
+    );
+    let text = report.render(100);
+    let list = text.split_once(" REPLACED").expect("a list").1;
+    let ticks = "ticks: 0 lost, 0 not learned, learned again after 1";
+    let lines = [
+        format!("by the built-in one, warm after 310 ms, handed over in 9 ms; {ticks}"),
+        "not by ./mine: it ended with exit code 3; the old one went on".to_owned(),
+        format!("rolled back from ./mine: it was killed by signal 9; {ticks}"),
+    ];
+    let expected = lines.map(|line| format!(" encoder     tick 54: {line}"));
+    assert!(list.lines().skip(1).take(3).eq(expected.iter()), "{list}");
 }

@@ -9,7 +9,7 @@ use super::error::Fault;
 use super::file::{File, StageTable};
 use super::options::options;
 use super::{Pipeline, Stage};
-use crate::RestartPolicy;
+use crate::{RestartPolicy, Scheduling};
 
 /// What all budgets together may be: one tick.
 pub const BUDGET_MAX_MS: f64 = TICK_MS;
@@ -37,7 +37,11 @@ pub(super) fn check(file: &File, declared: &[&dyn Declared]) -> Result<Pipeline,
             names(topics)
         }
     };
-    Ok(Pipeline { weights: file.weights.clone(), protected, stages, warnings })
+    let shed = file.shed.unwrap_or(true);
+    if shed {
+        warnings.extend(late_controls(&tables));
+    }
+    Ok(Pipeline { weights: file.weights.clone(), protected, shed, stages, warnings })
 }
 
 fn stage(table: &StageTable, declared: &[&dyn Declared], warnings: &mut Vec<String>) -> Result<Stage, Fault> {
@@ -78,6 +82,7 @@ fn stage(table: &StageTable, declared: &[&dyn Declared], warnings: &mut Vec<Stri
         options,
         topics: renamed(table, declared)?,
         restart: restart(table)?,
+        scheduling: scheduling(table)?,
     })
 }
 
@@ -145,6 +150,36 @@ fn restart(table: &StageTable) -> Result<RestartPolicy, Fault> {
         start_limit: Duration::from_secs(start_limit_s),
         hang_after: Duration::from_millis(hang_after_ms),
     })
+}
+
+/// The stage's place among the processors, and its priority.
+fn scheduling(table: &StageTable) -> Result<Scheduling, Fault> {
+    let mut cpus = Vec::new();
+    if let Some(list) = &table.cpu {
+        if list.get_ref().is_empty() {
+            let advice = "expected numbers of processors such as [0, 1]";
+            return Err(Fault::new(list.span(), "`cpu` is empty", advice));
+        }
+        for cpu in list.get_ref() {
+            let number = u32::try_from(*cpu.get_ref()).ok().filter(|&cpu| cpu <= Scheduling::CPU_MAX);
+            let Some(number) = number else {
+                let advice = format!("expected 0 to {}", Scheduling::CPU_MAX);
+                return Err(Fault::new(cpu.span(), "no processor has such a number", advice));
+            };
+            if cpus.contains(&number) {
+                return Err(Fault::new(cpu.span(), format!("processor {number} is listed twice"), "again"));
+            }
+            cpus.push(number);
+        }
+    }
+    cpus.sort_unstable();
+    let [least, most] = Scheduling::PRIORITIES;
+    let priority = table.priority.as_ref().map(|priority| {
+        let number = u8::try_from(*priority.get_ref()).ok().filter(|number| (least..=most).contains(number));
+        let message = "a real-time priority is out of range";
+        number.ok_or_else(|| Fault::new(priority.span(), message, format!("expected {least} to {most}")))
+    });
+    Ok(Scheduling { cpus, priority: priority.transpose()? })
 }
 
 fn names(topics: &[Spanned<String>]) -> Vec<String> {
@@ -227,6 +262,27 @@ fn open_input<'a>(table: &'a StageTable, open: &[&StageTable]) -> Option<&'a Spa
         let topic = read.get_ref();
         let meant = table.name.get_ref() == "tracker" && topic == ForecastsTopic::NAME;
         !meant && open.iter().any(|other| other.writes.iter().any(|written| written.get_ref() == topic))
+    })
+}
+
+/// A warning where the sampler gives up waiting before the stages ahead of it stop serving agents.
+fn late_controls(tables: &[&StageTable]) -> Option<String> {
+    let sampler = tables.iter().find(|table| table.name.get_ref() == StageId::Sampler.name())?;
+    let (_, deadline_ms) = sampler.options.iter().find(|(key, _)| key.get_ref() == "deadline_ms")?;
+    let deadline_ms = match deadline_ms.get_ref() {
+        toml::Value::Float(ms) => *ms,
+        toml::Value::Integer(ms) => *ms as f64,
+        _ => return None,
+    };
+    let is_before =
+        |name: &str| StageId::from_name(name).is_some_and(|id| (id as u32) < StageId::Sampler as u32);
+    let before = tables.iter().filter(|table| is_before(table.name.get_ref()));
+    let sum_ms: f64 = before.filter_map(|table| table.budget_ms.as_ref()).map(|ms| *ms.get_ref()).sum();
+    (sum_ms > deadline_ms).then(|| {
+        format!(
+            "the budgets before the sampler add up to {sum_ms} ms, its deadline_ms is {deadline_ms}: where load is \
+             shed, the decoder serves agents until their controls are too late"
+        )
     })
 }
 

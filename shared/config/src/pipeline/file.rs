@@ -13,6 +13,7 @@ use crate::Restart;
 pub(super) struct File {
     pub weights: Option<PathBuf>,
     pub protect: Option<Vec<Spanned<String>>>,
+    pub shed: Option<bool>,
     #[serde(rename = "stage", default)]
     pub stages: Vec<Spanned<StageTable>>,
 }
@@ -37,6 +38,8 @@ pub(super) struct StageTable {
     pub window_s: Option<Spanned<u64>>,
     pub start_limit_s: Option<Spanned<u64>>,
     pub hang_after_ms: Option<Spanned<u64>>,
+    pub cpu: Option<Spanned<Vec<Spanned<u64>>>>,
+    pub priority: Option<Spanned<u64>>,
 }
 
 /// A stage's options, which its declaration checks.

@@ -112,6 +112,20 @@ fn the_shipped_file_is_accepted() {
 }
 
 #[test]
+fn load_is_shed_unless_the_file_forbids_it_and_late_controls_are_warned_of() {
+    assert!(parsed(FULL).shed);
+    let never = format!("shed = false\n{FULL}");
+    assert!(!parsed(&never).shed);
+    let hasty = |text: &str| parsed(&text.replacen("deadline_ms = 72", "deadline_ms = 60", 1)).warnings;
+    assert_eq!(hasty(&never), Vec::<String>::new(), "nothing is served until a deadline");
+    let warnings = hasty(FULL);
+    assert!(
+        warnings.len() == 1 && warnings[0].contains("add up to 66 ms, its deadline_ms is 60"),
+        "{warnings:?}"
+    );
+}
+
+#[test]
 fn one_line_swaps_a_stage() {
     let text = with("name = \"encoder\"", "name = \"encoder\"\ncommand = [\"./mine\", \"--fast\"]");
     let pipeline = parsed(&text);
@@ -123,7 +137,7 @@ fn one_line_swaps_a_stage() {
 fn unknown_key() {
     insta::assert_snapshot!(error(&with(
         "[[stage]]\nname = \"encoder\"",
-        "[[stage]]\npriority = 3\nname = \"encoder\""
+        "[[stage]]\nurgency = 3\nname = \"encoder\""
     )));
 }
 
@@ -243,6 +257,20 @@ fn the_options_of_a_command_are_not_checked() {
         with("name = \"encoder\"", "name = \"encoder\"\ncommand = [\"./mine\"]\noptions = { gain = [1, 2] }");
     let pipeline = parsed(&text);
     assert_eq!(stage(&pipeline, StageId::Encoder).options, "gain = [1, 2]".parse().unwrap());
+}
+
+#[test]
+fn processors_and_priority_of_a_stage() {
+    let of = |keys: &str| with("name = \"encoder\"", &format!("name = \"encoder\"\n{keys}"));
+    let set = parsed(&of("cpu = [3, 1]\npriority = 50"));
+    let expected = Scheduling { cpus: vec![1, 3], priority: Some(50) };
+    assert_eq!(stage(&set, StageId::Encoder).scheduling, expected);
+    assert!(stage(&set, StageId::Decoder).scheduling.is_default());
+    insta::assert_snapshot!(error(&of("cpu = []")));
+    insta::assert_snapshot!(error(&of("cpu = [0, 1024]")));
+    insta::assert_snapshot!(error(&of("cpu = [1, 1]")));
+    insta::assert_snapshot!(error(&of("priority = 0")));
+    insta::assert_snapshot!(error(&of("priority = 100")));
 }
 
 #[test]

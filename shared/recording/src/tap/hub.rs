@@ -55,7 +55,9 @@ impl<C: Write> Hub<C> {
         }
         let untold = vec![0; TABLE.topics.len()];
         let (queue, queued_bytes, written, lost) = (VecDeque::new(), 0, 0, 0);
-        self.tools.push(Tool { name, want, connection, queue, queued_bytes, written, untold, lost });
+        let mut tool = Tool { name, want, connection, queue, queued_bytes, written, untold, lost };
+        tool.enqueue(protocol::attached());
+        self.tools.push(tool);
         Ok(())
     }
 
@@ -235,7 +237,8 @@ mod tests {
             assert!(hub.write().is_empty());
         }
         assert_eq!(hub.tools()[0].lost(), 6, "four frames of 720 bytes have room");
-        assert_eq!(items(&hub.tools()[1].connection.taken).len(), 10);
+        let all = items(&hub.tools()[1].connection.taken);
+        assert_eq!((all.len(), &all[0]), (11, &Item::Attached));
 
         hub.detach(|tool| {
             tool.connection.room = usize::MAX;
@@ -272,9 +275,9 @@ mod tests {
         hub.write();
         let bytes = &hub.tools()[0].connection.taken;
         for cut in 0..bytes.len() {
-            assert!(items(&bytes[..cut]).len() < 2);
+            assert!(items(&bytes[..cut]).len() < 3);
         }
-        assert_eq!(items(bytes).len(), 2);
+        assert_eq!(items(bytes).len(), 3);
         assert!(take(&[0xFF; 64]).is_err());
     }
 }

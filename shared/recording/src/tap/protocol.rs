@@ -52,6 +52,8 @@ impl Want {
 /// What a tool gets.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Item {
+    /// The tool is attached and the topics that it wants are open: what comes from now on, it gets.
+    Attached,
     /// A frame.
     Frame(Frame),
     /// Something that happened to the run.
@@ -108,6 +110,7 @@ mod kind {
     pub const EVENT: u8 = 2;
     pub const LINE: u8 = 3;
     pub const LOST: u8 = 4;
+    pub const ATTACHED: u8 = 5;
 }
 
 /// Bytes before an item's body: the body's length, the kind, the topic, two that are zero, the time of receipt.
@@ -122,6 +125,10 @@ fn packet(kind: u8, topic: u8, received_ns: u64, parts: [&[u8]; 2]) -> Arc<[u8]>
 /// A frame of header and payload.
 pub(super) fn frame(topic: u8, received_ns: u64, header: &[u8], payload: &[u8]) -> Arc<[u8]> {
     packet(kind::FRAME, topic, received_ns, [header, payload])
+}
+
+pub(super) fn attached() -> Arc<[u8]> {
+    packet(kind::ATTACHED, 0, 0, [&[], &[]])
 }
 
 pub(super) fn event(event: &Event) -> Arc<[u8]> {
@@ -162,7 +169,7 @@ pub(super) fn take(buffer: &[u8]) -> Result<Option<(Item, usize)>, ItemError> {
     let Some((prefix, rest)) = buffer.split_at_checked(PREFIX) else { return Ok(None) };
     let len = u32::from_le_bytes([prefix[0], prefix[1], prefix[2], prefix[3]]) as usize;
     let (kind, topic) = (prefix[4], prefix[5]);
-    let is_known = (kind::FRAME..=kind::LOST).contains(&kind) && usize::from(topic) < TABLE.topics.len();
+    let is_known = (kind::FRAME..=kind::ATTACHED).contains(&kind) && usize::from(topic) < TABLE.topics.len();
     if len > ITEM_BYTES_MAX || !is_known {
         return Err(ItemError::Unknown { kind, topic, len });
     }
@@ -172,6 +179,7 @@ pub(super) fn take(buffer: &[u8]) -> Result<Option<(Item, usize)>, ItemError> {
         kind::FRAME => Item::Frame(Frame::read(topic, body.into(), received_ns)?),
         kind::EVENT => Item::Event(serde_json::from_slice(body)?),
         kind::LINE => Item::Line(serde_json::from_slice(body)?),
+        kind::ATTACHED => Item::Attached,
         _ => Item::Lost(serde_json::from_slice(body)?),
     };
     Ok(Some((item, PREFIX + len)))

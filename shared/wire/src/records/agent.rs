@@ -18,8 +18,12 @@ record! {
         24 => state: [[f32; STATE_FEATURES]; HISTORY_MAX],
         /// Node attributes v = \[SE ‖ CE\]; zero rows where absent.
         216 => node: [[f32; NODE_ATTRIBUTES]; HISTORY_MAX],
+        /// Its turn where a tick has no time for all, from 1 on; 0 where the order of the frame counts.
+        2264 => turn: u32,
+        /// 1 where the agent is left out of this tick to save time: it is there for its neighbours alone.
+        2268 => shed: u32,
         /// Zero.
-        2264 => reserved: [u8; 40],
+        2272 => reserved: [u8; 32],
     }
 }
 
@@ -40,8 +44,12 @@ record! {
         24 => state: [[f32; STATE_FEATURES]; HISTORY_MAX],
         /// The temporal summary ṽ_h.
         216 => temporal: [f32; TEMPORAL],
+        /// Its turn where a tick has no time for all, from 1 on; 0 where the order of the frame counts.
+        472 => turn: u32,
+        /// 1 where the agent is left out of this tick to save time: it is there for its neighbours alone.
+        476 => shed: u32,
         /// Zero.
-        472 => reserved: [u8; 40],
+        480 => reserved: [u8; 32],
     }
 }
 

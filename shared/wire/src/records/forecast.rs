@@ -17,9 +17,8 @@ numbers! {
 numbers! {
     /// Why a forecast is not [`Quality::Learned`].
     ///
-    /// Numbers up to 31, a bit each in [`Forecast::causes`]. These are kept for causes to come: 6 shed to
-    /// save time, 7 detections missing, 8 stage restarted, 9 integrity check failed, 10 out of distribution,
-    /// 11 source frozen.
+    /// Numbers up to 31, a bit each in [`Forecast::causes`]. These are kept for causes to come: 7 detections
+    /// missing, 8 stage restarted, 9 integrity check failed, 10 out of distribution, 11 source frozen.
     pub enum Cause {
         /// Nothing is wrong.
         None = 0 => "none",
@@ -33,6 +32,8 @@ numbers! {
         Young = 4 => "young",
         /// Constant velocity has more than half of the weight: the other experts proved worse.
         Outdone = 5 => "outdone",
+        /// The agent was left out of this tick, which had no time for all.
+        Shed = 6 => "shed",
     }
 }
 

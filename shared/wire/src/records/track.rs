@@ -86,6 +86,11 @@ record! {
         /// Weight of each of its modes, and last that of the process model alone; they sum to 1.
         408 => prior_weights: [f32; MODES_MAX + 1],
         /// Zero.
-        492 => reserved_end: [u8; 20],
+        492 => reserved_middle: [u8; 4],
+        /// Time between the stamp of the controls of the track's newest learned forecast that the tracker has seen
+        /// and this frame's; 0 where it has seen none, or does not tell.
+        496 => learned_age_ns: u64,
+        /// Zero.
+        504 => reserved_end: [u8; 8],
     }
 }

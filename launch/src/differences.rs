@@ -1,0 +1,127 @@
+//! What differs between two recordings, or a recording and its replay, as text.
+
+use std::fmt::Write as _;
+
+use recording::{Comparison, Difference, Ending, Recording, TopicComparison};
+
+/// Digits of a run's number or of weights that tell it apart.
+const DIGITS: usize = 12;
+
+/// A recording in a line: whose run it is, and whether it is whole.
+pub fn title(recording: &Recording) -> String {
+    let about = recording.about();
+    let pace = if about.run.lockstep { "lockstep" } else { "real time" };
+    let weights: String = about.weights_sha256.chars().take(DIGITS).collect();
+    let mut text = format!(
+        "{}: {}, {pace}, weights {weights}, kernels {}\n",
+        recording.path().display(),
+        about.scene,
+        about.kernels
+    );
+    match recording.ending() {
+        Ending::Complete { lost_on_disk, .. } if lost_on_disk != "{}" => {
+            // Writing to a string does not fail.
+            let _ = writeln!(text, "  messages that the disk did not take: {lost_on_disk}");
+        }
+        Ending::Complete { .. } => {}
+        Ending::Incomplete { at, why } => {
+            let _ = writeln!(text, "  INCOMPLETE: byte {at}: {why}");
+        }
+    }
+    text
+}
+
+/// The comparison as a table, a row for each topic, after the first difference in a sentence.
+pub fn table(comparison: &Comparison, names: [&str; 2]) -> String {
+    let mut text = String::new();
+    if let Some(Difference { tick, topic, field, a, b }) = comparison.first() {
+        let apart = (a - b).abs();
+        let _ = writeln!(
+            text,
+            "first difference: tick {tick}, {topic}{}{field}: {a} {}, {b} {}: {apart:.3e} apart",
+            if field.starts_with('[') { "" } else { " " },
+            names[0],
+            names[1]
+        );
+    }
+    let head = ["topic", "ticks", "differ", "alone", "first", "apart there", "median", "greatest", "at"];
+    let mut rows = vec![head.map(str::to_owned).to_vec()];
+    rows.extend(comparison.topics.iter().map(|(name, topic)| row(name, topic)));
+    let widths: Vec<usize> = (0..head.len())
+        .map(|column| rows.iter().map(|row| row[column].chars().count()).max().unwrap_or(0))
+        .collect();
+    for row in rows {
+        let mut line = String::new();
+        for (column, (cell, width)) in row.iter().zip(&widths).enumerate() {
+            // Names to the left, numbers to the right.
+            let _ = match column {
+                0 => write!(line, "  {cell:width$}"),
+                8 => write!(line, "  {cell}"),
+                _ => write!(line, "  {cell:>width$}"),
+            };
+        }
+        text += line.trim_end();
+        text.push('\n');
+    }
+    text
+}
+
+fn row(name: &str, topic: &TopicComparison) -> Vec<String> {
+    let apart = |value: f64| format!("{value:.2e}");
+    let mut growth: Vec<f64> = topic.growth.values().copied().collect();
+    growth.sort_by(f64::total_cmp);
+    let median = growth.get(growth.len() / 2).map_or_else(String::new, |median| apart(*median));
+    let first = topic.first.as_ref();
+    let farthest = topic.farthest.as_ref();
+    let at = |difference: &Difference| format!("tick {} {}", difference.tick, difference.field);
+    vec![
+        name.to_owned(),
+        topic.ticks.to_string(),
+        topic.different.to_string(),
+        (topic.only_a + topic.only_b).to_string(),
+        first.map_or_else(String::new, |first| first.tick.to_string()),
+        first.and_then(|first| topic.growth.get(&first.tick)).map_or_else(String::new, |there| apart(*there)),
+        median,
+        farthest.map_or_else(String::new, |farthest| apart(farthest.apart())),
+        farthest.map_or_else(String::new, at),
+    ]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use recording::Frame;
+    use wire::{Detection, DetectionsTopic, Header, Track, TracksTopic};
+
+    #[test]
+    fn the_first_difference_and_its_growth_are_shown() {
+        let detection = |x_m: f32, seq| {
+            let element = Detection { x_m, ..bytemuck::Zeroable::zeroed() };
+            let header = Header {
+                counts: wire::Counts { agents_len: 1, ..Default::default() },
+                ..Header::new(1, seq, 0)
+            };
+            Frame::of::<DetectionsTopic>(&header, &[element], 0)
+        };
+        let track = |vx_mps: f32, seq| {
+            let element = Track { vx_mps, ..bytemuck::Zeroable::zeroed() };
+            let header = Header {
+                counts: wire::Counts { agents_len: 1, ..Default::default() },
+                ..Header::new(1, seq, 0)
+            };
+            Frame::of::<TracksTopic>(&header, &[element], 0)
+        };
+        let mut comparison = Comparison::default();
+        for seq in 0..10 {
+            comparison.pair(&track(1.0, seq), &track(1.0 + seq as f32, seq));
+            comparison.pair(&detection(1.0, seq), &detection(if seq == 1 { 1.5 } else { 1.0 }, seq));
+        }
+        comparison.alone("tracks", 12, true);
+        let text = table(&comparison, ["in a", "in b"]);
+        let lines: Vec<String> =
+            text.lines().map(|line| line.split_whitespace().collect::<Vec<_>>().join(" ")).collect();
+        assert_eq!(lines[0], "first difference: tick 1, detections[0].x_m: 1 in a, 1.5 in b: 5.000e-1 apart");
+        assert_eq!(lines[2], "detections 10 1 0 1 5.00e-1 5.00e-1 5.00e-1 tick 1 [0].x_m");
+        assert_eq!(lines[3], "tracks 10 9 1 1 1.00e0 5.00e0 9.00e0 tick 9 [0].vx_mps");
+    }
+}

@@ -1,0 +1,361 @@
+//! `--fail-if`: conditions over the figures of a report, so that a script of a user fails where a run was too slow
+//! or too inaccurate.
+//!
+//! A condition is `FIGURE COMPARISON NUMBER UNIT`, such as `end_to_end_p99 > 75 ms`.
+
+use std::fmt;
+use std::str::FromStr;
+
+use recorder::Report;
+use recorder::report::Percentiles;
+use thiserror::Error;
+use wire::StageId;
+
+use crate::failure::Failure;
+
+/// Why a text is no condition.
+#[derive(Clone, Debug, Error, PartialEq, Eq)]
+pub enum ConditionError {
+    /// It has no comparison.
+    #[error(
+        "expected FIGURE COMPARISON NUMBER UNIT, such as `end_to_end_p99 > 75 ms`; comparisons are >, >=, < and <="
+    )]
+    NoComparison,
+    /// There is no such figure.
+    #[error("there is no figure \"{name}\": expected {}", known())]
+    UnknownFigure {
+        /// What was written.
+        name: String,
+    },
+    /// The bound is no number.
+    #[error("\"{text}\" is no number")]
+    NotANumber {
+        /// What was written.
+        text: String,
+    },
+    /// The unit is missing or not one of the figure's.
+    #[error("{figure} is not measured in \"{unit}\": expected {}", expected.join(", "))]
+    Unit {
+        /// The figure.
+        figure: String,
+        /// What was written.
+        unit: String,
+        /// The units of the figure.
+        expected: Vec<&'static str>,
+    },
+}
+
+/// When a run has failed.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Condition {
+    figure: Figure,
+    comparison: Comparison,
+    /// In the figure's first unit.
+    bound: f64,
+    /// As it was written.
+    text: String,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Comparison {
+    Above,
+    AtLeast,
+    Below,
+    AtMost,
+}
+
+/// A number of a report.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Figure {
+    Time(Time, Quantile),
+    Plain(&'static Plain),
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Time {
+    EndToEnd,
+    Overhead,
+    Compute(StageId),
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Quantile {
+    P50,
+    P99,
+    P999,
+    Max,
+}
+
+const QUANTILES: [(&str, Quantile); 4] =
+    [("p50", Quantile::P50), ("p99", Quantile::P99), ("p999", Quantile::P999), ("max", Quantile::Max)];
+
+/// A figure that is no time.
+#[derive(Debug)]
+struct Plain {
+    name: &'static str,
+    kind: Kind,
+    value: fn(&Report) -> Option<f64>,
+}
+
+impl PartialEq for Plain {
+    fn eq(&self, other: &Self) -> bool {
+        self.name == other.name
+    }
+}
+
+impl Eq for Plain {}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Kind {
+    Count,
+    Share,
+    Length,
+}
+
+/// Units with their size in the first one, in which the report has the figure.
+type Units = &'static [(&'static str, f64)];
+
+const TIMES: Units = &[("ms", 1.0), ("us", 1e-3), ("s", 1e3)];
+const SHARES: Units = &[("%", 0.01)];
+const LENGTHS: Units = &[("m", 1.0), ("cm", 0.01)];
+const COUNTS: Units = &[("", 1.0)];
+
+static PLAIN: [Plain; 12] = [
+    Plain { name: "late_ticks", kind: Kind::Count, value: |r| Some(r.late_ticks as f64) },
+    Plain { name: "late_share", kind: Kind::Share, value: |r| share(r.late_ticks, r.ticks) },
+    Plain { name: "degraded_ticks", kind: Kind::Count, value: |r| Some(r.forecasts.degraded_ticks as f64) },
+    Plain { name: "held_share", kind: Kind::Share, value: |r| share(r.forecasts.held, forecasts(r)) },
+    Plain {
+        name: "kinematic_share",
+        kind: Kind::Share,
+        value: |r| share(r.forecasts.kinematic, forecasts(r)),
+    },
+    Plain { name: "lost_frames", kind: Kind::Count, value: |r| Some(r.drops as f64) },
+    Plain { name: "restarts", kind: Kind::Count, value: restarts },
+    Plain { name: "page_faults", kind: Kind::Count, value: page_faults },
+    Plain { name: "min_ade", kind: Kind::Length, value: |r| r.accuracy.errors.ade_m },
+    Plain { name: "min_fde", kind: Kind::Length, value: |r| r.accuracy.errors.fde_m },
+    Plain { name: "ade", kind: Kind::Length, value: |r| r.accuracy.errors.single_ade_m },
+    Plain { name: "fde", kind: Kind::Length, value: |r| r.accuracy.errors.single_fde_m },
+];
+
+fn share(part: u64, whole: u64) -> Option<f64> {
+    (whole > 0).then(|| part as f64 / whole as f64)
+}
+
+fn forecasts(report: &Report) -> u64 {
+    let counts = &report.forecasts;
+    counts.learned + counts.held + counts.kinematic
+}
+
+fn restarts(report: &Report) -> Option<f64> {
+    Some(report.stages.iter().map(|stage| f64::from(stage.restarts)).sum())
+}
+
+/// Those of the stages on a tick's way to its forecast, after their first ticks.
+fn page_faults(report: &Report) -> Option<f64> {
+    let memory = &report.supervision.memory;
+    let on_the_way = memory.iter().filter(|(name, _)| **name != StageId::Recorder.name());
+    (!memory.is_empty())
+        .then(|| on_the_way.map(|(_, stage)| (stage.minor_faults + stage.major_faults) as f64).sum())
+}
+
+/// The names of all figures, as part of a sentence.
+fn known() -> String {
+    let stages = StageId::ALL.map(StageId::name).join(", ");
+    let plain = PLAIN.iter().map(|plain| plain.name).collect::<Vec<_>>().join(", ");
+    format!(
+        "end_to_end_Q, overhead_Q, STAGE_Q (compute) with Q = p50, p99, p999 or max and STAGE = {stages}; {plain}"
+    )
+}
+
+impl Figure {
+    fn of_name(name: &str) -> Option<Self> {
+        if let Some(plain) = PLAIN.iter().find(|plain| plain.name == name) {
+            return Some(Self::Plain(plain));
+        }
+        let (of, quantile) = name.rsplit_once('_')?;
+        let (_, quantile) = QUANTILES.into_iter().find(|(name, _)| *name == quantile)?;
+        let time = match of {
+            "end_to_end" => Time::EndToEnd,
+            "overhead" => Time::Overhead,
+            stage => Time::Compute(StageId::from_name(stage)?),
+        };
+        Some(Self::Time(time, quantile))
+    }
+
+    const fn units(self) -> Units {
+        match self {
+            Self::Time(..) => TIMES,
+            Self::Plain(plain) => match plain.kind {
+                Kind::Count => COUNTS,
+                Kind::Share => SHARES,
+                Kind::Length => LENGTHS,
+            },
+        }
+    }
+
+    fn value(self, report: &Report) -> Option<f64> {
+        let (time, quantile) = match self {
+            Self::Plain(plain) => return (plain.value)(report),
+            Self::Time(time, quantile) => (time, quantile),
+        };
+        let Percentiles { p50, p99, p999, max } = match time {
+            Time::EndToEnd => report.end_to_end_ms,
+            Time::Overhead => report.overhead_ms,
+            Time::Compute(stage) => report.stages.iter().find(|s| s.name == stage.name())?.compute_ms,
+        };
+        match quantile {
+            Quantile::P50 => p50,
+            Quantile::P99 => p99,
+            Quantile::P999 => p999,
+            Quantile::Max => max,
+        }
+    }
+}
+
+impl FromStr for Condition {
+    type Err = ConditionError;
+
+    fn from_str(text: &str) -> Result<Self, ConditionError> {
+        let at = text.find(['>', '<']).ok_or(ConditionError::NoComparison)?;
+        let (name, rest) = (text[..at].trim(), &text[at + 1..]);
+        let (rest, or_equal) = rest.strip_prefix('=').map_or((rest, false), |rest| (rest, true));
+        let comparison = match (text.as_bytes()[at], or_equal) {
+            (b'>', false) => Comparison::Above,
+            (b'>', true) => Comparison::AtLeast,
+            (_, false) => Comparison::Below,
+            (_, true) => Comparison::AtMost,
+        };
+        let figure =
+            Figure::of_name(name).ok_or_else(|| ConditionError::UnknownFigure { name: name.to_owned() })?;
+        let rest = rest.trim();
+        let number_len =
+            rest.find(|c: char| !(c.is_ascii_digit() || ".-+".contains(c))).unwrap_or(rest.len());
+        let (number, unit) = (&rest[..number_len], rest[number_len..].trim());
+        let number: f64 = number.parse().map_err(|_| ConditionError::NotANumber { text: rest.to_owned() })?;
+        let size = figure.units().iter().find(|(name, _)| *name == unit).map(|(_, size)| *size);
+        let size = size.ok_or_else(|| ConditionError::Unit {
+            figure: name.to_owned(),
+            unit: unit.to_owned(),
+            expected: figure
+                .units()
+                .iter()
+                .map(|&(name, _)| if name.is_empty() { "no unit" } else { name })
+                .collect(),
+        })?;
+        Ok(Self { figure, comparison, bound: number * size, text: text.trim().to_owned() })
+    }
+}
+
+impl fmt::Display for Condition {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(&self.text)
+    }
+}
+
+impl Condition {
+    /// What holds against the report, where the condition holds or can't be judged.
+    fn verdict(&self, report: &Report) -> Option<String> {
+        let Some(value) = self.figure.value(report) else {
+            return Some(format!("--fail-if '{self}': the run was too short to measure it"));
+        };
+        let holds = match self.comparison {
+            Comparison::Above => value > self.bound,
+            Comparison::AtLeast => value >= self.bound,
+            Comparison::Below => value < self.bound,
+            Comparison::AtMost => value <= self.bound,
+        };
+        let (unit, size) = self.figure.units()[0];
+        let shown = format!("{:.3}", value / size);
+        let shown = shown.trim_end_matches('0').trim_end_matches('.');
+        let unit = if unit.is_empty() { String::new() } else { format!(" {unit}") };
+        holds.then(|| format!("--fail-if '{self}': it is {shown}{unit}"))
+    }
+}
+
+/// Fails where one of the conditions holds for a report, or can't be judged by it.
+///
+/// # Errors
+/// [`Failure::Failed`] with all of them.
+pub fn check(conditions: &[Condition], report: &Report) -> Result<(), Failure> {
+    let failed: Vec<String> = conditions.iter().filter_map(|condition| condition.verdict(report)).collect();
+    if failed.is_empty() { Ok(()) } else { Err(Failure::Failed(failed.join("\n"))) }
+}
+
+#[cfg(test)]
+mod tests {
+    use recorder::StageMemory;
+    use recorder::report::StageReport;
+
+    use super::*;
+
+    fn report() -> Report {
+        let times = |p50, p99| Percentiles { p50: Some(p50), p99: Some(p99), p999: None, max: Some(90.0) };
+        let decoder =
+            StageReport { name: "decoder".into(), compute_ms: times(9.0, 12.0), ..Default::default() };
+        let mut report = Report {
+            ticks: 200,
+            late_ticks: 1,
+            end_to_end_ms: times(14.0, 80.5),
+            stages: vec![decoder],
+            ..Report::default()
+        };
+        report.accuracy.errors.ade_m = Some(0.31);
+        report
+    }
+
+    fn judged(text: &str) -> Option<String> {
+        text.parse::<Condition>().unwrap_or_else(|error| panic!("{text}: {error}")).verdict(&report())
+    }
+
+    #[test]
+    fn conditions_that_hold_are_told_with_the_figure() {
+        let told = judged("end_to_end_p99 > 75 ms").unwrap();
+        assert_eq!(told, "--fail-if 'end_to_end_p99 > 75 ms': it is 80.5 ms");
+        assert_eq!(judged("late_share>=0.5%").unwrap(), "--fail-if 'late_share>=0.5%': it is 0.5 %");
+        assert_eq!(judged("late_ticks > 0").unwrap(), "--fail-if 'late_ticks > 0': it is 1");
+        assert_eq!(judged("min_ade >30cm").unwrap(), "--fail-if 'min_ade >30cm': it is 0.31 m");
+        for passed in
+            ["end_to_end_p99 > 0.0806 s", "decoder_p99 > 12 ms", "decoder_p50 < 9000us", "late_ticks <= 0"]
+        {
+            assert_eq!(judged(passed), None, "{passed}");
+        }
+    }
+
+    #[test]
+    fn what_was_not_measured_fails() {
+        for text in ["end_to_end_p999 > 1 s", "encoder_p50 > 1 s", "page_faults > 0", "fde > 9 m"] {
+            assert!(judged(text).unwrap().ends_with("the run was too short to measure it"), "{text}");
+        }
+    }
+
+    #[test]
+    fn faults_of_the_recorder_hold_up_no_forecast() {
+        let mut report = report();
+        let memory = |minor_faults| StageMemory { ticks: 50, minor_faults, ..StageMemory::default() };
+        report.supervision.memory =
+            [("recorder".to_owned(), memory(90)), ("sampler".to_owned(), memory(2))].into();
+        let condition: Condition = "page_faults > 1".parse().unwrap();
+        assert_eq!(condition.verdict(&report).unwrap(), "--fail-if 'page_faults > 1': it is 2");
+    }
+
+    #[test]
+    fn wrong_conditions_are_refused() {
+        let refused = |text: &str| text.parse::<Condition>().unwrap_err().to_string();
+        for (text, message) in [
+            ("p99", "expected FIGURE COMPARISON NUMBER UNIT"),
+            ("end_to_end_p99 = 3 ms", "expected FIGURE COMPARISON NUMBER UNIT"),
+            ("p99 > 75 ms", "there is no figure \"p99\": expected end_to_end_Q"),
+            ("radar_p99 > 75 ms", "there is no figure \"radar_p99\""),
+            ("end_to_end_p99 > fast", "\"fast\" is no number"),
+            ("end_to_end_p99 >", "\"\" is no number"),
+            ("end_to_end_p99 > 75", "end_to_end_p99 is not measured in \"\": expected ms, us, s"),
+            ("late_ticks > 3 ms", "late_ticks is not measured in \"ms\": expected no unit"),
+            ("late_share > 3", "late_share is not measured in \"\": expected %"),
+            ("end_to_end_p99 > 1 ms > 2 ms", "is not measured in \"ms > 2 ms\""),
+        ] {
+            assert!(refused(text).contains(message), "{text}: {}", refused(text));
+        }
+    }
+}

@@ -1,0 +1,359 @@
+//! A stage is replaced while the run goes on: the new process is started and warmed beside the old one, and takes
+//! its place between two ticks. One that fails before its turn changes nothing; one that fails after it is rolled
+//! back.
+
+use std::process::ExitStatus;
+use std::time::{Duration, Instant};
+
+use recorder::{ReplacementOutcome, program_name};
+use run::{Run, StageRun};
+use rustix::process::Signal;
+use wire::StageId;
+
+use super::{Event, Fleet, Member};
+use crate::child::{Child, Program};
+use crate::control::{self, Client, Order};
+use crate::failure::Failure;
+use crate::policy::State;
+use crate::stages;
+
+/// Time that the old process has to end when it is asked to: what the clean-up after a killed one takes. Most need
+/// less than 10 ms.
+const END_LIMIT: Duration = Duration::from_millis(80);
+/// Ticks between a new process's being ready and its turn: the first frame that the old one sends after the new one
+/// has opened a topic may not reach it.
+const READY_TICKS: u64 = 2;
+/// Longest time between the two, where no ticks come.
+const READY_LIMIT: Duration = Duration::from_millis(400);
+/// Interval between looks at a process that is ending.
+const LOOK: Duration = Duration::from_millis(1);
+
+/// A stage that is being replaced.
+#[derive(Debug)]
+pub struct Trial {
+    stage: StageId,
+    program: Program,
+    /// The new process, until it is the stage's.
+    child: Option<Child>,
+    /// The program before.
+    before: Option<Program>,
+    incarnation: u32,
+    /// When it was started or, after that, had its turn.
+    started: Duration,
+    start_limit: Duration,
+    warm_up: Option<Duration>,
+    hand_over: Option<Duration>,
+    client: Client,
+    /// The new process's end of the socket, once it is warm.
+    turn: Option<Client>,
+    /// Ticks so far, and the time, when it was.
+    ready: (u64, Duration),
+}
+
+/// How far a replacement has come, or what came of it.
+#[derive(Clone, Debug)]
+pub struct Replaced {
+    /// The stage.
+    pub stage: StageId,
+    /// The new program with its arguments; empty for the built-in one.
+    pub command: Vec<String>,
+    /// What came of it, as far as it is known.
+    pub outcome: ReplacementOutcome,
+    /// The incarnation that stays.
+    pub incarnation: u32,
+    /// Why the new process is not used, to follow "it ".
+    pub cause: String,
+    /// Time until the new process was ready.
+    pub warm_up: Option<Duration>,
+    /// Time from the request to the old process to end until the new one's turn.
+    pub hand_over: Option<Duration>,
+}
+
+impl Trial {
+    /// Whether the new process has had its turn, as that stage.
+    pub fn has_turn(&self, stage: StageId) -> bool {
+        self.stage == stage && self.child.is_none()
+    }
+
+    fn outcome(&self, outcome: ReplacementOutcome, incarnation: u32, cause: String) -> Replaced {
+        Replaced {
+            stage: self.stage,
+            command: self.program.command.clone().unwrap_or_default(),
+            outcome,
+            incarnation,
+            cause,
+            warm_up: self.warm_up,
+            hand_over: self.hand_over,
+        }
+    }
+
+    /// Ends it: the client is told what the event tells.
+    fn conclude(mut self, outcome: ReplacementOutcome, incarnation: u32, cause: String) -> Event {
+        let replaced = self.outcome(outcome, incarnation, cause);
+        self.client.answer(outcome, replaced.to_string());
+        Event::Tried(replaced)
+    }
+
+    /// The new process has ended after its turn: the program before is started again.
+    pub fn roll_back(mut self, member: &mut Member, status: ExitStatus, now: Duration) -> Event {
+        let cause = match member.killed_for {
+            Some(why) => why.to_owned(),
+            None => member.child.death(status).how,
+        };
+        member.program = self.before.take().unwrap_or_else(|| member.program.clone());
+        member.supervision.rolled_back(now);
+        let next = member.supervision.incarnation() + 1;
+        self.conclude(ReplacementOutcome::RolledBack, next, cause)
+    }
+}
+
+impl std::fmt::Display for Replaced {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let (stage, program) = (self.stage.name(), program_name(&self.command));
+        match self.outcome {
+            ReplacementOutcome::Replaced => {
+                let ms = |time: Option<Duration>| time.unwrap_or_default().as_millis();
+                let (warm, over) = (ms(self.warm_up), ms(self.hand_over));
+                write!(
+                    f,
+                    "the {stage} is replaced by {program}: warm after {warm} ms, handed over in {over} ms"
+                )
+            }
+            ReplacementOutcome::NotUsed => {
+                write!(f, "the {stage} is not replaced by {program}: it {}; the old one went on", self.cause)
+            }
+            ReplacementOutcome::RolledBack => {
+                let cause = &self.cause;
+                write!(
+                    f,
+                    "the {stage} is rolled back from {program}: it {cause}; the old program is started again"
+                )
+            }
+        }
+    }
+}
+
+impl Drop for Trial {
+    fn drop(&mut self) {
+        if let Some(child) = &mut self.child {
+            child.signal(Signal::KILL);
+            while child.ended().is_none() {
+                std::thread::sleep(LOOK);
+            }
+        }
+    }
+}
+
+impl Fleet {
+    /// Starts the new process of an order; refuses the order where that can't be.
+    pub fn replace(&mut self, order: &Order, mut client: Client, is_linked: bool) {
+        match self.start_trial(order, is_linked) {
+            Ok(started) => {
+                let (stage, program, child, incarnation, start_limit) = started;
+                self.trial = Some(Trial {
+                    stage,
+                    program,
+                    child: Some(child),
+                    before: None,
+                    incarnation,
+                    started: self.begun.elapsed(),
+                    start_limit,
+                    warm_up: None,
+                    hand_over: None,
+                    client,
+                    turn: None,
+                    ready: (0, Duration::ZERO),
+                });
+            }
+            Err(why) => client.refuse(&why),
+        }
+    }
+
+    /// Checks an order and starts its process: the stage, program, process, incarnation and time to be ready.
+    fn start_trial(
+        &self,
+        order: &Order,
+        is_linked: bool,
+    ) -> Result<(StageId, Program, Child, u32, Duration), String> {
+        let stage = StageId::from_name(&order.stage)
+            .ok_or_else(|| format!("there is no stage \"{}\"", order.stage))?;
+        let member = self.members.iter().find(|member| member.stage == stage);
+        let member = member.ok_or_else(|| format!("the pipeline has no stage \"{}\"", order.stage))?;
+        if self.run.lockstep {
+            return Err("a run in lockstep waits for every stage: replace them in real time".to_owned());
+        }
+        if !is_linked {
+            return Err("the run has not begun: its stages are being linked".to_owned());
+        }
+        if let Some(trial) = &self.trial {
+            return Err(format!("the {} is being replaced: one at a time", trial.stage.name()));
+        }
+        if !matches!(member.supervision.state(), State::Running { .. }) {
+            return Err(format!("the {} does not run: there is nothing to take over from", stage.name()));
+        }
+        let incarnation = member.supervision.incarnation() + 1;
+        let failed = |failure: Failure| failure.to_string();
+        let program = self.program(member, order, incarnation).map_err(failed)?;
+        let socket = control::path(&self.run);
+        let (run, record) = (&self.run, &self.record);
+        let child = Child::start(stage, &program, incarnation, run, record, &self.sender, Some(&socket))
+            .map_err(failed)?;
+        Ok((stage, program, child, incarnation, member.supervision.policy().start_limit))
+    }
+
+    /// The program of an order. It has the options of the one before where both are built in or neither is, and
+    /// those of the order; a record of its own where they differ from the run's.
+    fn program(&self, member: &Member, order: &Order, incarnation: u32) -> Result<Program, Failure> {
+        let command = (!order.command.is_empty()).then(|| order.command.clone());
+        let built_in = command.is_none();
+        let (topics, scheduling) = (member.program.topics.clone(), member.program.scheduling.clone());
+        let before = member.program.record.as_deref().unwrap_or(&self.record);
+        let mut run = Run::read(before).map_err(Failure::config)?;
+        let number = member.stage as u32;
+        let Some(own) = run.stages.iter_mut().find(|of| of.stage == number) else {
+            return Ok(Program { command, topics, scheduling, record: None });
+        };
+        let mut options = toml::Table::new();
+        if own.built_in == built_in {
+            options = own.options.parse().map_err(Failure::config)?;
+        }
+        options.extend(order.options.clone());
+        if let Some(stage) = stages::built_in(member.stage).filter(|_| built_in) {
+            stage.declared.check(&options)?;
+        }
+        let text = options.to_string();
+        if own.built_in == built_in && own.options == text {
+            return Ok(Program { command, topics, scheduling, record: member.program.record.clone() });
+        }
+        *own = StageRun { built_in, options: text, ..own.clone() };
+        let record = self.run.root.join(format!("run-{}-{incarnation}", member.stage.name()));
+        run.write(&record).map_err(Failure::config)?;
+        Ok(Program { command, topics, scheduling, record: Some(record) })
+    }
+
+    /// A new process is warm; `ticks` have come so far.
+    pub fn ready(&mut self, stage: StageId, incarnation: u32, client: Client, ticks: u64) {
+        let now = self.begun.elapsed();
+        if let Some(trial) = self.trial.as_mut().filter(|trial| trial.stage == stage)
+            && trial.incarnation == incarnation
+            && trial.turn.is_none()
+        {
+            trial.warm_up = Some(now.saturating_sub(trial.started));
+            (trial.turn, trial.ready) = (Some(client), (ticks, now));
+        }
+    }
+
+    /// Whether a new process can have its turn after one further tick; `ticks` have come so far.
+    pub fn is_warm(&self, ticks: u64) -> bool {
+        let now = self.begun.elapsed();
+        self.trial.as_ref().is_some_and(|trial| {
+            let (before, since) = trial.ready;
+            let has_seen = ticks + 1 >= before + READY_TICKS || now.saturating_sub(since) > READY_LIMIT;
+            trial.child.is_some() && trial.turn.is_some() && has_seen
+        })
+    }
+
+    /// Ends the old process of the stage that is being replaced, and gives the new one its turn.
+    ///
+    /// # Errors
+    /// [`Failure::Unavailable`] where the clean-up after a killed process can't be started.
+    pub fn hand_over(&mut self) -> Result<Option<Event>, Failure> {
+        let Some(trial) = &mut self.trial else { return Ok(None) };
+        let Some(member) = self.members.iter_mut().find(|member| member.stage == trial.stage) else {
+            return Ok(None);
+        };
+        let begun = Instant::now();
+        member.child.signal(Signal::TERM);
+        member.child.signal(Signal::CONT);
+        let status = loop {
+            if let Some(status) = member.child.ended() {
+                break status;
+            }
+            if begun.elapsed() > END_LIMIT {
+                member.child.signal(Signal::KILL);
+            }
+            std::thread::sleep(LOOK);
+        };
+        // A process that ends by itself gives its places back; after any other end somebody must clean up.
+        if !status.success() {
+            let ticket = self.cleaner.ticket();
+            while !self.cleaner.is_done(ticket) {
+                self.cleaner.tend(ticket, self.begun.elapsed())?;
+                std::thread::sleep(LOOK);
+            }
+        }
+        let Some(child) = trial.child.take() else { return Ok(None) };
+        // Where it is gone its end is found like any other.
+        let _ = trial.turn.as_mut().map(Client::go);
+        let now = self.begun.elapsed();
+        (trial.hand_over, trial.started) = (Some(begun.elapsed()), now);
+        trial.before = Some(std::mem::replace(&mut member.program, trial.program.clone()));
+        member.take_place(child, now);
+        Ok(Some(Event::HandedOver(trial.outcome(
+            ReplacementOutcome::Replaced,
+            trial.incarnation,
+            String::new(),
+        ))))
+    }
+
+    /// Frames of an incarnation of a stage have come out at the end: a program that sends no heartbeats is linked.
+    pub fn passed(&mut self, passed: impl Fn(StageId) -> Option<u32>) {
+        if let Some(trial) = &self.trial
+            && trial.child.is_none()
+            && passed(trial.stage) == Some(trial.incarnation)
+            && let Some(member) = self.members.iter_mut().find(|member| member.stage == trial.stage)
+        {
+            member.supervision.linked();
+        }
+    }
+
+    /// Looks after a new process: one that ends, or is not warm in time, is not used; one that is linked stays.
+    pub(super) fn tend_trial(&mut self, stopped: Duration, now: Duration) -> Option<Event> {
+        let trial = self.trial.as_mut()?;
+        if stopped > super::STOPPED {
+            trial.started += stopped;
+        }
+        let member = self.members.iter_mut().find(|member| member.stage == trial.stage)?;
+        let state = member.supervision.state();
+        let is_overdue = now.saturating_sub(trial.started) > trial.start_limit;
+        let cause = match &mut trial.child {
+            None if matches!(state, State::Running { linked: true, .. } | State::Done) => {
+                let (trial, incarnation) = (self.trial.take()?, member.supervision.incarnation());
+                return Some(trial.conclude(ReplacementOutcome::Replaced, incarnation, String::new()));
+            }
+            None => {
+                if is_overdue {
+                    member.killed_for.get_or_insert("was not linked within its start limit, and killed");
+                    member.child.signal(Signal::KILL);
+                }
+                return None;
+            }
+            Some(child) => match child.ended() {
+                Some(status) => child.death(status).how,
+                None if !matches!(state, State::Running { .. }) => {
+                    "was no longer needed: the old one died, and is restarted by its policy".to_owned()
+                }
+                None if trial.turn.is_none() && is_overdue => {
+                    let seconds = trial.start_limit.as_secs();
+                    format!("was not ready within its start limit of {seconds} s")
+                }
+                None => return None,
+            },
+        };
+        let trial = self.trial.take()?;
+        let incarnation = member.supervision.incarnation();
+        // Its places on the topics that it reads.
+        self.swept = self.cleaner.ticket();
+        Some(trial.conclude(ReplacementOutcome::NotUsed, incarnation, cause))
+    }
+}
+
+impl Member {
+    /// Takes a new process that is warm as its own.
+    fn take_place(&mut self, child: Child, now: Duration) {
+        self.child = child;
+        self.supervision.replaced(now);
+        self.health = crate::health::Health::new(now);
+        self.killed_for = None;
+    }
+}

@@ -1,0 +1,261 @@
+//! A run told to others while it goes on: metrics for Prometheus, the status for `stgdat top`, and a trace file.
+//!
+//! The launcher follows the forecasts and the heartbeats anyhow. [`Observer`] measures what it sees there and answers
+//! questions about it; it opens no port, so that tools cost the stages nothing. Sockets and files belong to threads
+//! of their own: a client or a disk that is slow holds nobody up.
+
+mod files;
+mod processes;
+mod server;
+
+use std::collections::{BTreeMap, VecDeque};
+use std::net::SocketAddr;
+use std::path::{Path, PathBuf};
+use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
+use std::time::Instant;
+
+use clap::Args;
+use perfetto::Clocks;
+use ports::monotonic_ns;
+use recorder::exposition::metrics;
+use recorder::live::LiveView;
+use recorder::status::{Facts, ProcessStatus, RunStatus, StatusEvent};
+use recorder::trace::Tracer;
+use recorder::{Errors, Recorder, RecorderOptions};
+use run::Run;
+use rustix::time::{ClockId, clock_gettime};
+use wire::{Forecast, Header, Heartbeat, StageId};
+
+use crate::failure::Failure;
+use crate::fleet::{Event, Fleet};
+use files::{MetricsFile, TraceFile};
+use processes::Usage;
+
+/// Name of the socket in a run's folder on which its status is asked for.
+pub const SOCKET: &str = "status";
+/// Most questions that wait for an answer.
+const QUESTIONS_MAX: usize = 16;
+/// Most questions that are answered in a row, so that supervision goes on.
+const ANSWERS_MAX: usize = 4;
+/// Events that are kept for the status.
+const EVENTS_MAX: usize = 32;
+
+/// Where a run is told to others.
+#[derive(Clone, Debug, Default, Args)]
+pub struct ObserveArguments {
+    /// Serve metrics for Prometheus on this address (http://ADDRESS/metrics), by default on the loopback alone;
+    /// a port alone means the loopback too
+    #[arg(long, value_name = "ADDRESS", num_args = 0..=1, default_missing_value = "127.0.0.1:9464", value_parser = address)]
+    metrics: Option<SocketAddr>,
+    /// Write the metrics to this file once a second, for the textfile collector of node_exporter
+    #[arg(long, value_name = "FILE")]
+    metrics_file: Option<PathBuf>,
+    /// Write a trace of all stages for Perfetto (ui.perfetto.dev)
+    #[arg(long, value_name = "FILE")]
+    trace: Option<PathBuf>,
+}
+
+/// An address, or a port of the loopback.
+fn address(text: &str) -> Result<SocketAddr, String> {
+    if let Ok(port) = text.parse::<u16>() {
+        return Ok(SocketAddr::from(([127, 0, 0, 1], port)));
+    }
+    text.parse().map_err(|_| "expected an IP address with a port, such as 127.0.0.1:9464".to_owned())
+}
+
+/// What is asked of a run.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Question {
+    /// The metrics, as text.
+    Metrics,
+    /// The status, as JSON.
+    Status,
+}
+
+/// A question, with the way for its answer.
+type Asked = (Question, SyncSender<String>);
+
+/// Measures a run from the launcher, and answers questions about it.
+pub struct Observer {
+    measured: Recorder,
+    accuracy_path: PathBuf,
+    run: String,
+    begun: Instant,
+    usage: Usage,
+    events: VecDeque<StatusEvent>,
+    questions: Receiver<Asked>,
+    metrics_file: Option<MetricsFile>,
+    tracer: Option<(Tracer, TraceFile)>,
+}
+
+impl Observer {
+    /// Opens the sockets and files of a run.
+    ///
+    /// # Errors
+    /// [`Failure`] where an address is taken or a file can't be written.
+    pub fn open(run: &Run, arguments: &ObserveArguments) -> Result<Self, Failure> {
+        let (ask, questions) = sync_channel(QUESTIONS_MAX);
+        if let Some(address) = arguments.metrics {
+            server::listen_tcp(address, ask.clone())?;
+        }
+        server::listen_unix(&run.root.join(SOCKET), ask.clone())?;
+        let metrics_file = arguments.metrics_file.as_deref();
+        let metrics_file = metrics_file.map(|path| MetricsFile::begin(path, ask)).transpose()?;
+        let tracer = arguments.trace.as_deref().map(|path| {
+            let tracer = Tracer::new(clocks(), Some(std::process::id()));
+            Ok::<_, Failure>((tracer, TraceFile::begin(path)?))
+        });
+        let options =
+            RecorderOptions { budgets_ms: run.budgets_ms(), scores: false, ..RecorderOptions::default() };
+        Ok(Self {
+            measured: Recorder::new(options),
+            accuracy_path: recorder::stage::accuracy_path(run),
+            run: name_of(&run.root),
+            begun: Instant::now(),
+            usage: Usage::default(),
+            events: VecDeque::with_capacity(EVENTS_MAX),
+            questions,
+            metrics_file,
+            tracer: tracer.transpose()?,
+        })
+    }
+
+    /// Takes the forecasts of a tick.
+    pub fn forecasts(&mut self, header: &Header, forecasts: &[Forecast]) {
+        // What is refused is counted; there is no stage here to tell it to.
+        let _ = self.measured.forecasts(header, forecasts);
+        if let Some((tracer, file)) = &mut self.tracer {
+            tracer.forecasts(header, forecasts);
+            file.write(tracer.take());
+        }
+    }
+
+    /// Takes a stage's heartbeat.
+    pub fn heartbeat(&mut self, heartbeat: &Heartbeat) {
+        self.measured.heartbeat(heartbeat);
+        if let Some((tracer, _)) = &mut self.tracer {
+            tracer.heartbeat(heartbeat);
+        }
+    }
+
+    /// Takes what happened to a stage.
+    pub fn event(&mut self, event: &Event) {
+        let (stage, name, why) = match event {
+            Event::Died { stage, how, .. } => (*stage, "died", how.clone()),
+            Event::GivenUp { stage, how, why } => (*stage, "given up", format!("{how}: {why}")),
+            Event::Starved { stage } => (*stage, "starved", "got no CPU".to_owned()),
+            Event::HandedOver(_) => return,
+            Event::Tried(replaced) => {
+                (replaced.stage, replaced.outcome.name(), recorder::program_name(&replaced.command))
+            }
+        };
+        if let Some((tracer, _)) = &mut self.tracer {
+            tracer.event(stage, monotonic_ns(), name, &why);
+        }
+        let text = match event {
+            Event::Died { .. } => format!("the {} {why}, and is started again", stage.name()),
+            Event::GivenUp { .. } => format!("the {} is given up: it {why}", stage.name()),
+            Event::HandedOver(_) | Event::Starved { .. } => format!("the {} {why}", stage.name()),
+            Event::Tried(_) => format!("the {} by {why}: {name}", stage.name()),
+        };
+        if self.events.len() == EVENTS_MAX {
+            self.events.pop_front();
+        }
+        let elapsed_s = (self.begun.elapsed().as_secs_f64() * 10.0).round() / 10.0;
+        self.events.push_back(StatusEvent { elapsed_s, text });
+    }
+
+    /// Answers the questions that have come.
+    pub fn answer(&mut self, view: &LiveView, fleet: &Fleet, is_linked: bool) {
+        for _ in 0..ANSWERS_MAX {
+            let Ok((question, reply)) = self.questions.try_recv() else { return };
+            let answer = self.answer_to(question, view, fleet, is_linked);
+            // Who asked may have given up waiting.
+            let _ = reply.try_send(answer);
+        }
+    }
+
+    fn answer_to(&mut self, question: Question, view: &LiveView, fleet: &Fleet, is_linked: bool) -> String {
+        let facts = self.facts(fleet, is_linked);
+        let status = RunStatus::new(view, &self.measured, facts);
+        match question {
+            Question::Metrics => metrics(&status, &self.measured),
+            // Nothing in it is unknown to JSON.
+            Question::Status => serde_json::to_string(&status).unwrap_or_default() + "\n",
+        }
+    }
+
+    fn facts(&mut self, fleet: &Fleet, linked: bool) -> Facts {
+        let processes: BTreeMap<StageId, ProcessStatus> = fleet
+            .processes()
+            .map(|process| {
+                let used = process.pid.and_then(|pid| self.usage.look(process.stage, pid));
+                let status = ProcessStatus {
+                    state: process.state.to_owned(),
+                    pid: process.pid.map(|pid| pid.as_raw_nonzero().get().unsigned_abs()),
+                    restarts: process.incarnation,
+                    cpu_s: used.map(|used| used.cpu_s),
+                    cpu: used.and_then(|used| used.cpu),
+                    memory_bytes: used.map(|used| used.memory_bytes),
+                    shared_bytes: used.map(|used| used.shared_bytes),
+                };
+                (process.stage, status)
+            })
+            .collect();
+        Facts {
+            run: self.run.clone(),
+            launcher_pid: std::process::id(),
+            linked,
+            processes,
+            accuracy: accuracy(&self.accuracy_path),
+            events: self.events.iter().cloned().collect(),
+        }
+    }
+
+    /// Writes what is left to write; returns what went wrong with the files.
+    pub fn close(mut self, view: &LiveView, fleet: &Fleet) -> Vec<Failure> {
+        let metrics_file = self.metrics_file.take();
+        let last = metrics_file.is_some().then(|| self.answer_to(Question::Metrics, view, fleet, true));
+        let of_metrics = metrics_file.zip(last).and_then(|(file, last)| file.finish(&last).err());
+        let of_trace = self.tracer.and_then(|(tracer, mut file)| {
+            file.write(tracer.finish());
+            file.finish().err()
+        });
+        of_metrics.into_iter().chain(of_trace).collect()
+    }
+}
+
+/// What the recorder last told of the forecasts' errors.
+fn accuracy(path: &Path) -> Option<Errors> {
+    serde_json::from_slice(&std::fs::read(path).ok()?).ok()
+}
+
+/// A run's name: that of its folder.
+fn name_of(root: &Path) -> String {
+    root.file_name().unwrap_or_default().to_string_lossy().into_owned()
+}
+
+/// The clocks, one after the other.
+fn clocks() -> Clocks {
+    let read = |id| {
+        let now = clock_gettime(id);
+        now.tv_sec as u64 * 1_000_000_000 + now.tv_nsec as u64
+    };
+    Clocks {
+        monotonic_ns: read(ClockId::Monotonic),
+        boottime_ns: read(ClockId::Boottime),
+        realtime_ns: Some(read(ClockId::Realtime)),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_address_may_be_a_port_of_the_loopback() {
+        assert_eq!(address("9464"), Ok(SocketAddr::from(([127, 0, 0, 1], 9464))));
+        assert_eq!(address("0.0.0.0:80"), Ok(SocketAddr::from(([0, 0, 0, 0], 80))));
+        assert!(address("localhost").is_err() && address("99999").is_err());
+    }
+}

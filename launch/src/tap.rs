@@ -1,0 +1,13 @@
+//! The tap of a run: one process that reads the topics and hands the frames on to all tools of the run.
+//!
+//! The launcher starts it with the stages and tells it, by its standard input, what happened to them and what they
+//! wrote. It takes a reader's place of a topic only while a tool wants the topic; without tools it sleeps.
+
+mod follow;
+mod process;
+mod server;
+mod topic;
+
+pub use follow::{Recorded, follow};
+pub use process::{Recording, Tap};
+pub use server::serve;

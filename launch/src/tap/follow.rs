@@ -1,0 +1,140 @@
+//! A recording that follows the tap of a run.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+use std::time::{Duration, Instant};
+
+use ports::{Stop, monotonic_ns};
+use recording::tap::{Client, Item, Request};
+use recording::{Event, Happened, Losses, Writer, Written};
+
+use crate::failure::Failure;
+
+/// Longest wait for an item, after which it looks whether it is to end.
+const WAIT: Duration = Duration::from_millis(200);
+/// For so long a tap that has died is waited for, where the run goes on.
+const RETURN_LIMIT: Duration = Duration::from_secs(5);
+
+/// What a recording has come to.
+#[derive(Debug, Default)]
+pub struct Recorded {
+    /// What is in the file.
+    pub written: Written,
+    /// Frames that the tap or the queue at the tap has lost, by topic.
+    pub lost: Losses,
+    /// How long it took.
+    pub seconds: f64,
+}
+
+/// Why it has ended.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Followed {
+    /// The process was asked to end.
+    Stopped,
+    /// The time was over.
+    TimeOver,
+    /// The run has ended.
+    RunEnded,
+    /// The tap has closed before it said that the run has ended: what it still had is missing.
+    TapGone,
+}
+
+impl Followed {
+    const fn words(self) -> &'static str {
+        match self {
+            Self::Stopped => "the recording was ended",
+            Self::TimeOver => "its time was over",
+            Self::RunEnded => "the run has ended",
+            Self::TapGone => {
+                "the tap was killed with its run, or gave up waiting: the last frames may be missing"
+            }
+        }
+    }
+}
+
+/// Writes all that comes until the run ends, `limit` is over or the process is asked to end; events and log lines
+/// where `events`. The request asks for them all the same: they tell of the run's end.
+pub fn follow(
+    root: &Path,
+    request: &Request,
+    mut client: Client,
+    mut writer: Writer,
+    events: bool,
+    limit: Option<Duration>,
+    stop: &Stop,
+) -> Result<Recorded, Failure> {
+    let begun = Instant::now();
+    let mut lost = BTreeMap::new();
+    let (mut said, mut has_ended) = (None, false);
+    let how = loop {
+        if stop.requested() {
+            break Followed::Stopped;
+        }
+        if limit.is_some_and(|limit| begun.elapsed() >= limit) {
+            break Followed::TimeOver;
+        }
+        let left = limit.map_or(WAIT, |limit| limit.saturating_sub(begun.elapsed()).min(WAIT));
+        match client.next(left).map_err(Failure::unavailable)? {
+            Some(Item::Attached) => {
+                let text = "the tap has died and was started again: frames between are missing".to_owned();
+                writer.event(&Event { at_ns: monotonic_ns(), what: Happened::Mark { text } });
+            }
+            Some(item) => {
+                has_ended |=
+                    matches!(&item, Item::Event(event) if matches!(event.what, Happened::Ended { .. }));
+                if events || !matches!(item, Item::Event(_) | Item::Line(_)) {
+                    add(&mut writer, item, &mut lost);
+                }
+            }
+            None if client.is_closed() && has_ended => break Followed::RunEnded,
+            None if client.is_closed() => match again(root, request, stop) {
+                Some(next) => client = next,
+                None => break Followed::TapGone,
+            },
+            // Nothing happens: what there is, is safe.
+            None => writer.flush(),
+        }
+        if let Some(error) = writer.take_error() {
+            // Once for each kind: a full disk stays full.
+            if said != Some(error.kind()) {
+                said = Some(error.kind());
+                eprintln!("recording: {error}: frames are lost until the disk takes them again");
+            }
+        }
+    };
+    let written = writer.finish(how.words()).map_err(Failure::data)?;
+    Ok(Recorded { written, lost, seconds: begun.elapsed().as_secs_f64() })
+}
+
+fn add(writer: &mut Writer, item: Item, lost: &mut Losses) {
+    match item {
+        Item::Frame(frame) => writer.frame(&frame),
+        Item::Event(event) => writer.event(&event),
+        Item::Line(line) => writer.line(&line),
+        // Taken before the first of these, and told where it comes again.
+        Item::Attached => {}
+        Item::Lost(loss) => {
+            let (at, topic) = (loss.at.name().to_owned(), loss.topic().to_owned());
+            *lost.entry(topic.clone()).or_default() += loss.frames;
+            let what = Happened::Lost { at, topic, frames: loss.frames };
+            writer.event(&Event { at_ns: monotonic_ns(), what });
+        }
+    }
+}
+
+/// A place at the tap that takes the place of one that died; none where the run has ended.
+fn again(root: &Path, request: &Request, stop: &Stop) -> Option<Client> {
+    let begun = Instant::now();
+    while root.exists() && begun.elapsed() < RETURN_LIMIT && !stop.requested() && lives(root) {
+        if let Ok(client) = Client::attach(root, request) {
+            return Some(client);
+        }
+        std::thread::sleep(WAIT / 4);
+    }
+    None
+}
+
+/// Whether the run's launcher is alive.
+fn lives(root: &Path) -> bool {
+    ports::living_runs().is_ok_and(|runs| runs.iter().any(|run| run.root == root))
+}

@@ -1,0 +1,352 @@
+//! The tap's process: sockets and topics around [`Hub`].
+
+use std::collections::BTreeMap;
+use std::io::{self, ErrorKind, Read as _};
+use std::os::fd::{AsFd, BorrowedFd};
+use std::os::unix::net::{UnixListener, UnixStream};
+use std::path::Path;
+use std::time::{Duration, Instant};
+
+use ports::{Node, Publisher, Stop, TAP, monotonic_ns};
+use recording::tap::{Hub, QUEUE_BYTES, REQUEST_BYTES_MAX, Request, SOCKET, Want};
+use recording::{Event, Happened, LogLine};
+use run::{Exit, Run};
+use rustix::event::{PollFd, PollFlags, Timespec, poll};
+use rustix::io::Errno;
+use serde::{Deserialize, Serialize};
+use wire::{Header, Heartbeat, HeartbeatsTopic, REFUSALS_MAX, RefusalCause, Refusals, StageId, TABLE, Topic};
+
+use crate::failure::Failure;
+use crate::tap::topic::{self, Input, Taken};
+
+/// Longest sleep, after which it looks whether the run is still there.
+const SLEEP: Duration = Duration::from_millis(500);
+/// Time that the tools have to take what waits for them when the run ends.
+const END_LIMIT: Duration = Duration::from_secs(5);
+/// Bytes of the launcher's messages that are read at a time.
+const BLOCK: usize = 1 << 14;
+
+/// What the launcher tells the tap, a line of JSON each.
+#[derive(Debug, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Told {
+    /// Something happened.
+    Event(Event),
+    /// A stage wrote a line.
+    Line(LogLine),
+}
+
+/// The tap of a run.
+struct Server {
+    run: Run,
+    node: Option<Node>,
+    hub: Hub<UnixStream>,
+    /// Connections whose request is not whole yet.
+    pending: Vec<(UnixStream, Vec<u8>)>,
+    inputs: Vec<Box<dyn Input>>,
+    refusals: Watched,
+    /// Heartbeats, for which the source waits in lockstep so that the tap loses nothing.
+    beats: Option<Publisher<HeartbeatsTopic>>,
+    /// The newest tick that was handed on, and the newest that a heartbeat told.
+    newest: u64,
+    beaten: u64,
+    beat: u64,
+    /// What the launcher said, up to the last whole line.
+    told: Vec<u8>,
+}
+
+/// Serves the tools of a run until the launcher closes standard input or the run's folder is gone.
+pub fn serve(record: &Path) -> Result<Exit, Failure> {
+    let run = Run::read(record).map_err(Failure::config)?;
+    let stop = Stop::on_signals().map_err(Failure::unavailable)?;
+    let path = run.root.join(SOCKET);
+    // Of a tap that died.
+    let _ = std::fs::remove_file(&path);
+    let listener =
+        UnixListener::bind(&path).map_err(|error| Failure::unavailable_about(path.display(), error))?;
+    listener.set_nonblocking(true).map_err(Failure::unavailable)?;
+    let root = run.root.clone();
+    let mut server = Server {
+        run,
+        node: None,
+        hub: Hub::new(QUEUE_BYTES),
+        pending: Vec::new(),
+        inputs: Vec::new(),
+        refusals: Watched::default(),
+        beats: None,
+        newest: 0,
+        beaten: 0,
+        beat: 0,
+        told: Vec::new(),
+    };
+    let mut input = std::io::stdin();
+    loop {
+        let ready = server.wait(&listener, input.as_fd(), SLEEP).map_err(Failure::unavailable)?;
+        server.pump()?;
+        server.beat()?;
+        if ready.launcher && !server.listen(&mut input) {
+            break;
+        }
+        if ready.listener {
+            server.accept(&listener);
+        }
+        server.requests();
+        server.flush();
+        if stop.requested() || !root.exists() {
+            break;
+        }
+    }
+    server.end()
+}
+
+/// What has woken the tap.
+struct Ready {
+    listener: bool,
+    launcher: bool,
+}
+
+impl Server {
+    /// Sleeps until something comes.
+    fn wait(
+        &self,
+        listener: &UnixListener,
+        launcher: BorrowedFd<'_>,
+        timeout: Duration,
+    ) -> io::Result<Ready> {
+        let mut fds =
+            vec![PollFd::new(listener, PollFlags::IN), PollFd::from_borrowed_fd(launcher, PollFlags::IN)];
+        fds.extend(
+            self.inputs.iter().map(|input| PollFd::from_borrowed_fd(input.descriptor(), PollFlags::IN)),
+        );
+        fds.extend(self.pending.iter().map(|(socket, _)| PollFd::new(socket, PollFlags::IN)));
+        for tool in self.hub.tools() {
+            let wanted = if tool.is_waiting() { PollFlags::IN | PollFlags::OUT } else { PollFlags::IN };
+            fds.push(PollFd::new(&tool.connection, wanted));
+        }
+        match poll(&mut fds, Timespec::try_from(timeout).ok().as_ref()) {
+            Ok(_) => {
+                Ok(Ready { listener: !fds[0].revents().is_empty(), launcher: !fds[1].revents().is_empty() })
+            }
+            Err(Errno::INTR) => Ok(Ready { listener: false, launcher: false }),
+            Err(error) => Err(error.into()),
+        }
+    }
+
+    /// Hands on the frames that have come.
+    fn pump(&mut self) -> Result<(), Failure> {
+        let Self { hub, inputs, refusals, newest, .. } = self;
+        for input in inputs {
+            input.take(&mut |frame: &Taken<'_>| {
+                let is_heartbeat = is_heartbeats(frame.topic);
+                if !is_heartbeat && frame.header.is_tick() {
+                    *newest = frame.header.seq.max(*newest);
+                }
+                if frame.lost > 0 {
+                    hub.lost(frame.topic, frame.lost);
+                }
+                if hub.wants(frame.topic) {
+                    hub.frame(
+                        frame.topic,
+                        frame.received_ns,
+                        bytemuck::bytes_of(frame.header),
+                        frame.payload,
+                    );
+                }
+                if hub.wants_events() && TABLE.topics[usize::from(frame.topic)].name == HeartbeatsTopic::NAME
+                {
+                    for bytes in frame.payload.chunks_exact(size_of::<Heartbeat>()) {
+                        let heartbeat: Heartbeat = bytemuck::pod_read_unaligned(bytes);
+                        refusals.heartbeat(&heartbeat).iter().for_each(|event| hub.event(event));
+                    }
+                }
+            })?;
+        }
+        Ok(())
+    }
+
+    /// Tells the source how far it is, where the run is in lockstep and ticks are read.
+    fn beat(&mut self) -> Result<(), Failure> {
+        let reads_ticks = self.inputs.iter().any(|input| !is_heartbeats(input.number()));
+        if !self.run.lockstep || !reads_ticks && self.beats.is_none() {
+            return Ok(());
+        }
+        if self.beats.is_none() {
+            self.beats = self.node.as_ref().map(|node| node.publisher()).transpose()?;
+        } else if reads_ticks && self.beaten == self.newest {
+            return Ok(());
+        }
+        let Some(beats) = &self.beats else { return Ok(()) };
+        let heartbeat = Heartbeat {
+            stage: TAP,
+            linked: u32::from(reads_ticks),
+            pid: std::process::id(),
+            beat: self.beat,
+            seq: self.newest,
+            frames_len: 1,
+            sent_ns: monotonic_ns(),
+            ..bytemuck::Zeroable::zeroed()
+        };
+        let mut header = Header::new(self.run.id, self.beat, 0);
+        header.counts.agents_len = 1;
+        beats.send_copy(&[heartbeat], header)?;
+        (self.beat, self.beaten) = (self.beat + 1, self.newest);
+        if !reads_ticks {
+            // Nothing is read any more, which the last heartbeat says.
+            self.beats = None;
+        }
+        Ok(())
+    }
+
+    /// Takes what the launcher says; false once it has closed.
+    fn listen(&mut self, input: &mut io::Stdin) -> bool {
+        let mut block = [0; BLOCK];
+        match input.read(&mut block) {
+            Ok(0) => return false,
+            Ok(len) => self.told.extend_from_slice(&block[..len]),
+            Err(error) => return error.kind() == ErrorKind::Interrupted,
+        }
+        while let Some(end) = self.told.iter().position(|&byte| byte == b'\n') {
+            let line: Vec<u8> = self.told.drain(..=end).collect();
+            match serde_json::from_slice(&line) {
+                Ok(Told::Event(event)) => self.hub.event(&event),
+                Ok(Told::Line(line)) => self.hub.line(&line),
+                Err(error) => tracing::warn!("from the launcher: {error}"),
+            }
+        }
+        true
+    }
+
+    fn accept(&mut self, listener: &UnixListener) {
+        while let Ok((socket, _)) = listener.accept() {
+            if socket.set_nonblocking(true).is_ok() {
+                self.pending.push((socket, Vec::new()));
+            }
+        }
+    }
+
+    /// Reads the requests that have come, and attaches their tools.
+    fn requests(&mut self) {
+        for (mut socket, mut line) in std::mem::take(&mut self.pending) {
+            let mut block = [0; REQUEST_BYTES_MAX];
+            match socket.read(&mut block) {
+                Ok(0) => continue,
+                Ok(len) => line.extend_from_slice(&block[..len]),
+                Err(error) if matches!(error.kind(), ErrorKind::WouldBlock | ErrorKind::Interrupted) => {}
+                Err(_) => continue,
+            }
+            match line.iter().position(|&byte| byte == b'\n') {
+                Some(end) => self.request(socket, &line[..end]),
+                None if line.len() < REQUEST_BYTES_MAX => self.pending.push((socket, line)),
+                None => tracing::warn!("a request of more than {REQUEST_BYTES_MAX} bytes"),
+            }
+        }
+    }
+
+    fn request(&mut self, socket: UnixStream, line: &[u8]) {
+        let request: Request = match serde_json::from_slice(line) {
+            Ok(request) => request,
+            Err(error) => return tracing::warn!("a request that is none: {error}"),
+        };
+        if let Some(text) = request.mark.clone() {
+            self.hub.event(&Event { at_ns: monotonic_ns(), what: Happened::Mark { text } });
+        }
+        let want = Want::of(&request);
+        if let Err(error) = self.open(want) {
+            return tracing::warn!("{}: {error}", request.tool);
+        }
+        if self.hub.attach(request.tool, want, socket).is_err() {
+            tracing::warn!("a tool more than the tap serves");
+        }
+    }
+
+    /// Takes a reader's place of each topic that is wanted and not read yet.
+    fn open(&mut self, want: Want) -> Result<(), Failure> {
+        for (number, entry) in TABLE.topics.iter().enumerate() {
+            let number = number as u8;
+            let is_wanted = want.has(number) || want.events && entry.name == HeartbeatsTopic::NAME;
+            if !is_wanted || self.inputs.iter().any(|input| input.number() == number) {
+                continue;
+            }
+            if self.node.is_none() {
+                self.node = Some(Node::open(&self.run, "tap")?);
+            }
+            if let Some(node) = &self.node {
+                self.inputs.extend(topic::open(node, entry.name)?);
+            }
+        }
+        Ok(())
+    }
+
+    /// Writes what the tools take, detaches those that have gone, and gives back the topics that nobody wants.
+    fn flush(&mut self) {
+        self.hub.write();
+        let gone = self.hub.detach(|tool| {
+            let mut block = [0; 64];
+            match tool.connection.read(&mut block) {
+                Ok(0) => true,
+                Ok(_) => false,
+                Err(error) => !matches!(error.kind(), ErrorKind::WouldBlock | ErrorKind::Interrupted),
+            }
+        });
+        for tool in gone {
+            tracing::info!("{} has gone; it lost {} frames in its queue", tool.name, tool.lost());
+        }
+        let hub = &self.hub;
+        self.inputs.retain(|input| {
+            let number = input.number();
+            hub.wants(number) || is_heartbeats(number) && hub.wants_events()
+        });
+    }
+
+    /// Hands on what has come last, and lets the tools take it.
+    fn end(mut self) -> Result<Exit, Failure> {
+        self.pump()?;
+        let until = Instant::now() + END_LIMIT;
+        self.flush();
+        while self.hub.tools().iter().any(|tool| tool.is_waiting()) && Instant::now() < until {
+            std::thread::sleep(Duration::from_millis(2));
+            self.flush();
+        }
+        // The launcher removes the run's files; ports that end after it would look for theirs.
+        std::mem::forget((self.inputs, self.beats, self.node));
+        Ok(Exit::Done)
+    }
+}
+
+fn is_heartbeats(topic: u8) -> bool {
+    TABLE.topics[usize::from(topic)].name == HeartbeatsTopic::NAME
+}
+
+/// The refusals that heartbeats have told so far.
+#[derive(Debug, Default)]
+struct Watched(BTreeMap<(u32, u32), [Refusals; REFUSALS_MAX]>);
+
+impl Watched {
+    /// What a stage has refused since its last heartbeat. What it had refused before the first one that is seen
+    /// here happened before any tool wanted to know.
+    fn heartbeat(&mut self, heartbeat: &Heartbeat) -> Vec<Event> {
+        let key = (heartbeat.stage, heartbeat.incarnation);
+        let Some(before) = self.0.insert(key, heartbeat.refusals) else { return Vec::new() };
+        let name = |number: u32| {
+            StageId::from_number(number).map_or_else(|| format!("stage {number}"), |s| s.name().to_owned())
+        };
+        let newer = heartbeat.refusals.iter().filter(|refused| refused.cause != 0);
+        let events = newer.filter_map(|refused| {
+            let same = before.iter().find(|old| (old.sender, old.cause) == (refused.sender, refused.cause));
+            let frames = refused.frames_len.saturating_sub(same.map_or(0, |old| old.frames_len));
+            let cause =
+                RefusalCause::from_number(u32::from(refused.cause)).map_or("unknown", RefusalCause::name);
+            (frames > 0).then(|| Event {
+                at_ns: heartbeat.sent_ns,
+                what: Happened::Refused {
+                    stage: name(heartbeat.stage),
+                    incarnation: heartbeat.incarnation,
+                    sender: name(u32::from(refused.sender)),
+                    cause: cause.to_owned(),
+                    frames: u64::from(frames),
+                },
+            })
+        });
+        events.collect()
+    }
+}

@@ -1,0 +1,178 @@
+//! A run in a terminal, from the status that its launcher tells.
+
+mod client;
+mod columns;
+mod draw;
+mod stage;
+
+use clap::ValueEnum;
+use ratatui::Frame;
+use ratatui::buffer::Buffer;
+use ratatui::layout::Rect;
+use recorder::status::{RunStatus, StageStatus};
+
+pub use client::Client;
+
+/// Order of the stages.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
+pub enum SortBy {
+    /// As a tick passes them
+    #[default]
+    Chain,
+    /// The slowest first, by the 99th percentile of compute
+    P99,
+    /// The nearest to its budget first
+    Budget,
+    /// The one that waits longest first
+    Waiting,
+    /// The most lost frames first
+    Lost,
+    /// The most CPU first
+    Cpu,
+    /// The most memory first
+    Memory,
+}
+
+impl SortBy {
+    const fn name(self) -> &'static str {
+        match self {
+            Self::Chain => "chain",
+            Self::P99 => "p99",
+            Self::Budget => "budget",
+            Self::Waiting => "waiting",
+            Self::Lost => "lost",
+            Self::Cpu => "cpu",
+            Self::Memory => "memory",
+        }
+    }
+
+    fn next(self) -> Self {
+        let all = Self::value_variants();
+        let place = all.iter().position(|&by| by == self).unwrap_or(0);
+        all[(place + 1) % all.len()]
+    }
+}
+
+/// What is shown of a run.
+#[derive(Debug)]
+pub struct View {
+    status: RunStatus,
+    sort: SortBy,
+    /// Place of the selected stage in the order that is shown.
+    selected: usize,
+    /// The stage that is shown alone.
+    stage: Option<String>,
+    paused: bool,
+    silent: bool,
+}
+
+impl View {
+    /// A view of a run.
+    pub const fn new(status: RunStatus, sort: SortBy, stage: Option<String>) -> Self {
+        Self { status, sort, selected: 0, stage, paused: false, silent: false }
+    }
+
+    /// The newest status that is shown.
+    pub const fn status(&self) -> &RunStatus {
+        &self.status
+    }
+
+    /// Takes a newer status, unless it is paused.
+    pub fn update(&mut self, status: RunStatus) {
+        self.silent = false;
+        if !self.paused {
+            self.status = status;
+        }
+    }
+
+    /// The launcher has not answered.
+    pub const fn silent(&mut self) {
+        self.silent = true;
+    }
+
+    /// Stops or goes on taking newer statuses.
+    pub const fn pause(&mut self) {
+        self.paused = !self.paused;
+    }
+
+    /// Sorts by the next key.
+    pub fn sort_by_next(&mut self) {
+        self.sort = self.sort.next();
+    }
+
+    /// Selects another stage.
+    pub fn select(&mut self, by: isize) {
+        let last = self.status.stages.len().saturating_sub(1);
+        self.selected = self.selected.saturating_add_signed(by).min(last);
+        if self.stage.is_some() {
+            self.enter_stage();
+        }
+    }
+
+    /// Shows the selected stage alone.
+    pub fn enter_stage(&mut self) {
+        let name = self.stages().get(self.selected).map(|stage| stage.name.clone());
+        self.stage = name;
+    }
+
+    /// Shows all stages again; false where they were shown.
+    pub fn leave_stage(&mut self) -> bool {
+        self.stage.take().is_some()
+    }
+
+    /// The stages in the order that is shown.
+    fn stages(&self) -> Vec<&StageStatus> {
+        let mut stages: Vec<&StageStatus> = self.status.stages.iter().collect();
+        let lost = |stage: &StageStatus| self.of_report(stage).map_or(0, |report| report.drops.total());
+        let key = |stage: &StageStatus| -> f64 {
+            let p99 = stage.recent_compute_ms.p99;
+            let value = match self.sort {
+                SortBy::Chain => None,
+                SortBy::P99 => p99,
+                SortBy::Budget => p99.zip(stage.budget_ms).map(|(p99, budget)| p99 / budget),
+                SortBy::Waiting => stage.recent_waiting_ms.p99,
+                SortBy::Lost => Some(lost(stage) as f64),
+                SortBy::Cpu => stage.process.cpu,
+                SortBy::Memory => stage.process.memory_bytes.map(|bytes| bytes as f64),
+            };
+            value.unwrap_or(-1.0)
+        };
+        // Stable: of equals the one that a tick passes first comes first.
+        stages.sort_by(|a, b| key(b).total_cmp(&key(a)));
+        stages
+    }
+
+    /// What the report so far says of a stage.
+    fn of_report(&self, stage: &StageStatus) -> Option<&recorder::report::StageReport> {
+        self.status.report.stages.iter().find(|report| report.name == stage.name)
+    }
+
+    /// Draws the view.
+    pub fn draw(&self, frame: &mut Frame<'_>) {
+        let area = frame.area();
+        self.render(area, frame.buffer_mut(), true);
+    }
+
+    fn render(&self, area: Rect, buffer: &mut Buffer, keys: bool) {
+        draw::render(self, area, buffer, keys);
+    }
+}
+
+/// The view as plain text.
+pub fn text(view: &View, width: u16) -> String {
+    let area = Rect::new(0, 0, width, draw::height(view, width));
+    let mut buffer = Buffer::empty(area);
+    view.render(area, &mut buffer, false);
+    let mut text = String::new();
+    for y in 0..area.height {
+        let row: String = (0..area.width).map(|x| buffer[(x, y)].symbol()).collect();
+        text.push_str(row.trim_end());
+        text.push('\n');
+    }
+    text.truncate(text.trim_end().len());
+    text.push('\n');
+    text
+}
+
+#[cfg(test)]
+mod tests;

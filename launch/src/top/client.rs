@@ -1,0 +1,91 @@
+use std::io::{Read, Write};
+use std::os::unix::net::UnixStream;
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+
+use recorder::status::{RunStatus, STATUS_VERSION};
+
+use crate::failure::Failure;
+use crate::observe::SOCKET;
+
+/// Time that a launcher has to answer.
+const LIMIT: Duration = Duration::from_secs(3);
+/// Longest answer.
+const ANSWER_BYTES_MAX: u64 = 16 << 20;
+
+/// Asks the launcher of a run.
+#[derive(Debug)]
+pub struct Client {
+    socket: PathBuf,
+}
+
+impl Client {
+    /// Asks the launcher of the run with that folder.
+    pub fn new(root: &Path) -> Self {
+        Self { socket: root.join(SOCKET) }
+    }
+
+    /// Whether the run is still there.
+    pub fn is_there(&self) -> bool {
+        self.socket.exists()
+    }
+
+    /// The run's status.
+    ///
+    /// # Errors
+    /// [`Failure::Unavailable`] where the launcher does not answer.
+    pub fn ask(&self) -> Result<RunStatus, Failure> {
+        let failed = |error| Failure::unavailable_about(self.socket.display(), error);
+        let mut answer = Vec::new();
+        self.exchange(&mut answer).map_err(failed)?;
+        self.read(&answer)
+    }
+
+    fn exchange(&self, answer: &mut Vec<u8>) -> std::io::Result<()> {
+        let mut stream = UnixStream::connect(&self.socket)?;
+        stream.set_read_timeout(Some(LIMIT))?;
+        stream.set_write_timeout(Some(LIMIT))?;
+        stream.write_all(b"GET /status HTTP/1.0\r\n\r\n")?;
+        stream.take(ANSWER_BYTES_MAX).read_to_end(answer).map(drop)
+    }
+
+    fn read(&self, answer: &[u8]) -> Result<RunStatus, Failure> {
+        let said = |what: String| Failure::unavailable_about(self.socket.display(), what);
+        let text = std::str::from_utf8(answer).map_err(|error| said(error.to_string()))?;
+        let (head, body) = text.split_once("\r\n\r\n").ok_or_else(|| said("no answer".to_owned()))?;
+        if !head.starts_with("HTTP/1.1 200 ") {
+            return Err(said(body.trim_end().to_owned()));
+        }
+        // Of another version nothing but this number is wanted.
+        #[derive(serde::Deserialize)]
+        struct Versioned {
+            version: u32,
+        }
+        let found = serde_json::from_str::<Versioned>(body).map_err(|error| said(error.to_string()))?.version;
+        if found != STATUS_VERSION {
+            return Err(said(format!(
+                "a status of version {found}, this program reads {STATUS_VERSION}: launcher and top must be of \
+                 one version"
+            )));
+        }
+        serde_json::from_str(body).map_err(|error| said(error.to_string()))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn answers_are_read_and_refusals_told() {
+        let client = Client::new(Path::new("/no/such/run"));
+        assert!(client.ask().is_err() && !client.is_there());
+        let error = |answer: &str| client.read(answer.as_bytes()).unwrap_err().to_string();
+        assert!(error("HTTP/1.1 503 X\r\n\r\nbusy\n").ends_with("busy"));
+        assert!(error("HTTP/1.1 200 OK\r\n\r\n{\"version\":99}").contains("version 99"));
+        assert!(error("nonsense").ends_with("no answer"));
+        let status = RunStatus { version: STATUS_VERSION, run: "a".to_owned(), ..RunStatus::default() };
+        let answer = format!("HTTP/1.1 200 OK\r\n\r\n{}", serde_json::to_string(&status).unwrap());
+        assert_eq!(client.read(answer.as_bytes()).unwrap(), status);
+    }
+}

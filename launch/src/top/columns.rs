@@ -1,0 +1,175 @@
+//! The columns of the table of stages.
+
+use ratatui::style::{Color, Modifier, Style};
+use ratatui::text::{Line, Span};
+use recorder::report::StageReport;
+use recorder::status::StageStatus;
+use recorder::text::{bar, count, number};
+
+pub const DIM: Style = Style::new().fg(Color::DarkGray);
+pub const BOLD: Style = Style::new().add_modifier(Modifier::BOLD);
+
+/// Fewest and most cells of a budget bar.
+const BAR_WIDTHS: [usize; 2] = [5, 24];
+
+/// One row: what is told of a stage now, and of the whole run.
+#[derive(Clone, Copy)]
+pub struct Row<'a> {
+    pub stage: &'a StageStatus,
+    pub report: Option<&'a StageReport>,
+}
+
+/// A column.
+struct Column {
+    head: &'static str,
+    width: usize,
+    /// Shown from this width of the terminal on.
+    from_width: usize,
+    cell: fn(Row<'_>) -> (String, Style),
+}
+
+/// Times of one phase, or a count that ought to be zero.
+fn time(value: Option<f64>) -> (String, Style) {
+    (number(value), Style::new())
+}
+
+fn fault(value: u64) -> (String, Style) {
+    (count(value), if value > 0 { BOLD.fg(Color::Red) } else { DIM })
+}
+
+/// The columns, in the order in which they are shown; the bar of the budget comes after `BUDGET` of them.
+const COLUMNS: [Column; 16] = [
+    Column { head: "p50", width: 6, from_width: 0, cell: |row| time(row.stage.recent_compute_ms.p50) },
+    Column { head: "p99", width: 6, from_width: 0, cell: |row| time(row.stage.recent_compute_ms.p99) },
+    Column { head: "max", width: 6, from_width: 0, cell: |row| time(row.stage.recent_compute_ms.max) },
+    Column {
+        head: "budget",
+        width: 7,
+        from_width: 0,
+        cell: |row| (row.stage.budget_ms.map_or_else(|| "–".to_owned(), |ms| format!("{ms}")), DIM),
+    },
+    Column { head: "wait", width: 6, from_width: 0, cell: |row| time(row.stage.recent_waiting_ms.p99) },
+    Column { head: "wake", width: 6, from_width: 0, cell: |row| time(row.stage.recent_wake_up_ms.p99) },
+    Column { head: "send", width: 6, from_width: 100, cell: |row| time(row.stage.recent_publish_ms.p99) },
+    Column {
+        head: "over",
+        width: 6,
+        from_width: 100,
+        cell: |row| fault(row.report.map_or(0, |report| report.late_ticks)),
+    },
+    Column {
+        head: "lost",
+        width: 5,
+        from_width: 0,
+        cell: |row| fault(row.report.map_or(0, |report| report.drops.total())),
+    },
+    Column {
+        head: "gap",
+        width: 5,
+        from_width: 130,
+        cell: |row| fault(row.report.map_or(0, |report| report.drops.gap)),
+    },
+    Column {
+        head: "refus",
+        width: 6,
+        from_width: 130,
+        cell: |row| fault(row.report.map_or(0, |report| report.drops.refused)),
+    },
+    Column { head: "behind", width: 7, from_width: 130, cell: behind },
+    Column { head: "rst", width: 4, from_width: 0, cell: |row| fault(row.stage.process.restarts.into()) },
+    Column { head: "cpu", width: 5, from_width: 0, cell: cpu },
+    Column { head: "mem", width: 6, from_width: 0, cell: |row| bytes(row.stage.process.memory_bytes) },
+    Column { head: "shared", width: 7, from_width: 130, cell: |row| bytes(row.stage.process.shared_bytes) },
+];
+/// Columns before the bar.
+const BUDGET: usize = 4;
+/// Cells of a stage's name with its mark.
+const NAME: usize = 11;
+
+fn behind(row: Row<'_>) -> (String, Style) {
+    match row.stage.behind_ticks {
+        None => ("–".to_owned(), DIM),
+        // A heartbeat is up to a tick old.
+        Some(ticks @ 0..=2) => (count(ticks), DIM),
+        Some(ticks) => (count(ticks), BOLD.fg(Color::Red)),
+    }
+}
+
+fn cpu(row: Row<'_>) -> (String, Style) {
+    let text = row.stage.process.cpu.map_or_else(|| "–".to_owned(), |cpu| format!("{:.0}%", cpu * 1e2));
+    (text, Style::new())
+}
+
+/// Bytes in three digits with their unit.
+pub fn bytes(value: Option<u64>) -> (String, Style) {
+    let Some(value) = value else { return ("–".to_owned(), DIM) };
+    let mib = value as f64 / f64::from(1 << 20);
+    let text = match mib {
+        _ if mib < 9.95 => format!("{mib:.1}M"),
+        _ if mib < 999.5 => format!("{mib:.0}M"),
+        _ => format!("{:.1}G", mib / 1024.0),
+    };
+    (text, Style::new())
+}
+
+/// Cells of the budget's bar in a terminal of that width.
+pub fn bar_width(width: usize) -> usize {
+    let taken: usize = shown(width).map(|(_, column)| column.width).sum();
+    width.saturating_sub(NAME + taken + 6).clamp(BAR_WIDTHS[0], BAR_WIDTHS[1])
+}
+
+fn shown(width: usize) -> impl Iterator<Item = (usize, &'static Column)> {
+    COLUMNS.iter().enumerate().filter(move |(_, column)| width >= column.from_width)
+}
+
+/// The table's heading.
+pub fn heading(width: usize) -> Line<'static> {
+    let mut text = format!("  {:1$}", "stage", NAME - 2);
+    for (nth, column) in shown(width) {
+        if nth == BUDGET {
+            text += &format!(" {:1$}", "p99 of it", bar_width(width) + 5);
+        }
+        text += &format!("{:>1$}", column.head, column.width);
+    }
+    Line::styled(text, DIM)
+}
+
+/// The line of a stage.
+pub fn line(row: Row<'_>, width: usize, is_selected: bool) -> Line<'static> {
+    let process = &row.stage.process;
+    let (mark, colour) = match (row.stage.alive, process.state.as_str()) {
+        (_, "given up") => ("✖", Color::Red),
+        (_, "restarting") => ("↻", Color::Yellow),
+        (_, "ended") => ("○", Color::DarkGray),
+        (None, _) => ("○", Color::DarkGray),
+        (Some(true), _) => ("●", Color::Green),
+        (Some(false), _) => ("●", Color::Red),
+    };
+    let name = if is_selected { BOLD.add_modifier(Modifier::REVERSED) } else { Style::new() };
+    let mut spans = vec![
+        Span::styled(format!("{mark} "), colour),
+        Span::styled(format!("{:1$}", row.stage.name, NAME - 2), name),
+    ];
+    for (nth, column) in shown(width) {
+        if nth == BUDGET {
+            let share = row.stage.recent_compute_ms.p99.zip(row.stage.budget_ms);
+            spans.extend(share_spans(share.map(|(p99, budget)| p99 / budget), bar_width(width)));
+        }
+        let (text, style) = (column.cell)(row);
+        spans.push(Span::styled(format!("{text:>0$}", column.width), style));
+    }
+    Line::from(spans)
+}
+
+/// A bar with its share.
+pub fn share_spans(share: Option<f64>, cells: usize) -> [Span<'static>; 2] {
+    let colour = match share {
+        None => Color::DarkGray,
+        Some(share) if share > 1.0 => Color::Red,
+        Some(share) if share > 0.75 => Color::Yellow,
+        Some(_) => Color::Green,
+    };
+    let filled = share.map_or_else(|| " ".repeat(cells), |share| bar(share, cells));
+    let percent = share.map_or_else(String::new, |share| format!("{:.0}%", (share * 1e2).min(9_999.0)));
+    [Span::styled(format!(" {filled}"), colour), Span::raw(format!("{percent:>5}"))]
+}

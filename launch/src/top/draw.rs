@@ -1,0 +1,247 @@
+use ratatui::buffer::Buffer;
+use ratatui::layout::Rect;
+use ratatui::style::{Color, Style};
+use ratatui::text::{Line, Span};
+use ratatui::widgets::{Paragraph, Widget};
+use recorder::Status;
+use recorder::report::{Percentiles, WorstTick};
+use recorder::text::{count, number, percent};
+
+use super::View;
+use super::columns::{BOLD, DIM, Row, bar_width, heading, line, share_spans};
+
+/// Lines of events and of worst ticks at most.
+const EVENTS_MAX: usize = 4;
+const WORST_MAX: usize = 5;
+
+/// Lines that the view needs.
+pub fn height(view: &View, width: u16) -> u16 {
+    u16::try_from(lines(view, usize::from(width)).len()).unwrap_or(u16::MAX)
+}
+
+/// Draws the view, with a line of keys at the foot.
+pub fn render(view: &View, area: Rect, buffer: &mut Buffer, keys: bool) {
+    let width = usize::from(area.width);
+    let mut lines = lines(view, width);
+    let room = usize::from(area.height).saturating_sub(usize::from(keys));
+    lines.truncate(room);
+    Paragraph::new(lines).render(area, buffer);
+    if keys && area.height > 0 {
+        let foot = Rect { y: area.bottom() - 1, height: 1, ..area };
+        Paragraph::new(keys_line(view)).render(foot, buffer);
+    }
+}
+
+fn lines(view: &View, width: usize) -> Vec<Line<'static>> {
+    let mut lines = vec![title(view, width)];
+    lines.extend(verdict(view, width));
+    lines.push(Line::raw(""));
+    lines.push(latency(view, width));
+    lines.extend(quality(view));
+    lines.push(Line::raw(""));
+    if let Some(name) = &view.stage {
+        lines.extend(super::stage::lines(view, name, width));
+        return lines;
+    }
+    lines.push(heading(width));
+    for (place, stage) in view.stages().into_iter().enumerate() {
+        let row = Row { stage, report: view.of_report(stage) };
+        lines.push(line(row, width, place == view.selected));
+    }
+    lines.push(Line::styled(note(view, width), DIM));
+    lines.extend(refusals(view, width));
+    lines.extend(events(view, width));
+    lines.extend(worst(&view.status.report.worst_ticks, width, WORST_MAX));
+    lines
+}
+
+fn note(view: &View, width: usize) -> String {
+    let seconds = match view.status.recent_ticks {
+        125.. => "the last 10 s".to_owned(),
+        ticks => format!("the last {ticks} ticks"),
+    };
+    match width {
+        100.. => format!(
+            "  ms of {seconds}: compute p50, p99, max; waiting, wake-up and sending at p99. lost, rst (restarts): whole run"
+        ),
+        _ => format!("  ms of {seconds}: compute; wait, wake at p99. lost, rst (restarts): whole run"),
+    }
+}
+
+/// The run's name on the left, its progress on the right.
+fn title(view: &View, width: usize) -> Line<'static> {
+    let status = &view.status;
+    let tick = match status.ticks_limit {
+        Some(limit) => format!("tick {} of {}", count(status.report.ticks), count(limit)),
+        None => format!("tick {}", count(status.report.ticks)),
+    };
+    let (minutes, seconds) = ((status.elapsed_s / 60.0) as u64, status.elapsed_s % 60.0);
+    let right = format!("{tick}   {minutes:02}:{seconds:04.1}");
+    let left = format!(" {}  {}", status.run, status.title);
+    let room = width.saturating_sub(right.chars().count() + 14);
+    let left: String = left.chars().take(room).collect();
+    let gap = room.saturating_sub(left.chars().count()) + 1;
+    Line::from(vec![
+        Span::styled(" stgdat top ", BOLD.fg(Color::Black).bg(Color::Cyan)),
+        Span::raw(left),
+        Span::raw(" ".repeat(gap)),
+        Span::styled(right, BOLD),
+    ])
+}
+
+/// Whether all is well, and if not, why.
+fn verdict(view: &View, width: usize) -> Vec<Line<'static>> {
+    let status = &view.status;
+    let (name, colour) = match status.report.verdict.status {
+        _ if view.silent => ("NO ANSWER", Color::Red),
+        _ if !status.linked => ("STARTING", Color::Yellow),
+        Status::Ok => ("OK", Color::Green),
+        Status::Degraded => ("DEGRADED", Color::Yellow),
+        Status::Empty => ("NO FORECASTS", Color::Yellow),
+    };
+    let paused = if view.paused { "  (paused)" } else { "" };
+    let reasons = if view.silent {
+        vec!["the launcher does not answer; what is shown is what it said last".to_owned()]
+    } else {
+        status.report.verdict.reasons.clone()
+    };
+    let mut lines = vec![Line::from(vec![
+        Span::raw(" "),
+        Span::styled(format!("{name:12}"), BOLD.fg(colour)),
+        Span::raw(cut(reasons.first().map_or("", String::as_str), width.saturating_sub(24))),
+        Span::styled(paused, BOLD.fg(Color::Cyan)),
+    ])];
+    for reason in reasons.iter().skip(1).take(3) {
+        lines.push(Line::raw(format!("{:13}{}", "", cut(reason, width.saturating_sub(13)))));
+    }
+    lines
+}
+
+/// End to end against the limit, now and over the whole run.
+fn latency(view: &View, width: usize) -> Line<'static> {
+    let status = &view.status;
+    let limit_ms = status.report.late_limit_ms;
+    let recent = &status.recent_end_to_end_ms;
+    let mut spans = vec![
+        Span::styled(" end to end", BOLD),
+        Span::raw(format!("{:>6}{:>6}{:>6}", number(recent.p50), number(recent.p99), number(recent.max))),
+        Span::styled(format!("{:>7}", limit_ms.map_or_else(|| "–".to_owned(), |ms| format!("{ms}"))), DIM),
+    ];
+    let cells = bar_width(width);
+    spans.extend(share_spans(recent.p99.zip(limit_ms).map(|(p99, limit)| p99 / limit), cells));
+    let late = status.report.late_ticks;
+    let style = if late > 0 { BOLD.fg(Color::Red) } else { DIM };
+    spans.push(Span::styled(format!("   late {}", count(late)), style));
+    if width >= 100 {
+        let Percentiles { p50, p99, max, .. } = status.report.end_to_end_ms;
+        let whole = format!("   whole run {} / {} / {}", number(p50), number(p99), number(max));
+        spans.push(Span::styled(whole, DIM));
+    }
+    Line::from(spans)
+}
+
+/// Shares of the forecasts' qualities with their causes, and coverage.
+fn quality(view: &View) -> Vec<Line<'static>> {
+    let status = &view.status;
+    let forecasts = &status.report.forecasts;
+    let total: u64 = forecasts.by_quality().iter().map(|(_, n)| n).sum();
+    let mut now = vec![Span::styled(" forecasts   ", BOLD)];
+    for (name, all) in forecasts.by_quality() {
+        let newest = status.newest.qualities.get(name).copied().unwrap_or(0);
+        let colour = if name == "learned" { Color::Green } else { Color::Yellow };
+        let style = if newest > 0 { Style::new().fg(colour) } else { DIM };
+        now.push(Span::styled(format!("{newest} {name} "), style));
+        let share = percent((total > 0).then(|| all as f64 / total as f64));
+        now.push(Span::styled(format!("({share})  "), DIM));
+    }
+    let causes: Vec<String> = status.newest.causes.iter().map(|(cause, n)| format!("{cause} {n}")).collect();
+    if !causes.is_empty() {
+        now.push(Span::styled(causes.join(", "), Color::Yellow));
+    }
+    if status.newest.outside > 0 {
+        now.push(Span::styled(format!("  never trained {}", status.newest.outside), Color::Yellow));
+    }
+    let mut worth = vec![Span::styled(" regions     ", BOLD)];
+    match &status.accuracy {
+        Some(errors) if errors.held_50.is_some() => {
+            let held =
+                format!("of 50 % held {}, of 90 % held {}", percent(errors.held_50), percent(errors.held_90));
+            worth.push(Span::raw(held));
+            let ade = format!("   minADE {} m, CV {}", number(errors.ade_m), number(errors.cv_ade_m));
+            worth.push(Span::styled(ade, DIM));
+        }
+        _ => worth.push(Span::styled("no truth has covered a horizon yet", DIM)),
+    }
+    vec![Line::from(now), Line::from(worth)]
+}
+
+fn refusals(view: &View, width: usize) -> Vec<Line<'static>> {
+    let refused = view.status.report.refusals.iter().take(EVENTS_MAX);
+    let lines = refused.map(|refused| {
+        let text = format!(
+            "  refused   {} of the {} by the {}: {}",
+            count(refused.frames),
+            refused.sender,
+            refused.reader,
+            refused.cause
+        );
+        Line::styled(cut(&text, width), Color::Red)
+    });
+    section(lines.collect())
+}
+
+fn events(view: &View, width: usize) -> Vec<Line<'static>> {
+    let newest = view.status.events.iter().rev().take(EVENTS_MAX);
+    let lines = newest.map(|event| {
+        let text = format!("  {:>7.1} s  {}", event.elapsed_s, event.text);
+        Line::styled(cut(&text, width), Color::Yellow)
+    });
+    section(lines.collect())
+}
+
+/// The worst ticks with their causes.
+pub fn worst(ticks: &[WorstTick], width: usize, most: usize) -> Vec<Line<'static>> {
+    let mut lines: Vec<Line<'static>> = ticks
+        .iter()
+        .take(most)
+        .map(|tick| {
+            let (number_of, time) = (count(tick.tick), number(tick.end_to_end_ms));
+            Line::from(vec![
+                Span::raw(format!("  {number_of:>10}{time:>8}   ")),
+                Span::raw(cut(&tick.cause, width.saturating_sub(23))),
+            ])
+        })
+        .collect();
+    if !lines.is_empty() {
+        lines.insert(0, Line::styled(format!("  {:>10}{:>8}   why", "worst tick", "ms"), DIM));
+    }
+    section(lines)
+}
+
+/// Lines with an empty one before them.
+fn section(mut lines: Vec<Line<'static>>) -> Vec<Line<'static>> {
+    if !lines.is_empty() {
+        lines.insert(0, Line::raw(""));
+    }
+    lines
+}
+
+/// At most `width` characters of a text, with an ellipsis where it was longer.
+pub fn cut(text: &str, width: usize) -> String {
+    if text.chars().count() <= width {
+        return text.to_owned();
+    }
+    text.chars().take(width.saturating_sub(1)).chain(['…']).collect()
+}
+
+fn keys_line(view: &View) -> Line<'static> {
+    let key = |key: &'static str| Span::styled(key, BOLD.fg(Color::Cyan));
+    let mut spans = vec![key("  q"), Span::raw(" quit  "), key("p"), Span::raw(" pause  ")];
+    if view.stage.is_some() {
+        spans.extend([key("↑↓"), Span::raw(" other stage  "), key("esc"), Span::raw(" all stages")]);
+    } else {
+        spans.extend([key("s"), Span::raw(format!(" sort: {}  ", view.sort.name()))]);
+        spans.extend([key("↑↓"), Span::raw(" select  "), key("enter"), Span::raw(" one stage")]);
+    }
+    Line::from(spans)
+}

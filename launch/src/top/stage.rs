@@ -1,0 +1,131 @@
+//! One stage alone.
+
+use ratatui::style::{Color, Style};
+use ratatui::text::{Line, Span};
+use recorder::report::Percentiles;
+use recorder::status::StageStatus;
+use recorder::text::{count, number};
+
+use super::View;
+use super::columns::{BOLD, DIM, bytes, share_spans};
+use super::draw::{cut, worst};
+
+/// Worst ticks of the stage that are shown.
+const WORST_MAX: usize = 8;
+
+/// All that is known of a stage.
+pub fn lines(view: &View, name: &str, width: usize) -> Vec<Line<'static>> {
+    let Some(stage) = view.status.stages.iter().find(|stage| stage.name == name) else {
+        return vec![Line::styled(format!("  there is no stage {name} any more"), Color::Red)];
+    };
+    let mut lines = vec![process(stage)];
+    lines.push(Line::raw(""));
+    lines.extend(phases(view, stage, width));
+    lines.push(Line::raw(""));
+    lines.extend(losses(view, stage, width));
+    let own: Vec<_> = view
+        .status
+        .report
+        .worst_ticks
+        .iter()
+        .filter(|tick| tick.stage.as_deref() == Some(name))
+        .cloned()
+        .collect();
+    lines.extend(worst(&own, width, WORST_MAX));
+    lines
+}
+
+fn process(stage: &StageStatus) -> Line<'static> {
+    let process = &stage.process;
+    let told = |name: &str, value: Option<String>| {
+        vec![Span::styled(format!("   {name} "), DIM), Span::raw(value.unwrap_or_else(|| "–".to_owned()))]
+    };
+    let alive = match stage.alive {
+        Some(true) => Span::styled("alive", Color::Green),
+        Some(false) => Span::styled("no heartbeat", BOLD.fg(Color::Red)),
+        None => Span::styled("no heartbeat yet", DIM),
+    };
+    let mut spans = vec![
+        Span::styled(format!("  {}  ", stage.name), BOLD),
+        Span::raw(format!("{}, ", process.state)),
+        alive,
+    ];
+    spans.extend(told("pid", process.pid.map(|pid| pid.to_string())));
+    spans.extend(told("restarts", Some(process.restarts.to_string())));
+    spans.extend(told("cpu", process.cpu.map(|cpu| format!("{:.0} %", cpu * 1e2))));
+    spans.extend(told("memory", process.memory_bytes.map(|own| bytes(Some(own)).0)));
+    spans.extend(told("shared", process.shared_bytes.map(|shared| bytes(Some(shared)).0)));
+    Line::from(spans)
+}
+
+fn phases(view: &View, stage: &StageStatus, width: usize) -> Vec<Line<'static>> {
+    let whole = view.of_report(stage);
+    let heading = format!(
+        "  {:12}{:>8}{:>8}{:>8}{:>14}{:>8}{:>8}",
+        "ms", "p50", "p99", "max", "whole: p50", "p99", "max"
+    );
+    let rows = [
+        ("waiting", stage.recent_waiting_ms, whole.map(|whole| whole.waiting_ms)),
+        ("wake-up", stage.recent_wake_up_ms, whole.map(|whole| whole.wake_up_ms)),
+        ("compute", stage.recent_compute_ms, whole.map(|whole| whole.compute_ms)),
+        ("publish", stage.recent_publish_ms, whole.map(|whole| whole.publish_ms)),
+    ];
+    let row = |(name, recent, whole): (&str, Percentiles, Option<Percentiles>)| {
+        let whole = whole.unwrap_or_default();
+        let text = format!(
+            "  {name:12}{:>8}{:>8}{:>8}{:>14}{:>8}{:>8}",
+            number(recent.p50),
+            number(recent.p99),
+            number(recent.max),
+            number(whole.p50),
+            number(whole.p99),
+            number(whole.max)
+        );
+        let mut spans = vec![Span::raw(text)];
+        if name == "compute"
+            && let Some(budget_ms) = stage.budget_ms
+            && width >= 100
+        {
+            spans.extend(share_spans(recent.p99.map(|p99| p99 / budget_ms), 12));
+            spans.push(Span::styled(format!(" of {budget_ms} ms"), DIM));
+        }
+        Line::from(spans)
+    };
+    std::iter::once(Line::styled(heading, DIM)).chain(rows.map(row)).collect()
+}
+
+fn losses(view: &View, stage: &StageStatus, width: usize) -> Vec<Line<'static>> {
+    let mut lines = Vec::new();
+    if let Some(report) = view.of_report(stage) {
+        let drops = report.drops;
+        let counts = [
+            ("over budget", report.late_ticks),
+            ("gaps", drops.gap),
+            ("refused", drops.refused),
+            ("lost by restart", drops.restart),
+        ];
+        let mut spans = vec![Span::raw(format!("  {} ticks", count(report.ticks)))];
+        for (name, value) in counts {
+            let style = if value > 0 { BOLD.fg(Color::Red) } else { DIM };
+            spans.push(Span::styled(format!("   {name} {}", count(value)), style));
+        }
+        lines.push(Line::from(spans));
+    }
+    if let Some(behind) = stage.behind_ticks.filter(|&ticks| ticks > 2) {
+        let text = format!("  {} ticks behind the newest forecasts", count(behind));
+        lines.push(Line::styled(text, BOLD.fg(Color::Red)));
+    }
+    for refused in &view.status.report.refusals {
+        if refused.reader == stage.name || refused.sender == stage.name {
+            let text = format!(
+                "  {} frames of the {} refused by the {}: {}",
+                count(refused.frames),
+                refused.sender,
+                refused.reader,
+                refused.cause
+            );
+            lines.push(Line::styled(cut(&text, width), Style::new().fg(Color::Red)));
+        }
+    }
+    lines
+}

@@ -1,0 +1,52 @@
+//! What it costs to hand a step's blocks to workers, beside the blocks themselves.
+
+use std::time::{Duration, Instant};
+
+use nn::{Job, Workers, default_workers};
+
+use super::percentile;
+use crate::failure::Failure;
+
+/// How long a block takes.
+const BLOCK: Duration = Duration::from_micros(200);
+/// Blocks of each worker in a step.
+const BLOCKS: usize = 4;
+/// Steps that are timed.
+const STEPS: usize = 150;
+/// Pause between two steps, in which the workers fall asleep.
+const PAUSE: Duration = Duration::from_millis(5);
+
+/// Keeps its processor busy for a block.
+struct Busy;
+
+impl Job for Busy {
+    type Input = ();
+
+    fn run(&mut self, (): &(), _: usize) {
+        let start = Instant::now();
+        while start.elapsed() < BLOCK {
+            std::hint::spin_loop();
+        }
+    }
+}
+
+/// A line with the time that a step takes longer than its share of the blocks; none on one processor.
+pub(super) fn line() -> Result<Option<String>, Failure> {
+    let workers = default_workers();
+    if workers < 2 {
+        return Ok(None);
+    }
+    let mut pool = Workers::new((), (0..workers).map(|_| Busy)).map_err(Failure::unavailable)?;
+    let mut over_us = Vec::with_capacity(STEPS);
+    for _ in 0..STEPS {
+        std::thread::sleep(PAUSE);
+        let start = Instant::now();
+        pool.run(workers * BLOCKS);
+        over_us.push(start.elapsed().saturating_sub(BLOCK * BLOCKS as u32).as_secs_f64() * 1e6);
+    }
+    let [p50, p99] = [0.5, 0.99].map(|share| percentile(&mut over_us, share));
+    Ok(Some(format!(
+        "Hand-over of a step to {workers} sleeping workers, beyond the work: {p50:.0} µs at the median, {p99:.0} µs at \
+         p99.\n"
+    )))
+}

@@ -1,0 +1,76 @@
+use std::path::PathBuf;
+
+use clap::Args;
+use recording::{About, Comparison, Recording};
+use run::Exit;
+
+use crate::differences::{table, title};
+use crate::failure::Failure;
+use crate::show::show;
+
+/// Arguments of `stgdat diff`.
+#[derive(Debug, Args)]
+pub struct Arguments {
+    /// A recording
+    #[arg(value_name = "A")]
+    a: PathBuf,
+    /// Another one, of the same scene
+    #[arg(value_name = "B")]
+    b: PathBuf,
+    /// Print the comparison as JSON
+    #[arg(long)]
+    json: bool,
+}
+
+/// Compares two recordings tick by tick.
+pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
+    let [a, b] = [&arguments.a, &arguments.b].map(|path| open(path));
+    let (a, b) = (a?, b?);
+    let comparison = Comparison::of(&a, &b).map_err(Failure::data)?;
+    if arguments.json {
+        show(&(serde_json::to_string_pretty(&comparison).map_err(Failure::data)? + "\n"))?;
+    } else {
+        let mut text = title(&a) + &title(&b);
+        for what in differing(a.about(), b.about()) {
+            text += &format!("  the runs differ in {what}\n");
+        }
+        text += &table(&comparison, ["in A", "in B"]);
+        text += &match (comparison.ticks(), comparison.is_equal()) {
+            (0, _) => "no topic has a tick that is in both\n".to_owned(),
+            (ticks, true) => format!("equal to the byte: {ticks} ticks\n"),
+            (_, false) => String::new(),
+        };
+        show(&text)?;
+    }
+    Ok(if comparison.is_equal() && comparison.ticks() > 0 { Exit::Done } else { Exit::Different })
+}
+
+/// Opens a recording and checks all of it.
+pub fn open(path: &std::path::Path) -> Result<Recording, Failure> {
+    let recording = Recording::open(path).map_err(Failure::data)?;
+    recording.verify().map_err(Failure::data)?;
+    Ok(recording)
+}
+
+/// What two runs have been given differently.
+fn differing(a: &About, b: &About) -> Vec<String> {
+    let pairs = [
+        ("seed", a.run.seed.to_string(), b.run.seed.to_string()),
+        ("scene", a.scene.clone(), b.scene.clone()),
+        ("weights", a.weights_sha256.clone(), b.weights_sha256.clone()),
+        ("kernels", a.kernels.clone(), b.kernels.clone()),
+        ("program", a.program.clone(), b.program.clone()),
+        ("lockstep", a.run.lockstep.to_string(), b.run.lockstep.to_string()),
+    ];
+    let pairs = pairs.into_iter().filter(|(_, a, b)| a != b);
+    let mut found: Vec<String> = pairs.map(|(name, a, b)| format!("{name}: {a} and {b}")).collect();
+    // Where a run writes its report is no matter.
+    let options = |about: &About| {
+        let stages = about.run.stages.iter().filter(|stage| stage.stage != wire::StageId::Recorder as u32);
+        stages.map(|stage| (stage.stage, stage.options.clone())).collect::<Vec<_>>()
+    };
+    if options(a) != options(b) {
+        found.push("options of the stages".to_owned());
+    }
+    found
+}

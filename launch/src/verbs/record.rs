@@ -1,0 +1,144 @@
+use std::io::Write as _;
+use std::path::{Path, PathBuf};
+use std::time::{Duration, SystemTime, UNIX_EPOCH};
+
+use clap::Args;
+use ports::{Stop, monotonic_ns};
+use recording::tap::{Client, Item, Request};
+use recording::{About, EVENTS, LOG, Writer};
+use run::Exit;
+use wire::TABLE;
+
+use crate::failure::Failure;
+use crate::runs;
+use crate::tap::{Recorded, follow};
+use crate::verbs::wire::layout;
+
+/// Topics that are recorded where none are named.
+pub const TOPICS: &str = "detections,tracks,forecasts,events";
+/// Time that the tap has to open the topics.
+const ATTACH_LIMIT: Duration = Duration::from_secs(10);
+
+/// Arguments of `stgdat record`.
+#[derive(Debug, Args)]
+pub struct Arguments {
+    /// File to write; there must be none of that name
+    #[arg(value_name = "FILE")]
+    file: PathBuf,
+    /// The run, by its name or its folder, where more than one goes on
+    #[arg(long, value_name = "NAME")]
+    run: Option<PathBuf>,
+    /// Topics, separated by commas; `events` are the supervisor's events and the stages' log lines, `all` is
+    /// everything
+    #[arg(long, value_name = "LIST", default_value = TOPICS, value_parser = topics)]
+    topics: Topics,
+    /// End after so many seconds; with the run if not given
+    #[arg(long, value_name = "S")]
+    seconds: Option<f64>,
+}
+
+/// What is recorded.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Topics {
+    names: Vec<String>,
+    events: bool,
+}
+
+/// Reads a list of topics.
+pub fn topics(list: &str) -> Result<Topics, String> {
+    let known = || TABLE.topics.iter().map(|topic| topic.name);
+    let mut topics = Topics { names: Vec::new(), events: false };
+    for name in list.split(',').map(str::trim) {
+        match name {
+            "all" => topics = Topics { names: known().map(str::to_owned).collect(), events: true },
+            EVENTS | LOG => topics.events = true,
+            name if known().any(|topic| topic == name) => {
+                if !topics.names.iter().any(|have| have == name) {
+                    topics.names.push(name.to_owned());
+                }
+            }
+            name => {
+                let known = known().collect::<Vec<_>>().join(", ");
+                return Err(format!("there is no topic \"{name}\": {known}, {EVENTS} or all"));
+            }
+        }
+    }
+    Ok(topics)
+}
+
+/// Records a run that goes on.
+pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
+    let stop = Stop::on_signals().map_err(Failure::unavailable)?;
+    let limit = arguments.seconds.map(Duration::try_from_secs_f64).transpose();
+    let limit = limit.map_err(|error| Failure::Usage(format!("--seconds: {error}")))?;
+    let run = runs::find(arguments.run.as_deref())?;
+    let Topics { names, events } = arguments.topics.clone();
+    let about =
+        About::of_run(&run.root).map_err(|error| Failure::file(&run.root.join(recording::ABOUT), error))?;
+    let about = About { topics: names.clone(), clock_offset_ns: clock_offset_ns(), ..about };
+    let writer = Writer::create(&arguments.file, &about, &layout()).map_err(Failure::data)?;
+
+    let request = Request { tool: "record".to_owned(), topics: names, events: true, mark: None };
+    let mut client = Client::attach(&run.root, &request).map_err(Failure::unavailable)?;
+    if client.next(ATTACH_LIMIT).map_err(Failure::unavailable)? != Some(Item::Attached) {
+        return Err(Failure::Failed(format!("the tap of {} does not answer", run.name)));
+    }
+    say(&format!("recording {} to {}; Ctrl-C ends it", run.name, arguments.file.display()));
+    let recorded = follow(&run.root, &request, client, writer, events, limit, &stop)?;
+    say(&summary(&arguments.file, &recorded));
+    let lost = recorded.lost.values().chain(recorded.written.lost.values()).sum::<u64>();
+    if lost > 0 {
+        say(&format!("  {lost} frames are not in it: {}", losses(&recorded)));
+    }
+    Ok(Exit::Done)
+}
+
+/// The Unix time less `CLOCK_MONOTONIC`.
+fn clock_offset_ns() -> i64 {
+    let unix = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
+    let unix_ns = i64::try_from(unix.as_nanos()).unwrap_or(i64::MAX);
+    unix_ns.saturating_sub_unsigned(monotonic_ns())
+}
+
+/// A line on standard output, at once: the launcher may wait for it. A reader that is gone is no failure.
+fn say(line: &str) {
+    let mut output = std::io::stdout().lock();
+    let _ = writeln!(output, "{line}").and_then(|()| output.flush());
+}
+
+fn summary(file: &Path, Recorded { written, seconds, .. }: &Recorded) -> String {
+    let megabytes = written.bytes as f64 / 1e6;
+    let topics: Vec<String> = written.by_topic.iter().map(|(name, len)| format!("{len} {name}")).collect();
+    let percent = 100.0 * written.bytes as f64 / (written.uncompressed_bytes as f64).max(1.0);
+    format!(
+        "{}: {megabytes:.1} MB in {seconds:.1} s, {:.2} MB/s, {percent:.0} % of what was sent; {}",
+        file.display(),
+        megabytes / seconds.max(1e-3),
+        topics.join(", ")
+    )
+}
+
+fn losses(recorded: &Recorded) -> String {
+    let of = |losses: &recording::Losses, at: &str| {
+        let each = losses.iter().map(|(topic, frames)| format!("{frames} {topic}"));
+        let each: Vec<String> = each.collect();
+        (!each.is_empty()).then(|| format!("{} lost {at}", each.join(", ")))
+    };
+    let parts = [of(&recorded.lost, "at the tap"), of(&recorded.written.lost, "by the disk")];
+    parts.into_iter().flatten().collect::<Vec<_>>().join("; ")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn lists_of_topics_are_read() {
+        let default = topics(TOPICS).unwrap();
+        assert_eq!((default.names.join(" ").as_str(), default.events), ("detections tracks forecasts", true));
+        assert_eq!(topics("all").unwrap().names.len(), TABLE.topics.len());
+        assert_eq!(topics("tracks, tracks").unwrap().names, ["tracks"]);
+        let error = topics("tracks,traks").unwrap_err();
+        assert!(error.contains("\"traks\"") && error.contains("heartbeats"), "{error}");
+    }
+}

@@ -1,0 +1,180 @@
+use std::path::PathBuf;
+
+use clap::Args;
+use clap::builder::PossibleValuesParser;
+use nn::{Weights, kernels};
+use onboard::{Replay, Replayed, STAGES};
+use recording::{About, Frame, Recording, Writer};
+use run::Exit;
+use wire::StageId;
+
+use crate::arguments::canonical;
+use crate::differences::{table, title};
+use crate::failure::Failure;
+use crate::show::show;
+use crate::verbs::diff::open;
+use crate::verbs::wire::layout;
+
+/// Numbers of ticks that are listed.
+const LISTED_MAX: usize = 8;
+
+/// Arguments of `stgdat replay`.
+#[derive(Debug, Args)]
+pub struct Arguments {
+    /// The recording
+    #[arg(value_name = "FILE")]
+    file: PathBuf,
+    /// Replay one stage alone, with its input from the file; the recording needs the topics around it
+    #[arg(long, value_name = "NAME", value_parser = PossibleValuesParser::new(STAGES.map(|(stage, ..)| stage.name())))]
+    stage: Option<String>,
+    /// Weights to use instead of the recorded run's
+    #[arg(long, value_name = "FILE")]
+    weights: Option<PathBuf>,
+    /// Write what the stages have made as a recording, for `stgdat diff`
+    #[arg(long, value_name = "FILE")]
+    out: Option<PathBuf>,
+}
+
+/// Takes a recording through the stages once more and compares what they make with what was recorded.
+pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
+    let recording = open(&arguments.file)?;
+    let weights = weights(arguments, &recording)?;
+    let stage = arguments.stage.as_deref().and_then(StageId::from_name);
+    let mut text = title(&recording);
+    for note in notes(&recording, &weights) {
+        text += &format!("  {note}\n");
+    }
+    show(&text)?;
+    let mut writer = writer(arguments, &recording, &weights)?;
+    let replay = Replay::new(&recording, weights, stage).map_err(Failure::data)?;
+    let replayed = replay
+        .run(|frame: &Frame| {
+            if let Some(writer) = &mut writer {
+                writer.frame(frame);
+            }
+        })
+        .map_err(Failure::data)?;
+    if let Some(mut writer) = writer {
+        if let Some(error) = writer.take_error() {
+            return Err(Failure::data(error));
+        }
+        writer.finish("the replay has ended").map_err(Failure::data)?;
+    }
+    show(&told(&replayed))?;
+    let is_equal = replayed.comparison.is_equal() && replayed.comparison.ticks() > 0;
+    Ok(if is_equal { Exit::Done } else { Exit::Different })
+}
+
+/// The weights of the command line, else those of the run, which must be the same as they were.
+fn weights(arguments: &Arguments, recording: &Recording) -> Result<Weights, Failure> {
+    let about = recording.about();
+    let named = arguments.weights.as_deref().map(canonical).transpose()?;
+    let path = named.as_deref().or(about.run.weights.as_deref());
+    let weights = match path {
+        Some(path) => Weights::open(path).map_err(|error| Failure::weights(path, error))?,
+        None => Weights::onboard(),
+    };
+    if named.is_none() && weights.sha256() != about.weights_sha256 {
+        let what = path.map_or_else(|| "the embedded weights".to_owned(), |path| path.display().to_string());
+        let why = format!(
+            "{}: recorded with the weights {}; {what} are now {}: name a file with --weights",
+            recording.path().display(),
+            about.weights_sha256,
+            weights.sha256()
+        );
+        return Err(Failure::data(std::io::Error::other(why)));
+    }
+    Ok(weights)
+}
+
+/// What may keep a replay from being equal.
+fn notes(recording: &Recording, weights: &Weights) -> Vec<String> {
+    let about = recording.about();
+    let mut notes = Vec::new();
+    if weights.sha256() != about.weights_sha256 {
+        notes.push(format!("replayed with other weights: {}", weights.sha256()));
+    }
+    let kernels = kernels::active().name();
+    if about.kernels != kernels {
+        notes.push(format!("replayed with the kernels {kernels}"));
+    }
+    let options = sampler::STAGE.options(&about.run).ok();
+    if let Some(memory) = options.and_then(|options| options.memory) {
+        let path = memory.display();
+        notes
+            .push(format!("the retrieval memory {path} is not in the file: replayed with what it holds now"));
+    }
+    if !about.run.lockstep {
+        notes.push(
+            "recorded in real time: what came when, and what was lost, is taken from the record".to_owned(),
+        );
+    }
+    notes
+}
+
+/// The recording that is made of the replay.
+fn writer(
+    arguments: &Arguments,
+    recording: &Recording,
+    weights: &Weights,
+) -> Result<Option<Writer>, Failure> {
+    let Some(path) = &arguments.out else { return Ok(None) };
+    let topics = STAGES.map(|(_, _, writes)| writes.to_owned()).to_vec();
+    let about = About {
+        topics,
+        weights_sha256: weights.sha256().to_owned(),
+        kernels: kernels::active().name().to_owned(),
+        ..recording.about().clone()
+    };
+    Writer::create(path, &about, &layout()).map(Some).map_err(Failure::data)
+}
+
+/// What the replay has found.
+fn told(replayed: &Replayed) -> String {
+    let Replayed {
+        comparison,
+        ticks,
+        newest,
+        guessed,
+        missing_before,
+        without_detections,
+        close_priors,
+        impossible,
+    } = replayed;
+    let mut text = table(comparison, ["recorded", "replayed"]);
+    if let Some(first) = missing_before {
+        text += &format!(
+            "the recording begins with tick {first}: the stages had seen others before, which the replay has not\n"
+        );
+    }
+    if *guessed > 0 {
+        text += &format!(
+            "of {guessed} ticks the record does not say which stages had them: --topics all records it\n"
+        );
+    }
+    for (what, ticks) in [
+        ("replayed without their detections, which are not in the file", without_detections),
+        ("whose prior came in at the very time", close_priors),
+    ] {
+        if !ticks.is_empty() {
+            let listed: Vec<String> = ticks.iter().take(LISTED_MAX).map(ToString::to_string).collect();
+            let more = if ticks.len() > LISTED_MAX { ", …" } else { "" };
+            text += &format!("{} ticks {what}: {}{more}\n", ticks.len(), listed.join(", "));
+        }
+    }
+    if let Some(error) = impossible {
+        text += &format!("frames that no stage can have taken are left out, the first: {error}\n");
+    }
+    let last = comparison.topics.iter().filter_map(|(_, topic)| topic.last).max();
+    let alone: u64 = comparison.topics.iter().map(|(_, topic)| topic.only_a + topic.only_b).sum();
+    text += &match last {
+        _ if comparison.ticks() == 0 => {
+            "nothing to compare: no output of a replayed stage was recorded\n".to_owned()
+        }
+        None if alone == 0 => format!("equal to the byte: {ticks} ticks\n"),
+        None => format!("equal where both have a frame; {alone} frames are on one side alone\n"),
+        last if last == *newest => "the last tick differs still\n".to_owned(),
+        Some(last) => format!("the replay agrees from tick {} on\n", last + 1),
+    };
+    text
+}

@@ -1,0 +1,223 @@
+use std::path::{Path, PathBuf};
+
+use clap::{Args, ValueEnum};
+use run::Exit;
+
+use crate::failure::Failure;
+use crate::options::absolute;
+use crate::pipeline_file;
+use crate::show::show;
+
+/// The repository that this program was built from, where it is still there.
+const BUILT_FROM: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/..");
+/// What every project of a stage is built with: the crates of the repository, and those that they hand out.
+const DEPENDENCIES: &str = "\
+bytemuck = { version = \"1.24\", features = [\"derive\", \"min_const_generics\"] }
+serde = { version = \"1\", features = [\"derive\"] }
+";
+/// Crates of the repository that a stage uses, in its folder `shared`.
+const OURS: [&str; 4] = ["model", "ports", "run", "wire"];
+/// Files of the repository that keep the project at the same releases and compiler.
+const PINNED: [&str; 2] = ["Cargo.lock", "rust-toolchain.toml"];
+
+/// Arguments of `stgdat stage new`.
+#[derive(Debug, Args)]
+pub struct Arguments {
+    /// Name of the project, and of its folder
+    name: String,
+    /// What it begins as
+    #[arg(long, value_enum, default_value = "localiser")]
+    of: Template,
+    /// Folder in which the project's own folder is made
+    #[arg(long, value_name = "DIR", default_value = ".")]
+    dir: PathBuf,
+    /// The repository of stgdat, a folder or the address of a git repository; by default the one that this program was
+    /// built from
+    #[arg(long, value_name = "PATH|URL")]
+    repository: Option<String>,
+}
+
+/// What a project begins as: the examples of the repository.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum Template {
+    /// A localiser: tracks in, patches of a round drivable area out
+    Localiser,
+    /// A source: a detector's detections out
+    Source,
+    /// No stage: a planner, which reads forecasts beside a run
+    Consumer,
+}
+
+impl Template {
+    /// The program.
+    const fn text(self) -> &'static str {
+        match self {
+            Self::Localiser => include_str!("../../../../tests/examples/area_localiser.rs"),
+            Self::Source => include_str!("../../../../tests/examples/producer.rs"),
+            Self::Consumer => include_str!("../../../../tests/examples/consumer.rs"),
+        }
+    }
+
+    /// The example's name.
+    const fn example(self) -> &'static str {
+        match self {
+            Self::Localiser => "area_localiser",
+            Self::Source => "producer",
+            Self::Consumer => "consumer",
+        }
+    }
+
+    /// The stage in whose place it runs.
+    const fn stage(self) -> Option<&'static str> {
+        match self {
+            Self::Localiser => Some("localiser"),
+            Self::Source => Some("source"),
+            Self::Consumer => None,
+        }
+    }
+}
+
+/// Writes a cargo project.
+pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
+    let Arguments { name, of, dir, repository } = arguments;
+    check_name(name)?;
+    let folder = absolute(&dir.join(name))?;
+    if folder.try_exists().map_err(|error| Failure::file(&folder, error))? {
+        return Err(Failure::Usage(format!("{}: is there already", folder.display())));
+    }
+    let repository = Repository::find(repository.as_deref())?;
+    let source = folder.join("src");
+    std::fs::create_dir_all(&source).map_err(|error| Failure::file(&source, error))?;
+    let write =
+        |path: PathBuf, text: &str| std::fs::write(&path, text).map_err(|error| Failure::file(&path, error));
+    write(folder.join("Cargo.toml"), &manifest(name, &repository))?;
+    write(source.join("main.rs"), &program(*of, name))?;
+    if let Some(stage) = of.stage() {
+        write(folder.join("pipeline.toml"), &pipeline(stage, name))?;
+    }
+    if let Repository::Folder(root) = &repository {
+        for file in PINNED {
+            let from = root.join(file);
+            std::fs::copy(&from, folder.join(file)).map_err(|error| Failure::file(&from, error))?;
+        }
+    }
+    show(&next_steps(*of, name, &folder))
+}
+
+/// Where the crates that the project builds on come from.
+#[derive(Debug)]
+enum Repository {
+    Folder(PathBuf),
+    Git(String),
+}
+
+impl Repository {
+    fn find(given: Option<&str>) -> Result<Self, Failure> {
+        if let Some(url) = given.filter(|given| given.contains("://") || given.starts_with("git@")) {
+            return Ok(Self::Git(url.to_owned()));
+        }
+        let root = Path::new(given.unwrap_or(BUILT_FROM));
+        if !root.join("shared/ports/Cargo.toml").is_file() {
+            let root = root.display();
+            return Err(Failure::Usage(format!(
+                "{root}: no repository of stgdat; --repository names another folder or the address of one"
+            )));
+        }
+        Ok(Self::Folder(root.canonicalize().map_err(|error| Failure::file(root, error))?))
+    }
+
+    /// A dependency on one of its crates.
+    fn dependency(&self, name: &str) -> String {
+        match self {
+            Self::Folder(root) => {
+                let path = toml::Value::from(root.join("shared").join(name).display().to_string());
+                format!("{name} = {{ package = \"stgdat-{name}\", path = {path} }}\n")
+            }
+            Self::Git(url) => {
+                format!(
+                    "{name} = {{ package = \"stgdat-{name}\", git = {} }}\n",
+                    toml::Value::from(url.as_str())
+                )
+            }
+        }
+    }
+}
+
+/// Refuses what cargo refuses as the name of a package.
+fn check_name(name: &str) -> Result<(), Failure> {
+    let is_plain = |c: char| c.is_ascii_alphanumeric() || c == '_' || c == '-';
+    if name.starts_with(|c: char| c.is_ascii_alphabetic()) && name.chars().all(is_plain) {
+        return Ok(());
+    }
+    Err(Failure::Usage(format!("\"{name}\": expected a letter, then letters, digits, \"_\" and \"-\"")))
+}
+
+fn manifest(name: &str, repository: &Repository) -> String {
+    let ours: String = OURS.map(|of| repository.dependency(of)).concat();
+    format!(
+        "[package]\nname = \"{name}\"\nversion = \"0.1.0\"\nedition = \"2024\"\npublish = false\n\n\
+         [dependencies]\n{ours}{DEPENDENCIES}\n\
+         # A workspace of its own, also within the folder of another.\n[workspace]\n"
+    )
+}
+
+/// The example under the project's name.
+fn program(of: Template, name: &str) -> String {
+    let example = of.example();
+    of.text().replace(&format!("target/release/examples/{example}"), &format!("target/release/{name}"))
+}
+
+/// The shipped pipeline with the project's program in a stage's place.
+fn pipeline(stage: &str, name: &str) -> String {
+    let line = format!("name = \"{stage}\"\n");
+    pipeline_file::SHIPPED.replacen(&line, &format!("{line}command = [\"target/release/{name}\"]\n"), 1)
+}
+
+fn next_steps(of: Template, name: &str, folder: &Path) -> String {
+    let folder = folder.display();
+    let run = match of.stage() {
+        Some(stage) => format!(
+            "  stgdat run --pipeline pipeline.toml\n\
+             or, while a run goes on:\n  stgdat stage replace {stage} --exec target/release/{name}\n"
+        ),
+        None => format!("  target/release/{name} --run /tmp/stgdat_*/run    # while a run goes on\n"),
+    };
+    format!("{folder} is written. Next:\n  cd {folder}\n  cargo build --release\n{run}")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn names_are_those_of_packages() {
+        for name in ["mine", "my-stage_2"] {
+            assert!(check_name(name).is_ok(), "{name}");
+        }
+        for name in ["", "2nd", "a b", "../a", "ä"] {
+            assert!(check_name(name).is_err(), "{name}");
+        }
+    }
+
+    #[test]
+    fn the_pipeline_of_a_project_starts_its_program() {
+        for of in Template::value_variants() {
+            let Some(stage) = of.stage() else { continue };
+            let text = pipeline(stage, "mine");
+            let pipeline = config::Pipeline::parse("a.toml", &text, &crate::stages::declared()).unwrap();
+            let own: Vec<_> = pipeline.stages.iter().filter_map(|stage| stage.command.clone()).collect();
+            assert_eq!(own, [["target/release/mine"]]);
+        }
+    }
+
+    #[test]
+    fn a_project_depends_on_a_folder_or_an_address() {
+        let folder = manifest("mine", &Repository::find(None).unwrap());
+        let git = manifest("mine", &Repository::find(Some("https://example.org/stgdat.git")).unwrap());
+        for (text, key) in [(&folder, "path"), (&git, "git")] {
+            let table: toml::Table = text.parse().unwrap();
+            assert!(OURS.iter().all(|name| table["dependencies"][*name][key].is_str()), "{text}");
+        }
+        assert!(Repository::find(Some("/nowhere")).is_err());
+    }
+}

@@ -1,0 +1,76 @@
+use std::path::{Path, PathBuf};
+
+use clap::Args;
+use recorder::ReplacementOutcome;
+use run::{Exit, Run};
+
+use crate::control::{self, Answer, Order};
+use crate::failure::Failure;
+use crate::options;
+use crate::runs;
+use crate::show::show;
+use crate::stages;
+
+/// Arguments of `stgdat stage replace`.
+#[derive(Debug, Args)]
+pub struct Arguments {
+    /// The stage
+    #[arg(value_parser = super::names())]
+    name: String,
+    /// The run's folder or record; by default the only one of this user
+    #[arg(long, value_name = "PATH")]
+    run: Option<PathBuf>,
+    /// Set an option of the new process
+    #[arg(long, value_name = "OPTION=VALUE")]
+    set: Vec<String>,
+    /// The new program with its arguments, to the end of the line; the built-in one if not given
+    #[arg(long, value_name = "PROGRAM", num_args = 1.., allow_hyphen_values = true)]
+    exec: Vec<String>,
+}
+
+/// Has the launcher of a run replace a stage, and tells what came of it.
+pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
+    let record = runs::find(arguments.run.as_deref())?.root.join("run");
+    let run = Run::read(&record).map_err(Failure::config)?;
+    let order =
+        Order { stage: arguments.name.clone(), command: command(&arguments.exec)?, options: set(arguments)? };
+    let Answer { outcome, text } = control::order(&control::path(&run), &order)?;
+    match outcome {
+        Some(ReplacementOutcome::Replaced) => {
+            show(&format!("{text}\n"))?;
+            Ok(Exit::Done)
+        }
+        _ => Err(Failure::Failed(text)),
+    }
+}
+
+/// The command as the launcher starts it, wherever that was started: with the program's absolute path, unless it
+/// is searched for in PATH.
+fn command(words: &[String]) -> Result<Vec<String>, Failure> {
+    let [program, arguments @ ..] = words else { return Ok(Vec::new()) };
+    let program = if program.contains('/') {
+        let path = Path::new(program);
+        if !path.is_file() {
+            return Err(Failure::file(path, std::io::Error::from(std::io::ErrorKind::NotFound)));
+        }
+        options::text(&options::absolute(path)?)?
+    } else {
+        program.clone()
+    };
+    Ok([&[program], arguments].concat())
+}
+
+/// The options of the command line, read as the stage's own where it is the built-in one.
+fn set(arguments: &Arguments) -> Result<toml::Table, Failure> {
+    let built_in = stages::declared().into_iter().find(|stage| stage.id().name() == arguments.name);
+    let schema = built_in.filter(|_| arguments.exec.is_empty()).map(run::Declared::schema);
+    let mut table = toml::Table::new();
+    for setting in &arguments.set {
+        let Some((key, value)) = setting.split_once('=') else {
+            return Err(Failure::Usage(format!("--set {setting}: expected OPTION=VALUE")));
+        };
+        let option = schema.as_ref().and_then(|schema| schema.get(key));
+        table.insert(key.to_owned(), options::value(value, option));
+    }
+    Ok(table)
+}

@@ -1,0 +1,20 @@
+use std::path::PathBuf;
+
+use clap::Args;
+use run::Exit;
+
+use crate::failure::Failure;
+use crate::tap;
+
+/// Arguments of `stgdat tap`.
+#[derive(Debug, Args)]
+pub struct Arguments {
+    /// The run's record, written by `stgdat run`
+    #[arg(long)]
+    run: PathBuf,
+}
+
+/// Hands the frames of a run on to its tools until the launcher closes standard input.
+pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
+    tap::serve(&arguments.run)
+}

@@ -1,0 +1,205 @@
+use std::path::PathBuf;
+
+use clap::Args;
+use recorder::passage::Timeline;
+use recorder::{Recorder, RecorderOptions};
+use recording::{Frame, Happened, Message, ReadError, Recording};
+use run::Exit;
+use wire::{Forecast, ForecastsTopic, Header, HeartbeatsTopic, Topic};
+
+use crate::failure::Failure;
+use crate::recorded;
+use crate::show::show;
+use crate::waterfall::{FrameOf, Telling};
+
+/// Width of lines where the output is not a terminal.
+const WIDTH: usize = 100;
+/// Events this long before and after the tick are told with it.
+const NEAR_NS: u64 = 500_000_000;
+
+/// Arguments of `stgdat tick`.
+#[derive(Debug, Args)]
+pub struct Arguments {
+    /// Recording of a run, as `run --record` and `record` write them
+    file: PathBuf,
+    /// Number of the tick
+    tick: u64,
+}
+
+/// Tells one tick of a recorded run.
+pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
+    let (telling, damages) = tell(arguments)?;
+    let width = rustix::termios::tcgetwinsize(std::io::stdout())
+        .map_or(WIDTH, |size| usize::from(size.ws_col).max(1));
+    let exit = show(&telling.render(width))?;
+    recorded::told(damages).map(|_| exit)
+}
+
+/// What the file has of the tick, and what of the file is damaged.
+fn tell(arguments: &Arguments) -> Result<(Telling, Vec<ReadError>), Failure> {
+    let recording = recorded::open(&arguments.file)?;
+    let mut search = Search::new(arguments.tick, &recording);
+    let mut damages = Vec::new();
+    for message in recording.messages() {
+        match message {
+            Ok(message) => search.take(&message),
+            Err(error) => damages.push(error),
+        }
+    }
+    let Some((header, forecasts)) = search.found else {
+        return Err(Failure::data_about(arguments.file.display(), search.missing()));
+    };
+    let [first_ns, last_ns] = [header.released_ns, header.hops().last().map_or(0, |hop| hop.sent_ns)];
+    let near = |at_ns: u64| at_ns + NEAR_NS >= first_ns && at_ns <= last_ns + NEAR_NS;
+    let telling = Telling {
+        times: search.times,
+        frames: search.frames,
+        cause: search.recorder.explained(),
+        begun_ns: search.begun_ns.unwrap_or(header.released_ns),
+        events: search.events.into_iter().filter(|(at_ns, _)| near(*at_ns)).collect(),
+        header: *header,
+        forecasts,
+    };
+    Ok((telling, damages))
+}
+
+/// Looks for a tick in the messages of a recording.
+struct Search {
+    tick: u64,
+    recorder: Recorder,
+    timeline: Timeline,
+    found: Option<(Box<Header>, Vec<Forecast>)>,
+    times: Vec<(wire::StageId, wire::Hop, recorder::passage::Timestamps)>,
+    frames: Vec<FrameOf>,
+    events: Vec<(u64, String)>,
+    begun_ns: Option<u64>,
+    /// First and last tick with forecasts.
+    range: Option<[u64; 2]>,
+}
+
+impl Search {
+    fn new(tick: u64, recording: &Recording) -> Self {
+        let options = RecorderOptions {
+            budgets_ms: recording.about().run.budgets_ms(),
+            scores: false,
+            explain: Some(tick),
+            ..RecorderOptions::default()
+        };
+        Self {
+            tick,
+            recorder: Recorder::new(options),
+            timeline: Timeline::default(),
+            found: None,
+            times: Vec::new(),
+            frames: Vec::new(),
+            events: Vec::new(),
+            begun_ns: None,
+            range: None,
+        }
+    }
+
+    fn take(&mut self, message: &Message) {
+        match message {
+            Message::Frame(frame) => self.frame(frame),
+            Message::Event(event) => {
+                if let Some(text) = told(&event.what) {
+                    self.events.push((event.at_ns, text));
+                }
+            }
+            Message::Line(_) => {}
+        }
+    }
+
+    fn frame(&mut self, frame: &Frame) {
+        let header = frame.header();
+        let is_ours = header.seq == self.tick && header.is_tick();
+        let topic = frame.topic().name;
+        if is_ours && topic != HeartbeatsTopic::NAME {
+            let elements = frame.payload().len() / frame.element().size;
+            self.frames.push(FrameOf { topic, elements, bytes: frame.bytes().len() });
+        }
+        if topic != ForecastsTopic::NAME {
+            return;
+        }
+        let forecasts = match frame.elements::<ForecastsTopic>() {
+            Ok(forecasts) => forecasts,
+            Err(error) => {
+                eprintln!("warning: {error}");
+                return;
+            }
+        };
+        // What the recorder refuses it counts; the tick is told all the same.
+        let _ = self.recorder.forecasts(header, &forecasts);
+        if !header.is_tick() {
+            return;
+        }
+        self.begun_ns.get_or_insert(header.released_ns);
+        let range = self.range.get_or_insert([header.seq; 2]);
+        *range = [range[0].min(header.seq), range[1].max(header.seq)];
+        let mut times = Vec::new();
+        self.timeline.follow(header, |stage, hop, of_stage| times.push((stage, *hop, of_stage)));
+        // A tick that came again was refused by its readers.
+        if is_ours && self.found.is_none() {
+            self.times = times;
+            self.found = Some((Box::new(*header), forecasts));
+        }
+    }
+
+    /// Why the tick is not there.
+    fn missing(&self) -> String {
+        let Some([first, last]) = self.range else { return "it has no forecasts".to_owned() };
+        let mut why =
+            format!("no forecasts of tick {}: those of ticks {first} to {last} are there", self.tick);
+        if !self.frames.is_empty() {
+            let topics: Vec<&str> = self.frames.iter().map(|frame| frame.topic).collect();
+            why += &format!("; of this tick there is only {}", topics.join(", "));
+        }
+        why
+    }
+}
+
+/// An event in words; none where it is not about the pipeline.
+fn told(what: &Happened) -> Option<String> {
+    Some(match what {
+        Happened::Died { stage, how, .. } => format!("the {stage} {how}, and is started again"),
+        Happened::GivenUp { stage, how, why } => format!("the {stage} {how} and is given up: {why}"),
+        Happened::Starved { stage } => format!("the {stage} gets no CPU"),
+        Happened::Replaced { stage, outcome, program, .. } => format!("the {stage} by {program}: {outcome}"),
+        Happened::Refused { stage, sender, cause, frames, .. } => {
+            format!("the {stage} refused frames of the {sender} ({frames}): {cause}")
+        }
+        Happened::Mark { text } => format!("mark: {text}"),
+        Happened::Lost { at, topic, frames } => {
+            format!("{frames} frames of {topic} not recorded, at the {at}")
+        }
+        Happened::Linked | Happened::Ended { .. } => return None,
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_tick_is_told_with_its_cause_and_its_agents() {
+        let folder = std::env::temp_dir().join(format!("stgdat_tick_{}", std::process::id()));
+        std::fs::create_dir_all(&folder).expect("a folder can be made");
+        let file = folder.join("a.mcap");
+        recorded::tests::write(&file);
+        let tell = |tick| tell(&Arguments { file: file.clone(), tick });
+        let (telling, damages) = tell(7).expect("it is there");
+        assert!(damages.is_empty());
+        let text = telling.render(100);
+        for part in [
+            "its controls did not come: the decoder was restarted; 1 of 1 forecasts not learned (late)",
+            "recorded: 1 detections, 1 forecasts",
+            "the decoder was killed by signal 9, and is started again",
+            "late",
+        ] {
+            assert!(text.contains(part), "{part} in\n{text}");
+        }
+        let error = tell(99).expect_err("there are ten").to_string();
+        assert!(error.contains("no forecasts of tick 99: those of ticks 0 to 9 are there"), "{error}");
+        std::fs::remove_dir_all(folder).expect("the folder is ours");
+    }
+}

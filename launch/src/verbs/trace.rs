@@ -1,0 +1,128 @@
+use std::io::Write as _;
+use std::path::PathBuf;
+
+use clap::Args;
+use perfetto::Clocks;
+use recorder::WholeFile;
+use recorder::trace::Tracer;
+use recording::{Event, Happened, Message, Recording};
+use run::Exit;
+use wire::{ForecastsTopic, HeartbeatsTopic, StageId, Topic};
+
+use crate::failure::Failure;
+use crate::recorded;
+
+/// Arguments of `stgdat trace`.
+#[derive(Debug, Args)]
+pub struct Arguments {
+    /// Recording of a run, as `run --record` and `record` write them
+    file: PathBuf,
+    /// The trace; by default the recording's name with the ending perfetto-trace
+    #[arg(short, long, value_name = "FILE")]
+    out: Option<PathBuf>,
+}
+
+/// Writes the trace of a recorded run.
+pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
+    let recording = recorded::open(&arguments.file)?;
+    let path = arguments.out.clone().unwrap_or_else(|| arguments.file.with_extension("perfetto-trace"));
+    let failed = |error| Failure::file(&path, error);
+    let mut file = WholeFile::create(&path).map_err(failed)?;
+    let mut tracer = None;
+    let (mut ticks, mut damages) = (0_u64, Vec::new());
+    for message in recording.messages() {
+        let message = match message {
+            Ok(message) => message,
+            Err(error) => {
+                damages.push(error);
+                continue;
+            }
+        };
+        let tracer = tracer.get_or_insert_with(|| Tracer::new(clocks(&recording, &message), None));
+        if let Err(error) = take(tracer, &message, &mut ticks) {
+            eprintln!("warning: {}: {error}", arguments.file.display());
+        }
+        file.write_all(&tracer.take()).map_err(failed)?;
+    }
+    if ticks == 0 {
+        let why = "there are no forecasts of any tick in it";
+        return Err(Failure::data_about(arguments.file.display(), why));
+    }
+    if let Some(tracer) = tracer {
+        file.write_all(&tracer.finish()).map_err(failed)?;
+    }
+    file.finish().map_err(failed)?;
+    if !recorder::is_standard_output(&path) {
+        println!("{}: {ticks} ticks; open it at https://ui.perfetto.dev", path.display());
+    }
+    recorded::told(damages)
+}
+
+/// The clocks at the first message. How long the machine slept is not recorded: boot time is taken as monotonic.
+fn clocks(recording: &Recording, first: &Message) -> Clocks {
+    let at_ns = match first {
+        Message::Frame(frame) => frame.received_ns(),
+        Message::Event(event) => event.at_ns,
+        Message::Line(line) => line.at_ns,
+    };
+    let realtime_ns = at_ns.checked_add_signed(recording.about().clock_offset_ns);
+    Clocks { monotonic_ns: at_ns, boottime_ns: at_ns, realtime_ns }
+}
+
+fn take(tracer: &mut Tracer, message: &Message, ticks: &mut u64) -> Result<(), recording::FrameError> {
+    match message {
+        Message::Frame(frame) if frame.topic().name == ForecastsTopic::NAME => {
+            let forecasts = frame.elements::<ForecastsTopic>()?;
+            *ticks += u64::from(frame.header().is_tick());
+            tracer.forecasts(frame.header(), &forecasts);
+        }
+        Message::Frame(frame) if frame.topic().name == HeartbeatsTopic::NAME => {
+            frame.elements::<HeartbeatsTopic>()?.iter().for_each(|heartbeat| tracer.heartbeat(heartbeat));
+        }
+        Message::Event(event) => happened(tracer, event),
+        Message::Frame(_) | Message::Line(_) => {}
+    }
+    Ok(())
+}
+
+fn happened(tracer: &mut Tracer, Event { at_ns, what }: &Event) {
+    let mut of_stage = |stage: &str, name: &str, why: &str| match StageId::from_name(stage) {
+        Some(stage) => tracer.event(stage, *at_ns, name, why),
+        None => tracer.note(*at_ns, name, why),
+    };
+    match what {
+        Happened::Died { stage, how, .. } => of_stage(stage, "died", how),
+        Happened::GivenUp { stage, how, why } => of_stage(stage, "given up", &format!("{how}: {why}")),
+        Happened::Starved { stage } => of_stage(stage, "starved", "got no CPU"),
+        Happened::Replaced { stage, outcome, program, .. } => of_stage(stage, outcome, program),
+        Happened::Refused { stage, sender, cause, frames, .. } => {
+            of_stage(stage, "refused", &format!("{frames} frames of the {sender}: {cause}"));
+        }
+        Happened::Linked => tracer.note(*at_ns, "linked", ""),
+        Happened::Lost { at, topic, frames } => {
+            tracer.note(*at_ns, "not recorded", &format!("{frames} frames of {topic}, at the {at}"));
+        }
+        Happened::Mark { text } => tracer.note(*at_ns, "mark", text),
+        Happened::Ended { how } => tracer.note(*at_ns, "ended", how),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_recording_becomes_a_trace_beside_it() {
+        let folder = std::env::temp_dir().join(format!("stgdat_trace_{}", std::process::id()));
+        std::fs::create_dir_all(&folder).expect("a folder can be made");
+        let file = folder.join("a.mcap");
+        recorded::tests::write(&file);
+        execute(&Arguments { file: file.clone(), out: None }).expect("it is a recording");
+        let trace = std::fs::read(folder.join("a.perfetto-trace")).expect("the trace was written");
+        let count =
+            |text: &str| trace.windows(text.len()).filter(|window| *window == text.as_bytes()).count();
+        assert_eq!(count("compute"), 9 * 7 + 3);
+        assert_eq!((count("died"), count("decoder (restart 1)"), count("not learned: late")), (1, 1, 1));
+        std::fs::remove_dir_all(folder).expect("the folder is ours");
+    }
+}

@@ -1,0 +1,290 @@
+//! One tick as a waterfall, with the fate of each of its agents.
+
+use std::fmt::{self, Write};
+
+use recorder::WorstTick;
+use recorder::passage::{Phases, Timestamps};
+use recorder::text::{count, number};
+use wire::{AgentType, Cause, Forecast, Header, Hop, Quality, StageId, flags};
+
+/// Narrowest and widest lines.
+const WIDTHS: std::ops::RangeInclusive<usize> = 80..=140;
+/// Characters before the bars.
+const BARS_AT: usize = 45;
+/// How the phases are drawn: waiting, wake-up, compute, publish.
+const FILLS: [char; 4] = ['·', '░', '█', '▒'];
+
+/// A frame of the tick that was recorded.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct FrameOf {
+    /// Its topic.
+    pub topic: &'static str,
+    /// Its elements.
+    pub elements: usize,
+    /// Its size with the header.
+    pub bytes: usize,
+}
+
+/// All that is known of a tick.
+#[derive(Clone, Debug)]
+pub struct Telling {
+    /// The header of its forecasts.
+    pub header: Header,
+    /// Its forecasts.
+    pub forecasts: Vec<Forecast>,
+    /// The stages that it passed.
+    pub times: Vec<(StageId, Hop, Timestamps)>,
+    /// Its frames, in the order in which they were recorded.
+    pub frames: Vec<FrameOf>,
+    /// What took it longest.
+    pub cause: Option<WorstTick>,
+    /// Release of the first tick.
+    pub begun_ns: u64,
+    /// What happened about that time.
+    pub events: Vec<(u64, String)>,
+}
+
+impl Telling {
+    /// The tick as text, in lines of `width` characters, at least 80 and at most 140.
+    pub fn render(&self, width: usize) -> String {
+        let width = width.clamp(*WIDTHS.start(), *WIDTHS.end());
+        let mut text = String::new();
+        let mut write = || -> fmt::Result {
+            self.head(&mut text)?;
+            self.stages(&mut text, width)?;
+            self.nearby(&mut text)?;
+            self.agents(&mut text)
+        };
+        write().expect("writing to a string can't fail");
+        text
+    }
+
+    fn end_ns(&self) -> u64 {
+        self.times.iter().map(|(_, _, times)| times.sent_ns).max().unwrap_or(self.header.released_ns)
+    }
+
+    fn head(&self, text: &mut String) -> fmt::Result {
+        let header = &self.header;
+        let at_s = header.released_ns.saturating_sub(self.begun_ns) as f64 / 1e9;
+        let agents = match self.forecasts.len() {
+            1 => "1 agent".to_owned(),
+            len => format!("{len} agents"),
+        };
+        writeln!(
+            text,
+            "tick {}   {agents}   stamp {:.3} s   released {at_s:.3} s after the first",
+            count(header.seq),
+            header.stamp_ns as f64 / 1e9
+        )?;
+        let total_ms = self.end_ns().saturating_sub(header.released_ns) as f64 / 1e6;
+        let limit_ms = match header.interval_ns {
+            0 => wire::TICK_MS,
+            interval_ns => (interval_ns as f64 / 1e6).min(wire::TICK_MS),
+        };
+        let verdict = match () {
+            () if header.has(flags::LOCKSTEP) => "lockstep: no deadline",
+            () if total_ms > limit_ms => "late",
+            () => "in time",
+        };
+        writeln!(text, "end to end {} ms of {limit_ms} ms: {verdict}", number(Some(total_ms)))?;
+        if let Some(cause) = &self.cause {
+            writeln!(text, "longest: {}", cause.cause)?;
+        }
+        let marks =
+            [(flags::PREDICTED, "its tracks are predicted: no detections came"), (flags::VOID, "void")];
+        for (_, mark) in marks.iter().filter(|(flag, _)| header.has(*flag)) {
+            writeln!(text, "{mark}")?;
+        }
+        if header.left_out_len > 0 || header.silent_len > 0 {
+            let (left_out, silent) = (header.left_out_len, header.silent_len);
+            writeln!(
+                text,
+                "agents left out of the full frame: {left_out}, by the policy of degradation: {silent}"
+            )?;
+        }
+        let frames: Vec<String> =
+            self.frames.iter().map(|frame| format!("{} {}", frame.elements, frame.topic)).collect();
+        writeln!(text, "recorded: {}", frames.join(", "))
+    }
+
+    fn stages(&self, text: &mut String, width: usize) -> fmt::Result {
+        let cells = width - BARS_AT;
+        let total_ns = self.end_ns().saturating_sub(self.header.released_ns).max(1);
+        let total_ms = number(Some(total_ns as f64 / 1e6));
+        let axis = format!("0 {:>1$} ms", total_ms, cells.saturating_sub(5));
+        writeln!(
+            text,
+            "\n{:11}{:>8}{:>8}{:>8}{:>8}  {axis}",
+            "ms", "waiting", "wake-up", "compute", "publish"
+        )?;
+        for (stage, hop, times) in &self.times {
+            let name = match hop.incarnation {
+                0 => stage.name().to_owned(),
+                n => format!("{} ↻{n}", stage.name()),
+            };
+            write!(text, "{name:11}")?;
+            for time_ns in Phases::from(*times).each_ns() {
+                write!(text, "{:>8}", number(Some(time_ns as f64 / 1e6)))?;
+            }
+            writeln!(text, "  {}", self.bar(times, cells, total_ns).trim_end())?;
+        }
+        let [waiting, wake_up, compute, publish] = FILLS;
+        writeln!(
+            text,
+            "{:BARS_AT$}{waiting} waiting  {wake_up} wake-up  {compute} compute  {publish} publish",
+            ""
+        )
+    }
+
+    /// A stage's phases along the time of the tick.
+    fn bar(&self, times: &Timestamps, cells: usize, total_ns: u64) -> String {
+        let place = |at_ns: u64| {
+            let since_ns = at_ns.saturating_sub(self.header.released_ns).min(total_ns);
+            (u128::from(since_ns) * cells as u128 / u128::from(total_ns)) as usize
+        };
+        let mut bar = vec![' '; cells];
+        let Timestamps { ready_ns, free_ns, taken_ns, started_ns, finished_ns, sent_ns } = *times;
+        let [waiting, wake_up, compute, publish] = FILLS;
+        let parts = [
+            (ready_ns, free_ns, waiting),
+            (free_ns, taken_ns, wake_up),
+            (taken_ns, started_ns, waiting),
+            (finished_ns, sent_ns, publish),
+            (started_ns, finished_ns, compute),
+        ];
+        for (from_ns, to_ns, fill) in parts {
+            let to = place(to_ns);
+            let from = place(from_ns).min(to);
+            bar[from..to].fill(fill);
+        }
+        // However short, the computation shows.
+        bar[place(started_ns).min(cells - 1)] = compute;
+        bar.into_iter().collect()
+    }
+
+    fn nearby(&self, text: &mut String) -> fmt::Result {
+        if self.events.is_empty() {
+            return Ok(());
+        }
+        writeln!(text)?;
+        self.events.iter().try_for_each(|(at_ns, event)| {
+            let since_ms = (*at_ns as i128 - i128::from(self.header.released_ns)) as f64 / 1e6;
+            writeln!(text, "{since_ms:>+9.1} ms  {event}")
+        })
+    }
+
+    fn agents(&self, text: &mut String) -> fmt::Result {
+        if self.forecasts.is_empty() {
+            return writeln!(text, "\nno forecasts");
+        }
+        writeln!(
+            text,
+            "\n{:>8} {:12}{:>9}{:>9}{:>7}  {:11}{:>8}  {:10}{:>6}  why not learned",
+            "agent", "type", "x m", "y m", "m/s", "quality", "age ms", "prior", "modes"
+        )?;
+        let mut sorted: Vec<&Forecast> = self.forecasts.iter().collect();
+        // What is not learned first: that is what one asks for.
+        sorted.sort_by_key(|forecast| (forecast.quality == Quality::Learned as u32, forecast.id));
+        sorted.into_iter().try_for_each(|forecast| agent(text, forecast))
+    }
+}
+
+fn agent(text: &mut String, forecast: &Forecast) -> fmt::Result {
+    let unknown = "unknown";
+    let kind = AgentType::from_number(forecast.agent_type).map_or(unknown, AgentType::name);
+    let quality = Quality::from_number(forecast.quality).map_or(unknown, Quality::name);
+    let prior = Quality::from_number(forecast.prior).map_or(unknown, Quality::name);
+    let speed_mps = forecast.vx_mps.hypot(forecast.vy_mps);
+    let age_ms = forecast.age_ns as f64 / 1e6;
+    let why = if forecast.quality == Quality::Learned as u32 { String::new() } else { causes(forecast) };
+    let line = format!(
+        "{:>8} {kind:12}{:>9.2}{:>9.2}{speed_mps:>7.2}  {quality:11}{age_ms:>8.0}  {prior:10}{:>6}  {why}",
+        forecast.id, forecast.x_m, forecast.y_m, forecast.modes_len
+    );
+    writeln!(text, "{}", line.trim_end())
+}
+
+/// All causes that apply, the first one first.
+fn causes(forecast: &Forecast) -> String {
+    let first = Cause::from_number(forecast.cause);
+    let others =
+        Cause::ALL.into_iter().filter(|&cause| Some(cause) != first && forecast.causes & cause.bit() != 0);
+    let names: Vec<&str> = first.into_iter().chain(others).map(Cause::name).collect();
+    if names.is_empty() { format!("cause {}", forecast.cause) } else { names.join(", ") }
+}
+
+#[cfg(test)]
+mod tests {
+    use bytemuck::Zeroable;
+
+    use super::*;
+
+    const MS: u64 = 1_000_000;
+
+    fn telling() -> Telling {
+        let header =
+            Header { released_ns: 5_000 * MS, interval_ns: 80 * MS, ..Header::new(1, 153, 12_240_000_000) };
+        let times = |stage, incarnation, at_ms: u64, took_ms: u64| {
+            let at_ns = header.released_ns + at_ms * MS;
+            let (ready_ns, free_ns, taken_ns) = (at_ns, at_ns, at_ns + MS / 10);
+            let (started_ns, finished_ns) = (taken_ns, taken_ns + took_ms * MS);
+            let times =
+                Timestamps { ready_ns, free_ns, taken_ns, started_ns, finished_ns, sent_ns: finished_ns };
+            (stage, Hop { stage: stage as u32, incarnation, ..Hop::zeroed() }, times)
+        };
+        let learned = Forecast { id: 4, modes_len: 20, x_m: 1.5, vx_mps: 3.0, ..Forecast::zeroed() };
+        let held = Forecast {
+            id: 9,
+            quality: Quality::Held as u32,
+            cause: Cause::Late as u32,
+            causes: Cause::Late.bit() | Cause::Missing.bit(),
+            age_ns: 160 * MS,
+            ..learned
+        };
+        Telling {
+            times: vec![
+                times(StageId::Source, 0, 0, 0),
+                times(StageId::Tracker, 0, 1, 2),
+                times(StageId::Decoder, 2, 4, 40),
+                times(StageId::Sampler, 0, 45, 5),
+            ],
+            frames: vec![FrameOf { topic: "detections", elements: 3, bytes: 900 }],
+            cause: Some(WorstTick {
+                cause: "the decoder computed 40.0 ms (usually 3.10)".to_owned(),
+                ..WorstTick::default()
+            }),
+            begun_ns: 1_000 * MS,
+            events: vec![(4_900 * MS, "the decoder was killed by signal 9, and is started again".to_owned())],
+            forecasts: vec![learned, held],
+            header,
+        }
+    }
+
+    #[test]
+    fn a_tick_is_told_from_its_release_to_its_forecasts() {
+        let text = telling().render(100);
+        let line =
+            |part: &str| text.lines().find(|line| line.contains(part)).unwrap_or_else(|| panic!("{part}"));
+        assert!(line("tick 153").contains("2 agents   stamp 12.240 s   released 4.000 s after the first"));
+        assert!(line("end to end").contains("50.1 ms of 80 ms: in time"));
+        let decoder = line("decoder ↻2");
+        assert!(decoder.contains("0.10    40.0   0.000"), "{decoder}");
+        // 40 of 50 ms in 55 cells.
+        assert!((42..=45).contains(&decoder.matches('█').count()), "{decoder}");
+        assert!(line("source").contains('█'), "the shortest computation shows");
+        assert!(line("killed by signal 9").contains("-100.0 ms"));
+        // What is not learned comes first.
+        let agents: Vec<&str> = text.lines().skip_while(|line| !line.contains("why not learned")).collect();
+        assert!(agents[1].contains("held") && agents[1].ends_with("late, missing"), "{text}");
+        assert!(agents[2].ends_with("20"), "{text}");
+    }
+
+    #[test]
+    fn any_width_and_an_empty_tick_can_be_told() {
+        for width in [0, 80, 1_000] {
+            telling().render(width);
+        }
+        let empty = Telling { forecasts: Vec::new(), times: Vec::new(), ..telling() };
+        assert!(empty.render(80).contains("no forecasts"));
+    }
+}

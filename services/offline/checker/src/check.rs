@@ -1,0 +1,342 @@
+//! The promises, each a rule about what was seen.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use wire::{Cause, Quality, StageId};
+
+use crate::{ForecastSeen, Line, Outage, Output, Told};
+
+/// An agent that has moved so far is not forecast by the same controls again.
+const MOVED_MIN_M: f32 = 0.05;
+
+/// What a run promises.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Promise {
+    /// No tick comes twice, or after a later one.
+    TicksInOrder,
+    /// Each stamp is after the one before.
+    StampsInOrder,
+    /// A tick without forecasts lies in an outage, a fault acted on it, or a stage has counted it.
+    MissingTicksExplained,
+    /// A forecast that is not learned says why.
+    CausesSaid,
+    /// What forecasts say as their cause, the run has counted.
+    CausesCounted,
+    /// A learned forecast has no age, a held one that of the learned forecast which it is of.
+    AgesRight,
+    /// A learned forecast is of this tick.
+    LearnedAreOfTheirTick,
+    /// Nothing is older than the policy allows when it comes out, unless it is counted as late.
+    NothingStale,
+    /// No number is impossible.
+    NumbersPossible,
+    /// A stage is restarted only where the run reports a death.
+    RestartsTold,
+    /// Stages that no fault is aimed at are not restarted.
+    OthersUntouched,
+    /// No file and no process is left.
+    NothingLeft,
+}
+
+impl Promise {
+    /// All of them.
+    pub const ALL: [Self; 12] = [
+        Self::TicksInOrder,
+        Self::StampsInOrder,
+        Self::MissingTicksExplained,
+        Self::CausesSaid,
+        Self::CausesCounted,
+        Self::AgesRight,
+        Self::LearnedAreOfTheirTick,
+        Self::NothingStale,
+        Self::NumbersPossible,
+        Self::RestartsTold,
+        Self::OthersUntouched,
+        Self::NothingLeft,
+    ];
+
+    /// What breaks it, as a count is named.
+    #[must_use]
+    pub const fn broken_by(self) -> &'static str {
+        match self {
+            Self::TicksInOrder => "ticks that came twice or back in order",
+            Self::StampsInOrder => "stamps that are not after the one before",
+            Self::MissingTicksExplained => "missing ticks that nobody explains",
+            Self::CausesSaid => "forecasts not learned and without a cause",
+            Self::CausesCounted => "causes that nobody counted",
+            Self::AgesRight => "forecasts with a wrong age",
+            Self::LearnedAreOfTheirTick => "forecasts of another tick called learned",
+            Self::NothingStale => "stale forecasts published as fresh",
+            Self::NumbersPossible => "impossible numbers",
+            Self::RestartsTold => "restarts that nobody reports",
+            Self::OthersUntouched => "restarts of others",
+            Self::NothingLeft => "files or stages left",
+        }
+    }
+}
+
+/// A promise with how often it was broken.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Finding {
+    /// The promise.
+    pub promise: Promise,
+    /// How often it was broken.
+    pub count: u64,
+    /// The first time, in words; empty where it was kept.
+    pub first: String,
+}
+
+/// What is gathered of a history before it is judged.
+struct History<'a> {
+    lines: &'a [Line],
+    told: &'a Told,
+    /// Outputs that hold something of their tick, in the order in which they came.
+    valid: Vec<&'a Output>,
+    /// Ticks that any output was seen of.
+    seen: BTreeSet<u64>,
+}
+
+/// Holds a history against all promises: a finding for each, in their order.
+#[must_use]
+pub fn check(lines: &[Line]) -> Vec<Finding> {
+    let nothing = Told::default();
+    let told =
+        lines.iter().rev().find_map(|line| if let Line::Told(told) = line { Some(&**told) } else { None });
+    let outputs = || lines.iter().filter_map(Line::output);
+    let history = History {
+        lines,
+        told: told.unwrap_or(&nothing),
+        // A void frame says itself that it holds nothing of its tick.
+        valid: outputs().filter(|output| !output.void).collect(),
+        seen: outputs().map(|output| output.tick).collect(),
+    };
+    let mut found = Broken::default();
+    history.order(&mut found);
+    history.missing(&mut found);
+    history.causes(&mut found);
+    history.ages(&mut found);
+    history.freshness(&mut found);
+    history.restarts(&mut found);
+    history.rest(&mut found);
+    let finding = |promise| {
+        let (count, first) = found.0.get(&promise).cloned().unwrap_or_default();
+        Finding { promise, count, first }
+    };
+    Promise::ALL.map(finding).into()
+}
+
+/// How often each promise was broken, and how first.
+#[derive(Default)]
+struct Broken(BTreeMap<Promise, (u64, String)>);
+
+impl Broken {
+    fn add(&mut self, promise: Promise, count: u64, how: impl FnOnce() -> String) {
+        if count > 0 {
+            let entry = self.0.entry(promise).or_insert_with(|| (0, how()));
+            entry.0 += count;
+        }
+    }
+}
+
+impl History<'_> {
+    fn order(&self, broken: &mut Broken) {
+        for (a, b) in self.valid.iter().zip(self.valid.iter().skip(1)) {
+            broken.add(Promise::TicksInOrder, u64::from(b.tick <= a.tick), || {
+                format!("tick {} after tick {}", b.tick, a.tick)
+            });
+            broken.add(Promise::StampsInOrder, u64::from(b.stamp_ns <= a.stamp_ns), || {
+                format!(
+                    "tick {} has stamp {} ns, tick {} before it {} ns",
+                    b.tick, b.stamp_ns, a.tick, a.stamp_ns
+                )
+            });
+        }
+    }
+
+    /// Ticks on which a fault has acted.
+    fn acted_on(&self) -> BTreeSet<u64> {
+        let tick = |line: &Line| if let Line::Injected { tick, .. } = line { Some(*tick) } else { None };
+        self.lines.iter().filter_map(tick).collect()
+    }
+
+    /// A run that was to end early is looked at up to its newest tick.
+    fn missing(&self, broken: &mut Broken) {
+        let (acted_on, alone): (_, BTreeSet<u64>) =
+            (self.acted_on(), self.told.recorded_alone.iter().copied().collect());
+        let newest = self.seen.iter().chain(&alone).max().map_or(0, |newest| newest + 1);
+        let lies_in = |outage: &Outage, tick: u64| {
+            let end = outage.ticks_to_learned.map_or(u64::MAX, |ticks| outage.tick.saturating_add(ticks));
+            (outage.tick..=end).contains(&tick)
+        };
+        let is_explained =
+            |tick: &u64| acted_on.contains(tick) || self.told.outages.iter().any(|o| lies_in(o, *tick));
+        let missing: Vec<u64> = (0..self.told.ticks.unwrap_or(newest))
+            .filter(|tick| !self.seen.contains(tick) && !alone.contains(tick) && !is_explained(tick))
+            .collect();
+        // What another stage loses is answered without it, and what the sampler loses of the controls as well.
+        let lost = |stage: StageId| self.told.lost.get(stage.name()).copied().unwrap_or(0);
+        let is_answered = |output: &&&Output| output.degraded() > 0;
+        let answered = self.valid.iter().filter(is_answered).count() as u64;
+        let counted = lost(StageId::Tracker)
+            + lost(StageId::Recorder)
+            + lost(StageId::Sampler).saturating_sub(answered);
+        let without = (missing.len() as u64).saturating_sub(counted);
+        broken.add(Promise::MissingTicksExplained, without, || {
+            format!("tick {}; {counted} lost frames are counted on the way", missing[0])
+        });
+    }
+
+    fn causes(&self, broken: &mut Broken) {
+        let mut seen: BTreeMap<&str, u64> = BTreeMap::new();
+        for output in &self.valid {
+            for forecast in output.forecasts.iter().filter(|forecast| !forecast.is_learned()) {
+                *seen.entry(&forecast.cause).or_default() += 1;
+                let is_said = Cause::ALL.iter().any(|c| *c != Cause::None && c.name() == forecast.cause);
+                broken.add(Promise::CausesSaid, u64::from(!is_said), || {
+                    format!("tick {}, track {}: \"{}\"", output.tick, forecast.id, forecast.cause)
+                });
+            }
+        }
+        // A recorder that has died, or lost a frame, has not counted all.
+        let is_complete = self.told.reported
+            && self.told.ticks.is_some()
+            && self.told.outages_unlisted == 0
+            && self.told.lost.get(StageId::Recorder.name()).is_none_or(|lost| *lost == 0)
+            && self.told.outages.iter().all(|outage| outage.stage != StageId::Recorder.name());
+        for (cause, seen) in seen.into_iter().filter(|_| is_complete) {
+            let counted = self.told.causes.get(cause).copied().unwrap_or(0);
+            broken.add(Promise::CausesCounted, seen.saturating_sub(counted), || {
+                format!("{seen} forecasts with cause \"{cause}\", {counted} counted")
+            });
+        }
+    }
+
+    /// Ages against the newest forecast by the model of each track that was seen.
+    fn ages(&self, broken: &mut Broken) {
+        let mut learned: BTreeMap<u64, &Output> = BTreeMap::new();
+        for output in &self.valid {
+            for forecast in &output.forecasts {
+                let wrong = if forecast.quality == Quality::Held.name() {
+                    self.wrong_age(output, forecast, learned.get(&forecast.id).copied())
+                } else {
+                    (forecast.age_ns > 0)
+                        .then(|| format!("{} and {} ns old", forecast.quality, forecast.age_ns))
+                };
+                if let Some(wrong) = wrong {
+                    broken.add(Promise::AgesRight, 1, || {
+                        format!("tick {}, track {}: {wrong}", output.tick, forecast.id)
+                    });
+                }
+                if forecast.is_of_the_model() {
+                    learned.insert(forecast.id, output);
+                }
+            }
+        }
+    }
+
+    /// What is wrong with the age of a held forecast. It may be less than since the newest learned one that was
+    /// seen, where ticks were missed in between.
+    fn wrong_age(
+        &self,
+        output: &Output,
+        forecast: &ForecastSeen,
+        learned: Option<&Output>,
+    ) -> Option<String> {
+        let age_ns = forecast.age_ns as i64;
+        let Some(learned) = learned else {
+            return (age_ns == 0).then(|| "held and 0 ns old".to_owned());
+        };
+        let since_ns = output.stamp_ns - learned.stamp_ns;
+        let between = learned.tick.saturating_add(1)..output.tick.max(learned.tick.saturating_add(1));
+        let missed = between.end - between.start - self.seen.range(between.clone()).count() as u64;
+        let is_right = age_ns == since_ns || (missed > 0 && age_ns > 0 && age_ns < since_ns);
+        (!is_right).then(|| format!("held and {age_ns} ns old, {since_ns} ns after it was learned"))
+    }
+
+    fn freshness(&self, broken: &mut Broken) {
+        // Where the decoder is a program that leaves no trace, none of the run's frames has one.
+        let decoder = StageId::Decoder.name();
+        let has_traces = self.valid.iter().any(|output| output.incarnations.contains_key(decoder));
+        let mut prints: BTreeMap<u64, (u32, [f32; 2], u64)> = BTreeMap::new();
+        let mut stale: Vec<&Output> = Vec::new();
+        for output in &self.valid {
+            let late_ns = output.received_ns.saturating_sub(output.released_ns);
+            let is_late = self.told.held_max_ns.is_some_and(|most| late_ns > most) && !self.told.lockstep;
+            if is_late && output.forecasts.iter().any(ForecastSeen::is_learned) {
+                stale.push(output);
+            }
+            for forecast in output.forecasts.iter().filter(|forecast| forecast.is_learned()) {
+                let came_by = !has_traces || output.incarnations.contains_key(decoder);
+                broken.add(Promise::LearnedAreOfTheirTick, u64::from(!came_by), || {
+                    format!("tick {}, track {}: it has not passed the decoder", output.tick, forecast.id)
+                });
+                let before = prints.insert(forecast.id, (forecast.print, forecast.at_m, output.tick));
+                let Some((print, at_m, tick)) = before else { continue };
+                let moved_m = (forecast.at_m[0] - at_m[0]).hypot(forecast.at_m[1] - at_m[1]);
+                let is_same = forecast.print == print && print != 0 && moved_m > MOVED_MIN_M;
+                broken.add(Promise::LearnedAreOfTheirTick, u64::from(is_same), || {
+                    format!(
+                        "tick {}, track {}: the controls are those of tick {tick}",
+                        output.tick, forecast.id
+                    )
+                });
+            }
+        }
+        let uncounted = (stale.len() as u64).saturating_sub(self.told.late_ticks);
+        broken.add(Promise::NothingStale, uncounted, || {
+            let late_ns = stale[0].received_ns - stale[0].released_ns;
+            format!("tick {}: learned, {late_ns} ns after its release", stale[0].tick)
+        });
+        let held = |forecast: &&ForecastSeen| forecast.quality == Quality::Held.name();
+        for output in &self.valid {
+            for forecast in output.forecasts.iter().filter(held) {
+                let is_stale = self.told.held_max_ns.is_some_and(|most| forecast.age_ns > most);
+                broken.add(Promise::NothingStale, u64::from(is_stale), || {
+                    format!("tick {}, track {}: held for {} ns", output.tick, forecast.id, forecast.age_ns)
+                });
+            }
+        }
+    }
+
+    fn restarts(&self, broken: &mut Broken) {
+        let mut newest: BTreeMap<&str, u32> = BTreeMap::new();
+        let mut see = |stage, incarnation: u32| {
+            let newest = newest.entry(stage).or_default();
+            *newest = incarnation.max(*newest);
+        };
+        for line in self.lines {
+            match line {
+                Line::Forecasts(output) => output.incarnations.iter().for_each(|(stage, i)| see(stage, *i)),
+                Line::Reached { stage, incarnation, .. } => see(stage, *incarnation),
+                _ => {}
+            }
+        }
+        let (told, targets) = (self.told, &self.told.targets);
+        if told.reported && told.outages_unlisted == 0 {
+            for (stage, seen) in newest {
+                let deaths = told.outages.iter().filter(|outage| outage.stage == stage).count() as u64;
+                broken.add(Promise::RestartsTold, u64::from(seen).saturating_sub(deaths), || {
+                    format!("the {stage} is process {}, {deaths} deaths are reported", seen + 1)
+                });
+            }
+        }
+        let others: Vec<&Outage> = told.outages.iter().filter(|o| !targets.contains(&o.stage)).collect();
+        broken.add(
+            Promise::OthersUntouched,
+            (others.len() as u64).saturating_sub(told.restarts_of_others),
+            || format!("the {} after tick {}", others[0].stage, others[0].tick),
+        );
+    }
+
+    fn rest(&self, broken: &mut Broken) {
+        for output in &self.valid {
+            if let Some(what) = &output.impossible {
+                broken.add(Promise::NumbersPossible, 1, || format!("tick {}: {what}", output.tick));
+            }
+        }
+        let Told { files_left, stages_left, leftovers, .. } = *self.told;
+        broken.add(Promise::NothingLeft, files_left.saturating_sub(leftovers) + stages_left, || {
+            format!("{files_left} files, {stages_left} stages")
+        });
+    }
+}

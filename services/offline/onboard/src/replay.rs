@@ -1,0 +1,387 @@
+//! A recording once more: its ticks through the stages, compared with what was recorded.
+//!
+//! What depended on the clock in the run is taken from the record, not computed again: which ticks a stage had at
+//! all, which forecasts the tracker had at hand, whether the controls came before the sampler's deadline, and when
+//! a stage was restarted. All numbers are computed anew.
+
+mod tick;
+
+use std::collections::{BTreeMap, VecDeque};
+
+use nn::Weights;
+use recording::{Comparison, Frame, FrameError, Message, ReadError, Recording};
+use thiserror::Error;
+use wire::{
+    ContextTopic, ControlsTopic, DetectionsTopic, EncodingsTopic, FeaturesTopic, Forecast, ForecastsTopic,
+    Header, StageId, Topic, TracksTopic, flags,
+};
+
+use crate::stages::{OwnFrame, Stages};
+use crate::{ChainError, replay::tick::Tick};
+
+/// A tick is replayed once so many later ones have begun: its last frame has come by then, or never will.
+const LATER: usize = 24;
+/// Forecasts that are kept as what the tracker may have had at hand.
+const PRIORS_MAX: usize = 24;
+
+/// The stages that are replayed, with the topics of their inputs and of their output.
+pub const STAGES: [(StageId, &[&str], &str); 6] = [
+    (StageId::Tracker, &[DetectionsTopic::NAME, TracksTopic::NAME, ForecastsTopic::NAME], TracksTopic::NAME),
+    (StageId::Localiser, &[TracksTopic::NAME], ContextTopic::NAME),
+    (StageId::Extractor, &[ContextTopic::NAME], FeaturesTopic::NAME),
+    (StageId::Encoder, &[FeaturesTopic::NAME], EncodingsTopic::NAME),
+    (StageId::Decoder, &[EncodingsTopic::NAME], ControlsTopic::NAME),
+    (StageId::Sampler, &[TracksTopic::NAME, ControlsTopic::NAME, ForecastsTopic::NAME], ForecastsTopic::NAME),
+];
+
+/// Why a recording can't be replayed.
+#[derive(Debug, Error)]
+pub enum ReplayError {
+    /// The file can't be read to its end.
+    #[error(transparent)]
+    Read(#[from] ReadError),
+    /// The stages can't be set up.
+    #[error(transparent)]
+    Chain(#[from] ChainError),
+    /// A topic is not in the file.
+    #[error(
+        "{path}: topic \"{topic}\" was not recorded, which {wanted} needs: record with --topics {advice}"
+    )]
+    Missing {
+        /// The file.
+        path: String,
+        /// The topic.
+        topic: &'static str,
+        /// What needs it.
+        wanted: String,
+        /// What to record.
+        advice: &'static str,
+    },
+}
+
+/// What a replay has found.
+#[derive(Debug, Default)]
+pub struct Replayed {
+    /// The recorded frames (first) and the replayed ones (second).
+    pub comparison: Comparison,
+    /// Ticks that were replayed.
+    pub ticks: u64,
+    /// Ticks of which the record does not say which stages had them, the topics between being not recorded.
+    pub guessed: u64,
+    /// The last tick that was replayed.
+    pub newest: Option<u64>,
+    /// The first tick that the run has had and the recording not from its begin.
+    pub missing_before: Option<u64>,
+    /// Numbers of detections without which a tick was replayed that had some.
+    pub without_detections: Vec<u64>,
+    /// Ticks whose prior came in while the tracker began: either may have been at hand.
+    pub close_priors: Vec<u64>,
+    /// The first frame that no stage can have taken: a fault that was injected, or a faulty sender.
+    pub impossible: Option<FrameError>,
+}
+
+/// A recording in replay.
+pub struct Replay<'a> {
+    recording: &'a Recording,
+    stages: Stages,
+    /// The one stage that is replayed; all where none.
+    alone: Option<StageId>,
+    incarnations: BTreeMap<StageId, u32>,
+    /// The newest forecasts: when they were sent, and the frame; VOID ones are not among them.
+    forecasts: VecDeque<(u64, OwnFrame<ForecastsTopic>)>,
+    prior: Option<OwnFrame<ForecastsTopic>>,
+    found: Replayed,
+}
+
+impl<'a> Replay<'a> {
+    /// A replay of all stages or of one `alone`, with the options and the seed of the recorded run.
+    ///
+    /// # Errors
+    /// [`ReplayError`] where the recording lacks a topic or the stages can't be set up.
+    pub fn new(
+        recording: &'a Recording,
+        weights: Weights,
+        alone: Option<StageId>,
+    ) -> Result<Self, ReplayError> {
+        let path = recording.path().display().to_string();
+        let wanted: Vec<&'static str> = match alone {
+            None => vec![DetectionsTopic::NAME],
+            Some(stage) => {
+                let row = STAGES.iter().find(|(of, ..)| *of == stage);
+                row.map(|(_, reads, writes)| reads.iter().copied().chain([*writes]).collect())
+                    .unwrap_or_default()
+            }
+        };
+        let missing = wanted.into_iter().find(|topic| !recording.has_topic(topic));
+        if let Some(topic) = missing {
+            let wanted = alone.map_or_else(|| "a replay".to_owned(), |stage| format!("the {}", stage.name()));
+            return Err(ReplayError::Missing { path, topic, wanted, advice: "all" });
+        }
+        let stages = Stages::new(&recording.about().run, weights)?;
+        Ok(Self {
+            recording,
+            stages,
+            alone,
+            incarnations: BTreeMap::new(),
+            forecasts: VecDeque::new(),
+            prior: None,
+            found: Replayed::default(),
+        })
+    }
+
+    /// Replays all ticks; `each` is called with every frame that a stage has made.
+    ///
+    /// # Errors
+    /// [`ReplayError`] where the file can't be read to its end or has a frame that no stage could be given.
+    pub fn run(mut self, mut each: impl FnMut(&Frame)) -> Result<Replayed, ReplayError> {
+        let mut ticks: BTreeMap<u64, Tick> = BTreeMap::new();
+        // The ticks in the order in which the tracker answered them.
+        let mut order: VecDeque<u64> = VecDeque::new();
+        // Of one stage alone the topics around it are enough.
+        let inputs = STAGES.iter().flat_map(|(_, reads, _)| reads.iter().copied());
+        let leads =
+            [TracksTopic::NAME].into_iter().chain(inputs).find(|topic| self.recording.has_topic(topic));
+        for message in self.recording.messages() {
+            let Message::Frame(frame) = message? else { continue };
+            if !frame.header().is_tick() {
+                continue;
+            }
+            let (seq, name) = (frame.header().seq, frame.topic().name);
+            if Some(name) == leads && !order.contains(&seq) {
+                order.push_back(seq);
+            }
+            ticks.entry(seq).or_default().add(frame);
+            if order.len() > LATER
+                && let Some(seq) = order.pop_front()
+                && let Some(tick) = ticks.remove(&seq)
+            {
+                self.tick(seq, &tick, &mut each)?;
+                // What came before the first tick of the file, or was never answered.
+                ticks.retain(|older, _| *older + (2 * LATER as u64) > seq);
+            }
+        }
+        for seq in order {
+            if let Some(tick) = ticks.remove(&seq) {
+                self.tick(seq, &tick, &mut each)?;
+            }
+        }
+        Ok(self.found)
+    }
+
+    fn tick(&mut self, seq: u64, tick: &Tick, each: &mut impl FnMut(&Frame)) -> Result<(), ReplayError> {
+        if self.found.newest.is_none() && seq > 0 {
+            self.found.missing_before = Some(seq);
+        }
+        self.found.newest = Some(seq);
+        self.found.ticks += 1;
+        let impossible = &mut self.found.impossible;
+        let recorded_tracks = tick.own::<TracksTopic>(impossible);
+        let recorded_controls = tick.own::<ControlsTopic>(impossible);
+        let recorded_forecasts = tick.own::<ForecastsTopic>(impossible);
+        let does = |stage| self.alone.is_none_or(|alone| alone == stage);
+        let [tracks_here, samples_here] = [StageId::Tracker, StageId::Sampler].map(does);
+        // Of a stage alone the input is the file's.
+        let mut tracks = recorded_tracks.clone();
+        if tracks_here {
+            tracks = self.track(seq, tick, recorded_tracks.as_ref())?;
+            self.compare(tick, tracks.as_ref(), each);
+        }
+        let controls = match (self.alone, &tracks) {
+            (Some(alone), _) => {
+                self.one(alone, tick, each)?;
+                recorded_controls
+            }
+            (None, Some(tracks)) => self.network(tick, tracks, each)?,
+            (None, None) => None,
+        };
+        let sampled = match (&tracks, &recorded_forecasts) {
+            // A tick that the run's sampler had not answered.
+            (_, None) if self.recording.has_topic(ForecastsTopic::NAME) => None,
+            (Some(tracks), recorded) if samples_here => {
+                if let Some(recorded) = recorded {
+                    self.renew(StageId::Sampler, recorded.header.incarnation)?;
+                }
+                // The hops say whether the controls had come.
+                let came = recorded.as_ref().is_none_or(|f| f.header.hop(StageId::Decoder).is_some());
+                Some(self.stages.sample(tracks, controls.as_ref().filter(|_| came)))
+            }
+            _ => None,
+        };
+        if samples_here {
+            self.compare(tick, sampled.as_ref(), each);
+        }
+        let sent_ns = recorded_forecasts.as_ref().and_then(|f| Some(f.header.hop(StageId::Sampler)?.sent_ns));
+        if let Some(forecasts) = sampled.or(recorded_forecasts).filter(|f| !f.header.has(flags::VOID)) {
+            self.forecasts.push_back((sent_ns.unwrap_or(0), forecasts));
+            if self.forecasts.len() > PRIORS_MAX {
+                self.forecasts.pop_front();
+            }
+        }
+        Ok(())
+    }
+
+    /// The tracker's answer; none where the run's tracker had not answered the tick.
+    fn track(
+        &mut self,
+        seq: u64,
+        tick: &Tick,
+        recorded: Option<&OwnFrame<TracksTopic>>,
+    ) -> Result<Option<OwnFrame<TracksTopic>>, ReplayError> {
+        if recorded.is_none() && self.recording.has_topic(TracksTopic::NAME) {
+            return Ok(None);
+        }
+        if let Some(incarnation) = tick.incarnation(StageId::Tracker, TracksTopic::NAME) {
+            self.renew(StageId::Tracker, incarnation)?;
+        }
+        let (header, detections) = match tick.own::<DetectionsTopic>(&mut self.found.impossible) {
+            Some(detections) if !recorded.is_some_and(|tracks| tracks.header.has(flags::PREDICTED)) => {
+                (detections.header, detections.elements)
+            }
+            _ => match recorded {
+                // Predicted, or its detections are missing in the file.
+                Some(tracks) => {
+                    if !tracks.header.has(flags::PREDICTED) {
+                        self.found.without_detections.push(seq);
+                    }
+                    (predicted(&tracks.header), Vec::new())
+                }
+                None => return Ok(None),
+            },
+        };
+        // What a stage before has refused passes on.
+        if header.has(flags::VOID) {
+            return Ok(None);
+        }
+        self.choose_prior(seq, &header, recorded.map(|tracks| &tracks.header));
+        let prior = self.prior.as_ref().map(|prior| (&prior.header, &prior.elements[..] as &[Forecast]));
+        Ok(Some(self.stages.track(&header, &detections, prior)))
+    }
+
+    /// The forecasts that the tracker had at hand: in lockstep those of the tick before, else the newest that had
+    /// been sent when it began.
+    fn choose_prior(&mut self, seq: u64, header: &Header, tracks: Option<&Header>) {
+        if header.has(flags::LOCKSTEP) {
+            let before = self.forecasts.iter().find(|(_, forecasts)| forecasts.header.seq + 1 == seq);
+            if let Some((_, forecasts)) = before {
+                self.prior = Some(forecasts.clone());
+            }
+            return;
+        }
+        let Some(hop) = tracks.and_then(|tracks| tracks.hop(StageId::Tracker)) else {
+            self.prior = self.forecasts.back().map(|(_, forecasts)| forecasts.clone());
+            return;
+        };
+        /// What was sent so shortly before or after the tracker looked may have come in time or not.
+        const CLOSE_NS: u64 = 1_000_000;
+        if self.forecasts.iter().any(|(sent_ns, _)| sent_ns.abs_diff(hop.started_ns) < CLOSE_NS) {
+            self.found.close_priors.push(seq);
+        }
+        let sent_before = self.forecasts.iter().filter(|(sent_ns, _)| *sent_ns < hop.started_ns);
+        if let Some((_, forecasts)) = sent_before.max_by_key(|(sent_ns, _)| *sent_ns) {
+            self.prior = Some(forecasts.clone());
+        }
+    }
+
+    /// Localiser to decoder, as far as the run's stages had the tick; the controls, where it came so far.
+    fn network(
+        &mut self,
+        tick: &Tick,
+        tracks: &OwnFrame<TracksTopic>,
+        each: &mut impl FnMut(&Frame),
+    ) -> Result<Option<OwnFrame<ControlsTopic>>, ReplayError> {
+        if !self.has_passed(StageId::Localiser, tick, ContextTopic::NAME)? {
+            return Ok(None);
+        }
+        let context = self.stages.locate(tracks);
+        self.compare(tick, Some(&context), each);
+        if !self.has_passed(StageId::Extractor, tick, FeaturesTopic::NAME)? {
+            return Ok(None);
+        }
+        let features = self.stages.extract(&context);
+        self.compare(tick, Some(&features), each);
+        if !self.has_passed(StageId::Encoder, tick, EncodingsTopic::NAME)? {
+            return Ok(None);
+        }
+        let encodings = self.stages.encode(&features);
+        self.compare(tick, Some(&encodings), each);
+        if !self.has_passed(StageId::Decoder, tick, ControlsTopic::NAME)? {
+            return Ok(None);
+        }
+        let controls = self.stages.decode(&encodings);
+        self.compare(tick, Some(&controls), each);
+        Ok(Some(controls))
+    }
+
+    /// One stage of the network with its input from the file.
+    fn one(&mut self, stage: StageId, tick: &Tick, each: &mut impl FnMut(&Frame)) -> Result<(), ReplayError> {
+        let Some((_, _, writes)) = STAGES.iter().find(|(of, ..)| *of == stage) else { return Ok(()) };
+        if matches!(stage, StageId::Tracker | StageId::Sampler) || !self.has_passed(stage, tick, writes)? {
+            return Ok(());
+        }
+        let impossible = &mut self.found.impossible;
+        match stage {
+            StageId::Localiser => {
+                let made = tick.own(impossible).map(|input| self.stages.locate(&input));
+                self.compare(tick, made.as_ref(), each);
+            }
+            StageId::Extractor => {
+                let made = tick.own(impossible).map(|input| self.stages.extract(&input));
+                self.compare(tick, made.as_ref(), each);
+            }
+            StageId::Encoder => {
+                let made = tick.own(impossible).map(|input| self.stages.encode(&input));
+                self.compare(tick, made.as_ref(), each);
+            }
+            _ => {
+                let made = tick.own(impossible).map(|input| self.stages.decode(&input));
+                self.compare(tick, made.as_ref(), each);
+            }
+        }
+        Ok(())
+    }
+
+    /// Whether a stage of the run had the tick, by its output or by the hops of the forecasts; where neither says
+    /// so it is taken to have had it.
+    fn has_passed(&mut self, stage: StageId, tick: &Tick, writes: &str) -> Result<bool, ReplayError> {
+        if let Some(incarnation) = tick.incarnation(stage, writes) {
+            self.renew(stage, incarnation)?;
+            return Ok(true);
+        }
+        if self.recording.has_topic(writes) {
+            return Ok(false);
+        }
+        self.found.guessed += u64::from(stage == StageId::Localiser);
+        Ok(true)
+    }
+
+    fn renew(&mut self, stage: StageId, incarnation: u32) -> Result<(), ReplayError> {
+        let before = self.incarnations.insert(stage, incarnation).unwrap_or(0);
+        if before != incarnation {
+            self.stages.renew(stage, incarnation)?;
+        }
+        Ok(())
+    }
+
+    /// Compares what was made with what was recorded, where the topic was.
+    fn compare<T: Topic>(&mut self, tick: &Tick, made: Option<&OwnFrame<T>>, each: &mut impl FnMut(&Frame)) {
+        let recorded = tick.frame(T::NAME);
+        match (recorded, made) {
+            (Some(recorded), Some(made)) => {
+                let made = Frame::of::<T>(&made.header, &made.elements, recorded.received_ns());
+                self.found.comparison.pair(recorded, &made);
+                each(&made);
+            }
+            (Some(recorded), None) => self.found.comparison.alone(T::NAME, recorded.header().seq, true),
+            (None, Some(made)) if self.recording.has_topic(T::NAME) => {
+                self.found.comparison.alone(T::NAME, made.header.seq, false);
+            }
+            (None, Some(made)) => each(&Frame::of::<T>(&made.header, &made.elements, tick.received_ns())),
+            (None, None) => {}
+        }
+    }
+}
+
+/// The header with which the tracker predicted a tick, of that of its tracks.
+fn predicted(tracks: &Header) -> Header {
+    Header { step_ns: 0, left_out_len: 0, counts: wire::Counts::default(), ..*tracks }
+}

@@ -1,0 +1,48 @@
+use recording::{Frame, FrameError};
+use wire::{ForecastsTopic, StageId, Topic};
+
+use crate::stages::OwnFrame;
+
+/// The recorded frames of one tick.
+#[derive(Debug, Default)]
+pub struct Tick(Vec<Frame>);
+
+impl Tick {
+    /// Adds a frame; of a topic the first counts.
+    pub fn add(&mut self, frame: Frame) {
+        if self.frame(frame.topic().name).is_none() {
+            self.0.push(frame);
+        }
+    }
+
+    /// The frame of a topic.
+    pub fn frame(&self, topic: &str) -> Option<&Frame> {
+        self.0.iter().find(|frame| frame.topic().name == topic)
+    }
+
+    /// The frame of a topic with its elements; none where the frame is impossible, as a faulty sender makes it: the
+    /// stages refuse such a frame before they look at it. The first is told in `impossible`.
+    pub fn own<T: Topic>(&self, impossible: &mut Option<FrameError>) -> Option<OwnFrame<T>> {
+        let frame = self.frame(T::NAME)?;
+        match frame.elements::<T>() {
+            Ok(elements) => Some(OwnFrame { header: *frame.header(), elements }),
+            Err(error) => {
+                impossible.get_or_insert(error);
+                None
+            }
+        }
+    }
+
+    /// The incarnation of a stage that had the tick, by its output or by the forecasts' hops; none where neither
+    /// tells.
+    pub fn incarnation(&self, stage: StageId, writes: &str) -> Option<u32> {
+        let by_output = self.frame(writes).map(|frame| frame.header().incarnation);
+        let by_hop = || Some(self.frame(ForecastsTopic::NAME)?.header().hop(stage)?.incarnation);
+        by_output.or_else(by_hop)
+    }
+
+    /// When its last frame was received.
+    pub fn received_ns(&self) -> u64 {
+        self.0.iter().map(Frame::received_ns).max().unwrap_or(0)
+    }
+}

@@ -1,0 +1,222 @@
+use bytemuck::Zeroable;
+use decoder::Decoder;
+use encoder::Encoder;
+use extractor::Extractor;
+use localiser::Localiser;
+use nn::{ModelConfig, Weights};
+use run::Run;
+use sampler::Sampler;
+use tracker::Tracker;
+use wire::{
+    AGENTS_MAX, AgentControls, AgentEncoding, Cause, Context, ContextMut, ContextShape, ContextTopic,
+    ControlsTopic, Counts, Detection, EncodingsTopic, FeatureShape, Features, FeaturesMut, FeaturesTopic,
+    Forecast, ForecastsTopic, Header, Rejected, Row, StageId, Topic, Track, TracksTopic, context_rows,
+    feature_rows, flags,
+};
+
+use crate::ChainError;
+
+/// A frame in memory of its own.
+#[derive(Clone, Debug)]
+pub struct OwnFrame<T: Topic> {
+    /// Its header, without clocks and hops but those that came in.
+    pub header: Header,
+    /// Its elements.
+    pub elements: Vec<T::Element>,
+}
+
+impl<T: Topic> OwnFrame<T> {
+    /// What a stage makes of a tick that it refuses or that was refused before.
+    fn void(header: &Header) -> Self {
+        let (flags, counts) = (header.flags | flags::VOID, Counts::default());
+        Self { header: Header { flags, counts, ..*header }, elements: Vec::new() }
+    }
+
+    fn is_void(&self) -> bool {
+        self.header.has(flags::VOID)
+    }
+}
+
+/// The compute stages, each from frame to frame as its process does it, in this process and without a clock.
+///
+/// A stage can be renewed on its own, as its process is when it is restarted.
+pub struct Stages {
+    run: Run,
+    model: ModelConfig,
+    weights: Weights,
+    tracker: Tracker,
+    localiser: Localiser,
+    extractor: Extractor,
+    encoder: Encoder,
+    decoder: Decoder,
+    sampler: Sampler,
+    tracks: Vec<Track>,
+}
+
+impl Stages {
+    /// Sets up all stages of a run from its record.
+    ///
+    /// # Errors
+    /// [`ChainError`] where weights, options, map or retrieval memory can't be used.
+    pub fn new(run: &Run, weights: Weights) -> Result<Self, ChainError> {
+        let model = weights.config().clone();
+        Ok(Self {
+            tracker: Tracker::new(tracker::stage::settings(run, &model)?),
+            localiser: Localiser::new(localiser::stage::settings(run, &model)?),
+            extractor: Extractor::new(&weights, extractor::stage::settings(run)?)?,
+            encoder: Encoder::new(&weights, encoder::stage::settings(run)?)?,
+            decoder: Decoder::new(&weights, decoder::stage::settings(run)?)?,
+            sampler: sampler::stage::open(run, &model)?,
+            tracks: vec![Track::zeroed(); AGENTS_MAX],
+            run: run.clone(),
+            model,
+            weights,
+        })
+    }
+
+    /// Puts a new stage in the place of one, as its process that was started so often before. Encoder and decoder
+    /// keep nothing from tick to tick.
+    ///
+    /// # Errors
+    /// As [`Stages::new`].
+    pub fn renew(&mut self, stage: StageId, incarnation: u32) -> Result<(), ChainError> {
+        let Self { run, model, weights, .. } = self;
+        match stage {
+            StageId::Tracker => {
+                self.tracker = Tracker::new(tracker::stage::settings(run, model)?).with_ids_of(incarnation);
+            }
+            StageId::Localiser => self.localiser = Localiser::new(localiser::stage::settings(run, model)?),
+            StageId::Extractor => {
+                self.extractor = Extractor::new(weights, extractor::stage::settings(run)?)?;
+            }
+            StageId::Sampler => self.sampler = sampler::stage::open(run, model)?,
+            StageId::Encoder | StageId::Decoder | StageId::Source | StageId::Recorder => {}
+        }
+        Ok(())
+    }
+
+    /// The tracker's answer to detections, with the forecasts that were at hand.
+    pub fn track(
+        &mut self,
+        header: &Header,
+        detections: &[Detection],
+        prior: Option<(&Header, &[Forecast])>,
+    ) -> OwnFrame<TracksTopic> {
+        let tracked = self.tracker.step(header, detections, prior, &mut self.tracks);
+        let header = self.tracker.header(header);
+        match tracked {
+            Ok(tracked) if tracked.replayed_len == 0 => {
+                OwnFrame { header, elements: self.tracks[..tracked.tracks_len].to_vec() }
+            }
+            // Out of sequence, or refused.
+            Ok(_) | Err(_) => OwnFrame::void(&header),
+        }
+    }
+
+    /// The localiser's answer to tracks.
+    pub fn locate(&mut self, tracks: &OwnFrame<TracksTopic>) -> OwnFrame<ContextTopic> {
+        if tracks.is_void() {
+            return OwnFrame::void(&tracks.header);
+        }
+        let shape = self.localiser.shape(tracks.elements.len());
+        let mut header = tracks.header;
+        header.counts.patch_side = shape.patch_side as u32;
+        let mut elements = vec![Row::zeroed(); context_rows(&shape)];
+        let located = ContextMut::over(&mut elements, shape)
+            .and_then(|mut context| self.localiser.step(&tracks.header, &tracks.elements, &mut context));
+        or_void(header, located.map(|()| elements))
+    }
+
+    /// The extractor's answer to a context.
+    pub fn extract(&mut self, context: &OwnFrame<ContextTopic>) -> OwnFrame<FeaturesTopic> {
+        if context.is_void() {
+            return OwnFrame::void(&context.header);
+        }
+        let mut header = context.header;
+        let read = Context::read(&context.elements, ContextShape::of(&header.counts));
+        let extracted =
+            read.and_then(|read| self.extractor.prepare(&context.header, &read)).and_then(|shape| {
+                header.counts.edges_len = shape.edges_len as u32;
+                let mut elements = vec![Row::zeroed(); feature_rows(&shape)];
+                self.extractor.write(&mut FeaturesMut::over(&mut elements, shape)?);
+                Ok(elements)
+            });
+        or_void(header, extracted)
+    }
+
+    /// The encoder's answer to features.
+    pub fn encode(&mut self, features: &OwnFrame<FeaturesTopic>) -> OwnFrame<EncodingsTopic> {
+        if features.is_void() {
+            return OwnFrame::void(&features.header);
+        }
+        let counts = &features.header.counts;
+        let mut elements = vec![AgentEncoding::zeroed(); counts.agents_len as usize];
+        let read = Features::read(&features.elements, FeatureShape::of(counts), counts.history_len as usize);
+        let encoded = read.and_then(|read| self.encoder.step(&features.header, &read, &mut elements));
+        or_void(features.header, encoded.map(|()| elements))
+    }
+
+    /// The decoder's answer to encodings.
+    pub fn decode(&mut self, encodings: &OwnFrame<EncodingsTopic>) -> OwnFrame<ControlsTopic> {
+        if encodings.is_void() {
+            return OwnFrame::void(&encodings.header);
+        }
+        let mut header = encodings.header;
+        let mut elements = vec![AgentControls::zeroed(); Decoder::len(&encodings.elements)];
+        header.counts.agents_len = elements.len() as u32;
+        (header.counts.horizon_len, header.counts.modes_len) = self.lens();
+        let decoded = self.decoder.step(&encodings.header, &encodings.elements, &mut elements);
+        or_void(header, decoded.map(|()| elements))
+    }
+
+    /// The sampler's answer to tracks, with their controls or, where it had none in time, without.
+    pub fn sample(
+        &mut self,
+        tracks: &OwnFrame<TracksTopic>,
+        controls: Option<&OwnFrame<ControlsTopic>>,
+    ) -> OwnFrame<ForecastsTopic> {
+        if tracks.is_void() {
+            return OwnFrame::void(&tracks.header);
+        }
+        let (mut header, tracks) = (tracks.header, &tracks.elements);
+        let mut elements = vec![Forecast::zeroed(); tracks.len()];
+        let learned = match controls {
+            Some(controls) if !controls.is_void() => self
+                .sampler
+                .learned(&header, tracks, &controls.elements, &mut elements)
+                .map_err(|_| Cause::Rejected),
+            Some(_) => Err(Cause::Rejected),
+            None => Err(Cause::Late),
+        };
+        let written = match learned {
+            Ok(written) => Ok(written),
+            Err(cause) => self.sampler.fallback(&header, tracks, cause, &mut elements),
+        };
+        let tracks_header = header;
+        (header.counts.horizon_len, header.counts.modes_len) = self.lens();
+        match written {
+            Ok(written) => {
+                if written < tracks.len() {
+                    header.counts.agents_len = written as u32;
+                    header.silent_len = (tracks.len() - written) as u32;
+                    elements.truncate(written);
+                }
+                OwnFrame { header, elements }
+            }
+            Err(_) => OwnFrame::void(&tracks_header),
+        }
+    }
+
+    /// Steps of the model's horizon, and its modes.
+    fn lens(&self) -> (u32, u32) {
+        (self.model.horizon_len as u32, self.model.modes as u32)
+    }
+}
+
+/// A stage's output, or what it sends on where it refuses the tick.
+fn or_void<T: Topic>(header: Header, elements: Result<Vec<T::Element>, Rejected>) -> OwnFrame<T> {
+    match elements {
+        Ok(elements) => OwnFrame { header, elements },
+        Err(_) => OwnFrame::void(&header),
+    }
+}

@@ -1,0 +1,339 @@
+//! A run as a Perfetto trace, from the hops of its forecasts' headers and from heartbeats.
+//!
+//! One process writes the trace of all: every stage is a process with its own number, with a track of its work
+//! (*wake-up*, *compute*, *publish*, and *waiting* for a second input), tracks of frames that wait while it is
+//! busy, and a counter of them. A flow leads each tick through the compute of all stages. The process `pipeline`
+//! has a span for every tick from its release to its forecasts, counters of agents, qualities, age and latency,
+//! and instants for late ticks and for forecasts that are not learned. Restarts, refused and missing frames are
+//! instants of their stage.
+//!
+//! [`Tracer`] turns each frame into packets, which the caller takes: it keeps no more than the newest ticks.
+
+use perfetto::{Clocks, Details, Trace, Value};
+use wire::{
+    Cause, Forecast, Header, Heartbeat, Hop, Quality, REFUSALS_MAX, RefusalCause, Refusals, StageId, flags,
+};
+
+use crate::distribution::ms;
+use crate::passage::{STAGES_LEN, Timeline, Timestamps, place};
+use crate::record::TICK_LIMIT_NS;
+
+/// Tracks side by side of frames that wait for one stage, or of ticks under way: more overlap only in the trace.
+const LANES: usize = 4;
+/// A wait for a second input that is shorter has no span.
+const SHORT_NS: u64 = 20_000;
+/// Numbers of processes that nobody has told, beyond any that Linux gives.
+const UNKNOWN_PID: u32 = 1_000_000_000;
+/// Most changes of a queue that wait for their order in time.
+const CHANGES_MAX: usize = 64;
+
+/// Tracks within a process, added to its number.
+mod lane {
+    pub const WORK: u64 = 1;
+    pub const QUEUE: u64 = 2;
+    pub const WAITING: u64 = 3;
+    pub const TICKS: u64 = 16;
+    pub const COUNTERS: u64 = 32;
+}
+
+/// What is known of a stage.
+#[derive(Clone, Debug, Default)]
+struct StageTracks {
+    /// The newest incarnation with its process number.
+    pid: Option<(u32, u32)>,
+    /// The newest incarnation that has tracks.
+    declared: Option<u32>,
+    work_end_ns: u64,
+    waiting_end_ns: [u64; LANES],
+    /// Changes of the queue's length that may still be overtaken, by time.
+    changes: Vec<(u64, i64)>,
+    queue_len: i64,
+    /// The newest heartbeat.
+    beat: Option<Heartbeat>,
+}
+
+/// Writes the trace of a run.
+#[derive(Clone, Debug)]
+pub struct Tracer {
+    trace: Trace,
+    timeline: Timeline,
+    stages: [StageTracks; STAGES_LEN],
+    tick_end_ns: [u64; LANES],
+    /// Values of the pipeline's counters.
+    counters: [f64; COUNTERS.len()],
+}
+
+/// Names and units of the pipeline's counters.
+const COUNTERS: [(&str, &str); 3 + Quality::ALL.len()] = {
+    let mut all = [("", "forecasts"); 3 + Quality::ALL.len()];
+    all[0] = ("agents", "agents");
+    all[1] = ("end to end", "ms");
+    all[2] = ("oldest forecast", "ms");
+    let mut nth = 0;
+    while nth < Quality::ALL.len() {
+        all[3 + nth].0 = Quality::ALL[nth].name();
+        nth += 1;
+    }
+    all
+};
+
+impl Tracer {
+    /// The trace of a run that the process `pid` supervises.
+    #[must_use]
+    pub fn new(clocks: Clocks, pid: Option<u32>) -> Self {
+        let mut trace = Trace::with_room(1 << 16);
+        trace.clocks(clocks);
+        trace.process(0, pid.unwrap_or(UNKNOWN_PID), "pipeline", 0);
+        trace.track(lane::TICKS, 0, "ticks", 0);
+        for nth in 1..LANES as u64 {
+            trace.track(lane::TICKS + nth, 0, "ticks that overlap", nth);
+        }
+        for ((name, unit), nth) in COUNTERS.into_iter().zip(lane::COUNTERS..) {
+            trace.counter(nth, 0, name, unit, nth);
+        }
+        Self {
+            trace,
+            timeline: Timeline::default(),
+            stages: Default::default(),
+            tick_end_ns: [0; LANES],
+            counters: [f64::NAN; COUNTERS.len()],
+        }
+    }
+
+    /// Takes the packets that are complete.
+    pub fn take(&mut self) -> Vec<u8> {
+        self.trace.take()
+    }
+
+    /// Takes the last packets.
+    pub fn finish(mut self) -> Vec<u8> {
+        for stage in StageId::ALL {
+            self.count_queue(stage, u64::MAX);
+        }
+        self.trace.take()
+    }
+
+    /// Takes the forecasts of a tick.
+    pub fn forecasts(&mut self, header: &Header, forecasts: &[Forecast]) {
+        if !header.is_tick() {
+            return;
+        }
+        let last = header.hops().len().saturating_sub(1);
+        let mut timeline = std::mem::take(&mut self.timeline);
+        let mut nth = 0;
+        timeline.follow(header, |stage, hop, times| {
+            let flow = Flow { tick: header.seq, ends: nth == last };
+            self.hop(stage, hop, times, &flow);
+            nth += 1;
+        });
+        self.timeline = timeline;
+        self.tick(header, forecasts);
+    }
+
+    /// Takes a stage's heartbeat: its process number, and what it refused or missed since the one before.
+    pub fn heartbeat(&mut self, heartbeat: &Heartbeat) {
+        let Some(stage) = StageId::from_number(heartbeat.stage) else { return };
+        let known = &mut self.stages[place(stage)];
+        if known.pid.is_none_or(|(incarnation, _)| heartbeat.incarnation >= incarnation) {
+            known.pid = Some((heartbeat.incarnation, heartbeat.pid));
+        }
+        let before = known.beat.replace(*heartbeat);
+        let before = before.filter(|before| before.incarnation == heartbeat.incarnation);
+        let missing = heartbeat.dropped_len.saturating_sub(before.map_or(0, |before| before.dropped_len));
+        let old = before.map_or([Refusals::default(); REFUSALS_MAX], |before| before.refusals);
+        for (refused, old) in heartbeat.refusals.iter().zip(old) {
+            let frames = refused.frames_len.saturating_sub(old.frames_len);
+            if frames > 0 {
+                let sender = StageId::from_number(refused.sender.into()).map_or("unknown", StageId::name);
+                let cause = RefusalCause::from_number(refused.cause.into());
+                let cause = cause.map_or("unknown", RefusalCause::name);
+                let values = [
+                    ("frames", Value::Count(frames.into())),
+                    ("sender", Value::Text(sender)),
+                    ("cause", Value::Text(cause)),
+                ];
+                self.mark(stage, heartbeat.incarnation, heartbeat.sent_ns, "refused", &values);
+            }
+        }
+        if missing > 0 {
+            let values = [("frames", Value::Count(missing))];
+            self.mark(stage, heartbeat.incarnation, heartbeat.sent_ns, "frames missing", &values);
+        }
+    }
+
+    /// Marks something that happened to a stage, such as its death.
+    pub fn event(&mut self, stage: StageId, at_ns: u64, name: &str, why: &str) {
+        let incarnation = self.stages[place(stage)].declared.unwrap_or(0);
+        self.mark(stage, incarnation, at_ns, name, &[("why", Value::Text(why))]);
+    }
+
+    /// Marks something that happened to the run.
+    pub fn note(&mut self, at_ns: u64, name: &str, why: &str) {
+        let values = [("why", Value::Text(why))];
+        let values = if why.is_empty() { &values[..0] } else { &values[..] };
+        let details = Details { category: Some("event"), values, ..Details::default() };
+        self.trace.instant(lane::TICKS, at_ns, name, details);
+    }
+
+    fn mark(
+        &mut self,
+        stage: StageId,
+        incarnation: u32,
+        at_ns: u64,
+        name: &str,
+        values: &[(&str, Value<'_>)],
+    ) {
+        let process = self.process(stage, incarnation);
+        let details = Details { category: Some("event"), values, ..Details::default() };
+        self.trace.instant(process + lane::WORK, at_ns, name, details);
+    }
+
+    /// Tracks of one stage's passage.
+    fn hop(&mut self, stage: StageId, hop: &Hop, times: Timestamps, flow: &Flow) {
+        let restarted = self.stages[place(stage)].declared.is_some_and(|newest| hop.incarnation > newest);
+        let process = self.process(stage, hop.incarnation);
+        if restarted {
+            self.mark(stage, hop.incarnation, times.taken_ns, "restarted", &[]);
+        }
+        let known = &mut self.stages[place(stage)];
+        let values = [("tick", Value::Count(flow.tick))];
+        let phase = Details { category: Some("phase"), values: &values, ..Details::default() };
+        if times.free_ns > times.ready_ns {
+            let nth = free_lane(&mut known.waiting_end_ns, [times.ready_ns, times.free_ns]);
+            let track = process + lane::WAITING + nth;
+            self.trace.span(track, [times.ready_ns, times.free_ns], "waiting", phase);
+            known.changes.extend([(times.ready_ns, 1), (times.free_ns, -1)]);
+            known.changes.sort_unstable();
+        }
+        // A stage does one thing after another, whatever the clocks of its header tell.
+        let mut span = |[begin_ns, end_ns]: [u64; 2], name, details: Details<'_>, least_ns| {
+            let begin_ns = begin_ns.max(known.work_end_ns);
+            let end_ns = end_ns.max(begin_ns);
+            if end_ns - begin_ns >= least_ns {
+                self.trace.span(process + lane::WORK, [begin_ns, end_ns], name, details);
+                known.work_end_ns = end_ns;
+            }
+        };
+        let Timestamps { ready_ns, free_ns, taken_ns, started_ns, finished_ns, sent_ns } = times;
+        span([free_ns, taken_ns], "wake-up", phase, 1);
+        span([taken_ns, started_ns], "waiting", phase, SHORT_NS);
+        let computes = Details { flow: Some(flow.tick + 1), ends_flow: flow.ends, ..phase };
+        span([started_ns, finished_ns], "compute", computes, 0);
+        span([finished_ns, sent_ns], "publish", phase, 1);
+        // What comes later can't have been ready before.
+        self.count_queue(stage, ready_ns);
+    }
+
+    /// Tells the length of a stage's queue up to a time.
+    fn count_queue(&mut self, stage: StageId, until_ns: u64) {
+        let known = &mut self.stages[place(stage)];
+        let Some(incarnation) = known.declared else { return };
+        let excess = known.changes.len().saturating_sub(CHANGES_MAX);
+        let due = known.changes.partition_point(|&(at_ns, _)| at_ns <= until_ns).max(excess);
+        for (at_ns, change) in known.changes.drain(..due) {
+            known.queue_len += change;
+            self.trace.count(number_of(stage, incarnation) + lane::QUEUE, at_ns, known.queue_len as f64);
+        }
+    }
+
+    /// The number of a stage's process; names its tracks where they are new.
+    fn process(&mut self, stage: StageId, incarnation: u32) -> u64 {
+        let known = &mut self.stages[place(stage)];
+        let process = number_of(stage, incarnation);
+        if known.declared.is_some_and(|newest| incarnation <= newest) {
+            return process;
+        }
+        self.count_queue(stage, u64::MAX);
+        let known = &mut self.stages[place(stage)];
+        known.declared = Some(incarnation);
+        (known.work_end_ns, known.waiting_end_ns) = (0, [0; LANES]);
+        let told = known.pid.filter(|&(of, _)| of == incarnation).map(|(_, pid)| pid);
+        let made_up = UNKNOWN_PID + stage as u32 * 1_000_000 + incarnation.min(999_999);
+        let name = match incarnation {
+            0 => stage.name().to_owned(),
+            n => format!("{} (restart {n})", stage.name()),
+        };
+        let rank = u64::from(stage as u32) * 1_000 + u64::from(incarnation.min(999));
+        self.trace.process(process, told.unwrap_or(made_up), &name, rank);
+        self.trace.track(process + lane::WORK, process, "work", 0);
+        for nth in 0..LANES as u64 {
+            self.trace.track(process + lane::WAITING + nth, process, "frames that wait", 1 + nth);
+        }
+        self.trace.counter(process + lane::QUEUE, process, "queue", "frames", 9);
+        process
+    }
+
+    /// The span of a whole tick, and the counters.
+    fn tick(&mut self, header: &Header, forecasts: &[Forecast]) {
+        let Some(sampler) = header.hop(StageId::Sampler) else { return };
+        let span_ns = [header.released_ns, sampler.sent_ns.max(header.released_ns)];
+        let mut by_quality = [0_u64; Quality::ALL.len()];
+        let mut by_cause = [0_u64; Cause::ALL.len()];
+        for forecast in forecasts {
+            let counts =
+                [by_quality.get_mut(forecast.quality as usize), by_cause.get_mut(forecast.cause as usize)];
+            counts.into_iter().flatten().for_each(|count| *count += 1);
+        }
+        let age_ns = forecasts.iter().map(|forecast| forecast.age_ns).max().unwrap_or(0);
+        let latency_ms = ms(span_ns[1] - span_ns[0]);
+        let mut values = vec![
+            ("tick", Value::Count(header.seq)),
+            ("stamp_s", Value::Number(header.stamp_ns as f64 / 1e9)),
+            ("agents", Value::Count(forecasts.len() as u64)),
+        ];
+        let named = Quality::ALL.map(Quality::name).into_iter().zip(by_quality);
+        values.extend(named.clone().map(|(name, count)| (name, Value::Count(count))));
+        let marks = [("predicted", flags::PREDICTED), ("void", flags::VOID)];
+        values.extend(marks.iter().filter(|mark| header.has(mark.1)).map(|mark| (mark.0, Value::Count(1))));
+        let details = Details { category: Some("tick"), values: &values, ..Details::default() };
+        let track = lane::TICKS + free_lane(&mut self.tick_end_ns, span_ns);
+        self.trace.span(track, span_ns, &format!("tick {}", header.seq), details);
+
+        let limit_ns = match header.interval_ns {
+            0 => TICK_LIMIT_NS,
+            interval_ns => interval_ns.min(TICK_LIMIT_NS),
+        };
+        let at_ns = span_ns[1];
+        if at_ns - span_ns[0] > limit_ns && !header.has(flags::LOCKSTEP) {
+            self.trace.instant(lane::TICKS, at_ns, "late", details);
+        }
+        for (cause, count) in Cause::ALL.into_iter().zip(by_cause) {
+            if count > 0 && !matches!(cause, Cause::None | Cause::Young | Cause::Outdone) {
+                let values = [("forecasts", Value::Count(count)), ("tick", Value::Count(header.seq))];
+                let details = Details { category: Some("quality"), values: &values, ..Details::default() };
+                self.trace.instant(lane::TICKS, at_ns, &format!("not learned: {}", cause.name()), details);
+            }
+        }
+        let measured = [forecasts.len() as f64, latency_ms, ms(age_ns)];
+        let all = measured.into_iter().chain(named.map(|(_, count)| count as f64));
+        for ((value, known), track) in all.zip(&mut self.counters).zip(lane::COUNTERS..) {
+            if value.to_bits() != known.to_bits() {
+                *known = value;
+                self.trace.count(track, at_ns, value);
+            }
+        }
+    }
+}
+
+/// The flow of a tick at one of its stages.
+struct Flow {
+    tick: u64,
+    ends: bool,
+}
+
+/// The number of a stage's process track.
+const fn number_of(stage: StageId, incarnation: u32) -> u64 {
+    (stage as u64) << 48 | (incarnation as u64) << 8
+}
+
+/// A lane that is free for a span; the one that gets free first where none is.
+fn free_lane(ends_ns: &mut [u64; LANES], [begin_ns, end_ns]: [u64; 2]) -> u64 {
+    let free = ends_ns.iter().position(|&end| end <= begin_ns);
+    let soonest = || (0..LANES).min_by_key(|&nth| ends_ns[nth]).unwrap_or(0);
+    let nth = free.unwrap_or_else(soonest);
+    ends_ns[nth] = ends_ns[nth].max(end_ns);
+    nth as u64
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,367 @@
+//! The worst ticks of a run, each with its cause in a sentence.
+//!
+//! Ticks without forecasts are the worst, then those with the longest end-to-end latency. A tick's cause is the
+//! phase of a stage that took longest beyond its median over the run. Where the controls of a tick did not come,
+//! its own header does not tell why: the next tick that passes all stages does, by the stage that takes it late or
+//! that has been restarted.
+//!
+//! The list has room for [`WORST_LEN`] ticks from the start: a tick allocates nothing.
+
+use serde::{Deserialize, Serialize};
+use wire::{Cause, Forecast, Header, Quality, StageId, flags};
+
+use crate::distribution::ms;
+use crate::passage::{Passage, Phases, STAGES_LEN, place};
+use crate::report::WorstTick;
+use crate::text::{count, number};
+
+/// Ticks that are kept.
+pub const WORST_LEN: usize = 20;
+/// A stage took the next tick late where it took more than this.
+const BEHIND_NS: u64 = 5_000_000;
+/// Excess over the median below which a phase is as usual.
+const USUAL_NS: u64 = 300_000;
+
+/// One of the worst ticks.
+#[derive(Clone, Copy, Debug, Serialize, Deserialize)]
+struct Bad {
+    /// Of several ticks without forecasts, the first.
+    seq: u64,
+    stamp_ns: i64,
+    flags: u32,
+    /// Ticks without forecasts; 0 for a tick with forecasts.
+    lost: u64,
+    agents: u32,
+    not_learned: u32,
+    /// The most frequent cause of those, as a number.
+    cause: u32,
+    passage: Passage,
+    /// The first stage on its way that had been restarted since the tick before.
+    restarted: Option<StageNumber>,
+    /// What held up the controls of this tick, as the next one shows.
+    blame: Option<Blame>,
+}
+
+/// A stage as its number, for the checkpoint.
+type StageNumber = u32;
+
+/// What held up the controls of a tick.
+#[derive(Clone, Copy, Debug, Serialize, Deserialize)]
+enum Blame {
+    /// The stage was restarted.
+    Restarted(StageNumber),
+    /// The stage took its next frame that much later than it was sent.
+    Behind(StageNumber, u64),
+    /// No stage was behind: the frame was a little late, lost, or refused on its way.
+    Nobody,
+}
+
+/// What is usual in a run, to compare a tick with.
+#[derive(Clone, Copy, Debug, Default)]
+pub(crate) struct Usual {
+    /// Medians of the phases by stage.
+    pub phases_ns: [[u64; 4]; STAGES_LEN],
+    /// Mean number of agents.
+    pub agents: f64,
+}
+
+/// The worst ticks so far, the worst first.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub(crate) struct Worst {
+    ticks: Vec<Bad>,
+    /// The newest incarnation of each stage that a tick has passed.
+    passed: [u32; STAGES_LEN],
+    /// A tick that is kept in any case, if it has come.
+    #[serde(skip)]
+    explained: Option<Bad>,
+}
+
+impl Default for Worst {
+    fn default() -> Self {
+        Self { ticks: Vec::with_capacity(WORST_LEN + 1), passed: [0; STAGES_LEN], explained: None }
+    }
+}
+
+impl Bad {
+    /// The greater, the worse.
+    fn badness(&self) -> (u64, u64) {
+        (self.lost, self.passage.end_to_end_ns.unwrap_or(0))
+    }
+}
+
+impl Worst {
+    /// Takes a tick with its passage, and the ticks without forecasts before it. The tick `explain` is kept
+    /// however good it is.
+    pub fn take(
+        &mut self,
+        header: &Header,
+        forecasts: &[Forecast],
+        passage: &Passage,
+        gap_len: u64,
+        explain: Option<u64>,
+    ) {
+        let restarted = self.restarted(header);
+        if passage.complete {
+            self.explain(passage, restarted);
+        }
+        let bad = Bad {
+            seq: header.seq,
+            stamp_ns: header.stamp_ns,
+            flags: header.flags,
+            lost: 0,
+            agents: forecasts.len() as u32,
+            not_learned: 0,
+            cause: 0,
+            passage: *passage,
+            restarted: restarted.map(|stage| stage as u32),
+            blame: None,
+        };
+        if gap_len > 0 {
+            let first = header.seq.saturating_sub(gap_len);
+            let passage = Passage::default();
+            self.insert(Bad { seq: first, lost: gap_len, agents: 0, passage, ..bad });
+        }
+        let is_asked = explain == Some(header.seq);
+        if self.is_bad(&bad) || is_asked {
+            let (not_learned, cause) = not_learned(forecasts);
+            let bad = Bad { not_learned, cause, ..bad };
+            self.explained = if is_asked { Some(bad) } else { self.explained };
+            self.insert(bad);
+        }
+    }
+
+    /// The first stage on a tick's way that has been restarted since the tick before.
+    fn restarted(&mut self, header: &Header) -> Option<StageId> {
+        let mut first = None;
+        for hop in header.hops() {
+            let Some(stage) = StageId::from_number(hop.stage) else { continue };
+            let passed = &mut self.passed[place(stage)];
+            if hop.incarnation > *passed {
+                *passed = hop.incarnation;
+                first = first.or(Some(stage));
+            }
+        }
+        first
+    }
+
+    /// Finds what held up the controls of earlier ticks, by a tick that has come through.
+    fn explain(&mut self, next: &Passage, restarted: Option<StageId>) {
+        let behind = |stage: &StageId| {
+            let phases = next.phases(*stage)?;
+            Some((*stage as u32, phases.waiting_ns + phases.wake_up_ns))
+        };
+        let before_sampler = &StageId::ALL[place(StageId::Localiser)..place(StageId::Sampler)];
+        let blame = match restarted.filter(|stage| before_sampler.contains(stage)) {
+            Some(stage) => Blame::Restarted(stage as u32),
+            None => match before_sampler.iter().filter_map(behind).max_by_key(|&(_, late_ns)| late_ns) {
+                Some((stage, late_ns)) if late_ns >= BEHIND_NS => Blame::Behind(stage, late_ns),
+                _ => Blame::Nobody,
+            },
+        };
+        for bad in self.ticks.iter_mut().chain(&mut self.explained).filter(|bad| bad.lacks_controls()) {
+            bad.blame.get_or_insert(blame);
+        }
+    }
+
+    fn is_bad(&self, bad: &Bad) -> bool {
+        self.ticks.len() < WORST_LEN || self.ticks.last().is_some_and(|last| bad.badness() > last.badness())
+    }
+
+    fn insert(&mut self, bad: Bad) {
+        if self.is_bad(&bad) {
+            // Of equals the earlier one stays before.
+            let place = self.ticks.partition_point(|other| other.badness() >= bad.badness());
+            self.ticks.insert(place, bad);
+            self.ticks.truncate(WORST_LEN);
+        }
+    }
+
+    /// The same, with room for all ticks that it may ever hold.
+    pub fn with_room(mut self) -> Self {
+        self.ticks.truncate(WORST_LEN);
+        self.ticks.reserve_exact(WORST_LEN + 1 - self.ticks.len());
+        self
+    }
+
+    /// The tick that was asked for, if it has come.
+    pub fn explained(&self, usual: &Usual) -> Option<WorstTick> {
+        self.explained.map(|bad| bad.told(usual))
+    }
+
+    /// The list with the causes in words.
+    pub fn list(&self, usual: &Usual) -> Vec<WorstTick> {
+        self.ticks.iter().map(|bad| bad.told(usual)).collect()
+    }
+}
+
+/// How many forecasts are not learned though they could be, and the most frequent cause.
+fn not_learned(forecasts: &[Forecast]) -> (u32, u32) {
+    let mut by_cause = [0_u32; Cause::ALL.len()];
+    for forecast in forecasts.iter().filter(|forecast| forecast.quality != Quality::Learned as u32) {
+        if let Some(count) = by_cause.get_mut(forecast.cause as usize) {
+            *count += 1;
+        }
+    }
+    for excused in [Cause::None, Cause::Young, Cause::Outdone] {
+        by_cause[excused as usize] = 0;
+    }
+    let most = (0..).zip(by_cause).max_by_key(|&(_, count)| count).map_or(0, |(cause, _)| cause);
+    (by_cause.iter().sum(), most)
+}
+
+/// The phase of a stage that took longest beyond what is usual.
+#[derive(Clone, Copy, Debug)]
+struct Excess {
+    stage: StageId,
+    phase: usize,
+    took_ns: u64,
+    usual_ns: u64,
+}
+
+impl Excess {
+    const fn ns(&self) -> u64 {
+        self.took_ns.saturating_sub(self.usual_ns)
+    }
+
+    /// What the stage did, to follow its name.
+    fn told(&self) -> String {
+        let took = format!("{} ms", number(Some(ms(self.took_ns))));
+        let usual = format!("(usually {})", number(Some(ms(self.usual_ns))));
+        match (self.stage, self.phase) {
+            (StageId::Sampler, 0) => format!("waited {took} for the controls {usual}"),
+            (_, 0) => format!("was busy with an earlier tick for {took} {usual}"),
+            (_, 1) => format!("woke {took} after its input was sent {usual}"),
+            (_, 2) => format!("computed {took} {usual}"),
+            _ => format!("took {took} to send {usual}"),
+        }
+    }
+}
+
+impl Bad {
+    /// Whether its forecasts were made without controls.
+    const fn lacks_controls(&self) -> bool {
+        self.lost == 0 && !self.passage.complete && self.flags & flags::VOID == 0
+    }
+
+    /// The phases that took longer than usual, the longest excess first.
+    fn excesses(&self, usual: &Usual) -> Vec<Excess> {
+        let of_stage = |stage: StageId| {
+            let each_ns = self.passage.phases(stage).map_or([0; 4], Phases::each_ns);
+            let usual_ns = usual.phases_ns[place(stage)];
+            (0..4).map(move |phase| Excess {
+                stage,
+                phase,
+                took_ns: each_ns[phase],
+                usual_ns: usual_ns[phase],
+            })
+        };
+        let mut all: Vec<Excess> =
+            StageId::ALL.into_iter().flat_map(of_stage).filter(|excess| excess.ns() >= USUAL_NS).collect();
+        all.sort_by_key(|excess| std::cmp::Reverse(excess.ns()));
+        all
+    }
+
+    fn told(&self, usual: &Usual) -> WorstTick {
+        let name = |stage: StageNumber| StageId::from_number(stage).map_or("unknown", StageId::name);
+        let excesses = self.excesses(usual);
+        let first = excesses.first().filter(|_| self.lost == 0);
+        let (mut stage, mut phase) =
+            first.map_or((None, None), |first| (Some(first.stage.name()), Some(Phases::NAMES[first.phase])));
+        let blame = |stage: &mut Option<&str>, phase: &mut Option<&str>, number, what| {
+            (*stage, *phase) = (Some(name(number)), Some(what));
+        };
+        let mut cause = if self.lost > 0 {
+            let ticks = if self.lost == 1 { "no forecasts".to_owned() } else { self.lost_ticks() };
+            match self.restarted {
+                Some(number) => {
+                    blame(&mut stage, &mut phase, number, "restart");
+                    format!("{ticks}: the {} was restarted", name(number))
+                }
+                None => format!("{ticks}: lost on the way"),
+            }
+        } else if self.flags & flags::PREDICTED != 0 {
+            format!("no detections came, its tracks are predicted{}", then(&self.slow(&excesses, usual)))
+        } else if self.flags & flags::VOID != 0 {
+            "a stage refused it or it came late: it was passed on empty".to_owned()
+        } else if self.lacks_controls() {
+            match self.blame {
+                Some(Blame::Restarted(number)) => {
+                    blame(&mut stage, &mut phase, number, "restart");
+                    format!("its controls did not come: the {} was restarted", name(number))
+                }
+                Some(Blame::Behind(number, late_ns)) => {
+                    blame(&mut stage, &mut phase, number, "wake-up");
+                    let late = number_of_ms(late_ns);
+                    format!("its controls did not come: the {} took its next frame {late} late", name(number))
+                }
+                Some(Blame::Nobody) => {
+                    "its controls came too late or were lost; no stage was behind at the next tick".to_owned()
+                }
+                None => "its controls did not come, and no later tick tells why".to_owned(),
+            }
+        } else {
+            match self.restarted {
+                Some(number) => {
+                    let slow = then(&self.slow(&excesses, usual));
+                    format!("the first tick of the restarted {}{slow}", name(number))
+                }
+                None => self.slow(&excesses, usual),
+            }
+        };
+        if self.not_learned > 0 {
+            let why = Cause::from_number(self.cause).map_or("unknown", Cause::name);
+            let (not_learned, agents) = (count(self.not_learned.into()), count(self.agents.into()));
+            cause += &format!("; {not_learned} of {agents} forecasts not learned ({why})");
+        }
+        WorstTick {
+            tick: self.seq,
+            stamp_ns: self.stamp_ns,
+            end_to_end_ms: self.passage.end_to_end_ns.filter(|_| self.lost == 0).map(ms),
+            ticks_lost: self.lost,
+            agents: self.agents.into(),
+            not_learned: self.not_learned.into(),
+            stage: stage.map(str::to_owned),
+            phase: phase.map(str::to_owned),
+            cause,
+        }
+    }
+
+    fn lost_ticks(&self) -> String {
+        format!("{} ticks without forecasts", count(self.lost))
+    }
+
+    /// What made the tick slow, of what its own phases tell.
+    fn slow(&self, excesses: &[Excess], usual: &Usual) -> String {
+        let Some(first) = excesses.first() else { return "no phase took longer than usual".to_owned() };
+        let total_ns: u64 = excesses.iter().map(Excess::ns).sum();
+        let stages_len =
+            StageId::ALL.iter().filter(|&&stage| excesses.iter().any(|e| e.stage == stage)).count();
+        let told = format!("the {} {}", first.stage.name(), first.told());
+        // More agents make every stage slower, and so does a machine that is busy.
+        let many = f64::from(self.agents) > 1.25 * usual.agents && self.agents > 8;
+        if many && first.phase == 2 {
+            let usual_agents = usual.agents.round() as u64;
+            return format!("{told}: {} agents (usually {})", self.agents, usual_agents);
+        }
+        if stages_len >= 4 && first.ns() * 2 < total_ns {
+            return format!("{stages_len} stages were slower than usual, most of all {told}");
+        }
+        let second = excesses.get(1).filter(|second| second.ns() * 3 >= first.ns());
+        match second {
+            Some(second) if second.stage == first.stage => format!("{told} and {}", second.told()),
+            Some(second) => format!("{told}, the {} {}", second.stage.name(), second.told()),
+            None => told,
+        }
+    }
+}
+
+fn then(text: &str) -> String {
+    format!("; {text}")
+}
+
+fn number_of_ms(time_ns: u64) -> String {
+    format!("{} ms", number(Some(ms(time_ns))))
+}
+
+#[cfg(test)]
+mod tests;

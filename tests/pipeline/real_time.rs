@@ -1,0 +1,45 @@
+//! Processors of a stage, its memory, and conditions on a run's figures.
+
+use recorder::Report;
+
+use crate::scratch::Scratch;
+use crate::started::{run, run_well, stderr, stdout};
+
+#[test]
+fn a_run_fails_where_a_figure_is_out_of_bounds() {
+    let scene = ["run", "--quiet", "--agents", "3", "--ticks", "15", "--speed", "max"];
+    let with = |conditions: &[&str]| {
+        let conditions = conditions.iter().flat_map(|condition| ["--fail-if", condition]);
+        run(&scene.into_iter().chain(conditions).collect::<Vec<_>>())
+    };
+    let passed = with(&["lost_frames > 0", "end_to_end_max > 600 s"]);
+    assert!(passed.status.success(), "{}", stderr(&passed));
+    let failed = with(&["end_to_end_p50 > 0 us", "lost_frames > 0", "end_to_end_p999 > 1 s"]);
+    assert_eq!(failed.status.code(), Some(70), "{}", stderr(&failed));
+    let told = stderr(&failed);
+    assert!(told.contains("--fail-if 'end_to_end_p50 > 0 us': it is "), "{told}");
+    assert!(told.contains("'end_to_end_p999 > 1 s': the run was too short to measure it"), "{told}");
+    assert!(!told.contains("lost_frames") && stdout(&failed).contains("LATENCY ms"), "{told}");
+    let unknown = with(&["speed > 3 ms"]);
+    assert_eq!(unknown.status.code(), Some(2), "{}", stderr(&unknown));
+    assert!(stderr(&unknown).contains("there is no figure \"speed\""), "{}", stderr(&unknown));
+}
+
+#[test]
+fn a_run_tells_its_memory_and_which_processors_it_could_not_have() {
+    let scratch = Scratch::new("processors");
+    let pipeline = scratch.pipeline("p.toml", "name = \"encoder\"", "name = \"encoder\"\ncpu = [1023]");
+    let report = scratch.path("report.json");
+    let scene = ["run", "--quiet", "--agents", "3", "--ticks", "1500", "--speed", "max"];
+    let output = run_well(&[&scene[..], &["--pipeline", &pipeline, "--report", &report]].concat());
+    let note = "the encoder can't have processor 1023: it runs on any";
+    assert!(stderr(&output).contains(note) && stdout(&output).contains(note), "{}", stderr(&output));
+    let report = Report::read(report.as_ref()).unwrap();
+    assert_eq!(report.supervision.notes, [note]);
+    let memory = &report.supervision.memory;
+    for stage in ["tracker", "localiser", "extractor", "encoder", "decoder", "sampler"] {
+        let of_stage = memory.get(stage).unwrap_or_else(|| panic!("{stage}: {memory:?}"));
+        assert!(of_stage.ticks > 0 && of_stage.resident_kib > 0, "{stage}: {memory:?}");
+    }
+    assert!(stdout(&output).contains(" MEMORY      page faults in the last "), "{}", stdout(&output));
+}

@@ -1,0 +1,157 @@
+//! Runs that are recorded: what is in the file, that it replays, and that it costs the run nothing.
+
+use std::path::Path;
+
+use recording::{Happened, Message, Recording};
+use rustix::process::Signal;
+
+use crate::scratch::Scratch;
+use crate::started::{Started, assert_nothing_left, piped, run, run_well, stderr, stdout, wait_for};
+
+/// Records a generated scene in lockstep, all topics of it.
+fn lockstep(scratch: &Scratch, name: &str, seed: &str) -> String {
+    let file = scratch.path(name);
+    let forecasts = scratch.path(&format!("{name}.jsonl"));
+    let scene = ["run", "--ticks", "60", "--agents", "10", "--speed", "max", "--quiet", "--seed", seed];
+    let record = ["--record", &file, "--record-topics", "all", "--forecasts", &forecasts];
+    run_well(&[&scene[..], &record].concat());
+    file
+}
+
+fn messages(path: &str) -> (Recording, Vec<Message>) {
+    let recording = Recording::open(Path::new(path)).unwrap_or_else(|error| panic!("{error}"));
+    let messages = recording.messages().collect::<Result<_, _>>().unwrap_or_else(|error| panic!("{error}"));
+    (recording, messages)
+}
+
+/// Ticks of a topic in the order in which they came.
+fn ticks(messages: &[Message], topic: &str) -> Vec<u64> {
+    let frames = messages.iter().filter_map(|message| match message {
+        Message::Frame(frame) if frame.topic().name == topic && frame.header().is_tick() => {
+            Some(frame.header().seq)
+        }
+        _ => None,
+    });
+    frames.collect()
+}
+
+#[test]
+fn a_lockstep_recording_replays_to_the_same_bytes() {
+    let scratch = Scratch::new("record-lockstep");
+    let file = lockstep(&scratch, "a.mcap", "3");
+    let (recording, all) = messages(&file);
+    assert!(recording.is_complete());
+    recording.verify().unwrap_or_else(|error| panic!("{error}"));
+    for topic in ["detections", "tracks", "context", "features", "encodings", "controls", "forecasts"] {
+        assert_eq!(ticks(&all, topic), (0..60).collect::<Vec<_>>(), "{topic}");
+    }
+    let about = recording.about();
+    assert!(about.run.lockstep && about.run.seed == 3 && about.pipeline.contains("[[stage]]"));
+    let happened =
+        |what: &Happened| all.iter().any(|m| matches!(m, Message::Event(event) if event.what == *what));
+    assert!(happened(&Happened::Linked) && happened(&Happened::Ended { how: "done".to_owned() }));
+
+    let replayed = run_well(&["replay", &file]);
+    assert!(stdout(&replayed).contains("equal to the byte: 60 ticks"), "{}", stdout(&replayed));
+    for stage in ["tracker", "localiser", "extractor", "encoder", "decoder", "sampler"] {
+        let replayed = run_well(&["replay", &file, "--stage", stage]);
+        assert!(stdout(&replayed).contains("equal to the byte: 60 ticks"), "{stage}: {}", stdout(&replayed));
+    }
+    read_by_python(&file, &scratch.path("a.mcap.jsonl"));
+}
+
+/// PyPI's `mcap` reads the file, where it is installed.
+fn read_by_python(file: &str, forecasts: &str) {
+    let python = std::env::var("STGDAT_PYTHON").unwrap_or_else(|_| "python3".into());
+    let script = concat!(env!("CARGO_MANIFEST_DIR"), "/../tests/interop/read_mcap.py");
+    let output = match piped(&python).args([script, file, forecasts]).output() {
+        Ok(output) => output,
+        Err(error) => return eprintln!("skipped: {python}: {error}"),
+    };
+    let said = stdout(&output);
+    if output.status.code() == Some(77) {
+        return eprintln!("{said} (STGDAT_PYTHON names another interpreter)");
+    }
+    assert!(output.status.success(), "{said}{}", stderr(&output));
+    for line in ["tracks 6", "forecasts 6", "events 2", "different: none"] {
+        assert!(said.contains(line), "no {line:?}: {said}");
+    }
+}
+
+#[test]
+fn two_runs_of_a_seed_are_equal_and_of_two_seeds_differ() {
+    let scratch = Scratch::new("record-diff");
+    let [a, b, other] =
+        [("a.mcap", "3"), ("b.mcap", "3"), ("c.mcap", "4")].map(|(n, s)| lockstep(&scratch, n, s));
+    let same = run_well(&["diff", &a, &b]);
+    assert!(stdout(&same).contains("equal to the byte: 60 ticks"), "{}", stdout(&same));
+    let different = run(&["diff", &a, &other]);
+    assert_eq!(different.status.code(), Some(1), "{}", stderr(&different));
+    let text = stdout(&different);
+    assert!(text.contains("the runs differ in seed: 3 and 4"), "{text}");
+    assert!(text.contains("first difference: tick 0, detections"), "{text}");
+}
+
+#[test]
+fn a_run_with_a_kill_is_recorded_and_the_next_tool_finds_it_by_itself() {
+    let scratch = Scratch::new("record-kill");
+    let file = scratch.path("kill.mcap");
+    let scene = ["--ticks", "150", "--agents", "8", "--quiet", "--record", &file];
+    let started = Started::run(&scene);
+    let root = started.wait_until_it_runs();
+    let late = scratch.path("late.mcap");
+    let name =
+        root.file_name().and_then(|name| name.to_str()).expect("a run's directory has a name").to_owned();
+    let recorded =
+        run_well(&["record", &late, "--run", &name, "--topics", "forecasts,events", "--seconds", "2"]);
+    assert!(stdout(&recorded).contains("MB/s"), "{}", stdout(&recorded));
+    started.signal_stage("encoder", Signal::KILL);
+    let output = started.output();
+    assert!(output.status.success(), "{}", stderr(&output));
+    assert!(stdout(&output).contains("kill.mcap: "), "the file is told: {}", stdout(&output));
+    assert_nothing_left(&root);
+
+    let (recording, all) = messages(&late);
+    assert!(recording.is_complete() && !ticks(&all, "forecasts").is_empty());
+    assert!(ticks(&all, "detections").is_empty());
+    let (recording, all) = messages(&file);
+    assert!(recording.is_complete());
+    assert_eq!(ticks(&all, "detections").len(), 150);
+    let died = all.iter().any(|message| {
+        matches!(message, Message::Event(event) if matches!(&event.what, Happened::Died { stage, .. } if stage == "encoder"))
+    });
+    assert!(died);
+    // Real time on a busy machine: what is promised is that it says from where on it agrees.
+    let replayed = run(&["replay", &file]);
+    let text = stdout(&replayed);
+    assert!(
+        ["agrees from tick", "equal", "differs still"].iter().any(|told| text.contains(told)),
+        "{text}{}",
+        stderr(&replayed)
+    );
+}
+
+#[test]
+fn a_recording_that_is_killed_is_readable_and_the_run_goes_on() {
+    let scratch = Scratch::new("record-killed");
+    let file = scratch.path("killed.mcap");
+    let started = Started::run(&["--ticks", "120", "--agents", "6", "--quiet"]);
+    let root = started.wait_until_it_runs();
+    let record = ["record", &file, "--run", &root.display().to_string()];
+    let recorder = Started::spawn(crate::started::stgdat().args(record));
+    wait_for("nothing is recorded", || {
+        let recording = Recording::open(Path::new(&file)).ok()?;
+        let len = recording.messages().flatten().count();
+        (len > 20).then_some(())
+    });
+    recorder.signal(Signal::KILL);
+    drop(recorder.output());
+    let (recording, all) = messages(&file);
+    assert!(!recording.is_complete() && !all.is_empty());
+    let refused = run(&["record", &file, "--run", &root.display().to_string()]);
+    assert!(stderr(&refused).contains("not replaced"), "{}", stderr(&refused));
+    let output = started.output();
+    assert!(output.status.success(), "{}", stderr(&output));
+    let shown = run(&["replay", &file]);
+    assert!(stdout(&shown).contains("INCOMPLETE"), "{}", stdout(&shown));
+}
