@@ -44,7 +44,7 @@ mod belief;
 mod class;
 mod estimate;
 mod estimates;
-mod feedback;
+pub mod feedback;
 mod field_of_view;
 mod forecasts;
 mod front;

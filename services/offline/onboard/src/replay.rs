@@ -1,8 +1,8 @@
 //! A recording once more: its ticks through the stages, compared with what was recorded.
 //!
 //! What depended on the clock in the run is taken from the record, not computed again: which ticks a stage had at
-//! all, which forecasts the tracker had at hand, whether the controls came before the sampler's deadline, and when
-//! a stage was restarted. All numbers are computed anew.
+//! all, which forecasts the tracker had at hand, whether the controls came before the sampler's deadline, which
+//! agents were shed, and when a stage was restarted. All numbers are computed anew.
 
 mod tick;
 
@@ -211,7 +211,15 @@ impl<'a> Replay<'a> {
             self.compare(tick, sampled.as_ref(), each);
         }
         let sent_ns = recorded_forecasts.as_ref().and_then(|f| Some(f.header.hop(StageId::Sampler)?.sent_ns));
-        if let Some(forecasts) = sampled.or(recorded_forecasts).filter(|f| !f.header.has(flags::VOID)) {
+        // What the tracker tells of their cost is by the run's own hops.
+        let with_hops = |mut frame: OwnFrame<ForecastsTopic>| {
+            if let Some(recorded) = &recorded_forecasts {
+                frame.header = frame.header.with_hops_of(&recorded.header);
+            }
+            frame
+        };
+        let forecasts = sampled.map(with_hops).or_else(|| recorded_forecasts.clone());
+        if let Some(forecasts) = forecasts.filter(|f| !f.header.has(flags::VOID)) {
             self.forecasts.push_back((sent_ns.unwrap_or(0), forecasts));
             if self.forecasts.len() > PRIORS_MAX {
                 self.forecasts.pop_front();
@@ -307,7 +315,7 @@ impl<'a> Replay<'a> {
         if !self.has_passed(StageId::Decoder, tick, ControlsTopic::NAME)? {
             return Ok(None);
         }
-        let controls = self.stages.decode(&encodings);
+        let controls = self.stages.decode(&encodings, tick.shedder().as_ref());
         self.compare(tick, Some(&controls), each);
         Ok(Some(controls))
     }
@@ -333,7 +341,8 @@ impl<'a> Replay<'a> {
                 self.compare(tick, made.as_ref(), each);
             }
             _ => {
-                let made = tick.own(impossible).map(|input| self.stages.decode(&input));
+                let shedder = tick.shedder();
+                let made = tick.own(impossible).map(|input| self.stages.decode(&input, shedder.as_ref()));
                 self.compare(tick, made.as_ref(), each);
             }
         }

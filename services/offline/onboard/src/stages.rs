@@ -103,10 +103,14 @@ impl Stages {
         prior: Option<(&Header, &[Forecast])>,
     ) -> OwnFrame<TracksTopic> {
         let tracked = self.tracker.step(header, detections, prior, &mut self.tracks);
-        let header = self.tracker.header(header);
+        let mut header = self.tracker.header(header);
         match tracked {
             Ok(tracked) if tracked.replayed_len == 0 => {
-                OwnFrame { header, elements: self.tracks[..tracked.tracks_len].to_vec() }
+                let tracks = &mut self.tracks[..tracked.tracks_len];
+                if !header.has(flags::LOCKSTEP) {
+                    tracker::feedback::tell(&mut header, tracks, prior);
+                }
+                OwnFrame { header, elements: tracks.to_vec() }
             }
             // Out of sequence, or refused.
             Ok(_) | Err(_) => OwnFrame::void(&header),
@@ -156,12 +160,24 @@ impl Stages {
         or_void(features.header, encoded.map(|()| elements))
     }
 
-    /// The decoder's answer to encodings.
-    pub fn decode(&mut self, encodings: &OwnFrame<EncodingsTopic>) -> OwnFrame<ControlsTopic> {
+    /// The decoder's answer to encodings, without the agents that the frame of `recorded` tells to have been shed.
+    pub fn decode(
+        &mut self,
+        encodings: &OwnFrame<EncodingsTopic>,
+        recorded: Option<&Header>,
+    ) -> OwnFrame<ControlsTopic> {
         if encodings.is_void() {
             return OwnFrame::void(&encodings.header);
         }
         let mut header = encodings.header;
+        let mut encodings = encodings.clone();
+        for (place, agent) in encodings.elements.iter_mut().enumerate() {
+            let is_shed = agent.shed != 0 || recorded.is_some_and(|recorded| recorded.is_shed(place));
+            if agent.forecastable != 0 && is_shed {
+                agent.shed = 1;
+                header.mark_shed(place);
+            }
+        }
         let mut elements = vec![AgentControls::zeroed(); Decoder::len(&encodings.elements)];
         header.counts.agents_len = elements.len() as u32;
         (header.counts.horizon_len, header.counts.modes_len) = self.lens();
@@ -181,10 +197,11 @@ impl Stages {
         let (mut header, tracks) = (tracks.header, &tracks.elements);
         let mut elements = vec![Forecast::zeroed(); tracks.len()];
         let learned = match controls {
-            Some(controls) if !controls.is_void() => self
-                .sampler
-                .learned(&header, tracks, &controls.elements, &mut elements)
-                .map_err(|_| Cause::Rejected),
+            Some(controls) if !controls.is_void() => {
+                header.shed = controls.header.shed;
+                let learned = self.sampler.learned(&header, tracks, &controls.elements, &mut elements);
+                learned.map_err(|_| Cause::Rejected)
+            }
             Some(_) => Err(Cause::Rejected),
             None => Err(Cause::Late),
         };

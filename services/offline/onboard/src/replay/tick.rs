@@ -1,5 +1,5 @@
 use recording::{Frame, FrameError};
-use wire::{ForecastsTopic, StageId, Topic};
+use wire::{ControlsTopic, ForecastsTopic, Header, StageId, Topic};
 
 use crate::stages::OwnFrame;
 
@@ -39,6 +39,12 @@ impl Tick {
         let by_output = self.frame(writes).map(|frame| frame.header().incarnation);
         let by_hop = || Some(self.frame(ForecastsTopic::NAME)?.header().hop(stage)?.incarnation);
         by_output.or_else(by_hop)
+    }
+
+    /// The header that tells which agents the tick had no time for.
+    pub fn shedder(&self) -> Option<Header> {
+        let frame = self.frame(ControlsTopic::NAME).or_else(|| self.frame(ForecastsTopic::NAME));
+        frame.map(|frame| *frame.header())
     }
 
     /// When its last frame was received.
