@@ -5,6 +5,7 @@
 
 use std::collections::VecDeque;
 use std::io::{BufRead, BufReader, Read};
+use std::os::fd::{AsFd, BorrowedFd, OwnedFd};
 use std::os::unix::process::{CommandExt, ExitStatusExt};
 use std::path::{Path, PathBuf};
 use std::process::{Child as Process, Command, ExitStatus, Stdio};
@@ -16,7 +17,9 @@ use config::Scheduling;
 use nn::kernels;
 use ports::{INCARNATION_VARIABLE, LAUNCHER_VARIABLE, RUN_VARIABLE, STANDBY_VARIABLE, TOPICS_VARIABLE};
 use run::{Exit, Run};
-use rustix::process::{Pid, Signal, kill_process, set_parent_process_death_signal};
+use rustix::process::{
+    Pid, PidfdFlags, Signal, kill_process, pidfd_open, set_parent_process_death_signal,
+};
 use wire::StageId;
 
 use crate::failure::{Failure, StageDeath};
@@ -70,6 +73,8 @@ pub struct Child {
     /// The stage.
     pub stage: StageId,
     process: Process,
+    /// Readable once the process has ended; none where the kernel is too old.
+    descriptor: Option<OwnedFd>,
     ended: Option<ExitStatus>,
     last_lines: Arc<Mutex<VecDeque<String>>>,
     readers: Vec<JoinHandle<()>>,
@@ -141,7 +146,13 @@ impl Child {
                 std::thread::spawn(move || read_lines(output, stage, &kept, &lines))
             })
             .collect();
-        Ok(Self { stage, process, ended: None, last_lines, readers })
+        let descriptor = end_of(&process);
+        Ok(Self { stage, process, descriptor, ended: None, last_lines, readers })
+    }
+
+    /// Readable once the process has ended; none where that is known.
+    pub fn descriptor(&self) -> Option<BorrowedFd<'_>> {
+        self.descriptor.as_ref().filter(|_| self.ended.is_none()).map(AsFd::as_fd)
     }
 
     /// Its process number.
@@ -187,6 +198,11 @@ impl Child {
             last_lines: kept.iter().cloned().collect(),
         }
     }
+}
+
+/// A descriptor that is readable once a child has ended; none where the kernel has no such.
+pub fn end_of(process: &Process) -> Option<OwnedFd> {
+    pidfd_open(Pid::from_child(process), PidfdFlags::empty()).ok()
 }
 
 /// Has the kernel kill the program when the thread that starts it, the launcher's first, ends.

@@ -70,9 +70,14 @@ impl Watch {
         self.peers.unlinked()
     }
 
-    /// Sleeps until a heartbeat or for at most half an update interval; then shows what was received.
-    pub fn follow(&mut self, lines: impl Iterator<Item = Line>) -> Result<Vec<Heartbeat>, Failure> {
-        self.peers.heartbeats().sleep(UPDATE / 2)?;
+    /// Sleeps until a heartbeat or the end of a process, or for at most half an update interval; then shows what was received.
+    pub fn follow(
+        &mut self,
+        lines: impl Iterator<Item = Line>,
+        fleet: &Fleet,
+    ) -> Result<Vec<Heartbeat>, Failure> {
+        self.peers.heartbeats().sleep_or(&fleet.descriptors(), UPDATE / 2)?;
+        self.view.spares(fleet.spares());
         let heartbeats = self.peers.listen()?;
         for heartbeat in &heartbeats {
             self.view.heartbeat(heartbeat);
@@ -140,6 +145,13 @@ impl Watch {
                 self.outages.tried(replaced);
                 self.view.replaced(replaced.stage, replaced.outcome);
                 self.display.line(&format!("launcher: {replaced}"));
+            }
+            Event::Promoted { stage } => {
+                self.outages.promoted(*stage);
+                self.display.line(&format!("launcher: the spare of the {} takes its place", stage.name()));
+            }
+            Event::SpareGivenUp { stage, how } => {
+                self.display.line(&format!("launcher: the {}: {how}", stage.name()));
             }
             Event::Starved { stage } => {
                 self.outages.starved(*stage);

@@ -48,6 +48,7 @@ const BUILT_IN: &[(&str, &str)] = scenarios![
     "16-launcher-killed",
     "17-broken-replacement",
     "17-replace",
+    "18-spare",
 ];
 
 /// The built-in specifications.

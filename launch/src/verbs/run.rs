@@ -1,3 +1,4 @@
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant, SystemTime};
 
@@ -5,11 +6,11 @@ use clap::{Args, ValueEnum};
 use config::Pipeline;
 use localiser::MapChoice;
 use nn::Weights;
-use ports::{Space, Stop};
+use ports::{Space, Stop, Topics};
 use recorder::live::LiveOptions;
-use recorder::{Report, RunInfo, Supervision};
+use recorder::{Report, RunInfo, SpareReport, Supervision};
 use recording::{About, Happened};
-use run::{Exit, Run, StageRun};
+use run::{Exit, Run, SpareRun, StageRun};
 use scene::ContextMap;
 use source::{Playback, PlaybackOptions};
 use toml::Value;
@@ -123,6 +124,7 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
         shed: pipeline.shed,
         weights: weights_path,
         stages: stage_runs(&pipeline, &options),
+        spares: spare_runs(&pipeline, arguments.speed == Speed::Max),
     };
     weights.config().write(&run.root).map_err(Failure::data)?;
     let live = live_options(&run, &info, playback.ticks_len());
@@ -157,6 +159,7 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
         let ended_by = ended.outcome.as_ref().err().map(ToString::to_string);
         let mut supervision = ended.outages.into_record(ended_by);
         supervision.memory = ended.memory.into_report();
+        supervision.spares = ended.spares;
         let given_up = !supervision.given_up.is_empty();
         let measured = report(arguments, measured, info, supervision)?;
         ended.recorded.iter().for_each(|line| println!("{line}"));
@@ -184,6 +187,8 @@ struct Ended {
     linked: bool,
     outages: Outages,
     memory: Memory,
+    /// What became of the spares.
+    spares: BTreeMap<String, SpareReport>,
     /// What the recording says of its file.
     recorded: Vec<String>,
     /// Files about the run that could not be written.
@@ -255,6 +260,13 @@ fn stage_runs(pipeline: &Pipeline, options: &StageOptions) -> Vec<StageRun> {
     runs
 }
 
+/// The spares of the run record; none in lockstep, where no stage is started again.
+fn spare_runs(pipeline: &Pipeline, lockstep: bool) -> Vec<SpareRun> {
+    let with_spare = pipeline.stages.iter().filter(|stage| stage.spare && !lockstep);
+    let topics = |stage: &config::Stage| stage.reads.iter().chain(&stage.writes).cloned().collect();
+    with_spare.map(|stage| SpareRun { stage: stage.id as u32, topics: topics(stage) }).collect()
+}
+
 /// Writes the run's record, and its path to the file that is to announce it, which appears whole.
 fn write_record(run: &Run, announce: Option<&Path>) -> Result<PathBuf, Failure> {
     let record = run.root.join("run");
@@ -279,6 +291,8 @@ fn supervise(
 ) -> Result<Ended, Failure> {
     let Following { mut tap, recording, mut watch } = following;
     let control = Control::open(run)?;
+    // Whoever opens a topic first makes it: a program of the user's own would leave no places for spares.
+    let _topics = (!run.spares.is_empty()).then(|| Topics::make(run)).transpose()?;
     let mut fleet = Fleet::start(pipeline, run, record, keeps_memory)?;
     fleet.notes().into_iter().for_each(|note| watch.note(note));
     let mut memory = Memory::default();
@@ -290,7 +304,7 @@ fn supervise(
         if tap.tend() {
             fleet.clean_up();
         }
-        let heartbeats = match watch.follow(lines.into_iter()) {
+        let heartbeats = match watch.follow(lines.into_iter(), &fleet) {
             Ok(heartbeats) => heartbeats,
             Err(failure) => break Err(failure),
         };
@@ -322,6 +336,7 @@ fn supervise(
             break Err(Failure::Failed(format!("not linked after {seconds} s: {}", names.join(", "))));
         }
     };
+    let spares = fleet.spare_reports();
     fleet.end();
     let lines: Vec<Line> = fleet.lines().collect();
     lines.iter().for_each(|(stage, line)| tap.line(stage.name(), line));
@@ -339,7 +354,7 @@ fn supervise(
     }
     let unkept = keeps_memory.then(|| fleet.failure(StageId::Sampler)).flatten();
     let (outages, unwritten) = watch.close(lines.into_iter(), &fleet);
-    Ok(Ended { outcome, unkept, linked, outages, memory, recorded, unwritten })
+    Ok(Ended { outcome, unkept, linked, outages, memory, spares, recorded, unwritten })
 }
 
 /// Takes orders to replace stages, and gives a new process that is warm its turn between two ticks.

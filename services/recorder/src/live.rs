@@ -67,6 +67,8 @@ pub struct LiveStage {
     pub restarts: u32,
     /// Times that it was replaced.
     pub replaced: u32,
+    /// What its spare is doing, and times that one took its place; none where it has none.
+    pub spare: Option<(&'static str, u32)>,
     /// Whether its last heartbeat is recent; `None` before the first.
     pub alive: Option<bool>,
 }
@@ -82,6 +84,7 @@ pub struct LiveView {
     late_by_stage: [u64; STAGES_LEN],
     /// Times that each stage was replaced, and the incarnations that were no restarts.
     replaced: [(u32, u32); STAGES_LEN],
+    spares: [Option<(&'static str, u32)>; STAGES_LEN],
     first_released_ns: Option<u64>,
     now_ns: u64,
     limit_ns: u64,
@@ -115,6 +118,7 @@ impl LiveView {
             beats: [None; STAGES_LEN],
             late_by_stage: [0; STAGES_LEN],
             replaced: [(0, 0); STAGES_LEN],
+            spares: [None; STAGES_LEN],
             first_released_ns: None,
             now_ns: 0,
             next_seq: None,
@@ -187,6 +191,11 @@ impl LiveView {
         *incarnations += outcome.incarnations();
     }
 
+    /// Takes what the spares are doing: each with its stage, a word, and times that it took the stage's place.
+    pub fn spares(&mut self, spares: impl Iterator<Item = (StageId, &'static str, u32)>) {
+        spares.for_each(|(stage, state, promotions)| self.spares[place(stage)] = Some((state, promotions)));
+    }
+
     /// Takes the time (`CLOCK_MONOTONIC`), from which the run's duration and silent stages follow.
     pub const fn clock(&mut self, now_ns: u64) {
         self.now_ns = now_ns;
@@ -231,6 +240,7 @@ impl LiveView {
                     refused: refusals.iter().find(|refused| refused.reader == stage.name()).cloned(),
                     restarts: self.losses.restarts(stage).saturating_sub(self.replaced[place(stage)].1),
                     replaced: self.replaced[place(stage)].0,
+                    spare: self.spares[place(stage)],
                     alive: beat.map(|beat| self.now_ns.saturating_sub(beat.sent_ns) <= SILENT_NS),
                 };
                 (stage, row)

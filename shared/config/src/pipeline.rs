@@ -36,6 +36,8 @@ pub struct Stage {
     pub restart: RestartPolicy,
     /// Where and with what priority it runs.
     pub scheduling: Scheduling,
+    /// Whether a second process waits to take its place.
+    pub spare: bool,
 }
 
 /// A checked graph of stages, in the order of the file.

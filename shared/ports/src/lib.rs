@@ -63,7 +63,7 @@ mod wait;
 pub use clock::monotonic_ns;
 pub use error::{Awaiting, PortError, StageError};
 pub use names::TOPICS_VARIABLE;
-pub use node::{Node, clean_dead_nodes};
+pub use node::{Node, Topics, clean_dead_nodes};
 pub use peers::{Peers, TAP};
 pub use points::{POINTS_VARIABLE, Point};
 pub use program::{

@@ -6,8 +6,11 @@ use iceoryx2::service::builder::publish_subscribe::{
     PublishSubscribeCreateError, PublishSubscribeOpenError, PublishSubscribeOpenOrCreateError,
 };
 use iceoryx2::service::port_factory::{event, publish_subscribe};
-use run::Run;
-use wire::{HeartbeatsTopic, StageId, Topic};
+use run::{Run, SpareRun};
+use wire::{
+    ContextTopic, ControlsTopic, DetectionsTopic, EncodingsTopic, FeaturesTopic, ForecastsTopic, HeartbeatsTopic,
+    StageId, Topic, TracksTopic, TruthTopic,
+};
 
 use crate::element::{Element, Head};
 use crate::names::Names;
@@ -53,6 +56,7 @@ pub struct Node {
     names: Names,
     protected: Vec<String>,
     lockstep: bool,
+    spares: Vec<SpareRun>,
 }
 
 /// The two services of one topic.
@@ -76,8 +80,8 @@ impl Node {
             .map_err(PortError::of_node("node"))?;
         let (interval, sender) = (Duration::from_nanos(run.interval_ns), Sender::default());
         let (names, protected) = (Names::default(), run.protected.clone());
-        let (run_id, lockstep) = (run.id, run.lockstep);
-        Ok(Self { node, run_id, interval, stop, sender, names, protected, lockstep })
+        let (run_id, lockstep, spares) = (run.id, run.lockstep, run.spares.clone());
+        Ok(Self { node, run_id, interval, stop, sender, names, protected, lockstep, spares })
     }
 
     /// The same node as that of a stage: the headers of all that it sends report so, and its topics have the
@@ -131,15 +135,19 @@ impl Node {
         let name: ServiceName =
             format!("stgdat/{name}").as_str().try_into().map_err(PortError::of("service name", T::NAME))?;
         let alignment = Alignment::new(ALIGNMENT).expect("64 is a power of two");
+        // Each spare may read the topic, and a place of a process that died is free only once it is cleaned up.
+        let spares = self.spares.iter().filter(|spare| spare.opens(T::NAME)).count();
+        let (readers_max, nodes_max) = (T::SUBSCRIBERS_MAX + spares, NODES_MAX + self.spares.len());
+        let writers_max = T::PUBLISHERS_MAX + if T::PUBLISHERS_MAX > 1 { spares } else { 0 };
         let frames = || {
             self.node
                 .service_builder(&name)
                 .publish_subscribe::<[Element<T>]>()
                 .user_header::<Head>()
                 .payload_alignment(alignment)
-                .max_publishers(T::PUBLISHERS_MAX)
-                .max_subscribers(T::SUBSCRIBERS_MAX)
-                .max_nodes(NODES_MAX)
+                .max_publishers(writers_max)
+                .max_subscribers(readers_max)
+                .max_nodes(nodes_max)
                 .subscriber_max_buffer_size(T::DEPTH_MAX)
                 .subscriber_max_borrowed_samples(BORROWED_MAX)
                 .history_size(HISTORY)
@@ -153,9 +161,9 @@ impl Node {
                 .service_builder(&name)
                 .event()
                 .deadline(2 * interval)
-                .max_notifiers(T::PUBLISHERS_MAX)
-                .max_listeners(T::SUBSCRIBERS_MAX)
-                .max_nodes(NODES_MAX)
+                .max_notifiers(writers_max)
+                .max_listeners(readers_max)
+                .max_nodes(nodes_max)
                 .notifier_created_event(EventId::new(event_id::CREATED))
                 .notifier_dropped_event(EventId::new(event_id::DROPPED))
                 .notifier_dead_event(EventId::new(event_id::DEAD))
@@ -179,6 +187,38 @@ impl Node {
                 opened => return opened,
             }
         }
+    }
+}
+
+/// The topics of a run, made before any other process opens them, with places for all spares. They last as long as a
+/// process has them open.
+#[derive(Debug)]
+pub struct Topics {
+    _services: Vec<Box<dyn std::fmt::Debug>>,
+    _node: Node,
+}
+
+impl Topics {
+    /// Makes those of a run.
+    ///
+    /// # Errors
+    /// [`PortError`] where one can't be made.
+    pub fn make(run: &Run) -> Result<Self, PortError> {
+        let node = Node::open(run, "topics")?;
+        fn of<T: Topic>(node: &Node) -> Result<Box<dyn std::fmt::Debug>, PortError> {
+            Ok(Box::new(node.services::<T>(T::NAME)?))
+        }
+        let services = vec![
+            of::<DetectionsTopic>(&node)?,
+            of::<TracksTopic>(&node)?,
+            of::<ContextTopic>(&node)?,
+            of::<FeaturesTopic>(&node)?,
+            of::<EncodingsTopic>(&node)?,
+            of::<ControlsTopic>(&node)?,
+            of::<ForecastsTopic>(&node)?,
+            of::<TruthTopic>(&node)?,
+        ];
+        Ok(Self { _services: services, _node: node })
     }
 }
 

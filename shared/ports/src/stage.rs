@@ -172,12 +172,26 @@ impl Stage {
     /// # Panics
     /// Where the stage has not declared that it writes the topic.
     pub fn publish<T: Topic>(&mut self) -> Result<Publisher<T>, PortError> {
+        self.publish_after::<T>(|_, _| ())
+    }
+
+    /// The same, and while it waits for its turn it gives `follow` each tick that the process before has sent.
+    ///
+    /// # Errors
+    /// As [`Stage::publish`].
+    ///
+    /// # Panics
+    /// As [`Stage::publish`].
+    pub fn publish_after<T: Topic>(
+        &mut self,
+        follow: impl FnMut(&Header, &[T::Element]),
+    ) -> Result<Publisher<T>, PortError> {
         let writes = self.declared.writes;
         assert!(writes.contains(&T::NAME), "the {} declares no output \"{}\"", self.id.name(), T::NAME);
         self.declared.opened.push(T::NAME);
         self.passed = false;
         if standby::is_standby() {
-            self.take_over::<T>()?;
+            self.take_over::<T>(follow)?;
         }
         let begun = std::time::Instant::now();
         loop {
@@ -192,14 +206,26 @@ impl Stage {
     }
 
     /// Waits for its turn, and goes on after the newest tick that the process before has sent.
-    fn take_over<T: Topic>(&mut self) -> Result<(), PortError> {
-        let sent = self.node.subscriber::<T>(DEPTH)?;
-        standby::await_turn(self.id, self.stop())?;
-        while let Some(frame) = sent.receive()? {
-            if frame.header().is_tick() {
-                self.taken_over = self.taken_over.max(Some(frame.header().seq));
+    fn take_over<T: Topic>(
+        &mut self,
+        mut follow: impl FnMut(&Header, &[T::Element]),
+    ) -> Result<(), PortError> {
+        // Looked at ten times a second: no frame that is to be followed is dropped.
+        let sent = self.node.subscriber::<T>(T::DEPTH_MAX)?;
+        let mut newest = None;
+        let mut look = || {
+            while let Some(frame) = sent.receive()? {
+                if frame.header().is_tick() {
+                    newest = newest.max(Some(frame.header().seq));
+                    follow(frame.header(), &frame);
+                }
             }
-        }
+            Ok(())
+        };
+        self.memory.tend();
+        standby::await_turn_and(self.id, self.node.stop(), &mut look)?;
+        look()?;
+        self.taken_over = newest;
         if let Some(seq) = self.taken_over {
             self.inputs[..self.on_the_way_len].iter().for_each(|input| input.resume_after(seq));
         }

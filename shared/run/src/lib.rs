@@ -45,4 +45,4 @@ mod record;
 
 pub use declaration::{Conflict, Declaration, Declared, NoOptions, OptionError};
 pub use exit::Exit;
-pub use record::{PROTECTED, RecordError, Run, StageRun};
+pub use record::{PROTECTED, RecordError, Run, SpareRun, StageRun};

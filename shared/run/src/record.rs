@@ -10,14 +10,14 @@ use std::path::{Path, PathBuf};
 use bincode::config::standard;
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
-use wire::{StageId, TICK_NS};
+use wire::{HeartbeatsTopic, StageId, TICK_NS, Topic};
 
 use crate::{Declaration, OptionError};
 
 /// First bytes of a record's file, before the schema's number and a line break.
 const MAGIC: &str = "stgdat-run ";
 /// Version of the record; counts up with every change of [`Run`].
-const SCHEMA: u32 = 7;
+const SCHEMA: u32 = 8;
 /// Largest record that is read; real ones have a few kilobytes.
 const BYTES_MAX: u64 = 1 << 20;
 
@@ -61,6 +61,25 @@ pub struct Run {
     pub weights: Option<PathBuf>,
     /// The stages, in the order in which a tick passes them.
     pub stages: Vec<StageRun>,
+    /// The spares: processes beside the stages, which take places on topics of their own.
+    pub spares: Vec<SpareRun>,
+}
+
+/// A process that waits to take the place of a stage's.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct SpareRun {
+    /// [`StageId`] as a number.
+    pub stage: u32,
+    /// The topics that its stage reads and writes.
+    pub topics: Vec<String>,
+}
+
+impl SpareRun {
+    /// Whether it takes a place on a topic. All may on that of the heartbeats: they send, and some listen.
+    #[must_use]
+    pub fn opens(&self, topic: &str) -> bool {
+        topic == HeartbeatsTopic::NAME || self.topics.iter().any(|name| name == topic)
+    }
 }
 
 /// Why a run's record can't be used.
@@ -128,6 +147,7 @@ impl Default for Run {
             shed: true,
             weights: None,
             stages: Vec::new(),
+            spares: Vec::new(),
         }
     }
 }
@@ -237,7 +257,18 @@ mod tests {
                 built_in: true,
                 options: "deadline_ms = 72.0\n".into(),
             }],
+            spares: vec![SpareRun {
+                stage: StageId::Sampler as u32,
+                topics: vec!["tracks".into(), "forecasts".into()],
+            }],
         }
+    }
+
+    #[test]
+    fn a_spare_takes_places_on_its_topics_and_on_that_of_heartbeats() {
+        let run = run(Path::new("/tmp/x"));
+        let opens = ["tracks", "heartbeats", "context"].map(|topic| run.spares[0].opens(topic));
+        assert_eq!(opens, [true, true, false]);
     }
 
     fn in_temporary_file<T>(name: &str, check: impl FnOnce(&Path) -> T) -> T {

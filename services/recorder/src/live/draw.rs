@@ -98,6 +98,13 @@ fn stage_line(name: &str, stage: &LiveStage, cells: usize) -> Line<'static> {
     if stage.replaced > 0 {
         spans.push(Span::styled(format!("  replaced {}×", stage.replaced), Color::Cyan));
     }
+    if let Some((state, promotions)) = stage.spare {
+        let colour = if state == "ready" { Color::Green } else { Color::Yellow };
+        spans.push(Span::styled(format!("  spare {state}"), colour));
+        if promotions > 0 {
+            spans.push(Span::styled(format!(", promoted {promotions}×"), Color::Yellow));
+        }
+    }
     if let Some(refused) = &stage.refused {
         let text = format!("  refused {} of the {}: {}", refused.frames, refused.sender, refused.cause);
         spans.push(Span::styled(text, Color::Red));

@@ -9,7 +9,7 @@ use super::error::Fault;
 use super::file::{File, StageTable};
 use super::options::options;
 use super::{Pipeline, Stage};
-use crate::{RestartPolicy, Scheduling};
+use crate::{Restart, RestartPolicy, Scheduling};
 
 /// What all budgets together may be: one tick.
 pub const BUDGET_MAX_MS: f64 = TICK_MS;
@@ -83,6 +83,7 @@ fn stage(table: &StageTable, declared: &[&dyn Declared], warnings: &mut Vec<Stri
         topics: renamed(table, declared)?,
         restart: restart(table)?,
         scheduling: scheduling(table)?,
+        spare: spare(table)?,
     })
 }
 
@@ -150,6 +151,17 @@ fn restart(table: &StageTable) -> Result<RestartPolicy, Fault> {
         start_limit: Duration::from_secs(start_limit_s),
         hang_after: Duration::from_millis(hang_after_ms),
     })
+}
+
+/// Whether the stage has a spare, which takes its place only where it is started again at all.
+fn spare(table: &StageTable) -> Result<bool, Fault> {
+    match &table.spare {
+        Some(spare) if *spare.get_ref() && table.restart == Some(Restart::Never) => {
+            let message = format!("the spare of the {} would never take its place", table.name.get_ref());
+            Err(Fault::new(spare.span(), message, "not with restart = \"never\""))
+        }
+        spare => Ok(spare.as_ref().is_some_and(|spare| *spare.get_ref())),
+    }
 }
 
 /// The stage's place among the processors, and its priority.

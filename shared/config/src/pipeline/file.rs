@@ -40,6 +40,7 @@ pub(super) struct StageTable {
     pub hang_after_ms: Option<Spanned<u64>>,
     pub cpu: Option<Spanned<Vec<Spanned<u64>>>>,
     pub priority: Option<Spanned<u64>>,
+    pub spare: Option<Spanned<bool>>,
 }
 
 /// A stage's options, which its declaration checks.
