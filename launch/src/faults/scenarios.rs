@@ -49,6 +49,7 @@ const BUILT_IN: &[(&str, &str)] = scenarios![
     "17-broken-replacement",
     "17-replace",
     "18-spare",
+    "18-spare-in-a-step",
 ];
 
 /// The built-in specifications.
