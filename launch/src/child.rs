@@ -17,9 +17,7 @@ use config::Scheduling;
 use nn::kernels;
 use ports::{INCARNATION_VARIABLE, LAUNCHER_VARIABLE, RUN_VARIABLE, STANDBY_VARIABLE, TOPICS_VARIABLE};
 use run::{Exit, Run};
-use rustix::process::{
-    Pid, PidfdFlags, Signal, kill_process, pidfd_open, set_parent_process_death_signal,
-};
+use rustix::process::{Pid, PidfdFlags, Signal, kill_process, pidfd_open, set_parent_process_death_signal};
 use wire::StageId;
 
 use crate::failure::{Failure, StageDeath};

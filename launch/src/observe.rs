@@ -159,7 +159,9 @@ impl Observer {
             Event::Died { .. } => format!("the {} {why}, and is started again", stage.name()),
             Event::GivenUp { .. } => format!("the {} is given up: it {why}", stage.name()),
             Event::Promoted { .. } => format!("the {}'s {why}", stage.name()),
-            Event::HandedOver(_) | Event::Starved { .. } | Event::SpareGivenUp { .. } => format!("the {} {why}", stage.name()),
+            Event::HandedOver(_) | Event::Starved { .. } | Event::SpareGivenUp { .. } => {
+                format!("the {} {why}", stage.name())
+            }
             Event::Tried(_) => format!("the {} by {why}: {name}", stage.name()),
         };
         if self.events.len() == EVENTS_MAX {

@@ -138,7 +138,9 @@ impl Spare {
         self.report.deaths += 1;
         let end = if status.code() == Some(Exit::Config as i32) { End::Config } else { End::Failure };
         let how = match self.supervision.ended(end, now) {
-            State::GivenUp { why } => Some(format!("its spare {} and is given up: {why}", child.death(status).how)),
+            State::GivenUp { why } => {
+                Some(format!("its spare {} and is given up: {why}", child.death(status).how))
+            }
             _ => None,
         };
         (self.child, self.turn) = (None, None);

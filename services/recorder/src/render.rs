@@ -5,8 +5,8 @@ mod pace;
 use std::fmt::{self, Write};
 
 use crate::report::{
-    Errors, Outage, Percentiles, RefusedFrames, Replacement, ReplacementOutcome, Report, Shed, StageMemory,
-    StageReport, SpareReport, Status, Supervision, WorstTick,
+    Errors, Outage, Percentiles, RefusedFrames, Replacement, ReplacementOutcome, Report, Shed, SpareReport,
+    StageMemory, StageReport, Status, Supervision, WorstTick,
 };
 use crate::text::{bar, count, number, percent, subscript};
 

@@ -35,8 +35,7 @@ impl Predecessor {
         self.before.extend(self.tracks.iter().map(|track| track.id).zip(self.histories.drain(..)));
         for track in tracks {
             let known = self.before.binary_search_by_key(&track.id, |(id, _)| *id);
-            let mut history =
-                known.map_or_else(|_| of_window(header, track), |place| self.before[place].1);
+            let mut history = known.map_or_else(|_| of_window(header, track), |place| self.before[place].1);
             if known.is_ok() {
                 history.push(header.stamp_ns, state_of(track));
             }
@@ -46,7 +45,10 @@ impl Predecessor {
         self.tracks.clear();
         self.tracks.extend_from_slice(tracks);
         // They are published in the order of their ids, and searched by it.
-        debug_assert!(self.tracks.is_sorted_by_key(|track| track.id), "tracks come in the order of their ids");
+        debug_assert!(
+            self.tracks.is_sorted_by_key(|track| track.id),
+            "tracks come in the order of their ids"
+        );
     }
 
     /// Whether there is nothing to go on with.

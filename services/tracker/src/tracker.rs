@@ -98,7 +98,8 @@ impl Tracker {
             let birth = Birth { stamp_ns: track.born_ns, detection: u32::MAX - nth as u32 };
             let trusted = trusts && track.source_id != 0;
             let of = (track, agent_type);
-            self.estimates.add(|seed| Estimate::of_track((birth, seed), header.stamp_ns, of, &input, trusted));
+            self.estimates
+                .add(|seed| Estimate::of_track((birth, seed), header.stamp_ns, of, &input, trusted));
             self.publications.resume(track, birth, header.stamp_ns, history);
         }
         self.replay.begin_with(&self.estimates);

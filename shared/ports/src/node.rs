@@ -8,8 +8,8 @@ use iceoryx2::service::builder::publish_subscribe::{
 use iceoryx2::service::port_factory::{event, publish_subscribe};
 use run::{Run, SpareRun};
 use wire::{
-    ContextTopic, ControlsTopic, DetectionsTopic, EncodingsTopic, FeaturesTopic, ForecastsTopic, HeartbeatsTopic,
-    StageId, Topic, TracksTopic, TruthTopic,
+    ContextTopic, ControlsTopic, DetectionsTopic, EncodingsTopic, FeaturesTopic, ForecastsTopic,
+    HeartbeatsTopic, StageId, Topic, TracksTopic, TruthTopic,
 };
 
 use crate::element::{Element, Head};
