@@ -19,6 +19,8 @@ fn stage(name: &str, compute_ms: f64, cpu: f64) -> (StageStatus, StageReport) {
         cpu: Some(cpu),
         memory_bytes: Some((compute_ms * 1e7) as u64),
         shared_bytes: Some(12 << 20),
+        spare: (name == "decoder").then(|| "ready".to_owned()),
+        promotions: u32::from(name == "decoder"),
     };
     let status = StageStatus {
         name: name.to_owned(),

@@ -22,7 +22,7 @@ fn frames(identities: bool) -> Vec<Vec<Detection>> {
             let x = speed_mps * frame as f64 * 0.08 + noise(rng, 0.05);
             let y = 12.0 * agent as f64 + noise(rng, 0.05);
             let at = detected_at(AGENT_TYPES[agent % 3], agent as u64 + 1, x, y);
-            if agent % 3 == 0 { with_heading(at, noise(rng, 0.02)) } else { at }
+            if agent.is_multiple_of(3) { with_heading(at, noise(rng, 0.02)) } else { at }
         });
         let mut detections: Vec<Detection> = detected.collect();
         if !identities {

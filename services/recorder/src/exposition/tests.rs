@@ -61,6 +61,7 @@ fn run_so_far() -> (RunStatus, Recorder) {
         cpu: Some(0.5),
         memory_bytes: Some(1 << 20),
         shared_bytes: Some(1 << 21),
+        ..ProcessStatus::default()
     };
     let facts = Facts {
         run: "stgdat_00000007".to_owned(),
