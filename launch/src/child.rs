@@ -15,7 +15,7 @@ use std::thread::JoinHandle;
 use config::Scheduling;
 use nn::kernels;
 use ports::{INCARNATION_VARIABLE, LAUNCHER_VARIABLE, RUN_VARIABLE, STANDBY_VARIABLE, TOPICS_VARIABLE};
-use run::{Exit, Run};
+use run::{Exit, Run, STAGE_VARIABLE};
 use rustix::process::{Pid, Signal, kill_process, set_parent_process_death_signal};
 use wire::StageId;
 
@@ -26,9 +26,6 @@ use crate::scheduling;
 const LAST_LINES_MAX: usize = 12;
 /// Longest line that is not broken, in bytes.
 const LINE_BYTES_MAX: u64 = 4096;
-
-/// The environment variable that holds the name of a process's stage.
-pub const STAGE_VARIABLE: &str = "STGDAT_STAGE";
 
 /// The environment variable of glibc's settings.
 const ALLOCATOR_VARIABLE: &str = "GLIBC_TUNABLES";
@@ -106,6 +103,8 @@ impl Child {
             .env(LAUNCHER_VARIABLE, std::process::id().to_string())
             .env(INCARNATION_VARIABLE, incarnation.to_string())
             .env(STAGE_VARIABLE, stage.name())
+            // For programs that stamp their passage by hand.
+            .env("STGDAT_STAGE_NUMBER", stage.number().to_string())
             .env(TOPICS_VARIABLE, own.topics.join(","))
             .env("STGDAT_RUN_ID", run.id.to_string())
             .env("STGDAT_PREFIX", &run.prefix)

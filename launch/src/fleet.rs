@@ -225,7 +225,7 @@ impl Fleet {
                 member.health.forgive(now);
             }
             for heartbeat in heartbeats {
-                if heartbeat.stage == member.stage as u32
+                if heartbeat.stage == member.stage.number()
                     && heartbeat.incarnation == member.supervision.incarnation()
                 {
                     member.health.beat(now);

@@ -105,8 +105,12 @@ impl Observer {
             let tracer = Tracer::new(clocks(), Some(std::process::id()));
             Ok::<_, Failure>((tracer, TraceFile::begin(path)?))
         });
-        let options =
-            RecorderOptions { budgets_ms: run.budgets_ms(), scores: false, ..RecorderOptions::default() };
+        let options = RecorderOptions {
+            stages: run.order(),
+            budgets_ms: run.budgets_ms(),
+            scores: false,
+            ..RecorderOptions::default()
+        };
         Ok(Self {
             measured: Recorder::new(options),
             accuracy_path: recorder::stage::accuracy_path(run),
@@ -126,6 +130,15 @@ impl Observer {
         let _ = self.measured.forecasts(header, forecasts);
         if let Some((tracer, file)) = &mut self.tracer {
             tracer.forecasts(header, forecasts);
+            file.write(tracer.take());
+        }
+    }
+
+    /// Takes the header of a frame that an added stage has sent beside a tick's way.
+    pub fn beside(&mut self, header: &Header) {
+        self.measured.beside(header);
+        if let Some((tracer, file)) = &mut self.tracer {
+            tracer.beside(header);
             file.write(tracer.take());
         }
     }

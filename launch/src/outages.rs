@@ -176,7 +176,7 @@ mod tests {
     fn frame(seq: u64, decoder: Option<u32>) -> (Header, Forecast) {
         let mut header = Header::new(1, seq, 0);
         if let Some(incarnation) = decoder {
-            header.push_hop(Hop { stage: StageId::Decoder as u32, incarnation, ..Hop::zeroed() });
+            header.push_hop(Hop { stage: StageId::Decoder.number(), incarnation, ..Hop::zeroed() });
         }
         let learned = decoder.is_some();
         let (quality, cause) =

@@ -1,7 +1,7 @@
 use std::io::{IsTerminal, Stdout, stdout};
 use std::time::{Duration, Instant};
 
-use ports::{Node, Peers, Subscriber, monotonic_ns};
+use ports::{Beside, Node, Peers, Subscriber, monotonic_ns};
 use ratatui::backend::CrosstermBackend;
 use ratatui::text::Line as Text;
 use ratatui::widgets::Widget;
@@ -27,6 +27,7 @@ const ROWS: u16 = 22;
 pub struct Watch {
     forecasts: Subscriber<ForecastsTopic>,
     peers: Peers,
+    beside: Beside,
     view: LiveView,
     display: Display,
     shown: Instant,
@@ -54,6 +55,7 @@ impl Watch {
         let node = Node::open(run, "launcher")?;
         Ok(Self {
             forecasts: node.subscriber(ForecastsTopic::DEPTH_MAX)?,
+            beside: Beside::open(&node, run)?,
             peers: Peers::new(node.subscriber(HeartbeatsTopic::DEPTH_MAX)?, run),
             view: LiveView::new(options),
             display: if quiet { Display::Quiet } else { Display::for_output() },
@@ -98,6 +100,10 @@ impl Watch {
             self.outages.forecasts(frame.header(), &frame);
             self.observer.forecasts(frame.header(), &frame);
             self.newest = Some(*frame.header());
+        }
+        for header in self.beside.take()? {
+            self.view.beside(&header);
+            self.observer.beside(&header);
         }
         Ok(())
     }

@@ -209,7 +209,7 @@ impl Fleet {
         let (topics, scheduling) = (member.program.topics.clone(), member.program.scheduling.clone());
         let before = member.program.record.as_deref().unwrap_or(&self.record);
         let mut run = Run::read(before).map_err(Failure::config)?;
-        let number = member.stage as u32;
+        let number = member.stage.number();
         let Some(own) = run.stages.iter_mut().find(|of| of.stage == number) else {
             return Ok(Program { command, topics, scheduling, record: None });
         };

@@ -123,6 +123,7 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
         shed: pipeline.shed,
         weights: weights_path,
         stages: stage_runs(&pipeline, &options),
+        topics: pipeline.topics.clone(),
     };
     weights.config().write(&run.root).map_err(Failure::data)?;
     let live = live_options(&run, &info, playback.ticks_len());
@@ -247,10 +248,14 @@ fn report_path(options: &mut StageOptions, root: &Path) -> Result<PathBuf, Failu
 /// The stages of the run record, in the pipeline's order.
 fn stage_runs(pipeline: &Pipeline, options: &StageOptions) -> Vec<StageRun> {
     let mut runs = options.stage_runs();
-    let place = |run: &StageRun| pipeline.stages.iter().position(|stage| stage.id as u32 == run.stage);
+    let place = |run: &StageRun| pipeline.stages.iter().position(|stage| stage.id.number() == run.stage);
     runs.sort_by_key(place);
     for run in &mut runs {
-        run.budget_ms = place(run).and_then(|place| pipeline.stages[place].budget_ms);
+        if let Some(stage) = place(run).map(|place| &pipeline.stages[place]) {
+            run.budget_ms = stage.budget_ms;
+            run.reads = pipeline.read_by(stage).map(str::to_owned).collect();
+            run.writes = pipeline.written_by(stage).map(str::to_owned).collect();
+        }
     }
     runs
 }
@@ -460,6 +465,7 @@ fn record_topics(list: &str) -> Result<String, String> {
 fn live_options(run: &Run, info: &RunInfo, ticks_len: u64) -> LiveOptions {
     LiveOptions {
         title: info.recording.clone().unwrap_or_default(),
+        stages: run.order(),
         budgets_ms: run.budgets_ms(),
         ticks_limit: Some(ticks_len),
         ..LiveOptions::default()

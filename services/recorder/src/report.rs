@@ -37,6 +37,9 @@ pub struct Report {
     pub refusals: Vec<RefusedFrames>,
     /// Agents left out of full frames, summed over ticks.
     pub agents_left_out: u64,
+    /// Passages of ticks through stages for which their headers had no room.
+    #[serde(default)]
+    pub hops_missing: u64,
     /// Agents per tick.
     pub agents: Agents,
     /// Forecasts by quality, and the causes of those that are not learned.

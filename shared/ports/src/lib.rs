@@ -41,6 +41,7 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 
+mod added;
 mod clock;
 mod element;
 mod error;
@@ -60,6 +61,7 @@ mod stop;
 mod subscriber;
 mod wait;
 
+pub use added::{AddedFrame, AddedSubscriber, Beside};
 pub use clock::monotonic_ns;
 pub use error::{Awaiting, PortError, StageError};
 pub use names::TOPICS_VARIABLE;

@@ -12,7 +12,9 @@ use crate::memory::ResidentMemory;
 use crate::points::{self, Point};
 use crate::subscriber::Input;
 use crate::wait::{Wakes, wait};
-use crate::{Frame, Loan, Node, Peers, PortError, Publisher, Stop, Subscriber, monotonic_ns, standby};
+use crate::{
+    Beside, Frame, Loan, Node, Peers, PortError, Publisher, Stop, Subscriber, monotonic_ns, standby,
+};
 
 /// Time between the heartbeats of a stage, whether it has work or not: a tick.
 pub const HEARTBEAT: Duration = Duration::from_nanos(TICK_NS);
@@ -220,6 +222,14 @@ impl Stage {
         Ok(Peers::new(self.node.subscriber(HeartbeatsTopic::DEPTH_MAX)?, run))
     }
 
+    /// The headers of what added stages send beside a tick's way; they do not count as an input.
+    ///
+    /// # Errors
+    /// As [`Node::added_subscriber`].
+    pub fn beside(&self, run: &Run) -> Result<Beside, PortError> {
+        Beside::open(&self.node, run)
+    }
+
     /// How often the stage had been started before.
     #[must_use]
     pub const fn incarnation(&self) -> u32 {
@@ -370,7 +380,7 @@ impl Stage {
 
     fn start(&self, header: Header, received_ns: u64, input: &'static str) -> Passage {
         let hop = Hop {
-            stage: self.id as u32,
+            stage: self.id.number(),
             incarnation: self.incarnation,
             received_ns,
             started_ns: monotonic_ns(),
@@ -454,6 +464,10 @@ impl Stage {
         passage.header.push_hop(passage.hop);
         output.send(loan, passage.header)?;
         self.passed = true;
+        // In lockstep the source waits for this heartbeat before it releases the next tick.
+        if self.id.is_added() && passage.header.has(flags::LOCKSTEP) && passage.header.is_tick() {
+            return self.beat();
+        }
         self.beat_if_due()
     }
 
@@ -480,7 +494,7 @@ impl Stage {
         let mut refusals = self.refusals;
         inputs().for_each(|input| Refusals::add(&mut refusals, &input.refusals()));
         Heartbeat {
-            stage: self.id as u32,
+            stage: self.id.number(),
             incarnation: self.incarnation,
             pid: std::process::id(),
             linked: u32::from(linked),

@@ -53,8 +53,8 @@ struct Port<T: Topic> {
     answered: Cell<Option<u64>>,
 }
 
-/// One more than the greatest number of a stage of this project.
-const STAGES_LEN: usize = StageId::ALL.len() + 1;
+/// One more than the greatest number of a stage.
+const STAGES_LEN: usize = StageId::NUMBER_MAX as usize + 1;
 
 /// Frames of a replaced process that are refused in a row: twice what the deepest queue holds. More of them say that
 /// the newer incarnation was a flipped bit, on a topic without check values.

@@ -90,7 +90,7 @@ impl Stages {
                 self.extractor = Extractor::new(weights, extractor::stage::settings(run)?)?;
             }
             StageId::Sampler => self.sampler = sampler::stage::open(run, model)?,
-            StageId::Encoder | StageId::Decoder | StageId::Source | StageId::Recorder => {}
+            _ => {}
         }
         Ok(())
     }

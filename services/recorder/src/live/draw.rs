@@ -114,7 +114,7 @@ fn end_to_end_line(view: &LiveView, cells: usize) -> Line<'static> {
     ];
     spans.extend(budget_spans(p99.map(|p99| p99 / limit_ms), cells));
     spans.push(Span::styled(format!("{:>10}", count(view.ticks)), BOLD));
-    let lost = view.losses.by_stage().iter().map(|drops| drops.total()).sum();
+    let lost = view.losses.by_stage(&view.options.stages).iter().map(|drops| drops.total()).sum();
     spans.extend([fault(view.late_ticks, 6), fault(lost, 6)]);
     Line::from(spans)
 }

@@ -16,6 +16,16 @@ pub(super) struct File {
     pub shed: Option<bool>,
     #[serde(rename = "stage", default)]
     pub stages: Vec<Spanned<StageTable>>,
+    #[serde(rename = "topic", default)]
+    pub topics: Vec<Spanned<TopicTable>>,
+}
+
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct TopicTable {
+    pub name: Spanned<String>,
+    pub type_name: Spanned<String>,
+    pub element_bytes: Spanned<u64>,
 }
 
 #[derive(Debug, Deserialize)]
