@@ -265,12 +265,21 @@ impl<'a> Replay<'a> {
         Ok(Some(self.stages.track(&header, &detections, prior)))
     }
 
-    /// The forecasts that the tracker had at hand: in lockstep those of the tick before, else the newest that had
-    /// been sent when it began.
+    /// The forecasts that the tracker had at hand: in lockstep those of the tick before, else those of which it told
+    /// the age or, where it told none, the newest that had been sent when it began.
     fn choose_prior(&mut self, seq: u64, header: &Header, tracks: Option<&Header>) {
         if header.has(flags::LOCKSTEP) {
             let before = self.forecasts.iter().find(|(_, forecasts)| forecasts.header.seq + 1 == seq);
             if let Some((_, forecasts)) = before {
+                self.prior = Some(forecasts.clone());
+            }
+            return;
+        }
+        // The tracker has told how old they were.
+        if let Some(tracks) = tracks.filter(|tracks| tracks.feedback_age_ns > 0) {
+            let stamp_ns = tracks.stamp_ns.saturating_sub_unsigned(tracks.feedback_age_ns);
+            let told = self.forecasts.iter().rfind(|(_, forecasts)| forecasts.header.stamp_ns == stamp_ns);
+            if let Some((_, forecasts)) = told {
                 self.prior = Some(forecasts.clone());
             }
             return;
@@ -305,12 +314,12 @@ impl<'a> Replay<'a> {
         if !self.has_passed(StageId::Extractor, tick, FeaturesTopic::NAME)? {
             return Ok(None);
         }
-        let features = self.stages.extract(&context);
+        let features = self.stages.extract(&context, tick.extracted_max());
         self.compare(tick, Some(&features), each);
         if !self.has_passed(StageId::Encoder, tick, EncodingsTopic::NAME)? {
             return Ok(None);
         }
-        let encodings = self.stages.encode(&features);
+        let encodings = self.stages.encode(&features, tick.encoded_max());
         self.compare(tick, Some(&encodings), each);
         if !self.has_passed(StageId::Decoder, tick, ControlsTopic::NAME)? {
             return Ok(None);
@@ -333,11 +342,13 @@ impl<'a> Replay<'a> {
                 self.compare(tick, made.as_ref(), each);
             }
             StageId::Extractor => {
-                let made = tick.own(impossible).map(|input| self.stages.extract(&input));
+                let served_max = tick.extracted_max();
+                let made = tick.own(impossible).map(|input| self.stages.extract(&input, served_max));
                 self.compare(tick, made.as_ref(), each);
             }
             StageId::Encoder => {
-                let made = tick.own(impossible).map(|input| self.stages.encode(&input));
+                let served_max = tick.encoded_max();
+                let made = tick.own(impossible).map(|input| self.stages.encode(&input, served_max));
                 self.compare(tick, made.as_ref(), each);
             }
             _ => {
