@@ -29,7 +29,7 @@ use crate::observe::{ObserveArguments, Observer};
 use crate::options::{Setting, StageOptions, text};
 use crate::outages::Outages;
 use crate::pipeline_file;
-use crate::tap::{Recording, Tap};
+use crate::tap::{Recording, RingArguments, Tap};
 use crate::verbs::record;
 use crate::watch::Watch;
 
@@ -76,6 +76,8 @@ pub struct Arguments {
     #[arg(long, value_name = "LIST", requires = "record", default_value = record::TOPICS, value_parser = record_topics)]
     record_topics: String,
     #[command(flatten)]
+    ring: RingArguments,
+    #[command(flatten)]
     observe: ObserveArguments,
     /// Show no progress
     #[arg(long)]
@@ -96,6 +98,9 @@ enum Speed {
 /// Runs a pipeline to the end of its scene and reports.
 pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
     let stop = Stop::on_signals().map_err(Failure::unavailable)?;
+    if arguments.ring.limits().is_some() && arguments.record.is_none() {
+        return Err(Failure::Usage("--last: --record FILE names the files that it is written to".to_owned()));
+    }
     let pipeline = pipeline_file::load(arguments.pipeline.as_deref())?;
     let (weights_path, weights) = arguments.model.open_weights(pipeline.weights.as_deref())?;
     let mut options = StageOptions::of_pipeline(&pipeline);
@@ -134,8 +139,9 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
     about(arguments, &info, &run)?.write(&run.root).map_err(|error| Failure::file(&run.root, error))?;
     let tap = Tap::start(&record_file)?;
     let recording = arguments.record.as_deref();
-    let recording =
-        recording.map(|file| Recording::start(&run.root, file, &arguments.record_topics)).transpose()?;
+    let recording = recording
+        .map(|file| Recording::start(&run.root, file, &arguments.record_topics, &arguments.ring))
+        .transpose()?;
     let observer = Observer::open(&run, &arguments.observe)?;
     let watch = Watch::open(&run, live, arguments.quiet, observer)?;
     let following = Following { tap, recording, watch };

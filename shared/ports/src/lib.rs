@@ -79,5 +79,5 @@ pub use space::{
 };
 pub use stage::{Awaited, HEARTBEAT, Passage, Stage};
 pub use standby::{GO, STANDBY_VARIABLE, await_turn};
-pub use stop::Stop;
+pub use stop::{Asked, Stop};
 pub use subscriber::{Frame, Subscriber};

@@ -72,6 +72,8 @@ pub struct Replayed {
     pub newest: Option<u64>,
     /// The first tick that the run has had and the recording not from its begin.
     pub missing_before: Option<u64>,
+    /// Whether the tracks are those of the record: begun in the middle of a run, it does not have the tracker's state.
+    pub tracks_are_recorded: bool,
     /// Numbers of detections without which a tick was replayed that had some.
     pub without_detections: Vec<u64>,
     /// Ticks whose prior came in while the tracker began: either may have been at hand.
@@ -182,7 +184,9 @@ impl<'a> Replay<'a> {
         let [tracks_here, samples_here] = [StageId::Tracker, StageId::Sampler].map(does);
         // Of a stage alone the input is the file's.
         let mut tracks = recorded_tracks.clone();
-        if tracks_here {
+        let begins_late = self.alone.is_none() && self.found.missing_before.is_some();
+        self.found.tracks_are_recorded = begins_late && self.recording.has_topic(TracksTopic::NAME);
+        if tracks_here && !self.found.tracks_are_recorded {
             tracks = self.track(seq, tick, recorded_tracks.as_ref())?;
             self.compare(tick, tracks.as_ref(), each);
         }
