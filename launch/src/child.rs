@@ -5,6 +5,7 @@
 
 use std::collections::VecDeque;
 use std::io::{BufRead, BufReader, Read};
+use std::os::fd::{AsFd, BorrowedFd, OwnedFd};
 use std::os::unix::process::{CommandExt, ExitStatusExt};
 use std::path::{Path, PathBuf};
 use std::process::{Child as Process, Command, ExitStatus, Stdio};
@@ -15,8 +16,8 @@ use std::thread::JoinHandle;
 use config::Scheduling;
 use nn::kernels;
 use ports::{INCARNATION_VARIABLE, LAUNCHER_VARIABLE, RUN_VARIABLE, STANDBY_VARIABLE, TOPICS_VARIABLE};
-use run::{Exit, Run};
-use rustix::process::{Pid, Signal, kill_process, set_parent_process_death_signal};
+use run::{Exit, Run, STAGE_VARIABLE};
+use rustix::process::{Pid, PidfdFlags, Signal, kill_process, pidfd_open, set_parent_process_death_signal};
 use wire::StageId;
 
 use crate::failure::{Failure, StageDeath};
@@ -26,9 +27,6 @@ use crate::scheduling;
 const LAST_LINES_MAX: usize = 12;
 /// Longest line that is not broken, in bytes.
 const LINE_BYTES_MAX: u64 = 4096;
-
-/// The environment variable that holds the name of a process's stage.
-pub const STAGE_VARIABLE: &str = "STGDAT_STAGE";
 
 /// The environment variable of glibc's settings.
 const ALLOCATOR_VARIABLE: &str = "GLIBC_TUNABLES";
@@ -70,6 +68,8 @@ pub struct Child {
     /// The stage.
     pub stage: StageId,
     process: Process,
+    /// Readable once the process has ended; none where the kernel is too old.
+    descriptor: Option<OwnedFd>,
     ended: Option<ExitStatus>,
     last_lines: Arc<Mutex<VecDeque<String>>>,
     readers: Vec<JoinHandle<()>>,
@@ -106,6 +106,8 @@ impl Child {
             .env(LAUNCHER_VARIABLE, std::process::id().to_string())
             .env(INCARNATION_VARIABLE, incarnation.to_string())
             .env(STAGE_VARIABLE, stage.name())
+            // For programs that stamp their passage by hand.
+            .env("STGDAT_STAGE_NUMBER", stage.number().to_string())
             .env(TOPICS_VARIABLE, own.topics.join(","))
             .env("STGDAT_RUN_ID", run.id.to_string())
             .env("STGDAT_PREFIX", &run.prefix)
@@ -141,7 +143,13 @@ impl Child {
                 std::thread::spawn(move || read_lines(output, stage, &kept, &lines))
             })
             .collect();
-        Ok(Self { stage, process, ended: None, last_lines, readers })
+        let descriptor = end_of(&process);
+        Ok(Self { stage, process, descriptor, ended: None, last_lines, readers })
+    }
+
+    /// Readable once the process has ended; none where that is known.
+    pub fn descriptor(&self) -> Option<BorrowedFd<'_>> {
+        self.descriptor.as_ref().filter(|_| self.ended.is_none()).map(AsFd::as_fd)
     }
 
     /// Its process number.
@@ -187,6 +195,11 @@ impl Child {
             last_lines: kept.iter().cloned().collect(),
         }
     }
+}
+
+/// A descriptor that is readable once a child has ended; none where the kernel has no such.
+pub fn end_of(process: &Process) -> Option<OwnedFd> {
+    pidfd_open(Pid::from_child(process), PidfdFlags::empty()).ok()
 }
 
 /// Has the kernel kill the program when the thread that starts it, the launcher's first, ends.

@@ -1,10 +1,11 @@
 //! Cleans up after dead stages, in a helper process: clean-up can block for ever, and the supervisor must not.
 
+use std::os::fd::{AsFd, BorrowedFd, OwnedFd};
 use std::path::PathBuf;
 use std::process::{Child as Process, Command, Stdio};
 use std::time::Duration;
 
-use crate::child::die_with_this_process;
+use crate::child::{die_with_this_process, end_of};
 use crate::failure::Failure;
 
 /// Time limit of a helper: it takes 30 ms, and a hundred times that on a machine under load is not reached.
@@ -27,6 +28,7 @@ pub struct Cleaner {
 #[derive(Debug)]
 struct Work {
     process: Process,
+    descriptor: Option<OwnedFd>,
     since: Duration,
 }
 
@@ -44,6 +46,11 @@ impl Cleaner {
     /// Whether the clean-up of that number is over.
     pub const fn is_done(&self, ticket: u64) -> bool {
         self.done >= ticket
+    }
+
+    /// Readable once the helper has ended; none where none runs.
+    pub fn descriptor(&self) -> Option<BorrowedFd<'_>> {
+        Some(self.work.as_ref()?.descriptor.as_ref()?.as_fd())
     }
 
     /// Looks after the helper; starts one where a clean-up up to the number `wanted` is due.
@@ -69,7 +76,8 @@ impl Cleaner {
             command.stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::null());
             die_with_this_process(&mut command);
             let process = command.spawn().map_err(Failure::unavailable)?;
-            self.work = Some(Work { process, since: now });
+            let descriptor = end_of(&process);
+            self.work = Some(Work { process, descriptor, since: now });
         }
         Ok(())
     }

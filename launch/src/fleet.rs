@@ -1,5 +1,7 @@
 mod replace;
+mod spare;
 
+use std::os::fd::BorrowedFd;
 use std::path::{Path, PathBuf};
 use std::process::ExitStatus;
 use std::sync::mpsc::{Receiver, Sender, channel};
@@ -19,6 +21,7 @@ use crate::policy::{End, State, Supervision};
 use crate::scheduling;
 pub use replace::Replaced;
 use replace::Trial;
+use spare::Spare;
 
 /// Time that the stages have to end after a request.
 const END_LIMIT: Duration = Duration::from_secs(3);
@@ -62,6 +65,8 @@ struct Member {
     ticket: u64,
     /// Why the launcher has killed its process, if it has.
     killed_for: Option<&'static str>,
+    /// The process that waits to take its place.
+    spare: Option<Spare>,
 }
 
 /// A stage's process, as the supervisor knows it.
@@ -107,6 +112,18 @@ pub enum Event {
     HandedOver(Replaced),
     /// What came of a replacement.
     Tried(Replaced),
+    /// Its spare has taken its place, after its death.
+    Promoted {
+        /// Which.
+        stage: StageId,
+    },
+    /// Its spare has died too often, and is not started again.
+    SpareGivenUp {
+        /// Which.
+        stage: StageId,
+        /// How, to follow its name.
+        how: String,
+    },
 }
 
 impl Event {
@@ -121,7 +138,7 @@ impl Event {
                 Happened::GivenUp { stage: name(stage), how: how.clone(), why: (*why).to_owned() }
             }
             Self::Starved { stage } => Happened::Starved { stage: name(stage) },
-            Self::HandedOver(_) => return None,
+            Self::HandedOver(_) | Self::Promoted { .. } | Self::SpareGivenUp { .. } => return None,
             Self::Tried(Replaced { stage, command, outcome, cause, .. }) => Happened::Replaced {
                 stage: name(stage),
                 outcome: outcome.name().to_owned(),
@@ -164,6 +181,7 @@ impl Fleet {
                 health,
                 ticket: 0,
                 killed_for: None,
+                spare: stage.spare.then(|| Spare::new(stage.restart, now)),
             });
         }
         Ok(fleet)
@@ -173,6 +191,15 @@ impl Fleet {
     pub fn notes(&self) -> Vec<String> {
         let of = |m: &Member| scheduling::refused(m.stage, m.child.pid(), &m.program.scheduling);
         self.members.iter().flat_map(of).collect()
+    }
+
+    /// Descriptors that are readable once a process has ended that is looked after.
+    pub fn descriptors(&self) -> Vec<BorrowedFd<'_>> {
+        let runs = |member: &&Member| matches!(member.supervision.state(), State::Running { .. });
+        let members = self.members.iter().filter(runs).map(|member| &member.child);
+        let spares = self.members.iter().filter_map(|member| member.spare.as_ref()?.child());
+        let of_children = members.chain(spares).filter_map(Child::descriptor);
+        of_children.chain(self.cleaner.descriptor()).collect()
     }
 
     /// Lines that the stages wrote since the last look.
@@ -225,7 +252,7 @@ impl Fleet {
                 member.health.forgive(now);
             }
             for heartbeat in heartbeats {
-                if heartbeat.stage == member.stage as u32
+                if heartbeat.stage == member.stage.number()
                     && heartbeat.incarnation == member.supervision.incarnation()
                 {
                     member.health.beat(now);
@@ -258,18 +285,31 @@ impl Fleet {
             }
         }
         events.extend(self.tend_trial(stopped, now));
-        self.restart(now)?;
+        events.extend(self.tend_spares(is_linked, stopped, now)?);
+        events.extend(self.restart(now)?);
         Ok(events)
     }
 
     /// Starts again the stages whose pause is over and whose dead predecessor is cleaned up.
-    fn restart(&mut self, now: Duration) -> Result<(), Failure> {
+    fn restart(&mut self, now: Duration) -> Result<Vec<Event>, Failure> {
+        let mut events = Vec::new();
         let waiting =
             |m: &&Member| matches!(m.supervision.state(), State::Waiting { .. } | State::GivenUp { .. });
         let wanted = self.members.iter().filter(waiting).map(|m| m.ticket).max().unwrap_or(0);
+        let spares = self.members.iter().filter_map(|m| Some(m.spare.as_ref()?.ticket()));
+        let wanted = wanted.max(spares.max().unwrap_or(0));
         self.cleaner.tend(wanted.max(self.other_ticket).max(self.swept), now)?;
         for member in &mut self.members {
             if member.supervision.is_due(now) && self.cleaner.is_done(member.ticket) {
+                if member.spare.as_ref().is_some_and(Spare::is_starting) {
+                    continue;
+                }
+                if let Some(child) = member.spare.as_mut().and_then(|spare| spare.take(now)) {
+                    member.take_place(child, now);
+                    member.has_started();
+                    events.push(Event::Promoted { stage: member.stage });
+                    continue;
+                }
                 let incarnation = member.supervision.incarnation() + 1;
                 let program = &member.program;
                 let (run, record) = (&self.run, &self.record);
@@ -278,13 +318,10 @@ impl Fleet {
                 member.supervision.restarted(now);
                 member.health = Health::new(now);
                 member.killed_for = None;
-                // A program of the user's own reports no linking.
-                if member.program.command.is_some() {
-                    member.supervision.linked();
-                }
+                member.has_started();
             }
         }
-        Ok(())
+        Ok(events)
     }
 
     /// A process of the run that is no stage has died: what it held is cleaned up.
@@ -295,6 +332,10 @@ impl Fleet {
     /// Asks all stages to end, waits, and kills those that do not end in time.
     pub fn end(&mut self) {
         self.trial = None;
+        let now = self.begun.elapsed();
+        self.members.iter_mut().filter_map(|member| member.spare.as_mut()).for_each(|spare| {
+            spare.dismiss(now);
+        });
         for child in self.members.iter_mut().map(|member| &mut member.child) {
             child.signal(Signal::TERM);
             // A stopped process receives the request only when it continues.
@@ -323,6 +364,13 @@ impl Member {
     /// Whether it has ended because its work is done.
     fn is_done(&self, status: ExitStatus) -> bool {
         status.success() && matches!(self.stage, StageId::Source | StageId::Recorder)
+    }
+
+    /// Takes note of its start: a program of the user's own reports no linking.
+    fn has_started(&mut self) {
+        if self.program.command.is_some() {
+            self.supervision.linked();
+        }
     }
 
     /// Takes note of its end.

@@ -30,6 +30,7 @@ use crate::failure::Failure;
 use crate::fleet::{Event, Fleet};
 use files::{MetricsFile, TraceFile};
 use processes::Usage;
+pub use processes::memory as memory_of;
 
 /// Name of the socket in a run's folder on which its status is asked for.
 pub const SOCKET: &str = "status";
@@ -105,8 +106,12 @@ impl Observer {
             let tracer = Tracer::new(clocks(), Some(std::process::id()));
             Ok::<_, Failure>((tracer, TraceFile::begin(path)?))
         });
-        let options =
-            RecorderOptions { budgets_ms: run.budgets_ms(), scores: false, ..RecorderOptions::default() };
+        let options = RecorderOptions {
+            stages: run.order(),
+            budgets_ms: run.budgets_ms(),
+            scores: false,
+            ..RecorderOptions::default()
+        };
         Ok(Self {
             measured: Recorder::new(options),
             accuracy_path: recorder::stage::accuracy_path(run),
@@ -130,6 +135,15 @@ impl Observer {
         }
     }
 
+    /// Takes the header of a frame that an added stage has sent beside a tick's way.
+    pub fn beside(&mut self, header: &Header) {
+        self.measured.beside(header);
+        if let Some((tracer, file)) = &mut self.tracer {
+            tracer.beside(header);
+            file.write(tracer.take());
+        }
+    }
+
     /// Takes a stage's heartbeat.
     pub fn heartbeat(&mut self, heartbeat: &Heartbeat) {
         self.measured.heartbeat(heartbeat);
@@ -145,6 +159,8 @@ impl Observer {
             Event::GivenUp { stage, how, why } => (*stage, "given up", format!("{how}: {why}")),
             Event::Starved { stage } => (*stage, "starved", "got no CPU".to_owned()),
             Event::HandedOver(_) => return,
+            Event::Promoted { stage } => (*stage, "promoted", "spare has taken its place".to_owned()),
+            Event::SpareGivenUp { stage, how } => (*stage, "given up", how.clone()),
             Event::Tried(replaced) => {
                 (replaced.stage, replaced.outcome.name(), recorder::program_name(&replaced.command))
             }
@@ -155,7 +171,10 @@ impl Observer {
         let text = match event {
             Event::Died { .. } => format!("the {} {why}, and is started again", stage.name()),
             Event::GivenUp { .. } => format!("the {} is given up: it {why}", stage.name()),
-            Event::HandedOver(_) | Event::Starved { .. } => format!("the {} {why}", stage.name()),
+            Event::Promoted { .. } => format!("the {}'s {why}", stage.name()),
+            Event::HandedOver(_) | Event::Starved { .. } | Event::SpareGivenUp { .. } => {
+                format!("the {} {why}", stage.name())
+            }
             Event::Tried(_) => format!("the {} by {why}: {name}", stage.name()),
         };
         if self.events.len() == EVENTS_MAX {
@@ -189,6 +208,7 @@ impl Observer {
         let processes: BTreeMap<StageId, ProcessStatus> = fleet
             .processes()
             .map(|process| {
+                let spare = fleet.spares().find(|(stage, ..)| *stage == process.stage);
                 let used = process.pid.and_then(|pid| self.usage.look(process.stage, pid));
                 let status = ProcessStatus {
                     state: process.state.to_owned(),
@@ -198,6 +218,8 @@ impl Observer {
                     cpu: used.and_then(|used| used.cpu),
                     memory_bytes: used.map(|used| used.memory_bytes),
                     shared_bytes: used.map(|used| used.shared_bytes),
+                    spare: spare.map(|(_, state, _)| state.to_owned()),
+                    promotions: spare.map_or(0, |(.., promotions)| promotions),
                 };
                 (process.stage, status)
             })

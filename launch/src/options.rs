@@ -217,10 +217,13 @@ impl StageOptions {
     /// The stages of a run record, with their options and without budgets.
     pub fn stage_runs(&self) -> Vec<StageRun> {
         let of_stage = |(id, options): (&StageId, &Options)| StageRun {
-            stage: *id as u32,
+            stage: id.number(),
             budget_ms: None,
             built_in: options.declared.is_some(),
             options: options.table.to_string(),
+            name: if id.is_added() { id.name().to_owned() } else { String::new() },
+            reads: Vec::new(),
+            writes: Vec::new(),
         };
         self.0.iter().map(of_stage).collect()
     }
@@ -388,7 +391,7 @@ mod tests {
         let options = applied(&file, &["encoder.gain=[1, 2]", "encoder.mode=fast"]).unwrap();
         assert_eq!(options.get(StageId::Encoder, "mode"), Some(&Value::String("fast".into())));
         let runs = options.stage_runs();
-        let encoder = runs.iter().find(|run| run.stage == StageId::Encoder as u32).unwrap();
+        let encoder = runs.iter().find(|run| run.stage == StageId::Encoder.number()).unwrap();
         assert_eq!(encoder.options, "gain = [1, 2]\nmode = \"fast\"\n");
         assert!(!encoder.built_in);
     }

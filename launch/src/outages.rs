@@ -47,6 +47,14 @@ impl Outages {
         }
     }
 
+    /// A stage that died goes on by its spare.
+    pub fn promoted(&mut self, stage: StageId) {
+        let of_stage = |outage: &&mut Outage| outage.stage == stage.name();
+        if let Some(outage) = self.record.outages.iter_mut().rev().find(of_stage) {
+            outage.by_spare = true;
+        }
+    }
+
     /// A stage's process has ended for another one.
     pub fn handed_over(&mut self, replaced: &Replaced) {
         self.trial = self.list(replaced);
@@ -176,7 +184,7 @@ mod tests {
     fn frame(seq: u64, decoder: Option<u32>) -> (Header, Forecast) {
         let mut header = Header::new(1, seq, 0);
         if let Some(incarnation) = decoder {
-            header.push_hop(Hop { stage: StageId::Decoder as u32, incarnation, ..Hop::zeroed() });
+            header.push_hop(Hop { stage: StageId::Decoder.number(), incarnation, ..Hop::zeroed() });
         }
         let learned = decoder.is_some();
         let (quality, cause) =

@@ -3,7 +3,6 @@ use std::path::Path;
 use config::Pipeline;
 
 use crate::failure::Failure;
-use crate::options::warn;
 use crate::stages;
 
 /// The default pipeline.
@@ -16,8 +15,9 @@ pub fn load(path: Option<&Path>) -> Result<Pipeline, Failure> {
     let Some(path) = path else { return Ok(Pipeline::parse("pipeline.toml", &text, &declared)?) };
     let name = path.display().to_string();
     let pipeline = Pipeline::parse(&name, &text, &declared)?;
+    pipeline.name_stages();
     for warning in &pipeline.warnings {
-        warn(&format!("{name}: {warning}"));
+        eprintln!("warning: {name}: {warning}");
     }
     Ok(pipeline)
 }

@@ -65,7 +65,7 @@ pub mod tests {
                 let (received_ns, started_ns) = (now_ns + 1_000, now_ns + 2_000);
                 let finished_ns = started_ns + if seq == 7 { 60 * MS } else { 2 * MS };
                 let sent_ns = finished_ns + 1_000;
-                let stage = *stage as u32;
+                let stage = stage.number();
                 header.push_hop(Hop { stage, incarnation, received_ns, started_ns, finished_ns, sent_ns });
                 now_ns = sent_ns;
             }

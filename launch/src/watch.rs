@@ -1,7 +1,7 @@
 use std::io::{IsTerminal, Stdout, stdout};
 use std::time::{Duration, Instant};
 
-use ports::{Node, Peers, Subscriber, monotonic_ns};
+use ports::{Beside, Node, Peers, Subscriber, monotonic_ns};
 use ratatui::backend::CrosstermBackend;
 use ratatui::text::Line as Text;
 use ratatui::widgets::Widget;
@@ -27,6 +27,7 @@ const ROWS: u16 = 22;
 pub struct Watch {
     forecasts: Subscriber<ForecastsTopic>,
     peers: Peers,
+    beside: Beside,
     view: LiveView,
     display: Display,
     shown: Instant,
@@ -54,6 +55,7 @@ impl Watch {
         let node = Node::open(run, "launcher")?;
         Ok(Self {
             forecasts: node.subscriber(ForecastsTopic::DEPTH_MAX)?,
+            beside: Beside::open(&node, run)?,
             peers: Peers::new(node.subscriber(HeartbeatsTopic::DEPTH_MAX)?, run),
             view: LiveView::new(options),
             display: if quiet { Display::Quiet } else { Display::for_output() },
@@ -70,9 +72,14 @@ impl Watch {
         self.peers.unlinked()
     }
 
-    /// Sleeps until a heartbeat or for at most half an update interval; then shows what was received.
-    pub fn follow(&mut self, lines: impl Iterator<Item = Line>) -> Result<Vec<Heartbeat>, Failure> {
-        self.peers.heartbeats().sleep(UPDATE / 2)?;
+    /// Sleeps until a heartbeat or the end of a process, or for at most half an update interval; then shows what was received.
+    pub fn follow(
+        &mut self,
+        lines: impl Iterator<Item = Line>,
+        fleet: &Fleet,
+    ) -> Result<Vec<Heartbeat>, Failure> {
+        self.peers.heartbeats().sleep_or(&fleet.descriptors(), UPDATE / 2)?;
+        self.view.spares(fleet.spares());
         let heartbeats = self.peers.listen()?;
         for heartbeat in &heartbeats {
             self.view.heartbeat(heartbeat);
@@ -98,6 +105,10 @@ impl Watch {
             self.outages.forecasts(frame.header(), &frame);
             self.observer.forecasts(frame.header(), &frame);
             self.newest = Some(*frame.header());
+        }
+        for header in self.beside.take()? {
+            self.view.beside(&header);
+            self.observer.beside(&header);
         }
         Ok(())
     }
@@ -140,6 +151,13 @@ impl Watch {
                 self.outages.tried(replaced);
                 self.view.replaced(replaced.stage, replaced.outcome);
                 self.display.line(&format!("launcher: {replaced}"));
+            }
+            Event::Promoted { stage } => {
+                self.outages.promoted(*stage);
+                self.display.line(&format!("launcher: the spare of the {} takes its place", stage.name()));
+            }
+            Event::SpareGivenUp { stage, how } => {
+                self.display.line(&format!("launcher: the {}: {how}", stage.name()));
             }
             Event::Starved { stage } => {
                 self.outages.starved(*stage);

@@ -224,13 +224,13 @@ mod tests {
     fn telling() -> Telling {
         let header =
             Header { released_ns: 5_000 * MS, interval_ns: 80 * MS, ..Header::new(1, 153, 12_240_000_000) };
-        let times = |stage, incarnation, at_ms: u64, took_ms: u64| {
+        let times = |stage: StageId, incarnation, at_ms: u64, took_ms: u64| {
             let at_ns = header.released_ns + at_ms * MS;
             let (ready_ns, free_ns, taken_ns) = (at_ns, at_ns, at_ns + MS / 10);
             let (started_ns, finished_ns) = (taken_ns, taken_ns + took_ms * MS);
             let times =
                 Timestamps { ready_ns, free_ns, taken_ns, started_ns, finished_ns, sent_ns: finished_ns };
-            (stage, Hop { stage: stage as u32, incarnation, ..Hop::zeroed() }, times)
+            (stage, Hop { stage: stage.number(), incarnation, ..Hop::zeroed() }, times)
         };
         let learned = Forecast { id: 4, modes_len: 20, x_m: 1.5, vx_mps: 3.0, ..Forecast::zeroed() };
         let held = Forecast {

@@ -26,6 +26,12 @@ SHED_WORDS = 4
 DETECTIONS_MAX = 512
 # Most stages that a tick can pass.
 HOPS_MAX = 12
+# Most stages that a pipeline file can add to those of stgdat's own.
+ADDED_STAGES_MAX = 16
+# Most topics that a pipeline file can declare.
+ADDED_TOPICS_MAX = 16
+# Largest element of a topic that a pipeline file declares, in bytes.
+ELEMENT_SIZE_MAX = 65536
 # Longest history, T_h, in steps.
 HISTORY_MAX = 8
 # Longest forecast, T_f, in steps.
@@ -87,7 +93,8 @@ class DetectionFlags(enum.IntFlag):
 
 class StageId(enum.IntEnum):
     """A stage of the pipeline, by number. Numbers below 64 are kept for stages of stgdat's own, 0 stands for none of
-    them; from 64 on they are free for stages that a pipeline file defines."""
+    them, 64 is the tap's; from 65 to 80 are those of the stages that a pipeline file adds, in the order of the
+    file."""
 
     SOURCE = 1  # Releases detections.
     TRACKER = 2  # Makes tracks of detections.

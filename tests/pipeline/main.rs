@@ -16,6 +16,7 @@ mod recordings;
 mod replacements;
 mod scratch;
 mod shedding;
+mod spares;
 mod started;
 mod tracks;
 mod wire_layout;

@@ -3,7 +3,7 @@
 use serde_json::Value;
 
 use crate::scratch::{SHIPPED_PIPELINE, Scratch};
-use crate::started::{run_well, stdout};
+use crate::started::{run, run_well, stderr, stdout};
 
 /// The shipped pipeline with deadlines that every tick is past: each stage serves the fewest that it may.
 fn hurried() -> String {
@@ -93,4 +93,27 @@ fn nothing_is_shed_in_lockstep_or_where_the_pipeline_forbids_it() {
     let (report_of_forbidden, text) = report(&scratch, &["--pipeline", &forbidden]);
     assert_eq!(report_of_forbidden["forecasts"]["shed"]["forecasts"], 0);
     assert!(!text.contains(" shed "), "{text}");
+}
+
+/// Runs with deadlines that every tick is past, and replays the recording of these topics.
+fn assert_replays_equal(topics: &str) {
+    let scratch = Scratch::new(&format!("replayed-shedding-{}", topics.len()));
+    let pipeline = scratch.file("hurried.toml", hurried());
+    let (file, again) = (scratch.path("shed.mcap"), scratch.path("again.mcap"));
+    let record = ["--pipeline", &pipeline, "--record", &file, "--record-topics", topics];
+    let (report, _) = report(&scratch, &record);
+    assert!(report["forecasts"]["shed"]["forecasts"].as_u64() > Some(100), "{report:#}");
+    let replayed = run(&["replay", &file, "--out", &again]);
+    let text = stdout(&replayed);
+    assert!(text.contains("equal to the byte: 60 ticks"), "{text}{}", stderr(&replayed));
+}
+
+#[test]
+fn a_recording_of_all_topics_replays_who_was_shed_to_the_byte() {
+    assert_replays_equal("all");
+}
+
+#[test]
+fn a_recording_without_features_replays_who_was_shed_to_the_byte() {
+    assert_replays_equal("detections,tracks,forecasts,events");
 }

@@ -8,10 +8,11 @@ use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
 use checker::Line;
+use run::STAGE_VARIABLE;
 use rustix::process::{Pid, Resource as Limited, Rlimit, Signal, kill_process, prlimit};
 use wire::StageId;
 
-use crate::child::{STAGE_VARIABLE, die_with_this_process};
+use crate::child::die_with_this_process;
 use crate::failure::Failure;
 use crate::faults::spec::Resource;
 

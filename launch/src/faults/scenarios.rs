@@ -48,6 +48,8 @@ const BUILT_IN: &[(&str, &str)] = scenarios![
     "16-launcher-killed",
     "17-broken-replacement",
     "17-replace",
+    "18-spare",
+    "18-spare-in-a-step",
 ];
 
 /// The built-in specifications.

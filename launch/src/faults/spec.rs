@@ -164,7 +164,7 @@ pub enum Target {
 
 impl Target {
     /// Its name.
-    pub const fn name(self) -> &'static str {
+    pub fn name(self) -> &'static str {
         match self {
             Self::Stage(stage) => stage.name(),
             Self::Launcher => "launcher",

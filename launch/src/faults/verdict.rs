@@ -432,6 +432,10 @@ fn supervised(spec: &Spec, seen: &Observation) -> Vec<Check> {
         checks.push(equal(what.trim_end_matches(", \"\""), &expected.count, &found));
     }
     checks.extend(replaced(seen, &supervision.replacements));
+    for (stage, expected) in &expect.promotions {
+        let found = supervision.spares.get(stage).map_or(0, |spare| spare.promotions);
+        checks.push(equal(&format!("promotions of the {stage}'s spare"), expected, &found));
+    }
     let given_up: Vec<&str> = supervision.given_up.keys().map(String::as_str).collect();
     checks.push(equal("given up", &expect.given_up.join(", "), &given_up.join(", ")));
     for stage in &expect.starved {

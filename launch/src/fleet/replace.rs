@@ -70,6 +70,11 @@ pub struct Replaced {
 }
 
 impl Trial {
+    /// The stage.
+    pub const fn stage(&self) -> StageId {
+        self.stage
+    }
+
     /// Whether the new process has had its turn, as that stage.
     pub fn has_turn(&self, stage: StageId) -> bool {
         self.stage == stage && self.child.is_none()
@@ -192,6 +197,7 @@ impl Fleet {
             return Err(format!("the {} does not run: there is nothing to take over from", stage.name()));
         }
         let incarnation = member.supervision.incarnation() + 1;
+        // Its spare has the same incarnation, and is the old program: `tend_spares` ends it.
         let failed = |failure: Failure| failure.to_string();
         let program = self.program(member, order, incarnation).map_err(failed)?;
         let socket = control::path(&self.run);
@@ -209,7 +215,7 @@ impl Fleet {
         let (topics, scheduling) = (member.program.topics.clone(), member.program.scheduling.clone());
         let before = member.program.record.as_deref().unwrap_or(&self.record);
         let mut run = Run::read(before).map_err(Failure::config)?;
-        let number = member.stage as u32;
+        let number = member.stage.number();
         let Some(own) = run.stages.iter_mut().find(|of| of.stage == number) else {
             return Ok(Program { command, topics, scheduling, record: None });
         };
@@ -240,6 +246,8 @@ impl Fleet {
         {
             trial.warm_up = Some(now.saturating_sub(trial.started));
             (trial.turn, trial.ready) = (Some(client), (ticks, now));
+        } else {
+            self.spare_ready(stage, incarnation, client, now);
         }
     }
 
@@ -350,7 +358,7 @@ impl Fleet {
 
 impl Member {
     /// Takes a new process that is warm as its own.
-    fn take_place(&mut self, child: Child, now: Duration) {
+    pub(super) fn take_place(&mut self, child: Child, now: Duration) {
         self.child = child;
         self.supervision.replaced(now);
         self.health = crate::health::Health::new(now);

@@ -60,8 +60,8 @@ impl Usage {
     }
 }
 
-/// A process' own and shared memory in RAM.
-fn memory(pid: Pid) -> Option<[u64; 2]> {
+/// A process' own and shared memory in RAM, in bytes.
+pub fn memory(pid: Pid) -> Option<[u64; 2]> {
     let pages = std::fs::read_to_string(format!("/proc/{}/statm", pid.as_raw_nonzero())).ok()?;
     parse(&pages, rustix::param::page_size() as u64)
 }

@@ -6,7 +6,7 @@ use std::time::{Duration, Instant};
 
 use ports::{Stop, monotonic_ns};
 use recording::tap::{Client, Item, Request};
-use recording::{Event, Happened, Losses, Writer, Written};
+use recording::{Event, Happened, Losses, Message, WriteError, Writer, Written};
 
 use crate::failure::Failure;
 
@@ -14,6 +14,37 @@ use crate::failure::Failure;
 const WAIT: Duration = Duration::from_millis(200);
 /// For so long a tap that has died is waited for, where the run goes on.
 const RETURN_LIMIT: Duration = Duration::from_secs(5);
+
+/// Where the messages of a run go.
+pub trait Keep {
+    /// Takes a message.
+    fn keep(&mut self, message: Message);
+    /// Nothing has come for a while.
+    fn idle(&mut self);
+    /// The last error of the disk, once.
+    fn take_error(&mut self) -> Option<std::io::Error>;
+    /// Ends what is being written; `how` says why.
+    fn finish(self, how: &str) -> Result<Written, WriteError>;
+}
+
+impl Keep for Writer {
+    fn keep(&mut self, message: Message) {
+        self.add(&message);
+    }
+
+    /// What there is, is safe.
+    fn idle(&mut self) {
+        self.flush();
+    }
+
+    fn take_error(&mut self) -> Option<std::io::Error> {
+        Self::take_error(self)
+    }
+
+    fn finish(self, how: &str) -> Result<Written, WriteError> {
+        Self::finish(self, how)
+    }
+}
 
 /// What a recording has come to.
 #[derive(Debug, Default)]
@@ -52,13 +83,13 @@ impl Followed {
     }
 }
 
-/// Writes all that comes until the run ends, `limit` is over or the process is asked to end; events and log lines
+/// Hands on all that comes until the run ends, `limit` is over or the process is asked to end; events and log lines
 /// where `events`. The request asks for them all the same: they tell of the run's end.
 pub fn follow(
     root: &Path,
     request: &Request,
     mut client: Client,
-    mut writer: Writer,
+    mut writer: impl Keep,
     events: bool,
     limit: Option<Duration>,
     stop: &Stop,
@@ -77,7 +108,7 @@ pub fn follow(
         match client.next(left).map_err(Failure::unavailable)? {
             Some(Item::Attached) => {
                 let text = "the tap has died and was started again: frames between are missing".to_owned();
-                writer.event(&Event { at_ns: monotonic_ns(), what: Happened::Mark { text } });
+                writer.keep(Message::Event(Event { at_ns: monotonic_ns(), what: Happened::Mark { text } }));
             }
             Some(item) => {
                 has_ended |=
@@ -91,8 +122,7 @@ pub fn follow(
                 Some(next) => client = next,
                 None => break Followed::TapGone,
             },
-            // Nothing happens: what there is, is safe.
-            None => writer.flush(),
+            None => writer.idle(),
         }
         if let Some(error) = writer.take_error() {
             // Once for each kind: a full disk stays full.
@@ -106,18 +136,18 @@ pub fn follow(
     Ok(Recorded { written, lost, seconds: begun.elapsed().as_secs_f64() })
 }
 
-fn add(writer: &mut Writer, item: Item, lost: &mut Losses) {
+fn add(writer: &mut impl Keep, item: Item, lost: &mut Losses) {
     match item {
-        Item::Frame(frame) => writer.frame(&frame),
-        Item::Event(event) => writer.event(&event),
-        Item::Line(line) => writer.line(&line),
+        Item::Frame(frame) => writer.keep(Message::Frame(frame)),
+        Item::Event(event) => writer.keep(Message::Event(event)),
+        Item::Line(line) => writer.keep(Message::Line(line)),
         // Taken before the first of these, and told where it comes again.
         Item::Attached => {}
         Item::Lost(loss) => {
             let (at, topic) = (loss.at.name().to_owned(), loss.topic().to_owned());
             *lost.entry(topic.clone()).or_default() += loss.frames;
             let what = Happened::Lost { at, topic, frames: loss.frames };
-            writer.event(&Event { at_ns: monotonic_ns(), what });
+            writer.keep(Message::Event(Event { at_ns: monotonic_ns(), what }));
         }
     }
 }

@@ -15,6 +15,7 @@ use rustix::fs::{OFlags, fcntl_getfl, fcntl_setfl};
 
 use crate::child::die_with_this_process;
 use crate::failure::Failure;
+use crate::tap::RingArguments;
 use crate::tap::server::Told;
 
 /// Pause before a tap that died is started again.
@@ -165,15 +166,21 @@ pub struct Recording {
 
 impl Recording {
     /// Starts `stgdat record` for a run, and waits until it gets every frame.
-    pub fn start(root: &Path, file: &Path, topics: &str) -> Result<Self, Failure> {
+    pub fn start(root: &Path, file: &Path, topics: &str, ring: &RingArguments) -> Result<Self, Failure> {
         let mut command = Command::new(std::env::current_exe().map_err(Failure::unavailable)?);
         command.arg("record").arg(file).arg("--run").arg(root).args(["--topics", topics]);
+        ring.pass_on(&mut command);
         command.stdin(Stdio::null()).stdout(Stdio::piped()).process_group(0);
         let mut process = command.spawn().map_err(Failure::unavailable)?;
         let lines = process.stdout.take().map(read).unwrap_or_else(|| channel().1);
         // The first line says that it is attached; without one it has said why on standard error.
         match lines.recv_timeout(START_LIMIT) {
-            Ok(_) => Ok(Self { process, lines }),
+            Ok(line) => {
+                if ring.limits().is_some() {
+                    eprintln!("{line}");
+                }
+                Ok(Self { process, lines })
+            }
             Err(_) => {
                 let _ = process.kill();
                 let _ = process.wait();

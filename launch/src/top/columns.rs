@@ -38,7 +38,7 @@ fn fault(value: u64) -> (String, Style) {
 }
 
 /// The columns, in the order in which they are shown; the bar of the budget comes after `BUDGET` of them.
-const COLUMNS: [Column; 16] = [
+const COLUMNS: [Column; 17] = [
     Column { head: "p50", width: 6, from_width: 0, cell: |row| time(row.stage.recent_compute_ms.p50) },
     Column { head: "p99", width: 6, from_width: 0, cell: |row| time(row.stage.recent_compute_ms.p99) },
     Column { head: "max", width: 6, from_width: 0, cell: |row| time(row.stage.recent_compute_ms.max) },
@@ -80,6 +80,7 @@ const COLUMNS: [Column; 16] = [
     Column { head: "cpu", width: 5, from_width: 0, cell: cpu },
     Column { head: "mem", width: 6, from_width: 0, cell: |row| bytes(row.stage.process.memory_bytes) },
     Column { head: "shared", width: 7, from_width: 130, cell: |row| bytes(row.stage.process.shared_bytes) },
+    Column { head: "spare", width: 9, from_width: 140, cell: spare },
 ];
 /// Columns before the bar.
 const BUDGET: usize = 4;
@@ -92,6 +93,14 @@ fn behind(row: Row<'_>) -> (String, Style) {
         // A heartbeat is up to a tick old.
         Some(ticks @ 0..=2) => (count(ticks), DIM),
         Some(ticks) => (count(ticks), BOLD.fg(Color::Red)),
+    }
+}
+
+fn spare(row: Row<'_>) -> (String, Style) {
+    match row.stage.process.spare.as_deref() {
+        None => ("–".to_owned(), DIM),
+        Some("ready") => ("ready".to_owned(), Style::new().fg(Color::Green)),
+        Some(state) => (state.to_owned(), Style::new().fg(Color::Yellow)),
     }
 }
 

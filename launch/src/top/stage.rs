@@ -55,6 +55,9 @@ fn process(stage: &StageStatus) -> Line<'static> {
     spans.extend(told("cpu", process.cpu.map(|cpu| format!("{:.0} %", cpu * 1e2))));
     spans.extend(told("memory", process.memory_bytes.map(|own| bytes(Some(own)).0)));
     spans.extend(told("shared", process.shared_bytes.map(|shared| bytes(Some(shared)).0)));
+    if let Some(spare) = &process.spare {
+        spans.extend(told("spare", Some(format!("{spare}, promoted {}×", process.promotions))));
+    }
     Line::from(spans)
 }
 

@@ -19,6 +19,8 @@ fn stage(name: &str, compute_ms: f64, cpu: f64) -> (StageStatus, StageReport) {
         cpu: Some(cpu),
         memory_bytes: Some((compute_ms * 1e7) as u64),
         shared_bytes: Some(12 << 20),
+        spare: (name == "decoder").then(|| "ready".to_owned()),
+        promotions: u32::from(name == "decoder"),
     };
     let status = StageStatus {
         name: name.to_owned(),
@@ -148,11 +150,12 @@ fn the_table_fits_80_columns_with_its_last_one() {
 fn the_table_has_more_in_140_columns() {
     let text = text(&View::new(status(), SortBy::P99, None), 140);
     let heading = words(&text, &["stage", "budget"]);
-    for column in ["send", "over", "gap", "refus", "behind", "shared"] {
+    for column in ["send", "over", "gap", "refus", "behind", "shared", "spare"] {
         assert!(heading.contains(&column.to_owned()), "{column}");
     }
     let encoder = words(&text, &["encoder", "11%"]);
-    assert_eq!(encoder[encoder.len() - 8..], ["2", "2", "0", "7", "0", "11%", "10M", "12M"]);
+    assert_eq!(encoder[encoder.len() - 9..], ["2", "2", "0", "7", "0", "11%", "10M", "12M", "–"]);
+    assert_eq!(words(&text, &["decoder", "ready"]).last().map(String::as_str), Some("ready"));
     let rows: Vec<&str> = text.lines().filter(|line| line.starts_with('●')).collect();
     assert!(rows[0].contains("decoder") && rows[1].contains("extractor"), "sorted by p99:\n{text}");
 }

@@ -21,12 +21,12 @@ pub struct Arguments {
 /// Checks a pipeline.toml and prints a summary.
 pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
     let pipeline = pipeline_file::load(arguments.file.as_deref().or(arguments.pipeline.as_deref()))?;
-    let budget_ms: f64 = pipeline.stages.iter().filter_map(|stage| stage.budget_ms).sum();
     let own = pipeline.stages.iter().filter(|stage| stage.command.is_some()).count();
     println!(
-        "ok: {} stages ({own} external), {} connections, budgets {budget_ms} of {BUDGET_MAX_MS} ms",
+        "ok: {} stages ({own} external), {} connections, budgets {} of {BUDGET_MAX_MS} ms",
         pipeline.stages.len(),
-        pipeline.edges().len()
+        pipeline.edges().len(),
+        pipeline.budget_ms
     );
     Ok(Exit::Done)
 }

@@ -66,7 +66,7 @@ fn differing(a: &About, b: &About) -> Vec<String> {
     let mut found: Vec<String> = pairs.map(|(name, a, b)| format!("{name}: {a} and {b}")).collect();
     // Where a run writes its report is no matter.
     let options = |about: &About| {
-        let stages = about.run.stages.iter().filter(|stage| stage.stage != wire::StageId::Recorder as u32);
+        let stages = about.run.stages.iter().filter(|stage| stage.stage != wire::StageId::Recorder.number());
         stages.map(|stage| (stage.stage, stage.options.clone())).collect::<Vec<_>>()
     };
     if options(a) != options(b) {

@@ -3,7 +3,7 @@ use std::path::{Path, PathBuf};
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 use clap::Args;
-use ports::{Stop, monotonic_ns};
+use ports::{Asked, Stop, monotonic_ns};
 use recording::tap::{Client, Item, Request};
 use recording::{About, EVENTS, LOG, Writer};
 use run::Exit;
@@ -11,7 +11,7 @@ use wire::TABLE;
 
 use crate::failure::Failure;
 use crate::runs;
-use crate::tap::{Recorded, follow};
+use crate::tap::{FlightRecorder, Recorded, RingArguments, follow};
 use crate::verbs::wire::layout;
 
 /// Topics that are recorded where none are named.
@@ -19,10 +19,13 @@ pub const TOPICS: &str = "detections,tracks,forecasts,events";
 /// Time that the tap has to open the topics.
 const ATTACH_LIMIT: Duration = Duration::from_secs(10);
 
+/// How far a flight recorder stands back behind the stages.
+const NICE: i32 = 10;
+
 /// Arguments of `stgdat record`.
 #[derive(Debug, Args)]
 pub struct Arguments {
-    /// File to write; there must be none of that name
+    /// File to write; there must be none of that name. With --last the files are numbered: drive-1.mcap, …
     #[arg(value_name = "FILE")]
     file: PathBuf,
     /// The run, by its name or its folder, where more than one goes on
@@ -35,6 +38,8 @@ pub struct Arguments {
     /// End after so many seconds; with the run if not given
     #[arg(long, value_name = "S")]
     seconds: Option<f64>,
+    #[command(flatten)]
+    ring: RingArguments,
 }
 
 /// What is recorded.
@@ -76,16 +81,30 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
     let about =
         About::of_run(&run.root).map_err(|error| Failure::file(&run.root.join(recording::ABOUT), error))?;
     let about = About { topics: names.clone(), clock_offset_ns: clock_offset_ns(), ..about };
-    let writer = Writer::create(&arguments.file, &about, &layout()).map_err(Failure::data)?;
-
     let request = Request { tool: "record".to_owned(), topics: names, events: true, mark: None };
     let mut client = Client::attach(&run.root, &request).map_err(Failure::unavailable)?;
     if client.next(ATTACH_LIMIT).map_err(Failure::unavailable)? != Some(Item::Attached) {
         return Err(Failure::Failed(format!("the tap of {} does not answer", run.name)));
     }
-    say(&format!("recording {} to {}; Ctrl-C ends it", run.name, arguments.file.display()));
-    let recorded = follow(&run.root, &request, client, writer, events, limit, &stop)?;
-    say(&summary(&arguments.file, &recorded));
+    let file = &arguments.file;
+    let recorded = match arguments.ring.limits() {
+        None => {
+            let writer = Writer::create(file, &about, &layout()).map_err(Failure::data)?;
+            say(&format!("recording {} to {}; Ctrl-C ends it", run.name, file.display()));
+            let recorded = follow(&run.root, &request, client, writer, events, limit, &stop)?;
+            say(&summary(file, &recorded));
+            recorded
+        }
+        Some(limits) => {
+            arguments.ring.check(file)?;
+            // A whole ring is packed at once: the stages come first.
+            let _ = rustix::process::nice(NICE);
+            let asked = Asked::by_usr1().map_err(Failure::unavailable)?;
+            say(&format!("{}: {}", run.name, arguments.ring.told(file)));
+            let recorder = FlightRecorder::new(file, about, limits, asked, say);
+            follow(&run.root, &request, client, recorder, true, limit, &stop)?
+        }
+    };
     let lost = recorded.lost.values().chain(recorded.written.lost.values()).sum::<u64>();
     if lost > 0 {
         say(&format!("  {lost} frames are not in it: {}", losses(&recorded)));

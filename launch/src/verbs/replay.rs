@@ -4,9 +4,9 @@ use clap::Args;
 use clap::builder::PossibleValuesParser;
 use nn::{Weights, kernels};
 use onboard::{Replay, Replayed, STAGES};
-use recording::{About, Frame, Recording, Writer};
+use recording::{About, Comparison, Frame, Recording, Writer};
 use run::Exit;
-use wire::StageId;
+use wire::{ForecastsTopic, StageId, Topic as _};
 
 use crate::arguments::canonical;
 use crate::differences::{table, title};
@@ -17,6 +17,9 @@ use crate::verbs::wire::layout;
 
 /// Numbers of ticks that are listed.
 const LISTED_MAX: usize = 8;
+
+/// Numbers that are no farther apart than this are told to be near: a tenth of a millimetre.
+const NEAR: f64 = 1e-4;
 
 /// Arguments of `stgdat replay`.
 #[derive(Debug, Args)]
@@ -129,6 +132,18 @@ fn writer(
     Writer::create(path, &about, &layout()).map(Some).map_err(Failure::data)
 }
 
+/// From which tick on the forecasts are near those recorded, to follow that they are never the same.
+fn near(comparison: &Comparison, newest: Option<u64>) -> String {
+    let forecasts = comparison.topics.iter().find(|(name, _)| *name == ForecastsTopic::NAME);
+    let Some((_, forecasts)) = forecasts else { return String::new() };
+    let far = forecasts.growth.iter().rev().find(|(_, apart)| **apart > NEAR);
+    match far {
+        None => format!("; no forecast is more than {NEAR} apart"),
+        Some((tick, _)) if Some(*tick) == newest => format!("; the forecasts stay more than {NEAR} apart"),
+        Some((tick, _)) => format!("; from tick {} on no forecast is more than {NEAR} apart", tick + 1),
+    }
+}
+
 /// What the replay has found.
 fn told(replayed: &Replayed) -> String {
     let Replayed {
@@ -137,6 +152,7 @@ fn told(replayed: &Replayed) -> String {
         newest,
         guessed,
         missing_before,
+        tracks_are_recorded,
         without_detections,
         close_priors,
         impossible,
@@ -146,6 +162,9 @@ fn told(replayed: &Replayed) -> String {
         text += &format!(
             "the recording begins with tick {first}: the stages had seen others before, which the replay has not\n"
         );
+    }
+    if *tracks_are_recorded {
+        text += "the tracks are taken from the record: what the tracker remembered is not in the file\n";
     }
     if *guessed > 0 {
         text += &format!(
@@ -173,7 +192,7 @@ fn told(replayed: &Replayed) -> String {
         }
         None if alone == 0 => format!("equal to the byte: {ticks} ticks\n"),
         None => format!("equal where both have a frame; {alone} frames are on one side alone\n"),
-        last if last == *newest => "the last tick differs still\n".to_owned(),
+        last if last == *newest => format!("the last tick differs still{}\n", near(comparison, *newest)),
         Some(last) => format!("the replay agrees from tick {} on\n", last + 1),
     };
     text

@@ -1,3 +1,4 @@
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant, SystemTime};
 
@@ -5,11 +6,11 @@ use clap::{Args, ValueEnum};
 use config::Pipeline;
 use localiser::MapChoice;
 use nn::Weights;
-use ports::{Space, Stop};
+use ports::{Space, Stop, Topics};
 use recorder::live::LiveOptions;
-use recorder::{Report, RunInfo, Supervision};
+use recorder::{Report, RunInfo, SpareReport, Supervision};
 use recording::{About, Happened};
-use run::{Exit, Run, StageRun};
+use run::{Exit, Run, SpareRun, StageRun};
 use scene::ContextMap;
 use source::{Playback, PlaybackOptions};
 use toml::Value;
@@ -29,7 +30,7 @@ use crate::observe::{ObserveArguments, Observer};
 use crate::options::{Setting, StageOptions, text};
 use crate::outages::Outages;
 use crate::pipeline_file;
-use crate::tap::{Recording, Tap};
+use crate::tap::{Recording, RingArguments, Tap};
 use crate::verbs::record;
 use crate::watch::Watch;
 
@@ -76,6 +77,8 @@ pub struct Arguments {
     #[arg(long, value_name = "LIST", requires = "record", default_value = record::TOPICS, value_parser = record_topics)]
     record_topics: String,
     #[command(flatten)]
+    ring: RingArguments,
+    #[command(flatten)]
     observe: ObserveArguments,
     /// Show no progress
     #[arg(long)]
@@ -96,6 +99,9 @@ enum Speed {
 /// Runs a pipeline to the end of its scene and reports.
 pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
     let stop = Stop::on_signals().map_err(Failure::unavailable)?;
+    if arguments.ring.limits().is_some() && arguments.record.is_none() {
+        return Err(Failure::Usage("--last: --record FILE names the files that it is written to".to_owned()));
+    }
     let pipeline = pipeline_file::load(arguments.pipeline.as_deref())?;
     let (weights_path, weights) = arguments.model.open_weights(pipeline.weights.as_deref())?;
     let mut options = StageOptions::of_pipeline(&pipeline);
@@ -123,6 +129,8 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
         shed: pipeline.shed,
         weights: weights_path,
         stages: stage_runs(&pipeline, &options),
+        spares: spare_runs(&pipeline, arguments.speed == Speed::Max),
+        topics: pipeline.topics.clone(),
     };
     weights.config().write(&run.root).map_err(Failure::data)?;
     let live = live_options(&run, &info, playback.ticks_len());
@@ -134,8 +142,9 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
     about(arguments, &info, &run)?.write(&run.root).map_err(|error| Failure::file(&run.root, error))?;
     let tap = Tap::start(&record_file)?;
     let recording = arguments.record.as_deref();
-    let recording =
-        recording.map(|file| Recording::start(&run.root, file, &arguments.record_topics)).transpose()?;
+    let recording = recording
+        .map(|file| Recording::start(&run.root, file, &arguments.record_topics, &arguments.ring))
+        .transpose()?;
     let observer = Observer::open(&run, &arguments.observe)?;
     let watch = Watch::open(&run, live, arguments.quiet, observer)?;
     let following = Following { tap, recording, watch };
@@ -157,6 +166,7 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
         let ended_by = ended.outcome.as_ref().err().map(ToString::to_string);
         let mut supervision = ended.outages.into_record(ended_by);
         supervision.memory = ended.memory.into_report();
+        supervision.spares = ended.spares;
         let given_up = !supervision.given_up.is_empty();
         let measured = report(arguments, measured, info, supervision)?;
         ended.recorded.iter().for_each(|line| println!("{line}"));
@@ -184,6 +194,8 @@ struct Ended {
     linked: bool,
     outages: Outages,
     memory: Memory,
+    /// What became of the spares.
+    spares: BTreeMap<String, SpareReport>,
     /// What the recording says of its file.
     recorded: Vec<String>,
     /// Files about the run that could not be written.
@@ -247,12 +259,26 @@ fn report_path(options: &mut StageOptions, root: &Path) -> Result<PathBuf, Failu
 /// The stages of the run record, in the pipeline's order.
 fn stage_runs(pipeline: &Pipeline, options: &StageOptions) -> Vec<StageRun> {
     let mut runs = options.stage_runs();
-    let place = |run: &StageRun| pipeline.stages.iter().position(|stage| stage.id as u32 == run.stage);
+    let place = |run: &StageRun| pipeline.stages.iter().position(|stage| stage.id.number() == run.stage);
     runs.sort_by_key(place);
     for run in &mut runs {
-        run.budget_ms = place(run).and_then(|place| pipeline.stages[place].budget_ms);
+        if let Some(stage) = place(run).map(|place| &pipeline.stages[place]) {
+            run.budget_ms = stage.budget_ms;
+            run.reads = pipeline.read_by(stage).map(str::to_owned).collect();
+            run.writes = pipeline.written_by(stage).map(str::to_owned).collect();
+        }
     }
     runs
+}
+
+/// The spares of the run record; none in lockstep, where no stage is started again.
+fn spare_runs(pipeline: &Pipeline, lockstep: bool) -> Vec<SpareRun> {
+    let with_spare = pipeline.stages.iter().filter(|stage| stage.spare && !lockstep);
+    let topics = |stage: &config::Stage| {
+        let topics = stage.reads.iter().chain(&stage.writes);
+        topics.map(|topic| stage.topics.get(topic).unwrap_or(topic).clone()).collect()
+    };
+    with_spare.map(|stage| SpareRun { stage: stage.id.number(), topics: topics(stage) }).collect()
 }
 
 /// Writes the run's record, and its path to the file that is to announce it, which appears whole.
@@ -279,6 +305,8 @@ fn supervise(
 ) -> Result<Ended, Failure> {
     let Following { mut tap, recording, mut watch } = following;
     let control = Control::open(run)?;
+    // Whoever opens a topic first makes it: a program of the user's own would leave no places for spares.
+    let _topics = (!run.spares.is_empty()).then(|| Topics::make(run)).transpose()?;
     let mut fleet = Fleet::start(pipeline, run, record, keeps_memory)?;
     fleet.notes().into_iter().for_each(|note| watch.note(note));
     let mut memory = Memory::default();
@@ -290,7 +318,7 @@ fn supervise(
         if tap.tend() {
             fleet.clean_up();
         }
-        let heartbeats = match watch.follow(lines.into_iter()) {
+        let heartbeats = match watch.follow(lines.into_iter(), &fleet) {
             Ok(heartbeats) => heartbeats,
             Err(failure) => break Err(failure),
         };
@@ -322,6 +350,7 @@ fn supervise(
             break Err(Failure::Failed(format!("not linked after {seconds} s: {}", names.join(", "))));
         }
     };
+    let spares = fleet.spare_reports();
     fleet.end();
     let lines: Vec<Line> = fleet.lines().collect();
     lines.iter().for_each(|(stage, line)| tap.line(stage.name(), line));
@@ -339,7 +368,7 @@ fn supervise(
     }
     let unkept = keeps_memory.then(|| fleet.failure(StageId::Sampler)).flatten();
     let (outages, unwritten) = watch.close(lines.into_iter(), &fleet);
-    Ok(Ended { outcome, unkept, linked, outages, memory, recorded, unwritten })
+    Ok(Ended { outcome, unkept, linked, outages, memory, spares, recorded, unwritten })
 }
 
 /// Takes orders to replace stages, and gives a new process that is warm its turn between two ticks.
@@ -460,6 +489,7 @@ fn record_topics(list: &str) -> Result<String, String> {
 fn live_options(run: &Run, info: &RunInfo, ticks_len: u64) -> LiveOptions {
     LiveOptions {
         title: info.recording.clone().unwrap_or_default(),
+        stages: run.order(),
         budgets_ms: run.budgets_ms(),
         ticks_limit: Some(ticks_len),
         ..LiveOptions::default()

@@ -169,6 +169,7 @@ fn told(what: &Happened) -> Option<String> {
             format!("the {stage} refused frames of the {sender} ({frames}): {cause}")
         }
         Happened::Mark { text } => format!("mark: {text}"),
+        Happened::Kept { why } => format!("kept by the flight recorder: {why}"),
         Happened::Lost { at, topic, frames } => {
             format!("{frames} frames of {topic} not recorded, at the {at}")
         }

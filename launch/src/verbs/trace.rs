@@ -103,6 +103,7 @@ fn happened(tracer: &mut Tracer, Event { at_ns, what }: &Event) {
             tracer.note(*at_ns, "not recorded", &format!("{frames} frames of {topic}, at the {at}"));
         }
         Happened::Mark { text } => tracer.note(*at_ns, "mark", text),
+        Happened::Kept { why } => tracer.note(*at_ns, "kept", why),
         Happened::Ended { how } => tracer.note(*at_ns, "ended", how),
     }
 }

@@ -1,7 +1,7 @@
 use wire::AGENTS_MAX;
 
-/// Patches kept per track: a history of 2.8 s at 12.5 Hz has 36 stamps.
-const STAMPS_MAX: usize = 40;
+/// Patches kept per track: a history of 2.8 s at 12.5 Hz has 36 stamps; some more for uneven ticks.
+const STAMPS_MAX: usize = 64;
 
 /// The patches of the newest stamps of each track.
 ///
@@ -18,7 +18,7 @@ struct Entry {
     id: u64,
     used_ns: i64,
     stamps_ns: [i64; STAMPS_MAX],
-    /// Stamps written so far; the next goes to `len` modulo the ring's size.
+    /// Stamps held.
     len: usize,
 }
 
@@ -69,18 +69,22 @@ impl PatchCache {
     /// The patch of a track at a stamp, if it is still held.
     pub(crate) fn get(&self, slot: Slot, stamp_ns: i64) -> Option<&[f32]> {
         let entry = &self.entries[slot.0];
-        let held = &entry.stamps_ns[..entry.len.min(STAMPS_MAX)];
+        let held = &entry.stamps_ns[..entry.len];
         let place = held.iter().position(|held| *held == stamp_ns)?;
         let start = (slot.0 * STAMPS_MAX + place) * self.patch_len;
         Some(&self.patches[start..start + self.patch_len])
     }
 
-    /// Stores the patch of a track at a stamp in place of its oldest.
+    /// Stores the patch of a track at a stamp, in place of that of the oldest stamp where there is no room.
     pub(crate) fn put(&mut self, slot: Slot, stamp_ns: i64, patch: &[f32]) {
         let entry = &mut self.entries[slot.0];
-        let place = entry.len % STAMPS_MAX;
+        let place = if entry.len < STAMPS_MAX {
+            entry.len += 1;
+            entry.len - 1
+        } else {
+            (0..STAMPS_MAX).min_by_key(|place| entry.stamps_ns[*place]).unwrap_or(0)
+        };
         entry.stamps_ns[place] = stamp_ns;
-        entry.len += 1;
         let start = (slot.0 * STAMPS_MAX + place) * self.patch_len;
         self.patches[start..start + self.patch_len].copy_from_slice(patch);
     }

@@ -143,10 +143,12 @@ impl Localiser {
             let stamp_ns = header.stamp_ns.saturating_sub_unsigned(age_ns);
             match self.cache.get(slot, stamp_ns) {
                 Some(held) => patch.copy_from_slice(held),
-                None => self.map.patch(&state, self.patch, patch),
-            }
-            if step == newest {
-                self.cache.put(slot, stamp_ns, patch);
+                None => {
+                    self.map.patch(&state, self.patch, patch);
+                    // That of an earlier stamp too, when the track was not confirmed yet: an online map grows, and
+                    // what is cut from it for a stamp must not depend on who looks when.
+                    self.cache.put(slot, stamp_ns, patch);
+                }
             }
         }
     }

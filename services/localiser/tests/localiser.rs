@@ -143,6 +143,26 @@ fn a_new_track_gets_patches_for_its_whole_history() {
 }
 
 #[test]
+fn patches_of_stamps_before_a_track_is_confirmed_stay_the_same() {
+    let mut localiser = online();
+    (0..60).for_each(|tick| drop(step(&mut localiser, tick, &crowd(6, tick))));
+    // Patches by stamp, as they were first cut.
+    let mut first = std::collections::BTreeMap::new();
+    for tick in 60..100_i64 {
+        let tracks: Vec<Track> =
+            crowd(6, tick).into_iter().chain([Track { id: 77, ..track(1, tick) }]).collect();
+        let patches = step(&mut localiser, tick, &tracks);
+        for back in 0..HISTORY_LEN {
+            let now = patch(&patches, 6, HISTORY_LEN - 1 - back).to_vec();
+            let known = first.entry(tick - back as i64 * STEP_TICKS).or_insert_with(|| now.clone());
+            assert_eq!(*known, now, "tick {tick}, {back} steps back");
+        }
+    }
+    let of_two: Vec<_> = [25, 30].map(|stamp| first[&stamp].clone()).into();
+    assert_ne!(of_two[0], of_two[1], "the patches differ by stamp");
+}
+
+#[test]
 fn new_tracks_evict_only_tracks_that_are_gone() {
     let mut localiser = online();
     let mut newest = Vec::new();

@@ -33,6 +33,6 @@ pub use options::{Options, STAGE};
 pub use record::{Checkpoint, Recorder, RecorderOptions, TICK_LIMIT_NS};
 pub use report::{
     Errors, Outage, REPORT_VERSION, RefusedFrames, Replacement, ReplacementOutcome, Report, ReportError,
-    RunInfo, StageMemory, Status, Supervision, Verdict, WorstTick, program_name,
+    RunInfo, SpareReport, StageMemory, Status, Supervision, Verdict, WorstTick, program_name,
 };
 pub use whole_file::{WholeFile, is_standard_output};

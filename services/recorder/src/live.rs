@@ -12,7 +12,7 @@ use wire::{Cause, Forecast, Header, Heartbeat, Quality, StageId, flags};
 pub use draw::draw;
 
 use crate::losses::Losses;
-use crate::passage::{Passage, STAGES_LEN, Timeline, place};
+use crate::passage::{Passage, Phases, Timeline};
 use crate::record::{TICK_LIMIT_NS, is_outside, is_shed};
 use crate::report::{Percentiles, RefusedFrames, ReplacementOutcome};
 use crate::text::{count, number};
@@ -27,6 +27,8 @@ const SILENT_NS: u64 = 200_000_000;
 pub struct LiveOptions {
     /// Title: the recording or scene.
     pub title: String,
+    /// The stages, in the order in which a tick passes them.
+    pub stages: Vec<StageId>,
     /// Each stage's share of the tick limit; these stages have a row from the start.
     pub budgets_ms: BTreeMap<StageId, f64>,
     /// A tick is late beyond this or the frame interval, whichever is shorter.
@@ -39,6 +41,7 @@ impl Default for LiveOptions {
     fn default() -> Self {
         Self {
             title: String::new(),
+            stages: StageId::ALL.to_vec(),
             budgets_ms: BTreeMap::new(),
             tick_limit_ns: TICK_LIMIT_NS,
             ticks_limit: None,
@@ -67,6 +70,8 @@ pub struct LiveStage {
     pub restarts: u32,
     /// Times that it was replaced.
     pub replaced: u32,
+    /// What its spare is doing, and times that one took its place; none where it has none.
+    pub spare: Option<(&'static str, u32)>,
     /// Whether its last heartbeat is recent; `None` before the first.
     pub alive: Option<bool>,
 }
@@ -78,10 +83,11 @@ pub struct LiveView {
     timeline: Timeline,
     losses: Losses,
     window: VecDeque<Passage>,
-    beats: [Option<Heartbeat>; STAGES_LEN],
-    late_by_stage: [u64; STAGES_LEN],
+    beats: [Option<Heartbeat>; StageId::PLACES_LEN],
+    late_by_stage: [u64; StageId::PLACES_LEN],
     /// Times that each stage was replaced, and the incarnations that were no restarts.
-    replaced: [(u32, u32); STAGES_LEN],
+    replaced: [(u32, u32); StageId::PLACES_LEN],
+    spares: [Option<(&'static str, u32)>; StageId::PLACES_LEN],
     first_released_ns: Option<u64>,
     now_ns: u64,
     limit_ns: u64,
@@ -112,9 +118,10 @@ impl LiveView {
             timeline: Timeline::default(),
             losses: Losses::default(),
             window: VecDeque::with_capacity(WINDOW_LEN),
-            beats: [None; STAGES_LEN],
-            late_by_stage: [0; STAGES_LEN],
-            replaced: [(0, 0); STAGES_LEN],
+            beats: [None; StageId::PLACES_LEN],
+            late_by_stage: [0; StageId::PLACES_LEN],
+            replaced: [(0, 0); StageId::PLACES_LEN],
+            spares: [None; StageId::PLACES_LEN],
             first_released_ns: None,
             now_ns: 0,
             next_seq: None,
@@ -149,7 +156,7 @@ impl LiveView {
         self.late_ticks += u64::from(passage.end_to_end_ns.is_some_and(|t| t > self.limit_ns));
         for (&stage, &budget_ms) in &self.options.budgets_ms {
             let late = passage.phases(stage).is_some_and(|p| p.compute_ns as f64 > budget_ms * 1e6);
-            self.late_by_stage[place(stage)] += u64::from(late);
+            self.late_by_stage[stage.place()] += u64::from(late);
         }
         if self.window.len() == WINDOW_LEN {
             self.window.pop_front();
@@ -172,19 +179,41 @@ impl LiveView {
         }
     }
 
+    /// Takes the header of a frame that an added stage has sent beside a tick's way.
+    pub fn beside(&mut self, header: &Header) {
+        if header.check().is_err() || !header.is_tick() {
+            return;
+        }
+        let Some((stage, times)) = self.timeline.beside(header).filter(|(stage, _)| stage.is_added()) else {
+            return;
+        };
+        let phases = Phases::from(times);
+        let budget_ms = self.options.budgets_ms.get(&stage);
+        let late = budget_ms.is_some_and(|budget_ms| phases.compute_ns as f64 > budget_ms * 1e6);
+        self.late_by_stage[stage.place()] += u64::from(late);
+        if let Some(tick) = self.window.back_mut() {
+            tick.add(stage, phases);
+        }
+    }
+
     /// Takes a stage's heartbeat.
     pub fn heartbeat(&mut self, heartbeat: &Heartbeat) {
         self.losses.heartbeat(heartbeat);
         if let Some(stage) = StageId::from_number(heartbeat.stage) {
-            self.beats[place(stage)] = Some(*heartbeat);
+            self.beats[stage.place()] = Some(*heartbeat);
         }
     }
 
     /// Takes what came of a stage's replacement.
     pub fn replaced(&mut self, stage: StageId, outcome: ReplacementOutcome) {
-        let (times, incarnations) = &mut self.replaced[place(stage)];
+        let (times, incarnations) = &mut self.replaced[stage.place()];
         *times += u32::from(outcome == ReplacementOutcome::Replaced);
         *incarnations += outcome.incarnations();
+    }
+
+    /// Takes what the spares are doing: each with its stage, a word, and times that it took the stage's place.
+    pub fn spares(&mut self, spares: impl Iterator<Item = (StageId, &'static str, u32)>) {
+        spares.for_each(|(stage, state, promotions)| self.spares[stage.place()] = Some((state, promotions)));
     }
 
     /// Takes the time (`CLOCK_MONOTONIC`), from which the run's duration and silent stages follow.
@@ -207,17 +236,19 @@ impl LiveView {
     /// The stages that have a budget, sent a heartbeat or passed the last tick, in the order of the chain.
     #[must_use]
     pub fn stages(&self) -> Vec<(StageId, LiveStage)> {
-        let drops = self.losses.by_stage();
+        let drops = self.losses.by_stage(&self.options.stages);
         let refusals = self.losses.refusals();
-        StageId::ALL
-            .into_iter()
+        self.options
+            .stages
+            .iter()
+            .copied()
             .filter(|stage| {
                 self.options.budgets_ms.contains_key(stage)
-                    || self.beats[place(*stage)].is_some()
+                    || self.beats[stage.place()].is_some()
                     || self.window.back().is_some_and(|tick| tick.phases(*stage).is_some())
             })
             .map(|stage| {
-                let beat = self.beats[place(stage)];
+                let beat = self.beats[stage.place()];
                 let [p50, p99] = percentiles(
                     self.window.iter().filter_map(|tick| tick.phases(stage)).map(|phases| phases.compute_ns),
                 );
@@ -226,11 +257,12 @@ impl LiveView {
                     compute_ms_p99: p99,
                     budget_ms: self.options.budgets_ms.get(&stage).copied(),
                     frames: beat.map_or(0, |beat| beat.frames_len),
-                    late: self.late_by_stage[place(stage)],
-                    lost: drops[place(stage)].total(),
+                    late: self.late_by_stage[stage.place()],
+                    lost: drops[stage.place()].total(),
                     refused: refusals.iter().find(|refused| refused.reader == stage.name()).cloned(),
-                    restarts: self.losses.restarts(stage).saturating_sub(self.replaced[place(stage)].1),
-                    replaced: self.replaced[place(stage)].0,
+                    restarts: self.losses.restarts(stage).saturating_sub(self.replaced[stage.place()].1),
+                    replaced: self.replaced[stage.place()].0,
+                    spare: self.spares[stage.place()],
                     alive: beat.map(|beat| self.now_ns.saturating_sub(beat.sent_ns) <= SILENT_NS),
                 };
                 (stage, row)
@@ -259,7 +291,7 @@ impl LiveView {
     /// A stage's newest heartbeat.
     #[must_use]
     pub const fn beat(&self, stage: StageId) -> Option<&Heartbeat> {
-        self.beats[place(stage)].as_ref()
+        self.beats[stage.place()].as_ref()
     }
 
     /// Forecasts of the newest tick by quality.
@@ -308,7 +340,7 @@ impl LiveView {
         let of = self.options.ticks_limit.map_or_else(String::new, |limit| format!("/{limit}"));
         let [p50, p99] = self.end_to_end_ms();
         let [learned, held, kinematic] = self.newest;
-        let lost: u64 = self.losses.by_stage().iter().map(|drops| drops.total()).sum();
+        let lost: u64 = self.losses.by_stage(&self.options.stages).iter().map(|drops| drops.total()).sum();
         let shed = match self.total_shed {
             0 => String::new(),
             total => format!(", shed {} ({} so far)", self.newest_shed, count(total)),

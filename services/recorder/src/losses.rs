@@ -3,7 +3,6 @@
 use serde::{Deserialize, Serialize};
 use wire::{Header, Heartbeat, StageId};
 
-use crate::passage::{STAGES_LEN, place};
 use crate::refusals::RefusalCounts;
 use crate::report::{RefusedFrames, StageDrops};
 
@@ -42,11 +41,11 @@ impl Counters {
 /// Counts losses of all stages.
 #[derive(Clone, Debug, Default, Serialize, Deserialize)]
 pub(crate) struct Losses {
-    stages: [Counters; STAGES_LEN],
+    stages: [Counters; StageId::PLACES_LEN],
     /// Ticks without forecasts that died with a stage, by the stage.
-    restart: [u64; STAGES_LEN],
+    restart: [u64; StageId::PLACES_LEN],
     /// The newest incarnation of each stage that the forecasts have passed.
-    passed: [u32; STAGES_LEN],
+    passed: [u32; StageId::PLACES_LEN],
     refusals: RefusalCounts,
 }
 
@@ -54,7 +53,7 @@ impl Losses {
     /// Takes a stage's own counters. A heartbeat of an earlier incarnation is stale and ignored.
     pub fn heartbeat(&mut self, heartbeat: &Heartbeat) {
         if let Some(stage) = StageId::from_number(heartbeat.stage) {
-            self.stages[place(stage)].heartbeat(heartbeat);
+            self.stages[stage.place()].heartbeat(heartbeat);
         }
         self.refusals.heartbeat(heartbeat);
     }
@@ -70,51 +69,52 @@ impl Losses {
         let mut restarted = None;
         for hop in header.hops() {
             let Some(stage) = StageId::from_number(hop.stage) else { continue };
-            let passed = &mut self.passed[place(stage)];
+            let passed = &mut self.passed[stage.place()];
             if hop.incarnation > *passed {
                 *passed = hop.incarnation;
                 restarted = restarted.or(Some(stage));
             }
         }
         match restarted {
-            Some(stage) => self.restart[place(stage)] += len,
-            None => self.stages[place(StageId::Recorder)].newest.gap += len,
+            Some(stage) => self.restart[stage.place()] += len,
+            None => self.stages[StageId::Recorder.place()].newest.gap += len,
         }
     }
 
     /// Counts ticks whose forecasts came while the recorder was restarted.
     pub const fn unrecorded(&mut self, len: u64) {
-        self.restart[place(StageId::Recorder)] += len;
+        self.restart[StageId::Recorder.place()] += len;
     }
 
     /// Counts a frame that the recorder refused.
     pub fn forecast_refused(&mut self) {
-        self.stages[place(StageId::Recorder)].newest.refused += 1;
+        self.stages[StageId::Recorder.place()].newest.refused += 1;
     }
 
     /// Number of restarts of a stage.
     pub const fn restarts(&self, stage: StageId) -> u32 {
-        self.stages[place(stage)].incarnation
+        self.stages[stage.place()].incarnation
     }
 
-    /// Losses of each stage, in the order of [`StageId::ALL`].
+    /// Losses of each stage, by its place; `order` is that in which a tick passes the stages.
     ///
     /// A frame lost in one stage is a gap in all later ones; it counts where it was lost first. A refused
     /// frame is no gap: it is passed on as VOID. The sampler publishes also without controls, so a tick is
     /// missing at the recorder only if the tracker or the sampler lost it.
-    pub fn by_stage(&self) -> [StageDrops; STAGES_LEN] {
+    pub fn by_stage(&self, order: &[StageId]) -> [StageDrops; StageId::PLACES_LEN] {
         let mut lost_before = 0;
-        let mut own = self.stages.map(|counters| {
-            let StageDrops { gap, refused, .. } = counters.total();
-            let own = StageDrops { gap: gap.saturating_sub(lost_before), refused, restart: 0 };
+        let mut own = [StageDrops::default(); StageId::PLACES_LEN];
+        for stage in order {
+            let StageDrops { gap, refused, .. } = self.stages[stage.place()].total();
+            own[stage.place()] = StageDrops { gap: gap.saturating_sub(lost_before), refused, restart: 0 };
             lost_before = lost_before.max(gap);
-            own
-        });
-        let before_recorder = own[place(StageId::Tracker)].gap + own[place(StageId::Sampler)].gap;
-        let missed = self.stages[place(StageId::Recorder)].total().gap;
-        own[place(StageId::Recorder)].gap = missed.saturating_sub(before_recorder);
+        }
+        let before_recorder = own[StageId::Tracker.place()].gap + own[StageId::Sampler.place()].gap;
+        let missed = self.stages[StageId::Recorder.place()].total().gap;
+        own[StageId::Recorder.place()].gap = missed.saturating_sub(before_recorder);
         // What was refused whole is a gap as well, and counts once.
-        for (own, stage) in own.iter_mut().zip(StageId::ALL) {
+        for &stage in order {
+            let own = &mut own[stage.place()];
             own.gap = own.gap.saturating_sub(self.refusals.ticks_len(stage));
         }
         for (own, restart) in own.iter_mut().zip(self.restart) {
@@ -131,11 +131,11 @@ mod tests {
     use wire::{Hop, RefusalCause, Refusals};
 
     fn beat(stage: StageId, incarnation: u32, dropped_len: u64, rejected_len: u64) -> Heartbeat {
-        Heartbeat { stage: stage as u32, incarnation, dropped_len, rejected_len, ..Heartbeat::zeroed() }
+        Heartbeat { stage: stage.number(), incarnation, dropped_len, rejected_len, ..Heartbeat::zeroed() }
     }
 
     fn of(losses: &Losses, stage: StageId) -> StageDrops {
-        losses.by_stage()[place(stage)]
+        losses.by_stage(&StageId::ALL)[stage.place()]
     }
 
     #[test]
@@ -157,7 +157,7 @@ mod tests {
     fn a_tick_that_was_refused_whole_counts_once() {
         let mut losses = Losses::default();
         let mut heartbeat = beat(StageId::Tracker, 0, 3, 2);
-        Refusals::count(&mut heartbeat.refusals, StageId::Source as u32, RefusalCause::CheckValue, 2);
+        Refusals::count(&mut heartbeat.refusals, StageId::Source.number(), RefusalCause::CheckValue, 2);
         losses.heartbeat(&heartbeat);
         losses.heartbeat(&beat(StageId::Localiser, 0, 3, 0));
         losses.forecast_gap(&Header::new(1, 9, 0), 3);
@@ -181,7 +181,7 @@ mod tests {
     fn ticks_that_died_with_a_stage_are_put_down_to_it() {
         let header = |incarnation| {
             let mut header = Header::new(1, 9, 0);
-            header.push_hop(Hop { stage: StageId::Tracker as u32, incarnation, ..Hop::zeroed() });
+            header.push_hop(Hop { stage: StageId::Tracker.number(), incarnation, ..Hop::zeroed() });
             header
         };
         let mut losses = Losses::default();
@@ -196,6 +196,6 @@ mod tests {
     fn unknown_stages_are_ignored() {
         let mut losses = Losses::default();
         losses.heartbeat(&Heartbeat { stage: 99, dropped_len: 7, ..Heartbeat::zeroed() });
-        assert_eq!(losses.by_stage(), [StageDrops::default(); STAGES_LEN]);
+        assert_eq!(losses.by_stage(&StageId::ALL), [StageDrops::default(); StageId::PLACES_LEN]);
     }
 }

@@ -14,14 +14,6 @@
 use serde::{Deserialize, Serialize};
 use wire::{Header, Hop, StageId};
 
-/// Stages that a tick can pass.
-pub const STAGES_LEN: usize = StageId::ALL.len();
-
-/// Index of a stage in tables by stage.
-pub(crate) const fn place(stage: StageId) -> usize {
-    stage as usize - 1
-}
-
 /// When one stage went from one phase of a tick to the next; `CLOCK_MONOTONIC`. No time is before the one above
 /// it but `taken_ns`, which a stage with two inputs has of the first.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -90,7 +82,7 @@ impl From<Timestamps> for Phases {
 /// Phases of one tick in all stages, from release to forecast.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Passage {
-    stages: [Option<Phases>; STAGES_LEN],
+    stages: [Option<Phases>; StageId::PLACES_LEN],
     /// From release at the source to the sending of the forecasts; `None` for a tick that did not pass the
     /// sampler.
     pub end_to_end_ns: Option<u64>,
@@ -100,10 +92,15 @@ pub struct Passage {
 }
 
 impl Passage {
+    /// Adds the phases of a stage beside the tick's way.
+    pub(crate) fn add(&mut self, stage: StageId, phases: Phases) {
+        self.stages[stage.place()] = Some(phases);
+    }
+
     /// The phases in one stage, if the tick passed it.
     #[must_use]
     pub fn phases(&self, stage: StageId) -> Option<&Phases> {
-        self.stages[place(stage)].as_ref()
+        self.stages[stage.place()].as_ref()
     }
 
     /// Compute of all stages: a tick passes them one after the other, so all of it is on the critical path.
@@ -125,20 +122,31 @@ impl Passage {
 /// Reads passages tick by tick, as the time at which a stage became free is known from the tick before.
 #[derive(Clone, Debug, Default)]
 pub struct Timeline {
-    free_ns: [u64; STAGES_LEN],
+    free_ns: [u64; StageId::PLACES_LEN],
 }
 
 impl Timeline {
     /// The passage of a tick from its header. Hops of unknown stages are ignored.
     pub fn pass(&mut self, header: &Header) -> Passage {
         let mut passage = Passage::default();
-        self.follow(header, |stage, _, times| passage.stages[place(stage)] = Some(times.into()));
+        self.follow(header, |stage, _, times| passage.stages[stage.place()] = Some(times.into()));
         passage.end_to_end_ns =
             header.hop(StageId::Sampler).map(|hop| hop.sent_ns.saturating_sub(header.released_ns));
-        passage.complete = StageId::ALL[place(StageId::Tracker)..place(StageId::Recorder)]
+        passage.complete = StageId::ALL[StageId::Tracker.place()..StageId::Recorder.place()]
             .iter()
-            .all(|&stage| passage.stages[place(stage)].is_some());
+            .all(|&stage| passage.stages[stage.place()].is_some());
         passage
+    }
+
+    /// The phases of the stage that has sent a frame beside a tick's way; none where it has not stamped its passage.
+    pub fn beside(&mut self, header: &Header) -> Option<(StageId, Timestamps)> {
+        let stage = StageId::from_number(header.sender)?;
+        let index = header.hops().iter().rposition(|hop| hop.stage == header.sender)?;
+        let hop = &header.hops()[index];
+        let ready_ns =
+            index.checked_sub(1).map_or(header.released_ns, |before| header.hops()[before].sent_ns);
+        let free_ns = std::mem::replace(&mut self.free_ns[stage.place()], hop.sent_ns);
+        Some((stage, Timestamps::of(hop, ready_ns, free_ns)))
     }
 
     /// Tells the timestamps of a tick, stage by stage.
@@ -146,7 +154,7 @@ impl Timeline {
         let mut ready_ns = header.released_ns;
         for hop in header.hops() {
             if let Some(stage) = StageId::from_number(hop.stage) {
-                let free_ns = &mut self.free_ns[place(stage)];
+                let free_ns = &mut self.free_ns[stage.place()];
                 tell(stage, hop, Timestamps::of(hop, ready_ns, *free_ns));
                 *free_ns = hop.sent_ns;
             }
@@ -161,7 +169,7 @@ mod tests {
 
     fn hop(stage: StageId, times_ns: [u64; 4]) -> Hop {
         let [received_ns, started_ns, finished_ns, sent_ns] = times_ns;
-        Hop { stage: stage as u32, incarnation: 0, received_ns, started_ns, finished_ns, sent_ns }
+        Hop { stage: stage.number(), incarnation: 0, received_ns, started_ns, finished_ns, sent_ns }
     }
 
     fn header(released_ns: u64, hops: &[Hop]) -> Header {

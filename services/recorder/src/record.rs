@@ -9,7 +9,7 @@ use wire::{Cause, Forecast, Header, Heartbeat, Quality, Rejected, StageId, Truth
 use crate::accuracy::Scorer;
 use crate::distribution::{Distribution, ms};
 use crate::losses::Losses;
-use crate::passage::{Passage, Phases, Timeline, place};
+use crate::passage::{Passage, Phases, Timeline};
 use crate::report::{
     Accuracy, Agents, ForecastCounts, OutOfDistribution, Percentiles, PriorCounts, REPORT_VERSION, Report,
     RunInfo, StageDrops, StageReport, Status, Supervision, Verdict, WorstTick, restarts,
@@ -28,6 +28,8 @@ pub const TICK_LIMIT_NS: u64 = wire::TICK_NS;
 pub struct RecorderOptions {
     /// Copied to the report; interval, durations and lockstep are measured where they are `None`.
     pub run: RunInfo,
+    /// The stages, in the order in which a tick passes them.
+    pub stages: Vec<StageId>,
     /// Each stage's share of the tick limit.
     pub budgets_ms: BTreeMap<StageId, f64>,
     /// A tick is late beyond this or the frame interval, whichever is shorter.
@@ -43,6 +45,7 @@ impl Default for RecorderOptions {
     fn default() -> Self {
         Self {
             run: RunInfo::default(),
+            stages: StageId::ALL.to_vec(),
             budgets_ms: BTreeMap::new(),
             tick_limit_ns: TICK_LIMIT_NS,
             scores: true,
@@ -97,6 +100,7 @@ pub struct Recorder {
     ticks: u64,
     late_ticks: u64,
     agents_left_out: u64,
+    hops_missing: u64,
     agents_max: u64,
     forecasts_by_quality: [u64; Quality::ALL.len()],
     fallbacks_by_cause: [u64; Cause::ALL.len()],
@@ -152,6 +156,7 @@ impl Recorder {
             ticks: 0,
             late_ticks: 0,
             agents_left_out: 0,
+            hops_missing: 0,
             agents_max: 0,
             forecasts_by_quality: [0; Quality::ALL.len()],
             fallbacks_by_cause: [0; Cause::ALL.len()],
@@ -221,6 +226,18 @@ impl Recorder {
         self.resumed && self.newer_ns(header).is_some()
     }
 
+    /// Takes the header of a frame that an added stage has sent beside a tick's way. One that is off is left out: it
+    /// is its readers' to refuse.
+    pub fn beside(&mut self, header: &Header) {
+        if header.check().is_err() || !header.is_tick() {
+            return;
+        }
+        if let Some((stage, times)) = self.timeline.beside(header).filter(|(stage, _)| stage.is_added()) {
+            let budget_ms = self.options.budgets_ms.get(&stage).copied();
+            self.stages.entry(stage).or_default().record(&times.into(), budget_ms);
+        }
+    }
+
     /// Takes a stage's heartbeat.
     pub fn heartbeat(&mut self, heartbeat: &Heartbeat) {
         self.losses.heartbeat(heartbeat);
@@ -263,13 +280,14 @@ impl Recorder {
         if let Some(overhead_ns) = passage.overhead_ns() {
             self.overhead.record(overhead_ns);
         }
-        for stage in StageId::ALL {
+        for &stage in &self.options.stages {
             if let Some(phases) = passage.phases(stage) {
                 let budget_ms = self.options.budgets_ms.get(&stage).copied();
                 self.stages.entry(stage).or_default().record(phases, budget_ms);
             }
         }
         self.agents_left_out += u64::from(header.left_out_len);
+        self.hops_missing += u64::from(header.hops_missing_len);
         self.predicted_ticks += u64::from(header.has(flags::PREDICTED));
         self.silent += u64::from(header.silent_len);
         passage
@@ -323,6 +341,7 @@ impl Recorder {
             drops: stages.iter().map(|stage| stage.drops.total()).sum(),
             refusals: self.losses.refusals(),
             agents_left_out: self.agents_left_out,
+            hops_missing: self.hops_missing,
             agents: self.agents(),
             forecasts: self.forecast_counts(),
             out_of_distribution: self.out_of_distribution,
@@ -383,7 +402,7 @@ impl Recorder {
         };
         let mut usual = Usual { agents: self.agents().mean.unwrap_or(0.0), ..Usual::default() };
         for (&stage, times) in &self.stages {
-            usual.phases_ns[place(stage)] = median(times);
+            usual.phases_ns[stage.place()] = median(times);
         }
         usual
     }
@@ -426,10 +445,11 @@ impl Recorder {
     }
 
     fn stage_reports(&self) -> Vec<StageReport> {
-        let drops = self.losses.by_stage();
-        StageId::ALL
-            .into_iter()
-            .map(|stage| self.stage_report(stage, drops[place(stage)]))
+        let drops = self.losses.by_stage(&self.options.stages);
+        self.options
+            .stages
+            .iter()
+            .map(|&stage| self.stage_report(stage, drops[stage.place()]))
             .filter(|report| report.ticks > 0 || report.budget_ms.is_some() || report.drops.total() > 0)
             .collect()
     }
@@ -493,6 +513,11 @@ fn verdict(report: &Report) -> Verdict {
     }
     if report.forecasts.silent > 0 {
         reasons.push(format!("nothing said by policy: {} forecasts", report.forecasts.silent));
+    }
+    if report.hops_missing > 0 {
+        let most = wire::HOPS_MAX;
+        reasons
+            .push(format!("passages without times: {} (a header has room for {most})", report.hops_missing));
     }
     if report.agents_left_out > 0 {
         reasons.push(format!("agents left out of full frames: {}", report.agents_left_out));

@@ -52,7 +52,7 @@ impl RefusalCounts {
     /// Frames that a reader refused before it could tell of which tick they are: those ticks are gaps to it.
     pub fn ticks_len(&self, reader: StageId) -> u64 {
         let hides_the_tick = |entry: &&Entry| {
-            entry.reader == reader as u32
+            entry.reader == reader.number()
                 && matches!(
                     RefusalCause::from_number(entry.cause),
                     Some(RefusalCause::Schema | RefusalCause::CheckValue | RefusalCause::Unprotected)
@@ -63,7 +63,12 @@ impl RefusalCounts {
 
     /// The counts, the most frames first.
     pub fn list(&self) -> Vec<RefusedFrames> {
-        let name = |stage| StageId::from_number(stage).map_or("unknown", StageId::name).to_owned();
+        let name = |stage| {
+            StageId::from_number(stage)
+                .filter(|stage| StageId::known().any(|known| known == *stage))
+                .map_or("unknown", StageId::name)
+                .to_owned()
+        };
         let told = |entry: &Entry| RefusedFrames {
             reader: name(entry.reader),
             sender: name(entry.sender),
@@ -83,8 +88,8 @@ mod tests {
 
     fn beat(incarnation: u32, frames_len: u32) -> Heartbeat {
         let mut refusals = [Refusals::default(); REFUSALS_MAX];
-        Refusals::count(&mut refusals, StageId::Decoder as u32, RefusalCause::CheckValue, frames_len);
-        Heartbeat { stage: StageId::Sampler as u32, incarnation, refusals, ..Heartbeat::default() }
+        Refusals::count(&mut refusals, StageId::Decoder.number(), RefusalCause::CheckValue, frames_len);
+        Heartbeat { stage: StageId::Sampler.number(), incarnation, refusals, ..Heartbeat::default() }
     }
 
     #[test]

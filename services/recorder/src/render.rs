@@ -5,8 +5,8 @@ mod pace;
 use std::fmt::{self, Write};
 
 use crate::report::{
-    Errors, Outage, Percentiles, RefusedFrames, Replacement, ReplacementOutcome, Report, Shed, StageMemory,
-    StageReport, Status, Supervision, WorstTick,
+    Errors, Outage, Percentiles, RefusedFrames, Replacement, ReplacementOutcome, Report, Shed, SpareReport,
+    StageMemory, StageReport, Status, Supervision, WorstTick,
 };
 use crate::text::{bar, count, number, percent, subscript};
 
@@ -37,6 +37,7 @@ impl Report {
             self.refusals(text)?;
             self.supervision(text)?;
             self.replacements(text)?;
+            self.spares(text)?;
             self.memory(text, width)?;
             self.worst_ticks(text, width)?;
             self.accuracy(text, width)
@@ -256,7 +257,9 @@ impl Report {
             ];
             let lost = lost.iter().filter(|(n, _)| *n > 0).map(|(n, what)| format!(", {n} {what}"));
             let (stage, tick, cause) = (&outage.stage, count(outage.tick), &outage.cause);
-            writeln!(text, " {stage:LABEL_WIDTH$}tick {tick}: {cause}; {again}{}", lost.collect::<String>())?;
+            let by = if outage.by_spare { ", spare promoted" } else { "" };
+            let lost = lost.collect::<String>();
+            writeln!(text, " {stage:LABEL_WIDTH$}tick {tick}: {cause}{by}; {again}{lost}")?;
         }
         if supervision.outages_unlisted > 0 {
             let more = count(supervision.outages_unlisted);
@@ -370,6 +373,27 @@ impl Report {
                 }
             };
             writeln!(text, " {stage:LABEL_WIDTH$}tick {tick}: {came}")
+        })
+    }
+
+    /// What each spare did, and what all of them take.
+    fn spares(&self, text: &mut String) -> fmt::Result {
+        let spares = &self.supervision.spares;
+        if spares.is_empty() {
+            return Ok(());
+        }
+        let sum = |of: fn(&SpareReport) -> u64| spares.values().map(of).sum::<u64>() >> 10;
+        let (own, shared) = (sum(|spare| spare.memory_kib), sum(|spare| spare.shared_kib));
+        writeln!(text, "\n {:LABEL_WIDTH$}{own} MiB of their own, {shared} MiB shared", "SPARES")?;
+        spares.iter().try_for_each(|(stage, spare)| {
+            let times = |what: &str, times: u32| match times {
+                0 => String::new(),
+                1 => format!(", {what} once"),
+                times => format!(", {what} {times} times"),
+            };
+            let warm = spare.warm_up_ms.map_or_else(String::new, |ms| format!(", warm after {ms:.0} ms"));
+            let (promoted, died) = (times("promoted", spare.promotions), times("died waiting", spare.deaths));
+            writeln!(text, " {stage:LABEL_WIDTH$}{}{warm}{promoted}{died}", spare.state)
         })
     }
 

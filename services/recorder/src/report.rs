@@ -37,6 +37,9 @@ pub struct Report {
     pub refusals: Vec<RefusedFrames>,
     /// Agents left out of full frames, summed over ticks.
     pub agents_left_out: u64,
+    /// Passages of ticks through stages for which their headers had no room.
+    #[serde(default)]
+    pub hops_missing: u64,
     /// Agents per tick.
     pub agents: Agents,
     /// Forecasts by quality, and the causes of those that are not learned.
@@ -122,6 +125,28 @@ pub struct Supervision {
     pub replacements: Vec<Replacement>,
     /// Replacements beyond those listed.
     pub replacements_unlisted: u64,
+    /// The spares, by stage.
+    pub spares: BTreeMap<String, SpareReport>,
+}
+
+/// The spare of a stage: a process that waits to take its place.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default)]
+pub struct SpareReport {
+    /// What it did in the end: `ready`, `starting`, `waiting` or `given up`.
+    pub state: String,
+    /// Times that it took the stage's place after a death.
+    pub promotions: u32,
+    /// Times that it died while it waited.
+    pub deaths: u32,
+    /// Why it was given up, if it was.
+    pub given_up: Option<String>,
+    /// Time from its start until it was ready.
+    pub warm_up_ms: Option<f64>,
+    /// Memory of its own that lies in RAM, at the last look.
+    pub memory_kib: u64,
+    /// Memory that it shares with others.
+    pub shared_kib: u64,
 }
 
 /// Memory of a stage's newest process, after its first ticks.
@@ -224,6 +249,9 @@ pub struct Outage {
     pub ticks_predicted: u64,
     /// Ticks from its end until forecasts are learned again; none where the run ended before.
     pub ticks_to_learned: Option<u64>,
+    /// Whether its spare took its place.
+    #[serde(default)]
+    pub by_spare: bool,
 }
 
 /// Status of a run.

@@ -42,6 +42,7 @@ pub fn run(run: &Run) -> Result<(), StageError> {
     let forecasts = stage.subscribe_deep::<ForecastsTopic>(ForecastsTopic::DEPTH_MAX)?;
     let truth = stage.subscribe_deep::<TruthTopic>(TruthTopic::DEPTH_MAX)?;
     let mut peers = stage.peers(run)?;
+    let beside = stage.beside(run)?;
     let mut kept_ns = monotonic_ns();
 
     while let Some(frame) = stage.take(&forecasts)? {
@@ -49,6 +50,9 @@ pub fn run(run: &Run) -> Result<(), StageError> {
         while let Some(frame) = truth.receive()? {
             let result = recorder.truth(frame.header(), &frame);
             count(&mut stage, frame.header(), TruthTopic::NAME, result);
+        }
+        for header in beside.take()? {
+            recorder.beside(&header);
         }
         peers.listen()?.iter().for_each(|heartbeat| recorder.heartbeat(heartbeat));
         if recorder.is_recorded(frame.header()) {
@@ -133,5 +137,5 @@ pub fn report_path(run: &Run, options: &Options) -> PathBuf {
 }
 
 fn settings(run: &Run) -> RecorderOptions {
-    RecorderOptions { budgets_ms: run.budgets_ms(), ..RecorderOptions::default() }
+    RecorderOptions { stages: run.order(), budgets_ms: run.budgets_ms(), ..RecorderOptions::default() }
 }

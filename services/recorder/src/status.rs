@@ -88,6 +88,12 @@ pub struct ProcessStatus {
     pub memory_bytes: Option<u64>,
     /// Memory that it shares with others, such as the frames, and files that it has mapped.
     pub shared_bytes: Option<u64>,
+    /// What its spare is doing: `ready`, `starting`, `waiting` or `given up`; none where it has none.
+    #[serde(default)]
+    pub spare: Option<String>,
+    /// Times that a spare took its place after a death.
+    #[serde(default)]
+    pub promotions: u32,
 }
 
 /// The forecasts of the newest tick.

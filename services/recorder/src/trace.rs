@@ -15,7 +15,7 @@ use wire::{
 };
 
 use crate::distribution::ms;
-use crate::passage::{STAGES_LEN, Timeline, Timestamps, place};
+use crate::passage::{Timeline, Timestamps};
 use crate::record::TICK_LIMIT_NS;
 
 /// Tracks side by side of frames that wait for one stage, or of ticks under way: more overlap only in the trace.
@@ -57,7 +57,7 @@ struct StageTracks {
 pub struct Tracer {
     trace: Trace,
     timeline: Timeline,
-    stages: [StageTracks; STAGES_LEN],
+    stages: [StageTracks; StageId::PLACES_LEN],
     tick_end_ns: [u64; LANES],
     /// Values of the pipeline's counters.
     counters: [f64; COUNTERS.len()],
@@ -107,7 +107,7 @@ impl Tracer {
 
     /// Takes the last packets.
     pub fn finish(mut self) -> Vec<u8> {
-        for stage in StageId::ALL {
+        for stage in StageId::known() {
             self.count_queue(stage, u64::MAX);
         }
         self.trace.take()
@@ -130,10 +130,22 @@ impl Tracer {
         self.tick(header, forecasts);
     }
 
+    /// Takes the header of a frame that an added stage has sent beside the tick's way.
+    pub fn beside(&mut self, header: &Header) {
+        if !header.is_tick() {
+            return;
+        }
+        if let Some((stage, times)) = self.timeline.beside(header)
+            && let Some(hop) = header.hop(stage)
+        {
+            self.hop(stage, hop, times, &Flow { tick: header.seq, ends: false });
+        }
+    }
+
     /// Takes a stage's heartbeat: its process number, and what it refused or missed since the one before.
     pub fn heartbeat(&mut self, heartbeat: &Heartbeat) {
         let Some(stage) = StageId::from_number(heartbeat.stage) else { return };
-        let known = &mut self.stages[place(stage)];
+        let known = &mut self.stages[stage.place()];
         if known.pid.is_none_or(|(incarnation, _)| heartbeat.incarnation >= incarnation) {
             known.pid = Some((heartbeat.incarnation, heartbeat.pid));
         }
@@ -163,7 +175,7 @@ impl Tracer {
 
     /// Marks something that happened to a stage, such as its death.
     pub fn event(&mut self, stage: StageId, at_ns: u64, name: &str, why: &str) {
-        let incarnation = self.stages[place(stage)].declared.unwrap_or(0);
+        let incarnation = self.stages[stage.place()].declared.unwrap_or(0);
         self.mark(stage, incarnation, at_ns, name, &[("why", Value::Text(why))]);
     }
 
@@ -190,12 +202,12 @@ impl Tracer {
 
     /// Tracks of one stage's passage.
     fn hop(&mut self, stage: StageId, hop: &Hop, times: Timestamps, flow: &Flow) {
-        let restarted = self.stages[place(stage)].declared.is_some_and(|newest| hop.incarnation > newest);
+        let restarted = self.stages[stage.place()].declared.is_some_and(|newest| hop.incarnation > newest);
         let process = self.process(stage, hop.incarnation);
         if restarted {
             self.mark(stage, hop.incarnation, times.taken_ns, "restarted", &[]);
         }
-        let known = &mut self.stages[place(stage)];
+        let known = &mut self.stages[stage.place()];
         let values = [("tick", Value::Count(flow.tick))];
         let phase = Details { category: Some("phase"), values: &values, ..Details::default() };
         if times.free_ns > times.ready_ns {
@@ -226,7 +238,7 @@ impl Tracer {
 
     /// Tells the length of a stage's queue up to a time.
     fn count_queue(&mut self, stage: StageId, until_ns: u64) {
-        let known = &mut self.stages[place(stage)];
+        let known = &mut self.stages[stage.place()];
         let Some(incarnation) = known.declared else { return };
         let excess = known.changes.len().saturating_sub(CHANGES_MAX);
         let due = known.changes.partition_point(|&(at_ns, _)| at_ns <= until_ns).max(excess);
@@ -238,22 +250,22 @@ impl Tracer {
 
     /// The number of a stage's process; names its tracks where they are new.
     fn process(&mut self, stage: StageId, incarnation: u32) -> u64 {
-        let known = &mut self.stages[place(stage)];
+        let known = &mut self.stages[stage.place()];
         let process = number_of(stage, incarnation);
         if known.declared.is_some_and(|newest| incarnation <= newest) {
             return process;
         }
         self.count_queue(stage, u64::MAX);
-        let known = &mut self.stages[place(stage)];
+        let known = &mut self.stages[stage.place()];
         known.declared = Some(incarnation);
         (known.work_end_ns, known.waiting_end_ns) = (0, [0; LANES]);
         let told = known.pid.filter(|&(of, _)| of == incarnation).map(|(_, pid)| pid);
-        let made_up = UNKNOWN_PID + stage as u32 * 1_000_000 + incarnation.min(999_999);
+        let made_up = UNKNOWN_PID + stage.number() * 1_000_000 + incarnation.min(999_999);
         let name = match incarnation {
             0 => stage.name().to_owned(),
             n => format!("{} (restart {n})", stage.name()),
         };
-        let rank = u64::from(stage as u32) * 1_000 + u64::from(incarnation.min(999));
+        let rank = u64::from(stage.number()) * 1_000 + u64::from(incarnation.min(999));
         self.trace.process(process, told.unwrap_or(made_up), &name, rank);
         self.trace.track(process + lane::WORK, process, "work", 0);
         for nth in 0..LANES as u64 {
@@ -323,7 +335,7 @@ struct Flow {
 
 /// The number of a stage's process track.
 const fn number_of(stage: StageId, incarnation: u32) -> u64 {
-    (stage as u64) << 48 | (incarnation as u64) << 8
+    (stage.number() as u64) << 48 | (incarnation as u64) << 8
 }
 
 /// A lane that is free for a span; the one that gets free first where none is.

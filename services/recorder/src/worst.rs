@@ -11,7 +11,7 @@ use serde::{Deserialize, Serialize};
 use wire::{Cause, Forecast, Header, Quality, StageId, flags};
 
 use crate::distribution::ms;
-use crate::passage::{Passage, Phases, STAGES_LEN, place};
+use crate::passage::{Passage, Phases};
 use crate::report::WorstTick;
 use crate::text::{count, number};
 
@@ -60,7 +60,7 @@ enum Blame {
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct Usual {
     /// Medians of the phases by stage.
-    pub phases_ns: [[u64; 4]; STAGES_LEN],
+    pub phases_ns: [[u64; 4]; StageId::PLACES_LEN],
     /// Mean number of agents.
     pub agents: f64,
 }
@@ -70,7 +70,7 @@ pub(crate) struct Usual {
 pub(crate) struct Worst {
     ticks: Vec<Bad>,
     /// The newest incarnation of each stage that a tick has passed.
-    passed: [u32; STAGES_LEN],
+    passed: [u32; StageId::PLACES_LEN],
     /// A tick that is kept in any case, if it has come.
     #[serde(skip)]
     explained: Option<Bad>,
@@ -78,7 +78,7 @@ pub(crate) struct Worst {
 
 impl Default for Worst {
     fn default() -> Self {
-        Self { ticks: Vec::with_capacity(WORST_LEN + 1), passed: [0; STAGES_LEN], explained: None }
+        Self { ticks: Vec::with_capacity(WORST_LEN + 1), passed: [0; StageId::PLACES_LEN], explained: None }
     }
 }
 
@@ -113,7 +113,7 @@ impl Worst {
             not_learned: 0,
             cause: 0,
             passage: *passage,
-            restarted: restarted.map(|stage| stage as u32),
+            restarted: restarted.map(|stage| stage.number()),
             blame: None,
         };
         if gap_len > 0 {
@@ -135,7 +135,7 @@ impl Worst {
         let mut first = None;
         for hop in header.hops() {
             let Some(stage) = StageId::from_number(hop.stage) else { continue };
-            let passed = &mut self.passed[place(stage)];
+            let passed = &mut self.passed[stage.place()];
             if hop.incarnation > *passed {
                 *passed = hop.incarnation;
                 first = first.or(Some(stage));
@@ -148,11 +148,12 @@ impl Worst {
     fn explain(&mut self, next: &Passage, restarted: Option<StageId>) {
         let behind = |stage: &StageId| {
             let phases = next.phases(*stage)?;
-            Some((*stage as u32, phases.waiting_ns + phases.wake_up_ns))
+            Some((stage.number(), phases.waiting_ns + phases.wake_up_ns))
         };
-        let before_sampler = &StageId::ALL[place(StageId::Localiser)..place(StageId::Sampler)];
+        let ends = [StageId::Source, StageId::Tracker, StageId::Sampler, StageId::Recorder];
+        let before_sampler: Vec<StageId> = StageId::known().filter(|stage| !ends.contains(stage)).collect();
         let blame = match restarted.filter(|stage| before_sampler.contains(stage)) {
-            Some(stage) => Blame::Restarted(stage as u32),
+            Some(stage) => Blame::Restarted(stage.number()),
             None => match before_sampler.iter().filter_map(behind).max_by_key(|&(_, late_ns)| late_ns) {
                 Some((stage, late_ns)) if late_ns >= BEHIND_NS => Blame::Behind(stage, late_ns),
                 _ => Blame::Nobody,
@@ -247,7 +248,7 @@ impl Bad {
     fn excesses(&self, usual: &Usual) -> Vec<Excess> {
         let of_stage = |stage: StageId| {
             let each_ns = self.passage.phases(stage).map_or([0; 4], Phases::each_ns);
-            let usual_ns = usual.phases_ns[place(stage)];
+            let usual_ns = usual.phases_ns[stage.place()];
             (0..4).map(move |phase| Excess {
                 stage,
                 phase,
@@ -256,7 +257,7 @@ impl Bad {
             })
         };
         let mut all: Vec<Excess> =
-            StageId::ALL.into_iter().flat_map(of_stage).filter(|excess| excess.ns() >= USUAL_NS).collect();
+            StageId::known().flat_map(of_stage).filter(|excess| excess.ns() >= USUAL_NS).collect();
         all.sort_by_key(|excess| std::cmp::Reverse(excess.ns()));
         all
     }
@@ -334,8 +335,7 @@ impl Bad {
     fn slow(&self, excesses: &[Excess], usual: &Usual) -> String {
         let Some(first) = excesses.first() else { return "no phase took longer than usual".to_owned() };
         let total_ns: u64 = excesses.iter().map(Excess::ns).sum();
-        let stages_len =
-            StageId::ALL.iter().filter(|&&stage| excesses.iter().any(|e| e.stage == stage)).count();
+        let stages_len = StageId::known().filter(|&stage| excesses.iter().any(|e| e.stage == stage)).count();
         let told = format!("the {} {}", first.stage.name(), first.told());
         // More agents make every stage slower, and so does a machine that is busy.
         let many = f64::from(self.agents) > 1.25 * usual.agents && self.agents > 8;

@@ -7,7 +7,7 @@ use retrieval::{ControlChanges, Key, Query, Retrieval, RetrievalMemory};
 use scene::{AgentType, track_history};
 use wire::{
     AGENTS_MAX, AgentControls, Cause, Forecast, HISTORY_MAX, HORIZON_MAX, Header, POSITION_MAX_M, Quality,
-    Rejected, SPEED_MAX_MPS, Track, finite,
+    Rejected, SPEED_MAX_MPS, Track, finite, flags,
 };
 
 use crate::experts::{Experts, Spread};
@@ -96,6 +96,21 @@ impl Sampler {
         if self.options.evidence {
             self.experts = earlier.experts;
             self.experts.iter_mut().for_each(Experts::end_session);
+        }
+    }
+
+    /// Keeps the learned forecasts that the sampler before has sent, to hold them as it would have. A process that
+    /// waits for its turn does so with every frame, and computes nothing.
+    pub fn follow(&mut self, header: &Header, forecasts: &[Forecast]) {
+        if !header.is_tick() || header.has(flags::VOID) {
+            return;
+        }
+        let stamp_ns = header.stamp_ns;
+        self.newest_learned_ns.get_or_insert(stamp_ns);
+        let learned = |forecast: &&Forecast| forecast.quality == Quality::Learned as u32;
+        for forecast in forecasts.iter().filter(learned).filter(|forecast| forecast.check().is_ok()) {
+            self.held.keep(stamp_ns, forecast);
+            self.newest_learned_ns = self.newest_learned_ns.max(Some(stamp_ns));
         }
     }
 

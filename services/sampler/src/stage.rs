@@ -15,9 +15,6 @@ use crate::{STAGE, Sampler};
 pub fn run(run: &Run) -> Result<(), StageError> {
     let model = ModelConfig::of_run(&run.root).map_err(StageError::config)?;
     let mut sampler = open(run, &model)?;
-    if ports::incarnation() > 0 && sampler.memory().is_none() {
-        eprintln!("restarted: retrieval memory and evidence begin empty");
-    }
     let followed = follow(run, &model, &mut sampler);
     let saved = save_memory(run, &sampler);
     followed.and(saved)
@@ -31,7 +28,11 @@ fn follow(run: &Run, model: &ModelConfig, sampler: &mut Sampler) -> Result<(), S
     let mut stage = Stage::open(run, &STAGE)?;
     let tracks = stage.subscribe::<TracksTopic>()?;
     let controls = stage.subscribe::<ControlsTopic>()?;
-    let output = stage.publish::<ForecastsTopic>()?;
+    let output = stage.publish_after::<ForecastsTopic>(|header, sent| sampler.follow(header, sent))?;
+    // Of a spare: from now on.
+    if stage.incarnation() > 0 && sampler.memory().is_none() {
+        eprintln!("restarted: retrieval memory and evidence begin empty");
+    }
 
     loop {
         let input = match stage.next_until(&tracks, &output, None)? {

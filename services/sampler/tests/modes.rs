@@ -61,6 +61,24 @@ fn learned_and_held(agent_type: AgentType, propagation: Propagation, age_ns: i64
     out
 }
 
+#[test]
+fn a_sampler_that_follows_another_holds_its_forecasts_to_the_bit() {
+    let [learned, held] = learned_and_held(AgentType::Vehicle, Propagation::Linearised, 400_000_000);
+    let mut spare = Sampler::new(SamplerOptions::default());
+    let void = Header { flags: wire::flags::VOID, ..header(0) };
+    spare.follow(&void, &[learned]);
+    let hold = |spare: &mut Sampler| {
+        let mut out = [Forecast::default()];
+        spare.fallback(&header(400_000_000), &[track(AgentType::Vehicle)], Cause::Late, &mut out).unwrap();
+        out[0]
+    };
+    assert_eq!(hold(&mut spare).quality, Quality::Kinematic as u32, "nothing is taken from a VOID frame");
+    spare.follow(&header(0), &[learned]);
+    // What is itself held is no forecast to hold.
+    spare.follow(&header(80_000_000), &[Forecast { quality: Quality::Held as u32, ..learned }]);
+    assert_eq!(hold(&mut spare), held);
+}
+
 /// The mixture of the modes as they are published, by the law of total covariance.
 fn total(forecast: &Forecast, step: usize) -> [f32; 3] {
     let mut total = [0.0; 3];

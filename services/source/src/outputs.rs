@@ -87,8 +87,8 @@ impl Outputs {
         Ok(tracker.map(|heartbeat| heartbeat.seq))
     }
 
-    /// Waits until the recorder has the forecasts of a tick, and the tap has seen the tick where it follows the run:
-    /// in lockstep nothing is lost, in no recording either.
+    /// Waits until the recorder has the forecasts of a tick, and the tap and the added stages beside the way have seen
+    /// the tick where they follow the run: in lockstep nothing is lost, in no recording either.
     ///
     /// # Errors
     /// As [`Outputs::repeat`].
@@ -98,8 +98,9 @@ impl Outputs {
         seq: u64,
         limit_ns: u64,
     ) -> Result<(), StageError> {
-        let reached =
-            |peers: &Peers| peers.reached(StageId::Recorder, seq) && peers.tap_reached(seq, monotonic_ns());
+        let reached = |peers: &Peers| {
+            peers.reached(StageId::Recorder, seq) && peers.others_reached(seq, monotonic_ns())
+        };
         if self.wait_until(stage, monotonic_ns() + limit_ns, reached)? || stage.stop().requested() {
             return Ok(());
         }

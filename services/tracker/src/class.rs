@@ -31,6 +31,17 @@ impl Class {
         class
     }
 
+    /// The belief of these probabilities, of a track of type `current`.
+    #[must_use]
+    pub fn of(current: AgentType, probability: [f64; 3]) -> Self {
+        let log_weight = probability.map(|p| p.max(f64::MIN_POSITIVE).ln());
+        let most = log_weight.iter().fold(f64::NEG_INFINITY, |most, &w| most.max(w));
+        let log_weight = log_weight.map(|w| (w - most).max(-LOG_ODDS_MAX));
+        let mut class = Self { current, log_weight, probability: [0.0; 3], disagreement: [0.0; 3] };
+        class.derive_costs();
+        class
+    }
+
     /// The type that the track has.
     #[must_use]
     pub const fn current(&self) -> AgentType {

@@ -4,7 +4,7 @@ mod visibility;
 use std::f64::consts::{FRAC_PI_2, TAU};
 
 use filters::{Filter, FilterFault, Kind, Models, Motion, Observation, Unknown, wrapped};
-use wire::{AgentType, Detection, Forecast, Steering, detection_flags};
+use wire::{AgentType, Detection, Forecast, Steering, Track, detection_flags};
 
 use crate::belief::Belief;
 use crate::class::Class;
@@ -133,6 +133,44 @@ impl Estimate {
             published_heading_rad: 0.0,
             length_m: if has_size { detection.length_m } else { 0.0 },
             width_m: if has_size { detection.width_m } else { 0.0 },
+            belief,
+        }
+    }
+
+    /// The estimate of a track that another tracker has published at `stamp_ns`, of a type that is known.
+    #[must_use]
+    pub fn of_track(
+        (birth, seed): (Birth, u64),
+        stamp_ns: i64,
+        (track, agent_type): (&Track, AgentType),
+        input: &InputModel,
+        trusted: bool,
+    ) -> Self {
+        let belief = Belief::new(track::filter(track));
+        let heading_rad = f64::from(track.heading_rad);
+        let unseen_ns = track.unseen_ns;
+        let age_ns = stamp_ns.saturating_sub(birth.stamp_ns).max(0).unsigned_abs();
+        let existence = f64::from(track.existence);
+        Self {
+            class: Class::of(agent_type, track.type_probability.map(f64::from)),
+            birth,
+            source_id: track.source_id,
+            seed,
+            stamp_ns,
+            seen_ns: stamp_ns.saturating_sub_unsigned(unseen_ns),
+            controls_ns: None,
+            front_ns: birth.stamp_ns,
+            management: TrackManagement::of_confirmed(existence, (age_ns, unseen_ns), trusted, input),
+            front: Front::new(),
+            has_velocity: true,
+            was_ready: true,
+            dt_ns: 0,
+            visibility: 1.0,
+            motion: belief.motion(),
+            heading_rad,
+            published_heading_rad: heading_rad,
+            length_m: track.length_m,
+            width_m: track.width_m,
             belief,
         }
     }

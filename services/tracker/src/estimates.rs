@@ -59,6 +59,12 @@ impl Estimates {
         &self.all
     }
 
+    /// Adds the estimate of a track that another tracker has published, in the order of their births.
+    pub fn add(&mut self, of_track: impl FnOnce(u64) -> Estimate) {
+        self.started_len += 1;
+        self.all.push(of_track(self.started_len));
+    }
+
     /// Becomes a copy of `source`, in the memory at hand.
     pub fn copy(&mut self, source: &Self) {
         self.all.clone_from(&source.all);

@@ -37,7 +37,7 @@ mod tests {
     const MS: u64 = 1_000_000;
 
     fn hop(stage: StageId, finished_ms: u64) -> Hop {
-        Hop { stage: stage as u32, finished_ns: finished_ms * MS, ..Hop::default() }
+        Hop { stage: stage.number(), finished_ns: finished_ms * MS, ..Hop::default() }
     }
 
     #[test]

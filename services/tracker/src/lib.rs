@@ -33,6 +33,7 @@
 //! tracker               the steps above, frame by frame
 //! replay                out-of-sequence frames: scans, checkpoints, rollback
 //! estimates             predict, associate, update and manage all agents
+//! predecessor           the tracks of a process before
 //! publication           ids and histories as published      pairing   gating and association
 //! estimate              one agent: belief, type, front, visibility, track management
 //! belief  forecasts     motion and its prior
@@ -56,6 +57,7 @@ mod observation;
 mod occlusion;
 mod options;
 mod pairing;
+mod predecessor;
 mod publication;
 mod replay;
 mod scan;
@@ -70,6 +72,7 @@ pub use field_of_view::{FieldOfView, UnknownFieldOfView};
 pub use options::{
     Association, ForecastTrust, InputModel, MotionNoise, Options, Prior, STAGE, SensorNoise, TrackerOptions,
 };
+pub use predecessor::Predecessor;
 pub use tally::Tally;
 pub use tracked::Tracked;
 pub use tracker::Tracker;

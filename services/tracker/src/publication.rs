@@ -95,6 +95,19 @@ impl Publications {
         self.next_id = first;
     }
 
+    /// Goes on with a track that another tracker has published at `now_ns`.
+    pub fn resume(&mut self, track: &Track, birth: Birth, now_ns: i64, history: &History) {
+        self.all.push(Publication {
+            id: track.id,
+            birth,
+            held_ns: now_ns,
+            is_published: true,
+            heading_rad: f64::from(track.heading_rad),
+            history: *history,
+        });
+        self.last_ns = now_ns;
+    }
+
     /// The publication of an agent.
     pub fn find(&mut self, birth: Birth) -> Option<&Publication> {
         self.index_of(birth).map(|index| &self.all[index])

@@ -47,6 +47,12 @@ impl ReplayBuffer {
         Self { scans, len: 0, first: Estimates::default(), second: Estimates::default() }
     }
 
+    /// Begins with these estimates instead of none, before any scan.
+    pub fn begin_with(&mut self, estimates: &Estimates) {
+        debug_assert_eq!(self.len, 0, "no scan has come yet");
+        self.first.copy(estimates);
+    }
+
     /// The scans held, oldest first.
     #[must_use]
     pub fn scans(&self) -> &[Scan] {

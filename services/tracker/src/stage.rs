@@ -10,7 +10,7 @@ use crate::feedback;
 use crate::missing::Missing;
 pub use crate::settings::settings;
 use crate::tally::Warned;
-use crate::{STAGE, Tracker};
+use crate::{Predecessor, STAGE, Tracker};
 
 /// Runs the stage until the process is asked to end.
 ///
@@ -27,7 +27,10 @@ pub fn run(run: &Run) -> Result<(), StageError> {
     let mut stage = Stage::open(run, &STAGE)?;
     let detections = stage.subscribe::<DetectionsTopic>()?;
     let forecasts = stage.subscribe_feedback::<ForecastsTopic>(ForecastsTopic::DEPTH_MAX)?;
-    let output = stage.publish::<TracksTopic>()?;
+    let mut predecessor = Predecessor::default();
+    let output = stage.publish_after::<TracksTopic>(|header, tracks| predecessor.follow(header, tracks))?;
+    tracker.begin_with(&predecessor);
+    drop(predecessor);
 
     loop {
         let (header, input) = match stage.next_until(&detections, &output, missing.until_ns())? {

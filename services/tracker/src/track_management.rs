@@ -69,6 +69,29 @@ impl TrackManagement {
         }
     }
 
+    /// The state of a confirmed track of that existence probability and age, that long after its last hit: it is
+    /// taken to have been detected until then.
+    #[must_use]
+    pub fn of_confirmed(
+        probability: f64,
+        (age_ns, unseen_ns): (u64, u64),
+        trusted: bool,
+        input: &InputModel,
+    ) -> Self {
+        let odds = probability / (1.0 - probability).max(f64::MIN_POSITIVE);
+        let earned_ns = age_ns.saturating_sub(unseen_ns).saturating_mul(COAST_RATIO).min(input.coast_ns);
+        Self {
+            existence: odds.max(f64::MIN_POSITIVE).ln().clamp(-EXISTENCE_MAX, EXISTENCE_MAX),
+            hits: if unseen_ns == 0 { HITS_MASK } else { HITS_MASK & !1 },
+            frames: HITS_MASK.count_ones() as u8,
+            confirmed: true,
+            trusted,
+            coast_left_ns: earned_ns.cast_signed().saturating_sub_unsigned(unseen_ns),
+            coast_earned_ns: earned_ns,
+            occluded_ns: 0,
+        }
+    }
+
     /// Counts a detection of that log-density under the prediction, `dt_ns` after the state before.
     pub fn hit(&mut self, log_density: f64, dt_ns: u64, input: &InputModel, options: &TrackerOptions) {
         self.add_evidence((options.detection_probability / options.clutter_density).ln() + log_density);

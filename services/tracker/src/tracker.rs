@@ -3,9 +3,11 @@ use wire::{
     flags,
 };
 
+use crate::estimate::{Birth, Estimate};
 use crate::estimates::{Estimates, Scratch};
 use crate::frozen::{Repetition, is_moving};
 use crate::options::{Prior, TrackerOptions};
+use crate::predecessor::Predecessor;
 use crate::publication::Publications;
 use crate::replay::{Refusal, ReplayBuffer};
 use crate::tally::Tally;
@@ -37,6 +39,8 @@ pub struct Tracker {
     types: Vec<AgentType>,
     /// What can be published, to choose the nearest.
     publishable: Vec<Publishable>,
+    /// Frames up to this stamp were processed by the tracker before.
+    predecessor_ns: Option<i64>,
 }
 
 impl Tracker {
@@ -64,6 +68,7 @@ impl Tracker {
             scratch: Scratch::new(options.tracks_max),
             types: Vec::with_capacity(DETECTIONS_MAX),
             publishable: Vec::with_capacity(options.tracks_max),
+            predecessor_ns: None,
         }
     }
 
@@ -73,6 +78,32 @@ impl Tracker {
     pub const fn with_ids_of(mut self, incarnation: u32) -> Self {
         self.publications.set_next_id(((incarnation as u64) << 40) + 1);
         self
+    }
+
+    /// Goes on with the tracks of the tracker before, under their ids; called before the first frame. Frames that
+    /// are not newer are refused then.
+    pub fn begin_with(&mut self, predecessor: &Predecessor) {
+        if predecessor.is_empty() {
+            return;
+        }
+        let header = *predecessor.header();
+        let input = *self.options.input(&header);
+        let trusts = header.has(flags::HAS_IDENTITIES) && !self.options.associate;
+        let known = predecessor.tracks().filter_map(|(track, history)| {
+            let agent_type = track.agent_type().ok()?;
+            Some((track, history, agent_type))
+        });
+        for (nth, (track, history, agent_type)) in known.take(self.options.tracks_max).enumerate() {
+            // Which of its frame's detections it was is not published: a number that no detection has.
+            let birth = Birth { stamp_ns: track.born_ns, detection: u32::MAX - nth as u32 };
+            let trusted = trusts && track.source_id != 0;
+            let of = (track, agent_type);
+            self.estimates
+                .add(|seed| Estimate::of_track((birth, seed), header.stamp_ns, of, &input, trusted));
+            self.publications.resume(track, birth, header.stamp_ns, history);
+        }
+        self.replay.begin_with(&self.estimates);
+        self.predecessor_ns = Some(header.stamp_ns);
     }
 
     /// Processes the detections of a frame and writes the tracks at its stamp to `out`, in the order of their
@@ -190,6 +221,10 @@ impl Tracker {
     fn position(&mut self, header: &Header) -> Result<usize, Rejected> {
         let stamp_ns = header.stamp_ns;
         let last_ns = self.replay.scans().last().map_or(stamp_ns, |newest| newest.header.stamp_ns);
+        if let Some(before_ns) = self.predecessor_ns.filter(|before_ns| stamp_ns <= *before_ns) {
+            self.tally.too_late_len += 1;
+            return Err(Rejected::NotNewer { stamp_ns, last_ns: before_ns.max(last_ns) });
+        }
         self.replay.position(stamp_ns, self.options.horizon_ns).map_err(|why| {
             match why {
                 Refusal::Repeated => self.tally.repeated_len += 1,

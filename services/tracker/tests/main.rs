@@ -12,6 +12,7 @@ mod known_failures;
 mod learned_prior;
 mod occlusion;
 mod out_of_sequence;
+mod predecessor;
 mod recordings;
 mod scenes;
 mod stage;

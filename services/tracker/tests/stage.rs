@@ -92,7 +92,7 @@ impl Ends {
             std::thread::sleep(Duration::from_millis(10));
             let newest = self.heartbeats.newest().expect("the transport works");
             let beat =
-                newest.and_then(|beats| beats.iter().find(|b| b.stage == StageId::Tracker as u32).copied());
+                newest.and_then(|beats| beats.iter().find(|b| b.stage == StageId::Tracker.number()).copied());
             if let Some(beat) = beat.filter(|beat| beat.rejected_len > 0) {
                 return beat.rejected_len;
             }

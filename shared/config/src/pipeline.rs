@@ -1,5 +1,6 @@
 //! The graph of stages in pipeline.toml.
 
+mod added;
 mod check;
 mod error;
 mod file;
@@ -10,7 +11,7 @@ use std::path::PathBuf;
 
 pub use check::BUDGET_MAX_MS;
 pub use error::PipelineError;
-use run::Declared;
+use run::{Declared, TopicRun};
 use wire::StageId;
 
 use crate::{RestartPolicy, Scheduling};
@@ -20,6 +21,8 @@ use crate::{RestartPolicy, Scheduling};
 pub struct Stage {
     /// Which of the stages it is.
     pub id: StageId,
+    /// Its name.
+    pub name: String,
     /// The program that runs as this stage, with its arguments; this project's own where none.
     pub command: Option<Vec<String>>,
     /// Names of the topics that it reads.
@@ -36,6 +39,8 @@ pub struct Stage {
     pub restart: RestartPolicy,
     /// Where and with what priority it runs.
     pub scheduling: Scheduling,
+    /// Whether a second process waits to take its place.
+    pub spare: bool,
 }
 
 /// A checked graph of stages, in the order of the file.
@@ -49,6 +54,10 @@ pub struct Pipeline {
     pub shed: bool,
     /// The stages.
     pub stages: Vec<Stage>,
+    /// The topics that the file declares.
+    pub topics: Vec<TopicRun>,
+    /// What the stages on a tick's way may take together.
+    pub budget_ms: f64,
     /// Warnings for the file's author: keys that have another name now.
     pub warnings: Vec<String>,
 }
@@ -64,15 +73,40 @@ impl Pipeline {
         check::check(&file, declared).map_err(|fault| fault.at(name, text))
     }
 
+    /// The topics that a stage reads, by their names in shared memory.
+    pub fn read_by<'a>(&'a self, stage: &'a Stage) -> impl Iterator<Item = &'a str> {
+        stage.reads.iter().map(|topic| self.name_of(stage, topic))
+    }
+
+    /// The topics that a stage writes, by their names in shared memory.
+    pub fn written_by<'a>(&'a self, stage: &'a Stage) -> impl Iterator<Item = &'a str> {
+        stage.writes.iter().map(|topic| self.name_of(stage, topic))
+    }
+
+    /// The name in shared memory of a stage's topic. A name that the file does not declare is that of a program
+    /// between two stages.
+    fn name_of<'a>(&'a self, stage: &'a Stage, topic: &'a str) -> &'a str {
+        let renamed = stage.topics.get(topic).filter(|name| self.topics.iter().any(|t| t.name == **name));
+        renamed.map_or(topic, String::as_str)
+    }
+
+    /// Lets this process know the names of the added stages.
+    pub fn name_stages(&self) {
+        for stage in self.stages.iter().filter(|stage| stage.id.is_added()) {
+            StageId::name_added((stage.id.number() - StageId::ADDED_FIRST) as usize, &stage.name);
+        }
+    }
+
     /// The edges of the graph as (producer, topic, consumer), in the order of the file.
     #[must_use]
     pub fn edges(&self) -> Vec<(StageId, &str, StageId)> {
         let mut edges = Vec::new();
         for producer in &self.stages {
-            for topic in &producer.writes {
-                for consumer in self.stages.iter().filter(|s| s.reads.contains(topic)) {
-                    edges.push((producer.id, topic.as_str(), consumer.id));
-                }
+            for topic in self.written_by(producer) {
+                let reads = |stage: &&Stage| self.read_by(stage).any(|read| read == topic);
+                edges.extend(
+                    self.stages.iter().filter(reads).map(|consumer| (producer.id, topic, consumer.id)),
+                );
             }
         }
         edges

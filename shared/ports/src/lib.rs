@@ -41,6 +41,7 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 
+mod added;
 mod clock;
 mod element;
 mod error;
@@ -60,10 +61,11 @@ mod stop;
 mod subscriber;
 mod wait;
 
+pub use added::{AddedFrame, AddedSubscriber, Beside};
 pub use clock::monotonic_ns;
 pub use error::{Awaiting, PortError, StageError};
 pub use names::TOPICS_VARIABLE;
-pub use node::{Node, clean_dead_nodes};
+pub use node::{Node, Topics, clean_dead_nodes};
 pub use peers::{Peers, TAP};
 pub use points::{POINTS_VARIABLE, Point};
 pub use program::{
@@ -79,5 +81,5 @@ pub use space::{
 };
 pub use stage::{Awaited, HEARTBEAT, Passage, Stage};
 pub use standby::{GO, STANDBY_VARIABLE, await_turn};
-pub use stop::Stop;
+pub use stop::{Asked, Stop};
 pub use subscriber::{Frame, Subscriber};

@@ -6,9 +6,13 @@ use iceoryx2::service::builder::publish_subscribe::{
     PublishSubscribeCreateError, PublishSubscribeOpenError, PublishSubscribeOpenOrCreateError,
 };
 use iceoryx2::service::port_factory::{event, publish_subscribe};
-use run::Run;
-use wire::{HeartbeatsTopic, StageId, Topic};
+use run::{Run, SpareRun};
+use wire::{
+    ContextTopic, ControlsTopic, DetectionsTopic, EncodingsTopic, FeaturesTopic, ForecastsTopic,
+    HeartbeatsTopic, StageId, Topic, TracksTopic, TruthTopic,
+};
 
+use crate::added::{Added, Limits};
 use crate::element::{Element, Head};
 use crate::names::Names;
 use crate::publisher::Sender;
@@ -16,15 +20,15 @@ use crate::space::remove_half_made_services;
 use crate::{HEARTBEAT, PortError, Publisher, Stop, Subscriber};
 
 /// Frames that one reader may hold at a time: one for long, and while it looks for the newest two more.
-const BORROWED_MAX: usize = 3;
+pub(crate) const BORROWED_MAX: usize = 3;
 /// Frames that a publisher may prepare at a time.
 pub(crate) const LOANED_MAX: usize = 1;
 /// Frames that a reader gets which opens the topic after they were sent.
-const HISTORY: usize = 1;
+pub(crate) const HISTORY: usize = 1;
 /// Processes of a run that may use a topic: all stages, the launcher, and spares for tools.
-const NODES_MAX: usize = 20;
+pub(crate) const NODES_MAX: usize = 20;
 /// A payload starts at a cache line, wide enough for every vector load.
-const ALIGNMENT: usize = 64;
+pub(crate) const ALIGNMENT: usize = 64;
 
 /// Longest time for which a half-made service is tried again: the time that a stage has to start by default.
 const OPEN_LIMIT: Duration = Duration::from_secs(10);
@@ -45,14 +49,16 @@ mod event_id {
 /// This process's place in a run's shared memory.
 #[derive(Debug)]
 pub struct Node {
-    node: iceoryx2::node::Node<ipc::Service>,
+    pub(crate) node: iceoryx2::node::Node<ipc::Service>,
     run_id: u64,
-    interval: Duration,
+    pub(crate) interval: Duration,
     stop: Stop,
     sender: Sender,
     names: Names,
     protected: Vec<String>,
     lockstep: bool,
+    spares: Vec<SpareRun>,
+    pub(crate) added: Added,
 }
 
 /// The two services of one topic.
@@ -76,14 +82,15 @@ impl Node {
             .map_err(PortError::of_node("node"))?;
         let (interval, sender) = (Duration::from_nanos(run.interval_ns), Sender::default());
         let (names, protected) = (Names::default(), run.protected.clone());
-        let (run_id, lockstep) = (run.id, run.lockstep);
-        Ok(Self { node, run_id, interval, stop, sender, names, protected, lockstep })
+        let (run_id, lockstep, spares) = (run.id, run.lockstep, run.spares.clone());
+        let added = Added::of(run);
+        Ok(Self { node, run_id, interval, stop, sender, names, protected, lockstep, spares, added })
     }
 
     /// The same node as that of a stage: the headers of all that it sends report so, and its topics have the
     /// names of its process.
     pub(crate) fn of_stage(mut self, id: StageId, incarnation: u32) -> Self {
-        self.sender = Sender { stage: id as u32, incarnation };
+        self.sender = Sender { stage: id.number(), incarnation };
         self.names = Names::of_process();
         self
     }
@@ -123,11 +130,14 @@ impl Node {
 
     /// Whether the frames of the topic carry a check value.
     fn protects<T: Topic>(&self) -> bool {
-        self.protected.iter().any(|name| name == T::NAME)
+        // A declared topic has no check value: its readers may know it by another name, which the value covers.
+        self.added.topic(self.names.of(T::NAME)).is_none()
+            && self.protected.iter().any(|name| name == T::NAME)
     }
 
     /// Opens or makes the two services of a topic under a name, with the same settings in all processes.
     pub(crate) fn services<T: Topic>(&self, name: &str) -> Result<Services<T>, PortError> {
+        let limits = self.limits::<T>(name);
         let name: ServiceName =
             format!("stgdat/{name}").as_str().try_into().map_err(PortError::of("service name", T::NAME))?;
         let alignment = Alignment::new(ALIGNMENT).expect("64 is a power of two");
@@ -137,10 +147,10 @@ impl Node {
                 .publish_subscribe::<[Element<T>]>()
                 .user_header::<Head>()
                 .payload_alignment(alignment)
-                .max_publishers(T::PUBLISHERS_MAX)
-                .max_subscribers(T::SUBSCRIBERS_MAX)
-                .max_nodes(NODES_MAX)
-                .subscriber_max_buffer_size(T::DEPTH_MAX)
+                .max_publishers(limits.publishers_max)
+                .max_subscribers(limits.subscribers_max)
+                .max_nodes(limits.nodes_max)
+                .subscriber_max_buffer_size(limits.depth_max)
                 .subscriber_max_borrowed_samples(BORROWED_MAX)
                 .history_size(HISTORY)
                 .enable_safe_overflow(true)
@@ -148,26 +158,70 @@ impl Node {
         };
         let frames = self.patiently(frames, is_half_made_topic).map_err(PortError::of("frames", T::NAME))?;
         let interval = if T::NAME == HeartbeatsTopic::NAME { HEARTBEAT } else { self.interval };
+        Ok((frames, self.events(&name, limits, interval, T::NAME)?))
+    }
+
+    /// Opens or makes the events of a topic.
+    pub(crate) fn events(
+        &self,
+        name: &ServiceName,
+        limits: Limits,
+        interval: Duration,
+        topic: &'static str,
+    ) -> Result<event::PortFactory<ipc::Service>, PortError> {
         let events = || {
             self.node
-                .service_builder(&name)
+                .service_builder(name)
                 .event()
                 .deadline(2 * interval)
-                .max_notifiers(T::PUBLISHERS_MAX)
-                .max_listeners(T::SUBSCRIBERS_MAX)
-                .max_nodes(NODES_MAX)
+                .max_notifiers(limits.publishers_max)
+                .max_listeners(limits.subscribers_max)
+                .max_nodes(limits.nodes_max)
                 .notifier_created_event(EventId::new(event_id::CREATED))
                 .notifier_dropped_event(EventId::new(event_id::DROPPED))
                 .notifier_dead_event(EventId::new(event_id::DEAD))
                 .open_or_create()
         };
-        let events = self.patiently(events, is_half_made_event).map_err(PortError::of("events", T::NAME))?;
-        Ok((frames, events))
+        self.patiently(events, is_half_made_event).map_err(PortError::of("events", topic))
+    }
+
+    /// Most ports of a topic, by its name in shared memory: those of the shipped pipeline, those of the stages that
+    /// the pipeline file adds, and those of spares. All processes of the run find the same in its record.
+    fn limits<T: Topic>(&self, name: &str) -> Limits {
+        if let Some(topic) = self.added.topic(name) {
+            return self.with_spares(name, self.added.limits(topic));
+        }
+        let heartbeats_len = if T::NAME == HeartbeatsTopic::NAME { self.added.stages_len } else { 0 };
+        self.with_spares(
+            name,
+            Limits {
+                publishers_max: T::PUBLISHERS_MAX + heartbeats_len,
+                subscribers_max: T::SUBSCRIBERS_MAX + self.added.readers_len(name),
+                nodes_max: NODES_MAX + self.added.stages_len,
+                depth_max: T::DEPTH_MAX,
+            },
+        )
+    }
+
+    /// Adds places for spares: each may read the topic, and a place of a process that died is free only once it is
+    /// cleaned up.
+    pub(crate) fn with_spares(&self, name: &str, limits: Limits) -> Limits {
+        let spares = self.spares.iter().filter(|spare| spare.opens(name)).count();
+        Limits {
+            publishers_max: limits.publishers_max + if limits.publishers_max > 1 { spares } else { 0 },
+            subscribers_max: limits.subscribers_max + spares,
+            nodes_max: limits.nodes_max + self.spares.len(),
+            ..limits
+        }
     }
 
     /// Opens a service again and again while it is half made: another process is making it, or was killed at
     /// it and is cleaned up after.
-    fn patiently<S, E>(&self, open: impl Fn() -> Result<S, E>, is_half_made: fn(&E) -> bool) -> Result<S, E> {
+    pub(crate) fn patiently<S, E>(
+        &self,
+        open: impl Fn() -> Result<S, E>,
+        is_half_made: fn(&E) -> bool,
+    ) -> Result<S, E> {
         let begun = Instant::now();
         loop {
             match open() {
@@ -182,8 +236,40 @@ impl Node {
     }
 }
 
+/// The topics of a run, made before any other process opens them, with places for all spares. They last as long as a
+/// process has them open.
+#[derive(Debug)]
+pub struct Topics {
+    _services: Vec<Box<dyn std::fmt::Debug>>,
+    _node: Node,
+}
+
+impl Topics {
+    /// Makes those of a run.
+    ///
+    /// # Errors
+    /// [`PortError`] where one can't be made.
+    pub fn make(run: &Run) -> Result<Self, PortError> {
+        let node = Node::open(run, "topics")?;
+        fn of<T: Topic>(node: &Node) -> Result<Box<dyn std::fmt::Debug>, PortError> {
+            Ok(Box::new(node.services::<T>(T::NAME)?))
+        }
+        let services = vec![
+            of::<DetectionsTopic>(&node)?,
+            of::<TracksTopic>(&node)?,
+            of::<ContextTopic>(&node)?,
+            of::<FeaturesTopic>(&node)?,
+            of::<EncodingsTopic>(&node)?,
+            of::<ControlsTopic>(&node)?,
+            of::<ForecastsTopic>(&node)?,
+            of::<TruthTopic>(&node)?,
+        ];
+        Ok(Self { _services: services, _node: node })
+    }
+}
+
 /// Whether the service of a topic is being made, removed, or both in turn.
-const fn is_half_made_topic(error: &PublishSubscribeOpenOrCreateError) -> bool {
+pub(crate) const fn is_half_made_topic(error: &PublishSubscribeOpenOrCreateError) -> bool {
     use PublishSubscribeOpenOrCreateError as Error;
     matches!(
         error,

@@ -6,10 +6,11 @@ use wire::{Heartbeat, HeartbeatsTopic, StageId};
 use crate::{PortError, Subscriber};
 
 /// The number in the place of a stage's under which the tap of a run sends heartbeats, in lockstep and while a tool
-/// is attached. It is no stage: nothing but [`Peers::tap_reached`] looks for it.
+/// is attached. It is no stage: nothing but [`Peers::others_reached`] looks for it.
 pub const TAP: u32 = 64;
 
-/// Heartbeats of the tap that are older are those of one that died or was stopped: nothing waits for it.
+/// Heartbeats of the tap, or of an added stage, that are older are those of one that died or was stopped: nothing
+/// waits for it.
 const TAP_SILENT_NS: u64 = 2_000_000_000;
 
 /// The newest heartbeat of each stage of a run.
@@ -19,6 +20,8 @@ pub struct Peers {
     newest: BTreeMap<u32, Heartbeat>,
     /// Stages that send heartbeats.
     expected: Vec<StageId>,
+    /// Added stages that write a topic and that no forecast waits for.
+    beside: Vec<StageId>,
 }
 
 impl Peers {
@@ -28,7 +31,9 @@ impl Peers {
     pub fn new(heartbeats: Subscriber<HeartbeatsTopic>, run: &Run) -> Self {
         let built_in = run.stages.iter().filter(|stage| stage.built_in);
         let expected = built_in.filter_map(|stage| StageId::from_number(stage.stage)).collect();
-        Self { heartbeats, newest: BTreeMap::new(), expected }
+        let writes = |id: &StageId| run.stage(*id).is_some_and(|stage| !stage.writes.is_empty());
+        let beside = run.beside().into_iter().filter(writes).collect();
+        Self { heartbeats, newest: BTreeMap::new(), expected, beside }
     }
 
     /// Takes the heartbeats that have come; returns them.
@@ -55,7 +60,7 @@ impl Peers {
     /// The newest heartbeat of a stage, of those that have been taken.
     #[must_use]
     pub fn newest(&self, stage: StageId) -> Option<&Heartbeat> {
-        self.newest.get(&(stage as u32))
+        self.newest.get(&stage.number())
     }
 
     /// Whether a stage is a program of this project's own, which sends heartbeats.
@@ -73,22 +78,26 @@ impl Peers {
     /// Stages that are not linked to their neighbours yet.
     #[must_use]
     pub fn unlinked(&self) -> Vec<StageId> {
-        let linked = |stage: &StageId| self.newest.get(&(*stage as u32)).is_some_and(|h| h.linked == 1);
+        let linked = |stage: &StageId| self.newest.get(&stage.number()).is_some_and(|h| h.linked == 1);
         self.expected.iter().copied().filter(|stage| !linked(stage)).collect()
     }
 
-    /// Whether the tap has seen tick `seq` at `now_ns`, or does not follow the run.
+    /// Whether the tap and the added stages beside the way have seen tick `seq` at `now_ns`, or do not follow the run.
     #[must_use]
-    pub fn tap_reached(&self, seq: u64, now_ns: u64) -> bool {
-        self.newest.get(&TAP).is_none_or(|tap| {
-            tap.linked == 0 || tap.seq >= seq || now_ns.saturating_sub(tap.sent_ns) > TAP_SILENT_NS
-        })
+    pub fn others_reached(&self, seq: u64, now_ns: u64) -> bool {
+        let reached = |number: u32| {
+            self.newest.get(&number).is_none_or(|heartbeat| {
+                let is_silent = now_ns.saturating_sub(heartbeat.sent_ns) > TAP_SILENT_NS;
+                heartbeat.linked == 0 || heartbeat.seq >= seq || is_silent
+            })
+        };
+        reached(TAP) && self.beside.iter().all(|stage| reached(stage.number()))
     }
 
     /// Whether a stage has finished or refused tick `seq`.
     #[must_use]
     pub fn reached(&self, stage: StageId, seq: u64) -> bool {
-        let newest = self.newest.get(&(stage as u32));
+        let newest = self.newest.get(&stage.number());
         newest.is_some_and(|h| h.seq >= seq && h.frames_len + h.rejected_len > 0)
     }
 }

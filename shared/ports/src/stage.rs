@@ -12,7 +12,9 @@ use crate::memory::ResidentMemory;
 use crate::points::{self, Point};
 use crate::subscriber::Input;
 use crate::wait::{Wakes, wait};
-use crate::{Frame, Loan, Node, Peers, PortError, Publisher, Stop, Subscriber, monotonic_ns, standby};
+use crate::{
+    Beside, Frame, Loan, Node, Peers, PortError, Publisher, Stop, Subscriber, monotonic_ns, standby,
+};
 
 /// Time between the heartbeats of a stage, whether it has work or not: a tick.
 pub const HEARTBEAT: Duration = Duration::from_nanos(TICK_NS);
@@ -172,12 +174,26 @@ impl Stage {
     /// # Panics
     /// Where the stage has not declared that it writes the topic.
     pub fn publish<T: Topic>(&mut self) -> Result<Publisher<T>, PortError> {
+        self.publish_after::<T>(|_, _| ())
+    }
+
+    /// The same, and while it waits for its turn it gives `follow` each tick that the process before has sent.
+    ///
+    /// # Errors
+    /// As [`Stage::publish`].
+    ///
+    /// # Panics
+    /// As [`Stage::publish`].
+    pub fn publish_after<T: Topic>(
+        &mut self,
+        follow: impl FnMut(&Header, &[T::Element]),
+    ) -> Result<Publisher<T>, PortError> {
         let writes = self.declared.writes;
         assert!(writes.contains(&T::NAME), "the {} declares no output \"{}\"", self.id.name(), T::NAME);
         self.declared.opened.push(T::NAME);
         self.passed = false;
         if standby::is_standby() {
-            self.take_over::<T>()?;
+            self.take_over::<T>(follow)?;
         }
         let begun = std::time::Instant::now();
         loop {
@@ -192,14 +208,26 @@ impl Stage {
     }
 
     /// Waits for its turn, and goes on after the newest tick that the process before has sent.
-    fn take_over<T: Topic>(&mut self) -> Result<(), PortError> {
-        let sent = self.node.subscriber::<T>(DEPTH)?;
-        standby::await_turn(self.id, self.stop())?;
-        while let Some(frame) = sent.receive()? {
-            if frame.header().is_tick() {
-                self.taken_over = self.taken_over.max(Some(frame.header().seq));
+    fn take_over<T: Topic>(
+        &mut self,
+        mut follow: impl FnMut(&Header, &[T::Element]),
+    ) -> Result<(), PortError> {
+        // Looked at ten times a second: no frame that is to be followed is dropped.
+        let sent = self.node.subscriber::<T>(T::DEPTH_MAX)?;
+        let mut newest = None;
+        let mut look = || {
+            while let Some(frame) = sent.receive()? {
+                if frame.header().is_tick() {
+                    newest = newest.max(Some(frame.header().seq));
+                    follow(frame.header(), &frame);
+                }
             }
-        }
+            Ok(())
+        };
+        self.memory.tend();
+        standby::await_turn_and(self.id, self.node.stop(), &mut look)?;
+        look()?;
+        self.taken_over = newest;
         if let Some(seq) = self.taken_over {
             self.inputs[..self.on_the_way_len].iter().for_each(|input| input.resume_after(seq));
         }
@@ -218,6 +246,14 @@ impl Stage {
     /// As [`Node::subscriber`].
     pub fn peers(&self, run: &Run) -> Result<Peers, PortError> {
         Ok(Peers::new(self.node.subscriber(HeartbeatsTopic::DEPTH_MAX)?, run))
+    }
+
+    /// The headers of what added stages send beside a tick's way; they do not count as an input.
+    ///
+    /// # Errors
+    /// As [`Node::added_subscriber`].
+    pub fn beside(&self, run: &Run) -> Result<Beside, PortError> {
+        Beside::open(&self.node, run)
     }
 
     /// How often the stage had been started before.
@@ -370,7 +406,7 @@ impl Stage {
 
     fn start(&self, header: Header, received_ns: u64, input: &'static str) -> Passage {
         let hop = Hop {
-            stage: self.id as u32,
+            stage: self.id.number(),
             incarnation: self.incarnation,
             received_ns,
             started_ns: monotonic_ns(),
@@ -454,6 +490,10 @@ impl Stage {
         passage.header.push_hop(passage.hop);
         output.send(loan, passage.header)?;
         self.passed = true;
+        // In lockstep the source waits for this heartbeat before it releases the next tick.
+        if self.id.is_added() && passage.header.has(flags::LOCKSTEP) && passage.header.is_tick() {
+            return self.beat();
+        }
         self.beat_if_due()
     }
 
@@ -480,7 +520,7 @@ impl Stage {
         let mut refusals = self.refusals;
         inputs().for_each(|input| Refusals::add(&mut refusals, &input.refusals()));
         Heartbeat {
-            stage: self.id as u32,
+            stage: self.id.number(),
             incarnation: self.incarnation,
             pid: std::process::id(),
             linked: u32::from(linked),

@@ -4,6 +4,9 @@
 //! launcher's socket. The launcher ends the old process, waits until its place on its topics is free, and
 //! answers; only then the new one opens its output. It goes on after the newest tick that the old one has sent,
 //! which it reads off that output: what the old one left undone lies in its own queues.
+//!
+//! A *spare* is such a process whose turn comes when the old one dies. While it waits, however long, it follows
+//! that output: a stage that takes its state from there keeps it so at hand, and computes nothing.
 
 use std::io::{BufRead as _, BufReader, ErrorKind, Write as _};
 use std::os::unix::net::UnixStream;
@@ -45,6 +48,15 @@ pub(crate) fn is_standby() -> bool {
 /// [`PortError::Node`] where the launcher is gone, [`PortError::NotNeeded`] where the process is asked to end
 /// before its turn.
 pub fn await_turn(stage: StageId, stop: &Stop) -> Result<(), PortError> {
+    await_turn_and(stage, stop, || Ok(()))
+}
+
+/// The same, and does `meanwhile` at least ten times a second.
+pub(crate) fn await_turn_and(
+    stage: StageId,
+    stop: &Stop,
+    mut meanwhile: impl FnMut() -> Result<(), PortError>,
+) -> Result<(), PortError> {
     if !is_standby() {
         return Ok(());
     }
@@ -59,6 +71,7 @@ pub fn await_turn(stage: StageId, stop: &Stop) -> Result<(), PortError> {
         if stop.requested() {
             return Err(PortError::NotNeeded);
         }
+        meanwhile()?;
         match lines.read_line(&mut answer) {
             Ok(_) if answer.trim_end() == GO => break,
             Ok(_) => return Err(failed(ErrorKind::UnexpectedEof.into())),

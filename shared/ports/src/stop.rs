@@ -1,10 +1,10 @@
 use std::sync::Arc;
-use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::time::Duration;
 
 use iceoryx2::prelude::*;
 use run::Exit;
-use signal_hook::consts::{SIGINT, SIGTERM};
+use signal_hook::consts::{SIGINT, SIGTERM, SIGUSR1};
 
 /// Whether SIGTERM or SIGINT has asked the process to end.
 ///
@@ -40,6 +40,29 @@ impl Stop {
             SIGTERM => Some(Exit::Terminated),
             _ => None,
         }
+    }
+}
+
+/// Whether SIGUSR1 has asked for something.
+#[derive(Clone, Debug)]
+pub struct Asked(Arc<AtomicBool>);
+
+impl Asked {
+    /// Takes over SIGUSR1.
+    ///
+    /// # Errors
+    /// Where the system refuses the handler.
+    pub fn by_usr1() -> std::io::Result<Self> {
+        take_transport_handlers();
+        let asked = Arc::new(AtomicBool::new(false));
+        signal_hook::flag::register(SIGUSR1, asked.clone())?;
+        Ok(Self(asked))
+    }
+
+    /// Whether the signal has come since this was last asked.
+    #[must_use]
+    pub fn take(&self) -> bool {
+        self.0.swap(false, Ordering::Relaxed)
     }
 }
 

@@ -1,5 +1,6 @@
 use std::cell::{Cell, RefCell};
 use std::ops::Deref;
+use std::os::fd::BorrowedFd;
 use std::rc::Rc;
 use std::time::Duration;
 
@@ -15,7 +16,7 @@ use wire::{
 
 use crate::element::{Element, Head};
 use crate::error::log_refused;
-use crate::wait::{Wakes, wait};
+use crate::wait::{Wakes, wait, wait_also};
 use crate::{PortError, monotonic_ns};
 
 /// The reading end of a topic.
@@ -51,10 +52,12 @@ struct Port<T: Topic> {
     lost: Cell<Option<Header>>,
     /// Ticks up to this one were answered by the process that this one has replaced.
     answered: Cell<Option<u64>>,
+    /// Whether nothing has come since then: what is missing died with that process.
+    resumed: Cell<bool>,
 }
 
-/// One more than the greatest number of a stage of this project.
-const STAGES_LEN: usize = StageId::ALL.len() + 1;
+/// One more than the greatest number of a stage.
+const STAGES_LEN: usize = StageId::NUMBER_MAX as usize + 1;
 
 /// Frames of a replaced process that are refused in a row: twice what the deepest queue holds. More of them say that
 /// the newer incarnation was a flipped bit, on a topic without check values.
@@ -125,6 +128,7 @@ impl<T: Topic> Subscriber<T> {
             last,
             lost,
             answered: Cell::new(None),
+            resumed: Cell::new(false),
         }))
     }
 
@@ -217,6 +221,14 @@ impl<T: Topic> Subscriber<T> {
         wait([self], timeout)
     }
 
+    /// The same, and also until one of `others` is readable, such as the descriptor of a process that has ended.
+    ///
+    /// # Errors
+    /// [`PortError`] where the transport fails.
+    pub fn sleep_or(&self, others: &[BorrowedFd<'_>], timeout: Duration) -> Result<(), PortError> {
+        wait_also(self, others, timeout)
+    }
+
     /// The input as its stage counts it.
     pub(crate) fn input(&self) -> Rc<dyn Input> {
         self.0.clone()
@@ -256,8 +268,8 @@ impl<T: Topic> Input for Port<T> {
 
     fn resume_after(&self, seq: u64) {
         self.answered.set(Some(seq));
-        // The ticks that follow are expected without a gap.
         self.newest.set(Some((seq, i64::MIN)));
+        self.resumed.set(true);
     }
 }
 
@@ -422,6 +434,7 @@ impl<T: Topic> Port<T> {
             return;
         }
         let restarted = T::PUBLISHERS_MAX == 1 && self.has_new_incarnation(header);
+        let restarted = self.resumed.take() || restarted;
         let expected = match self.newest.get() {
             Some((newest, _)) => newest + 1,
             None if linked => 0,

@@ -23,16 +23,37 @@ pub(crate) trait Wakes {
 
 /// Sleeps until an event of a topic, a signal or the end of `timeout`. May return early: look at the queues.
 pub(crate) fn wait<const N: usize>(topics: [&dyn Wakes; N], timeout: Duration) -> Result<(), PortError> {
+    let mut ready = topics.map(|topic| PollFd::from_borrowed_fd(descriptor(topic), PollFlags::IN));
+    if poll_for(&mut ready, timeout)? { take(topics, &ready) } else { Ok(()) }
+}
+
+/// The same for one topic and other descriptors, which are left as they are. Allocates.
+pub(crate) fn wait_also(
+    topic: &dyn Wakes,
+    others: &[BorrowedFd<'_>],
+    timeout: Duration,
+) -> Result<(), PortError> {
+    let all = [descriptor(topic)].into_iter().chain(others.iter().copied());
+    let mut ready: Vec<PollFd<'_>> =
+        all.map(|descriptor| PollFd::from_borrowed_fd(descriptor, PollFlags::IN)).collect();
+    if poll_for(&mut ready, timeout)? { take([topic], &ready) } else { Ok(()) }
+}
+
+/// Whether a descriptor is ready, not a signal or the timeout.
+fn poll_for(ready: &mut [PollFd<'_>], timeout: Duration) -> Result<bool, PortError> {
     // A timeout of more than a few hundred years has no limit.
     let timeout = Timespec::try_from(timeout).ok();
-    let mut ready = topics.map(|topic| PollFd::from_borrowed_fd(descriptor(topic), PollFlags::IN));
-    match poll(&mut ready, timeout.as_ref()) {
+    match poll(ready, timeout.as_ref()) {
         // A signal ends the wait too; `Stop` holds whether it asks the process to end.
-        Ok(0) | Err(Errno::INTR) => return Ok(()),
-        Ok(_) => {}
-        Err(error) => return Err(PortError::Wait(error.into())),
+        Ok(0) | Err(Errno::INTR) => Ok(false),
+        Ok(_) => Ok(true),
+        Err(error) => Err(PortError::Wait(error.into())),
     }
-    for (topic, ready) in topics.into_iter().zip(&ready) {
+}
+
+/// Takes the events of topics, whose descriptors are the first of those that are ready.
+fn take<const N: usize>(topics: [&dyn Wakes; N], ready: &[PollFd<'_>]) -> Result<(), PortError> {
+    for (topic, ready) in topics.into_iter().zip(ready) {
         let events = ready.revents();
         if events.contains(PollFlags::IN) {
             // An event that stays would end every later wait at once.

@@ -29,7 +29,7 @@ fn run(lockstep: bool, protected: &[&str]) -> (Space, Run) {
 fn header(run: &Run, seq: u64, len: usize) -> Header {
     let mut header = Header::new(run.id, seq, seq as i64 * 80_000_000);
     (header.sender, header.interval_ns, header.counts.agents_len) =
-        (StageId::Sampler as u32, 80_000_000, len as u32);
+        (StageId::Sampler.number(), 80_000_000, len as u32);
     header.push_hop(Hop { stage: header.sender, ..Hop::default() });
     header
 }
@@ -60,7 +60,7 @@ fn a_flipped_bit_is_a_wrong_check_value_wherever_it_lies() {
     let flipped = [
         Header { run_id: good.run_id ^ 2, ..good },
         Header { incarnation: good.incarnation ^ 4, ..good },
-        Header { sender: StageId::Decoder as u32, ..good },
+        Header { sender: StageId::Decoder.number(), ..good },
         Header { seq: good.seq ^ 1, ..good },
         Header { counts: wire::Counts { agents_len: 1 << 20, ..good.counts }, ..good },
     ];
@@ -223,7 +223,7 @@ fn taken<T: Topic>(
         state ^= state << 13;
         state ^= state >> 7;
         state ^= state << 17;
-        let plain = Header { sender: sender as u32, ..header(&run, flip, good.len()) };
+        let plain = Header { sender: sender.number(), ..header(&run, flip, good.len()) };
         let is_protected = !protected_topics.is_empty();
         let mut sent = if is_protected { protected::<T>(plain, good, flip as u32) } else { plain };
         let mut elements = good.to_vec();

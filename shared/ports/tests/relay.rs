@@ -20,7 +20,7 @@ fn run() -> (Space, Run) {
 /// The header of a tick that a tracker of that incarnation has sent.
 fn header(run: &Run, seq: u64, incarnation: u32) -> Header {
     let mut header = Header::new(run.id, seq, seq as i64 * 80_000_000);
-    header.sender = StageId::Tracker as u32;
+    header.sender = StageId::Tracker.number();
     header.incarnation = incarnation;
     header.push_hop(Hop { stage: header.sender, incarnation, ..Hop::default() });
     header

@@ -81,7 +81,7 @@ fn headers_report_their_sender_and_protect_anew() {
     let of_the_stage = forecasts.receive().unwrap().unwrap();
     let Header { sender, incarnation, protection, hops, .. } = *of_the_stage.header();
     assert_eq!((sender, incarnation), (hops[0].stage, hops[0].incarnation));
-    assert_eq!(sender, StageId::Sampler as u32);
+    assert_eq!(sender, StageId::Sampler.number());
     assert!(!protection.is_absent() && protection.counter == 0, "forecasts are protected by default");
 }
 
@@ -282,7 +282,7 @@ fn a_stage_in_another_process_links_answers_and_ends() {
             Awaited::Frame(frame) => {
                 assert_eq!(frame[0].id, id * 2);
                 let stages: Vec<u32> = frame.header().hops().iter().map(|hop| hop.stage).collect();
-                assert_eq!(stages, [StageId::Tracker as u32, StageId::Sampler as u32]);
+                assert_eq!(stages, [StageId::Tracker.number(), StageId::Sampler.number()]);
                 let hop = frame.header().hop(StageId::Sampler).unwrap();
                 assert!(hop.received_ns <= hop.started_ns && hop.finished_ns <= hop.sent_ns);
                 assert!(

@@ -72,6 +72,11 @@ pub enum Happened {
         /// How many.
         frames: u64,
     },
+    /// A flight recorder kept what was before this.
+    Kept {
+        /// Why.
+        why: String,
+    },
     /// Somebody marked this moment.
     Mark {
         /// With these words.

@@ -31,15 +31,19 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 //!
+//! [`Ring`] keeps the newest messages in memory, and [`flight`] says when they are worth a file.
+//!
 //! [`tap`] is how tools get the frames of a run that goes on: one process reads the topics and hands them on.
 
 mod about;
 mod compare;
 mod error;
 mod event;
+pub mod flight;
 mod format;
 mod frame;
 mod reader;
+mod ring;
 mod sink;
 pub mod tap;
 mod writer;
@@ -50,6 +54,7 @@ pub use error::{ReadError, WriteError};
 pub use event::{Event, Happened, LogLine};
 pub use frame::{Frame, FrameError, topic_number};
 pub use reader::{Ending, Message, Messages, Recording};
+pub use ring::{Ring, RingLimits};
 pub use sink::{FileSink, Sink};
 pub use writer::{CHUNK_BYTES, CHUNK_NS, Losses, Writer, Written};
 

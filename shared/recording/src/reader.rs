@@ -77,6 +77,18 @@ pub enum Message {
     Line(LogLine),
 }
 
+impl Message {
+    /// When it was received or happened, `CLOCK_MONOTONIC`.
+    #[must_use]
+    pub const fn at_ns(&self) -> u64 {
+        match self {
+            Self::Frame(frame) => frame.received_ns(),
+            Self::Event(event) => event.at_ns,
+            Self::Line(line) => line.at_ns,
+        }
+    }
+}
+
 impl Recording {
     /// Opens a file, and finds its chunks; their content is read and checked by [`Recording::messages`].
     ///

@@ -9,7 +9,7 @@ use wire::{Header, TABLE};
 
 use crate::format::{Body, FOOTER, LZ4, MAGIC, PREFIX, op};
 use crate::sink::FileSink;
-use crate::{About, EVENTS, Event, Frame, Happened, LOG, LogLine, Sink, WriteError, topic_number};
+use crate::{About, EVENTS, Event, Frame, Happened, LOG, LogLine, Message, Sink, WriteError, topic_number};
 
 /// A chunk is written when it has so many bytes …
 pub const CHUNK_BYTES: usize = 1 << 20;
@@ -191,6 +191,15 @@ impl<S: Sink> Writer<S> {
     pub fn line(&mut self, line: &LogLine) {
         let json = serde_json::to_vec(line).unwrap_or_default();
         self.message(LOG_CHANNEL, 0, [line.at_ns; 2], &json);
+    }
+
+    /// Adds a message.
+    pub fn add(&mut self, message: &Message) {
+        match message {
+            Message::Frame(frame) => self.frame(frame),
+            Message::Event(event) => self.event(event),
+            Message::Line(line) => self.line(line),
+        }
     }
 
     /// What the file has come to so far.

@@ -27,7 +27,7 @@ fn header(seq: u64, agents_len: u32) -> Header {
     let mut header = Header::new(7, seq, (seq * TICK_NS) as i64);
     header.counts.agents_len = agents_len;
     let sent_ns = seq * TICK_NS + 5;
-    header.push_hop(Hop { stage: StageId::Source as u32, sent_ns, ..Hop::default() });
+    header.push_hop(Hop { stage: StageId::Source.number(), sent_ns, ..Hop::default() });
     header
 }
 

@@ -11,7 +11,8 @@ use crate::options::OptionsSchema;
 
 /// A stage in one constant: which it is, the topics of its program, and the struct of its options.
 pub struct Declaration<O> {
-    id: StageId,
+    /// None for a stage that a pipeline file adds: the process that runs it learns which it is.
+    id: Option<StageId>,
     reads: &'static [&'static str],
     writes: &'static [&'static str],
     rule: fn(&O) -> Result<(), Conflict>,
@@ -132,6 +133,16 @@ impl OptionError {
     }
 }
 
+/// The environment variable that holds the name of a process's stage. The names of added stages are known once the
+/// run's record has been read.
+pub const STAGE_VARIABLE: &str = "STGDAT_STAGE";
+
+/// The stage that this process was started as, by its environment; none where it was not started as one.
+#[must_use]
+pub fn own_stage() -> Option<StageId> {
+    StageId::from_name(&std::env::var(STAGE_VARIABLE).ok()?)
+}
+
 /// The options of a stage that has none.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
@@ -148,7 +159,14 @@ impl<O> Declaration<O> {
     /// A stage whose program reads and writes these topics, by their names.
     #[must_use]
     pub const fn new(id: StageId, reads: &'static [&'static str], writes: &'static [&'static str]) -> Self {
-        Self { id, reads, writes, rule: |_| Ok(()) }
+        Self { id: Some(id), reads, writes, rule: |_| Ok(()) }
+    }
+
+    /// A stage that a pipeline file adds. Its name is that of the file; the topics are those that the program opens,
+    /// under the names that it knows them by.
+    #[must_use]
+    pub const fn added(reads: &'static [&'static str], writes: &'static [&'static str]) -> Self {
+        Self { id: None, reads, writes, rule: |_| Ok(()) }
     }
 
     /// The same, with a rule that goes beyond one option.
@@ -157,10 +175,13 @@ impl<O> Declaration<O> {
         Self { rule, ..self }
     }
 
-    /// Which stage it is.
+    /// Which stage it is: of an added one, the one that this process runs as ([`own_stage`]).
+    ///
+    /// # Panics
+    /// Where the stage is an added one and this process was not started as one.
     #[must_use]
-    pub const fn id(&self) -> StageId {
-        self.id
+    pub fn id(&self) -> StageId {
+        self.id.or_else(own_stage).unwrap_or_else(|| panic!("{STAGE_VARIABLE} names no stage of this run"))
     }
 
     /// The topics that its program reads.
@@ -183,9 +204,9 @@ impl<O: Default + DeserializeOwned> Declaration<O> {
     /// [`OptionError::Unreadable`] where the record holds options that this program does not have,
     /// [`OptionError::Conflict`] where they exclude each other.
     pub fn options(&self, run: &Run) -> Result<O, OptionError> {
-        let Some(stage) = run.stage(self.id) else { return Ok(O::default()) };
-        let unreadable =
-            |error: toml::de::Error| OptionError::Unreadable { stage: self.id, source: error.into() };
+        let id = self.id();
+        let Some(stage) = run.stage(id) else { return Ok(O::default()) };
+        let unreadable = |error: toml::de::Error| OptionError::Unreadable { stage: id, source: error.into() };
         let options = toml::from_str(&stage.options).map_err(unreadable)?;
         (self.rule)(&options)?;
         Ok(options)
@@ -194,7 +215,7 @@ impl<O: Default + DeserializeOwned> Declaration<O> {
 
 impl<O: DeserializeOwned + JsonSchema> Declared for Declaration<O> {
     fn id(&self) -> StageId {
-        self.id
+        self.id()
     }
 
     fn reads(&self) -> &'static [&'static str] {
@@ -210,7 +231,7 @@ impl<O: DeserializeOwned + JsonSchema> Declared for Declaration<O> {
     }
 
     fn check(&self, table: &toml::Table) -> Result<(), OptionError> {
-        let (stage, schema) = (self.id, self.schema());
+        let (stage, schema) = (self.id(), self.schema());
         let parsed = |table: &toml::Table| toml::Value::Table(table.clone()).try_into::<O>();
         for (key, value) in table {
             let Some(option) = schema.get(key) else {

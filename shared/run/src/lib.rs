@@ -43,6 +43,6 @@ mod exit;
 pub mod options;
 mod record;
 
-pub use declaration::{Conflict, Declaration, Declared, NoOptions, OptionError};
+pub use declaration::{Conflict, Declaration, Declared, NoOptions, OptionError, STAGE_VARIABLE, own_stage};
 pub use exit::Exit;
-pub use record::{PROTECTED, RecordError, Run, StageRun};
+pub use record::{PROTECTED, RecordError, Run, SpareRun, StageRun, TopicRun};

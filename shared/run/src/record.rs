@@ -10,14 +10,14 @@ use std::path::{Path, PathBuf};
 use bincode::config::standard;
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
-use wire::{StageId, TICK_NS};
+use wire::{ForecastsTopic, HeartbeatsTopic, StageId, TICK_NS, Topic};
 
 use crate::{Declaration, OptionError};
 
 /// First bytes of a record's file, before the schema's number and a line break.
 const MAGIC: &str = "stgdat-run ";
 /// Version of the record; counts up with every change of [`Run`].
-const SCHEMA: u32 = 7;
+const SCHEMA: u32 = 8;
 /// Largest record that is read; real ones have a few kilobytes.
 const BYTES_MAX: u64 = 1 << 20;
 
@@ -36,6 +36,26 @@ pub struct StageRun {
     pub built_in: bool,
     /// Its options as TOML, which no other program reads.
     pub options: String,
+    /// Its name; empty where it is that of one of stgdat's own stages.
+    #[serde(default)]
+    pub name: String,
+    /// Topics that it reads, by their names in shared memory.
+    #[serde(default)]
+    pub reads: Vec<String>,
+    /// Topics that it writes, by their names in shared memory.
+    #[serde(default)]
+    pub writes: Vec<String>,
+}
+
+/// A topic that the pipeline file declares.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct TopicRun {
+    /// Its name in shared memory.
+    pub name: String,
+    /// Name of the type of its elements.
+    pub type_name: String,
+    /// Size of an element, in bytes.
+    pub element_size: usize,
 }
 
 /// What all stages of one run agree on.
@@ -61,6 +81,28 @@ pub struct Run {
     pub weights: Option<PathBuf>,
     /// The stages, in the order in which a tick passes them.
     pub stages: Vec<StageRun>,
+    /// The topics that the pipeline file declares.
+    #[serde(default)]
+    pub topics: Vec<TopicRun>,
+    /// The spares: processes beside the stages, which take places on topics of their own.
+    pub spares: Vec<SpareRun>,
+}
+
+/// A process that waits to take the place of a stage's.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct SpareRun {
+    /// [`StageId`] as a number.
+    pub stage: u32,
+    /// The topics that its stage reads and writes.
+    pub topics: Vec<String>,
+}
+
+impl SpareRun {
+    /// Whether it takes a place on a topic. All may on that of the heartbeats: they send, and some listen.
+    #[must_use]
+    pub fn opens(&self, topic: &str) -> bool {
+        topic == HeartbeatsTopic::NAME || self.topics.iter().any(|name| name == topic)
+    }
 }
 
 /// Why a run's record can't be used.
@@ -128,6 +170,8 @@ impl Default for Run {
             shed: true,
             weights: None,
             stages: Vec::new(),
+            spares: Vec::new(),
+            topics: Vec::new(),
         }
     }
 }
@@ -143,7 +187,8 @@ impl StageRun {
     ) -> Result<Self, OptionError> {
         let stage = declaration.id();
         let options = toml::to_string(options).map_err(|source| OptionError::Unwritable { stage, source })?;
-        Ok(Self { stage: stage as u32, budget_ms: None, built_in: true, options })
+        let (name, reads, writes) = (String::new(), Vec::new(), Vec::new());
+        Ok(Self { stage: stage.number(), budget_ms: None, built_in: true, options, name, reads, writes })
     }
 }
 
@@ -151,7 +196,7 @@ impl Run {
     /// How a stage is run, where the pipeline has it.
     #[must_use]
     pub fn stage(&self, stage: StageId) -> Option<&StageRun> {
-        self.stages.iter().find(|s| s.stage == stage as u32)
+        self.stages.iter().find(|s| s.stage == stage.number())
     }
 
     /// Each stage's share of the tick, of those that have one.
@@ -170,10 +215,73 @@ impl Run {
         if self.lockstep || !self.shed || !budgets_ms.contains_key(&stage) {
             return None;
         }
-        let up_to = StageId::ALL.iter().take_while(|other| **other != stage).chain([&stage]);
-        let sum_ms: f64 = up_to.filter_map(|stage| budgets_ms.get(stage)).sum();
+        let up_to = StageId::ALL.into_iter().take_while(|other| *other != stage).chain([stage]);
+        let added = self.before(stage).into_iter().filter(|other| other.is_added() && *other != stage);
+        let sum_ms: f64 = up_to.chain(added).filter_map(|stage| budgets_ms.get(&stage)).sum();
         let scale = self.interval_ns.min(TICK_NS) as f64 / TICK_NS as f64;
         Some((sum_ms * 1e6 * scale) as u64)
+    }
+
+    /// Lets this process know the names of the added stages.
+    pub fn name_stages(&self) {
+        for stage in self.stages.iter().filter(|stage| !stage.name.is_empty()) {
+            if let Some(id) = StageId::from_number(stage.stage).filter(|id| id.is_added()) {
+                StageId::name_added((id.number() - StageId::ADDED_FIRST) as usize, &stage.name);
+            }
+        }
+    }
+
+    /// The topic of that name that the pipeline file declares.
+    #[must_use]
+    pub fn topic(&self, name: &str) -> Option<&TopicRun> {
+        self.topics.iter().find(|topic| topic.name == name)
+    }
+
+    /// Stages that read a topic, by its name in shared memory.
+    pub fn readers(&self, topic: &str) -> impl Iterator<Item = &StageRun> {
+        self.stages.iter().filter(move |stage| stage.reads.iter().any(|read| read == topic))
+    }
+
+    /// The added stages, in the order of the pipeline file.
+    pub fn added(&self) -> impl Iterator<Item = (StageId, &StageRun)> {
+        let ids = self.stages.iter().map(|stage| StageId::from_number(stage.stage));
+        ids.zip(&self.stages).filter_map(|(id, stage)| Some((id.filter(|id| id.is_added())?, stage)))
+    }
+
+    /// The stages whose output reaches `stage` on a tick's way, itself included. The forecasts that go back to the
+    /// tracker are those of earlier ticks.
+    #[must_use]
+    pub fn before(&self, stage: StageId) -> Vec<StageId> {
+        let (mut found, mut open) = (Vec::new(), vec![stage]);
+        while let Some(stage) = open.pop() {
+            if found.contains(&stage) {
+                continue;
+            }
+            found.push(stage);
+            let Some(own) = self.stage(stage) else { continue };
+            let is_back = |topic: &str| stage == StageId::Tracker && topic == ForecastsTopic::NAME;
+            for topic in own.reads.iter().filter(|topic| !is_back(topic)) {
+                let writers = self.stages.iter().filter(|other| other.writes.contains(topic));
+                open.extend(writers.filter_map(|writer| StageId::from_number(writer.stage)));
+            }
+        }
+        found
+    }
+
+    /// The stages of stgdat's own and the added ones, in the order in which a tick passes them.
+    #[must_use]
+    pub fn order(&self) -> Vec<StageId> {
+        let mut order: Vec<StageId> =
+            StageId::ALL.into_iter().chain(self.added().map(|(id, _)| id)).collect();
+        order.sort_by_cached_key(|stage| self.before(*stage).len());
+        order
+    }
+
+    /// The added stages that no forecast waits for: they are beside a tick's way.
+    #[must_use]
+    pub fn beside(&self) -> Vec<StageId> {
+        let way = self.before(StageId::Sampler);
+        self.added().map(|(id, _)| id).filter(|id| !way.contains(id)).collect()
     }
 
     /// Writes the record.
@@ -207,10 +315,13 @@ impl Run {
         if found != SCHEMA {
             return Err(RecordError::Schema { path: path.to_owned(), found });
         }
-        let (run, used) = bincode::serde::decode_from_slice(&body[1..], standard())
+        let (run, used): (Self, usize) = bincode::serde::decode_from_slice(&body[1..], standard())
             .map_err(|e| RecordError::Damaged { path: path.to_owned(), source: e.into() })?;
         match body.len() - 1 - used {
-            0 => Ok(run),
+            0 => {
+                run.name_stages();
+                Ok(run)
+            }
             excess_len => Err(RecordError::TooLong { path: path.to_owned(), excess_len }),
         }
     }
@@ -232,12 +343,27 @@ mod tests {
             shed: false,
             weights: Some("w.safetensors".into()),
             stages: vec![StageRun {
-                stage: StageId::Sampler as u32,
+                stage: StageId::Sampler.number(),
                 budget_ms: Some(8.0),
                 built_in: true,
                 options: "deadline_ms = 72.0\n".into(),
+                name: String::new(),
+                reads: vec!["tracks".into(), "controls".into()],
+                writes: vec!["forecasts".into()],
             }],
+            spares: vec![SpareRun {
+                stage: StageId::Sampler.number(),
+                topics: vec!["tracks".into(), "forecasts".into()],
+            }],
+            topics: vec![TopicRun { name: "risks".into(), type_name: "risk.1".into(), element_size: 24 }],
         }
+    }
+
+    #[test]
+    fn a_spare_takes_places_on_its_topics_and_on_that_of_heartbeats() {
+        let run = run(Path::new("/tmp/x"));
+        let opens = ["tracks", "heartbeats", "context"].map(|topic| run.spares[0].opens(topic));
+        assert_eq!(opens, [true, true, false]);
     }
 
     fn in_temporary_file<T>(name: &str, check: impl FnOnce(&Path) -> T) -> T {
@@ -259,10 +385,13 @@ mod tests {
     #[test]
     fn deadlines_are_the_budgets_up_to_a_stage() {
         let stage = |stage: StageId, budget_ms| StageRun {
-            stage: stage as u32,
+            stage: stage.number(),
             budget_ms,
             built_in: true,
             options: String::new(),
+            name: String::new(),
+            reads: Vec::new(),
+            writes: Vec::new(),
         };
         // Not in the order of the chain: a pipeline file may have any.
         let stages = vec![

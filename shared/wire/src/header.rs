@@ -170,7 +170,7 @@ impl Header {
     /// The passage of one stage, if the tick has passed it.
     #[must_use]
     pub fn hop(&self, stage: StageId) -> Option<&Hop> {
-        self.hops().iter().find(|hop| hop.stage == stage as u32)
+        self.hops().iter().find(|hop| hop.stage == stage.number())
     }
 
     /// Appends a stage's passage; of a tick that has passed [`HOPS_MAX`] stages already it is only counted.

@@ -21,6 +21,12 @@ constants! {
     pub const DETECTIONS_MAX: usize = 512;
     /// Most stages that a tick can pass.
     pub const HOPS_MAX: usize = 12;
+    /// Most stages that a pipeline file can add to those of stgdat's own.
+    pub const ADDED_STAGES_MAX: usize = 16;
+    /// Most topics that a pipeline file can declare.
+    pub const ADDED_TOPICS_MAX: usize = 16;
+    /// Largest element of a topic that a pipeline file declares, in bytes.
+    pub const ELEMENT_SIZE_MAX: usize = 65_536;
     /// Longest history, T_h, in steps.
     pub const HISTORY_MAX: usize = 8;
     /// Longest forecast, T_f, in steps.

@@ -1,33 +1,181 @@
-use crate::declare::numbers;
+use std::fmt;
+use std::sync::{PoisonError, RwLock};
 
-numbers! {
-    /// A stage of the pipeline, by number. Numbers below 64 are kept for stages of stgdat's own, 0 stands for
-    /// none of them; from 64 on they are free for stages that a pipeline file defines.
-    #[derive(Hash, PartialOrd, Ord)]
-    pub enum StageId {
-        /// Releases detections.
-        Source = 1 => "source",
-        /// Makes tracks of detections.
-        Tracker = 2 => "tracker",
-        /// Samples local patches of the context map.
-        Localiser = 3 => "localiser",
-        /// Computes node and edge attributes.
-        Extractor = 4 => "extractor",
-        /// Graph dual attention: the temporal summary of each agent.
-        Encoder = 5 => "encoder",
-        /// Control Gaussians of each agent, draw and step.
-        Decoder = 6 => "decoder",
-        /// Trajectories through the kinematic layer.
-        Sampler = 7 => "sampler",
-        /// Keeps what the report needs.
-        Recorder = 8 => "recorder",
-    }
+use crate::ADDED_STAGES_MAX;
+use crate::table::{Number, Numbers};
+
+/// A stage of the pipeline, by number: one of stgdat's own, whose numbers are below 64, or one that a pipeline
+/// file has added.
+///
+/// Numbers below 64 are kept for stages of stgdat's own, 0 stands for none of them, and 64 for the tap, which is no
+/// stage. The stages that a pipeline file adds have the numbers from [`StageId::ADDED_FIRST`] on, in the order of
+/// the file. Their names belong to the run: a process learns them from the run's record
+/// ([`StageId::name_added`]), and deals with one run at a time.
+#[derive(Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
+pub struct StageId(u32);
+
+macro_rules! stages {
+    ($($(#[doc = $doc:literal])+ $stage:ident = $number:literal => $name:literal,)+) => {
+        #[expect(non_upper_case_globals, reason = "they are used like the variants of an enum")]
+        impl StageId {
+            $($(#[doc = $doc])+ pub const $stage: Self = Self($number);)+
+
+            /// The stages of stgdat's own, in the order of their numbers.
+            pub const ALL: [Self; [$($number),+].len()] = [$(Self::$stage),+];
+        }
+
+        impl StageId {
+            /// Their entry of the table.
+            pub const NUMBERS: Numbers = Numbers {
+                name: "StageId",
+                doc: "A stage of the pipeline, by number. Numbers below 64 are kept for stages of stgdat's own, 0 stands for\n\
+                    none of them, 64 is the tap's; from 65 to 80 are those of the stages that a pipeline file adds, in the\n\
+                    order of the file.\n",
+                entries: &[$(Number { name: $name, doc: concat!($($doc, "\n"),+), number: $number }),+],
+            };
+        }
+    };
 }
 
+stages! {
+    /// Releases detections.
+    Source = 1 => "source",
+    /// Makes tracks of detections.
+    Tracker = 2 => "tracker",
+    /// Samples local patches of the context map.
+    Localiser = 3 => "localiser",
+    /// Computes node and edge attributes.
+    Extractor = 4 => "extractor",
+    /// Graph dual attention: the temporal summary of each agent.
+    Encoder = 5 => "encoder",
+    /// Control Gaussians of each agent, draw and step.
+    Decoder = 6 => "decoder",
+    /// Trajectories through the kinematic layer.
+    Sampler = 7 => "sampler",
+    /// Keeps what the report needs.
+    Recorder = 8 => "recorder",
+}
+
+/// Names of the added stages of the run that this process deals with, by their place. They are leaked once each,
+/// so that a name can be held as long as any other.
+static ADDED: RwLock<[Option<&'static str>; ADDED_STAGES_MAX]> = RwLock::new([None; ADDED_STAGES_MAX]);
+
 impl StageId {
+    /// Number of the first stage that a pipeline file adds; [`ADDED_STAGES_MAX`] of them follow each other.
+    pub const ADDED_FIRST: u32 = 65;
+
+    /// The greatest number that a stage can have.
+    pub const NUMBER_MAX: u32 = Self::ADDED_FIRST + ADDED_STAGES_MAX as u32 - 1;
+
+    /// Stages that there can be at once: those of stgdat's own and those that a pipeline file adds.
+    pub const PLACES_LEN: usize = Self::ALL.len() + ADDED_STAGES_MAX;
+
+    /// The stage that a pipeline file adds at this place among those that it adds, from 0.
+    #[must_use]
+    pub fn added(place: usize) -> Option<Self> {
+        (place < ADDED_STAGES_MAX).then(|| Self(Self::ADDED_FIRST + place as u32))
+    }
+
+    /// The stage of that number; none where no stage can have it.
+    #[must_use]
+    pub const fn from_number(number: u32) -> Option<Self> {
+        match number {
+            1..=8 | Self::ADDED_FIRST..=Self::NUMBER_MAX => Some(Self(number)),
+            _ => None,
+        }
+    }
+
+    /// Its number in headers and heartbeats.
+    #[must_use]
+    pub const fn number(self) -> u32 {
+        self.0
+    }
+
+    /// Whether a pipeline file has added it.
+    #[must_use]
+    pub const fn is_added(self) -> bool {
+        self.0 >= Self::ADDED_FIRST
+    }
+
+    /// Its index in tables of [`StageId::PLACES_LEN`] stages.
+    #[must_use]
+    pub const fn place(self) -> usize {
+        if self.is_added() {
+            Self::ALL.len() + (self.0 - Self::ADDED_FIRST) as usize
+        } else {
+            self.0 as usize - 1
+        }
+    }
+
+    /// The name used on the command line, in files and in reports. An added stage of which this process knows no
+    /// name is called by its number.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        if let Some(entry) = Self::NUMBERS.entries.iter().find(|entry| entry.number == self.0) {
+            return entry.name;
+        }
+        let place = (self.0 - Self::ADDED_FIRST) as usize;
+        if let Some(name) = ADDED.read().unwrap_or_else(PoisonError::into_inner)[place] {
+            return name;
+        }
+        Self::name_added(place, &format!("stage-{}", self.0))
+    }
+
+    /// Lets this process know the name of an added stage, by its place among those that the run's pipeline file
+    /// adds. Places beyond [`ADDED_STAGES_MAX`] are ignored.
+    pub fn name_added(place: usize, name: &str) -> &'static str {
+        let mut names = ADDED.write().unwrap_or_else(PoisonError::into_inner);
+        match names.get_mut(place) {
+            Some(Some(known)) if *known == name => known,
+            Some(free) => free.insert(Box::leak(name.into())),
+            None => "",
+        }
+    }
+
     /// The stage of that name.
     #[must_use]
     pub fn from_name(name: &str) -> Option<Self> {
-        Self::ALL.into_iter().find(|s| s.name() == name)
+        Self::known().find(|stage| stage.name() == name)
+    }
+
+    /// The stages of stgdat's own, and the added ones whose names this process knows.
+    pub fn known() -> impl Iterator<Item = Self> {
+        let names = *ADDED.read().unwrap_or_else(PoisonError::into_inner);
+        let added = (0..ADDED_STAGES_MAX).filter(move |&place| names[place].is_some());
+        Self::ALL.into_iter().chain(added.filter_map(Self::added))
+    }
+}
+
+impl fmt::Debug for StageId {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(self.name())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn added_stages_follow_the_shipped_ones_up_to_the_limit() {
+        let numbers: Vec<u32> = (0..200).filter_map(StageId::from_number).map(StageId::number).collect();
+        let expected: Vec<u32> = (1..=8).chain(65..=80).collect();
+        assert_eq!(numbers, expected);
+        let places: Vec<usize> = (0..200).filter_map(StageId::from_number).map(StageId::place).collect();
+        assert!(places.iter().copied().eq(0..StageId::PLACES_LEN));
+        assert_eq!(StageId::added(15).map(StageId::number), Some(StageId::NUMBER_MAX));
+        assert_eq!(StageId::added(16), None);
+    }
+
+    #[test]
+    fn an_added_stage_has_the_name_that_its_run_gave_it() {
+        let stage = StageId::added(11).unwrap();
+        assert_eq!(StageId::from_name("planner"), None);
+        StageId::name_added(11, "planner");
+        assert_eq!((stage.name(), StageId::from_name("planner")), ("planner", Some(stage)));
+        StageId::name_added(11, "monitor");
+        assert_eq!((stage.name(), StageId::from_name("planner")), ("monitor", None), "another run");
+        assert_eq!(StageId::from_number(74).unwrap().name(), "stage-74");
+        assert_eq!(StageId::from_name("sampler"), Some(StageId::Sampler));
     }
 }

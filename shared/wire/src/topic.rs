@@ -1,3 +1,5 @@
+use bytemuck::Pod;
+
 use crate::limits::schema;
 use crate::table::{Layout, Record, TopicEntry, Type};
 use crate::{
@@ -9,7 +11,7 @@ use crate::{
 /// A stream of frames with one element type and bounded queues.
 pub trait Topic: std::fmt::Debug + 'static {
     /// Element of the payload slice.
-    type Element: Layout + Send + Sync + std::fmt::Debug;
+    type Element: Pod + Send + Sync + std::fmt::Debug;
     /// The topic's name, as in pipeline.toml.
     const NAME: &'static str;
     /// From where to where, and what.
@@ -109,7 +111,7 @@ pub(crate) const TOPICS: [TopicEntry; 9] = [
     entry::<HeartbeatsTopic>(),
 ];
 
-const fn entry<T: Topic>() -> TopicEntry {
+const fn entry<T: Topic<Element: Layout>>() -> TopicEntry {
     TopicEntry {
         name: T::NAME,
         doc: T::DOC,

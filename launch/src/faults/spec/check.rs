@@ -394,6 +394,7 @@ fn expectations(expect: &Expect) -> Result<(), Mistake> {
     let stages = expect.outages.iter().map(|outages| &outages.stage);
     let stages = stages.chain(expect.counted.iter().map(|counted| &counted.stage)).chain(&expect.given_up);
     let stages = stages.chain(expect.replacements.iter().map(|replaced| &replaced.stage));
+    let stages = stages.chain(expect.promotions.keys());
     let mut starved = expect.starved.iter().filter(|name| *name != "any");
     if let Some(name) = stages.chain(&mut starved).find(|name| StageId::from_name(name).is_none()) {
         let label = format!("in `[expect]`; the stages are {}", StageId::ALL.map(StageId::name).join(", "));

@@ -145,6 +145,8 @@ pub struct Expect {
     pub files_growth_max: Option<u64>,
     /// Text that the report must give as what ended the run.
     pub ended_by: Option<String>,
+    /// How often the spare of each of these stages must have taken its place.
+    pub promotions: BTreeMap<String, u32>,
 }
 
 /// Outages of a stage.

@@ -44,6 +44,10 @@ enum Template {
     Localiser,
     /// A source: a detector's detections out
     Source,
+    /// A stage beside the way: forecasts in, a topic of its own out
+    Monitor,
+    /// A stage in the way: tracks in, tracks out, which the localiser reads
+    Filter,
     /// No stage: a planner, which reads forecasts beside a run
     Consumer,
 }
@@ -54,6 +58,8 @@ impl Template {
         match self {
             Self::Localiser => include_str!("../../../../tests/examples/area_localiser.rs"),
             Self::Source => include_str!("../../../../tests/examples/producer.rs"),
+            Self::Monitor => include_str!("../../../../tests/examples/conflict_monitor.rs"),
+            Self::Filter => include_str!("../../../../tests/examples/speed_limiter.rs"),
             Self::Consumer => include_str!("../../../../tests/examples/consumer.rs"),
         }
     }
@@ -63,6 +69,8 @@ impl Template {
         match self {
             Self::Localiser => "area_localiser",
             Self::Source => "producer",
+            Self::Monitor => "conflict_monitor",
+            Self::Filter => "speed_limiter",
             Self::Consumer => "consumer",
         }
     }
@@ -72,8 +80,13 @@ impl Template {
         match self {
             Self::Localiser => Some("localiser"),
             Self::Source => Some("source"),
-            Self::Consumer => None,
+            Self::Monitor | Self::Filter | Self::Consumer => None,
         }
+    }
+
+    /// Whether the pipeline gets a stage more.
+    const fn is_added(self) -> bool {
+        matches!(self, Self::Monitor | Self::Filter)
     }
 }
 
@@ -92,8 +105,8 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
         |path: PathBuf, text: &str| std::fs::write(&path, text).map_err(|error| Failure::file(&path, error));
     write(folder.join("Cargo.toml"), &manifest(name, &repository))?;
     write(source.join("main.rs"), &program(*of, name))?;
-    if let Some(stage) = of.stage() {
-        write(folder.join("pipeline.toml"), &pipeline(stage, name))?;
+    if let Some(text) = pipeline(*of, name) {
+        write(folder.join("pipeline.toml"), &text)?;
     }
     if let Repository::Folder(root) = &repository {
         for file in PINNED {
@@ -164,13 +177,31 @@ fn manifest(name: &str, repository: &Repository) -> String {
 /// The example under the project's name.
 fn program(of: Template, name: &str) -> String {
     let example = of.example();
-    of.text().replace(&format!("target/release/examples/{example}"), &format!("target/release/{name}"))
+    let text =
+        of.text().replace(&format!("target/release/examples/{example}"), &format!("target/release/{name}"));
+    text.replace(&format!("name = \"{example}\""), &format!("name = \"{}\"", name.to_lowercase()))
 }
 
-/// The shipped pipeline with the project's program in a stage's place.
-fn pipeline(stage: &str, name: &str) -> String {
-    let line = format!("name = \"{stage}\"\n");
-    pipeline_file::SHIPPED.replacen(&line, &format!("{line}command = [\"target/release/{name}\"]\n"), 1)
+/// The shipped pipeline with the project's program in a stage's place, or as one stage more.
+fn pipeline(of: Template, name: &str) -> Option<String> {
+    let shipped = pipeline_file::SHIPPED;
+    if let Some(stage) = of.stage() {
+        let line = format!("name = \"{stage}\"\n");
+        return Some(shipped.replacen(&line, &format!("{line}command = [\"target/release/{name}\"]\n"), 1));
+    }
+    if !of.is_added() {
+        return None;
+    }
+    // The lines stand in the program's own text.
+    let program = program(of, name);
+    let lines = program.lines().skip_while(|line| *line != "//! ```toml").skip(1);
+    let lines = lines.map_while(|line| line.strip_prefix("//!")).take_while(|line| line.trim() != "```");
+    let lines: Vec<&str> = lines.map(str::trim_start).collect();
+    let localiser = "name = \"localiser\"\n";
+    let renamed = format!("{localiser}topics = {{ tracks = \"limited-tracks\" }}\n");
+    let shipped =
+        if of == Template::Filter { shipped.replacen(localiser, &renamed, 1) } else { shipped.to_owned() };
+    Some(format!("{shipped}\n{}\n", lines.join("\n")))
 }
 
 fn next_steps(of: Template, name: &str, folder: &Path) -> String {
@@ -180,6 +211,7 @@ fn next_steps(of: Template, name: &str, folder: &Path) -> String {
             "  stgdat run --pipeline pipeline.toml\n\
              or, while a run goes on:\n  stgdat stage replace {stage} --exec target/release/{name}\n"
         ),
+        None if of.is_added() => "  stgdat run --pipeline pipeline.toml\n".to_owned(),
         None => format!("  target/release/{name} --run /tmp/stgdat_*/run    # while a run goes on\n"),
     };
     format!("{folder} is written. Next:\n  cd {folder}\n  cargo build --release\n{run}")
@@ -202,11 +234,12 @@ mod tests {
     #[test]
     fn the_pipeline_of_a_project_starts_its_program() {
         for of in Template::value_variants() {
-            let Some(stage) = of.stage() else { continue };
-            let text = pipeline(stage, "mine");
+            let Some(text) = pipeline(*of, "mine") else { continue };
             let pipeline = config::Pipeline::parse("a.toml", &text, &crate::stages::declared()).unwrap();
             let own: Vec<_> = pipeline.stages.iter().filter_map(|stage| stage.command.clone()).collect();
             assert_eq!(own, [["target/release/mine"]]);
+            let added = pipeline.stages.iter().find(|stage| stage.id.is_added());
+            assert_eq!(added.map(|stage| stage.name.as_str()), of.is_added().then_some("mine"));
         }
     }
 

@@ -72,6 +72,8 @@ pub struct Replayed {
     pub newest: Option<u64>,
     /// The first tick that the run has had and the recording not from its begin.
     pub missing_before: Option<u64>,
+    /// Whether the tracks are those of the record: begun in the middle of a run, it does not have the tracker's state.
+    pub tracks_are_recorded: bool,
     /// Numbers of detections without which a tick was replayed that had some.
     pub without_detections: Vec<u64>,
     /// Ticks whose prior came in while the tracker began: either may have been at hand.
@@ -182,7 +184,9 @@ impl<'a> Replay<'a> {
         let [tracks_here, samples_here] = [StageId::Tracker, StageId::Sampler].map(does);
         // Of a stage alone the input is the file's.
         let mut tracks = recorded_tracks.clone();
-        if tracks_here {
+        let begins_late = self.alone.is_none() && self.found.missing_before.is_some();
+        self.found.tracks_are_recorded = begins_late && self.recording.has_topic(TracksTopic::NAME);
+        if tracks_here && !self.found.tracks_are_recorded {
             tracks = self.track(seq, tick, recorded_tracks.as_ref())?;
             self.compare(tick, tracks.as_ref(), each);
         }
@@ -265,12 +269,21 @@ impl<'a> Replay<'a> {
         Ok(Some(self.stages.track(&header, &detections, prior)))
     }
 
-    /// The forecasts that the tracker had at hand: in lockstep those of the tick before, else the newest that had
-    /// been sent when it began.
+    /// The forecasts that the tracker had at hand: in lockstep those of the tick before, else those of which it told
+    /// the age or, where it told none, the newest that had been sent when it began.
     fn choose_prior(&mut self, seq: u64, header: &Header, tracks: Option<&Header>) {
         if header.has(flags::LOCKSTEP) {
             let before = self.forecasts.iter().find(|(_, forecasts)| forecasts.header.seq + 1 == seq);
             if let Some((_, forecasts)) = before {
+                self.prior = Some(forecasts.clone());
+            }
+            return;
+        }
+        // The tracker has told how old they were.
+        if let Some(tracks) = tracks.filter(|tracks| tracks.feedback_age_ns > 0) {
+            let stamp_ns = tracks.stamp_ns.saturating_sub_unsigned(tracks.feedback_age_ns);
+            let told = self.forecasts.iter().rfind(|(_, forecasts)| forecasts.header.stamp_ns == stamp_ns);
+            if let Some((_, forecasts)) = told {
                 self.prior = Some(forecasts.clone());
             }
             return;
@@ -305,12 +318,12 @@ impl<'a> Replay<'a> {
         if !self.has_passed(StageId::Extractor, tick, FeaturesTopic::NAME)? {
             return Ok(None);
         }
-        let features = self.stages.extract(&context);
+        let features = self.stages.extract(&context, tick.extracted_max());
         self.compare(tick, Some(&features), each);
         if !self.has_passed(StageId::Encoder, tick, EncodingsTopic::NAME)? {
             return Ok(None);
         }
-        let encodings = self.stages.encode(&features);
+        let encodings = self.stages.encode(&features, tick.encoded_max());
         self.compare(tick, Some(&encodings), each);
         if !self.has_passed(StageId::Decoder, tick, ControlsTopic::NAME)? {
             return Ok(None);
@@ -333,11 +346,13 @@ impl<'a> Replay<'a> {
                 self.compare(tick, made.as_ref(), each);
             }
             StageId::Extractor => {
-                let made = tick.own(impossible).map(|input| self.stages.extract(&input));
+                let served_max = tick.extracted_max();
+                let made = tick.own(impossible).map(|input| self.stages.extract(&input, served_max));
                 self.compare(tick, made.as_ref(), each);
             }
             StageId::Encoder => {
-                let made = tick.own(impossible).map(|input| self.stages.encode(&input));
+                let served_max = tick.encoded_max();
+                let made = tick.own(impossible).map(|input| self.stages.encode(&input, served_max));
                 self.compare(tick, made.as_ref(), each);
             }
             _ => {

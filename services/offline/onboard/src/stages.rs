@@ -90,7 +90,7 @@ impl Stages {
                 self.extractor = Extractor::new(weights, extractor::stage::settings(run)?)?;
             }
             StageId::Sampler => self.sampler = sampler::stage::open(run, model)?,
-            StageId::Encoder | StageId::Decoder | StageId::Source | StageId::Recorder => {}
+            _ => {}
         }
         Ok(())
     }
@@ -131,33 +131,42 @@ impl Stages {
         or_void(header, located.map(|()| elements))
     }
 
-    /// The extractor's answer to a context.
-    pub fn extract(&mut self, context: &OwnFrame<ContextTopic>) -> OwnFrame<FeaturesTopic> {
+    /// The extractor's answer to a context, where it had time for `served_max` agents or, where none, chose none.
+    pub fn extract(
+        &mut self,
+        context: &OwnFrame<ContextTopic>,
+        served_max: Option<usize>,
+    ) -> OwnFrame<FeaturesTopic> {
         if context.is_void() {
             return OwnFrame::void(&context.header);
         }
         let mut header = context.header;
         let read = Context::read(&context.elements, ContextShape::of(&header.counts));
-        let extracted =
-            read.and_then(|read| self.extractor.prepare(&context.header, &read)).and_then(|shape| {
-                header.counts.edges_len = shape.edges_len as u32;
-                let mut elements = vec![Row::zeroed(); feature_rows(&shape)];
-                self.extractor.write(&mut FeaturesMut::over(&mut elements, shape)?);
-                Ok(elements)
-            });
-        or_void(header, extracted)
+        let extracted = read.and_then(|read| self.extractor.prepare_most(&context.header, &read, served_max));
+        let written = extracted.and_then(|shape| {
+            header.counts.edges_len = shape.edges_len as u32;
+            let mut elements = vec![Row::zeroed(); feature_rows(&shape)];
+            self.extractor.write(&mut FeaturesMut::over(&mut elements, shape)?);
+            Ok(elements)
+        });
+        or_void(header, written)
     }
 
-    /// The encoder's answer to features.
-    pub fn encode(&mut self, features: &OwnFrame<FeaturesTopic>) -> OwnFrame<EncodingsTopic> {
+    /// The encoder's answer to features, where it had time for `served_max` agents.
+    pub fn encode(
+        &mut self,
+        features: &OwnFrame<FeaturesTopic>,
+        served_max: usize,
+    ) -> OwnFrame<EncodingsTopic> {
         if features.is_void() {
             return OwnFrame::void(&features.header);
         }
         let counts = &features.header.counts;
         let mut elements = vec![AgentEncoding::zeroed(); counts.agents_len as usize];
         let read = Features::read(&features.elements, FeatureShape::of(counts), counts.history_len as usize);
-        let encoded = read.and_then(|read| self.encoder.step(&features.header, &read, &mut elements));
-        or_void(features.header, encoded.map(|()| elements))
+        let encoded =
+            read.and_then(|read| self.encoder.step_most(&features.header, &read, served_max, &mut elements));
+        or_void(features.header, encoded.map(|_| elements))
     }
 
     /// The decoder's answer to encodings, without the agents that the frame of `recorded` tells to have been shed.

@@ -29,7 +29,7 @@ fn run_so_far() -> (RunStatus, Recorder) {
         for (stage, at_ms) in [(StageId::Source, 0), (StageId::Tracker, 1), (StageId::Sampler, 7)] {
             let at_ns = released_ns + at_ms * MS;
             let (started_ns, finished_ns, sent_ns) = (at_ns + 1_000, at_ns + MS, at_ns + MS + 2_000);
-            let stage = stage as u32;
+            let stage = stage.number();
             header.push_hop(Hop {
                 stage,
                 incarnation: 0,
@@ -43,14 +43,14 @@ fn run_so_far() -> (RunStatus, Recorder) {
         view.forecasts(&header, &[Forecast::zeroed(), held]);
     }
     let mut heartbeat = Heartbeat {
-        stage: StageId::Sampler as u32,
+        stage: StageId::Sampler.number(),
         frames_len: 20,
         seq: 19,
         sent_ns: 9,
         ..Heartbeat::zeroed()
     };
     heartbeat.rejected_len = 3;
-    Refusals::count(&mut heartbeat.refusals, StageId::Decoder as u32, RefusalCause::CheckValue, 3);
+    Refusals::count(&mut heartbeat.refusals, StageId::Decoder.number(), RefusalCause::CheckValue, 3);
     measured.heartbeat(&heartbeat);
     view.heartbeat(&heartbeat);
     let process = ProcessStatus {
@@ -61,6 +61,7 @@ fn run_so_far() -> (RunStatus, Recorder) {
         cpu: Some(0.5),
         memory_bytes: Some(1 << 20),
         shared_bytes: Some(1 << 21),
+        ..ProcessStatus::default()
     };
     let facts = Facts {
         run: "stgdat_00000007".to_owned(),

@@ -98,6 +98,13 @@ fn stage_line(name: &str, stage: &LiveStage, cells: usize) -> Line<'static> {
     if stage.replaced > 0 {
         spans.push(Span::styled(format!("  replaced {}×", stage.replaced), Color::Cyan));
     }
+    if let Some((state, promotions)) = stage.spare {
+        let colour = if state == "ready" { Color::Green } else { Color::Yellow };
+        spans.push(Span::styled(format!("  spare {state}"), colour));
+        if promotions > 0 {
+            spans.push(Span::styled(format!(", promoted {promotions}×"), Color::Yellow));
+        }
+    }
     if let Some(refused) = &stage.refused {
         let text = format!("  refused {} of the {}: {}", refused.frames, refused.sender, refused.cause);
         spans.push(Span::styled(text, Color::Red));
@@ -114,7 +121,7 @@ fn end_to_end_line(view: &LiveView, cells: usize) -> Line<'static> {
     ];
     spans.extend(budget_spans(p99.map(|p99| p99 / limit_ms), cells));
     spans.push(Span::styled(format!("{:>10}", count(view.ticks)), BOLD));
-    let lost = view.losses.by_stage().iter().map(|drops| drops.total()).sum();
+    let lost = view.losses.by_stage(&view.options.stages).iter().map(|drops| drops.total()).sum();
     spans.extend([fault(view.late_ticks, 6), fault(lost, 6)]);
     Line::from(spans)
 }

@@ -27,7 +27,7 @@ fn tick(seq: u64) -> Header {
     for stage in &StageId::ALL[..7] {
         let compute_ns = if *stage == StageId::Decoder { 9 * MS } else { (1 + seq % 5) * MS / 2 };
         header.push_hop(Hop {
-            stage: *stage as u32,
+            stage: stage.number(),
             incarnation: 0,
             received_ns: now_ns,
             started_ns: now_ns,
@@ -47,10 +47,10 @@ fn running() -> LiveView {
     }
     for stage in [StageId::Source, StageId::Tracker] {
         let sent_ns = if stage == StageId::Source { 13_390 * MS } else { 13_000 * MS };
-        view.heartbeat(&Heartbeat { stage: stage as u32, frames_len: 155, sent_ns, ..Heartbeat::zeroed() });
+        view.heartbeat(&Heartbeat { stage: stage.number(), frames_len: 155, sent_ns, ..Heartbeat::zeroed() });
     }
     view.heartbeat(&Heartbeat {
-        stage: StageId::Encoder as u32,
+        stage: StageId::Encoder.number(),
         incarnation: 1,
         dropped_len: 2,
         sent_ns: 13_390 * MS,

@@ -31,6 +31,7 @@ pub struct Checkpoint {
     ticks: u64,
     late_ticks: u64,
     agents_left_out: u64,
+    hops_missing: u64,
     agents_max: u64,
     forecasts_by_quality: [u64; Quality::ALL.len()],
     fallbacks_by_cause: [u64; Cause::ALL.len()],
@@ -72,7 +73,7 @@ impl Recorder {
     pub fn checkpoint(&self) -> Checkpoint {
         let stages = self.stages.iter().map(|(stage, times)| {
             let StageTimes { waiting, wake_up, compute, publish, late_ticks } = times;
-            (*stage as u32, [waiting, wake_up, compute, publish].map(Kept::from), *late_ticks)
+            (stage.number(), [waiting, wake_up, compute, publish].map(Kept::from), *late_ticks)
         });
         Checkpoint {
             end_to_end: (&self.end_to_end).into(),
@@ -87,6 +88,7 @@ impl Recorder {
             ticks: self.ticks,
             late_ticks: self.late_ticks,
             agents_left_out: self.agents_left_out,
+            hops_missing: self.hops_missing,
             agents_max: self.agents_max,
             forecasts_by_quality: self.forecasts_by_quality,
             fallbacks_by_cause: self.fallbacks_by_cause,
@@ -125,6 +127,7 @@ impl Recorder {
             ticks: kept.ticks,
             late_ticks: kept.late_ticks,
             agents_left_out: kept.agents_left_out,
+            hops_missing: kept.hops_missing,
             agents_max: kept.agents_max,
             forecasts_by_quality: kept.forecasts_by_quality,
             fallbacks_by_cause: kept.fallbacks_by_cause,

@@ -28,7 +28,7 @@ fn header(seq: u64, agents_len: u32, stages: &[(StageId, u64)]) -> Header {
         let finished_ns = received_ns + compute_ms * MS;
         now_ns = finished_ns + PUBLISH_NS;
         header.push_hop(Hop {
-            stage: stage as u32,
+            stage: stage.number(),
             incarnation: 0,
             received_ns,
             started_ns: received_ns,
@@ -99,7 +99,7 @@ pub(crate) fn eventful() -> Report {
         recorder.forecasts(&header(seq, 1, &stages), &[forecast]).unwrap();
     }
     recorder.heartbeat(&Heartbeat {
-        stage: StageId::Encoder as u32,
+        stage: StageId::Encoder.number(),
         incarnation: 1,
         dropped_len: 1,
         rejected_len: 1,

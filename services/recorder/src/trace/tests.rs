@@ -17,7 +17,7 @@ fn tick(seq: u64) -> Header {
         let incarnation = u32::from(is_decoder && seq >= 3);
         let sent_ns = finished_ns + 500;
         header.push_hop(Hop {
-            stage: *stage as u32,
+            stage: stage.number(),
             incarnation,
             received_ns,
             started_ns,
@@ -35,8 +35,8 @@ fn traced() -> Vec<u8> {
     for seq in 0..5 {
         for stage in &StageId::ALL[..7] {
             let incarnation = u32::from(*stage == StageId::Decoder && seq >= 3);
-            let pid = 100 + *stage as u32 + 50 * incarnation;
-            tracer.heartbeat(&Heartbeat { stage: *stage as u32, incarnation, pid, ..Heartbeat::zeroed() });
+            let pid = 100 + stage.number() + 50 * incarnation;
+            tracer.heartbeat(&Heartbeat { stage: stage.number(), incarnation, pid, ..Heartbeat::zeroed() });
         }
         tracer.forecasts(&tick(seq), &[Forecast::zeroed()]);
         bytes.extend(tracer.take());
@@ -71,7 +71,7 @@ fn every_stage_has_its_process_and_every_tick_its_spans() {
 fn frames_that_wait_for_a_busy_stage_are_counted_as_its_queue() {
     let mut tracer = Tracer::new(CLOCKS, None);
     let hop = |received_ns, finished_ns| Hop {
-        stage: StageId::Decoder as u32,
+        stage: StageId::Decoder.number(),
         incarnation: 0,
         received_ns,
         started_ns: received_ns,
@@ -85,8 +85,8 @@ fn frames_that_wait_for_a_busy_stage_are_counted_as_its_queue() {
         header.push_hop(hop(received_ns * MS, finished_ns * MS));
         tracer.forecasts(&header, &[]);
     }
-    assert_eq!(tracer.stages[place(StageId::Decoder)].queue_len, 2, "ticks 1 and 2 wait for tick 0");
-    assert_eq!(tracer.stages[place(StageId::Decoder)].changes.len(), 2);
+    assert_eq!(tracer.stages[StageId::Decoder.place()].queue_len, 2, "ticks 1 and 2 wait for tick 0");
+    assert_eq!(tracer.stages[StageId::Decoder.place()].changes.len(), 2);
     let bytes = tracer.finish();
     assert_eq!(count(&bytes, "waiting"), 2);
 }
@@ -95,8 +95,8 @@ fn frames_that_wait_for_a_busy_stage_are_counted_as_its_queue() {
 fn refusals_and_gaps_are_told_once() {
     let mut tracer = Tracer::new(CLOCKS, None);
     let mut heartbeat =
-        Heartbeat { stage: StageId::Sampler as u32, dropped_len: 2, sent_ns: 9, ..Heartbeat::zeroed() };
-    Refusals::count(&mut heartbeat.refusals, StageId::Decoder as u32, RefusalCause::CheckValue, 3);
+        Heartbeat { stage: StageId::Sampler.number(), dropped_len: 2, sent_ns: 9, ..Heartbeat::zeroed() };
+    Refusals::count(&mut heartbeat.refusals, StageId::Decoder.number(), RefusalCause::CheckValue, 3);
     tracer.heartbeat(&heartbeat);
     tracer.heartbeat(&heartbeat);
     let bytes = tracer.finish();
@@ -110,7 +110,7 @@ fn hops_whose_clocks_run_backwards_make_no_overlap() {
     let mut header = Header { released_ns: 100, ..Header::new(1, 0, 0) };
     for times in [[50, 40, 30, 20], [9, 8, 7, 6]] {
         let [received_ns, started_ns, finished_ns, sent_ns] = times;
-        let stage = StageId::Tracker as u32;
+        let stage = StageId::Tracker.number();
         header.push_hop(Hop { stage, incarnation: 0, received_ns, started_ns, finished_ns, sent_ns });
     }
     tracer.forecasts(&header, &[]);

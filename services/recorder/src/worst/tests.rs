@@ -38,7 +38,7 @@ impl Ticks {
             let received_ns = now_ns + of(odd.late) * MS;
             let finished_ns = received_ns + (1 + of(odd.slow)) * MS;
             header.push_hop(Hop {
-                stage: *stage as u32,
+                stage: stage.number(),
                 incarnation: u32::from(odd.restarted == Some(*stage)),
                 received_ns,
                 started_ns: received_ns,
@@ -55,7 +55,7 @@ impl Ticks {
     }
 
     fn list(&self) -> Vec<WorstTick> {
-        let phases_ns = [[0, 0, MS, 0]; STAGES_LEN];
+        let phases_ns = [[0, 0, MS, 0]; StageId::PLACES_LEN];
         self.worst.list(&Usual { phases_ns, agents: 1.0 })
     }
 }

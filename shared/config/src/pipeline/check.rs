@@ -1,15 +1,16 @@
 use std::collections::BTreeMap;
 use std::time::Duration;
 
-use run::{Declared, PROTECTED};
+use run::{Declared, PROTECTED, TopicRun};
 use toml::Spanned;
-use wire::{ForecastsTopic, StageId, TICK_MS, Topic};
+use wire::{ForecastsTopic, HOPS_MAX, StageId, TICK_MS, Topic};
 
+use super::added::{self, name_of};
 use super::error::Fault;
 use super::file::{File, StageTable};
 use super::options::options;
 use super::{Pipeline, Stage};
-use crate::{RestartPolicy, Scheduling};
+use crate::{Restart, RestartPolicy, Scheduling};
 
 /// What all budgets together may be: one tick.
 pub const BUDGET_MAX_MS: f64 = TICK_MS;
@@ -17,13 +18,25 @@ pub const BUDGET_MAX_MS: f64 = TICK_MS;
 /// Checks stage by stage, then the graph as a whole.
 pub(super) fn check(file: &File, declared: &[&dyn Declared]) -> Result<Pipeline, Fault> {
     let mut warnings = Vec::new();
-    let tables = file.stages.iter().map(Spanned::get_ref);
-    let stages = tables.map(|table| stage(table, declared, &mut warnings)).collect::<Result<Vec<_>, _>>()?;
+    let topics = added::topics(file)?;
     let tables: Vec<&StageTable> = file.stages.iter().map(Spanned::get_ref).collect();
+    let mut stages = Vec::with_capacity(tables.len());
+    for table in &tables {
+        let added_len = stages.iter().filter(|stage: &&Stage| stage.id.is_added()).count();
+        stages.push(stage(table, added_len, &topics, declared, &mut warnings)?);
+    }
     unique_names(&tables)?;
-    producers(file)?;
-    acyclic(&tables)?;
-    budgets(&tables)?;
+    producers(file, &topics)?;
+    added::written(file, &topics)?;
+    acyclic(&tables, &topics)?;
+    let way = way(&tables, &topics);
+    let budget_ms = budgets(&tables, &way)?;
+    if way.len() > HOPS_MAX {
+        warnings.push(format!(
+            "a tick passes {} stages, and the times of {HOPS_MAX} have room: the report tells how many are missing",
+            way.len()
+        ));
+    }
     for needed in [StageId::Source, StageId::Sampler, StageId::Recorder] {
         if !stages.iter().any(|s| s.id == needed) {
             let message = format!("there is no stage \"{}\"", needed.name());
@@ -32,26 +45,27 @@ pub(super) fn check(file: &File, declared: &[&dyn Declared]) -> Result<Pipeline,
     }
     let protected = match &file.protect {
         None => PROTECTED.map(str::to_owned).to_vec(),
-        Some(topics) => {
-            topics.iter().try_for_each(|topic| known(topic, declared))?;
-            names(topics)
+        Some(listed) => {
+            listed.iter().try_for_each(|topic| known(topic, &[], declared))?;
+            names(listed)
         }
     };
     let shed = file.shed.unwrap_or(true);
     if shed {
         warnings.extend(late_controls(&tables));
     }
-    Ok(Pipeline { weights: file.weights.clone(), protected, shed, stages, warnings })
+    Ok(Pipeline { weights: file.weights.clone(), protected, shed, stages, topics, budget_ms, warnings })
 }
 
-fn stage(table: &StageTable, declared: &[&dyn Declared], warnings: &mut Vec<String>) -> Result<Stage, Fault> {
-    let name = table.name.get_ref();
-    let id = StageId::from_name(name).ok_or_else(|| {
-        let known = StageId::ALL.map(StageId::name).join(", ");
-        Fault::new(table.name.span(), format!("unknown stage \"{name}\""), "no stage has this name")
-            .help(format!("the stages are {known}; `command` puts another program in a stage's place"))
-    })?;
-    table.reads.iter().chain(&table.writes).try_for_each(|topic| known(topic, declared))?;
+fn stage(
+    table: &StageTable,
+    added_len: usize,
+    topics: &[TopicRun],
+    declared: &[&dyn Declared],
+    warnings: &mut Vec<String>,
+) -> Result<Stage, Fault> {
+    let id = added::stage_id(table, added_len)?;
+    table.reads.iter().chain(&table.writes).try_for_each(|topic| known(topic, topics, declared))?;
     if let Some(command) = table.command.as_ref().filter(|c| c.get_ref().is_empty()) {
         return Err(Fault::new(
             command.span(),
@@ -75,19 +89,25 @@ fn stage(table: &StageTable, declared: &[&dyn Declared], warnings: &mut Vec<Stri
     };
     Ok(Stage {
         id,
+        name: table.name.get_ref().clone(),
         command: table.command.as_ref().map(|c| c.get_ref().clone()),
         reads: names(&table.reads),
         writes: names(&table.writes),
         budget_ms: table.budget_ms.as_ref().map(|ms| *ms.get_ref()),
         options,
-        topics: renamed(table, declared)?,
+        topics: renamed(table, topics, declared)?,
         restart: restart(table)?,
         scheduling: scheduling(table)?,
+        spare: spare(table)?,
     })
 }
 
-/// The topics that the stage opens under another name: its own ones, under names that no topic has.
-fn renamed(table: &StageTable, declared: &[&dyn Declared]) -> Result<BTreeMap<String, String>, Fault> {
+/// The topics that the stage opens under another name: its own ones, under names that no shipped topic has.
+fn renamed(
+    table: &StageTable,
+    topics: &[TopicRun],
+    declared: &[&dyn Declared],
+) -> Result<BTreeMap<String, String>, Fault> {
     for (topic, name) in &table.topics {
         if !table.reads.iter().chain(&table.writes).any(|own| own.get_ref() == topic.get_ref()) {
             let message =
@@ -100,28 +120,53 @@ fn renamed(table: &StageTable, declared: &[&dyn Declared]) -> Result<BTreeMap<St
             let message = format!("\"{text}\" can't be the name of a topic");
             return Err(Fault::new(span, message, "expected lower case letters, digits and \"-\""));
         }
-        if known(name, declared).is_ok() {
+        if known(name, &[], declared).is_ok() {
             let message = format!("\"{text}\" is a topic of its own");
             return Err(Fault::new(span, message, "expected another name"));
         }
+        same_type(table, topic, name, topics)?;
     }
     Ok(table.topics.iter().map(|(topic, name)| (topic.get_ref().clone(), name.get_ref().clone())).collect())
 }
 
-/// Refuses a topic that no stage reads or writes.
-fn known(topic: &Spanned<String>, declared: &[&dyn Declared]) -> Result<(), Fault> {
+/// Refuses a declared topic in the place of one of another type.
+fn same_type(
+    table: &StageTable,
+    topic: &Spanned<String>,
+    name: &Spanned<String>,
+    topics: &[TopicRun],
+) -> Result<(), Fault> {
+    let Some(other) = topics.iter().find(|other| other.name == *name.get_ref()) else { return Ok(()) };
+    let own = topics.iter().find(|own| own.name == *topic.get_ref());
+    let expected =
+        own.map(|own| own.type_name.as_str()).or_else(|| Some(added::shipped(topic.get_ref())?.type_name));
+    if expected.is_some_and(|expected| expected != other.type_name) {
+        let message = format!("\"{}\" has the type \"{}\"", other.name, other.type_name);
+        let expected = expected.unwrap_or_default();
+        return Err(Fault::new(name.span(), message, format!("\"{}\" is \"{expected}\"", topic.get_ref())));
+    }
+    if table.name.get_ref() == StageId::Tracker.name() && topic.get_ref() == ForecastsTopic::NAME {
+        let message = "the forecasts that go back to the tracker have no other name";
+        return Err(Fault::new(name.span(), message, "the tracker reads those of the sampler"));
+    }
+    Ok(())
+}
+
+/// Refuses a topic that no stage reads or writes, and that the file does not declare.
+fn known(topic: &Spanned<String>, added: &[TopicRun], declared: &[&dyn Declared]) -> Result<(), Fault> {
     let mut topics: Vec<&str> = Vec::new();
     for topic in declared.iter().flat_map(|stage| stage.writes().iter().chain(stage.reads())) {
         if !topics.contains(topic) {
             topics.push(topic);
         }
     }
+    topics.extend(added.iter().map(|topic| topic.name.as_str()));
     if topics.contains(&topic.get_ref().as_str()) {
         return Ok(());
     }
     let message = format!("unknown topic \"{}\"", topic.get_ref());
     Err(Fault::new(topic.span(), message, "no topic has this name")
-        .help(format!("the topics are {}", topics.join(", "))))
+        .help(format!("the topics are {}; one of your own is declared by [[topic]]", topics.join(", "))))
 }
 
 /// The stage's restart policy: the defaults where the file says nothing.
@@ -150,6 +195,17 @@ fn restart(table: &StageTable) -> Result<RestartPolicy, Fault> {
         start_limit: Duration::from_secs(start_limit_s),
         hang_after: Duration::from_millis(hang_after_ms),
     })
+}
+
+/// Whether the stage has a spare, which takes its place only where it is started again at all.
+fn spare(table: &StageTable) -> Result<bool, Fault> {
+    match &table.spare {
+        Some(spare) if *spare.get_ref() && table.restart == Some(Restart::Never) => {
+            let message = format!("the spare of the {} would never take its place", table.name.get_ref());
+            Err(Fault::new(spare.span(), message, "not with restart = \"never\""))
+        }
+        spare => Ok(spare.as_ref().is_some_and(|spare| *spare.get_ref())),
+    }
 }
 
 /// The stage's place among the processors, and its priority.
@@ -219,34 +275,40 @@ fn unique_names(tables: &[&StageTable]) -> Result<(), Fault> {
     Ok(())
 }
 
-fn producers(file: &File) -> Result<(), Fault> {
+fn producers(file: &File, topics: &[TopicRun]) -> Result<(), Fault> {
     let mut producer: BTreeMap<&str, &str> = BTreeMap::new();
     let tables = || file.stages.iter().map(Spanned::get_ref);
     for table in tables() {
         for topic in &table.writes {
-            if let Some(other) = producer.insert(topic.get_ref(), table.name.get_ref()) {
-                let message = format!("\"{}\" is written by two stages", topic.get_ref());
+            let name = name_of(table, topic.get_ref(), topics);
+            if let Some(other) = producer.insert(name, table.name.get_ref()) {
+                let message = format!("\"{name}\" is written by two stages");
                 return Err(Fault::new(topic.span(), message, format!("the {other} writes it already")));
             }
         }
     }
-    match tables().flat_map(|t| &t.reads).find(|t| !producer.contains_key(t.get_ref().as_str())) {
-        Some(topic) => {
-            let message = format!("no stage writes \"{}\"", topic.get_ref());
-            Err(Fault::new(topic.span(), message, "read here"))
+    for table in tables() {
+        for topic in &table.reads {
+            let name = name_of(table, topic.get_ref(), topics);
+            if !producer.contains_key(name) {
+                let message = format!("no stage writes \"{name}\"");
+                return Err(Fault::new(topic.span(), message, "read here"));
+            }
         }
-        None => Ok(()),
     }
+    Ok(())
 }
 
 /// Removes, one by one, the stages whose inputs all come from stages removed before; those that remain form a
 /// cycle.
-fn acyclic(tables: &[&StageTable]) -> Result<(), Fault> {
+fn acyclic(tables: &[&StageTable], topics: &[TopicRun]) -> Result<(), Fault> {
     let mut open = tables.to_vec();
-    while let Some(ready) = open.iter().position(|table| open_input(table, &open).is_none()) {
+    while let Some(ready) = open.iter().position(|table| open_input(table, &open, topics).is_none()) {
         open.remove(ready);
     }
-    let Some((stage, topic)) = open.first().and_then(|stage| Some((stage, open_input(stage, &open)?))) else {
+    let Some((stage, topic)) =
+        open.first().and_then(|stage| Some((stage, open_input(stage, &open, topics)?)))
+    else {
         return Ok(());
     };
     let message = format!("a cycle: the {} needs its own output", stage.name.get_ref());
@@ -257,12 +319,38 @@ fn acyclic(tables: &[&StageTable]) -> Result<(), Fault> {
 
 /// The first input of a stage that one of the open stages writes. The tracker reads the forecasts of earlier
 /// ticks: that cycle is meant.
-fn open_input<'a>(table: &'a StageTable, open: &[&StageTable]) -> Option<&'a Spanned<String>> {
+fn open_input<'a>(
+    table: &'a StageTable,
+    open: &[&StageTable],
+    topics: &[TopicRun],
+) -> Option<&'a Spanned<String>> {
     table.reads.iter().find(|read| {
         let topic = read.get_ref();
         let meant = table.name.get_ref() == "tracker" && topic == ForecastsTopic::NAME;
-        !meant && open.iter().any(|other| other.writes.iter().any(|written| written.get_ref() == topic))
+        !meant && open.iter().any(|other| writes(other, name_of(table, topic, topics), topics))
     })
+}
+
+fn writes(table: &StageTable, name: &str, topics: &[TopicRun]) -> bool {
+    table.writes.iter().any(|written| name_of(table, written.get_ref(), topics) == name)
+}
+
+/// Names of the stages on a tick's way: the sampler, and those whose output reaches it.
+fn way<'a>(tables: &[&'a StageTable], topics: &[TopicRun]) -> Vec<&'a str> {
+    let named = |name: &str| tables.iter().copied().find(|table| table.name.get_ref() == name);
+    let (mut way, mut open) = (Vec::new(), Vec::from_iter(named(StageId::Sampler.name())));
+    while let Some(table) = open.pop() {
+        if way.contains(&table.name.get_ref().as_str()) {
+            continue;
+        }
+        way.push(table.name.get_ref().as_str());
+        for read in &table.reads {
+            let name = name_of(table, read.get_ref(), topics);
+            let is_back = table.name.get_ref() == StageId::Tracker.name() && name == ForecastsTopic::NAME;
+            open.extend(tables.iter().copied().filter(|other| !is_back && writes(other, name, topics)));
+        }
+    }
+    way
 }
 
 /// A warning where the sampler gives up waiting before the stages ahead of it stop serving agents.
@@ -275,7 +363,7 @@ fn late_controls(tables: &[&StageTable]) -> Option<String> {
         _ => return None,
     };
     let is_before =
-        |name: &str| StageId::from_name(name).is_some_and(|id| (id as u32) < StageId::Sampler as u32);
+        |name: &str| StageId::from_name(name).is_some_and(|id| id.number() < StageId::Sampler.number());
     let before = tables.iter().filter(|table| is_before(table.name.get_ref()));
     let sum_ms: f64 = before.filter_map(|table| table.budget_ms.as_ref()).map(|ms| *ms.get_ref()).sum();
     (sum_ms > deadline_ms).then(|| {
@@ -286,9 +374,11 @@ fn late_controls(tables: &[&StageTable]) -> Option<String> {
     })
 }
 
-fn budgets(tables: &[&StageTable]) -> Result<(), Fault> {
+/// Those on a tick's way share it; each of the others has one for itself.
+fn budgets(tables: &[&StageTable], way: &[&str]) -> Result<f64, Fault> {
     let mut sum_ms = 0.0;
-    for budget in tables.iter().filter_map(|t| t.budget_ms.as_ref()) {
+    for table in tables {
+        let Some(budget) = &table.budget_ms else { continue };
         let ms = *budget.get_ref();
         if !(ms.is_finite() && ms > 0.0) {
             return Err(Fault::new(
@@ -297,11 +387,16 @@ fn budgets(tables: &[&StageTable]) -> Result<(), Fault> {
                 "here",
             ));
         }
-        sum_ms += ms;
+        let is_beside = !way.contains(&table.name.get_ref().as_str());
+        if is_beside && ms > BUDGET_MAX_MS {
+            let message = format!("a budget of more than the {BUDGET_MAX_MS} ms of a tick");
+            return Err(Fault::new(budget.span(), message, format!("{ms} ms")));
+        }
+        sum_ms += if is_beside { 0.0 } else { ms };
         if sum_ms > BUDGET_MAX_MS {
             let message = format!("the budgets add up to more than the {BUDGET_MAX_MS} ms of a tick");
             return Err(Fault::new(budget.span(), message, format!("{sum_ms} ms with this one")));
         }
     }
-    Ok(())
+    Ok(sum_ms)
 }

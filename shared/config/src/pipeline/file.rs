@@ -16,6 +16,16 @@ pub(super) struct File {
     pub shed: Option<bool>,
     #[serde(rename = "stage", default)]
     pub stages: Vec<Spanned<StageTable>>,
+    #[serde(rename = "topic", default)]
+    pub topics: Vec<Spanned<TopicTable>>,
+}
+
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct TopicTable {
+    pub name: Spanned<String>,
+    pub type_name: Spanned<String>,
+    pub element_bytes: Spanned<u64>,
 }
 
 #[derive(Debug, Deserialize)]
@@ -40,6 +50,7 @@ pub(super) struct StageTable {
     pub hang_after_ms: Option<Spanned<u64>>,
     pub cpu: Option<Spanned<Vec<Spanned<u64>>>>,
     pub priority: Option<Spanned<u64>>,
+    pub spare: Option<Spanned<bool>>,
 }
 
 /// A stage's options, which its declaration checks.

@@ -24,7 +24,9 @@ pub(super) fn options(
                     let message = format!("`{present}` of the {name} is set twice");
                     return Err(Fault::new(key.span(), message, format!("the former name of `{present}`")));
                 }
-                warnings.push(format!("`{written}` of the {name} is called `{present}` now"));
+                warnings.push(format!(
+                    "`{written}` of the {name} is called `{present}` now; the next version drops the old name"
+                ));
                 present
             }
             None => written,

@@ -1,5 +1,5 @@
 use miette::{GraphicalReportHandler, GraphicalTheme};
-use run::{Conflict, Declaration, NoOptions};
+use run::{Conflict, Declaration, NoOptions, TopicRun};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use wire::{
@@ -246,7 +246,10 @@ fn an_option_of_another_type() {
 fn an_old_name_is_accepted_with_a_warning() {
     let pipeline = parsed(&with("deadline_ms = 72", "recall = false"));
     assert_eq!(stage(&pipeline, StageId::Sampler).options, "retrieval = false".parse().unwrap());
-    assert_eq!(pipeline.warnings, ["`recall` of the sampler is called `retrieval` now"]);
+    assert_eq!(
+        pipeline.warnings,
+        ["`recall` of the sampler is called `retrieval` now; the next version drops the old name"]
+    );
     insta::assert_snapshot!(error(&with("deadline_ms = 72", "recall = 3")));
     insta::assert_snapshot!(error(&with("deadline_ms = 72", "retrieval = true, recall = true")));
 }
@@ -294,4 +297,94 @@ fn a_topic_is_opened_under_another_name() {
     insta::assert_snapshot!(error(&renamed("tracks = \"a\"")));
     insta::assert_snapshot!(error(&renamed("encodings = \"tracks\"")));
     insta::assert_snapshot!(error(&renamed("encodings = \"a b\"")));
+}
+
+/// The shipped file with a topic and a stage of the user's own, whose lines `topic` and `stage` end.
+fn added(topic: &str, stage: &str) -> String {
+    let topic = format!("[[topic]]\nname = \"risks\"\n{topic}\n");
+    let stage = format!("[[stage]]\nname = \"monitor\"\ncommand = [\"./mine\"]\n{stage}\n");
+    format!("{FULL}\n{topic}\n{stage}")
+}
+
+const RISKS: &str = "type_name = \"risk.1\"\nelement_bytes = 24";
+const BESIDE: &str = "reads = [\"forecasts\"]\nwrites = [\"risks\"]\nbudget_ms = 40";
+
+#[test]
+fn a_stage_beside_the_way_has_a_budget_of_its_own() {
+    let pipeline = parsed(&added(RISKS, BESIDE));
+    let monitor = pipeline.stages.last().unwrap();
+    assert_eq!((monitor.id.number(), monitor.name.as_str()), (65, "monitor"));
+    let risks = TopicRun { name: "risks".into(), type_name: "risk.1".into(), element_size: 24 };
+    assert_eq!(pipeline.topics, [risks]);
+    assert!(pipeline.edges().contains(&(StageId::Sampler, "forecasts", monitor.id)));
+    insta::assert_snapshot!(error(&added(RISKS, &BESIDE.replace("40", "81"))));
+}
+
+/// A stage between the tracker and the localiser.
+fn in_the_way(budget_ms: u32) -> String {
+    let text = added(
+        "type_name = \"stgdat.tracks.2\"\nelement_bytes = 512",
+        &format!("reads = [\"tracks\"]\nwrites = [\"risks\"]\nbudget_ms = {budget_ms}"),
+    );
+    text.replacen("name = \"localiser\"", "name = \"localiser\"\ntopics = { tracks = \"risks\" }", 1)
+}
+
+#[test]
+fn a_stage_in_the_way_shares_the_tick() {
+    let pipeline = parsed(&in_the_way(2));
+    let own = pipeline.stages.last().unwrap().id;
+    let edges = pipeline.edges();
+    assert!(
+        edges.contains(&(StageId::Tracker, "tracks", own))
+            && edges.contains(&(own, "risks", StageId::Localiser))
+    );
+    assert!(!edges.contains(&(StageId::Tracker, "tracks", StageId::Localiser)));
+    insta::assert_snapshot!(error(&in_the_way(30)));
+}
+
+#[test]
+fn declarations_of_topics_that_are_off() {
+    let with_topic = |topic: &str| error(&added(topic, BESIDE));
+    insta::assert_snapshot!(with_topic("type_name = \"risk.1\"\nelement_bytes = 0"));
+    insta::assert_snapshot!(with_topic("type_name = \"risk.1\"\nelement_bytes = 65537"));
+    insta::assert_snapshot!(with_topic("type_name = \"\"\nelement_bytes = 8"));
+    insta::assert_snapshot!(with_topic("type_name = \"stgdat.tracks.2\"\nelement_bytes = 24"));
+    insta::assert_snapshot!(error(&added(RISKS, BESIDE).replace("\"risks\"", "\"tracks\"")));
+    insta::assert_snapshot!(error(&format!(
+        "{}\n[[topic]]\nname = \"risks\"\n{RISKS}\n",
+        added(RISKS, BESIDE)
+    )));
+    insta::assert_snapshot!(error(&added(RISKS, "reads = [\"forecasts\"]")));
+    insta::assert_snapshot!(error(&in_the_way(2).replace("stgdat.tracks.2", "mine.2")));
+}
+
+#[test]
+fn added_stages_that_are_off() {
+    let second = "\n[[stage]]\nname = \"other\"\ncommand = [\"./other\"]\n";
+    let two = |lines: &str| error(&format!("{}{second}{lines}\n", added(RISKS, BESIDE)));
+    insta::assert_snapshot!(two("reads = [\"tracks\"]\nwrites = [\"risks\"]"));
+    insta::assert_snapshot!(error(&added(RISKS, "reads = [\"risks\"]\nwrites = [\"risks\"]")));
+    insta::assert_snapshot!(error(&added(RISKS, BESIDE).replace("\"monitor\"", "\"launcher\"")));
+    insta::assert_snapshot!(error(&added(RISKS, BESIDE).replace("\"monitor\"", "\"a b\"")));
+    let many = |len: usize| {
+        let one =
+            |n| format!("\n[[stage]]\nname = \"s{n}\"\ncommand = [\"./mine\"]\nreads = [\"forecasts\"]\n");
+        format!("{FULL}{}", (0..len).map(one).collect::<String>())
+    };
+    assert_eq!(parsed(&many(16)).stages.len(), 24);
+    insta::assert_snapshot!(error(&many(17)));
+}
+
+#[test]
+fn a_tick_that_passes_more_stages_than_its_header_has_room_for_is_warned_of() {
+    let mut text = FULL.to_owned();
+    let mut before = "tracks".to_owned();
+    for n in 0..6 {
+        let (tracks, stage) = ("type_name = \"stgdat.tracks.2\"\nelement_bytes = 512", format!("s{n}"));
+        text += &format!("\n[[topic]]\nname = \"t{n}\"\n{tracks}\n\n[[stage]]\nname = \"{stage}\"\n");
+        text += &format!("command = [\"./mine\"]\nreads = [\"{before}\"]\nwrites = [\"t{n}\"]\n");
+        before = format!("t{n}");
+    }
+    let text = text.replacen("name = \"localiser\"", "name = \"localiser\"\ntopics = { tracks = \"t5\" }", 1);
+    assert_eq!(parsed(&text).warnings.len(), 1);
 }

@@ -1,5 +1,8 @@
 use recording::{Frame, FrameError};
-use wire::{ControlsTopic, ForecastsTopic, Header, StageId, Topic};
+use wire::{
+    ControlsTopic, EncodingsTopic, FeatureShape, Features, FeaturesTopic, ForecastsTopic, Header, StageId,
+    Topic,
+};
 
 use crate::stages::OwnFrame;
 
@@ -45,6 +48,24 @@ impl Tick {
     pub fn shedder(&self) -> Option<Header> {
         let frame = self.frame(ControlsTopic::NAME).or_else(|| self.frame(ForecastsTopic::NAME));
         frame.map(|frame| *frame.header())
+    }
+
+    /// For how many agents the extractor had time, as its features tell; none where it had not to choose, or they
+    /// were not recorded.
+    pub fn extracted_max(&self) -> Option<usize> {
+        let features = self.own::<FeaturesTopic>(&mut None)?;
+        let counts = &features.header.counts;
+        let shape = FeatureShape::of(counts);
+        let read = Features::read(&features.elements, shape, counts.history_len as usize).ok()?;
+        let has_turns = read.agents.iter().any(|agent| agent.turn > 0);
+        let served = read.agents.iter().filter(|agent| agent.forecastable != 0 && agent.shed == 0);
+        has_turns.then(|| served.count())
+    }
+
+    /// For how many agents the encoder had time, as its encodings tell; all where they were not recorded.
+    pub fn encoded_max(&self) -> usize {
+        let Some(encodings) = self.own::<EncodingsTopic>(&mut None) else { return usize::MAX };
+        encodings.elements.iter().filter(|agent| agent.forecastable != 0 && agent.shed == 0).count()
     }
 
     /// When its last frame was received.

@@ -1,0 +1,168 @@
+//! A flight recorder: the newest messages of a run in memory, and a file of them when something happens.
+
+use std::io;
+use std::path::{Path, PathBuf};
+
+use ports::{Asked, monotonic_ns};
+use recording::flight::{Act, Flight, FlightLimits, Trigger, caused_by, wrong_with};
+use recording::{About, Event, Happened, Message, Ring, RingLimits, WriteError, Writer, Written};
+use wire::{ForecastsTopic, Topic};
+
+use super::follow::Keep;
+use crate::verbs::wire::layout;
+
+/// Keeps a ring and writes it to numbered files.
+pub struct FlightRecorder {
+    ring: Ring,
+    flight: Flight,
+    asked: Asked,
+    /// The files are named by it.
+    path: PathBuf,
+    about: About,
+    /// The file in hand, with why it was begun.
+    file: Option<(PathBuf, String, Writer)>,
+    written: Written,
+    error: Option<io::Error>,
+    is_cut_told: bool,
+    say: fn(&str),
+}
+
+/// The file of a number: `drive.mcap` becomes `drive-1.mcap`.
+pub fn numbered(path: &Path, number: u32) -> PathBuf {
+    let stem = path.file_stem().unwrap_or_default().to_string_lossy();
+    let extension = path.extension().unwrap_or("mcap".as_ref()).to_string_lossy();
+    path.with_file_name(format!("{stem}-{number}.{extension}"))
+}
+
+impl FlightRecorder {
+    /// An empty ring; `say` tells of each file.
+    pub fn new(
+        path: &Path,
+        about: About,
+        limits: (RingLimits, FlightLimits),
+        asked: Asked,
+        say: fn(&str),
+    ) -> Self {
+        Self {
+            ring: Ring::new(limits.0),
+            flight: Flight::new(limits.1),
+            asked,
+            path: path.to_owned(),
+            about,
+            file: None,
+            written: Written::default(),
+            error: None,
+            is_cut_told: false,
+            say,
+        }
+    }
+
+    fn cause(&mut self, trigger: Trigger, why: String, at_ns: u64) {
+        match self.flight.cause(trigger, at_ns) {
+            Act::Keep => {}
+            Act::Full => (self.say)(&format!("no file is written of: {why}")),
+            Act::Join => self.note(why, at_ns),
+            Act::Begin(number) => {
+                let path = numbered(&self.path, number);
+                match Writer::create(&path, &self.about, &layout()) {
+                    Ok(mut writer) => {
+                        self.ring.messages().for_each(|message| writer.add(message));
+                        self.file = Some((path, why.clone(), writer));
+                        self.note(why, at_ns);
+                    }
+                    // The next event is tried again.
+                    Err(WriteError { source, .. }) => self.error = Some(source),
+                }
+            }
+        }
+    }
+
+    fn note(&mut self, why: String, at_ns: u64) {
+        if let Some((.., writer)) = &mut self.file {
+            writer.event(&Event { at_ns, what: Happened::Kept { why } });
+        }
+    }
+
+    /// Ends the file in hand where its time is over, and looks whether somebody has asked for one.
+    fn look(&mut self, now_ns: u64) {
+        if self.flight.ends(now_ns) {
+            self.close("its time after the event was over");
+        }
+        if self.asked.take() {
+            self.cause(Trigger::Asked, "asked for by SIGUSR1".to_owned(), now_ns);
+        }
+    }
+
+    fn close(&mut self, how: &str) {
+        let Some((path, why, writer)) = self.file.take() else { return };
+        match writer.finish(how) {
+            Ok(written) => {
+                let megabytes = written.bytes as f64 / 1e6;
+                (self.say)(&format!("{}: {megabytes:.1} MB: {why}", path.display()));
+                self.add(&written);
+            }
+            Err(WriteError { source, .. }) => self.error = Some(source),
+        }
+    }
+
+    /// Adds what a file has come to.
+    fn add(&mut self, file: &Written) {
+        self.written.messages += file.messages;
+        self.written.bytes += file.bytes;
+        self.written.uncompressed_bytes += file.uncompressed_bytes;
+        let sums = [(&mut self.written.by_topic, &file.by_topic), (&mut self.written.lost, &file.lost)];
+        for (sums, of_file) in sums {
+            of_file.iter().for_each(|(topic, len)| *sums.entry(topic.clone()).or_default() += len);
+        }
+    }
+}
+
+impl Keep for FlightRecorder {
+    fn keep(&mut self, message: Message) {
+        let at_ns = message.at_ns();
+        let cause = match &message {
+            Message::Frame(frame) if frame.topic().name == ForecastsTopic::NAME => {
+                let forecasts = frame.elements::<ForecastsTopic>().ok();
+                forecasts.and_then(|forecasts| wrong_with(frame.header(), &forecasts))
+            }
+            Message::Event(event) => caused_by(event),
+            Message::Frame(_) | Message::Line(_) => None,
+        };
+        if let Some((.., writer)) = &mut self.file {
+            writer.add(&message);
+        }
+        self.ring.push(message);
+        if self.ring.is_cut() && !std::mem::replace(&mut self.is_cut_told, true) {
+            let seconds = self.ring.span_ns() as f64 / 1e9;
+            (self.say)(&format!("the memory holds {seconds:.0} s: --ring-mib gives it more"));
+        }
+        if let Some((trigger, why)) = cause {
+            self.cause(trigger, why, at_ns);
+        }
+        self.look(at_ns);
+    }
+
+    fn idle(&mut self) {
+        if let Some((.., writer)) = &mut self.file {
+            writer.flush();
+        }
+        self.look(monotonic_ns());
+    }
+
+    fn take_error(&mut self) -> Option<io::Error> {
+        let of_file = self.file.as_mut().and_then(|(.., writer)| writer.take_error());
+        self.error.take().or(of_file)
+    }
+
+    fn finish(mut self, how: &str) -> Result<Written, WriteError> {
+        self.close(how);
+        if self.flight.missed() > 0 {
+            let (missed, files) = (self.flight.missed(), self.flight.files());
+            (self.say)(&format!("{missed} events came after the {files} files of --files"));
+        }
+        match self.error.take() {
+            Some(source) => Err(WriteError { path: self.path, source }),
+            None => Ok(self.written),
+        }
+    }
+}

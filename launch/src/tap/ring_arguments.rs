@@ -1,0 +1,105 @@
+use std::path::Path;
+use std::process::Command;
+use std::time::Duration;
+
+use clap::Args;
+use recording::RingLimits;
+use recording::flight::FlightLimits;
+
+use super::flight::numbered;
+use crate::failure::Failure;
+
+/// Longest time of a ring: what is longer is a recording.
+const SECONDS_MAX: f64 = 3_600.0;
+/// Most memory of a ring, MiB.
+const MEMORY_MAX: u64 = 65_536;
+/// Most files of a flight recorder.
+const FILES_MAX: u32 = 1_000;
+
+/// How a flight recorder keeps and writes.
+#[derive(Clone, Debug, Args)]
+pub struct RingArguments {
+    /// Keep so much in memory, as 60s, and write it to FILE-1, FILE-2, … when something happens: a degraded or late
+    /// tick, a stage that dies or gets no CPU, `stgdat mark`, or SIGUSR1 to the recording
+    #[arg(long, value_name = "TIME", value_parser = seconds)]
+    last: Option<Duration>,
+    /// Time that a file goes on after the event
+    #[arg(long, value_name = "TIME", requires = "last", default_value = "5s", value_parser = seconds)]
+    after: Duration,
+    /// Files that are written at most
+    #[arg(long, value_name = "N", requires = "last", default_value_t = 8, value_parser = clap::value_parser!(u32).range(1..=i64::from(FILES_MAX)))]
+    files: u32,
+    /// Memory of what is kept, MiB
+    #[arg(long, value_name = "MIB", requires = "last", default_value_t = 512, value_parser = clap::value_parser!(u64).range(1..=MEMORY_MAX))]
+    ring_mib: u64,
+}
+
+/// Reads a time: `60s` or `60`.
+fn seconds(text: &str) -> Result<Duration, String> {
+    let number: Option<f64> = text.strip_suffix('s').unwrap_or(text).trim().parse().ok();
+    match number.filter(|seconds| (0.1..=SECONDS_MAX).contains(seconds)) {
+        Some(seconds) => Ok(Duration::from_secs_f64(seconds)),
+        None => Err(format!("expected seconds from 0.1 to {SECONDS_MAX}, as 60s")),
+    }
+}
+
+impl RingArguments {
+    /// The limits; none where all is to be written.
+    pub fn limits(&self) -> Option<(RingLimits, FlightLimits)> {
+        let ring = RingLimits {
+            span_ns: nanoseconds(self.last?),
+            bytes: usize::try_from(self.ring_mib << 20).unwrap_or(usize::MAX),
+        };
+        Some((ring, FlightLimits { after_ns: nanoseconds(self.after), files: self.files }))
+    }
+
+    /// The same for a recording of its own process.
+    pub fn pass_on(&self, command: &mut Command) {
+        let Some(last) = self.last else { return };
+        command.arg("--last").arg(last.as_secs_f64().to_string());
+        command.arg("--after").arg(self.after.as_secs_f64().to_string());
+        command.arg("--files").arg(self.files.to_string()).arg("--ring-mib").arg(self.ring_mib.to_string());
+    }
+
+    /// Refuses names that are taken.
+    pub fn check(&self, path: &Path) -> Result<(), Failure> {
+        let names = (1..=self.files).map(|number| numbered(path, number));
+        match names.into_iter().find(|path| path.exists()) {
+            Some(taken) => Err(Failure::data_about(
+                taken.display(),
+                "there is a file of that name, which is not replaced",
+            )),
+            None => Ok(()),
+        }
+    }
+
+    /// What is kept and where it goes, in a sentence.
+    pub fn told(&self, path: &Path) -> String {
+        let seconds = self.last.unwrap_or_default().as_secs_f64();
+        let [first, last] = [1, self.files].map(|number| numbered(path, number).display().to_string());
+        format!(
+            "keeping the last {seconds} s in memory, at most {} MiB; written when something happens to {first} … {last}; \
+             kill -USR1 {} or stgdat mark asks for it",
+            self.ring_mib,
+            std::process::id()
+        )
+    }
+}
+
+fn nanoseconds(time: Duration) -> u64 {
+    u64::try_from(time.as_nanos()).unwrap_or(u64::MAX)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn times_are_seconds_with_or_without_their_letter() {
+        assert_eq!(seconds("60s"), Ok(Duration::from_mins(1)));
+        assert_eq!(seconds("2.5"), Ok(Duration::from_millis(2_500)));
+        for wrong in ["0", "-1s", "1m", "nan", "1e9", ""] {
+            assert!(seconds(wrong).is_err(), "{wrong}");
+        }
+    }
+}

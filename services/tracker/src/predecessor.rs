@@ -1,0 +1,87 @@
+//! What a tracker goes on with that takes the place of another one: the tracks that the other has published.
+//!
+//! A process that waits for its turn *follows* `tracks`: it keeps the newest frame and each track's states, and
+//! computes nothing. At its turn a new tracker [begins](crate::Tracker::begin_with) with them: every published track
+//! keeps its id, its history to the bit, its motion, covariance and type. What is not published begins anew: tracks
+//! that are tentative, the modes of forecasts (the next forecast brings them), the evidence about fronts, and frames
+//! to replay.
+
+use wire::{Header, HistoryState, Track, flags};
+
+use crate::history::History;
+
+/// The tracks of the process before, as they were published.
+#[derive(Debug, Default)]
+pub struct Predecessor {
+    header: Header,
+    tracks: Vec<Track>,
+    /// The states of each of the tracks, in their order.
+    histories: Vec<History>,
+    /// Those of the frame before, and then memory that is used again.
+    before: Vec<(u64, History)>,
+}
+
+impl Predecessor {
+    /// Takes a frame of the topic `tracks`. Frames without a tick or with an impossible number change nothing.
+    pub fn follow(&mut self, header: &Header, tracks: &[Track]) {
+        let is_older = !self.is_empty() && header.stamp_ns <= self.header.stamp_ns;
+        if !header.is_tick() || header.has(flags::VOID) || is_older {
+            return;
+        }
+        if tracks.iter().any(|track| track.check().is_err()) {
+            return;
+        }
+        self.before.clear();
+        self.before.extend(self.tracks.iter().map(|track| track.id).zip(self.histories.drain(..)));
+        for track in tracks {
+            let known = self.before.binary_search_by_key(&track.id, |(id, _)| *id);
+            let mut history = known.map_or_else(|_| of_window(header, track), |place| self.before[place].1);
+            if known.is_ok() {
+                history.push(header.stamp_ns, state_of(track));
+            }
+            self.histories.push(history);
+        }
+        self.header = *header;
+        self.tracks.clear();
+        self.tracks.extend_from_slice(tracks);
+        // They are published in the order of their ids, and searched by it.
+        debug_assert!(
+            self.tracks.is_sorted_by_key(|track| track.id),
+            "tracks come in the order of their ids"
+        );
+    }
+
+    /// Whether there is nothing to go on with.
+    #[must_use]
+    pub const fn is_empty(&self) -> bool {
+        self.tracks.is_empty()
+    }
+
+    /// The header of the newest frame.
+    #[must_use]
+    pub const fn header(&self) -> &Header {
+        &self.header
+    }
+
+    /// The tracks of the newest frame, each with its states.
+    pub fn tracks(&self) -> impl Iterator<Item = (&Track, &History)> {
+        self.tracks.iter().zip(&self.histories)
+    }
+}
+
+/// The states of a track that was not followed before: those of its window, Δt apart.
+fn of_window(header: &Header, track: &Track) -> History {
+    let mut history = History::new();
+    let len = (header.counts.history_len as usize).min(track.history.len());
+    for (k, state) in track.history[..len].iter().enumerate().filter(|(_, state)| state.present == 1) {
+        let back_ns = header.step_ns.saturating_mul((len - 1 - k) as u64);
+        history.push(header.stamp_ns.saturating_sub_unsigned(back_ns), *state);
+    }
+    history
+}
+
+/// The state of a track at the stamp of its frame.
+fn state_of(track: &Track) -> HistoryState {
+    let &Track { x_m, y_m, vx_mps, vy_mps, heading_rad, .. } = track;
+    HistoryState { x_m, y_m, vx_mps, vy_mps, heading_rad, present: 1 }
+}

@@ -1,0 +1,216 @@
+//! Topics that the pipeline file declares: their types are known at run time alone, by name and size.
+#![expect(
+    unsafe_code,
+    reason = "the transport is told the name and size of a type that this program does not have"
+)]
+
+use std::os::fd::{AsFd, BorrowedFd};
+
+use iceoryx2::port::listener::Listener;
+use iceoryx2::port::subscriber::Subscriber;
+use iceoryx2::prelude::*;
+use iceoryx2::sample::Sample;
+use iceoryx2::service::marker::CustomPayloadMarker;
+use iceoryx2::service::static_config::message_type_details::{TypeDetail, TypeVariant};
+use run::{Run, TopicRun};
+use wire::Header;
+
+use crate::element::Head;
+use crate::node::{ALIGNMENT, BORROWED_MAX, HISTORY, NODES_MAX, is_half_made_topic};
+use crate::wait::{Wakes, descriptor, drain};
+use crate::{Node, PortError};
+
+/// Deepest queue of a topic that the pipeline file declares.
+const DEPTH_MAX: usize = 8;
+/// Readers of such a topic besides the stages: the recorder, the launcher, the tap, an injector and two more.
+const TOOLS_MAX: usize = 6;
+/// What errors call such a topic: they hold names that live as long as the program.
+const TOPIC: &str = "added by the pipeline file";
+
+/// Most ports of a topic, and its deepest queue.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Limits {
+    pub publishers_max: usize,
+    pub subscribers_max: usize,
+    pub nodes_max: usize,
+    pub depth_max: usize,
+}
+
+/// What the pipeline file adds to the shipped stages and topics.
+#[derive(Debug)]
+pub(crate) struct Added {
+    pub stages_len: usize,
+    topics: Vec<TopicRun>,
+    /// Names of the topics that the added stages read, each as often as it is read.
+    reads: Vec<String>,
+    /// How many stages read each of the declared topics.
+    readers: Vec<usize>,
+}
+
+impl Added {
+    pub fn of(run: &Run) -> Self {
+        Self {
+            stages_len: run.added().count(),
+            reads: run.added().flat_map(|(_, stage)| stage.reads.clone()).collect(),
+            readers: run.topics.iter().map(|topic| run.readers(&topic.name).count()).collect(),
+            topics: run.topics.clone(),
+        }
+    }
+
+    /// The topic of that name that the pipeline file declares.
+    pub fn topic(&self, name: &str) -> Option<&TopicRun> {
+        self.topics.iter().find(|topic| topic.name == name)
+    }
+
+    /// How many added stages read a topic.
+    pub fn readers_len(&self, topic: &str) -> usize {
+        self.reads.iter().filter(|read| *read == topic).count()
+    }
+
+    /// Those of a declared topic.
+    pub fn limits(&self, topic: &TopicRun) -> Limits {
+        let readers = self.topics.iter().zip(&self.readers).find(|(other, _)| other.name == topic.name);
+        Limits {
+            publishers_max: 1,
+            subscribers_max: TOOLS_MAX + readers.map_or(0, |(_, len)| *len),
+            nodes_max: NODES_MAX + self.stages_len,
+            depth_max: DEPTH_MAX,
+        }
+    }
+}
+
+/// Reads a topic that the pipeline file declares, checks nothing, and knows of its elements only their bytes.
+#[derive(Debug)]
+pub struct AddedSubscriber {
+    subscriber: Subscriber<ipc::Service, [CustomPayloadMarker], Head>,
+    listener: Listener<ipc::Service>,
+}
+
+/// A frame of such a topic.
+#[derive(Debug)]
+pub struct AddedFrame(Sample<ipc::Service, [CustomPayloadMarker], Head>);
+
+impl Node {
+    /// Opens a topic that the pipeline file declares for reading, by its name in the run's record.
+    ///
+    /// # Errors
+    /// [`PortError`] where the topic has its most readers already, its writer has made it with another type, or
+    /// shared memory is short.
+    pub fn added_subscriber(&self, topic: &TopicRun) -> Result<AddedSubscriber, PortError> {
+        let name = format!("stgdat/{}", topic.name);
+        let name: ServiceName = name.as_str().try_into().map_err(PortError::of("service name", TOPIC))?;
+        let limits = self.with_spares(&topic.name, self.added.limits(topic));
+        let element = TypeDetail::__internal_new_from_parts(
+            TypeVariant::Dynamic,
+            &topic.type_name,
+            topic.element_size,
+            1,
+        )
+        .map_err(PortError::of("type name", TOPIC))?;
+        let alignment = Alignment::new(ALIGNMENT).expect("64 is a power of two");
+        let frames = || {
+            let builder = self.node.service_builder(&name).publish_subscribe::<[CustomPayloadMarker]>();
+            // SAFETY: the transport compares name and size with those of the writer, and this program reads the
+            // elements as bytes alone.
+            let builder = unsafe { builder.__internal_set_payload_type_details(&element) };
+            builder
+                .user_header::<Head>()
+                .payload_alignment(alignment)
+                .max_publishers(limits.publishers_max)
+                .max_subscribers(limits.subscribers_max)
+                .max_nodes(limits.nodes_max)
+                .subscriber_max_buffer_size(limits.depth_max)
+                .subscriber_max_borrowed_samples(BORROWED_MAX)
+                .history_size(HISTORY)
+                .enable_safe_overflow(true)
+                .open_or_create()
+        };
+        let frames = self.patiently(frames, is_half_made_topic).map_err(PortError::of("frames", TOPIC))?;
+        let events = self.events(&name, limits, self.interval, TOPIC)?;
+        let subscriber = frames.subscriber_builder().buffer_size(limits.depth_max).create();
+        Ok(AddedSubscriber {
+            subscriber: subscriber.map_err(PortError::of("subscriber", TOPIC))?,
+            listener: events.listener_builder().create().map_err(PortError::of("listener", TOPIC))?,
+        })
+    }
+}
+
+/// The headers of what the added stages beside a tick's way send: their passages are in no header of the forecasts.
+#[derive(Debug)]
+pub struct Beside(Vec<AddedSubscriber>);
+
+impl Beside {
+    /// Reads the topics of those stages, of each stage one.
+    ///
+    /// # Errors
+    /// As [`Node::added_subscriber`].
+    pub fn open(node: &Node, run: &Run) -> Result<Self, PortError> {
+        let stages = run.beside();
+        let stages = stages.iter().filter_map(|stage| run.stage(*stage));
+        let topics = stages.filter_map(|stage| stage.writes.iter().find_map(|topic| run.topic(topic)));
+        topics.map(|topic| node.added_subscriber(topic)).collect::<Result<_, _>>().map(Self)
+    }
+
+    /// The headers that have come, unchecked.
+    ///
+    /// # Errors
+    /// [`PortError`] where the transport fails.
+    pub fn take(&self) -> Result<Vec<Header>, PortError> {
+        let mut headers = Vec::new();
+        for topic in &self.0 {
+            topic.drain()?;
+            while let Some(frame) = topic.receive()? {
+                headers.push(*frame.header());
+            }
+        }
+        Ok(headers)
+    }
+}
+
+impl AddedSubscriber {
+    /// The oldest frame of the queue, if there is one.
+    ///
+    /// # Errors
+    /// [`PortError`] where the transport fails.
+    pub fn receive(&self) -> Result<Option<AddedFrame>, PortError> {
+        Ok(self.subscriber.receive().map_err(PortError::of("receiving", TOPIC))?.map(AddedFrame))
+    }
+
+    /// Takes the events that have come, so that the descriptor is readable again only when another comes.
+    ///
+    /// # Errors
+    /// [`PortError`] where the transport fails.
+    pub fn drain(&self) -> Result<(), PortError> {
+        drain(&self.listener)
+    }
+}
+
+impl AddedFrame {
+    /// The header, unchecked.
+    #[must_use]
+    pub fn header(&self) -> &Header {
+        &self.0.user_header().0
+    }
+
+    /// The bytes of its elements.
+    #[must_use]
+    pub fn payload(&self) -> &[u8] {
+        let bytes = self.0.payload();
+        // SAFETY: a marker is one byte, and the slice has the size of the elements together, as the transport
+        // counts them.
+        unsafe { std::slice::from_raw_parts(bytes.as_ptr().cast(), bytes.len()) }
+    }
+}
+
+impl Wakes for AddedSubscriber {
+    fn listener(&self) -> &Listener<ipc::Service> {
+        &self.listener
+    }
+}
+
+/// Readable when an event of the topic has come: for programs that wait for other things besides.
+impl AsFd for AddedSubscriber {
+    fn as_fd(&self) -> BorrowedFd<'_> {
+        descriptor(self)
+    }
+}

@@ -1,0 +1,237 @@
+//! When a flight recorder writes what it has kept: the causes, and how files begin, go on and end.
+
+use wire::{Cause, Forecast, Header, Quality, StageId, flags};
+
+use crate::{Event, Happened};
+
+/// The longest time that a file goes on after its first cause, in times of [`FlightLimits::after_ns`]: what happens
+/// without end fills no disk.
+pub const JOINED_MAX: u64 = 6;
+
+/// How much a flight recorder writes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct FlightLimits {
+    /// Time that a file goes on after what it is written for.
+    pub after_ns: u64,
+    /// Files of a recording.
+    pub files: u32,
+}
+
+/// What a flight recorder does next.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Act {
+    /// Nothing but to keep what comes.
+    Keep,
+    /// Begins the file of that number, from 1, with the ring.
+    Begin(u32),
+    /// Goes on longer with the file in hand.
+    Join,
+    /// Leaves it: so many files are there already.
+    Full,
+}
+
+/// When a flight recorder begins and ends its files. A cause while a file is written makes that file longer; the
+/// same cause again, before it has been quiet for as long as a file goes on, is the same event.
+#[derive(Clone, Debug)]
+pub struct Flight {
+    limits: FlightLimits,
+    files: u32,
+    /// Begin and end of the file in hand.
+    open: Option<[u64; 2]>,
+    /// When each cause was last there.
+    seen: Vec<(Trigger, u64)>,
+    missed: u64,
+}
+
+/// Kinds of causes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Trigger {
+    /// A tick with forecasts that are not learned for another reason than the agent itself.
+    Degraded,
+    /// Forecasts that came after their tick was over.
+    Late,
+    /// A stage has died, was given up, replaced or gets no CPU.
+    Stage,
+    /// Somebody asked for it: `stgdat mark` or a signal.
+    Asked,
+}
+
+impl Flight {
+    /// A flight recorder that has written nothing.
+    #[must_use]
+    pub const fn new(limits: FlightLimits) -> Self {
+        Self { limits, files: 0, open: None, seen: Vec::new(), missed: 0 }
+    }
+
+    /// Takes a cause.
+    pub fn cause(&mut self, trigger: Trigger, at_ns: u64) -> Act {
+        let quiet_ns = self.limits.after_ns;
+        let is_same = match self.seen.iter_mut().find(|(seen, _)| *seen == trigger) {
+            Some((_, last_ns)) => at_ns < std::mem::replace(last_ns, at_ns).saturating_add(quiet_ns),
+            None => {
+                self.seen.push((trigger, at_ns));
+                false
+            }
+        };
+        // What somebody asks for is never part of what was there before.
+        if is_same && trigger != Trigger::Asked {
+            return Act::Keep;
+        }
+        let until_ns = at_ns.saturating_add(self.limits.after_ns);
+        if let Some([begin_ns, end_ns]) = &mut self.open {
+            let most_ns = begin_ns.saturating_add(JOINED_MAX.saturating_mul(self.limits.after_ns));
+            *end_ns = until_ns.min(most_ns).max(*end_ns);
+            return Act::Join;
+        }
+        if self.files >= self.limits.files {
+            self.missed += 1;
+            return Act::Full;
+        }
+        self.files += 1;
+        self.open = Some([at_ns, until_ns]);
+        Act::Begin(self.files)
+    }
+
+    /// Whether the file in hand is to end now; it is closed then.
+    pub fn ends(&mut self, now_ns: u64) -> bool {
+        self.open.take_if(|[_, end_ns]| now_ns >= *end_ns).is_some()
+    }
+
+    /// Whether a file is being written.
+    #[must_use]
+    pub const fn is_writing(&self) -> bool {
+        self.open.is_some()
+    }
+
+    /// Files begun.
+    #[must_use]
+    pub const fn files(&self) -> u32 {
+        self.files
+    }
+
+    /// Events after the last file.
+    #[must_use]
+    pub const fn missed(&self) -> u64 {
+        self.missed
+    }
+}
+
+/// What is wrong with a tick, in words; none where nothing is.
+#[must_use]
+pub fn wrong_with(header: &Header, forecasts: &[Forecast]) -> Option<(Trigger, String)> {
+    if !header.is_tick() {
+        return None;
+    }
+    let seq = header.seq;
+    let sent_ns = header.hop(StageId::Sampler).map_or(0, |hop| hop.sent_ns);
+    let took_ns = sent_ns.saturating_sub(header.released_ns);
+    if !header.has(flags::LOCKSTEP) && header.interval_ns > 0 && took_ns > header.interval_ns {
+        return Some((Trigger::Late, format!("tick {seq} was late: {:.1} ms", took_ns as f64 / 1e6)));
+    }
+    if header.has(flags::VOID) {
+        return Some((Trigger::Degraded, format!("tick {seq} has no forecasts")));
+    }
+    // Young agents and those of whom constant velocity knows more are no fault.
+    let of_the_agent = [Cause::None, Cause::Young, Cause::Outdone].map(|cause| cause as u32);
+    let is_degraded =
+        |f: &&Forecast| f.quality != Quality::Learned as u32 && !of_the_agent.contains(&f.cause);
+    let first = forecasts.iter().find(is_degraded)?;
+    let cause = Cause::from_number(first.cause).map_or("unknown", Cause::name);
+    let (len, all) = (forecasts.iter().filter(is_degraded).count(), forecasts.len());
+    Some((
+        Trigger::Degraded,
+        format!("tick {seq} is degraded: {len} of {all} forecasts not learned ({cause})"),
+    ))
+}
+
+/// What an event is as a cause, in words; none where it is none.
+#[must_use]
+pub fn caused_by(event: &Event) -> Option<(Trigger, String)> {
+    Some(match &event.what {
+        Happened::Died { stage, how, .. } => (Trigger::Stage, format!("the {stage} {how}")),
+        Happened::GivenUp { stage, how, .. } => {
+            (Trigger::Stage, format!("the {stage} {how} and is given up"))
+        }
+        Happened::Starved { stage } => (Trigger::Stage, format!("the {stage} gets no CPU")),
+        Happened::Replaced { stage, outcome, .. } => (Trigger::Stage, format!("the {stage}: {outcome}")),
+        Happened::Mark { text } => (Trigger::Asked, format!("mark: {text}")),
+        Happened::Linked
+        | Happened::Refused { .. }
+        | Happened::Lost { .. }
+        | Happened::Kept { .. }
+        | Happened::Ended { .. } => return None,
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    const S: u64 = 1_000_000_000;
+
+    fn flight() -> Flight {
+        Flight::new(FlightLimits { after_ns: 5 * S, files: 2 })
+    }
+
+    #[test]
+    fn events_that_overlap_are_joined_and_files_are_limited() {
+        let mut flight = flight();
+        assert_eq!(flight.cause(Trigger::Late, S), Act::Begin(1));
+        assert_eq!(flight.cause(Trigger::Late, 2 * S), Act::Keep, "the same event goes on");
+        assert_eq!(flight.cause(Trigger::Stage, 4 * S), Act::Join);
+        assert!(!flight.ends(8 * S) && flight.ends(9 * S) && !flight.is_writing());
+        assert_eq!(flight.cause(Trigger::Asked, 20 * S), Act::Begin(2));
+        assert_eq!(flight.cause(Trigger::Asked, 21 * S), Act::Join, "who asks twice means it");
+        assert!(flight.ends(26 * S));
+        assert_eq!(flight.cause(Trigger::Stage, 40 * S), Act::Full);
+        assert_eq!((flight.files(), flight.missed()), (2, 1));
+    }
+
+    #[test]
+    fn late_and_degraded_ticks_are_told_apart_from_young_agents() {
+        let forecast = |quality: Quality, cause: Cause| Forecast {
+            quality: quality as u32,
+            cause: cause as u32,
+            ..bytemuck::Zeroable::zeroed()
+        };
+        let mut header = Header { released_ns: S, interval_ns: S / 10, ..Header::new(1, 7, 0) };
+        let young = [forecast(Quality::Learned, Cause::None), forecast(Quality::Kinematic, Cause::Young)];
+        assert_eq!(wrong_with(&header, &young), None);
+        let held = [young[0], forecast(Quality::Held, Cause::Late)];
+        let told = "tick 7 is degraded: 1 of 2 forecasts not learned (late)".to_owned();
+        assert_eq!(wrong_with(&header, &held), Some((Trigger::Degraded, told)));
+        header.push_hop(wire::Hop {
+            stage: StageId::Sampler.number(),
+            sent_ns: 2 * S,
+            ..wire::Hop::default()
+        });
+        assert_eq!(
+            wrong_with(&header, &young),
+            Some((Trigger::Late, "tick 7 was late: 1000.0 ms".to_owned()))
+        );
+        header.flags |= flags::LOCKSTEP;
+        assert_eq!(wrong_with(&header, &young), None, "in lockstep nothing is late");
+    }
+
+    proptest! {
+        /// However causes come: no more files than the limit, none open for longer than it may be.
+        #[test]
+        fn files_keep_their_limits(causes in prop::collection::vec((0..4_usize, 0..4 * S), 1..200)) {
+            let all = [Trigger::Degraded, Trigger::Late, Trigger::Stage, Trigger::Asked];
+            let (mut flight, mut now_ns, mut begun_ns) = (flight(), 0, None);
+            for (which, later_ns) in causes {
+                now_ns += later_ns;
+                if flight.ends(now_ns) {
+                    begun_ns = None;
+                }
+                if let Act::Begin(number) = flight.cause(all[which], now_ns) {
+                    prop_assert!(begun_ns.is_none() && number <= 2);
+                    begun_ns = Some(now_ns);
+                }
+                prop_assert_eq!(begun_ns.is_some(), flight.is_writing());
+                prop_assert!(begun_ns.is_none_or(|begun| now_ns - begun <= JOINED_MAX * 5 * S));
+            }
+        }
+    }
+}

@@ -1,0 +1,85 @@
+//! A stage beside the way: reads the forecasts and writes a topic of its own, how near each agent comes to the ego
+//! vehicle. No forecast waits for it. Its lines in pipeline.toml:
+//!
+//! ```toml
+//! [[topic]]
+//! name = "approaches"
+//! type_name = "approach.1"
+//! element_bytes = 16
+//!
+//! [[stage]]
+//! name = "conflict_monitor"
+//! command = ["target/release/examples/conflict_monitor"]
+//! reads = ["forecasts"]
+//! writes = ["approaches"]
+//! budget_ms = 5
+//! ```
+
+use std::process::ExitCode;
+
+use bytemuck::{Pod, Zeroable};
+use ports::{Stage, StageError, stage_main};
+use run::{Declaration, NoOptions, Run};
+use wire::{AGENTS_MAX, Forecast, ForecastsTopic, Header, Topic};
+
+/// Which stage it is, pipeline.toml says.
+const STAGE: Declaration<NoOptions> = Declaration::added(&[ForecastsTopic::NAME], &[Approaches::NAME]);
+
+/// How near an agent comes to the ego vehicle on its most probable trajectory: an element of the topic.
+#[derive(Clone, Copy, Debug, Pod, Zeroable)]
+#[repr(C)]
+struct Approach {
+    /// The agent's number.
+    id: u64,
+    /// The least distance.
+    distance_m: f32,
+    /// Time until then, from the frame's stamp.
+    in_s: f32,
+}
+
+/// The topic: an element for each agent of the forecasts.
+#[derive(Debug)]
+enum Approaches {}
+
+impl Topic for Approaches {
+    type Element = Approach;
+    const NAME: &'static str = "approaches";
+    const DOC: &'static str = "How near each agent comes to the ego vehicle.";
+    // Another layout gets another name, so that old readers do not connect.
+    const TYPE_NAME: &'static str = "approach.1";
+    const ELEMENTS_MAX: usize = AGENTS_MAX;
+    const ELEMENTS_START: usize = AGENTS_MAX;
+}
+
+fn run(run: &Run) -> Result<(), StageError> {
+    let mut stage = Stage::open(run, &STAGE)?;
+    let forecasts = stage.subscribe::<ForecastsTopic>()?;
+    let output = stage.publish::<Approaches>()?;
+    while let Some(input) = stage.next(&forecasts, &output)? {
+        let passage = stage.begin(&input);
+        let mut loan = output.loan(input.len())?;
+        for (approach, forecast) in loan.iter_mut().zip(input.iter()) {
+            *approach = nearest(input.header(), forecast);
+        }
+        stage.finish(passage, &output, Ok(loan))?;
+    }
+    Ok(())
+}
+
+/// The nearest step of the most probable trajectory; the ego vehicle stands where it is.
+fn nearest(header: &Header, forecast: &Forecast) -> Approach {
+    let [ego_x_m, ego_y_m] = header.ego_m;
+    let step_s = header.step_ns as f32 / 1e9;
+    let now = ([forecast.x_m, forecast.y_m], 0.0);
+    let steps = forecast.best.iter().take(header.counts.horizon_len as usize).copied();
+    let ahead = steps.zip(1_u8..).map(|(at_m, step)| (at_m, f32::from(step) * step_s));
+    let distances = std::iter::once(now)
+        .chain(ahead)
+        .map(|([x_m, y_m], in_s)| ((x_m - ego_x_m).hypot(y_m - ego_y_m), in_s));
+    let (distance_m, in_s) = distances.min_by(|a, b| a.0.total_cmp(&b.0)).unwrap_or_default();
+    Approach { id: forecast.id, distance_m, in_s }
+}
+
+fn main() -> ExitCode {
+    stage_main(run)
+}

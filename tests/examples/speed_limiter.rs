@@ -1,0 +1,97 @@
+//! A stage in the way: reads the tracks and writes tracks in which nobody is faster than a limit, as wheels and
+//! reflections make a radar believe. The localiser reads those instead. Its lines in pipeline.toml:
+//!
+//! ```toml
+//! [[topic]]
+//! name = "limited-tracks"
+//! type_name = "stgdat.tracks.2"
+//! element_bytes = 512
+//!
+//! [[stage]]
+//! name = "speed_limiter"
+//! command = ["target/release/examples/speed_limiter"]
+//! reads = ["tracks"]
+//! writes = ["limited-tracks"]
+//! budget_ms = 2
+//! options = { speed_max_mps = 40 }
+//! ```
+//!
+//! and, in the table of the localiser, `topics = { tracks = "limited-tracks" }`.
+
+use std::process::ExitCode;
+
+use ports::{Stage, StageError, stage_main};
+use run::{Conflict, Declaration, Run};
+use serde::Deserialize;
+use wire::{Topic, Track, TracksTopic};
+
+/// Which stage it is, pipeline.toml says.
+const STAGE: Declaration<Options> =
+    Declaration::added(&[TracksTopic::NAME], &[LimitedTracks::NAME]).with_rule(Options::check);
+
+/// `options = { … }` in its table of pipeline.toml.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields, default)]
+struct Options {
+    /// Greatest speed of an agent.
+    speed_max_mps: f32,
+}
+
+impl Default for Options {
+    fn default() -> Self {
+        Self { speed_max_mps: 60.0 }
+    }
+}
+
+impl Options {
+    fn check(&self) -> Result<(), Conflict> {
+        if self.speed_max_mps > 0.0 {
+            return Ok(());
+        }
+        let (key, reason) = ("speed_max_mps", "`speed_max_mps` is not positive");
+        Err(Conflict { key, reason, because: "agents move" })
+    }
+}
+
+/// The topic: that of the tracks under another name.
+#[derive(Debug)]
+enum LimitedTracks {}
+
+impl Topic for LimitedTracks {
+    type Element = Track;
+    const NAME: &'static str = "limited-tracks";
+    const DOC: &'static str = "The tracks, none of them too fast.";
+    const TYPE_NAME: &'static str = TracksTopic::TYPE_NAME;
+    const ELEMENTS_MAX: usize = TracksTopic::ELEMENTS_MAX;
+    const ELEMENTS_START: usize = TracksTopic::ELEMENTS_START;
+}
+
+fn run(run: &Run) -> Result<(), StageError> {
+    let options = STAGE.options(run)?;
+    let mut stage = Stage::open(run, &STAGE)?;
+    let tracks = stage.subscribe::<TracksTopic>()?;
+    let output = stage.publish::<LimitedTracks>()?;
+    while let Some(input) = stage.next(&tracks, &output)? {
+        let passage = stage.begin(&input);
+        let mut loan = output.copy(&input)?;
+        loan.iter_mut().for_each(|track| limit(track, options.speed_max_mps));
+        stage.finish(passage, &output, Ok(loan))?;
+    }
+    Ok(())
+}
+
+/// Scales the velocities that are greater than the limit.
+fn limit(track: &mut Track, most_mps: f32) {
+    let factor = |vx_mps: f32, vy_mps: f32| (most_mps / vx_mps.hypot(vy_mps)).min(1.0);
+    for state in &mut track.history {
+        let factor = factor(state.vx_mps, state.vy_mps);
+        (state.vx_mps, state.vy_mps) = (state.vx_mps * factor, state.vy_mps * factor);
+    }
+    let factor = factor(track.vx_mps, track.vy_mps);
+    (track.vx_mps, track.vy_mps) = (track.vx_mps * factor, track.vy_mps * factor);
+    track.speed_mps = track.speed_mps.clamp(-most_mps, most_mps);
+}
+
+fn main() -> ExitCode {
+    stage_main(run)
+}
