@@ -155,6 +155,7 @@ fn told(replayed: &Replayed) -> String {
         tracks_are_recorded,
         without_detections,
         close_priors,
+        not_resumed,
         impossible,
     } = replayed;
     let mut text = table(comparison, ["recorded", "replayed"]);
@@ -174,6 +175,7 @@ fn told(replayed: &Replayed) -> String {
     for (what, ticks) in [
         ("replayed without their detections, which are not in the file", without_detections),
         ("whose prior came in at the very time", close_priors),
+        ("at which a new sampler went on with what is not in the file", not_resumed),
     ] {
         if !ticks.is_empty() {
             let listed: Vec<String> = ticks.iter().take(LISTED_MAX).map(ToString::to_string).collect();

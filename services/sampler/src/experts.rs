@@ -111,6 +111,10 @@ impl Experts {
         &self.evidence
     }
 
+    pub(crate) const fn evidence_mut(&mut self) -> &mut Evidence {
+        &mut self.evidence
+    }
+
     pub(crate) fn end_session(&mut self) {
         self.evidence.end_session();
     }

@@ -20,6 +20,7 @@ mod degradation;
 mod experts;
 mod guidance;
 mod held;
+pub mod journal;
 mod kinematic;
 mod learned;
 mod memory;

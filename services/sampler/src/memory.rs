@@ -1,14 +1,17 @@
-//! Files of a run's sampler: the retrieval memory that it begins with and saves at the end, and the lanes.
+//! Files of a run's sampler: the retrieval memory that it begins with and saves at the end, what outlives its process,
+//! and the lanes.
 
 use std::sync::Arc;
 
+use evidence::Evidence;
 use lanes::LaneMap;
 use model::ModelConfig;
 use nn::Weights;
-use ports::StageError;
+use ports::{KeptMemory, StageError};
 use retrieval::RetrievalMemory;
 use run::Run;
 
+use crate::journal::{Identity, Journal, Storage};
 use crate::settings::settings;
 use crate::{LanesOrigin, Options, STAGE, Sampler};
 
@@ -30,6 +33,51 @@ pub fn open(run: &Run, model: &ModelConfig) -> Result<Sampler, StageError> {
         sampler.warm_start(RetrievalMemory::load(&path, weights.sha256(), steps).map_err(StageError::data)?);
     }
     Ok(sampler)
+}
+
+/// Name of the file in the run's shared memory with what outlives the sampler's process.
+const KEPT: &str = "sampler_kept";
+
+/// The run's memory with what its sampler learns.
+pub(crate) struct Kept(KeptMemory);
+
+impl Storage for Kept {
+    fn bytes(&mut self) -> &mut [u8] {
+        self.0.bytes()
+    }
+
+    fn grow_to(&mut self, len: usize) -> Result<(), String> {
+        let Self(kept) = self;
+        kept.grow_to(len).map_err(|error| format!("{}: {error}", kept.path().display()))
+    }
+}
+
+/// Where the sampler's state is to be committed, once the process before is gone. The sampler goes on with what that
+/// one has left. None where nothing is to be kept: in lockstep no stage is started again.
+pub(crate) fn journal(run: &Run, sampler: &mut Sampler, incarnation: u32) -> Option<Journal<Kept>> {
+    let identity = Identity::of(run.id, sampler.options()).filter(|_| !run.lockstep)?;
+    let opened = KeptMemory::open(run, KEPT).map_err(|error| error.to_string()).and_then(|kept| {
+        let mut journal = Journal::over(Kept(kept), identity);
+        let why = match journal.resume(None).and_then(|resumed| resumed.map(|r| sampler.resume(r)).transpose()) {
+            Ok(Some(())) => {
+                let entries_len = sampler.memory().map_or(0, RetrievalMemory::entries_len);
+                let matured_len = sampler.evidence().map_or(0.0, Evidence::matured_len);
+                eprintln!(
+                    "restarted: goes on with {entries_len} entries of the retrieval memory and the evidence of \
+                     {matured_len:.0} forecasts, as of tick {}",
+                    sampler.resumed_ticks().saturating_sub(1)
+                );
+                return Ok(journal);
+            }
+            Ok(None) => "nothing was kept",
+            Err(why) => why,
+        };
+        if incarnation > 0 {
+            eprintln!("restarted: retrieval memory and evidence begin anew; what was kept is no use: {why}");
+        }
+        journal.clear().map(|()| journal)
+    });
+    opened.map_err(|why| eprintln!("a restart will begin without retrieval memory and evidence: {why}")).ok()
 }
 
 /// Saves the sampler's memory to the file that the run's options name, if they do, for later runs to start

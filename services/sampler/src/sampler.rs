@@ -13,6 +13,7 @@ use wire::{
 use crate::experts::{Experts, Spread};
 use crate::guidance::Guidance;
 use crate::held::HeldForecasts;
+use crate::journal::{Journal, Resumed, Storage};
 use crate::learned::LearnedControls;
 use crate::motion::{certain_motion, with_track_covariance};
 use crate::{Level, Propagation, SamplerOptions, kinematic};
@@ -31,6 +32,7 @@ pub struct Sampler {
     guidance: Option<Guidance>,
     /// When an agent had a learned forecast last or, before the first, the time of the first tick.
     newest_learned_ns: Option<i64>,
+    resumed_ticks: u64,
     /// Scratch: the changes of the agent in hand.
     changes: ControlChanges,
 }
@@ -71,6 +73,7 @@ impl Sampler {
             experts: None,
             guidance: None,
             newest_learned_ns: None,
+            resumed_ticks: 0,
             changes,
         }
     }
@@ -112,6 +115,44 @@ impl Sampler {
             self.held.keep(stamp_ns, forecast);
             self.newest_learned_ns = self.newest_learned_ns.max(Some(stamp_ns));
         }
+    }
+
+    /// Its settings.
+    #[must_use]
+    pub const fn options(&self) -> &SamplerOptions {
+        &self.options
+    }
+
+    /// Commits what was learned of the ticks that lie behind.
+    ///
+    /// # Errors
+    /// As [`Journal::commit`].
+    pub fn commit<S: Storage>(&mut self, ticks: u64, journal: &mut Journal<S>) -> Result<(), String> {
+        let memory = self.retrieval.as_ref().map(Retrieval::memory);
+        journal.commit(ticks, memory, self.experts.as_mut().map(Experts::evidence_mut))
+    }
+
+    /// Goes on with what an earlier process of the run's sampler has learned, as if all agents were new.
+    ///
+    /// # Errors
+    /// What is impossible in it; then nothing has changed.
+    pub fn resume(&mut self, resumed: Resumed) -> Result<(), &'static str> {
+        if let Some(numbers) = resumed.evidence {
+            let mut experts = Experts::new(self.options.horizon_len, resumed.step_ns, &self.prior);
+            experts.evidence_mut().resume(&numbers)?;
+            self.experts = Some(experts);
+        }
+        if let Some(memory) = resumed.memory {
+            self.retrieval = Some(Retrieval::new(memory));
+        }
+        self.resumed_ticks = resumed.ticks;
+        Ok(())
+    }
+
+    /// Ticks that lay behind what it has resumed; 0 where it has not.
+    #[must_use]
+    pub fn resumed_ticks(&self) -> u32 {
+        u32::try_from(self.resumed_ticks).unwrap_or(0)
     }
 
     /// The retrieval memory; none where nothing is to be retrieved, or no tick came yet.

@@ -5,6 +5,7 @@ use ports::{Awaited, Loan, PortError, Publisher, Stage, StageError};
 use run::Run;
 use wire::{Cause, ControlsTopic, ForecastsTopic, Topic, TracksTopic, flags};
 
+use crate::memory::journal;
 pub use crate::memory::{open, save_memory};
 use crate::{STAGE, Sampler};
 
@@ -30,9 +31,7 @@ fn follow(run: &Run, model: &ModelConfig, sampler: &mut Sampler) -> Result<(), S
     let controls = stage.subscribe::<ControlsTopic>()?;
     let output = stage.publish_after::<ForecastsTopic>(|header, sent| sampler.follow(header, sent))?;
     // Of a spare: from now on.
-    if stage.incarnation() > 0 && sampler.memory().is_none() {
-        eprintln!("restarted: retrieval memory and evidence begin empty");
-    }
+    let mut journal = journal(run, sampler, stage.incarnation());
 
     loop {
         let input = match stage.next_until(&tracks, &output, None)? {
@@ -75,6 +74,7 @@ fn follow(run: &Run, model: &ModelConfig, sampler: &mut Sampler) -> Result<(), S
         passage.header = header.with_hops_of(&passage.header);
         passage.header.counts.horizon_len = model.horizon_len as u32;
         passage.header.counts.modes_len = model.modes as u32;
+        passage.header.resumed_ticks = sampler.resumed_ticks();
         let result = match written {
             Ok(written) if written < input.len() => {
                 passage.header.counts.agents_len = written as u32;
@@ -84,6 +84,12 @@ fn follow(run: &Run, model: &ModelConfig, sampler: &mut Sampler) -> Result<(), S
             written => written.map(|_| loan),
         };
         stage.finish(passage, &output, result)?;
+        if let Some(kept) = &mut journal
+            && let Err(why) = sampler.commit(header.seq + 1, kept)
+        {
+            eprintln!("what is learned is kept no more: {why}");
+            journal = None;
+        }
     }
     Ok(())
 }

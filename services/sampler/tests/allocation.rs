@@ -6,6 +6,7 @@ use std::sync::Arc;
 
 use bytemuck::Zeroable;
 use retrieval::RetrievalMemory;
+use sampler::journal::{Identity, Journal};
 use sampler::{Propagation, Sampler, SamplerOptions};
 use testing::{CountingAllocator, allocations};
 use wire::{AgentControls, Cause, ControlGaussian, Forecast, Header, HistoryState, Track};
@@ -49,6 +50,9 @@ fn a_thousand_steady_steps_allocate_nothing() {
     for (propagation, retrieval, evidence, guided) in kinds {
         let options = SamplerOptions { propagation, retrieval, evidence, ..SamplerOptions::default() };
         let mut sampler = Sampler::new(options);
+        let mut journal =
+            Identity::of(1, &options).map(|identity| Journal::over(Vec::with_capacity(1 << 19), identity));
+        journal.iter_mut().for_each(|journal| journal.clear().expect("memory"));
         if guided {
             sampler.guide_along(Arc::new(road::road()));
         }
@@ -64,6 +68,9 @@ fn a_thousand_steady_steps_allocate_nothing() {
                 _ => sampler.learned(&header, &tracks, &controls[..30], &mut out),
             };
             written.expect("a good frame");
+            if let Some(journal) = &mut journal {
+                sampler.commit(tick + 1, journal).expect("room was set aside");
+            }
             assert!(out.iter().all(|forecast| forecast.modes_len > 0));
         };
         (0..50).for_each(&mut step);

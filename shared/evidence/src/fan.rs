@@ -89,6 +89,12 @@ impl LearnedPattern {
         point.iter_mut().zip(residual.as_flattened()).for_each(|(at, &to)| *at += share * (to - *at));
     }
 
+    /// Gives `each` all numbers that were learned, to read or to change.
+    pub(crate) fn numbers(&mut self, each: &mut impl FnMut(&mut f32)) {
+        self.points.as_flattened_mut().as_flattened_mut().iter_mut().for_each(&mut *each);
+        self.nearest.iter_mut().for_each(each);
+    }
+
     pub(crate) const fn points(&self) -> &[[[f32; 2]; KNOTS]; MODES_MAX] {
         &self.points
     }

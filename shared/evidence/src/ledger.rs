@@ -1,5 +1,7 @@
 //! The forecasts that have not matured, and what the matured ones add up to.
 
+pub(crate) mod numbers;
+
 use std::collections::{HashMap, VecDeque, hash_map};
 
 use wire::{AGENTS_MAX, AgentType, EXPERTS_MAX, Expert, HORIZON_MAX, MODES_MAX};
@@ -685,6 +687,29 @@ mod tests {
     fn agents_that_keep_to_the_blend_have_a_narrow_fan() {
         let [along_m, across_m] = drive(200, 1.0, 0.5).fan(&AGENT).steps_m[11];
         assert!(along_m < 2.0 && across_m < 1.0, "{along_m} {across_m}");
+    }
+
+    #[test]
+    fn what_is_learned_is_the_same_by_its_numbers() {
+        let mut evidence = drive(60, 1.5, 0.95);
+        let mut numbers = vec![0.0; crate::NUMBERS_LEN];
+        evidence.write_numbers(&mut numbers);
+        let mut other = Evidence::new(12, STEP_NS as u64, &Prior::default());
+        assert_eq!(other.resume(&numbers[1..]), Err("number of the sums"));
+        assert_eq!(other.resume(&numbers), Ok(()));
+        let learned = |evidence: &Evidence| {
+            let (agent_type, speed_mps) = (AGENT.agent_type, AGENT.speed_mps);
+            let widths = evidence.widths(agent_type, speed_mps);
+            (evidence.weights(agent_type, speed_mps), widths, evidence.fan(&AGENT), evidence.mode_set(&AGENT))
+        };
+        assert_eq!(learned(&other), learned(&evidence));
+        assert_eq!((other.matured_len(), other.now_ns), (evidence.matured_len(), evidence.now_ns));
+        assert!(other.matured_len() > 40.0 && other.traces.is_empty());
+        let mut again = vec![0.0; crate::NUMBERS_LEN];
+        other.write_numbers(&mut again);
+        assert!(numbers.iter().map(|n| n.to_bits()).eq(again.iter().map(|n| n.to_bits())));
+        numbers[40] = f64::NAN;
+        assert!(other.resume(&numbers).is_err() && other.matured_len() > 40.0);
     }
 
     #[test]

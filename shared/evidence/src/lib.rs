@@ -61,6 +61,7 @@ mod width;
 pub use blend::Statistics;
 pub use context::{BANDS, Context, SPEEDS_MPS};
 pub use fan::{FAN, Fan, Pattern};
+pub use ledger::numbers::NUMBERS_LEN;
 pub use ledger::{Agent, Evidence, Matured, Mixture, ModeSet};
 pub use paths::{MotionNow, Paths};
 pub use prior::{ContextPrior, Prior, PriorError, Priors};

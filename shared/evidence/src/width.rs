@@ -32,6 +32,9 @@ pub(crate) struct Widths {
 }
 
 impl Widths {
+    /// Numbers that are learned.
+    pub(crate) const NUMBERS_LEN: usize = BINS + 4;
+
     /// No radius yet; regions begin with `factor` times their own width.
     pub(crate) fn new(factor: f32) -> Self {
         let log = factor.max(f32::MIN_POSITIVE).ln().clamp(RANGE[0], RANGE[1]);
@@ -71,6 +74,13 @@ impl Widths {
         self.len *= factor;
     }
 
+    /// Gives `each` all numbers that were learned, to read or to change.
+    pub(crate) fn numbers(&mut self, each: &mut impl FnMut(&mut f64)) {
+        let Self { bins, len, log, correction, rate } = self;
+        bins.iter_mut().chain([len, correction, rate]).for_each(&mut *each);
+        single(log, each);
+    }
+
     /// Logarithm of the factor.
     pub(crate) const fn log(&self) -> f32 {
         self.log
@@ -87,6 +97,13 @@ impl Widths {
         }
         RANGE[1]
     }
+}
+
+/// Gives `each` a number of single precision; as it was read, it is the same again.
+pub(crate) fn single(number: &mut f32, each: &mut impl FnMut(&mut f64)) {
+    let mut double = f64::from(*number);
+    each(&mut double);
+    *number = double as f32;
 }
 
 fn log_of(edge: usize) -> f32 {

@@ -14,7 +14,7 @@ use rustix::fs::{FlockOperation, Mode, OFlags, StatVfs, flock, fstat, open, stat
 use thiserror::Error;
 
 /// Where POSIX shared memory shows as files.
-const SHARED_MEMORY: &str = "/dev/shm";
+pub(crate) const SHARED_MEMORY: &str = "/dev/shm";
 /// Where the runs' directories lie. Not `TMPDIR`: a socket's path must stay under 108 bytes, and
 /// `stgdat clean` must find the directories of runs that were started with another one.
 const ROOTS: &str = "/tmp";

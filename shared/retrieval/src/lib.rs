@@ -75,14 +75,16 @@ mod memory;
 mod residuals;
 mod retrieval;
 mod selection;
+mod stored;
 
 pub use controls::{ControlAdapter, ControlChanges, ForecastControls};
 pub use file::MemoryError;
 pub use key::{BicycleKey, DisplacementKey, Key};
-pub use memory::{Neighbour, Query, RetrievalMemory, Retrieved};
+pub use memory::{CHANGED_MAX, Neighbour, Query, RetrievalMemory, Retrieved};
 pub use residuals::{ControlChange, Residuals};
 pub use retrieval::Retrieval;
 pub use selection::ModeSelection;
+pub use stored::{StoredEntry, StoredState};
 
 /// Most neighbours that are retrieved individually: the most similar ones.
 pub const RETRIEVED_MAX: usize = 64;

@@ -22,6 +22,8 @@ const SIMILARITY_MIN: f32 = 0.01;
 const GAP_STEPS: f64 = 2.0;
 /// Most agents that are followed at a time; of others nothing is stored.
 const TRACES_MAX: usize = 4 * AGENTS_MAX;
+/// Most entries that change from one observation to the next: those that the agents of a frame fill, and theirs.
+pub const CHANGED_MAX: usize = AGENTS_MAX * (HORIZON_MAX + 2);
 
 /// The value of an entry.
 #[derive(Clone, Debug)]
@@ -72,7 +74,7 @@ pub struct RetrievalMemory {
     /// The keys of the values.
     pub(crate) keys: VecDeque<IndexedKey>,
     /// Number of the oldest entry.
-    oldest: u64,
+    pub(crate) oldest: u64,
     /// Numbers of the newest entries.
     pub(crate) buckets: HashMap<Bucket, u64>,
     traces: HashMap<u64, Trace>,
@@ -81,8 +83,10 @@ pub struct RetrievalMemory {
     /// By kind of motion.
     pub(crate) shrinkage: [Shrinkage; 2],
     /// Number of the session: sessions that have ended.
-    session: u64,
-    now_ns: i64,
+    pub(crate) session: u64,
+    pub(crate) now_ns: i64,
+    /// Numbers of the entries that have changed since the last observation began.
+    pub(crate) changed: Vec<u64>,
 }
 
 /// An agent for which residuals are retrieved.
@@ -176,6 +180,7 @@ impl RetrievalMemory {
             shrinkage: Default::default(),
             session: 0,
             now_ns: i64::MIN,
+            changed: Vec::with_capacity(CHANGED_MAX),
         }
     }
 
@@ -200,6 +205,7 @@ impl RetrievalMemory {
             return false;
         }
         self.now_ns = now_ns;
+        self.changed.clear();
         let gap_ns = (self.step_ns as f64 * GAP_STEPS) as i64;
         self.keep_traces(|trace| now_ns.saturating_sub(trace.stamp_ns) <= gap_ns);
         agents.into_iter().for_each(|(agent, position_m)| self.observe_one(agent, position_m));
@@ -218,16 +224,17 @@ impl RetrievalMemory {
         let (since_ns, from_m) = (trace.stamp_ns, trace.position_m);
         (trace.stamp_ns, trace.position_m) = (now_ns, position_m);
         let (oldest, step_ns, horizon_len) = (self.oldest, self.step_ns, self.horizon_len);
-        let (values, shrinkage) = (&mut self.values, &mut self.shrinkage);
+        let (values, shrinkage, changed) = (&mut self.values, &mut self.shrinkage, &mut self.changed);
         trace.pending.retain_mut(|pending| {
             let place = pending.number.checked_sub(oldest).map(|place| place as usize);
             let Some(value) = place.and_then(|place| values.get_mut(place)) else { return false };
-            let Pending { stamp_ns, kind, forecast, taken, predicted, .. } = pending;
+            let Pending { number, stamp_ns, kind, forecast, taken, predicted } = pending;
+            let taken_before = value.taken_len;
             while value.taken_len < horizon_len {
                 let step = value.taken_len;
                 let due_ns = stamp_ns.saturating_add(step_ns.saturating_mul(step as i64 + 1));
                 if due_ns > now_ns {
-                    return true;
+                    break;
                 }
                 let share = (due_ns - since_ns) as f32 / (now_ns - since_ns).max(1) as f32;
                 taken.push([0, 1].map(|axis| from_m[axis] + share * (position_m[axis] - from_m[axis])));
@@ -240,7 +247,10 @@ impl RetrievalMemory {
                     }
                 }
             }
-            false
+            if value.taken_len > taken_before {
+                changed.push(*number);
+            }
+            value.taken_len < horizon_len
         });
     }
 
@@ -296,8 +306,11 @@ impl RetrievalMemory {
         let taken = StepPath::new(key.position_m());
         let mut forecast = taken.clone();
         forecast_m.iter().take(self.horizon_len).for_each(|&position_m| forecast.push(position_m));
+        // With the oldest one dropped, the numbers go on all the same.
+        let number = self.oldest + self.values.len() as u64;
+        self.changed.push(number);
         trace.pending.push_back(Pending {
-            number: self.oldest + self.values.len() as u64,
+            number,
             stamp_ns,
             kind: key.kind(),
             forecast,

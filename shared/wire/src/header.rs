@@ -132,8 +132,9 @@ record! {
         144 => hops: [Hop; HOPS_MAX],
         /// Agents of which the forecasts say nothing, by the policy of degradation.
         624 => silent_len: u32,
-        /// Zero.
-        628 => reserved: [u8; 4],
+        /// Of forecasts whose sampler was restarted: how many ticks its retrieval memory and its evidence had behind
+        /// them when it began with them; 0 where it began without.
+        628 => resumed_ticks: u32,
         /// Time between the stamp of the newest forecasts that the tracker has and this frame's; 0 where it has
         /// none, or does not tell. Their cost and [`Track::learned_age_ns`](crate::Track::learned_age_ns) are
         /// told with it, for the choice of what the tick has time for.

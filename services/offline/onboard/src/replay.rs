@@ -78,6 +78,8 @@ pub struct Replayed {
     pub without_detections: Vec<u64>,
     /// Ticks whose prior came in while the tracker began: either may have been at hand.
     pub close_priors: Vec<u64>,
+    /// Ticks at which a restarted sampler went on with a state that the replay does not have.
+    pub not_resumed: Vec<u64>,
     /// The first frame that no stage can have taken: a fault that was injected, or a faulty sender.
     pub impossible: Option<FrameError>,
 }
@@ -202,8 +204,9 @@ impl<'a> Replay<'a> {
             // A tick that the run's sampler had not answered.
             (_, None) if self.recording.has_topic(ForecastsTopic::NAME) => None,
             (Some(tracks), recorded) if samples_here => {
-                if let Some(recorded) = recorded {
-                    self.renew(StageId::Sampler, recorded.header.incarnation)?;
+                // What is passed on as VOID leaves no trace in the sampler, and does not tell what it began with.
+                if let Some(recorded) = recorded.as_ref().filter(|f| !f.header.has(flags::VOID)) {
+                    self.renew_sampler(seq, &recorded.header)?;
                 }
                 // The hops say whether the controls had come.
                 let came = recorded.as_ref().is_none_or(|f| f.header.hop(StageId::Decoder).is_some());
@@ -382,6 +385,16 @@ impl<'a> Replay<'a> {
         let before = self.incarnations.insert(stage, incarnation).unwrap_or(0);
         if before != incarnation {
             self.stages.renew(stage, incarnation)?;
+        }
+        Ok(())
+    }
+
+    /// A new sampler goes on with what the one before had learned up to the tick that it tells.
+    fn renew_sampler(&mut self, seq: u64, header: &Header) -> Result<(), ReplayError> {
+        let before = self.incarnations.get(&StageId::Sampler).copied().unwrap_or(0);
+        self.renew(StageId::Sampler, header.incarnation)?;
+        if before != header.incarnation && !self.stages.resume_sampler(header.resumed_ticks) {
+            self.found.not_resumed.push(seq);
         }
         Ok(())
     }

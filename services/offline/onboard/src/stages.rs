@@ -5,7 +5,8 @@ use extractor::Extractor;
 use localiser::Localiser;
 use nn::{ModelConfig, Weights};
 use run::Run;
-use sampler::Sampler;
+use sampler::journal::{Identity, Journal};
+use sampler::{Sampler, SamplerOptions};
 use tracker::Tracker;
 use wire::{
     AGENTS_MAX, AgentControls, AgentEncoding, Cause, Context, ContextMut, ContextShape, ContextTopic,
@@ -50,6 +51,8 @@ pub struct Stages {
     encoder: Encoder,
     decoder: Decoder,
     sampler: Sampler,
+    /// What outlives the sampler; none where its run kept nothing.
+    journal: Option<Journal<Vec<u64>>>,
     tracks: Vec<Track>,
 }
 
@@ -60,13 +63,16 @@ impl Stages {
     /// [`ChainError`] where weights, options, map or retrieval memory can't be used.
     pub fn new(run: &Run, weights: Weights) -> Result<Self, ChainError> {
         let model = weights.config().clone();
+        let sampler = sampler::stage::open(run, &model)?;
+        let journal = journal(run, sampler.options());
         Ok(Self {
             tracker: Tracker::new(tracker::stage::settings(run, &model)?),
             localiser: Localiser::new(localiser::stage::settings(run, &model)?),
             extractor: Extractor::new(&weights, extractor::stage::settings(run)?)?,
             encoder: Encoder::new(&weights, encoder::stage::settings(run)?)?,
             decoder: Decoder::new(&weights, decoder::stage::settings(run)?)?,
-            sampler: sampler::stage::open(run, &model)?,
+            sampler,
+            journal,
             tracks: vec![Track::zeroed(); AGENTS_MAX],
             run: run.clone(),
             model,
@@ -93,6 +99,20 @@ impl Stages {
             _ => {}
         }
         Ok(())
+    }
+
+    /// Lets a new sampler go on with what the one before had learned when so many ticks lay behind it, or with nothing
+    /// where 0; whether that is known.
+    pub fn resume_sampler(&mut self, ticks: u32) -> bool {
+        let Some(journal) = &mut self.journal else { return ticks == 0 };
+        let resumed = match ticks {
+            0 => None,
+            _ => journal.resume(Some(ticks.into())).ok().flatten(),
+        };
+        if let Some(resumed) = resumed {
+            return self.sampler.resume(resumed).is_ok();
+        }
+        journal.clear().is_ok() && ticks == 0
     }
 
     /// The tracker's answer to detections, with the forecasts that were at hand.
@@ -218,7 +238,13 @@ impl Stages {
             Ok(written) => Ok(written),
             Err(cause) => self.sampler.fallback(&header, tracks, cause, &mut elements),
         };
+        if let Some(journal) = &mut self.journal
+            && self.sampler.commit(header.seq + 1, journal).is_err()
+        {
+            self.journal = None;
+        }
         let tracks_header = header;
+        header.resumed_ticks = self.sampler.resumed_ticks();
         (header.counts.horizon_len, header.counts.modes_len) = self.lens();
         match written {
             Ok(written) => {
@@ -237,6 +263,13 @@ impl Stages {
     fn lens(&self) -> (u32, u32) {
         (self.model.horizon_len as u32, self.model.modes as u32)
     }
+}
+
+/// Where the sampler's state is kept, as its process keeps it.
+fn journal(run: &Run, options: &SamplerOptions) -> Option<Journal<Vec<u64>>> {
+    let identity = Identity::of(run.id, options).filter(|_| !run.lockstep)?;
+    let mut journal = Journal::over(Vec::new(), identity);
+    journal.clear().is_ok().then_some(journal)
 }
 
 /// A stage's output, or what it sends on where it refuses the tick.

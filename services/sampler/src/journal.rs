@@ -1,0 +1,350 @@
+//! What the sampler has learned, in memory that outlives its process: the retrieval memory and the evidence.
+//!
+//! After each tick the sampler *commits* it as a *record*: all that is small, and the entries of the retrieval memory
+//! that the tick has changed. Two records lie side by side and are written in turn, each with a check value as its
+//! *commit mark*, so that a process that is killed in the middle of one leaves the other. A record's entries are
+//! copied to their *slots*, a ring for all entries, only when the next commit begins, and always before they are
+//! overwritten: slots and the newest whole record together are the state of exactly one tick, and with the other
+//! whole record that of the tick before. Copying twice what was copied half changes nothing.
+//!
+//! Forecasts that wait for their truth are not kept: what a path has taken until the tick stays, and no more is added.
+
+use std::mem::size_of;
+use std::sync::atomic::{Ordering, compiler_fence};
+
+use bytemuck::{Pod, Zeroable, bytes_of, cast_slice, cast_slice_mut, from_bytes, from_bytes_mut};
+use crc_fast::{CrcAlgorithm, Digest};
+use evidence::{Evidence, NUMBERS_LEN};
+use retrieval::{CHANGED_MAX, RetrievalMemory, StoredEntry, StoredState};
+
+use crate::SamplerOptions;
+
+/// First bytes, and the version of what follows.
+const MAGIC: [u8; 8] = *b"stgdatJ1";
+const RECORDS_AT: usize = 4096;
+/// A record with as many changed entries as there can be.
+const RECORD_BYTES: usize =
+    (size_of::<Record>() + NUMBERS_LEN * size_of::<f64>() + CHANGED_MAX * size_of::<StoredEntry>())
+        .next_multiple_of(4096);
+const SLOTS_AT: usize = RECORDS_AT + 2 * RECORD_BYTES;
+/// By so many slots the memory grows, ahead of need: about a MiB.
+const GROWTH_SLOTS: usize = 8192;
+
+/// Bytes that outlive who writes them.
+pub trait Storage {
+    /// All of them, on an address that suits numbers of 64 bits.
+    fn bytes(&mut self) -> &mut [u8];
+
+    /// Adds zeros up to this length.
+    ///
+    /// # Errors
+    /// Why there is no room.
+    fn grow_to(&mut self, len: usize) -> Result<(), String>;
+}
+
+/// Of this process alone.
+impl Storage for Vec<u64> {
+    fn bytes(&mut self) -> &mut [u8] {
+        cast_slice_mut(self)
+    }
+
+    fn grow_to(&mut self, len: usize) -> Result<(), String> {
+        let len = len.div_ceil(size_of::<u64>()).max(self.len());
+        self.resize(len, 0);
+        Ok(())
+    }
+}
+
+/// Whose state it is: that of others is refused.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Pod, Zeroable)]
+#[repr(C)]
+pub struct Identity {
+    /// Number of the run.
+    run_id: u64,
+    /// Steps of a forecast.
+    horizon_len: u32,
+    /// What there is: bits of [`MEMORY`] and [`EVIDENCE`].
+    parts: u32,
+}
+
+#[derive(Clone, Copy, PartialEq, Eq, Pod, Zeroable)]
+#[repr(C)]
+struct Head {
+    magic: [u8; 8],
+    identity: Identity,
+    check: u64,
+}
+
+/// What a record begins with; the numbers of the evidence and the entries follow.
+#[derive(Clone, Copy, Pod, Zeroable)]
+#[repr(C)]
+struct Record {
+    check: u64,
+    /// Counts the records.
+    generation: u64,
+    /// Ticks of the run that lie behind the state.
+    ticks: u64,
+    /// Spacing of the forecasts' steps.
+    step_ns: u64,
+    /// As in [`Identity::parts`].
+    parts: u64,
+    entries_len: u64,
+    memory: StoredState,
+}
+
+#[derive(Clone, Copy, Pod, Zeroable)]
+#[repr(C)]
+struct Slot {
+    entry: StoredEntry,
+    check: u64,
+}
+
+/// What was kept of a sampler.
+pub struct Resumed {
+    /// Ticks of the run that lie behind it.
+    pub ticks: u64,
+    pub(crate) step_ns: u64,
+    pub(crate) memory: Option<RetrievalMemory>,
+    pub(crate) evidence: Option<Vec<f64>>,
+}
+
+/// Memory with the state of one sampler.
+pub struct Journal<S> {
+    storage: S,
+    identity: Identity,
+    /// Of the newest record; 0 before the first.
+    generation: u64,
+}
+
+impl<S: Storage> Journal<S> {
+    /// The one that lies in the memory, or is to lie there: [`Journal::resume`] or [`Journal::clear`] comes next.
+    pub const fn over(storage: S, identity: Identity) -> Self {
+        Self { storage, identity, generation: 0 }
+    }
+
+    /// Empties the memory, and sets room aside for what is to come next.
+    ///
+    /// # Errors
+    /// Why there is no room.
+    pub fn clear(&mut self) -> Result<(), String> {
+        self.storage.grow_to(SLOTS_AT + GROWTH_SLOTS * size_of::<Slot>())?;
+        self.generation = 0;
+        let bytes = self.storage.bytes();
+        for generation in [1, 2] {
+            record(bytes, generation)[..size_of::<Record>()].fill(0);
+        }
+        bytes[..size_of::<Head>()].copy_from_slice(bytes_of(&Head::new(self.identity)));
+        Ok(())
+    }
+
+    /// The memory.
+    pub fn into_storage(self) -> S {
+        self.storage
+    }
+
+    /// The newest state, or that of so many `ticks` where they are given; none where there is no such.
+    ///
+    /// # Errors
+    /// Why what lies there can't be used.
+    pub fn resume(&mut self, ticks: Option<u64>) -> Result<Option<Resumed>, &'static str> {
+        let bytes = self.storage.bytes();
+        if bytes.is_empty() {
+            return Ok(None);
+        }
+        let head = bytes.get(..size_of::<Head>()).filter(|_| bytes.len() >= SLOTS_AT);
+        let head: Head = *from_bytes(head.ok_or("of another version")?);
+        match head {
+            Head { magic, .. } if magic != MAGIC => return Err("of another version"),
+            head if head != Head::new(head.identity) => return Err("damaged"),
+            Head { identity: Identity { run_id, .. }, .. } if run_id != self.identity.run_id => {
+                return Err("of another run");
+            }
+            Head { identity, .. } if identity != self.identity => {
+                return Err("of a sampler with other options");
+            }
+            _ => {}
+        }
+        let mut whole: Vec<Record> = [1, 2].into_iter().filter_map(|place| whole(bytes, place)).collect();
+        whole.sort_by_key(|record| record.generation);
+        if let [older, newer] = whole[..]
+            && newer.generation != older.generation + 1
+        {
+            return Err("damaged");
+        }
+        let newest = whole.iter().rposition(|record| ticks.is_none_or(|ticks| record.ticks == ticks));
+        let Some(newest) = newest else { return Ok(None) };
+        for record in &whole[..=newest] {
+            self.generation = record.generation;
+            self.copy_to_slots().map_err(|_| "too short")?;
+        }
+        self.read(&whole[newest]).map(Some)
+    }
+
+    /// Commits the state after a tick: `ticks` lie behind it.
+    ///
+    /// # Errors
+    /// Why there is no room; then nothing is kept any more, and nothing more is to be committed.
+    pub fn commit(
+        &mut self,
+        ticks: u64,
+        memory: Option<&RetrievalMemory>,
+        evidence: Option<&mut Evidence>,
+    ) -> Result<(), String> {
+        let committed = self.try_commit(ticks, memory, evidence);
+        if committed.is_err() {
+            self.storage.bytes()[..size_of::<Head>()].fill(0);
+        }
+        committed
+    }
+
+    fn try_commit(
+        &mut self,
+        ticks: u64,
+        memory: Option<&RetrievalMemory>,
+        evidence: Option<&mut Evidence>,
+    ) -> Result<(), String> {
+        match memory {
+            _ if self.generation > 0 => self.copy_to_slots()?,
+            // What it began with was never changed.
+            Some(memory) => {
+                let StoredState { oldest, next, .. } = memory.state();
+                (oldest..next).filter_map(|number| memory.entry(number)).try_for_each(|e| self.put(e))?;
+            }
+            None => {}
+        }
+        // The slots first, then the record that nobody needs any more.
+        compiler_fence(Ordering::SeqCst);
+        let generation = self.generation + 1;
+        let record = record(self.storage.bytes(), generation);
+        let (head, numbers, entries) = parts(record);
+        *head = Record { generation, ticks, parts: 0, entries_len: 0, ..Record::zeroed() };
+        if let Some(evidence) = evidence {
+            head.parts |= EVIDENCE;
+            head.step_ns = evidence.step_ns();
+            evidence.write_numbers(numbers);
+        }
+        if let Some(memory) = memory {
+            head.parts |= MEMORY;
+            head.memory = memory.state();
+            let changed = memory.changed().filter_map(|number| memory.entry(number));
+            for entry in changed {
+                let place = entries.get_mut(head.entries_len as usize);
+                *place.ok_or_else(|| format!("more than {CHANGED_MAX} entries in a tick"))? = entry;
+                head.entries_len += 1;
+            }
+        }
+        head.check = check(head, numbers, &entries[..head.entries_len as usize]);
+        self.generation = generation;
+        Ok(())
+    }
+
+    /// Copies the entries of the newest record to their slots.
+    fn copy_to_slots(&mut self) -> Result<(), String> {
+        let (head, _, entries) = parts(record(self.storage.bytes(), self.generation));
+        let len = head.entries_len as usize;
+        let slot_end = entries[..len].iter().map(|entry| slot_at(entry.number) + size_of::<Slot>()).max();
+        self.reserve(slot_end.unwrap_or(SLOTS_AT))?;
+        let (records, slots) = self.storage.bytes().split_at_mut(SLOTS_AT);
+        let (.., entries) = parts(record(records, self.generation));
+        for entry in &entries[..len] {
+            let at = slot_at(entry.number) - SLOTS_AT;
+            slots[at..at + size_of::<Slot>()].copy_from_slice(bytes_of(&Slot::new(*entry)));
+        }
+        Ok(())
+    }
+
+    fn put(&mut self, entry: StoredEntry) -> Result<(), String> {
+        let at = slot_at(entry.number);
+        self.reserve(at + size_of::<Slot>())?;
+        self.storage.bytes()[at..at + size_of::<Slot>()].copy_from_slice(bytes_of(&Slot::new(entry)));
+        Ok(())
+    }
+
+    fn reserve(&mut self, len: usize) -> Result<(), String> {
+        let growth = GROWTH_SLOTS * size_of::<Slot>();
+        if len <= self.storage.bytes().len() {
+            return Ok(());
+        }
+        self.storage.grow_to(SLOTS_AT + (len - SLOTS_AT).next_multiple_of(growth))
+    }
+
+    /// The state of a record whose entries lie in their slots.
+    fn read(&mut self, head: &Record) -> Result<Resumed, &'static str> {
+        let bytes = self.storage.bytes();
+        let (_, numbers, _) = parts(record(bytes, head.generation));
+        let evidence = (head.parts & EVIDENCE != 0).then(|| numbers.to_vec());
+        let StoredState { oldest, next, .. } = head.memory;
+        let slot = |number: u64| {
+            let at = slot_at(number);
+            let slot: &Slot = from_bytes(bytes.get(at..at + size_of::<Slot>())?);
+            (slot.check == Slot::new(slot.entry).check).then_some(slot.entry)
+        };
+        let memory = match head.parts & MEMORY {
+            0 => None,
+            _ => Some(RetrievalMemory::of_stored(&head.memory, (oldest..next).map_while(slot))?),
+        };
+        Ok(Resumed { ticks: head.ticks, step_ns: head.step_ns, memory, evidence })
+    }
+}
+
+/// Bits of [`Record::parts`].
+const MEMORY: u64 = 1;
+const EVIDENCE: u64 = 2;
+
+impl Identity {
+    /// Of a run's sampler; none where it learns nothing.
+    #[must_use]
+    pub fn of(run_id: u64, options: &SamplerOptions) -> Option<Self> {
+        let parts = u64::from(options.retrieval) * MEMORY + u64::from(options.evidence) * EVIDENCE;
+        let horizon_len = options.horizon_len as u32;
+        (parts != 0).then_some(Self { run_id, horizon_len, parts: parts as u32 })
+    }
+}
+
+impl Head {
+    fn new(identity: Identity) -> Self {
+        let check = check_of(&[&MAGIC, bytes_of(&identity)]);
+        Self { magic: MAGIC, identity, check }
+    }
+}
+
+impl Slot {
+    fn new(entry: StoredEntry) -> Self {
+        Self { entry, check: check_of(&[bytes_of(&entry)]) }
+    }
+}
+
+fn slot_at(number: u64) -> usize {
+    SLOTS_AT + (number % RetrievalMemory::ENTRIES_MAX as u64) as usize * size_of::<Slot>()
+}
+
+/// The place of a record.
+fn record(bytes: &mut [u8], generation: u64) -> &mut [u8] {
+    &mut bytes[RECORDS_AT + (generation % 2) as usize * RECORD_BYTES..][..RECORD_BYTES]
+}
+
+/// Head, numbers and entries of a record's place.
+fn parts(record: &mut [u8]) -> (&mut Record, &mut [f64], &mut [StoredEntry]) {
+    let (head, rest) = record.split_at_mut(size_of::<Record>());
+    let (numbers, entries) = rest.split_at_mut(NUMBERS_LEN * size_of::<f64>());
+    let entries = &mut entries[..CHANGED_MAX * size_of::<StoredEntry>()];
+    (from_bytes_mut(head), cast_slice_mut(numbers), cast_slice_mut(entries))
+}
+
+/// The record at the place of a generation, where it is whole.
+fn whole(bytes: &mut [u8], place: u64) -> Option<Record> {
+    let (head, numbers, entries) = parts(record(bytes, place));
+    let entries = entries.get(..usize::try_from(head.entries_len).ok()?)?;
+    let is_whole = head.generation > 0 && head.generation % 2 == place % 2;
+    (is_whole && head.check == check(head, numbers, entries)).then_some(*head)
+}
+
+fn check(head: &Record, numbers: &[f64], entries: &[StoredEntry]) -> u64 {
+    check_of(&[&bytes_of(head)[size_of::<u64>()..], cast_slice(numbers), cast_slice(entries)])
+}
+
+fn check_of(parts: &[&[u8]]) -> u64 {
+    let mut digest = Digest::new(CrcAlgorithm::Crc64Xz);
+    parts.iter().for_each(|part| digest.update(part));
+    digest.finalize()
+}

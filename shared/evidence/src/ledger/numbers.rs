@@ -1,0 +1,93 @@
+//! What was learned as plain numbers, for memory that outlives the process.
+
+use wire::MODES_MAX;
+
+use super::{Evidence, Knowledge};
+use crate::width::{Widths, single};
+use crate::{BANDS, EXPERTS, KNOTS, Statistics};
+
+/// Numbers in which all that was learned is written.
+pub const NUMBERS_LEN: usize = 1 + 3 * BANDS * KNOWLEDGE_LEN;
+/// Those of one type at one speed: the sums of the blend, its weights, the widths, the squares, the nearest modes and the pattern.
+const KNOWLEDGE_LEN: usize = KNOTS * (EXPERTS * EXPERTS + EXPERTS + 1)
+    + KNOTS * EXPERTS
+    + KNOTS * Widths::NUMBERS_LEN
+    + KNOTS * 3
+    + 4
+    + MODES_MAX * (2 * KNOTS + 1);
+
+impl Evidence {
+    /// Spacing of the forecasts' steps.
+    #[must_use]
+    pub const fn step_ns(&self) -> u64 {
+        self.step_ns.unsigned_abs()
+    }
+
+    /// Writes what was learned so far as numbers, which [`Evidence::resume`] takes: the forecasts that have not
+    /// matured are left out. They begin with the newest time.
+    ///
+    /// # Panics
+    /// Where `out` has not [`NUMBERS_LEN`] places.
+    pub fn write_numbers(&mut self, out: &mut [f64]) {
+        assert_eq!(out.len(), NUMBERS_LEN, "a place per number");
+        let [time, out @ ..] = out else { return };
+        // Its bits: not all times are numbers of double precision.
+        *time = f64::from_bits(self.now_ns.cast_unsigned());
+        let mut places = out.iter_mut();
+        self.numbers(&mut |number| {
+            if let Some(place) = places.next() {
+                *place = *number;
+            }
+        });
+    }
+
+    /// Goes on with what was learned before, under the same prior, as if all agents were new.
+    ///
+    /// # Errors
+    /// Where they are no such numbers; then nothing was changed.
+    pub fn resume(&mut self, numbers: &[f64]) -> Result<(), &'static str> {
+        let (NUMBERS_LEN, [time, numbers @ ..]) = (numbers.len(), numbers) else {
+            return Err("number of the sums");
+        };
+        if !numbers.iter().all(|number| number.is_finite()) {
+            return Err("sums that are not finite");
+        }
+        self.end_session();
+        self.now_ns = time.to_bits().cast_signed();
+        let mut numbers = numbers.iter();
+        self.numbers(&mut |own| {
+            if let Some(number) = numbers.next() {
+                *own = *number;
+            }
+        });
+        Ok(())
+    }
+
+    fn numbers(&mut self, each: &mut impl FnMut(&mut f64)) {
+        self.known.as_flattened_mut().iter_mut().for_each(|knowledge| knowledge.numbers(each));
+    }
+
+    /// Forecasts that have matured, older ones counting less, without those that the prior counts for.
+    #[must_use]
+    pub fn matured_len(&self) -> f64 {
+        self.known.as_flattened().iter().map(|knowledge| knowledge.blend[KNOTS - 1].len).sum()
+    }
+}
+
+impl Knowledge {
+    /// Gives `each` all numbers that were learned, to read or to change.
+    fn numbers(&mut self, each: &mut impl FnMut(&mut f64)) {
+        for Statistics { products, targets, len } in &mut self.blend {
+            products.as_flattened_mut().iter_mut().chain(targets).chain([len]).for_each(&mut *each);
+        }
+        // They are those of the last forecast that matured: what fades meanwhile changes them only with the next.
+        self.weights.as_flattened_mut().iter_mut().for_each(|weight| single(weight, each));
+        self.widths.iter_mut().for_each(|widths| widths.numbers(each));
+        for (squares, len) in &mut self.squares {
+            squares.iter_mut().chain([len]).for_each(&mut *each);
+        }
+        let (nearest, len) = &mut self.nearest;
+        nearest.iter_mut().chain([len]).for_each(&mut *each);
+        self.pattern.numbers(&mut |number| single(number, each));
+    }
+}

@@ -1,0 +1,122 @@
+//! Memory that outlives its process: a file of the run in shared memory, mapped.
+//!
+//! What a process has written stays there when it is killed, and the one that takes its place finds it. The run's end
+//! removes the file, and so does `stgdat clean`. Every page is set aside before it is mapped: full shared memory is an
+//! error here, and no signal in the middle of a tick.
+#![expect(unsafe_code, reason = "maps a file, and lends what is mapped as bytes")]
+
+use std::fs::File;
+use std::io;
+use std::path::{Path, PathBuf};
+use std::ptr::NonNull;
+
+use run::Run;
+use rustix::fs::{FallocateFlags, FlockOperation, Mode, OFlags, fallocate, flock, fstat, open};
+use rustix::mm::{MapFlags, ProtFlags, mmap, munmap};
+
+use crate::space::SHARED_MEMORY;
+
+/// A file of the run in shared memory, for one process at a time.
+#[derive(Debug)]
+pub struct KeptMemory {
+    path: PathBuf,
+    /// Locked for as long as this process lives.
+    file: File,
+    /// None while the file is empty.
+    mapped: Option<(NonNull<u8>, usize)>,
+}
+
+impl KeptMemory {
+    /// Opens the run's file of that name with what an earlier process has left in it; empty where there is none.
+    ///
+    /// # Errors
+    /// Where the file can't be made or mapped, or another process has it open.
+    pub fn open(run: &Run, name: &str) -> io::Result<Self> {
+        let path = Path::new(SHARED_MEMORY).join(format!("{}{name}", run.prefix));
+        let flags = OFlags::RDWR | OFlags::CREATE | OFlags::CLOEXEC | OFlags::NOFOLLOW;
+        let file = open(&path, flags, Mode::RUSR | Mode::WUSR)?;
+        flock(&file, FlockOperation::NonBlockingLockExclusive)?;
+        let len = usize::try_from(fstat(&file)?.st_size).unwrap_or(0);
+        let mut kept = Self { path, file: file.into(), mapped: None };
+        kept.map(len)?;
+        Ok(kept)
+    }
+
+    /// The file.
+    #[must_use]
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// What is in it.
+    pub fn bytes(&mut self) -> &mut [u8] {
+        let Some((start, len)) = self.mapped else { return &mut [] };
+        // SAFETY: the mapping has that length and lives until `self` is dropped or mapped anew; the lock keeps other
+        // processes from writing, and every byte is a valid u8.
+        unsafe { std::slice::from_raw_parts_mut(start.as_ptr(), len) }
+    }
+
+    /// Makes the file longer, with zeros; a file that is as long already stays as it is.
+    ///
+    /// # Errors
+    /// Where shared memory is full; then nothing has changed.
+    pub fn grow_to(&mut self, len: usize) -> io::Result<()> {
+        let before = self.mapped.map_or(0, |(_, len)| len);
+        if len <= before {
+            return Ok(());
+        }
+        fallocate(&self.file, FallocateFlags::empty(), before as u64, (len - before) as u64)?;
+        self.map(len)
+    }
+
+    fn map(&mut self, len: usize) -> io::Result<()> {
+        if len == 0 {
+            return Ok(());
+        }
+        let (access, how) = (ProtFlags::READ | ProtFlags::WRITE, MapFlags::SHARED | MapFlags::POPULATE);
+        // SAFETY: the kernel chooses an address that is free.
+        let start = unsafe { mmap(std::ptr::null_mut(), len, access, how, &self.file, 0)? };
+        self.unmap();
+        self.mapped = NonNull::new(start.cast()).map(|start| (start, len));
+        Ok(())
+    }
+
+    fn unmap(&mut self) {
+        if let Some((start, len)) = self.mapped.take() {
+            // SAFETY: it is a mapping of that length, and `bytes` lends it no longer than `self` is not changed.
+            let _ = unsafe { munmap(start.as_ptr().cast(), len) };
+        }
+    }
+}
+
+impl Drop for KeptMemory {
+    fn drop(&mut self) {
+        self.unmap();
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::Space;
+
+    #[test]
+    fn what_was_written_is_there_for_the_next_and_for_one_at_a_time() {
+        let space = Space::create(u64::from(std::process::id()) ^ 0x5A5A_0000, 0).unwrap();
+        let run = Run { prefix: space.prefix().into(), ..Run::default() };
+        let mut first = KeptMemory::open(&run, "kept").unwrap();
+        assert!(first.bytes().is_empty());
+        first.grow_to(5_000).unwrap();
+        first.bytes()[4_999] = 7;
+        first.grow_to(100_000).unwrap();
+        assert_eq!((first.bytes().len(), first.bytes()[4_999], first.bytes()[99_999]), (100_000, 7, 0));
+        let taken = KeptMemory::open(&run, "kept").unwrap_err();
+        assert_eq!(taken.kind(), io::ErrorKind::WouldBlock);
+        let path = first.path().to_owned();
+        drop(first);
+        let mut second = KeptMemory::open(&run, "kept").unwrap();
+        assert_eq!((second.bytes().len(), second.bytes()[4_999]), (100_000, 7));
+        drop(space);
+        assert!(!path.exists(), "it goes with the run");
+    }
+}
