@@ -288,7 +288,7 @@ class Header(c.Structure):
         ("counts", Counts),  # Sizes of the frame's tensors.
         ("hops", Hop * 12),  # The stages that the tick has passed, the source first.
         ("silent_len", c.c_uint32),  # Agents of which the forecasts say nothing, by the policy of degradation.
-        ("reserved", c.c_uint8 * 4),  # Zero.
+        ("resumed_ticks", c.c_uint32),  # Of forecasts whose sampler was restarted: how many ticks its retrieval memory and its evidence had behind them when it began with them; 0 where it began without.
         ("feedback_age_ns", c.c_uint64),  # Time between the stamp of the newest forecasts that the tracker has and this frame's; 0 where it has none, or does not tell.
         ("chain_ns", c.c_uint64),  # How long the agents of those forecasts took from the extractor's end to the decoder's; 0 where they did not pass both.
         ("chain_len", c.c_uint32),  # How many of those agents the decoder served.
@@ -324,7 +324,7 @@ _check(Header, 704, {
     "counts": 120,
     "hops": 144,
     "silent_len": 624,
-    "reserved": 628,
+    "resumed_ticks": 628,
     "feedback_age_ns": 632,
     "chain_ns": 640,
     "chain_len": 648,

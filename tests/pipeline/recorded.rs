@@ -6,7 +6,7 @@ use recording::{Happened, Message, Recording};
 use rustix::process::Signal;
 
 use crate::scratch::Scratch;
-use crate::started::{Started, assert_nothing_left, piped, run, run_well, stderr, stdout, wait_for};
+use crate::started::{Started, assert_nothing_left, piped, run, run_well, stderr, stdout, stgdat, wait_for};
 
 /// Records a generated scene in lockstep, all topics of it.
 fn lockstep(scratch: &Scratch, name: &str, seed: &str) -> String {
@@ -125,6 +125,56 @@ fn a_run_with_a_kill_is_recorded_and_the_next_tool_finds_it_by_itself() {
     let replayed = run(&["replay", &file]);
     let text = stdout(&replayed);
     assert!(text.contains("equal to the byte: 150 ticks"), "{text}{}", stderr(&replayed));
+}
+
+/// Killed while it writes a frame, after it has sent one and before it has committed what it learned of it, and again
+/// right after its first frame.
+#[test]
+fn a_killed_sampler_goes_on_with_what_it_had_learned_and_so_does_the_replay() {
+    let scratch = Scratch::new("record-sampler");
+    let file = scratch.path("sampler.mcap");
+    let points = "sampler:mid-write@110,sampler:before-notify@140,sampler:after-send@141";
+    let mut command = stgdat();
+    command.env(ports::POINTS_VARIABLE, points).args(["run", "--ticks", "200", "--agents", "8"]);
+    let started = Started::spawn(command.args(["--quiet", "--record", &file, "--record-topics", "all"]));
+    let root = started.wait_until_it_runs();
+    let output = started.output();
+    assert!(output.status.success(), "{}", stderr(&output));
+    let told = stderr(&output);
+    let resumed: Vec<[u64; 3]> = told
+        .lines()
+        .filter_map(|line| {
+            let numbers = line.split_once("restarted: goes on with")?.1;
+            let numbers = numbers.split(|c: char| !c.is_ascii_digit()).filter_map(|n| n.parse().ok());
+            numbers.collect::<Vec<_>>().try_into().ok()
+        })
+        .collect();
+    let [[entries, matured, tick], .., [later_entries, later_matured, later_tick]] = resumed[..] else {
+        panic!("it is not told: {told}")
+    };
+    assert!(entries > 50 && matured > 5 && (90..110).contains(&tick), "{told}");
+    assert!(later_entries > entries && later_matured > 5 && later_tick >= 138, "{told}");
+    assert_eq!(resumed.len(), 3, "{told}");
+    assert_nothing_left(&root);
+
+    let (_, all) = messages(&file);
+    let mut began: Vec<(u32, u32)> = all
+        .iter()
+        .filter_map(|message| match message {
+            Message::Frame(frame) if frame.topic().name == "forecasts" && frame.header().is_tick() => {
+                Some((frame.header().incarnation, frame.header().resumed_ticks))
+            }
+            _ => None,
+        })
+        .collect();
+    began.dedup();
+    let expected: Vec<_> = resumed.iter().map(|[_, _, tick]| *tick as u32 + 1).collect();
+    assert_eq!(began, [(0, 0), (1, expected[0]), (2, expected[1]), (3, expected[2])], "as of which tick");
+    for arguments in [&["replay", &file][..], &["replay", &file, "--stage", "sampler"]] {
+        let replayed = run(arguments);
+        let text = stdout(&replayed);
+        assert!(text.contains("equal to the byte: 200 ticks"), "{text}{}", stderr(&replayed));
+    }
 }
 
 #[test]
