@@ -179,7 +179,7 @@ impl Child {
         // The pipes close with the process, so its output is soon complete; a grandchild may hold them open.
         let until = std::time::Instant::now() + std::time::Duration::from_millis(200);
         while !self.readers.iter().all(JoinHandle::is_finished) && std::time::Instant::now() < until {
-            std::thread::sleep(std::time::Duration::from_millis(5));
+            std::thread::sleep(std::time::Duration::from_millis(1));
         }
         let how = match (status.code(), status.signal()) {
             (Some(code), _) => format!("ended with exit code {code}"),

@@ -272,6 +272,10 @@ impl Fleet {
                     continue;
                 }
                 member.ticket = self.cleaner.ticket();
+                if !self.run.lockstep {
+                    // At once: its last words are read meanwhile.
+                    self.cleaner.tend(member.ticket, now)?;
+                }
                 // What a signal kills during the start can be started again; what ends by itself then can't, unless
                 // it met what one that was killed has left half made.
                 let is_in_the_way = one_died && status.code() == Some(Exit::Unavailable as i32);
