@@ -80,6 +80,36 @@ fn a_failure_is_told_kept_and_repeatable() {
     }
 }
 
+/// A program that knows nothing of this project, beside a tick's way.
+#[test]
+fn an_added_stage_is_the_target_of_signals_and_has_no_points() {
+    let scratch = Scratch::new("added-faults");
+    let shipped = include_str!("../../launch/pipeline.toml");
+    let monitor = "\n[[stage]]\nname = \"monitor\"\ncommand = [\"sleep\", \"600\"]\nreads = [\"tracks\"]\n";
+    scratch.file("p.toml", format!("{shipped}{monitor}"));
+    let head = "shows = \"faults on a stage of the user's own\"\n[run]\nticks = 60\nagents = 4\npipeline = \"p.toml\"\n";
+    let kill = "[[fault]]\nkind = \"kill\"\nstage = \"monitor\"\n";
+    let expect =
+        "[expect]\nlost_max = 0\noutages = [{ stage = \"monitor\", cause = \"signal 9\", count = 1 }]\n";
+    let killed = scratch.file("killed.toml", format!("{head}{kill}at = 30\n{expect}"));
+    let output = run(&["fault", "run", "--no-timing", &killed]);
+    assert_eq!(output.status.code(), Some(0), "{}{}", stdout(&output), stderr(&output));
+    let lacking = scratch.file("lacking.toml", format!("{head}{kill}at = 30\npoint = \"mid-write\"\n"));
+    let output = run(&["fault", "run", "--no-timing", &lacking]);
+    assert_eq!(output.status.code(), Some(70), "{}{}", stdout(&output), stderr(&output));
+    let told = "the monitor has the point mid-write";
+    assert!(stdout(&output).contains(told), "{}", stdout(&output));
+    let unknown =
+        scratch.file("unknown.toml", format!("{head}{}at = 30\n", kill.replace("monitor", "moniter")));
+    let output = run(&["fault", "check", &unknown]);
+    assert_eq!(output.status.code(), Some(78), "{}", stdout(&output));
+    assert!(
+        stderr(&output).contains("unknown.toml:8") && stderr(&output).contains("\"moniter\""),
+        "{}",
+        stderr(&output)
+    );
+}
+
 #[test]
 fn specifications_are_listed_and_checked() {
     let listed = stdout(&run_well(&["fault", "list"]));

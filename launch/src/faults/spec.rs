@@ -46,6 +46,8 @@ pub struct RunSpec {
     pub seed: u64,
     /// The pipeline.toml; the built-in one where none.
     pub pipeline: Option<PathBuf>,
+    /// Names of the stages that it adds, in its order.
+    pub added: Vec<String>,
     /// Where the recorder writes the forecasts; into the run's folder where none.
     pub forecasts: Option<PathBuf>,
     /// Topics whose frames carry a check value; those of the pipeline.toml where none.
@@ -54,6 +56,20 @@ pub struct RunSpec {
     pub stages: BTreeMap<String, toml::Table>,
     /// Further arguments of `stgdat run`.
     pub arguments: Vec<String>,
+}
+
+impl RunSpec {
+    /// All stages of the run, with their names.
+    pub fn stages(&self) -> impl Iterator<Item = (StageId, &str)> {
+        let added = self.added.iter().enumerate();
+        let added = added.filter_map(|(place, name)| Some((StageId::added(place)?, name.as_str())));
+        StageId::ALL.into_iter().map(|stage| (stage, stage.name())).chain(added)
+    }
+
+    /// The stage of that name.
+    pub fn stage(&self, name: &str) -> Option<StageId> {
+        self.stages().find(|(_, known)| *known == name).map(|(stage, _)| stage)
+    }
 }
 
 /// One fault.

@@ -8,7 +8,7 @@ use recorder::{Outage, ReplacementOutcome, Report};
 use serde::Serialize;
 use wire::StageId;
 
-use crate::faults::spec::{Counted, Expect, Spec};
+use crate::faults::spec::{Counted, Expect, Fault, Spec};
 
 /// What was seen of a run.
 #[derive(Clone, Debug, Default)]
@@ -412,6 +412,15 @@ fn supervised(spec: &Spec, seen: &Observation) -> Vec<Check> {
     let others = report.stages.iter().filter(|stage| !targets.contains(&stage.name.as_str()));
     let restarts: u64 = others.map(|stage| u64::from(stage.restarts)).sum();
     checks.push(equal("restarts of others", &expect.restarts_of_others, &restarts));
+    // A program of the user's own may lack what ours have.
+    for fault in &spec.faults {
+        if let Fault::KillAt { stage, point, .. } = fault
+            && !supervision.outages.iter().any(|outage| outage.stage == stage.name())
+        {
+            let what = format!("the {} has the point {}", stage.name(), point.name());
+            checks.push(check(&what, &"yes", &"no, it never died there", false));
+        }
+    }
     for expected in &expect.outages {
         let of = |outage: &&recorder::Outage| {
             outage.stage == expected.stage && outage.cause.contains(expected.cause.as_str())

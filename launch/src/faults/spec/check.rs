@@ -1,8 +1,10 @@
 //! From the text of a specification to what it means.
 
+use std::collections::BTreeMap;
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 
+use config::Pipeline;
 use ports::Point;
 use toml::Spanned;
 use wire::{RefusalCause, StageId, TABLE};
@@ -11,6 +13,7 @@ use super::error::Mistake;
 use super::table::{At, Expect, FaultTable, File};
 use super::{Fault, RunSpec, Spec, SpecError, Target, TopicFault, When};
 use crate::faults::effect::{Effect, Part};
+use crate::stages::declared;
 
 /// Kinds of faults on processes, with the keys that each must and may have.
 const KINDS: [(&str, &[&str], &[&str]); 9] = [
@@ -66,30 +69,49 @@ fn check(path: &Path, file: File) -> Result<Spec, Mistake> {
         ));
     }
     let beside = |path: PathBuf| if path.is_absolute() { path } else { folder.join(path) };
-    if let Some((name, _)) =
-        file.run.stages.iter().find(|(name, _)| StageId::from_name(name.get_ref()).is_none())
-    {
-        let label = format!("expected one of {}", StageId::ALL.map(StageId::name).join(", "));
-        return Err(Mistake::new(name.span(), format!("unknown stage \"{}\"", name.get_ref()), label));
-    }
-    let run = RunSpec {
-        stages: file.run.stages.into_iter().map(|(name, keys)| (name.into_inner(), keys)).collect(),
+    let pipeline = file.run.pipeline.map(|path| {
+        let span = path.span();
+        (beside(path.into_inner()), span)
+    });
+    let added = pipeline.as_ref().map_or(Ok(Vec::new()), |(path, span)| added_stages(path, span))?;
+    let mut run = RunSpec {
+        stages: BTreeMap::new(),
+        added,
         ticks,
         agents: file.run.agents,
         recording: file.run.recording.map(beside),
         seed: file.run.seed,
-        pipeline: file.run.pipeline.map(beside),
+        pipeline: pipeline.map(|(path, _)| path),
         forecasts: file.run.forecasts.map(beside),
         protect: file.run.protect,
         arguments: file.run.arguments,
     };
+    for (name, keys) in file.run.stages {
+        known_stage(name.get_ref(), name.span(), &run)?;
+        run.stages.insert(name.into_inner(), keys);
+    }
     let faults = file.faults.iter().map(|table| fault(table, &run)).collect::<Result<Vec<_>, _>>()?;
     for (i, table) in file.faults.iter().enumerate() {
         not_mixed(table, &faults[i], &faults[..i])?;
     }
-    expectations(&file.expect)?;
+    expectations(&file.expect, &run)?;
     let name = path.file_stem().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
     Ok(Spec { name, path: path.to_owned(), shows: file.shows, run, faults, expect: file.expect })
+}
+
+/// Names of the stages that a pipeline.toml adds, which this process knows from now on.
+fn added_stages(path: &Path, span: &Range<usize>) -> Result<Vec<String>, Mistake> {
+    let refused = |why: String| {
+        let why = why.lines().next().unwrap_or_default().to_owned();
+        Mistake::new(span.clone(), format!("`pipeline`: {why}"), "expected a pipeline.toml that can be used")
+    };
+    let name = path.display().to_string();
+    let text = std::fs::read_to_string(path).map_err(|error| refused(format!("{name}: {error}")))?;
+    let pipeline =
+        Pipeline::parse(&name, &text, &declared()).map_err(|error| refused(format!("{name}: {error}")))?;
+    pipeline.name_stages();
+    let added = pipeline.stages.iter().filter(|stage| stage.id.is_added());
+    Ok(added.map(|stage| stage.id.name().to_owned()).collect())
 }
 
 /// The entries of a stage's points are for its processes in turn: a kill by signal in between would take one.
@@ -140,25 +162,25 @@ fn fault(table: &Spanned<FaultTable>, run: &RunSpec) -> Result<Fault, Mistake> {
         "kill" => kill(table, span, run),
         "random" => random(table, run),
         "stop" => Ok(Fault::Stop {
-            target: target(table)?,
+            target: target(table, run)?,
             ticks: ticks(table, run)?,
             for_ms: value(&table.for_ms),
         }),
         "limit" => {
             let resource = *table.resource.as_ref().expect("a key that the kind must have").get_ref();
-            let (stage, tick) = (stage(table)?, tick(table, run)?);
+            let (stage, tick) = (stage(table, run)?, tick(table, run)?);
             Ok(Fault::Limit { stage, tick, resource, value: value(&table.value) })
         }
         "crash-loop" => {
             let exit_code = table.exit_code.as_ref().map_or(3, |code| *code.get_ref());
-            Ok(Fault::CrashLoop { stage: stage(table)?, tick: tick(table, run)?, exit_code })
+            Ok(Fault::CrashLoop { stage: stage(table, run)?, tick: tick(table, run)?, exit_code })
         }
         "command" => {
             let command = command(table)?.expect("a key that the kind must have");
-            Ok(Fault::Command { stage: stage(table)?, command })
+            Ok(Fault::Command { stage: stage(table, run)?, command })
         }
         "replace" => {
-            let (stage, ticks, command) = (stage(table)?, ticks(table, run)?, command(table)?);
+            let (stage, ticks, command) = (stage(table, run)?, ticks(table, run)?, command(table)?);
             let point = table.point.as_ref().map(|point| known_point(stage, point)).transpose()?;
             if let Some(command) = table.command.as_ref().filter(|_| point.is_some()) {
                 let label = "without it the new process is the built-in one, which has points";
@@ -190,18 +212,18 @@ fn kill(table: &FaultTable, span: Range<usize>, run: &RunSpec) -> Result<Fault, 
             let message = format!("`within_ms` = {ms:?}");
             return Err(Mistake::new(within.span(), message, "expected [shortest, longest]"));
         }
-        return Ok(Fault::Kill { target: target(table)?, when: When::Within { ms } });
+        return Ok(Fault::Kill { target: target(table, run)?, when: When::Within { ms } });
     }
     match (&table.point, &table.at, &table.after_start_ms) {
         (Some(point), Some(_), None) => {
-            let stage = stage(table)?;
+            let stage = stage(table, run)?;
             Ok(Fault::KillAt { stage, point: known_point(stage, point)?, ticks: ticks(table, run)? })
         }
         (None, Some(_), None) => {
-            Ok(Fault::Kill { target: target(table)?, when: When::Ticks(ticks(table, run)?) })
+            Ok(Fault::Kill { target: target(table, run)?, when: When::Ticks(ticks(table, run)?) })
         }
         (None, None, Some(ms)) => {
-            Ok(Fault::Kill { target: target(table)?, when: When::AfterStart { ms: *ms.get_ref() } })
+            Ok(Fault::Kill { target: target(table, run)?, when: When::AfterStart { ms: *ms.get_ref() } })
         }
         _ => Err(Mistake::new(
             span,
@@ -213,15 +235,10 @@ fn kill(table: &FaultTable, span: Range<usize>, run: &RunSpec) -> Result<Fault, 
 
 /// Kills or stops at random ticks, of all stages where none are named.
 fn random(table: &FaultTable, run: &RunSpec) -> Result<Fault, Mistake> {
-    let stages = match &table.stages {
-        None => StageId::ALL.to_vec(),
+    let stages: Vec<StageId> = match &table.stages {
+        None => run.stages().map(|(stage, _)| stage).collect(),
         Some(names) => {
-            let of = |name: &String| {
-                StageId::from_name(name).ok_or_else(|| {
-                    let label = format!("expected some of {}", StageId::ALL.map(StageId::name).join(", "));
-                    Mistake::new(names.span(), format!("unknown stage \"{name}\""), label)
-                })
-            };
+            let of = |name: &String| known_stage(name, names.span(), run);
             names.get_ref().iter().map(of).collect::<Result<_, _>>()?
         }
     };
@@ -363,18 +380,23 @@ fn tick(table: &FaultTable, run: &RunSpec) -> Result<u64, Mistake> {
     }
 }
 
-fn target(table: &FaultTable) -> Result<Target, Mistake> {
+fn target(table: &FaultTable, run: &RunSpec) -> Result<Target, Mistake> {
     match &table.stage {
         Some(name) if name.get_ref() == "launcher" => Ok(Target::Launcher),
-        _ => stage(table).map(Target::Stage),
+        _ => stage(table, run).map(Target::Stage),
     }
 }
 
-fn stage(table: &FaultTable) -> Result<StageId, Mistake> {
+fn stage(table: &FaultTable, run: &RunSpec) -> Result<StageId, Mistake> {
     let name = table.stage.as_ref().expect("a key that the kind must have");
-    StageId::from_name(name.get_ref()).ok_or_else(|| {
-        let label = format!("expected one of {}", StageId::ALL.map(StageId::name).join(", "));
-        Mistake::new(name.span(), format!("unknown stage \"{}\"", name.get_ref()), label)
+    known_stage(name.get_ref(), name.span(), run)
+}
+
+fn known_stage(name: &str, span: Range<usize>, run: &RunSpec) -> Result<StageId, Mistake> {
+    run.stage(name).ok_or_else(|| {
+        let known: Vec<&str> = run.stages().map(|(_, name)| name).collect();
+        let label = format!("expected one of {}", known.join(", "));
+        Mistake::new(span, format!("unknown stage \"{name}\""), label)
     })
 }
 
@@ -390,14 +412,15 @@ fn topic(table: &FaultTable) -> Result<String, Mistake> {
 }
 
 /// Names in the block of expectations, which has no places of its own in the text.
-fn expectations(expect: &Expect) -> Result<(), Mistake> {
+fn expectations(expect: &Expect, run: &RunSpec) -> Result<(), Mistake> {
     let stages = expect.outages.iter().map(|outages| &outages.stage);
     let stages = stages.chain(expect.counted.iter().map(|counted| &counted.stage)).chain(&expect.given_up);
     let stages = stages.chain(expect.replacements.iter().map(|replaced| &replaced.stage));
     let stages = stages.chain(expect.promotions.keys());
     let mut starved = expect.starved.iter().filter(|name| *name != "any");
-    if let Some(name) = stages.chain(&mut starved).find(|name| StageId::from_name(name).is_none()) {
-        let label = format!("in `[expect]`; the stages are {}", StageId::ALL.map(StageId::name).join(", "));
+    if let Some(name) = stages.chain(&mut starved).find(|name| run.stage(name).is_none()) {
+        let known: Vec<&str> = run.stages().map(|(_, name)| name).collect();
+        let label = format!("in `[expect]`; the stages are {}", known.join(", "));
         return Err(Mistake::new(0..0, format!("unknown stage \"{name}\""), label));
     }
     for counted in &expect.counted {
@@ -462,6 +485,36 @@ mod tests {
             panic!("{:?}", read.faults)
         };
         assert_eq!((ticks, read.expect.hole_max), (&vec![30, 60], Some(3)));
+    }
+
+    #[test]
+    fn stages_that_the_pipeline_adds_are_known() {
+        let folder = tempfile::tempdir().unwrap();
+        let added = "\n[[stage]]\nname = \"monitor\"\ncommand = [\"sleep\", \"9\"]\nreads = [\"tracks\"]\n";
+        std::fs::write(folder.path().join("p.toml"), format!("{}{added}", crate::pipeline_file::SHIPPED))
+            .unwrap();
+        let read = |pipeline: &str, body: &str| {
+            let text = format!("shows = \"a test\"\n[run]\nticks = 100\npipeline = \"{pipeline}\"\n{body}");
+            parse(&folder.path().join("a.toml"), &text).map_err(|error| error.to_string())
+        };
+        let spec = read(
+            "p.toml",
+            "stages = { monitor = { restarts_max = 2 } }\n[[fault]]\nkind = \"kill\"\nstage = \"monitor\"\nat = 9\n\
+             [[fault]]\nkind = \"kill\"\nstage = \"monitor\"\npoint = \"idle\"\nat = 9",
+        );
+        assert!(spec.unwrap_err().contains(":10: the monitor is killed at a point and by signals"));
+        let spec = read(
+            "p.toml",
+            "[[fault]]\nkind = \"stop\"\nstage = \"monitor\"\nat = 9\nfor_ms = 5\n[expect]\n\
+             outages = [{ stage = \"monitor\", count = 1 }]",
+        );
+        assert_eq!(spec.unwrap().targets(), [StageId::added(0).unwrap()]);
+        let kill = "[[fault]]\nkind = \"kill\"\nat = 9\nstage = ";
+        let error = read("p.toml", &format!("{kill}\"monitors\"")).unwrap_err();
+        assert!(error.contains("a.toml:8: unknown stage \"monitors\""), "{error}");
+        refused(&format!("{kill}\"monitor\""), ":7: unknown stage \"monitor\"");
+        let error = read("q.toml", "").unwrap_err();
+        assert!(error.contains("a.toml:4: `pipeline`: ") && error.contains("q.toml"), "{error}");
     }
 
     #[test]

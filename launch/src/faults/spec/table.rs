@@ -27,7 +27,7 @@ pub(super) struct RunTable {
     pub recording: Option<PathBuf>,
     #[serde(default = "one")]
     pub seed: u64,
-    pub pipeline: Option<PathBuf>,
+    pub pipeline: Option<Spanned<PathBuf>>,
     pub forecasts: Option<PathBuf>,
     pub protect: Option<Vec<String>>,
     #[serde(default)]
