@@ -4,8 +4,9 @@
 
 use bytemuck::Zeroable;
 use criterion::{Criterion, criterion_group, criterion_main};
+use sampler::journal::{Identity, Journal};
 use sampler::{Propagation, Sampler, SamplerOptions};
-use wire::{AgentControls, AgentType, Cause, ControlGaussian, Forecast, Header, Track};
+use wire::{AgentControls, AgentType, Cause, ControlGaussian, Forecast, Header, HistoryState, Track};
 
 const AGENTS: usize = 32;
 
@@ -56,5 +57,35 @@ fn tick(c: &mut Criterion) {
     }
 }
 
-criterion_group!(benches, tick);
+/// What comes after a tick: agents that walk on, each tick as many entries changed as agents have come a step further.
+fn commit(c: &mut Criterion) {
+    let options = SamplerOptions { evidence: true, ..SamplerOptions::default() };
+    let (mut header, mut tracks, controls) = fixture(AgentType::Pedestrian);
+    let mut out = vec![Forecast::zeroed(); AGENTS];
+    let mut sampler = Sampler::new(options);
+    // One tick each 80 ms, all agents' steps fall into the same tick: the most that there is to copy.
+    for seq in 0..101_u64 {
+        (header.seq, header.stamp_ns) = (seq, seq as i64 * 80_000_000);
+        tracks.iter_mut().for_each(|track| {
+            track.x_m += 0.3;
+            let state =
+                HistoryState { x_m: track.x_m, vx_mps: track.vx_mps, present: 1, ..HistoryState::zeroed() };
+            track.history = [state; wire::HISTORY_MAX];
+        });
+        sampler.learned(&header, &tracks, &controls, &mut out).unwrap();
+    }
+    let identity = Identity::of(1, &options).unwrap();
+    let mut journal = Journal::over(Vec::new(), identity);
+    journal.clear().unwrap();
+    let mut ticks = 0;
+    let changed = sampler.memory().unwrap().changed().count();
+    c.bench_function(&format!("{AGENTS} pedestrians, commit, {changed} entries changed"), |b| {
+        b.iter(|| {
+            ticks += 1;
+            sampler.commit(ticks, &mut journal).unwrap();
+        });
+    });
+}
+
+criterion_group!(benches, tick, commit);
 criterion_main!(benches);
