@@ -99,7 +99,8 @@ fn weights_header() {
                 2 => drop(header.drain(place..end)),
                 3 => drop(header.splice(place..end, word.iter().copied())),
                 4 => {
-                    wrong_length = Some(u64::from_le_bytes([edit[0], edit[1], edit[3], 0, 0, 0, 0, edit[3]]))
+                    let length = [edit[0], edit[1], edit[3], 0, 0, 0, 0, edit[3]];
+                    wrong_length = Some(u64::from_le_bytes(length));
                 }
                 _ => drop(header.splice(place..place, word.iter().copied())),
             }
