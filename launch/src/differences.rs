@@ -3,6 +3,7 @@
 use std::fmt::Write as _;
 
 use recording::{Comparison, Difference, Ending, Recording, TopicComparison};
+use wire::{ForecastsTopic, Topic as _};
 
 /// Digits of a run's number or of weights that tell it apart.
 const DIGITS: usize = 12;
@@ -18,6 +19,9 @@ pub fn title(recording: &Recording) -> String {
         about.scene,
         about.kernels
     );
+    if recording.has_topic(ForecastsTopic::NAME) && !recording.has_whole(ForecastsTopic::NAME) {
+        text += "  forecasts without their controls\n";
+    }
     match recording.ending() {
         Ending::Complete { lost_on_disk, .. } if lost_on_disk != "{}" => {
             // Writing to a string does not fail.

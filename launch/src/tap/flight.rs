@@ -118,7 +118,13 @@ impl FlightRecorder {
 }
 
 impl Keep for FlightRecorder {
-    fn keep(&mut self, message: Message) {
+    fn keep(&mut self, mut message: Message) {
+        // What no file will have takes no memory either.
+        if let Message::Frame(frame) = &mut message
+            && let Some(bytes) = self.about.element_bytes.get(frame.topic().name)
+        {
+            *frame = frame.leading(*bytes);
+        }
         let at_ns = message.at_ns();
         let cause = match &message {
             Message::Frame(frame) if frame.topic().name == ForecastsTopic::NAME => {

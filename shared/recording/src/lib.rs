@@ -52,7 +52,7 @@ pub use about::{ABOUT, About};
 pub use compare::{Comparison, Difference, FrameDifference, TopicComparison, compare, computed};
 pub use error::{ReadError, WriteError};
 pub use event::{Event, Happened, LogLine};
-pub use frame::{Frame, FrameError, topic_number};
+pub use frame::{Frame, FrameError, lean, topic_number};
 pub use reader::{Ending, Message, Messages, Recording};
 pub use ring::{Ring, RingLimits};
 pub use sink::{FileSink, Sink};

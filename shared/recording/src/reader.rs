@@ -5,7 +5,7 @@ use std::io::{self, Read as _};
 use std::path::{Path, PathBuf};
 
 use lz4_flex::frame::FrameDecoder;
-use wire::SCHEMA;
+use wire::{SCHEMA, TABLE};
 
 use crate::format::{FOOTER, LZ4, MAGIC, PREFIX, Parts, op};
 use crate::sink::read_at;
@@ -54,7 +54,8 @@ pub enum Ending {
 /// What a channel holds.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Channel {
-    Topic(u8),
+    /// Frames of a topic, with so many bytes of each element.
+    Topic(u8, usize),
     Events,
     Log,
 }
@@ -186,13 +187,22 @@ impl Recording {
     fn channel(&mut self, at: u64, body_len: u64) -> Result<(), ReadError> {
         let body = self.bytes(at + PREFIX as u64, body_len as usize)?;
         let mut parts = Parts(&body);
-        let id = parts.u16().zip(parts.u16()).map(|(id, _)| id);
-        let read = id.zip(parts.text());
-        let (id, topic) = read.ok_or_else(|| self.damaged(at, "a channel that is cut short".into()))?;
+        let mut read = || {
+            let (id, _) = (parts.u16()?, parts.u16()?);
+            let (topic, _) = (parts.text()?, parts.text()?);
+            Some((id, topic, Parts(parts.bytes()?).texts()?))
+        };
+        let (id, topic, pairs) =
+            read().ok_or_else(|| self.damaged(at, "a channel that is cut short".into()))?;
         let channel = match (id, channel_topic(topic)) {
             (EVENT_CHANNEL, _) => Channel::Events,
             (LOG_CHANNEL, _) => Channel::Log,
-            (_, Some(number)) => Channel::Topic(number),
+            (_, Some(number)) => {
+                let told = pairs.iter().find(|(key, _)| *key == "element_bytes");
+                let bytes = told.and_then(|(_, bytes)| bytes.parse().ok());
+                let what = || self.damaged(at, format!("topic \"{topic}\" without the size of its elements"));
+                Channel::Topic(number, bytes.ok_or_else(what)?)
+            }
             (_, None) => return Err(self.damaged(at, format!("a channel of the unknown topic \"{topic}\""))),
         };
         self.channels.push((id, channel));
@@ -204,12 +214,8 @@ impl Recording {
         let read = || {
             let mut parts = Parts(&body);
             let name = parts.text()?.to_owned();
-            let mut map = Parts(parts.bytes()?);
-            let mut pairs = Vec::new();
-            while !map.0.is_empty() {
-                pairs.push((map.text()?.to_owned(), map.text()?.to_owned()));
-            }
-            Some((name, pairs))
+            let pairs = Parts(parts.bytes()?).texts()?.into_iter();
+            Some((name, pairs.map(|(key, value)| (key.to_owned(), value.to_owned())).collect()))
         };
         read().ok_or_else(|| self.damaged(at, "metadata that is cut short".into()))
     }
@@ -253,8 +259,24 @@ impl Recording {
     /// Whether the recording was to have that topic.
     #[must_use]
     pub fn has_topic(&self, name: &str) -> bool {
-        channel_topic(name)
-            .is_some_and(|number| self.channels.iter().any(|(_, c)| *c == Channel::Topic(number)))
+        self.element_bytes(name).is_some()
+    }
+
+    /// How many bytes of each element of a topic it has; none where it was not recorded.
+    #[must_use]
+    pub fn element_bytes(&self, name: &str) -> Option<usize> {
+        let number = channel_topic(name)?;
+        self.channels.iter().find_map(|(_, channel)| match channel {
+            Channel::Topic(of, bytes) if *of == number => Some(*bytes),
+            _ => None,
+        })
+    }
+
+    /// Whether a topic was recorded with all fields of its elements.
+    #[must_use]
+    pub fn has_whole(&self, name: &str) -> bool {
+        let entry = TABLE.topics.iter().find(|topic| topic.name == name);
+        entry.is_some_and(|topic| self.element_bytes(name) == Some(topic.element.size))
     }
 
     /// All messages, in the order in which they were received. After an error the messages of the next chunk
@@ -338,9 +360,9 @@ impl Recording {
         match channel.map(|(_, channel)| *channel) {
             Some(Channel::Events) => Ok(Message::Event(serde_json::from_slice(parts.0).map_err(json)?)),
             Some(Channel::Log) => Ok(Message::Line(serde_json::from_slice(parts.0).map_err(json)?)),
-            Some(Channel::Topic(topic)) => {
+            Some(Channel::Topic(topic, element_bytes)) => {
                 let received_ns = log_ns.saturating_add_signed(-self.about.clock_offset_ns);
-                let frame = Frame::read(topic, parts.0.into(), received_ns);
+                let frame = Frame::read_leading(topic, element_bytes, parts.0.into(), received_ns);
                 frame.map(Message::Frame).map_err(|source| ReadError::Frame {
                     path: self.path.clone(),
                     offset: chunk.offset,

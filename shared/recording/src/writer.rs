@@ -59,6 +59,8 @@ pub struct Writer<S: Sink = FileSink> {
     head: Vec<u8>,
     schemas_len: u32,
     channels: Vec<(u16, String)>,
+    /// Of the elements of these topics only so many leading bytes are written.
+    element_bytes: BTreeMap<String, usize>,
     chunks: Vec<ChunkIndex>,
     metadata: Vec<(u64, u64, &'static str)>,
     written: Written,
@@ -127,9 +129,11 @@ impl<S: Sink> Writer<S> {
                 continue;
             }
             let id = number as u16 + TOPIC_CHANNELS;
+            let whole = topic.element.size;
+            let element_bytes = about.element_bytes.get(topic.name).map_or(whole, |bytes| whole.min(*bytes));
             let metadata = [
                 ("element", topic.element.name.to_owned()),
-                ("element_bytes", topic.element.size.to_string()),
+                ("element_bytes", element_bytes.to_string()),
                 ("header", Header::RECORD.name.to_owned()),
                 ("header_bytes", Header::RECORD.size.to_string()),
                 ("type_name", topic.type_name.to_owned()),
@@ -153,6 +157,7 @@ impl<S: Sink> Writer<S> {
             head: Vec::new(),
             schemas_len: 2,
             channels,
+            element_bytes: about.element_bytes.clone(),
             chunks: Vec::new(),
             metadata: Vec::new(),
             written: Written::default(),
@@ -176,8 +181,12 @@ impl<S: Sink> Writer<S> {
         if self.channels.iter().all(|(id, _)| *id != channel) {
             return;
         }
-        let (received_ns, sent_ns) = (frame.received_ns(), frame.sent_ns());
-        self.message(channel, frame.header().seq as u32, [received_ns, sent_ns], frame.bytes());
+        let times_ns = [frame.received_ns(), frame.sent_ns()];
+        let sequence = frame.header().seq as u32;
+        match self.element_bytes.get(frame.topic().name) {
+            Some(bytes) => self.message(channel, sequence, times_ns, frame.leading(*bytes).bytes()),
+            None => self.message(channel, sequence, times_ns, frame.bytes()),
+        }
     }
 
     /// Adds an event.

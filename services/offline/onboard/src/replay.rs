@@ -43,9 +43,9 @@ pub enum ReplayError {
     /// The stages can't be set up.
     #[error(transparent)]
     Chain(#[from] ChainError),
-    /// A topic is not in the file.
+    /// A topic is not in the file, or not whole.
     #[error(
-        "{path}: topic \"{topic}\" was not recorded, which {wanted} needs: record with --topics {advice}"
+        "{path}: topic \"{topic}\" was not recorded, or without a part, which {wanted} needs: record with --topics {advice}"
     )]
     Missing {
         /// The file.
@@ -114,7 +114,12 @@ impl<'a> Replay<'a> {
                     .unwrap_or_default()
             }
         };
-        let missing = wanted.into_iter().find(|topic| !recording.has_topic(topic));
+        // The tracker goes on with the controls of its forecasts.
+        let needs_whole = |topic: &str| alone == Some(StageId::Tracker) && topic == ForecastsTopic::NAME;
+        let has = |topic: &str| {
+            if needs_whole(topic) { recording.has_whole(topic) } else { recording.has_topic(topic) }
+        };
+        let missing = wanted.into_iter().find(|topic| !has(topic));
         if let Some(topic) = missing {
             let wanted = alone.map_or_else(|| "a replay".to_owned(), |stage| format!("the {}", stage.name()));
             return Err(ReplayError::Missing { path, topic, wanted, advice: "all" });
