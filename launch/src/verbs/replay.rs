@@ -149,6 +149,8 @@ fn told(replayed: &Replayed) -> String {
     let Replayed {
         comparison,
         ticks,
+        ticks_before,
+        before,
         newest,
         guessed,
         missing_before,
@@ -162,6 +164,18 @@ fn told(replayed: &Replayed) -> String {
         text += &format!(
             "the recording begins with tick {first}: the stages had seen others before, which the replay has not\n"
         );
+    }
+    if *ticks_before > 0 {
+        text += &format!(
+            "the {ticks_before} ticks before the file were replayed first, of what the stages were given then"
+        );
+        text += &match before.first() {
+            None if before.is_equal() => "\n".to_owned(),
+            None => "; not all of them had the frames that they have now\n".to_owned(),
+            Some(first) => {
+                format!("; they differ from tick {} on: {} {}\n", first.tick, first.topic, first.field)
+            }
+        };
     }
     if *tracks_are_recorded {
         text += "the tracks are taken from the record: what the tracker remembered is not in the file\n";

@@ -106,7 +106,7 @@ impl Search {
                     self.events.push((event.at_ns, text));
                 }
             }
-            Message::Line(_) => {}
+            Message::Before(_) | Message::Line(_) => {}
         }
     }
 

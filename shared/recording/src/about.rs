@@ -31,6 +31,9 @@ pub struct About {
     /// Of the elements of these topics only so many leading bytes are recorded.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub element_bytes: BTreeMap<String, usize>,
+    /// Whether the file has what the stages were given before its first message, from the run's begin on.
+    #[serde(default)]
+    pub before: bool,
     /// The Unix time less `CLOCK_MONOTONIC` when the recording began: the file's times are Unix times.
     #[serde(default)]
     pub clock_offset_ns: i64,
@@ -48,6 +51,7 @@ impl Default for About {
             run: Run::default(),
             topics: Vec::new(),
             element_bytes: BTreeMap::new(),
+            before: false,
             clock_offset_ns: 0,
         }
     }

@@ -9,7 +9,7 @@ use wire::{SCHEMA, TABLE};
 
 use crate::format::{FOOTER, LZ4, MAGIC, PREFIX, Parts, op};
 use crate::sink::read_at;
-use crate::writer::{BEGIN, END, EVENT_CHANNEL, LOG_CHANNEL, channel_topic};
+use crate::writer::{BEFORE, BEGIN, END, EVENT_CHANNEL, LOG_CHANNEL, channel_topic};
 use crate::{About, Event, Frame, LogLine, ReadError};
 
 /// Largest record that is read into memory: a chunk has one frame more than its limit at most.
@@ -56,6 +56,8 @@ pub enum Ending {
 enum Channel {
     /// Frames of a topic, with so many bytes of each element.
     Topic(u8, usize),
+    /// The same of what was before.
+    Before(u8, usize),
     Events,
     Log,
 }
@@ -72,6 +74,8 @@ struct Chunk {
 pub enum Message {
     /// A frame.
     Frame(Frame),
+    /// A frame of what was before the file: its header, and of its elements no more than a replay needs.
+    Before(Frame),
     /// Something that happened.
     Event(Event),
     /// A line of a stage's log.
@@ -83,7 +87,7 @@ impl Message {
     #[must_use]
     pub const fn at_ns(&self) -> u64 {
         match self {
-            Self::Frame(frame) => frame.received_ns(),
+            Self::Frame(frame) | Self::Before(frame) => frame.received_ns(),
             Self::Event(event) => event.at_ns,
             Self::Line(line) => line.at_ns,
         }
@@ -194,14 +198,16 @@ impl Recording {
         };
         let (id, topic, pairs) =
             read().ok_or_else(|| self.damaged(at, "a channel that is cut short".into()))?;
-        let channel = match (id, channel_topic(topic)) {
+        let before = topic.strip_prefix(BEFORE);
+        let channel = match (id, channel_topic(before.unwrap_or(topic))) {
             (EVENT_CHANNEL, _) => Channel::Events,
             (LOG_CHANNEL, _) => Channel::Log,
             (_, Some(number)) => {
                 let told = pairs.iter().find(|(key, _)| *key == "element_bytes");
                 let bytes = told.and_then(|(_, bytes)| bytes.parse().ok());
                 let what = || self.damaged(at, format!("topic \"{topic}\" without the size of its elements"));
-                Channel::Topic(number, bytes.ok_or_else(what)?)
+                let bytes = bytes.ok_or_else(what)?;
+                if before.is_some() { Channel::Before(number, bytes) } else { Channel::Topic(number, bytes) }
             }
             (_, None) => return Err(self.damaged(at, format!("a channel of the unknown topic \"{topic}\""))),
         };
@@ -357,13 +363,16 @@ impl Recording {
         let (((id, _), log_ns), _) = read.ok_or_else(|| wrong("cut short"))?;
         let channel = self.channels.iter().find(|(of, _)| *of == id);
         let json = |error: serde_json::Error| wrong(&error.to_string());
-        match channel.map(|(_, channel)| *channel) {
+        let channel = channel.map(|(_, channel)| *channel);
+        match channel {
             Some(Channel::Events) => Ok(Message::Event(serde_json::from_slice(parts.0).map_err(json)?)),
             Some(Channel::Log) => Ok(Message::Line(serde_json::from_slice(parts.0).map_err(json)?)),
-            Some(Channel::Topic(topic, element_bytes)) => {
+            Some(Channel::Topic(topic, element_bytes) | Channel::Before(topic, element_bytes)) => {
                 let received_ns = log_ns.saturating_add_signed(-self.about.clock_offset_ns);
                 let frame = Frame::read_leading(topic, element_bytes, parts.0.into(), received_ns);
-                frame.map(Message::Frame).map_err(|source| ReadError::Frame {
+                let is_before = matches!(channel, Some(Channel::Before(..)));
+                let message = if is_before { Message::Before } else { Message::Frame };
+                frame.map(message).map_err(|source| ReadError::Frame {
                     path: self.path.clone(),
                     offset: chunk.offset,
                     message: number,

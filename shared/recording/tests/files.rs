@@ -58,6 +58,7 @@ fn messages(ticks: u64) -> Vec<Message> {
 fn add<S: Sink>(writer: &mut Writer<S>, message: &Message) {
     match message {
         Message::Frame(frame) => writer.frame(frame),
+        Message::Before(frame) => writer.before(frame),
         Message::Event(event) => writer.event(event),
         Message::Line(line) => writer.line(line),
     }
