@@ -255,6 +255,7 @@ fn a_flight_recorder_that_comes_late_says_what_it_does_not_know() {
     assert!(started.output().status.success());
     let output = recorder.output();
     assert!(output.status.success(), "{}", stderr(&output));
+    assert!(stdout(&output).contains("the run had begun before"), "{}", stdout(&output));
     let replayed = run(&["replay", &scratch.path("late-1.mcap")]);
     let text = stdout(&replayed);
     assert!(text.contains("the tracks are taken from the record"), "{text}{}", stderr(&replayed));

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use ports::{Asked, monotonic_ns};
 use recording::flight::{Act, Flight, Trigger, caused_by, wrong_with};
-use recording::{About, Before, Event, Happened, Message, Ring, WriteError, Writer, Written};
+use recording::{About, Before, Event, Forgotten, Happened, Message, Ring, WriteError, Writer, Written};
 use wire::{ForecastsTopic, Topic};
 
 use super::Limits;
@@ -138,10 +138,14 @@ impl Keep for FlightRecorder {
         }
         let (before, say) = (&mut self.before, self.say);
         self.ring.push(message, |gone| {
-            if let Message::Frame(frame) = &gone
-                && !before.push(frame)
-            {
-                say("the run's begin has no room any more, replays will not agree: --before-mib gives it more");
+            let Message::Frame(frame) = &gone else { return };
+            match before.push(frame) {
+                Some(Forgotten::HadBegun) => say("the run had begun before: replays will not have what the stages remember"),
+                Some(Forgotten::TooMuch) => say(
+                    "the time before the ring has no room any more, replays will not have what the stages remember: \
+                     --before-mib gives it more",
+                ),
+                None => {}
             }
         });
         if self.ring.is_cut() && !std::mem::replace(&mut self.is_cut_told, true) {

@@ -107,6 +107,9 @@ fn notes(recording: &Recording, weights: &Weights) -> Vec<String> {
         notes
             .push(format!("the retrieval memory {path} is not in the file: replayed with what it holds now"));
     }
+    if about.before {
+        notes.push("the ticks before the file are replayed first, from the run's begin".to_owned());
+    }
     if !about.run.lockstep {
         notes.push(
             "recorded in real time: what came when, and what was lost, is taken from the record".to_owned(),

@@ -40,6 +40,15 @@ enum State {
     Gone,
 }
 
+/// Why what was before is not kept any more.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Forgotten {
+    /// The run had begun before the first frame that came.
+    HadBegun,
+    /// There is more than the memory holds.
+    TooMuch,
+}
+
 /// How many leading bytes of each element are kept of a topic; none where nothing is.
 pub(crate) fn kept_bytes(topic: &str) -> Option<usize> {
     KEPT.iter().find(|(name, _)| *name == topic).map(|(_, bytes)| *bytes)
@@ -54,18 +63,18 @@ impl Before {
         Self { limit_bytes, packed: Vec::new(), packed_bytes: 0, open: Vec::new(), state }
     }
 
-    /// Adds a frame that is older than all that is kept elsewhere; returns false where this made it all too much.
-    pub fn push(&mut self, frame: &Frame) -> bool {
+    /// Adds a frame that is older than all that is kept elsewhere; returns why nothing is kept from now on, once.
+    pub fn push(&mut self, frame: &Frame) -> Option<Forgotten> {
         let (header, topic) = (frame.header(), frame.topic().name);
-        let Some(bytes) = kept_bytes(topic) else { return true };
+        let bytes = kept_bytes(topic)?;
         if self.state == State::Gone || !header.is_tick() {
-            return true;
+            return None;
         }
         if self.state == State::Empty {
             let is_begin = topic == DetectionsTopic::NAME && header.seq == 0;
             self.state = if is_begin { State::Whole } else { State::Gone };
             if !is_begin {
-                return true;
+                return Some(Forgotten::HadBegun);
             }
         }
         let frame = frame.leading(bytes);
@@ -81,10 +90,10 @@ impl Before {
             self.packed.push(packed);
         }
         if self.bytes() <= self.limit_bytes {
-            return true;
+            return None;
         }
         *self = Self { state: State::Gone, ..Self::new(self.limit_bytes, &[]) };
-        false
+        Some(Forgotten::TooMuch)
     }
 
     /// Whether it has all of the run up to what is kept elsewhere.
@@ -103,13 +112,13 @@ impl Before {
     pub fn frames(&self) -> impl Iterator<Item = Frame> {
         // What was packed here can be unpacked.
         let packed = self.packed.iter().filter_map(|packed| decompress_size_prepended(packed).ok());
-        packed.chain([self.open.clone()]).flat_map(unpacked)
+        packed.chain([self.open.clone()]).flat_map(|block| unpacked(&block))
     }
 }
 
 /// The frames of a block.
-fn unpacked(block: Vec<u8>) -> Vec<Frame> {
-    let mut rest = &block[..];
+fn unpacked(block: &[u8]) -> Vec<Frame> {
+    let mut rest = block;
     let mut frames = Vec::new();
     while let Some((prefix, tail)) = rest.split_at_checked(PREFIX) {
         let number =
@@ -149,9 +158,9 @@ mod tests {
         for seq in 0..400 {
             let track = Track { id: seq, x_m: 1.0, ..bytemuck::Zeroable::zeroed() };
             let forecast = Forecast { id: seq, x_m: 1.0, ..bytemuck::Zeroable::zeroed() };
-            assert!(before.push(&detections(seq)));
-            assert!(before.push(&Frame::of::<TracksTopic>(&header(seq), &[track; 2], 9)));
-            assert!(before.push(&Frame::of::<ForecastsTopic>(&header(seq), &[forecast; 2], 9)));
+            assert_eq!(before.push(&detections(seq)), None);
+            assert_eq!(before.push(&Frame::of::<TracksTopic>(&header(seq), &[track; 2], 9)), None);
+            assert_eq!(before.push(&Frame::of::<ForecastsTopic>(&header(seq), &[forecast; 2], 9)), None);
         }
         assert!(before.is_whole() && before.bytes() < BLOCK_BYTES + 100_000, "{} bytes", before.bytes());
         let frames: Vec<Frame> = before.frames().collect();
@@ -167,11 +176,12 @@ mod tests {
     #[test]
     fn what_does_not_begin_with_the_run_or_has_no_room_is_not_kept() {
         let mut late = Before::new(1 << 24, &topics());
-        assert!(late.push(&detections(5)) && !late.is_whole() && late.frames().next().is_none());
+        assert_eq!(late.push(&detections(5)), Some(Forgotten::HadBegun));
+        assert!(!late.is_whole() && late.frames().next().is_none() && late.push(&detections(6)).is_none());
         let mut small = Before::new(10_000, &topics());
-        let pushed = (0..100).take_while(|seq| small.push(&detections(*seq))).count();
-        assert!((5..50).contains(&pushed) && !small.is_whole() && small.bytes() == 0, "{pushed}");
-        assert!(small.push(&detections(100)), "told once");
+        let found = (0..100).find_map(|seq| Some((seq, small.push(&detections(seq))?)));
+        assert!(matches!(found, Some((5..50, Forgotten::TooMuch))), "{found:?}");
+        assert!(!small.is_whole() && small.bytes() == 0 && small.push(&detections(100)).is_none());
         assert!(!Before::new(1 << 24, &topics()[..2]).is_whole());
     }
 }

@@ -51,7 +51,7 @@ pub mod tap;
 mod writer;
 
 pub use about::{ABOUT, About};
-pub use before::Before;
+pub use before::{Before, Forgotten};
 pub use compare::{Comparison, Difference, FrameDifference, TopicComparison, compare, computed};
 pub use error::{ReadError, WriteError};
 pub use event::{Event, Happened, LogLine};
