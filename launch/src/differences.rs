@@ -3,6 +3,7 @@
 use std::fmt::Write as _;
 
 use recording::{Comparison, Difference, Ending, Recording, TopicComparison};
+use wire::{ForecastsTopic, Topic as _};
 
 /// Digits of a run's number or of weights that tell it apart.
 const DIGITS: usize = 12;
@@ -18,6 +19,9 @@ pub fn title(recording: &Recording) -> String {
         about.scene,
         about.kernels
     );
+    if recording.has_topic(ForecastsTopic::NAME) && !recording.has_whole(ForecastsTopic::NAME) {
+        text += "  forecasts without their controls\n";
+    }
     match recording.ending() {
         Ending::Complete { lost_on_disk, .. } if lost_on_disk != "{}" => {
             // Writing to a string does not fail.
@@ -47,17 +51,23 @@ pub fn table(comparison: &Comparison, names: [&str; 2]) -> String {
     let head = ["topic", "ticks", "differ", "alone", "first", "apart there", "median", "greatest", "at"];
     let mut rows = vec![head.map(str::to_owned).to_vec()];
     rows.extend(comparison.topics.iter().map(|(name, topic)| row(name, topic)));
-    let widths: Vec<usize> = (0..head.len())
-        .map(|column| rows.iter().map(|row| row[column].chars().count()).max().unwrap_or(0))
-        .collect();
+    text + &columns(&rows, &[0, 8])
+}
+
+/// Rows of the same length as lines; the columns of `texts` to the left, numbers to the right.
+pub fn columns(rows: &[Vec<String>], texts: &[usize]) -> String {
+    let len = rows.first().map_or(0, Vec::len);
+    let width = |column: usize| rows.iter().map(|row| row[column].chars().count()).max().unwrap_or(0);
+    let widths: Vec<usize> = (0..len).map(width).collect();
+    let mut text = String::new();
     for row in rows {
         let mut line = String::new();
         for (column, (cell, width)) in row.iter().zip(&widths).enumerate() {
-            // Names to the left, numbers to the right.
-            let _ = match column {
-                0 => write!(line, "  {cell:width$}"),
-                8 => write!(line, "  {cell}"),
-                _ => write!(line, "  {cell:>width$}"),
+            // Writing to a string does not fail.
+            let _ = if texts.contains(&column) {
+                write!(line, "  {cell:width$}")
+            } else {
+                write!(line, "  {cell:>width$}")
             };
         }
         text += line.trim_end();

@@ -25,6 +25,7 @@ mod pipeline_file;
 mod policy;
 mod prediction;
 mod recorded;
+mod report_differences;
 mod runs;
 mod scheduling;
 mod show;

@@ -13,5 +13,5 @@ mod topic;
 pub use flight::FlightRecorder;
 pub use follow::{Recorded, follow};
 pub use process::{Recording, Tap};
-pub use ring_arguments::RingArguments;
+pub use ring_arguments::{Limits, RingArguments};
 pub use server::serve;

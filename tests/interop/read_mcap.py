@@ -42,9 +42,12 @@ class Layout:
             return [self.value(of["array"], data, at + i * size) for i in range(of["len"])]
         return self.record(of["record"], data, at)
 
-    def record(self, name, data, at=0):
+    def record(self, name, data, at=0, size=None):
+        """The fields of a record, of which the file may have the first `size` bytes alone."""
         fields = self.records[name]["fields"]
-        return {field["name"]: self.value(field["type"], data, at + field["offset"]) for field in fields}
+        ends = {field["name"]: field["offset"] + self.size(field["type"]) for field in fields}
+        known = [field for field in fields if size is None or ends[field["name"]] <= size]
+        return {field["name"]: self.value(field["type"], data, at + field["offset"]) for field in known}
 
 
 def near(a, b, slack):
@@ -89,7 +92,7 @@ def main(recording, lines):
             # Every line of the run has its frame; one forecast in each is decoded.
             if not is_tick or forecasts_len == 0 or header["seq"] not in by_tick or header["seq"] % 10:
                 continue
-            forecast = layout.record(element, message.data, header_bytes)
+            forecast = layout.record(element, message.data, header_bytes, size)
             line = by_tick[header["seq"]]
             assert header["stamp_ns"] == line["stamp_ns"], (header["seq"], header["stamp_ns"])
             wrong += compare(forecast, line["agents"][0], header["counts"]["horizon_len"])

@@ -4,6 +4,7 @@ use std::path::Path;
 
 use recording::{Happened, Message, Recording};
 use rustix::process::Signal;
+use safetensors::SafeTensors;
 
 use crate::scratch::Scratch;
 use crate::started::{Started, assert_nothing_left, piped, run, run_well, stderr, stdout, stgdat, wait_for};
@@ -57,11 +58,11 @@ fn a_lockstep_recording_replays_to_the_same_bytes() {
         let replayed = run_well(&["replay", &file, "--stage", stage]);
         assert!(stdout(&replayed).contains("equal to the byte: 60 ticks"), "{stage}: {}", stdout(&replayed));
     }
-    read_by_python(&file, &scratch.path("a.mcap.jsonl"));
+    read_by_python(&file, &scratch.path("a.mcap.jsonl"), &["tracks 6", "forecasts 6", "events 2"]);
 }
 
 /// PyPI's `mcap` reads the file, where it is installed.
-fn read_by_python(file: &str, forecasts: &str) {
+fn read_by_python(file: &str, forecasts: &str, lines: &[&str]) {
     let python = std::env::var("STGDAT_PYTHON").unwrap_or_else(|_| "python3".into());
     let script = concat!(env!("CARGO_MANIFEST_DIR"), "/../tests/interop/read_mcap.py");
     let output = match piped(&python).args([script, file, forecasts]).output() {
@@ -73,7 +74,7 @@ fn read_by_python(file: &str, forecasts: &str) {
         return eprintln!("{said} (STGDAT_PYTHON names another interpreter)");
     }
     assert!(output.status.success(), "{said}{}", stderr(&output));
-    for line in ["tracks 6", "forecasts 6", "events 2", "different: none"] {
+    for line in lines.iter().chain(&["different: none"]) {
         assert!(said.contains(line), "no {line:?}: {said}");
     }
 }
@@ -93,10 +94,91 @@ fn two_runs_of_a_seed_are_equal_and_of_two_seeds_differ() {
 }
 
 #[test]
+fn a_run_with_a_stopped_stage_replays_to_the_same_bytes() {
+    let scratch = Scratch::new("record-stop");
+    let file = scratch.path("stop.mcap");
+    let started = Started::run(&["--ticks", "150", "--agents", "8", "--quiet", "--record", &file]);
+    let root = started.wait_until_it_runs();
+    started.signal_stage("decoder", Signal::STOP);
+    std::thread::sleep(std::time::Duration::from_millis(600));
+    // Where it was not killed and started again meanwhile, it goes on.
+    started.signal_stage("decoder", Signal::CONT);
+    let output = started.output();
+    assert!(output.status.success(), "{}", stderr(&output));
+    assert_nothing_left(&root);
+    let (_, all) = messages(&file);
+    let not_learned = all.iter().filter(|message| match message {
+        Message::Frame(frame) if frame.topic().name == "forecasts" && frame.header().is_tick() => {
+            frame.header().hop(wire::StageId::Decoder).is_none()
+        }
+        _ => false,
+    });
+    assert!(not_learned.count() >= 3, "the stop cost ticks their controls");
+    let replayed = run(&["replay", &file]);
+    let text = stdout(&replayed);
+    assert!(text.contains("equal to the byte: "), "{text}{}", stderr(&replayed));
+}
+
+/// The embedded weights with the first number of a tensor changed.
+fn with_another_number(tensor: &str) -> Vec<u8> {
+    let mut bytes = include_bytes!("../../shared/weights/onboard.safetensors").to_vec();
+    let file = SafeTensors::deserialize(&bytes).expect("the embedded weights are safetensors");
+    let data = file.tensor(tensor).expect("there is such a tensor").data();
+    let at = data.as_ptr().addr() - bytes.as_ptr().addr();
+    let number = f32::from_le_bytes(bytes[at..at + 4].try_into().expect("four bytes"));
+    bytes[at..at + 4].copy_from_slice(&(number + 0.5).to_le_bytes());
+    bytes
+}
+
+#[test]
+fn one_other_weight_is_found_in_recordings_and_in_reports() {
+    let scratch = Scratch::new("record-weights");
+    let other = scratch.file("other.safetensors", with_another_number("decoder.vehicle.head.bias"));
+    let play = |name: &str, arguments: &[&str]| {
+        let [file, report] = ["mcap", "json"].map(|kind| scratch.path(&format!("{name}.{kind}")));
+        let scene = ["run", "--ticks", "110", "--agents", "12", "--speed", "max", "--quiet"];
+        let write = ["--record", &file, "--record-topics", "all", "--report", &report];
+        run_well(&[&scene[..], &write, arguments].concat());
+        (file, report)
+    };
+    let (a, report_a) = play("a", &[]);
+    let (b, report_b) = play("b", &["--weights", &other]);
+    let different = run(&["diff", &a, &b]);
+    assert_eq!(different.status.code(), Some(1), "{}", stderr(&different));
+    let text = stdout(&different);
+    assert!(text.contains("the runs differ in weights: "), "{text}");
+    let first = text.lines().find(|line| line.starts_with("first difference: ")).expect("there is one");
+    assert!(first.contains(", controls["), "the decoder is the first stage that knows it: {first}");
+    let refused = run(&["diff", &a, &report_b]);
+    assert_eq!(refused.status.code(), Some(2), "{}", stdout(&refused));
+
+    let different = run(&["diff", &report_a, &report_b]);
+    assert_eq!(different.status.code(), Some(1), "{}", stderr(&different));
+    let text = stdout(&different);
+    assert!(text.contains("the runs differ in weights: ") && text.contains("minFDE (K = 20), m"), "{text}");
+    let [first_agent, ..] = &text
+        .lines()
+        .skip_while(|line| !line.contains("worst forecast of the worse run"))
+        .skip(1)
+        .collect::<Vec<_>>()[..]
+    else {
+        panic!("no agent: {text}")
+    };
+    assert!(first_agent.contains(" vehicle ") && first_agent.contains(": tick "), "{first_agent}");
+    let json = run(&["diff", &report_a, &report_b, "--json"]);
+    let json: serde_json::Value = serde_json::from_slice(&json.stdout).expect("JSON");
+    assert_eq!(json["same_scene"], true);
+    assert!(json["agents"][0]["b"]["worst"]["tick"].is_u64(), "{json}");
+    let same = run_well(&["diff", &report_a, &report_a]);
+    assert!(stdout(&same).contains("equal but for the clock"), "{}", stdout(&same));
+}
+
+#[test]
 fn a_run_with_a_kill_is_recorded_and_the_next_tool_finds_it_by_itself() {
     let scratch = Scratch::new("record-kill");
     let file = scratch.path("kill.mcap");
-    let scene = ["--ticks", "150", "--agents", "8", "--quiet", "--record", &file];
+    let forecasts = scratch.path("kill.jsonl");
+    let scene = ["--ticks", "150", "--agents", "8", "--quiet", "--record", &file, "--forecasts", &forecasts];
     let started = Started::run(&scene);
     let root = started.wait_until_it_runs();
     let late = scratch.path("late.mcap");
@@ -125,6 +207,10 @@ fn a_run_with_a_kill_is_recorded_and_the_next_tool_finds_it_by_itself() {
     let replayed = run(&["replay", &file]);
     let text = stdout(&replayed);
     assert!(text.contains("equal to the byte: 150 ticks"), "{text}{}", stderr(&replayed));
+    assert!(text.contains("forecasts without their controls"), "{text}");
+    let refused = run(&["replay", &file, "--stage", "tracker"]);
+    assert!(stderr(&refused).contains("topic \"forecasts\" was not recorded, or without a part"), "{text}");
+    read_by_python(&file, &forecasts, &["detections 1", "forecasts 1"]);
 }
 
 /// Killed while it writes a frame, after it has sent one and before it has committed what it learned of it, and again
@@ -203,6 +289,32 @@ fn a_recording_that_is_killed_is_readable_and_the_run_goes_on() {
 }
 
 #[test]
+fn a_flight_recorder_that_comes_late_says_what_it_does_not_know() {
+    let scratch = Scratch::new("record-late");
+    let file = scratch.path("late.mcap");
+    let started = Started::run(&["--ticks", "120", "--agents", "6", "--quiet"]);
+    let name = started.wait_until_it_runs().display().to_string();
+    // The first ticks pass without it.
+    let early = scratch.path("early.mcap");
+    run_well(&["record", &early, "--run", &name, "--topics", "detections", "--seconds", "1.5"]);
+    assert!(!ticks(&messages(&early).1, "detections").is_empty());
+    let record = ["record", &file, "--run", &name, "--last", "1s", "--after", "1s", "--files", "1"];
+    let recorder = Started::spawn(crate::started::stgdat().args(record));
+    std::thread::sleep(std::time::Duration::from_secs(2));
+    run_well(&["mark", "now", "--run", &name]);
+    assert!(started.output().status.success());
+    let output = recorder.output();
+    assert!(output.status.success(), "{}", stderr(&output));
+    assert!(stdout(&output).contains("the run had begun before"), "{}", stdout(&output));
+    let replayed = run(&["replay", &scratch.path("late-1.mcap")]);
+    let text = stdout(&replayed);
+    assert!(text.contains("the tracks are taken from the record"), "{text}{}", stderr(&replayed));
+    assert!(!text.contains("before the file were replayed"), "{text}");
+    let ends = ["agrees from tick", "equal to the byte", "equal where both", "apart"];
+    assert!(ends.iter().any(|told| text.contains(told)), "{text}");
+}
+
+#[test]
 fn a_flight_recorder_writes_what_came_before_a_restart_and_a_mark() {
     let scratch = Scratch::new("record-flight");
     let file = scratch.path("flight.mcap");
@@ -221,7 +333,8 @@ fn a_flight_recorder_writes_what_came_before_a_restart_and_a_mark() {
     let output = started.output();
     assert!(output.status.success(), "{}", stderr(&output));
     assert!(
-        stderr(&output).contains("keeping the last 0.5 s in memory, at most 512 MiB"),
+        stderr(&output)
+            .contains("keeping the last 0.5 s in memory, at most 512 MiB, and 128 MiB of what was before"),
         "{}",
         stderr(&output)
     );
@@ -255,12 +368,12 @@ fn a_flight_recorder_writes_what_came_before_a_restart_and_a_mark() {
     let (begin_ns, end_ns) = (times.iter().min().expect("messages"), times.iter().max().expect("messages"));
     assert!(at_ns - begin_ns <= 7_000_000_000, "a ring of 0.5 s, a file of six times 1 s at most");
     assert!(at_ns - begin_ns > 200_000_000 && end_ns >= at_ns, "what came before is there");
-    // The stages had seen ticks before; the replay says what it can't know.
+    // What the stages remember comes from the ticks before the file, the killed encoder's too.
     let replayed = run(&["replay", &path]);
     let text = stdout(&replayed);
-    assert!(text.contains("the tracks are taken from the record"), "{text}{}", stderr(&replayed));
-    let ends = ["agrees from tick", "equal to the byte", "equal where both", "apart"];
-    assert!(ends.iter().any(|told| text.contains(told)), "{text}");
+    assert!(text.contains(" ticks before the file were replayed first"), "{text}{}", stderr(&replayed));
+    assert!(!text.contains("they differ from tick"), "{text}");
+    assert!(text.contains("equal to the byte: "), "{text}");
     let taken = run(&[&["run"], &scene[..], &ring].concat());
     assert!(!taken.status.success() && stderr(&taken).contains("not replaced"), "{}", stderr(&taken));
 }

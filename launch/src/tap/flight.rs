@@ -4,16 +4,18 @@ use std::io;
 use std::path::{Path, PathBuf};
 
 use ports::{Asked, monotonic_ns};
-use recording::flight::{Act, Flight, FlightLimits, Trigger, caused_by, wrong_with};
-use recording::{About, Event, Happened, Message, Ring, RingLimits, WriteError, Writer, Written};
+use recording::flight::{Act, Flight, Trigger, caused_by, wrong_with};
+use recording::{About, Before, Event, Forgotten, Happened, Message, Ring, WriteError, Writer, Written};
 use wire::{ForecastsTopic, Topic};
 
+use super::Limits;
 use super::follow::Keep;
 use crate::verbs::wire::layout;
 
 /// Keeps a ring and writes it to numbered files.
 pub struct FlightRecorder {
     ring: Ring,
+    before: Before,
     flight: Flight,
     asked: Asked,
     /// The files are named by it.
@@ -36,16 +38,11 @@ pub fn numbered(path: &Path, number: u32) -> PathBuf {
 
 impl FlightRecorder {
     /// An empty ring; `say` tells of each file.
-    pub fn new(
-        path: &Path,
-        about: About,
-        limits: (RingLimits, FlightLimits),
-        asked: Asked,
-        say: fn(&str),
-    ) -> Self {
+    pub fn new(path: &Path, about: About, limits: Limits, asked: Asked, say: fn(&str)) -> Self {
         Self {
-            ring: Ring::new(limits.0),
-            flight: Flight::new(limits.1),
+            ring: Ring::new(limits.ring),
+            before: Before::new(limits.before_bytes, &about.topics),
+            flight: Flight::new(limits.flight),
             asked,
             path: path.to_owned(),
             about,
@@ -64,8 +61,10 @@ impl FlightRecorder {
             Act::Join => self.note(why, at_ns),
             Act::Begin(number) => {
                 let path = numbered(&self.path, number);
-                match Writer::create(&path, &self.about, &layout()) {
+                let about = About { before: self.before.is_whole(), ..self.about.clone() };
+                match Writer::create(&path, &about, &layout()) {
                     Ok(mut writer) => {
+                        self.before.frames().for_each(|frame| writer.before(&frame));
                         self.ring.messages().for_each(|message| writer.add(message));
                         self.file = Some((path, why.clone(), writer));
                         self.note(why, at_ns);
@@ -118,7 +117,13 @@ impl FlightRecorder {
 }
 
 impl Keep for FlightRecorder {
-    fn keep(&mut self, message: Message) {
+    fn keep(&mut self, mut message: Message) {
+        // What no file will have takes no memory either.
+        if let Message::Frame(frame) = &mut message
+            && let Some(bytes) = self.about.element_bytes.get(frame.topic().name)
+        {
+            *frame = frame.leading(*bytes);
+        }
         let at_ns = message.at_ns();
         let cause = match &message {
             Message::Frame(frame) if frame.topic().name == ForecastsTopic::NAME => {
@@ -126,12 +131,23 @@ impl Keep for FlightRecorder {
                 forecasts.and_then(|forecasts| wrong_with(frame.header(), &forecasts))
             }
             Message::Event(event) => caused_by(event),
-            Message::Frame(_) | Message::Line(_) => None,
+            Message::Frame(_) | Message::Before(_) | Message::Line(_) => None,
         };
         if let Some((.., writer)) = &mut self.file {
             writer.add(&message);
         }
-        self.ring.push(message);
+        let (before, say) = (&mut self.before, self.say);
+        self.ring.push(message, |gone| {
+            let Message::Frame(frame) = &gone else { return };
+            match before.push(frame) {
+                Some(Forgotten::HadBegun) => say("the run had begun before: replays will not have what the stages remember"),
+                Some(Forgotten::TooMuch) => say(
+                    "the time before the ring has no room any more, replays will not have what the stages remember: \
+                     --before-mib gives it more",
+                ),
+                None => {}
+            }
+        });
         if self.ring.is_cut() && !std::mem::replace(&mut self.is_cut_told, true) {
             let seconds = self.ring.span_ns() as f64 / 1e9;
             (self.say)(&format!("the memory holds {seconds:.0} s: --ring-mib gives it more"));

@@ -32,6 +32,21 @@ pub struct RingArguments {
     /// Memory of what is kept, MiB
     #[arg(long, value_name = "MIB", requires = "last", default_value_t = 512, value_parser = clap::value_parser!(u64).range(1..=MEMORY_MAX))]
     ring_mib: u64,
+    /// Memory of what the stages were given before that, from the run's begin on, MiB: with it a replay of the files
+    /// agrees from their first tick on; 0 keeps none
+    #[arg(long, value_name = "MIB", requires = "last", default_value_t = 128, value_parser = clap::value_parser!(u64).range(0..=MEMORY_MAX))]
+    before_mib: u64,
+}
+
+/// What a flight recorder keeps and writes at most.
+#[derive(Clone, Copy, Debug)]
+pub struct Limits {
+    /// The ring.
+    pub ring: RingLimits,
+    /// Memory of what was before it.
+    pub before_bytes: usize,
+    /// The files.
+    pub flight: FlightLimits,
 }
 
 /// Reads a time: `60s` or `60`.
@@ -45,12 +60,10 @@ fn seconds(text: &str) -> Result<Duration, String> {
 
 impl RingArguments {
     /// The limits; none where all is to be written.
-    pub fn limits(&self) -> Option<(RingLimits, FlightLimits)> {
-        let ring = RingLimits {
-            span_ns: nanoseconds(self.last?),
-            bytes: usize::try_from(self.ring_mib << 20).unwrap_or(usize::MAX),
-        };
-        Some((ring, FlightLimits { after_ns: nanoseconds(self.after), files: self.files }))
+    pub fn limits(&self) -> Option<Limits> {
+        let ring = RingLimits { span_ns: nanoseconds(self.last?), bytes: bytes(self.ring_mib) };
+        let flight = FlightLimits { after_ns: nanoseconds(self.after), files: self.files };
+        Some(Limits { ring, before_bytes: bytes(self.before_mib), flight })
     }
 
     /// The same for a recording of its own process.
@@ -59,6 +72,7 @@ impl RingArguments {
         command.arg("--last").arg(last.as_secs_f64().to_string());
         command.arg("--after").arg(self.after.as_secs_f64().to_string());
         command.arg("--files").arg(self.files.to_string()).arg("--ring-mib").arg(self.ring_mib.to_string());
+        command.arg("--before-mib").arg(self.before_mib.to_string());
     }
 
     /// Refuses names that are taken.
@@ -78,12 +92,17 @@ impl RingArguments {
         let seconds = self.last.unwrap_or_default().as_secs_f64();
         let [first, last] = [1, self.files].map(|number| numbered(path, number).display().to_string());
         format!(
-            "keeping the last {seconds} s in memory, at most {} MiB; written when something happens to {first} … {last}; \
+            "keeping the last {seconds} s in memory, at most {} MiB, and {} MiB of what was before; written when something happens to {first} … {last}; \
              kill -USR1 {} or stgdat mark asks for it",
             self.ring_mib,
+            self.before_mib,
             std::process::id()
         )
     }
+}
+
+fn bytes(mebibytes: u64) -> usize {
+    usize::try_from(mebibytes << 20).unwrap_or(usize::MAX)
 }
 
 fn nanoseconds(time: Duration) -> u64 {

@@ -1,20 +1,23 @@
-use std::path::PathBuf;
+use std::io::Read as _;
+use std::path::{Path, PathBuf};
 
 use clap::Args;
+use recorder::Report;
 use recording::{About, Comparison, Recording};
 use run::Exit;
 
 use crate::differences::{table, title};
 use crate::failure::Failure;
+use crate::report_differences::ReportComparison;
 use crate::show::show;
 
 /// Arguments of `stgdat diff`.
 #[derive(Debug, Args)]
 pub struct Arguments {
-    /// A recording
+    /// A recording of a run, or a report (`run --report`)
     #[arg(value_name = "A")]
     a: PathBuf,
-    /// Another one, of the same scene
+    /// Another one of the same kind and scene
     #[arg(value_name = "B")]
     b: PathBuf,
     /// Print the comparison as JSON
@@ -22,8 +25,42 @@ pub struct Arguments {
     json: bool,
 }
 
-/// Compares two recordings tick by tick.
+/// Compares two recordings tick by tick, or two reports figure by figure and agent by agent.
 pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
+    match [is_report(&arguments.a)?, is_report(&arguments.b)?] {
+        [false, false] => recordings(arguments),
+        [true, true] => reports(arguments),
+        [first, _] => {
+            let (report, recording) =
+                if first { (&arguments.a, &arguments.b) } else { (&arguments.b, &arguments.a) };
+            let (report, recording) = (report.display(), recording.display());
+            Err(Failure::Usage(format!("{report} is a report and {recording} is none: name two of a kind")))
+        }
+    }
+}
+
+/// Whether a file is a report: it begins as JSON does.
+fn is_report(path: &Path) -> Result<bool, Failure> {
+    let failed = |error| Failure::file(path, error);
+    let mut begin = Vec::new();
+    std::fs::File::open(path).map_err(failed)?.take(64).read_to_end(&mut begin).map_err(failed)?;
+    Ok(begin.trim_ascii_start().first() == Some(&b'{'))
+}
+
+fn reports(arguments: &Arguments) -> Result<Exit, Failure> {
+    let [a, b] = [&arguments.a, &arguments.b].map(|path| Report::read(path).map_err(Failure::data));
+    let compared = ReportComparison::of(&a?, &b?);
+    if arguments.json {
+        show(&(serde_json::to_string_pretty(&compared).map_err(Failure::data)? + "\n"))?;
+    } else {
+        let [a, b] = [&arguments.a, &arguments.b].map(|path| path.display());
+        let equal = if compared.is_equal() { "equal but for the clock\n" } else { "" };
+        show(&format!("A: {a}\nB: {b}\n{}{equal}", compared.text()))?;
+    }
+    Ok(if compared.is_equal() { Exit::Done } else { Exit::Different })
+}
+
+fn recordings(arguments: &Arguments) -> Result<Exit, Failure> {
     let [a, b] = [&arguments.a, &arguments.b].map(|path| open(path));
     let (a, b) = (a?, b?);
     let comparison = Comparison::of(&a, &b).map_err(Failure::data)?;

@@ -1,3 +1,4 @@
+use std::collections::BTreeMap;
 use std::io::Write as _;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
@@ -7,13 +8,15 @@ use ports::{Asked, Stop, monotonic_ns};
 use recording::tap::{Client, Item, Request};
 use recording::{About, EVENTS, LOG, Writer};
 use run::Exit;
-use wire::TABLE;
+use wire::{ForecastsTopic, TABLE, Topic as _};
 
 use crate::failure::Failure;
 use crate::runs;
 use crate::tap::{FlightRecorder, Recorded, RingArguments, follow};
 use crate::verbs::wire::layout;
 
+/// Forecasts with all their fields.
+const WHOLE: &str = "forecasts-whole";
 /// Topics that are recorded where none are named.
 pub const TOPICS: &str = "detections,tracks,forecasts,events";
 /// Time that the tap has to open the topics.
@@ -31,8 +34,8 @@ pub struct Arguments {
     /// The run, by its name or its folder, where more than one goes on
     #[arg(long, value_name = "NAME")]
     run: Option<PathBuf>,
-    /// Topics, separated by commas; `events` are the supervisor's events and the stages' log lines, `all` is
-    /// everything
+    /// Topics, separated by commas; `events` are the supervisor's events and the stages' log lines, `forecasts` are
+    /// without their controls, `forecasts-whole` with them, `all` is everything
     #[arg(long, value_name = "LIST", default_value = TOPICS, value_parser = topics)]
     topics: Topics,
     /// End after so many seconds; with the run if not given
@@ -46,16 +49,21 @@ pub struct Arguments {
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Topics {
     names: Vec<String>,
+    /// Forecasts with their controls.
+    whole: bool,
     events: bool,
 }
 
 /// Reads a list of topics.
 pub fn topics(list: &str) -> Result<Topics, String> {
     let known = || TABLE.topics.iter().map(|topic| topic.name);
-    let mut topics = Topics { names: Vec::new(), events: false };
+    let mut topics = Topics { names: Vec::new(), whole: false, events: false };
     for name in list.split(',').map(str::trim) {
-        match name {
-            "all" => topics = Topics { names: known().map(str::to_owned).collect(), events: true },
+        topics.whole |= name == WHOLE;
+        match if name == WHOLE { ForecastsTopic::NAME } else { name } {
+            "all" => {
+                topics = Topics { names: known().map(str::to_owned).collect(), whole: true, events: true };
+            }
             EVENTS | LOG => topics.events = true,
             name if known().any(|topic| topic == name) => {
                 if !topics.names.iter().any(|have| have == name) {
@@ -64,7 +72,7 @@ pub fn topics(list: &str) -> Result<Topics, String> {
             }
             name => {
                 let known = known().collect::<Vec<_>>().join(", ");
-                return Err(format!("there is no topic \"{name}\": {known}, {EVENTS} or all"));
+                return Err(format!("there is no topic \"{name}\": {known}, {WHOLE}, {EVENTS} or all"));
             }
         }
     }
@@ -77,10 +85,11 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
     let limit = arguments.seconds.map(Duration::try_from_secs_f64).transpose();
     let limit = limit.map_err(|error| Failure::Usage(format!("--seconds: {error}")))?;
     let run = runs::find(arguments.run.as_deref())?;
-    let Topics { names, events } = arguments.topics.clone();
+    let Topics { names, whole, events } = arguments.topics.clone();
+    let element_bytes = if whole { BTreeMap::new() } else { recording::lean() };
     let about =
         About::of_run(&run.root).map_err(|error| Failure::file(&run.root.join(recording::ABOUT), error))?;
-    let about = About { topics: names.clone(), clock_offset_ns: clock_offset_ns(), ..about };
+    let about = About { topics: names.clone(), element_bytes, clock_offset_ns: clock_offset_ns(), ..about };
     let request = Request { tool: "record".to_owned(), topics: names, events: true, mark: None };
     let mut client = Client::attach(&run.root, &request).map_err(Failure::unavailable)?;
     if client.next(ATTACH_LIMIT).map_err(Failure::unavailable)? != Some(Item::Attached) {
@@ -155,7 +164,11 @@ mod tests {
     fn lists_of_topics_are_read() {
         let default = topics(TOPICS).unwrap();
         assert_eq!((default.names.join(" ").as_str(), default.events), ("detections tracks forecasts", true));
-        assert_eq!(topics("all").unwrap().names.len(), TABLE.topics.len());
+        assert!(!default.whole);
+        let all = topics("all").unwrap();
+        assert!(all.names.len() == TABLE.topics.len() && all.whole);
+        let whole = topics("tracks,forecasts,forecasts-whole").unwrap();
+        assert_eq!((whole.names.join(" ").as_str(), whole.whole), ("tracks forecasts", true));
         assert_eq!(topics("tracks, tracks").unwrap().names, ["tracks"]);
         let error = topics("tracks,traks").unwrap_err();
         assert!(error.contains("\"traks\"") && error.contains("heartbeats"), "{error}");

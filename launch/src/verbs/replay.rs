@@ -107,6 +107,9 @@ fn notes(recording: &Recording, weights: &Weights) -> Vec<String> {
         notes
             .push(format!("the retrieval memory {path} is not in the file: replayed with what it holds now"));
     }
+    if about.before {
+        notes.push("the ticks before the file are replayed first, from the run's begin".to_owned());
+    }
     if !about.run.lockstep {
         notes.push(
             "recorded in real time: what came when, and what was lost, is taken from the record".to_owned(),
@@ -149,6 +152,8 @@ fn told(replayed: &Replayed) -> String {
     let Replayed {
         comparison,
         ticks,
+        ticks_before,
+        before,
         newest,
         guessed,
         missing_before,
@@ -163,6 +168,18 @@ fn told(replayed: &Replayed) -> String {
         text += &format!(
             "the recording begins with tick {first}: the stages had seen others before, which the replay has not\n"
         );
+    }
+    if *ticks_before > 0 {
+        text += &format!(
+            "the {ticks_before} ticks before the file were replayed first, of what the stages were given then"
+        );
+        text += &match before.first() {
+            None if before.is_equal() => "\n".to_owned(),
+            None => "; not all of them had the frames that they have now\n".to_owned(),
+            Some(first) => {
+                format!("; they differ from tick {} on: {} {}\n", first.tick, first.topic, first.field)
+            }
+        };
     }
     if *tracks_are_recorded {
         text += "the tracks are taken from the record: what the tracker remembered is not in the file\n";

@@ -106,7 +106,7 @@ impl Search {
                     self.events.push((event.at_ns, text));
                 }
             }
-            Message::Line(_) => {}
+            Message::Before(_) | Message::Line(_) => {}
         }
     }
 
@@ -115,7 +115,7 @@ impl Search {
         let is_ours = header.seq == self.tick && header.is_tick();
         let topic = frame.topic().name;
         if is_ours && topic != HeartbeatsTopic::NAME {
-            let elements = frame.payload().len() / frame.element().size;
+            let elements = frame.elements_len();
             self.frames.push(FrameOf { topic, elements, bytes: frame.bytes().len() });
         }
         if topic != ForecastsTopic::NAME {

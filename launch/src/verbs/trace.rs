@@ -61,7 +61,7 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
 /// The clocks at the first message. How long the machine slept is not recorded: boot time is taken as monotonic.
 fn clocks(recording: &Recording, first: &Message) -> Clocks {
     let at_ns = match first {
-        Message::Frame(frame) => frame.received_ns(),
+        Message::Frame(frame) | Message::Before(frame) => frame.received_ns(),
         Message::Event(event) => event.at_ns,
         Message::Line(line) => line.at_ns,
     };
@@ -80,7 +80,7 @@ fn take(tracer: &mut Tracer, message: &Message, ticks: &mut u64) -> Result<(), r
             frame.elements::<HeartbeatsTopic>()?.iter().for_each(|heartbeat| tracer.heartbeat(heartbeat));
         }
         Message::Event(event) => happened(tracer, event),
-        Message::Frame(_) | Message::Line(_) => {}
+        Message::Frame(_) | Message::Before(_) | Message::Line(_) => {}
     }
     Ok(())
 }

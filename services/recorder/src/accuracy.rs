@@ -7,6 +7,7 @@
 //! A forecast is scored if the truth covers *all* steps of its horizon. Otherwise an agent that leaves the
 //! scene early would contribute only the easy first steps; such forecasts are counted as uncovered.
 
+mod agents;
 mod truth;
 
 use std::collections::{BTreeMap, VecDeque};
@@ -16,6 +17,7 @@ use serde::{Deserialize, Serialize};
 use wire::{AGENT_TYPES, AgentType, Forecast, HORIZON_MAX, Header, MODES_MAX, Quality, Rejected, Truth};
 
 use crate::report::{Accuracy, Errors};
+use agents::Agents;
 use truth::{GAP_MAX_NS, Paths};
 
 /// Largest distance between a forecast and the truth it is matched with, where identities are missing.
@@ -77,6 +79,7 @@ impl Scored {
 /// The forecasts of one tick.
 #[derive(Clone, Debug, Default)]
 struct Waiting {
+    seq: u64,
     stamp_ns: i64,
     step_ns: i64,
     horizon_len: usize,
@@ -142,7 +145,8 @@ impl Scorer {
         }
         let mut kept = self.spare.pop().unwrap_or_default();
         kept.extend(forecasts.iter().map(Scored::from));
-        let tick = Waiting { stamp_ns: header.stamp_ns, step_ns, horizon_len, forecasts: kept };
+        let (seq, stamp_ns) = (header.seq, header.stamp_ns);
+        let tick = Waiting { seq, stamp_ns, step_ns, horizon_len, forecasts: kept };
         // Without truth, a tick is dropped once the truth of its whole horizon is overdue.
         let due =
             |oldest: &Waiting| oldest.end_ns().saturating_add(GAP_MAX_NS + LAG_MAX_NS) < header.stamp_ns;
@@ -223,7 +227,6 @@ impl Group {
     }
 
     fn errors(&self) -> Errors {
-        let rounded = |value: Option<f64>| value.map(|v| (v * 1e4).round() / 1e4);
         let (held, len) = self.held;
         let held = held.map(|held| (len > 0).then(|| held as f64 / len as f64));
         Errors {
@@ -243,12 +246,18 @@ impl Group {
     }
 }
 
+/// Errors are told to a tenth of a millimetre.
+fn rounded(value: Option<f64>) -> Option<f64> {
+    value.map(|v| (v * 1e4).round() / 1e4)
+}
+
 /// Sums of the errors so far.
 #[derive(Clone, Debug, Default, Serialize, Deserialize)]
 struct Tally {
     all: Group,
     learned: Group,
     by_type: [Group; AGENT_TYPES.len()],
+    agents: Agents,
     draws: u32,
     horizon_ns: i64,
     uncovered_len: u64,
@@ -272,7 +281,7 @@ impl Tally {
                 self.uncovered_len += 1;
                 continue;
             }
-            self.add(tick, forecast, truth);
+            self.add(tick, (id, forecast), truth);
             // Another place in each tick, so that every agent is scored now and then.
             let turn = (tick.stamp_ns / tick.step_ns.max(1)).unsigned_abs() as usize;
             if let Some(Some(end_m)) = truth.last().filter(|_| (number + turn).is_multiple_of(stride)) {
@@ -282,7 +291,7 @@ impl Tally {
         }
     }
 
-    fn add(&mut self, tick: &Waiting, forecast: &Scored, truth: &[Option<Point>]) {
+    fn add(&mut self, tick: &Waiting, (id, forecast): (u64, &Scored), truth: &[Option<Point>]) {
         let modes_len = (forecast.modes_len as usize).min(MODES_MAX);
         let displacements = [
             min_displacement(&forecast.modes[..modes_len], truth),
@@ -290,6 +299,7 @@ impl Tally {
             displacement(&constant_velocity(forecast, tick.step_ns), truth),
         ];
         self.groups(forecast).for_each(|group| group.add(displacements));
+        self.agents.add(id, tick, forecast, displacements[0]);
         self.draws = self.draws.max(forecast.modes_len);
         self.horizon_ns = self.horizon_ns.max(tick.end_ns() - tick.stamp_ns);
     }
@@ -317,6 +327,8 @@ impl Tally {
             miss_radius_m: metrics::MISS_RADIUS_M,
             learned: self.learned.errors(),
             by_type,
+            agents: self.agents.errors(),
+            agents_unlisted: self.agents.unlisted(),
             uncovered: self.uncovered_len,
             unmatched: self.unmatched_len,
         }

@@ -494,10 +494,49 @@ pub struct Accuracy {
     pub learned: Errors,
     /// Errors by agent type.
     pub by_type: BTreeMap<String, Errors>,
+    /// Errors of each agent, by its identity in the truth.
+    #[serde(default)]
+    pub agents: Vec<AgentErrors>,
+    /// Agents beyond those listed.
+    #[serde(default)]
+    pub agents_unlisted: u64,
     /// Forecasts whose agent has no truth for the whole horizon: it left the scene, or the run ended.
     pub uncovered: u64,
     /// Forecasts that match no agent of the truth: false alarms, or no truth near.
     pub unmatched: u64,
+}
+
+/// Errors of the forecasts of one agent.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct AgentErrors {
+    /// Its identity in the truth.
+    pub agent: u64,
+    /// Its type, as it was forecast last.
+    #[serde(rename = "type")]
+    pub agent_type: String,
+    /// Forecasts compared.
+    pub forecasts: u64,
+    /// minADE_K.
+    pub ade_m: Option<f64>,
+    /// minFDE_K.
+    pub fde_m: Option<f64>,
+    /// The forecast whose best mode ends farthest from the truth.
+    pub worst: WorstForecast,
+}
+
+/// The worst forecast of an agent.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct WorstForecast {
+    /// Its tick.
+    pub tick: u64,
+    /// The tick's stamp.
+    pub stamp_ns: i64,
+    /// Where the agent was.
+    pub x_m: f32,
+    /// Where the agent was.
+    pub y_m: f32,
+    /// minFDE_K of this forecast.
+    pub fde_m: f64,
 }
 
 /// Errors of a group of forecasts, and those of constant velocity for the same agents.

@@ -1,3 +1,4 @@
+use std::collections::BTreeMap;
 use std::path::Path;
 
 use run::Run;
@@ -27,6 +28,12 @@ pub struct About {
     /// Topics that were asked for.
     #[serde(default)]
     pub topics: Vec<String>,
+    /// Of the elements of these topics only so many leading bytes are recorded.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub element_bytes: BTreeMap<String, usize>,
+    /// Whether the file has what the stages were given before its first message, from the run's begin on.
+    #[serde(default)]
+    pub before: bool,
     /// The Unix time less `CLOCK_MONOTONIC` when the recording began: the file's times are Unix times.
     #[serde(default)]
     pub clock_offset_ns: i64,
@@ -43,6 +50,8 @@ impl Default for About {
             scene: String::new(),
             run: Run::default(),
             topics: Vec::new(),
+            element_bytes: BTreeMap::new(),
+            before: false,
             clock_offset_ns: 0,
         }
     }

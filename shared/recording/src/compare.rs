@@ -196,6 +196,11 @@ pub fn computed(header: &Header) -> Header {
 /// What differs between two frames of a topic and a tick; none where they are equal.
 #[must_use]
 pub fn compare(a: &Frame, b: &Frame) -> Option<FrameDifference> {
+    // Of what was recorded of one of them in part, that part.
+    let common = a.element_bytes().min(b.element_bytes());
+    if a.element_bytes() != b.element_bytes() {
+        return compare(&a.leading(common), &b.leading(common));
+    }
     let headers = [computed(a.header()), computed(b.header())];
     let [header_a, header_b] = headers.each_ref().map(bytemuck::bytes_of);
     let is_equal =
@@ -205,20 +210,22 @@ pub fn compare(a: &Frame, b: &Frame) -> Option<FrameDifference> {
         return None;
     }
     let mut found = Found { tick: a.header().seq, topic: a.topic().name, difference: None };
-    found.records(&Header::RECORD, "header", None, [header_a, header_b]);
+    found.records((&Header::RECORD, size_of::<Header>()), "header", None, [header_a, header_b]);
     let (len_a, len_b) = (a.payload().len(), b.payload().len());
     if has_same_len {
         for (record, name, range) in sections(a) {
             let payloads = [&a.payload()[range.clone()], &b.payload()[range]];
-            found.records(record, name, Some(0), payloads);
+            let leading = if record.name == a.element().name { common } else { record.size };
+            found.records((record, leading), name, Some(0), payloads);
         }
     } else {
-        let size = a.element().size;
-        found.number("payload.elements_len".to_owned(), (len_a / size) as f64, (len_b / size) as f64);
+        let [elements_a, elements_b] = [a, b].map(|frame| frame.elements_len() as f64);
+        found.number("payload.elements_len".to_owned(), elements_a, elements_b);
         // What both have, element by element, for users that ask how far the first ones are apart.
         if a.element().name != Row::RECORD.name {
             let len = len_a.min(len_b);
-            found.records(a.element(), "", Some(0), [&a.payload()[..len], &b.payload()[..len]]);
+            let payloads = [&a.payload()[..len], &b.payload()[..len]];
+            found.records((a.element(), common), "", Some(0), payloads);
         }
     }
     found.difference
@@ -285,15 +292,22 @@ struct Found {
 }
 
 impl Found {
-    /// Compares records that lie one behind the other; they are numbered where `first` says from which number on.
-    fn records(&mut self, record: &Record, name: &str, first: Option<usize>, bytes: [&[u8]; 2]) {
+    /// Compares records that lie one behind the other, of each so many leading bytes; they are numbered where `first`
+    /// says from which number on.
+    fn records(
+        &mut self,
+        (record, leading): (&Record, usize),
+        name: &str,
+        first: Option<usize>,
+        bytes: [&[u8]; 2],
+    ) {
         let mut leaves = None;
-        let pairs = bytes[0].chunks_exact(record.size).zip(bytes[1].chunks_exact(record.size));
+        let pairs = bytes[0].chunks_exact(leading).zip(bytes[1].chunks_exact(leading));
         for (number, (a, b)) in pairs.enumerate().filter(|(_, (a, b))| a != b) {
             let leaves: &Vec<Leaf> = leaves.get_or_insert_with(|| record.leaves());
             for leaf in leaves {
                 let range = leaf.offset..leaf.offset + leaf.primitive.size();
-                if a[range.clone()] == b[range.clone()] {
+                if range.end > leading || a[range.clone()] == b[range.clone()] {
                     continue;
                 }
                 let place = first.map_or_else(String::new, |first| format!("[{}]", first + number));

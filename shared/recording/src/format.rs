@@ -112,6 +112,15 @@ impl<'a> Parts<'a> {
         std::str::from_utf8(self.bytes()?).ok()
     }
 
+    /// All of a map of texts.
+    pub fn texts(mut self) -> Option<Vec<(&'a str, &'a str)>> {
+        let mut pairs = Vec::new();
+        while !self.0.is_empty() {
+            pairs.push((self.text()?, self.text()?));
+        }
+        Some(pairs)
+    }
+
     /// The record at the front: its number and its body.
     pub fn record(&mut self) -> Option<(u8, &'a [u8])> {
         let op = self.raw(1)?[0];

@@ -1,15 +1,20 @@
+use std::collections::BTreeMap;
+use std::mem::offset_of;
 use std::sync::Arc;
 
 use thiserror::Error;
-use wire::{Header, Record, Rejected, SCHEMA, TABLE, Topic, TopicEntry};
+use wire::{Forecast, ForecastsTopic, Header, Record, Rejected, SCHEMA, TABLE, Topic, TopicEntry};
 
 /// Bytes of a header.
 const HEADER: usize = size_of::<Header>();
 
-/// One frame as it was sent: header and payload, unchecked but for their length.
+/// One frame as it was sent: header and payload, unchecked but for their length. Of each element it may hold the
+/// leading bytes alone.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Frame {
     topic: u8,
+    /// Bytes of each element.
+    element_bytes: u32,
     header: Box<Header>,
     received_ns: u64,
     /// Header and payload.
@@ -33,6 +38,16 @@ pub enum FrameError {
         /// The topic.
         topic: &'static str,
         /// Bytes of the payload.
+        found: usize,
+        /// Bytes of an element.
+        element: usize,
+    },
+    /// An element has not so many bytes, or none are left of it.
+    #[error("topic \"{topic}\": {found} bytes of each element, which has {element}")]
+    Element {
+        /// The topic.
+        topic: &'static str,
+        /// Bytes that there are to be.
         found: usize,
         /// Bytes of an element.
         element: usize,
@@ -63,6 +78,13 @@ pub fn topic_number(name: &str) -> Option<u8> {
     TABLE.topics.iter().position(|topic| topic.name == name).map(|place| place as u8)
 }
 
+/// Topics of whose elements the leading bytes alone are recorded where no more is asked for, with their number: of
+/// forecasts all but the controls, which are half of their bytes and hardly compress.
+#[must_use]
+pub fn lean() -> BTreeMap<String, usize> {
+    BTreeMap::from([(ForecastsTopic::NAME.to_owned(), offset_of!(Forecast, controls))])
+}
+
 impl Frame {
     /// A frame of header and elements, received at that time of `CLOCK_MONOTONIC`.
     ///
@@ -72,10 +94,11 @@ impl Frame {
     pub fn of<T: Topic>(header: &Header, elements: &[T::Element], received_ns: u64) -> Self {
         let bytes = [bytemuck::bytes_of(header), bytemuck::cast_slice(elements)].concat();
         let topic = topic_number(T::NAME).expect("every topic is in the table");
-        Self { topic, header: Box::new(*header), received_ns, bytes: bytes.into() }
+        let element_bytes = size_of::<T::Element>() as u32;
+        Self { topic, element_bytes, header: Box::new(*header), received_ns, bytes: bytes.into() }
     }
 
-    /// A frame of bytes.
+    /// A frame of bytes, with whole elements.
     ///
     /// # Errors
     /// [`FrameError`] where their number is not that of a frame.
@@ -83,16 +106,49 @@ impl Frame {
     /// # Panics
     /// Where there is no topic of that number.
     pub fn read(topic: u8, bytes: Arc<[u8]>, received_ns: u64) -> Result<Self, FrameError> {
+        Self::read_leading(topic, TABLE.topics[usize::from(topic)].element.size, bytes, received_ns)
+    }
+
+    /// A frame of bytes, with the leading bytes of each element.
+    ///
+    /// # Errors
+    /// [`FrameError`] where their number is not that of a frame.
+    ///
+    /// # Panics
+    /// Where there is no topic of that number.
+    pub fn read_leading(
+        topic: u8,
+        element_bytes: usize,
+        bytes: Arc<[u8]>,
+        received_ns: u64,
+    ) -> Result<Self, FrameError> {
         let entry = &TABLE.topics[usize::from(topic)];
+        if !(1..=entry.element.size).contains(&element_bytes) {
+            let (found, element) = (element_bytes, entry.element.size);
+            return Err(FrameError::Element { topic: entry.name, found, element });
+        }
         let Some((header, payload)) = bytes.split_at_checked(HEADER) else {
             return Err(FrameError::Short { topic: entry.name, found: bytes.len() });
         };
-        if !payload.len().is_multiple_of(entry.element.size) {
-            let (found, element) = (payload.len(), entry.element.size);
+        if !payload.len().is_multiple_of(element_bytes) {
+            let (found, element) = (payload.len(), element_bytes);
             return Err(FrameError::Uneven { topic: entry.name, found, element });
         }
         let header = Box::new(bytemuck::pod_read_unaligned(header));
-        Ok(Self { topic, header, received_ns, bytes })
+        Ok(Self { topic, element_bytes: element_bytes as u32, header, received_ns, bytes })
+    }
+
+    /// The frame with no more than so many leading bytes of each element.
+    #[must_use]
+    pub fn leading(&self, element_bytes: usize) -> Self {
+        if element_bytes >= self.element_bytes() {
+            return self.clone();
+        }
+        let payload = self.payload().chunks_exact(self.element_bytes());
+        let mut bytes = Vec::with_capacity(HEADER + payload.len() * element_bytes);
+        bytes.extend_from_slice(&self.bytes[..HEADER]);
+        payload.for_each(|element| bytes.extend_from_slice(&element[..element_bytes]));
+        Self { element_bytes: element_bytes as u32, bytes: bytes.into(), ..self.clone() }
     }
 
     /// The topic's number: its place in [`wire::TABLE`].
@@ -111,6 +167,18 @@ impl Frame {
     #[must_use]
     pub fn element(&self) -> &'static Record {
         self.topic().element
+    }
+
+    /// Bytes of each element that it holds.
+    #[must_use]
+    pub const fn element_bytes(&self) -> usize {
+        self.element_bytes as usize
+    }
+
+    /// Number of its elements.
+    #[must_use]
+    pub fn elements_len(&self) -> usize {
+        self.payload().len() / self.element_bytes()
     }
 
     /// The header, unchecked.
@@ -143,7 +211,8 @@ impl Frame {
         &self.bytes[HEADER..]
     }
 
-    /// The elements of a frame of that topic, checked as far as their header says how many there are.
+    /// The elements of a frame of that topic, checked as far as their header says how many there are. What the
+    /// frame does not hold of them is zero.
     ///
     /// # Errors
     /// [`FrameError`] where it is a frame of another topic, its header is impossible or has another number of
@@ -153,8 +222,13 @@ impl Frame {
         if found != T::NAME {
             return Err(FrameError::OfTopic { found, expected: T::NAME });
         }
-        let parts = self.payload().chunks_exact(size_of::<T::Element>());
-        let elements: Vec<T::Element> = parts.map(bytemuck::pod_read_unaligned).collect();
+        let parts = self.payload().chunks_exact(self.element_bytes());
+        let whole = |part: &[u8]| {
+            let mut element: T::Element = bytemuck::Zeroable::zeroed();
+            bytemuck::bytes_of_mut(&mut element)[..part.len()].copy_from_slice(part);
+            element
+        };
+        let elements: Vec<T::Element> = parts.map(whole).collect();
         let rejected = |source| FrameError::Rejected { topic: T::NAME, tick: self.header.seq, source };
         // A header of another schema has its counts elsewhere.
         if self.header.schema != SCHEMA {

@@ -31,11 +31,13 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 //!
-//! [`Ring`] keeps the newest messages in memory, and [`flight`] says when they are worth a file.
+//! [`Ring`] keeps the newest messages in memory, and [`flight`] says when they are worth a file. [`Before`] keeps of all
+//! that came before what a replay needs.
 //!
 //! [`tap`] is how tools get the frames of a run that goes on: one process reads the topics and hands them on.
 
 mod about;
+mod before;
 mod compare;
 mod error;
 mod event;
@@ -49,10 +51,11 @@ pub mod tap;
 mod writer;
 
 pub use about::{ABOUT, About};
+pub use before::{Before, Forgotten};
 pub use compare::{Comparison, Difference, FrameDifference, TopicComparison, compare, computed};
 pub use error::{ReadError, WriteError};
 pub use event::{Event, Happened, LogLine};
-pub use frame::{Frame, FrameError, topic_number};
+pub use frame::{Frame, FrameError, lean, topic_number};
 pub use reader::{Ending, Message, Messages, Recording};
 pub use ring::{Ring, RingLimits};
 pub use sink::{FileSink, Sink};

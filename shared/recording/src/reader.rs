@@ -5,11 +5,11 @@ use std::io::{self, Read as _};
 use std::path::{Path, PathBuf};
 
 use lz4_flex::frame::FrameDecoder;
-use wire::SCHEMA;
+use wire::{SCHEMA, TABLE};
 
 use crate::format::{FOOTER, LZ4, MAGIC, PREFIX, Parts, op};
 use crate::sink::read_at;
-use crate::writer::{BEGIN, END, EVENT_CHANNEL, LOG_CHANNEL, channel_topic};
+use crate::writer::{BEFORE, BEGIN, END, EVENT_CHANNEL, LOG_CHANNEL, channel_topic};
 use crate::{About, Event, Frame, LogLine, ReadError};
 
 /// Largest record that is read into memory: a chunk has one frame more than its limit at most.
@@ -54,7 +54,10 @@ pub enum Ending {
 /// What a channel holds.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Channel {
-    Topic(u8),
+    /// Frames of a topic, with so many bytes of each element.
+    Topic(u8, usize),
+    /// The same of what was before.
+    Before(u8, usize),
     Events,
     Log,
 }
@@ -71,6 +74,8 @@ struct Chunk {
 pub enum Message {
     /// A frame.
     Frame(Frame),
+    /// A frame of what was before the file: its header, and of its elements no more than a replay needs.
+    Before(Frame),
     /// Something that happened.
     Event(Event),
     /// A line of a stage's log.
@@ -82,7 +87,7 @@ impl Message {
     #[must_use]
     pub const fn at_ns(&self) -> u64 {
         match self {
-            Self::Frame(frame) => frame.received_ns(),
+            Self::Frame(frame) | Self::Before(frame) => frame.received_ns(),
             Self::Event(event) => event.at_ns,
             Self::Line(line) => line.at_ns,
         }
@@ -186,13 +191,24 @@ impl Recording {
     fn channel(&mut self, at: u64, body_len: u64) -> Result<(), ReadError> {
         let body = self.bytes(at + PREFIX as u64, body_len as usize)?;
         let mut parts = Parts(&body);
-        let id = parts.u16().zip(parts.u16()).map(|(id, _)| id);
-        let read = id.zip(parts.text());
-        let (id, topic) = read.ok_or_else(|| self.damaged(at, "a channel that is cut short".into()))?;
-        let channel = match (id, channel_topic(topic)) {
+        let mut read = || {
+            let (id, _) = (parts.u16()?, parts.u16()?);
+            let (topic, _) = (parts.text()?, parts.text()?);
+            Some((id, topic, Parts(parts.bytes()?).texts()?))
+        };
+        let (id, topic, pairs) =
+            read().ok_or_else(|| self.damaged(at, "a channel that is cut short".into()))?;
+        let before = topic.strip_prefix(BEFORE);
+        let channel = match (id, channel_topic(before.unwrap_or(topic))) {
             (EVENT_CHANNEL, _) => Channel::Events,
             (LOG_CHANNEL, _) => Channel::Log,
-            (_, Some(number)) => Channel::Topic(number),
+            (_, Some(number)) => {
+                let told = pairs.iter().find(|(key, _)| *key == "element_bytes");
+                let bytes = told.and_then(|(_, bytes)| bytes.parse().ok());
+                let what = || self.damaged(at, format!("topic \"{topic}\" without the size of its elements"));
+                let bytes = bytes.ok_or_else(what)?;
+                if before.is_some() { Channel::Before(number, bytes) } else { Channel::Topic(number, bytes) }
+            }
             (_, None) => return Err(self.damaged(at, format!("a channel of the unknown topic \"{topic}\""))),
         };
         self.channels.push((id, channel));
@@ -204,12 +220,8 @@ impl Recording {
         let read = || {
             let mut parts = Parts(&body);
             let name = parts.text()?.to_owned();
-            let mut map = Parts(parts.bytes()?);
-            let mut pairs = Vec::new();
-            while !map.0.is_empty() {
-                pairs.push((map.text()?.to_owned(), map.text()?.to_owned()));
-            }
-            Some((name, pairs))
+            let pairs = Parts(parts.bytes()?).texts()?.into_iter();
+            Some((name, pairs.map(|(key, value)| (key.to_owned(), value.to_owned())).collect()))
         };
         read().ok_or_else(|| self.damaged(at, "metadata that is cut short".into()))
     }
@@ -253,8 +265,24 @@ impl Recording {
     /// Whether the recording was to have that topic.
     #[must_use]
     pub fn has_topic(&self, name: &str) -> bool {
-        channel_topic(name)
-            .is_some_and(|number| self.channels.iter().any(|(_, c)| *c == Channel::Topic(number)))
+        self.element_bytes(name).is_some()
+    }
+
+    /// How many bytes of each element of a topic it has; none where it was not recorded.
+    #[must_use]
+    pub fn element_bytes(&self, name: &str) -> Option<usize> {
+        let number = channel_topic(name)?;
+        self.channels.iter().find_map(|(_, channel)| match channel {
+            Channel::Topic(of, bytes) if *of == number => Some(*bytes),
+            _ => None,
+        })
+    }
+
+    /// Whether a topic was recorded with all fields of its elements.
+    #[must_use]
+    pub fn has_whole(&self, name: &str) -> bool {
+        let entry = TABLE.topics.iter().find(|topic| topic.name == name);
+        entry.is_some_and(|topic| self.element_bytes(name) == Some(topic.element.size))
     }
 
     /// All messages, in the order in which they were received. After an error the messages of the next chunk
@@ -335,13 +363,16 @@ impl Recording {
         let (((id, _), log_ns), _) = read.ok_or_else(|| wrong("cut short"))?;
         let channel = self.channels.iter().find(|(of, _)| *of == id);
         let json = |error: serde_json::Error| wrong(&error.to_string());
-        match channel.map(|(_, channel)| *channel) {
+        let channel = channel.map(|(_, channel)| *channel);
+        match channel {
             Some(Channel::Events) => Ok(Message::Event(serde_json::from_slice(parts.0).map_err(json)?)),
             Some(Channel::Log) => Ok(Message::Line(serde_json::from_slice(parts.0).map_err(json)?)),
-            Some(Channel::Topic(topic)) => {
+            Some(Channel::Topic(topic, element_bytes) | Channel::Before(topic, element_bytes)) => {
                 let received_ns = log_ns.saturating_add_signed(-self.about.clock_offset_ns);
-                let frame = Frame::read(topic, parts.0.into(), received_ns);
-                frame.map(Message::Frame).map_err(|source| ReadError::Frame {
+                let frame = Frame::read_leading(topic, element_bytes, parts.0.into(), received_ns);
+                let is_before = matches!(channel, Some(Channel::Before(..)));
+                let message = if is_before { Message::Before } else { Message::Frame };
+                frame.map(message).map_err(|source| ReadError::Frame {
                     path: self.path.clone(),
                     offset: chunk.offset,
                     message: number,

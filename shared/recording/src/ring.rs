@@ -32,9 +32,9 @@ impl Ring {
         Self { limits, messages: VecDeque::new(), bytes: 0, newest_ns: 0, is_cut: false }
     }
 
-    /// Adds a message; the oldest go where they are too old or have no room. A message that is larger than the ring
-    /// is not kept.
-    pub fn push(&mut self, message: Message) {
+    /// Adds a message; the oldest go where they are too old or have no room, and `gone` is called with each. A message
+    /// that is larger than the ring is not kept.
+    pub fn push(&mut self, message: Message, mut gone: impl FnMut(Message)) {
         self.newest_ns = self.newest_ns.max(message.at_ns());
         self.bytes += weight(&message);
         self.messages.push_back(message);
@@ -46,7 +46,9 @@ impl Ring {
             }
             self.is_cut |= !is_old;
             self.bytes -= weight(first);
-            self.messages.pop_front();
+            if let Some(first) = self.messages.pop_front() {
+                gone(first);
+            }
         }
     }
 
@@ -76,7 +78,7 @@ impl Ring {
 
 fn weight(message: &Message) -> usize {
     let content = match message {
-        Message::Frame(frame) => frame.bytes().len() + size_of::<wire::Header>(),
+        Message::Frame(frame) | Message::Before(frame) => frame.bytes().len() + size_of::<wire::Header>(),
         Message::Event(_) => 256,
         Message::Line(line) => line.line.len() + line.stage.len(),
     };
@@ -104,11 +106,11 @@ mod tests {
     #[test]
     fn the_oldest_messages_go_first_and_a_ring_that_is_too_small_says_so() {
         let mut ring = Ring::new(RingLimits { span_ns: 10, bytes: 1 << 20 });
-        (0..30).for_each(|at_ns| ring.push(line(at_ns, 5)));
+        (0..30).for_each(|at_ns| ring.push(line(at_ns, 5), drop));
         let times: Vec<u64> = ring.messages().map(Message::at_ns).collect();
         assert_eq!(times, (19..30).collect::<Vec<_>>());
         assert!(!ring.is_cut() && ring.span_ns() == 10);
-        ring.push(line(30, 2 << 20));
+        ring.push(line(30, 2 << 20), drop);
         assert!(ring.is_cut() && ring.messages().len() == 0 && ring.bytes() == 0);
     }
 
@@ -121,16 +123,17 @@ mod tests {
             bytes in 1_000..200_000_usize,
         ) {
             let mut ring = Ring::new(RingLimits { span_ns, bytes });
-            let (mut at_ns, mut all) = (0, Vec::new());
+            let (mut at_ns, mut all, mut went) = (0, Vec::new(), Vec::new());
             for (later_ns, len, is_frame) in messages {
                 at_ns += later_ns;
                 let message = if is_frame { frame(at_ns, len) } else { line(at_ns, len) };
                 all.push(message.clone());
-                ring.push(message);
+                ring.push(message, |message| went.push(message));
                 prop_assert!(ring.bytes() <= bytes && ring.span_ns() <= span_ns);
                 let kept: Vec<&Message> = ring.messages().collect();
                 prop_assert_eq!(ring.bytes(), kept.iter().map(|message| weight(message)).sum::<usize>());
                 let gone = all.len() - kept.len();
+                prop_assert!(went == all[..gone], "what goes is handed on");
                 prop_assert!(kept.iter().zip(&all[gone..]).all(|(a, b)| *a == b), "the newest, in order");
                 if let Some(last_gone) = gone.checked_sub(1).map(|last| &all[last]) {
                     let is_old = last_gone.at_ns() + span_ns < at_ns;

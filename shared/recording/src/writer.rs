@@ -5,8 +5,9 @@ use std::path::{Path, PathBuf};
 use crc32fast::Hasher;
 use lz4_flex::frame::{BlockMode, BlockSize, FrameEncoder, FrameInfo};
 use serde::Serialize;
-use wire::{Header, TABLE};
+use wire::{Header, TABLE, TopicEntry};
 
+use crate::before::kept_bytes;
 use crate::format::{Body, FOOTER, LZ4, MAGIC, PREFIX, op};
 use crate::sink::FileSink;
 use crate::{About, EVENTS, Event, Frame, Happened, LOG, LogLine, Message, Sink, WriteError, topic_number};
@@ -22,6 +23,10 @@ const WIRE_SCHEMA: u16 = 1;
 const JSON_SCHEMA: u16 = 2;
 /// Channels of topics have the topic's number and this.
 pub(crate) const TOPIC_CHANNELS: u16 = 1;
+/// Channels of what was before have the topic's number and this.
+pub(crate) const BEFORE_CHANNELS: u16 = 50;
+/// The names of their topics begin with this.
+pub(crate) const BEFORE: &str = "before/";
 pub(crate) const EVENT_CHANNEL: u16 = 100;
 pub(crate) const LOG_CHANNEL: u16 = 101;
 /// Names of the metadata at the file's begin and at its end.
@@ -59,6 +64,8 @@ pub struct Writer<S: Sink = FileSink> {
     head: Vec<u8>,
     schemas_len: u32,
     channels: Vec<(u16, String)>,
+    /// Of the elements of these topics only so many leading bytes are written.
+    element_bytes: BTreeMap<String, usize>,
     chunks: Vec<ChunkIndex>,
     metadata: Vec<(u64, u64, &'static str)>,
     written: Written,
@@ -123,20 +130,18 @@ impl<S: Sink> Writer<S> {
             .record(op::SCHEMA, &mut head);
         let mut channels = Vec::new();
         for (number, topic) in TABLE.topics.iter().enumerate() {
-            if !about.topics.is_empty() && !about.topics.iter().any(|name| name == topic.name) {
-                continue;
+            let whole = topic.element.size;
+            if about.topics.is_empty() || about.topics.iter().any(|name| name == topic.name) {
+                let bytes = about.element_bytes.get(topic.name).map_or(whole, |bytes| whole.min(*bytes));
+                let id = number as u16 + TOPIC_CHANNELS;
+                channel(&mut head, id, topic.name, topic, bytes);
+                channels.push((id, topic.name.to_owned()));
             }
-            let id = number as u16 + TOPIC_CHANNELS;
-            let metadata = [
-                ("element", topic.element.name.to_owned()),
-                ("element_bytes", topic.element.size.to_string()),
-                ("header", Header::RECORD.name.to_owned()),
-                ("header_bytes", Header::RECORD.size.to_string()),
-                ("type_name", topic.type_name.to_owned()),
-            ];
-            let body = Body::default().u16(id).u16(WIRE_SCHEMA).text(topic.name).text("stgdat-wire");
-            body.texts(&metadata).record(op::CHANNEL, &mut head);
-            channels.push((id, topic.name.to_owned()));
+            if let Some(bytes) = kept_bytes(topic.name).filter(|_| about.before) {
+                let (id, name) = (number as u16 + BEFORE_CHANNELS, format!("{BEFORE}{}", topic.name));
+                channel(&mut head, id, &name, topic, bytes);
+                channels.push((id, name));
+            }
         }
         for (id, name) in [(EVENT_CHANNEL, EVENTS), (LOG_CHANNEL, LOG)] {
             let body = Body::default().u16(id).u16(JSON_SCHEMA).text(name).text("json");
@@ -153,6 +158,7 @@ impl<S: Sink> Writer<S> {
             head: Vec::new(),
             schemas_len: 2,
             channels,
+            element_bytes: about.element_bytes.clone(),
             chunks: Vec::new(),
             metadata: Vec::new(),
             written: Written::default(),
@@ -176,8 +182,23 @@ impl<S: Sink> Writer<S> {
         if self.channels.iter().all(|(id, _)| *id != channel) {
             return;
         }
-        let (received_ns, sent_ns) = (frame.received_ns(), frame.sent_ns());
-        self.message(channel, frame.header().seq as u32, [received_ns, sent_ns], frame.bytes());
+        let times_ns = [frame.received_ns(), frame.sent_ns()];
+        let sequence = frame.header().seq as u32;
+        match self.element_bytes.get(frame.topic().name) {
+            Some(bytes) => self.message(channel, sequence, times_ns, frame.leading(*bytes).bytes()),
+            None => self.message(channel, sequence, times_ns, frame.bytes()),
+        }
+    }
+
+    /// Adds a frame of what was before, of a file that is about to have it.
+    pub fn before(&mut self, frame: &Frame) {
+        let channel = u16::from(frame.number()) + BEFORE_CHANNELS;
+        let Some(bytes) = kept_bytes(frame.topic().name) else { return };
+        if self.channels.iter().all(|(id, _)| *id != channel) {
+            return;
+        }
+        let times_ns = [frame.received_ns(), frame.sent_ns()];
+        self.message(channel, frame.header().seq as u32, times_ns, frame.leading(bytes).bytes());
     }
 
     /// Adds an event.
@@ -197,6 +218,7 @@ impl<S: Sink> Writer<S> {
     pub fn add(&mut self, message: &Message) {
         match message {
             Message::Frame(frame) => self.frame(frame),
+            Message::Before(frame) => self.before(frame),
             Message::Event(event) => self.event(event),
             Message::Line(line) => self.line(line),
         }
@@ -402,6 +424,19 @@ impl<S: Sink> Writer<S> {
         body.record(op::STATISTICS, &mut out);
         out
     }
+}
+
+/// Adds the channel of a topic's frames, with so many bytes of each element.
+fn channel(head: &mut Vec<u8>, id: u16, name: &str, topic: &TopicEntry, element_bytes: usize) {
+    let metadata = [
+        ("element", topic.element.name.to_owned()),
+        ("element_bytes", element_bytes.to_string()),
+        ("header", Header::RECORD.name.to_owned()),
+        ("header_bytes", Header::RECORD.size.to_string()),
+        ("type_name", topic.type_name.to_owned()),
+    ];
+    let body = Body::default().u16(id).u16(WIRE_SCHEMA).text(name).text("stgdat-wire");
+    body.texts(&metadata).record(op::CHANNEL, head);
 }
 
 /// A frame of LZ4, as MCAP asks for.

@@ -1,12 +1,13 @@
 //! Files of recordings: what was written is read back, however the file was hurt.
 
+use std::collections::BTreeMap;
 use std::fs;
 use std::io::{self, ErrorKind};
 use std::path::{Path, PathBuf};
 
 use proptest::prelude::*;
 use recording::{
-    About, Ending, Event, Frame, Happened, LogLine, Message, ReadError, Recording, Sink, Writer,
+    About, Comparison, Ending, Event, Frame, Happened, LogLine, Message, ReadError, Recording, Sink, Writer,
 };
 use tempfile::TempDir;
 use wire::{Detection, DetectionsTopic, Forecast, ForecastsTopic, Header, Hop, StageId};
@@ -57,6 +58,7 @@ fn messages(ticks: u64) -> Vec<Message> {
 fn add<S: Sink>(writer: &mut Writer<S>, message: &Message) {
     match message {
         Message::Frame(frame) => writer.frame(frame),
+        Message::Before(frame) => writer.before(frame),
         Message::Event(event) => writer.event(event),
         Message::Line(line) => writer.line(line),
     }
@@ -87,6 +89,39 @@ fn what_was_written_is_read_back() {
     assert_eq!(recording.ending(), &Ending::Complete { how, lost_on_disk: "{}".to_owned() });
     recording.verify().unwrap();
     assert_eq!(read(&path), all);
+}
+
+#[test]
+fn forecasts_without_their_controls_are_read_and_compared_as_far_as_they_go() {
+    let folder = tempfile::tempdir().unwrap();
+    let written = |name: &str, lean: bool, control: f32, x_m: f32| {
+        let element_bytes = if lean { recording::lean() } else { BTreeMap::new() };
+        let path = folder.path().join(name);
+        let mut writer = Writer::create(&path, &About { element_bytes, ..about() }, "{}").unwrap();
+        for seq in 0..5 {
+            let mut forecasts = [0, 1].map(|id| Forecast { id, x_m, ..bytemuck::Zeroable::zeroed() });
+            forecasts.iter_mut().for_each(|forecast| forecast.controls[19][11].cholesky[2] = control);
+            writer.frame(&Frame::of::<ForecastsTopic>(&header(seq, 2), &forecasts, seq * TICK_NS));
+        }
+        writer.finish("").unwrap();
+        Recording::open(&path).unwrap()
+    };
+    let [whole, lean] = [written("a.mcap", false, 1.0, 3.0), written("b.mcap", true, 2.0, 3.0)];
+    assert!(whole.has_whole("forecasts") && !lean.has_whole("forecasts") && lean.has_topic("forecasts"));
+    lean.verify().unwrap();
+    let Some(Ok(Message::Frame(frame))) = lean.messages().next() else { panic!("no frame") };
+    let forecasts = frame.elements::<ForecastsTopic>().unwrap();
+    assert_eq!((forecasts.len(), forecasts[1].id, forecasts[1].x_m), (2, 1, 3.0));
+    assert_eq!(forecasts[1].controls[19][11].cholesky[2], 0.0, "not in the file");
+    assert!(Comparison::of(&whole, &lean).unwrap().is_equal(), "what both have is equal");
+    let other = written("c.mcap", true, 1.0, 3.5);
+    for (a, b) in [(&whole, &other), (&other, &lean)] {
+        let found = Comparison::of(a, b).unwrap();
+        assert_eq!(found.first().map(|first| (first.field.as_str(), first.apart())), Some(("[0].x_m", 0.5)));
+    }
+    let other = written("d.mcap", false, 1.5, 3.0);
+    let first = Comparison::of(&whole, &other).unwrap().first().cloned().unwrap();
+    assert!(first.field.contains("controls[19][11].cholesky[2]"), "{first:?}");
 }
 
 #[test]

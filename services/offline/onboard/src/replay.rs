@@ -43,9 +43,9 @@ pub enum ReplayError {
     /// The stages can't be set up.
     #[error(transparent)]
     Chain(#[from] ChainError),
-    /// A topic is not in the file.
+    /// A topic is not in the file, or not whole.
     #[error(
-        "{path}: topic \"{topic}\" was not recorded, which {wanted} needs: record with --topics {advice}"
+        "{path}: topic \"{topic}\" was not recorded, or without a part, which {wanted} needs: record with --topics {advice}"
     )]
     Missing {
         /// The file.
@@ -64,8 +64,12 @@ pub enum ReplayError {
 pub struct Replayed {
     /// The recorded frames (first) and the replayed ones (second).
     pub comparison: Comparison,
-    /// Ticks that were replayed.
+    /// Ticks that were replayed, without those before the file.
     pub ticks: u64,
+    /// Ticks before the file that were replayed first, to bring the stages to where they were.
+    pub ticks_before: u64,
+    /// Of these ticks the headers and identities, recorded and replayed.
+    pub before: Comparison,
     /// Ticks of which the record does not say which stages had them, the topics between being not recorded.
     pub guessed: u64,
     /// The last tick that was replayed.
@@ -116,7 +120,12 @@ impl<'a> Replay<'a> {
                     .unwrap_or_default()
             }
         };
-        let missing = wanted.into_iter().find(|topic| !recording.has_topic(topic));
+        // The tracker goes on with the controls of its forecasts.
+        let needs_whole = |topic: &str| alone == Some(StageId::Tracker) && topic == ForecastsTopic::NAME;
+        let has = |topic: &str| {
+            if needs_whole(topic) { recording.has_whole(topic) } else { recording.has_topic(topic) }
+        };
+        let missing = wanted.into_iter().find(|topic| !has(topic));
         if let Some(topic) = missing {
             let wanted = alone.map_or_else(|| "a replay".to_owned(), |stage| format!("the {}", stage.name()));
             return Err(ReplayError::Missing { path, topic, wanted, advice: "all" });
@@ -146,7 +155,11 @@ impl<'a> Replay<'a> {
         let leads =
             [TracksTopic::NAME].into_iter().chain(inputs).find(|topic| self.recording.has_topic(topic));
         for message in self.recording.messages() {
-            let Message::Frame(frame) = message? else { continue };
+            let (frame, is_before) = match message? {
+                Message::Frame(frame) => (frame, false),
+                Message::Before(frame) => (frame, true),
+                Message::Event(_) | Message::Line(_) => continue,
+            };
             if !frame.header().is_tick() {
                 continue;
             }
@@ -154,7 +167,7 @@ impl<'a> Replay<'a> {
             if Some(name) == leads && !order.contains(&seq) {
                 order.push_back(seq);
             }
-            ticks.entry(seq).or_default().add(frame);
+            ticks.entry(seq).or_default().add(frame, is_before);
             if order.len() > LATER
                 && let Some(seq) = order.pop_front()
                 && let Some(tick) = ticks.remove(&seq)
@@ -177,7 +190,7 @@ impl<'a> Replay<'a> {
             self.found.missing_before = Some(seq);
         }
         self.found.newest = Some(seq);
-        self.found.ticks += 1;
+        *if tick.is_before() { &mut self.found.ticks_before } else { &mut self.found.ticks } += 1;
         let impossible = &mut self.found.impossible;
         let recorded_tracks = tick.own::<TracksTopic>(impossible);
         let recorded_controls = tick.own::<ControlsTopic>(impossible);
@@ -374,7 +387,8 @@ impl<'a> Replay<'a> {
             self.renew(stage, incarnation)?;
             return Ok(true);
         }
-        if self.recording.has_topic(writes) {
+        // Of a tick before the file the outputs between are not kept.
+        if self.recording.has_topic(writes) && !tick.is_before() {
             return Ok(false);
         }
         self.found.guessed += u64::from(stage == StageId::Localiser);
@@ -405,9 +419,17 @@ impl<'a> Replay<'a> {
         match (recorded, made) {
             (Some(recorded), Some(made)) => {
                 let made = Frame::of::<T>(&made.header, &made.elements, recorded.received_ns());
-                self.found.comparison.pair(recorded, &made);
-                each(&made);
+                if tick.is_recorded(T::NAME) {
+                    self.found.comparison.pair(recorded, &made);
+                    each(&made);
+                } else {
+                    self.found.before.pair(recorded, &made);
+                }
             }
+            (Some(recorded), None) if !tick.is_recorded(T::NAME) => {
+                self.found.before.alone(T::NAME, recorded.header().seq, true);
+            }
+            (None, _) if tick.is_before() => {}
             (Some(recorded), None) => self.found.comparison.alone(T::NAME, recorded.header().seq, true),
             (None, Some(made)) if self.recording.has_topic(T::NAME) => {
                 self.found.comparison.alone(T::NAME, made.header.seq, false);

@@ -8,19 +8,37 @@ use crate::stages::OwnFrame;
 
 /// The recorded frames of one tick.
 #[derive(Debug, Default)]
-pub struct Tick(Vec<Frame>);
+pub struct Tick {
+    frames: Vec<Frame>,
+    /// Topics of frames that were before the file, of which it has no more than a replay needs.
+    before: Vec<&'static str>,
+}
 
 impl Tick {
     /// Adds a frame; of a topic the first counts.
-    pub fn add(&mut self, frame: Frame) {
-        if self.frame(frame.topic().name).is_none() {
-            self.0.push(frame);
+    pub fn add(&mut self, frame: Frame, is_before: bool) {
+        let topic = frame.topic().name;
+        if self.frame(topic).is_none() {
+            self.frames.push(frame);
+            if is_before {
+                self.before.push(topic);
+            }
         }
+    }
+
+    /// Whether some of its frames were before the file: others may be missing then.
+    pub fn is_before(&self) -> bool {
+        !self.before.is_empty()
+    }
+
+    /// Whether it has the frame of a topic as it was sent.
+    pub fn is_recorded(&self, topic: &str) -> bool {
+        self.frame(topic).is_some() && !self.before.contains(&topic)
     }
 
     /// The frame of a topic.
     pub fn frame(&self, topic: &str) -> Option<&Frame> {
-        self.0.iter().find(|frame| frame.topic().name == topic)
+        self.frames.iter().find(|frame| frame.topic().name == topic)
     }
 
     /// The frame of a topic with its elements; none where the frame is impossible, as a faulty sender makes it: the
@@ -70,6 +88,6 @@ impl Tick {
 
     /// When its last frame was received.
     pub fn received_ns(&self) -> u64 {
-        self.0.iter().map(Frame::received_ns).max().unwrap_or(0)
+        self.frames.iter().map(Frame::received_ns).max().unwrap_or(0)
     }
 }
