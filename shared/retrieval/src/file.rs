@@ -89,8 +89,8 @@ impl RetrievalMemory {
 
     fn to_bytes(&self, weights_sha256: &str) -> Result<Vec<u8>, SafeTensorError> {
         // Entries that no bucket reaches any more are never retrieved.
-        let kept: BTreeSet<usize> = self.buckets.keys().flat_map(|bucket| self.bucket(bucket)).collect();
-        let keys = || kept.iter().map(|place| &self.keys[*place].key);
+        let kept: BTreeSet<usize> = self.index.buckets().flat_map(|bucket| self.bucket(bucket)).collect();
+        let keys = || kept.iter().filter_map(|place| self.key(*place));
         let values = || kept.iter().map(|place| &self.values[*place]);
         let (len, steps_len) = (kept.len(), self.horizon_len);
         let bytes =

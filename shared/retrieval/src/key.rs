@@ -1,5 +1,7 @@
 //! Keys of the memory, the similarity of two keys, and the buckets that hold near ones together.
 
+use std::f32::consts::TAU;
+
 use kinematics::MotionKind;
 use scene::{AgentFrame, MOVING_MPS, State, turn, turn_rates};
 
@@ -7,12 +9,16 @@ use scene::{AgentFrame, MOVING_MPS, State, turn, turn_rates};
 const CELL_M: [f32; 2] = [2.0, 5.0];
 /// Sectors of heading into which buckets divide bicycles.
 const DIRECTIONS: i32 = 8;
+/// Their width.
+const SECTOR_RAD: f32 = TAU / DIRECTIONS as f32;
 /// The sector of agents that move by displacements: buckets do not divide them by heading.
 const ANY_DIRECTION: i32 = -1;
 
 /// Support of the kernel, by kind of motion: half of the squared distance beyond which a similarity is 0. Of
 /// agents that move by displacements there are many more.
 const REACH: [f32; 2] = [7.0, 4.0];
+/// No bicycles whose headings differ by more are similar: 0.12 √(2 · 7), and a little.
+const TURN_MAX_RAD: f32 = 0.46;
 /// Width of a displacement key's position in the kernel of means; in that of single neighbours it is wider,
 /// since a path some metres off can still be taken though its residuals differ on average.
 const MEAN_WIDTH_M: f32 = 2.5;
@@ -164,17 +170,21 @@ impl Key {
         let [x, y] = self.position_m().map(|value| (value / CELL_M[self.kind() as usize]).floor() as i32);
         match self {
             Self::Displacement(_) => (MotionKind::Displacement, [x, y, ANY_DIRECTION]),
-            Self::Bicycle(BicycleKey { heading_rad, .. }) => {
-                let turn = heading_rad.rem_euclid(std::f32::consts::TAU) / std::f32::consts::TAU;
-                (MotionKind::Bicycle, [x, y, (turn * DIRECTIONS as f32) as i32 % DIRECTIONS])
-            }
+            Self::Bicycle(key) => (MotionKind::Bicycle, [x, y, key.sectors() as i32 % DIRECTIONS]),
         }
     }
 
     /// The buckets in which keys near this one may lie.
     pub(crate) fn buckets_around(&self) -> impl Iterator<Item = Bucket> + use<> {
         let (kind, [x, y, direction]) = self.bucket();
-        let turns = if direction == ANY_DIRECTION { 0..=0 } else { -1..=1 };
+        let turns = match self {
+            Self::Displacement(_) => 0..=0,
+            Self::Bicycle(key) => {
+                let into = key.sectors().fract();
+                let [before, behind] = [into, 1.0 - into].map(|sectors| sectors * SECTOR_RAD <= TURN_MAX_RAD);
+                -i32::from(before)..=i32::from(behind)
+            }
+        };
         turns.flat_map(move |turn| {
             let direction = if direction == ANY_DIRECTION {
                 ANY_DIRECTION
@@ -204,6 +214,11 @@ impl BicycleKey {
             acceleration_mps2: before.map_or(0.0, |before| (speed_mps - along(before)) / dt_s),
             turn_rate_radps: turn_rates(history, dt_s)[0],
         })
+    }
+
+    /// The heading as a number of sectors, from 0 to [`DIRECTIONS`].
+    fn sectors(&self) -> f32 {
+        self.heading_rad.rem_euclid(TAU) / TAU * DIRECTIONS as f32
     }
 
     /// Half of the squared distance d², unless it is surely beyond `reach`.

@@ -70,6 +70,7 @@
 mod controls;
 mod expectation;
 mod file;
+mod index;
 mod key;
 mod memory;
 mod residuals;

@@ -6,6 +6,7 @@ use kinematics::MotionKind;
 use wire::{AGENTS_MAX, HORIZON_MAX};
 
 use crate::expectation::{KernelMean, Shrinkage};
+use crate::index::{KeyIndex, RUN_LEN};
 use crate::key::Bucket;
 use crate::residuals::{StepPath, residual};
 use crate::{Key, RETRIEVED_MAX, Residuals};
@@ -48,14 +49,6 @@ struct Pending {
     predicted: Residuals,
 }
 
-/// An entry's key, stored apart from its value, which most searches do not read.
-#[derive(Clone, Copy, Debug)]
-pub(crate) struct IndexedKey {
-    pub(crate) key: Key,
-    /// Number of this entry less that of the one before it in the bucket; 0 where it is the first.
-    back: u32,
-}
-
 /// The last observation of an agent, and its pending entries.
 #[derive(Clone, Debug)]
 struct Trace {
@@ -71,12 +64,10 @@ pub struct RetrievalMemory {
     pub(crate) horizon_len: usize,
     pub(crate) step_ns: i64,
     pub(crate) values: VecDeque<Value>,
-    /// The keys of the values.
-    pub(crate) keys: VecDeque<IndexedKey>,
+    /// The keys of the values, which most searches do not read.
+    pub(crate) index: KeyIndex,
     /// Number of the oldest entry.
     pub(crate) oldest: u64,
-    /// Numbers of the newest entries.
-    pub(crate) buckets: HashMap<Bucket, u64>,
     traces: HashMap<u64, Trace>,
     /// Free room for the pending entries of new agents.
     spare: Vec<VecDeque<Pending>>,
@@ -171,10 +162,8 @@ impl RetrievalMemory {
             horizon_len,
             step_ns: step_ns.cast_signed().max(1),
             values: VecDeque::with_capacity(ENTRIES_MAX),
-            keys: VecDeque::with_capacity(ENTRIES_MAX),
+            index: KeyIndex::with_room(ENTRIES_MAX),
             oldest: 0,
-            // A table at most half full replaces buckets without allocating.
-            buckets: HashMap::with_capacity(2 * ENTRIES_MAX),
             traces: HashMap::with_capacity(2 * TRACES_MAX),
             spare: (0..TRACES_MAX).map(|_| VecDeque::with_capacity(horizon_len + 1)).collect(),
             shrinkage: Default::default(),
@@ -269,17 +258,28 @@ impl RetrievalMemory {
         retrieved.neighbours.clear();
         retrieved.least = 0;
         for bucket in key.buckets_around() {
-            for place in self.bucket(&bucket) {
-                let Some(similarity) = self.keys[place].key.similarity(key) else { continue };
-                let value = &self.values[place];
-                if (value.session, value.agent) == (self.session, agent) {
-                    continue;
+            let mut left = BUCKET_MAX[kind as usize];
+            for (numbers, keys) in self.index.runs(&bucket, self.oldest) {
+                // First all keys of the run, then the values of the similar ones: those lie far from one another.
+                let mut similar = [None; RUN_LEN];
+                similar.iter_mut().zip(keys).for_each(|(similar, own)| *similar = own.similarity(key));
+                let found = similar[..numbers.len()].iter().zip(numbers);
+                for (similar, &number) in found.rev().take(left) {
+                    let Some(similarity) = similar else { continue };
+                    let value = &self.values[(number - self.oldest) as usize];
+                    if (value.session, value.agent) == (self.session, agent) {
+                        continue;
+                    }
+                    if similarity.in_mean > 0.0 {
+                        mean.add(similarity.in_mean, &value.residuals);
+                    }
+                    if similarity.as_neighbour >= SIMILARITY_MIN && value.taken_len == self.horizon_len {
+                        retrieved.add(similarity.as_neighbour, &value.residuals);
+                    }
                 }
-                if similarity.in_mean > 0.0 {
-                    mean.add(similarity.in_mean, &value.residuals);
-                }
-                if similarity.as_neighbour >= SIMILARITY_MIN && value.taken_len == self.horizon_len {
-                    retrieved.add(similarity.as_neighbour, &value.residuals);
+                left = left.saturating_sub(numbers.len());
+                if left == 0 {
+                    break;
                 }
             }
         }
@@ -326,20 +326,19 @@ impl RetrievalMemory {
         if self.values.len() == ENTRIES_MAX {
             self.drop_oldest();
         }
-        let number = self.oldest + self.values.len() as u64;
-        let before = self.buckets.insert(key.bucket(), number);
-        self.keys.push_back(IndexedKey { key, back: before.map_or(0, |before| (number - before) as u32) });
+        self.index.push(self.oldest + self.values.len() as u64, key);
         self.values.push_back(value);
     }
 
-    /// The places of a bucket's entries, the newest first.
+    /// The places of a bucket's entries that are searched, the newest first.
     pub(crate) fn bucket(&self, bucket: &Bucket) -> impl Iterator<Item = usize> {
-        let newest = self.buckets.get(bucket).map(|number| (number - self.oldest) as usize);
-        let before = |place: &usize| match self.keys[*place].back as usize {
-            0 => None,
-            back => place.checked_sub(back),
-        };
-        std::iter::successors(newest, before).take(BUCKET_MAX[bucket.0 as usize])
+        let numbers = self.index.runs(bucket, self.oldest).flat_map(|(numbers, _)| numbers.iter().rev());
+        numbers.map(|number| (number - self.oldest) as usize).take(BUCKET_MAX[bucket.0 as usize])
+    }
+
+    /// The key of the entry at a place.
+    pub(crate) fn key(&self, place: usize) -> Option<&Key> {
+        self.index.key(place, self.oldest + place as u64)
     }
 
     fn step_s(&self) -> f32 {
@@ -348,11 +347,7 @@ impl RetrievalMemory {
 
     fn drop_oldest(&mut self) {
         self.values.pop_front();
-        let Some(entry) = self.keys.pop_front() else { return };
-        let bucket = entry.key.bucket();
-        if self.buckets.get(&bucket) == Some(&self.oldest) {
-            self.buckets.remove(&bucket);
-        }
+        self.index.drop_oldest(self.oldest);
         self.oldest += 1;
     }
 

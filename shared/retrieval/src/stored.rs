@@ -67,7 +67,7 @@ impl RetrievalMemory {
     #[must_use]
     pub fn entry(&self, number: u64) -> Option<StoredEntry> {
         let place = usize::try_from(number.checked_sub(self.oldest)?).ok()?;
-        let (key, value) = (&self.keys.get(place)?.key, self.values.get(place)?);
+        let (key, value) = (self.key(place)?, self.values.get(place)?);
         Some(StoredEntry {
             number,
             agent: value.agent,
