@@ -229,9 +229,14 @@ impl Observer {
             launcher_pid: std::process::id(),
             linked,
             processes,
-            accuracy: accuracy(&self.accuracy_path),
+            accuracy: self.accuracy(),
             events: self.events.iter().cloned().collect(),
         }
+    }
+
+    /// What the recorder last told of the forecasts' errors.
+    pub fn accuracy(&self) -> Option<Errors> {
+        serde_json::from_slice(&std::fs::read(&self.accuracy_path).ok()?).ok()
     }
 
     /// Writes what is left to write; returns what went wrong with the files.
@@ -245,11 +250,6 @@ impl Observer {
         });
         of_metrics.into_iter().chain(of_trace).collect()
     }
-}
-
-/// What the recorder last told of the forecasts' errors.
-fn accuracy(path: &Path) -> Option<Errors> {
-    serde_json::from_slice(&std::fs::read(path).ok()?).ok()
 }
 
 /// A run's name: that of its folder.

@@ -20,8 +20,10 @@ use crate::outages::Outages;
 const UPDATE: Duration = Duration::from_millis(100);
 /// Interval between lines where the output is not a terminal.
 const LINE: Duration = Duration::from_secs(1);
+/// Interval between looks at what the recorder tells of the forecasts' errors.
+const ERRORS: Duration = Duration::from_secs(1);
 /// Rows of the table.
-const ROWS: u16 = 22;
+const ROWS: u16 = 23;
 
 /// Follows a run from outside: which stages are linked, and its progress.
 pub struct Watch {
@@ -31,6 +33,8 @@ pub struct Watch {
     view: LiveView,
     display: Display,
     shown: Instant,
+    /// When the view last got the forecasts' errors.
+    told: Instant,
     printed_ticks: u64,
     outages: Outages,
     observer: Observer,
@@ -60,6 +64,7 @@ impl Watch {
             view: LiveView::new(options),
             display: if quiet { Display::Quiet } else { Display::for_output() },
             shown: Instant::now(),
+            told: Instant::now(),
             printed_ticks: 0,
             outages: Outages::default(),
             observer,
@@ -87,6 +92,10 @@ impl Watch {
         }
         self.take_forecasts()?;
         self.view.clock(monotonic_ns());
+        if self.told.elapsed() >= ERRORS && matches!(self.display, Display::Table(_)) {
+            self.view.errors(self.observer.accuracy());
+            self.told = Instant::now();
+        }
         for (stage, line) in lines {
             self.display.line(&format!("{}: {line}", stage.name()));
         }

@@ -14,7 +14,7 @@ pub use draw::draw;
 use crate::losses::Losses;
 use crate::passage::{Passage, Phases, Timeline};
 use crate::record::{TICK_LIMIT_NS, is_outside, is_shed};
-use crate::report::{Percentiles, RefusedFrames, ReplacementOutcome};
+use crate::report::{Errors, Percentiles, RefusedFrames, ReplacementOutcome};
 use crate::text::{count, number};
 
 /// Ticks in the window that the view shows: ten seconds at 12.5 Hz.
@@ -106,6 +106,8 @@ pub struct LiveView {
     newest_causes: [u64; Cause::ALL.len()],
     /// Forecasts of all ticks by quality.
     total: [u64; Quality::ALL.len()],
+    /// Of the forecasts whose horizon is over, as the recorder last told.
+    errors: Option<Errors>,
 }
 
 impl LiveView {
@@ -133,7 +135,13 @@ impl LiveView {
             total_shed: 0,
             newest_causes: [0; Cause::ALL.len()],
             total: [0; Quality::ALL.len()],
+            errors: None,
         }
+    }
+
+    /// Takes the errors of the forecasts whose horizon is over, as the recorder last told.
+    pub fn errors(&mut self, errors: Option<Errors>) {
+        self.errors = errors;
     }
 
     /// Takes the forecasts of a tick. Losses are counted as by [`crate::Recorder::forecasts`].

@@ -34,7 +34,6 @@ pub(crate) struct Blended {
     agent: Agent,
     paths: Paths,
     weights: [[f32; EXPERTS]; HORIZON_MAX],
-    start_m: [f32; 2],
     /// The single best forecast.
     pub(crate) best_m: [[f32; 2]; HORIZON_MAX],
     /// The change of controls that leads from the network's best forecast there.
@@ -165,8 +164,7 @@ impl Experts {
         let spread = Spread::of(&widths, &fan, dt_s);
         let set = self.evidence.mode_set(&agent);
         let network_m = [[[0.0; 2]; HORIZON_MAX]; MODES_MAX];
-        let start_m = now.position_m;
-        Blended { agent, paths, weights, start_m, best_m, shift, spread, fan, set, network_m }
+        Blended { agent, paths, weights, best_m, shift, spread, fan, set, network_m }
     }
 
     /// Shifts the modes with the best forecast, and replaces the least probable of them by the fan's where that
@@ -176,7 +174,6 @@ impl Experts {
         stamp_ns: i64,
         model: &MotionModel,
         controls: &ForecastControls<'_, M>,
-        dt_s: f32,
         blended: &mut Blended,
         changes: &mut ControlChanges,
     ) {
@@ -204,19 +201,16 @@ impl Experts {
         }
         let fan_sum: f32 = blended.fan.probability[..fan_len].iter().sum();
         let best_m = &blended.best_m[..len];
-        // From zero control on: the network's controls may be saturated, and then no change leads away.
-        let mut straight_m = [[0.0; 2]; HORIZON_MAX];
-        model.positions(std::iter::repeat_n([0.0; 2], len), &mut straight_m[..len]);
         for (number, &mode) in replaced.iter().enumerate() {
             let mut path = [[0.0; 2]; HORIZON_MAX];
             for (step, (path, best_m)) in path.iter_mut().zip(best_m).enumerate() {
                 let residual_m = blended.fan.residual_m(number, step);
                 *path = [0, 1].map(|axis| best_m[axis] + residual_m[axis]);
             }
-            let start_m = blended.start_m;
-            let residuals = Residuals::between(model.kind(), start_m, &straight_m[..len], &path[..len], dt_s);
+            let mut means = ControlChange::default();
+            model.follow(&path[..len], &mut means);
             let probability = (1.0 - of_network) * blended.fan.probability[number] / fan_sum;
-            changes.replace(mode, &residuals.control_change(model), controls, probability);
+            changes.replace(mode, &means, controls, probability);
             blended.spread.fan.0 |= 1 << mode;
         }
     }

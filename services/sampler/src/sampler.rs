@@ -286,7 +286,7 @@ impl Sampler {
         });
         if let Some((experts, blended)) = self.experts.as_ref().zip(blended.as_mut()) {
             let decoded = controls.as_decoded();
-            experts.change(tick.stamp_ns, &model, &decoded, tick.dt_s(), blended, &mut self.changes);
+            experts.change(tick.stamp_ns, &model, &decoded, blended, &mut self.changes);
         }
         if self.options.initial_covariance {
             model = with_track_covariance(model, track);

@@ -43,9 +43,12 @@ impl Displacement {
     #[must_use]
     pub fn residual(&self, control: &Vector2<f32>, [vx_mps, vy_mps]: [f32; 2]) -> Vector2<f32> {
         let beyond_s = self.dt_s - self.carried_s();
-        let along_mps =
-            Vector2::new(self.cos * vx_mps + self.sin * vy_mps, self.cos * vy_mps - self.sin * vx_mps);
-        control - along_mps * beyond_s
+        control - self.in_agent_frame(Vector2::new(vx_mps, vy_mps)) * beyond_s
+    }
+
+    /// A vector of the world frame in the agent frame.
+    pub(crate) fn in_agent_frame(&self, world: Vector2<f32>) -> Vector2<f32> {
+        Vector2::new(self.cos * world.x + self.sin * world.y, self.cos * world.y - self.sin * world.x)
     }
 
     fn carried_s(&self) -> f32 {

@@ -34,6 +34,8 @@
 //! * [`particle_moments`](MotionModel::particle_moments), the same by *Monte Carlo* ([`advance_particles`]):
 //!   particles that draw controls of their own.
 //!
+//! The other way, [`follow`](MotionModel::follow) finds controls that lead along a path.
+//!
 //! The modes of an agent make a [`mixture()`].
 //!
 //! A vehicle at 8 m/s that brakes at 2 m/s² and is uncertain of it:
@@ -63,6 +65,7 @@
 mod belief;
 mod bicycle;
 mod displacement;
+mod follow;
 mod mixture;
 mod model;
 mod motion;

@@ -144,6 +144,17 @@ impl MotionModel {
         }
     }
 
+    /// Writes controls, before saturation, that lead along a path of one position a step: displacements lead
+    /// there, a bicycle as near as it can get.
+    ///
+    /// As many controls as the shorter of the two has.
+    pub fn follow(&self, path_m: &[[f32; 2]], controls: &mut [[f32; 2]]) {
+        match self {
+            Self::Bicycle { motion, start } => motion.follow(&start.mean, path_m, controls),
+            Self::Displacement { motion, start } => motion.follow(&start.mean, path_m, controls),
+        }
+    }
+
     /// Writes mean and covariance of the position after each control [that acts](MotionModel::acting):
     /// linearised Gaussians, see [`Belief::advance`].
     pub fn moments(&self, acting: impl Iterator<Item = ControlGaussian>, out: &mut [Moments]) {

@@ -268,3 +268,74 @@ fn relative_controls_are_the_same_for_both_displacements() {
     }
     assert_eq!([&bicycle, &residual].map(|model| model.relative_to_start(&control)), [control; 2]);
 }
+
+proptest! {
+    #[test]
+    fn a_bicycle_follows_a_path_that_it_can_take(
+        speed_mps in 1.0..40.0_f32, turn in -1.0..1.0_f32,
+        controls in prop::array::uniform4((-1.0..1.0_f32, -1.0..1.0_f32)),
+    ) {
+        // Each holds for three steps. None puts it into reverse, or turns it by more than 8 m/s².
+        let (time_s, most_mps2, rear_axle_m) = (12.0 * DT_S, 3.0, 1.17);
+        let slip_rad = turn * (4.0 * rear_axle_m / (speed_mps + time_s * most_mps2).powi(2)).min(0.2);
+        let taken = (0..12).map(|step| controls[step / 3]).map(|(effort, turn)| {
+            let accel_mps2 = effort * if effort < 0.0 { speed_mps / time_s } else { most_mps2 };
+            [accel_mps2, turn * slip_rad.abs() / time_s]
+        });
+        let start = MotionStart { velocity_mps: [speed_mps, 0.0], ..MotionStart::default() };
+        let model = vehicle_from(&start, slip_rad);
+        let (mut path_m, mut followed, mut again_m) = ([[0.0; 2]; 12], [[0.0; 2]; 12], [[0.0; 2]; 12]);
+        model.positions(taken, &mut path_m);
+        model.follow(&path_m, &mut followed);
+        model.positions(followed.into_iter(), &mut again_m);
+        let straight_m = |step: usize| speed_mps * DT_S * (step + 1) as f32;
+        for (step, (again, asked)) in again_m.iter().zip(&path_m).enumerate() {
+            let off_m = (again[0] - asked[0]).hypot(again[1] - asked[1]);
+            let away_m = (asked[0] - straight_m(step)).hypot(asked[1]);
+            prop_assert!(off_m < 0.3 + 0.1 * away_m, "step {step}: off by {off_m} m of {away_m} m");
+        }
+    }
+
+    #[test]
+    fn controls_along_any_path_are_finite_and_within_their_limits(
+        speed_mps in -5.0..45.0_f32, slip_rad in -0.5..0.5_f32,
+        path_m in prop::array::uniform12(prop::array::uniform2(-300.0..300.0_f32)),
+    ) {
+        let start = MotionStart { velocity_mps: [speed_mps, 0.0], ..MotionStart::default() };
+        let mut controls = [[f32::NAN; 2]; 12];
+        let model = vehicle_from(&start, slip_rad);
+        model.follow(&path_m, &mut controls);
+        for control in controls {
+            let acting = model.acting(&ControlGaussian::new(control, [0.0; 3])).mean;
+            prop_assert!(acting[0].abs() <= 6.0 && acting[1].abs() <= 1.0, "{control:?}");
+        }
+    }
+
+    #[test]
+    fn displacements_lead_along_any_path(
+        heading_rad in -3.0..3.0_f32, absolute in any::<bool>(),
+        path_m in prop::array::uniform12(prop::array::uniform2(-30.0..30.0_f32)),
+    ) {
+        let displacement = if absolute { DisplacementKind::Absolute } else { DisplacementKind::Residual };
+        let options = MotionOptions { displacement, ..MotionOptions::default() };
+        let start = MotionStart {
+            velocity_mps: [1.2, -0.4], frame_heading_rad: heading_rad, ..MotionStart::default()
+        };
+        let model = MotionModel::new(MotionKind::Displacement, &start, &options, DT_S);
+        let (mut controls, mut again_m) = ([[0.0; 2]; 12], [[0.0; 2]; 12]);
+        model.follow(&path_m, &mut controls);
+        model.positions(controls.into_iter(), &mut again_m);
+        for (again, asked) in again_m.as_flattened().iter().zip(path_m.as_flattened()) {
+            prop_assert!((again - asked).abs() < 1e-4, "{again} for {asked}");
+        }
+    }
+}
+
+/// A vehicle at the origin with a slip angle.
+fn vehicle_from(start: &MotionStart, slip_rad: f32) -> MotionModel {
+    let mut model = MotionModel::new(MotionKind::Bicycle, start, &MotionOptions::default(), DT_S);
+    if let MotionModel::Bicycle { start, .. } = &mut model {
+        start.mean[4] = slip_rad;
+    }
+    model
+}

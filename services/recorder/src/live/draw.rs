@@ -23,12 +23,12 @@ pub fn draw(view: &LiveView, frame: &mut Frame<'_>, area: Rect) {
     let table_height = u16::try_from(stages.len()).unwrap_or(u16::MAX).saturating_add(2);
     // Where the terminal is low, the curve gives way first.
     let [least, most] = CURVE_HEIGHTS;
-    let left = area.height.saturating_sub(table_height.saturating_add(4)).min(most);
+    let left = area.height.saturating_sub(table_height.saturating_add(5)).min(most);
     let [title, table, curve, forecasts] = Layout::vertical([
         Constraint::Length(2),
         Constraint::Length(table_height),
         Constraint::Length(if left < least { 0 } else { left }),
-        Constraint::Length(2),
+        Constraint::Length(3),
     ])
     .areas(area);
     let cells = (area.width as usize).saturating_sub(FIXED_WIDTH).clamp(BAR_WIDTHS[0], BAR_WIDTHS[1]);
@@ -201,6 +201,19 @@ fn draw_forecasts(view: &LiveView, frame: &mut Frame<'_>, area: Rect) {
         spans.push(quality(view.newest_outside, "never trained", Color::Yellow));
     }
     spans.push(Span::styled(format!("{} so far, {} learned", count(total), percent(share)), DIM));
-    let lines = vec![Line::raw(""), Line::from(spans)];
+    let lines = vec![Line::raw(""), Line::from(spans), worth(view)];
     frame.render_widget(Paragraph::new(lines), area);
+}
+
+/// What forecasts were worth whose horizon is over.
+fn worth(view: &LiveView) -> Line<'static> {
+    let label = Span::raw("   matured    ");
+    let Some(errors) = view.errors.as_ref().filter(|errors| errors.forecasts > 0) else {
+        return Line::from(vec![label, Span::styled("none yet", DIM)]);
+    };
+    let held = [errors.held_50, errors.held_90].map(|share| percent(share).trim().to_owned());
+    let regions = format!("regions of 50 % held {}, 90 % {}   ", held[0], held[1]);
+    let [ours, steady] = [errors.single_ade_m, errors.cv_ade_m].map(number);
+    let single = format!("ADE {ours} m, CV {steady} m");
+    Line::from(vec![label, Span::raw(regions), Span::styled(single, DIM)])
 }

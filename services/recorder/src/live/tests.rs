@@ -56,6 +56,14 @@ fn running() -> LiveView {
         sent_ns: 13_390 * MS,
         ..Heartbeat::zeroed()
     });
+    view.errors(Some(Errors {
+        forecasts: 700,
+        held_50: Some(0.56),
+        held_90: Some(0.89),
+        single_ade_m: Some(0.482),
+        cv_ade_m: Some(0.611),
+        ..Errors::default()
+    }));
     view.clock(13_400 * MS);
     view
 }
