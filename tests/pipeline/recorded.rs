@@ -99,6 +99,8 @@ fn a_run_with_a_stopped_stage_replays_to_the_same_bytes() {
     let file = scratch.path("stop.mcap");
     let started = Started::run(&["--ticks", "150", "--agents", "8", "--quiet", "--record", &file]);
     let root = started.wait_until_it_runs();
+    // In the midst of the ticks: before the first, a new decoder would cost none.
+    std::thread::sleep(std::time::Duration::from_secs(3));
     started.signal_stage("decoder", Signal::STOP);
     std::thread::sleep(std::time::Duration::from_millis(600));
     // Where it was not killed and started again meanwhile, it goes on.
