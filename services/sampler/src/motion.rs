@@ -13,7 +13,8 @@ const VARIANCE_MAX: f32 = 1e6;
 /// Largest acceleration across the course that tyres hold.
 const LATERAL_MAX_MPS2: f32 = 8.0;
 
-/// A vehicle along the controls of a mode, which it cuts to what tyres hold: |v² sin β / l_r| ≤ 8 m/s².
+/// A vehicle along the controls of a mode, which it cuts to what tyres hold: its course turns by the slip angle and by
+/// the change of that, |v (v sin β / l_r + dβ/dt)| ≤ 8 m/s², and the slip angle alone is held to it as well.
 pub(crate) struct LateralLimit {
     rear_axle_m: f32,
     dt_s: f32,
@@ -39,10 +40,19 @@ impl LateralLimit {
     pub(crate) fn cut(&mut self, acting: &mut ControlGaussian) {
         let next_mps = self.speed_mps + acting.mean[0] * self.dt_s;
         let middle_mps = 0.5 * (self.speed_mps + next_mps);
-        let sine = LATERAL_MAX_MPS2 * self.rear_axle_m / (middle_mps * middle_mps).max(f32::MIN_POSITIVE);
+        // Acceleration across by a radian of slip, and by a radian that it changes in this step.
+        let by_slip = middle_mps * middle_mps / self.rear_axle_m;
+        let by_change = middle_mps.abs() / self.dt_s;
+        let sine = LATERAL_MAX_MPS2 / by_slip.max(f32::MIN_POSITIVE);
         let most_rad = if sine < 1.0 { sine.asin() } else { f32::INFINITY };
         let next_rad = self.slip_rad + acting.mean[1] * self.dt_s;
-        let cut_rad = next_rad.clamp(-most_rad, most_rad);
+        // The slip angle in the middle of the step is the mean of those at its ends.
+        let turn = 0.5 * by_slip + by_change;
+        let held = self.slip_rad * (by_change - 0.5 * by_slip);
+        let [least_turned_rad, most_turned_rad] =
+            [-LATERAL_MAX_MPS2, LATERAL_MAX_MPS2].map(|most| (most + held) / turn.max(f32::MIN_POSITIVE));
+        // Where the track begins beyond the limit, its slip falls no faster than tyres turn it.
+        let cut_rad = next_rad.max(-most_rad).min(most_rad).max(least_turned_rad).min(most_turned_rad);
         if cut_rad != next_rad {
             acting.mean[1] = (cut_rad - self.slip_rad) / self.dt_s;
         }

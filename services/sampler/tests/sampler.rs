@@ -615,8 +615,8 @@ fn vehicles_turn_no_harder_than_tyres_hold() {
             for step in 1..12 {
                 let (from, to) = (velocity(step - 1), velocity(step));
                 let across = (from[0] * to[1] - from[1] * to[0]) / from[0].hypot(from[1]).max(0.1) / DT_S;
-                // 8 m/s² by the slip angle, and what the course turns while that changes.
-                assert!(across.abs() < 9.5, "{across} m/s² at {speed_mps} m/s");
+                // 8 m/s² in each step; chords of two steps, of which the later is slower, measure up to 6 % more.
+                assert!(across.abs() < 8.5, "{across} m/s² at {speed_mps} m/s");
             }
         }
     }
