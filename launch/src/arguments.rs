@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use clap::Args;
+use clap::{Args, ValueEnum};
 use data::{Format, FrameRate, OpenOptions, Recording};
 use lanes::{Coordinates, LaneMap, Origin};
 use localiser::MapChoice;
@@ -18,6 +18,15 @@ use wire::StageId;
 
 use crate::failure::Failure;
 use crate::options::{Setting, StageOptions, absolute, text, warn};
+
+/// How fast ticks follow one another.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum Speed {
+    /// Real time, at the recording's own rate
+    Real,
+    /// As fast as possible, in lockstep: each tick waits for the forecasts of the one before
+    Max,
+}
 
 /// Source of the detections.
 #[derive(Clone, Debug, Args)]

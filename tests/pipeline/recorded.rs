@@ -58,6 +58,9 @@ fn a_lockstep_recording_replays_to_the_same_bytes() {
         let replayed = run_well(&["replay", &file, "--stage", stage]);
         assert!(stdout(&replayed).contains("equal to the byte: 60 ticks"), "{stage}: {}", stdout(&replayed));
     }
+    let paced = run_well(&["replay", &file, "--stage", "decoder", "--speed", "real"]);
+    let said = stdout(&paced);
+    assert!(said.contains("in its own time") && said.contains("equal to the byte: 60 ticks"), "{said}");
     read_by_python(&file, &scratch.path("a.mcap.jsonl"), &["tracks 6", "forecasts 6", "events 2"]);
 }
 

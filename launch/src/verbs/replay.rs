@@ -8,7 +8,7 @@ use recording::{About, Comparison, Frame, Recording, Writer};
 use run::Exit;
 use wire::{ForecastsTopic, StageId, Topic as _};
 
-use crate::arguments::canonical;
+use crate::arguments::{Speed, canonical};
 use crate::differences::{table, title};
 use crate::failure::Failure;
 use crate::show::show;
@@ -30,6 +30,9 @@ pub struct Arguments {
     /// Replay one stage alone, with its input from the file; the recording needs the topics around it
     #[arg(long, value_name = "NAME", value_parser = PossibleValuesParser::new(STAGES.map(|(stage, ..)| stage.name())))]
     stage: Option<String>,
+    /// Speed of the ticks, which the numbers do not depend on
+    #[arg(long, value_enum, default_value = "max")]
+    speed: Speed,
     /// Weights to use instead of the recorded run's
     #[arg(long, value_name = "FILE")]
     weights: Option<PathBuf>,
@@ -50,6 +53,7 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
     show(&text)?;
     let mut writer = writer(arguments, &recording, &weights)?;
     let replay = Replay::new(&recording, weights, stage).map_err(Failure::data)?;
+    let replay = if arguments.speed == Speed::Real { replay.in_own_time() } else { replay };
     let replayed = replay
         .run(|frame: &Frame| {
             if let Some(writer) = &mut writer {
@@ -162,6 +166,7 @@ fn told(replayed: &Replayed) -> String {
         close_priors,
         not_resumed,
         impossible,
+        own_time,
     } = replayed;
     let mut text = table(comparison, ["recorded", "replayed"]);
     if let Some(first) = missing_before {
@@ -202,6 +207,14 @@ fn told(replayed: &Replayed) -> String {
     }
     if let Some(error) = impossible {
         text += &format!("frames that no stage can have taken are left out, the first: {error}\n");
+    }
+    if let Some(took) = own_time {
+        let [p50_ms, p99_ms, most_ms] = [0.5, 0.99, 1.0].map(|share| took.computed_ms(share));
+        text += &format!(
+            "in its own time: a tick was computed in {p50_ms:.1} ms in the median, {p99_ms:.1} ms at the 99th percentile, \
+             {most_ms:.1} ms at most; {} began late\n",
+            took.late_ticks
+        );
     }
     let last = comparison.topics.iter().filter_map(|(_, topic)| topic.last).max();
     let alone: u64 = comparison.topics.iter().map(|(_, topic)| topic.only_a + topic.only_b).sum();

@@ -17,7 +17,7 @@ use toml::Value;
 use wire::StageId;
 
 use crate::arguments::{
-    ModelArguments, RetrievalArguments, SceneArguments, SetArguments, TrackerArguments, canonical,
+    ModelArguments, RetrievalArguments, SceneArguments, SetArguments, Speed, TrackerArguments, canonical,
     check_lanes, check_memory, warn_of_doubts,
 };
 use crate::child::Line;
@@ -86,14 +86,6 @@ pub struct Arguments {
     /// Write the path of the run's record to this file before the stages start
     #[arg(long, value_name = "FILE", hide = true)]
     announce: Option<PathBuf>,
-}
-
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-enum Speed {
-    /// Real time, at the recording's own rate
-    Real,
-    /// As fast as possible, in lockstep: each tick waits for the forecasts of the one before
-    Max,
 }
 
 /// Runs a pipeline to the end of its scene and reports.

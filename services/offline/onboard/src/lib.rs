@@ -30,5 +30,5 @@ pub use error::ChainError;
 pub use features::{FeatureFrame, TracksToFeatures};
 pub use forecasts::TracksToForecasts;
 pub use load::Load;
-pub use replay::{Replay, ReplayError, Replayed, STAGES};
+pub use replay::{OwnTime, Replay, ReplayError, Replayed, STAGES};
 pub use stages::{OwnFrame, Stages};

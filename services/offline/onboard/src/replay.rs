@@ -4,9 +4,11 @@
 //! all, which forecasts the tracker had at hand, whether the controls came before the sampler's deadline, which
 //! agents were shed, and when a stage was restarted. All numbers are computed anew.
 
+mod pace;
 mod tick;
 
 use std::collections::{BTreeMap, VecDeque};
+use std::time::Instant;
 
 use nn::Weights;
 use recording::{Comparison, Frame, FrameError, Message, ReadError, Recording};
@@ -17,7 +19,12 @@ use wire::{
 };
 
 use crate::stages::{OwnFrame, Stages};
-use crate::{ChainError, replay::tick::Tick};
+use crate::{
+    ChainError,
+    replay::{pace::Pace, tick::Tick},
+};
+
+pub use self::pace::OwnTime;
 
 /// A tick is replayed once so many later ones have begun: its last frame has come by then, or never will.
 const LATER: usize = 24;
@@ -86,6 +93,8 @@ pub struct Replayed {
     pub not_resumed: Vec<u64>,
     /// The first frame that no stage can have taken: a fault that was injected, or a faulty sender.
     pub impossible: Option<FrameError>,
+    /// Of a replay in its own time what that took.
+    pub own_time: Option<OwnTime>,
 }
 
 /// A recording in replay.
@@ -98,6 +107,8 @@ pub struct Replay<'a> {
     /// The newest forecasts: when they were sent, and the frame; VOID ones are not among them.
     forecasts: VecDeque<(u64, OwnFrame<ForecastsTopic>)>,
     prior: Option<OwnFrame<ForecastsTopic>>,
+    /// None where the ticks follow one another at once.
+    pace: Option<Pace>,
     found: Replayed,
 }
 
@@ -138,8 +149,15 @@ impl<'a> Replay<'a> {
             incarnations: BTreeMap::new(),
             forecasts: VecDeque::new(),
             prior: None,
+            pace: None,
             found: Replayed::default(),
         })
+    }
+
+    /// The same replay with its ticks in the rhythm of their stamps; those before the file follow one another at once.
+    #[must_use]
+    pub fn in_own_time(self) -> Self {
+        Self { pace: Some(Pace::new()), ..self }
     }
 
     /// Replays all ticks; `each` is called with every frame that a stage has made.
@@ -172,17 +190,34 @@ impl<'a> Replay<'a> {
                 && let Some(seq) = order.pop_front()
                 && let Some(tick) = ticks.remove(&seq)
             {
-                self.tick(seq, &tick, &mut each)?;
+                self.timed_tick(seq, &tick, &mut each)?;
                 // What came before the first tick of the file, or was never answered.
                 ticks.retain(|older, _| *older + (2 * LATER as u64) > seq);
             }
         }
         for seq in order {
             if let Some(tick) = ticks.remove(&seq) {
-                self.tick(seq, &tick, &mut each)?;
+                self.timed_tick(seq, &tick, &mut each)?;
             }
         }
-        Ok(self.found)
+        Ok(Replayed { own_time: self.pace.map(Pace::finish), ..self.found })
+    }
+
+    fn timed_tick(
+        &mut self,
+        seq: u64,
+        tick: &Tick,
+        each: &mut impl FnMut(&Frame),
+    ) -> Result<(), ReplayError> {
+        if let Some(pace) = self.pace.as_mut().filter(|_| !tick.is_before()) {
+            pace.wait(tick.stamp_ns());
+        }
+        let began = Instant::now();
+        self.tick(seq, tick, each)?;
+        if let Some(pace) = self.pace.as_mut().filter(|_| !tick.is_before()) {
+            pace.computed(began);
+        }
+        Ok(())
     }
 
     fn tick(&mut self, seq: u64, tick: &Tick, each: &mut impl FnMut(&Frame)) -> Result<(), ReplayError> {

@@ -31,6 +31,11 @@ impl Tick {
         !self.before.is_empty()
     }
 
+    /// The time of its detections; all frames of a tick have the same.
+    pub fn stamp_ns(&self) -> i64 {
+        self.frames.first().map_or(0, |frame| frame.header().stamp_ns)
+    }
+
     /// Whether it has the frame of a topic as it was sent.
     pub fn is_recorded(&self, topic: &str) -> bool {
         self.frame(topic).is_some() && !self.before.contains(&topic)
