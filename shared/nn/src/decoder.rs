@@ -100,6 +100,8 @@ pub struct DecoderMemory {
     /// ṽ·W, \[agent, gate\], and z·W of given draws, \[agent, draw, gate\].
     context: Buffer,
     latent: Buffer,
+    /// W_h h + b_h of the first step, \[agent, gate\].
+    first: Buffer,
     /// Base controls, \[row, step, component\].
     base: Buffer,
     /// \[ṽ ‖ h\] and the two layers of the mode head.
@@ -233,8 +235,12 @@ impl TypeDecoder {
         }
         memory.reserve(BLOCK);
         memory.context.reserve(agents_len * GATES);
+        memory.first.reserve(agents_len * GATES);
         let context = &mut memory.context[..agents_len * GATES];
         self.context.run(temporal.as_flattened(), TEMPORAL, Activation::None, context);
+        // All draws of an agent start from its state: the first step's recurrent half is theirs in common.
+        let first_gates = &mut memory.first[..agents_len * GATES];
+        self.hidden.run(hidden.as_flattened(), HIDDEN, Activation::None, first_gates);
         let (draws_len, shared) = match draws {
             Draws::Points(_) => (self.points_len(), true),
             Draws::Given(latents) => {
@@ -265,11 +271,15 @@ impl TypeDecoder {
                 let rows = (first..first + len).map(|row| (row / draws_len, row % draws_len));
                 add_base(layer, base, agents_len, horizon_len, rows, memory);
             }
+            for (block_row, gates) in memory.gates[..len * GATES].chunks_exact_mut(GATES).enumerate() {
+                let agent = (first + block_row) / draws_len;
+                gates.copy_from_slice(&memory.first[agent * GATES..][..GATES]);
+            }
             self.unroll(len, horizon_len, memory, &mut out[first * horizon_len..][..len * horizon_len]);
         }
     }
 
-    /// Runs the rows whose state and first input lie in `memory` over the horizon.
+    /// Runs the rows whose state, first input and first recurrent half lie in `memory` over the horizon.
     fn unroll(
         &self,
         len: usize,
@@ -281,8 +291,12 @@ impl TypeDecoder {
         let (gates, state) = (&mut gates[..len * GATES], &mut state[..len * HIDDEN]);
         let stride = self.head.out_stride();
         for step in 0..horizon_len {
-            self.hidden.run(state, HIDDEN, Activation::None, gates);
-            let input = if step == 0 { &input[..len * GATES] } else { &self.idle[..] };
+            let input = if step == 0 {
+                &input[..len * GATES]
+            } else {
+                self.hidden.run(state, HIDDEN, Activation::None, gates);
+                &self.idle[..]
+            };
             gru_step(input, gates, state);
             self.head.run(state, HIDDEN, Activation::None, &mut raw[..len * stride]);
             for (row, raw) in raw[..len * stride].chunks_exact(stride).enumerate() {

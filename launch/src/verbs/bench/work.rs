@@ -50,12 +50,14 @@ impl Work {
         let burn_in = load.burn_in_len * (gru + 3 * HIDDEN * STATE_FEATURES);
         let draws = self.config.modes + usize::from(self.config.best_latent);
         let steps = load.forecast_len * draws * self.config.horizon_len;
+        // The recurrent half of the first step is done once per agent for all draws.
+        let recurrences = load.forecast_len + steps - load.forecast_len * draws;
         let latent =
             if self.config.best_latent { 0 } else { load.forecast_len * draws * 3 * HIDDEN * LATENT };
         let modes =
             if self.config.mode_head { MODE_HIDDEN * (TEMPORAL + HIDDEN + self.config.modes) } else { 0 };
         let once = 3 * HIDDEN * TEMPORAL + modes;
-        let decoder = burn_in + load.forecast_len * once + latent + steps * (gru + HIDDEN * RAW);
+        let decoder = burn_in + load.forecast_len * once + latent + recurrences * gru + steps * HIDDEN * RAW;
         [None, None, Some(extractor as f64), Some(encoder as f64), Some(decoder as f64), None]
     }
 }
