@@ -1,6 +1,7 @@
 //! Runs that are recorded: what is in the file, that it replays, and that it costs the run nothing.
 
 use std::path::Path;
+use std::time::{Duration, Instant};
 
 use recording::{Happened, Message, Recording};
 use rustix::process::Signal;
@@ -58,7 +59,9 @@ fn a_lockstep_recording_replays_to_the_same_bytes() {
         let replayed = run_well(&["replay", &file, "--stage", stage]);
         assert!(stdout(&replayed).contains("equal to the byte: 60 ticks"), "{stage}: {}", stdout(&replayed));
     }
+    let began = Instant::now();
     let paced = run_well(&["replay", &file, "--stage", "decoder", "--speed", "real"]);
+    assert!(began.elapsed() >= 59 * Duration::from_millis(80), "60 ticks in {:?}", began.elapsed());
     let said = stdout(&paced);
     assert!(said.contains("in its own time") && said.contains("equal to the byte: 60 ticks"), "{said}");
     read_by_python(&file, &scratch.path("a.mcap.jsonl"), &["tracks 6", "forecasts 6", "events 2"]);

@@ -15,7 +15,7 @@ use recording::{Comparison, Frame, FrameError, Message, ReadError, Recording};
 use thiserror::Error;
 use wire::{
     ContextTopic, ControlsTopic, DetectionsTopic, EncodingsTopic, FeaturesTopic, Forecast, ForecastsTopic,
-    Header, StageId, Topic, TracksTopic, flags,
+    Header, HeartbeatsTopic, StageId, Topic, TracksTopic, flags,
 };
 
 use crate::stages::{OwnFrame, Stages};
@@ -178,10 +178,11 @@ impl<'a> Replay<'a> {
                 Message::Before(frame) => (frame, true),
                 Message::Event(_) | Message::Line(_) => continue,
             };
-            if !frame.header().is_tick() {
+            let (seq, name) = (frame.header().seq, frame.topic().name);
+            // Heartbeats count for themselves.
+            if !frame.header().is_tick() || name == HeartbeatsTopic::NAME {
                 continue;
             }
-            let (seq, name) = (frame.header().seq, frame.topic().name);
             if Some(name) == leads && !order.contains(&seq) {
                 order.push_back(seq);
             }
