@@ -3,6 +3,7 @@
 //! Each verb is a module of [`verbs`]. `stgdat` without a verb is `stgdat run`.
 
 mod arguments;
+mod awake;
 mod child;
 mod cleaner;
 mod contenders;

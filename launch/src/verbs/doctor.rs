@@ -8,6 +8,7 @@ use run::Exit;
 use rustix::process::{Resource, Rlimit, getrlimit};
 use rustix::thread::{CapabilitySet, capabilities};
 
+use crate::awake;
 use crate::failure::Failure;
 use crate::prediction::{self, LIMIT_MS, Prediction};
 
@@ -43,6 +44,7 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
         cores(),
         instruction_set(),
         real_time(),
+        idle_states(),
         weights(),
     ];
     let slow = speed(arguments.agents)?;
@@ -139,6 +141,17 @@ fn real_time() -> Finding {
         Some(most) => format!("a `priority` of a stage up to {most} is allowed (ulimit -r)"),
     };
     finding("real time", found, None)
+}
+
+fn idle_states() -> Finding {
+    // For information: only a pipeline.toml with `awake` asks for it.
+    let may_hold = rustix::fs::access(awake::LATENCY, rustix::fs::Access::WRITE_OK).is_ok();
+    let found = if may_hold {
+        "`awake = true` keeps the processors from sleeping between ticks".to_owned()
+    } else {
+        format!("processors may sleep between ticks: `awake` needs write access to {}", awake::LATENCY)
+    };
+    finding("idle states", found, None)
 }
 
 /// Whether the default demo, and so many agents, fit: predicted from a measurement of this machine as it is now.

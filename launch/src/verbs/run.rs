@@ -20,6 +20,7 @@ use crate::arguments::{
     ModelArguments, RetrievalArguments, SceneArguments, SetArguments, Speed, TrackerArguments, canonical,
     check_lanes, check_memory, warn_of_doubts,
 };
+use crate::awake::Awake;
 use crate::child::Line;
 use crate::control::{Control, Request};
 use crate::fail_if::{self, Condition};
@@ -301,6 +302,7 @@ fn supervise(
     let _topics = (!run.spares.is_empty()).then(|| Topics::make(run)).transpose()?;
     let mut fleet = Fleet::start(pipeline, run, record, keeps_memory)?;
     fleet.notes().into_iter().for_each(|note| watch.note(note));
+    let _awake = pipeline.awake.then(Awake::hold).and_then(|held| held.map_err(|note| watch.note(note)).ok());
     let mut memory = Memory::default();
     let started = Instant::now();
     let mut linked = false;

@@ -52,6 +52,8 @@ pub struct Pipeline {
     pub protected: Vec<String>,
     /// Whether a tick that has no time for all agents serves some and leaves out the others.
     pub shed: bool,
+    /// Whether processors are kept from sleeping between ticks.
+    pub awake: bool,
     /// The stages.
     pub stages: Vec<Stage>,
     /// The topics that the file declares.

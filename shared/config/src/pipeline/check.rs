@@ -54,7 +54,8 @@ pub(super) fn check(file: &File, declared: &[&dyn Declared]) -> Result<Pipeline,
     if shed {
         warnings.extend(late_controls(&tables));
     }
-    Ok(Pipeline { weights: file.weights.clone(), protected, shed, stages, topics, budget_ms, warnings })
+    let (weights, awake) = (file.weights.clone(), file.awake.unwrap_or(false));
+    Ok(Pipeline { weights, protected, shed, awake, stages, topics, budget_ms, warnings })
 }
 
 fn stage(

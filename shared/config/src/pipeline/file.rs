@@ -14,6 +14,7 @@ pub(super) struct File {
     pub weights: Option<PathBuf>,
     pub protect: Option<Vec<Spanned<String>>>,
     pub shed: Option<bool>,
+    pub awake: Option<bool>,
     #[serde(rename = "stage", default)]
     pub stages: Vec<Spanned<StageTable>>,
     #[serde(rename = "topic", default)]

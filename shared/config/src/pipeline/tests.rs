@@ -112,6 +112,12 @@ fn the_shipped_file_is_accepted() {
 }
 
 #[test]
+fn processors_may_sleep_unless_the_file_has_them_awake() {
+    assert!(!parsed(FULL).awake);
+    assert!(parsed(&format!("awake = true\n{FULL}")).awake);
+}
+
+#[test]
 fn load_is_shed_unless_the_file_forbids_it_and_late_controls_are_warned_of() {
     assert!(parsed(FULL).shed);
     let never = format!("shed = false\n{FULL}");
