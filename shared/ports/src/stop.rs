@@ -1,3 +1,6 @@
+#![expect(unsafe_code, reason = "the mask of signals, which neither rustix nor signal-hook knows")]
+
+use std::mem::MaybeUninit;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::time::Duration;
@@ -18,6 +21,7 @@ impl Stop {
     /// # Errors
     /// Where the system refuses the handlers.
     pub fn on_signals() -> std::io::Result<Self> {
+        let _held_back = HeldBack::begin();
         take_transport_handlers();
         let signal = Arc::new(AtomicUsize::new(0));
         for number in [SIGTERM, SIGINT] {
@@ -53,6 +57,7 @@ impl Asked {
     /// # Errors
     /// Where the system refuses the handler.
     pub fn by_usr1() -> std::io::Result<Self> {
+        let _held_back = HeldBack::begin();
         take_transport_handlers();
         let asked = Arc::new(AtomicBool::new(false));
         signal_hook::flag::register(SIGUSR1, asked.clone())?;
@@ -66,6 +71,35 @@ impl Asked {
     }
 }
 
+/// Keeps signals waiting as long as it lives: one that came while the handlers change hands would be lost.
+struct HeldBack {
+    /// What this thread had masked before.
+    before: libc::sigset_t,
+}
+
+impl HeldBack {
+    fn begin() -> Self {
+        let (mut held, mut before) = (MaybeUninit::uninit(), MaybeUninit::zeroed());
+        // SAFETY: the first call makes the set whole, and the others read and write these two alone. They fail only
+        // where the number of a signal or of an operation is wrong; these are right.
+        unsafe {
+            libc::sigemptyset(held.as_mut_ptr());
+            for number in [SIGTERM, SIGINT, SIGUSR1] {
+                libc::sigaddset(held.as_mut_ptr(), number);
+            }
+            libc::pthread_sigmask(libc::SIG_BLOCK, held.as_ptr(), before.as_mut_ptr());
+            Self { before: before.assume_init() }
+        }
+    }
+}
+
+impl Drop for HeldBack {
+    fn drop(&mut self) {
+        // SAFETY: the call reads the set alone, and may go without a place for the old one.
+        unsafe { libc::pthread_sigmask(libc::SIG_SETMASK, &raw const self.before, std::ptr::null_mut()) };
+    }
+}
+
 /// The transport replaces all handlers by its own when it first looks for a signal. This makes it do so
 /// before ours are registered, which then call the transport's and stay.
 fn take_transport_handlers() {
@@ -74,5 +108,20 @@ fn take_transport_handlers() {
         // Looks for a signal, then returns an error because nothing is attached.
         let _ = nothing_attached
             .wait_and_process_once_with_timeout(|_| CallbackProgression::Continue, Duration::ZERO);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_signal_that_is_held_back_comes_afterwards() {
+        let asked = Asked::by_usr1().unwrap();
+        let held_back = HeldBack::begin();
+        signal_hook::low_level::raise(SIGUSR1).unwrap();
+        assert!(!asked.take());
+        drop(held_back);
+        assert!(asked.take());
     }
 }
