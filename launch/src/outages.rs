@@ -145,7 +145,9 @@ impl Outages {
         let excused = [Cause::Young, Cause::Outdone].map(|cause| cause as u32);
         let is_learned = |forecast: &Forecast| forecast.quality == Quality::Learned as u32;
         let all_learned = !void && forecasts.iter().all(|f| is_learned(f) || excused.contains(&f.cause));
-        let some_learned = forecasts.is_empty() || forecasts.iter().any(is_learned);
+        // An outdone forecast had controls as well: constant velocity was known to be nearer.
+        let has_controls = |f: &Forecast| is_learned(f) || f.cause == Cause::Outdone as u32;
+        let some_learned = forecasts.is_empty() || forecasts.iter().any(has_controls);
         let Supervision { outages, replacements, .. } = &mut self.record;
         self.open.retain(|&(place, stage)| {
             let outage = match place {
@@ -252,5 +254,20 @@ mod tests {
         let outage = &record.outages[0];
         assert_eq!((outage.tick, outage.ticks_lost, outage.ticks_not_learned), (10, 1, 2));
         assert_eq!(outage.ticks_to_learned, Some(5));
+    }
+
+    #[test]
+    fn controls_of_which_constant_velocity_knows_better_end_an_outage_and_young_agents_do_not() {
+        let mut outages = Outages::default();
+        outages.begin(StageId::Decoder, 1, "was killed");
+        let mut tick = |seq, cause| {
+            let (header, forecast) = frame(seq, Some(1));
+            let forecast = Forecast { quality: Quality::Kinematic as u32, cause: cause as u32, ..forecast };
+            outages.forecasts(&header, &[forecast]);
+        };
+        tick(1, Cause::Young);
+        tick(2, Cause::Outdone);
+        tick(3, Cause::Late);
+        assert_eq!(outages.into_record(None).outages[0].ticks_to_learned, Some(2));
     }
 }
