@@ -2,6 +2,7 @@
 
 use serde_json::Value;
 
+use crate::programs::example;
 use crate::scratch::Scratch;
 use crate::started::{run, run_well, stderr, stdout};
 
@@ -108,6 +109,33 @@ fn an_added_stage_is_the_target_of_signals_and_has_no_points() {
         "{}",
         stderr(&output)
     );
+}
+
+/// Its pipeline has the two added stages of the examples.
+#[test]
+fn faults_act_on_topics_that_the_pipeline_file_declares() {
+    let scratch = Scratch::new("added-topics");
+    let root = concat!(env!("CARGO_MANIFEST_DIR"), "/..");
+    let read = |path: &str| std::fs::read_to_string(format!("{root}/{path}")).expect("the repository has it");
+    let mut pipeline = read("tests/examples/pipeline.toml");
+    for program in ["speed_limiter", "conflict_monitor"] {
+        pipeline = pipeline.replace(&format!("target/release/examples/{program}"), &example(program));
+    }
+    let pipeline = scratch.file("pipeline.toml", pipeline);
+    let text =
+        read("tests/faults/added/19-added-topic.toml").replace("../../examples/pipeline.toml", &pipeline);
+    let spec = scratch.file("19-added-topic.toml", text);
+    let json = scratch.path("verdicts.json");
+    let output = run(&["fault", "run", "--no-timing", "--json", &json, &spec]);
+    assert_eq!(output.status.code(), Some(0), "{}{}", stdout(&output), stderr(&output));
+    let verdicts: Value = serde_json::from_slice(&scratch.read("verdicts.json")).expect("JSON");
+    let cost = &verdicts[0]["cost"];
+    let injected = |kind: &str| cost["injected"][kind].as_u64().unwrap_or(0);
+    assert_eq!(cost["unexplained"], 0, "{verdicts:#}");
+    assert!(injected("limited-tracks: drop") > 0 && injected("approaches: bit-flip") > 5, "{verdicts:#}");
+    for topic in ["limited-tracks", "approaches"] {
+        assert!(cost["injector_us"][topic][1].as_u64() > Some(0), "{topic}: {verdicts:#}");
+    }
 }
 
 #[test]
