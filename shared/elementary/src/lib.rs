@@ -23,8 +23,7 @@ pub fn hypot(x: f64, y: f64) -> f64 {
         return f64::INFINITY;
     }
     let (long, short) = if x < y { (y, x) } else { (x, y) };
-    if !(short > long * RATIO_MIN) {
-        // NaN as well.
+    if short <= long * RATIO_MIN || long.is_nan() || short.is_nan() {
         return long + short;
     }
     if long > SQUARE_RANGE[1] {
