@@ -551,10 +551,7 @@ mod tests {
             assert!(error.contains(&told), "{error}");
         }
         let error = read("kind = \"drop\"\ntopic = \"approach\"").unwrap_err();
-        assert!(
-            error.contains("a.toml:7: unknown topic \"approach\"") && error.contains("approaches"),
-            "{error}"
-        );
+        assert!(error.contains("a.toml:7: unknown topic \"approach\""), "{error}");
         refused(
             "[[fault]]\nkind = \"drop\"\ntopic = \"approaches\"\nticks = [1, 2]",
             ":6: unknown topic \"approaches\"",
