@@ -15,8 +15,3 @@ pub mod scenarios;
 pub mod spec;
 pub mod table;
 pub mod verdict;
-
-/// The name under which a topic's writer opens it where an injector stands between it and the readers.
-pub fn raw_name(topic: &str) -> String {
-    format!("{topic}-injected")
-}

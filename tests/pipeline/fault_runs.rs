@@ -2,6 +2,7 @@
 
 use serde_json::Value;
 
+use crate::programs::example;
 use crate::scratch::Scratch;
 use crate::started::{run, run_well, stderr, stdout};
 
@@ -108,6 +109,39 @@ fn an_added_stage_is_the_target_of_signals_and_has_no_points() {
         "{}",
         stderr(&output)
     );
+}
+
+/// Their pipeline has the two added stages of the examples.
+#[test]
+fn faults_act_on_topics_that_the_pipeline_file_declares() {
+    let scratch = Scratch::new("added-topics");
+    let root = concat!(env!("CARGO_MANIFEST_DIR"), "/..");
+    let read = |path: &str| std::fs::read_to_string(format!("{root}/{path}")).expect("the repository has it");
+    let mut pipeline = read("tests/examples/pipeline.toml");
+    for program in ["speed_limiter", "conflict_monitor"] {
+        pipeline = pipeline.replace(&format!("target/release/examples/{program}"), &example(program));
+    }
+    let pipeline = scratch.file("pipeline.toml", pipeline);
+    let json = scratch.path("verdicts.json");
+    let cost = |name: &str| {
+        let text = read(&format!("tests/faults/added/{name}.toml"));
+        let spec = scratch.file("spec.toml", text.replace("../../examples/pipeline.toml", &pipeline));
+        let output = run(&["fault", "run", "--no-timing", "--json", &json, &spec]);
+        assert_eq!(output.status.code(), Some(0), "{}{}", stdout(&output), stderr(&output));
+        let verdicts: Value = serde_json::from_slice(&scratch.read("verdicts.json")).expect("JSON");
+        verdicts[0]["cost"].clone()
+    };
+    let injected = |cost: &Value, kind: &str| cost["injected"][kind].as_u64().unwrap_or(0);
+    let in_the_way = cost("19-added-topic-foreign");
+    assert_eq!(injected(&in_the_way, "limited-tracks: old-incarnation"), 10, "{in_the_way:#}");
+    let both = cost("19-added-topic");
+    assert!(
+        injected(&both, "limited-tracks: drop") > 0 && injected(&both, "approaches: bit-flip") == 11,
+        "{both:#}"
+    );
+    for topic in ["limited-tracks", "approaches"] {
+        assert!(both["injector_us"][topic][1].as_u64() > Some(0), "{topic}: {both:#}");
+    }
 }
 
 #[test]

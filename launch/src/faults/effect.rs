@@ -128,7 +128,7 @@ pub struct Injector {
     faults: Vec<TopicFault>,
     /// Size of an element in bytes.
     size: usize,
-    /// Numbers of single precision in an element.
+    /// Places of the numbers of single precision in an element, as far as its fields are known.
     reals: Vec<usize>,
     /// The first frame that each fault acted on.
     first: Vec<Option<Raw>>,
@@ -137,13 +137,13 @@ pub struct Injector {
 }
 
 impl Injector {
-    /// For a topic whose elements are such records.
-    pub fn new(faults: Vec<TopicFault>, element: &Record) -> Self {
-        let leaves = element.leaves();
+    /// For a topic whose elements have this size, and these fields where they are known.
+    pub fn new(faults: Vec<TopicFault>, size: usize, element: Option<&Record>) -> Self {
+        let leaves = element.map_or_else(Vec::new, Record::leaves);
         let is_real = |leaf: &&Leaf| leaf.primitive == Primitive::F32;
         let reals = leaves.iter().filter(is_real).map(|leaf| leaf.offset).collect();
         let first = faults.iter().map(|_| None).collect();
-        Self { faults, size: element.size, reals, first, held: None }
+        Self { faults, size, reals, first, held: None }
     }
 
     /// What becomes of a frame, and the kinds of faults that acted on it.
@@ -276,7 +276,7 @@ mod tests {
     fn injector(effect: Effect, ticks: [u64; 2], probability: f64) -> Injector {
         let tracks = TABLE.topics.iter().find(|topic| topic.name == "tracks").unwrap();
         let fault = TopicFault { topic: "tracks".into(), effect, ticks, probability, seed: 3 };
-        Injector::new(vec![fault], tracks.element)
+        Injector::new(vec![fault], tracks.element.size, Some(tracks.element))
     }
 
     fn frame(seq: u64) -> Raw {

@@ -4,17 +4,16 @@ use std::path::Path;
 use std::time::Duration;
 
 use checker::Line;
-use ports::{Relay, monotonic_ns};
-use run::{Exit, Run};
+use ports::{AddedFrame, AddedRelay, PortError, RawFrame, Relay, Stop, monotonic_ns};
+use run::{Exit, Run, TopicRun, injected_name};
 use wire::{
     ContextTopic, ControlsTopic, DetectionsTopic, EncodingsTopic, FeaturesTopic, ForecastsTopic, Protection,
-    Record, TABLE, Topic, TracksTopic, TruthTopic,
+    TABLE, Topic, TopicEntry, TracksTopic, TruthTopic,
 };
 
 use crate::failure::Failure;
 use crate::faults::effect::{Due, Injector, Raw};
 use crate::faults::follow::print;
-use crate::faults::raw_name;
 use crate::faults::spec::TopicFault;
 
 /// Longest sleep, after which it looks whether the run is still there.
@@ -22,21 +21,132 @@ const SLEEP: Duration = Duration::from_millis(50);
 /// Frames that a consumer holds at most: all that the transport allows a reader.
 const HELD_MAX: usize = 3;
 
-/// Calls a function for the topic of a name.
-macro_rules! with_topic {
-    ($name:expr, $function:ident, $($argument:expr),*) => {
+/// Calls a function with a way through the topic of a name: one of the pipeline's own, or one that its file declares.
+macro_rules! with_passage {
+    ($run:expr, $name:expr, $open:ident, $function:ident $(, $argument:expr)*) => {
         match $name {
-            DetectionsTopic::NAME => $function::<DetectionsTopic>($($argument),*),
-            TracksTopic::NAME => $function::<TracksTopic>($($argument),*),
-            ContextTopic::NAME => $function::<ContextTopic>($($argument),*),
-            FeaturesTopic::NAME => $function::<FeaturesTopic>($($argument),*),
-            EncodingsTopic::NAME => $function::<EncodingsTopic>($($argument),*),
-            ControlsTopic::NAME => $function::<ControlsTopic>($($argument),*),
-            ForecastsTopic::NAME => $function::<ForecastsTopic>($($argument),*),
-            TruthTopic::NAME => $function::<TruthTopic>($($argument),*),
-            other => Err(Failure::Usage(format!("there is no topic \"{other}\" with one writer"))),
+            DetectionsTopic::NAME => $function(Shipped::<DetectionsTopic>::$open($run)?, $run $(, $argument)*),
+            TracksTopic::NAME => $function(Shipped::<TracksTopic>::$open($run)?, $run $(, $argument)*),
+            ContextTopic::NAME => $function(Shipped::<ContextTopic>::$open($run)?, $run $(, $argument)*),
+            FeaturesTopic::NAME => $function(Shipped::<FeaturesTopic>::$open($run)?, $run $(, $argument)*),
+            EncodingsTopic::NAME => $function(Shipped::<EncodingsTopic>::$open($run)?, $run $(, $argument)*),
+            ControlsTopic::NAME => $function(Shipped::<ControlsTopic>::$open($run)?, $run $(, $argument)*),
+            ForecastsTopic::NAME => $function(Shipped::<ForecastsTopic>::$open($run)?, $run $(, $argument)*),
+            TruthTopic::NAME => $function(Shipped::<TruthTopic>::$open($run)?, $run $(, $argument)*),
+            other => match $run.topic(other) {
+                Some(topic) => $function(Declared::$open($run, topic)?, $run $(, $argument)*),
+                None => Err(Failure::Usage(format!("there is no topic \"{other}\" with one writer"))),
+            },
         }
     };
+}
+
+/// A place between a topic's writer and its readers.
+trait Passage {
+    /// A frame in shared memory.
+    type Frame;
+    /// The oldest frame of the queue, if there is one.
+    fn receive(&self) -> Result<Option<Self::Frame>, PortError>;
+    /// A frame's content.
+    fn read(frame: &Self::Frame) -> Raw;
+    /// Sends a frame; bytes beyond the last whole element are left out.
+    fn send(&self, frame: &Raw) -> Result<(), PortError>;
+    /// Has the topic open for writing as long as its writer has.
+    fn follow_writer(&self) -> Result<(), PortError>;
+    /// Sleeps until a frame comes, or for so long.
+    fn sleep(&self, timeout: Duration) -> Result<(), PortError>;
+    /// The signals that ask the process to end.
+    fn stop(&self) -> &Stop;
+}
+
+/// That of a topic of the pipeline's own.
+struct Shipped<T: Topic>(Relay<T>);
+
+impl<T: Topic> Shipped<T> {
+    fn between(run: &Run) -> Result<Self, PortError> {
+        Relay::open(run, &injected_name(T::NAME)).map(Self)
+    }
+
+    fn consumer(run: &Run) -> Result<Self, PortError> {
+        Relay::consumer(run, T::DEPTH_MAX.min(2)).map(Self)
+    }
+}
+
+impl<T: Topic> Passage for Shipped<T> {
+    type Frame = RawFrame<T>;
+
+    fn receive(&self) -> Result<Option<Self::Frame>, PortError> {
+        self.0.receive()
+    }
+
+    fn read(frame: &Self::Frame) -> Raw {
+        let payload = bytemuck::cast_slice(frame.elements()).to_vec();
+        Raw { header: *frame.header(), payload, is_lie: false }
+    }
+
+    /// A lie has the check value of what it says.
+    fn send(&self, Raw { header, payload, is_lie }: &Raw) -> Result<(), PortError> {
+        let elements = payload.chunks_exact(size_of::<T::Element>()).map(bytemuck::pod_read_unaligned);
+        let elements: Vec<T::Element> = elements.collect();
+        let mut header = *header;
+        if *is_lie && !header.protection.is_absent() {
+            header.protection = Protection::of::<T>(&header, &elements, header.protection.counter);
+        }
+        self.0.send(&header, &elements)
+    }
+
+    fn follow_writer(&self) -> Result<(), PortError> {
+        self.0.follow_writer()
+    }
+
+    fn sleep(&self, timeout: Duration) -> Result<(), PortError> {
+        self.0.sleep(timeout)
+    }
+
+    fn stop(&self) -> &Stop {
+        self.0.stop()
+    }
+}
+
+/// That of a topic that the pipeline file declares, which has no check value.
+struct Declared(AddedRelay);
+
+impl Declared {
+    fn between(run: &Run, topic: &TopicRun) -> Result<Self, PortError> {
+        AddedRelay::open(run, topic, &injected_name(&topic.name)).map(Self)
+    }
+
+    fn consumer(run: &Run, topic: &TopicRun) -> Result<Self, PortError> {
+        AddedRelay::consumer(run, topic).map(Self)
+    }
+}
+
+impl Passage for Declared {
+    type Frame = AddedFrame;
+
+    fn receive(&self) -> Result<Option<Self::Frame>, PortError> {
+        self.0.receive()
+    }
+
+    fn read(frame: &Self::Frame) -> Raw {
+        Raw { header: *frame.header(), payload: frame.payload().to_vec(), is_lie: false }
+    }
+
+    fn send(&self, frame: &Raw) -> Result<(), PortError> {
+        self.0.send(&frame.header, &frame.payload)
+    }
+
+    fn follow_writer(&self) -> Result<(), PortError> {
+        self.0.follow_writer()
+    }
+
+    fn sleep(&self, timeout: Duration) -> Result<(), PortError> {
+        self.0.sleep(timeout)
+    }
+
+    fn stop(&self) -> &Stop {
+        self.0.stop()
+    }
 }
 
 /// Injects the faults of a plan, all of one topic, until it is asked to end or the run's folder is gone.
@@ -46,42 +156,45 @@ pub fn inject(record: &Path, plan: &Path) -> Result<Exit, Failure> {
     let faults: Vec<TopicFault> =
         serde_json::from_slice(&text).map_err(|error| Failure::file(plan, error))?;
     let topic = faults.first().map(|fault| fault.topic.clone()).unwrap_or_default();
-    with_topic!(topic.as_str(), relay, &run, faults)
+    with_passage!(&run, topic.as_str(), between, relay, &topic, faults)
 }
 
 /// Reads a topic as one more consumer, which holds what it reads for a time or for ever.
 pub fn consume(record: &Path, topic: &str, hold_ms: Option<u64>) -> Result<Exit, Failure> {
     let run = Run::read(record).map_err(Failure::config)?;
-    with_topic!(topic, hold, &run, hold_ms)
+    with_passage!(&run, topic, consumer, hold, hold_ms)
 }
 
-/// The record of a topic's elements.
-fn element(topic: &str) -> &'static Record {
-    let entry = TABLE.topics.iter().find(|entry| entry.name == topic);
-    entry.expect("every topic has an entry in the table").element
+/// The injector of a topic: its elements have fields where its type is one of the pipeline's own.
+fn injector(run: &Run, topic: &str, faults: Vec<TopicFault>) -> Injector {
+    let entry = |is_it: &dyn Fn(&TopicEntry) -> bool| TABLE.topics.iter().find(|entry| is_it(entry));
+    if let Some(topic) = run.topic(topic) {
+        let known = entry(&|entry| entry.type_name == topic.type_name);
+        return Injector::new(faults, topic.element_size, known.map(|entry| entry.element));
+    }
+    let shipped = entry(&|entry| entry.name == topic).expect("every topic has an entry in the table");
+    Injector::new(faults, shipped.element.size, Some(shipped.element))
 }
 
-fn relay<T: Topic>(run: &Run, faults: Vec<TopicFault>) -> Result<Exit, Failure> {
-    let relay = Relay::<T>::open(run, &raw_name(T::NAME))?;
-    let mut injector = Injector::new(faults, element(T::NAME));
+fn relay<P: Passage>(passage: P, run: &Run, topic: &str, faults: Vec<TopicFault>) -> Result<Exit, Failure> {
+    let mut injector = injector(run, topic, faults);
     // What is to be sent, and when.
     let mut waiting: Vec<(u64, Raw)> = Vec::new();
     let mut costs_ns = Vec::new();
-    while !relay.stop().requested() && run.root.exists() {
+    while !passage.stop().requested() && run.root.exists() {
         if waiting.is_empty() {
             // A new writer's first frame must find the topic open.
-            relay.follow_writer()?;
+            passage.follow_writer()?;
         }
-        while let Some(frame) = relay.receive()? {
+        while let Some(frame) = passage.receive()? {
             let begun_ns = monotonic_ns();
-            let payload = bytemuck::cast_slice(frame.elements()).to_vec();
-            let raw = Raw { header: *frame.header(), payload, is_lie: false };
+            let raw = P::read(&frame);
             drop(frame);
             let (tick, is_tick) = (raw.header.seq, raw.header.is_tick());
             let (due, kinds) = injector.pass(raw);
             for Due { frame, delay_ns } in due {
                 if delay_ns == 0 {
-                    send(&relay, &frame)?;
+                    passage.send(&frame)?;
                 } else {
                     waiting.push((begun_ns + delay_ns, frame));
                 }
@@ -91,48 +204,36 @@ fn relay<T: Topic>(run: &Run, faults: Vec<TopicFault>) -> Result<Exit, Failure> 
             }
             if !kinds.is_empty() {
                 let kinds = kinds.into_iter().map(str::to_owned).collect();
-                print(&Line::Injected { topic: T::NAME.to_owned(), tick, kinds })?;
+                print(&Line::Injected { topic: topic.to_owned(), tick, kinds })?;
             }
         }
         waiting.sort_by_key(|(due_ns, _)| *due_ns);
         let now_ns = monotonic_ns();
         let due_len = waiting.partition_point(|(due_ns, _)| *due_ns <= now_ns);
         for (_, frame) in waiting.drain(..due_len) {
-            send(&relay, &frame)?;
+            passage.send(&frame)?;
         }
         let next = waiting.first().map(|(due_ns, _)| Duration::from_nanos(due_ns.saturating_sub(now_ns)));
-        relay.sleep(next.map_or(SLEEP, |next| next.min(SLEEP)))?;
+        passage.sleep(next.map_or(SLEEP, |next| next.min(SLEEP)))?;
     }
     costs_ns.sort_unstable();
     print(&Line::Cost {
-        topic: T::NAME.to_owned(),
+        topic: topic.to_owned(),
         frames: costs_ns.len() as u64,
         us_p50: costs_ns.get(costs_ns.len() / 2).map_or(0, |ns| ns / 1_000),
         us_max: costs_ns.last().map_or(0, |ns| ns / 1_000),
     })?;
     // The launcher removes the run's files; ports that end after it would look for theirs.
-    std::mem::forget(relay);
+    std::mem::forget(passage);
     Ok(Exit::Done)
 }
 
-/// Sends the elements; bytes beyond the last whole one are left out. A lie has the check value of what it says.
-fn send<T: Topic>(relay: &Relay<T>, Raw { header, payload, is_lie }: &Raw) -> Result<(), Failure> {
-    let elements = payload.chunks_exact(size_of::<T::Element>()).map(bytemuck::pod_read_unaligned);
-    let elements: Vec<T::Element> = elements.collect();
-    let mut header = *header;
-    if *is_lie && !header.protection.is_absent() {
-        header.protection = Protection::of::<T>(&header, &elements, header.protection.counter);
-    }
-    Ok(relay.send(&header, &elements)?)
-}
-
-fn hold<T: Topic>(run: &Run, hold_ms: Option<u64>) -> Result<Exit, Failure> {
-    let relay = Relay::<T>::consumer(run, T::DEPTH_MAX.min(2))?;
+fn hold<P: Passage>(passage: P, run: &Run, hold_ms: Option<u64>) -> Result<Exit, Failure> {
     let mut held = Vec::new();
-    while !relay.stop().requested() && run.root.exists() {
-        relay.sleep(SLEEP)?;
+    while !passage.stop().requested() && run.root.exists() {
+        passage.sleep(SLEEP)?;
         if held.len() < HELD_MAX
-            && let Some(frame) = relay.receive()?
+            && let Some(frame) = passage.receive()?
         {
             held.push((monotonic_ns(), frame));
         }
@@ -140,6 +241,6 @@ fn hold<T: Topic>(run: &Run, hold_ms: Option<u64>) -> Result<Exit, Failure> {
             held.retain(|(since_ns, _)| monotonic_ns() - since_ns < hold_ms * 1_000_000);
         }
     }
-    std::mem::forget((held, relay));
+    std::mem::forget((held, passage));
     Ok(Exit::Done)
 }

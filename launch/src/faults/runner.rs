@@ -10,9 +10,10 @@ use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
 use std::time::{Duration, Instant};
 
 use checker::Line;
+use config::Pipeline;
 use ports::{POINTS_VARIABLE, Point};
 use recorder::Report;
-use run::Run;
+use run::{Run, injected_name};
 use rustix::process::{Pid, Signal, kill_process};
 use serde::Serialize;
 use wire::StageId;
@@ -20,10 +21,10 @@ use wire::StageId;
 use crate::failure::Failure;
 use crate::faults::effect::Random;
 use crate::faults::processes::{Launcher, Writer, is_alive, limit, resident_bytes, this_program, use_cpu};
-use crate::faults::raw_name;
 use crate::faults::spec::{Fault, Spec, Target, TopicFault, When};
 use crate::faults::verdict::{Check, Cost, Observation, Outcome, judge};
 use crate::pipeline_file;
+use crate::stages::declared;
 
 /// Interval between looks at the run.
 const LOOK: Duration = Duration::from_millis(2);
@@ -246,6 +247,9 @@ impl<'a> Session<'a> {
         }
         let mut writers = vec![Writer::start(&["follow"], record, &self.sender)?];
         for topic in self.spec.injected_topics() {
+            if !run.is_on_way(topic) {
+                self.seen.beside.push(topic.to_owned());
+            }
             let faults: Vec<&TopicFault> =
                 self.spec.topic_faults().filter(|fault| fault.topic == topic).collect();
             let plan = self.folder.join(format!("inject-{topic}.json"));
@@ -580,6 +584,8 @@ fn pipeline(spec: &Spec) -> Result<String, Failure> {
         }
         None => pipeline_file::SHIPPED.to_owned(),
     };
+    let name = spec.run.pipeline.as_ref().map_or_else(String::new, |path| path.display().to_string());
+    let parsed = Pipeline::parse(&name, &text, &declared())?;
     let mut pipeline: toml::Table = toml::from_str(&text).map_err(Failure::config)?;
     if let Some(topics) = &spec.run.protect {
         pipeline.insert("protect".to_owned(), topics.clone().into());
@@ -598,14 +604,14 @@ fn pipeline(spec: &Spec) -> Result<String, Failure> {
         }
     }
     for topic in spec.injected_topics() {
-        let writes = |stage: &&mut &mut toml::Table| {
-            let topics = stage.get("writes").and_then(toml::Value::as_array);
-            topics.is_some_and(|topics| topics.iter().any(|name| name.as_str() == Some(topic)))
+        let Some((writer, own)) = parsed.writer(topic) else { continue };
+        let is_writer = |table: &&mut &mut toml::Table| {
+            table.get("name").and_then(toml::Value::as_str) == Some(writer.name.as_str())
         };
-        if let Some(writer) = stages.iter_mut().find(writes) {
-            let topics = writer.entry("topics").or_insert_with(|| toml::Table::new().into());
+        if let Some(table) = stages.iter_mut().find(is_writer) {
+            let topics = table.entry("topics").or_insert_with(|| toml::Table::new().into());
             if let Some(topics) = topics.as_table_mut() {
-                topics.insert(topic.to_owned(), raw_name(topic).into());
+                topics.insert(own.to_owned(), injected_name(topic).into());
             }
         }
     }

@@ -8,6 +8,7 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use ports::Point;
+use run::TopicRun;
 use serde::{Deserialize, Serialize};
 use wire::StageId;
 
@@ -48,6 +49,8 @@ pub struct RunSpec {
     pub pipeline: Option<PathBuf>,
     /// Names of the stages that it adds, in its order.
     pub added: Vec<String>,
+    /// The topics that it declares.
+    pub topics: Vec<TopicRun>,
     /// Where the recorder writes the forecasts; into the run's folder where none.
     pub forecasts: Option<PathBuf>,
     /// Topics whose frames carry a check value; those of the pipeline.toml where none.

@@ -21,6 +21,8 @@ pub struct Observation {
     pub recorded: BTreeSet<u64>,
     /// Its report, where there is one.
     pub report: Option<Report>,
+    /// Topics with an injector that no forecast waits for.
+    pub beside: Vec<String>,
     /// Ticks after which a fault without a frame of its own was over.
     pub over: Vec<u64>,
     /// Files left in shared memory and the run's folder.
@@ -241,6 +243,7 @@ impl Observation {
             leftovers: expect.leftovers,
             reported: self.report.is_some(),
             recorded_alone: self.recorded.iter().copied().filter(|tick| !seen.0.contains_key(tick)).collect(),
+            beside: self.beside.clone(),
             files_left: self.leftovers,
             stages_left: self.survivors,
             ..Told::default()

@@ -55,15 +55,23 @@ struct Server {
     told: Vec<u8>,
 }
 
+/// Listens on a socket. Under its name there is only one that listens: between binding and listening a tool's connection
+/// would be refused.
+fn listen(path: &Path) -> std::io::Result<UnixListener> {
+    let unfinished = path.with_extension("unfinished");
+    // Of a tap that died.
+    let _ = std::fs::remove_file(&unfinished);
+    let listener = UnixListener::bind(&unfinished)?;
+    std::fs::rename(&unfinished, path)?;
+    Ok(listener)
+}
+
 /// Serves the tools of a run until the launcher closes standard input or the run's folder is gone.
 pub fn serve(record: &Path) -> Result<Exit, Failure> {
     let run = Run::read(record).map_err(Failure::config)?;
     let stop = Stop::on_signals().map_err(Failure::unavailable)?;
     let path = run.root.join(SOCKET);
-    // Of a tap that died.
-    let _ = std::fs::remove_file(&path);
-    let listener =
-        UnixListener::bind(&path).map_err(|error| Failure::unavailable_about(path.display(), error))?;
+    let listener = listen(&path).map_err(|error| Failure::unavailable_about(path.display(), error))?;
     listener.set_nonblocking(true).map_err(Failure::unavailable)?;
     let root = run.root.clone();
     let mut server = Server {

@@ -13,6 +13,8 @@ use super::columns::{BOLD, DIM, Row, bar_width, heading, line, share_spans};
 /// Lines of events and of worst ticks at most.
 const EVENTS_MAX: usize = 4;
 const WORST_MAX: usize = 5;
+/// Heading of the worst ticks.
+const WORST: &str = "worst tick";
 
 /// Lines that the view needs.
 pub fn height(view: &View, width: u16) -> u16 {
@@ -24,7 +26,13 @@ pub fn render(view: &View, area: Rect, buffer: &mut Buffer, keys: bool) {
     let width = usize::from(area.width);
     let mut lines = lines(view, width);
     let room = usize::from(area.height).saturating_sub(usize::from(keys));
-    lines.truncate(room);
+    if lines.len() > room {
+        lines.truncate(room);
+        // A heading without what it heads.
+        while lines.last().is_some_and(|line| line.width() == 0 || is_heading_of_worst(line)) {
+            lines.pop();
+        }
+    }
     Paragraph::new(lines).render(area, buffer);
     if keys && area.height > 0 {
         let foot = Rect { y: area.bottom() - 1, height: 1, ..area };
@@ -64,7 +72,7 @@ fn note(view: &View, width: usize) -> String {
         100.. => format!(
             "  ms of {seconds}: compute p50, p99, max; waiting, wake-up and sending at p99. lost, rst (restarts): whole run"
         ),
-        _ => format!("  ms of {seconds}: compute; wait, wake at p99. lost, rst (restarts): whole run"),
+        _ => format!("  ms of {seconds}: compute; wait, wake at p99. lost, rst: whole run"),
     }
 }
 
@@ -108,7 +116,7 @@ fn verdict(view: &View, width: usize) -> Vec<Line<'static>> {
     let mut lines = vec![Line::from(vec![
         Span::raw(" "),
         Span::styled(format!("{name:12}"), BOLD.fg(colour)),
-        Span::raw(cut(reasons.first().map_or("", String::as_str), width.saturating_sub(24))),
+        Span::raw(cut(reasons.first().map_or("", String::as_str), width.saturating_sub(13 + paused.len()))),
         Span::styled(paused, BOLD.fg(Color::Cyan)),
     ])];
     for reason in reasons.iter().skip(1).take(3) {
@@ -213,9 +221,13 @@ pub fn worst(ticks: &[WorstTick], width: usize, most: usize) -> Vec<Line<'static
         })
         .collect();
     if !lines.is_empty() {
-        lines.insert(0, Line::styled(format!("  {:>10}{:>8}   why", "worst tick", "ms"), DIM));
+        lines.insert(0, Line::styled(format!("  {WORST:>10}{:>8}   why", "ms"), DIM));
     }
     section(lines)
+}
+
+fn is_heading_of_worst(line: &Line<'_>) -> bool {
+    line.spans.first().is_some_and(|span| span.content.trim_start().starts_with(WORST))
 }
 
 /// Lines with an empty one before them.

@@ -18,7 +18,7 @@ pub fn lines(view: &View, name: &str, width: usize) -> Vec<Line<'static>> {
     let Some(stage) = view.status.stages.iter().find(|stage| stage.name == name) else {
         return vec![Line::styled(format!("  there is no stage {name} any more"), Color::Red)];
     };
-    let mut lines = vec![process(stage)];
+    let mut lines = process(stage, width);
     lines.push(Line::raw(""));
     lines.extend(phases(view, stage, width));
     lines.push(Line::raw(""));
@@ -35,7 +35,8 @@ pub fn lines(view: &View, name: &str, width: usize) -> Vec<Line<'static>> {
     lines
 }
 
-fn process(stage: &StageStatus) -> Line<'static> {
+/// State and means of the process, on as many lines as they need.
+fn process(stage: &StageStatus, width: usize) -> Vec<Line<'static>> {
     let process = &stage.process;
     let told = |name: &str, value: Option<String>| {
         vec![Span::styled(format!("   {name} "), DIM), Span::raw(value.unwrap_or_else(|| "–".to_owned()))]
@@ -45,20 +46,29 @@ fn process(stage: &StageStatus) -> Line<'static> {
         Some(false) => Span::styled("no heartbeat", BOLD.fg(Color::Red)),
         None => Span::styled("no heartbeat yet", DIM),
     };
-    let mut spans = vec![
+    let mut items = vec![
+        told("pid", process.pid.map(|pid| pid.to_string())),
+        told("restarts", Some(process.restarts.to_string())),
+        told("cpu", process.cpu.map(|cpu| format!("{:.0} %", cpu * 1e2))),
+        told("memory", process.memory_bytes.map(|own| bytes(Some(own)).0)),
+        told("shared", process.shared_bytes.map(|shared| bytes(Some(shared)).0)),
+    ];
+    if let Some(spare) = &process.spare {
+        items.push(told("spare", Some(format!("{spare}, promoted {}×", process.promotions))));
+    }
+    let mut lines = vec![Line::from(vec![
         Span::styled(format!("  {}  ", stage.name), BOLD),
         Span::raw(format!("{}, ", process.state)),
         alive,
-    ];
-    spans.extend(told("pid", process.pid.map(|pid| pid.to_string())));
-    spans.extend(told("restarts", Some(process.restarts.to_string())));
-    spans.extend(told("cpu", process.cpu.map(|cpu| format!("{:.0} %", cpu * 1e2))));
-    spans.extend(told("memory", process.memory_bytes.map(|own| bytes(Some(own)).0)));
-    spans.extend(told("shared", process.shared_bytes.map(|shared| bytes(Some(shared)).0)));
-    if let Some(spare) = &process.spare {
-        spans.extend(told("spare", Some(format!("{spare}, promoted {}×", process.promotions))));
+    ])];
+    for item in items {
+        let item = Line::from(item);
+        match lines.last_mut() {
+            Some(last) if last.width() + item.width() <= width => last.spans.extend(item.spans),
+            _ => lines.push(item),
+        }
     }
-    Line::from(spans)
+    lines
 }
 
 fn phases(view: &View, stage: &StageStatus, width: usize) -> Vec<Line<'static>> {

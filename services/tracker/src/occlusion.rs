@@ -13,6 +13,7 @@
 
 use std::f64::consts::{PI, TAU};
 
+use elementary::hypot;
 use filters::wrapped;
 
 use crate::FieldOfView;
@@ -79,7 +80,7 @@ impl Occlusion {
         }
         for outline in opaque {
             let [dx, dy] = self.offset_m(&outline);
-            let (distance_m, radius_m) = (dx.hypot(dy), outline.half_m[0].hypot(outline.half_m[1]));
+            let (distance_m, radius_m) = (hypot(dx, dy), hypot(outline.half_m[0], outline.half_m[1]));
             // A sensor within that radius may have the outline on all sides.
             let half_rad = if radius_m < distance_m { (radius_m / distance_m).asin() } else { PI };
             let relative = Relative::new([dx, dy], &outline);
@@ -95,7 +96,7 @@ impl Occlusion {
     #[must_use]
     pub fn visibility(&self, outline: &Outline) -> f64 {
         let [dx, dy] = self.offset_m(outline);
-        let distance_m = dx.hypot(dy);
+        let distance_m = hypot(dx, dy);
         if distance_m == 0.0 {
             return 1.0;
         }

@@ -1,6 +1,7 @@
 use association::Candidate;
 use association::assignment::Assigner;
 use association::jpda::{Associator, Share};
+use elementary::hypot;
 use wire::{AgentType, Detection};
 
 use crate::estimate::Estimate;
@@ -221,6 +222,6 @@ const fn certain(detection: u32) -> Share {
 
 fn jumped(estimate: &Estimate, detection: &Detection) -> bool {
     let ([x, y], _) = estimate.belief.position();
-    let distance_m = (f64::from(detection.x_m) - x).hypot(f64::from(detection.y_m) - y);
+    let distance_m = hypot(f64::from(detection.x_m) - x, f64::from(detection.y_m) - y);
     distance_m > JUMP_MIN_M + f64::from(wire::SPEED_MAX_MPS) * estimate.since_seen_s()
 }

@@ -85,11 +85,18 @@ impl Pipeline {
         stage.writes.iter().map(|topic| self.name_of(stage, topic))
     }
 
-    /// The name in shared memory of a stage's topic. A name that the file does not declare is that of a program
-    /// between two stages.
+    /// The name in shared memory of a stage's topic, without an injector.
     fn name_of<'a>(&'a self, stage: &'a Stage, topic: &'a str) -> &'a str {
-        let renamed = stage.topics.get(topic).filter(|name| self.topics.iter().any(|t| t.name == **name));
-        renamed.map_or(topic, String::as_str)
+        let renamed = stage.topics.get(topic);
+        renamed.and_then(|name| added::declared_name(name, &self.topics)).unwrap_or(topic)
+    }
+
+    /// The stage that writes a topic, by its name in shared memory, with the name of it that its program knows.
+    #[must_use]
+    pub fn writer<'a>(&'a self, topic: &str) -> Option<(&'a Stage, &'a str)> {
+        let mut writes =
+            self.stages.iter().flat_map(|stage| stage.writes.iter().map(move |own| (stage, own.as_str())));
+        writes.find(|(stage, own)| self.name_of(stage, own) == topic)
     }
 
     /// Lets this process know the names of the added stages.

@@ -1,3 +1,4 @@
+use elementary::hypot;
 use nalgebra::{Matrix4x5, Matrix5, Matrix5x4, Matrix6, SVector, Vector4, Vector5, Vector6};
 
 use crate::{
@@ -196,7 +197,7 @@ impl Filter {
             Self::ConstantTurnRate(Gaussian { covariance: p, .. }) => p[(2, 2)].max(0.0).sqrt(),
             Self::ConstantVelocity(Gaussian { mean: m, covariance: p }) => {
                 let spread = p[(2, 2)].max(p[(3, 3)]).sqrt();
-                spread / m[2].hypot(m[3]).max(f64::MIN_POSITIVE)
+                spread / hypot(m[2], m[3]).max(f64::MIN_POSITIVE)
             }
             Self::ConstantAcceleration(_) => Self::ConstantVelocity(self.cartesian()).course_sigma_rad(),
         }
@@ -244,7 +245,7 @@ fn cartesian_motion<const N: usize>(m: &SVector<f64, N>) -> Motion {
         position_m: [m[0], m[1]],
         velocity_mps: [m[2], m[3]],
         heading_rad: None,
-        speed_mps: m[2].hypot(m[3]),
+        speed_mps: hypot(m[2], m[3]),
         slip_rad: 0.0,
     }
 }
@@ -281,7 +282,7 @@ fn cartesian(state: &Gaussian<5>, slip_rad: f64, turns: &[usize]) -> Gaussian<4>
 /// `sigma`.
 fn polar(state: &Gaussian<4>, sigma: f64) -> Gaussian<5> {
     let m = &state.mean;
-    let speed = m[2].hypot(m[3]).max(1e-6);
+    let speed = hypot(m[2], m[3]).max(1e-6);
     let (cos, sin) = (m[2] / speed, m[3] / speed);
     let mut jacobian = Matrix5x4::zeros();
     jacobian[(0, 0)] = 1.0;

@@ -1,5 +1,7 @@
 //! The middle of a lanelet, between its bounds.
 
+use elementary::hypot;
+
 use crate::map::{POINTS_MAX, SPACING_M};
 use crate::osm::Line;
 use crate::{Lane, Users};
@@ -129,7 +131,7 @@ fn signed_area<'p>(points_m: impl Iterator<Item = &'p [f64; 2]> + Clone) -> f64 
 }
 
 fn distance(a: [f64; 2], b: [f64; 2]) -> f64 {
-    (a[0] - b[0]).hypot(a[1] - b[1])
+    hypot(a[0] - b[0], a[1] - b[1])
 }
 
 pub(crate) fn near(point: &[f64; 2]) -> [f32; 2] {

@@ -4,15 +4,18 @@
     reason = "the transport is told the name and size of a type that this program does not have"
 )]
 
+use std::fmt::Debug;
 use std::os::fd::{AsFd, BorrowedFd};
 
 use iceoryx2::port::listener::Listener;
 use iceoryx2::port::subscriber::Subscriber;
 use iceoryx2::prelude::*;
 use iceoryx2::sample::Sample;
+use iceoryx2::service::builder;
 use iceoryx2::service::marker::CustomPayloadMarker;
+use iceoryx2::service::port_factory::{event, publish_subscribe};
 use iceoryx2::service::static_config::message_type_details::{TypeDetail, TypeVariant};
-use run::{Run, TopicRun};
+use run::{Run, TopicRun, injected_topic};
 use wire::Header;
 
 use crate::element::Head;
@@ -25,7 +28,7 @@ const DEPTH_MAX: usize = 8;
 /// Readers of such a topic besides the stages: the recorder, the launcher, the tap, an injector and two more.
 const TOOLS_MAX: usize = 6;
 /// What errors call such a topic: they hold names that live as long as the program.
-const TOPIC: &str = "added by the pipeline file";
+pub(crate) const TOPIC: &str = "added by the pipeline file";
 
 /// Most ports of a topic, and its deepest queue.
 #[derive(Clone, Copy, Debug)]
@@ -57,9 +60,11 @@ impl Added {
         }
     }
 
-    /// The topic of that name that the pipeline file declares.
+    /// The topic that the pipeline file declares and that has this name in shared memory: its own, or that of an
+    /// injector.
     pub fn topic(&self, name: &str) -> Option<&TopicRun> {
-        self.topics.iter().find(|topic| topic.name == name)
+        let find = |name| self.topics.iter().find(|topic| topic.name == name);
+        find(name).or_else(|| find(injected_topic(name)?))
     }
 
     /// How many added stages read a topic.
@@ -86,6 +91,14 @@ pub struct AddedSubscriber {
     listener: Listener<ipc::Service>,
 }
 
+/// The two services of such a topic.
+pub(crate) type AddedServices<H> = (
+    publish_subscribe::PortFactory<ipc::Service, [CustomPayloadMarker], H>,
+    event::PortFactory<ipc::Service>,
+);
+/// The first of them while it is opened or made.
+pub(crate) type Building<H> = builder::publish_subscribe::Builder<[CustomPayloadMarker], H, ipc::Service>;
+
 /// A frame of such a topic.
 #[derive(Debug)]
 pub struct AddedFrame(Sample<ipc::Service, [CustomPayloadMarker], Head>);
@@ -97,9 +110,21 @@ impl Node {
     /// [`PortError`] where the topic has its most readers already, its writer has made it with another type, or
     /// shared memory is short.
     pub fn added_subscriber(&self, topic: &TopicRun) -> Result<AddedSubscriber, PortError> {
-        let name = format!("stgdat/{}", topic.name);
+        let services = self.added_services(topic, &topic.name, |builder| builder.user_header::<Head>())?;
+        AddedSubscriber::of(&services)
+    }
+
+    /// Opens or makes the two services of a topic that the pipeline file declares, under its own name or that of an
+    /// injector. `with_header` says how this process sees the header.
+    pub(crate) fn added_services<H: Debug + ZeroCopySend>(
+        &self,
+        topic: &TopicRun,
+        name: &str,
+        with_header: impl Fn(Building<()>) -> Building<H>,
+    ) -> Result<AddedServices<H>, PortError> {
+        let limits = self.with_spares(name, self.added.limits(topic));
+        let name = format!("stgdat/{name}");
         let name: ServiceName = name.as_str().try_into().map_err(PortError::of("service name", TOPIC))?;
-        let limits = self.with_spares(&topic.name, self.added.limits(topic));
         let element = TypeDetail::__internal_new_from_parts(
             TypeVariant::Dynamic,
             &topic.type_name,
@@ -110,11 +135,10 @@ impl Node {
         let alignment = Alignment::new(ALIGNMENT).expect("64 is a power of two");
         let frames = || {
             let builder = self.node.service_builder(&name).publish_subscribe::<[CustomPayloadMarker]>();
-            // SAFETY: the transport compares name and size with those of the writer, and this program reads the
-            // elements as bytes alone.
+            // SAFETY: the transport compares name and size with those of the others, and this program reads and
+            // writes the elements as bytes alone.
             let builder = unsafe { builder.__internal_set_payload_type_details(&element) };
-            builder
-                .user_header::<Head>()
+            with_header(builder)
                 .payload_alignment(alignment)
                 .max_publishers(limits.publishers_max)
                 .max_subscribers(limits.subscribers_max)
@@ -126,12 +150,7 @@ impl Node {
                 .open_or_create()
         };
         let frames = self.patiently(frames, is_half_made_topic).map_err(PortError::of("frames", TOPIC))?;
-        let events = self.events(&name, limits, self.interval, TOPIC)?;
-        let subscriber = frames.subscriber_builder().buffer_size(limits.depth_max).create();
-        Ok(AddedSubscriber {
-            subscriber: subscriber.map_err(PortError::of("subscriber", TOPIC))?,
-            listener: events.listener_builder().create().map_err(PortError::of("listener", TOPIC))?,
-        })
+        Ok((frames, self.events(&name, limits, self.interval, TOPIC)?))
     }
 }
 
@@ -168,6 +187,15 @@ impl Beside {
 }
 
 impl AddedSubscriber {
+    /// The reading ends of a topic's services.
+    pub(crate) fn of((frames, events): &AddedServices<Head>) -> Result<Self, PortError> {
+        let subscriber = frames.subscriber_builder().buffer_size(DEPTH_MAX).create();
+        Ok(Self {
+            subscriber: subscriber.map_err(PortError::of("subscriber", TOPIC))?,
+            listener: events.listener_builder().create().map_err(PortError::of("listener", TOPIC))?,
+        })
+    }
+
     /// The oldest frame of the queue, if there is one.
     ///
     /// # Errors

@@ -42,6 +42,7 @@
 //! ```
 
 mod added;
+mod added_relay;
 mod clock;
 mod element;
 mod error;
@@ -63,6 +64,7 @@ mod subscriber;
 mod wait;
 
 pub use added::{AddedFrame, AddedSubscriber, Beside};
+pub use added_relay::AddedRelay;
 pub use clock::monotonic_ns;
 pub use error::{Awaiting, PortError, StageError};
 pub use kept::KeptMemory;

@@ -39,7 +39,7 @@ const OPEN_PAUSE: Duration = Duration::from_millis(50);
 const HALF_MADE_LIMIT: Duration = Duration::from_millis(500);
 
 /// Meanings of the events that wake a topic's readers.
-mod event_id {
+pub(crate) mod event_id {
     pub const FRAME: usize = 0;
     pub const CREATED: usize = 1;
     pub const DROPPED: usize = 2;

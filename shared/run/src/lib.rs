@@ -45,4 +45,4 @@ mod record;
 
 pub use declaration::{Conflict, Declaration, Declared, NoOptions, OptionError, STAGE_VARIABLE, own_stage};
 pub use exit::Exit;
-pub use record::{PROTECTED, RecordError, Run, SpareRun, StageRun, TopicRun};
+pub use record::{PROTECTED, RecordError, Run, SpareRun, StageRun, TopicRun, injected_name, injected_topic};

@@ -58,6 +58,21 @@ pub struct TopicRun {
     pub element_size: usize,
 }
 
+/// What follows a topic's name under which its writer opens it, where a program stands between it and the readers.
+const INJECTED_SUFFIX: &str = "-injected";
+
+/// The name under which a topic's writer opens it where an injector stands between it and the readers.
+#[must_use]
+pub fn injected_name(topic: &str) -> String {
+    format!("{topic}{INJECTED_SUFFIX}")
+}
+
+/// The topic whose writer opens it under this name because of an injector.
+#[must_use]
+pub fn injected_topic(name: &str) -> Option<&str> {
+    name.strip_suffix(INJECTED_SUFFIX)
+}
+
 /// What all stages of one run agree on.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Run {
@@ -235,6 +250,15 @@ impl Run {
     #[must_use]
     pub fn topic(&self, name: &str) -> Option<&TopicRun> {
         self.topics.iter().find(|topic| topic.name == name)
+    }
+
+    /// Whether the forecasts of a tick wait for this topic, by its name in shared memory.
+    #[must_use]
+    pub fn is_on_way(&self, topic: &str) -> bool {
+        let is_back = |stage: StageId| stage == StageId::Tracker && topic == ForecastsTopic::NAME;
+        let way = self.before(StageId::Sampler);
+        let mut readers = self.readers(topic).filter_map(|stage| StageId::from_number(stage.stage));
+        topic == ForecastsTopic::NAME || readers.any(|stage| way.contains(&stage) && !is_back(stage))
     }
 
     /// Stages that read a topic, by its name in shared memory.

@@ -6,6 +6,7 @@ use std::path::{Path, PathBuf};
 
 use config::Pipeline;
 use ports::Point;
+use run::TopicRun;
 use toml::Spanned;
 use wire::{RefusalCause, StageId, TABLE};
 
@@ -73,10 +74,12 @@ fn check(path: &Path, file: File) -> Result<Spec, Mistake> {
         let span = path.span();
         (beside(path.into_inner()), span)
     });
-    let added = pipeline.as_ref().map_or(Ok(Vec::new()), |(path, span)| added_stages(path, span))?;
+    let (added, topics) =
+        pipeline.as_ref().map_or(Ok(Default::default()), |(path, span)| added_to_pipeline(path, span))?;
     let mut run = RunSpec {
         stages: BTreeMap::new(),
         added,
+        topics,
         ticks,
         agents: file.run.agents,
         recording: file.run.recording.map(beside),
@@ -99,8 +102,8 @@ fn check(path: &Path, file: File) -> Result<Spec, Mistake> {
     Ok(Spec { name, path: path.to_owned(), shows: file.shows, run, faults, expect: file.expect })
 }
 
-/// Names of the stages that a pipeline.toml adds, which this process knows from now on.
-fn added_stages(path: &Path, span: &Range<usize>) -> Result<Vec<String>, Mistake> {
+/// Names of the stages that a pipeline.toml adds, which this process knows from now on, and the topics that it declares.
+fn added_to_pipeline(path: &Path, span: &Range<usize>) -> Result<(Vec<String>, Vec<TopicRun>), Mistake> {
     let refused = |why: String| {
         let why = why.lines().next().unwrap_or_default().to_owned();
         Mistake::new(span.clone(), format!("`pipeline`: {why}"), "expected a pipeline.toml that can be used")
@@ -111,7 +114,8 @@ fn added_stages(path: &Path, span: &Range<usize>) -> Result<Vec<String>, Mistake
         Pipeline::parse(&name, &text, &declared()).map_err(|error| refused(format!("{name}: {error}")))?;
     pipeline.name_stages();
     let added = pipeline.stages.iter().filter(|stage| stage.id.is_added());
-    Ok(added.map(|stage| stage.id.name().to_owned()).collect())
+    let added = added.map(|stage| stage.id.name().to_owned()).collect();
+    Ok((added, pipeline.topics))
 }
 
 /// The entries of a stage's points are for its processes in turn: a kill by signal in between would take one.
@@ -195,7 +199,7 @@ fn fault(table: &Spanned<FaultTable>, run: &RunSpec) -> Result<Fault, Mistake> {
         }
         "consumer" => {
             let hold_ms = table.hold_ms.as_ref().map(|ms| *ms.get_ref());
-            Ok(Fault::Consumer { topic: topic(table)?, hold_ms })
+            Ok(Fault::Consumer { topic: topic(table, run)?, hold_ms })
         }
         _ => of_topic(kind, table, run).map(Fault::Topic),
     }
@@ -320,7 +324,16 @@ fn of_topic(kind: &str, table: &FaultTable, run: &RunSpec) -> Result<TopicFault,
         ));
     }
     let seed = table.seed.as_ref().map_or(run.seed, |seed| *seed.get_ref());
-    Ok(TopicFault { topic: topic(table)?, effect, ticks: [first, last], probability, seed })
+    let topic = topic(table, run)?;
+    let has_fields = |topic: &TopicRun| TABLE.topics.iter().any(|known| known.type_name == topic.type_name);
+    let unknown = run.topics.iter().find(|declared| declared.name == topic && !has_fields(declared));
+    if let (Some(unknown), Effect::NotFinite | Effect::Huge) = (unknown, effect) {
+        let message =
+            format!("\"{kind}\" on \"{topic}\": the fields of \"{}\" are not known", unknown.type_name);
+        let label = "expected a topic whose numbers are known; a \"bit-flip\" needs no fields";
+        return Err(Mistake::new(table.topic.as_ref().map_or(0..0, Spanned::span), message, label));
+    }
+    Ok(TopicFault { topic, effect, ticks: [first, last], probability, seed })
 }
 
 fn part(table: &FaultTable, known: &[&str]) -> Result<Option<Part>, Mistake> {
@@ -400,10 +413,10 @@ fn known_stage(name: &str, span: Range<usize>, run: &RunSpec) -> Result<StageId,
     })
 }
 
-fn topic(table: &FaultTable) -> Result<String, Mistake> {
+fn topic(table: &FaultTable, run: &RunSpec) -> Result<String, Mistake> {
     let name = table.topic.as_ref().expect("a key that the kind must have");
-    let topics: Vec<&str> =
-        TABLE.topics.iter().filter(|topic| topic.publishers_max == 1).map(|topic| topic.name).collect();
+    let shipped = TABLE.topics.iter().filter(|topic| topic.publishers_max == 1).map(|topic| topic.name);
+    let topics: Vec<&str> = shipped.chain(run.topics.iter().map(|topic| topic.name.as_str())).collect();
     if topics.contains(&name.get_ref().as_str()) {
         return Ok(name.get_ref().clone());
     }
@@ -515,6 +528,34 @@ mod tests {
         refused(&format!("{kill}\"monitor\""), ":7: unknown stage \"monitor\"");
         let error = read("q.toml", "").unwrap_err();
         assert!(error.contains("a.toml:4: `pipeline`: ") && error.contains("q.toml"), "{error}");
+    }
+
+    #[test]
+    fn topics_that_the_pipeline_declares_are_known() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.toml");
+        let examples = concat!(env!("CARGO_MANIFEST_DIR"), "/../tests/examples/pipeline.toml");
+        let head = format!("shows = \"a test\"\n[run]\nticks = 100\npipeline = \"{examples}\"\n");
+        let read = |fault: &str| {
+            let text = format!("{head}[[fault]]\n{fault}\nticks = [1, 2]\n");
+            parse(&path, &text).map_err(|error| error.to_string())
+        };
+        let injected = |fault: &str| read(fault).unwrap().injected_topics().join(", ");
+        assert_eq!(injected("kind = \"bit-flip\"\ntopic = \"approaches\""), "approaches");
+        // The type is that of the tracks, whose fields are known.
+        assert_eq!(injected("kind = \"not-finite\"\ntopic = \"limited-tracks\""), "limited-tracks");
+        for kind in ["not-finite", "huge"] {
+            let error = read(&format!("kind = \"{kind}\"\ntopic = \"approaches\"")).unwrap_err();
+            let told =
+                format!("a.toml:7: \"{kind}\" on \"approaches\": the fields of \"approach.1\" are not known");
+            assert!(error.contains(&told), "{error}");
+        }
+        let error = read("kind = \"drop\"\ntopic = \"approach\"").unwrap_err();
+        assert!(error.contains("a.toml:7: unknown topic \"approach\""), "{error}");
+        refused(
+            "[[fault]]\nkind = \"drop\"\ntopic = \"approaches\"\nticks = [1, 2]",
+            ":6: unknown topic \"approaches\"",
+        );
     }
 
     #[test]

@@ -153,9 +153,12 @@ impl History<'_> {
         }
     }
 
-    /// Ticks on which a fault has acted.
+    /// Ticks on which a fault has acted, on a topic that forecasts wait for.
     fn acted_on(&self) -> BTreeSet<u64> {
-        let tick = |line: &Line| if let Line::Injected { tick, .. } = line { Some(*tick) } else { None };
+        let tick = |line: &Line| match line {
+            Line::Injected { tick, topic, .. } if !self.told.beside.contains(topic) => Some(*tick),
+            _ => None,
+        };
         self.lines.iter().filter_map(tick).collect()
     }
 

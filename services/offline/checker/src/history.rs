@@ -150,6 +150,8 @@ pub struct Told {
     pub causes: BTreeMap<String, u64>,
     /// Ticks that came later than they may.
     pub late_ticks: u64,
+    /// Topics that no forecast waits for: what is done to their frames explains nothing.
+    pub beside: Vec<String>,
     /// Ticks that the recorder has written and the follower has not seen.
     pub recorded_alone: Vec<u64>,
     /// Files left in shared memory and the run's folder.

@@ -75,8 +75,18 @@ fn a_true_history_keeps_all_promises() {
 type Lie = fn(&mut Vec<Line>);
 
 /// A name, the lie, and the promise that it breaks.
-const LIES: [(&str, Lie, Promise); 19] = [
+const LIES: [(&str, Lie, Promise); 20] = [
     ("a missing tick", |h| drop(h.remove(calm_pair(h).0)), Promise::MissingTicksExplained),
+    (
+        "a missing tick on which a fault beside its way has acted",
+        |h| {
+            let Line::Forecasts(output) = h.remove(calm_pair(h).0) else { panic!("an output") };
+            let (topic, kinds) = ("approaches".to_owned(), vec!["drop".to_owned()]);
+            told(h).beside.push(topic.clone());
+            h.insert(0, Line::Injected { topic, tick: output.tick, kinds });
+        },
+        Promise::MissingTicksExplained,
+    ),
     (
         "missing last ticks",
         |h| told(h).ticks = told(h).ticks.map(|ticks| ticks + 2),

@@ -2,7 +2,7 @@
 
 use std::ops::Range;
 
-use run::TopicRun;
+use run::{TopicRun, injected_topic};
 use toml::Spanned;
 use wire::{ADDED_STAGES_MAX, ADDED_TOPICS_MAX, ELEMENT_SIZE_MAX, StageId, TABLE, TopicEntry};
 
@@ -23,6 +23,14 @@ pub(super) fn topics(file: &File) -> Result<Vec<TopicRun>, Fault> {
         let (span, topic) = (topic.span(), topic.get_ref());
         let (name, type_name) = (topic.name.get_ref(), topic.type_name.get_ref());
         plain(&topic.name, "topic")?;
+        if injected_topic(name).is_some() {
+            let message = format!("\"{name}\" can't be the name of a topic");
+            return Err(Fault::new(
+                topic.name.span(),
+                message,
+                "a name that an injector gives: expected another end",
+            ));
+        }
         if shipped(name).is_some() {
             let message = format!("\"{name}\" is a topic of the pipeline's own");
             return Err(Fault::new(topic.name.span(), message, "expected another name"));
@@ -106,11 +114,17 @@ pub(super) fn plain(name: &Spanned<String>, of: &str) -> Result<(), Fault> {
     Ok(())
 }
 
-/// The name in shared memory of a stage's topic: another one where the file declares that, else the topic's own. An
-/// undeclared name is that of a program between two stages, which the file does not show.
+/// The name in shared memory of a stage's topic.
 pub(super) fn name_of<'a>(table: &'a StageTable, topic: &'a str, declared: &[TopicRun]) -> &'a str {
-    let renamed = table.topics.iter().find(|(from, _)| from.get_ref() == topic).map(|(_, to)| to.get_ref());
-    renamed.filter(|name| declared.iter().any(|topic| topic.name == **name)).map_or(topic, String::as_str)
+    let renamed = table.topics.iter().find(|(from, _)| from.get_ref() == topic);
+    renamed.and_then(|(_, to)| declared_name(to.get_ref(), declared)).unwrap_or(topic)
+}
+
+/// The declared topic that a stage opens by such a name: that of the name, or that of an injector behind it. Another
+/// name is that of a program between two stages, which the file does not show: to the file the topic is the stage's own.
+pub(super) fn declared_name<'a>(name: &'a str, declared: &[TopicRun]) -> Option<&'a str> {
+    let names = [Some(name), injected_topic(name)].into_iter().flatten();
+    names.into_iter().find(|name| declared.iter().any(|topic| topic.name == **name))
 }
 
 /// Refuses a declared topic that nobody writes.

@@ -115,11 +115,11 @@ fn renamed(
                 format!("the {} neither reads nor writes \"{}\"", table.name.get_ref(), topic.get_ref());
             return Err(Fault::new(topic.span(), message, "not one of its `reads` and `writes`"));
         }
-        let is_plain = |c: char| c.is_ascii_lowercase() || c.is_ascii_digit() || c == '-';
+        let is_plain = |c: char| c.is_ascii_lowercase() || c.is_ascii_digit() || c == '-' || c == '_';
         let (text, span) = (name.get_ref(), name.span());
         if text.is_empty() || !text.chars().all(is_plain) {
             let message = format!("\"{text}\" can't be the name of a topic");
-            return Err(Fault::new(span, message, "expected lower case letters, digits and \"-\""));
+            return Err(Fault::new(span, message, "expected lower case letters, digits, \"-\" and \"_\""));
         }
         if known(name, &[], declared).is_ok() {
             let message = format!("\"{text}\" is a topic of its own");
@@ -137,7 +137,8 @@ fn same_type(
     name: &Spanned<String>,
     topics: &[TopicRun],
 ) -> Result<(), Fault> {
-    let Some(other) = topics.iter().find(|other| other.name == *name.get_ref()) else { return Ok(()) };
+    let declared = added::declared_name(name.get_ref(), topics);
+    let Some(other) = topics.iter().find(|other| declared == Some(&other.name)) else { return Ok(()) };
     let own = topics.iter().find(|own| own.name == *topic.get_ref());
     let expected =
         own.map(|own| own.type_name.as_str()).or_else(|| Some(added::shipped(topic.get_ref())?.type_name));

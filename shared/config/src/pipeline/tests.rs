@@ -349,6 +349,43 @@ fn a_stage_in_the_way_shares_the_tick() {
 }
 
 #[test]
+fn an_injector_before_a_declared_topic_changes_nothing_in_the_graph() {
+    let plain = parsed(&in_the_way(2));
+    let (writer, own) = plain.writer("risks").unwrap();
+    assert_eq!((writer.name.as_str(), own), ("monitor", "risks"));
+    let injected = |text: &str, name: &str| {
+        text.replacen(
+            "name = \"monitor\"",
+            &format!("name = \"monitor\"\ntopics = {{ risks = \"{name}\" }}"),
+            1,
+        )
+    };
+    let pipeline = parsed(&injected(&in_the_way(2), "risks-injected"));
+    assert_eq!(pipeline.edges(), plain.edges());
+
+    // A stage of the pipeline's own that writes a declared topic in the place of its own one.
+    let behind = |name: &str| {
+        let text = in_the_way(2).replace("topics = { tracks = \"risks\" }\n", "");
+        let text = text.replace(
+            "reads = [\"tracks\"]\nwrites = [\"risks\"]",
+            "reads = [\"risks\"]\nwrites = [\"tracks\"]",
+        );
+        text.replacen(
+            "name = \"tracker\"",
+            &format!("name = \"tracker\"\ntopics = {{ tracks = \"{name}\" }}"),
+            1,
+        )
+    };
+    let plain = parsed(&behind("risks"));
+    let (writer, own) = plain.writer("risks").unwrap();
+    assert_eq!((writer.name.as_str(), own), ("tracker", "tracks"));
+    assert_eq!(parsed(&behind("risks-injected")).edges(), plain.edges());
+
+    let taken = error(&added(RISKS, BESIDE).replace("\"risks\"", "\"risks-injected\""));
+    assert!(taken.contains("\"risks-injected\" can't be the name of a topic"), "{taken}");
+}
+
+#[test]
 fn declarations_of_topics_that_are_off() {
     let with_topic = |topic: &str| error(&added(topic, BESIDE));
     insta::assert_snapshot!(with_topic("type_name = \"risk.1\"\nelement_bytes = 0"));
