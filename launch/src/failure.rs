@@ -4,7 +4,7 @@ use std::path::Path;
 
 use config::PipelineError;
 use miette::GraphicalReportHandler;
-use nn::WeightsError;
+use nn::{StartError, WeightsError};
 use onboard::ChainError;
 use ports::{PortError, SpaceError, StageError};
 use recorder::is_standard_output;
@@ -192,6 +192,7 @@ impl From<ChainError> for Failure {
     fn from(error: ChainError) -> Self {
         match error {
             ChainError::Weights(error) => Self::data(error),
+            ChainError::Start(error @ StartError::Precision(_)) => Self::config(error),
             ChainError::Start(error) => Self::data(error),
             ChainError::Options(error) => error.into(),
             ChainError::Stage(error) => error.into(),

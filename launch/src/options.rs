@@ -155,7 +155,15 @@ impl StageOptions {
                 }
             }
         }
-        Ok(())
+        self.check_precision(settings)
+    }
+
+    /// Refuses a precision that this process can't compute in, before a stage would.
+    fn check_precision(&self, settings: &[Setting]) -> Result<(), Failure> {
+        let Err(why) = self.read(&decoder::STAGE)?.precision.check() else { return Ok(()) };
+        let setting = settings.iter().rfind(|setting| setting.is_of(StageId::Decoder, "precision"));
+        let about = setting.map_or("precision of the decoder", |setting| setting.written.as_str());
+        Err(Failure::config_about(about, why))
     }
 
     fn apply_one(&mut self, setting: &Setting) -> Result<(), Failure> {

@@ -50,6 +50,28 @@ fn invalid_settings_are_refused_before_the_run() {
 }
 
 #[test]
+fn a_precision_that_the_kernels_lack_is_refused() {
+    let scratch = Scratch::new("precision");
+    let recording = scratch.recording("scene.csv", 5);
+    let set = ["--set", "decoder.precision=bf16", "--kernels", "portable"];
+    let message = "--set decoder.precision=bf16: precision bf16 needs ";
+    for verb in [&["run"][..], &["predict", &recording], &["bench"], &["evaluate", &recording]] {
+        assert_refused(&[verb, &set].concat(), 78, &[message, "leave the precision at f32"]);
+    }
+    let encodings = "reads = [\"encodings\"]";
+    let options = format!("{encodings}\noptions = {{ precision = \"bf16\" }}");
+    let pipeline = scratch.pipeline("bf16.toml", encodings, &options);
+    assert_refused(
+        &["run", "--pipeline", &pipeline, "--kernels", "portable"],
+        78,
+        &["precision of the decoder: precision bf16 needs "],
+    );
+    let other = ["evaluate", &recording, "--set", "decoder.workers=2"];
+    assert_refused(&other, 2, &["evaluations set decoder.precision alone"]);
+    assert_refused(&["run", "--set", "decoder.precision=f16"], 2, &["expected f32 or bf16"]);
+}
+
+#[test]
 fn an_instruction_set_that_the_processor_lacks_is_refused() {
     let lacking = if Isa::Neon.available() { Isa::Avx2 } else { Isa::Neon };
     let message = format!("this processor has no {lacking}, only ");

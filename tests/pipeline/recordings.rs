@@ -1,5 +1,6 @@
 //! Recordings: `predict` in one process and `run` in eight write the same bytes with any options.
 
+use nn::Precision;
 use nn::kernels::Isa;
 use testing::public_recording;
 
@@ -68,6 +69,17 @@ fn neither_workers_nor_instruction_sets_change_a_byte() {
     let fused = [Isa::Avx512, Isa::Avx2, Isa::Neon].into_iter().filter(|isa| isa.available());
     for isa in fused {
         assert!(default == same_bytes(&scratch, &recording, &["--kernels", isa.key()]), "{isa}");
+    }
+    match Precision::Bf16.check() {
+        Ok(()) => {
+            let bf16 = same_bytes(&scratch, &recording, &["--set", "decoder.precision=bf16"]);
+            assert!(default != bf16, "the precision has an effect");
+            for workers in ["decoder.workers=1", "decoder.workers=4"] {
+                let arguments = ["--set", "decoder.precision=bf16", "--set", workers];
+                assert!(bf16 == same_bytes(&scratch, &recording, &arguments), "bf16, {workers}");
+            }
+        }
+        Err(why) => println!("skipped: {why}"),
     }
     // Its multiply-adds round twice; the stages of the run follow the option as well.
     assert!(default != same_bytes(&scratch, &recording, &["--kernels", "portable"]));

@@ -102,7 +102,7 @@ fn evaluate(arguments: &Arguments, trained: &[(&Variant, Trained)]) -> Result<Ab
     let options = Options {
         data: arguments.data.clone(),
         part: if arguments.validation { Part::Validation } else { Part::Test },
-        weights: WeightsChoice { file: None, folder: arguments.dir.clone() },
+        weights: WeightsChoice { file: None, folder: arguments.dir.clone(), precision: nn::Precision::F32 },
         map: MapChoice::Site,
         lanes: false,
         threads: arguments.workers.unwrap_or(1),

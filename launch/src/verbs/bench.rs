@@ -12,12 +12,15 @@ use std::time::Duration;
 
 use clap::Args;
 use nn::kernels;
-use run::Exit;
+use run::{Exit, Run};
+use wire::StageId;
 
 use crate::arguments::{ModelArguments, SetArguments};
 use crate::fail_if::{self, Condition};
 use crate::failure::Failure;
+use crate::options::{Setting, StageOptions};
 use crate::tables;
+use crate::version;
 
 /// Time for measuring each of the machine's peaks.
 const PEAK_TIME: Duration = Duration::from_millis(400);
@@ -79,7 +82,9 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
         }
         ("bench", text)
     };
-    let heading = machine();
+    // The peers' table is of layers in f32, whatever the stages are set to.
+    let set = if arguments.peers { &[][..] } else { &arguments.set.set };
+    let heading = machine(set)?;
     print!("### {heading}\n\n{text}");
     if let Some(path) = &arguments.table {
         tables::replace_section(path, mark, &heading, &text)?;
@@ -100,12 +105,16 @@ fn speed(arguments: &Arguments) -> Result<String, Failure> {
     Ok(text)
 }
 
-/// What was measured on: the processor, how many cores of it, and the kernels.
-fn machine() -> String {
+/// What was measured on: the processor, how many cores of it, the kernels, and the precision where it is not f32.
+fn machine(set: &[Setting]) -> Result<String, Failure> {
+    let mut options = StageOptions::defaults(&[StageId::Decoder]);
+    let of_decoder = set.iter().filter(|set| set.is_of(StageId::Decoder, "precision"));
+    options.apply(&of_decoder.cloned().collect::<Vec<_>>())?;
+    let kernels = version::kernels(&Run { stages: options.stage_runs(), ..Run::default() });
     let cores = std::thread::available_parallelism().map_or(1, usize::from);
     let cpus = std::fs::read_to_string("/proc/cpuinfo").unwrap_or_default();
     let model = processor(&cpus).unwrap_or("unknown processor").to_owned();
-    format!("{model}, {cores} cores, {}", kernels::active())
+    Ok(format!("{model}, {cores} cores, {kernels}"))
 }
 
 /// The processor's name in /proc/cpuinfo; Arm's have none there.

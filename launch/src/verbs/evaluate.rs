@@ -4,13 +4,15 @@ use clap::{Args, ValueEnum};
 use data::sets::Part;
 use driving_evaluator::GapReport;
 use evaluator::{InteractionPart, MapChoice, Options, Report, WeightsChoice};
-use nn::Weights;
+use nn::{Precision, Weights};
 use run::Exit;
 use tracking_evaluator::{KittiReport, TrackingReport};
+use wire::StageId;
 
 use crate::arguments::ReadArguments;
 use crate::contenders::contenders;
 use crate::failure::Failure;
+use crate::options::{Setting, StageOptions};
 use crate::show::show;
 use crate::tables;
 
@@ -77,6 +79,9 @@ pub struct Arguments {
     /// Number of threads; figures do not depend on it
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u8).range(1..))]
     threads: Option<u8>,
+    /// Compute the decoder in another precision: decoder.precision=bf16; no other option can be set here
+    #[arg(long, value_name = "STAGE.OPTION=VALUE")]
+    set: Vec<Setting>,
     /// Write every figure as CSV, one per line
     #[arg(long, value_name = "FILE")]
     csv: Option<PathBuf>,
@@ -153,6 +158,7 @@ fn refuse_unused(name: &str, arguments: &Arguments) -> Result<(), Failure> {
         ("--format", arguments.read.format.is_some(), !is_set, "recordings"),
         ("--fps", arguments.read.fps.is_some(), !is_set, "recordings"),
         ("--positions", arguments.positions, !is_set, "recordings"),
+        ("--set", !arguments.set.is_empty(), !is_tracking, "forecasts, not `tracking`"),
     ];
     match options.into_iter().find(|(_, is_given, is_used, _)| *is_given && !is_used) {
         Some((option, _, _, users)) => {
@@ -228,12 +234,27 @@ impl Written {
     }
 }
 
-fn options(arguments: &Arguments, weights_dir: &Path) -> Options {
+/// The precision of the decoder, which is all that may be set of the stages here.
+fn precision(arguments: &Arguments) -> Result<Precision, Failure> {
+    let others = |set: &&Setting| !set.is_of(StageId::Decoder, "precision");
+    if let Some(set) = arguments.set.iter().find(others) {
+        return Err(set.refused("evaluations set decoder.precision alone"));
+    }
+    let mut options = StageOptions::defaults(&[StageId::Decoder]);
+    options.apply(&arguments.set)?;
+    Ok(options.read(&decoder::STAGE)?.precision)
+}
+
+fn options(arguments: &Arguments, weights_dir: &Path) -> Result<Options, Failure> {
     let threads = std::thread::available_parallelism().map_or(1, usize::from);
-    Options {
+    Ok(Options {
         data: arguments.data.clone(),
         part: if arguments.validation { Part::Validation } else { Part::Test },
-        weights: WeightsChoice { file: arguments.weights.clone(), folder: weights_dir.to_owned() },
+        weights: WeightsChoice {
+            file: arguments.weights.clone(),
+            folder: weights_dir.to_owned(),
+            precision: precision(arguments)?,
+        },
         map: match arguments.map {
             Map::None => MapChoice::None,
             Map::Online => MapChoice::Online,
@@ -241,25 +262,26 @@ fn options(arguments: &Arguments, weights_dir: &Path) -> Options {
         },
         lanes: arguments.lanes,
         threads: arguments.threads.map_or(threads, usize::from),
-    }
+    })
 }
 
 /// Sources of driving recordings, by default all.
-fn driving(arguments: &Arguments, sources: &[String]) -> driving_evaluator::Options {
-    let Options { data, threads, .. } = options(arguments, &arguments.weights_dir);
-    driving_evaluator::Options {
+fn driving(arguments: &Arguments, sources: &[String]) -> Result<driving_evaluator::Options, Failure> {
+    let Options { data, threads, weights, .. } = options(arguments, &arguments.weights_dir)?;
+    Ok(driving_evaluator::Options {
         folder: data.join("driving"),
         sources: sources.to_vec(),
-        weights: arguments.weights.clone(),
+        weights: weights.file,
+        precision: weights.precision,
         map: !matches!(arguments.map, Map::None),
         evidence: !arguments.without_evidence,
         threads,
-    }
+    })
 }
 
 /// Forecasts as a car gets them, on many roads.
 fn drive(arguments: &Arguments) -> Result<Written, Failure> {
-    let report = driving_evaluator::evaluate(&driving(arguments, &arguments.parts), progress)
+    let report = driving_evaluator::evaluate(&driving(arguments, &arguments.parts)?, progress)
         .map_err(Failure::data)?;
     if let Some(path) = &arguments.prior {
         write(path, &(report.priors().to_json() + "\n"))?;
@@ -289,13 +311,13 @@ fn track(arguments: &Arguments) -> Result<Vec<Written>, Failure> {
             "--parts {other}: `tracking` has interaction, kitti and driving"
         )));
     }
-    let options = options(arguments, &arguments.weights_dir);
+    let options = options(arguments, &arguments.weights_dir)?;
     let mut written = Vec::new();
     for part in parts(arguments, &TRACKING_PARTS) {
         written.push(match part {
             "kitti" => Written::of_trackers(&evaluate_trackers(&options)?),
             "driving" => {
-                let report = driving_evaluator::through_gaps(&driving(arguments, &[]), progress);
+                let report = driving_evaluator::through_gaps(&driving(arguments, &[])?, progress);
                 Written::of_gaps(&report.map_err(Failure::data)?)
             }
             _ => {
@@ -331,7 +353,7 @@ fn progress(step: &str) {
 }
 
 fn evaluate(name: &str, arguments: &Arguments, weights_dir: &Path) -> Result<Report, Failure> {
-    let options = options(arguments, weights_dir);
+    let options = options(arguments, weights_dir)?;
     let report = match name {
         "eth-ucy" => evaluator::eth_ucy(&options, progress),
         "sdd" => evaluator::sdd(&options, progress),

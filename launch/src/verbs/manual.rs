@@ -43,7 +43,7 @@ const HEAD: &str = "\
 | 65 | a recording, map or weights file can't be used, or an output file can't be written |
 | 69 | a resource is missing: shared memory, space, a port |
 | 70 | a stage died, or a check came out wrong |
-| 78 | pipeline.toml or the run's record can't be used |
+| 78 | pipeline.toml or the run's record can't be used, or this processor lacks the precision asked for |
 | 130, 143 | ended by Ctrl-C, by SIGTERM |
 ";
 

@@ -2,7 +2,7 @@ use std::path::PathBuf;
 
 use clap::Args;
 use clap::builder::PossibleValuesParser;
-use nn::{Weights, kernels};
+use nn::Weights;
 use onboard::{Replay, Replayed, STAGES};
 use recording::{About, Comparison, Frame, Recording, Writer};
 use run::Exit;
@@ -14,6 +14,7 @@ use crate::failure::Failure;
 use crate::show::show;
 use crate::verbs::diff::open;
 use crate::verbs::wire::layout;
+use crate::version;
 
 /// Numbers of ticks that are listed.
 const LISTED_MAX: usize = 8;
@@ -101,7 +102,7 @@ fn notes(recording: &Recording, weights: &Weights) -> Vec<String> {
     if weights.sha256() != about.weights_sha256 {
         notes.push(format!("replayed with other weights: {}", weights.sha256()));
     }
-    let kernels = kernels::active().name();
+    let kernels = version::kernels(&about.run);
     if about.kernels != kernels {
         notes.push(format!("replayed with the kernels {kernels}"));
     }
@@ -133,7 +134,7 @@ fn writer(
     let about = About {
         topics,
         weights_sha256: weights.sha256().to_owned(),
-        kernels: kernels::active().name().to_owned(),
+        kernels: version::kernels(&recording.about().run),
         ..recording.about().clone()
     };
     Writer::create(path, &about, &layout()).map(Some).map_err(Failure::data)

@@ -33,6 +33,7 @@ use crate::outages::Outages;
 use crate::pipeline_file;
 use crate::tap::{Recording, RingArguments, Tap};
 use crate::verbs::record;
+use crate::version;
 use crate::watch::Watch;
 
 /// Time limit for all stages to start and link to their neighbours.
@@ -105,7 +106,7 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
     // Read here for its name, length and interval; the source reads it again in its own process.
     let playing = PlaybackOptions { ticks_max: source.ticks, ..Default::default() };
     let playback = Playback::new(recording, playing);
-    let info = info(arguments, &options, &source, &playback, weights_path.as_deref(), &weights)?;
+    let mut info = info(arguments, &options, &source, &playback, weights_path.as_deref(), &weights)?;
     check_map(&mut options)?;
 
     let run_id = random_id()?;
@@ -126,6 +127,7 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
         topics: pipeline.topics.clone(),
     };
     weights.config().write(&run.root).map_err(Failure::data)?;
+    info.precision = version::precision(&run);
     let live = live_options(&run, &info, playback.ticks_len());
     drop((playback, weights));
 
@@ -469,7 +471,7 @@ fn about(arguments: &Arguments, info: &RunInfo, run: &Run) -> Result<About, Fail
         program: concat!("stgdat ", env!("CARGO_PKG_VERSION")).to_owned(),
         pipeline: pipeline_file::text(arguments.pipeline.as_deref())?,
         weights_sha256: info.weights_sha256.clone().unwrap_or_default(),
-        kernels: nn::kernels::active().name().to_owned(),
+        kernels: version::kernels(run),
         scene: info.recording.clone().unwrap_or_default(),
         run: run.clone(),
         ..About::default()

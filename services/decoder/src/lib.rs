@@ -12,19 +12,21 @@ mod unroll;
 
 pub use base::BaseDecoder;
 pub use nn::StartError;
-use nn::{Deadline, DecoderGroup, ModelConfig, Weights, WeightsError, Workers};
+use nn::{Deadline, DecoderGroup, ModelConfig, Precision, Weights, WeightsError, Workers};
 pub use options::{Options, STAGE};
 use wire::{AGENT_TYPES, AGENTS_MAX, AgentControls, AgentEncoding, Header, Rejected};
 
 use unroll::Unroller;
 
 /// Settings of a [`Decoder`].
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct DecoderOptions {
     /// Threads that run the network, the stage's own among them; results do not depend on it.
     pub workers: usize,
     /// Seed of the draws from N(0, I).
     pub seed: u64,
+    /// Precision of the recurrent layer.
+    pub precision: Precision,
 }
 
 /// The decoder: its workers and the order in which they take the agents.
@@ -52,7 +54,8 @@ impl Decoder {
     /// A decoder with the model's networks.
     ///
     /// # Errors
-    /// [`StartError`] where the weights do not hold the model or a thread can't be had.
+    /// [`StartError`] where the weights do not hold the model, this process can't compute in the precision, or a thread
+    /// can't be had.
     pub fn new(weights: &Weights, options: DecoderOptions) -> Result<Self, StartError> {
         let config = weights.config().clone();
         config.check_frames().map_err(WeightsError::from)?;

@@ -1,4 +1,4 @@
-use nn::WORKERS_MAX;
+use nn::{Precision, WORKERS_MAX};
 use run::Declaration;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -16,4 +16,7 @@ pub struct Options {
     /// processors that the process may use, at most 4. Forecasts do not depend on it.
     #[schemars(range(min = 1, max = WORKERS_MAX))]
     pub workers: Option<usize>,
+    /// Precision of the recurrent layer, nine tenths of the stage's work. `bf16` needs a processor with AVX-512 BF16
+    /// and gives other forecasts, by what docs/real-time.md tells.
+    pub precision: Precision,
 }

@@ -10,12 +10,14 @@ use crate::{Decoder, DecoderOptions, STAGE};
 /// Runs the stage until the process is asked to end.
 ///
 /// # Errors
-/// [`StageError`] where the weights, the instruction set or the run's model, options or shared memory can't be used.
+/// [`StageError`] where the weights, the instruction set, the precision or the run's model, options or shared memory can't be used.
 pub fn run(run: &Run) -> Result<(), StageError> {
     kernels::follow_environment().map_err(StageError::config)?;
     let model = ModelConfig::of_run(&run.root).map_err(StageError::config)?;
     let weights = Weights::of_model(run.weights.as_deref(), &model).map_err(StageError::data)?;
-    let mut decoder = Decoder::new(&weights, settings(run)?).map_err(StageError::data)?;
+    let settings = settings(run)?;
+    settings.precision.check().map_err(StageError::config)?;
+    let mut decoder = Decoder::new(&weights, settings).map_err(StageError::data)?;
     drop(weights);
     let deadline_ns = run.deadline_ns(StageId::Decoder);
 
@@ -55,8 +57,10 @@ pub fn run(run: &Run) -> Result<(), StageError> {
 /// # Errors
 /// [`OptionError`] where the run's record holds options that the decoder does not have.
 pub fn settings(run: &Run) -> Result<DecoderOptions, OptionError> {
+    let options = STAGE.options(run)?;
     Ok(DecoderOptions {
-        workers: STAGE.options(run)?.workers.unwrap_or_else(nn::default_workers),
+        workers: options.workers.unwrap_or_else(nn::default_workers),
         seed: run.seed,
+        precision: options.precision,
     })
 }

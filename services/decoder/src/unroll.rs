@@ -96,7 +96,7 @@ impl Encoded for Share<'_> {
 impl Unroller {
     /// As many as there are workers.
     pub(crate) fn pool(weights: &Weights, options: DecoderOptions) -> Result<Workers<Self>, StartError> {
-        let networks = Arc::new(Decoder::new(weights)?);
+        let networks = Arc::new(Decoder::with_precision(weights, options.precision)?);
         let unroller = |_| Self {
             networks: Arc::clone(&networks),
             config: weights.config().clone(),

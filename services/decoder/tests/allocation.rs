@@ -16,7 +16,8 @@ static ALLOCATOR: CountingAllocator = CountingAllocator;
 #[test]
 fn a_thousand_steady_steps_allocate_nothing() {
     let weights = Model::with_all_options().weights();
-    let mut decoder = Decoder::new(&weights, DecoderOptions { workers: 2, seed: 1 }).unwrap();
+    let mut decoder =
+        Decoder::new(&weights, DecoderOptions { workers: 2, seed: 1, ..DecoderOptions::default() }).unwrap();
     let frames = [frames::encodings(6), frames::encodings(4)];
     let mut outs = frames.each_ref().map(|encodings| frames::room(encodings));
     let mut step = |i: usize| {

@@ -8,12 +8,20 @@ use bytemuck::Zeroable;
 use decoder::{Decoder, DecoderOptions};
 use frames::{encodings, header, room};
 use nn::base::{Base, BaseFeatures};
-use nn::{Deadline, Weights};
+use nn::{Deadline, Precision, Weights};
 use testing::Model;
 use wire::{AgentControls, AgentEncoding, ControlGaussian, Rejected};
 
+fn options(workers: usize, seed: u64) -> DecoderOptions {
+    DecoderOptions { workers, seed, ..DecoderOptions::default() }
+}
+
 fn decode(workers: usize, seed: u64, seq: u64, encodings: &[AgentEncoding]) -> Vec<AgentControls> {
-    let mut decoder = Decoder::new(&Weights::onboard(), DecoderOptions { workers, seed }).unwrap();
+    decode_with(options(workers, seed), seq, encodings)
+}
+
+fn decode_with(options: DecoderOptions, seq: u64, encodings: &[AgentEncoding]) -> Vec<AgentControls> {
+    let mut decoder = Decoder::new(&Weights::onboard(), options).unwrap();
     let mut out = room(encodings);
     decoder.step(&header(seq), encodings, &mut out).unwrap();
     out
@@ -46,6 +54,42 @@ fn workers_and_other_agents_change_no_bit() {
     }
 }
 
+/// How far apart the control means of all modes are, at most and at the root of the mean square.
+fn apart(a: &[AgentControls], b: &[AgentControls]) -> [f32; 2] {
+    let means = |all: &[AgentControls]| -> Vec<f32> {
+        all.iter()
+            .flat_map(|controls| controls.modes.as_flattened())
+            .flat_map(|control| control.mean)
+            .collect()
+    };
+    let off: Vec<f32> = means(a).iter().zip(means(b)).map(|(a, b)| (a - b).abs()).collect();
+    let squares: f32 = off.iter().map(|x| x * x).sum();
+    [off.iter().fold(0.0, |most, x| x.max(most)), (squares / off.len() as f32).sqrt()]
+}
+
+#[test]
+fn in_bf16_too_workers_and_other_agents_change_no_bit() {
+    let encodings = encodings(70);
+    let bf16 = |workers| DecoderOptions { precision: Precision::Bf16, ..options(workers, 5) };
+    if let Err(why) = Precision::Bf16.check() {
+        let refused = Decoder::new(&Weights::onboard(), bf16(1)).err().map(|error| error.to_string());
+        assert_eq!(refused, Some(why.to_string()));
+        println!("skipped: {why}");
+        return;
+    }
+    let out = decode_with(bf16(1), 9, &encodings);
+    for workers in [2, 4] {
+        assert_eq!(out, decode_with(bf16(workers), 9, &encodings), "{workers} workers");
+    }
+    for (i, agent) in encodings.iter().filter(|a| a.forecastable != 0).enumerate() {
+        assert_eq!(out[i], decode_with(bf16(1), 9, std::slice::from_ref(agent))[0], "agent {i} alone");
+    }
+    let [most, rms] = apart(&out, &decode(1, 5, 9, &encodings));
+    println!("{most} apart at most, {rms} at the root of the mean square");
+    assert!(most > 0.0, "the precision has an effect");
+    assert!(most < 0.05 && rms < 2e-3, "{most} and {rms} apart");
+}
+
 /// A clock that goes on by one with each look.
 fn ticking() -> u64 {
     static NOW: AtomicU64 = AtomicU64::new(0);
@@ -63,7 +107,7 @@ fn whoever_is_served_until_the_deadline_has_the_same_bits() {
     let whole: Vec<AgentEncoding> =
         encodings.iter().map(|agent| AgentEncoding { shed: 0, ..*agent }).collect();
     let expected = decode(1, 5, 9, &whole);
-    let mut decoder = Decoder::new(&Weights::onboard(), DecoderOptions { workers: 1, seed: 5 }).unwrap();
+    let mut decoder = Decoder::new(&Weights::onboard(), options(1, 5)).unwrap();
     let all_len = Decoder::len(&encodings);
     let mut last_len = 0;
     for looks in [0, 5, 9, 13, 1_000] {
@@ -96,7 +140,7 @@ fn whoever_is_served_until_the_deadline_has_the_same_bits() {
 
 #[test]
 fn a_bad_frame_is_refused_and_leaves_the_output() {
-    let mut decoder = Decoder::new(&Weights::onboard(), DecoderOptions { workers: 2, seed: 0 }).unwrap();
+    let mut decoder = Decoder::new(&Weights::onboard(), options(2, 0)).unwrap();
     let good = encodings(8);
     let mut out = room(&good);
     let before = out.clone();
@@ -130,7 +174,7 @@ fn the_base_control_is_added_to_the_means() {
     let plain = model.weights();
     let encodings = encodings(6);
     let controls = |weights: &Weights| {
-        let mut decoder = Decoder::new(weights, DecoderOptions { workers: 1, seed: 0 }).unwrap();
+        let mut decoder = Decoder::new(weights, options(1, 0)).unwrap();
         let mut out = room(&encodings);
         decoder.step(&header(0), &encodings, &mut out).unwrap();
         out

@@ -88,6 +88,9 @@ impl Report {
             });
             fact(text, "weights", &[run.weights.clone(), hash, seen])?;
         }
+        if let Some(precision) = &run.precision {
+            fact(text, "precision", &[Some(precision.clone())])?;
+        }
         if let Some(retrieval) = run.retrieval {
             let memory = match run.memory_entries.filter(|&len| len > 0) {
                 _ if !retrieval => "off".to_owned(),

@@ -290,6 +290,8 @@ pub struct RunInfo {
     pub weights: Option<String>,
     /// SHA-256 of the weights.
     pub weights_sha256: Option<String>,
+    /// In which precision the stages multiply, where not all of them do so in f32.
+    pub precision: Option<String>,
     /// Whether the retrieval memory corrects forecasts.
     pub retrieval: Option<bool>,
     /// Entries that the retrieval memory began with, where it has a file: they may be of this recording.

@@ -11,7 +11,7 @@ use criterion::{BenchmarkId, Criterion, Throughput, criterion_group, criterion_m
 use faer::linalg::matmul::matmul;
 use faer::{Accum, Mat, Par};
 use nn::kernels::{self, peak};
-use nn::{BurnIn, ContextCnn, ContextMemory, Decoder, DecoderMemory, Draws, RAW_CONTROL, Weights};
+use nn::{BurnIn, ContextCnn, ContextMemory, Decoder, DecoderMemory, Draws, Precision, RAW_CONTROL, Weights};
 use wire::AgentType;
 
 /// Side of the matrices of the yardstick.
@@ -128,8 +128,6 @@ fn context(c: &mut Criterion) {
 
 fn decoder(c: &mut Criterion) {
     let weights = Weights::onboard();
-    let decoder = Decoder::new(&weights).expect("onboard weights");
-    let decoder = decoder.of(AgentType::Vehicle);
     let (agents_len, draws_len, steps_len, horizon_len) = (32, 20, 8, 12);
     let states: Vec<[f32; 6]> = (0..agents_len * steps_len).map(|i| [value(i); 6]).collect();
     let present = vec![true; states.len()];
@@ -141,13 +139,22 @@ fn decoder(c: &mut Criterion) {
     let mut group = c.benchmark_group("decoder");
     let steps = agents_len * steps_len + latents.len() * horizon_len;
     group.throughput(Throughput::Elements((steps * 384 * 128) as u64));
-    group.bench_function("32 agents, 20 draws, 12 steps", |bench| {
-        bench.iter(|| {
-            let agents = BurnIn { agents_len, states: &states, present: &present };
-            decoder.burn_in(&agents, &mut memory, &mut hidden);
-            decoder.forecast(&hidden, &summaries, Draws::Given(black_box(&latents)), &mut memory, &mut out);
+    for precision in [Precision::F32, Precision::Bf16] {
+        if let Err(why) = precision.check() {
+            println!("skipped: {why}");
+            continue;
+        }
+        let decoder = Decoder::with_precision(&weights, precision).expect("onboard weights");
+        let decoder = decoder.of(AgentType::Vehicle);
+        group.bench_function(format!("32 agents, 20 draws, 12 steps, {precision}"), |bench| {
+            bench.iter(|| {
+                let agents = BurnIn { agents_len, states: &states, present: &present };
+                decoder.burn_in(&agents, &mut memory, &mut hidden);
+                let draws = Draws::Given(black_box(&latents));
+                decoder.forecast(&hidden, &summaries, draws, &mut memory, &mut out);
+            });
         });
-    });
+    }
     group.finish();
 }
 

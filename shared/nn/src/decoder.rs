@@ -2,18 +2,22 @@
 //! What does not depend on the draw is computed once: the burn-in and ṽ·W per agent, z·W per latent point.
 //! The dependence of a point on its base control is linear, so that W takes the control itself. From the
 //! second forecast step on the input is zero, so only its bias is left.
+//!
+//! In bf16 it is the recurrent layer, W_h h, that is computed in it: 24 of 25 multiply-adds of a step. The state h
+//! itself, its gates and all other layers stay in f32, so that what a step rounds is not carried on to the next.
 
 mod group;
 
 use wire::{AGENT_TYPES, AgentType, ControlGaussian, LATENT, STATE_FEATURES, TEMPORAL};
 
-use crate::Latents;
 use crate::base::{Base, latent_scale};
 use crate::buffer::Buffer;
+use crate::kernels::bf16::DotProducts;
 use crate::kernels::exp_in_place;
 use crate::kernels::gates::{GATES, HIDDEN, gru_step};
 use crate::linear::{Activation, Linear};
 use crate::weights::{Weights, WeightsError};
+use crate::{Latents, Precision, StartError};
 pub use group::{AgentDraws, DecoderGroup, Encoded};
 
 /// Numbers of the head: (μ_1, μ_2, ln l_11, ln l_22, l_21).
@@ -117,8 +121,20 @@ impl Decoder {
     /// # Errors
     /// Where a tensor is missing or has another shape.
     pub fn new(weights: &Weights) -> Result<Self, WeightsError> {
+        Self::read(weights, None)
+    }
+
+    /// The same with the recurrent layer in a precision.
+    ///
+    /// # Errors
+    /// [`StartError`] where the weights do not hold the model, or this process can't compute in the precision.
+    pub fn with_precision(weights: &Weights, precision: Precision) -> Result<Self, StartError> {
+        Ok(Self::read(weights, precision.dot_products()?)?)
+    }
+
+    fn read(weights: &Weights, dot_products: Option<DotProducts>) -> Result<Self, WeightsError> {
         let [vehicle, cyclist, pedestrian] = AGENT_TYPES;
-        let read = |agent_type| TypeDecoder::read(weights, agent_type);
+        let read = |agent_type| TypeDecoder::read(weights, agent_type, dot_products);
         Ok(Self { types: [read(vehicle)?, read(cyclist)?, read(pedestrian)?] })
     }
 
@@ -130,7 +146,11 @@ impl Decoder {
 }
 
 impl TypeDecoder {
-    fn read(weights: &Weights, agent_type: AgentType) -> Result<Self, WeightsError> {
+    fn read(
+        weights: &Weights,
+        agent_type: AgentType,
+        dot_products: Option<DotProducts>,
+    ) -> Result<Self, WeightsError> {
         let config = weights.config();
         let network = config.network_of(agent_type).name();
         let name = |part: &str| format!("decoder.{network}.{part}");
@@ -164,7 +184,7 @@ impl TypeDecoder {
             state: section(0, STATE_FEATURES, Some(input_bias)),
             context: section(STATE_FEATURES, TEMPORAL, Some(input_bias)),
             latent,
-            hidden: Linear::pack(recurrent, Some(recurrent_bias), [GATES, HIDDEN], 0..HIDDEN),
+            hidden: Linear::pack_as(dot_products, recurrent, recurrent_bias, [GATES, HIDDEN]),
             idle,
             head: Linear::read(weights, &name("head"), RAW_CONTROL, HIDDEN)?,
             points,

@@ -4,6 +4,8 @@
 //! exists only where the processor has that set. `dispatch` hands a `Kernel` the token of the set in use,
 //! inside a function that is compiled for it.
 //!
+//! Apart from them stand products in [`bf16`], which one instruction set has.
+//!
 //! Three kernels carry the network: the `product` of gathered rows with packed panels (linear layers and
 //! convolutions alike), the `gates` of the GRU and the exponential function.
 
@@ -17,6 +19,7 @@ use thiserror::Error;
 mod avx2;
 #[cfg(target_arch = "x86_64")]
 mod avx512;
+pub mod bf16;
 pub(crate) mod gates;
 mod lanes;
 mod math;

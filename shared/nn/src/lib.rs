@@ -19,6 +19,7 @@ mod embedding;
 mod encoding;
 mod linear;
 mod motion;
+mod precision;
 mod weights;
 mod workers;
 
@@ -30,11 +31,13 @@ pub use decoder::{
 };
 pub use embedding::{RelationMlp, StateMlp};
 pub use encoding::EncodingFunction;
+pub use kernels::bf16::PrecisionError;
 pub use linear::MlpMemory;
 pub use model::{
     Attention, ConfigError, Displacement, Feedback, Integrator, Latents, ModelConfig, NodeTypes, Stem,
     Temporal, VehicleMotion,
 };
 pub use motion::{motion_kind, motion_options};
+pub use precision::Precision;
 pub use weights::{Weights, WeightsError};
 pub use workers::{Deadline, Job, StartError, WORKERS_MAX, Workers, default_workers};

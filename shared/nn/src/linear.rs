@@ -1,6 +1,7 @@
 use std::ops::Range;
 
 use crate::buffer::Buffer;
+use crate::kernels::bf16::{DotProducts, PairPanels, PairProduct};
 use crate::kernels::product::{Gather, Panels, Product};
 use crate::weights::{Weights, WeightsError};
 
@@ -9,7 +10,13 @@ const BLOCK: usize = 48;
 
 /// y = x Wᵀ + b on packed weights.
 pub(crate) struct Linear {
-    panels: Panels,
+    matrix: Matrix,
+}
+
+/// A layer's packed weights, in the precision that was chosen for it.
+enum Matrix {
+    F32(Panels),
+    Bf16(PairPanels),
 }
 
 /// What follows a product.
@@ -53,12 +60,30 @@ impl Linear {
     ) -> Self {
         let weight = |out: usize, _, c: usize| matrix[out * in_len + columns.start + c];
         let bias = |out: usize| bias.map_or(0.0, |bias| bias[out]);
-        Self { panels: Panels::pack([out_len, 1, columns.len()], weight, bias) }
+        Self { matrix: Matrix::F32(Panels::pack([out_len, 1, columns.len()], weight, bias)) }
+    }
+
+    /// A matrix \[out, in\] with its bias, in bf16 where there are `dot_products` for it.
+    pub(crate) fn pack_as(
+        dot_products: Option<DotProducts>,
+        matrix: &[f32],
+        bias: &[f32],
+        shape: [usize; 2],
+    ) -> Self {
+        let in_len = shape[1];
+        let Some(dot_products) = dot_products else {
+            return Self::pack(matrix, Some(bias), shape, 0..in_len);
+        };
+        let weight = |out: usize, c: usize| matrix[out * in_len + c];
+        Self { matrix: Matrix::Bf16(PairPanels::pack(dot_products, shape, weight, |out| bias[out])) }
     }
 
     /// Length of an output row: the layer's outputs, padded to a multiple of 16 with zeros.
     pub(crate) const fn out_stride(&self) -> usize {
-        self.panels.out_stride()
+        match &self.matrix {
+            Matrix::F32(panels) => panels.out_stride(),
+            Matrix::Bf16(panels) => panels.out_stride(),
+        }
     }
 
     /// Computes the rows of `out`, \[row, `out_stride`\], from rows of `input` that lie `stride` apart.
@@ -87,7 +112,12 @@ impl Linear {
         out: &mut [f32],
     ) {
         let relu = activation == Activation::Relu;
-        Product { input, gather: Gather::Rows { stride }, panels: &self.panels, residual, relu, out }.run();
+        match &self.matrix {
+            Matrix::F32(panels) => {
+                Product { input, gather: Gather::Rows { stride }, panels, residual, relu, out }.run();
+            }
+            Matrix::Bf16(panels) => PairProduct { input, stride, panels, residual, relu, out }.run(),
+        }
     }
 }
 

@@ -20,7 +20,7 @@ use std::thread::JoinHandle;
 use rustix::thread::{Pid, gettid};
 use thiserror::Error;
 
-use crate::WeightsError;
+use crate::{PrecisionError, WeightsError};
 use placement::Placement;
 
 /// Most threads that a stage may share its work over.
@@ -34,6 +34,9 @@ pub enum StartError {
     /// The weights do not hold the model.
     #[error(transparent)]
     Weights(#[from] WeightsError),
+    /// This process can't compute in the precision that was asked for.
+    #[error(transparent)]
+    Precision(#[from] PrecisionError),
     /// The operating system refused a thread.
     #[error("can't start a worker: {0}")]
     Thread(#[from] std::io::Error),

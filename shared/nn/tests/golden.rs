@@ -1,6 +1,6 @@
 //! Every tensor that the network computes, against the independent reference in `tests/golden`.
 //!
-//! Tolerance: 1e-4 of the tensor's largest magnitude.
+//! Tolerance: 1e-4 of the tensor's largest magnitude; 2e-3 of it where the decoder computes in bf16.
 
 #![expect(clippy::unwrap_used, reason = "a test ends at what it can't read")]
 
@@ -11,12 +11,14 @@ use nn::kernels::product::{Gather, Panels, Product};
 use nn::kernels::{self, Isa};
 use nn::{
     BurnIn, ContextCnn, ContextMemory, Decoder, DecoderMemory, Draws, EncodingFunction, Gdat, GdatMemory,
-    Graph, GraphTrace, MlpMemory, RAW_CONTROL, RelationMlp, StateMlp, Weights, control_gaussian,
+    Graph, GraphTrace, MlpMemory, Precision, RAW_CONTROL, RelationMlp, StateMlp, Weights, control_gaussian,
 };
 use wire::{AgentType, Edge};
 
 const FOLDERS: [&str; 4] = ["vehicle", "pedestrian", "plus", "literal"];
 const TOLERANCE: f32 = 1e-4;
+/// Where factors have 8 bits.
+const TOLERANCE_BF16: f32 = 2e-3;
 
 /// The reference's tensors and agents.
 struct Reference {
@@ -64,11 +66,15 @@ impl Reference {
 
     /// Refuses values that differ from the reference's by more than the tolerance.
     fn assert_close(&self, name: &str, ours: &[f32]) {
+        self.assert_within(TOLERANCE, name, ours);
+    }
+
+    fn assert_within(&self, tolerance: f32, name: &str, ours: &[f32]) {
         let theirs = self.tensor(name);
         assert_eq!(ours.len(), theirs.len(), "{name}");
         let largest = theirs.iter().fold(0.0_f32, |most, x| most.max(x.abs()));
         let worst = ours.iter().zip(theirs).fold(0.0_f32, |worst, (a, b)| worst.max((a - b).abs()));
-        assert!(worst <= TOLERANCE * largest, "{name}: {worst} off, largest magnitude {largest}");
+        assert!(worst <= tolerance * largest, "{name}: {worst} off, largest magnitude {largest}");
     }
 
     /// The edges of a part's adjacency.
@@ -193,7 +199,7 @@ fn check_encoding(reference: &Reference, history: &[[f32; 64]], future: &[[f32; 
     reference.assert_close("latent.mean", means.as_flattened());
 }
 
-fn check_decoder(reference: &Reference, temporal: &[[f32; 64]]) {
+fn check_decoder(reference: &Reference, temporal: &[[f32; 64]], precision: Precision) {
     let (agents_len, config) = (reference.agents_len(), reference.weights.config());
     let latents = rows::<32>(reference.tensor("latent.z"));
     let draws_len = latents.len() / agents_len;
@@ -201,7 +207,7 @@ fn check_decoder(reference: &Reference, temporal: &[[f32; 64]]) {
     let mut raw = vec![[0.0; RAW_CONTROL]; latents.len() * horizon_len];
     let states = rows::<6>(reference.tensor("history.state"));
     let present = reference.present("history");
-    let decoder = Decoder::new(&reference.weights).unwrap();
+    let decoder = Decoder::with_precision(&reference.weights, precision).unwrap();
     let mut memory = DecoderMemory::default();
     for agent in 0..agents_len {
         let of_agent = |row: &usize| row % agents_len == agent;
@@ -220,13 +226,17 @@ fn check_decoder(reference: &Reference, temporal: &[[f32; 64]]) {
             raw[(draw * agents_len + agent) * horizon_len..][..horizon_len].copy_from_slice(steps);
         }
     }
-    reference.assert_close("decoder.raw", raw.as_flattened());
+    let tolerance = match precision {
+        Precision::F32 => TOLERANCE,
+        Precision::Bf16 => TOLERANCE_BF16,
+    };
+    reference.assert_within(tolerance, "decoder.raw", raw.as_flattened());
     let controls: Vec<_> = raw.iter().map(|row| control_gaussian(*row)).collect();
     let means: Vec<f32> = controls.iter().flat_map(|c| c.mean).collect();
     let factor = |c: &wire::ControlGaussian| [c.cholesky[0], 0.0, c.cholesky[1], c.cholesky[2]];
     let factors: Vec<f32> = controls.iter().flat_map(factor).collect();
-    reference.assert_close("control.mean", &means);
-    reference.assert_close("control.cholesky", &factors);
+    reference.assert_within(tolerance, "control.mean", &means);
+    reference.assert_within(tolerance, "control.cholesky", &factors);
 }
 
 fn check(folder: &str) {
@@ -235,7 +245,11 @@ fn check(folder: &str) {
     let history = check_attention(&reference, "history");
     let future = check_attention(&reference, "future");
     check_encoding(&reference, &history, &future);
-    check_decoder(&reference, &history);
+    check_decoder(&reference, &history, Precision::F32);
+    match Precision::Bf16.check() {
+        Ok(()) => check_decoder(&reference, &history, Precision::Bf16),
+        Err(why) => println!("skipped: {why}"),
+    }
 }
 
 /// Products of every number of rows up to two of the largest tiles and some more, and of one to three panels;

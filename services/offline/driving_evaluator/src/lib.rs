@@ -41,6 +41,8 @@ pub struct Options {
     pub sources: Vec<String>,
     /// Weights; the embedded ones where there are none.
     pub weights: Option<PathBuf>,
+    /// Precision of the decoder.
+    pub precision: nn::Precision,
     /// Whether the network reads the online map.
     pub map: bool,
     /// Whether the sampler heeds matured forecasts.

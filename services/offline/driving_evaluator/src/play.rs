@@ -68,6 +68,7 @@ pub(crate) fn play(
 
 pub(crate) fn run(playback: &Playback, options: &Options) -> Result<Run, DrivingError> {
     let sampler = sampler::Options { evidence: options.evidence, ..sampler::Options::default() };
+    let decoder = decoder::Options { precision: options.precision, ..decoder::Options::default() };
     let map = if options.map { localiser::MapChoice::Online } else { localiser::MapChoice::None };
     Ok(Run {
         interval_ns: playback.interval_ns(),
@@ -75,6 +76,7 @@ pub(crate) fn run(playback: &Playback, options: &Options) -> Result<Run, Driving
         weights: options.weights.clone(),
         stages: vec![
             StageRun::with_options(&sampler::STAGE, &sampler)?,
+            StageRun::with_options(&decoder::STAGE, &decoder)?,
             StageRun::with_options(&localiser::STAGE, &localiser::Options { map })?,
         ],
         ..Run::default()

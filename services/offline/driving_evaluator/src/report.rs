@@ -7,6 +7,7 @@ use evaluator::{RESAMPLES, Table, digits};
 use evidence::Priors;
 use metrics::{Interval, PairedErrors, paired_bootstrap_ratio};
 use nn::ModelConfig;
+use nn::Precision;
 use scene::AgentType;
 use serde_json::json;
 
@@ -51,9 +52,13 @@ impl Report {
         });
         let map = if options.map { "online map" } else { "no map" };
         let evidence = if options.evidence { "with evidence" } else { "without evidence" };
+        let precision = match options.precision {
+            Precision::F32 => String::new(),
+            other => format!(", decoder in {other}"),
+        };
         let horizon_s = model.horizon_len as f64 * model.dt_s;
         let made = format!(
-            "Played through the online pipeline: {weights}, {map}, {evidence}; horizon {horizon_s:.1} s, a forecast of each agent \
+            "Played through the online pipeline: {weights}, {map}, {evidence}{precision}; horizon {horizon_s:.1} s, a forecast of each agent \
              every 0.4 s."
         );
         Self { sources: sources.into_iter().zip(played).collect(), made }

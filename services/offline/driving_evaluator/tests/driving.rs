@@ -23,6 +23,7 @@ fn options(folder: &Path, evidence: bool) -> Options {
         folder: folder.to_owned(),
         sources: Vec::new(),
         weights: None,
+        precision: nn::Precision::F32,
         map: false,
         evidence,
         threads: 2,

@@ -12,7 +12,7 @@ use decoder::{BaseDecoder, DecoderOptions};
 use encoder::EncoderOptions;
 use lanes::LaneMap;
 use metrics::Point;
-use nn::{ModelConfig, Weights};
+use nn::{ModelConfig, Precision, Weights};
 use onboard::{ChainError, FeatureFrame, FeaturesToControls, TracksToFeatures, TracksToForecasts};
 use retrieval::RetrievalMemory;
 use run::{Run, StageRun};
@@ -108,6 +108,16 @@ impl Forecaster {
         forecaster.features_to_controls()?;
         forecaster.tracks_to_features(MapInput::None, 1)?;
         Ok(forecaster)
+    }
+
+    /// Computes the decoder in this precision from now on.
+    ///
+    /// # Errors
+    /// [`ChainError`] where this process can't compute in it.
+    pub fn decode_in(&mut self, precision: Precision) -> Result<(), ChainError> {
+        let options = decoder::Options { precision, ..decoder::Options::default() };
+        self.run.stages = vec![StageRun::with_options(&decoder::STAGE, &options)?];
+        self.features_to_controls().map(|_| ())
     }
 
     /// Takes the forecasts of vehicles along these lanes from now on.

@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 
 use data::Recording;
-use nn::{Latents, ModelConfig, Weights};
+use nn::{Latents, ModelConfig, Precision, Weights};
 
 use crate::{EvaluateError, Forecaster};
 
@@ -17,6 +17,8 @@ pub struct WeightsChoice {
     pub file: Option<PathBuf>,
     /// Otherwise the folder that holds a file per recipe; the onboard weights are always at hand.
     pub folder: PathBuf,
+    /// Precision of the decoder that runs them.
+    pub precision: Precision,
 }
 
 /// Weights, ready to forecast.
@@ -24,6 +26,8 @@ pub struct Model {
     /// Its forecaster.
     pub forecaster: Forecaster,
     pub(crate) path: String,
+    /// Precision of the decoder, where it is not f32.
+    precision: Option<Precision>,
     sha256: String,
     recipe: Option<String>,
     seed: Option<u64>,
@@ -48,6 +52,9 @@ pub struct Provenance {
     pub draws: String,
     /// What the network saw of the ground.
     pub map: String,
+    /// Precision of the decoder, where it is not f32.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub precision: Option<Precision>,
     /// Recordings that the figures are of.
     pub recordings: usize,
     /// How many of them the card names as seen in training.
@@ -72,7 +79,10 @@ impl WeightsChoice {
             return Err(EvaluateError::NoWeights { path: shown, recipe: recipe.to_owned() });
         };
         let failed = |source| EvaluateError::Stages { path: path.display().to_string(), source };
-        let forecaster = Forecaster::new(weights, seed).map_err(failed)?;
+        let mut forecaster = Forecaster::new(weights, seed).map_err(failed)?;
+        if self.precision != Precision::F32 {
+            forecaster.decode_in(self.precision).map_err(failed)?;
+        }
         let weights = forecaster.weights();
         let card = weights.card();
         let entry =
@@ -85,6 +95,7 @@ impl WeightsChoice {
             seed: entry("seed").and_then(serde_json::Value::as_u64),
             trained_on: recordings.into_iter().flatten().filter_map(fingerprint).collect(),
             path: shown,
+            precision: Some(self.precision).filter(|precision| *precision != Precision::F32),
             forecaster,
         })
     }
@@ -109,6 +120,7 @@ impl Model {
             seed: self.seed,
             draws: draws(self.forecaster.config()),
             map: if self.forecaster.config().context { map } else { "not read" }.to_owned(),
+            precision: self.precision,
             recordings: recordings.len(),
             seen_in_training: seen.count(),
         }
@@ -159,8 +171,10 @@ impl Provenance {
             0 => String::new(),
             seen => format!(", {seen} SEEN IN TRAINING"),
         };
+        let precision =
+            self.precision.map(|precision| format!(", decoder in {precision}")).unwrap_or_default();
         format!(
-            "{}: {} ({}, recipe {recipe}, seed {seed}), {} recordings{seen}, map {}, {}",
+            "{}: {} ({}, recipe {recipe}, seed {seed}), {} recordings{seen}, map {}, {}{precision}",
             self.part,
             self.weights,
             &self.sha256[..12.min(self.sha256.len())],

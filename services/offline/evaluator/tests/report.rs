@@ -13,7 +13,7 @@ fn options(folder: &Path, weights: Option<PathBuf>, threads: usize) -> Options {
     Options {
         data: folder.to_owned(),
         part: Part::Test,
-        weights: WeightsChoice { file: weights, folder: folder.to_owned() },
+        weights: WeightsChoice { file: weights, folder: folder.to_owned(), precision: nn::Precision::F32 },
         map: MapChoice::Online,
         lanes: false,
         threads,

@@ -39,7 +39,7 @@ fn options(root: &Path) -> Options {
     Options {
         data: root.to_owned(),
         part: Part::Test,
-        weights: WeightsChoice { file: None, folder: root.to_owned() },
+        weights: WeightsChoice { file: None, folder: root.to_owned(), precision: nn::Precision::F32 },
         map: MapChoice::Online,
         lanes: false,
         threads: 2,

@@ -1,0 +1,32 @@
+use std::fmt;
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+/// The numbers that layers multiply; all of them add in f32.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "lowercase")]
+pub enum Precision {
+    /// Single precision: the same bits on AVX2, AVX-512 and NEON.
+    #[default]
+    F32,
+    /// Its upper half, with 8 bits of significand, where the processor has dot products of it (AVX-512 BF16).
+    Bf16,
+}
+
+impl Precision {
+    /// The name that options take.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::F32 => "f32",
+            Self::Bf16 => "bf16",
+        }
+    }
+}
+
+impl fmt::Display for Precision {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(self.name())
+    }
+}
