@@ -1,6 +1,7 @@
 #![expect(unsafe_code, reason = "AVX-512 BF16 intrinsics, and a register tile that reads through pointers")]
 
 use std::arch::x86_64::*;
+use std::mem::transmute;
 
 use super::{IN_MAX, PANEL, PairProduct};
 
@@ -60,7 +61,7 @@ unsafe fn round(product: &PairProduct<'_>, first: usize, rounded: &mut [[i32; PA
             // of `TOGETHER`, which divides `IN_MAX`.
             unsafe {
                 let values = _mm512_maskz_loadu_ps(mask, from.wrapping_add(c));
-                let pairs: __m256i = std::mem::transmute(_mm512_cvtneps_pbh(values));
+                let pairs: __m256i = transmute(_mm512_cvtneps_pbh(values));
                 _mm256_storeu_si256(rounded.as_mut_ptr().wrapping_add(c / 2).cast(), pairs);
             }
         }
@@ -124,6 +125,15 @@ unsafe fn tiles<const R: usize, const V: usize>(
     row
 }
 
+/// sum + a · b, of the two numbers in each of 16 pairs.
+#[inline]
+#[target_feature(enable = "avx512f,avx512bf16")]
+fn dot(sum: __m512, a: __m512i, b: __m512i) -> __m512 {
+    // SAFETY: a vector of 16 pairs is one of 32 numbers, whatever their bits.
+    let [a, b]: [__m512bh; 2] = unsafe { transmute::<[__m512i; 2], [__m512bh; 2]>([a, b]) };
+    _mm512_dpbf16_ps(sum, a, b)
+}
+
 /// The sums of a tile: `len` dot products for each of them, in order.
 ///
 /// A function of its own, with sums that come by value: so they stay in the registers in which they are (see the
@@ -149,9 +159,7 @@ unsafe fn chain<const R: usize, const V: usize>(
             // SAFETY: the caller vouches for the rows.
             let x = _mm512_set1_epi32(unsafe { *row.wrapping_add(pair) });
             for (sum, w) in sums.iter_mut().zip(&w) {
-                // SAFETY: a vector of 16 pairs is one of 32 numbers.
-                let (x, w) = unsafe { (std::mem::transmute(x), std::mem::transmute(*w)) };
-                *sum = _mm512_dpbf16_ps(*sum, x, w);
+                *sum = dot(*sum, x, *w);
             }
         }
     }
