@@ -7,7 +7,7 @@
 //! The processor's dot product (`vdpbf16ps`) takes a pair of inputs a step and so does twice the work of a
 //! multiply-add in f32. It rounds in its own way and takes numbers below 2⁻¹²⁶ for 0, which no other instruction
 //! set here does: there is no second implementation with the same bits, and so none at all. A processor without it
-//! refuses ([`Precision::dot_products`]).
+//! refuses ([`Precision::check`]).
 //!
 //! W is rounded once and packed as `[⌈out / 16⌉][⌈in / 2⌉][16]` pairs. Inputs are rounded, both to the nearest
 //! and ties to even, as a block of rows comes in. Each output is one chain of dot products in the order of the
