@@ -34,6 +34,8 @@ pub struct Before {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum State {
     Empty,
+    /// What the first tick made has come, its detections have not: topics do not wait for one another.
+    Early,
     /// From the run's first tick on.
     Whole,
     /// The run had begun before, or there is more than the memory holds.
@@ -70,12 +72,17 @@ impl Before {
         if self.state == State::Gone || !header.is_tick() {
             return None;
         }
-        if self.state == State::Empty {
-            let is_begin = topic == DetectionsTopic::NAME && header.seq == 0;
-            self.state = if is_begin { State::Whole } else { State::Gone };
-            if !is_begin {
+        match self.state {
+            State::Empty | State::Early if topic == DetectionsTopic::NAME && header.seq == 0 => {
+                self.state = State::Whole;
+            }
+            State::Empty if header.seq == 0 => self.state = State::Early,
+            State::Early if topic != DetectionsTopic::NAME => {}
+            State::Empty | State::Early => {
+                *self = self.forgotten();
                 return Some(Forgotten::HadBegun);
             }
+            State::Whole | State::Gone => {}
         }
         let frame = frame.leading(bytes);
         self.open.push(frame.number());
@@ -92,8 +99,13 @@ impl Before {
         if self.bytes() <= self.limit_bytes {
             return None;
         }
-        *self = Self { state: State::Gone, ..Self::new(self.limit_bytes, &[]) };
+        *self = self.forgotten();
         Some(Forgotten::TooMuch)
+    }
+
+    /// The same without what was kept.
+    fn forgotten(&self) -> Self {
+        Self::new(self.limit_bytes, &[])
     }
 
     /// Whether it has all of the run up to what is kept elsewhere.
@@ -111,8 +123,10 @@ impl Before {
     /// The frames, in the order in which they came; none where it is not whole.
     pub fn frames(&self) -> impl Iterator<Item = Frame> {
         // What was packed here can be unpacked.
-        let packed = self.packed.iter().filter_map(|packed| decompress_size_prepended(packed).ok());
-        packed.chain([self.open.clone()]).flat_map(|block| unpacked(&block))
+        let packed = self.packed.iter().filter(|_| self.is_whole());
+        let packed = packed.filter_map(|packed| decompress_size_prepended(packed).ok());
+        let open = self.is_whole().then(|| self.open.clone());
+        packed.chain(open).flat_map(|block| unpacked(&block))
     }
 }
 
@@ -135,6 +149,7 @@ fn unpacked(block: &[u8]) -> Vec<Frame> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use bytemuck::Zeroable;
     use wire::{Forecast, Header, Track};
 
     fn topics() -> Vec<String> {
@@ -148,7 +163,7 @@ mod tests {
     }
 
     fn detections(seq: u64) -> Frame {
-        let detections = [7, 8].map(|id| Detection { id, x_m: seq as f32, ..bytemuck::Zeroable::zeroed() });
+        let detections = [7, 8].map(|id| Detection { id, x_m: seq as f32, ..Zeroable::zeroed() });
         Frame::of::<DetectionsTopic>(&header(seq), &detections, seq)
     }
 
@@ -156,8 +171,8 @@ mod tests {
     fn detections_come_back_whole_and_the_others_with_their_headers() {
         let mut before = Before::new(1 << 24, &topics());
         for seq in 0..400 {
-            let track = Track { id: seq, x_m: 1.0, ..bytemuck::Zeroable::zeroed() };
-            let forecast = Forecast { id: seq, x_m: 1.0, ..bytemuck::Zeroable::zeroed() };
+            let track = Track { id: seq, x_m: 1.0, ..Zeroable::zeroed() };
+            let forecast = Forecast { id: seq, x_m: 1.0, ..Zeroable::zeroed() };
             assert_eq!(before.push(&detections(seq)), None);
             assert_eq!(before.push(&Frame::of::<TracksTopic>(&header(seq), &[track; 2], 9)), None);
             assert_eq!(before.push(&Frame::of::<ForecastsTopic>(&header(seq), &[forecast; 2], 9)), None);
@@ -171,6 +186,25 @@ mod tests {
             assert_eq!((tracks[1].id, tracks[1].x_m, frames[1].header().seq), (seq as u64, 0.0, seq as u64));
             assert_eq!(frames[2].elements::<ForecastsTopic>().unwrap()[0].id, seq as u64);
         }
+    }
+
+    #[test]
+    fn topics_of_the_first_tick_come_in_any_order() {
+        let tracks = |seq| Frame::of::<TracksTopic>(&header(seq), &[Track::zeroed(); 2], 9);
+        let mut before = Before::new(1 << 24, &topics());
+        for frame in [tracks(0), tracks(1)] {
+            assert_eq!(before.push(&frame), None);
+            assert!(!before.is_whole() && before.frames().next().is_none());
+        }
+        assert_eq!(before.push(&detections(0)), None);
+        assert!(before.is_whole() && before.frames().count() == 3);
+
+        let mut lost = Before::new(1 << 24, &topics());
+        assert_eq!(lost.push(&tracks(0)), None);
+        assert_eq!(lost.push(&detections(1)), Some(Forgotten::HadBegun));
+        assert!(!lost.is_whole() && lost.bytes() == 0 && lost.push(&detections(2)).is_none());
+        let mut late = Before::new(1 << 24, &topics());
+        assert_eq!(late.push(&tracks(1)), Some(Forgotten::HadBegun));
     }
 
     #[test]
