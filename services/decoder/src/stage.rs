@@ -10,7 +10,8 @@ use crate::{Decoder, DecoderOptions, STAGE};
 /// Runs the stage until the process is asked to end.
 ///
 /// # Errors
-/// [`StageError`] where the weights, the instruction set, the precision or the run's model, options or shared memory can't be used.
+/// [`StageError`] where the weights, the instruction set, the precision or the run's model, options or shared memory
+/// can't be used.
 pub fn run(run: &Run) -> Result<(), StageError> {
     kernels::follow_environment().map_err(StageError::config)?;
     let model = ModelConfig::of_run(&run.root).map_err(StageError::config)?;
