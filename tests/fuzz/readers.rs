@@ -7,7 +7,9 @@
 //! A test run does a bounded number of iterations. To search for longer:
 //!
 //! ```sh
-//! BOLERO_RANDOM_ITERATIONS=10000000 cargo test --release -p stgdat-tests --test fuzz_readers csv
+//! # Ten minutes, one target after the other; says how many inputs there were.
+//! BOLERO_RANDOM_TEST_TIME_MS=600000 BOLERO_RANDOM_ITERATIONS=100000000000 \
+//!     cargo test --release -p stgdat-tests --test fuzz_readers csv -- --nocapture
 //! # Coverage-guided; needs cargo-bolero and a nightly compiler.
 //! cargo bolero test -p stgdat-tests csv --engine libfuzzer
 //! ```

@@ -44,6 +44,8 @@ mod event;
 pub mod flight;
 mod format;
 mod frame;
+#[cfg(test)]
+mod fuzz;
 mod reader;
 mod ring;
 mod sink;

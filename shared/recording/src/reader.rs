@@ -385,7 +385,7 @@ impl Recording {
 }
 
 /// The messages of a chunk's body.
-fn unpack(body: &[u8]) -> Result<Vec<u8>, String> {
+pub(crate) fn unpack(body: &[u8]) -> Result<Vec<u8>, String> {
     let mut parts = Parts(body);
     let mut read = || {
         let (_, _, len) = (parts.u64()?, parts.u64()?, parts.u64()?);
