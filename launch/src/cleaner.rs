@@ -1,5 +1,6 @@
 //! Cleans up after dead stages, in a helper process: clean-up can block for ever, and the supervisor must not.
 
+use std::fmt;
 use std::os::fd::{AsFd, BorrowedFd, OwnedFd};
 use std::path::PathBuf;
 use std::process::{Child as Process, Command, Stdio};
@@ -8,7 +9,8 @@ use std::time::Duration;
 use crate::child::{die_with_this_process, end_of};
 use crate::failure::Failure;
 
-/// Time limit of a helper: it takes 30 ms, and a hundred times that on a machine under load is not reached.
+/// Time limit of a helper: it takes 30 ms, and a hundred times that on a machine under load is not reached. Where it
+/// waits for a connection that was left half made, it is ended as soon as that is old enough to be sure.
 const LIMIT: Duration = Duration::from_secs(2);
 /// Helpers that may run out of time before the stages are started without: each removes what the one before
 /// has hung on.
@@ -21,8 +23,29 @@ pub struct Cleaner {
     prefix: String,
     work: Option<Work>,
     tries: u32,
+    /// Helpers that were killed since somebody asked.
+    hung: Vec<Hung>,
     /// How often a helper has ended, in time or not: what died before it began is cleaned.
     done: u64,
+}
+
+/// A helper that was killed.
+#[derive(Clone, Copy, Debug)]
+pub struct Hung {
+    /// How long it took.
+    pub after: Duration,
+    /// Half-made connections that were removed.
+    pub removed: usize,
+}
+
+impl fmt::Display for Hung {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "a clean-up hung for {:.1} s", self.after.as_secs_f64())?;
+        match self.removed {
+            0 => Ok(()),
+            removed => write!(f, "; half-made connections removed: {removed}"),
+        }
+    }
 }
 
 #[derive(Debug)]
@@ -35,7 +58,7 @@ struct Work {
 impl Cleaner {
     /// Of the run with that record and that prefix.
     pub const fn new(record: PathBuf, prefix: String) -> Self {
-        Self { record, prefix, work: None, tries: 0, done: 0 }
+        Self { record, prefix, work: None, tries: 0, hung: Vec::new(), done: 0 }
     }
 
     /// The number of the clean-up that takes in a death of now: one that is running began before.
@@ -53,22 +76,39 @@ impl Cleaner {
         Some(self.work.as_ref()?.descriptor.as_ref()?.as_fd())
     }
 
+    /// Helpers that were killed since the last call.
+    pub fn hung(&mut self) -> impl Iterator<Item = Hung> {
+        self.hung.drain(..)
+    }
+
     /// Looks after the helper; starts one where a clean-up up to the number `wanted` is due.
     pub fn tend(&mut self, wanted: u64, now: Duration) -> Result<(), Failure> {
         if let Some(work) = &mut self.work {
             // Fails only for processes that are not children.
             if work.process.try_wait().unwrap_or(None).is_some() {
                 (self.work, self.tries, self.done) = (None, 0, self.done + 1);
-            } else if now.saturating_sub(work.since) > LIMIT {
+                return self.start(wanted, now);
+            }
+            let after = now.saturating_sub(work.since);
+            if after <= ports::HALF_MADE_LIMIT {
+                return Ok(());
+            }
+            let removed = ports::remove_half_made_connections(&self.prefix, ports::HALF_MADE_LIMIT);
+            if removed > 0 || after > LIMIT {
                 let _ = work.process.kill();
                 let _ = work.process.wait();
                 (self.work, self.tries) = (None, self.tries + 1);
-                let _ = ports::remove_half_made_connections(&self.prefix);
+                self.hung.push(Hung { after, removed });
                 if self.tries == TRIES_MAX {
                     (self.tries, self.done) = (0, self.done + 1);
                 }
             }
         }
+        self.start(wanted, now)
+    }
+
+    /// Starts a helper where none runs and a clean-up up to the number `wanted` is due.
+    fn start(&mut self, wanted: u64, now: Duration) -> Result<(), Failure> {
         if self.work.is_none() && self.done < wanted {
             let this = std::env::current_exe().map_err(Failure::unavailable)?;
             let mut command = Command::new(this);

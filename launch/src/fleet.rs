@@ -14,7 +14,7 @@ use rustix::process::{Pid, Signal};
 use wire::{Heartbeat, StageId};
 
 use crate::child::{Child, Line, Program};
-use crate::cleaner::Cleaner;
+use crate::cleaner::{Cleaner, Hung};
 use crate::failure::{Failure, StageDeath};
 use crate::health::{Finding, Health, look};
 use crate::policy::{End, State, Supervision};
@@ -117,6 +117,8 @@ pub enum Event {
         /// Which.
         stage: StageId,
     },
+    /// A clean-up after dead processes took too long, and is tried again.
+    CleanUpHung(Hung),
     /// Its spare has died too often, and is not started again.
     SpareGivenUp {
         /// Which.
@@ -138,7 +140,10 @@ impl Event {
                 Happened::GivenUp { stage: name(stage), how: how.clone(), why: (*why).to_owned() }
             }
             Self::Starved { stage } => Happened::Starved { stage: name(stage) },
-            Self::HandedOver(_) | Self::Promoted { .. } | Self::SpareGivenUp { .. } => return None,
+            Self::HandedOver(_)
+            | Self::Promoted { .. }
+            | Self::CleanUpHung(_)
+            | Self::SpareGivenUp { .. } => return None,
             Self::Tried(Replaced { stage, command, outcome, cause, .. }) => Happened::Replaced {
                 stage: name(stage),
                 outcome: outcome.name().to_owned(),
@@ -303,6 +308,7 @@ impl Fleet {
         let spares = self.members.iter().filter_map(|m| Some(m.spare.as_ref()?.ticket()));
         let wanted = wanted.max(spares.max().unwrap_or(0));
         self.cleaner.tend(wanted.max(self.other_ticket).max(self.swept), now)?;
+        events.extend(self.cleaner.hung().map(Event::CleanUpHung));
         for member in &mut self.members {
             if member.supervision.is_due(now) && self.cleaner.is_done(member.ticket) {
                 if member.spare.as_ref().is_some_and(Spare::is_starting) {

@@ -159,6 +159,7 @@ impl Observer {
             Event::GivenUp { stage, how, why } => (*stage, "given up", format!("{how}: {why}")),
             Event::Starved { stage } => (*stage, "starved", "got no CPU".to_owned()),
             Event::HandedOver(_) => return,
+            Event::CleanUpHung(hung) => return self.list(hung.to_string()),
             Event::Promoted { stage } => (*stage, "promoted", "spare has taken its place".to_owned()),
             Event::SpareGivenUp { stage, how } => (*stage, "given up", how.clone()),
             Event::Tried(replaced) => {
@@ -172,11 +173,17 @@ impl Observer {
             Event::Died { .. } => format!("the {} {why}, and is started again", stage.name()),
             Event::GivenUp { .. } => format!("the {} is given up: it {why}", stage.name()),
             Event::Promoted { .. } => format!("the {}'s {why}", stage.name()),
-            Event::HandedOver(_) | Event::Starved { .. } | Event::SpareGivenUp { .. } => {
-                format!("the {} {why}", stage.name())
-            }
+            Event::HandedOver(_)
+            | Event::CleanUpHung(_)
+            | Event::Starved { .. }
+            | Event::SpareGivenUp { .. } => format!("the {} {why}", stage.name()),
             Event::Tried(_) => format!("the {} by {why}: {name}", stage.name()),
         };
+        self.list(text);
+    }
+
+    /// Adds to the events that the status lists.
+    fn list(&mut self, text: String) {
         if self.events.len() == EVENTS_MAX {
             self.events.pop_front();
         }

@@ -165,6 +165,7 @@ impl Watch {
                 self.outages.promoted(*stage);
                 self.display.line(&format!("launcher: the spare of the {} takes its place", stage.name()));
             }
+            Event::CleanUpHung(hung) => self.display.line(&format!("launcher: {hung}")),
             Event::SpareGivenUp { stage, how } => {
                 self.display.line(&format!("launcher: the {}: {how}", stage.name()));
             }

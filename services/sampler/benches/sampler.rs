@@ -57,6 +57,45 @@ fn tick(c: &mut Criterion) {
     }
 }
 
+/// A tick of pedestrians who all walk where others have walked before, shared over workers: what is retrieved for
+/// them, is most of it.
+fn retrieving(c: &mut Criterion) {
+    let (header, tracks, controls) = fixture(AgentType::Pedestrian);
+    for workers in [1, 2] {
+        let options = SamplerOptions { evidence: true, ..SamplerOptions::default() };
+        let mut sampler = Sampler::with_workers(options, workers).unwrap();
+        let (mut header, mut tracks, mut out) = (header, tracks.clone(), vec![Forecast::zeroed(); AGENTS]);
+        let mut tick = |seq: u64| {
+            (header.seq, header.stamp_ns) = (seq, seq as i64 * 80_000_000);
+            for (i, track) in tracks.iter_mut().enumerate() {
+                // Each walks its 12 m in 12 s, over and over, as somebody new each time.
+                let (round, along) = (seq / 150, (seq % 150) as f32 * 0.08);
+                (track.id, track.x_m, track.y_m) = (i as u64 + 1_000 * round, along, i as f32 * 0.5);
+                (track.vx_mps, track.speed_mps) = (1.0, 1.0);
+                let state = HistoryState {
+                    x_m: track.x_m,
+                    y_m: track.y_m,
+                    vx_mps: track.vx_mps,
+                    present: 1,
+                    ..HistoryState::zeroed()
+                };
+                track.history = [state; wire::HISTORY_MAX];
+            }
+            let mut controls = controls.clone();
+            controls.iter_mut().zip(&tracks).for_each(|(controls, track)| controls.id = track.id);
+            sampler.learned(&header, &tracks, &controls, &mut out).unwrap();
+        };
+        (0..3_000).for_each(&mut tick);
+        let mut seq = 3_000;
+        c.bench_function(&format!("{AGENTS} pedestrians who retrieve, {workers} workers"), |b| {
+            b.iter(|| {
+                seq += 1;
+                tick(seq);
+            });
+        });
+    }
+}
+
 /// What comes after a tick: agents that walk on, each tick as many entries changed as agents have come a step further.
 fn commit(c: &mut Criterion) {
     let options = SamplerOptions { evidence: true, ..SamplerOptions::default() };
@@ -87,5 +126,5 @@ fn commit(c: &mut Criterion) {
     });
 }
 
-criterion_group!(benches, tick, commit);
+criterion_group!(benches, tick, retrieving, commit);
 criterion_main!(benches);

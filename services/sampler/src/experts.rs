@@ -215,8 +215,8 @@ impl Experts {
         }
     }
 
-    /// Writes into a forecast who made it, and keeps it until it matures.
-    pub(crate) fn publish(&mut self, stamp_ns: i64, blended: &Blended, out: &mut Forecast) {
+    /// Writes into a forecast who made it.
+    pub(crate) fn sign(&self, blended: &Blended, out: &mut Forecast) {
         out.best[..self.horizon_len].copy_from_slice(&blended.best_m[..self.horizon_len]);
         out.expert_weights = self.evidence.slots(&blended.weights);
         if out.expert_weights[Expert::ConstantVelocity as usize] > 0.5 {
@@ -227,10 +227,15 @@ impl Experts {
         for mode in (0..modes_len).filter(|&mode| blended.spread.is_fan(mode)) {
             out.mode_expert[mode] = Expert::Fan as u8;
         }
+    }
+
+    /// Keeps a forecast until it matures.
+    pub(crate) fn store(&mut self, stamp_ns: i64, blended: &Blended, forecast: &Forecast) {
+        let modes_len = forecast.modes_len as usize;
         let mixture = Mixture {
-            probability: &out.probability[..modes_len],
-            modes_m: &out.modes,
-            covariances_m2: &out.mode_covariance,
+            probability: &forecast.probability[..modes_len],
+            modes_m: &forecast.modes,
+            covariances_m2: &forecast.mode_covariance,
             widths: &blended.spread.factors,
             network_m: &blended.network_m[..modes_len],
             fan: &blended.fan,

@@ -17,7 +17,7 @@ pub(crate) struct LearnedControls<'a> {
 
 impl<'a> LearnedControls<'a> {
     /// Refuses controls that are not finite, and probabilities that are negative or do not sum to 1.
-    pub(crate) fn new(controls: &'a AgentControls, horizon_len: usize) -> Result<Self, Rejected> {
+    pub(crate) fn check(controls: &AgentControls) -> Result<(), Rejected> {
         controls.check()?;
         let probability = &controls.probability[..controls.modes_len as usize];
         let sum: f32 = probability.iter().sum();
@@ -29,7 +29,12 @@ impl<'a> LearnedControls<'a> {
         if (sum - 1.0).abs() > PROBABILITY_SLACK {
             return Err(impossible(sum));
         }
-        Ok(Self { controls, horizon_len })
+        Ok(())
+    }
+
+    /// Controls that have passed [`LearnedControls::check`].
+    pub(crate) const fn of_checked(controls: &'a AgentControls, horizon_len: usize) -> Self {
+        Self { controls, horizon_len }
     }
 
     /// The probability of each mode.

@@ -18,6 +18,7 @@
 
 mod degradation;
 mod experts;
+mod fallback;
 mod guidance;
 mod held;
 pub mod journal;
@@ -26,9 +27,11 @@ mod learned;
 mod memory;
 mod motion;
 mod options;
+mod published;
 mod sampler;
 mod settings;
 pub mod stage;
+mod turns;
 
 pub use degradation::{Change, Degradation, Level, TRANSITIONS};
 pub use options::{LanesOrigin, Options, Propagation, PropagationKind, STAGE, SamplerOptions};

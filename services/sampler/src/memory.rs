@@ -22,7 +22,9 @@ use crate::{LanesOrigin, Options, STAGE, Sampler};
 /// [`StageError`] where the run's options or one of the files can't be used.
 pub fn open(run: &Run, model: &ModelConfig) -> Result<Sampler, StageError> {
     let options = STAGE.options(run)?;
-    let mut sampler = Sampler::new(settings(&options, model, run.seed));
+    let workers = options.workers.unwrap_or_else(nn::default_workers);
+    let mut sampler =
+        Sampler::with_workers(settings(&options, model, run.seed), workers).map_err(StageError::data)?;
     if let Some(path) = &options.lanes {
         let map = LaneMap::open(path, LanesOrigin::coordinates(options.lanes_origin));
         sampler.guide_along(Arc::new(map.map_err(StageError::data)?));

@@ -1,4 +1,4 @@
-use kinematics::{ControlGaussian, MotionKind, MotionModel};
+use kinematics::{ControlGaussian, MotionModel};
 use nalgebra::{Matrix4, Matrix4x5, Matrix5, Matrix5x4, SMatrix};
 use scene::{AgentType, State, motion_start, track_history};
 use wire::Track;
@@ -72,10 +72,7 @@ pub(crate) fn certain_motion(
         velocity_mps: [track.vx_mps, track.vy_mps],
         heading_rad: track.heading_rad,
     };
-    let kind = match agent_type {
-        AgentType::Vehicle => options.vehicle_motion,
-        AgentType::Cyclist | AgentType::Pedestrian => MotionKind::Displacement,
-    };
+    let kind = options.kind_of(agent_type);
     let length_m = (track.length_m > 0.0).then_some(track.length_m);
     let start = motion_start(&now, &track_history(track)[..options.history_len], length_m, dt_s);
     MotionModel::new(kind, &start, &options.motion, dt_s)

@@ -3,10 +3,11 @@ use std::path::PathBuf;
 
 use kinematics::{MotionKind, MotionOptions, PARTICLES_MAX};
 use lanes::{Coordinates, Origin, UnknownOrigin};
+use nn::WORKERS_MAX;
 use run::{Conflict, Declaration};
 use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
 use serde::{Deserialize, Serialize, Serializer};
-use wire::{ControlsTopic, ForecastsTopic, StageId, TICK_MS, Topic, TracksTopic};
+use wire::{AgentType, ControlsTopic, ForecastsTopic, StageId, TICK_MS, Topic, TracksTopic};
 
 use crate::Degradation;
 
@@ -52,6 +53,10 @@ pub struct Options {
     /// Particles per mode of the Monte Carlo propagation.
     #[schemars(range(min = 1, max = PARTICLES_MAX))]
     pub particles: usize,
+    /// Threads that share the work of a tick, the stage's own included; if not given as many as there are
+    /// processors that the process may use, at most 4. Forecasts do not depend on it.
+    #[schemars(range(min = 1, max = WORKERS_MAX))]
+    pub workers: Option<usize>,
 }
 
 /// The origin of a map of lanes, as text `LATITUDE,LONGITUDE`.
@@ -116,6 +121,7 @@ impl Default for Options {
             lanes_origin: None,
             propagation,
             particles: 16,
+            workers: None,
         }
     }
 }
@@ -181,6 +187,16 @@ pub struct SamplerOptions {
     pub evidence: bool,
     /// What is published of an agent without a learned forecast.
     pub degradation: Degradation,
+}
+
+impl SamplerOptions {
+    /// How agents of a type move.
+    pub(crate) const fn kind_of(&self, agent_type: AgentType) -> MotionKind {
+        match agent_type {
+            AgentType::Vehicle => self.vehicle_motion,
+            AgentType::Cyclist | AgentType::Pedestrian => MotionKind::Displacement,
+        }
+    }
 }
 
 impl Default for SamplerOptions {

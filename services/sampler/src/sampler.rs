@@ -1,91 +1,98 @@
+use std::io;
 use std::sync::Arc;
 
 use evidence::{Evidence, Prior, Priors};
-use kinematics::{DisplacementKind, MotionKind, MotionOptions, Normals, PARTICLES_MAX};
+use kinematics::PARTICLES_MAX;
 use lanes::LaneMap;
-use retrieval::{ControlChanges, Key, Query, Retrieval, RetrievalMemory};
-use scene::{AgentType, track_history};
+use nn::Workers;
+use retrieval::RetrievalMemory;
 use wire::{
-    AGENTS_MAX, AgentControls, Cause, Forecast, HISTORY_MAX, HORIZON_MAX, Header, POSITION_MAX_M, Quality,
-    Rejected, SPEED_MAX_MPS, Track, finite, flags,
+    AGENTS_MAX, AgentControls, Cause, Forecast, HISTORY_MAX, HORIZON_MAX, Header, Quality, Rejected,
+    SPEED_MAX_MPS, Track, flags,
 };
 
-use crate::experts::{Experts, Spread};
+use crate::experts::Experts;
+use crate::fallback::Fallback;
 use crate::guidance::Guidance;
-use crate::held::HeldForecasts;
 use crate::journal::{Journal, Resumed, Storage};
-use crate::learned::LearnedControls;
-use crate::motion::{certain_motion, with_track_covariance};
-use crate::{Level, Propagation, SamplerOptions, kinematic};
+use crate::turns::{Forecaster, Turns};
+use crate::{Propagation, SamplerOptions};
 
 /// Makes a forecast for every track.
 pub struct Sampler {
     options: SamplerOptions,
-    held: HeldForecasts,
+    fallback: Fallback,
     /// None where nothing is to be retrieved, or no tick came yet.
-    retrieval: Option<Retrieval>,
+    memory: Option<Box<RetrievalMemory>>,
     /// What is expected of the experts before any forecast has matured.
     prior: Prior,
     /// None where evidence does not count, or no tick came yet.
-    experts: Option<Experts>,
-    /// None where no map of lanes is known.
-    guidance: Option<Guidance>,
-    /// When an agent had a learned forecast last or, before the first, the time of the first tick.
-    newest_learned_ns: Option<i64>,
+    experts: Option<Box<Experts>>,
     resumed_ticks: u64,
-    /// Scratch: the changes of the agent in hand.
-    changes: ControlChanges,
+    workers: Workers<Forecaster>,
+    /// Scratch: the turn of each track, or why it has none.
+    turns: Vec<Result<usize, Cause>>,
 }
 
 /// The part of a header that the forecasts depend on.
-#[derive(Clone, Copy)]
-struct Tick {
-    stamp_ns: i64,
-    seq: u64,
-    step_ns: u64,
+#[derive(Clone, Copy, Default)]
+pub(crate) struct Tick {
+    pub(crate) stamp_ns: i64,
+    pub(crate) seq: u64,
+    pub(crate) step_ns: u64,
 }
 
 impl Tick {
-    fn dt_s(&self) -> f32 {
+    pub(crate) fn dt_s(&self) -> f32 {
         (self.step_ns as f64 * 1e-9) as f32
     }
 }
 
 impl Sampler {
-    /// A sampler that holds no forecasts yet.
+    /// A sampler that holds no forecasts yet, and works on the caller's thread alone.
     ///
     /// # Panics
     /// Where history, horizon or particles are more than the payloads can hold.
     #[must_use]
     pub fn new(options: SamplerOptions) -> Self {
+        Self::with_workers(options, 1).expect("no thread is started")
+    }
+
+    /// The same, with the work of a tick shared over so many threads, the caller's included. Forecasts do not depend
+    /// on their number.
+    ///
+    /// # Errors
+    /// Where the operating system refuses a thread.
+    ///
+    /// # Panics
+    /// As [`Sampler::new`].
+    pub fn with_workers(options: SamplerOptions, workers: usize) -> io::Result<Self> {
         assert!((1..=HISTORY_MAX).contains(&options.history_len), "history of {} steps", options.history_len);
         assert!((1..=HORIZON_MAX).contains(&options.horizon_len), "horizon of {} steps", options.horizon_len);
         if let Propagation::MonteCarlo { particles } = options.propagation {
             assert!((1..=PARTICLES_MAX).contains(&particles), "{particles} particles");
         }
-        let changes = ControlChanges::default();
-        let prior = if options.evidence { Priors::shipped().mean(|_| true) } else { Prior::default() };
-        Self {
+        let forecasters = (0..workers.max(1)).map(|_| Forecaster::default());
+        Ok(Self {
             options,
-            held: HeldForecasts::new(),
-            retrieval: None,
-            prior,
+            fallback: Fallback::new(options),
+            memory: None,
+            prior: if options.evidence { Priors::shipped().mean(|_| true) } else { Prior::default() },
             experts: None,
-            guidance: None,
-            newest_learned_ns: None,
             resumed_ticks: 0,
-            changes,
-        }
+            workers: Workers::new(Turns::new(options), forecasters)?,
+            turns: Vec::with_capacity(AGENTS_MAX),
+        })
     }
 
     /// Retrieves from now on from a memory of forecasts of the same model.
     pub fn warm_start(&mut self, memory: RetrievalMemory) {
-        self.retrieval = Some(Retrieval::new(memory));
+        self.memory = Some(Box::new(memory));
     }
 
     /// Takes the forecasts of vehicles along these lanes from now on.
     pub fn guide_along(&mut self, map: Arc<LaneMap>) {
-        self.guidance = Some(Guidance::new(map));
+        self.workers.each(|forecaster| forecaster.guidance = Some(Guidance::new(Arc::clone(&map))));
     }
 
     /// Expects of the experts from the first tick on what `prior` says, not what is shipped.
@@ -98,7 +105,7 @@ impl Sampler {
     pub fn continue_from(&mut self, earlier: Self) {
         if self.options.evidence {
             self.experts = earlier.experts;
-            self.experts.iter_mut().for_each(Experts::end_session);
+            self.experts.iter_mut().for_each(|experts| experts.end_session());
         }
     }
 
@@ -108,12 +115,10 @@ impl Sampler {
         if !header.is_tick() || header.has(flags::VOID) {
             return;
         }
-        let stamp_ns = header.stamp_ns;
-        self.newest_learned_ns.get_or_insert(stamp_ns);
+        self.fallback.begin(header.stamp_ns);
         let learned = |forecast: &&Forecast| forecast.quality == Quality::Learned as u32;
         for forecast in forecasts.iter().filter(learned).filter(|forecast| forecast.check().is_ok()) {
-            self.held.keep(stamp_ns, forecast);
-            self.newest_learned_ns = self.newest_learned_ns.max(Some(stamp_ns));
+            self.fallback.keep(header.stamp_ns, forecast);
         }
     }
 
@@ -128,8 +133,8 @@ impl Sampler {
     /// # Errors
     /// As [`Journal::commit`].
     pub fn commit<S: Storage>(&mut self, ticks: u64, journal: &mut Journal<S>) -> Result<(), String> {
-        let memory = self.retrieval.as_ref().map(Retrieval::memory);
-        journal.commit(ticks, memory, self.experts.as_mut().map(Experts::evidence_mut))
+        let evidence = self.experts.as_mut().map(|experts| experts.evidence_mut());
+        journal.commit(ticks, self.memory.as_deref(), evidence)
     }
 
     /// Goes on with what an earlier process of the run's sampler has learned, as if all agents were new.
@@ -140,10 +145,10 @@ impl Sampler {
         if let Some(numbers) = resumed.evidence {
             let mut experts = Experts::new(self.options.horizon_len, resumed.step_ns, &self.prior);
             experts.evidence_mut().resume(&numbers)?;
-            self.experts = Some(experts);
+            self.experts = Some(Box::new(experts));
         }
         if let Some(memory) = resumed.memory {
-            self.retrieval = Some(Retrieval::new(memory));
+            self.memory = Some(Box::new(memory));
         }
         self.resumed_ticks = resumed.ticks;
         Ok(())
@@ -158,13 +163,13 @@ impl Sampler {
     /// The retrieval memory; none where nothing is to be retrieved, or no tick came yet.
     #[must_use]
     pub fn memory(&self) -> Option<&RetrievalMemory> {
-        self.retrieval.as_ref().map(Retrieval::memory)
+        self.memory.as_deref()
     }
 
     /// The evidence on the experts; none where it does not count, or no tick came yet.
     #[must_use]
     pub fn evidence(&self) -> Option<&Evidence> {
-        self.experts.as_ref().map(Experts::evidence)
+        self.experts.as_deref().map(Experts::evidence)
     }
 
     /// Writes a forecast per track, in the tracks' order, by the controls of the same tick, and returns how many:
@@ -190,28 +195,62 @@ impl Sampler {
     ) -> Result<usize, Rejected> {
         let tick = check(header, tracks, out)?;
         self.observe(tick, tracks);
-        let (mut next, mut written) = (0, 0);
-        for (place, track) in tracks.iter().enumerate() {
+        self.take_turns(tick, header, tracks, controls);
+        let mut turns = self.workers.input();
+        let mut written = 0;
+        for (track, turn) in tracks.iter().zip(&self.turns) {
             let out = &mut out[written];
+            let cause = match *turn {
+                Ok(turn) => {
+                    let made = turns.made(turn);
+                    if let Some((memory, unstored)) = self.memory.as_mut().zip(made.unstored.as_ref()) {
+                        memory.store(unstored);
+                    }
+                    if let Some((experts, blended)) = self.experts.as_mut().zip(made.blended.as_ref()) {
+                        experts.store(tick.stamp_ns, blended, &made.forecast);
+                    }
+                    if made.is_possible {
+                        *out = made.forecast;
+                        self.fallback.keep(tick.stamp_ns, out);
+                        written += 1;
+                        continue;
+                    }
+                    Cause::Rejected
+                }
+                Err(cause) => cause,
+            };
+            written += usize::from(self.fallback.write(tick, track, cause, out)?);
+        }
+        Ok(written)
+    }
+
+    /// Makes the forecasts of all tracks that have controls.
+    fn take_turns(&mut self, tick: Tick, header: &Header, tracks: &[Track], controls: &[AgentControls]) {
+        let Self { workers, memory, experts, turns, .. } = self;
+        let mut input = workers.input();
+        (input.memory, input.experts) = (memory.take(), experts.take());
+        input.begin(tick);
+        turns.clear();
+        let mut next = 0;
+        for (place, track) in tracks.iter().enumerate() {
             // Controls come in the tracks' order: the search mostly ends where it begins.
             let found = (next..controls.len())
                 .chain(0..next.min(controls.len()))
                 .find(|i| controls[*i].id == track.id);
-            let cause = match found {
+            turns.push(match found {
                 Some(found) => {
                     next = found + 1;
-                    self.learned_one(tick, track, &controls[found], out).err()
+                    input.push(track, &controls[found])
                 }
-                None if header.is_shed(place) => Some(Cause::Shed),
-                None => Some(Cause::Missing),
-            };
-            let is_written = match cause {
-                Some(cause) => self.fall_back(tick, track, cause, out)?,
-                None => true,
-            };
-            written += usize::from(is_written);
+                None if header.is_shed(place) => Err(Cause::Shed),
+                None => Err(Cause::Missing),
+            });
         }
-        Ok(written)
+        let blocks_len = input.blocks_len();
+        drop(input);
+        workers.run(blocks_len);
+        let mut input = workers.input();
+        (*memory, *experts) = (input.memory.take(), input.experts.take());
     }
 
     /// Writes a forecast per track, in the tracks' order, without controls, and returns how many, as
@@ -233,143 +272,27 @@ impl Sampler {
         self.observe(tick, tracks);
         let mut written = 0;
         for track in tracks {
-            written += usize::from(self.fall_back(tick, track, cause, &mut out[written])?);
+            written += usize::from(self.fallback.write(tick, track, cause, &mut out[written])?);
         }
         Ok(written)
     }
 
     /// Gives the retrieval memory the positions of all agents that were detected in this tick.
     fn observe(&mut self, tick: Tick, tracks: &[Track]) {
-        self.newest_learned_ns.get_or_insert(tick.stamp_ns);
+        self.fallback.begin(tick.stamp_ns);
         if self.options.retrieval && tick.step_ns > 0 {
-            let new = || Retrieval::new(RetrievalMemory::new(self.options.horizon_len, tick.step_ns));
+            let new = || Box::new(RetrievalMemory::new(self.options.horizon_len, tick.step_ns));
             let detected = tracks.iter().filter(|track| track.unseen_ns == 0);
             let positions_m = detected.map(|track| (track.id, [track.x_m, track.y_m]));
-            self.retrieval.get_or_insert_with(new).observe(tick.stamp_ns, positions_m);
+            self.memory.get_or_insert_with(new).observe(tick.stamp_ns, positions_m);
         }
         if self.options.evidence && tick.step_ns > 0 {
-            let new = || Experts::new(self.options.horizon_len, tick.step_ns, &self.prior);
+            let new = || Box::new(Experts::new(self.options.horizon_len, tick.step_ns, &self.prior));
             let detected = tracks.iter().filter(|track| track.unseen_ns == 0);
             let positions_m = detected.map(|track| (track.id, [track.x_m, track.y_m]));
             self.experts.get_or_insert_with(new).observe(tick.stamp_ns, positions_m);
         }
     }
-
-    fn learned_one(
-        &mut self,
-        tick: Tick,
-        track: &Track,
-        controls: &AgentControls,
-        out: &mut Forecast,
-    ) -> Result<(), Cause> {
-        let agent_type = track.agent_type().map_err(|_| Cause::Rejected)?;
-        let controls =
-            LearnedControls::new(controls, self.options.horizon_len).map_err(|_| Cause::Rejected)?;
-        let mut model = certain_motion(track, agent_type, &self.options, tick.dt_s());
-        let history = &track_history(track)[..self.options.history_len];
-        let key = || Key::new(model.kind(), history, tick.dt_s());
-        match self.retrieval.as_mut().and_then(|retrieval| Some((retrieval, key()?))) {
-            Some((retrieval, key)) => {
-                let query = Query { stamp_ns: tick.stamp_ns, agent: track.id, key };
-                retrieval.adapt(&query, &model, &controls.as_decoded(), &mut self.changes);
-            }
-            None => self.changes.reset(controls.probability()),
-        }
-        if let Some(guidance) = &mut self.guidance {
-            let decoded = controls.as_decoded();
-            guidance.change((track, agent_type), &model, &decoded, tick.dt_s(), &mut self.changes);
-        }
-        let mut blended = self.experts.as_ref().map(|experts| {
-            let decoded = controls.as_decoded();
-            let network = self.changes.best(&decoded);
-            experts.blend((track, agent_type), history, &model, (network, controls.base()), tick.dt_s())
-        });
-        if let Some((experts, blended)) = self.experts.as_ref().zip(blended.as_mut()) {
-            let decoded = controls.as_decoded();
-            experts.change(tick.stamp_ns, &model, &decoded, blended, &mut self.changes);
-        }
-        if self.options.initial_covariance {
-            model = with_track_covariance(model, track);
-        }
-        let mut normals = Normals::new(self.options.seed, track.id, tick.seq);
-        begin(track, Quality::Learned, Cause::None, out);
-        out.out_of_distribution = controls.out_of_distribution();
-        let spread = blended.as_ref().map_or_else(Spread::default, |blended| blended.spread);
-        controls.forecast(&self.changes, &spread, &model, self.options.propagation, &mut normals, out);
-        if let Some((experts, blended)) = self.experts.as_mut().zip(blended) {
-            experts.publish(tick.stamp_ns, &blended, out);
-        }
-        if !is_within_the_world(out) {
-            return Err(Cause::Rejected);
-        }
-        self.held.keep(tick.stamp_ns, out);
-        self.newest_learned_ns = self.newest_learned_ns.max(Some(tick.stamp_ns));
-        Ok(())
-    }
-
-    /// Held, kinematic or nothing, by the policy; whether something was written.
-    fn fall_back(
-        &self,
-        tick: Tick,
-        track: &Track,
-        cause: Cause,
-        out: &mut Forecast,
-    ) -> Result<bool, Rejected> {
-        let agent_type = track.agent_type()?;
-        let cause = if track.forecastable == 0 { Cause::Young } else { cause };
-        let found = self.held.find(track.id, tick.stamp_ns);
-        let newest_ns = self.newest_learned_ns.unwrap_or(tick.stamp_ns);
-        let without_ns = u64::try_from(tick.stamp_ns.saturating_sub(newest_ns)).unwrap_or(0);
-        let level = self.options.degradation.level(found.as_ref().map(|(_, age_ns)| *age_ns), without_ns);
-        if level == Level::Silent {
-            return Ok(false);
-        }
-        if let Some((held, age_ns)) = found.filter(|_| level == Level::Held) {
-            begin(track, Quality::Held, cause, out);
-            out.age_ns = age_ns;
-            held.move_on((age_ns as f64 / tick.step_ns as f64) as f32, self.options.horizon_len, out);
-            if is_within_the_world(out) {
-                return Ok(true);
-            }
-        }
-        begin(track, Quality::Kinematic, cause, out);
-        self.write_kinematic(tick, track, agent_type, out);
-        Ok(true)
-    }
-
-    fn write_kinematic(&self, tick: Tick, track: &Track, agent_type: AgentType, out: &mut Forecast) {
-        let motion = MotionOptions { displacement: DisplacementKind::Residual, ..self.options.motion };
-        let options = SamplerOptions { vehicle_motion: MotionKind::Bicycle, motion, ..self.options };
-        // Recorded headings are courses. A learned forecast begins at the recorded heading all the same, as
-        // in training: the network compensates for the slip.
-        let model = certain_motion(track, agent_type, &options, tick.dt_s()).with_course_along_heading();
-        let model = with_track_covariance(model, track);
-        kinematic::forecast(model, agent_type, self.options.horizon_len, out);
-    }
-}
-
-/// Begins a forecast with what it contains of its track; all else is 0.
-fn begin(track: &Track, quality: Quality, cause: Cause, out: &mut Forecast) {
-    // In place: as a value it would be written twice.
-    bytemuck::write_zeroes(out);
-    (out.id, out.source_id, out.agent_type) = (track.id, track.source_id, track.agent_type);
-    (out.quality, out.cause, out.causes) = (quality as u32, cause as u32, cause.bit());
-    (out.x_m, out.y_m, out.heading_rad) = (track.x_m, track.y_m, track.heading_rad);
-    (out.vx_mps, out.vy_mps) = (track.vx_mps, track.vy_mps);
-    (out.length_m, out.width_m) = (track.length_m, track.width_m);
-    (out.prior, out.prior_age_ns) = (track.prior, track.prior_age_ns);
-}
-
-fn is_within_the_world(forecast: &Forecast) -> bool {
-    // Without an early end, so that it vectorises.
-    let inside = |points: &[[f32; 2]]| {
-        points.as_flattened().iter().fold(true, |inside, x| inside & (x.abs() <= POSITION_MAX_M))
-    };
-    let is_finite = |values: &[[f32; 3]]| finite("covariance", values.as_flattened()).is_ok();
-    inside(forecast.modes.as_flattened())
-        && inside(&forecast.best)
-        && is_finite(&forecast.covariance)
-        && is_finite(forecast.mode_covariance.as_flattened())
 }
 
 fn check(header: &Header, tracks: &[Track], out: &[Forecast]) -> Result<Tick, Rejected> {

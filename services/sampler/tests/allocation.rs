@@ -41,15 +41,16 @@ fn write_tick(tick: u64, tracks: &mut [Track], controls: &mut [AgentControls]) {
 #[test]
 fn a_thousand_steady_steps_allocate_nothing() {
     let kinds = [
-        (Propagation::Linearised, false, false, false),
-        (Propagation::MonteCarlo { particles: 4 }, false, false, false),
-        (Propagation::Linearised, true, false, false),
-        (Propagation::Linearised, true, true, false),
-        (Propagation::Linearised, true, true, true),
+        (Propagation::Linearised, false, false, false, 1),
+        (Propagation::MonteCarlo { particles: 4 }, false, false, false, 1),
+        (Propagation::Linearised, true, false, false, 1),
+        (Propagation::Linearised, true, true, false, 1),
+        (Propagation::Linearised, true, true, true, 1),
+        (Propagation::Linearised, true, true, true, 3),
     ];
-    for (propagation, retrieval, evidence, guided) in kinds {
+    for (propagation, retrieval, evidence, guided, workers) in kinds {
         let options = SamplerOptions { propagation, retrieval, evidence, ..SamplerOptions::default() };
-        let mut sampler = Sampler::new(options);
+        let mut sampler = Sampler::with_workers(options, workers).expect("threads");
         let mut journal =
             Identity::of(1, &options).map(|identity| Journal::over(Vec::with_capacity(1 << 19), identity));
         journal.iter_mut().for_each(|journal| journal.clear().expect("memory"));
@@ -77,7 +78,7 @@ fn a_thousand_steady_steps_allocate_nothing() {
         assert_eq!(
             allocations(|| (50..1_050).for_each(&mut step)),
             0,
-            "{propagation:?} {retrieval} {evidence} {guided}"
+            "{propagation:?} {retrieval} {evidence} {guided} {workers}"
         );
         let stored = sampler.memory().map_or(0, RetrievalMemory::entries_len);
         assert!(stored > 6000 || !retrieval, "{stored} entries");

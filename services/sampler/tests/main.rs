@@ -4,3 +4,4 @@ mod journal;
 mod modes;
 mod road;
 mod sampler;
+mod workers;

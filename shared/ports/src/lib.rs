@@ -69,7 +69,7 @@ pub use clock::monotonic_ns;
 pub use error::{Awaiting, PortError, StageError};
 pub use kept::KeptMemory;
 pub use names::TOPICS_VARIABLE;
-pub use node::{Node, Topics, clean_dead_nodes};
+pub use node::{HALF_MADE_LIMIT, Node, Topics, clean_dead_nodes};
 pub use peers::{Peers, TAP};
 pub use points::{POINTS_VARIABLE, Point};
 pub use program::{

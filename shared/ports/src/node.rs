@@ -35,8 +35,8 @@ const OPEN_LIMIT: Duration = Duration::from_secs(10);
 /// Pause between two tries, each of which waits for up to a second itself.
 const OPEN_PAUSE: Duration = Duration::from_millis(50);
 
-/// A service that is half made for so long was left by a process that was killed.
-const HALF_MADE_LIMIT: Duration = Duration::from_millis(500);
+/// A service or a connection that is half made for so long was left by a process that was killed.
+pub const HALF_MADE_LIMIT: Duration = Duration::from_millis(500);
 
 /// Meanings of the events that wake a topic's readers.
 pub(crate) mod event_id {

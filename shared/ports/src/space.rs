@@ -5,7 +5,7 @@
 //! a run's shared memory can see whether its launcher is alive, which a process number does not show across
 //! containers.
 
-use std::fs::File;
+use std::fs::{File, Metadata};
 use std::io;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
@@ -140,13 +140,13 @@ impl Leftover {
     }
 }
 
-/// Removes the connections of a run that have no content; returns how many. A process that is killed while it
-/// makes a connection leaves one, and clean-up waits for ever for it to be finished.
+/// Removes the connections of a run that have been without content for longer than `age`; returns how many. A process
+/// that is killed while it makes a connection leaves one, and clean-up waits for ever for it to be finished.
 #[must_use]
-pub fn remove_half_made_connections(prefix: &str) -> usize {
+pub fn remove_half_made_connections(prefix: &str, age: Duration) -> usize {
     let is_half_made = |file: &&PathBuf| {
         file.extension().is_some_and(|extension| extension == "connection")
-            && std::fs::metadata(file).is_ok_and(|metadata| metadata.len() == 0)
+            && std::fs::metadata(file).is_ok_and(|metadata| metadata.len() == 0 && is_older(&metadata, age))
     };
     let files = files_of(prefix);
     files.iter().filter(is_half_made).filter(|file| std::fs::remove_file(file).is_ok()).count()
@@ -160,12 +160,16 @@ pub(crate) fn remove_half_made_services(root: &Path, age: Duration) -> usize {
     const HALF_MADE: u32 = 0o200;
     let is_half_made = |path: &Path| {
         let Ok(metadata) = std::fs::metadata(path) else { return false };
-        let is_old = metadata.modified().is_ok_and(|at| at.elapsed().is_ok_and(|elapsed| elapsed > age));
-        metadata.is_file() && metadata.permissions().mode() & HALF_MADE != 0 && is_old
+        metadata.is_file() && metadata.permissions().mode() & HALF_MADE != 0 && is_older(&metadata, age)
     };
     let Ok(entries) = std::fs::read_dir(root.join(SERVICES)) else { return 0 };
     let files = entries.filter_map(|entry| Some(entry.ok()?.path()));
     files.filter(|path| is_half_made(path) && std::fs::remove_file(path).is_ok()).count()
+}
+
+/// Whether a file was not changed for longer than `age`.
+fn is_older(metadata: &Metadata, age: Duration) -> bool {
+    metadata.modified().is_ok_and(|at| at.elapsed().is_ok_and(|elapsed| elapsed > age))
 }
 
 /// Bytes free in shared memory.

@@ -3,8 +3,7 @@
 
 use std::collections::{HashMap, VecDeque};
 
-use crate::Key;
-use crate::key::Bucket;
+use crate::{Bucket, Key};
 
 /// Keys of a run.
 pub(crate) const RUN_LEN: usize = 8;

@@ -32,8 +32,13 @@ const VELOCITY_WIDTH_MPS: f32 = 0.3;
 /// Numbers of a key in a file: those of a bicycle's.
 pub(crate) const COMPONENTS: usize = 6;
 
-/// Names a bucket: kind of motion, cell and direction.
-pub(crate) type Bucket = (MotionKind, [i32; 3]);
+/// Names a bucket, in which keys lie that are near one another.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub struct Bucket {
+    pub(crate) kind: MotionKind,
+    /// Cell and direction.
+    cell: [i32; 3],
+}
 
 /// Values of the similarity kernel for two keys, from 0 to 1.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -166,17 +171,23 @@ impl Key {
     }
 
     /// The bucket that keys like this one lie in.
-    pub(crate) fn bucket(&self) -> Bucket {
+    #[must_use]
+    pub fn bucket(&self) -> Bucket {
         let [x, y] = self.position_m().map(|value| (value / CELL_M[self.kind() as usize]).floor() as i32);
         match self {
-            Self::Displacement(_) => (MotionKind::Displacement, [x, y, ANY_DIRECTION]),
-            Self::Bicycle(key) => (MotionKind::Bicycle, [x, y, key.sectors() as i32 % DIRECTIONS]),
+            Self::Displacement(_) => {
+                Bucket { kind: MotionKind::Displacement, cell: [x, y, ANY_DIRECTION] }
+            }
+            Self::Bicycle(key) => {
+                let direction = key.sectors() as i32 % DIRECTIONS;
+                Bucket { kind: MotionKind::Bicycle, cell: [x, y, direction] }
+            }
         }
     }
 
     /// The buckets in which keys near this one may lie.
     pub(crate) fn buckets_around(&self) -> impl Iterator<Item = Bucket> + use<> {
-        let (kind, [x, y, direction]) = self.bucket();
+        let Bucket { kind, cell: [x, y, direction] } = self.bucket();
         let turns = match self {
             Self::Displacement(_) => 0..=0,
             Self::Bicycle(key) => {
@@ -191,7 +202,7 @@ impl Key {
             } else {
                 (direction + turn).rem_euclid(DIRECTIONS)
             };
-            (0..9).map(move |cell| (kind, [x + cell % 3 - 1, y + cell / 3 - 1, direction]))
+            (0..9).map(move |cell| Bucket { kind, cell: [x + cell % 3 - 1, y + cell / 3 - 1, direction] })
         })
     }
 }

@@ -32,8 +32,8 @@
 //! * A **session** is the time over which agents keep their numbers. Entries outlast it, in
 //!   [files](RetrievalMemory::save) also the process, and serve the next one (*warm start*).
 //!
-//! [`Retrieval`] does all of it for an online pipeline; [`RetrievalMemory`] and [`ControlAdapter`] do it in
-//! parts.
+//! [`Retrieval`] does all of it for one agent of an online pipeline after another, on any number of threads;
+//! [`RetrievalMemory`] and [`ControlAdapter`] do it in parts.
 //! Vehicles that are forecast at a steady 8 m/s pass one after the other, and all brake at 1 m/s². What is
 //! then retrieved for the next vehicle:
 //!
@@ -80,8 +80,8 @@ mod stored;
 
 pub use controls::{ControlAdapter, ControlChanges, ForecastControls};
 pub use file::MemoryError;
-pub use key::{BicycleKey, DisplacementKey, Key};
-pub use memory::{CHANGED_MAX, Neighbour, Query, RetrievalMemory, Retrieved};
+pub use key::{BicycleKey, Bucket, DisplacementKey, Key};
+pub use memory::{CHANGED_MAX, Neighbour, Query, RetrievalMemory, Retrieved, Unstored};
 pub use residuals::{ControlChange, Residuals};
 pub use retrieval::Retrieval;
 pub use selection::ModeSelection;

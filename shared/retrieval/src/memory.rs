@@ -7,9 +7,8 @@ use wire::{AGENTS_MAX, HORIZON_MAX};
 
 use crate::expectation::{KernelMean, Shrinkage};
 use crate::index::{KeyIndex, RUN_LEN};
-use crate::key::Bucket;
 use crate::residuals::{StepPath, residual};
-use crate::{Key, RETRIEVED_MAX, Residuals};
+use crate::{Bucket, Key, RETRIEVED_MAX, Residuals};
 
 /// Newest entries of a bucket that are searched, by kind of motion: a bucket of displacements is larger.
 const BUCKET_MAX: [usize; 2] = [128, 512];
@@ -91,6 +90,16 @@ pub struct Query {
     pub key: Key,
 }
 
+/// An agent with its forecast, to be stored.
+#[derive(Clone, Debug)]
+pub struct Unstored {
+    query: Query,
+    /// The forecast path, the one before any change by retrieval; steps beyond the horizon are left out.
+    forecast_m: [[f32; 2]; HORIZON_MAX],
+    /// The residuals that were retrieved for it, before shrinkage.
+    predicted: Residuals,
+}
+
 /// What is retrieved for an agent.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Retrieved {
@@ -111,6 +120,19 @@ pub struct Neighbour {
     pub weight: f32,
     /// Residuals of its path.
     pub residuals: Residuals,
+}
+
+impl Unstored {
+    /// An agent, its forecast path before any change by retrieval, and what was retrieved for it.
+    ///
+    /// # Panics
+    /// If the path has more steps than a payload holds.
+    #[must_use]
+    pub fn new(query: &Query, forecast_m: &[[f32; 2]], retrieved: &Retrieved) -> Self {
+        let mut path_m = [[0.0; 2]; HORIZON_MAX];
+        path_m[..forecast_m.len()].copy_from_slice(forecast_m);
+        Self { query: *query, forecast_m: path_m, predicted: retrieved.mean.clone() }
+    }
 }
 
 impl Retrieved {
@@ -247,19 +269,28 @@ impl RetrievalMemory {
     /// any change by retrieval.
     pub fn retrieve_and_store(&mut self, query: &Query, forecast_m: &[[f32; 2]], retrieved: &mut Retrieved) {
         self.retrieve(query.agent, &query.key, retrieved);
-        self.store(query, forecast_m, retrieved);
+        self.store(&Unstored::new(query, forecast_m, retrieved));
     }
 
     /// Writes into `retrieved` the residuals of other agents whose keys are similar.
     /// Each entry counts, as far as its steps were taken, by the similarity of its key.
     pub fn retrieve(&self, agent: u64, key: &Key, retrieved: &mut Retrieved) {
+        self.retrieve_behind(&[], agent, key, retrieved);
+    }
+
+    /// The same as if entries had been stored whose keys lie in the buckets `ahead`: those of the agents that come first
+    /// in a frame, where several are retrieved for at a time. They have no residuals yet, but push out older ones.
+    pub fn retrieve_behind(&self, ahead: &[Bucket], agent: u64, key: &Key, retrieved: &mut Retrieved) {
         let kind = key.kind();
+        let dropped = (self.values.len() + ahead.len()).saturating_sub(ENTRIES_MAX);
+        let oldest = self.oldest + dropped as u64;
         let mut mean = KernelMean::default();
         retrieved.neighbours.clear();
         retrieved.least = 0;
         for bucket in key.buckets_around() {
-            let mut left = BUCKET_MAX[kind as usize];
-            for (numbers, keys) in self.index.runs(&bucket, self.oldest) {
+            let ahead_len = ahead.iter().filter(|ahead| **ahead == bucket).count();
+            let mut left = BUCKET_MAX[kind as usize].saturating_sub(ahead_len);
+            for (numbers, keys) in self.index.runs(&bucket, oldest) {
                 // First all keys of the run, then the values of the similar ones: those lie far from one another.
                 let mut similar = [None; RUN_LEN];
                 similar.iter_mut().zip(keys).for_each(|(similar, own)| *similar = own.similarity(key));
@@ -287,25 +318,27 @@ impl RetrievalMemory {
         retrieved.expected = self.shrinkage[kind as usize].shrink(kind, &retrieved.mean);
     }
 
-    /// Stores an agent with its forecast path and what was retrieved for it.
-    ///
-    /// Nothing is stored of an agent that was not observed at the query's time, which must be the newest one,
-    /// nor more than once a step.
-    fn store(&mut self, query: &Query, forecast_m: &[[f32; 2]], retrieved: &Retrieved) {
-        let Query { stamp_ns, agent, key } = *query;
-        if stamp_ns != self.now_ns {
+    /// Whether an agent would be stored: it was observed at the query's time, which must be the newest one, and is stored
+    /// once a step at most.
+    #[must_use]
+    pub fn would_store(&self, stamp_ns: i64, agent: u64) -> bool {
+        stamp_ns == self.now_ns
+            && self.traces.get(&agent).is_some_and(|trace| {
+                let last_ns = trace.pending.back().map(|pending| pending.stamp_ns);
+                trace.stamp_ns == stamp_ns && last_ns.is_none_or(|last_ns| stamp_ns - last_ns >= self.step_ns)
+            })
+    }
+
+    /// Stores an agent with its forecast path and what was retrieved for it, if it [would](Self::would_store).
+    pub fn store(&mut self, new: &Unstored) {
+        let Query { stamp_ns, agent, key } = new.query;
+        if !self.would_store(stamp_ns, agent) {
             return;
         }
-        let Some(trace) = self.traces.get_mut(&agent).filter(|trace| trace.stamp_ns == stamp_ns) else {
-            return;
-        };
-        let last_ns = trace.pending.back().map(|pending| pending.stamp_ns);
-        if last_ns.is_some_and(|last_ns| stamp_ns - last_ns < self.step_ns) {
-            return;
-        }
+        let Some(trace) = self.traces.get_mut(&agent) else { return };
         let taken = StepPath::new(key.position_m());
         let mut forecast = taken.clone();
-        forecast_m.iter().take(self.horizon_len).for_each(|&position_m| forecast.push(position_m));
+        new.forecast_m.iter().take(self.horizon_len).for_each(|&position_m| forecast.push(position_m));
         // With the oldest one dropped, the numbers go on all the same.
         let number = self.oldest + self.values.len() as u64;
         self.changed.push(number);
@@ -315,7 +348,7 @@ impl RetrievalMemory {
             kind: key.kind(),
             forecast,
             taken,
-            predicted: retrieved.mean.clone(),
+            predicted: new.predicted.clone(),
         });
         let (session, residuals) = (self.session, Residuals::default());
         self.push(key, Value { agent, session, taken_len: 0, residuals });
@@ -333,7 +366,7 @@ impl RetrievalMemory {
     /// The places of a bucket's entries that are searched, the newest first.
     pub(crate) fn bucket(&self, bucket: &Bucket) -> impl Iterator<Item = usize> {
         let numbers = self.index.runs(bucket, self.oldest).flat_map(|(numbers, _)| numbers.iter().rev());
-        numbers.map(|number| (number - self.oldest) as usize).take(BUCKET_MAX[bucket.0 as usize])
+        numbers.map(|number| (number - self.oldest) as usize).take(BUCKET_MAX[bucket.kind as usize])
     }
 
     /// The key of the entry at a place.

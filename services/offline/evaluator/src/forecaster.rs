@@ -243,7 +243,8 @@ impl Forecaster {
 
     /// The sampler of a run with or without retrieval.
     pub(crate) fn sampler(&self, retrieval: bool) -> Sampler {
-        let options = sampler::Options { retrieval, evidence: false, ..sampler::Options::default() };
+        let options =
+            sampler::Options { retrieval, evidence: false, workers: Some(1), ..sampler::Options::default() };
         let stage = StageRun::with_options(&sampler::STAGE, &options).expect("the stage's own options");
         let run = Run { stages: vec![stage], ..self.run.clone() };
         sampler::stage::open(&run, self.config()).expect("a sampler without a file opens")

@@ -4,7 +4,7 @@ use crate::passing::{AT_ZERO, HORIZON_LEN, STEP_NS, STEP_S, after, at_x, pass, r
 use kinematics::{ControlLimits, MotionKind, MotionModel, MotionOptions, MotionStart};
 use retrieval::{
     BicycleKey, ControlAdapter, ControlChanges, DisplacementKey, ForecastControls, Key, Query, Retrieval,
-    RetrievalMemory, Retrieved,
+    RetrievalMemory, Retrieved, Unstored,
 };
 use wire::ControlGaussian;
 
@@ -205,9 +205,11 @@ fn controls_stay_where_nothing_is_retrieved() {
 #[test]
 fn the_best_forecast_changes_and_a_mode_is_replaced() {
     let (forecast, mut changes) = (Forecast::new(), ControlChanges::default());
-    let mut retrieval = Retrieval::new(after(60, -1.0, 0.5, 3.0));
+    let mut memory = after(60, -1.0, 0.5, 3.0);
     let query = Query { stamp_ns: i64::MAX, agent: 99, key: at_x(0.0) };
-    retrieval.adapt(&query, &vehicle(), &forecast.controls(), &mut changes);
+    let unstored =
+        Retrieval::default().adapt((&memory, &[]), &query, &vehicle(), &forecast.controls(), &mut changes);
+    memory.store(&unstored);
     let [best_m, first_m, second_m] = ends_m(&changes, &forecast);
     let braked_m = 14.0;
     assert!((best_m - braked_m).abs() < 0.3, "{best_m}");
@@ -218,5 +220,39 @@ fn the_best_forecast_changes_and_a_mode_is_replaced() {
     assert!((sum - 1.0).abs() < 1e-6 && changes.probability()[1] > 0.9, "{:?}", changes.probability());
     let controls = forecast.controls();
     assert!(changes.mode(0, &controls).all(|control| control.cholesky == [0.3, 0.1, 0.2]), "deviations stay");
-    assert_eq!(retrieval.memory().entries_len(), 60, "a query of another time is not stored");
+    assert_eq!(memory.entries_len(), 60, "a query of another time is not stored");
+}
+
+/// Agents of one frame that are retrieved for at a time find what they would find one after the other, also where their
+/// entries push out older ones.
+#[test]
+fn retrieving_for_a_frame_at_a_time_is_retrieving_one_after_the_other() {
+    // More than a bucket's newest that are searched: what a further entry pushes out, is not found.
+    let mut serial = after(300, -1.0, 0.5, 3.0);
+    let stamp_ns = 10_000 * STEP_NS.cast_signed();
+    let agents = 1_000..1_040_u64;
+    let queries = agents.map(|agent| Query { stamp_ns, agent, key: at_x(0.02 * (agent - 1_000) as f32) });
+    let queries: Vec<Query> = queries.collect();
+    assert!(serial.observe(stamp_ns, queries.iter().map(|query| (query.agent, [0.0; 2]))));
+    let mut parallel = serial.clone();
+    let before = parallel.clone();
+    let (mut ahead, mut unstored, mut found) = (Vec::new(), Vec::new(), Vec::new());
+    for query in &queries {
+        assert!(parallel.would_store(stamp_ns, query.agent));
+        let mut retrieved = Retrieved::default();
+        parallel.retrieve_behind(&ahead, query.agent, &query.key, &mut retrieved);
+        unstored.push(Unstored::new(query, &straight(), &retrieved));
+        ahead.push(query.key.bucket());
+        found.push(retrieved);
+    }
+    unstored.iter().for_each(|unstored| parallel.store(unstored));
+    assert_eq!(serial.entries_len() + queries.len(), parallel.entries_len());
+    for (query, found) in queries.iter().zip(&found) {
+        let mut retrieved = Retrieved::default();
+        serial.retrieve_and_store(query, &straight(), &mut retrieved);
+        assert_eq!(*found, retrieved, "agent {}", query.agent);
+        assert!(!parallel.would_store(stamp_ns, query.agent), "once a step at most");
+    }
+    let last = queries[queries.len() - 1];
+    assert_ne!(found[queries.len() - 1], retrieve(&before, last.agent, &last.key), "others came first");
 }

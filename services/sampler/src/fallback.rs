@@ -1,0 +1,76 @@
+//! What is published of agents without controls of their tick: what was learned of them last, or zero control.
+
+use kinematics::{DisplacementKind, MotionKind, MotionOptions};
+use scene::AgentType;
+use wire::{Cause, Forecast, Quality, Rejected, Track};
+
+use crate::held::HeldForecasts;
+use crate::motion::{certain_motion, with_track_covariance};
+use crate::published::{begin, is_within_the_world};
+use crate::sampler::Tick;
+use crate::{Level, SamplerOptions, kinematic};
+
+/// The newest learned forecasts, and the policy by which they are held.
+pub(crate) struct Fallback {
+    options: SamplerOptions,
+    held: HeldForecasts,
+    /// When an agent had a learned forecast last or, before the first, the time of the first tick.
+    newest_learned_ns: Option<i64>,
+}
+
+impl Fallback {
+    pub(crate) fn new(options: SamplerOptions) -> Self {
+        Self { options, held: HeldForecasts::new(), newest_learned_ns: None }
+    }
+
+    /// The clock of the policy begins at the first tick.
+    pub(crate) fn begin(&mut self, stamp_ns: i64) {
+        self.newest_learned_ns.get_or_insert(stamp_ns);
+    }
+
+    /// Keeps a learned forecast.
+    pub(crate) fn keep(&mut self, stamp_ns: i64, forecast: &Forecast) {
+        self.held.keep(stamp_ns, forecast);
+        self.newest_learned_ns = self.newest_learned_ns.max(Some(stamp_ns));
+    }
+
+    /// Held, kinematic or nothing, by the policy; whether something was written.
+    pub(crate) fn write(
+        &self,
+        tick: Tick,
+        track: &Track,
+        cause: Cause,
+        out: &mut Forecast,
+    ) -> Result<bool, Rejected> {
+        let agent_type = track.agent_type()?;
+        let cause = if track.forecastable == 0 { Cause::Young } else { cause };
+        let found = self.held.find(track.id, tick.stamp_ns);
+        let newest_ns = self.newest_learned_ns.unwrap_or(tick.stamp_ns);
+        let without_ns = u64::try_from(tick.stamp_ns.saturating_sub(newest_ns)).unwrap_or(0);
+        let level = self.options.degradation.level(found.as_ref().map(|(_, age_ns)| *age_ns), without_ns);
+        if level == Level::Silent {
+            return Ok(false);
+        }
+        if let Some((held, age_ns)) = found.filter(|_| level == Level::Held) {
+            begin(track, Quality::Held, cause, out);
+            out.age_ns = age_ns;
+            held.move_on((age_ns as f64 / tick.step_ns as f64) as f32, self.options.horizon_len, out);
+            if is_within_the_world(out) {
+                return Ok(true);
+            }
+        }
+        begin(track, Quality::Kinematic, cause, out);
+        self.write_kinematic(tick, track, agent_type, out);
+        Ok(true)
+    }
+
+    fn write_kinematic(&self, tick: Tick, track: &Track, agent_type: AgentType, out: &mut Forecast) {
+        let motion = MotionOptions { displacement: DisplacementKind::Residual, ..self.options.motion };
+        let options = SamplerOptions { vehicle_motion: MotionKind::Bicycle, motion, ..self.options };
+        // Recorded headings are courses. A learned forecast begins at the recorded heading all the same, as
+        // in training: the network compensates for the slip.
+        let model = certain_motion(track, agent_type, &options, tick.dt_s()).with_course_along_heading();
+        let model = with_track_covariance(model, track);
+        kinematic::forecast(model, agent_type, self.options.horizon_len, out);
+    }
+}

@@ -1,0 +1,179 @@
+//! The forecasts of a tick by its controls, shared over workers: each agent is a turn of its own.
+
+use std::sync::{Mutex, PoisonError};
+
+use bytemuck::Zeroable;
+use kinematics::Normals;
+use nn::Job;
+use retrieval::{Bucket, ControlChanges, Key, Query, Retrieval, RetrievalMemory, Unstored};
+use scene::{AgentType, track_history};
+use wire::{AGENTS_MAX, AgentControls, Cause, Forecast, Quality, Track};
+
+use crate::SamplerOptions;
+use crate::experts::{Blended, Experts, Spread};
+use crate::guidance::Guidance;
+use crate::learned::LearnedControls;
+use crate::motion::{certain_motion, with_track_covariance};
+use crate::published::{begin, is_within_the_world};
+use crate::sampler::Tick;
+
+/// Turns that a worker takes at a time: one of 40 µs or more is worth a hand-over, so that two surely are.
+const BLOCK: usize = 2;
+
+/// What the forecasts of a tick are made of, and where they go.
+pub(crate) struct Turns {
+    options: SamplerOptions,
+    tick: Tick,
+    /// Lent for the tick; none where nothing is to be retrieved.
+    pub(crate) memory: Option<Box<RetrievalMemory>>,
+    /// Lent for the tick; none where evidence does not count.
+    pub(crate) experts: Option<Box<Experts>>,
+    turns: Vec<Turn>,
+    /// Buckets of the agents that are to be stored in the retrieval memory, in their order.
+    stored: Vec<Bucket>,
+    made: Vec<Mutex<Made>>,
+}
+
+/// An agent with controls.
+struct Turn {
+    track: Track,
+    agent_type: AgentType,
+    controls: AgentControls,
+    /// None where nothing is retrieved for it.
+    key: Option<Key>,
+    /// Agents that are stored before it.
+    stored_len: usize,
+}
+
+/// What came of a turn.
+pub(crate) struct Made {
+    pub(crate) forecast: Forecast,
+    /// Whether it can be published.
+    pub(crate) is_possible: bool,
+    /// What evidence is to keep of it until it matures.
+    pub(crate) blended: Option<Blended>,
+    /// What the retrieval memory is to store.
+    pub(crate) unstored: Option<Unstored>,
+}
+
+impl Turns {
+    pub(crate) fn new(options: SamplerOptions) -> Self {
+        let made = || Made { forecast: Forecast::zeroed(), is_possible: false, blended: None, unstored: None };
+        Self {
+            options,
+            tick: Tick::default(),
+            memory: None,
+            experts: None,
+            turns: Vec::with_capacity(AGENTS_MAX),
+            stored: Vec::with_capacity(AGENTS_MAX),
+            made: (0..AGENTS_MAX).map(|_| Mutex::new(made())).collect(),
+        }
+    }
+
+    /// Begins with the turns of a tick.
+    pub(crate) fn begin(&mut self, tick: Tick) {
+        self.tick = tick;
+        self.turns.clear();
+        self.stored.clear();
+    }
+
+    /// Adds the turn of an agent, and returns its number.
+    ///
+    /// # Errors
+    /// [`Cause::Rejected`] where its controls are refused.
+    pub(crate) fn push(&mut self, track: &Track, controls: &AgentControls) -> Result<usize, Cause> {
+        let agent_type = track.agent_type().map_err(|_| Cause::Rejected)?;
+        LearnedControls::check(controls).map_err(|_| Cause::Rejected)?;
+        let stored_len = self.stored.len();
+        let key = self.memory.as_deref().and_then(|memory| {
+            let kind = self.options.kind_of(agent_type);
+            let history = &track_history(track)[..self.options.history_len];
+            let key = Key::new(kind, history, self.tick.dt_s())?;
+            if memory.would_store(self.tick.stamp_ns, track.id) {
+                self.stored.push(key.bucket());
+            }
+            Some(key)
+        });
+        self.turns.push(Turn { track: *track, agent_type, controls: *controls, key, stored_len });
+        Ok(self.turns.len() - 1)
+    }
+
+    /// Blocks of turns.
+    pub(crate) fn blocks_len(&self) -> usize {
+        self.turns.len().div_ceil(BLOCK)
+    }
+
+    /// What came of a turn.
+    pub(crate) fn made(&mut self, turn: usize) -> &mut Made {
+        self.made[turn].get_mut().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+/// A worker's scratch memory.
+#[derive(Default)]
+pub(crate) struct Forecaster {
+    retrieval: Retrieval,
+    /// None where no map of lanes is known.
+    pub(crate) guidance: Option<Guidance>,
+    /// The changes of the agent in hand.
+    changes: ControlChanges,
+}
+
+impl Job for Forecaster {
+    type Input = Turns;
+
+    fn run(&mut self, turns: &Turns, block: usize) {
+        let begin = block * BLOCK;
+        let made = turns.made[begin..].iter();
+        for (turn, made) in turns.turns[begin..].iter().zip(made).take(BLOCK) {
+            self.forecast(turns, turn, &mut made.lock().unwrap_or_else(PoisonError::into_inner));
+        }
+    }
+}
+
+impl Forecaster {
+    fn forecast(&mut self, turns: &Turns, turn: &Turn, made: &mut Made) {
+        let Turns { options, tick, memory, experts, stored, .. } = turns;
+        let Turn { track, agent_type, key, stored_len, .. } = turn;
+        let controls = LearnedControls::of_checked(&turn.controls, options.horizon_len);
+        let mut model = certain_motion(track, *agent_type, options, tick.dt_s());
+        let history = &track_history(track)[..options.history_len];
+        made.unstored = match (memory, *key) {
+            (Some(memory), Some(key)) => {
+                let query = Query { stamp_ns: tick.stamp_ns, agent: track.id, key };
+                let ahead = &stored[..*stored_len];
+                let decoded = controls.as_decoded();
+                Some(self.retrieval.adapt((memory, ahead), &query, &model, &decoded, &mut self.changes))
+            }
+            _ => {
+                self.changes.reset(controls.probability());
+                None
+            }
+        };
+        if let Some(guidance) = &mut self.guidance {
+            let decoded = controls.as_decoded();
+            guidance.change((track, *agent_type), &model, &decoded, tick.dt_s(), &mut self.changes);
+        }
+        made.blended = experts.as_ref().map(|experts| {
+            let decoded = controls.as_decoded();
+            let network = self.changes.best(&decoded);
+            let paths = (network, controls.base());
+            let mut blended = experts.blend((track, *agent_type), history, &model, paths, tick.dt_s());
+            experts.change(tick.stamp_ns, &model, &decoded, &mut blended, &mut self.changes);
+            blended
+        });
+        if options.initial_covariance {
+            model = with_track_covariance(model, track);
+        }
+        let mut normals = Normals::new(options.seed, track.id, tick.seq);
+        let out = &mut made.forecast;
+        begin(track, Quality::Learned, Cause::None, out);
+        out.out_of_distribution = controls.out_of_distribution();
+        let spread = made.blended.as_ref().map_or_else(Spread::default, |blended| blended.spread);
+        controls.forecast(&self.changes, &spread, &model, options.propagation, &mut normals, out);
+        if let Some((experts, blended)) = experts.as_ref().zip(made.blended.as_ref()) {
+            experts.sign(blended, out);
+        }
+        made.is_possible = is_within_the_world(out);
+    }
+}
