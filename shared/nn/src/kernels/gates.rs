@@ -1,6 +1,6 @@
 //! The element-wise half of the gated recurrent unit.
 
-use super::math::{sigmoid, tanh};
+use super::math::{raise, reduce};
 use super::{Kernel, Lanes, dispatch};
 
 /// Length of the decoder's hidden state.
@@ -29,25 +29,48 @@ struct Gru<'a> {
 impl Kernel for Gru<'_> {
     type Output = ();
 
-    /// Each row in two passes: r and n in one go are a chain too long for a processor to see the next one
-    /// behind it.
+    /// Each row in five passes, none of which is a chain as long as a whole sigmoid: of those a processor sees too
+    /// few at a time to fill its units. What goes from one pass to the next lies in `hidden` and on the stack.
     #[inline(always)]
     fn run<L: Lanes>(self, l: L) {
         let stride = if self.input.len() == GATES { 0 } else { GATES };
+        let (mut rest, mut power) = ([[0.0; HIDDEN]; 2], [[0.0; HIDDEN]; 2]);
+        let (one, zero) = (l.splat(1.0), l.splat(0.0));
         let rows = self.state.chunks_exact_mut(HIDDEN).zip(self.hidden.chunks_exact_mut(GATES));
         for (row, (state, hidden)) in rows.enumerate() {
             let input = &self.input[row * stride..][..GATES];
+            // e^−x of the gates r and z, in two passes.
             for i in (0..HIDDEN).step_by(L::LEN) {
-                let r = sigmoid(l, l.add(gate(l, input, 0, i), gate(l, hidden, 0, i)));
-                let n = l.fma(r, gate(l, hidden, 2, i), gate(l, input, 2, i));
-                l.store(&mut hidden[2 * HIDDEN + i..], n);
+                for of in 0..2 {
+                    let x = l.add(gate(l, input, of, i), gate(l, hidden, of, i));
+                    let (r, n) = reduce(l, l.sub(zero, x));
+                    l.store(&mut rest[of][i..], r);
+                    l.store(&mut power[of][i..], n);
+                }
             }
             for i in (0..HIDDEN).step_by(L::LEN) {
-                let z = sigmoid(l, l.add(gate(l, input, 1, i), gate(l, hidden, 1, i)));
+                for of in 0..2 {
+                    let e = raise(l, l.load(&rest[of][i..]), l.load(&power[of][i..]));
+                    l.store(&mut hidden[of * HIDDEN + i..], e);
+                }
+            }
+            // r itself, and the first half of e^2x of n.
+            for i in (0..HIDDEN).step_by(L::LEN) {
+                let r = l.div(one, l.add(one, gate(l, hidden, 0, i)));
+                let x = l.fma(r, gate(l, hidden, 2, i), gate(l, input, 2, i));
+                let (r, n) = reduce(l, l.add(x, x));
+                l.store(&mut rest[0][i..], r);
+                l.store(&mut power[0][i..], n);
+            }
+            for i in (0..HIDDEN).step_by(L::LEN) {
+                let e = raise(l, l.load(&rest[0][i..]), l.load(&power[0][i..]));
+                l.store(&mut hidden[2 * HIDDEN + i..], e);
+                let z = l.div(one, l.add(one, gate(l, hidden, 1, i)));
                 l.store(&mut hidden[HIDDEN + i..], z);
             }
             for i in (0..HIDDEN).step_by(L::LEN) {
-                let (z, n) = (gate(l, hidden, 1, i), tanh(l, gate(l, hidden, 2, i)));
+                let (z, e) = (gate(l, hidden, 1, i), gate(l, hidden, 2, i));
+                let n = l.sub(one, l.div(l.splat(2.0), l.add(one, e)));
                 let h = l.load(&state[i..]);
                 l.store(&mut state[i..], l.fma(z, l.sub(h, n), n));
             }

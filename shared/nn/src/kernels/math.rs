@@ -7,12 +7,24 @@ use super::{Kernel, Lanes, dispatch};
 /// x = n ln 2 + r with |r| ≤ ½ ln 2, e^r by a polynomial, 2^n by the exponent bits. (Cephes, `expf`.)
 #[inline(always)]
 pub fn exp<L: Lanes>(l: L, x: L::V) -> L::V {
-    const POLYNOMIAL: [f32; 6] =
-        [1.987_569_1e-4, 1.398_2e-3, 8.333_452e-3, 4.166_579_6e-2, 1.666_666_5e-1, 0.5];
+    let (r, n) = reduce(l, x);
+    raise(l, r, n)
+}
+
+/// (r, n) of [`exp`], its first half.
+#[inline(always)]
+pub(crate) fn reduce<L: Lanes>(l: L, x: L::V) -> (L::V, L::V) {
     let x = l.max(l.min(x, l.splat(88.0)), l.splat(-87.0));
     let n = l.round(l.mul(x, l.splat(std::f32::consts::LOG2_E)));
     let r = l.fma(n, l.splat(-0.693_359_4), x);
-    let r = l.fma(n, l.splat(2.121_944_4e-4), r);
+    (l.fma(n, l.splat(2.121_944_4e-4), r), n)
+}
+
+/// e^r 2^n of [`exp`], its second half.
+#[inline(always)]
+pub(crate) fn raise<L: Lanes>(l: L, r: L::V, n: L::V) -> L::V {
+    const POLYNOMIAL: [f32; 6] =
+        [1.987_569_1e-4, 1.398_2e-3, 8.333_452e-3, 4.166_579_6e-2, 1.666_666_5e-1, 0.5];
     let mut p = l.splat(POLYNOMIAL[0]);
     for &coefficient in &POLYNOMIAL[1..] {
         p = l.fma(p, r, l.splat(coefficient));
