@@ -21,6 +21,7 @@ pub fn run(run: &Run) -> Result<(), StageError> {
     let mut decoder = Decoder::new(&weights, settings).map_err(StageError::data)?;
     drop(weights);
     let deadline_ns = run.deadline_ns(StageId::Decoder);
+    let mut deadline = deadline_ns.map(|ns| shedding::Deadline::new(ns, run.left_for_sampler_ns()));
 
     let mut stage = Stage::open(run, &STAGE)?;
     let encodings = stage.subscribe::<EncodingsTopic>()?;
@@ -29,9 +30,9 @@ pub fn run(run: &Run) -> Result<(), StageError> {
     while let Some(input) = stage.next(&encodings, &output)? {
         let mut passage = stage.begin(&input);
         let header = input.header();
-        let deadline_ns = deadline_ns.filter(|_| !header.has(flags::LOCKSTEP));
-        let deadline =
-            deadline_ns.map(|ns| Deadline { until_ns: header.released_ns + ns, clock: monotonic_ns });
+        let deadline = deadline.as_mut().filter(|_| !header.has(flags::LOCKSTEP));
+        let deadline = deadline
+            .map(|deadline| Deadline { until_ns: deadline.until_ns(header), clock: monotonic_ns });
         let result = match decoder.serve(header, &input, deadline) {
             Ok(served_len) => {
                 let counts = &mut passage.header.counts;

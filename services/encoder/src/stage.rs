@@ -3,7 +3,7 @@
 use nn::{ModelConfig, Weights, kernels};
 use ports::{Stage, StageError, monotonic_ns};
 use run::{OptionError, Run};
-use shedding::Capacity;
+use shedding::{Capacity, Deadline};
 use wire::{EncodingsTopic, FeatureShape, Features, FeaturesTopic, StageId, flags};
 
 use crate::{Encoder, EncoderOptions, STAGE};
@@ -19,6 +19,7 @@ pub fn run(run: &Run) -> Result<(), StageError> {
     let mut encoder = Encoder::new(&weights, settings(run)?).map_err(StageError::data)?;
     drop(weights);
     let deadline_ns = run.deadline_ns(StageId::Encoder);
+    let mut deadline = deadline_ns.map(|ns| Deadline::new(ns, run.left_for_sampler_ns()));
     let mut capacity = Capacity::default();
 
     let mut stage = Stage::open(run, &STAGE)?;
@@ -28,7 +29,8 @@ pub fn run(run: &Run) -> Result<(), StageError> {
     while let Some(input) = stage.next(&features, &output)? {
         let passage = stage.begin(&input);
         let (header, begin_ns) = (input.header(), monotonic_ns());
-        let until_ns = deadline_ns.filter(|_| !header.has(flags::LOCKSTEP)).map(|ns| header.released_ns + ns);
+        let deadline = deadline.as_mut().filter(|_| !header.has(flags::LOCKSTEP));
+        let until_ns = deadline.map(|deadline| deadline.until_ns(header));
         let served_max =
             until_ns.map_or(usize::MAX, |until_ns| capacity.fit(until_ns.saturating_sub(begin_ns)));
         let counts = &header.counts;

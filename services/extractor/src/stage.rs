@@ -3,7 +3,7 @@
 use nn::{ModelConfig, Weights, kernels};
 use ports::{Stage, StageError, monotonic_ns};
 use run::{OptionError, Run};
-use shedding::Capacity;
+use shedding::{Capacity, Deadline};
 use wire::{Context, ContextShape, ContextTopic, FeaturesMut, FeaturesTopic, StageId, feature_rows, flags};
 
 use crate::{Extractor, ExtractorOptions, STAGE};
@@ -21,6 +21,7 @@ pub fn run(run: &Run) -> Result<(), StageError> {
     // The choice is made here for the stages up to the decoder, which has to be done by then.
     let deadline_ns =
         run.deadline_ns(StageId::Decoder).filter(|_| run.deadline_ns(StageId::Extractor).is_some());
+    let mut deadline = deadline_ns.map(|ns| Deadline::new(ns, run.left_for_sampler_ns()));
     let mut capacity = Capacity::default();
 
     let mut stage = Stage::open(run, &STAGE)?;
@@ -30,7 +31,8 @@ pub fn run(run: &Run) -> Result<(), StageError> {
     while let Some(input) = stage.next(&context, &output)? {
         let mut passage = stage.begin(&input);
         let (header, begin_ns) = (input.header(), monotonic_ns());
-        let until_ns = deadline_ns.filter(|_| !header.has(flags::LOCKSTEP)).map(|ns| header.released_ns + ns);
+        let deadline = deadline.as_mut().filter(|_| !header.has(flags::LOCKSTEP));
+        let until_ns = deadline.map(|deadline| deadline.until_ns(header));
         let served_max = until_ns.map(|until_ns| {
             capacity.took(header.chain_ns, header.chain_len as usize);
             capacity.fit(until_ns.saturating_sub(begin_ns))

@@ -469,7 +469,7 @@ fn stage_row(text: &mut String, stage: &StageReport, all: bool, cells: usize) ->
     if all {
         write!(text, "{:>8}", number(publish_ms.p99))?;
     }
-    write!(text, "{:>6}{:>6}", count(stage.late_ticks), count(stage.drops.total()))?;
+    write!(text, "{:>6}{:>6}", narrow(stage.late_ticks), narrow(stage.drops.total()))?;
     if stage.restarts > 0 {
         write!(text, "  restarted {}×", stage.restarts)?;
     }
@@ -477,6 +477,11 @@ fn stage_row(text: &mut String, stage: &StageReport, all: bool, cells: usize) ->
         write!(text, "  replaced {}×", stage.replacements)?;
     }
     writeln!(text)
+}
+
+/// A count of at most five characters, below a million.
+fn narrow(n: u64) -> String {
+    if n < 10_000 { count(n) } else { format!("{} k", n / 1_000) }
 }
 
 /// `label  part · part`; unknown parts are left out.

@@ -15,6 +15,10 @@ pub fn tell(header: &mut Header, tracks: &mut [Track], newest: Option<(&Header, 
         header.chain_ns = last.finished_ns.saturating_sub(first.finished_ns);
         header.chain_len = forecasts.iter().filter(|forecast| is_served(forecast)).count() as u32;
     }
+    if let Some(hop) = of.hop(StageId::Sampler) {
+        let took_ns = hop.finished_ns.saturating_sub(hop.started_ns);
+        header.sampling_ns = u32::try_from(took_ns).unwrap_or(u32::MAX);
+    }
     for track in tracks {
         let forecast = found.find(track.id);
         let age_ns = forecast.filter(|f| is_served(f) || f.quality == Quality::Held as u32).map(|f| f.age_ns);
@@ -59,11 +63,13 @@ mod tests {
         of.counts.horizon_len = 12;
         of.push_hop(hop(StageId::Extractor, 10));
         of.push_hop(hop(StageId::Decoder, 34));
+        of.push_hop(Hop { started_ns: 35 * MS, ..hop(StageId::Sampler, 38) });
         let mut header = Header::new(1, 8, 640 * MS as i64);
         let mut tracks = [1, 2, 3, 4, 5].map(|id| Track { id, ..Track::zeroed() });
         tell(&mut header, &mut tracks, Some((&of, &forecasts)));
         assert_eq!(tracks.map(|track| track.learned_age_ns / MS), [80, 320, 80, 0, 0]);
         assert_eq!((header.feedback_age_ns, header.chain_ns, header.chain_len), (80 * MS, 24 * MS, 2));
+        assert_eq!(u64::from(header.sampling_ns), 3 * MS);
         // A clock that went back: nothing is known.
         let mut header = Header::new(1, 9, 0);
         tell(&mut header, &mut tracks, Some((&of, &forecasts)));

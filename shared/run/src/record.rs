@@ -237,6 +237,13 @@ impl Run {
         Some((sum_ms * 1e6 * scale) as u64)
     }
 
+    /// What of a tick is left after [`Run::deadline_ns`] of the decoder, for the sampler; 0 where that is none.
+    #[must_use]
+    pub fn left_for_sampler_ns(&self) -> u64 {
+        let decoder_ns = self.deadline_ns(StageId::Decoder).unwrap_or(u64::MAX);
+        self.interval_ns.min(TICK_NS).saturating_sub(decoder_ns)
+    }
+
     /// Lets this process know the names of the added stages.
     pub fn name_stages(&self) {
         for stage in self.stages.iter().filter(|stage| !stage.name.is_empty()) {
@@ -427,6 +434,7 @@ mod tests {
         let run = Run { stages, ..Run::default() };
         assert_eq!(run.deadline_ns(StageId::Tracker), Some(7_000_000));
         assert_eq!(run.deadline_ns(StageId::Decoder), Some(27_000_000));
+        assert_eq!(run.left_for_sampler_ns(), 53_000_000);
         assert_eq!(run.deadline_ns(StageId::Recorder), None);
         let faster = Run { interval_ns: TICK_NS / 2, ..run.clone() };
         assert_eq!(faster.deadline_ns(StageId::Decoder), Some(13_500_000));

@@ -147,8 +147,10 @@ record! {
         /// Agents of the tick, by their place among its tracks, whose controls were left out to save time: bit
         /// `place % 32` of number `place / 32`.
         652 => shed: [u32; SHED_WORDS],
+        /// How long the sampler took for those forecasts; 0 where it is not known.
+        668 => sampling_ns: u32,
         /// Zero.
-        668 => reserved_end: [u8; 36],
+        672 => reserved_end: [u8; 32],
     }
 }
 
