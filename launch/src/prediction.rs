@@ -28,7 +28,7 @@ const TIME: Duration = Duration::from_secs(2);
 /// Least ticks that are measured, whatever they take.
 const TICKS_MIN: usize = 5;
 /// Stages that share their work over workers.
-const SHARED: [StageId; 3] = [StageId::Extractor, StageId::Encoder, StageId::Decoder];
+pub const SHARED: [StageId; 4] = [StageId::Extractor, StageId::Encoder, StageId::Decoder, StageId::Sampler];
 /// Growth of the time of a tick with its agents, as an exponent.
 const GROWTH: f64 = 1.05;
 /// The 99th percentile over the median, of ticks of a run on an idle machine.

@@ -293,7 +293,8 @@ class Header(c.Structure):
         ("chain_ns", c.c_uint64),  # How long the agents of those forecasts took from the extractor's end to the decoder's; 0 where they did not pass both.
         ("chain_len", c.c_uint32),  # How many of those agents the decoder served.
         ("shed", c.c_uint32 * 4),  # Agents of the tick, by their place among its tracks, whose controls were left out to save time: bit `place % 32` of number `place / 32`.
-        ("reserved_end", c.c_uint8 * 36),  # Zero.
+        ("sampling_ns", c.c_uint32),  # How long the sampler took for those forecasts; 0 where it is not known.
+        ("reserved_end", c.c_uint8 * 32),  # Zero.
     ]
 
     @staticmethod
@@ -329,7 +330,8 @@ _check(Header, 704, {
     "chain_ns": 640,
     "chain_len": 648,
     "shed": 652,
-    "reserved_end": 668,
+    "sampling_ns": 668,
+    "reserved_end": 672,
 })
 
 
@@ -750,7 +752,8 @@ class Heartbeat(c.Structure):
         ("seq", c.c_uint64),  # Number of the newest tick that the stage finished.
         ("frames_len", c.c_uint64),  # Frames finished.
         ("rejected_len", c.c_uint64),  # Frames refused.
-        ("dropped_len", c.c_uint64),  # Frames that never arrived, by gaps in `seq`.
+        ("dropped_len", c.c_uint32),  # Ticks of which a frame never arrived, by gaps in `seq`.
+        ("unanswered_len", c.c_uint32),  # Of these, ticks of which the frame that begins a step never arrived: the stage has sent nothing for them.
         ("sent_ns", c.c_uint64),  # `CLOCK_MONOTONIC` at sending.
         ("refusals", Refusals * 8),  # Frames refused, by their sender and the cause.
     ]
@@ -771,6 +774,7 @@ _check(Heartbeat, 128, {
     "frames_len": 32,
     "rejected_len": 40,
     "dropped_len": 48,
+    "unanswered_len": 52,
     "sent_ns": 56,
     "refusals": 64,
 })

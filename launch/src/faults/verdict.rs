@@ -266,6 +266,8 @@ impl Observation {
             (stage.name.clone(), stage.drops.gap + stage.drops.refused)
         };
         told.lost = report.stages.iter().map(lost).collect();
+        let unanswered = report.stages.iter().map(|stage| (stage.name.clone(), stage.drops.unanswered));
+        told.unanswered = unanswered.collect();
         told.causes.clone_from(&report.forecasts.causes);
         told.late_ticks = report.late_ticks;
         told

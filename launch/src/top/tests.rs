@@ -38,7 +38,7 @@ fn stage(name: &str, compute_ms: f64, cpu: f64) -> (StageStatus, StageReport) {
         compute_ms: times(compute_ms),
         ticks: 412,
         late_ticks: u64::from(compute_ms > 4.0) * 3,
-        drops: StageDrops { gap: u64::from(name == "encoder") * 2, refused: 0, restart: 0 },
+        drops: StageDrops { gap: u64::from(name == "encoder") * 2, ..StageDrops::default() },
         ..StageReport::default()
     };
     (status, report)

@@ -31,8 +31,8 @@ pub fn run(run: &Run) -> Result<(), StageError> {
         let mut passage = stage.begin(&input);
         let header = input.header();
         let deadline = deadline.as_mut().filter(|_| !header.has(flags::LOCKSTEP));
-        let deadline = deadline
-            .map(|deadline| Deadline { until_ns: deadline.until_ns(header), clock: monotonic_ns });
+        let deadline =
+            deadline.map(|deadline| Deadline { until_ns: deadline.until_ns(header), clock: monotonic_ns });
         let result = match decoder.serve(header, &input, deadline) {
             Ok(served_len) => {
                 let counts = &mut passage.header.counts;

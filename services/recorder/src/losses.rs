@@ -19,6 +19,7 @@ impl Counters {
     const fn total(&self) -> StageDrops {
         StageDrops {
             gap: self.newest.gap + self.before.gap,
+            unanswered: self.newest.unanswered + self.before.unanswered,
             refused: self.newest.refused + self.before.refused,
             restart: 0,
         }
@@ -32,7 +33,8 @@ impl Counters {
         }
         if heartbeat.incarnation == self.incarnation {
             // Fewer where a frame has come after all, late.
-            self.newest.gap = heartbeat.dropped_len;
+            self.newest.gap = heartbeat.dropped_len.into();
+            self.newest.unanswered = heartbeat.unanswered_len.into();
             self.newest.refused = self.newest.refused.max(heartbeat.rejected_len);
         }
     }
@@ -100,16 +102,21 @@ impl Losses {
     ///
     /// A frame lost in one stage is a gap in all later ones; it counts where it was lost first. A refused
     /// frame is no gap: it is passed on as VOID. The sampler publishes also without controls, so a tick is
-    /// missing at the recorder only if the tracker or the sampler lost it.
+    /// missing at the recorder only if the tracker has lost its detections or the sampler its tracks.
     pub fn by_stage(&self, order: &[StageId]) -> [StageDrops; StageId::PLACES_LEN] {
         let mut lost_before = 0;
         let mut own = [StageDrops::default(); StageId::PLACES_LEN];
+        let tracks_lost = self.stages[StageId::Tracker.place()].total().gap;
         for stage in order {
-            let StageDrops { gap, refused, .. } = self.stages[stage.place()].total();
-            own[stage.place()] = StageDrops { gap: gap.saturating_sub(lost_before), refused, restart: 0 };
+            let StageDrops { gap, unanswered, refused, .. } = self.stages[stage.place()].total();
+            // Of the sampler's two inputs, the tracks come from the tracker alone.
+            let lost_in_tracks = if *stage == StageId::Sampler { tracks_lost } else { lost_before };
+            let unanswered = unanswered.saturating_sub(lost_in_tracks);
+            let gap_here = gap.saturating_sub(lost_before).max(unanswered);
+            own[stage.place()] = StageDrops { gap: gap_here, unanswered, refused, restart: 0 };
             lost_before = lost_before.max(gap);
         }
-        let before_recorder = own[StageId::Tracker.place()].gap + own[StageId::Sampler.place()].gap;
+        let before_recorder = own[StageId::Tracker.place()].gap + own[StageId::Sampler.place()].unanswered;
         let missed = self.stages[StageId::Recorder.place()].total().gap;
         own[StageId::Recorder.place()].gap = missed.saturating_sub(before_recorder);
         // What was refused whole is a gap as well, and counts once.
@@ -130,7 +137,9 @@ mod tests {
     use bytemuck::Zeroable;
     use wire::{Hop, RefusalCause, Refusals};
 
-    fn beat(stage: StageId, incarnation: u32, dropped_len: u64, rejected_len: u64) -> Heartbeat {
+    const NONE: StageDrops = StageDrops { gap: 0, unanswered: 0, refused: 0, restart: 0 };
+
+    fn beat(stage: StageId, incarnation: u32, dropped_len: u32, rejected_len: u64) -> Heartbeat {
         Heartbeat { stage: stage.number(), incarnation, dropped_len, rejected_len, ..Heartbeat::zeroed() }
     }
 
@@ -146,11 +155,24 @@ mod tests {
         losses.heartbeat(&beat(StageId::Extractor, 0, 4, 0));
         losses.heartbeat(&beat(StageId::Sampler, 0, 4, 0));
         losses.forecast_gap(&Header::new(1, 9, 0), 3);
-        assert_eq!(of(&losses, StageId::Tracker), StageDrops { gap: 2, refused: 1, restart: 0 });
+        assert_eq!(of(&losses, StageId::Tracker), StageDrops { gap: 2, refused: 1, ..NONE });
         assert_eq!(of(&losses, StageId::Localiser), StageDrops::default());
-        assert_eq!(of(&losses, StageId::Extractor), StageDrops { gap: 2, refused: 0, restart: 0 });
+        assert_eq!(of(&losses, StageId::Extractor), StageDrops { gap: 2, ..NONE });
         assert_eq!(of(&losses, StageId::Sampler), StageDrops::default());
-        assert_eq!(of(&losses, StageId::Recorder), StageDrops { gap: 1, refused: 0, restart: 0 });
+        assert_eq!(of(&losses, StageId::Recorder), StageDrops { gap: 1, ..NONE });
+    }
+
+    /// Of a tick without controls the sampler says something, of one without tracks it can't.
+    #[test]
+    fn what_the_sampler_loses_of_the_tracks_is_told_apart() {
+        let mut losses = Losses::default();
+        losses.heartbeat(&beat(StageId::Tracker, 0, 2, 0));
+        losses.heartbeat(&beat(StageId::Decoder, 0, 9, 0));
+        let sampler = beat(StageId::Sampler, 0, 9, 0);
+        losses.heartbeat(&Heartbeat { unanswered_len: 5, ..sampler });
+        losses.forecast_gap(&Header::new(1, 9, 0), 6);
+        assert_eq!(of(&losses, StageId::Sampler), StageDrops { gap: 3, unanswered: 3, ..NONE });
+        assert_eq!(of(&losses, StageId::Recorder), StageDrops { gap: 1, ..NONE });
     }
 
     #[test]
@@ -161,7 +183,7 @@ mod tests {
         losses.heartbeat(&heartbeat);
         losses.heartbeat(&beat(StageId::Localiser, 0, 3, 0));
         losses.forecast_gap(&Header::new(1, 9, 0), 3);
-        assert_eq!(of(&losses, StageId::Tracker), StageDrops { gap: 1, refused: 2, restart: 0 });
+        assert_eq!(of(&losses, StageId::Tracker), StageDrops { gap: 1, refused: 2, ..NONE });
         for stage in [StageId::Localiser, StageId::Recorder] {
             assert_eq!(of(&losses, stage), StageDrops::default());
         }
@@ -173,7 +195,7 @@ mod tests {
         losses.heartbeat(&beat(StageId::Encoder, 0, 4, 0));
         losses.heartbeat(&beat(StageId::Encoder, 1, 1, 0));
         losses.heartbeat(&beat(StageId::Encoder, 0, 9, 0));
-        assert_eq!(of(&losses, StageId::Encoder), StageDrops { gap: 5, refused: 0, restart: 0 });
+        assert_eq!(of(&losses, StageId::Encoder), StageDrops { gap: 5, ..NONE });
         assert_eq!(losses.restarts(StageId::Encoder), 1);
     }
 
@@ -188,8 +210,8 @@ mod tests {
         losses.forecast_gap(&header(0), 0);
         losses.forecast_gap(&header(1), 3);
         losses.forecast_gap(&header(1), 1);
-        assert_eq!(of(&losses, StageId::Tracker), StageDrops { gap: 0, refused: 0, restart: 3 });
-        assert_eq!(of(&losses, StageId::Recorder), StageDrops { gap: 1, refused: 0, restart: 0 });
+        assert_eq!(of(&losses, StageId::Tracker), StageDrops { restart: 3, ..NONE });
+        assert_eq!(of(&losses, StageId::Recorder), StageDrops { gap: 1, ..NONE });
     }
 
     #[test]

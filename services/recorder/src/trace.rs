@@ -151,7 +151,8 @@ impl Tracer {
         }
         let before = known.beat.replace(*heartbeat);
         let before = before.filter(|before| before.incarnation == heartbeat.incarnation);
-        let missing = heartbeat.dropped_len.saturating_sub(before.map_or(0, |before| before.dropped_len));
+        let missing_before = before.map_or(0, |before| before.dropped_len);
+        let missing = u64::from(heartbeat.dropped_len.saturating_sub(missing_before));
         let old = before.map_or([Refusals::default(); REFUSALS_MAX], |before| before.refusals);
         for (refused, old) in heartbeat.refusals.iter().zip(old) {
             let frames = refused.frames_len.saturating_sub(old.frames_len);

@@ -58,7 +58,8 @@ pub(crate) struct Made {
 
 impl Turns {
     pub(crate) fn new(options: SamplerOptions) -> Self {
-        let made = || Made { forecast: Forecast::zeroed(), is_possible: false, blended: None, unstored: None };
+        let made =
+            || Made { forecast: Forecast::zeroed(), is_possible: false, blended: None, unstored: None };
         Self {
             options,
             tick: Tick::default(),

@@ -99,7 +99,10 @@ fn forecasts_are_the_same_bytes_with_any_number_of_workers() {
     ];
     for (options, is_guided) in kinds {
         let (alone, [learned, of_others]) = forecasts(options, 1, is_guided);
-        assert!(learned > 2_500 && of_others > 2_500, "{learned} learned, {of_others} modes not the network's");
+        assert!(
+            learned > 2_500 && of_others > 2_500,
+            "{learned} learned, {of_others} modes not the network's"
+        );
         for workers in [2, 4] {
             let (shared, _) = forecasts(options, workers, is_guided);
             assert!(alone == shared, "{workers} workers, {options:?}, guided: {is_guided}");

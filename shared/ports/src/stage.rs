@@ -529,11 +529,11 @@ impl Stage {
             frames_len: self.frames_len,
             rejected_len: self.rejected_len + inputs().map(|input| input.rejected_len()).sum::<u64>(),
             // A tick that was lost on the way is missing in all inputs.
-            dropped_len: inputs()
-                .take(self.on_the_way_len)
-                .map(|input| input.dropped_len())
-                .max()
-                .unwrap_or(0),
+            dropped_len: counter(
+                inputs().take(self.on_the_way_len).map(|input| input.dropped_len()).max().unwrap_or(0),
+            ),
+            // A step begins with a frame of the first one.
+            unanswered_len: counter(inputs().next().map_or(0, |input| input.dropped_len())),
             sent_ns: monotonic_ns(),
             refusals,
         }
@@ -566,4 +566,8 @@ impl Stage {
         points::reach(Point::Idle);
         if left.is_zero() { Ok(()) } else { wait(topics, left) }
     }
+}
+/// A count as it stands in a heartbeat.
+fn counter(len: u64) -> u32 {
+    u32::try_from(len).unwrap_or(u32::MAX)
 }

@@ -115,7 +115,8 @@ impl Reader {
     /// Reads all of a file; returns how many messages it has, where it can be opened.
     fn read(&self, bytes: &[u8]) -> Option<usize> {
         fs::write(&self.path, bytes).expect("the file can be written");
-        let recording = Recording::open(&self.path).map_err(|error| assert!(!error.to_string().is_empty())).ok()?;
+        let recording =
+            Recording::open(&self.path).map_err(|error| assert!(!error.to_string().is_empty())).ok()?;
         let _ = recording.verify();
         let messages = recording.messages().filter_map(Result::ok).map(|message| {
             if let Message::Frame(frame) | Message::Before(frame) = message {

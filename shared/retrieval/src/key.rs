@@ -175,9 +175,7 @@ impl Key {
     pub fn bucket(&self) -> Bucket {
         let [x, y] = self.position_m().map(|value| (value / CELL_M[self.kind() as usize]).floor() as i32);
         match self {
-            Self::Displacement(_) => {
-                Bucket { kind: MotionKind::Displacement, cell: [x, y, ANY_DIRECTION] }
-            }
+            Self::Displacement(_) => Bucket { kind: MotionKind::Displacement, cell: [x, y, ANY_DIRECTION] },
             Self::Bicycle(key) => {
                 let direction = key.sectors() as i32 % DIRECTIONS;
                 Bucket { kind: MotionKind::Bicycle, cell: [x, y, direction] }

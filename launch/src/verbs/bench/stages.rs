@@ -14,6 +14,7 @@ use super::work::Work;
 use super::{Arguments, percentile};
 use crate::failure::Failure;
 use crate::options::{Setting, StageOptions};
+use crate::prediction::SHARED;
 
 /// Ticks before the measured ones: longer than the history, so that caches are as in a steady run.
 const WARM_UP: u64 = 60;
@@ -114,7 +115,7 @@ pub(super) fn measure(
     };
     let mut options = StageOptions::defaults(&STAGES);
     let workers = |stage| Setting::of_flag("bench", stage, "workers", 1);
-    let one_thread = [StageId::Extractor, StageId::Encoder, StageId::Decoder].map(workers).to_vec();
+    let one_thread = SHARED.map(workers).to_vec();
     options.apply(&[one_thread, arguments.model.settings()?, arguments.set.set.clone()].concat())?;
     let run = Run {
         interval_ns: playback.interval_ns(),

@@ -177,12 +177,11 @@ impl History<'_> {
             .filter(|tick| !self.seen.contains(tick) && !alone.contains(tick) && !is_explained(tick))
             .collect();
         // What another stage loses is answered without it, and what the sampler loses of the controls as well.
-        let lost = |stage: StageId| self.told.lost.get(stage.name()).copied().unwrap_or(0);
-        let is_answered = |output: &&&Output| output.degraded() > 0;
-        let answered = self.valid.iter().filter(is_answered).count() as u64;
-        let counted = lost(StageId::Tracker)
-            + lost(StageId::Recorder)
-            + lost(StageId::Sampler).saturating_sub(answered);
+        let of =
+            |counts: &BTreeMap<String, u64>, stage: StageId| counts.get(stage.name()).copied().unwrap_or(0);
+        let counted = of(&self.told.lost, StageId::Tracker)
+            + of(&self.told.lost, StageId::Recorder)
+            + of(&self.told.unanswered, StageId::Sampler);
         let without = (missing.len() as u64).saturating_sub(counted);
         broken.add(Promise::MissingTicksExplained, without, || {
             format!("tick {}; {counted} lost frames are counted on the way", missing[0])

@@ -146,6 +146,8 @@ pub struct Told {
     pub outages_unlisted: u64,
     /// Frames that never arrived or were refused, by stage.
     pub lost: BTreeMap<String, u64>,
+    /// Of these, ticks of which the frame that begins a step is missing, so that nothing was sent for them.
+    pub unanswered: BTreeMap<String, u64>,
     /// Forecasts that are not learned, by cause.
     pub causes: BTreeMap<String, u64>,
     /// Ticks that came later than they may.

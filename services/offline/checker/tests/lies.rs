@@ -75,8 +75,16 @@ fn a_true_history_keeps_all_promises() {
 type Lie = fn(&mut Vec<Line>);
 
 /// A name, the lie, and the promise that it breaks.
-const LIES: [(&str, Lie, Promise); 20] = [
+const LIES: [(&str, Lie, Promise); 21] = [
     ("a missing tick", |h| drop(h.remove(calm_pair(h).0)), Promise::MissingTicksExplained),
+    (
+        "a missing tick beside controls that never came",
+        |h| {
+            h.remove(calm_pair(h).0);
+            *told(h).lost.entry("sampler".to_owned()).or_default() += 50;
+        },
+        Promise::MissingTicksExplained,
+    ),
     (
         "a missing tick on which a fault beside its way has acted",
         |h| {
@@ -202,6 +210,14 @@ fn each_lie_is_found() {
         let found = broken(&history);
         assert!(found.contains(&promise), "{name}: {found:?}");
     }
+}
+
+#[test]
+fn a_missing_tick_whose_tracks_never_came_is_explained() {
+    let mut history = true_history();
+    history.remove(calm_pair(&history).0);
+    told(&mut history).unanswered.insert("sampler".to_owned(), 1);
+    assert_eq!(broken(&history), []);
 }
 
 #[test]

@@ -83,10 +83,14 @@ impl Fitness {
     }
 }
 
-/// The licences of data sets, by name.
-fn licences(sets: &[String]) -> BTreeMap<String, String> {
+/// The licences of data sets, by name; of a set with several sources those of which there are recordings.
+fn licences(sets: &[String], recordings: &[Source]) -> BTreeMap<String, String> {
     let known = sets.iter().filter_map(|name| set_named(name).ok());
-    let licences = known.flat_map(|set| set.licences());
+    let licences = known.flat_map(|set| {
+        let all = set.licences();
+        let has_any = |source: &str| recordings.iter().any(|recording| recording.name.starts_with(source));
+        all.iter().filter(move |(source, _)| all.len() == 1 || has_any(source))
+    });
     licences.map(|&(name, licence)| (name.to_owned(), licence.to_owned())).collect()
 }
 
@@ -151,7 +155,7 @@ impl ModelCard {
             gains: validation.iter().map(Gain::of).collect(),
             validation,
             validation_without_map,
-            licences: licences(&options.sets),
+            licences: licences(&options.sets, &recordings),
             recordings,
             fitness,
         }
@@ -171,7 +175,7 @@ impl ModelCard {
             gains: validation.iter().map(Gain::of).collect(),
             validation,
             validation_without_map,
-            licences: licences(&trained.sets),
+            licences: licences(&trained.sets, &self.recordings),
             fitness,
             options: trained.without_places(),
             ..self
@@ -190,5 +194,23 @@ impl ModelCard {
             entry("card", serde_json::to_string(self))?,
         ]);
         weights.to_safetensors(Precision::F16, metadata).map_err(|error| error.of(path))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn licences_are_those_of_the_sources_that_there_are_recordings_of() {
+        let recording = |name: &str| Source {
+            set: "driving train".to_owned(),
+            name: name.to_owned(),
+            sha256: String::new(),
+        };
+        let sets = ["driving", "generated"].map(str::to_owned);
+        let left = [recording("mona/a"), recording("ngsim_us101/b")];
+        let found: Vec<String> = licences(&sets, &left).into_keys().collect();
+        assert_eq!(found, ["generated", "mona", "ngsim"]);
     }
 }

@@ -21,8 +21,10 @@ record! {
         32 => frames_len: u64,
         /// Frames refused.
         40 => rejected_len: u64,
-        /// Frames that never arrived, by gaps in `seq`.
-        48 => dropped_len: u64,
+        /// Ticks of which a frame never arrived, by gaps in `seq`.
+        48 => dropped_len: u32,
+        /// Of these, ticks of which the frame that begins a step never arrived: the stage has sent nothing for them.
+        52 => unanswered_len: u32,
         /// `CLOCK_MONOTONIC` at sending.
         56 => sent_ns: u64,
         /// Frames refused, by their sender and the cause. What finds no place is part of `rejected_len` alone.
