@@ -27,7 +27,7 @@ pub fn open(run: &Run, model: &ModelConfig) -> Result<Sampler, StageError> {
         Sampler::with_workers(settings(&options, model, run.seed), workers).map_err(StageError::data)?;
     if let Some(path) = &options.lanes {
         let map = LaneMap::open(path, LanesOrigin::coordinates(options.lanes_origin));
-        sampler.guide_along(Arc::new(map.map_err(StageError::data)?));
+        sampler.guide_along(&Arc::new(map.map_err(StageError::data)?));
     }
     if let Some(path) = options.memory.filter(|path| path.exists()) {
         let weights = Weights::of_model(run.weights.as_deref(), model).map_err(StageError::data)?;

@@ -91,8 +91,8 @@ impl Sampler {
     }
 
     /// Takes the forecasts of vehicles along these lanes from now on.
-    pub fn guide_along(&mut self, map: Arc<LaneMap>) {
-        self.workers.each(|forecaster| forecaster.guidance = Some(Guidance::new(Arc::clone(&map))));
+    pub fn guide_along(&mut self, map: &Arc<LaneMap>) {
+        self.workers.each(|forecaster| forecaster.guidance = Some(Guidance::new(Arc::clone(map))));
     }
 
     /// Expects of the experts from the first tick on what `prior` says, not what is shipped.

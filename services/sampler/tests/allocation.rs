@@ -55,7 +55,7 @@ fn a_thousand_steady_steps_allocate_nothing() {
             Identity::of(1, &options).map(|identity| Journal::over(Vec::with_capacity(1 << 19), identity));
         journal.iter_mut().for_each(|journal| journal.clear().expect("memory"));
         if guided {
-            sampler.guide_along(Arc::new(road::road()));
+            sampler.guide_along(&Arc::new(road::road()));
         }
         let mut tracks = vec![Track::zeroed(); 32];
         let mut controls = vec![AgentControls::zeroed(); 32];

@@ -159,7 +159,7 @@ fn vehicles_are_guided_along_a_lane_and_pedestrians_are_not() {
     let forecast = |agent_type: AgentType, guided: bool| {
         let mut sampler = Sampler::new(SamplerOptions::default());
         if guided {
-            sampler.guide_along(Arc::new(crate::road::road()));
+            sampler.guide_along(&Arc::new(crate::road::road()));
         }
         let (tracks, mut out) = ([track(agent_type)], [Forecast::default()]);
         sampler.learned(&header(0), &tracks, &[turning(agent_type)], &mut out).unwrap();

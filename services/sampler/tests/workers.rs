@@ -66,7 +66,7 @@ fn agent(number: u64, seq: u64) -> (Track, AgentControls) {
 fn forecasts(options: SamplerOptions, workers: usize, is_guided: bool) -> (Vec<u8>, [usize; 2]) {
     let mut sampler = Sampler::with_workers(options, workers).unwrap();
     if is_guided {
-        sampler.guide_along(Arc::new(road()));
+        sampler.guide_along(&Arc::new(road()));
     }
     let (mut bytes, mut seen) = (Vec::new(), [0; 2]);
     for seq in 0..300 {

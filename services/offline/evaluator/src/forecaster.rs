@@ -158,7 +158,7 @@ impl Forecaster {
     ) -> Vec<Vec<Option<Forecast>>> {
         let mut session = Session::new(self, recording, map, threads);
         let mut sampler = self.sampler(false);
-        self.lanes.iter().for_each(|map| sampler.guide_along(Arc::clone(map)));
+        self.lanes.iter().for_each(|map| sampler.guide_along(map));
         let mut forecasts = Vec::with_capacity(scenes.len());
         for (part, scenes) in scenes.chunks(TOGETHER).enumerate() {
             let decoded = session.decode(scenes, |number| wanted(part * TOGETHER + number), |_| Vec::new());
@@ -356,7 +356,7 @@ impl Samplers {
     ) -> Self {
         let sampler = |retrieval: bool| {
             let mut sampler = forecaster.sampler(retrieval);
-            lanes.into_iter().for_each(|map| sampler.guide_along(Arc::clone(map)));
+            lanes.into_iter().for_each(|map| sampler.guide_along(map));
             sampler
         };
         let warm_started = memory.map(|memory| {
