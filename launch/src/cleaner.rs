@@ -9,8 +9,9 @@ use std::time::Duration;
 use crate::child::{die_with_this_process, end_of};
 use crate::failure::Failure;
 
-/// Time limit of a helper: it takes 30 ms, and a hundred times that on a machine under load is not reached. Where it
-/// waits for a connection that was left half made, it is ended as soon as that is old enough to be sure.
+/// Time limit of a helper: it takes 30 ms, and a hundred times that on a machine under load is not reached.
+/// Where it waits for a connection that was left half made, it is ended as soon as that is old enough to be
+/// sure.
 const LIMIT: Duration = Duration::from_secs(2);
 /// Helpers that may run out of time before the stages are started without: each removes what the one before
 /// has hung on.

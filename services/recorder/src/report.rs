@@ -440,8 +440,8 @@ pub struct StageReport {
     /// Ticks whose compute exceeded the budget.
     pub late_ticks: u64,
     /// Frames lost in this stage, by cause: `gap` (never arrived: the queue was full or the sender had ended)
-    /// and `refused` (invalid content). A frame counts only in the stage that lost it first. `unanswered` is part of
-    /// these.
+    /// and `refused` (invalid content). A frame counts only in the stage that lost it first. `unanswered` is
+    /// part of these.
     pub drops: StageDrops,
     /// Number of restarts after a death.
     pub restarts: u32,
@@ -466,8 +466,8 @@ pub(crate) fn restarts(stages: &[StageReport]) -> Option<String> {
 pub struct StageDrops {
     /// Never arrived.
     pub gap: u64,
-    /// Ticks of which the frame that begins a step never arrived or was refused whole: the stage has sent nothing for
-    /// them. They are part of the others.
+    /// Ticks of which the frame that begins a step never arrived or was refused whole: the stage has sent
+    /// nothing for them. They are part of the others.
     #[serde(default)]
     pub unanswered: u64,
     /// Arrived and were refused.

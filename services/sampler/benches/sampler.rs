@@ -57,8 +57,8 @@ fn tick(c: &mut Criterion) {
     }
 }
 
-/// A tick of pedestrians who all walk where others have walked before, shared over workers: what is retrieved for
-/// them, is most of it.
+/// A tick of pedestrians who all walk where others have walked before, shared over workers: what is retrieved
+/// for them, is most of it.
 fn retrieving(c: &mut Criterion) {
     let (header, tracks, controls) = fixture(AgentType::Pedestrian);
     for workers in [1, 2] {

@@ -1,4 +1,5 @@
-//! What is published of agents without controls of their tick: what was learned of them last, or zero control.
+//! What is published of agents without controls of their tick: what was learned of them last, or zero
+//! control.
 
 use kinematics::{DisplacementKind, MotionKind, MotionOptions};
 use scene::AgentType;

@@ -58,8 +58,8 @@ impl Sampler {
         Self::with_workers(options, 1).expect("no thread is started")
     }
 
-    /// The same, with the work of a tick shared over so many threads, the caller's included. Forecasts do not depend
-    /// on their number.
+    /// The same, with the work of a tick shared over so many threads, the caller's included. Forecasts do not
+    /// depend on their number.
     ///
     /// # Errors
     /// Where the operating system refuses a thread.

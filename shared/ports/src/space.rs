@@ -140,8 +140,9 @@ impl Leftover {
     }
 }
 
-/// Removes the connections of a run that have been without content for longer than `age`; returns how many. A process
-/// that is killed while it makes a connection leaves one, and clean-up waits for ever for it to be finished.
+/// Removes the connections of a run that have been without content for longer than `age`; returns how many. A
+/// process that is killed while it makes a connection leaves one, and clean-up waits for ever for it to be
+/// finished.
 #[must_use]
 pub fn remove_half_made_connections(prefix: &str, age: Duration) -> usize {
     let is_half_made = |file: &&PathBuf| {

@@ -1,7 +1,7 @@
 //! Fuzz targets of recordings: the bytes of a file, and what its chunks hold behind true check values.
 //!
-//! Nothing may panic, and what is read holds to what replays rely on. `tests/fuzz/readers.rs` has the command for a
-//! longer search.
+//! Nothing may panic, and what is read holds to what replays rely on. `tests/fuzz/readers.rs` has the command
+//! for a longer search.
 
 use std::fs;
 use std::path::{Path, PathBuf};

@@ -278,8 +278,9 @@ impl RetrievalMemory {
         self.retrieve_behind(&[], agent, key, retrieved);
     }
 
-    /// The same as if entries had been stored whose keys lie in the buckets `ahead`: those of the agents that come first
-    /// in a frame, where several are retrieved for at a time. They have no residuals yet, but push out older ones.
+    /// The same as if entries had been stored whose keys lie in the buckets `ahead`: those of the agents that
+    /// come first in a frame, where several are retrieved for at a time. They have no residuals yet, but push
+    /// out older ones.
     pub fn retrieve_behind(&self, ahead: &[Bucket], agent: u64, key: &Key, retrieved: &mut Retrieved) {
         let kind = key.kind();
         let dropped = (self.values.len() + ahead.len()).saturating_sub(ENTRIES_MAX);
@@ -318,8 +319,8 @@ impl RetrievalMemory {
         retrieved.expected = self.shrinkage[kind as usize].shrink(kind, &retrieved.mean);
     }
 
-    /// Whether an agent would be stored: it was observed at the query's time, which must be the newest one, and is stored
-    /// once a step at most.
+    /// Whether an agent would be stored: it was observed at the query's time, which must be the newest one,
+    /// and is stored once a step at most.
     #[must_use]
     pub fn would_store(&self, stamp_ns: i64, agent: u64) -> bool {
         stamp_ns == self.now_ns
@@ -329,7 +330,8 @@ impl RetrievalMemory {
             })
     }
 
-    /// Stores an agent with its forecast path and what was retrieved for it, if it [would](Self::would_store).
+    /// Stores an agent with its forecast path and what was retrieved for it, if it
+    /// [would](Self::would_store).
     pub fn store(&mut self, new: &Unstored) {
         let Query { stamp_ns, agent, key } = new.query;
         if !self.would_store(stamp_ns, agent) {

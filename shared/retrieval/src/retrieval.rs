@@ -22,8 +22,8 @@ impl Default for Retrieval {
 
 impl Retrieval {
     /// Writes the changes of an agent's controls, and returns the agent with its unchanged forecast, for
-    /// [`RetrievalMemory::store`]. `ahead` has the buckets of those that are to be stored before it: the result is the
-    /// same as if they had been.
+    /// [`RetrievalMemory::store`]. `ahead` has the buckets of those that are to be stored before it: the
+    /// result is the same as if they had been.
     pub fn adapt<M: AsRef<[ControlGaussian]>>(
         &mut self,
         (memory, ahead): (&RetrievalMemory, &[Bucket]),

@@ -237,7 +237,8 @@ impl Run {
         Some((sum_ms * 1e6 * scale) as u64)
     }
 
-    /// What of a tick is left after [`Run::deadline_ns`] of the decoder, for the sampler; 0 where that is none.
+    /// What of a tick is left after [`Run::deadline_ns`] of the decoder, for the sampler; 0 where that is
+    /// none.
     #[must_use]
     pub fn left_for_sampler_ns(&self) -> u64 {
         let decoder_ns = self.deadline_ns(StageId::Decoder).unwrap_or(u64::MAX);

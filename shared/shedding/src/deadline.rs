@@ -2,12 +2,12 @@ use wire::Header;
 
 /// Ticks whose sampler counts; the longest of them does not.
 const TICKS: usize = 16;
-/// From the sampler's end until the forecasts have reached whoever waits for them: publishing and a wake-up, on a
-/// machine that has much else to do.
+/// From the sampler's end until the forecasts have reached whoever waits for them: publishing and a wake-up,
+/// on a machine that has much else to do.
 const ON_THE_WAY_NS: u64 = 2_000_000;
 
-/// Until when a stage begins to serve agents: so that the budgets are kept, and earlier where the sampler takes longer
-/// than what they leave it.
+/// Until when a stage begins to serve agents: so that the budgets are kept, and earlier where the sampler
+/// takes longer than what they leave it.
 #[derive(Clone, Debug)]
 pub struct Deadline {
     budgets_ns: u64,
@@ -18,8 +18,8 @@ pub struct Deadline {
 }
 
 impl Deadline {
-    /// Of a stage that has `budgets_ns` from a tick's release to its end, where `left_ns` of the tick are left after the
-    /// decoder's.
+    /// Of a stage that has `budgets_ns` from a tick's release to its end, where `left_ns` of the tick are
+    /// left after the decoder's.
     #[must_use]
     pub const fn new(budgets_ns: u64, left_ns: u64) -> Self {
         Self { budgets_ns, left_ns, sampling_ns: [0; TICKS], next: 0 }

@@ -29,8 +29,9 @@ struct Gru<'a> {
 impl Kernel for Gru<'_> {
     type Output = ();
 
-    /// Each row in five passes, none of which is a chain as long as a whole sigmoid: of those a processor sees too
-    /// few at a time to fill its units. What goes from one pass to the next lies in `hidden` and on the stack.
+    /// Each row in five passes, none of which is a chain as long as a whole sigmoid: of those a processor
+    /// sees too few at a time to fill its units. What goes from one pass to the next lies in `hidden` and on
+    /// the stack.
     #[inline(always)]
     fn run<L: Lanes>(self, l: L) {
         let stride = if self.input.len() == GATES { 0 } else { GATES };

@@ -223,8 +223,8 @@ fn the_best_forecast_changes_and_a_mode_is_replaced() {
     assert_eq!(memory.entries_len(), 60, "a query of another time is not stored");
 }
 
-/// Agents of one frame that are retrieved for at a time find what they would find one after the other, also where their
-/// entries push out older ones.
+/// Agents of one frame that are retrieved for at a time find what they would find one after the other, also
+/// where their entries push out older ones.
 #[test]
 fn retrieving_for_a_frame_at_a_time_is_retrieving_one_after_the_other() {
     // More than a bucket's newest that are searched: what a further entry pushes out, is not found.

@@ -23,7 +23,8 @@ record! {
         40 => rejected_len: u64,
         /// Ticks of which a frame never arrived, by gaps in `seq`.
         48 => dropped_len: u32,
-        /// Of these, ticks of which the frame that begins a step never arrived: the stage has sent nothing for them.
+        /// Of these, ticks of which the frame that begins a step never arrived: the stage has sent nothing
+        /// for them.
         52 => unanswered_len: u32,
         /// `CLOCK_MONOTONIC` at sending.
         56 => sent_ns: u64,
