@@ -44,9 +44,7 @@ impl Loop<'_> {
     fn is_of_the_product_or_the_peak(&self) -> bool {
         let mut lines = self.lines();
         self.multiply_adds().count() >= MULTIPLY_ADDS_MIN
-            && !lines.any(|line| {
-                ["vdiv", "vround", "vrndscale", "vpslld"].iter().any(|other| line.starts_with(other))
-            })
+            && !lines.any(|line| ["vdiv", "vmin", "vpslld"].iter().any(|other| line.starts_with(other)))
     }
 }
 

@@ -50,11 +50,11 @@ impl Lanes for Avx2 {
     }
 
     #[inline(always)]
-    fn pow2(self, n: __m256) -> __m256 {
+    fn scale(self, a: __m256, shifted: __m256) -> __m256 {
         // SAFETY: the token exists only where the processor has AVX2 and FMA.
         unsafe {
-            let exponent = _mm256_add_epi32(_mm256_cvtps_epi32(n), _mm256_set1_epi32(127));
-            _mm256_castsi256_ps(_mm256_slli_epi32::<23>(exponent))
+            let exponent = _mm256_slli_epi32::<23>(_mm256_castps_si256(shifted));
+            _mm256_castsi256_ps(_mm256_add_epi32(_mm256_castps_si256(a), exponent))
         }
     }
 

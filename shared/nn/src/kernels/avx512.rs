@@ -50,9 +50,12 @@ impl Lanes for Avx512 {
     }
 
     #[inline(always)]
-    fn pow2(self, n: __m512) -> __m512 {
+    fn scale(self, a: __m512, shifted: __m512) -> __m512 {
         // SAFETY: the token exists only where the processor has AVX-512F.
-        unsafe { _mm512_scalef_ps(_mm512_set1_ps(1.0), n) }
+        unsafe {
+            let exponent = _mm512_slli_epi32::<23>(_mm512_castps_si512(shifted));
+            _mm512_castsi512_ps(_mm512_add_epi32(_mm512_castps_si512(a), exponent))
+        }
     }
 
     #[inline(always)]

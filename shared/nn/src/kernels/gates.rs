@@ -7,6 +7,9 @@ use super::{Kernel, Lanes, dispatch};
 pub(crate) const HIDDEN: usize = 128;
 /// Length of the three gates (r, z, n) before activation.
 pub(crate) const GATES: usize = 3 * HIDDEN;
+/// Where the exponentials of the gates are held. Sigmoid and tangent are within 5e-18 of their ends there, and
+/// two such exponentials multiply to a finite number.
+const SATURATED: [f32; 2] = [-40.0, 40.0];
 
 /// One step of a gated recurrent unit on a batch of hidden states:
 ///
@@ -29,9 +32,14 @@ struct Gru<'a> {
 impl Kernel for Gru<'_> {
     type Output = ();
 
-    /// Each row in five passes, none of which is a chain as long as a whole sigmoid: of those a processor
+    /// Each row in four passes, none of which is a chain as long as a whole sigmoid: of those a processor
     /// sees too few at a time to fill its units. What goes from one pass to the next lies in `hidden` and on
-    /// the stack.
+    /// the stack. With e_z = e^−x of the gate z and e_n = e^2x of n, h' is one quotient:
+    ///
+    /// ```text
+    /// z = 1 / (1 + e_z)   n = (e_n − 1) / (e_n + 1)
+    /// h' = (e_z (e_n − 1) + (e_n + 1) h) / ((1 + e_z) (e_n + 1))
+    /// ```
     #[inline(always)]
     fn run<L: Lanes>(self, l: L) {
         let stride = if self.input.len() == GATES { 0 } else { GATES };
@@ -40,40 +48,32 @@ impl Kernel for Gru<'_> {
         let rows = self.state.chunks_exact_mut(HIDDEN).zip(self.hidden.chunks_exact_mut(GATES));
         for (row, (state, hidden)) in rows.enumerate() {
             let input = &self.input[row * stride..][..GATES];
-            // e^−x of the gates r and z, in two passes.
             for i in (0..HIDDEN).step_by(L::LEN) {
                 for of in 0..2 {
                     let x = l.add(gate(l, input, of, i), gate(l, hidden, of, i));
-                    let (r, n) = reduce(l, l.sub(zero, x));
+                    let (r, n) = reduce(l, l.sub(zero, x), SATURATED);
                     l.store(&mut rest[of][i..], r);
                     l.store(&mut power[of][i..], n);
                 }
             }
             for i in (0..HIDDEN).step_by(L::LEN) {
-                for of in 0..2 {
-                    let e = raise(l, l.load(&rest[of][i..]), l.load(&power[of][i..]));
-                    l.store(&mut hidden[of * HIDDEN + i..], e);
-                }
+                let e_r = raise(l, l.load(&rest[0][i..]), l.load(&power[0][i..]));
+                let e_z = raise(l, l.load(&rest[1][i..]), l.load(&power[1][i..]));
+                l.store(&mut hidden[HIDDEN + i..], e_z);
+                l.store(&mut hidden[i..], l.div(one, l.add(one, e_r)));
             }
-            // r itself, and the first half of e^2x of n.
             for i in (0..HIDDEN).step_by(L::LEN) {
-                let r = l.div(one, l.add(one, gate(l, hidden, 0, i)));
-                let x = l.fma(r, gate(l, hidden, 2, i), gate(l, input, 2, i));
-                let (r, n) = reduce(l, l.add(x, x));
+                let x = l.fma(gate(l, hidden, 0, i), gate(l, hidden, 2, i), gate(l, input, 2, i));
+                let (r, n) = reduce(l, l.add(x, x), SATURATED);
                 l.store(&mut rest[0][i..], r);
                 l.store(&mut power[0][i..], n);
             }
             for i in (0..HIDDEN).step_by(L::LEN) {
-                let e = raise(l, l.load(&rest[0][i..]), l.load(&power[0][i..]));
-                l.store(&mut hidden[2 * HIDDEN + i..], e);
-                let z = l.div(one, l.add(one, gate(l, hidden, 1, i)));
-                l.store(&mut hidden[HIDDEN + i..], z);
-            }
-            for i in (0..HIDDEN).step_by(L::LEN) {
-                let (z, e) = (gate(l, hidden, 1, i), gate(l, hidden, 2, i));
-                let n = l.sub(one, l.div(l.splat(2.0), l.add(one, e)));
-                let h = l.load(&state[i..]);
-                l.store(&mut state[i..], l.fma(z, l.sub(h, n), n));
+                let e_n = raise(l, l.load(&rest[0][i..]), l.load(&power[0][i..]));
+                let e_z = gate(l, hidden, 1, i);
+                let (less, more) = (l.sub(e_n, one), l.add(e_n, one));
+                let h = l.fma(e_z, less, l.mul(more, l.load(&state[i..])));
+                l.store(&mut state[i..], l.div(h, l.mul(l.add(one, e_z), more)));
             }
         }
     }

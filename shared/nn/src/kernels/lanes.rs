@@ -1,5 +1,8 @@
 #![expect(unsafe_code, reason = "vector loads and stores")]
 
+/// 1.5 · 2^23: added to a number of less than 2^22 it leaves the nearest whole number, in the lowest bits.
+pub(super) const SHIFT: f32 = 12_582_912.0;
+
 /// The operations of one instruction set on vectors of `LEN` floats, as a token: code that holds one may use
 /// the set.
 ///
@@ -30,8 +33,8 @@ pub trait Lanes: Copy {
     fn fma(self, a: Self::V, b: Self::V, c: Self::V) -> Self::V;
     /// The nearest whole number.
     fn round(self, a: Self::V) -> Self::V;
-    /// 2^n for whole n in −126..=127.
-    fn pow2(self, n: Self::V) -> Self::V;
+    /// a · 2^n for the n of `shifted` = [`SHIFT`] + n, where a and the result are normal numbers.
+    fn scale(self, a: Self::V, shifted: Self::V) -> Self::V;
 
     /// The `LEN` floats from `from` on.
     ///

@@ -55,11 +55,11 @@ impl Lanes for Neon {
     }
 
     #[inline(always)]
-    fn pow2(self, n: float32x4_t) -> float32x4_t {
+    fn scale(self, a: float32x4_t, shifted: float32x4_t) -> float32x4_t {
         // SAFETY: the token exists only where the processor has NEON.
         unsafe {
-            let exponent = vaddq_s32(vcvtnq_s32_f32(n), vdupq_n_s32(127));
-            vreinterpretq_f32_s32(vshlq_n_s32::<23>(exponent))
+            let exponent = vshlq_n_s32::<23>(vreinterpretq_s32_f32(shifted));
+            vreinterpretq_f32_s32(vaddq_s32(vreinterpretq_s32_f32(a), exponent))
         }
     }
 

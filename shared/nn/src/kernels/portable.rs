@@ -41,7 +41,7 @@ impl Lanes for Portable {
         // Two roundings: without the instruction `mul_add` is a slow library call.
         fma(a, b, c) = a * b + c;
         round(a) = a.round_ties_even();
-        pow2(n) = f32::from_bits(((n as i32 + 127) as u32) << 23);
+        scale(a, shifted) = f32::from_bits(a.to_bits().wrapping_add(shifted.to_bits() << 23));
     }
 
     #[inline(always)]

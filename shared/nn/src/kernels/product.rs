@@ -37,6 +37,7 @@ pub struct Panels {
     bias: Buffer,
     taps_len: usize,
     in_len: usize,
+    out_len: usize,
     panels_len: usize,
 }
 
@@ -66,13 +67,18 @@ impl Panels {
                 }
             }
         }
-        Self { values, bias: padded_bias, taps_len, in_len, panels_len }
+        Self { values, bias: padded_bias, taps_len, in_len, out_len, panels_len }
     }
 
     /// Length of an output row: a multiple of 16.
     #[must_use]
     pub const fn out_stride(&self) -> usize {
         self.panels_len * PANEL
+    }
+
+    /// Whether the second half of the last panel has no outputs.
+    const fn ends_in_half(&self) -> bool {
+        self.panels_len * PANEL - self.out_len >= PANEL / 2
     }
 
     const fn panel_len(&self) -> usize {

@@ -63,6 +63,7 @@ impl Panels {
             bias: Buffer::zeroed(panels_len * PANEL),
             taps_len: 1,
             in_len,
+            out_len,
             panels_len,
         }
     }

@@ -10,7 +10,9 @@
 //! Beside the sums stand the V vectors of weights and the row's number in all lanes. That must fit into the
 //! set's registers: one sum more, and the compiler moves sums to the stack and back in each step. There must
 //! also be enough sums to hide the latency of the multiply-adds, two at a time on most processors. Rows that
-//! are left below a whole tile get a smaller one.
+//! are left below a whole tile get a smaller one. A last panel of which at most half the columns are outputs,
+//! as that of the decoder's head, gets half the vectors and up to twice the rows, except on AVX-512, of which a vector
+//! is a panel.
 
 #![expect(unsafe_code, reason = "the register tile reads through pointers")]
 
@@ -67,7 +69,11 @@ impl Checked<'_> {
         let mut panel = 0;
         // No closures: they would be compiled without the set's features.
         while panel < panels_len {
+            let is_half = panel + 1 == panels_len && self.product.panels.ends_in_half();
             match (L::LEN, L::REGISTERS) {
+                (8, _) if is_half => self.up_to_12::<L, 1, T, ACROSS>(l, panel),
+                (4, 32) if is_half => self.up_to_12::<L, 2, T, ACROSS>(l, panel),
+                (4, _) if is_half => self.up_to_6::<L, 2, T, ACROSS>(l, panel),
                 (PANEL, _) if panel + 2 <= panels_len => {
                     self.up_to_12::<L, 2, T, ACROSS>(l, panel);
                     panel += 1;
@@ -224,6 +230,11 @@ impl Checked<'_> {
                 }
                 // SAFETY: within the output.
                 unsafe { l.store_to(self.product.out.as_mut_ptr().wrapping_add(place), y) };
+            }
+            for v in V..per_panel {
+                let place = (row + r) * stride + panel * PANEL + v * L::LEN;
+                // SAFETY: within the output.
+                unsafe { l.store_to(self.product.out.as_mut_ptr().wrapping_add(place), l.splat(0.0)) };
             }
         }
     }
