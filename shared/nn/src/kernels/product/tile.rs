@@ -11,8 +11,8 @@
 //! set's registers: one sum more, and the compiler moves sums to the stack and back in each step. There must
 //! also be enough sums to hide the latency of the multiply-adds, two at a time on most processors. Rows that
 //! are left below a whole tile get a smaller one. A last panel of which at most half the columns are outputs,
-//! as that of the decoder's head, gets half the vectors and up to twice the rows, except on AVX-512, of which a vector
-//! is a panel.
+//! as that of the decoder's head, gets half the vectors and up to twice the rows, except on AVX-512, where one
+//! vector is a panel.
 
 #![expect(unsafe_code, reason = "the register tile reads through pointers")]
 
@@ -61,8 +61,8 @@ impl Kernel for Checked<'_> {
 }
 
 impl Checked<'_> {
-    /// All rows of all columns, with at most T taps; `ACROSS` where the input rows are columns of a matrix. The module has the table
-    /// of tiles.
+    /// All rows of all columns, with at most T taps; `ACROSS` where the input rows are columns of a matrix. The
+    /// module has the table of tiles.
     #[inline(always)]
     fn panels<L: Lanes, const T: usize, const ACROSS: bool>(&mut self, l: L) {
         let panels_len = self.product.panels.panels_len;
