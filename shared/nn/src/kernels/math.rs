@@ -28,6 +28,7 @@ pub(crate) fn reduce<L: Lanes>(l: L, x: L::V, [least, most]: [f32; 2]) -> (L::V,
 pub(crate) fn raise<L: Lanes>(l: L, r: L::V, shifted: L::V) -> L::V {
     /// 2^r within 9.2e-8 of it for |r| ≤ ½, the highest power first: of all five coefficients beside 1 those
     /// with the least greatest relative error.
+    #[expect(clippy::approx_constant, reason = "near ln 2, but not it")]
     const POLYNOMIAL: [f32; 6] =
         [1.326_472_7e-3, 9.671_513e-3, 5.550_733_6e-2, 2.402_224_2e-1, 6.931_47e-1, 1.0];
     let mut p = l.splat(POLYNOMIAL[0]);
