@@ -33,7 +33,7 @@ pub trait Lanes: Copy {
     fn fma(self, a: Self::V, b: Self::V, c: Self::V) -> Self::V;
     /// The nearest whole number.
     fn round(self, a: Self::V) -> Self::V;
-    /// a · 2^n for the n of `shifted` = [`SHIFT`] + n, where a and the result are normal numbers.
+    /// a · 2^n for the n of `shifted` = 1.5 · 2^23 + n, where a and the result are normal numbers.
     fn scale(self, a: Self::V, shifted: Self::V) -> Self::V;
 
     /// The `LEN` floats from `from` on.
