@@ -7,7 +7,7 @@ use super::{Kernel, Lanes, dispatch};
 pub(crate) const HIDDEN: usize = 128;
 /// Length of the three gates (r, z, n) before activation.
 pub(crate) const GATES: usize = 3 * HIDDEN;
-/// Where the exponentials of the gates are held. Sigmoid and tangent are within 5e-18 of their ends there, and
+/// Where the exponentials of the gates are held. Sigmoid and tangent are within 1e-17 of their ends there, and
 /// two such exponentials multiply to a finite number.
 const SATURATED: [f32; 2] = [-40.0, 40.0];
 

@@ -42,20 +42,26 @@ fn columns_beyond_the_input_are_refused() {
     Product { input: &input, gather, panels: &panels, residual: None, relu: false, out: &mut out }.run();
 }
 
-/// Tiles of all sizes, whole and left over.
+/// Tiles of all sizes, whole and left over, of whole panels and of a last one of which half is padding.
 #[test]
 fn a_row_has_the_same_bits_alone_and_in_a_batch() {
     let (in_len, rows_max) = (37, 31);
-    let panels = Panels::pack([48, 1, in_len], |out, _, i| value(out * 7 + i * 3), value);
     let input: Vec<f32> = (0..rows_max * in_len).map(value).collect();
-    let run = |input: &[f32]| {
-        let mut out = vec![0.0_f32; input.len() / in_len * 48];
+    let pack = |out_len| Panels::pack([out_len, 1, in_len], |out, _, i| value(out * 7 + i * 3), value);
+    let run = |panels: &Panels, input: &[f32]| {
+        let mut out = vec![f32::NAN; input.len() / in_len * 48];
         let gather = Gather::Rows { stride: in_len };
-        Product { input, gather, panels: &panels, residual: None, relu: false, out: &mut out }.run();
+        Product { input, gather, panels, residual: None, relu: false, out: &mut out }.run();
         out.into_iter().map(f32::to_bits).collect::<Vec<_>>()
     };
-    let alone: Vec<u32> = input.chunks_exact(in_len).flat_map(run).collect();
-    for rows_len in 1..=rows_max {
-        assert_eq!(run(&input[..rows_len * in_len]), alone[..rows_len * 48], "{rows_len} rows");
+    let whole = pack(48);
+    for out_len in [48, 40, 37] {
+        let panels = pack(out_len);
+        let mut alone: Vec<u32> = input.chunks_exact(in_len).flat_map(|row| run(&whole, row)).collect();
+        alone.chunks_exact_mut(48).for_each(|row| row[out_len..].fill(0));
+        for rows_len in 1..=rows_max {
+            let batch = run(&panels, &input[..rows_len * in_len]);
+            assert_eq!(batch, alone[..rows_len * 48], "{rows_len} rows, {out_len} outputs");
+        }
     }
 }
