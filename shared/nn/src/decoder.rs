@@ -47,6 +47,8 @@ pub struct TypeDecoder {
     context: Linear,
     latent: Linear,
     hidden: Linear,
+    /// W_h h + b_h of the state before all history, which is 0.
+    at_rest: Buffer,
     /// b_ih: the gates' input after the first forecast step.
     idle: Buffer,
     head: Linear,
@@ -180,11 +182,15 @@ impl TypeDecoder {
         }
         let mut idle = Buffer::zeroed(GATES);
         idle.copy_from_slice(input_bias);
+        let hidden = Linear::pack_as(dot_products, recurrent, recurrent_bias, [GATES, HIDDEN]);
+        let mut at_rest = Buffer::zeroed(GATES);
+        hidden.run(&[0.0; HIDDEN], HIDDEN, Activation::None, &mut at_rest);
         Ok(Self {
             state: section(0, STATE_FEATURES, Some(input_bias)),
             context: section(STATE_FEATURES, TEMPORAL, Some(input_bias)),
             latent,
-            hidden: Linear::pack_as(dot_products, recurrent, recurrent_bias, [GATES, HIDDEN]),
+            hidden,
+            at_rest,
             idle,
             head: Linear::read(weights, &name("head"), RAW_CONTROL, HIDDEN)?,
             points,
@@ -214,14 +220,17 @@ impl TypeDecoder {
             return;
         }
         memory.reserve(rows_len);
-        for (states, present) in
-            agents.states.chunks_exact(rows_len).zip(agents.present.chunks_exact(rows_len))
-        {
+        let steps = agents.states.chunks_exact(rows_len).zip(agents.present.chunks_exact(rows_len));
+        for (step, (states, present)) in steps.enumerate() {
             let input = &mut memory.input[..rows_len * GATES];
             let gates = &mut memory.gates[..rows_len * GATES];
             let next = &mut memory.state[..rows_len * HIDDEN];
             self.state.run(states.as_flattened(), STATE_FEATURES, Activation::None, input);
-            self.hidden.run(hidden.as_flattened(), HIDDEN, Activation::None, gates);
+            if step == 0 {
+                gates.chunks_exact_mut(GATES).for_each(|row| row.copy_from_slice(&self.at_rest));
+            } else {
+                self.hidden.run(hidden.as_flattened(), HIDDEN, Activation::None, gates);
+            }
             next.copy_from_slice(hidden.as_flattened());
             gru_step(input, gates, next);
             for ((row, next), _) in

@@ -31,6 +31,7 @@ impl Lanes for Avx2 {
     type V = __m256;
     const LEN: usize = 8;
     const REGISTERS: usize = 16;
+    const STEPS: usize = 4;
 
     operations! {
         add(a, b) = _mm256_add_ps;

@@ -11,6 +11,11 @@ pub(crate) const GATES: usize = 3 * HIDDEN;
 /// two such exponentials multiply to a finite number.
 const SATURATED: [f32; 2] = [-40.0, 40.0];
 
+/// The exponential of a sigmoid is e^−x, that of a hyperbolic tangent e^2x.
+const SIGMOID: f32 = -1.0;
+/// See [`SIGMOID`].
+const TANGENT: f32 = 2.0;
+
 /// One step of a gated recurrent unit on a batch of hidden states:
 ///
 /// ```text
@@ -44,32 +49,32 @@ impl Kernel for Gru<'_> {
     fn run<L: Lanes>(self, l: L) {
         let stride = if self.input.len() == GATES { 0 } else { GATES };
         let (mut rest, mut power) = ([[0.0; HIDDEN]; 2], [[0.0; HIDDEN]; 2]);
-        let (one, zero) = (l.splat(1.0), l.splat(0.0));
+        let one = l.splat(1.0);
         let rows = self.state.chunks_exact_mut(HIDDEN).zip(self.hidden.chunks_exact_mut(GATES));
         for (row, (state, hidden)) in rows.enumerate() {
             let input = &self.input[row * stride..][..GATES];
             for i in (0..HIDDEN).step_by(L::LEN) {
                 for of in 0..2 {
                     let x = l.add(gate(l, input, of, i), gate(l, hidden, of, i));
-                    let (r, n) = reduce(l, l.sub(zero, x), SATURATED);
+                    let (r, n) = reduce(l, x, SIGMOID, SATURATED);
                     l.store(&mut rest[of][i..], r);
                     l.store(&mut power[of][i..], n);
                 }
             }
             for i in (0..HIDDEN).step_by(L::LEN) {
-                let e_r = raise(l, l.load(&rest[0][i..]), l.load(&power[0][i..]));
-                let e_z = raise(l, l.load(&rest[1][i..]), l.load(&power[1][i..]));
+                let e_r = raise(l, l.load(&rest[0][i..]), l.load(&power[0][i..]), SIGMOID);
+                let e_z = raise(l, l.load(&rest[1][i..]), l.load(&power[1][i..]), SIGMOID);
                 l.store(&mut hidden[HIDDEN + i..], e_z);
                 l.store(&mut hidden[i..], l.div(one, l.add(one, e_r)));
             }
             for i in (0..HIDDEN).step_by(L::LEN) {
                 let x = l.fma(gate(l, hidden, 0, i), gate(l, hidden, 2, i), gate(l, input, 2, i));
-                let (r, n) = reduce(l, l.add(x, x), SATURATED);
+                let (r, n) = reduce(l, x, TANGENT, SATURATED);
                 l.store(&mut rest[0][i..], r);
                 l.store(&mut power[0][i..], n);
             }
             for i in (0..HIDDEN).step_by(L::LEN) {
-                let e_n = raise(l, l.load(&rest[0][i..]), l.load(&power[0][i..]));
+                let e_n = raise(l, l.load(&rest[0][i..]), l.load(&power[0][i..]), TANGENT);
                 let e_z = gate(l, hidden, 1, i);
                 let (less, more) = (l.sub(e_n, one), l.add(e_n, one));
                 let h = l.fma(e_z, less, l.mul(more, l.load(&state[i..])));

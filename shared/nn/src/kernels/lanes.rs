@@ -14,6 +14,9 @@ pub trait Lanes: Copy {
     const LEN: usize;
     /// Vector registers of the set.
     const REGISTERS: usize;
+    /// Steps of a chain of multiply-adds in a pass of the product's loop: more than 1 where counting and finding
+    /// the rows in each step takes execution ports from the multiply-adds, as with AVX2 on Intel's processors.
+    const STEPS: usize = 1;
 
     /// All lanes x.
     fn splat(self, x: f32) -> Self::V;

@@ -215,12 +215,16 @@ impl Checked<'_> {
             // SAFETY: the caller vouches for `in_len` floats in each row; the weights lie within the panels.
             sums = unsafe { chain(l, tile.rows[live], weights, *in_len, step, sums) };
         }
+        let mut biases = [l.splat(0.0); V];
+        let bias = bias.as_ptr().wrapping_add(panel * PANEL);
+        for (v, values) in biases.iter_mut().enumerate() {
+            // SAFETY: within the bias, which has a value for each column.
+            *values = unsafe { l.load_from(bias.wrapping_add(v * L::LEN)) };
+        }
         for (r, sums) in sums.iter().enumerate() {
-            for (v, sum) in sums.iter().enumerate() {
-                let column = panel * PANEL + v * L::LEN;
-                let place = (row + r) * stride + column;
-                // SAFETY: within the bias, which has a value for each column.
-                let mut y = l.add(*sum, unsafe { l.load_from(bias.as_ptr().wrapping_add(column)) });
+            for (v, (sum, bias)) in sums.iter().zip(&biases).enumerate() {
+                let place = (row + r) * stride + panel * PANEL + v * L::LEN;
+                let mut y = l.add(*sum, *bias);
                 if let Some(residual) = self.product.residual {
                     // SAFETY: the residual has the output's length.
                     y = l.add(y, unsafe { l.load_from(residual.as_ptr().wrapping_add(place)) });
@@ -240,7 +244,9 @@ impl Checked<'_> {
     }
 }
 
-/// Goes on with the sums of a tile: `len` multiply-adds for each of them, in order.
+/// Goes on with the sums of a tile: `len` multiply-adds for each of them, in order, [`Lanes::STEPS`] in a pass of
+/// the loop. A tile of one vector, which has many rows to a step, makes one: of more the compiler mixes the rows
+/// and runs out of registers.
 ///
 /// A function of its own, with sums that come and go by value: so they stay in the registers in which they are
 /// (see the test of the emitted code).
@@ -257,21 +263,57 @@ unsafe fn chain<L: Lanes, const R: usize, const V: usize>(
     step: usize,
     mut sums: [[L::V; V]; R],
 ) -> [[L::V; V]; R] {
-    for c in 0..len {
-        let mut w = [l.splat(0.0); V];
-        for (w, weights) in w.iter_mut().zip(weights) {
-            // SAFETY: the caller vouches for them.
-            *w = unsafe { l.load_from(weights.wrapping_add(c * PANEL)) };
+    let steps = if V == 1 { 1 } else { L::STEPS };
+    let mut c = 0;
+    while c + steps <= len {
+        let (rows, weights) = (ahead(rows, c * step), ahead(weights, c * PANEL));
+        for k in 0..steps {
+            // SAFETY: the caller vouches for steps below `len`.
+            sums = unsafe { link(l, ahead(rows, k * step), ahead(weights, k * PANEL), sums) };
         }
-        for (row, sums) in rows.iter().zip(&mut sums) {
-            // SAFETY: the caller vouches for the rows.
-            let x = l.splat(unsafe { *row.wrapping_add(c * step) });
-            for (sum, w) in sums.iter_mut().zip(&w) {
-                *sum = l.fma(x, *w, *sum);
-            }
+        c += steps;
+    }
+    while c < len {
+        // SAFETY: the caller vouches for steps below `len`.
+        sums = unsafe { link(l, ahead(rows, c * step), ahead(weights, c * PANEL), sums) };
+        c += 1;
+    }
+    sums
+}
+
+/// One multiply-add for each sum of a tile.
+///
+/// # Safety
+/// Each of the rows is good for reading a float, each of the weights for reading a vector.
+#[inline(always)]
+unsafe fn link<L: Lanes, const R: usize, const V: usize>(
+    l: L,
+    rows: [*const f32; R],
+    weights: [*const f32; V],
+    mut sums: [[L::V; V]; R],
+) -> [[L::V; V]; R] {
+    let mut w = [l.splat(0.0); V];
+    for (w, weights) in w.iter_mut().zip(weights) {
+        // SAFETY: the caller vouches for them.
+        *w = unsafe { l.load_from(weights) };
+    }
+    for (row, sums) in rows.into_iter().zip(&mut sums) {
+        // SAFETY: the caller vouches for the rows.
+        let x = l.splat(unsafe { *row });
+        for (sum, w) in sums.iter_mut().zip(&w) {
+            *sum = l.fma(x, *w, *sum);
         }
     }
     sums
+}
+
+/// Pointers moved ahead by a number of floats.
+#[inline(always)]
+fn ahead<const N: usize>(mut pointers: [*const f32; N], by: usize) -> [*const f32; N] {
+    for pointer in &mut pointers {
+        *pointer = pointer.wrapping_add(by);
+    }
+    pointers
 }
 
 /// Position and image of R consecutive rows.
