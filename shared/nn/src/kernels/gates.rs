@@ -1,20 +1,17 @@
 //! The element-wise half of the gated recurrent unit.
 
-use super::math::{raise, reduce};
+use super::math::Exponential;
 use super::{Kernel, Lanes, dispatch};
 
 /// Length of the decoder's hidden state.
 pub(crate) const HIDDEN: usize = 128;
 /// Length of the three gates (r, z, n) before activation.
 pub(crate) const GATES: usize = 3 * HIDDEN;
-/// Where the exponentials of the gates are held. Sigmoid and tangent are within 1e-17 of their ends there, and
-/// two such exponentials multiply to a finite number.
-const SATURATED: [f32; 2] = [-40.0, 40.0];
-
-/// The exponential of a sigmoid is e^−x, that of a hyperbolic tangent e^2x.
-const SIGMOID: f32 = -1.0;
-/// See [`SIGMOID`].
-const TANGENT: f32 = 2.0;
+/// e^−x, the exponential of a sigmoid. Both are held where sigmoid and tangent are within 1e-17 of their ends;
+/// two of them multiply to a finite number.
+const SIGMOID: Exponential = Exponential { factor: -1.0, range: [-40.0, 40.0] };
+/// e^2x, that of a hyperbolic tangent.
+const TANGENT: Exponential = Exponential { factor: 2.0, range: [-20.0, 20.0] };
 
 /// One step of a gated recurrent unit on a batch of hidden states:
 ///
@@ -56,25 +53,25 @@ impl Kernel for Gru<'_> {
             for i in (0..HIDDEN).step_by(L::LEN) {
                 for of in 0..2 {
                     let x = l.add(gate(l, input, of, i), gate(l, hidden, of, i));
-                    let (r, n) = reduce(l, x, SIGMOID, SATURATED);
+                    let (r, n) = SIGMOID.reduce(l, x);
                     l.store(&mut rest[of][i..], r);
                     l.store(&mut power[of][i..], n);
                 }
             }
             for i in (0..HIDDEN).step_by(L::LEN) {
-                let e_r = raise(l, l.load(&rest[0][i..]), l.load(&power[0][i..]), SIGMOID);
-                let e_z = raise(l, l.load(&rest[1][i..]), l.load(&power[1][i..]), SIGMOID);
+                let e_r = SIGMOID.raise(l, l.load(&rest[0][i..]), l.load(&power[0][i..]));
+                let e_z = SIGMOID.raise(l, l.load(&rest[1][i..]), l.load(&power[1][i..]));
                 l.store(&mut hidden[HIDDEN + i..], e_z);
                 l.store(&mut hidden[i..], l.div(one, l.add(one, e_r)));
             }
             for i in (0..HIDDEN).step_by(L::LEN) {
                 let x = l.fma(gate(l, hidden, 0, i), gate(l, hidden, 2, i), gate(l, input, 2, i));
-                let (r, n) = reduce(l, x, TANGENT, SATURATED);
+                let (r, n) = TANGENT.reduce(l, x);
                 l.store(&mut rest[0][i..], r);
                 l.store(&mut power[0][i..], n);
             }
             for i in (0..HIDDEN).step_by(L::LEN) {
-                let e_n = raise(l, l.load(&rest[0][i..]), l.load(&power[0][i..]), TANGENT);
+                let e_n = TANGENT.raise(l, l.load(&rest[0][i..]), l.load(&power[0][i..]));
                 let e_z = gate(l, hidden, 1, i);
                 let (less, more) = (l.sub(e_n, one), l.add(e_n, one));
                 let h = l.fma(e_z, less, l.mul(more, l.load(&state[i..])));

@@ -14,8 +14,8 @@ pub trait Lanes: Copy {
     const LEN: usize;
     /// Vector registers of the set.
     const REGISTERS: usize;
-    /// Steps of a chain of multiply-adds in a pass of the product's loop: more than 1 where counting and finding
-    /// the rows in each step takes execution ports from the multiply-adds, as with AVX2 on Intel's processors.
+    /// Steps of a chain of multiply-adds in a pass of the product's loop: more than 1 where that was measured to
+    /// be faster. On Intel's processors counting and finding the rows share execution ports with multiply-adds.
     const STEPS: usize = 1;
 
     /// All lanes x.

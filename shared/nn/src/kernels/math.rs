@@ -8,37 +8,47 @@ use super::{Kernel, Lanes, dispatch};
 /// x = n ln 2 + r with whole n and |r| ≤ ½ ln 2, e^r by a polynomial, 2^n by the exponent bits.
 #[inline(always)]
 pub fn exp<L: Lanes>(l: L, x: L::V) -> L::V {
-    let (r, shifted) = reduce(l, x, 1.0, [-87.0, 88.0]);
-    raise(l, r, shifted, 1.0)
+    const EXPONENTIAL: Exponential = Exponential { factor: 1.0, range: [-87.0, 88.0] };
+    let (r, shifted) = EXPONENTIAL.reduce(l, x);
+    EXPONENTIAL.raise(l, r, shifted)
 }
 
-/// The first half of e^(f x), with f x held to a range: (r / f, [`SHIFT`] + n) with f x = n ln 2 + r. The factor
-/// f is a power of two or the negative of one, so that no bit depends on whether x is multiplied before.
-#[inline(always)]
-pub(crate) fn reduce<L: Lanes>(l: L, x: L::V, factor: f32, [least, most]: [f32; 2]) -> (L::V, L::V) {
-    /// −ln 2 in two parts: n times the first is exact.
-    const MINUS_LN_2: [f32; 2] = [-0.693_359_4, 2.121_944_4e-4];
-    let [one_end, other_end] = [least / factor, most / factor];
-    let x = l.max(l.min(x, l.splat(one_end.max(other_end))), l.splat(one_end.min(other_end)));
-    let shifted = l.fma(x, l.splat(std::f32::consts::LOG2_E * factor), l.splat(SHIFT));
-    let n = l.sub(shifted, l.splat(SHIFT));
-    let r = l.fma(n, l.splat(MINUS_LN_2[0] / factor), x);
-    (l.fma(n, l.splat(MINUS_LN_2[1] / factor), r), shifted)
+/// e^(f x) in two halves, with f in the constants of both instead of a multiplication.
+pub(crate) struct Exponential {
+    /// f: a power of two or the negative of one, so that the bits are those of e^(f x) with f x computed before.
+    pub(crate) factor: f32,
+    /// Where x is held.
+    pub(crate) range: [f32; 2],
 }
 
-/// The second half: e^r 2^n.
-#[inline(always)]
-pub(crate) fn raise<L: Lanes>(l: L, rest: L::V, shifted: L::V, factor: f32) -> L::V {
-    /// e^r within 9.2e-8 of it for |r| ≤ ½ ln 2, the lowest power first: of all five coefficients beside 1
-    /// those with the least greatest relative error.
-    const POLYNOMIAL: [f32; 6] =
-        [1.0, 9.999_997e-1, 4.999_915e-1, 1.666_763_7e-1, 4.189_797_5e-2, 8.290_306e-3];
-    let of_rest = |power: usize| POLYNOMIAL[power] * factor.powi(power as i32);
-    let mut p = l.splat(of_rest(5));
-    for power in (0..5).rev() {
-        p = l.fma(p, rest, l.splat(of_rest(power)));
+impl Exponential {
+    /// (r / f, [`SHIFT`] + n) with f x = n ln 2 + r.
+    #[inline(always)]
+    pub(crate) fn reduce<L: Lanes>(&self, l: L, x: L::V) -> (L::V, L::V) {
+        /// −ln 2 in two parts: n times the first is exact.
+        const MINUS_LN_2: [f32; 2] = [-0.693_359_4, 2.121_944_4e-4];
+        let Self { factor, range: [least, most] } = *self;
+        let x = l.max(l.min(x, l.splat(most)), l.splat(least));
+        let shifted = l.fma(x, l.splat(std::f32::consts::LOG2_E * factor), l.splat(SHIFT));
+        let n = l.sub(shifted, l.splat(SHIFT));
+        let r = l.fma(n, l.splat(MINUS_LN_2[0] / factor), x);
+        (l.fma(n, l.splat(MINUS_LN_2[1] / factor), r), shifted)
     }
-    l.scale(p, shifted)
+
+    /// e^r 2^n of what [`reduce`](Self::reduce) gave.
+    #[inline(always)]
+    pub(crate) fn raise<L: Lanes>(&self, l: L, rest: L::V, shifted: L::V) -> L::V {
+        /// e^r within 9.2e-8 of it for |r| ≤ ½ ln 2, the lowest power first: of all five coefficients beside 1
+        /// those with the least greatest relative error.
+        const POLYNOMIAL: [f32; 6] =
+            [1.0, 9.999_997e-1, 4.999_915e-1, 1.666_763_7e-1, 4.189_797_5e-2, 8.290_306e-3];
+        let of_rest = |power: usize| POLYNOMIAL[power] * self.factor.powi(power as i32);
+        let mut p = l.splat(of_rest(5));
+        for power in (0..5).rev() {
+            p = l.fma(p, rest, l.splat(of_rest(power)));
+        }
+        l.scale(p, shifted)
+    }
 }
 
 /// 1 / (1 + e^−x).
