@@ -85,7 +85,7 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
 fn recipe(arguments: &Arguments) -> Result<TrainOptions, Failure> {
     let mut options = super::train::recipe(&arguments.recipe)?;
     // The tensors of another training would fit few of the variants.
-    options.begin_with = None;
+    options.begin_with.clear();
     for set in &arguments.set {
         options = super::train::changed(&options, set)?;
     }

@@ -133,12 +133,18 @@ mod tests {
     #[test]
     fn any_option_can_be_set_and_no_other() {
         let options = TrainOptions::default();
-        let changed_to = |set| changed(&options, set).map_err(|failure| failure.to_string());
+        let changed_to = |set: &str| changed(&options, set).map_err(|failure| failure.to_string());
         let steps = changed_to("steps=7").map(|options| options.steps);
         assert_eq!(steps, Ok(7));
         let stem = changed_to("model.stem=imagenet").map(|options| options.model.stem);
         assert!(stem.is_ok_and(|stem| stem != options.model.stem));
+        for (value, paths) in [("a", &["a"][..]), ("[\"a\",\"b\"]", &["a", "b"]), ("null", &[])] {
+            let set = format!("begin_with={value}");
+            let begin_with = changed_to(&set).map(|options| options.begin_with);
+            assert_eq!(begin_with, Ok(paths.iter().map(PathBuf::from).collect()));
+        }
         for (set, reason) in [
+            ("begin_with=3", "a path or a list of paths"),
             ("steps", "OPTION=VALUE"),
             ("model.nonsense=1", "no option \"nonsense\""),
             ("steps=many", "invalid type"),

@@ -1,6 +1,7 @@
 //! The model card in the metadata of the weights file.
 
 use std::collections::{BTreeMap, HashMap};
+use std::path::PathBuf;
 
 use crate::TrainError;
 use crate::checkpoint::RunProgress;
@@ -94,6 +95,14 @@ fn licences(sets: &[String], recordings: &[Source]) -> BTreeMap<String, String> 
     licences.map(|&(name, licence)| (name.to_owned(), licence.to_owned())).collect()
 }
 
+fn add_missing<T: PartialEq>(to: &mut Vec<T>, from: Vec<T>) {
+    for value in from {
+        if !to.contains(&value) {
+            to.push(value);
+        }
+    }
+}
+
 /// Size of the training data.
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct Seen {
@@ -159,6 +168,20 @@ impl ModelCard {
             recordings,
             fitness,
         }
+    }
+
+    /// The card of the mean of weights that begins with `files`: the last one's, with the data sets and recordings
+    /// of all. None of none.
+    pub(crate) fn of_mean(mut cards: Vec<Self>, files: &[PathBuf]) -> Option<Self> {
+        let mut card = cards.pop()?;
+        if !cards.is_empty() {
+            card.options.begin_with = files.to_vec();
+        }
+        for other in cards {
+            add_missing(&mut card.options.sets, other.options.sets);
+            add_missing(&mut card.recordings, other.recordings);
+        }
+        Some(card)
     }
 
     /// The card of weights that were trained earlier and have got the support of these options since.

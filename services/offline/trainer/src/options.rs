@@ -1,5 +1,5 @@
 use std::collections::BTreeMap;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use data::sets::DataSet;
 use nn::{
@@ -38,13 +38,16 @@ pub struct TrainOptions {
     pub checkpoints: PathBuf,
     /// Whether to resume from the newest checkpoint.
     pub resume: bool,
-    /// Weights of the same model to begin with, their base control included; if none, training begins with
-    /// random ones and fits the base control.
-    pub begin_with: Option<PathBuf>,
+    /// Weights files of the same model to begin with, their base control included; of several their mean, in which
+    /// a file counts as often as it is named. If there are none, training begins with random weights and fits the
+    /// base control.
+    #[serde(deserialize_with = "one_or_many")]
+    pub begin_with: Vec<PathBuf>,
     /// Seed of everything random.
     pub seed: u64,
-    /// Updates to make. None, with `begin_with`, only add to its weights what they lack: the support of their base
-    /// control, fitted to the training data, and what a card of this version tells.
+    /// Updates to make. With `begin_with` there may be none: its weights, or their mean, are validated and written
+    /// with what they lack, the support of their base control, fitted to the training data, and what a card of this
+    /// version tells.
     pub steps: u64,
     /// Agents in a batch, at least; a batch is filled with whole scenes.
     pub batch_agents: usize,
@@ -123,7 +126,7 @@ impl Default for TrainOptions {
             out: PathBuf::from("weights.safetensors"),
             checkpoints: PathBuf::from("checkpoints"),
             resume: false,
-            begin_with: None,
+            begin_with: Vec::new(),
             seed: 1,
             steps: 8_000,
             batch_agents: 96,
@@ -198,7 +201,7 @@ impl TrainOptions {
             _ if self.set_weights.values().any(|weight| !(0.0..=1000.0).contains(weight)) => {
                 refuse("set_weights must be 0 to 1000")
             }
-            _ if self.validate_every == 0 || (self.steps == 0 && self.begin_with.is_none()) => {
+            _ if self.validate_every == 0 || (self.steps == 0 && self.begin_with.is_empty()) => {
                 refuse("steps and validate_every must be 1 or more; steps may be 0 with begin_with")
             }
             _ => Ok(()),
@@ -211,7 +214,8 @@ impl TrainOptions {
     #[must_use]
     pub fn without_places(&self) -> Self {
         let Self { data, out, checkpoints, resume, .. } = Self::default();
-        let begin_with = self.begin_with.as_deref().and_then(Path::file_name).map(PathBuf::from);
+        let names = self.begin_with.iter().filter_map(|path| path.file_name());
+        let begin_with = names.map(PathBuf::from).collect();
         Self { data, out, checkpoints, resume, begin_with, ..self.clone() }
     }
 
@@ -226,6 +230,20 @@ impl TrainOptions {
             self.standing,
             self.faster,
         ]
+    }
+}
+
+/// A list of paths, or one or none, as cards of the first versions have it and a command line gives it.
+fn one_or_many<'de, D: serde::Deserializer<'de>>(deserializer: D) -> Result<Vec<PathBuf>, D::Error> {
+    #[derive(serde::Deserialize)]
+    #[serde(untagged, expecting = "a path or a list of paths")]
+    enum Paths {
+        AtMostOne(Option<PathBuf>),
+        Many(Vec<PathBuf>),
+    }
+    match serde::Deserialize::deserialize(deserializer)? {
+        Paths::AtMostOne(path) => Ok(path.into_iter().collect()),
+        Paths::Many(paths) => Ok(paths),
     }
 }
 

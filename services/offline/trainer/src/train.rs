@@ -5,7 +5,7 @@ mod tests;
 
 use std::collections::BTreeMap;
 use std::ops::Range;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use data::sets::{DataSet, Part};
@@ -126,9 +126,9 @@ impl<'a> Run<'a> {
             let base = BaseControl::load(&state.weights, &options.model);
             return Ok((state, base.unwrap_or_else(|| BaseControl::zero(&options.model))));
         }
-        let mut weights = match &options.begin_with {
-            Some(path) => read_weights(path, &options.model)?,
-            None => initial(&options.model, options.seed),
+        let mut weights = match &options.begin_with[..] {
+            [] => initial(&options.model, options.seed),
+            paths => mean_of_files(paths, &options.model)?,
         };
         let mut base =
             BaseControl::load(&weights, &options.model).unwrap_or_else(|| BaseControl::zero(&options.model));
@@ -139,7 +139,7 @@ impl<'a> Run<'a> {
             scale_deviation: options.base_scale_deviation as f32,
             faster: options.faster,
         };
-        if options.model.base && options.begin_with.is_none() {
+        if options.model.base && options.begin_with.is_empty() {
             progress.note("fitting the base control");
             let cuts_mps = options.vehicle_speed_cuts_mps;
             base = BaseControl::fit(&options.model, agents, augmentation, cuts_mps, options.seed)?;
@@ -367,21 +367,18 @@ impl<'a> Run<'a> {
         Ok(card)
     }
 
-    /// Writes the weights to begin with and what they have got since, with their own card revised.
+    /// Writes the weights to begin with and what they have got since, with their own card revised; of several with
+    /// the last one's, which tells the others.
     fn write_revised(
         &self,
         weights: &Tensors,
         base: &BaseControl,
         agents_max: usize,
     ) -> Result<ModelCard, TrainError> {
-        let Some(path) = &self.options.begin_with else { unreachable!("checked with the options") };
-        let begun = open(path)?;
-        let card = begun.card().cloned().ok_or_else(|| TrainError::NoCard { path: path.clone() })?;
-        let card: ModelCard = serde_json::from_value(card).map_err(|source| TrainError::Metadata {
-            path: path.clone(),
-            key: "card",
-            source,
-        })?;
+        let cards = self.options.begin_with.iter().map(|path| read_card(path));
+        let cards = cards.collect::<Result<Vec<_>, _>>()?;
+        let card = ModelCard::of_mean(cards, &self.options.begin_with);
+        let card = card.unwrap_or_else(|| unreachable!("checked with the options"));
         let scores = |map| self.scores(weights, base, map, agents_max);
         let scores = [scores(Some(MapKind::Online))?, scores(None)?];
         let card = card.revised(self.options, base.fitness(), scores);
@@ -392,6 +389,26 @@ impl<'a> Run<'a> {
 
 fn open(path: &Path) -> Result<nn::Weights, TrainError> {
     nn::Weights::open(path).map_err(|source| TrainError::BeginWith { path: path.to_owned(), source })
+}
+
+fn read_card(path: &Path) -> Result<ModelCard, TrainError> {
+    let weights = open(path)?;
+    let card = weights.card().cloned().ok_or_else(|| TrainError::NoCard { path: path.to_owned() })?;
+    let fault = |source| TrainError::Metadata { path: path.to_owned(), key: "card", source };
+    serde_json::from_value(card).map_err(fault)
+}
+
+/// The mean of weights files of `model`.
+fn mean_of_files(paths: &[PathBuf], model: &ModelConfig) -> Result<Tensors, TrainError> {
+    let mut mean = Tensors::default();
+    for (before, path) in paths.iter().enumerate() {
+        let weights = read_weights(path, model)?;
+        if before > 0 && !weights.0.keys().eq(mean.0.keys()) {
+            return Err(TrainError::OtherModel { path: path.clone() });
+        }
+        mean = if before == 0 { weights } else { mean.moved(&weights, 1.0 / (before + 1) as f32) };
+    }
+    Ok(mean)
 }
 
 /// The tensors of a weights file, whose model must be `model`; the support of its base control may lack.

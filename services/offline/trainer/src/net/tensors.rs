@@ -48,6 +48,14 @@ impl Tensors {
         &self.tensor(name).values
     }
 
+    /// These tensors moved the share of the way to others of the same names and shapes.
+    pub(crate) fn moved(mut self, to: &Self, share: f32) -> Self {
+        for (tensor, to) in self.0.values_mut().zip(to.0.values()) {
+            tensor.values.iter_mut().zip(&to.values).for_each(|(value, to)| *value += share * (to - *value));
+        }
+        self
+    }
+
     /// A tensor as a matrix: its first dimension by all others.
     pub(crate) fn matrix(&self, name: &str) -> View<'_> {
         let tensor = self.tensor(name);

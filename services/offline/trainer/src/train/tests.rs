@@ -117,7 +117,7 @@ fn a_run_begins_with_given_weights_of_the_same_model() {
     let first = options(folder.path(), 1);
     train(&first).unwrap();
     let second = TrainOptions {
-        begin_with: Some(first.out.clone()),
+        begin_with: vec![first.out.clone()],
         out: folder.path().join("second.safetensors"),
         checkpoints: folder.path().join("second"),
         seed: 2,
@@ -136,6 +136,46 @@ fn a_run_begins_with_given_weights_of_the_same_model() {
     assert!(matches!(refused, TrainError::BeginWith { .. }), "{refused}");
     assert!(refused.to_string().starts_with(&format!("begin_with {}: ", first.out.display())), "{refused}");
     assert!(std::error::Error::source(&refused).is_some());
+}
+
+/// Twice the same file counts twice; the card tells the files and the data of all.
+#[test]
+fn the_mean_of_weights_is_written_without_a_training() {
+    let folder = tempfile::tempdir().unwrap();
+    let first = options(folder.path(), 1);
+    train(&first).unwrap();
+    let second = TrainOptions {
+        begin_with: vec![first.out.clone()],
+        out: folder.path().join("second.safetensors"),
+        checkpoints: folder.path().join("second"),
+        seed: 2,
+        ..first.clone()
+    };
+    train(&second).unwrap();
+    let mean = TrainOptions {
+        begin_with: vec![first.out.clone(), second.out.clone(), second.out.clone(), second.out.clone()],
+        out: folder.path().join("mean.safetensors"),
+        steps: 0,
+        ..second.clone()
+    };
+    let summary = train(&mean).unwrap();
+    let names =
+        ["weights", "second", "second", "second"].map(|name| PathBuf::from(format!("{name}.safetensors")));
+    assert_eq!(summary.card.options.begin_with, names);
+    assert_eq!(summary.card.recordings.len(), 1);
+    let tensors = |options: &TrainOptions| {
+        let bytes = std::fs::read(&options.out).unwrap();
+        Tensors::from_safetensors(&bytes, &layout(&options.model)).unwrap()
+    };
+    let (first, second, mean) = (tensors(&first), tensors(&second), tensors(&mean));
+    assert_ne!(first, second);
+    for (name, tensor) in &mean.0 {
+        for ((mean, first), second) in tensor.values.iter().zip(first.get(name)).zip(second.get(name)) {
+            let expected = 0.25 * first + 0.75 * second;
+            // Files hold 11 bits of a value, subnormal ones fewer.
+            assert!((mean - expected).abs() <= 6e-4 * expected.abs() + 1e-7, "{name}: {mean} {expected}");
+        }
+    }
 }
 
 /// The golden vectors have no learned points, mode head or base control; here both implementations are
