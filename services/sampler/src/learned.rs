@@ -96,7 +96,7 @@ impl<'a> LearnedControls<'a> {
                 }
             }
             for (step, moments) in moments.iter_mut().enumerate() {
-                moments.covariance = spread.of_covariance(mode, step, moments.covariance);
+                moments.covariance = spread.of_covariance((mode, step), moments);
             }
         }
         out.steering = match model.kind() {

@@ -7,6 +7,9 @@ use crate::{BANDS, KNOTS, Pattern, Statistics};
 
 /// Deviations where no source tells any, m.
 const DEVIATIONS_M: [[f32; 2]; KNOTS] = [[0.1, 0.05], [0.5, 0.25], [1.8, 0.8], [6.0, 3.0]];
+/// Sources that the prior of a context is a mean of, at least: the default stands for those that lack, so that one
+/// source of poor positions does not rule.
+const SOURCES_MIN: usize = 3;
 /// Significant digits of the numbers in a file.
 const DIGITS: i32 = 4;
 
@@ -99,12 +102,16 @@ impl ContextPrior {
         mean.deviation_m = std::array::from_fn(|knot| {
             [0, 1].map(|axis| geometric_mean(sources.iter().map(|source| source.deviation_m[knot][axis])))
         });
-        mean.nearest_m =
-            std::array::from_fn(|set| geometric_mean(sources.iter().map(|source| source.nearest_m[set])));
+        mean.nearest_m = std::array::from_fn(|set| {
+            let known =
+                sources.iter().map(|source| source.nearest_m[set]).filter(|&nearest_m| nearest_m > 0.0);
+            geometric_mean(known)
+        });
         for (knot, log_width) in mean.log_width.iter_mut().enumerate() {
             let mut widths: Vec<f32> = sources.iter().map(|source| source.log_width[knot]).collect();
             widths.sort_unstable_by(f32::total_cmp);
-            *log_width = widths[widths.len() / 2];
+            let [low, high] = [(widths.len() - 1) / 2, widths.len() / 2].map(|middle| widths[middle]);
+            *log_width = 0.5 * (low + high);
         }
         mean
     }
@@ -141,8 +148,8 @@ impl Priors {
         Self::from_json(include_str!("priors.json")).expect("a test reads them")
     }
 
-    /// The mean over the sources whose names are `wanted`: every source counts the same. Contexts that none
-    /// knows are those of the nearest speed that one does.
+    /// The mean over the sources whose names are `wanted`: every source counts the same, and the default for what
+    /// lacks of three. Contexts that none knows are those of the nearest speed that one does.
     #[must_use]
     pub fn mean(&self, wanted: impl Fn(&str) -> bool) -> Prior {
         let sources: Vec<&Prior> =
@@ -155,7 +162,10 @@ impl Priors {
                 let of_sources: Vec<&ContextPrior> = of_sources.filter(|of| of.is_known()).collect();
                 known[band] = !of_sources.is_empty();
                 if known[band] {
-                    *context = ContextPrior::mean(&of_sources);
+                    let default = ContextPrior::default();
+                    let lacking = SOURCES_MIN.saturating_sub(of_sources.len());
+                    let filled = of_sources.into_iter().chain(std::iter::repeat_n(&default, lacking));
+                    *context = ContextPrior::mean(&filled.collect::<Vec<_>>());
                 }
             }
             for band in 0..BANDS {
@@ -187,7 +197,7 @@ impl Priors {
     }
 }
 
-/// The geometric mean of distances; those below a millimetre count as one.
+/// The geometric mean of distances, of none 1; those below a millimetre count as one.
 fn geometric_mean(distances_m: impl Iterator<Item = f32>) -> f32 {
     let (sum, len) = distances_m.fold((0.0, 0.0_f32), |(sum, len), x| (sum + x.max(1e-3).ln(), len + 1.0));
     (sum / len.max(1.0)).exp()
@@ -230,8 +240,9 @@ mod tests {
         let priors = Priors(names.map(|(name, width)| (name.to_owned(), prior(width))).collect());
         let widths = |mean: Prior| mean.0[0].map(|context| context.log_width[0]);
         assert_eq!(widths(priors.mean(|_| true)), [2.0; BANDS]);
-        assert_eq!(widths(priors.mean(|name| name != "c")), [2.0; BANDS]);
-        assert_eq!(widths(priors.mean(|name| name == "a")), [1.0; BANDS]);
+        // The default, 0, stands for a third source, and for a second.
+        assert_eq!(widths(priors.mean(|name| name != "c")), [1.0; BANDS]);
+        assert_eq!(widths(priors.mean(|name| name == "a")), [0.0; BANDS]);
         assert_eq!(priors.mean(|_| false), Prior::default());
     }
 
