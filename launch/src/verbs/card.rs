@@ -84,14 +84,13 @@ fn pretty(json: &serde_json::Value) -> Result<String, Failure> {
 pub fn text(card: &ModelCard) -> String {
     let training = card.training;
     let mut text = format!(
-        "{}\n\n{} parameters, trained on {} windows with {} agents of {} recordings: update {}, seed {}, {:.0} minutes.\n\n",
+        "{}\n\n{} parameters, trained on {} windows with {} agents of {} recordings: {}, {:.0} minutes.\n\n",
         card.about,
         card.parameters,
         training.windows,
         training.agents,
         card.recordings.len(),
-        card.step,
-        card.options.seed,
+        origin(card),
         card.wall_s / 60.0,
     );
     let pair = |errors: &Errors| format!("{:.3} / {:.3}", errors.ade_m, errors.fde_m);
@@ -126,6 +125,17 @@ pub fn text(card: &ModelCard) -> String {
         text += &format!("\nLicences of the training data: {}.\n", licences.collect::<Vec<_>>().join("; "));
     }
     text
+}
+
+/// The update that the weights are of, or the files that they are the mean of.
+fn origin(card: &ModelCard) -> String {
+    let begun: Vec<String> = card.options.begin_with.iter().map(|path| path.display().to_string()).collect();
+    let begun = begun.join(", ");
+    match card.step {
+        0 if !begun.is_empty() => format!("mean of {begun}"),
+        step if begun.is_empty() => format!("update {step}, seed {}", card.options.seed),
+        step => format!("update {step} from {begun}, seed {}", card.options.seed),
+    }
 }
 
 /// For which motion and rate the weights are fit for use.

@@ -16,10 +16,9 @@ pub(super) fn text(rows: &[Row]) -> String {
         .to_owned();
     for Row { stem, card, bytes } in rows {
         text += &format!(
-            "| {} | {} of {} | {} | {} | {} | {:.0} | {} | {} | {} | {} | {:.1} |\n",
+            "| {} | {} | {} | {} | {} | {:.0} | {} | {} | {} | {} | {:.1} |\n",
             card.options.recipe.as_ref().unwrap_or(stem),
-            card.step,
-            card.options.steps,
+            updates(card),
             card.options.seed,
             card.training.windows,
             card.training.agents,
@@ -32,6 +31,14 @@ pub(super) fn text(rows: &[Row]) -> String {
         );
     }
     text
+}
+
+/// The update of the weights and how many were made, or of how many files they are the mean.
+fn updates(card: &ModelCard) -> String {
+    match (card.step, card.options.begin_with.len()) {
+        (0, files_len @ 1..) => format!("mean of {files_len}"),
+        (step, _) => format!("{step} of {}", card.options.steps),
+    }
 }
 
 /// The CPU and the threads of it that training used.
@@ -78,7 +85,9 @@ mod tests {
         card.options.recipe = Some("new".to_owned());
         let old = ModelCard { peak_rss_mib: None, cpu: None, ..old };
         let row = |card: ModelCard, bytes: u64| Row { stem: "file".to_owned(), card, bytes };
-        let text = text(&[row(old, 1 << 20), row(card, 3 << 19)]);
+        let mut mean = card.clone();
+        (mean.step, mean.options.begin_with) = (0, vec!["a".into(), "b".into()]);
+        let text = text(&[row(old, 1 << 20), row(card, 3 << 19), row(mean, 1 << 20)]);
         let rows: Vec<&str> = text.lines().skip(4).collect();
         assert!(rows[0].contains("| – | 1 thread |") && rows[0].ends_with("| 1.0 |"), "{text}");
         assert!(rows[1].starts_with("| new |"), "{text}");
@@ -86,6 +95,7 @@ mod tests {
             rows[1].contains("| 164 | Some CPU, 2 threads | 0.200 / 0.400 | 0.000 / 0.000 | 1.5 |"),
             "{text}"
         );
+        assert!(rows[2].starts_with("| new | mean of 2 |"), "{text}");
         let columns = |row: &&str| row.matches('|').count();
         assert!(text.lines().skip(2).all(|row| columns(&row) == 12), "{text}");
     }

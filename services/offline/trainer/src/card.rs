@@ -170,14 +170,19 @@ impl ModelCard {
         }
     }
 
-    /// The card of the mean of weights that begins with `files`: the last one's, with the data sets and recordings
-    /// of all. None of none.
+    /// The card of the mean of the weights in `files`: the last one's, with the data sets and recordings of all and
+    /// the time that all took. None of none.
     pub(crate) fn of_mean(mut cards: Vec<Self>, files: &[PathBuf]) -> Option<Self> {
         let mut card = cards.pop()?;
-        if !cards.is_empty() {
-            card.options.begin_with = files.to_vec();
-        }
-        for other in cards {
+        let Some(last) = files.last().filter(|_| !cards.is_empty()) else { return Some(card) };
+        (card.step, card.options.steps) = (0, 0);
+        card.options.begin_with = files.to_vec();
+        let mut counted = vec![last];
+        for (file, other) in files.iter().zip(cards) {
+            if !counted.contains(&file) {
+                card.wall_s += other.wall_s;
+                counted.push(file);
+            }
             add_missing(&mut card.options.sets, other.options.sets);
             add_missing(&mut card.recordings, other.recordings);
         }
