@@ -111,18 +111,23 @@ fn sites_are_drawn_by_size_or_uniformly() {
     }
 }
 
+/// The options of a run that begins with the weights of a first one.
+fn second_after(first: &TrainOptions, folder: &Path) -> TrainOptions {
+    TrainOptions {
+        begin_with: vec![first.out.clone()],
+        out: folder.join("second.safetensors"),
+        checkpoints: folder.join("second"),
+        seed: 2,
+        ..first.clone()
+    }
+}
+
 #[test]
 fn a_run_begins_with_given_weights_of_the_same_model() {
     let folder = tempfile::tempdir().unwrap();
     let first = options(folder.path(), 1);
     train(&first).unwrap();
-    let second = TrainOptions {
-        begin_with: vec![first.out.clone()],
-        out: folder.path().join("second.safetensors"),
-        checkpoints: folder.path().join("second"),
-        seed: 2,
-        ..first.clone()
-    };
+    let second = second_after(&first, folder.path());
     let progress = Progress::new(1, 0);
     let (state, _) = Run::prepare(&second, &progress).unwrap().begin(&progress).unwrap();
     let bytes = std::fs::read(&first.out).unwrap();
@@ -144,13 +149,7 @@ fn the_mean_of_weights_is_written_without_a_training() {
     let folder = tempfile::tempdir().unwrap();
     let first = options(folder.path(), 1);
     train(&first).unwrap();
-    let second = TrainOptions {
-        begin_with: vec![first.out.clone()],
-        out: folder.path().join("second.safetensors"),
-        checkpoints: folder.path().join("second"),
-        seed: 2,
-        ..first.clone()
-    };
+    let second = second_after(&first, folder.path());
     train(&second).unwrap();
     let mean = TrainOptions {
         begin_with: vec![first.out.clone(), second.out.clone(), second.out.clone(), second.out.clone()],
