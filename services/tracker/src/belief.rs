@@ -1,6 +1,6 @@
 use filters::{
-    Bicycle, ConstantVelocity, Filter, FilterFault, Forecast, ForecastFault, Gaussian, Integrator, Kind,
-    Mixture, Models, Motion, Observation, Priors, Unknown, control_gain, noise_left, reversed,
+    Ahead, Bicycle, ConstantVelocity, Filter, FilterFault, Forecast, ForecastFault, Gaussian, Integrator,
+    Kind, Mixture, Models, Motion, Observation, Priors, Unknown, control_gain, noise_left, reversed,
 };
 use wire::{MODES_MAX, Steering};
 
@@ -147,6 +147,16 @@ impl Belief {
     #[must_use]
     pub fn forecast_age_ns(&self) -> Option<u64> {
         self.hypotheses.as_ref().and_then(Hypotheses::forecast_age_ns)
+    }
+
+    /// Where the agent will be in `dt_ns`, by its forecast and by the process model alone; none without a forecast
+    /// that reaches so far.
+    #[must_use]
+    pub fn ahead(&self, dt_ns: u64) -> Option<Ahead> {
+        match self.hypotheses.as_ref()? {
+            Hypotheses::Bicycle(mixture) => mixture.ahead(dt_ns),
+            Hypotheses::Displacement(mixture) => mixture.ahead(dt_ns),
+        }
     }
 
     /// Weights of the forecast's modes, and last that of the process model alone.

@@ -11,8 +11,9 @@ use crate::class::Class;
 use crate::forecasts::{Controls, Forecasts};
 use crate::front::{Front, folded, rate_limited_rad};
 use crate::observation::{observation, source_id};
-use crate::options::{InputModel, TrackerOptions};
+use crate::options::{ForecastTrust, InputModel, TrackerOptions};
 use crate::track_management::TrackManagement;
+use crate::trials::{AHEAD_NS, Shown, Trials};
 
 /// Standard deviations of what the first detection leaves open, by type.
 const UNKNOWN: [Unknown; 3] = [
@@ -98,6 +99,8 @@ pub struct Estimate {
     published_heading_rad: f64,
     length_m: f32,
     width_m: f32,
+    /// What its forecasts are worth.
+    trials: Trials,
 }
 
 impl Estimate {
@@ -133,6 +136,7 @@ impl Estimate {
             published_heading_rad: 0.0,
             length_m: if has_size { detection.length_m } else { 0.0 },
             width_m: if has_size { detection.width_m } else { 0.0 },
+            trials: Trials::default(),
             belief,
         }
     }
@@ -171,6 +175,7 @@ impl Estimate {
             published_heading_rad: heading_rad,
             length_m: track.length_m,
             width_m: track.width_m,
+            trials: Trials::default(),
             belief,
         }
     }
@@ -185,6 +190,7 @@ impl Estimate {
         (forecasts, forecast): (&Forecasts<'_>, &Forecast),
         controls: &mut Controls,
         input: &InputModel,
+        shown: &[Shown; 3],
     ) -> bool {
         let Ok(steering) = Steering::try_from(forecast.steering) else { return false };
         let agent_type = self.class.current();
@@ -201,7 +207,9 @@ impl Estimate {
         if !(is_due && is_newer && fits) {
             return true;
         }
-        let trust = &input.trust;
+        let least = input.trust.kinematic_weight;
+        let kinematic_weight = self.trials.kinematic_weight(&shown[agent_type.index()], least);
+        let trust = &ForecastTrust { kinematic_weight, ..input.trust };
         if controls.read(forecasts, forecast, steering, trust.fade_in_s).is_err() {
             return false;
         }
@@ -210,8 +218,20 @@ impl Estimate {
         let adopted = self.belief.adopt(&prior, (&self.models(input), trust), self.seed).is_ok();
         if adopted {
             self.controls_ns = Some(controls_ns);
+            for ahead_ns in AHEAD_NS {
+                if let Some(ahead) = self.belief.ahead(ahead_ns) {
+                    self.trials.begin(self.stamp_ns, ahead_ns, ahead);
+                }
+            }
         }
         adopted
+    }
+
+    /// What a detection shows of the agent's forecasts, before it updates the estimate.
+    pub fn mature(&mut self, detection: &Detection) -> impl Iterator<Item = Shown> {
+        let position_m = [detection.x_m, detection.y_m].map(f64::from);
+        let velocity_mps = self.belief.motion().velocity_mps;
+        self.trials.mature(self.stamp_ns, position_m, velocity_mps)
     }
 
     /// Predicts the motion at `now_ns`.

@@ -11,6 +11,7 @@ use crate::pairing::Pairing;
 use crate::publication::Publications;
 use crate::scan::Scan;
 use crate::tracked::Tracked;
+use crate::trials::Shown;
 
 // A filter takes all the detections that an association gives a track.
 const _: () = assert!(SIDE_MAX <= OBSERVATIONS_MAX);
@@ -21,6 +22,8 @@ pub struct Estimates {
     /// In the order of their births.
     all: Vec<Estimate>,
     started_len: u64,
+    /// What forecasts are worth as the prior, by type.
+    shown: [Shown; 3],
 }
 
 /// Memory that is used again.
@@ -50,7 +53,7 @@ impl Estimates {
     /// No estimates, and room for so many.
     #[must_use]
     pub fn with_capacity(len: usize) -> Self {
-        Self { all: Vec::with_capacity(len), started_len: 0 }
+        Self { all: Vec::with_capacity(len), started_len: 0, shown: Default::default() }
     }
 
     /// All estimates.
@@ -69,6 +72,7 @@ impl Estimates {
     pub fn copy(&mut self, source: &Self) {
         self.all.clone_from(&source.all);
         self.started_len = source.started_len;
+        self.shown = source.shown;
     }
 
     /// Processes a scan that is newer than the estimates; returns what it did to them.
@@ -114,7 +118,7 @@ impl Estimates {
         for estimate in &mut self.all {
             let Some(publication) = publications.find(estimate.birth()) else { continue };
             let Some(forecast) = forecasts.find(publication.id) else { continue };
-            let adopted = estimate.adopt((&forecasts, forecast), controls, input);
+            let adopted = estimate.adopt((&forecasts, forecast), controls, input, &self.shown);
             tracked.refused_len += usize::from(!adopted);
         }
     }
@@ -158,6 +162,8 @@ impl Estimates {
             let mut outcome = Ok(());
             if let Some(detection) = pairing.paired(e) {
                 let d = detection as usize;
+                let of_type = &mut self.shown[estimate.class.current().index()];
+                estimate.mature(&detections[d]).for_each(|shown| of_type.add_of_type(&shown));
                 outcome = estimate.update((&detections[d], types[d]), possible, input, options);
                 if has_births {
                     publications.transfer(Birth { stamp_ns: header.stamp_ns, detection }, estimate.birth());

@@ -36,7 +36,7 @@
 //! predecessor           the tracks of a process before
 //! publication           ids and histories as published      pairing   gating and association
 //! estimate              one agent: belief, type, front, visibility, track management
-//! belief  forecasts     motion and its prior
+//! belief  forecasts     motion and its prior           trials    what forecasts are worth
 //! class  front  grid  history  observation  occlusion  scan  tally  tracked  track_management
 //! options
 //! ```
@@ -67,6 +67,7 @@ mod tally;
 mod track_management;
 mod tracked;
 mod tracker;
+mod trials;
 
 pub use field_of_view::{FieldOfView, UnknownFieldOfView};
 pub use options::{

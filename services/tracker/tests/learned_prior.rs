@@ -66,8 +66,21 @@ impl Driven {
 
 /// Controls from the first tick of the gap on.
 const MANOEUVRE: [f64; 2] = [-2.5, 0.05];
-const SEEN_TICKS: usize = 50;
+/// Ticks in which an agent is seen, and its forecasts earn their weight.
+const EARNING_TICKS: usize = 150;
+const SEEN_TICKS: usize = EARNING_TICKS + 25;
 const HIDDEN_TICKS: usize = 20;
+
+/// Controls of a vehicle that is forecast, at a time in ticks: it speeds up and slows down in turn, goes on as it is,
+/// and then brakes and turns.
+fn driven(tick: f64) -> [f64; 2] {
+    match tick {
+        tick if tick >= SEEN_TICKS as f64 => MANOEUVRE,
+        tick if tick >= EARNING_TICKS as f64 => [0.0; 2],
+        tick if tick % 50.0 < 25.0 => [2.0, 0.0],
+        _ => [-2.0, 0.0],
+    }
+}
 
 /// Error of the track of a vehicle that brakes and turns, as forecast, while it is hidden for 1.6 s.
 fn error_after_gap_m(prior: Prior, seed: u64) -> f64 {
@@ -76,14 +89,11 @@ fn error_after_gap_m(prior: Prior, seed: u64) -> f64 {
     let (mut truth, mut made) = (Driven::START, Vec::new());
     for tick in 0..SEEN_TICKS + HIDDEN_TICKS {
         let is_seen = tick < SEEN_TICKS;
-        truth.tick(if is_seen { [0.0; 2] } else { MANOEUVRE });
+        truth.tick(driven(tick as f64));
         let detections: Vec<Detection> = is_seen.then(|| truth.detected(&mut rng, 0.1)).into_iter().collect();
         let tracks = step_after(&mut run, &made, &detections);
         // The first mode has the true controls, the second none.
-        let step = |k: usize| {
-            let middle = tick as f64 + (k as f64 + 0.5) * STEP_NS as f64 / TICK_NS as f64;
-            if middle < SEEN_TICKS as f64 { [0.0; 2] } else { MANOEUVRE }
-        };
+        let step = |k: usize| driven(tick as f64 + (k as f64 + 0.5) * STEP_NS as f64 / TICK_NS as f64);
         let knowing: Controls = std::array::from_fn(step);
         made = tracks
             .iter()
@@ -103,7 +113,7 @@ fn a_forecast_manoeuvre_is_tracked_through_a_gap() {
     let mean_m = |prior| (0..20).map(|seed| error_after_gap_m(prior, seed)).sum::<f64>() / 20.0;
     let (kinematic_m, learned_m) = (mean_m(Prior::Kinematic), mean_m(Prior::Learned));
     println!("after 1.6 s: kinematic {kinematic_m:.2} m, learned {learned_m:.2} m");
-    assert!(learned_m < 0.6 * kinematic_m, "learned {learned_m:.2} m, kinematic {kinematic_m:.2} m");
+    assert!(learned_m < 0.8 * kinematic_m, "learned {learned_m:.2} m, kinematic {kinematic_m:.2} m");
 }
 
 /// Controls of a network that takes its history as exact: it infers the slip from the newest headings and
@@ -137,22 +147,14 @@ fn straight_on_error_m(options: TrackerOptions, sigma_m: f64, seed: u64) -> f64 
     truth.distance_m(run.published().first().expect("a track that coasts"))
 }
 
-/// Controls inferred from a noisy history increase the error at gain 1, and not at the gain that the noise
-/// gives them.
 #[test]
-fn control_gain_protects_from_controls_that_undo_noise() {
-    let mut full_gain = options(Prior::Learned);
-    full_gain.detector.trust.half_gain_heading_rad = 1e3;
-    let rms_m = |options| {
-        let squares = (0..100).map(|seed| straight_on_error_m(options, 0.3, seed).powi(2));
+fn controls_that_undo_noise_are_not_followed() {
+    let rms_m = |prior| {
+        let squares = (0..100).map(|seed| straight_on_error_m(options(prior), 0.3, seed).powi(2));
         (squares.sum::<f64>() / 100.0).sqrt()
     };
-    let (kinematic_m, learned_m) = (rms_m(options(Prior::Kinematic)), rms_m(options(Prior::Learned)));
-    let full_gain_m = rms_m(full_gain);
-    println!(
-        "after 1.6 s: kinematic {kinematic_m:.2} m, learned {learned_m:.2} m, gain 1 {full_gain_m:.2} m"
-    );
-    assert!(full_gain_m > 1.1 * kinematic_m, "gain 1 {full_gain_m:.2} m, kinematic {kinematic_m:.2} m");
+    let (kinematic_m, learned_m) = (rms_m(Prior::Kinematic), rms_m(Prior::Learned));
+    println!("after 1.6 s: kinematic {kinematic_m:.2} m, learned {learned_m:.2} m");
     assert!(learned_m < kinematic_m, "learned {learned_m:.2} m, kinematic {kinematic_m:.2} m");
 }
 
@@ -161,19 +163,24 @@ fn pedestrian_error_m(prior: Prior) -> f64 {
     let mut rng = ChaCha8Rng::seed_from_u64(3);
     let mut run = Harness::new(options(prior), 0);
     let (mut x_m, mut y_m, mut made) = (0.0, 0.0, Vec::new());
+    // It walks in a wave, straight on, and then to the left.
+    let course = |tick: f64| match tick {
+        tick if tick >= SEEN_TICKS as f64 => 0.1 * (tick - SEEN_TICKS as f64),
+        tick if tick >= EARNING_TICKS as f64 => 0.0,
+        tick => 0.6 * (tick * std::f64::consts::TAU / 50.0).sin(),
+    };
     for tick in 0..SEEN_TICKS + HIDDEN_TICKS {
         let is_seen = tick < SEEN_TICKS;
-        let course = if is_seen { 0.0 } else { 0.1 * (tick - SEEN_TICKS) as f64 };
-        x_m += 1.4 * TICK_S * course.cos();
-        y_m += 1.4 * TICK_S * course.sin();
+        let (sin, cos) = course(tick as f64).sin_cos();
+        x_m += 1.4 * TICK_S * cos;
+        y_m += 1.4 * TICK_S * sin;
         let place =
             detected_at(AgentType::Pedestrian, 1, x_m + noise(&mut rng, 0.05), y_m + noise(&mut rng, 0.05));
         let detections: Vec<Detection> = is_seen.then_some(place).into_iter().collect();
         let tracks = step_after(&mut run, &made, &detections);
         let step = |k: usize| {
-            let middle_s = ((tick as f64 - SEEN_TICKS as f64) * TICK_S + (k as f64 + 0.5) * 0.4).max(0.0);
-            let (sin, cos) = (0.1 / TICK_S * middle_s).sin_cos();
-            [1.4 * 0.4 * (cos - 1.0), 1.4 * 0.4 * sin]
+            let (then_sin, then_cos) = course(tick as f64 + (k as f64 + 0.5) * STEP_S / TICK_S).sin_cos();
+            [1.4 * STEP_S * (then_cos - cos), 1.4 * STEP_S * (then_sin - sin)]
         };
         let turning: Controls = std::array::from_fn(step);
         made =
@@ -184,6 +191,41 @@ fn pedestrian_error_m(prior: Prior) -> f64 {
     }
     let track = run.published().first().expect("a track that coasts");
     (f64::from(track.x_m) - x_m).hypot(f64::from(track.y_m) - y_m)
+}
+
+/// Ticks in which forecasts are right, and from then on say the contrary.
+const RIGHT_TICKS: usize = 130;
+const TICKS: usize = 200;
+
+/// Weight of the process model, tick by tick, of a vehicle that speeds up and slows down in turn.
+fn kinematic_weights() -> Vec<f32> {
+    let mut rng = ChaCha8Rng::seed_from_u64(1);
+    let mut run = Harness::new(options(Prior::Learned), 0);
+    let (mut truth, mut made) = (Driven::START, Vec::new());
+    let mut weights = vec![1.0; TICKS];
+    let acceleration_mps2 = |tick: f64| if tick % 50.0 < 25.0 { 2.5 } else { -2.5 };
+    for (tick, weight) in weights.iter_mut().enumerate() {
+        truth.tick([acceleration_mps2(tick as f64), 0.0]);
+        let detection = truth.detected(&mut rng, 0.1);
+        let tracks = step_after(&mut run, &made, &[detection]);
+        if let [track] = tracks {
+            *weight = track.prior_weights[MODES_MAX];
+        }
+        let sign = if tick < RIGHT_TICKS { 1.0 } else { -1.0 };
+        let middle = |k: usize| tick as f64 + (k as f64 + 0.5) * STEP_S / TICK_S;
+        let controls: Controls = std::array::from_fn(|k| [sign * acceleration_mps2(middle(k)), 0.0]);
+        made = tracks.iter().map(|track| forecast(track, Steering::Bicycle, &[(1.0, controls)])).collect();
+    }
+    weights
+}
+
+#[test]
+fn forecasts_earn_their_weight_and_lose_it_about_a_second_after_they_fail() {
+    let weights = kinematic_weights();
+    let after_s = |time_s: f64| weights[RIGHT_TICKS + (time_s / TICK_S) as usize];
+    let [right, soon, later] = [0.0, 1.2, 4.0].map(after_s);
+    println!("process model: {right:.2} while forecasts are right, then {soon:.2} and {later:.2}");
+    assert!(right < 0.3 && soon > 0.5 && later > 0.9, "{weights:?}");
 }
 
 #[test]
@@ -239,7 +281,8 @@ fn tracks_report_the_prior_that_moved_them() {
     assert_eq!((last.1, last.2, last.3[MODES_MAX]), (Quality::Kinematic as u32, 0, 1.0));
     // The vehicle accelerates: the mode that brakes loses, although it was the more probable.
     let later = reported.iter().find(|track| track.0 == 65).expect("a track");
-    assert!(last_learned.3[1] > 0.4 && later.3[0] > 0.9, "{last_learned:?}, {later:?}");
+    let [before, after] = [last_learned, later].map(|track| track.3[1] / track.3[0]);
+    assert!(before > 1.0 && after < 0.1, "{last_learned:?}, {later:?}");
     assert!(of(Quality::Kinematic).all(|track| track.0 < 10 || track.0 > 105));
 }
 

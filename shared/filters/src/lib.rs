@@ -126,7 +126,7 @@ pub use control::{
 pub use filter::{Filter, Kind, Models, Unknown};
 pub use gaussian::{FilterFault, Gaussian};
 pub use innovation::{Evidence, Innovation, MEASURED_MAX};
-pub use mixture::{Mixture, Priors};
+pub use mixture::{Ahead, Mixture, Priors};
 pub use moments::{difference, interpolated, mean, moments, sample_moments};
 pub use observation::{Motion, OBSERVATIONS_MAX, Observation};
 pub use particles::Particles;

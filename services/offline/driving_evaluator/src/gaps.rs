@@ -222,7 +222,7 @@ fn ratio(positions: &[&Position]) -> String {
     }
     let clusters: Vec<PairedErrors> = clusters.into_values().collect();
     paired_bootstrap_ratio(&clusters, RESAMPLES, SEED).map_or("-".to_owned(), |ratio| {
-        format!("{:.2} ({:.2}–{:.2})", ratio.mean.sqrt(), ratio.low.sqrt(), ratio.high.sqrt())
+        format!("{:.3} ({:.3}–{:.3})", ratio.mean.sqrt(), ratio.low.sqrt(), ratio.high.sqrt())
     })
 }
 

@@ -1,0 +1,189 @@
+//! What forecasts are worth as a prior: agents are predicted ahead with their forecast and without, as through a
+//! gap, and compared with where they are then detected.
+
+use filters::Ahead;
+
+/// Times ahead of trials: a short gap, and half of it, which shows sooner where forecasts begin to fail.
+pub const AHEAD_NS: [u64; 2] = [400_000_000, 800_000_000];
+/// Latest detection after a trial's end that still shows where the agent was at its end.
+const LATE_MAX_NS: u64 = 200_000_000;
+/// Most trials of an agent at a time, one of each length per adopted forecast, at Δt of 0.2 s and more.
+const TRIALS_MAX: usize = 6;
+/// Half an acceleration, m/s²: where the process model errs less than by this one, all trials of a length count
+/// alike, and where it errs more, the forecast's error counts as a share of its.
+const HALF_ACCELERATION_MPS2: f64 = 0.8;
+/// Weight of the process model before any trial of the type: forecasts earn theirs.
+const EXPECTED: f64 = 0.9;
+/// How much the expectation counts beside trials of the type, and the type beside the agent's own, in
+/// [`Shown::apart`].
+const TYPE_PRIOR: f64 = 1.0;
+const AGENT_PRIOR: f64 = 0.5;
+/// What is left of earlier trials when one more matures: of the type, and of the agent, where those of the last
+/// second are what counts.
+const TYPE_KEEPS: f64 = 0.995;
+const AGENT_KEEPS: f64 = 0.6;
+/// Greatest weight of the process model: some stays with the forecast, so that trials go on.
+const WEIGHT_MAX: f64 = 0.98;
+
+/// A prediction that will be compared.
+#[derive(Clone, Copy, Debug)]
+struct Trial {
+    due_ns: i64,
+    ahead_s: f64,
+    ahead: Ahead,
+}
+
+/// The trials of an agent, and what they have shown.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Trials {
+    open: [Option<Trial>; TRIALS_MAX],
+    next: usize,
+    shown: Shown,
+}
+
+/// What trials have shown, as sums whose earlier terms fade.
+///
+/// With the errors e of the forecast and k of the process model, each trial weighted by w = 1 / ((a t²)² + |k|²), the least
+/// squares of the blend α k + (1 − α) e are at α = Σ w e·(e − k) / Σ w |e − k|².
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Shown {
+    for_kinematic: f64,
+    apart: f64,
+}
+
+impl Shown {
+    /// What a trial of a length shows, by the errors of forecast and process model.
+    fn by(ahead_s: f64, learned_m: [f64; 2], kinematic_m: [f64; 2]) -> Self {
+        let dot = |a: [f64; 2], b: [f64; 2]| a[0] * b[0] + a[1] * b[1];
+        let apart_m = [0, 1].map(|axis| learned_m[axis] - kinematic_m[axis]);
+        let weight =
+            1.0 / ((HALF_ACCELERATION_MPS2 * ahead_s * ahead_s).powi(2) + dot(kinematic_m, kinematic_m));
+        Self { for_kinematic: weight * dot(learned_m, apart_m), apart: weight * dot(apart_m, apart_m) }
+    }
+
+    /// Adds what another trial of the type has shown.
+    pub fn add_of_type(&mut self, other: &Self) {
+        self.add(other, TYPE_KEEPS);
+    }
+
+    fn add(&mut self, other: &Self, keeps: f64) {
+        self.apart = keeps * self.apart + other.apart;
+        // No blend is beyond one of the two: merit that none can use is not kept for later.
+        self.for_kinematic = (keeps * self.for_kinematic + other.for_kinematic).clamp(0.0, self.apart);
+    }
+
+    /// The weight of the process model with the least squared error, where `expected` counts as much as `prior`.
+    fn kinematic_weight(&self, expected: f64, prior: f64) -> f64 {
+        (prior * expected + self.for_kinematic) / (prior + self.apart)
+    }
+}
+
+impl Trials {
+    /// Begins a trial at `stamp_ns`, in the place of the oldest one.
+    pub fn begin(&mut self, stamp_ns: i64, ahead_ns: u64, ahead: Ahead) {
+        let (due_ns, ahead_s) = (stamp_ns.saturating_add_unsigned(ahead_ns), ahead_ns as f64 / 1e9);
+        self.open[self.next] = Some(Trial { due_ns, ahead_s, ahead });
+        self.next = (self.next + 1) % TRIALS_MAX;
+    }
+
+    /// Ends the trials that are due, by a detection at `stamp_ns` of an agent of that velocity; returns what each
+    /// has shown.
+    pub fn mature(
+        &mut self,
+        stamp_ns: i64,
+        position_m: [f64; 2],
+        velocity_mps: [f64; 2],
+    ) -> impl Iterator<Item = Shown> {
+        let Self { open, shown, .. } = self;
+        open.iter_mut().filter_map(move |open| {
+            let Trial { due_ns, ahead_s, ahead } = open.take_if(|trial| trial.due_ns <= stamp_ns)?;
+            let late_ns = stamp_ns.abs_diff(due_ns);
+            if late_ns > LATE_MAX_NS {
+                return None;
+            }
+            let late_s = late_ns as f64 / 1e9;
+            let error_m = |of_m: [f64; 2]| {
+                [0, 1].map(|axis| of_m[axis] - (position_m[axis] - late_s * velocity_mps[axis]))
+            };
+            let of_trial = Shown::by(ahead_s, error_m(ahead.learned_m), error_m(ahead.kinematic_m));
+            shown.add(&of_trial, AGENT_KEEPS);
+            Some(of_trial)
+        })
+    }
+
+    /// Weight of the process model beside the agent's forecasts, by its own trials and those of its type, where
+    /// `least` is what it has at least.
+    pub fn kinematic_weight(&self, of_type: &Shown, least: f64) -> f64 {
+        let of_type = of_type.kinematic_weight(EXPECTED, TYPE_PRIOR);
+        self.shown.kinematic_weight(of_type, AGENT_PRIOR).clamp(least, WEIGHT_MAX)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const TICK_NS: i64 = 80_000_000;
+
+    /// Trials of an agent that moves along x, one each 0.4 s, whose forecast errs by this share of the process model's
+    /// error of 1 m, and what they have shown.
+    fn trials(share: f64, trials_len: i64) -> (Trials, Vec<Shown>) {
+        let (mut trials, mut all) = (Trials::default(), Vec::new());
+        let at_m = |stamp_ns: i64| [stamp_ns as f64 * 5e-9, 0.0];
+        for tick in 0..5 * trials_len + 10 {
+            let stamp_ns = tick * TICK_NS;
+            all.extend(trials.mature(stamp_ns, at_m(stamp_ns), [5.0, 0.0]));
+            if tick % 5 == 0 && tick < 5 * trials_len {
+                let [x, y] = at_m(stamp_ns + AHEAD_NS[1] as i64);
+                trials.begin(
+                    stamp_ns,
+                    AHEAD_NS[1],
+                    Ahead { learned_m: [x, y + share], kinematic_m: [x, y + 1.0] },
+                );
+            }
+        }
+        (trials, all)
+    }
+
+    #[test]
+    fn every_trial_matures_once() {
+        assert_eq!(trials(0.5, 7).1.len(), 7);
+    }
+
+    fn of_type(share: f64) -> Shown {
+        let mut of_type = Shown::default();
+        trials(share, 500).1.iter().for_each(|shown| of_type.add_of_type(shown));
+        of_type
+    }
+
+    #[test]
+    fn the_blend_has_the_least_squared_error() {
+        // Errors of −1 and 1 m cancel out at equal weights; where one of two on the same side is the nearest, it has all.
+        for (share, expected) in [(-1.0, 0.5), (-3.0, 0.75), (0.5, 0.0), (2.0, 1.0)] {
+            let found = of_type(share).kinematic_weight(EXPECTED, 1e-9);
+            assert!((found - expected).abs() < 1e-3, "{share}: {found}");
+        }
+    }
+
+    #[test]
+    fn the_weight_keeps_to_its_limits() {
+        let weight = |share| trials(share, 50).0.kinematic_weight(&of_type(share), 0.05);
+        assert_eq!((weight(0.5), weight(3.0)), (0.05, WEIGHT_MAX));
+        let at_first = Trials::default().kinematic_weight(&Shown::default(), 0.05);
+        assert!((at_first - EXPECTED).abs() < 1e-12, "{at_first}");
+    }
+
+    #[test]
+    fn a_late_detection_is_taken_back_by_the_velocity_and_a_later_one_shows_nothing() {
+        let shown = |late_ns: i64| {
+            let mut trials = Trials::default();
+            trials.begin(0, AHEAD_NS[1], Ahead { learned_m: [4.0, 0.0], kinematic_m: [4.0, 1.0] });
+            let stamp_ns = AHEAD_NS[1] as i64 + late_ns;
+            let x_m = stamp_ns as f64 * 5e-9;
+            trials.mature(stamp_ns, [x_m, 0.0], [5.0, 0.0]).next()
+        };
+        let (in_time, late) = (shown(0).expect("due"), shown(TICK_NS).expect("due"));
+        assert!((in_time.for_kinematic - late.for_kinematic).abs() < 1e-9 && in_time.apart > 0.0);
+        assert!(shown(-1).is_none() && shown(3 * TICK_NS).is_none());
+    }
+}
