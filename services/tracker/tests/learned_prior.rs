@@ -225,7 +225,7 @@ fn forecasts_earn_their_weight_and_lose_it_about_a_second_after_they_fail() {
     let after_s = |time_s: f64| weights[RIGHT_TICKS + (time_s / TICK_S) as usize];
     let [right, soon, later] = [0.0, 1.2, 4.0].map(after_s);
     println!("process model: {right:.2} while forecasts are right, then {soon:.2} and {later:.2}");
-    assert!(right < 0.3 && soon > 0.5 && later > 0.9, "{weights:?}");
+    assert!(right < 0.3 && soon > 0.5 && later > 0.7, "{weights:?}");
 }
 
 #[test]
