@@ -149,13 +149,13 @@ impl Belief {
         self.hypotheses.as_ref().and_then(Hypotheses::forecast_age_ns)
     }
 
-    /// Where the agent will be in `dt_ns`, by its forecast and by the process model alone; none without a forecast
-    /// that reaches so far.
+    /// Where the agent will be after one to `PARTS` times `part_ns`, by its forecast and by the process model alone;
+    /// none without a forecast that reaches so far.
     #[must_use]
-    pub fn ahead(&self, dt_ns: u64) -> Option<Ahead> {
+    pub fn ahead<const PARTS: usize>(&self, part_ns: u64) -> Option<[Ahead; PARTS]> {
         match self.hypotheses.as_ref()? {
-            Hypotheses::Bicycle(mixture) => mixture.ahead(dt_ns),
-            Hypotheses::Displacement(mixture) => mixture.ahead(dt_ns),
+            Hypotheses::Bicycle(mixture) => mixture.ahead(part_ns),
+            Hypotheses::Displacement(mixture) => mixture.ahead(part_ns),
         }
     }
 

@@ -13,7 +13,7 @@ use crate::front::{Front, folded, rate_limited_rad};
 use crate::observation::{observation, source_id};
 use crate::options::{ForecastTrust, InputModel, TrackerOptions};
 use crate::track_management::TrackManagement;
-use crate::trials::{AHEAD_NS, Shown, Trials};
+use crate::trials::{PART_NS, Shown, Trials};
 
 /// Standard deviations of what the first detection leaves open, by type.
 const UNKNOWN: [Unknown; 3] = [
@@ -218,10 +218,8 @@ impl Estimate {
         let adopted = self.belief.adopt(&prior, (&self.models(input), trust), self.seed).is_ok();
         if adopted {
             self.controls_ns = Some(controls_ns);
-            for ahead_ns in AHEAD_NS {
-                if let Some(ahead) = self.belief.ahead(ahead_ns) {
-                    self.trials.begin(self.stamp_ns, ahead_ns, ahead);
-                }
+            if let Some(ahead) = self.belief.ahead(PART_NS) {
+                self.trials.begin(self.stamp_ns, ahead);
             }
         }
         adopted

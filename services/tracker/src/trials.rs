@@ -3,8 +3,9 @@
 
 use filters::Ahead;
 
-/// Times ahead of trials: a short gap, and half of it, which shows sooner where forecasts begin to fail.
-pub const AHEAD_NS: [u64; 2] = [400_000_000, 800_000_000];
+/// Time ahead of trials: half a short gap, which shows sooner where forecasts begin to fail, and a whole one.
+pub const PART_NS: u64 = 400_000_000;
+const PARTS: usize = 2;
 /// Latest detection after a trial's end that still shows where the agent was at its end.
 const LATE_MAX_NS: u64 = 200_000_000;
 /// Most trials of an agent at a time, one of each length per adopted forecast, at Δt of 0.2 s and more.
@@ -79,11 +80,15 @@ impl Shown {
 }
 
 impl Trials {
-    /// Begins a trial at `stamp_ns`, in the place of the oldest one.
-    pub fn begin(&mut self, stamp_ns: i64, ahead_ns: u64, ahead: Ahead) {
-        let (due_ns, ahead_s) = (stamp_ns.saturating_add_unsigned(ahead_ns), ahead_ns as f64 / 1e9);
-        self.open[self.next] = Some(Trial { due_ns, ahead_s, ahead });
-        self.next = (self.next + 1) % TRIALS_MAX;
+    /// Begins a trial of each length at `stamp_ns`, in the place of the oldest ones.
+    pub fn begin(&mut self, stamp_ns: i64, ahead: [Ahead; PARTS]) {
+        let mut ahead_ns = 0;
+        for ahead in ahead {
+            ahead_ns += PART_NS;
+            let (due_ns, ahead_s) = (stamp_ns.saturating_add_unsigned(ahead_ns), ahead_ns as f64 / 1e9);
+            self.open[self.next] = Some(Trial { due_ns, ahead_s, ahead });
+            self.next = (self.next + 1) % TRIALS_MAX;
+        }
     }
 
     /// Ends the trials that are due, by a detection at `stamp_ns` of an agent of that velocity; returns what each
@@ -134,12 +139,11 @@ mod tests {
             let stamp_ns = tick * TICK_NS;
             all.extend(trials.mature(stamp_ns, at_m(stamp_ns), [5.0, 0.0]));
             if tick % 5 == 0 && tick < 5 * trials_len {
-                let [x, y] = at_m(stamp_ns + AHEAD_NS[1] as i64);
-                trials.begin(
-                    stamp_ns,
-                    AHEAD_NS[1],
-                    Ahead { learned_m: [x, y + share], kinematic_m: [x, y + 1.0] },
-                );
+                let ahead = |part: i64| {
+                    let [x, y] = at_m(stamp_ns + part * PART_NS as i64);
+                    Ahead { learned_m: [x, y + share], kinematic_m: [x, y + 1.0] }
+                };
+                trials.begin(stamp_ns, [1, 2].map(ahead));
             }
         }
         (trials, all)
@@ -147,7 +151,7 @@ mod tests {
 
     #[test]
     fn every_trial_matures_once() {
-        assert_eq!(trials(0.5, 7).1.len(), 7);
+        assert_eq!(trials(0.5, 7).1.len(), PARTS * 7);
     }
 
     fn of_type(share: f64) -> Shown {
@@ -177,8 +181,9 @@ mod tests {
     fn a_late_detection_is_taken_back_by_the_velocity_and_a_later_one_shows_nothing() {
         let shown = |late_ns: i64| {
             let mut trials = Trials::default();
-            trials.begin(0, AHEAD_NS[1], Ahead { learned_m: [4.0, 0.0], kinematic_m: [4.0, 1.0] });
-            let stamp_ns = AHEAD_NS[1] as i64 + late_ns;
+            let ahead = |x: f64| Ahead { learned_m: [x, 0.0], kinematic_m: [x, 1.0] };
+            trials.begin(0, [2.0, 4.0].map(ahead));
+            let stamp_ns = 2 * PART_NS as i64 + late_ns;
             let x_m = stamp_ns as f64 * 5e-9;
             trials.mature(stamp_ns, [x_m, 0.0], [5.0, 0.0]).next()
         };

@@ -198,36 +198,44 @@ impl<P: Controlled<N>, const N: usize> Mixture<P, N> {
         Ok(())
     }
 
-    /// Where the forecast takes the mixture's mean in `dt_ns`, and where the kinematic process alone does; none
-    /// without a forecast that reaches so far.
+    /// Where the forecast takes the mixture's mean, and where the kinematic process alone does, after one to `PARTS`
+    /// times `part_ns`; none without a forecast that reaches so far.
     ///
     /// The forecast is followed by the mean of its hypotheses' controls, which to first order leads to the mean of
     /// their positions.
     #[must_use]
-    pub fn ahead(&self, dt_ns: u64) -> Option<Ahead> {
-        let (steps_len, dt_s) = steps(dt_ns).ok()?;
-        if !self.is_learned() || self.age_ns.saturating_add(dt_ns) > self.plan.horizon_ns {
+    pub fn ahead<const PARTS: usize>(&self, part_ns: u64) -> Option<[Ahead; PARTS]> {
+        let (steps_len, dt_s) = steps(part_ns).ok()?;
+        let horizon_ns = part_ns.saturating_mul(PARTS as u64).saturating_add(self.age_ns);
+        if !self.is_learned() || horizon_ns > self.plan.horizon_ns {
             return None;
         }
         let hypotheses = || self.components.iter().filter_map(|c| Some((c.hypothesis?, c.log_weight.exp())));
         let sum: f64 = hypotheses().map(|(_, weight)| weight).sum();
         let now = self.moments();
         let (mut learned, mut kinematic) = (now, now);
-        for i in 0..steps_len {
-            let middle_ns = self.age_ns + dt_ns * (2 * i + 1) / (2 * steps_len);
-            let mut mean = Control::default();
-            for (hypothesis, weight) in hypotheses() {
-                let rate = self.plan.at::<P, N>(hypothesis, middle_ns).rate;
-                mean.rate = [0, 1].map(|axis| mean.rate[axis] + weight / sum * rate[axis]);
+        let mut begun_ns = self.age_ns;
+        let ahead = [(); PARTS].map(|()| {
+            for i in 0..steps_len {
+                let middle_ns = begun_ns + part_ns * (2 * i + 1) / (2 * steps_len);
+                let mut mean = Control::default();
+                for (hypothesis, weight) in hypotheses() {
+                    let rate = self.plan.at::<P, N>(hypothesis, middle_ns).rate;
+                    mean.rate = [0, 1].map(|axis| mean.rate[axis] + weight / sum * rate[axis]);
+                }
+                let process = self.priors.controlled(self.plan.gain(middle_ns));
+                learned = process.step_controlled(&learned, &mean, dt_s);
+                kinematic = self.priors.kinematic.step(&kinematic, dt_s);
             }
-            let process = self.priors.controlled(self.plan.gain(middle_ns));
-            learned = process.step_controlled(&learned, &mean, dt_s);
-            kinematic = self.priors.kinematic.step(&kinematic, dt_s);
-        }
-        let position_m = |state: &Gaussian<N>| [state.mean[0], state.mean[1]];
-        let ahead = Ahead { learned_m: position_m(&learned), kinematic_m: position_m(&kinematic) };
-        let positions_m = [ahead.learned_m, ahead.kinematic_m];
-        positions_m.as_flattened().iter().all(|position| position.is_finite()).then_some(ahead)
+            begun_ns += part_ns;
+            let [learned_m, kinematic_m] = [&learned, &kinematic].map(|state| [state.mean[0], state.mean[1]]);
+            Ahead { learned_m, kinematic_m }
+        });
+        let are_finite = ahead.iter().all(|ahead| {
+            let positions_m = [ahead.learned_m, ahead.kinematic_m];
+            positions_m.as_flattened().iter().all(|position| position.is_finite())
+        });
+        are_finite.then_some(ahead)
     }
 
     /// Updates all components and their weights by an observation; returns the logarithm of its density under

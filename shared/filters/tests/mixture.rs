@@ -337,3 +337,33 @@ fn random_ticks_keep_the_mixture_sound() {
     assert_stays_sound(BICYCLE, Gaussian::new([0.0, 0.0, 0.5, 3.0, 0.0], [0.1, 0.1, 0.1, 4.0, 0.01]));
     assert_stays_sound(PEDESTRIAN, Gaussian::new([0.0; 4], [0.1, 0.1, 1.0, 1.0]));
 }
+
+#[test]
+fn a_forecast_leads_ahead_where_predictions_without_measurements_go() {
+    let start = Gaussian::new([0.0, 0.0, 0.5, 8.0, 0.0], [0.1, 0.1, 1e-4, 0.1, 1e-4]);
+    let priors = Priors { kinematic_weight: 0.0, ..Priors::new(BICYCLE, NOISELESS) };
+    let one = steady(&[[-2.0, 0.05]], [0.0; 3]);
+    let mut mixture = Mixture::new(start, priors, 1);
+    mixture.adopt(&forecast(&one)).expect("a forecast");
+    let ahead: [_; 2] = mixture.ahead(STEP_NS).expect("within the horizon");
+    let mut plain = start;
+    for ahead in ahead {
+        mixture.predict(STEP_NS).expect("a state");
+        plain.predict(STEP_NS, &BICYCLE).expect("a state");
+        for axis in 0..2 {
+            assert!((ahead.learned_m[axis] - mixture.mean()[axis]).abs() < 1e-9, "{ahead:?}");
+            assert!((ahead.kinematic_m[axis] - plain.mean[axis]).abs() < 1e-9, "{ahead:?}");
+        }
+    }
+    // Of two hypotheses the mean of their controls leads near the mean of their positions.
+    let two = steady(&[[-2.0, 0.05], [2.0, -0.02]], [0.0; 3]);
+    let mut mixture = Mixture::new(start, priors, 1);
+    mixture.adopt(&forecast(&two)).expect("a forecast");
+    let [_, ahead]: [_; 2] = mixture.ahead(STEP_NS).expect("within the horizon");
+    mixture.predict(2 * STEP_NS).expect("a state");
+    let apart_m = (ahead.learned_m[0] - mixture.mean()[0]).hypot(ahead.learned_m[1] - mixture.mean()[1]);
+    assert!(apart_m < 0.1, "{apart_m} m, of hypotheses that are 1.3 m apart");
+    assert!(mixture.ahead::<2>(6 * STEP_NS).is_none(), "past the horizon");
+    mixture.reset(start);
+    assert!(mixture.ahead::<2>(STEP_NS).is_none(), "without a forecast");
+}
