@@ -210,7 +210,11 @@ impl Estimate {
         let least = input.trust.kinematic_weight;
         let kinematic_weight = self.trials.kinematic_weight(&shown[agent_type.index()], least);
         let trust = &ForecastTrust { kinematic_weight, ..input.trust };
-        if controls.read(forecasts, forecast, steering, trust.fade_in_s).is_err() {
+        let fade_in_s = match steering {
+            Steering::Bicycle => trust.control_fade_in_s,
+            Steering::None | Steering::Displacement => trust.displacement_fade_in_s,
+        };
+        if controls.read(forecasts, forecast, steering, fade_in_s).is_err() {
             return false;
         }
         let age_ns = self.stamp_ns.abs_diff(controls_ns);

@@ -75,8 +75,7 @@ impl Controls {
         }
     }
 
-    /// Reads the controls of a forecast. They fade in: the time constant of their kind after their stamp, 1 − 1/e
-    /// of them.
+    /// Reads the controls of a forecast. They fade in: `fade_in_s` after their stamp, 1 − 1/e of them.
     ///
     /// # Errors
     /// [`Rejected`] where a number is not finite or impossible.
@@ -85,7 +84,7 @@ impl Controls {
         of: &Forecasts<'_>,
         forecast: &Forecast,
         steering: Steering,
-        fade_in_s: [f64; 2],
+        fade_in_s: f64,
     ) -> Result<(), Rejected> {
         forecast.check_controls()?;
         self.modes_len = forecast.modes_len as usize;
@@ -94,9 +93,9 @@ impl Controls {
             return Err(Rejected::TooMany { field: "modes_len", found, most });
         }
         let step_s = of.step_ns() as f64 / 1e9;
-        let (most, fade_in_s) = match steering {
-            Steering::Bicycle => (BICYCLE_MAX, fade_in_s[0]),
-            Steering::None | Steering::Displacement => ([SPEED_MAX_MPS * step_s as f32; 2], fade_in_s[1]),
+        let most = match steering {
+            Steering::Bicycle => BICYCLE_MAX,
+            Steering::None | Steering::Displacement => [SPEED_MAX_MPS * step_s as f32; 2],
         };
         self.probability = forecast.probability.map(f64::from);
         self.steps.clear();

@@ -110,9 +110,11 @@ pub struct ForecastTrust {
     pub half_gain_speed_mps: f64,
     /// Standard deviation of a vehicle's heading at which the gain of its slip-rate control is one half.
     pub half_gain_heading_rad: f64,
-    /// Time constants with which a vehicle's controls and displacements fade in, since at first the estimated state
-    /// is the better predictor. 0 for at once.
-    pub fade_in_s: [f64; 2],
+    /// Time constant with which a vehicle's acceleration and slip rate fade in, since at first the estimated state is
+    /// the better predictor. 0 for at once.
+    pub control_fade_in_s: f64,
+    /// As before, of displacements.
+    pub displacement_fade_in_s: f64,
 }
 
 /// What the tracker assumes of one kind of input, by agent type.
@@ -175,7 +177,8 @@ const TRUST: ForecastTrust = ForecastTrust {
     noise_share: 1.0,
     half_gain_speed_mps: 0.7,
     half_gain_heading_rad: 0.02,
-    fade_in_s: [0.0, 0.5],
+    control_fade_in_s: 0.0,
+    displacement_fade_in_s: 0.5,
 };
 
 /// The noise of vehicles is chosen by the kinematic prior on the validation recordings of INTERACTION, by
@@ -211,7 +214,7 @@ const RECORDED: InputModel = InputModel {
         MotionNoise { density: 0.3, acceleration_mps2: 1.0, slip_rate_radps: 0.5, slip_decay_per_s: 0.0 },
     ],
     // Chosen by tracks through gaps on driving recordings of other sources, under noise of 0.1 m.
-    trust: ForecastTrust { fade_in_s: [0.2, 0.5], ..TRUST },
+    trust: ForecastTrust { control_fade_in_s: 0.2, ..TRUST },
     coast_ns: 1_000_000_000,
 };
 
