@@ -6,6 +6,7 @@ use std::collections::{HashMap, VecDeque, hash_map};
 
 use wire::{AGENTS_MAX, AgentType, EXPERTS_MAX, Expert, HORIZON_MAX, MODES_MAX};
 
+use crate::due::{Due, Waiting};
 use crate::fan::LearnedPattern;
 use crate::width::Widths;
 use crate::{BANDS, Context, ContextPrior, EXPERTS, Fan, KNOTS, Paths, Prior, SLOTS, Statistics};
@@ -20,10 +21,8 @@ const DEVIATION_M: f32 = 0.1;
 const GAP_STEPS: i64 = 2;
 /// Most agents that are followed at a time.
 const TRACES_MAX: usize = 4 * AGENTS_MAX;
-/// Most forecasts whose mixtures are kept until they mature.
-const MIXTURES_MAX: usize = 1024;
-/// Most levels that are computed in a tick.
-const LEVELS_MAX: usize = 32;
+/// Most forecasts whose mixtures are kept until they mature: those of all agents of a payload.
+const MIXTURES_MAX: usize = AGENTS_MAX * (HORIZON_MAX + 1);
 
 /// Deviations that the prior counts for.
 const DEVIATIONS_LEN: f64 = 10.0;
@@ -173,6 +172,7 @@ pub struct Evidence {
     spare: Vec<VecDeque<Pending>>,
     mixtures: Vec<Kept>,
     free: Vec<usize>,
+    waiting: Waiting,
     now_ns: i64,
 }
 
@@ -252,6 +252,20 @@ impl Kept {
         }
     }
 
+    /// What its level is computed from once it has matured at a knot.
+    fn due(&self, context: Context, knot: usize, truth_m: [f32; 2]) -> Due {
+        Due {
+            context,
+            knot,
+            factor: self.widths[knot],
+            modes_len: self.modes_len,
+            probability: self.probability,
+            means_m: self.means_m[knot],
+            covariances_m2: self.covariances_m2[knot],
+            truth_m,
+        }
+    }
+
     /// Mean distance over the knots of the nearest mode of a set.
     fn nearest_m(&self, set: ModeSet) -> f32 {
         let fan_len = set.fan_len(self.network_len);
@@ -307,6 +321,7 @@ impl Evidence {
             spare: (0..TRACES_MAX).map(|_| VecDeque::with_capacity(horizon_len + 1)).collect(),
             mixtures: vec![empty; MIXTURES_MAX],
             free: (0..MIXTURES_MAX).collect(),
+            waiting: Waiting::new(),
             now_ns: i64::MIN,
         }
     }
@@ -317,11 +332,12 @@ impl Evidence {
         for (_, trace) in traces.drain() {
             release(trace, spare, free);
         }
+        self.waiting.clear();
         self.now_ns = i64::MIN;
     }
 
-    /// Records the positions of agents at a time, and learns from the forecasts that mature by them; of some,
-    /// `level` computes on the border of which region the truth lies, 0 to 1. A time that is not newer than the
+    /// Records the positions of agents at a time, and learns from the forecasts that mature by them. On the border of
+    /// which region a truth lies, 0 to 1, is computed by `level`, for as many as there is time for. A time that is not newer than the
     /// last is left out.
     pub fn observe_with(
         &mut self,
@@ -348,9 +364,17 @@ impl Evidence {
         for (_, trace) in traces.extract_if(|_, trace| now_ns - trace.stamp_ns > gap_ns) {
             release(trace, spare, free);
         }
-        let mut levels_left = LEVELS_MAX;
         for (id, position_m) in agents {
-            self.observe_one(id, position_m, &mut levels_left, &mut level);
+            self.observe_one(id, position_m);
+        }
+        for due in self.waiting.take(passed_s) {
+            let level = level(due.matured());
+            if level.is_finite() {
+                let of_type = &mut self.known[due.context.agent_type.index()];
+                for (band, share) in due.context.bands().into_iter().filter(|(_, share)| *share > 0.0) {
+                    of_type[band].widths[due.knot].add(level, due.factor, share);
+                }
+            }
         }
         self.known.as_flattened_mut().iter_mut().for_each(Knowledge::solve);
     }
@@ -360,14 +384,8 @@ impl Evidence {
         self.observe_with(now_ns, agents, |_| f64::NAN);
     }
 
-    fn observe_one(
-        &mut self,
-        id: u64,
-        position_m: [f32; 2],
-        levels_left: &mut usize,
-        level: &mut impl FnMut(Matured<'_>) -> f64,
-    ) {
-        let Self { now_ns, step_ns, knots, known, mixtures, free, .. } = self;
+    fn observe_one(&mut self, id: u64, position_m: [f32; 2]) {
+        let Self { now_ns, step_ns, knots, known, mixtures, free, waiting, .. } = self;
         let (now_ns, step_ns) = (*now_ns, *step_ns);
         let trace = match self.traces.entry(id) {
             hash_map::Entry::Occupied(known) => known.into_mut(),
@@ -394,6 +412,7 @@ impl Evidence {
                 let deviation_m = DEVIATION_M * ((knots[knot] + 1) as f32).sqrt();
                 if let Some(place) = pending.mixture {
                     mixtures[place].add_distances(knot, truth_m);
+                    waiting.push(mixtures[place].due(pending.context, knot, truth_m));
                 }
                 let nearest_m = pending
                     .mixture
@@ -407,14 +426,6 @@ impl Evidence {
                     .mixture
                     .filter(|_| pending.matured_len == KNOTS)
                     .map(|place| mixtures[place].nearest_of_fan(&pending.residuals_m));
-                let radius = pending.mixture.filter(|_| *levels_left > 0).map(|place| {
-                    *levels_left -= 1;
-                    let kept = &mixtures[place];
-                    let (probability, len) = (&kept.probability[..kept.modes_len], kept.modes_len);
-                    let (means_m, covariances_m2) =
-                        (&kept.means_m[knot][..len], &kept.covariances_m2[knot][..len]);
-                    (level(Matured { means_m, covariances_m2, probability, truth_m }), kept.widths[knot])
-                });
                 for (band, share) in pending.context.bands() {
                     let knowledge = &mut of_type[band];
                     if share > 0.0 {
@@ -427,9 +438,6 @@ impl Evidence {
                         }
                         if let Some((number, units)) = &of_fan {
                             knowledge.pattern.add(*number, units, share);
-                        }
-                        if let Some((level, factor)) = radius.filter(|(level, _)| level.is_finite()) {
-                            knowledge.widths[knot].add(level, factor, share);
                         }
                     }
                 }

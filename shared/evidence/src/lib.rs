@@ -52,6 +52,7 @@
 
 mod blend;
 mod context;
+mod due;
 mod fan;
 mod ledger;
 mod paths;
