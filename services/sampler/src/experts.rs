@@ -1,6 +1,6 @@
 //! Evidence on the experts in the sampler: what the network's forecasts have been worth, and the others'.
 
-use evidence::{Agent, EXPERTS, Evidence, Fan, Mixture, ModeSet, MotionNow, Paths, Prior};
+use evidence::{Agent, EXPERTS, Evidence, Fan, Mixture, MotionNow, Paths, Prior};
 use kinematics::{Moments, MotionModel};
 use metrics::HighestDensity;
 use retrieval::{ControlChange, ControlChanges, ForecastControls, Residuals};
@@ -44,8 +44,7 @@ pub(crate) struct Blended {
     /// How wide the modes are.
     pub(crate) spread: Spread,
     fan: Fan,
-    set: ModeSet,
-    /// The network's modes, the most probable ones first; written where the forecast is kept.
+    /// The network's modes, once the forecast has been changed.
     network_m: [[[f32; 2]; HORIZON_MAX]; MODES_MAX],
 }
 
@@ -173,56 +172,42 @@ impl Experts {
         let widths = self.evidence.widths(agent_type, agent.speed_mps);
         let fan = self.evidence.fan(&agent);
         let spread = Spread::of(&widths, &fan, best_m, dt_s);
-        let set = self.evidence.mode_set(&agent);
         let network_m = [[[0.0; 2]; HORIZON_MAX]; MODES_MAX];
-        Blended { agent, paths, weights, best_m, shift, spread, fan, set, network_m }
+        Blended { agent, paths, weights, best_m, shift, spread, fan, network_m }
     }
 
-    /// Shifts the modes with the best forecast, and replaces the least probable of them by the fan's where that
-    /// has been nearer.
+    /// Shifts the modes with the best forecast, and replaces those that others stand for by modes of the fan.
     pub(crate) fn change<M: AsRef<[wire::ControlGaussian]>>(
         &self,
-        stamp_ns: i64,
         model: &MotionModel,
         controls: &ForecastControls<'_, M>,
         blended: &mut Blended,
         changes: &mut ControlChanges,
     ) {
-        changes.shift(&blended.shift);
+        changes.shift_best(&blended.shift);
+        let Blended { agent, fan, best_m, network_m, spread, .. } = blended;
         let (len, modes_len) = (self.horizon_len, controls.modes.len());
-        let mut order: [usize; MODES_MAX] = std::array::from_fn(|mode| mode);
-        let order = &mut order[..modes_len];
-        let probability = changes.probability();
-        order.sort_unstable_by(|&a, &b| probability[b].total_cmp(&probability[a]).then(a.cmp(&b)));
-        if self.evidence.wants(stamp_ns, blended.agent.id) {
-            for (path, &mode) in blended.network_m.iter_mut().zip(&*order) {
-                let means = changes.mode(mode, controls).map(|control| control.mean);
-                model.positions(means, &mut path[..len]);
+        for (mode, path) in network_m[..modes_len].iter_mut().enumerate() {
+            model.positions(changes.mode(mode, controls).map(|control| control.mean), &mut path[..len]);
+        }
+        let network = (&network_m[..modes_len], changes.probability());
+        let choice = self.evidence.choose(agent, network, (fan, best_m));
+        let mut of_fan = (0..modes_len).filter_map(|number| Some((number, choice.of_fan(number)?)));
+        for mode in 0..modes_len {
+            if let Some(probability) = choice.of_network(mode) {
+                changes.set_probability(mode, probability);
+                continue;
             }
-        }
-        let fan_len = blended.set.fan_len(modes_len);
-        if fan_len == 0 {
-            return;
-        }
-        let (kept, replaced) = order.split_at(modes_len - fan_len);
-        let of_network = kept.len() as f32 / modes_len as f32;
-        let kept_sum: f32 = kept.iter().map(|&mode| changes.probability()[mode]).sum();
-        for &mode in kept {
-            changes.scale_probability(mode, of_network / kept_sum.max(f32::MIN_POSITIVE));
-        }
-        let fan_sum: f32 = blended.fan.probability[..fan_len].iter().sum();
-        let best_m = &blended.best_m[..len];
-        for (number, &mode) in replaced.iter().enumerate() {
+            let Some((number, probability)) = of_fan.next() else { break };
             let mut path = [[0.0; 2]; HORIZON_MAX];
-            for (step, (path, best_m)) in path.iter_mut().zip(best_m).enumerate() {
-                let residual_m = blended.fan.residual_m(number, step);
+            for (step, (path, best_m)) in path[..len].iter_mut().zip(&*best_m).enumerate() {
+                let residual_m = fan.residual_m(number, step);
                 *path = [0, 1].map(|axis| best_m[axis] + residual_m[axis]);
             }
             let mut means = ControlChange::default();
             model.follow(&path[..len], &mut means);
-            let probability = (1.0 - of_network) * blended.fan.probability[number] / fan_sum;
             changes.replace(mode, &means, controls, probability);
-            blended.spread.fan.0 |= 1 << mode;
+            spread.fan.0 |= 1 << mode;
         }
     }
 

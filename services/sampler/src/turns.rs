@@ -160,7 +160,7 @@ impl Forecaster {
             let network = self.changes.best(&decoded);
             let paths = (network, controls.base());
             let mut blended = experts.blend((track, *agent_type), history, &model, paths, tick.dt_s());
-            experts.change(tick.stamp_ns, &model, &decoded, &mut blended, &mut self.changes);
+            experts.change(&model, &decoded, &mut blended, &mut self.changes);
             blended
         });
         if options.initial_covariance {

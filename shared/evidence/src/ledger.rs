@@ -6,6 +6,7 @@ use std::collections::{HashMap, VecDeque, hash_map};
 
 use wire::{AGENTS_MAX, AgentType, EXPERTS_MAX, Expert, HORIZON_MAX, MODES_MAX};
 
+use crate::choice::{BOTH_MAX, Choice};
 use crate::due::{Due, Waiting};
 use crate::fan::LearnedPattern;
 use crate::width::Widths;
@@ -28,35 +29,8 @@ const MIXTURES_MAX: usize = AGENTS_MAX * (HORIZON_MAX + 1);
 const DEVIATIONS_LEN: f64 = 10.0;
 /// A residual counts as no more than so many deviations: of jumps of identity there is no end.
 const OUTLIER: f32 = 6.0;
-/// Mode sets that the prior counts for.
-const SETS_LEN: f64 = 10.0;
-
-/// Where the modes of a forecast come from.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum ModeSet {
-    /// All from the network.
-    #[default]
-    Network,
-    /// The most probable half from the network, the others from the fan.
-    Half,
-    /// All from the [`Fan`] about the blend.
-    Fan,
-}
-
-impl ModeSet {
-    /// All sets.
-    pub const ALL: [Self; 3] = [Self::Network, Self::Half, Self::Fan];
-
-    /// How many of the fan's most probable modes it has, of `modes_len`.
-    #[must_use]
-    pub const fn fan_len(self, modes_len: usize) -> usize {
-        match self {
-            Self::Network => 0,
-            Self::Half => modes_len / 2,
-            Self::Fan => modes_len,
-        }
-    }
-}
+/// Comparisons of network and fan that the prior counts for.
+const SHARE_LEN: f64 = 10.0;
 
 /// An agent at a time.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -82,7 +56,7 @@ pub struct Mixture<'a> {
     pub covariances_m2: &'a [[[f32; 3]; HORIZON_MAX]; MODES_MAX],
     /// Factors by which it was widened, step by step.
     pub widths: &'a [f32; HORIZON_MAX],
-    /// The network's modes, whether they were published or not, the most probable ones first, m.
+    /// The network's modes, whether they were published or not, m.
     pub network_m: &'a [[[f32; 2]; HORIZON_MAX]],
     /// The fan about the blend, whether it was published or not.
     pub fan: &'a Fan,
@@ -155,8 +129,8 @@ struct Knowledge {
     widths: [Widths; KNOTS],
     /// Sums of squares along and across the course, m², and their number.
     squares: [([f64; 2], f64); KNOTS],
-    /// Sums of the distances of the nearest mode of each set, m, and their number.
-    nearest: ([f64; 3], f64),
+    /// Number of forecasts of which a mode of the network was nearer than all of the fan, and of all.
+    network_nearer: (f64, f64),
     pattern: LearnedPattern,
 }
 
@@ -184,10 +158,10 @@ impl Knowledge {
         let squares = prior.deviation_m.map(|deviations| {
             (deviations.map(|deviation_m| DEVIATIONS_LEN * f64::from(deviation_m).powi(2)), DEVIATIONS_LEN)
         });
-        let nearest = (prior.nearest_m.map(|nearest_m| SETS_LEN * f64::from(nearest_m)), SETS_LEN);
+        let network_nearer = (SHARE_LEN * f64::from(prior.network_share), SHARE_LEN);
         let pattern = LearnedPattern::new(&prior.pattern);
         let mut knowledge =
-            Self { prior: *prior, blend, weights, is_stale: true, widths, squares, nearest, pattern };
+            Self { prior: *prior, blend, weights, is_stale: true, widths, squares, network_nearer, pattern };
         knowledge.solve();
         knowledge
     }
@@ -198,8 +172,8 @@ impl Knowledge {
         for (squares, len) in &mut self.squares {
             squares.iter_mut().chain([len]).for_each(|sum| *sum *= kept);
         }
-        let (nearest, len) = &mut self.nearest;
-        nearest.iter_mut().chain([len]).for_each(|sum| *sum *= kept);
+        self.network_nearer.0 *= kept;
+        self.network_nearer.1 *= kept;
         self.pattern.discount(kept as f32);
     }
 
@@ -233,12 +207,16 @@ impl Knowledge {
         *len += f64::from(weight);
     }
 
-    fn add_nearest(&mut self, nearest_m: [f32; 3], weight: f32) {
-        let (sums, len) = &mut self.nearest;
-        for (sum, nearest_m) in sums.iter_mut().zip(nearest_m) {
-            *sum += f64::from(weight * nearest_m);
-        }
+    fn add_nearer(&mut self, is_network: bool, weight: f32) {
+        let (nearer, len) = &mut self.network_nearer;
+        *nearer += if is_network { f64::from(weight) } else { 0.0 };
         *len += f64::from(weight);
+    }
+
+    /// The share of the forecasts of which the network had the nearest mode.
+    fn network_share(&self) -> f32 {
+        let (nearer, len) = self.network_nearer;
+        (nearer / len.max(1e-9)) as f32
     }
 }
 
@@ -266,12 +244,12 @@ impl Kept {
         }
     }
 
-    /// Mean distance over the knots of the nearest mode of a set.
-    fn nearest_m(&self, set: ModeSet) -> f32 {
-        let fan_len = set.fan_len(self.network_len);
-        let [network, fan] = &self.distances_m;
-        let modes = network[..self.network_len - fan_len].iter().chain(&fan[..fan_len]);
-        modes.copied().fold(f32::INFINITY, f32::min) / KNOTS as f32
+    /// Whether a mode of the network was nearer than all of the fan.
+    fn is_network_nearer(&self) -> bool {
+        let [network, fan] = self
+            .distances_m
+            .map(|sums| sums[..self.network_len].iter().copied().fold(f32::INFINITY, f32::min));
+        network < fan
     }
 
     /// The number of the fan's nearest mode, and a residual in units of the deviations.
@@ -414,18 +392,14 @@ impl Evidence {
                     mixtures[place].add_distances(knot, truth_m);
                     waiting.push(mixtures[place].due(pending.context, knot, truth_m));
                 }
-                let nearest_m = pending
-                    .mixture
-                    .filter(|_| pending.matured_len == KNOTS)
-                    .map(|place| ModeSet::ALL.map(|set| mixtures[place].nearest_m(set)));
                 let [x, y] = [0, 1].map(|axis| truth_m[axis] - pending.blend_m[knot][axis]);
                 let [cos, sin] = pending.course;
                 let residual_m = [x * cos + y * sin, y * cos - x * sin];
                 pending.residuals_m[knot] = residual_m;
-                let of_fan = pending
-                    .mixture
-                    .filter(|_| pending.matured_len == KNOTS)
-                    .map(|place| mixtures[place].nearest_of_fan(&pending.residuals_m));
+                let of_modes = pending.mixture.filter(|_| pending.matured_len == KNOTS).map(|place| {
+                    let kept = &mixtures[place];
+                    (kept.is_network_nearer(), kept.nearest_of_fan(&pending.residuals_m))
+                });
                 for (band, share) in pending.context.bands() {
                     let knowledge = &mut of_type[band];
                     if share > 0.0 {
@@ -433,10 +407,8 @@ impl Evidence {
                         knowledge.blend[knot].add(experts_m, taken_m, deviation_m, share);
                         knowledge.is_stale = true;
                         knowledge.add_residual(knot, residual_m, deviation_m, share);
-                        if let Some(nearest_m) = nearest_m {
-                            knowledge.add_nearest(nearest_m, share);
-                        }
-                        if let Some((number, units)) = &of_fan {
+                        if let Some((is_network, (number, units))) = &of_modes {
+                            knowledge.add_nearer(*is_network, share);
                             knowledge.pattern.add(*number, units, share);
                         }
                     }
@@ -537,17 +509,44 @@ impl Evidence {
         Fan { steps_m: self.between_knots(&at_knots), course: agent.course, points, probability, numbers }
     }
 
-    /// The set of modes whose nearest one has been nearest for agents alike.
+    /// The modes that stand for those of the network and of the fan about the blend, as many as the network has.
+    ///
+    /// Both sets are as probable as they have been near: with s the share of the forecasts of agents alike of which
+    /// the network had the nearest mode, it has s² / (s² + (1 − s)²).
+    ///
+    /// # Panics
+    /// Where there are not as many probabilities as modes.
     #[must_use]
-    pub fn mode_set(&self, agent: &Agent) -> ModeSet {
+    pub fn choose(
+        &self,
+        agent: &Agent,
+        (network_m, probability): (&[[[f32; 2]; HORIZON_MAX]], &[f32]),
+        (fan, blend_m): (&Fan, &[[f32; 2]; HORIZON_MAX]),
+    ) -> Choice {
+        let (knots, len) = (self.knots, network_m.len());
+        let mut modes_m = [[[0.0; 2]; KNOTS]; BOTH_MAX];
+        for (mode, network_m) in network_m.iter().enumerate() {
+            modes_m[mode] = knots.map(|step| network_m[step]);
+            modes_m[len + mode] = knots.map(|step| {
+                let residual_m = fan.residual_m(mode, step);
+                [0, 1].map(|axis| blend_m[step][axis] + residual_m[axis])
+            });
+        }
         let context = Context::new(agent.agent_type, agent.speed_mps);
         let of_type = &self.known[agent.agent_type.index()];
-        let nearest_m: [f32; 3] = context.between(|band| {
-            let (nearest, len) = of_type[band].nearest;
-            nearest.map(|sum| (sum / len.max(1e-9)) as f32)
+        let [share] = context.between(|band| {
+            let share = of_type[band].network_share();
+            [share * share / (share * share + (1.0 - share) * (1.0 - share))]
         });
-        let sets = ModeSet::ALL.into_iter().zip(nearest_m);
-        sets.reduce(|best, set| if set.1 < best.1 { set } else { best }).map_or(ModeSet::Network, |set| set.0)
+        let mut of_both = [0.0; BOTH_MAX];
+        let (of_network, of_fan) = of_both[..2 * len].split_at_mut(len);
+        of_network.copy_from_slice(probability);
+        of_fan.copy_from_slice(&fan.probability[..len]);
+        for (of_set, set_share) in [(of_network, share), (of_fan, 1.0 - share)] {
+            let sum = of_set.iter().sum::<f32>().max(f32::MIN_POSITIVE);
+            of_set.iter_mut().for_each(|p| *p *= set_share / sum);
+        }
+        Choice::new(&modes_m[..2 * len], of_both)
     }
 
     /// The experts' weights at each step of the horizon, in the order of [`SLOTS`]; constant velocity has the
@@ -609,12 +608,11 @@ impl Evidence {
                     }
                     mean
                 };
-                let (nearest, len) = knowledge.nearest;
                 ContextPrior {
                     blend: knowledge.blend.each_ref().map(mean),
                     log_width: knowledge.widths.each_ref().map(Widths::log),
                     deviation_m: std::array::from_fn(|knot| knowledge.deviations_m(knot)),
-                    nearest_m: nearest.map(|sum| (sum / len.max(1e-9)) as f32),
+                    network_share: knowledge.network_share(),
                     pattern: knowledge.pattern.as_prior(),
                 }
             })
@@ -679,10 +677,23 @@ mod tests {
         evidence
     }
 
+    /// What is chosen of a fan of a tenth of a metre to two and the network's modes, a metre apart across the course.
+    fn choose(evidence: &Evidence) -> Choice {
+        let blend_m = [[0.0; 2]; HORIZON_MAX];
+        let network_m: [_; MODES_MAX] = std::array::from_fn(|mode| [[0.0, mode as f32 - 9.5]; HORIZON_MAX]);
+        let probability = [0.05; MODES_MAX];
+        evidence.choose(&AGENT, (&network_m, &probability), (&evidence.fan(&AGENT), &blend_m))
+    }
+
     #[test]
     fn a_network_that_is_wrong_loses_its_modes_to_the_fan() {
-        assert_ne!(drive(60, 1.5, 0.5).mode_set(&AGENT), ModeSet::Network);
-        assert_eq!(drive(60, 1.0, 0.5).mode_set(&AGENT), ModeSet::Network);
+        let of_network = |evidence: &Evidence| {
+            let choice = choose(evidence);
+            (0..MODES_MAX).filter_map(|mode| choice.of_network(mode)).sum::<f32>()
+        };
+        let [wrong, before, right] =
+            [(60, 1.5), (0, 1.0), (60, 1.0)].map(|(steps, factor)| of_network(&drive(steps, factor, 0.5)));
+        assert!(wrong < 0.1 && (0.3..0.7).contains(&before) && right > 0.9, "{wrong} {before} {right}");
     }
 
     #[test]
@@ -708,7 +719,7 @@ mod tests {
         let learned = |evidence: &Evidence| {
             let (agent_type, speed_mps) = (AGENT.agent_type, AGENT.speed_mps);
             let widths = evidence.widths(agent_type, speed_mps);
-            (evidence.weights(agent_type, speed_mps), widths, evidence.fan(&AGENT), evidence.mode_set(&AGENT))
+            (evidence.weights(agent_type, speed_mps), widths, evidence.fan(&AGENT), choose(evidence))
         };
         assert_eq!(learned(&other), learned(&evidence));
         assert_eq!((other.matured_len(), other.now_ns), (evidence.matured_len(), evidence.now_ns));

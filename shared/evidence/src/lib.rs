@@ -20,8 +20,8 @@
 //!   r = √(−2 ln (1 − level)), is 2.15 at nine of ten forecasts of calibrated regions. Its 0.9 quantile over
 //!   matured forecasts, discounted by age, is the factor by which regions widen ([`Evidence::widths`]).
 //!
-//! * **Which modes.** The network's, a [fan](FAN) about the blend as wide as agents alike deviate from it, or
-//!   the most probable ones of both: the set whose nearest mode has been nearest.
+//! * **Which modes.** Those that stand for both the network's and a [fan](FAN) about the blend as wide as agents
+//!   alike deviate from it ([`Choice`]): more of the set whose nearest mode has been nearer.
 //!
 //! All are kept at four steps of the horizon and linear between them, and for six speeds between which they
 //! are linear too. Nothing here allocates after the start.
@@ -51,6 +51,7 @@
 //! ```
 
 mod blend;
+mod choice;
 mod context;
 mod due;
 mod fan;
@@ -60,10 +61,11 @@ mod prior;
 mod width;
 
 pub use blend::Statistics;
+pub use choice::Choice;
 pub use context::{BANDS, Context, SPEEDS_MPS};
 pub use fan::{FAN, Fan, Pattern};
 pub use ledger::numbers::NUMBERS_LEN;
-pub use ledger::{Agent, Evidence, Matured, Mixture, ModeSet};
+pub use ledger::{Agent, Evidence, Matured, Mixture};
 pub use paths::{MotionNow, Paths};
 pub use prior::{ContextPrior, Prior, PriorError, Priors};
 

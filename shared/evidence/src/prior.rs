@@ -28,8 +28,8 @@ pub struct ContextPrior {
     pub log_width: [f32; KNOTS],
     /// Deviations from the blend along and across the course at each knot, m.
     pub deviation_m: [[f32; 2]; KNOTS],
-    /// Distance of the nearest mode of each [`ModeSet`](crate::ModeSet), m; zeros where it is unknown.
-    pub nearest_m: [f32; 3],
+    /// Share of the forecasts of which a mode of the network was nearer than all of the fan.
+    pub network_share: f32,
     /// Typical residuals from the blend; left out of a file where nothing was learned.
     #[serde(default, skip_serializing_if = "Pattern::is_default")]
     pub pattern: Pattern,
@@ -62,7 +62,7 @@ impl Default for ContextPrior {
             blend: Default::default(),
             log_width: [0.0; KNOTS],
             deviation_m: DEVIATIONS_M,
-            nearest_m: [0.0; 3],
+            network_share: 0.5,
             pattern: Pattern::default(),
         }
     }
@@ -102,11 +102,7 @@ impl ContextPrior {
         mean.deviation_m = std::array::from_fn(|knot| {
             [0, 1].map(|axis| geometric_mean(sources.iter().map(|source| source.deviation_m[knot][axis])))
         });
-        mean.nearest_m = std::array::from_fn(|set| {
-            let known =
-                sources.iter().map(|source| source.nearest_m[set]).filter(|&nearest_m| nearest_m > 0.0);
-            geometric_mean(known)
-        });
+        mean.network_share = sources.iter().map(|source| source.network_share).sum::<f32>() * share as f32;
         for (knot, log_width) in mean.log_width.iter_mut().enumerate() {
             let mut widths: Vec<f32> = sources.iter().map(|source| source.log_width[knot]).collect();
             widths.sort_unstable_by(f32::total_cmp);
@@ -129,7 +125,7 @@ impl ContextPrior {
             blend,
             log_width: self.log_width.map(short),
             deviation_m: self.deviation_m.map(|of| of.map(short)),
-            nearest_m: self.nearest_m.map(short),
+            network_share: shorter(self.network_share),
             pattern: Pattern {
                 points: self.pattern.points.map(|knots| knots.map(|point| point.map(shorter))),
                 probability: self.pattern.probability.map(shorter),

@@ -120,9 +120,9 @@ impl ControlChanges {
         self.probability[mode] = probability;
     }
 
-    /// Multiplies the probability of a mode.
-    pub fn scale_probability(&mut self, mode: usize, factor: f32) {
-        self.probability[mode] *= factor;
+    /// Gives a mode another probability.
+    pub fn set_probability(&mut self, mode: usize, probability: f32) {
+        self.probability[mode] = probability;
     }
 
     /// Resets to no change, of modes with these probabilities.

@@ -47,6 +47,8 @@ pub struct Options {
     pub map: bool,
     /// Whether the sampler heeds matured forecasts.
     pub evidence: bool,
+    /// Whether a source begins with what the others have shown; else with nothing, so that it shows its own alone.
+    pub priors: bool,
     /// Threads that share the work; results do not depend on it.
     pub threads: usize,
 }

@@ -54,7 +54,7 @@ pub(crate) fn play(
         let mut chain = Chain::new(&run(&playback, options)?, model)?;
         match before.take() {
             Some(before) => chain.continue_from(before),
-            None => chain.expect(Priors::shipped().mean(|name| !source.is_of(name))),
+            None => chain.expect(Priors::shipped().mean(|name| options.priors && !source.is_of(name))),
         }
         let agents = (number as u64) << 32;
         let session = Session { agents, before_s: played_s, tracks: &tracks };

@@ -26,6 +26,7 @@ fn options(folder: &Path, evidence: bool) -> Options {
         precision: nn::Precision::F32,
         map: false,
         evidence,
+        priors: true,
         threads: 2,
     }
 }

@@ -8,12 +8,12 @@ use crate::{BANDS, EXPERTS, KNOTS, Statistics};
 
 /// Numbers in which all that was learned is written.
 pub const NUMBERS_LEN: usize = 1 + 3 * BANDS * KNOWLEDGE_LEN;
-/// Those of one type at one speed: the sums of the blend, its weights, the widths, the squares, the nearest modes and the pattern.
+/// Those of one type at one speed: the sums of the blend, its weights, the widths, the squares, the nearer set and the pattern.
 const KNOWLEDGE_LEN: usize = KNOTS * (EXPERTS * EXPERTS + EXPERTS + 1)
     + KNOTS * EXPERTS
     + KNOTS * Widths::NUMBERS_LEN
     + KNOTS * 3
-    + 4
+    + 2
     + MODES_MAX * (2 * KNOTS + 1);
 
 impl Evidence {
@@ -86,8 +86,8 @@ impl Knowledge {
         for (squares, len) in &mut self.squares {
             squares.iter_mut().chain([len]).for_each(&mut *each);
         }
-        let (nearest, len) = &mut self.nearest;
-        nearest.iter_mut().chain([len]).for_each(&mut *each);
+        let (nearer, len) = &mut self.network_nearer;
+        [nearer, len].into_iter().for_each(&mut *each);
         self.pattern.numbers(&mut |number| single(number, each));
     }
 }

@@ -17,9 +17,10 @@ pub(crate) const COMPARED: [(Measure, Method); 6] = [
 ];
 
 /// The methods that a summary contains.
-const SUMMARISED: [&str; 8] = [
+const SUMMARISED: [&str; 9] = [
     Method::Network.name(),
     Method::OnlineRetrieval.name(),
+    Method::Evidence.name(),
     Method::WarmStartedRetrieval.name(),
     Method::Base.name(),
     Method::Anchors.name(),
