@@ -176,7 +176,7 @@ impl Experts {
         Blended { agent, paths, weights, best_m, shift, spread, fan, network_m }
     }
 
-    /// Shifts the modes with the best forecast, and replaces those that others stand for by modes of the fan.
+    /// Moves the best forecast to the blend, and replaces modes that others stand for by modes of the fan about it.
     pub(crate) fn change<M: AsRef<[wire::ControlGaussian]>>(
         &self,
         model: &MotionModel,

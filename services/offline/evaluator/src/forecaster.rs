@@ -49,8 +49,6 @@ pub struct Variants {
     pub base: Option<Forecast>,
     /// With the memory of the recording alone.
     pub retrieved: Option<Forecast>,
-    /// With the same memory and evidence.
-    pub weighed: Option<Forecast>,
     /// With a memory that began with earlier recordings, where there is one.
     pub warm_started: Option<Forecast>,
 }
@@ -94,7 +92,6 @@ pub(crate) struct Samplers {
     network: Sampler,
     base: Sampler,
     retrieved: Sampler,
-    weighed: Sampler,
     warm_started: Option<Sampler>,
     horizon_len: usize,
 }
@@ -160,7 +157,7 @@ impl Forecaster {
         wanted: impl Fn(usize) -> bool,
     ) -> Vec<Vec<Option<Forecast>>> {
         let mut session = Session::new(self, recording, map, threads);
-        let mut sampler = self.sampler(false, false);
+        let mut sampler = self.sampler(false);
         self.lanes.iter().for_each(|map| sampler.guide_along(map));
         let mut forecasts = Vec::with_capacity(scenes.len());
         for (part, scenes) in scenes.chunks(TOGETHER).enumerate() {
@@ -220,7 +217,7 @@ impl Forecaster {
         memory: &mut RetrievalMemory,
     ) {
         let mut session = Session::new(self, recording, map, threads);
-        let mut sampler = self.sampler(true, false);
+        let mut sampler = self.sampler(true);
         sampler.warm_start(memory.clone());
         for scenes in scenes.chunks(TOGETHER) {
             for decoded in session.decode(scenes, |_| true, |_| Vec::new()).iter().flatten() {
@@ -236,7 +233,7 @@ impl Forecaster {
 
     /// The stages from `tracks` on, with a memory to retrieve from if there is one.
     pub fn stages(&self, map: MapInput<'_>, memory: Option<RetrievalMemory>) -> TracksToForecasts {
-        let mut sampler = self.sampler(memory.is_some(), false);
+        let mut sampler = self.sampler(memory.is_some());
         memory.into_iter().for_each(|memory| sampler.warm_start(memory));
         let stages = self.tracks_to_features(map, 1).and_then(|features| {
             Ok(TracksToForecasts::of_stages(features, self.features_to_controls()?, sampler))
@@ -244,10 +241,10 @@ impl Forecaster {
         stages.expect("stages that started before start again")
     }
 
-    /// The sampler of a run with or without retrieval and evidence.
-    pub(crate) fn sampler(&self, retrieval: bool, evidence: bool) -> Sampler {
+    /// The sampler of a run with or without retrieval.
+    pub(crate) fn sampler(&self, retrieval: bool) -> Sampler {
         let options =
-            sampler::Options { retrieval, evidence, workers: Some(1), ..sampler::Options::default() };
+            sampler::Options { retrieval, evidence: false, workers: Some(1), ..sampler::Options::default() };
         let stage = StageRun::with_options(&sampler::STAGE, &options).expect("the stage's own options");
         let run = Run { stages: vec![stage], ..self.run.clone() };
         sampler::stage::open(&run, self.config()).expect("a sampler without a file opens")
@@ -357,21 +354,20 @@ impl Samplers {
         memory: Option<RetrievalMemory>,
         lanes: Option<&Arc<LaneMap>>,
     ) -> Self {
-        let sampler = |retrieval: bool, evidence: bool| {
-            let mut sampler = forecaster.sampler(retrieval, evidence);
+        let sampler = |retrieval: bool| {
+            let mut sampler = forecaster.sampler(retrieval);
             lanes.into_iter().for_each(|map| sampler.guide_along(map));
             sampler
         };
         let warm_started = memory.map(|memory| {
-            let mut sampler = sampler(true, false);
+            let mut sampler = sampler(true);
             sampler.warm_start(memory);
             sampler
         });
         Self {
-            network: sampler(false, false),
-            base: forecaster.sampler(false, false),
-            retrieved: sampler(true, false),
-            weighed: sampler(true, true),
+            network: sampler(false),
+            base: forecaster.sampler(false),
+            retrieved: sampler(true),
             warm_started,
             horizon_len: forecaster.config().horizon_len,
         }
@@ -385,7 +381,7 @@ impl Samplers {
     /// The forecasts of the agents that count, with their places in the scene: scene by scene. An agent is
     /// missing where a sampler refuses the payload.
     pub(crate) fn forecast(&mut self, decoded: &[Decoded], threads: usize) -> Vec<Vec<(usize, Variants)>> {
-        let Self { network, base, retrieved, weighed, warm_started, horizon_len } = self;
+        let Self { network, base, retrieved, warm_started, horizon_len } = self;
         let alone = |decoded: &Decoded| decoded.counting_tracks();
         let mut without_retrieval = || {
             let forecast = |decoded: &Decoded| {
@@ -410,25 +406,23 @@ impl Samplers {
             };
             decoded.iter().map(forecast).collect::<Vec<_>>()
         };
-        let changed = [Some(retrieved), Some(weighed), warm_started.as_mut()];
-        let (without, changed) = if threads < 2 {
-            (without_retrieval(), changed.map(with_retrieval))
+        let (without, retrieved, warm_started) = if threads < 2 {
+            (without_retrieval(), with_retrieval(Some(retrieved)), with_retrieval(warm_started.as_mut()))
         } else {
             std::thread::scope(|scope| {
-                let changed = changed.map(|sampler| scope.spawn(move || with_retrieval(sampler)));
-                (without_retrieval(), changed.map(threads::joined))
+                let retrieved = scope.spawn(|| with_retrieval(Some(retrieved)));
+                let warm_started = scope.spawn(|| with_retrieval(warm_started.as_mut()));
+                (without_retrieval(), threads::joined(retrieved), threads::joined(warm_started))
             })
         };
-        let [retrieved, weighed, warm_started] = changed.map(Vec::into_iter);
-        let with = retrieved.zip(weighed).zip(warm_started);
+        let with = retrieved.into_iter().zip(warm_started);
         let all = decoded.iter().zip(without).zip(with);
-        all.map(|((decoded, [network, base]), ((retrieved, weighed), warm_started))| {
-            let [mut base, mut retrieved, mut weighed, mut warm_started] =
-                [base, retrieved, weighed, warm_started].map(Vec::into_iter);
+        all.map(|((decoded, [network, base]), (retrieved, warm_started))| {
+            let [mut base, mut retrieved, mut warm_started] =
+                [base, retrieved, warm_started].map(Vec::into_iter);
             let variants = decoded.counting.iter().zip(network).map(|(&track, network)| {
-                let (base, retrieved, weighed) = (base.next(), retrieved.next(), weighed.next());
-                let warm_started = warm_started.next();
-                let variants = Variants { network, base, retrieved, weighed, warm_started };
+                let (base, retrieved) = (base.next(), retrieved.next());
+                let variants = Variants { network, base, retrieved, warm_started: warm_started.next() };
                 (decoded.payload.places[track], variants)
             });
             variants.collect()

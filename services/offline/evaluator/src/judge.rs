@@ -200,9 +200,8 @@ impl Judge<'_> {
         let candidates = self.baselines.candidates(scene, agent, forecast);
         let mut tally = Tally::new(self.horizons.len());
         tally.add_agent(agent, &candidates, self.horizons);
-        let changed = [&forecast.retrieved, &forecast.weighed, &forecast.warm_started].map(Option::as_ref);
-        let variants = std::iter::once(Some(&forecast.network)).chain(changed);
-        for (ours, of_method) in variants.enumerate() {
+        let variants = [Some(&forecast.network), forecast.retrieved.as_ref(), forecast.warm_started.as_ref()];
+        for (ours, of_method) in variants.into_iter().enumerate() {
             let Some(of_method) = of_method else { continue };
             self.add_calibration(scene, agent, of_method, ours, &mut tally);
             let Some(now) = agent.newest() else { continue };

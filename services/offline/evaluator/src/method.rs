@@ -8,9 +8,7 @@ pub enum Method {
     /// The model with a retrieval memory that begins empty: residuals of forecasts earlier in the recording
     /// correct new ones.
     OnlineRetrieval,
-    /// The same with evidence: as the pipeline publishes it.
-    Evidence,
-    /// Retrieval without evidence, with a memory that begins with the residuals of earlier recordings of the site.
+    /// The same with a memory that begins with the residuals of earlier recordings of the site.
     WarmStartedRetrieval,
     /// The model's base control with the network switched off: ridge regression and anchors, B*.
     Base,
@@ -30,10 +28,9 @@ pub enum Method {
 
 impl Method {
     /// All methods, in the order of the reports.
-    pub const ALL: [Self; 11] = [
+    pub const ALL: [Self; 10] = [
         Self::Network,
         Self::OnlineRetrieval,
-        Self::Evidence,
         Self::WarmStartedRetrieval,
         Self::Base,
         Self::Anchors,
@@ -45,8 +42,7 @@ impl Method {
     ];
 
     /// The variants of the model, whose forecasts have covariances and can be calibrated.
-    pub const OURS: [Self; 4] =
-        [Self::Network, Self::OnlineRetrieval, Self::Evidence, Self::WarmStartedRetrieval];
+    pub const OURS: [Self; 3] = [Self::Network, Self::OnlineRetrieval, Self::WarmStartedRetrieval];
 
     /// The name in reports.
     #[must_use]
@@ -54,7 +50,6 @@ impl Method {
         match self {
             Self::Network => "ours",
             Self::OnlineRetrieval => "ours, online retrieval",
-            Self::Evidence => "ours, online retrieval, evidence",
             Self::WarmStartedRetrieval => "ours, warm-started retrieval",
             Self::Base => "B* (ridge + anchors)",
             Self::Anchors => "20 anchors",

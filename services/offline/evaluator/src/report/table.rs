@@ -17,10 +17,9 @@ pub(crate) const COMPARED: [(Measure, Method); 6] = [
 ];
 
 /// The methods that a summary contains.
-const SUMMARISED: [&str; 9] = [
+const SUMMARISED: [&str; 8] = [
     Method::Network.name(),
     Method::OnlineRetrieval.name(),
-    Method::Evidence.name(),
     Method::WarmStartedRetrieval.name(),
     Method::Base.name(),
     Method::Anchors.name(),
