@@ -12,12 +12,16 @@ const VARIANCE_MAX: f32 = 1e6;
 
 /// Largest acceleration across the course that tyres hold.
 const LATERAL_MAX_MPS2: f32 = 8.0;
+/// Largest speed backwards of a vehicle that goes ahead.
+const REVERSE_MAX_MPS: f32 = 2.0;
 
 /// A vehicle along the controls of a mode, which it cuts to what tyres hold: its course turns by the slip angle and by
-/// the change of that, |v (v sin β / l_r + dβ/dt)| ≤ 8 m/s², and the slip angle alone is held to it as well.
+/// the change of that, |v (v sin β / l_r + dβ/dt)| ≤ 8 m/s², and the slip angle alone is held to it as well. Back it
+/// goes no faster than 2 m/s, or than it did.
 pub(crate) struct LateralLimit {
     rear_axle_m: f32,
     dt_s: f32,
+    least_mps: f32,
     speed_mps: f32,
     slip_rad: f32,
 }
@@ -29,6 +33,7 @@ impl LateralLimit {
             MotionModel::Bicycle { motion, start } => Some(Self {
                 rear_axle_m: motion.bicycle.rear_axle_m,
                 dt_s: motion.dt_s,
+                least_mps: start.mean[3].min(-REVERSE_MAX_MPS),
                 speed_mps: start.mean[3],
                 slip_rad: start.mean[4],
             }),
@@ -36,9 +41,13 @@ impl LateralLimit {
         }
     }
 
-    /// Cuts the slip rate of the next step, and takes the step.
+    /// Cuts the controls of the next step, and takes the step.
     pub(crate) fn cut(&mut self, acting: &mut ControlGaussian) {
-        let next_mps = self.speed_mps + acting.mean[0] * self.dt_s;
+        let mut next_mps = self.speed_mps + acting.mean[0] * self.dt_s;
+        if next_mps < self.least_mps {
+            next_mps = self.least_mps;
+            acting.mean[0] = (next_mps - self.speed_mps) / self.dt_s;
+        }
         let middle_mps = 0.5 * (self.speed_mps + next_mps);
         // Acceleration across by a radian of slip, and by a radian that it changes in this step.
         let by_slip = middle_mps * middle_mps / self.rear_axle_m;

@@ -677,7 +677,7 @@ mod tests {
         evidence
     }
 
-    /// What is chosen of a fan of a tenth of a metre to two and the network's modes, a metre apart across the course.
+    /// What is chosen of the fan and of twenty modes a metre apart across the course.
     fn choose(evidence: &Evidence) -> Choice {
         let blend_m = [[0.0; 2]; HORIZON_MAX];
         let network_m: [_; MODES_MAX] = std::array::from_fn(|mode| [[0.0, mode as f32 - 9.5]; HORIZON_MAX]);
