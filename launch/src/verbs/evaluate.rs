@@ -68,7 +68,8 @@ pub struct Arguments {
     /// Publish the network's forecasts in `driving` as they are, whatever earlier ones were worth
     #[arg(long)]
     without_evidence: bool,
-    /// Write what `driving` shows the experts to be worth on each source, begun without any prior, as priors for other roads
+    /// Write what `driving` shows the experts to be worth on each source, begun without any prior, as priors for
+    /// other roads
     #[arg(long, value_name = "FILE")]
     prior: Option<PathBuf>,
     #[command(flatten)]

@@ -607,7 +607,13 @@ fn vehicles_turn_no_harder_than_tyres_hold() {
         let track = track(1, AgentType::Vehicle, [3.0, 4.0], 0.4, speed_mps);
         let decoded = controls(1, AgentType::Vehicle, &[[0.0, 0.8], [-5.0, -0.8]], 0.1);
         let forecast = learned(&mut Sampler::new(options), 0, &[track], &[decoded])[0];
-        for mode in &forecast.modes[..2] {
+        for (mode, controls) in forecast.modes[..2].iter().zip(&forecast.controls) {
+            let speeds_mps = controls[..12].iter().scan(speed_mps, |speed_mps, control| {
+                *speed_mps += control.mean[0] * DT_S;
+                Some(*speed_mps)
+            });
+            let least_mps = speeds_mps.fold(f32::INFINITY, f32::min);
+            assert!(least_mps > -2.01, "back at {least_mps} m/s from {speed_mps} m/s");
             let velocity = |step: usize| {
                 let before = if step == 0 { [3.0, 4.0] } else { mode[step - 1] };
                 [0, 1].map(|axis| (mode[step][axis] - before[axis]) / DT_S)

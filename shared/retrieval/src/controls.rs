@@ -85,14 +85,6 @@ impl ControlChanges {
         self.replaced[mode].is_some()
     }
 
-    /// Changes the controls of all modes and of the best forecast further.
-    pub fn shift(&mut self, by: &ControlChange) {
-        let replaced = self.replaced.iter_mut().flatten();
-        for change in [&mut self.best, &mut self.modes].into_iter().chain(replaced) {
-            add(change, by);
-        }
-    }
-
     /// Changes the controls of the best forecast alone further.
     pub fn shift_best(&mut self, by: &ControlChange) {
         add(&mut self.best, by);

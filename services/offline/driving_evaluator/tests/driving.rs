@@ -2,6 +2,8 @@ use std::fmt::Write as _;
 use std::path::Path;
 
 use driving_evaluator::{DrivingError, Options, evaluate, sources};
+use evidence::Prior;
+use scene::AgentType;
 
 /// A recording of 30 s at 10 Hz: some vehicles in lanes, each at a steady speed.
 fn steady(path: &Path, agents: u64) {
@@ -51,6 +53,14 @@ fn steady_vehicles_are_no_further_than_constant_velocity_has_them() {
     assert_eq!(cells.as_array().unwrap().len(), 2);
     assert!(report.markdown().contains("| one "), "{}", report.markdown());
     assert!(report.priors().0.keys().eq(["one", "two"]));
+    // No pedestrian is seen: what is told of them is what a source began with.
+    let of_pedestrians = |priors| {
+        let report = evaluate(&Options { priors, ..options(folder.path(), true) }, |_| ()).unwrap();
+        report.priors().0["one"].0[AgentType::Pedestrian.index()].map(|context| context.pattern.points)
+    };
+    let nothing = Prior::default().0[AgentType::Pedestrian.index()].map(|context| context.pattern.points);
+    assert!(of_pedestrians(false) == nothing);
+    assert!(of_pedestrians(true) != nothing);
 }
 
 #[test]

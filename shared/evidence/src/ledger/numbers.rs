@@ -8,7 +8,8 @@ use crate::{BANDS, EXPERTS, KNOTS, Statistics};
 
 /// Numbers in which all that was learned is written.
 pub const NUMBERS_LEN: usize = 1 + 3 * BANDS * KNOWLEDGE_LEN;
-/// Those of one type at one speed: the sums of the blend, its weights, the widths, the squares, the nearer set and the pattern.
+/// Those of one type at one speed: the sums of the blend, its weights, the widths, the squares, the nearer set and
+/// the pattern.
 const KNOWLEDGE_LEN: usize = KNOTS * (EXPERTS * EXPERTS + EXPERTS + 1)
     + KNOTS * EXPERTS
     + KNOTS * Widths::NUMBERS_LEN

@@ -1,0 +1,114 @@
+use super::*;
+use crate::MotionNow;
+
+const STEP_NS: i64 = 400_000_000;
+const AGENT: Agent = Agent { id: 7, agent_type: AgentType::Vehicle, speed_mps: 10.0, course: [1.0, 0.0] };
+
+/// An agent at a steady 10 m/s whose network says `factor` times as far, with one mode there and the others
+/// at it; levels are `level`. Returns what is left in the end.
+fn drive(steps: i64, factor: f32, level: f64) -> Evidence {
+    let mut evidence = Evidence::new(12, STEP_NS as u64, &Prior::default());
+    let covariances_m2 = [[[1.0, 0.0, 1.0]; HORIZON_MAX]; MODES_MAX];
+    for step in 0..steps {
+        let x_m = 4.0 * step as f32;
+        evidence.observe_with(step * STEP_NS, [(AGENT.id, [x_m, 0.0])], |_| level);
+        let now = MotionNow { position_m: [x_m, 0.0], velocity_mps: [10.0, 0.0], ..MotionNow::default() };
+        let mut velocity = [[0.0; 2]; HORIZON_MAX];
+        now.steady(0.4, &mut velocity);
+        let network = velocity.map(|[x, y]| [x_m + factor * (x - x_m), y]);
+        let mut experts = [velocity; EXPERTS];
+        experts[0] = network;
+        let modes_m = [network; MODES_MAX];
+        let mixture = Mixture {
+            probability: &[0.05; MODES_MAX],
+            modes_m: &modes_m,
+            covariances_m2: &covariances_m2,
+            widths: &[1.0; HORIZON_MAX],
+            network_m: &modes_m,
+            fan: &evidence.fan(&AGENT),
+        };
+        let paths = Paths { velocity, experts };
+        evidence.store(step * STEP_NS, &AGENT, (&paths, &velocity), Some(mixture));
+    }
+    evidence
+}
+
+/// What is chosen of the fan and of twenty modes a metre apart across the course.
+fn choose(evidence: &Evidence) -> Choice {
+    let blend_m = [[0.0; 2]; HORIZON_MAX];
+    let network_m: [_; MODES_MAX] = std::array::from_fn(|mode| [[0.0, mode as f32 - 9.5]; HORIZON_MAX]);
+    let probability = [0.05; MODES_MAX];
+    evidence.choose(&AGENT, (&network_m, &probability), (&evidence.fan(&AGENT), &blend_m))
+}
+
+#[test]
+fn a_network_that_is_wrong_loses_its_modes_to_the_fan() {
+    let of_network = |evidence: &Evidence| {
+        let choice = choose(evidence);
+        (0..MODES_MAX).filter_map(|mode| choice.of_network(mode)).sum::<f32>()
+    };
+    let [wrong, before, right] =
+        [(60, 1.5), (0, 1.0), (60, 1.0)].map(|(steps, factor)| of_network(&drive(steps, factor, 0.5)));
+    assert!(wrong < 0.1 && (0.3..0.7).contains(&before) && right > 0.9, "{wrong} {before} {right}");
+}
+
+#[test]
+fn regions_widen_where_they_miss_and_narrow_where_they_never_do() {
+    let widths = |level| drive(120, 1.0, level).widths(AGENT.agent_type, AGENT.speed_mps)[11];
+    assert!(widths(1.0) > 2.0 && widths(0.1) < 0.5, "{} {}", widths(1.0), widths(0.1));
+}
+
+#[test]
+fn agents_that_keep_to_the_blend_have_a_narrow_fan() {
+    let [along_m, across_m] = drive(200, 1.0, 0.5).fan(&AGENT).steps_m[11];
+    assert!(along_m < 2.0 && across_m < 1.0, "{along_m} {across_m}");
+}
+
+#[test]
+fn what_is_learned_is_the_same_by_its_numbers() {
+    let mut evidence = drive(60, 1.5, 0.95);
+    let mut numbers = vec![0.0; crate::NUMBERS_LEN];
+    evidence.write_numbers(&mut numbers);
+    let mut other = Evidence::new(12, STEP_NS as u64, &Prior::default());
+    assert_eq!(other.resume(&numbers[1..]), Err("number of the sums"));
+    assert_eq!(other.resume(&numbers), Ok(()));
+    let learned = |evidence: &Evidence| {
+        let (agent_type, speed_mps) = (AGENT.agent_type, AGENT.speed_mps);
+        let widths = evidence.widths(agent_type, speed_mps);
+        (evidence.weights(agent_type, speed_mps), widths, evidence.fan(&AGENT), choose(evidence))
+    };
+    assert_eq!(learned(&other), learned(&evidence));
+    assert_eq!((other.matured_len(), other.now_ns), (evidence.matured_len(), evidence.now_ns));
+    assert!(other.matured_len() > 40.0 && other.traces.is_empty());
+    let mut again = vec![0.0; crate::NUMBERS_LEN];
+    other.write_numbers(&mut again);
+    assert!(numbers.iter().map(|n| n.to_bits()).eq(again.iter().map(|n| n.to_bits())));
+    numbers[40] = f64::NAN;
+    assert!(other.resume(&numbers).is_err() && other.matured_len() > 40.0);
+}
+
+#[test]
+fn what_is_learned_outlasts_a_session_and_its_agents_do_not() {
+    let mut evidence = drive(60, 1.5, 0.5);
+    let (weights, free) = (evidence.weights(AGENT.agent_type, 10.0), evidence.free.len());
+    evidence.end_session();
+    assert_eq!(evidence.weights(AGENT.agent_type, 10.0), weights);
+    assert!(free < MIXTURES_MAX && evidence.free.len() == MIXTURES_MAX && evidence.traces.is_empty());
+    assert!(!evidence.wants(0, AGENT.id));
+}
+
+#[test]
+fn time_that_does_not_pass_teaches_nothing() {
+    let mut evidence = drive(40, 1.5, 0.5);
+    let before = evidence.weights(AGENT.agent_type, 10.0);
+    evidence.observe(39 * STEP_NS, [(AGENT.id, [1e6, 0.0])]);
+    evidence.observe(0, [(AGENT.id, [1e6, 0.0])]);
+    assert_eq!(evidence.weights(AGENT.agent_type, 10.0), before);
+}
+
+#[test]
+fn weights_between_the_knots_are_between_theirs() {
+    let evidence = drive(60, 1.2, 0.5);
+    let at = evidence.between_knots(&[[0.0], [2.0], [5.0], [11.0]]);
+    assert!(at.iter().enumerate().all(|(step, [value])| (value - step as f32).abs() < 1e-5), "{at:?}");
+}
