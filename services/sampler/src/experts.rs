@@ -170,13 +170,13 @@ impl Experts {
         let shift = Residuals::between(model.kind(), now.position_m, network_m, &best_m[..len], dt_s)
             .control_change(model);
         let widths = self.evidence.widths(agent_type, agent.speed_mps);
-        let fan = self.evidence.fan(&agent);
+        let fan = self.evidence.fan(&agent, (&paths, &best_m));
         let spread = Spread::of(&widths, &fan, best_m, dt_s);
         let network_m = [[[0.0; 2]; HORIZON_MAX]; MODES_MAX];
         Blended { agent, paths, weights, best_m, shift, spread, fan, network_m }
     }
 
-    /// Moves the best forecast to the blend, and replaces modes that others stand for by modes of the fan about it.
+    /// Moves the best forecast to the blend, and replaces modes that others stand for by modes of the fan.
     pub(crate) fn change<M: AsRef<[wire::ControlGaussian]>>(
         &self,
         model: &MotionModel,
@@ -185,13 +185,13 @@ impl Experts {
         changes: &mut ControlChanges,
     ) {
         changes.shift_best(&blended.shift);
-        let Blended { agent, fan, best_m, network_m, spread, .. } = blended;
+        let Blended { agent, fan, network_m, spread, .. } = blended;
         let (len, modes_len) = (self.horizon_len, controls.modes.len());
         for (mode, path) in network_m[..modes_len].iter_mut().enumerate() {
             model.positions(changes.mode(mode, controls).map(|control| control.mean), &mut path[..len]);
         }
         let network = (&network_m[..modes_len], changes.probability());
-        let choice = self.evidence.choose(agent, network, (fan, best_m));
+        let choice = self.evidence.choose(agent, network, fan);
         let mut of_fan = (0..modes_len).filter_map(|number| Some((number, choice.of_fan(number)?)));
         for mode in 0..modes_len {
             if let Some(probability) = choice.of_network(mode) {
@@ -200,9 +200,8 @@ impl Experts {
             }
             let Some((number, probability)) = of_fan.next() else { break };
             let mut path = [[0.0; 2]; HORIZON_MAX];
-            for (step, (path, best_m)) in path[..len].iter_mut().zip(&*best_m).enumerate() {
-                let residual_m = fan.residual_m(number, step);
-                *path = [0, 1].map(|axis| best_m[axis] + residual_m[axis]);
+            for (step, path) in path[..len].iter_mut().enumerate() {
+                *path = fan.position_m(number, step);
             }
             let mut means = ControlChange::default();
             model.follow(&path[..len], &mut means);
@@ -259,13 +258,12 @@ mod tests {
 
     #[test]
     fn modes_far_from_the_best_forecast_stay_wide_where_regions_narrow() {
-        let fan = Evidence::new(1, 400_000_000, &Prior::default()).fan(&Agent {
-            id: 1,
-            agent_type: AgentType::Vehicle,
-            speed_mps: 0.0,
-            course: [1.0, 0.0],
-        });
-        let spread = Spread::of(&[0.1; HORIZON_MAX], &fan, [[3.0, 4.0]; HORIZON_MAX], 0.4);
+        let agent = Agent { id: 1, agent_type: AgentType::Vehicle, speed_mps: 0.0, course: [1.0, 0.0] };
+        let best_m = [[3.0, 4.0]; HORIZON_MAX];
+        let paths = Paths { velocity: best_m, experts: [best_m; EXPERTS] };
+        let evidence = Evidence::new(1, 400_000_000, &Prior::default());
+        let fan = evidence.fan(&agent, (&paths, &best_m));
+        let spread = Spread::of(&[0.1; HORIZON_MAX], &fan, best_m, 0.4);
         let of = |mean| spread.of_covariance((0, 11), &Moments { mean, covariance: [0.16, 0.0, 0.16] });
         assert_eq!(of([3.0, 4.0]), [0.01, 0.0, 0.01]);
         let [xx, xy, yy] = of([13.0, 4.0]);

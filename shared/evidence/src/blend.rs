@@ -1,93 +1,136 @@
-use crate::EXPERTS;
+//! What part of each expert's difference from constant velocity the best forecast has, at one step of the horizon.
 
-/// Rounds of coordinate descent; four unknowns converge in few.
-const ROUNDS: usize = 40;
+use crate::width::single;
+use crate::{EXPERTS, Statistics};
 
-/// Sums over matured forecasts at one step of the horizon: A, b and their number.
-#[derive(Clone, Copy, Debug, Default, PartialEq, serde::Serialize, serde::Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct Statistics {
-    /// Σ D Dᵀ / s².
-    pub products: [[f64; EXPERTS]; EXPERTS],
-    /// Σ D y / s².
-    pub targets: [f64; EXPERTS],
-    /// Forecasts.
-    pub len: f64,
+/// Forecasts that the prior counts for.
+const PRIOR_LEN: f64 = 20.0;
+/// An expert is the forecast alone where its mean distance from the truth is below this share of the regression's.
+const BETTER: f64 = 0.98;
+/// Forecasts of which that must hold, older ones counting less.
+const FORECASTS_MIN: f64 = 30.0;
+
+/// A matured forecast: positions less constant velocity's, m.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Outcome<'a> {
+    /// Of each expert.
+    pub(crate) experts_m: &'a [[f32; 2]; EXPERTS],
+    /// Of the [regression](Blend::regression) as it was then.
+    pub(crate) regression_m: [f32; 2],
+    /// Of the agent.
+    pub(crate) truth_m: [f32; 2],
+    /// How far agents alike deviate.
+    pub(crate) typical_m: f32,
+    /// No position is known better.
+    pub(crate) deviation_m: f32,
 }
 
-impl Statistics {
-    /// Adds a forecast: the experts' positions and the truth, all less constant velocity's position.
-    pub fn add(&mut self, experts_m: &[[f32; 2]; EXPERTS], truth_m: [f32; 2], deviation_m: f32, weight: f32) {
+/// What is known of the experts, and the weights that follow.
+#[derive(Clone, Debug)]
+pub(crate) struct Blend {
+    prior: Statistics,
+    /// Each forecast by the distance by which the regression missed: the least sum of their squares is then the least
+    /// sum of the distances.
+    matured: Statistics,
+    /// No forecast by more than another: what other roads may expect.
+    shown: Statistics,
+    /// Sums of the distances of the truths from the regression, from constant velocity and from each expert, m.
+    distances_m: [f64; EXPERTS + 2],
+    regression: [f32; EXPERTS],
+    weights: [f32; EXPERTS],
+    is_stale: bool,
+}
+
+impl Blend {
+    /// Numbers that are learned.
+    pub(crate) const NUMBERS_LEN: usize = EXPERTS * EXPERTS + EXPERTS + 1 + (EXPERTS + 2) + 2 * EXPERTS;
+
+    pub(crate) fn new(prior: &Statistics) -> Self {
+        let mut blend = Self {
+            prior: *prior,
+            matured: Statistics::default(),
+            shown: Statistics::default(),
+            distances_m: [0.0; EXPERTS + 2],
+            regression: [0.0; EXPERTS],
+            weights: [0.0; EXPERTS],
+            is_stale: true,
+        };
+        blend.solve();
+        blend
+    }
+
+    /// Adds a forecast. Its weights change with the next [`Blend::solve`].
+    pub(crate) fn add(&mut self, outcome: &Outcome<'_>, weight: f32) {
+        let Outcome { experts_m, regression_m, truth_m, typical_m, deviation_m } = *outcome;
         let square = |[x, y]: [f32; 2]| x * x + y * y;
-        let farthest = experts_m.iter().copied().map(square).fold(0.0, f32::max);
-        let scale = f64::from(weight / (square(truth_m) + farthest + deviation_m * deviation_m));
-        let dot = |a: [f32; 2], b: [f32; 2]| f64::from(a[0] * b[0] + a[1] * b[1]);
-        for (row, &own) in experts_m.iter().enumerate() {
-            for (column, &other) in experts_m.iter().enumerate() {
-                self.products[row][column] += scale * dot(own, other);
-            }
-            self.targets[row] += scale * dot(own, truth_m);
+        let variance_m2 = deviation_m * deviation_m;
+        let distance_m = |[x, y]: [f32; 2]| (truth_m[0] - x).hypot(truth_m[1] - y);
+        let missed_m = (distance_m(regression_m).powi(2) + variance_m2).sqrt();
+        self.matured.add(experts_m, truth_m, missed_m * typical_m.max(deviation_m), weight);
+        let farthest_m2 = experts_m.iter().copied().map(square).fold(0.0, f32::max);
+        self.shown.add(experts_m, truth_m, square(truth_m) + farthest_m2 + variance_m2, weight);
+        let paths_m = [regression_m, [0.0; 2]].into_iter().chain(experts_m.iter().copied());
+        for (sum, path_m) in self.distances_m.iter_mut().zip(paths_m) {
+            *sum += f64::from(weight * distance_m(path_m));
         }
-        self.len += f64::from(weight);
+        self.is_stale = true;
     }
 
-    /// Adds other sums, `factor` times.
-    pub fn add_scaled(&mut self, other: &Self, factor: f64) {
-        for (own, other) in self.products.as_flattened_mut().iter_mut().zip(other.products.as_flattened()) {
-            *own += factor * other;
-        }
-        self.targets.iter_mut().zip(other.targets).for_each(|(own, other)| *own += factor * other);
-        self.len += factor * other.len;
+    /// Lets older forecasts count less.
+    pub(crate) fn discount(&mut self, kept: f64) {
+        self.matured.discount(kept);
+        self.shown.discount(kept);
+        self.distances_m.iter_mut().for_each(|sum| *sum *= kept);
     }
 
-    /// Multiplies the sums: older forecasts count less.
-    pub fn discount(&mut self, factor: f64) {
-        let Self { products, targets, len } = self;
-        products.as_flattened_mut().iter_mut().chain(targets).for_each(|sum| *sum *= factor);
-        *len *= factor;
+    /// Finds the weights, if a forecast was added since.
+    pub(crate) fn solve(&mut self) {
+        if !std::mem::take(&mut self.is_stale) {
+            return;
+        }
+        let mut with_prior = self.matured;
+        with_prior.add_scaled(&self.prior, PRIOR_LEN);
+        self.regression = with_prior.weights();
+        let [by_regression_m, alone_m @ ..] = &self.distances_m;
+        let best = (0..alone_m.len()).min_by(|&a, &b| alone_m[a].total_cmp(&alone_m[b]));
+        let better = best.filter(|&best| alone_m[best] < BETTER * by_regression_m);
+        self.weights = match better.filter(|_| self.matured.len >= FORECASTS_MIN) {
+            Some(best) => std::array::from_fn(|expert| if expert + 1 == best { 1.0 } else { 0.0 }),
+            None => self.regression,
+        };
     }
 
     /// The experts' weights: none negative, at most 1 in sum; constant velocity has the rest.
-    #[must_use]
-    pub fn weights(&self) -> [f32; EXPERTS] {
-        let mut weights = [0.0_f64; EXPERTS];
-        for _ in 0..ROUNDS {
-            for expert in 0..EXPERTS {
-                let others: f64 = (0..EXPERTS).filter(|&other| other != expert).map(|o| weights[o]).sum();
-                self.improve(&mut weights, expert, 1.0 - others);
-            }
-            // On the border of the simplex one weight can grow only at the cost of another.
-            for a in 0..EXPERTS {
-                for b in 0..a {
-                    self.exchange(&mut weights, a, b);
-                }
-            }
-        }
-        weights.map(|weight| weight as f32)
+    pub(crate) const fn weights(&self) -> &[f32; EXPERTS] {
+        &self.weights
     }
 
-    /// Half the derivative of the loss by a weight.
-    fn slope(&self, weights: &[f64; EXPERTS], expert: usize) -> f64 {
-        let row = self.products[expert].iter().zip(weights);
-        row.map(|(product, weight)| product * weight).sum::<f64>() - self.targets[expert]
+    /// The weights that they would have if none could be the forecast alone.
+    pub(crate) const fn regression(&self) -> &[f32; EXPERTS] {
+        &self.regression
     }
 
-    fn improve(&self, weights: &mut [f64; EXPERTS], expert: usize, most: f64) {
-        let curvature = self.products[expert][expert];
-        if curvature > f64::EPSILON {
-            let best = weights[expert] - self.slope(weights, expert) / curvature;
-            weights[expert] = best.clamp(0.0, most.max(0.0));
-        }
+    /// Forecasts that have matured, older ones counting less.
+    pub(crate) const fn matured_len(&self) -> f64 {
+        self.matured.len
     }
 
-    fn exchange(&self, weights: &mut [f64; EXPERTS], a: usize, b: usize) {
-        let curvature = self.products[a][a] + self.products[b][b] - 2.0 * self.products[a][b];
-        if curvature > f64::EPSILON {
-            let step = (self.slope(weights, b) - self.slope(weights, a)) / curvature;
-            let step = step.clamp(-weights[a], weights[b]);
-            weights[a] += step;
-            weights[b] -= step;
+    /// What the matured forecasts show, per forecast; nothing where they are fewer than `len_min`.
+    pub(crate) fn as_prior(&self, len_min: f64) -> Statistics {
+        let mut mean = Statistics::default();
+        if self.shown.len >= len_min {
+            mean.add_scaled(&self.shown, 1.0 / self.shown.len);
         }
+        mean
+    }
+
+    /// Gives `each` all numbers that were learned, to read or to change, but for those that only others may expect.
+    pub(crate) fn numbers(&mut self, each: &mut impl FnMut(&mut f64)) {
+        let Statistics { products, targets, len } = &mut self.matured;
+        let sums = products.as_flattened_mut().iter_mut().chain(targets).chain([len]);
+        sums.chain(&mut self.distances_m).for_each(&mut *each);
+        // They are those of the last forecast that matured: what fades meanwhile changes them only with the next.
+        self.regression.iter_mut().chain(&mut self.weights).for_each(|weight| single(weight, each));
     }
 }
 
@@ -95,38 +138,52 @@ impl Statistics {
 mod tests {
     use super::*;
 
-    fn of(forecasts: &[([[f32; 2]; EXPERTS], [f32; 2])]) -> Statistics {
-        let mut statistics = Statistics::default();
-        forecasts.iter().for_each(|(experts, truth)| statistics.add(experts, *truth, 0.1, 1.0));
-        statistics
+    /// A blend after forecasts of the network alone: how far it said, and how far the agent went, along a line.
+    fn after(forecasts: impl IntoIterator<Item = (f32, f32)>) -> Blend {
+        let mut blend = Blend::new(&Statistics::default());
+        for (network_m, truth_m) in forecasts {
+            let mut experts_m = [[0.0; 2]; EXPERTS];
+            experts_m[0][0] = network_m;
+            let outcome = Outcome {
+                experts_m: &experts_m,
+                regression_m: [blend.regression[0] * network_m, 0.0],
+                truth_m: [truth_m, 0.0],
+                typical_m: 1.0,
+                deviation_m: 0.1,
+            };
+            blend.add(&outcome, 1.0);
+            blend.solve();
+        }
+        blend
     }
 
     #[test]
-    fn the_expert_that_is_right_has_all_weight() {
-        let right = |x: f32| ([[x, 0.0], [0.0, x], [-x, 1.0], [0.3, 0.0]], [x, 0.0]);
-        let weights = of(&[right(1.0), right(-2.0), right(5.0)]).weights();
-        assert!((weights[0] - 1.0).abs() < 1e-3, "{weights:?}");
-        assert!(weights[1..].iter().all(|weight| *weight < 1e-3), "{weights:?}");
+    fn the_least_mean_distance_rules_and_not_the_least_mean_square() {
+        // Of five forecasts, the network is right thrice; twice the agent keeps its velocity. Least squares say 0.6.
+        let blend = after((0..100).map(|n| (2.0, if n % 5 < 3 { 2.0 } else { 0.0 })));
+        assert!(blend.regression[0] > 0.85, "{:?}", blend.regression);
     }
 
     #[test]
-    fn experts_that_are_worse_than_constant_velocity_have_none() {
-        let wrong = |x: f32| ([[x, 0.0], [x, x], [2.0 * x, 0.0], [x, -x]], [-0.1 * x, 0.0]);
-        assert_eq!(of(&[wrong(1.0), wrong(-2.0)]).weights(), [0.0; EXPERTS]);
+    fn an_expert_that_is_better_than_the_regression_is_the_forecast() {
+        // Agents that stand hold the regression back until the others begin.
+        let standing = std::iter::repeat_n((0.1, 0.0), 300);
+        let blend = after(standing.chain(std::iter::repeat_n((5.0, 5.0), 30)));
+        assert!(blend.regression[0] < 1.0, "{:?}", blend.regression);
+        assert_eq!(blend.weights, [1.0, 0.0, 0.0, 0.0]);
     }
 
     #[test]
-    fn two_experts_on_either_side_share() {
-        let between = |x: f32| ([[x, 0.0], [3.0 * x, 0.0], [0.0, 0.0], [0.0, 0.0]], [2.0 * x, 0.0]);
-        let [near, far, ..] = of(&[between(1.0), between(2.0)]).weights();
-        assert!((near + 3.0 * far - 2.0).abs() < 1e-3, "{near} {far}");
-        assert!(near >= 0.0 && far >= 0.0 && near + far <= 1.0 + 1e-6, "{near} {far}");
+    fn few_forecasts_choose_nobody() {
+        let blend = after(std::iter::repeat_n((5.0, 5.0), 29));
+        assert_eq!(blend.weights, blend.regression);
     }
 
     #[test]
-    fn no_forecast_says_more_than_another() {
-        let mut one = Statistics::default();
-        one.add(&[[1e4, 0.0]; EXPERTS], [-1e4, 0.0], 0.1, 1.0);
-        assert!(one.products.as_flattened().iter().all(|product| *product <= 1.0), "{one:?}");
+    fn no_forecast_shows_others_more_than_another() {
+        let blend = after([(1e4, -1e4)]);
+        let shown = blend.as_prior(1.0);
+        assert!(shown.products.as_flattened().iter().all(|product| *product <= 1.0), "{shown:?}");
+        assert_eq!(blend.as_prior(2.0), Statistics::default());
     }
 }

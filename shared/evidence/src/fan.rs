@@ -1,4 +1,4 @@
-//! Modes of their own: the blend with typical residuals of agents alike.
+//! Modes of their own: a middle with typical residuals of agents alike.
 
 use wire::{HORIZON_MAX, MODES_MAX};
 
@@ -30,6 +30,12 @@ pub const FAN: [([f32; 2], f32); MODES_MAX] = [
 ];
 /// Deviation of the residuals about the nearest point of [`FAN`], in units of their own.
 const WITHIN: f32 = 0.36;
+
+/// The middle of a fan, m: halfway from constant velocity to the blend. Agents do the one or the other rather than what
+/// lies between, and residuals about either alone are the wider ones.
+pub(crate) fn centre_m(velocity_m: [f32; 2], blend_m: [f32; 2]) -> [f32; 2] {
+    [0, 1].map(|axis| 0.5 * (velocity_m[axis] + blend_m[axis]))
+}
 
 /// Matured forecasts that the first place of a point counts for.
 const ASSUMED: f32 = 5.0;
@@ -111,9 +117,11 @@ impl LearnedPattern {
     }
 }
 
-/// The modes of an agent about the blend, the most probable ones first.
+/// The modes of an agent about a middle, the most probable ones first.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Fan {
+    /// Its middle, halfway from constant velocity to the blend, step by step, m.
+    pub centre_m: [[f32; 2]; HORIZON_MAX],
     /// Standard deviations of the residuals along and across the course, step by step, m.
     pub steps_m: [[f32; 2]; HORIZON_MAX],
     /// Cosine and sine of the course.
@@ -134,6 +142,13 @@ impl Fan {
         let [along_m, across_m] = self.steps_m[step];
         let (along_m, across_m) = (along * along_m, across * across_m);
         [along_m * cos - across_m * sin, along_m * sin + across_m * cos]
+    }
+
+    /// The position of a mode at a step in the world frame, m.
+    #[must_use]
+    pub fn position_m(&self, mode: usize, step: usize) -> [f32; 2] {
+        let residual_m = self.residual_m(mode, step);
+        [0, 1].map(|axis| self.centre_m[step][axis] + residual_m[axis])
     }
 
     /// The covariance of every mode at a step as (xx, xy, yy), m².
@@ -160,6 +175,7 @@ mod tests {
     #[test]
     fn residuals_and_covariances_lie_along_the_course() {
         let fan = Fan {
+            centre_m: [[0.0; 2]; HORIZON_MAX],
             steps_m: [[2.0, 0.5]; HORIZON_MAX],
             course: [0.0, 1.0],
             points: FAN.map(|(point, _)| [point; HORIZON_MAX]),

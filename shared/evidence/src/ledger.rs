@@ -8,14 +8,13 @@ use std::collections::{HashMap, VecDeque, hash_map};
 
 use wire::{AGENTS_MAX, AgentType, EXPERTS_MAX, Expert, HORIZON_MAX, MODES_MAX};
 
+use crate::blend::{Blend, Outcome};
 use crate::choice::{BOTH_MAX, Choice};
 use crate::due::{Due, Waiting};
-use crate::fan::LearnedPattern;
+use crate::fan::{LearnedPattern, centre_m};
 use crate::width::Widths;
-use crate::{BANDS, Context, ContextPrior, EXPERTS, Fan, KNOTS, Paths, Prior, SLOTS, Statistics};
+use crate::{BANDS, Context, ContextPrior, EXPERTS, Fan, KNOTS, Paths, Prior, SLOTS};
 
-/// Forecasts that the prior counts for.
-const PRIOR_LEN: f64 = 20.0;
 /// Time in which evidence fades to 1/e.
 const FADING_S: f64 = 120.0;
 /// Deviation of a truth at the first step; it grows with the root of the steps.
@@ -60,7 +59,7 @@ pub struct Mixture<'a> {
     pub widths: &'a [f32; HORIZON_MAX],
     /// The network's modes, whether they were published or not, m.
     pub network_m: &'a [[[f32; 2]; HORIZON_MAX]],
-    /// The fan about the blend, whether it was published or not.
+    /// The fan, whether it was published or not.
     pub fan: &'a Fan,
 }
 
@@ -102,9 +101,12 @@ struct Pending {
     /// Knots that have matured.
     matured_len: usize,
     velocity_m: [[f32; 2]; KNOTS],
-    blend_m: [[f32; 2]; KNOTS],
+    /// Middle of the fan.
+    centre_m: [[f32; 2]; KNOTS],
+    /// Less constant velocity.
+    regression_m: [[f32; 2]; KNOTS],
     course: [f32; 2],
-    /// What the truth is beyond the blend along and across the course, at the knots that have matured, m.
+    /// What the truth is beyond the middle of the fan along and across the course, at the knots that have matured, m.
     residuals_m: [[f32; 2]; KNOTS],
     /// Less constant velocity.
     experts_m: [[[f32; 2]; EXPERTS]; KNOTS],
@@ -123,11 +125,7 @@ struct Trace {
 /// What is known of one type at one speed.
 #[derive(Clone, Debug)]
 struct Knowledge {
-    prior: ContextPrior,
-    blend: [Statistics; KNOTS],
-    /// The weights of the blend with its prior.
-    weights: [[f32; EXPERTS]; KNOTS],
-    is_stale: bool,
+    blend: [Blend; KNOTS],
     widths: [Widths; KNOTS],
     /// Sums of squares along and across the course, m², and their number.
     squares: [([f64; 2], f64); KNOTS],
@@ -155,17 +153,13 @@ pub struct Evidence {
 impl Knowledge {
     fn new(prior: &ContextPrior) -> Self {
         let widths = prior.log_width.map(|log| Widths::new(log.exp()));
-        let blend = Default::default();
-        let weights = Default::default();
+        let blend = prior.blend.each_ref().map(Blend::new);
         let squares = prior.deviation_m.map(|deviations| {
             (deviations.map(|deviation_m| DEVIATIONS_LEN * f64::from(deviation_m).powi(2)), DEVIATIONS_LEN)
         });
         let network_nearer = (SHARE_LEN * f64::from(prior.network_share), SHARE_LEN);
         let pattern = LearnedPattern::new(&prior.pattern);
-        let mut knowledge =
-            Self { prior: *prior, blend, weights, is_stale: true, widths, squares, network_nearer, pattern };
-        knowledge.solve();
-        knowledge
+        Self { blend, widths, squares, network_nearer, pattern }
     }
 
     fn discount(&mut self, kept: f64, under_way: f64) {
@@ -179,24 +173,16 @@ impl Knowledge {
         self.pattern.discount(kept as f32);
     }
 
-    /// Deviations from the blend at a knot, m.
+    /// Deviations from the middle of the fan at a knot, m.
     fn deviations_m(&self, knot: usize) -> [f32; 2] {
         let (squares, len) = self.squares[knot];
         squares.map(|sum| (sum / len.max(1e-9)).sqrt() as f32)
     }
 
     fn solve(&mut self) {
-        if std::mem::take(&mut self.is_stale) {
-            for ((weights, blend), prior) in self.weights.iter_mut().zip(&self.blend).zip(&self.prior.blend) {
-                let mut with_prior = *blend;
-                with_prior.add_scaled(prior, PRIOR_LEN);
-                *weights = with_prior.weights();
-            }
-        }
+        self.blend.iter_mut().for_each(Blend::solve);
     }
-}
 
-impl Knowledge {
     /// Adds a residual at a knot along and across the course, one of at most [`OUTLIER`] deviations.
     fn add_residual(&mut self, knot: usize, residual_m: [f32; 2], floor_m: f32, weight: f32) {
         let deviations_m = self.deviations_m(knot);
@@ -394,7 +380,7 @@ impl Evidence {
                     mixtures[place].add_distances(knot, truth_m);
                     waiting.push(mixtures[place].due(pending.context, knot, truth_m));
                 }
-                let [x, y] = [0, 1].map(|axis| truth_m[axis] - pending.blend_m[knot][axis]);
+                let [x, y] = [0, 1].map(|axis| truth_m[axis] - pending.centre_m[knot][axis]);
                 let [cos, sin] = pending.course;
                 let residual_m = [x * cos + y * sin, y * cos - x * sin];
                 pending.residuals_m[knot] = residual_m;
@@ -405,9 +391,15 @@ impl Evidence {
                 for (band, share) in pending.context.bands() {
                     let knowledge = &mut of_type[band];
                     if share > 0.0 {
-                        let experts_m = &pending.experts_m[knot];
-                        knowledge.blend[knot].add(experts_m, taken_m, deviation_m, share);
-                        knowledge.is_stale = true;
+                        let [along_m, across_m] = knowledge.deviations_m(knot);
+                        let outcome = Outcome {
+                            experts_m: &pending.experts_m[knot],
+                            regression_m: pending.regression_m[knot],
+                            truth_m: taken_m,
+                            typical_m: along_m.hypot(across_m),
+                            deviation_m,
+                        };
+                        knowledge.blend[knot].add(&outcome, share);
                         knowledge.add_residual(knot, residual_m, deviation_m, share);
                         if let Some((is_network, (number, units))) = &of_modes {
                             knowledge.add_nearer(*is_network, share);
@@ -458,22 +450,30 @@ impl Evidence {
                 }
                 kept.deviations_m[knot] = mixture.fan.steps_m[step];
                 for (mode, kept) in kept.fan_m[knot].iter_mut().enumerate() {
-                    let residual_m = mixture.fan.residual_m(mode, step);
-                    *kept = [0, 1].map(|axis| blend_m[step][axis] + residual_m[axis]);
+                    *kept = mixture.fan.position_m(mode, step);
                 }
                 kept.widths[knot] = mixture.widths[step];
             }
             Some(place)
         });
         let context = Context::new(agent.agent_type, agent.speed_mps);
-        let (blend_m, course) = (knots.map(|step| blend_m[step]), agent.course);
+        let of_type = &self.known[agent.agent_type.index()];
+        let regression_m = std::array::from_fn(|knot| {
+            let weights = context.between(|band| *of_type[band].blend[knot].regression());
+            let sum = |axis: usize| {
+                weights.iter().zip(&experts_m[knot]).map(|(w, d): (_, &[f32; 2])| w * d[axis]).sum()
+            };
+            [0, 1].map(sum)
+        });
+        let centre_m = knots.map(|step| centre_m(paths.velocity[step], blend_m[step]));
         trace.pending.push_back(Pending {
             stamp_ns,
             context,
             matured_len: 0,
             velocity_m,
-            blend_m,
-            course,
+            centre_m,
+            regression_m,
+            course: agent.course,
             residuals_m: [[0.0; 2]; KNOTS],
             experts_m,
             mixture,
@@ -490,9 +490,9 @@ impl Evidence {
         })
     }
 
-    /// The modes of an agent by how agents alike deviate from the blend.
+    /// The modes of an agent by how agents alike deviate from the middle between constant velocity and the blend.
     #[must_use]
-    pub fn fan(&self, agent: &Agent) -> Fan {
+    pub fn fan(&self, agent: &Agent, (paths, blend_m): (&Paths, &[[f32; 2]; HORIZON_MAX])) -> Fan {
         let context = Context::new(agent.agent_type, agent.speed_mps);
         let of_type = &self.known[agent.agent_type.index()];
         let at_knots: [[f32; 2]; KNOTS] =
@@ -507,10 +507,18 @@ impl Evidence {
             self.between_knots(&at_knots)
         });
         let probability = numbers.map(|number| of(&number));
-        Fan { steps_m: self.between_knots(&at_knots), course: agent.course, points, probability, numbers }
+        let centre_m = std::array::from_fn(|step| centre_m(paths.velocity[step], blend_m[step]));
+        Fan {
+            centre_m,
+            steps_m: self.between_knots(&at_knots),
+            course: agent.course,
+            points,
+            probability,
+            numbers,
+        }
     }
 
-    /// The modes that stand for those of the network and of the fan about the blend, as many as the network has.
+    /// The modes that stand for those of the network and of the fan, as many as the network has.
     ///
     /// Both sets are as probable as they have been near: with s the share of the forecasts of agents alike of which
     /// the network had the nearest mode, it has s² / (s² + (1 − s)²).
@@ -522,16 +530,13 @@ impl Evidence {
         &self,
         agent: &Agent,
         (network_m, probability): (&[[[f32; 2]; HORIZON_MAX]], &[f32]),
-        (fan, blend_m): (&Fan, &[[f32; 2]; HORIZON_MAX]),
+        fan: &Fan,
     ) -> Choice {
         let (knots, len) = (self.knots, network_m.len());
         let mut modes_m = [[[0.0; 2]; KNOTS]; BOTH_MAX];
         for (mode, network_m) in network_m.iter().enumerate() {
             modes_m[mode] = knots.map(|step| network_m[step]);
-            modes_m[len + mode] = knots.map(|step| {
-                let residual_m = fan.residual_m(mode, step);
-                [0, 1].map(|axis| blend_m[step][axis] + residual_m[axis])
-            });
+            modes_m[len + mode] = knots.map(|step| fan.position_m(mode, step));
         }
         let context = Context::new(agent.agent_type, agent.speed_mps);
         let of_type = &self.known[agent.agent_type.index()];
@@ -557,7 +562,7 @@ impl Evidence {
         let context = Context::new(agent_type, speed_mps);
         let of_type = &self.known[agent_type.index()];
         let at_knots: [[f32; EXPERTS]; KNOTS] =
-            std::array::from_fn(|knot| context.between(|band| of_type[band].weights[knot]));
+            std::array::from_fn(|knot| context.between(|band| *of_type[band].blend[knot].weights()));
         self.between_knots(&at_knots)
     }
 
@@ -601,21 +606,12 @@ impl Evidence {
     #[must_use]
     pub fn as_prior(&self, len_min: f64) -> Prior {
         Prior(self.known.each_ref().map(|of_type| {
-            of_type.each_ref().map(|knowledge| {
-                let mean = |blend: &Statistics| {
-                    let mut mean = Statistics::default();
-                    if blend.len >= len_min {
-                        mean.add_scaled(blend, 1.0 / blend.len);
-                    }
-                    mean
-                };
-                ContextPrior {
-                    blend: knowledge.blend.each_ref().map(mean),
-                    log_width: knowledge.widths.each_ref().map(Widths::log),
-                    deviation_m: std::array::from_fn(|knot| knowledge.deviations_m(knot)),
-                    network_share: knowledge.network_share(),
-                    pattern: knowledge.pattern.as_prior(),
-                }
+            of_type.each_ref().map(|knowledge| ContextPrior {
+                blend: knowledge.blend.each_ref().map(|blend| blend.as_prior(len_min)),
+                log_width: knowledge.widths.each_ref().map(Widths::log),
+                deviation_m: std::array::from_fn(|knot| knowledge.deviations_m(knot)),
+                network_share: knowledge.network_share(),
+                pattern: knowledge.pattern.as_prior(),
             })
         }))
     }

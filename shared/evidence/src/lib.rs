@@ -6,22 +6,24 @@
 //!
 //! * **How to blend.** Experts are the network, the base control, a decaying turn and a decaying acceleration;
 //!   constant velocity is what remains. With d_e an expert's position less constant velocity's and y the truth
-//!   less it, the weights are those of a ridge regression over all matured forecasts, discounted by age, none
-//!   negative and at most 1 in sum:
+//!   less it, a regression finds weights of the least mean distance over all matured forecasts, discounted by age,
+//!   none negative and at most 1 in sum, by squares that are weighted with the distance r missed so far
+//!   ([iteratively reweighted](https://doi.org/10.1007/s10479-008-0352-z)):
 //!
 //! ```text
-//! w = argmin wᵀ A w − 2 bᵀ w,  w ≥ 0, Σ w ≤ 1      A = n₀ A₀ + Σ D Dᵀ / s²,  b = n₀ b₀ + Σ D y / s²
+//! w = argmin wᵀ A w − 2 bᵀ w,  w ≥ 0, Σ w ≤ 1      A = n₀ A₀ + Σ D Dᵀ / (r σ),  b = n₀ b₀ + Σ D y / (r σ)
 //! ```
 //!
-//!   s² = ‖y‖² + max ‖d_e‖² + σ² bounds what one forecast can say. Such a regression has a regret of O(ln n) to
-//!   the best fixed blend in hindsight (Vovk, Azoury and Warmuth), and the best single expert is one of those.
-//!   A₀ and b₀ are the [prior](Prior): the same sums per forecast, over recordings that the network never saw.
+//!   σ is how far agents alike deviate; it takes the unit away, so that the prior counts for n₀ forecasts. An
+//!   expert that has been nearer than this regression is the forecast alone.
+//!   A₀ and b₀ are the [prior](Prior): such sums per forecast, over recordings that the network never saw, where
+//!   ‖y‖² + max ‖d_e‖² stands for r σ, so that no forecast tells others more than another.
 //! * **How wide.** The level of the highest-density region on whose border the truth lies, as a radius
 //!   r = √(−2 ln (1 − level)), is 2.15 at nine of ten forecasts of calibrated regions. Its 0.9 quantile over
 //!   matured forecasts, discounted by age, is the factor by which regions widen ([`Evidence::widths`]).
 //!
-//! * **Which modes.** Those that stand for both the network's and a [fan](FAN) about the blend as wide as agents
-//!   alike deviate from it ([`Choice`]): more of the set whose nearest mode has been nearer.
+//! * **Which modes.** Those that stand for both the network's and a [fan](FAN), as wide as agents alike deviate from
+//!   its middle between blend and constant velocity ([`Choice`]): more of the set whose nearest mode has been nearer.
 //!
 //! All are kept at four steps of the horizon and linear between them, and for six speeds between which they
 //! are linear too. Nothing here allocates after the start.
@@ -58,9 +60,9 @@ mod fan;
 mod ledger;
 mod paths;
 mod prior;
+mod statistics;
 mod width;
 
-pub use blend::Statistics;
 pub use choice::Choice;
 pub use context::{BANDS, Context, SPEEDS_MPS};
 pub use fan::{FAN, Fan, Pattern};
@@ -68,6 +70,7 @@ pub use ledger::numbers::NUMBERS_LEN;
 pub use ledger::{Agent, Evidence, Matured, Mixture};
 pub use paths::{MotionNow, Paths};
 pub use prior::{ContextPrior, Prior, PriorError, Priors};
+pub use statistics::Statistics;
 
 /// Experts beside constant velocity, in the order of their numbers in [`SLOTS`].
 pub const EXPERTS: usize = 4;

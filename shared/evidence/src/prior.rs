@@ -22,15 +22,15 @@ pub struct Prior(pub [[ContextPrior; BANDS]; 3]);
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ContextPrior {
-    /// Mean statistics of a forecast, at each knot; without forecasts, constant velocity has all weight.
+    /// Mean statistics of a forecast, at each knot; where nobody knows, constant velocity was right.
     pub blend: [Statistics; KNOTS],
     /// Logarithm of the factor of the widths, at each knot.
     pub log_width: [f32; KNOTS],
-    /// Deviations from the blend along and across the course at each knot, m.
+    /// Deviations from the middle of the fan along and across the course at each knot, m.
     pub deviation_m: [[f32; 2]; KNOTS],
     /// Share of the forecasts of which a mode of the network was nearer than all of the fan.
     pub network_share: f32,
-    /// Typical residuals from the blend; left out of a file where nothing was learned.
+    /// Typical residuals from there; left out of a file where nothing was learned.
     #[serde(default, skip_serializing_if = "Pattern::is_default")]
     pub pattern: Pattern,
 }
@@ -59,7 +59,7 @@ impl std::error::Error for PriorError {
 impl Default for ContextPrior {
     fn default() -> Self {
         Self {
-            blend: Default::default(),
+            blend: [Statistics::doubting(); KNOTS],
             log_width: [0.0; KNOTS],
             deviation_m: DEVIATIONS_M,
             network_share: 0.5,
@@ -85,7 +85,8 @@ impl ContextPrior {
     fn mean(sources: &[&Self]) -> Self {
         let share = 1.0 / sources.len() as f64;
         let nothing = Pattern { points: [[[0.0; 2]; KNOTS]; MODES_MAX], probability: [0.0; MODES_MAX] };
-        let mut mean = Self { deviation_m: [[0.0; 2]; KNOTS], pattern: nothing, ..Self::default() };
+        let blend = Default::default();
+        let mut mean = Self { blend, deviation_m: [[0.0; 2]; KNOTS], pattern: nothing, ..Self::default() };
         for source in sources {
             for knot in 0..KNOTS {
                 mean.blend[knot].add_scaled(&source.blend[knot], share);

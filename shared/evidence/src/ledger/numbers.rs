@@ -3,19 +3,16 @@
 use wire::MODES_MAX;
 
 use super::{Evidence, Knowledge};
+use crate::blend::Blend;
 use crate::width::{Widths, single};
-use crate::{BANDS, EXPERTS, KNOTS, Statistics};
+use crate::{BANDS, KNOTS};
 
 /// Numbers in which all that was learned is written.
 pub const NUMBERS_LEN: usize = 1 + 3 * BANDS * KNOWLEDGE_LEN;
-/// Those of one type at one speed: the sums of the blend, its weights, the widths, the squares, the nearer set and
+/// Those of one type at one speed: the blend, the widths, the squares, the nearer set and
 /// the pattern.
-const KNOWLEDGE_LEN: usize = KNOTS * (EXPERTS * EXPERTS + EXPERTS + 1)
-    + KNOTS * EXPERTS
-    + KNOTS * Widths::NUMBERS_LEN
-    + KNOTS * 3
-    + 2
-    + MODES_MAX * (2 * KNOTS + 1);
+const KNOWLEDGE_LEN: usize =
+    KNOTS * (Blend::NUMBERS_LEN + Widths::NUMBERS_LEN + 3) + 2 + MODES_MAX * (2 * KNOTS + 1);
 
 impl Evidence {
     /// Spacing of the forecasts' steps.
@@ -71,18 +68,14 @@ impl Evidence {
     /// Forecasts that have matured, older ones counting less, without those that the prior counts for.
     #[must_use]
     pub fn matured_len(&self) -> f64 {
-        self.known.as_flattened().iter().map(|knowledge| knowledge.blend[KNOTS - 1].len).sum()
+        self.known.as_flattened().iter().map(|knowledge| knowledge.blend[KNOTS - 1].matured_len()).sum()
     }
 }
 
 impl Knowledge {
     /// Gives `each` all numbers that were learned, to read or to change.
     fn numbers(&mut self, each: &mut impl FnMut(&mut f64)) {
-        for Statistics { products, targets, len } in &mut self.blend {
-            products.as_flattened_mut().iter_mut().chain(targets).chain([len]).for_each(&mut *each);
-        }
-        // They are those of the last forecast that matured: what fades meanwhile changes them only with the next.
-        self.weights.as_flattened_mut().iter_mut().for_each(|weight| single(weight, each));
+        self.blend.iter_mut().for_each(|blend| blend.numbers(each));
         self.widths.iter_mut().for_each(|widths| widths.numbers(each));
         for (squares, len) in &mut self.squares {
             squares.iter_mut().chain([len]).for_each(&mut *each);

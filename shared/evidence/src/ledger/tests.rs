@@ -19,26 +19,32 @@ fn drive(steps: i64, factor: f32, level: f64) -> Evidence {
         let mut experts = [velocity; EXPERTS];
         experts[0] = network;
         let modes_m = [network; MODES_MAX];
+        let paths = Paths { velocity, experts };
         let mixture = Mixture {
             probability: &[0.05; MODES_MAX],
             modes_m: &modes_m,
             covariances_m2: &covariances_m2,
             widths: &[1.0; HORIZON_MAX],
             network_m: &modes_m,
-            fan: &evidence.fan(&AGENT),
+            fan: &evidence.fan(&AGENT, (&paths, &velocity)),
         };
-        let paths = Paths { velocity, experts };
         evidence.store(step * STEP_NS, &AGENT, (&paths, &velocity), Some(mixture));
     }
     evidence
 }
 
+/// The fan of an agent that keeps its place or goes 8 m along and 2 m across.
+fn fan(evidence: &Evidence) -> Fan {
+    let still = [[0.0; 2]; HORIZON_MAX];
+    let paths = Paths { velocity: still, experts: [still; EXPERTS] };
+    evidence.fan(&AGENT, (&paths, &[[8.0, 2.0]; HORIZON_MAX]))
+}
+
 /// What is chosen of the fan and of twenty modes a metre apart across the course.
 fn choose(evidence: &Evidence) -> Choice {
-    let blend_m = [[0.0; 2]; HORIZON_MAX];
     let network_m: [_; MODES_MAX] = std::array::from_fn(|mode| [[0.0, mode as f32 - 9.5]; HORIZON_MAX]);
     let probability = [0.05; MODES_MAX];
-    evidence.choose(&AGENT, (&network_m, &probability), (&evidence.fan(&AGENT), &blend_m))
+    evidence.choose(&AGENT, (&network_m, &probability), &fan(evidence))
 }
 
 #[test]
@@ -59,8 +65,16 @@ fn regions_widen_where_they_miss_and_narrow_where_they_never_do() {
 }
 
 #[test]
+fn a_fan_lies_about_the_middle_between_constant_velocity_and_the_blend() {
+    let fan = fan(&drive(0, 1.0, 0.5));
+    let (residual_m, [x, y]) = (fan.residual_m(2, 11), fan.position_m(2, 11));
+    assert!((x - residual_m[0] - 4.0).abs() < 1e-5 && (y - residual_m[1] - 1.0).abs() < 1e-5, "{x} {y}");
+    assert!(residual_m[0].hypot(residual_m[1]) > 0.1, "{residual_m:?}");
+}
+
+#[test]
 fn agents_that_keep_to_the_blend_have_a_narrow_fan() {
-    let [along_m, across_m] = drive(200, 1.0, 0.5).fan(&AGENT).steps_m[11];
+    let [along_m, across_m] = fan(&drive(200, 1.0, 0.5)).steps_m[11];
     assert!(along_m < 2.0 && across_m < 1.0, "{along_m} {across_m}");
 }
 
@@ -75,7 +89,7 @@ fn what_is_learned_is_the_same_by_its_numbers() {
     let learned = |evidence: &Evidence| {
         let (agent_type, speed_mps) = (AGENT.agent_type, AGENT.speed_mps);
         let widths = evidence.widths(agent_type, speed_mps);
-        (evidence.weights(agent_type, speed_mps), widths, evidence.fan(&AGENT), choose(evidence))
+        (evidence.weights(agent_type, speed_mps), widths, fan(evidence), choose(evidence))
     };
     assert_eq!(learned(&other), learned(&evidence));
     assert_eq!((other.matured_len(), other.now_ns), (evidence.matured_len(), evidence.now_ns));
