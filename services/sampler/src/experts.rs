@@ -170,7 +170,7 @@ impl Experts {
         let shift = Residuals::between(model.kind(), now.position_m, network_m, &best_m[..len], dt_s)
             .control_change(model);
         let widths = self.evidence.widths(agent_type, agent.speed_mps);
-        let fan = self.evidence.fan(&agent, (&paths, &best_m));
+        let fan = self.evidence.fan(&agent, &paths.velocity, &best_m);
         let spread = Spread::of(&widths, &fan, best_m, dt_s);
         let network_m = [[[0.0; 2]; HORIZON_MAX]; MODES_MAX];
         Blended { agent, paths, weights, best_m, shift, spread, fan, network_m }
@@ -260,9 +260,8 @@ mod tests {
     fn modes_far_from_the_best_forecast_stay_wide_where_regions_narrow() {
         let agent = Agent { id: 1, agent_type: AgentType::Vehicle, speed_mps: 0.0, course: [1.0, 0.0] };
         let best_m = [[3.0, 4.0]; HORIZON_MAX];
-        let paths = Paths { velocity: best_m, experts: [best_m; EXPERTS] };
         let evidence = Evidence::new(1, 400_000_000, &Prior::default());
-        let fan = evidence.fan(&agent, (&paths, &best_m));
+        let fan = evidence.fan(&agent, &best_m, &best_m);
         let spread = Spread::of(&[0.1; HORIZON_MAX], &fan, best_m, 0.4);
         let of = |mean| spread.of_covariance((0, 11), &Moments { mean, covariance: [0.16, 0.0, 0.16] });
         assert_eq!(of([3.0, 4.0]), [0.01, 0.0, 0.01]);

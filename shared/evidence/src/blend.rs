@@ -175,8 +175,11 @@ mod tests {
 
     #[test]
     fn few_forecasts_choose_nobody() {
-        let blend = after(std::iter::repeat_n((5.0, 5.0), 29));
-        assert_eq!(blend.weights, blend.regression);
+        let standing = std::iter::repeat_n((0.1, 0.0), 20);
+        let forecasts = |moving: usize| standing.clone().chain(std::iter::repeat_n((5.0, 5.0), moving));
+        let [few, enough] = [9, 10].map(|moving| after(forecasts(moving)));
+        assert!(few.weights == few.regression && few.regression[0] < 1.0, "{:?}", few.weights);
+        assert_eq!(enough.weights, [1.0, 0.0, 0.0, 0.0]);
     }
 
     #[test]

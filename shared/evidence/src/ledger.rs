@@ -12,6 +12,7 @@ use crate::blend::{Blend, Outcome};
 use crate::choice::{BOTH_MAX, Choice};
 use crate::due::{Due, Waiting};
 use crate::fan::{LearnedPattern, centre_m};
+use crate::paths::weighted_m;
 use crate::width::Widths;
 use crate::{BANDS, Context, ContextPrior, EXPERTS, Fan, KNOTS, Paths, Prior, SLOTS};
 
@@ -429,9 +430,7 @@ impl Evidence {
         let Some(trace) = self.traces.get_mut(&agent.id) else { return };
         let knots = self.knots;
         let velocity_m = knots.map(|step| paths.velocity[step]);
-        let experts_m = knots.map(|step| {
-            paths.experts.map(|path| [0, 1].map(|axis| path[step][axis] - paths.velocity[step][axis]))
-        });
+        let experts_m = knots.map(|step| paths.differences_m(step));
         let mixture = mixture.and_then(|mixture| {
             let place = self.free.pop()?;
             let kept = &mut self.mixtures[place];
@@ -460,10 +459,7 @@ impl Evidence {
         let of_type = &self.known[agent.agent_type.index()];
         let regression_m = std::array::from_fn(|knot| {
             let weights = context.between(|band| *of_type[band].blend[knot].regression());
-            let sum = |axis: usize| {
-                weights.iter().zip(&experts_m[knot]).map(|(w, d): (_, &[f32; 2])| w * d[axis]).sum()
-            };
-            [0, 1].map(sum)
+            weighted_m(&weights, &experts_m[knot])
         });
         let centre_m = knots.map(|step| centre_m(paths.velocity[step], blend_m[step]));
         trace.pending.push_back(Pending {
@@ -492,7 +488,12 @@ impl Evidence {
 
     /// The modes of an agent by how agents alike deviate from the middle between constant velocity and the blend.
     #[must_use]
-    pub fn fan(&self, agent: &Agent, (paths, blend_m): (&Paths, &[[f32; 2]; HORIZON_MAX])) -> Fan {
+    pub fn fan(
+        &self,
+        agent: &Agent,
+        velocity_m: &[[f32; 2]; HORIZON_MAX],
+        blend_m: &[[f32; 2]; HORIZON_MAX],
+    ) -> Fan {
         let context = Context::new(agent.agent_type, agent.speed_mps);
         let of_type = &self.known[agent.agent_type.index()];
         let at_knots: [[f32; 2]; KNOTS] =
@@ -507,7 +508,7 @@ impl Evidence {
             self.between_knots(&at_knots)
         });
         let probability = numbers.map(|number| of(&number));
-        let centre_m = std::array::from_fn(|step| centre_m(paths.velocity[step], blend_m[step]));
+        let centre_m = std::array::from_fn(|step| centre_m(velocity_m[step], blend_m[step]));
         Fan {
             centre_m,
             steps_m: self.between_knots(&at_knots),
@@ -579,12 +580,8 @@ impl Evidence {
     /// Writes the blend of the paths.
     pub fn blend(&self, weights: &[[f32; EXPERTS]; HORIZON_MAX], paths: &Paths, out: &mut [[f32; 2]]) {
         for (step, out) in out.iter_mut().enumerate() {
-            let velocity_m = paths.velocity[step];
-            *out = [0, 1].map(|axis| {
-                let differences = paths.experts.iter().map(|path| path[step][axis] - velocity_m[axis]);
-                let weighted = weights[step].iter().zip(differences).map(|(weight, d)| weight * d);
-                velocity_m[axis] + weighted.sum::<f32>()
-            });
+            let weighted_m = weighted_m(&weights[step], &paths.differences_m(step));
+            *out = [0, 1].map(|axis| paths.velocity[step][axis] + weighted_m[axis]);
         }
     }
 

@@ -39,6 +39,19 @@ pub struct MotionNow {
     pub acceleration_mps2: f32,
 }
 
+impl Paths {
+    /// Positions of the experts less constant velocity's at a step, m.
+    #[must_use]
+    pub fn differences_m(&self, step: usize) -> [[f32; 2]; EXPERTS] {
+        self.experts.each_ref().map(|path| [0, 1].map(|axis| path[step][axis] - self.velocity[step][axis]))
+    }
+}
+
+/// What weights make of the experts' differences from constant velocity, m.
+pub(crate) fn weighted_m(weights: &[f32; EXPERTS], differences_m: &[[f32; 2]; EXPERTS]) -> [f32; 2] {
+    [0, 1].map(|axis| weights.iter().zip(differences_m).map(|(weight, d)| weight * d[axis]).sum())
+}
+
 impl MotionNow {
     /// The motion of an agent whose velocity was `before_mps` some time `since_s` ago.
     #[must_use]

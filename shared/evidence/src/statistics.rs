@@ -25,7 +25,7 @@ impl Statistics {
         doubting
     }
 
-    /// Adds a forecast.
+    /// Adds a forecast; `scale_m2` is s².
     pub fn add(&mut self, experts_m: &[[f32; 2]; EXPERTS], truth_m: [f32; 2], scale_m2: f32, weight: f32) {
         let scale = f64::from(weight / scale_m2);
         let dot = |a: [f32; 2], b: [f32; 2]| f64::from(a[0] * b[0] + a[1] * b[1]);

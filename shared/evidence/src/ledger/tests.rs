@@ -19,15 +19,15 @@ fn drive(steps: i64, factor: f32, level: f64) -> Evidence {
         let mut experts = [velocity; EXPERTS];
         experts[0] = network;
         let modes_m = [network; MODES_MAX];
-        let paths = Paths { velocity, experts };
         let mixture = Mixture {
             probability: &[0.05; MODES_MAX],
             modes_m: &modes_m,
             covariances_m2: &covariances_m2,
             widths: &[1.0; HORIZON_MAX],
             network_m: &modes_m,
-            fan: &evidence.fan(&AGENT, (&paths, &velocity)),
+            fan: &evidence.fan(&AGENT, &velocity, &velocity),
         };
+        let paths = Paths { velocity, experts };
         evidence.store(step * STEP_NS, &AGENT, (&paths, &velocity), Some(mixture));
     }
     evidence
@@ -35,9 +35,7 @@ fn drive(steps: i64, factor: f32, level: f64) -> Evidence {
 
 /// The fan of an agent that keeps its place or goes 8 m along and 2 m across.
 fn fan(evidence: &Evidence) -> Fan {
-    let still = [[0.0; 2]; HORIZON_MAX];
-    let paths = Paths { velocity: still, experts: [still; EXPERTS] };
-    evidence.fan(&AGENT, (&paths, &[[8.0, 2.0]; HORIZON_MAX]))
+    evidence.fan(&AGENT, &[[0.0; 2]; HORIZON_MAX], &[[8.0, 2.0]; HORIZON_MAX])
 }
 
 /// What is chosen of the fan and of twenty modes a metre apart across the course.
