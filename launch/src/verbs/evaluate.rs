@@ -283,10 +283,10 @@ fn driving(arguments: &Arguments, sources: &[String]) -> Result<driving_evaluato
 
 /// Forecasts as a car gets them, on many roads.
 fn drive(arguments: &Arguments) -> Result<Written, Failure> {
-    let report = driving_evaluator::evaluate(&driving(arguments, &arguments.parts)?, progress)
-        .map_err(Failure::data)?;
+    let options = driving(arguments, &arguments.parts)?;
+    let report = driving_evaluator::evaluate(&options, progress).map_err(Failure::data)?;
     if let Some(path) = &arguments.prior {
-        write(path, &(report.priors().to_json() + "\n"))?;
+        write(path, &(report.priors(options.threads).to_json() + "\n"))?;
     }
     Ok(Written {
         name: "driving",

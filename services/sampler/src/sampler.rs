@@ -77,7 +77,7 @@ impl Sampler {
             options,
             fallback: Fallback::new(options),
             memory: None,
-            prior: if options.evidence { Priors::shipped().mean(|_| true) } else { Prior::default() },
+            prior: if options.evidence { Priors::shipped().all() } else { Prior::default() },
             experts: None,
             resumed_ticks: 0,
             workers: Workers::new(Turns::new(options), forecasters)?,

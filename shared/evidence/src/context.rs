@@ -31,6 +31,12 @@ impl Context {
         [(self.below, 1.0 - self.share), (self.below + 1, self.share)]
     }
 
+    /// The band of the nearest speed.
+    #[must_use]
+    pub const fn nearest(&self) -> usize {
+        if self.share < 0.5 { self.below } else { self.below + 1 }
+    }
+
     /// A quantity that is known at the bands.
     pub(crate) fn between<const N: usize>(&self, at: impl Fn(usize) -> [f32; N]) -> [f32; N] {
         let [below, above] = [at(self.below), at(self.below + 1)];

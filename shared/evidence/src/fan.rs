@@ -4,8 +4,9 @@ use wire::{HORIZON_MAX, MODES_MAX};
 
 use crate::KNOTS;
 
-/// Residuals that learning begins with, at any step in units of their deviations, along and across the course,
-/// and how probable each is: the least that 20 points miss of the residuals of many roads, the same to the left and to the right.
+/// Residuals that learning begins with where no source tells any, at any step in units of their deviations, along and
+/// across the course, and how probable each is: the least that 20 points miss of the residuals of many roads, the same to
+/// the left and to the right.
 pub const FAN: [([f32; 2], f32); MODES_MAX] = [
     ([-0.38, 0.0], 0.165),
     ([0.14, 0.0], 0.16),
@@ -31,14 +32,17 @@ pub const FAN: [([f32; 2], f32); MODES_MAX] = [
 /// Deviation of the residuals about the nearest point of [`FAN`], in units of their own.
 const WITHIN: f32 = 0.36;
 
-/// The middle of a fan, m: halfway from constant velocity to the blend. Agents do the one or the other rather than what
-/// lies between, and residuals about either alone are the wider ones.
-pub(crate) fn centre_m(velocity_m: [f32; 2], blend_m: [f32; 2]) -> [f32; 2] {
-    [0, 1].map(|axis| 0.5 * (velocity_m[axis] + blend_m[axis]))
+/// How far from constant velocity to the blend a fan may lie: where agents do the one or the other rather than what lies
+/// between, residuals about halfway are the narrowest.
+pub(crate) const MIDDLES: [f32; 3] = [0.0, 0.5, 1.0];
+
+/// The middle of a fan, m, as far as `reach` from constant velocity, at 0, to the blend, at 1.
+pub(crate) fn centre_m(reach: f32, velocity_m: [f32; 2], blend_m: [f32; 2]) -> [f32; 2] {
+    [0, 1].map(|axis| velocity_m[axis] + reach * (blend_m[axis] - velocity_m[axis]))
 }
 
 /// Matured forecasts that the first place of a point counts for.
-const ASSUMED: f32 = 5.0;
+const ASSUMED: f32 = 40.0;
 /// Matured forecasts that the first probabilities count for.
 const PROBABILITY_LEN: f32 = 20.0;
 
@@ -88,9 +92,9 @@ impl LearnedPattern {
     }
 
     /// Draws a point nearer to a residual, in units of the deviations.
-    pub(crate) fn add(&mut self, point: usize, residual: &[[f32; 2]; KNOTS], weight: f32) {
-        self.nearest[point] += weight;
-        let share = (weight / (ASSUMED + self.nearest[point])).min(1.0);
+    pub(crate) fn add(&mut self, point: usize, residual: &[[f32; 2]; KNOTS]) {
+        self.nearest[point] += 1.0;
+        let share = 1.0 / (ASSUMED + self.nearest[point]);
         let point = self.points[point].as_flattened_mut();
         point.iter_mut().zip(residual.as_flattened()).for_each(|(at, &to)| *at += share * (to - *at));
     }
@@ -111,16 +115,12 @@ impl LearnedPattern {
             (self.nearest[point] + PROBABILITY_LEN * self.expected[point]) / (sum + PROBABILITY_LEN)
         })
     }
-
-    pub(crate) fn as_prior(&self) -> Pattern {
-        Pattern { points: self.points, probability: self.probability() }
-    }
 }
 
 /// The modes of an agent about a middle, the most probable ones first.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Fan {
-    /// Its middle, halfway from constant velocity to the blend, step by step, m.
+    /// Its middle, between constant velocity and the blend, step by step, m.
     pub centre_m: [[f32; 2]; HORIZON_MAX],
     /// Standard deviations of the residuals along and across the course, step by step, m.
     pub steps_m: [[f32; 2]; HORIZON_MAX],
@@ -194,8 +194,8 @@ mod tests {
     #[test]
     fn points_move_to_what_is_nearest_to_them_and_become_probable() {
         let mut learned = LearnedPattern::new(&Pattern::default());
-        for _ in 0..200 {
-            learned.add(8, &[[2.0, 0.1]; KNOTS], 1.0);
+        for _ in 0..1000 {
+            learned.add(8, &[[2.0, 0.1]; KNOTS]);
         }
         let [along, across] = learned.points()[8][3];
         assert!((along - 2.0).abs() < 0.05 && (across - 0.1).abs() < 0.01, "{along} {across}");

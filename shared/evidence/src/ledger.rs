@@ -11,10 +11,11 @@ use wire::{AGENTS_MAX, AgentType, EXPERTS_MAX, Expert, HORIZON_MAX, MODES_MAX};
 use crate::blend::{Blend, Outcome};
 use crate::choice::{BOTH_MAX, Choice};
 use crate::due::{Due, Waiting};
-use crate::fan::{LearnedPattern, centre_m};
+use crate::fan::{LearnedPattern, MIDDLES, centre_m};
 use crate::paths::weighted_m;
+use crate::share::Shares;
 use crate::width::Widths;
-use crate::{BANDS, Context, ContextPrior, EXPERTS, Fan, KNOTS, Paths, Prior, SLOTS};
+use crate::{BANDS, Context, ContextPrior, EXPERTS, Fan, KNOTS, Paths, Pattern, Prior, SLOTS, fading, knots};
 
 /// Time in which evidence fades to 1/e.
 const FADING_S: f64 = 120.0;
@@ -27,12 +28,18 @@ const TRACES_MAX: usize = 4 * AGENTS_MAX;
 /// Most forecasts whose mixtures are kept until they mature: those of all agents of a payload.
 const MIXTURES_MAX: usize = AGENTS_MAX * (HORIZON_MAX + 1);
 
-/// Deviations that the prior counts for.
+/// Deviations that the prior counts for; no fewer count later.
 const DEVIATIONS_LEN: f64 = 10.0;
 /// A residual counts as no more than so many deviations: of jumps of identity there is no end.
 const OUTLIER: f32 = 6.0;
 /// Comparisons of network and fan that the prior counts for.
 const SHARE_LEN: f64 = 10.0;
+/// Shares of the fans that are nearest about each of the [`MIDDLES`], before any is known.
+const ABOUT_MIDDLES: [f32; MIDDLES.len()] = [0.25, 0.5, 0.25];
+/// Comparisons of them that they count for.
+const MIDDLES_LEN: f64 = 20.0;
+/// How decidedly a fan follows them: see [`Shares::decided`].
+const MIDDLES_POWER: i32 = 4;
 
 /// An agent at a time.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -90,8 +97,11 @@ struct Kept {
     fan_m: [[[f32; 2]; MODES_MAX]; KNOTS],
     fan_numbers: [u8; MODES_MAX],
     deviations_m: [[f32; 2]; KNOTS],
-    /// Sums of the distances of each mode of network and fan from the truth so far.
-    distances_m: [[f32; MODES_MAX]; 2],
+    /// From the fan to where it would lie about each of the [`MIDDLES`].
+    to_middles_m: [[[f32; 2]; MIDDLES.len()]; KNOTS],
+    /// Sums of the distances from the truth so far of each mode of the network and of the fan, and of the fan's about
+    /// each of the [`MIDDLES`].
+    distances_m: [[f32; MODES_MAX]; 2 + MIDDLES.len()],
 }
 
 /// A forecast of an agent that has not matured.
@@ -130,8 +140,10 @@ struct Knowledge {
     widths: [Widths; KNOTS],
     /// Sums of squares along and across the course, m², and their number.
     squares: [([f64; 2], f64); KNOTS],
-    /// Number of forecasts of which a mode of the network was nearer than all of the fan, and of all.
-    network_nearer: (f64, f64),
+    /// Of network and fan, by their nearest modes.
+    of_sets: Shares<2>,
+    /// Of the fan about each of the [`MIDDLES`].
+    of_middles: Shares<{ MIDDLES.len() }>,
     pattern: LearnedPattern,
 }
 
@@ -158,26 +170,28 @@ impl Knowledge {
         let squares = prior.deviation_m.map(|deviations| {
             (deviations.map(|deviation_m| DEVIATIONS_LEN * f64::from(deviation_m).powi(2)), DEVIATIONS_LEN)
         });
-        let network_nearer = (SHARE_LEN * f64::from(prior.network_share), SHARE_LEN);
+        let of_sets = Shares::new([prior.network_share, 1.0 - prior.network_share], SHARE_LEN);
+        let of_middles = Shares::new(ABOUT_MIDDLES, MIDDLES_LEN);
         let pattern = LearnedPattern::new(&prior.pattern);
-        Self { blend, widths, squares, network_nearer, pattern }
+        Self { blend, widths, squares, of_sets, of_middles, pattern }
     }
 
     fn discount(&mut self, kept: f64, under_way: f64) {
         self.blend.iter_mut().for_each(|blend| blend.discount(kept));
         self.widths.iter_mut().for_each(|widths| widths.discount(kept, under_way));
         for (squares, len) in &mut self.squares {
+            let kept = fading(kept, *len, DEVIATIONS_LEN);
             squares.iter_mut().chain([len]).for_each(|sum| *sum *= kept);
         }
-        self.network_nearer.0 *= kept;
-        self.network_nearer.1 *= kept;
+        self.of_sets.discount(kept);
+        self.of_middles.discount(kept);
         self.pattern.discount(kept as f32);
     }
 
     /// Deviations from the middle of the fan at a knot, m.
     fn deviations_m(&self, knot: usize) -> [f32; 2] {
         let (squares, len) = self.squares[knot];
-        squares.map(|sum| (sum / len.max(1e-9)).sqrt() as f32)
+        squares.map(|sum| (sum / len).sqrt() as f32)
     }
 
     fn solve(&mut self) {
@@ -195,26 +209,17 @@ impl Knowledge {
         }
         *len += f64::from(weight);
     }
-
-    fn add_nearer(&mut self, is_network: bool, weight: f32) {
-        let (nearer, len) = &mut self.network_nearer;
-        *nearer += if is_network { f64::from(weight) } else { 0.0 };
-        *len += f64::from(weight);
-    }
-
-    /// The share of the forecasts of which the network had the nearest mode.
-    fn network_share(&self) -> f32 {
-        let (nearer, len) = self.network_nearer;
-        (nearer / len.max(1e-9)) as f32
-    }
 }
 
 impl Kept {
     /// Adds the distances of the modes from the truth at a knot.
     fn add_distances(&mut self, knot: usize, truth_m: [f32; 2]) {
-        for (sums, modes_m) in self.distances_m.iter_mut().zip([&self.network_m[knot], &self.fan_m[knot]]) {
+        let fan = (&self.fan_m[knot], [0.0; 2]);
+        let about_middles = self.to_middles_m[knot].map(|to_m| (&self.fan_m[knot], to_m));
+        let sets = [(&self.network_m[knot], [0.0; 2]), fan].into_iter().chain(about_middles);
+        for (sums, (modes_m, to_m)) in self.distances_m.iter_mut().zip(sets) {
             for (sum, [x, y]) in sums.iter_mut().zip(modes_m) {
-                *sum += (x - truth_m[0]).hypot(y - truth_m[1]);
+                *sum += (x + to_m[0] - truth_m[0]).hypot(y + to_m[1] - truth_m[1]);
             }
         }
     }
@@ -233,12 +238,12 @@ impl Kept {
         }
     }
 
-    /// Whether a mode of the network was nearer than all of the fan.
-    fn is_network_nearer(&self) -> bool {
-        let [network, fan] = self
-            .distances_m
-            .map(|sums| sums[..self.network_len].iter().copied().fold(f32::INFINITY, f32::min));
-        network < fan
+    /// Distances of the nearest modes of network and fan, and of the fan about each of the [`MIDDLES`].
+    fn nearest_m(&self) -> ([f32; 2], [f32; MIDDLES.len()]) {
+        let least =
+            |sums: [f32; MODES_MAX]| sums[..self.network_len].iter().copied().fold(f32::INFINITY, f32::min);
+        let [network, fan, about_middles @ ..] = self.distances_m.map(least);
+        ([network, fan], about_middles)
     }
 
     /// The number of the fan's nearest mode, and a residual in units of the deviations.
@@ -263,7 +268,6 @@ impl Evidence {
     #[must_use]
     pub fn new(horizon_len: usize, step_ns: u64, prior: &Prior) -> Self {
         assert!((1..=HORIZON_MAX).contains(&horizon_len), "horizon of {horizon_len} steps");
-        let last = horizon_len - 1;
         let empty = Kept {
             modes_len: 0,
             probability: [0.0; MODES_MAX],
@@ -275,12 +279,13 @@ impl Evidence {
             fan_m: [[[0.0; 2]; MODES_MAX]; KNOTS],
             fan_numbers: [0; MODES_MAX],
             deviations_m: [[1.0; 2]; KNOTS],
-            distances_m: [[0.0; MODES_MAX]; 2],
+            to_middles_m: Default::default(),
+            distances_m: Default::default(),
         };
         Self {
             horizon_len,
             step_ns: step_ns.cast_signed().max(1),
-            knots: [0, last.min(2), last / 2, last],
+            knots: knots(horizon_len),
             known: std::array::from_fn(|of_type| {
                 std::array::from_fn(|band| Knowledge::new(&prior.0[of_type][band]))
             }),
@@ -387,7 +392,7 @@ impl Evidence {
                 pending.residuals_m[knot] = residual_m;
                 let of_modes = pending.mixture.filter(|_| pending.matured_len == KNOTS).map(|place| {
                     let kept = &mixtures[place];
-                    (kept.is_network_nearer(), kept.nearest_of_fan(&pending.residuals_m))
+                    (kept.nearest_m(), kept.nearest_of_fan(&pending.residuals_m))
                 });
                 for (band, share) in pending.context.bands() {
                     let knowledge = &mut of_type[band];
@@ -402,11 +407,14 @@ impl Evidence {
                         };
                         knowledge.blend[knot].add(&outcome, share);
                         knowledge.add_residual(knot, residual_m, deviation_m, share);
-                        if let Some((is_network, (number, units))) = &of_modes {
-                            knowledge.add_nearer(*is_network, share);
-                            knowledge.pattern.add(*number, units, share);
+                        if let Some(((of_sets_m, of_middles_m), _)) = &of_modes {
+                            knowledge.of_sets.add(of_sets_m, share);
+                            knowledge.of_middles.add(of_middles_m, share);
                         }
                     }
+                }
+                if let Some((_, (number, units))) = of_modes {
+                    of_type[pending.context.nearest()].pattern.add(number, &units);
                 }
             }
             free.extend(pending.mixture.take());
@@ -428,8 +436,12 @@ impl Evidence {
             return;
         }
         let Some(trace) = self.traces.get_mut(&agent.id) else { return };
-        let knots = self.knots;
+        let (knots, context) = (self.knots, Context::new(agent.agent_type, agent.speed_mps));
+        let of_type = &self.known[agent.agent_type.index()];
         let velocity_m = knots.map(|step| paths.velocity[step]);
+        let centre = |reach: f32| knots.map(|step| centre_m(reach, paths.velocity[step], blend_m[step]));
+        let centre_m = centre(reach(of_type, &context));
+        let middles_m = MIDDLES.map(centre);
         let experts_m = knots.map(|step| paths.differences_m(step));
         let mixture = mixture.and_then(|mixture| {
             let place = self.free.pop()?;
@@ -452,16 +464,15 @@ impl Evidence {
                     *kept = mixture.fan.position_m(mode, step);
                 }
                 kept.widths[knot] = mixture.widths[step];
+                kept.to_middles_m[knot] =
+                    middles_m.map(|to_m| [0, 1].map(|axis| to_m[knot][axis] - centre_m[knot][axis]));
             }
             Some(place)
         });
-        let context = Context::new(agent.agent_type, agent.speed_mps);
-        let of_type = &self.known[agent.agent_type.index()];
         let regression_m = std::array::from_fn(|knot| {
             let weights = context.between(|band| *of_type[band].blend[knot].regression());
             weighted_m(&weights, &experts_m[knot])
         });
-        let centre_m = knots.map(|step| centre_m(paths.velocity[step], blend_m[step]));
         trace.pending.push_back(Pending {
             stamp_ns,
             context,
@@ -486,7 +497,7 @@ impl Evidence {
         })
     }
 
-    /// The modes of an agent by how agents alike deviate from the middle between constant velocity and the blend.
+    /// The modes of an agent by how agents alike deviate from a middle between constant velocity and the blend.
     #[must_use]
     pub fn fan(
         &self,
@@ -498,17 +509,16 @@ impl Evidence {
         let of_type = &self.known[agent.agent_type.index()];
         let at_knots: [[f32; 2]; KNOTS] =
             std::array::from_fn(|knot| context.between(|band| of_type[band].deviations_m(knot)));
-        let probability = context.between(|band| of_type[band].pattern.probability());
+        // Points of one number have nothing in common at two speeds.
+        let pattern = &of_type[context.nearest()].pattern;
+        let probability = pattern.probability();
         let mut numbers: [u8; MODES_MAX] = std::array::from_fn(|number| number as u8);
         let of = |number: &u8| probability[usize::from(*number)];
         numbers.sort_unstable_by(|a, b| of(b).total_cmp(&of(a)).then(a.cmp(b)));
-        let points = numbers.map(|number| {
-            let at = |band: usize, knot: usize| of_type[band].pattern.points()[usize::from(number)][knot];
-            let at_knots = std::array::from_fn(|knot| context.between(|band| at(band, knot)));
-            self.between_knots(&at_knots)
-        });
+        let points = numbers.map(|number| self.between_knots(&pattern.points()[usize::from(number)]));
         let probability = numbers.map(|number| of(&number));
-        let centre_m = std::array::from_fn(|step| centre_m(velocity_m[step], blend_m[step]));
+        let reach = reach(of_type, &context);
+        let centre_m = std::array::from_fn(|step| centre_m(reach, velocity_m[step], blend_m[step]));
         Fan {
             centre_m,
             steps_m: self.between_knots(&at_knots),
@@ -541,15 +551,12 @@ impl Evidence {
         }
         let context = Context::new(agent.agent_type, agent.speed_mps);
         let of_type = &self.known[agent.agent_type.index()];
-        let [share] = context.between(|band| {
-            let share = of_type[band].network_share();
-            [share * share / (share * share + (1.0 - share) * (1.0 - share))]
-        });
+        let shares = context.between(|band| of_type[band].of_sets.decided(2));
         let mut of_both = [0.0; BOTH_MAX];
         let (of_network, of_fan) = of_both[..2 * len].split_at_mut(len);
         of_network.copy_from_slice(probability);
         of_fan.copy_from_slice(&fan.probability[..len]);
-        for (of_set, set_share) in [(of_network, share), (of_fan, 1.0 - share)] {
+        for (of_set, set_share) in [of_network, of_fan].into_iter().zip(shares) {
             let sum = of_set.iter().sum::<f32>().max(f32::MIN_POSITIVE);
             of_set.iter_mut().for_each(|p| *p *= set_share / sum);
         }
@@ -598,8 +605,8 @@ impl Evidence {
         slots
     }
 
-    /// What was learned so far without the prior, per forecast, as a prior of its own; contexts of fewer than
-    /// `len_min` forecasts are empty.
+    /// What was learned so far without the prior, per forecast, as a prior of its own, without a pattern; contexts of
+    /// fewer than `len_min` forecasts are empty.
     #[must_use]
     pub fn as_prior(&self, len_min: f64) -> Prior {
         Prior(self.known.each_ref().map(|of_type| {
@@ -607,8 +614,8 @@ impl Evidence {
                 blend: knowledge.blend.each_ref().map(|blend| blend.as_prior(len_min)),
                 log_width: knowledge.widths.each_ref().map(Widths::log),
                 deviation_m: std::array::from_fn(|knot| knowledge.deviations_m(knot)),
-                network_share: knowledge.network_share(),
-                pattern: knowledge.pattern.as_prior(),
+                network_share: knowledge.of_sets.get()[0],
+                pattern: Pattern::default(),
             })
         }))
     }
@@ -626,6 +633,13 @@ impl Evidence {
             })
         })
     }
+}
+
+/// How far from constant velocity to the blend the fan of agents of a type lies: among its [`MIDDLES`], by which has been
+/// the nearest.
+fn reach(of_type: &[Knowledge; BANDS], context: &Context) -> f32 {
+    let shares = context.between(|band| of_type[band].of_middles.decided(MIDDLES_POWER));
+    shares.iter().zip(MIDDLES).map(|(share, reach)| share * reach).sum()
 }
 
 /// Takes back what a trace holds.

@@ -23,7 +23,8 @@
 //!   matured forecasts, discounted by age, is the factor by which regions widen ([`Evidence::widths`]).
 //!
 //! * **Which modes.** Those that stand for both the network's and a [fan](FAN), as wide as agents alike deviate from
-//!   its middle between blend and constant velocity ([`Choice`]): more of the set whose nearest mode has been nearer.
+//!   its middle ([`Choice`]): more of the set whose nearest mode has been nearer. The middle lies where the fan has been
+//!   nearest, about constant velocity, the blend or halfway between them.
 //!
 //! All are kept at four steps of the horizon and linear between them, and for six speeds between which they
 //! are linear too. Nothing here allocates after the start.
@@ -60,6 +61,7 @@ mod fan;
 mod ledger;
 mod paths;
 mod prior;
+mod share;
 mod statistics;
 mod width;
 
@@ -69,7 +71,7 @@ pub use fan::{FAN, Fan, Pattern};
 pub use ledger::numbers::NUMBERS_LEN;
 pub use ledger::{Agent, Evidence, Matured, Mixture};
 pub use paths::{MotionNow, Paths};
-pub use prior::{ContextPrior, Prior, PriorError, Priors};
+pub use prior::{ContextPrior, Patterns, Prior, PriorError, Priors};
 pub use statistics::Statistics;
 
 /// Experts beside constant velocity, in the order of their numbers in [`SLOTS`].
@@ -83,3 +85,16 @@ pub const SLOTS: [wire::Expert; EXPERTS] = [
 ];
 /// Steps of the horizon at which evidence is kept.
 pub const KNOTS: usize = 4;
+
+/// The factor by which sums fade that count for `len` forecasts. They count for no fewer than `len_min`, so that what is
+/// known of agents that come rarely outlasts them.
+pub(crate) fn fading(kept: f64, len: f64, len_min: f64) -> f64 {
+    kept.max((len_min / len).min(1.0))
+}
+
+/// The indices of these steps, of a horizon of so many.
+#[must_use]
+pub fn knots(horizon_len: usize) -> [usize; KNOTS] {
+    let last = horizon_len.saturating_sub(1);
+    [0, last.min(2), last / 2, last]
+}

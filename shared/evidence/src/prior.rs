@@ -1,8 +1,6 @@
 use std::collections::BTreeMap;
 use std::fmt;
 
-use wire::MODES_MAX;
-
 use crate::{BANDS, KNOTS, Pattern, Statistics};
 
 /// Deviations where no source tells any, m.
@@ -35,10 +33,20 @@ pub struct ContextPrior {
     pub pattern: Pattern,
 }
 
-/// What was learned on some sources of recordings that the network was not trained on, by name.
+/// Typical residuals, by type of agent and speed.
+pub type Patterns = [[Pattern; BANDS]; 3];
+
+/// What was learned on some sources of recordings that the network was not trained on.
 #[derive(Clone, Debug, Default, PartialEq, serde::Serialize, serde::Deserialize)]
-#[serde(transparent)]
-pub struct Priors(pub BTreeMap<String, Prior>);
+#[serde(deny_unknown_fields)]
+pub struct Priors {
+    /// What each showed by itself, by its name: without patterns, which have no mean.
+    pub sources: BTreeMap<String, Prior>,
+    /// The patterns of all of them together.
+    pub pattern: Patterns,
+    /// Those of all but one, by the name of that one.
+    pub pattern_without: BTreeMap<String, Patterns>,
+}
 
 /// Priors that can't be read.
 #[derive(Debug)]
@@ -84,21 +92,9 @@ impl ContextPrior {
     /// positions does not rule.
     fn mean(sources: &[&Self]) -> Self {
         let share = 1.0 / sources.len() as f64;
-        let nothing = Pattern { points: [[[0.0; 2]; KNOTS]; MODES_MAX], probability: [0.0; MODES_MAX] };
-        let blend = Default::default();
-        let mut mean = Self { blend, deviation_m: [[0.0; 2]; KNOTS], pattern: nothing, ..Self::default() };
-        for source in sources {
-            for knot in 0..KNOTS {
-                mean.blend[knot].add_scaled(&source.blend[knot], share);
-            }
-            let points = source.pattern.points.as_flattened().as_flattened();
-            for (mean, at) in mean.pattern.points.as_flattened_mut().as_flattened_mut().iter_mut().zip(points)
-            {
-                *mean += share as f32 * at;
-            }
-            for (mean, p) in mean.pattern.probability.iter_mut().zip(source.pattern.probability) {
-                *mean += share as f32 * p;
-            }
+        let mut mean = Self { blend: Default::default(), deviation_m: [[0.0; 2]; KNOTS], ..Self::default() };
+        for (knot, blend) in mean.blend.iter_mut().enumerate() {
+            sources.iter().for_each(|source| blend.add_scaled(&source.blend[knot], share));
         }
         mean.deviation_m = std::array::from_fn(|knot| {
             [0, 1].map(|axis| geometric_mean(sources.iter().map(|source| source.deviation_m[knot][axis])))
@@ -121,16 +117,22 @@ impl ContextPrior {
             len: rounded(of.len),
         });
         let short = |value: f32| rounded(f64::from(value)) as f32;
-        let shorter = |value: f32| (value * 1e4).round() / 1e4;
         Self {
             blend,
             log_width: self.log_width.map(short),
             deviation_m: self.deviation_m.map(|of| of.map(short)),
             network_share: shorter(self.network_share),
-            pattern: Pattern {
-                points: self.pattern.points.map(|knots| knots.map(|point| point.map(shorter))),
-                probability: self.pattern.probability.map(shorter),
-            },
+            pattern: self.pattern.rounded(),
+        }
+    }
+}
+
+impl Pattern {
+    /// The numbers with few digits, as they are written.
+    fn rounded(&self) -> Self {
+        Self {
+            points: self.points.map(|knots| knots.map(|point| point.map(shorter))),
+            probability: self.probability.map(shorter),
         }
     }
 }
@@ -145,12 +147,22 @@ impl Priors {
         Self::from_json(include_str!("priors.json")).expect("a test reads them")
     }
 
-    /// The mean over the sources whose names are `wanted`: every source counts the same, and the default for what
-    /// lacks of three. Contexts that none knows are those of the nearest speed that one does.
+    /// What all sources show: every one counts the same, and the default for what lacks of three. Contexts that none
+    /// knows are those of the nearest speed that one does.
     #[must_use]
-    pub fn mean(&self, wanted: impl Fn(&str) -> bool) -> Prior {
-        let sources: Vec<&Prior> =
-            self.0.iter().filter(|(name, _)| wanted(name)).map(|(_, prior)| prior).collect();
+    pub fn all(&self) -> Prior {
+        Self::mean(self.sources.values(), &self.pattern)
+    }
+
+    /// The same without a source, at any scale.
+    #[must_use]
+    pub fn without(&self, source: &str) -> Prior {
+        let others = self.sources.iter().filter(|(name, _)| !is_of(name, source)).map(|(_, prior)| prior);
+        Self::mean(others, self.pattern_without.get(source).unwrap_or(&self.pattern))
+    }
+
+    fn mean<'a>(sources: impl Iterator<Item = &'a Prior>, pattern: &Patterns) -> Prior {
+        let sources: Vec<&Prior> = sources.collect();
         let mut mean = Prior::default();
         for (of_type, contexts) in mean.0.iter_mut().enumerate() {
             let mut known = [false; BANDS];
@@ -170,6 +182,9 @@ impl Priors {
                     (0..BANDS).filter(|&other| known[other]).min_by_key(|other| other.abs_diff(band));
                 contexts[band] = nearest.map_or(contexts[band], |nearest| contexts[nearest]);
             }
+            for (context, pattern) in contexts.iter_mut().zip(&pattern[of_type]) {
+                context.pattern = *pattern;
+            }
         }
         mean
     }
@@ -188,10 +203,28 @@ impl Priors {
     /// Never: its keys are text.
     #[must_use]
     pub fn to_json(&self) -> String {
-        let rounded = |prior: &Prior| Prior(prior.0.map(|of_type| of_type.map(|context| context.rounded())));
-        let rounded = Self(self.0.iter().map(|(name, prior)| (name.clone(), rounded(prior))).collect());
+        let of_prior = |prior: &Prior| Prior(prior.0.map(|of_type| of_type.map(|context| context.rounded())));
+        let of_patterns =
+            |patterns: &Patterns| patterns.map(|of_type| of_type.map(|pattern| pattern.rounded()));
+        let rounded = Self {
+            sources: self.sources.iter().map(|(name, prior)| (name.clone(), of_prior(prior))).collect(),
+            pattern: of_patterns(&self.pattern),
+            pattern_without: (self.pattern_without.iter())
+                .map(|(name, patterns)| (name.clone(), of_patterns(patterns)))
+                .collect(),
+        };
         serde_json::to_string(&rounded).expect("keys are text")
     }
+}
+
+/// Whether a name is that of a source, at any scale.
+fn is_of(name: &str, source: &str) -> bool {
+    name.strip_prefix(source).is_some_and(|rest| rest.is_empty() || rest.starts_with(' '))
+}
+
+/// A number of four places.
+fn shorter(value: f32) -> f32 {
+    (value * 1e4).round() / 1e4
 }
 
 /// The geometric mean of distances, of none 1; those below a millimetre count as one.
@@ -219,7 +252,7 @@ mod tests {
     #[test]
     fn the_shipped_priors_expect_experts_to_be_worth_something() {
         let priors = Priors::shipped();
-        let prior = priors.mean(|_| true);
+        let prior = priors.all();
         let worth = |of: &ContextPrior| of.blend.iter().all(|at| at.weights().iter().sum::<f32>() > 0.0);
         assert!(prior.0[0].iter().all(worth), "{:?}", prior.0[0].map(|of| of.blend.map(|at| at.weights())));
         assert!(Priors::from_json(&priors.to_json()).unwrap() == priors, "another one after a round trip");
@@ -233,14 +266,26 @@ mod tests {
             prior.0[0][2] = ContextPrior { blend, log_width: [width; KNOTS], ..ContextPrior::default() };
             prior
         };
-        let names = ["a", "b", "c"].into_iter().zip([1.0, 2.0, 5.0]);
-        let priors = Priors(names.map(|(name, width)| (name.to_owned(), prior(width))).collect());
+        let names = ["a", "b", "c ×2", "cd"].into_iter().zip([1.0, 2.0, 8.0, 5.0]);
+        let sources =
+            |len: usize| names.clone().take(len).map(|(name, width)| (name.to_owned(), prior(width)));
+        let mut priors = Priors { sources: sources(4).collect(), ..Priors::default() };
         let widths = |mean: Prior| mean.0[0].map(|context| context.log_width[0]);
-        assert_eq!(widths(priors.mean(|_| true)), [2.0; BANDS]);
+        assert_eq!(widths(priors.all()), [3.5; BANDS]);
+        assert_eq!(widths(priors.without("other")), [3.5; BANDS]);
+        // At any scale, but not one whose name begins alike.
+        assert_eq!(widths(priors.without("c")), [2.0; BANDS]);
         // The default, 0, stands for a third source, and for a second.
-        assert_eq!(widths(priors.mean(|name| name != "c")), [1.0; BANDS]);
-        assert_eq!(widths(priors.mean(|name| name == "a")), [0.0; BANDS]);
-        assert_eq!(priors.mean(|_| false), Prior::default());
+        priors.sources = sources(2).collect();
+        assert_eq!(widths(priors.all()), [1.0; BANDS]);
+        assert_eq!(widths(priors.without("b")), [0.0; BANDS]);
+        assert_eq!(Priors::default().all(), Prior::default());
+        // Its residuals have no part in the patterns either.
+        let mut patterns = Patterns::default();
+        patterns[0][2].points[0][0] = [7.0, 0.0];
+        priors.pattern_without.insert("b".to_owned(), patterns);
+        assert_eq!(priors.without("b").0[0][2].pattern, patterns[0][2]);
+        assert_eq!(priors.without("a").0[0][2].pattern, Pattern::default());
     }
 
     #[test]

@@ -78,7 +78,7 @@ fn track(source: &Source, options: &Options, model: &ModelConfig) -> Result<Vec<
         let mut chain = Chain::new(&run, model)?;
         match before.take() {
             Some(before) => chain.continue_from(before),
-            None => chain.expect(Priors::shipped().mean(|name| !source.is_of(name))),
+            None => chain.expect(Priors::shipped().without(&source.folder_name())),
         }
         let mut plain = Tracker::new(tracker::stage::settings(&run, model)?);
         let mut plain_tracks = vec![Track::zeroed(); AGENTS_MAX];

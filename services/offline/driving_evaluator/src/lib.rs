@@ -15,6 +15,7 @@
 
 mod error;
 mod gaps;
+mod patterns;
 mod play;
 mod report;
 mod sample;

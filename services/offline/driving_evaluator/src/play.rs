@@ -3,7 +3,7 @@
 use std::collections::{BTreeMap, VecDeque};
 
 use data::RecordedTrack;
-use evidence::Priors;
+use evidence::{Prior, Priors};
 use metrics::{Anchors, HighestDensity};
 use nn::ModelConfig;
 use onboard::Chain;
@@ -54,7 +54,8 @@ pub(crate) fn play(
         let mut chain = Chain::new(&run(&playback, options)?, model)?;
         match before.take() {
             Some(before) => chain.continue_from(before),
-            None => chain.expect(Priors::shipped().mean(|name| options.priors && !source.is_of(name))),
+            None if options.priors => chain.expect(Priors::shipped().without(&source.folder_name())),
+            None => chain.expect(Prior::default()),
         }
         let agents = (number as u64) << 32;
         let session = Session { agents, before_s: played_s, tracks: &tracks };

@@ -1,9 +1,9 @@
 //! Tables of matured forecasts.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::fmt::Write as _;
 
-use evaluator::{RESAMPLES, Table, digits};
+use evaluator::{RESAMPLES, Table, digits, threads};
 use evidence::Priors;
 use metrics::{Interval, PairedErrors, paired_bootstrap_ratio};
 use nn::ModelConfig;
@@ -14,7 +14,7 @@ use serde_json::json;
 use crate::play::Played;
 use crate::sample::{METHODS, Method, STEPS, Sample};
 use crate::source::Source;
-use crate::{Errors, Options};
+use crate::{Errors, Options, patterns};
 
 /// Bounds of the speed bands, m/s.
 const BANDS_MPS: [f32; 4] = [3.0, 8.0, 15.0, 25.0];
@@ -319,14 +319,28 @@ impl Report {
         json!({ "made": self.made, "cells": cells.collect::<Vec<_>>() })
     }
 
-    /// What the sampler learned of its experts, by source.
+    /// What the sampler learned of its experts, by source, and the patterns of all sources and of all but each.
+    /// The work is shared by so many threads.
     #[must_use]
-    pub fn priors(&self) -> Priors {
+    pub fn priors(&self, threads: usize) -> Priors {
         let learned = self
             .sources
             .iter()
             .filter_map(|(source, played)| Some((source.name.clone(), played.learned.clone()?)));
-        Priors(learned.collect())
+        let folders: BTreeSet<String> = self.sources.iter().map(|(source, _)| source.folder_name()).collect();
+        let left_out: Vec<Option<String>> = folders.into_iter().map(Some).chain([None]).collect();
+        let patterns = threads::each(&left_out, threads, |left_out, _: &mut ()| {
+            let others = self.sources.iter().filter(|(source, _)| Some(source.folder_name()) != *left_out);
+            patterns::patterns(&others.map(|(_, played)| &played.samples[..]).collect::<Vec<_>>())
+        });
+        let mut priors = Priors { sources: learned.collect(), ..Priors::default() };
+        for (left_out, patterns) in left_out.into_iter().zip(patterns) {
+            match left_out {
+                Some(name) => _ = priors.pattern_without.insert(name, patterns),
+                None => priors.pattern = patterns,
+            }
+        }
+        priors
     }
 }
 

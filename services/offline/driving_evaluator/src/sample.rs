@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 
 use data::RecordedTrack;
-use evidence::MotionNow;
+use evidence::{KNOTS, MotionNow};
 use metrics::{Anchors, Displacement, HighestDensity, displacement, min_displacement};
 use scene::{AgentType, State};
 use wire::{Expert, Forecast, MODES_MAX, Quality};
@@ -17,6 +17,8 @@ const GAP_NS: i64 = 1_000_000_000;
 /// −2 ln 0.1: the squared radius of the region of 90 % of a Gaussian.
 const RADIUS_SQUARED: f64 = 4.605_170;
 const SEED: u64 = 1;
+/// A slower agent's course is its heading.
+const COURSE_MIN_MPS: f32 = 0.3;
 
 /// What is compared.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -83,6 +85,9 @@ pub struct Sample {
     pub network: f32,
     /// The published measure.
     pub out_of_distribution: f32,
+    /// What the truth is beyond halfway from constant velocity to the single best forecast, along and across the course,
+    /// at the steps of [`evidence::knots`], m.
+    pub residuals_m: [[f32; 2]; KNOTS],
 }
 
 /// Judges forecasts in memory that is used again.
@@ -144,6 +149,15 @@ impl Judge<'_> {
                 })
             }
         });
+        let mut steady = vec![[0.0; 2]; len];
+        now.steady(self.dt_s, &mut steady);
+        let [cos, sin] = course(&now, forecast.heading_rad);
+        let residuals_m = evidence::knots(len).map(|step| {
+            let truth = truth[step].unwrap_or_default();
+            let [x, y] =
+                [0, 1].map(|axis| truth[axis] - 0.5 * (steady[step][axis] + forecast.best[step][axis]));
+            [x * cos + y * sin, y * cos - x * sin]
+        });
         let probability = &forecast.probability[..modes_len];
         let levels = STEPS.map(|step| {
             let step = step.min(len - 1);
@@ -169,7 +183,19 @@ impl Judge<'_> {
             learned: forecast.quality == Quality::Learned as u32,
             network: forecast.expert_weights[Expert::Network as usize],
             out_of_distribution: forecast.out_of_distribution,
+            residuals_m,
         })
+    }
+}
+
+/// Cosine and sine of the course, of an agent that hardly moves those of its heading.
+fn course(now: &MotionNow, heading_rad: f32) -> [f32; 2] {
+    let speed_mps = now.speed_mps();
+    let by_heading = || [heading_rad.cos(), heading_rad.sin()];
+    if speed_mps > COURSE_MIN_MPS {
+        now.velocity_mps.map(|of_axis| of_axis / speed_mps)
+    } else {
+        by_heading()
     }
 }
 

@@ -75,9 +75,9 @@ fn list(folder: &Path) -> Result<Vec<PathBuf>, DrivingError> {
 }
 
 impl Source {
-    /// Whether a source of that name has the same recordings.
-    pub(crate) fn is_of(&self, name: &str) -> bool {
-        self.folder.file_name().is_some_and(|folder| name.starts_with(&*folder.to_string_lossy()))
+    /// Name of its folder, the same at any scale.
+    pub(crate) fn folder_name(&self) -> String {
+        self.folder.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default()
     }
 
     /// Opens a recording at the source's scale.

@@ -52,15 +52,21 @@ fn steady_vehicles_are_no_further_than_constant_velocity_has_them() {
     }
     assert_eq!(cells.as_array().unwrap().len(), 2);
     assert!(report.markdown().contains("| one "), "{}", report.markdown());
-    assert!(report.priors().0.keys().eq(["one", "two"]));
-    // No pedestrian is seen: what is told of them is what a source began with.
-    let of_pedestrians = |priors| {
-        let report = evaluate(&Options { priors, ..options(folder.path(), true) }, |_| ()).unwrap();
-        report.priors().0["one"].0[AgentType::Pedestrian.index()].map(|context| context.pattern.points)
-    };
-    let nothing = Prior::default().0[AgentType::Pedestrian.index()].map(|context| context.pattern.points);
-    assert!(of_pedestrians(false) == nothing);
-    assert!(of_pedestrians(true) != nothing);
+    let priors = report.priors(2);
+    assert!(priors.sources.keys().eq(["one", "two"]) && priors.pattern_without.keys().eq(["one", "two"]));
+    // Vehicles alone are seen.
+    let [of_vehicles, of_cyclists] =
+        [AgentType::Vehicle, AgentType::Cyclist].map(|agent_type| priors.pattern[agent_type.index()]);
+    let default = Prior::default().0[0].map(|context| context.pattern);
+    assert!(of_vehicles != default && of_cyclists == default);
+    assert!(priors == report.priors(1), "any number of threads makes the same");
+    // Nobody walks: what is told of pedestrians is what a source began with.
+    let began_with_nothing = Options { priors: false, ..options(folder.path(), true) };
+    let nothing = evaluate(&began_with_nothing, |_| ()).unwrap().priors(2);
+    let of_pedestrians =
+        |prior: &Prior| prior.0[AgentType::Pedestrian.index()].map(|context| context.deviation_m);
+    assert!(of_pedestrians(&nothing.sources["one"]) == of_pedestrians(&Prior::default()));
+    assert!(of_pedestrians(&priors.sources["one"]) != of_pedestrians(&Prior::default()));
 }
 
 #[test]

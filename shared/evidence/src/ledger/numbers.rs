@@ -4,15 +4,15 @@ use wire::MODES_MAX;
 
 use super::{Evidence, Knowledge};
 use crate::blend::Blend;
+use crate::fan::MIDDLES;
 use crate::width::{Widths, single};
 use crate::{BANDS, KNOTS};
 
 /// Numbers in which all that was learned is written.
 pub const NUMBERS_LEN: usize = 1 + 3 * BANDS * KNOWLEDGE_LEN;
-/// Those of one type at one speed: the blend, the widths, the squares, the nearer set and
-/// the pattern.
+/// Those of one type at one speed: the blend, the widths, the squares, the shares of what is nearer and the pattern.
 const KNOWLEDGE_LEN: usize =
-    KNOTS * (Blend::NUMBERS_LEN + Widths::NUMBERS_LEN + 3) + 2 + MODES_MAX * (2 * KNOTS + 1);
+    KNOTS * (Blend::NUMBERS_LEN + Widths::NUMBERS_LEN + 3) + 2 + MIDDLES.len() + MODES_MAX * (2 * KNOTS + 1);
 
 impl Evidence {
     /// Spacing of the forecasts' steps.
@@ -80,8 +80,8 @@ impl Knowledge {
         for (squares, len) in &mut self.squares {
             squares.iter_mut().chain([len]).for_each(&mut *each);
         }
-        let (nearer, len) = &mut self.network_nearer;
-        [nearer, len].into_iter().for_each(&mut *each);
+        self.of_sets.numbers(each);
+        self.of_middles.numbers(each);
         self.pattern.numbers(&mut |number| single(number, each));
     }
 }

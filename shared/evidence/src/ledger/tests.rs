@@ -4,18 +4,24 @@ use crate::MotionNow;
 const STEP_NS: i64 = 400_000_000;
 const AGENT: Agent = Agent { id: 7, agent_type: AgentType::Vehicle, speed_mps: 10.0, course: [1.0, 0.0] };
 
-/// An agent at a steady 10 m/s whose network says `factor` times as far, with one mode there and the others
-/// at it; levels are `level`. Returns what is left in the end.
+/// An agent at a steady 10 m/s whose network says `factor` times as far, with all modes there; levels are `level`.
+/// Returns what is left in the end.
 fn drive(steps: i64, factor: f32, level: f64) -> Evidence {
+    drive_by(steps, |_| [1.0, factor, 1.0], level)
+}
+
+/// As [`drive`], with so many times as far of constant velocity, the network and the blend at each step.
+fn drive_by(steps: i64, factors: impl Fn(i64) -> [f32; 3], level: f64) -> Evidence {
     let mut evidence = Evidence::new(12, STEP_NS as u64, &Prior::default());
     let covariances_m2 = [[[1.0, 0.0, 1.0]; HORIZON_MAX]; MODES_MAX];
     for step in 0..steps {
         let x_m = 4.0 * step as f32;
         evidence.observe_with(step * STEP_NS, [(AGENT.id, [x_m, 0.0])], |_| level);
         let now = MotionNow { position_m: [x_m, 0.0], velocity_mps: [10.0, 0.0], ..MotionNow::default() };
-        let mut velocity = [[0.0; 2]; HORIZON_MAX];
-        now.steady(0.4, &mut velocity);
-        let network = velocity.map(|[x, y]| [x_m + factor * (x - x_m), y]);
+        let mut taken = [[0.0; 2]; HORIZON_MAX];
+        now.steady(0.4, &mut taken);
+        let [velocity, network, blend] =
+            factors(step).map(|factor| taken.map(|[x, y]| [x_m + factor * (x - x_m), y]));
         let mut experts = [velocity; EXPERTS];
         experts[0] = network;
         let modes_m = [network; MODES_MAX];
@@ -25,10 +31,10 @@ fn drive(steps: i64, factor: f32, level: f64) -> Evidence {
             covariances_m2: &covariances_m2,
             widths: &[1.0; HORIZON_MAX],
             network_m: &modes_m,
-            fan: &evidence.fan(&AGENT, &velocity, &velocity),
+            fan: &evidence.fan(&AGENT, &velocity, &blend),
         };
         let paths = Paths { velocity, experts };
-        evidence.store(step * STEP_NS, &AGENT, (&paths, &velocity), Some(mixture));
+        evidence.store(step * STEP_NS, &AGENT, (&paths, &blend), Some(mixture));
     }
     evidence
 }
@@ -63,11 +69,23 @@ fn regions_widen_where_they_miss_and_narrow_where_they_never_do() {
 }
 
 #[test]
-fn a_fan_lies_about_the_middle_between_constant_velocity_and_the_blend() {
-    let fan = fan(&drive(0, 1.0, 0.5));
-    let (residual_m, [x, y]) = (fan.residual_m(2, 11), fan.position_m(2, 11));
-    assert!((x - residual_m[0] - 4.0).abs() < 1e-5 && (y - residual_m[1] - 1.0).abs() < 1e-5, "{x} {y}");
-    assert!(residual_m[0].hypot(residual_m[1]) > 0.1, "{residual_m:?}");
+fn a_fan_lies_halfway_to_the_blend_or_at_it_where_that_has_been_nearer() {
+    let middle = |evidence: &Evidence| {
+        let fan = fan(evidence);
+        let (residual_m, [x, y]) = (fan.residual_m(2, 11), fan.position_m(2, 11));
+        assert!(residual_m[0].hypot(residual_m[1]) > 0.01, "{residual_m:?}");
+        let [x, y] = [x - residual_m[0], y - residual_m[1]];
+        assert!((x - 4.0 * y).abs() < 1e-4, "on the line from constant velocity to the blend: {x} {y}");
+        x / 8.0
+    };
+    // Constant velocity is wrong by up to half of the way to either side, the blend as much to the other side or right.
+    let [before, halfway, blend] = [(0, 1.0), (120, -1.0), (120, 0.0)].map(|(steps, of_blend)| {
+        let wrong = |step: i64| (0.618 * step as f32).fract() - 0.5;
+        let factors = |step| [1.0 + wrong(step), 1.0, 1.0 + of_blend * wrong(step)];
+        middle(&drive_by(steps, factors, 0.5))
+    });
+    assert!((0.45..0.55).contains(&before) && (0.45..0.55).contains(&halfway), "{before} {halfway}");
+    assert!(blend > 0.85, "{blend}");
 }
 
 #[test]
@@ -107,6 +125,30 @@ fn what_is_learned_outlasts_a_session_and_its_agents_do_not() {
     assert_eq!(evidence.weights(AGENT.agent_type, 10.0), weights);
     assert!(free < MIXTURES_MAX && evidence.free.len() == MIXTURES_MAX && evidence.traces.is_empty());
     assert!(!evidence.wants(0, AGENT.id));
+}
+
+#[test]
+fn what_is_known_of_agents_that_stay_away_for_a_day_lasts() {
+    let known = |evidence: &Evidence| {
+        let fan = fan(evidence);
+        (
+            fan.steps_m[11],
+            fan.centre_m[11],
+            evidence.widths(AGENT.agent_type, AGENT.speed_mps)[11],
+            choose(evidence),
+        )
+    };
+    let mut evidence = drive(120, 1.0, 0.99);
+    let before = known(&evidence);
+    (1..=1440).for_each(|minute| evidence.observe(120 * STEP_NS + minute * 60_000_000_000, []));
+    let after = known(&evidence);
+    let near =
+        |after: [f32; 2], before: [f32; 2]| (0..2).all(|axis| (after[axis] - before[axis]).abs() < 1e-3);
+    assert!(near(after.0, before.0) && near(after.1, before.1), "{after:?} after {before:?}");
+    assert_eq!(after.2, before.2);
+    let [after, before] =
+        [after.3, before.3].map(|choice| (0..MODES_MAX).filter_map(|mode| choice.of_fan(mode)).sum::<f32>());
+    assert!((after - before).abs() < 1e-3, "{after} {before}");
 }
 
 #[test]

@@ -1,0 +1,291 @@
+//! Typical residuals of several sources together, by k-medians: what a fan of modes begins with.
+
+use evidence::{BANDS, Context, FAN, KNOTS, Pattern, Patterns};
+use scene::AgentType;
+use wire::{AGENT_TYPES, MODES_MAX};
+
+use crate::Sample;
+
+/// Positions at the knots along and across the course.
+type Knots = [[f32; 2]; KNOTS];
+
+/// Residuals of a source at a speed that are enough for a part in a pattern.
+const RESIDUALS_MIN: usize = 60;
+/// Most of them that are taken, evenly over all.
+const RESIDUALS_MAX: usize = 400;
+/// A residual counts as no more than so many deviations: of jumps of identity there is no end.
+const OUTLIER: f32 = 6.0;
+/// No residual deviates less than this, m.
+const DEVIATION_MIN_M: f32 = 0.02;
+/// Share that the residuals of the next slower and the next faster speed have beside those of one.
+const NEIGHBOUR_SHARE: f32 = 0.3;
+/// Sources that a pattern is of, at least: the default stands for those that lack.
+const SOURCES_MIN: usize = 5;
+/// Passes of the deviations: each lets a jump count less.
+const DEVIATION_PASSES: usize = 12;
+/// Steps of the medians.
+const STEPS: usize = 20;
+/// Times that the points begin elsewhere; the best end counts.
+const STARTS: u64 = 2;
+
+/// The residuals of one source and type in units of their deviations.
+struct Units {
+    /// By speed; none where there are too few.
+    deviations_m: [Option<Knots>; BANDS],
+    residuals: [Vec<Knots>; BANDS],
+}
+
+/// Residuals with what each counts.
+#[derive(Default)]
+struct Weighted {
+    residuals: Vec<Knots>,
+    weights: Vec<f32>,
+}
+
+/// The patterns of sources together, of each type that any of them has.
+pub(crate) fn patterns(sources: &[&[Sample]]) -> Patterns {
+    let mut patterns = Patterns::default();
+    for agent_type in AGENT_TYPES {
+        let units: Vec<Units> = sources.iter().map(|samples| Units::of(samples, agent_type)).collect();
+        let of_type = &mut patterns[agent_type.index()];
+        let known: Vec<usize> =
+            (0..BANDS).filter(|&band| units.iter().any(|units| units.deviations_m[band].is_some())).collect();
+        for &band in &known {
+            of_type[band] = together(&units, band);
+        }
+        for band in 0..BANDS {
+            let nearest = known.iter().min_by_key(|known| known.abs_diff(band));
+            of_type[band] = nearest.map_or(of_type[band], |&nearest| of_type[nearest]);
+        }
+    }
+    patterns
+}
+
+impl Units {
+    fn of(samples: &[Sample], agent_type: AgentType) -> Self {
+        let mut metres: [Vec<(Context, Knots)>; BANDS] = Default::default();
+        for sample in samples.iter().filter(|sample| sample.agent_type == agent_type) {
+            let context = Context::new(agent_type, sample.speed_mps);
+            metres[context.nearest()].push((context, sample.residuals_m));
+        }
+        let deviations_m = metres.each_ref().map(|of_band| {
+            (of_band.len() >= RESIDUALS_MIN).then(|| deviations_m(of_band.iter().map(|(_, knots)| knots)))
+        });
+        let residuals = std::array::from_fn(|band| {
+            let (of_band, Some(own_m)) = (&metres[band], deviations_m[band]) else { return Vec::new() };
+            let stride = of_band.len().div_ceil(RESIDUALS_MAX);
+            let units = of_band.iter().step_by(stride).map(|(context, residual_m)| {
+                let bands = context.bands().map(|(band, share)| (deviations_m[band].unwrap_or(own_m), share));
+                let deviation_m = |knot: usize, axis: usize| {
+                    bands.iter().map(|(of_band_m, share)| share * of_band_m[knot][axis]).sum::<f32>()
+                };
+                knots(|knot, axis| {
+                    (residual_m[knot][axis] / deviation_m(knot, axis)).clamp(-OUTLIER, OUTLIER)
+                })
+            });
+            // The same to the left as to the right.
+            units.flat_map(|unit| [unit, unit.map(|[along, across]| [along, -across])]).collect()
+        });
+        Self { deviations_m, residuals }
+    }
+}
+
+/// Root mean squares at the knots, of residuals of at most [`OUTLIER`] of them.
+fn deviations_m<'a>(residuals_m: impl Iterator<Item = &'a Knots> + Clone) -> Knots {
+    let mut most_m = [[f32::INFINITY; 2]; KNOTS];
+    let mut deviations_m = most_m;
+    for _ in 0..DEVIATION_PASSES {
+        deviations_m = knots(|knot, axis| {
+            let most_m = most_m[knot][axis];
+            let squares =
+                residuals_m.clone().map(|residual_m| residual_m[knot][axis].clamp(-most_m, most_m).powi(2));
+            let (sum, len) =
+                squares.fold((0.0, 0.0), |(sum, len), square| (sum + f64::from(square), len + 1.0));
+            ((sum / f64::max(len, 1.0)).sqrt() as f32).max(DEVIATION_MIN_M)
+        });
+        most_m = deviations_m.map(|of_knot| of_knot.map(|deviation_m| OUTLIER * deviation_m));
+    }
+    deviations_m
+}
+
+/// The pattern at a speed of all that know it: k-medians of their residuals, each source counting the same.
+fn together(sources: &[Units], band: usize) -> Pattern {
+    let deviations_m: Vec<Knots> = sources.iter().filter_map(|source| source.deviations_m[band]).collect();
+    // Residuals of a length in metres are near, whatever their direction: the geometric mean is typical of all.
+    let typical_m = knots(|knot, axis| {
+        let logs: f32 = deviations_m.iter().map(|deviation_m| deviation_m[knot][axis].ln()).sum();
+        (logs / deviations_m.len() as f32).exp()
+    });
+    let mut all = Weighted::default();
+    for (other, share) in [(band.wrapping_sub(1), NEIGHBOUR_SHARE), (band, 1.0), (band + 1, NEIGHBOUR_SHARE)]
+    {
+        for of_source in sources.iter().filter_map(|source| source.residuals.get(other)) {
+            let weight = share / of_source.len().max(1) as f32;
+            of_source.iter().for_each(|residual| all.push(*residual, weight));
+        }
+    }
+    let lacking = SOURCES_MIN.saturating_sub(deviations_m.len()) as f32;
+    if lacking > 0.0 {
+        FAN.iter().for_each(|&(point, p)| all.push([point; KNOTS], lacking * p));
+    }
+    all.medians(&typical_m)
+}
+
+impl Weighted {
+    fn push(&mut self, residual: Knots, weight: f32) {
+        self.residuals.push(residual);
+        self.weights.push(weight);
+    }
+
+    /// Twenty points of which one is near each residual, by distances in these units.
+    fn medians(&self, typical_m: &Knots) -> Pattern {
+        let in_metres = |unit: &Knots| knots(|knot, axis| unit[knot][axis] * typical_m[knot][axis]);
+        let places_m: Vec<Knots> = self.residuals.iter().map(in_metres).collect();
+        let ends = (1..=STARTS).map(|seed| self.descend(&places_m, self.start(&places_m, seed)));
+        let (_, points_m, weights) = ends.min_by(|a, b| a.0.total_cmp(&b.0)).unwrap_or((
+            0.0,
+            [[[0.0; 2]; KNOTS]; MODES_MAX],
+            [1.0; MODES_MAX],
+        ));
+        let sum: f32 = weights.iter().sum();
+        Pattern {
+            points: points_m.map(|point_m| knots(|knot, axis| point_m[knot][axis] / typical_m[knot][axis])),
+            probability: weights.map(|weight| weight / sum),
+        }
+    }
+
+    /// Points to begin with, each as probable as it is far from those before
+    /// ([k-means++](https://dl.acm.org/doi/10.5555/1283383.1283494)).
+    fn start(&self, places_m: &[Knots], seed: u64) -> [Knots; MODES_MAX] {
+        let mut random = seed;
+        let mut points_m = [[[0.0; 2]; KNOTS]; MODES_MAX];
+        let mut chances = self.weights.clone();
+        let mut nearest_m = vec![f32::INFINITY; places_m.len()];
+        for point_m in &mut points_m {
+            // Knuth's constants (MMIX); the high bits are the random ones.
+            random = random.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+            let mut left = (random >> 40) as f32 / (1_u64 << 24) as f32 * chances.iter().sum::<f32>();
+            let place = chances.iter().position(|chance| {
+                left -= chance;
+                left < 0.0
+            });
+            *point_m = places_m[place.unwrap_or(0)];
+            for (place_m, (nearest_m, (chance, weight))) in
+                places_m.iter().zip(nearest_m.iter_mut().zip(chances.iter_mut().zip(&self.weights)))
+            {
+                *nearest_m = nearest_m.min(distance_m(place_m, point_m));
+                *chance = weight * *nearest_m;
+            }
+        }
+        points_m
+    }
+
+    /// Moves the points to the medians of what is nearest to each, by turns; returns the sum of the distances, the
+    /// points and what each counts.
+    fn descend(
+        &self,
+        places_m: &[Knots],
+        mut points_m: [Knots; MODES_MAX],
+    ) -> (f32, [Knots; MODES_MAX], [f32; MODES_MAX]) {
+        let (mut cost, mut counts) = (0.0, [0.0; MODES_MAX]);
+        for _ in 0..STEPS {
+            (cost, counts) = (0.0, [0.0; MODES_MAX]);
+            // Sums of the places, by one over their distances, and of these: Weiszfeld's step, at each knot.
+            let mut sums = [[[0.0_f32; 3]; KNOTS]; MODES_MAX];
+            for (place_m, weight) in places_m.iter().zip(&self.weights) {
+                let distances_m = points_m.iter().map(|point_m| distance_m(place_m, point_m)).enumerate();
+                let Some((nearest, apart_m)) = distances_m.min_by(|a, b| a.1.total_cmp(&b.1)) else {
+                    continue;
+                };
+                cost += weight * apart_m;
+                counts[nearest] += weight;
+                for ((sums, [x, y]), [px, py]) in
+                    sums[nearest].iter_mut().zip(place_m).zip(&points_m[nearest])
+                {
+                    let by = weight / (x - px).hypot(y - py).max(DEVIATION_MIN_M);
+                    *sums = [sums[0] + by * x, sums[1] + by * y, sums[2] + by];
+                }
+            }
+            for (point_m, sums) in points_m.iter_mut().zip(&sums).filter(|(_, sums)| sums[0][2] > 0.0) {
+                *point_m = sums.map(|[x, y, of]| [x / of, y / of]);
+            }
+        }
+        (cost, points_m, counts)
+    }
+}
+
+/// Sum over the knots.
+fn distance_m(one: &Knots, other: &Knots) -> f32 {
+    let squares =
+        one.iter().zip(other).map(|([x, y], [ox, oy])| ((x - ox) * (x - ox) + (y - oy) * (y - oy)).sqrt());
+    squares.sum()
+}
+
+fn knots(of: impl Fn(usize, usize) -> f32) -> Knots {
+    std::array::from_fn(|knot| std::array::from_fn(|axis| of(knot, axis)))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Vehicles at 6 m/s that do one of some things, all as often, `scale` times as far.
+    fn source(residuals_m: &[[f32; 2]], scale: f32) -> Vec<Sample> {
+        let of = |residual_m: [f32; 2], number: usize| {
+            // Never the same twice.
+            let more = 1.0 + 0.01 * (number % 7) as f32;
+            let residuals_m = [0.1, 0.3, 0.5, 1.0].map(|share| residual_m.map(|x| scale * share * more * x));
+            Sample {
+                agent: 1,
+                agent_type: AgentType::Vehicle,
+                speed_mps: 6.0,
+                recording_s: 0.0,
+                source_s: 0.0,
+                errors: Default::default(),
+                levels: Default::default(),
+                area_m2: 0.0,
+                nll: 0.0,
+                missed: false,
+                learned: true,
+                network: 1.0,
+                out_of_distribution: 0.0,
+                residuals_m,
+            }
+        };
+        (0..100)
+            .flat_map(|number| residuals_m.iter().map(move |residual_m| of(*residual_m, number)))
+            .collect()
+    }
+
+    #[test]
+    fn a_pattern_has_what_agents_do_in_units_of_how_far_they_deviate() {
+        let sources =
+            [1.0, 3.0, 5.0, 0.5, 2.0].map(|scale| source(&[[0.0, 0.0], [4.0, 0.0], [-8.0, 2.0]], scale));
+        let patterns = patterns(&sources.each_ref().map(|samples| &samples[..]));
+        let Pattern { points, probability } = patterns[AgentType::Vehicle.index()][2];
+        // Root mean squares at the end: 5.3 m along and 1.2 m across, of scale 1.
+        for [along, across] in [[0.0, 0.0], [0.76, 0.0], [-1.5, 1.7], [-1.5, -1.7]] {
+            let near = |point: &Knots| (point[3][0] - along).hypot(point[3][1] - across) < 0.15;
+            let p: f32 =
+                points.iter().zip(probability).filter(|(point, _)| near(point)).map(|(_, p)| p).sum();
+            assert!(p > if across == 0.0 { 0.3 } else { 0.15 }, "{along} {across}: {p} of {points:?}");
+        }
+        assert!((probability.iter().sum::<f32>() - 1.0).abs() < 1e-4);
+        // Speeds that none knows have the nearest that one does; types that none knows the default.
+        assert_eq!(patterns[AgentType::Vehicle.index()][5], patterns[AgentType::Vehicle.index()][2]);
+        assert_eq!(patterns[AgentType::Cyclist.index()], Patterns::default()[AgentType::Cyclist.index()]);
+    }
+
+    #[test]
+    fn a_jump_does_not_make_all_else_small_and_few_residuals_make_no_pattern() {
+        let mut samples = source(&[[2.0, 0.0], [-2.0, 0.0]], 1.0);
+        samples[0].residuals_m = [[1e4, 1e4]; KNOTS];
+        let Units { deviations_m, residuals } = Units::of(&samples, AgentType::Vehicle);
+        let along_m = deviations_m[2].expect("enough")[3][0];
+        assert!((1.9..3.0).contains(&along_m), "{along_m}");
+        assert!(residuals[2].as_flattened().as_flattened().iter().all(|unit| unit.abs() <= OUTLIER));
+        assert!(deviations_m[1].is_none() && residuals[1].is_empty());
+        samples.truncate(RESIDUALS_MIN - 1);
+        assert!(Units::of(&samples, AgentType::Vehicle).deviations_m[2].is_none());
+    }
+}
