@@ -28,7 +28,7 @@ const TRACES_MAX: usize = 4 * AGENTS_MAX;
 /// Most forecasts whose mixtures are kept until they mature: those of all agents of a payload.
 const MIXTURES_MAX: usize = AGENTS_MAX * (HORIZON_MAX + 1);
 
-/// Deviations that the prior counts for; no fewer count later.
+/// Deviations that the prior counts for.
 const DEVIATIONS_LEN: f64 = 10.0;
 /// A residual counts as no more than so many deviations: of jumps of identity there is no end.
 const OUTLIER: f32 = 6.0;
@@ -180,7 +180,7 @@ impl Knowledge {
         self.blend.iter_mut().for_each(|blend| blend.discount(kept));
         self.widths.iter_mut().for_each(|widths| widths.discount(kept, under_way));
         for (squares, len) in &mut self.squares {
-            let kept = fading(kept, *len, DEVIATIONS_LEN);
+            let kept = fading(kept, *len);
             squares.iter_mut().chain([len]).for_each(|sum| *sum *= kept);
         }
         self.of_sets.discount(kept);

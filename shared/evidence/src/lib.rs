@@ -86,10 +86,10 @@ pub const SLOTS: [wire::Expert; EXPERTS] = [
 /// Steps of the horizon at which evidence is kept.
 pub const KNOTS: usize = 4;
 
-/// The factor by which sums fade that count for `len` forecasts. They count for no fewer than `len_min`, so that what is
-/// known of agents that come rarely outlasts them.
-pub(crate) fn fading(kept: f64, len: f64, len_min: f64) -> f64 {
-    kept.max((len_min / len).min(1.0))
+/// The factor by which sums fade that count for `len` forecasts: for no fewer than one, so that what is known of agents
+/// that come rarely outlasts them, and yields to the next.
+pub(crate) fn fading(kept: f64, len: f64) -> f64 {
+    kept.max((1.0 / len).min(1.0))
 }
 
 /// The indices of these steps, of a horizon of so many.

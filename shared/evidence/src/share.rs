@@ -6,18 +6,16 @@ use crate::fading;
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Shares<const N: usize> {
     nearest: [f64; N],
-    /// Forecasts that they count for at least.
-    len_min: f64,
 }
 
 impl<const N: usize> Shares<N> {
-    /// Shares that count for so many forecasts, as all later ones do at least.
+    /// Shares that count for so many forecasts.
     pub(crate) fn new(shares: [f32; N], len: f64) -> Self {
-        Self { nearest: shares.map(|share| len * f64::from(share)), len_min: len }
+        Self { nearest: shares.map(|share| len * f64::from(share)) }
     }
 
     pub(crate) fn discount(&mut self, kept: f64) {
-        let kept = fading(kept, self.nearest.iter().sum(), self.len_min);
+        let kept = fading(kept, self.nearest.iter().sum());
         self.nearest.iter_mut().for_each(|nearest| *nearest *= kept);
     }
 

@@ -17,7 +17,7 @@ const GAIN: f64 = 1.5;
 const STEP_MAX: f64 = 0.1;
 /// Largest correction of the histogram's logarithm.
 const CORRECTION_MAX: f64 = 1.5;
-/// Radii that are assumed to have been seen at the start, of a calibrated region; no fewer count later.
+/// Radii that are assumed to have been seen at the start, of a calibrated region.
 const ASSUMED: f64 = 15.0;
 
 /// Radii of matured forecasts at one step of the horizon, in one context.
@@ -72,7 +72,7 @@ impl Widths {
     /// Lets evidence fade, and the count of what is under way, by these factors.
     pub(crate) fn discount(&mut self, factor: f64, under_way: f64) {
         self.rate *= under_way;
-        let factor = fading(factor, self.len, ASSUMED);
+        let factor = fading(factor, self.len);
         self.bins.iter_mut().for_each(|count| *count *= factor);
         self.len *= factor;
     }

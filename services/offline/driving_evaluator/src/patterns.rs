@@ -24,9 +24,9 @@ const SOURCES_MIN: usize = 5;
 /// Passes of the deviations: each lets a jump count less.
 const DEVIATION_PASSES: usize = 12;
 /// Steps of the medians.
-const STEPS: usize = 20;
+const STEPS: usize = 30;
 /// Times that the points begin elsewhere; the best end counts.
-const STARTS: u64 = 2;
+const STARTS: u64 = 8;
 
 /// The residuals of one source and type in units of their deviations.
 struct Units {
@@ -40,6 +40,15 @@ struct Units {
 struct Weighted {
     residuals: Vec<Knots>,
     weights: Vec<f32>,
+}
+
+/// Points among residuals.
+struct Medians {
+    points_m: [Knots; MODES_MAX],
+    /// What the residuals count to which each is the nearest.
+    weights: [f32; MODES_MAX],
+    /// Sum of the distances of all residuals to the nearest.
+    missed_m: f32,
 }
 
 /// The patterns of sources together, of each type that any of them has.
@@ -111,7 +120,7 @@ fn deviations_m<'a>(residuals_m: impl Iterator<Item = &'a Knots> + Clone) -> Kno
 /// The pattern at a speed of all that know it: k-medians of their residuals, each source counting the same.
 fn together(sources: &[Units], band: usize) -> Pattern {
     let deviations_m: Vec<Knots> = sources.iter().filter_map(|source| source.deviations_m[band]).collect();
-    // Residuals of a length in metres are near, whatever their direction: the geometric mean is typical of all.
+    // Units of along and across differ: what is near is told in metres, those that are typical of the sources.
     let typical_m = knots(|knot, axis| {
         let logs: f32 = deviations_m.iter().map(|deviation_m| deviation_m[knot][axis].ln()).sum();
         (logs / deviations_m.len() as f32).exp()
@@ -141,12 +150,9 @@ impl Weighted {
     fn medians(&self, typical_m: &Knots) -> Pattern {
         let in_metres = |unit: &Knots| knots(|knot, axis| unit[knot][axis] * typical_m[knot][axis]);
         let places_m: Vec<Knots> = self.residuals.iter().map(in_metres).collect();
-        let ends = (1..=STARTS).map(|seed| self.descend(&places_m, self.start(&places_m, seed)));
-        let (_, points_m, weights) = ends.min_by(|a, b| a.0.total_cmp(&b.0)).unwrap_or((
-            0.0,
-            [[[0.0; 2]; KNOTS]; MODES_MAX],
-            [1.0; MODES_MAX],
-        ));
+        let found = |seed| self.descend(&places_m, self.start(&places_m, seed));
+        let least = |one: Medians, other: Medians| if other.missed_m < one.missed_m { other } else { one };
+        let Medians { points_m, weights, .. } = (2..=STARTS).map(found).fold(found(1), least);
         let sum: f32 = weights.iter().sum();
         Pattern {
             points: points_m.map(|point_m| knots(|knot, axis| point_m[knot][axis] / typical_m[knot][axis])),
@@ -180,16 +186,12 @@ impl Weighted {
         points_m
     }
 
-    /// Moves the points to the medians of what is nearest to each, by turns; returns the sum of the distances, the
-    /// points and what each counts.
-    fn descend(
-        &self,
-        places_m: &[Knots],
-        mut points_m: [Knots; MODES_MAX],
-    ) -> (f32, [Knots; MODES_MAX], [f32; MODES_MAX]) {
-        let (mut cost, mut counts) = (0.0, [0.0; MODES_MAX]);
+    /// Moves the points to the medians of what is nearest to each, step by step.
+    fn descend(&self, places_m: &[Knots], points_m: [Knots; MODES_MAX]) -> Medians {
+        let mut medians = Medians { points_m, weights: [0.0; MODES_MAX], missed_m: 0.0 };
+        let Medians { points_m, weights, missed_m } = &mut medians;
         for _ in 0..STEPS {
-            (cost, counts) = (0.0, [0.0; MODES_MAX]);
+            (*weights, *missed_m) = ([0.0; MODES_MAX], 0.0);
             // Sums of the places, by one over their distances, and of these: Weiszfeld's step, at each knot.
             let mut sums = [[[0.0_f32; 3]; KNOTS]; MODES_MAX];
             for (place_m, weight) in places_m.iter().zip(&self.weights) {
@@ -197,8 +199,8 @@ impl Weighted {
                 let Some((nearest, apart_m)) = distances_m.min_by(|a, b| a.1.total_cmp(&b.1)) else {
                     continue;
                 };
-                cost += weight * apart_m;
-                counts[nearest] += weight;
+                *missed_m += weight * apart_m;
+                weights[nearest] += weight;
                 for ((sums, [x, y]), [px, py]) in
                     sums[nearest].iter_mut().zip(place_m).zip(&points_m[nearest])
                 {
@@ -210,7 +212,7 @@ impl Weighted {
                 *point_m = sums.map(|[x, y, of]| [x / of, y / of]);
             }
         }
-        (cost, points_m, counts)
+        medians
     }
 }
 
