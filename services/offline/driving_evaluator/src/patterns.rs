@@ -77,9 +77,8 @@ impl Units {
             let context = Context::new(agent_type, sample.speed_mps);
             metres[context.nearest()].push((context, sample.residuals_m));
         }
-        let deviations_m = metres.each_ref().map(|of_band| {
-            (of_band.len() >= RESIDUALS_MIN).then(|| deviations_m(of_band.iter().map(|(_, knots)| knots)))
-        });
+        let deviations_m =
+            metres.each_ref().map(|of_band| (of_band.len() >= RESIDUALS_MIN).then(|| deviations_m(of_band)));
         let residuals = std::array::from_fn(|band| {
             let (of_band, Some(own_m)) = (&metres[band], deviations_m[band]) else { return Vec::new() };
             let stride = of_band.len().div_ceil(RESIDUALS_MAX);
@@ -100,17 +99,17 @@ impl Units {
 }
 
 /// Root mean squares at the knots, of residuals of at most [`OUTLIER`] of them.
-fn deviations_m<'a>(residuals_m: impl Iterator<Item = &'a Knots> + Clone) -> Knots {
+fn deviations_m(residuals_m: &[(Context, Knots)]) -> Knots {
     let mut most_m = [[f32::INFINITY; 2]; KNOTS];
     let mut deviations_m = most_m;
     for _ in 0..DEVIATION_PASSES {
         deviations_m = knots(|knot, axis| {
             let most_m = most_m[knot][axis];
-            let squares =
-                residuals_m.clone().map(|residual_m| residual_m[knot][axis].clamp(-most_m, most_m).powi(2));
-            let (sum, len) =
-                squares.fold((0.0, 0.0), |(sum, len), square| (sum + f64::from(square), len + 1.0));
-            ((sum / f64::max(len, 1.0)).sqrt() as f32).max(DEVIATION_MIN_M)
+            let squares = residuals_m
+                .iter()
+                .map(|(_, residual_m)| residual_m[knot][axis].clamp(-most_m, most_m).powi(2));
+            let sum: f64 = squares.map(f64::from).sum();
+            ((sum / residuals_m.len().max(1) as f64).sqrt() as f32).max(DEVIATION_MIN_M)
         });
         most_m = deviations_m.map(|of_knot| of_knot.map(|deviation_m| OUTLIER * deviation_m));
     }
