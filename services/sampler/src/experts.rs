@@ -9,8 +9,6 @@ use wire::{Expert, Forecast, HORIZON_MAX, MODES_MAX, Quality, Track};
 
 /// History steps over which turn rate and acceleration are taken, where there are as many.
 const RATE_STEPS: usize = 2;
-/// A slower agent's course is its heading.
-const COURSE_MIN_MPS: f32 = 0.3;
 /// Seed of the levels; every forecast has the same draws.
 const SEED: u64 = 1;
 /// Least and largest factor of the standard deviations.
@@ -157,11 +155,7 @@ impl Experts {
         model.positions(network, &mut by_network[..len]);
         model.positions(base, &mut by_base[..len]);
 
-        let speed_mps = now.speed_mps();
-        let course = match speed_mps > COURSE_MIN_MPS {
-            true => track_course(track, speed_mps),
-            false => [track.heading_rad.cos(), track.heading_rad.sin()],
-        };
+        let (speed_mps, course) = (now.speed_mps(), now.course(track.heading_rad));
         let agent = Agent { id: track.id, agent_type, speed_mps, course };
         let weights = self.evidence.weights(agent_type, agent.speed_mps);
         let mut best_m = [[0.0; 2]; HORIZON_MAX];
@@ -237,10 +231,6 @@ impl Experts {
         };
         self.evidence.store(stamp_ns, &blended.agent, (&blended.paths, &blended.best_m), Some(mixture));
     }
-}
-
-fn track_course(track: &Track, speed_mps: f32) -> [f32; 2] {
-    [track.vx_mps / speed_mps, track.vy_mps / speed_mps]
 }
 
 /// The present motion of a track, its rates from the newest steps of its history.

@@ -15,7 +15,9 @@ use crate::fan::{LearnedPattern, MIDDLES, centre_m};
 use crate::paths::weighted_m;
 use crate::share::Shares;
 use crate::width::Widths;
-use crate::{BANDS, Context, ContextPrior, EXPERTS, Fan, KNOTS, Paths, Pattern, Prior, SLOTS, fading, knots};
+use crate::{
+    BANDS, Context, ContextPrior, EXPERTS, Fan, KNOTS, OUTLIER, Paths, Pattern, Prior, SLOTS, fading, knots,
+};
 
 /// Time in which evidence fades to 1/e.
 const FADING_S: f64 = 120.0;
@@ -30,8 +32,6 @@ const MIXTURES_MAX: usize = AGENTS_MAX * (HORIZON_MAX + 1);
 
 /// Deviations that the prior counts for.
 const DEVIATIONS_LEN: f64 = 10.0;
-/// A residual counts as no more than so many deviations: of jumps of identity there is no end.
-const OUTLIER: f32 = 6.0;
 /// Comparisons of network and fan that the prior counts for.
 const SHARE_LEN: f64 = 10.0;
 /// Shares of the fans that are nearest about each of the [`MIDDLES`], before any is known.

@@ -85,6 +85,8 @@ pub const SLOTS: [wire::Expert; EXPERTS] = [
 ];
 /// Steps of the horizon at which evidence is kept.
 pub const KNOTS: usize = 4;
+/// A residual counts as no more than so many deviations: of jumps of identity there is no end.
+pub const OUTLIER: f32 = 6.0;
 
 /// The factor by which sums fade that count for `len` forecasts: for no fewer than one, so that what is known of agents
 /// that come rarely outlasts them, and yields to the next.

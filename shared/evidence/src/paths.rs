@@ -73,6 +73,17 @@ impl MotionNow {
         }
     }
 
+    /// Cosine and sine of the course, of an agent that hardly moves those of its heading.
+    #[must_use]
+    pub fn course(&self, heading_rad: f32) -> [f32; 2] {
+        let speed_mps = self.speed_mps();
+        if speed_mps > COURSE_MIN_MPS {
+            self.velocity_mps.map(|of_axis| of_axis / speed_mps)
+        } else {
+            [heading_rad.cos(), heading_rad.sin()]
+        }
+    }
+
     /// Speed.
     #[must_use]
     pub fn speed_mps(&self) -> f32 {

@@ -1,6 +1,6 @@
 //! Typical residuals of several sources together, by k-medians: what a fan of modes begins with.
 
-use evidence::{BANDS, Context, FAN, KNOTS, Pattern, Patterns};
+use evidence::{BANDS, Context, FAN, KNOTS, OUTLIER, Pattern, Patterns};
 use scene::AgentType;
 use wire::{AGENT_TYPES, MODES_MAX};
 
@@ -13,8 +13,6 @@ type Knots = [[f32; 2]; KNOTS];
 const RESIDUALS_MIN: usize = 60;
 /// Most of them that are taken, evenly over all.
 const RESIDUALS_MAX: usize = 400;
-/// A residual counts as no more than so many deviations: of jumps of identity there is no end.
-const OUTLIER: f32 = 6.0;
 /// No residual deviates less than this, m.
 const DEVIATION_MIN_M: f32 = 0.02;
 /// Share that the residuals of the next slower and the next faster speed have beside those of one.

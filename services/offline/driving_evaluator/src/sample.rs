@@ -17,8 +17,6 @@ const GAP_NS: i64 = 1_000_000_000;
 /// −2 ln 0.1: the squared radius of the region of 90 % of a Gaussian.
 const RADIUS_SQUARED: f64 = 4.605_170;
 const SEED: u64 = 1;
-/// A slower agent's course is its heading.
-const COURSE_MIN_MPS: f32 = 0.3;
 
 /// What is compared.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -151,7 +149,7 @@ impl Judge<'_> {
         });
         let mut steady = vec![[0.0; 2]; len];
         now.steady(self.dt_s, &mut steady);
-        let [cos, sin] = course(&now, forecast.heading_rad);
+        let [cos, sin] = now.course(forecast.heading_rad);
         let residuals_m = evidence::knots(len).map(|step| {
             let truth = truth[step].unwrap_or_default();
             let [x, y] =
@@ -185,17 +183,6 @@ impl Judge<'_> {
             out_of_distribution: forecast.out_of_distribution,
             residuals_m,
         })
-    }
-}
-
-/// Cosine and sine of the course, of an agent that hardly moves those of its heading.
-fn course(now: &MotionNow, heading_rad: f32) -> [f32; 2] {
-    let speed_mps = now.speed_mps();
-    let by_heading = || [heading_rad.cos(), heading_rad.sin()];
-    if speed_mps > COURSE_MIN_MPS {
-        now.velocity_mps.map(|of_axis| of_axis / speed_mps)
-    } else {
-        by_heading()
     }
 }
 

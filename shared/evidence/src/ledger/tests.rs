@@ -128,7 +128,22 @@ fn what_is_learned_outlasts_a_session_and_its_agents_do_not() {
 }
 
 #[test]
-fn what_is_known_of_agents_that_stay_away_for_a_day_lasts() {
+fn a_fan_begins_with_the_pattern_of_the_nearest_speed() {
+    let mut prior = Prior::default();
+    for (band, along) in [(2, 1.0), (3, 3.0)] {
+        prior.0[AGENT.agent_type.index()][band].pattern.points = [[[along, 0.5]; KNOTS]; MODES_MAX];
+    }
+    let evidence = Evidence::new(12, STEP_NS as u64, &prior);
+    // At 6 and 11 m/s they are known.
+    for (speed_mps, along) in [(8.0, 1.0), (9.0, 3.0)] {
+        let still = [[0.0; 2]; HORIZON_MAX];
+        let fan = evidence.fan(&Agent { speed_mps, ..AGENT }, &still, &still);
+        assert_eq!(fan.points[7][..12], [[along, 0.5]; 12]);
+    }
+}
+
+#[test]
+fn what_is_known_of_agents_that_stay_away_for_days_lasts() {
     let known = |evidence: &Evidence| {
         let fan = fan(evidence);
         (
@@ -140,7 +155,7 @@ fn what_is_known_of_agents_that_stay_away_for_a_day_lasts() {
     };
     let mut evidence = drive(120, 1.0, 0.99);
     let before = known(&evidence);
-    (1..=1440).for_each(|minute| evidence.observe(120 * STEP_NS + minute * 60_000_000_000, []));
+    (1..=2 * 1440).for_each(|minute| evidence.observe(120 * STEP_NS + minute * 60_000_000_000, []));
     let after = known(&evidence);
     let near =
         |after: [f32; 2], before: [f32; 2]| (0..2).all(|axis| (after[axis] - before[axis]).abs() < 1e-3);
