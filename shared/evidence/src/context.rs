@@ -1,8 +1,9 @@
 use wire::AgentType;
 
-/// Speeds at which evidence is kept; in between it is shared.
-pub const SPEEDS_MPS: [f32; BANDS] = [0.5, 2.5, 6.0, 11.0, 18.0, 28.0];
-/// Number of [`SPEEDS_MPS`].
+/// Speeds at which evidence is kept, by type; in between it is shared. Of pedestrians some stand, most walk and few run.
+pub const SPEEDS_MPS: [[f32; BANDS]; 3] =
+    [[0.5, 2.5, 6.0, 11.0, 18.0, 28.0], [0.5, 2.5, 6.0, 11.0, 18.0, 28.0], [0.15, 0.8, 1.4, 2.2, 4.0, 8.0]];
+/// Number of speeds of a type.
 pub const BANDS: usize = 6;
 
 /// Where a speed lies among [`SPEEDS_MPS`]: the band below, and the share of the next one.
@@ -20,8 +21,9 @@ impl Context {
     /// The context of an agent.
     #[must_use]
     pub fn new(agent_type: AgentType, speed_mps: f32) -> Self {
-        let below = SPEEDS_MPS[1..BANDS - 1].iter().filter(|&&speed| speed_mps >= speed).count();
-        let [from, to] = [SPEEDS_MPS[below], SPEEDS_MPS[below + 1]];
+        let speeds = &SPEEDS_MPS[agent_type.index()];
+        let below = speeds[1..BANDS - 1].iter().filter(|&&speed| speed_mps >= speed).count();
+        let [from, to] = [speeds[below], speeds[below + 1]];
         Self { agent_type, below, share: ((speed_mps - from) / (to - from)).clamp(0.0, 1.0) }
     }
 

@@ -73,6 +73,7 @@ impl Baselines {
             Method::Network => of_forecast(Some(&forecast.network)),
             Method::OnlineRetrieval => of_forecast(forecast.retrieved.as_ref()),
             Method::WarmStartedRetrieval => of_forecast(forecast.warm_started.as_ref()),
+            Method::Evidence => of_forecast(forecast.with_evidence.as_ref()),
             Method::Base => forecast.base.as_ref().map_or_else(Candidate::default, |base| Candidate {
                 modes: base.modes.clone(),
                 probability: None,

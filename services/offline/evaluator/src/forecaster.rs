@@ -51,6 +51,8 @@ pub struct Variants {
     pub retrieved: Option<Forecast>,
     /// With a memory that began with earlier recordings, where there is one.
     pub warm_started: Option<Forecast>,
+    /// With the memory of the recording alone and its evidence.
+    pub with_evidence: Option<Forecast>,
 }
 
 /// A model, ready to forecast windows.
@@ -93,6 +95,7 @@ pub(crate) struct Samplers {
     base: Sampler,
     retrieved: Sampler,
     warm_started: Option<Sampler>,
+    with_evidence: Sampler,
     horizon_len: usize,
 }
 
@@ -157,7 +160,7 @@ impl Forecaster {
         wanted: impl Fn(usize) -> bool,
     ) -> Vec<Vec<Option<Forecast>>> {
         let mut session = Session::new(self, recording, map, threads);
-        let mut sampler = self.sampler(false);
+        let mut sampler = self.sampler(false, false);
         self.lanes.iter().for_each(|map| sampler.guide_along(map));
         let mut forecasts = Vec::with_capacity(scenes.len());
         for (part, scenes) in scenes.chunks(TOGETHER).enumerate() {
@@ -217,7 +220,7 @@ impl Forecaster {
         memory: &mut RetrievalMemory,
     ) {
         let mut session = Session::new(self, recording, map, threads);
-        let mut sampler = self.sampler(true);
+        let mut sampler = self.sampler(true, false);
         sampler.warm_start(memory.clone());
         for scenes in scenes.chunks(TOGETHER) {
             for decoded in session.decode(scenes, |_| true, |_| Vec::new()).iter().flatten() {
@@ -233,7 +236,7 @@ impl Forecaster {
 
     /// The stages from `tracks` on, with a memory to retrieve from if there is one.
     pub fn stages(&self, map: MapInput<'_>, memory: Option<RetrievalMemory>) -> TracksToForecasts {
-        let mut sampler = self.sampler(memory.is_some());
+        let mut sampler = self.sampler(memory.is_some(), false);
         memory.into_iter().for_each(|memory| sampler.warm_start(memory));
         let stages = self.tracks_to_features(map, 1).and_then(|features| {
             Ok(TracksToForecasts::of_stages(features, self.features_to_controls()?, sampler))
@@ -241,10 +244,10 @@ impl Forecaster {
         stages.expect("stages that started before start again")
     }
 
-    /// The sampler of a run with or without retrieval.
-    pub(crate) fn sampler(&self, retrieval: bool) -> Sampler {
+    /// The sampler of a run with or without retrieval and evidence.
+    pub(crate) fn sampler(&self, retrieval: bool, evidence: bool) -> Sampler {
         let options =
-            sampler::Options { retrieval, evidence: false, workers: Some(1), ..sampler::Options::default() };
+            sampler::Options { retrieval, evidence, workers: Some(1), ..sampler::Options::default() };
         let stage = StageRun::with_options(&sampler::STAGE, &options).expect("the stage's own options");
         let run = Run { stages: vec![stage], ..self.run.clone() };
         sampler::stage::open(&run, self.config()).expect("a sampler without a file opens")
@@ -354,21 +357,22 @@ impl Samplers {
         memory: Option<RetrievalMemory>,
         lanes: Option<&Arc<LaneMap>>,
     ) -> Self {
-        let sampler = |retrieval: bool| {
-            let mut sampler = forecaster.sampler(retrieval);
+        let sampler = |retrieval: bool, evidence: bool| {
+            let mut sampler = forecaster.sampler(retrieval, evidence);
             lanes.into_iter().for_each(|map| sampler.guide_along(map));
             sampler
         };
         let warm_started = memory.map(|memory| {
-            let mut sampler = sampler(true);
+            let mut sampler = sampler(true, false);
             sampler.warm_start(memory);
             sampler
         });
         Self {
-            network: sampler(false),
-            base: forecaster.sampler(false),
-            retrieved: sampler(true),
+            network: sampler(false, false),
+            base: forecaster.sampler(false, false),
+            retrieved: sampler(true, false),
             warm_started,
+            with_evidence: sampler(true, true),
             horizon_len: forecaster.config().horizon_len,
         }
     }
@@ -381,7 +385,7 @@ impl Samplers {
     /// The forecasts of the agents that count, with their places in the scene: scene by scene. An agent is
     /// missing where a sampler refuses the payload.
     pub(crate) fn forecast(&mut self, decoded: &[Decoded], threads: usize) -> Vec<Vec<(usize, Variants)>> {
-        let Self { network, base, retrieved, warm_started, horizon_len } = self;
+        let Self { network, base, retrieved, warm_started, with_evidence, horizon_len } = self;
         let alone = |decoded: &Decoded| decoded.counting_tracks();
         let mut without_retrieval = || {
             let forecast = |decoded: &Decoded| {
@@ -406,23 +410,29 @@ impl Samplers {
             };
             decoded.iter().map(forecast).collect::<Vec<_>>()
         };
-        let (without, retrieved, warm_started) = if threads < 2 {
-            (without_retrieval(), with_retrieval(Some(retrieved)), with_retrieval(warm_started.as_mut()))
+        let samplers = [Some(retrieved), warm_started.as_mut(), Some(with_evidence)];
+        let (without, with) = if threads < 2 {
+            (without_retrieval(), samplers.map(with_retrieval))
         } else {
             std::thread::scope(|scope| {
-                let retrieved = scope.spawn(|| with_retrieval(Some(retrieved)));
-                let warm_started = scope.spawn(|| with_retrieval(warm_started.as_mut()));
-                (without_retrieval(), threads::joined(retrieved), threads::joined(warm_started))
+                let with = samplers.map(|sampler| scope.spawn(|| with_retrieval(sampler)));
+                (without_retrieval(), with.map(threads::joined))
             })
         };
-        let with = retrieved.into_iter().zip(warm_started);
+        let [retrieved, warm_started, with_evidence] = with.map(Vec::into_iter);
+        let with = retrieved.zip(warm_started).zip(with_evidence);
         let all = decoded.iter().zip(without).zip(with);
-        all.map(|((decoded, [network, base]), (retrieved, warm_started))| {
-            let [mut base, mut retrieved, mut warm_started] =
-                [base, retrieved, warm_started].map(Vec::into_iter);
+        all.map(|((decoded, [network, base]), ((retrieved, warm_started), with_evidence))| {
+            let [mut base, mut retrieved, mut warm_started, mut with_evidence] =
+                [base, retrieved, warm_started, with_evidence].map(Vec::into_iter);
             let variants = decoded.counting.iter().zip(network).map(|(&track, network)| {
-                let (base, retrieved) = (base.next(), retrieved.next());
-                let variants = Variants { network, base, retrieved, warm_started: warm_started.next() };
+                let variants = Variants {
+                    network,
+                    base: base.next(),
+                    retrieved: retrieved.next(),
+                    warm_started: warm_started.next(),
+                    with_evidence: with_evidence.next(),
+                };
                 (decoded.payload.places[track], variants)
             });
             variants.collect()

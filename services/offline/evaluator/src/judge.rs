@@ -200,8 +200,9 @@ impl Judge<'_> {
         let candidates = self.baselines.candidates(scene, agent, forecast);
         let mut tally = Tally::new(self.horizons.len());
         tally.add_agent(agent, &candidates, self.horizons);
-        let variants = [Some(&forecast.network), forecast.retrieved.as_ref(), forecast.warm_started.as_ref()];
-        for (ours, of_method) in variants.into_iter().enumerate() {
+        let others = [&forecast.retrieved, &forecast.warm_started, &forecast.with_evidence].map(Option::as_ref);
+        let variants = std::iter::once(Some(&forecast.network)).chain(others);
+        for (ours, of_method) in variants.enumerate() {
             let Some(of_method) = of_method else { continue };
             self.add_calibration(scene, agent, of_method, ours, &mut tally);
             let Some(now) = agent.newest() else { continue };

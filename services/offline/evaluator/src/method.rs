@@ -10,6 +10,9 @@ pub enum Method {
     OnlineRetrieval,
     /// The same with a memory that begins with the residuals of earlier recordings of the site.
     WarmStartedRetrieval,
+    /// The model with a retrieval memory that begins empty and with evidence on what forecasts have been worth, as a
+    /// run is by default.
+    Evidence,
     /// The model's base control with the network switched off: ridge regression and anchors, B*.
     Base,
     /// Constant velocity plus 20 typical residuals.
@@ -28,10 +31,11 @@ pub enum Method {
 
 impl Method {
     /// All methods, in the order of the reports.
-    pub const ALL: [Self; 10] = [
+    pub const ALL: [Self; 11] = [
         Self::Network,
         Self::OnlineRetrieval,
         Self::WarmStartedRetrieval,
+        Self::Evidence,
         Self::Base,
         Self::Anchors,
         Self::SampledVelocity,
@@ -42,7 +46,8 @@ impl Method {
     ];
 
     /// The variants of the model, whose forecasts have covariances and can be calibrated.
-    pub const OURS: [Self; 3] = [Self::Network, Self::OnlineRetrieval, Self::WarmStartedRetrieval];
+    pub const OURS: [Self; 4] =
+        [Self::Network, Self::OnlineRetrieval, Self::WarmStartedRetrieval, Self::Evidence];
 
     /// The name in reports.
     #[must_use]
@@ -51,6 +56,7 @@ impl Method {
             Self::Network => "ours",
             Self::OnlineRetrieval => "ours, online retrieval",
             Self::WarmStartedRetrieval => "ours, warm-started retrieval",
+            Self::Evidence => "ours, online retrieval, evidence",
             Self::Base => "B* (ridge + anchors)",
             Self::Anchors => "20 anchors",
             Self::SampledVelocity => "CVM-S",

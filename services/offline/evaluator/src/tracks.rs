@@ -62,8 +62,8 @@ impl Publisher {
 }
 
 impl TracksPayload {
-    /// All agents that are present, in the scene's order: recorded states, certain, confirmed and
-    /// forecastable.
+    /// All agents that are present, in the scene's order: recorded states, certain and confirmed. As by the tracker,
+    /// those are forecast that were there a step before.
     ///
     /// A payload has room for [`AGENTS_MAX`]. Where more are present, those that count, which are there over
     /// a whole window, come first, and among equals the nearest to the scene's middle.
@@ -106,7 +106,7 @@ pub fn track(agent: &Agent) -> Option<Track> {
         agent_type: agent.agent_type as u32,
         status: TrackStatus::Confirmed as u32,
         state_len: 4,
-        forecastable: 1,
+        forecastable: u32::from(agent.history.iter().flatten().count() >= 2),
         x_m: now.position_m[0],
         y_m: now.position_m[1],
         heading_rad: now.heading_rad,

@@ -17,10 +17,11 @@ pub(crate) const COMPARED: [(Measure, Method); 6] = [
 ];
 
 /// The methods that a summary contains.
-const SUMMARISED: [&str; 8] = [
+const SUMMARISED: [&str; 9] = [
     Method::Network.name(),
     Method::OnlineRetrieval.name(),
     Method::WarmStartedRetrieval.name(),
+    Method::Evidence.name(),
     Method::Base.name(),
     Method::Anchors.name(),
     Method::ConstantVelocity.name(),
