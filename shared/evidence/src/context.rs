@@ -17,6 +17,14 @@ pub struct Context {
     pub share: f32,
 }
 
+/// Gives each speed of which nothing is known what is known at the nearest one; where nothing is, all stay.
+pub fn fill_unknown<T: Copy>(bands: &mut [T; BANDS], known: &[bool; BANDS]) {
+    for band in 0..BANDS {
+        let nearest = (0..BANDS).filter(|&other| known[other]).min_by_key(|other| other.abs_diff(band));
+        bands[band] = nearest.map_or(bands[band], |nearest| bands[nearest]);
+    }
+}
+
 impl Context {
     /// The context of an agent.
     #[must_use]
@@ -58,5 +66,8 @@ mod tests {
         assert_eq!((at(8.5).below, at(8.5).share), (2, 0.5));
         assert_eq!((at(60.0).below, at(60.0).share), (BANDS - 2, 1.0));
         assert_eq!(at(8.5).between(|band| [band as f32]), [2.5]);
+        // One who stands has nothing in common with one who walks.
+        let [standing, walking] = [0.0, 1.4].map(|speed_mps| Context::new(AgentType::Pedestrian, speed_mps));
+        assert_eq!([standing, walking].map(|of| (of.below, of.share)), [(0, 0.0), (2, 0.0)]);
     }
 }

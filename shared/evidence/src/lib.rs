@@ -66,7 +66,7 @@ mod statistics;
 mod width;
 
 pub use choice::Choice;
-pub use context::{BANDS, Context, SPEEDS_MPS};
+pub use context::{BANDS, Context, SPEEDS_MPS, fill_unknown};
 pub use fan::{FAN, Fan, Pattern};
 pub use ledger::numbers::NUMBERS_LEN;
 pub use ledger::{Agent, Evidence, Matured, Mixture};

@@ -1,7 +1,7 @@
 use std::collections::BTreeMap;
 use std::fmt;
 
-use crate::{BANDS, KNOTS, Pattern, Statistics};
+use crate::{BANDS, KNOTS, Pattern, Statistics, fill_unknown};
 
 /// Deviations where no source tells any, m.
 const DEVIATIONS_M: [[f32; 2]; KNOTS] = [[0.1, 0.05], [0.5, 0.25], [1.8, 0.8], [6.0, 3.0]];
@@ -177,11 +177,7 @@ impl Priors {
                     *context = ContextPrior::mean(&filled.collect::<Vec<_>>());
                 }
             }
-            for band in 0..BANDS {
-                let nearest =
-                    (0..BANDS).filter(|&other| known[other]).min_by_key(|other| other.abs_diff(band));
-                contexts[band] = nearest.map_or(contexts[band], |nearest| contexts[nearest]);
-            }
+            fill_unknown(contexts, &known);
             for (context, pattern) in contexts.iter_mut().zip(&pattern[of_type]) {
                 context.pattern = *pattern;
             }

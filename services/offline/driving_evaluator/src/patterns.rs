@@ -1,6 +1,6 @@
 //! Typical residuals of several sources together, by k-medians: what a fan of modes begins with.
 
-use evidence::{BANDS, Context, FAN, KNOTS, OUTLIER, Pattern, Patterns};
+use evidence::{BANDS, Context, FAN, KNOTS, OUTLIER, Pattern, Patterns, fill_unknown};
 use scene::AgentType;
 use wire::{AGENT_TYPES, MODES_MAX};
 
@@ -26,6 +26,9 @@ const STEPS: usize = 30;
 /// Times that the points begin elsewhere; the best end counts.
 const STARTS: u64 = 8;
 
+/// The residuals of one source in units of their deviations, by type.
+pub(crate) struct Residuals([Units; AGENT_TYPES.len()]);
+
 /// The residuals of one source and type in units of their deviations.
 struct Units {
     /// By speed; none where there are too few.
@@ -50,22 +53,24 @@ struct Medians {
 }
 
 /// The patterns of sources together, of each type that any of them has.
-pub(crate) fn patterns(sources: &[&[Sample]]) -> Patterns {
+pub(crate) fn patterns(sources: &[&Residuals]) -> Patterns {
     let mut patterns = Patterns::default();
-    for agent_type in AGENT_TYPES {
-        let units: Vec<Units> = sources.iter().map(|samples| Units::of(samples, agent_type)).collect();
-        let of_type = &mut patterns[agent_type.index()];
-        let known: Vec<usize> =
-            (0..BANDS).filter(|&band| units.iter().any(|units| units.deviations_m[band].is_some())).collect();
-        for &band in &known {
+    for (place, of_type) in patterns.iter_mut().enumerate() {
+        let units: Vec<&Units> = sources.iter().map(|Residuals(of_source)| &of_source[place]).collect();
+        let known = std::array::from_fn(|band| units.iter().any(|units| units.deviations_m[band].is_some()));
+        for band in (0..BANDS).filter(|&band| known[band]) {
             of_type[band] = together(&units, band);
         }
-        for band in 0..BANDS {
-            let nearest = known.iter().min_by_key(|known| known.abs_diff(band));
-            of_type[band] = nearest.map_or(of_type[band], |&nearest| of_type[nearest]);
-        }
+        fill_unknown(of_type, &known);
     }
     patterns
+}
+
+impl Residuals {
+    /// Those of a source's forecasts.
+    pub(crate) fn of(samples: &[Sample]) -> Self {
+        Self(AGENT_TYPES.map(|agent_type| Units::of(samples, agent_type)))
+    }
 }
 
 impl Units {
@@ -115,7 +120,7 @@ fn deviations_m(residuals_m: &[(Context, Knots)]) -> Knots {
 }
 
 /// The pattern at a speed of all that know it: k-medians of their residuals, each source counting the same.
-fn together(sources: &[Units], band: usize) -> Pattern {
+fn together(sources: &[&Units], band: usize) -> Pattern {
     let deviations_m: Vec<Knots> = sources.iter().filter_map(|source| source.deviations_m[band]).collect();
     // Units of along and across differ: what is near is told in metres, those that are typical of the sources.
     let typical_m = knots(|knot, axis| {
@@ -260,7 +265,8 @@ mod tests {
     fn a_pattern_has_what_agents_do_in_units_of_how_far_they_deviate() {
         let sources =
             [1.0, 3.0, 5.0, 0.5, 2.0].map(|scale| source(&[[0.0, 0.0], [4.0, 0.0], [-8.0, 2.0]], scale));
-        let patterns = patterns(&sources.each_ref().map(|samples| &samples[..]));
+        let sources = sources.map(|samples| Residuals::of(&samples));
+        let patterns = patterns(&sources.each_ref());
         let Pattern { points, probability } = patterns[AgentType::Vehicle.index()][2];
         // Root mean squares at the end: 5.3 m along and 1.2 m across, of scale 1.
         for [along, across] in [[0.0, 0.0], [0.76, 0.0], [-1.5, 1.7], [-1.5, -1.7]] {

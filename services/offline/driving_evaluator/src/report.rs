@@ -11,10 +11,11 @@ use nn::Precision;
 use scene::AgentType;
 use serde_json::json;
 
+use crate::patterns::{Residuals, patterns};
 use crate::play::Played;
 use crate::sample::{METHODS, Method, STEPS, Sample};
 use crate::source::Source;
-use crate::{Errors, Options, patterns};
+use crate::{Errors, Options};
 
 /// Bounds of the speed bands, m/s.
 const BANDS_MPS: [f32; 4] = [3.0, 8.0, 15.0, 25.0];
@@ -329,9 +330,12 @@ impl Report {
             .filter_map(|(source, played)| Some((source.name.clone(), played.learned.clone()?)));
         let folders: BTreeSet<String> = self.sources.iter().map(|(source, _)| source.folder_name()).collect();
         let left_out: Vec<Option<String>> = folders.into_iter().map(Some).chain([None]).collect();
+        let residuals =
+            threads::each(&self.sources, threads, |(_, played), _: &mut ()| Residuals::of(&played.samples));
         let patterns = threads::each(&left_out, threads, |left_out, _: &mut ()| {
-            let others = self.sources.iter().filter(|(source, _)| Some(source.folder_name()) != *left_out);
-            patterns::patterns(&others.map(|(_, played)| &played.samples[..]).collect::<Vec<_>>())
+            let all = self.sources.iter().zip(&residuals);
+            let others = all.filter(|((source, _), _)| Some(source.folder_name()) != *left_out);
+            patterns(&others.map(|(_, residuals)| residuals).collect::<Vec<_>>())
         });
         let mut priors = Priors { sources: learned.collect(), ..Priors::default() };
         for (left_out, patterns) in left_out.into_iter().zip(patterns) {

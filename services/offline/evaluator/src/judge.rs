@@ -200,7 +200,8 @@ impl Judge<'_> {
         let candidates = self.baselines.candidates(scene, agent, forecast);
         let mut tally = Tally::new(self.horizons.len());
         tally.add_agent(agent, &candidates, self.horizons);
-        let others = [&forecast.retrieved, &forecast.warm_started, &forecast.with_evidence].map(Option::as_ref);
+        let others =
+            [&forecast.retrieved, &forecast.warm_started, &forecast.with_evidence].map(Option::as_ref);
         let variants = std::iter::once(Some(&forecast.network)).chain(others);
         for (ours, of_method) in variants.enumerate() {
             let Some(of_method) = of_method else { continue };

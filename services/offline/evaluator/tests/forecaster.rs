@@ -167,6 +167,24 @@ fn normal_latents_are_drawn_by_seed_and_agent() {
 }
 
 #[test]
+fn agents_are_forecast_from_their_second_step_on() {
+    let forecaster = onboard();
+    let mut scene = scenes(&forecaster)[0].clone();
+    let complete = scene.complete();
+    for (&place, steps_len) in complete.iter().zip([1, 2]) {
+        let history = &mut scene.agents[place].history;
+        let unseen_len = history.len() - steps_len;
+        history[..unseen_len].fill(None);
+    }
+    let payload = &forecaster.payloads(&Recording::default(), &[scene])[0];
+    let is_forecast = |place: usize| {
+        let track = payload.places.iter().position(|&other| other == place).unwrap();
+        payload.tracks[track].forecastable == 1
+    };
+    assert_eq!([0, 1, 2].map(|agent| is_forecast(complete[agent])), [false, true, true]);
+}
+
+#[test]
 fn missing_velocities_are_differences_within_the_scene() {
     let forecaster = onboard();
     let recorded = &scenes(&forecaster)[3];

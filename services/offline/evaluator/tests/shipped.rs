@@ -13,14 +13,13 @@ use scene::AgentType;
 use testing::public_recording;
 
 /// A run as `predict` sets it up.
-fn run(retrieval: bool, map: localiser::MapChoice, memory: Option<std::path::PathBuf>) -> Run {
-    let sampler = sampler::Options { retrieval, memory, evidence: false, ..sampler::Options::default() };
-    let localiser = localiser::Options { map };
+fn run(sampler: &sampler::Options) -> Run {
+    let localiser = localiser::Options { map: localiser::MapChoice::Online };
     Run {
         lockstep: true,
         seed: 1,
         stages: vec![
-            StageRun::with_options(&sampler::STAGE, &sampler).unwrap(),
+            StageRun::with_options(&sampler::STAGE, sampler).unwrap(),
             StageRun::with_options(&localiser::STAGE, &localiser).unwrap(),
         ],
         ..Run::default()
@@ -53,10 +52,9 @@ fn same(recording: &Recording, of_type: AgentType) -> usize {
     forecaster.visit(recording, scenes, MapInput::Online, 2, &mut memory);
     memory.save(&path, forecaster.weights().sha256()).unwrap();
 
-    let online = || localiser::MapChoice::Online;
     let variants = forecaster.variants(recording, scenes, MapInput::Online, 2, Some(memory));
-    let check = |run: &Run, of: fn(&Variants) -> &Forecast| {
-        let shipped = shipped(run, scenes, &payloads);
+    let check = |sampler: &sampler::Options, of: fn(&Variants) -> &Forecast| {
+        let shipped = shipped(&run(sampler), scenes, &payloads);
         assert_eq!(shipped.len(), variants.len());
         for (shipped, variants) in shipped.iter().zip(&variants) {
             let evaluated: Vec<_> = variants.iter().map(|(place, variants)| (*place, of(variants))).collect();
@@ -64,12 +62,18 @@ fn same(recording: &Recording, of_type: AgentType) -> usize {
             assert_eq!(evaluated, shipped);
         }
     };
-    check(&run(false, online(), None), |variants| &variants.network);
-    check(&run(true, online(), None), |variants| variants.retrieved.as_ref().unwrap());
-    check(&run(true, online(), Some(path)), |variants| variants.warm_started.as_ref().unwrap());
+    // As a run is by default, and with less.
+    let as_it_is = sampler::Options::default();
+    let with_retrieval = sampler::Options { evidence: false, ..as_it_is.clone() };
+    check(&sampler::Options { retrieval: false, ..with_retrieval.clone() }, |variants| &variants.network);
+    check(&with_retrieval, |variants| variants.retrieved.as_ref().unwrap());
+    let warm_started = sampler::Options { memory: Some(path), ..with_retrieval };
+    check(&warm_started, |variants| variants.warm_started.as_ref().unwrap());
+    check(&as_it_is, |variants| variants.with_evidence.as_ref().unwrap());
 
     let all = || scenes.iter().zip(&variants).flat_map(|(scene, of)| of.iter().map(move |of| (scene, of)));
     assert!(all().any(|(_, (_, of))| of.retrieved.as_ref() != Some(&of.network)), "nothing was retrieved");
+    assert!(all().any(|(_, (_, of))| of.with_evidence != of.retrieved), "evidence changed nothing");
     all().filter(|(scene, (place, _))| scene.agents[*place].agent_type == of_type).count()
 }
 
