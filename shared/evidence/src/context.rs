@@ -11,7 +11,7 @@ pub const BANDS: usize = 6;
 pub struct Context {
     /// Type of the agent.
     pub agent_type: AgentType,
-    /// Index into [`SPEEDS_MPS`], at most `BANDS - 2`.
+    /// Index into the type's [`SPEEDS_MPS`], at most `BANDS - 2`.
     pub below: usize,
     /// Share of the band above, 0 to 1.
     pub share: f32,

@@ -1,5 +1,7 @@
 //! The forecasts that have not matured, and what the matured ones add up to.
 
+mod kept;
+mod knowledge;
 pub(crate) mod numbers;
 #[cfg(test)]
 mod tests;
@@ -8,16 +10,15 @@ use std::collections::{HashMap, VecDeque, hash_map};
 
 use wire::{AGENTS_MAX, AgentType, EXPERTS_MAX, Expert, HORIZON_MAX, MODES_MAX};
 
-use crate::blend::{Blend, Outcome};
+use self::kept::Kept;
+use self::knowledge::Knowledge;
+use crate::blend::Outcome;
 use crate::choice::{BOTH_MAX, Choice};
-use crate::due::{Due, Waiting};
-use crate::fan::{LearnedPattern, MIDDLES, centre_m};
+use crate::due::Waiting;
+use crate::fan::{MIDDLES, centre_m};
 use crate::paths::weighted_m;
-use crate::share::Shares;
 use crate::width::Widths;
-use crate::{
-    BANDS, Context, ContextPrior, EXPERTS, Fan, KNOTS, OUTLIER, Paths, Pattern, Prior, SLOTS, fading, knots,
-};
+use crate::{BANDS, Context, ContextPrior, EXPERTS, Fan, KNOTS, Paths, Pattern, Prior, SLOTS, knots};
 
 /// Time in which evidence fades to 1/e.
 const FADING_S: f64 = 120.0;
@@ -30,14 +31,6 @@ const TRACES_MAX: usize = 4 * AGENTS_MAX;
 /// Most forecasts whose mixtures are kept until they mature: those of all agents of a payload.
 const MIXTURES_MAX: usize = AGENTS_MAX * (HORIZON_MAX + 1);
 
-/// Deviations that the prior counts for.
-const DEVIATIONS_LEN: f64 = 10.0;
-/// Comparisons of network and fan that the prior counts for.
-const SHARE_LEN: f64 = 10.0;
-/// Shares of the fans that are nearest about each of the [`MIDDLES`], before any is known.
-const ABOUT_MIDDLES: [f32; MIDDLES.len()] = [0.25, 0.5, 0.25];
-/// Comparisons of them that they count for.
-const MIDDLES_LEN: f64 = 20.0;
 /// How decidedly a fan follows them: see [`Shares::decided`].
 const MIDDLES_POWER: i32 = 4;
 
@@ -84,26 +77,6 @@ pub struct Matured<'a> {
     pub truth_m: [f32; 2],
 }
 
-/// A mixture that is kept until it matures.
-#[derive(Clone, Debug)]
-struct Kept {
-    modes_len: usize,
-    probability: [f32; MODES_MAX],
-    means_m: [[[f32; 2]; MODES_MAX]; KNOTS],
-    covariances_m2: [[[f32; 3]; MODES_MAX]; KNOTS],
-    widths: [f32; KNOTS],
-    network_len: usize,
-    network_m: [[[f32; 2]; MODES_MAX]; KNOTS],
-    fan_m: [[[f32; 2]; MODES_MAX]; KNOTS],
-    fan_numbers: [u8; MODES_MAX],
-    deviations_m: [[f32; 2]; KNOTS],
-    /// From the fan to where it would lie about each of the [`MIDDLES`].
-    to_middles_m: [[[f32; 2]; MIDDLES.len()]; KNOTS],
-    /// Sums of the distances from the truth so far of each mode of the network and of the fan, and of the fan's about
-    /// each of the [`MIDDLES`].
-    distances_m: [[f32; MODES_MAX]; 2 + MIDDLES.len()],
-}
-
 /// A forecast of an agent that has not matured.
 #[derive(Clone, Debug)]
 struct Pending {
@@ -133,20 +106,6 @@ struct Trace {
     pending: VecDeque<Pending>,
 }
 
-/// What is known of one type at one speed.
-#[derive(Clone, Debug)]
-struct Knowledge {
-    blend: [Blend; KNOTS],
-    widths: [Widths; KNOTS],
-    /// Sums of squares along and across the course, m², and their number.
-    squares: [([f64; 2], f64); KNOTS],
-    /// Of network and fan, by their nearest modes.
-    of_sets: Shares<2>,
-    /// Of the fan about each of the [`MIDDLES`].
-    of_middles: Shares<{ MIDDLES.len() }>,
-    pattern: LearnedPattern,
-}
-
 /// Evidence of all agents: see the [crate](crate).
 #[derive(Clone, Debug)]
 pub struct Evidence {
@@ -163,103 +122,6 @@ pub struct Evidence {
     now_ns: i64,
 }
 
-impl Knowledge {
-    fn new(prior: &ContextPrior) -> Self {
-        let widths = prior.log_width.map(|log| Widths::new(log.exp()));
-        let blend = prior.blend.each_ref().map(Blend::new);
-        let squares = prior.deviation_m.map(|deviations| {
-            (deviations.map(|deviation_m| DEVIATIONS_LEN * f64::from(deviation_m).powi(2)), DEVIATIONS_LEN)
-        });
-        let of_sets = Shares::new([prior.network_share, 1.0 - prior.network_share], SHARE_LEN);
-        let of_middles = Shares::new(ABOUT_MIDDLES, MIDDLES_LEN);
-        let pattern = LearnedPattern::new(&prior.pattern);
-        Self { blend, widths, squares, of_sets, of_middles, pattern }
-    }
-
-    fn discount(&mut self, kept: f64, under_way: f64) {
-        self.blend.iter_mut().for_each(|blend| blend.discount(kept));
-        self.widths.iter_mut().for_each(|widths| widths.discount(kept, under_way));
-        for (squares, len) in &mut self.squares {
-            let kept = fading(kept, *len);
-            squares.iter_mut().chain([len]).for_each(|sum| *sum *= kept);
-        }
-        self.of_sets.discount(kept);
-        self.of_middles.discount(kept);
-        self.pattern.discount(kept as f32);
-    }
-
-    /// Deviations from the middle of the fan at a knot, m.
-    fn deviations_m(&self, knot: usize) -> [f32; 2] {
-        let (squares, len) = self.squares[knot];
-        squares.map(|sum| (sum / len).sqrt() as f32)
-    }
-
-    fn solve(&mut self) {
-        self.blend.iter_mut().for_each(Blend::solve);
-    }
-
-    /// Adds a residual at a knot along and across the course, one of at most [`OUTLIER`] deviations.
-    fn add_residual(&mut self, knot: usize, residual_m: [f32; 2], floor_m: f32, weight: f32) {
-        let deviations_m = self.deviations_m(knot);
-        let (squares, len) = &mut self.squares[knot];
-        for axis in 0..2 {
-            let most_m = OUTLIER * deviations_m[axis].max(floor_m);
-            let residual_m = residual_m[axis].clamp(-most_m, most_m);
-            squares[axis] += f64::from(weight * residual_m * residual_m);
-        }
-        *len += f64::from(weight);
-    }
-}
-
-impl Kept {
-    /// Adds the distances of the modes from the truth at a knot.
-    fn add_distances(&mut self, knot: usize, truth_m: [f32; 2]) {
-        let fan = (&self.fan_m[knot], [0.0; 2]);
-        let about_middles = self.to_middles_m[knot].map(|to_m| (&self.fan_m[knot], to_m));
-        let sets = [(&self.network_m[knot], [0.0; 2]), fan].into_iter().chain(about_middles);
-        for (sums, (modes_m, to_m)) in self.distances_m.iter_mut().zip(sets) {
-            for (sum, [x, y]) in sums.iter_mut().zip(modes_m) {
-                *sum += (x + to_m[0] - truth_m[0]).hypot(y + to_m[1] - truth_m[1]);
-            }
-        }
-    }
-
-    /// What its level is computed from once it has matured at a knot.
-    fn due(&self, context: Context, knot: usize, truth_m: [f32; 2]) -> Due {
-        Due {
-            context,
-            knot,
-            factor: self.widths[knot],
-            modes_len: self.modes_len,
-            probability: self.probability,
-            means_m: self.means_m[knot],
-            covariances_m2: self.covariances_m2[knot],
-            truth_m,
-        }
-    }
-
-    /// Distances of the nearest modes of network and fan, and of the fan about each of the [`MIDDLES`].
-    fn nearest_m(&self) -> ([f32; 2], [f32; MIDDLES.len()]) {
-        let least =
-            |sums: [f32; MODES_MAX]| sums[..self.network_len].iter().copied().fold(f32::INFINITY, f32::min);
-        let [network, fan, about_middles @ ..] = self.distances_m.map(least);
-        ([network, fan], about_middles)
-    }
-
-    /// The number of the fan's nearest mode, and a residual in units of the deviations.
-    fn nearest_of_fan(&self, residuals_m: &[[f32; 2]; KNOTS]) -> (usize, [[f32; 2]; KNOTS]) {
-        let fan = self.distances_m[1].iter().zip(&self.fan_numbers);
-        let nearest = fan.min_by(|a, b| a.0.total_cmp(b.0)).map_or(0, |(_, &number)| usize::from(number));
-        let units = std::array::from_fn(|knot| {
-            [0, 1].map(|axis| {
-                let deviation_m = self.deviations_m[knot][axis].max(f32::MIN_POSITIVE);
-                (residuals_m[knot][axis] / deviation_m).clamp(-OUTLIER, OUTLIER)
-            })
-        });
-        (nearest, units)
-    }
-}
-
 impl Evidence {
     /// Evidence before any forecast, for forecasts of `horizon_len` steps of `step_ns`.
     ///
@@ -268,20 +130,6 @@ impl Evidence {
     #[must_use]
     pub fn new(horizon_len: usize, step_ns: u64, prior: &Prior) -> Self {
         assert!((1..=HORIZON_MAX).contains(&horizon_len), "horizon of {horizon_len} steps");
-        let empty = Kept {
-            modes_len: 0,
-            probability: [0.0; MODES_MAX],
-            means_m: [[[0.0; 2]; MODES_MAX]; KNOTS],
-            covariances_m2: [[[0.0; 3]; MODES_MAX]; KNOTS],
-            widths: [1.0; KNOTS],
-            network_len: 0,
-            network_m: [[[0.0; 2]; MODES_MAX]; KNOTS],
-            fan_m: [[[0.0; 2]; MODES_MAX]; KNOTS],
-            fan_numbers: [0; MODES_MAX],
-            deviations_m: [[1.0; 2]; KNOTS],
-            to_middles_m: Default::default(),
-            distances_m: Default::default(),
-        };
         Self {
             horizon_len,
             step_ns: step_ns.cast_signed().max(1),
@@ -291,7 +139,7 @@ impl Evidence {
             }),
             traces: HashMap::with_capacity(2 * TRACES_MAX),
             spare: (0..TRACES_MAX).map(|_| VecDeque::with_capacity(horizon_len + 1)).collect(),
-            mixtures: vec![empty; MIXTURES_MAX],
+            mixtures: vec![Kept::empty(); MIXTURES_MAX],
             free: (0..MIXTURES_MAX).collect(),
             waiting: Waiting::new(),
             now_ns: i64::MIN,
@@ -445,28 +293,7 @@ impl Evidence {
         let experts_m = knots.map(|step| paths.differences_m(step));
         let mixture = mixture.and_then(|mixture| {
             let place = self.free.pop()?;
-            let kept = &mut self.mixtures[place];
-            kept.modes_len = mixture.probability.len();
-            kept.network_len = mixture.network_m.len();
-            kept.distances_m = Default::default();
-            kept.fan_numbers = mixture.fan.numbers;
-            kept.probability[..kept.modes_len].copy_from_slice(mixture.probability);
-            for (knot, step) in knots.into_iter().enumerate() {
-                for mode in 0..kept.modes_len {
-                    kept.means_m[knot][mode] = mixture.modes_m[mode][step];
-                    kept.covariances_m2[knot][mode] = mixture.covariances_m2[mode][step];
-                }
-                for (kept, mode) in kept.network_m[knot].iter_mut().zip(mixture.network_m) {
-                    *kept = mode[step];
-                }
-                kept.deviations_m[knot] = mixture.fan.steps_m[step];
-                for (mode, kept) in kept.fan_m[knot].iter_mut().enumerate() {
-                    *kept = mixture.fan.position_m(mode, step);
-                }
-                kept.widths[knot] = mixture.widths[step];
-                kept.to_middles_m[knot] =
-                    middles_m.map(|to_m| [0, 1].map(|axis| to_m[knot][axis] - centre_m[knot][axis]));
-            }
+            self.mixtures[place].fill(knots, &mixture, &centre_m, &middles_m);
             Some(place)
         });
         let regression_m = std::array::from_fn(|knot| {

@@ -63,7 +63,7 @@ impl Publisher {
 
 impl TracksPayload {
     /// All agents that are present, in the scene's order: recorded states, certain and confirmed. As by the tracker,
-    /// those are forecast that were there a step before.
+    /// those are forecast that were there at an earlier step.
     ///
     /// A payload has room for [`AGENTS_MAX`]. Where more are present, those that count, which are there over
     /// a whole window, come first, and among equals the nearest to the scene's middle.
@@ -100,13 +100,14 @@ fn keep_nearest(scene: &Scene, places: &mut Vec<usize>) {
 /// An agent as a track; `None` where it is absent.
 pub fn track(agent: &Agent) -> Option<Track> {
     let now = agent.newest()?;
+    let states_len = agent.history.iter().flatten().count() as u32;
     let mut track = Track {
         id: agent.id,
         source_id: agent.id,
         agent_type: agent.agent_type as u32,
         status: TrackStatus::Confirmed as u32,
         state_len: 4,
-        forecastable: u32::from(agent.history.iter().flatten().count() >= 2),
+        forecastable: u32::from(states_len >= Track::STATES_MIN),
         x_m: now.position_m[0],
         y_m: now.position_m[1],
         heading_rad: now.heading_rad,

@@ -57,6 +57,9 @@ impl Detection {
 }
 
 impl Track {
+    /// States of its history from which on a track is forecast: with one its motion is not known.
+    pub const STATES_MIN: u32 = 2;
+
     /// The kind of agent.
     ///
     /// # Errors

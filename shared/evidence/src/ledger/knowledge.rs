@@ -1,0 +1,78 @@
+//! What is known of one type of agents at one speed.
+
+use crate::blend::Blend;
+use crate::fan::{LearnedPattern, MIDDLES};
+use crate::share::Shares;
+use crate::width::Widths;
+use crate::{ContextPrior, KNOTS, OUTLIER, fading};
+
+/// Deviations that the prior counts for.
+const DEVIATIONS_LEN: f64 = 10.0;
+/// Comparisons of network and fan that the prior counts for.
+const SHARE_LEN: f64 = 10.0;
+/// Shares of the fans that are nearest about each of the [`MIDDLES`], before any is known.
+const ABOUT_MIDDLES: [f32; MIDDLES.len()] = [0.25, 0.5, 0.25];
+/// Comparisons of them that they count for.
+const MIDDLES_LEN: f64 = 20.0;
+
+/// What is known of one type at one speed.
+#[derive(Clone, Debug)]
+pub(super) struct Knowledge {
+    pub(super) blend: [Blend; KNOTS],
+    pub(super) widths: [Widths; KNOTS],
+    /// Sums of squares along and across the course, m², and their number.
+    pub(super) squares: [([f64; 2], f64); KNOTS],
+    /// Of network and fan, by their nearest modes.
+    pub(super) of_sets: Shares<2>,
+    /// Of the fan about each of the [`MIDDLES`].
+    pub(super) of_middles: Shares<{ MIDDLES.len() }>,
+    pub(super) pattern: LearnedPattern,
+}
+
+impl Knowledge {
+    pub(super) fn new(prior: &ContextPrior) -> Self {
+        let widths = prior.log_width.map(|log| Widths::new(log.exp()));
+        let blend = prior.blend.each_ref().map(Blend::new);
+        let squares = prior.deviation_m.map(|deviations| {
+            (deviations.map(|deviation_m| DEVIATIONS_LEN * f64::from(deviation_m).powi(2)), DEVIATIONS_LEN)
+        });
+        let of_sets = Shares::new([prior.network_share, 1.0 - prior.network_share], SHARE_LEN);
+        let of_middles = Shares::new(ABOUT_MIDDLES, MIDDLES_LEN);
+        let pattern = LearnedPattern::new(&prior.pattern);
+        Self { blend, widths, squares, of_sets, of_middles, pattern }
+    }
+
+    pub(super) fn discount(&mut self, kept: f64, under_way: f64) {
+        self.blend.iter_mut().for_each(|blend| blend.discount(kept));
+        self.widths.iter_mut().for_each(|widths| widths.discount(kept, under_way));
+        for (squares, len) in &mut self.squares {
+            let kept = fading(kept, *len);
+            squares.iter_mut().chain([len]).for_each(|sum| *sum *= kept);
+        }
+        self.of_sets.discount(kept);
+        self.of_middles.discount(kept);
+        self.pattern.discount(kept as f32);
+    }
+
+    /// Deviations from the middle of the fan at a knot, m.
+    pub(super) fn deviations_m(&self, knot: usize) -> [f32; 2] {
+        let (squares, len) = self.squares[knot];
+        squares.map(|sum| (sum / len).sqrt() as f32)
+    }
+
+    pub(super) fn solve(&mut self) {
+        self.blend.iter_mut().for_each(Blend::solve);
+    }
+
+    /// Adds a residual at a knot along and across the course, one of at most [`OUTLIER`] deviations.
+    pub(super) fn add_residual(&mut self, knot: usize, residual_m: [f32; 2], floor_m: f32, weight: f32) {
+        let deviations_m = self.deviations_m(knot);
+        let (squares, len) = &mut self.squares[knot];
+        for axis in 0..2 {
+            let most_m = OUTLIER * deviations_m[axis].max(floor_m);
+            let residual_m = residual_m[axis].clamp(-most_m, most_m);
+            squares[axis] += f64::from(weight * residual_m * residual_m);
+        }
+        *len += f64::from(weight);
+    }
+}
