@@ -28,7 +28,11 @@ pub(crate) struct Outcome<'a> {
 /// What is known of the experts, and the weights that follow.
 #[derive(Clone, Debug)]
 pub(crate) struct Blend {
-    prior: Statistics,
+    /// What the experts are worth on roads that the network does not know, and their weights there.
+    strange: Statistics,
+    strange_weights: [f32; EXPERTS],
+    /// What they are worth on a road that it knows.
+    known: Statistics,
     /// Each forecast by the distance by which the regression missed: the least sum of their squares is then the least
     /// sum of the distances.
     matured: Statistics,
@@ -38,7 +42,6 @@ pub(crate) struct Blend {
     distances_m: [f64; EXPERTS + 2],
     regression: [f32; EXPERTS],
     weights: [f32; EXPERTS],
-    is_stale: bool,
 }
 
 impl Blend {
@@ -47,15 +50,16 @@ impl Blend {
 
     pub(crate) fn new(prior: &Statistics) -> Self {
         let mut blend = Self {
-            prior: *prior,
+            strange: *prior,
+            strange_weights: prior.weights(),
+            known: right_network(prior),
             matured: Statistics::default(),
             shown: Statistics::default(),
             distances_m: [0.0; EXPERTS + 2],
             regression: [0.0; EXPERTS],
             weights: [0.0; EXPERTS],
-            is_stale: true,
         };
-        blend.solve();
+        blend.solve(0.0);
         blend
     }
 
@@ -73,7 +77,6 @@ impl Blend {
         for (sum, path_m) in self.distances_m.iter_mut().zip(paths_m) {
             *sum += f64::from(weight * distance_m(path_m));
         }
-        self.is_stale = true;
     }
 
     /// Lets older forecasts count less.
@@ -83,13 +86,11 @@ impl Blend {
         self.distances_m.iter_mut().for_each(|sum| *sum *= kept);
     }
 
-    /// Finds the weights, if a forecast was added since.
-    pub(crate) fn solve(&mut self) {
-        if !std::mem::take(&mut self.is_stale) {
-            return;
-        }
+    /// Finds the weights where the network knows the road with probability `known`.
+    pub(crate) fn solve(&mut self, known: f64) {
         let mut with_prior = self.matured;
-        with_prior.add_scaled(&self.prior, PRIOR_LEN);
+        with_prior.add_scaled(&self.strange, PRIOR_LEN * (1.0 - known));
+        with_prior.add_scaled(&self.known, PRIOR_LEN * known);
         self.regression = with_prior.weights();
         let [by_regression_m, alone_m @ ..] = &self.distances_m;
         let best = (0..alone_m.len()).min_by(|&a, &b| alone_m[a].total_cmp(&alone_m[b]));
@@ -103,6 +104,11 @@ impl Blend {
     /// The experts' weights: none negative, at most 1 in sum; constant velocity has the rest.
     pub(crate) const fn weights(&self) -> &[f32; EXPERTS] {
         &self.weights
+    }
+
+    /// The weights that they have by the prior alone.
+    pub(crate) const fn strange_weights(&self) -> &[f32; EXPERTS] {
+        &self.strange_weights
     }
 
     /// The weights that they would have if none could be the forecast alone.
@@ -134,6 +140,14 @@ impl Blend {
     }
 }
 
+/// As many forecasts as a prior's in which the network differed as much from constant velocity, and was right.
+fn right_network(prior: &Statistics) -> Statistics {
+    let mut right = Statistics { len: prior.len, ..Statistics::default() };
+    right.products[0][0] = prior.products[0][0];
+    right.targets[0] = prior.products[0][0];
+    right
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -152,7 +166,7 @@ mod tests {
                 deviation_m: 0.1,
             };
             blend.add(&outcome, 1.0);
-            blend.solve();
+            blend.solve(0.0);
         }
         blend
     }
@@ -180,6 +194,19 @@ mod tests {
         let [few, enough] = [9, 10].map(|moving| after(forecasts(moving)));
         assert!(few.weights == few.regression && few.regression[0] < 1.0, "{:?}", few.weights);
         assert_eq!(enough.weights, [1.0, 0.0, 0.0, 0.0]);
+    }
+
+    #[test]
+    fn where_the_network_knows_the_road_it_is_trusted_before_any_forecast_matures() {
+        let mut prior = Statistics::doubting();
+        prior.targets = [0.3, 0.2, 0.2, 0.0];
+        let mut blend = Blend::new(&prior);
+        let [strange, half, known] = [0.0, 0.5, 1.0].map(|known| {
+            blend.solve(known);
+            blend.weights[0]
+        });
+        assert!(strange < 0.31 && strange < half && half < known && known > 0.99, "{strange} {half} {known}");
+        assert_eq!(blend.strange_weights[0], strange);
     }
 
     #[test]

@@ -11,7 +11,7 @@ use std::collections::{HashMap, VecDeque, hash_map};
 use wire::{AGENTS_MAX, AgentType, EXPERTS_MAX, Expert, HORIZON_MAX, MODES_MAX};
 
 use self::kept::Kept;
-use self::knowledge::Knowledge;
+use self::knowledge::{Knowledge, OfType};
 use crate::blend::Outcome;
 use crate::choice::{BOTH_MAX, Choice};
 use crate::due::Waiting;
@@ -98,6 +98,25 @@ struct Pending {
     mixture: Option<usize>,
 }
 
+impl Pending {
+    /// How much nearer to the truth at a knot the network was than the blend of a road that it does not know, as a share
+    /// of how far agents alike deviate. The truth is less constant velocity.
+    fn network_nearer(
+        &self,
+        knot: usize,
+        truth_m: [f32; 2],
+        deviation_m: f32,
+        of_type: &[Knowledge; BANDS],
+    ) -> f32 {
+        let missed_m = |[x, y]: [f32; 2]| (truth_m[0] - x).hypot(truth_m[1] - y);
+        let weights = self.context.between(|band| *of_type[band].blend[knot].strange_weights());
+        let experts_m = &self.experts_m[knot];
+        let [along_m, across_m] = self.context.between(|band| of_type[band].deviations_m(knot));
+        let typical_m = along_m.hypot(across_m).max(deviation_m);
+        (missed_m(weighted_m(&weights, experts_m)) - missed_m(experts_m[0])) / typical_m
+    }
+}
+
 /// The last observation of an agent, and its pending forecasts.
 #[derive(Clone, Debug)]
 struct Trace {
@@ -114,6 +133,7 @@ pub struct Evidence {
     /// Index of the step of each knot.
     knots: [usize; KNOTS],
     known: [[Knowledge; BANDS]; 3],
+    of_types: [OfType; 3],
     traces: HashMap<u64, Trace>,
     spare: Vec<VecDeque<Pending>>,
     mixtures: Vec<Kept>,
@@ -137,6 +157,7 @@ impl Evidence {
             known: std::array::from_fn(|of_type| {
                 std::array::from_fn(|band| Knowledge::new(&prior.0[of_type][band]))
             }),
+            of_types: [OfType::new(); 3],
             traces: HashMap::with_capacity(2 * TRACES_MAX),
             spare: (0..TRACES_MAX).map(|_| VecDeque::with_capacity(horizon_len + 1)).collect(),
             mixtures: vec![Kept::empty(); MIXTURES_MAX],
@@ -179,6 +200,7 @@ impl Evidence {
         for knowledge in self.known.as_flattened_mut() {
             knowledge.discount(kept, under_way);
         }
+        self.of_types.iter_mut().for_each(|of_type| of_type.sets.discount(kept));
         let gap_ns = self.step_ns * GAP_STEPS;
         let Self { traces, spare, free, .. } = self;
         for (_, trace) in traces.extract_if(|_, trace| now_ns - trace.stamp_ns > gap_ns) {
@@ -196,7 +218,12 @@ impl Evidence {
                 }
             }
         }
-        self.known.as_flattened_mut().iter_mut().for_each(Knowledge::solve);
+        for (of_type, known) in self.of_types.iter_mut().zip(&mut self.known) {
+            if std::mem::take(&mut of_type.is_stale) {
+                let probability = of_type.familiarity.probability();
+                known.iter_mut().for_each(|knowledge| knowledge.solve(probability));
+            }
+        }
     }
 
     /// As [`Evidence::observe_with`], without levels.
@@ -205,7 +232,7 @@ impl Evidence {
     }
 
     fn observe_one(&mut self, id: u64, position_m: [f32; 2]) {
-        let Self { now_ns, step_ns, knots, known, mixtures, free, waiting, .. } = self;
+        let Self { now_ns, step_ns, knots, known, of_types, mixtures, free, waiting, .. } = self;
         let (now_ns, step_ns) = (*now_ns, *step_ns);
         let trace = match self.traces.entry(id) {
             hash_map::Entry::Occupied(known) => known.into_mut(),
@@ -226,10 +253,13 @@ impl Evidence {
                 let share = (due_ns - since_ns) as f32 / (now_ns - since_ns).max(1) as f32;
                 let truth_m = [0, 1].map(|axis| from_m[axis] + share * (position_m[axis] - from_m[axis]));
                 pending.matured_len += 1;
-                let of_type = &mut known[pending.context.agent_type.index()];
+                let agent_type = pending.context.agent_type.index();
+                let (of_type, of_all) = (&mut known[agent_type], &mut of_types[agent_type]);
+                of_all.is_stale = true;
                 let velocity_m = pending.velocity_m[knot];
                 let taken_m = [0, 1].map(|axis| truth_m[axis] - velocity_m[axis]);
                 let deviation_m = DEVIATION_M * ((knots[knot] + 1) as f32).sqrt();
+                of_all.familiarity.add(pending.network_nearer(knot, taken_m, deviation_m, of_type));
                 if let Some(place) = pending.mixture {
                     mixtures[place].add_distances(knot, truth_m);
                     waiting.push(mixtures[place].due(pending.context, knot, truth_m));
@@ -256,7 +286,7 @@ impl Evidence {
                         knowledge.blend[knot].add(&outcome, share);
                         knowledge.add_residual(knot, residual_m, deviation_m, share);
                         if let Some(((of_sets_m, of_middles_m), _)) = &of_modes {
-                            knowledge.of_sets.add(of_sets_m, share);
+                            knowledge.sets.add(&mut of_all.sets, *of_sets_m, share);
                             knowledge.of_middles.add(of_middles_m, share);
                         }
                     }
@@ -358,8 +388,7 @@ impl Evidence {
 
     /// The modes that stand for those of the network and of the fan, as many as the network has.
     ///
-    /// Both sets are as probable as they have been near: with s the share of the forecasts of agents alike of which
-    /// the network had the nearest mode, it has s² / (s² + (1 − s)²).
+    /// The more often a set has had the nearest mode of agents alike, the more probable are its modes.
     ///
     /// # Panics
     /// Where there are not as many probabilities as modes.
@@ -377,8 +406,9 @@ impl Evidence {
             modes_m[len + mode] = knots.map(|step| fan.position_m(mode, step));
         }
         let context = Context::new(agent.agent_type, agent.speed_mps);
-        let of_type = &self.known[agent.agent_type.index()];
-        let shares = context.between(|band| of_type[band].of_sets.decided(2));
+        let agent_type = agent.agent_type.index();
+        let (of_type, of_all) = (&self.known[agent_type], &self.of_types[agent_type]);
+        let shares = context.between(|band| of_all.sets.probability(&of_type[band].sets));
         let mut of_both = [0.0; BOTH_MAX];
         let (of_network, of_fan) = of_both[..2 * len].split_at_mut(len);
         of_network.copy_from_slice(probability);
@@ -441,7 +471,7 @@ impl Evidence {
                 blend: knowledge.blend.each_ref().map(|blend| blend.as_prior(len_min)),
                 log_width: knowledge.widths.each_ref().map(Widths::log),
                 deviation_m: std::array::from_fn(|knot| knowledge.deviations_m(knot)),
-                network_share: knowledge.of_sets.get()[0],
+                network_share: knowledge.sets.network_share(),
                 pattern: Pattern::default(),
             })
         }))

@@ -17,7 +17,9 @@
 //!   σ is how far agents alike deviate; it takes the unit away, so that the prior counts for n₀ forecasts. An
 //!   expert that has been nearer than this regression is the forecast alone.
 //!   A₀ and b₀ are the [prior](Prior): such sums per forecast, over recordings that the network never saw, where
-//!   ‖y‖² + max ‖d_e‖² stands for r σ, so that no forecast tells others more than another.
+//!   ‖y‖² + max ‖d_e‖² stands for r σ, so that no forecast tells others more than another. With the probability that the
+//!   network knows the road they are those of a network that is right: [Hedge](https://doi.org/10.1006/jcss.1997.1504) by
+//!   which of the two was nearer.
 //! * **How wide.** The level of the highest-density region on whose border the truth lies, as a radius
 //!   r = √(−2 ln (1 − level)), is 2.15 at nine of ten forecasts of calibrated regions. Its 0.9 quantile over
 //!   matured forecasts, discounted by age, is the factor by which regions widen ([`Evidence::widths`]).
@@ -57,10 +59,12 @@ mod blend;
 mod choice;
 mod context;
 mod due;
+mod familiarity;
 mod fan;
 mod ledger;
 mod paths;
 mod prior;
+mod sets;
 mod share;
 mod statistics;
 mod width;

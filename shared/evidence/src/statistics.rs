@@ -1,6 +1,6 @@
 use crate::EXPERTS;
 
-/// Rounds of coordinate descent; four unknowns converge in few.
+/// Rounds of coordinate descent at most; four unknowns converge in few.
 const ROUNDS: usize = 40;
 
 /// Sums over matured forecasts at one step of the horizon, with y the truth and D the experts' positions, all less
@@ -59,6 +59,7 @@ impl Statistics {
     pub fn weights(&self) -> [f32; EXPERTS] {
         let mut weights = [0.0_f64; EXPERTS];
         for _ in 0..ROUNDS {
+            let before = weights;
             for expert in 0..EXPERTS {
                 let others: f64 = (0..EXPERTS).filter(|&other| other != expert).map(|o| weights[o]).sum();
                 self.improve(&mut weights, expert, 1.0 - others);
@@ -68,6 +69,9 @@ impl Statistics {
                 for b in 0..a {
                     self.exchange(&mut weights, a, b);
                 }
+            }
+            if weights == before {
+                break;
             }
         }
         weights.map(|weight| weight as f32)

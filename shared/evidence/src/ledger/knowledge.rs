@@ -1,15 +1,15 @@
 //! What is known of one type of agents at one speed.
 
 use crate::blend::Blend;
+use crate::familiarity::Familiarity;
 use crate::fan::{LearnedPattern, MIDDLES};
+use crate::sets::{SetsAtSpeed, SetsOfType};
 use crate::share::Shares;
 use crate::width::Widths;
 use crate::{ContextPrior, KNOTS, OUTLIER, fading};
 
 /// Deviations that the prior counts for.
 const DEVIATIONS_LEN: f64 = 10.0;
-/// Comparisons of network and fan that the prior counts for.
-const SHARE_LEN: f64 = 10.0;
 /// Shares of the fans that are nearest about each of the [`MIDDLES`], before any is known.
 const ABOUT_MIDDLES: [f32; MIDDLES.len()] = [0.25, 0.5, 0.25];
 /// Comparisons of them that they count for.
@@ -22,11 +22,26 @@ pub(super) struct Knowledge {
     pub(super) widths: [Widths; KNOTS],
     /// Sums of squares along and across the course, m², and their number.
     pub(super) squares: [([f64; 2], f64); KNOTS],
-    /// Of network and fan, by their nearest modes.
-    pub(super) of_sets: Shares<2>,
+    /// Network and fan, by which had the nearest mode.
+    pub(super) sets: SetsAtSpeed,
     /// Of the fan about each of the [`MIDDLES`].
     pub(super) of_middles: Shares<{ MIDDLES.len() }>,
     pub(super) pattern: LearnedPattern,
+}
+
+/// What is known of one type at all speeds.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct OfType {
+    pub(super) familiarity: Familiarity,
+    pub(super) sets: SetsOfType,
+    /// Whether the experts' weights are not those that follow: none was found, or a forecast has matured since.
+    pub(super) is_stale: bool,
+}
+
+impl OfType {
+    pub(super) const fn new() -> Self {
+        Self { familiarity: Familiarity::new(), sets: SetsOfType::new(), is_stale: true }
+    }
 }
 
 impl Knowledge {
@@ -36,10 +51,10 @@ impl Knowledge {
         let squares = prior.deviation_m.map(|deviations| {
             (deviations.map(|deviation_m| DEVIATIONS_LEN * f64::from(deviation_m).powi(2)), DEVIATIONS_LEN)
         });
-        let of_sets = Shares::new([prior.network_share, 1.0 - prior.network_share], SHARE_LEN);
+        let sets = SetsAtSpeed::new(prior.network_share);
         let of_middles = Shares::new(ABOUT_MIDDLES, MIDDLES_LEN);
         let pattern = LearnedPattern::new(&prior.pattern);
-        Self { blend, widths, squares, of_sets, of_middles, pattern }
+        Self { blend, widths, squares, sets, of_middles, pattern }
     }
 
     pub(super) fn discount(&mut self, kept: f64, under_way: f64) {
@@ -49,7 +64,7 @@ impl Knowledge {
             let kept = fading(kept, *len);
             squares.iter_mut().chain([len]).for_each(|sum| *sum *= kept);
         }
-        self.of_sets.discount(kept);
+        self.sets.discount(kept);
         self.of_middles.discount(kept);
         self.pattern.discount(kept as f32);
     }
@@ -60,8 +75,8 @@ impl Knowledge {
         squares.map(|sum| (sum / len).sqrt() as f32)
     }
 
-    pub(super) fn solve(&mut self) {
-        self.blend.iter_mut().for_each(Blend::solve);
+    pub(super) fn solve(&mut self, known: f64) {
+        self.blend.iter_mut().for_each(|blend| blend.solve(known));
     }
 
     /// Adds a residual at a knot along and across the course, one of at most [`OUTLIER`] deviations.

@@ -4,15 +4,20 @@ use wire::MODES_MAX;
 
 use super::{Evidence, Knowledge};
 use crate::blend::Blend;
+use crate::familiarity::Familiarity;
 use crate::fan::MIDDLES;
+use crate::sets::{SetsAtSpeed, SetsOfType};
 use crate::width::{Widths, single};
 use crate::{BANDS, KNOTS};
 
 /// Numbers in which all that was learned is written.
-pub const NUMBERS_LEN: usize = 1 + 3 * BANDS * KNOWLEDGE_LEN;
-/// Those of one type at one speed: the blend, the widths, the squares, the shares of what is nearer and the pattern.
-const KNOWLEDGE_LEN: usize =
-    KNOTS * (Blend::NUMBERS_LEN + Widths::NUMBERS_LEN + 3) + 2 + MIDDLES.len() + MODES_MAX * (2 * KNOTS + 1);
+pub const NUMBERS_LEN: usize =
+    1 + 3 * (BANDS * KNOWLEDGE_LEN + Familiarity::NUMBERS_LEN + SetsOfType::NUMBERS_LEN);
+/// Those of one type at one speed: the blend, the widths, the squares, what is nearer and the pattern.
+const KNOWLEDGE_LEN: usize = KNOTS * (Blend::NUMBERS_LEN + Widths::NUMBERS_LEN + 3)
+    + SetsAtSpeed::NUMBERS_LEN
+    + MIDDLES.len()
+    + MODES_MAX * (2 * KNOTS + 1);
 
 impl Evidence {
     /// Spacing of the forecasts' steps.
@@ -63,6 +68,10 @@ impl Evidence {
 
     fn numbers(&mut self, each: &mut impl FnMut(&mut f64)) {
         self.known.as_flattened_mut().iter_mut().for_each(|knowledge| knowledge.numbers(each));
+        for of_type in &mut self.of_types {
+            of_type.familiarity.numbers(each);
+            of_type.sets.numbers(each);
+        }
     }
 
     /// Forecasts that have matured, older ones counting less, without those that the prior counts for.
@@ -80,7 +89,7 @@ impl Knowledge {
         for (squares, len) in &mut self.squares {
             squares.iter_mut().chain([len]).for_each(&mut *each);
         }
-        self.of_sets.numbers(each);
+        self.sets.numbers(each);
         self.of_middles.numbers(each);
         self.pattern.numbers(&mut |number| single(number, each));
     }
