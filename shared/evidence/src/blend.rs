@@ -48,7 +48,8 @@ impl Blend {
     /// Numbers that are learned.
     pub(crate) const NUMBERS_LEN: usize = EXPERTS * EXPERTS + EXPERTS + 1 + (EXPERTS + 2) + 2 * EXPERTS;
 
-    pub(crate) fn new(prior: &Statistics) -> Self {
+    /// Before any forecast, where the network knows the road with probability `known`.
+    pub(crate) fn new(prior: &Statistics, known: f64) -> Self {
         let mut blend = Self {
             strange: *prior,
             strange_weights: prior.weights(),
@@ -59,7 +60,7 @@ impl Blend {
             regression: [0.0; EXPERTS],
             weights: [0.0; EXPERTS],
         };
-        blend.solve(0.0);
+        blend.solve(known);
         blend
     }
 
@@ -154,7 +155,7 @@ mod tests {
 
     /// A blend after forecasts of the network alone: how far it said, and how far the agent went, along a line.
     fn after(forecasts: impl IntoIterator<Item = (f32, f32)>) -> Blend {
-        let mut blend = Blend::new(&Statistics::default());
+        let mut blend = Blend::new(&Statistics::default(), 0.0);
         for (network_m, truth_m) in forecasts {
             let mut experts_m = [[0.0; 2]; EXPERTS];
             experts_m[0][0] = network_m;
@@ -200,11 +201,8 @@ mod tests {
     fn where_the_network_knows_the_road_it_is_trusted_before_any_forecast_matures() {
         let mut prior = Statistics::doubting();
         prior.targets = [0.3, 0.2, 0.2, 0.0];
-        let mut blend = Blend::new(&prior);
-        let [strange, half, known] = [0.0, 0.5, 1.0].map(|known| {
-            blend.solve(known);
-            blend.weights[0]
-        });
+        let blend = Blend::new(&prior, 0.5);
+        let [strange, half, known] = [0.0, 0.5, 1.0].map(|known| Blend::new(&prior, known).weights[0]);
         assert!(strange < 0.31 && strange < half && half < known && known > 0.99, "{strange} {half} {known}");
         assert_eq!(blend.strange_weights[0], strange);
     }

@@ -150,14 +150,16 @@ impl Evidence {
     #[must_use]
     pub fn new(horizon_len: usize, step_ns: u64, prior: &Prior) -> Self {
         assert!((1..=HORIZON_MAX).contains(&horizon_len), "horizon of {horizon_len} steps");
+        let of_types = [OfType::new(); 3];
         Self {
             horizon_len,
             step_ns: step_ns.cast_signed().max(1),
             knots: knots(horizon_len),
             known: std::array::from_fn(|of_type| {
-                std::array::from_fn(|band| Knowledge::new(&prior.0[of_type][band]))
+                let known = of_types[of_type].familiarity.probability();
+                std::array::from_fn(|band| Knowledge::new(&prior.0[of_type][band], known))
             }),
-            of_types: [OfType::new(); 3],
+            of_types,
             traces: HashMap::with_capacity(2 * TRACES_MAX),
             spare: (0..TRACES_MAX).map(|_| VecDeque::with_capacity(horizon_len + 1)).collect(),
             mixtures: vec![Kept::empty(); MIXTURES_MAX],

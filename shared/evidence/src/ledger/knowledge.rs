@@ -34,20 +34,21 @@ pub(super) struct Knowledge {
 pub(super) struct OfType {
     pub(super) familiarity: Familiarity,
     pub(super) sets: SetsOfType,
-    /// Whether the experts' weights are not those that follow: none was found, or a forecast has matured since.
+    /// Whether a forecast has matured since the experts' weights were found.
     pub(super) is_stale: bool,
 }
 
 impl OfType {
     pub(super) const fn new() -> Self {
-        Self { familiarity: Familiarity::new(), sets: SetsOfType::new(), is_stale: true }
+        Self { familiarity: Familiarity::new(), sets: SetsOfType::new(), is_stale: false }
     }
 }
 
 impl Knowledge {
-    pub(super) fn new(prior: &ContextPrior) -> Self {
+    /// Before any forecast, where the network knows the road with probability `known`.
+    pub(super) fn new(prior: &ContextPrior, known: f64) -> Self {
         let widths = prior.log_width.map(|log| Widths::new(log.exp()));
-        let blend = prior.blend.each_ref().map(Blend::new);
+        let blend = prior.blend.each_ref().map(|prior| Blend::new(prior, known));
         let squares = prior.deviation_m.map(|deviations| {
             (deviations.map(|deviation_m| DEVIATIONS_LEN * f64::from(deviation_m).powi(2)), DEVIATIONS_LEN)
         });
