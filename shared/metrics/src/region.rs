@@ -77,20 +77,8 @@ impl HighestDensity {
         truth: Point,
         seed: u64,
     ) -> f64 {
-        assert_eq!(means.len(), probability.len(), "one probability per mean");
-        assert_eq!(covariances.len(), probability.len(), "one probability per covariance");
+        self.draw(means, covariances, probability, truth, seed);
         let Self { components, draws, positions, densities } = self;
-        let possible = || probability.iter().enumerate().filter(|(_, p)| **p > 0.0);
-        let total: f32 = possible().map(|(_, p)| p).sum();
-        components.clear();
-        components.extend(possible().map(|(k, p)| {
-            let centre = [means[k][0] - truth[0], means[k][1] - truth[1]];
-            Component::new(centre, covariances[k], p / total)
-        }));
-        let mut rng = ChaCha8Rng::seed_from_u64(seed);
-        positions.clear();
-        draws.clear();
-        draws.extend(components.iter().map(|c| c.draw(&mut rng, positions)));
         // The origin is the truth.
         positions.push([0.0; 2]);
         positions.write_densities(components, densities);
@@ -107,6 +95,69 @@ impl HighestDensity {
         }
         level.min(1.0)
     }
+
+    /// The area of the highest-density region of a level, in m²; 0 where no probability is positive.
+    ///
+    /// With R the region and p the density, ∫ 1_R dx is the mean of 1_R / p over draws of p. Of one region it is nearly
+    /// always within a tenth, and the error of the mean of many vanishes.
+    ///
+    /// # Panics
+    /// Where there are not as many means, covariances and probabilities.
+    pub fn area_m2(
+        &mut self,
+        means: &[Point],
+        covariances: &[[f32; 3]],
+        probability: &[f32],
+        level: f64,
+        seed: u64,
+    ) -> f64 {
+        let origin = means.first().copied().unwrap_or_default();
+        self.draw(means, covariances, probability, origin, seed);
+        let Self { components, draws, positions, densities } = self;
+        positions.write_densities(components, densities);
+        let weights = components.iter().zip(&*draws).flat_map(|(component, &draws_len)| {
+            std::iter::repeat_n(f64::from(component.probability) / draws_len as f64, draws_len)
+        });
+        let mut weighted: Vec<(f32, f64)> = densities.iter().copied().zip(weights).collect();
+        weighted.sort_by(|a, b| b.0.total_cmp(&a.0));
+        let unit = f64::from(highest_log2_weight(components)).exp2() / f64::from(TAU);
+        let (mut area_m2, mut left) = (0.0, level);
+        for (density, weight) in weighted {
+            area_m2 += weight.min(left.max(0.0)) / (unit * f64::from(density));
+            left -= weight;
+        }
+        area_m2
+    }
+
+    /// Draws from the components of positive probability, relative to `origin`.
+    fn draw(
+        &mut self,
+        means: &[Point],
+        covariances: &[[f32; 3]],
+        probability: &[f32],
+        origin: Point,
+        seed: u64,
+    ) {
+        assert_eq!(means.len(), probability.len(), "one probability per mean");
+        assert_eq!(covariances.len(), probability.len(), "one probability per covariance");
+        let Self { components, draws, positions, .. } = self;
+        let possible = || probability.iter().enumerate().filter(|(_, p)| **p > 0.0);
+        let total: f32 = possible().map(|(_, p)| p).sum();
+        components.clear();
+        components.extend(possible().map(|(k, p)| {
+            let centre = [means[k][0] - origin[0], means[k][1] - origin[1]];
+            Component::new(centre, covariances[k], p / total)
+        }));
+        let mut rng = ChaCha8Rng::seed_from_u64(seed);
+        positions.clear();
+        draws.clear();
+        draws.extend(components.iter().map(|c| c.draw(&mut rng, positions)));
+    }
+}
+
+/// The binary logarithm of the largest weight of a component.
+fn highest_log2_weight(components: &[Component]) -> f32 {
+    components.iter().map(Component::log2_weight).fold(f32::NEG_INFINITY, f32::max)
 }
 
 /// A Gaussian of the mixture, relative to the truth.
@@ -172,7 +223,7 @@ impl Positions {
 
     /// Writes the density at each position, in units of the highest peak of a component.
     fn write_densities(&self, components: &[Component], densities: &mut Vec<f32>) {
-        let highest = components.iter().map(Component::log2_weight).fold(f32::NEG_INFINITY, f32::max);
+        let highest = highest_log2_weight(components);
         densities.clear();
         densities.resize(self.x.len(), 0.0);
         for component in components {
@@ -248,6 +299,38 @@ mod tests {
             let worst = levels.iter().map(|l| (l - mass).abs()).fold(0.0, f64::max);
             assert!(worst < 0.015, "{truth:?}: off by {worst}");
         }
+    }
+
+    #[test]
+    fn areas_equal_those_of_a_fine_grid() {
+        const CELL_M: f64 = 0.02;
+        let grid = (-500..500)
+            .flat_map(|i| (-400..400).map(move |j| density(f64::from(i) * CELL_M, f64::from(j) * CELL_M)));
+        let mut densities: Vec<f64> = grid.collect();
+        densities.sort_by(|a, b| b.total_cmp(a));
+        for level in [0.5, 0.9] {
+            let mut mass = 0.0;
+            let cells = densities.iter().take_while(|density| {
+                mass += **density * CELL_M * CELL_M;
+                mass < level
+            });
+            let expected_m2 = cells.count() as f64 * CELL_M * CELL_M;
+            let mut region = HighestDensity::default();
+            let mut area_m2 =
+                |seed| region.area_m2(&MEANS, &COVARIANCES, &PROBABILITY, level, seed) / expected_m2;
+            let areas: Vec<f64> = (0..50).map(&mut area_m2).collect();
+            assert!(areas.iter().all(|area| (area - 1.0).abs() < 0.1), "{level}: {areas:?}");
+            let mean = areas.iter().sum::<f64>() / areas.len() as f64;
+            assert!((mean - 1.0).abs() < 0.01, "{level}: {mean}");
+        }
+        assert_eq!(HighestDensity::default().area_m2(&[], &[], &[], 0.9, 1), 0.0);
+    }
+
+    #[test]
+    fn the_area_of_one_gaussian_is_that_of_its_ellipse() {
+        let area_m2 = HighestDensity::default().area_m2(&[[50.0, 3.0]], &[[4.0, 1.0, 1.0]], &[0.3], 0.9, 3);
+        let expected_m2 = std::f64::consts::PI * -2.0 * 0.1_f64.ln() * 3.0_f64.sqrt();
+        assert!((area_m2 / expected_m2 - 1.0).abs() < 0.02, "{area_m2} {expected_m2}");
     }
 
     #[test]

@@ -17,6 +17,7 @@ mod error;
 mod gaps;
 mod patterns;
 mod play;
+mod region_of_steady;
 mod report;
 mod sample;
 mod source;

@@ -239,22 +239,7 @@ mod tests {
             // Never the same twice.
             let more = 1.0 + 0.01 * (number % 7) as f32;
             let residuals_m = [0.1, 0.3, 0.5, 1.0].map(|share| residual_m.map(|x| scale * share * more * x));
-            Sample {
-                agent: 1,
-                agent_type: AgentType::Vehicle,
-                speed_mps: 6.0,
-                recording_s: 0.0,
-                source_s: 0.0,
-                errors: Default::default(),
-                levels: Default::default(),
-                area_m2: 0.0,
-                nll: 0.0,
-                missed: false,
-                learned: true,
-                network: 1.0,
-                out_of_distribution: 0.0,
-                residuals_m,
-            }
+            Sample { residuals_m, ..Sample::of(AgentType::Vehicle, 6.0) }
         };
         (0..100)
             .flat_map(|number| residuals_m.iter().map(move |residual_m| of(*residual_m, number)))

@@ -15,7 +15,7 @@ use crate::patterns::{Residuals, patterns};
 use crate::play::Played;
 use crate::sample::{METHODS, Method, STEPS, Sample};
 use crate::source::Source;
-use crate::{Errors, Options};
+use crate::{Errors, Options, region_of_steady};
 
 /// Bounds of the speed bands, m/s.
 const BANDS_MPS: [f32; 4] = [3.0, 8.0, 15.0, 25.0];
@@ -102,6 +102,7 @@ impl Report {
             "20 anchors",
             "missed",
             "area m²",
+            "CV area m²",
             "NLL",
             "regret",
             "network",
@@ -124,7 +125,7 @@ impl Report {
                     .map(|method| cell.text(method)),
             );
             row.push(format!("{:.2}", cell.share(|sample| sample.missed)));
-            row.push(format!("{:.0}", cell.mean(|sample| sample.area_m2)));
+            row.extend(cell.areas_m2().map(|area_m2| format!("{area_m2:.0}")));
             row.push(format!("{:.2}", cell.mean(|sample| sample.nll)));
             row.push(format!("{:.2}", cell.regret()));
             row.push(format!("{:.2}", cell.mean(|sample| f64::from(sample.network))));
@@ -140,7 +141,8 @@ impl Report {
         format!(
             "## By source\n\nADE / FDE in m. {} Ratios to constant velocity with 95 % intervals ({RESAMPLES} resamples of agents); \
              20 anchors on constant velocity are fitted to the other sources; regret is the single best forecast's error over that \
-             of the best of constant velocity, turn and acceleration in hindsight; area is that of the region of 90 %.\n\n{}\n\
+             of the best of constant velocity, turn and acceleration in hindsight; area is that of the highest-density region of 90 % at the end, CV area that of a Gaussian about \
+             constant velocity, fitted by speed in hindsight to the same forecasts, that holds as many of their truths.\n\n{}\n\
              Mean over the sources of the ratio of ADE / FDE: {}.",
             self.made,
             table.grid(),
@@ -163,10 +165,7 @@ impl Report {
             Table::new("", "", &["source", "type", "m/s"], columns.map(str::to_owned).into_iter());
         for (source, agent_type, samples) in self.cells() {
             for (band, name) in BAND_NAMES.iter().enumerate() {
-                let in_band = |sample: &&&Sample| {
-                    BANDS_MPS.iter().filter(|&&bound| sample.speed_mps >= bound).count() == band
-                };
-                let of_band: Vec<&Sample> = samples.iter().filter(in_band).copied().collect();
+                let of_band: Vec<&Sample> = samples.iter().copied().filter(|s| band_of(s) == band).collect();
                 if of_band.len() < CELL_MIN {
                     continue;
                 }
@@ -308,6 +307,7 @@ impl Report {
             });
             let held = [0.5, 0.9]
                 .map(|level| (0..STEPS.len()).map(|step| cell.held(level, step)).collect::<Vec<f64>>());
+            let [area_m2, steady_area_m2] = cell.areas_m2();
             json!({
                 "source": source.name,
                 "type": agent_type.name(),
@@ -315,6 +315,8 @@ impl Report {
                 "errors": errors.into_iter().collect::<serde_json::Map<_, _>>(),
                 "held_50": held[0],
                 "held_90": held[1],
+                "area_90_m2": area_m2,
+                "constant_velocity_area_90_m2": steady_area_m2,
             })
         });
         json!({ "made": self.made, "cells": cells.collect::<Vec<_>>() })
@@ -346,6 +348,11 @@ impl Report {
         }
         priors
     }
+}
+
+/// The number of a sample's speed band.
+fn band_of(sample: &Sample) -> usize {
+    BANDS_MPS.iter().filter(|&&bound| sample.speed_mps >= bound).count()
 }
 
 /// Some samples.
@@ -390,6 +397,13 @@ impl Cell<'_> {
             let clusters: Vec<PairedErrors> = clusters.into_values().collect();
             paired_bootstrap_ratio(&clusters, RESAMPLES, SEED)
         })
+    }
+
+    /// Mean areas of the published region of 90 % at the end and of that of constant velocity that holds as many, m².
+    fn areas_m2(&self) -> [f64; 2] {
+        let held = self.held(0.9, STEPS.len() - 1);
+        let steady_m2 = region_of_steady::mean_area_m2(self.samples, held, band_of, BAND_NAMES.len());
+        [self.mean(|sample| sample.area_m2), steady_m2]
     }
 
     /// The published forecast's ADE over that of the best kinematic expert.

@@ -14,8 +14,8 @@ pub(crate) const STEPS: [usize; 4] = [0, 2, 5, 11];
 const MISS_M: f64 = 2.0;
 /// Longest gap of a recording between whose frames the truth is taken, ns.
 const GAP_NS: i64 = 1_000_000_000;
-/// −2 ln 0.1: the squared radius of the region of 90 % of a Gaussian.
-const RADIUS_SQUARED: f64 = 4.605_170;
+/// Level of the region whose area is told.
+const LEVEL: f64 = 0.9;
 const SEED: u64 = 1;
 
 /// What is compared.
@@ -71,7 +71,7 @@ pub struct Sample {
     pub errors: [Errors; METHODS.len()],
     /// Level of the highest-density region on whose border the truth was, at each of four steps.
     pub levels: [f64; STEPS.len()],
-    /// Area of the 90 % region of the mixture's covariance at the end, m².
+    /// Area of the highest-density region of 90 % at the end, m².
     pub area_m2: f64,
     /// Negative logarithm of the mixture's density at the truth at the end.
     pub nll: f64,
@@ -83,6 +83,8 @@ pub struct Sample {
     pub network: f32,
     /// The published measure.
     pub out_of_distribution: f32,
+    /// What the truth is beyond constant velocity at the end, along and across the course, m.
+    pub beyond_steady_m: [f32; 2],
     /// What the truth is beyond halfway from constant velocity to the single best forecast, along and across the course,
     /// at the steps of [`evidence::knots`], m.
     pub residuals_m: [[f32; 2]; KNOTS],
@@ -94,6 +96,30 @@ pub(crate) struct Judge<'a> {
     pub(crate) levels: HighestDensity,
     pub(crate) dt_s: f32,
     pub(crate) horizon_len: usize,
+}
+
+#[cfg(test)]
+impl Sample {
+    /// A forecast of which nothing else is known.
+    pub(crate) fn of(agent_type: AgentType, speed_mps: f32) -> Self {
+        Self {
+            agent: 1,
+            agent_type,
+            speed_mps,
+            recording_s: 0.0,
+            source_s: 0.0,
+            errors: Default::default(),
+            levels: Default::default(),
+            area_m2: 0.0,
+            nll: 0.0,
+            missed: false,
+            learned: true,
+            network: 1.0,
+            out_of_distribution: 0.0,
+            beyond_steady_m: Default::default(),
+            residuals_m: Default::default(),
+        }
+    }
 }
 
 impl Errors {
@@ -150,11 +176,13 @@ impl Judge<'_> {
         let mut steady = vec![[0.0; 2]; len];
         now.steady(self.dt_s, &mut steady);
         let [cos, sin] = now.course(forecast.heading_rad);
-        let residuals_m = evidence::knots(len).map(|step| {
+        let beyond_m = |step: usize, middle_m: [f32; 2]| {
             let truth = truth[step].unwrap_or_default();
-            let [x, y] =
-                [0, 1].map(|axis| truth[axis] - 0.5 * (steady[step][axis] + forecast.best[step][axis]));
+            let [x, y] = [0, 1].map(|axis| truth[axis] - middle_m[axis]);
             [x * cos + y * sin, y * cos - x * sin]
+        };
+        let residuals_m = evidence::knots(len).map(|step| {
+            beyond_m(step, [0, 1].map(|axis| 0.5 * (steady[step][axis] + forecast.best[step][axis])))
         });
         let probability = &forecast.probability[..modes_len];
         let levels = STEPS.map(|step| {
@@ -164,7 +192,6 @@ impl Judge<'_> {
             self.levels.level(&means[..modes_len], &covariances[..modes_len], probability, truth, SEED)
         });
         let last = len - 1;
-        let [xx, xy, yy] = forecast.covariance[last].map(f64::from);
         let (means, covariances) = at_step(forecast, last);
         let end = truth[last].unwrap_or_default();
         Some(Sample {
@@ -175,12 +202,19 @@ impl Judge<'_> {
             source_s: 0.0,
             errors,
             levels,
-            area_m2: std::f64::consts::PI * RADIUS_SQUARED * (xx * yy - xy * xy).max(0.0).sqrt(),
+            area_m2: self.levels.area_m2(
+                &means[..modes_len],
+                &covariances[..modes_len],
+                probability,
+                LEVEL,
+                SEED,
+            ),
             nll: nll(&means[..modes_len], &covariances[..modes_len], probability, end),
             missed: errors[0].fde_m > MISS_M,
             learned: forecast.quality == Quality::Learned as u32,
             network: forecast.expert_weights[Expert::Network as usize],
             out_of_distribution: forecast.out_of_distribution,
+            beyond_steady_m: beyond_m(last, steady[last]),
             residuals_m,
         })
     }
