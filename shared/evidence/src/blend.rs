@@ -31,8 +31,6 @@ pub(crate) struct Blend {
     /// What the experts are worth on roads that the network does not know, and their weights there.
     strange: Statistics,
     strange_weights: [f32; EXPERTS],
-    /// What they are worth on a road that it knows.
-    known: Statistics,
     /// Each forecast by the distance by which the regression missed: the least sum of their squares is then the least
     /// sum of the distances.
     matured: Statistics,
@@ -53,7 +51,6 @@ impl Blend {
         let mut blend = Self {
             strange: *prior,
             strange_weights: prior.weights(),
-            known: right_network(prior),
             matured: Statistics::default(),
             shown: Statistics::default(),
             distances_m: [0.0; EXPERTS + 2],
@@ -91,7 +88,7 @@ impl Blend {
     pub(crate) fn solve(&mut self, known: f64) {
         let mut with_prior = self.matured;
         with_prior.add_scaled(&self.strange, PRIOR_LEN * (1.0 - known));
-        with_prior.add_scaled(&self.known, PRIOR_LEN * known);
+        with_prior.add_scaled(&right_network(&self.strange), PRIOR_LEN * known);
         self.regression = with_prior.weights();
         let [by_regression_m, alone_m @ ..] = &self.distances_m;
         let best = (0..alone_m.len()).min_by(|&a, &b| alone_m[a].total_cmp(&alone_m[b]));

@@ -3,6 +3,7 @@
 mod kept;
 mod knowledge;
 pub(crate) mod numbers;
+mod pending;
 #[cfg(test)]
 mod tests;
 
@@ -12,6 +13,7 @@ use wire::{AGENTS_MAX, AgentType, EXPERTS_MAX, Expert, HORIZON_MAX, MODES_MAX};
 
 use self::kept::Kept;
 use self::knowledge::{Knowledge, OfType};
+use self::pending::Pending;
 use crate::blend::Outcome;
 use crate::choice::{BOTH_MAX, Choice};
 use crate::due::Waiting;
@@ -75,46 +77,6 @@ pub struct Matured<'a> {
     pub probability: &'a [f32],
     /// Where the agent was.
     pub truth_m: [f32; 2],
-}
-
-/// A forecast of an agent that has not matured.
-#[derive(Clone, Debug)]
-struct Pending {
-    stamp_ns: i64,
-    context: Context,
-    /// Knots that have matured.
-    matured_len: usize,
-    velocity_m: [[f32; 2]; KNOTS],
-    /// Middle of the fan.
-    centre_m: [[f32; 2]; KNOTS],
-    /// Less constant velocity.
-    regression_m: [[f32; 2]; KNOTS],
-    course: [f32; 2],
-    /// What the truth is beyond the middle of the fan along and across the course, at the knots that have matured, m.
-    residuals_m: [[f32; 2]; KNOTS],
-    /// Less constant velocity.
-    experts_m: [[[f32; 2]; EXPERTS]; KNOTS],
-    /// Its place among the mixtures.
-    mixture: Option<usize>,
-}
-
-impl Pending {
-    /// How much nearer to the truth at a knot the network was than the blend of a road that it does not know, as a share
-    /// of how far agents alike deviate. The truth is less constant velocity.
-    fn network_nearer(
-        &self,
-        knot: usize,
-        truth_m: [f32; 2],
-        deviation_m: f32,
-        of_type: &[Knowledge; BANDS],
-    ) -> f32 {
-        let missed_m = |[x, y]: [f32; 2]| (truth_m[0] - x).hypot(truth_m[1] - y);
-        let weights = self.context.between(|band| *of_type[band].blend[knot].strange_weights());
-        let experts_m = &self.experts_m[knot];
-        let [along_m, across_m] = self.context.between(|band| of_type[band].deviations_m(knot));
-        let typical_m = along_m.hypot(across_m).max(deviation_m);
-        (missed_m(weighted_m(&weights, experts_m)) - missed_m(experts_m[0])) / typical_m
-    }
 }
 
 /// The last observation of an agent, and its pending forecasts.
@@ -256,12 +218,12 @@ impl Evidence {
                 let truth_m = [0, 1].map(|axis| from_m[axis] + share * (position_m[axis] - from_m[axis]));
                 pending.matured_len += 1;
                 let agent_type = pending.context.agent_type.index();
-                let (of_type, of_all) = (&mut known[agent_type], &mut of_types[agent_type]);
-                of_all.is_stale = true;
+                let (at_speeds, of_type) = (&mut known[agent_type], &mut of_types[agent_type]);
+                of_type.is_stale = true;
                 let velocity_m = pending.velocity_m[knot];
                 let taken_m = [0, 1].map(|axis| truth_m[axis] - velocity_m[axis]);
                 let deviation_m = DEVIATION_M * ((knots[knot] + 1) as f32).sqrt();
-                of_all.familiarity.add(pending.network_nearer(knot, taken_m, deviation_m, of_type));
+                of_type.familiarity.add(pending.network_nearer(knot, taken_m, deviation_m, at_speeds));
                 if let Some(place) = pending.mixture {
                     mixtures[place].add_distances(knot, truth_m);
                     waiting.push(mixtures[place].due(pending.context, knot, truth_m));
@@ -275,7 +237,7 @@ impl Evidence {
                     (kept.nearest_m(), kept.nearest_of_fan(&pending.residuals_m))
                 });
                 for (band, share) in pending.context.bands() {
-                    let knowledge = &mut of_type[band];
+                    let knowledge = &mut at_speeds[band];
                     if share > 0.0 {
                         let [along_m, across_m] = knowledge.deviations_m(knot);
                         let outcome = Outcome {
@@ -288,13 +250,13 @@ impl Evidence {
                         knowledge.blend[knot].add(&outcome, share);
                         knowledge.add_residual(knot, residual_m, deviation_m, share);
                         if let Some(((of_sets_m, of_middles_m), _)) = &of_modes {
-                            knowledge.sets.add(&mut of_all.sets, *of_sets_m, share);
+                            knowledge.sets.add(&mut of_type.sets, *of_sets_m, share);
                             knowledge.of_middles.add(of_middles_m, share);
                         }
                     }
                 }
                 if let Some((_, (number, units))) = of_modes {
-                    of_type[pending.context.nearest()].pattern.add(number, &units);
+                    at_speeds[pending.context.nearest()].pattern.add(number, &units);
                 }
             }
             free.extend(pending.mixture.take());
@@ -409,8 +371,8 @@ impl Evidence {
         }
         let context = Context::new(agent.agent_type, agent.speed_mps);
         let agent_type = agent.agent_type.index();
-        let (of_type, of_all) = (&self.known[agent_type], &self.of_types[agent_type]);
-        let shares = context.between(|band| of_all.sets.probability(&of_type[band].sets));
+        let (at_speeds, of_type) = (&self.known[agent_type], &self.of_types[agent_type]);
+        let shares = context.between(|band| of_type.sets.probability(&at_speeds[band].sets));
         let mut of_both = [0.0; BOTH_MAX];
         let (of_network, of_fan) = of_both[..2 * len].split_at_mut(len);
         of_network.copy_from_slice(probability);

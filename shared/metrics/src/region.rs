@@ -123,7 +123,10 @@ impl HighestDensity {
         let unit = f64::from(highest_log2_weight(components)).exp2() / f64::from(TAU);
         let (mut area_m2, mut left) = (0.0, level);
         for (density, weight) in weighted {
-            area_m2 += weight.min(left.max(0.0)) / (unit * f64::from(density));
+            if left <= 0.0 {
+                break;
+            }
+            area_m2 += weight.min(left) / (unit * f64::from(density));
             left -= weight;
         }
         area_m2

@@ -15,6 +15,7 @@
 
 mod error;
 mod gaps;
+mod gaussian;
 mod patterns;
 mod play;
 mod region_of_steady;

@@ -1,13 +1,10 @@
 //! How large a region about constant velocity must be to hold as many truths: the yardstick of the published regions.
 
-use std::f64::consts::PI;
-
+use crate::gaussian::Gaussian;
 use crate::sample::Sample;
 
 /// A speed band of fewer forecasts has the Gaussian of all.
 const BAND_MIN: usize = 20;
-/// Least variance: no position is known better than to a centimetre.
-const VARIANCE_MIN_M2: f64 = 1e-4;
 
 /// Mean area of regions at the end of the horizon that hold this share of the truths, m².
 ///
@@ -20,11 +17,14 @@ pub(crate) fn mean_area_m2(
     band_of: impl Fn(&Sample) -> usize,
     bands_len: usize,
 ) -> f64 {
-    let of_all = Gaussian::fit(samples);
+    let fit = |samples: &[&Sample]| {
+        Gaussian::fit(&samples.iter().map(|sample| sample.beyond_steady_m).collect::<Vec<_>>())
+    };
+    let of_all = fit(samples);
     let of_bands: Vec<Gaussian> = (0..bands_len)
         .map(|band| {
             let of_band: Vec<&Sample> = samples.iter().copied().filter(|s| band_of(s) == band).collect();
-            if of_band.len() < BAND_MIN { of_all } else { Gaussian::fit(&of_band) }
+            if of_band.len() < BAND_MIN { of_all } else { fit(&of_band) }
         })
         .collect();
     let gaussians = samples.iter().map(|sample| (sample, &of_bands[band_of(sample)]));
@@ -37,45 +37,10 @@ pub(crate) fn mean_area_m2(
     square * areas_m2.iter().sum::<f64>() / areas_m2.len() as f64
 }
 
-/// A Gaussian of two dimensions.
-#[derive(Clone, Copy, Debug)]
-struct Gaussian {
-    mean_m: [f64; 2],
-    /// (xx, xy, yy).
-    covariance_m2: [f64; 3],
-}
-
-impl Gaussian {
-    fn fit(samples: &[&Sample]) -> Self {
-        let len = samples.len().max(1) as f64;
-        let points = || samples.iter().map(|sample| sample.beyond_steady_m.map(f64::from));
-        let mean_m = [0, 1].map(|axis| points().map(|point| point[axis]).sum::<f64>() / len);
-        let [xx, xy, yy] = [(0, 0), (0, 1), (1, 1)].map(|(a, b)| {
-            points().map(|point| (point[a] - mean_m[a]) * (point[b] - mean_m[b])).sum::<f64>() / len
-        });
-        Self { mean_m, covariance_m2: [xx + VARIANCE_MIN_M2, xy, yy + VARIANCE_MIN_M2] }
-    }
-
-    fn determinant(&self) -> f64 {
-        let [xx, xy, yy] = self.covariance_m2;
-        xx * yy - xy * xy
-    }
-
-    /// Squared distance in deviations.
-    fn square(&self, point_m: [f32; 2]) -> f64 {
-        let [x, y] = [0, 1].map(|axis| f64::from(point_m[axis]) - self.mean_m[axis]);
-        let [xx, xy, yy] = self.covariance_m2;
-        (yy * x * x - 2.0 * xy * x * y + xx * y * y) / self.determinant()
-    }
-
-    /// Area of the ellipse at one deviation.
-    fn area_m2(&self) -> f64 {
-        PI * self.determinant().sqrt()
-    }
-}
-
 #[cfg(test)]
 mod tests {
+    use std::f64::consts::PI;
+
     use scene::AgentType;
 
     use super::*;

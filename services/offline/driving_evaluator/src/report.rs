@@ -13,7 +13,7 @@ use serde_json::json;
 
 use crate::patterns::{Residuals, patterns};
 use crate::play::Played;
-use crate::sample::{METHODS, Method, STEPS, Sample};
+use crate::sample::{LEVEL, METHODS, Method, STEPS, Sample};
 use crate::source::Source;
 use crate::{Errors, Options, region_of_steady};
 
@@ -401,7 +401,7 @@ impl Cell<'_> {
 
     /// Mean areas of the published region of 90 % at the end and of that of constant velocity that holds as many, m².
     fn areas_m2(&self) -> [f64; 2] {
-        let held = self.held(0.9, STEPS.len() - 1);
+        let held = self.held(LEVEL, STEPS.len() - 1);
         let steady_m2 = region_of_steady::mean_area_m2(self.samples, held, band_of, BAND_NAMES.len());
         [self.mean(|sample| sample.area_m2), steady_m2]
     }

@@ -8,6 +8,8 @@ use metrics::{Anchors, Displacement, HighestDensity, displacement, min_displacem
 use scene::{AgentType, State};
 use wire::{Expert, Forecast, MODES_MAX, Quality};
 
+use crate::gaussian::Gaussian;
+
 /// Steps at which regions are judged, beside the last: 0.4, 1.2 and 2.4 s.
 pub(crate) const STEPS: [usize; 4] = [0, 2, 5, 11];
 /// A final position farther away than this is a miss.
@@ -15,7 +17,7 @@ const MISS_M: f64 = 2.0;
 /// Longest gap of a recording between whose frames the truth is taken, ns.
 const GAP_NS: i64 = 1_000_000_000;
 /// Level of the region whose area is told.
-const LEVEL: f64 = 0.9;
+pub(crate) const LEVEL: f64 = 0.9;
 const SEED: u64 = 1;
 
 /// What is compared.
@@ -228,12 +230,9 @@ fn at_step(forecast: &Forecast, step: usize) -> ([[f32; 2]; MODES_MAX], [[f32; 3
 /// Negative logarithm of the density of a mixture; no mode is known better than to 1 cm.
 fn nll(means: &[[f32; 2]], covariances: &[[f32; 3]], probability: &[f32], truth: [f32; 2]) -> f64 {
     let parts = means.iter().zip(covariances).zip(probability).map(|((mean, covariance), p)| {
-        let [xx, xy, yy] = covariance.map(f64::from);
-        let (xx, yy) = (xx + 1e-4, yy + 1e-4);
-        let det = (xx * yy - xy * xy).max(1e-8);
-        let [dx, dy] = [0, 1].map(|axis| f64::from(truth[axis] - mean[axis]));
-        let square = (yy * dx * dx - 2.0 * xy * dx * dy + xx * dy * dy) / det;
-        f64::from(*p).max(1e-12).ln() - 0.5 * square - 0.5 * det.ln() - std::f64::consts::TAU.ln()
+        let gaussian = Gaussian::new(mean.map(f64::from), covariance.map(f64::from));
+        let spread = 0.5 * gaussian.determinant().ln() + std::f64::consts::TAU.ln();
+        f64::from(*p).max(1e-12).ln() - 0.5 * gaussian.square(truth) - spread
     });
     let parts: Vec<f64> = parts.collect();
     let most = parts.iter().copied().fold(f64::NEG_INFINITY, f64::max);

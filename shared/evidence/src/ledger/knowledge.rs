@@ -29,21 +29,6 @@ pub(super) struct Knowledge {
     pub(super) pattern: LearnedPattern,
 }
 
-/// What is known of one type at all speeds.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct OfType {
-    pub(super) familiarity: Familiarity,
-    pub(super) sets: SetsOfType,
-    /// Whether a forecast has matured since the experts' weights were found.
-    pub(super) is_stale: bool,
-}
-
-impl OfType {
-    pub(super) const fn new() -> Self {
-        Self { familiarity: Familiarity::new(), sets: SetsOfType::new(), is_stale: false }
-    }
-}
-
 impl Knowledge {
     /// Before any forecast, where the network knows the road with probability `known`.
     pub(super) fn new(prior: &ContextPrior, known: f64) -> Self {
@@ -90,5 +75,20 @@ impl Knowledge {
             squares[axis] += f64::from(weight * residual_m * residual_m);
         }
         *len += f64::from(weight);
+    }
+}
+
+/// What is known of one type at all speeds.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct OfType {
+    pub(super) familiarity: Familiarity,
+    pub(super) sets: SetsOfType,
+    /// Whether a forecast has matured since the experts' weights were found.
+    pub(super) is_stale: bool,
+}
+
+impl OfType {
+    pub(super) const fn new() -> Self {
+        Self { familiarity: Familiarity::new(), sets: SetsOfType::new(), is_stale: false }
     }
 }
