@@ -3,8 +3,8 @@ use retrieval::{ControlChanges, ForecastControls};
 use wire::{AgentControls, Expert, Forecast, HORIZON_MAX, MODES_MAX, Rejected, Steering};
 
 use crate::Propagation;
-use crate::experts::Spread;
 use crate::motion::LateralLimit;
+use crate::spread::Spread;
 
 /// Largest deviation of the sum of an agent's mode probabilities from 1.
 const PROBABILITY_SLACK: f32 = 1e-3;
@@ -65,7 +65,7 @@ impl<'a> LearnedControls<'a> {
     pub(crate) fn forecast(
         &self,
         changes: &ControlChanges,
-        spread: &Spread,
+        spread: Option<&Spread>,
         model: &MotionModel,
         propagation: Propagation,
         normals: &mut Normals,
@@ -81,7 +81,7 @@ impl<'a> LearnedControls<'a> {
         for (mode, (published_steps, moments)) in modes.take(modes_len) {
             let moments = &mut moments[..self.horizon_len];
             let mut acting = [ControlGaussian::centred([0.0; 2]); HORIZON_MAX];
-            let mut limit = spread.is_limited().then(|| LateralLimit::new(model)).flatten();
+            let mut limit = spread.and_then(|_| LateralLimit::new(model));
             for ((control, acting), out) in mode_steps(mode).zip(&mut acting).zip(published_steps) {
                 *acting = model.acting(&control);
                 if let Some(limit) = &mut limit {
@@ -95,9 +95,10 @@ impl<'a> LearnedControls<'a> {
                     model.particle_moments(mode_steps(mode), particles, normals, moments);
                 }
             }
-            for (step, moments) in moments.iter_mut().enumerate() {
-                moments.covariance = spread.of_covariance((mode, step), moments);
-            }
+        }
+        if let Some(spread) = spread {
+            let present_m2 = model.position_covariance();
+            (0..self.horizon_len).for_each(|step| spread.widen(step, &mut moments[..modes_len], present_m2));
         }
         out.steering = match model.kind() {
             MotionKind::Bicycle => Steering::Bicycle,

@@ -30,6 +30,7 @@ mod options;
 mod published;
 mod sampler;
 mod settings;
+mod spread;
 pub mod stage;
 mod turns;
 

@@ -10,7 +10,7 @@ use scene::{AgentType, track_history};
 use wire::{AGENTS_MAX, AgentControls, Cause, Forecast, Quality, Track};
 
 use crate::SamplerOptions;
-use crate::experts::{Blended, Experts, Spread};
+use crate::experts::{Blended, Experts};
 use crate::guidance::Guidance;
 use crate::learned::LearnedControls;
 use crate::motion::{certain_motion, with_track_covariance};
@@ -170,8 +170,8 @@ impl Forecaster {
         let out = &mut made.forecast;
         begin(track, Quality::Learned, Cause::None, out);
         out.out_of_distribution = controls.out_of_distribution();
-        let spread = made.blended.as_ref().map_or_else(Spread::default, |blended| blended.spread);
-        controls.forecast(&self.changes, &spread, &model, options.propagation, &mut normals, out);
+        let spread = made.blended.as_ref().map(|blended| &blended.spread);
+        controls.forecast(&self.changes, spread, &model, options.propagation, &mut normals, out);
         if let Some((experts, blended)) = experts.as_ref().zip(made.blended.as_ref()) {
             experts.sign(blended, out);
         }

@@ -18,7 +18,7 @@ const LEVELS_MAX: usize = 256;
 pub(crate) struct Due {
     pub(crate) context: Context,
     pub(crate) knot: usize,
-    /// Factor by which it was widened.
+    /// Factor by which it was widened, without the correction.
     pub(crate) factor: f32,
     pub(crate) modes_len: usize,
     pub(crate) probability: [f32; MODES_MAX],

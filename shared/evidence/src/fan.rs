@@ -29,8 +29,6 @@ pub const FAN: [([f32; 2], f32); MODES_MAX] = [
     ([-1.0, -5.2], 0.0045),
     ([-4.0, 0.0], 0.004),
 ];
-/// Deviation of the residuals about the nearest point of [`FAN`], in units of their own.
-const WITHIN: f32 = 0.36;
 
 /// How far from constant velocity to the blend a fan may lie: where agents do the one or the other rather than what lies
 /// between, residuals about halfway are the narrowest.
@@ -150,15 +148,6 @@ impl Fan {
         let residual_m = self.residual_m(mode, step);
         [0, 1].map(|axis| self.centre_m[step][axis] + residual_m[axis])
     }
-
-    /// The covariance of every mode at a step as (xx, xy, yy), m².
-    #[must_use]
-    pub fn covariance_m2(&self, step: usize) -> [f32; 3] {
-        let [along, across] = self.steps_m[step].map(|deviation_m| (WITHIN * deviation_m).powi(2));
-        let [cos, sin] = self.course;
-        let xy = (along - across) * cos * sin;
-        [along * cos * cos + across * sin * sin, xy, along * sin * sin + across * cos * cos]
-    }
 }
 
 #[cfg(test)]
@@ -173,7 +162,7 @@ mod tests {
     }
 
     #[test]
-    fn residuals_and_covariances_lie_along_the_course() {
+    fn residuals_lie_along_the_course() {
         let fan = Fan {
             centre_m: [[0.0; 2]; HORIZON_MAX],
             steps_m: [[2.0, 0.5]; HORIZON_MAX],
@@ -184,11 +173,6 @@ mod tests {
         };
         assert_eq!(fan.residual_m(2, 0), [0.0, -2.0]);
         assert_eq!(fan.residual_m(4, 0), [-0.46, -0.7]);
-        let [xx, xy, yy] = fan.covariance_m2(3);
-        assert!(
-            xy.abs() < 1e-6 && (xx - 0.0324).abs() < 1e-4 && (yy - 0.5184).abs() < 1e-4,
-            "{xx} {xy} {yy}"
-        );
     }
 
     #[test]

@@ -162,9 +162,9 @@ impl Evidence {
         let horizon_s = (self.step_ns * self.horizon_len as i64) as f64 * 1e-9;
         let under_way = (-passed_s / horizon_s).exp();
         for knowledge in self.known.as_flattened_mut() {
-            knowledge.discount(kept, under_way);
+            knowledge.discount(kept);
         }
-        self.of_types.iter_mut().for_each(|of_type| of_type.sets.discount(kept));
+        self.of_types.iter_mut().for_each(|of_type| of_type.discount(passed_s, kept, under_way));
         let gap_ns = self.step_ns * GAP_STEPS;
         let Self { traces, spare, free, .. } = self;
         for (_, trace) in traces.extract_if(|_, trace| now_ns - trace.stamp_ns > gap_ns) {
@@ -176,9 +176,10 @@ impl Evidence {
         for due in self.waiting.take(passed_s) {
             let level = level(due.matured());
             if level.is_finite() {
-                let of_type = &mut self.known[due.context.agent_type.index()];
+                let agent_type = due.context.agent_type.index();
+                self.of_types[agent_type].corrections[due.knot].add(level);
                 for (band, share) in due.context.bands().into_iter().filter(|(_, share)| *share > 0.0) {
-                    of_type[band].widths[due.knot].add(level, due.factor, share);
+                    self.known[agent_type][band].widths[due.knot].add(level, due.factor, share);
                 }
             }
         }
@@ -287,7 +288,8 @@ impl Evidence {
         let experts_m = knots.map(|step| paths.differences_m(step));
         let mixture = mixture.and_then(|mixture| {
             let place = self.free.pop()?;
-            self.mixtures[place].fill(knots, &mixture, &centre_m, &middles_m);
+            let corrections = self.of_types[agent.agent_type.index()].corrections.map(|of| of.log());
+            self.mixtures[place].fill(knots, &mixture, &centre_m, &middles_m, &corrections);
             Some(place)
         });
         let regression_m = std::array::from_fn(|knot| {
@@ -399,9 +401,11 @@ impl Evidence {
     #[must_use]
     pub fn widths(&self, agent_type: AgentType, speed_mps: f32) -> [f32; HORIZON_MAX] {
         let context = Context::new(agent_type, speed_mps);
-        let of_type = &self.known[agent_type.index()];
-        let at_knots: [[f32; 1]; KNOTS] =
-            std::array::from_fn(|knot| context.between(|band| [of_type[band].widths[knot].log()]));
+        let (at_speeds, of_type) = (&self.known[agent_type.index()], &self.of_types[agent_type.index()]);
+        let at_knots: [[f32; 1]; KNOTS] = std::array::from_fn(|knot| {
+            let [log] = context.between(|band| [at_speeds[band].widths[knot].log()]);
+            [log + of_type.corrections[knot].log()]
+        });
         self.between_knots(&at_knots).map(|[log]| log.exp())
     }
 

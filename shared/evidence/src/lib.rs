@@ -22,7 +22,9 @@
 //!   which of the two was nearer.
 //! * **How wide.** The level of the highest-density region on whose border the truth lies, as a radius
 //!   r = √(−2 ln (1 − level)), is 2.15 at nine of ten forecasts of calibrated regions. Its 0.9 quantile over
-//!   matured forecasts, discounted by age, is the factor by which regions widen ([`Evidence::widths`]).
+//!   matured forecasts, discounted by age, is the factor by which regions widen ([`Evidence::widths`]), times a correction
+//!   that all speeds have in common: every miss widens all later regions, every hit narrows them by a ninth of that
+//!   ([adaptive conformal inference](https://arxiv.org/abs/2106.00170)).
 //!
 //! * **Which modes.** Those that stand for both the network's and a [fan](FAN), as wide as agents alike deviate from
 //!   its middle ([`Choice`]): more of the set whose nearest mode has been nearer. The middle lies where the fan has been

@@ -1,5 +1,6 @@
-//! The factor by which regions widen: a discounted histogram of radii finds it quickly, and adaptive conformal
-//! inference holds it: every miss widens all later regions a little, every hit narrows them by a ninth of that.
+//! The factors by which regions widen: a discounted histogram of radii finds them for each speed, and adaptive conformal
+//! inference corrects them for all speeds of a type: every miss widens all later regions a little, every hit narrows them
+//! by a ninth of that.
 
 use crate::fading;
 
@@ -11,14 +12,16 @@ const RANGE: [f32; 2] = [-3.2, 3.2];
 const RADIUS: f32 = 2.145_966;
 /// Probability of the region that is calibrated.
 const LEVEL: f64 = 0.9;
-/// Change of the logarithm while as many forecasts mature as are under way, if all miss or none does.
-const GAIN: f64 = 1.5;
-/// A single forecast changes the logarithm by no more.
-const STEP_MAX: f64 = 0.1;
-/// Largest correction of the histogram's logarithm.
-const CORRECTION_MAX: f64 = 1.5;
 /// Radii that are assumed to have been seen at the start, of a calibrated region.
 const ASSUMED: f64 = 15.0;
+/// Change of the correction while as many forecasts mature as are under way, if all miss or none does.
+const GAIN: f64 = 0.7;
+/// A single forecast changes the correction by no more.
+const STEP_MAX: f64 = 0.05;
+/// Largest correction.
+const CORRECTION_MAX: f64 = 1.5;
+/// Time in which a correction fades to 1/e: what lasts is in the histograms.
+const CORRECTION_FADING_S: f64 = 30.0;
 
 /// Radii of matured forecasts at one step of the horizon, in one context.
 #[derive(Clone, Debug, PartialEq)]
@@ -27,20 +30,24 @@ pub(crate) struct Widths {
     len: f64,
     /// Logarithm of the factor.
     log: f32,
-    /// What adaptive conformal inference adds to the histogram's logarithm.
-    correction: f64,
+}
+
+/// What adaptive conformal inference adds to the logarithms of the factors at one step of the horizon, at all speeds.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Correction {
+    value: f64,
     /// Forecasts that mature in the time of a horizon.
     rate: f64,
 }
 
 impl Widths {
     /// Numbers that are learned.
-    pub(crate) const NUMBERS_LEN: usize = BINS + 4;
+    pub(crate) const NUMBERS_LEN: usize = BINS + 2;
 
     /// No radius yet; regions begin with `factor` times their own width.
     pub(crate) fn new(factor: f32) -> Self {
         let log = factor.max(f32::MIN_POSITIVE).ln().clamp(RANGE[0], RANGE[1]);
-        Self { bins: [0.0; BINS], len: 0.0, log, correction: 0.0, rate: 0.0 }.begun()
+        Self { bins: [0.0; BINS], len: 0.0, log }.begun()
     }
 
     /// Spreads the assumed radii as a two-dimensional Gaussian has them.
@@ -54,33 +61,28 @@ impl Widths {
         self
     }
 
-    /// Adds a forecast by the level on whose border the truth lay, of a region that was widened by `factor`.
+    /// Adds a forecast by the level on whose border the truth lay, of a region that was widened by `factor`, without what
+    /// a [`Correction`] added.
     pub(crate) fn add(&mut self, level: f64, factor: f32, weight: f32) {
         let radius = (-2.0 * (1.0 - level).max(1e-6).ln()).sqrt() as f32;
         let log = (radius.max(1e-3) / RADIUS).ln() + factor.ln();
         let place = (log - RANGE[0]) / (RANGE[1] - RANGE[0]) * BINS as f32;
         self.bins[(place.max(0.0) as usize).min(BINS - 1)] += f64::from(weight);
         self.len += f64::from(weight);
-        self.rate += f64::from(weight);
-        let step = (GAIN / self.rate.max(1.0)).min(STEP_MAX) * f64::from(weight);
-        let missed = if level > LEVEL { 1.0 } else { 0.0 };
-        let correction = self.correction + step * (missed - (1.0 - LEVEL));
-        self.correction = correction.clamp(-CORRECTION_MAX, CORRECTION_MAX);
-        self.log = (self.quantile() + self.correction as f32).clamp(RANGE[0], RANGE[1]);
+        self.log = self.quantile();
     }
 
-    /// Lets evidence fade, and the count of what is under way, by these factors.
-    pub(crate) fn discount(&mut self, factor: f64, under_way: f64) {
-        self.rate *= under_way;
-        let factor = fading(factor, self.len);
-        self.bins.iter_mut().for_each(|count| *count *= factor);
-        self.len *= factor;
+    /// Lets evidence fade by this factor.
+    pub(crate) fn discount(&mut self, kept: f64) {
+        let kept = fading(kept, self.len);
+        self.bins.iter_mut().for_each(|count| *count *= kept);
+        self.len *= kept;
     }
 
     /// Gives `each` all numbers that were learned, to read or to change.
     pub(crate) fn numbers(&mut self, each: &mut impl FnMut(&mut f64)) {
-        let Self { bins, len, log, correction, rate } = self;
-        bins.iter_mut().chain([len, correction, rate]).for_each(&mut *each);
+        let Self { bins, len, log } = self;
+        bins.iter_mut().chain([len]).for_each(&mut *each);
         single(log, each);
     }
 
@@ -99,6 +101,42 @@ impl Widths {
             left -= count;
         }
         RANGE[1]
+    }
+}
+
+impl Correction {
+    /// Numbers that are learned.
+    pub(crate) const NUMBERS_LEN: usize = 2;
+
+    /// Of no forecast yet.
+    pub(crate) const fn new() -> Self {
+        Self { value: 0.0, rate: 0.0 }
+    }
+
+    /// Adds a forecast by the level on whose border the truth lay.
+    pub(crate) fn add(&mut self, level: f64) {
+        self.rate += 1.0;
+        let step = (GAIN / self.rate).min(STEP_MAX);
+        let missed = if level > LEVEL { 1.0 } else { 0.0 };
+        let value = self.value + step * (missed - (1.0 - LEVEL));
+        self.value = value.clamp(-CORRECTION_MAX, CORRECTION_MAX);
+    }
+
+    /// Lets the correction fade with the time that has passed, and the count of what is under way by a factor.
+    pub(crate) fn discount(&mut self, passed_s: f64, under_way: f64) {
+        self.value *= (-passed_s / CORRECTION_FADING_S).exp();
+        self.rate *= under_way;
+    }
+
+    /// Gives `each` all numbers that were learned, to read or to change.
+    pub(crate) fn numbers(&mut self, each: &mut impl FnMut(&mut f64)) {
+        let Self { value, rate } = self;
+        [value, rate].into_iter().for_each(each);
+    }
+
+    /// What is added to the logarithm of a factor.
+    pub(crate) const fn log(&self) -> f32 {
+        self.value as f32
     }
 }
 
@@ -125,17 +163,34 @@ mod tests {
         }
     }
 
+    /// The level of a truth at a radius of a Gaussian `deviation` times as wide as the forecast says, whose region was
+    /// widened by `factor`.
+    fn level(sample: u32, deviation: f64, factor: f32) -> f64 {
+        let share = (f64::from(sample) * 0.618_034).fract();
+        let radius = deviation * (-2.0 * (1.0 - share).ln()).sqrt();
+        1.0 - (-0.5 * (radius / f64::from(factor)).powi(2)).exp()
+    }
+
     #[test]
     fn regions_three_times_too_narrow_widen_until_they_hold() {
         let mut widths = Widths::new(1.0);
         for sample in 0..4000 {
-            // A radius of a Gaussian three times as wide as the forecast says.
-            let share = (f64::from(sample) * 0.618_034).fract();
-            let radius = 3.0 * (-2.0 * (1.0 - share).ln()).sqrt();
             let factor = widths.log().exp();
-            let level = 1.0 - (-0.5 * (radius / f64::from(factor)).powi(2)).exp();
-            widths.add(level, factor, 1.0);
+            widths.add(level(sample, 3.0, factor), factor, 1.0);
         }
         assert!((widths.log().exp() - 3.0).abs() < 0.2, "{}", widths.log().exp());
+    }
+
+    #[test]
+    fn a_correction_widens_while_truths_are_missed_and_fades() {
+        let mut correction = Correction::new();
+        for sample in 0..4000 {
+            correction.discount(0.0, 0.99);
+            correction.add(level(sample, 3.0, correction.log().exp()));
+        }
+        assert!((correction.log().exp() - 3.0).abs() < 0.3, "{}", correction.log().exp());
+        let before = correction.log();
+        correction.discount(CORRECTION_FADING_S, 0.5);
+        assert!((correction.log() - before * (-1.0_f32).exp()).abs() < 1e-6);
     }
 }

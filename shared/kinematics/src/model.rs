@@ -88,6 +88,16 @@ impl MotionModel {
         }
     }
 
+    /// Covariance of the position at the start as (xx, xy, yy), m².
+    #[must_use]
+    pub fn position_covariance(&self) -> [f32; 3] {
+        const ENTRIES: [(usize, usize); 3] = [(0, 0), (0, 1), (1, 1)];
+        match self {
+            Self::Bicycle { start, .. } => ENTRIES.map(|entry| start.covariance[entry]),
+            Self::Displacement { start, .. } => ENTRIES.map(|entry| start.covariance[entry]),
+        }
+    }
+
     /// The same agent, a bicycle with its heading turned by its slip angle, so that its course is the
     /// observed heading: without turn it goes straight along that heading.
     #[must_use]

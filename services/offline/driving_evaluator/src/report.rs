@@ -142,7 +142,7 @@ impl Report {
             "## By source\n\nADE / FDE in m. {} Ratios to constant velocity with 95 % intervals ({RESAMPLES} resamples of agents); \
              20 anchors on constant velocity are fitted to the other sources; regret is the single best forecast's error over that \
              of the best of constant velocity, turn and acceleration in hindsight; area is that of the highest-density region of 90 % at the end, CV area that of a Gaussian about \
-             constant velocity, fitted by speed in hindsight to the same forecasts, that holds as many of their truths.\n\n{}\n\
+             constant velocity, fitted in hindsight to the same forecasts of each speed, that holds as many of their truths.\n\n{}\n\
              Mean over the sources of the ratio of ADE / FDE: {}.",
             self.made,
             table.grid(),
@@ -160,6 +160,8 @@ impl Report {
             "best of 20",
             "20 anchors",
             "held 90 %",
+            "area m²",
+            "CV area m²",
         ];
         let mut table =
             Table::new("", "", &["source", "type", "m/s"], columns.map(str::to_owned).into_iter());
@@ -179,7 +181,8 @@ impl Report {
                 row.extend([Method::Best, Method::ConstantVelocity].map(|method| cell.text(method)));
                 row.extend(cell.ratios().iter().map(|ratio| ratio.as_ref().map_or("-".to_owned(), interval)));
                 row.extend([Method::BestOf, Method::Anchors].map(|method| cell.text(method)));
-                row.push(format!("{:.2}", cell.held(0.9, STEPS.len() - 1)));
+                row.push(format!("{:.2}", cell.held(LEVEL, STEPS.len() - 1)));
+                row.extend(cell.areas_m2().map(|area_m2| format!("{area_m2:.0}")));
                 table.push_row(row);
             }
         }
@@ -401,8 +404,7 @@ impl Cell<'_> {
 
     /// Mean areas of the published region of 90 % at the end and of that of constant velocity that holds as many, m².
     fn areas_m2(&self) -> [f64; 2] {
-        let held = self.held(LEVEL, STEPS.len() - 1);
-        let steady_m2 = region_of_steady::mean_area_m2(self.samples, held, band_of, BAND_NAMES.len());
+        let steady_m2 = region_of_steady::mean_area_m2(self.samples, LEVEL, band_of, BAND_NAMES.len());
         [self.mean(|sample| sample.area_m2), steady_m2]
     }
 

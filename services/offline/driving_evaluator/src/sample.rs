@@ -124,6 +124,13 @@ impl Sample {
     }
 }
 
+impl Sample {
+    /// Whether the published region of a level held the truth at the end.
+    pub(crate) fn is_held(&self, level: f64) -> bool {
+        self.levels[STEPS.len() - 1] <= level
+    }
+}
+
 impl Errors {
     fn of(displacement: Displacement) -> Self {
         Self { ade_m: displacement.ade_m.unwrap_or(f64::NAN), fde_m: displacement.fde_m.unwrap_or(f64::NAN) }

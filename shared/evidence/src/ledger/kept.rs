@@ -14,6 +14,7 @@ pub(super) struct Kept {
     probability: [f32; MODES_MAX],
     means_m: [[[f32; 2]; MODES_MAX]; KNOTS],
     covariances_m2: [[[f32; 3]; MODES_MAX]; KNOTS],
+    /// Factors by which it was widened, without the corrections.
     widths: [f32; KNOTS],
     network_len: usize,
     network_m: [[[f32; 2]; MODES_MAX]; KNOTS],
@@ -47,13 +48,14 @@ impl Kept {
     }
 
     /// Takes the place of an earlier one: a forecast whose fan lies about `centre_m`, and where it would about each of the
-    /// [`MIDDLES`].
+    /// [`MIDDLES`], where `corrections` are in the logarithms of the widths.
     pub(super) fn fill(
         &mut self,
         knots: [usize; KNOTS],
         mixture: &Mixture<'_>,
         centre_m: &[[f32; 2]; KNOTS],
         middles_m: &[[[f32; 2]; KNOTS]; MIDDLES.len()],
+        corrections: &[f32; KNOTS],
     ) {
         self.modes_len = mixture.probability.len();
         self.network_len = mixture.network_m.len();
@@ -72,7 +74,7 @@ impl Kept {
             for (mode, own) in self.fan_m[knot].iter_mut().enumerate() {
                 *own = mixture.fan.position_m(mode, step);
             }
-            self.widths[knot] = mixture.widths[step];
+            self.widths[knot] = mixture.widths[step] / corrections[knot].exp();
             self.to_middles_m[knot] =
                 middles_m.map(|to_m| [0, 1].map(|axis| to_m[knot][axis] - centre_m[knot][axis]));
         }

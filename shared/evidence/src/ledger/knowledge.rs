@@ -5,7 +5,7 @@ use crate::familiarity::Familiarity;
 use crate::fan::{LearnedPattern, MIDDLES};
 use crate::sets::{SetsAtSpeed, SetsOfType};
 use crate::share::Shares;
-use crate::width::Widths;
+use crate::width::{Correction, Widths};
 use crate::{ContextPrior, KNOTS, OUTLIER, fading};
 
 /// Deviations that the prior counts for.
@@ -43,9 +43,9 @@ impl Knowledge {
         Self { blend, widths, squares, sets, of_middles, pattern }
     }
 
-    pub(super) fn discount(&mut self, kept: f64, under_way: f64) {
+    pub(super) fn discount(&mut self, kept: f64) {
         self.blend.iter_mut().for_each(|blend| blend.discount(kept));
-        self.widths.iter_mut().for_each(|widths| widths.discount(kept, under_way));
+        self.widths.iter_mut().for_each(|widths| widths.discount(kept));
         for (squares, len) in &mut self.squares {
             let kept = fading(kept, *len);
             squares.iter_mut().chain([len]).for_each(|sum| *sum *= kept);
@@ -83,12 +83,23 @@ impl Knowledge {
 pub(super) struct OfType {
     pub(super) familiarity: Familiarity,
     pub(super) sets: SetsOfType,
+    pub(super) corrections: [Correction; KNOTS],
     /// Whether a forecast has matured since the experts' weights were found.
     pub(super) is_stale: bool,
 }
 
 impl OfType {
     pub(super) const fn new() -> Self {
-        Self { familiarity: Familiarity::new(), sets: SetsOfType::new(), is_stale: false }
+        Self {
+            familiarity: Familiarity::new(),
+            sets: SetsOfType::new(),
+            corrections: [Correction::new(); KNOTS],
+            is_stale: false,
+        }
+    }
+
+    pub(super) fn discount(&mut self, passed_s: f64, kept: f64, under_way: f64) {
+        self.sets.discount(kept);
+        self.corrections.iter_mut().for_each(|correction| correction.discount(passed_s, under_way));
     }
 }

@@ -7,12 +7,14 @@ use crate::blend::Blend;
 use crate::familiarity::Familiarity;
 use crate::fan::MIDDLES;
 use crate::sets::{SetsAtSpeed, SetsOfType};
-use crate::width::{Widths, single};
+use crate::width::{Correction, Widths, single};
 use crate::{BANDS, KNOTS};
 
 /// Numbers in which all that was learned is written.
-pub const NUMBERS_LEN: usize =
-    1 + 3 * (BANDS * KNOWLEDGE_LEN + Familiarity::NUMBERS_LEN + SetsOfType::NUMBERS_LEN);
+pub const NUMBERS_LEN: usize = 1 + 3 * (BANDS * KNOWLEDGE_LEN + OF_TYPE_LEN);
+/// Those of one type at all speeds.
+const OF_TYPE_LEN: usize =
+    Familiarity::NUMBERS_LEN + SetsOfType::NUMBERS_LEN + KNOTS * Correction::NUMBERS_LEN;
 /// Those of one type at one speed: the blend, the widths, the squares, what is nearer and the pattern.
 const KNOWLEDGE_LEN: usize = KNOTS * (Blend::NUMBERS_LEN + Widths::NUMBERS_LEN + 3)
     + SetsAtSpeed::NUMBERS_LEN
@@ -71,6 +73,7 @@ impl Evidence {
         for of_type in &mut self.of_types {
             of_type.familiarity.numbers(each);
             of_type.sets.numbers(each);
+            of_type.corrections.iter_mut().for_each(|correction| correction.numbers(each));
         }
     }
 
