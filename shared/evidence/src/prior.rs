@@ -5,6 +5,8 @@ use crate::{BANDS, KNOTS, Pattern, Statistics, fill_unknown};
 
 /// Deviations where no source tells any, m.
 const DEVIATIONS_M: [[f32; 2]; KNOTS] = [[0.1, 0.05], [0.5, 0.25], [1.8, 0.8], [6.0, 3.0]];
+/// Logarithms of the factors of regions where no source tells any: those of most types and speeds.
+const LOG_WIDTHS: [f32; KNOTS] = [0.3, 0.0, -0.25, -0.35];
 /// Sources that the prior of a context is a mean of, at least: the default stands for those that lack, so that one
 /// source of poor positions does not rule.
 const SOURCES_MIN: usize = 3;
@@ -68,7 +70,7 @@ impl Default for ContextPrior {
     fn default() -> Self {
         Self {
             blend: [Statistics::doubting(); KNOTS],
-            log_width: [0.0; KNOTS],
+            log_width: LOG_WIDTHS,
             deviation_m: DEVIATIONS_M,
             network_share: 0.5,
             pattern: Pattern::default(),
@@ -271,10 +273,10 @@ mod tests {
         assert_eq!(widths(priors.without("other")), [3.5; BANDS]);
         // At any scale, but not one whose name begins alike.
         assert_eq!(widths(priors.without("c")), [2.0; BANDS]);
-        // The default, 0, stands for a third source, and for a second.
+        // The default stands for a third source, and for a second.
         priors.sources = sources(2).collect();
         assert_eq!(widths(priors.all()), [1.0; BANDS]);
-        assert_eq!(widths(priors.without("b")), [0.0; BANDS]);
+        assert_eq!(widths(priors.without("b")), [LOG_WIDTHS[0]; BANDS]);
         assert_eq!(Priors::default().all(), Prior::default());
         // Its residuals have no part in the patterns either.
         let mut patterns = Patterns::default();
