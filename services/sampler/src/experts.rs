@@ -13,6 +13,7 @@ use crate::spread::Spread;
 const RATE_STEPS: usize = 2;
 /// Seed of the levels; every forecast has the same draws.
 const SEED: u64 = 1;
+
 /// The evidence of a run, and scratch memory.
 pub(crate) struct Experts {
     evidence: Evidence,

@@ -62,6 +62,9 @@ impl<'a> LearnedControls<'a> {
     }
 
     /// Writes the modes with their changed controls, the best forecast and the moments.
+    ///
+    /// With a spread, the modes' covariances are by it instead of by those of the controls, and vehicles keep
+    /// to what tyres hold.
     pub(crate) fn forecast(
         &self,
         changes: &ControlChanges,
@@ -90,6 +93,7 @@ impl<'a> LearnedControls<'a> {
                 *out = published(&model.relative_to_start(acting));
             }
             match propagation {
+                Propagation::Linearised if spread.is_some() => model.means(acting.into_iter(), moments),
                 Propagation::Linearised => model.moments(acting.into_iter(), moments),
                 Propagation::MonteCarlo { particles } => {
                     model.particle_moments(mode_steps(mode), particles, normals, moments);

@@ -48,7 +48,7 @@ pub struct Options {
     /// Latitude and longitude of the world frame's origin in that map, degrees, as in `49.01,8.42`. Without,
     /// the tags `local_x` and `local_y` of the map's nodes count, and where they have none, the origin is 0,0.
     pub lanes_origin: Option<LanesOrigin>,
-    /// How the covariance of the controls becomes that of the positions.
+    /// How the covariance of the controls becomes that of the positions, where evidence is not in use.
     pub propagation: PropagationKind,
     /// Particles per mode of the Monte Carlo propagation.
     #[schemars(range(min = 1, max = PARTICLES_MAX))]

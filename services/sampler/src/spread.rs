@@ -1,6 +1,6 @@
 //! How wide the modes of a forecast with evidence are.
 
-use evidence::Fan;
+use evidence::{Fan, RADIUS_90};
 use kinematics::Moments;
 use wire::{HORIZON_MAX, MODES_MAX};
 
@@ -10,16 +10,15 @@ const FACTORS: [f32; 2] = [0.3, 8.0];
 const REACH_MPS2: f32 = 10.0;
 /// Deviation of a position that no physics bounds: that of the present one.
 const REACH_M: f32 = 2.0;
-/// Radius of a region of 90 % in standard deviations.
-const RADIUS: f32 = 2.145_966;
 /// Largest ratio of how far a mode reaches along the course to how far across, and the other way round.
 const ELONGATION_MAX: f32 = 20.0;
 
 /// How wide the modes of an agent are.
 ///
-/// A mode stands for what lies between it and its neighbours: its standard deviation is a factor times the mean distance
-/// of the two nearest other modes, so that it is narrow among many and wide where it is alone. Distances across the
-/// course count, and deviations are, by the root of how much less agents alike deviate across than along.
+/// A mode stands for what lies between it and its neighbours: its standard deviation is a factor times the
+/// mean distance of the two nearest other modes, so that it is narrow among many and wide where it is alone.
+/// Distances across the course count, and deviations are, by the root of how much less agents alike deviate
+/// across than along.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Spread {
     /// Factors of the distances to the next modes, step by step.
@@ -37,7 +36,7 @@ impl Spread {
     pub(crate) fn of(widths: &[f32; HORIZON_MAX], fan: &Fan, dt_s: f32) -> Self {
         let variance_max_m2 = std::array::from_fn(|step| {
             let time_s = (step + 1) as f32 * dt_s;
-            ((REACH_M + 0.5 * REACH_MPS2 * time_s * time_s) / RADIUS).powi(2)
+            ((REACH_M + 0.5 * REACH_MPS2 * time_s * time_s) / RADIUS_90).powi(2)
         });
         let factors = widths.map(|width| width.clamp(FACTORS[0], FACTORS[1]));
         let across = fan.steps_m.map(|[along_m, across_m]| {
@@ -47,8 +46,8 @@ impl Spread {
         Self { factors, variance_max_m2, course: fan.course, across }
     }
 
-    /// Gives the modes their covariances at a step, within physical limits, where the present position has a covariance
-    /// (xx, xy, yy).
+    /// Gives the modes their covariances at a step, within physical limits, where the present position has a
+    /// covariance (xx, xy, yy).
     pub(crate) fn widen(&self, step: usize, modes: &mut [[Moments; HORIZON_MAX]], present_m2: [f32; 3]) {
         let ([cos, sin], across) = (self.course, self.across[step]);
         // About one of them, for far from the origin of the world numbers are coarse.
@@ -76,8 +75,8 @@ impl Spread {
     }
 }
 
-/// The mean distance of each point from the two nearest others; from the other one where there are but two points, and 0
-/// where there is no other.
+/// The mean distance of each point from the two nearest others; from the other one where there are but two
+/// points, and 0 where there is no other.
 fn spacings([xs, ys]: &[[f32; MODES_MAX]; 2], len: usize) -> [f32; MODES_MAX] {
     let (mut least, mut second) = ([f32::INFINITY; MODES_MAX], [f32::INFINITY; MODES_MAX]);
     for (other, (x, y)) in xs.iter().zip(ys).enumerate().take(len) {
@@ -105,8 +104,8 @@ mod tests {
 
     const STEP: usize = 11;
 
-    /// The covariances at the last step of modes at these positions, by a spread of this factor, of a vehicle that goes
-    /// along `course`.
+    /// The covariances at the last step of modes at these positions, by a spread of this factor, of a vehicle
+    /// that goes along `course`.
     fn widened(factor: f32, course: [f32; 2], means_m: &[[f32; 2]], present_m2: [f32; 3]) -> Vec<[f32; 3]> {
         let agent = Agent { id: 1, agent_type: AgentType::Vehicle, speed_mps: 10.0, course };
         let path_m = [[0.0; 2]; HORIZON_MAX];
@@ -128,7 +127,8 @@ mod tests {
     fn a_mode_is_as_wide_as_its_neighbours_are_far() {
         let means_m = [[0.0, 0.0], [2.0, 0.0], [6.0, 0.0], [20.0, 0.0]];
         let along_m = [4.0, 3.0, 5.0, 16.0];
-        // Agents alike deviate four times as far along the course as across it: modes reach half as far across.
+        // Agents alike deviate four times as far along the course as across it: modes reach half as far
+        // across.
         let covariances_m2 = widened(0.5, [1.0, 0.0], &means_m, [0.04, 0.01, 0.09]);
         for (given, along_m) in covariances_m2.into_iter().zip(along_m) {
             let along_m2 = (0.5_f32 * along_m).powi(2);
@@ -148,7 +148,7 @@ mod tests {
     #[test]
     fn no_mode_is_wider_than_physics_lets_the_agent_be_nor_narrower_than_its_present_position() {
         let far = widened(1.0, [1.0, 0.0], &[[0.0, 0.0], [1e6, 0.0]], [0.0; 3]);
-        let most_m = (REACH_M + 0.5 * REACH_MPS2 * 4.8 * 4.8) / RADIUS;
+        let most_m = (REACH_M + 0.5 * REACH_MPS2 * 4.8 * 4.8) / RADIUS_90;
         assert!(far.iter().all(|[xx, ..]| (xx.sqrt() / most_m - 1.0).abs() < 1e-3), "{far:?}");
         for means_m in [[[3.0, 4.0]; 1].as_slice(), &[[3.0, 4.0]; 5]] {
             let present_m2 = [0.04, 0.01, 0.09];

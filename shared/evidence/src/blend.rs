@@ -138,7 +138,8 @@ impl Blend {
     }
 }
 
-/// As many forecasts as a prior's in which the network differed as much from constant velocity, and was right.
+/// As many forecasts as a prior's in which the network differed as much from constant velocity, and was
+/// right.
 fn right_network(prior: &Statistics) -> Statistics {
     let mut right = Statistics { len: prior.len, ..Statistics::default() };
     right.products[0][0] = prior.products[0][0];

@@ -4,11 +4,13 @@
 const LOG_ODDS: f64 = -3.0;
 /// Least and largest: a road may become another one.
 const LOG_ODDS_RANGE: [f64; 2] = [-5.0, 4.0];
-/// How much a forecast changes them whose two distances differ by as much as agents alike deviate, or by more.
+/// How much a forecast changes them whose two distances differ by as much as agents alike deviate, or by
+/// more.
 const RATE: f64 = 0.3;
 
-/// How probable it is that the network knows the road: [Hedge](https://doi.org/10.1006/jcss.1997.1504) between the
-/// network alone, which is right where it does, and the blend that the prior expects to be best where it does not.
+/// How probable it is that the network knows the road: [Hedge](https://doi.org/10.1006/jcss.1997.1504)
+/// between the network alone, which is right where it does, and the blend that the prior expects to be best
+/// where it does not.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Familiarity {
     log_odds: f64,
@@ -23,8 +25,8 @@ impl Familiarity {
         Self { log_odds: LOG_ODDS }
     }
 
-    /// Adds a forecast by how much nearer to the truth the network was than the prior's blend, as a share of how far
-    /// agents alike deviate.
+    /// Adds a forecast by how much nearer to the truth the network was than the prior's blend, as a share of
+    /// how far agents alike deviate.
     pub(crate) fn add(&mut self, nearer: f32) {
         let [least, largest] = LOG_ODDS_RANGE;
         self.log_odds = (self.log_odds + RATE * f64::from(nearer.clamp(-1.0, 1.0))).clamp(least, largest);

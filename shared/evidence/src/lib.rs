@@ -15,16 +15,16 @@
 //! ```
 //!
 //!   σ is how far agents alike deviate; it takes the unit away, so that the prior counts for n₀ forecasts. An
-//!   expert that has been nearer than this regression is the forecast alone.
-//!   A₀ and b₀ are the [prior](Prior): such sums per forecast, over recordings that the network never saw, where
-//!   ‖y‖² + max ‖d_e‖² stands for r σ, so that no forecast tells others more than another. With the probability that the
-//!   network knows the road they are those of a network that is right: [Hedge](https://doi.org/10.1006/jcss.1997.1504) by
-//!   which of the two was nearer.
-//! * **How wide.** The level of the highest-density region on whose border the truth lies, as a radius
-//!   r = √(−2 ln (1 − level)), is 2.15 at nine of ten forecasts of calibrated regions. Its 0.9 quantile over
-//!   matured forecasts, discounted by age, is the factor by which regions widen ([`Evidence::widths`]), times a correction
-//!   that all speeds have in common: every miss widens all later regions, every hit narrows them by a ninth of that
-//!   ([adaptive conformal inference](https://arxiv.org/abs/2106.00170)).
+//!   expert that has been nearer than this regression is the forecast alone. A₀ and b₀ are the
+//!   [prior](Prior): such sums per forecast, over recordings that the network never saw, where ‖y‖² + max
+//!   ‖d_e‖² stands for r σ, so that no forecast tells others more than another. With the probability that the
+//!   network knows the road they are those of a network that is right:
+//!   [Hedge](https://doi.org/10.1006/jcss.1997.1504) by which of the two was nearer.
+//! * **How wide.** The level of the highest-density region on whose border the truth lies, as a radius r =
+//!   √(−2 ln (1 − level)), is 2.15 at nine of ten forecasts of calibrated regions. Its 0.9 quantile over
+//!   matured forecasts, discounted by age, is the factor by which regions widen ([`Evidence::widths`]), times
+//!   a correction that all speeds have in common: every miss widens all later regions, every hit narrows them
+//!   by a ninth of that ([adaptive conformal inference](https://arxiv.org/abs/2106.00170)).
 //!
 //! * **Which modes.** Those that stand for both the network's and a [fan](FAN), as wide as agents alike deviate from
 //!   its middle ([`Choice`]): more of the set whose nearest mode has been nearer. The middle lies where the fan has been
@@ -79,6 +79,7 @@ pub use ledger::{Agent, Evidence, Matured, Mixture};
 pub use paths::{MotionNow, Paths};
 pub use prior::{ContextPrior, Patterns, Prior, PriorError, Priors};
 pub use statistics::Statistics;
+pub use width::RADIUS_90;
 
 /// Experts beside constant velocity, in the order of their numbers in [`SLOTS`].
 pub const EXPERTS: usize = 4;

@@ -9,7 +9,8 @@ const EVEN_LEN: f64 = 10.0;
 /// Of neither set are there fewer than so many: what was never seen for days may be seen all the same.
 const LEAST_LEN: f64 = 0.01;
 
-/// Matured forecasts of one type at all speeds: of the network and of the fan, those of which it had the nearest mode.
+/// Matured forecasts of one type at all speeds: of the network and of the fan, those of which it had the
+/// nearest mode.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct SetsOfType {
     nearest: [f64; 2],
@@ -41,8 +42,8 @@ impl SetsOfType {
 
     /// The probability of each set at a speed.
     ///
-    /// Where at all speeds the odds of the network are so many times those of the prior, they are expected to be so
-    /// here. With s the share that follows, the probability is s² / (s² + (1 − s)²).
+    /// Where at all speeds the odds of the network are so many times those of the prior, they are expected to
+    /// be so here. With s the share that follows, the probability is s² / (s² + (1 − s)²).
     pub(crate) fn probability(&self, at: &SetsAtSpeed) -> [f32; 2] {
         let odds = |of: [f64; 2]| of[0].max(LEAST_LEN) / of[1].max(LEAST_LEN);
         let more = odds(self.nearest) / odds(self.expected);

@@ -1,6 +1,6 @@
-//! The factors by which regions widen: a discounted histogram of radii finds them for each speed, and adaptive conformal
-//! inference corrects them for all speeds of a type: every miss widens all later regions a little, every hit narrows them
-//! by a ninth of that.
+//! The factors by which regions widen: a discounted histogram of radii finds them for each speed, and
+//! adaptive conformal inference corrects them for all speeds of a type: every miss widens all later regions a
+//! little, every hit narrows them by a ninth of that.
 
 use crate::fading;
 
@@ -9,7 +9,7 @@ const BINS: usize = 64;
 /// Least and largest logarithm.
 const RANGE: [f32; 2] = [-3.2, 3.2];
 /// Radius of the region of 90 % in standard deviations: √(−2 ln 0.1).
-const RADIUS: f32 = 2.145_966;
+pub const RADIUS_90: f32 = 2.145_966;
 /// Probability of the region that is calibrated.
 const LEVEL: f64 = 0.9;
 /// Radii that are assumed to have been seen at the start, of a calibrated region.
@@ -32,7 +32,8 @@ pub(crate) struct Widths {
     log: f32,
 }
 
-/// What adaptive conformal inference adds to the logarithms of the factors at one step of the horizon, at all speeds.
+/// What adaptive conformal inference adds to the logarithms of the factors at one step of the horizon, at all
+/// speeds.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Correction {
     value: f64,
@@ -54,18 +55,18 @@ impl Widths {
     fn begun(mut self) -> Self {
         let share = |radius: f64| 1.0 - (-0.5 * radius * radius).exp();
         for (bin, count) in self.bins.iter_mut().enumerate() {
-            let edge = |bin: usize| f64::from(RADIUS * (log_of(bin) - self.log).exp());
+            let edge = |bin: usize| f64::from(RADIUS_90 * (log_of(bin) - self.log).exp());
             *count = ASSUMED * (share(edge(bin + 1)) - share(edge(bin)));
         }
         self.len = self.bins.iter().sum();
         self
     }
 
-    /// Adds a forecast by the level on whose border the truth lay, of a region that was widened by `factor`, without what
-    /// a [`Correction`] added.
+    /// Adds a forecast by the level on whose border the truth lay, of a region that was widened by `factor`,
+    /// without what a [`Correction`] added.
     pub(crate) fn add(&mut self, level: f64, factor: f32, weight: f32) {
         let radius = (-2.0 * (1.0 - level).max(1e-6).ln()).sqrt() as f32;
-        let log = (radius.max(1e-3) / RADIUS).ln() + factor.ln();
+        let log = (radius.max(1e-3) / RADIUS_90).ln() + factor.ln();
         let place = (log - RANGE[0]) / (RANGE[1] - RANGE[0]) * BINS as f32;
         self.bins[(place.max(0.0) as usize).min(BINS - 1)] += f64::from(weight);
         self.len += f64::from(weight);
@@ -122,7 +123,8 @@ impl Correction {
         self.value = value.clamp(-CORRECTION_MAX, CORRECTION_MAX);
     }
 
-    /// Lets the correction fade with the time that has passed, and the count of what is under way by a factor.
+    /// Lets the correction fade with the time that has passed, and the count of what is under way by a
+    /// factor.
     pub(crate) fn discount(&mut self, passed_s: f64, under_way: f64) {
         self.value *= (-passed_s / CORRECTION_FADING_S).exp();
         self.rate *= under_way;
@@ -163,8 +165,8 @@ mod tests {
         }
     }
 
-    /// The level of a truth at a radius of a Gaussian `deviation` times as wide as the forecast says, whose region was
-    /// widened by `factor`.
+    /// The level of a truth at a radius of a Gaussian `deviation` times as wide as the forecast says, whose
+    /// region was widened by `factor`.
     fn level(sample: u32, deviation: f64, factor: f32) -> f64 {
         let share = (f64::from(sample) * 0.618_034).fract();
         let radius = deviation * (-2.0 * (1.0 - share).ln()).sqrt();

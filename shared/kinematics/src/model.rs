@@ -174,6 +174,15 @@ impl MotionModel {
         }
     }
 
+    /// Writes the position after each control [that acts](MotionModel::acting): the means of
+    /// [`MotionModel::moments`], and no covariance.
+    pub fn means(&self, acting: impl Iterator<Item = ControlGaussian>, out: &mut [Moments]) {
+        match self {
+            Self::Bicycle { motion, start } => means(motion, start, acting, out),
+            Self::Displacement { motion, start } => means(motion, start, acting, out),
+        }
+    }
+
     /// Writes mean and covariance of the position after each control, before saturation: those of `particles`
     /// particles that are drawn from the start, see [`advance_particles`].
     ///
@@ -221,6 +230,19 @@ fn moments<const N: usize>(
     for (control, out) in acting.zip(out) {
         belief.advance_by(motion, &control);
         *out = belief.position();
+    }
+}
+
+fn means<const N: usize>(
+    motion: &impl Motion<N>,
+    start: &Belief<N>,
+    acting: impl Iterator<Item = ControlGaussian>,
+    out: &mut [Moments],
+) {
+    let mut state = start.mean;
+    for (control, out) in acting.zip(out) {
+        state = motion.step(&state, &control.mean);
+        *out = Moments { mean: [state[0], state[1]], ..Moments::default() };
     }
 }
 

@@ -98,8 +98,8 @@ impl HighestDensity {
 
     /// The area of the highest-density region of a level, in m²; 0 where no probability is positive.
     ///
-    /// With R the region and p the density, ∫ 1_R dx is the mean of 1_R / p over draws of p. Of one region it is nearly
-    /// always within a tenth, and the error of the mean of many vanishes.
+    /// With R the region and p the density, ∫ 1_R dx is the mean of 1_R / p over draws of p. Of one region it
+    /// is nearly always within a tenth, and the error of the mean of many vanishes.
     ///
     /// # Panics
     /// Where there are not as many means, covariances and probabilities.

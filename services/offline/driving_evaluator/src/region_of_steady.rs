@@ -1,16 +1,17 @@
-//! How large a region about constant velocity must be to hold as many truths: the yardstick of the published regions.
+//! How large a region about constant velocity must be to hold as many truths: the yardstick of the published
+//! regions.
 
 use crate::gaussian::Gaussian;
-use crate::sample::Sample;
+use crate::sample::{STEPS, Sample};
 
 /// A speed band of fewer forecasts has the Gaussian of all.
 const BAND_MIN: usize = 20;
 
-/// Mean area of regions at the end of the horizon that hold as many truths in each speed band as the published ones of
-/// this level do, m².
+/// Mean area of regions at the end of the horizon that hold as many truths in each speed band as the
+/// published ones of this level do, m².
 ///
-/// They are ellipses of a Gaussian of what the truth is beyond constant velocity, along and across the course. It is
-/// fitted in hindsight to the same forecasts of the band, and scaled until it holds as many.
+/// They are ellipses of a Gaussian of what the truth is beyond constant velocity, along and across the
+/// course. It is fitted in hindsight to the same forecasts of the band, and scaled until it holds as many.
 pub(crate) fn mean_area_m2(
     samples: &[&Sample],
     level: f64,
@@ -23,7 +24,7 @@ pub(crate) fn mean_area_m2(
     let sums_m2 = (0..bands_len).map(|band| {
         let of_band: Vec<&Sample> = samples.iter().copied().filter(|s| band_of(s) == band).collect();
         let gaussian = fit(if of_band.len() < BAND_MIN { samples } else { &of_band });
-        let held = of_band.iter().filter(|sample| sample.is_held(level)).count();
+        let held = of_band.iter().filter(|sample| sample.is_held(level, STEPS.len() - 1)).count();
         let mut squares: Vec<f64> =
             of_band.iter().map(|sample| gaussian.square(sample.beyond_steady_m)).collect();
         squares.sort_by(f64::total_cmp);
@@ -40,37 +41,45 @@ mod tests {
     use scene::AgentType;
 
     use super::*;
-    use crate::sample::STEPS;
 
-    /// Forecasts of two speeds, whose truths lie within circles of these radii about a point, of which so many are held.
-    fn samples(radii_m: [f32; 2], held: usize) -> Vec<Sample> {
+    /// Forecasts of two speeds, whose truths lie within circles of these radii about a point; of each speed
+    /// the first of so many are held.
+    fn samples(radii_m: [f32; 2], held: [usize; 2]) -> Vec<Sample> {
         let of = |number: usize| {
             let (fast, angle) = (number % 2, 0.1 * number as f32);
             let radius_m = radii_m[fast] * (0.5 + 0.5 * (0.618 * number as f32).fract());
             Sample {
                 beyond_steady_m: [1.0 + radius_m * angle.cos(), radius_m * angle.sin()],
-                levels: [if number < held { 0.5 } else { 0.95 }; STEPS.len()],
+                levels: [if number / 2 < held[fast] { 0.5 } else { 0.95 }; STEPS.len()],
                 ..Sample::of(AgentType::Vehicle, 10.0 * fast as f32)
             }
         };
         (0..400).map(of).collect()
     }
 
+    fn area_m2(held: [usize; 2], bands_len: usize) -> f64 {
+        let samples = samples([1.0, 10.0], held);
+        let samples: Vec<&Sample> = samples.iter().collect();
+        let band_of = |sample: &Sample| usize::from(bands_len > 1 && sample.speed_mps > 5.0);
+        mean_area_m2(&samples, 0.9, band_of, bands_len)
+    }
+
     #[test]
     fn a_region_of_all_is_the_circle_and_speeds_have_their_own() {
-        let by_speed = |sample: &Sample| usize::from(sample.speed_mps > 5.0);
-        let area_m2 = |held, bands_len| {
-            let samples = samples([1.0, 10.0], held);
-            let samples: Vec<&Sample> = samples.iter().collect();
-            mean_area_m2(&samples, 0.9, |sample| if bands_len > 1 { by_speed(sample) } else { 0 }, bands_len)
-        };
-        let apart_m2 = area_m2(400, 2);
+        let apart_m2 = area_m2([200, 200], 2);
         assert!((apart_m2 / (PI * 50.5) - 1.0).abs() < 0.05, "{apart_m2}");
-        let together_m2 = area_m2(400, 1);
+        let together_m2 = area_m2([200, 200], 1);
         assert!((together_m2 / (PI * 100.0) - 1.0).abs() < 0.1, "{together_m2}");
         // Half of them lie within three quarters of the radius.
-        let half_m2 = area_m2(200, 2);
+        let half_m2 = area_m2([100, 100], 2);
         assert!((half_m2 / (PI * 50.5 * 0.5625) - 1.0).abs() < 0.05, "{half_m2}");
-        assert_eq!(area_m2(0, 2), 0.0);
+        assert_eq!(area_m2([0, 0], 2), 0.0);
+    }
+
+    #[test]
+    fn a_speed_whose_truths_are_held_makes_up_for_no_other() {
+        let [slow_m2, fast_m2] = [[200, 0], [0, 200]].map(|held| area_m2(held, 2));
+        assert!((slow_m2 / (PI * 0.5) - 1.0).abs() < 0.05, "{slow_m2}");
+        assert!((fast_m2 / (PI * 50.0) - 1.0).abs() < 0.05, "{fast_m2}");
     }
 }

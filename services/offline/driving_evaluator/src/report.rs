@@ -141,8 +141,9 @@ impl Report {
         format!(
             "## By source\n\nADE / FDE in m. {} Ratios to constant velocity with 95 % intervals ({RESAMPLES} resamples of agents); \
              20 anchors on constant velocity are fitted to the other sources; regret is the single best forecast's error over that \
-             of the best of constant velocity, turn and acceleration in hindsight; area is that of the highest-density region of 90 % at the end, CV area that of a Gaussian about \
-             constant velocity, fitted in hindsight to the same forecasts of each speed, that holds as many of their truths.\n\n{}\n\
+             of the best of constant velocity, turn and acceleration in hindsight; area is that of the highest-density region of 90 % at the end, \
+             CV area that of a Gaussian about constant velocity, fitted in hindsight to the same forecasts of each speed, \
+             that holds as many of their truths.\n\n{}\n\
              Mean over the sources of the ratio of ADE / FDE: {}.",
             self.made,
             table.grid(),
@@ -385,7 +386,7 @@ impl Cell<'_> {
     }
 
     fn held(&self, level: f64, step: usize) -> f64 {
-        self.share(|sample| sample.levels[step] <= level)
+        self.share(|sample| sample.is_held(level, step))
     }
 
     /// The single best forecast's mean error over constant velocity's, of ADE and FDE.
@@ -402,7 +403,8 @@ impl Cell<'_> {
         })
     }
 
-    /// Mean areas of the published region of 90 % at the end and of that of constant velocity that holds as many, m².
+    /// Mean areas of the published region of 90 % at the end and of that of constant velocity that holds as
+    /// many, m².
     fn areas_m2(&self) -> [f64; 2] {
         let steady_m2 = region_of_steady::mean_area_m2(self.samples, LEVEL, band_of, BAND_NAMES.len());
         [self.mean(|sample| sample.area_m2), steady_m2]

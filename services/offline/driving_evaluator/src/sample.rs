@@ -125,9 +125,9 @@ impl Sample {
 }
 
 impl Sample {
-    /// Whether the published region of a level held the truth at the end.
-    pub(crate) fn is_held(&self, level: f64) -> bool {
-        self.levels[STEPS.len() - 1] <= level
+    /// Whether the published region of a level held the truth at the step of this number among [`STEPS`].
+    pub(crate) fn is_held(&self, level: f64, step: usize) -> bool {
+        self.levels[step] <= level
     }
 }
 

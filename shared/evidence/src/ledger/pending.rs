@@ -17,7 +17,8 @@ pub(super) struct Pending {
     /// Less constant velocity.
     pub(super) regression_m: [[f32; 2]; KNOTS],
     pub(super) course: [f32; 2],
-    /// What the truth is beyond the middle of the fan along and across the course, at the knots that have matured, m.
+    /// What the truth is beyond the middle of the fan along and across the course, at the knots that have
+    /// matured, m.
     pub(super) residuals_m: [[f32; 2]; KNOTS],
     /// Less constant velocity.
     pub(super) experts_m: [[[f32; 2]; EXPERTS]; KNOTS],
@@ -26,8 +27,8 @@ pub(super) struct Pending {
 }
 
 impl Pending {
-    /// How much nearer to the truth at a knot the network was than the blend of a road that it does not know, as a share
-    /// of how far agents alike deviate. The truth is less constant velocity.
+    /// How much nearer to the truth at a knot the network was than the blend of a road that it does not know,
+    /// as a share of how far agents alike deviate. The truth is less constant velocity.
     pub(super) fn network_nearer(
         &self,
         knot: usize,

@@ -90,6 +90,52 @@ fn regions_widen_where_they_miss_and_narrow_where_they_never_do() {
 }
 
 #[test]
+fn misses_at_one_speed_widen_the_regions_of_all_speeds_of_the_type_for_a_while() {
+    let mut evidence = drive(40, 1.0, 1.0);
+    let before = drive(0, 1.0, 1.0);
+    let ratio = |evidence: &Evidence, agent_type: AgentType, speed_mps: f32| {
+        evidence.widths(agent_type, speed_mps)[11] / before.widths(agent_type, speed_mps)[11]
+    };
+    let [own, slow] = [10.0, 0.5].map(|speed_mps| ratio(&evidence, AgentType::Vehicle, speed_mps));
+    assert!(own > slow && slow > 1.2, "{own} {slow}");
+    assert_eq!(ratio(&evidence, AgentType::Pedestrian, 0.8), 1.0);
+    evidence.observe(40 * STEP_NS + 600_000_000_000, []);
+    let [own, slow] = [10.0, 0.5].map(|speed_mps| ratio(&evidence, AgentType::Vehicle, speed_mps));
+    assert!(own > 1.2 && (slow - 1.0).abs() < 1e-3, "{own} {slow}");
+}
+
+#[test]
+fn what_the_correction_widened_is_no_width_that_lasts() {
+    // All are published twice as wide, as the widths at the time say by their correction alone, or without
+    // it.
+    let lasting = |corrected: bool| {
+        let mut known = Evidence::new(12, STEP_NS as u64, &Prior::default());
+        if corrected {
+            known = drive_with(known, 40, |_| [1.0; 3], 1.0);
+        }
+        let of_type = &known.of_types[AGENT.agent_type.index()];
+        let corrections = of_type.corrections.map(|of| of.log());
+        let widths = [2.0; HORIZON_MAX];
+        let path_m = [[0.0; 2]; HORIZON_MAX];
+        let mixture = Mixture {
+            probability: &[1.0],
+            modes_m: &[path_m; MODES_MAX],
+            covariances_m2: &[[[1.0, 0.0, 1.0]; HORIZON_MAX]; MODES_MAX],
+            widths: &widths,
+            network_m: &[path_m],
+            fan: &fan(&known),
+        };
+        let mut kept = Kept::empty();
+        kept.fill(known.knots, &mixture, &[[0.0; 2]; KNOTS], &Default::default(), &corrections);
+        let due = kept.due(Context::new(AGENT.agent_type, AGENT.speed_mps), KNOTS - 1, [0.0; 2]);
+        (due.factor, corrections[KNOTS - 1])
+    };
+    assert_eq!(lasting(false), (2.0, 0.0));
+    let (factor, correction) = lasting(true);
+    assert!(correction > 0.1 && (factor - 2.0 * (-correction).exp()).abs() < 1e-5, "{factor} {correction}");
+}
+
+#[test]
 fn a_fan_lies_halfway_to_the_blend_or_at_it_where_that_has_been_nearer() {
     let middle = |evidence: &Evidence| {
         let fan = fan(evidence);
