@@ -1,14 +1,40 @@
 //! What part of each expert's difference from constant velocity the best forecast has, at one step of the horizon.
 
+use wire::AgentType;
+
 use crate::width::single;
 use crate::{EXPERTS, Statistics};
 
-/// Forecasts that the prior counts for.
-const PRIOR_LEN: f64 = 20.0;
 /// An expert is the forecast alone where its mean distance from the truth is below this share of the regression's.
 const BETTER: f64 = 0.98;
-/// Forecasts of which that must hold, older ones counting less.
-const FORECASTS_MIN: f64 = 30.0;
+
+/// How much it takes to forecast agents of a type as nobody forecast them on other roads.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Caution {
+    /// Forecasts that the prior counts for.
+    prior_len: f64,
+    /// Forecasts after which an expert may be the forecast alone, older ones counting less.
+    expert_min: f64,
+    /// Those after which constant velocity may.
+    steady_min: f64,
+    /// It then is where its mean distance from the truth is below this share of the regression's.
+    steady: f64,
+}
+
+impl Caution {
+    /// Many are about, and tell of each other.
+    const LITTLE: Self = Self { prior_len: 20.0, expert_min: 30.0, steady_min: 30.0, steady: BETTER };
+    /// One or two are about, and what they did tells little of the next: the regression must prove better than constant
+    /// velocity, and no expert is the forecast alone.
+    const MUCH: Self = Self { prior_len: 100.0, expert_min: f64::INFINITY, steady_min: 10.0, steady: 1.02 };
+
+    pub(crate) const fn of(agent_type: AgentType) -> Self {
+        match agent_type {
+            AgentType::Vehicle | AgentType::Pedestrian => Self::LITTLE,
+            AgentType::Cyclist => Self::MUCH,
+        }
+    }
+}
 
 /// A matured forecast: positions less constant velocity's, m.
 #[derive(Clone, Copy, Debug)]
@@ -28,6 +54,7 @@ pub(crate) struct Outcome<'a> {
 /// What is known of the experts, and the weights that follow.
 #[derive(Clone, Debug)]
 pub(crate) struct Blend {
+    caution: Caution,
     /// What the experts are worth on roads that the network does not know, and their weights there.
     strange: Statistics,
     strange_weights: [f32; EXPERTS],
@@ -47,8 +74,9 @@ impl Blend {
     pub(crate) const NUMBERS_LEN: usize = EXPERTS * EXPERTS + EXPERTS + 1 + (EXPERTS + 2) + 2 * EXPERTS;
 
     /// Before any forecast, where the network knows the road with probability `known`.
-    pub(crate) fn new(prior: &Statistics, known: f64) -> Self {
+    pub(crate) fn new(caution: Caution, prior: &Statistics, known: f64) -> Self {
         let mut blend = Self {
+            caution,
             strange: *prior,
             strange_weights: prior.weights(),
             matured: Statistics::default(),
@@ -86,17 +114,26 @@ impl Blend {
 
     /// Finds the weights where the network knows the road with probability `known`.
     pub(crate) fn solve(&mut self, known: f64) {
+        let prior_len = self.caution.prior_len;
         let mut with_prior = self.matured;
-        with_prior.add_scaled(&self.strange, PRIOR_LEN * (1.0 - known));
-        with_prior.add_scaled(&right_network(&self.strange), PRIOR_LEN * known);
+        with_prior.add_scaled(&self.strange, prior_len * (1.0 - known));
+        with_prior.add_scaled(&right_network(&self.strange), prior_len * known);
         self.regression = with_prior.weights();
-        let [by_regression_m, alone_m @ ..] = &self.distances_m;
-        let best = (0..alone_m.len()).min_by(|&a, &b| alone_m[a].total_cmp(&alone_m[b]));
-        let better = best.filter(|&best| alone_m[best] < BETTER * by_regression_m);
-        self.weights = match better.filter(|_| self.matured.len >= FORECASTS_MIN) {
-            Some(best) => std::array::from_fn(|expert| if expert + 1 == best { 1.0 } else { 0.0 }),
-            None => self.regression,
-        };
+        self.weights = self.alone().unwrap_or(self.regression);
+    }
+
+    /// The weights where one alone is the forecast.
+    fn alone(&self) -> Option<[f32; EXPERTS]> {
+        let Caution { expert_min, steady_min, steady, .. } = self.caution;
+        let [by_regression_m, steady_m, ref experts_m @ ..] = self.distances_m;
+        let is_enough = |forecasts_min: f64| self.matured.len >= forecasts_min;
+        let experts =
+            experts_m.iter().enumerate().map(|(expert, expert_m)| (Some(expert), expert_m / BETTER));
+        let experts = experts.filter(|_| is_enough(expert_min));
+        let steady = is_enough(steady_min).then_some((None, steady_m / steady));
+        let (best, best_m) = experts.chain(steady).min_by(|(_, a_m), (_, b_m)| a_m.total_cmp(b_m))?;
+        let weights = std::array::from_fn(|expert| if Some(expert) == best { 1.0 } else { 0.0 });
+        (best_m < by_regression_m).then_some(weights)
     }
 
     /// The experts' weights: none negative, at most 1 in sum; constant velocity has the rest.
@@ -151,9 +188,14 @@ fn right_network(prior: &Statistics) -> Statistics {
 mod tests {
     use super::*;
 
-    /// A blend after forecasts of the network alone: how far it said, and how far the agent went, along a line.
+    /// A blend of vehicles after forecasts of the network alone: how far it said, and how far the agent went, along a
+    /// line.
     fn after(forecasts: impl IntoIterator<Item = (f32, f32)>) -> Blend {
-        let mut blend = Blend::new(&Statistics::default(), 0.0);
+        after_those_of(AgentType::Vehicle, forecasts)
+    }
+
+    fn after_those_of(agent_type: AgentType, forecasts: impl IntoIterator<Item = (f32, f32)>) -> Blend {
+        let mut blend = Blend::new(Caution::of(agent_type), &Statistics::default(), 0.0);
         for (network_m, truth_m) in forecasts {
             let mut experts_m = [[0.0; 2]; EXPERTS];
             experts_m[0][0] = network_m;
@@ -196,13 +238,34 @@ mod tests {
     }
 
     #[test]
+    fn of_cyclists_the_regression_must_prove_better_than_constant_velocity() {
+        // The network is right to say that they move, but says a hundredth of how far.
+        let of_little_use = || std::iter::repeat_n((1.0, 100.0), 100);
+        let [vehicles, cyclists] =
+            [AgentType::Vehicle, AgentType::Cyclist].map(|of| after_those_of(of, of_little_use()));
+        assert_eq!(vehicles.weights, [1.0, 0.0, 0.0, 0.0]);
+        assert_eq!(cyclists.weights, [0.0; EXPERTS]);
+    }
+
+    #[test]
+    fn of_cyclists_no_expert_is_the_forecast_alone() {
+        let moving = || std::iter::repeat_n((0.1, 0.0), 300).chain(std::iter::repeat_n((5.0, 5.0), 30));
+        let [vehicles, cyclists] =
+            [AgentType::Vehicle, AgentType::Cyclist].map(|of| after_those_of(of, moving()));
+        assert_eq!(vehicles.weights, [1.0, 0.0, 0.0, 0.0]);
+        assert_eq!(cyclists.weights, cyclists.regression);
+        assert!(cyclists.weights[0] > 0.5, "{:?}", cyclists.weights);
+    }
+
+    #[test]
     fn where_the_network_knows_the_road_it_is_trusted_before_any_forecast_matures() {
         let mut prior = Statistics::doubting();
         prior.targets = [0.3, 0.2, 0.2, 0.0];
-        let blend = Blend::new(&prior, 0.5);
-        let [strange, half, known] = [0.0, 0.5, 1.0].map(|known| Blend::new(&prior, known).weights[0]);
-        assert!(strange < 0.31 && strange < half && half < known && known > 0.99, "{strange} {half} {known}");
-        assert_eq!(blend.strange_weights[0], strange);
+        let [strange, half, known] = [0.0, 0.5, 1.0].map(|known| Blend::new(Caution::LITTLE, &prior, known));
+        let [by_strange, by_half, by_known] = [&strange, &half, &known].map(|blend| blend.weights[0]);
+        assert!(by_strange < 0.31 && by_strange < by_half, "{by_strange} {by_half}");
+        assert!(by_half < by_known && by_known > 0.99, "{by_half} {by_known}");
+        assert_eq!(half.strange_weights[0], by_strange);
     }
 
     #[test]

@@ -9,7 +9,7 @@ mod tests;
 
 use std::collections::{HashMap, VecDeque, hash_map};
 
-use wire::{AGENTS_MAX, AgentType, EXPERTS_MAX, Expert, HORIZON_MAX, MODES_MAX};
+use wire::{AGENT_TYPES, AGENTS_MAX, AgentType, EXPERTS_MAX, Expert, HORIZON_MAX, MODES_MAX};
 
 use self::kept::Kept;
 use self::knowledge::{Knowledge, OfType};
@@ -117,9 +117,10 @@ impl Evidence {
             horizon_len,
             step_ns: step_ns.cast_signed().max(1),
             knots: knots(horizon_len),
-            known: std::array::from_fn(|of_type| {
+            known: AGENT_TYPES.map(|agent_type| {
+                let of_type = agent_type.index();
                 let known = of_types[of_type].familiarity.probability();
-                std::array::from_fn(|band| Knowledge::new(&prior.0[of_type][band], known))
+                std::array::from_fn(|band| Knowledge::new(agent_type, &prior.0[of_type][band], known))
             }),
             of_types,
             traces: HashMap::with_capacity(2 * TRACES_MAX),

@@ -1,6 +1,8 @@
 //! What is known of one type of agents at one speed.
 
-use crate::blend::Blend;
+use wire::AgentType;
+
+use crate::blend::{Blend, Caution};
 use crate::familiarity::Familiarity;
 use crate::fan::{LearnedPattern, MIDDLES};
 use crate::sets::{SetsAtSpeed, SetsOfType};
@@ -31,9 +33,10 @@ pub(super) struct Knowledge {
 
 impl Knowledge {
     /// Before any forecast, where the network knows the road with probability `known`.
-    pub(super) fn new(prior: &ContextPrior, known: f64) -> Self {
+    pub(super) fn new(agent_type: AgentType, prior: &ContextPrior, known: f64) -> Self {
         let widths = prior.log_width.map(|log| Widths::new(log.exp()));
-        let blend = prior.blend.each_ref().map(|prior| Blend::new(prior, known));
+        let caution = Caution::of(agent_type);
+        let blend = prior.blend.each_ref().map(|prior| Blend::new(caution, prior, known));
         let squares = prior.deviation_m.map(|deviations| {
             (deviations.map(|deviation_m| DEVIATIONS_LEN * f64::from(deviation_m).powi(2)), DEVIATIONS_LEN)
         });
