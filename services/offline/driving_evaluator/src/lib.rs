@@ -13,6 +13,7 @@
 //!
 //! [`through_gaps`] says what forecasts are worth to the tracker on the same sources: a [`GapReport`].
 
+mod cell;
 mod error;
 mod gaps;
 mod gaussian;

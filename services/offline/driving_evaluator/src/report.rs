@@ -3,30 +3,30 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt::Write as _;
 
-use evaluator::{RESAMPLES, Table, digits, threads};
+use evaluator::{RESAMPLES, Table, threads};
 use evidence::Priors;
-use metrics::{Interval, PairedErrors, paired_bootstrap_ratio};
+use metrics::Interval;
 use nn::ModelConfig;
 use nn::Precision;
 use scene::AgentType;
 use serde_json::json;
 
+use crate::cell::{BAND_NAMES, Cell, band_of, interval};
 use crate::patterns::{Residuals, patterns};
 use crate::play::Played;
 use crate::sample::{LEVEL, METHODS, Method, STEPS, Sample};
 use crate::source::Source;
-use crate::{Errors, Options, region_of_steady};
+use crate::{Errors, Options};
 
-/// Bounds of the speed bands, m/s.
-const BANDS_MPS: [f32; 4] = [3.0, 8.0, 15.0, 25.0];
-const BAND_NAMES: [&str; 5] = ["0-3", "3-8", "8-15", "15-25", "> 25"];
 /// A cell with fewer forecasts is left out.
 const CELL_MIN: usize = 200;
 /// Time of a source from which on its regions must hold.
 const SETTLED_S: f64 = 60.0;
 /// The first seconds of a recording that are told apart.
 const FIRST_S: [f64; 4] = [5.0, 10.0, 30.0, f64::INFINITY];
-const SEED: u64 = 1;
+/// What regions of 90 % must hold once settled, and before.
+const HELD_SETTLED: [f64; 2] = [0.88, 0.92];
+const HELD_AT_FIRST: [f64; 2] = [0.8, 0.97];
 
 /// What was published, beside its yardsticks, by source, type and speed.
 #[derive(Debug)]
@@ -100,6 +100,8 @@ impl Report {
             "acceleration",
             "best of 20",
             "20 anchors",
+            "/ anchors, ADE",
+            "/ anchors, FDE",
             "missed",
             "area m²",
             "CV area m²",
@@ -112,18 +114,19 @@ impl Report {
         let mut ratios: BTreeMap<AgentType, Vec<[f64; 2]>> = BTreeMap::new();
         for (source, agent_type, samples) in self.cells() {
             let cell = Cell { samples: &samples };
-            let ratio = cell.ratios();
+            let ratio = cell.ratios(Method::Best, Method::ConstantVelocity);
             if let [Some(ade), Some(fde)] = &ratio {
                 ratios.entry(agent_type).or_default().push([ade.mean, fde.mean]);
             }
             let mut row = vec![source.name.clone(), agent_type.name().to_owned(), samples.len().to_string()];
             row.push(cell.text(Method::Best));
             row.push(cell.text(Method::ConstantVelocity));
-            row.extend(ratio.iter().map(|ratio| ratio.as_ref().map_or("-".to_owned(), interval)));
+            row.extend(ratio.iter().map(interval));
             row.extend(
                 [Method::DecayingTurn, Method::DecayingAcceleration, Method::BestOf, Method::Anchors]
                     .map(|method| cell.text(method)),
             );
+            row.extend(cell.ratios(Method::BestOf, Method::Anchors).iter().map(interval));
             row.push(format!("{:.2}", cell.share(|sample| sample.missed)));
             row.extend(cell.areas_m2().map(|area_m2| format!("{area_m2:.0}")));
             row.push(format!("{:.2}", cell.mean(|sample| sample.nll)));
@@ -158,8 +161,11 @@ impl Report {
             "constant velocity",
             "/ CV, ADE",
             "/ CV, FDE",
+            "turn",
             "best of 20",
             "20 anchors",
+            "/ anchors, ADE",
+            "missed",
             "held 90 %",
             "area m²",
             "CV area m²",
@@ -180,9 +186,14 @@ impl Report {
                     of_band.len().to_string(),
                 ];
                 row.extend([Method::Best, Method::ConstantVelocity].map(|method| cell.text(method)));
-                row.extend(cell.ratios().iter().map(|ratio| ratio.as_ref().map_or("-".to_owned(), interval)));
-                row.extend([Method::BestOf, Method::Anchors].map(|method| cell.text(method)));
-                row.push(format!("{:.2}", cell.held(LEVEL, STEPS.len() - 1)));
+                row.extend(cell.ratios(Method::Best, Method::ConstantVelocity).iter().map(interval));
+                row.extend(
+                    [Method::DecayingTurn, Method::BestOf, Method::Anchors].map(|method| cell.text(method)),
+                );
+                let [by_anchors, _] = cell.ratios(Method::BestOf, Method::Anchors);
+                row.push(interval(&by_anchors));
+                row.push(format!("{:.2}", cell.share(|sample| sample.missed)));
+                row.push(interval(&cell.held_with_interval(LEVEL, STEPS.len() - 1)));
                 row.extend(cell.areas_m2().map(|area_m2| format!("{area_m2:.0}")));
                 table.push_row(row);
             }
@@ -197,6 +208,7 @@ impl Report {
         }
         let mut table =
             Table::new("", "", &["source", "type", "source time", "forecasts"], columns.into_iter());
+        let mut of_parts: [Vec<Interval>; 2] = [Vec::new(), Vec::new()];
         for (source, agent_type, samples) in self.cells() {
             for (name, settled) in [("first minute", false), ("after it", true)] {
                 let part: Vec<&Sample> =
@@ -211,15 +223,21 @@ impl Report {
                     name.to_owned(),
                     part.len().to_string(),
                 ];
-                for level in [0.5, 0.9] {
-                    row.extend((0..STEPS.len()).map(|step| format!("{:.2}", cell.held(level, step))));
-                }
+                row.extend((0..STEPS.len()).map(|step| format!("{:.2}", cell.held(0.5, step))));
+                let held = (0..STEPS.len()).map(|step| cell.held_with_interval(LEVEL, step));
+                let held: Vec<Option<Interval>> = held.collect();
+                row.extend(held.iter().map(interval));
                 table.push_row(row);
+                of_parts[usize::from(settled)].extend(held.into_iter().flatten());
             }
         }
         format!(
-            "## Coverage\n\nShare of the forecasts whose highest-density region of 50 and of 90 % held the truth, by horizon.\n\n{}",
-            table.grid()
+            "## Coverage\n\nShare of the forecasts whose highest-density region of 50 and of 90 % held the truth, by horizon; that \
+             of 90 % with 95 % intervals ({RESAMPLES} resamples of agents).\n\n{}\n\
+             Cells of 90 %: in the first minute {}; after it {}.",
+            table.grid(),
+            within(&of_parts[0], HELD_AT_FIRST),
+            within(&of_parts[1], HELD_SETTLED)
         )
     }
 
@@ -354,70 +372,43 @@ impl Report {
     }
 }
 
-/// The number of a sample's speed band.
-fn band_of(sample: &Sample) -> usize {
-    BANDS_MPS.iter().filter(|&&bound| sample.speed_mps >= bound).count()
+/// How many of some shares lie within bounds, and how many more may by their intervals.
+fn within(shares: &[Interval], [low, high]: [f64; 2]) -> String {
+    let percent = |share: f64| (100.0 * share).round();
+    let lies =
+        |share: &&Interval| percent(share.mean) >= percent(low) && percent(share.mean) <= percent(high);
+    let may = |share: &&Interval| share.low <= high && share.high >= low;
+    let (lie, out): (Vec<&Interval>, Vec<&Interval>) = shares.iter().partition(lies);
+    let reach = out.iter().filter(|share| may(share)).count();
+    format!(
+        "{} of {} lie within {:.0} to {:.0} %, and the intervals of {reach} more reach there",
+        lie.len(),
+        shares.len(),
+        percent(low),
+        percent(high)
+    )
 }
 
-/// Some samples.
-struct Cell<'a> {
-    samples: &'a [&'a Sample],
-}
+#[cfg(test)]
+mod tests {
+    use super::*;
 
-impl Cell<'_> {
-    fn mean(&self, of: impl Fn(&Sample) -> f64) -> f64 {
-        let values = self.samples.iter().map(|sample| of(sample)).filter(|value| value.is_finite());
-        let (sum, len) = values.fold((0.0, 0_u32), |(sum, len), value| (sum + value, len + 1));
-        sum / f64::from(len)
+    #[test]
+    fn shares_within_bounds_are_told_from_those_that_may_be() {
+        let share = |mean: f64, low: f64, high: f64| Interval { mean, low, high };
+        let shares = [
+            share(0.876, 0.875, 0.877),
+            share(0.94, 0.919, 0.95),
+            share(0.85, 0.80, 0.879),
+            share(0.85, 0.80, 0.90),
+        ];
+        assert_eq!(
+            within(&shares, HELD_SETTLED),
+            "1 of 4 lie within 88 to 92 %, and the intervals of 2 more reach there"
+        );
+        assert_eq!(
+            within(&shares, HELD_AT_FIRST),
+            "4 of 4 lie within 80 to 97 %, and the intervals of 0 more reach there"
+        );
     }
-
-    fn share(&self, of: impl Fn(&Sample) -> bool) -> f64 {
-        self.mean(|sample| f64::from(u8::from(of(sample))))
-    }
-
-    fn errors(&self, method: Method) -> Errors {
-        let of = |sample: &Sample| sample.errors[method as usize];
-        Errors { ade_m: self.mean(|sample| of(sample).ade_m), fde_m: self.mean(|sample| of(sample).fde_m) }
-    }
-
-    fn text(&self, method: Method) -> String {
-        let Errors { ade_m, fde_m } = self.errors(method);
-        if ade_m.is_nan() { "-".to_owned() } else { format!("{} / {}", digits(ade_m), digits(fde_m)) }
-    }
-
-    fn held(&self, level: f64, step: usize) -> f64 {
-        self.share(|sample| sample.is_held(level, step))
-    }
-
-    /// The single best forecast's mean error over constant velocity's, of ADE and FDE.
-    fn ratios(&self) -> [Option<Interval>; 2] {
-        [|errors: &Errors| errors.ade_m, |errors: &Errors| errors.fde_m].map(|of| {
-            let mut clusters: BTreeMap<u64, PairedErrors> = BTreeMap::new();
-            for sample in self.samples {
-                let [ours, theirs] = [Method::Best, Method::ConstantVelocity]
-                    .map(|method| of(&sample.errors[method as usize]));
-                clusters.entry(sample.agent).or_default().add(ours, theirs);
-            }
-            let clusters: Vec<PairedErrors> = clusters.into_values().collect();
-            paired_bootstrap_ratio(&clusters, RESAMPLES, SEED)
-        })
-    }
-
-    /// Mean areas of the published region of 90 % at the end and of that of constant velocity that holds as
-    /// many, m².
-    fn areas_m2(&self) -> [f64; 2] {
-        let steady_m2 = region_of_steady::mean_area_m2(self.samples, LEVEL, band_of, BAND_NAMES.len());
-        [self.mean(|sample| sample.area_m2), steady_m2]
-    }
-
-    /// The published forecast's ADE over that of the best kinematic expert.
-    fn regret(&self) -> f64 {
-        let experts = [Method::ConstantVelocity, Method::DecayingTurn, Method::DecayingAcceleration];
-        let least = experts.map(|method| self.errors(method).ade_m).into_iter().fold(f64::INFINITY, f64::min);
-        self.errors(Method::Best).ade_m / least
-    }
-}
-
-fn interval(ratio: &Interval) -> String {
-    format!("{:.2} ({:.2}–{:.2})", ratio.mean, ratio.low, ratio.high)
 }
