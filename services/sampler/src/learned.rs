@@ -93,7 +93,7 @@ impl<'a> LearnedControls<'a> {
                 *out = published(&model.relative_to_start(acting));
             }
             match propagation {
-                Propagation::Linearised if spread.is_some() => model.means(acting.into_iter(), moments),
+                _ if spread.is_some() => model.means(acting.into_iter(), moments),
                 Propagation::Linearised => model.moments(acting.into_iter(), moments),
                 Propagation::MonteCarlo { particles } => {
                     model.particle_moments(mode_steps(mode), particles, normals, moments);

@@ -89,6 +89,17 @@ pub(crate) struct Decoded {
     edges_left_out: usize,
 }
 
+/// What corrects the network's forecasts.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Correction {
+    /// Nothing does.
+    None,
+    /// The retrieval memory.
+    Retrieval,
+    /// The retrieval memory, then evidence.
+    RetrievalAndEvidence,
+}
+
 /// A sampler for each of the variants.
 pub(crate) struct Samplers {
     network: Sampler,
@@ -160,7 +171,7 @@ impl Forecaster {
         wanted: impl Fn(usize) -> bool,
     ) -> Vec<Vec<Option<Forecast>>> {
         let mut session = Session::new(self, recording, map, threads);
-        let mut sampler = self.sampler(false, false);
+        let mut sampler = self.sampler(Correction::None);
         self.lanes.iter().for_each(|map| sampler.guide_along(map));
         let mut forecasts = Vec::with_capacity(scenes.len());
         for (part, scenes) in scenes.chunks(TOGETHER).enumerate() {
@@ -220,7 +231,7 @@ impl Forecaster {
         memory: &mut RetrievalMemory,
     ) {
         let mut session = Session::new(self, recording, map, threads);
-        let mut sampler = self.sampler(true, false);
+        let mut sampler = self.sampler(Correction::Retrieval);
         sampler.warm_start(memory.clone());
         for scenes in scenes.chunks(TOGETHER) {
             for decoded in session.decode(scenes, |_| true, |_| Vec::new()).iter().flatten() {
@@ -236,7 +247,8 @@ impl Forecaster {
 
     /// The stages from `tracks` on, with a memory to retrieve from if there is one.
     pub fn stages(&self, map: MapInput<'_>, memory: Option<RetrievalMemory>) -> TracksToForecasts {
-        let mut sampler = self.sampler(memory.is_some(), false);
+        let correction = if memory.is_some() { Correction::Retrieval } else { Correction::None };
+        let mut sampler = self.sampler(correction);
         memory.into_iter().for_each(|memory| sampler.warm_start(memory));
         let stages = self.tracks_to_features(map, 1).and_then(|features| {
             Ok(TracksToForecasts::of_stages(features, self.features_to_controls()?, sampler))
@@ -244,10 +256,14 @@ impl Forecaster {
         stages.expect("stages that started before start again")
     }
 
-    /// The sampler of a run with or without retrieval and evidence.
-    pub(crate) fn sampler(&self, retrieval: bool, evidence: bool) -> Sampler {
-        let options =
-            sampler::Options { retrieval, evidence, workers: Some(1), ..sampler::Options::default() };
+    /// The sampler of a run.
+    fn sampler(&self, correction: Correction) -> Sampler {
+        let options = sampler::Options {
+            retrieval: correction != Correction::None,
+            evidence: correction == Correction::RetrievalAndEvidence,
+            workers: Some(1),
+            ..sampler::Options::default()
+        };
         let stage = StageRun::with_options(&sampler::STAGE, &options).expect("the stage's own options");
         let run = Run { stages: vec![stage], ..self.run.clone() };
         sampler::stage::open(&run, self.config()).expect("a sampler without a file opens")
@@ -357,22 +373,22 @@ impl Samplers {
         memory: Option<RetrievalMemory>,
         lanes: Option<&Arc<LaneMap>>,
     ) -> Self {
-        let sampler = |retrieval: bool, evidence: bool| {
-            let mut sampler = forecaster.sampler(retrieval, evidence);
+        let sampler = |correction: Correction| {
+            let mut sampler = forecaster.sampler(correction);
             lanes.into_iter().for_each(|map| sampler.guide_along(map));
             sampler
         };
         let warm_started = memory.map(|memory| {
-            let mut sampler = sampler(true, false);
+            let mut sampler = sampler(Correction::Retrieval);
             sampler.warm_start(memory);
             sampler
         });
         Self {
-            network: sampler(false, false),
-            base: forecaster.sampler(false, false),
-            retrieved: sampler(true, false),
+            network: sampler(Correction::None),
+            base: forecaster.sampler(Correction::None),
+            retrieved: sampler(Correction::Retrieval),
             warm_started,
-            with_evidence: sampler(true, true),
+            with_evidence: sampler(Correction::RetrievalAndEvidence),
             horizon_len: forecaster.config().horizon_len,
         }
     }
