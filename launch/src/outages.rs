@@ -145,9 +145,7 @@ impl Outages {
         let excused = [Cause::Young, Cause::Outdone].map(|cause| cause as u32);
         let is_learned = |forecast: &Forecast| forecast.quality == Quality::Learned as u32;
         let all_learned = !void && forecasts.iter().all(|f| is_learned(f) || excused.contains(&f.cause));
-        // An outdone forecast had controls as well: constant velocity was known to be nearer.
-        let has_controls = |f: &Forecast| is_learned(f) || f.cause == Cause::Outdone as u32;
-        let some_learned = forecasts.is_empty() || forecasts.iter().any(has_controls);
+        let some_served = forecasts.is_empty() || forecasts.iter().any(Forecast::is_served);
         let Supervision { outages, replacements, .. } = &mut self.record;
         self.open.retain(|&(place, stage)| {
             let outage = match place {
@@ -158,7 +156,7 @@ impl Outages {
             outage.ticks_predicted += u64::from(predicted);
             outage.ticks_not_learned += u64::from(!all_learned);
             let is_back = header.hop(stage).is_some_and(|hop| hop.incarnation >= outage.incarnation);
-            let over = is_back && all_learned && some_learned && !predicted;
+            let over = is_back && all_learned && some_served && !predicted;
             if over {
                 outage.ticks_to_learned = Some(header.seq - outage.tick);
             }

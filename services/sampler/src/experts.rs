@@ -3,7 +3,7 @@
 use evidence::{Agent, EXPERTS, Evidence, Fan, Mixture, MotionNow, Paths, Prior};
 use kinematics::MotionModel;
 use metrics::HighestDensity;
-use retrieval::{ControlChange, ControlChanges, ForecastControls, Residuals};
+use retrieval::{ControlChange, ControlChanges, ForecastControls};
 use scene::{AgentType, State};
 use wire::{Expert, Forecast, HORIZON_MAX, MODES_MAX, Quality, Track};
 
@@ -28,8 +28,6 @@ pub(crate) struct Blended {
     weights: [[f32; EXPERTS]; HORIZON_MAX],
     /// The single best forecast.
     pub(crate) best_m: [[f32; 2]; HORIZON_MAX],
-    /// The change of controls that leads from the network's best forecast there.
-    pub(crate) shift: ControlChange,
     /// How wide the modes are.
     pub(crate) spread: Spread,
     fan: Fan,
@@ -91,17 +89,14 @@ impl Experts {
         let weights = self.evidence.weights(agent_type, agent.speed_mps);
         let mut best_m = [[0.0; 2]; HORIZON_MAX];
         self.evidence.blend(&weights, &paths, &mut best_m[..len]);
-        let network_m = &paths.experts[0][..len];
-        let shift = Residuals::between(model.kind(), now.position_m, network_m, &best_m[..len], dt_s)
-            .control_change(model);
         let widths = self.evidence.widths(agent_type, agent.speed_mps);
         let fan = self.evidence.fan(&agent, &paths.velocity, &best_m);
         let spread = Spread::of(&widths, &fan, dt_s);
         let network_m = [[[0.0; 2]; HORIZON_MAX]; MODES_MAX];
-        Blended { agent, paths, weights, best_m, shift, spread, fan, fan_modes: 0, network_m }
+        Blended { agent, paths, weights, best_m, spread, fan, fan_modes: 0, network_m }
     }
 
-    /// Moves the best forecast to the blend, and replaces modes that others stand for by modes of the fan.
+    /// Replaces modes that others stand for by modes of the fan.
     pub(crate) fn change<M: AsRef<[wire::ControlGaussian]>>(
         &self,
         model: &MotionModel,
@@ -109,7 +104,6 @@ impl Experts {
         blended: &mut Blended,
         changes: &mut ControlChanges,
     ) {
-        changes.shift_best(&blended.shift);
         let Blended { agent, fan, network_m, fan_modes, .. } = blended;
         let (len, modes_len) = (self.horizon_len, controls.modes.len());
         for (mode, path) in network_m[..modes_len].iter_mut().enumerate() {
@@ -135,7 +129,7 @@ impl Experts {
         }
     }
 
-    /// Writes into a forecast who made it.
+    /// Writes into a forecast the single best one, and who made it.
     pub(crate) fn sign(&self, blended: &Blended, out: &mut Forecast) {
         out.best[..self.horizon_len].copy_from_slice(&blended.best_m[..self.horizon_len]);
         out.expert_weights = self.evidence.slots(&blended.weights);

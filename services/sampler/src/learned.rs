@@ -63,8 +63,8 @@ impl<'a> LearnedControls<'a> {
 
     /// Writes the modes with their changed controls, the best forecast and the moments.
     ///
-    /// With a spread, the modes' covariances are by it instead of by those of the controls, and vehicles keep
-    /// to what tyres hold.
+    /// With a spread, the modes' covariances are by it instead of by those of the controls, vehicles keep to
+    /// what tyres hold, and the best forecast is left to the [experts](crate::experts::Experts::sign).
     pub(crate) fn forecast(
         &self,
         changes: &ControlChanges,
@@ -109,7 +109,9 @@ impl<'a> LearnedControls<'a> {
             MotionKind::Displacement => Steering::Displacement,
         } as u32;
         out.frame_heading_rad = model.frame_heading_rad();
-        model.positions(changes.best(&controls), &mut out.best[..self.horizon_len]);
+        if spread.is_none() {
+            model.positions(changes.best(&controls), &mut out.best[..self.horizon_len]);
+        }
         out.modes_len = self.controls.modes_len;
         out.probability[..modes_len].copy_from_slice(changes.probability());
 

@@ -7,8 +7,8 @@ use lanes::LaneMap;
 use nn::Workers;
 use retrieval::RetrievalMemory;
 use wire::{
-    AGENTS_MAX, AgentControls, Cause, Forecast, HISTORY_MAX, HORIZON_MAX, Header, Quality, Rejected,
-    SPEED_MAX_MPS, Track, flags,
+    AGENTS_MAX, AgentControls, Cause, Forecast, HISTORY_MAX, HORIZON_MAX, Header, Rejected, SPEED_MAX_MPS,
+    Track, flags,
 };
 
 use crate::experts::Experts;
@@ -109,15 +109,14 @@ impl Sampler {
         }
     }
 
-    /// Keeps the learned forecasts that the sampler before has sent, to hold them as it would have. A process that
-    /// waits for its turn does so with every frame, and computes nothing.
+    /// Keeps the forecasts by the network's controls that the sampler before has sent, to hold them as it would
+    /// have. A process that waits for its turn does so with every frame, and computes nothing.
     pub fn follow(&mut self, header: &Header, forecasts: &[Forecast]) {
         if !header.is_tick() || header.has(flags::VOID) {
             return;
         }
         self.fallback.begin(header.stamp_ns);
-        let learned = |forecast: &&Forecast| forecast.quality == Quality::Learned as u32;
-        for forecast in forecasts.iter().filter(learned).filter(|forecast| forecast.check().is_ok()) {
+        for forecast in forecasts.iter().filter(|forecast| forecast.is_served() && forecast.check().is_ok()) {
             self.fallback.keep(header.stamp_ns, forecast);
         }
     }
@@ -206,10 +205,10 @@ impl Sampler {
                     if let Some((memory, unstored)) = self.memory.as_mut().zip(made.unstored.as_ref()) {
                         memory.store(unstored);
                     }
-                    if let Some((experts, blended)) = self.experts.as_mut().zip(made.blended.as_ref()) {
-                        experts.store(tick.stamp_ns, blended, &made.forecast);
-                    }
                     if made.is_possible {
+                        if let Some((experts, blended)) = self.experts.as_mut().zip(made.blended.as_ref()) {
+                            experts.store(tick.stamp_ns, blended, &made.forecast);
+                        }
                         *out = made.forecast;
                         self.fallback.keep(tick.stamp_ns, out);
                         written += 1;

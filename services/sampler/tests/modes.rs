@@ -77,6 +77,11 @@ fn a_sampler_that_follows_another_holds_its_forecasts_to_the_bit() {
     // What is itself held is no forecast to hold.
     spare.follow(&header(80_000_000), &[Forecast { quality: Quality::Held as u32, ..learned }]);
     assert_eq!(hold(&mut spare), held);
+    // That constant velocity was known to be nearer does not make it less of a forecast.
+    let (quality, cause) = (Quality::Kinematic as u32, Cause::Outdone as u32);
+    let mut spare = Sampler::new(SamplerOptions::default());
+    spare.follow(&header(0), &[Forecast { quality, cause, causes: Cause::Outdone.bit(), ..learned }]);
+    assert_eq!(hold(&mut spare).quality, Quality::Held as u32);
 }
 
 /// The mixture of the modes as they are published, by the law of total covariance.

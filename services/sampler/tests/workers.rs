@@ -95,7 +95,7 @@ fn forecasts_are_the_same_bytes_with_any_number_of_workers() {
         (plain, false),
         (plain, true),
         (SamplerOptions { evidence: false, ..plain }, false),
-        (SamplerOptions { propagation: particles, retrieval: false, ..plain }, false),
+        (SamplerOptions { propagation: particles, evidence: false, ..plain }, false),
     ];
     for (options, is_guided) in kinds {
         let (alone, [learned, of_others]) = forecasts(options, 1, is_guided);

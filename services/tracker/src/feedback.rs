@@ -1,6 +1,6 @@
 //! What the newest forecasts tell the stages that choose whom a tick has time for.
 
-use wire::{Cause, Forecast, Header, Quality, StageId, Track};
+use wire::{Forecast, Header, Quality, StageId, Track};
 
 use crate::forecasts::Forecasts;
 
@@ -13,7 +13,7 @@ pub fn tell(header: &mut Header, tracks: &mut [Track], newest: Option<(&Header, 
     header.feedback_age_ns = feedback_age_ns;
     if let (Some(first), Some(last)) = (of.hop(StageId::Extractor), of.hop(StageId::Decoder)) {
         header.chain_ns = last.finished_ns.saturating_sub(first.finished_ns);
-        header.chain_len = forecasts.iter().filter(|forecast| is_served(forecast)).count() as u32;
+        header.chain_len = forecasts.iter().filter(|forecast| forecast.is_served()).count() as u32;
     }
     if let Some(hop) = of.hop(StageId::Sampler) {
         let took_ns = hop.finished_ns.saturating_sub(hop.started_ns);
@@ -21,22 +21,17 @@ pub fn tell(header: &mut Header, tracks: &mut [Track], newest: Option<(&Header, 
     }
     for track in tracks {
         let forecast = found.find(track.id);
-        let age_ns = forecast.filter(|f| is_served(f) || f.quality == Quality::Held as u32).map(|f| f.age_ns);
+        let age_ns =
+            forecast.filter(|f| f.is_served() || f.quality == Quality::Held as u32).map(|f| f.age_ns);
         track.learned_age_ns = age_ns.map_or(0, |age_ns| age_ns.saturating_add(feedback_age_ns));
     }
-}
-
-/// Whether the decoder served the agent in the forecast's tick; what proved worse than another expert is not
-/// published as learned.
-const fn is_served(forecast: &Forecast) -> bool {
-    forecast.quality == Quality::Learned as u32 || forecast.cause == Cause::Outdone as u32
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
     use bytemuck::Zeroable;
-    use wire::Hop;
+    use wire::{Cause, Hop};
 
     const MS: u64 = 1_000_000;
 

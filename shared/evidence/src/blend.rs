@@ -7,6 +7,8 @@ use crate::{EXPERTS, Statistics};
 
 /// An expert is the forecast alone where its mean distance from the truth is below this share of the regression's.
 const BETTER: f64 = 0.98;
+/// No forecast adds more to a sum of products: of what an expert may say of one agent there is no end.
+const PRODUCT_MAX: f32 = 1000.0;
 
 /// How much it takes to forecast agents of a type as nobody forecast them on other roads.
 #[derive(Clone, Copy, Debug)]
@@ -96,8 +98,9 @@ impl Blend {
         let variance_m2 = deviation_m * deviation_m;
         let distance_m = |[x, y]: [f32; 2]| (truth_m[0] - x).hypot(truth_m[1] - y);
         let missed_m = (distance_m(regression_m).powi(2) + variance_m2).sqrt();
-        self.matured.add(experts_m, truth_m, missed_m * typical_m.max(deviation_m), weight);
         let farthest_m2 = experts_m.iter().copied().map(square).fold(0.0, f32::max);
+        let scale_m2 = missed_m * typical_m.max(deviation_m);
+        self.matured.add(experts_m, truth_m, scale_m2.max(farthest_m2 / PRODUCT_MAX), weight);
         self.shown.add(experts_m, truth_m, square(truth_m) + farthest_m2 + variance_m2, weight);
         let paths_m = [regression_m, [0.0; 2]].into_iter().chain(experts_m.iter().copied());
         for (sum, path_m) in self.distances_m.iter_mut().zip(paths_m) {

@@ -1,7 +1,5 @@
 //! Matured forecasts whose level is not computed yet: a bounded sample in which all agents have the same chance.
 
-use std::collections::VecDeque;
-
 use wire::{AGENTS_MAX, MODES_MAX};
 
 use crate::{Context, Matured};
@@ -27,10 +25,10 @@ pub(crate) struct Due {
     pub(crate) truth_m: [f32; 2],
 }
 
-/// Those that wait, the oldest first.
+/// Those that wait.
 #[derive(Clone, Debug)]
 pub(crate) struct Waiting {
-    due: VecDeque<Due>,
+    due: Vec<Due>,
     /// Forecasts that matured since there was room for all.
     crowd_len: u64,
     /// State of a linear congruential generator.
@@ -51,7 +49,7 @@ impl Due {
 
 impl Waiting {
     pub(crate) fn new() -> Self {
-        Self { due: VecDeque::with_capacity(WAITING_MAX), crowd_len: 0, random: 1 }
+        Self { due: Vec::with_capacity(WAITING_MAX), crowd_len: 0, random: 1 }
     }
 
     /// Adds one. Where too many wait, each of those that came since has the same chance to stay
@@ -59,24 +57,30 @@ impl Waiting {
     pub(crate) fn push(&mut self, due: Due) {
         if self.due.len() < WAITING_MAX {
             self.crowd_len = 0;
-            self.due.push_back(due);
+            self.due.push(due);
             return;
         }
         self.crowd_len += 1;
-        let among = WAITING_MAX as u64 + self.crowd_len;
-        // Knuth's constants (MMIX); the high bits are the random ones.
-        self.random =
-            self.random.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
-        let place = ((self.random >> 33) % among) as usize;
+        let place = self.random_below(WAITING_MAX as u64 + self.crowd_len);
         if let Some(other) = self.due.get_mut(place) {
             *other = due;
         }
     }
 
-    /// Takes the oldest, as many as there is time for.
+    /// Takes some at random, as many as there is time for: the oldest are those that come first in a frame.
     pub(crate) fn take(&mut self, passed_s: f64) -> impl Iterator<Item = Due> + '_ {
         let len = ((LEVELS_PER_S * passed_s).ceil() as usize).min(LEVELS_MAX);
-        self.due.drain(..len.min(self.due.len()))
+        (0..len.min(self.due.len())).map(|_| {
+            let place = self.random_below(self.due.len() as u64);
+            self.due.swap_remove(place)
+        })
+    }
+
+    fn random_below(&mut self, bound: u64) -> usize {
+        // Knuth's constants (MMIX); the high bits are the random ones.
+        self.random =
+            self.random.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+        ((self.random >> 33) % bound) as usize
     }
 
     pub(crate) fn clear(&mut self) {
@@ -105,14 +109,16 @@ mod tests {
 
     #[test]
     fn of_a_crowd_late_ones_have_the_chance_of_early_ones() {
-        let mut waiting = Waiting::new();
-        (0..4 * WAITING_MAX).for_each(|number| waiting.push(due(number as f32)));
-        let kept: Vec<f32> = waiting.due.iter().map(|due| due.truth_m[0]).collect();
-        for quarter in 0..4 {
-            let range = (quarter * WAITING_MAX) as f32..((quarter + 1) * WAITING_MAX) as f32;
-            let share = kept.iter().filter(|x_m| range.contains(x_m)).count() as f32 / WAITING_MAX as f32;
-            assert!((0.17..0.33).contains(&share), "{share} of the quarter {quarter}");
+        let (mut waiting, mut computed) = (Waiting::new(), [0_u32; 8]);
+        // A frame of twice as many as are computed in its time, and one of eight times as many.
+        for frame in 0..2000 {
+            let len = if frame % 2 == 0 { 64 } else { 256 };
+            (0..len).for_each(|number| waiting.push(due((8 * number / len) as f32)));
+            waiting.take(0.08).for_each(|due| computed[due.truth_m[0] as usize] += 1);
         }
+        let mean = computed.iter().sum::<u32>() as f32 / computed.len() as f32;
+        let shares = computed.map(|computed| computed as f32 / mean);
+        assert!(shares.iter().all(|share| (0.9..1.1).contains(share)), "{shares:?}");
     }
 
     #[test]
@@ -120,8 +126,11 @@ mod tests {
         let mut waiting = Waiting::new();
         (0..WAITING_MAX).for_each(|number| waiting.push(due(number as f32)));
         assert_eq!(waiting.take(0.0).count(), 0);
-        let first: Vec<f32> = waiting.take(0.08).map(|due| due.truth_m[0]).collect();
-        assert_eq!((first.len(), first[0], first[31]), (32, 0.0, 31.0));
+        assert_eq!(waiting.take(0.08).count(), 32);
         assert_eq!(waiting.take(60.0).count(), LEVELS_MAX);
+        let left: std::collections::BTreeSet<u32> =
+            waiting.take(60.0).map(|due| due.truth_m[0] as u32).collect();
+        assert_eq!(left.len(), WAITING_MAX - 32 - LEVELS_MAX);
+        assert_eq!(waiting.take(60.0).count(), 0);
     }
 }

@@ -9,7 +9,7 @@ mod tests;
 
 use std::collections::{HashMap, VecDeque, hash_map};
 
-use wire::{AGENT_TYPES, AGENTS_MAX, AgentType, EXPERTS_MAX, Expert, HORIZON_MAX, MODES_MAX};
+use wire::{AGENT_TYPES, AGENTS_MAX, AgentType, EXPERTS_MAX, Expert, HORIZON_MAX, MODES_MAX, POSITION_MAX_M};
 
 use self::kept::Kept;
 use self::knowledge::{Knowledge, OfType};
@@ -268,7 +268,7 @@ impl Evidence {
 
     /// Keeps a forecast of an agent that was just observed until it matures, at most one each step.
     ///
-    /// `blend_m` is the blend that was published.
+    /// `blend_m` is the blend that was published. One of which an expert is out of the world is left out.
     pub fn store(
         &mut self,
         stamp_ns: i64,
@@ -287,6 +287,10 @@ impl Evidence {
         let centre_m = centre(reach(of_type, &context));
         let middles_m = MIDDLES.map(centre);
         let experts_m = knots.map(|step| paths.differences_m(step));
+        let is_in_the_world = |x_m: &f32| x_m.abs() <= POSITION_MAX_M;
+        if !experts_m.as_flattened().as_flattened().iter().all(is_in_the_world) {
+            return;
+        }
         let mixture = mixture.and_then(|mixture| {
             let place = self.free.pop()?;
             let corrections = self.of_types[agent.agent_type.index()].corrections.map(|of| of.log());

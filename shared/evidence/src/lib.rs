@@ -101,9 +101,9 @@ pub(crate) fn fading(kept: f64, len: f64) -> f64 {
     kept.max((1.0 / len).min(1.0))
 }
 
-/// The indices of these steps, of a horizon of so many.
+/// The indices of these steps, of a horizon of so many, in time order; of few steps some come twice.
 #[must_use]
 pub fn knots(horizon_len: usize) -> [usize; KNOTS] {
     let last = horizon_len.saturating_sub(1);
-    [0, last.min(2), last / 2, last]
+    [0, (last / 2).min(2), last / 2, last]
 }

@@ -84,6 +84,33 @@ fn a_network_that_knows_the_road_is_believed_before_its_last_steps_matured() {
 }
 
 #[test]
+fn an_absurd_forecast_is_outlived_and_one_out_of_the_world_is_nothing() {
+    let prior = Prior::default();
+    let network_after = |absurd: f32, steps: i64| {
+        // Constant velocity goes too far; the network is right but for once, when it says kilometres.
+        let factors = |step| if step == 3 { [1.3, absurd, 1.0] } else { [1.3, 1.0, 1.0] };
+        let evidence = Evidence::new(12, STEP_NS as u64, &prior);
+        drive_with(evidence, steps, factors, 0.5).weights(AGENT.agent_type, AGENT.speed_mps)[11][0]
+    };
+    let [soon, later] = [17, 300].map(|steps| network_after(500.0, steps));
+    assert!(soon < 0.1 && later > 0.9, "{soon} {later}");
+    let without = network_after(1.0, 17);
+    for out_of_the_world in [1e7, f32::INFINITY, f32::NAN] {
+        let found = network_after(out_of_the_world, 17);
+        assert!((found - without).abs() < 0.05, "{out_of_the_world}: {found}, {without}");
+    }
+}
+
+#[test]
+fn knots_of_any_horizon_are_in_time_order() {
+    assert_eq!(knots(12), [0, 2, 5, 11]);
+    for horizon_len in 1..=HORIZON_MAX {
+        let knots = knots(horizon_len);
+        assert!(knots.is_sorted() && knots[KNOTS - 1] == horizon_len - 1, "{knots:?}");
+    }
+}
+
+#[test]
 fn regions_widen_where_they_miss_and_narrow_where_they_never_do() {
     let widths = |level| drive(120, 1.0, level).widths(AGENT.agent_type, AGENT.speed_mps)[11];
     assert!(widths(1.0) > 2.0 && widths(0.1) < 0.5, "{} {}", widths(1.0), widths(0.1));

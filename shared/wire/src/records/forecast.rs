@@ -145,6 +145,15 @@ record! {
     }
 }
 
+impl Forecast {
+    /// Whether it is by controls of its own tick: also where constant velocity was known to be nearer, so that
+    /// it is not called learned.
+    #[must_use]
+    pub const fn is_served(&self) -> bool {
+        self.quality == Quality::Learned as u32 || self.cause == Cause::Outdone as u32
+    }
+}
+
 impl TryFrom<u32> for Quality {
     type Error = Rejected;
 
