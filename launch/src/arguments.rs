@@ -358,8 +358,27 @@ pub fn check_memory(options: &sampler::Options, weights: &Weights) -> Result<Opt
         let memory = RetrievalMemory::load(&path, weights.sha256(), steps).map_err(Failure::data)?;
         entries_len = memory.entries_len();
     }
-    let folder = path.parent().unwrap_or(&path);
-    let access = rustix::fs::access(folder, Access::WRITE_OK | Access::EXEC_OK);
-    access.map_err(|error| Failure::file(folder, std::io::Error::from(error)))?;
+    check_place(&path)?;
     Ok(Some(entries_len as u64))
+}
+
+/// Whether a file can be put in a place once there is something to write, before time is spent on it.
+///
+/// # Errors
+/// [`Failure::Data`] where it is a folder, or this user can't write to the folder that it is to lie in.
+pub fn check_place(path: &Path) -> Result<(), Failure> {
+    if recorder::is_standard_output(path) {
+        return Ok(());
+    }
+    let path = std::fs::canonicalize(path).or_else(|_| absolute(path))?;
+    if path.is_dir() {
+        return Err(Failure::file(&path, std::io::Error::from(std::io::ErrorKind::IsADirectory)));
+    }
+    let (written, how) = match path.parent() {
+        // Complete files take the place of those before.
+        Some(folder) if path.is_file() || !path.exists() => (folder, Access::WRITE_OK | Access::EXEC_OK),
+        _ => (&*path, Access::WRITE_OK),
+    };
+    let access = rustix::fs::access(written, how);
+    access.map_err(|error| Failure::file(written, std::io::Error::from(error)))
 }

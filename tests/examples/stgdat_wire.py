@@ -170,7 +170,7 @@ class Expert(enum.IntEnum):
     DECAYING_TURN = 3  # A turn that decays.
     PROCESS_MODEL = 4  # The tracker's process model: zero control.
     DECAYING_ACCELERATION = 5  # An acceleration that decays.
-    FAN = 254  # The single best forecast with a typical residual of agents alike.
+    FAN = 254  # A middle between constant velocity and the single best forecast, with a typical residual of agents alike.
     RETRIEVAL = 255  # The network's best forecast with residuals of others at the same place, from the retrieval memory.
 
 
@@ -669,7 +669,7 @@ class Forecast(c.Structure):
         ("length_m", c.c_float),  # Extent along the heading; 0 where unknown.
         ("width_m", c.c_float),  # Extent across the heading; 0 where unknown.
         ("out_of_distribution", c.c_float),  # How far the agent's history lies outside of what the model was trained on, in the width of that; 0 inside, and where it is not told.
-        ("expert_weights", c.c_float * 8),  # Weight of each `Expert` by its number: network, base, constant velocity, decaying turn, process model; zeros where they are not told.
+        ("expert_weights", c.c_float * 8),  # Weight of each `Expert` by its number: network, base, constant velocity, decaying turn, process model, decaying acceleration; zeros where they are not told.
         ("probability", c.c_float * 20),  # Probability of each mode; they sum to 1.
         ("mode_expert", c.c_uint8 * 20),  # `Expert` of each mode as a number.
         ("reserved", c.c_uint8 * 76),  # Zero.

@@ -39,6 +39,15 @@ fn with_wrong_shape(tensor: &str) -> Vec<u8> {
 }
 
 #[test]
+fn places_that_can_not_be_written_are_refused_before_any_work() {
+    for verb in ["run", "train"] {
+        let option = if verb == "run" { "--report" } else { "--out" };
+        assert_refused(&[verb, option, "no/such/folder/file"], 65, &["no/such/folder: No such file"]);
+        assert_refused(&[verb, option, "."], 65, &["is a directory"]);
+    }
+}
+
+#[test]
 fn files_that_are_not_weights_are_refused() {
     let scratch = Scratch::new("weights");
     let recording = scratch.recording("scene.csv", 5);

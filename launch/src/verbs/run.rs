@@ -18,7 +18,7 @@ use wire::StageId;
 
 use crate::arguments::{
     ModelArguments, RetrievalArguments, SceneArguments, SetArguments, Speed, TrackerArguments, canonical,
-    check_lanes, check_memory, warn_of_doubts,
+    check_lanes, check_memory, check_place, warn_of_doubts,
 };
 use crate::awake::Awake;
 use crate::child::Line;
@@ -96,6 +96,7 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
     if arguments.ring.limits().is_some() && arguments.record.is_none() {
         return Err(Failure::Usage("--last: --record FILE names the files that it is written to".to_owned()));
     }
+    arguments.report.as_deref().map_or(Ok(()), check_place)?;
     let pipeline = pipeline_file::load(arguments.pipeline.as_deref())?;
     let (weights_path, weights) = arguments.model.open_weights(pipeline.weights.as_deref())?;
     let mut options = StageOptions::of_pipeline(&pipeline);
@@ -411,12 +412,12 @@ fn report(
         lockstep: measured.lockstep,
         ..info
     };
-    if let Some(path) = &arguments.report {
-        report.write(path).map_err(Failure::data)?;
-    }
     let width = rustix::termios::tcgetwinsize(std::io::stdout())
         .map_or(REPORT_WIDTH, |size| usize::from(size.ws_col).max(1));
     print!("{}", report.render(width));
+    if let Some(path) = &arguments.report {
+        report.write(path).map_err(Failure::data)?;
+    }
     Ok(report)
 }
 

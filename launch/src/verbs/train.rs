@@ -5,13 +5,14 @@ use run::Exit;
 use trainer::TrainOptions;
 
 use super::card;
+use crate::arguments::check_place;
 use crate::failure::Failure;
 
 /// Arguments of `stgdat train`.
 #[derive(Debug, Args)]
 pub struct Arguments {
     /// Recipe of shipped weights: eth, hotel, univ, zara1, zara2, sdd, interaction, interaction-without-FT,
-    /// interaction-without-EP1 or onboard
+    /// interaction-without-EP1, onboard or onboard-free
     #[arg(long, value_name = "NAME", conflicts_with = "options")]
     recipe: Option<String>,
     /// Variant of the model: paper, plus, compact, full, T, T+C-ATT, T+C, T+C+K, same-node, equal-attention,
@@ -22,19 +23,19 @@ pub struct Arguments {
     /// several are applied in order
     #[arg(long, value_name = "OPTION=VALUE")]
     set: Vec<String>,
-    /// Folder with the data sets in their published layout
-    #[arg(long, value_name = "DIR")]
+    /// Folder with the data sets in their published layout; `data` if neither this nor the options tell
+    #[arg(long, value_name = "DIR", env = "STGDAT_DATA")]
     data: Option<PathBuf>,
     /// Options as JSON, such as those of a model card; missing ones take their defaults
     #[arg(long, value_name = "FILE")]
     options: Option<PathBuf>,
-    /// Weights file, written whenever validation improves
+    /// Weights file, written whenever validation improves; RECIPE.safetensors, or weights.safetensors without one
     #[arg(long, value_name = "FILE")]
     out: Option<PathBuf>,
-    /// Folder for checkpoints
+    /// Folder for checkpoints; checkpoints/RECIPE, or checkpoints without one
     #[arg(long, value_name = "DIR")]
     checkpoints: Option<PathBuf>,
-    /// Resume from the newest checkpoint
+    /// Resume from the newest checkpoint, if there is one
     #[arg(long)]
     resume: bool,
     /// Seed of the random numbers
@@ -58,6 +59,7 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
         println!("{}", serde_json::to_string_pretty(&options).map_err(Failure::data)?);
         return Ok(Exit::Done);
     }
+    check_place(&options.out)?;
     let summary = trainer::train(&options).map_err(Failure::data)?;
     print!("{}", card::text(&summary.card));
     println!("\n{} updates: {}", summary.steps, options.out.display());

@@ -4,13 +4,14 @@
 //! as the policy of [`Degradation`] allows. The
 //! [`Sampler`] takes the first of these that it has, and the forecast contains its quality, cause and age:
 //!
-//! * *learned*: the controls of this tick, carried through the kinematic layer mode by mode — as linearised
-//!   Gaussians or as particles ([`Propagation`]);
-//! * *held*: the last learned forecast of the track, moved on to now, while it is not too old;
+//! * *learned*: the controls of this tick, carried through the kinematic layer mode by mode, as wide as the
+//!   evidence calls for or, without it, as linearised Gaussians or particles ([`Propagation`]);
+//! * *held*: the last forecast of the track from controls, moved on to now, while it is not too old;
 //! * *kinematic*: zero control, with a covariance that grows.
 //!
-//! A learned forecast is the blend of the network's and of kinematic experts' that their matured forecasts
-//! call for, as wide as these call for: see [`evidence`].
+//! With evidence the single best forecast is the blend of the network's and of kinematic experts' that their
+//! matured forecasts call for, and modes of a fan take the place of others: see [`evidence`]. Where constant velocity
+//! has most of the weight, it is called kinematic and its cause *outdone*.
 //!
 //! Where the sampler has a map of lanes, the forecasts of vehicles go along them: see [`lanes`].
 //!

@@ -276,19 +276,17 @@ impl Sampler {
         Ok(written)
     }
 
-    /// Gives the retrieval memory the positions of all agents that were detected in this tick.
+    /// Gives the retrieval memory and the evidence the positions of all agents that were detected in this tick.
     fn observe(&mut self, tick: Tick, tracks: &[Track]) {
         self.fallback.begin(tick.stamp_ns);
+        let detected = tracks.iter().filter(|track| track.unseen_ns == 0);
+        let positions_m = detected.map(|track| (track.id, [track.x_m, track.y_m]));
         if self.options.retrieval && tick.step_ns > 0 {
             let new = || Box::new(RetrievalMemory::new(self.options.horizon_len, tick.step_ns));
-            let detected = tracks.iter().filter(|track| track.unseen_ns == 0);
-            let positions_m = detected.map(|track| (track.id, [track.x_m, track.y_m]));
-            self.memory.get_or_insert_with(new).observe(tick.stamp_ns, positions_m);
+            self.memory.get_or_insert_with(new).observe(tick.stamp_ns, positions_m.clone());
         }
         if self.options.evidence && tick.step_ns > 0 {
             let new = || Box::new(Experts::new(self.options.horizon_len, tick.step_ns, &self.prior));
-            let detected = tracks.iter().filter(|track| track.unseen_ns == 0);
-            let positions_m = detected.map(|track| (track.id, [track.x_m, track.y_m]));
             self.experts.get_or_insert_with(new).observe(tick.stamp_ns, positions_m);
         }
     }

@@ -185,6 +185,16 @@ fn bad_values_are_named_with_file_line_and_column() {
 }
 
 #[test]
+fn ids_have_64_bits_and_those_beyond_are_named() {
+    let ids = [0, 1 << 63, u64::MAX - 1];
+    let text: String = ids.iter().map(|id| format!("10\t{id}\t2\t3\n")).collect();
+    let read = with_rows(Format::EthUcy, text.as_bytes()).unwrap();
+    assert_eq!(read.frames[0].detections.iter().map(|detection| detection.id).collect::<Vec<_>>(), ids);
+    let beyond = message(Format::EthUcy, format!("10\t{}\t2\t3\n", u64::MAX));
+    assert!(beyond.ends_with("expected an id from 0 to 18446744073709551614"), "{beyond}");
+}
+
+#[test]
 fn bad_values_below_a_header_are_named() {
     let interaction = |row: &str| message(Format::Interaction, format!("{}{row}\n", header(INTERACTION)));
     assert_eq!(

@@ -32,8 +32,8 @@ const GAP_STEPS: i64 = 2;
 const TRACES_MAX: usize = 4 * AGENTS_MAX;
 /// Most forecasts whose mixtures are kept until they mature: those of all agents of a payload.
 const MIXTURES_MAX: usize = AGENTS_MAX * (HORIZON_MAX + 1);
-
-/// How decidedly a fan follows them: see [`Shares::decided`].
+/// How decidedly a fan moves to the middle about which fans have been nearest: the power of
+/// [`Shares::decided`](crate::share::Shares::decided).
 const MIDDLES_POWER: i32 = 4;
 
 /// An agent at a time.

@@ -2,7 +2,7 @@
 //!
 //! A network is good where it was trained, and may be worse than constant velocity elsewhere; nothing in its
 //! input says so. Its matured forecasts do. Every forecast is kept until the agent has taken its steps, and
-//! then tells two things of its [context](Context), the type and speed of the agent:
+//! then tells three things of its [context](Context), the type and speed of the agent:
 //!
 //! * **How to blend.** Experts are the network, the base control, a decaying turn and a decaying acceleration;
 //!   constant velocity is what remains. With d_e an expert's position less constant velocity's and y the truth
@@ -15,7 +15,8 @@
 //! ```
 //!
 //!   σ is how far agents alike deviate; it takes the unit away, so that the prior counts for n₀ forecasts. An
-//!   expert that has been nearer than this regression is the forecast alone. A₀ and b₀ are the
+//!   expert that has been nearer than this regression is the forecast alone; of cyclists, of whom few are about, only
+//!   constant velocity is, and sooner. A₀ and b₀ are the
 //!   [prior](Prior): such sums per forecast, over recordings that the network never saw, where ‖y‖² + max
 //!   ‖d_e‖² stands for r σ, so that no forecast tells others more than another. With the probability that the
 //!   network knows the road they are those of a network that is right:

@@ -14,7 +14,7 @@ pub const RADIUS_90: f32 = 2.145_966;
 const LEVEL: f64 = 0.9;
 /// Radii that are assumed to have been seen at the start, of a calibrated region.
 const ASSUMED: f64 = 15.0;
-/// Change of the correction while as many forecasts mature as are under way, if all miss or none does.
+/// Change of the correction while as many forecasts mature as are under way, in the share of misses that are too many.
 const GAIN: f64 = 0.7;
 /// A single forecast changes the correction by no more.
 const STEP_MAX: f64 = 0.05;

@@ -17,6 +17,7 @@ use tracker::Tracker;
 use wire::{AGENTS_MAX, Detection, Track, detection_flags};
 
 use crate::play::run;
+use crate::sample::GAP_NS;
 use crate::source::Source;
 use crate::{DrivingError, Options, model_of, sources};
 
@@ -28,8 +29,6 @@ const PERIOD_S: f64 = 6.0;
 const BEGINS_S: f64 = 4.0;
 /// Standard deviation of a measured position per axis.
 const SIGMA_M: f32 = 0.1;
-/// Longest gap of a recording between whose frames the truth is taken, ns.
-const TRUTH_GAP_NS: i64 = 1_000_000_000;
 /// A cell of fewer positions is left out.
 const CELL_MIN: usize = 200;
 const SEED: u64 = 1;
@@ -99,7 +98,7 @@ fn track(source: &Source, options: &Options, model: &ModelConfig) -> Result<Vec<
                 let position = other.and_then(|other| {
                     let gap = gap(track.source_id, time_s)?;
                     let truth_m =
-                        truth.get(&track.source_id)?.state_at(stamp_ns, i64::MAX, TRUTH_GAP_NS)?.position_m;
+                        truth.get(&track.source_id)?.state_at(stamp_ns, i64::MAX, GAP_NS)?.position_m;
                     let square_m2 = |track: &Track| {
                         let [x, y] = [track.x_m - truth_m[0], track.y_m - truth_m[1]].map(f64::from);
                         x * x + y * y

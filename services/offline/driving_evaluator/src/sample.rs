@@ -15,7 +15,7 @@ pub(crate) const STEPS: [usize; 4] = [0, 2, 5, 11];
 /// A final position farther away than this is a miss.
 const MISS_M: f64 = 2.0;
 /// Longest gap of a recording between whose frames the truth is taken, ns.
-const GAP_NS: i64 = 1_000_000_000;
+pub(crate) const GAP_NS: i64 = 1_000_000_000;
 /// Level of the region whose area is told.
 pub(crate) const LEVEL: f64 = 0.9;
 const SEED: u64 = 1;

@@ -28,7 +28,7 @@ pub struct Source {
     pub folder: PathBuf,
     /// The recordings, sorted by name.
     pub files: Vec<PathBuf>,
-    /// Factor of all lengths.
+    /// Factor of all distances; agents keep their sizes.
     pub scale: f32,
 }
 

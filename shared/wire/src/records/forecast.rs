@@ -65,7 +65,7 @@ numbers! {
         ProcessModel = 4 => "process model",
         /// An acceleration that decays.
         DecayingAcceleration = 5 => "decaying acceleration",
-        /// The single best forecast with a typical residual of agents alike.
+        /// A middle between constant velocity and the single best forecast, with a typical residual of agents alike.
         Fan = 254 => "fan",
         /// The network's best forecast with residuals of others at the same place, from the retrieval memory.
         Retrieval = 255 => "retrieval",
@@ -117,8 +117,8 @@ record! {
         /// How far the agent's history lies outside of what the model was trained on, in the width of that; 0
         /// inside, and where it is not told. At 0.25 the network adds half of what it would.
         92 => out_of_distribution: f32,
-        /// Weight of each [`Expert`] by its number: network, base, constant velocity, decaying turn, process
-        /// model; zeros where they are not told.
+        /// Weight of each [`Expert`] by its number: network, base, constant velocity, decaying turn, process model,
+        /// decaying acceleration; zeros where they are not told.
         96 => expert_weights: [f32; EXPERTS_MAX],
         /// Probability of each mode; they sum to 1.
         128 => probability: [f32; MODES_MAX],
