@@ -419,6 +419,25 @@ fn one_agents_bad_controls_leave_the_others_alone() {
 }
 
 #[test]
+fn what_is_out_of_the_world_teaches_evidence_nothing() {
+    let options = SamplerOptions { evidence: true, retrieval: false, ..SamplerOptions::default() };
+    let of = AgentType::Pedestrian;
+    let tracks: Vec<_> = (0..3).map(|id| track(id, of, [10.0 * id as f32, 0.0], 0.0, 1.2)).collect();
+    let good: Vec<_> = (0..3).map(|id| controls(id, of, &[[0.1, 0.0]; 20], 0.05)).collect();
+    let mut bad = good.clone();
+    bad[0].best = [ControlGaussian { mean: [1e6, 0.0], cholesky: [0.0; 3] }; 12];
+    let missing = good[1..].to_vec();
+    let [after_bad, after_missing] = [bad, missing].map(|early| {
+        let mut sampler = Sampler::new(options);
+        let tick = |tick: i64| if tick < 20 { &early } else { &good };
+        let forecasts =
+            (0..100).map(|number| learned(&mut sampler, 80_000_000 * number, &tracks, tick(number)));
+        forecasts.last().unwrap()
+    });
+    assert_eq!(after_bad[1..], after_missing[1..]);
+}
+
+#[test]
 fn impossible_frames_are_refused_whole() {
     let mut sampler = Sampler::new(SamplerOptions::default());
     let good = track(1, AgentType::Vehicle, [0.0; 2], 0.0, 2.0);
