@@ -96,7 +96,9 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
     if arguments.ring.limits().is_some() && arguments.record.is_none() {
         return Err(Failure::Usage("--last: --record FILE names the files that it is written to".to_owned()));
     }
-    arguments.report.as_deref().map_or(Ok(()), check_place)?;
+    if let Some(report) = &arguments.report {
+        check_place(report)?;
+    }
     let pipeline = pipeline_file::load(arguments.pipeline.as_deref())?;
     let (weights_path, weights) = arguments.model.open_weights(pipeline.weights.as_deref())?;
     let mut options = StageOptions::of_pipeline(&pipeline);

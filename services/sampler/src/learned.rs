@@ -92,10 +92,10 @@ impl<'a> LearnedControls<'a> {
                 }
                 *out = published(&model.relative_to_start(acting));
             }
-            match propagation {
-                _ if spread.is_some() => model.means(acting.into_iter(), moments),
-                Propagation::Linearised => model.moments(acting.into_iter(), moments),
-                Propagation::MonteCarlo { particles } => {
+            match (spread, propagation) {
+                (Some(_), _) => model.means(acting.into_iter(), moments),
+                (None, Propagation::Linearised) => model.moments(acting.into_iter(), moments),
+                (None, Propagation::MonteCarlo { particles }) => {
                     model.particle_moments(mode_steps(mode), particles, normals, moments);
                 }
             }

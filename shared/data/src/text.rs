@@ -250,8 +250,12 @@ impl<'a> Field<'a> {
 
     /// An identity below `limit`.
     pub fn id_below(&self, limit: u64) -> Result<u64, ReadError> {
-        let id = self.text.parse().or_else(|_| Ok(u64::try_from(self.integer()?).unwrap_or(u64::MAX)))?;
-        if id < limit { Ok(id) } else { Err(self.error(format!("expected an id from 0 to {}", limit - 1))) }
+        let id = match self.text.parse() {
+            Ok(id) => Some(id),
+            Err(_) => u64::try_from(self.integer()?).ok(),
+        };
+        id.filter(|id| *id < limit)
+            .ok_or_else(|| self.error(format!("expected an id from 0 to {}", limit - 1)))
     }
 }
 

@@ -67,7 +67,8 @@ impl Waiting {
         }
     }
 
-    /// Takes some at random, as many as there is time for: the oldest are those that come first in a frame.
+    /// Takes as many as there is time for, at random: in order, those that come early in a frame would wait longest, and
+    /// be replaced most.
     pub(crate) fn take(&mut self, passed_s: f64) -> impl Iterator<Item = Due> + '_ {
         let len = ((LEVELS_PER_S * passed_s).ceil() as usize).min(LEVELS_MAX);
         (0..len.min(self.due.len())).map(|_| {

@@ -165,6 +165,7 @@ impl Report {
             "best of 20",
             "20 anchors",
             "/ anchors, ADE",
+            "/ anchors, FDE",
             "missed",
             "held 90 %",
             "area m²",
@@ -190,8 +191,7 @@ impl Report {
                 row.extend(
                     [Method::DecayingTurn, Method::BestOf, Method::Anchors].map(|method| cell.text(method)),
                 );
-                let [by_anchors, _] = cell.ratios(Method::BestOf, Method::Anchors);
-                row.push(interval(&by_anchors));
+                row.extend(cell.ratios(Method::BestOf, Method::Anchors).iter().map(interval));
                 row.push(format!("{:.2}", cell.share(|sample| sample.missed)));
                 row.push(interval(&cell.held_with_interval(LEVEL, STEPS.len() - 1)));
                 row.extend(cell.areas_m2().map(|area_m2| format!("{area_m2:.0}")));
