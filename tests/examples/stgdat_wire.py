@@ -24,6 +24,8 @@ AGENTS_MAX = 128
 SHED_WORDS = 4
 # Most detections in a frame.
 DETECTIONS_MAX = 512
+# Greatest time between a measurement and the stamp of its frame, either way.
+OFFSET_MAX_NS = 1000000000
 # Most stages that a tick can pass.
 HOPS_MAX = 12
 # Most stages that a pipeline file can add to those of stgdat's own.
@@ -263,6 +265,34 @@ _check(Counts, 24, {
 })
 
 
+class InputCounts(c.Structure):
+    """Counts of what the input contained, since the stage that counts was started. The source fills `unplayed` and
+    `merged`, the tracker the others."""
+
+    _fields_ = [
+        ("detections", c.c_uint32),  # Detections that the tracker has taken in.
+        ("repeated", c.c_uint32),  # Detections that repeat the last one of a moving track to the bit: no measurements.
+        ("misfits", c.c_uint32),  # Detections that their track can't have reached: treated as missed.
+        ("placeholders", c.c_uint32),  # Detections at a placeholder's position.
+        ("reassigned", c.c_uint32),  # Tracks whose state began again because misfits agreed with one another.
+        ("unplayed", c.c_uint32),  # Detections of unplayed frames that no played frame contains.
+        ("merged", c.c_uint32),  # Detections of unplayed frames that went out with another frame.
+        ("doubts", c.c_uint32),  # Bits of the doubts about the input; 0 without any.
+    ]
+
+
+_check(InputCounts, 32, {
+    "detections": 0,
+    "repeated": 4,
+    "misfits": 8,
+    "placeholders": 12,
+    "reassigned": 16,
+    "unplayed": 20,
+    "merged": 24,
+    "doubts": 28,
+})
+
+
 class Header(c.Structure):
     """The header of every frame."""
 
@@ -294,7 +324,7 @@ class Header(c.Structure):
         ("chain_len", c.c_uint32),  # How many of those agents the decoder served.
         ("shed", c.c_uint32 * 4),  # Agents of the tick, by their place among its tracks, whose controls were left out to save time: bit `place % 32` of number `place / 32`.
         ("sampling_ns", c.c_uint32),  # How long the sampler took for those forecasts; 0 where it is not known.
-        ("reserved_end", c.c_uint8 * 32),  # Zero.
+        ("input", InputCounts),  # What source and tracker have found in the detections so far; all 0 where they do not report.
     ]
 
     @staticmethod
@@ -331,7 +361,7 @@ _check(Header, 704, {
     "chain_len": 648,
     "shed": 652,
     "sampling_ns": 668,
-    "reserved_end": 672,
+    "input": 672,
 })
 
 
@@ -350,7 +380,8 @@ class Detection(c.Structure):
         ("sigma_m", c.c_float),  # Standard deviation of the position per axis; 0 takes the tracker's own for the type.
         ("agent_type", c.c_uint32),  # `AgentType` as a number.
         ("flags", c.c_uint32),  # Bits of `detection_flags`.
-        ("reserved", c.c_uint8 * 16),  # Zero.
+        ("offset_ns", c.c_int64),  # Time of the measurement less the frame's stamp, at most `OFFSET_MAX_NS` either way; 0 where it was made at the stamp.
+        ("reserved", c.c_uint8 * 8),  # Zero.
     ]
 
     @staticmethod
@@ -371,7 +402,8 @@ _check(Detection, 64, {
     "sigma_m": 36,
     "agent_type": 40,
     "flags": 44,
-    "reserved": 48,
+    "offset_ns": 48,
+    "reserved": 56,
 })
 
 
@@ -803,6 +835,7 @@ RECORDS = [
     Protection,
     Hop,
     Counts,
+    InputCounts,
     Header,
     Detection,
     Truth,

@@ -4,7 +4,7 @@ use std::fmt::Write as _;
 
 use crate::{
     AgentControls, AgentEncoding, AgentFeatures, ControlGaussian, Counts, Detection, Edge, Forecast, Header,
-    Heartbeat, HistoryState, Hop, Layout, Protection, Record, Row, Track, Truth, Type,
+    Heartbeat, HistoryState, Hop, InputCounts, Layout, Protection, Record, Row, Track, Truth, Type,
 };
 
 /// Something whose numbers can be told apart.
@@ -80,6 +80,7 @@ mod bytes_of {
         protection: Protection,
         hop: Hop,
         counts: Counts,
+        input_counts: InputCounts,
         header: Header,
         detection: Detection,
         truth: Truth,

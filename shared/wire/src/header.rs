@@ -87,6 +87,31 @@ record! {
 }
 
 record! {
+    /// Counts of what the input contained, since the stage that counts was started.
+    ///
+    /// The source fills `unplayed` and `merged`, the tracker the others.
+    #[derive(Eq)]
+    pub struct InputCounts: 32 bytes {
+        /// Detections that the tracker has taken in.
+        0 => detections: u32,
+        /// Detections that repeat the last one of a moving track to the bit: no measurements.
+        4 => repeated: u32,
+        /// Detections that their track can't have reached: treated as missed.
+        8 => misfits: u32,
+        /// Detections at a placeholder's position.
+        12 => placeholders: u32,
+        /// Tracks whose state began again because misfits agreed with one another.
+        16 => reassigned: u32,
+        /// Detections of unplayed frames that no played frame contains.
+        20 => unplayed: u32,
+        /// Detections of unplayed frames that went out with another frame.
+        24 => merged: u32,
+        /// Bits of the doubts about the input; 0 without any.
+        28 => doubts: u32,
+    }
+}
+
+record! {
     /// The header of every frame.
     pub struct Header: 704 bytes {
         /// End-to-end protection of the frame.
@@ -149,8 +174,8 @@ record! {
         652 => shed: [u32; SHED_WORDS],
         /// How long the sampler took for those forecasts; 0 where it is not known.
         668 => sampling_ns: u32,
-        /// Zero.
-        672 => reserved_end: [u8; 32],
+        /// What source and tracker have found in the detections so far; all 0 where they do not report.
+        672 => input: InputCounts,
     }
 }
 

@@ -94,7 +94,7 @@ mod topic;
 
 pub use agent::{AGENT_TYPES, AgentType, UnknownAgentType};
 pub use check::{Rejected, finite};
-pub use header::{Counts, Header, Hop, StampSource, flags};
+pub use header::{Counts, Header, Hop, InputCounts, StampSource, flags};
 pub use layout::{
     Context, ContextMut, ContextShape, Edge, FeatureShape, Features, FeaturesMut, Row, context_rows,
     feature_rows,
@@ -102,8 +102,8 @@ pub use layout::{
 pub use limits::{
     ADDED_STAGES_MAX, ADDED_TOPICS_MAX, AGENTS_MAX, CONTEXT_EMBEDDING, DETECTIONS_MAX, EDGE_ATTRIBUTES,
     EDGES_MAX, ELEMENT_SIZE_MAX, EXPERTS_MAX, HISTORY_MAX, HOPS_MAX, HORIZON_MAX, LATENT, MODES_MAX,
-    NODE_ATTRIBUTES, PATCH_CHANNELS, PATCH_SIDE_MAX, POSITION_MAX_M, REFUSALS_MAX, RELATION_FEATURES, SCHEMA,
-    SHED_WORDS, SPEED_MAX_MPS, STATE_EMBEDDING, STATE_FEATURES, TEMPORAL,
+    NODE_ATTRIBUTES, OFFSET_MAX_NS, PATCH_CHANNELS, PATCH_SIDE_MAX, POSITION_MAX_M, REFUSALS_MAX,
+    RELATION_FEATURES, SCHEMA, SHED_WORDS, SPEED_MAX_MPS, STATE_EMBEDDING, STATE_FEATURES, TEMPORAL,
 };
 pub use protection::{Protection, RefusalCause, Refusals, data_id};
 pub use records::{

@@ -19,6 +19,8 @@ constants! {
     pub const SHED_WORDS: usize = AGENTS_MAX / 32;
     /// Most detections in a frame.
     pub const DETECTIONS_MAX: usize = 512;
+    /// Greatest time between a measurement and the stamp of its frame, either way.
+    pub const OFFSET_MAX_NS: u64 = 1_000_000_000;
     /// Most stages that a tick can pass.
     pub const HOPS_MAX: usize = 12;
     /// Most stages that a pipeline file can add to those of stgdat's own.

@@ -6,8 +6,9 @@ use bytemuck::Pod;
 use crate::topic::TOPICS;
 use crate::{
     AgentControls, AgentEncoding, AgentFeatures, AgentType, Cause, ControlGaussian, Counts, Detection, Edge,
-    Expert, Forecast, Header, Heartbeat, HistoryState, Hop, Protection, Quality, RefusalCause, Refusals, Row,
-    SCHEMA, StageId, StampSource, Steering, Track, TrackStatus, Truth, detection_flags, flags, limits,
+    Expert, Forecast, Header, Heartbeat, HistoryState, Hop, InputCounts, Protection, Quality, RefusalCause,
+    Refusals, Row, SCHEMA, StageId, StampSource, Steering, Track, TrackStatus, Truth, detection_flags, flags,
+    limits,
 };
 
 /// All that programs of other languages need to read and write frames.
@@ -291,6 +292,7 @@ pub const TABLE: Table = Table {
         Protection::RECORD,
         Hop::RECORD,
         Counts::RECORD,
+        InputCounts::RECORD,
         Header::RECORD,
         Detection::RECORD,
         Truth::RECORD,

@@ -1,7 +1,9 @@
 //! What a record's numbers can be: stages call `check` on what they take from a port.
 
 use super::{AgentControls, AgentEncoding, AgentFeatures, Detection, Forecast, Track};
-use crate::{AgentType, MODES_MAX, POSITION_MAX_M, Rejected, SPEED_MAX_MPS, UnknownAgentType, finite};
+use crate::{
+    AgentType, MODES_MAX, OFFSET_MAX_NS, POSITION_MAX_M, Rejected, SPEED_MAX_MPS, UnknownAgentType, finite,
+};
 
 fn position(field: &'static str, values: &[f32]) -> Result<(), Rejected> {
     finite(field, values)?;
@@ -47,6 +49,10 @@ impl Detection {
         agent_type(self.agent_type)?;
         position("detection position", &[self.x_m, self.y_m])?;
         speed("detection speed", self.speed_mps)?;
+        if self.offset_ns.unsigned_abs() > OFFSET_MAX_NS {
+            let value = self.offset_ns as f64;
+            return Err(Rejected::Impossible { field: "detection offset_ns", value });
+        }
         finite("detection", &[self.heading_rad, self.length_m, self.width_m, self.score, self.sigma_m])?;
         let negative = [("length_m", self.length_m), ("width_m", self.width_m), ("sigma_m", self.sigma_m)];
         match negative.into_iter().find(|(_, value)| *value < 0.0) {
