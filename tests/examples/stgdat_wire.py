@@ -415,7 +415,8 @@ class Truth(c.Structure):
         ("agent_type", c.c_uint32),  # `AgentType` as a number.
         ("x_m", c.c_float),  # Position in the world frame.
         ("y_m", c.c_float),  # Position in the world frame.
-        ("reserved", c.c_uint8 * 12),  # Zero.
+        ("reserved", c.c_uint8 * 4),  # Zero.
+        ("offset_ns", c.c_int64),  # Time of the position less the frame's stamp.
     ]
 
     @staticmethod
@@ -430,6 +431,7 @@ _check(Truth, 32, {
     "x_m": 12,
     "y_m": 16,
     "reserved": 20,
+    "offset_ns": 24,
 })
 
 

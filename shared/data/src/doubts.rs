@@ -64,7 +64,7 @@ pub fn doubts(recording: &Recording) -> Vec<Doubt> {
     for frame in &recording.frames {
         for detection in frame.detections.iter().filter(|detection| detection.has(detection_flags::HAS_ID)) {
             let Ok(agent_type) = detection.agent_type() else { continue };
-            let place = Place::of(frame.stamp_ns, detection);
+            let place = Place::of(frame.stamp_ns + detection.offset_ns, detection);
             let chord = agents.entry(detection.id).or_insert_with(|| Chord::from(place));
             if let Some(ended) = chord.extend(place) {
                 types.entry(agent_type).or_default().add(ended);

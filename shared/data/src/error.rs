@@ -99,6 +99,27 @@ pub enum ReadError {
         /// The line of the first row, from 1.
         first_line: usize,
     },
+    /// The time of an object goes back, in a file whose rows are in order otherwise.
+    #[error(
+        "{path}:{line}: time goes back{}: {stamp_s:.3} s after {before_s:.3} s in line {before_line}: was the clock \
+         set back, or the recording played again? Cut the file there; if its rows are only out of order, sort \
+         them by their stamps",
+        id.map_or_else(String::new, |id| format!(" for id {id}"))
+    )]
+    TimeGoesBack {
+        /// The file.
+        path: String,
+        /// The line of the row that goes back, from 1.
+        line: usize,
+        /// The object, if the rows have identities.
+        id: Option<u64>,
+        /// The row's stamp.
+        stamp_s: f64,
+        /// The line of the object's previous row, from 1.
+        before_line: usize,
+        /// The stamp of that row.
+        before_s: f64,
+    },
     /// The file has no row.
     #[error("{path}: no rows")]
     Empty {

@@ -38,16 +38,21 @@
 //! ```
 
 mod doubts;
+mod egos;
 mod error;
 mod format;
 pub mod formats;
 mod frame_rate;
 mod generated;
 mod input;
+mod interval;
 mod open;
+mod order;
 mod recording;
 mod rows;
 pub mod sets;
+mod stamp;
+mod sweeps;
 mod text;
 mod track_file;
 mod tracks;

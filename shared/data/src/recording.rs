@@ -14,10 +14,11 @@ pub struct Ego {
     pub is_sensor: bool,
 }
 
-/// The detections of one time.
+/// The detections of one sweep.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Frame {
-    /// Time of validity on the recording's clock.
+    /// Time of the newest detection on the recording's clock. Each detection has its own time:
+    /// [`Detection::offset_ns`] is 0 or negative.
     pub stamp_ns: i64,
     /// Bits ([`wire::AgentType::bit`]) of the types that the sensor can detect in this frame.
     pub observed_types: u32,
@@ -55,6 +56,9 @@ pub struct Recording {
     pub left_out: Vec<LeftOut>,
     /// The rate at which the frame numbers of the files were counted; none where the files have their times.
     pub frame_rate: Option<FrameRate>,
+    /// Frames that no pose of a moving sensor was near enough to: their pose is the last one before, and they
+    /// are not seen from it.
+    pub poses_missing: usize,
     /// Metres per pixel of the recording's video where errors are published in pixels.
     pub pixel_m: Option<f64>,
 }

@@ -1,9 +1,9 @@
-//! From the rows of files, in any order, to frames.
+//! The rows of files, in any order, and what they contain; [`crate::sweeps`] turns them into frames.
 
 use wire::{AgentType, Detection, Truth, detection_flags};
 
 use crate::text::{Field, Line};
-use crate::{Ego, Frame, Input, ReadError};
+use crate::{Input, ReadError, order};
 
 /// Most rows of a recording.
 pub(crate) const ROWS_MAX: usize = 8_000_000;
@@ -58,8 +58,8 @@ impl<'a> Rows<'a> {
     /// The rows by time and identity, however they were ordered in the file.
     ///
     /// # Errors
-    /// [`ReadError::Duplicate`] where an identity has two rows at one time, [`ReadError::Empty`] where there
-    /// is no row.
+    /// [`ReadError::Duplicate`] if an identity has two rows at one time, [`ReadError::TimeGoesBack`] if its
+    /// time goes back in a file that is in order otherwise, [`ReadError::Empty`] if there is no row.
     pub fn sorted(self, input: &Input) -> Result<Vec<Row<'a>>, ReadError> {
         match self.is_empty() {
             true => Err(ReadError::Empty { path: input.path.clone() }),
@@ -67,8 +67,10 @@ impl<'a> Rows<'a> {
         }
     }
 
-    /// As [`Rows::sorted`], except that no row is no error.
+    /// As [`Rows::sorted`], except that no row is no error. All rows of all formats pass here before they
+    /// become frames, still in the files' order.
     pub fn sorted_or_none(mut self) -> Result<Vec<Row<'a>>, ReadError> {
+        order::check(&self.rows)?;
         let has_id = |row: &Row<'_>| row.detection.has(detection_flags::HAS_ID);
         self.rows.sort_by_key(|row| (row.stamp_ns, has_id(row), row.detection.id, row.line));
         let twice = self.rows.windows(2).find(|pair| {
@@ -128,22 +130,6 @@ pub(crate) fn with_velocity(
     })
 }
 
-/// Frames of rows that are sorted by time, observed by a fixed sensor that detects `observed_types` all the
-/// time. The sensor's position is the mean position of the first frame's detections: that of all frames would
-/// leak the future. The rows are their own truth.
-pub(crate) fn frames(rows: &[Row<'_>], observed_types: u32) -> Vec<Frame> {
-    let first = rows.chunk_by(|a, b| a.stamp_ns == b.stamp_ns).next().unwrap_or(&[]);
-    let ego = Ego { position_m: centre_m(first), ..Ego::default() };
-    rows.chunk_by(|a, b| a.stamp_ns == b.stamp_ns)
-        .map(|rows| {
-            let mut detections: Vec<Detection> = rows.iter().map(|row| row.detection).collect();
-            sort(&mut detections);
-            let truth = detections.iter().map(truth_of).collect();
-            Frame { stamp_ns: rows[0].stamp_ns, observed_types, ego, detections, truth }
-        })
-        .collect()
-}
-
 /// Sorts by type and identity, and without identity by score and position, so that the order of rows never
 /// matters.
 pub(crate) fn sort(detections: &mut [Detection]) {
@@ -163,15 +149,7 @@ pub(crate) fn truth_of(detection: &Detection) -> Truth {
         agent_type: detection.agent_type,
         x_m: detection.x_m,
         y_m: detection.y_m,
+        offset_ns: detection.offset_ns,
         ..Truth::default()
     }
-}
-
-/// The mean of all positions.
-fn centre_m(rows: &[Row<'_>]) -> [f32; 2] {
-    let mean = |of: fn(&Detection) -> f32| {
-        let sum: f64 = rows.iter().map(|row| f64::from(of(&row.detection))).sum();
-        (sum / rows.len().max(1) as f64) as f32
-    };
-    [mean(|d| d.x_m), mean(|d| d.y_m)]
 }

@@ -16,7 +16,7 @@ const MOTION: u32 = detection_flags::HAS_HEADING | detection_flags::HAS_SPEED;
 pub struct RecordedTrack {
     /// Identity in the recording.
     pub id: u64,
-    /// Stamps and states in time order. A state depends on nothing later than its stamp.
+    /// Times of the measurements and states in time order. A state depends on nothing later than its time.
     pub states: Vec<(i64, State)>,
     /// Whether the first state has no velocity and heading because no position came before it. Once the
     /// second state is known, [`RecordedTrack::state_at`] gives it those.
@@ -67,6 +67,16 @@ impl RecordedTrack {
         (gap_ns <= gap_max_ns).then(|| between(from, to, (stamp_ns - last_ns) as f32 / gap_ns as f32))
     }
 
+    /// The state at `stamp_ns` as known then, of an agent whose newest measurement is `offset_ns` from there: its
+    /// last velocity moves it.
+    pub(crate) fn state_now(&self, stamp_ns: i64, offset_ns: i64) -> Option<State> {
+        let measured_ns = stamp_ns.checked_add(offset_ns)?;
+        let measured = self.state_at(measured_ns, measured_ns, 0)?;
+        let elapsed_s = (-offset_ns as f64 * 1e-9) as f32;
+        let moved = [0, 1].map(|axis| measured.position_m[axis] + measured.velocity_mps[axis] * elapsed_s);
+        Some(State { position_m: moved, ..measured })
+    }
+
     /// A recorded state as known at `now_ns`.
     fn known(&self, index: usize, now_ns: i64) -> Option<(i64, State)> {
         let &(stamp_ns, state) = self.states.get(index).filter(|(stamp_ns, _)| *stamp_ns <= now_ns)?;
@@ -104,11 +114,15 @@ fn follow(recording: &Recording, motion_is_given: bool) -> Vec<RecordedTrack> {
                 starts_unmoved: !(motion_is_given && detection.has(MOTION)),
                 reported: Vec::new(),
             });
-            let stamp_ns = frame.stamp_ns;
+            let stamp_ns = frame.stamp_ns + detection.offset_ns;
             let last = track.reported.last().map(|(_, reported)| *reported);
             let reported = Reported::after(last, detection, agent_type);
             if last != Some(reported) {
                 track.reported.push((stamp_ns, reported));
+            }
+            // Of two measurements at one time, or one that came late, the first is kept.
+            if track.states.last().is_some_and(|(last_ns, _)| stamp_ns <= *last_ns) {
+                continue;
             }
             let state = state(track.states.last(), stamp_ns, detection, motion_is_given);
             track.states.push((stamp_ns, state));

@@ -1,7 +1,11 @@
 //! Windows of a recording: what is known at one time (history), and what came after (future).
 
-use crate::{RecordedTrack, Recording, Reported, tracks, tracks_from_positions};
+use std::collections::BTreeMap;
+
 use scene::State;
+use wire::{OFFSET_MAX_NS, detection_flags};
+
+use crate::{Frame, RecordedTrack, Recording, Reported, tracks, tracks_from_positions};
 
 /// How a recording is cut into windows.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -82,7 +86,8 @@ pub struct Window {
 /// Histories are interpolated only between states recorded at or before the window's time, futures between
 /// those after it as well; steps at recorded times are the recorded states themselves. So a recording of any
 /// rate has windows, and one whose interval divides the step none that is interpolated where no frame is
-/// missing. Windows without agents are left out.
+/// missing. An agent that was measured at another time than its frame's stamp is moved to the stamp by its last
+/// velocity. Windows without agents are left out.
 ///
 /// # Panics
 /// If a length or the step of `options` is 0 or negative.
@@ -109,8 +114,11 @@ pub fn windows(recording: &Recording, options: &WindowOptions) -> Vec<Window> {
             continue;
         }
         earliest_ns = frame.stamp_ns.saturating_add(apart_ns);
+        let offsets_ns = offsets_ns(frame);
+        let offset_ns = |track: &RecordedTrack| offsets_ns.get(&track.id).copied().unwrap_or(0);
+        let begun = alive.at(frame.stamp_ns);
         let agents: Vec<WindowAgent> =
-            alive.at(frame.stamp_ns).filter_map(|track| agent(track, frame.stamp_ns, options)).collect();
+            begun.filter_map(|track| agent(track, frame.stamp_ns, offset_ns(track), options)).collect();
         if !agents.is_empty() {
             windows.push(Window { stamp_ns: frame.stamp_ns, agents });
         }
@@ -118,17 +126,32 @@ pub fn windows(recording: &Recording, options: &WindowOptions) -> Vec<Window> {
     windows
 }
 
-fn agent(track: &RecordedTrack, stamp_ns: i64, options: &WindowOptions) -> Option<WindowAgent> {
+/// The offsets of the agents that were measured at another time than the frame's stamp.
+fn offsets_ns(frame: &Frame) -> BTreeMap<u64, i64> {
+    let shifted = frame.detections.iter().filter(|d| d.offset_ns != 0 && d.has(detection_flags::HAS_ID));
+    shifted.map(|detection| (detection.id, detection.offset_ns)).collect()
+}
+
+fn agent(
+    track: &RecordedTrack,
+    stamp_ns: i64,
+    offset_ns: i64,
+    options: &WindowOptions,
+) -> Option<WindowAgent> {
     let steps = options.history_len as i64;
     let state_at = |step: i64, now_ns: i64| {
         let at_ns = stamp_ns.checked_add(step.checked_mul(options.step_ns)?)?;
         track.state_at(at_ns, now_ns, options.gap_max_ns)
     };
-    state_at(0, stamp_ns)?;
+    let now = match offset_ns {
+        0 => state_at(0, stamp_ns)?,
+        _ => track.state_now(stamp_ns, offset_ns)?,
+    };
+    let history = (1 - steps..0).map(|step| state_at(step, stamp_ns)).chain([Some(now)]);
     let agent = WindowAgent {
         id: track.id,
         reported: track.reported_at(stamp_ns),
-        history: (1 - steps..=0).map(|step| state_at(step, stamp_ns)).collect(),
+        history: history.collect(),
         future: (1..=options.horizon_len as i64)
             .map(|step| state_at(step, i64::MAX).map(|state| state.position_m))
             .collect(),
@@ -136,7 +159,7 @@ fn agent(track: &RecordedTrack, stamp_ns: i64, options: &WindowOptions) -> Optio
     (agent.history_present_len() >= options.history_present_min).then_some(agent)
 }
 
-/// Finds the tracks that span a time, for increasing times.
+/// Finds the tracks that span a time, or have ended as long before it as offsets can be, for increasing times.
 struct Alive<'a> {
     /// The tracks that have not begun, the next one last.
     waiting: Vec<&'a RecordedTrack>,
@@ -157,7 +180,8 @@ impl<'a> Alive<'a> {
         {
             self.begun.push(track);
         }
-        self.begun.retain(|track| track.states.last().is_some_and(|state| state.0 >= stamp_ns));
+        let ended_ns = stamp_ns.saturating_sub(OFFSET_MAX_NS as i64);
+        self.begun.retain(|track| track.states.last().is_some_and(|state| state.0 >= ended_ns));
         self.begun.sort_by_key(|track| track.id);
         self.begun.iter().copied()
     }

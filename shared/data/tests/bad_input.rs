@@ -111,7 +111,7 @@ fn samples_of_every_format_are_read_and_detected() {
         [4, 11, 0],
         [3, 6, 0],
         [3, 9, 1],
-        [2, 1, 0],
+        [1, 1, 0],
     ];
     for ((format, inputs), expected) in good().into_iter().zip(counts) {
         let recording = parse(format, &inputs).unwrap();
@@ -217,10 +217,7 @@ fn bad_values_below_a_header_are_named() {
     assert_eq!(vci_dut("0,22,ped,12.5,3.6,1.6,3.3"), "a.txt:2:6: label = \"ped\": expected veh");
     assert_eq!(vci_dut("0,22,veh,12.5,3.6,,3.3"), "a.txt:2:19: psi_est = \"\": not a number");
     let own = |row: &str| message(Format::Csv, format!("{}{row}\n", header(OWN)));
-    assert_eq!(
-        own("1e3,7,vehicle,1,2,,,,,,"),
-        "a.txt:2:1: stamp_s = \"1e3\": expected seconds like 12.08, with at most 9 decimals"
-    );
+    assert_eq!(own("1k,7,vehicle,1,2,,,,,,"), "a.txt:2:1: stamp_s = \"1k\": expected seconds like 12.08");
     assert_eq!(
         own("0.1,7,boat,1,2,,,,,,"),
         "a.txt:2:7: type = \"boat\": expected vehicle, cyclist, pedestrian, ego or above"

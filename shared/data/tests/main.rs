@@ -5,4 +5,5 @@ mod converters;
 mod frame_rates;
 mod recordings;
 mod strangers;
+mod sweeps;
 mod windows;

@@ -54,7 +54,7 @@ pub struct Paths {
 }
 
 impl Paths {
-    /// Adds the truth at `stamp_ns`.
+    /// Adds the truth of the frame at `stamp_ns`, each position at its own time.
     ///
     /// # Errors
     /// [`Rejected`] where a position is not finite or the stamp is not after the last one; nothing is added
@@ -76,7 +76,8 @@ impl Paths {
                 .entry(truth.id)
                 .or_insert_with(|| Path { agent_type: truth.agent_type, samples: VecDeque::new() });
             path.agent_type = truth.agent_type;
-            if path.samples.back().is_some_and(|sample| sample.stamp_ns == stamp_ns) {
+            let stamp_ns = stamp_ns.saturating_add(truth.offset_ns);
+            if path.samples.back().is_some_and(|sample| sample.stamp_ns >= stamp_ns) {
                 continue;
             }
             if path.samples.len() == SAMPLES_MAX {
@@ -158,6 +159,15 @@ mod tests {
         assert_eq!(paths.at(1, 400_000_001), None, "nothing is extrapolated");
         assert_eq!(paths.at(1, -1), None);
         assert_eq!(paths.at(2, 0), None);
+    }
+
+    #[test]
+    fn positions_lie_at_their_own_times() {
+        let late = |x_m| Truth { offset_ns: -30_000_000, ..truth(1, x_m) };
+        let paths = paths(&[(0, &[late(0.0)]), (100_000_000, &[late(1.0)])]);
+        assert_eq!(paths.at(1, 70_000_000), Some([1.0, 0.0]));
+        assert_eq!(paths.at(1, 20_000_000), Some([0.5, 0.0]));
+        assert_eq!(paths.at(1, 100_000_000), None, "the newest position is older");
     }
 
     #[test]

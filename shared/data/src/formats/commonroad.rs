@@ -17,7 +17,7 @@ use wire::{AgentType, Detection, detection_flags};
 use crate::input::need;
 use crate::rows::{self, ALL_TYPES, Rows};
 use crate::text::{self, Field, Line};
-use crate::{Input, LeftOut, ReadError, Recording, Role};
+use crate::{Input, LeftOut, ReadError, Recording, Role, sweeps};
 
 /// Size of the largest file that is read: in memory it takes several times as much.
 const XML_BYTES_MAX: u64 = 256 << 20;
@@ -196,7 +196,7 @@ impl<'a> Reading<'a, '_> {
                 self.rows.push(line, stamp_ns, *detection)?;
             }
         }
-        let frames = rows::frames(&self.rows.sorted(input)?, ALL_TYPES);
+        let frames = sweeps::numbered(&self.rows.sorted(input)?, ALL_TYPES);
         Ok(Recording {
             interval_ns: self.step_ns as u64,
             has_identities: true,

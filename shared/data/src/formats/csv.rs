@@ -10,7 +10,7 @@
 //!
 //! | column | | meaning |
 //! |---|---|---|
-//! | `stamp_s` | needed | time of validity in seconds on any clock, to the nanosecond; no exponent |
+//! | `stamp_s` | needed | time of the measurement in seconds on any clock, rounded to the nanosecond |
 //! | `type` | needed | `vehicle`, `cyclist`, `pedestrian`; or `ego` or `above`, see below |
 //! | `x_m`, `y_m` | needed | position within ±32,768 m in a right-handed world frame (z up) |
 //! | `id` | | identity, a whole number from 0; where all rows have one the tracker may trust them |
@@ -31,18 +31,20 @@
 //! them out of the recording, so that tracks can be replayed as detections with identities.
 //!
 //! Columns and rows may be in any order; columns that are not needed may be missing or empty; lines that
-//! begin with `#` are comments. All rows of one stamp are a frame in which all agent types were observed; an
-//! `ego` or `above` row alone makes a frame without detections. Each pose of the sensor holds until the next;
-//! before the first, the sensor's position is the mean position of the first frame's detections.
-
-use std::collections::BTreeMap;
+//! begin with `#` are comments. Rows need not have equal stamps to be of one frame: the reader joins the
+//! detections of each sweep to a frame, whose stamp is that of its newest detection. The pose of the sensor
+//! makes no frame. It is interpolated to the frames' stamps. Before the first pose, the sensor's position is
+//! the mean position of the first frame's detections.
 
 use wire::{AgentType, Detection, Quality, detection_flags};
 
+use crate::egos::Egos;
 use crate::input::need;
-use crate::rows::{self, ALL_TYPES, Rows};
+use crate::rows::{self, Rows};
+use crate::stamp::stamp_ns;
+use crate::sweeps::{self, Sweeps};
 use crate::text::{self, Field, Line, Separator};
-use crate::{Ego, Frame, Input, ReadError, Recording, Role};
+use crate::{Ego, Input, ReadError, Recording, Role};
 
 pub(crate) const NAMES: [&str; 20] = [
     "stamp_s",
@@ -70,8 +72,6 @@ pub(crate) const NAMES: [&str; 20] = [
 pub(crate) const STATUS: [&str; 2] = ["confirmed", "coasting"];
 const STAMP: usize = 0;
 const NEEDED: [usize; 4] = [STAMP, 2, 3, 4];
-/// Greatest stamp: three centuries, which leave room for arithmetic in nanoseconds.
-const SECONDS_MAX: i64 = 4_000_000_000;
 /// The interval of a recording with a single frame.
 const INTERVAL_NS: u64 = wire::TICK_NS;
 
@@ -105,31 +105,27 @@ pub(crate) fn parse(inputs: &[Input]) -> Result<Recording, ReadError> {
     let header = Header::parse(&lines.next().ok_or_else(empty)??)?;
 
     let mut rows = Rows::default();
-    let mut egos: BTreeMap<i64, (Ego, usize)> = BTreeMap::new();
+    let mut egos = Egos::default();
     for line in lines {
         let line = line?;
         let fields = header.fields(&line)?;
         let stamp_ns = stamp_ns(fields[STAMP])?;
         match content(&fields)? {
             Content::Detection(detection) => rows.push(&line, stamp_ns, detection)?,
-            Content::Ego(ego) => match egos.insert(stamp_ns, (ego, line.number)) {
-                Some((_, first)) => {
-                    return Err(
-                        fields[STAMP].error(format!("has an {EGO} or {ABOVE} row already, in line {first}"))
-                    );
-                }
-                None => continue,
-            },
+            Content::Ego(ego) => egos.insert(stamp_ns, ego, line.number).map_err(|first| {
+                fields[STAMP].error(format!("has an {EGO} or {ABOVE} row already, in line {first}"))
+            })?,
         }
     }
-    let frames = with_egos(rows::frames(&rows.sorted_or_none()?, ALL_TYPES), &egos);
-    if frames.is_empty() {
-        return Err(empty());
-    }
+    let Sweeps { frames, interval_ns, poses_missing } = sweeps::measured(&rows.sorted(input)?, &egos);
     let has_id = |detection: &Detection| detection.has(detection_flags::HAS_ID);
-    let mut seen = frames.iter().flat_map(|frame| &frame.detections).peekable();
-    let has_identities = seen.peek().is_some() && seen.all(has_id);
-    Ok(Recording { interval_ns: interval_ns(&frames), has_identities, frames, ..Recording::default() })
+    Ok(Recording {
+        interval_ns: interval_ns.unwrap_or(INTERVAL_NS),
+        has_identities: frames.iter().flat_map(|frame| &frame.detections).all(has_id),
+        frames,
+        poses_missing,
+        ..Recording::default()
+    })
 }
 
 impl Header {
@@ -225,52 +221,4 @@ fn given<'a, T>(
     read: impl Fn(&Field<'a>) -> Result<T, ReadError>,
 ) -> Result<Option<T>, ReadError> {
     if field.text.is_empty() { Ok(None) } else { read(&field).map(Some) }
-}
-
-/// Decimal seconds as whole nanoseconds, exactly (no floating point).
-fn stamp_ns(field: Field<'_>) -> Result<i64, ReadError> {
-    let wrong = || field.error("expected seconds like 12.08, with at most 9 decimals");
-    let (negative, digits) = match field.text.strip_prefix('-') {
-        Some(digits) => (true, digits),
-        None => (false, field.text),
-    };
-    let (whole, decimals) = digits.split_once('.').unwrap_or((digits, ""));
-    let all_digits = |text: &str| text.bytes().all(|byte| byte.is_ascii_digit());
-    if !all_digits(whole) || !all_digits(decimals) || whole.is_empty() || decimals.len() > 9 {
-        return Err(wrong());
-    }
-    let seconds: i64 = whole.parse().map_err(|_| wrong())?;
-    if seconds > SECONDS_MAX {
-        return Err(field.error(format!("beyond ±{SECONDS_MAX} s")));
-    }
-    let nanoseconds: i64 = format!("{decimals:0<9}").parse().map_err(|_| wrong())?;
-    let stamp_ns = seconds * 1_000_000_000 + nanoseconds;
-    Ok(if negative { -stamp_ns } else { stamp_ns })
-}
-
-/// Sets the sensor's pose of every frame, and adds the frames that have an ego row alone.
-fn with_egos(mut frames: Vec<Frame>, egos: &BTreeMap<i64, (Ego, usize)>) -> Vec<Frame> {
-    let known =
-        |frames: &[Frame], stamp_ns| frames.binary_search_by_key(&stamp_ns, |frame| frame.stamp_ns).is_ok();
-    let alone: Vec<i64> = egos.keys().copied().filter(|&stamp_ns| !known(&frames, stamp_ns)).collect();
-    frames.extend(alone.into_iter().map(|stamp_ns| Frame {
-        stamp_ns,
-        observed_types: ALL_TYPES,
-        ..Frame::default()
-    }));
-    frames.sort_by_key(|frame| frame.stamp_ns);
-    for frame in &mut frames {
-        if let Some((_, (ego, _))) = egos.range(..=frame.stamp_ns).next_back() {
-            frame.ego = *ego;
-        }
-    }
-    frames
-}
-
-/// The median time from frame to frame.
-fn interval_ns(frames: &[Frame]) -> u64 {
-    let mut intervals: Vec<u64> =
-        frames.windows(2).map(|pair| pair[1].stamp_ns.abs_diff(pair[0].stamp_ns)).collect();
-    intervals.sort_unstable();
-    intervals.get(intervals.len() / 2).copied().unwrap_or(INTERVAL_NS)
 }

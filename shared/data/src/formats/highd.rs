@@ -19,7 +19,7 @@ use super::levelx::{agent_type, attributes, frame_rate, rows_of};
 use crate::input::need;
 use crate::rows::{self, HEADING_SPEED_MPS, Rows};
 use crate::text::{Field, Line, Separator};
-use crate::{FrameRate, Input, ReadError, Recording, Role};
+use crate::{FrameRate, Input, ReadError, Recording, Role, sweeps};
 
 const TRACKS: [&str; 8] = ["frame", "id", "x", "y", "width", "height", "xVelocity", "yVelocity"];
 const TRACKS_META: [&str; 3] = ["id", "class", "drivingDirection"];
@@ -54,7 +54,7 @@ pub(crate) fn parse(inputs: &[Input]) -> Result<Recording, ReadError> {
         let (stamp_ns, detection) = row(fields, &known, &meta.path, rate)?;
         rows.push(&line, stamp_ns, detection)?;
     }
-    let frames = rows::frames(&rows.sorted(tracks)?, AgentType::Vehicle.bit());
+    let frames = sweeps::numbered(&rows.sorted(tracks)?, AgentType::Vehicle.bit());
     Ok(Recording { interval_ns: rate.interval_ns(1), has_identities: true, frames, ..Recording::default() })
 }
 

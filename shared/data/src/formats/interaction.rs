@@ -27,7 +27,7 @@ use wire::{AgentType, Detection, detection_flags};
 use crate::input::{find, need_any};
 use crate::rows::{self, PEDESTRIAN_IDS, Row, Rows};
 use crate::text::{self, Field, Line, Separator};
-use crate::{Frame, Input, ReadError, Recording, Role};
+use crate::{Frame, Input, ReadError, Recording, Role, sweeps};
 
 /// First line of a vehicle file.
 pub(crate) const VEHICLE_HEADER: &str =
@@ -88,7 +88,7 @@ pub(crate) fn parse(inputs: &[Input]) -> Result<Recording, ReadError> {
     classify_cyclists(&mut rows);
     let observed = if vehicles.is_some() { AgentType::Vehicle.bit() } else { 0 };
     let pedestrian_interval_ns = pedestrian_interval_ns(&rows);
-    let mut frames = rows::frames(&rows, observed);
+    let mut frames = sweeps::numbered(&rows, observed);
     let observes =
         |frame: &Frame| pedestrians.is_some() && observes_pedestrians(frame, pedestrian_interval_ns);
     for frame in frames.iter_mut().filter(|frame| observes(frame)) {

@@ -18,7 +18,7 @@ use wire::{AgentType, Detection, detection_flags};
 use crate::input::need;
 use crate::rows::{self, ALL_TYPES, Rows};
 use crate::text::{self, Columns, Field, Line, Separator};
-use crate::{FrameRate, Input, ReadError, Recording, Role};
+use crate::{FrameRate, Input, ReadError, Recording, Role, sweeps};
 
 const TRACKS: [&str; 9] =
     ["trackId", "frame", "xCenter", "yCenter", "heading", "width", "length", "xVelocity", "yVelocity"];
@@ -49,7 +49,7 @@ pub(crate) fn parse(inputs: &[Input]) -> Result<Recording, ReadError> {
         let (stamp_ns, detection) = row(fields, &types, &meta.path, rate)?;
         rows.push(&line, stamp_ns, detection)?;
     }
-    let frames = rows::frames(&rows.sorted(tracks)?, ALL_TYPES);
+    let frames = sweeps::numbered(&rows.sorted(tracks)?, ALL_TYPES);
     Ok(Recording { interval_ns: rate.interval_ns(1), has_identities: true, frames, ..Recording::default() })
 }
 

@@ -8,7 +8,7 @@ use wire::AgentType;
 use crate::input::need;
 use crate::rows::{self, Rows};
 use crate::text::{self, Separator};
-use crate::{FrameRate, Input, ReadError, Recording, Role};
+use crate::{FrameRate, Input, ReadError, Recording, Role, sweeps};
 
 /// Frames a second of its numbers, and the frames of a step.
 pub(crate) const RATE: FrameRate = FrameRate::of_centihertz(1_500);
@@ -35,7 +35,7 @@ pub(crate) fn parse(inputs: &[Input], rate: FrameRate) -> Result<Recording, Read
         );
         rows.push(&line, frame.stamp_ns(rate)?, detection)?;
     }
-    let frames = rows::frames(&rows.sorted(input)?, AgentType::Pedestrian.bit());
+    let frames = sweeps::numbered(&rows.sorted(input)?, AgentType::Pedestrian.bit());
     Ok(Recording {
         interval_ns: rate.interval_ns(STEP),
         has_identities: true,

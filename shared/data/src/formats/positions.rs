@@ -14,7 +14,7 @@ use wire::AgentType;
 use crate::input::need;
 use crate::rows::{self, Rows};
 use crate::text::{self, Separator};
-use crate::{FrameRate, Input, ReadError, Recording, Role};
+use crate::{FrameRate, Input, ReadError, Recording, Role, sweeps};
 
 const NAMES: [&str; 4] = ["frame", "id", "x", "y"];
 /// Frames a second of ETH/UCY's numbers, and the frames of a step.
@@ -58,7 +58,7 @@ fn parse(input: &Input, rate: FrameRate, frames_per_step: u32) -> Result<Recordi
         );
         rows.push(&line, frame.stamp_ns(rate)?, detection)?;
     }
-    let frames = rows::frames(&rows.sorted(input)?, AgentType::Pedestrian.bit());
+    let frames = sweeps::numbered(&rows.sorted(input)?, AgentType::Pedestrian.bit());
     Ok(Recording {
         interval_ns: rate.interval_ns(frames_per_step),
         has_identities: true,

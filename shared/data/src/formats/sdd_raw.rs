@@ -13,7 +13,7 @@ use wire::{AgentType, Detection};
 use crate::input::need;
 use crate::rows::{self, ALL_TYPES, PEDESTRIAN_IDS, Rows};
 use crate::text::{self, Field, Line, Separator};
-use crate::{FrameRate, Input, LeftOut, ReadError, Recording, Role};
+use crate::{FrameRate, Input, LeftOut, ReadError, Recording, Role, sweeps};
 
 const NAMES: [&str; 10] =
     ["id", "xmin", "ymin", "xmax", "ymax", "frame", "lost", "occluded", "generated", "label"];
@@ -56,7 +56,7 @@ pub(crate) fn parse(inputs: &[Input], rate: FrameRate) -> Result<Recording, Read
             None => lost_len += 1,
         }
     }
-    let frames = rows::frames(&rows.sorted(input)?, ALL_TYPES);
+    let frames = sweeps::numbered(&rows.sorted(input)?, ALL_TYPES);
     let lost = LeftOut { reason: "lost = 1".to_owned(), rows_len: lost_len };
     let left_out = Vec::from_iter((lost_len > 0).then_some(lost));
     Ok(Recording {

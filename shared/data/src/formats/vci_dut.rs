@@ -11,7 +11,7 @@ use wire::{AgentType, Detection, detection_flags};
 use crate::input::{find, need_any};
 use crate::rows::{self, PEDESTRIAN_IDS, Rows};
 use crate::text::{self, Field, Line, Separator};
-use crate::{FrameRate, Input, ReadError, Recording, Role};
+use crate::{FrameRate, Input, ReadError, Recording, Role, sweeps};
 
 /// First line of a vehicle file.
 pub(crate) const VEHICLE_HEADER: &str = "id,frame,label,x_est,y_est,psi_est,vel_est";
@@ -37,7 +37,7 @@ pub(crate) fn parse(inputs: &[Input], rate: FrameRate) -> Result<Recording, Read
             read(input, agent_type, rate, &mut rows)?;
         }
     }
-    let frames = rows::frames(&rows.sorted(first)?, observed_types);
+    let frames = sweeps::numbered(&rows.sorted(first)?, observed_types);
     Ok(Recording {
         interval_ns: rate.interval_ns(1),
         has_identities: true,

@@ -62,6 +62,8 @@ record! {
         /// Position in the world frame.
         16 => y_m: f32,
         /// Zero.
-        20 => reserved: [u8; 12],
+        20 => reserved: [u8; 4],
+        /// Time of the position less the frame's stamp.
+        24 => offset_ns: i64,
     }
 }

@@ -1,0 +1,64 @@
+//! Time that goes back within an identity.
+//!
+//! Rows may be in any order: by time, by track, shuffled. So a row whose stamp is before that of the previous
+//! row of its identity is no fault in itself. In a shuffled file that holds for half of all rows. In a file
+//! that is in order otherwise, it shows that the clock was set back or the recording was played again, and
+//! the rows behind it would be mixed with those of another time.
+
+use std::collections::HashMap;
+
+use wire::{OFFSET_MAX_NS, detection_flags};
+
+use crate::ReadError;
+use crate::rows::Row;
+
+/// Up to this share of rows that go back, the others are in order: 1 / 8.
+const IN_ORDER: usize = 8;
+
+/// Whose time a row shows: an identity's, or that of all agents of a type without identities.
+#[derive(Clone, Copy, PartialEq, Eq, Hash)]
+enum Whose {
+    Id(u64),
+    Type(u32),
+}
+
+/// Refuses rows in file order whose time goes back within an identity although the file is in order
+/// otherwise. Without identities, rows of a sweep may be in any order: time may go back by up to a second, or
+/// a tenth of the recording if that is less.
+///
+/// # Errors
+/// [`ReadError::TimeGoesBack`] names the first such row.
+pub(crate) fn check(rows: &[Row<'_>]) -> Result<(), ReadError> {
+    let span_ns = |rows: &[Row<'_>]| {
+        let stamps_ns = || rows.iter().map(|row| row.stamp_ns);
+        Some(stamps_ns().max()? - stamps_ns().min()?)
+    };
+    let sweep_max_ns = (span_ns(rows).unwrap_or(0) / 10).min(OFFSET_MAX_NS as i64);
+    // The newest row, and the one before if time went back between them.
+    let mut newest: HashMap<Whose, (&Row<'_>, Option<&Row<'_>>)> = HashMap::new();
+    let (mut pairs, mut back, mut first) = (0_usize, 0_usize, None);
+    for row in rows {
+        let (whose, tolerance_ns) = match row.detection.has(detection_flags::HAS_ID) {
+            true => (Whose::Id(row.detection.id), 0),
+            false => (Whose::Type(row.detection.agent_type), sweep_max_ns),
+        };
+        let last = newest.get(&whose).copied();
+        pairs += usize::from(last.is_some());
+        let goes_back = last.filter(|(before, _)| row.stamp_ns < before.stamp_ns - tolerance_ns);
+        back += usize::from(goes_back.is_some());
+        // A single late row is in its place once sorted; time that goes on from there is another time.
+        first = first.or_else(|| last.and_then(|(row, before)| Some((before?, row))));
+        newest.insert(whose, (row, goes_back.map(|(before, _)| before)));
+    }
+    match first.filter(|_| back * IN_ORDER <= pairs) {
+        None => Ok(()),
+        Some((before, row)) => Err(ReadError::TimeGoesBack {
+            path: row.path.to_owned(),
+            line: row.line,
+            id: row.detection.has(detection_flags::HAS_ID).then_some(row.detection.id),
+            stamp_s: row.stamp_ns as f64 * 1e-9,
+            before_line: before.line,
+            before_s: before.stamp_ns as f64 * 1e-9,
+        }),
+    }
+}

@@ -1,0 +1,50 @@
+//! Decimal seconds as whole nanoseconds.
+
+use crate::ReadError;
+use crate::text::Field;
+
+/// Greatest stamp: more than a century, which leaves room for arithmetic in nanoseconds.
+const SECONDS_MAX: i128 = 4_000_000_000;
+/// Digits behind the point that a nanosecond has.
+const DECIMALS: i64 = 9;
+/// Most digits of a number that is read.
+const DIGITS_MAX: usize = 60;
+
+/// A number of seconds such as `12.08`, `1.7e9` or `0.30000000000000004`, to the nearest nanosecond, without
+/// floating point.
+///
+/// # Errors
+/// [`ReadError::Value`] if the text is no number or lies beyond ±4,000,000,000 s.
+pub(crate) fn stamp_ns(field: Field<'_>) -> Result<i64, ReadError> {
+    let wrong = || field.error("expected seconds like 12.08");
+    let (negative, number) = match field.text.strip_prefix('-') {
+        Some(number) => (true, number),
+        None => (false, field.text.strip_prefix('+').unwrap_or(field.text)),
+    };
+    let (mantissa, exponent) = number.split_once(['e', 'E']).unwrap_or((number, "0"));
+    let exponent = exponent.parse::<i64>().ok().filter(|exponent| exponent.abs() <= 99).ok_or_else(wrong)?;
+    let (whole, decimals) = mantissa.split_once('.').unwrap_or((mantissa, ""));
+    let digits = [whole, decimals].concat();
+    if digits.is_empty() || digits.len() > DIGITS_MAX || !digits.bytes().all(|byte| byte.is_ascii_digit()) {
+        return Err(wrong());
+    }
+    // The digits up to the nanosecond, and the one behind it, which rounds.
+    let kept = whole.len() as i64 + exponent + DECIMALS;
+    let digit = |place: i64| {
+        let place = usize::try_from(place).ok();
+        place.and_then(|place| digits.as_bytes().get(place)).map_or(0, |byte| i128::from(byte - b'0'))
+    };
+    let mut nanoseconds = 0_i128;
+    for place in 0..kept {
+        nanoseconds = nanoseconds * 10 + digit(place);
+        if nanoseconds > SECONDS_MAX * 1_000_000_000 {
+            return Err(field.error(format!("beyond ±{SECONDS_MAX} s")));
+        }
+    }
+    nanoseconds += i128::from(digit(kept) >= 5);
+    if nanoseconds > SECONDS_MAX * 1_000_000_000 {
+        return Err(field.error(format!("beyond ±{SECONDS_MAX} s")));
+    }
+    let stamp_ns = i64::try_from(nanoseconds).map_err(|_| wrong())?;
+    Ok(if negative { -stamp_ns } else { stamp_ns })
+}

@@ -1,0 +1,186 @@
+//! From rows to frames: the one place where measurements become sweeps.
+//!
+//! Formats that number their frames have exact stamps: rows of one stamp are a frame ([`numbered`]). Rows
+//! with stamps of their own ([`measured`]) are joined to sweeps, since detections of one sweep can have
+//! different stamps: several sensors, a stamp for each object, microseconds of jitter.
+//!
+//! A sweep contains no identity twice and spans at most L = T − G / 2, with the interval T between the rows
+//! of an agent ([`interval`]) and the usual gap G between different stamps: half of the time passes in gaps
+//! of G or longer. So stamps that are T apart never join, by whatever they jitter up to half of T, and a
+//! sweep whose objects are spread over all of T stays whole. Among all ways to cut the rows into sweeps that
+//! fulfil this, the one with the least sum of T + span over the sweeps is taken, by dynamic programming: it
+//! cuts at the longest gaps, and keeps in step where a sensor drops a frame.
+//!
+//! The frame's stamp is that of its newest measurement, so that whoever updates at a detection's own time
+//! need not look ahead; [`Detection::offset_ns`] is 0 or negative.
+
+use std::collections::HashMap;
+
+use wire::{AGENT_TYPES, Detection, OFFSET_MAX_NS, Truth, detection_flags};
+
+use crate::egos::Egos;
+use crate::interval;
+use crate::rows::{self, ALL_TYPES, Row};
+use crate::{Ego, Frame};
+
+/// Rows with stamps of their own as frames.
+#[derive(Debug)]
+pub(crate) struct Sweeps {
+    pub frames: Vec<Frame>,
+    /// The usual time between frames; `None` for a single frame.
+    pub interval_ns: Option<u64>,
+    /// Frames that no pose of a moving sensor was near enough to.
+    pub poses_missing: usize,
+}
+
+/// Frames of rows that are sorted by time, one for each stamp, observed by a fixed sensor that detects
+/// `observed_types` all the time. The sensor's position is the mean position of the first frame's
+/// detections: that of all frames would leak the future. The rows are their own truth.
+pub(crate) fn numbered(rows: &[Row<'_>], observed_types: u32) -> Vec<Frame> {
+    frames(rows.chunk_by(|a, b| a.stamp_ns == b.stamp_ns), observed_types)
+}
+
+/// Frames of rows that are sorted by time, one for each sweep, with the sensor's poses. All types are observed
+/// all the time, unless a type comes at a lower rate. Before the first pose, the sensor's position is the mean
+/// position of the first frame's detections. The rows are their own truth.
+pub(crate) fn measured(rows: &[Row<'_>], egos: &Egos) -> Sweeps {
+    let ends = sweep_ends(rows);
+    let starts = std::iter::once(0).chain(ends.iter().copied());
+    let mut frames = frames(starts.zip(&ends).map(|(start, &end)| &rows[start..end]), ALL_TYPES);
+    let before = frames.first().map_or_else(Ego::default, |frame| frame.ego);
+    let (poses, poses_missing) = egos.at(frames.iter().map(|frame| frame.stamp_ns), before);
+    frames.iter_mut().zip(poses).for_each(|(frame, ego)| frame.ego = ego);
+    let stamps_ns: Vec<i64> = frames.iter().map(|frame| frame.stamp_ns).collect();
+    let interval_ns = interval::usual_ns(&stamps_ns).map(i64::unsigned_abs);
+    observe(&mut frames, interval_ns.unwrap_or(0));
+    Sweeps { frames, interval_ns, poses_missing }
+}
+
+fn frames<'r, 'a: 'r>(sweeps: impl Iterator<Item = &'r [Row<'a>]>, observed_types: u32) -> Vec<Frame> {
+    let mut sweeps = sweeps.filter(|sweep| !sweep.is_empty()).peekable();
+    let position_m = sweeps.peek().map_or([0.0; 2], |first| centre_m(first));
+    let ego = Ego { position_m, ..Ego::default() };
+    sweeps
+        .map(|sweep| {
+            let stamp_ns = sweep.iter().map(|row| row.stamp_ns).max().unwrap_or(0);
+            let own = |row: &Row<'_>| Detection { offset_ns: row.stamp_ns - stamp_ns, ..row.detection };
+            let mut detections: Vec<Detection> = sweep.iter().map(own).collect();
+            rows::sort(&mut detections);
+            let truth: Vec<Truth> = detections.iter().map(rows::truth_of).collect();
+            Frame { stamp_ns, observed_types, ego, detections, truth }
+        })
+        .collect()
+}
+
+/// The mean of all positions.
+fn centre_m(rows: &[Row<'_>]) -> [f32; 2] {
+    let mean = |of: fn(&Detection) -> f32| {
+        let sum: f64 = rows.iter().map(|row| f64::from(of(&row.detection))).sum();
+        (sum / rows.len().max(1) as f64) as f32
+    };
+    [mean(|d| d.x_m), mean(|d| d.y_m)]
+}
+
+/// Rows of one stamp.
+#[derive(Clone, Copy)]
+struct Instant {
+    stamp_ns: i64,
+    /// The place behind its last row.
+    end: usize,
+}
+
+/// The best way to cut the rows up to an instant.
+#[derive(Clone, Copy)]
+struct Cut {
+    cost_ns: i128,
+    /// The first instant of the last sweep.
+    first: usize,
+}
+
+/// The places behind the last row of each sweep.
+fn sweep_ends(rows: &[Row<'_>]) -> Vec<usize> {
+    let mut end = 0;
+    let instants: Vec<Instant> = rows
+        .chunk_by(|a, b| a.stamp_ns == b.stamp_ns)
+        .map(|chunk| {
+            end += chunk.len();
+            Instant { stamp_ns: chunk[0].stamp_ns, end }
+        })
+        .collect();
+    let Some(interval_ns) = interval::of_sweeps_ns(rows) else {
+        return instants.iter().map(|instant| instant.end).collect();
+    };
+    let span_max_ns = (interval_ns - usual_gap_ns(&instants, interval_ns) / 2).min(OFFSET_MAX_NS as i64);
+
+    let mut cuts: Vec<Cut> = Vec::with_capacity(instants.len());
+    let mut newest: HashMap<u64, usize> = HashMap::new();
+    let mut least = 0;
+    let mut start = 0;
+    for (place, instant) in instants.iter().enumerate() {
+        for row in &rows[start..instant.end] {
+            if row.detection.has(detection_flags::HAS_ID)
+                && let Some(before) = newest.insert(row.detection.id, place)
+            {
+                least = least.max(before + 1);
+            }
+        }
+        start = instant.end;
+        while instant.stamp_ns - instants[least].stamp_ns > span_max_ns {
+            least += 1;
+        }
+        let cost_ns = |first: usize| {
+            let before_ns = first.checked_sub(1).map_or(0, |last| cuts[last].cost_ns);
+            before_ns + i128::from(interval_ns) + i128::from(instant.stamp_ns - instants[first].stamp_ns)
+        };
+        let best = (least..=place).map(|first| Cut { cost_ns: cost_ns(first), first });
+        cuts.extend(best.min_by_key(|cut| cut.cost_ns));
+    }
+
+    let mut ends = Vec::new();
+    let mut next = instants.len();
+    while let Some(last) = next.checked_sub(1) {
+        ends.push(instants[last].end);
+        next = cuts[last].first;
+    }
+    ends.reverse();
+    ends
+}
+
+/// The usual gap between different stamps within the interval: half of the time passes in gaps as long or
+/// longer. Pauses do not count.
+fn usual_gap_ns(instants: &[Instant], interval_ns: i64) -> i64 {
+    let gaps = instants.windows(2).map(|pair| pair[1].stamp_ns - pair[0].stamp_ns);
+    let mut gaps: Vec<i64> =
+        gaps.filter(|gap_ns| *gap_ns <= interval_ns * 3 / 2).map(|gap_ns| gap_ns.min(interval_ns)).collect();
+    gaps.sort_unstable();
+    let total_ns: i128 = gaps.iter().copied().map(i128::from).sum();
+    let mut passed_ns = 0;
+    let half = gaps.into_iter().find(|gap_ns| {
+        passed_ns += i128::from(*gap_ns);
+        2 * passed_ns >= total_ns
+    });
+    half.unwrap_or(interval_ns)
+}
+
+/// Marks the frames that did not look for a type whose detections come at a lower rate than the frames: all
+/// but those with a detection of it, and those at its own interval since the last one that looked for it.
+fn observe(frames: &mut [Frame], interval_ns: u64) {
+    for agent_type in AGENT_TYPES {
+        let has = |frame: &Frame| frame.detections.iter().any(|d| d.agent_type == agent_type as u32);
+        let stamps_ns: Vec<i64> =
+            frames.iter().filter(|frame| has(frame)).map(|frame| frame.stamp_ns).collect();
+        let Some(own_ns) = interval::usual_ns(&stamps_ns) else { continue };
+        let interval_ns = interval_ns as i64;
+        if own_ns < interval_ns + interval_ns * 3 / 4 {
+            continue;
+        }
+        let mut due_ns = i64::MIN;
+        for frame in frames.iter_mut() {
+            if frame.stamp_ns >= due_ns || has(frame) {
+                due_ns = frame.stamp_ns + own_ns - interval_ns / 2;
+            } else {
+                frame.observed_types &= !agent_type.bit();
+            }
+        }
+    }
+}
