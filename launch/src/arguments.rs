@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use clap::{Args, ValueEnum};
 use data::{Format, FrameRate, OpenOptions, Recording};
-use lanes::{Coordinates, LaneMap, Origin};
+use lanes::{Coordinates, LaneMap};
 use localiser::MapChoice;
 use model::ModelConfig;
 use nn::Weights;
@@ -114,9 +114,10 @@ pub struct ModelArguments {
     /// Lanelet2 map of the site (OSM XML), along whose lanes the forecasts of vehicles go
     #[arg(long, value_name = "FILE")]
     lanes: Option<PathBuf>,
-    /// Latitude and longitude of the world frame's origin in the map of --lanes, degrees
-    #[arg(long, value_name = "LAT,LON", requires = "lanes", allow_hyphen_values = true)]
-    lanes_origin: Option<Origin>,
+    /// Origin of the world frame in the map of --lanes: latitude and longitude in degrees, or a position in the
+    /// map's own frame in metres, as in 81000,50000m
+    #[arg(long, value_name = "LAT,LON|X,Ym", requires = "lanes", allow_hyphen_values = true)]
+    lanes_origin: Option<Coordinates>,
 }
 
 /// A recording that is played in this process, with its options.
@@ -261,9 +262,8 @@ impl ModelArguments {
 
     /// Reads the map of lanes of the command line, if there is one.
     pub fn open_lanes(&self) -> Result<Option<LaneMap>, Failure> {
-        let coordinates = self.lanes_origin.map_or_else(Coordinates::default, Coordinates::About);
-        let open = |path: &PathBuf| LaneMap::open(path, coordinates).map_err(Failure::data);
-        self.lanes.as_ref().map(open).transpose()
+        let coordinates = self.lanes_origin.unwrap_or_default();
+        self.lanes.as_ref().map(|path| open_lanes(path, coordinates)).transpose()
     }
 
     /// Opens the weights of the command line, else the pipeline's, else the embedded ones.
@@ -285,7 +285,9 @@ impl PlaybackArguments {
     pub fn start(&self) -> Result<Played, Failure> {
         let (weights_path, weights) = self.model.open_weights(None)?;
         let options = self.options()?;
-        check_memory(&options.read(&sampler::STAGE)?, &weights)?;
+        let sampler = options.read(&sampler::STAGE)?;
+        check_memory(&sampler, &weights)?;
+        check_lanes(&sampler)?;
         let source = source::Options { recording: Some(self.path()?), ..options.read(&source::STAGE)? };
         let recording = source::recording(&source, self.seed)?;
         warn_of_doubts(&recording);
@@ -332,15 +334,31 @@ pub fn canonical(path: &Path) -> Result<PathBuf, Failure> {
     path.canonicalize().map_err(|error| Failure::file(path, error))
 }
 
-/// Refuses a map of lanes that can't be read, before a run begins.
+/// Reads a map of lanes, and warns of what was skipped.
 ///
 /// # Errors
 /// [`Failure::Data`] with the element of the map that can't be used.
+pub fn open_lanes(path: &Path, coordinates: Coordinates) -> Result<LaneMap, Failure> {
+    let map = LaneMap::open(path, coordinates).map_err(Failure::data)?;
+    let skipped = map.skipped();
+    skipped.warnings().for_each(|warning| eprintln!("warning: {warning}"));
+    let [nodes, ways, relations] = skipped.unneeded();
+    eprintln!(
+        "{}: lanes {}; not needed: nodes {nodes}, ways {ways}, relations {relations}",
+        path.display(),
+        map.lanes().len()
+    );
+    Ok(map)
+}
+
+/// Refuses a map of lanes that can't be read, before a run begins.
+///
+/// # Errors
+/// As [`open_lanes`].
 pub fn check_lanes(options: &sampler::Options) -> Result<(), Failure> {
     let Some(path) = &options.lanes else { return Ok(()) };
     let coordinates = LanesOrigin::coordinates(options.lanes_origin);
-    LaneMap::open(&absolute(path)?, coordinates).map_err(Failure::data)?;
-    Ok(())
+    open_lanes(&absolute(path)?, coordinates).map(|_| ())
 }
 
 /// Number of entries of the retrieval memory that a sampler with these options begins with; `None` without a

@@ -1,10 +1,10 @@
 use std::path::{Path, PathBuf};
 
 use clap::Args;
-use lanes::{Coordinates, LaneMap, Origin};
+use lanes::Coordinates;
 use run::Exit;
 
-use crate::arguments::ReadArguments;
+use crate::arguments::{ReadArguments, open_lanes};
 use crate::failure::Failure;
 
 /// Arguments of `stgdat map`.
@@ -16,10 +16,10 @@ pub struct Arguments {
     /// Lanelet2 map of the site (OSM XML) in place of recordings
     #[arg(long, value_name = "FILE", conflicts_with_all = ["recordings", "format", "fps"])]
     lanelet2: Option<PathBuf>,
-    /// Latitude and longitude of the world frame's origin in that map, degrees; if not given, the tags local_x
-    /// and local_y of its nodes count, else 0,0 is the origin
-    #[arg(long, value_name = "LAT,LON", requires = "lanelet2", allow_hyphen_values = true)]
-    origin: Option<Origin>,
+    /// Origin of the world frame in that map: latitude and longitude in degrees, or a position in the map's own
+    /// frame in metres, as in 81000,50000m; if not given, the origin of the own frame
+    #[arg(long, value_name = "LAT,LON|X,Ym", requires = "lanelet2", allow_hyphen_values = true)]
+    origin: Option<Coordinates>,
     #[command(flatten)]
     read: ReadArguments,
     /// Map to write, for `--map FILE`
@@ -52,8 +52,7 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
 
 /// The map of a site's lanes.
 fn draw_lanes(path: &Path, arguments: &Arguments) -> Result<Exit, Failure> {
-    let coordinates = arguments.origin.map_or_else(Coordinates::default, Coordinates::About);
-    let lanes = LaneMap::open(path, coordinates).map_err(Failure::data)?;
+    let lanes = open_lanes(path, arguments.origin.unwrap_or_default())?;
     let map = mapper::of_lanes(&lanes).map_err(Failure::data)?;
     map.save(&arguments.out).map_err(Failure::data)?;
     let ([x_m, y_m], lanes_len) = (map.origin_m(), lanes.lanes().len());

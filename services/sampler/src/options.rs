@@ -2,7 +2,7 @@ use std::borrow::Cow;
 use std::path::PathBuf;
 
 use kinematics::{MotionKind, MotionOptions, PARTICLES_MAX};
-use lanes::{Coordinates, Origin, UnknownOrigin};
+use lanes::{Coordinates, UnknownCoordinates};
 use nn::WORKERS_MAX;
 use run::{Conflict, Declaration};
 use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
@@ -45,8 +45,9 @@ pub struct Options {
     /// Lanelet2 map of the site (OSM XML), along whose lanes the forecasts of vehicles go.
     #[schemars(extend("format" = "path"))]
     pub lanes: Option<PathBuf>,
-    /// Latitude and longitude of the world frame's origin in that map, degrees, as in `49.01,8.42`. Without,
-    /// the tags `local_x` and `local_y` of the map's nodes count, and where they have none, the origin is 0,0.
+    /// Origin of the world frame in that map: latitude and longitude in degrees, as in `49.01,8.42`, or a position
+    /// in the map's own frame in metres, as in `81000,50000m`. If not given, it is that of the map's own frame: the
+    /// tags `local_x` and `local_y` of its nodes, or latitude and longitude about 0,0.
     pub lanes_origin: Option<LanesOrigin>,
     /// How the covariance of the controls becomes that of the positions, where evidence is not in use.
     pub propagation: PropagationKind,
@@ -59,23 +60,23 @@ pub struct Options {
     pub workers: Option<usize>,
 }
 
-/// The origin of a map of lanes, as text `LATITUDE,LONGITUDE`.
+/// The origin of a map of lanes, as text `LATITUDE,LONGITUDE` or `X,Ym`.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
 #[serde(try_from = "String")]
-pub struct LanesOrigin(pub Origin);
+pub struct LanesOrigin(pub Coordinates);
 
 impl LanesOrigin {
     /// Where the positions of a map with this origin, if there is one, come from.
     #[must_use]
     pub fn coordinates(origin: Option<Self>) -> Coordinates {
-        origin.map_or_else(Coordinates::default, |Self(origin)| Coordinates::About(origin))
+        origin.map(|Self(origin)| origin).unwrap_or_default()
     }
 }
 
 impl TryFrom<String> for LanesOrigin {
-    type Error = UnknownOrigin;
+    type Error = UnknownCoordinates;
 
-    fn try_from(text: String) -> Result<Self, UnknownOrigin> {
+    fn try_from(text: String) -> Result<Self, UnknownCoordinates> {
         text.parse().map(Self)
     }
 }
@@ -92,7 +93,7 @@ impl JsonSchema for LanesOrigin {
     }
 
     fn json_schema(_: &mut SchemaGenerator) -> Schema {
-        json_schema!({ "type": "string", "expected": "LATITUDE,LONGITUDE in degrees" })
+        json_schema!({ "type": "string", "expected": "LATITUDE,LONGITUDE in degrees or X,Y in metres as in 81000,50000m" })
     }
 }
 

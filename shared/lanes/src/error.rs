@@ -57,7 +57,7 @@ pub enum LaneMapError {
         /// The limit.
         most: usize,
     },
-    /// There is nothing to drive or walk on.
+    /// The map has no lanelet that anybody uses.
     #[error("{path}: no lanelet")]
     NoLanelets {
         /// The file.
@@ -77,6 +77,8 @@ pub enum Kind {
 }
 
 impl Kind {
+    pub(crate) const ALL: [Self; 3] = [Self::Node, Self::Way, Self::Relation];
+
     /// The name of the XML element.
     #[must_use]
     pub const fn name(self) -> &'static str {

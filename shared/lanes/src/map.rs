@@ -1,16 +1,19 @@
 //! Lanes: what a Lanelet2 map says of where agents go.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::fs::File;
 use std::io::Read;
 use std::path::Path;
 
+use roxmltree::Node as XmlNode;
 use wire::AgentType;
 
 use crate::geometry::{Sampled, align, near};
 use crate::grid::Grid;
-use crate::osm::{self, Elements, Line, Relation, XML_BYTES_MAX, shortened};
-use crate::{Coordinates, Kind, LaneMapError, tags};
+use crate::osm::{self, Elements, Line, Member, Tags, XML_BYTES_MAX, members, shortened};
+use crate::positions::Positions;
+use crate::skipped::{Skipped, SkippedKind};
+use crate::{Coordinates, Element, Kind, LaneMapError, tags};
 
 /// Most lanes: a lanelet that is used both ways counts twice.
 pub const LANES_MAX: usize = 200_000;
@@ -24,6 +27,7 @@ pub const SPACING_M: f64 = 1.0;
 pub struct LaneMap {
     lanes: Vec<Lane>,
     areas: Vec<Area>,
+    skipped: Skipped,
     grid: Grid,
 }
 
@@ -113,8 +117,11 @@ impl LaneMap {
             LaneMapError::Syntax { path: path.to_owned(), line, column, problem }
         })?;
         let document = osm::parse(path, text)?;
-        let elements = Elements::of(path, &document, coordinates)?;
-        Reading::new(&elements).map()
+        let mut skipped = Skipped::default();
+        let elements = Elements::of(path, &document, &mut skipped);
+        let positions = Positions::of(&elements, coordinates)?;
+        let (begun, used) = (Vec::new(), BTreeSet::new());
+        Reading { elements: &elements, positions, begun, points_len: 0, used, skipped }.map()
     }
 
     /// The lanes, in the order of their numbers in the file.
@@ -127,6 +134,12 @@ impl LaneMap {
     #[must_use]
     pub fn areas(&self) -> &[Area] {
         &self.areas
+    }
+
+    /// What of the map did not become lanes.
+    #[must_use]
+    pub const fn skipped(&self) -> &Skipped {
+        &self.skipped
     }
 
     /// Writes into `found` the places of lanes with a point of their middle within about `reach_m` of a
@@ -174,22 +187,31 @@ struct Begun {
 /// The lanes as they are read.
 struct Reading<'a, 'e> {
     elements: &'e Elements<'a>,
+    positions: Positions<'a, 'e>,
     begun: Vec<Begun>,
     points_len: usize,
+    /// What lanes and areas need.
+    used: BTreeSet<Element>,
+    skipped: Skipped,
 }
 
-impl<'a, 'e> Reading<'a, 'e> {
-    const fn new(elements: &'e Elements<'a>) -> Self {
-        Self { elements, begun: Vec::new(), points_len: 0 }
-    }
-
+impl<'a> Reading<'a, '_> {
     fn map(mut self) -> Result<LaneMap, LaneMapError> {
         let elements = self.elements;
-        let mut areas = Vec::new();
+        let (mut areas, mut first_error) = (Vec::new(), None);
         for (&id, relation) in &elements.relations {
-            match relation.tags.get("type") {
-                Some("lanelet") => self.lanelet(id, relation)?,
-                Some("multipolygon") => areas.extend(self.area(id, relation)?),
+            let failed = |why: String| elements.error(id, why);
+            match Tags(*relation).get("type") {
+                Some("lanelet") => {
+                    if let Err(why) = self.lanelet(id) {
+                        self.skipped.add(SkippedKind::Lanelet, || failed(why.clone()));
+                        first_error.get_or_insert_with(|| failed(why));
+                    }
+                }
+                Some("multipolygon") => match self.area(id) {
+                    Ok(area) => areas.extend(area),
+                    Err(why) => self.skipped.add(SkippedKind::Area, || failed(why)),
+                },
                 _ => (),
             }
             let too_many =
@@ -202,30 +224,44 @@ impl<'a, 'e> Reading<'a, 'e> {
             }
         }
         if self.begun.is_empty() {
-            return Err(LaneMapError::NoLanelets { path: elements.source.path.to_owned() });
+            let path = elements.source.path.to_owned();
+            return Err(first_error.unwrap_or(LaneMapError::NoLanelets { path }));
         }
+        let all = [elements.nodes.len(), elements.ways.len(), elements.relations.len()];
+        self.skipped.unneeded = Kind::ALL
+            .map(|kind| all[kind as usize] - self.used.iter().filter(|element| element.kind == kind).count());
         let lanes = joined(self.begun);
         let grid = Grid::of(&lanes);
-        Ok(LaneMap { lanes, areas, grid })
+        Ok(LaneMap { lanes, areas, skipped: self.skipped, grid })
     }
 
-    /// Adds a lanelet, in both directions where it is used so.
-    fn lanelet(&mut self, id: i64, relation: &Relation<'a>) -> Result<(), LaneMapError> {
-        let elements = self.elements;
-        let failed = |problem: String| elements.error(id, problem);
-        let users = tags::users(relation.tags).map_err(failed)?;
+    /// A relation that is used, with its members.
+    fn relation(&mut self, id: i64) -> Result<(Tags<'a>, Vec<Member<'a>>), String> {
+        let element = Element { kind: Kind::Relation, id };
+        let node: XmlNode<'a, 'a> = self.elements.needed(element)?;
+        self.used.insert(element);
+        Ok((Tags(node), members(node)?))
+    }
+
+    /// Adds a lanelet, in both directions if it is used so.
+    fn lanelet(&mut self, id: i64) -> Result<(), String> {
+        let (tags, members) = self.relation(id)?;
+        let mut odd = Vec::new();
+        let users = tags::users(tags, &mut odd);
         if users.is_empty() {
             return Ok(());
         }
-        let bound = |role: &str| self.only_line(relation, role);
-        let (mut left, mut right) = (bound("left").map_err(failed)?, bound("right").map_err(failed)?);
-        align(&mut left, &mut right).map_err(failed)?;
-        let given = relation.members.iter().any(|member| member.role == "centerline");
-        let given = given.then(|| self.only_line(relation, "centerline")).transpose().map_err(failed)?;
-        let limit_mps = self.limit_mps(relation).map_err(failed)?;
-        let both_ways = !tags::is_one_way(relation.tags).map_err(failed)?;
+        let both_ways = !tags::is_one_way(tags, &mut odd);
+        let (mut left, mut right) = (self.only_line(&members, "left")?, self.only_line(&members, "right")?);
+        align(&mut left, &mut right)?;
+        let given = members.iter().any(|member| member.role == "centerline");
+        let given = given.then(|| self.only_line(&members, "centerline")).transpose()?;
+        let elements = self.elements;
+        for why in odd {
+            self.skipped.add(SkippedKind::Tag, || elements.error(id, why));
+        }
+        let limit_mps = self.limit_mps(id, tags, &members);
         let sampled = Sampled::of(&left, &right, given.as_ref());
-        let tags_of = |line: &Line| elements.ways.get(&line.way).map(|way| way.tags);
         for is_reversed in [false, true] {
             if is_reversed && !both_ways {
                 continue;
@@ -237,9 +273,10 @@ impl<'a, 'e> Reading<'a, 'e> {
                 right.reverse();
             }
             let may_cross = [(&left, 0), (&right, 1)].map(|(line, side)| {
-                let first = elements.ways.get(&line.way).and_then(|way| way.nodes.first().copied());
-                let is_along = first == Some(line.ends[0]);
-                tags_of(line).is_some_and(|tags| tags::may_cross(tags, side, is_along))
+                elements.ways.get(&line.way).is_some_and(|way| {
+                    let first = osm::nodes_of(*way).ok().and_then(|nodes| nodes.first().copied());
+                    tags::may_cross(Tags(*way), side, first == Some(line.ends[0]))
+                })
             });
             self.points_len += sampled.centre_m.len() + left.points_m.len() + right.points_m.len();
             let lane = sampled.lane(id, users, limit_mps, [&left, &right]);
@@ -255,54 +292,68 @@ impl<'a, 'e> Reading<'a, 'e> {
     }
 
     /// The line of the only way with a role.
-    fn only_line(&self, relation: &Relation<'a>, role: &str) -> Result<Line, String> {
-        let of_role = || relation.members.iter().filter(|member| member.role == role);
+    fn only_line(&mut self, members: &[Member<'a>], role: &str) -> Result<Line, String> {
+        let of_role = || members.iter().filter(|member| member.role == role);
         let mut ways = of_role().filter(|member| member.element.kind == Kind::Way);
         match (ways.next(), of_role().count()) {
-            (Some(member), 1) => {
-                self.elements.line(member.element.id).map_err(|why| format!("role `{role}`: {why}"))
-            }
+            (Some(member), 1) => self
+                .positions
+                .line(member.element.id, &mut self.used)
+                .map_err(|why| format!("role `{role}`: {why}")),
             (_, len) => Err(format!("{len} members of role `{role}`, expected 1 way")),
         }
     }
 
-    /// The limit that the lanelet's own tag or one of its regulatory elements has, else that of its kind of
-    /// road.
-    fn limit_mps(&self, relation: &Relation<'a>) -> Result<Option<f32>, String> {
-        if let Some(value) = relation.tags.get("speed_limit") {
-            let limit = tags::speed_mps(value);
-            let why = || format!("speed_limit = \"{}\": expected a speed such as 50 km/h", shortened(value));
-            return limit.ok_or_else(why).map(Some);
-        }
-        for member in relation.members.iter().filter(|member| member.role == "regulatory_element") {
-            let id = member.element.id;
-            let rule = self.elements.relations.get(&id);
-            let rule = rule.ok_or_else(|| format!("role `regulatory_element`: relation {id} is missing"))?;
-            if rule.tags.get("subtype") == Some("speed_limit") {
-                let value =
-                    ["sign_type", "speed_limit", "max_speed"].into_iter().find_map(|key| rule.tags.get(key));
-                if let Some(limit) = value.and_then(tags::speed_mps) {
-                    return Ok(Some(limit));
+    /// The limit of the lanelet's own tag or of one of its regulatory elements, else that of its kind of road.
+    fn limit_mps(&mut self, id: i64, tags: Tags<'a>, members: &[Member<'a>]) -> Option<f32> {
+        let elements = self.elements;
+        let odd = |key: &str, value: &str| format!("{key} = \"{}\" is not a speed", shortened(value));
+        if let Some(value) = tags.get("speed_limit") {
+            match tags::speed_mps(value) {
+                Some(limit_mps) => return Some(limit_mps),
+                None => {
+                    self.skipped.add(SkippedKind::Limit, || elements.error(id, odd("speed_limit", value)));
                 }
             }
         }
-        Ok(tags::usual_limit_mps(relation.tags))
+        for member in members.iter().filter(|member| member.role == "regulatory_element") {
+            let rule = member.element;
+            let Some(node) = elements.relations.get(&rule.id).filter(|_| rule.kind == Kind::Relation) else {
+                self.skipped.add(SkippedKind::Rule, || elements.error(id, format!("{rule} is missing")));
+                continue;
+            };
+            let tags = Tags(*node);
+            if tags.get("subtype") != Some("speed_limit") {
+                continue;
+            }
+            self.used.insert(rule);
+            let given = ["sign_type", "speed_limit", "max_speed"].map(|key| Some((key, tags.get(key)?)));
+            let mut given = given.into_iter().flatten();
+            if let Some(limit_mps) = given.clone().find_map(|(_, value)| tags::speed_mps(value)) {
+                return Some(limit_mps);
+            }
+            if let Some((key, value)) = given.next() {
+                self.skipped.add(SkippedKind::Limit, || elements.error(rule.id, odd(key, value)));
+            }
+        }
+        tags::usual_limit_mps(tags)
     }
 
-    /// The area, where its outer bound encloses one.
-    fn area(&self, id: i64, relation: &Relation<'a>) -> Result<Option<Area>, LaneMapError> {
+    /// The area, if its outer bound encloses one.
+    fn area(&mut self, id: i64) -> Result<Option<Area>, String> {
+        let (tags, members) = self.relation(id)?;
         let mut outline_m: Vec<[f32; 2]> = Vec::new();
         let mut last_node = None;
-        for member in relation.members.iter().filter(|member| member.role == "outer") {
-            let line = self.elements.line(member.element.id);
-            let mut line = line.map_err(|why| self.elements.error(id, format!("role `outer`: {why}")))?;
+        for member in members.iter().filter(|member| member.role == "outer") {
+            let line = self.positions.line(member.element.id, &mut self.used);
+            let mut line = line.map_err(|why| format!("role `outer`: {why}"))?;
             if last_node == Some(line.ends[1]) && last_node != Some(line.ends[0]) {
                 line.reverse();
             }
             last_node = Some(line.ends[1]);
             outline_m.extend(line.points_m.iter().map(near));
         }
-        let is_keepout = relation.tags.get("subtype") == Some("keepout");
+        let is_keepout = tags.get("subtype") == Some("keepout");
         Ok((outline_m.len() > 2).then_some(Area { id, is_keepout, outline_m }))
     }
 }

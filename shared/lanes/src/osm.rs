@@ -1,42 +1,23 @@
 //! OSM XML: nodes, ways and relations by number, with their tags.
 
-use std::collections::BTreeMap;
+use std::collections::btree_map::Entry;
+use std::collections::{BTreeMap, BTreeSet};
 
 use roxmltree::{Document, Node as XmlNode, ParsingOptions};
 
-use crate::projection::Projector;
-use crate::{Coordinates, Element, Kind, LaneMapError};
+use crate::skipped::{Skipped, SkippedKind};
+use crate::{Element, Kind, LaneMapError};
 
 /// Size of the largest file that is read: in memory it takes several times as much.
 pub const XML_BYTES_MAX: u64 = 256 << 20;
 /// Most elements, texts and comments of a file.
 const XML_NODES_MAX: u32 = 16_000_000;
-/// Most nodes, ways and relations of each kind.
-pub const ELEMENTS_MAX: usize = 2_000_000;
-/// Most nodes of a way, and members of a relation.
+/// Most nodes of a bound, and members of a lanelet.
 pub const MEMBERS_MAX: usize = 10_000;
 
 /// The tags of an element; of two with the same key the first counts.
 #[derive(Clone, Copy)]
-pub(crate) struct Tags<'a>(XmlNode<'a, 'a>);
-
-/// A node, in metres.
-pub(crate) struct Point {
-    pub(crate) position_m: [f64; 2],
-}
-
-/// A line of nodes.
-pub(crate) struct Way<'a> {
-    pub(crate) nodes: Vec<i64>,
-    pub(crate) tags: Tags<'a>,
-}
-
-/// A set of elements with roles.
-pub(crate) struct Relation<'a> {
-    pub(crate) members: Vec<Member<'a>>,
-    pub(crate) tags: Tags<'a>,
-    pub(crate) line: u32,
-}
+pub(crate) struct Tags<'a>(pub(crate) XmlNode<'a, 'a>);
 
 /// An element's part in a relation.
 pub(crate) struct Member<'a> {
@@ -44,12 +25,16 @@ pub(crate) struct Member<'a> {
     pub(crate) role: &'a str,
 }
 
-/// The elements of a file, those that it marks as deleted left out.
+/// The elements of a file by number, without those that the file marks as deleted.
+///
+/// Elements stay XML until a lane needs them: a map has much that lanes do not need, and its faults do not matter.
 pub(crate) struct Elements<'a> {
     pub(crate) source: Source<'a>,
-    pub(crate) points: BTreeMap<i64, Point>,
-    pub(crate) ways: BTreeMap<i64, Way<'a>>,
-    pub(crate) relations: BTreeMap<i64, Relation<'a>>,
+    pub(crate) nodes: BTreeMap<i64, XmlNode<'a, 'a>>,
+    pub(crate) ways: BTreeMap<i64, XmlNode<'a, 'a>>,
+    pub(crate) relations: BTreeMap<i64, XmlNode<'a, 'a>>,
+    /// Numbers that stand twice; the first element counts if no lane needs them.
+    twice: BTreeSet<Element>,
 }
 
 /// The file, for errors.
@@ -66,8 +51,8 @@ impl Source<'_> {
     }
 
     /// The error of an element.
-    pub(crate) fn error(&self, line: u32, element: Element, problem: String) -> LaneMapError {
-        LaneMapError::Element { path: self.path.to_owned(), line, element, problem }
+    pub(crate) fn error(&self, node: XmlNode<'_, '_>, element: Element, problem: String) -> LaneMapError {
+        LaneMapError::Element { path: self.path.to_owned(), line: self.line(node), element, problem }
     }
 }
 
@@ -113,84 +98,81 @@ pub(crate) fn parse<'a>(path: &str, text: &'a str) -> Result<Document<'a>, LaneM
 }
 
 impl<'a> Elements<'a> {
-    /// The elements of a document.
-    pub(crate) fn of(
-        path: &'a str,
-        document: &'a Document<'a>,
-        coordinates: Coordinates,
-    ) -> Result<Self, LaneMapError> {
+    /// The elements of a document. Those without a number are counted in `skipped`: nothing can refer to them.
+    pub(crate) fn of(path: &'a str, document: &'a Document<'a>, skipped: &mut Skipped) -> Self {
         let source = Source { path, document };
-        let (mut points, mut ways, mut relations) = (BTreeMap::new(), BTreeMap::new(), BTreeMap::new());
-        let projection = Projection { coordinates, projector: Projector::new(coordinates.origin()) };
+        let (nodes, ways, relations) = (BTreeMap::new(), BTreeMap::new(), BTreeMap::new());
+        let mut elements = Self { source, nodes, ways, relations, twice: BTreeSet::new() };
         for node in document.root_element().children().filter(XmlNode::is_element) {
-            let kind = match node.tag_name().name() {
-                "node" => Kind::Node,
-                "way" => Kind::Way,
-                "relation" => Kind::Relation,
-                _ => continue,
+            let Some(kind) = Kind::ALL.into_iter().find(|kind| kind.name() == node.tag_name().name()) else {
+                continue;
             };
             if node.attribute("action") == Some("delete") || node.attribute("visible") == Some("false") {
                 continue;
             }
-            let line = source.line(node);
-            let id = number(node, "id").map_err(|why| source.error(line, Element { kind, id: 0 }, why))?;
-            let element = Element { kind, id };
-            let failed = |why: String| source.error(line, element, why);
-            let tags = Tags(node);
-            let is_new = match kind {
-                Kind::Node => {
-                    let position_m = projection.position_m(node, tags).map_err(failed)?;
-                    points.insert(id, Point { position_m }).is_none()
+            match number(node, "id") {
+                Ok(id) => {
+                    let of_kind = match kind {
+                        Kind::Node => &mut elements.nodes,
+                        Kind::Way => &mut elements.ways,
+                        Kind::Relation => &mut elements.relations,
+                    };
+                    if let Entry::Vacant(vacant) = of_kind.entry(id) {
+                        vacant.insert(node);
+                    } else {
+                        elements.twice.insert(Element { kind, id });
+                    }
                 }
-                Kind::Way => {
-                    let nodes = children(node, "nd", |nd| number(nd, "ref")).map_err(failed)?;
-                    ways.insert(id, Way { nodes, tags }).is_none()
-                }
-                Kind::Relation => {
-                    let members = children(node, "member", Member::of).map_err(failed)?;
-                    let members = members.into_iter().flatten().collect();
-                    relations.insert(id, Relation { members, tags, line }).is_none()
-                }
-            };
-            if !is_new {
-                return Err(failed("a second one of this number".to_owned()));
-            }
-            for (what, len) in [("nodes", points.len()), ("ways", ways.len()), ("relations", relations.len())]
-            {
-                if len > ELEMENTS_MAX {
-                    return Err(LaneMapError::TooMany { path: path.to_owned(), what, most: ELEMENTS_MAX });
+                Err(why) => {
+                    skipped.add(SkippedKind::Element, || source.error(node, Element { kind, id: 0 }, why));
                 }
             }
         }
-        Ok(Self { source, points, ways, relations })
+        elements
+    }
+
+    /// An element that a lane needs.
+    ///
+    /// # Errors
+    /// The problem, if the element is missing or its number stands twice.
+    pub(crate) fn needed(&self, element: Element) -> Result<XmlNode<'a, 'a>, String> {
+        let of_kind = match element.kind {
+            Kind::Node => &self.nodes,
+            Kind::Way => &self.ways,
+            Kind::Relation => &self.relations,
+        };
+        match of_kind.get(&element.id) {
+            _ if self.twice.contains(&element) => Err(format!("{element} is there twice")),
+            Some(node) => Ok(*node),
+            None => Err(format!("{element} is missing")),
+        }
     }
 
     /// The error of a relation.
     pub(crate) fn error(&self, id: i64, problem: String) -> LaneMapError {
-        let line = self.relations.get(&id).map_or(0, |relation| relation.line);
-        self.source.error(line, Element { kind: Kind::Relation, id }, problem)
+        let element = Element { kind: Kind::Relation, id };
+        match self.relations.get(&id) {
+            Some(node) => self.source.error(*node, element, problem),
+            None => LaneMapError::Element { path: self.source.path.to_owned(), line: 0, element, problem },
+        }
     }
+}
 
-    /// The positions of a way's nodes, without repeated ones, and its first and last node.
-    ///
-    /// # Errors
-    /// The problem, where the way or one of its nodes is missing, or fewer than two differ.
-    pub(crate) fn line(&self, id: i64) -> Result<Line, String> {
-        let way = self.ways.get(&id).ok_or_else(|| format!("way {id} is missing"))?;
-        let mut points_m: Vec<[f64; 2]> = Vec::with_capacity(way.nodes.len());
-        for node in &way.nodes {
-            let point = self.points.get(node).ok_or_else(|| format!("way {id}: node {node} is missing"))?;
-            if points_m.last() != Some(&point.position_m) {
-                points_m.push(point.position_m);
-            }
-        }
-        match (way.nodes.first(), way.nodes.last()) {
-            (Some(&first), Some(&last)) if points_m.len() > 1 => {
-                Ok(Line { way: id, points_m, ends: [first, last] })
-            }
-            _ => Err(format!("way {id}: {} different nodes, at least 2 make a line", points_m.len())),
-        }
-    }
+/// The members of a relation.
+///
+/// # Errors
+/// The problem, if there are more than [`MEMBERS_MAX`].
+pub(crate) fn members<'a>(relation: XmlNode<'a, 'a>) -> Result<Vec<Member<'a>>, String> {
+    children(relation, "member", |node| Ok(Member::of(node)))
+        .map(|members| members.into_iter().flatten().collect())
+}
+
+/// The nodes of a way.
+///
+/// # Errors
+/// The problem, if there are more than [`MEMBERS_MAX`], or a reference is not a number.
+pub(crate) fn nodes_of(way: XmlNode<'_, '_>) -> Result<Vec<i64>, String> {
+    children(way, "nd", |nd| number(nd, "ref"))
 }
 
 /// A way's geometry.
@@ -210,45 +192,11 @@ impl Line {
 }
 
 impl<'a> Member<'a> {
-    /// The member; none where it is of a kind that OSM does not have.
-    fn of(node: XmlNode<'a, 'a>) -> Result<Option<Self>, String> {
-        let kind = match attribute(node, "type")? {
-            "node" => Kind::Node,
-            "way" => Kind::Way,
-            "relation" => Kind::Relation,
-            _ => return Ok(None),
-        };
-        let element = Element { kind, id: number(node, "ref")? };
-        Ok(Some(Self { element, role: node.attribute("role").unwrap_or_default() }))
-    }
-}
-
-/// How nodes become metres.
-struct Projection {
-    coordinates: Coordinates,
-    projector: Projector,
-}
-
-impl Projection {
-    fn position_m(&self, node: XmlNode<'_, '_>, tags: Tags<'_>) -> Result<[f64; 2], String> {
-        let local = [tags.get("local_x"), tags.get("local_y")];
-        let position_m = match (self.coordinates, local) {
-            (Coordinates::Default, [Some(x), Some(y)]) => [real("local_x", x)?, real("local_y", y)?],
-            _ => {
-                let degrees = |name| attribute(node, name).and_then(|value| real(name, value));
-                let (latitude, longitude) = (degrees("lat")?, degrees("lon")?);
-                let projected = self.projector.project(latitude, longitude);
-                projected
-                    .ok_or_else(|| format!("lat = {latitude}, lon = {longitude}: too far from the origin"))?
-            }
-        };
-        match position_m.iter().find(|x| x.abs() > f64::from(wire::POSITION_MAX_M)) {
-            Some(beyond) => Err(format!(
-                "at {beyond:.0} m, at most ±{} m from the origin are mapped",
-                wire::POSITION_MAX_M
-            )),
-            None => Ok(position_m),
-        }
+    /// The member; `None` if it is of a kind that OSM does not have, or names no element.
+    fn of(node: XmlNode<'a, 'a>) -> Option<Self> {
+        let kind = Kind::ALL.into_iter().find(|kind| node.attribute("type") == Some(kind.name()))?;
+        let element = Element { kind, id: number(node, "ref").ok()? };
+        Some(Self { element, role: node.attribute("role").unwrap_or_default() })
     }
 }
 
@@ -267,18 +215,13 @@ fn children<'a, T>(
     Ok(all)
 }
 
-fn attribute<'a>(node: XmlNode<'a, 'a>, name: &str) -> Result<&'a str, String> {
-    let tag = node.tag_name().name();
-    node.attribute(name).ok_or_else(|| format!("`{tag}` has no `{name}`"))
-}
-
 fn number(node: XmlNode<'_, '_>, name: &str) -> Result<i64, String> {
     let value = node.attribute(name).ok_or_else(|| format!("no `{name}`"))?;
     value.trim().parse().map_err(|_| format!("{name} = \"{}\": expected a whole number", shortened(value)))
 }
 
 /// A finite number.
-fn real(name: &str, value: &str) -> Result<f64, String> {
+pub(crate) fn real(name: &str, value: &str) -> Result<f64, String> {
     let number = value.trim().parse::<f64>().ok().filter(|number| number.is_finite());
     number.ok_or_else(|| format!("{name} = \"{}\": expected a number", shortened(value)))
 }

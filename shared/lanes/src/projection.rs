@@ -10,6 +10,10 @@ const AXIS_M: f64 = 6_378_137.0;
 const FLATTENING: f64 = 1.0 / 298.257_223_563;
 /// Scale of UTM on the central meridian.
 const SCALE: f64 = 0.9996;
+/// Easting of the central meridian in UTM, m.
+const EAST_M: f64 = 500_000.0;
+/// Northing of the equator in UTM for places south of it, m.
+const SOUTH_M: f64 = 10_000_000.0;
 /// Width of a zone, degrees.
 const ZONE_DEG: f64 = 6.0;
 /// Largest distance from the central meridian at which the series is exact to a millimetre, degrees.
@@ -79,6 +83,14 @@ impl Projector {
         Self { meridian_deg, origin_m }
     }
 
+    /// The projection of the UTM zone of a place: the central meridian is at 500 km east, and the equator is at
+    /// 10,000 km north for places south of it.
+    #[must_use]
+    pub fn utm(place: Origin) -> Self {
+        let south_m = if place.latitude_deg < 0.0 { SOUTH_M } else { 0.0 };
+        Self { origin_m: [-EAST_M, -south_m], ..Self::new(place) }
+    }
+
     /// East and north of the origin, m; none where a point is too far from the zone.
     #[must_use]
     pub fn project(&self, latitude_deg: f64, longitude_deg: f64) -> Option<[f64; 2]> {
@@ -121,9 +133,20 @@ mod tests {
     /// Published: the CN Tower, Toronto, is at 17T 630084 4833438; UTM counts 500 km east of the meridian.
     #[test]
     fn a_known_place_has_its_published_coordinates() {
-        let [x, y] = transverse_mercator(43.642_567, -79.387_139 + 81.0);
-        assert!((x + 500_000.0 - 630_084.0).abs() < 1.0, "{x}");
+        let tower = Origin::new(43.642_567, -79.387_139).expect("a place");
+        let [x, y] =
+            Projector::utm(tower).project(tower.latitude_deg, tower.longitude_deg).expect("its coordinates");
+        assert!((x - 630_084.0).abs() < 1.0, "{x}");
         assert!((y - 4_833_438.0).abs() < 1.0, "{y}");
+    }
+
+    /// Published: the opera house of Sydney is at 56H 334900 6252300 to 100 m.
+    #[test]
+    fn northings_in_the_south_count_from_ten_thousand_kilometres() {
+        let opera = Origin::new(-33.856_8, 151.215_3).expect("a place");
+        let [x, y] =
+            Projector::utm(opera).project(opera.latitude_deg, opera.longitude_deg).expect("its coordinates");
+        assert!((x - 334_900.0).abs() < 100.0 && (y - 6_252_300.0).abs() < 100.0, "{x} {y}");
     }
 
     #[test]

@@ -7,11 +7,14 @@ use crate::osm::Tags;
 
 /// Fastest limit that a map may set.
 const LIMIT_MAX_MPS: f32 = 70.0;
+/// The limit `walk` of OSM.
+const WALK_MPS: f32 = 7.0 / KMH_PER_MPS;
 const KMH_PER_MPS: f32 = 3.6;
 const MPS_PER_MPH: f32 = 0.447_04;
 
-/// The agents that use a lanelet: those its `participant` tags name, else the usual ones of its subtype.
-pub(crate) fn users(tags: Tags<'_>) -> Result<Users, String> {
+/// The agents that use a lanelet: those that its `participant` tags name, else the usual ones of its subtype.
+/// Unusual values are added to `odd`.
+pub(crate) fn users(tags: Tags<'_>, odd: &mut Vec<String>) -> Users {
     use AgentType::{Cyclist, Pedestrian, Vehicle};
     let mut named = false;
     let mut types = Vec::new();
@@ -23,13 +26,13 @@ pub(crate) fn users(tags: Tags<'_>) -> Result<Users, String> {
             "pedestrian" => &[Pedestrian],
             _ => continue,
         };
-        named = true;
         // `no` takes nobody away who was not named.
-        if matches!(value, "yes" | "true" | "1") {
-            types.extend_from_slice(all);
-        } else if !matches!(value, "no" | "false" | "0") {
-            let value = crate::osm::shortened(value);
-            return Err(format!("{key} = \"{value}\": expected yes or no"));
+        match tags.yes(key) {
+            Ok(yes) => {
+                named = true;
+                types.extend_from_slice(if yes == Some(true) { all } else { &[] });
+            }
+            Err(_) => odd.push(format!("{key} = \"{}\": expected yes or no", crate::osm::shortened(value))),
         }
     }
     let usual: &[AgentType] = match tags.get("subtype") {
@@ -41,17 +44,21 @@ pub(crate) fn users(tags: Tags<'_>) -> Result<Users, String> {
         Some("rail") => &[],
         _ => &[Vehicle, Cyclist],
     };
-    Ok(Users::of(if named { &types } else { usual }))
+    Users::of(if named { &types } else { usual })
 }
 
 /// Whether a lanelet is used in its own direction alone: roads are unless a tag says otherwise, ways of
-/// pedestrians are not.
-pub(crate) fn is_one_way(tags: Tags<'_>) -> Result<bool, String> {
+/// pedestrians are not. An unusual value is added to `odd`.
+pub(crate) fn is_one_way(tags: Tags<'_>, odd: &mut Vec<String>) -> bool {
     let of_subtype = !matches!(
         tags.get("subtype"),
         Some("crosswalk" | "walkway" | "shared_walkway" | "stairs" | "pedestrian_lane")
     );
-    Ok(tags.yes("one_way")?.unwrap_or(of_subtype))
+    let own = tags.yes("one_way").unwrap_or_else(|why| {
+        odd.push(why);
+        None
+    });
+    own.unwrap_or(of_subtype)
 }
 
 /// Whether a vehicle may cross a bound: `side` is 0 where it is on the vehicle's left, 1 on its right;
@@ -82,9 +89,12 @@ pub(crate) fn usual_limit_mps(tags: Tags<'_>) -> Option<f32> {
     }
 }
 
-/// A speed as maps write it: `50`, `50 km/h`, `30kmh`, `25mph`, `13.9 m/s`; without unit km/h.
+/// A speed as maps write it: `50`, `50 km/h`, `30kmh`, `25mph`, `13.9 m/s`, `walk`; without unit km/h.
 pub(crate) fn speed_mps(text: &str) -> Option<f32> {
     let text = text.trim();
+    if text == "walk" {
+        return Some(WALK_MPS);
+    }
     let end = text.find(|c: char| !c.is_ascii_digit() && c != '.').unwrap_or(text.len());
     let (number, unit) = text.split_at(end);
     let number: f32 = number.parse().ok()?;
@@ -103,13 +113,19 @@ mod tests {
 
     #[test]
     fn speeds_have_their_units() {
-        for (text, mps) in
-            [("50", 13.889), ("50 km/h", 13.889), ("30kmh", 8.333), ("25mph", 11.176), ("7 m/s", 7.0)]
-        {
+        for (text, mps) in [
+            ("50", 13.889),
+            ("50 km/h", 13.889),
+            ("30kmh", 8.333),
+            ("25mph", 11.176),
+            ("7 m/s", 7.0),
+            ("50 mph", 22.352),
+            ("walk", 1.944),
+        ] {
             let found = speed_mps(text).expect("a speed");
             assert!((found - mps).abs() < 1e-3, "{text}: {found}");
         }
-        for text in ["", "fast", "de274", "0", "-5", "999 km/h", "50 knots"] {
+        for text in ["", "fast", "none", "de274", "0", "-5", "999 km/h", "50 knots"] {
             assert_eq!(speed_mps(text), None, "{text}");
         }
     }

@@ -85,6 +85,7 @@ mod distinct;
 mod header;
 mod layout;
 mod limits;
+mod origin;
 mod protection;
 mod records;
 mod stage;
@@ -105,6 +106,7 @@ pub use limits::{
     NODE_ATTRIBUTES, OFFSET_MAX_NS, PATCH_CHANNELS, PATCH_SIDE_MAX, POSITION_MAX_M, REFUSALS_MAX,
     RELATION_FEATURES, SCHEMA, SHED_WORDS, SPEED_MAX_MPS, STATE_EMBEDDING, STATE_FEATURES, TEMPORAL,
 };
+pub use origin::{UnknownWorldOrigin, WorldOrigin};
 pub use protection::{Protection, RefusalCause, Refusals, data_id};
 pub use records::{
     AgentControls, AgentEncoding, AgentFeatures, Cause, ControlGaussian, Detection, Expert, Forecast,
