@@ -2,14 +2,14 @@
 
 use std::fmt::Write as _;
 
-use recording::{Comparison, Difference, Ending, Recording, TopicComparison};
+use recording::{Comparison, Difference, Ending, ReadError, Recording, TopicComparison};
 use wire::{ForecastsTopic, Topic as _};
 
 /// Digits of a run's number or of weights that tell it apart.
 const DIGITS: usize = 12;
 
-/// A recording in a line: whose run it is, and whether it is whole.
-pub fn title(recording: &Recording) -> String {
+/// A recording in a line: its run. A line each follows for what is missing, damaged or not read.
+pub fn title(recording: &Recording, damages: &[ReadError]) -> String {
     let about = recording.about();
     let pace = if about.run.lockstep { "lockstep" } else { "real time" };
     let weights: String = about.weights_sha256.chars().take(DIGITS).collect();
@@ -31,6 +31,15 @@ pub fn title(recording: &Recording) -> String {
         Ending::Incomplete { at, why } => {
             let _ = writeln!(text, "  INCOMPLETE: byte {at}: {why}");
         }
+    }
+    if let [first, more @ ..] = damages {
+        let _ = writeln!(text, "  DAMAGED: the ticks of damaged parts are missing; {first}");
+        if !more.is_empty() {
+            let _ = writeln!(text, "  {} more parts are damaged", more.len());
+        }
+    }
+    if let topics @ [_, ..] = recording.foreign_topics() {
+        let _ = writeln!(text, "  topics that are not stgdat's, left out: {}", topics.join(", "));
     }
     text
 }

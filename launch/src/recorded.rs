@@ -8,11 +8,18 @@ use wire::{ForecastsTopic, Topic};
 
 use crate::failure::Failure;
 
-/// Opens a recording that has forecasts, and warns where its end is missing.
+/// Opens a recording and reads all of it; returns its damaged parts too.
+pub fn open_and_check(path: &Path) -> Result<(Recording, Vec<ReadError>), Failure> {
+    let recording = Recording::open(path).map_err(Failure::data)?;
+    let damages = recording.damages();
+    Ok((recording, damages))
+}
+
+/// Opens a recording that has forecasts, and warns if its end is missing.
 pub fn open(path: &Path) -> Result<Recording, Failure> {
     let recording = Recording::open(path).map_err(Failure::data)?;
     if let Ending::Incomplete { at, why } = recording.ending() {
-        eprintln!("warning: {}: INCOMPLETE, it is whole up to byte {at}: {why}", path.display());
+        eprintln!("warning: {}: INCOMPLETE: readable up to byte {at}: {why}", path.display());
     }
     if !recording.has_topic(ForecastsTopic::NAME) {
         let why = "the forecasts were not recorded, whose headers tell what each stage did";
@@ -21,7 +28,7 @@ pub fn open(path: &Path) -> Result<Recording, Failure> {
     Ok(recording)
 }
 
-/// Ends with the first of the damages that were found on the way, after all that could be read was used.
+/// Fails with the first damaged part, after everything readable was used.
 pub fn told(damages: Vec<ReadError>) -> Result<Exit, Failure> {
     let more = damages.len().saturating_sub(1);
     match damages.into_iter().next() {

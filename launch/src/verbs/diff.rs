@@ -3,11 +3,12 @@ use std::path::{Path, PathBuf};
 
 use clap::Args;
 use recorder::Report;
-use recording::{About, Comparison, Recording};
+use recording::{About, Comparison};
 use run::Exit;
 
 use crate::differences::{table, title};
 use crate::failure::Failure;
+use crate::recorded::{self, open_and_check};
 use crate::report_differences::ReportComparison;
 use crate::show::show;
 
@@ -61,13 +62,13 @@ fn reports(arguments: &Arguments) -> Result<Exit, Failure> {
 }
 
 fn recordings(arguments: &Arguments) -> Result<Exit, Failure> {
-    let [a, b] = [&arguments.a, &arguments.b].map(|path| open(path));
-    let (a, b) = (a?, b?);
-    let comparison = Comparison::of(&a, &b).map_err(Failure::data)?;
+    let (a, mut damages) = open_and_check(&arguments.a)?;
+    let (b, damages_of_b) = open_and_check(&arguments.b)?;
+    let comparison = Comparison::of(&a, &b);
     if arguments.json {
         show(&(serde_json::to_string_pretty(&comparison).map_err(Failure::data)? + "\n"))?;
     } else {
-        let mut text = title(&a) + &title(&b);
+        let mut text = title(&a, &damages) + &title(&b, &damages_of_b);
         for what in differing(a.about(), b.about()) {
             text += &format!("  the runs differ in {what}\n");
         }
@@ -79,14 +80,9 @@ fn recordings(arguments: &Arguments) -> Result<Exit, Failure> {
         };
         show(&text)?;
     }
+    damages.extend(damages_of_b);
+    recorded::told(damages)?;
     Ok(if comparison.is_equal() && comparison.ticks() > 0 { Exit::Done } else { Exit::Different })
-}
-
-/// Opens a recording and checks all of it.
-pub fn open(path: &std::path::Path) -> Result<Recording, Failure> {
-    let recording = Recording::open(path).map_err(Failure::data)?;
-    recording.verify().map_err(Failure::data)?;
-    Ok(recording)
 }
 
 /// What two runs have been given differently.

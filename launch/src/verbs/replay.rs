@@ -11,8 +11,8 @@ use wire::{ForecastsTopic, StageId, Topic as _};
 use crate::arguments::{Speed, canonical};
 use crate::differences::{table, title};
 use crate::failure::Failure;
+use crate::recorded::{self, open_and_check};
 use crate::show::show;
-use crate::verbs::diff::open;
 use crate::verbs::wire::layout;
 use crate::version;
 
@@ -44,10 +44,10 @@ pub struct Arguments {
 
 /// Takes a recording through the stages once more and compares what they make with what was recorded.
 pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
-    let recording = open(&arguments.file)?;
+    let (recording, damages) = open_and_check(&arguments.file)?;
     let weights = weights(arguments, &recording)?;
     let stage = arguments.stage.as_deref().and_then(StageId::from_name);
-    let mut text = title(&recording);
+    let mut text = title(&recording, &damages);
     for note in notes(&recording, &weights) {
         text += &format!("  {note}\n");
     }
@@ -69,6 +69,7 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
         writer.finish("the replay has ended").map_err(Failure::data)?;
     }
     show(&told(&replayed))?;
+    recorded::told(damages)?;
     let is_equal = replayed.comparison.is_equal() && replayed.comparison.ticks() > 0;
     Ok(if is_equal { Exit::Done } else { Exit::Different })
 }

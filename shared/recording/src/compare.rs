@@ -138,19 +138,18 @@ impl Comparison {
         &mut self.topics[at].1
     }
 
-    /// Compares two recordings: the ticks of all topics that both have, but the heartbeats.
-    ///
-    /// # Errors
-    /// [`ReadError`] where a file can't be read to its end.
-    pub fn of(a: &Recording, b: &Recording) -> Result<Self, ReadError> {
+    /// Compares two recordings: the ticks of all topics that both have, except heartbeats. Damaged parts of the files
+    /// are skipped; [`Recording::damages`] returns them.
+    #[must_use]
+    pub fn of(a: &Recording, b: &Recording) -> Self {
         let mut comparison = Self::default();
         let both = |name: &str| a.has_topic(name) && b.has_topic(name) && name != HeartbeatsTopic::NAME;
         let (mut left, mut right) = (a.messages(), b.messages());
         // Frames that wait for their like, with the side that they are of.
         let mut waiting: HashMap<(u8, u64), (bool, Frame)> = HashMap::new();
-        let mut take = |message: Option<Result<Message, ReadError>>, is_a: bool| -> Result<bool, ReadError> {
-            let Some(message) = message.transpose()? else { return Ok(false) };
-            if let Message::Frame(frame) = message
+        let mut take = |message: Option<Result<Message, ReadError>>, is_a: bool| {
+            let Some(message) = message else { return false };
+            if let Ok(Message::Frame(frame)) = message
                 && frame.header().is_tick()
                 && both(frame.topic().name)
             {
@@ -164,16 +163,16 @@ impl Comparison {
                     _ => drop(waiting.insert(key, (is_a, frame))),
                 }
             }
-            Ok(true)
+            true
         };
-        let mut goes_on = (true, true);
-        while goes_on.0 || goes_on.1 {
-            goes_on = (take(left.next(), true)?, take(right.next(), false)?);
+        let mut has_more = (true, true);
+        while has_more.0 || has_more.1 {
+            has_more = (take(left.next(), true), take(right.next(), false));
         }
         for (is_a, frame) in waiting.into_values() {
             comparison.alone(frame.topic().name, frame.header().seq, is_a);
         }
-        Ok(comparison)
+        comparison
     }
 }
 

@@ -22,8 +22,12 @@ pub enum ReadError {
         /// The file.
         path: PathBuf,
     },
-    /// It is an MCAP file, but not of this project.
-    #[error("{}: a recording of another program: it has no metadata \"{wanted}\"", path.display())]
+    /// It is an MCAP file, but the description of a run is missing.
+    #[error(
+        "{}: it has no metadata \"{wanted}\": another program made it, it was cut off before them, or a tool left them \
+         out (`mcap filter --include-metadata` keeps them)",
+        path.display()
+    )]
     NotOurs {
         /// The file.
         path: PathBuf,

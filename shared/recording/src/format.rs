@@ -1,30 +1,7 @@
-//! The records of MCAP that a recording is made of: their numbers, and how their parts are written and read.
+//! How the records of MCAP are written.
 
-/// First and last bytes of a file.
-pub const MAGIC: [u8; 8] = *b"\x89MCAP0\r\n";
 /// Bytes of a record before its body: its number and its length.
 pub const PREFIX: usize = 9;
-/// Bytes of a footer with its prefix.
-pub const FOOTER: usize = PREFIX + 8 + 8 + 4;
-/// Name of the compression of chunks.
-pub const LZ4: &str = "lz4";
-
-/// Numbers of the records.
-pub mod op {
-    pub const HEADER: u8 = 0x01;
-    pub const FOOTER: u8 = 0x02;
-    pub const SCHEMA: u8 = 0x03;
-    pub const CHANNEL: u8 = 0x04;
-    pub const MESSAGE: u8 = 0x05;
-    pub const CHUNK: u8 = 0x06;
-    pub const MESSAGE_INDEX: u8 = 0x07;
-    pub const CHUNK_INDEX: u8 = 0x08;
-    pub const STATISTICS: u8 = 0x0B;
-    pub const METADATA: u8 = 0x0C;
-    pub const METADATA_INDEX: u8 = 0x0D;
-    pub const SUMMARY_OFFSET: u8 = 0x0E;
-    pub const DATA_END: u8 = 0x0F;
-}
 
 /// The body of a record that is written part by part.
 #[derive(Default)]
@@ -78,53 +55,5 @@ impl Body {
         out.push(op);
         out.extend((self.0.len() as u64).to_le_bytes());
         out.extend(self.0);
-    }
-}
-
-/// The body of a record that is read part by part; each part is none where too few bytes are left.
-pub struct Parts<'a>(pub &'a [u8]);
-
-impl<'a> Parts<'a> {
-    pub fn raw(&mut self, len: usize) -> Option<&'a [u8]> {
-        let (part, rest) = self.0.split_at_checked(len)?;
-        self.0 = rest;
-        Some(part)
-    }
-
-    pub fn u16(&mut self) -> Option<u16> {
-        Some(u16::from_le_bytes(self.raw(2)?.try_into().ok()?))
-    }
-
-    pub fn u32(&mut self) -> Option<u32> {
-        Some(u32::from_le_bytes(self.raw(4)?.try_into().ok()?))
-    }
-
-    pub fn u64(&mut self) -> Option<u64> {
-        Some(u64::from_le_bytes(self.raw(8)?.try_into().ok()?))
-    }
-
-    pub fn bytes(&mut self) -> Option<&'a [u8]> {
-        let len = self.u32()?;
-        self.raw(len as usize)
-    }
-
-    pub fn text(&mut self) -> Option<&'a str> {
-        std::str::from_utf8(self.bytes()?).ok()
-    }
-
-    /// All of a map of texts.
-    pub fn texts(mut self) -> Option<Vec<(&'a str, &'a str)>> {
-        let mut pairs = Vec::new();
-        while !self.0.is_empty() {
-            pairs.push((self.text()?, self.text()?));
-        }
-        Some(pairs)
-    }
-
-    /// The record at the front: its number and its body.
-    pub fn record(&mut self) -> Option<(u8, &'a [u8])> {
-        let op = self.raw(1)?[0];
-        let len = usize::try_from(self.u64()?).ok()?;
-        Some((op, self.raw(len)?))
     }
 }

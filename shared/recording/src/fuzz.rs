@@ -9,8 +9,11 @@ use std::path::{Path, PathBuf};
 use tempfile::TempDir;
 use wire::{Detection, DetectionsTopic, Header, Hop, StageId, TracksTopic};
 
-use crate::format::{Body, MAGIC, Parts, op};
-use crate::reader::unpack;
+use mcap::MAGIC;
+use mcap::records::op;
+
+use crate::format::Body;
+use crate::reader::{record, unpack};
 use crate::{About, Event, Frame, Happened, LogLine, Message, Recording, Writer};
 
 /// Iterations of a target in an ordinary test run.
@@ -64,9 +67,9 @@ fn good(folder: &Path) -> Vec<u8> {
 
 /// The file's records.
 fn records(file: &[u8]) -> Vec<Record> {
-    let mut parts = Parts(&file[MAGIC.len()..file.len() - MAGIC.len()]);
+    let mut rest = &file[MAGIC.len()..file.len() - MAGIC.len()];
     let read = || {
-        let (op, body) = parts.record()?;
+        let (op, body) = record(&mut rest)?;
         let bytes = if op == op::CHUNK { unpack(body).expect("a good chunk") } else { body.to_vec() };
         Some(Record { op, bytes })
     };

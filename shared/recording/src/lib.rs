@@ -3,7 +3,8 @@
 //!
 //! [`Writer`] makes the file and [`Recording`] reads it; neither knows shared memory. The file is plain
 //! [MCAP](https://mcap.dev/spec) (chunks of LZ4 frames, an index, check values), so that other tools list it, cut
-//! it and take messages out of it. What is private to this project is the encoding of a frame: the bytes of
+//! it and take messages out of it. [`Recording`] reads what these tools write: its records are those of the crate
+//! `mcap`. Around them it recovers what is whole of a torn or damaged file, which that crate's readers refuse. What is private to this project is the encoding of a frame: the bytes of
 //! [`wire::Header`] followed by those of the payload's elements, as they lie in shared memory. The schema of each
 //! topic is the document of `stgdat wire --json`, which has the offset of every field.
 //!

@@ -1,35 +1,54 @@
-use std::cell::RefCell;
-use std::collections::VecDeque;
+mod chunk;
+mod layout;
+mod messages;
+
+use std::collections::BTreeMap;
 use std::fs::File;
-use std::io::{self, Read as _};
+use std::io;
 use std::path::{Path, PathBuf};
 
-use lz4_flex::frame::FrameDecoder;
+use mcap::records::{self, Record, op};
 use wire::{SCHEMA, TABLE};
 
-use crate::format::{FOOTER, LZ4, MAGIC, PREFIX, Parts, op};
-use crate::sink::read_at;
-use crate::writer::{BEFORE, BEGIN, END, EVENT_CHANNEL, LOG_CHANNEL, channel_topic};
+use self::layout::{Layout, Place};
+use self::messages::{Channel, Content, Part};
+use crate::format::PREFIX;
+use crate::writer::{BEGIN, END};
 use crate::{About, Event, Frame, LogLine, ReadError};
 
-/// Largest record that is read into memory: a chunk has one frame more than its limit at most.
-const RECORD_MAX: u64 = 1 << 28;
-/// Bytes of a file that are checked at a time.
-const BLOCK: usize = 1 << 20;
+#[cfg(test)]
+pub(crate) use chunk::{record, unpack};
+pub use messages::Messages;
 
-/// A recording that is read.
+/// Messages outside of chunks are read in parts of about so many bytes.
+const LOOSE_BYTES: u64 = 1 << 20;
+/// Bytes of a message before its data.
+const MESSAGE_HEADER: u64 = 22;
+
+/// A recording that is read: a file that this program wrote, or that any tool of MCAP wrote from one.
 #[derive(Debug)]
 pub struct Recording {
     path: PathBuf,
-    file: RefCell<File>,
+    layout: Layout,
     about: About,
-    channels: Vec<(u16, Channel)>,
-    chunks: Vec<Chunk>,
+    /// Channels by their numbers.
+    channels: BTreeMap<u16, Channel>,
+    /// Topics that are not of this program.
+    foreign: Vec<String>,
+    /// By the time of their first message.
+    parts: Vec<Part>,
     ending: Ending,
-    /// Where the data ends, with the check value of all before it.
-    data_end: Option<(u64, u32)>,
-    /// Where the summary begins, and the file's length.
-    summary: Option<(u64, u64)>,
+    /// Ranges of the file with their check values.
+    checks: Vec<Check>,
+}
+
+/// A range of a file and its check value.
+#[derive(Clone, Copy, Debug)]
+struct Check {
+    begin: u64,
+    end: u64,
+    expected: u32,
+    what: &'static str,
 }
 
 /// How a recording ends.
@@ -42,31 +61,13 @@ pub enum Ending {
         /// Messages that the disk did not take, by topic, as JSON.
         lost_on_disk: String,
     },
-    /// In the middle: the recorder was killed, or the disk was full.
+    /// In the middle: the recorder was killed, the disk was full, or the power failed.
     Incomplete {
         /// Where the last whole record ends.
         at: u64,
         /// What is there.
         why: String,
     },
-}
-
-/// What a channel holds.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Channel {
-    /// Frames of a topic, with so many bytes of each element.
-    Topic(u8, usize),
-    /// The same of what was before.
-    Before(u8, usize),
-    Events,
-    Log,
-}
-
-/// A chunk's place in the file.
-#[derive(Clone, Copy, Debug)]
-struct Chunk {
-    offset: u64,
-    body_len: u64,
 }
 
 /// A message of a recording.
@@ -94,148 +95,208 @@ impl Message {
     }
 }
 
+/// What is known of a file while its records are read.
+#[derive(Default)]
+struct Scan {
+    channels: Vec<records::Channel>,
+    /// Channels before the index.
+    data_channels: usize,
+    begin: Option<BTreeMap<String, String>>,
+    end: Option<BTreeMap<String, String>>,
+    parts: Vec<Part>,
+    checks: Vec<Check>,
+    /// The first byte behind the data.
+    data_end: Option<u64>,
+    /// The first byte behind the footer.
+    footer_end: Option<u64>,
+}
+
 impl Recording {
-    /// Opens a file, and finds its chunks; their content is read and checked by [`Recording::messages`].
+    /// Opens a file, and finds its parts; [`Recording::messages`] reads and checks their content.
     ///
     /// # Errors
-    /// [`ReadError`] where it is no recording of this program's version.
+    /// [`ReadError`] if the file is no recording of this program's version.
     pub fn open(path: &Path) -> Result<Self, ReadError> {
         let failed = |source| ReadError::File { path: path.to_owned(), source };
-        let mut file = File::open(path).map_err(failed)?;
-        let len = file.metadata().map_err(failed)?.len();
-        let magic = MAGIC.len() as u64;
-        if len < magic || read_at(&mut file, 0, MAGIC.len()).map_err(failed)? != MAGIC {
+        let layout = File::open(path).and_then(Layout::new).map_err(failed)?;
+        if !layout.magic_at(0).map_err(failed)? {
             return Err(ReadError::Foreign { path: path.to_owned() });
         }
         let mut recording = Self {
             path: path.to_owned(),
-            file: RefCell::new(file),
+            layout,
             about: About::default(),
-            channels: vec![],
-            chunks: vec![],
-            ending: Ending::Incomplete { at: magic, why: String::new() },
-            data_end: None,
-            summary: None,
+            channels: BTreeMap::new(),
+            foreign: Vec::new(),
+            parts: Vec::new(),
+            ending: Ending::Incomplete { at: 0, why: String::new() },
+            checks: Vec::new(),
         };
-        recording.scan(magic, len)?;
-        if recording.about.schema != SCHEMA {
-            let (found, program) = (recording.about.schema, recording.about.program);
-            return Err(ReadError::Schema { path: path.to_owned(), found, expected: SCHEMA, program });
+        let (mut scan, at) = recording.scan()?;
+        if scan.footer_end.is_none() {
+            // An index that was torn may hold anything.
+            scan.channels.truncate(scan.data_channels);
+            scan.checks.clear();
         }
+        recording.ending = recording.read_ending(&mut scan, at)?;
+        let Some(begin) = scan.begin else {
+            return Err(ReadError::NotOurs { path: path.to_owned(), wanted: BEGIN });
+        };
+        recording.about = recording.read_about(&begin)?;
+        recording.parts = scan.parts;
+        recording.checks = scan.checks;
+        if scan.channels.is_empty() {
+            scan.channels = recording.channels_in_chunks();
+        }
+        for channel in &scan.channels {
+            recording.channels.entry(channel.id).or_insert(Channel::of(channel, &recording.about));
+        }
+        let is_foreign = |channel: &&records::Channel| recording.channels[&channel.id] == Channel::Foreign;
+        let mut foreign: Vec<String> =
+            scan.channels.iter().filter(is_foreign).map(|c| c.topic.clone()).collect();
+        foreign.sort();
+        foreign.dedup();
+        recording.foreign = foreign;
+        recording.parts.sort_by_key(|part| part.begin_ns);
         Ok(recording)
     }
 
-    /// Walks along the records up to the end of the data, or of what is whole.
-    fn scan(&mut self, mut at: u64, len: u64) -> Result<(), ReadError> {
-        let (mut is_ours, mut ended) = (false, None);
-        let why = loop {
-            if at + PREFIX as u64 > len {
-                break if at == len { "the file ends here, without an index" } else { "part of a record" };
-            }
-            let prefix = self.bytes(at, PREFIX)?;
-            let body_len = u64::from_le_bytes(prefix[1..].try_into().unwrap_or_default());
-            let body_at = at + PREFIX as u64;
-            if body_at.checked_add(body_len).is_none_or(|end| end > len) {
-                break "part of a record";
-            }
-            if body_len > RECORD_MAX {
-                return Err(self.damaged(at, format!("a record of {body_len} bytes")));
-            }
-            match prefix[0] {
-                op::CHUNK => self.chunks.push(Chunk { offset: at, body_len }),
-                op::CHANNEL => self.channel(at, body_len)?,
-                op::METADATA => {
-                    let (name, pairs) = self.metadata(at, body_len)?;
-                    if name == BEGIN {
-                        self.about = self.read_about(at, &pairs)?;
-                        is_ours = true;
-                    } else if name == END {
-                        ended = Some(pairs);
+    /// Walks along the records up to the end of the file or of what is whole; returns that place too.
+    fn scan(&self) -> Result<(Scan, u64), ReadError> {
+        let mut scan = Scan::default();
+        let mut at = mcap::MAGIC.len() as u64;
+        loop {
+            match self.io(self.layout.record(at))? {
+                Some(place) => {
+                    self.take(place, &mut scan)?;
+                    at = place.end();
+                    if place.op == op::FOOTER {
+                        return Ok((scan, at));
                     }
                 }
-                op::DATA_END => {
-                    let body = self.bytes(body_at, body_len as usize)?;
-                    let value = Parts(&body).u32().ok_or_else(|| self.damaged(at, "a short end".into()))?;
-                    self.data_end = Some((at, value));
-                    at = body_at + body_len;
-                    break "the index is missing or cut off";
-                }
-                op::HEADER | op::SCHEMA | op::MESSAGE_INDEX => {}
-                other => {
-                    return Err(self.damaged(
-                        at,
-                        format!("a record of kind {other:#04x}, which recordings do not have"),
-                    ));
+                // What is behind the data is an index alone.
+                None if scan.data_end.is_some() => return Ok((scan, at)),
+                None => {
+                    let Some(next) = self.io(self.layout.whole_chunk(at + 1))? else { return Ok((scan, at)) };
+                    let what = format!("{} bytes that are no whole records", next.at - at);
+                    scan.damage(at, what);
+                    at = next.at;
                 }
             }
-            at = body_at + body_len;
-        };
-        if !is_ours {
-            return Err(ReadError::NotOurs { path: self.path.clone(), wanted: BEGIN });
         }
-        self.ending = Ending::Incomplete { at, why: why.to_owned() };
-        let tail = (FOOTER + MAGIC.len()) as u64;
-        if let (Some(pairs), Some(_)) = (ended, self.data_end)
-            && len >= at + tail
-            && self.bytes(len - MAGIC.len() as u64, MAGIC.len())? == MAGIC
+    }
+
+    /// Takes a record of the file.
+    fn take(&self, place: Place, scan: &mut Scan) -> Result<(), ReadError> {
+        let (at, end) = (place.at, place.end());
+        let first_u64 = |bytes: &[u8]| bytes.first_chunk().map_or(0, |bytes| u64::from_le_bytes(*bytes));
+        match place.op {
+            op::CHUNK => {
+                let begin_ns =
+                    first_u64(&self.io(self.layout.bytes(place.body_at(), end.min(place.body_at() + 8)))?);
+                scan.parts.push(Part { begin_ns, at, end, content: Content::Chunk });
+            }
+            op::MESSAGE => {
+                let header =
+                    self.io(self.layout.bytes(place.body_at(), end.min(place.body_at() + MESSAGE_HEADER)))?;
+                // The channel and a number come first.
+                let log_ns = first_u64(header.get(6..).unwrap_or_default());
+                match scan.parts.last_mut() {
+                    Some(part)
+                        if part.content == Content::Loose
+                            && part.end == at
+                            && end - part.at < LOOSE_BYTES =>
+                    {
+                        part.begin_ns = part.begin_ns.min(log_ns);
+                        part.end = end;
+                    }
+                    _ => scan.parts.push(Part { begin_ns: log_ns, at, end, content: Content::Loose }),
+                }
+            }
+            op::CHANNEL | op::METADATA | op::DATA_END | op::FOOTER => {
+                let body = self.io(self.layout.body(place))?;
+                match mcap::parse_record(place.op, &body) {
+                    Ok(Record::Channel(channel)) => {
+                        scan.channels.push(channel);
+                        scan.data_channels += usize::from(scan.data_end.is_none());
+                    }
+                    Ok(Record::Metadata(found)) if found.name == BEGIN => {
+                        if scan.begin.as_ref().is_some_and(|begin| *begin != found.metadata) {
+                            let what = "two runs are in it: a replay needs one".to_owned();
+                            return Err(self.damaged(at, what));
+                        }
+                        scan.begin = Some(found.metadata);
+                    }
+                    Ok(Record::Metadata(found)) if found.name == END => scan.end = Some(found.metadata),
+                    Ok(Record::DataEnd(found)) => {
+                        scan.data_end = Some(end);
+                        scan.check(0, at, found.data_section_crc, "the data");
+                    }
+                    Ok(Record::Footer(found)) => {
+                        let begin = scan.data_end.unwrap_or(at);
+                        scan.check(begin, end - 4, found.summary_crc, "the index");
+                        scan.footer_end = Some(end);
+                    }
+                    Ok(_) => {}
+                    Err(error) => scan.damage(at, format!("a record of kind {:#04x}: {error}", place.op)),
+                }
+            }
+            // Indexes, statistics, attachments, schemas, and kinds that other programs added.
+            _ => {}
+        }
+        Ok(())
+    }
+
+    /// How the file ends. In a torn file the last chunks may have their length alone: such chunks are taken away.
+    fn read_ending(&self, scan: &mut Scan, at: u64) -> Result<Ending, ReadError> {
+        let magic = mcap::MAGIC.len() as u64;
+        let why = match (scan.footer_end, &scan.end) {
+            (Some(end), _) if !self.io(self.layout.magic_at(end))? => "the last bytes are missing",
+            (Some(end), _) if end + magic < self.layout.len => "more bytes follow the end of the recording",
+            (Some(_), Some(pairs)) => {
+                let of = |key: &str| pairs.get(key).cloned().unwrap_or_default();
+                return Ok(Ending::Complete { how: of("ended"), lost_on_disk: of("lost_on_disk") });
+            }
+            (Some(_), None) => "it does not say how the run ended: the metadata \"stgdat.end\" is missing",
+            (None, _) if scan.data_end.is_some() => "the index is missing or cut off",
+            (None, _) => self.io(self.layout.why_torn(at))?,
+        };
+        let mut ending = Ending::Incomplete { at, why: why.to_owned() };
+        while scan.footer_end.is_none()
+            && let Some(last) = scan.parts.last()
+            && let Err(what) = self.content(last)?
         {
-            let of = |key: &str| {
-                pairs.iter().find(|(name, _)| name == key).map(|(_, v)| v.clone()).unwrap_or_default()
-            };
-            self.ending = Ending::Complete { how: of("ended"), lost_on_disk: of("lost_on_disk") };
-            self.summary = Some((at, len));
+            ending = Ending::Incomplete { at: last.at, why: what };
+            scan.parts.pop();
         }
-        Ok(())
+        Ok(ending)
     }
 
-    fn channel(&mut self, at: u64, body_len: u64) -> Result<(), ReadError> {
-        let body = self.bytes(at + PREFIX as u64, body_len as usize)?;
-        let mut parts = Parts(&body);
-        let mut read = || {
-            let (id, _) = (parts.u16()?, parts.u16()?);
-            let (topic, _) = (parts.text()?, parts.text()?);
-            Some((id, topic, Parts(parts.bytes()?).texts()?))
-        };
-        let (id, topic, pairs) =
-            read().ok_or_else(|| self.damaged(at, "a channel that is cut short".into()))?;
-        let before = topic.strip_prefix(BEFORE);
-        let channel = match (id, channel_topic(before.unwrap_or(topic))) {
-            (EVENT_CHANNEL, _) => Channel::Events,
-            (LOG_CHANNEL, _) => Channel::Log,
-            (_, Some(number)) => {
-                let told = pairs.iter().find(|(key, _)| *key == "element_bytes");
-                let bytes = told.and_then(|(_, bytes)| bytes.parse().ok());
-                let what = || self.damaged(at, format!("topic \"{topic}\" without the size of its elements"));
-                let bytes = bytes.ok_or_else(what)?;
-                if before.is_some() { Channel::Before(number, bytes) } else { Channel::Topic(number, bytes) }
-            }
-            (_, None) => return Err(self.damaged(at, format!("a channel of the unknown topic \"{topic}\""))),
-        };
-        self.channels.push((id, channel));
-        Ok(())
-    }
-
-    fn metadata(&self, at: u64, body_len: u64) -> Result<(String, Vec<(String, String)>), ReadError> {
-        let body = self.bytes(at + PREFIX as u64, body_len as usize)?;
-        let read = || {
-            let mut parts = Parts(&body);
-            let name = parts.text()?.to_owned();
-            let pairs = Parts(parts.bytes()?).texts()?.into_iter();
-            Some((name, pairs.map(|(key, value)| (key.to_owned(), value.to_owned())).collect()))
-        };
-        read().ok_or_else(|| self.damaged(at, "metadata that is cut short".into()))
-    }
-
-    fn read_about(&self, at: u64, pairs: &[(String, String)]) -> Result<About, ReadError> {
-        let of = |key: &str| pairs.iter().find(|(name, _)| name == key).map_or("", |(_, value)| value);
-        // Other versions may say other things of the run; of them only the version is wanted.
-        let schema: u32 =
-            of("schema").parse().map_err(|_| self.damaged(at, "metadata without a schema".into()))?;
+    fn read_about(&self, pairs: &BTreeMap<String, String>) -> Result<About, ReadError> {
+        let wrong = |what: String| self.damaged(0, format!("metadata \"{BEGIN}\": {what}"));
+        let of = |key: &str| pairs.get(key).map_or("", String::as_str);
+        let schema: u32 = of("schema").parse().map_err(|_| wrong("no schema".to_owned()))?;
+        // Other versions have other fields.
         if schema != SCHEMA {
-            return Ok(About { schema, program: of("program").to_owned(), ..About::default() });
+            let (path, program) = (self.path.clone(), of("program").to_owned());
+            return Err(ReadError::Schema { path, found: schema, expected: SCHEMA, program });
         }
-        serde_json::from_str(of("about"))
-            .map_err(|error| self.damaged(at, format!("metadata \"{BEGIN}\": {error}")))
+        serde_json::from_str(of("about")).map_err(|error| wrong(error.to_string()))
+    }
+
+    /// The channels of a file that has them in its chunks alone, and no index.
+    fn channels_in_chunks(&self) -> Vec<records::Channel> {
+        let chunks = self.parts.iter().filter_map(|part| self.content(part).ok()?.ok());
+        chunks.flat_map(|bytes| messages::channels(&bytes)).collect()
+    }
+
+    /// The records of a part.
+    fn content(&self, part: &Part) -> Result<Result<Vec<u8>, String>, ReadError> {
+        Ok(match &part.content {
+            Content::Chunk => chunk::unpack(&self.io(self.layout.bytes(part.at + PREFIX as u64, part.end))?),
+            Content::Loose => Ok(self.io(self.layout.bytes(part.at, part.end))?),
+            Content::Damage(what) => Err(what.clone()),
+        })
     }
 
     /// What it says about its run.
@@ -268,11 +329,11 @@ impl Recording {
         self.element_bytes(name).is_some()
     }
 
-    /// How many bytes of each element of a topic it has; none where it was not recorded.
+    /// How many bytes of each element of a topic it has; `None` if the topic was not recorded.
     #[must_use]
     pub fn element_bytes(&self, name: &str) -> Option<usize> {
-        let number = channel_topic(name)?;
-        self.channels.iter().find_map(|(_, channel)| match channel {
+        let number = crate::topic_number(name)?;
+        self.channels.values().find_map(|channel| match channel {
             Channel::Topic(of, bytes) if *of == number => Some(*bytes),
             _ => None,
         })
@@ -285,160 +346,66 @@ impl Recording {
         entry.is_some_and(|topic| self.element_bytes(name) == Some(topic.element.size))
     }
 
-    /// All messages, in the order in which they were received. After an error the messages of the next chunk
+    /// Topics of the file that are not of this program: their messages are not read.
+    #[must_use]
+    pub fn foreign_topics(&self) -> &[String] {
+        &self.foreign
+    }
+
+    /// All messages, in the order of their times. An error is a part that can't be read; the messages behind that part
     /// follow.
     #[must_use]
-    pub const fn messages(&self) -> Messages<'_> {
-        Messages { recording: self, next: 0, ready: VecDeque::new() }
+    pub fn messages(&self) -> Messages<'_> {
+        Messages::new(self)
+    }
+
+    /// Reads all of the file and checks it against its check values; returns each part that is damaged.
+    #[must_use]
+    pub fn damages(&self) -> Vec<ReadError> {
+        let mut damages: Vec<ReadError> = self.messages().filter_map(Result::err).collect();
+        // Check values of larger ranges add nothing to the place of a damage.
+        if damages.is_empty() {
+            damages.extend(self.checks.iter().filter_map(|check| self.check(*check).err()));
+        }
+        damages
     }
 
     /// Reads all of the file and checks it against its check values.
     ///
     /// # Errors
-    /// [`ReadError`] with the place of the first part that is not what was written.
+    /// [`ReadError`] with the place of the first part that is damaged.
     pub fn verify(&self) -> Result<(), ReadError> {
-        for message in self.messages() {
-            message?;
-        }
-        if let Some((end, expected)) = self.data_end {
-            let found = self.check_value(0, end)?;
-            if found != expected {
-                let what = format!("the data up to here has the check value {found:08x}, not {expected:08x}");
-                return Err(self.damaged(end, what));
-            }
-        }
-        if let Some((start, len)) = self.summary {
-            let value_at = len - MAGIC.len() as u64 - 4;
-            let stored = self.bytes(value_at, 4)?;
-            let expected = u32::from_le_bytes(stored.try_into().unwrap_or_default());
-            let found = self.check_value(start, value_at)?;
-            if found != expected {
-                let what = format!("the index has the check value {found:08x}, not {expected:08x}");
-                return Err(self.damaged(start, what));
-            }
-        }
-        Ok(())
+        self.damages().into_iter().next().map_or(Ok(()), Err)
     }
 
-    fn check_value(&self, mut at: u64, end: u64) -> Result<u32, ReadError> {
-        let mut hasher = crc32fast::Hasher::new();
-        while at < end {
-            let block = self.bytes(at, (end - at).min(BLOCK as u64) as usize)?;
-            hasher.update(&block);
-            at += block.len() as u64;
+    fn check(&self, Check { begin, end, expected, what }: Check) -> Result<(), ReadError> {
+        let found = self.io(self.layout.check_value(begin, end))?;
+        if found == expected {
+            return Ok(());
         }
-        Ok(hasher.finalize())
+        Err(self.damaged(begin, format!("{what} has the check value {found:08x}, not {expected:08x}")))
     }
 
-    fn bytes(&self, at: u64, len: usize) -> Result<Vec<u8>, ReadError> {
-        let read = read_at(&mut self.file.borrow_mut(), at, len);
-        read.map_err(|source| ReadError::File { path: self.path.clone(), source })
+    fn io<T>(&self, result: io::Result<T>) -> Result<T, ReadError> {
+        result.map_err(|source| ReadError::File { path: self.path.clone(), source })
     }
 
     fn damaged(&self, offset: u64, what: String) -> ReadError {
         ReadError::Damaged { path: self.path.clone(), offset, what }
     }
-
-    /// The messages of a chunk.
-    fn chunk(&self, chunk: Chunk) -> Result<VecDeque<Message>, ReadError> {
-        let body = self.bytes(chunk.offset + PREFIX as u64, chunk.body_len as usize)?;
-        let bytes = unpack(&body).map_err(|what| self.damaged(chunk.offset, what))?;
-        let mut parts = Parts(&bytes);
-        let mut messages = VecDeque::new();
-        while !parts.0.is_empty() {
-            let number = messages.len();
-            let cut = || self.damaged(chunk.offset, format!("message {number} of the chunk is cut short"));
-            let (kind, body) = parts.record().ok_or_else(cut)?;
-            if kind == op::MESSAGE {
-                messages.push_back(self.message(chunk, number, body)?);
-            }
-        }
-        Ok(messages)
-    }
-
-    fn message(&self, chunk: Chunk, number: usize, body: &[u8]) -> Result<Message, ReadError> {
-        let wrong = |what: &str| self.damaged(chunk.offset, format!("message {number} of the chunk: {what}"));
-        let mut parts = Parts(body);
-        let read = parts.u16().zip(parts.u32()).zip(parts.u64()).zip(parts.u64());
-        let (((id, _), log_ns), _) = read.ok_or_else(|| wrong("cut short"))?;
-        let channel = self.channels.iter().find(|(of, _)| *of == id);
-        let json = |error: serde_json::Error| wrong(&error.to_string());
-        let channel = channel.map(|(_, channel)| *channel);
-        match channel {
-            Some(Channel::Events) => Ok(Message::Event(serde_json::from_slice(parts.0).map_err(json)?)),
-            Some(Channel::Log) => Ok(Message::Line(serde_json::from_slice(parts.0).map_err(json)?)),
-            Some(Channel::Topic(topic, element_bytes) | Channel::Before(topic, element_bytes)) => {
-                let received_ns = log_ns.saturating_add_signed(-self.about.clock_offset_ns);
-                let frame = Frame::read_leading(topic, element_bytes, parts.0.into(), received_ns);
-                let is_before = matches!(channel, Some(Channel::Before(..)));
-                let message = if is_before { Message::Before } else { Message::Frame };
-                frame.map(message).map_err(|source| ReadError::Frame {
-                    path: self.path.clone(),
-                    offset: chunk.offset,
-                    message: number,
-                    source,
-                })
-            }
-            None => Err(wrong(&format!("channel {id} is not in the file"))),
-        }
-    }
 }
 
-/// The messages of a chunk's body.
-pub(crate) fn unpack(body: &[u8]) -> Result<Vec<u8>, String> {
-    let mut parts = Parts(body);
-    let mut read = || {
-        let (_, _, len) = (parts.u64()?, parts.u64()?, parts.u64()?);
-        let value = parts.u32()?;
-        let compression = parts.text()?;
-        let packed_len = parts.u64()?;
-        let packed = parts.raw(usize::try_from(packed_len).ok()?)?;
-        Some((len, value, compression, packed))
-    };
-    let (len, expected, compression, packed) = read().ok_or("a chunk that is cut short")?;
-    if len > RECORD_MAX {
-        return Err(format!("a chunk of {len} bytes"));
-    }
-    let mut bytes = Vec::new();
-    match compression {
-        "" => bytes.extend_from_slice(packed),
-        LZ4 => {
-            // One byte more than is expected shows that there is more.
-            let unpacked = FrameDecoder::new(packed).take(len + 1).read_to_end(&mut bytes);
-            unpacked.map_err(|error: io::Error| format!("a chunk that can't be unpacked: {error}"))?;
+impl Scan {
+    /// Adds a range with its check value; 0 means that the writer computed none.
+    fn check(&mut self, begin: u64, end: u64, expected: u32, what: &'static str) {
+        if expected != 0 {
+            self.checks.push(Check { begin, end, expected, what });
         }
-        other => return Err(format!("a chunk with the unknown compression \"{other}\"")),
     }
-    if bytes.len() as u64 != len {
-        return Err(format!("a chunk of {} bytes, which should have {len}", bytes.len()));
-    }
-    let found = crc32fast::hash(&bytes);
-    if found != expected {
-        return Err(format!("the chunk has the check value {found:08x}, not {expected:08x}"));
-    }
-    Ok(bytes)
-}
 
-/// The messages of a recording, read chunk by chunk.
-#[derive(Debug)]
-pub struct Messages<'a> {
-    recording: &'a Recording,
-    next: usize,
-    ready: VecDeque<Message>,
-}
-
-impl Iterator for Messages<'_> {
-    type Item = Result<Message, ReadError>;
-
-    fn next(&mut self) -> Option<Self::Item> {
-        while self.ready.is_empty() {
-            let chunk = *self.recording.chunks.get(self.next)?;
-            self.next += 1;
-            match self.recording.chunk(chunk) {
-                Ok(messages) => self.ready = messages,
-                Err(error) => return Some(Err(error)),
-            }
-        }
-        self.ready.pop_front().map(Ok)
+    /// Adds a part that can't be read.
+    fn damage(&mut self, at: u64, what: String) {
+        let begin_ns = self.parts.last().map_or(0, |part| part.begin_ns);
+        self.parts.push(Part { begin_ns, at, end: at, content: Content::Damage(what) });
     }
 }

@@ -1,5 +1,5 @@
 use std::fs::File;
-use std::io::{self, Read, Seek, SeekFrom, Write};
+use std::io::{self, Seek as _, SeekFrom, Write as _};
 use std::path::Path;
 
 /// Where a recording is written: whole blocks, one behind the other.
@@ -53,12 +53,4 @@ impl Sink for Vec<u8> {
         self.extend_from_slice(block);
         Ok(())
     }
-}
-
-/// Reads `len` bytes at a place of a file.
-pub(crate) fn read_at(file: &mut File, offset: u64, len: usize) -> io::Result<Vec<u8>> {
-    file.seek(SeekFrom::Start(offset))?;
-    let mut bytes = vec![0; len];
-    file.read_exact(&mut bytes)?;
-    Ok(bytes)
 }

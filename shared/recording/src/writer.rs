@@ -4,13 +4,15 @@ use std::path::{Path, PathBuf};
 
 use crc32fast::Hasher;
 use lz4_flex::frame::{BlockMode, BlockSize, FrameEncoder, FrameInfo};
+use mcap::MAGIC;
+use mcap::records::op;
 use serde::Serialize;
 use wire::{Header, TABLE, TopicEntry};
 
 use crate::before::kept_bytes;
-use crate::format::{Body, FOOTER, LZ4, MAGIC, PREFIX, op};
+use crate::format::{Body, PREFIX};
 use crate::sink::FileSink;
-use crate::{About, EVENTS, Event, Frame, Happened, LOG, LogLine, Message, Sink, WriteError, topic_number};
+use crate::{About, EVENTS, Event, Frame, Happened, LOG, LogLine, Message, Sink, WriteError};
 
 /// A chunk is written when it has so many bytes …
 pub const CHUNK_BYTES: usize = 1 << 20;
@@ -22,13 +24,19 @@ const WIRE_SCHEMA: u16 = 1;
 /// Identifies the schema of events and log lines.
 const JSON_SCHEMA: u16 = 2;
 /// Channels of topics have the topic's number and this.
-pub(crate) const TOPIC_CHANNELS: u16 = 1;
+const TOPIC_CHANNELS: u16 = 1;
 /// Channels of what was before have the topic's number and this.
-pub(crate) const BEFORE_CHANNELS: u16 = 50;
+const BEFORE_CHANNELS: u16 = 50;
 /// The names of their topics begin with this.
 pub(crate) const BEFORE: &str = "before/";
-pub(crate) const EVENT_CHANNEL: u16 = 100;
-pub(crate) const LOG_CHANNEL: u16 = 101;
+const EVENT_CHANNEL: u16 = 100;
+const LOG_CHANNEL: u16 = 101;
+/// Encoding of frames.
+pub(crate) const WIRE: &str = "stgdat-wire";
+/// Encoding of events and log lines.
+pub(crate) const JSON: &str = "json";
+/// Compression of chunks.
+const LZ4: &str = "lz4";
 /// Names of the metadata at the file's begin and at its end.
 pub(crate) const BEGIN: &str = "stgdat.run";
 pub(crate) const END: &str = "stgdat.end";
@@ -60,9 +68,8 @@ pub struct Writer<S: Sink = FileSink> {
     /// Check value of all that the sink took, behind the first magic bytes too.
     checked: Hasher,
     chunk: Chunk,
-    /// Schemas and channels, once more for the summary.
-    head: Vec<u8>,
-    schemas_len: u32,
+    /// Records of schemas and of channels, for the summary too.
+    head: [Vec<u8>; 2],
     channels: Vec<(u16, String)>,
     /// Of the elements of these topics only so many leading bytes are written.
     element_bytes: BTreeMap<String, usize>,
@@ -113,39 +120,39 @@ impl<S: Sink> Writer<S> {
     /// # Errors
     /// Where the sink does not take its begin.
     pub fn over(sink: S, about: &About, layout: &str) -> io::Result<Self> {
-        let mut head = Vec::new();
+        let [mut schemas, mut channel_records] = [Vec::new(), Vec::new()];
         let wire = format!("stgdat.wire.{}", about.schema);
         Body::default()
             .u16(WIRE_SCHEMA)
             .text(&wire)
             .text("stgdat-wire-json")
             .text(layout)
-            .record(op::SCHEMA, &mut head);
+            .record(op::SCHEMA, &mut schemas);
         let object = r#"{"type":"object","properties":{"at_ns":{"type":"integer"}}}"#;
         Body::default()
             .u16(JSON_SCHEMA)
             .text("stgdat.json")
             .text("jsonschema")
             .text(object)
-            .record(op::SCHEMA, &mut head);
+            .record(op::SCHEMA, &mut schemas);
         let mut channels = Vec::new();
         for (number, topic) in TABLE.topics.iter().enumerate() {
             let whole = topic.element.size;
             if about.topics.is_empty() || about.topics.iter().any(|name| name == topic.name) {
                 let bytes = about.element_bytes.get(topic.name).map_or(whole, |bytes| whole.min(*bytes));
                 let id = number as u16 + TOPIC_CHANNELS;
-                channel(&mut head, id, topic.name, topic, bytes);
+                channel(&mut channel_records, id, topic.name, topic, bytes);
                 channels.push((id, topic.name.to_owned()));
             }
             if let Some(bytes) = kept_bytes(topic.name).filter(|_| about.before) {
                 let (id, name) = (number as u16 + BEFORE_CHANNELS, format!("{BEFORE}{}", topic.name));
-                channel(&mut head, id, &name, topic, bytes);
+                channel(&mut channel_records, id, &name, topic, bytes);
                 channels.push((id, name));
             }
         }
         for (id, name) in [(EVENT_CHANNEL, EVENTS), (LOG_CHANNEL, LOG)] {
-            let body = Body::default().u16(id).u16(JSON_SCHEMA).text(name).text("json");
-            body.texts(&[]).record(op::CHANNEL, &mut head);
+            let body = Body::default().u16(id).u16(JSON_SCHEMA).text(name).text(JSON);
+            body.texts(&[]).record(op::CHANNEL, &mut channel_records);
             channels.push((id, name.to_owned()));
         }
 
@@ -155,8 +162,7 @@ impl<S: Sink> Writer<S> {
             clock_offset_ns: about.clock_offset_ns,
             checked: Hasher::new(),
             chunk: Chunk::default(),
-            head: Vec::new(),
-            schemas_len: 2,
+            head: [schemas, channel_records],
             channels,
             element_bytes: about.element_bytes.clone(),
             chunks: Vec::new(),
@@ -170,8 +176,7 @@ impl<S: Sink> Writer<S> {
         let at = begin.len() as u64;
         Body::default().text(BEGIN).texts(&about.pairs()).record(op::METADATA, &mut begin);
         writer.metadata.push((at, begin.len() as u64 - at, BEGIN));
-        begin.extend(&head);
-        writer.head = head;
+        begin.extend(writer.head.iter().flatten());
         writer.append(&begin)?;
         Ok(writer)
     }
@@ -368,10 +373,9 @@ impl<S: Sink> Writer<S> {
             groups.push((number, start + out.len() as u64, records.len() as u64));
             out.extend(records);
         };
-        let schemas = self.records_of(op::SCHEMA);
-        group(op::SCHEMA, &mut out, schemas);
-        let channels = self.records_of(op::CHANNEL);
-        group(op::CHANNEL, &mut out, channels);
+        let [schemas, channels] = &self.head;
+        group(op::SCHEMA, &mut out, schemas.clone());
+        group(op::CHANNEL, &mut out, channels.clone());
         group(op::STATISTICS, &mut out, self.statistics());
         let mut chunks = Vec::new();
         for chunk in &self.chunks {
@@ -393,22 +397,9 @@ impl<S: Sink> Writer<S> {
         Body::default().u64(start).u64(offsets_start).u32(0).record(op::FOOTER, &mut out);
         // The check value covers the footer up to itself.
         let value_at = out.len() - 4;
-        debug_assert!(out.len() > FOOTER);
         let value = crc32fast::hash(&out[..value_at]);
         out[value_at..].copy_from_slice(&value.to_le_bytes());
         out.extend(MAGIC);
-        out
-    }
-
-    /// The schemas or the channels.
-    fn records_of(&self, number: u8) -> Vec<u8> {
-        let mut parts = crate::format::Parts(&self.head);
-        let mut out = Vec::new();
-        while let Some((op, body)) = parts.record() {
-            if op == number {
-                Body::default().raw(body).record(op, &mut out);
-            }
-        }
         out
     }
 
@@ -417,7 +408,7 @@ impl<S: Sink> Writer<S> {
         let end_ns = self.chunks.iter().map(|chunk| chunk.times_ns[1]).max().unwrap_or(0);
         let counts =
             self.channels.iter().filter_map(|(id, name)| Some((*id, *self.written.by_topic.get(name)?)));
-        let body = Body::default().u64(self.written.messages).u16(self.schemas_len as u16);
+        let body = Body::default().u64(self.written.messages).u16(JSON_SCHEMA);
         let body = body.u32(self.channels.len() as u32).u32(0).u32(self.metadata.len() as u32);
         let body = body.u32(self.chunks.len() as u32).u64(begin_ns).u64(end_ns).counts(counts);
         let mut out = Vec::new();
@@ -435,7 +426,7 @@ fn channel(head: &mut Vec<u8>, id: u16, name: &str, topic: &TopicEntry, element_
         ("header_bytes", Header::RECORD.size.to_string()),
         ("type_name", topic.type_name.to_owned()),
     ];
-    let body = Body::default().u16(id).u16(WIRE_SCHEMA).text(name).text("stgdat-wire");
+    let body = Body::default().u16(id).u16(WIRE_SCHEMA).text(name).text(WIRE);
     body.texts(&metadata).record(op::CHANNEL, head);
 }
 
@@ -445,9 +436,4 @@ fn compress(bytes: &[u8]) -> io::Result<Vec<u8>> {
     let mut encoder = FrameEncoder::with_frame_info(info, Vec::with_capacity(bytes.len() / 2));
     encoder.write_all(bytes)?;
     encoder.finish().map_err(io::Error::other)
-}
-
-/// The channel of a topic's name.
-pub(crate) fn channel_topic(name: &str) -> Option<u8> {
-    topic_number(name)
 }

@@ -11,7 +11,7 @@ use std::collections::{BTreeMap, VecDeque};
 use std::time::Instant;
 
 use nn::Weights;
-use recording::{Comparison, Frame, FrameError, Message, ReadError, Recording};
+use recording::{Comparison, Frame, FrameError, Message, Recording};
 use thiserror::Error;
 use wire::{
     ContextTopic, ControlsTopic, DetectionsTopic, EncodingsTopic, FeaturesTopic, Forecast, ForecastsTopic,
@@ -44,9 +44,6 @@ pub const STAGES: [(StageId, &[&str], &str); 6] = [
 /// Why a recording can't be replayed.
 #[derive(Debug, Error)]
 pub enum ReplayError {
-    /// The file can't be read to its end.
-    #[error(transparent)]
-    Read(#[from] ReadError),
     /// The stages can't be set up.
     #[error(transparent)]
     Chain(#[from] ChainError),
@@ -160,10 +157,11 @@ impl<'a> Replay<'a> {
         Self { pace: Some(Pace::new()), ..self }
     }
 
-    /// Replays all ticks; `each` is called with every frame that a stage has made.
+    /// Replays all ticks; `each` is called with every frame that a stage has made. Damaged parts of the file are skipped;
+    /// [`Recording::damages`] returns them.
     ///
     /// # Errors
-    /// [`ReplayError`] where the file can't be read to its end or has a frame that no stage could be given.
+    /// [`ReplayError`] if a stage can't be set up again.
     pub fn run(mut self, mut each: impl FnMut(&Frame)) -> Result<Replayed, ReplayError> {
         let mut ticks: BTreeMap<u64, Tick> = BTreeMap::new();
         // The ticks in the order in which the tracker answered them.
@@ -173,10 +171,10 @@ impl<'a> Replay<'a> {
         let leads =
             [TracksTopic::NAME].into_iter().chain(inputs).find(|topic| self.recording.has_topic(topic));
         for message in self.recording.messages() {
-            let (frame, is_before) = match message? {
-                Message::Frame(frame) => (frame, false),
-                Message::Before(frame) => (frame, true),
-                Message::Event(_) | Message::Line(_) => continue,
+            let (frame, is_before) = match message {
+                Ok(Message::Frame(frame)) => (frame, false),
+                Ok(Message::Before(frame)) => (frame, true),
+                Ok(Message::Event(_) | Message::Line(_)) | Err(_) => continue,
             };
             let (seq, name) = (frame.header().seq, frame.topic().name);
             // Heartbeats count for themselves.

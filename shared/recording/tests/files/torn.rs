@@ -1,0 +1,134 @@
+//! Recordings that were torn: by a power loss, a full disk, a bad sector or a bad copy.
+
+use std::fs;
+use std::path::Path;
+
+use mcap::Summary;
+use recording::{Ending, Message, ReadError, Recording};
+
+use crate::support::{messages, written};
+
+/// The chunks of a whole file: first byte, first byte behind, and number of messages.
+fn chunks(whole: &[u8]) -> Vec<(usize, usize, usize)> {
+    let summary = Summary::read(whole).expect("a whole file").expect("the file has an index");
+    let read = |chunk: &mcap::records::ChunkIndex| {
+        let messages = summary.read_message_indexes(whole, chunk).expect("the index of a chunk");
+        let (at, len) = (chunk.chunk_start_offset as usize, chunk.chunk_length as usize);
+        (at, at + len, messages.values().map(Vec::len).sum())
+    };
+    summary.chunk_indexes.iter().map(read).collect()
+}
+
+fn open(path: &Path, bytes: &[u8]) -> Recording {
+    fs::write(path, bytes).expect("the file can be written");
+    Recording::open(path).expect("a recording")
+}
+
+/// Messages of a file, without its damaged parts.
+fn read(recording: &Recording) -> Vec<Message> {
+    recording.messages().flatten().collect()
+}
+
+#[test]
+fn zeros_and_garbage_behind_a_cut_leave_all_whole_chunks() {
+    let all = messages(60);
+    let (folder, path) = written(&all);
+    let whole = fs::read(&path).unwrap();
+    let chunks = chunks(&whole);
+    let torn = folder.path().join("torn.mcap");
+    let mut random = 0_u64;
+    let mut garbage = || {
+        random = random.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+        (random >> 56) as u8
+    };
+    for at in (chunks[0].0..whole.len()).step_by(67) {
+        // Messages of the chunks that are whole, and of those that have begun.
+        let expected = [1, 0].map(|edge| {
+            let is_there = |(begin, end, _): &&(usize, usize, usize)| [*begin, *end][edge] <= at;
+            chunks.iter().filter(is_there).map(|(.., messages)| messages).sum::<usize>()
+        });
+        let to_old_len = whole.len() - at;
+        let tails = [0, 1, 777, 4096, 5 << 20, to_old_len].map(|len| vec![0; len]);
+        let garbage: Vec<u8> = std::iter::repeat_with(&mut garbage).take(to_old_len + 3).collect();
+        for tail in tails.into_iter().chain([garbage]) {
+            let bytes = [&whole[..at], &tail].concat();
+            let recording = open(&torn, &bytes);
+            let len = tail.len();
+            assert!(!recording.is_complete(), "cut to {at}, {len} bytes behind");
+            let found = read(&recording);
+            assert!(found == all[..found.len()], "cut to {at}, {len} bytes behind");
+            // Zeros may be what was cut off: then the chunk is whole by its check value.
+            let most = if tail.first() == Some(&0) { expected[1] } else { expected[0] };
+            assert!((expected[0]..=most).contains(&found.len()), "cut to {at}, {len} bytes behind");
+            assert!(recording.damages().is_empty(), "a torn end is no damage");
+        }
+    }
+}
+
+#[test]
+fn zeroed_pages_of_the_last_chunk_end_the_recording_before_it() {
+    let all = messages(60);
+    let (folder, path) = written(&all);
+    let whole = fs::read(&path).unwrap();
+    let chunks = chunks(&whole);
+    let (at, end, last_len) = chunks[chunks.len() - 1];
+    // Its length is there, its tail is not.
+    let mut bytes = whole[..end].to_vec();
+    bytes[at + 100..].fill(0);
+    let recording = open(&folder.path().join("torn.mcap"), &bytes);
+    let Ending::Incomplete { at: found_at, why } = recording.ending() else { panic!("it is torn") };
+    assert_eq!(*found_at, at as u64);
+    assert!(why.starts_with("a chunk"), "{why}");
+    assert_eq!(read(&recording), all[..all.len() - last_len]);
+    assert!(recording.damages().is_empty());
+    bytes.resize(whole.len() + 4096, 0);
+    let recording = open(&folder.path().join("torn.mcap"), &bytes);
+    assert_eq!((recording.is_complete(), read(&recording)), (false, all[..all.len() - last_len].to_vec()));
+}
+
+/// Wherever the hole is, also over the length of a chunk: what is whole behind it is read.
+#[test]
+fn chunks_behind_a_hole_are_read_and_the_hole_is_named() {
+    let all = messages(60);
+    let (folder, path) = written(&all);
+    let whole = fs::read(&path).unwrap();
+    let chunks = chunks(&whole);
+    let hurt = folder.path().join("hurt.mcap");
+    let (first, last_end) = (chunks[0].0, chunks[chunks.len() - 1].1);
+    let mut damaged = 0;
+    for (at, has_index) in (first..last_end - 300).step_by(97).flat_map(|at| [(at, true), (at, false)]) {
+        let mut bytes = whole[..if has_index { whole.len() } else { last_end }].to_vec();
+        let hole = at..at + 300;
+        bytes[hole.clone()].fill(0);
+        let (mut expected, mut number) = (Vec::new(), 0);
+        for (begin, end, len) in &chunks {
+            if bytes[*begin..*end] == whole[*begin..*end] {
+                expected.extend_from_slice(&all[number..number + len]);
+            }
+            number += len;
+        }
+        let recording = open(&hurt, &bytes);
+        assert!(read(&recording) == expected, "a hole at {at}, with an index: {has_index}");
+        let is_named = recording
+            .damages()
+            .iter()
+            .any(|damage| matches!(damage, ReadError::Damaged { offset, .. } if *offset < hole.end as u64));
+        assert!(is_named || !recording.is_complete(), "a hole at {at}, with an index: {has_index}");
+        damaged += usize::from(is_named);
+    }
+    assert!(damaged > 20, "{damaged}");
+}
+
+#[test]
+fn bytes_behind_a_whole_recording_are_reported() {
+    let all = messages(20);
+    let (folder, path) = written(&all);
+    let whole = fs::read(&path).unwrap();
+    for tail in [vec![0; 4096], whole.clone()] {
+        let recording = open(&folder.path().join("longer.mcap"), &[whole.clone(), tail].concat());
+        let Ending::Incomplete { at, why } = recording.ending() else { panic!("more bytes follow") };
+        assert_eq!(*at, whole.len() as u64 - 8);
+        assert!(why.contains("more bytes follow"), "{why}");
+        assert_eq!(read(&recording), all);
+    }
+}
