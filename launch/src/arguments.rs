@@ -18,6 +18,7 @@ use wire::StageId;
 
 use crate::failure::Failure;
 use crate::options::{Setting, StageOptions, absolute, text, warn};
+use crate::verbs::inspect::quoted;
 
 /// How fast ticks follow one another.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
@@ -191,6 +192,13 @@ impl ReadArguments {
         OpenOptions { format: self.format, fps: self.fps }
     }
 
+    /// These arguments as they are written on a command line, each after a space.
+    pub fn written(&self) -> String {
+        let format = self.format.map(|format| format!(" --format {format}"));
+        let fps = self.fps.map(|fps| format!(" --fps {fps}"));
+        [format, fps].into_iter().flatten().collect()
+    }
+
     /// Reads a recording, and warns of what is probably wrong with it.
     pub fn open(&self, path: &Path) -> Result<Recording, Failure> {
         let recording = data::open_with(path, self.options()).map_err(Failure::data)?;
@@ -201,8 +209,8 @@ impl ReadArguments {
 
 /// Warns of what is probably wrong with a recording.
 pub fn warn_of_doubts(recording: &Recording) {
-    for doubt in data::doubts(recording) {
-        eprintln!("warning: {}: {doubt}", recording.name);
+    for found in data::findings(recording).iter().filter(|found| found.doubtful) {
+        eprintln!("warning: {}: {found}", recording.name);
     }
 }
 
@@ -258,6 +266,16 @@ impl ModelArguments {
             None => Setting::unset("--lanes", StageId::Sampler, "lanes_origin"),
         };
         Ok(map.into_iter().chain([lanes, origin]).collect())
+    }
+
+    /// These arguments as they are written on a command line, each after a space.
+    pub fn written(&self) -> String {
+        let path = |flag: &str, path: &PathBuf| format!(" {flag} {}", quoted(&path.to_string_lossy()));
+        let weights = self.weights.as_ref().map(|weights| path("--weights", weights));
+        let map = self.map.as_ref().map(|map| format!(" --map {}", quoted(&map.to_string())));
+        let lanes = self.lanes.as_ref().map(|lanes| path("--lanes", lanes));
+        let origin = self.lanes_origin.map(|origin| format!(" --lanes-origin {origin}"));
+        [weights, map, lanes, origin].into_iter().flatten().collect()
     }
 
     /// Reads the map of lanes of the command line, if there is one.

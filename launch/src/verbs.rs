@@ -11,6 +11,7 @@ pub mod doctor;
 pub mod evaluate;
 pub mod fault;
 pub mod graph;
+pub mod inspect;
 pub mod manual;
 pub mod map;
 pub mod mark;
@@ -44,6 +45,8 @@ pub enum Verb {
     Predict(predict::Arguments),
     /// Run a recording through the tracker in one process; write tracks as CSV, KITTI or MOT results
     Track(track::Arguments),
+    /// Audit a recording: rates, agents, speeds, and what is probably wrong; draw it
+    Inspect(inspect::Arguments),
     /// Run one stage of a run (started by `run`)
     Stage(stage::Arguments),
     /// Check a pipeline.toml
@@ -109,6 +112,7 @@ impl Verb {
             Self::Run(arguments) => run::execute(&arguments),
             Self::Predict(arguments) => predict::execute(&arguments),
             Self::Track(arguments) => track::execute(&arguments),
+            Self::Inspect(arguments) => inspect::execute(&arguments),
             Self::Stage(arguments) => stage::execute(&arguments),
             Self::Check(arguments) => check::execute(&arguments),
             Self::Graph(arguments) => graph::execute(&arguments),

@@ -93,6 +93,29 @@ class DetectionFlags(enum.IntFlag):
     HAS_SIZE = 8  # `length_m` and `width_m` are valid.
 
 
+class Doubts(enum.IntFlag):
+    """Bits of `InputCounts.doubts`."""
+
+    HEADINGS_IN_DEGREES = 1  # Headings are in degrees.
+    HEADINGS_FROM_NORTH = 2  # Headings are clockwise from north, or x and y are swapped.
+    HEADINGS_MIRRORED = 4  # Headings mirror the motion: clockwise from +x, or y is flipped.
+    HEADINGS_TURNED = 8  # Headings are turned against the motion by a quarter or half turn.
+    HEADINGS_UNRELATED = 16  # Headings and motion do not agree.
+    SPEEDS_IN_KMH = 32  # Speeds are in km/h.
+    SPEEDS_IN_MPH = 64  # Speeds are in mph.
+    SPEEDS_DIFFER = 128  # Positions move at another speed than is reported.
+    SPEEDS_UNUSUAL = 256  # Agents of a type move at unusual speeds.
+    FEET = 512  # Lengths or positions are in feet.
+    PIXELS = 1024  # Positions are in pixels.
+    STAMPS_IN_OTHER_UNIT = 2048  # Stamps are in another unit than seconds.
+    STAMPS_ARE_FRAMES = 4096  # Stamps are the numbers of frames.
+    STAMPS_GO_BACK = 8192  # Stamps go back in time.
+    REPEATED = 16384  # Detections repeat the previous one of a moving agent.
+    OUTLIERS = 32768  # Positions that their agent can't have reached.
+    PLACEHOLDERS = 65536  # Positions that stand for a missing one.
+    IDENTITIES_JUMP = 131072  # Identities jump from one agent to another.
+
+
 class StageId(enum.IntEnum):
     """A stage of the pipeline, by number. Numbers below 64 are kept for stages of stgdat's own, 0 stands for none of
     them, 64 is the tap's; from 65 to 80 are those of the stages that a pipeline file adds, in the order of the
@@ -277,7 +300,7 @@ class InputCounts(c.Structure):
         ("reassigned", c.c_uint32),  # Tracks whose state began again because misfits agreed with one another.
         ("unplayed", c.c_uint32),  # Detections of unplayed frames that no played frame contains.
         ("merged", c.c_uint32),  # Detections of unplayed frames that went out with another frame.
-        ("doubts", c.c_uint32),  # Bits of the doubts about the input; 0 without any.
+        ("doubts", c.c_uint32),  # Bits of `doubts` about the input; 0 without any.
     ]
 
 

@@ -94,6 +94,7 @@ impl GeneratedScene {
             ego: self.options.sensor,
             detections: self.sensor.detect(&self.agents, &self.options),
             truth,
+            ..Frame::default()
         }
     }
 

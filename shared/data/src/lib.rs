@@ -9,7 +9,7 @@
 //! * [`open`] reads a recording from a file together with the files that belong to it; [`parse`] does the
 //!   same from bytes; [`open_with`] and [`parse_at`] take a frame rate as well. Bad input is a [`ReadError`]
 //!   with file, line, column and value; no row is skipped in silence.
-//! * [`doubts`] tells of speeds that speak for another frame rate or unit.
+//! * [`inspect`] audits a recording: rates, speeds, and what is probably wrong, with the lines.
 //! * [`tracks`] joins detections with identities to trajectories; [`windows`](windows()) cuts those into
 //!   strictly causal histories (T_h steps) and futures (T_f steps, \[model §1\]).
 //! * [`sets`] lists the files of the training, validation and test parts of each data set.
@@ -37,7 +37,6 @@
 //! # Ok::<(), data::ReadError>(())
 //! ```
 
-mod doubts;
 mod egos;
 mod error;
 mod format;
@@ -45,7 +44,9 @@ pub mod formats;
 mod frame_rate;
 mod generated;
 mod input;
+mod inspection;
 mod interval;
+mod lines;
 mod open;
 mod order;
 mod recording;
@@ -58,12 +59,13 @@ mod track_file;
 mod tracks;
 mod windows;
 
-pub use doubts::{Doubt, doubts};
 pub use error::ReadError;
 pub use format::{Format, UnknownFormat};
 pub use frame_rate::{FrameRate, UnknownFrameRate};
 pub use generated::{GeneratedScene, OptionError, SceneOptions};
 pub use input::{Input, Role};
+pub use inspection::{Gap, Inspection, TypeInspection, findings, inspect};
+pub use lines::Lines;
 pub use open::{OpenOptions, open, open_with, parse, parse_at};
 pub use recording::{Ego, Frame, LeftOut, Recording};
 pub use track_file::{TrackFormat, TrackRows, TrackWriter, UnknownTrackFormat};

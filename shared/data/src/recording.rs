@@ -1,6 +1,6 @@
 use wire::{Detection, Truth};
 
-use crate::FrameRate;
+use crate::{FrameRate, Lines};
 
 /// Pose of the ego vehicle in the world frame, or the scene's centre for a fixed sensor.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -28,6 +28,8 @@ pub struct Frame {
     pub detections: Vec<Detection>,
     /// The true positions; empty where unknown.
     pub truth: Vec<Truth>,
+    /// Where the detections stand in the files.
+    pub lines: Lines,
 }
 
 /// Rows of a file that are no detections by the rules of its format.

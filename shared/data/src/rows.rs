@@ -2,6 +2,7 @@
 
 use wire::{AgentType, Detection, Truth, detection_flags};
 
+use crate::lines::{Lines, RowLine};
 use crate::text::{Field, Line};
 use crate::{Input, ReadError, order};
 
@@ -21,6 +22,8 @@ pub(crate) const ALL_TYPES: u32 =
 pub(crate) struct Row<'a> {
     pub stamp_ns: i64,
     pub detection: Detection,
+    /// The heading as it was written, not wrapped.
+    pub heading_written: f32,
     pub path: &'a str,
     pub line: usize,
 }
@@ -34,6 +37,17 @@ pub(crate) struct Rows<'a> {
 impl<'a> Rows<'a> {
     /// Keeps one more row.
     pub fn push(&mut self, line: &Line<'a>, stamp_ns: i64, detection: Detection) -> Result<(), ReadError> {
+        self.push_written(line, stamp_ns, detection, detection.heading_rad)
+    }
+
+    /// Keeps one more row, with the heading as it was written.
+    pub fn push_written(
+        &mut self,
+        line: &Line<'a>,
+        stamp_ns: i64,
+        detection: Detection,
+        heading_written: f32,
+    ) -> Result<(), ReadError> {
         if self.rows.len() == ROWS_MAX {
             return Err(ReadError::TooManyRows {
                 path: line.path.to_owned(),
@@ -41,7 +55,8 @@ impl<'a> Rows<'a> {
                 most: ROWS_MAX,
             });
         }
-        self.rows.push(Row { stamp_ns, detection, path: line.path, line: line.number });
+        let (path, line) = (line.path, line.number);
+        self.rows.push(Row { stamp_ns, detection, heading_written, path, line });
         Ok(())
     }
 
@@ -131,15 +146,20 @@ pub(crate) fn with_velocity(
 }
 
 /// Sorts by type and identity, and without identity by score and position, so that the order of rows never
-/// matters.
-pub(crate) fn sort(detections: &mut [Detection]) {
-    detections.sort_by(|a, b| {
+/// matters. The lines, one for each detection, are sorted with them.
+pub(crate) fn sort(detections: &mut Vec<Detection>, lines: &mut Lines) {
+    let mut rows: Vec<(Detection, RowLine)> = detections.drain(..).zip(lines.take()).collect();
+    rows.sort_by(|(a, _), (b, _)| {
         let numbers = |d: &Detection| [-d.score, d.x_m, d.y_m, d.heading_rad, d.length_m];
         (a.agent_type, a.id).cmp(&(b.agent_type, b.id)).then_with(|| {
             let by_number = numbers(a).into_iter().zip(numbers(b)).map(|(a, b)| a.total_cmp(&b));
             by_number.fold(std::cmp::Ordering::Equal, std::cmp::Ordering::then)
         })
     });
+    for (detection, line) in rows {
+        detections.push(detection);
+        lines.push(line);
+    }
 }
 
 /// The truth of a row, where the rows are the truth.

@@ -20,6 +20,7 @@ use wire::{AGENT_TYPES, Detection, OFFSET_MAX_NS, Truth, detection_flags};
 
 use crate::egos::Egos;
 use crate::interval;
+use crate::lines::{Lines, Paths};
 use crate::rows::{self, ALL_TYPES, Row};
 use crate::{Ego, Frame};
 
@@ -60,14 +61,17 @@ fn frames<'r, 'a: 'r>(sweeps: impl Iterator<Item = &'r [Row<'a>]>, observed_type
     let mut sweeps = sweeps.filter(|sweep| !sweep.is_empty()).peekable();
     let position_m = sweeps.peek().map_or([0.0; 2], |first| centre_m(first));
     let ego = Ego { position_m, ..Ego::default() };
+    let mut paths = Paths::default();
     sweeps
         .map(|sweep| {
             let stamp_ns = sweep.iter().map(|row| row.stamp_ns).max().unwrap_or(0);
             let own = |row: &Row<'_>| Detection { offset_ns: row.stamp_ns - stamp_ns, ..row.detection };
             let mut detections: Vec<Detection> = sweep.iter().map(own).collect();
-            rows::sort(&mut detections);
+            let mut lines = Lines::default();
+            sweep.iter().for_each(|row| lines.push(paths.line(row)));
+            rows::sort(&mut detections, &mut lines);
             let truth: Vec<Truth> = detections.iter().map(rows::truth_of).collect();
-            Frame { stamp_ns, observed_types, ego, detections, truth }
+            Frame { stamp_ns, observed_types, ego, detections, truth, lines }
         })
         .collect()
 }

@@ -3,6 +3,7 @@
 mod bad_input;
 mod converters;
 mod frame_rates;
+mod inspection;
 mod recordings;
 mod strangers;
 mod sweeps;

@@ -31,6 +31,50 @@ pub mod flags {
     }
 }
 
+/// Bits of [`InputCounts::doubts`]; new ones are appended.
+pub mod doubts {
+    use super::constants;
+
+    constants! {
+        /// Headings are in degrees.
+        pub const HEADINGS_IN_DEGREES: u32 = 1;
+        /// Headings are clockwise from north, or x and y are swapped.
+        pub const HEADINGS_FROM_NORTH: u32 = 1 << 1;
+        /// Headings mirror the motion: clockwise from +x, or y is flipped.
+        pub const HEADINGS_MIRRORED: u32 = 1 << 2;
+        /// Headings are turned against the motion by a quarter or half turn.
+        pub const HEADINGS_TURNED: u32 = 1 << 3;
+        /// Headings and motion do not agree.
+        pub const HEADINGS_UNRELATED: u32 = 1 << 4;
+        /// Speeds are in km/h.
+        pub const SPEEDS_IN_KMH: u32 = 1 << 5;
+        /// Speeds are in mph.
+        pub const SPEEDS_IN_MPH: u32 = 1 << 6;
+        /// Positions move at another speed than is reported.
+        pub const SPEEDS_DIFFER: u32 = 1 << 7;
+        /// Agents of a type move at unusual speeds.
+        pub const SPEEDS_UNUSUAL: u32 = 1 << 8;
+        /// Lengths or positions are in feet.
+        pub const FEET: u32 = 1 << 9;
+        /// Positions are in pixels.
+        pub const PIXELS: u32 = 1 << 10;
+        /// Stamps are in another unit than seconds.
+        pub const STAMPS_IN_OTHER_UNIT: u32 = 1 << 11;
+        /// Stamps are the numbers of frames.
+        pub const STAMPS_ARE_FRAMES: u32 = 1 << 12;
+        /// Stamps go back in time.
+        pub const STAMPS_GO_BACK: u32 = 1 << 13;
+        /// Detections repeat the previous one of a moving agent.
+        pub const REPEATED: u32 = 1 << 14;
+        /// Positions that their agent can't have reached.
+        pub const OUTLIERS: u32 = 1 << 15;
+        /// Positions that stand for a missing one.
+        pub const PLACEHOLDERS: u32 = 1 << 16;
+        /// Identities jump from one agent to another.
+        pub const IDENTITIES_JUMP: u32 = 1 << 17;
+    }
+}
+
 numbers! {
     /// What a frame's [`Header::stamp_ns`] was read off.
     pub enum StampSource {
@@ -106,7 +150,7 @@ record! {
         20 => unplayed: u32,
         /// Detections of unplayed frames that went out with another frame.
         24 => merged: u32,
-        /// Bits of the doubts about the input; 0 without any.
+        /// Bits of [`doubts`] about the input; 0 without any.
         28 => doubts: u32,
     }
 }

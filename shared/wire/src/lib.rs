@@ -95,7 +95,7 @@ mod topic;
 
 pub use agent::{AGENT_TYPES, AgentType, UnknownAgentType};
 pub use check::{Rejected, finite};
-pub use header::{Counts, Header, Hop, InputCounts, StampSource, flags};
+pub use header::{Counts, Header, Hop, InputCounts, StampSource, doubts, flags};
 pub use layout::{
     Context, ContextMut, ContextShape, Edge, FeatureShape, Features, FeaturesMut, Row, context_rows,
     feature_rows,

@@ -7,8 +7,8 @@ use crate::topic::TOPICS;
 use crate::{
     AgentControls, AgentEncoding, AgentFeatures, AgentType, Cause, ControlGaussian, Counts, Detection, Edge,
     Expert, Forecast, Header, Heartbeat, HistoryState, Hop, InputCounts, Protection, Quality, RefusalCause,
-    Refusals, Row, SCHEMA, StageId, StampSource, Steering, Track, TrackStatus, Truth, detection_flags, flags,
-    limits,
+    Refusals, Row, SCHEMA, StageId, StampSource, Steering, Track, TrackStatus, Truth, detection_flags,
+    doubts, flags, limits,
 };
 
 /// All that programs of other languages need to read and write frames.
@@ -276,6 +276,7 @@ pub const TABLE: Table = Table {
             doc: "Bits of `Detection.flags`.",
             bits: detection_flags::CONSTANTS,
         },
+        Flags { name: "doubts", doc: "Bits of `InputCounts.doubts`.", bits: doubts::CONSTANTS },
     ],
     numbers: &[
         StageId::NUMBERS,

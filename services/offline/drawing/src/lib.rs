@@ -1,6 +1,6 @@
 //! Pictures for papers, as SVG and PNG; `stgdat plot` calls it.
 //!
-//! [`scenes`] draws forecasts of recorded scenes, which a [`Storyboard`] selects; [`learning_curves`] draws
+//! [`overview`] draws a whole recording. [`scenes`] draws forecasts of recorded scenes, which a [`Storyboard`] selects; [`learning_curves`] draws
 //! a [`TrainingLog`]. A picture is made of *panels*. The panel of a scene shows, from bottom to top, how
 //! often the ground was visited (the context map), the *mask* of the forecast distribution, every mode as
 //! faint as it is improbable, the recorded future, the best and the most probable mode, and the agents in
@@ -21,6 +21,7 @@ mod file;
 mod ground;
 mod mask;
 mod mixture;
+mod overview;
 mod scene;
 mod storyboard;
 #[cfg(test)]
@@ -33,6 +34,7 @@ pub use curves::learning_curves;
 pub use error::PictureError;
 pub use file::{PNG_DOTS_PER_INCH, png, save};
 pub use mask::Mask;
+pub use overview::{Overview, overview};
 pub use scene::{AgentDrawing, ForecastDrawing, SceneDrawing, SceneOptions, scenes};
 pub use storyboard::{RANKED_MAX, Shot, ShotErrors, Storyboard, StoryboardError};
 pub use training_log::{Displacement, LogError, Progress, SetErrors, TrainingLog, Validation};

@@ -15,6 +15,7 @@ use super::mask::Mask;
 use super::text::Face;
 use agent::Sketch;
 use legend::Legend;
+pub(super) use panel::draw_scale_bar;
 
 /// A moment of a recording, and what was forecast then.
 #[derive(Clone, Debug, Default)]

@@ -77,7 +77,8 @@ const INTERVAL_NS: u64 = wire::TICK_NS;
 
 /// The content of a row: a detection, or the pose of the sensor.
 enum Content {
-    Detection(Detection),
+    /// With the heading as it was written, not wrapped.
+    Detection(Detection, f32),
     Ego(Ego),
 }
 
@@ -111,7 +112,9 @@ pub(crate) fn parse(inputs: &[Input]) -> Result<Recording, ReadError> {
         let fields = header.fields(&line)?;
         let stamp_ns = stamp_ns(fields[STAMP])?;
         match content(&fields)? {
-            Content::Detection(detection) => rows.push(&line, stamp_ns, detection)?,
+            Content::Detection(detection, heading) => {
+                rows.push_written(&line, stamp_ns, detection, heading)?;
+            }
             Content::Ego(ego) => egos.insert(stamp_ns, ego, line.number).map_err(|first| {
                 fields[STAMP].error(format!("has an {EGO} or {ABOVE} row already, in line {first}"))
             })?,
@@ -189,7 +192,8 @@ fn content(fields: &[Field<'_>; NAMES.len()]) -> Result<Content, ReadError> {
         (size.is_some(), detection_flags::HAS_SIZE),
     ];
     let (length_m, width_m) = size.unwrap_or_default();
-    Ok(Content::Detection(Detection {
+    let heading_written = given(heading, Field::number)?.unwrap_or(0.0) as f32;
+    let detection = Detection {
         id: id.unwrap_or(0),
         heading_rad: heading_rad.unwrap_or(0.0),
         speed_mps: speed_mps.unwrap_or(0.0),
@@ -199,7 +203,8 @@ fn content(fields: &[Field<'_>; NAMES.len()]) -> Result<Content, ReadError> {
         sigma_m: given(sigma, Field::extent_m)?.unwrap_or(0.0),
         flags: flags.into_iter().filter(|(is_given, _)| *is_given).fold(0, |bits, (_, bit)| bits | bit),
         ..rows::detection(agent_type, position_m)
-    }))
+    };
+    Ok(Content::Detection(detection, heading_written))
 }
 
 /// Refuses values of the track columns that no [`TrackWriter`](crate::TrackWriter) writes.

@@ -22,6 +22,7 @@ pub use annotations::{AnnotatedFrame, AnnotatedObject, Annotations};
 pub use geometry::WorldFromCamera;
 
 use crate::input::{find, need, need_any};
+use crate::lines::{Paths, RowLine};
 use crate::rows::{self, ALL_TYPES, PEDESTRIAN_IDS, Rows};
 use crate::text::{self, Field, Line, Separator};
 use crate::{Frame, Input, LeftOut, ReadError, Recording, Role};
@@ -87,6 +88,7 @@ pub(crate) fn parse_detections(inputs: &[Input]) -> Result<Recording, ReadError>
     let observed_types = present.fold(0, |bits, (_, agent_type)| bits | agent_type.bit());
     let mut frames = empty_frames(&poses, observed_types);
     let mut rows_len = 0;
+    let mut paths = Paths::default();
     for (input, agent_type) in classes.into_iter().filter_map(|(role, t)| Some((find(inputs, role)?, t))) {
         for line in text::lines(input) {
             let line = line?;
@@ -94,7 +96,9 @@ pub(crate) fn parse_detections(inputs: &[Input]) -> Result<Recording, ReadError>
                 detection(line.split(Separator::Comma, &DETECTION_NAMES)?, agent_type, &poses)?;
             rows_len += 1;
             limit(rows_len, &line)?;
+            let (path, heading_written) = (paths.path(line.path), detection.heading_rad);
             frames[frame].detections.push(detection);
+            frames[frame].lines.push(RowLine { path, line: line.number, heading_written });
         }
     }
     let mut left_out = Vec::new();
@@ -117,9 +121,11 @@ pub(crate) fn parse_labels(inputs: &[Input]) -> Result<Recording, ReadError> {
     let poses = WorldFromCamera::parse(need(inputs, Role::Calibration)?, need(inputs, Role::EgoMotion)?)?;
     let labels = Labels::parse(input, &poses)?;
     let mut frames = empty_frames(&poses, ALL_TYPES);
+    let mut paths = Paths::default();
     for row in labels.rows.sorted_or_none()? {
         let frame = &mut frames[(row.stamp_ns / INTERVAL_NS as i64) as usize];
         frame.detections.push(row.detection);
+        frame.lines.push(paths.line(&row));
         frame.truth.push(rows::truth_of(&row.detection));
     }
     Ok(recording(frames, true, labels.left_out))
@@ -127,7 +133,7 @@ pub(crate) fn parse_labels(inputs: &[Input]) -> Result<Recording, ReadError> {
 
 fn recording(mut frames: Vec<Frame>, has_identities: bool, left_out: Vec<LeftOut>) -> Recording {
     for frame in &mut frames {
-        rows::sort(&mut frame.detections);
+        rows::sort(&mut frame.detections, &mut frame.lines);
         frame.truth.sort_by_key(|truth: &Truth| (truth.agent_type, truth.id));
     }
     Recording { interval_ns: INTERVAL_NS, has_identities, frames, left_out, ..Recording::default() }

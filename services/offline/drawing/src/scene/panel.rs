@@ -59,7 +59,7 @@ fn label(canvas: &mut Canvas, view: &View, sketch: &Sketch<'_>) {
 }
 
 /// A bar of a round length in the lower left corner.
-fn draw_scale_bar(canvas: &mut Canvas, view: &View) {
+pub fn draw_scale_bar(canvas: &mut Canvas, view: &View) {
     let length_m = view.round_length_m();
     let length = length_m * view.scale();
     let (left, baseline) = (view.frame.corner[0] + 7.0, view.frame.bottom() - 7.0);

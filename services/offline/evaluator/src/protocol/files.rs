@@ -40,8 +40,8 @@ pub fn files(
     for footage in options.read(paths, open, &cut)? {
         let name = &footage.recording.name;
         progress(name);
-        let doubts = data::doubts(&footage.recording);
-        report.warnings.extend(doubts.iter().map(|doubt| format!("{name}: {doubt}")));
+        let doubts = data::findings(&footage.recording).into_iter().filter(|found| found.doubtful);
+        report.warnings.extend(doubts.map(|doubt| format!("{name}: {doubt}")));
         let blocks = rules.judge(&model, &baselines, &footage, map);
         if let Err(error) = need_agents(&blocks, name, &cut) {
             report.left_out.push(error.to_string());

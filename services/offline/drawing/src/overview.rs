@@ -1,0 +1,130 @@
+//! A recording as a whole: the ways of all agents and of the sensor, and the map.
+
+use std::collections::HashSet;
+
+use metrics::Point;
+use scene::AgentType;
+
+use super::canvas::{Align, Canvas, Frame, Path, Spot, Stroke, Type};
+use super::colour::{BLUE, Colour, GREY, INK, ORANGE, VERMILION};
+use super::error::{PictureError, within};
+use super::ground;
+use super::scene::draw_scale_bar;
+use super::text::Face;
+use super::view::View;
+
+/// Edge of the sheet, pt.
+const EDGE: f64 = 3.0;
+/// Height of the title, of the note and of a row of the legend, pt.
+const ROW: f64 = 12.0;
+/// Width of an entry of the legend, pt.
+const ENTRY: f64 = 96.0;
+/// Least extent of the world, m.
+const EXTENT_MIN_M: f64 = 20.0;
+/// Points that are nearer on paper are one, pt.
+const NEAR: f64 = 0.6;
+
+/// A recording to draw.
+#[derive(Clone, Debug, Default)]
+pub struct Overview {
+    /// Its name.
+    pub title: String,
+    /// Further text, in smaller type.
+    pub note: String,
+    /// Lines on the ground, such as the bounds of lanes.
+    pub lines: Vec<Vec<Point>>,
+    /// Ways of agents without a gap; a way of one point is a dot.
+    pub ways: Vec<(AgentType, Vec<Point>)>,
+    /// Ways of the sensor.
+    pub ego: Vec<Vec<Point>>,
+}
+
+const fn colour(agent_type: AgentType) -> Colour {
+    match agent_type {
+        AgentType::Vehicle => BLUE,
+        AgentType::Cyclist => ORANGE,
+        AgentType::Pedestrian => VERMILION,
+    }
+}
+
+/// Draws a recording as one picture of that width, pt, with north up.
+///
+/// # Errors
+/// [`PictureError`] if there is no place to draw, or the width is no width.
+pub fn overview(drawing: &Overview, width: f64) -> Result<String, PictureError> {
+    within("the width", width, 100.0, 2_000.0)?;
+    let side = width - 2.0 * EDGE;
+    let frame = Frame { corner: [EDGE, EDGE + 2.0 * ROW], size: [side, 0.75 * side] };
+    let ways = drawing.ways.iter().map(|(_, way)| way);
+    let all = ways.chain(&drawing.ego).chain(&drawing.lines).flatten();
+    let places = all.map(|point| point.map(f64::from)).filter(|place| place.iter().all(|x| x.is_finite()));
+    let view = View::of(places, frame, EXTENT_MIN_M).ok_or(PictureError::Empty)?;
+    let mut canvas = Canvas::new([width, frame.bottom() + ROW + EDGE]);
+    let title = Type { size: 9.0, face: Face::Medium, colour: INK, align: Align::Left };
+    canvas.fitted_text([EDGE, EDGE + 0.75 * ROW], title, &drawing.title, side);
+    let note = Type { size: 7.0, face: Face::Regular, colour: GREY, align: Align::Left };
+    canvas.fitted_text([EDGE, EDGE + 1.7 * ROW], note, &drawing.note, side);
+    canvas.clipped(frame, |canvas| {
+        drawing.lines.iter().for_each(|line| ground::draw_line(canvas, &view, line));
+        draw_ways(canvas, &view, &drawing.ways);
+        for way in &drawing.ego {
+            let line = Path::line(thinned(&view, way));
+            canvas.stroke(&line, &Stroke::solid(INK, 1.0).dashed(&[2.5, 1.5]));
+        }
+        draw_scale_bar(canvas, &view);
+    });
+    canvas.stroke_frame(frame, &Stroke::solid(GREY, 0.5));
+    draw_legend(&mut canvas, drawing, frame.bottom() + 0.75 * ROW);
+    Ok(canvas.finish(&drawing.title))
+}
+
+fn draw_ways(canvas: &mut Canvas, view: &View, ways: &[(AgentType, Vec<Point>)]) {
+    let mut dots: HashSet<(AgentType, [i64; 2])> = HashSet::new();
+    for (agent_type, way) in ways {
+        let spots = thinned(view, way);
+        match spots[..] {
+            [] => {}
+            [spot] => {
+                if dots.insert((*agent_type, spot.map(|x| (x / NEAR) as i64))) {
+                    canvas.fill(&Path::disc(spot, 0.7), colour(*agent_type), 0.7);
+                }
+            }
+            [.., last] => {
+                canvas.stroke(&Path::line(spots), &Stroke::solid(colour(*agent_type), 0.6).faint(0.7));
+                canvas.fill(&Path::disc(last, 1.0), colour(*agent_type), 0.9);
+            }
+        }
+    }
+}
+
+/// The spots of a way, without those that can't be told apart.
+fn thinned(view: &View, way: &[Point]) -> Vec<Spot> {
+    let mut spots: Vec<Spot> = Vec::new();
+    for point in way {
+        let spot = view.spot(point.map(f64::from));
+        let near = |last: &Spot| (last[0] - spot[0]).hypot(last[1] - spot[1]) < NEAR;
+        if !spots.last().is_some_and(near) {
+            spots.push(spot);
+        }
+    }
+    spots
+}
+
+fn draw_legend(canvas: &mut Canvas, drawing: &Overview, baseline: f64) {
+    let types = [
+        (AgentType::Vehicle, "vehicles"),
+        (AgentType::Cyclist, "cyclists"),
+        (AgentType::Pedestrian, "pedestrians"),
+    ];
+    let has = |agent_type| drawing.ways.iter().any(|(of_way, _)| *of_way == agent_type);
+    let present = types.into_iter().filter(|(agent_type, _)| has(*agent_type));
+    let entries = present.map(|(agent_type, name)| (Stroke::solid(colour(agent_type), 1.2), name));
+    let ego = (!drawing.ego.is_empty()).then_some((Stroke::solid(INK, 1.0).dashed(&[2.5, 1.5]), "sensor"));
+    let lines = (!drawing.lines.is_empty()).then_some((Stroke::solid(GREY, 0.5), "lanes"));
+    let look = Type { size: 7.0, face: Face::Regular, colour: INK, align: Align::Left };
+    for (place, (stroke, name)) in entries.chain(ego).chain(lines).enumerate() {
+        let left = EDGE + place as f64 * ENTRY;
+        canvas.stroke(&Path::line([[left, baseline - 2.3], [left + 12.0, baseline - 2.3]]), &stroke);
+        canvas.text([left + 15.0, baseline], look, name);
+    }
+}

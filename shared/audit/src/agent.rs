@@ -1,0 +1,256 @@
+//! One agent's detections, one after the other.
+
+use wire::{AgentType, Detection, detection_flags};
+
+use crate::headings::Directed;
+use crate::speeds::{Chord, usual_mps};
+use crate::tally::Place;
+
+/// Shortest time of a chord.
+const CHORD_NS: i64 = 1_000_000_000;
+/// Longest time between two detections of a chord.
+pub(crate) const GAP_MAX_NS: i64 = 3_000_000_000;
+/// Shortest way and lowest speed that have a direction.
+const DIRECTED: [f64; 2] = [1.0, 0.8];
+/// Slower agents may be measured at the same place again.
+const MOVING_MPS: f64 = 1.0;
+/// Shorter steps may be those of coarse numbers.
+const STEP_MIN_M: f64 = 0.08;
+/// Longest first step of an agent without identity.
+const FIRST_STEP_M: f64 = 4.0;
+/// What a measurement may err beside the agent's motion.
+const SLACK_M: f64 = 0.5;
+/// Positions that stand for a missing one.
+const PLACEHOLDERS_M: [f32; 2] = [0.0, -1.0];
+
+/// Greatest speed of a type: the tracker's limits.
+const fn limit_mps(agent_type: AgentType) -> f64 {
+    match agent_type {
+        AgentType::Vehicle => 70.0,
+        AgentType::Cyclist => 25.0,
+        AgentType::Pedestrian => 12.0,
+    }
+}
+
+/// An agent at one time.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Spot {
+    pub stamp_ns: i64,
+    pub position_m: [f32; 2],
+    pub heading: Option<f64>,
+    pub speed_mps: Option<f64>,
+    pub sigma_m: f64,
+    pub place: Place,
+}
+
+impl Spot {
+    pub fn new(stamp_ns: i64, detection: &Detection, place: Place) -> Self {
+        let given = |flag, value: f32| detection.has(flag).then_some(f64::from(value));
+        Self {
+            stamp_ns,
+            position_m: [detection.x_m, detection.y_m],
+            heading: given(detection_flags::HAS_HEADING, detection.heading_rad),
+            speed_mps: given(detection_flags::HAS_SPEED, detection.speed_mps),
+            sigma_m: f64::from(detection.sigma_m),
+            place,
+        }
+    }
+
+    /// Whether the position is one that stands for a missing one.
+    pub fn is_placeholder(&self) -> bool {
+        let [x_m, y_m] = self.position_m;
+        PLACEHOLDERS_M.into_iter().any(|placeholder| x_m == placeholder && y_m == placeholder)
+    }
+
+    fn way_m(&self, to: &Self) -> [f64; 2] {
+        [0, 1].map(|axis| f64::from(to.position_m[axis]) - f64::from(self.position_m[axis]))
+    }
+
+    pub fn distance_m(&self, to: &Self) -> f64 {
+        let [x_m, y_m] = self.way_m(to);
+        x_m.hypot(y_m)
+    }
+
+    fn speed_mps(&self, to: &Self) -> f64 {
+        self.distance_m(to) / ((to.stamp_ns - self.stamp_ns) as f64 * 1e-9)
+    }
+
+    /// Whether an agent can have come from here to there.
+    fn reaches(&self, to: &Self, agent_type: AgentType) -> bool {
+        let elapsed_s = (to.stamp_ns - self.stamp_ns) as f64 * 1e-9;
+        self.distance_m(to) <= limit_mps(agent_type) * elapsed_s + SLACK_M + 3.0 * to.sigma_m
+    }
+}
+
+/// What a detection means for its agent.
+#[derive(Debug, Default)]
+pub(crate) struct Step {
+    /// Time since the agent's previous detection.
+    pub interval_ns: Option<i64>,
+    /// The place of the first row that repeated the one before, and how many did.
+    pub repeated: Option<(Place, u64)>,
+    /// An earlier detection that was out of reach.
+    pub outlier: Option<Place>,
+    /// A placeholder.
+    pub placeholder: Option<Place>,
+    /// The first detection after the identity has jumped.
+    pub jump: Option<Place>,
+    /// A chord that is complete.
+    pub chord: Option<Chord>,
+    /// The same with the headings at its ends.
+    pub directed: Option<Directed>,
+}
+
+/// An agent, by its identity or by its way.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Agent {
+    pub agent_type: AgentType,
+    /// When it was detected last.
+    pub seen_ns: i64,
+    /// The newest detection within reach.
+    pub last: Spot,
+    /// Velocity of the step to it; `None` before the second detection.
+    velocity_mps: Option<[f64; 2]>,
+    /// A detection out of reach.
+    pending: Option<Spot>,
+    /// Detections that repeat the newest, and the place of the first.
+    held: Option<(Place, u64)>,
+    first: Spot,
+    /// By the reported speeds since `first`; `None` if one was missing.
+    reported_m: Option<f64>,
+    /// Detections since `first`.
+    rows: u64,
+}
+
+impl Agent {
+    pub const fn new(agent_type: AgentType, spot: Spot) -> Self {
+        Self {
+            agent_type,
+            seen_ns: spot.stamp_ns,
+            last: spot,
+            velocity_mps: None,
+            pending: None,
+            held: None,
+            first: spot,
+            reported_m: Some(0.0),
+            rows: 1,
+        }
+    }
+
+    /// The distance to where it is expected if it goes on, if that is near.
+    pub fn is_near(&self, spot: &Spot) -> Option<f64> {
+        let elapsed_s = (spot.stamp_ns - self.last.stamp_ns) as f64 * 1e-9;
+        let way_m = self.last.way_m(spot);
+        let [x_m, y_m] = self
+            .velocity_mps
+            .map_or(way_m, |velocity_mps| [0, 1].map(|axis| way_m[axis] - velocity_mps[axis] * elapsed_s));
+        let distance_m = x_m.hypot(y_m);
+        let most_m = match self.velocity_mps {
+            Some(_) => SLACK_M + (0.5 * self.speed_mps()).max(3.0) * elapsed_s,
+            None => (SLACK_M + usual_mps(self.agent_type)[1] * elapsed_s).min(FIRST_STEP_M),
+        };
+        (distance_m <= most_m).then_some(distance_m)
+    }
+
+    /// Speed of the step to the newest detection.
+    fn speed_mps(&self) -> f64 {
+        self.velocity_mps.map_or(0.0, |[x_mps, y_mps]| x_mps.hypot(y_mps))
+    }
+
+    /// Takes the next detection. Only an agent with an identity can be out of reach.
+    pub fn step(&mut self, spot: Spot, agent_type: AgentType, identified: bool) -> Step {
+        let mut step = Step::default();
+        let since_ns = spot.stamp_ns - self.seen_ns;
+        if since_ns <= 0 {
+            return step;
+        }
+        (self.seen_ns, self.agent_type) = (spot.stamp_ns, agent_type);
+        step.interval_ns = Some(since_ns);
+        if spot.stamp_ns - self.last.stamp_ns > GAP_MAX_NS {
+            if identified && self.held.is_none() && !self.last.reaches(&spot, agent_type) {
+                step.jump = Some(spot.place);
+            }
+            *self = Self::new(agent_type, spot);
+            return step;
+        }
+        if spot.position_m == self.last.position_m {
+            self.held = self.held.map_or(Some((spot.place, 1)), |(place, rows)| Some((place, rows + 1)));
+            self.pending = None;
+            return step;
+        }
+        // After a step out of reach, both ways may have come into reach: the slower one is the agent's.
+        let is_new_way = self.pending.is_some_and(|pending| {
+            pending.reaches(&spot, agent_type) && pending.speed_mps(&spot) < self.last.speed_mps(&spot)
+        });
+        if identified && (is_new_way || !self.last.reaches(&spot, agent_type)) {
+            self.out_of_reach(spot, agent_type, &mut step);
+            return step;
+        }
+        step.outlier = self.pending.take().map(|pending| pending.place);
+        self.reach(spot, &mut step);
+        step
+    }
+
+    fn out_of_reach(&mut self, spot: Spot, agent_type: AgentType, step: &mut Step) {
+        if spot.is_placeholder() {
+            step.placeholder = Some(spot.place);
+            return;
+        }
+        match self.pending {
+            Some(pending) if pending.reaches(&spot, agent_type) => {
+                if self.last.is_placeholder() {
+                    step.placeholder = Some(self.last.place);
+                } else {
+                    step.jump = Some(pending.place);
+                }
+                *self = Self::new(agent_type, pending);
+                self.seen_ns = spot.stamp_ns;
+                self.reach(spot, &mut Step::default());
+            }
+            pending => {
+                step.outlier = pending.map(|pending| pending.place);
+                self.pending = Some(spot);
+            }
+        }
+    }
+
+    /// Goes on to a detection within reach.
+    fn reach(&mut self, spot: Spot, step: &mut Step) {
+        let elapsed_s = (spot.stamp_ns - self.last.stamp_ns) as f64 * 1e-9;
+        let [x_m, y_m] = self.last.way_m(&spot);
+        let way_m = x_m.hypot(y_m);
+        if let Some(held) = self.held.take() {
+            let speed_mps = self.speed_mps().min(way_m / elapsed_s);
+            let moves = speed_mps >= MOVING_MPS && way_m >= STEP_MIN_M;
+            step.repeated = moves.then_some(held);
+            self.rows += held.1;
+        }
+        let mean_mps = self.last.speed_mps.zip(spot.speed_mps).map(|(from, to)| (from + to) / 2.0);
+        let reported_m = mean_mps.map(|mean_mps| mean_mps * elapsed_s);
+        self.reported_m = self.reported_m.zip(reported_m).map(|(way_m, step_m)| way_m + step_m);
+        (self.last, self.velocity_mps) = (spot, Some([x_m / elapsed_s, y_m / elapsed_s]));
+        self.rows += 1;
+        let elapsed_ns = spot.stamp_ns - self.first.stamp_ns;
+        if elapsed_ns >= CHORD_NS {
+            self.end_chord(elapsed_ns as f64 * 1e-9, step);
+        }
+    }
+
+    fn end_chord(&mut self, elapsed_s: f64, step: &mut Step) {
+        let Self { first, last, reported_m, rows, .. } = *self;
+        let [x_m, y_m] = first.way_m(&last);
+        let way_m = x_m.hypot(y_m);
+        let (rows, place) = (rows - 1, first.place);
+        step.chord = Some(Chord { way_m, elapsed_s, reported_m: reported_m.map(f64::abs), rows, place });
+        let [way_min_m, speed_min_mps] = DIRECTED;
+        if let (Some(from), Some(to)) = (first.heading, last.heading)
+            && way_m >= way_min_m
+            && way_m / elapsed_s >= speed_min_mps
+        {
+            let is_reverse = reported_m.is_some_and(|way_m| way_m < 0.0);
+            let direction_rad = if is_reverse { (-y_m).atan2(-x_m) } else { y_m.atan2(x_m) };
+            step.directed = Some(Directed { direction_rad, headings: [from, to], rows, place });
+        }
+        (self.first, self.reported_m, self.rows) = (last, Some(0.0), 1);
+    }
+}

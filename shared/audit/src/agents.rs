@@ -1,0 +1,73 @@
+use wire::AgentType;
+
+use crate::agent::{Agent, GAP_MAX_NS, Spot, Step};
+
+/// Places of a set, among which an identity is looked up.
+const WAYS: usize = 4;
+/// Most agents without identities.
+const LOOSE_MAX: usize = wire::DETECTIONS_MAX;
+
+/// The agents that are followed, in bounded memory: the one that was seen last gives its place to a new one.
+#[derive(Clone, Debug)]
+pub(crate) struct Agents {
+    /// Sets of [`WAYS`] places, by the identity's hash.
+    identified: Vec<Option<(u64, Agent)>>,
+    /// Agents without identity, with the number of the frame that detected them last.
+    loose: Vec<(Agent, u64)>,
+}
+
+impl Agents {
+    /// Room for so many identities, a power of two.
+    pub fn with_capacity(len: usize) -> Self {
+        let identified = vec![None; len.next_power_of_two().max(WAYS)];
+        Self { identified, loose: Vec::with_capacity(LOOSE_MAX) }
+    }
+
+    /// Takes a detection with an identity; `None` for a new one.
+    pub fn identified(&mut self, id: u64, agent_type: AgentType, spot: Spot) -> Option<Step> {
+        let sets = self.identified.len() / WAYS;
+        // Fibonacci hashing: neighbouring identities go to different sets.
+        let hash = id.wrapping_mul(0x9e37_79b9_7f4a_7c15) >> 32;
+        let set = hash as usize % sets * WAYS;
+        let set = &mut self.identified[set..set + WAYS];
+        let known = set.iter_mut().flatten().find(|(known, _)| *known == id);
+        if let Some((_, agent)) = known {
+            return Some(agent.step(spot, agent_type, true));
+        }
+        let age = |place: &&mut Option<(u64, Agent)>| place.map_or(i64::MIN, |(_, agent)| agent.seen_ns);
+        if let Some(oldest) = set.iter_mut().min_by_key(age) {
+            *oldest = Some((id, Agent::new(agent_type, spot)));
+        }
+        None
+    }
+
+    /// Takes a detection without identity for the nearest agent of its type that this frame has not detected
+    /// yet; `None` for a new one.
+    pub fn loose(&mut self, frame: u64, agent_type: AgentType, spot: Spot) -> Option<Step> {
+        let mut nearest: Option<(f64, usize)> = None;
+        let mut place = 0;
+        while let Some((agent, seen)) = self.loose.get(place) {
+            if spot.stamp_ns - agent.seen_ns > GAP_MAX_NS || spot.stamp_ns < agent.seen_ns {
+                self.loose.swap_remove(place);
+                continue;
+            }
+            if *seen != frame
+                && agent.agent_type == agent_type
+                && let Some(distance_m) = agent.is_near(&spot)
+                && nearest.is_none_or(|(least_m, _)| distance_m < least_m)
+            {
+                nearest = Some((distance_m, place));
+            }
+            place += 1;
+        }
+        if let Some((_, place)) = nearest {
+            let (agent, seen) = &mut self.loose[place];
+            *seen = frame;
+            return Some(agent.step(spot, agent_type, false));
+        }
+        if self.loose.len() < LOOSE_MAX {
+            self.loose.push((Agent::new(agent_type, spot), frame));
+        }
+        None
+    }
+}

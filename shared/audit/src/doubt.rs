@@ -1,0 +1,152 @@
+use wire::doubts;
+
+/// A kind of fault of the input; the number is its bit in [`InputCounts::doubts`](wire::InputCounts::doubts).
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+#[repr(u32)]
+pub enum Doubt {
+    /// Headings are in degrees.
+    HeadingsInDegrees = doubts::HEADINGS_IN_DEGREES,
+    /// Headings are clockwise from north, or x and y are swapped.
+    HeadingsFromNorth = doubts::HEADINGS_FROM_NORTH,
+    /// Headings mirror the motion: clockwise from +x, or y is flipped.
+    HeadingsMirrored = doubts::HEADINGS_MIRRORED,
+    /// Headings are turned against the motion by a quarter or half turn.
+    HeadingsTurned = doubts::HEADINGS_TURNED,
+    /// Headings and motion do not agree.
+    HeadingsUnrelated = doubts::HEADINGS_UNRELATED,
+    /// Speeds are in km/h.
+    SpeedsInKmh = doubts::SPEEDS_IN_KMH,
+    /// Speeds are in mph.
+    SpeedsInMph = doubts::SPEEDS_IN_MPH,
+    /// Positions move at another speed than is reported.
+    SpeedsDiffer = doubts::SPEEDS_DIFFER,
+    /// Agents of a type move at unusual speeds.
+    SpeedsUnusual = doubts::SPEEDS_UNUSUAL,
+    /// Lengths or positions are in feet.
+    Feet = doubts::FEET,
+    /// Positions are in pixels.
+    Pixels = doubts::PIXELS,
+    /// Stamps are in another unit than seconds.
+    StampsInOtherUnit = doubts::STAMPS_IN_OTHER_UNIT,
+    /// Stamps are the numbers of frames.
+    StampsAreFrames = doubts::STAMPS_ARE_FRAMES,
+    /// Stamps go back in time.
+    StampsGoBack = doubts::STAMPS_GO_BACK,
+    /// Detections repeat the previous one of a moving agent.
+    Repeated = doubts::REPEATED,
+    /// Positions that their agent can't have reached.
+    Outliers = doubts::OUTLIERS,
+    /// Positions that stand for a missing one.
+    Placeholders = doubts::PLACEHOLDERS,
+    /// Identities jump from one agent to another.
+    IdentitiesJump = doubts::IDENTITIES_JUMP,
+}
+
+impl Doubt {
+    /// All kinds, in the order of their bits.
+    pub const ALL: [Self; 18] = [
+        Self::HeadingsInDegrees,
+        Self::HeadingsFromNorth,
+        Self::HeadingsMirrored,
+        Self::HeadingsTurned,
+        Self::HeadingsUnrelated,
+        Self::SpeedsInKmh,
+        Self::SpeedsInMph,
+        Self::SpeedsDiffer,
+        Self::SpeedsUnusual,
+        Self::Feet,
+        Self::Pixels,
+        Self::StampsInOtherUnit,
+        Self::StampsAreFrames,
+        Self::StampsGoBack,
+        Self::Repeated,
+        Self::Outliers,
+        Self::Placeholders,
+        Self::IdentitiesJump,
+    ];
+
+    /// Its bit in [`InputCounts::doubts`](wire::InputCounts::doubts).
+    #[must_use]
+    pub const fn bit(self) -> u32 {
+        self as u32
+    }
+
+    /// The kinds of these bits; bits of newer versions are left out.
+    pub fn of_bits(bits: u32) -> impl Iterator<Item = Self> {
+        Self::ALL.into_iter().filter(move |doubt| bits & doubt.bit() != 0)
+    }
+
+    /// The name in JSON and metrics.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::HeadingsInDegrees => "headings_in_degrees",
+            Self::HeadingsFromNorth => "headings_from_north",
+            Self::HeadingsMirrored => "headings_mirrored",
+            Self::HeadingsTurned => "headings_turned",
+            Self::HeadingsUnrelated => "headings_unrelated",
+            Self::SpeedsInKmh => "speeds_in_kmh",
+            Self::SpeedsInMph => "speeds_in_mph",
+            Self::SpeedsDiffer => "speeds_differ",
+            Self::SpeedsUnusual => "speeds_unusual",
+            Self::Feet => "feet",
+            Self::Pixels => "pixels",
+            Self::StampsInOtherUnit => "stamps_in_other_unit",
+            Self::StampsAreFrames => "stamps_are_frames",
+            Self::StampsGoBack => "stamps_go_back",
+            Self::Repeated => "repeated",
+            Self::Outliers => "outliers",
+            Self::Placeholders => "placeholders",
+            Self::IdentitiesJump => "identities_jump",
+        }
+    }
+
+    /// What is observed, without figures.
+    #[must_use]
+    pub const fn observation(self) -> &'static str {
+        match self {
+            Self::HeadingsInDegrees => "headings look like degrees",
+            Self::HeadingsFromNorth => "headings look clockwise from north (+y), or x and y are swapped",
+            Self::HeadingsMirrored => "headings mirror the motion: they look clockwise, or y is flipped",
+            Self::HeadingsTurned => "headings are turned against the motion",
+            Self::HeadingsUnrelated => "headings and motion do not agree",
+            Self::SpeedsInKmh => "speeds look like km/h",
+            Self::SpeedsInMph => "speeds look like mph",
+            Self::SpeedsDiffer => "positions move at another speed than is reported",
+            Self::SpeedsUnusual => "agents move at unusual speeds",
+            Self::Feet => "positions or lengths look like feet",
+            Self::Pixels => "positions look like pixels: all are whole numbers",
+            Self::StampsInOtherUnit => "stamps do not look like seconds",
+            Self::StampsAreFrames => "stamps look like frame numbers",
+            Self::StampsGoBack => "stamps go back in time",
+            Self::Repeated => "detections repeat the previous one of a moving agent",
+            Self::Outliers => "positions are out of their agent's reach",
+            Self::Placeholders => "positions look like placeholders for missing ones",
+            Self::IdentitiesJump => "identities jump: they are swapped or reused",
+        }
+    }
+
+    /// What to do about it.
+    #[must_use]
+    pub const fn remedy(self) -> &'static str {
+        match self {
+            Self::HeadingsInDegrees => "divide them by 57.29578",
+            Self::HeadingsFromNorth => "write π/2 − heading, or swap x and y",
+            Self::HeadingsMirrored => "negate the headings or y",
+            Self::HeadingsTurned => "add the angle, or leave the column empty",
+            Self::HeadingsUnrelated => "write radians counter-clockwise from +x, or leave the column empty",
+            Self::SpeedsInKmh => "divide them by 3.6",
+            Self::SpeedsInMph => "multiply them by 0.44704",
+            Self::SpeedsDiffer | Self::SpeedsUnusual => "write metres and seconds",
+            Self::Feet => "multiply them by 0.3048",
+            Self::Pixels => "multiply them by the metres of a pixel",
+            Self::StampsInOtherUnit => "write seconds",
+            Self::StampsAreFrames => "divide them by the frames a second",
+            Self::StampsGoBack => "sort the rows, or split the recording where its clock was set",
+            Self::Repeated => "write only new measurements; repeated ones are not counted as measurements",
+            Self::Outliers => "leave wrong positions out; they count as missed detections",
+            Self::Placeholders => "leave these rows out; they count as missed detections",
+            Self::IdentitiesJump => "check the identities, or let the tracker associate (--associate)",
+        }
+    }
+}

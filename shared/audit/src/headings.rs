@@ -1,0 +1,211 @@
+//! Headings against the direction of motion, in every convention that people use.
+//!
+//! A chord of an agent's way has a direction. The heading at its ends must agree with it within
+//! [`TOLERANCE_RAD`]. Where it does not, each other [`Reading`] of the same number is tried.
+
+use std::f64::consts::{FRAC_PI_2, PI, TAU};
+
+use crate::tally::{Place, Tally};
+
+/// Greatest difference of a heading to the direction of motion.
+const TOLERANCE_RAD: f64 = 0.52;
+/// No number above is an angle in radians, unless turns were counted.
+pub(crate) const RADIANS_MAX: f64 = TAU + 0.01;
+/// Headings of an agent whose turns were counted stay below.
+const COUNTED_MAX: f64 = 2.0 * TAU;
+/// Fewest chords that speak against radians.
+const CHORDS_MIN: u64 = 8;
+/// Share of the chords that do not agree which another reading must explain.
+const EXPLAINED: f64 = 0.65;
+/// Share of all chords that must not agree before another convention is considered: agents drive backwards
+/// and walk sideways.
+const DISAGREEING: f64 = 0.15;
+/// The same for headings that are turned, or agree with nothing.
+const DISAGREEING_MOST: f64 = 0.5;
+
+/// A convention of headings.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Convention {
+    /// Counter-clockwise from +x.
+    Plain,
+    /// Clockwise from +y.
+    FromNorth,
+    /// Clockwise from +x.
+    Mirrored,
+    /// Half a turn off.
+    Backwards,
+    /// A quarter turn too small.
+    Quarter,
+    /// A quarter turn too large.
+    QuarterBack,
+}
+
+impl Convention {
+    const ALL: [Self; 6] =
+        [Self::Plain, Self::FromNorth, Self::Mirrored, Self::Backwards, Self::Quarter, Self::QuarterBack];
+
+    /// The direction that a heading means.
+    fn direction_rad(self, heading_rad: f64) -> f64 {
+        match self {
+            Self::Plain => heading_rad,
+            Self::FromNorth => FRAC_PI_2 - heading_rad,
+            Self::Mirrored => -heading_rad,
+            Self::Backwards => heading_rad + PI,
+            Self::Quarter => heading_rad + FRAC_PI_2,
+            Self::QuarterBack => heading_rad - FRAC_PI_2,
+        }
+    }
+
+    /// In words, to follow a number's unit.
+    pub const fn words(self) -> &'static str {
+        match self {
+            Self::Plain => "",
+            Self::FromNorth => " clockwise from north (+y)",
+            Self::Mirrored => " clockwise from +x",
+            Self::Backwards => " half a turn off",
+            Self::Quarter => " a quarter turn too small",
+            Self::QuarterBack => " a quarter turn too large",
+        }
+    }
+
+    /// What makes radians counter-clockwise from +x of it.
+    pub const fn remedy(self) -> &'static str {
+        match self {
+            Self::Plain => "",
+            Self::FromNorth => "write π/2 − heading",
+            Self::Mirrored => "negate them",
+            Self::Backwards => "add π",
+            Self::Quarter => "add π/2",
+            Self::QuarterBack => "subtract π/2",
+        }
+    }
+}
+
+/// A unit and a convention.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct Reading {
+    pub degrees: bool,
+    pub convention: Convention,
+}
+
+/// What the chords say of the headings.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Headings {
+    /// Rows with a heading.
+    pub rows: u64,
+    /// Rows whose heading is no angle in radians, unless turns were counted.
+    beyond: Tally,
+    /// Rows whose heading is too large even then.
+    far_beyond: Tally,
+    /// Rows of chords that were compared.
+    pub compared: u64,
+    compared_chords: u64,
+    /// Rows of those that do not agree.
+    off: Tally,
+    off_chords: u64,
+    /// Rows of those with a heading beyond what radians need.
+    off_beyond: u64,
+    /// Rows of those by the reading that explains them, in radians and in degrees.
+    explained: [[Tally; Convention::ALL.len()]; 2],
+}
+
+/// The chord of an agent's way with the headings at its ends.
+#[derive(Debug)]
+pub(crate) struct Directed {
+    pub direction_rad: f64,
+    pub headings: [f64; 2],
+    pub rows: u64,
+    pub place: Place,
+}
+
+impl Headings {
+    /// Takes a row with a heading.
+    pub fn row(&mut self, heading: f64, place: Place) {
+        self.rows += 1;
+        if heading.abs() > RADIANS_MAX {
+            self.beyond.add(1, place);
+        }
+        if heading.abs() > COUNTED_MAX {
+            self.far_beyond.add(1, place);
+        }
+    }
+
+    /// Compares a chord with the headings at its ends.
+    pub fn chord(&mut self, chord: &Directed) {
+        let Directed { direction_rad, headings, rows, place } = *chord;
+        let agrees = |unit: f64, convention: Convention| {
+            let [sin, cos] = headings.iter().fold([0.0, 0.0], |[sin, cos], &heading| {
+                let (s, c) = convention.direction_rad(heading * unit).sin_cos();
+                [sin + s, cos + c]
+            });
+            let off = sin.atan2(cos) - direction_rad;
+            off.sin().atan2(off.cos()).abs() <= TOLERANCE_RAD
+        };
+        self.compared += rows;
+        self.compared_chords += 1;
+        if agrees(1.0, Convention::Plain) {
+            return;
+        }
+        self.off.add(rows, place);
+        self.off_chords += 1;
+        let is_beyond = headings.iter().any(|heading| heading.abs() > RADIANS_MAX);
+        self.off_beyond += if is_beyond { rows } else { 0 };
+        for (unit, tallies) in [1.0, PI / 180.0].into_iter().zip(&mut self.explained) {
+            if unit == 1.0 || is_beyond {
+                for (convention, tally) in Convention::ALL.into_iter().zip(tallies) {
+                    if agrees(unit, convention) {
+                        tally.add(rows, place);
+                    }
+                }
+            }
+        }
+    }
+
+    /// Share of the compared rows that agree; `None` if none was compared.
+    pub fn agreeing(&self) -> Option<f64> {
+        (self.compared > 0).then(|| 1.0 - self.off.rows as f64 / self.compared as f64)
+    }
+
+    /// How the headings are probably meant, with the rows that speak for it and the rows that were examined;
+    /// `None` for radians counter-clockwise from +x. A reading of `None` agrees with no convention.
+    pub fn doubt(&self) -> Option<(Option<Reading>, Tally, u64)> {
+        let best = |degrees: bool| {
+            let tallies = self.explained[usize::from(degrees)];
+            let mut best = (Convention::Plain, Tally::default());
+            for (convention, tally) in Convention::ALL.into_iter().zip(tallies) {
+                if tally.rows > best.1.rows {
+                    best = (convention, tally);
+                }
+            }
+            (Some(Reading { degrees, convention: best.0 }), best.1)
+        };
+        let share = |rows: u64, of: u64| rows as f64 / of.max(1) as f64;
+        let of = self.compared;
+        if self.off_chords < CHORDS_MIN {
+            // Nothing moves: only the numbers themselves can tell.
+            let is_far = self.far_beyond.rows >= CHORDS_MIN && self.compared_chords < CHORDS_MIN;
+            let reading = Reading { degrees: true, convention: Convention::Plain };
+            return is_far.then_some((Some(reading), self.beyond, self.rows));
+        }
+        let (degrees, tally) = best(true);
+        if self.off_beyond > 0 && share(tally.rows, self.off_beyond) >= EXPLAINED {
+            return Some((degrees, self.beyond, self.rows));
+        }
+        let (radians, tally) = best(false);
+        let off = share(self.off.rows, of);
+        let is_turned = radians.is_some_and(|reading| {
+            matches!(
+                reading.convention,
+                Convention::Backwards | Convention::Quarter | Convention::QuarterBack
+            )
+        });
+        let explains = share(tally.rows, self.off.rows) >= EXPLAINED;
+        match () {
+            () if explains && off >= if is_turned { DISAGREEING_MOST } else { DISAGREEING } => {
+                Some((radians, tally, of))
+            }
+            () if off >= DISAGREEING_MOST => Some((None, self.off, of)),
+            () => None,
+        }
+    }
+}

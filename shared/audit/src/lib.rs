@@ -1,0 +1,320 @@
+//! The audit of detections: are they what stgdat expects, metres, radians and seconds of agents that can move
+//! so?
+//!
+//! Inputs fail quietly. A heading in degrees is a number like any other, a stamp in milliseconds too; a tracker
+//! makes tracks of both, or none. The content gives such faults away: headings that never follow the motion,
+//! speeds that differ from the positions by the factor 3.6, agents that jump and come back.
+//!
+//! An [`Audit`] takes detections one by one, in the order of their stamps, from a recording or from a running
+//! producer alike. It follows each agent by its identity, or, without one, from place to place. Its memory is
+//! bounded, and it allocates nothing after its construction.
+//!
+//! 1. **Reach.** A detection that its agent can't have reached, by the greatest speed of its type, waits for
+//!    the next one: if that returns to the old way, the detection was an outlier; if it agrees with the
+//!    detection, the identity has jumped.
+//! 2. **Repetition.** Detections at the very place of the previous one count as repeated once the agent moves
+//!    on, if it has moved before.
+//! 3. **Chords.** A *chord* joins two detections of an agent that are at least a second apart. Its direction is
+//!    compared with the headings ([`headings`]), its speed with reported and with usual speeds ([`speeds`]).
+//!
+//! A [`Finding`] is a fault with the number of its rows and the place of the first. It is a doubt if it
+//! concerns more than [`DOUBT_SHARE`] of the rows. [`LiveAudit`] keeps the doubts of a run as bits.
+
+mod agent;
+mod agents;
+mod doubt;
+mod finding;
+mod headings;
+mod histogram;
+mod live;
+mod speeds;
+mod stamps;
+mod tally;
+
+use wire::{AgentType, Detection, detection_flags};
+
+use agent::{Spot, Step};
+use agents::Agents;
+pub use doubt::Doubt;
+use finding::Detail;
+pub use finding::{DOUBT_SHARE, Finding, Found};
+use headings::{Convention, Headings};
+pub use live::LiveAudit;
+use speeds::{Speeds, Unit};
+use stamps::Stamps;
+pub use tally::Place;
+use tally::Tally;
+
+/// Fewest rows of which all positions are whole numbers.
+const WHOLE_MIN: u64 = 100;
+/// Fewest detections at a placeholder's position without identities.
+const PLACEHOLDERS_MIN: u64 = 3;
+/// Fewest vehicles with a length.
+const SIZED_MIN: u64 = 20;
+/// Median lengths of vehicles in feet.
+const LENGTHS_FT: std::ops::RangeInclusive<f64> = 12.0..=20.0;
+/// All types.
+const TYPES: [AgentType; 3] = [AgentType::Vehicle, AgentType::Cyclist, AgentType::Pedestrian];
+
+/// What was seen of a type.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct TypeFigures {
+    /// The type.
+    pub agent_type: AgentType,
+    /// Detections.
+    pub rows: u64,
+    /// Agents: identities, or ways without identity.
+    pub agents: u64,
+    /// Median and 95th percentile of the speeds of moving agents, over a second or more.
+    pub moving_mps: Option<[f64; 2]>,
+    /// Median ratio of that speed to the reported one.
+    pub reported_ratio: Option<f64>,
+    /// Median length.
+    pub length_m: Option<f64>,
+}
+
+/// Examines detections; see the [crate].
+#[derive(Clone, Debug)]
+pub struct Audit {
+    agents: Agents,
+    /// At which the frames are numbered, if the stamps come from numbers.
+    frame_rate: Option<f64>,
+    frames: u64,
+    rows: u64,
+    by_type: [(u64, u64); TYPES.len()],
+    speeds: [Speeds; TYPES.len()],
+    headings: Headings,
+    stamps: Stamps,
+    whole: Tally,
+    backwards: Tally,
+    repeated: Tally,
+    outliers: Tally,
+    placeholders: Tally,
+    loose_placeholders: Tally,
+    jumps: Tally,
+}
+
+impl Audit {
+    /// An audit that follows so many identities at a time. `frame_rate` is that of recordings that number their
+    /// frames.
+    #[must_use]
+    pub fn new(identities: usize, frame_rate: Option<f64>) -> Self {
+        Self {
+            agents: Agents::with_capacity(identities),
+            frame_rate,
+            frames: 0,
+            rows: 0,
+            by_type: Default::default(),
+            speeds: std::array::from_fn(|_| Speeds::new()),
+            headings: Headings::default(),
+            stamps: Stamps::default(),
+            whole: Tally::default(),
+            backwards: Tally::default(),
+            repeated: Tally::default(),
+            outliers: Tally::default(),
+            placeholders: Tally::default(),
+            loose_placeholders: Tally::default(),
+            jumps: Tally::default(),
+        }
+    }
+
+    /// Forgets what was found, and goes on with the same agents.
+    pub fn restart(&mut self) {
+        self.speeds.iter_mut().for_each(Speeds::clear);
+        (self.frames, self.rows) = (0, 0);
+        self.by_type = Default::default();
+        (self.headings, self.stamps) = (Headings::default(), Stamps::default());
+        (self.whole, self.backwards, self.repeated) = Default::default();
+        (self.outliers, self.placeholders, self.jumps) = Default::default();
+        self.loose_placeholders = Tally::default();
+    }
+
+    /// Begins a frame: the detections that follow were made at about the same time.
+    pub const fn frame(&mut self) {
+        self.frames += 1;
+    }
+
+    /// Rows that go back in time, in the order in which they were written.
+    pub fn went_back(&mut self, rows: u64, place: Place) {
+        self.backwards.add(rows, place);
+    }
+
+    /// Takes a detection that was made at this time. The heading is as it was written, not wrapped.
+    pub fn detection(&mut self, stamp_ns: i64, detection: &Detection, place: Place) {
+        let Ok(agent_type) = detection.agent_type() else { return };
+        let of_type = agent_type as usize;
+        self.rows += 1;
+        self.by_type[of_type].0 += 1;
+        let spot = Spot::new(stamp_ns, detection, place);
+        self.stamps.row(stamp_ns);
+        if let Some(heading) = spot.heading {
+            self.headings.row(heading, place);
+        }
+        if detection.x_m.fract() == 0.0 && detection.y_m.fract() == 0.0 {
+            self.whole.add(1, place);
+        }
+        if agent_type == AgentType::Vehicle && detection.has(detection_flags::HAS_SIZE) {
+            self.speeds[of_type].length(f64::from(detection.length_m), place);
+        }
+        let step = if detection.has(detection_flags::HAS_ID) {
+            self.agents.identified(detection.id, agent_type, spot)
+        } else {
+            if spot.is_placeholder() {
+                self.loose_placeholders.add(1, place);
+            }
+            self.speeds[of_type].is_loose();
+            self.agents.loose(self.frames, agent_type, spot)
+        };
+        match step {
+            Some(step) => self.step(of_type, &step, place),
+            None => self.by_type[of_type].1 += 1,
+        }
+    }
+
+    fn step(&mut self, of_type: usize, step: &Step, place: Place) {
+        if let Some(interval_ns) = step.interval_ns {
+            self.stamps.interval(interval_ns, place);
+        }
+        if let Some((first, rows)) = step.repeated {
+            self.repeated.add(rows, first);
+        }
+        let events = [
+            (step.outlier, &mut self.outliers),
+            (step.placeholder, &mut self.placeholders),
+            (step.jump, &mut self.jumps),
+        ];
+        for (place, tally) in events {
+            place.into_iter().for_each(|place| tally.add(1, place));
+        }
+        if let Some(chord) = step.chord {
+            self.speeds[of_type].chord(TYPES[of_type], chord);
+        }
+        if let Some(directed) = &step.directed {
+            self.headings.chord(directed);
+        }
+    }
+
+    /// Detections so far.
+    #[must_use]
+    pub const fn rows(&self) -> u64 {
+        self.rows
+    }
+
+    /// Share of the headings that agree with the motion; `None` without headings of moving agents.
+    #[must_use]
+    pub fn agreeing_headings(&self) -> Option<f64> {
+        self.headings.agreeing()
+    }
+
+    /// What was seen of each type that there is.
+    pub fn types(&self) -> impl Iterator<Item = TypeFigures> {
+        TYPES
+            .into_iter()
+            .map(|agent_type| {
+                let speeds = &self.speeds[agent_type as usize];
+                let (rows, agents) = self.by_type[agent_type as usize];
+                TypeFigures {
+                    agent_type,
+                    rows,
+                    agents,
+                    moving_mps: speeds.moving_mps(),
+                    reported_ratio: speeds.ratio(),
+                    length_m: speeds.length_m(),
+                }
+            })
+            .filter(|figures| figures.rows > 0)
+    }
+
+    /// All findings so far, doubts or not, in the order of their kinds.
+    #[must_use]
+    pub fn findings(&self) -> Vec<Finding> {
+        let mut findings = Vec::new();
+        self.visit(|finding| findings.push(finding));
+        findings.sort_by_key(|finding: &Finding| finding.doubt);
+        findings
+    }
+
+    /// Bits of the kinds that are doubts.
+    #[must_use]
+    pub fn doubts(&self) -> u32 {
+        let mut bits = 0;
+        self.visit(|finding| bits |= if finding.is_doubt() { finding.doubt.bit() } else { 0 });
+        bits
+    }
+
+    /// Gives every finding to `take`; allocates nothing.
+    fn visit(&self, mut take: impl FnMut(Finding)) {
+        if let Some((reading, tally, of)) = self.headings.doubt() {
+            let doubt = match reading {
+                None => Doubt::HeadingsUnrelated,
+                Some(reading) if reading.degrees => Doubt::HeadingsInDegrees,
+                Some(reading) => match reading.convention {
+                    Convention::FromNorth => Doubt::HeadingsFromNorth,
+                    Convention::Mirrored => Doubt::HeadingsMirrored,
+                    _ => Doubt::HeadingsTurned,
+                },
+            };
+            take(Finding::new(doubt, tally, of, Detail::Heading(reading)));
+        }
+        for agent_type in TYPES {
+            self.visit_speeds(agent_type, &mut take);
+        }
+        self.visit_positions(&mut take);
+        let knows_speeds = self.speeds.iter().any(|speeds| speeds.agree() == Some(true));
+        let walking = &self.speeds[AgentType::Pedestrian as usize];
+        let walks = walking.moving_mps().is_some() && walking.unusual(AgentType::Pedestrian).is_none();
+        self.stamps.visit(knows_speeds || walks, self.rows, &mut take);
+        for (doubt, tally) in [
+            (Doubt::StampsGoBack, self.backwards),
+            (Doubt::Repeated, self.repeated),
+            (Doubt::Outliers, self.outliers),
+            (Doubt::IdentitiesJump, self.jumps),
+        ] {
+            if tally.rows > 0 {
+                take(Finding::new(doubt, tally, self.rows, Detail::None));
+            }
+        }
+    }
+
+    fn visit_speeds(&self, agent_type: AgentType, take: &mut impl FnMut(Finding)) {
+        let speeds = &self.speeds[agent_type as usize];
+        let frame_rate = self.frame_rate;
+        if let Some((speeds_mps, tally)) = speeds.unusual(agent_type) {
+            let detail = Detail::Speeds { agent_type, speeds_mps, frame_rate };
+            take(Finding::new(Doubt::SpeedsUnusual, tally, self.rows, detail));
+        }
+        if let Some(found) = speeds.reported() {
+            let doubt = match found.unit {
+                Some(Unit::Kmh) => Doubt::SpeedsInKmh,
+                Some(Unit::Mph) => Doubt::SpeedsInMph,
+                Some(Unit::InFeet) => Doubt::Feet,
+                Some(Unit::FeetPerSecond) | None => Doubt::SpeedsDiffer,
+            };
+            let detail = Detail::Reported { agent_type, ratio: found.ratio, unit: found.unit, frame_rate };
+            take(Finding::new(doubt, found.tally, found.of, detail));
+        }
+    }
+
+    fn visit_positions(&self, take: &mut impl FnMut(Finding)) {
+        let vehicles = &self.speeds[AgentType::Vehicle as usize];
+        if let Some(length_m) = vehicles.length_m().filter(|length_m| LENGTHS_FT.contains(length_m))
+            && vehicles.sized().rows >= SIZED_MIN
+        {
+            let detail = Detail::Length { length_m };
+            take(Finding::new(Doubt::Feet, vehicles.sized(), self.rows, detail));
+        }
+        let moves = self.speeds.iter().any(|speeds| speeds.moving_mps().is_some());
+        if moves && self.whole.rows >= WHOLE_MIN && self.whole.rows == self.rows {
+            take(Finding::new(Doubt::Pixels, self.whole, self.rows, Detail::None));
+        }
+        let mut placeholders = self.placeholders;
+        if let Some(first) = self.loose_placeholders.first
+            && self.loose_placeholders.rows >= PLACEHOLDERS_MIN
+        {
+            placeholders.add(self.loose_placeholders.rows, first);
+        }
+        if placeholders.rows > 0 {
+            take(Finding::new(Doubt::Placeholders, placeholders, self.rows, Detail::None));
+        }
+    }
+}

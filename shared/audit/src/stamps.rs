@@ -1,0 +1,71 @@
+use crate::doubt::Doubt;
+use crate::finding::{Detail, Finding, INTERVAL_MAX_S};
+use crate::tally::{Place, Tally};
+
+const SECOND_NS: i64 = 1_000_000_000;
+/// Fewest intervals.
+const INTERVALS_MIN: u64 = 20;
+/// Intervals of a faster sensor do not exist.
+const INTERVAL_MIN_S: f64 = 0.001;
+/// Longest interval of frame numbers, in frames.
+const FRAMES_MAX: f64 = 20.0;
+
+/// Intervals between the detections of an agent.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Stamps {
+    /// By the position of the highest bit.
+    counts: Octaves,
+    rows: u64,
+    /// Rows whose stamp is a whole second.
+    whole: u64,
+    intervals: Tally,
+}
+
+/// Number and sum of intervals by octave.
+#[derive(Clone, Debug)]
+struct Octaves([(u64, f64); 64]);
+
+impl Default for Octaves {
+    fn default() -> Self {
+        Self([(0, 0.0); 64])
+    }
+}
+
+impl Stamps {
+    pub fn row(&mut self, stamp_ns: i64) {
+        self.rows += 1;
+        self.whole += u64::from(stamp_ns % SECOND_NS == 0);
+    }
+
+    /// Takes the time between two detections of an agent.
+    pub fn interval(&mut self, interval_ns: i64, place: Place) {
+        self.intervals.add(1, place);
+        let octave = &mut self.counts.0[interval_ns.max(1).ilog2() as usize];
+        *octave = (octave.0 + 1, octave.1 + interval_ns as f64);
+    }
+
+    /// The median, as the mean of its octave.
+    fn interval_s(&self) -> Option<f64> {
+        let mut before = 0;
+        let median = self.counts.0.iter().find(|(count, _)| {
+            before += count;
+            2 * before > self.intervals.rows
+        });
+        median.map(|(count, sum_ns)| sum_ns / *count as f64 * 1e-9)
+    }
+
+    /// Gives what is wrong with the stamps to `take`. `is_known` if speeds confirm that they are seconds.
+    pub fn visit(&self, is_known: bool, rows: u64, take: &mut impl FnMut(Finding)) {
+        let Some(interval_s) = self.interval_s().filter(|_| self.intervals.rows >= INTERVALS_MIN) else {
+            return;
+        };
+        let detail = Detail::Interval { interval_s };
+        let all = Tally { rows, first: self.intervals.first };
+        let is_whole = self.whole == self.rows;
+        if is_whole && (0.5..=FRAMES_MAX - 1e-9).contains(&interval_s) && !is_known {
+            take(Finding::new(Doubt::StampsAreFrames, all, rows, detail));
+        } else if !(INTERVAL_MIN_S..=INTERVAL_MAX_S).contains(&interval_s) {
+            take(Finding::new(Doubt::StampsInOtherUnit, all, rows, detail));
+        }
+    }
+}

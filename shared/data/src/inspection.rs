@@ -1,0 +1,177 @@
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+use audit::{Audit, Found, Place, TypeFigures};
+use serde::Serialize;
+use wire::Detection;
+
+use crate::{LeftOut, Recording};
+
+/// Identities that the audit of a recording follows at a time.
+const IDENTITIES: usize = 4_096;
+/// A longer interval between frames, in usual intervals, is a gap.
+const GAP: u64 = 5;
+
+/// What a recording contains, and what is probably wrong with it.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub struct Inspection {
+    /// Name of the recording.
+    pub recording: String,
+    /// SHA-256 of its files.
+    pub sha256: String,
+    /// Frames.
+    pub frames: usize,
+    /// Detections.
+    pub rows: u64,
+    /// Time between the first and the last frame.
+    pub span_s: f64,
+    /// Usual interval between frames.
+    pub interval_ms: f64,
+    /// 5th and 95th percentile of the intervals; `None` with fewer than two frames.
+    pub intervals_ms: Option<[f64; 2]>,
+    /// Intervals of more than two and a half usual ones.
+    pub gaps: usize,
+    /// The longest of them.
+    pub longest_gap: Option<Gap>,
+    /// Whether all detections have identities.
+    pub identities: bool,
+    /// Frames with the pose of a sensor that agents can occlude.
+    pub frames_with_ego: usize,
+    /// What was seen of each type.
+    pub types: Vec<TypeInspection>,
+    /// Share of the headings that agree with the motion; `None` without headings of moving agents.
+    pub agreeing_headings: Option<f64>,
+    /// Rows that the format leaves out, by reason.
+    pub left_out: BTreeMap<String, usize>,
+    /// What is wrong, doubts or not.
+    pub findings: Vec<Found>,
+}
+
+/// A pause between frames.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+pub struct Gap {
+    /// Its start, from the first frame.
+    pub at_s: f64,
+    /// Its length.
+    pub length_s: f64,
+}
+
+/// What was seen of a type.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub struct TypeInspection {
+    /// The type.
+    #[serde(rename = "type")]
+    pub agent_type: String,
+    /// Detections.
+    pub rows: u64,
+    /// Agents: identities, or ways without identity.
+    pub agents: u64,
+    /// Median and 95th percentile of the speeds of moving agents, over a second or more.
+    pub moving_mps: Option<[f64; 2]>,
+    /// Median ratio of that speed to the reported one.
+    pub reported_ratio: Option<f64>,
+    /// Median length.
+    pub length_m: Option<f64>,
+}
+
+/// Examines a recording.
+#[must_use]
+pub fn inspect(recording: &Recording) -> Inspection {
+    let (audit, findings) = examine(recording);
+    let stamps_ns = || recording.frames.iter().map(|frame| frame.stamp_ns);
+    let mut intervals_ns: Vec<u64> =
+        stamps_ns().zip(stamps_ns().skip(1)).map(|(from, to)| to.abs_diff(from)).collect();
+    let first_ns = stamps_ns().next().unwrap_or(0);
+    let gap_ns = recording.interval_ns * GAP / 2;
+    let longest = intervals_ns.iter().copied().enumerate().max_by_key(|(_, ns)| *ns);
+    let longest_gap = longest.filter(|(_, ns)| *ns > gap_ns).map(|(place, ns)| Gap {
+        at_s: seconds(recording.frames[place].stamp_ns.abs_diff(first_ns)),
+        length_s: seconds(ns),
+    });
+    let gaps = intervals_ns.iter().filter(|ns| **ns > gap_ns).count();
+    intervals_ns.sort_unstable();
+    let percentile = |percent: usize| {
+        let last = intervals_ns.len().checked_sub(1)?;
+        Some(milliseconds(intervals_ns[last * percent / 100]))
+    };
+    Inspection {
+        recording: recording.name.clone(),
+        sha256: recording.sha256.clone(),
+        frames: recording.frames.len(),
+        rows: audit.rows(),
+        span_s: seconds(stamps_ns().next_back().unwrap_or(first_ns).abs_diff(first_ns)),
+        interval_ms: milliseconds(recording.interval_ns),
+        intervals_ms: percentile(5).zip(percentile(95)).map(|(low, high)| [low, high]),
+        gaps,
+        longest_gap,
+        identities: recording.has_identities,
+        frames_with_ego: recording.frames.iter().filter(|frame| frame.ego.is_sensor).count(),
+        types: audit.types().map(TypeInspection::from).collect(),
+        agreeing_headings: audit.agreeing_headings().map(rounded),
+        left_out: recording
+            .left_out
+            .iter()
+            .map(|LeftOut { reason, rows_len }| (reason.clone(), *rows_len))
+            .collect(),
+        findings,
+    }
+}
+
+/// What is wrong with a recording, doubts or not; nothing for a generated scene.
+#[must_use]
+pub fn findings(recording: &Recording) -> Vec<Found> {
+    if recording.sha256.is_empty() { Vec::new() } else { examine(recording).1 }
+}
+
+fn examine(recording: &Recording) -> (Audit, Vec<Found>) {
+    let mut audit = Audit::new(IDENTITIES, recording.frame_rate.map(|rate| rate.hertz()));
+    let mut paths: Vec<&Arc<str>> = Vec::new();
+    for frame in &recording.frames {
+        audit.frame();
+        for (place, detection) in frame.detections.iter().enumerate() {
+            let stamp_ns = frame.stamp_ns + detection.offset_ns;
+            let Some(line) = frame.lines.get(place) else {
+                audit.detection(stamp_ns, detection, Place::default());
+                continue;
+            };
+            let file = paths.iter().position(|path| Arc::ptr_eq(path, &line.path)).unwrap_or_else(|| {
+                paths.push(&line.path);
+                paths.len() - 1
+            });
+            let written = Detection { heading_rad: line.heading_written, ..*detection };
+            audit.detection(stamp_ns, &written, Place { file: file as u32, line: line.line as u64 });
+        }
+    }
+    let place = |Place { file, line }: Place| match paths.get(file as usize) {
+        Some(path) => format!("{path}:{line}"),
+        None => format!("line {line}"),
+    };
+    let findings = audit.findings().iter().map(|finding| finding.found(place)).collect();
+    (audit, findings)
+}
+
+impl From<TypeFigures> for TypeInspection {
+    fn from(figures: TypeFigures) -> Self {
+        Self {
+            agent_type: figures.agent_type.name().to_owned(),
+            rows: figures.rows,
+            agents: figures.agents,
+            moving_mps: figures.moving_mps.map(|speeds_mps| speeds_mps.map(rounded)),
+            reported_ratio: figures.reported_ratio.map(rounded),
+            length_m: figures.length_m.map(rounded),
+        }
+    }
+}
+
+/// Rounded to the thousandth.
+fn rounded(value: f64) -> f64 {
+    (value * 1e3).round() / 1e3
+}
+
+fn seconds(ns: u64) -> f64 {
+    rounded(ns as f64 * 1e-9)
+}
+
+fn milliseconds(ns: u64) -> f64 {
+    rounded(ns as f64 * 1e-6)
+}

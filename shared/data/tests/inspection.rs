@@ -1,0 +1,212 @@
+//! What an inspection finds in recordings as people have them, with rows, share and line; and nothing in clean
+//! ones.
+
+#![expect(clippy::unwrap_used, reason = "a test that cannot go on should panic")]
+
+use std::f64::consts::{PI, TAU};
+use std::fmt::Write as _;
+
+use audit::Found;
+use data::{Format, Input, Role, inspect, parse};
+
+/// An agent at one time, before it is written in whatever unit.
+#[derive(Clone, Copy)]
+struct Row {
+    stamp_s: f64,
+    id: usize,
+    x_m: f64,
+    y_m: f64,
+    heading_rad: f64,
+    speed_mps: f64,
+    length_m: f64,
+}
+
+/// Six cars that drive in all directions on circles of 60 m, at 6 to 11 m/s, for 20 s.
+fn drive(rate_hz: f64) -> Vec<Row> {
+    let steps = (20.0 * rate_hz) as usize;
+    let row = |step: usize, id: usize| {
+        let (stamp_s, speed_mps) = (step as f64 / rate_hz, 6.0 + id as f64);
+        let angle = id as f64 * TAU / 6.0 + speed_mps / 60.0 * stamp_s;
+        let (sin, cos) = angle.sin_cos();
+        let heading_rad = (angle + PI / 2.0 + PI).rem_euclid(TAU) - PI;
+        Row {
+            stamp_s,
+            id,
+            x_m: 150.0 + 60.0 * cos,
+            y_m: 90.0 + 60.0 * sin,
+            heading_rad,
+            speed_mps,
+            length_m: 4.5,
+        }
+    };
+    (0..steps).flat_map(|step| (0..6).map(move |id| row(step, id))).collect()
+}
+
+/// What is found in these rows, written as a CSV.
+fn found(rows: impl IntoIterator<Item = Row>) -> Vec<Found> {
+    let mut text = "stamp_s,id,type,x_m,y_m,heading_rad,speed_mps,length_m,width_m\n".to_owned();
+    for Row { stamp_s, id, x_m, y_m, heading_rad, speed_mps, length_m } in rows {
+        writeln!(
+            text,
+            "{stamp_s:.6},{id},vehicle,{x_m:.3},{y_m:.3},{heading_rad:.4},{speed_mps:.3},{length_m:.2},1.8"
+        )
+        .unwrap();
+    }
+    let input = Input { role: Role::Rows, path: "mine.csv".to_owned(), bytes: text.into() };
+    inspect(&parse(Format::Csv, &[input]).unwrap()).findings
+}
+
+/// The only finding, which is a doubt of that kind.
+fn only(kind: &str, rows: impl IntoIterator<Item = Row>) -> Found {
+    let found = found(rows);
+    let [doubt] = &found[..] else { panic!("{kind}: {found:#?}") };
+    assert_eq!((doubt.kind.as_str(), doubt.doubtful), (kind, true), "{doubt}");
+    doubt.clone()
+}
+
+fn degrees(row: Row) -> Row {
+    Row { heading_rad: row.heading_rad.to_degrees(), ..row }
+}
+
+#[test]
+fn clean_recordings_of_any_rate_are_not_doubted() {
+    for rate_hz in [2.0, 5.0, 10.0, 12.5, 25.0, 30.0] {
+        assert_eq!(found(drive(rate_hz)), [], "{rate_hz} Hz");
+    }
+    // Turns are counted, which is unusual and right.
+    let counted = drive(10.0).into_iter().map(|row| Row { heading_rad: row.heading_rad + TAU, ..row });
+    assert_eq!(found(counted), []);
+}
+
+#[test]
+fn headings_in_degrees_are_named_with_the_first_line() {
+    for rate_hz in [2.0, 10.0, 30.0] {
+        let doubt = only("headings_in_degrees", drive(rate_hz).into_iter().map(degrees));
+        assert_eq!(doubt.sentence, "headings look like degrees: divide them by 57.29578");
+        assert_eq!(doubt.first.as_deref(), Some("mine.csv:2"), "{rate_hz} Hz");
+        assert!(doubt.share > Some(0.95), "{doubt}");
+    }
+    let turn = |row: Row| Row { heading_rad: row.heading_rad.to_degrees().rem_euclid(360.0), ..row };
+    only("headings_in_degrees", drive(10.0).into_iter().map(turn));
+    let compass =
+        |row: Row| Row { heading_rad: (90.0 - row.heading_rad.to_degrees()).rem_euclid(360.0), ..row };
+    let doubt = only("headings_in_degrees", drive(10.0).into_iter().map(compass));
+    assert_eq!(
+        doubt.sentence,
+        "headings look like degrees clockwise from north (+y): divide them by 57.29578, then write π/2 − heading"
+    );
+    let some = |row: Row| if row.id == 4 { degrees(row) } else { row };
+    let doubt = only("headings_in_degrees", drive(10.0).into_iter().map(some));
+    assert_eq!(doubt.first.as_deref(), Some("mine.csv:6"));
+    assert!((0.15..0.17).contains(&doubt.share.unwrap()), "{doubt}");
+}
+
+#[test]
+fn headings_of_other_conventions_are_named() {
+    let cases: [(&str, fn(f64) -> f64); 5] = [
+        ("headings_from_north", |heading| PI / 2.0 - heading),
+        ("headings_mirrored", |heading| -heading),
+        ("headings_turned", |heading| heading + PI),
+        ("headings_turned", |heading| heading - PI / 2.0),
+        ("headings_unrelated", |heading| 40.0 * heading),
+    ];
+    for (kind, written) in cases {
+        let rows =
+            drive(10.0).into_iter().map(|row| Row { heading_rad: written(row.heading_rad) % TAU, ..row });
+        only(kind, rows);
+    }
+    let swapped = drive(10.0).into_iter().map(|row| Row { x_m: row.y_m, y_m: row.x_m, ..row });
+    only("headings_from_north", swapped);
+    let flipped = drive(10.0).into_iter().map(|row| Row { y_m: -row.y_m, ..row });
+    only("headings_mirrored", flipped);
+}
+
+#[test]
+fn speeds_in_other_units_are_named() {
+    for (kind, factor) in [("speeds_in_kmh", 3.6), ("speeds_in_mph", 2.236_94), ("speeds_differ", 1.6)] {
+        let faster = |row: Row| Row { speed_mps: row.speed_mps * factor, ..row };
+        let doubt = only(kind, drive(10.0).into_iter().map(faster));
+        assert_eq!((doubt.share, doubt.first.as_deref()), (Some(1.0), Some("mine.csv:2")), "{doubt}");
+        let some = |row: Row| if row.id == 3 { faster(row) } else { row };
+        if factor > 2.0 {
+            assert!((0.1..0.2).contains(&only(kind, drive(10.0).into_iter().map(some)).share.unwrap()));
+        }
+    }
+}
+
+#[test]
+fn feet_and_pixels_are_named() {
+    let feet = |row: Row| Row { x_m: row.x_m * 3.280_84, y_m: row.y_m * 3.280_84, ..row };
+    let doubt = only("feet", drive(10.0).into_iter().map(feet));
+    assert_eq!(doubt.sentence, "positions of vehicles look like feet: multiply them by 0.3048");
+    let sized = |row: Row| Row { length_m: row.length_m * 3.280_84, ..row };
+    let doubt = only("feet", drive(10.0).into_iter().map(sized));
+    assert_eq!(doubt.sentence, "vehicles are 14.8 long at the median, as in feet: multiply them by 0.3048");
+    let pixels = |row: Row| Row { x_m: row.x_m.round(), y_m: row.y_m.round(), ..row };
+    let found = found(drive(10.0).into_iter().map(pixels));
+    assert!(found.iter().any(|found| found.kind == "pixels" && found.share == Some(1.0)), "{found:#?}");
+}
+
+#[test]
+fn stamps_in_other_units_are_named() {
+    for (words, per_s) in [("milliseconds", 1e3), ("microseconds", 1e6), ("nanoseconds", 1e9)] {
+        for rate_hz in [2.0, 10.0, 25.0] {
+            // Stamps end at four billion.
+            let rows = drive(rate_hz).into_iter().filter(|row| row.stamp_s * per_s < 3.9e9);
+            let rows = rows.map(|row| Row { stamp_s: (row.stamp_s * per_s).round(), ..row });
+            let doubt = only("stamps_in_other_unit", rows);
+            assert!(doubt.sentence.contains(&format!("look like {words}")), "{rate_hz} Hz: {doubt}");
+            assert_eq!(doubt.share, Some(1.0));
+        }
+    }
+    let numbered = drive(10.0).into_iter().map(|row| Row { stamp_s: (row.stamp_s * 10.0).round(), ..row });
+    let found = found(numbered);
+    assert!(found.iter().any(|found| found.kind == "stamps_are_frames" && found.doubtful), "{found:#?}");
+}
+
+#[test]
+fn repeated_rows_count_as_repeated_while_the_agent_moves() {
+    // A detector of 5 Hz, sent at 10 Hz; the first repeated row shows no motion before it.
+    let clean = drive(10.0);
+    let held = |row: &Row| {
+        let index = (row.stamp_s * 10.0).round() as usize / 2 * 2 * 6 + row.id;
+        Row { stamp_s: row.stamp_s, ..clean[index] }
+    };
+    let doubt = only("repeated", clean.iter().map(held));
+    assert!(doubt.share > Some(0.48), "{doubt}");
+    let some = clean.iter().map(|row| if row.id == 2 { held(row) } else { *row });
+    let doubt = only("repeated", some);
+    assert_eq!((doubt.rows, doubt.first.as_deref()), (Some(98), Some("mine.csv:22")));
+    // Parked.
+    let parked = clean.iter().map(|row| Row { stamp_s: row.stamp_s, ..clean[row.id] });
+    assert_eq!(found(parked), []);
+}
+
+#[test]
+fn outliers_placeholders_and_jumps_are_told_apart() {
+    let clean = drive(10.0);
+    let with = |id: usize, every: usize, position_m: fn(&Row) -> [f64; 2]| {
+        clean.iter().map(move |row| {
+            let step = (row.stamp_s * 10.0).round() as usize;
+            match row.id == id && step > 0 && step.is_multiple_of(every) {
+                true => {
+                    let [x_m, y_m] = position_m(row);
+                    Row { x_m, y_m, ..*row }
+                }
+                false => *row,
+            }
+        })
+    };
+    let doubt = only("outliers", with(3, 10, |row| [row.x_m + 40.0, row.y_m]));
+    assert_eq!((doubt.rows, doubt.first.as_deref()), (Some(19), Some("mine.csv:65")));
+    let doubt = only("placeholders", with(3, 10, |_| [0.0, 0.0]));
+    assert_eq!((doubt.rows, doubt.first.as_deref()), (Some(19), Some("mine.csv:65")));
+    only("placeholders", with(3, 10, |_| [-1.0, -1.0]));
+    let swapped = clean.iter().map(|row| match row.id {
+        id @ 0..2 if row.stamp_s > 9.95 => Row { id: 1 - id, ..*row },
+        _ => *row,
+    });
+    let found = found(swapped);
+    let [note] = &found[..] else { panic!("{found:#?}") };
+    assert_eq!((note.kind.as_str(), note.rows, note.doubtful), ("identities_jump", Some(2), false));
+}
