@@ -72,6 +72,11 @@ impl Cleaner {
         self.done >= ticket
     }
 
+    /// The helper's process number, while one runs.
+    pub fn pid(&self) -> Option<u32> {
+        self.work.as_ref().map(|work| work.process.id())
+    }
+
     /// Readable once the helper has ended; none where none runs.
     pub fn descriptor(&self) -> Option<BorrowedFd<'_>> {
         Some(self.work.as_ref()?.descriptor.as_ref()?.as_fd())

@@ -18,6 +18,7 @@ use crate::cleaner::{Cleaner, Hung};
 use crate::failure::{Failure, StageDeath};
 use crate::health::{Finding, Health, look};
 use crate::policy::{End, State, Supervision};
+use crate::readers::{DeadReader, Readers};
 use crate::scheduling;
 pub use replace::Replaced;
 use replace::Trial;
@@ -51,6 +52,7 @@ pub struct Fleet {
     trial: Option<Trial>,
     /// Number of the clean-up after a new process that was not used.
     swept: u64,
+    readers: Readers,
 }
 
 /// A stage with its process.
@@ -119,6 +121,8 @@ pub enum Event {
     },
     /// A clean-up after dead processes took too long, and is tried again.
     CleanUpHung(Hung),
+    /// A process that read topics and was no stage has died.
+    ReaderDied(DeadReader),
     /// Its spare has died too often, and is not started again.
     SpareGivenUp {
         /// Which.
@@ -143,6 +147,7 @@ impl Event {
             Self::HandedOver(_)
             | Self::Promoted { .. }
             | Self::CleanUpHung(_)
+            | Self::ReaderDied(_)
             | Self::SpareGivenUp { .. } => return None,
             Self::Tried(Replaced { stage, command, outcome, cause, .. }) => Happened::Replaced {
                 stage: name(stage),
@@ -172,6 +177,7 @@ impl Fleet {
             other_ticket: 0,
             trial: None,
             swept: 0,
+            readers: Readers::new(run)?,
         };
         for stage in &pipeline.stages {
             let program = Program::of(stage);
@@ -246,7 +252,9 @@ impl Fleet {
         let now = self.begun.elapsed();
         let stopped = now.saturating_sub(self.tended);
         self.tended = now;
-        let mut events = Vec::new();
+        self.note_own();
+        let mut events: Vec<Event> =
+            self.readers.look(&self.cleaner, now).into_iter().map(Event::ReaderDied).collect();
         let is_again = |m: &Member| {
             m.supervision.incarnation() > 0 || matches!(m.supervision.state(), State::Waiting { .. })
         };
@@ -296,7 +304,27 @@ impl Fleet {
         events.extend(self.tend_trial(stopped, now));
         events.extend(self.tend_spares(is_linked, stopped, now)?);
         events.extend(self.restart(now)?);
+        self.note_own();
         Ok(events)
+    }
+
+    /// Takes note of its processes: their deaths are no readers'.
+    fn note_own(&mut self) {
+        let members = self.members.iter().map(|member| &member.child);
+        let spares = self.members.iter().filter_map(|member| member.spare.as_ref()?.child());
+        let trial = self.trial.iter().filter_map(Trial::child);
+        let children = members.chain(spares).chain(trial).map(|child| child.pid().as_raw_nonzero().get());
+        self.readers.own(children.map(i32::unsigned_abs).chain(self.cleaner.pid()));
+    }
+
+    /// Takes note of another process that the launcher has started.
+    pub fn note_process(&mut self, pid: Option<u32>) {
+        self.readers.own(pid);
+    }
+
+    /// How many processes that read topics and were no stages have died.
+    pub const fn dead_readers(&self) -> u64 {
+        self.readers.deaths()
     }
 
     /// Starts again the stages whose pause is over and whose dead predecessor is cleaned up.
@@ -307,7 +335,8 @@ impl Fleet {
         let wanted = self.members.iter().filter(waiting).map(|m| m.ticket).max().unwrap_or(0);
         let spares = self.members.iter().filter_map(|m| Some(m.spare.as_ref()?.ticket()));
         let wanted = wanted.max(spares.max().unwrap_or(0));
-        self.cleaner.tend(wanted.max(self.other_ticket).max(self.swept), now)?;
+        let others = self.other_ticket.max(self.swept).max(self.readers.wanted());
+        self.cleaner.tend(wanted.max(others), now)?;
         events.extend(self.cleaner.hung().map(Event::CleanUpHung));
         for member in &mut self.members {
             if member.supervision.is_due(now) && self.cleaner.is_done(member.ticket) {

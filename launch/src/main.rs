@@ -25,6 +25,7 @@ mod outages;
 mod pipeline_file;
 mod policy;
 mod prediction;
+mod readers;
 mod recorded;
 mod report_differences;
 mod runs;

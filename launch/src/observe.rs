@@ -21,13 +21,14 @@ use recorder::exposition::metrics;
 use recorder::live::LiveView;
 use recorder::status::{Facts, ProcessStatus, RunStatus, StatusEvent};
 use recorder::trace::Tracer;
-use recorder::{Errors, Recorder, RecorderOptions};
+use recorder::{Errors, Recorder, RecorderOptions, Supervision};
 use run::Run;
 use rustix::time::{ClockId, clock_gettime};
 use wire::{Forecast, Header, Heartbeat, StageId};
 
 use crate::failure::Failure;
 use crate::fleet::{Event, Fleet};
+use crate::outages::Outages;
 use files::{MetricsFile, TraceFile};
 use processes::Usage;
 pub use processes::memory as memory_of;
@@ -160,6 +161,8 @@ impl Observer {
             Event::Starved { stage } => (*stage, "starved", "got no CPU".to_owned()),
             Event::HandedOver(_) => return,
             Event::CleanUpHung(hung) => return self.list(hung.to_string()),
+            Event::ReaderDied(reader) if reader.is_logged() => return self.list(reader.to_string()),
+            Event::ReaderDied(_) => return,
             Event::Promoted { stage } => (*stage, "promoted", "spare has taken its place".to_owned()),
             Event::SpareGivenUp { stage, how } => (*stage, "given up", how.clone()),
             Event::Tried(replaced) => {
@@ -175,6 +178,7 @@ impl Observer {
             Event::Promoted { .. } => format!("the {}'s {why}", stage.name()),
             Event::HandedOver(_)
             | Event::CleanUpHung(_)
+            | Event::ReaderDied(_)
             | Event::Starved { .. }
             | Event::SpareGivenUp { .. } => format!("the {} {why}", stage.name()),
             Event::Tried(_) => format!("the {} by {why}: {name}", stage.name()),
@@ -192,17 +196,17 @@ impl Observer {
     }
 
     /// Answers the questions that have come.
-    pub fn answer(&mut self, view: &LiveView, fleet: &Fleet, is_linked: bool) {
+    pub fn answer(&mut self, view: &LiveView, fleet: &Fleet, outages: &Outages, is_linked: bool) {
         for _ in 0..ANSWERS_MAX {
             let Ok((question, reply)) = self.questions.try_recv() else { return };
-            let answer = self.answer_to(question, view, fleet, is_linked);
+            let facts = self.facts(fleet, outages, is_linked);
+            let answer = self.answer_to(question, view, facts);
             // Who asked may have given up waiting.
             let _ = reply.try_send(answer);
         }
     }
 
-    fn answer_to(&mut self, question: Question, view: &LiveView, fleet: &Fleet, is_linked: bool) -> String {
-        let facts = self.facts(fleet, is_linked);
+    fn answer_to(&self, question: Question, view: &LiveView, facts: Facts) -> String {
         let status = RunStatus::new(view, &self.measured, facts);
         match question {
             Question::Metrics => metrics(&status, &self.measured),
@@ -211,7 +215,7 @@ impl Observer {
         }
     }
 
-    fn facts(&mut self, fleet: &Fleet, linked: bool) -> Facts {
+    fn facts(&mut self, fleet: &Fleet, outages: &Outages, linked: bool) -> Facts {
         let processes: BTreeMap<StageId, ProcessStatus> = fleet
             .processes()
             .map(|process| {
@@ -237,6 +241,7 @@ impl Observer {
             linked,
             processes,
             accuracy: self.accuracy(),
+            supervision: Supervision { dead_readers: fleet.dead_readers(), ..outages.record().clone() },
             events: self.events.iter().cloned().collect(),
         }
     }
@@ -247,9 +252,12 @@ impl Observer {
     }
 
     /// Writes what is left to write; returns what went wrong with the files.
-    pub fn close(mut self, view: &LiveView, fleet: &Fleet) -> Vec<Failure> {
+    pub fn close(mut self, view: &LiveView, fleet: &Fleet, outages: &Outages) -> Vec<Failure> {
         let metrics_file = self.metrics_file.take();
-        let last = metrics_file.is_some().then(|| self.answer_to(Question::Metrics, view, fleet, true));
+        let last = metrics_file.is_some().then(|| {
+            let facts = self.facts(fleet, outages, true);
+            self.answer_to(Question::Metrics, view, facts)
+        });
         let of_metrics = metrics_file.zip(last).and_then(|(file, last)| file.finish(&last).err());
         let of_trace = self.tracer.and_then(|(tracer, mut file)| {
             file.write(tracer.finish());

@@ -169,6 +169,11 @@ impl Outages {
         &self.record.given_up
     }
 
+    /// What there is so far.
+    pub const fn record(&self) -> &Supervision {
+        &self.record
+    }
+
     /// All of it, for the report.
     pub fn into_record(self, ended_by: Option<String>) -> Supervision {
         Supervision { ended_by, ..self.record }

@@ -105,7 +105,7 @@ impl Watch {
 
     /// Answers what others ask about the run.
     pub fn answer(&mut self, fleet: &Fleet, is_linked: bool) {
-        self.observer.answer(&self.view, fleet, is_linked);
+        self.observer.answer(&self.view, fleet, &self.outages, is_linked);
     }
 
     fn take_forecasts(&mut self) -> Result<(), Failure> {
@@ -166,6 +166,10 @@ impl Watch {
                 self.display.line(&format!("launcher: the spare of the {} takes its place", stage.name()));
             }
             Event::CleanUpHung(hung) => self.display.line(&format!("launcher: {hung}")),
+            Event::ReaderDied(reader) if reader.is_logged() => {
+                self.display.line(&format!("launcher: {reader}"));
+            }
+            Event::ReaderDied(_) => {}
             Event::SpareGivenUp { stage, how } => {
                 self.display.line(&format!("launcher: the {}: {how}", stage.name()));
             }
@@ -200,7 +204,7 @@ impl Watch {
     /// Shows the last lines and clears the table, with the cursor where it began; returns what outages cost, and
     /// what went wrong with files about the run.
     pub fn close(mut self, lines: impl Iterator<Item = Line>, fleet: &Fleet) -> (Outages, Vec<Failure>) {
-        let unwritten = self.observer.close(&self.view, fleet);
+        let unwritten = self.observer.close(&self.view, fleet, &self.outages);
         for (stage, line) in lines {
             self.display.line(&format!("{}: {line}", stage.name()));
         }

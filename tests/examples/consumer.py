@@ -5,13 +5,11 @@ Positions are metres in the world frame; step k of a forecast lies at `stamp_ns`
 """
 
 import iceoryx2 as iox2
-from stgdat_topics import join, topic
+from stgdat_topics import join, reader
 from stgdat_wire import AgentType, Flags, Quality
 
 node = join("consumer")
-frames, events = topic(node, "forecasts")
-subscriber = frames.subscriber_builder().buffer_size(2).create()
-listener = events.listener_builder().create()
+subscriber, listener = reader(node, "forecasts")
 
 ended = False
 while not ended:

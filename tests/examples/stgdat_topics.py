@@ -65,3 +65,22 @@ def topic(node, name, patience_s=10):
             if time.monotonic() > until:
                 raise
             time.sleep(0.05)
+
+
+def reader(node, name, depth=2, patience_s=2):
+    """The reading ends of a topic: frames and events. Waits if all places are taken: that of a reader that has died is
+    free again within a second."""
+    frames, events = topic(node, name)
+    until = time.monotonic() + patience_s
+    while True:
+        try:
+            return frames.subscriber_builder().buffer_size(depth).create(), events.listener_builder().create()
+        except (iox2.SubscriberCreateError, iox2.ListenerCreateError) as error:
+            if not str(error).startswith("ExceedsMaxSupported"):
+                raise
+            if time.monotonic() > until:
+                raise SystemExit(
+                    f'all {frames.static_config.max_subscribers} places for readers of topic "{name}" are taken: end one of '
+                    f"them, or add places with `readers = {{ {name} = 2 }}` above the first [[stage]] of pipeline.toml"
+                ) from None
+            time.sleep(0.05)

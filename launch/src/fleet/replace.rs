@@ -75,6 +75,11 @@ impl Trial {
         self.stage
     }
 
+    /// The new process, until it is the stage's.
+    pub const fn child(&self) -> Option<&Child> {
+        self.child.as_ref()
+    }
+
     /// Whether the new process has had its turn, as that stage.
     pub fn has_turn(&self, stage: StageId) -> bool {
         self.stage == stage && self.child.is_none()

@@ -81,6 +81,11 @@ impl Tap {
         self.process.as_mut().is_none_or(|process| process.try_wait().unwrap_or(None).is_some())
     }
 
+    /// Its process number, while it runs.
+    pub fn pid(&self) -> Option<u32> {
+        self.process.as_ref().map(Process::id)
+    }
+
     /// Looks after the process; true where it has just died and its places on the topics are to be cleaned up.
     pub fn tend(&mut self) -> bool {
         if let Some(died) = self.died {

@@ -140,6 +140,10 @@ fn latency(view: &View, width: usize) -> Line<'static> {
     let late = status.report.late_ticks;
     let style = if late > 0 { BOLD.fg(Color::Red) } else { DIM };
     spans.push(Span::styled(format!("   late {}", count(late)), style));
+    let dead = status.report.supervision.dead_readers;
+    if dead > 0 {
+        spans.push(Span::raw(format!("   dead readers {}", count(dead))));
+    }
     if width >= 100 {
         let Percentiles { p50, p99, max, .. } = status.report.end_to_end_ms;
         let whole = format!("   whole run {} / {} / {}", number(p50), number(p99), number(max));

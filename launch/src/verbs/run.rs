@@ -128,6 +128,7 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
         stages: stage_runs(&pipeline, &options),
         spares: spare_runs(&pipeline, arguments.speed == Speed::Max),
         topics: pipeline.topics.clone(),
+        readers: pipeline.readers.clone(),
     };
     weights.config().write(&run.root).map_err(Failure::data)?;
     info.precision = version::precision(&run);
@@ -165,6 +166,7 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
         let mut supervision = ended.outages.into_record(ended_by);
         supervision.memory = ended.memory.into_report();
         supervision.spares = ended.spares;
+        supervision.dead_readers = ended.dead_readers;
         let given_up = !supervision.given_up.is_empty();
         let measured = report(arguments, measured, info, supervision)?;
         ended.recorded.iter().for_each(|line| println!("{line}"));
@@ -194,6 +196,8 @@ struct Ended {
     memory: Memory,
     /// What became of the spares.
     spares: BTreeMap<String, SpareReport>,
+    /// Processes that read topics, were no stages, and have died.
+    dead_readers: u64,
     /// What the recording says of its file.
     recorded: Vec<String>,
     /// Files about the run that could not be written.
@@ -303,8 +307,9 @@ fn supervise(
 ) -> Result<Ended, Failure> {
     let Following { mut tap, recording, mut watch } = following;
     let control = Control::open(run)?;
-    // Whoever opens a topic first makes it: a program of the user's own would leave no places for spares.
-    let _topics = (!run.spares.is_empty()).then(|| Topics::make(run)).transpose()?;
+    // The first process that opens a topic makes it: a program of the user's own would leave no further places.
+    let has_places = !run.spares.is_empty() || !run.readers.is_empty();
+    let _topics = has_places.then(|| Topics::make(run)).transpose()?;
     let mut fleet = Fleet::start(pipeline, run, record, keeps_memory)?;
     fleet.notes().into_iter().for_each(|note| watch.note(note));
     let _awake = pipeline.awake.then(Awake::hold).and_then(|held| held.map_err(|note| watch.note(note)).ok());
@@ -317,6 +322,7 @@ fn supervise(
         if tap.tend() {
             fleet.clean_up();
         }
+        fleet.note_process(tap.pid());
         let heartbeats = match watch.follow(lines.into_iter(), &fleet) {
             Ok(heartbeats) => heartbeats,
             Err(failure) => break Err(failure),
@@ -349,7 +355,7 @@ fn supervise(
             break Err(Failure::Failed(format!("not linked after {seconds} s: {}", names.join(", "))));
         }
     };
-    let spares = fleet.spare_reports();
+    let (spares, dead_readers) = (fleet.spare_reports(), fleet.dead_readers());
     fleet.end();
     let lines: Vec<Line> = fleet.lines().collect();
     lines.iter().for_each(|(stage, line)| tap.line(stage.name(), line));
@@ -367,7 +373,7 @@ fn supervise(
     }
     let unkept = keeps_memory.then(|| fleet.failure(StageId::Sampler)).flatten();
     let (outages, unwritten) = watch.close(lines.into_iter(), &fleet);
-    Ok(Ended { outcome, unkept, linked, outages, memory, spares, recorded, unwritten })
+    Ok(Ended { outcome, unkept, linked, outages, memory, spares, dead_readers, recorded, unwritten })
 }
 
 /// Takes orders to replace stages, and gives a new process that is warm its turn between two ticks.

@@ -257,6 +257,9 @@ fn losses(text: &mut Text, status: &RunStatus) {
         ];
         text.sample(name, &labels, refused.frames);
     }
+    let help = "Processes beside the stages that read topics and have died.";
+    let dead = report.supervision.dead_readers;
+    text.single(Kind::Counter, "stgdat_dead_readers_total", help, dead);
 }
 
 fn stage_times(text: &mut Text, status: &RunStatus, measured: &Recorder) {

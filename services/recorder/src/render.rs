@@ -38,6 +38,7 @@ impl Report {
             self.supervision(text)?;
             self.replacements(text)?;
             self.spares(text)?;
+            self.readers(text)?;
             self.memory(text, width)?;
             self.worst_ticks(text, width)?;
             self.accuracy(text, width)
@@ -398,6 +399,16 @@ impl Report {
             let (promoted, died) = (times("promoted", spare.promotions), times("died waiting", spare.deaths));
             writeln!(text, " {stage:LABEL_WIDTH$}{}{warm}{promoted}{died}", spare.state)
         })
+    }
+
+    /// The readers that died.
+    fn readers(&self, text: &mut String) -> fmt::Result {
+        let dead = match self.supervision.dead_readers {
+            0 => return Ok(()),
+            1 => "1 reader of topics has died: its places were given back".to_owned(),
+            dead => format!("{} readers of topics have died: their places were given back", count(dead)),
+        };
+        writeln!(text, "\n {:LABEL_WIDTH$}{dead}", "READERS")
     }
 
     fn accuracy(&self, text: &mut String, width: usize) -> fmt::Result {

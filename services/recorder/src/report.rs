@@ -127,6 +127,8 @@ pub struct Supervision {
     pub replacements_unlisted: u64,
     /// The spares, by stage.
     pub spares: BTreeMap<String, SpareReport>,
+    /// Processes that read topics, were no stages, and have died. Their places on the topics were given back.
+    pub dead_readers: u64,
 }
 
 /// The spare of a stage: a process that waits to take its place.

@@ -10,7 +10,7 @@ use wire::{Cause, Quality, StageId};
 
 use crate::live::LiveView;
 use crate::record::Recorder;
-use crate::report::{Errors, Percentiles, Report};
+use crate::report::{Errors, Percentiles, Report, Supervision};
 
 /// Version of the status' fields.
 pub const STATUS_VERSION: u32 = 1;
@@ -131,6 +131,8 @@ pub struct Facts {
     pub processes: BTreeMap<StageId, ProcessStatus>,
     /// What the recorder last told of the forecasts.
     pub accuracy: Option<Errors>,
+    /// Deaths, restarts and replacements so far.
+    pub supervision: Supervision,
     /// What happened to stages.
     pub events: Vec<StatusEvent>,
 }
@@ -139,7 +141,8 @@ impl RunStatus {
     /// The status of a run, of what was seen of it.
     #[must_use]
     pub fn new(view: &LiveView, measured: &Recorder, facts: Facts) -> Self {
-        let report = measured.report();
+        let mut report = measured.report();
+        report.supervised(facts.supervision);
         let newest_tick = view.newest_tick();
         let stages = view.stages().into_iter().map(|(stage, row)| {
             let [waiting, wake_up, compute, publish] = view.recent_ms(stage);

@@ -54,6 +54,8 @@ pub struct Pipeline {
     pub shed: bool,
     /// Whether processors are kept from sleeping between ticks.
     pub awake: bool,
+    /// Places for readers that topics have besides their usual ones, by topic.
+    pub readers: BTreeMap<String, u32>,
     /// The stages.
     pub stages: Vec<Stage>,
     /// The topics that the file declares.

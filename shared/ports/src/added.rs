@@ -19,7 +19,7 @@ use run::{Run, TopicRun, injected_topic};
 use wire::Header;
 
 use crate::element::Head;
-use crate::node::{ALIGNMENT, BORROWED_MAX, HISTORY, NODES_MAX, is_half_made_topic};
+use crate::node::{ALIGNMENT, BORROWED_MAX, HISTORY, NODES_MAX, is_half_made_topic, subscriber};
 use crate::wait::{Wakes, descriptor, drain};
 use crate::{Node, PortError};
 
@@ -122,7 +122,7 @@ impl Node {
         name: &str,
         with_header: impl Fn(Building<()>) -> Building<H>,
     ) -> Result<AddedServices<H>, PortError> {
-        let limits = self.with_spares(name, self.added.limits(topic));
+        let limits = self.with_further(name, self.added.limits(topic));
         let name = format!("stgdat/{name}");
         let name: ServiceName = name.as_str().try_into().map_err(PortError::of("service name", TOPIC))?;
         let element = TypeDetail::__internal_new_from_parts(
@@ -189,9 +189,9 @@ impl Beside {
 impl AddedSubscriber {
     /// The reading ends of a topic's services.
     pub(crate) fn of((frames, events): &AddedServices<Head>) -> Result<Self, PortError> {
-        let subscriber = frames.subscriber_builder().buffer_size(DEPTH_MAX).create();
+        let create = || frames.subscriber_builder().buffer_size(DEPTH_MAX).create();
         Ok(Self {
-            subscriber: subscriber.map_err(PortError::of("subscriber", TOPIC))?,
+            subscriber: subscriber(create, frames.name(), frames.static_config().max_subscribers(), TOPIC)?,
             listener: events.listener_builder().create().map_err(PortError::of("listener", TOPIC))?,
         })
     }

@@ -30,6 +30,17 @@ pub enum PortError {
         /// The transport's error.
         source: Source,
     },
+    /// As many processes read the topic as it has places for.
+    #[error(
+        "all {most} places for readers of topic \"{name}\" are taken: end one of them, or add places with \
+         `readers = {{ {name} = 2 }}` above the first [[stage]] of pipeline.toml"
+    )]
+    NoPlace {
+        /// The topic, by its name in shared memory.
+        name: String,
+        /// Its places.
+        most: usize,
+    },
     /// A frame is to have more elements than the topic allows.
     #[error("loan of topic \"{topic}\": {found} elements, at most {most}")]
     TooMany {

@@ -50,6 +50,7 @@ mod kept;
 mod memory;
 mod names;
 mod node;
+mod nodes;
 mod peers;
 mod points;
 mod program;
@@ -70,6 +71,7 @@ pub use error::{Awaiting, PortError, StageError};
 pub use kept::KeptMemory;
 pub use names::TOPICS_VARIABLE;
 pub use node::{HALF_MADE_LIMIT, Node, Topics, clean_dead_nodes};
+pub use nodes::{NodeNumber, NodeProcess, NodeWatch};
 pub use peers::{Peers, TAP};
 pub use points::{POINTS_VARIABLE, Point};
 pub use program::{

@@ -1,5 +1,8 @@
+use std::collections::BTreeMap;
+use std::fmt::Debug;
 use std::time::{Duration, Instant};
 
+use iceoryx2::port::subscriber::SubscriberCreateError;
 use iceoryx2::prelude::*;
 use iceoryx2::service::builder::event::{EventCreateError, EventOpenError, EventOpenOrCreateError};
 use iceoryx2::service::builder::publish_subscribe::{
@@ -15,6 +18,7 @@ use wire::{
 use crate::added::{Added, Limits};
 use crate::element::{Element, Head};
 use crate::names::Names;
+use crate::nodes::remove_fragments;
 use crate::publisher::Sender;
 use crate::space::remove_half_made_services;
 use crate::{HEARTBEAT, PortError, Publisher, Stop, Subscriber};
@@ -34,6 +38,11 @@ pub(crate) const ALIGNMENT: usize = 64;
 const OPEN_LIMIT: Duration = Duration::from_secs(10);
 /// Pause between two tries, each of which waits for up to a second itself.
 const OPEN_PAUSE: Duration = Duration::from_millis(50);
+
+/// Longest time for which a place for a reader is waited for: that of a dead reader is free within a second.
+const PLACE_LIMIT: Duration = Duration::from_secs(2);
+/// What the name of a topic's services starts with.
+const SERVICES: &str = "stgdat/";
 
 /// A service or a connection that is half made for so long was left by a process that was killed.
 pub const HALF_MADE_LIMIT: Duration = Duration::from_millis(500);
@@ -58,6 +67,7 @@ pub struct Node {
     protected: Vec<String>,
     lockstep: bool,
     spares: Vec<SpareRun>,
+    readers: BTreeMap<String, u32>,
     pub(crate) added: Added,
 }
 
@@ -82,9 +92,10 @@ impl Node {
             .map_err(PortError::of_node("node"))?;
         let (interval, sender) = (Duration::from_nanos(run.interval_ns), Sender::default());
         let (names, protected) = (Names::default(), run.protected.clone());
-        let (run_id, lockstep, spares) = (run.id, run.lockstep, run.spares.clone());
+        let (run_id, lockstep, spares, readers) =
+            (run.id, run.lockstep, run.spares.clone(), run.readers.clone());
         let added = Added::of(run);
-        Ok(Self { node, run_id, interval, stop, sender, names, protected, lockstep, spares, added })
+        Ok(Self { node, run_id, interval, stop, sender, names, protected, lockstep, spares, readers, added })
     }
 
     /// The same node as that of a stage: the headers of all that it sends report so, and its topics have the
@@ -138,8 +149,10 @@ impl Node {
     /// Opens or makes the two services of a topic under a name, with the same settings in all processes.
     pub(crate) fn services<T: Topic>(&self, name: &str) -> Result<Services<T>, PortError> {
         let limits = self.limits::<T>(name);
-        let name: ServiceName =
-            format!("stgdat/{name}").as_str().try_into().map_err(PortError::of("service name", T::NAME))?;
+        let name: ServiceName = format!("{SERVICES}{name}")
+            .as_str()
+            .try_into()
+            .map_err(PortError::of("service name", T::NAME))?;
         let alignment = Alignment::new(ALIGNMENT).expect("64 is a power of two");
         let frames = || {
             self.node
@@ -189,10 +202,10 @@ impl Node {
     /// the pipeline file adds, and those of spares. All processes of the run find the same in its record.
     fn limits<T: Topic>(&self, name: &str) -> Limits {
         if let Some(topic) = self.added.topic(name) {
-            return self.with_spares(name, self.added.limits(topic));
+            return self.with_further(name, self.added.limits(topic));
         }
         let heartbeats_len = if T::NAME == HeartbeatsTopic::NAME { self.added.stages_len } else { 0 };
-        self.with_spares(
+        self.with_further(
             name,
             Limits {
                 publishers_max: T::PUBLISHERS_MAX + heartbeats_len,
@@ -203,14 +216,15 @@ impl Node {
         )
     }
 
-    /// Adds places for spares: each may read the topic, and a place of a process that died is free only once it is
-    /// cleaned up.
-    pub(crate) fn with_spares(&self, name: &str, limits: Limits) -> Limits {
+    /// Adds places for spares and for the further readers of the pipeline file: each spare may read the topic, and a
+    /// place of a process that died is free only once it is cleaned up.
+    pub(crate) fn with_further(&self, name: &str, limits: Limits) -> Limits {
         let spares = self.spares.iter().filter(|spare| spare.opens(name)).count();
+        let readers = self.readers.get(name).map_or(0, |&readers| readers as usize);
         Limits {
             publishers_max: limits.publishers_max + if limits.publishers_max > 1 { spares } else { 0 },
-            subscribers_max: limits.subscribers_max + spares,
-            nodes_max: limits.nodes_max + self.spares.len(),
+            subscribers_max: limits.subscribers_max + spares + readers,
+            nodes_max: limits.nodes_max + self.spares.len() + readers,
             ..limits
         }
     }
@@ -240,7 +254,7 @@ impl Node {
 /// process has them open.
 #[derive(Debug)]
 pub struct Topics {
-    _services: Vec<Box<dyn std::fmt::Debug>>,
+    _services: Vec<Box<dyn Debug>>,
     _node: Node,
 }
 
@@ -251,7 +265,7 @@ impl Topics {
     /// [`PortError`] where one can't be made.
     pub fn make(run: &Run) -> Result<Self, PortError> {
         let node = Node::open(run, "topics")?;
-        fn of<T: Topic>(node: &Node) -> Result<Box<dyn std::fmt::Debug>, PortError> {
+        fn of<T: Topic>(node: &Node) -> Result<Box<dyn Debug>, PortError> {
             Ok(Box::new(node.services::<T>(T::NAME)?))
         }
         let services = vec![
@@ -336,15 +350,40 @@ pub(crate) fn subscriber_of<T: Topic>(
     (frames, events): &Services<T>,
     depth: usize,
 ) -> Result<Reading<T>, PortError> {
-    let builder = frames.subscriber_builder().buffer_size(depth);
-    let subscriber = builder.create().map_err(PortError::of("subscriber", T::NAME))?;
+    let create = || frames.subscriber_builder().buffer_size(depth).create();
+    let most = frames.static_config().max_subscribers();
+    let subscriber = subscriber(create, frames.name(), most, T::NAME)?;
     let listener = events.listener_builder().create().map_err(PortError::of("listener", T::NAME))?;
     Ok((subscriber, listener))
 }
 
+/// Makes a subscriber. If all places are taken it tries again for a while: one of them may be that of a dead reader,
+/// which the launcher is about to give back.
+pub(crate) fn subscriber<S>(
+    create: impl Fn() -> Result<S, SubscriberCreateError>,
+    service: &ServiceName,
+    most: usize,
+    topic: &'static str,
+) -> Result<S, PortError> {
+    let begun = Instant::now();
+    loop {
+        match create() {
+            Err(SubscriberCreateError::ExceedsMaxSupportedSubscribers) if begun.elapsed() < PLACE_LIMIT => {
+                std::thread::sleep(OPEN_PAUSE);
+            }
+            Err(SubscriberCreateError::ExceedsMaxSupportedSubscribers) => {
+                let name = service.as_str();
+                let name = name.strip_prefix(SERVICES).unwrap_or(name).to_owned();
+                return Err(PortError::NoPlace { name, most });
+            }
+            created => return created.map_err(PortError::of("subscriber", topic)),
+        }
+    }
+}
+
 /// The transport's settings for a run: its own names and directory, and no clean-up by the stages, which
 /// could block on a file that a killed process left half written.
-fn transport_config(run: &Run) -> Result<Config, SemanticStringError> {
+pub(crate) fn transport_config(run: &Run) -> Result<Config, SemanticStringError> {
     let mut config = Config::global_config().clone();
     config.global.prefix = FileName::new(run.prefix.as_bytes())?;
     config.global.set_root_path(&Path::new(run.root.as_os_str().as_encoded_bytes())?);
@@ -366,15 +405,16 @@ fn transport_config(run: &Run) -> Result<Config, SemanticStringError> {
 /// [`PortError`] where the run can't be joined.
 pub fn clean_dead_nodes(run: &Run) -> Result<(u64, u64), PortError> {
     let node = Node::open(run, "cleaner")?.node;
-    let cleaned = node.try_cleanup_dead_nodes();
-    if cleaned.failed_cleanups == 0 {
-        return Ok((cleaned.cleanups, 0));
+    let mut cleaned = node.try_cleanup_dead_nodes();
+    if cleaned.failed_cleanups > 0 {
+        // A service takes milliseconds to be made: what is half made for so long, nobody will finish.
+        std::thread::sleep(HALF_MADE_LIMIT);
+        if remove_half_made_services(&run.root, HALF_MADE_LIMIT) > 0 {
+            let again = node.try_cleanup_dead_nodes();
+            cleaned.cleanups += again.cleanups;
+            cleaned.failed_cleanups = again.failed_cleanups;
+        }
     }
-    // A service takes milliseconds to be made: what is half made for so long, nobody will finish.
-    std::thread::sleep(HALF_MADE_LIMIT);
-    if remove_half_made_services(&run.root, HALF_MADE_LIMIT) == 0 {
-        return Ok((cleaned.cleanups, cleaned.failed_cleanups));
-    }
-    let again = node.try_cleanup_dead_nodes();
-    Ok((cleaned.cleanups + again.cleanups, again.failed_cleanups))
+    remove_fragments(run);
+    Ok((cleaned.cleanups, cleaned.failed_cleanups))
 }

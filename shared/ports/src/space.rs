@@ -169,7 +169,7 @@ pub(crate) fn remove_half_made_services(root: &Path, age: Duration) -> usize {
 }
 
 /// Whether a file was not changed for longer than `age`.
-fn is_older(metadata: &Metadata, age: Duration) -> bool {
+pub(crate) fn is_older(metadata: &Metadata, age: Duration) -> bool {
     metadata.modified().is_ok_and(|at| at.elapsed().is_ok_and(|elapsed| elapsed > age))
 }
 

@@ -17,7 +17,7 @@ use crate::{Declaration, OptionError};
 /// First bytes of a record's file, before the schema's number and a line break.
 const MAGIC: &str = "stgdat-run ";
 /// Version of the record; counts up with every change of [`Run`].
-const SCHEMA: u32 = 8;
+const SCHEMA: u32 = 9;
 /// Largest record that is read; real ones have a few kilobytes.
 const BYTES_MAX: u64 = 1 << 20;
 
@@ -101,6 +101,9 @@ pub struct Run {
     pub topics: Vec<TopicRun>,
     /// The spares: processes beside the stages, which take places on topics of their own.
     pub spares: Vec<SpareRun>,
+    /// Places for readers that a topic has besides its usual ones, by its name.
+    #[serde(default)]
+    pub readers: BTreeMap<String, u32>,
 }
 
 /// A process that waits to take the place of a stage's.
@@ -187,6 +190,7 @@ impl Default for Run {
             stages: Vec::new(),
             spares: Vec::new(),
             topics: Vec::new(),
+            readers: BTreeMap::new(),
         }
     }
 }
@@ -388,6 +392,7 @@ mod tests {
                 topics: vec!["tracks".into(), "forecasts".into()],
             }],
             topics: vec![TopicRun { name: "risks".into(), type_name: "risk.1".into(), element_size: 24 }],
+            readers: [("forecasts".to_owned(), 2)].into(),
         }
     }
 

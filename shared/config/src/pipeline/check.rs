@@ -15,6 +15,9 @@ use crate::{Restart, RestartPolicy, Scheduling};
 /// What all budgets together may be: one tick.
 pub const BUDGET_MAX_MS: f64 = TICK_MS;
 
+/// Most places for readers that the file can add to a topic. A writer sets memory aside for each.
+const READERS_MAX: u32 = 64;
+
 /// Checks stage by stage, then the graph as a whole.
 pub(super) fn check(file: &File, declared: &[&dyn Declared]) -> Result<Pipeline, Fault> {
     let mut warnings = Vec::new();
@@ -55,7 +58,26 @@ pub(super) fn check(file: &File, declared: &[&dyn Declared]) -> Result<Pipeline,
         warnings.extend(late_controls(&tables));
     }
     let (weights, awake) = (file.weights.clone(), file.awake.unwrap_or(false));
-    Ok(Pipeline { weights, protected, shed, awake, stages, topics, budget_ms, warnings })
+    let readers = readers(file, &topics, declared)?;
+    Ok(Pipeline { weights, protected, shed, awake, readers, stages, topics, budget_ms, warnings })
+}
+
+/// The places for readers that the file adds.
+fn readers(
+    file: &File,
+    topics: &[TopicRun],
+    declared: &[&dyn Declared],
+) -> Result<BTreeMap<String, u32>, Fault> {
+    let number = |(topic, places): (&Spanned<String>, &Spanned<u64>)| {
+        known(topic, topics, declared)?;
+        let found = u32::try_from(*places.get_ref()).ok().filter(|found| (1..=READERS_MAX).contains(found));
+        let found = found.ok_or_else(|| {
+            let message = format!("{} further readers of \"{}\"", places.get_ref(), topic.get_ref());
+            Fault::new(places.span(), message, format!("expected 1 to {READERS_MAX}"))
+        })?;
+        Ok((topic.get_ref().clone(), found))
+    };
+    file.readers.iter().map(number).collect()
 }
 
 fn stage(

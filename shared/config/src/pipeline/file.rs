@@ -15,6 +15,8 @@ pub(super) struct File {
     pub protect: Option<Vec<Spanned<String>>>,
     pub shed: Option<bool>,
     pub awake: Option<bool>,
+    #[serde(default)]
+    pub readers: BTreeMap<Spanned<String>, Spanned<u64>>,
     #[serde(rename = "stage", default)]
     pub stages: Vec<Spanned<StageTable>>,
     #[serde(rename = "topic", default)]

@@ -118,6 +118,21 @@ fn processors_may_sleep_unless_the_file_has_them_awake() {
 }
 
 #[test]
+fn places_for_readers_are_added_to_topics_that_exist() {
+    assert!(parsed(FULL).readers.is_empty());
+    let added = parsed(&format!("readers = {{ forecasts = 4, tracks = 1 }}\n{FULL}")).readers;
+    assert_eq!(added, [("forecasts".to_owned(), 4), ("tracks".to_owned(), 1)].into());
+    let refused = |readers: &str| error(&format!("readers = {readers}\n{FULL}"));
+    assert!(refused("{ forecast = 4 }").contains("unknown topic \"forecast\""));
+    for number in ["0", "65", "5000000000"] {
+        let refused = refused(&format!("{{ forecasts = {number} }}"));
+        assert!(refused.contains("expected 1 to 64") && refused.contains("pipeline.toml:1:"), "{refused}");
+    }
+    assert!(refused("{ forecasts = -1 }").contains("pipeline.toml:1:"));
+    assert!(refused("4").contains("invalid type"));
+}
+
+#[test]
 fn load_is_shed_unless_the_file_forbids_it_and_late_controls_are_warned_of() {
     assert!(parsed(FULL).shed);
     let never = format!("shed = false\n{FULL}");

@@ -1,0 +1,185 @@
+//! Which processes of a run have died, by the files of their nodes.
+//!
+//! Every process that joins a run has a *node*: files `NUMBER.node_monitor…` in the folder `nodes` of the run, of
+//! which it keeps the first one locked until it ends, and a folder NUMBER with what it has opened. The lock of a
+//! process that dies is gone while the files remain. A lock shows a death in any container that sees the folder.
+
+use std::collections::BTreeMap;
+use std::ffi::OsStr;
+use std::fs::File;
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+
+use iceoryx2::node::{NodeState, NodeView};
+use iceoryx2::prelude::{CallbackProgression, Config, SemanticString, ipc};
+use run::Run;
+use rustix::process::{Flock, FlockType, fcntl_getlk};
+
+use crate::node::transport_config;
+use crate::space::is_older;
+
+/// The folder of a run's directory with the nodes.
+const NODES: &str = "nodes";
+/// What the name of a node's files starts with after its number.
+const MONITOR: &str = ".node_monitor";
+/// A node takes less than a millisecond from its first file to its lock.
+const YOUNG: Duration = Duration::from_millis(100);
+/// What is unlocked and unchanged for so long, nobody will finish.
+const FRAGMENT_AGE: Duration = Duration::from_secs(2);
+
+/// The number of a node.
+pub type NodeNumber = u128;
+
+/// The process of a node.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct NodeProcess {
+    /// The node's name.
+    pub name: String,
+    /// The file name of the program.
+    pub program: String,
+    /// The process number.
+    pub pid: u32,
+}
+
+/// Looks for the dead nodes of a run.
+#[derive(Debug)]
+pub struct NodeWatch {
+    folder: PathBuf,
+    prefix: String,
+    config: Config,
+}
+
+impl NodeWatch {
+    /// Looks at the nodes of a run.
+    ///
+    /// # Errors
+    /// [`PortError`](crate::PortError) if the run's paths can't be used.
+    pub fn new(run: &Run) -> Result<Self, crate::PortError> {
+        let config = transport_config(run).map_err(crate::PortError::of_node("paths of the run"))?;
+        Ok(Self { folder: run.root.join(NODES), prefix: run.prefix.clone(), config })
+    }
+
+    /// The nodes whose processes have died, and what processes left that were killed while they made their node.
+    /// Takes three system calls for each node.
+    #[must_use]
+    pub fn dead(&self) -> Vec<NodeNumber> {
+        let nodes = parts(&self.folder, &self.prefix);
+        let is_dead = |(number, parts): &(NodeNumber, Parts)| {
+            !is_own(*number)
+                && match &parts.monitor {
+                    Some(monitor) => parts.are_older(YOUNG) && !is_locked(monitor),
+                    None => parts.are_older(FRAGMENT_AGE),
+                }
+        };
+        nodes.into_iter().filter(is_dead).map(|(number, _)| number).collect()
+    }
+
+    /// The processes of dead nodes, if their files name them.
+    #[must_use]
+    pub fn processes(&self, dead: &[NodeNumber]) -> BTreeMap<NodeNumber, NodeProcess> {
+        let mut processes = BTreeMap::new();
+        let take = |state: NodeState<ipc::Service>| {
+            let number = state.node_id().value();
+            if let NodeState::Dead(node) = &state
+                && dead.contains(&number)
+                && let Some(details) = node.details()
+            {
+                let name = details.name().as_str().to_owned();
+                let program = String::from_utf8_lossy(details.executable().as_bytes()).into_owned();
+                processes.insert(number, NodeProcess { name, program, pid: pid_of(number) });
+            }
+            CallbackProgression::Continue
+        };
+        // Fails while another process removes a node: the names are for people alone.
+        let _ = iceoryx2::node::Node::<ipc::Service>::list(&self.config, take);
+        processes
+    }
+}
+
+/// Removes what is left of nodes whose processes were killed while they made them or cleaned up after them: the
+/// transport takes these for nodes that somebody still makes. Returns how many.
+pub(crate) fn remove_fragments(run: &Run) -> usize {
+    let folder = run.root.join(NODES);
+    let nodes = parts(&folder, &run.prefix).into_iter().filter(|(number, parts)| {
+        let is_locked = || parts.monitor.as_deref().is_some_and(is_locked);
+        !is_own(*number) && parts.are_older(FRAGMENT_AGE) && !is_locked() && !parts.has_opened()
+    });
+    nodes.filter(|(_, parts)| parts.remove()).count()
+}
+
+/// What there is of a node.
+#[derive(Debug, Default)]
+struct Parts {
+    /// The file that its process keeps locked.
+    monitor: Option<PathBuf>,
+    /// Further files of that name.
+    others: Vec<PathBuf>,
+    /// Its folder.
+    folder: Option<PathBuf>,
+}
+
+impl Parts {
+    /// Whether its folder lists ports or services: places that only the transport gives back.
+    fn has_opened(&self) -> bool {
+        let entries = self.folder.as_ref().and_then(|folder| std::fs::read_dir(folder).ok());
+        // The process's description is the only other file.
+        entries.into_iter().flatten().filter_map(Result::ok).nth(1).is_some()
+    }
+
+    /// Whether all its files are older than `age`; its folder changes with what it opens.
+    fn are_older(&self, age: Duration) -> bool {
+        let files = self.monitor.iter().chain(&self.others);
+        let folder = self.folder.iter().filter(|_| self.monitor.is_none());
+        let is_older = |path: &PathBuf| std::fs::metadata(path).is_ok_and(|found| is_older(&found, age));
+        files.chain(folder).all(is_older)
+    }
+
+    /// Everything, the folder last.
+    fn files(&self) -> impl Iterator<Item = &PathBuf> {
+        self.monitor.iter().chain(&self.others).chain(&self.folder)
+    }
+
+    fn remove(&self) -> bool {
+        let removed = |path: &PathBuf| match self.folder.as_ref() == Some(path) {
+            true => std::fs::remove_dir_all(path).is_ok(),
+            false => std::fs::remove_file(path).is_ok(),
+        };
+        self.files().filter(|path| removed(path)).count() > 0
+    }
+}
+
+/// The nodes of a folder.
+fn parts(folder: &Path, prefix: &str) -> BTreeMap<NodeNumber, Parts> {
+    let mut nodes = BTreeMap::<NodeNumber, Parts>::new();
+    let entries = std::fs::read_dir(folder).into_iter().flatten().filter_map(Result::ok);
+    for path in entries.map(|entry| entry.path()) {
+        let Some(name) = path.file_name().and_then(OsStr::to_str) else { continue };
+        if let Ok(number) = name.parse() {
+            nodes.entry(number).or_default().folder = Some(path);
+        } else if let Some((number, rest)) =
+            name.strip_prefix(prefix).and_then(|name| name.split_once(MONITOR))
+            && let Ok(number) = number.parse()
+        {
+            let node = nodes.entry(number).or_default();
+            if rest.is_empty() { node.monitor = Some(path) } else { node.others.push(path) }
+        }
+    }
+    nodes
+}
+
+/// The number of the process that made a node: the transport numbers nodes by time, process and a counter.
+fn pid_of(number: NodeNumber) -> u32 {
+    (number >> 64) as u32
+}
+
+/// Whether this process made the node. Its files must not be opened here: to close one gives up its lock.
+fn is_own(number: NodeNumber) -> bool {
+    pid_of(number) == std::process::id()
+}
+
+/// Whether another process keeps a file locked.
+fn is_locked(path: &Path) -> bool {
+    // A file that can't be opened is being removed, or belongs to another user.
+    let Ok(file) = File::options().write(true).open(path) else { return true };
+    fcntl_getlk(&file, &Flock::from(FlockType::WriteLock)).map_or(true, |found| found.is_some())
+}
