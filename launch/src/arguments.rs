@@ -6,7 +6,7 @@ use clap::{Args, ValueEnum};
 use data::{Format, FrameRate, OpenOptions, Recording};
 use lanes::{Coordinates, LaneMap};
 use localiser::MapChoice;
-use model::ModelConfig;
+use model::{Latents, ModelConfig};
 use nn::Weights;
 use retrieval::RetrievalMemory;
 use run::Run;
@@ -29,25 +29,31 @@ pub enum Speed {
     Max,
 }
 
+/// Seed of the random numbers unless another is given.
+const SEED: u64 = 1;
+
 /// Source of the detections.
 #[derive(Clone, Debug, Args)]
 pub struct SceneArguments {
-    /// Play a recording
-    #[arg(long, value_name = "PATH")]
-    pub recording: Option<PathBuf>,
+    /// Recording to play, or a folder that holds one
+    #[arg(value_name = "FILE", group = "played")]
+    file: Option<PathBuf>,
+    /// The same
+    #[arg(long, value_name = "PATH", group = "played")]
+    recording: Option<PathBuf>,
     /// Format of the recording; detected if not given
-    #[arg(long, requires = "recording")]
+    #[arg(long, requires = "played")]
     format: Option<Format>,
     /// Frames a second that the recording's frame numbers count, where its files do not tell; as the data set
     /// was published if not given
-    #[arg(long, value_name = "HZ", requires = "recording")]
+    #[arg(long, value_name = "HZ", requires = "played")]
     fps: Option<FrameRate>,
-    /// Number of agents of the generated intersection (played without --recording), 32 if not given
-    #[arg(long, value_name = "N", conflicts_with = "recording")]
+    /// Number of agents of the generated intersection (played without a recording), 32 if not given
+    #[arg(long, value_name = "N", conflicts_with = "played")]
     agents: Option<u32>,
-    /// Seed of the random numbers
-    #[arg(long, default_value_t = 1)]
-    pub seed: u64,
+    /// Seed of the random numbers, 1 if not given
+    #[arg(long)]
+    seed: Option<u64>,
     /// Number of ticks after which to end
     #[arg(long, value_name = "N")]
     pub ticks: Option<u32>,
@@ -124,13 +130,13 @@ pub struct ModelArguments {
 /// A recording that is played in this process, with its options.
 #[derive(Debug, Args)]
 pub struct PlaybackArguments {
-    /// Recording to play
+    /// Recording to play, or a folder that holds one
     recording: PathBuf,
     #[command(flatten)]
     read: ReadArguments,
-    /// Seed of the random numbers
-    #[arg(long, default_value_t = 1)]
-    seed: u64,
+    /// Seed of the random numbers, 1 if not given
+    #[arg(long)]
+    seed: Option<u64>,
     /// Number of ticks after which to end
     #[arg(long, value_name = "N")]
     ticks: Option<u32>,
@@ -166,11 +172,29 @@ const IN_PROCESS: [StageId; 7] = [
 ];
 
 impl SceneArguments {
+    /// The seed.
+    pub fn seed(&self) -> u64 {
+        self.seed.unwrap_or(SEED)
+    }
+
+    /// Prints a note if a seed was given that changes nothing.
+    pub fn note_unused_seed(
+        &self,
+        source: &source::Options,
+        sampler: &sampler::Options,
+        model: &ModelConfig,
+    ) {
+        if self.seed.is_some() && source.recording.is_some() {
+            note_unused_seed(sampler, model);
+        }
+    }
+
     /// Settings of the source.
     pub fn settings(&self) -> Result<Vec<Setting>, Failure> {
         let source = |flag, option, value: Value| Setting::of_flag(flag, StageId::Source, option, value);
         let unset = |flag, option| Setting::unset(flag, StageId::Source, option);
-        let recording = self.recording.as_deref().map(|path| text(&canonical(path)?)).transpose()?;
+        let path = self.file.as_deref().or(self.recording.as_deref());
+        let recording = path.map(|path| text(&recording_at(path)?)).transpose()?;
         let settings = [
             // --recording replaces format and rate in pipeline.toml too, and --agents the recording.
             recording.is_some().then(|| unset("--recording", "format")),
@@ -210,7 +234,7 @@ impl ReadArguments {
 /// Warns of what is probably wrong with a recording.
 pub fn warn_of_doubts(recording: &Recording) {
     for found in data::findings(recording).iter().filter(|found| found.doubtful) {
-        eprintln!("warning: {}: {found}", recording.name);
+        note!("warning: {}: {found}", recording.name);
     }
 }
 
@@ -296,7 +320,7 @@ impl ModelArguments {
 impl PlaybackArguments {
     /// Absolute path of the recording.
     pub fn path(&self) -> Result<PathBuf, Failure> {
-        canonical(&self.recording)
+        recording_at(&self.recording)
     }
 
     /// The recording at its start, and the lockstep run that plays it.
@@ -306,15 +330,19 @@ impl PlaybackArguments {
         let sampler = options.read(&sampler::STAGE)?;
         check_memory(&sampler, &weights)?;
         check_lanes(&sampler)?;
+        if self.seed.is_some() {
+            note_unused_seed(&sampler, weights.config());
+        }
+        let seed = self.seed.unwrap_or(SEED);
         let source = source::Options { recording: Some(self.path()?), ..options.read(&source::STAGE)? };
-        let recording = source::recording(&source, self.seed)?;
+        let recording = source::recording(&source, seed)?;
         warn_of_doubts(&recording);
         let playing = PlaybackOptions { run_id: 0, ticks_max: source.ticks, lockstep: true };
         let playback = Playback::new(recording, playing);
         let run = Run {
             interval_ns: playback.interval_ns(),
             lockstep: true,
-            seed: self.seed,
+            seed,
             weights: weights_path,
             stages: options.stage_runs(),
             ..Run::default()
@@ -327,6 +355,7 @@ impl PlaybackArguments {
             return Err(set.refused("the recording is already an argument"));
         }
         let scene = SceneArguments {
+            file: None,
             recording: None,
             format: self.read.format,
             fps: self.read.fps,
@@ -347,6 +376,32 @@ impl PlaybackArguments {
     }
 }
 
+/// Prints a note that a seed changes nothing on a recording, if so: only latent variables and particles are drawn.
+fn note_unused_seed(sampler: &sampler::Options, model: &ModelConfig) {
+    if model.latents == Latents::Points && sampler.propagation != sampler::PropagationKind::MonteCarlo {
+        note!(
+            "note: --seed changes nothing here: with these weights, nothing random is drawn on a recording"
+        );
+    }
+}
+
+/// Absolute path of a recording, or of the only one in a folder.
+fn recording_at(path: &Path) -> Result<PathBuf, Failure> {
+    let path = canonical(path)?;
+    if !path.is_dir() {
+        return Ok(path);
+    }
+    let found = data::recordings_in(&path).map_err(Failure::data)?;
+    match &found[..] {
+        [] => Err(Failure::file(&path, "there is no recording in this folder")),
+        [one] => Ok(one.clone()),
+        [first, ..] => {
+            let why = format!("{} recordings: name one, such as {}", found.len(), first.display());
+            Err(Failure::file(&path, why))
+        }
+    }
+}
+
 /// Absolute path of an existing file.
 pub fn canonical(path: &Path) -> Result<PathBuf, Failure> {
     path.canonicalize().map_err(|error| Failure::file(path, error))
@@ -359,9 +414,9 @@ pub fn canonical(path: &Path) -> Result<PathBuf, Failure> {
 pub fn open_lanes(path: &Path, coordinates: Coordinates) -> Result<LaneMap, Failure> {
     let map = LaneMap::open(path, coordinates).map_err(Failure::data)?;
     let skipped = map.skipped();
-    skipped.warnings().for_each(|warning| eprintln!("warning: {warning}"));
+    skipped.warnings().for_each(|warning| note!("warning: {warning}"));
     let [nodes, ways, relations] = skipped.unneeded();
-    eprintln!(
+    note!(
         "{}: lanes {}; not needed: nodes {nodes}, ways {ways}, relations {relations}",
         path.display(),
         map.lanes().len()

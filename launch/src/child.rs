@@ -15,11 +15,15 @@ use std::thread::JoinHandle;
 
 use config::Scheduling;
 use nn::kernels;
-use ports::{INCARNATION_VARIABLE, LAUNCHER_VARIABLE, RUN_VARIABLE, STANDBY_VARIABLE, TOPICS_VARIABLE};
+use ports::{
+    COLOR_VARIABLE, Color, INCARNATION_VARIABLE, LAUNCHER_VARIABLE, RUN_VARIABLE, STANDBY_VARIABLE,
+    TOPICS_VARIABLE,
+};
 use run::{Exit, Run, STAGE_VARIABLE};
 use rustix::process::{Pid, PidfdFlags, Signal, kill_process, pidfd_open, set_parent_process_death_signal};
 use wire::StageId;
 
+use crate::color;
 use crate::failure::{Failure, StageDeath};
 use crate::scheduling;
 
@@ -106,6 +110,8 @@ impl Child {
             .env(LAUNCHER_VARIABLE, std::process::id().to_string())
             .env(INCARNATION_VARIABLE, incarnation.to_string())
             .env(STAGE_VARIABLE, stage.name())
+            // The launcher paints their lines where they are shown in colour.
+            .env(COLOR_VARIABLE, Color::Never.name())
             // For programs that stamp their passage by hand.
             .env("STGDAT_STAGE_NUMBER", stage.number().to_string())
             .env(TOPICS_VARIABLE, own.topics.join(","))
@@ -219,7 +225,7 @@ fn read_lines(output: impl Read, stage: StageId, kept: &Mutex<VecDeque<String>>,
             Ok(0) | Err(_) => return,
             Ok(_) => {}
         }
-        let line = String::from_utf8_lossy(&bytes).trim_end().to_owned();
+        let line = color::plain(String::from_utf8_lossy(&bytes).trim_end()).into_owned();
         let mut kept = kept.lock().unwrap_or_else(PoisonError::into_inner);
         if kept.len() == LAST_LINES_MAX {
             kept.pop_front();

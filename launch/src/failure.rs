@@ -3,7 +3,6 @@ use std::fmt::Display;
 use std::path::Path;
 
 use config::PipelineError;
-use miette::GraphicalReportHandler;
 use nn::{StartError, WeightsError};
 use onboard::ChainError;
 use ports::{PortError, SpaceError, StageError};
@@ -12,6 +11,7 @@ use run::{Exit, OptionError};
 use thiserror::Error;
 use wire::StageId;
 
+use crate::color::error_renderer;
 use crate::faults::spec::SpecError;
 
 /// The error below, of whatever crate.
@@ -153,7 +153,7 @@ impl Failure {
 
     /// Prints it on standard error.
     pub fn print(&self) {
-        eprintln!("{}", self.message());
+        note!("{}", self.message());
     }
 
     /// Its text, of a dead stage with the last lines of its output, and the errors below where they say more.
@@ -162,11 +162,11 @@ impl Failure {
         match self {
             Self::Pipeline(error) => {
                 // Writing to a string does not fail.
-                let _ = GraphicalReportHandler::new().render_report(&mut text, error);
+                let _ = error_renderer().render_report(&mut text, error);
                 return text;
             }
             Self::Spec(error) => {
-                let _ = GraphicalReportHandler::new().render_report(&mut text, error);
+                let _ = error_renderer().render_report(&mut text, error);
                 return text;
             }
             Self::Death(death) => {

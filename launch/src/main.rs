@@ -2,10 +2,17 @@
 //!
 //! Each verb is a module of [`verbs`]. `stgdat` without a verb is `stgdat run`.
 
+// These panic on a closed pipe; `say!` and `note!` do not.
+#![warn(clippy::print_stdout, clippy::print_stderr)]
+
+#[macro_use]
+mod show;
+
 mod arguments;
 mod awake;
 mod child;
 mod cleaner;
+mod color;
 mod contenders;
 mod control;
 mod differences;
@@ -30,7 +37,6 @@ mod recorded;
 mod report_differences;
 mod runs;
 mod scheduling;
-mod show;
 mod stages;
 mod tables;
 mod tap;
@@ -43,8 +49,8 @@ mod waterfall;
 
 use std::process::ExitCode;
 
-use clap::Parser;
 use clap::builder::{PossibleValuesParser, TypedValueParser};
+use clap::{CommandFactory as _, FromArgMatches as _, Parser};
 use nn::kernels::{self, Isa};
 
 /// Onboard multi-agent tracking and prediction: detections in, forecasts out, as a pipeline of processes.
@@ -61,6 +67,9 @@ struct Cli {
     /// Instruction set of the kernels, which this processor must have; the fastest if not given
     #[arg(long, value_name = "SET", global = true, env = nn::kernels::VARIABLE, value_parser = instruction_set())]
     kernels: Option<Isa>,
+    /// Colours of the output: `auto` means on a terminal, unless the variable NO_COLOR is set
+    #[arg(long, value_name = "WHEN", global = true, env = ports::COLOR_VARIABLE, value_parser = color::choices())]
+    color: Option<ports::Color>,
 }
 
 /// The instruction sets by their keys, without those that this processor lacks.
@@ -69,8 +78,21 @@ fn instruction_set() -> impl TypedValueParser<Value = Isa> {
 }
 
 fn main() -> ExitCode {
-    ports::begin_logging();
-    let cli = Cli::parse();
+    let color = color::choose(std::env::args_os());
+    ports::begin_logging(color);
+    let command = Cli::command().color(color::for_clap(color));
+    let parsed = command.try_get_matches().and_then(|matches| Cli::from_arg_matches(&matches));
+    let may_be_mistaken = match &parsed {
+        Ok(cli) => cli.verb.is_none() && !cli.version,
+        Err(error) => error.use_stderr(),
+    };
+    let mistaken =
+        std::env::args().nth(1).filter(|_| may_be_mistaken).and_then(|word| verbs::mistaken(&word));
+    if let Some(failure) = mistaken {
+        failure.print();
+        return failure.exit().into();
+    }
+    let cli = parsed.unwrap_or_else(|error| error.exit());
     options::warn_of_old_flags(std::env::args_os());
     if let Some(Err(error)) = cli.kernels.map(kernels::force) {
         let failure = failure::Failure::Usage(error.to_string());
@@ -78,7 +100,7 @@ fn main() -> ExitCode {
         return failure.exit().into();
     }
     if cli.version {
-        print!("{}", version::text());
+        say!("{}", version::text().trim_end());
         return run::Exit::Done.into();
     }
     let outcome = match cli.verb {

@@ -272,7 +272,7 @@ pub fn text(path: &Path) -> Result<String, Failure> {
 
 /// Warns of an old name.
 pub fn warn(what: &str) {
-    eprintln!("warning: {what}; the next version drops the old name");
+    note!("warning: {what}; the next version drops the old name");
 }
 
 #[cfg(test)]

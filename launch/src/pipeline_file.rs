@@ -17,7 +17,7 @@ pub fn load(path: Option<&Path>) -> Result<Pipeline, Failure> {
     let pipeline = Pipeline::parse(&name, &text, &declared)?;
     pipeline.name_stages();
     for warning in &pipeline.warnings {
-        eprintln!("warning: {name}: {warning}");
+        note!("warning: {name}: {warning}");
     }
     Ok(pipeline)
 }

@@ -1,3 +1,7 @@
+//! What verbs print. A reader that closes its pipe early, as `head` does, is no failure: a verb ends quietly, and
+//! a run continues to its end.
+
+use std::fmt::Arguments;
 use std::io::{ErrorKind, Write as _};
 use std::path::Path;
 
@@ -5,11 +9,41 @@ use run::Exit;
 
 use crate::failure::Failure;
 
-/// Writes to standard output. A reader that closes the pipe early, as `head` does, is no failure.
+/// Prints a line on standard output; if nobody can read it, it is dropped.
+macro_rules! say {
+    ($($text:tt)*) => { $crate::show::say(format_args!($($text)*)) };
+}
+
+/// Prints a line on standard error; if nobody can read it, it is dropped.
+macro_rules! note {
+    ($($text:tt)*) => { $crate::show::note(format_args!($($text)*)) };
+}
+
+/// Writes the result of a verb to standard output. A closed pipe is no failure.
 pub fn show(text: &str) -> Result<Exit, Failure> {
     let mut output = std::io::stdout().lock();
     match output.write_all(text.as_bytes()).and_then(|()| output.flush()) {
         Err(error) if error.kind() != ErrorKind::BrokenPipe => Err(Failure::output(Path::new("-"), error)),
         _ => Ok(Exit::Done),
     }
+}
+
+/// Whether a reader still takes what is written; a closed pipe is no failure.
+pub fn is_read(written: std::io::Result<()>) -> std::io::Result<bool> {
+    match written {
+        Err(error) if error.kind() == ErrorKind::BrokenPipe => Ok(false),
+        written => written.map(|()| true),
+    }
+}
+
+/// As [`say!`].
+pub fn say(line: Arguments<'_>) {
+    let mut output = std::io::stdout().lock();
+    // The verb's work is done whether or not somebody reads about it.
+    let _ = writeln!(output, "{line}").and_then(|()| output.flush());
+}
+
+/// As [`note!`].
+pub fn note(line: Arguments<'_>) {
+    let _ = writeln!(std::io::stderr().lock(), "{line}");
 }

@@ -31,8 +31,11 @@ pub mod train;
 pub mod verify;
 pub mod wire;
 
+use std::path::Path;
+
 use ::run::Exit;
-use clap::Subcommand;
+use clap::error::{ContextKind, ContextValue};
+use clap::{Command, CommandFactory as _, Subcommand};
 
 use crate::failure::Failure;
 
@@ -105,6 +108,30 @@ pub enum Verb {
     Manual(manual::Arguments),
 }
 
+/// The failure of a first argument that is neither a verb nor a file, unless it looks like a path.
+pub fn mistaken(word: &str) -> Option<Failure> {
+    let mut program = crate::Cli::command();
+    program.build();
+    let is_verb = program.find_subcommand(word).is_some();
+    if is_verb || word.starts_with('-') || word.contains(['.', '/']) || Path::new(word).exists() {
+        return None;
+    }
+    // The parser itself suggests names, if nothing but a verb may come first.
+    let verbs = Command::new("stgdat").subcommands(program.get_subcommands().cloned());
+    let suggested = verbs.try_get_matches_from(["stgdat", word]).err().and_then(|error| {
+        match error.get(ContextKind::SuggestedSubcommand) {
+            // The most similar name is the last.
+            Some(ContextValue::Strings(names)) => names.last().cloned(),
+            _ => None,
+        }
+    });
+    let hint = suggested.map_or_else(
+        || "`stgdat --help` lists the verbs".to_owned(),
+        |name| format!("did you mean `stgdat {name}`?"),
+    );
+    Some(Failure::Usage(format!("{word}: there is no such verb and no such file; {hint}")))
+}
+
 impl Verb {
     /// Executes the verb.
     pub fn execute(self) -> Result<Exit, Failure> {
@@ -139,6 +166,21 @@ impl Verb {
             Self::Sweep(arguments) => sweep::execute(&arguments),
             Self::Tap(arguments) => tap::execute(&arguments),
             Self::Manual(arguments) => manual::execute(&arguments),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_misspelt_verb_is_not_taken_for_a_file() {
+        let message = |word: &str| mistaken(word).map(|failure| failure.to_string());
+        assert!(message("evalute").is_some_and(|text| text.contains("did you mean `stgdat evaluate`?")));
+        assert!(message("qqq").is_some_and(|text| text.contains("stgdat --help")));
+        for word in ["evaluate", "help", "mine.csv", "./mine", "--agents", "src"] {
+            assert_eq!(message(word), None, "{word}");
         }
     }
 }

@@ -11,6 +11,7 @@ use run::Run;
 use wire::{ForecastsTopic, Header, Heartbeat, HeartbeatsTopic, StageId, Topic};
 
 use crate::child::Line;
+use crate::color;
 use crate::failure::Failure;
 use crate::fleet::{Event, Fleet};
 use crate::observe::Observer;
@@ -194,7 +195,7 @@ impl Watch {
             }
             Display::Lines if self.shown.elapsed() >= LINE && self.view.ticks() > self.printed_ticks => {
                 self.printed_ticks = self.view.ticks();
-                eprintln!("{}", self.view.plain_line());
+                note!("{}", self.view.plain_line());
             }
             _ => return,
         }
@@ -235,7 +236,10 @@ impl Display {
             Self::Table(terminal) => {
                 let _ = terminal.insert_before(1, |buffer| Text::from(line).render(buffer.area, buffer));
             }
-            Self::Lines | Self::Quiet => eprintln!("{line}"),
+            Self::Lines | Self::Quiet if color::choice().is_on(&std::io::stderr()) => {
+                note!("{}", color::with_level(line));
+            }
+            Self::Lines | Self::Quiet => note!("{line}"),
         }
     }
 }

@@ -1,6 +1,7 @@
 //! The whole pipeline from outside: the program `stgdat` and its stages as processes.
 
 mod bad_input;
+mod daily;
 mod endings;
 mod fault_runs;
 mod faults;

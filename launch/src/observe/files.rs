@@ -46,7 +46,7 @@ impl MetricsFile {
                 if let Err(failure) = write_whole(&own, &text)
                     && !std::mem::replace(&mut is_told, true)
                 {
-                    eprintln!("warning: the metrics are not written: {failure}");
+                    note!("warning: the metrics are not written: {failure}");
                 }
             }
         };

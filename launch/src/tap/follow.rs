@@ -128,7 +128,7 @@ pub fn follow(
             // Once for each kind: a full disk stays full.
             if said != Some(error.kind()) {
                 said = Some(error.kind());
-                eprintln!("recording: {error}: frames are lost until the disk takes them again");
+                note!("recording: {error}: frames are lost until the disk takes them again");
             }
         }
     };

@@ -182,7 +182,7 @@ impl Recording {
         match lines.recv_timeout(START_LIMIT) {
             Ok(line) => {
                 if ring.limits().is_some() {
-                    eprintln!("{line}");
+                    note!("{line}");
                 }
                 Ok(Self { process, lines })
             }

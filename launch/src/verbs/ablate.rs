@@ -59,7 +59,7 @@ pub struct Arguments {
 pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
     let variants = Variants::of(&recipe(arguments)?, &arguments.presets)?;
     let Variants { all, mut notes } = variants;
-    notes.iter().for_each(|line| eprintln!("{line}"));
+    notes.iter().for_each(|line| note!("{line}"));
     let mut trained = Vec::new();
     for variant in &all {
         let outcome = training::train(variant)?;
@@ -109,7 +109,7 @@ fn evaluate(arguments: &Arguments, trained: &[(&Variant, Trained)]) -> Result<Ab
     };
     let variants = trained.iter().filter(|(_, trained)| trained.card().is_some());
     let variants: Vec<_> = variants.map(|(variant, _)| variant.for_evaluation()).collect();
-    let progress = |step: &str| eprintln!("evaluating: {step} …");
+    let progress = |step: &str| note!("evaluating: {step} …");
     evaluator::ablation(&options, &arguments.recipe, &variants, progress).map_err(Failure::data)
 }
 

@@ -19,6 +19,7 @@ use crate::arguments::{ModelArguments, SetArguments};
 use crate::fail_if::{self, Condition};
 use crate::failure::Failure;
 use crate::options::{Setting, StageOptions};
+use crate::show::show;
 use crate::tables;
 use crate::version;
 
@@ -85,7 +86,7 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
     // The peers' table is of layers in f32, whatever the stages are set to.
     let set = if arguments.peers { &[][..] } else { &arguments.set.set };
     let heading = machine(set)?;
-    print!("### {heading}\n\n{text}");
+    show(&format!("### {heading}\n\n{text}"))?;
     if let Some(path) = &arguments.table {
         tables::replace_section(path, mark, &heading, &text)?;
     }

@@ -22,7 +22,7 @@ pub struct Arguments {
 pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
     let pipeline = pipeline_file::load(arguments.file.as_deref().or(arguments.pipeline.as_deref()))?;
     let own = pipeline.stages.iter().filter(|stage| stage.command.is_some()).count();
-    println!(
+    say!(
         "ok: {} stages ({own} external), {} connections, budgets {} of {BUDGET_MAX_MS} ms",
         pipeline.stages.len(),
         pipeline.edges().len(),

@@ -21,7 +21,7 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
         if !arguments.dry_run {
             leftover.remove();
         }
-        println!("{verb} {run}: {files_len} files in shared memory, {kib} KiB");
+        say!("{verb} {run}: {files_len} files in shared memory, {kib} KiB");
     }
     Ok(Exit::Done)
 }

@@ -53,15 +53,15 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
     let mut well = true;
     for Finding { what, found, advice } in findings {
         well &= advice.is_none();
-        println!("{} {what:<16} {found}", if advice.is_none() { "ok  " } else { "fix " });
+        say!("{} {what:<16} {found}", if advice.is_none() { "ok  " } else { "fix " });
         if let Some(advice) = advice {
-            println!("     {:<16} {advice}", "");
+            say!("     {:<16} {advice}", "");
         }
     }
     // A run goes on, degraded: a machine that is busy now lacks nothing.
-    println!("{} {:<16} {}", if slow.advice.is_none() { "ok  " } else { "slow" }, slow.what, slow.found);
+    say!("{} {:<16} {}", if slow.advice.is_none() { "ok  " } else { "slow" }, slow.what, slow.found);
     if let Some(advice) = slow.advice {
-        println!("     {:<16} {advice}", "");
+        say!("     {:<16} {advice}", "");
     }
     if well {
         Ok(Exit::Done)

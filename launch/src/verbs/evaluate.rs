@@ -117,8 +117,8 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
             let mut report = evaluate(name, arguments, &arguments.weights_dir)?;
             let beside = arguments.beside.iter().map(|folder| evaluate(name, arguments, folder));
             report.add_beside(&beside.collect::<Result<Vec<_>, _>>()?);
-            report.warnings.iter().for_each(|line| eprintln!("warning: {line}"));
-            report.left_out.iter().for_each(|line| eprintln!("warning: left out: {line}"));
+            report.warnings.iter().for_each(|line| note!("warning: {line}"));
+            report.left_out.iter().for_each(|line| note!("warning: left out: {line}"));
             vec![Written::of_forecasts(&report, name, arguments.lanes)]
         }
     };
@@ -351,7 +351,7 @@ fn evaluate_trackers(options: &Options) -> Result<KittiReport, Failure> {
 }
 
 fn progress(step: &str) {
-    eprintln!("{step} …");
+    note!("{step} …");
 }
 
 fn evaluate(name: &str, arguments: &Arguments, weights_dir: &Path) -> Result<Report, Failure> {

@@ -6,6 +6,7 @@ use run::Exit;
 
 use crate::failure::Failure;
 use crate::pipeline_file;
+use crate::show::show;
 
 /// Arguments of `stgdat graph`.
 #[derive(Debug, Args)]
@@ -30,14 +31,10 @@ enum Format {
 /// Prints the graph of a pipeline.toml.
 pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
     let pipeline = pipeline_file::load(arguments.file.as_deref().or(arguments.pipeline.as_deref()))?;
-    print!(
-        "{}",
-        match arguments.format {
-            Format::Mermaid => mermaid(&pipeline),
-            Format::Dot => dot(&pipeline),
-        }
-    );
-    Ok(Exit::Done)
+    show(&match arguments.format {
+        Format::Mermaid => mermaid(&pipeline),
+        Format::Dot => dot(&pipeline),
+    })
 }
 
 fn mermaid(pipeline: &Pipeline) -> String {

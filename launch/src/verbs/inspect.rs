@@ -48,10 +48,10 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
         save(&picture, out).map_err(Failure::data)?;
     }
     if arguments.json {
-        println!("{}", serde_json::to_string_pretty(&inspection).map_err(Failure::data)?);
+        say!("{}", serde_json::to_string_pretty(&inspection).map_err(Failure::data)?);
     } else {
         print!("{}", text(&inspection, arguments.out.as_deref()));
-        println!("\n{}", next(arguments, &inspection));
+        say!("\n{}", next(arguments, &inspection));
     }
     let is_doubtful = inspection.findings.iter().any(|found| found.doubtful);
     Ok(if arguments.strict && is_doubtful { Exit::Data } else { Exit::Done })

@@ -39,13 +39,9 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
     site.map.save(&arguments.out).map_err(Failure::data)?;
     let (rows, cols) = (site.map.rows(), site.map.cols());
     let [x_m, y_m] = site.map.origin_m();
-    println!(
-        "{}: {cols} × {rows} m from ({x_m}, {y_m}), {} visits",
-        arguments.out.display(),
-        site.visits_len
-    );
+    say!("{}: {cols} × {rows} m from ({x_m}, {y_m}), {} visits", arguments.out.display(), site.visits_len);
     if site.left_out_len > 0 {
-        println!("{} detections left out: their velocity is unknown", site.left_out_len);
+        say!("{} detections left out: their velocity is unknown", site.left_out_len);
     }
     Ok(Exit::Done)
 }
@@ -57,6 +53,6 @@ fn draw_lanes(path: &Path, arguments: &Arguments) -> Result<Exit, Failure> {
     map.save(&arguments.out).map_err(Failure::data)?;
     let ([x_m, y_m], lanes_len) = (map.origin_m(), lanes.lanes().len());
     let (rows, cols) = (map.rows(), map.cols());
-    println!("{}: {cols} × {rows} m from ({x_m}, {y_m}), {lanes_len} lanes", arguments.out.display());
+    say!("{}: {cols} × {rows} m from ({x_m}, {y_m}), {lanes_len} lanes", arguments.out.display());
     Ok(Exit::Done)
 }

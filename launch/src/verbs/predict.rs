@@ -1,4 +1,3 @@
-use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 
 use clap::Args;
@@ -9,6 +8,7 @@ use source::Playback;
 
 use crate::arguments::{PlaybackArguments, Played};
 use crate::failure::Failure;
+use crate::show::is_read;
 
 /// Arguments of `stgdat predict`.
 #[derive(Debug, Args)]
@@ -37,17 +37,15 @@ fn play(out: &Path, playback: &mut Playback, chain: &mut Chain) -> Result<(), Fa
     let (mut ticks, mut forecasts_len) = (0_u64, 0_u64);
     while let Some(tick) = playback.next_tick() {
         let (header, forecasts) = chain.tick(&tick.header, tick.detections, |_| ());
-        match writer.write(&header, forecasts) {
-            // The reader has closed the pipe.
-            Err(error) if error.kind() == ErrorKind::BrokenPipe => return Ok(()),
-            result => result.map_err(written)?,
+        if !is_read(writer.write(&header, forecasts)).map_err(written)? {
+            return Ok(());
         }
         ticks += 1;
         forecasts_len += forecasts.len() as u64;
     }
-    writer.finish().map_err(written)?;
-    if !is_standard_output(out) {
-        println!("{ticks} ticks, {forecasts_len} forecasts: {}", out.display());
+    let is_read = is_read(writer.finish()).map_err(written)?;
+    if is_read && !is_standard_output(out) {
+        say!("{ticks} ticks, {forecasts_len} forecasts: {}", out.display());
     }
     Ok(())
 }

@@ -104,7 +104,7 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
     let mut options = StageOptions::of_pipeline(&pipeline);
     options.apply(&arguments.settings()?)?;
     let source = source_options(arguments, &options)?;
-    let recording = source::recording(&source, arguments.scene.seed)?;
+    let recording = source::recording(&source, arguments.scene.seed())?;
     warn_of_doubts(&recording);
     // Read here for its name, length and interval; the source reads it again in its own process.
     let playing = PlaybackOptions { ticks_max: source.ticks, ..Default::default() };
@@ -121,7 +121,7 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
         root: space.root().to_owned(),
         interval_ns: playback.interval_ns(),
         lockstep: arguments.speed == Speed::Max,
-        seed: arguments.scene.seed,
+        seed: arguments.scene.seed(),
         protected: pipeline.protected.clone(),
         shed: pipeline.shed,
         weights: weights_path,
@@ -169,7 +169,7 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
         supervision.dead_readers = ended.dead_readers;
         let given_up = !supervision.given_up.is_empty();
         let measured = report(arguments, measured, info, supervision)?;
-        ended.recorded.iter().for_each(|line| println!("{line}"));
+        ended.recorded.iter().for_each(|line| say!("{line}"));
         if matches!(ended.outcome, Ok(Exit::Done)) {
             fail_if::check(&arguments.fail_if, &measured)?;
             if given_up {
@@ -422,7 +422,7 @@ fn report(
     };
     let width = rustix::termios::tcgetwinsize(std::io::stdout())
         .map_or(REPORT_WIDTH, |size| usize::from(size.ws_col).max(1));
-    print!("{}", report.render(width));
+    say!("{}", report.render(width).trim_end_matches('\n'));
     if let Some(path) = &arguments.report {
         report.write(path).map_err(Failure::data)?;
     }
@@ -450,6 +450,7 @@ fn info(
         info.retrieval = Some(sampler.retrieval);
         info.memory_entries = check_memory(&sampler, weights)?;
         check_lanes(&sampler)?;
+        arguments.scene.note_unused_seed(source, &sampler, weights.config());
         // Former keys.
         info.recalls = info.retrieval;
         info.memory_moments = info.memory_entries;
@@ -460,7 +461,7 @@ fn info(
         info.recording = Some(recording.name.clone());
         info.recording_sha256 = recorded.then(|| recording.sha256.clone());
         info.seen_in_training = recorded.then(|| seen_in_training(weights, &recording.sha256)).flatten();
-        info.seed = Some(arguments.scene.seed);
+        info.seed = Some(arguments.scene.seed());
         info.scene_agents = (!recorded).then_some(source.agents as u64);
         info.recorded_frames = recorded.then_some(recording.frames.len() as u64);
         info.thinned_by = u32::try_from(playback.thinning()).ok();

@@ -69,8 +69,7 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
     let followed = follow(&client, &mut view, arguments.interval);
     ratatui::restore();
     if followed? {
-        print!("{}", text(&view, WIDTH));
-        println!("\nThe run {} has ended.", view.status().run);
+        say!("{}\nThe run {} has ended.", text(&view, WIDTH), view.status().run);
     }
     Ok(Exit::Done)
 }

@@ -40,7 +40,7 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
         };
         let tracer = tracer.get_or_insert_with(|| Tracer::new(clocks(&recording, &message), None));
         if let Err(error) = take(tracer, &message, &mut ticks) {
-            eprintln!("warning: {}: {error}", arguments.file.display());
+            note!("warning: {}: {error}", arguments.file.display());
         }
         file.write_all(&tracer.take()).map_err(failed)?;
     }
@@ -53,7 +53,7 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
     }
     file.finish().map_err(failed)?;
     if !recorder::is_standard_output(&path) {
-        println!("{}: {ticks} ticks; open it at https://ui.perfetto.dev", path.display());
+        say!("{}: {ticks} ticks; open it at https://ui.perfetto.dev", path.display());
     }
     recorded::told(damages)
 }

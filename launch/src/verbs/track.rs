@@ -1,4 +1,3 @@
-use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 
 use clap::Args;
@@ -10,6 +9,7 @@ use source::Playback;
 
 use crate::arguments::{PlaybackArguments, Played};
 use crate::failure::Failure;
+use crate::show::is_read;
 use crate::tracking::Tracking;
 
 /// Arguments of `stgdat track`.
@@ -62,17 +62,15 @@ fn play(
     let (mut ticks, mut tracks_len) = (0_u64, 0_u64);
     while let Some(tick) = playback.next_tick() {
         let tracks = tracking.tick(&tick.header, tick.detections);
-        match writer.write(&tick.header, tracks) {
-            // The reader has closed the pipe.
-            Err(error) if error.kind() == ErrorKind::BrokenPipe => return Ok(()),
-            result => result.map_err(written)?,
+        if !is_read(writer.write(&tick.header, tracks)).map_err(written)? {
+            return Ok(());
         }
         ticks += 1;
         tracks_len += tracks.len() as u64;
     }
-    writer.finish().and_then(WholeFile::finish).map_err(written)?;
-    if !is_standard_output(out) {
-        println!("{ticks} ticks, {tracks_len} tracks: {}", out.display());
+    let is_read = is_read(writer.finish().and_then(WholeFile::finish)).map_err(written)?;
+    if is_read && !is_standard_output(out) {
+        say!("{ticks} ticks, {tracks_len} tracks: {}", out.display());
     }
     Ok(())
 }

@@ -56,13 +56,12 @@ pub struct Arguments {
 pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
     let options = options(arguments)?;
     if arguments.print_options {
-        println!("{}", serde_json::to_string_pretty(&options).map_err(Failure::data)?);
+        say!("{}", serde_json::to_string_pretty(&options).map_err(Failure::data)?);
         return Ok(Exit::Done);
     }
     check_place(&options.out)?;
     let summary = trainer::train(&options).map_err(Failure::data)?;
-    print!("{}", card::text(&summary.card));
-    println!("\n{} updates: {}", summary.steps, options.out.display());
+    say!("{}\n{} updates: {}", card::text(&summary.card), summary.steps, options.out.display());
     Ok(Exit::Done)
 }
 

@@ -22,21 +22,18 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
         let rows = match verifier::verify(folder) {
             // A shell's `golden/*` names the README beside the folders as well.
             Err(error) if arguments.folders.len() > 1 && holds_no_vectors(folder, &error) => {
-                eprintln!("{}: skipped, no golden vectors\n", folder.display());
+                note!("{}: skipped, no golden vectors\n", folder.display());
                 continue;
             }
             rows => rows.map_err(Failure::data)?,
         };
         verified_len += 1;
-        println!("{} ({} kernels)", folder.display(), nn::kernels::active().name());
+        say!("{} ({} kernels)", folder.display(), nn::kernels::active().name());
         let width = rows.iter().map(|row| row.name.len()).max().unwrap_or(0).max(30);
-        println!(
-            "  {:<width$} {:>20} {:>12} {:>10} {:>10}",
-            "vector", "shape", "largest", "error", "tolerance"
-        );
+        say!("  {:<width$} {:>20} {:>12} {:>10} {:>10}", "vector", "shape", "largest", "error", "tolerance");
         rows.iter().for_each(|row| print(row, width));
         let off = rows.iter().filter(|row| !row.agrees()).count();
-        println!("  {} of {} vectors agree\n", rows.len() - off, rows.len());
+        say!("  {} of {} vectors agree\n", rows.len() - off, rows.len());
         off_len += off;
     }
     if verified_len == 0 {
@@ -58,7 +55,7 @@ fn print(row: &Comparison, width: usize) {
     let join =
         |numbers: &[usize], by: &str| numbers.iter().map(ToString::to_string).collect::<Vec<_>>().join(by);
     let verdict = if row.agrees() { String::new() } else { format!("  off at [{}]", join(&row.worst, ", ")) };
-    println!(
+    say!(
         "  {:<width$} {:>20} {:>12.5} {:>10.1e} {:>10.0e}{verdict}",
         row.name,
         join(&row.shape, "×"),

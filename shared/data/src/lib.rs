@@ -39,6 +39,7 @@
 
 mod egos;
 mod error;
+mod folder;
 mod format;
 pub mod formats;
 mod frame_rate;
@@ -60,6 +61,7 @@ mod tracks;
 mod windows;
 
 pub use error::ReadError;
+pub use folder::recordings_in;
 pub use format::{Format, UnknownFormat};
 pub use frame_rate::{FrameRate, UnknownFrameRate};
 pub use generated::{GeneratedScene, OptionError, SceneOptions};

@@ -170,11 +170,10 @@ fn with_companions(path: &Path, mut opened: Input, format: Format) -> Result<Vec
         Format::VciDut => {
             opened.role = role(&opened, vci_dut::role_of)?;
             let (from, to, other_role) = match opened.role {
-                Role::Vehicles => ("_veh_", "_ped_", Role::Pedestrians),
-                _ => ("_ped_", "_veh_", Role::Vehicles),
+                Role::Vehicles => (VCI_DUT[0], VCI_DUT[1], Role::Pedestrians),
+                _ => (VCI_DUT[1], VCI_DUT[0], Role::Vehicles),
             };
-            let file = path.file_name().map_or_else(String::new, |file| file.to_string_lossy().into_owned());
-            let other = file.contains(from).then(|| path.with_file_name(file.replace(from, to)));
+            let other = renamed(path, from, to);
             let other = other.map(|other| read_if_there(&other, other_role)).transpose()?.flatten();
             Ok(in_order(std::iter::once(opened).chain(other).collect()))
         }
@@ -210,8 +209,22 @@ fn role(input: &Input, role_of: fn(&text::Line<'_>) -> Option<Role>) -> Result<R
     Ok(first.as_ref().and_then(role_of).unwrap_or(Role::Vehicles))
 }
 
+/// What the names of VCI-DUT's vehicles and pedestrians contain.
+const VCI_DUT: [&str; 2] = ["_veh_", "_ped_"];
+
+/// The file of the pedestrians beside VCI-DUT's vehicles.
+pub(crate) fn vci_dut_pair(vehicles: &Path) -> Option<PathBuf> {
+    renamed(vehicles, VCI_DUT[0], VCI_DUT[1])
+}
+
+/// The file beside `path` with another part in its name; `None` if the name lacks the part.
+fn renamed(path: &Path, from: &str, to: &str) -> Option<PathBuf> {
+    let file = path.file_name()?.to_string_lossy();
+    file.contains(from).then(|| path.with_file_name(file.replace(from, to)))
+}
+
 /// `pedestrian_tracks_000*.csv` beside `vehicle_tracks_000.csv`, the first by name.
-fn pedestrian_tracks(vehicles: &Path) -> Option<PathBuf> {
+pub(crate) fn pedestrian_tracks(vehicles: &Path) -> Option<PathBuf> {
     let file = vehicles.file_name()?.to_str()?;
     let number = file.strip_prefix("vehicle_tracks_")?.strip_suffix(".csv")?;
     let wanted = format!("pedestrian_tracks_{number}");

@@ -44,6 +44,7 @@
 mod added;
 mod added_relay;
 mod clock;
+mod color;
 mod element;
 mod error;
 mod kept;
@@ -67,6 +68,7 @@ mod wait;
 pub use added::{AddedFrame, AddedSubscriber, Beside};
 pub use added_relay::AddedRelay;
 pub use clock::monotonic_ns;
+pub use color::{COLOR_VARIABLE, Color, UnknownColor};
 pub use error::{Awaiting, PortError, StageError};
 pub use kept::KeptMemory;
 pub use names::TOPICS_VARIABLE;

@@ -1,3 +1,4 @@
+use std::io::Write as _;
 use std::path::PathBuf;
 use std::process::ExitCode;
 
@@ -5,7 +6,7 @@ use run::{Exit, Run};
 use rustix::process::{Pid, Signal, getppid, set_parent_process_death_signal};
 use tracing_subscriber::EnvFilter;
 
-use crate::StageError;
+use crate::{Color, StageError};
 
 /// The environment variable that names the run's record, for stages that get no `--run`.
 pub const RUN_VARIABLE: &str = "STGDAT_RUN";
@@ -24,7 +25,7 @@ pub fn incarnation() -> u32 {
 
 /// The main function of a stage's own program: `program [--run FILE]`.
 pub fn stage_main(stage: fn(&Run) -> Result<(), StageError>) -> ExitCode {
-    begin_logging();
+    begin_logging(Color::of_environment());
     let mut arguments = std::env::args_os().skip(1);
     let path = match (arguments.next(), arguments.next(), arguments.next()) {
         (None, ..) => std::env::var_os(RUN_VARIABLE).map(PathBuf::from),
@@ -32,9 +33,9 @@ pub fn stage_main(stage: fn(&Run) -> Result<(), StageError>) -> ExitCode {
         _ => None,
     };
     let Some(path) = path else {
-        eprintln!(
-            "usage: --run FILE, or {RUN_VARIABLE}=FILE; `stgdat run` starts the stages and writes the file"
-        );
+        let usage = "`stgdat run` starts the stages and writes the file";
+        // Nobody may be reading.
+        let _ = writeln!(std::io::stderr(), "usage: --run FILE, or {RUN_VARIABLE}=FILE; {usage}");
         return Exit::Usage.into();
     };
     let run = || Run::read(&path).map_err(StageError::config);
@@ -63,12 +64,15 @@ pub fn die_with_launcher() -> Result<(), StageError> {
 }
 
 /// Writes the process's log to standard error: warnings, or what `RUST_LOG` selects.
-pub fn begin_logging() {
+pub fn begin_logging(color: Color) {
     let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new("warn"));
     // Fails where a test or an embedding program has set up a log already, which then serves.
     let _ = tracing_subscriber::fmt()
         .with_env_filter(filter)
         .with_writer(std::io::stderr)
+        .with_ansi(color.is_on(&std::io::stderr()))
+        // A closed pipe would make a second message about it panic.
+        .log_internal_errors(false)
         .with_target(false)
         .try_init();
 }

@@ -47,12 +47,12 @@ pub(super) fn train(variant: &Variant) -> Result<Trained, Failure> {
     let course = Course::of(options, finished.as_ref().map(|card| &card.options), begun.as_ref());
     match (course, finished) {
         (Course::Keep, Some(card)) => {
-            eprintln!("{name}: trained already, {}", options.out.display());
+            note!("{name}: trained already, {}", options.out.display());
             return Ok(Trained::To(Box::new(card)));
         }
-        (Course::Resume, _) => eprintln!("{name}: goes on from its checkpoint, if there is one"),
-        (_, Some(_)) => eprintln!("{name}: was trained with other options, trains again"),
-        _ => eprintln!("{name}: trains"),
+        (Course::Resume, _) => note!("{name}: goes on from its checkpoint, if there is one"),
+        (_, Some(_)) => note!("{name}: was trained with other options, trains again"),
+        _ => note!("{name}: trains"),
     }
     let file = |error: std::io::Error| Failure::file(&options_path, error);
     std::fs::create_dir_all(&options.checkpoints).map_err(file)?;
@@ -71,7 +71,7 @@ pub(super) fn train(variant: &Variant) -> Result<Trained, Failure> {
             Ok(Trained::To(Box::new(summary.card)))
         }
         Err(error @ TrainError::Diverged { .. }) => {
-            eprintln!("{name}: {error}");
+            note!("{name}: {error}");
             Ok(Trained::Diverged)
         }
         Err(error) => Err(Failure::data(error)),

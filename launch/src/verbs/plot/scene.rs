@@ -19,14 +19,9 @@ pub struct Arguments {
     recording: PathBuf,
     #[command(flatten)]
     read: ReadArguments,
-    /// Times to show, in seconds from the recording's start, a panel each
-    #[arg(
-        long,
-        value_name = "SECONDS",
-        value_delimiter = ',',
-        default_value = "10",
-        conflicts_with = "best_worst"
-    )]
+    /// Times to show, in seconds from the recording's start, a panel each; by default the middle of the time in
+    /// which agents can be forecast
+    #[arg(long, value_name = "SECONDS", value_delimiter = ',', conflicts_with = "best_worst")]
     at: Vec<f64>,
     /// Show the N agents with the smallest and the N with the largest errors, a panel each
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=16))]
@@ -96,7 +91,8 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
         _ => MapInput::Online,
     };
     let threads = std::thread::available_parallelism().map_or(1, usize::from);
-    let storyboard = Storyboard::new(&forecaster, &recording, map, threads).map_err(Failure::data)?;
+    let storyboard = Storyboard::new(&forecaster, &recording, map, threads);
+    let storyboard = storyboard.map_err(|error| Failure::file(&arguments.recording, error))?;
     let shots = arguments.shots(&storyboard)?;
     let drawings: Vec<SceneDrawing<'_>> =
         shots.iter().map(|shot| drawing(shot, site.as_ref(), lanes.as_deref())).collect();
@@ -105,20 +101,30 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
     let usual = || Path::new(arguments.recording.file_stem().unwrap_or_default()).with_extension("png");
     let out = arguments.out.clone().unwrap_or_else(usual);
     save(&picture, &out).map_err(Failure::data)?;
-    println!("{}", out.display());
+    say!("{}", out.display());
     Ok(Exit::Done)
 }
 
 impl Arguments {
     fn shots(&self, storyboard: &Storyboard<'_>) -> Result<Vec<Shot>, Failure> {
+        let failed = |error| Failure::file(&self.recording, error);
         match self.best_worst {
             Some(len) => {
-                let [best, worst] = storyboard.extremes(usize::from(len)).map_err(Failure::data)?;
+                let [best, worst] = storyboard.extremes(usize::from(len)).map_err(failed)?;
                 Ok([best, worst].concat())
             }
             None => {
-                let shot = |time_s: &f64| storyboard.at(*time_s, &self.agents).map_err(Failure::data);
-                self.at.iter().map(shot).collect()
+                let shot = |time_s: &f64| storyboard.at(*time_s, &self.agents).map_err(failed);
+                if !self.at.is_empty() {
+                    return self.at.iter().map(shot).collect();
+                }
+                let middle = shot(&storyboard.middle_s().unwrap_or_default())?;
+                note!(
+                    "shown: t = {:.1} s, frame {}; --at SECONDS shows other times",
+                    middle.time_s,
+                    middle.frame
+                );
+                Ok(vec![middle])
             }
         }
     }

@@ -28,6 +28,6 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
     let title = arguments.title.clone().or_else(|| Some(folder?.to_string_lossy().into_owned()));
     let picture = learning_curves(&log, title.as_deref().unwrap_or("Training")).map_err(Failure::data)?;
     save(&picture, &arguments.out).map_err(Failure::data)?;
-    println!("{}", arguments.out.display());
+    say!("{}", arguments.out.display());
     Ok(Exit::Done)
 }

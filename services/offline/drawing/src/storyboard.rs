@@ -29,6 +29,8 @@ pub struct Storyboard<'a> {
 pub struct Shot {
     /// Time since the recording's first frame.
     pub time_s: f64,
+    /// Number of the recording's frame, from 0.
+    pub frame: usize,
     /// The agents that the shot is about.
     pub about: Vec<u64>,
     /// All agents; those that the shot is about have their forecast.
@@ -59,7 +61,9 @@ pub enum StoryboardError {
     #[error("the recording has no agents with identities")]
     NoScenes,
     /// The time is not within the recording.
-    #[error("no scene at {time_s} s: the recording has agents from {first_s} s to {last_s} s")]
+    #[error(
+        "no scene at {time_s} s: the recording has agents that can be forecast from {first_s} s to {last_s} s"
+    )]
     Outside {
         /// The time asked for.
         time_s: f64,
@@ -111,11 +115,10 @@ impl<'a> Storyboard<'a> {
     pub fn at(&self, time_s: f64, agents: &[u64]) -> Result<Shot, StoryboardError> {
         let is_then = |scene: &Scene| self.time_s(scene) >= time_s - 1e-6 && !able(scene).is_empty();
         let number = self.scenes.iter().position(is_then);
-        let outside = || StoryboardError::Outside {
-            time_s,
-            first_s: self.scenes.first().map_or(0.0, |scene| self.time_s(scene)),
-            last_s: self.scenes.last().map_or(0.0, |scene| self.time_s(scene)),
-        };
+        let mut usable_s = self.usable_s();
+        let first_s = usable_s.next().unwrap_or_default();
+        let outside =
+            || StoryboardError::Outside { time_s, first_s, last_s: usable_s.last().unwrap_or(first_s) };
         let number = number.filter(|_| time_s >= 0.0).ok_or_else(outside)?;
         let scene = &self.scenes[number];
         let able = able(scene);
@@ -129,6 +132,18 @@ impl<'a> Storyboard<'a> {
         let wanted: Vec<usize> = able.into_iter().filter(is_wanted).collect();
         let forecasts = self.forecasts(&[number]);
         Ok(self.shot(number, &wanted, &forecasts[&number]))
+    }
+
+    /// The time of the scene in the middle of those with an agent that can be forecast; `None` if no scene has one.
+    #[must_use]
+    pub fn middle_s(&self) -> Option<f64> {
+        let usable_s: Vec<f64> = self.usable_s().collect();
+        usable_s.get(usable_s.len() / 2).copied()
+    }
+
+    /// Times of the scenes with an agent that can be forecast.
+    fn usable_s(&self) -> impl Iterator<Item = f64> {
+        self.scenes.iter().filter(|scene| !able(scene).is_empty()).map(|scene| self.time_s(scene))
     }
 
     /// The agents that were forecast best and worst, `len` of each and the extreme first, a shot about each
@@ -204,6 +219,7 @@ impl<'a> Storyboard<'a> {
         };
         Shot {
             time_s: self.time_s(scene),
+            frame: self.recording.frames.partition_point(|frame| frame.stamp_ns < scene.stamp_ns),
             about: forecasts.keys().copied().collect(),
             agents: scene
                 .agents

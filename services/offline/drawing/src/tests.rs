@@ -216,6 +216,13 @@ fn a_storyboard_finds_moments_and_agents() {
     }
     let [best, worst] = board.extremes(3).unwrap();
     assert_eq!((best.len(), worst.len()), (2, 0), "no agent is shown twice");
+    let middle = board.at(board.middle_s().unwrap(), &[]).unwrap();
+    assert_eq!(
+        recording.frames[middle.frame].stamp_ns - recording.frames[0].stamp_ns,
+        (middle.time_s * 1e9) as i64
+    );
+    let last_s = (recording.frames.len() as f64 - 1.0) * recording.interval_ns as f64 / 1e9;
+    assert!((0.3..0.7).contains(&(middle.time_s / last_s)), "{} of {last_s}", middle.time_s);
     let ade_m = |shot: &Shot| shot.errors.unwrap().best[0];
     assert!(ade_m(&best[0]) <= ade_m(&best[1]));
 }

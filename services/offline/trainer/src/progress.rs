@@ -1,6 +1,6 @@
 //! Progress of a run: a bar in a terminal, plain lines elsewhere.
 
-use std::io::IsTerminal;
+use std::io::{IsTerminal, Write as _};
 use std::time::{Duration, Instant};
 
 use indicatif::{ProgressBar, ProgressStyle};
@@ -50,7 +50,7 @@ impl Progress {
         if self.is_terminal {
             self.bar.println(text);
         } else {
-            eprintln!("{text}");
+            let _ = writeln!(std::io::stderr(), "{text}");
         }
     }
 
@@ -72,7 +72,11 @@ impl Progress {
             let steps = self.bar.length().unwrap_or(step);
             let rate = (step - self.begun_at) as f64 / self.begun.elapsed().as_secs_f64().max(1e-9);
             let left_s = (steps.saturating_sub(step)) as f64 / rate.max(1e-9);
-            eprintln!("step {step}/{steps}  {rate:.1}/s  {:.0} min left  {losses}", left_s / 60.0);
+            let _ = writeln!(
+                std::io::stderr(),
+                "step {step}/{steps}  {rate:.1}/s  {:.0} min left  {losses}",
+                left_s / 60.0
+            );
             self.last_line = Instant::now();
         }
         self.bar.set_message(losses);

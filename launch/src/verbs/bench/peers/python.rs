@@ -83,7 +83,7 @@ fn cache() -> Option<PathBuf> {
 /// Makes the environment unless it is there; its interpreter.
 fn environment(folder: &Path) -> Result<PathBuf, String> {
     if !folder.join("complete").exists() {
-        eprintln!(
+        note!(
             "making a Python environment with ONNX Runtime and PyTorch in {}: once, up to 7 GB",
             folder.display()
         );

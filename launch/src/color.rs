@@ -1,0 +1,124 @@
+//! Colours of what this program prints.
+
+use std::borrow::Cow;
+use std::ffi::OsString;
+use std::io::IsTerminal;
+use std::sync::OnceLock;
+
+use clap::ColorChoice;
+use clap::builder::{PossibleValuesParser, TypedValueParser};
+use miette::{GraphicalReportHandler, GraphicalTheme};
+use ports::Color;
+use ratatui::crossterm::style::force_color_output;
+
+/// The choice of the command line or the environment.
+static CHOICE: OnceLock<Color> = OnceLock::new();
+
+/// The choices as the values of an argument.
+pub fn choices() -> impl TypedValueParser<Value = Color> {
+    PossibleValuesParser::new(Color::ALL.map(Color::name)).try_map(|name| name.parse::<Color>())
+}
+
+/// The choice of this process.
+pub fn choice() -> Color {
+    *CHOICE.get_or_init(Color::of_environment)
+}
+
+/// Takes the choice from arguments before they are parsed, as errors in them have colours too.
+pub fn choose(arguments: impl Iterator<Item = OsString>) -> Color {
+    let color = *CHOICE.get_or_init(|| of_arguments(arguments).unwrap_or_else(Color::of_environment));
+    match color {
+        // On terminals, by `NO_COLOR`.
+        Color::Auto => {}
+        Color::Always => force_color_output(true),
+        Color::Never => force_color_output(false),
+    }
+    color
+}
+
+/// The value of `--color`.
+fn of_arguments(arguments: impl Iterator<Item = OsString>) -> Option<Color> {
+    let words: Vec<String> = arguments.map(|word| word.to_string_lossy().into_owned()).collect();
+    let named = words.iter().zip(words.iter().skip(1)).filter(|(flag, _)| *flag == "--color");
+    let joined = words.iter().filter_map(|word| word.strip_prefix("--color="));
+    named.map(|(_, value)| value.as_str()).chain(joined).filter_map(|value| value.parse().ok()).next_back()
+}
+
+/// The same for the parser of arguments.
+pub const fn for_clap(color: Color) -> ColorChoice {
+    match color {
+        Color::Auto => ColorChoice::Auto,
+        Color::Always => ColorChoice::Always,
+        Color::Never => ColorChoice::Never,
+    }
+}
+
+/// The renderer of errors in files, for standard error.
+pub fn error_renderer() -> GraphicalReportHandler {
+    let output = std::io::stderr();
+    GraphicalReportHandler::new_themed(match (choice().is_on(&output), output.is_terminal()) {
+        (true, _) => GraphicalTheme::unicode(),
+        (false, true) => GraphicalTheme::unicode_nocolor(),
+        (false, false) => GraphicalTheme::none(),
+    })
+}
+
+/// A line without the escape sequences that colour it.
+pub fn plain(line: &str) -> Cow<'_, str> {
+    let Some((begin, mut rest)) = line.split_once('\x1b') else { return line.into() };
+    let mut text = begin.to_owned();
+    loop {
+        // A control sequence ends with its first byte from @ to ~; other sequences have one more character.
+        let end = match rest.strip_prefix('[') {
+            Some(sequence) => sequence.find(|c| matches!(c, '@'..='~')).map_or(rest.len(), |at| at + 2),
+            None => rest.chars().next().map_or(0, char::len_utf8),
+        };
+        let Some((piece, next)) = rest[end..].split_once('\x1b') else {
+            return (text + &rest[end..]).into();
+        };
+        text += piece;
+        rest = next;
+    }
+}
+
+/// A line of a stage's log with its level in colour.
+pub fn with_level(line: &str) -> Cow<'_, str> {
+    let paint = |word: &str, code: u8| line.replacen(word, &format!("\x1b[{code}m{word}\x1b[0m"), 1).into();
+    // The stage's name and the time come first.
+    match line.split_whitespace().take(3).find(|word| ["ERROR", "WARN"].contains(word)) {
+        Some(level @ "ERROR") => paint(level, 31),
+        Some(level) => paint(level, 33),
+        None => line.into(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_choice_is_found_among_the_arguments() {
+        let of = |words: &[&str]| of_arguments(words.iter().map(OsString::from));
+        assert_eq!(of(&["stgdat", "run", "--color", "never"]), Some(Color::Never));
+        assert_eq!(of(&["stgdat", "--color=always", "run"]), Some(Color::Always));
+        assert_eq!(of(&["stgdat", "--color", "blue"]), None);
+        assert_eq!(of(&["stgdat", "run", "--color"]), None);
+    }
+
+    #[test]
+    fn plain_lines_have_no_escape_sequences() {
+        let colored = "\x1b[2m2026-11-27T00:00:00Z\x1b[0m \x1b[38;5;3m WARN\x1b[0m late\x1b[K";
+        assert_eq!(plain(colored), "2026-11-27T00:00:00Z  WARN late");
+        for (line, expected) in [("ü", "ü"), ("\x1b", ""), ("a\x1b[", "a"), ("a\x1bMb", "ab"), ("\x1bü", "")]
+        {
+            assert_eq!(plain(line), expected, "{line:?}");
+        }
+    }
+
+    #[test]
+    fn only_the_level_of_a_log_line_is_painted() {
+        let painted = with_level("decoder: 2026-11-27T00:00:00Z  WARN 3 WARN");
+        assert_eq!(painted, "decoder: 2026-11-27T00:00:00Z  \x1b[33mWARN\x1b[0m 3 WARN");
+        assert_eq!(with_level("frame 3 is late"), "frame 3 is late");
+    }
+}

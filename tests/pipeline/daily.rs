@@ -1,0 +1,108 @@
+//! A day's use: pipes that close, files and misspelt verbs as arguments, colours.
+
+use std::process::Stdio;
+
+use crate::scratch::Scratch;
+use crate::started::{run, run_well, stderr, stdout, stgdat};
+
+/// Output that nobody reads.
+fn closed() -> Stdio {
+    let (reader, writer) = std::io::pipe().expect("there are descriptors");
+    drop(reader);
+    writer.into()
+}
+
+#[test]
+fn a_closed_pipe_ends_verbs_quietly() {
+    let scratch = Scratch::new("closed");
+    let recording = scratch.recording("scene.csv", 12);
+    for arguments in [
+        &["graph"][..],
+        &["manual"],
+        &["wire", "--c"],
+        &["--help"],
+        &["--version"],
+        &["check"],
+        &["completions", "bash"],
+        &["card"],
+        &["predict", &recording],
+        &["track", &recording],
+        &["plot", "scene", &recording, "--out", &scratch.path("scene.svg")],
+    ] {
+        let output = stgdat().args(arguments).stdout(closed()).output().unwrap();
+        assert_eq!(output.status.code(), Some(0), "{arguments:?}: {}", stderr(&output));
+        assert!(!stderr(&output).contains("panicked"), "{arguments:?}: {}", stderr(&output));
+    }
+    // A failure keeps its exit code.
+    let missing = stgdat().args(["predict", "missing.csv"]).stderr(closed()).output().unwrap();
+    assert_eq!(missing.status.code(), Some(65));
+}
+
+#[test]
+fn a_run_goes_on_after_its_output_has_closed() {
+    let scratch = Scratch::new("unread");
+    let report = scratch.path("report.json");
+    let mut command = stgdat();
+    command.args(["run", "--agents", "3", "--ticks", "15", "--report", &report]);
+    let status = command.stdout(closed()).stderr(closed()).status().unwrap();
+    assert_eq!(status.code(), Some(0));
+    assert!(std::fs::read_to_string(&report).unwrap().contains("\"status\""));
+}
+
+#[test]
+fn a_recording_or_its_folder_may_be_the_argument() {
+    let scratch = Scratch::new("argument");
+    let recording = scratch.recording("scene.csv", 8);
+    let folder = std::path::Path::new(&recording).parent().unwrap().to_str().unwrap().to_owned();
+    let speed = ["--speed", "max", "--quiet"];
+    let named = stdout(&run_well(&[&["run", "--recording", &recording][..], &speed].concat()));
+    let recording_line = |text: &str| text.lines().find(|line| line.contains("recording")).map(str::to_owned);
+    for file in [&[recording.as_str()][..], &["run", &recording], &[&folder]] {
+        let output = run_well(&[file, &speed].concat());
+        assert_eq!(recording_line(&stdout(&output)), recording_line(&named), "{file:?}");
+    }
+    for (word, code, message) in [
+        ("evalute", 2, "did you mean `stgdat evaluate`?"),
+        ("missing.csv", 65, "missing.csv: No such file"),
+        ("missing", 2, "no such verb and no such file"),
+    ] {
+        let output = run(&[word]);
+        assert_eq!(output.status.code(), Some(code), "{word}");
+        assert!(stderr(&output).contains(message), "{}", stderr(&output));
+    }
+    let output = run(&["evalute", &recording, "--all"]);
+    assert!(stderr(&output).contains("did you mean `stgdat evaluate`?"), "{}", stderr(&output));
+}
+
+#[test]
+fn a_seed_that_changes_nothing_is_noted() {
+    let scratch = Scratch::new("seed");
+    let recording = scratch.recording("scene.csv", 8);
+    let note = "--seed changes nothing here";
+    let predict = |more: &[&str]| stderr(&run_well(&[&["predict", recording.as_str()], more].concat()));
+    assert!(predict(&["--seed", "4"]).contains(note));
+    assert!(!predict(&[]).contains(note));
+    assert!(!predict(&["--seed", "4", "--set", "sampler.propagation=monte_carlo"]).contains(note));
+    let generated = run_well(&["run", "--agents", "2", "--ticks", "5", "--seed", "4"]);
+    assert!(!stderr(&generated).contains(note));
+}
+
+#[test]
+fn colours_appear_only_if_asked_for_or_on_a_terminal() {
+    let is_colored = |arguments: &[&str], variables: &[(&str, &str)]| {
+        let mut command = stgdat();
+        command.args(["run", "--bogus"]).args(arguments).env_remove("NO_COLOR");
+        let output = command.envs(variables.iter().copied()).output().unwrap();
+        output.stderr.contains(&0x1b)
+    };
+    assert!(!is_colored(&[], &[]));
+    assert!(is_colored(&["--color", "always"], &[("NO_COLOR", "1")]));
+    assert!(is_colored(&[], &[("STGDAT_COLOR", "always")]));
+    assert!(!is_colored(&["--color=never"], &[("STGDAT_COLOR", "always")]));
+    // The log of a stage.
+    let logged = |color: &str| {
+        let arguments = ["run", "--agents", "2", "--ticks", "5", "--color", color];
+        stgdat().args(arguments).env("RUST_LOG", "info").output().unwrap().stderr
+    };
+    assert!(!logged("never").contains(&0x1b) && !logged("auto").contains(&0x1b));
+}
