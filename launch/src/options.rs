@@ -343,7 +343,7 @@ mod tests {
             ("radar.fov=90,80", "there is no stage \"radar\": expected one of source, tracker"),
             (
                 "tracker.view_deg=90",
-                "--set tracker.view_deg=90: the tracker has no option `view_deg`: its options are associate, association, fov, frozen_frames, prior",
+                "--set tracker.view_deg=90: the tracker has no option `view_deg`: its options are associate, association, cyclist_speed_max_mps, fov, frozen_frames, pedestrian_speed_max_mps, prior, vehicle_speed_max_mps",
             ),
             (
                 "tracker.fov=90",

@@ -7,7 +7,7 @@ use wire::{Cause, Forecast, Quality, Rejected, Track};
 
 use crate::held::HeldForecasts;
 use crate::motion::{certain_motion, with_track_covariance};
-use crate::published::{begin, is_within_the_world};
+use crate::published::{begin, is_within_the_world, limit_steps};
 use crate::sampler::Tick;
 use crate::{Level, SamplerOptions, kinematic};
 
@@ -57,11 +57,13 @@ impl Fallback {
             out.age_ns = age_ns;
             held.move_on((age_ns as f64 / tick.step_ns as f64) as f32, self.options.horizon_len, out);
             if is_within_the_world(out) {
+                limit_steps(out, self.options.horizon_len, self.options.step_max_m(agent_type, tick.dt_s()));
                 return Ok(true);
             }
         }
         begin(track, Quality::Kinematic, cause, out);
         self.write_kinematic(tick, track, agent_type, out);
+        limit_steps(out, self.options.horizon_len, self.options.step_max_m(agent_type, tick.dt_s()));
         Ok(true)
     }
 

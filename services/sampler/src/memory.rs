@@ -24,7 +24,7 @@ pub fn open(run: &Run, model: &ModelConfig) -> Result<Sampler, StageError> {
     let options = STAGE.options(run)?;
     let workers = options.workers.unwrap_or_else(nn::default_workers);
     let mut sampler =
-        Sampler::with_workers(settings(&options, model, run.seed), workers).map_err(StageError::data)?;
+        Sampler::with_workers(settings(&options, model, run), workers).map_err(StageError::data)?;
     if let Some(path) = &options.lanes {
         let map = LaneMap::open(path, LanesOrigin::coordinates(options.lanes_origin));
         sampler.guide_along(&Arc::new(map.map_err(StageError::data)?));

@@ -4,7 +4,7 @@ use std::path::PathBuf;
 use kinematics::{MotionKind, MotionOptions, PARTICLES_MAX};
 use lanes::{Coordinates, UnknownCoordinates};
 use nn::WORKERS_MAX;
-use run::{Conflict, Declaration};
+use run::{Conflict, Declaration, SpeedLimits};
 use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
 use serde::{Deserialize, Serialize, Serializer};
 use wire::{AgentType, ControlsTopic, ForecastsTopic, StageId, TICK_MS, Topic, TracksTopic};
@@ -188,9 +188,16 @@ pub struct SamplerOptions {
     pub evidence: bool,
     /// What is published of an agent without a learned forecast.
     pub degradation: Degradation,
+    /// Highest speed of each type, as the run's tracker has it.
+    pub speed_limits: SpeedLimits,
 }
 
 impl SamplerOptions {
+    /// Longest step of an agent of that type.
+    pub(crate) const fn step_max_m(&self, agent_type: AgentType, dt_s: f32) -> f32 {
+        self.speed_limits.of(agent_type) as f32 * dt_s
+    }
+
     /// How agents of a type move.
     pub(crate) const fn kind_of(&self, agent_type: AgentType) -> MotionKind {
         match agent_type {
@@ -213,6 +220,7 @@ impl Default for SamplerOptions {
             retrieval: true,
             evidence: false,
             degradation: Degradation::default(),
+            speed_limits: SpeedLimits::default(),
         }
     }
 }

@@ -1,6 +1,6 @@
 //! Parts of a published forecast.
 
-use wire::{Cause, Forecast, POSITION_MAX_M, Quality, Track, finite};
+use wire::{Cause, Forecast, MODES_MAX, POSITION_MAX_M, Quality, Track, finite};
 
 /// Begins a forecast with what it contains of its track; all else is 0.
 pub(crate) fn begin(track: &Track, quality: Quality, cause: Cause, out: &mut Forecast) {
@@ -12,6 +12,32 @@ pub(crate) fn begin(track: &Track, quality: Quality, cause: Cause, out: &mut For
     (out.vx_mps, out.vy_mps) = (track.vx_mps, track.vy_mps);
     (out.length_m, out.width_m) = (track.length_m, track.width_m);
     (out.prior, out.prior_age_ns) = (track.prior, track.prior_age_ns);
+}
+
+/// Shortens the steps of a forecast that are longer than `most_m`: no agent of its type is so fast.
+pub(crate) fn limit_steps(out: &mut Forecast, horizon_len: usize, most_m: f32) {
+    let (from_m, modes_len) = ([out.x_m, out.y_m], (out.modes_len as usize).min(MODES_MAX));
+    let modes = out.modes[..modes_len].iter_mut();
+    for path in modes.chain([&mut out.best, &mut out.mean]) {
+        limit_path(from_m, &mut path[..horizon_len], most_m);
+    }
+}
+
+fn limit_path(from_m: [f32; 2], path: &mut [[f32; 2]], most_m: f32) {
+    let length_m = |from: [f32; 2], to: [f32; 2]| (to[0] - from[0]).hypot(to[1] - from[1]);
+    let mut before_m = from_m;
+    let is_within = path.iter().all(|&to| length_m(std::mem::replace(&mut before_m, to), to) <= most_m);
+    if is_within {
+        return;
+    }
+    let (mut before_m, mut limited_m) = (from_m, from_m);
+    for to in path {
+        let share = (most_m / length_m(before_m, *to).max(f32::MIN_POSITIVE)).min(1.0);
+        for (axis, limited) in limited_m.iter_mut().enumerate() {
+            *limited += share * (to[axis] - before_m[axis]);
+        }
+        before_m = std::mem::replace(to, limited_m);
+    }
 }
 
 /// Whether all numbers of a forecast are possible.

@@ -1,11 +1,12 @@
 use model::ModelConfig;
+use run::{Run, SpeedLimits};
 use wire::AgentType;
 
 use crate::{Options, Propagation, PropagationKind, SamplerOptions};
 
-/// The sampler's settings for a model.
+/// The sampler's settings in a run with that model.
 #[must_use]
-pub fn settings(options: &Options, model: &ModelConfig, seed: u64) -> SamplerOptions {
+pub fn settings(options: &Options, model: &ModelConfig, run: &Run) -> SamplerOptions {
     SamplerOptions {
         history_len: model.history_len,
         horizon_len: model.horizon_len,
@@ -15,7 +16,8 @@ pub fn settings(options: &Options, model: &ModelConfig, seed: u64) -> SamplerOpt
             PropagationKind::Linearised => Propagation::Linearised,
             PropagationKind::MonteCarlo => Propagation::MonteCarlo { particles: options.particles },
         },
-        seed,
+        seed: run.seed,
+        speed_limits: SpeedLimits::of_run(run),
         retrieval: options.retrieval,
         evidence: options.evidence,
         degradation: options.degradation(),

@@ -14,7 +14,7 @@ use crate::experts::{Blended, Experts};
 use crate::guidance::Guidance;
 use crate::learned::LearnedControls;
 use crate::motion::{certain_motion, with_track_covariance};
-use crate::published::{begin, is_within_the_world};
+use crate::published::{begin, is_within_the_world, limit_steps};
 use crate::sampler::Tick;
 
 /// Turns that a worker takes at a time: one of 40 µs or more is worth a hand-over, so that two surely are.
@@ -175,6 +175,8 @@ impl Forecaster {
         if let Some((experts, blended)) = experts.as_ref().zip(made.blended.as_ref()) {
             experts.sign(blended, out);
         }
+        // Controls that lead out of the world are refused, not cut.
         made.is_possible = is_within_the_world(out);
+        limit_steps(out, options.horizon_len, options.step_max_m(*agent_type, tick.dt_s()));
     }
 }

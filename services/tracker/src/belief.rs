@@ -69,6 +69,47 @@ impl Belief {
         Ok(())
     }
 
+    /// As [`Belief::update`], by observations that were made `lag_s` after the belief's time, or before it if that is
+    /// negative: the belief goes there and back without process noise.
+    ///
+    /// # Errors
+    /// [`FilterFault`]; the belief is then as before.
+    pub fn update_at(
+        &mut self,
+        lag_s: f64,
+        possible: &[(f64, Observation)],
+        models: &Models,
+    ) -> Result<(), FilterFault> {
+        if lag_s == 0.0 {
+            return self.update(possible, models);
+        }
+        self.shift(lag_s, models);
+        let outcome = self.update(possible, models);
+        self.shift(-lag_s, models);
+        outcome
+    }
+
+    /// Moves the belief `dt_s` ahead, or back if that is negative, without process noise.
+    pub fn shift(&mut self, dt_s: f64, models: &Models) {
+        match &mut self.hypotheses {
+            None => self.filter = self.filter.shifted(dt_s, models),
+            Some(Hypotheses::Bicycle(mixture)) => mixture.shift(dt_s, &models.bicycle.noiseless()),
+            Some(Hypotheses::Displacement(mixture)) => {
+                mixture.shift(dt_s, &models.constant_velocity.noiseless());
+            }
+        }
+        self.match_moments();
+    }
+
+    /// Slows the motion to that speed if it is faster, and drops the forecast that led there.
+    pub fn limit_speed(&mut self, most_mps: f64) {
+        let speed_mps = self.motion().speed_mps.abs();
+        if speed_mps > most_mps {
+            // A hair below, so that the numbers of a wire, which are coarser, are not above.
+            *self = Self::new(self.filter.slowed(most_mps / speed_mps * (1.0 - 1e-6)));
+        }
+    }
+
     /// Whether a forecast by such controls can predict the state.
     #[must_use]
     pub const fn accepts(&self, steering: Steering) -> bool {

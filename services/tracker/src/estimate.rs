@@ -1,16 +1,23 @@
+mod gate;
+mod reports;
 mod track;
 mod visibility;
+
+pub use gate::Verdict;
 
 use std::f64::consts::{FRAC_PI_2, TAU};
 
 use filters::{Filter, FilterFault, Kind, Models, Motion, Observation, Unknown, wrapped};
+use run::SpeedLimits;
 use wire::{AgentType, Detection, Forecast, Steering, Track, detection_flags};
 
 use crate::belief::Belief;
 use crate::class::Class;
+use crate::estimate::gate::Gate;
+use crate::estimate::reports::Reports;
 use crate::forecasts::{Controls, Forecasts};
 use crate::front::{Front, folded, rate_limited_rad};
-use crate::observation::{observation, source_id};
+use crate::observation::{Found, observation, source_id};
 use crate::options::{ForecastTrust, InputModel, TrackerOptions};
 use crate::track_management::TrackManagement;
 use crate::trials::{PART_NS, Shown, Trials};
@@ -39,6 +46,15 @@ pub struct Fit {
 }
 
 impl Fit {
+    /// The fit of a position that is so far from the predicted one, which has that covariance (xx, xy, yy).
+    #[must_use]
+    pub fn new([dx, dy]: [f64; 2], [xx, xy, yy]: [f64; 3], variance: f64) -> Self {
+        let (xx, yy) = (xx + variance, yy + variance);
+        let det = xx * yy - xy * xy;
+        let distance2 = (yy * dx * dx - 2.0 * xy * dx * dy + xx * dy * dy) / det;
+        Self { distance2, det }
+    }
+
     /// Logarithm of the detection's density under the prediction, per m².
     #[must_use]
     pub fn log_density(&self) -> f64 {
@@ -76,6 +92,8 @@ pub struct Estimate {
     /// Seed of what the belief draws at random.
     seed: u64,
     stamp_ns: i64,
+    /// Stamp of the frame at hand; the estimate's own may be before it while the frame is processed.
+    frame_ns: i64,
     seen_ns: i64,
     /// Stamp of the controls of the newest adopted forecast.
     controls_ns: Option<i64>,
@@ -101,18 +119,18 @@ pub struct Estimate {
     width_m: f32,
     /// What its forecasts are worth.
     trials: Trials,
+    /// What its detections reported.
+    reports: Reports,
+    gate: Gate,
+    /// Whether another estimate continues its identity.
+    is_replaced: bool,
 }
 
 impl Estimate {
     /// The estimate that a detection starts; confirmed at once where the detection's identity can be trusted.
     #[must_use]
-    pub fn new(
-        birth: Birth,
-        seed: u64,
-        (detection, agent_type): (&Detection, AgentType),
-        input: &InputModel,
-        trusted: bool,
-    ) -> Self {
+    pub fn new((birth, seed): (Birth, u64), found: &Found<'_>, input: &InputModel, trusted: bool) -> Self {
+        let &Found { detection, agent_type, own_ns } = found;
         let seen = observation(detection, agent_type, input);
         let belief = Belief::new(Filter::start(kind(agent_type), &seen, &UNKNOWN[agent_type.index()]));
         let has_size = detection.has(detection_flags::HAS_SIZE);
@@ -121,7 +139,8 @@ impl Estimate {
             birth,
             source_id: source_id(detection),
             seed,
-            stamp_ns: birth.stamp_ns,
+            stamp_ns: own_ns,
+            frame_ns: birth.stamp_ns,
             seen_ns: birth.stamp_ns,
             controls_ns: None,
             front_ns: birth.stamp_ns,
@@ -137,6 +156,9 @@ impl Estimate {
             length_m: if has_size { detection.length_m } else { 0.0 },
             width_m: if has_size { detection.width_m } else { 0.0 },
             trials: Trials::default(),
+            reports: Reports::new(found),
+            gate: Gate::new(own_ns),
+            is_replaced: false,
             belief,
         }
     }
@@ -155,13 +177,17 @@ impl Estimate {
         let unseen_ns = track.unseen_ns;
         let age_ns = stamp_ns.saturating_sub(birth.stamp_ns).max(0).unsigned_abs();
         let existence = f64::from(track.existence);
+        let seen_ns = stamp_ns.saturating_sub_unsigned(unseen_ns);
+        let last = Detection { x_m: track.x_m, y_m: track.y_m, ..Detection::default() };
+        let last = Found { detection: &last, agent_type, own_ns: seen_ns };
         Self {
             class: Class::of(agent_type, track.type_probability.map(f64::from)),
             birth,
             source_id: track.source_id,
             seed,
             stamp_ns,
-            seen_ns: stamp_ns.saturating_sub_unsigned(unseen_ns),
+            frame_ns: stamp_ns,
+            seen_ns,
             controls_ns: None,
             front_ns: birth.stamp_ns,
             management: TrackManagement::of_confirmed(existence, (age_ns, unseen_ns), trusted, input),
@@ -176,6 +202,9 @@ impl Estimate {
             length_m: track.length_m,
             width_m: track.width_m,
             trials: Trials::default(),
+            reports: Reports::new(&last),
+            gate: Gate::new(seen_ns),
+            is_replaced: false,
             belief,
         }
     }
@@ -230,51 +259,65 @@ impl Estimate {
     }
 
     /// What a detection shows of the agent's forecasts, before it updates the estimate.
-    pub fn mature(&mut self, detection: &Detection) -> impl Iterator<Item = Shown> {
-        let position_m = [detection.x_m, detection.y_m].map(f64::from);
+    pub fn mature(&mut self, found: &Found<'_>) -> impl Iterator<Item = Shown> {
         let velocity_mps = self.belief.motion().velocity_mps;
-        self.trials.mature(self.stamp_ns, position_m, velocity_mps)
+        self.trials.mature(found.own_ns, found.position_m(), velocity_mps)
     }
 
-    /// Predicts the motion at `now_ns`.
+    /// Begins a frame, before the motion is predicted to it.
+    pub const fn begin_frame(&mut self, frame_ns: i64) {
+        self.frame_ns = frame_ns;
+        self.dt_ns = if frame_ns > self.stamp_ns { frame_ns.abs_diff(self.stamp_ns) } else { 0 };
+        self.visibility = 1.0;
+    }
+
+    /// Predicts the motion at a later time, at most that of the frame.
     ///
     /// # Errors
     /// [`FilterFault`]; the motion is then as before.
-    pub fn predict(&mut self, now_ns: i64, input: &InputModel) -> Result<(), FilterFault> {
-        let dt_ns = now_ns.saturating_sub(self.stamp_ns).max(0).unsigned_abs();
-        self.stamp_ns = now_ns;
-        self.dt_ns = dt_ns;
-        self.visibility = 1.0;
+    pub fn predict(&mut self, to_ns: i64, input: &InputModel) -> Result<(), FilterFault> {
+        let to_ns = to_ns.min(self.frame_ns);
+        if to_ns <= self.stamp_ns {
+            return Ok(());
+        }
+        let dt_ns = to_ns.abs_diff(self.stamp_ns);
+        self.stamp_ns = to_ns;
         let models = self.models(input);
         self.belief.predict(dt_ns, &models, &input.trust)
     }
 
-    /// How well a position with the given variance per axis fits the prediction.
-    #[must_use]
-    pub fn fit(&self, position_m: [f64; 2], variance: f64) -> Fit {
-        let ([x, y], [xx, xy, yy]) = self.belief.position();
-        let (xx, yy) = (xx + variance, yy + variance);
-        let (dx, dy) = (position_m[0] - x, position_m[1] - y);
-        let det = xx * yy - xy * xy;
-        let distance2 = (yy * dx * dx - 2.0 * xy * dx * dy + xx * dy * dy) / det;
-        Fit { distance2, det }
+    /// Predicts the motion of a new estimate at the stamp of its frame, which may be before the detection's own time.
+    ///
+    /// # Errors
+    /// [`FilterFault`]; the motion is then as before.
+    pub fn predict_first(&mut self, input: &InputModel) -> Result<(), FilterFault> {
+        if self.stamp_ns > self.frame_ns {
+            let models = self.models(input);
+            self.belief.shift(self.lag_s(self.frame_ns), &models);
+            self.stamp_ns = self.frame_ns;
+        }
+        self.predict(self.frame_ns, input)
     }
 
-    /// Updates the estimate by its detection in a frame. All that is `possible` corrects the motion:
+    /// Updates the estimate by a detection in a frame, at its own time. All that is `possible` corrects the motion:
     /// observations of which at most one is of the agent, each with the probability that it is.
     ///
     /// # Errors
     /// [`FilterFault`]; the motion is then as predicted.
     pub fn update(
         &mut self,
-        (detection, agent_type): (&Detection, AgentType),
+        found: &Found<'_>,
         possible: &mut [(f64, Observation)],
         input: &InputModel,
         options: &TrackerOptions,
     ) -> Result<(), FilterFault> {
+        let &Found { detection, agent_type, own_ns } = found;
         let seen = observation(detection, agent_type, input);
-        let log_density = self.fit(seen.position_m, seen.position_variance).log_density();
-        self.management.hit(log_density, self.dt_ns, input, options);
+        if !self.is_hit() {
+            let log_density = self.fit(found, seen.position_variance, input).log_density();
+            self.management.hit(log_density, self.dt_ns, input, options);
+        }
+        self.settle_gate(found, &seen, input);
         if self.class.observe(agent_type) {
             self.belief.drop_forecast();
             if self.class.current() == AgentType::Pedestrian {
@@ -282,13 +325,14 @@ impl Estimate {
             }
         }
         self.source_id = source_id(detection);
+        self.reports.add(found);
         self.smooth_size(detection);
-        self.seen_ns = self.stamp_ns;
+        self.seen_ns = self.frame_ns;
         self.has_velocity = true;
         if let (Filter::Bicycle(_), Some((heading, _))) = (self.belief.filter(), seen.heading_rad) {
             self.front.observe_heading(heading, self.heading_rad);
         }
-        self.correct(possible, input)?;
+        self.correct(possible, self.lag_s(own_ns), input)?;
         self.resolve_front();
         Ok(())
     }
@@ -305,12 +349,13 @@ impl Estimate {
         options: &TrackerOptions,
     ) -> Result<(), FilterFault> {
         self.management.miss(self.visibility, self.dt_ns, input, options);
-        self.correct(possible, input)
+        self.correct(possible, 0.0, input)
     }
 
     fn correct(
         &mut self,
         possible: &mut [(f64, Observation)],
+        lag_s: f64,
         input: &InputModel,
     ) -> Result<(), FilterFault> {
         if let Filter::Bicycle(_) = self.belief.filter() {
@@ -318,11 +363,12 @@ impl Estimate {
                 *heading = folded(*heading, self.heading_rad);
             }
         }
-        self.belief.update(possible, &self.models(input))
+        self.belief.update_at(lag_s, possible, &self.models(input))
     }
 
-    /// Ends a frame: finds the motion and heading to publish.
-    pub fn end_frame(&mut self) {
+    /// Ends a frame: finds the motion and heading to publish, within the limits of the type.
+    pub fn end_frame(&mut self, limits: &SpeedLimits) {
+        self.belief.limit_speed(limits.of(self.class.current()));
         self.motion = self.belief.motion();
         self.heading_rad = self.heading(&self.motion);
         let last_rad = self.published_heading_rad;
@@ -338,7 +384,9 @@ impl Estimate {
     /// Whether the estimate is to be deleted at the end of a frame.
     #[must_use]
     pub fn is_over(&self, input: &InputModel, options: &TrackerOptions) -> bool {
-        self.management.is_over(self.unseen_ns(self.stamp_ns), input, options) || !self.is_within_limits()
+        self.is_replaced
+            || self.management.is_over(self.unseen_ns(self.stamp_ns), input, options)
+            || !self.is_within_limits()
     }
 
     /// The detection that started it.
@@ -371,6 +419,12 @@ impl Estimate {
         self.heading_rad
     }
 
+    /// Whether the frame at hand has detected the agent so far.
+    #[must_use]
+    pub const fn is_hit(&self) -> bool {
+        self.seen_ns == self.frame_ns
+    }
+
     /// Whether the last frame detected the agent.
     #[must_use]
     pub const fn is_seen(&self) -> bool {
@@ -381,12 +435,6 @@ impl Estimate {
     #[must_use]
     pub fn unseen_ns(&self, now_ns: i64) -> u64 {
         now_ns.saturating_sub(self.seen_ns).max(0).unsigned_abs()
-    }
-
-    /// Time between the last detection and the state, in seconds.
-    #[must_use]
-    pub fn since_seen_s(&self) -> f64 {
-        self.unseen_ns(self.stamp_ns) as f64 / 1e9
     }
 
     /// Whether it can be published: confirmed, with a velocity that means something.

@@ -1,13 +1,17 @@
+mod identities;
+
 use association::jpda::SIDE_MAX;
 use filters::{OBSERVATIONS_MAX, Observation};
-use wire::{AgentType, DETECTIONS_MAX, Detection, Header, flags};
+use wire::{DETECTIONS_MAX, Header, flags};
 
 use crate::estimate::{Birth, Estimate};
+use crate::estimates::identities::Stray;
 use crate::forecasts::{Controls, Forecasts};
-use crate::observation::observation;
+use crate::observation::{Found, observation};
 use crate::occlusion::Occlusion;
 use crate::options::{Prior, TrackerOptions};
 use crate::pairing::Pairing;
+use crate::placeholders::Placeholders;
 use crate::publication::Publications;
 use crate::scan::Scan;
 use crate::tracked::Tracked;
@@ -24,6 +28,7 @@ pub struct Estimates {
     started_len: u64,
     /// What forecasts are worth as the prior, by type.
     shown: [Shown; 3],
+    placeholders: Placeholders,
 }
 
 /// Memory that is used again.
@@ -34,6 +39,10 @@ pub struct Scratch {
     /// Observations that may be of the agent at hand, each with the probability that it is.
     possible: Vec<(f64, Observation)>,
     controls: Controls,
+    /// Detections that are not where their identity's estimate expects them.
+    strays: Vec<Stray>,
+    /// Estimates that continue the identity of another one.
+    begun: Vec<Estimate>,
 }
 
 impl Scratch {
@@ -45,6 +54,8 @@ impl Scratch {
             occlusion: Occlusion::new(),
             possible: Vec::with_capacity(SIDE_MAX),
             controls: Controls::new(),
+            strays: Vec::with_capacity(estimates_len),
+            begun: Vec::with_capacity(estimates_len),
         }
     }
 }
@@ -53,7 +64,7 @@ impl Estimates {
     /// No estimates, and room for so many.
     #[must_use]
     pub fn with_capacity(len: usize) -> Self {
-        Self { all: Vec::with_capacity(len), started_len: 0, shown: Default::default() }
+        Self { all: Vec::with_capacity(len), started_len: 0, ..Self::default() }
     }
 
     /// All estimates.
@@ -73,6 +84,7 @@ impl Estimates {
         self.all.clone_from(&source.all);
         self.started_len = source.started_len;
         self.shown = source.shown;
+        self.placeholders = source.placeholders;
     }
 
     /// Processes a scan that is newer than the estimates; returns what it did to them.
@@ -86,11 +98,19 @@ impl Estimates {
         scratch: &mut Scratch,
         options: &TrackerOptions,
     ) -> Tracked {
-        let mut tracked = Tracked::default();
+        let mut tracked = Tracked { detections_len: scan.detections.len(), ..Tracked::default() };
         self.adopt_forecasts(scan, publications, &mut scratch.controls, options, &mut tracked);
-        self.predict(&scan.header, options, &mut tracked);
-        self.update(scan, publications, scratch, options, &mut tracked);
+        self.begin_frame(&scan.header, options, &mut tracked);
+        if options.trusts(&scan.header, &scan.detections) {
+            self.follow_identities(scan, publications, scratch, options, &mut tracked);
+        } else {
+            self.predict(&scan.header, options, &mut tracked);
+            self.update(scan, publications, scratch, options, &mut tracked);
+        }
         self.start(scan, &scratch.pairing, options, &mut tracked);
+        if scan.has_own_times() {
+            self.end_twins();
+        }
         self.end(&scan.header, options, &mut tracked);
         tracked
     }
@@ -123,17 +143,22 @@ impl Estimates {
         }
     }
 
-    fn predict(&mut self, header: &Header, options: &TrackerOptions, tracked: &mut Tracked) {
+    fn begin_frame(&mut self, header: &Header, options: &TrackerOptions, tracked: &mut Tracked) {
         let now_ns = header.stamp_ns;
-        let input = options.input(header);
         let before = self.all.len();
         self.all.retain(|estimate| estimate.unseen_ns(now_ns) <= options.horizon_ns);
         tracked.ended_len += before - self.all.len();
+        self.all.iter_mut().for_each(|estimate| estimate.begin_frame(now_ns));
+    }
+
+    fn predict(&mut self, header: &Header, options: &TrackerOptions, tracked: &mut Tracked) {
+        let input = options.input(header);
         for estimate in &mut self.all {
-            tracked.faults_len += usize::from(estimate.predict(now_ns, input).is_err());
+            tracked.faults_len += usize::from(estimate.predict(header.stamp_ns, input).is_err());
         }
     }
 
+    /// Associates the detections with the estimates, and updates these.
     fn update(
         &mut self,
         Scan { header, detections, types, .. }: &Scan,
@@ -144,29 +169,41 @@ impl Estimates {
     ) {
         let input = options.input(header);
         let has_births = publications.has_births_at(header.stamp_ns);
-        if options.trusts(header, detections) {
-            tracked.duplicates_len = pairing.by_identity(&self.all, detections);
-        } else {
-            self.update_visibility(header, options, occlusion, |_, estimate| estimate.is_coasting());
-            pairing.by_position(&self.all, detections, types, input, options);
-            let missed =
-                |e: usize, estimate: &Estimate| !estimate.is_coasting() && pairing.paired(e).is_none();
-            self.update_visibility(header, options, occlusion, missed);
-        }
+        self.update_visibility(header, options, occlusion, |_, estimate| estimate.is_coasting());
+        pairing.by_position(&self.all, detections, types, input, options);
+        let missed = |e: usize, estimate: &Estimate| !estimate.is_coasting() && pairing.paired(e).is_none();
+        self.update_visibility(header, options, occlusion, missed);
+        let found = |d: usize| Found::new(header.stamp_ns, &detections[d], types[d]);
         for (e, estimate) in self.all.iter_mut().enumerate() {
+            if pairing.is_resent(e) {
+                tracked.repeated_len += 1;
+                continue;
+            }
             possible.clear();
+            // A single detection updates the estimate at its own time, several do so at the frame's.
+            let single = pairing.paired(e).is_some() && pairing.shares(e).len() == 1;
             possible.extend(pairing.shares(e).iter().map(|share| {
-                let d = share.detection as usize;
-                (share.probability, observation(&detections[d], types[d], input))
+                let found = found(share.detection as usize);
+                let seen = if single {
+                    observation(found.detection, found.agent_type, input)
+                } else {
+                    estimate.observe(&found, input)
+                };
+                (share.probability, seen)
             }));
             let mut outcome = Ok(());
             if let Some(detection) = pairing.paired(e) {
-                let d = detection as usize;
+                let first = found(detection as usize);
                 let of_type = &mut self.shown[estimate.class.current().index()];
-                estimate.mature(&detections[d]).for_each(|shown| of_type.add_of_type(&shown));
-                outcome = estimate.update((&detections[d], types[d]), possible, input, options);
+                estimate.mature(&first).for_each(|shown| of_type.add_of_type(&shown));
+                let at_stamp = Found { own_ns: header.stamp_ns, ..first };
+                outcome = estimate.update(if single { &first } else { &at_stamp }, possible, input, options);
                 if has_births {
                     publications.transfer(Birth { stamp_ns: header.stamp_ns, detection }, estimate.birth());
+                }
+                for found in pairing.more(e).map(found) {
+                    let mut seen = [(1.0, observation(found.detection, found.agent_type, input))];
+                    outcome = outcome.and(estimate.update(&found, &mut seen, input, options));
                 }
             } else if header.observed_types & estimate.class.current().bit() != 0 {
                 outcome = estimate.miss(possible, input, options);
@@ -198,6 +235,7 @@ impl Estimates {
         }
     }
 
+    /// Starts estimates by the detections that are left. Of an identity the first one starts it.
     fn start(
         &mut self,
         Scan { header, detections, types, .. }: &Scan,
@@ -208,6 +246,25 @@ impl Estimates {
         let input = options.input(header);
         let trusted = options.trusts(header, detections);
         for d in pairing.unpaired() {
+            let found = Found::new(header.stamp_ns, &detections[d], types[d]);
+            if Estimate::is_too_fast(&found, options) {
+                tracked.misfits_len += 1;
+                continue;
+            }
+            if self.placeholders.holds(found.place()) {
+                tracked.placeholders_len += 1;
+                continue;
+            }
+            let last = self.all.last_mut().filter(|last| {
+                trusted && last.birth().stamp_ns == header.stamp_ns && last.source_id() == found.detection.id
+            });
+            if let Some(last) = last {
+                let mut seen = [(1.0, observation(found.detection, found.agent_type, input))];
+                let outcome = last.predict(found.own_ns, input);
+                let outcome = outcome.and(last.update(&found, &mut seen, input, options));
+                tracked.faults_len += usize::from(outcome.is_err());
+                continue;
+            }
             if self.all.len() >= options.tracks_max {
                 tracked.overflow_len += 1;
                 continue;
@@ -215,15 +272,30 @@ impl Estimates {
             self.started_len += 1;
             tracked.started_len += 1;
             let birth = Birth { stamp_ns: header.stamp_ns, detection: d as u32 };
-            let detection: (&Detection, AgentType) = (&detections[d], types[d]);
-            self.all.push(Estimate::new(birth, self.started_len, detection, input, trusted));
+            self.all.push(Estimate::new((birth, self.started_len), &found, input, trusted));
+        }
+        for estimate in self.all.iter_mut().rev() {
+            if estimate.birth().stamp_ns != header.stamp_ns {
+                break;
+            }
+            tracked.faults_len += usize::from(estimate.predict_first(input).is_err());
+        }
+    }
+
+    /// Ends tentative estimates of agents that have an older one.
+    fn end_twins(&mut self) {
+        for younger in 1..self.all.len() {
+            let (older, rest) = self.all.split_at_mut(younger);
+            if !rest[0].is_ready() && older.iter().any(|older| rest[0].is_twin_of(older)) {
+                rest[0].replace();
+            }
         }
     }
 
     fn end(&mut self, header: &Header, options: &TrackerOptions, tracked: &mut Tracked) {
         let input = options.input(header);
         let before = self.all.len();
-        self.all.iter_mut().for_each(Estimate::end_frame);
+        self.all.iter_mut().for_each(|estimate| estimate.end_frame(&options.speed_limits));
         self.all.retain(|estimate| !estimate.is_over(input, options));
         tracked.ended_len += before - self.all.len();
         tracked.held_len = self.all.len();

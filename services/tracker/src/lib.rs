@@ -37,7 +37,8 @@
 //! publication           ids and histories as published      pairing   gating and association
 //! estimate              one agent: belief, type, front, visibility, track management
 //! belief  forecasts     motion and its prior           trials    what forecasts are worth
-//! class  front  grid  history  observation  occlusion  scan  tally  tracked  track_management
+//! class  front  grid  history  observation  occlusion  placeholders  scan  tally  track_management
+//! tracked
 //! options
 //! ```
 
@@ -57,6 +58,7 @@ mod observation;
 mod occlusion;
 mod options;
 mod pairing;
+mod placeholders;
 mod predecessor;
 mod publication;
 mod replay;

@@ -6,6 +6,44 @@ use crate::options::InputModel;
 /// Bounds of a detection's own noise: beyond them, variances overflow or vanish in a published covariance.
 const SIGMA_RANGE_M: (f64, f64) = (1e-6, 1e3);
 
+/// A detection with its own time.
+#[derive(Clone, Copy, Debug)]
+pub struct Found<'a> {
+    /// What was detected.
+    pub detection: &'a Detection,
+    /// Its type.
+    pub agent_type: AgentType,
+    /// When it was measured: its own time.
+    pub own_ns: i64,
+}
+
+impl<'a> Found<'a> {
+    /// A detection of the frame with that stamp.
+    #[must_use]
+    pub const fn new(stamp_ns: i64, detection: &'a Detection, agent_type: AgentType) -> Self {
+        Self { detection, agent_type, own_ns: stamp_ns.saturating_add(detection.offset_ns) }
+    }
+
+    /// The bits of its position.
+    #[must_use]
+    pub const fn place(&self) -> [u32; 2] {
+        [self.detection.x_m.to_bits(), self.detection.y_m.to_bits()]
+    }
+
+    /// Its position.
+    #[must_use]
+    pub fn position_m(&self) -> [f64; 2] {
+        [self.detection.x_m, self.detection.y_m].map(f64::from)
+    }
+
+    /// The speed that it reports.
+    #[must_use]
+    pub fn speed_mps(&self) -> Option<f64> {
+        let has_speed = self.detection.has(detection_flags::HAS_SPEED);
+        has_speed.then(|| f64::from(self.detection.speed_mps).abs())
+    }
+}
+
 /// The observation of a detection, with the noise of its type where it has none of its own.
 #[must_use]
 pub fn observation(detection: &Detection, agent_type: AgentType, input: &InputModel) -> Observation {

@@ -1,10 +1,10 @@
 use filters::{Bicycle, ConstantAcceleration, ConstantTurnRate, ConstantVelocity, Integrator, Models};
-use run::Declaration;
+use run::{Declaration, SpeedLimits};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use wire::{
-    AgentType, Detection, DetectionsTopic, ForecastsTopic, HISTORY_MAX, Header, StageId, Topic, TracksTopic,
-    detection_flags, flags,
+    AgentType, Detection, DetectionsTopic, ForecastsTopic, HISTORY_MAX, Header, SPEED_MAX_MPS, StageId,
+    Topic, TracksTopic, detection_flags, flags,
 };
 
 use crate::FieldOfView;
@@ -33,10 +33,20 @@ pub struct Options {
     /// something moves in them: tracks are then predicted. 0 for never.
     #[schemars(range(max = 1000))]
     pub frozen_frames: u32,
+    /// Highest speed of a vehicle in m/s: nothing faster is measured, tracked or forecast.
+    #[schemars(range(max = SPEED_MAX_MPS), extend("exclusiveMinimum" = 0.0))]
+    pub vehicle_speed_max_mps: f64,
+    /// Highest speed of a cyclist in m/s.
+    #[schemars(range(max = SPEED_MAX_MPS), extend("exclusiveMinimum" = 0.0))]
+    pub cyclist_speed_max_mps: f64,
+    /// Highest speed of a pedestrian in m/s.
+    #[schemars(range(max = SPEED_MAX_MPS), extend("exclusiveMinimum" = 0.0))]
+    pub pedestrian_speed_max_mps: f64,
 }
 
 impl Default for Options {
     fn default() -> Self {
+        let limits = SpeedLimits::default();
         Self {
             associate: false,
             prior: Prior::default(),
@@ -44,6 +54,21 @@ impl Default for Options {
             fov: None,
             // A quarter of a second: a sensor that is slower than the ticks may send a frame twice.
             frozen_frames: 4,
+            vehicle_speed_max_mps: limits.vehicle_mps,
+            cyclist_speed_max_mps: limits.cyclist_mps,
+            pedestrian_speed_max_mps: limits.pedestrian_mps,
+        }
+    }
+}
+
+impl Options {
+    /// The highest speeds.
+    #[must_use]
+    pub const fn speed_limits(&self) -> SpeedLimits {
+        SpeedLimits {
+            vehicle_mps: self.vehicle_speed_max_mps,
+            cyclist_mps: self.cyclist_speed_max_mps,
+            pedestrian_mps: self.pedestrian_speed_max_mps,
         }
     }
 }
@@ -149,6 +174,8 @@ pub struct TrackerOptions {
     pub fov: Option<FieldOfView>,
     /// Frames in a row with the same detections from which on the source counts as frozen; 0 for never.
     pub frozen_frames: u32,
+    /// Highest speed of each type.
+    pub speed_limits: SpeedLimits,
     /// Inputs of a detector, to be associated.
     pub detector: InputModel,
     /// Inputs that carry identities: annotated or smoothed recordings, whose positions are nearly without
@@ -229,6 +256,7 @@ impl Default for TrackerOptions {
             association: Association::default(),
             fov: None,
             frozen_frames: 0,
+            speed_limits: SpeedLimits::default(),
             detector: DETECTOR,
             recorded: RECORDED,
             detection_probability: 0.9,

@@ -1,12 +1,13 @@
+use std::ops::Range;
+
 use association::Candidate;
 use association::assignment::Assigner;
 use association::jpda::{Associator, Share};
-use elementary::hypot;
 use wire::{AgentType, Detection};
 
 use crate::estimate::Estimate;
 use crate::grid::{Grid, Spot};
-use crate::observation::position_sigma_m;
+use crate::observation::{Found, position_sigma_m};
 use crate::options::{Association, InputModel, TrackerOptions};
 
 /// 99 % of a chi-squared variable of two degrees of freedom: the gate for positions.
@@ -14,9 +15,8 @@ const GATE: f64 = 9.210_340_371_976_18;
 /// The gate of the second round, of confirmed tracks and detections that the first left unpaired: five
 /// standard deviations. A vehicle that brakes hard leaves the first gate, and would start a second track.
 const WIDE_GATE: f64 = 25.0;
-/// A detection that carries an identity belongs to its track unless it is farther away than this and any
-/// speed allow.
-const JUMP_MIN_M: f64 = 5.0;
+/// Most rounds in which an estimate takes another detection, each of another own time.
+const MORE_ROUNDS: usize = 8;
 
 /// Associates detections with estimates; holds only scratch memory.
 #[derive(Clone, Debug)]
@@ -26,6 +26,16 @@ pub struct Pairing {
     grid: Grid,
     /// (identity, estimate), sorted.
     identities: Vec<(u64, u32)>,
+    /// The detections in the order of their identities and own times, without duplicates.
+    ordered: Vec<u32>,
+    /// Where in `ordered` those of each estimate lie.
+    own: Vec<Range<usize>>,
+    /// Further detections of an estimate, of other own times: (estimate, detection).
+    more: Vec<(u32, u32)>,
+    /// The positions of the frame's detections.
+    places: PlaceFilter,
+    /// Whether each estimate's last detection was sent again.
+    resent: Vec<bool>,
     candidates: Vec<Candidate>,
     /// The candidates of the first gate, for the associator.
     possible: Vec<Candidate>,
@@ -49,6 +59,11 @@ impl Pairing {
             unpaired: Vec::with_capacity(detections_len),
             grid: Grid::with_capacity(detections_len),
             identities: Vec::with_capacity(estimates_len),
+            ordered: Vec::with_capacity(detections_len),
+            own: Vec::with_capacity(estimates_len),
+            more: Vec::with_capacity(detections_len),
+            places: PlaceFilter::default(),
+            resent: Vec::with_capacity(estimates_len),
             candidates: Vec::with_capacity(8 * estimates_len),
             possible: Vec::with_capacity(8 * estimates_len),
             assigner: Assigner::with_capacity(estimates_len, detections_len),
@@ -81,38 +96,66 @@ impl Pairing {
         self.unpaired.iter().map(|&d| d as usize)
     }
 
-    /// Pairs by identity: a detection belongs to the estimate of the last detection of its identity.
+    /// The detections of an estimate by its identity, in the order of their own times.
+    #[must_use]
+    pub fn of_identity(&self, estimate: usize) -> &[u32] {
+        &self.ordered[self.own[estimate].clone()]
+    }
+
+    /// Further detections of an estimate, of other own times than the paired one.
+    pub fn more(&self, estimate: usize) -> impl Iterator<Item = usize> + '_ {
+        let of_estimate = self.more.iter().filter(move |(e, _)| *e as usize == estimate);
+        of_estimate.map(|(_, d)| *d as usize)
+    }
+
+    /// Whether an estimate's last detection was sent again, though the agent moves.
+    #[must_use]
+    pub fn is_resent(&self, estimate: usize) -> bool {
+        self.resent[estimate]
+    }
+
+    /// Whether several detections of the frame may be at one exact position.
+    #[must_use]
+    pub const fn shares_places(&self) -> bool {
+        self.places.has_shared
+    }
+
+    /// Groups by identity: detections belong to the estimate of the last detection of their identity. Those of one
+    /// identity and own time are duplicates: all but one are left aside.
     ///
-    /// Returns the number of detections left aside because another one of the frame carries the same
-    /// identity.
+    /// Returns the number of these.
     pub fn by_identity(&mut self, estimates: &[Estimate], detections: &[Detection]) -> usize {
         self.clear(estimates, detections);
+        self.places.fill(detections);
         self.unpaired.sort_unstable_by_key(|&d| {
             let d = &detections[d as usize];
-            (d.id, d.agent_type, d.x_m.to_bits(), d.y_m.to_bits())
+            (d.id, d.offset_ns, d.agent_type, d.x_m.to_bits(), d.y_m.to_bits())
+        });
+        self.unpaired.dedup_by_key(|d| {
+            let d = &detections[*d as usize];
+            (d.id, d.offset_ns)
         });
         self.identities.clear();
         self.identities.extend(estimates.iter().zip(0..).map(|(estimate, t)| (estimate.source_id(), t)));
         self.identities.sort_unstable();
-        let mut duplicates_len = 0;
-        let mut last = None;
-        for &d in &self.unpaired {
-            let detection = &detections[d as usize];
-            if last.replace(detection.id) == Some(detection.id) {
-                self.taken[d as usize] = true;
-                duplicates_len += 1;
-                continue;
-            }
+        self.ordered.clone_from(&self.unpaired);
+        self.own.clear();
+        self.own.resize(estimates.len(), 0..0);
+        let mut from = 0;
+        for run in self.ordered.chunk_by(|&a, &b| detections[a as usize].id == detections[b as usize].id) {
+            let own = from..from + run.len();
+            from = own.end;
+            let wanted = detections[run[0] as usize].id;
             // Of several estimates with the identity, the newest holds it.
-            let end = self.identities.partition_point(|&(id, _)| id <= detection.id);
-            let Some(&(id, t)) = end.checked_sub(1).and_then(|i| self.identities.get(i)) else { continue };
-            if id == detection.id && !jumped(&estimates[t as usize], detection) {
-                self.paired[t as usize] = Some(certain(d));
-                self.taken[d as usize] = true;
+            let end = self.identities.partition_point(|&(id, _)| id <= wanted);
+            let holder = end.checked_sub(1).and_then(|i| self.identities.get(i));
+            if let Some(&(_, t)) = holder.filter(|(id, _)| *id == wanted) {
+                run.iter().for_each(|&d| self.taken[d as usize] = true);
+                self.own[t as usize] = own;
             }
         }
         self.unpaired.retain(|&d| !self.taken[d as usize]);
-        duplicates_len
+        detections.len() - self.ordered.len()
     }
 
     /// Pairs by position and type: the optimal assignment of all pairs within the gate.
@@ -121,6 +164,9 @@ impl Pairing {
     /// and S are those of the position, so that a wrong heading or speed does not cost a track its detection.
     /// A second round with a wider gate pairs confirmed tracks and detections that are left. Occluded tracks
     /// take no part in it: their miss needs no explanation.
+    ///
+    /// Detections of different own times may be of one agent, seen by several sensors. Then published tracks come first,
+    /// and each may take one detection of each own time.
     pub fn by_position(
         &mut self,
         estimates: &[Estimate],
@@ -138,19 +184,23 @@ impl Pairing {
             agent_type,
         }));
         let jointly = options.association == Association::Jpda;
+        let frame = Frame { detections, types, input, options };
+        self.set_aside_resent(estimates, &frame);
+        let are_mixed = detections.iter().any(|d| d.offset_ns != detections[0].offset_ns);
         for gate in [GATE, WIDE_GATE] {
-            self.find_candidates(estimates, gate, options);
+            self.find_candidates(estimates, gate, Wanted::new(are_mixed && gate == GATE), &frame);
             if jointly && gate == GATE {
                 self.possible.clone_from(&self.candidates);
             }
-            let miss_cost = options.miss_cost + (gate - GATE);
-            self.assigner.solve(&mut self.candidates, detections.len(), miss_cost, &mut self.round);
-            for (paired, found) in self.paired.iter_mut().zip(&self.round) {
-                if let &Some(d) = found {
-                    *paired = Some(certain(d));
-                    self.taken[d as usize] = true;
-                }
+            self.pair(gate, detections.len(), options);
+            if are_mixed {
+                self.pair_more(estimates, Wanted::Ready, &frame);
             }
+        }
+        if are_mixed {
+            self.find_candidates(estimates, GATE, Wanted::Tentative, &frame);
+            self.pair(GATE, detections.len(), options);
+            self.pair_more(estimates, Wanted::Tentative, &frame);
         }
         if jointly {
             self.associate(estimates, detections.len(), options.miss_cost);
@@ -176,24 +226,95 @@ impl Pairing {
         }
     }
 
-    /// Finds all pairs within the gate, of estimates and detections that are unpaired.
-    fn find_candidates(&mut self, estimates: &[Estimate], gate: f64, options: &TrackerOptions) {
-        let Self { grid, candidates, paired, taken, .. } = self;
+    /// Sets aside the detections that were sent again, with their estimates.
+    fn set_aside_resent(&mut self, estimates: &[Estimate], frame: &Frame<'_>) {
+        self.places.fill(frame.detections);
+        for (estimate, resent) in estimates.iter().zip(&mut self.resent) {
+            let Some(place) = estimate.moving_from().filter(|place| self.places.may_hold(*place)) else {
+                continue;
+            };
+            let found = (0..frame.detections.len()).find(|&d| {
+                !self.taken[d]
+                    && place_of(&frame.detections[d]) == place
+                    && estimate.is_resent(&frame.found(d, estimate.stamp_ns()))
+            });
+            if let Some(d) = found {
+                self.taken[d] = true;
+                *resent = true;
+            }
+        }
+    }
+
+    /// Pairs the candidates at the least cost.
+    fn pair(&mut self, gate: f64, detections_len: usize, options: &TrackerOptions) {
+        let miss_cost = options.miss_cost + (gate - GATE);
+        self.assigner.solve(&mut self.candidates, detections_len, miss_cost, &mut self.round);
+        for (paired, found) in self.paired.iter_mut().zip(&self.round) {
+            if let &Some(d) = found {
+                *paired = Some(certain(d));
+                self.taken[d as usize] = true;
+            }
+        }
+    }
+
+    /// Gives paired estimates further detections, of other own times than those that they have.
+    fn pair_more(&mut self, estimates: &[Estimate], wanted: Wanted, frame: &Frame<'_>) {
+        for _ in 0..MORE_ROUNDS {
+            self.find_candidates(estimates, GATE, wanted.again(), frame);
+            let (paired, more) = (&self.paired, &self.more);
+            let own_ns = |d: u32| frame.detections[d as usize].offset_ns;
+            self.candidates.retain(|candidate| {
+                let first = paired[candidate.track as usize].map(|share| share.detection);
+                let others = more.iter().filter(|(e, _)| *e == candidate.track).map(|(_, d)| *d);
+                first.into_iter().chain(others).all(|d| own_ns(d) != own_ns(candidate.detection))
+            });
+            self.assigner.solve(
+                &mut self.candidates,
+                frame.detections.len(),
+                frame.options.miss_cost,
+                &mut self.round,
+            );
+            let before = self.more.len();
+            for (e, found) in (0..).zip(&self.round) {
+                if let &Some(d) = found {
+                    self.more.push((e, d));
+                    self.taken[d as usize] = true;
+                }
+            }
+            if self.more.len() == before {
+                return;
+            }
+        }
+    }
+
+    /// Finds all pairs within the gate, of wanted estimates and detections that are unpaired.
+    fn find_candidates(&mut self, estimates: &[Estimate], gate: f64, wanted: Wanted, frame: &Frame<'_>) {
+        let Self { grid, candidates, paired, taken, resent, .. } = self;
         let largest = grid.spots().iter().fold(0.0, |largest, spot| spot.variance.max(largest));
+        let lag_max_ns = frame.detections.iter().fold(0, |most, d| d.offset_ns.unsigned_abs().max(most));
         candidates.clear();
         for ((estimate, t), paired) in estimates.iter().zip(0..).zip(&*paired) {
-            if paired.is_some() || (gate > GATE && (!estimate.is_ready() || estimate.is_occluded())) {
+            if paired.is_some() != wanted.is_again() || resent[t as usize] {
                 continue;
             }
-            let occlusion_cost = estimate.occlusion_cost(options);
+            if (gate > GATE && (!estimate.is_ready() || estimate.is_occluded())) || !wanted.wants(estimate) {
+                continue;
+            }
+            let occlusion_cost = estimate.occlusion_cost(frame.options);
             let (centre_m, [xx, _, yy]) = estimate.belief.position();
-            let reach_m = [xx, yy].map(|variance| (gate * (variance + largest)).sqrt());
+            let mut reach_m = [xx, yy].map(|variance| (gate * (variance + largest)).sqrt());
+            if lag_max_ns > 0 {
+                let moved_m =
+                    estimate.belief.motion().velocity_mps.map(|v| v.abs() * lag_max_ns as f64 / 1e9);
+                reach_m = [0, 1].map(|axis| reach_m[axis] + moved_m[axis]);
+            }
             grid.near(centre_m, reach_m).for_each(|spot| {
                 let off = |axis: usize| (spot.position_m[axis] - centre_m[axis]).abs() > reach_m[axis];
                 if taken[spot.detection as usize] || off(0) || off(1) {
                     return;
                 }
-                let fit = estimate.fit(spot.position_m, spot.variance);
+                let found = frame.found(spot.detection as usize, estimate.stamp_ns());
+                let fit = estimate.fit(&found, spot.variance, frame.input);
                 if fit.distance2 <= gate {
                     let cost = fit.cost() + estimate.class.disagreement(spot.agent_type) + occlusion_cost;
                     candidates.push(Candidate { track: t, detection: spot.detection, cost });
@@ -213,15 +334,103 @@ impl Pairing {
         self.joint.resize(estimates.len(), false);
         self.round.clear();
         self.round.resize(estimates.len(), None);
+        self.more.clear();
+        self.resent.clear();
+        self.resent.resize(estimates.len(), false);
     }
+}
+
+/// What is associated.
+struct Frame<'a> {
+    detections: &'a [Detection],
+    types: &'a [AgentType],
+    input: &'a InputModel,
+    options: &'a TrackerOptions,
+}
+
+impl Frame<'_> {
+    /// A detection of the frame with that stamp.
+    fn found(&self, detection: usize, stamp_ns: i64) -> Found<'_> {
+        Found::new(stamp_ns, &self.detections[detection], self.types[detection])
+    }
+}
+
+/// Which estimates take part in a round.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Wanted {
+    /// All that are unpaired.
+    All,
+    /// The ready or the tentative ones that are unpaired.
+    Ready,
+    Tentative,
+    /// Those that are paired.
+    ReadyAgain,
+    TentativeAgain,
+}
+
+impl Wanted {
+    const fn new(ready: bool) -> Self {
+        if ready { Self::Ready } else { Self::All }
+    }
+
+    const fn again(self) -> Self {
+        if matches!(self, Self::Tentative) { Self::TentativeAgain } else { Self::ReadyAgain }
+    }
+
+    const fn is_again(self) -> bool {
+        matches!(self, Self::ReadyAgain | Self::TentativeAgain)
+    }
+
+    const fn wants(self, estimate: &Estimate) -> bool {
+        match self {
+            Self::All => true,
+            Self::Ready | Self::ReadyAgain => estimate.is_ready(),
+            Self::Tentative | Self::TentativeAgain => !estimate.is_ready(),
+        }
+    }
+}
+
+/// The exact positions of a frame's detections, as one bit each: a position that it does not hold is not there.
+#[derive(Clone, Debug)]
+struct PlaceFilter {
+    bits: [u64; 64],
+    /// Whether two positions may be equal.
+    has_shared: bool,
+}
+
+impl Default for PlaceFilter {
+    fn default() -> Self {
+        Self { bits: [0; 64], has_shared: false }
+    }
+}
+
+impl PlaceFilter {
+    fn fill(&mut self, detections: &[Detection]) {
+        *self = Self::default();
+        for detection in detections {
+            let (word, bit) = Self::at(place_of(detection));
+            self.has_shared |= self.bits[word] & bit != 0;
+            self.bits[word] |= bit;
+        }
+    }
+
+    fn may_hold(&self, place: [u32; 2]) -> bool {
+        let (word, bit) = Self::at(place);
+        self.bits[word] & bit != 0
+    }
+
+    /// Fibonacci hashing.
+    const fn at([x, y]: [u32; 2]) -> (usize, u64) {
+        let mixed = ((x as u64) << 32 | y as u64).wrapping_mul(0x9E37_79B9_7F4A_7C15) >> 52;
+        ((mixed >> 6) as usize, 1 << (mixed & 63))
+    }
+}
+
+/// The bits of a detection's position.
+const fn place_of(detection: &Detection) -> [u32; 2] {
+    [detection.x_m.to_bits(), detection.y_m.to_bits()]
 }
 
 const fn certain(detection: u32) -> Share {
     Share { detection, probability: 1.0 }
-}
-
-fn jumped(estimate: &Estimate, detection: &Detection) -> bool {
-    let ([x, y], _) = estimate.belief.position();
-    let distance_m = hypot(f64::from(detection.x_m) - x, f64::from(detection.y_m) - y);
-    distance_m > JUMP_MIN_M + f64::from(wire::SPEED_MAX_MPS) * estimate.since_seen_s()
 }

@@ -24,6 +24,12 @@ impl Scan {
         Self { header: Header::zeroed(), detections, types, prior: None, forecasts }
     }
 
+    /// Whether some detections were made at other times than the frame's stamp.
+    #[must_use]
+    pub fn has_own_times(&self) -> bool {
+        self.detections.iter().any(|detection| detection.offset_ns != 0)
+    }
+
     /// Copies a frame and its forecasts.
     pub fn fill(
         &mut self,

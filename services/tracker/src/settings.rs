@@ -19,6 +19,7 @@ pub fn settings(run: &Run, model: &ModelConfig) -> Result<TrackerOptions, Option
         association: options.association,
         fov: options.fov,
         frozen_frames: options.frozen_frames,
+        speed_limits: options.speed_limits(),
         ..TrackerOptions::default()
     })
 }

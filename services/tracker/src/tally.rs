@@ -1,3 +1,7 @@
+use wire::InputCounts;
+
+use crate::tracked::Tracked;
+
 /// Counts of what went wrong, from the start.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Tally {
@@ -7,10 +11,28 @@ pub struct Tally {
     pub too_late_len: u64,
     /// Frames that were refused because their stamp was processed before.
     pub repeated_len: u64,
+    /// What the detections contained; the tracker's part.
+    pub input: InputCounts,
     /// As [`Tracked::faults_len`](crate::Tracked::faults_len).
     pub faults_len: u64,
     /// As [`Tracked::refused_len`](crate::Tracked::refused_len).
     pub refused_len: u64,
+}
+
+impl Tally {
+    /// Adds what the detections of a frame contained.
+    pub(crate) fn add_input(&mut self, tracked: &Tracked) {
+        let InputCounts { detections, repeated, misfits, placeholders, reassigned, .. } = &mut self.input;
+        for (sum, len) in [
+            (detections, tracked.detections_len),
+            (repeated, tracked.repeated_len),
+            (misfits, tracked.misfits_len),
+            (placeholders, tracked.placeholders_len),
+            (reassigned, tracked.reassigned_len),
+        ] {
+            *sum = sum.saturating_add(u32::try_from(len).unwrap_or(u32::MAX));
+        }
+    }
 }
 
 /// The counts last warned of. Each is logged again when it has doubled, so that what happens in every frame
@@ -21,7 +43,24 @@ pub(crate) struct Warned(Tally);
 impl Warned {
     /// Logs each count that has doubled since.
     pub(crate) fn warn(&mut self, now: Tally) {
-        let Tally { out_of_sequence_len, too_late_len, repeated_len, faults_len, refused_len } = &mut self.0;
+        let Tally { out_of_sequence_len, too_late_len, repeated_len, input, faults_len, refused_len } =
+            &mut self.0;
+        let InputCounts { repeated, misfits, placeholders, reassigned, .. } = input;
+        for (what, warned_len, now_len) in [
+            ("detections repeated: no measurements", repeated, now.input.repeated),
+            ("detections where their track can't be: treated as missed", misfits, now.input.misfits),
+            (
+                "detections at a placeholder's position: treated as missed",
+                placeholders,
+                now.input.placeholders,
+            ),
+            ("tracks continued elsewhere, by detections that agree", reassigned, now.input.reassigned),
+        ] {
+            if now_len > 0 && now_len / 2 >= *warned_len {
+                tracing::warn!("{now_len} {what} so far");
+                *warned_len = now_len;
+            }
+        }
         for (what, warned_len, now_len) in [
             ("out-of-sequence frames processed", out_of_sequence_len, now.out_of_sequence_len),
             ("frames refused as too late", too_late_len, now.too_late_len),

@@ -21,6 +21,16 @@ pub struct Tracked {
     pub overflow_len: usize,
     /// Detections left aside because another one of the frame carries the same identity.
     pub duplicates_len: usize,
+    /// Detections taken in.
+    pub detections_len: usize,
+    /// Detections that repeat the last one of a moving track to the bit: no measurements.
+    pub repeated_len: usize,
+    /// Detections that their track can't have reached: it was missed.
+    pub misfits_len: usize,
+    /// Detections at a placeholder's position.
+    pub placeholders_len: usize,
+    /// Tracks whose state began again because misfits agreed, or that exchanged their identities.
+    pub reassigned_len: usize,
     /// Predictions and updates that failed; their tracks kept the state before.
     pub faults_len: usize,
     /// Forecasts that could not become a prior; their tracks went on by the one before, or without.

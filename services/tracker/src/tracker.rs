@@ -1,6 +1,6 @@
 use wire::{
-    AGENTS_MAX, AgentType, Counts, DETECTIONS_MAX, Detection, Forecast, HISTORY_MAX, Header, Rejected, Track,
-    flags,
+    AGENTS_MAX, AgentType, Counts, DETECTIONS_MAX, Detection, Forecast, HISTORY_MAX, Header, InputCounts,
+    Rejected, Track, flags,
 };
 
 use crate::estimate::{Birth, Estimate};
@@ -39,6 +39,8 @@ pub struct Tracker {
     types: Vec<AgentType>,
     /// What can be published, to choose the nearest.
     publishable: Vec<Publishable>,
+    /// Identity, time since the last detection and place of the published tracks that have one.
+    identities: Vec<(u64, u64, usize)>,
     /// Frames up to this stamp were processed by the tracker before.
     predecessor_ns: Option<i64>,
 }
@@ -68,6 +70,7 @@ impl Tracker {
             scratch: Scratch::new(options.tracks_max),
             types: Vec::with_capacity(DETECTIONS_MAX),
             publishable: Vec::with_capacity(options.tracks_max),
+            identities: Vec::with_capacity(AGENTS_MAX),
             predecessor_ns: None,
         }
     }
@@ -149,6 +152,7 @@ impl Tracker {
         let position = self.position(header)?;
         let prior = prior.filter(|_| self.options.prior == Prior::Learned);
         let frozen_len = self.frozen_len(header, detections);
+        let given_len = detections.len();
         // No type was looked for, so no track is missed.
         let unseen = Header { observed_types: 0, ..*header };
         let (seen, detections) = if frozen_len > 0 {
@@ -159,10 +163,14 @@ impl Tracker {
         };
         let position = self.replay.insert(position, seen, (detections, &self.types), prior);
         let mut tracked = Tracked { frozen_len, ..self.process(position) };
+        if frozen_len > 0 {
+            (tracked.detections_len, tracked.repeated_len) = (given_len, given_len);
+        }
         if tracked.replayed_len == 0 {
             self.publish(header, out, &mut tracked);
         }
         self.tally.out_of_sequence_len += u64::from(tracked.replayed_len > 0);
+        self.tally.add_input(&tracked);
         self.tally.faults_len += tracked.faults_len as u64;
         self.tally.refused_len += tracked.refused_len as u64;
         self.last = tracked;
@@ -188,6 +196,12 @@ impl Tracker {
             observed_types: if self.last.frozen_len > 0 { 0 } else { detections.observed_types },
             step_ns: self.options.step_ns,
             left_out_len: self.last.left_out_len as u32,
+            input: InputCounts {
+                unplayed: detections.input.unplayed,
+                merged: detections.input.merged,
+                doubts: detections.input.doubts,
+                ..self.tally.input
+            },
             counts: Counts {
                 agents_len: self.last.tracks_len as u32,
                 history_len: self.options.history_len as u32,
@@ -252,7 +266,7 @@ impl Tracker {
     }
 
     fn publish(&mut self, header: &Header, out: &mut [Track], tracked: &mut Tracked) {
-        let Self { options, estimates, publications, publishable, replay, .. } = self;
+        let Self { options, estimates, publications, publishable, identities, replay, .. } = self;
         let ego_m = header.ego_m.map(f64::from);
         publishable.clear();
         for (index, estimate) in estimates.all().iter().enumerate() {
@@ -276,7 +290,19 @@ impl Tracker {
             publications.at(chosen.publication).write(&estimates.all()[chosen.estimate], options, track);
         }
         tracked.tracks_len = publishable.len();
+        name_once(&mut out[..tracked.tracks_len], identities);
         let oldest_ns = replay.scans().first().map_or(header.stamp_ns, |oldest| oldest.header.stamp_ns);
         publications.prune(header.stamp_ns, oldest_ns);
+    }
+}
+
+/// Leaves a source's identity to the track that was detected with it last.
+fn name_once(tracks: &mut [Track], identities: &mut Vec<(u64, u64, usize)>) {
+    identities.clear();
+    let named = tracks.iter().enumerate().filter(|(_, track)| track.source_id != 0);
+    identities.extend(named.map(|(place, track)| (track.source_id, track.unseen_ns, place)));
+    identities.sort_unstable();
+    for pair in identities.windows(2).filter(|pair| pair[0].0 == pair[1].0) {
+        tracks[pair[1].2].source_id = 0;
     }
 }

@@ -7,6 +7,7 @@ mod support {
 }
 
 mod frozen;
+mod impossible;
 mod jpda;
 mod known_failures;
 mod learned_prior;

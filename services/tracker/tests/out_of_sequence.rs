@@ -9,8 +9,8 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use tracker::{Prior, Tally, TrackerOptions};
 use wire::{
-    AGENT_TYPES, AgentType, Detection, Forecast, Header, HistoryState, Quality, Rejected, Steering, Track,
-    flags,
+    AGENT_TYPES, AgentType, Detection, Forecast, Header, HistoryState, InputCounts, Quality, Rejected,
+    Steering, Track, flags,
 };
 
 use crate::support::forecaster::{HORIZON_LEN, STEP_NS, forecast, forecasts_header};
@@ -340,8 +340,10 @@ fn too_late_and_repeated_frames_are_refused_and_counted() {
         run.stamp_ns = last_ns;
     }
     let refused_len = 3 * (40 - LAG_MAX as u64 - 1);
-    let tally = Tally { repeated_len: refused_len, too_late_len: refused_len, ..Tally::default() };
-    assert_eq!((run.tracker.tally(), other.tracker.tally()), (tally, Tally::default()));
+    let processed =
+        Tally { input: InputCounts { detections: 40, ..InputCounts::default() }, ..Tally::default() };
+    let tally = Tally { repeated_len: refused_len, too_late_len: refused_len, ..processed };
+    assert_eq!((run.tracker.tally(), other.tracker.tally()), (tally, processed));
     // At long intervals few frames are newer, but they are newer by far.
     run.stamp_ns += 60_000_000_000;
     run.step(&[]);

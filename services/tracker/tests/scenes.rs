@@ -5,7 +5,7 @@ use rand::{RngExt, SeedableRng, seq::SliceRandom};
 use rand_chacha::ChaCha8Rng;
 use std::collections::{BTreeMap, BTreeSet};
 use std::f64::consts::{FRAC_PI_2, PI};
-use tracker::{Tally, Tracked, TrackerOptions};
+use tracker::{Tracked, TrackerOptions};
 use wire::{AGENTS_MAX, AgentType, Detection, Track, TrackStatus, detection_flags, flags};
 
 use crate::support::harness::{ALL_TYPES, Harness, TICK_NS, detected_at, noise, with_heading};
@@ -369,7 +369,8 @@ fn identities_can_be_ignored_and_duplicates_are_counted() {
     let options = TrackerOptions { associate: true, ..TrackerOptions::default() };
     let mut run = Harness::new(options, flags::HAS_IDENTITIES);
     for k in 0..3 {
-        let tracked = run.try_step(&[detected_at(AgentType::Pedestrian, k, 1.0, 1.0)]).unwrap();
+        let detection = detected_at(AgentType::Pedestrian, k, 1.0, 1.0 + 0.01 * k as f64);
+        let tracked = run.try_step(&[detection]).unwrap();
         assert_eq!((tracked.started_len, tracked.tracks_len), (usize::from(k == 0), usize::from(k == 2)));
     }
     let mut run = Harness::new(TrackerOptions::default(), flags::HAS_IDENTITIES);
@@ -395,5 +396,6 @@ fn frames_without_a_tick_change_nothing() {
         assert_eq!(interrupted.step(&[at(k)]), plain.step(&[at(k)]), "frame {k}");
         assert_eq!(plain.published().len(), usize::from(k >= 2));
     }
-    assert_eq!(interrupted.tracker.tally(), Tally::default());
+    assert_eq!(interrupted.tracker.tally(), plain.tracker.tally());
+    assert_eq!(plain.tracker.tally().input.detections, 20);
 }

@@ -51,6 +51,19 @@ pub(crate) struct Step {
 }
 
 impl Bicycle {
+    /// The same process without noise and decay.
+    #[must_use]
+    pub const fn noiseless(&self) -> Self {
+        Self {
+            integrator: Integrator::Midpoint,
+            acceleration_mps2: 0.0,
+            slip_rate_radps: 0.0,
+            slip_decay_per_s: 0.0,
+            floor: [0.0; 5],
+            ..*self
+        }
+    }
+
     #[inline]
     pub(crate) fn step_of(&self, dt_s: f64) -> Step {
         Step { dt_s, slip_share: mean_decayed(self.slip_decay_per_s * dt_s) }

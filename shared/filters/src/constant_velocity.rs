@@ -9,6 +9,14 @@ pub struct ConstantVelocity {
     pub density: f64,
 }
 
+impl ConstantVelocity {
+    /// The same process without noise.
+    #[must_use]
+    pub const fn noiseless(&self) -> Self {
+        Self { density: 0.0 }
+    }
+}
+
 impl Process<4> for ConstantVelocity {
     const ANGLES: &'static [usize] = &[];
 

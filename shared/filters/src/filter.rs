@@ -127,6 +127,45 @@ impl Filter {
         }
     }
 
+    /// The state `dt_s` later, or earlier if that is negative, without process noise.
+    #[must_use]
+    pub fn shifted(&self, dt_s: f64, models: &Models) -> Self {
+        match self {
+            Self::ConstantVelocity(state) => {
+                Self::ConstantVelocity(state.shifted(dt_s, &models.constant_velocity.noiseless()))
+            }
+            Self::Bicycle(state) => Self::Bicycle(state.shifted(dt_s, &models.bicycle.noiseless())),
+            // No tracker uses these: their positions move at the present velocity.
+            Self::ConstantAcceleration(_) | Self::ConstantTurnRate(_) => {
+                Self::ConstantVelocity(self.cartesian()).shifted(dt_s, models)
+            }
+        }
+    }
+
+    /// The same motion at another position, which is measured with that variance per axis.
+    #[must_use]
+    pub fn moved_to(mut self, position_m: [f64; 2], variance: f64) -> Self {
+        match &mut self {
+            Self::ConstantVelocity(state) => move_to(state, position_m, variance),
+            Self::ConstantAcceleration(state) => move_to(state, position_m, variance),
+            Self::ConstantTurnRate(state) | Self::Bicycle(state) => move_to(state, position_m, variance),
+        }
+        self
+    }
+
+    /// The same motion at that share of its speed.
+    #[must_use]
+    pub fn slowed(mut self, share: f64) -> Self {
+        match &mut self {
+            Self::ConstantVelocity(Gaussian { mean, .. }) => mean.rows_mut(2, 2).scale_mut(share),
+            Self::ConstantAcceleration(Gaussian { mean, .. }) => mean.rows_mut(2, 2).scale_mut(share),
+            Self::ConstantTurnRate(Gaussian { mean, .. }) | Self::Bicycle(Gaussian { mean, .. }) => {
+                mean[3] *= share;
+            }
+        }
+        self
+    }
+
     /// Updates the state by an observation.
     ///
     /// # Errors
@@ -238,6 +277,15 @@ impl Filter {
 
 fn position<const N: usize>(Gaussian { mean: m, covariance: p }: &Gaussian<N>) -> ([f64; 2], [f64; 3]) {
     ([m[0], m[1]], [p[(0, 0)], p[(0, 1)], p[(1, 1)]])
+}
+
+fn move_to<const N: usize>(state: &mut Gaussian<N>, position_m: [f64; 2], variance: f64) {
+    for (axis, position) in position_m.into_iter().enumerate() {
+        state.mean[axis] = position;
+        state.covariance.row_mut(axis).fill(0.0);
+        state.covariance.column_mut(axis).fill(0.0);
+        state.covariance[(axis, axis)] = variance;
+    }
 }
 
 fn cartesian_motion<const N: usize>(m: &SVector<f64, N>) -> Motion {

@@ -2,7 +2,9 @@ use nalgebra::SVector;
 
 use crate::innovation::Misfit;
 use crate::observation::OBSERVATIONS_MAX;
-use crate::{Evidence, FilterFault, GAP_MAX_NS, Gaussian, Innovation, Observation, STEP_MAX_NS, moments};
+use crate::{
+    Evidence, FilterFault, GAP_MAX_NS, Gaussian, Innovation, Observation, STEP_MAX_NS, STEP_MAX_S, moments,
+};
 
 /// A process and measurement model: how a state of `N` components moves, the first two being the position,
 /// and how observations measure it.
@@ -42,6 +44,18 @@ impl<const N: usize> Gaussian<N> {
         }
         *self = state;
         Ok(())
+    }
+
+    /// The state `dt_s` later, or earlier if that is negative, by a process that adds no noise: there and back again
+    /// is the same state.
+    #[must_use]
+    pub fn shifted(&self, dt_s: f64, noiseless: &impl Process<N>) -> Self {
+        let steps_len = (dt_s.abs() / STEP_MAX_S).ceil().max(1.0);
+        let mut state = *self;
+        for _ in 0..steps_len as usize {
+            state = noiseless.step(&state, dt_s / steps_len);
+        }
+        state
     }
 
     /// Updates the state by an observation.

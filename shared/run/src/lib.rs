@@ -42,7 +42,9 @@ mod declaration;
 mod exit;
 pub mod options;
 mod record;
+mod speed_limits;
 
 pub use declaration::{Conflict, Declaration, Declared, NoOptions, OptionError, STAGE_VARIABLE, own_stage};
 pub use exit::Exit;
 pub use record::{PROTECTED, RecordError, Run, SpareRun, StageRun, TopicRun, injected_name, injected_topic};
+pub use speed_limits::SpeedLimits;

@@ -1,0 +1,123 @@
+//! Repeated measurements: a detector that is slower than the frames is often resent, sample and hold.
+//!
+//! A measurement that was made again differs somewhere, unless the agent rests. So a detection that equals its track's
+//! last one bit by bit, while the track moves, is not a measurement.
+
+use wire::{AgentType, Detection};
+
+use crate::estimate::Estimate;
+use crate::observation::Found;
+
+/// A repetition is believed after so long without a new report, or after the detector's own period: the agent rests.
+const HOLD_MAX_NS: u64 = 350_000_000;
+/// Slower agents may well be measured at the same place again.
+const MOVING_MIN_MPS: f64 = 0.3;
+/// Share of the detector's period after which the next measurement may be due.
+const PERIOD_SHARE: f64 = 0.9;
+/// Speed and braking, by type, from which an agent can't have stopped since the detection before.
+const STOPPING: [(f64, f64); 3] = [(1.0, 6.0), (0.7, 4.0), (0.5, 3.0)];
+
+/// What a detection reports, bit by bit.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Reported([u32; 6]);
+
+impl Reported {
+    /// The report of a detection.
+    #[must_use]
+    pub const fn new(detection: &Detection) -> Self {
+        let &Detection { x_m, y_m, heading_rad, speed_mps, length_m, width_m, .. } = detection;
+        Self([
+            x_m.to_bits(),
+            y_m.to_bits(),
+            heading_rad.to_bits(),
+            speed_mps.to_bits(),
+            length_m.to_bits(),
+            width_m.to_bits(),
+        ])
+    }
+
+    /// The bits of the position.
+    #[must_use]
+    pub const fn place(&self) -> [u32; 2] {
+        [self.0[0], self.0[1]]
+    }
+
+    /// The position.
+    #[must_use]
+    pub fn position_m(&self) -> [f64; 2] {
+        self.place().map(|bits| f64::from(f32::from_bits(bits)))
+    }
+}
+
+/// The newest report of an agent.
+#[derive(Clone, Copy, Debug)]
+pub struct Reports {
+    pub last: Reported,
+    /// Own time of the first detection with it.
+    fresh_ns: i64,
+    /// Time from the report before to this one; 0 if there was none.
+    period_ns: u64,
+    /// Whether all reports were of one position.
+    pub stands: bool,
+}
+
+impl Reports {
+    /// The first report.
+    pub const fn new(found: &Found<'_>) -> Self {
+        let last = Reported::new(found.detection);
+        Self { last, fresh_ns: found.own_ns, period_ns: 0, stands: true }
+    }
+
+    /// Takes in the report of a measurement.
+    pub fn add(&mut self, found: &Found<'_>) {
+        let reported = Reported::new(found.detection);
+        if reported != self.last {
+            let period_ns = found.own_ns.saturating_sub(self.fresh_ns).max(0).unsigned_abs();
+            let stands = self.stands && reported.place() == self.last.place();
+            *self = Self { last: reported, fresh_ns: found.own_ns, period_ns, stands };
+        }
+    }
+
+    /// Whether a detection with the same report is no new measurement, of an agent of that speed, if it is known.
+    fn is_resent(&self, own_ns: i64, agent_type: AgentType, speed_mps: Option<f64>) -> bool {
+        let age_ns = own_ns.saturating_sub(self.fresh_ns).max(0).unsigned_abs();
+        if age_ns > HOLD_MAX_NS.max(self.period_ns) {
+            return false;
+        }
+        let Some(speed_mps) = speed_mps else { return true };
+        let (least_mps, braking_mps2) = STOPPING[agent_type.index()];
+        let since_ns = if self.period_ns > 0 { self.period_ns } else { age_ns };
+        let is_early = (age_ns as f64) < PERIOD_SHARE * self.period_ns as f64;
+        speed_mps > least_mps + braking_mps2 * since_ns as f64 / 1e9
+            || (is_early && speed_mps > MOVING_MIN_MPS)
+    }
+}
+
+impl Estimate {
+    /// Whether a detection repeats the last one though the agent moves.
+    #[must_use]
+    pub fn is_resent(&self, found: &Found<'_>) -> bool {
+        if Reported::new(found.detection) != self.reports.last {
+            return false;
+        }
+        let own_mps = self.has_velocity.then(|| self.belief.motion().speed_mps.abs());
+        let speed_mps = match (own_mps, found.speed_mps()) {
+            (Some(own_mps), Some(reported_mps)) => Some(own_mps.max(reported_mps)),
+            (own_mps, reported_mps) => own_mps.or(reported_mps),
+        };
+        self.reports.is_resent(found.own_ns, self.class.current(), speed_mps)
+    }
+
+    /// The bits of the last reported position, if the agent moves or may do so.
+    #[must_use]
+    pub fn moving_from(&self) -> Option<[u32; 2]> {
+        let is_moving = !self.has_velocity || self.belief.motion().speed_mps.abs() > MOVING_MIN_MPS;
+        is_moving.then(|| self.reports.last.place())
+    }
+
+    /// The bits of the position of all of the agent's detections, if they have but one.
+    #[must_use]
+    pub fn standing_at(&self) -> Option<[u32; 2]> {
+        self.reports.stands.then(|| self.reports.last.place())
+    }
+}

@@ -1,0 +1,201 @@
+//! Frames whose detections carry identities that can be trusted.
+
+use wire::{Detection, Header};
+
+use crate::estimate::{Birth, Estimate, Verdict};
+use crate::estimates::{Estimates, Scratch};
+use crate::observation::{Found, observation};
+use crate::options::TrackerOptions;
+use crate::placeholders::is_marked;
+use crate::publication::Publications;
+use crate::scan::Scan;
+use crate::tracked::Tracked;
+
+/// A detection that its identity's estimate may not have made.
+#[derive(Clone, Copy, Debug)]
+pub struct Stray {
+    estimate: usize,
+    detection: usize,
+    /// Whose identity it has exchanged its own with, as a place among the strays.
+    exchanged: Option<usize>,
+}
+
+/// Twice the logarithm of the likelihood ratio, 1000, from which on two identities were exchanged.
+const EXCHANGE_EVIDENCE: f64 = 13.8;
+/// An exact position at which one detection of a moving agent lies is coincidence, so many are none.
+const SHARED_BY: usize = 3;
+
+impl Estimates {
+    /// Updates the estimates by the detections of their identities.
+    pub(super) fn follow_identities(
+        &mut self,
+        scan: &Scan,
+        publications: &mut Publications,
+        scratch: &mut Scratch,
+        options: &TrackerOptions,
+        tracked: &mut Tracked,
+    ) {
+        let Scan { header, detections, types, .. } = scan;
+        let found = |d: usize| Found::new(header.stamp_ns, &detections[d], types[d]);
+        tracked.duplicates_len = scratch.pairing.by_identity(&self.all, detections);
+        if scratch.pairing.shares_places() {
+            self.find_shared_placeholders(detections);
+        }
+        self.find_strays(scan, scratch, options, tracked);
+        let has_births = publications.has_births_at(header.stamp_ns);
+        let mut strays = scratch.strays.iter().filter(|stray| stray.exchanged.is_some()).peekable();
+        for e in 0..self.all.len() {
+            let exchanged = strays.next_if(|stray| stray.estimate == e);
+            let (mut hit, mut is_resent) = (None, false);
+            if let Some(other) = exchanged.and_then(|stray| scratch.strays.get(stray.exchanged?)) {
+                self.take(e, &found(other.detection), header, options, tracked);
+                tracked.reassigned_len += 1;
+                hit = Some(other.detection);
+            } else {
+                for d in scratch.pairing.of_identity(e).iter().map(|&d| d as usize) {
+                    match self.take_own(e, (d, &found(d)), (header, &mut scratch.begun), options, tracked) {
+                        Taken::Measured => hit = hit.or(Some(d)),
+                        Taken::Resent => is_resent = true,
+                        Taken::No => {}
+                    }
+                }
+            }
+            let estimate = &mut self.all[e];
+            let input = options.input(header);
+            tracked.faults_len += usize::from(estimate.predict(header.stamp_ns, input).is_err());
+            if let Some(detection) = hit.filter(|_| has_births) {
+                let from = Birth { stamp_ns: header.stamp_ns, detection: detection as u32 };
+                publications.transfer(from, estimate.birth());
+            }
+            let is_missed = hit.is_none() && !is_resent;
+            if is_missed && header.observed_types & estimate.class.current().bit() != 0 {
+                tracked.faults_len += usize::from(estimate.miss(&mut [], input, options).is_err());
+            }
+        }
+        for mut begun in scratch.begun.drain(..) {
+            tracked.started_len += 1;
+            tracked.faults_len += usize::from(begun.predict_first(options.input(header)).is_err());
+            self.all.push(begun);
+        }
+    }
+
+    /// Predicts each estimate to the first of its detections, and finds those that were exchanged with another one.
+    fn find_strays(
+        &mut self,
+        Scan { header, detections, types, .. }: &Scan,
+        Scratch { pairing, strays, .. }: &mut Scratch,
+        options: &TrackerOptions,
+        tracked: &mut Tracked,
+    ) {
+        let input = options.input(header);
+        let found = |d: usize| Found::new(header.stamp_ns, &detections[d], types[d]);
+        strays.clear();
+        for (e, estimate) in self.all.iter_mut().enumerate() {
+            let own = pairing.of_identity(e);
+            let to_ns = own.first().map_or(header.stamp_ns, |&d| found(d as usize).own_ns);
+            tracked.faults_len += usize::from(estimate.predict(to_ns, input).is_err());
+            let [only] = own else { continue };
+            let (detection, found) = (*only as usize, found(*only as usize));
+            if estimate.judge(&found, input, options) != Verdict::Fits && !estimate.is_resent(&found) {
+                strays.push(Stray { estimate: e, detection, exchanged: None });
+            }
+        }
+        for a in 0..strays.len() {
+            let prefers = |a: usize, b: usize| {
+                let (other, own) = (found(strays[b].detection), found(strays[a].detection));
+                self.all[strays[a].estimate].prefers(&other, &own, input)
+            };
+            let are_exchanged = |b: usize| {
+                prefers(a, b).zip(prefers(b, a)).is_some_and(|(by_a, by_b)| by_a + by_b > EXCHANGE_EVIDENCE)
+            };
+            let other = (a + 1..strays.len()).find(|&b| strays[b].exchanged.is_none() && are_exchanged(b));
+            if let Some(b) = other.filter(|_| strays[a].exchanged.is_none()) {
+                (strays[a].exchanged, strays[b].exchanged) = (Some(b), Some(a));
+            }
+        }
+    }
+
+    /// Updates an estimate by a detection.
+    fn take(
+        &mut self,
+        e: usize,
+        found: &Found<'_>,
+        header: &Header,
+        options: &TrackerOptions,
+        tracked: &mut Tracked,
+    ) {
+        let (input, estimate) = (options.input(header), &mut self.all[e]);
+        tracked.faults_len += usize::from(estimate.predict(found.own_ns, input).is_err());
+        let of_type = &mut self.shown[estimate.class.current().index()];
+        estimate.mature(found).for_each(|shown| of_type.add_of_type(&shown));
+        let mut seen = [(1.0, observation(found.detection, found.agent_type, input))];
+        tracked.faults_len += usize::from(estimate.update(found, &mut seen, input, options).is_err());
+    }
+
+    /// Updates an estimate by a detection of its identity, if that is a measurement.
+    fn take_own(
+        &mut self,
+        e: usize,
+        (d, found): (usize, &Found<'_>),
+        (header, begun): (&Header, &mut Vec<Estimate>),
+        options: &TrackerOptions,
+        tracked: &mut Tracked,
+    ) -> Taken {
+        let (input, estimate) = (options.input(header), &mut self.all[e]);
+        tracked.faults_len += usize::from(estimate.predict(found.own_ns, input).is_err());
+        if estimate.is_resent(found) {
+            tracked.repeated_len += 1;
+            return Taken::Resent;
+        }
+        let verdict = estimate.judge(found, input, options);
+        let is_placeholder = self.placeholders.holds(found.place());
+        if verdict == Verdict::Fits || (verdict == Verdict::Strange && !is_placeholder) {
+            self.take(e, found, header, options, tracked);
+            return Taken::Measured;
+        }
+        if is_placeholder || self.has_jumped_to_placeholder(e, found) {
+            tracked.placeholders_len += 1;
+            return Taken::No;
+        }
+        tracked.misfits_len += 1;
+        let birth = (Birth { stamp_ns: header.stamp_ns, detection: d as u32 }, self.started_len + 1);
+        if let Some(new) = self.all[e].add_misfit(found, birth, input, options) {
+            self.started_len += 1;
+            tracked.reassigned_len += 1;
+            begun.push(new);
+        }
+        Taken::No
+    }
+
+    /// Whether a detection has jumped to a placeholder; or away from one, which is remembered.
+    fn has_jumped_to_placeholder(&mut self, e: usize, found: &Found<'_>) -> bool {
+        let estimate = &self.all[e];
+        let is_first = estimate.misfit_at().is_none();
+        if let Some(place) = estimate.standing_at().filter(|_| is_first) {
+            self.placeholders.add_jump(place);
+        }
+        estimate.misfit_at() != Some(found.place()) && self.placeholders.add_jump(found.place())
+    }
+
+    /// Positions that several identities share are placeholders, if they are marked or shared by many.
+    fn find_shared_placeholders(&mut self, detections: &[Detection]) {
+        let place = |d: &Detection| [d.x_m.to_bits(), d.y_m.to_bits()];
+        for (d, detection) in detections.iter().enumerate() {
+            let at = place(detection);
+            let others =
+                detections[d + 1..].iter().filter(|other| place(other) == at && other.id != detection.id);
+            let shared_by = 1 + others.count();
+            if shared_by >= SHARED_BY || (shared_by > 1 && is_marked(at)) {
+                self.placeholders.add(at);
+            }
+        }
+    }
+}
+
+/// What became of a detection.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Taken {
+    Measured,
+    Resent,
+    No,
+}
