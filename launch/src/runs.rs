@@ -1,30 +1,64 @@
-//! The runs of this user that go on, by their names.
+//! The runs of this user that are running, by their names.
 
 use std::path::Path;
 
 use ports::LivingRun;
+use recording::About;
 
 use crate::failure::Failure;
 
-/// The run of that name or with that folder; the only one where none is named.
+/// The run of that name or with that folder; the only one if no name is given.
 pub fn find(name: Option<&Path>) -> Result<LivingRun, Failure> {
-    let mut runs = ports::living_runs().map_err(Failure::unavailable)?;
-    let names: Vec<&str> = runs.iter().map(|run| run.name.as_str()).collect();
-    let listed = if names.is_empty() {
-        "no run goes on".to_owned()
-    } else {
-        format!("runs that go on: {}", names.join(", "))
-    };
-    match name {
-        Some(name) => {
-            let is_it = |run: &LivingRun| Path::new(&run.name) == name || run.root == name;
-            let place = runs.iter().position(is_it);
-            let place = place
-                .ok_or_else(|| Failure::Usage(format!("there is no run {}; {listed}", name.display())))?;
+    choose(ports::living_runs().map_err(Failure::unavailable)?, name)
+}
+
+fn choose(mut runs: Vec<LivingRun>, name: Option<&Path>) -> Result<LivingRun, Failure> {
+    let is_it = |run: &LivingRun| name.is_none_or(|name| Path::new(&run.name) == name || run.root == name);
+    match (name, runs.iter().filter(|run| is_it(run)).count()) {
+        (_, 1) => {
+            let place = runs.iter().position(is_it).unwrap_or_default();
             Ok(runs.swap_remove(place))
         }
-        None if runs.len() == 1 => Ok(runs.swap_remove(0)),
-        None if runs.is_empty() => Err(Failure::Usage(format!("{listed}: `stgdat run` starts one"))),
-        None => Err(Failure::Usage(format!("{listed}: name one with --run"))),
+        (Some(name), _) => {
+            Err(Failure::Usage(format!("there is no run {}; {}", name.display(), listed(&runs))))
+        }
+        (None, 0) => Err(Failure::Usage(format!("{}: `stgdat run` starts one", listed(&runs)))),
+        (None, len) => {
+            Err(Failure::Usage(format!("{len} runs are running: name one with --run; {}", listed(&runs))))
+        }
+    }
+}
+
+/// The runs with what they play.
+fn listed(runs: &[LivingRun]) -> String {
+    let each = runs.iter().map(|run| match About::of_run(&run.root) {
+        Ok(about) => format!("{} ({})", run.name, about.scene),
+        Err(_) => run.name.clone(),
+    });
+    let each: Vec<String> = each.collect();
+    if each.is_empty() { "no run is running".to_owned() } else { format!("running: {}", each.join(", ")) }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn runs(names: &[&str]) -> Vec<LivingRun> {
+        let run =
+            |name: &&str| LivingRun { name: (*name).to_owned(), root: Path::new("/nowhere").join(name) };
+        names.iter().map(run).collect()
+    }
+
+    #[test]
+    fn one_of_several_runs_is_never_chosen_without_its_name() {
+        assert_eq!(choose(runs(&["a"]), None).unwrap().name, "a");
+        let several = || runs(&["a", "b", "c"]);
+        assert_eq!(choose(several(), Some(Path::new("b"))).unwrap().name, "b");
+        assert_eq!(choose(several(), Some(Path::new("/nowhere/c"))).unwrap().name, "c");
+        let error = |runs, name| choose(runs, name).unwrap_err().to_string();
+        assert_eq!(error(several(), None), "3 runs are running: name one with --run; running: a, b, c");
+        assert_eq!(error(several(), Some(Path::new("d"))), "there is no run d; running: a, b, c");
+        assert_eq!(error(runs(&["a"]), Some(Path::new("d"))), "there is no run d; running: a");
+        assert_eq!(error(runs(&[]), None), "no run is running: `stgdat run` starts one");
     }
 }

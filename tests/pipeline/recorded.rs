@@ -297,6 +297,49 @@ fn a_recording_that_is_killed_is_readable_and_the_run_goes_on() {
 }
 
 #[test]
+fn a_mark_names_the_recording_that_has_it_or_fails() {
+    let scratch = Scratch::new("record-mark");
+    let scene = ["--ticks", "250", "--agents", "3", "--quiet"];
+    let [started, other] = [Started::run(&scene), Started::run(&scene)];
+    let [root, _] = [started.wait_until_it_runs(), other.wait_until_it_runs()];
+    let root = root.display().to_string();
+    let refused = |arguments: &[&str], why: &str| {
+        let output = run(arguments);
+        assert!(!output.status.success() && stdout(&output).is_empty(), "{}", stdout(&output));
+        assert!(stderr(&output).contains(why), "{}", stderr(&output));
+    };
+    refused(&["mark", "now"], "runs are running: name one with --run; running: stgdat_");
+    refused(&["mark", "now", "--run", &root], "no recording with events is made of stgdat_");
+    let [tracks, all] = ["tracks.mcap", "all.mcap"].map(|name| scratch.path(name));
+    let recorders = [("tracks", &tracks), ("tracks,events", &all)].map(|(topics, file)| {
+        let record = ["record", file, "--run", &root, "--topics", topics];
+        let recorder = Started::spawn(crate::started::stgdat().args(record));
+        wait_for("nothing is recorded", || {
+            let recording = Recording::open(Path::new(file)).ok()?;
+            recording.messages().flatten().next().map(drop)
+        });
+        recorder
+    });
+    let marked = stdout(&run_well(&["mark", "a cyclist", "--run", &root]));
+    let place = marked.strip_prefix(&format!("marked {} at tick ", root.trim_start_matches("/tmp/")));
+    let (tick, file) = place.and_then(|place| place.trim_end().split_once(" in ")).expect(&marked);
+    assert_eq!(file, all, "the other recording has no events");
+    for process in [started, other].into_iter().chain(recorders) {
+        let output = process.output();
+        assert!(output.status.success(), "{}", stderr(&output));
+    }
+    let (_, all) = messages(&all);
+    let is_mark = |message: &Message| {
+        let what = Happened::Mark { text: "a cyclist".to_owned() };
+        matches!(message, Message::Event(event) if event.what == what)
+    };
+    let place = all.iter().position(is_mark).expect("the mark is in the file");
+    let newest = ticks(&all[..place], "tracks").into_iter().max().expect("ticks before the mark");
+    let tick: u64 = tick.parse().expect("a number");
+    assert!(newest.abs_diff(tick) <= 2, "{newest} recorded before the mark at {tick}");
+}
+
+#[test]
 fn a_flight_recorder_that_comes_late_says_what_it_does_not_know() {
     let scratch = Scratch::new("record-late");
     let file = scratch.path("late.mcap");

@@ -255,14 +255,17 @@ impl Server {
             Ok(request) => request,
             Err(error) => return tracing::warn!("a request that is none: {error}"),
         };
-        if let Some(text) = request.mark.clone() {
-            self.hub.event(&Event { at_ns: monotonic_ns(), what: Happened::Mark { text } });
-        }
-        let want = Want::of(&request);
-        if let Err(error) = self.open(want) {
+        if let Err(error) = self.open(Want::of(&request)) {
             return tracing::warn!("{}: {error}", request.tool);
         }
-        if self.hub.attach(request.tool, want, socket).is_err() {
+        let attached = if request.mark.is_some() {
+            let reads_ticks = self.inputs.iter().any(|input| !is_heartbeats(input.number()));
+            let tick = reads_ticks.then_some(self.newest);
+            self.hub.mark(request, socket, monotonic_ns(), tick)
+        } else {
+            self.hub.attach(request, socket)
+        };
+        if attached.is_err() {
             tracing::warn!("a tool more than the tap serves");
         }
     }

@@ -90,7 +90,10 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
     let about =
         About::of_run(&run.root).map_err(|error| Failure::file(&run.root.join(recording::ABOUT), error))?;
     let about = About { topics: names.clone(), element_bytes, clock_offset_ns: clock_offset_ns(), ..about };
-    let request = Request { tool: "record".to_owned(), topics: names, events: true, mark: None };
+    let keeps_events = events || arguments.ring.limits().is_some();
+    let recording = keeps_events.then(|| arguments.file.display().to_string());
+    let tool = "record".to_owned();
+    let request = Request { tool, topics: names, events: true, mark: None, recording };
     let mut client = Client::attach(&run.root, &request).map_err(Failure::unavailable)?;
     if client.next(ATTACH_LIMIT).map_err(Failure::unavailable)? != Some(Item::Attached) {
         return Err(Failure::Failed(format!("the tap of {} does not answer", run.name)));

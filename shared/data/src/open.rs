@@ -134,12 +134,12 @@ fn read(path: &Path, role: Role) -> Result<Input, ReadError> {
 }
 
 /// The file at `path` if it exists.
-fn read_if_there(path: &Path, role: Role) -> Result<Option<Input>, ReadError> {
+pub(crate) fn read_if_there(path: &Path, role: Role) -> Result<Option<Input>, ReadError> {
     if path.exists() { read(path, role).map(Some) } else { Ok(None) }
 }
 
 /// The file at `path`, without which the file at `opened` can't be read.
-fn read_needed(path: &Path, role: Role, opened: &str) -> Result<Input, ReadError> {
+pub(crate) fn read_needed(path: &Path, role: Role, opened: &str) -> Result<Input, ReadError> {
     read_if_there(path, role)?.ok_or_else(|| ReadError::Missing {
         path: opened.to_owned(),
         role: role.name(),
@@ -177,9 +177,9 @@ fn with_companions(path: &Path, mut opened: Input, format: Format) -> Result<Vec
             let other = other.map(|other| read_if_there(&other, other_role)).transpose()?.flatten();
             Ok(in_order(std::iter::once(opened).chain(other).collect()))
         }
-        Format::KittiDetections => kitti_detections(path, &opened),
+        Format::KittiDetections => Ok(in_order(kitti::files::detections(path, opened)?)),
         Format::KittiLabels => {
-            let [calibration, ego_motion] = kitti_sensors(path)?;
+            let [calibration, ego_motion] = kitti::files::sensors(path)?;
             Ok(vec![opened, calibration, ego_motion])
         }
     }
@@ -236,47 +236,6 @@ pub(crate) fn pedestrian_tracks(vehicles: &Path) -> Option<PathBuf> {
         rest.is_some_and(|rest| rest.is_empty() || rest.starts_with('_'))
     };
     names.filter(belongs).min().map(|name| folder.join(name))
-}
-
-/// The outputs of the detectors for the three classes, and the files that locate them in the world.
-fn kitti_detections(path: &Path, opened: &Input) -> Result<Vec<Input>, ReadError> {
-    let folder = path.ancestors().nth(2).unwrap_or(Path::new(""));
-    let file = path.file_name().unwrap_or_default();
-    let classes = [("Car", Role::Vehicles), ("Pedestrian", Role::Pedestrians), ("Cyclist", Role::Cyclists)];
-    let mut inputs = Vec::new();
-    for (class, role) in classes {
-        inputs.extend(read_if_there(&folder.join(class).join(file), role)?);
-    }
-    if inputs.is_empty() {
-        let searched = format!(" in {}", folder.display());
-        return Err(ReadError::Missing {
-            path: opened.path.clone(),
-            role: "Car, Pedestrian or Cyclist",
-            searched,
-        });
-    }
-    inputs.extend(kitti_sensors(path)?);
-    inputs.extend(read_if_there(&kitti_file(path, "label"), Role::Labels)?);
-    Ok(inputs)
-}
-
-/// Calibration and ego motion of the sequence to which a detector's output or a label file belongs.
-pub(crate) fn kitti_sensors(path: &Path) -> Result<[Input; 2], ReadError> {
-    let needed = |folder, role| read_needed(&kitti_file(path, folder), role, &path.to_string_lossy());
-    Ok([needed("calib", Role::Calibration)?, needed("oxts", Role::EgoMotion)?])
-}
-
-/// The labels of the same.
-pub(crate) fn kitti_labels(path: &Path) -> Result<Input, ReadError> {
-    read_needed(&kitti_file(path, "label"), Role::Labels, &path.to_string_lossy())
-}
-
-/// The file of the same sequence in another folder: two levels up from labels, three from a detector's
-/// output.
-fn kitti_file(path: &Path, folder: &str) -> PathBuf {
-    let up = |depth: usize| path.ancestors().nth(depth).unwrap_or(Path::new(""));
-    let root = if up(3).join("calib").is_dir() { up(3) } else { up(2) };
-    root.join(folder).join(path.file_name().unwrap_or_default())
 }
 
 /// The files by role, so that the result does not depend on which of them was opened.

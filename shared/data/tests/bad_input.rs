@@ -14,11 +14,11 @@ const VEHICLES: &str = "id,frame,label,x_est,y_est,psi_est,vel_est\n0,22,veh,12.
 const PEDESTRIAN_ROWS: &str = "id,frame,label,x_est,y_est,vx_est,vy_est\n0,22,ped,5.55,7.73,1.66,-0.01\n";
 const VIDEO: &str = "0 789 399 815 436 0 0 0 0 \"Cart\"\n0 787 391 815 432 1 1 0 1 \"Cart\"\n";
 const SCALES: &str = "deathCircle:\n   video2:\n      scale: 0.04\n      certainty: 1.0\n";
-const CALIBRATION: &str = "P0: 1 0 0 0 0 1 0 0 0 0 1 0\n\
+pub const CALIBRATION: &str = "P0: 1 0 0 0 0 1 0 0 0 0 1 0\n\
     R_rect 1 0 0 0 1 0 0 0 1\nTr_velo_cam 0 -1 0 0 0 0 -1 0 1 0 0 0\nTr_imu_velo 1 0 0 0 0 1 0 0 0 0 1 0\n";
-const EGO_MOTION: &str = "49.0 8.4 112.8 0 0 0.5 0 0 0 0 0 0 0 0 0 0 0 0 0 0 0 0 0 0.1 0.1 4 10 4 4 0\n";
-const CARS: &str = "0,2,298.3,165.1,458.2,293.4,8.29,1.96,1.81,4.75,-4.57,1.84,13.53,-2.11,-1.78\n";
-const LABELS: &str = "0 -1 DontCare -1 -1 -10 219 188 245 218 -1000 -1000 -1000 -10 -1 -1 -1\n\
+pub const EGO_MOTION: &str = "49.0 8.4 112.8 0 0 0.5 0 0 0 0 0 0 0 0 0 0 0 0 0 0 0 0 0 0.1 0.1 4 10 4 4 0\n";
+pub const CARS: &str = "0,2,298.3,165.1,458.2,293.4,8.29,1.96,1.81,4.75,-4.57,1.84,13.53,-2.11,-1.78\n";
+pub const LABELS: &str = "0 -1 DontCare -1 -1 -10 219 188 245 218 -1000 -1000 -1000 -10 -1 -1 -1\n\
     0 0 Van 0 0 -1.79 296.7 161.7 455.2 292.3 2.0 1.82 4.43 -4.55 1.85 13.41 -2.11\n";
 const OWN: &str = "stamp_s,id,type,x_m,y_m,heading_rad,speed_mps,length_m,width_m,score,sigma_m\n\
     0.08,7,vehicle,12.5,-3.2,3.1,8.4,4.5,1.8,0.97,0.2\n0.00,,ego,1.0,2.0,0.5,,,,,\n";

@@ -4,6 +4,7 @@ mod bad_input;
 mod converters;
 mod frame_rates;
 mod inspection;
+mod kitti_files;
 mod recordings;
 mod strangers;
 mod sweeps;

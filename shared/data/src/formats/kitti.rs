@@ -14,6 +14,7 @@
 //! evaluation of a tracker needs of the labels.
 
 mod annotations;
+pub(crate) mod files;
 mod geometry;
 
 use wire::{AgentType, Detection, Truth, detection_flags};

@@ -4,8 +4,8 @@ use std::sync::Arc;
 
 use wire::TABLE;
 
-use super::protocol::{self, Lost, LostAt, Want};
-use crate::{Event, LogLine};
+use super::protocol::{self, Lost, LostAt, Marked, Request, Want};
+use crate::{Event, Happened, LogLine};
 
 /// Bytes that wait for a tool at most: some five seconds of all topics of a full scene.
 pub const QUEUE_BYTES: usize = 64 << 20;
@@ -26,6 +26,8 @@ pub struct Tool<C> {
     pub name: String,
     /// What it wants.
     pub want: Want,
+    /// Name of the recording to which it writes the events, if it does.
+    pub recording: Option<String>,
     /// Where its items are written.
     pub connection: C,
     queue: VecDeque<Arc<[u8]>>,
@@ -49,13 +51,15 @@ impl<C: Write> Hub<C> {
     ///
     /// # Errors
     /// The connection.
-    pub fn attach(&mut self, name: String, want: Want, connection: C) -> Result<(), C> {
+    pub fn attach(&mut self, request: Request, connection: C) -> Result<(), C> {
         if self.tools.len() >= TOOLS_MAX {
             return Err(connection);
         }
         let untold = vec![0; TABLE.topics.len()];
+        let want = Want::of(&request);
+        let Request { tool: name, recording, .. } = request;
         let (queue, queued_bytes, written, lost) = (VecDeque::new(), 0, 0, 0);
-        let mut tool = Tool { name, want, connection, queue, queued_bytes, written, untold, lost };
+        let mut tool = Tool { name, want, recording, connection, queue, queued_bytes, written, untold, lost };
         tool.enqueue(protocol::attached());
         self.tools.push(tool);
         Ok(())
@@ -104,6 +108,23 @@ impl<C: Write> Hub<C> {
     /// Hands on an event.
     pub fn event(&mut self, event: &Event) {
         self.broadcast(&protocol::event(event));
+    }
+
+    /// Attaches a tool that marks this moment: passes the mark on to all tools, and tells this one where it went.
+    ///
+    /// # Errors
+    /// The connection, if there are [`TOOLS_MAX`] tools already.
+    pub fn mark(&mut self, request: Request, connection: C, at_ns: u64, tick: Option<u64>) -> Result<(), C> {
+        let text = request.mark.clone().unwrap_or_default();
+        self.event(&Event { at_ns, what: Happened::Mark { text } });
+        let keeps = |tool: &&Tool<C>| tool.want.events;
+        let recordings = self.tools.iter().filter(keeps).filter_map(|tool| tool.recording.clone());
+        let marked = Marked { tick, recordings: recordings.collect() };
+        self.attach(request, connection)?;
+        if let Some(tool) = self.tools.last_mut() {
+            tool.enqueue(protocol::marked(&marked));
+        }
+        Ok(())
     }
 
     /// Hands on a log line.
@@ -184,7 +205,7 @@ impl<C: Write> Tool<C> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::tap::protocol::{Item, Request, take};
+    use crate::tap::protocol::{Item, take};
     use wire::Header;
 
     /// A connection that takes so many bytes in all.
@@ -211,10 +232,30 @@ mod tests {
     }
 
     fn attach(hub: &mut Hub<Pipe>, name: &str, room: usize) {
-        let topics = vec!["detections".to_owned()];
-        let request = Request { tool: name.to_owned(), topics, events: true, mark: None };
         let pipe = Pipe { taken: Vec::new(), room };
-        hub.attach(name.to_owned(), Want::of(&request), pipe).expect("there is room");
+        hub.attach(request(name, None), pipe).expect("there is room");
+    }
+
+    fn request(name: &str, mark: Option<&str>) -> Request {
+        let (tool, topics) = (name.to_owned(), vec!["detections".to_owned()]);
+        let (mark, recording) = (mark.map(str::to_owned), name.ends_with(".mcap").then(|| name.to_owned()));
+        Request { tool, topics, events: true, mark, recording }
+    }
+
+    #[test]
+    fn a_mark_reaches_all_tools_and_its_sender_learns_which_record_it() {
+        let mut hub = Hub::new(QUEUE_BYTES);
+        ["a.mcap", "top", "b.mcap"].iter().for_each(|name| attach(&mut hub, name, usize::MAX));
+        let pipe = Pipe { taken: Vec::new(), room: usize::MAX };
+        hub.mark(request("mark", Some("now")), pipe, 5, Some(7)).expect("there is room");
+        assert!(hub.write().is_empty());
+        let event = Event { at_ns: 5, what: Happened::Mark { text: "now".to_owned() } };
+        for tool in &hub.tools()[..3] {
+            assert_eq!(items(&tool.connection.taken), [Item::Attached, Item::Event(event.clone())]);
+        }
+        let recordings = vec!["a.mcap".to_owned(), "b.mcap".to_owned()];
+        let marked = Item::Marked(Marked { tick: Some(7), recordings });
+        assert_eq!(items(&hub.tools()[3].connection.taken), [Item::Attached, marked]);
     }
 
     fn items(mut bytes: &[u8]) -> Vec<Item> {

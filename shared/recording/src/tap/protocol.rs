@@ -24,6 +24,18 @@ pub struct Request {
     /// Words with which it marks this moment for all tools.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub mark: Option<String>,
+    /// Name of the recording to which the tool writes the events, if it does.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub recording: Option<String>,
+}
+
+/// Where a mark went.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Marked {
+    /// The newest tick, if a tool reads ticks.
+    pub tick: Option<u64>,
+    /// The recordings that have the mark.
+    pub recordings: Vec<String>,
 }
 
 /// A request with its topics as numbers.
@@ -62,6 +74,8 @@ pub enum Item {
     Line(LogLine),
     /// Frames that did not come.
     Lost(Lost),
+    /// The tool's mark was passed on.
+    Marked(Marked),
 }
 
 /// Frames that a tool did not get.
@@ -111,6 +125,7 @@ mod kind {
     pub const LINE: u8 = 3;
     pub const LOST: u8 = 4;
     pub const ATTACHED: u8 = 5;
+    pub const MARKED: u8 = 6;
 }
 
 /// Bytes before an item's body: the body's length, the kind, the topic, two that are zero, the time of receipt.
@@ -137,6 +152,10 @@ pub(super) fn event(event: &Event) -> Arc<[u8]> {
 
 pub(super) fn line(line: &LogLine) -> Arc<[u8]> {
     packet(kind::LINE, 0, line.at_ns, [&serde_json::to_vec(line).unwrap_or_default(), &[]])
+}
+
+pub(super) fn marked(marked: &Marked) -> Arc<[u8]> {
+    packet(kind::MARKED, 0, 0, [&serde_json::to_vec(marked).unwrap_or_default(), &[]])
 }
 
 pub(super) fn lost(lost: &Lost) -> Arc<[u8]> {
@@ -169,7 +188,7 @@ pub(super) fn take(buffer: &[u8]) -> Result<Option<(Item, usize)>, ItemError> {
     let Some((prefix, rest)) = buffer.split_at_checked(PREFIX) else { return Ok(None) };
     let len = u32::from_le_bytes([prefix[0], prefix[1], prefix[2], prefix[3]]) as usize;
     let (kind, topic) = (prefix[4], prefix[5]);
-    let is_known = (kind::FRAME..=kind::ATTACHED).contains(&kind) && usize::from(topic) < TABLE.topics.len();
+    let is_known = (kind::FRAME..=kind::MARKED).contains(&kind) && usize::from(topic) < TABLE.topics.len();
     if len > ITEM_BYTES_MAX || !is_known {
         return Err(ItemError::Unknown { kind, topic, len });
     }
@@ -180,6 +199,7 @@ pub(super) fn take(buffer: &[u8]) -> Result<Option<(Item, usize)>, ItemError> {
         kind::EVENT => Item::Event(serde_json::from_slice(body)?),
         kind::LINE => Item::Line(serde_json::from_slice(body)?),
         kind::ATTACHED => Item::Attached,
+        kind::MARKED => Item::Marked(serde_json::from_slice(body)?),
         _ => Item::Lost(serde_json::from_slice(body)?),
     };
     Ok(Some((item, PREFIX + len)))

@@ -1,5 +1,6 @@
 //! Files of recordings: what was written is read back, however the file was hurt.
 
+mod rewritten;
 mod support;
 mod torn;
 

@@ -2,11 +2,12 @@ use std::path::Path;
 
 use wire::AgentType;
 
+use super::files;
 use super::geometry::{Camera, WorldFromCamera};
 use super::{LABEL_NAMES, frame_index, label};
+use crate::ReadError;
 use crate::input::Input;
 use crate::text::{self, Field, Separator};
-use crate::{ReadError, open};
 
 /// Labels count up to this state of occlusion: *largely*; beyond it is *unknown*.
 const OCCLUDED_MAX: i64 = 2;
@@ -55,8 +56,8 @@ impl Annotations {
     /// [`ReadError`] with file, line, column and value, and where labels, calibration or ego motion are
     /// missing.
     pub fn open(recording: &Path) -> Result<Self, ReadError> {
-        let [calibration, ego_motion] = open::kitti_sensors(recording)?;
-        let labels = open::kitti_labels(recording)?;
+        let [calibration, ego_motion] = files::sensors(recording)?;
+        let labels = files::labels(recording)?;
         Self::parse(&labels, &calibration, &ego_motion)
     }
 

@@ -12,8 +12,9 @@ use std::path::Path;
 
 use nalgebra::{Isometry3, Matrix2, Matrix3x4, Matrix4, Point3, Rotation3, Translation3, Vector2, Vector3};
 
+use super::files;
 use crate::text::{self, Line, Separator};
-use crate::{Ego, Input, ReadError, open};
+use crate::{Ego, Input, ReadError};
 
 /// Radius of the sphere of the Mercator map, m.
 const EARTH_RADIUS_M: f64 = 6_378_137.0;
@@ -79,7 +80,7 @@ impl WorldFromCamera {
     /// # Errors
     /// [`ReadError`] with file, line, column and value, and where calibration or ego motion are missing.
     pub fn open(recording: &Path) -> Result<Self, ReadError> {
-        let [calibration, ego_motion] = open::kitti_sensors(recording)?;
+        let [calibration, ego_motion] = files::sensors(recording)?;
         Self::parse(&calibration, &ego_motion)
     }
 
