@@ -1,15 +1,22 @@
 """A detector in Python: in pipeline.toml, `command = ["python3", "producer.py"]` in the source's table.
 
-Here it detects a car and a pedestrian; put your detector in the place of `detect`. Positions are metres in the world
-frame, the stamp is the sensor's time of validity, and the ego pose belongs to each frame: see `stgdat_topics.py`, and
-docs/interfaces.md for all of it. The run comes by environment: STGDAT_RUN_ID, STGDAT_PREFIX, STGDAT_ROOT, STGDAT_INTERVAL_NS.
+Here one sensor detects a car and another one a pedestrian; put your detectors in the place of `detect`. Positions are
+metres in the world frame. The frame's stamp is the time of its newest measurement on the sensors' clock, and each
+detection contains its own time as an offset from the stamp: see `stgdat_topics.py`, and docs/interfaces.md for all of it.
+The run comes by environment: STGDAT_RUN_ID, STGDAT_PREFIX, STGDAT_ROOT, STGDAT_INTERVAL_NS.
+
+usage: producer.py [TICKS] [--offsets-ms CAR,PEDESTRIAN] [--csv FILE [--interval-ms MS]]
 """
+
+import argparse
+import csv
 
 import ctypes
 import itertools
+import math
 import os
-import sys
 import time
+from decimal import Decimal
 
 import iceoryx2 as iox2
 from stgdat_topics import join, topic
@@ -17,12 +24,60 @@ from stgdat_wire import (DETECTIONS_MAX, SCHEMA, TOPICS, AgentType, Counts, Dete
                          Hop, StageId, StampSource, protect)
 
 
-def detect(t_s):
-    """What the sensor sees at `t_s`: type, position, and what else it knows."""
-    yield Detection(agent_type=AgentType.VEHICLE, x_m=-20 + 6 * t_s, y_m=2, heading_rad=0, speed_mps=6, length_m=4.5,
-                    width_m=1.8, score=0.9,
+def detect(stamp_ns, offsets_ns):
+    """What the two sensors see, each at its own time: type, position, and what else they know."""
+    car_s, pedestrian_s = ((stamp_ns + offset_ns) / 1e9 for offset_ns in offsets_ns)
+    yield Detection(agent_type=AgentType.VEHICLE, x_m=-20 + 6 * car_s, y_m=2, heading_rad=0, speed_mps=6, length_m=4.5,
+                    width_m=1.8, score=0.9, offset_ns=offsets_ns[0],
                     flags=DetectionFlags.HAS_HEADING | DetectionFlags.HAS_SPEED | DetectionFlags.HAS_SIZE)
-    yield Detection(agent_type=AgentType.PEDESTRIAN, x_m=5, y_m=-8 + 1.4 * t_s, score=0.8)
+    yield Detection(agent_type=AgentType.PEDESTRIAN, x_m=5, y_m=-8 + 1.4 * pedestrian_s, score=0.8,
+                    offset_ns=offsets_ns[1])
+
+
+def detection(row):
+    """The detection in a row of a CSV file (docs/recordings.md)."""
+    has = lambda *names: all(row.get(name) for name in names)
+    number = lambda name, default=0: float(row[name]) if has(name) else default
+    flags = ((DetectionFlags.HAS_ID if has("id") else 0) | (DetectionFlags.HAS_HEADING if has("heading_rad") else 0)
+             | (DetectionFlags.HAS_SPEED if has("speed_mps") else 0)
+             | (DetectionFlags.HAS_SIZE if has("length_m", "width_m") else 0))
+    return Detection(agent_type=AgentType[row["type"].upper()], id=int(row["id"]) if has("id") else 0, flags=flags,
+                     x_m=number("x_m"), y_m=number("y_m"), heading_rad=number("heading_rad"),
+                     speed_mps=number("speed_mps"), length_m=number("length_m"), width_m=number("width_m"),
+                     score=number("score", 1), sigma_m=number("sigma_m"))
+
+
+def interpolated(poses, stamp_ns):
+    """The ego pose at a time: between two poses, the heading along the shortest arc."""
+    after = next((pose for pose in poses if pose[0] >= stamp_ns), poses[-1])
+    before = next((pose for pose in reversed(poses) if pose[0] <= stamp_ns), poses[0])
+    share = (stamp_ns - before[0]) / (after[0] - before[0]) if after[0] > before[0] else 0
+    turn = math.remainder(after[3] - before[3], math.tau)
+    return (before[1] + share * (after[1] - before[1]), before[2] + share * (after[2] - before[2]),
+            math.remainder(before[3] + share * turn, math.tau))
+
+
+def merged(path):
+    """A CSV file as a producer that merges several sensors would send it: in every interval what has come since the
+    last one, of each identity the newest. Yields the stamp, the detections with their offsets, flags and the ego pose."""
+    with open(path, newline="") as file:
+        rows = [(int(round(Decimal(row["stamp_s"]) * 10**9)), row)
+                for row in csv.DictReader(line for line in file if not line.startswith("#"))]
+    rows.sort(key=lambda row: row[0])
+    is_pose = lambda row: row["type"] in ("ego", "above")
+    poses = [(stamp_ns, float(row["x_m"]), float(row["y_m"]), float(row.get("heading_rad") or 0))
+             for stamp_ns, row in rows if is_pose(row)]
+    measured = [row for row in rows if not is_pose(row[1])]
+    flags = Flags.SEEN_FROM_EGO if any(row["type"] == "ego" for _, row in rows) else 0
+    sweep = lambda row: (row[0] - measured[0][0]) // interval_ns
+    for _, together in itertools.groupby(measured, key=sweep):
+        newest = {row.get("id") or place: (stamp_ns, row) for place, (stamp_ns, row) in enumerate(together)}
+        frame_ns = max(stamp_ns for stamp_ns, _ in newest.values())
+        detections = []
+        for stamp_ns, row in newest.values():
+            detections.append(detection(row))
+            detections[-1].offset_ns = stamp_ns - frame_ns
+        yield frame_ns, detections, flags, interpolated(poses, frame_ns) if poses else (0, 0, 0)
 
 
 def send(topic, seq, stamp_ns, elements=(), flags=0, ego=(0, 0, 0)):
@@ -31,7 +86,7 @@ def send(topic, seq, stamp_ns, elements=(), flags=0, ego=(0, 0, 0)):
     now_ns = time.monotonic_ns()
     header = Header(schema=SCHEMA, flags=flags, run_id=run_id, seq=seq, stamp_ns=stamp_ns, released_ns=now_ns,
                     interval_ns=interval_ns, stamp_source=StampSource.SENSOR_CLOCK, sender=StageId.SOURCE,
-                    observed_types=1 << AgentType.VEHICLE | 1 << AgentType.PEDESTRIAN, hops_len=1,
+                    observed_types=sum(1 << agent_type for agent_type in AgentType), hops_len=1,
                     counts=Counts(agents_len=len(elements)), ego_m=ego[:2], ego_heading_rad=ego[2])
     header.hops[0] = Hop(stage=StageId.SOURCE, received_ns=now_ns, started_ns=now_ns, finished_ns=now_ns, sent_ns=now_ns)
     payload = (element * len(elements))(*elements)
@@ -55,7 +110,22 @@ def output(name):
 
 
 run_id, interval_ns = int(os.environ["STGDAT_RUN_ID"]), int(os.environ["STGDAT_INTERVAL_NS"])
-ticks = int(sys.argv[1]) if len(sys.argv) > 1 else 125
+arguments = argparse.ArgumentParser(description="A detector that sends what two sensors see, or a recording.")
+arguments.add_argument("ticks", type=int, nargs="?")
+arguments.add_argument("--offsets-ms", default="0,0", help="when each sensor measures, from the frame's stamp")
+arguments.add_argument("--csv", help="a recording to send instead")
+arguments.add_argument("--interval-ms", type=float, help="the interval in which rows of the recording are merged")
+arguments = arguments.parse_args()
+if arguments.interval_ms:
+    interval_ns = round(arguments.interval_ms * 1e6)
+offsets_ns = [round(float(ms) * 1e6) for ms in arguments.offsets_ms.split(",")]
+if arguments.csv:
+    frames = list(itertools.islice(merged(arguments.csv), arguments.ticks))
+else:
+    stamps_ns = [seq * interval_ns for seq in range(125 if arguments.ticks is None else arguments.ticks)]
+    frames = [(stamp_ns, list(detect(stamp_ns, offsets_ns)), Flags.SEEN_FROM_EGO, (0, 0, 0)) for stamp_ns in stamps_ns]
+has_identities = bool(frames) and all(d.flags & DetectionFlags.HAS_ID for frame in frames for d in frame[1])
+identities = Flags.HAS_IDENTITIES if has_identities else 0
 node = join("producer")
 # A sensor knows no truth: that topic carries the frames that link and end the run, and no others.
 detections, truth = output("detections"), output("truth")
@@ -68,10 +138,10 @@ while not returned.has_samples():
     time.sleep(0.05)
 
 begin_ns = time.monotonic_ns()
-for seq in range(ticks):
-    time.sleep(max(0, begin_ns + seq * interval_ns - time.monotonic_ns()) / 1e9)
-    send(detections, seq, seq * interval_ns, list(detect(seq * interval_ns / 1e9)), Flags.SEEN_FROM_EGO,
-         ego=(0, 0, 0))
-send(detections, ticks, ticks * interval_ns, flags=Flags.END)
+first_ns = frames[0][0] if frames else 0
+for seq, (stamp_ns, elements, flags, ego) in enumerate(frames):
+    time.sleep(max(0, begin_ns + stamp_ns - first_ns - time.monotonic_ns()) / 1e9)
+    send(detections, seq, stamp_ns, elements, identities | flags, ego)
+send(detections, len(frames), (frames[-1][0] if frames else 0) + interval_ns, flags=Flags.END)
 # The frames stay readable as long as this process lives.
 time.sleep(1)

@@ -2,13 +2,16 @@
 //! pipeline.toml.
 //!
 //! Positions are metres in the world frame (right-handed, z up, fixed to the ground), headings
-//! counter-clockwise from +x. The header of each frame contains the ego pose in that frame and the stamp: the
-//! time at which the detections are valid, on the sensor's clock, different in every frame. Put your detector
-//! in the place of [`detect`].
+//! counter-clockwise from +x. The header of each frame contains the ego pose in that frame and the stamp, on
+//! the sensor's clock, different in every frame. Each detection contains its own time of measurement as an
+//! offset from the stamp: two sensors that are merged into one frame need not measure at the same time. Put
+//! your detectors in the place of [`detect`], or play a recording of your own.
 
+use std::path::PathBuf;
 use std::process::ExitCode;
 
 use bytemuck::Zeroable;
+use data::{Ego, Frame, Recording};
 use ports::{Stage, StageError, monotonic_ns, stage_main};
 use run::{Declaration, Run};
 use serde::Deserialize;
@@ -19,59 +22,90 @@ use wire::{AgentType, Detection, DetectionsTopic, Header, StageId, StampSource, 
 const STAGE: Declaration<Options> =
     Declaration::new(StageId::Source, &[], &[DetectionsTopic::NAME, TruthTopic::NAME]);
 
-/// Options of its own: `options = { ticks = 60 }` in its table of pipeline.toml, or `--set source.ticks=60`.
+/// Options of its own: `options = { ticks = 60, offsets_ms = [0, -30] }` in its table of pipeline.toml, or
+/// `--set source.ticks=60`.
 #[derive(Deserialize)]
 #[serde(default)]
 struct Options {
     ticks: u64,
+    /// When the sensor of the car and the sensor of the pedestrian measure, from the frame's stamp.
+    offsets_ms: [f64; 2],
+    /// A recording whose frames are sent instead, at most 12.5 Hz.
+    play: Option<PathBuf>,
 }
 
 impl Default for Options {
     fn default() -> Self {
-        Self { ticks: 125 }
+        Self { ticks: 125, offsets_ms: [0.0; 2], play: None }
     }
 }
 
-/// Detections at `t_s`: a car that passes, and a pedestrian.
-fn detect(t_s: f32) -> [Detection; 2] {
+/// Detections of two sensors, each at its own time: a car that passes, and a pedestrian.
+fn detect(stamp_ns: i64, offsets_ns: [i64; 2]) -> Vec<Detection> {
+    let [car_s, pedestrian_s] = offsets_ns.map(|offset_ns| (stamp_ns + offset_ns) as f32 / 1e9);
     let car = Detection {
         agent_type: AgentType::Vehicle as u32,
         flags: HAS_HEADING | HAS_SPEED | HAS_SIZE,
-        x_m: -20.0 + 6.0 * t_s,
+        x_m: -20.0 + 6.0 * car_s,
         y_m: 2.0,
         speed_mps: 6.0,
         length_m: 4.5,
         width_m: 1.8,
         score: 0.9,
+        offset_ns: offsets_ns[0],
         ..Detection::zeroed()
     };
-    let agent_type = AgentType::Pedestrian as u32;
-    let pedestrian =
-        Detection { agent_type, x_m: 5.0, y_m: -8.0 + 1.4 * t_s, score: 0.8, ..Detection::zeroed() };
-    [car, pedestrian]
+    let pedestrian = Detection {
+        agent_type: AgentType::Pedestrian as u32,
+        x_m: 5.0,
+        y_m: -8.0 + 1.4 * pedestrian_s,
+        score: 0.8,
+        offset_ns: offsets_ns[1],
+        ..Detection::zeroed()
+    };
+    vec![car, pedestrian]
+}
+
+/// The frames to send.
+fn scene(options: &Options, interval_ns: u64) -> Result<Recording, StageError> {
+    if let Some(path) = &options.play {
+        return data::open(path, None).map_err(StageError::data);
+    }
+    let frame = |seq: u64| {
+        let stamp_ns = (seq * interval_ns) as i64;
+        Frame {
+            stamp_ns,
+            observed_types: AgentType::Vehicle.bit() | AgentType::Pedestrian.bit(),
+            // The sensor is at the origin; agents can occlude one another.
+            ego: Ego { is_sensor: true, ..Ego::default() },
+            detections: detect(stamp_ns, options.offsets_ms.map(|ms| (ms * 1e6) as i64)),
+            ..Frame::default()
+        }
+    };
+    Ok(Recording { interval_ns, frames: (0..options.ticks).map(frame).collect(), ..Recording::default() })
 }
 
 fn run(run: &Run) -> Result<(), StageError> {
-    let Options { ticks } = STAGE.options(run)?;
+    let options = STAGE.options(run)?;
+    let scene = scene(&options, run.interval_ns)?;
+    let frames = &scene.frames[..scene.frames.len().min(options.ticks as usize)];
     let mut stage = Stage::open(run, &STAGE)?;
     let detections = stage.publish::<DetectionsTopic>()?;
     // A sensor has no truth: that topic carries only the frames that link the run.
     let truth = stage.publish::<TruthTopic>()?;
     let mut peers = stage.peers(run)?;
-    let observed_types = AgentType::Vehicle.bit() | AgentType::Pedestrian.bit();
-    let header = |seq: u64, flags: u32| Header {
-        flags,
-        interval_ns: run.interval_ns,
+    let header = |seq: u64, stamp_ns: i64, flags: u32| Header {
+        flags: flags | if scene.has_identities { flags::HAS_IDENTITIES } else { 0 },
+        interval_ns: scene.interval_ns,
         stamp_source: StampSource::SensorClock as u32,
-        observed_types,
-        ..Header::new(run.id, seq, (seq * run.interval_ns) as i64)
+        ..Header::new(run.id, seq, stamp_ns)
     };
 
     // Frames reach a reader once it has mapped the connection: warm-up frames pass until every stage has had
     // one.
     while !peers.unlinked().is_empty() {
-        truth.send_copy(&[], header(0, flags::WARM_UP))?;
-        stage.pass_empty(stage.release(header(0, flags::WARM_UP)), &detections)?;
+        truth.send_copy(&[], header(0, 0, flags::WARM_UP))?;
+        stage.pass_empty(stage.release(header(0, 0, flags::WARM_UP)), &detections)?;
         if !stage.sleep_on(peers.heartbeats(), monotonic_ns() + 25_000_000)? {
             return Ok(());
         }
@@ -79,19 +113,26 @@ fn run(run: &Run) -> Result<(), StageError> {
     }
 
     let begin_ns = monotonic_ns();
-    for seq in 0..ticks {
-        if !stage.sleep_until(begin_ns + seq * run.interval_ns)? {
+    let first_ns = frames.first().map_or(0, |frame| frame.stamp_ns);
+    let mut end_ns = first_ns;
+    for (seq, frame) in (0..).zip(frames) {
+        if !stage.sleep_until(begin_ns + frame.stamp_ns.abs_diff(first_ns))? {
             return Ok(());
         }
-        // The sensor is at the origin, where the header places the ego; agents can occlude one another.
-        let mut passage = stage.release(header(seq, flags::SEEN_FROM_EGO));
-        let detected = detect((seq * run.interval_ns) as f32 / 1e9);
-        passage.header.counts.agents_len = detected.len() as u32;
-        let loan = detections.copy(&detected)?;
+        let seen_from_ego = if frame.ego.is_sensor { flags::SEEN_FROM_EGO } else { 0 };
+        let mut passage = stage.release(Header {
+            observed_types: frame.observed_types,
+            ego_m: frame.ego.position_m,
+            ego_heading_rad: frame.ego.heading_rad,
+            ..header(seq, frame.stamp_ns, seen_from_ego)
+        });
+        passage.header.counts.agents_len = frame.detections.len() as u32;
+        let loan = detections.copy(&frame.detections)?;
         stage.finish(passage, &detections, Ok(loan))?;
+        end_ns = frame.stamp_ns + scene.interval_ns as i64;
     }
-    stage.sleep_until(begin_ns + ticks * run.interval_ns)?;
-    Ok(stage.pass_empty(stage.release(header(ticks, flags::END)), &detections)?)
+    stage.sleep_until(begin_ns + end_ns.abs_diff(first_ns))?;
+    Ok(stage.pass_empty(stage.release(header(frames.len() as u64, end_ns, flags::END)), &detections)?)
 }
 
 fn main() -> ExitCode {

@@ -10,6 +10,7 @@ mod plan;
 mod playback;
 mod scene;
 pub mod stage;
+mod thinning;
 
 pub use options::{Options, STAGE};
 pub use playback::{Playback, PlaybackOptions, Tick};

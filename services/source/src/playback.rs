@@ -1,5 +1,7 @@
 use data::{Ego, Frame, Recording};
-use wire::{Counts, DETECTIONS_MAX, Detection, Header, StampSource, TICK_NS, Truth, flags};
+use wire::{Counts, DETECTIONS_MAX, Detection, Header, InputCounts, StampSource, TICK_NS, Truth, flags};
+
+use crate::thinning::{self, Played};
 
 /// Share of a tick by which a recording may be faster before it is thinned, for clocks that drift: 1 / 50.
 const TOLERANCE: u64 = 50;
@@ -39,15 +41,15 @@ impl Tick<'_> {
     }
 }
 
-/// A recording as a sequence of ticks. Nothing is interpolated: a tick is a frame of the recording.
+/// A recording as a sequence of ticks. Nothing is interpolated: a tick is a frame of the recording, with what
+/// other sensors have detected in the unplayed frames before it.
 #[derive(Clone, Debug)]
 pub struct Playback {
     recording: Recording,
     options: PlaybackOptions,
     /// Frames of the recording for each one that is played.
     thinning: u64,
-    /// The frames that are played, by their place in the recording.
-    played: Vec<usize>,
+    played: Played,
     /// Ticks that went out.
     seq: u64,
     left_out_len: u64,
@@ -59,11 +61,11 @@ pub struct Playback {
 impl Playback {
     /// Plays a recording from its start.
     #[must_use]
-    pub fn new(recording: Recording, options: PlaybackOptions) -> Self {
+    pub fn new(mut recording: Recording, options: PlaybackOptions) -> Self {
         let interval_ns = recording.interval_ns.max(1);
         let thinning = (TICK_NS - TICK_NS / TOLERANCE).div_ceil(interval_ns).max(1);
-        let mut played = every_nth(&recording.frames, thinning, interval_ns);
-        played.truncate(
+        let mut played = thinning::thin(&mut recording, thinning);
+        played.places.truncate(
             options.ticks_max.map_or(usize::MAX, |most| usize::try_from(most).unwrap_or(usize::MAX)),
         );
         let fullest = |len: fn(&Frame) -> usize| recording.frames.iter().map(len).max().unwrap_or(0);
@@ -90,7 +92,7 @@ impl Playback {
     /// Ticks from first to last.
     #[must_use]
     pub fn ticks_len(&self) -> u64 {
-        self.played.len() as u64
+        self.played.places.len() as u64
     }
 
     /// One frame in how many is played: 1 unless the recording is faster than 12.5 Hz.
@@ -116,8 +118,8 @@ impl Playback {
     /// Of a frame with more than [`DETECTIONS_MAX`] detections those with the best scores go out, among
     /// equals the nearest to the ego; the others are counted in the header.
     pub fn next_tick(&mut self) -> Option<Tick<'_>> {
-        let frame = &self.recording.frames[*self.played.get(usize::try_from(self.seq).ok()?)?];
-        let first_ns = self.recording.frames[self.played[0]].stamp_ns;
+        let frame = &self.recording.frames[*self.played.places.get(usize::try_from(self.seq).ok()?)?];
+        let first_ns = self.recording.frames[self.played.places[0]].stamp_ns;
         let mut header = self.header(self.seq, frame);
         let left_out_len = frame.detections.len().saturating_sub(DETECTIONS_MAX);
         header.left_out_len = left_out_len as u32;
@@ -138,17 +140,17 @@ impl Playback {
 
     /// Goes on at the first tick that is due at `due_ns` or later and has at least the number `seq`.
     pub fn skip_to(&mut self, due_ns: u64, seq: u64) {
-        let Some(&first) = self.played.first() else { return };
+        let Some(&first) = self.played.places.first() else { return };
         let first_ns = self.recording.frames[first].stamp_ns;
         let is_before = |&place: &usize| self.recording.frames[place].stamp_ns.abs_diff(first_ns) < due_ns;
-        let due_len = self.played.partition_point(is_before) as u64;
+        let due_len = self.played.places.partition_point(is_before) as u64;
         self.seq = self.seq.max(due_len).max(seq).min(self.ticks_len());
     }
 
     /// The header of the frame that links the stages before the first tick.
     #[must_use]
     pub fn warm_up(&self) -> Header {
-        let first = self.played.first().map(|&first| &self.recording.frames[first]);
+        let first = self.played.places.first().map(|&first| &self.recording.frames[first]);
         let header =
             first.map_or_else(|| Header::new(self.options.run_id, 0, 0), |first| self.header(0, first));
         Header { flags: header.flags | flags::WARM_UP, ..header }
@@ -158,8 +160,8 @@ impl Playback {
     /// tick's.
     #[must_use]
     pub fn end(&self) -> Header {
-        let sent = usize::try_from(self.seq).unwrap_or(usize::MAX).min(self.played.len());
-        let last = sent.checked_sub(1).map(|last| &self.recording.frames[self.played[last]]);
+        let sent = usize::try_from(self.seq).unwrap_or(usize::MAX).min(self.played.places.len());
+        let last = sent.checked_sub(1).map(|last| &self.recording.frames[self.played.places[last]]);
         let header =
             last.map_or_else(|| Header::new(self.options.run_id, 0, 0), |last| self.header(self.seq, last));
         let interval_ns = i64::try_from(self.interval_ns()).unwrap_or(i64::MAX);
@@ -177,6 +179,9 @@ impl Playback {
 
     /// The header of a frame, without counts.
     fn header(&self, seq: u64, frame: &Frame) -> Header {
+        let place =
+            usize::try_from(seq).unwrap_or(usize::MAX).min(self.played.counts.len().saturating_sub(1));
+        let [unplayed, merged] = self.played.counts.get(place).copied().unwrap_or_default();
         let identities = if self.recording.has_identities { flags::HAS_IDENTITIES } else { 0 };
         let lockstep = if self.options.lockstep { flags::LOCKSTEP } else { 0 };
         let from_ego = if frame.ego.is_sensor { flags::SEEN_FROM_EGO } else { 0 };
@@ -188,23 +193,10 @@ impl Playback {
             ego_m: frame.ego.position_m,
             ego_heading_rad: frame.ego.heading_rad,
             counts: Counts::default(),
+            input: InputCounts { unplayed, merged, ..InputCounts::default() },
             ..Header::new(self.options.run_id, seq, frame.stamp_ns)
         }
     }
-}
-
-/// The places of every `n`th frame by time, so that a missing frame shifts no other.
-fn every_nth(frames: &[Frame], n: u64, interval_ns: u64) -> Vec<usize> {
-    // Half an interval early is still the frame that is due.
-    let apart_ns = n * interval_ns - interval_ns / 2;
-    let mut played: Vec<usize> = Vec::new();
-    for (place, frame) in frames.iter().enumerate() {
-        let last = played.last().map(|&last| &frames[last]);
-        if n == 1 || last.is_none_or(|last| frame.stamp_ns.abs_diff(last.stamp_ns) >= apart_ns) {
-            played.push(place);
-        }
-    }
-    played
 }
 
 fn distance_m(ego: Ego, x_m: f32, y_m: f32) -> f32 {

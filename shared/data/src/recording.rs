@@ -58,6 +58,9 @@ pub struct Recording {
     pub left_out: Vec<LeftOut>,
     /// The rate at which the frame numbers of the files were counted; none where the files have their times.
     pub frame_rate: Option<FrameRate>,
+    /// Whether the rows have stamps of their own, so that the frames can be of several sensors. If not, the
+    /// frames are numbered, all of one sensor.
+    pub own_stamps: bool,
     /// Frames that no pose of a moving sensor was near enough to: their pose is the last one before, and they
     /// are not seen from it.
     pub poses_missing: usize,

@@ -28,7 +28,7 @@ use crate::{Ego, Frame};
 #[derive(Debug)]
 pub(crate) struct Sweeps {
     pub frames: Vec<Frame>,
-    /// The usual time between frames; `None` for a single frame.
+    /// The usual time between the rows of an agent, or else between frames; `None` for a single frame.
     pub interval_ns: Option<u64>,
     /// Frames that no pose of a moving sensor was near enough to.
     pub poses_missing: usize,
@@ -36,23 +36,24 @@ pub(crate) struct Sweeps {
 
 /// Frames of rows that are sorted by time, one for each stamp, observed by a fixed sensor that detects
 /// `observed_types` all the time. The sensor's position is the mean position of the first frame's
-/// detections: that of all frames would leak the future. The rows are their own truth.
+/// detections: that of all frames would leak the future. Rows with identities are their own truth.
 pub(crate) fn numbered(rows: &[Row<'_>], observed_types: u32) -> Vec<Frame> {
     frames(rows.chunk_by(|a, b| a.stamp_ns == b.stamp_ns), observed_types)
 }
 
 /// Frames of rows that are sorted by time, one for each sweep, with the sensor's poses. All types are observed
 /// all the time, unless a type comes at a lower rate. Before the first pose, the sensor's position is the mean
-/// position of the first frame's detections. The rows are their own truth.
+/// position of the first frame's detections. Rows with identities are their own truth.
 pub(crate) fn measured(rows: &[Row<'_>], egos: &Egos) -> Sweeps {
-    let ends = sweep_ends(rows);
+    let interval_ns = interval::of_sweeps_ns(rows);
+    let ends = sweep_ends(rows, interval_ns);
     let starts = std::iter::once(0).chain(ends.iter().copied());
     let mut frames = frames(starts.zip(&ends).map(|(start, &end)| &rows[start..end]), ALL_TYPES);
     let before = frames.first().map_or_else(Ego::default, |frame| frame.ego);
     let (poses, poses_missing) = egos.at(frames.iter().map(|frame| frame.stamp_ns), before);
     frames.iter_mut().zip(poses).for_each(|(frame, ego)| frame.ego = ego);
     let stamps_ns: Vec<i64> = frames.iter().map(|frame| frame.stamp_ns).collect();
-    let interval_ns = interval::usual_ns(&stamps_ns).map(i64::unsigned_abs);
+    let interval_ns = interval_ns.or_else(|| interval::usual_ns(&stamps_ns)).map(i64::unsigned_abs);
     observe(&mut frames, interval_ns.unwrap_or(0));
     Sweeps { frames, interval_ns, poses_missing }
 }
@@ -70,7 +71,8 @@ fn frames<'r, 'a: 'r>(sweeps: impl Iterator<Item = &'r [Row<'a>]>, observed_type
             let mut lines = Lines::default();
             sweep.iter().for_each(|row| lines.push(paths.line(row)));
             rows::sort(&mut detections, &mut lines);
-            let truth: Vec<Truth> = detections.iter().map(rows::truth_of).collect();
+            let identified = detections.iter().filter(|d| d.has(detection_flags::HAS_ID));
+            let truth: Vec<Truth> = identified.map(rows::truth_of).collect();
             Frame { stamp_ns, observed_types, ego, detections, truth, lines }
         })
         .collect()
@@ -101,8 +103,8 @@ struct Cut {
     first: usize,
 }
 
-/// The places behind the last row of each sweep.
-fn sweep_ends(rows: &[Row<'_>]) -> Vec<usize> {
+/// The places behind the last row of each sweep; each stamp is one if the interval is not known.
+fn sweep_ends(rows: &[Row<'_>], interval_ns: Option<i64>) -> Vec<usize> {
     let mut end = 0;
     let instants: Vec<Instant> = rows
         .chunk_by(|a, b| a.stamp_ns == b.stamp_ns)
@@ -111,7 +113,7 @@ fn sweep_ends(rows: &[Row<'_>]) -> Vec<usize> {
             Instant { stamp_ns: chunk[0].stamp_ns, end }
         })
         .collect();
-    let Some(interval_ns) = interval::of_sweeps_ns(rows) else {
+    let Some(interval_ns) = interval_ns else {
         return instants.iter().map(|instant| instant.end).collect();
     };
     let span_max_ns = (interval_ns - usual_gap_ns(&instants, interval_ns) / 2).min(OFFSET_MAX_NS as i64);

@@ -32,6 +32,8 @@ fn assert_sound(recording: &Recording) {
         for detection in &frame.detections {
             detection.check().unwrap_or_else(|error| panic!("{}: {error}", recording.name));
             assert!(frame.observed_types & (1 << detection.agent_type) != 0, "{}", recording.name);
+            // Published recordings have a stamp for each frame: no two frames are joined.
+            assert_eq!(detection.offset_ns, 0, "{}", recording.name);
         }
     }
 }

@@ -349,3 +349,40 @@ fn a_cyclist_counts_as_pedestrian_until_classified() {
     use AgentType::{Cyclist, Pedestrian};
     assert_eq!(types, [Pedestrian, Pedestrian, Pedestrian, Cyclist, Cyclist]);
 }
+
+#[test]
+fn windows_of_two_sensors_are_those_of_one() {
+    // A car at 10 m/s measured at the stamps, and a pedestrian at 1.5 m/s 30 ms before or after.
+    let scene = |offset_ms: i64| {
+        let mut rows = String::new();
+        for sweep in 1..30_i64 {
+            let ms = [sweep * 100, sweep * 100 + offset_ms];
+            let [car_m, walker_m] = [10.0 * ms[0] as f64 * 1e-3, 1.5 * ms[1] as f64 * 1e-3];
+            rows += &format!("{}.{:03},1,vehicle,{car_m},0,,\n", ms[0] / 1000, ms[0] % 1000);
+            rows += &format!("{}.{:03},2,pedestrian,{walker_m},6,,\n", ms[1] / 1000, ms[1] % 1000);
+        }
+        csv(&rows)
+    };
+    let options = WindowOptions::new(4, 3, STEP_NS);
+    for offset_ms in [-30, 30, 45] {
+        let recording = scene(offset_ms);
+        let windows = windows(&recording, &options);
+        let complete = windows.iter().filter(|window| window.agents.len() == 2);
+        let complete = complete.filter(|window| window.agents.iter().all(|agent| agent.is_complete()));
+        assert!(complete.clone().count() >= 1, "{offset_ms}");
+        for window in complete {
+            for agent in &window.agents {
+                let speed_mps = if agent.id == 1 { 10.0 } else { 1.5 };
+                let at_m = |stamp_ns: i64| speed_mps * stamp_ns as f32 * 1e-9;
+                for (step, state) in agent.history.iter().flatten().enumerate() {
+                    let expected_m = at_m(window.stamp_ns + (step as i64 - 3) * STEP_NS);
+                    assert!((state.position_m[0] - expected_m).abs() < 1e-3, "{agent:?} {offset_ms}");
+                }
+                for (step, position_m) in agent.future.iter().flatten().enumerate() {
+                    let expected_m = at_m(window.stamp_ns + (step as i64 + 1) * STEP_NS);
+                    assert!((position_m[0] - expected_m).abs() < 1e-3, "{agent:?} {offset_ms}");
+                }
+            }
+        }
+    }
+}

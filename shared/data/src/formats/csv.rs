@@ -126,6 +126,7 @@ pub(crate) fn parse(inputs: &[Input]) -> Result<Recording, ReadError> {
         interval_ns: interval_ns.unwrap_or(INTERVAL_NS),
         has_identities: frames.iter().flat_map(|frame| &frame.detections).all(has_id),
         frames,
+        own_stamps: true,
         poses_missing,
         ..Recording::default()
     })
