@@ -130,6 +130,9 @@ impl Format {
         if highd::is_header(&first) {
             return Ok(Self::HighD);
         }
+        if csv::is_meant_as_header(&first) {
+            return Ok(Self::Csv);
+        }
         if first.text.trim_start().starts_with('<') {
             return match commonroad::is_root_among(std::iter::once(Ok(first)).chain(lines)) {
                 true => Ok(Self::CommonRoad),

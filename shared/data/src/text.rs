@@ -20,8 +20,24 @@ const INTEGER_MAX: f64 = 9_007_199_254_740_992.0;
 pub(crate) enum Separator {
     /// One comma; spaces around a value do not count.
     Comma,
+    /// One semicolon, alike.
+    Semicolon,
+    /// One tab, alike.
+    Tab,
     /// Any run of spaces and tabs.
     Space,
+}
+
+impl Separator {
+    /// The single character between two values; `None` if there may be several.
+    const fn mark(self) -> Option<char> {
+        match self {
+            Self::Comma => Some(','),
+            Self::Semicolon => Some(';'),
+            Self::Tab => Some('\t'),
+            Self::Space => None,
+        }
+    }
 }
 
 /// A line of a file.
@@ -50,7 +66,11 @@ pub(crate) fn lines(input: &Input) -> impl Iterator<Item = Result<Line<'_>, Read
         let number = index + 1;
         match str::from_utf8(bytes) {
             Ok(text) if text.trim().is_empty() => None,
-            Ok(text) => Some(Ok(Line { path: &input.path, number, text: text.trim_end() })),
+            Ok(text) => {
+                // Tabs at the end are empty columns.
+                let text = text.trim_end_matches(|c: char| c.is_whitespace() && c != '\t');
+                Some(Ok(Line { path: &input.path, number, text }))
+            }
             Err(error) => {
                 let path = input.path.clone();
                 Some(Err(ReadError::NotText { path, line: number, byte: error.valid_up_to() + 1 }))
@@ -134,9 +154,9 @@ impl<'a> Line<'a> {
     pub fn pieces(&self, separator: Separator) -> impl Iterator<Item = (usize, &'a str)> {
         let text = self.text;
         let place = move |piece: &str| piece.as_ptr().addr() - text.as_ptr().addr() + 1;
-        let mut by_comma = (separator == Separator::Comma).then(|| text.split(','));
+        let mut by_mark = separator.mark().map(|mark| text.split(mark));
         let mut by_space = (separator == Separator::Space).then(|| text.split_whitespace());
-        std::iter::from_fn(move || match &mut by_comma {
+        std::iter::from_fn(move || match &mut by_mark {
             Some(pieces) => pieces.next().map(str::trim),
             None => by_space.as_mut()?.next(),
         })

@@ -2,6 +2,7 @@
 
 mod bad_input;
 mod converters;
+mod dialects;
 mod frame_rates;
 mod inspection;
 mod kitti_files;

@@ -30,6 +30,10 @@
 //! [`TrackWriter`](crate::TrackWriter) adds the columns from `vx_mps` on. The reader checks them and leaves
 //! them out of the recording, so that tracks can be replayed as detections with identities.
 //!
+//! Columns may be separated by commas, semicolons or tabs. Names and values may stand in quotes, with spaces
+//! around them; names in capitals and a few other names of the same meaning and unit, such as `track_id` and
+//! `yaw_rad`, are read too. Decimals have a point.
+//!
 //! Columns and rows may be in any order; columns that are not needed may be missing or empty; lines that
 //! begin with `#` are comments. Rows need not have equal stamps to be of one frame: the reader joins the
 //! detections of each sweep to a frame, whose stamp is that of its newest detection. The pose of the sensor
@@ -87,12 +91,101 @@ pub(crate) const EGO: &str = "ego";
 /// The type of a row with the centre of a view from above.
 pub(crate) const ABOVE: &str = "above";
 
-/// For each of [`NAMES`] the index of its column in the file; `None` where the file lacks it.
-struct Header([Option<usize>; NAMES.len()]);
+/// The first line of a file.
+struct Header {
+    separator: Separator,
+    /// For each of [`NAMES`] the index of its column in the file; `None` where the file lacks it.
+    places: [Option<usize>; NAMES.len()],
+}
+
+/// Separators of columns, the usual one first.
+const SEPARATORS: [Separator; 3] = [Separator::Comma, Separator::Semicolon, Separator::Tab];
+/// Other names of columns, with the same meaning and unit.
+const SYNONYMS: [(&str, &str); 16] = [
+    ("time_s", "stamp_s"),
+    ("timestamp_s", "stamp_s"),
+    ("t_s", "stamp_s"),
+    ("track_id", "id"),
+    ("trackid", "id"),
+    ("object_id", "id"),
+    ("agent_id", "id"),
+    ("agent_type", "type"),
+    ("object_type", "type"),
+    ("class", "type"),
+    ("yaw_rad", "heading_rad"),
+    ("psi_rad", "heading_rad"),
+    ("speed_m_s", "speed_mps"),
+    ("vx_m_s", "vx_mps"),
+    ("vy_m_s", "vy_mps"),
+    ("confidence", "score"),
+];
+/// Names that may mean a column, in another unit or in none: an error suggests the column.
+const SUGGESTED: [(&str, &[&str]); 10] = [
+    (
+        "stamp_s",
+        &[
+            "t",
+            "ts",
+            "time",
+            "stamp",
+            "timestamp",
+            "timestamp_ms",
+            "timestamp_ns",
+            "time_ms",
+            "stamp_ns",
+            "sec",
+        ],
+    ),
+    ("id", &["track", "object", "agent", "identity", "obj_id"]),
+    ("type", &["label", "category", "kind", "cls"]),
+    ("x_m", &["x", "pos_x", "position_x", "xcenter", "x_center", "x_px", "easting", "east_m"]),
+    ("y_m", &["y", "pos_y", "position_y", "ycenter", "y_center", "y_px", "northing", "north_m"]),
+    ("heading_rad", &["heading", "yaw", "psi", "theta", "heading_deg", "yaw_deg"]),
+    ("speed_mps", &["speed", "velocity", "v", "speed_kmh", "speed_kph"]),
+    ("length_m", &["length", "l"]),
+    ("width_m", &["width", "w"]),
+    ("sigma_m", &["sigma", "std", "std_m"]),
+];
+
+/// A name or a value without the quotes around it.
+fn unquoted(text: &str) -> &str {
+    text.strip_prefix('"').and_then(|rest| rest.strip_suffix('"')).map_or(text, str::trim)
+}
+
+/// The column of a name in a header.
+fn column(name: &str) -> Option<usize> {
+    let name = unquoted(name).to_ascii_lowercase();
+    let name = SYNONYMS.iter().find(|(other, _)| *other == name).map_or(&*name, |(_, column)| column);
+    NAMES.iter().position(|&known| known == name)
+}
+
+/// The column that a name of another unit, or of none, may mean.
+fn suggestion(name: &str) -> Option<&'static str> {
+    let name = unquoted(name).to_ascii_lowercase();
+    SUGGESTED.iter().find(|(_, others)| others.contains(&&*name)).map(|(column, _)| *column)
+}
+
+/// The separator between the names of a header: the one that makes most columns known.
+fn separator(line: &Line<'_>) -> Separator {
+    let known =
+        |separator: &Separator| line.pieces(*separator).filter(|(_, name)| column(name).is_some()).count();
+    let parts = |separator: &Separator| line.pieces(*separator).count();
+    let most = SEPARATORS.into_iter().rev().max_by_key(|separator| (known(separator), parts(separator)));
+    most.unwrap_or(Separator::Comma)
+}
 
 /// Whether the line is a header of this format.
 pub(crate) fn is_header(line: &Line<'_>) -> bool {
-    line.pieces(Separator::Comma).any(|(_, name)| name == NAMES[STAMP])
+    line.pieces(separator(line)).any(|(_, name)| column(name) == Some(STAMP))
+}
+
+/// Whether the line seems to be meant as a header of this format: it has a time and a position, by any name.
+pub(crate) fn is_meant_as_header(line: &Line<'_>) -> bool {
+    let means = |needed: usize| {
+        let is_meant = |name: &str| column(name) == Some(needed) || suggestion(name) == Some(NAMES[needed]);
+        line.pieces(separator(line)).any(|(_, name)| is_meant(name))
+    };
+    [STAMP, 3, 4].into_iter().all(means)
 }
 
 /// Reads such a file.
@@ -135,11 +228,16 @@ pub(crate) fn parse(inputs: &[Input]) -> Result<Recording, ReadError> {
 impl Header {
     fn parse(line: &Line<'_>) -> Result<Self, ReadError> {
         let mut places = [None; NAMES.len()];
-        for (place, (column, name)) in line.pieces(Separator::Comma).enumerate() {
-            let field = line.field("header", column, name);
-            let known = NAMES.iter().position(|&known| known == name);
-            let known =
-                known.ok_or_else(|| field.error(format!("no such column; known are {}", NAMES.join(","))))?;
+        let separator = separator(line);
+        for (place, (at, name)) in line.pieces(separator).enumerate() {
+            let field = line.field("header", at, name);
+            let known = column(name).ok_or_else(|| {
+                let number = place + 1;
+                field.error(match suggestion(name) {
+                    Some(meant) => format!("column {number} is {name:?}: did you mean {meant}?"),
+                    None => format!("no such column; known are {}", NAMES.join(",")),
+                })
+            })?;
             if places[known].replace(place).is_some() {
                 return Err(field.error("stands twice"));
             }
@@ -148,7 +246,7 @@ impl Header {
             Some(needed) => {
                 Err(line.field("header", 1, line.text).error(format!("needs a column {}", NAMES[needed])))
             }
-            None => Ok(Self(places)),
+            None => Ok(Self { separator, places }),
         }
     }
 
@@ -156,13 +254,17 @@ impl Header {
     fn fields<'a>(&self, line: &Line<'a>) -> Result<[Field<'a>; NAMES.len()], ReadError> {
         let mut found = 0;
         let mut fields = NAMES.map(|name| line.field(name, 1, ""));
-        for (place, (column, text)) in line.pieces(Separator::Comma).enumerate() {
-            if let Some(known) = self.0.iter().position(|&at| at == Some(place)) {
+        for (place, (column, text)) in line.pieces(self.separator).enumerate() {
+            let text = unquoted(text);
+            if let Some(known) = self.places.iter().position(|&at| at == Some(place)) {
                 fields[known] = line.field(NAMES[known], column, text);
+                if text.contains(',') {
+                    return Err(fields[known].error("a comma in a value: write decimals with a point"));
+                }
             }
             found += 1;
         }
-        let expected = self.0.iter().flatten().count();
+        let expected = self.places.iter().flatten().count();
         if found == expected { Ok(fields) } else { Err(line.columns_error(found, expected)) }
     }
 }
@@ -172,12 +274,13 @@ fn content(fields: &[Field<'_>; NAMES.len()]) -> Result<Content, ReadError> {
     check_unused(unused)?;
     let position_m = [x.position_m()?, y.position_m()?];
     let heading_rad = given(heading, Field::angle_rad)?;
-    if [EGO, ABOVE].contains(&kind.text) {
+    let kind_name = kind.text.to_ascii_lowercase();
+    if [EGO, ABOVE].contains(&&*kind_name) {
         let heading_rad = heading_rad.unwrap_or(0.0);
-        return Ok(Content::Ego(Ego { position_m, heading_rad, is_sensor: kind.text == EGO }));
+        return Ok(Content::Ego(Ego { position_m, heading_rad, is_sensor: kind_name == EGO }));
     }
     let agent_type: AgentType =
-        kind.text.parse().map_err(|_| kind.error("expected vehicle, cyclist, pedestrian, ego or above"))?;
+        kind_name.parse().map_err(|_| kind.error("expected vehicle, cyclist, pedestrian, ego or above"))?;
     let id = given(id, |id| id.id_below(u64::MAX))?;
     let speed_mps = given(speed, Field::speed_mps)?;
     let size = match (given(length, Field::extent_m)?, given(width, Field::extent_m)?) {
