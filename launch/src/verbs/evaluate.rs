@@ -83,6 +83,9 @@ pub struct Arguments {
     /// Compute the decoder in another precision: decoder.precision=bf16; no other option can be set here
     #[arg(long, value_name = "STAGE.OPTION=VALUE")]
     set: Vec<Setting>,
+    /// Print all tables of recordings, not only what a run would publish
+    #[arg(long)]
+    all: bool,
     /// Write every figure as CSV, one per line
     #[arg(long, value_name = "FILE")]
     csv: Option<PathBuf>,
@@ -128,7 +131,13 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
     if let Some(path) = &arguments.json {
         write(path, &(serde_json::to_string_pretty(&json(&written)).map_err(Failure::data)? + "\n"))?;
     }
-    let markdown: Vec<&str> = written.iter().map(|part| part.markdown.as_str()).collect();
+    let shown = |part: &'_ Written| match &part.brief {
+        Some(brief) if !arguments.all => {
+            format!("{brief}\n`--all` prints all methods, horizons and intervals.\n")
+        }
+        _ => part.markdown.clone(),
+    };
+    let markdown: Vec<String> = written.iter().map(shown).collect();
     let exit = show(&markdown.join("\n"))?;
     if let Some(path) = &arguments.table {
         for part in &written {
@@ -158,6 +167,7 @@ fn refuse_unused(name: &str, arguments: &Arguments) -> Result<(), Failure> {
         ("--particles", arguments.particles, is_tracking, "`tracking`"),
         ("--format", arguments.read.format.is_some(), !is_set, "recordings"),
         ("--fps", arguments.read.fps.is_some(), !is_set, "recordings"),
+        ("--all", arguments.all, !is_set, "recordings"),
         ("--positions", arguments.positions, !is_set, "recordings"),
         ("--set", !arguments.set.is_empty(), !is_tracking, "forecasts, not `tracking`"),
     ];
@@ -183,6 +193,8 @@ struct Written {
     name: &'static str,
     /// Its place in a Markdown file.
     mark: String,
+    /// What is printed first, of recordings.
+    brief: Option<String>,
     markdown: String,
     summary: String,
     csv: String,
@@ -194,6 +206,7 @@ impl Written {
         Self {
             name: "forecasts",
             mark: format!("evaluate {set}{}", if lanes { " --lanes" } else { "" }),
+            brief: report.brief(),
             markdown: report.markdown(),
             summary: report.summary(),
             csv: report.csv(),
@@ -205,6 +218,7 @@ impl Written {
         Self {
             name: "interaction",
             mark: "evaluate tracking --parts interaction".to_owned(),
+            brief: None,
             markdown: report.markdown(),
             summary: report.summary(),
             csv: report.csv(),
@@ -216,6 +230,7 @@ impl Written {
         Self {
             name: "driving",
             mark: "evaluate tracking --parts driving".to_owned(),
+            brief: None,
             markdown: report.markdown(),
             summary: report.markdown(),
             csv: report.csv(),
@@ -227,6 +242,7 @@ impl Written {
         Self {
             name: "kitti",
             mark: "evaluate tracking --parts kitti".to_owned(),
+            brief: None,
             markdown: report.markdown(),
             summary: report.summary(),
             csv: report.csv(),
@@ -291,6 +307,7 @@ fn drive(arguments: &Arguments) -> Result<Written, Failure> {
     Ok(Written {
         name: "driving",
         mark: "evaluate driving".to_owned(),
+        brief: None,
         markdown: report.markdown(),
         summary: report.summary(),
         csv: report.csv(),

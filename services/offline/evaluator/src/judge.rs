@@ -26,6 +26,8 @@ pub enum Subset {
     Company,
     /// Those that moved at their last observed step.
     Moving,
+    /// Those of a type.
+    Of(AgentType),
 }
 
 impl Subset {
@@ -36,6 +38,7 @@ impl Subset {
             Self::All => "all",
             Self::Company => "2 or more",
             Self::Moving => "moving",
+            Self::Of(agent_type) => agent_type.name(),
         }
     }
 
@@ -52,6 +55,10 @@ impl Subset {
                 }
             }
             Self::Moving => complete.iter().copied().filter(|&agent| moves(&scene.agents[agent])).collect(),
+            Self::Of(agent_type) => {
+                let is_of_type = |agent: &usize| scene.agents[*agent].agent_type == agent_type;
+                complete.iter().copied().filter(is_of_type).collect()
+            }
         }
     }
 }

@@ -48,6 +48,8 @@ pub struct Report {
     pub warnings: Vec<String>,
     /// What the tables leave out and why, a line each.
     pub left_out: Vec<String>,
+    /// What a run publishes, beside constant velocity; of recordings alone.
+    published: Option<Table>,
     /// For people.
     tables: Vec<Table>,
     /// For machines.
@@ -149,6 +151,19 @@ impl Report {
             Some(seed) => format!("seed {seed}"),
             None => self.provenance.first().map_or_else(String::new, |first| first.sha256[..8].to_owned()),
         }
+    }
+
+    pub(crate) fn set_published(&mut self, table: Table) {
+        self.published = Some(table);
+    }
+
+    /// The forecasts that a run publishes beside constant velocity, and what is left out; `None` of data sets.
+    #[must_use]
+    pub fn brief(&self) -> Option<String> {
+        let table = self.published.as_ref()?;
+        let mut text = format!("#{}", table.markdown(""));
+        self.left_out.iter().for_each(|line| text += &format!("\nLeft out: {line}\n"));
+        Some(text)
     }
 
     /// The report as Markdown that also reads well in a terminal.

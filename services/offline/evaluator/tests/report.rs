@@ -101,6 +101,17 @@ fn constant_velocity_predicts_straight_motion_exactly() {
             assert!(error.value < 2e-3, "{error:?}");
         }
     }
+    // What is printed first: a row per type that is present.
+    let brief = report.brief().unwrap();
+    let rows: Vec<&str> = brief.lines().filter(|line| line.starts_with("| ")).skip(1).collect();
+    assert!(rows.len() == 2 && brief.lines().count() <= 15, "{brief}");
+    for (row, name) in rows.iter().zip(["all", "vehicle"]) {
+        let cells: Vec<&str> = row.split('|').map(str::trim).collect();
+        assert_eq!((cells[1], cells[2]), (name, "22"), "{brief}");
+        let published = figure(&report, "ours, online retrieval, evidence", "K = 1", "FDE, m").value;
+        let shown: f64 = cells[3].rsplit(" / ").next().unwrap().parse().unwrap();
+        assert!((shown - published).abs() < 2e-3, "{brief}");
+    }
     // Eleven windows, at 2.8 to 6.8 s, two vehicles each.
     assert_eq!(figure(&report, "ours", "K = 1", "ADE, m").agents, 22);
     assert_eq!(figure(&report, "ours", "", "collision rate, recorded futures, %").value, 0.0);

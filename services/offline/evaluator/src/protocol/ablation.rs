@@ -120,9 +120,10 @@ impl Windows {
             _ => String::new(),
         };
         let agents = match self.subset {
-            Subset::All => "",
-            Subset::Company => ", windows with 2 or more pedestrians",
-            Subset::Moving => ", moving vehicles",
+            Subset::All => String::new(),
+            Subset::Company => ", windows with 2 or more pedestrians".to_owned(),
+            Subset::Moving => ", moving vehicles".to_owned(),
+            Subset::Of(agent_type) => format!(", of type {}", agent_type.name()),
         };
         format!("{}{place}, {} part{agents}", self.about, part.name())
     }

@@ -27,7 +27,9 @@ pub fn files(
     let model = options.weights.open(EMBEDDED, SEED)?;
     let cut = Cut { from_positions, ..Cut::of(model.forecaster.config()) };
     let horizons = quarters(cut.horizon_len);
-    let subsets = [Subset::All, Subset::Moving];
+    let types = wire::AGENT_TYPES.map(Subset::Of);
+    // The tables are of the first two.
+    let subsets = [&[Subset::All, Subset::Moving], &types[..]].concat();
     let rules = Rules { horizons: &horizons, subsets: &subsets, of_type: None, threads: options.threads };
     let baselines = Baselines::fit(std::iter::empty(), &cut, SEED);
     let (map, map_label) = match options.map {
@@ -35,7 +37,7 @@ pub fn files(
         MapChoice::Online | MapChoice::Site => (MapInput::Online, "online"),
     };
     let mut report = Report::new("Recordings");
-    let mut groups: [Vec<Group>; 2] = [Vec::new(), Vec::new()];
+    let mut groups: Vec<Vec<Group>> = subsets.iter().map(|_| Vec::new()).collect();
     let mut names_left_out: Vec<String> = Vec::new();
     for footage in options.read(paths, open, &cut)? {
         let name = &footage.recording.name;
@@ -49,15 +51,16 @@ pub fn files(
             continue;
         }
         report.provenance.push(model.provenance(name, map_label, &[&footage.recording]));
-        for (place, (subset, groups)) in subsets.into_iter().zip(&mut groups).enumerate() {
-            groups.push(Group::new(name, subset, place, &blocks));
+        for (place, (subset, groups)) in subsets.iter().zip(&mut groups).enumerate() {
+            groups.push(Group::new(name, *subset, place, &blocks));
         }
     }
     if groups[0].is_empty() {
         return Err(no_agents(&names_left_out.join(", "), &cut));
     }
     let horizons_s = rules.horizons_s(&cut);
-    for (subset, mut groups) in subsets.into_iter().zip(groups) {
+    report.set_published(published(&groups, (horizons_s[rules.last()], rules.last())));
+    for (&subset, mut groups) in subsets.iter().zip(groups).take(2) {
         if groups.iter().all(|group| group.total.is_empty()) {
             report.left_out.push(format!("{} agents: there are none", subset.name()));
             continue;
@@ -76,6 +79,19 @@ pub fn files(
         groups.iter().for_each(|group| report.add_figures(group, &horizons_s));
     }
     Ok(report)
+}
+
+/// The forecasts that a run publishes beside constant velocity, by type and together.
+fn published(groups: &[Vec<Group>], (horizon_s, horizon): (f64, usize)) -> Table {
+    let pooled = |groups: &Vec<Group>| Group::pooled("all", &groups.iter().collect::<Vec<_>>());
+    let pooled: Vec<Group> = groups.iter().map(pooled).collect();
+    let rows: Vec<&Group> =
+        pooled.iter().filter(|group| matches!(group.subset, Subset::Of(_) | Subset::All)).collect();
+    let note = format!(
+        "ADE / FDE of the single best forecast after {horizon_s:.1} s, m, with evidence and retrieval as a run has them \
+         by default."
+    );
+    Table::published("Published forecasts", &note, &rows, horizon)
 }
 
 /// The horizon and, where they are whole steps, its quarters or fifths.

@@ -105,6 +105,35 @@ impl Table {
         table
     }
 
+    /// What a run publishes by default beside constant velocity, a row per group that has agents.
+    pub(crate) fn published(title: &str, note: &str, groups: &[&Group], horizon: usize) -> Self {
+        let head =
+            ["forecasts", "published", "constant velocity", "ratio of FDE", "published, minADE₂₀ / minFDE₂₀"];
+        let mut table = Self::new(title, note, &["agents"], head.into_iter().map(str::to_owned));
+        for group in groups {
+            let errors = |method, measure| group.total.errors(method, measure, horizon);
+            let single = errors(Method::Evidence, Measure::Single);
+            let [Some(ours), Some(plain)] = [single, errors(Method::ConstantVelocity, Measure::Single)]
+            else {
+                continue;
+            };
+            let cell = |e: Errors| format!("{} / {}", digits(e.ade_m), digits(e.fde_m));
+            let ratio =
+                if plain.fde_m > 0.0 { format!("{:.2}", ours.fde_m / plain.fde_m) } else { "-".to_owned() };
+            let best = errors(Method::Evidence, Measure::BestOf).map_or_else(|| "-".to_owned(), cell);
+            let forecasts = group.total.len(Method::Evidence, Measure::Single).to_string();
+            table.push_row(vec![
+                group.subset.name().to_owned(),
+                forecasts,
+                cell(ours),
+                cell(plain),
+                ratio,
+                best,
+            ]);
+        }
+        table
+    }
+
     /// Of a main table of errors, the rows of our own forecasts beside those of the same table by other
     /// weights; each comes with the name of its training.
     pub(crate) fn beside(&self, name: &str, others: &[(&str, &Self)]) -> Option<Self> {
