@@ -5,12 +5,16 @@ use run::Exit;
 use trainer::TrainOptions;
 
 use super::card;
-use crate::arguments::check_place;
+use crate::arguments::{canonical, check_place};
 use crate::failure::Failure;
 
 /// Arguments of `stgdat train`.
 #[derive(Debug, Args)]
 pub struct Arguments {
+    /// Recordings of your own, or folders of them: training begins with the embedded weights, resumes by itself, and
+    /// the last fifth (of one recording the last fifth of its time) validates
+    #[arg(value_name = "FILE", conflicts_with_all = ["recipe", "options", "data"])]
+    files: Vec<PathBuf>,
     /// Recipe of shipped weights: eth, hotel, univ, zara1, zara2, sdd, interaction, interaction-without-FT,
     /// interaction-without-EP1, onboard or onboard-free
     #[arg(long, value_name = "NAME", conflicts_with = "options")]
@@ -54,21 +58,50 @@ pub struct Arguments {
 
 /// Trains weights and prints their card.
 pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
-    let options = options(arguments)?;
+    let mut options = options(arguments)?;
     if arguments.print_options {
         say!("{}", serde_json::to_string_pretty(&options).map_err(Failure::data)?);
         return Ok(Exit::Done);
     }
     check_place(&options.out)?;
+    if !options.files.is_empty() && options.begin_with.is_empty() {
+        trainer::begin_with_onboard(&mut options).map_err(Failure::data)?;
+    }
     let summary = trainer::train(&options).map_err(Failure::data)?;
     say!("{}\n{} updates: {}", card::text(&summary.card), summary.steps, options.out.display());
+    if let [[before], [after]] = summary.scores.each_ref().map(Vec::as_slice) {
+        let [before, after] = [before, after].map(|score| (score.best_of_modes.ade_m, score.single.fde_m));
+        say!(
+            "validation before → after: minADE₂₀ {:.3} → {:.3} m, FDE of the single best forecast {:.3} → {:.3} m",
+            before.0,
+            after.0,
+            before.1,
+            after.1
+        );
+    }
     Ok(Exit::Done)
+}
+
+/// The recordings of the command line, folders by what they hold.
+fn own_files(arguments: &Arguments) -> Result<Vec<PathBuf>, Failure> {
+    let mut files = Vec::new();
+    for path in &arguments.files {
+        match canonical(path)? {
+            folder if folder.is_dir() => files.extend(data::recordings_in(&folder).map_err(Failure::data)?),
+            file => files.push(file),
+        }
+    }
+    if files.is_empty() {
+        return Err(Failure::Usage("there is no recording in the folder".to_owned()));
+    }
+    Ok(files)
 }
 
 /// The file's options, a recipe's or the defaults, as presets and the rest of the command line change them.
 fn options(arguments: &Arguments) -> Result<TrainOptions, Failure> {
     let mut options = match &arguments.recipe {
         Some(name) => recipe(name)?,
+        None if !arguments.files.is_empty() => trainer::own(own_files(arguments)?),
         None => TrainOptions::default(),
     };
     if let Some(path) = &arguments.options {
@@ -91,6 +124,9 @@ fn options(arguments: &Arguments) -> Result<TrainOptions, Failure> {
         if let Some(path) = asked {
             option.clone_from(path);
         }
+    }
+    if !options.files.is_empty() && arguments.checkpoints.is_none() {
+        options.checkpoints = options.out.with_extension("checkpoints");
     }
     options.seed = arguments.seed.unwrap_or(options.seed);
     options.steps = arguments.steps.unwrap_or(options.steps);

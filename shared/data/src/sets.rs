@@ -39,6 +39,8 @@ pub enum DataSet {
     /// Scenes of Waymo Open Motion in the project's own format, for validation alone: their licence would
     /// bind weights that are trained on them.
     Womd,
+    /// A user's own recordings in any format, which are named file by file.
+    Own,
 }
 
 /// The scene that a fold of ETH/UCY leaves out of training.
@@ -113,6 +115,7 @@ impl DataSet {
             Self::Ngsim => "ngsim",
             Self::Generated => "generated",
             Self::Womd => WOMD,
+            Self::Own => "own",
         }
     }
 
@@ -127,7 +130,7 @@ impl DataSet {
             Self::VciDut => Format::VciDut,
             Self::KittiLabels => Format::KittiLabels,
             Self::KittiDetections => Format::KittiDetections,
-            Self::Driving | Self::Ngsim | Self::Generated | Self::Womd => Format::Csv,
+            Self::Driving | Self::Ngsim | Self::Generated | Self::Womd | Self::Own => Format::Csv,
         }
     }
 
@@ -151,6 +154,7 @@ impl DataSet {
             Self::Ngsim => &[NGSIM],
             Self::Generated => &[("generated", "this project's own")],
             Self::Womd => &[("womd", "Waymo non-commercial")],
+            Self::Own => &[("own", "as of the recordings")],
         }
     }
 
@@ -161,6 +165,7 @@ impl DataSet {
     pub fn open(self, file: &Path) -> Result<Recording, ReadError> {
         match self {
             Self::Generated => generated(file),
+            Self::Own => crate::open(file, None),
             _ => crate::open(file, Some(self.format())),
         }
     }
@@ -196,7 +201,7 @@ impl DataSet {
             Self::Ngsim => sources(&root.join("driving"), part, |source| source.starts_with("ngsim_")),
             Self::Generated => Ok(generated_scenes(part)),
             Self::Womd if part == Part::Validation => list(&root.join("driving").join(WOMD)),
-            Self::Womd => Ok(Vec::new()),
+            Self::Womd | Self::Own => Ok(Vec::new()),
         }
     }
 }

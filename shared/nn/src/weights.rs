@@ -132,6 +132,12 @@ impl Weights {
         Self::from_bytes(ONBOARD).expect("the embedded weights are checked by a test")
     }
 
+    /// The file of the embedded weights.
+    #[must_use]
+    pub const fn onboard_file() -> &'static [u8] {
+        ONBOARD
+    }
+
     /// Reads a weights file, or takes the weights that the executable carries where none is named.
     ///
     /// # Errors

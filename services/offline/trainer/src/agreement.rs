@@ -105,6 +105,7 @@ fn recorded(config: &ModelConfig) -> (Vec<Scene>, Ground, Spool) {
     let selection = Selection {
         root: folder.path(),
         sets: &[],
+        own: &[],
         part: Part::Train,
         leave_out: &[],
         windows_max: usize::MAX,

@@ -12,6 +12,7 @@ use crate::net::layout::layout;
 use crate::net::tensors::{TensorRole, Tensors};
 use crate::optimiser::{Adam, Moments};
 use crate::options::TrainOptions;
+use crate::validate::SetScore;
 
 /// Name of the file in the checkpoint folder.
 const FILE: &str = "checkpoint.safetensors";
@@ -44,6 +45,14 @@ pub(crate) struct RunProgress {
     /// Seed and model that the run began with.
     pub(crate) seed: u64,
     pub(crate) model: nn::ModelConfig,
+    /// Scores before the first update, and those of the best validation.
+    #[serde(default)]
+    pub(crate) first_scores: Vec<SetScore>,
+    #[serde(default)]
+    pub(crate) best_scores: Vec<SetScore>,
+    /// SHA-256 of the user's own recordings that it trains on.
+    #[serde(default)]
+    pub(crate) recordings: Vec<String>,
 }
 
 impl RunState {
@@ -59,6 +68,9 @@ impl RunState {
             seconds: 0.0,
             seed: options.seed,
             model: options.model.clone(),
+            first_scores: Vec::new(),
+            best_scores: Vec::new(),
+            recordings: Vec::new(),
         };
         Self { best: weights.clone(), weights, adam, progress }
     }

@@ -22,6 +22,8 @@ pub struct TrainOptions {
     pub recipe: Option<String>,
     /// Folder that holds the data sets.
     pub data: PathBuf,
+    /// A user's own recordings, the data set `own`.
+    pub files: Vec<PathBuf>,
     /// Names of the data sets for training, see [`DataSet::name`].
     pub sets: Vec<String>,
     /// Names of the data sets for validation.
@@ -118,6 +120,7 @@ impl Default for TrainOptions {
         Self {
             recipe: None,
             data: PathBuf::from("data"),
+            files: Vec::new(),
             sets: names(&learned),
             validation_sets: names(&validated),
             leave_out: Vec::new(),

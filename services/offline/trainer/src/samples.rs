@@ -22,8 +22,8 @@ use data::sets::{DataSet, Part};
 use nn::ModelConfig;
 use scene::{AgentType, ContextMap};
 
-use crate::TrainError;
 use crate::spool::{Spool, Spooling};
+use crate::{TrainError, own};
 pub(crate) use agents::{Agent, Scene, Window};
 pub(crate) use cut::cut;
 use ground::site_map;
@@ -82,6 +82,8 @@ pub(crate) struct Selection<'a> {
     /// Folder that holds the data sets.
     pub(crate) root: &'a Path,
     pub(crate) sets: &'a [DataSet],
+    /// The files of [`DataSet::Own`].
+    pub(crate) own: &'a [PathBuf],
     pub(crate) part: Part,
     /// Recordings whose path contains one of these are left out.
     pub(crate) leave_out: &'a [String],
@@ -95,7 +97,10 @@ pub(crate) struct Selection<'a> {
 
 impl Selection<'_> {
     fn files(&self, set: DataSet) -> Result<Vec<PathBuf>, TrainError> {
-        let mut files = set.files(self.root, self.part)?;
+        let mut files = match set {
+            DataSet::Own => own::files_of(self.own, self.part).to_vec(),
+            _ => set.files(self.root, self.part)?,
+        };
         files.retain(|path| {
             let path = path.to_string_lossy();
             !self.leave_out.iter().any(|name| path.contains(name.as_str()))
@@ -119,7 +124,10 @@ impl Samples {
             let mut windows = Vec::new();
             for path in selection.files(set)? {
                 progress(&path);
-                let recording = set.open(&path)?;
+                let mut recording = set.open(&path)?;
+                if set == DataSet::Own && selection.own.len() == 1 {
+                    recording = own::cut_in_time(recording, selection.part);
+                }
                 let number = sources.len() as u32;
                 let (scenes, ground) = cut(&recording, selection, config, &mut spooling)?;
                 for scene in scenes.filter(|scene| scene.agents.iter().any(|agent| agent.counts)) {

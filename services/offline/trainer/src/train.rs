@@ -13,7 +13,6 @@ use nn::{Latents, ModelConfig};
 use rand::{Rng, RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
-use crate::TrainError;
 use crate::base::{Augmentation, BaseControl, FITTED_MAX};
 use crate::batch::{Batch, BatchOptions, SceneView};
 use crate::calibration::Calibration;
@@ -27,10 +26,11 @@ use crate::net::tensors::Tensors;
 use crate::objective::{Differentiated, LossParts, Objective, differentiate};
 use crate::options::TrainOptions;
 use crate::progress::Progress;
-use crate::samples::{MapKind, MapView, Samples, Scene, Selection, SetSamples};
+use crate::samples::{MapKind, MapView, Samples, Scene, Selection, SetSamples, Source};
 use crate::spool::Spooling;
 use crate::validate::{Baselines, SetScore, Validation, choose_by};
 use crate::view::Clip;
+use crate::{TrainError, own};
 
 /// Agents of each set in the validation that the model card reports.
 const CARD_AGENTS: usize = 4000;
@@ -44,6 +44,8 @@ pub struct Summary {
     pub steps: u64,
     /// The card of the weights that were written.
     pub card: ModelCard,
+    /// The validation before the first update, and the best one, of the same agents; empty without updates.
+    pub scores: [Vec<SetScore>; 2],
 }
 
 /// Trains a model and writes its weights to [`TrainOptions::out`], whenever a validation is the best so far
@@ -60,14 +62,15 @@ pub fn train(options: &TrainOptions) -> Result<Summary, TrainError> {
     if options.steps == 0 {
         let card = run.write_revised(&state.weights, &base, CARD_AGENTS)?;
         progress.finish();
-        return Ok(Summary { steps: 0, card });
+        return Ok(Summary { steps: 0, card, scores: Default::default() });
     }
     progress.restart(state.progress.step);
     run.learn(&mut state, &base, &mut progress)?;
     let card = run.write(&state, &base, CARD_AGENTS)?;
     state.save(&options.checkpoints)?;
     progress.finish();
-    Ok(Summary { steps: state.progress.step, card })
+    let scores = [state.progress.first_scores, state.progress.best_scores];
+    Ok(Summary { steps: state.progress.step, card, scores })
 }
 
 /// What stays the same through a run.
@@ -90,6 +93,7 @@ impl<'a> Run<'a> {
             let selection = Selection {
                 root: &options.data,
                 sets: &sets,
+                own: &options.files,
                 part,
                 leave_out: &options.leave_out,
                 windows_max,
@@ -113,6 +117,22 @@ impl<'a> Run<'a> {
             let (windows, agents) = (set.windows.len(), set.counted_len());
             progress.note(&format!("{}: {windows} windows, {agents} agents", set.set.name()));
         }
+        if !options.files.is_empty() {
+            let set = &validation.sets[0];
+            progress.note(&own::split(&options.files));
+            progress.note(&format!(
+                "validation: {} windows, {} agents",
+                set.windows.len(),
+                set.counted_len()
+            ));
+            let is_shared =
+                |source: &Source| training.sources.iter().any(|other| other.sha256 == source.sha256);
+            if options.files.len() > 1 && validation.sources.iter().any(is_shared) {
+                return Err(TrainError::Options(
+                    "the same recording is among those for training and for validation",
+                ));
+            }
+        }
         let baselines = Baselines::fit(&training, &options.model, options.seed)?;
         Ok(Self { options, training, validation, baselines, device })
     }
@@ -123,6 +143,12 @@ impl<'a> Run<'a> {
         if options.resume
             && let Some(state) = RunState::load(options)?
         {
+            if !options.files.is_empty() && state.progress.recordings != self.recordings() {
+                return Err(TrainError::Options(
+                    "the checkpoints are of a training on other recordings: name another --out, or --checkpoints",
+                ));
+            }
+            progress.note(&format!("resumed at update {}", state.progress.step));
             let base = BaseControl::load(&state.weights, &options.model);
             return Ok((state, base.unwrap_or_else(|| BaseControl::zero(&options.model))));
         }
@@ -149,7 +175,15 @@ impl<'a> Run<'a> {
             base.fit_support(agents, augmentation, options.seed)?;
             base.store(&mut weights);
         }
-        Ok((RunState::new(weights, options), base))
+        let mut state = RunState::new(weights, options);
+        state.progress.recordings = self.recordings();
+        Ok((state, base))
+    }
+
+    /// SHA-256 of the user's own recordings.
+    fn recordings(&self) -> Vec<String> {
+        let own = self.training.sources.iter().filter(|_| !self.options.files.is_empty());
+        own.map(|source| source.sha256.clone()).collect()
     }
 
     fn learn(
@@ -306,10 +340,14 @@ impl<'a> Run<'a> {
         let scores = self.scores(&average, base, Some(MapKind::Online), self.options.validation_agents)?;
         let figure = choose_by(&scores);
         progress.note(&format!("validation at {}: {figure:.4}\n{}", state.progress.step, table(&scores)));
+        if state.progress.first_scores.is_empty() {
+            state.progress.first_scores.clone_from(&scores);
+        }
         let (step, seconds) = (state.progress.step, state.progress.seconds);
-        log.write(&Line::Validation { step, seconds, validation: figure, sets: scores })?;
+        log.write(&Line::Validation { step, seconds, validation: figure, sets: scores.clone() })?;
         if state.progress.best_figure.is_none_or(|best| figure < best) {
             state.best = average;
+            state.progress.best_scores = scores;
             state.progress.best_figure = Some(figure);
             state.progress.best_step = state.progress.step;
             state.progress.stale = 0;
@@ -439,6 +477,7 @@ pub(crate) fn set_named(name: &str) -> Result<DataSet, TrainError> {
         DataSet::Ngsim,
         DataSet::Generated,
         DataSet::Womd,
+        DataSet::Own,
     ];
     let folds = data::sets::Fold::ALL.map(DataSet::EthUcyFold);
     let known = || sets.into_iter().chain(folds);

@@ -54,6 +54,7 @@ fn selection(from_positions: bool) -> Selection<'static> {
     Selection {
         root: Path::new(""),
         sets: &[],
+        own: &[],
         part: Part::Train,
         leave_out: &[],
         windows_max: usize::MAX,

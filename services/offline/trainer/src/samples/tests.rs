@@ -146,6 +146,7 @@ fn reading_beyond_a_short_file_is_an_error() {
     let selection = Selection {
         root: folder.path(),
         sets: &[set.unwrap()],
+        own: &[],
         part: Part::Train,
         leave_out: &[],
         windows_max: usize::MAX,
