@@ -148,6 +148,12 @@ pub struct PlaybackArguments {
     retrieval: RetrievalArguments,
     #[command(flatten)]
     set: SetArguments,
+    /// Write the report as JSON: ticks, agents, what the input contained, and the verdict
+    #[arg(long, value_name = "FILE")]
+    pub report: Option<PathBuf>,
+    /// Fail, with exit code 65, if the input is doubtful or no agent was tracked
+    #[arg(long)]
+    pub strict: bool,
 }
 
 /// A recording at its start, and the run that plays it.
@@ -335,6 +341,9 @@ impl PlaybackArguments {
         }
         let seed = self.seed.unwrap_or(SEED);
         let source = source::Options { recording: Some(self.path()?), ..options.read(&source::STAGE)? };
+        if let Some(report) = &self.report {
+            check_place(report)?;
+        }
         let recording = source::recording(&source, seed)?;
         warn_of_doubts(&recording);
         let playing = PlaybackOptions { run_id: 0, ticks_max: source.ticks, lockstep: true };

@@ -30,6 +30,7 @@ mod observe;
 mod options;
 mod outages;
 mod pipeline_file;
+mod play_report;
 mod policy;
 mod prediction;
 mod readers;

@@ -21,7 +21,7 @@ use recorder::exposition::metrics;
 use recorder::live::LiveView;
 use recorder::status::{Facts, ProcessStatus, RunStatus, StatusEvent};
 use recorder::trace::Tracer;
-use recorder::{Errors, Recorder, RecorderOptions, Supervision};
+use recorder::{Errors, InputReport, Recorder, RecorderOptions, Supervision};
 use run::Run;
 use rustix::time::{ClockId, clock_gettime};
 use wire::{Forecast, Header, Heartbeat, StageId};
@@ -95,7 +95,7 @@ impl Observer {
     ///
     /// # Errors
     /// [`Failure`] where an address is taken or a file can't be written.
-    pub fn open(run: &Run, arguments: &ObserveArguments) -> Result<Self, Failure> {
+    pub fn open(run: &Run, arguments: &ObserveArguments, input: InputReport) -> Result<Self, Failure> {
         let (ask, questions) = sync_channel(QUESTIONS_MAX);
         if let Some(address) = arguments.metrics {
             server::listen_tcp(address, ask.clone())?;
@@ -111,6 +111,7 @@ impl Observer {
             stages: run.order(),
             budgets_ms: run.budgets_ms(),
             scores: false,
+            input,
             ..RecorderOptions::default()
         };
         Ok(Self {

@@ -40,16 +40,16 @@ impl Tracking {
         })
     }
 
-    /// The tracks after a tick; none where the tracker refuses it.
-    pub fn tick(&mut self, header: &Header, detections: &[Detection]) -> &[Track] {
+    /// The tracks after a tick, with their header; none if the tracker refuses the tick.
+    pub fn tick(&mut self, header: &Header, detections: &[Detection]) -> (Header, &[Track]) {
         match self {
             Self::Alone { tracker, tracks } => {
                 let tracked = tracker.step(header, detections, None, tracks);
-                &tracks[..tracked.map_or(0, |tracked| tracked.tracks_len)]
+                (tracker.header(header), &tracks[..tracked.map_or(0, |tracked| tracked.tracks_len)])
             }
             Self::InChain(chain) => {
-                chain.tick(header, detections, |_| ());
-                chain.tracks()
+                let (header, _) = chain.tick(header, detections, |_| ());
+                (header, chain.tracks())
             }
         }
     }

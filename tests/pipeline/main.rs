@@ -1,5 +1,6 @@
 //! The whole pipeline from outside: the program `stgdat` and its stages as processes.
 
+mod audit;
 mod bad_input;
 mod daily;
 mod endings;

@@ -104,6 +104,7 @@ fn verdict(view: &View, width: usize) -> Vec<Line<'static>> {
         _ if view.silent => ("NO ANSWER", Color::Red),
         _ if !status.linked => ("STARTING", Color::Yellow),
         Status::Ok => ("OK", Color::Green),
+        Status::Doubtful => ("DOUBTFUL", Color::Yellow),
         Status::Degraded => ("DEGRADED", Color::Yellow),
         Status::Empty => ("NO FORECASTS", Color::Yellow),
     };

@@ -8,6 +8,7 @@ use source::Playback;
 
 use crate::arguments::{PlaybackArguments, Played};
 use crate::failure::Failure;
+use crate::play_report::PlayReport;
 use crate::show::is_read;
 
 /// Arguments of `stgdat predict`.
@@ -24,22 +25,34 @@ pub struct Arguments {
 pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
     let Played { mut playback, run, model } = arguments.playback.start()?;
     let mut chain = Chain::new(&run, &model)?;
-    let played = play(&arguments.out, &mut playback, &mut chain);
+    let mut report = PlayReport::new(&playback);
+    let played = play(&arguments.out, &mut playback, &mut chain, &mut report);
     let kept = chain.keep_memory(&run);
-    played?;
-    Ok(kept.map(|()| Exit::Done)?)
+    let is_whole = played?;
+    kept?;
+    // Of a part there is no verdict.
+    match is_whole {
+        true => report.finish(&playback, arguments.playback.report.as_deref(), arguments.playback.strict),
+        false => Ok(Exit::Done),
+    }
 }
 
 /// Writes the forecasts of all ticks.
-fn play(out: &Path, playback: &mut Playback, chain: &mut Chain) -> Result<(), Failure> {
+fn play(
+    out: &Path,
+    playback: &mut Playback,
+    chain: &mut Chain,
+    report: &mut PlayReport,
+) -> Result<bool, Failure> {
     let written = |error: std::io::Error| Failure::output(out, error);
     let mut writer = ForecastWriter::create(out).map_err(written)?;
     let (mut ticks, mut forecasts_len) = (0_u64, 0_u64);
     while let Some(tick) = playback.next_tick() {
         let (header, forecasts) = chain.tick(&tick.header, tick.detections, |_| ());
         if !is_read(writer.write(&header, forecasts)).map_err(written)? {
-            return Ok(());
+            return Ok(false);
         }
+        report.tick(&header, forecasts.len());
         ticks += 1;
         forecasts_len += forecasts.len() as u64;
     }
@@ -47,5 +60,5 @@ fn play(out: &Path, playback: &mut Playback, chain: &mut Chain) -> Result<(), Fa
     if is_read && !is_standard_output(out) {
         say!("{ticks} ticks, {forecasts_len} forecasts: {}", out.display());
     }
-    Ok(())
+    Ok(is_read)
 }

@@ -8,7 +8,7 @@ use localiser::MapChoice;
 use nn::Weights;
 use ports::{Space, Stop, Topics};
 use recorder::live::LiveOptions;
-use recorder::{Report, RunInfo, SpareReport, Supervision};
+use recorder::{InputReport, Report, RunInfo, SpareReport, Supervision};
 use recording::{About, Happened};
 use run::{Exit, Run, SpareRun, StageRun};
 use scene::ContextMap;
@@ -31,6 +31,7 @@ use crate::observe::{ObserveArguments, Observer};
 use crate::options::{Setting, StageOptions, text};
 use crate::outages::Outages;
 use crate::pipeline_file;
+use crate::play_report::input_of;
 use crate::tap::{Recording, RingArguments, Tap};
 use crate::verbs::record;
 use crate::version;
@@ -82,6 +83,9 @@ pub struct Arguments {
     ring: RingArguments,
     #[command(flatten)]
     observe: ObserveArguments,
+    /// Fail, with exit code 65, if the input is doubtful or no agent was forecast
+    #[arg(long)]
+    strict: bool,
     /// Show no progress
     #[arg(long)]
     quiet: bool,
@@ -106,6 +110,10 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
     let source = source_options(arguments, &options)?;
     let recording = source::recording(&source, arguments.scene.seed())?;
     warn_of_doubts(&recording);
+    let input = match options.is_built_in(StageId::Source) {
+        true => input_of(&recording),
+        false => InputReport::default(),
+    };
     // Read here for its name, length and interval; the source reads it again in its own process.
     let playing = PlaybackOptions { ticks_max: source.ticks, ..Default::default() };
     let playback = Playback::new(recording, playing);
@@ -144,7 +152,7 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
     let recording = recording
         .map(|file| Recording::start(&run.root, file, &arguments.record_topics, &arguments.ring))
         .transpose()?;
-    let observer = Observer::open(&run, &arguments.observe)?;
+    let observer = Observer::open(&run, &arguments.observe, input.clone())?;
     let watch = Watch::open(&run, live, arguments.quiet, observer)?;
     let following = Following { tap, recording, watch };
     let ended = supervise(&pipeline, &run, &record_file, &stop, following, keeps_memory)?;
@@ -160,6 +168,7 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
         _ => recorder::stage::kept_report(&run)
             .or_else(|| ended.linked.then(|| recorder::stage::empty_report(&run))),
     };
+    let mut is_refused = false;
     // A run that could not start has nothing to report but its failure.
     if let Some(measured) = measured.filter(|_| ended.outcome.is_ok() || ended.linked) {
         let ended_by = ended.outcome.as_ref().err().map(ToString::to_string);
@@ -168,6 +177,8 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
         supervision.spares = ended.spares;
         supervision.dead_readers = ended.dead_readers;
         let given_up = !supervision.given_up.is_empty();
+        let mut measured = measured;
+        measured.audited(&input);
         let measured = report(arguments, measured, info, supervision)?;
         ended.recorded.iter().for_each(|line| say!("{line}"));
         if matches!(ended.outcome, Ok(Exit::Done)) {
@@ -175,12 +186,14 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
             if given_up {
                 return Ok(Exit::Failed);
             }
+            is_refused = arguments.strict && measured.is_doubtful();
         }
     }
     let exit = ended.outcome?;
     if let Some(failure) = ended.unwritten.into_iter().next() {
         return Err(failure);
     }
+    let exit = if is_refused { Exit::Data } else { exit };
     ended.unkept.map_or(Ok(exit), |death| Err(death.into()))
 }
 

@@ -9,6 +9,7 @@ use source::Playback;
 
 use crate::arguments::{PlaybackArguments, Played};
 use crate::failure::Failure;
+use crate::play_report::PlayReport;
 use crate::show::is_read;
 use crate::tracking::Tracking;
 
@@ -43,10 +44,16 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
     let rows = rows(arguments.written_as, &arguments.playback.path()?)?;
     let Played { mut playback, run, model } = arguments.playback.start()?;
     let mut tracking = Tracking::new(&run, &model)?;
-    let played = play(&arguments.out, rows, &mut playback, &mut tracking);
+    let mut report = PlayReport::new(&playback);
+    let played = play(&arguments.out, rows, &mut playback, &mut tracking, &mut report);
     let kept = tracking.keep_memory(&run);
-    played?;
-    kept.map(|()| Exit::Done)
+    let is_whole = played?;
+    kept?;
+    // Of a part there is no verdict.
+    match is_whole {
+        true => report.finish(&playback, arguments.playback.report.as_deref(), arguments.playback.strict),
+        false => Ok(Exit::Done),
+    }
 }
 
 /// Writes the tracks of all ticks.
@@ -55,16 +62,18 @@ fn play(
     rows: TrackRows,
     playback: &mut Playback,
     tracking: &mut Tracking,
-) -> Result<(), Failure> {
+    report: &mut PlayReport,
+) -> Result<bool, Failure> {
     let written = |error: std::io::Error| Failure::output(out, error);
     let file = WholeFile::create(out).map_err(written)?;
     let mut writer = TrackWriter::new(file, rows).map_err(written)?;
     let (mut ticks, mut tracks_len) = (0_u64, 0_u64);
     while let Some(tick) = playback.next_tick() {
-        let tracks = tracking.tick(&tick.header, tick.detections);
+        let (header, tracks) = tracking.tick(&tick.header, tick.detections);
         if !is_read(writer.write(&tick.header, tracks)).map_err(written)? {
-            return Ok(());
+            return Ok(false);
         }
+        report.tick(&header, tracks.len());
         ticks += 1;
         tracks_len += tracks.len() as u64;
     }
@@ -72,7 +81,7 @@ fn play(
     if is_read && !is_standard_output(out) {
         say!("{ticks} ticks, {tracks_len} tracks: {}", out.display());
     }
-    Ok(())
+    Ok(is_read)
 }
 
 /// The format of the rows, with the calibration beside the recording where it needs one.

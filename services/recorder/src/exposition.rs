@@ -122,6 +122,7 @@ pub fn metrics(status: &RunStatus, measured: &Recorder) -> String {
     run(&mut text, status);
     ticks(&mut text, status, measured);
     forecasts(&mut text, status);
+    input(&mut text, status);
     losses(&mut text, status);
     stage_times(&mut text, status, measured);
     processes(&mut text, status);
@@ -233,6 +234,25 @@ fn forecasts(text: &mut Text, status: &RunStatus) {
         if let Some(value) = value {
             text.single(Kind::Gauge, name, help, value);
         }
+    }
+}
+
+fn input(text: &mut Text, status: &RunStatus) {
+    let input = &status.report.input;
+    let name = "stgdat_input_detections_total";
+    text.metric(Kind::Counter, name, "Detections by what became of them; `detections` counts all.");
+    for (kind, count) in input.counts() {
+        text.sample(name, &[("kind", kind)], count);
+    }
+    let name = "stgdat_input_finding_share";
+    text.metric(Kind::Gauge, name, "Share of the rows that a finding of the audit concerns.");
+    for (found, share) in input.findings.iter().filter_map(|found| Some((found, found.share?))) {
+        text.sample(name, &[("kind", &found.kind)], share);
+    }
+    let name = "stgdat_input_doubt";
+    text.metric(Kind::Gauge, name, "1 for each doubt about the input.");
+    for found in input.doubts() {
+        text.sample(name, &[("kind", &found.kind)], 1);
     }
 }
 

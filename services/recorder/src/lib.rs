@@ -13,6 +13,7 @@ pub mod accuracy;
 mod distribution;
 pub mod exposition;
 mod forecast_lines;
+mod input;
 pub mod live;
 mod losses;
 mod options;
@@ -29,6 +30,7 @@ mod whole_file;
 mod worst;
 
 pub use forecast_lines::{FORECASTS_VERSION, ForecastWriter};
+pub use input::{InputReport, InputTally};
 pub use options::{Options, STAGE};
 pub use record::{Checkpoint, Recorder, RecorderOptions, TICK_LIMIT_NS};
 pub use report::{

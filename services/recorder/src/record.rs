@@ -8,11 +8,12 @@ use wire::{Cause, Forecast, Header, Heartbeat, Quality, Rejected, StageId, Truth
 
 use crate::accuracy::Scorer;
 use crate::distribution::{Distribution, ms};
+use crate::input::{InputReport, InputTally};
 use crate::losses::Losses;
 use crate::passage::{Passage, Phases, Timeline};
 use crate::report::{
     Accuracy, Agents, ForecastCounts, OutOfDistribution, Percentiles, PriorCounts, REPORT_VERSION, Report,
-    RunInfo, StageDrops, StageReport, Status, Supervision, Verdict, WorstTick, restarts,
+    RunInfo, StageDrops, StageReport, Supervision, Verdict, WorstTick, restarts,
 };
 use crate::worst::{Usual, Worst};
 
@@ -37,6 +38,8 @@ pub struct RecorderOptions {
     /// Whether forecasts are kept until truth comes and then scored. Without, only times and counts are taken,
     /// and the forecasts' numbers are not checked.
     pub scores: bool,
+    /// What is known of the recording's input.
+    pub input: InputReport,
     /// A tick whose cause [`Recorder::explained`] tells.
     pub explain: Option<u64>,
 }
@@ -49,6 +52,7 @@ impl Default for RecorderOptions {
             budgets_ms: BTreeMap::new(),
             tick_limit_ns: TICK_LIMIT_NS,
             scores: true,
+            input: InputReport::default(),
             explain: None,
         }
     }
@@ -101,6 +105,7 @@ pub struct Recorder {
     late_ticks: u64,
     agents_left_out: u64,
     hops_missing: u64,
+    input: InputTally,
     agents_max: u64,
     forecasts_by_quality: [u64; Quality::ALL.len()],
     fallbacks_by_cause: [u64; Cause::ALL.len()],
@@ -157,6 +162,7 @@ impl Recorder {
             late_ticks: 0,
             agents_left_out: 0,
             hops_missing: 0,
+            input: InputTally::default(),
             agents_max: 0,
             forecasts_by_quality: [0; Quality::ALL.len()],
             fallbacks_by_cause: [0; Cause::ALL.len()],
@@ -290,6 +296,7 @@ impl Recorder {
         self.hops_missing += u64::from(header.hops_missing_len);
         self.predicted_ticks += u64::from(header.has(flags::PREDICTED));
         self.silent += u64::from(header.silent_len);
+        self.input.tick(header);
         passage
     }
 
@@ -342,6 +349,7 @@ impl Recorder {
             refusals: self.losses.refusals(),
             agents_left_out: self.agents_left_out,
             hops_missing: self.hops_missing,
+            input: self.input.report(&self.options.input),
             agents: self.agents(),
             forecasts: self.forecast_counts(),
             out_of_distribution: self.out_of_distribution,
@@ -522,12 +530,21 @@ fn verdict(report: &Report) -> Verdict {
     if report.agents_left_out > 0 {
         reasons.push(format!("agents left out of full frames: {}", report.agents_left_out));
     }
-    let status = match (report.ticks, reasons.is_empty()) {
-        (0, _) => Status::Empty,
-        (_, true) => Status::Ok,
-        (_, false) => Status::Degraded,
-    };
-    Verdict { status, reasons }
+    let has_agents = report.agents.max.is_some_and(|most| most > 0) || report.forecasts.silent > 0;
+    if !has_agents && report.ticks > 0 {
+        reasons.push(nothing_tracked(report));
+    }
+    reasons.extend(report.input.reasons());
+    Verdict::new(!has_agents, reasons)
+}
+
+/// Why a run with ticks is empty.
+fn nothing_tracked(report: &Report) -> String {
+    let (ticks, detections) = (report.ticks, report.input.detections);
+    match detections {
+        0 => format!("no agent was tracked in any of {ticks} ticks"),
+        _ => format!("no agent was tracked in any of {ticks} ticks, of {detections} detections"),
+    }
 }
 
 /// `name count` of all counts other than 0.

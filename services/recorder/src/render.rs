@@ -4,6 +4,7 @@ mod pace;
 
 use std::fmt::{self, Write};
 
+use crate::input::DOUBT;
 use crate::report::{
     Errors, Outage, Percentiles, RefusedFrames, Replacement, ReplacementOutcome, Report, Shed, SpareReport,
     StageMemory, StageReport, Status, Supervision, WorstTick,
@@ -29,6 +30,7 @@ impl Report {
         let write = |text: &mut String| -> fmt::Result {
             self.headline(text, width)?;
             self.facts(text)?;
+            self.input(text, width)?;
             if self.ticks > 0 {
                 self.latency(text, width)?;
             }
@@ -58,20 +60,43 @@ impl Report {
                     " OK          every tick {ticks}, nothing lost, no fallback but of young tracks"
                 )?;
             }
+            Status::Doubtful => {
+                writeln!(text, " DOUBTFUL    {}", self.reason_lines(width).join("\n             "))?;
+            }
             Status::Degraded => {
-                writeln!(text, " DEGRADED    {}", self.verdict.reasons.join("\n             "))?;
+                writeln!(text, " DEGRADED    {}", self.reason_lines(width).join("\n             "))?;
                 for line in self.too_slow().into_iter().flatten() {
                     writeln!(text, "             {line}")?;
                 }
             }
             Status::Empty => {
-                writeln!(text, " EMPTY       no forecast was received")?;
-                for reason in &self.verdict.reasons {
+                writeln!(text, " EMPTY       no agent was forecast")?;
+                for reason in self.reason_lines(width) {
                     writeln!(text, "             {reason}")?;
                 }
             }
         }
         writeln!(text, "{rule}")
+    }
+
+    /// The reasons of the verdict; doubts about the input in lines that fit.
+    fn reason_lines(&self, width: usize) -> Vec<String> {
+        let lines = |reason: &String| match reason.starts_with(DOUBT) {
+            true => wrapped(reason, width - LABEL_WIDTH - 2),
+            false => vec![reason.clone()],
+        };
+        self.verdict.reasons.iter().flat_map(lines).collect()
+    }
+
+    /// What the input contained, and what of it is no doubt.
+    fn input(&self, text: &mut String, width: usize) -> fmt::Result {
+        let notes = self.input.findings.iter().filter(|found| !found.doubtful).map(ToString::to_string);
+        for (place, words) in self.input.line().into_iter().chain(notes).enumerate() {
+            for (row, line) in wrapped(&words, width - LABEL_WIDTH - 2).into_iter().enumerate() {
+                fact(text, if place + row == 0 { "input" } else { "" }, &[Some(line)])?;
+            }
+        }
+        Ok(())
     }
 
     fn facts(&self, text: &mut String) -> fmt::Result {

@@ -10,6 +10,8 @@ use std::collections::BTreeMap;
 
 use serde::{Deserialize, Serialize};
 
+use crate::input::{DOUBT, InputReport};
+
 /// Version of the report's fields.
 pub const REPORT_VERSION: u32 = 1;
 
@@ -40,6 +42,9 @@ pub struct Report {
     /// Passages of ticks through stages for which their headers had no room.
     #[serde(default)]
     pub hops_missing: u64,
+    /// What the input contained, and what is probably wrong with it.
+    #[serde(default)]
+    pub input: InputReport,
     /// Agents per tick.
     pub agents: Agents,
     /// Forecasts by quality, and the causes of those that are not learned.
@@ -262,9 +267,12 @@ pub struct Outage {
 pub enum Status {
     /// Every tick in time, nothing lost, every forecast learned once its agent was old enough.
     Ok,
+    /// As `ok`, but the input is doubtful: a finding of the audit concerns more than [`audit::DOUBT_SHARE`] of its
+    /// rows.
+    Doubtful,
     /// Forecasts were received, but some were late, lost or not learned.
     Degraded,
-    /// No forecast was received.
+    /// No agent was forecast in any tick.
     #[default]
     Empty,
 }
@@ -276,6 +284,26 @@ pub struct Verdict {
     pub status: Status,
     /// What went wrong, the worst first.
     pub reasons: Vec<String>,
+}
+
+impl Verdict {
+    /// The verdict for these reasons. A fault of the run counts more than a doubt about its input.
+    #[must_use]
+    pub fn new(is_empty: bool, reasons: Vec<String>) -> Self {
+        let mut verdict = Self { status: if is_empty { Status::Empty } else { Status::Ok }, reasons };
+        verdict.settle();
+        verdict
+    }
+
+    /// Finds the status again after the reasons have changed.
+    fn settle(&mut self) {
+        self.status = match self.status {
+            Status::Empty => Status::Empty,
+            _ if self.reasons.is_empty() => Status::Ok,
+            _ if self.reasons.iter().all(|reason| reason.starts_with(DOUBT)) => Status::Doubtful,
+            _ => Status::Degraded,
+        };
+    }
 }
 
 /// What was run; `None` where the caller does not know.
@@ -629,9 +657,6 @@ impl Report {
                 reasons.push(format!("the replacement of the {stage} was rolled back: it {cause}"));
             }
         }
-        if !reasons.is_empty() && self.verdict.status == Status::Ok {
-            self.verdict.status = Status::Degraded;
-        }
         // Restarts of which no heartbeat told.
         for outage in &supervision.outages {
             if !self.stages.iter().any(|stage| stage.name == outage.stage) {
@@ -642,6 +667,7 @@ impl Report {
             }
         }
         self.verdict.reasons.splice(0..0, reasons);
+        self.verdict.settle();
         self.supervision = supervision;
         self.without_replacements();
     }
@@ -663,9 +689,21 @@ impl Report {
         if let Some(place) = place {
             self.verdict.reasons.splice(place..=place, restarts(&self.stages));
         }
-        if self.verdict.reasons.is_empty() && self.verdict.status == Status::Degraded {
-            self.verdict.status = Status::Ok;
-        }
+        self.verdict.settle();
+    }
+
+    /// Completes the report with what is known of the recording: its doubts come last in the verdict.
+    pub fn audited(&mut self, recording: &InputReport) {
+        self.input.add(recording);
+        self.verdict.reasons.retain(|reason| !reason.starts_with(DOUBT));
+        self.verdict.reasons.extend(self.input.reasons());
+        self.verdict.settle();
+    }
+
+    /// Whether `--strict` refuses the run: the input is doubtful, or no agent was forecast.
+    #[must_use]
+    pub fn is_doubtful(&self) -> bool {
+        self.verdict.status == Status::Empty || self.input.is_doubtful()
     }
 
     /// Writes the report as JSON. The file appears whole or not at all.

@@ -80,6 +80,10 @@ pub fn run(run: &Run) -> Result<(), StageError> {
             Err(rejected) => stage.finish(passage, &output, Err(rejected))?,
         }
         warned.warn(tracker.tally());
+        for finding in tracker.new_doubts() {
+            let found = finding.found(|place| format!("tick {}", place.line));
+            tracing::warn!("input: {found}");
+        }
     }
     Ok(())
 }

@@ -1,3 +1,4 @@
+use audit::{Finding, LiveAudit};
 use wire::{
     AGENTS_MAX, AgentType, Counts, DETECTIONS_MAX, Detection, Forecast, HISTORY_MAX, Header, InputCounts,
     Rejected, Track, flags,
@@ -43,6 +44,7 @@ pub struct Tracker {
     identities: Vec<(u64, u64, usize)>,
     /// Frames up to this stamp were processed by the tracker before.
     predecessor_ns: Option<i64>,
+    audit: LiveAudit,
 }
 
 impl Tracker {
@@ -72,6 +74,7 @@ impl Tracker {
             publishable: Vec::with_capacity(options.tracks_max),
             identities: Vec::with_capacity(AGENTS_MAX),
             predecessor_ns: None,
+            audit: LiveAudit::default(),
         }
     }
 
@@ -149,6 +152,7 @@ impl Tracker {
             return Ok(self.last);
         }
         self.check(header, detections)?;
+        self.audit.frame(header, detections);
         let position = self.position(header)?;
         let prior = prior.filter(|_| self.options.prior == Prior::Learned);
         let frozen_len = self.frozen_len(header, detections);
@@ -199,7 +203,7 @@ impl Tracker {
             input: InputCounts {
                 unplayed: detections.input.unplayed,
                 merged: detections.input.merged,
-                doubts: detections.input.doubts,
+                doubts: detections.input.doubts | self.audit.doubts(),
                 ..self.tally.input
             },
             counts: Counts {
@@ -209,6 +213,11 @@ impl Tracker {
             },
             ..*detections
         }
+    }
+
+    /// Doubts about the input that were found since this was called last. Allocates if there are any.
+    pub fn new_doubts(&mut self) -> Vec<Finding> {
+        self.audit.take_new()
     }
 
     /// Counts of what went wrong so far.

@@ -6,6 +6,7 @@ mod support {
     pub mod harness;
 }
 
+mod audit;
 mod frozen;
 mod impossible;
 mod jpda;

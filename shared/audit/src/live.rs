@@ -76,3 +76,94 @@ impl LiveAudit {
         findings
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use wire::{AgentType, detection_flags};
+
+    use super::*;
+    use crate::Doubt;
+
+    /// A producer's cars on circles of 60 m, with identities or without; `write` changes what it sends.
+    fn doubts(frames: u64, interval_ns: i64, id: u32, write: impl Fn(u64, &mut Detection)) -> LiveAudit {
+        let mut audit = LiveAudit::default();
+        let flags = detection_flags::HAS_HEADING | detection_flags::HAS_SPEED | id;
+        for seq in 0..frames {
+            let car = |id: u64| {
+                let speed_mps = 6.0 + id as f64;
+                let angle = id as f64 + speed_mps / 60.0 * seq as f64 * 0.1;
+                let (sin, cos) = angle.sin_cos();
+                let mut detection = Detection {
+                    id,
+                    x_m: (200.0 * id as f64 + 60.0 * cos) as f32,
+                    y_m: (60.0 * sin) as f32,
+                    heading_rad: (angle + 1.5708) as f32,
+                    speed_mps: speed_mps as f32,
+                    agent_type: AgentType::Vehicle as u32,
+                    flags,
+                    ..Detection::default()
+                };
+                write(seq, &mut detection);
+                detection
+            };
+            let cars: Vec<Detection> = (0..6).map(car).collect();
+            audit.frame(&Header::new(1, seq, seq as i64 * interval_ns), &cars);
+        }
+        audit
+    }
+
+    const TENTH_NS: i64 = 100_000_000;
+
+    #[test]
+    fn a_clean_producer_raises_no_doubt() {
+        for id in [detection_flags::HAS_ID, 0] {
+            assert_eq!(doubts(320, TENTH_NS, id, |_, _| ()).doubts(), 0, "{id}");
+        }
+    }
+
+    #[test]
+    fn units_and_conventions_of_a_producer_are_found() {
+        let degrees = |_: u64, detection: &mut Detection| {
+            detection.heading_rad = detection.heading_rad.to_degrees();
+        };
+        let some = move |seq: u64, detection: &mut Detection| {
+            if detection.id == 3 {
+                degrees(seq, detection);
+            }
+        };
+        let kmh = |_: u64, detection: &mut Detection| detection.speed_mps *= 3.6;
+        for id in [detection_flags::HAS_ID, 0] {
+            assert_eq!(doubts(320, TENTH_NS, id, degrees).doubts(), Doubt::HeadingsInDegrees.bit(), "{id}");
+            assert_eq!(doubts(320, TENTH_NS, id, some).doubts(), Doubt::HeadingsInDegrees.bit(), "{id}");
+            assert_eq!(doubts(320, TENTH_NS, id, kmh).doubts(), Doubt::SpeedsInKmh.bit(), "{id}");
+        }
+        let micro = doubts(64, TENTH_NS / 1_000, detection_flags::HAS_ID, |_, _| ()).doubts();
+        assert_eq!(micro, Doubt::StampsInOtherUnit.bit());
+    }
+
+    #[test]
+    fn a_doubt_is_given_once_and_stays() {
+        let late = |seq: u64, detection: &mut Detection| {
+            if seq > 3_200 && detection.id == 2 && seq.is_multiple_of(7) {
+                (detection.x_m, detection.y_m) = (-1.0, -1.0);
+            }
+        };
+        assert_eq!(doubts(3_200, TENTH_NS, detection_flags::HAS_ID, late).doubts(), 0);
+        let mut audit = doubts(3_500, TENTH_NS, detection_flags::HAS_ID, late);
+        assert_eq!(audit.doubts(), Doubt::Placeholders.bit());
+        let new = audit.take_new();
+        assert_eq!(new.iter().map(|finding| finding.doubt).collect::<Vec<_>>(), [Doubt::Placeholders]);
+        assert!(audit.take_new().is_empty() && audit.doubts() != 0);
+    }
+
+    #[test]
+    fn a_clock_that_is_set_back_is_found() {
+        let mut audit = LiveAudit::default();
+        let detection = Detection { flags: detection_flags::HAS_ID, ..Detection::default() };
+        for seq in 0..64_u64 {
+            let back_ns = if seq < 30 { 0 } else { 20 * TENTH_NS };
+            audit.frame(&Header::new(1, seq, seq as i64 * TENTH_NS - back_ns), &[detection]);
+        }
+        assert_eq!(audit.doubts(), Doubt::StampsGoBack.bit());
+    }
+}

@@ -11,6 +11,7 @@ use wire::{Cause, Quality, StageId};
 use super::{Recorder, RecorderOptions, ShedCounts, Span, StageTimes};
 use crate::accuracy::ScorerCheckpoint;
 use crate::distribution::Kept;
+use crate::input::InputTally;
 use crate::losses::Losses;
 use crate::report::{OutOfDistribution, ReportError};
 use crate::worst::Worst;
@@ -32,6 +33,8 @@ pub struct Checkpoint {
     late_ticks: u64,
     agents_left_out: u64,
     hops_missing: u64,
+    #[serde(default)]
+    input: InputTally,
     agents_max: u64,
     forecasts_by_quality: [u64; Quality::ALL.len()],
     fallbacks_by_cause: [u64; Cause::ALL.len()],
@@ -89,6 +92,7 @@ impl Recorder {
             late_ticks: self.late_ticks,
             agents_left_out: self.agents_left_out,
             hops_missing: self.hops_missing,
+            input: self.input,
             agents_max: self.agents_max,
             forecasts_by_quality: self.forecasts_by_quality,
             fallbacks_by_cause: self.fallbacks_by_cause,
@@ -128,6 +132,7 @@ impl Recorder {
             late_ticks: kept.late_ticks,
             agents_left_out: kept.agents_left_out,
             hops_missing: kept.hops_missing,
+            input: kept.input,
             agents_max: kept.agents_max,
             forecasts_by_quality: kept.forecasts_by_quality,
             fallbacks_by_cause: kept.fallbacks_by_cause,

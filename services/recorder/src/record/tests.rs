@@ -1,7 +1,9 @@
+use audit::{Doubt, Found};
 use bytemuck::Zeroable;
-use wire::{AgentType, Counts, Hop};
+use wire::{AgentType, Counts, Hop, InputCounts};
 
 use super::*;
+use crate::Status;
 use crate::report::Shed;
 
 const TICK_NS: u64 = 80_000_000;
@@ -233,7 +235,7 @@ fn ticks_beyond_the_interval_or_the_limit_are_late() {
 fn gaps_are_drops_also_before_the_end_frame() {
     let mut recorder = recorder();
     for seq in [1, 2, 5] {
-        recorder.forecasts(&header(seq, 0, &whole_chain(1)), &[]).unwrap();
+        recorder.forecasts(&header(seq, 1, &whole_chain(1)), &[learned()]).unwrap();
     }
     assert_eq!(recorder.report().drops, 3);
     let end = Header { flags: flags::END, ..header(7, 0, &[]) };
@@ -241,6 +243,56 @@ fn gaps_are_drops_also_before_the_end_frame() {
     let report = recorder.report();
     assert_eq!((report.drops, report.ticks), (4, 3));
     assert_eq!(report.verdict.reasons, ["frames lost: 4 (recorder 4)"]);
+}
+
+/// A run of a hundred ticks with one agent and these doubts in its headers.
+fn with_doubts(doubts: u32) -> Recorder {
+    let mut recorder = recorder();
+    for seq in 0..100 {
+        let input = InputCounts { detections: seq as u32 + 1, doubts, ..InputCounts::default() };
+        let header = Header { input, ..header(seq, 1, &whole_chain(2)) };
+        recorder.forecasts(&header, &[learned()]).unwrap();
+    }
+    recorder
+}
+
+#[test]
+fn doubts_about_the_input_make_a_run_doubtful() {
+    let report = with_doubts(Doubt::HeadingsInDegrees.bit()).report();
+    let reason = "input: headings look like degrees: divide them by 57.29578";
+    let expected = Verdict { status: Status::Doubtful, reasons: vec![reason.to_owned()] };
+    assert_eq!((report.verdict.clone(), report.input.detections), (expected, 100));
+    assert!(report.is_doubtful() && report.render(80).contains(" DOUBTFUL    input: headings look"));
+    assert!(!with_doubts(0).report().is_doubtful());
+    // A fault of the run counts more; the doubt remains a reason.
+    let mut report = report;
+    report.supervised(Supervision { ended_by: Some("a test".to_owned()), ..Supervision::default() });
+    assert_eq!((report.verdict.status, report.verdict.reasons.len()), (Status::Degraded, 2));
+    assert!(report.is_doubtful());
+}
+
+#[test]
+fn the_audit_of_the_recording_completes_the_verdict() {
+    let mut report = with_doubts(Doubt::Repeated.bit()).report();
+    let known = Found { rows: Some(3), of: Some(9), share: Some(0.3333), ..Found::of_kind(Doubt::Repeated) };
+    let input = InputReport::of_recording(vec![known], BTreeMap::new());
+    report.audited(&input);
+    assert_eq!(report.verdict.status, Status::Doubtful);
+    let [reason] = &report.verdict.reasons[..] else { panic!("{:?}", report.verdict) };
+    assert!(reason.ends_with("(3 of 9 rows, 33.3 %)"), "{reason}");
+}
+
+#[test]
+fn a_run_without_any_agent_is_empty() {
+    let mut recorder = recorder();
+    for seq in 0..9 {
+        let input = InputCounts { detections: 5 * (seq as u32 + 1), ..InputCounts::default() };
+        recorder.forecasts(&Header { input, ..header(seq, 0, &whole_chain(2)) }, &[]).unwrap();
+    }
+    let report = recorder.report();
+    let reason = "no agent was tracked in any of 9 ticks, of 45 detections";
+    assert_eq!(report.verdict, Verdict { status: Status::Empty, reasons: vec![reason.to_owned()] });
+    assert!(report.is_doubtful());
 }
 
 #[test]

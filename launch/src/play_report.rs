@@ -1,0 +1,127 @@
+//! What `predict` and `track` report of a recording that they have played: the figures that `run` reports too.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+
+use data::Recording;
+use recorder::{InputReport, InputTally, Status, Verdict};
+use run::Exit;
+use serde::Serialize;
+use source::Playback;
+use wire::Header;
+
+use crate::failure::Failure;
+
+/// The report of `predict` and `track`; units end the names.
+#[derive(Clone, Debug, Default, Serialize)]
+pub struct PlayReport {
+    /// Whether the content of the input came out, and what did not.
+    pub verdict: Verdict,
+    /// Name of the recording.
+    pub recording: String,
+    /// Ticks that were played.
+    pub ticks: u64,
+    /// Interval between ticks.
+    pub interval_ms: f64,
+    /// One frame in this many was played.
+    pub thinned_by: u64,
+    /// Agents of all ticks.
+    pub agents: u64,
+    /// Most agents of a tick.
+    pub agents_max: u64,
+    /// Agents left out of full frames, summed over ticks.
+    pub agents_left_out: u64,
+    /// Detections left out of full frames, summed over ticks.
+    pub detections_left_out: u64,
+    /// Ticks that the tracker refused.
+    pub ticks_refused: u64,
+    /// What the input contained, and what is probably wrong with it.
+    pub input: InputReport,
+    #[serde(skip)]
+    tally: InputTally,
+}
+
+impl PlayReport {
+    /// The report before the first tick.
+    pub fn new(playback: &Playback) -> Self {
+        let recording = playback.recording();
+        Self {
+            recording: recording.name.clone(),
+            interval_ms: playback.interval_ns() as f64 / 1e6,
+            thinned_by: playback.thinning(),
+            input: input_of(recording),
+            ..Self::default()
+        }
+    }
+
+    /// Takes the header of the agents of a tick.
+    pub fn tick(&mut self, header: &Header, agents_len: usize) {
+        self.ticks += 1;
+        self.agents += agents_len as u64;
+        self.agents_max = self.agents_max.max(agents_len as u64);
+        self.agents_left_out += u64::from(header.left_out_len);
+        self.ticks_refused += u64::from(header.has(wire::flags::VOID));
+        self.tally.tick(header);
+    }
+
+    /// Completes the report, prints it on standard error and writes it to the file, if there is one; then the exit
+    /// code.
+    pub fn finish(mut self, playback: &Playback, file: Option<&Path>, strict: bool) -> Result<Exit, Failure> {
+        self.detections_left_out = playback.left_out_len();
+        self.input = self.tally.report(&self.input);
+        let is_empty = self.agents == 0;
+        self.verdict = Verdict::new(is_empty, self.reasons());
+        self.lines().iter().for_each(|line| note!("{line}"));
+        if let Some(file) = file {
+            let json = serde_json::to_string_pretty(&self).map_err(Failure::data)? + "\n";
+            std::fs::write(file, json).map_err(|error| Failure::file(file, error))?;
+        }
+        Ok(if strict && (is_empty || self.input.is_doubtful()) { Exit::Data } else { Exit::Done })
+    }
+
+    fn reasons(&self) -> Vec<String> {
+        let Self { ticks, agents, agents_left_out, detections_left_out, ticks_refused, .. } = *self;
+        let mut reasons = Vec::new();
+        let counted = [
+            ("detections left out of full frames", detections_left_out),
+            ("agents left out of full frames", agents_left_out),
+            ("ticks refused", ticks_refused),
+        ];
+        for (what, count) in counted.into_iter().filter(|(_, count)| *count > 0) {
+            reasons.push(format!("{what}: {count}"));
+        }
+        if agents == 0 {
+            let detections = self.input.detections;
+            reasons.push(format!("no agent was tracked in any of {ticks} ticks, of {detections} detections"));
+        }
+        reasons.extend(self.input.reasons());
+        reasons
+    }
+
+    /// What the warnings before the first tick do not contain; nothing if all went well.
+    fn lines(&self) -> Vec<String> {
+        let status = match self.verdict.status {
+            Status::Ok => "OK",
+            Status::Doubtful => "DOUBTFUL",
+            Status::Degraded => "DEGRADED",
+            Status::Empty => "EMPTY",
+        };
+        let warned: Vec<String> = self.input.reasons().filter(|reason| reason.ends_with(')')).collect();
+        let new = self.verdict.reasons.iter().filter(|reason| !warned.contains(reason));
+        let mut lines: Vec<String> = new.map(|reason| format!("  {reason}")).collect();
+        let thinned = (self.thinned_by > 1).then(|| format!("1 frame in {} is played", self.thinned_by));
+        let notes = self.input.findings.iter().filter(|found| !found.doubtful).map(ToString::to_string);
+        let counts = self.input.line().filter(|_| !self.input.is_clean());
+        lines.extend(counts.into_iter().chain(thinned).chain(notes).map(|line| format!("  {line}")));
+        if self.verdict.status != Status::Ok || !lines.is_empty() {
+            lines.insert(0, format!("{status}: {} ticks, at most {} agents", self.ticks, self.agents_max));
+        }
+        lines
+    }
+}
+
+/// What the audit of a recording found, before it is played.
+pub fn input_of(recording: &Recording) -> InputReport {
+    let rows = recording.left_out.iter().map(|left_out| (left_out.reason.clone(), left_out.rows_len as u64));
+    InputReport::of_recording(data::findings(recording), rows.collect::<BTreeMap<_, _>>())
+}

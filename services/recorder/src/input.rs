@@ -1,0 +1,191 @@
+//! What the input contained: counts by source and tracker, and the findings of the audit.
+
+use std::collections::BTreeMap;
+
+use audit::{Doubt, Found};
+use serde::{Deserialize, Serialize};
+use wire::{Header, InputCounts};
+
+/// What the reason of a verdict begins with that is a doubt about the input.
+pub(crate) const DOUBT: &str = "input: ";
+
+/// What the input contained, and what is probably wrong with it.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default)]
+pub struct InputReport {
+    /// Detections that the tracker has taken in.
+    pub detections: u64,
+    /// Detections that repeat the previous one of a moving track: no measurements.
+    pub repeated: u64,
+    /// Detections out of their track's reach: treated as missed.
+    pub misfits: u64,
+    /// Detections at a placeholder's position.
+    pub placeholders: u64,
+    /// Tracks whose state began again because misfits agreed with one another.
+    pub reassigned: u64,
+    /// Detections of unplayed frames that no played frame contains.
+    pub unplayed: u64,
+    /// Detections of unplayed frames that went out with another frame.
+    pub merged: u64,
+    /// Rows of the recording that its format leaves out, by reason.
+    pub rows_left_out: BTreeMap<String, u64>,
+    /// What is wrong with the input, doubts or not.
+    pub findings: Vec<Found>,
+}
+
+impl InputReport {
+    /// What is known of a recording before it is played.
+    #[must_use]
+    pub fn of_recording(findings: Vec<Found>, rows_left_out: BTreeMap<String, u64>) -> Self {
+        Self { rows_left_out, findings, ..Self::default() }
+    }
+
+    /// The doubts.
+    pub fn doubts(&self) -> impl Iterator<Item = &Found> {
+        self.findings.iter().filter(|found| found.doubtful)
+    }
+
+    /// Whether the input is doubtful.
+    #[must_use]
+    pub fn is_doubtful(&self) -> bool {
+        self.doubts().next().is_some()
+    }
+
+    /// The doubts as reasons of a verdict.
+    pub fn reasons(&self) -> impl Iterator<Item = String> {
+        self.doubts().map(|found| format!("{DOUBT}{found}"))
+    }
+
+    /// Counts that a user should know of, with their names.
+    #[must_use]
+    pub const fn counts(&self) -> [(&'static str, u64); 7] {
+        [
+            ("detections", self.detections),
+            ("repeated", self.repeated),
+            ("misfits", self.misfits),
+            ("placeholders", self.placeholders),
+            ("reassigned", self.reassigned),
+            ("unplayed", self.unplayed),
+            ("merged", self.merged),
+        ]
+    }
+
+    /// Adds what is known of the recording: its figures take the place of doubts of the same kind.
+    pub(crate) fn add(&mut self, recording: &Self) {
+        let known = |found: &Found| recording.findings.iter().any(|other| other.kind == found.kind);
+        self.findings.retain(|found| !known(found));
+        self.findings.splice(0..0, recording.findings.iter().cloned());
+        self.rows_left_out.clone_from(&recording.rows_left_out);
+    }
+
+    /// Whether all detections were taken in as measurements, and no row was left out.
+    #[must_use]
+    pub fn is_clean(&self) -> bool {
+        let [_, others @ ..] = self.counts();
+        others.iter().all(|(_, count)| *count == 0) && self.rows_left_out.is_empty()
+    }
+
+    /// One line for people; `None` if there is nothing to report.
+    #[must_use]
+    pub fn line(&self) -> Option<String> {
+        let meaning = |name: &'static str| match name {
+            "repeated" => "repeated (no measurements)",
+            "misfits" => "out of reach (missed)",
+            "placeholders" => "placeholders (missed)",
+            "reassigned" => "identities reassigned",
+            "unplayed" => "in unplayed frames (thinned)",
+            "merged" => "merged from unplayed frames",
+            other => other,
+        };
+        let counted = self.counts().into_iter().filter(|(_, count)| *count > 0);
+        let counts = counted.map(|(name, count)| format!("{} {}", crate::text::count(count), meaning(name)));
+        let rows = self.rows_left_out.iter();
+        let rows =
+            rows.map(|(reason, rows)| format!("{} rows left out ({reason})", crate::text::count(*rows)));
+        let parts: Vec<String> = counts.chain(rows).collect();
+        (!parts.is_empty()).then(|| parts.join(", "))
+    }
+}
+
+/// The counts of the headers, over all incarnations of source and tracker.
+#[derive(Clone, Copy, Debug, Default, Serialize, Deserialize)]
+pub struct InputTally {
+    newest: [u32; 7],
+    /// Of the incarnations before.
+    before: [u64; 7],
+    doubts: u32,
+}
+
+impl InputTally {
+    /// Takes the header of a tick.
+    pub fn tick(&mut self, header: &Header) {
+        let InputCounts { detections, repeated, misfits, placeholders, reassigned, unplayed, merged, doubts } =
+            header.input;
+        let counts = [detections, repeated, misfits, placeholders, reassigned, unplayed, merged];
+        for ((newest, before), count) in self.newest.iter_mut().zip(&mut self.before).zip(counts) {
+            // A stage that was started again counts from 0.
+            if count < *newest {
+                *before += u64::from(*newest);
+            }
+            *newest = count;
+        }
+        self.doubts |= doubts;
+    }
+
+    /// The counts so far; doubts without figures, unless those of the recording are known.
+    #[must_use]
+    pub fn report(&self, recording: &InputReport) -> InputReport {
+        let mut place = 0;
+        let [detections, repeated, misfits, placeholders, reassigned, unplayed, merged] =
+            self.newest.map(|newest| {
+                place += 1;
+                u64::from(newest) + self.before[place - 1]
+            });
+        let mut report = InputReport {
+            detections,
+            repeated,
+            misfits,
+            placeholders,
+            reassigned,
+            unplayed,
+            merged,
+            findings: Doubt::of_bits(self.doubts).map(Found::of_kind).collect(),
+            ..InputReport::default()
+        };
+        report.add(recording);
+        report
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn header(detections: u32, repeated: u32, doubts: u32) -> Header {
+        let input = InputCounts { detections, repeated, doubts, ..InputCounts::default() };
+        Header { input, ..Header::new(1, 2, 3) }
+    }
+
+    #[test]
+    fn counts_add_up_over_restarts_of_the_tracker() {
+        let mut tally = InputTally::default();
+        for (detections, repeated) in [(10, 0), (20, 4), (5, 1)] {
+            tally.tick(&header(detections, repeated, 0));
+        }
+        let report = tally.report(&InputReport::default());
+        assert_eq!((report.detections, report.repeated, report.is_doubtful()), (25, 5, false));
+        assert_eq!(report.line().as_deref(), Some("25 detections, 5 repeated (no measurements)"));
+    }
+
+    #[test]
+    fn figures_of_the_recording_replace_the_doubt_of_the_same_kind() {
+        let mut tally = InputTally::default();
+        tally.tick(&header(1, 0, Doubt::Repeated.bit() | Doubt::SpeedsInKmh.bit()));
+        let known =
+            Found { first: Some("a.csv:7".to_owned()), rows: Some(3), ..Found::of_kind(Doubt::Repeated) };
+        let report = tally.report(&InputReport::of_recording(vec![known.clone()], BTreeMap::new()));
+        assert_eq!(report.findings, [known, Found::of_kind(Doubt::SpeedsInKmh)]);
+        let reasons: Vec<String> = report.reasons().collect();
+        assert_eq!(reasons[1], "input: speeds look like km/h: divide them by 3.6");
+    }
+}
