@@ -41,7 +41,7 @@ fn track(recording: &Recording, run: Run, model: &ModelConfig) -> Result<Publish
     let mut tracking = Tracking::new(&Run { interval_ns: playback.interval_ns(), ..run }, model)?;
     let mut published = Vec::with_capacity(recording.frames.len());
     while let Some(tick) = playback.next_tick() {
-        let tracks = tracking.tick(&tick.header, tick.detections).iter();
+        let tracks = tracking.tick(&tick.header, tick.detections).1.iter();
         let probable = tracks.filter(|track| track.existence >= EXISTENCE_MIN);
         published.push(probable.map(published_track).collect::<Result<_, _>>()?);
     }
