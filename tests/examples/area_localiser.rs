@@ -51,6 +51,7 @@ fn run(run: &Run) -> Result<(), StageError> {
     let tracks = stage.subscribe::<TracksTopic>()?;
     let output = stage.publish::<ContextTopic>()?;
 
+    let mut drawn = Drawn::default();
     while let Some(input) = stage.next(&tracks, &output)? {
         let mut passage = stage.begin(&input);
         let shape = ContextShape {
@@ -67,13 +68,36 @@ fn run(run: &Run) -> Result<(), StageError> {
             for (agent, track) in input.iter().enumerate() {
                 let history = track.history[..shape.history_len].iter().enumerate();
                 for (step, state) in history.filter(|(_, state)| state.present != 0) {
-                    write_density(state, &options, &model, context.patch_mut(agent, step));
+                    let patch = context.patch_mut(agent, step);
+                    write_density(state, &options, &model, patch);
+                    drawn.add(&patch[..model.patch_size * model.patch_size]);
                 }
             }
         });
         stage.finish(passage, &output, result.map(|()| loan))?;
     }
+    // The launcher shows it, with the stage's name before it.
+    let Drawn { patches, cells, inside } = drawn;
+    let radius_m = options.radius_m;
+    eprintln!("drew {patches} patches: {inside} of {cells} cells lie within {radius_m} m of the origin");
     Ok(())
+}
+
+/// What the stage has drawn.
+#[derive(Default)]
+struct Drawn {
+    patches: u64,
+    cells: u64,
+    /// Cells of the area.
+    inside: u64,
+}
+
+impl Drawn {
+    fn add(&mut self, patch: &[f32]) {
+        self.patches += 1;
+        self.cells += patch.len() as u64;
+        self.inside += patch.iter().filter(|density| **density > 0.0).count() as u64;
+    }
 }
 
 /// Writes channel 0 of a patch, \[channel, row, column\]: 1 where the area is, 0 elsewhere. Row 0 is farthest

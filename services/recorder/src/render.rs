@@ -59,6 +59,13 @@ impl Report {
                     text,
                     " OK          every tick {ticks}, nothing lost, no fallback but of young tracks"
                 )?;
+                if let Some(share) = self.constant_velocity_share() {
+                    let share = percent(Some(share));
+                    writeln!(
+                        text,
+                        "             constant velocity: {share} of the forecasts, as it proved better"
+                    )?;
+                }
             }
             Status::Doubtful => {
                 writeln!(text, " DOUBTFUL    {}", self.reason_lines(width).join("\n             "))?;
@@ -192,6 +199,14 @@ impl Report {
         )
     }
 
+    /// Share of the forecasts that are constant velocity because it proved better; `None` if there are none.
+    fn constant_velocity_share(&self) -> Option<f64> {
+        let forecasts = &self.forecasts;
+        let outdone = *forecasts.causes.get("outdone").filter(|&&n| n > 0)?;
+        let total = forecasts.learned + forecasts.held + forecasts.kinematic;
+        Some(outdone as f64 / total as f64)
+    }
+
     fn forecasts(&self, text: &mut String, width: usize) -> fmt::Result {
         let forecasts = &self.forecasts;
         let total = forecasts.learned + forecasts.held + forecasts.kinematic;
@@ -252,7 +267,10 @@ impl Report {
         let mut causes: Vec<_> = forecasts.causes.iter().filter(|&(_, &n)| n > 0).collect();
         causes.sort_by_key(|&(_, &n)| std::cmp::Reverse(n));
         causes.iter().try_for_each(|&(cause, &n)| {
-            writeln!(text, " {:LABEL_WIDTH$}{:>10}   not learned: {}", "", count(n), meaning(cause))
+            // Only faults count as "not learned", here as in the verdict.
+            let kind =
+                if ["young", "outdone"].contains(&cause.as_str()) { "kinematic" } else { "not learned" };
+            writeln!(text, " {:LABEL_WIDTH$}{:>10}   {kind}: {}", "", count(n), meaning(cause))
         })
     }
 

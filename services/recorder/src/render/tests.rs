@@ -104,3 +104,18 @@ fn replacements_are_listed_and_are_no_restarts() {
     let expected = lines.map(|line| format!(" encoder     tick 54: {line}"));
     assert!(list.lines().skip(1).take(3).eq(expected.iter()), "{list}");
 }
+
+#[test]
+fn the_verdict_states_the_share_of_constant_velocity() {
+    let mut report = eventful();
+    report.verdict = Verdict { status: Status::Ok, reasons: Vec::new() };
+    (report.forecasts.learned, report.forecasts.held, report.forecasts.kinematic) = (17, 0, 83);
+    report.forecasts.causes = [("outdone".to_owned(), 80), ("young".to_owned(), 3)].into();
+    let text = report.render(80);
+    let verdict: Vec<&str> = text.lines().skip(1).take(2).collect();
+    assert!(verdict[0].starts_with(" OK ") && verdict[1].contains("constant velocity: 80"), "{text}");
+    assert!(
+        !text.contains("not learned: ") && text.contains("kinematic: constant velocity proved better"),
+        "{text}"
+    );
+}
