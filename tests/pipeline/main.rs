@@ -20,5 +20,6 @@ mod scratch;
 mod shedding;
 mod spares;
 mod started;
+mod torn;
 mod tracks;
 mod wire_layout;

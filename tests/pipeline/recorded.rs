@@ -11,7 +11,7 @@ use crate::scratch::Scratch;
 use crate::started::{Started, assert_nothing_left, piped, run, run_well, stderr, stdout, stgdat, wait_for};
 
 /// Records a generated scene in lockstep, all topics of it.
-fn lockstep(scratch: &Scratch, name: &str, seed: &str) -> String {
+pub fn lockstep(scratch: &Scratch, name: &str, seed: &str) -> String {
     let file = scratch.path(name);
     let forecasts = scratch.path(&format!("{name}.jsonl"));
     let scene = ["run", "--ticks", "60", "--agents", "10", "--speed", "max", "--quiet", "--seed", seed];
