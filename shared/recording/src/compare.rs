@@ -10,7 +10,7 @@ use std::ops::Range;
 use serde::Serialize;
 use wire::{
     AgentFeatures, ContextShape, ContextTopic, Edge, FeatureShape, FeaturesTopic, Field, HOPS_MAX, Header,
-    HeartbeatsTopic, Hop, Leaf, Primitive, Protection, Record, Row, TABLE, Topic, Track, Type,
+    HeartbeatsTopic, Hop, InputCounts, Leaf, Primitive, Protection, Record, Row, TABLE, Topic, Track, Type,
 };
 
 use crate::{Frame, Message, ReadError, Recording};
@@ -200,7 +200,11 @@ pub fn compare(a: &Frame, b: &Frame) -> Option<FrameDifference> {
     if a.element_bytes() != b.element_bytes() {
         return compare(&a.leading(common), &b.leading(common));
     }
-    let headers = [computed(a.header()), computed(b.header())];
+    let mut headers = [computed(a.header()), computed(b.header())];
+    // Programs before these counts recorded zeros.
+    if headers.iter().any(|header| header.input == InputCounts::default()) {
+        headers.iter_mut().for_each(|header| header.input = InputCounts::default());
+    }
     let [header_a, header_b] = headers.each_ref().map(bytemuck::bytes_of);
     let is_equal =
         |(_, _, range): &(_, _, Range<usize>)| a.payload()[range.clone()] == b.payload()[range.clone()];
@@ -367,6 +371,18 @@ mod tests {
         );
         assert_eq!((found.first.tick, found.first.topic), (4, "detections"));
         assert_eq!(compare(&detections(&[1.0], 4), &detections(&[1.0], 4)), None);
+    }
+
+    #[test]
+    fn counts_of_the_input_are_compared_if_both_recorded_them() {
+        let with = |detections: u32| {
+            let mut header = *self::detections(&[], 4).header();
+            header.input.detections = detections;
+            Frame::of::<DetectionsTopic>(&header, &[], 0)
+        };
+        assert_eq!(compare(&with(0), &with(6)), None, "recorded before there were counts");
+        let found = compare(&with(5), &with(6)).expect("another count");
+        assert_eq!((found.first.field.as_str(), found.numbers), ("header.input.detections", 1));
     }
 
     #[test]
