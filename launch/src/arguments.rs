@@ -8,6 +8,7 @@ use lanes::{Coordinates, LaneMap};
 use localiser::MapChoice;
 use model::{Latents, ModelConfig};
 use nn::Weights;
+use recorder::InputReport;
 use retrieval::RetrievalMemory;
 use run::Run;
 use rustix::fs::Access;
@@ -18,6 +19,7 @@ use wire::StageId;
 
 use crate::failure::Failure;
 use crate::options::{Setting, StageOptions, absolute, text, warn};
+use crate::play_report::input_of;
 use crate::verbs::inspect::quoted;
 
 /// How fast ticks follow one another.
@@ -160,6 +162,8 @@ pub struct PlaybackArguments {
 pub struct Played {
     /// The recording.
     pub playback: Playback,
+    /// What the audit of the recording found.
+    pub input: InputReport,
     /// The run, in lockstep.
     pub run: Run,
     /// Its model.
@@ -346,6 +350,8 @@ impl PlaybackArguments {
         }
         let recording = source::recording(&source, seed)?;
         warn_of_doubts(&recording);
+        // Before frames are merged: then the lines are those of the files.
+        let input = input_of(&recording);
         let playing = PlaybackOptions { run_id: 0, ticks_max: source.ticks, lockstep: true };
         let playback = Playback::new(recording, playing);
         let run = Run {
@@ -356,7 +362,7 @@ impl PlaybackArguments {
             stages: options.stage_runs(),
             ..Run::default()
         };
-        Ok(Played { playback, run, model: weights.config().clone() })
+        Ok(Played { playback, input, run, model: weights.config().clone() })
     }
 
     fn options(&self) -> Result<StageOptions, Failure> {

@@ -43,13 +43,13 @@ pub struct PlayReport {
 
 impl PlayReport {
     /// The report before the first tick.
-    pub fn new(playback: &Playback) -> Self {
+    pub fn new(playback: &Playback, input: InputReport) -> Self {
         let recording = playback.recording();
         Self {
             recording: recording.name.clone(),
             interval_ms: playback.interval_ns() as f64 / 1e6,
             thinned_by: playback.thinning(),
-            input: input_of(recording),
+            input,
             ..Self::default()
         }
     }

@@ -23,9 +23,9 @@ pub struct Arguments {
 
 /// Runs a recording through all stages in this process.
 pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
-    let Played { mut playback, run, model } = arguments.playback.start()?;
+    let Played { mut playback, input, run, model } = arguments.playback.start()?;
     let mut chain = Chain::new(&run, &model)?;
-    let mut report = PlayReport::new(&playback);
+    let mut report = PlayReport::new(&playback, input);
     let played = play(&arguments.out, &mut playback, &mut chain, &mut report);
     let kept = chain.keep_memory(&run);
     let is_whole = played?;

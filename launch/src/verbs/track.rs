@@ -42,9 +42,9 @@ pub struct Arguments {
 /// Runs a recording through the tracker in this process and writes what it publishes.
 pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
     let rows = rows(arguments.written_as, &arguments.playback.path()?)?;
-    let Played { mut playback, run, model } = arguments.playback.start()?;
+    let Played { mut playback, input, run, model } = arguments.playback.start()?;
     let mut tracking = Tracking::new(&run, &model)?;
-    let mut report = PlayReport::new(&playback);
+    let mut report = PlayReport::new(&playback, input);
     let played = play(&arguments.out, rows, &mut playback, &mut tracking, &mut report);
     let kept = tracking.keep_memory(&run);
     let is_whole = played?;
