@@ -21,7 +21,7 @@ const GROUPS: [(&str, &[&str]); 6] = [
     ("Run", &["run", "predict", "track", "check", "graph", "stage", "wire"]),
     ("Observe", &["top", "trace", "tick"]),
     ("Record", &["record", "mark", "replay", "diff"]),
-    ("Data", &["map", "plot"]),
+    ("Data", &["inspect", "map", "plot"]),
     ("Model", &["train", "ablate", "evaluate", "card"]),
     ("Diagnose", &["verify", "bench", "fault", "doctor", "clean", "completions", "manual"]),
 ];
