@@ -188,7 +188,7 @@ impl Observer {
     }
 
     /// Adds to the events that the status lists.
-    fn list(&mut self, text: String) {
+    pub fn list(&mut self, text: String) {
         if self.events.len() == EVENTS_MAX {
             self.events.pop_front();
         }

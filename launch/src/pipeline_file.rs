@@ -3,6 +3,7 @@ use std::path::Path;
 use config::Pipeline;
 
 use crate::failure::Failure;
+use crate::scheduling;
 use crate::stages;
 
 /// The default pipeline.
@@ -22,6 +23,29 @@ pub fn load(path: Option<&Path>) -> Result<Pipeline, Failure> {
     Ok(pipeline)
 }
 
+/// Refuses a pipeline.toml whose programs or processors this machine does not have.
+pub fn check_here(path: Option<&Path>) -> Result<(), Failure> {
+    let name = path.map_or_else(|| "pipeline.toml".to_owned(), |path| path.display().to_string());
+    Ok(Pipeline::check_here(&name, &text(path)?, &find_program, &scheduling::has_cpu)?)
+}
+
+/// Looks for a program as the system does when it starts one; what is wrong if there is none.
+fn find_program(program: &str) -> Result<(), String> {
+    let is_program =
+        |path: &Path| path.is_file() && rustix::fs::access(path, rustix::fs::Access::EXEC_OK).is_ok();
+    if program.contains('/') {
+        let path = Path::new(program);
+        return match path.is_file() {
+            _ if is_program(path) => Ok(()),
+            true => Err("it is not executable".to_owned()),
+            false => Err("there is no such file".to_owned()),
+        };
+    }
+    let folders = std::env::var_os("PATH").unwrap_or_default();
+    let is_found = std::env::split_paths(&folders).any(|folder| is_program(&folder.join(program)));
+    if is_found { Ok(()) } else { Err("it is not found in PATH".to_owned()) }
+}
+
 /// The text of a pipeline.toml, or of the shipped one.
 pub fn text(path: Option<&Path>) -> Result<String, Failure> {
     let Some(path) = path else { return Ok(SHIPPED.to_owned()) };
@@ -33,6 +57,17 @@ mod tests {
     use wire::StageId;
 
     use super::*;
+
+    #[test]
+    fn programs_are_found_as_the_system_finds_them() {
+        assert_eq!(find_program("sh"), Ok(()));
+        assert_eq!(find_program("/bin/sh"), Ok(()));
+        assert_eq!(find_program("no-such-program"), Err("it is not found in PATH".to_owned()));
+        assert_eq!(find_program("./no-such-program"), Err("there is no such file".to_owned()));
+        assert_eq!(find_program("/dev/null"), Err("there is no such file".to_owned()));
+        assert_eq!(find_program("/etc/passwd"), Err("it is not executable".to_owned()));
+        assert!(scheduling::has_cpu(0) && !scheduling::has_cpu(1023));
+    }
 
     #[test]
     fn the_shipped_pipeline_has_all_stages_and_the_loop() {

@@ -35,6 +35,16 @@ pub fn set_at_start(command: &mut Command, scheduling: &Scheduling) {
     }
 }
 
+/// Whether this machine has a processor that this process may use.
+pub fn has_cpu(cpu: u32) -> bool {
+    // Tried in a thread of its own, which keeps the setting to itself.
+    let tried = std::thread::spawn(move || {
+        let is_held = cpu <= Scheduling::CPU_MAX;
+        is_held && sched_setaffinity(None, &set_of(&[cpu])).is_ok()
+    });
+    tried.join().unwrap_or(false)
+}
+
 /// What of the settings does not hold for a process that was started with them, in words.
 pub fn refused(stage: StageId, pid: Pid, scheduling: &Scheduling) -> Vec<String> {
     let (mut notes, name) = (Vec::new(), stage.name());

@@ -187,6 +187,13 @@ impl Watch {
         self.outages.note(note);
     }
 
+    /// Shows that files of the run's folder were removed, and are restored.
+    pub fn restored(&mut self, files: usize) {
+        let text = format!("another program has removed files of the run's folder; restored: {files}");
+        self.display.line(&format!("launcher: {text}"));
+        self.observer.list(text);
+    }
+
     fn show(&mut self) {
         match &mut self.display {
             Display::Table(terminal) if self.shown.elapsed() >= UPDATE => {

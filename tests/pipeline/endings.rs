@@ -7,7 +7,7 @@ use rustix::process::{Pid, Signal};
 
 use crate::scratch::Scratch;
 use crate::started::{
-    LeftoverWatch, Started, assert_nothing_left, run_well, shared_files, stderr, stdout, wait_for,
+    LeftoverWatch, Started, assert_nothing_left, run_well, shared_files, stderr, stdout, stgdat, wait_for,
 };
 
 /// Whether a process still runs. A zombie does not; its new parent has not waited for it yet.
@@ -18,7 +18,7 @@ fn lives(pid: Pid) -> bool {
 
 #[test]
 fn a_signal_ends_all_stages_after_the_report() {
-    for (signal, code) in [(Signal::TERM, 143), (Signal::INT, 130)] {
+    for (signal, code) in [(Signal::TERM, 143), (Signal::INT, 130), (Signal::HUP, 129), (Signal::QUIT, 131)] {
         let scratch = Scratch::new(&format!("signal-{code}"));
         let (report, forecasts) = (scratch.path("report.json"), scratch.path("forecasts.jsonl"));
         let run = Started::run(&["--agents", "6", "--report", &report, "--forecasts", &forecasts]);
@@ -40,6 +40,25 @@ fn a_signal_ends_all_stages_after_the_report() {
             assert!(!lives(pid), "{line:?} still runs");
         }
     }
+}
+
+#[test]
+fn a_run_whose_terminal_is_gone_ends_with_its_report() {
+    let scratch = Scratch::new("no-terminal");
+    let report = scratch.path("report.json");
+    // As a terminal that is gone, this file refuses everything.
+    let refuses = || std::fs::File::options().write(true).open("/dev/full").expect("Linux has the file");
+    let mut command = stgdat();
+    command.args(["run", "--agents", "6", "--report", &report]).stdout(refuses()).stderr(refuses());
+    let run = Started::spawn(&mut command);
+    let root = run.wait_until_it_runs();
+    let kept = root.join("recorder-checkpoint.json");
+    wait_for("no forecasts come", || kept.exists().then_some(()));
+    run.signal(Signal::HUP);
+    assert_eq!(run.output().status.code(), Some(129));
+    let report: serde_json::Value = serde_json::from_slice(&scratch.read("report.json")).expect("JSON");
+    assert!(report["ticks"].as_u64() > Some(0), "{report:#}");
+    assert_nothing_left(&root);
 }
 
 #[test]

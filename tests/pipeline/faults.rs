@@ -116,3 +116,33 @@ fn the_restart_limit_and_exit_code_78_give_a_stage_up() {
         assert!(report["supervision"]["given_up"]["encoder"].is_string(), "{code}");
     }
 }
+
+/// Removes the regular files below a folder, as programs do that remove old files.
+fn remove_files(folder: &std::path::Path) {
+    for entry in std::fs::read_dir(folder).expect("the run's folder").filter_map(Result::ok) {
+        match entry.file_type().expect("a type") {
+            kind if kind.is_dir() => remove_files(&entry.path()),
+            kind if kind.is_file() => {
+                // The recorder may have renamed it just now.
+                let _ = std::fs::remove_file(entry.path());
+            }
+            _ => {}
+        }
+    }
+}
+
+#[test]
+fn a_run_whose_files_were_removed_restarts_a_stage() {
+    for (name, whole) in [("files", false), ("folder", true)] {
+        let run = disturbed(&format!("aged-{name}"), &["--ticks", "110"], |run| {
+            let root = run.root();
+            match whole {
+                false => remove_files(&root),
+                // Fails if the launcher restores files meanwhile.
+                true => drop(std::fs::remove_dir_all(&root)),
+            }
+            run.signal_stage("decoder", Signal::KILL);
+        });
+        assert_recovered("decoder", &run);
+    }
+}

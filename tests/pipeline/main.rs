@@ -12,6 +12,7 @@ mod options;
 mod programs;
 mod projects;
 mod python;
+mod readers;
 mod real_time;
 mod recorded;
 mod recordings;

@@ -87,16 +87,23 @@ impl Started {
         .collect()
     }
 
+    /// The run's directory, once its recorder has been started.
+    pub fn root(&self) -> PathBuf {
+        wait_for("the recorder is not started", || {
+            let stages = self.stages();
+            let (_, line) = stages.iter().find(|(_, line)| line.iter().any(|word| word == "recorder"))?;
+            let record = line.iter().skip_while(|word| *word != "--run").nth(1)?;
+            Some(Path::new(record).parent()?.to_owned())
+        })
+    }
+
     /// Waits until all stages are there and have their files in shared memory, and returns the run's
     /// directory.
     pub fn wait_until_it_runs(&self) -> PathBuf {
         wait_for("the run does not get going", || {
-            let stages = self.stages();
-            let (_, line) = stages.iter().find(|(_, line)| line.iter().any(|word| word == "recorder"))?;
-            let record = line.iter().skip_while(|word| *word != "--run").nth(1)?;
-            let root = Path::new(record).parent()?;
-            let has_data = shared_files(root).iter().any(|name| name.ends_with(".data"));
-            (has_data && stages.len() >= STAGES).then(|| root.to_owned())
+            let (root, stages) = (self.root(), self.stages());
+            let has_data = shared_files(&root).iter().any(|name| name.ends_with(".data"));
+            (has_data && stages.len() >= STAGES).then_some(root)
         })
     }
 
@@ -151,7 +158,10 @@ pub fn shared_files(root: &Path) -> Vec<String> {
 
 /// A run has removed everything.
 pub fn assert_nothing_left(root: &Path) {
-    assert!(!root.exists(), "{} is left", root.display());
+    let name = root.file_name().and_then(|name| name.to_str()).expect("a run's directory has a name");
+    for folder in [root.to_owned(), root.with_file_name(format!(".{name}"))] {
+        assert!(!folder.exists(), "{} is left", folder.display());
+    }
     assert_eq!(shared_files(root), Vec::<String>::new());
 }
 

@@ -241,6 +241,7 @@ fn flip(bytes: &mut [u8], bits: u32, random: &mut Random) {
 }
 
 /// Random numbers of a seed and a tick, the same whatever came before: SplitMix64.
+#[derive(Clone, Copy, Debug)]
 pub struct Random(u64);
 
 impl Random {

@@ -1,7 +1,7 @@
 //! The processes of a fault run: the launcher, its stages, the follower and the injectors.
 
 use std::io::{BufRead as _, BufReader};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::process::{Child, Command, ExitStatus, Stdio};
 use std::sync::mpsc::Sender;
 use std::thread::JoinHandle;
@@ -14,6 +14,7 @@ use wire::StageId;
 
 use crate::child::die_with_this_process;
 use crate::failure::Failure;
+use crate::faults::effect::Random;
 use crate::faults::spec::Resource;
 
 /// Time that a process has to end after a request.
@@ -69,6 +70,62 @@ impl Drop for Writer {
             let _ = reader.join();
         }
     }
+}
+
+/// A consumer that is killed again and again, each time after a random time, and started again.
+#[derive(Debug)]
+pub struct Mortal {
+    arguments: Vec<String>,
+    record: PathBuf,
+    within_ms: [u64; 2],
+    random: Random,
+    lines: Sender<Line>,
+    writer: Writer,
+    until: Instant,
+    /// How often it has ended by itself, which it does if it can't read its topic.
+    pub failures: u64,
+}
+
+impl Mortal {
+    /// Starts `stgdat fault …`, to be killed within these times after each start.
+    pub fn start(
+        arguments: Vec<String>,
+        record: &Path,
+        within_ms: [u64; 2],
+        mut random: Random,
+        lines: &Sender<Line>,
+    ) -> Result<Self, Failure> {
+        let (writer, until) = begin(&arguments, record, within_ms, &mut random, lines)?;
+        let (record, lines) = (record.to_owned(), lines.clone());
+        Ok(Self { arguments, record, within_ms, random, lines, writer, until, failures: 0 })
+    }
+
+    /// Kills it if its time has come, and starts it again.
+    pub fn tend(&mut self) -> Result<(), Failure> {
+        let has_ended = !matches!(self.writer.child.try_wait(), Ok(None));
+        if !has_ended && Instant::now() < self.until {
+            return Ok(());
+        }
+        self.failures += u64::from(has_ended);
+        let _ = self.writer.child.kill();
+        let _ = self.writer.child.wait();
+        let Self { arguments, record, within_ms, random, lines, .. } = self;
+        (self.writer, self.until) = begin(arguments, record, *within_ms, random, lines)?;
+        Ok(())
+    }
+}
+
+/// Starts a process that is to be killed within these times.
+fn begin(
+    arguments: &[String],
+    record: &Path,
+    [shortest, longest]: [u64; 2],
+    random: &mut Random,
+    lines: &Sender<Line>,
+) -> Result<(Writer, Instant), Failure> {
+    let arguments: Vec<&str> = arguments.iter().map(String::as_str).collect();
+    let until = Instant::now() + Duration::from_millis(shortest + random.below(longest - shortest + 1));
+    Ok((Writer::start(&arguments, record, lines)?, until))
 }
 
 /// The launcher, which is killed when this is dropped.

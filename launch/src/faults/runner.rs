@@ -20,12 +20,16 @@ use wire::StageId;
 
 use crate::failure::Failure;
 use crate::faults::effect::Random;
-use crate::faults::processes::{Launcher, Writer, is_alive, limit, resident_bytes, this_program, use_cpu};
+use crate::faults::processes::{
+    Launcher, Mortal, Writer, is_alive, limit, resident_bytes, this_program, use_cpu,
+};
 use crate::faults::spec::{Fault, Spec, Target, TopicFault, When};
 use crate::faults::verdict::{Check, Cost, Observation, Outcome, judge};
 use crate::pipeline_file;
 use crate::stages::declared;
 
+/// Ticks at the end of a run in which consumers are neither killed nor started again.
+const LAST_TICKS: u64 = 25;
 /// Interval between looks at the run.
 const LOOK: Duration = Duration::from_millis(2);
 /// A run that gives no sign of life for so long, beyond what is injected, is killed.
@@ -134,6 +138,8 @@ struct Session<'a> {
     run: Option<(Run, Vec<Writer>)>,
     /// Prefix of the run's files, once its launcher was killed.
     prefix: Option<String>,
+    /// Consumers that are killed again and again.
+    mortals: Vec<Mortal>,
     /// What is still to be done at a tick or time.
     due: Vec<Action>,
     /// Stopped processes, and when they go on.
@@ -199,6 +205,7 @@ impl<'a> Session<'a> {
             lines,
             run: None,
             prefix: None,
+            mortals: Vec::new(),
             due: actions(spec)?,
             stopped: Vec::new(),
             replacing: Vec::new(),
@@ -258,12 +265,18 @@ impl<'a> Session<'a> {
             let plan = plan.display().to_string();
             writers.push(Writer::start(&["inject", "--plan", &plan], record, &self.sender)?);
         }
-        for fault in &self.spec.faults {
-            if let Fault::Consumer { topic, hold_ms } = fault {
+        for (place, fault) in (0..).zip(&self.spec.faults) {
+            if let Fault::Consumer { topic, hold_ms, within_ms } = fault {
                 let hold = hold_ms.map(|ms| ms.to_string());
                 let mut arguments = vec!["consume", topic];
                 arguments.extend(hold.iter().flat_map(|ms| ["--hold-ms", ms.as_str()]));
-                writers.push(Writer::start(&arguments, record, &self.sender)?);
+                if let Some(within_ms) = within_ms {
+                    let random = Random::new(self.spec.run.seed, place);
+                    let arguments = arguments.into_iter().map(str::to_owned).collect();
+                    self.mortals.push(Mortal::start(arguments, record, *within_ms, random, &self.sender)?);
+                } else {
+                    writers.push(Writer::start(&arguments, record, &self.sender)?);
+                }
             }
         }
         self.run = Some((run, writers));
@@ -303,6 +316,10 @@ impl<'a> Session<'a> {
 
     /// Does what is due.
     fn act(&mut self) -> Result<(), Failure> {
+        // A consumer that is started while the run removes its files would leave some.
+        if self.tick.is_none_or(|tick| tick + LAST_TICKS < self.spec.run.ticks) {
+            self.mortals.iter_mut().try_for_each(Mortal::tend)?;
+        }
         for (_, pid, name) in self.stopped.extract_if(.., |(until, ..)| Instant::now() >= *until) {
             // It may have been killed for being stopped, and be gone.
             let _ = kill_process(pid, Signal::CONT);
@@ -394,6 +411,7 @@ impl<'a> Session<'a> {
     /// Ends what runs beside the run, and reads what the run has left.
     fn gather(mut self, status: ExitStatus) -> Result<Observation, Failure> {
         self.seen.exit = status.code().unwrap_or_else(|| -status.signal().unwrap_or(0));
+        self.seen.failed_consumers = self.mortals.drain(..).map(|mortal| mortal.failures).sum();
         let run = self.run.take().map(|(run, writers)| {
             drop(writers);
             run
@@ -444,10 +462,11 @@ fn survivors(stages: &[(Pid, StageId)]) -> u64 {
     }
 }
 
-/// Files of a run in shared memory, and its folder.
+/// Files of a run in shared memory, and its folders.
 fn left(prefix: &str) -> u64 {
-    let root = Path::new("/tmp").join(prefix.trim_end_matches('_'));
-    shared(prefix)[0] + u64::from(root.exists())
+    let name = prefix.trim_end_matches('_');
+    let folders = [name.to_owned(), format!(".{name}")];
+    shared(prefix)[0] + folders.iter().filter(|name| Path::new("/tmp").join(name).exists()).count() as u64
 }
 
 /// The prefix of a launcher's run, by the lock that it holds; none before it has one.

@@ -40,6 +40,7 @@ const BUILT_IN: &[(&str, &str)] = scenarios![
     "11-frozen-stamps",
     "12-clock-jump-back",
     "12-clock-jump-forward",
+    "13-dying-consumers",
     "13-greedy-consumer",
     "14-descriptors",
     "14-disk-full",

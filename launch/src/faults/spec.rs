@@ -169,6 +169,8 @@ pub enum Fault {
         topic: String,
         /// Time for which it holds each frame; for ever where none.
         hold_ms: Option<u64>,
+        /// Shortest and longest time after which it is killed and started again; it stays where none.
+        within_ms: Option<[u64; 2]>,
     },
 }
 

@@ -29,6 +29,8 @@ pub struct Observation {
     pub leftovers: u64,
     /// Stages that were there 2 s after the launcher.
     pub survivors: u64,
+    /// Times that a consumer which was to be killed ended by itself.
+    pub failed_consumers: u64,
 }
 
 /// The outcome of one expectation.
@@ -446,6 +448,11 @@ fn supervised(spec: &Spec, seen: &Observation) -> Vec<Check> {
         checks.push(equal(what.trim_end_matches(", \"\""), &expected.count, &found));
     }
     checks.extend(replaced(seen, &supervision.replacements));
+    if let Some(least) = expect.dead_readers_min {
+        let found = supervision.dead_readers;
+        checks.push(check("dead readers", &format!("≥ {least}"), &found, found >= least));
+        checks.push(equal("consumers that ended by themselves", &0, &seen.failed_consumers));
+    }
     for (stage, expected) in &expect.promotions {
         let found = supervision.spares.get(stage).map_or(0, |spare| spare.promotions);
         checks.push(equal(&format!("promotions of the {stage}'s spare"), expected, &found));

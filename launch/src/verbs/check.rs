@@ -20,7 +20,9 @@ pub struct Arguments {
 
 /// Checks a pipeline.toml and prints a summary.
 pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
-    let pipeline = pipeline_file::load(arguments.file.as_deref().or(arguments.pipeline.as_deref()))?;
+    let path = arguments.file.as_deref().or(arguments.pipeline.as_deref());
+    let pipeline = pipeline_file::load(path)?;
+    pipeline_file::check_here(path)?;
     let own = pipeline.stages.iter().filter(|stage| stage.command.is_some()).count();
     say!(
         "ok: {} stages ({own} external), {} connections, budgets {} of {BUDGET_MAX_MS} ms",

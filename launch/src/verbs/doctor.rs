@@ -32,6 +32,8 @@ struct Finding {
     found: String,
     /// What to do, where something is wrong.
     advice: Option<String>,
+    /// Whether a run works without.
+    is_optional: bool,
 }
 
 /// Checks what a run needs of this machine, and advises where something is missing.
@@ -51,9 +53,14 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
     ];
     let slow = speed(arguments.agents)?;
     let mut well = true;
-    for Finding { what, found, advice } in findings {
-        well &= advice.is_none();
-        say!("{} {what:<16} {found}", if advice.is_none() { "ok  " } else { "fix " });
+    for Finding { what, found, advice, is_optional } in findings {
+        well &= advice.is_none() || is_optional;
+        let mark = match advice {
+            None => "ok  ",
+            Some(_) if is_optional => "warn",
+            Some(_) => "fix ",
+        };
+        say!("{mark} {what:<16} {found}");
         if let Some(advice) = advice {
             say!("     {:<16} {advice}", "");
         }
@@ -71,7 +78,7 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
 }
 
 fn finding(what: &'static str, found: impl Display, advice: Option<String>) -> Finding {
-    Finding { what, found: found.to_string(), advice }
+    Finding { what, found: found.to_string(), advice, is_optional: false }
 }
 
 fn shared_memory() -> Finding {
@@ -102,7 +109,9 @@ fn leftovers() -> Finding {
         Ok(leftovers) => {
             let bytes: u64 = leftovers.iter().map(|leftover| leftover.bytes).sum();
             let found = format!("{} dead runs, {} MiB", leftovers.len(), bytes >> 20);
-            finding("leftovers", found, (!leftovers.is_empty()).then(|| "stgdat clean removes them".into()))
+            let advice = (!leftovers.is_empty()).then(|| "stgdat clean removes them".into());
+            // A run that finds too little shared memory is refused for that.
+            Finding { is_optional: true, ..finding("leftovers", found, advice) }
         }
         Err(error) => finding("leftovers", error, Some("can't be listed".into())),
     }

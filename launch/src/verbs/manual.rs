@@ -44,7 +44,7 @@ const HEAD: &str = "\
 | 69 | a resource is missing: shared memory, space, a port |
 | 70 | a stage died, or a check came out wrong |
 | 78 | pipeline.toml or the run's record can't be used, or this processor lacks the precision asked for |
-| 130, 143 | ended by Ctrl-C, by SIGTERM |
+| 129, 130, 131, 143 | ended by SIGHUP (the terminal is gone), Ctrl-C, SIGQUIT, SIGTERM |
 ";
 
 /// Arguments of `stgdat manual`.

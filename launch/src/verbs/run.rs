@@ -121,7 +121,7 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
     check_map(&mut options)?;
 
     let run_id = random_id()?;
-    let space = Space::create(run_id, SHARED_BYTES)?;
+    let mut space = Space::create(run_id, SHARED_BYTES)?;
     let report_path = report_path(&mut options, space.root())?;
     let run = Run {
         id: run_id,
@@ -155,7 +155,8 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
     let observer = Observer::open(&run, &arguments.observe, input.clone())?;
     let watch = Watch::open(&run, live, arguments.quiet, observer)?;
     let following = Following { tap, recording, watch };
-    let ended = supervise(&pipeline, &run, &record_file, &stop, following, keeps_memory)?;
+    space.keep();
+    let ended = supervise(&pipeline, &run, &mut space, &record_file, &stop, following, keeps_memory)?;
     // However the run ended, the report tells what there was until then. After a signal or a failure, there is
     // one if the recorder had begun; where it died too, what it had kept.
     let modified = std::fs::metadata(&report_path).and_then(|file| file.modified());
@@ -313,6 +314,7 @@ fn write_record(run: &Run, announce: Option<&Path>) -> Result<PathBuf, Failure> 
 fn supervise(
     pipeline: &Pipeline,
     run: &Run,
+    space: &mut Space,
     record: &Path,
     stop: &Stop,
     following: Following,
@@ -330,6 +332,10 @@ fn supervise(
     let started = Instant::now();
     let mut linked = false;
     let outcome = loop {
+        match space.tend() {
+            0 => {}
+            files => watch.restored(files),
+        }
         let lines: Vec<Line> = fleet.lines().collect();
         lines.iter().for_each(|(stage, line)| tap.line(stage.name(), line));
         if tap.tend() {

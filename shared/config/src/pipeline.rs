@@ -77,6 +77,22 @@ impl Pipeline {
         check::check(&file, declared).map_err(|fault| fault.at(name, text))
     }
 
+    /// Refuses a file that this machine can't run: with a `command` that `find` does not find, or a processor that
+    /// `has_cpu` does not know.
+    ///
+    /// # Errors
+    /// [`PipelineError`] points to the first such place in the text; the text must be one that [`Pipeline::parse`]
+    /// accepts.
+    pub fn check_here(
+        name: &str,
+        text: &str,
+        find: &dyn Fn(&str) -> Result<(), String>,
+        has_cpu: &dyn Fn(u32) -> bool,
+    ) -> Result<(), PipelineError> {
+        let file: file::File = toml::from_str(text).map_err(|e| PipelineError::syntax(name, text, &e))?;
+        check::check_here(&file, find, has_cpu).map_err(|fault| fault.at(name, text))
+    }
+
     /// The topics that a stage reads, by their names in shared memory.
     pub fn read_by<'a>(&'a self, stage: &'a Stage) -> impl Iterator<Item = &'a str> {
         stage.reads.iter().map(|topic| self.name_of(stage, topic))

@@ -47,6 +47,7 @@ mod clock;
 mod color;
 mod element;
 mod error;
+mod keep;
 mod kept;
 mod memory;
 mod names;

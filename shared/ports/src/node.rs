@@ -81,7 +81,7 @@ impl Node {
     /// # Errors
     /// [`PortError`] where the run's files can't be made or the signals not be taken over.
     pub fn open(run: &Run, name: &str) -> Result<Self, PortError> {
-        let stop = Stop::on_signals().map_err(PortError::of_node("taking over SIGTERM and SIGINT"))?;
+        let stop = Stop::on_signals().map_err(PortError::of_node("taking over the signals to end"))?;
         let node_name = NodeName::new(name).map_err(PortError::of_node("name of the node"))?;
         let config = transport_config(run).map_err(PortError::of_node("paths of the run"))?;
         let node = NodeBuilder::new()

@@ -13,6 +13,8 @@ use std::time::Duration;
 use rustix::fs::{FlockOperation, Mode, OFlags, StatVfs, flock, fstat, open, statvfs};
 use thiserror::Error;
 
+use crate::keep::Keep;
+
 /// Where POSIX shared memory shows as files.
 pub(crate) const SHARED_MEMORY: &str = "/dev/shm";
 /// Where the runs' directories lie. Not `TMPDIR`: a socket's path must stay under 108 bytes, and
@@ -23,6 +25,8 @@ const FAMILY: &str = "stgdat_";
 /// Digits of a run's name after [`FAMILY`].
 const DIGITS: usize = 8;
 const LOCK_SUFFIX: &str = "lock";
+/// The file of a run's directory with the run's record.
+const RECORD: &str = "run";
 /// The folder of a run's directory with the descriptions of its services.
 const SERVICES: &str = "services";
 
@@ -55,6 +59,7 @@ pub enum SpaceError {
 pub struct Space {
     prefix: String,
     root: PathBuf,
+    keep: Option<Keep>,
     /// Locked until the launcher ends, killed or not.
     lock: File,
 }
@@ -100,10 +105,26 @@ impl Space {
         let lock_path = lock_path(&prefix);
         let lock = make_lock(&lock_path).map_err(|source| SpaceError::File { path: lock_path, source })?;
         let root = root_of(&prefix);
-        let space = Self { prefix, root, lock };
+        let mut space = Self { prefix, root, keep: None, lock };
         std::fs::create_dir(&space.root)
             .map_err(|source| SpaceError::File { path: space.root.clone(), source })?;
+        let second = second_of(&space.prefix);
+        let keep = Keep::begin(&space.root, &second, RECORD);
+        space.keep = Some(keep.map_err(|source| SpaceError::File { path: second, source })?);
         Ok(space)
+    }
+
+    /// Restores files of the run's directory that somebody has removed because they looked old, once its record is
+    /// there; takes a system call while nothing is missing. Returns how many.
+    pub fn tend(&mut self) -> usize {
+        self.keep.as_mut().map_or(0, Keep::tend)
+    }
+
+    /// Keeps the files that the run's directory has now.
+    pub fn keep(&mut self) {
+        if let Some(keep) = &mut self.keep {
+            keep.take_in();
+        }
     }
 
     /// What the names of the run's shared memory start with.
@@ -234,7 +255,7 @@ fn leftover(prefix: String) -> Option<Leftover> {
         Err(_) => return None,
     };
     let (files, root) = (files_of(&prefix), root_of(&prefix));
-    if files.is_empty() && !is_ours(&root) {
+    if files.is_empty() && !is_ours(&root) && !is_ours(&second_of(&prefix)) {
         return None;
     }
     let bytes = files.iter().map(|file| allocated(file)).sum();
@@ -270,9 +291,14 @@ fn root_of(prefix: &str) -> PathBuf {
     Path::new(ROOTS).join(prefix.trim_end_matches('_'))
 }
 
+/// The hidden directory with the second names of the files in a run's directory.
+fn second_of(prefix: &str) -> PathBuf {
+    Path::new(ROOTS).join(format!(".{}", prefix.trim_end_matches('_')))
+}
+
 /// The prefix of the run that a file or directory belongs to, by its name.
 fn prefix_of(name: &str) -> Option<String> {
-    let digits = name.strip_prefix(FAMILY)?.get(..DIGITS)?;
+    let digits = name.strip_prefix('.').unwrap_or(name).strip_prefix(FAMILY)?.get(..DIGITS)?;
     digits.bytes().all(|b| b.is_ascii_hexdigit()).then(|| format!("{FAMILY}{digits}_"))
 }
 
@@ -302,8 +328,10 @@ fn remove(prefix: &str, root: &Path) {
     for file in files_of(prefix).into_iter().filter(|file| *file != lock) {
         let _ = std::fs::remove_file(file);
     }
-    if is_ours(root) {
-        let _ = std::fs::remove_dir_all(root);
+    for directory in [root, &second_of(prefix)] {
+        if is_ours(directory) {
+            let _ = std::fs::remove_dir_all(directory);
+        }
     }
     let _ = std::fs::remove_file(lock);
 }

@@ -1,31 +1,44 @@
 #![expect(unsafe_code, reason = "the mask of signals, which neither rustix nor signal-hook knows")]
 
 use std::mem::MaybeUninit;
-use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+use std::sync::{Arc, OnceLock};
 use std::time::Duration;
 
 use iceoryx2::prelude::*;
 use run::Exit;
-use signal_hook::consts::{SIGINT, SIGTERM, SIGUSR1};
+use signal_hook::consts::{SIGHUP, SIGINT, SIGQUIT, SIGTERM, SIGUSR1};
 
-/// Whether SIGTERM or SIGINT has asked the process to end.
+/// Signals that ask a process to end even if it was started with them ignored.
+const ALWAYS: [i32; 2] = [SIGTERM, SIGINT];
+/// Signals that ask a process to end, unless it was started with them ignored, as `nohup` does.
+const UNLESS_IGNORED: [i32; 2] = [SIGHUP, SIGQUIT];
+
+/// Whether SIGTERM, SIGINT, SIGHUP or SIGQUIT has asked the process to end.
 ///
 /// The flag stays set: a signal between two checks, or before another signal, is not lost.
 #[derive(Clone, Debug)]
 pub struct Stop(Arc<AtomicUsize>);
 
 impl Stop {
-    /// Takes over SIGTERM and SIGINT.
+    /// Takes over the signals.
     ///
     /// # Errors
-    /// Where the system refuses the handlers.
+    /// If the system refuses the handlers.
     pub fn on_signals() -> std::io::Result<Self> {
+        static IGNORED: OnceLock<Vec<i32>> = OnceLock::new();
         let _held_back = HeldBack::begin();
+        // Read before the transport sets its own handlers.
+        let ignored =
+            IGNORED.get_or_init(|| UNLESS_IGNORED.into_iter().filter(|number| is_ignored(*number)).collect());
         take_transport_handlers();
         let signal = Arc::new(AtomicUsize::new(0));
-        for number in [SIGTERM, SIGINT] {
-            signal_hook::flag::register_usize(number, signal.clone(), number as usize)?;
+        for number in ALWAYS.into_iter().chain(UNLESS_IGNORED) {
+            if ignored.contains(&number) {
+                ignore(number);
+            } else {
+                signal_hook::flag::register_usize(number, signal.clone(), number as usize)?;
+            }
         }
         Ok(Self(signal))
     }
@@ -40,7 +53,9 @@ impl Stop {
     #[must_use]
     pub fn exit(&self) -> Option<Exit> {
         match self.0.load(Ordering::Relaxed) as i32 {
+            SIGHUP => Some(Exit::HungUp),
             SIGINT => Some(Exit::Interrupted),
+            SIGQUIT => Some(Exit::Quit),
             SIGTERM => Some(Exit::Terminated),
             _ => None,
         }
@@ -84,7 +99,7 @@ impl HeldBack {
         // where the number of a signal or of an operation is wrong; these are right.
         unsafe {
             libc::sigemptyset(held.as_mut_ptr());
-            for number in [SIGTERM, SIGINT, SIGUSR1] {
+            for number in ALWAYS.into_iter().chain(UNLESS_IGNORED).chain([SIGUSR1]) {
                 libc::sigaddset(held.as_mut_ptr(), number);
             }
             libc::pthread_sigmask(libc::SIG_BLOCK, held.as_ptr(), before.as_mut_ptr());
@@ -98,6 +113,23 @@ impl Drop for HeldBack {
         // SAFETY: the call reads the set alone, and may go without a place for the old one.
         unsafe { libc::pthread_sigmask(libc::SIG_SETMASK, &raw const self.before, std::ptr::null_mut()) };
     }
+}
+
+/// Whether the process ignores a signal.
+fn is_ignored(number: i32) -> bool {
+    let mut action = MaybeUninit::<libc::sigaction>::zeroed();
+    // SAFETY: the call reads no new action and writes the current one; zeros are an action, too.
+    let action = unsafe {
+        libc::sigaction(number, std::ptr::null(), action.as_mut_ptr());
+        action.assume_init()
+    };
+    action.sa_sigaction == libc::SIG_IGN
+}
+
+/// Ignores a signal.
+fn ignore(number: i32) {
+    // SAFETY: no handler is installed; the number is that of a signal which can be ignored.
+    unsafe { libc::signal(number, libc::SIG_IGN) };
 }
 
 /// The transport replaces all handlers by its own when it first looks for a signal. This makes it do so
@@ -114,6 +146,18 @@ fn take_transport_handlers() {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_signal_that_was_ignored_stays_ignored() {
+        assert!(!is_ignored(SIGHUP));
+        ignore(SIGHUP);
+        assert!(is_ignored(SIGHUP));
+        let stop = Stop::on_signals().unwrap();
+        signal_hook::low_level::raise(SIGHUP).unwrap();
+        assert!(!stop.requested() && is_ignored(SIGHUP));
+        signal_hook::low_level::raise(SIGQUIT).unwrap();
+        assert_eq!(stop.exit(), Some(Exit::Quit));
+    }
 
     #[test]
     fn a_signal_that_is_held_back_comes_afterwards() {

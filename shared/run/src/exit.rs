@@ -9,7 +9,9 @@
 /// | 69 | a resource is missing: shared memory, space, a port |
 /// | 70 | a stage died, or a check came out wrong |
 /// | 78 | pipeline.toml or the run's record can't be used |
+/// | 129 | ended by SIGHUP (the terminal is gone) |
 /// | 130 | ended by SIGINT (Ctrl-C) |
+/// | 131 | ended by SIGQUIT |
 /// | 143 | ended by SIGTERM |
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(u8)]
@@ -28,8 +30,12 @@ pub enum Exit {
     Failed = 70,
     /// pipeline.toml or the run's record can't be used.
     Config = 78,
+    /// Ended by SIGHUP.
+    HungUp = 129,
     /// Ended by SIGINT.
     Interrupted = 130,
+    /// Ended by SIGQUIT.
+    Quit = 131,
     /// Ended by SIGTERM.
     Terminated = 143,
 }
@@ -46,7 +52,9 @@ impl Exit {
             Self::Unavailable,
             Self::Failed,
             Self::Config,
+            Self::HungUp,
             Self::Interrupted,
+            Self::Quit,
             Self::Terminated,
         ]
         .into_iter()

@@ -26,7 +26,7 @@ const KINDS: [(&str, &[&str], &[&str]); 9] = [
     ("command", &["stage", "command"], &[]),
     ("replace", &["stage", "at"], &["command", "point"]),
     ("cpu", &["at", "for_ms"], &["threads"]),
-    ("consumer", &["topic"], &["hold_ms"]),
+    ("consumer", &["topic"], &["hold_ms", "within_ms"]),
 ];
 /// Kinds of faults on a topic, with the keys that each must and may have beside those of all of them.
 const EFFECTS: [(&str, &[&str], &[&str]); 13] = [
@@ -199,7 +199,8 @@ fn fault(table: &Spanned<FaultTable>, run: &RunSpec) -> Result<Fault, Mistake> {
         }
         "consumer" => {
             let hold_ms = table.hold_ms.as_ref().map(|ms| *ms.get_ref());
-            Ok(Fault::Consumer { topic: topic(table, run)?, hold_ms })
+            let within_ms = table.within_ms.as_ref().map(within).transpose()?;
+            Ok(Fault::Consumer { topic: topic(table, run)?, hold_ms, within_ms })
         }
         _ => of_topic(kind, table, run).map(Fault::Topic),
     }
@@ -208,14 +209,10 @@ fn fault(table: &Spanned<FaultTable>, run: &RunSpec) -> Result<Fault, Mistake> {
 fn kill(table: &FaultTable, span: Range<usize>, run: &RunSpec) -> Result<Fault, Mistake> {
     let is_alone = table.point.is_none() && table.at.is_none() && table.after_start_ms.is_none();
     if let Some(within) = &table.within_ms {
-        let ms = *within.get_ref();
         if !is_alone {
             return Err(Mistake::new(span, "when does it kill?", "`within_ms` needs no other time"));
         }
-        if ms[0] >= ms[1] {
-            let message = format!("`within_ms` = {ms:?}");
-            return Err(Mistake::new(within.span(), message, "expected [shortest, longest]"));
-        }
+        let ms = self::within(within)?;
         return Ok(Fault::Kill { target: target(table, run)?, when: When::Within { ms } });
     }
     match (&table.point, &table.at, &table.after_start_ms) {
@@ -235,6 +232,16 @@ fn kill(table: &FaultTable, span: Range<usize>, run: &RunSpec) -> Result<Fault, 
             "needs `at`, alone or with a `point`, `after_start_ms` or `within_ms`",
         )),
     }
+}
+
+/// The shortest and the longest time until a death.
+fn within(within: &Spanned<[u64; 2]>) -> Result<[u64; 2], Mistake> {
+    let ms = *within.get_ref();
+    if ms[0] < ms[1] {
+        return Ok(ms);
+    }
+    let message = format!("`within_ms` = {ms:?}");
+    Err(Mistake::new(within.span(), message, "expected [shortest, longest]"))
 }
 
 /// Kills or stops at random ticks, of all stages where none are named.

@@ -133,6 +133,8 @@ pub struct Expect {
     pub counted: Vec<Counted>,
     /// Stages that the report must name as starved; "any" for one at least.
     pub starved: Vec<String>,
+    /// Least number of readers that the report counts as dead; no consumer may end by itself.
+    pub dead_readers_min: Option<u64>,
     /// Least number of ticks that the report counts as late.
     pub late_ticks_min: Option<u64>,
     /// Most that the launcher's resident memory may grow by, in KiB.

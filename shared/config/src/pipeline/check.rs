@@ -262,6 +262,31 @@ fn scheduling(table: &StageTable) -> Result<Scheduling, Fault> {
     Ok(Scheduling { cpus, priority: priority.transpose()? })
 }
 
+/// Refuses programs and processors that this machine does not have.
+pub(super) fn check_here(
+    file: &File,
+    find: &dyn Fn(&str) -> Result<(), String>,
+    has_cpu: &dyn Fn(u32) -> bool,
+) -> Result<(), Fault> {
+    for table in file.stages.iter().map(Spanned::get_ref) {
+        let name = table.name.get_ref();
+        if let Some(command) = &table.command
+            && let Some(program) = command.get_ref().first()
+            && let Err(why) = find(program)
+        {
+            let message = format!("the {name} can't be started: {program}: {why}");
+            return Err(Fault::new(command.span(), message, "expected a program of this machine"));
+        }
+        for cpu in table.cpu.iter().flat_map(Spanned::get_ref) {
+            if !u32::try_from(*cpu.get_ref()).is_ok_and(has_cpu) {
+                let message = format!("the {name} can't have processor {}", cpu.get_ref());
+                return Err(Fault::new(cpu.span(), message, "not one of this machine's, or not allowed"));
+            }
+        }
+    }
+    Ok(())
+}
+
 fn names(topics: &[Spanned<String>]) -> Vec<String> {
     topics.iter().map(|t| t.get_ref().clone()).collect()
 }

@@ -1,4 +1,4 @@
-use miette::{GraphicalReportHandler, GraphicalTheme};
+use miette::{Diagnostic, GraphicalReportHandler, GraphicalTheme};
 use run::{Conflict, Declaration, NoOptions, TopicRun};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -445,4 +445,25 @@ fn a_tick_that_passes_more_stages_than_its_header_has_room_for_is_warned_of() {
     }
     let text = text.replacen("name = \"localiser\"", "name = \"localiser\"\ntopics = { tracks = \"t5\" }", 1);
     assert_eq!(parsed(&text).warnings.len(), 1);
+}
+
+#[test]
+fn a_file_for_another_machine_is_refused_here() {
+    let here = |from: &str, to: &str| {
+        let text = with(from, to);
+        let find = |program: &str| if program == "sh" { Ok(()) } else { Err("not found in PATH".to_owned()) };
+        let checked = Pipeline::check_here("pipeline.toml", &text, &find, &|cpu| cpu < 2);
+        checked.map_err(|error| {
+            let place = &error.labels().unwrap().next().unwrap();
+            (error.to_string(), text[place.offset()..place.offset() + place.len()].to_owned())
+        })
+    };
+    let encoder = "name = \"encoder\"\n";
+    let with_line = |line: &str| here(encoder, &format!("{encoder}{line}\n"));
+    assert_eq!(with_line("command = [\"sh\", \"-c\", \"x\"]\ncpu = [0, 1]"), Ok(()));
+    let (message, place) = with_line("command = [\"no-such\"]").unwrap_err();
+    assert_eq!(message, "the encoder can't be started: no-such: not found in PATH");
+    assert_eq!(place, "[\"no-such\"]");
+    let (message, place) = with_line("cpu = [1, 7]").unwrap_err();
+    assert_eq!((message.as_str(), place.as_str()), ("the encoder can't have processor 7", "7"));
 }
